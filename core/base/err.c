@@ -1,0 +1,31 @@
+#include "core/base/err.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+static _Thread_local char err_sentence[512];
+
+err_t err_fail(err_t code, const char *fmt, ...)
+{
+    char text[sizeof err_sentence];
+    va_list ap;
+    va_start(ap, fmt);
+    vsnprintf(text, sizeof text, fmt, ap);
+    va_end(ap);
+    memcpy(err_sentence, text, sizeof text);
+    return code;
+}
+
+const char *err_text(void)
+{
+    return err_sentence;
+}
+
+const char *err_name(err_t code)
+{
+    static const char *const names[] = {"OK",      "NOMEM", "ARG",         "IO",   "FORMAT",    "LIMIT",
+                                        "TIMEOUT", "LOST",  "UNSUPPORTED", "BUSY", "CANCELLED", "AGAIN"};
+    int i = -(int)code;
+    return i >= 0 && i < (int)(sizeof names / sizeof names[0]) ? names[i] : "?";
+}
