@@ -1,0 +1,110 @@
+#include "drivers/json.h"
+
+#include "drivers/file.h"
+
+#include <cjson/cJSON.h>
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **out)
+{
+    *out = NULL;
+    if (n > JSON_BYTES_MAX)
+        return err_fail(ERR_LIMIT, "%s: %zu bytes of JSON, at most %d are read", what, n, JSON_BYTES_MAX);
+    char *copy = malloc(n + 1); // cJSON before 1.7.18 looks one byte past a text without terminating 0
+    if (!copy)
+        return err_fail(ERR_NOMEM, "%s: no memory for %zu bytes of JSON", what, n);
+    if (n > 0)
+        memcpy(copy, text, n);
+    copy[n] = 0;
+    const char *end = copy;
+    struct cJSON *doc = memchr(copy, 0, n) ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
+    size_t at = (size_t)(end - copy);
+    free(copy);
+    if (!doc)
+        return err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %zu of %zu", what, at, n);
+    *out = doc;
+    return OK;
+}
+
+err_t json_read(const char *path, struct cJSON **out)
+{
+    struct file_map m;
+    *out = NULL;
+    err_t e = file_map(path, JSON_BYTES_MAX, &m);
+    if (e)
+        return e;
+    e = json_parse(path, m.p, m.n, out);
+    file_unmap(&m);
+    return e;
+}
+
+void json_free(struct cJSON *doc)
+{
+    cJSON_Delete(doc);
+}
+
+bool json_is_object(const struct cJSON *node)
+{
+    return cJSON_IsObject(node);
+}
+
+bool json_is_array(const struct cJSON *node)
+{
+    return cJSON_IsArray(node);
+}
+
+const struct cJSON *json_first(const struct cJSON *node)
+{
+    return node->child;
+}
+
+const struct cJSON *json_next(const struct cJSON *node)
+{
+    return node->next;
+}
+
+int json_count(const struct cJSON *node)
+{
+    return cJSON_GetArraySize(node);
+}
+
+const char *json_key(const struct cJSON *node)
+{
+    return node->string ? node->string : "";
+}
+
+const struct cJSON *json_member(const struct cJSON *object, const char *key)
+{
+    return cJSON_IsObject(object) ? cJSON_GetObjectItemCaseSensitive(object, key) : NULL;
+}
+
+bool json_number(const struct cJSON *node, double *out)
+{
+    if (!cJSON_IsNumber(node) || !isfinite(node->valuedouble))
+        return false;
+    *out = node->valuedouble;
+    return true;
+}
+
+const char *json_string(const struct cJSON *node)
+{
+    return cJSON_IsString(node) ? node->valuestring : NULL;
+}
+
+void json_put_string(FILE *f, const char *s)
+{
+    putc('"', f);
+    for (; *s; s++) {
+        unsigned char c = (unsigned char)*s;
+        if (c == '"' || c == '\\')
+            fprintf(f, "\\%c", c);
+        else if (c < 0x20)
+            fprintf(f, "\\u%04x", c);
+        else
+            putc(c, f);
+    }
+    putc('"', f);
+}
