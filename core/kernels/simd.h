@@ -1,0 +1,261 @@
+/* simd.h - the few vector operations that the float kernels are written in.
+ * The including file defines exactly one of SIMD_C, SIMD_SSE41, SIMD_AVX2, SIMD_AVX512, SIMD_NEON.
+ * vf: LANES floats; vm: one truth value per lane. The operators + - * / work on vf in every variant.
+ * Comparisons with NaN are false. v_min/v_max return the second operand if the first is NaN. */
+#ifndef KERNELS_SIMD_H
+#define KERNELS_SIMD_H
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(SIMD_AVX512)
+#if !defined(__AVX512F__) || !defined(__AVX512DQ__) || !defined(__AVX512VL__)
+#error "compile this file with the AVX-512 flags"
+#endif
+#include <immintrin.h>
+#define LANES 16
+typedef __m512 vf;
+typedef __mmask16 vm;
+static inline vf v_load(const float *p) { return _mm512_loadu_ps(p); }
+static inline void v_store(float *p, vf a) { _mm512_storeu_ps(p, a); }
+static inline vf v_set(float x) { return _mm512_set1_ps(x); }
+static inline vf v_fma(vf a, vf b, vf c) { return _mm512_fmadd_ps(a, b, c); }
+static inline vf v_min(vf a, vf b) { return _mm512_min_ps(a, b); }
+static inline vf v_max(vf a, vf b) { return _mm512_max_ps(a, b); }
+static inline vf v_sqrt(vf a) { return _mm512_sqrt_ps(a); }
+static inline vf v_floor(vf a) { return _mm512_roundscale_ps(a, 0x09); }
+static inline vf v_round(vf a) { return _mm512_roundscale_ps(a, 0x08); }
+static inline vm v_lt(vf a, vf b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
+static inline vm v_le(vf a, vf b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
+static inline vm m_and(vm a, vm b) { return a & b; }
+static inline vm m_andnot(vm a, vm b) { return (vm)(a & ~b); }
+static inline int m_any(vm a) { return a != 0; }
+static inline int m_bits(vm a) { return a; }
+static inline vf v_sel(vm m, vf a, vf b) { return _mm512_mask_blend_ps(m, b, a); }
+static inline vf v_exp2i(vf n) /* 2^n, n integral in [-126, 127] */
+{
+    return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_add_epi32(_mm512_cvtps_epi32(n), _mm512_set1_epi32(127)), 23));
+}
+static inline vf v_exponent(vf a) /* biased exponent bits as float, a > 0 */
+{
+    return _mm512_cvtepi32_ps(_mm512_srli_epi32(_mm512_castps_si512(a), 23));
+}
+static inline vf v_mantissa(vf a) /* in [1, 2), a > 0 normal */
+{
+    __m512i i = _mm512_and_si512(_mm512_castps_si512(a), _mm512_set1_epi32(0x007fffff));
+    return _mm512_castsi512_ps(_mm512_or_si512(i, _mm512_set1_epi32(0x3f800000)));
+}
+static inline float v_sum(vf a) { return _mm512_reduce_add_ps(a); }
+
+#elif defined(SIMD_AVX2)
+#if !defined(__AVX2__) || !defined(__FMA__)
+#error "compile this file with -mavx2 -mfma"
+#endif
+#include <immintrin.h>
+#define LANES 8
+typedef __m256 vf;
+typedef __m256 vm;
+static inline vf v_load(const float *p) { return _mm256_loadu_ps(p); }
+static inline void v_store(float *p, vf a) { _mm256_storeu_ps(p, a); }
+static inline vf v_set(float x) { return _mm256_set1_ps(x); }
+static inline vf v_fma(vf a, vf b, vf c) { return _mm256_fmadd_ps(a, b, c); }
+static inline vf v_min(vf a, vf b) { return _mm256_min_ps(a, b); }
+static inline vf v_max(vf a, vf b) { return _mm256_max_ps(a, b); }
+static inline vf v_sqrt(vf a) { return _mm256_sqrt_ps(a); }
+static inline vf v_floor(vf a) { return _mm256_floor_ps(a); }
+static inline vf v_round(vf a) { return _mm256_round_ps(a, 0x08); }
+static inline vm v_lt(vf a, vf b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
+static inline vm v_le(vf a, vf b) { return _mm256_cmp_ps(a, b, _CMP_LE_OQ); }
+static inline vm m_and(vm a, vm b) { return _mm256_and_ps(a, b); }
+static inline vm m_andnot(vm a, vm b) { return _mm256_andnot_ps(b, a); }
+static inline int m_bits(vm a) { return _mm256_movemask_ps(a); }
+static inline int m_any(vm a) { return m_bits(a) != 0; }
+static inline vf v_sel(vm m, vf a, vf b) { return _mm256_blendv_ps(b, a, m); }
+static inline vf v_exp2i(vf n)
+{
+    return _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_add_epi32(_mm256_cvtps_epi32(n), _mm256_set1_epi32(127)), 23));
+}
+static inline vf v_exponent(vf a) { return _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_castps_si256(a), 23)); }
+static inline vf v_mantissa(vf a)
+{
+    __m256i i = _mm256_and_si256(_mm256_castps_si256(a), _mm256_set1_epi32(0x007fffff));
+    return _mm256_castsi256_ps(_mm256_or_si256(i, _mm256_set1_epi32(0x3f800000)));
+}
+static inline float v_sum(vf a)
+{
+    __m128 s = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
+    s = _mm_add_ps(s, _mm_movehl_ps(s, s));
+    return _mm_cvtss_f32(_mm_add_ss(s, _mm_movehdup_ps(s)));
+}
+
+#elif defined(SIMD_SSE41)
+#if !defined(__SSE4_1__)
+#error "compile this file with -msse4.1"
+#endif
+#include <smmintrin.h>
+#define LANES 4
+typedef __m128 vf;
+typedef __m128 vm;
+static inline vf v_load(const float *p) { return _mm_loadu_ps(p); }
+static inline void v_store(float *p, vf a) { _mm_storeu_ps(p, a); }
+static inline vf v_set(float x) { return _mm_set1_ps(x); }
+static inline vf v_fma(vf a, vf b, vf c) { return a * b + c; }
+static inline vf v_min(vf a, vf b) { return _mm_min_ps(a, b); }
+static inline vf v_max(vf a, vf b) { return _mm_max_ps(a, b); }
+static inline vf v_sqrt(vf a) { return _mm_sqrt_ps(a); }
+static inline vf v_floor(vf a) { return _mm_floor_ps(a); }
+static inline vf v_round(vf a) { return _mm_round_ps(a, 0x08); }
+static inline vm v_lt(vf a, vf b) { return _mm_cmplt_ps(a, b); }
+static inline vm v_le(vf a, vf b) { return _mm_cmple_ps(a, b); }
+static inline vm m_and(vm a, vm b) { return _mm_and_ps(a, b); }
+static inline vm m_andnot(vm a, vm b) { return _mm_andnot_ps(b, a); }
+static inline int m_bits(vm a) { return _mm_movemask_ps(a); }
+static inline int m_any(vm a) { return m_bits(a) != 0; }
+static inline vf v_sel(vm m, vf a, vf b) { return _mm_blendv_ps(b, a, m); }
+static inline vf v_exp2i(vf n)
+{
+    return _mm_castsi128_ps(_mm_slli_epi32(_mm_add_epi32(_mm_cvtps_epi32(n), _mm_set1_epi32(127)), 23));
+}
+static inline vf v_exponent(vf a) { return _mm_cvtepi32_ps(_mm_srli_epi32(_mm_castps_si128(a), 23)); }
+static inline vf v_mantissa(vf a)
+{
+    __m128i i = _mm_and_si128(_mm_castps_si128(a), _mm_set1_epi32(0x007fffff));
+    return _mm_castsi128_ps(_mm_or_si128(i, _mm_set1_epi32(0x3f800000)));
+}
+static inline float v_sum(vf a)
+{
+    a = _mm_add_ps(a, _mm_movehl_ps(a, a));
+    return _mm_cvtss_f32(_mm_add_ss(a, _mm_movehdup_ps(a)));
+}
+
+#elif defined(SIMD_NEON)
+#include <arm_neon.h>
+#define LANES 4
+typedef float32x4_t vf;
+typedef uint32x4_t vm;
+static inline vf v_load(const float *p) { return vld1q_f32(p); }
+static inline void v_store(float *p, vf a) { vst1q_f32(p, a); }
+static inline vf v_set(float x) { return vdupq_n_f32(x); }
+static inline vf v_fma(vf a, vf b, vf c) { return vfmaq_f32(c, a, b); }
+static inline vf v_min(vf a, vf b) { return vbslq_f32(vcltq_f32(a, b), a, b); }
+static inline vf v_max(vf a, vf b) { return vbslq_f32(vcgtq_f32(a, b), a, b); }
+static inline vf v_sqrt(vf a) { return vsqrtq_f32(a); }
+static inline vf v_floor(vf a) { return vrndmq_f32(a); }
+static inline vf v_round(vf a) { return vrndnq_f32(a); }
+static inline vm v_lt(vf a, vf b) { return vcltq_f32(a, b); }
+static inline vm v_le(vf a, vf b) { return vcleq_f32(a, b); }
+static inline vm m_and(vm a, vm b) { return vandq_u32(a, b); }
+static inline vm m_andnot(vm a, vm b) { return vbicq_u32(a, b); }
+static inline int m_any(vm a) { return vmaxvq_u32(a) != 0; }
+static inline int m_bits(vm a)
+{
+    static const uint32_t bit[4] = {1, 2, 4, 8};
+    return (int)vaddvq_u32(vandq_u32(a, vld1q_u32(bit)));
+}
+static inline vf v_sel(vm m, vf a, vf b) { return vbslq_f32(m, a, b); }
+static inline vf v_exp2i(vf n)
+{
+    return vreinterpretq_f32_s32(vshlq_n_s32(vaddq_s32(vcvtnq_s32_f32(n), vdupq_n_s32(127)), 23));
+}
+static inline vf v_exponent(vf a) { return vcvtq_f32_u32(vshrq_n_u32(vreinterpretq_u32_f32(a), 23)); }
+static inline vf v_mantissa(vf a)
+{
+    uint32x4_t i = vandq_u32(vreinterpretq_u32_f32(a), vdupq_n_u32(0x007fffff));
+    return vreinterpretq_f32_u32(vorrq_u32(i, vdupq_n_u32(0x3f800000)));
+}
+static inline float v_sum(vf a) { return vaddvq_f32(a); }
+
+#else
+#define LANES 1
+typedef float vf;
+typedef int vm;
+static inline vf v_load(const float *p) { return *p; }
+static inline void v_store(float *p, vf a) { *p = a; }
+static inline vf v_set(float x) { return x; }
+static inline vf v_fma(vf a, vf b, vf c) { return a * b + c; }
+static inline vf v_min(vf a, vf b) { return a < b ? a : b; }
+static inline vf v_max(vf a, vf b) { return a > b ? a : b; }
+static inline vf v_sqrt(vf a) { return sqrtf(a); }
+static inline vf v_floor(vf a) { return floorf(a); }
+static inline vf v_round(vf a) { return rintf(a); }
+static inline vm v_lt(vf a, vf b) { return a < b; }
+static inline vm v_le(vf a, vf b) { return a <= b; }
+static inline vm m_and(vm a, vm b) { return a & b; }
+static inline vm m_andnot(vm a, vm b) { return a & !b; }
+static inline int m_any(vm a) { return a; }
+static inline int m_bits(vm a) { return a; }
+static inline vf v_sel(vm m, vf a, vf b) { return m ? a : b; }
+static inline vf v_exp2i(vf n)
+{
+    int32_t i = ((int32_t)n + 127) << 23;
+    float f;
+    memcpy(&f, &i, 4);
+    return f;
+}
+static inline vf v_exponent(vf a)
+{
+    uint32_t i;
+    memcpy(&i, &a, 4);
+    return (float)(i >> 23);
+}
+static inline vf v_mantissa(vf a)
+{
+    uint32_t i;
+    memcpy(&i, &a, 4);
+    i = (i & 0x007fffffu) | 0x3f800000u;
+    memcpy(&a, &i, 4);
+    return a;
+}
+static inline float v_sum(vf a) { return a; }
+#endif
+
+/* a*b rounded once with its sign turned: c - a*b. */
+static inline vf v_fnma(vf a, vf b, vf c)
+{
+    return v_fma(v_set(0.0f) - a, b, c);
+}
+
+static inline vf v_clamp(vf a, float lo, float hi)
+{
+    return v_min(v_max(a, v_set(lo)), v_set(hi));
+}
+
+/* e^x for x clamped to [-87, 87]; relative error below 3e-7. Cephes' reduction by ln 2 in two parts and a
+ * polynomial of degree 5 for (e^r - 1 - r) / r^2. NaN gives e^-87. */
+static inline vf v_exp(vf x)
+{
+    x = v_clamp(x, -87.0f, 87.0f);
+    vf n = v_round(x * v_set(1.44269504088896341f));
+    vf r = v_fma(n, v_set(-0.693359375f), x);
+    r = v_fma(n, v_set(2.12194440e-4f), r);
+    vf p = v_set(1.9875691500e-4f);
+    p = v_fma(p, r, v_set(1.3981999507e-3f));
+    p = v_fma(p, r, v_set(8.3334519073e-3f));
+    p = v_fma(p, r, v_set(4.1665795894e-2f));
+    p = v_fma(p, r, v_set(1.6666665459e-1f));
+    p = v_fma(p, r, v_set(5.0000001201e-1f));
+    p = v_fma(p * r, r, r) + v_set(1.0f);
+    return p * v_exp2i(n);
+}
+
+/* log2(x) for normal x > 0; absolute error below 2e-7 + 1e-7 |log2 x|. Mantissa folded to [sqrt 1/2, sqrt 2], then
+ * the odd series of atanh in s = (m-1)/(m+1) to s^9. */
+static inline vf v_log2(vf x)
+{
+    vf e = v_exponent(x) - v_set(127.0f);
+    vf m = v_mantissa(x);
+    vm big = v_lt(v_set(1.41421356f), m);
+    m = v_sel(big, m * v_set(0.5f), m);
+    e = v_sel(big, e + v_set(1.0f), e);
+    vf s = (m - v_set(1.0f)) / (m + v_set(1.0f));
+    vf z = s * s;
+    vf p = v_set(2.0f / 9.0f * 1.44269504f);
+    p = v_fma(p, z, v_set(2.0f / 7.0f * 1.44269504f));
+    p = v_fma(p, z, v_set(2.0f / 5.0f * 1.44269504f));
+    p = v_fma(p, z, v_set(2.0f / 3.0f * 1.44269504f));
+    p = v_fma(p, z, v_set(2.0f * 1.44269504f));
+    return v_fma(p, s, e);
+}
+
+#endif

@@ -1,0 +1,718 @@
+/* splat_body.h - the splat kernels, written once and compiled once per instruction set (see kernels.h).
+ * Included by splat_<isa>.c after one SIMD_ macro. Formulas: model-spec 2.13; backward: derived by the chain rule, with
+ * the 2x3 factor N = J R M of the 2-D covariance so that its determinant never cancels (Lagrange's identity). */
+#include "core/kernels/kernels.h"
+#include "core/kernels/simd.h"
+
+#define MAP static inline __attribute__((always_inline))
+
+static const float sh_c[] = {0.2820947917738781f, 0.48860251190292f};
+
+/* Real spherical harmonics of a unit direction up to `degree` (model-spec 2.13). */
+MAP void sh_basis(int degree, const vf d[3], vf *b)
+{
+    vf x = d[0], y = d[1], z = d[2];
+    b[0] = v_set(sh_c[0]);
+    if (degree < 1)
+        return;
+    b[1] = v_set(-sh_c[1]) * y;
+    b[2] = v_set(sh_c[1]) * z;
+    b[3] = v_set(-sh_c[1]) * x;
+    if (degree < 2)
+        return;
+    vf zz = z * z, c1 = x * x - y * y, s1 = v_set(2.0f) * x * y;
+    b[4] = v_set(0.5462742152960395f) * s1;
+    b[5] = v_set(-1.092548430592079f) * z * y;
+    b[6] = v_fma(v_set(0.9461746957575601f), zz, v_set(-0.3153915652525201f));
+    b[7] = v_set(-1.092548430592079f) * z * x;
+    b[8] = v_set(0.5462742152960395f) * c1;
+    if (degree < 3)
+        return;
+    vf c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
+    vf p11 = v_fma(v_set(-2.285228997322329f), zz, v_set(0.4570457994644658f));
+    b[9] = v_set(-0.5900435899266435f) * s2;
+    b[10] = v_set(1.445305721320277f) * z * s1;
+    b[11] = p11 * y;
+    b[12] = z * v_fma(v_set(1.865881662950577f), zz, v_set(-1.119528997770346f));
+    b[13] = p11 * x;
+    b[14] = v_set(1.445305721320277f) * z * c1;
+    b[15] = v_set(-0.5900435899266435f) * c2;
+    if (degree < 4)
+        return;
+    vf c3 = x * c2 - y * s2, s3 = x * s2 + y * c2;
+    vf p18 = v_fma(v_set(3.31161143515146f), zz, v_set(-0.47308734787878f));
+    vf p19 = z * v_fma(v_set(-4.683325804901025f), zz, v_set(2.007139630671868f));
+    b[16] = v_set(0.6258357354491763f) * s3;
+    b[17] = v_set(-1.770130769779931f) * z * s2;
+    b[18] = p18 * s1;
+    b[19] = p19 * y;
+    b[20] = v_set(1.984313483298443f) * z * b[12] - v_set(1.006230589874905f) * b[6];
+    b[21] = p19 * x;
+    b[22] = p18 * c1;
+    b[23] = v_set(-1.770130769779931f) * z * c2;
+    b[24] = v_set(0.6258357354491763f) * c3;
+}
+
+/* out[a] += sum_k w[k] d b_k / d d[a], the polynomials of sh_basis taken as functions of free x, y, z. */
+MAP void sh_basis_grad(int degree, const vf d[3], const vf *w, vf out[3])
+{
+    vf x = d[0], y = d[1], z = d[2], k;
+    if (degree < 1)
+        return;
+    out[0] = out[0] - v_set(sh_c[1]) * w[3];
+    out[1] = out[1] - v_set(sh_c[1]) * w[1];
+    out[2] = out[2] + v_set(sh_c[1]) * w[2];
+    if (degree < 2)
+        return;
+    vf two = v_set(2.0f), zz = z * z, c1 = x * x - y * y, s1 = two * x * y;
+    vf g_s1 = v_set(0.5462742152960395f) * w[4], g_c1 = v_set(0.5462742152960395f) * w[8];
+    k = v_set(-1.092548430592079f);
+    out[0] = out[0] + k * z * w[7];
+    out[1] = out[1] + k * z * w[5];
+    vf gz = k * (y * w[5] + x * w[7]) + v_set(2 * 0.9461746957575601f) * z * w[6];
+    if (degree >= 3) {
+        vf c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
+        vf p11 = v_fma(v_set(-2.285228997322329f), zz, v_set(0.4570457994644658f));
+        vf g_s2 = v_set(-0.5900435899266435f) * w[9], g_c2 = v_set(-0.5900435899266435f) * w[15];
+        k = v_set(1.445305721320277f);
+        g_s1 = g_s1 + k * z * w[10];
+        g_c1 = g_c1 + k * z * w[14];
+        out[0] = out[0] + p11 * w[13];
+        out[1] = out[1] + p11 * w[11];
+        gz = gz + k * (s1 * w[10] + c1 * w[14]) + v_set(-2 * 2.285228997322329f) * z * (y * w[11] + x * w[13]);
+        gz = gz + v_fma(v_set(3 * 1.865881662950577f), zz, v_set(-1.119528997770346f)) * w[12];
+        if (degree >= 4) {
+            vf g_s3 = v_set(0.6258357354491763f) * w[16], g_c3 = v_set(0.6258357354491763f) * w[24];
+            vf p18 = v_fma(v_set(3.31161143515146f), zz, v_set(-0.47308734787878f));
+            vf p19 = z * v_fma(v_set(-4.683325804901025f), zz, v_set(2.007139630671868f));
+            vf dp19 = v_fma(v_set(-3 * 4.683325804901025f), zz, v_set(2.007139630671868f));
+            vf p12 = z * v_fma(v_set(1.865881662950577f), zz, v_set(-1.119528997770346f));
+            vf dp12 = v_fma(v_set(3 * 1.865881662950577f), zz, v_set(-1.119528997770346f));
+            k = v_set(-1.770130769779931f);
+            g_s2 = g_s2 + k * z * w[17];
+            g_c2 = g_c2 + k * z * w[23];
+            g_s1 = g_s1 + p18 * w[18];
+            g_c1 = g_c1 + p18 * w[22];
+            out[0] = out[0] + p19 * w[21];
+            out[1] = out[1] + p19 * w[19];
+            gz = gz + k * (s2 * w[17] + c2 * w[23]) + dp19 * (y * w[19] + x * w[21]);
+            gz = gz + v_set(2 * 3.31161143515146f) * z * (s1 * w[18] + c1 * w[22]);
+            gz = gz + (v_set(1.984313483298443f) * (p12 + z * dp12) -
+                       v_set(2 * 1.006230589874905f * 0.9461746957575601f) * z) * w[20];
+            /* c3 = x c2 - y s2, s3 = x s2 + y c2 */
+            out[0] = out[0] + c2 * g_c3 + s2 * g_s3;
+            out[1] = out[1] - s2 * g_c3 + c2 * g_s3;
+            g_c2 = g_c2 + x * g_c3 + y * g_s3;
+            g_s2 = g_s2 - y * g_c3 + x * g_s3;
+        }
+        out[0] = out[0] + c1 * g_c2 + s1 * g_s2;
+        out[1] = out[1] - s1 * g_c2 + c1 * g_s2;
+        g_c1 = g_c1 + x * g_c2 + y * g_s2;
+        g_s1 = g_s1 - y * g_c2 + x * g_s2;
+    }
+    out[0] = out[0] + two * (x * g_c1 + y * g_s1);
+    out[1] = out[1] + two * (x * g_s1 - y * g_c1);
+    out[2] = out[2] + gz;
+}
+
+/* What projection and its chain rule share, for LANES splats. */
+struct proj {
+    vf m[3], p[3], rz;   // centre in the world and in the camera; 1/z
+    vm seen;             // between near and far
+    vf qn[4], inv_norm;  // unit quaternion; 1/|q|
+    vf rot[9], s[3];     // rotation, scales
+    vf w[9];             // R_cam rot
+    vf cx, cy;           // x/z and y/z clamped for the Jacobian
+    vf j00, j02, j11, j12;
+    vf n0[3], n1[3];     // rows of N = J w diag(s)
+    vf xx, xy, yy, det;  // blurred 2-D covariance
+    vf opacity;
+};
+
+MAP vf v_abs(vf a)
+{
+    return v_max(a, v_set(0.0f) - a);
+}
+
+MAP void proj_quat(struct proj *o, const struct gaussians *g, int i)
+{
+    vf q[4], big = v_set(0.0f);
+    for (int k = 0; k < 4; k++) {
+        q[k] = v_load(g->plane[G_QUAT + k] + i);
+        big = v_max(v_abs(q[k]), big);
+    }
+    vm ok = v_lt(v_set(1e-30f), big);
+    vf inv = v_set(1.0f) / v_sel(ok, big, v_set(1.0f));
+    vf sum = v_set(0.0f);
+    for (int k = 0; k < 4; k++) {
+        q[k] = v_sel(ok, q[k] * inv, v_set(k == 0 ? 1.0f : 0.0f));
+        sum = v_fma(q[k], q[k], sum);
+    }
+    vf len = v_set(1.0f) / v_sqrt(sum);
+    for (int k = 0; k < 4; k++)
+        o->qn[k] = q[k] * len;
+    o->inv_norm = inv * len;
+    vf w = o->qn[0], x = o->qn[1], y = o->qn[2], z = o->qn[3], two = v_set(2.0f), one = v_set(1.0f);
+    o->rot[0] = one - two * (y * y + z * z);
+    o->rot[1] = two * (x * y - w * z);
+    o->rot[2] = two * (x * z + w * y);
+    o->rot[3] = two * (x * y + w * z);
+    o->rot[4] = one - two * (x * x + z * z);
+    o->rot[5] = two * (y * z - w * x);
+    o->rot[6] = two * (x * z - w * y);
+    o->rot[7] = two * (y * z + w * x);
+    o->rot[8] = one - two * (x * x + y * y);
+}
+
+MAP void proj_load(struct proj *o, const struct gaussians *g, const struct view_geom *v, int i)
+{
+    for (int k = 0; k < 3; k++) {
+        o->m[k] = v_load(g->plane[G_MU + k] + i);
+        o->s[k] = v_exp(v_load(g->plane[G_LOG_SCALE + k] + i));
+    }
+    for (int k = 0; k < 3; k++) {
+        vf a = v_fma(v_set(v->r[3 * k]), o->m[0], v_set(v->t[k]));
+        a = v_fma(v_set(v->r[3 * k + 1]), o->m[1], a);
+        o->p[k] = v_fma(v_set(v->r[3 * k + 2]), o->m[2], a);
+    }
+    o->seen = m_and(v_le(v_set(RASTER_NEAR), o->p[2]), v_le(o->p[2], v_set(RASTER_FAR)));
+    o->rz = v_set(1.0f) / v_sel(o->seen, o->p[2], v_set(1.0f));
+    o->opacity = v_set(1.0f) / (v_set(1.0f) + v_exp(v_set(0.0f) - v_load(g->plane[G_LOGIT] + i)));
+    proj_quat(o, g, i);
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 3; c++) {
+            vf a = v_set(v->r[3 * r]) * o->rot[c];
+            a = v_fma(v_set(v->r[3 * r + 1]), o->rot[3 + c], a);
+            o->w[3 * r + c] = v_fma(v_set(v->r[3 * r + 2]), o->rot[6 + c], a);
+        }
+    o->cx = v_clamp(o->p[0] * o->rz, -v->lim_x0, v->lim_x1);
+    o->cy = v_clamp(o->p[1] * o->rz, -v->lim_y0, v->lim_y1);
+    o->j00 = v_set(v->fx) * o->rz;
+    o->j11 = v_set(v->fy) * o->rz;
+    o->j02 = v_set(0.0f) - o->j00 * o->cx;
+    o->j12 = v_set(0.0f) - o->j11 * o->cy;
+    vf nn0 = v_set(0.0f), nn1 = nn0, n01 = nn0;
+    for (int c = 0; c < 3; c++) {
+        o->n0[c] = (o->j00 * o->w[c] + o->j02 * o->w[6 + c]) * o->s[c];
+        o->n1[c] = (o->j11 * o->w[3 + c] + o->j12 * o->w[6 + c]) * o->s[c];
+        nn0 = v_fma(o->n0[c], o->n0[c], nn0);
+        nn1 = v_fma(o->n1[c], o->n1[c], nn1);
+        n01 = v_fma(o->n0[c], o->n1[c], n01);
+    }
+    vf c0 = o->n0[1] * o->n1[2] - o->n0[2] * o->n1[1];
+    vf c1 = o->n0[2] * o->n1[0] - o->n0[0] * o->n1[2];
+    vf c2 = o->n0[0] * o->n1[1] - o->n0[1] * o->n1[0];
+    o->det = c0 * c0 + c1 * c1 + c2 * c2 + v_set(RASTER_BLUR) * (nn0 + nn1) + v_set(RASTER_BLUR * RASTER_BLUR);
+    o->xx = nn0 + v_set(RASTER_BLUR);
+    o->yy = nn1 + v_set(RASTER_BLUR);
+    o->xy = n01;
+}
+
+/* Unit direction from the camera centre, its length, and log radiance of one colour. */
+MAP void proj_dir(const struct proj *o, const struct view_geom *v, vf dir[3], vf *len)
+{
+    vf sum = v_set(1e-36f); // a splat on the camera has no direction; it is culled by the near plane
+    for (int k = 0; k < 3; k++) {
+        dir[k] = o->m[k] - v_set(v->centre[k]);
+        sum = v_fma(dir[k], dir[k], sum);
+    }
+    *len = v_sqrt(sum);
+    for (int k = 0; k < 3; k++)
+        dir[k] = dir[k] / *len;
+}
+
+MAP vf proj_colour(const struct gaussians *g, int i, int colour, const vf *basis)
+{
+    int n = (g->degree + 1) * (g->degree + 1);
+    vf sum = basis[0] * v_load(g->plane[G_SH + colour] + i);
+    for (int k = 1; k < n; k++)
+        sum = v_fma(basis[k], v_load(g->plane[G_SH + 3 * k + colour] + i), sum);
+    return sum;
+}
+
+/* Half-open tile range and inclusive pixel range of one axis.
+ * radius: gsplat's circle, decides the tiles; extent: where alpha can reach 1/255, cuts pixels and tiles further. */
+static int axis_range(float centre, float radius, float extent, int size, uint8_t tiles[2], int16_t px[2])
+{
+    float lo = fmaxf(floorf((centre - radius) / TILE), 0.0f);
+    float hi = fminf(ceilf((centre + radius) / TILE), (float)((size + TILE - 1) / TILE));
+    float x0 = fmaxf(ceilf(centre - extent - 0.5f), lo * TILE);
+    float x1 = fminf(floorf(centre + extent - 0.5f), fminf(hi * TILE, (float)size) - 1.0f);
+    if (!(x0 <= x1))
+        return 0;
+    px[0] = (int16_t)x0;
+    px[1] = (int16_t)x1;
+    tiles[0] = (uint8_t)(px[0] / TILE);
+    tiles[1] = (uint8_t)(px[1] / TILE + 1);
+    return 1;
+}
+
+MAP vm proj_alive(const struct proj *o)
+{
+    vf trace = o->xx + o->yy;
+    return m_and(o->seen, m_and(v_lt(trace, v_set(RASTER_COV_MAX)), v_lt(v_set(0.0f), o->det)));
+}
+
+enum { F_U, F_V, F_A, F_B, F_C, F_O, F_R, F_G, F_BL, F_Z, F_RADIUS, F_XX, F_YY, N_FIELDS };
+
+static void record_store(struct splat2d *s, const float f[N_FIELDS][LANES], int lane, int alive,
+                         const struct view_geom *v)
+{
+    float u = f[F_U][lane], w = f[F_V][lane], radius = f[F_RADIUS][lane], o = f[F_O][lane];
+    s->x0 = 0;
+    s->x1 = -1;
+    s->opacity = o;
+    if (!alive || !(o >= RASTER_ALPHA_MIN) || !(fabsf(u) < 1e9f) || !(fabsf(w) < 1e9f))
+        return;
+    if (!(u + radius > 0) || !(u - radius < (float)v->w) || !(w + radius > 0) || !(w - radius < (float)v->h))
+        return;
+    float cut = logf(255.0f * o);
+    int16_t px[2], py[2];
+    uint8_t tx[2], ty[2];
+    /* a little slack: the per-pixel test decides */
+    float ex = sqrtf(2.0f * cut * f[F_XX][lane]) * 1.001f + 0.01f;
+    float ey = sqrtf(2.0f * cut * f[F_YY][lane]) * 1.001f + 0.01f;
+    if (!axis_range(u, radius, ex, v->w, tx, px) || !axis_range(w, radius, ey, v->h, ty, py))
+        return;
+    *s = (struct splat2d){.u = u, .v = w, .a = f[F_A][lane], .b = f[F_B][lane], .c = f[F_C][lane], .opacity = o,
+                          .cut = cut, .rgb = {f[F_R][lane], f[F_G][lane], f[F_BL][lane]}, .z = f[F_Z][lane],
+                          .x0 = px[0], .x1 = px[1], .y0 = py[0], .y1 = py[1],
+                          .tx0 = tx[0], .tx1 = tx[1], .ty0 = ty[0], .ty1 = ty[1]};
+}
+
+static void project(const struct gaussians *g, const struct view_geom *v, int first, int count,
+                    struct splat2d *out)
+{
+    for (int i = first; i < first + count; i += LANES) {
+        struct proj o;
+        float f[N_FIELDS][LANES];
+        proj_load(&o, g, v, i);
+        vm alive = proj_alive(&o);
+        int bits = m_bits(alive);
+        vf inv = v_set(1.0f) / o.det;
+        v_store(f[F_U], v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx)));
+        v_store(f[F_V], v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy)));
+        v_store(f[F_A], o.yy * inv);
+        v_store(f[F_B], (v_set(0.0f) - o.xy) * inv);
+        v_store(f[F_C], o.xx * inv);
+        v_store(f[F_O], o.opacity);
+        v_store(f[F_Z], o.p[2]);
+        v_store(f[F_XX], o.xx);
+        v_store(f[F_YY], o.yy);
+        vf half = v_set(0.5f) * (o.xx - o.yy);
+        vf root = v_sqrt(v_max(half * half + o.xy * o.xy, v_set(0.01f)));
+        vf r = v_sqrt(v_set(0.5f) * (o.xx + o.yy) + root) * v_set(3.0f);
+        v_store(f[F_RADIUS], v_set(0.0f) - v_floor(v_set(0.0f) - r));
+        vf basis[SH_COEFS_MAX], dir[3], len;
+        if (g->degree > 0)
+            proj_dir(&o, v, dir, &len);
+        else
+            dir[0] = dir[1] = dir[2] = v_set(0.0f);
+        sh_basis(g->degree, dir, basis);
+        for (int c = 0; c < 3; c++)
+            v_store(f[F_R + c], v_exp(v_clamp(proj_colour(g, i, c, basis), -RASTER_LOG_MAX, RASTER_LOG_MAX)));
+        for (int l = 0; l < LANES && i + l < first + count; l++)
+            record_store(&out[i + l], f, l, bits >> l & 1, v);
+    }
+}
+
+MAP vf finite_or_0(vf a)
+{
+    return v_sel(v_lt(v_abs(a), v_set(1e30f)), a, v_set(0.0f));
+}
+
+/* Gradient of the colours: SH planes, and through the direction d_m += dL/d mu. */
+MAP void grad_colour(const struct gaussians *g, const struct view_geom *v, const struct proj *o, int i,
+                     const vf d_rgb[3], float *grad, vf d_m[3])
+{
+    int n = (g->degree + 1) * (g->degree + 1);
+    vf basis[SH_COEFS_MAX], dir[3], len = v_set(1.0f), d_log[3];
+    if (g->degree > 0)
+        proj_dir(o, v, dir, &len);
+    else
+        dir[0] = dir[1] = dir[2] = v_set(0.0f);
+    sh_basis(g->degree, dir, basis);
+    for (int c = 0; c < 3; c++) {
+        vf log_rad = proj_colour(g, i, c, basis);
+        vm inside = v_lt(v_abs(log_rad), v_set(RASTER_LOG_MAX));
+        d_log[c] = v_sel(inside, d_rgb[c] * v_exp(log_rad), v_set(0.0f));
+        for (int k = 0; k < n; k++)
+            v_store(grad + (G_SH + 3 * k + c) * SPLAT_BLOCK, finite_or_0(basis[k] * d_log[c]));
+    }
+    if (g->degree == 0)
+        return;
+    vf w[SH_COEFS_MAX], d_dir[3] = {v_set(0.0f), v_set(0.0f), v_set(0.0f)};
+    for (int k = 1; k < n; k++) {
+        w[k] = d_log[0] * v_load(g->plane[G_SH + 3 * k] + i);
+        w[k] = v_fma(d_log[1], v_load(g->plane[G_SH + 3 * k + 1] + i), w[k]);
+        w[k] = v_fma(d_log[2], v_load(g->plane[G_SH + 3 * k + 2] + i), w[k]);
+    }
+    sh_basis_grad(g->degree, dir, w, d_dir);
+    vf dot = d_dir[0] * dir[0] + d_dir[1] * dir[1] + d_dir[2] * dir[2];
+    for (int k = 0; k < 3; k++)
+        d_m[k] = (d_dir[k] - dot * dir[k]) / len;
+}
+
+/* dL/d unit quaternion from dL/d rotation, then dL/d stored quaternion. */
+MAP void grad_quat(const struct proj *o, const vf r[9], vf out[4])
+{
+    vf w = o->qn[0], x = o->qn[1], y = o->qn[2], z = o->qn[3], two = v_set(2.0f), d[4];
+    d[0] = two * (x * (r[7] - r[5]) + y * (r[2] - r[6]) + z * (r[3] - r[1]));
+    d[1] = two * (y * (r[1] + r[3]) + z * (r[2] + r[6]) + w * (r[7] - r[5]) - two * x * (r[4] + r[8]));
+    d[2] = two * (x * (r[1] + r[3]) + z * (r[5] + r[7]) + w * (r[2] - r[6]) - two * y * (r[0] + r[8]));
+    d[3] = two * (x * (r[2] + r[6]) + y * (r[5] + r[7]) + w * (r[3] - r[1]) - two * z * (r[0] + r[4]));
+    vf dot = d[0] * w + d[1] * x + d[2] * y + d[3] * z;
+    for (int k = 0; k < 4; k++)
+        out[k] = (d[k] - dot * o->qn[k]) * o->inv_norm;
+}
+
+struct geom_grad {
+    vf p[3];         // dL/d centre in the camera
+    vf w[9];         // dL/d (R_cam rot)
+    vf s[3];         // dL/d log scale
+    vf intr[4];      // dL/d fx fy cx cy
+};
+
+/* From the sums of tile_grad to the camera-space quantities. */
+MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *sum, struct geom_grad *d)
+{
+    vf inv = v_set(1.0f) / o->det, half = v_set(0.5f);
+    vf a = o->yy * inv, b = (v_set(0.0f) - o->xy) * inv, c = o->xx * inv;
+    vf du = a * sum[0] + b * sum[1], dv = b * sum[0] + c * sum[1];
+    /* V = -P G P with G the gradient of the conic P */
+    vf ga = half * sum[2], gb = half * sum[3], gc = half * sum[4];
+    vf t00 = a * ga + b * gb, t01 = a * gb + b * gc, t10 = b * ga + c * gb, t11 = b * gb + c * gc;
+    vf v00 = v_set(-2.0f) * (t00 * a + t01 * b), v01 = v_set(-2.0f) * (t00 * b + t01 * c);
+    vf v11 = v_set(-2.0f) * (t10 * b + t11 * c);
+    vf d_j00 = v_set(0.0f), d_j02 = d_j00, d_j11 = d_j00, d_j12 = d_j00;
+    for (int k = 0; k < 3; k++) {
+        vf dn0 = v00 * o->n0[k] + v01 * o->n1[k], dn1 = v01 * o->n0[k] + v11 * o->n1[k];
+        d->s[k] = dn0 * o->n0[k] + dn1 * o->n1[k];
+        vf dt0 = dn0 * o->s[k], dt1 = dn1 * o->s[k];
+        d->w[k] = o->j00 * dt0;
+        d->w[3 + k] = o->j11 * dt1;
+        d->w[6 + k] = o->j02 * dt0 + o->j12 * dt1;
+        d_j00 = v_fma(dt0, o->w[k], d_j00);
+        d_j02 = v_fma(dt0, o->w[6 + k], d_j02);
+        d_j11 = v_fma(dt1, o->w[3 + k], d_j11);
+        d_j12 = v_fma(dt1, o->w[6 + k], d_j12);
+    }
+    vf x = o->p[0] * o->rz, y = o->p[1] * o->rz, zero = v_set(0.0f);
+    vm in_x = m_and(v_le(v_set(-v->lim_x0), x), v_le(x, v_set(v->lim_x1)));
+    vm in_y = m_and(v_le(v_set(-v->lim_y0), y), v_le(y, v_set(v->lim_y1)));
+    /* j02 = -fx cx / z; the bound of cx is (a - c_x) / fx or -(b + c_x) / fx, so it moves with fx and c_x */
+    vf d_cx = zero - d_j02 * o->j00, d_cy = zero - d_j12 * o->j11;
+    vf dx = du * v_set(v->fx) + v_sel(in_x, d_cx, zero); // d / d (x/z)
+    vf dy = dv * v_set(v->fy) + v_sel(in_y, d_cy, zero);
+    d->p[0] = dx * o->rz;
+    d->p[1] = dy * o->rz;
+    vf scale = d_j00 * o->j00 + d_j02 * o->j02 + d_j11 * o->j11 + d_j12 * o->j12; // all J are proportional to 1/z
+    d->p[2] = sum[9] - (dx * x + dy * y + scale) * o->rz;
+    vf out_x = v_sel(in_x, zero, d_cx), out_y = v_sel(in_y, zero, d_cy);
+    d->intr[0] = du * x + (d_j00 * o->j00 + d_j02 * o->j02 - out_x * o->cx) / v_set(v->fx);
+    d->intr[1] = dv * y + (d_j11 * o->j11 + d_j12 * o->j12 - out_y * o->cy) / v_set(v->fy);
+    d->intr[2] = du - out_x / v_set(v->fx);
+    d->intr[3] = dv - out_y / v_set(v->fy);
+}
+
+MAP void grad_pose(const struct proj *o, const struct view_geom *v, const struct geom_grad *d, const vf d_dir[3],
+                   int lanes, float *pose)
+{
+    float buf[LANES];
+    vf ray[3]; // d centre of the camera, turned into the camera frame
+    for (int r = 0; r < 3; r++) {
+        ray[r] = v_set(v->r[3 * r]) * d_dir[0] + v_set(v->r[3 * r + 1]) * d_dir[1];
+        ray[r] = v_fma(v_set(v->r[3 * r + 2]), d_dir[2], ray[r]);
+    }
+    vf out[POSE_GRAD];
+    for (int r = 0; r < 3; r++)
+        for (int c = 0; c < 3; c++) {
+            vf a = d->p[r] * o->m[c] + v_set(v->t[r]) * d_dir[c];
+            for (int k = 0; k < 3; k++)
+                a = v_fma(d->w[3 * r + k], o->rot[3 * c + k], a);
+            out[3 * r + c] = a;
+        }
+    for (int k = 0; k < 3; k++)
+        out[9 + k] = d->p[k] + ray[k];
+    for (int k = 0; k < 4; k++)
+        out[12 + k] = d->intr[k];
+    for (int k = 0; k < POSE_GRAD; k++) {
+        v_store(buf, finite_or_0(out[k]));
+        for (int l = 0; l < lanes; l++)
+            pose[k] += buf[l];
+    }
+}
+
+static void project_grad(const struct gaussians *g, const struct view_geom *v, int first, int count,
+                         const float *sums, float *grad, float *pose)
+{
+    for (int j = 0; j < count; j += LANES, sums += LANES, grad += LANES) {
+        struct proj o;
+        struct geom_grad d;
+        vf sum[GRAD2D], d_m[3] = {v_set(0.0f), v_set(0.0f), v_set(0.0f)};
+        proj_load(&o, g, v, first + j);
+        vm alive = proj_alive(&o);
+        for (int k = 0; k < GRAD2D; k++)
+            sum[k] = v_sel(alive, v_load(sums + k * SPLAT_BLOCK), v_set(0.0f));
+        grad_geom(&o, v, sum, &d);
+        grad_colour(g, v, &o, first + j, sum + 6, grad, d_m);
+        int lanes = count - j < LANES ? count - j : LANES;
+        if (pose)
+            grad_pose(&o, v, &d, d_m, lanes, pose);
+        vf d_rot[9], d_q[4];
+        for (int r = 0; r < 3; r++) {
+            vf a = d_m[r];
+            for (int k = 0; k < 3; k++)
+                a = v_fma(v_set(v->r[3 * k + r]), d.p[k], a);
+            v_store(grad + (G_MU + r) * SPLAT_BLOCK, finite_or_0(a));
+            v_store(grad + (G_LOG_SCALE + r) * SPLAT_BLOCK, finite_or_0(d.s[r]));
+            for (int c = 0; c < 3; c++) {
+                vf b = v_set(v->r[r]) * d.w[c];
+                b = v_fma(v_set(v->r[3 + r]), d.w[3 + c], b);
+                d_rot[3 * r + c] = v_fma(v_set(v->r[6 + r]), d.w[6 + c], b);
+            }
+        }
+        grad_quat(&o, d_rot, d_q);
+        for (int k = 0; k < 4; k++)
+            v_store(grad + (G_QUAT + k) * SPLAT_BLOCK, finite_or_0(d_q[k]));
+        v_store(grad + G_LOGIT * SPLAT_BLOCK, finite_or_0((o.opacity - v_set(1.0f)) * sum[5]));
+    }
+}
+
+/* Tile-local maps: TILE rows of TILE pixels. A pixel whose transmittance is negative is finished. */
+struct tile_state {
+    float t[TILE * TILE], rgbz[4][TILE * TILE], last[TILE * TILE];
+};
+
+struct span {
+    int y0, y1, v0, v1; // rows and vectors of the tile that a splat can touch, inclusive
+};
+
+MAP struct span splat_span(const struct splat2d *s, int x0, int y0)
+{
+    int a = s->x0 - x0, b = s->x1 - x0, c = s->y0 - y0, d = s->y1 - y0;
+    return (struct span){c < 0 ? 0 : c, d > TILE - 1 ? TILE - 1 : d, a < 0 ? 0 : a / LANES,
+                         b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
+}
+
+static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
+/* sigma = a dx^2/2 + b dx dy + c dy^2/2 of one vector of pixels. */
+MAP vf splat_sigma(const struct splat2d *s, vf dx, float dy)
+{
+    vf lin = v_fma(v_set(0.5f * s->a), dx, v_set(s->b * dy));
+    return v_fma(dx, lin, v_set(0.5f * s->c * dy * dy));
+}
+
+MAP int tile_row(const struct splat2d *s, vf dx, float dy, struct tile_state *st, int at, float place)
+{
+    vf sigma = splat_sigma(s, dx, dy), t = v_load(st->t + at);
+    vm hit = m_and(m_and(v_le(sigma, v_set(s->cut)), v_le(v_set(0.0f), sigma)), v_lt(v_set(0.0f), t));
+    if (!m_any(hit))
+        return 0;
+    vf alpha = v_min(v_set(s->opacity) * v_exp(v_set(0.0f) - sigma), v_set(RASTER_ALPHA_MAX));
+    vf next = t - t * alpha;
+    vm stop = m_and(hit, v_le(next, v_set(RASTER_STOP)));
+    hit = m_andnot(hit, stop);
+    vf w = v_sel(hit, alpha * t, v_set(0.0f));
+    for (int c = 0; c < 3; c++)
+        v_store(st->rgbz[c] + at, v_fma(w, v_set(s->rgb[c]), v_load(st->rgbz[c] + at)));
+    v_store(st->rgbz[3] + at, v_fma(w, v_set(s->z), v_load(st->rgbz[3] + at)));
+    v_store(st->last + at, v_sel(hit, v_set(place), v_load(st->last + at)));
+    v_store(st->t + at, v_sel(hit, next, v_sel(stop, v_set(0.0f) - t, t)));
+    return m_any(stop);
+}
+
+static void tile_start(const struct tile *t, struct tile_state *st)
+{
+    memset(st->rgbz, 0, sizeof st->rgbz);
+    memset(st->last, 0, sizeof st->last);
+    for (int y = 0; y < TILE; y++)
+        for (int x = 0; x < TILE; x++)
+            st->t[y * TILE + x] = t->x0 + x < t->w && t->y0 + y < t->h ? 1.0f : -1.0f;
+}
+
+static int row_finished(const struct tile_state *st, int y)
+{
+    for (int x = 0; x < TILE; x++)
+        if (st->t[y * TILE + x] > 0)
+            return 0;
+    return 1;
+}
+
+static void tile_finish(const struct tile *t, const struct tile_state *st)
+{
+    size_t plane = (size_t)t->w * (size_t)t->h;
+    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE, ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
+    for (int y = 0; y < ny; y++)
+        for (int x = 0; x < nx; x++) {
+            int at = y * TILE + x;
+            size_t o = (size_t)(t->y0 + y) * (size_t)t->w + (size_t)(t->x0 + x);
+            float trans = fabsf(st->t[at]);
+            for (int c = 0; c < 3; c++)
+                t->radiance[(size_t)c * plane + o] = st->rgbz[c][at] + trans * t->background[c];
+            t->depth[o] = st->rgbz[3][at];
+            t->alpha[o] = 1.0f - trans;
+            t->trans[o] = trans;
+            t->last[o] = (int32_t)st->last[at];
+        }
+}
+
+static void tile(const struct tile *t)
+{
+    struct tile_state st;
+    unsigned finished = 0;
+    tile_start(t, &st);
+    for (int y = 0; y < TILE; y++)
+        finished |= (unsigned)row_finished(&st, y) << y;
+    for (int i = 0; i < t->n && finished != 0xffff; i++) {
+        const struct splat2d *s = &t->splats[t->list[i]];
+        if (i + 8 < t->n)
+            __builtin_prefetch(&t->splats[t->list[i + 8]]);
+        struct span sp = splat_span(s, t->x0, t->y0);
+        for (int y = sp.y0; y <= sp.y1; y++) {
+            if (finished >> y & 1)
+                continue;
+            float dy = s->v - ((float)(t->y0 + y) + 0.5f);
+            int stopped = 0;
+            for (int k = sp.v0; k <= sp.v1; k++) {
+                vf px = v_load(lane_index + k * LANES) + v_set((float)t->x0 + 0.5f);
+                stopped |= tile_row(s, v_set(s->u) - px, dy, &st, y * TILE + k * LANES, (float)(i + 1));
+            }
+            if (stopped)
+                finished |= (unsigned)row_finished(&st, y) << y;
+        }
+    }
+    tile_finish(t, &st);
+}
+
+/* Backward state per pixel. rest = (what later splats and the background add to dL/dT) so far. */
+struct grad_state {
+    float t[TILE * TILE], last[TILE * TILE], rest[TILE * TILE], d[4][TILE * TILE];
+    int top; // highest `last` of the tile
+};
+
+static void grad_start(const struct tile *t, struct grad_state *st)
+{
+    size_t plane = (size_t)t->w * (size_t)t->h;
+    memset(st, 0, sizeof *st);
+    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE, ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
+    for (int y = 0; y < ny; y++)
+        for (int x = 0; x < nx; x++) {
+            int at = y * TILE + x;
+            size_t o = (size_t)(t->y0 + y) * (size_t)t->w + (size_t)(t->x0 + x);
+            float back = 0;
+            for (int c = 0; c < 3; c++) {
+                st->d[c][at] = t->d_radiance[(size_t)c * plane + o];
+                back += st->d[c][at] * t->background[c];
+            }
+            st->d[3][at] = t->d_depth ? t->d_depth[o] : 0.0f;
+            st->t[at] = t->trans[o];
+            st->last[at] = (float)t->last[o];
+            st->rest[at] = t->trans[o] * (back - (t->d_alpha ? t->d_alpha[o] : 0.0f));
+            st->top = t->last[o] > st->top ? t->last[o] : st->top;
+        }
+}
+
+struct grad_acc {
+    vf v[GRAD2D];
+};
+
+MAP void grad_row(const struct splat2d *s, vf dx, float dy, struct grad_state *st, int at, float place,
+                  struct grad_acc *acc)
+{
+    vf sigma = splat_sigma(s, dx, dy), zero = v_set(0.0f);
+    vm hit = m_and(m_and(v_le(sigma, v_set(s->cut)), v_le(zero, sigma)), v_le(v_set(place), v_load(st->last + at)));
+    if (!m_any(hit))
+        return;
+    vf raw = v_set(s->opacity) * v_exp(zero - sigma);
+    vf alpha = v_sel(hit, v_min(raw, v_set(RASTER_ALPHA_MAX)), zero);
+    vf inv = v_set(1.0f) / (v_set(1.0f) - alpha);
+    vf t = v_load(st->t + at) * inv;
+    vf f = alpha * t;
+    vf dot = v_set(s->z) * v_load(st->d[3] + at);
+    acc->v[9] = v_fma(f, v_load(st->d[3] + at), acc->v[9]);
+    for (int c = 0; c < 3; c++) {
+        vf d = v_load(st->d[c] + at);
+        dot = v_fma(v_set(s->rgb[c]), d, dot);
+        acc->v[6 + c] = v_fma(f, d, acc->v[6 + c]);
+    }
+    vf rest = v_load(st->rest + at);
+    vf d_alpha = v_sel(hit, t * dot - rest * inv, zero);
+    v_store(st->rest + at, v_fma(f, dot, rest));
+    v_store(st->t + at, t);
+    vf d_sigma = v_sel(v_le(raw, v_set(RASTER_ALPHA_MAX)), zero - raw * d_alpha, zero);
+    vf x = d_sigma * dx, y = d_sigma * v_set(dy);
+    acc->v[0] = acc->v[0] + x;
+    acc->v[1] = acc->v[1] + y;
+    acc->v[2] = v_fma(x, dx, acc->v[2]);
+    acc->v[3] = v_fma(y, dx, acc->v[3]);
+    acc->v[4] = v_fma(y, v_set(dy), acc->v[4]);
+    acc->v[5] = acc->v[5] + d_sigma;
+}
+
+static void tile_grad(const struct tile *t)
+{
+    struct grad_state st;
+    grad_start(t, &st);
+    int tx = t->x0 / TILE, ty = t->y0 / TILE;
+    for (int i = t->n - 1; i >= 0; i--) {
+        const struct splat2d *s = &t->splats[t->list[i]];
+        float *slot = t->slots + (size_t)SLOT * tile_slot(s, t, tx, ty);
+        if (i >= st.top) {
+            memset(slot, 0, SLOT * sizeof *slot);
+            continue;
+        }
+        if (i >= 8)
+            __builtin_prefetch(&t->splats[t->list[i - 8]]);
+        struct grad_acc acc;
+        for (int k = 0; k < GRAD2D; k++)
+            acc.v[k] = v_set(0.0f);
+        struct span sp = splat_span(s, t->x0, t->y0);
+        for (int y = sp.y0; y <= sp.y1; y++) {
+            float dy = s->v - ((float)(t->y0 + y) + 0.5f);
+            for (int k = sp.v0; k <= sp.v1; k++) {
+                vf px = v_load(lane_index + k * LANES) + v_set((float)t->x0 + 0.5f);
+                grad_row(s, v_set(s->u) - px, dy, &st, y * TILE + k * LANES, (float)(i + 1), &acc);
+            }
+        }
+        for (int k = 0; k < GRAD2D; k++)
+            slot[k] = v_sum(acc.v[k]);
+        for (int k = GRAD2D; k < SLOT; k++)
+            slot[k] = 0;
+    }
+}
+
+static void adam(const struct adam_step *s, int n, const float *seen, const float *grad, float *param, float *m1,
+                 float *m2)
+{
+    int i = 0;
+    for (; i + LANES <= n; i += LANES) {
+        vm on = v_lt(v_set(0.0f), v_load(seen + i));
+        if (!m_any(on))
+            continue;
+        vf g = v_load(grad + i), a = v_load(m1 + i), b = v_load(m2 + i), p = v_load(param + i);
+        vf a1 = v_fma(v_set(s->beta1), a, v_set(1.0f - s->beta1) * g);
+        vf b1 = v_fma(v_set(s->beta2), b, v_set(1.0f - s->beta2) * g * g);
+        vf step = a1 * v_set(s->fix1 * s->lr) / (v_sqrt(b1 * v_set(s->fix2)) + v_set(s->eps));
+        v_store(m1 + i, v_sel(on, a1, a));
+        v_store(m2 + i, v_sel(on, b1, b));
+        v_store(param + i, v_sel(on, p - step, p));
+    }
+    for (; i < n; i++) {
+        if (seen[i] == 0.0f)
+            continue;
+        m1[i] = s->beta1 * m1[i] + (1.0f - s->beta1) * grad[i];
+        m2[i] = s->beta2 * m2[i] + (1.0f - s->beta2) * grad[i] * grad[i];
+        param[i] -= s->lr * s->fix1 * m1[i] / (sqrtf(s->fix2 * m2[i]) + s->eps);
+    }
+}
+
+static void splat_fill(struct kernels *k)
+{
+    k->project = project;
+    k->project_grad = project_grad;
+    k->tile = tile;
+    k->tile_grad = tile_grad;
+    k->adam = adam;
+}
