@@ -118,12 +118,12 @@ void tonemap_linear(struct tonemap *t, float gain, float lo, float hi, float mid
     for (int c = 0; c < 3; c++) {
         float *p = t->p + c * TONE_PER_COLOUR;
         for (int k = 0; k < TONE_HIDDEN; k++) {
-            /* unit 0 carries the line from far below; the others wait at their knots */
-            float at = k == 0 ? lo - 64.0f : lo + (hi - lo) * (float)(k - 1) / (TONE_HIDDEN - 2);
+            /* unit 0 carries the line; the others wait at their knots */
+            float at = lo + (hi - lo) * (float)k / TONE_HIDDEN;
             p[k] = 1.0f;
             p[TONE_HIDDEN + k] = -at;
             p[2 * TONE_HIDDEN + k] = k == 0 ? gain : 0.0f;
         }
-        p[3 * TONE_HIDDEN] = gain * (lo - 64.0f);
+        p[3 * TONE_HIDDEN] = gain * lo;
     }
 }

@@ -48,7 +48,7 @@ void tonemap_run(const struct tonemap_curve *c, const float *radiance, float shi
 void tonemap_grad(const float *params, const struct tonemap_curve *c, const double *g0, const double *g1,
                   float *out);
 
-/* The common start: logit = gain * x in every colour, 64 units whose knots are spread over [lo, hi]. */
+/* The common start: logit = gain * max(x, lo) in every colour, 64 units whose knots are spread over [lo, hi). */
 void tonemap_linear(struct tonemap *t, float gain, float lo, float hi, float mid_log2t);
 
 #endif
