@@ -10,16 +10,23 @@
 
 enum { POOL_MAX = 64 };
 
+struct worker_arg {
+    struct pool *p;
+    int worker;
+};
+
 /* A job is published by raising `epoch` under the lock; workers leave it by lowering `busy` under the lock. Workers
  * look at the epoch for a short while before they sleep: a refinement step is made of many jobs of under a millisecond. */
 struct pool {
     int size;
     pthread_t thread[POOL_MAX];
+    struct worker_arg arg[POOL_MAX];
     int n_started;
     pthread_mutex_t lock;
     pthread_cond_t wake, idle;
     atomic_uint epoch;
-    atomic_int busy, next;
+    atomic_int busy;
+    atomic_uint next; // unsigned: each worker adds 1 beyond n_chunks, which may be INT_MAX
     bool quit;
     pool_fn *fn;
     void *ctx;
@@ -29,14 +36,11 @@ struct pool {
     char text[512];
 };
 
-struct worker_arg {
-    struct pool *p;
-    int worker;
-};
-
 enum { SPIN_TURNS = 4000 };
 
-static _Thread_local bool pool_inside;
+/* The pool whose chunk this thread runs now, and as which worker. */
+static _Thread_local const struct pool *inside;
+static _Thread_local int inside_worker;
 
 static void pause_cpu(void)
 {
@@ -60,23 +64,23 @@ static void note_failure(struct pool *p, int chunk, err_t code)
 
 static void take_chunks(struct pool *p, int worker)
 {
-    pool_inside = true;
+    inside = p;
+    inside_worker = worker;
     for (;;) {
-        int c = atomic_fetch_add(&p->next, 1);
-        if (c >= p->n_chunks || c > atomic_load(&p->failed))
+        unsigned c = atomic_fetch_add(&p->next, 1);
+        if (c >= (unsigned)p->n_chunks || c > (unsigned)atomic_load(&p->failed))
             break;
-        err_t e = p->fn(p->ctx, c, worker);
+        err_t e = p->fn(p->ctx, (int)c, worker);
         if (e)
-            note_failure(p, c, e);
+            note_failure(p, (int)c, e);
     }
-    pool_inside = false;
+    inside = NULL;
 }
 
 static void *worker_main(void *v)
 {
-    struct worker_arg arg = *(struct worker_arg *)v;
-    free(v);
-    struct pool *p = arg.p;
+    const struct worker_arg *arg = v;
+    struct pool *p = arg->p;
     unsigned seen = 0;
     for (;;) {
         for (int i = 0; i < SPIN_TURNS && atomic_load(&p->epoch) == seen; i++)
@@ -89,7 +93,7 @@ static void *worker_main(void *v)
         pthread_mutex_unlock(&p->lock);
         if (quit)
             return NULL;
-        take_chunks(p, arg.worker);
+        take_chunks(p, arg->worker);
         pthread_mutex_lock(&p->lock);
         if (atomic_fetch_sub(&p->busy, 1) == 1)
             pthread_cond_signal(&p->idle);
@@ -99,14 +103,9 @@ static void *worker_main(void *v)
 
 static err_t start_worker(struct pool *p, int worker)
 {
-    struct worker_arg *arg = malloc(sizeof *arg);
-    if (!arg)
-        return err_fail(ERR_NOMEM, "pool: no memory for thread %d", worker);
-    *arg = (struct worker_arg){p, worker};
-    if (pthread_create(&p->thread[p->n_started], NULL, worker_main, arg) != 0) {
-        free(arg);
+    p->arg[worker] = (struct worker_arg){p, worker};
+    if (pthread_create(&p->thread[p->n_started], NULL, worker_main, &p->arg[worker]) != 0)
         return err_fail(ERR_LIMIT, "pool: the system gives no thread %d of %d", worker + 1, p->size);
-    }
     p->n_started++;
     return OK;
 }
@@ -159,10 +158,12 @@ int pool_size(const struct pool *p)
     return p ? p->size : 1;
 }
 
-static err_t run_inline(int n_chunks, pool_fn *fn, void *ctx)
+/* A nested call keeps the worker number of the chunk around it: that worker's scratch memory is free to use. */
+static err_t run_inline(const struct pool *p, int n_chunks, pool_fn *fn, void *ctx)
 {
+    int worker = p && p == inside ? inside_worker : 0;
     for (int c = 0; c < n_chunks; c++) {
-        err_t e = fn(ctx, c, 0);
+        err_t e = fn(ctx, c, worker);
         if (e)
             return e;
     }
@@ -171,8 +172,8 @@ static err_t run_inline(int n_chunks, pool_fn *fn, void *ctx)
 
 err_t pool_for(struct pool *p, int n_chunks, pool_fn *fn, void *ctx)
 {
-    if (!p || p->n_started == 0 || n_chunks <= 1 || pool_inside)
-        return run_inline(n_chunks, fn, ctx);
+    if (!p || p->n_started == 0 || n_chunks <= 1 || inside)
+        return run_inline(p, n_chunks, fn, ctx);
     pthread_mutex_lock(&p->lock);
     p->fn = fn;
     p->ctx = ctx;

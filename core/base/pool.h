@@ -21,7 +21,8 @@ void pool_close(struct pool *p);
 
 int pool_size(const struct pool *p);
 
-/* Run fn for every chunk in [0, n_chunks) and wait. p may be NULL and n_chunks 0. Nested calls run inline.
+/* Run fn for every chunk in [0, n_chunks) and wait. p may be NULL and n_chunks 0. Nested calls run inline,
+ * with the worker number of the chunk around them when it is the same pool.
  * After a failure no new chunks start; the error and sentence of the lowest failed chunk are returned.
  * thread: one caller at a time. */
 MUST_USE err_t pool_for(struct pool *p, int n_chunks, pool_fn *fn, void *ctx);

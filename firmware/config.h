@@ -1,0 +1,52 @@
+/* config.h - settings as key = value.
+ * Order, later wins: built-in defaults, defaults.conf, board.conf, hdrig.conf, --set. The table of keys in config.c
+ * drives parsing, range errors and printing; every setting is a whole number.
+ * Files are hostile: at most CONFIG_FILE_MAX bytes, lines below 200 bytes, unknown keys are errors. */
+#ifndef FIRMWARE_CONFIG_H
+#define FIRMWARE_CONFIG_H
+
+#include "core/base/err.h"
+
+#include <stddef.h>
+#include <stdio.h>
+
+#define CONFIG_DIR "/etc/hdrig" // where `make install` puts defaults.conf and board.conf
+
+enum { CONFIG_FILE_MAX = 16384 }; // bytes
+
+struct config {
+    int threads;               // 0 = one per core
+    int max_memory_mb;         // MB (10^6 bytes)
+    int size;                  // px, edge of the square pictures, multiple of 14
+    int seed;
+    int refine_steps;
+    int refine_sh_degree_max;  // 0..4
+    int refine_gaussians_max;
+};
+
+/* The built-in values, the same as board/common/defaults.conf. */
+void config_defaults(struct config *c);
+
+/* Read defaults.conf, board.conf and hdrig.conf of `dir`, those that exist, over the values in *c.
+ * err:  as config_read. */
+MUST_USE err_t config_load(struct config *c, const char *dir);
+
+/* Read one file over the values in *c.
+ * err:  ERR_IO; ERR_FORMAT, ERR_LIMIT with file name and line number. On error *c is unchanged. */
+MUST_USE err_t config_read(struct config *c, const char *path);
+
+/* As config_read for `size` bytes in memory; `name` is for sentences. */
+MUST_USE err_t config_parse(struct config *c, const char *name, const char *text, size_t size);
+
+/* Set one key; `where` says in the sentence where the value came from ("--threads").
+ * err:  ERR_ARG: unknown key, not a whole number, out of range. On error *c is unchanged. */
+MUST_USE err_t config_set(struct config *c, const char *where, const char *key, const char *value);
+
+/* As config_set for "key=value", the argument of --set. */
+MUST_USE err_t config_assign(struct config *c, const char *text);
+
+/* Every key with its help and range, in the form that config_read takes.
+ * err:  ERR_IO. */
+MUST_USE err_t config_print(const struct config *c, FILE *out);
+
+#endif
