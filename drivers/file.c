@@ -7,6 +7,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+enum { WRITE_BYTES = 1 << 18 }; // per system call
+
 static err_t map_open(int fd, const char *path, size_t max, struct file_map *out)
 {
     struct stat st;
@@ -72,6 +74,7 @@ err_t file_create(const char *path, FILE **out)
     *out = fopen(path, "wbe");
     if (!*out)
         return err_fail(ERR_IO, "%s: cannot create: %s", path, strerror(errno));
+    setvbuf(*out, NULL, _IOFBF, WRITE_BYTES);
     errno = 0; // stdio keeps the fact of a failed write but not its reason
     return OK;
 }

@@ -21,12 +21,11 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
     copy[n] = 0;
     const char *end = copy;
     struct cJSON *doc = memchr(copy, 0, n) ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
-    size_t at = (size_t)(end - copy);
+    err_t e = doc ? OK
+                  : err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %td of %zu", what, end - copy, n);
     free(copy);
-    if (!doc)
-        return err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %zu of %zu", what, at, n);
     *out = doc;
-    return OK;
+    return e;
 }
 
 err_t json_read(const char *path, struct cJSON **out)

@@ -1,0 +1,465 @@
+/* Reading: the header becomes a table of properties with their offset in a row; that table becomes one
+ * source (offset and kind) per plane of struct gaussians; then every row is read through the sources. */
+#include "drivers/ply.h"
+
+#include "core/base/bytes.h"
+#include "core/base/half.h"
+#include "core/net/tonemap.h"
+#include "drivers/file.h"
+
+#include <math.h>
+#include <string.h>
+
+#define SH_C0 0.28209479177387814 // band 0 of the spherical harmonics
+
+enum {
+    HEADER_MAX = 65536,   // bytes; viewers stop at 10 kB to 64 kB
+    PROPERTIES_MAX = 512,
+    WORD_CAP = 32,
+    STANDARD_FLOATS = 17,
+    ROW_MAX = 4 * STANDARD_FLOATS + 2 * 3 * SH_COEFS_MAX
+};
+
+static const double LOG_EXPONENT_MAX = 80;  // exp stays a float
+static const double DARKEST_LINEAR = 1e-4;  // of a display value that becomes radiance
+static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
+
+/* ---- writing ---- */
+
+static err_t check_splat(const char *path, const struct gaussians *g, int i)
+{
+    double length = 0;
+    for (int p = 0; p < gaussians_planes(g->degree); p++)
+        if (!isfinite(g->plane[p][i]))
+            return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i, g->n,
+                            p, (double)g->plane[p][i]);
+    for (int k = 0; k < 4; k++)
+        length += (double)g->plane[G_QUAT + k][i] * g->plane[G_QUAT + k][i];
+    if (!(length > 0))
+        return err_fail(ERR_ARG, "%s: splat %d of %d: quaternion of length 0", path, i, g->n);
+    return OK;
+}
+
+static float display_dc(const struct tonemap_curve *curve, float sh_dc)
+{
+    float radiance = (float)exp(fmin(SH_C0 * sh_dc, LOG_EXPONENT_MAX)), display;
+    tonemap_run(curve, &radiance, 0, 1, &display);
+    return (float)((display - 0.5) / SH_C0);
+}
+
+static uint8_t *put_standard(const struct gaussians *g, const struct tonemap_table *tone, int i,
+                             uint8_t *p)
+{
+    double length = 0;
+    for (int k = 0; k < 4; k++)
+        length += (double)g->plane[G_QUAT + k][i] * g->plane[G_QUAT + k][i];
+    length = sqrt(length);
+    for (int k = 0; k < 3; k++)
+        p = bytes_put_f32(p, g->plane[G_MU + k][i]);
+    for (int k = 0; k < 3; k++)
+        p = bytes_put_f32(p, 0); // normals, which splats do not have
+    for (int k = 0; k < 3; k++)
+        p = bytes_put_f32(p, display_dc(&tone->c[k], g->plane[G_SH + k][i]));
+    p = bytes_put_f32(p, g->plane[G_LOGIT][i]);
+    for (int k = 0; k < 3; k++)
+        p = bytes_put_f32(p, fmaxf(g->plane[G_LOG_SCALE + k][i], GAUSSIANS_LOG_SCALE_MIN));
+    for (int k = 0; k < 4; k++)
+        p = bytes_put_f32(p, (float)(g->plane[G_QUAT + k][i] / length));
+    return p;
+}
+
+static void put_header(FILE *f, const struct gaussians *g, const struct tonemap *tone)
+{
+    static const char *const standard[STANDARD_FLOATS] = {
+        "x",      "y",       "z",       "nx",      "ny",      "nz",    "f_dc_0", "f_dc_1", "f_dc_2",
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",  "rot_3"};
+    fprintf(f, "ply\nformat binary_little_endian 1.0\n");
+    fprintf(f, "comment hdrig mid_log2t %.9g sh_degree %d\n", (double)tone->mid_log2t, g->degree);
+    fprintf(f, "element vertex %d\n", g->n);
+    for (int k = 0; k < STANDARD_FLOATS; k++)
+        fprintf(f, "property float %s\n", standard[k]);
+    for (int k = 0; k < gaussians_planes(g->degree) - G_SH; k++)
+        fprintf(f, "property ushort ihdr_log_%d\n", k);
+    fprintf(f, "end_header\n");
+}
+
+err_t ply_write(const char *path, const struct gaussians *g, const struct tonemap *tone)
+{
+    FILE *f;
+    struct tonemap_table table;
+    err_t e = file_create(path, &f);
+    if (e)
+        return e;
+    tonemap_table_init(&table, tone);
+    put_header(f, g, tone);
+    int coefs = (gaussians_planes(g->degree) - G_SH) / 3;
+    for (int i = 0; i < g->n; i++) {
+        uint8_t row[ROW_MAX], *p;
+        e = check_splat(path, g, i);
+        if (e) {
+            file_discard(f, path);
+            return e;
+        }
+        p = put_standard(g, &table, i, row);
+        for (int c = 0; c < 3; c++)
+            for (int k = 0; k < coefs; k++)
+                p = bytes_put_u16(p, half_from_float_sat(g->plane[G_SH + 3 * k + c][i]));
+        fwrite(row, 1, (size_t)(p - row), f);
+    }
+    return file_finish(f, path);
+}
+
+/* ---- the header ---- */
+
+static const struct type {
+    const char *name;
+    int bytes;
+} types[] = {{"float", 4}, {"float32", 4}, {"ushort", 2}, {"uint16", 2}, {"char", 1},
+             {"int8", 1},  {"uchar", 1},   {"uint8", 1},  {"short", 2},  {"int16", 2},
+             {"int", 4},   {"int32", 4},   {"uint", 4},   {"uint32", 4}, {"double", 8},
+             {"float64", 8}};
+enum { TYPE_IS_FLOAT = 2, TYPE_IS_USHORT = 4, N_TYPES = sizeof types / sizeof types[0] };
+
+struct property {
+    char name[WORD_CAP];
+    int type;      // index in types
+    size_t offset; // bytes from the start of a row
+};
+
+struct header {
+    size_t bytes; // of the header
+    size_t row;   // bytes
+    int n_rows, n;
+    bool has_format, in_vertex, past_vertex;
+    struct property v[PROPERTIES_MAX];
+};
+
+struct words {
+    int n;
+    char v[4][WORD_CAP];
+};
+
+/* Words of a line: at most 4 of fewer than WORD_CAP bytes; false if they do not fit. */
+static bool split(const char *line, size_t n, struct words *out)
+{
+    out->n = 0;
+    for (size_t at = 0; at < n;) {
+        size_t from = at;
+        while (at < n && line[at] != ' ' && line[at] != '\t' && line[at] != '\r')
+            at++;
+        if (at == from) {
+            at++;
+            continue;
+        }
+        if (out->n == 4 || at - from >= WORD_CAP)
+            return false;
+        memcpy(out->v[out->n], line + from, at - from);
+        out->v[out->n++][at - from] = 0;
+    }
+    return true;
+}
+
+static bool is(const struct words *w, int n, const char *first)
+{
+    return w->n == n && strcmp(w->v[0], first) == 0;
+}
+
+static const struct property *find(const struct header *h, const char *name)
+{
+    for (int i = 0; i < h->n; i++)
+        if (strcmp(h->v[i].name, name) == 0)
+            return &h->v[i];
+    return NULL;
+}
+
+static err_t take_property(const char *what, const struct words *w, struct header *h)
+{
+    if (!is(w, 3, "property"))
+        return err_fail(ERR_UNSUPPORTED, "%s: lists in the vertex element are not read", what);
+    int type = 0;
+    while (type < N_TYPES && strcmp(types[type].name, w->v[1]) != 0)
+        type++;
+    if (type == N_TYPES)
+        return err_fail(ERR_FORMAT, "%s: property %s has the unknown type %s", what, w->v[2],
+                        w->v[1]);
+    if (h->n == PROPERTIES_MAX)
+        return err_fail(ERR_LIMIT, "%s: more than %d properties", what, PROPERTIES_MAX);
+    if (find(h, w->v[2]))
+        return err_fail(ERR_FORMAT, "%s: property %s is there twice", what, w->v[2]);
+    struct property *p = &h->v[h->n++];
+    memcpy(p->name, w->v[2], WORD_CAP);
+    p->type = type;
+    p->offset = h->row;
+    h->row += (size_t)types[type].bytes;
+    return OK;
+}
+
+static err_t take_element(const char *what, const struct words *w, struct header *h)
+{
+    bool vertex = strcmp(w->v[1], "vertex") == 0;
+    if (h->in_vertex || h->past_vertex) {
+        h->in_vertex = false;
+        h->past_vertex = true;
+        return vertex ? err_fail(ERR_FORMAT, "%s: two vertex elements", what) : OK;
+    }
+    if (!vertex)
+        return err_fail(ERR_UNSUPPORTED, "%s: element %s before vertex is not read", what, w->v[1]);
+    uint64_t n = 0;
+    for (const char *c = w->v[2]; *c; c++) {
+        if (*c < '0' || *c > '9')
+            return err_fail(ERR_FORMAT, "%s: vertex count \"%s\"", what, w->v[2]);
+        n = n > GAUSSIANS_MAX ? n : 10 * n + (uint64_t)(*c - '0');
+    }
+    if (n > GAUSSIANS_MAX)
+        return err_fail(ERR_LIMIT, "%s: %s splats, at most %d are read", what, w->v[2],
+                        GAUSSIANS_MAX);
+    h->n_rows = (int)n;
+    h->in_vertex = true;
+    return OK;
+}
+
+static err_t take_line(const char *what, const struct words *w, struct header *h)
+{
+    if (is(w, 3, "format")) {
+        if (strcmp(w->v[1], "binary_little_endian") != 0 || strcmp(w->v[2], "1.0") != 0)
+            return err_fail(ERR_UNSUPPORTED, "%s: format %s %s, only binary_little_endian 1.0 is read",
+                            what, w->v[1], w->v[2]);
+        h->has_format = true;
+        return OK;
+    }
+    if (is(w, 3, "element"))
+        return take_element(what, w, h);
+    if (w->n > 0 && strcmp(w->v[0], "property") == 0)
+        return h->in_vertex ? take_property(what, w, h) : OK; // of later elements: ignored
+    return err_fail(ERR_FORMAT, "%s: header line that begins with \"%s\"", what,
+                    w->n ? w->v[0] : "");
+}
+
+static bool is_comment(const char *line, size_t n)
+{
+    return (n >= 7 && memcmp(line, "comment", 7) == 0) || (n >= 8 && memcmp(line, "obj_info", 8) == 0);
+}
+
+static err_t take_lines(const struct ply_bytes *file, struct header *h)
+{
+    const char *text = file->p;
+    size_t at = 0, limit = file->n < HEADER_MAX ? file->n : HEADER_MAX;
+    for (int number = 1;; number++) {
+        const char *stop = at < limit ? memchr(text + at, '\n', limit - at) : NULL;
+        if (!stop)
+            return err_fail(ERR_FORMAT, "%s: no end of a PLY header in its first %zu bytes",
+                            file->what, limit);
+        const char *line = text + at;
+        size_t n = (size_t)(stop - line);
+        at += n + 1;
+        struct words w;
+        if (number > 1 && is_comment(line, n))
+            continue;
+        if (!split(line, n, &w))
+            return err_fail(ERR_FORMAT, "%s: header line %d has words too many or too long",
+                            file->what, number);
+        if (number == 1 && !is(&w, 1, "ply"))
+            return err_fail(ERR_FORMAT, "%s: not a PLY file", file->what);
+        if (is(&w, 1, "end_header"))
+            break;
+        err_t e = number > 1 ? take_line(file->what, &w, h) : OK;
+        if (e)
+            return e;
+    }
+    h->bytes = at;
+    return OK;
+}
+
+static err_t read_header(const struct ply_bytes *file, struct header *h)
+{
+    memset(h, 0, sizeof *h);
+    err_t e = take_lines(file, h);
+    if (e)
+        return e;
+    if (!h->has_format || !(h->in_vertex || h->past_vertex))
+        return err_fail(ERR_FORMAT, "%s: the header lacks a format or a vertex element", file->what);
+    size_t body;
+    if (!bytes_mul((size_t)h->n_rows, h->row, &body) || body > file->n - h->bytes)
+        return err_fail(ERR_FORMAT, "%s: %d splats of %zu bytes, the file has %zu bytes after its header",
+                        file->what, h->n_rows, h->row, file->n - h->bytes);
+    return OK;
+}
+
+/* ---- sources of the planes ---- */
+
+struct sources {
+    struct ply_info info;
+    size_t offset[G_PLANES_MAX]; // in a row, of plane p; of f_dc and f_rest for SH if not has_hdr
+};
+
+static err_t find_source(const char *what, const struct header *h, const char *name, int type,
+                         size_t *offset)
+{
+    const struct property *p = find(h, name);
+    if (!p)
+        return err_fail(ERR_FORMAT, "%s: no property %s", what, name);
+    if (p->type / 2 != type / 2) // names of a type come in pairs
+        return err_fail(ERR_FORMAT, "%s: property %s is %s, expected %s", what, name,
+                        types[p->type].name, types[type].name);
+    *offset = p->offset;
+    return OK;
+}
+
+static int count_numbered(const struct header *h, const char *prefix)
+{
+    char name[WORD_CAP];
+    for (int n = 0;; n++) {
+        snprintf(name, sizeof name, "%s%d", prefix, n);
+        if (!find(h, name))
+            return n;
+    }
+}
+
+static err_t find_degree(const char *what, const struct header *h, struct ply_info *out)
+{
+    int n_log = count_numbered(h, "ihdr_log_"), n_rest = count_numbered(h, "f_rest_");
+    out->has_hdr = n_log > 0;
+    out->n = h->n_rows;
+    int coefs = out->has_hdr ? n_log : n_rest + 3, top = out->has_hdr ? SH_DEGREE_MAX : 3;
+    for (out->degree = 0; out->degree <= top; out->degree++)
+        if (3 * (out->degree + 1) * (out->degree + 1) == coefs)
+            return OK;
+    return err_fail(ERR_UNSUPPORTED, "%s: %d properties %s*: no SH degree of 0 to %d has as many",
+                    what, out->has_hdr ? n_log : n_rest, out->has_hdr ? "ihdr_log_" : "f_rest_", top);
+}
+
+/* Name of the property of an SH plane: coefficients of one colour follow each other (splat.md 4.1). */
+static void sh_name(const struct ply_info *info, int k, int c, char name[WORD_CAP])
+{
+    int coefs = (info->degree + 1) * (info->degree + 1);
+    if (info->has_hdr)
+        snprintf(name, WORD_CAP, "ihdr_log_%d", c * coefs + k);
+    else if (k == 0)
+        snprintf(name, WORD_CAP, "f_dc_%d", c);
+    else
+        snprintf(name, WORD_CAP, "f_rest_%d", c * (coefs - 1) + k - 1);
+}
+
+static err_t find_sources(const char *what, const struct header *h, struct sources *out)
+{
+    static const char *const names[G_SH] = {"x",       "y",     "z",     "scale_0", "scale_1", "scale_2",
+                                            "rot_0",   "rot_1", "rot_2", "rot_3",   "opacity"};
+    err_t e = find_degree(what, h, &out->info);
+    for (int p = 0; p < G_SH && !e; p++)
+        e = find_source(what, h, names[p], 0, &out->offset[p]);
+    int coefs = (out->info.degree + 1) * (out->info.degree + 1);
+    for (int j = 0; j < 3 * coefs && !e; j++) {
+        char name[WORD_CAP];
+        sh_name(&out->info, j / 3, j % 3, name);
+        e = find_source(what, h, name, out->info.has_hdr ? TYPE_IS_FLOAT : 0, &out->offset[G_SH + j]);
+    }
+    return e;
+}
+
+/* ---- rows ---- */
+
+static float float_at(const uint8_t *row, size_t offset)
+{
+    struct bytes b = bytes_of(row + offset, 4);
+    return bytes_f32(&b);
+}
+
+static float half_at(const uint8_t *row, size_t offset)
+{
+    struct bytes b = bytes_of(row + offset, 2);
+    return half_to_float(bytes_u16(&b));
+}
+
+/* Display value (sRGB, IEC 61966-2-1) to linear light and the relative slope d ln(linear) / d display. */
+static double linear_of(double display, double *slope)
+{
+    *slope = 2.4 / (fmax(display, 0.04045) + 0.055); // held below the knee: 1/display has no bound
+    if (display <= 0.04045)
+        return display / 12.92;
+    return pow((display + 0.055) / 1.055, 2.4);
+}
+
+static void colour_from_display(const struct sources *s, const uint8_t *row, int i, struct gaussians *g)
+{
+    int coefs = (s->info.degree + 1) * (s->info.degree + 1);
+    for (int c = 0; c < 3; c++) {
+        double slope;
+        double linear = linear_of(0.5 + SH_C0 * float_at(row, s->offset[G_SH + c]), &slope);
+        bool dark = linear < DARKEST_LINEAR;
+        g->plane[G_SH + c][i] = isnan(linear) ? NAN : (float)(log(dark ? DARKEST_LINEAR : linear) / SH_C0);
+        for (int k = 1; k < coefs; k++) {
+            double v = float_at(row, s->offset[G_SH + 3 * k + c]);
+            g->plane[G_SH + 3 * k + c][i] = dark && isfinite(v) ? 0 : (float)(v * slope);
+        }
+    }
+}
+
+static void take_row(const struct sources *s, const uint8_t *row, int i, struct gaussians *g)
+{
+    for (int p = 0; p < G_SH; p++)
+        g->plane[p][i] = float_at(row, s->offset[p]);
+    if (!s->info.has_hdr) {
+        colour_from_display(s, row, i, g);
+        return;
+    }
+    for (int p = G_SH; p < gaussians_planes(g->degree); p++)
+        g->plane[p][i] = half_at(row, s->offset[p]);
+}
+
+err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out)
+{
+    struct header h;
+    struct sources s;
+    memset(out, 0, sizeof *out);
+    err_t e = read_header(file, &h);
+    if (!e)
+        e = find_sources(file->what, &h, &s);
+    if (!e)
+        *out = s.info;
+    return e;
+}
+
+err_t ply_parse(const struct ply_bytes *file, struct arena *a, struct gaussians *g,
+                struct gaussians_report *report)
+{
+    struct header h;
+    struct sources s;
+    memset(g, 0, sizeof *g);
+    err_t e = read_header(file, &h);
+    if (!e)
+        e = find_sources(file->what, &h, &s);
+    if (!e)
+        e = gaussians_init(g, a, s.info.n, s.info.degree);
+    if (e)
+        return e;
+    const uint8_t *row = (const uint8_t *)file->p + h.bytes;
+    for (int i = 0; i < s.info.n; i++, row += h.row)
+        take_row(&s, row, i, g);
+    g->n = s.info.n;
+    gaussians_sanitize(g, report);
+    return OK;
+}
+
+err_t ply_peek(const char *path, struct ply_info *out)
+{
+    struct file_map m;
+    memset(out, 0, sizeof *out);
+    err_t e = file_map(path, FILE_BYTES_MAX, &m);
+    if (e)
+        return e;
+    e = ply_peek_bytes(&(struct ply_bytes){path, m.p, m.n}, out);
+    file_unmap(&m);
+    return e;
+}
+
+err_t ply_read(const char *path, struct arena *a, struct gaussians *g, struct gaussians_report *report)
+{
+    struct file_map m;
+    memset(g, 0, sizeof *g);
+    err_t e = file_map(path, FILE_BYTES_MAX, &m);
+    if (e)
+        return e;
+    e = ply_parse(&(struct ply_bytes){path, m.p, m.n}, a, g, report);
+    file_unmap(&m);
+    return e;
+}
