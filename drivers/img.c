@@ -1,0 +1,392 @@
+/* Decoders work on the whole file in memory. Before a picture is allocated its size is held against the bytes that are
+ * there: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit on each 8 x 8 block of its largest
+ * component, so a short file cannot ask for a gigabyte. */
+#include "drivers/img.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <libexif/exif-data.h>
+#include <math.h>
+#include <spng.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <turbojpeg.h>
+#include <unistd.h>
+
+enum {
+    DEFLATE_RATIO_MAX = 1032,          // RFC 1951: 258 bytes from two 1-bit codes
+    JPEG_PX_PER_BYTE_MAX = 8 * 64,
+    PNG_CHUNK_MAX = 16 << 20,          // bytes of one text, profile or EXIF chunk, unpacked
+    PNG_CHUNKS_MAX = 64 << 20,         // bytes of all of them
+    EXIF_MAX = 1 << 16                 // bytes of EXIF data: a JPEG segment holds no more
+};
+
+static err_t check_size(const char *name, uint32_t w, uint32_t h)
+{
+    if (w < 1 || h < 1 || w > IMG_SIDE_MAX || h > IMG_SIDE_MAX || (uint64_t)w * h > IMG_PX_MAX)
+        return err_fail(ERR_LIMIT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all", name, w, h,
+                        IMG_SIDE_MAX, IMG_PX_MAX);
+    return OK;
+}
+
+static err_t alloc_px(const char *name, uint32_t w, uint32_t h, struct image8 *out)
+{
+    out->px = malloc((size_t)w * h * 3);
+    if (!out->px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %u x %u px", name, w, h);
+    out->w = (int)w;
+    out->h = (int)h;
+    out->channels = 3;
+    return OK;
+}
+
+static bool is_png(const void *bytes, size_t n)
+{
+    return n >= 8 && memcmp(bytes, "\x89PNG\r\n\x1a\n", 8) == 0;
+}
+
+static bool is_jpeg(const void *bytes, size_t n)
+{
+    return n >= 3 && memcmp(bytes, "\xff\xd8\xff", 3) == 0;
+}
+
+static err_t png_error(const char *name, int code)
+{
+    return err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_FORMAT, "%s: PNG: %s", name, spng_strerror(code));
+}
+
+/* A decoder on the bytes, with limits set. own: spng_ctx_free, also on error. */
+static err_t png_open(const void *bytes, size_t n, const char *name, spng_ctx **out)
+{
+    *out = spng_ctx_new(0);
+    if (!*out)
+        return err_fail(ERR_NOMEM, "%s: no memory for the PNG decoder", name);
+    int code = spng_set_chunk_limits(*out, PNG_CHUNK_MAX, PNG_CHUNKS_MAX);
+    if (!code)
+        code = spng_set_png_buffer(*out, bytes, n);
+    return code ? png_error(name, code) : OK;
+}
+
+static err_t png_decode(spng_ctx *ctx, size_t n, const char *name, struct image8 *out)
+{
+    struct spng_ihdr head;
+    int code = spng_get_ihdr(ctx, &head);
+    if (code)
+        return png_error(name, code);
+    err_t e = check_size(name, head.width, head.height);
+    if (e)
+        return e;
+    uint64_t bits = (uint64_t)head.width * head.height * head.bit_depth;
+    if (bits / 8 / DEFLATE_RATIO_MAX > n)
+        return err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n, head.width, head.height);
+    e = alloc_px(name, head.width, head.height, out);
+    if (e)
+        return e;
+    code = spng_decode_image(ctx, out->px, (size_t)head.width * head.height * 3, SPNG_FMT_RGB8, 0);
+    return code ? png_error(name, code) : OK;
+}
+
+static err_t read_png(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    spng_ctx *ctx;
+    err_t e = png_open(bytes, n, name, &ctx);
+    if (!e)
+        e = png_decode(ctx, n, name, out);
+    spng_ctx_free(ctx);
+    return e;
+}
+
+static err_t jpeg_error(tjhandle tj, const char *name)
+{
+    return err_fail(ERR_FORMAT, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
+}
+
+static err_t jpeg_decode(tjhandle tj, const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    int w, h, sampling, colours;
+    if (tjDecompressHeader3(tj, bytes, n, &w, &h, &sampling, &colours) != 0)
+        return jpeg_error(tj, name);
+    err_t e = check_size(name, (uint32_t)w, (uint32_t)h);
+    if (e)
+        return e;
+    if (colours == TJCS_CMYK || colours == TJCS_YCCK)
+        return err_fail(ERR_UNSUPPORTED, "%s: JPEG: CMYK pictures are not supported, convert it to RGB", name);
+    if ((uint64_t)w * (uint64_t)h / JPEG_PX_PER_BYTE_MAX > n)
+        return err_fail(ERR_FORMAT, "%s: JPEG: %zu bytes cannot hold %d x %d px", name, n, w, h);
+    e = alloc_px(name, (uint32_t)w, (uint32_t)h, out);
+    if (e)
+        return e;
+    const int flags = TJFLAG_STOPONWARNING | TJFLAG_LIMITSCANS | TJFLAG_ACCURATEDCT;
+    if (tjDecompress2(tj, bytes, n, out->px, w, 0, h, TJPF_RGB, flags) != 0)
+        return jpeg_error(tj, name);
+    return OK;
+}
+
+static err_t read_jpeg(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    tjhandle tj = tjInitDecompress();
+    if (!tj)
+        return err_fail(ERR_NOMEM, "%s: no memory for the JPEG decoder", name);
+    err_t e = jpeg_decode(tj, bytes, n, name, out);
+    tjDestroy(tj);
+    return e;
+}
+
+err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    err_t e;
+    memset(out, 0, sizeof *out);
+    if (is_png(bytes, n))
+        e = read_png(bytes, n, name, out);
+    else if (is_jpeg(bytes, n))
+        e = read_jpeg(bytes, n, name, out);
+    else
+        e = err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
+    if (e)
+        img_free(out);
+    return e;
+}
+
+/* own: free(*bytes), also on error. */
+static err_t read_open_file(int fd, const char *path, unsigned char **bytes, size_t *n)
+{
+    struct stat st;
+    if (fstat(fd, &st) != 0)
+        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    if (!S_ISREG(st.st_mode))
+        return err_fail(ERR_IO, "%s: not a regular file", path);
+    if (st.st_size > IMG_FILE_MAX)
+        return err_fail(ERR_LIMIT, "%s: %lld bytes, allowed are %d", path, (long long)st.st_size, IMG_FILE_MAX);
+    size_t size = (size_t)st.st_size;
+    *bytes = malloc(size ? size : 1);
+    if (!*bytes)
+        return err_fail(ERR_NOMEM, "%s: no memory for %zu bytes", path, size);
+    for (*n = 0; *n < size;) {
+        ssize_t got = read(fd, *bytes + *n, size - *n);
+        if (got < 0 && errno == EINTR)
+            continue;
+        if (got < 0)
+            return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+        if (got == 0)
+            return err_fail(ERR_IO, "%s: ends after %zu of %zu bytes", path, *n, size);
+        *n += (size_t)got;
+    }
+    return OK;
+}
+
+/* The whole file. own: free(*bytes), also on error. */
+static err_t read_file(const char *path, unsigned char **bytes, size_t *n)
+{
+    *bytes = NULL;
+    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); // a pipe must not block before it is refused
+    if (fd < 0)
+        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    err_t e = read_open_file(fd, path, bytes, n);
+    close(fd);
+    return e;
+}
+
+err_t img_read(const char *path, struct image8 *out)
+{
+    unsigned char *bytes;
+    size_t n;
+    memset(out, 0, sizeof *out);
+    err_t e = read_file(path, &bytes, &n);
+    if (!e)
+        e = img_read_mem(bytes, n, path, out);
+    free(bytes);
+    return e;
+}
+
+void img_free(struct image8 *im)
+{
+    free(im->px);
+    memset(im, 0, sizeof *im);
+}
+
+static int write_all(int fd, const unsigned char *bytes, size_t n)
+{
+    while (n > 0) {
+        ssize_t put = write(fd, bytes, n);
+        if (put < 0 && errno != EINTR)
+            return errno;
+        if (put > 0) {
+            bytes += put;
+            n -= (size_t)put;
+        }
+    }
+    return fsync(fd) != 0 && errno != EINVAL ? errno : 0; // EINVAL: nothing to sync behind a device
+}
+
+static err_t write_file(const char *path, const unsigned char *bytes, size_t n)
+{
+    struct stat st;
+    int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
+    if (fd < 0)
+        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    bool regular = fstat(fd, &st) == 0 && S_ISREG(st.st_mode);
+    int code = write_all(fd, bytes, n);
+    if (close(fd) != 0 && code == 0)
+        code = errno;
+    if (code == 0)
+        return OK;
+    if (regular) // never remove a device that was given as output
+        unlink(path);
+    return err_fail(ERR_IO, "%s: %s", path, strerror(code));
+}
+
+static int png_encode(spng_ctx *ctx, const struct image8 *im)
+{
+    struct spng_ihdr head = {.width = (uint32_t)im->w,
+                             .height = (uint32_t)im->h,
+                             .bit_depth = 8,
+                             .color_type = SPNG_COLOR_TYPE_TRUECOLOR};
+    int code = spng_set_option(ctx, SPNG_ENCODE_TO_BUFFER, 1);
+    if (!code)
+        code = spng_set_ihdr(ctx, &head);
+    if (!code)
+        code = spng_encode_image(ctx, im->px, (size_t)im->w * (size_t)im->h * 3, SPNG_FMT_PNG, SPNG_ENCODE_FINALIZE);
+    return code;
+}
+
+err_t img_write_png(const char *path, const struct image8 *im)
+{
+    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
+        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", path, im->w, im->h,
+                        im->channels);
+    err_t e;
+    spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
+    if (!ctx)
+        return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", path);
+    size_t n = 0;
+    unsigned char *bytes = NULL;
+    int code = png_encode(ctx, im);
+    if (!code)
+        bytes = spng_get_png_buffer(ctx, &n, &code);
+    if (bytes)
+        e = write_file(path, bytes, n);
+    else
+        e = err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", path, spng_strerror(code));
+    free(bytes);
+    spng_ctx_free(ctx);
+    return e;
+}
+
+err_t img_write_ldr(const char *path, const struct image *im)
+{
+    if (!im->px || im->channels < 3 || im->w < 1 || im->h < 1)
+        return err_fail(ERR_ARG, "%s: no RGB image to write (%d x %d, %d channels)", path, im->w, im->h, im->channels);
+    struct image8 out = {0};
+    err_t e = alloc_px(path, (uint32_t)im->w, (uint32_t)im->h, &out);
+    if (e)
+        return e;
+    size_t n = (size_t)im->w * (size_t)im->h;
+    for (size_t i = 0; i < 3 * n; i++) {
+        float v = im->px[i % 3 * n + i / 3];
+        out.px[i] = (uint8_t)(v >= 1.0f ? 255.0f : v > 0.0f ? v * 255.0f + 0.5f : 0.0f); // a NaN fails both
+    }
+    e = img_write_png(path, &out);
+    img_free(&out);
+    return e;
+}
+
+/* The EXIF block of a PNG behind the six bytes that JPEG puts before it. own: free(*exif). */
+static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned char **exif, size_t *n_exif)
+{
+    static const char head[6] = "Exif\0";
+    spng_ctx *ctx;
+    struct spng_exif chunk = {0};
+    *exif = NULL;
+    err_t e = png_open(bytes, n, name, &ctx);
+    int code = e ? 0 : spng_get_exif(ctx, &chunk);
+    if (code == SPNG_ECHUNKAVAIL || (!e && !code && chunk.length > EXIF_MAX))
+        e = err_fail(ERR_FORMAT, "%s: no EXIF data", name);
+    else if (code)
+        e = png_error(name, code);
+    if (!e) {
+        *n_exif = sizeof head + chunk.length;
+        *exif = malloc(*n_exif);
+        if (!*exif)
+            e = err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    }
+    if (!e) {
+        memcpy(*exif, head, sizeof head);
+        memcpy(*exif + sizeof head, chunk.data, chunk.length);
+    }
+    spng_ctx_free(ctx);
+    return e;
+}
+
+/* A positive rational or integer of the EXIF directory; 0 if the tag is absent or something else. */
+static double exif_number(ExifData *data, ExifTag tag)
+{
+    ExifEntry *entry = exif_content_get_entry(data->ifd[EXIF_IFD_EXIF], tag);
+    ExifByteOrder order = exif_data_get_byte_order(data);
+    if (!entry || !entry->data || entry->components < 1 ||
+        entry->size < exif_format_get_size(entry->format) * entry->components)
+        return 0.0;
+    switch (entry->format) {
+    case EXIF_FORMAT_RATIONAL: {
+        ExifRational r = exif_get_rational(entry->data, order);
+        return r.denominator ? (double)r.numerator / r.denominator : 0.0;
+    }
+    case EXIF_FORMAT_SHORT:
+        return exif_get_short(entry->data, order);
+    case EXIF_FORMAT_LONG:
+        return exif_get_long(entry->data, order);
+    default:
+        return 0.0;
+    }
+}
+
+static err_t exposure_of(const unsigned char *bytes, size_t n, const char *name, double *out)
+{
+    ExifData *data = exif_data_new();
+    if (!data)
+        return err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    exif_data_load_data(data, bytes, (unsigned)n);
+    double seconds = exif_number(data, EXIF_TAG_EXPOSURE_TIME);
+    double iso = exif_number(data, EXIF_TAG_ISO_SPEED_RATINGS);
+    double f_number = exif_number(data, EXIF_TAG_FNUMBER);
+    exif_data_unref(data);
+    if (!(seconds > 0.0))
+        return err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
+    if (!(iso > 0.0))
+        iso = 100.0;
+    if (!(f_number > 0.0))
+        f_number = 1.0;
+    *out = seconds * (iso / 100.0) / (f_number * f_number);
+    return OK;
+}
+
+err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, double *out)
+{
+    *out = 0.0;
+    if (n > IMG_FILE_MAX)
+        return err_fail(ERR_LIMIT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
+    if (is_jpeg(bytes, n))
+        return exposure_of(bytes, n, name, out);
+    if (!is_png(bytes, n))
+        return err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
+    unsigned char *exif;
+    size_t n_exif;
+    err_t e = exif_of_png(bytes, n, name, &exif, &n_exif);
+    if (!e)
+        e = exposure_of(exif, n_exif, name, out);
+    free(exif);
+    return e;
+}
+
+err_t img_exif_exposure(const char *path, double *out)
+{
+    unsigned char *bytes;
+    size_t n;
+    *out = 0.0;
+    err_t e = read_file(path, &bytes, &n);
+    if (!e)
+        e = img_exif_exposure_mem(bytes, n, path, out);
+    free(bytes);
+    return e;
+}
