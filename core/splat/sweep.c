@@ -1,0 +1,793 @@
+/* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth rho, one step being at
+ * most about one pixel in the widest neighbour; compare 5 x 5 windows of log2 luminance by weighted normalised
+ * correlation (blind to exposure and to a slightly wrong response) plus a small term of the mean difference; keep the
+ * best half of the neighbours (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine
+ * by a parabola. A first sweep on quarter size narrows the range of rho. Then points that other views confirm get
+ * confidence and the mean of the confirming depths. */
+#include "core/splat/sweep.h"
+
+#include "core/opt/response.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    WORK_SIZE = 256,   // px; the work is done at this size or below
+    NEAR_MAX = 6,      // neighbours used for a view
+    CHECK_MAX = 10,    // neighbours asked to confirm
+    PLANES_MAX = 144,  // multiple of 16
+    COARSE = 4,        // the first sweep is this much smaller
+    RADIUS = 2,        // px, of the matching window
+    TAPS = 2 * RADIUS + 1,
+    SUMS = 6,          // weighted moments of a window: w, wI, wJ, wII, wJJ, wIJ
+    COST_UNIT = 100,   // integer cost of 1.0
+    STEP_COST = 7,     // P1: change by one plane
+    JUMP_COST = 45,    // P2: larger change, over flat ground
+    JUMP_COST_MIN = 14 // P2 over a strong edge
+};
+
+static const float COST_BLIND = 0.5f;    // where no pixel carries information
+static const float COST_OUTSIDE = 0.75f; // outside the neighbour's picture: worse than blind, better than wrong
+static const float NOISE_VAR = 0.012f;   // stops^2 added to the variance: noise alone does not correlate
+
+/* Log2 luminance and its reliability, interleaved: both are sampled together. */
+struct plate {
+    int size;
+    float *px; // (size, size, 2)
+};
+
+struct pose {
+    double r[9], t[3], centre[3];
+    double f[2], c[2]; // as a share of the picture's side
+};
+
+struct sweep {
+    const struct run *run;
+    const struct views *v;
+    struct depthmaps *out;
+    struct response_table table;
+    struct pose *pose;        // (n)
+    struct plate *plate[2];   // (n) fine, coarse
+    int (*near)[CHECK_MAX];   // (n) other views, best first
+    int *n_near;              // (n)
+    float *rho;               // (n, size, size) inverse depth before the check
+    float *sure;              // (n, size, size) 0..1 of the sweep alone
+    float (*range)[2];        // (n) inverse depth of the first and last plane
+    struct scratch *scratch;  // (workers)
+};
+
+/* Of one worker, for the largest picture and number of planes. */
+struct scratch {
+    uint8_t *cost;  // (y, plane, x)
+    int16_t *total; // (y, plane, x)
+    int16_t *path;  // (2, 3, plane, x + 2): rows of the three paths that run down or up
+    int16_t *least; // (2, 3, x + 2): their minima over the planes
+    int16_t *turn;  // (2, x, plane): one row with the planes innermost
+    float *best;    // (NEAR_MAX, x) sorted costs of one row; then scratch of the window sums
+    float *ring;    // (TAPS, SUMS, x)
+    float *column;  // (SUMS, x + 2 RADIUS)
+    float *kept;    // (NEAR_MAX, y, x) sorted costs of a plane
+};
+
+/* One sweep of one view. */
+struct task {
+    struct sweep *s;
+    struct scratch *m;
+    int i_view, level, w, planes, n_near;
+    float rho0, step;
+    double h[NEAR_MAX][12]; // to each neighbour: pixel, 1, rho -> pixel, homogeneous
+};
+
+/* ---- geometry ---- */
+
+static void set_pose(const struct camera *c, struct pose *p)
+{
+    double w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3], n = 2.0 / (w * w + x * x + y * y + z * z);
+    const double r[9] = {1 - n * (y * y + z * z), n * (x * y - w * z),     n * (x * z + w * y),
+                         n * (x * y + w * z),     1 - n * (x * x + z * z), n * (y * z - w * x),
+                         n * (x * z - w * y),     n * (y * z + w * x),     1 - n * (x * x + y * y)};
+    memcpy(p->r, r, sizeof r);
+    for (int i = 0; i < 3; i++)
+        p->t[i] = (double)c->t[i];
+    for (int i = 0; i < 3; i++)
+        p->centre[i] = -(r[i] * p->t[0] + r[3 + i] * p->t[1] + r[6 + i] * p->t[2]);
+    p->f[0] = (double)c->fx / c->w;
+    p->f[1] = (double)c->fy / c->h;
+    p->c[0] = (double)c->cx / c->w;
+    p->c[1] = (double)c->cy / c->h;
+}
+
+/* Rows of h: (u, v, 1, rho) of `a` -> homogeneous pixel of `b`; pictures of `size` px. */
+static void map_between(const struct pose *a, const struct pose *b, double size, double *h)
+{
+    double fa[2] = {a->f[0] * size, a->f[1] * size}, ca[2] = {a->c[0] * size, a->c[1] * size};
+    double m[12];
+    for (int i = 0; i < 3; i++) {
+        double r[3], t = b->t[i];
+        for (int j = 0; j < 3; j++) {
+            r[j] = b->r[3 * i] * a->r[3 * j] + b->r[3 * i + 1] * a->r[3 * j + 1] + b->r[3 * i + 2] * a->r[3 * j + 2];
+            t -= r[j] * a->t[j];
+        }
+        m[4 * i] = r[0] / fa[0];
+        m[4 * i + 1] = r[1] / fa[1];
+        m[4 * i + 2] = r[2] - r[0] * ca[0] / fa[0] - r[1] * ca[1] / fa[1];
+        m[4 * i + 3] = t;
+    }
+    for (int j = 0; j < 4; j++) {
+        h[j] = size * (b->f[0] * m[j] + b->c[0] * m[8 + j]);
+        h[4 + j] = size * (b->f[1] * m[4 + j] + b->c[1] * m[8 + j]);
+        h[8 + j] = m[8 + j];
+    }
+}
+
+/* Place in the other picture; false if behind it. z is depth there times rho here. */
+static bool apply_map(const double *h, double u, double v, double rho, double *out)
+{
+    double z = h[8] * u + h[9] * v + h[10] + h[11] * rho;
+    if (z < 1e-6)
+        return false;
+    out[0] = (h[0] * u + h[1] * v + h[2] + h[3] * rho) / z;
+    out[1] = (h[4] * u + h[5] * v + h[6] + h[7] * rho) / z;
+    out[2] = z;
+    return true;
+}
+
+static double distance(const struct pose *a, const struct pose *b)
+{
+    double s = 0.0;
+    for (int i = 0; i < 3; i++)
+        s += (a->centre[i] - b->centre[i]) * (a->centre[i] - b->centre[i]);
+    return sqrt(s);
+}
+
+enum { GRID = 5, TRIES = 64 };
+
+/* Share of a grid of pixels of view a at rho that falls into view b. */
+static double overlap(const double *h, double rho)
+{
+    int n = 0;
+    for (int i = 0; i < GRID * GRID; i++) {
+        double p[3], u = (i % GRID + 0.5) / GRID, v = (i / GRID + 0.5) / GRID;
+        n += apply_map(h, u, v, rho, p) && p[0] > 0 && p[0] < 1 && p[1] > 0 && p[1] < 1;
+    }
+    return (double)n / (GRID * GRID);
+}
+
+/* Candidate inverse depths for a baseline b: 0, then from 1/(300 b) to 1/(0.5 b). */
+static double try_rho(int k, double baseline)
+{
+    return k == 0 ? 0.0 : pow(600.0, (k - 1) / (double)(TRIES - 2)) / (300.0 * baseline);
+}
+
+/* ---- neighbours and range ---- */
+
+/* Other views that can see the same things, near ones and like exposures first. */
+static void choose_near(struct sweep *s, int i)
+{
+    double score[CHECK_MAX];
+    const struct pose *a = &s->pose[i];
+    double scale = 0.0;
+    for (int j = 0; j < s->v->n; j++)
+        scale = fmax(scale, distance(a, &s->pose[j]));
+    s->n_near[i] = 0;
+    for (int j = 0; j < s->v->n; j++) {
+        double h[12], seen = 0.0, d = distance(a, &s->pose[j]);
+        if (j == i || d <= 1e-4 * scale)
+            continue;
+        map_between(a, &s->pose[j], 1.0, h);
+        for (int k = 0; k < TRIES; k++)
+            seen = fmax(seen, overlap(h, try_rho(k, d)));
+        if (seen < 0.25)
+            continue;
+        double cost = d * (1.0 + 0.1 * fabs((double)(s->v->log2t[i] - s->v->log2t[j]))) / seen;
+        int k = s->n_near[i] < CHECK_MAX ? s->n_near[i]++ : CHECK_MAX;
+        if (k == CHECK_MAX && score[--k] <= cost)
+            continue;
+        for (; k > 0 && score[k - 1] > cost; k--) {
+            score[k] = score[k - 1];
+            s->near[i][k] = s->near[i][k - 1];
+        }
+        score[k] = cost;
+        s->near[i][k] = j;
+    }
+}
+
+static int min_int(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+/* Inverse depths at which the neighbours still share a good part of the picture. */
+static void choose_range(struct sweep *s, int i)
+{
+    int n = min_int(s->n_near[i], NEAR_MAX);
+    double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
+    s->range[i][0] = s->range[i][1] = 0.0f;
+    for (int k = 0; k < n; k++)
+        baseline += distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
+    for (int k = 0; k < n; k++) {
+        double h[12];
+        map_between(&s->pose[i], &s->pose[s->near[i][k]], 1.0, h);
+        for (int t = 0; t < TRIES; t++)
+            seen[t] += overlap(h, try_rho(t, baseline));
+    }
+    for (int t = 0; t < TRIES; t++)
+        top = fmax(top, seen[t]);
+    int first = TRIES, last = 0;
+    for (int t = 0; t < TRIES; t++) {
+        if (seen[t] >= 0.4 * top) {
+            first = min_int(first, t);
+            last = t;
+        }
+    }
+    if (n > 0) {
+        s->range[i][0] = (float)try_rho(first, baseline);
+        s->range[i][1] = (float)try_rho(last, baseline);
+    }
+}
+
+/* Longest way, in px, that a pixel runs through a neighbour over the range. */
+static double longest_way(const struct task *t, double rho0, double rho1)
+{
+    double longest = 0.0;
+    for (int k = 0; k < t->n_near; k++) {
+        for (int i = 0; i < 9; i++) {
+            double p[3], q[3], u = t->w * (i % 3) / 2.0, v = t->w * (i / 3) / 2.0, way = 0.0;
+            bool ok = apply_map(t->h[k], u, v, rho0, p);
+            for (int j = 1; j <= 8 && ok; j++) {
+                ok = apply_map(t->h[k], u, v, rho0 + (rho1 - rho0) * j / 8, q);
+                if (ok)
+                    way += hypot(q[0] - p[0], q[1] - p[1]);
+                memcpy(p, q, sizeof p);
+            }
+            longest = fmax(longest, ok ? way : 0.0);
+        }
+    }
+    return longest;
+}
+
+/* ---- pictures ---- */
+
+/* Mean luminance of scale x scale pixels, in stops, and how well it is known. */
+static err_t make_plate(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    (void)worker;
+    const int w = s->out->size, scale = s->out->scale, size = s->v->size;
+    const uint8_t *rgb = s->v->rgb + (size_t)i * (size_t)size * (size_t)size * 3;
+    const float shift = s->v->log2t[i] - s->v->mid_log2t;
+    float linear[3][256];
+    for (int z = 0; z < 3 * 256; z++)
+        linear[z / 256][z % 256] = exp2f(s->table.x[z / 256][z % 256]);
+    for (int y = 0; y < w; y++) {
+        for (int x = 0; x < w; x++) {
+            float sum = 0.0f, known = 0.0f;
+            for (int k = 0; k < scale * scale; k++) {
+                const uint8_t *p = rgb + 3 * ((size_t)(y * scale + k / scale) * (size_t)size + (size_t)(x * scale + k % scale));
+                for (int c = 0; c < 3; c++) {
+                    sum += linear[c][p[c]];
+                    known += linear[c][p[c]] * s->table.weight[c][p[c]];
+                }
+            }
+            float *px = s->plate[0][i].px + 2 * ((size_t)y * (size_t)w + (size_t)x);
+            px[0] = log2f(sum / (float)(3 * scale * scale) + 1e-9f) - shift;
+            px[1] = known / (sum + 1e-12f);
+        }
+    }
+    const struct plate *coarse = &s->plate[1][i];
+    for (int k = 0; k < coarse->size * coarse->size; k++) {
+        int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
+        float value = 0.0f, weight = 1e-6f;
+        for (int j = 0; j < COARSE * COARSE; j++) {
+            const float *px = s->plate[0][i].px + 2 * ((y0 + j / COARSE) * w + x0 + j % COARSE);
+            value += px[0] * (px[1] + 1e-6f / (COARSE * COARSE));
+            weight += px[1];
+        }
+        coarse->px[2 * k] = value / weight;
+        coarse->px[2 * k + 1] = weight / (COARSE * COARSE);
+    }
+    return OK;
+}
+
+/* ---- matching cost ---- */
+
+/* One row of moments at rho: the reference I against the neighbour J at its mapped places. */
+static void moment_row(const struct task *t, int k, int y, float rho, float *row)
+{
+    const int w = t->w;
+    const struct plate *a = &t->s->plate[t->level][t->i_view];
+    const struct plate *b = &t->s->plate[t->level][t->s->near[t->i_view][k]];
+    const double *h = t->h[k];
+    float base[3], du[3] = {(float)h[0], (float)h[4], (float)h[8]};
+    for (int i = 0; i < 3; i++)
+        base[i] = (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * (double)rho);
+    for (int x = 0; x < w; x++) {
+        float z = base[2] + du[2] * (float)x, inv = 1.0f / z;
+        float u = (base[0] + du[0] * (float)x) * inv, v = (base[1] + du[1] * (float)x) * inv;
+        const float *p = a->px + 2 * ((size_t)y * (size_t)w + (size_t)x);
+        float *o = row + x;
+        if (!(z > 1e-6f && u >= 0.5f && v >= 0.5f && u <= (float)w - 0.5f && v <= (float)w - 0.5f)) {
+            o[0] = -1.0f; // outside: told from blind by its sign, cleared below
+            o[w] = o[2 * w] = o[3 * w] = o[4 * w] = o[5 * w] = 0.0f;
+            continue;
+        }
+        int iu = min_int((int)(u - 0.5f), w - 2), iv = min_int((int)(v - 0.5f), w - 2);
+        float fu = u - 0.5f - (float)iu, fv = v - 0.5f - (float)iv;
+        const float *q = b->px + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *qd = q + 2 * w;
+        float j = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) + (qd[0] + fu * (qd[2] - qd[0])) * fv;
+        float c = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) + (qd[1] + fu * (qd[3] - qd[1])) * fv;
+        float weight = c * p[1];
+        o[0] = weight;
+        o[w] = weight * p[0];
+        o[2 * w] = weight * j;
+        o[3 * w] = weight * p[0] * p[0];
+        o[4 * w] = weight * j * j;
+        o[5 * w] = weight * p[0] * j;
+    }
+}
+
+/* Cost of one row from the column sums (padded by RADIUS on both sides). */
+static void cost_row(const float *column, int w, float *out)
+{
+    const int stride = w + 2 * RADIUS;
+    for (int x = 0; x < w; x++) {
+        float m[SUMS];
+        for (int q = 0; q < SUMS; q++) {
+            const float *c = column + q * stride + x;
+            m[q] = c[0] + c[1] + c[2] + c[3] + c[4];
+        }
+        float inv = 1.0f / (m[0] + 1e-4f), mi = m[1] * inv, mj = m[2] * inv;
+        float vi = fmaxf(m[3] * inv - mi * mi, 0.0f) + NOISE_VAR, vj = fmaxf(m[4] * inv - mj * mj, 0.0f) + NOISE_VAR;
+        float like = (m[5] * inv - mi * mj) / sqrtf(vi * vj), off = fminf(fabsf(mi - mj), 1.0f);
+        float known = m[0] / (m[0] + 0.06f * TAPS * TAPS);
+        float cost = 0.35f * (1.0f - like) + 0.4f * off;
+        out[x] = COST_BLIND + known * (cost - COST_BLIND);
+    }
+}
+
+/* Merge the cost of neighbour k into the sorted costs of this row: kept[0] <= kept[1] <= ... */
+static void keep_best(float *kept, size_t stride, int k, int w, const float *cost)
+{
+    for (int x = 0; x < w; x++) {
+        float c = cost[x];
+        for (int j = 0; j < k; j++) {
+            float *p = kept + (size_t)j * stride + x, lo = fminf(*p, c);
+            c = fmaxf(*p, c);
+            *p = lo;
+        }
+        kept[(size_t)k * stride + x] = c;
+    }
+}
+
+/* Costs of neighbour k on one plane, merged into m->kept. */
+static void cost_plane(const struct task *t, int k, float rho)
+{
+    const int w = t->w, stride = w + 2 * RADIUS;
+    struct scratch *m = t->m;
+    const size_t row_floats = (size_t)SUMS * (size_t)w, plane = (size_t)w * (size_t)w;
+    for (int y = -RADIUS; y < w + RADIUS; y++) {
+        int in = y + RADIUS;
+        float *fresh = m->ring + (size_t)(in % TAPS) * row_floats;
+        if (in < w)
+            moment_row(t, k, in, rho, fresh);
+        else
+            memset(fresh, 0, row_floats * sizeof *fresh);
+        if (y < 0)
+            continue;
+        memset(m->column, 0, (size_t)SUMS * (size_t)stride * sizeof(float));
+        for (int j = 0; j < min_int(TAPS, in + 1); j++) {
+            const float *row = m->ring + (size_t)j * row_floats;
+            for (int q = 0; q < SUMS; q++) {
+                float *c = m->column + q * stride + RADIUS;
+                for (int x = 0; x < w; x++)
+                    c[x] += fmaxf(row[q * w + x], q == 0 ? 0.0f : -1e30f);
+            }
+        }
+        cost_row(m->column, w, m->best);
+        const float *centre = m->ring + (size_t)(y % TAPS) * row_floats;
+        for (int x = 0; x < w; x++)
+            m->best[x] = centre[x] < 0.0f ? COST_OUTSIDE : m->best[x];
+        keep_best(m->kept + (size_t)y * (size_t)w, plane, k, w, m->best);
+    }
+}
+
+static void cost_volume(const struct task *t)
+{
+    const int w = t->w, n = t->n_near, half = (n + 1) / 2;
+    const size_t plane = (size_t)w * (size_t)w;
+    for (int d = 0; d < t->planes; d++) {
+        for (int k = 0; k < n; k++)
+            cost_plane(t, k, t->rho0 + t->step * (float)d);
+        for (int y = 0; y < w; y++) {
+            uint8_t *c = t->m->cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
+            const float *kept = t->m->kept + (size_t)y * (size_t)w;
+            for (int x = 0; x < w; x++) {
+                float sum = 0.0f;
+                for (int k = 0; k < half; k++)
+                    sum += kept[(size_t)k * plane + (size_t)x];
+                c[x] = (uint8_t)fminf(fmaxf(sum / (float)half * COST_UNIT, 0.0f) + 0.5f, 255.0f);
+            }
+        }
+    }
+}
+
+/* ---- semi-global matching ---- */
+
+static int16_t min16(int16_t a, int16_t b)
+{
+    return a < b ? a : b;
+}
+
+/* Price of a jump between two pixels: cheaper where the picture has an edge that both pixels know. */
+static int16_t jump_cost(const float *p, const float *q)
+{
+    float edge = fabsf(p[0] - q[0]) * p[1] * q[1];
+    return (int16_t)fmaxf((float)JUMP_COST / (1.0f + 3.0f * edge), (float)JUMP_COST_MIN);
+}
+
+/* One row of one plane of one path, aligned in x. */
+struct path_io {
+    const uint8_t *cost;
+    const int16_t *before, *below, *above; // previous pixels of the path: this plane, the planes beside it
+    const int16_t *least, *jump;           // minimum of the previous pixels over the planes; price of a jump
+    int16_t *now, *total, *floor;          // this path; sum of all paths; minimum over the planes so far
+};
+
+static void path_row(const struct path_io *io, int n)
+{
+    const uint8_t *cost = io->cost;
+    const int16_t *before = io->before, *below = io->below, *above = io->above, *least = io->least, *jump = io->jump;
+    int16_t *restrict now = io->now, *restrict total = io->total, *restrict floor = io->floor;
+    for (int x = 0; x < n; x++) {
+        int16_t beside = (int16_t)(min16(below[x], above[x]) + STEP_COST);
+        int16_t way = min16(min16(before[x], beside), (int16_t)(least[x] + jump[x]));
+        int16_t c = (int16_t)(cost[x] + way - least[x]);
+        now[x] = c;
+        total[x] = (int16_t)(total[x] + c);
+        floor[x] = min16(floor[x], c);
+    }
+}
+
+enum { FAR_COST = 16000 }; // of the planes beside the first and last
+
+/* The three paths that run down (dir 1) or up (dir -1). Rows of m->path have one zero on both sides and FAR_COST planes
+ * at both ends, so that borders need no case. */
+static void sweep_vertical(const struct task *t, int dir)
+{
+    const int w = t->w, row = w + 2, planes = t->planes;
+    const size_t path = (size_t)row * (size_t)(planes + 2);
+    struct scratch *m = t->m;
+    const float *px = t->s->plate[t->level][t->i_view].px;
+    memset(m->path, 0, 6 * path * sizeof(int16_t));
+    memset(m->least, 0, 6 * (size_t)row * sizeof(int16_t));
+    for (int p = 0; p < 6; p++) {
+        for (int x = 0; x < row; x++)
+            m->path[(size_t)p * path + (size_t)x] = m->path[(size_t)(p + 1) * path - 1 - (size_t)x] = FAR_COST;
+    }
+    for (int i = 0; i < w; i++) {
+        int y = dir > 0 ? i : w - 1 - i, y0 = i ? y - dir : y, old = i & 1;
+        for (int p = 0; p < 3; p++) {
+            int16_t *now = m->path + (size_t)(3 * (1 - old) + p) * path + 1;
+            const int16_t *before = m->path + (size_t)(3 * old + p) * path + p; // pixel x - 1 + p
+            int16_t *floor = m->least + (3 * (1 - old) + p) * row + 1, *jump = m->turn;
+            for (int x = 0; x < w; x++) {
+                int x0 = x - 1 + p < 0 ? 0 : min_int(x - 1 + p, w - 1);
+                jump[x] = jump_cost(px + 2 * (y * w + x), px + 2 * (y0 * w + x0));
+                floor[x] = FAR_COST;
+            }
+            for (int d = 0; d < planes; d++) {
+                size_t at = ((size_t)y * (size_t)planes + (size_t)d) * (size_t)w;
+                const int16_t *b = before + (d + 1) * row;
+                struct path_io io = {m->cost + at, b, b - row, b + row, m->least + (3 * old + p) * row + p,
+                                     jump,         now + (d + 1) * row, m->total + at, floor};
+                path_row(&io, w);
+            }
+        }
+    }
+}
+
+/* Both horizontal paths of one row, with the planes innermost; adds to total. */
+static void sweep_row(const struct task *t, int y)
+{
+    const int w = t->w, planes = t->planes;
+    const float *px = t->s->plate[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
+    int16_t *cost = t->m->turn, *sum = cost + w * planes, *buffer = sum + w * planes;
+    const uint8_t *c = t->m->cost + (size_t)y * (size_t)planes * (size_t)w;
+    int16_t *total = t->m->total + (size_t)y * (size_t)planes * (size_t)w;
+    for (int x = 0; x < w; x++) {
+        for (int d = 0; d < planes; d++)
+            cost[x * planes + d] = c[d * w + x];
+    }
+    memset(sum, 0, (size_t)w * (size_t)planes * sizeof *sum);
+    for (int dir = 1; dir >= -1; dir -= 2) {
+        int16_t least = 0;
+        memset(buffer, 0, 2 * (size_t)(planes + 2) * sizeof *buffer);
+        for (int i = 0; i < 4; i++)
+            buffer[i / 2 * (planes + 2) + i % 2 * (planes + 1)] = FAR_COST;
+        for (int i = 0; i < w; i++) {
+            int x = dir > 0 ? i : w - 1 - i, x0 = i ? x - dir : x;
+            const int16_t *restrict b = buffer + (i & 1) * (planes + 2) + 1;
+            int16_t *restrict now = buffer + (1 - (i & 1)) * (planes + 2) + 1, *restrict add = sum + x * planes;
+            const int16_t *restrict own = cost + x * planes;
+            int16_t jump = (int16_t)(least + jump_cost(px + 2 * x, px + 2 * x0)), floor = FAR_COST;
+            for (int d = 0; d < planes; d++) {
+                int16_t beside = (int16_t)(min16(b[d - 1], b[d + 1]) + STEP_COST);
+                now[d] = (int16_t)(own[d] + min16(min16(b[d], beside), jump) - least);
+                add[d] = (int16_t)(add[d] + now[d]);
+                floor = min16(floor, now[d]);
+            }
+            least = floor;
+        }
+    }
+    for (int d = 0; d < planes; d++) {
+        for (int x = 0; x < w; x++)
+            total[d * w + x] = (int16_t)(total[d * w + x] + sum[x * planes + d]);
+    }
+}
+
+/* Best plane with a parabola through its neighbours; `sure` from the matching cost there. */
+static void pick_planes(const struct task *t, float *rho, float *sure)
+{
+    const int w = t->w, planes = t->planes;
+    for (int i = 0; i < w * w; i++) {
+        size_t at = (size_t)(i / w) * (size_t)planes * (size_t)w + (size_t)(i % w);
+        const int16_t *s = t->m->total + at;
+        int best = 0;
+        for (int d = 1; d < planes; d++)
+            best = s[d * w] < s[best * w] ? d : best;
+        float shift = 0.0f;
+        if (best > 0 && best < planes - 1) {
+            float lo = s[(best - 1) * w], mid = s[best * w], hi = s[(best + 1) * w];
+            float bend = lo + hi - 2.0f * mid;
+            shift = bend > 0.0f ? 0.5f * (lo - hi) / bend : 0.0f;
+        }
+        float cost = (float)t->m->cost[at + (size_t)(best * w)] / COST_UNIT;
+        rho[i] = t->rho0 + t->step * ((float)best + shift);
+        sure[i] = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
+    }
+}
+
+/* ---- one view ---- */
+
+static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
+{
+    struct sweep *s = t->s;
+    const float *range = s->range[t->i_view];
+    t->level = level;
+    t->w = s->plate[level][t->i_view].size;
+    t->n_near = min_int(s->n_near[t->i_view], NEAR_MAX);
+    for (int k = 0; k < t->n_near; k++)
+        map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
+    double way = longest_way(t, (double)range[0], (double)range[1]);
+    t->planes = min_int(PLANES_MAX, ((int)fmin(way, 1e4) + 16) / 16 * 16);
+    t->rho0 = range[0];
+    t->step = (range[1] - range[0]) / (float)(t->planes - 1);
+    cost_volume(t);
+    memset(t->m->total, 0, (size_t)t->w * (size_t)t->w * (size_t)t->planes * sizeof(int16_t));
+    sweep_vertical(t, 1);
+    sweep_vertical(t, -1);
+    for (int y = 0; y < t->w; y++)
+        sweep_row(t, y);
+    pick_planes(t, rho, sure);
+    if (s->run->cancel && atomic_load(s->run->cancel))
+        return err_fail(ERR_CANCELLED, "sweep: cancelled at view %d", t->i_view);
+    return OK;
+}
+
+/* Range that holds the sure pixels of the coarse sweep, with a margin. */
+static void narrow_range(const struct task *t, const float *rho, const float *sure)
+{
+    int hist[PLANES_MAX] = {0}, total = 0, lo = 0, hi = t->planes - 1;
+    for (int i = 0; i < t->w * t->w; i++) {
+        int d = (int)((rho[i] - t->rho0) / fmaxf(t->step, 1e-30f) + 0.5f);
+        if (sure[i] > 0.4f && d >= 0 && d < t->planes) {
+            hist[d]++;
+            total++;
+        }
+    }
+    if (total < t->w)
+        return;
+    for (int sum = hist[0]; sum * 500 < total; sum += hist[++lo])
+        ;
+    for (int sum = hist[hi]; sum * 500 < total; sum += hist[--hi])
+        ;
+    float *range = t->s->range[t->i_view], low = range[0];
+    range[0] = fmaxf(t->rho0 + t->step * ((float)lo - 2.0f), low);
+    range[1] = fminf(t->rho0 + t->step * ((float)hi + 2.0f), range[1]);
+}
+
+static err_t sweep_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    struct task t = {.s = s, .m = &s->scratch[worker], .i_view = i};
+    const size_t plane = (size_t)s->out->size * (size_t)s->out->size;
+    float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    choose_near(s, i);
+    choose_range(s, i);
+    if (s->range[i][1] <= s->range[i][0]) {
+        for (size_t k = 0; k < plane; k++) {
+            rho[k] = s->range[i][1] > 0.0f ? s->range[i][1] : 1.0f;
+            sure[k] = 0.0f;
+        }
+        return OK;
+    }
+    if (s->plate[1][i].size >= 16) {
+        err_t e = sweep_level(&t, 1, rho, sure);
+        if (e)
+            return e;
+        narrow_range(&t, rho, sure);
+    }
+    return sweep_level(&t, 0, rho, sure);
+}
+
+/* ---- agreement between the views ---- */
+
+/* Points of view i that other views see at the same depth take the mean of all and their number as confidence. */
+static err_t confirm_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    (void)worker;
+    const int w = s->out->size, n = s->n_near[i];
+    const size_t plane = (size_t)w * (size_t)w;
+    const float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    const float floor = 0.02f * s->range[i][1] + 1e-9f, step = (s->range[i][1] - s->range[i][0]) / 64.0f;
+    double h[CHECK_MAX][12];
+    for (int k = 0; k < n; k++)
+        map_between(&s->pose[i], &s->pose[s->near[i][k]], w, h[k]);
+    for (int at = 0; at < w * w; at++) {
+        float sum = rho[at] * (sure[at] + 0.05f), weight = sure[at] + 0.05f, votes = 0.0f;
+        for (int k = 0; k < n; k++) {
+            double p[3];
+            if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 || p[1] < 0 ||
+                p[0] >= w || p[1] >= w)
+                continue;
+            size_t j = (size_t)s->near[i][k] * plane + (size_t)p[1] * (size_t)w + (size_t)p[0];
+            float seen = s->rho[j] * (float)p[2];
+            if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]))
+                continue;
+            sum += seen * s->sure[j];
+            weight += s->sure[j];
+            votes += s->sure[j];
+        }
+        s->out->depth[(size_t)i * plane + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
+        s->out->conf[(size_t)i * plane + (size_t)at] = fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
+    }
+    return OK;
+}
+
+/* ---- memory and entry ---- */
+
+static int work_scale(int size)
+{
+    return (size + WORK_SIZE - 1) / WORK_SIZE;
+}
+
+size_t sweep_keep(const struct views *v)
+{
+    size_t w = (size_t)(v->size / work_scale(v->size)), n = (size_t)v->n * w * w;
+    return 2 * arena_need(n, sizeof(float));
+}
+
+/* The same list for planning (a NULL) and for carving. */
+static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *out)
+{
+    *bytes = arena_add(*bytes, arena_need(n, elem));
+    return a ? arena_alloc(a, n, elem, out) : OK;
+}
+
+static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scratch *m)
+{
+    const size_t volume = w * w * PLANES_MAX;
+    err_t e = carve(a, bytes, volume, sizeof *m->cost, &m->cost);
+    if (!e)
+        e = carve(a, bytes, volume, sizeof *m->total, &m->total);
+    if (!e)
+        e = carve(a, bytes, 6 * (PLANES_MAX + 2) * (w + 2), sizeof *m->path, &m->path);
+    if (!e)
+        e = carve(a, bytes, 6 * (w + 2), sizeof *m->least, &m->least);
+    if (!e)
+        e = carve(a, bytes, 2 * (w + 1) * (PLANES_MAX + 2), sizeof *m->turn, &m->turn);
+    if (!e)
+        e = carve(a, bytes, w, sizeof *m->best, &m->best);
+    if (!e)
+        e = carve(a, bytes, TAPS * SUMS * w, sizeof *m->ring, &m->ring);
+    if (!e)
+        e = carve(a, bytes, SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+    if (!e)
+        e = carve(a, bytes, NEAR_MAX * w * w, sizeof *m->kept, &m->kept);
+    return e;
+}
+
+static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, int workers, struct sweep *s)
+{
+    const size_t n = (size_t)v->n, w = (size_t)(v->size / work_scale(v->size)), c = w / COARSE;
+    err_t e = carve(a, bytes, n, sizeof *s->pose, &s->pose);
+    for (int level = 0; level < 2 && !e; level++)
+        e = carve(a, bytes, n, sizeof *s->plate[0], &s->plate[level]);
+    for (int i = 0; i < v->n && !e; i++) {
+        struct plate fine = {(int)w, NULL}, coarse = {(int)c, NULL};
+        e = carve(a, bytes, 2 * w * w, sizeof(float), &fine.px);
+        if (!e)
+            e = carve(a, bytes, 2 * c * c, sizeof(float), &coarse.px);
+        if (a && !e) {
+            s->plate[0][i] = fine;
+            s->plate[1][i] = coarse;
+        }
+    }
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->near, &s->near);
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->n_near, &s->n_near);
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->range, &s->range);
+    if (!e)
+        e = carve(a, bytes, n * w * w, sizeof *s->rho, &s->rho);
+    if (!e)
+        e = carve(a, bytes, n * w * w, sizeof *s->sure, &s->sure);
+    if (!e)
+        e = carve(a, bytes, (size_t)workers, sizeof *s->scratch, &s->scratch);
+    for (int k = 0; k < workers && !e; k++)
+        e = carve_scratch(a, bytes, w, a ? &s->scratch[k] : &(struct scratch){0});
+    return e;
+}
+
+size_t sweep_plan(const struct views *v, int threads)
+{
+    size_t bytes = 0;
+    struct sweep s = {0};
+    err_t e = carve_all(NULL, &bytes, v, threads, &s);
+    return e ? SIZE_MAX : bytes;
+}
+
+static err_t check_input(const struct views *v)
+{
+    if (v->n < 1 || v->size < 16 || !v->cams)
+        return err_fail(ERR_ARG, "sweep: %d views of %d px %s cameras, needed are views of 16 px with cameras", v->n,
+                        v->size, v->cams ? "with" : "without");
+    for (int i = 0; i < v->n; i++) {
+        const struct camera *c = &v->cams[i];
+        float sum = v->log2t[i] + c->fx + c->fy + c->cx + c->cy;
+        float q = c->q[0] * c->q[0] + c->q[1] * c->q[1] + c->q[2] * c->q[2] + c->q[3] * c->q[3];
+        if (!isfinite(sum + q + c->t[0] + c->t[1] + c->t[2]) || c->w < 1 || c->h < 1)
+            return err_fail(ERR_ARG, "sweep: camera or exposure of view %d is not finite", i);
+        if (c->fx <= 0.0f || c->fy <= 0.0f || q < 1e-12f)
+            return err_fail(ERR_ARG, "sweep: view %d has focal lengths %g, %g px and rotation of length %g, all must be above 0",
+                            i, (double)c->fx, (double)c->fy, sqrt((double)q));
+    }
+    return OK;
+}
+
+err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone, struct depthmaps *out)
+{
+    struct sweep s = {.run = r, .v = v, .out = out};
+    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep), bytes = 0;
+    memset(out, 0, sizeof *out);
+    err_t e = check_input(v);
+    if (e)
+        return e;
+    out->n = v->n;
+    out->scale = work_scale(v->size);
+    out->size = v->size / out->scale;
+    const size_t pixels = (size_t)v->n * (size_t)out->size * (size_t)out->size;
+    e = arena_alloc(r->keep, pixels, sizeof(float), &out->depth);
+    if (!e)
+        e = arena_alloc(r->keep, pixels, sizeof(float), &out->conf);
+    if (!e)
+        e = carve_all(r->tmp, &bytes, v, pool_size(r->pool), &s);
+    if (!e) {
+        response_tabulate(tone, &s.table);
+        for (int i = 0; i < v->n; i++)
+            set_pose(&v->cams[i], &s.pose[i]);
+        e = pool_for(r->pool, v->n, make_plate, &s);
+    }
+    if (!e)
+        e = pool_for(r->pool, v->n, sweep_view, &s);
+    if (!e)
+        e = pool_for(r->pool, v->n, confirm_view, &s);
+    arena_reset(r->tmp, mark);
+    if (e) {
+        arena_reset(r->keep, keep);
+        memset(out, 0, sizeof *out);
+    }
+    return e;
+}
