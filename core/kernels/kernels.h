@@ -30,7 +30,7 @@ enum {
 /* A projected splat: one cache line. Splats that cannot be seen have x1 < x0. */
 struct splat2d {
     float u, v;           // px, projected centre
-    float a, b, c;        // conic: inverse 2-D covariance (xx, xy, yy), px^-2
+    float across, shear, along; // exponent = across (dx - shear dy)^2 + along dy^2; px^-2, 1, px^-2
     float opacity;        // 0..1
     float cut;            // ln(255 opacity): alpha < 1/255 beyond
     float rgb[3];         // linear radiance

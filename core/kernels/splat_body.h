@@ -253,7 +253,16 @@ MAP vm proj_alive(const struct proj *o)
     return m_and(o->seen, m_and(v_lt(trace, v_set(RASTER_COV_MAX)), v_lt(v_set(0.0f), o->det)));
 }
 
-enum { F_U, F_V, F_A, F_B, F_C, F_O, F_R, F_G, F_BL, F_Z, F_RADIUS, F_XX, F_YY, N_FIELDS };
+/* Splats with a NaN or infinity in any plane are not drawn; x * 0 is 0 only for finite x. */
+MAP vm proj_finite(const struct gaussians *g, int i)
+{
+    vf sum = v_set(0.0f);
+    for (int p = 0; p < G_SH + 3 * (g->degree + 1) * (g->degree + 1); p++)
+        sum = v_fma(v_load(g->plane[p] + i), v_set(0.0f), sum);
+    return v_le(v_set(0.0f), sum);
+}
+
+enum { F_U, F_V, F_ACROSS, F_SHEAR, F_ALONG, F_O, F_R, F_G, F_BL, F_Z, F_RADIUS, F_XX, F_YY, N_FIELDS };
 
 static void record_store(struct splat2d *s, const float f[N_FIELDS][LANES], int lane, int alive,
                          const struct view_geom *v)
@@ -274,8 +283,8 @@ static void record_store(struct splat2d *s, const float f[N_FIELDS][LANES], int 
     float ey = sqrtf(2.0f * cut * f[F_YY][lane]) * 1.001f + 0.01f;
     if (!axis_range(u, radius, ex, v->w, tx, px) || !axis_range(w, radius, ey, v->h, ty, py))
         return;
-    *s = (struct splat2d){.u = u, .v = w, .a = f[F_A][lane], .b = f[F_B][lane], .c = f[F_C][lane], .opacity = o,
-                          .cut = cut, .rgb = {f[F_R][lane], f[F_G][lane], f[F_BL][lane]}, .z = f[F_Z][lane],
+    *s = (struct splat2d){.u = u, .v = w, .across = f[F_ACROSS][lane], .shear = f[F_SHEAR][lane],
+                          .along = f[F_ALONG][lane], .opacity = o, .cut = cut, .rgb = {f[F_R][lane], f[F_G][lane], f[F_BL][lane]}, .z = f[F_Z][lane],
                           .x0 = px[0], .x1 = px[1], .y0 = py[0], .y1 = py[1],
                           .tx0 = tx[0], .tx1 = tx[1], .ty0 = ty[0], .ty1 = ty[1]};
 }
@@ -287,14 +296,13 @@ static void project(const struct gaussians *g, const struct view_geom *v, int fi
         struct proj o;
         float f[N_FIELDS][LANES];
         proj_load(&o, g, v, i);
-        vm alive = proj_alive(&o);
-        int bits = m_bits(alive);
-        vf inv = v_set(1.0f) / o.det;
+        int bits = m_bits(m_and(proj_alive(&o), proj_finite(g, i)));
+        vf inv = v_set(1.0f) / o.yy;
         v_store(f[F_U], v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx)));
         v_store(f[F_V], v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy)));
-        v_store(f[F_A], o.yy * inv);
-        v_store(f[F_B], (v_set(0.0f) - o.xy) * inv);
-        v_store(f[F_C], o.xx * inv);
+        v_store(f[F_ACROSS], v_set(0.5f) * o.yy / o.det);
+        v_store(f[F_SHEAR], o.xy * inv);
+        v_store(f[F_ALONG], v_set(0.5f) * inv);
         v_store(f[F_O], o.opacity);
         v_store(f[F_Z], o.p[2]);
         v_store(f[F_XX], o.xx);
@@ -497,17 +505,17 @@ MAP struct span splat_span(const struct splat2d *s, int x0, int y0)
 
 static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
-/* sigma = a dx^2/2 + b dx dy + c dy^2/2 of one vector of pixels. */
+/* The exponent of one vector of pixels as a sum of two squares: never negative, no cancellation for needles. */
 MAP vf splat_sigma(const struct splat2d *s, vf dx, float dy)
 {
-    vf lin = v_fma(v_set(0.5f * s->a), dx, v_set(s->b * dy));
-    return v_fma(dx, lin, v_set(0.5f * s->c * dy * dy));
+    vf d = dx - v_set(s->shear * dy);
+    return v_fma(v_set(s->across) * d, d, v_set(s->along * dy * dy));
 }
 
 MAP int tile_row(const struct splat2d *s, vf dx, float dy, struct tile_state *st, int at, float place)
 {
     vf sigma = splat_sigma(s, dx, dy), t = v_load(st->t + at);
-    vm hit = m_and(m_and(v_le(sigma, v_set(s->cut)), v_le(v_set(0.0f), sigma)), v_lt(v_set(0.0f), t));
+    vm hit = m_and(v_le(sigma, v_set(s->cut)), v_lt(v_set(0.0f), t));
     if (!m_any(hit))
         return 0;
     vf alpha = v_min(v_set(s->opacity) * v_exp(v_set(0.0f) - sigma), v_set(RASTER_ALPHA_MAX));
@@ -622,7 +630,7 @@ MAP void grad_row(const struct splat2d *s, vf dx, float dy, struct grad_state *s
                   struct grad_acc *acc)
 {
     vf sigma = splat_sigma(s, dx, dy), zero = v_set(0.0f);
-    vm hit = m_and(m_and(v_le(sigma, v_set(s->cut)), v_le(zero, sigma)), v_le(v_set(place), v_load(st->last + at)));
+    vm hit = m_and(v_le(sigma, v_set(s->cut)), v_le(v_set(place), v_load(st->last + at)));
     if (!m_any(hit))
         return;
     vf raw = v_set(s->opacity) * v_exp(zero - sigma);
