@@ -1,5 +1,5 @@
-/* inih splits the lines; this file checks the values. Our own reader counts the lines and refuses what inih would cut
- * without a word: long lines and zero bytes. */
+/* inih splits the lines; this file checks the values. Our own reader counts the lines and refuses
+ * what inih would cut without a word: long lines and zero bytes. */
 #include "firmware/config.h"
 
 #include <errno.h>
@@ -24,8 +24,10 @@ static const struct key keys[] = {
     {"size", FIELD(size), 56, 1792, 14, 448, "edge of the square working pictures, px"},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers"},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none"},
-    {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4, "highest degree of the spherical harmonics"},
-    {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 1000000, "most Gaussians in a scene"},
+    {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,
+     "highest degree of the spherical harmonics"},
+    {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 1000000,
+     "most Gaussians in a scene"},
 };
 
 enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100 };
@@ -54,11 +56,14 @@ err_t config_set(struct config *c, const char *where, const char *key, const cha
     errno = 0;
     long long n = strtoll(value, &end, 10);
     if (end == value || *end)
-        return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is not a whole number", where, k->name, QUOTE_MAX, value);
+        return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is not a whole number", where, k->name,
+                        QUOTE_MAX, value);
     if (errno || n < k->min || n > k->max)
-        return err_fail(ERR_ARG, "%s: %s: %.*s is not in %d..%d", where, k->name, QUOTE_MAX, value, k->min, k->max);
+        return err_fail(ERR_ARG, "%s: %s: %.*s is not in %d..%d", where, k->name, QUOTE_MAX, value,
+                        k->min, k->max);
     if (n % k->multiple)
-        return err_fail(ERR_ARG, "%s: %s: %lld is not a multiple of %d", where, k->name, n, k->multiple);
+        return err_fail(ERR_ARG, "%s: %s: %lld is not a multiple of %d", where, k->name, n,
+                        k->multiple);
     *field(c, k) = (int)n;
     return OK;
 }
@@ -81,9 +86,9 @@ struct source {
     struct config *c;
     const char *name, *text;
     size_t size, at;
-    int line;      // number of the line read last, from 1
-    int bad_line;  // first refused one, 0 = none
-    err_t code;    // why
+    int line;     // number of the line read last, from 1
+    int bad_line; // first refused one, 0 = none
+    err_t code;   // why
 };
 
 static void refuse(struct source *s, err_t code)
@@ -103,7 +108,8 @@ static char *next_line(char *out, int cap, void *ctx)
     const char *newline = memchr(start, '\n', s->size - s->at);
     size_t len = newline ? (size_t)(newline - start) + 1 : s->size - s->at;
     if (len >= (size_t)cap) {
-        refuse(s, err_fail(ERR_LIMIT, "%s:%d: line of %zu bytes, at most %d", s->name, s->line, len, cap - 1));
+        refuse(s, err_fail(ERR_LIMIT, "%s:%d: line of %zu bytes, at most %d", s->name, s->line, len,
+                           cap - 1));
         return NULL;
     }
     if (memchr(start, 0, len)) {
@@ -121,8 +127,8 @@ static int handle_pair(void *ctx, const char *section, const char *key, const ch
     struct source *s = ctx;
     char where[256];
     snprintf(where, sizeof where, "%s:%d", s->name, s->line);
-    err_t e = *section ? err_fail(ERR_FORMAT, "%s: key inside [%.*s], sections are not used", where, QUOTE_MAX,
-                                  section)
+    err_t e = *section ? err_fail(ERR_FORMAT, "%s: key inside [%.*s], sections are not used", where,
+                                  QUOTE_MAX, section)
                        : config_set(s->c, where, key, value);
     if (e)
         refuse(s, ERR_FORMAT);
@@ -165,7 +171,8 @@ err_t config_load(struct config *c, const char *dir)
     for (size_t i = 0; i < sizeof layers / sizeof layers[0]; i++) {
         char path[512];
         if (snprintf(path, sizeof path, "%s/%s", dir, layers[i]) >= (int)sizeof path)
-            return err_fail(ERR_LIMIT, "%.*s...: path longer than %zu bytes", QUOTE_MAX, dir, sizeof path - 1);
+            return err_fail(ERR_LIMIT, "%.*s...: path longer than %zu bytes", QUOTE_MAX, dir,
+                            sizeof path - 1);
         if (access(path, F_OK) != 0 && errno == ENOENT)
             continue;
         err_t e = config_read(&new, path);
@@ -181,8 +188,10 @@ err_t config_print(const struct config *c, FILE *out)
     struct config copy = *c;
     for (int i = 0; i < N_KEYS; i++) {
         const struct key *k = &keys[i];
-        fprintf(out, "# %s (%d..%d, default %d)\n%s = %d\n", k->help, k->min, k->max, k->value, k->name,
-                *field(&copy, k));
+        fprintf(out, "# %s (%d..%d, default %d)\n%s = %d\n", k->help, k->min, k->max, k->value,
+                k->name, *field(&copy, k));
     }
-    return fflush(out) || ferror(out) ? err_fail(ERR_IO, "config: cannot be written: %s", strerror(errno)) : OK;
+    return fflush(out) || ferror(out)
+               ? err_fail(ERR_IO, "config: cannot be written: %s", strerror(errno))
+               : OK;
 }

@@ -1,7 +1,8 @@
 /* config.h - settings as key = value.
- * Order, later wins: built-in defaults, defaults.conf, board.conf, hdrig.conf, --set. The table of keys in config.c
- * drives parsing, range errors and printing; every setting is a whole number.
- * Files are hostile: at most CONFIG_FILE_MAX bytes, lines below 200 bytes, unknown keys are errors. */
+ * Order, later wins: built-in defaults, defaults.conf, board.conf, hdrig.conf, --set. The table of
+ * keys in config.c drives parsing, range errors and printing; every setting is a whole number.
+ * Files are hostile: at most CONFIG_FILE_MAX bytes, lines below 200 bytes, unknown keys are
+ * errors. */
 #ifndef FIRMWARE_CONFIG_H
 #define FIRMWARE_CONFIG_H
 
@@ -15,12 +16,12 @@
 enum { CONFIG_FILE_MAX = 16384 }; // bytes
 
 struct config {
-    int threads;               // 0 = one per core
-    int max_memory_mb;         // MB (10^6 bytes)
-    int size;                  // px, edge of the square pictures, multiple of 14
+    int threads;       // 0 = one per core
+    int max_memory_mb; // MB (10^6 bytes)
+    int size;          // px, edge of the square pictures, multiple of 14
     int seed;
     int refine_steps;
-    int refine_sh_degree_max;  // 0..4
+    int refine_sh_degree_max; // 0..4
     int refine_gaussians_max;
 };
 

@@ -26,7 +26,8 @@ void arena_free(struct arena *a);
 
 /* Carve n elements of `elem` bytes, not zeroed, aligned to ARENA_ALIGN.
  * out:  *out, valid until arena_reset below this point or arena_free; NULL on error.
- * err:  ERR_NOMEM if n*elem overflows or the arena is full (the sentence has name, request and room). */
+ * err:  ERR_NOMEM if n*elem overflows or the arena is full (the sentence has name, request and
+ *       room). */
 MUST_USE err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out);
 
 /* As arena_alloc, zeroed. */

@@ -20,7 +20,7 @@ enum { N_LEVELS = sizeof levels / sizeof levels[0] };
 
 #if defined(__x86_64__)
 
-/* Bits of XCR0 (Intel SDM vol. 1, 13.3): the system saves these registers when it switches tasks. */
+/* Bits of XCR0 (Intel SDM vol. 1, 13.3): the system saves these registers with a task. */
 enum { XCR0_AVX = 0x06, XCR0_AVX512 = 0xe6 };
 
 static unsigned saved_state(void)
@@ -94,8 +94,8 @@ err_t cpu_parse_mask(const char *text, unsigned *mask)
         unsigned bit = level_bit(p, len);
         if (!bit && !(len == 1 && *p == 'c')) {
             char all[CPU_NAMES_CAP];
-            return err_fail(ERR_ARG, "cpu mask: \"%.*s\" is none of c %s", (int)(len < 64 ? len : 64), p,
-                            cpu_names(CPU_ALL, all));
+            return err_fail(ERR_ARG, "cpu mask: \"%.*s\" is none of c %s",
+                            (int)(len < 64 ? len : 64), p, cpu_names(CPU_ALL, all));
         }
         *mask |= bit;
         p += len;
@@ -108,7 +108,8 @@ const char *cpu_names(unsigned mask, char buf[CPU_NAMES_CAP])
     int used = 0;
     for (int i = 0; i < N_LEVELS; i++)
         if (mask & levels[i].bit)
-            used += snprintf(buf + used, (size_t)(CPU_NAMES_CAP - used), "%s%s", used ? " " : "", levels[i].name);
+            used += snprintf(buf + used, (size_t)(CPU_NAMES_CAP - used), "%s%s", used ? " " : "",
+                             levels[i].name);
     if (!used)
         strcpy(buf, "c");
     return buf;

@@ -1,5 +1,6 @@
 /* cpu.h - which vector instructions this processor has and the system allows.
- * Levels are groups that are used together; a higher x86 level is reported only with the ones below it.
+ * Levels are groups that are used together; a higher x86 level is reported only with the ones below
+ * it.
  * thread: any. */
 #ifndef BASE_CPU_H
 #define BASE_CPU_H
@@ -8,8 +9,8 @@
 
 enum {
     CPU_SSE41 = 1,
-    CPU_AVX2 = 2,     // with FMA and F16C
-    CPU_AVX512 = 4,   // F, BW, VL, DQ and VNNI
+    CPU_AVX2 = 2,   // with FMA and F16C
+    CPU_AVX512 = 4, // F, BW, VL, DQ and VNNI
     CPU_NEON = 8,
     CPU_NEONDOT = 16, // int8 dot product
     CPU_I8MM = 32,    // int8 matrix product
@@ -18,10 +19,11 @@ enum {
 
 enum { CPU_NAMES_CAP = 64 }; // bytes that hold every list of names
 
-/* What the processor and the operating system both support: a set of the bits above; 0 = plain C. */
+/* What processor and operating system both support: a set of the bits above; 0 = plain C. */
 unsigned cpu_detect(void);
 
-/* Read a list of levels to allow, separated by blanks or commas: "sse41,avx2". "c" names no level; NULL is CPU_ALL.
+/* Read a list of levels to allow, separated by blanks or commas: "sse41,avx2". "c" names no level;
+ * NULL is CPU_ALL.
  * err:  ERR_ARG names the unknown word. */
 MUST_USE err_t cpu_parse_mask(const char *text, unsigned *mask);
 

@@ -24,8 +24,9 @@ const char *err_text(void)
 
 const char *err_name(err_t code)
 {
-    static const char *const names[] = {"OK",      "NOMEM", "ARG",         "IO",   "FORMAT",    "LIMIT",
-                                        "TIMEOUT", "LOST",  "UNSUPPORTED", "BUSY", "CANCELLED", "AGAIN"};
+    static const char *const names[] = {"OK",          "NOMEM", "ARG",       "IO",
+                                        "FORMAT",      "LIMIT", "TIMEOUT",   "LOST",
+                                        "UNSUPPORTED", "BUSY",  "CANCELLED", "AGAIN"};
     int i = -(int)code;
     return i >= 0 && i < (int)(sizeof names / sizeof names[0]) ? names[i] : "?";
 }

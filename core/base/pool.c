@@ -15,8 +15,9 @@ struct worker_arg {
     int worker;
 };
 
-/* A job is published by raising `epoch` under the lock; workers leave it by lowering `busy` under the lock. Workers
- * look at the epoch for a short while before they sleep: a refinement step is made of many jobs of under a millisecond. */
+/* A job is published by raising `epoch` under the lock; workers leave it by lowering `busy` under
+ * the lock. Workers look at the epoch for a short while before they sleep: a refinement step is
+ * made of many jobs of under a millisecond. */
 struct pool {
     int size;
     pthread_t thread[POOL_MAX];
@@ -105,7 +106,8 @@ static err_t start_worker(struct pool *p, int worker)
 {
     p->arg[worker] = (struct worker_arg){p, worker};
     if (pthread_create(&p->thread[p->n_started], NULL, worker_main, &p->arg[worker]) != 0)
-        return err_fail(ERR_LIMIT, "pool: the system gives no thread %d of %d", worker + 1, p->size);
+        return err_fail(ERR_LIMIT, "pool: the system gives no thread %d of %d", worker + 1,
+                        p->size);
     p->n_started++;
     return OK;
 }
@@ -158,7 +160,8 @@ int pool_size(const struct pool *p)
     return p ? p->size : 1;
 }
 
-/* A nested call keeps the worker number of the chunk around it: that worker's scratch memory is free to use. */
+/* A nested call keeps the worker number of the chunk around it: that worker's scratch memory is
+ * free to use. */
 static err_t run_inline(const struct pool *p, int n_chunks, pool_fn *fn, void *ctx)
 {
     int worker = p && p == inside ? inside_worker : 0;

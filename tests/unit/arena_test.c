@@ -115,8 +115,10 @@ static void memory_outside_allocations_is_poisoned(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(planned_needs_fit_exactly),  cmocka_unit_test(full_arena_says_so),
-        cmocka_unit_test(overflow_is_refused),        cmocka_unit_test(reset_releases_to_the_mark),
+        cmocka_unit_test(planned_needs_fit_exactly),
+        cmocka_unit_test(full_arena_says_so),
+        cmocka_unit_test(overflow_is_refused),
+        cmocka_unit_test(reset_releases_to_the_mark),
         cmocka_unit_test(memory_outside_allocations_is_poisoned),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -42,8 +42,9 @@ static void later_values_win(void **state)
     (void)state;
     struct config c;
     config_defaults(&c);
-    assert_int_equal(parse(&c, "\xef\xbb\xbf# board\r\nthreads = 4 ; big cores\n\nsize=56\nrefine.steps =  20\nthreads = 3"),
-                     OK);
+    const char *text = "\xef\xbb\xbf# board\r\nthreads = 4 ; big cores\n\n"
+                       "size=56\nrefine.steps =  20\nthreads = 3";
+    assert_int_equal(parse(&c, text), OK);
     assert_int_equal(c.threads, 3);
     assert_int_equal(c.size, 56);
     assert_int_equal(c.refine_steps, 20);
@@ -61,13 +62,15 @@ static void sentences_name_file_line_and_bound(void **state)
     refused("size = 449", ERR_FORMAT, "test.conf:1: size: 449 is not a multiple of 14");
     refused("\n\nthread = 2\n", ERR_FORMAT, "test.conf:3: unknown key \"thread\"");
     refused("threads = two\n", ERR_FORMAT, "test.conf:1: threads: \"two\" is not a whole number");
-    refused("threads = 4 # all\n", ERR_FORMAT, "test.conf:1: threads: \"4 # all\" is not a whole number");
+    refused("threads = 4 # all\n", ERR_FORMAT,
+            "test.conf:1: threads: \"4 # all\" is not a whole number");
     refused("threads =\n", ERR_FORMAT, "test.conf:1: threads: \"\" is not a whole number");
     refused("threads = -1\n", ERR_FORMAT, "test.conf:1: threads: -1 is not in 0..64");
     refused("seed = 99999999999999999999\n", ERR_FORMAT,
             "test.conf:1: seed: 99999999999999999999 is not in 0..2147483647");
     refused("threads = 2\nhello\nsize = 1\n", ERR_FORMAT, "test.conf:2: not \"key = value\"");
-    refused("[refine]\nsteps = 2\n", ERR_FORMAT, "test.conf:2: key inside [refine], sections are not used");
+    refused("[refine]\nsteps = 2\n", ERR_FORMAT,
+            "test.conf:2: key inside [refine], sections are not used");
 }
 
 static void hostile_files_are_refused(void **state)
@@ -176,9 +179,12 @@ static void printed_settings_read_back(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(shipped_file_equals_the_table), cmocka_unit_test(later_values_win),
-        cmocka_unit_test(sentences_name_file_line_and_bound), cmocka_unit_test(hostile_files_are_refused),
-        cmocka_unit_test(assignments_are_checked), cmocka_unit_test(layers_are_read_in_order),
+        cmocka_unit_test(shipped_file_equals_the_table),
+        cmocka_unit_test(later_values_win),
+        cmocka_unit_test(sentences_name_file_line_and_bound),
+        cmocka_unit_test(hostile_files_are_refused),
+        cmocka_unit_test(assignments_are_checked),
+        cmocka_unit_test(layers_are_read_in_order),
         cmocka_unit_test(printed_settings_read_back),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -20,7 +20,8 @@ static void detection_is_sane(void **state)
     assert_true(!(found & CPU_AVX512) || (found & CPU_AVX2));
     /* gcc's own detection asks the system too */
     assert_int_equal((found & CPU_SSE41) != 0, __builtin_cpu_supports("sse4.1") != 0);
-    assert_int_equal((found & CPU_AVX2) != 0, __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"));
+    assert_int_equal((found & CPU_AVX2) != 0,
+                     __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"));
     assert_true(!(found & CPU_AVX512) || __builtin_cpu_supports("avx512vnni"));
     assert_true((found & CPU_AVX512) || !__builtin_cpu_supports("avx512vnni"));
 #elif defined(__aarch64__)

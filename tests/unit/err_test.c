@@ -66,8 +66,8 @@ static void every_code_has_a_name(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(code_and_sentence),           cmocka_unit_test(sentence_may_quote_itself),
-        cmocka_unit_test(long_sentence_is_cut),        cmocka_unit_test(sentences_belong_to_threads),
+        cmocka_unit_test(code_and_sentence),     cmocka_unit_test(sentence_may_quote_itself),
+        cmocka_unit_test(long_sentence_is_cut),  cmocka_unit_test(sentences_belong_to_threads),
         cmocka_unit_test(every_code_has_a_name),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

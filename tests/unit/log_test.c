@@ -90,8 +90,8 @@ static void errno_survives(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(plain_line),  cmocka_unit_test(journal_gets_the_priority),
-        cmocka_unit_test(level_hides), cmocka_unit_test(a_line_stays_one_line),
+        cmocka_unit_test(plain_line),     cmocka_unit_test(journal_gets_the_priority),
+        cmocka_unit_test(level_hides),    cmocka_unit_test(a_line_stays_one_line),
         cmocka_unit_test(errno_survives),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -17,10 +17,10 @@ enum { THREADS_MAX = 8, CHUNKS = 500 };
 struct job {
     struct pool *pool;
     int n_workers;
-    int count[CHUNKS];           // each chunk writes its own entry, without atomics: TSan sees a chunk run twice
-    int scratch[THREADS_MAX];    // as workers' scratch memory: TSan sees two threads with one number
+    // Without atomics: TSan sees a chunk run twice, or two threads with one worker number.
+    int count[CHUNKS], scratch[THREADS_MAX];
     atomic_int done;
-    int fail_from, fail_step;    // chunks fail_from, fail_from + fail_step, ... fail; step 0 = none
+    int fail_from, fail_step; // chunks fail_from, fail_from + fail_step, ... fail; step 0 = none
 };
 
 static err_t count_chunk(void *ctx, int chunk, int worker)
@@ -96,7 +96,7 @@ static void lowest_failure_wins(void **state)
             assert_true(atomic_load(&j->done) > i); // all below the failed one have run
         }
         j->fail_step = 0;
-        assert_int_equal(pool_for(j->pool, CHUNKS, count_chunk, j), OK); // a failure leaves nothing behind
+        assert_int_equal(pool_for(j->pool, CHUNKS, count_chunk, j), OK); // nothing stays behind
         pool_close(j->pool);
     }
 }
@@ -108,7 +108,6 @@ static err_t fail_first(void *ctx, int chunk, int worker)
     return chunk == 0 ? err_fail(ERR_CANCELLED, "stop") : OK;
 }
 
-/* The counter of chunks passes INT_MAX when n_chunks is INT_MAX and several workers look for more. */
 static void failure_stops_a_huge_job(void **state)
 {
     (void)state;

@@ -1,0 +1,183 @@
+# make            build/hdrig and its libraries     make check   everything that needs no hardware
+# make demo       first scene, in out/latest        make test    without sanitizers and lints
+# make install    DESTDIR= PREFIX= BOARD=           make fuzz    SECONDS= for each target (clang)
+# make bench lint format deps clean
+# Variants live side by side in build/<arch>[-clang][-san][-werror]:
+# CROSS=aarch64-linux-gnu-  SAN=address,undefined
+
+# Debian 12 packages: to build and run, and to check.
+DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
+	libopenexr-dev libcjson-dev libinih-dev
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
+	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+
+PREFIX ?= /usr/local
+SECONDS ?= 60
+DEMO = build/hdrig reconstruct --images tests/data/room --refine 400 --out out/latest
+
+ifeq ($(origin CC),default)
+CC := $(CROSS)gcc
+endif
+AR := $(CROSS)ar
+ARCH := $(if $(CROSS),$(firstword $(subst -, ,$(CROSS))),$(shell uname -m))
+comma := ,
+V := $(ARCH)$(if $(findstring clang,$(CC)),-clang)
+V := $(V)$(if $(SAN),-$(subst $(comma),-,$(SAN)))$(if $(WERROR),-werror)
+B := build/$(V)
+
+# --- flags ----------------------------------------------------------------------------------------
+# Only kernels may fuse products to FMA: everything else gives the same bytes on every machine.
+OPT := -O2 -ffp-contract=off
+WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wundef \
+	$(if $(WERROR),-Werror)
+SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
+FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread -MMD $(OPT) $(WARN) $(MORE) $(SANFLAGS) $(CFLAGS)
+LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lm \
+	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
+
+# A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
+ISA_sse41 := -msse4.1
+ISA_avx2 := -mavx2 -mfma -mf16c
+ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni \
+	-mprefer-vector-width=512
+isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
+
+# --- sources --------------------------------------------------------------------------------------
+OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c)
+OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c)
+CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
+DRIVERS := $(wildcard drivers/*.c)
+MAINS := $(wildcard firmware/hdrig.c firmware/hdrigd.c)
+FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*.c))
+TESTS := $(wildcard tests/unit/*_test.c tests/kernels/*_test.c tests/golden/*_test.c)
+FAULT := $(wildcard tests/fault/*_test.c)
+FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
+
+# Threads are tested with TSan: *_tsan_test and these.
+TSAN_TESTS := pool
+# Core alone is tested on emulated Arm: what needs neither files nor minutes.
+ARM_TESTS := arena bytes cpu err gaussians half pool
+
+TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
+TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
+ARM_PROGRAMS = $(ARM_TESTS:%=$(B)/tests/arm/%_test)
+
+objects = $(1:%.c=$(B)/%.o)
+programs = $(1:%.c=$(B)/%)
+LIBS := $(B)/libfirmware.a $(B)/libdrivers.a $(B)/libcore.a
+TOOLS := $(MAINS:firmware/%.c=$(B)/%)
+
+# --- build ----------------------------------------------------------------------------------------
+.PHONY: all demo check test lint format deps deps-check install clean fuzz bench \
+	tests tsan-tests arm-tests fault-tests fuzz-targets
+.DELETE_ON_ERROR:
+.SECONDARY:
+
+all: deps $(LIBS) $(TOOLS) $(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%))
+
+# build/hdrig is the plain native one.
+build/hdrig build/hdrigd: build/%: build/$(V)/%
+	ln -sf $(V)/$* $@
+
+$(B)/%.o: %.c Makefile
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) $(isa) -c $< -o $@
+
+$(B)/core/kernels/%.o: OPT := -O3 -ffp-contract=fast
+$(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
+$(B)/firmware/config.o: MORE = -Wconversion
+
+$(B)/libcore.a: $(call objects,$(CORE))
+$(B)/libdrivers.a: $(call objects,$(DRIVERS))
+$(B)/libfirmware.a: $(call objects,$(FIRMWARE))
+$(LIBS):
+	@mkdir -p $(@D)
+	@rm -f $@
+	$(AR) qcs $@ $^
+
+$(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
+	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
+
+install: all
+	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
+	    { echo "no board/$(BOARD)/board.conf"; exit 1; })
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)/etc/hdrig
+	$(if $(TOOLS),install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin)
+	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
+	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
+
+demo: all
+	$(DEMO)
+
+bench: all
+	build/hdrig bench --what all
+
+# --- tests ----------------------------------------------------------------------------------------
+check: deps-check
+	@tests/check.sh all
+
+test: deps-check
+	@tests/check.sh test
+
+lint: deps-check
+	@tests/check.sh lint
+
+tests: $(call programs,$(TESTS))
+tsan-tests: $(TSAN_PROGRAMS)
+arm-tests: $(ARM_PROGRAMS)
+fault-tests: $(call programs,$(FAULT))
+fuzz-targets: $(call programs,$(FUZZ))
+
+$(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
+	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
+
+# malloc of the whole program, so not together with a sanitizer.
+$(call programs,$(FAULT)): $(B)/tests/fault/alloc_fail.o
+
+# libFuzzer brings its own main.
+FUZZ_MAIN := $(if $(findstring fuzzer,$(SAN)),,$(B)/tests/fuzz/replay_main.o)
+$(B)/tests/fuzz/fuzz_%: $(B)/tests/fuzz/fuzz_%.o $(FUZZ_MAIN) $(LIBS)
+	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
+
+# tests/arm/cmocka.h stands in for the library, which Debian has for the native machine only.
+$(B)/tests/arm/%_test: tests/unit/%_test.c $(B)/libcore.a tests/arm/cmocka.h Makefile
+	@mkdir -p $(@D)
+	$(CC) $(FLAGS) -Itests/arm -static $(filter %.c %.a,$^) -lm -o $@
+
+fuzz: deps-check
+	$(MAKE) CC=clang SAN=fuzzer,address,undefined fuzz-targets
+	@tests/fuzz.sh $(SECONDS)
+
+format:
+	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch]) \
+	    $(wildcard tests/*/*.[ch])
+
+# A value for scripts: make -s print-B
+print-%: ; @echo $($*)
+
+# --- packages -------------------------------------------------------------------------------------
+deps: build/deps
+deps-check: build/deps-check
+build/deps: NEED := $(DEPS)
+build/deps-check: NEED := $(DEPS_CHECK)
+
+build/deps build/deps-check: Makefile
+	@mkdir -p build
+	@command -v dpkg-query >/dev/null || { \
+	    echo "not a Debian system, assuming that these are here: $(NEED)"; touch $@; exit 0; }; \
+	missing=$$(for p in $(NEED); do \
+	    dpkg-query -W -f='$${db:Status-Status}' $$p 2>/dev/null | grep -qx installed || \
+	        echo $$p; done); \
+	test -z "$$missing" || { \
+	    echo "installing packages:" $$missing; \
+	    test $$(id -u) = 0 || command -v sudo >/dev/null || { \
+	        echo "neither root nor sudo; have an administrator run: apt-get install" $$missing; \
+	        exit 1; }; \
+	    root=$$(test $$(id -u) = 0 || echo sudo); \
+	    $$root apt-get -q update && $$root env DEBIAN_FRONTEND=noninteractive \
+	        apt-get -q install -y --no-install-recommends $$missing; } && touch $@
+
+clean:
+	rm -rf build
+
+-include $(shell find build/$(V) -name '*.d' 2>/dev/null)

@@ -1,0 +1,45 @@
+#!/bin/sh
+# Layout and length. A function reaches from an opening to a closing brace in column 1.
+files=$(find core drivers firmware sim tests board .ci Makefile -type f 2>/dev/null |
+    grep -v -e '^tests/data/' -e '^tests/fuzz/corpus/' | sort)
+code=$(echo "$files" | grep '\.[ch]$')
+bad=0
+
+for f in $files; do
+    [ ! -s "$f" ] || [ -z "$(tail -c 1 "$f")" ] || { echo "$f: no newline at the end"; bad=1; }
+done
+LC_ALL=C grep -n "$(printf '[^ -~\t]')" $files && { echo "^ not plain ASCII"; bad=1; }
+grep -n '[[:space:]]$' $files && { echo "^ blank at the end of the line"; bad=1; }
+grep -n "$(printf '\t')" $(echo "$files" | grep -v '^Makefile$') && { echo "^ tab"; bad=1; }
+grep -nwi -e 'TO[D]O' -e 'FI[X]ME' -e 'X[X]X' $files && { echo "^ unfinished"; bad=1; }
+grep -nE '^typedef [^(]*\*[ a-z_0-9]+;' $code && { echo "^ typedef of a pointer"; bad=1; }
+grep -nE '^ {20,}(if|for|while|switch|do)\b' $code && { echo "^ nested deeper than three"; bad=1; }
+
+awk '
+FNR == 1 { signature = ""; start = 0 }
+length($0) > 100 { complain(FNR, length($0) " columns, at most 100") }
+FNR == 801 { complain(FNR, "more than 800 lines") }
+FILENAME !~ /\.[ch]$/ { next }
+/^[a-z].*\(/ && !/;$/ { signature = $0; line = FNR; next }
+/^[ ]+.*\)$/ && signature != "" && !start { signature = signature $0; next }
+/^{/ && signature != "" { start = FNR; check_signature(); next }
+/^}/ && start {
+    if (FNR - start - 1 > 60)
+        complain(line, "function of " FNR - start - 1 " lines, at most 60")
+    start = 0
+    signature = ""
+}
+function check_signature(i, c, depth, commas) {
+    commas = 0
+    depth = 0
+    for (i = 1; i <= length(signature); i++) {
+        c = substr(signature, i, 1)
+        depth += (c == "(") - (c == ")")
+        commas += c == "," && depth == 1
+    }
+    if (commas > 5)
+        complain(line, commas + 1 " parameters, at most 6")
+}
+function complain(n, what) { print FILENAME ":" n ": " what; bad = 1 }
+END { exit bad }' $files || bad=1
+exit $bad
