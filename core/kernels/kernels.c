@@ -5,16 +5,25 @@
 void kernels_init(struct kernels *k, unsigned cpu)
 {
     splat_c(k);
+    loss_c(k);
 #if defined(__x86_64__)
-    if (cpu & CPU_SSE41)
+    if (cpu & CPU_SSE41) {
         splat_sse41(k);
-    if (cpu & CPU_AVX2)
+        loss_sse41(k);
+    }
+    if (cpu & CPU_AVX2) {
         splat_avx2(k);
-    if (cpu & CPU_AVX512)
+        loss_avx2(k);
+    }
+    if (cpu & CPU_AVX512) {
         splat_avx512(k);
+        loss_avx512(k);
+    }
 #elif defined(__aarch64__)
-    if (cpu & CPU_NEON)
+    if (cpu & CPU_NEON) {
         splat_neon(k);
+        loss_neon(k);
+    }
 #else
     (void)cpu;
 #endif

@@ -105,6 +105,16 @@ typedef void blur_row_fn(const float *taps, const float *in, int w, float *out);
 /* Columns: out(x) = sum_k taps[k] in[k][x], x < w. */
 typedef void blur_col_fn(const float *taps, const float *const *in, int w, float *out);
 
+/* Display values of one row: x = log2(radiance + 1e-6) + shift, segment of x on the curve, value = sigmoid(a x + b). */
+struct tonemap_curve;
+typedef void tone_row_fn(const struct tonemap_curve *c, const float *radiance, float shift, int n, float *x,
+                         float *value, uint8_t *segment);
+
+/* Structural similarity of one row of windows (Wang et al. 2004; C1 = 0.01^2, C2 = 0.03^2, range 1).
+ * m: (5, stride) window means of x, y, xx, yy, xy. out: (3, stride) derivatives by the means of x, xx and xy.
+ * returns: the sum of the n similarities. */
+typedef double ssim_row_fn(const float *m, size_t stride, int n, float *out);
+
 struct kernels {
     const char *name; // instruction set of the float kernels
     project_fn *project;
@@ -114,14 +124,21 @@ struct kernels {
     adam_fn *adam;
     blur_row_fn *blur_row;
     blur_col_fn *blur_col;
+    tone_row_fn *tone_row;
+    ssim_row_fn *ssim_row;
 };
 
-/* The variants of the splat kernels; kernels_init chooses. */
+/* The variants of the splat and loss kernels; kernels_init chooses. */
 void splat_c(struct kernels *k);
 void splat_sse41(struct kernels *k);
 void splat_avx2(struct kernels *k);
 void splat_avx512(struct kernels *k);
 void splat_neon(struct kernels *k);
+void loss_c(struct kernels *k);
+void loss_sse41(struct kernels *k);
+void loss_avx2(struct kernels *k);
+void loss_avx512(struct kernels *k);
+void loss_neon(struct kernels *k);
 
 /* Fill the table with the best variants that `cpu` (bits of cpu.h) allows; 0 gives plain C. */
 void kernels_init(struct kernels *k, unsigned cpu);
