@@ -144,12 +144,26 @@ static err_t cut_short(const struct colmap_text *t, const char *object, uint64_t
 
 /* ---- binary ---- */
 
+/* The number of objects at the head of a file, at most max. */
+static err_t binary_count(const struct colmap_text *t, struct bytes *b, const char *objects, uint64_t max,
+                          uint64_t *out)
+{
+    *out = bytes_u64(b);
+    if (b->bad)
+        return err_fail(ERR_FORMAT, "%s: %zu bytes hold no number of %s", t->what, t->n, objects);
+    if (*out > max)
+        return err_fail(ERR_LIMIT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out, objects,
+                        (uintmax_t)max);
+    return OK;
+}
+
 static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
-    uint64_t n = bytes_u64(&b);
-    if (n > CAMERAS_MAX)
-        return err_fail(ERR_LIMIT, "%s: %ju cameras, at most %d are read", t->what, (uintmax_t)n, CAMERAS_MAX);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "cameras", CAMERAS_MAX, &n);
+    if (e)
+        return e;
     for (uint64_t i = 0; i < n; i++) {
         struct lens head = {.id = bytes_u32(&b)};
         int model_id = (int)bytes_u32(&b);
@@ -157,7 +171,7 @@ static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
         if (b.bad)
             return cut_short(t, "camera", i, n);
         const struct model *m;
-        err_t e = find_model(t->what, model_id, NULL, &m);
+        e = find_model(t->what, model_id, NULL, &m);
         if (!e)
             e = set_size(t->what, w, h, &head);
         if (e)
@@ -199,11 +213,12 @@ static err_t binary_view(const struct colmap_text *t, struct bytes *b, const str
 static err_t binary_views(const struct colmap_text *t, const struct lenses *lenses, struct rig *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
-    uint64_t n = bytes_u64(&b);
-    if (n > CAMERAS_MAX)
-        return err_fail(ERR_LIMIT, "%s: %ju images, at most %d are read", t->what, (uintmax_t)n, CAMERAS_MAX);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "images", CAMERAS_MAX, &n);
+    if (e)
+        return e;
     for (uint64_t i = 0; i < n; i++) {
-        err_t e = binary_view(t, &b, lenses, out);
+        e = binary_view(t, &b, lenses, out);
         if (e)
             return e;
         if (b.bad)
@@ -215,7 +230,10 @@ static err_t binary_views(const struct colmap_text *t, const struct lenses *lens
 static err_t binary_points(const struct colmap_text *t, struct colmap_points *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
-    uint64_t n = bytes_u64(&b);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "points", POINTS_MAX, &n);
+    if (e)
+        return e;
     for (uint64_t i = 0; i < n; i++) {
         double xyz[3];
         uint8_t rgb[3];

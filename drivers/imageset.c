@@ -4,6 +4,7 @@
 #include "drivers/colmap.h"
 #include "drivers/exposures.h"
 #include "drivers/img.h"
+#include "drivers/imgsize.h"
 #include "drivers/json.h"
 #include "drivers/name.h"
 
@@ -325,7 +326,7 @@ static err_t get_sizes(struct imageset *set)
         char path[FILE_PATH_CAP];
         err_t e = file_join(set->dir, s[i].name, path);
         if (!e)
-            e = img_size(path, &s[i].image.w, &s[i].image.h);
+            e = imgsize_read(path, &s[i].image.w, &s[i].image.h);
         if (e)
             return e;
         s[i].image.channels = 3;

@@ -16,6 +16,7 @@ enum {
     HEADER_MAX = 65536,   // bytes; viewers stop at 10 kB to 64 kB
     PROPERTIES_MAX = 512,
     WORD_CAP = 32,
+    LINE_WORDS = 5, // property list uchar int vertex_indices
     STANDARD_FLOATS = 17,
     ROW_MAX = 4 * STANDARD_FLOATS + 2 * 3 * SH_COEFS_MAX
 };
@@ -118,7 +119,7 @@ static const struct type {
              {"int8", 1},  {"uchar", 1},   {"uint8", 1},  {"short", 2},  {"int16", 2},
              {"int", 4},   {"int32", 4},   {"uint", 4},   {"uint32", 4}, {"double", 8},
              {"float64", 8}};
-enum { TYPE_IS_FLOAT = 2, TYPE_IS_USHORT = 4, N_TYPES = sizeof types / sizeof types[0] };
+enum { TYPE_FLOAT = 0, TYPE_USHORT = 2, N_TYPES = sizeof types / sizeof types[0] };
 
 struct property {
     char name[WORD_CAP];
@@ -136,10 +137,10 @@ struct header {
 
 struct words {
     int n;
-    char v[4][WORD_CAP];
+    char v[LINE_WORDS][WORD_CAP];
 };
 
-/* Words of a line: at most 4 of fewer than WORD_CAP bytes; false if they do not fit. */
+/* Words of a line: at most LINE_WORDS of fewer than WORD_CAP bytes; false if they do not fit. */
 static bool split(const char *line, size_t n, struct words *out)
 {
     out->n = 0;
@@ -151,7 +152,7 @@ static bool split(const char *line, size_t n, struct words *out)
             at++;
             continue;
         }
-        if (out->n == 4 || at - from >= WORD_CAP)
+        if (out->n == LINE_WORDS || at - from >= WORD_CAP)
             return false;
         memcpy(out->v[out->n], line + from, at - from);
         out->v[out->n++][at - from] = 0;
@@ -346,12 +347,12 @@ static err_t find_sources(const char *what, const struct header *h, struct sourc
                                             "rot_0",   "rot_1", "rot_2", "rot_3",   "opacity"};
     err_t e = find_degree(what, h, &out->info);
     for (int p = 0; p < G_SH && !e; p++)
-        e = find_source(what, h, names[p], 0, &out->offset[p]);
+        e = find_source(what, h, names[p], TYPE_FLOAT, &out->offset[p]);
     int coefs = (out->info.degree + 1) * (out->info.degree + 1);
     for (int j = 0; j < 3 * coefs && !e; j++) {
         char name[WORD_CAP];
         sh_name(&out->info, j / 3, j % 3, name);
-        e = find_source(what, h, name, out->info.has_hdr ? TYPE_IS_FLOAT : 0, &out->offset[G_SH + j]);
+        e = find_source(what, h, name, out->info.has_hdr ? TYPE_USHORT : TYPE_FLOAT, &out->offset[G_SH + j]);
     }
     return e;
 }
