@@ -13,13 +13,13 @@
 
 enum {
     WORK_SIZE = 256,   // px; the work is done at this size or below
-    NEAR_MAX = 6,      // neighbours used for a view
+    NEAR_MAX = 4,      // neighbours used for a view
     CHECK_MAX = 10,    // neighbours asked to confirm
     PLANES_MAX = 144,  // multiple of 16
     COARSE = 4,        // the first sweep is this much smaller
     RADIUS = 2,        // px, of the matching window
     TAPS = 2 * RADIUS + 1,
-    SUMS = 6,          // weighted moments of a window: w, wI, wJ, wII, wJJ, wIJ
+    SUMS = 3,          // weighted moments of a window, D = I - J: w, wD, wDD
     COST_UNIT = 100,   // integer cost of 1.0
     STEP_COST = 7,     // P1: change by one plane
     JUMP_COST = 45,    // P2: larger change, over flat ground
@@ -28,6 +28,7 @@ enum {
 
 static const float COST_BLIND = 0.5f;    // where no pixel carries information
 static const float COST_OUTSIDE = 0.75f; // outside the neighbour's picture: worse than blind, better than wrong
+static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
 static const float NOISE_VAR = 0.012f;   // stops^2 added to the variance: noise alone does not correlate
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
@@ -63,10 +64,11 @@ struct scratch {
     int16_t *path;  // (2, 3, plane, x + 2): rows of the three paths that run down or up
     int16_t *least; // (2, 3, x + 2): their minima over the planes
     int16_t *turn;  // (2, x, plane): one row with the planes innermost
-    float *best;    // (NEAR_MAX, x) sorted costs of one row; then scratch of the window sums
-    float *ring;    // (TAPS, SUMS, x)
-    float *column;  // (SUMS, x + 2 RADIUS)
-    float *kept;    // (NEAR_MAX, y, x) sorted costs of a plane
+    float *contrast; // (y, x)
+    float *place;    // (2, x) mapped places of one row
+    float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
+    float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) their sums
+    float *best;     // (NEAR_MAX / 2 + 2, x) smallest costs of one row, and two rows of scratch
 };
 
 /* One sweep of one view. */
@@ -291,43 +293,50 @@ static err_t make_plate(void *ctx, int i, int worker)
 
 /* ---- matching cost ---- */
 
-/* One row of moments at rho: the reference I against the neighbour J at its mapped places. */
-static void moment_row(const struct task *t, int k, int y, float rho, float *row)
+/* Places of one row of the view at rho in the neighbour, in px; -1 outside its pixel centres. */
+static void place_row(const double *h, int y, int w, double rho, float *u, float *v)
 {
-    const int w = t->w;
-    const struct plate *a = &t->s->plate[t->level][t->i_view];
-    const struct plate *b = &t->s->plate[t->level][t->s->near[t->i_view][k]];
-    const double *h = t->h[k];
-    float base[3], du[3] = {(float)h[0], (float)h[4], (float)h[8]};
+    const float du[3] = {(float)h[0], (float)h[4], (float)h[8]}, end = (float)w - 1.0f;
+    float base[3];
     for (int i = 0; i < 3; i++)
-        base[i] = (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * (double)rho);
+        base[i] = (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * rho);
     for (int x = 0; x < w; x++) {
         float z = base[2] + du[2] * (float)x, inv = 1.0f / z;
-        float u = (base[0] + du[0] * (float)x) * inv, v = (base[1] + du[1] * (float)x) * inv;
-        const float *p = a->px + 2 * ((size_t)y * (size_t)w + (size_t)x);
-        float *o = row + x;
-        if (!(z > 1e-6f && u >= 0.5f && v >= 0.5f && u <= (float)w - 0.5f && v <= (float)w - 0.5f)) {
-            o[0] = -1.0f; // outside: told from blind by its sign, cleared below
-            o[w] = o[2 * w] = o[3 * w] = o[4 * w] = o[5 * w] = 0.0f;
-            continue;
-        }
-        int iu = min_int((int)(u - 0.5f), w - 2), iv = min_int((int)(v - 0.5f), w - 2);
-        float fu = u - 0.5f - (float)iu, fv = v - 0.5f - (float)iv;
-        const float *q = b->px + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *qd = q + 2 * w;
-        float j = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) + (qd[0] + fu * (qd[2] - qd[0])) * fv;
-        float c = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) + (qd[1] + fu * (qd[3] - qd[1])) * fv;
-        float weight = c * p[1];
-        o[0] = weight;
-        o[w] = weight * p[0];
-        o[2 * w] = weight * j;
-        o[3 * w] = weight * p[0] * p[0];
-        o[4 * w] = weight * j * j;
-        o[5 * w] = weight * p[0] * j;
+        u[x] = (base[0] + du[0] * (float)x) * inv - 0.5f;
+        v[x] = (base[1] + du[1] * (float)x) * inv - 0.5f;
+        bool in = (z > 1e-6f) & (u[x] >= 0.0f) & (v[x] >= 0.0f) & (u[x] < end) & (v[x] < end);
+        u[x] = in ? u[x] : -1.0f;
     }
 }
 
-/* Cost of one row from the column sums (padded by RADIUS on both sides). */
-static void cost_row(const float *column, int w, float *out)
+/* One row of moments at rho: weight, and the difference to the neighbour at the mapped places. */
+static void moment_row(const struct task *t, int k, int y, float rho, float *row)
+{
+    const int w = t->w;
+    const float *p = t->s->plate[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
+    const float *other = t->s->plate[t->level][t->s->near[t->i_view][k]].px;
+    float *u = t->m->place, *v = u + w;
+    place_row(t->h[k], y, w, (double)rho, u, v);
+    for (int x = 0; x < w; x++) {
+        if (u[x] < 0.0f) {
+            row[x] = row[w + x] = row[2 * w + x] = 0.0f;
+            continue;
+        }
+        int iu = (int)u[x], iv = (int)v[x];
+        float fu = u[x] - (float)iu, fv = v[x] - (float)iv;
+        const float *q = other + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *below = q + 2 * w;
+        float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) + (below[0] + fu * (below[2] - below[0])) * fv;
+        float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) + (below[1] + fu * (below[3] - below[1])) * fv;
+        float weight = known * p[2 * x + 1] + INSIDE, diff = p[2 * x] - value;
+        row[x] = weight;
+        row[w + x] = weight * diff;
+        row[2 * w + x] = weight * diff * diff;
+    }
+}
+
+/* Cost of one row from the column sums (padded by RADIUS on both sides) and the contrast of the view:
+ * 1 - correlation = half the variance of the difference over the variance of the view. */
+static void cost_row(const float *column, const float *contrast, int w, float *out)
 {
     const int stride = w + 2 * RADIUS;
     for (int x = 0; x < w; x++) {
@@ -336,77 +345,103 @@ static void cost_row(const float *column, int w, float *out)
             const float *c = column + q * stride + x;
             m[q] = c[0] + c[1] + c[2] + c[3] + c[4];
         }
-        float inv = 1.0f / (m[0] + 1e-4f), mi = m[1] * inv, mj = m[2] * inv;
-        float vi = fmaxf(m[3] * inv - mi * mi, 0.0f) + NOISE_VAR, vj = fmaxf(m[4] * inv - mj * mj, 0.0f) + NOISE_VAR;
-        float like = (m[5] * inv - mi * mj) / sqrtf(vi * vj), off = fminf(fabsf(mi - mj), 1.0f);
+        float inv = 1.0f / (m[0] + INSIDE), mean = m[1] * inv, off = fabsf(mean);
+        float unlike = (m[2] * inv - mean * mean) * contrast[x];
         float known = m[0] / (m[0] + 0.06f * TAPS * TAPS);
-        float cost = 0.35f * (1.0f - like) + 0.4f * off;
-        out[x] = COST_BLIND + known * (cost - COST_BLIND);
+        unlike = unlike < 2.0f ? unlike : 2.0f;
+        off = off < 1.0f ? off : 1.0f;
+        out[x] = COST_BLIND + known * (0.35f * unlike + 0.4f * off - COST_BLIND);
     }
 }
 
-/* Merge the cost of neighbour k into the sorted costs of this row: kept[0] <= kept[1] <= ... */
-static void keep_best(float *kept, size_t stride, int k, int w, const float *cost)
+/* Merge a row of costs into the `kept` smallest of each pixel, sorted. */
+static void keep_best(float *best, size_t stride, int kept, int w, const float *cost)
 {
-    for (int x = 0; x < w; x++) {
-        float c = cost[x];
-        for (int j = 0; j < k; j++) {
-            float *p = kept + (size_t)j * stride + x, lo = fminf(*p, c);
-            c = fmaxf(*p, c);
-            *p = lo;
+    for (int j = 0; j < kept; j++) {
+        float *restrict p = best + (size_t)j * stride;
+        float *restrict c = best + (size_t)kept * stride;
+        const float *in = j ? c : cost;
+        for (int x = 0; x < w; x++) {
+            float a = p[x], b = in[x];
+            p[x] = a < b ? a : b;
+            c[x] = a < b ? b : a;
         }
-        kept[(size_t)k * stride + x] = c;
     }
 }
 
-/* Costs of neighbour k on one plane, merged into m->kept. */
-static void cost_plane(const struct task *t, int k, float rho)
+/* Move the window of neighbour k down to row y: add the row that enters, subtract the one that leaves. */
+static void move_window(const struct task *t, int k, int y, float rho)
 {
-    const int w = t->w, stride = w + 2 * RADIUS;
-    struct scratch *m = t->m;
-    const size_t row_floats = (size_t)SUMS * (size_t)w, plane = (size_t)w * (size_t)w;
-    for (int y = -RADIUS; y < w + RADIUS; y++) {
-        int in = y + RADIUS;
-        float *fresh = m->ring + (size_t)(in % TAPS) * row_floats;
-        if (in < w)
-            moment_row(t, k, in, rho, fresh);
-        else
-            memset(fresh, 0, row_floats * sizeof *fresh);
-        if (y < 0)
-            continue;
-        memset(m->column, 0, (size_t)SUMS * (size_t)stride * sizeof(float));
-        for (int j = 0; j < min_int(TAPS, in + 1); j++) {
-            const float *row = m->ring + (size_t)j * row_floats;
-            for (int q = 0; q < SUMS; q++) {
-                float *c = m->column + q * stride + RADIUS;
-                for (int x = 0; x < w; x++)
-                    c[x] += fmaxf(row[q * w + x], q == 0 ? 0.0f : -1e30f);
-            }
-        }
-        cost_row(m->column, w, m->best);
-        const float *centre = m->ring + (size_t)(y % TAPS) * row_floats;
+    const int w = t->w, enter = y + RADIUS;
+    float *ring = t->m->ring + (size_t)((k * TAPS + (enter + TAPS) % TAPS) * SUMS) * (size_t)w;
+    float *column = t->m->column + (size_t)(k * SUMS) * (size_t)(w + 2 * RADIUS) + RADIUS;
+    for (int q = 0; q < SUMS && enter >= TAPS; q++) {
+        float *restrict c = column + q * (w + 2 * RADIUS);
         for (int x = 0; x < w; x++)
-            m->best[x] = centre[x] < 0.0f ? COST_OUTSIDE : m->best[x];
-        keep_best(m->kept + (size_t)y * (size_t)w, plane, k, w, m->best);
+            c[x] -= ring[q * w + x];
+    }
+    if (enter >= w) {
+        memset(ring, 0, (size_t)(SUMS * w) * sizeof *ring);
+        return;
+    }
+    moment_row(t, k, enter, rho, ring);
+    for (int q = 0; q < SUMS; q++) {
+        float *restrict c = column + q * (w + 2 * RADIUS);
+        for (int x = 0; x < w; x++)
+            c[x] += ring[q * w + x];
     }
 }
 
-static void cost_volume(const struct task *t)
+static void cost_plane(const struct task *t, int d)
 {
-    const int w = t->w, n = t->n_near, half = (n + 1) / 2;
-    const size_t plane = (size_t)w * (size_t)w;
-    for (int d = 0; d < t->planes; d++) {
-        for (int k = 0; k < n; k++)
-            cost_plane(t, k, t->rho0 + t->step * (float)d);
-        for (int y = 0; y < w; y++) {
-            uint8_t *c = t->m->cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
-            const float *kept = t->m->kept + (size_t)y * (size_t)w;
-            for (int x = 0; x < w; x++) {
-                float sum = 0.0f;
-                for (int k = 0; k < half; k++)
-                    sum += kept[(size_t)k * plane + (size_t)x];
-                c[x] = (uint8_t)fminf(fmaxf(sum / (float)half * COST_UNIT, 0.0f) + 0.5f, 255.0f);
+    const int w = t->w, kept = (t->n_near + 1) / 2;
+    const float rho = t->rho0 + t->step * (float)d;
+    struct scratch *m = t->m;
+    memset(m->column, 0, (size_t)(NEAR_MAX * SUMS * (w + 2 * RADIUS)) * sizeof(float));
+    for (int y = -RADIUS; y < w; y++) {
+        for (int i = 0; i < kept * w; i++)
+            m->best[i] = 1e9f;
+        for (int k = 0; k < t->n_near; k++) {
+            move_window(t, k, y, rho);
+            if (y < 0)
+                continue;
+            float *cost = m->best + (kept + 1) * w;
+            const float *centre = m->ring + (size_t)((k * TAPS + y % TAPS) * SUMS) * (size_t)w;
+            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), m->contrast + (size_t)y * (size_t)w, w, cost);
+            for (int x = 0; x < w; x++)
+                cost[x] = centre[x] > 0.0f ? cost[x] : COST_OUTSIDE;
+            keep_best(m->best, (size_t)w, kept, w, cost);
+        }
+        uint8_t *c = m->cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
+        for (int x = 0; x < w && y >= 0; x++) {
+            float sum = 0.5f / COST_UNIT * (float)kept;
+            for (int k = 0; k < kept; k++)
+                sum += m->best[k * w + x];
+            c[x] = (uint8_t)min_int((int)(sum * ((float)COST_UNIT / (float)kept)), 255);
+        }
+    }
+}
+
+/* Half the inverse variance of each window of the view, the noise included. */
+static void measure_contrast(const struct task *t)
+{
+    const int w = t->w;
+    const float *px = t->s->plate[t->level][t->i_view].px;
+    for (int y = 0; y < w; y++) {
+        for (int x = 0; x < w; x++) {
+            float weight = 1e-6f, sum = 0.0f, square = 0.0f;
+            float centre = px[2 * (y * w + x)];
+            for (int k = 0; k < TAPS * TAPS; k++) {
+                int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
+                if (u < 0 || v < 0 || u >= w || v >= w)
+                    continue;
+                const float *p = px + 2 * (v * w + u);
+                weight += p[1];
+                sum += p[1] * (p[0] - centre);
+                square += p[1] * (p[0] - centre) * (p[0] - centre);
             }
+            float var = (square - sum * sum / weight) / weight;
+            t->m->contrast[y * w + x] = 0.5f / (fmaxf(var, 0.0f) + NOISE_VAR);
         }
     }
 }
@@ -562,7 +597,9 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     t->planes = min_int(PLANES_MAX, ((int)fmin(way, 1e4) + 16) / 16 * 16);
     t->rho0 = range[0];
     t->step = (range[1] - range[0]) / (float)(t->planes - 1);
-    cost_volume(t);
+    measure_contrast(t);
+    for (int d = 0; d < t->planes; d++)
+        cost_plane(t, d);
     memset(t->m->total, 0, (size_t)t->w * (size_t)t->w * (size_t)t->planes * sizeof(int16_t));
     sweep_vertical(t, 1);
     sweep_vertical(t, -1);
@@ -688,13 +725,15 @@ static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scra
     if (!e)
         e = carve(a, bytes, 2 * (w + 1) * (PLANES_MAX + 2), sizeof *m->turn, &m->turn);
     if (!e)
-        e = carve(a, bytes, w, sizeof *m->best, &m->best);
+        e = carve(a, bytes, w * w, sizeof *m->contrast, &m->contrast);
     if (!e)
-        e = carve(a, bytes, TAPS * SUMS * w, sizeof *m->ring, &m->ring);
+        e = carve(a, bytes, 2 * w, sizeof *m->place, &m->place);
     if (!e)
-        e = carve(a, bytes, SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+        e = carve(a, bytes, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
     if (!e)
-        e = carve(a, bytes, NEAR_MAX * w * w, sizeof *m->kept, &m->kept);
+        e = carve(a, bytes, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+    if (!e)
+        e = carve(a, bytes, (NEAR_MAX / 2 + 2) * w, sizeof *m->best, &m->best);
     return e;
 }
 
