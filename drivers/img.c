@@ -3,17 +3,14 @@
  * component, so a short file cannot ask for a gigabyte. */
 #include "drivers/img.h"
 
-#include <errno.h>
-#include <fcntl.h>
+#include "drivers/file.h"
+
 #include <libexif/exif-data.h>
-#include <math.h>
 #include <spng.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 #include <turbojpeg.h>
-#include <unistd.h>
 
 enum {
     DEFLATE_RATIO_MAX = 1032,          // RFC 1951: 258 bytes from two 1-bit codes
@@ -149,54 +146,14 @@ err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 
     return e;
 }
 
-/* own: free(*bytes), also on error. */
-static err_t read_open_file(int fd, const char *path, unsigned char **bytes, size_t *n)
-{
-    struct stat st;
-    if (fstat(fd, &st) != 0)
-        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    if (!S_ISREG(st.st_mode))
-        return err_fail(ERR_IO, "%s: not a regular file", path);
-    if (st.st_size > IMG_FILE_MAX)
-        return err_fail(ERR_LIMIT, "%s: %lld bytes, allowed are %d", path, (long long)st.st_size, IMG_FILE_MAX);
-    size_t size = (size_t)st.st_size;
-    *bytes = malloc(size ? size : 1);
-    if (!*bytes)
-        return err_fail(ERR_NOMEM, "%s: no memory for %zu bytes", path, size);
-    for (*n = 0; *n < size;) {
-        ssize_t got = read(fd, *bytes + *n, size - *n);
-        if (got < 0 && errno == EINTR)
-            continue;
-        if (got < 0)
-            return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-        if (got == 0)
-            return err_fail(ERR_IO, "%s: ends after %zu of %zu bytes", path, *n, size);
-        *n += (size_t)got;
-    }
-    return OK;
-}
-
-/* The whole file. own: free(*bytes), also on error. */
-static err_t read_file(const char *path, unsigned char **bytes, size_t *n)
-{
-    *bytes = NULL;
-    int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); // a pipe must not block before it is refused
-    if (fd < 0)
-        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    err_t e = read_open_file(fd, path, bytes, n);
-    close(fd);
-    return e;
-}
-
 err_t img_read(const char *path, struct image8 *out)
 {
-    unsigned char *bytes;
-    size_t n;
+    struct file_map m;
     memset(out, 0, sizeof *out);
-    err_t e = read_file(path, &bytes, &n);
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (!e)
-        e = img_read_mem(bytes, n, path, out);
-    free(bytes);
+        e = img_read_mem(m.p, m.n, path, out);
+    file_unmap(&m);
     return e;
 }
 
@@ -206,35 +163,14 @@ void img_free(struct image8 *im)
     memset(im, 0, sizeof *im);
 }
 
-static int write_all(int fd, const unsigned char *bytes, size_t n)
+static err_t write_file(const char *path, const void *bytes, size_t n)
 {
-    while (n > 0) {
-        ssize_t put = write(fd, bytes, n);
-        if (put < 0 && errno != EINTR)
-            return errno;
-        if (put > 0) {
-            bytes += put;
-            n -= (size_t)put;
-        }
-    }
-    return fsync(fd) != 0 && errno != EINVAL ? errno : 0; // EINVAL: nothing to sync behind a device
-}
-
-static err_t write_file(const char *path, const unsigned char *bytes, size_t n)
-{
-    struct stat st;
-    int fd = open(path, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0666);
-    if (fd < 0)
-        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    bool regular = fstat(fd, &st) == 0 && S_ISREG(st.st_mode);
-    int code = write_all(fd, bytes, n);
-    if (close(fd) != 0 && code == 0)
-        code = errno;
-    if (code == 0)
-        return OK;
-    if (regular) // never remove a device that was given as output
-        unlink(path);
-    return err_fail(ERR_IO, "%s: %s", path, strerror(code));
+    FILE *f;
+    err_t e = file_create(path, &f);
+    if (e)
+        return e;
+    fwrite(bytes, 1, n, f); // file_finish asks whether it worked
+    return file_finish(f, path);
 }
 
 static int png_encode(spng_ctx *ctx, const struct image8 *im)
@@ -381,12 +317,11 @@ err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, doubl
 
 err_t img_exif_exposure(const char *path, double *out)
 {
-    unsigned char *bytes;
-    size_t n;
+    struct file_map m;
     *out = 0.0;
-    err_t e = read_file(path, &bytes, &n);
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (!e)
-        e = img_exif_exposure_mem(bytes, n, path, out);
-    free(bytes);
+        e = img_exif_exposure_mem(m.p, m.n, path, out);
+    file_unmap(&m);
     return e;
 }
