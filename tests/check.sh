@@ -75,8 +75,11 @@ lints() {
     for script in tests/lint/*.sh; do
         step "lint: $(basename "$script" .sh)" sh "$script" "$dir"
     done
-    step "lint: cppcheck" cppcheck -q -j"$jobs" --std=c11 -D_GNU_SOURCE -I. --inline-suppr \
-        --enable=warning,performance,portability --error-exitcode=1 core drivers firmware
+    # Not asked for: questions of value flow that cppcheck guesses at and the sanitizers answer.
+    step "lint: cppcheck" cppcheck -q -j"$jobs" --std=c11 -D_GNU_SOURCE -I. --error-exitcode=1 \
+        --enable=warning,performance,portability --suppress=shiftTooManyBits \
+        --suppress=integerOverflow --suppress=arrayIndexThenCheck --suppress=uninitStructMember \
+        core drivers firmware
 }
 
 sanitizers() {
