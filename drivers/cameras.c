@@ -23,7 +23,8 @@ static err_t check_quat(const char *what, const char *name, float q[4])
         sum += (double)q[k] * q[k];
     double length = sqrt(sum);
     if (!(fabs(length - 1) <= 1e-3))
-        return err_fail(ERR_FORMAT, "%s: %s: quaternion of length %.6g, allowed is 1 within 0.001", what, name, length);
+        return err_fail(ERR_FORMAT, "%s: %s: quaternion of length %.6g, allowed is 1 within 0.001",
+                        what, name, length);
     if (fabs(length - 1) > 1e-6) // else leave the bits: written and read back they must not creep
         for (int k = 0; k < 4; k++)
             q[k] = (float)(q[k] / length);
@@ -33,16 +34,18 @@ static err_t check_quat(const char *what, const char *name, float q[4])
 err_t cameras_check(const char *what, const char *name, struct camera *cam)
 {
     if (cam->w < 1 || cam->h < 1 || cam->w > SIZE_MAX_PX || cam->h > SIZE_MAX_PX)
-        return err_fail(ERR_FORMAT, "%s: %s: %d x %d px, allowed are 1 to %d", what, name, cam->w, cam->h, SIZE_MAX_PX);
+        return err_fail(ERR_FORMAT, "%s: %s: %d x %d px, allowed are 1 to %d", what, name, cam->w,
+                        cam->h, SIZE_MAX_PX);
     if (!(cam->fx > 0) || !(cam->fy > 0) || !isfinite(cam->fx) || !isfinite(cam->fy))
-        return err_fail(ERR_FORMAT, "%s: %s: focal lengths %g and %g px, both must be > 0", what, name,
-                        (double)cam->fx, (double)cam->fy);
+        return err_fail(ERR_FORMAT, "%s: %s: focal lengths %g and %g px, both must be > 0", what,
+                        name, (double)cam->fx, (double)cam->fy);
     if (!isfinite(cam->cx) || !isfinite(cam->cy))
-        return err_fail(ERR_FORMAT, "%s: %s: principal point %g, %g is not finite", what, name, (double)cam->cx,
-                        (double)cam->cy);
+        return err_fail(ERR_FORMAT, "%s: %s: principal point %g, %g is not finite", what, name,
+                        (double)cam->cx, (double)cam->cy);
     for (int k = 0; k < 3; k++)
         if (!isfinite(cam->t[k]))
-            return err_fail(ERR_FORMAT, "%s: %s: translation %d is %g, not finite", what, name, k, (double)cam->t[k]);
+            return err_fail(ERR_FORMAT, "%s: %s: translation %d is %g, not finite", what, name, k,
+                            (double)cam->t[k]);
     return check_quat(what, name, cam->q);
 }
 
@@ -76,7 +79,8 @@ static err_t get_float(const char *what, const struct cJSON *object, const char 
     return OK;
 }
 
-static err_t get_floats(const char *what, const struct cJSON *object, const char *key, int n, float *out)
+static err_t get_floats(const char *what, const struct cJSON *object, const char *key, int n,
+                        float *out)
 {
     const struct cJSON *array = json_member(object, key);
     if (!json_is_array(array) || json_count(array) != n)
@@ -85,7 +89,8 @@ static err_t get_floats(const char *what, const struct cJSON *object, const char
     for (const struct cJSON *v = json_first(array); v; v = json_next(v)) {
         double number;
         if (!json_number(v, &number) || !isfinite((float)number))
-            return err_fail(ERR_FORMAT, "%s: \"%s\" element %d is not a finite number", what, key, i);
+            return err_fail(ERR_FORMAT, "%s: \"%s\" element %d is not a finite number", what, key,
+                            i);
         out[i++] = (float)number;
     }
     return OK;
@@ -95,7 +100,8 @@ static err_t get_size(const char *what, const struct cJSON *object, const char *
 {
     double v;
     if (!json_number(json_member(object, key), &v) || v != floor(v) || v < 1 || v > SIZE_MAX_PX)
-        return err_fail(ERR_FORMAT, "%s: \"%s\" is not a whole number from 1 to %d", what, key, SIZE_MAX_PX);
+        return err_fail(ERR_FORMAT, "%s: \"%s\" is not a whole number from 1 to %d", what, key,
+                        SIZE_MAX_PX);
     *out = (int)v;
     return OK;
 }
@@ -184,10 +190,11 @@ static void put_view(FILE *f, const struct rig_view *v)
     const struct camera *c = &v->cam;
     fputs("    {\"name\": ", f);
     json_put_string(f, v->name);
-    fprintf(f, ", \"w\": %d, \"h\": %d, \"fx\": %.9g, \"fy\": %.9g, \"cx\": %.9g, \"cy\": %.9g,\n", c->w, c->h,
-            (double)c->fx, (double)c->fy, (double)c->cx, (double)c->cy);
-    fprintf(f, "     \"q\": [%.9g, %.9g, %.9g, %.9g], \"t\": [%.9g, %.9g, %.9g]", (double)c->q[0], (double)c->q[1],
-            (double)c->q[2], (double)c->q[3], (double)c->t[0], (double)c->t[1], (double)c->t[2]);
+    fprintf(f, ", \"w\": %d, \"h\": %d, \"fx\": %.9g, \"fy\": %.9g, \"cx\": %.9g, \"cy\": %.9g,\n",
+            c->w, c->h, (double)c->fx, (double)c->fy, (double)c->cx, (double)c->cy);
+    fprintf(f, "     \"q\": [%.9g, %.9g, %.9g, %.9g], \"t\": [%.9g, %.9g, %.9g]", (double)c->q[0],
+            (double)c->q[1], (double)c->q[2], (double)c->q[3], (double)c->t[0], (double)c->t[1],
+            (double)c->t[2]);
     if (v->has_exposure)
         fprintf(f, ", \"exposure_log2\": %.9g", (double)v->exposure_log2);
     putc('}', f);
@@ -199,8 +206,10 @@ err_t cameras_write(const char *path, const struct rig *rig)
     err_t e = file_create(path, &f);
     if (e)
         return e;
-    fputs("{\n  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
-          "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n", f);
+    fputs(
+        "{\n  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
+        "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n",
+        f);
     for (int i = 0; i < rig->n; i++) {
         put_view(f, &rig->views[i]);
         fputs(i + 1 < rig->n ? ",\n" : "\n", f);
@@ -211,11 +220,13 @@ err_t cameras_write(const char *path, const struct rig *rig)
 
 static bool same_camera(const struct camera *a, const struct camera *b)
 {
-    return a->w == b->w && a->h == b->h && a->fx == b->fx && a->fy == b->fy && a->cx == b->cx && a->cy == b->cy &&
-           memcmp(a->q, b->q, sizeof a->q) == 0 && memcmp(a->t, b->t, sizeof a->t) == 0;
+    return a->w == b->w && a->h == b->h && a->fx == b->fx && a->fy == b->fy && a->cx == b->cx &&
+           a->cy == b->cy && memcmp(a->q, b->q, sizeof a->q) == 0 &&
+           memcmp(a->t, b->t, sizeof a->t) == 0;
 }
 
-static err_t look_up(const char *what, const struct rig *rig, const char *name, const struct rig_view **out)
+static err_t look_up(const char *what, const struct rig *rig, const char *name,
+                     const struct rig_view **out)
 {
     const struct rig_view *found = NULL;
     *out = NULL;
@@ -231,8 +242,8 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name, 
         if (!name_same_view(v->name, name))
             continue;
         if (found && !same_camera(&found->cam, &v->cam))
-            return err_fail(ERR_FORMAT, "%s: cameras %s and %s both fit image %s but differ", what, found->name,
-                            v->name, name);
+            return err_fail(ERR_FORMAT, "%s: cameras %s and %s both fit image %s but differ", what,
+                            found->name, v->name, name);
         found = v;
     }
     if (!found)
@@ -241,7 +252,8 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name, 
     return OK;
 }
 
-err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h, struct camera *out)
+err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
+                   struct camera *out)
 {
     const struct rig_view *v;
     err_t e = look_up(what, rig, name, &v);
@@ -251,9 +263,11 @@ err_t cameras_find(const char *what, const struct rig *rig, const char *name, in
     if (out->w == w && out->h == h)
         return OK;
     double sx = (double)w / out->w, sy = (double)h / out->h;
-    if (fabs(sx * out->h - h) > 1 && fabs(h / sx - out->h) > 1) // one of the sizes is rounded to whole pixels
-        return err_fail(ERR_FORMAT, "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect", what,
-                        v->name, out->w, out->h, name, w, h);
+    if (fabs(sx * out->h - h) > 1 &&
+        fabs(h / sx - out->h) > 1) // one of the sizes is rounded to whole pixels
+        return err_fail(ERR_FORMAT,
+                        "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",
+                        what, v->name, out->w, out->h, name, w, h);
     out->fx = (float)(out->fx * sx);
     out->cx = (float)(out->cx * sx);
     out->fy = (float)(out->fy * sy);

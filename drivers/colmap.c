@@ -1,6 +1,7 @@
-/* Two formats, one meaning: each reader fills the same records (struct lens, struct rig_view, struct colmap_point) and
- * the checks are made on those. Text is taken line by line as COLMAP itself does: in images.txt every image line is
- * followed by one line of image points, which may be empty. */
+/* Two formats, one meaning: each reader fills the same records (struct lens, struct rig_view,
+ * struct colmap_point) and the checks are made on those. Text is taken line by line as COLMAP
+ * itself does: in images.txt every image line is followed by one line of image points, which may be
+ * empty. */
 #include "drivers/colmap.h"
 
 #include "core/base/bytes.h"
@@ -12,27 +13,33 @@
 #include <string.h>
 
 enum {
-    LINE_CAP = 1024,            // bytes of a text line that are looked at
-    PARAMS_MAX = 8,             // of the models we read
+    LINE_CAP = 1024, // bytes of a text line that are looked at
+    PARAMS_MAX = 8,  // of the models we read
     POINTS_MAX = 1 << 26,
-    POINT_BYTES_BINARY = 51,    // of a point without track
-    IMAGE_POINT_BYTES = 24,     // x, y, point id
-    TRACK_BYTES = 8,            // image id, index
-    POINT_BYTES_TEXT = 14       // "1 0 0 0 0 0 0\n"
+    POINT_BYTES_BINARY = 51, // of a point without track
+    IMAGE_POINT_BYTES = 24,  // x, y, point id
+    TRACK_BYTES = 8,         // image id, index
+    POINT_BYTES_TEXT = 14    // "1 0 0 0 0 0 0\n"
 };
 
-static const size_t FILE_BYTES_MAX = (size_t)4 << 30; // image points of large reconstructions take gigabytes
+static const size_t FILE_BYTES_MAX = (size_t)4
+                                     << 30; // image points of large reconstructions take gigabytes
 
 /* colmap/src/colmap/sensor/models.h: ids 0 to 10 in this order. */
 static const struct model {
     const char *name;
     int n_focal, n_distortion; // 0, 0: not read
 } models[] = {
-    {"SIMPLE_PINHOLE", 1, 0}, {"PINHOLE", 2, 0},
-    {"SIMPLE_RADIAL", 1, 1},  {"RADIAL", 1, 2},
-    {"OPENCV", 2, 4},         {"OPENCV_FISHEYE", 0, 0},
-    {"FULL_OPENCV", 0, 0},    {"FOV", 0, 0},
-    {"SIMPLE_RADIAL_FISHEYE", 0, 0}, {"RADIAL_FISHEYE", 0, 0},
+    {"SIMPLE_PINHOLE", 1, 0},
+    {"PINHOLE", 2, 0},
+    {"SIMPLE_RADIAL", 1, 1},
+    {"RADIAL", 1, 2},
+    {"OPENCV", 2, 4},
+    {"OPENCV_FISHEYE", 0, 0},
+    {"FULL_OPENCV", 0, 0},
+    {"FOV", 0, 0},
+    {"SIMPLE_RADIAL_FISHEYE", 0, 0},
+    {"RADIAL_FISHEYE", 0, 0},
     {"THIN_PRISM_FISHEYE", 0, 0},
 };
 enum { N_MODELS = sizeof models / sizeof models[0] };
@@ -61,18 +68,23 @@ static err_t find_model(const char *what, int id, const char *name, const struct
         return OK;
     const char *said = *out ? (*out)->name : name;
     if (said)
-        return err_fail(ERR_UNSUPPORTED, "%s: camera model %s is not read; undistort the images to PINHOLE", what, said);
+        return err_fail(ERR_UNSUPPORTED,
+                        "%s: camera model %s is not read; undistort the images to PINHOLE", what,
+                        said);
     return err_fail(ERR_UNSUPPORTED, "%s: camera model %d is not known", what, id);
 }
 
-static err_t add_lens(struct lenses *out, const struct lens *head, const struct model *m, const double *params)
+static err_t add_lens(struct lenses *out, const struct lens *head, const struct model *m,
+                      const double *params)
 {
     const char *what = out->what;
     const double *centre = params + m->n_focal, *distortion = centre + 2;
     for (int i = 0; i < m->n_distortion; i++)
         if (distortion[i] != 0)
-            return err_fail(ERR_UNSUPPORTED, "%s: camera %u is %s with distortion %g; undistort the images to PINHOLE",
-                            what, head->id, m->name, distortion[i]);
+            return err_fail(
+                ERR_UNSUPPORTED,
+                "%s: camera %u is %s with distortion %g; undistort the images to PINHOLE", what,
+                head->id, m->name, distortion[i]);
     for (int i = 0; i < out->n; i++)
         if (out->v[i].id == head->id)
             return err_fail(ERR_FORMAT, "%s: camera %u is there twice", what, head->id);
@@ -85,15 +97,16 @@ static err_t add_lens(struct lenses *out, const struct lens *head, const struct 
     return OK;
 }
 
-static err_t add_view(const char *what, const struct lenses *lenses, uint32_t lens_id, struct rig_view *v)
+static err_t add_view(const char *what, const struct lenses *lenses, uint32_t lens_id,
+                      struct rig_view *v)
 {
     const struct lens *l = NULL;
     for (int i = 0; i < lenses->n; i++)
         if (lenses->v[i].id == lens_id)
             l = &lenses->v[i];
     if (!l)
-        return err_fail(ERR_FORMAT, "%s: image %s is of camera %u, which %s lacks", what, v->name, lens_id,
-                        lenses->what);
+        return err_fail(ERR_FORMAT, "%s: image %s is of camera %u, which %s lacks", what, v->name,
+                        lens_id, lenses->what);
     v->cam.w = l->w;
     v->cam.h = l->h;
     v->cam.fx = l->fx;
@@ -106,7 +119,8 @@ static err_t add_view(const char *what, const struct lenses *lenses, uint32_t le
 static err_t set_size(const char *what, uint64_t w, uint64_t h, struct lens *out)
 {
     if (w > INT32_MAX || h > INT32_MAX)
-        return err_fail(ERR_FORMAT, "%s: camera %u has %ju x %ju px", what, out->id, (uintmax_t)w, (uintmax_t)h);
+        return err_fail(ERR_FORMAT, "%s: camera %u has %ju x %ju px", what, out->id, (uintmax_t)w,
+                        (uintmax_t)h);
     out->w = (int)w;
     out->h = (int)h;
     return OK;
@@ -139,21 +153,22 @@ static void add_point(const double xyz[3], const uint8_t rgb[3], struct colmap_p
 
 static err_t cut_short(const struct colmap_text *t, const char *object, uint64_t i, uint64_t n)
 {
-    return err_fail(ERR_FORMAT, "%s: ends inside %s %ju of %ju", t->what, object, (uintmax_t)i, (uintmax_t)n);
+    return err_fail(ERR_FORMAT, "%s: ends inside %s %ju of %ju", t->what, object, (uintmax_t)i,
+                    (uintmax_t)n);
 }
 
 /* ---- binary ---- */
 
 /* The number of objects at the head of a file, at most max. */
-static err_t binary_count(const struct colmap_text *t, struct bytes *b, const char *objects, uint64_t max,
-                          uint64_t *out)
+static err_t binary_count(const struct colmap_text *t, struct bytes *b, const char *objects,
+                          uint64_t max, uint64_t *out)
 {
     *out = bytes_u64(b);
     if (b->bad)
         return err_fail(ERR_FORMAT, "%s: %zu bytes hold no number of %s", t->what, t->n, objects);
     if (*out > max)
-        return err_fail(ERR_LIMIT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out, objects,
-                        (uintmax_t)max);
+        return err_fail(ERR_LIMIT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out,
+                        objects, (uintmax_t)max);
     return OK;
 }
 
@@ -188,7 +203,8 @@ static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
     return OK;
 }
 
-static err_t binary_view(const struct colmap_text *t, struct bytes *b, const struct lenses *lenses, struct rig *out)
+static err_t binary_view(const struct colmap_text *t, struct bytes *b, const struct lenses *lenses,
+                         struct rig *out)
 {
     struct rig_view *v = &out->views[out->n];
     double pose[7];
@@ -262,7 +278,8 @@ struct line_reader {
 
 static struct line_reader lines_of(const struct colmap_text *t)
 {
-    return (struct line_reader){.what = t->what, .p = t->p, .end = t->n ? (const char *)t->p + t->n : t->p};
+    return (struct line_reader){
+        .what = t->what, .p = t->p, .end = t->n ? (const char *)t->p + t->n : t->p};
 }
 
 static bool is_blank(char c)
@@ -303,7 +320,8 @@ static err_t get_numbers(const struct line_reader *r, const char **at, int n, do
         char *end;
         out[i] = strtod(*at, &end);
         if (end == *at || (*end && !is_blank(*end)))
-            return err_fail(ERR_FORMAT, "%s: line %d: \"%.24s\" where a number belongs", r->what, r->number, *at);
+            return err_fail(ERR_FORMAT, "%s: line %d: \"%.24s\" where a number belongs", r->what,
+                            r->number, *at);
         *at = end + strspn(end, " \t\r");
     }
     return OK;
@@ -318,7 +336,8 @@ static err_t get_whole(const struct line_reader *r, const char **at, int n, uint
         if (e)
             return e;
         if (!(v >= 0 && v <= UINT32_MAX && v == floor(v)))
-            return err_fail(ERR_FORMAT, "%s: line %d: %g where a whole number belongs", r->what, r->number, v);
+            return err_fail(ERR_FORMAT, "%s: line %d: %g where a whole number belongs", r->what,
+                            r->number, v);
         out[i] = (uint32_t)v;
     }
     return OK;
@@ -346,7 +365,8 @@ static err_t text_lens(const struct line_reader *r, struct lenses *out)
     if (!e)
         e = get_numbers(r, &at, m->n_focal + 2 + m->n_distortion, params);
     if (!e && *at)
-        e = err_fail(ERR_FORMAT, "%s: line %d: more parameters than %s has", r->what, r->number, m->name);
+        e = err_fail(ERR_FORMAT, "%s: line %d: more parameters than %s has", r->what, r->number,
+                     m->name);
     return e ? e : add_lens(out, &head, m, params);
 }
 
@@ -409,7 +429,8 @@ static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
         uint8_t rgb[3];
         for (int k = 0; k < 3; k++) {
             if (!(v[4 + k] >= 0 && v[4 + k] <= 255))
-                return err_fail(ERR_FORMAT, "%s: line %d: colour %g, allowed is 0 to 255", t->what, r.number, v[4 + k]);
+                return err_fail(ERR_FORMAT, "%s: line %d: colour %g, allowed is 0 to 255", t->what,
+                                r.number, v[4 + k]);
             rgb[k] = (uint8_t)v[4 + k];
         }
         add_point(v + 1, rgb, out);
@@ -419,7 +440,8 @@ static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
 
 /* ---- both ---- */
 
-err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct colmap_text *images, struct rig *out)
+err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct colmap_text *images,
+                   struct rig *out)
 {
     struct lenses lenses = {.what = cameras->what};
     *out = (struct rig){0};
@@ -447,7 +469,8 @@ err_t colmap_parse_points(bool binary, const struct colmap_text *points, struct 
     *out = (struct colmap_points){0};
     size_t room = points->n / (binary ? POINT_BYTES_BINARY : POINT_BYTES_TEXT) + 1;
     if (room > POINTS_MAX)
-        return err_fail(ERR_LIMIT, "%s: room for %zu points, at most %d are read", points->what, room, POINTS_MAX);
+        return err_fail(ERR_LIMIT, "%s: room for %zu points, at most %d are read", points->what,
+                        room, POINTS_MAX);
     out->p = calloc(room, sizeof *out->p);
     if (!out->p)
         return err_fail(ERR_NOMEM, "%s: no memory for %zu points", points->what, room);
@@ -492,7 +515,8 @@ err_t colmap_read(const char *dir, struct rig *out)
     if (!e)
         e = file_map(images, FILE_BYTES_MAX, &i);
     if (!e)
-        e = colmap_parse(binary, &(struct colmap_text){cameras, c.p, c.n}, &(struct colmap_text){images, i.p, i.n}, out);
+        e = colmap_parse(binary, &(struct colmap_text){cameras, c.p, c.n},
+                         &(struct colmap_text){images, i.p, i.n}, out);
     file_unmap(&c);
     file_unmap(&i);
     return e;

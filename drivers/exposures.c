@@ -8,7 +8,8 @@
 
 static int by_name(const void *a, const void *b)
 {
-    return strcmp(((const struct exposure_entry *)a)->name, ((const struct exposure_entry *)b)->name);
+    return strcmp(((const struct exposure_entry *)a)->name,
+                  ((const struct exposure_entry *)b)->name);
 }
 
 static err_t get_entries(const char *what, const struct cJSON *doc, struct exposures *out)
@@ -28,7 +29,8 @@ static err_t get_entries(const char *what, const struct cJSON *doc, struct expos
         if (e)
             return e;
         if (!json_number(m, &x->time) || !(x->time > 0))
-            return err_fail(ERR_FORMAT, "%s: exposure of %s is not a finite number > 0", what, x->name);
+            return err_fail(ERR_FORMAT, "%s: exposure of %s is not a finite number > 0", what,
+                            x->name);
     }
     qsort(out->v, (size_t)out->n, sizeof *out->v, by_name);
     for (int i = 1; i < out->n; i++)

@@ -17,12 +17,14 @@ static err_t map_open(int fd, const char *path, size_t max, struct file_map *out
     if (!S_ISREG(st.st_mode))
         return err_fail(ERR_FORMAT, "%s: not a regular file", path);
     if ((uintmax_t)st.st_size > max)
-        return err_fail(ERR_LIMIT, "%s: %jd bytes, at most %zu are read", path, (intmax_t)st.st_size, max);
+        return err_fail(ERR_LIMIT, "%s: %jd bytes, at most %zu are read", path,
+                        (intmax_t)st.st_size, max);
     if (st.st_size == 0)
         return OK; // mmap refuses a length of 0
     void *p = mmap(NULL, (size_t)st.st_size, PROT_READ, MAP_PRIVATE, fd, 0);
     if (p == MAP_FAILED)
-        return err_fail(ERR_IO, "%s: cannot map %jd bytes: %s", path, (intmax_t)st.st_size, strerror(errno));
+        return err_fail(ERR_IO, "%s: cannot map %jd bytes: %s", path, (intmax_t)st.st_size,
+                        strerror(errno));
     *out = (struct file_map){p, (size_t)st.st_size};
     return OK;
 }
@@ -61,8 +63,8 @@ err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP])
 {
     size_t a = strlen(dir), b = strlen(name);
     if (a + 1 + b >= FILE_PATH_CAP)
-        return err_fail(ERR_LIMIT, "%.64s.../%.64s: path of %zu bytes, allowed are %d", dir, name, a + 1 + b,
-                        FILE_PATH_CAP - 1);
+        return err_fail(ERR_LIMIT, "%.64s.../%.64s: path of %zu bytes, allowed are %d", dir, name,
+                        a + 1 + b, FILE_PATH_CAP - 1);
     memcpy(out, dir, a);
     out[a] = '/';
     memcpy(out + a + 1, name, b + 1);
@@ -82,7 +84,8 @@ err_t file_create(const char *path, FILE **out)
 static void close_and_remove(FILE *f, const char *path)
 {
     struct stat st;
-    bool regular = fstat(fileno(f), &st) == 0 && S_ISREG(st.st_mode); // never remove /dev/stdout and its like
+    bool regular =
+        fstat(fileno(f), &st) == 0 && S_ISREG(st.st_mode); // never remove /dev/stdout and its like
     fclose(f);
     if (regular)
         unlink(path);
@@ -90,7 +93,8 @@ static void close_and_remove(FILE *f, const char *path)
 
 err_t file_finish(FILE *f, const char *path)
 {
-    if (!ferror(f) && fflush(f) == 0 && (fsync(fileno(f)) == 0 || errno == EINVAL)) { // EINVAL: a pipe or device
+    if (!ferror(f) && fflush(f) == 0 &&
+        (fsync(fileno(f)) == 0 || errno == EINVAL)) { // EINVAL: a pipe or device
         if (fclose(f) == 0)
             return OK;
         int why = errno;

@@ -1,5 +1,6 @@
 /* file.h - whole files: mapped for reading, written completely or not at all.
- * A mapped file must not shrink while it is read; results of this program never do, they appear by rename.
+ * A mapped file must not shrink while it is read; results of this program never do, they appear by
+ * rename.
  * thread: any. */
 #ifndef DRIVERS_FILE_H
 #define DRIVERS_FILE_H
@@ -20,7 +21,8 @@ struct file_map {
 
 /* Map a regular file of at most `max` bytes for reading.
  * own:  file_unmap.
- * err:  ERR_IO (open, map), ERR_FORMAT (not a regular file), ERR_LIMIT (larger than max). On error *out is zeroed. */
+ * err:  ERR_IO (open, map), ERR_FORMAT (not a regular file), ERR_LIMIT (larger than max). On error
+ *       *out is zeroed. */
 MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 
 /* Accepts a zeroed map. */

@@ -32,7 +32,8 @@ static bool has_suffix(const char *name, const char *suffix)
 
 static bool is_picture(const char *name)
 {
-    return name[0] != '.' && (has_suffix(name, ".png") || has_suffix(name, ".jpg") || has_suffix(name, ".jpeg"));
+    return name[0] != '.' &&
+           (has_suffix(name, ".png") || has_suffix(name, ".jpg") || has_suffix(name, ".jpeg"));
 }
 
 static bool begins(const char *name, const char *prefix)
@@ -52,7 +53,8 @@ static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 }
 
 /* Path of a companion beside the pictures or one folder up; *found is false if it is in neither. */
-static err_t find_companion(const char *dir, const char *name, bool *found, char path[FILE_PATH_CAP])
+static err_t find_companion(const char *dir, const char *name, bool *found,
+                            char path[FILE_PATH_CAP])
 {
     char up[FILE_PATH_CAP];
     err_t e = file_join(dir, name, path);
@@ -135,7 +137,8 @@ static err_t filter(const struct imageset_request *rq, bool released, struct ima
         return OK;
     if (all == 0)
         return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg) in it", set->dir);
-    return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all, prefix[rq->which]);
+    return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
+                    prefix[rq->which]);
 }
 
 /* ---- exposures ---- */
@@ -179,8 +182,8 @@ static err_t check_times(const char *source, const struct capture *c)
     }
     if (lacking == 0)
         return OK;
-    return err_fail(ERR_FORMAT, "%s: no exposure for %s and %d others of %d pictures", source, c->shots[first].name,
-                    lacking - 1, c->n);
+    return err_fail(ERR_FORMAT, "%s: no exposure for %s and %d others of %d pictures", source,
+                    c->shots[first].name, lacking - 1, c->n);
 }
 
 static err_t get_times(const struct imageset_request *rq, struct imageset *set)
@@ -220,7 +223,7 @@ static int count_views(const struct capture *c, bool released)
     return n;
 }
 
-/* Index of the shot with the `rank`th shortest exposure of [from, to); equal times in order of name. */
+/* Index of the shot with the `rank`th shortest exposure of [from, to); equal times by name. */
 static int shot_of_rank(const struct shot *s, int from, int to, int rank)
 {
     for (int i = from; i < to; i++) {
@@ -245,7 +248,8 @@ static bool is_spread_choice(int i_view, int n_views, int n)
     return false;
 }
 
-static void choose_spread(const struct imageset_request *rq, bool released, int n_views, struct capture *c, bool *keep)
+static void choose_spread(const struct imageset_request *rq, bool released, int n_views,
+                          struct capture *c, bool *keep)
 {
     int i_view = 0, turn = 0, n = rq->n_views ? rq->n_views : n_views;
     for (int from = 0, to; from < c->n; from = to, i_view++) {
@@ -260,7 +264,8 @@ static void choose_spread(const struct imageset_request *rq, bool released, int 
     }
 }
 
-static err_t choose_named(const char *path, const struct cJSON *names, const struct capture *c, bool *keep)
+static err_t choose_named(const char *path, const struct cJSON *names, const struct capture *c,
+                          bool *keep)
 {
     for (const struct cJSON *v = json_first(names); v; v = json_next(v)) {
         const char *name = json_string(v);
@@ -270,7 +275,8 @@ static err_t choose_named(const char *path, const struct cJSON *names, const str
         while (i < c->n && strcmp(c->shots[i].name, name) != 0)
             i++;
         if (i == c->n)
-            return err_fail(ERR_FORMAT, "%s: input %.127s is not among the %d pictures", path, name, c->n);
+            return err_fail(ERR_FORMAT, "%s: input %.127s is not among the %d pictures", path, name,
+                            c->n);
         if (keep[i])
             return err_fail(ERR_FORMAT, "%s: input %.127s is listed twice", path, name);
         keep[i] = true;
@@ -302,7 +308,8 @@ static err_t choose(const struct imageset_request *rq, bool released, struct ima
 {
     int n_views = count_views(&set->capture, released), n = rq->n_views ? rq->n_views : n_views;
     if (n < 1 || n > n_views)
-        return err_fail(ERR_ARG, "%s: %d views asked, there are %d", set->dir, rq->n_views, n_views);
+        return err_fail(ERR_ARG, "%s: %d views asked, there are %d", set->dir, rq->n_views,
+                        n_views);
     bool *keep = calloc((size_t)set->capture.n, sizeof *keep), listed = false;
     if (!keep)
         return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
@@ -331,8 +338,9 @@ static err_t get_sizes(struct imageset *set)
             return e;
         s[i].image.channels = 3;
         if (s[i].image.w != s[0].image.w || s[i].image.h != s[0].image.h)
-            return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d", set->dir, s[0].name,
-                            s[0].image.w, s[0].image.h, s[i].name, s[i].image.w, s[i].image.h);
+            return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d", set->dir,
+                            s[0].name, s[0].image.w, s[0].image.h, s[i].name, s[i].image.w,
+                            s[i].image.h);
     }
     return OK;
 }
@@ -417,8 +425,8 @@ err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
         return e;
     int w = out->w, h = out->h;
     img_free(out);
-    return err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, w, h, s->image.w,
-                    s->image.h);
+    return err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, w, h,
+                    s->image.w, s->image.h);
 }
 
 err_t imageset_load(struct imageset *set)

@@ -1,12 +1,12 @@
 /* imageset.h - a folder of photographs becomes a capture: names, exposures, cameras, then pixels.
  *
  * Layouts. `images` may be a folder that contains images/, the folder images/ itself, or a plain
- * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not hidden),
- * in the order of their names. exposure.json, protocol.json and sparse/0 are looked for beside the
- * pictures, then one folder up; with no exposure.json the exposures come from the pictures' EXIF.
- * A folder with names that begin with "train" has the released layout: "train" pictures are inputs,
- * "test" pictures are held out, and train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any
- * other folder every picture is a view of its own and an input.
+ * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
+ * hidden), in the order of their names. exposure.json, protocol.json and sparse/0 are looked for
+ * beside the pictures, then one folder up; with no exposure.json the exposures come from the
+ * pictures' EXIF. A folder with names that begin with "train" has the released layout: "train"
+ * pictures are inputs, "test" pictures are held out, and train_ldr_000_2.png is exposure 2 of view
+ * train_ldr_000. In any other folder every picture is a view of its own and an input.
  *
  * Choice of exposures, unless every_exposure: the names that protocol.json gives for this number of
  * views (key "inputs"; input pictures only); else one exposure per view, in turn the middle, the
@@ -36,10 +36,10 @@ struct imageset {
     struct capture capture;  // shots malloc'd; image.px is NULL until imageset_load
 };
 
-/* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files' headers
- * (channels 3), so that memory can be planned before anything is decoded. Contradictions are refused:
- * a picture without exposure, pictures of different sizes, a rig that lacks a view or has another
- * aspect (cameras_find), a protocol that names a missing file.
+/* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'
+ * headers (channels 3), so that memory can be planned before anything is decoded. Contradictions
+ * are refused: a picture without exposure, pictures of different sizes, a rig that lacks a view or
+ * has another aspect (cameras_find), a protocol that names a missing file.
  * own:  imageset_free.
  * err:  ERR_ARG (request, too few views), ERR_IO, ERR_FORMAT, ERR_LIMIT (CAMERAS_MAX pictures),
  *       ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */

@@ -12,8 +12,10 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
 {
     *out = NULL;
     if (n > JSON_BYTES_MAX)
-        return err_fail(ERR_LIMIT, "%s: %zu bytes of JSON, at most %d are read", what, n, JSON_BYTES_MAX);
-    char *copy = malloc(n + 1); // cJSON before 1.7.18 looks one byte past a text without terminating 0
+        return err_fail(ERR_LIMIT, "%s: %zu bytes of JSON, at most %d are read", what, n,
+                        JSON_BYTES_MAX);
+    char *copy =
+        malloc(n + 1); // cJSON before 1.7.18 looks one byte past a text without terminating 0
     if (!copy)
         return err_fail(ERR_NOMEM, "%s: no memory for %zu bytes of JSON", what, n);
     if (n > 0)
@@ -22,7 +24,8 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
     const char *end = copy;
     struct cJSON *doc = memchr(copy, 0, n) ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
     err_t e = doc ? OK
-                  : err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %td of %zu", what, end - copy, n);
+                  : err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %td of %zu", what,
+                             end - copy, n);
     free(copy);
     *out = doc;
     return e;

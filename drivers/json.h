@@ -12,10 +12,12 @@
 
 struct cJSON;
 
-/* A node of JSON takes up to 40 times the bytes of its text: this is what bounds the memory of a hostile file. */
+/* A node of JSON takes up to 40 times the bytes of its text: this is what bounds the memory of a
+ * hostile file. */
 enum { JSON_BYTES_MAX = 2 << 20 };
 
-/* Parse n bytes of text; `what` (a file) begins the sentence. Nothing but blanks may follow the value.
+/* Parse n bytes of text; `what` (a file) begins the sentence. Nothing but blanks may follow the
+ * value.
  * own:  json_free.
  * err:  ERR_FORMAT, ERR_LIMIT (JSON_BYTES_MAX), ERR_NOMEM. On error *out is NULL. */
 MUST_USE err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **out);

@@ -2,8 +2,8 @@
 
 #include <string.h>
 
-/* Bytes of the UTF-8 character at s, 0 if it is malformed (RFC 3629: no surrogates, nothing above 10FFFF, shortest
- * form) or a control character. */
+/* Bytes of the UTF-8 character at s, 0 if it is malformed (RFC 3629: no surrogates, nothing above
+ * 10FFFF, shortest form) or a control character. */
 static size_t utf8_length(const unsigned char *s, size_t left)
 {
     static const uint32_t least[] = {0, 0, 0x80, 0x800, 0x10000};
@@ -25,13 +25,15 @@ err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]
 {
     out[0] = 0;
     if (n == 0 || n >= NAME_CAP)
-        return err_fail(ERR_FORMAT, "%s: a name of %zu bytes (%.40s), allowed are 1 to %d", what, n, n ? text : "",
-                        NAME_CAP - 1);
+        return err_fail(ERR_FORMAT, "%s: a name of %zu bytes (%.40s), allowed are 1 to %d", what, n,
+                        n ? text : "", NAME_CAP - 1);
     for (size_t i = 0, step; i < n; i += step) {
         step = utf8_length((const unsigned char *)text + i, n - i);
         if (step == 0 || text[i] == '/')
-            return err_fail(ERR_FORMAT, "%s: byte %zu of a name is 0x%02x: slashes, control characters and "
-                            "broken UTF-8 are refused", what, i, (unsigned char)text[i]);
+            return err_fail(ERR_FORMAT,
+                            "%s: byte %zu of a name is 0x%02x: slashes, control characters and "
+                            "broken UTF-8 are refused",
+                            what, i, (unsigned char)text[i]);
     }
     if ((n == 1 && text[0] == '.') || (n == 2 && text[0] == '.' && text[1] == '.'))
         return err_fail(ERR_FORMAT, "%s: \"%.*s\" is a folder, not a name", what, (int)n, text);

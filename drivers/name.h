@@ -1,18 +1,20 @@
 /* name.h - the one rule for names of views that come from outside.
- * Such names become names of result files and strings in JSON, so they may not walk to another folder.
+ * Such names become names of result files and strings in JSON, so they may not walk to another
+ * folder.
  * thread: any. */
 #ifndef DRIVERS_NAME_H
 #define DRIVERS_NAME_H
 
 #include "core/types.h"
 
-/* Copy `n` bytes of text if they are a plain file name: 1 to NAME_CAP-1 bytes of valid UTF-8 without '/' and control
- * characters, not "." or "..". `what` (a file) begins the sentence.
+/* Copy `n` bytes of text if they are a plain file name: 1 to NAME_CAP-1 bytes of valid UTF-8
+ * without '/' and control characters, not "." or "..". `what` (a file) begins the sentence.
  * err:  ERR_FORMAT. */
 MUST_USE err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]);
 
-/* Bytes of `name` that name its view: without the extension, and without the exposure number of names like
- * train_ldr_000_2.png. A number is taken off only if another one stands before it: IMG_0001.jpg stays whole. */
+/* Bytes of `name` that name its view: without the extension, and without the exposure number of
+ * names like train_ldr_000_2.png. A number is taken off only if another one stands before it:
+ * IMG_0001.jpg stays whole. */
 size_t name_view(const char *name);
 
 /* True if both names mean the same view by name_view. */

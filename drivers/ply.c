@@ -1,5 +1,6 @@
-/* Reading: the header becomes a table of properties with their offset in a row; that table becomes one
- * source (offset and kind) per plane of struct gaussians; then every row is read through the sources. */
+/* Reading: the header becomes a table of properties with their offset in a row; that table becomes
+ * one source (offset and kind) per plane of struct gaussians; then every row is read through the
+ * sources. */
 #include "drivers/ply.h"
 
 #include "core/base/bytes.h"
@@ -13,7 +14,7 @@
 #define SH_C0 0.28209479177387814 // band 0 of the spherical harmonics
 
 enum {
-    HEADER_MAX = 65536,   // bytes; viewers stop at 10 kB to 64 kB
+    HEADER_MAX = 65536, // bytes; viewers stop at 10 kB to 64 kB
     PROPERTIES_MAX = 512,
     WORD_CAP = 32,
     LINE_WORDS = 5, // property list uchar int vertex_indices
@@ -21,8 +22,8 @@ enum {
     ROW_MAX = 4 * STANDARD_FLOATS + 2 * 3 * SH_COEFS_MAX
 };
 
-static const double LOG_EXPONENT_MAX = 80;  // exp stays a float
-static const double DARKEST_LINEAR = 1e-4;  // of a display value that becomes radiance
+static const double LOG_EXPONENT_MAX = 80; // exp stays a float
+static const double DARKEST_LINEAR = 1e-4; // of a display value that becomes radiance
 static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
 
 /* ---- writing ---- */
@@ -32,8 +33,8 @@ static err_t check_splat(const char *path, const struct gaussians *g, int i)
     double length = 0;
     for (int p = 0; p < gaussians_planes(g->degree); p++)
         if (!isfinite(g->plane[p][i]))
-            return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i, g->n,
-                            p, (double)g->plane[p][i]);
+            return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
+                            g->n, p, (double)g->plane[p][i]);
     for (int k = 0; k < 4; k++)
         length += (double)g->plane[G_QUAT + k][i] * g->plane[G_QUAT + k][i];
     if (!(length > 0))
@@ -72,7 +73,7 @@ static uint8_t *put_standard(const struct gaussians *g, const struct tonemap_tab
 static void put_header(FILE *f, const struct gaussians *g, const struct tonemap *tone)
 {
     static const char *const standard[STANDARD_FLOATS] = {
-        "x",      "y",       "z",       "nx",      "ny",      "nz",    "f_dc_0", "f_dc_1", "f_dc_2",
+        "x",       "y",       "z",       "nx",      "ny",    "nz",    "f_dc_0", "f_dc_1", "f_dc_2",
         "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",  "rot_3"};
     fprintf(f, "ply\nformat binary_little_endian 1.0\n");
     fprintf(f, "comment hdrig mid_log2t %.9g sh_degree %d\n", (double)tone->mid_log2t, g->degree);
@@ -115,10 +116,9 @@ err_t ply_write(const char *path, const struct gaussians *g, const struct tonema
 static const struct type {
     const char *name;
     int bytes;
-} types[] = {{"float", 4}, {"float32", 4}, {"ushort", 2}, {"uint16", 2}, {"char", 1},
-             {"int8", 1},  {"uchar", 1},   {"uint8", 1},  {"short", 2},  {"int16", 2},
-             {"int", 4},   {"int32", 4},   {"uint", 4},   {"uint32", 4}, {"double", 8},
-             {"float64", 8}};
+} types[] = {{"float", 4}, {"float32", 4}, {"ushort", 2}, {"uint16", 2}, {"char", 1}, {"int8", 1},
+             {"uchar", 1}, {"uint8", 1},   {"short", 2},  {"int16", 2},  {"int", 4},  {"int32", 4},
+             {"uint", 4},  {"uint32", 4},  {"double", 8}, {"float64", 8}};
 enum { TYPE_FLOAT = 0, TYPE_USHORT = 2, N_TYPES = sizeof types / sizeof types[0] };
 
 struct property {
@@ -223,8 +223,9 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
 {
     if (is(w, 3, "format")) {
         if (strcmp(w->v[1], "binary_little_endian") != 0 || strcmp(w->v[2], "1.0") != 0)
-            return err_fail(ERR_UNSUPPORTED, "%s: format %s %s, only binary_little_endian 1.0 is read",
-                            what, w->v[1], w->v[2]);
+            return err_fail(ERR_UNSUPPORTED,
+                            "%s: format %s %s, only binary_little_endian 1.0 is read", what,
+                            w->v[1], w->v[2]);
         h->has_format = true;
         return OK;
     }
@@ -238,7 +239,8 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
 
 static bool is_comment(const char *line, size_t n)
 {
-    return (n >= 7 && memcmp(line, "comment", 7) == 0) || (n >= 8 && memcmp(line, "obj_info", 8) == 0);
+    return (n >= 7 && memcmp(line, "comment", 7) == 0) ||
+           (n >= 8 && memcmp(line, "obj_info", 8) == 0);
 }
 
 static err_t take_lines(const struct ply_bytes *file, struct header *h)
@@ -278,10 +280,12 @@ static err_t read_header(const struct ply_bytes *file, struct header *h)
     if (e)
         return e;
     if (!h->has_format || !(h->in_vertex || h->past_vertex))
-        return err_fail(ERR_FORMAT, "%s: the header lacks a format or a vertex element", file->what);
+        return err_fail(ERR_FORMAT, "%s: the header lacks a format or a vertex element",
+                        file->what);
     size_t body;
     if (!bytes_mul((size_t)h->n_rows, h->row, &body) || body > file->n - h->bytes)
-        return err_fail(ERR_FORMAT, "%s: %d splats of %zu bytes, the file has %zu bytes after its header",
+        return err_fail(ERR_FORMAT,
+                        "%s: %d splats of %zu bytes, the file has %zu bytes after its header",
                         file->what, h->n_rows, h->row, file->n - h->bytes);
     return OK;
 }
@@ -326,10 +330,11 @@ static err_t find_degree(const char *what, const struct header *h, struct ply_in
         if (3 * (out->degree + 1) * (out->degree + 1) == coefs)
             return OK;
     return err_fail(ERR_UNSUPPORTED, "%s: %d properties %s*: no SH degree of 0 to %d has as many",
-                    what, out->has_hdr ? n_log : n_rest, out->has_hdr ? "ihdr_log_" : "f_rest_", top);
+                    what, out->has_hdr ? n_log : n_rest, out->has_hdr ? "ihdr_log_" : "f_rest_",
+                    top);
 }
 
-/* Name of the property of an SH plane: coefficients of one colour follow each other (splat.md 4.1). */
+/* Name of the property of an SH plane: the coefficients of one colour follow each other. */
 static void sh_name(const struct ply_info *info, int k, int c, char name[WORD_CAP])
 {
     int coefs = (info->degree + 1) * (info->degree + 1);
@@ -343,8 +348,9 @@ static void sh_name(const struct ply_info *info, int k, int c, char name[WORD_CA
 
 static err_t find_sources(const char *what, const struct header *h, struct sources *out)
 {
-    static const char *const names[G_SH] = {"x",       "y",     "z",     "scale_0", "scale_1", "scale_2",
-                                            "rot_0",   "rot_1", "rot_2", "rot_3",   "opacity"};
+    static const char *const names[G_SH] = {"x",       "y",       "z",      "scale_0",
+                                            "scale_1", "scale_2", "rot_0",  "rot_1",
+                                            "rot_2",   "rot_3",   "opacity"};
     err_t e = find_degree(what, h, &out->info);
     for (int p = 0; p < G_SH && !e; p++)
         e = find_source(what, h, names[p], TYPE_FLOAT, &out->offset[p]);
@@ -352,7 +358,8 @@ static err_t find_sources(const char *what, const struct header *h, struct sourc
     for (int j = 0; j < 3 * coefs && !e; j++) {
         char name[WORD_CAP];
         sh_name(&out->info, j / 3, j % 3, name);
-        e = find_source(what, h, name, out->info.has_hdr ? TYPE_USHORT : TYPE_FLOAT, &out->offset[G_SH + j]);
+        e = find_source(what, h, name, out->info.has_hdr ? TYPE_USHORT : TYPE_FLOAT,
+                        &out->offset[G_SH + j]);
     }
     return e;
 }
@@ -371,7 +378,8 @@ static float half_at(const uint8_t *row, size_t offset)
     return half_to_float(bytes_u16(&b));
 }
 
-/* Display value (sRGB, IEC 61966-2-1) to linear light and the relative slope d ln(linear) / d display. */
+/* Display value (sRGB, IEC 61966-2-1) to linear light and the relative slope d ln(linear) / d
+ * display. */
 static double linear_of(double display, double *slope)
 {
     *slope = 2.4 / (fmax(display, 0.04045) + 0.055); // held below the knee: 1/display has no bound
@@ -380,14 +388,16 @@ static double linear_of(double display, double *slope)
     return pow((display + 0.055) / 1.055, 2.4);
 }
 
-static void colour_from_display(const struct sources *s, const uint8_t *row, int i, struct gaussians *g)
+static void colour_from_display(const struct sources *s, const uint8_t *row, int i,
+                                struct gaussians *g)
 {
     int coefs = (s->info.degree + 1) * (s->info.degree + 1);
     for (int c = 0; c < 3; c++) {
         double slope;
         double linear = linear_of(0.5 + SH_C0 * float_at(row, s->offset[G_SH + c]), &slope);
         bool dark = linear < DARKEST_LINEAR;
-        g->plane[G_SH + c][i] = isnan(linear) ? NAN : (float)(log(dark ? DARKEST_LINEAR : linear) / SH_C0);
+        g->plane[G_SH + c][i] =
+            isnan(linear) ? NAN : (float)(log(dark ? DARKEST_LINEAR : linear) / SH_C0);
         for (int k = 1; k < coefs; k++) {
             double v = float_at(row, s->offset[G_SH + 3 * k + c]);
             g->plane[G_SH + 3 * k + c][i] = dark && isfinite(v) ? 0 : (float)(v * slope);
@@ -453,7 +463,8 @@ err_t ply_peek(const char *path, struct ply_info *out)
     return e;
 }
 
-err_t ply_read(const char *path, struct arena *a, struct gaussians *g, struct gaussians_report *report)
+err_t ply_read(const char *path, struct arena *a, struct gaussians *g,
+               struct gaussians_report *report)
 {
     struct file_map m;
     memset(g, 0, sizeof *g);

@@ -1,10 +1,11 @@
 /* ply.h - Gaussians as a PLY file that ordinary 3DGS viewers open.
- * Standard fields in the usual order (Inria's): x y z nx ny nz f_dc_0..2 opacity scale_0..2 rot_0..3,
- * all float; opacity is a logit, scales are natural logarithms, rot is w,x,y,z of unit length.
- * f_dc is chosen so that such viewers show what the photographs showed at the middle exposure:
- * 0.5 + C0 f_dc = tone curve of the splat's mean radiance, C0 = 0.2820948 (SH band 0).
+ * Standard fields in the usual order (Inria's): x y z nx ny nz f_dc_0..2 opacity scale_0..2
+ * rot_0..3, all float; opacity is a logit, scales are natural logarithms, rot is w,x,y,z of unit
+ * length. f_dc is chosen so that such viewers show what the photographs showed at the middle
+ * exposure: 0.5 + C0 f_dc = tone curve of the splat's mean radiance, C0 = 0.2820948 (SH band 0).
  * Radiance is in the extra properties "ushort ihdr_log_0..3K-1": half floats of the natural-log
- * radiance harmonics, K per colour, all of red first. Half floats keep 11 bits: scene.hdrig has all.
+ * radiance harmonics, K per colour, all of red first. Half floats keep 11 bits; scene.hdrig keeps
+ * all.
  * thread: any. */
 #ifndef DRIVERS_PLY_H
 #define DRIVERS_PLY_H

@@ -1,6 +1,6 @@
-/* One table (make_specs) says what tensors a scene has and where they live in struct scene; writer and
- * reader both walk it. The reader first builds a struct layout from the header, checked completely, and
- * only then takes memory. */
+/* One table (make_specs) says what tensors a scene has and where they live in struct scene; writer
+ * and reader both walk it. The reader first builds a struct layout from the header, checked
+ * completely, and only then takes memory. */
 #include "drivers/scenefile.h"
 
 #include "core/base/bytes.h"
@@ -22,7 +22,19 @@ enum { CAMERA_FLOATS = 11, DATA_ALIGN = 64, SIZE_LIMIT_PX = 65536 };
 static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
 static const char *const FORMAT_NAME = "hdrig-scene", *const FORMAT_VERSION = "1";
 
-enum { T_MU, T_LOG_SCALE, T_QUAT, T_LOGIT, T_SH, T_TONE, T_MID, T_BACKGROUND, T_LOG2T, T_CAMERAS, N_TENSORS };
+enum {
+    T_MU,
+    T_LOG_SCALE,
+    T_QUAT,
+    T_LOGIT,
+    T_SH,
+    T_TONE,
+    T_MID,
+    T_BACKGROUND,
+    T_LOG2T,
+    T_CAMERAS,
+    N_TENSORS
+};
 
 struct spec {
     const char *name;
@@ -49,7 +61,7 @@ static void make_specs(const struct scenefile_info *info, struct spec out[N_TENS
     memcpy(out, specs, sizeof specs);
 }
 
-/* Floats of a tensor. No overflow: shapes are bounded by the limits of step 6 before anyone asks. */
+/* Floats of a tensor. No overflow: shapes are within the limits of step 6 before anyone asks. */
 static size_t count_floats(const struct spec *t)
 {
     size_t n = 1;
@@ -67,7 +79,8 @@ static void pack_camera(const struct camera *c, float out[CAMERA_FLOATS])
 
 static struct camera unpack_camera(const float v[CAMERA_FLOATS], int size)
 {
-    return (struct camera){size, size, v[0], v[1], v[2], v[3], {v[4], v[5], v[6], v[7]}, {v[8], v[9], v[10]}};
+    return (struct camera){
+        size, size, v[0], v[1], v[2], v[3], {v[4], v[5], v[6], v[7]}, {v[8], v[9], v[10]}};
 }
 
 /* ---- writing ---- */
@@ -77,8 +90,8 @@ static err_t check_finite(const char *path, const struct gaussians *g)
     for (int p = 0; p < gaussians_planes(g->degree); p++)
         for (int i = 0; i < g->n; i++)
             if (!isfinite(g->plane[p][i]))
-                return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i, g->n, p,
-                                (double)g->plane[p][i]);
+                return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
+                                g->n, p, (double)g->plane[p][i]);
     return OK;
 }
 
@@ -104,10 +117,11 @@ static char *names_text(const struct scene *s)
     return NULL;
 }
 
-static void put_header(FILE *f, const struct scene *s, const char *names, const struct spec specs[N_TENSORS])
+static void put_header(FILE *f, const struct scene *s, const char *names,
+                       const struct spec specs[N_TENSORS])
 {
-    fprintf(f, "{\"__metadata__\":{\"format\":\"%s\",\"version\":\"%s\",\"size\":\"%d\",\"names\":", FORMAT_NAME,
-            FORMAT_VERSION, s->size);
+    fprintf(f, "{\"__metadata__\":{\"format\":\"%s\",\"version\":\"%s\",\"size\":\"%d\",\"names\":",
+            FORMAT_NAME, FORMAT_VERSION, s->size);
     json_put_string(f, names);
     putc('}', f);
     size_t at = 0;
@@ -123,8 +137,8 @@ static void put_header(FILE *f, const struct scene *s, const char *names, const 
 }
 
 /* The header with blanks after it up to DATA_ALIGN; own: free. */
-static err_t header_text(const char *path, const struct scene *s, const struct spec specs[N_TENSORS],
-                         char **out, size_t *n)
+static err_t header_text(const char *path, const struct scene *s,
+                         const struct spec specs[N_TENSORS], char **out, size_t *n)
 {
     *out = NULL;
     char *names = names_text(s);
@@ -203,24 +217,27 @@ struct layout {
     size_t n_data;
 };
 
-static err_t get_whole(const struct scenefile_bytes *f, const struct cJSON *v, const char *what, double max, size_t *out)
+static err_t get_whole(const struct scenefile_bytes *f, const struct cJSON *v, const char *what,
+                       double max, size_t *out)
 {
     double number;
     if (!json_number(v, &number) || number < 0 || number != floor(number))
         return err_fail(ERR_FORMAT, "%s: %s is not a whole number", f->what, what);
     if (number > max)
-        return err_fail(ERR_LIMIT, "%s: %s is %.0f, at most %.0f is read", f->what, what, number, max);
+        return err_fail(ERR_LIMIT, "%s: %s is %.0f, at most %.0f is read", f->what, what, number,
+                        max);
     *out = (size_t)number;
     return OK;
 }
 
 /* A list of n whole numbers up to max. */
-static err_t get_list(const struct scenefile_bytes *f, const struct cJSON *tensor, const char *key, int n, double max, size_t *out)
+static err_t get_list(const struct scenefile_bytes *f, const struct cJSON *tensor, const char *key,
+                      int n, double max, size_t *out)
 {
     const struct cJSON *list = json_member(tensor, key);
     if (!json_is_array(list) || json_count(list) != n)
-        return err_fail(ERR_FORMAT, "%s: tensor %s: \"%s\" is not a list of %d numbers", f->what, json_key(tensor),
-                        key, n);
+        return err_fail(ERR_FORMAT, "%s: tensor %s: \"%s\" is not a list of %d numbers", f->what,
+                        json_key(tensor), key, n);
     for (const struct cJSON *v = json_first(list); v; v = json_next(v)) {
         err_t e = get_whole(f, v, json_key(tensor), max, out++);
         if (e)
@@ -229,28 +246,31 @@ static err_t get_list(const struct scenefile_bytes *f, const struct cJSON *tenso
     return OK;
 }
 
-static err_t get_metadata(const struct scenefile_bytes *f, const struct cJSON *doc, struct layout *l)
+static err_t get_metadata(const struct scenefile_bytes *f, const struct cJSON *doc,
+                          struct layout *l)
 {
     const struct cJSON *meta = json_member(doc, "__metadata__");
     const char *format = json_string(json_member(meta, "format"));
     const char *version = json_string(json_member(meta, "version"));
     const char *size = json_string(json_member(meta, "size"));
     if (!format || strcmp(format, FORMAT_NAME) != 0)
-        return err_fail(ERR_FORMAT, "%s: not a scene: its format is \"%.32s\"", f->what, format ? format : "");
+        return err_fail(ERR_FORMAT, "%s: not a scene: its format is \"%.32s\"", f->what,
+                        format ? format : "");
     if (!version || strcmp(version, FORMAT_VERSION) != 0)
-        return err_fail(ERR_UNSUPPORTED, "%s: scene of version \"%.32s\", this program reads %s", f->what,
-                        version ? version : "", FORMAT_VERSION);
+        return err_fail(ERR_UNSUPPORTED, "%s: scene of version \"%.32s\", this program reads %s",
+                        f->what, version ? version : "", FORMAT_VERSION);
     char *end = NULL;
     long px = size ? strtol(size, &end, 10) : 0;
     if (px < 1 || px > SIZE_LIMIT_PX || *end)
-        return err_fail(ERR_FORMAT, "%s: size \"%.32s\", allowed are 1 to %d px", f->what, size ? size : "",
-                        SIZE_LIMIT_PX);
+        return err_fail(ERR_FORMAT, "%s: size \"%.32s\", allowed are 1 to %d px", f->what,
+                        size ? size : "", SIZE_LIMIT_PX);
     l->info.size = (int)px;
     return OK;
 }
 
 /* Exactly the tensors of the table, each once. */
-static err_t check_members(const struct scenefile_bytes *f, const struct cJSON *doc, const struct layout *l)
+static err_t check_members(const struct scenefile_bytes *f, const struct cJSON *doc,
+                           const struct layout *l)
 {
     unsigned seen = 0;
     for (const struct cJSON *m = json_first(doc); m; m = json_next(m)) {
@@ -282,21 +302,23 @@ static err_t get_counts(const struct scenefile_bytes *f, const struct cJSON *doc
     while (degree < SH_DEGREE_MAX && (degree + 1) * (degree + 1) != sh[0])
         degree++;
     if ((degree + 1) * (degree + 1) != sh[0])
-        return err_fail(ERR_LIMIT, "%s: %zu harmonics, no degree of 0 to %d has as many", f->what, sh[0],
-                        SH_DEGREE_MAX);
+        return err_fail(ERR_LIMIT, "%s: %zu harmonics, no degree of 0 to %d has as many", f->what,
+                        sh[0], SH_DEGREE_MAX);
     l->info.n = (int)sh[2];
     l->info.degree = (int)degree;
     l->info.n_views = (int)cameras[0];
     return OK;
 }
 
-static err_t get_tensor(const struct scenefile_bytes *f, const struct cJSON *tensor, int k, struct layout *l)
+static err_t get_tensor(const struct scenefile_bytes *f, const struct cJSON *tensor, int k,
+                        struct layout *l)
 {
     const struct spec *spec = &l->specs[k];
     const char *dtype = json_string(json_member(tensor, "dtype"));
     size_t shape[3], offsets[2];
     if (!dtype || strcmp(dtype, "F32") != 0 || json_count(tensor) != 3)
-        return err_fail(ERR_FORMAT, "%s: tensor %s is not F32 with dtype, shape and data_offsets", f->what, spec->name);
+        return err_fail(ERR_FORMAT, "%s: tensor %s is not F32 with dtype, shape and data_offsets",
+                        f->what, spec->name);
     err_t e = get_list(f, tensor, "shape", spec->rank, GAUSSIANS_MAX, shape);
     if (!e)
         e = get_list(f, tensor, "data_offsets", 2, (double)FILE_BYTES_MAX, offsets);
@@ -304,18 +326,20 @@ static err_t get_tensor(const struct scenefile_bytes *f, const struct cJSON *ten
         return e;
     for (int d = 0; d < spec->rank; d++)
         if (shape[d] != spec->shape[d])
-            return err_fail(ERR_FORMAT, "%s: tensor %s: extent %d is %zu, the other tensors need %zu", f->what,
+            return err_fail(ERR_FORMAT,
+                            "%s: tensor %s: extent %d is %zu, the other tensors need %zu", f->what,
                             spec->name, d, shape[d], spec->shape[d]);
     size_t bytes = count_floats(spec) * sizeof(float);
     if (offsets[1] > l->n_data || offsets[0] > offsets[1] || offsets[1] - offsets[0] != bytes)
-        return err_fail(ERR_FORMAT, "%s: tensor %s: data from %zu to %zu of %zu bytes, its shape needs %zu", f->what,
-                        spec->name, offsets[0], offsets[1], l->n_data, bytes);
+        return err_fail(ERR_FORMAT,
+                        "%s: tensor %s: data from %zu to %zu of %zu bytes, its shape needs %zu",
+                        f->what, spec->name, offsets[0], offsets[1], l->n_data, bytes);
     l->begin[k] = offsets[0];
     l->end[k] = offsets[1];
     return OK;
 }
 
-/* Each tensor must begin where another ends: with the right total that excludes overlaps and holes. */
+/* Each tensor must begin where another ends: with the right total no overlap or hole is left. */
 static err_t check_tiling(const struct scenefile_bytes *f, const struct layout *l)
 {
     bool done[N_TENSORS] = {false};
@@ -326,12 +350,15 @@ static err_t check_tiling(const struct scenefile_bytes *f, const struct layout *
             if (!done[k] && l->begin[k] == at && (next < 0 || l->end[k] < l->end[next]))
                 next = k; // empty ones first
         if (next < 0)
-            return err_fail(ERR_FORMAT, "%s: no tensor begins at byte %zu of the data: overlap or hole", f->what, at);
+            return err_fail(ERR_FORMAT,
+                            "%s: no tensor begins at byte %zu of the data: overlap or hole",
+                            f->what, at);
         done[next] = true;
         at = l->end[next];
     }
     if (at != l->n_data)
-        return err_fail(ERR_FORMAT, "%s: the tensors end at byte %zu of %zu bytes of data", f->what, at, l->n_data);
+        return err_fail(ERR_FORMAT, "%s: the tensors end at byte %zu of %zu bytes of data", f->what,
+                        at, l->n_data);
     return OK;
 }
 
@@ -365,8 +392,8 @@ static err_t open_header(const struct scenefile_bytes *f, struct layout *l, stru
     struct bytes b = bytes_of(f->p, f->n);
     uint64_t n = bytes_u64(&b);
     if (b.bad || n > JSON_BYTES_MAX || n > b.left)
-        return err_fail(ERR_FORMAT, "%s: header of %ju bytes in a file of %zu, at most %d are read", f->what,
-                        (uintmax_t)n, f->n, JSON_BYTES_MAX);
+        return err_fail(ERR_FORMAT, "%s: header of %ju bytes in a file of %zu, at most %d are read",
+                        f->what, (uintmax_t)n, f->n, JSON_BYTES_MAX);
     err_t e = json_parse(f->what, bytes_take(&b, n), n, doc);
     if (e)
         return e;
@@ -388,20 +415,23 @@ static void get_floats(const struct layout *l, int k, size_t first, size_t n, fl
         memcpy(out, l->data + l->begin[k] + first * sizeof(float), n * sizeof(float));
 }
 
-static err_t get_splats(const struct scenefile_bytes *f, const struct layout *l, struct arena *a, struct gaussians *g)
+static err_t get_splats(const struct scenefile_bytes *f, const struct layout *l, struct arena *a,
+                        struct gaussians *g)
 {
     err_t e = gaussians_init(g, a, l->info.n, l->info.degree);
     if (e)
         return e;
     size_t n = (size_t)l->info.n;
     for (int k = 0; k < N_TENSORS; k++)
-        for (size_t p = 0; l->specs[k].plane >= 0 && n > 0 && p < count_floats(&l->specs[k]) / n; p++)
+        for (size_t p = 0; l->specs[k].plane >= 0 && n > 0 && p < count_floats(&l->specs[k]) / n;
+             p++)
             get_floats(l, k, p * n, n, g->plane[(size_t)l->specs[k].plane + p]);
     g->n = l->info.n;
     struct gaussians_report report;
     gaussians_sanitize(g, &report);
     if (report.dropped > 0)
-        return err_fail(ERR_FORMAT, "%s: %d of %d splats are not finite", f->what, report.dropped, l->info.n);
+        return err_fail(ERR_FORMAT, "%s: %d of %d splats are not finite", f->what, report.dropped,
+                        l->info.n);
     return OK;
 }
 
@@ -417,8 +447,8 @@ static err_t get_globals(const struct scenefile_bytes *f, const struct layout *l
         return err_fail(ERR_FORMAT, "%s: mid_log2t is not finite", f->what);
     for (int c = 0; c < 3; c++)
         if (!isfinite(s->background[c]) || s->background[c] < 0)
-            return err_fail(ERR_FORMAT, "%s: background %d is %g, must be finite and >= 0", f->what, c,
-                            (double)s->background[c]);
+            return err_fail(ERR_FORMAT, "%s: background %d is %g, must be finite and >= 0", f->what,
+                            c, (double)s->background[c]);
     return OK;
 }
 
@@ -443,7 +473,8 @@ static err_t get_names(const struct scenefile_bytes *f, const struct cJSON *doc,
     return e;
 }
 
-static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, struct arena *a, struct scene *s)
+static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, struct arena *a,
+                       struct scene *s)
 {
     size_t n = (size_t)l->info.n_views;
     err_t e = arena_zalloc(a, n, NAME_CAP, &s->names);
@@ -549,8 +580,9 @@ static void put_samples(FILE *f, const struct tonemap *tone)
         float x = 0.5f * (float)i, one = 1 - TONEMAP_FLOOR, rgb[3];
         for (int c = 0; c < 3; c++)
             tonemap_run(&table.c[c], &one, x, 1, &rgb[c]);
-        fprintf(f, "    {\"log2_exposure_relative\": %g, \"rgb\": [%.6f, %.6f, %.6f]}%s\n", (double)x, (double)rgb[0],
-                (double)rgb[1], (double)rgb[2], i < HALF_STOPS ? "," : "");
+        fprintf(f, "    {\"log2_exposure_relative\": %g, \"rgb\": [%.6f, %.6f, %.6f]}%s\n",
+                (double)x, (double)rgb[0], (double)rgb[1], (double)rgb[2],
+                i < HALF_STOPS ? "," : "");
     }
 }
 
@@ -561,9 +593,12 @@ err_t scenefile_write_tone(const char *path, const struct tonemap *tone)
     err_t e = file_create(path, &f);
     if (e)
         return e;
-    fprintf(f, "{\n  \"formula\": \"display = 1 / (1 + exp(-(b2 + sum_k w2[k] max(0, w1[k] x + b1[k])))), "
-               "x = log2(radiance + 1e-6) + log2(t) - mid_log2t\",\n  \"mid_log2t\": %.9g,\n  \"curves\": [\n",
-            (double)tone->mid_log2t);
+    fprintf(
+        f,
+        "{\n  \"formula\": \"display = 1 / (1 + exp(-(b2 + sum_k w2[k] max(0, w1[k] x + b1[k])))), "
+        "x = log2(radiance + 1e-6) + log2(t) - mid_log2t\",\n  \"mid_log2t\": %.9g,\n  \"curves\": "
+        "[\n",
+        (double)tone->mid_log2t);
     for (int c = 0; c < 3; c++) {
         const float *p = tone->p + c * TONE_PER_COLOUR;
         fprintf(f, "    {\"colour\": \"%s\"", colours[c]);

@@ -1,18 +1,23 @@
 /* scenefile.h - scene.hdrig, a scene without loss, and tone.json, its response curve for people.
  *
- * scene.hdrig is a safetensors file (8 bytes little-endian header length, JSON, raw data; described at
- * github.com/huggingface/safetensors), all tensors F32, N splats, K coefficients, V views:
+ * scene.hdrig is a safetensors file (8 bytes little-endian header length, JSON, raw data; described
+ * at github.com/huggingface/safetensors), all tensors F32, N splats, K coefficients, V views:
  *   mu [3,N]  log_scale [3,N]  quat [4,N]  logit [N]  sh [K,3,N]   the planes of struct gaussians
  *   tone [3,193]  mid_log2t [1]  background [3]
  *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t, for size x size px
  * and in __metadata__: format "hdrig-scene", version "1", size, names (a JSON list of V names).
  *
- * The reader refuses, in this order: 1. a header length above 2 MB or beyond the file; 2. what is not JSON;
- * 3. another format or version; 4. a tensor unknown, missing or there twice; 5. a type other than F32 or
- * a member besides dtype, shape, data_offsets; 6. shapes that contradict each other or exceed
- * GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX; 7. offsets whose length is not that of the shape; 8. data
- * that overlap, leave holes or do not end with the file; 9. numbers that are not finite, cameras that
- * cameras_check refuses, a negative background; 10. names that name_copy refuses or that repeat.
+ * The reader refuses
+ *  1. a header length above 2 MB or beyond the file;
+ *  2. what is not JSON;
+ *  3. another format or version;
+ *  4. a tensor that is unknown, missing or there twice;
+ *  5. a type other than F32, or a member besides dtype, shape, data_offsets;
+ *  6. shapes that contradict each other or exceed GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX;
+ *  7. offsets beyond the file or whose length is not that of the shape;
+ *  8. data that overlap, leave holes or do not end with the file;
+ *  9. numbers that are not finite, cameras that cameras_check refuses, a negative background;
+ * 10. names that name_copy refuses or that repeat.
  * thread: any. */
 #ifndef DRIVERS_SCENEFILE_H
 #define DRIVERS_SCENEFILE_H
@@ -20,7 +25,8 @@
 #include "core/types.h"
 
 /* Write scene.hdrig. s->cams may be NULL only if n_views is 0.
- * err:  ERR_ARG (a splat that is not finite, named), ERR_IO, ERR_NOMEM. The partial file is removed. */
+ * err:  ERR_ARG (a splat that is not finite, named), ERR_IO, ERR_NOMEM. The partial file is
+ *       removed. */
 MUST_USE err_t scenefile_write(const char *path, const struct scene *s);
 
 struct scenefile_info {
@@ -45,10 +51,12 @@ struct scenefile_bytes {
 
 /* The same from memory. */
 MUST_USE err_t scenefile_peek_bytes(const struct scenefile_bytes *file, struct scenefile_info *out);
-MUST_USE err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struct scene *s);
+MUST_USE err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a,
+                               struct scene *s);
 
 /* Write tone.json: {"formula", "mid_log2t", "curves": [{"colour", "w1", "b1", "w2", "b2"}, ...],
- * "samples": [{"log2_exposure_relative": x, "rgb": [r, g, b]}, ...]}; x is log2(radiance x t / t_mid).
+ * "samples": [{"log2_exposure_relative": x, "rgb": [r, g, b]}, ...]}; x is log2(radiance x t /
+ * t_mid).
  * err:  ERR_IO. The partial file is removed. */
 MUST_USE err_t scenefile_write_tone(const char *path, const struct tonemap *tone);
 

@@ -1,6 +1,6 @@
 /* bytes.h - little-endian numbers out of and into bytes that came from outside.
- * A cursor never reads past its end: a read that does not fit returns 0, sets `bad` and leaves the cursor bad, so a
- * parser may read a whole record and ask once. Pure computation.
+ * A cursor never reads past its end: a read that does not fit returns 0, sets `bad` and leaves the
+ * cursor bad, so a parser may read a whole record and ask once. Pure computation.
  * thread: any; a cursor belongs to one thread. */
 #ifndef BASE_BYTES_H
 #define BASE_BYTES_H

@@ -25,8 +25,10 @@ err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
 {
     memset(g, 0, sizeof *g);
     if (!size_is_allowed(cap, degree))
-        return err_fail(ERR_ARG, "gaussians: %d splats of SH degree %d asked, allowed are 0 to %d of degree 0 to %d",
-                        cap, degree, GAUSSIANS_MAX, SH_DEGREE_MAX);
+        return err_fail(
+            ERR_ARG,
+            "gaussians: %d splats of SH degree %d asked, allowed are 0 to %d of degree 0 to %d",
+            cap, degree, GAUSSIANS_MAX, SH_DEGREE_MAX);
     size_t mark = arena_mark(a);
     for (int p = 0; p < gaussians_planes(degree); p++) {
         err_t e = arena_zalloc(a, (size_t)rounded_cap(cap), sizeof(float), &g->plane[p]);
@@ -76,7 +78,8 @@ static bool repair(const struct gaussians *g, int i)
 {
     bool changed = repair_quat(g, i);
     for (int k = 0; k < 3; k++)
-        changed |= clamp_value(&g->plane[G_LOG_SCALE + k][i], GAUSSIANS_LOG_SCALE_MIN, GAUSSIANS_LOG_SCALE_MAX);
+        changed |= clamp_value(&g->plane[G_LOG_SCALE + k][i], GAUSSIANS_LOG_SCALE_MIN,
+                               GAUSSIANS_LOG_SCALE_MAX);
     changed |= clamp_value(&g->plane[G_LOGIT][i], -GAUSSIANS_LOGIT_MAX, GAUSSIANS_LOGIT_MAX);
     return changed;
 }

@@ -5,7 +5,9 @@
 
 #include "core/types.h"
 
-enum { GAUSSIANS_MAX = 1 << 26 }; // splats; far above any machine we run on, keeps every index in an int
+enum {
+    GAUSSIANS_MAX = 1 << 26
+}; // splats; far above any machine we run on, keeps every index in an int
 
 #define GAUSSIANS_LOG_SCALE_MIN -27.6310211f // ln 1e-12
 #define GAUSSIANS_LOG_SCALE_MAX 13.8155106f  // ln 1e6
@@ -14,7 +16,8 @@ enum { GAUSSIANS_MAX = 1 << 26 }; // splats; far above any machine we run on, ke
 /* Bytes that gaussians_init takes from its arena; SIZE_MAX for a cap or degree that it refuses. */
 size_t gaussians_need(int cap, int degree);
 
-/* Room for `cap` splats (0..GAUSSIANS_MAX, rounded up to a multiple of 16, at least 16) of SH `degree` 0..4.
+/* Room for `cap` splats (0..GAUSSIANS_MAX, rounded up to a multiple of 16, at least 16) of SH
+ * `degree` 0..4.
  * out:  *g with n = 0, planes zeroed, unused planes NULL; memory lives in a. On error *g is zeroed.
  * err:  ERR_ARG, ERR_NOMEM (arena; see gaussians_need). */
 MUST_USE err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree);
@@ -24,9 +27,9 @@ struct gaussians_report {
     int repaired; // splats kept with at least one value brought back into its range
 };
 
-/* Remove splats with a value that is not finite; the others keep their order. Then clamp log_scale to
- * [ln 1e-12, ln 1e6] and the logit to [-30, 30]; a quaternion shorter than 1e-6 becomes the identity, one longer than
- * 1e6 is brought to unit length. Splats already in range keep every bit.
+/* Remove splats with a value that is not finite; the others keep their order. Then clamp log_scale
+ * to [ln 1e-12, ln 1e6] and the logit to [-30, 30]; a quaternion shorter than 1e-6 becomes the
+ * identity, one longer than 1e6 is brought to unit length. Splats already in range keep every bit.
  * out:  *report. */
 void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report);
 

@@ -9,8 +9,9 @@
 static void numbers_are_little_endian(void **state)
 {
     (void)state;
-    static const uint8_t raw[] = {0xfe, 0x34, 0x12, 0x78, 0x56, 0x34, 0x12, 8, 7, 6, 5, 4, 3, 2, 1,
-                                  0, 0, 0xc0, 0xbf, 0, 0, 0, 0, 0, 0, 0xf8, 0x3f};
+    static const uint8_t raw[] = {0xfe, 0x34, 0x12, 0x78, 0x56, 0x34, 0x12, 8,    7,
+                                  6,    5,    4,    3,    2,    1,    0,    0,    0xc0,
+                                  0xbf, 0,    0,    0,    0,    0,    0,    0xf8, 0x3f};
     struct bytes b = bytes_of(raw, sizeof raw);
     assert_int_equal(bytes_u8(&b), 0xfe);
     assert_int_equal(bytes_u16(&b), 0x1234);

@@ -11,7 +11,9 @@
 
 #include <cmocka.h>
 
-#define GOOD "{\"name\":\"a.png\",\"w\":8,\"h\":6,\"fx\":5,\"fy\":5,\"cx\":4,\"cy\":3,\"q\":[1,0,0,0],\"t\":[0,0,0]}"
+#define GOOD                                                                                       \
+    "{\"name\":\"a.png\",\"w\":8,\"h\":6,\"fx\":5,\"fy\":5,\"cx\":4,\"cy\":3,\"q\":[1,0,0,0],"     \
+    "\"t\":[0,0,0]}"
 #define RIG(view) "{\"cameras\":[" view "]}"
 
 static err_t parse(const char *text, struct rig *rig)
@@ -22,10 +24,18 @@ static err_t parse(const char *text, struct rig *rig)
 static void what_is_written_is_read_bit_for_bit(void **state)
 {
     (void)state;
-    struct rig_view v[2] = {
-        {"a \"quoted\\\" \xc3\xa9.png", {640, 480, 0.1f, 381.284487f, 1e-30f, -7.7f,
-         {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f}, {1.f / 3, -3e8f, 1e-40f}}, true, -3.1f},
-        {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, false, 0}};
+    struct rig_view v[2] = {{"a \"quoted\\\" \xc3\xa9.png",
+                             {640,
+                              480,
+                              0.1f,
+                              381.284487f,
+                              1e-30f,
+                              -7.7f,
+                              {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
+                              {1.f / 3, -3e8f, 1e-40f}},
+                             true,
+                             -3.1f},
+                            {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, false, 0}};
     struct rig in = {2, v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
@@ -90,10 +100,12 @@ static void numbers_are_checked(void **state)
 {
     (void)state;
     static const char *const wrong[][2] = {
-        {"\"fx\":5", "\"fx\":0"},        {"\"fy\":5", "\"fy\":-1"},        {"\"fx\":5", "\"fx\":1e99"},
-        {"\"cx\":4", "\"cx\":\"4\""},    {"[1,0,0,0]", "[1,0,0]"},         {"[1,0,0,0]", "[1.01,0,0,0]"},
-        {"[1,0,0,0]", "[0,0,0,0]"},      {"[1,0,0,0]", "[1,0,0,null]"},    {"\"t\":[0,0,0]", "\"t\":0"},
-        {"[0,0,0]}", "[0,1e400,0]}"},    {"\"w\":8", "\"w\":0"},           {"\"t\":", "\"exposure_log2\":[],\"t\":"}};
+        {"\"fx\":5", "\"fx\":0"},     {"\"fy\":5", "\"fy\":-1"},
+        {"\"fx\":5", "\"fx\":1e99"},  {"\"cx\":4", "\"cx\":\"4\""},
+        {"[1,0,0,0]", "[1,0,0]"},     {"[1,0,0,0]", "[1.01,0,0,0]"},
+        {"[1,0,0,0]", "[0,0,0,0]"},   {"[1,0,0,0]", "[1,0,0,null]"},
+        {"\"t\":[0,0,0]", "\"t\":0"}, {"[0,0,0]}", "[0,1e400,0]}"},
+        {"\"w\":8", "\"w\":0"},       {"\"t\":", "\"exposure_log2\":[],\"t\":"}};
     struct rig rig;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
         assert_int_equal(parse_changed(wrong[i][0], wrong[i][1], &rig), ERR_FORMAT);
@@ -118,9 +130,10 @@ static void every_cut_is_refused(void **state)
 static void a_view_is_found_for_each_of_its_exposures(void **state)
 {
     (void)state;
-    struct rig_view v[3] = {{.name = "train_ldr_000_2.png", .cam = {8, 6, 5, 5, 4, 3, {1, 0, 0, 0}, {0}}},
-                            {.name = "train_ldr_001_2.png", .cam = {8, 6, 6, 6, 4, 3, {1, 0, 0, 0}, {0}}},
-                            {.name = "IMG_0001.jpg", .cam = {8, 6, 7, 7, 4, 3, {1, 0, 0, 0}, {0}}}};
+    struct rig_view v[3] = {
+        {.name = "train_ldr_000_2.png", .cam = {8, 6, 5, 5, 4, 3, {1, 0, 0, 0}, {0}}},
+        {.name = "train_ldr_001_2.png", .cam = {8, 6, 6, 6, 4, 3, {1, 0, 0, 0}, {0}}},
+        {.name = "IMG_0001.jpg", .cam = {8, 6, 7, 7, 4, 3, {1, 0, 0, 0}, {0}}}};
     struct rig rig = {3, v};
     struct camera c;
     assert_int_equal(cameras_find("r", &rig, "train_ldr_001_4.png", 8, 6, &c), OK);
@@ -141,8 +154,9 @@ static void a_view_is_found_for_each_of_its_exposures(void **state)
 static void names_follow_one_rule(void **state)
 {
     (void)state;
-    static const char *const wrong[] = {"", "a/b", "a\nb", "\xff", "\xc0\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80",
-                                        "\xe2\x82", ".", ".."};
+    static const char *const wrong[] = {
+        "",         "a/b", "a\nb", "\xff", "\xc0\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80",
+        "\xe2\x82", ".",   ".."};
     char out[NAME_CAP], longest[NAME_CAP + 1];
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
         assert_int_equal(name_copy("f", wrong[i], strlen(wrong[i]), out), ERR_FORMAT);
@@ -161,9 +175,16 @@ static void names_follow_one_rule(void **state)
 static void exposures_are_checked(void **state)
 {
     (void)state;
-    static const char *const wrong[] = {"{}",           "[]",           "{\"a\":0}",  "{\"a\":-1}",
-                                        "{\"a\":1e999}", "{\"a\":\"1\"}", "{\"\":1}", "{\"a\":1,\"b\":2,\"a\":1}",
-                                        "{\"a/b\":1}",  "{\"a\":1"};
+    static const char *const wrong[] = {"{}",
+                                        "[]",
+                                        "{\"a\":0}",
+                                        "{\"a\":-1}",
+                                        "{\"a\":1e999}",
+                                        "{\"a\":\"1\"}",
+                                        "{\"\":1}",
+                                        "{\"a\":1,\"b\":2,\"a\":1}",
+                                        "{\"a/b\":1}",
+                                        "{\"a\":1"};
     struct exposures x;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
         assert_int_not_equal(exposures_parse("e", wrong[i], strlen(wrong[i]), &x), OK);

@@ -1,5 +1,6 @@
-/* The fixtures colmap_txt and colmap_bin hold the same small model: three cameras of three models, three
- * views (one name with a folder, one view with image points), two points with and without track. */
+/* The fixtures colmap_txt and colmap_bin hold the same small model: three cameras of three models,
+ * three views (one name with a folder, one view with image points), two points with and without
+ * track. */
 #include "drivers/colmap.h"
 #include "drivers/file.h"
 
@@ -20,9 +21,10 @@ static void check_model(const char *dir)
     assert_int_equal(colmap_read(dir, &rig), OK);
     assert_int_equal(rig.n, 3);
     assert_string_equal(rig.views[1].name, "train_ldr_001_2.png");
-    const struct camera want[3] = {{8, 6, 5.5f, 5.25f, 4, 3, {1, 0, 0, 0}, {0, 0, 0}},
-                                   {8, 6, 6.5f, 6.5f, 4.25f, 3, {.5f, -.5f, .5f, -.5f}, {.25f, -1.125f, 3}},
-                                   {16, 12, 11, 10.5f, 8, 6, {.6f, 0, .8f, 0}, {1e-3f, 0, -2.5f}}};
+    const struct camera want[3] = {
+        {8, 6, 5.5f, 5.25f, 4, 3, {1, 0, 0, 0}, {0, 0, 0}},
+        {8, 6, 6.5f, 6.5f, 4.25f, 3, {.5f, -.5f, .5f, -.5f}, {.25f, -1.125f, 3}},
+        {16, 12, 11, 10.5f, 8, 6, {.6f, 0, .8f, 0}, {1e-3f, 0, -2.5f}}};
     for (int i = 0; i < 3; i++)
         assert_memory_equal(&rig.views[i].cam, &want[i], sizeof want[i]);
     cameras_free(&rig);
@@ -76,7 +78,8 @@ static err_t parse_text(const char *cameras, const char *images)
 static void contradictions_are_named(void **state)
 {
     (void)state;
-    static const char *const camera = "1 PINHOLE 8 6 5 5 4 3\n", *const image = "1 1 0 0 0 0 0 0 1 a.png\n\n";
+    static const char *const camera = "1 PINHOLE 8 6 5 5 4 3\n", *const image =
+                                                                     "1 1 0 0 0 0 0 0 1 a.png\n\n";
     static const struct {
         const char *cameras, *images, *sentence;
         err_t code;
@@ -99,7 +102,8 @@ static void contradictions_are_named(void **state)
         {camera, "1 1 0 0 0 0 0 0 1\n\n", "name", ERR_FORMAT},
         {camera, "1 1 0 0 0 0 0 0 1 x/..\n\n", "folder", ERR_FORMAT},
         {camera, "1 1 0 0 0 0 0 x 1 a.png\n\n", "\"x 1 a.png\"", ERR_FORMAT},
-        {camera, "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 b/a.png\n\n", "a.png is named twice", ERR_FORMAT},
+        {camera, "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 b/a.png\n\n", "a.png is named twice",
+         ERR_FORMAT},
     };
     assert_int_equal(parse_text(camera, image), OK);
     assert_int_equal(parse_text(camera, "1 1 0 0 0 0 0 0 1 with blank.png\r\n"), OK);
@@ -110,7 +114,8 @@ static void contradictions_are_named(void **state)
 }
 
 /* Copies of exact length, so that the address sanitiser sees a byte too many. */
-static err_t parse_cut(const struct file_map *cameras, size_t n_cameras, const struct file_map *images, size_t n_images)
+static err_t parse_cut(const struct file_map *cameras, size_t n_cameras,
+                       const struct file_map *images, size_t n_images)
 {
     struct rig rig;
     char *c = malloc(n_cameras + 1), *i = malloc(n_images + 1);
@@ -138,7 +143,8 @@ static void every_cut_of_the_binaries_is_refused(void **state)
     for (size_t n = 0; n < i.n; n++)
         assert_int_equal(parse_cut(&c, c.n, &i, n), ERR_FORMAT);
     for (size_t n = 0; n < p.n; n++)
-        assert_int_equal(colmap_parse_points(true, &(struct colmap_text){"p", p.p, n}, &points), ERR_FORMAT);
+        assert_int_equal(colmap_parse_points(true, &(struct colmap_text){"p", p.p, n}, &points),
+                         ERR_FORMAT);
     file_unmap(&c);
     file_unmap(&i);
     file_unmap(&p);

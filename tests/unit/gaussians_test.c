@@ -47,7 +47,8 @@ static void need_is_exact_for_every_size(void **state)
 static void wrong_sizes_are_refused(void **state)
 {
     (void)state;
-    static const int wrong[][2] = {{-1, 0}, {1, -1}, {1, SH_DEGREE_MAX + 1}, {GAUSSIANS_MAX + 1, 0}};
+    static const int wrong[][2] = {
+        {-1, 0}, {1, -1}, {1, SH_DEGREE_MAX + 1}, {GAUSSIANS_MAX + 1, 0}};
     struct gaussians g;
     make(16, 0);
     for (int k = 0; k < 4; k++) {

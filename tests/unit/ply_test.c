@@ -59,7 +59,8 @@ static void what_is_written_is_read_bit_for_bit(void **state)
         assert_int_equal(ply_peek(path, &info), OK);
         assert_true(info.n == 21 && info.degree == degree && info.has_hdr);
         assert_int_equal(ply_read(path, &arena, &out, &report), OK);
-        assert_true(out.n == 21 && out.degree == degree && report.dropped == 0 && report.repaired == 0);
+        assert_true(out.n == 21 && out.degree == degree && report.dropped == 0 &&
+                    report.repaired == 0);
         for (int p = 0; p < gaussians_planes(degree); p++)
             assert_memory_equal(out.plane[p], in.plane[p], 21 * sizeof(float));
     }
@@ -113,16 +114,19 @@ static void bad_splats_are_not_written(void **state)
     assert_int_equal(ply_write("/dev/full", &g, &tone), ERR_IO);
 }
 
-static const char *const foreign[] = {"rot_0", "rot_1", "rot_2", "rot_3", "opacity", "z", "y", "x",
-                                      "scale_2", "scale_1", "scale_0", "f_dc_0", "f_dc_1", "f_dc_2"};
+static const char *const foreign[] = {"rot_0",   "rot_1",  "rot_2",  "rot_3",   "opacity",
+                                      "z",       "y",      "x",      "scale_2", "scale_1",
+                                      "scale_0", "f_dc_0", "f_dc_1", "f_dc_2"};
 enum { N_FOREIGN = 14 };
 
-/* A file of another program: other order, a double and a uchar in between, f_rest, an element behind. */
+/* A file of another program: other order, a double and a uchar in between, f_rest, an element
+ * behind. */
 static size_t make_foreign(int n_rest, const float *values, char *out)
 {
     char *p = out;
-    p += sprintf(p, "ply\r\nformat binary_little_endian 1.0\ncomment by someone else\nelement vertex 1\n"
-                    "property double time\n");
+    p += sprintf(
+        p, "ply\r\nformat binary_little_endian 1.0\ncomment by someone else\nelement vertex 1\n"
+           "property double time\n");
     for (int i = 0; i < N_FOREIGN; i++)
         p += sprintf(p, "property float%s %s\n", i % 2 ? "32" : "", foreign[i]);
     p += sprintf(p, "property uchar label\n");
@@ -150,14 +154,16 @@ static void foreign_files_are_taken_as_srgb(void **state)
     make(1, 0);
     assert_int_equal(ply_parse(&b, &arena, &g, &report), OK);
     assert_true(g.n == 1 && g.degree == 1);
-    assert_true(g.plane[G_MU][0] == 1 && g.plane[G_MU + 2][0] == 3 && g.plane[G_LOG_SCALE + 2][0] == -3);
+    assert_true(g.plane[G_MU][0] == 1 && g.plane[G_MU + 2][0] == 3 &&
+                g.plane[G_LOG_SCALE + 2][0] == -3);
     assert_true(g.plane[G_LOGIT][0] == 0.5f && g.plane[G_QUAT][0] == 1);
-    assert_true(fabs(exp(C0 * g.plane[G_SH][0]) - 0.2140411) < 1e-6);     // display 0.5
-    assert_true(fabs(C0 * g.plane[G_SH + 1][0]) < 1e-6);                  // display 1
-    assert_true(fabs(exp(C0 * g.plane[G_SH + 2][0]) - 1e-4) < 1e-9);      // below black
-    assert_true(fabs(g.plane[G_SH + 3 * 1][0] - 0.1 * 2.4 / 0.555) < 1e-6);      // red, first coefficient
-    assert_true(fabs(g.plane[G_SH + 3 * 3 + 1][0] - 0.6 * 2.4 / 1.055) < 1e-6);  // green, third
-    assert_true(g.plane[G_SH + 3 * 2 + 2][0] == 0);                              // blue is dark
+    assert_true(fabs(exp(C0 * g.plane[G_SH][0]) - 0.2140411) < 1e-6); // display 0.5
+    assert_true(fabs(C0 * g.plane[G_SH + 1][0]) < 1e-6);              // display 1
+    assert_true(fabs(exp(C0 * g.plane[G_SH + 2][0]) - 1e-4) < 1e-9);  // below black
+    assert_true(fabs(g.plane[G_SH + 3 * 1][0] - 0.1 * 2.4 / 0.555) <
+                1e-6); // red, first coefficient
+    assert_true(fabs(g.plane[G_SH + 3 * 3 + 1][0] - 0.6 * 2.4 / 1.055) < 1e-6); // green, third
+    assert_true(g.plane[G_SH + 3 * 2 + 2][0] == 0);                             // blue is dark
 }
 
 static err_t parse_text(const char *text)
@@ -194,10 +200,12 @@ static void hostile_headers_are_refused(void **state)
         {HEAD "element vertex 1\nproperty float x y z a\n", "words", ERR_FORMAT},
         {HEAD "element vertex 1\nproperty float x\nproperty int x\n", "twice", ERR_FORMAT},
         {HEAD "element vertex 0\nelement vertex 0\n", "two vertex", ERR_FORMAT},
-        {HEAD "element vertex 2\nproperty float x\nend_header\n1234567", "2 splats of 4 bytes", ERR_FORMAT},
+        {HEAD "element vertex 2\nproperty float x\nend_header\n1234567", "2 splats of 4 bytes",
+         ERR_FORMAT},
         {HEAD "element vertex 0\nproperty int x\nend_header\n", "x is int", ERR_FORMAT},
         {HEAD "element vertex 0\nend_header\n", "no property x", ERR_FORMAT},
-        {HEAD "element vertex 0\nproperty float f_rest_0\nend_header\n", "SH degree", ERR_UNSUPPORTED},
+        {HEAD "element vertex 0\nproperty float f_rest_0\nend_header\n", "SH degree",
+         ERR_UNSUPPORTED},
         {HEAD "nonsense\n", "nonsense", ERR_FORMAT},
     };
     make(1, 0);
@@ -219,7 +227,8 @@ static void every_cut_is_refused(void **state)
     for (size_t n = 0; n < m.n; n++) {
         char *copy = malloc(n + 1);
         memcpy(copy + 1, m.p, n);
-        assert_int_equal(ply_parse(&(struct ply_bytes){"f", copy + 1, n}, &arena, &g, &report), ERR_FORMAT);
+        assert_int_equal(ply_parse(&(struct ply_bytes){"f", copy + 1, n}, &arena, &g, &report),
+                         ERR_FORMAT);
         free(copy);
     }
     file_unmap(&m);

@@ -23,7 +23,11 @@ static struct scene make(int n, int degree, int n_views)
     static char names[8][NAME_CAP];
     static float log2t[8];
     static struct camera cams[8];
-    struct scene s = {.background = {0, 0.1f, 3e7f}, .n_views = n_views, .size = 56, .names = names, .log2t = log2t,
+    struct scene s = {.background = {0, 0.1f, 3e7f},
+                      .n_views = n_views,
+                      .size = 56,
+                      .names = names,
+                      .log2t = log2t,
                       .cams = cams};
     arena_free(&arena);
     assert_int_equal(arena_init(&arena, "test", 1 << 20), OK);
@@ -38,15 +42,22 @@ static struct scene make(int n, int degree, int n_views)
     for (int i = 0; i < n_views; i++) {
         snprintf(names[i], sizeof names[i], "view \"%d\" \\ \xc3\xa9.png", i);
         log2t[i] = 0.1f * (float)i - 3;
-        cams[i] = (struct camera){56, 56, 50.1f, 51.7f, 28.3f, (float)i, {0.694912981f, 0.7071484f, -0.0930978648f,
-                                  0.0914870255f}, {1e-40f, -1.f / 3, 1e30f}};
+        cams[i] = (struct camera){56,
+                                  56,
+                                  50.1f,
+                                  51.7f,
+                                  28.3f,
+                                  (float)i,
+                                  {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
+                                  {1e-40f, -1.f / 3, 1e30f}};
     }
     return s;
 }
 
 static void check_same(const struct scene *a, const struct scene *b)
 {
-    assert_true(a->g.n == b->g.n && a->g.degree == b->g.degree && a->n_views == b->n_views && a->size == b->size);
+    assert_true(a->g.n == b->g.n && a->g.degree == b->g.degree && a->n_views == b->n_views &&
+                a->size == b->size);
     for (int p = 0; p < gaussians_planes(a->g.degree); p++)
         assert_memory_equal(a->g.plane[p], b->g.plane[p], sizeof(float) * (size_t)a->g.n);
     assert_memory_equal(&a->tone, &b->tone, sizeof a->tone);
@@ -69,7 +80,8 @@ static void what_is_written_is_read_bit_for_bit(void **state)
             struct arena exact;
             assert_int_equal(scenefile_write(path, &in), OK);
             assert_int_equal(scenefile_peek(path, &info), OK);
-            assert_true(info.n == n && info.degree == degree && info.n_views == n % 8 && info.size == 56);
+            assert_true(info.n == n && info.degree == degree && info.n_views == n % 8 &&
+                        info.size == 56);
             assert_int_equal(arena_init(&exact, "exact", info.need), OK);
             assert_int_equal(scenefile_read(path, &exact, &out), OK);
             assert_true(exact.used == info.need);
@@ -176,7 +188,8 @@ static void hostile_headers_are_refused(void **state)
         {"\"shape\":[2,11]", "\"shape\":[5000,11]", "at most", ERR_LIMIT},
         {"\"data_offsets\":[0,36]", "\"data_offsets\":[36,0]", "from 36 to 0", ERR_FORMAT},
         {"\"data_offsets\":[0,36]", "\"data_offsets\":[0,32]", "needs 36", ERR_FORMAT},
-        {"\"data_offsets\":[0,36]", "\"data_offsets\":[99999964,100000000]", "from 99999964", ERR_FORMAT},
+        {"\"data_offsets\":[0,36]", "\"data_offsets\":[99999964,100000000]", "from 99999964",
+         ERR_FORMAT},
         {"\"data_offsets\":[0,36]", "\"data_offsets\":[36,72]", "overlap or hole", ERR_FORMAT},
         {"\"data_offsets\":[36,72]", "\"data_offsets\":[0,36]", "overlap or hole", ERR_FORMAT},
         {"\"names\":\"[", "\"names\":\"[1,", "not a list of 2", ERR_FORMAT},
@@ -211,7 +224,12 @@ static err_t parse_float(long at, float v)
 static void numbers_are_checked(void **state)
 {
     (void)state;
-    enum { TONE = 3 * (11 + 3), MID = TONE + TONE_PARAMS, BACKGROUND = MID + 1, LOG2T = BACKGROUND + 3 };
+    enum {
+        TONE = 3 * (11 + 3),
+        MID = TONE + TONE_PARAMS,
+        BACKGROUND = MID + 1,
+        LOG2T = BACKGROUND + 3
+    };
     assert_int_equal(parse_float(0, NAN), ERR_FORMAT);
     assert_int_equal(parse_float(TONE - 1, INFINITY), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "1 of 3 splats"));

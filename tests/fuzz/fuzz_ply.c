@@ -1,0 +1,23 @@
+/* A PLY file from anyone: the header says how much memory is taken, then come rows. */
+#include "drivers/ply.h"
+
+#include <stdlib.h>
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    struct ply_bytes file = {"input", data, size};
+    struct ply_info info;
+    struct arena a;
+    if (ply_peek_bytes(&file, &info) || info.n > 4096)
+        return 0;
+    if (arena_init(&a, "fuzz", gaussians_need(info.n, info.degree)))
+        return 0;
+    struct gaussians g;
+    struct gaussians_report report;
+    if (ply_parse(&file, &a, &g, &report) || g.n + report.dropped != info.n)
+        abort(); // what was peeked must be read
+    arena_free(&a);
+    return 0;
+}

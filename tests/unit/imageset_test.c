@@ -1,0 +1,286 @@
+#include "drivers/imageset.h"
+
+#include "drivers/img.h"
+#include "drivers/imgsize.h"
+
+#include "tests/unit/tmpdir.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+
+#include <cmocka.h>
+
+static int make_folder(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    return 0;
+}
+
+static int remove_folder(void **state)
+{
+    (void)state;
+    tmpdir_remove();
+    return 0;
+}
+
+static void put_picture(const char *name, int w, int h)
+{
+    static uint8_t px[64 * 64 * 3];
+    for (int i = 0; i < w * h * 3; i++)
+        px[i] = (uint8_t)(i * 7 + name[strlen(name) - 5]);
+    struct image8 im = {w, h, 3, px};
+    assert_int_equal(img_write_png(tmpdir_path(name), &im), OK);
+}
+
+/* The released layout: train views 000 and 001 .. at exposures 0, 2, 4, one test view. */
+static void make_released(int n_views)
+{
+    char json[4096] = "{", name[64], line[256], images[4096] = "";
+    tmpdir_mkdir("images");
+    tmpdir_mkdir("sparse");
+    tmpdir_mkdir("sparse/0");
+    for (int v = 0; v < n_views; v++) {
+        for (int k = 0; k < 5; k += 2) {
+            snprintf(name, sizeof name, "images/train_ldr_%03d_%d.png", v, k);
+            put_picture(name, 8, 6);
+            snprintf(line, sizeof line, "\"%s\": %g,\n", name + 7,
+                     k == 0   ? 0.125
+                     : k == 2 ? 2.0
+                              : 32.0);
+            strcat(json, line);
+        }
+        snprintf(line, sizeof line, "%d 1 0 0 0 %d 0 0 1 train_ldr_%03d_2.png\n\n", v + 1, v, v);
+        strcat(images, line);
+    }
+    put_picture("images/test_ldr_000_0.png", 8, 6);
+    put_picture("images/test_ldr_000_1.png", 8, 6);
+    strcat(images, "99 1 0 0 0 50 0 0 1 test_ldr_000_1.png\n\n");
+    strcat(json, "\"test_ldr_000_0.png\": 1, \"test_ldr_000_1.png\": 4}");
+    tmpdir_text("exposure.json", json);
+    tmpdir_text("images/notes.txt", "not a picture");
+    tmpdir_text("images/.hidden.png", "nor is this");
+    tmpdir_text("sparse/0/cameras.txt", "1 PINHOLE 8 6 5 5 4 3\n");
+    tmpdir_text("sparse/0/images.txt", images);
+}
+
+static void check_names(const struct imageset *set, int n, const char *const *names)
+{
+    assert_int_equal(set->capture.n, n);
+    for (int i = 0; i < n; i++)
+        assert_string_equal(set->capture.shots[i].name, names[i]);
+}
+
+static void one_exposure_per_view_interleaved(void **state)
+{
+    (void)state;
+    static const char *const want[] = {"train_ldr_000_2.png", "train_ldr_001_0.png",
+                                       "train_ldr_002_4.png", "train_ldr_003_2.png"};
+    static const double times[] = {2, 0.125, 32, 2};
+    struct imageset set;
+    make_released(4);
+    for (int k = 0; k < 2; k++) { // the folder above and images/ itself are the same set
+        struct imageset_request rq = {.images = k ? tmpdir_path("images") : tmpdir_root};
+        assert_int_equal(imageset_list(&rq, &set), OK);
+        check_names(&set, 4, want);
+        for (int i = 0; i < 4; i++) {
+            const struct shot *s = &set.capture.shots[i];
+            assert_true(s->exposure == times[i] && s->has_camera && s->cam.t[0] == (float)i);
+            assert_true(s->image.w == 8 && s->image.h == 6 && s->image.px == NULL);
+        }
+        imageset_free(&set);
+    }
+    struct imageset_request two = {.images = tmpdir_root, .n_views = 2};
+    assert_int_equal(imageset_list(&two, &set), OK);
+    check_names(&set, 2, (const char *const[]){"train_ldr_000_2.png", "train_ldr_003_0.png"});
+    imageset_free(&set);
+    struct imageset_request five = {.images = tmpdir_root, .n_views = 5};
+    assert_int_equal(imageset_list(&five, &set), ERR_ARG);
+    assert_null(set.capture.shots);
+}
+
+static void test_pictures_come_with_all_exposures_when_asked(void **state)
+{
+    (void)state;
+    struct imageset set;
+    make_released(2);
+    struct imageset_request rq = {
+        .images = tmpdir_root, .which = IMAGESET_TEST, .every_exposure = true};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(&set, 2, (const char *const[]){"test_ldr_000_0.png", "test_ldr_000_1.png"});
+    assert_true(set.capture.shots[0].cam.t[0] == 50); // by the pose of exposure 1
+    imageset_free(&set);
+    rq.which = IMAGESET_ALL;
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.capture.n, 2 + 2 * 3);
+    imageset_free(&set);
+}
+
+static void a_protocol_names_the_inputs(void **state)
+{
+    (void)state;
+    struct imageset set;
+    make_released(3);
+    tmpdir_text("protocol.json",
+                "{\"inputs\": {\"3\": [\"train_ldr_002_0.png\", \"train_ldr_000_4.png\", "
+                "\"train_ldr_001_4.png\"], \"2\": [\"train_ldr_009_0.png\"], \"1\": "
+                "[\"train_ldr_000_0.png\", \"train_ldr_000_0.png\"]}}");
+    struct imageset_request rq = {.images = tmpdir_root};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(
+        &set, 3,
+        (const char *const[]){"train_ldr_000_4.png", "train_ldr_001_4.png", "train_ldr_002_0.png"});
+    imageset_free(&set);
+    rq.n_views = 2;
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "train_ldr_009_0.png"));
+    rq.n_views = 1;
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "twice"));
+}
+
+static void a_plain_folder_is_all_input(void **state)
+{
+    (void)state;
+    struct imageset set;
+    put_picture("b.PNG", 8, 6);
+    put_picture("a_1_2.Png", 8, 6);
+    put_picture("a_1_1.png", 8, 6);
+    put_picture("test_1.png", 8, 6);
+    tmpdir_mkdir("folder.png");
+    tmpdir_text(
+        "times",
+        "{\"b.PNG\": 1, \"a_1_2.Png\": 2, \"a_1_1.png\": 3, \"test_1.png\": 4, \"gone.png\": 5}");
+    struct imageset_request rq = {.images = tmpdir_root, .exposures = tmpdir_path("times")};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(&set, 4, (const char *const[]){"a_1_1.png", "a_1_2.Png", "b.PNG", "test_1.png"});
+    assert_false(set.capture.shots[0].has_camera);
+    imageset_free(&set);
+    rq.which = IMAGESET_TEST;
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "none of its 4"));
+}
+
+static void pixels_come_when_asked(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct image8 image;
+    make_released(2);
+    struct imageset_request rq = {.images = tmpdir_root};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(imageset_decode(&set, 1, &image), OK);
+    assert_true(image.w == 8 && image.px[1] == 7 + '0'); // see put_picture
+    assert_null(set.capture.shots[1].image.px);
+    img_free(&image);
+    assert_int_equal(imageset_load(&set), OK);
+    assert_int_equal(set.capture.shots[0].image.px[0], '2');
+    assert_int_equal(set.capture.shots[1].image.px[8 * 6 * 3 - 1],
+                     ((8 * 6 * 3 - 1) * 7 + '0') % 256);
+    put_picture("images/train_ldr_001_0.png", 6, 8);
+    assert_int_equal(imageset_decode(&set, 1, &image), ERR_FORMAT);
+    assert_null(image.px);
+    imageset_free(&set);
+}
+
+static err_t list(const struct imageset_request *rq)
+{
+    struct imageset set;
+    err_t e = imageset_list(rq, &set);
+    if (e)
+        assert_null(set.capture.shots);
+    imageset_free(&set);
+    return e;
+}
+
+static void contradictions_are_named(void **state)
+{
+    (void)state;
+    struct imageset_request rq = {.images = tmpdir_path("no such folder")};
+    assert_int_equal(list(&rq), ERR_IO);
+    rq.images = tmpdir_root;
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no pictures"));
+    put_picture("a.png", 8, 6);
+    put_picture("b.png", 6, 8);
+    put_picture("c.png", 8, 6);
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no exposure for a.png and 2 others of 3"));
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"c.png\": 1}");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no exposure for b.png and 0 others of 3"));
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1, \"c.png\": 1}");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "a.png has 8 x 6 px but b.png has 6 x 8"));
+    put_picture("b.png", 8, 6);
+    assert_int_equal(list(&rq), OK);
+    tmpdir_text("c.png", "not a picture");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "c.png"));
+    char name[NAME_CAP + 8];
+    memset(name, 'x', sizeof name);
+    strcpy(name + NAME_CAP, ".png");
+    tmpdir_text(name, "");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "132 bytes"));
+}
+
+static void rigs_come_from_three_places(void **state)
+{
+    (void)state;
+    static const char *const rig =
+        "{\"cameras\":[{\"name\":\"a.png\",\"w\":16,\"h\":12,\"fx\":10,\"fy\":10,\"cx\":8,"
+        "\"cy\":6,\"q\":[1,0,0,0],\"t\":[7,0,0]}]}";
+    struct imageset set;
+    put_picture("a.png", 8, 6);
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1}");
+    struct imageset_request rq = {.images = tmpdir_root, .rig = tmpdir_text("rig.json", rig)};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_true(set.capture.shots[0].has_camera &&
+                set.capture.shots[0].cam.fx == 5); // scaled to the picture
+    imageset_free(&set);
+    rq.rig = "tests/data/sets/colmap_bin";
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no camera for image a.png among 3"));
+    rq.rig = tmpdir_text("rig.conf", "");
+    assert_int_equal(list(&rq), ERR_UNSUPPORTED);
+    rq.rig = tmpdir_path("gone.json");
+    assert_int_equal(list(&rq), ERR_IO);
+    rq.rig = tmpdir_path("rig.json");
+    put_picture("b.png", 8, 6);
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "b.png"));
+}
+
+static void sizes_are_read_from_headers(void **state)
+{
+    (void)state;
+    static const uint8_t jpeg[] = {0xff, 0xd8, 0xff, 0xe1, 0, 4,  0xff, 0xc0, 0xff, 0xff, 0xc4, 0,
+                                   3,    9,    0xff, 0xc2, 0, 17, 8,    0x01, 0x02, 0x03, 0x04, 3};
+    int w, h;
+    put_picture("a.png", 8, 6);
+    assert_int_equal(imgsize_read(tmpdir_path("a.png"), &w, &h), OK);
+    assert_true(w == 8 && h == 6);
+    for (size_t n = 0; n < sizeof jpeg - 1; n++)
+        assert_int_equal(imgsize_parse("j", jpeg, n, &w, &h), ERR_FORMAT);
+    assert_int_equal(imgsize_parse("j", jpeg, sizeof jpeg, &w, &h), OK);
+    assert_true(w == 0x304 && h == 0x102);
+}
+
+#define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, make_folder, remove_folder)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        IN_FOLDER(one_exposure_per_view_interleaved),
+        IN_FOLDER(test_pictures_come_with_all_exposures_when_asked),
+        IN_FOLDER(a_protocol_names_the_inputs),
+        IN_FOLDER(a_plain_folder_is_all_input),
+        IN_FOLDER(pixels_come_when_asked),
+        IN_FOLDER(contradictions_are_named),
+        IN_FOLDER(rigs_come_from_three_places),
+        IN_FOLDER(sizes_are_read_from_headers),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
