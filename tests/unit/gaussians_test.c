@@ -33,7 +33,7 @@ static void need_is_exact_for_every_size(void **state)
 {
     (void)state;
     for (int degree = 0; degree <= SH_DEGREE_MAX; degree++) {
-        for (int cap = 0; cap < 70; cap += 23) {
+        for (int cap = 0; cap < 70; cap += 17) {
             struct gaussians g = make(cap, degree);
             assert_true(arena.used == gaussians_need(cap, degree) && arena.used == arena.peak);
             assert_true(g.cap >= 16 && g.cap >= cap && g.cap % 16 == 0 && g.n == 0);

@@ -213,6 +213,10 @@ static void contradictions_are_named(void **state)
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1, \"c.png\": 1}");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "a.png has 8 x 6 px but b.png has 6 x 8"));
+    put_picture("b.png", 7, 6);
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    put_picture("b.png", 8, 5);
+    assert_int_equal(list(&rq), ERR_FORMAT);
     put_picture("b.png", 8, 6);
     assert_int_equal(list(&rq), OK);
     tmpdir_text("c.png", "not a picture");
