@@ -12,6 +12,7 @@
 
 enum {
     BLOCK = 8,     // largest block, px of the map
+    RETREATS = 16, // steps by which a guess may go back
     TRIES = 12,    // times the detail may be given up
     SAMPLES = 4,   // pixels per axis that are read for the colour of a splat in one view
     LEVELS_MAX = 9 // of the smooth guess
@@ -23,6 +24,7 @@ static const float SURE = 0.3f;       // confidence from which a depth is believ
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
 static const float AGREE = 0.02f;     // relative difference of depths that are the same surface
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
+static const float RETREAT = 0.94f;   // factor on inverse depth of one step
 static const float WIDTH = 0.55f;     // standard deviation per spacing
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
@@ -189,6 +191,48 @@ static void see_everywhere(struct seed *s, const struct patch *p, const float *x
     }
 }
 
+/* Does a view with a sure depth look through the point at `at` (pixel, depth)? Its surroundings must agree, because at
+ * the rim of a near thing one pixel of error shows what lies behind. */
+static bool looks_through(const struct seed *s, int view, const float *at)
+{
+    const int w = s->in->depth->size;
+    for (int i = 0; i < 9; i++) {
+        int x = (int)at[0] + i % 3 - 1, y = (int)at[1] + i / 3 - 1;
+        if (x < 0 || y < 0 || x >= w || y >= w)
+            continue;
+        size_t k = ((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x;
+        if (s->in->depth->conf[k] < SURE || s->in->depth->depth[k] * (1.0f - 2.0f * AGREE) < at[2])
+            return false;
+    }
+    return true;
+}
+
+/* Views that see a surface at x less those that look through it. */
+static int balance(const struct seed *s, int own, const float *x)
+{
+    const int w = s->in->depth->size;
+    int sum = 0;
+    for (int j = 0; j < s->in->views->n; j++) {
+        float at[3];
+        if (j == own || !project(&s->frame[j], x, w, at))
+            continue;
+        size_t k = ((size_t)j * (size_t)w + (size_t)at[1]) * (size_t)w + (size_t)at[0];
+        float depth = s->in->depth->depth[k], conf = s->in->depth->conf[k];
+        if (conf >= SURE && fabsf(depth - at[2]) < AGREE * at[2])
+            sum++;
+        else if (conf >= SURE && depth > at[2] && looks_through(s, j, at))
+            sum--;
+    }
+    return sum;
+}
+
+static void lift(const struct frame *f, const struct patch *p, float rho, float *x)
+{
+    float camera[3] = {(p->x - f->c[0]) / f->f[0] / rho - f->t[0], (p->y - f->c[1]) / f->f[1] / rho - f->t[1],
+                       1.0f / rho - f->t[2]};
+    to_world(f, camera, x);
+}
+
 /* Unit vectors in the camera: along the slope, across it, normal. Returns the cosine to the line of sight. */
 static float surface(const struct frame *f, const struct patch *p, const float *ray, float (*axis)[3])
 {
@@ -238,20 +282,25 @@ static void axes_to_quat(float (*c)[3], float *q)
     memcpy(q, all[k], sizeof all[k]);
 }
 
-static void emit(struct seed *s, const struct patch *p)
+static void emit(struct seed *s, struct patch *p)
 {
     struct gaussians *g = s->out;
+    const struct frame *f = &s->frame[p->view];
+    float x[3];
+    lift(f, p, p->c, x);
+    for (int i = 0; balance(s, p->view, x) < 0; i++) {
+        if (p->conf >= SURE || i == RETREATS)
+            return;
+        p->c *= RETREAT; // a guess goes back until nobody looks through it
+        lift(f, p, p->c, x);
+    }
     if (g->n >= s->max) {
         s->full = true;
         return;
     }
-    const struct frame *f = &s->frame[p->view];
     const int i = g->n++;
     float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f}, z = 1.0f / p->c;
-    float camera[3], x[3], axis[3][3], world[3][3], q[4], sum[3][2] = {{0}};
-    for (int k = 0; k < 3; k++)
-        camera[k] = ray[k] * z - f->t[k];
-    to_world(f, camera, x);
+    float axis[3][3], world[3][3], q[4], sum[3][2] = {{0}};
     float width = p->side * z / f->f[0], cosine = surface(f, p, ray, axis);
     for (int k = 0; k < 3; k++)
         to_world(f, axis[k], world[k]);
