@@ -1,7 +1,9 @@
-/* SSIM (Wang et al. 2004) of windows x, y with means m, variances s^2 and covariance s_xy, C1 = K1^2, C2 = K2^2:
+/* SSIM (Wang et al. 2004) of windows x, y with means m, variances s^2 and covariance s_xy, C1 =
+ * K1^2, C2 = K2^2:
  *     (2 m_x m_y + C1) (2 s_xy + C2) / ((m_x^2 + m_y^2 + C1) (s_x^2 + s_y^2 + C2))
- * Only the sum of the two variances occurs, so four moments are filtered: x, y, x^2 + y^2, x y. Each input row is filtered
- * across once into a ring of 11 rows, which is then filtered down; both use that the window is symmetric. */
+ * Only the sum of the two variances occurs, so four moments are filtered: x, y, x^2 + y^2, x y.
+ * Each input row is filtered across once into a ring of 11 rows, which is then filtered down; both
+ * use that the window is symmetric. */
 #include "core/metrics.h"
 
 #include <math.h>
@@ -12,7 +14,8 @@ enum { TAPS = METRICS_SSIM_TAPS, MOMENTS = 4 };
 static const double SSIM_SIGMA = 1.5, SSIM_C1 = 0.01 * 0.01, SSIM_C2 = 0.03 * 0.03;
 static const double MU = 5000.0, SCALE_MIN = 1e-6; // model-spec 5.3
 
-/* x, y, x^2 + y^2, x y as one vector: half the time of four scalars even with the SSE2 of the base build. */
+/* x, y, x^2 + y^2, x y as one vector: half the time of four scalars even with the SSE2 of the base
+ * build. */
 typedef double moments __attribute__((vector_size(MOMENTS * sizeof(double))));
 
 static size_t values_of(const struct image *im)
@@ -25,16 +28,19 @@ static err_t check_finite(const struct image *im)
     size_t n = values_of(im), plane = (size_t)im->w * (size_t)im->h;
     for (size_t i = 0; i < n; i++)
         if (!isfinite(im->px[i]))
-            return err_fail(ERR_ARG, "metrics: value %g in channel %zu, row %zu, column %zu", (double)im->px[i],
-                            i / plane, i % plane / (size_t)im->w, i % (size_t)im->w);
+            return err_fail(ERR_ARG, "metrics: value %g in channel %zu, row %zu, column %zu",
+                            (double)im->px[i], i / plane, i % plane / (size_t)im->w,
+                            i % (size_t)im->w);
     return OK;
 }
 
 static err_t check_pair(const struct image *a, const struct image *b)
 {
-    if (a->w != b->w || a->h != b->h || a->channels != b->channels || a->w < 1 || a->h < 1 || a->channels < 1)
-        return err_fail(ERR_ARG, "metrics: cannot compare %d x %d px, %d channels with %d x %d px, %d channels", a->w,
-                        a->h, a->channels, b->w, b->h, b->channels);
+    if (a->w != b->w || a->h != b->h || a->channels != b->channels || a->w < 1 || a->h < 1 ||
+        a->channels < 1)
+        return err_fail(
+            ERR_ARG, "metrics: cannot compare %d x %d px, %d channels with %d x %d px, %d channels",
+            a->w, a->h, a->channels, b->w, b->h, b->channels);
     err_t e = check_finite(a);
     return e ? e : check_finite(b);
 }
@@ -68,7 +74,8 @@ static void gaussian(double kernel[TAPS])
 }
 
 /* Moments of one row, filtered across. raw: (w), out: (w - 10). */
-static void filter_across(const float *x, const float *y, int w, const double *kernel, moments *raw, moments *out)
+static void filter_across(const float *x, const float *y, int w, const double *kernel, moments *raw,
+                          moments *out)
 {
     for (int i = 0; i < w; i++) {
         double a = x[i], b = y[i];
@@ -87,7 +94,8 @@ static double similarity(const moments *m)
 {
     double x = (*m)[0], y = (*m)[1], xx_yy = x * x + y * y, xy = x * y;
     double variances = fmax(0.0, (*m)[2] - xx_yy);
-    return (2.0 * xy + SSIM_C1) * (2.0 * ((*m)[3] - xy) + SSIM_C2) / ((xx_yy + SSIM_C1) * (variances + SSIM_C2));
+    return (2.0 * xy + SSIM_C1) * (2.0 * ((*m)[3] - xy) + SSIM_C2) /
+           ((xx_yy + SSIM_C1) * (variances + SSIM_C2));
 }
 
 /* Sum over the windows whose top row is y0. ring: (11, n), row y at y % 11. */
@@ -109,7 +117,8 @@ static double sum_down(const moments *ring, int n, int y0, const double *kernel)
 size_t metrics_ssim_plan(int w)
 {
     size_t inside = w < TAPS ? 0 : (size_t)(w - TAPS + 1);
-    return arena_add(arena_need((size_t)w, sizeof(moments)), arena_need(TAPS * inside, sizeof(moments)));
+    return arena_add(arena_need((size_t)w, sizeof(moments)),
+                     arena_need(TAPS * inside, sizeof(moments)));
 }
 
 static double ssim_sum(const struct image *a, const struct image *b, moments *raw, moments *ring)
@@ -120,7 +129,8 @@ static double ssim_sum(const struct image *a, const struct image *b, moments *ra
     for (int c = 0; c < a->channels; c++)
         for (int y = 0; y < a->h; y++) {
             size_t row = ((size_t)c * (size_t)a->h + (size_t)y) * (size_t)a->w;
-            filter_across(a->px + row, b->px + row, a->w, kernel, raw, ring + (size_t)(y % TAPS) * (size_t)n);
+            filter_across(a->px + row, b->px + row, a->w, kernel, raw,
+                          ring + (size_t)(y % TAPS) * (size_t)n);
             if (y >= TAPS - 1)
                 total += sum_down(ring, n, y - TAPS + 1, kernel);
         }
@@ -134,7 +144,8 @@ err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *t
     if (e)
         return e;
     if (a->w < TAPS || a->h < TAPS)
-        return err_fail(ERR_ARG, "metrics: SSIM needs at least %d x %d px, got %d x %d", TAPS, TAPS, a->w, a->h);
+        return err_fail(ERR_ARG, "metrics: SSIM needs at least %d x %d px, got %d x %d", TAPS, TAPS,
+                        a->w, a->h);
     size_t mark = arena_mark(tmp), inside = (size_t)(a->w - TAPS + 1);
     moments *raw, *ring;
     e = arena_alloc(tmp, (size_t)a->w, sizeof *raw, &raw);
@@ -162,8 +173,8 @@ static float value_of(uint32_t key)
     return f;
 }
 
-/* The key of rank k (from 0), by counting its bits from the top, 11, 11 and 10 at a time. above: how many keys of rank
- * above k are equal to it. */
+/* The key of rank k (from 0), by counting its bits from the top, 11, 11 and 10 at a time. above:
+ * how many keys of rank above k are equal to it. */
 static uint32_t key_of_rank(const float *values, size_t n, size_t k, size_t *above)
 {
     static const int shifts[4] = {32, 21, 10, 0};
@@ -191,7 +202,8 @@ err_t metrics_quantile(const float *values, size_t n, double q, double *out)
         return err_fail(ERR_ARG, "metrics: quantile %g of %zu values", q, n);
     for (size_t i = 0; i < n; i++)
         if (!isfinite(values[i]))
-            return err_fail(ERR_ARG, "metrics: value %zu of %zu is %g, no quantile", i, n, (double)values[i]);
+            return err_fail(ERR_ARG, "metrics: value %zu of %zu is %g, no quantile", i, n,
+                            (double)values[i]);
     double position = q * (double)(n - 1);
     size_t k = (size_t)position, above;
     uint32_t low = key_of_rank(values, n, k, &above), high = low;

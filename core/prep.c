@@ -1,8 +1,9 @@
-/* Pillow's resize (model-spec 1.1): a horizontal and then a vertical pass, with an 8-bit picture between. Per axis,
- * n_in -> n_out: scale = n_in / n_out, f = max(scale, 1), centre c = (i + 0.5) scale, taps from trunc(c - 2f + 0.5) to
- * trunc(c + 2f + 0.5) exclusive, clipped to the picture; weights K((j - c + 0.5) / f) normalised in double and rounded
- * half away from zero to 22-bit fixed point. A sample is clamp((sum + 2^21) >> 22). An axis that keeps its size is
- * copied; then the weights would be exactly (0, 1, 0), so it needs no case of its own. */
+/* Pillow's resize (model-spec 1.1): a horizontal and then a vertical pass, with an 8-bit picture
+ * between. Per axis, n_in -> n_out: scale = n_in / n_out, f = max(scale, 1), centre c = (i + 0.5)
+ * scale, taps from trunc(c - 2f + 0.5) to trunc(c + 2f + 0.5) exclusive, clipped to the picture;
+ * weights K((j - c + 0.5) / f) normalised in double and rounded half away from zero to 22-bit fixed
+ * point. A sample is clamp((sum + 2^21) >> 22). On an axis that keeps its size the weights are
+ * exactly (0, 1, 0, 0), so the copy that Pillow makes needs no case of its own. */
 #include "core/prep.h"
 
 #include <math.h>
@@ -14,9 +15,9 @@ static const double EXPOSURE_MIN = 1e-8; // model-spec 1.2
 
 /* Weights of one axis: output i reads inputs first[i] .. first[i] + count[i] - 1. */
 struct axis {
-    int taps;       // room per output
-    int *first;     // (n_out)
-    int *count;     // (n_out)
+    int taps;        // room per output
+    int *first;      // (n_out)
+    int *count;      // (n_out)
     int32_t *weight; // (n_out, taps)
 };
 
@@ -86,7 +87,8 @@ static double cubic(double t)
 
 static void axis_fill(struct axis *a, int n_in, int n_out, double *row)
 {
-    double scale = (double)n_in / n_out, f = scale > 1.0 ? scale : 1.0, support = 2.0 * f, inv = 1.0 / f;
+    double scale = (double)n_in / n_out, f = scale > 1.0 ? scale : 1.0, support = 2.0 * f,
+           inv = 1.0 / f;
     a->taps = taps_of(n_in, n_out);
     for (int i = 0; i < n_out; i++) {
         double c = (i + 0.5) * scale, sum = 0.0;
@@ -153,16 +155,18 @@ static void resize(const struct image8 *in, int size, struct scratch *s, uint8_t
 
 static err_t check_image(const char *name, const struct image8 *im)
 {
-    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX || im->h > SIDE_MAX)
-        return err_fail(ERR_ARG, "%s: no RGB picture of 1 to %d px a side (%d x %d, %d channels)", name, SIDE_MAX,
-                        im->w, im->h, im->channels);
+    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX ||
+        im->h > SIDE_MAX)
+        return err_fail(ERR_ARG, "%s: no RGB picture of 1 to %d px a side (%d x %d, %d channels)",
+                        name, SIDE_MAX, im->w, im->h, im->channels);
     return OK;
 }
 
 static err_t check_size(int size)
 {
     if (size < 1 || size > PREP_SIZE_MAX)
-        return err_fail(ERR_ARG, "prep: views of %d px asked, allowed are 1 to %d", size, PREP_SIZE_MAX);
+        return err_fail(ERR_ARG, "prep: views of %d px asked, allowed are 1 to %d", size,
+                        PREP_SIZE_MAX);
     return OK;
 }
 
@@ -212,10 +216,11 @@ static err_t check_shot(const struct shot *s)
     if (s->exposure == 0.0)
         return err_fail(ERR_ARG, "%s: its exposure is not known", s->name);
     if (!isfinite(s->exposure) || s->exposure < 0.0)
-        return err_fail(ERR_ARG, "%s: exposure %g is not a finite number above 0", s->name, s->exposure);
+        return err_fail(ERR_ARG, "%s: exposure %g is not a finite number above 0", s->name,
+                        s->exposure);
     if (s->has_camera && (s->cam.w != s->image.w || s->cam.h != s->image.h))
-        return err_fail(ERR_ARG, "%s: its camera is for %d x %d px, the picture has %d x %d", s->name, s->cam.w,
-                        s->cam.h, s->image.w, s->image.h);
+        return err_fail(ERR_ARG, "%s: its camera is for %d x %d px, the picture has %d x %d",
+                        s->name, s->cam.w, s->cam.h, s->image.w, s->image.h);
     return OK;
 }
 
@@ -288,7 +293,8 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     size_t view = 3 * (size_t)j->v->size * (size_t)j->v->size;
     if (j->r->cancel && atomic_load(j->r->cancel))
         return err_fail(ERR_CANCELLED, "prep: cancelled");
-    resize(&j->c->shots[chunk].image, j->v->size, &j->scratch[worker], j->v->rgb + (size_t)chunk * view);
+    resize(&j->c->shots[chunk].image, j->v->size, &j->scratch[worker],
+           j->v->rgb + (size_t)chunk * view);
     return OK;
 }
 

@@ -1,6 +1,6 @@
-/* prep.h - photographs to the square 8-bit views that network and refiner see.
- * The resize is Pillow's antialiased bicubic, bit for bit (model-spec 1.1); exposures become log2 (model-spec 1.2).
- * Pure computation, no files. */
+/* prep.h - photographs to the square 8-bit views that network and refiner see. The resize is
+ * Pillow's antialiased bicubic, bit for bit (model-spec 1.1); exposures become log2 (model-spec
+ * 1.2). Pure computation, no files. */
 #ifndef CORE_PREP_H
 #define CORE_PREP_H
 
@@ -14,18 +14,21 @@ enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
  * err:  ERR_ARG (size, shape or channels), ERR_NOMEM. */
 MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out);
 
-/* Bytes that prep_run takes from r->keep and, with a pool of `threads`, from r->tmp; SIZE_MAX where that overflows. */
+/* Bytes that prep_run takes from r->keep and, with a pool of `threads`, from r->tmp; SIZE_MAX where
+ * that overflows. */
 void prep_plan(const struct capture *c, int size, int threads, size_t *keep, size_t *tmp);
 
 /* Resize all shots, take their exposures to log2, scale their cameras to size x size.
  * out:  arrays live in r->keep; cams is NULL unless every shot has a camera.
- * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite and > 0, a camera
- *       for another image size; the sentence names the file), ERR_NOMEM, ERR_CANCELLED. On error *out is zeroed. */
+ * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite
+ *       and > 0, a camera for another image size; the sentence names the file), ERR_NOMEM,
+ *       ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
 
-/* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float as the reference
- * does (model-spec 1.1, point 4).
- * rgb:  (size, size, 3).   out:  (3, size, size), in [0, 1]. */
+/* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float
+ * as the reference does (model-spec 1.1, point 4).
+ * rgb:  (size, size, 3).
+ * out:  (3, size, size), in [0, 1]. */
 void prep_to_float(const uint8_t *rgb, int size, float *out);
 
 #endif

@@ -1,14 +1,17 @@
-/* Reading decodes straight into the planes of the result, one chunk (scanline block or tile) after the other, with one
- * decode pipeline whose buffers are used again. Writing converts one block of rows after the other.
+/* Reading decodes one chunk (scanline block or tile) after the other, with one pipeline whose
+ * buffers are used again, and converts it into the planes of the result. Writing converts one block
+ * of rows after the other.
  *
- * OpenEXRCore 3.1 as distributed writes behind its buffers when it unpacks B44 files whose sides are not multiples of
- * four and miscounts the rows of subsampled channels; both kinds are refused from the header. DWA it cannot decode. */
+ * OpenEXRCore 3.1 as distributed writes behind its buffers when it unpacks B44 files whose sides
+ * are not multiples of four and miscounts the rows of subsampled channels; both kinds are refused
+ * from the header. DWA it cannot decode. */
 #include "drivers/exrfile.h"
 
 #include "core/base/half.h"
 #include "drivers/file.h"
 
 #include <OpenEXR/openexr.h>
+#include <endian.h>
 #include <float.h>
 #include <math.h>
 #include <stdarg.h>
@@ -20,10 +23,12 @@ enum {
     PART = 0,
     COLOURS = 3,
     CHANNELS_MAX = COLOURS + 2,
-    EXPANSION_MAX = 1032 // samples per byte of the file: DEFLATE's limit, above that of RLE, PIZ and PXR24
+    EXPANSION_MAX =
+        1032 // samples per byte of the file: DEFLATE's limit, above that of RLE, PIZ and PXR24
 };
 
-/* The library's last words. It reports while it holds its own locks, so asking it for user data would hang. */
+/* The library's last words. It reports while it holds its own locks, so asking it for user data
+ * would hang. */
 static _Thread_local char last_words[256];
 
 static void keep_words(exr_const_context_t ctxt, exr_result_t code, const char *words)
@@ -42,7 +47,8 @@ static err_t library_error(const char *name, exr_result_t code)
         e = ERR_UNSUPPORTED;
     if (code == EXR_ERR_WRITE_IO)
         e = ERR_IO;
-    return err_fail(e, "%s: EXR: %s", name, last_words[0] ? last_words : exr_get_default_error_message(code));
+    return err_fail(e, "%s: EXR: %s", name,
+                    last_words[0] ? last_words : exr_get_default_error_message(code));
 }
 
 /* Zeroed, so that a chunk that decodes to less than it should leaves zeros and not old memory. */
@@ -96,9 +102,10 @@ struct reader {
     size_t n_bytes;
     exr_context_t ctxt;
     exr_storage_t storage;
-    exr_attr_box2i_t window;
+    int first_row;                // of the data window
     const char *channel[COLOURS]; // in the file; three times "Y" if it is grey
     struct image *out;
+    int x, y; // in out, top left pixel of the chunk being read
     exr_decode_pipeline_t pipe;
     bool pipe_open;
 };
@@ -112,14 +119,17 @@ static err_t check_window(struct reader *r)
     if (code)
         return library_error(r->name, code);
     if (memcmp(&data, &display, sizeof data) != 0)
-        return err_fail(ERR_UNSUPPORTED, "%s: EXR: data window (%d %d %d %d) is not the display window (%d %d %d %d)",
-                        r->name, data.min.x, data.min.y, data.max.x, data.max.y, display.min.x, display.min.y,
-                        display.max.x, display.max.y);
+        return err_fail(
+            ERR_UNSUPPORTED,
+            "%s: EXR: data window (%d %d %d %d) is not the display window (%d %d %d %d)", r->name,
+            data.min.x, data.min.y, data.max.x, data.max.y, display.min.x, display.min.y,
+            display.max.x, display.max.y);
     int64_t w = (int64_t)data.max.x - data.min.x + 1, h = (int64_t)data.max.y - data.min.y + 1;
     if (w < 1 || h < 1 || w > EXRFILE_SIDE_MAX || h > EXRFILE_SIDE_MAX || w * h > EXRFILE_PX_MAX)
-        return err_fail(ERR_LIMIT, "%s: EXR: %lld x %lld px, allowed are 1 to %d a side and %d in all", r->name,
-                        (long long)w, (long long)h, EXRFILE_SIDE_MAX, EXRFILE_PX_MAX);
-    r->window = data;
+        return err_fail(ERR_LIMIT,
+                        "%s: EXR: %lld x %lld px, allowed are 1 to %d a side and %d in all",
+                        r->name, (long long)w, (long long)h, EXRFILE_SIDE_MAX, EXRFILE_PX_MAX);
+    r->first_row = data.min.y;
     r->out->w = (int)w;
     r->out->h = (int)h;
     r->out->channels = COLOURS;
@@ -137,7 +147,8 @@ static err_t check_coding(struct reader *r)
     if (r->storage != EXR_STORAGE_SCANLINE && r->storage != EXR_STORAGE_TILED)
         return err_fail(ERR_UNSUPPORTED, "%s: EXR: deep data are not supported", r->name);
     if (c > EXR_COMPRESSION_PXR24)
-        return err_fail(ERR_UNSUPPORTED, "%s: EXR: compression %d (B44 or DWA) is not supported, use ZIP or PIZ",
+        return err_fail(ERR_UNSUPPORTED,
+                        "%s: EXR: compression %d (B44 or DWA) is not supported, use ZIP or PIZ",
                         r->name, (int)c);
     return OK;
 }
@@ -159,54 +170,103 @@ static err_t check_channels(struct reader *r)
         return library_error(r->name, code);
     for (int i = 0; i < list->num_channels; i++)
         if (list->entries[i].x_sampling != 1 || list->entries[i].y_sampling != 1)
-            return err_fail(ERR_UNSUPPORTED, "%s: EXR: channel %.64s is subsampled %d x %d", r->name,
-                            list->entries[i].name.str, list->entries[i].x_sampling, list->entries[i].y_sampling);
+            return err_fail(ERR_UNSUPPORTED, "%s: EXR: channel %.64s is subsampled %d x %d",
+                            r->name, list->entries[i].name.str, list->entries[i].x_sampling,
+                            list->entries[i].y_sampling);
     bool grey = has_channel(list, "Y") && !has_channel(list, "RY") && !has_channel(list, "R");
     for (int c = 0; c < COLOURS; c++) {
         r->channel[c] = grey ? "Y" : rgb[c];
         if (!has_channel(list, r->channel[c]))
-            return err_fail(ERR_FORMAT, "%s: EXR: has no channel %s, only %d others", r->name, r->channel[c],
-                            list->num_channels);
+            return err_fail(ERR_FORMAT, "%s: EXR: has no channel %s, only %d others", r->name,
+                            r->channel[c], list->num_channels);
     }
     uint64_t samples = (uint64_t)r->out->w * (uint64_t)r->out->h * (uint64_t)list->num_channels;
     if (samples / EXPANSION_MAX > r->n_bytes)
-        return err_fail(ERR_FORMAT, "%s: EXR: %zu bytes cannot hold %d x %d px of %d channels", r->name, r->n_bytes,
-                        r->out->w, r->out->h, list->num_channels);
+        return err_fail(ERR_FORMAT, "%s: EXR: %zu bytes cannot hold %d x %d px of %d channels",
+                        r->name, r->n_bytes, r->out->w, r->out->h, list->num_channels);
     return OK;
 }
 
-/* Tell the pipeline where the chunk whose top left pixel is (x, y) goes: each colour to its plane, all else nowhere. */
-static void aim(struct reader *r, int x, int y)
+static float sample(const uint8_t *p, int type)
 {
-    size_t plane = (size_t)r->out->w * (size_t)r->out->h;
-    for (int i = 0; i < r->pipe.channel_count; i++) {
-        exr_coding_channel_info_t *ch = &r->pipe.channels[i];
-        ch->decode_to_ptr = NULL;
-        for (int c = COLOURS - 1; c >= 0; c--) // a grey channel goes to plane 0
-            if (strcmp(ch->channel_name, r->channel[c]) == 0)
-                ch->decode_to_ptr =
-                    (uint8_t *)(r->out->px + (size_t)c * plane + (size_t)y * (size_t)r->out->w + (size_t)x);
-        ch->user_data_type = EXR_PIXEL_FLOAT;
-        ch->user_bytes_per_element = sizeof(float);
-        ch->user_pixel_stride = sizeof(float);
-        ch->user_line_stride = (int32_t)sizeof(float) * r->out->w;
+    uint16_t h;
+    uint32_t u;
+    float f;
+    if (type == EXR_PIXEL_HALF) {
+        memcpy(&h, p, sizeof h);
+        return half_to_float(le16toh(h));
+    }
+    memcpy(&u, p, sizeof u);
+    u = le32toh(u);
+    if (type == EXR_PIXEL_UINT)
+        return (float)u;
+    memcpy(&f, &u, sizeof f);
+    return f;
+}
+
+static void unpack_row(const struct reader *r, const exr_coding_channel_info_t *ch,
+                       const uint8_t *in, int y)
+{
+    size_t width = (size_t)r->out->w, plane = width * (size_t)r->out->h;
+    for (size_t c = 0; c < COLOURS; c++) {
+        if (strcmp(ch->channel_name, r->channel[c]) != 0)
+            continue;
+        float *out = r->out->px + c * plane + (size_t)(r->y + y) * width + (size_t)r->x;
+        for (int i = 0; i < ch->width; i++)
+            out[i] = sample(in + (ptrdiff_t)i * ch->bytes_per_element, ch->data_type);
     }
 }
 
-static err_t read_chunk(struct reader *r, const exr_chunk_info_t *chunk, int x, int y)
+/* Called by the library with a decoded chunk: row after row, in each row all channels one after the
+ * other. Its own routine for this writes through the pointers of channels that nobody asked for. */
+static exr_result_t unpack(exr_decode_pipeline_t *pipe)
 {
-    if (x < 0 || y < 0 || chunk->width < 1 || chunk->height < 1 || chunk->width > r->out->w - x ||
-        chunk->height > r->out->h - y || chunk->packed_size == 0)
-        return err_fail(ERR_FORMAT, "%s: EXR: a chunk of %d x %d px, %llu bytes at (%d, %d) of %d x %d px", r->name,
-                        chunk->width, chunk->height, (unsigned long long)chunk->packed_size, x, y, r->out->w,
-                        r->out->h);
-    exr_result_t code = r->pipe_open ? exr_decoding_update(r->ctxt, PART, chunk, &r->pipe)
-                                     : exr_decoding_initialize(r->ctxt, PART, chunk, &r->pipe);
-    if (!code) {
-        aim(r, x, y);
-        if (!r->pipe_open)
-            code = exr_decoding_choose_default_routines(r->ctxt, PART, &r->pipe);
+    const struct reader *r = pipe->decoding_user_data;
+    const uint8_t *in = pipe->unpacked_buffer;
+    uint64_t row_bytes = 0;
+    for (int i = 0; i < pipe->channel_count; i++)
+        row_bytes +=
+            (uint64_t)pipe->channels[i].width * (uint64_t)pipe->channels[i].bytes_per_element;
+    if (!in || row_bytes * (uint64_t)pipe->chunk.height != pipe->chunk.unpacked_size)
+        return EXR_ERR_CORRUPT_CHUNK;
+    for (int y = 0; y < pipe->chunk.height; y++)
+        for (int i = 0; i < pipe->channel_count; i++) {
+            const exr_coding_channel_info_t *ch = &pipe->channels[i];
+            unpack_row(r, ch, in, y);
+            in += (ptrdiff_t)ch->width * ch->bytes_per_element;
+        }
+    return EXR_ERR_SUCCESS;
+}
+
+static err_t check_chunk(const struct reader *r, const exr_chunk_info_t *chunk)
+{
+    bool raw = chunk->compression == EXR_COMPRESSION_NONE;
+    if (chunk->width < 1 || chunk->height < 1 || chunk->width > r->out->w - r->x ||
+        chunk->height > r->out->h - r->y || chunk->packed_size == 0 ||
+        (raw && chunk->packed_size != chunk->unpacked_size))
+        return err_fail(ERR_FORMAT,
+                        "%s: EXR: a chunk of %d x %d px, %llu bytes at (%d, %d) of %d x %d px",
+                        r->name, chunk->width, chunk->height,
+                        (unsigned long long)chunk->packed_size, r->x, r->y, r->out->w, r->out->h);
+    return OK;
+}
+
+/* The chunk whose top left pixel is (r->x, r->y). */
+static err_t read_chunk(struct reader *r, const exr_chunk_info_t *chunk)
+{
+    err_t e = check_chunk(r, chunk);
+    if (e)
+        return e;
+    exr_result_t code;
+    if (r->pipe_open) {
+        code = exr_decoding_update(r->ctxt, PART, chunk, &r->pipe);
+    } else {
+        code = exr_decoding_initialize(r->ctxt, PART, chunk, &r->pipe);
         r->pipe_open = true;
+        if (!code)
+            code = exr_decoding_choose_default_routines(r->ctxt, PART, &r->pipe);
+        r->pipe.unpack_and_convert_fn = unpack;
+        r->pipe.decoding_user_data = r;
     }
     if (!code)
         code = exr_decoding_run(r->ctxt, PART, &r->pipe);
@@ -219,10 +279,10 @@ static err_t read_scanlines(struct reader *r)
     exr_result_t code = exr_get_scanlines_per_chunk(r->ctxt, PART, &lines);
     if (code)
         return library_error(r->name, code);
-    for (int y = 0; y < r->out->h; y += lines) {
+    for (r->y = 0; r->y < r->out->h; r->y += lines) {
         exr_chunk_info_t chunk;
-        code = exr_read_scanline_chunk_info(r->ctxt, PART, r->window.min.y + y, &chunk);
-        err_t e = code ? library_error(r->name, code) : read_chunk(r, &chunk, 0, y);
+        code = exr_read_scanline_chunk_info(r->ctxt, PART, r->first_row + r->y, &chunk);
+        err_t e = code ? library_error(r->name, code) : read_chunk(r, &chunk);
         if (e)
             return e;
     }
@@ -237,11 +297,11 @@ static err_t read_tiles(struct reader *r)
         code = EXR_ERR_INVALID_ATTR;
     if (code)
         return library_error(r->name, code);
-    for (int y = 0; y < r->out->h; y += th)
-        for (int x = 0; x < r->out->w; x += tw) {
+    for (r->y = 0; r->y < r->out->h; r->y += th)
+        for (r->x = 0; r->x < r->out->w; r->x += tw) {
             exr_chunk_info_t chunk;
-            code = exr_read_tile_chunk_info(r->ctxt, PART, x / tw, y / th, 0, 0, &chunk);
-            err_t e = code ? library_error(r->name, code) : read_chunk(r, &chunk, x, y);
+            code = exr_read_tile_chunk_info(r->ctxt, PART, r->x / tw, r->y / th, 0, 0, &chunk);
+            err_t e = code ? library_error(r->name, code) : read_chunk(r, &chunk);
             if (e)
                 return e;
         }
@@ -250,15 +310,10 @@ static err_t read_tiles(struct reader *r)
 
 static err_t read_planes(struct reader *r)
 {
-    size_t plane = (size_t)r->out->w * (size_t)r->out->h;
-    r->out->px = calloc(plane, COLOURS * sizeof(float));
+    r->out->px = calloc((size_t)r->out->w * (size_t)r->out->h, COLOURS * sizeof(float));
     if (!r->out->px)
         return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", r->name, r->out->w, r->out->h);
-    err_t e = r->storage == EXR_STORAGE_TILED ? read_tiles(r) : read_scanlines(r);
-    if (!e && r->channel[1] == r->channel[0])
-        for (size_t c = 1; c < COLOURS; c++)
-            memcpy(r->out->px + c * plane, r->out->px, plane * sizeof(float));
-    return e;
+    return r->storage == EXR_STORAGE_TILED ? read_tiles(r) : read_scanlines(r);
 }
 
 err_t exrfile_read_mem(const void *bytes, size_t n, const char *name, struct image *out)
@@ -327,8 +382,8 @@ struct writer {
     size_t saturated;
 };
 
-static int64_t file_write(exr_const_context_t ctxt, void *user, const void *bytes, uint64_t n, uint64_t at,
-                          exr_stream_error_func_ptr_t error)
+static int64_t file_write(exr_const_context_t ctxt, void *user, const void *bytes, uint64_t n,
+                          uint64_t at, exr_stream_error_func_ptr_t error)
 {
     struct writer *w = user;
     (void)ctxt;
@@ -350,12 +405,14 @@ static exr_result_t declare_channels(struct writer *w)
 {
     exr_result_t code = EXR_ERR_SUCCESS;
     for (int i = 0; i < w->n_channels && !code; i++)
-        code = exr_add_channel(w->ctxt, PART, w->channel[i].name, w->channel[i].half ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT,
+        code = exr_add_channel(w->ctxt, PART, w->channel[i].name,
+                               w->channel[i].half ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT,
                                EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     return code;
 }
 
-/* World to camera for row vectors and a camera with y up: the columns are those of R transposed, y negated. */
+/* World to camera for row vectors and a camera with y up: the columns are those of R transposed, y
+ * negated. */
 static exr_attr_m44f_t world_to_camera(const struct camera *c)
 {
     float w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3];
@@ -375,7 +432,8 @@ static exr_attr_m44f_t world_to_camera(const struct camera *c)
     return out;
 }
 
-/* World to NDC: homogeneous x = (fx X + cx Z) / w, y = (cy Z - fy Y) / h with Y up, divided by Z. */
+/* World to NDC: homogeneous x = (fx X + cx Z) / w, y = (cy Z - fy Y) / h with Y up, divided by
+ * Z. */
 static exr_attr_m44f_t world_to_ndc(const struct camera *c, const exr_attr_m44f_t *cam)
 {
     exr_attr_m44f_t out = {{0}};
@@ -404,7 +462,8 @@ static exr_result_t declare_camera(exr_context_t ctxt, const struct camera *c)
 
 static exr_result_t write_header(struct writer *w, const struct exrfile_extra *extra)
 {
-    static const exr_attr_chromaticities_t rec709 = {0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f};
+    static const exr_attr_chromaticities_t rec709 = {0.64f, 0.33f, 0.30f,   0.60f,
+                                                     0.15f, 0.06f, 0.3127f, 0.3290f};
     exr_result_t code = exr_add_part(w->ctxt, "hdrig", EXR_STORAGE_SCANLINE, NULL);
     if (!code)
         code = exr_initialize_required_attr_simple(w->ctxt, PART, w->w, w->h, EXR_COMPRESSION_ZIP);
@@ -457,7 +516,8 @@ static exr_result_t write_block(struct writer *w, int y)
         struct channel *in = w->channel;
         while (strcmp(in->name, out->channel_name) != 0)
             in++;
-        w->saturated += in->half ? clean_half(in->px + at, n, in->rows) : clean(in->px + at, n, in->rows);
+        w->saturated +=
+            in->half ? clean_half(in->px + at, n, in->rows) : clean(in->px + at, n, in->rows);
         out->encode_from_ptr = in->rows;
         out->user_pixel_stride = out->bytes_per_element;
         out->user_line_stride = out->bytes_per_element * w->w;
@@ -500,14 +560,16 @@ static err_t write_open_file(struct writer *w, const struct exrfile_extra *extra
     return e || !code ? e : library_error(w->path, code);
 }
 
-err_t exrfile_write(const char *path, const struct image *rgb, const struct exrfile_extra *extra, size_t *saturated)
+err_t exrfile_write(const char *path, const struct image *rgb, const struct exrfile_extra *extra,
+                    size_t *saturated)
 {
     if (saturated)
         *saturated = 0;
-    if (!rgb->px || rgb->channels < COLOURS || rgb->w < 1 || rgb->h < 1 || rgb->w > EXRFILE_SIDE_MAX ||
-        rgb->h > EXRFILE_SIDE_MAX)
-        return err_fail(ERR_ARG, "%s: EXR: no RGB image of 1 to %d px a side to write (%d x %d, %d channels)", path,
-                        EXRFILE_SIDE_MAX, rgb->w, rgb->h, rgb->channels);
+    if (!rgb->px || rgb->channels < COLOURS || rgb->w < 1 || rgb->h < 1 ||
+        rgb->w > EXRFILE_SIDE_MAX || rgb->h > EXRFILE_SIDE_MAX)
+        return err_fail(
+            ERR_ARG, "%s: EXR: no RGB image of 1 to %d px a side to write (%d x %d, %d channels)",
+            path, EXRFILE_SIDE_MAX, rgb->w, rgb->h, rgb->channels);
     struct writer w = {.path = path, .w = rgb->w, .h = rgb->h};
     size_t plane = (size_t)rgb->w * (size_t)rgb->h;
     add_channel(&w, "A", extra->alpha, extra->half);

@@ -1,6 +1,6 @@
-/* Decoders work on the whole file in memory. Before a picture is allocated its size is held against the bytes that are
- * there: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit on each 8 x 8 block of its largest
- * component, so a short file cannot ask for a gigabyte. */
+/* Decoders work on the whole file in memory. Before a picture is allocated its size is held against
+ * the bytes that are there: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit
+ * on each 8 x 8 block of its largest component, so a short file cannot ask for a gigabyte. */
 #include "drivers/img.h"
 
 #include "drivers/file.h"
@@ -13,18 +13,18 @@
 #include <turbojpeg.h>
 
 enum {
-    DEFLATE_RATIO_MAX = 1032,          // RFC 1951: 258 bytes from two 1-bit codes
+    DEFLATE_RATIO_MAX = 1032, // RFC 1951: 258 bytes from two 1-bit codes
     JPEG_PX_PER_BYTE_MAX = 8 * 64,
-    PNG_CHUNK_MAX = 16 << 20,          // bytes of one text, profile or EXIF chunk, unpacked
-    PNG_CHUNKS_MAX = 64 << 20,         // bytes of all of them
-    EXIF_MAX = 1 << 16                 // bytes of EXIF data: a JPEG segment holds no more
+    PNG_CHUNK_MAX = 16 << 20,  // bytes of one text, profile or EXIF chunk, unpacked
+    PNG_CHUNKS_MAX = 64 << 20, // bytes of all of them
+    EXIF_MAX = 1 << 16         // bytes of EXIF data: a JPEG segment holds no more
 };
 
 static err_t check_size(const char *name, uint32_t w, uint32_t h)
 {
     if (w < 1 || h < 1 || w > IMG_SIDE_MAX || h > IMG_SIDE_MAX || (uint64_t)w * h > IMG_PX_MAX)
-        return err_fail(ERR_LIMIT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all", name, w, h,
-                        IMG_SIDE_MAX, IMG_PX_MAX);
+        return err_fail(ERR_LIMIT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all", name,
+                        w, h, IMG_SIDE_MAX, IMG_PX_MAX);
     return OK;
 }
 
@@ -51,7 +51,8 @@ static bool is_jpeg(const void *bytes, size_t n)
 
 static err_t png_error(const char *name, int code)
 {
-    return err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_FORMAT, "%s: PNG: %s", name, spng_strerror(code));
+    return err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_FORMAT, "%s: PNG: %s", name,
+                    spng_strerror(code));
 }
 
 /* A decoder on the bytes, with limits set. own: spng_ctx_free, also on error. */
@@ -77,7 +78,8 @@ static err_t png_decode(spng_ctx *ctx, size_t n, const char *name, struct image8
         return e;
     uint64_t bits = (uint64_t)head.width * head.height * head.bit_depth;
     if (bits / 8 / DEFLATE_RATIO_MAX > n)
-        return err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n, head.width, head.height);
+        return err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n,
+                        head.width, head.height);
     e = alloc_px(name, head.width, head.height, out);
     if (e)
         return e;
@@ -100,7 +102,8 @@ static err_t jpeg_error(tjhandle tj, const char *name)
     return err_fail(ERR_FORMAT, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
 }
 
-static err_t jpeg_decode(tjhandle tj, const void *bytes, size_t n, const char *name, struct image8 *out)
+static err_t jpeg_decode(tjhandle tj, const void *bytes, size_t n, const char *name,
+                         struct image8 *out)
 {
     int w, h, sampling, colours;
     if (tjDecompressHeader3(tj, bytes, n, &w, &h, &sampling, &colours) != 0)
@@ -109,7 +112,8 @@ static err_t jpeg_decode(tjhandle tj, const void *bytes, size_t n, const char *n
     if (e)
         return e;
     if (colours == TJCS_CMYK || colours == TJCS_YCCK)
-        return err_fail(ERR_UNSUPPORTED, "%s: JPEG: CMYK pictures are not supported, convert it to RGB", name);
+        return err_fail(ERR_UNSUPPORTED,
+                        "%s: JPEG: CMYK pictures are not supported, convert it to RGB", name);
     if ((uint64_t)w * (uint64_t)h / JPEG_PX_PER_BYTE_MAX > n)
         return err_fail(ERR_FORMAT, "%s: JPEG: %zu bytes cannot hold %d x %d px", name, n, w, h);
     e = alloc_px(name, (uint32_t)w, (uint32_t)h, out);
@@ -183,15 +187,16 @@ static int png_encode(spng_ctx *ctx, const struct image8 *im)
     if (!code)
         code = spng_set_ihdr(ctx, &head);
     if (!code)
-        code = spng_encode_image(ctx, im->px, (size_t)im->w * (size_t)im->h * 3, SPNG_FMT_PNG, SPNG_ENCODE_FINALIZE);
+        code = spng_encode_image(ctx, im->px, (size_t)im->w * (size_t)im->h * 3, SPNG_FMT_PNG,
+                                 SPNG_ENCODE_FINALIZE);
     return code;
 }
 
 err_t img_write_png(const char *path, const struct image8 *im)
 {
     if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
-        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", path, im->w, im->h,
-                        im->channels);
+        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", path, im->w,
+                        im->h, im->channels);
     err_t e;
     spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
     if (!ctx)
@@ -204,7 +209,8 @@ err_t img_write_png(const char *path, const struct image8 *im)
     if (bytes)
         e = write_file(path, bytes, n);
     else
-        e = err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", path, spng_strerror(code));
+        e = err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", path,
+                     spng_strerror(code));
     free(bytes);
     spng_ctx_free(ctx);
     return e;
@@ -213,7 +219,8 @@ err_t img_write_png(const char *path, const struct image8 *im)
 err_t img_write_ldr(const char *path, const struct image *im)
 {
     if (!im->px || im->channels < 3 || im->w < 1 || im->h < 1)
-        return err_fail(ERR_ARG, "%s: no RGB image to write (%d x %d, %d channels)", path, im->w, im->h, im->channels);
+        return err_fail(ERR_ARG, "%s: no RGB image to write (%d x %d, %d channels)", path, im->w,
+                        im->h, im->channels);
     struct image8 out = {0};
     err_t e = alloc_px(path, (uint32_t)im->w, (uint32_t)im->h, &out);
     if (e)
@@ -221,7 +228,9 @@ err_t img_write_ldr(const char *path, const struct image *im)
     size_t n = (size_t)im->w * (size_t)im->h;
     for (size_t i = 0; i < 3 * n; i++) {
         float v = im->px[i % 3 * n + i / 3];
-        out.px[i] = (uint8_t)(v >= 1.0f ? 255.0f : v > 0.0f ? v * 255.0f + 0.5f : 0.0f); // a NaN fails both
+        out.px[i] = (uint8_t)(v >= 1.0f  ? 255.0f
+                              : v > 0.0f ? v * 255.0f + 0.5f
+                                         : 0.0f); // a NaN fails both
     }
     e = img_write_png(path, &out);
     img_free(&out);
@@ -229,7 +238,8 @@ err_t img_write_ldr(const char *path, const struct image *im)
 }
 
 /* The EXIF block of a PNG behind the six bytes that JPEG puts before it. own: free(*exif). */
-static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned char **exif, size_t *n_exif)
+static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned char **exif,
+                         size_t *n_exif)
 {
     static const char head[6] = "Exif\0";
     spng_ctx *ctx;
@@ -255,7 +265,8 @@ static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned
     return e;
 }
 
-/* A positive rational or integer of the EXIF directory; 0 if the tag is absent or something else. */
+/* A positive rational or integer of the EXIF directory; 0 if the tag is absent or something
+ * else. */
 static double exif_number(ExifData *data, ExifTag tag)
 {
     ExifEntry *entry = exif_content_get_entry(data->ifd[EXIF_IFD_EXIF], tag);

@@ -1,7 +1,8 @@
-/* img.h - PNG and JPEG through libspng and libjpeg-turbo, exposure from EXIF through libexif.
- * The kind of a file is told from its first bytes, never from its name. Files are hostile until checked: at most
- * IMG_SIDE_MAX px a side, IMG_PX_MAX px, IMG_FILE_MAX bytes, and never more pixels than so few bytes can hold. A file
- * whose decoder warns (cut off, corrupt) is refused as a whole. */
+/* img.h - PNG and JPEG through libspng and libjpeg-turbo, exposure from EXIF through libexif. The
+ * kind of a file is told from its first bytes, never from its name. Files are hostile until
+ * checked: at most IMG_SIDE_MAX px a side, IMG_PX_MAX px, IMG_FILE_MAX bytes, and never more pixels
+ * than so few bytes can hold. A file whose decoder warns (cut off, corrupt) is refused as a
+ * whole. */
 #ifndef DRIVERS_IMG_H
 #define DRIVERS_IMG_H
 
@@ -9,11 +10,12 @@
 
 enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
 
-/* Decode to 8-bit R,G,B. PNG: any colour type and depth, alpha and transparency dropped without compositing, grey
- * spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF orientation, gamma and profiles are ignored
- * (model-spec 1.1).
+/* Decode to 8-bit R,G,B. PNG: any colour type and depth, alpha and transparency dropped without
+ * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF
+ * orientation, gamma and profiles are ignored (model-spec 1.1).
  * own:  img_free.
- * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is zeroed. */
+ * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
+ *       zeroed. */
 MUST_USE err_t img_read(const char *path, struct image8 *out);
 
 /* As img_read, from `n` bytes in memory; `name` is for sentences. */
@@ -26,14 +28,16 @@ void img_free(struct image8 *im);
  * err:  ERR_ARG (channels or shape), ERR_IO (with the system's reason), ERR_NOMEM. */
 MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
 
-/* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN as 0. */
+/* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN
+ * as 0. */
 MUST_USE err_t img_write_ldr(const char *path, const struct image *im);
 
-/* Relative exposure from EXIF (JPEG, or the eXIf chunk of PNG): ExposureTime * (ISO / 100) / FNumber^2, seconds at
- * ISO 100 and f/1. A missing ISO counts as 100, a missing FNumber as 1, so that files compare only if all of them
- * carry the same tags.
+/* Relative exposure from EXIF (JPEG, or the eXIf chunk of PNG): ExposureTime * (ISO / 100) /
+ * FNumber^2, seconds at ISO 100 and f/1. A missing ISO counts as 100, a missing FNumber as 1, so
+ * that files compare only if all of them carry the same tags.
  * out:  > 0.
- * err:  ERR_IO, ERR_LIMIT, ERR_NOMEM, ERR_FORMAT (no EXIF, no ExposureTime, or a value that is not finite and > 0). */
+ * err:  ERR_IO, ERR_LIMIT, ERR_NOMEM, ERR_FORMAT (no EXIF, no ExposureTime, or a value that is not
+ *       finite and > 0). */
 MUST_USE err_t img_exif_exposure(const char *path, double *out);
 MUST_USE err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, double *out);
 

@@ -6,7 +6,7 @@ enum {
     HALF_INF = 0x7c00,
     HALF_LARGEST = 0x7bff, // bits of HALF_MAX
     HALF_QUIET = 0x0200,
-    SHIFT = 23 - 10,       // mantissa bits that a half lacks
+    SHIFT = 23 - 10, // mantissa bits that a half lacks
     REBIAS = 127 - 15
 };
 
@@ -28,7 +28,8 @@ float half_to_float(uint16_t h)
 {
     uint32_t sign = (uint32_t)(h & 0x8000) << 16, exponent = h >> 10 & 31, mantissa = h & 0x3ff;
     if (exponent == 31)
-        return float_of(sign | 0x7f800000 | mantissa << SHIFT | (mantissa ? HALF_QUIET << SHIFT : 0));
+        return float_of(sign | 0x7f800000 | mantissa << SHIFT |
+                        (mantissa ? HALF_QUIET << SHIFT : 0));
     if (exponent == 0) {
         float f = (float)mantissa * 0x1p-24f;
         return sign ? -f : f;
@@ -50,7 +51,8 @@ uint16_t half_from_float(float f)
         return (uint16_t)(sign | HALF_INF | HALF_QUIET | (magnitude >> SHIFT & 0x3ff));
     if (magnitude >= bits_of(65520.0f))
         return (uint16_t)(sign | HALF_INF);
-    if (magnitude >= bits_of(0x1p-14f)) // a carry out of the mantissa raises the exponent, as it must
+    if (magnitude >=
+        bits_of(0x1p-14f)) // a carry out of the mantissa raises the exponent, as it must
         return (uint16_t)(sign | shift_round(magnitude - ((uint32_t)REBIAS << 23), SHIFT));
     if (magnitude < bits_of(0x1p-25f))
         return (uint16_t)sign;

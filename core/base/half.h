@@ -1,5 +1,6 @@
 /* half.h - IEEE 754 binary16 as bits, converted in integer arithmetic.
- * The same bits on every machine; no F16C or FP16 unit needed. Source: IEEE 754-2008, 3.6 and 4.3.1. */
+ * The same bits on every machine; no F16C or FP16 unit needed. Source: IEEE 754-2008, 3.6 and
+ * 4.3.1. */
 #ifndef BASE_HALF_H
 #define BASE_HALF_H
 
@@ -11,7 +12,8 @@
 /* Exact. A NaN keeps its sign and payload; it is returned quiet. */
 float half_to_float(uint16_t h);
 
-/* Round to nearest, ties to even; from 65520 on the result is infinite. A NaN stays a (quiet) NaN. */
+/* Round to nearest, ties to even; from 65520 on the result is infinite. A NaN stays a (quiet)
+ * NaN. */
 uint16_t half_from_float(float f);
 
 /* As half_from_float, but what would be infinite becomes +-HALF_MAX. */

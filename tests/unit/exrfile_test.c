@@ -1,5 +1,6 @@
-/* tests/data/exr: 21 x 19 px, channel c of R, G, B holds k = (x + 21 y) (c + 1) as k / 64 (exact in half and float) or as
- * the uint k; made with the OpenEXR Python module 3.5, one file per compression, type and layout that the name says. */
+/* tests/data/exr: 21 x 19 px, channel c of R, G, B holds k = (x + 21 y) (c + 1) as k / 64 (exact in
+ * half and float) or as the uint k; made with the OpenEXR Python module 3.5, one file per
+ * compression, type and layout that the name says. */
 #include "drivers/exrfile.h"
 #include "tests/unit/tmpdir.h"
 
@@ -13,6 +14,7 @@
 #include <stdlib.h>
 #include <sys/resource.h>
 #include <unistd.h>
+
 #include <cmocka.h>
 
 enum { W = 21, H = 19, N = W * H };
@@ -25,7 +27,8 @@ static float stored(int c, int i)
 static void says(err_t got, err_t want, const char *words)
 {
     if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want), words);
+        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
+                 words);
 }
 
 static void reads_what_others_wrote(void **state)
@@ -36,10 +39,11 @@ static void reads_what_others_wrote(void **state)
         float scale;
         bool grey;
     } files[] = {
-        {"no_half", 1, false},   {"rle_half", 1, false}, {"zips_half", 1, false},      {"zip_half", 1, false},
-        {"piz_half", 1, false},  {"pxr24_half", 1, false}, {"piz_float", 1, false},    {"no_float", 1, false},
-        {"zip_uint", 64, false}, {"zip_mixed", 1, false},  {"window_shifted", 1, false}, {"tiled", 1, false},
-        {"zip_grey", 1, true},
+        {"no_half", 1, false},   {"rle_half", 1, false},       {"zips_half", 1, false},
+        {"zip_half", 1, false},  {"piz_half", 1, false},       {"pxr24_half", 1, false},
+        {"piz_float", 1, false}, {"no_float", 1, false},       {"zip_uint", 64, false},
+        {"zip_mixed", 1, false}, {"window_shifted", 1, false}, {"tiled", 1, false},
+        {"zip_grey", 1, true},   {"zip_grey_az", 1, true},
     };
     for (size_t f = 0; f < sizeof files / sizeof files[0]; f++) {
         struct image im;
@@ -48,10 +52,9 @@ static void reads_what_others_wrote(void **state)
         if (exrfile_read(path, &im) != OK)
             fail_msg("%s", err_text());
         assert_true(im.w == W && im.h == H && im.channels == 3);
-        for (int c = 0; c < 3; c++)
-            for (int i = 0; i < N; i++)
-                if (im.px[c * N + i] != files[f].scale * stored(files[f].grey ? 0 : c, i))
-                    fail_msg("%s: channel %d, pixel %d is %g", path, c, i, (double)im.px[c * N + i]);
+        for (int i = 0; i < 3 * N; i++)
+            if (im.px[i] != files[f].scale * stored(files[f].grey ? 0 : i / N, i % N))
+                fail_msg("%s: sample %d is %g", path, i, (double)im.px[i]);
         exrfile_free(&im);
     }
 }
@@ -62,7 +65,8 @@ static void refuses_what_it_cannot_read(void **state)
     struct image im;
     says(exrfile_read("tests/data/exr/b44_half.exr", &im), ERR_UNSUPPORTED, "B44");
     says(exrfile_read("tests/data/exr/dwaa_half.exr", &im), ERR_UNSUPPORTED, "DWA");
-    says(exrfile_read("tests/data/exr/window_cropped.exr", &im), ERR_UNSUPPORTED, "display window (0 0 30 30)");
+    says(exrfile_read("tests/data/exr/window_cropped.exr", &im), ERR_UNSUPPORTED,
+         "display window (0 0 30 30)");
     says(exrfile_read("tests/data/exr/zip_no_b.exr", &im), ERR_FORMAT, "no channel B");
     says(exrfile_read("tests/data/exr/none.exr", &im), ERR_IO, "none.exr");
     assert_null(im.px);
@@ -110,7 +114,8 @@ static void survives_damage(void **state)
 static void refuses_more_than_the_file_holds(void **state)
 {
     (void)state;
-    static const uint8_t window[16] = {0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0x0f, 0, 0, 0xff, 0x0f, 0, 0}; // 4096 x 4096
+    static const uint8_t window[16] = {0,    0,    0, 0, 0,    0,    0, 0,
+                                       0xff, 0x0f, 0, 0, 0xff, 0x0f, 0, 0}; // 4096 x 4096
     size_t n;
     struct image im;
     uint8_t *p = slurp("tests/data/exr/zip_half.exr", &n);
@@ -165,7 +170,8 @@ static void values_out_of_range(void **state)
     (void)state;
     float v[12] = {1e9f, -70000.0f, NAN, INFINITY, 65519.0f, 1e-9f, 0, 0, 0, -INFINITY, 0, FLT_MAX};
     const float half[12] = {65504, -65504, 0, 65504, 65504, 0, 0, 0, 0, -65504, 0, 65504};
-    const float full[12] = {1e9f, -70000.0f, 0, FLT_MAX, 65519.0f, 1e-9f, 0, 0, 0, -FLT_MAX, 0, FLT_MAX};
+    const float full[12] = {1e9f, -70000.0f, 0, FLT_MAX,  65519.0f, 1e-9f,
+                            0,    0,         0, -FLT_MAX, 0,        FLT_MAX};
     struct image im = {2, 2, 3, v}, back;
     for (int h = 0; h < 2; h++) {
         struct exrfile_extra extra = {.half = h};
@@ -181,7 +187,8 @@ static void values_out_of_range(void **state)
 }
 
 /* The value of an attribute, found as name 0 type 0 size in the bytes of the file. */
-static const float *attribute(const uint8_t *p, size_t n, const char *name, const char *type, uint32_t size)
+static const float *attribute(const uint8_t *p, size_t n, const char *name, const char *type,
+                              uint32_t size)
 {
     uint8_t key[64];
     size_t a = strlen(name) + 1, b = strlen(type) + 1;
@@ -199,11 +206,19 @@ static const float *attribute(const uint8_t *p, size_t n, const char *name, cons
 static void attributes(void **state)
 {
     (void)state;
-    /* x right, y down, z forward; turned by 90 degrees about y, so that world x is camera -z and world z camera x */
-    const struct camera cam = {.w = W, .h = H, .fx = 30, .fy = 31, .cx = 10, .cy = 9,
-                               .q = {0.70710678f, 0, 0.70710678f, 0}, .t = {1, 2, 3}};
+    /* x right, y down, z forward; turned by 90 degrees about y, so that world x is camera -z and
+     * world z camera x */
+    const struct camera cam = {.w = W,
+                               .h = H,
+                               .fx = 30,
+                               .fy = 31,
+                               .cx = 10,
+                               .cy = 9,
+                               .q = {0.70710678f, 0, 0.70710678f, 0},
+                               .t = {1, 2, 3}};
     const float log2t = -3.5f;
-    const struct exrfile_extra extra = {.half = true, .exposure_s = 0.25f, .log2t = &log2t, .cam = &cam};
+    const struct exrfile_extra extra = {
+        .half = true, .exposure_s = 0.25f, .log2t = &log2t, .cam = &cam};
     struct image im;
     size_t n;
     fill(&im, W, H);
@@ -214,8 +229,10 @@ static void attributes(void **state)
     assert_true(*attribute(p, n, "hdrigExposureLog2", "float", 4) == -3.5f);
     assert_true(attribute(p, n, "hdrigFocal", "v2f", 8)[1] == 31.0f);
     assert_true(attribute(p, n, "hdrigCentre", "v2f", 8)[1] == 9.0f);
-    assert_true(fabsf(attribute(p, n, "chromaticities", "chromaticities", 32)[6] - 0.3127f) < 1e-6f);
-    /* world (4, 5, 6): camera x = 6 + 1, y = 5 + 2 down, z = -4 + 3; row vector times matrix, y up */
+    assert_true(fabsf(attribute(p, n, "chromaticities", "chromaticities", 32)[6] - 0.3127f) <
+                1e-6f);
+    /* world (4, 5, 6): camera x = 6 + 1, y = 5 + 2 down, z = -4 + 3; row vector times matrix, y
+     * up */
     const float world[4] = {4, 5, 6, 1};
     float c[4] = {0}, d[4] = {0};
     const float *m = attribute(p, n, "worldToCamera", "m44f", 64);
@@ -224,7 +241,8 @@ static void attributes(void **state)
     m = attribute(p, n, "worldToNDC", "m44f", 64);
     for (int i = 0; i < 16; i++)
         d[i % 4] += world[i / 4] * m[i];
-    assert_true(fabsf(c[0] - 7) < 1e-5f && fabsf(c[1] + 7) < 1e-5f && fabsf(c[2] + 1) < 1e-5f && c[3] == 1.0f);
+    assert_true(fabsf(c[0] - 7) < 1e-5f && fabsf(c[1] + 7) < 1e-5f && fabsf(c[2] + 1) < 1e-5f &&
+                c[3] == 1.0f);
     assert_true(fabsf(d[0] / d[3] - (30 * 7 / -1.0f + 10) / W) < 1e-4f);
     assert_true(fabsf(d[1] / d[3] - (31 * 7 / -1.0f + 9) / H) < 1e-4f);
     free(p);

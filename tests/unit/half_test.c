@@ -1,5 +1,5 @@
-/* All 65536 halves, and around each of them the floats where rounding changes its mind. The reference is written
- * with doubles and nextafter, not with bits. */
+/* All 65536 halves, and around each of them the floats where rounding changes its mind. The
+ * reference is written with doubles and nextafter, not with bits. */
 #include "core/base/half.h"
 
 #include <math.h>
@@ -7,6 +7,7 @@
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
+
 #include <cmocka.h>
 
 static double reference(uint16_t h)
@@ -45,7 +46,8 @@ static void every_half_survives(void **state)
     }
 }
 
-/* Between neighbours a < b the float at the middle goes to the even one, its own neighbours to the nearer. */
+/* Between neighbours a < b the float at the middle goes to the even one, its own neighbours to the
+ * nearer. */
 static void middles_go_to_even(void **state)
 {
     (void)state;

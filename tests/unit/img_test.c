@@ -1,6 +1,7 @@
-/* tests/data/img: PNG files of 13 x 9 px with R = 19 x, G = 28 y, B = (7 x + 11 y) mod 256 (grey: R alone; 16 bits: the
- * same times 256 plus 200), written chunk by chunk in Python, and JPEG files written by Pillow; the hashes below are
- * FNV-1a of what Pillow decodes from them. The EXIF blocks hold 1/50 s, ISO 400, f/2.8 unless the name says other. */
+/* tests/data/img: PNG files of 13 x 9 px with R = 19 x, G = 28 y, B = (7 x + 11 y) mod 256 (grey: R
+ * alone; 16 bits: the same times 256 plus 200), written chunk by chunk in Python, and JPEG files
+ * written by Pillow; the hashes below are FNV-1a of what Pillow decodes from them. The EXIF blocks
+ * hold 1/50 s, ISO 400, f/2.8 unless the name says other. */
 #include "drivers/img.h"
 #include "tests/unit/tmpdir.h"
 
@@ -13,6 +14,7 @@
 #include <stdlib.h>
 #include <sys/resource.h>
 #include <unistd.h>
+
 #include <cmocka.h>
 
 enum { W = 13, H = 9 };
@@ -27,13 +29,15 @@ static const char *data(const char *name)
 static void says(err_t got, err_t want, const char *words)
 {
     if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want), words);
+        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
+                 words);
 }
 
 /* kind: 'c' colour, 'g' grey, 'b' one bit, 'p' palette */
 static int expected(char kind, int x, int y, int c)
 {
-    const int rgb[3] = {19 * x, 28 * y, (7 * x + 11 * y) % 256}, palette[3] = {19 * x, 255 - 19 * x, x};
+    const int rgb[3] = {19 * x, 28 * y, (7 * x + 11 * y) % 256},
+              palette[3] = {19 * x, 255 - 19 * x, x};
     switch (kind) {
     case 'g':
         return rgb[0];
@@ -53,8 +57,9 @@ static void reads_every_kind_of_png(void **state)
         const char *name;
         char kind;
     } files[] = {
-        {"rgb8.png", 'c'},  {"rgba8.png", 'c'},  {"rgb16.png", 'c'},  {"rgba16.png", 'c'}, {"trns8.png", 'c'},
-        {"grey8.png", 'g'}, {"grey16.png", 'g'}, {"greya8.png", 'g'}, {"grey1.png", 'b'},  {"palette4.png", 'p'},
+        {"rgb8.png", 'c'},  {"rgba8.png", 'c'},    {"rgb16.png", 'c'},  {"rgba16.png", 'c'},
+        {"trns8.png", 'c'}, {"grey8.png", 'g'},    {"grey16.png", 'g'}, {"greya8.png", 'g'},
+        {"grey1.png", 'b'}, {"palette4.png", 'p'},
     };
     for (size_t f = 0; f < sizeof files / sizeof files[0]; f++) {
         struct image8 im;
@@ -73,7 +78,8 @@ static void reads_jpeg_as_pillow(void **state)
     static const struct {
         const char *name;
         uint64_t hash;
-    } files[] = {{"rgb.jpg", 0x49a6e1fa8645895fu}, {"progressive.jpg", 0x49a6e1fa8645895fu},
+    } files[] = {{"rgb.jpg", 0x49a6e1fa8645895fu},
+                 {"progressive.jpg", 0x49a6e1fa8645895fu},
                  {"grey.jpg", 0x72f1d1bc1e5d842au}};
     for (size_t f = 0; f < sizeof files / sizeof files[0]; f++) {
         struct image8 im;
@@ -100,7 +106,8 @@ static uint8_t *slurp(const char *path, size_t *n)
     return p;
 }
 
-/* Every truncation is refused; every single wrong byte gives an error or an image, never a crash. */
+/* Every truncation is refused; every single wrong byte gives an error or an image, never a
+ * crash. */
 static void survives_damage(void **state)
 {
     (void)state;
@@ -197,7 +204,8 @@ static void exposures(void **state)
     assert_true(fabs(v - full) < 1e-9);
     assert_int_equal(img_exif_exposure(data("exif.png"), &v), OK);
     assert_true(fabs(v - full) < 1e-9);
-    assert_int_equal(img_exif_exposure(data("progressive.jpg"), &v), OK); // 1/8 s, no ISO, no f-number
+    assert_int_equal(img_exif_exposure(data("progressive.jpg"), &v),
+                     OK); // 1/8 s, no ISO, no f-number
     assert_true(v == 0.125);
     says(img_exif_exposure(data("no_time.jpg"), &v), ERR_FORMAT, "no ExposureTime");
     says(img_exif_exposure(data("zero_time.jpg"), &v), ERR_FORMAT, "no ExposureTime");
@@ -226,7 +234,8 @@ static void png_round_trip(void **state)
 static void ldr_values(void **state)
 {
     (void)state;
-    float px[12] = {0.0f, 1.0f, -1.0f, 2.0f, NAN, INFINITY, -INFINITY, 0.5f, 0.4980f, 0.9981f, 0.0019f, 0.0020f};
+    float px[12] = {0.0f,      1.0f, -1.0f,   2.0f,    NAN,     INFINITY,
+                    -INFINITY, 0.5f, 0.4980f, 0.9981f, 0.0019f, 0.0020f};
     static const uint8_t want[12] = {0, 0, 127, 255, 255, 255, 0, 0, 0, 255, 128, 1}; // interleaved
     struct image im = {4, 1, 3, px};
     struct image8 back;

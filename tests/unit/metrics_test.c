@@ -3,10 +3,10 @@
  *         h = (numpy.arange(n, dtype=uint64) * 2654435761 + seed) % 2**32
  *         h ^= h >> 15; h = h * 2246822519 % 2**32; h ^= h >> 13
  *         return ((h >> 8) / 2**24).astype(float32)
- * a = noise(3*h*w, 1), b = a + float32(mix) * (noise(3*h*w, 2) - a). PSNR is -10 log10(mean((a - b)^2)). SSIM: g =
- * exp(-(arange(-5, 6) / 1.5)^2 / 2) / sum, f = scipy.ndimage.correlate1d with g along both axes cropped by 5 px, then
- * the formula in the head of metrics.c on f(a), f(b), f(a a), f(b b), f(a b), mean. Quantiles: numpy.quantile of
- * 4 noise(1000, 3) - 2 rounded to float32. */
+ * a = noise(3*h*w, 1), b = a + float32(mix) * (noise(3*h*w, 2) - a). PSNR is -10 log10(mean((a -
+ * b)^2)). SSIM: g = exp(-(arange(-5, 6) / 1.5)^2 / 2) / sum, f = scipy.ndimage.correlate1d with g
+ * along both axes cropped by 5 px, then the formula in the head of metrics.c on f(a), f(b), f(a a),
+ * f(b b), f(a b), mean. Quantiles: numpy.quantile of 4 noise(1000, 3) - 2 rounded to float32. */
 #include "core/metrics.h"
 
 #include <math.h>
@@ -15,6 +15,7 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+
 #include <cmocka.h>
 
 enum { PX_MAX = 3 * 64 * 64 };
@@ -56,9 +57,12 @@ static void equal_to_scipy(void **state)
         float mix;
         double psnr, ssim;
     } cases[] = {
-        {33, 40, 0.25f, 18.255550074859, 0.873002947056},  {33, 40, 1.0f, 6.214350238364, -0.411785460438},
-        {11, 11, 0.25f, 18.456158871650, 0.871901348790},  {11, 11, 1.0f, 6.414959095706, -0.546755400071},
-        {60, 11, 0.25f, 18.272885872110, 0.872030178642},  {60, 11, 1.0f, 6.231686007452, -0.411311393163},
+        {33, 40, 0.25f, 18.255550074859, 0.873002947056},
+        {33, 40, 1.0f, 6.214350238364, -0.411785460438},
+        {11, 11, 0.25f, 18.456158871650, 0.871901348790},
+        {11, 11, 1.0f, 6.414959095706, -0.546755400071},
+        {60, 11, 0.25f, 18.272885872110, 0.872030178642},
+        {60, 11, 1.0f, 6.231686007452, -0.411311393163},
     };
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         struct image a, b;
@@ -127,8 +131,9 @@ static void quantiles_equal_numpy(void **state)
     static const struct {
         double q, want;
     } cases[] = {
-        {0, -1.990471601486},   {0.001, -1.989304518700}, {0.37, -0.582724010944}, {0.5, -0.023780226707},
-        {0.99, 1.948715500832}, {0.9999, 1.997502495098}, {1, 1.998432636261},
+        {0, -1.990471601486},   {0.001, -1.989304518700}, {0.37, -0.582724010944},
+        {0.5, -0.023780226707}, {0.99, 1.948715500832},   {0.9999, 1.997502495098},
+        {1, 1.998432636261},
     };
     static float values[1000];
     double v;
@@ -175,7 +180,8 @@ static void mu_law_values(void **state)
 {
     (void)state;
     float in[7] = {0.0f, 2.0f, 0.002f, 5.0f, -1.0f, NAN, INFINITY}, px[7];
-    static const double want[7] = {0.0, 1.0, 0.210364774, 1.0, 0.0, 0.0, 1.0}; // [2] = ln 6 / ln 5001
+    static const double want[7] = {0.0, 1.0, 0.210364774, 1.0,
+                                   0.0, 0.0, 1.0}; // [2] = ln 6 / ln 5001
     struct image hdr = {7, 1, 1, in}, out = {.px = px};
     assert_int_equal(metrics_mu_law(&hdr, 2.0, &out), OK);
     assert_true(out.w == 7 && out.h == 1 && out.channels == 1);

@@ -1,6 +1,6 @@
-/* The resize against Pillow, sample by sample (data: the preprocessing set of the golden data) and by hash, where
- * Pillow 12.0, the version of the release, made the hashes from these pictures (Pillow 13 resizes tall pictures
- * vertically first, which moves some samples by one):
+/* The resize against Pillow, sample by sample (data: the preprocessing set of the golden data) and
+ * by hash, where Pillow 12.0, the version of the release, made the hashes from these pictures
+ * (Pillow 13 resizes tall pictures vertically first, which moves some samples by one):
  *     n = numpy.arange(w * h * 3, dtype=uint64)
  *     px = ((n * 2654435761) % 2**32 >> 24).astype(uint8).reshape(h, w, 3)
  *     fnv1a64(numpy.asarray(PIL.Image.fromarray(px).resize((size, size), BICUBIC)).tobytes()) */
@@ -15,6 +15,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
 #include <cmocka.h>
 
 enum { SIZE = 448, N_SAMPLES = 16384, NPY_HEAD = 128 };
@@ -93,12 +94,9 @@ static void resize_equals_pillow_on_odd_shapes(void **state)
         int w, h, size;
         uint64_t hash;
     } cases[] = {
-        {97, 31, 56, 0x7f14794e2478ff6cu},
-        {31, 97, 14, 0x972da39d9fa9d175u},
-        {1, 1, 28, 0xbc20052c2d152825u},
-        {3000, 2, 42, 0xdb6f5dfeb959cbe6u},
-        {56, 90, 56, 0x0751ac89d1b36c0cu},
-        {5, 700, 3, 0xb4d9d9fd17c4678cu},
+        {97, 31, 56, 0x7f14794e2478ff6cu}, {31, 97, 14, 0x972da39d9fa9d175u},
+        {1, 1, 28, 0xbc20052c2d152825u},   {3000, 2, 42, 0xdb6f5dfeb959cbe6u},
+        {56, 90, 56, 0x0751ac89d1b36c0cu}, {5, 700, 3, 0xb4d9d9fd17c4678cu},
     };
     static uint8_t out[64 * 64 * 3];
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
@@ -125,7 +123,8 @@ static void capture_open(struct capture *c, struct shot shots[3])
         fill_pattern(&s->image);
         s->exposure = exposure[i];
         s->has_camera = true;
-        s->cam = (struct camera){.w = s->image.w, .h = 40, .fx = 50, .fy = 52, .cx = 30, .cy = 20, .q = {1}, .t = {7}};
+        s->cam = (struct camera){
+            .w = s->image.w, .h = 40, .fx = 50, .fy = 52, .cx = 30, .cy = 20, .q = {1}, .t = {7}};
         snprintf(s->name, NAME_CAP, "shot_%d.png", i);
     }
     *c = (struct capture){3, shots};
@@ -176,7 +175,8 @@ static void run_fills_views(void **state)
     assert_int_equal(one.n, 3);
     assert_int_equal(one.size, 56);
     assert_string_equal(one.names[1], "shot_1.png");
-    assert_true(one.log2t[0] == 1.0f && one.log2t[1] == -3.0f && one.log2t[2] == 5.0f && one.mid_log2t == 1.0f);
+    assert_true(one.log2t[0] == 1.0f && one.log2t[1] == -3.0f && one.log2t[2] == 5.0f &&
+                one.mid_log2t == 1.0f);
     const struct camera *cam = &one.cams[1]; // 70 x 40 -> 56 x 56
     assert_true(cam->w == 56 && cam->h == 56 && cam->t[0] == 7.0f && cam->q[0] == 1.0f);
     assert_true(fabsf(cam->fx - 40.0f) < 1e-5f && fabsf(cam->cx - 24.0f) < 1e-5f);

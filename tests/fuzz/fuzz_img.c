@@ -1,0 +1,16 @@
+/* Any bytes as a picture: decoded, and asked for the exposure of its EXIF data. */
+#include "drivers/img.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n);
+
+int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n)
+{
+    struct image8 im;
+    double exposure;
+    if (img_read_mem(p, n, "fuzz", &im) == OK && (im.w < 1 || im.h < 1 || im.channels != 3))
+        __builtin_trap();
+    img_free(&im);
+    if (img_exif_exposure_mem(p, n, "fuzz", &exposure) == OK && !(exposure > 0.0))
+        __builtin_trap();
+    return 0;
+}
