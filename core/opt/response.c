@@ -11,7 +11,7 @@
 enum { BINS = 45, LEVELS = 64, ROUNDS = 6, GROUPS_MAX = 16 };
 
 static const double U_END = 6.6;      // the curve lives on [-U_END, U_END]; logit of 1/512 is -6.24
-static const double SMOOTH = 20.0;    // weight of a bend, with data normalised to one per knot
+static const double SMOOTH = 5.0;    // weight of a bend, with data normalised to one per knot
 static const double WEAK = 2e-3;      // weight of a slope
 static const double RISE_MIN = 0.06;  // stops per unit of u
 static const double RISE_MAX = 8.0;   // stops per unit of u: flatter curves hold no information

@@ -28,7 +28,7 @@ MUST_USE err_t response_run(const struct run *r, const struct views *v, struct t
 /* Bytes of r->tmp that response_run takes; SIZE_MAX on overflow. */
 size_t response_plan(const struct views *v);
 
-/* Curve from pairs (n may be 0: the prior). Robust against a quarter of wrong pairs.
+/* Curve from pairs (n may be 0: the prior). Robust against a fifth of wrong pairs.
  * out:  the shared curve with the knots of the hidden units spread over the range of 8-bit values. */
 void response_fit(const struct response_pair *pairs, int n, float mid_log2t, struct tonemap *out);
 
