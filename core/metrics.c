@@ -173,26 +173,25 @@ static float value_of(uint32_t key)
     return f;
 }
 
-/* The key of rank k (from 0), by counting its bits from the top, 11, 11 and 10 at a time. above:
- * how many keys of rank above k are equal to it. */
+/* The key of rank k (from 0), found byte by byte from the top: each pass counts the next byte of
+ * the keys that begin with the bytes found so far. above: how many equal keys have a higher rank. */
 static uint32_t key_of_rank(const float *values, size_t n, size_t k, size_t *above)
 {
-    static const int shifts[4] = {32, 21, 10, 0};
-    uint32_t prefix = 0;
-    for (int pass = 0; pass < 3; pass++) {
-        size_t count[2048] = {0};
-        int shift = shifts[pass + 1], digits = 1 << (shifts[pass] - shift), d = 0;
+    uint32_t found = 0;
+    for (int shift = 24; shift >= 0; shift -= 8) {
+        size_t count[256] = {0};
+        uint32_t byte = 0;
         for (size_t i = 0; i < n; i++) {
             uint32_t key = key_of(values[i]);
-            if ((uint64_t)key >> shifts[pass] == (uint64_t)prefix >> shifts[pass])
-                count[key >> shift & (uint32_t)(digits - 1)]++;
+            if ((uint64_t)(key ^ found) >> shift < 256)
+                count[key >> shift & 255]++;
         }
-        for (; k >= count[d]; d++)
-            k -= count[d];
-        prefix |= (uint32_t)d << shift;
-        *above = count[d] - 1 - k;
+        for (; k >= count[byte]; byte++)
+            k -= count[byte];
+        found |= byte << shift;
+        *above = count[byte] - 1 - k;
     }
-    return prefix;
+    return found;
 }
 
 err_t metrics_quantile(const float *values, size_t n, double q, double *out)

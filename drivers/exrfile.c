@@ -242,12 +242,10 @@ static err_t check_chunk(const struct reader *r, const exr_chunk_info_t *chunk)
 {
     bool raw = chunk->compression == EXR_COMPRESSION_NONE;
     if (chunk->width < 1 || chunk->height < 1 || chunk->width > r->out->w - r->x ||
-        chunk->height > r->out->h - r->y || chunk->packed_size == 0 ||
-        (raw && chunk->packed_size != chunk->unpacked_size))
-        return err_fail(ERR_FORMAT,
-                        "%s: EXR: a chunk of %d x %d px, %llu bytes at (%d, %d) of %d x %d px",
+        chunk->height > r->out->h - r->y || (raw && chunk->packed_size != chunk->unpacked_size))
+        return err_fail(ERR_FORMAT, "%s: EXR: a chunk of %d x %d px in %llu bytes at (%d, %d)",
                         r->name, chunk->width, chunk->height,
-                        (unsigned long long)chunk->packed_size, r->x, r->y, r->out->w, r->out->h);
+                        (unsigned long long)chunk->packed_size, r->x, r->y);
     return OK;
 }
 

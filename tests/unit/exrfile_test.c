@@ -110,6 +110,20 @@ static void survives_damage(void **state)
     }
 }
 
+/* An uncompressed chunk of fewer bytes than its row needs. */
+static void refuses_short_chunk(void **state)
+{
+    (void)state;
+    size_t n, row = 3 * W * 2;
+    struct image im;
+    uint8_t *p = slurp("tests/data/exr/no_half.exr", &n); // ends with row 18: y, size, data
+    assert_int_equal(p[n - row - 8], H - 1);
+    assert_int_equal(p[n - row - 4], row);
+    p[n - row - 4] = 100;
+    says(exrfile_read_mem(p, n, "short", &im), ERR_FORMAT, "21 x 1 px in 100 bytes at (0, 18)");
+    free(p);
+}
+
 /* A header may not make us allocate what the file cannot hold. */
 static void refuses_more_than_the_file_holds(void **state)
 {
@@ -293,6 +307,7 @@ int main(void)
         cmocka_unit_test(reads_what_others_wrote),
         cmocka_unit_test(refuses_what_it_cannot_read),
         cmocka_unit_test(survives_damage),
+        cmocka_unit_test(refuses_short_chunk),
         cmocka_unit_test(refuses_more_than_the_file_holds),
         cmocka_unit_test(round_trip),
         cmocka_unit_test(values_out_of_range),
