@@ -1,0 +1,183 @@
+#include "firmware/cmd.h"
+
+#include "drivers/file.h"
+
+#include <errno.h>
+#include <getopt.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { OPTIONS_MAX = 24, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
+
+static void print_option(const char *name, const char *arg, const char *help)
+{
+    char left[40];
+    snprintf(left, sizeof left, "--%s%s%s", name, arg ? " " : "", arg ? arg : "");
+    printf("  %-22s %s\n", left, help);
+}
+
+static void print_help(const struct cmd_usage *u)
+{
+    printf("usage: hdrig %s %s[options]\n\n%s\n\n", u->name, u->synopsis, u->what);
+    for (int i = 0; i < u->n_options; i++)
+        print_option(u->options[i].name, u->options[i].arg, u->options[i].help);
+    print_option("config", "FILE", "settings to read after those of " CONFIG_DIR);
+    print_option("set", "KEY=VALUE", "one setting, see hdrig config --print");
+    print_option("help", NULL, "this text");
+}
+
+int cmd_misuse(const struct cmd_usage *u, const char *reason)
+{
+    fprintf(stderr, "hdrig %s: %s; see hdrig %s --help\n", u->name, reason, u->name);
+    return CMD_USAGE;
+}
+
+int cmd_finish(const char *name, err_t e)
+{
+    if (e == OK)
+        return CMD_OK;
+    fprintf(stderr, "hdrig %s: %s\n", name, e == ERR_CANCELLED ? "interrupted" : err_text());
+    if (e == ERR_CANCELLED)
+        return CMD_INTERRUPTED;
+    return e == ERR_LIMIT || e == ERR_NOMEM ? CMD_REFUSED : CMD_FAILURE;
+}
+
+static void fill_table(const struct cmd_usage *u, struct option *table)
+{
+    for (int i = 0; i < u->n_options; i++) {
+        const struct cmd_option *o = &u->options[i];
+        table[i] =
+            (struct option){o->name, o->arg ? required_argument : no_argument, NULL, OPT_FIRST + i};
+    }
+    table[u->n_options] = (struct option){"help", no_argument, NULL, OPT_HELP};
+    table[u->n_options + 1] = (struct option){"config", required_argument, NULL, OPT_CONFIG};
+    table[u->n_options + 2] = (struct option){"set", required_argument, NULL, OPT_SET};
+    table[u->n_options + 3] = (struct option){0};
+}
+
+static err_t refuse(int c, const char *arg)
+{
+    if (c == ':')
+        return err_fail(ERR_ARG, "%s needs an argument", arg);
+    if (optopt > 0 &&
+        optopt < OPT_CONFIG) // a single letter; getopt may still stand before its word
+        return err_fail(ERR_ARG, "unknown option -%c", optopt);
+    return err_fail(ERR_ARG, "unknown option %s", arg);
+}
+
+/* The settings of the command line, once files have been read. */
+static err_t apply(const struct cmd_usage *u, int c, const char *arg, struct config *cfg)
+{
+    char where[48];
+    if (c == OPT_SET)
+        return config_assign(cfg, arg);
+    if (c < OPT_FIRST)
+        return OK;
+    const struct cmd_option *o = &u->options[c - OPT_FIRST];
+    if (o->text)
+        *o->text = arg;
+    if (o->flag)
+        *o->flag = true;
+    if (!o->key)
+        return OK;
+    snprintf(where, sizeof where, "--%s", o->name);
+    return config_set(cfg, where, o->key, arg);
+}
+
+/* First pass (cfg NULL): find --help and --config, refuse what is unknown. Second pass: take the
+ * values. */
+static err_t scan(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
+                  const char **file, bool *help)
+{
+    struct option table[OPTIONS_MAX];
+    err_t e = OK;
+    fill_table(u, table);
+    opterr = 0;
+    optind = 0; // start again, GNU's way
+    for (int c; !e && (c = getopt_long(argc, argv, "+:h", table, NULL)) != -1;) {
+        if (c == '?' || c == ':')
+            e = refuse(c, argv[optind - 1]);
+        else if (cfg)
+            e = apply(u, c, optarg, cfg);
+        else if (c == OPT_CONFIG)
+            *file = optarg;
+        else if (c == OPT_HELP)
+            *help = true;
+    }
+    if (!e && optind < argc)
+        e = err_fail(ERR_ARG, "unexpected argument \"%s\"", argv[optind]);
+    return e;
+}
+
+bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg, int *code)
+{
+    const char *file = NULL;
+    bool help = false;
+    config_defaults(cfg);
+    err_t e = scan(u, argc, argv, NULL, &file, &help);
+    if (!e && help) {
+        print_help(u);
+        *code = CMD_OK;
+        return false;
+    }
+    if (e) {
+        *code = cmd_misuse(u, err_text());
+        return false;
+    }
+    e = config_load(cfg, CONFIG_DIR);
+    if (!e && file)
+        e = config_read(cfg, file);
+    if (e) {
+        *code = cmd_finish(u->name, e);
+        return false;
+    }
+    if (scan(u, argc, argv, cfg, &file, &help) != OK) {
+        *code = cmd_misuse(u, err_text());
+        return false;
+    }
+    return true;
+}
+
+err_t cmd_number(const char *name, const char *text, double min, double max, double *out)
+{
+    char *end;
+    double v = strtod(text, &end);
+    if (end == text || *end || !isfinite(v))
+        return err_fail(ERR_ARG, "%s: \"%.64s\" is not a number", name, text);
+    if (v < min || v > max)
+        return err_fail(ERR_ARG, "%s: %g is not in %g..%g", name, v, min, max);
+    *out = v;
+    return OK;
+}
+
+struct job_config cmd_job(const struct config *cfg, bool poses)
+{
+    return (struct job_config){.size = cfg->size,
+                               .refine = {.steps = cfg->refine_steps,
+                                          .degree_max = cfg->refine_sh_degree_max,
+                                          .gaussians_max = cfg->refine_gaussians_max,
+                                          .seed = (uint64_t)cfg->seed,
+                                          .poses = poses}};
+}
+
+err_t cmd_json_open(const char *path, FILE **out)
+{
+    *out = NULL;
+    if (!path)
+        return OK;
+    if (strcmp(path, "-") == 0) {
+        *out = stdout;
+        return OK;
+    }
+    return file_create(path, out);
+}
+
+err_t cmd_json_close(FILE *f, const char *path)
+{
+    if (!f)
+        return OK;
+    if (f == stdout)
+        return fflush(f) || ferror(f) ? err_fail(ERR_IO, "stdout: %s", strerror(errno)) : OK;
+    return file_finish(f, path);
+}

@@ -1,0 +1,75 @@
+/* cmd.h - the sub-commands of the tool, and what they share: options and exit codes.
+ * Results go to stdout, everything else to stderr. */
+#ifndef FIRMWARE_CMD_H
+#define FIRMWARE_CMD_H
+
+#include "firmware/config.h"
+#include "firmware/job.h"
+
+#include "core/base/err.h"
+
+#include <stdbool.h>
+#include <stdio.h>
+
+enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUPTED = 130 };
+
+/* One option of a command line. Exactly one of key, text and flag says where it goes. */
+struct cmd_option {
+    const char *name, *arg; // arg: its word in the help, NULL for a switch
+    const char *help;
+    const char *key;   // setting of config.h
+    const char **text; // receives the argument
+    bool *flag;        // receives true
+};
+
+/* Options that set a key and mean the same everywhere. */
+#define CMD_KEY(name, arg, key, help) {name, arg, help, key, NULL, NULL}
+#define CMD_THREADS CMD_KEY("threads", "N", "threads", "worker threads, 0 = one per core")
+#define CMD_MEMORY CMD_KEY("max-memory", "MB", "max_memory_mb", "refuse jobs that need more")
+#define CMD_SIZE CMD_KEY("size", "N", "size", "edge of the working pictures, px, 14 k")
+#define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
+#define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
+#define CMD_DEGREE CMD_KEY("degree-max", "D", "refine.sh_degree_max", "highest SH degree, 0..4")
+#define CMD_GAUSSIANS CMD_KEY("gaussians-max", "N", "refine.gaussians_max", "most Gaussians")
+
+struct cmd_usage {
+    const char *name;     // of the command
+    const char *synopsis; // its required options
+    const char *what;     // what it does
+    const struct cmd_option *options;
+    int n_options;
+};
+
+/* Read the options of argv[1..argc-1] after config_load; every command also has --help, --config
+ * and --set. Returns true if the command shall run. Else help or a sentence has been printed and
+ * *code is the exit code. */
+MUST_USE bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
+                        int *code);
+
+/* Print "hdrig NAME: reason, see --help" and return CMD_USAGE. */
+int cmd_misuse(const struct cmd_usage *u, const char *reason);
+
+/* Exit code of e; its sentence is printed if it is an error. */
+int cmd_finish(const char *name, err_t e);
+
+/* Number in min..max of option `name`.
+ * err:  ERR_ARG. */
+MUST_USE err_t cmd_number(const char *name, const char *text, double min, double max, double *out);
+
+/* The part of the settings that a job takes. poses: refine the cameras too. */
+struct job_config cmd_job(const struct config *cfg, bool poses);
+
+/* Open the file of --json, "-" for stdout, NULL for none (*out is NULL then), and close it.
+ * err:  ERR_IO. */
+MUST_USE err_t cmd_json_open(const char *path, FILE **out);
+MUST_USE err_t cmd_json_close(FILE *f, const char *path);
+
+/* The commands: argv[0] is the command's name; they return an exit code. */
+int cmd_reconstruct_run(int argc, char **argv);
+int cmd_render_run(int argc, char **argv);
+int cmd_eval_run(int argc, char **argv);
+int cmd_bench_run(int argc, char **argv);
+int cmd_doctor_run(int argc, char **argv);
+int cmd_config_run(int argc, char **argv);
+
+#endif

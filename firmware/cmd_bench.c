@@ -1,0 +1,386 @@
+/* hdrig bench: figures of this machine against its limits.
+ * splat: a slab of pixel-sized splats is drawn (forward), differentiated (backward), and optimised
+ *        (step: forward, loss,
+ * backward and Adam for every parameter), with every instruction set, on one thread and on all. */
+#include "firmware/cmd.h"
+#include "firmware/engine.h"
+#include "firmware/limits.h"
+#include "firmware/report.h"
+
+#include "core/base/cpu.h"
+#include "core/opt/loss.h"
+#include "core/splat/gaussians.h"
+#include "core/splat/raster.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { SPLATS = 200000, FEW_SPLATS = 50000, REPEATS = 5, RESULTS_MAX = 24 };
+
+/* Operations of the blending loops per pixel and splat, counted in model-spec 2.13: distance and
+ * exponent 7, exp 12, alpha 2, weights and four channels 11; backward the same again, and the chain
+ * rule 32. */
+enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
+
+#define BENCH_MAX_S 2.0 // of repeats of one measurement
+
+struct request {
+    const char *what, *json, *gaussians_text, *degree_text, *size_text;
+    double gaussians, degree, size; // gaussians 0: both standard scenes
+    struct config cfg;
+};
+
+struct figure {
+    const char *kernels;
+    int threads, gaussians;
+    double forward_s, backward_s, step_s;
+    double pairs;        // pixels x splats of their lists, up to the last that counts
+    double limit, share; // flop/s, of it in forward and backward together
+};
+
+struct state {
+    struct engine engine;
+    struct gaussians g;
+    struct camera cam;
+    struct raster raster;
+    struct loss loss;
+    struct render pic;
+    struct tonemap tone;
+    struct tonemap_table table;
+    uint8_t *photo;
+    float *m1, *m2;      // (planes, cap) Adam's moments
+    double bandwidth[2]; // bytes/s of one thread, of all
+    int n;
+    struct figure figures[RESULTS_MAX];
+};
+
+/* ---- the scene ---- */
+
+static float uniform(uint64_t *s)
+{
+    uint64_t z = *s += 0x9e3779b97f4a7c15ull; // splitmix64
+    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9ull;
+    z = (z ^ z >> 27) * 0x94d049bb133111ebull;
+    return (float)((z ^ z >> 31) >> 40) * 0x1p-24f;
+}
+
+/* A slab between depths 3 and 5 that fills the picture; standard deviations 0.4 to 1 px, opacity
+ * 0.8. */
+static void make_scene(struct state *st, int n, int size)
+{
+    uint64_t rng = 1;
+    struct gaussians *g = &st->g;
+    float focal = 0.85f * (float)size, half = 0.5f * (float)size;
+    st->cam = (struct camera){size, size, focal, focal, half, half, {1, 0, 0, 0}, {0, 0, 0}};
+    g->n = n;
+    for (int i = 0; i < n; i++) {
+        float z = 3 + 2 * uniform(&rng);
+        g->plane[G_MU][i] = (uniform(&rng) - 0.5f) * z / 0.85f;
+        g->plane[G_MU + 1][i] = (uniform(&rng) - 0.5f) * z / 0.85f;
+        g->plane[G_MU + 2][i] = z;
+        for (int k = 0; k < 3; k++)
+            g->plane[G_LOG_SCALE + k][i] = logf((0.4f + 0.6f * uniform(&rng)) * z / focal);
+        for (int k = 0; k < 4; k++)
+            g->plane[G_QUAT + k][i] = uniform(&rng) - 0.5f + (k == 0);
+        g->plane[G_LOGIT][i] = logf(0.8f / 0.2f);
+        for (int p = G_SH; p < gaussians_planes(g->degree); p++)
+            g->plane[p][i] = (uniform(&rng) - 0.5f) * (p < G_SH + 3 ? 4.0f : 0.2f);
+    }
+    for (int i = 0; i < 3 * size * size; i++)
+        st->photo[i] = (uint8_t)(255 * uniform(&rng));
+}
+
+/* ---- what is timed ---- */
+
+static err_t forward(struct state *st)
+{
+    struct raster_input in = {&st->g, &st->cam, {0, 0, 0}};
+    return raster_run(&st->engine.run, &st->raster, &in, &st->pic);
+}
+
+static void drop(void *ctx, int first, int count, const float *grad, const float *seen)
+{
+    (void)ctx;
+    (void)first;
+    (void)count;
+    (void)grad;
+    (void)seen;
+}
+
+static err_t backward_into(struct state *st, raster_sink_fn *fn)
+{
+    struct raster_input in = {&st->g, &st->cam, {0, 0, 0}};
+    struct render_grad up = {.radiance = st->loss.d_radiance, .alpha = st->loss.d_alpha};
+    struct raster_sink sink = {.fn = fn, .ctx = st};
+    return raster_grad_run(&st->engine.run, &st->raster, &in, &up, &sink);
+}
+
+static err_t backward(struct state *st)
+{
+    return backward_into(st, drop);
+}
+
+static err_t loss(struct state *st)
+{
+    struct loss_output out;
+    struct loss_input in = {
+        .pic = &st->pic, .tone = &st->tone, .photo = st->photo, .w_l1 = 0.8f, .w_ssim = 0.2f};
+    return loss_run(&st->engine.run, &st->loss, &in, &out);
+}
+
+/* Rates of zero: the same arithmetic, and the scene stays what it is. */
+static void adam(void *ctx, int first, int count, const float *grad, const float *seen)
+{
+    struct state *st = ctx;
+    const struct adam_step step = {0.0f, 0.9f, 0.999f, 1e-15f, 1.0f, 1.0f};
+    for (int p = 0; p < gaussians_planes(st->g.degree); p++) {
+        size_t at = (size_t)p * (size_t)st->g.cap + (size_t)first;
+        st->engine.kernels.adam(&step, count, seen, grad + (size_t)p * SPLAT_BLOCK,
+                                st->g.plane[p] + first, st->m1 + at, st->m2 + at);
+    }
+}
+
+static err_t step(struct state *st)
+{
+    err_t e = forward(st);
+    if (!e)
+        e = loss(st);
+    return e ? e : backward_into(st, adam);
+}
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Median of a few runs after one to warm up. */
+static err_t measure(struct state *st, err_t (*fn)(struct state *), double *median)
+{
+    double t[REPEATS], total = 0;
+    int n = 0;
+    err_t e = fn(st);
+    while (!e && n < REPEATS && (n < 1 || total < BENCH_MAX_S)) {
+        double start = engine_seconds();
+        e = fn(st);
+        t[n] = engine_seconds() - start;
+        total += t[n++];
+    }
+    if (e)
+        return e;
+    qsort(t, (size_t)n, sizeof t[0], ascending);
+    *median = t[n / 2];
+    return atomic_load(&engine_cancel) ? ERR_CANCELLED : OK;
+}
+
+static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
+{
+    kernels_init(&st->engine.kernels, cpu);
+    f->kernels = st->engine.kernels.name;
+    f->threads = pool_size(st->engine.run.pool);
+    f->gaussians = st->g.n;
+    err_t e = measure(st, forward, &f->forward_s);
+    for (int i = 0; i < st->pic.w * st->pic.h; i++)
+        f->pairs += st->raster.last[i];
+    if (!e)
+        e = loss(st);
+    if (!e)
+        e = measure(st, backward, &f->backward_s);
+    if (!e)
+        e = measure(st, step, &f->step_s);
+    f->limit = limits_flops(st->engine.run.pool, cpu);
+    f->share = f->pairs * (FORWARD_OPS + BACKWARD_OPS) / (f->forward_s + f->backward_s) / f->limit;
+    return e;
+}
+
+/* ---- which ---- */
+
+/* Every level of the mask with all below it, highest first; each on all threads, then on one. */
+static err_t measure_levels(struct state *st, struct pool *one, bool only_best)
+{
+    static const unsigned levels[] = {CPU_AVX512, CPU_AVX2, CPU_SSE41, CPU_NEON, 0};
+    unsigned cpu = st->engine.cpu;
+    struct pool *all = st->engine.pool;
+    err_t e = OK;
+    for (size_t i = 0; i < sizeof levels / sizeof levels[0] && !e; i++) {
+        if (levels[i] && !(cpu & levels[i]))
+            continue;
+        for (int single = 0; single < 2 && !e; single++) {
+            st->engine.run.pool = single ? one : all;
+            e = measure_all(st, levels[i] ? cpu : 0, &st->figures[st->n++]);
+        }
+        cpu &= ~levels[i];
+        if (only_best)
+            break;
+    }
+    st->engine.run.pool = all;
+    return e;
+}
+
+static err_t reserve(const struct request *rq, struct state *st, int cap)
+{
+    const int size = (int)rq->size, degree = (int)rq->degree, workers = pool_size(st->engine.pool);
+    const size_t pixels = (size_t)size * (size_t)size,
+                 moments = (size_t)gaussians_planes(degree) * ((size_t)cap + 15);
+    size_t tmp = arena_add(raster_plan(cap + 15, size, size, true), loss_plan(size, size, workers));
+    tmp = arena_add(tmp, arena_need(pixels, 5 * sizeof(float) + 3));
+    tmp = arena_add(tmp,
+                    arena_add(gaussians_need(cap, degree), arena_need(moments, 2 * sizeof(float))));
+    size_t triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
+    err_t e = engine_reserve(&st->engine, 0, triad, tmp, rq->cfg.max_memory_mb);
+    struct arena *a = &st->engine.tmp;
+    float *px = NULL;
+    if (!e)
+        e = gaussians_init(&st->g, a, cap, degree);
+    if (!e)
+        e = raster_init(&st->raster, a, st->g.cap, size, size, true);
+    if (!e)
+        e = loss_init(&st->loss, a, size, size, workers);
+    if (!e)
+        e = arena_alloc(a, pixels, 5 * sizeof *px + 3, &px);
+    if (!e)
+        e = arena_zalloc(a, moments, 2 * sizeof(float), &st->m1);
+    if (e)
+        return e;
+    st->m2 = st->m1 + moments;
+    st->pic = (struct render){.radiance = px, .depth = px + 3 * pixels, .alpha = px + 4 * pixels};
+    st->photo = (uint8_t *)(px + 5 * pixels);
+    tonemap_linear(&st->tone, 1.0f, -10.0f, 10.0f, 0.0f);
+    return OK;
+}
+
+static err_t bench(const struct request *rq, struct state *st)
+{
+    struct pool *one = NULL;
+    float *work;
+    int many = rq->gaussians > 0 ? (int)rq->gaussians : SPLATS;
+    err_t e = engine_open(&st->engine, rq->cfg.threads);
+    if (!e)
+        e = reserve(rq, st, many);
+    if (!e)
+        e = pool_open(&one, 1);
+    if (!e)
+        e = arena_alloc(&st->engine.keep, LIMITS_TRIAD_FLOATS, sizeof *work, &work);
+    if (!e) {
+        st->bandwidth[0] = limits_bandwidth(one, work);
+        st->bandwidth[1] = limits_bandwidth(st->engine.pool, work);
+        make_scene(st, many, (int)rq->size);
+        e = measure_levels(st, one, false);
+    }
+    if (!e && rq->gaussians <= 0) {
+        make_scene(st, FEW_SPLATS, (int)rq->size);
+        e = measure_levels(st, one, true);
+    }
+    pool_close(one);
+    return e;
+}
+
+/* ---- results ---- */
+
+static void report_figure(struct report *rep, const struct figure *f)
+{
+    report_int(rep, "gaussians", f->gaussians);
+    report_text(rep, "kernels", f->kernels);
+    report_int(rep, "threads", f->threads);
+    report_number(rep, "seconds_forward", f->forward_s);
+    report_number(rep, "seconds_backward", f->backward_s);
+    report_number(rep, "seconds_step", f->step_s);
+    report_number(rep, "pixel_splat_pairs", f->pairs);
+    report_number(rep, "limit_gflop_per_s", f->limit * 1e-9);
+    report_number(rep, "share_of_limit", f->share);
+}
+
+static void write_report(const struct request *rq, const struct state *st, FILE *f)
+{
+    struct report rep;
+    report_init(&rep, f);
+    report_open(&rep, NULL, '{');
+    report_number(&rep, "pixels", rq->size * rq->size);
+    report_number(&rep, "sh_degree", rq->degree);
+    report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
+    report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
+    report_figure(&rep, &st->figures[0]); // the best level on all threads
+    report_open(&rep, "all", '[');
+    for (int i = 0; i < st->n; i++) {
+        report_open(&rep, NULL, '{');
+        report_figure(&rep, &st->figures[i]);
+        report_close(&rep);
+    }
+    report_close(&rep);
+    report_close(&rep);
+}
+
+static void print_table(const struct state *st)
+{
+    printf("memory %.1f GB/s, one thread %.1f GB/s\n\n", st->bandwidth[1] * 1e-9,
+           st->bandwidth[0] * 1e-9);
+    printf("%9s %-8s %7s %9s %9s %9s %10s %6s\n", "splats", "kernels", "threads", "forward s",
+           "backward s", "step s", "GFlop/s", "share");
+    for (int i = 0; i < st->n; i++) {
+        const struct figure *f = &st->figures[i];
+        printf("%9d %-8s %7d %9.4f %10.4f %9.4f %10.1f %6.3f\n", f->gaussians, f->kernels,
+               f->threads, f->forward_s, f->backward_s, f->step_s, f->limit * 1e-9, f->share);
+    }
+}
+
+static err_t write_results(const struct request *rq, const struct state *st)
+{
+    FILE *f;
+    err_t e = cmd_json_open(rq->json, &f);
+    if (e)
+        return e;
+    if (f)
+        write_report(rq, st, f);
+    if (f != stdout)
+        print_table(st);
+    return cmd_json_close(f, rq->json);
+}
+
+static err_t read_numbers(struct request *rq)
+{
+    rq->size = 448;
+    rq->degree = 1;
+    err_t e = OK;
+    if (strcmp(rq->what, "splat") != 0 && strcmp(rq->what, "all") != 0)
+        e = err_fail(ERR_ARG, "--what: \"%.64s\" is neither splat nor all", rq->what);
+    if (!e && rq->gaussians_text)
+        e = cmd_number("--gaussians", rq->gaussians_text, 1, 4e6, &rq->gaussians);
+    if (!e && rq->size_text)
+        e = cmd_number("--size", rq->size_text, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->size);
+    if (!e && rq->degree_text)
+        e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &rq->degree);
+    rq->size = floor(rq->size);
+    rq->degree = floor(rq->degree);
+    return e;
+}
+
+int cmd_bench_run(int argc, char **argv)
+{
+    static struct state st;
+    struct request rq = {.what = "all"};
+    const struct cmd_option options[] = {
+        {"what", "WHICH", "splat: drawing and optimising; all: everything there is", NULL, &rq.what,
+         NULL},
+        {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
+        {"gaussians", "N", "splats of the scene, default 200000 and 50000", NULL,
+         &rq.gaussians_text, NULL},
+        {"size", "N", "edge of the picture, px, default 448", NULL, &rq.size_text, NULL},
+        {"degree", "D", "of the harmonics, default 1", NULL, &rq.degree_text, NULL},
+        CMD_THREADS,
+        CMD_MEMORY,
+    };
+    const struct cmd_usage usage = {"bench", "", "Figures of this machine against its limits.",
+                                    options, sizeof options / sizeof options[0]};
+    int code;
+    if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
+        return code;
+    if (read_numbers(&rq) != OK)
+        return cmd_misuse(&usage, err_text());
+    err_t e = bench(&rq, &st);
+    if (!e)
+        e = write_results(&rq, &st);
+    code = cmd_finish(usage.name, e);
+    engine_close(&st.engine);
+    return code;
+}

@@ -1,0 +1,63 @@
+/* hdrig.c - the command-line tool: hands over to a sub-command. */
+#include "firmware/cmd.h"
+#include "firmware/engine.h"
+
+#include <signal.h>
+#include <string.h>
+#include <unistd.h>
+
+static const struct {
+    const char *name, *help;
+    int (*run)(int argc, char **argv);
+} commands[] = {
+    {"reconstruct", "photographs to an HDR scene", cmd_reconstruct_run},
+    {"render", "pictures of a scene from other places", cmd_render_run},
+    {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},
+    {"bench", "figures of this machine against its limits", cmd_bench_run},
+    {"doctor", "what this machine has", cmd_doctor_run},
+    {"config", "the settings and their values", cmd_config_run},
+};
+
+enum { N_COMMANDS = sizeof commands / sizeof commands[0] };
+
+static void print_help(FILE *f)
+{
+    fputs("usage: hdrig COMMAND [options]\n\n", f);
+    for (int i = 0; i < N_COMMANDS; i++)
+        fprintf(f, "  %-12s %s\n", commands[i].name, commands[i].help);
+    fputs("\nhdrig COMMAND --help tells the options of a command.\n", f);
+}
+
+/* The first signal asks the job to stop, the second ends at once. */
+static void on_signal(int number)
+{
+    (void)number;
+    if (atomic_exchange(&engine_cancel, true))
+        _exit(CMD_INTERRUPTED);
+}
+
+static void catch_signals(void)
+{
+    struct sigaction stop = {.sa_handler = on_signal}, ignore = {.sa_handler = SIG_IGN};
+    sigaction(SIGINT, &stop, NULL);
+    sigaction(SIGTERM, &stop, NULL);
+    sigaction(SIGPIPE, &ignore, NULL); // writes report errors instead, and results are cleaned up
+    sigaction(SIGXFSZ, &ignore, NULL);
+}
+
+int main(int argc, char **argv)
+{
+    const char *name = argc > 1 ? argv[1] : "";
+    if (strcmp(name, "--help") == 0 || strcmp(name, "-h") == 0) {
+        print_help(stdout);
+        return CMD_OK;
+    }
+    catch_signals();
+    for (int i = 0; i < N_COMMANDS; i++)
+        if (strcmp(commands[i].name, name) == 0)
+            return commands[i].run(argc - 1, argv + 1);
+    if (*name)
+        fprintf(stderr, "hdrig: unknown command \"%s\"\n", name);
+    print_help(stderr);
+    return CMD_USAGE;
+}

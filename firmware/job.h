@@ -1,0 +1,69 @@
+/* job.h - one capture through all steps: the map of the project (house rules, section 3).
+ * Known cameras, no network: response curve, depth by plane sweep, seeds, refinement. */
+#ifndef FIRMWARE_JOB_H
+#define FIRMWARE_JOB_H
+
+#include "firmware/report.h"
+
+#include "core/opt/refine.h"
+#include "core/types.h"
+
+enum job_stage {
+    JOB_PREPROCESS,
+    JOB_RESPONSE,
+    JOB_SWEEP,
+    JOB_SEED,
+    JOB_REFINE,
+    JOB_RENDER, // this and the following by whoever publishes or evaluates
+    JOB_WRITE,
+    JOB_MEASURE,
+    JOB_STAGES
+};
+
+enum { JOB_WARNINGS = 8 };
+
+struct job_config {
+    int size; // px, edge of the square views
+    struct refine_config refine;
+};
+
+struct job_memory {
+    size_t pictures, keep, tmp; // bytes: decoded photographs (malloc'd by imageset), arenas
+};
+
+struct job_result {
+    struct views views;      // in keep
+    struct tonemap response; // before refinement
+    struct scene scene;      // in keep
+    struct refine_report refine;
+    double start_s, lap_s; // of the clock
+    double seconds[JOB_STAGES];
+    double input_psnr;          // dB, mean over the input views, NAN until publish_run
+    size_t keep_peak, tmp_peak; // bytes
+    int n_warnings;
+    char warnings[JOB_WARNINGS][160];
+};
+
+/* Memory of a job, before a pixel is decoded; the capture needs only names, sizes and cameras.
+ * `c` is refused here if it cannot become a scene: fewer than two views, a view without camera or
+ * exposure.
+ * err:  ERR_ARG, ERR_LIMIT (overflow). */
+MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
+                        struct job_memory *out);
+
+/* The whole way from photographs to a scene. Arenas as planned.
+ * err:  those of the steps. On error *out holds the times so far, nothing else. */
+MUST_USE err_t job_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
+                       struct job_result *out);
+
+/* The time since the last call (or the start) goes to `stage`. */
+void job_lap(struct job_result *j, enum job_stage stage);
+
+/* Add a sentence for the report; those beyond JOB_WARNINGS are dropped. */
+void job_warn(struct job_result *j, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
+
+/* The members that every report has, into an open object. threads: of the pool that the job ran on.
+ * */
+void job_report(const struct job_result *j, int threads, struct report *rep);
+
+#endif

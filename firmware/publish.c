@@ -1,0 +1,188 @@
+#include "firmware/publish.h"
+
+#include "firmware/draw.h"
+
+#include "core/metrics.h"
+#include "core/splat/gaussians.h"
+#include "drivers/cameras.h"
+#include "drivers/img.h"
+#include "drivers/ply.h"
+#include "drivers/scenefile.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Upper bound of the folder: pictures as if they could not be compressed. */
+static uint64_t result_bytes(const struct scene *s)
+{
+    uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
+    uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
+    uint64_t ply = n * (17 * 4 + 2 * (planes - G_SH)), whole = n * planes * 4;
+    uint64_t pictures = views * pixels * (4 * 2 + 3);
+    return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20);
+}
+
+/* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
+static double squared_error(const struct image *display, const uint8_t *rgb)
+{
+    size_t pixels = (size_t)display->w * (size_t)display->h;
+    double sum = 0;
+    for (int c = 0; c < 3; c++)
+        for (size_t i = 0; i < pixels; i++) {
+            double d = display->px[(size_t)c * pixels + i] - rgb[3 * i + (size_t)c] / 255.0;
+            sum += d * d;
+        }
+    return sum;
+}
+
+struct pictures {
+    const struct run *r;
+    struct job_result *j;
+    struct outdir *o;
+    struct draw draw;
+    size_t clipped; // values above the largest half
+    double psnr;    // sum over the views
+};
+
+static err_t write_view(struct pictures *p, int i)
+{
+    const struct scene *s = &p->j->scene;
+    const size_t values = 3 * (size_t)s->size * (size_t)s->size;
+    char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
+    size_t clipped = 0;
+    err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
+    if (e)
+        return e;
+    draw_display(&p->draw, s->log2t[i]);
+    double mse =
+        squared_error(&p->draw.display, p->j->views.rgb + values * (size_t)i) / (double)values;
+    p->psnr += fmin(-10 * log10(mse), METRICS_PSNR_MAX);
+    job_lap(p->j, JOB_RENDER);
+    draw_name("ldr", s->names[i], "png", name);
+    e = outdir_path(p->o, name, path);
+    if (!e)
+        e = img_write_ldr(path, &p->draw.display);
+    draw_name("hdr", s->names[i], "exr", name);
+    if (!e)
+        e = outdir_path(p->o, name, path);
+    if (!e)
+        e = draw_write_exr(&p->draw, &s->cams[i], s->log2t[i], path, &clipped);
+    p->clipped += clipped;
+    job_lap(p->j, JOB_WRITE);
+    return e;
+}
+
+static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o)
+{
+    struct pictures p = {.r = r, .j = j, .o = o};
+    const struct scene *s = &j->scene;
+    size_t mark = arena_mark(r->tmp);
+    err_t e = draw_init(&p.draw, r->tmp, s->g.cap, s->size, s->size);
+    for (int i = 0; i < s->n_views && !e; i++) {
+        e = write_view(&p, i);
+        if (!e && r->progress)
+            r->progress(r->progress_ctx, "write", i + 1, s->n_views, NULL);
+    }
+    arena_reset(r->tmp, mark);
+    j->input_psnr = p.psnr / s->n_views;
+    if (p.clipped)
+        job_warn(j,
+                 "%zu values of the EXR files are above the largest half float and stored as 65504",
+                 p.clipped);
+    return e;
+}
+
+static err_t check_names(const struct scene *s)
+{
+    char a[DRAW_NAME_CAP], b[DRAW_NAME_CAP];
+    for (int i = 0; i < s->n_views; i++)
+        for (int k = 0; k < i; k++) {
+            draw_name("ldr", s->names[i], "png", a);
+            draw_name("ldr", s->names[k], "png", b);
+            if (strcmp(a, b) == 0)
+                return err_fail(ERR_ARG, "%s and %s would both be written as %s: rename one",
+                                s->names[k], s->names[i], a);
+        }
+    return OK;
+}
+
+static err_t write_cameras(const struct scene *s, const char *path)
+{
+    struct rig rig = {.n = s->n_views, .views = calloc((size_t)s->n_views, sizeof *rig.views)};
+    if (!rig.views)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", path, s->n_views);
+    for (int i = 0; i < s->n_views; i++) {
+        struct rig_view *v = &rig.views[i];
+        memcpy(v->name, s->names[i], NAME_CAP);
+        v->cam = s->cams[i];
+        v->has_exposure = true;
+        v->exposure_log2 = s->log2t[i];
+    }
+    err_t e = cameras_write(path, &rig);
+    cameras_free(&rig);
+    return e;
+}
+
+static err_t write_scene(const struct scene *s, const struct outdir *o)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = outdir_path(o, "scene.ply", path);
+    if (!e)
+        e = ply_write(path, &s->g, &s->tone);
+    if (!e)
+        e = outdir_path(o, "scene.hdrig", path);
+    if (!e)
+        e = scenefile_write(path, s);
+    if (!e)
+        e = outdir_path(o, "tone.json", path);
+    if (!e)
+        e = scenefile_write_tone(path, &s->tone);
+    if (!e)
+        e = outdir_path(o, "cameras.json", path);
+    return e ? e : write_cameras(s, path);
+}
+
+static err_t write_report(const struct job_result *j, int threads, const struct outdir *o)
+{
+    char path[FILE_PATH_CAP];
+    FILE *f;
+    err_t e = outdir_path(o, OUTDIR_REPORT, path);
+    if (!e)
+        e = file_create(path, &f);
+    if (e)
+        return e;
+    publish_report(j, threads, f);
+    return file_finish(f, path);
+}
+
+err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
+{
+    err_t e = check_names(&j->scene);
+    if (!e)
+        e = outdir_reserve(o, result_bytes(&j->scene));
+    if (!e)
+        e = outdir_mkdir(o, "ldr");
+    if (!e)
+        e = outdir_mkdir(o, "hdr");
+    if (!e)
+        e = write_views(r, j, o);
+    if (!e)
+        e = write_scene(&j->scene, o);
+    job_lap(j, JOB_WRITE);
+    if (!e)
+        e = write_report(j, pool_size(r->pool), o);
+    e = outdir_reason(o, e);
+    if (!e && atomic_load(r->cancel))
+        return ERR_CANCELLED;
+    return e ? e : outdir_commit(o);
+}
+
+void publish_report(const struct job_result *j, int threads, FILE *f)
+{
+    struct report rep;
+    report_init(&rep, f);
+    report_open(&rep, NULL, '{');
+    job_report(j, threads, &rep);
+    report_close(&rep);
+}

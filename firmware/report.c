@@ -1,0 +1,81 @@
+#include "firmware/report.h"
+
+#include "drivers/json.h"
+
+#include <assert.h>
+#include <math.h>
+
+void report_init(struct report *r, FILE *f)
+{
+    *r = (struct report){.f = f, .empty = true};
+}
+
+static void line(struct report *r)
+{
+    fprintf(r->f, "\n%*s", 2 * r->depth, "");
+}
+
+static void begin(struct report *r, const char *key)
+{
+    if (r->depth > 0) {
+        if (!r->empty)
+            putc(',', r->f);
+        line(r);
+    }
+    r->empty = false;
+    if (key) {
+        json_put_string(r->f, key);
+        fputs(": ", r->f);
+    }
+}
+
+void report_open(struct report *r, const char *key, char bracket)
+{
+    assert(r->depth < REPORT_DEPTH);
+    begin(r, key);
+    putc(bracket, r->f);
+    r->close[r->depth++] = bracket == '{' ? '}' : ']';
+    r->empty = true;
+}
+
+void report_close(struct report *r)
+{
+    assert(r->depth > 0);
+    char c = r->close[--r->depth];
+    if (!r->empty)
+        line(r);
+    putc(c, r->f);
+    r->empty = false;
+    if (r->depth == 0)
+        putc('\n', r->f);
+}
+
+void report_number(struct report *r, const char *key, double v)
+{
+    begin(r, key);
+    if (isfinite(v))
+        fprintf(r->f, "%.6g", v);
+    else
+        fputs("null", r->f);
+}
+
+void report_int(struct report *r, const char *key, long long v)
+{
+    begin(r, key);
+    fprintf(r->f, "%lld", v);
+}
+
+void report_bool(struct report *r, const char *key, bool v)
+{
+    begin(r, key);
+    fputs(v ? "true" : "false", r->f);
+}
+
+void report_text(struct report *r, const char *key, const char *text)
+{
+    begin(r, key);
+    if (text)
+        json_put_string(r->f, text);
+    else
+        fputs("null", r->f);
+}

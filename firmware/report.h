@@ -1,0 +1,36 @@
+/* report.h - JSON written member by member, in the order of the calls.
+ * Errors of the file are asked for once, by whoever closes it.
+ * thread: one per report. */
+#ifndef FIRMWARE_REPORT_H
+#define FIRMWARE_REPORT_H
+
+#include <stdbool.h>
+#include <stdio.h>
+
+enum { REPORT_DEPTH = 8 }; // brackets inside brackets
+
+struct report {
+    FILE *f; // not owned
+    int depth;
+    bool empty; // the innermost bracket has no member yet
+    char close[REPORT_DEPTH];
+};
+
+void report_init(struct report *r, FILE *f);
+
+/* Begin an object '{' or an array '['. key: NULL inside an array and for the outermost bracket; the
+ * same below. */
+void report_open(struct report *r, const char *key, char bracket);
+
+/* End the innermost bracket; a newline follows the outermost one. */
+void report_close(struct report *r);
+
+/* Six digits; null if v is not finite. */
+void report_number(struct report *r, const char *key, double v);
+void report_int(struct report *r, const char *key, long long v);
+void report_bool(struct report *r, const char *key, bool v);
+
+/* text: valid UTF-8, or NULL for null. */
+void report_text(struct report *r, const char *key, const char *text);
+
+#endif
