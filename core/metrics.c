@@ -174,7 +174,7 @@ static float value_of(uint32_t key)
 }
 
 /* The key of rank k (from 0), found byte by byte from the top: each pass counts the next byte of
- * the keys that begin with the bytes found so far. above: how many equal keys have a higher rank. */
+ * the keys that begin with the bytes found so far. above: equal keys of higher rank. */
 static uint32_t key_of_rank(const float *values, size_t n, size_t k, size_t *above)
 {
     uint32_t found = 0;
