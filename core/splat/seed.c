@@ -345,14 +345,17 @@ static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch
     return off / p->c;
 }
 
-/* A single pixel takes its slope from its 3 x 3 surroundings if they are one surface. */
+/* A single pixel takes its slope from the 3 x 3 pixels around it, inside the map, if they are one surface. */
 static void pixel_plane(const struct seed *s, int x, int y, struct patch *p)
 {
     const int w = s->in->depth->size;
     struct patch around;
     p->a = p->b = 0.0f;
     p->c = s->rho[y * w + x];
-    if (x < 1 || y < 1 || x >= w - 1 || y >= w - 1 || fit_plane(s, x - 1, y - 1, 3, &around) > 2.0f * FLAT)
+    if (w < 3)
+        return;
+    int x0 = x < 1 ? 0 : x > w - 2 ? w - 3 : x - 1, y0 = y < 1 ? 0 : y > w - 2 ? w - 3 : y - 1;
+    if (fit_plane(s, x0, y0, 3, &around) > 2.0f * FLAT)
         return;
     p->a = around.a;
     p->b = around.b;
