@@ -56,7 +56,7 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := arena bytes cpu err gaussians half pool
+ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half loss metrics pool) golden/render
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
@@ -140,7 +140,7 @@ $(B)/tests/fuzz/fuzz_%: $(B)/tests/fuzz/fuzz_%.o $(FUZZ_MAIN) $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
 # tests/arm/cmocka.h stands in for the library, which Debian has for the native machine only.
-$(B)/tests/arm/%_test: tests/unit/%_test.c $(B)/libcore.a tests/arm/cmocka.h Makefile
+$(B)/tests/arm/%_test: tests/%_test.c $(B)/libcore.a tests/arm/cmocka.h Makefile
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) -Itests/arm -static $(filter %.c %.a,$^) -lm -o $@
 

@@ -11,9 +11,9 @@ done
 LC_ALL=C grep -n "$(printf '[^ -~\t]')" $files && { echo "^ not plain ASCII"; bad=1; }
 grep -n '[[:space:]]$' $files && { echo "^ blank at the end of the line"; bad=1; }
 grep -n "$(printf '\t')" $(echo "$files" | grep -v '^Makefile$') && { echo "^ tab"; bad=1; }
-grep -nwi -e 'TO[D]O' -e 'FI[X]ME' -e 'X[X]X' $files && { echo "^ unfinished"; bad=1; }
+grep -nwiE '(TO[D]O|FI[X]ME|X[X]X|st[u]b|place[h]older)s?' $files && { echo "^ unfinished"; bad=1; }
 grep -nE '^typedef [^(]*\*[ a-z_0-9]+;' $code && { echo "^ typedef of a pointer"; bad=1; }
-grep -nE '^ {20,}(if|for|while|switch|do)\b' $code && { echo "^ nested deeper than three"; bad=1; }
+grep -nE '^ {16,}(if|for|while|switch|do)\b' $code && { echo "^ nested deeper than three"; bad=1; }
 
 awk '
 FNR == 1 { signature = ""; start = 0 }
