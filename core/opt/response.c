@@ -1,8 +1,10 @@
-/* The curve is g(u): log2 exposure over u = logit(display), a polyline on BINS knots. It minimises
+/* The curve is g(u): log2 exposure over u = logit(display), a polyline on BINS knots. It
+ * minimises
  *   sum_pairs w rho(g(u_b) - g(u_a) - d) + SMOOTH |g'' - p''|^2 + WEAK |g' - p'|^2,   g(0) = 0,
- * with p the inverse of sRGB, rho made robust by reweighting, and is then forced to rise. Over u a filmic curve is
- * nearly straight and sRGB bends only near white, so few pairs fix it and it continues sanely where there are none.
- * At last u(x) is written as 64 ReLU units (model-spec 2.14): half of them face left, half right, from x = 0. */
+ * with p the inverse of sRGB, rho made robust by reweighting, and is then forced to rise. Over u a
+ * filmic curve is nearly straight and sRGB bends only near white, so few pairs fix it and it
+ * continues sanely where there are none. At last u(x) is written as 64 ReLU units (model-spec
+ * 2.14): half of them face left, half right, from x = 0. */
 #include "core/opt/response.h"
 
 #include <math.h>
@@ -11,7 +13,7 @@
 enum { BINS = 45, LEVELS = 64, ROUNDS = 6, GROUPS_MAX = 16 };
 
 static const double U_END = 6.6;      // the curve lives on [-U_END, U_END]; logit of 1/512 is -6.24
-static const double SMOOTH = 5.0;    // weight of a bend, with data normalised to one per knot
+static const double SMOOTH = 5.0;     // weight of a bend, with data normalised to one per knot
 static const double WEAK = 2e-3;      // weight of a slope
 static const double RISE_MIN = 0.06;  // stops per unit of u
 static const double RISE_MAX = 8.0;   // stops per unit of u: flatter curves hold no information
@@ -74,7 +76,8 @@ static double residual(const double *g, const struct response_pair *p)
     return g[kb] + fb * (g[kb + 1] - g[kb]) - g[ka] - fa * (g[ka + 1] - g[ka]) - p->d;
 }
 
-static void add_pairs(double (*a)[BINS], double *b, const struct response_pair *pairs, int n, const double *g)
+static void add_pairs(double (*a)[BINS], double *b, const struct response_pair *pairs, int n,
+                      const double *g)
 {
     const double scale = 0.15; // stops; larger residuals count less and less (Geman-McClure)
     double total = 1e-9;
@@ -163,7 +166,8 @@ static double curve_at(const double *g, double x)
     return knot_u(k) + (x - g[k]) / (g[k + 1] - g[k]) * (knot_u(k + 1) - knot_u(k));
 }
 
-/* Half of the units have knots at 0 .. x_end and face away from 0; the first carries the slope, the others bends. */
+/* Half of the units have knots at 0 .. x_end and face away from 0; the first carries the slope, the
+ * others bends. */
 static void write_side(const double *g, double x_end, float *p, int first)
 {
     const int n = TONE_HIDDEN / 2;
@@ -204,7 +208,8 @@ void response_fit(const struct response_pair *pairs, int n, float mid_log2t, str
 
 static float curve_logit(const struct tonemap *tone, int colour, float x)
 {
-    const float *w1 = tone->p + colour * TONE_PER_COLOUR, *b1 = w1 + TONE_HIDDEN, *w2 = b1 + TONE_HIDDEN;
+    const float *w1 = tone->p + colour * TONE_PER_COLOUR, *b1 = w1 + TONE_HIDDEN,
+                *w2 = b1 + TONE_HIDDEN;
     float u = w2[TONE_HIDDEN];
     for (int k = 0; k < TONE_HIDDEN; k++)
         u += w2[k] * fmaxf(w1[k] * x + b1[k], 0.0f);
@@ -242,7 +247,9 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
     for (int c = 0; c < 3; c++) {
         for (int z = 0; z < 256; z++) {
             float x = invert(tone, c, (float)z / 255.0f);
-            float slope = (response_display(tone, c, x + 0.05f) - response_display(tone, c, x - 0.05f)) / 0.1f;
+            float slope =
+                (response_display(tone, c, x + 0.05f) - response_display(tone, c, x - 0.05f)) /
+                0.1f;
             float err = noise / fmaxf(slope, 1e-6f) / good;
             float end = fminf(fminf((float)z - 1.0f, 253.0f - (float)z) / 6.0f, 1.0f);
             out->x[c][z] = x;
@@ -256,12 +263,14 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
 static err_t check_views(const struct views *v)
 {
     if (v->n < 1 || v->size < 2)
-        return err_fail(ERR_ARG, "response: %d views of %d px, needed are 1 view of 2 px", v->n, v->size);
+        return err_fail(ERR_ARG, "response: %d views of %d px, needed are 1 view of 2 px", v->n,
+                        v->size);
     for (int i = 0; i < v->n; i++) {
         if (!isfinite(v->log2t[i]))
             return err_fail(ERR_ARG, "response: exposure of view %d is not finite", i);
     }
-    return isfinite(v->mid_log2t) ? OK : err_fail(ERR_ARG, "response: middle exposure is not finite");
+    return isfinite(v->mid_log2t) ? OK
+                                  : err_fail(ERR_ARG, "response: middle exposure is not finite");
 }
 
 /* Means of 2 x 2 pixels: noise widens a histogram. */
@@ -289,7 +298,8 @@ static int collect_groups(const struct views *v, struct group *g)
             if (best < 0 || d < fabs(g[best].log2t / g[best].n - (double)v->log2t[i]))
                 best = k;
         }
-        bool near = best >= 0 && fabs(g[best].log2t / g[best].n - (double)v->log2t[i]) < (double)LOG2_MERGE;
+        bool near =
+            best >= 0 && fabs(g[best].log2t / g[best].n - (double)v->log2t[i]) < (double)LOG2_MERGE;
         if (!near && n < GROUPS_MAX)
             best = n++;
         g[best].log2t += (double)v->log2t[i];
@@ -326,7 +336,8 @@ static int add_group_pair(const struct group *a, const struct group *b, struct r
             float lo = fminf(p.za, p.zb), hi = fmaxf(p.za, p.zb);
             if (lo < 3.0f / 255.0f || hi > 251.0f / 255.0f)
                 continue;
-            p.weight = sqrtf(lo * (1.0f - hi)); // an error of one grey value moves the logit most at the ends
+            p.weight = sqrtf(
+                lo * (1.0f - hi)); // an error of one grey value moves the logit most at the ends
             out[n++] = p;
         }
     }
@@ -338,7 +349,8 @@ enum { PAIRS_MAX = GROUPS_MAX * (GROUPS_MAX - 1) / 2 * 3 * LEVELS };
 size_t response_plan(const struct views *v)
 {
     (void)v;
-    return arena_add(arena_need(GROUPS_MAX, sizeof(struct group)), arena_need(PAIRS_MAX, sizeof(struct response_pair)));
+    return arena_add(arena_need(GROUPS_MAX, sizeof(struct group)),
+                     arena_need(PAIRS_MAX, sizeof(struct response_pair)));
 }
 
 err_t response_run(const struct run *r, const struct views *v, struct tonemap *out)

@@ -1,7 +1,8 @@
-/* Views are taken in the order of what they know (confidence of depth times reliability of the pictures). The map of a
- * view is cut into blocks; a block that is flat in colour and in depth becomes one splat, others are cut into four,
- * down to a quarter of a pixel of the map. Each splat is projected into all views: where it explains a pixel, that
- * pixel gets no splat of its own, and its radiance counts. A second round fills pixels that nothing explains. */
+/* Views are taken in the order of what they know (confidence of depth times reliability of the
+ * pictures). The map of a view is cut into blocks; a block that is flat in colour and in depth
+ * becomes one splat, others are cut into four, down to a quarter of a pixel of the map. Each
+ * splat is projected into all views: where it explains a pixel, that pixel gets no splat of its
+ * own, and its radiance counts. A second round fills pixels that nothing explains. */
 #include "core/splat/seed.h"
 
 #include "core/opt/response.h"
@@ -18,7 +19,11 @@ enum {
     LEVELS_MAX = 9 // of the smooth guess
 };
 
-enum { FREE = 0, COVERED = 1, EXPLAINED = 2 }; // marks: some splat lies there; one at the pixel's own depth
+enum {
+    FREE = 0,
+    COVERED = 1,
+    EXPLAINED = 2
+}; // marks: some splat lies there; one at the pixel's own depth
 
 static const float SURE = 0.3f;       // confidence from which a depth is believed
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
@@ -40,18 +45,19 @@ struct seed {
     const struct seed_input *in;
     struct gaussians *out;
     int max;
-    float loss;        // factor on the thresholds: detail given up
+    float loss; // factor on the thresholds: detail given up
     bool full;
     float linear[3][256], weight[3][256]; // of the response, for exposure shift 0
-    struct frame *frame; // (n)
-    int *order;          // (n) views, best first
-    float *score;        // (n)
-    uint8_t *mark;       // (n, size, size)
-    float *guess;        // (2, 4/3 size^2 + ...) inverse depth times weight, weight: pyramid of one view
-    float *rho;          // (size, size) of the view in work
+    struct frame *frame;                  // (n)
+    int *order;                           // (n) views, best first
+    float *score;                         // (n)
+    uint8_t *mark;                        // (n, size, size)
+    float *guess; // (2, 4/3 size^2 + ...) inverse depth times weight, weight: pyramid of one view
+    float *rho;   // (size, size) of the view in work
 };
 
-/* A square of the map with the plane of inverse depth a (x - x0) + b (y - y0) + c through its middle. */
+/* A square of the map with the plane of inverse depth a (x - x0) + b (y - y0) + c through its
+ * middle. */
 struct patch {
     int view;
     float x, y, side; // middle and edge, px of the map
@@ -104,7 +110,8 @@ static const uint8_t *pixel(const struct seed *s, int view, int x, int y)
     return s->in->views->rgb + 3 * (((size_t)view * size + (size_t)y) * size + (size_t)x);
 }
 
-/* Range of picture pixels under [at - side / 2, at + side / 2] of the map: first, step and count. */
+/* Range of picture pixels under [at - side / 2, at + side / 2] of the map: first, step and count.
+ * */
 static void sample_range(const struct seed *s, float at, float side, int *range)
 {
     const int scale = s->in->depth->scale, size = s->in->views->size;
@@ -117,8 +124,10 @@ static void sample_range(const struct seed *s, float at, float side, int *range)
     range[0] = first < 0 || last < 0 ? 0 : first > last ? last : first;
 }
 
-/* Reliability and weighted mean of the linear exposure of the pixels under a square; add ln radiance to sum. */
-static void add_colour(const struct seed *s, int view, const float *at, float side, float factor, float (*sum)[2])
+/* Reliability and weighted mean of the linear exposure of the pixels under a square; add ln
+ * radiance to sum. */
+static void add_colour(const struct seed *s, int view, const float *at, float side, float factor,
+                       float (*sum)[2])
 {
     int rx[3], ry[3];
     sample_range(s, at[0], side, rx);
@@ -144,7 +153,8 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
 static float contrast(const struct seed *s, int view, const float *at, float side)
 {
     const int scale = s->in->depth->scale, n = (int)(side * (float)scale);
-    const int x0 = (int)((at[0] - 0.5f * side) * (float)scale), y0 = (int)((at[1] - 0.5f * side) * (float)scale);
+    const int x0 = (int)((at[0] - 0.5f * side) * (float)scale),
+              y0 = (int)((at[1] - 0.5f * side) * (float)scale);
     float top = 0.0f;
     for (int c = 0; c < 3; c++) {
         float sum = 0.0f, square = 0.0f;
@@ -162,8 +172,10 @@ static float contrast(const struct seed *s, int view, const float *at, float sid
 
 /* ---- one splat ---- */
 
-/* Project the splat at x, `radius` wide in the world, into all views: mark what it explains, collect its colour. */
-static void see_everywhere(struct seed *s, const struct patch *p, const float *x, float width, float (*sum)[2])
+/* Project the splat at x, `radius` wide in the world, into all views: mark what it explains,
+ * collect its colour. */
+static void see_everywhere(struct seed *s, const struct patch *p, const float *x, float width,
+                           float (*sum)[2])
 {
     const int w = s->in->depth->size;
     for (int j = 0; j < s->in->views->n; j++) {
@@ -185,14 +197,15 @@ static void see_everywhere(struct seed *s, const struct patch *p, const float *x
         for (int v = y0; v < (y1 < w ? y1 : w); v++) {
             for (int u = x0; u < (x1 < w ? x1 : w); u++) {
                 size_t k = plane + (size_t)v * (size_t)w + (size_t)u;
-                s->mark[k] |= fabsf(depth[k] - at[2]) < 2.0f * AGREE * at[2] ? EXPLAINED | COVERED : COVERED;
+                s->mark[k] |=
+                    fabsf(depth[k] - at[2]) < 2.0f * AGREE * at[2] ? EXPLAINED | COVERED : COVERED;
             }
         }
     }
 }
 
-/* Does a view with a sure depth look through the point at `at` (pixel, depth)? Its surroundings must agree, because at
- * the rim of a near thing one pixel of error shows what lies behind. */
+/* Does a view with a sure depth look through the point at `at` (pixel, depth)? Its surroundings
+ * must agree, because at the rim of a near thing one pixel of error shows what lies behind. */
 static bool looks_through(const struct seed *s, int view, const float *at)
 {
     const int w = s->in->depth->size;
@@ -228,15 +241,18 @@ static int balance(const struct seed *s, int own, const float *x)
 
 static void lift(const struct frame *f, const struct patch *p, float rho, float *x)
 {
-    float camera[3] = {(p->x - f->c[0]) / f->f[0] / rho - f->t[0], (p->y - f->c[1]) / f->f[1] / rho - f->t[1],
-                       1.0f / rho - f->t[2]};
+    float camera[3] = {(p->x - f->c[0]) / f->f[0] / rho - f->t[0],
+                       (p->y - f->c[1]) / f->f[1] / rho - f->t[1], 1.0f / rho - f->t[2]};
     to_world(f, camera, x);
 }
 
-/* Unit vectors in the camera: along the slope, across it, normal. Returns the cosine to the line of sight. */
-static float surface(const struct frame *f, const struct patch *p, const float *ray, float (*axis)[3])
+/* Unit vectors in the camera: along the slope, across it, normal. Returns the cosine to the line of
+ * sight. */
+static float surface(const struct frame *f, const struct patch *p, const float *ray,
+                     float (*axis)[3])
 {
-    float n[3] = {p->a * f->f[0], p->b * f->f[1], p->c + p->a * (f->c[0] - p->x) + p->b * (f->c[1] - p->y)};
+    float n[3] = {p->a * f->f[0], p->b * f->f[1],
+                  p->c + p->a * (f->c[0] - p->x) + p->b * (f->c[1] - p->y)};
     float ray_len = sqrtf(ray[0] * ray[0] + ray[1] * ray[1] + 1.0f);
     float len = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     float sight[3] = {ray[0] / ray_len, ray[1] / ray_len, 1.0f / ray_len}, cosine = 0.0f;
@@ -263,22 +279,27 @@ static float surface(const struct frame *f, const struct patch *p, const float *
         axis[0][i] = cosine * part[i] / slope - sine * sight[i];
     }
     for (int i = 0; i < 3; i++)
-        axis[1][i] = axis[2][(i + 1) % 3] * axis[0][(i + 2) % 3] - axis[2][(i + 2) % 3] * axis[0][(i + 1) % 3];
+        axis[1][i] = axis[2][(i + 1) % 3] * axis[0][(i + 2) % 3] -
+                     axis[2][(i + 2) % 3] * axis[0][(i + 1) % 3];
     return cosine;
 }
 
-/* Quaternion w,x,y,z of the rotation whose columns are the axes (Shepperd 1978: largest of the four first). */
+/* Quaternion w,x,y,z of the rotation whose columns are the axes (Shepperd 1978: largest of the four
+ * first). */
 static void axes_to_quat(float (*c)[3], float *q)
 {
-    float sum[4] = {c[0][0] + c[1][1] + c[2][2], c[0][0] - c[1][1] - c[2][2], c[1][1] - c[0][0] - c[2][2],
-                    c[2][2] - c[0][0] - c[1][1]};
+    float sum[4] = {c[0][0] + c[1][1] + c[2][2], c[0][0] - c[1][1] - c[2][2],
+                    c[1][1] - c[0][0] - c[2][2], c[2][2] - c[0][0] - c[1][1]};
     int k = 0;
     for (int i = 1; i < 4; i++)
         k = sum[i] > sum[k] ? i : k;
     float big = 0.5f * sqrtf(sum[k] + 1.0f), f = 0.25f / big;
     float d[3] = {(c[1][2] - c[2][1]) * f, (c[2][0] - c[0][2]) * f, (c[0][1] - c[1][0]) * f};
     float m[3] = {(c[1][2] + c[2][1]) * f, (c[2][0] + c[0][2]) * f, (c[0][1] + c[1][0]) * f};
-    const float all[4][4] = {{big, d[0], d[1], d[2]}, {d[0], big, m[2], m[1]}, {d[1], m[2], big, m[0]}, {d[2], m[1], m[0], big}};
+    const float all[4][4] = {{big, d[0], d[1], d[2]},
+                             {d[0], big, m[2], m[1]},
+                             {d[1], m[2], big, m[0]},
+                             {d[2], m[1], m[0], big}};
     memcpy(q, all[k], sizeof all[k]);
 }
 
@@ -322,13 +343,15 @@ static void emit(struct seed *s, struct patch *p)
 
 /* ---- blocks ---- */
 
-/* Plane of inverse depth through a block of n x n pixels; returns the largest distance from it, relative. */
+/* Plane of inverse depth through a block of n x n pixels; returns the largest distance from it,
+ * relative. */
 static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch *p)
 {
     const int w = s->in->depth->size;
     float sum = 0.0f, sx = 0.0f, sy = 0.0f, half = 0.5f * (float)(n - 1), norm = 0.0f, off = 0.0f;
     for (int i = 0; i < n * n; i++) {
-        float v = s->rho[(y0 + i / n) * w + x0 + i % n], dx = (float)(i % n) - half, dy = (float)(i / n) - half;
+        float v = s->rho[(y0 + i / n) * w + x0 + i % n], dx = (float)(i % n) - half,
+              dy = (float)(i / n) - half;
         sum += v;
         sx += v * dx;
         sy += v * dy;
@@ -338,14 +361,16 @@ static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch
     p->a = sx / norm;
     p->b = sy / norm;
     for (int i = 0; i < n * n; i++) {
-        float v = s->rho[(y0 + i / n) * w + x0 + i % n], dx = (float)(i % n) - half, dy = (float)(i / n) - half;
+        float v = s->rho[(y0 + i / n) * w + x0 + i % n], dx = (float)(i % n) - half,
+              dy = (float)(i / n) - half;
         float e = fabsf(v - p->c - p->a * dx - p->b * dy);
         off = e > off ? e : off;
     }
     return off / p->c;
 }
 
-/* A single pixel takes its slope from the 3 x 3 pixels around it, inside the map, if they are one surface. */
+/* A single pixel takes its slope from the 3 x 3 pixels around it, inside the map, if they are one
+ * surface. */
 static void pixel_plane(const struct seed *s, int x, int y, struct patch *p)
 {
     const int w = s->in->depth->size;
@@ -366,10 +391,12 @@ static void seed_pixel(struct seed *s, int view, int x, int y)
 {
     const int w = s->in->depth->size;
     float conf = s->in->depth->conf[((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x];
-    struct patch p = {.view = view, .x = (float)x + 0.5f, .y = (float)y + 0.5f, .side = 1.0f, .conf = conf};
+    struct patch p = {
+        .view = view, .x = (float)x + 0.5f, .y = (float)y + 0.5f, .side = 1.0f, .conf = conf};
     const float at[2] = {p.x, p.y};
     pixel_plane(s, x, y, &p);
-    if (s->in->depth->scale < 2 || conf < SURE || contrast(s, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
+    if (s->in->depth->scale < 2 || conf < SURE ||
+        contrast(s, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
         emit(s, &p);
         return;
     }
@@ -393,7 +420,8 @@ static bool wanted(const struct seed *s, int view, int x, int y, bool sure)
     return !(s->mark[k] & COVERED);
 }
 
-/* Splats of one block: one if all of it is wanted and flat, else those of its quarters. */
+/* Splats of one block: one if half of it is wanted and all of it flat, else those of its quarters.
+ * */
 static void seed_block(struct seed *s, int view, const int *corner, int n, bool sure)
 {
     const int w = s->in->depth->size;
@@ -411,9 +439,12 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
         seed_pixel(s, view, corner[0], corner[1]);
         return;
     }
-    if (count == n * n && inside == count) {
+    if (2 * count >= n * n && inside == n * n) {
         float half = 0.5f * (float)n;
-        struct patch p = {.view = view, .x = (float)corner[0] + half, .y = (float)corner[1] + half, .side = (float)n,
+        struct patch p = {.view = view,
+                          .x = (float)corner[0] + half,
+                          .y = (float)corner[1] + half,
+                          .side = (float)n,
                           .conf = sure ? 1.0f : 0.0f};
         const float at[2] = {p.x, p.y};
         if (fit_plane(s, corner[0], corner[1], n, &p) < FLAT * s->loss &&
@@ -430,7 +461,8 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
 
 /* ---- smooth guess ---- */
 
-/* Inverse depth of view i in s->rho: believed where sure, else pulled from coarser levels of the sure ones. */
+/* Inverse depth of view i in s->rho: believed where sure, else pulled from coarser levels of the
+ * sure ones. */
 static void guess_depth(struct seed *s, int view)
 {
     const int w = s->in->depth->size;
@@ -525,7 +557,8 @@ static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *
     return a ? arena_alloc(a, n, elem, out) : OK;
 }
 
-static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, size_t w, struct seed *s)
+static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, size_t w,
+                       struct seed *s)
 {
     const size_t n = (size_t)v->n;
     err_t e = carve(a, bytes, n, sizeof *s->frame, &s->frame);
@@ -546,7 +579,8 @@ size_t seed_plan(const struct views *v)
 {
     struct seed s = {0};
     size_t bytes = 0;
-    err_t e = carve_all(NULL, &bytes, v, (size_t)v->size, &s); // maps are never larger than the views
+    err_t e =
+        carve_all(NULL, &bytes, v, (size_t)v->size, &s); // maps are never larger than the views
     return e ? SIZE_MAX : bytes;
 }
 
@@ -559,10 +593,12 @@ static err_t check_input(const struct seed_input *in, int max)
 {
     const struct depthmaps *d = in->depth;
     if (max < 1 || max > GAUSSIANS_MAX)
-        return err_fail(ERR_ARG, "seed: at most %d splats asked, allowed are 1 to %d", max, GAUSSIANS_MAX);
-    if (in->views->n < 1 || !in->views->cams || d->n != in->views->n || d->scale < 1 || d->size < 1 ||
-        d->size * d->scale > in->views->size)
-        return err_fail(ERR_ARG, "seed: %d views of %d px and %d depth maps of %d px do not belong together",
+        return err_fail(ERR_ARG, "seed: at most %d splats asked, allowed are 1 to %d", max,
+                        GAUSSIANS_MAX);
+    if (in->views->n < 1 || !in->views->cams || d->n != in->views->n || d->scale < 1 ||
+        d->size < 1 || d->size * d->scale > in->views->size)
+        return err_fail(ERR_ARG,
+                        "seed: %d views of %d px and %d depth maps of %d px do not belong together",
                         in->views->n, in->views->size, d->n, d->size);
     return OK;
 }

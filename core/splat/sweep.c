@@ -1,35 +1,37 @@
-/* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth rho, one step being at
- * most about one pixel in the widest neighbour; compare 5 x 5 windows of log2 luminance by weighted normalised
- * correlation (blind to exposure and to a slightly wrong response) plus a small term of the mean difference; keep the
- * best half of the neighbours (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine
- * by a parabola. A first sweep on quarter size narrows the range of rho. Then points that other views confirm get
- * confidence and the mean of the confirming depths. */
+/* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth
+ * rho, one step being at most about one pixel in the widest neighbour; compare 5 x 5 windows of
+ * log2 luminance by the variance of their difference relative to the contrast of the view (blind to
+ * exposure, a correlation that also wants equal contrast) and by the mean difference (tells one
+ * repetition of a pattern from the next); keep the best half of the neighbours
+ * (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by a
+ * parabola. A first sweep on quarter size narrows the range of rho. Then points that other views
+ * confirm get confidence and the mean of the confirming depths. */
 #include "core/splat/sweep.h"
 
 #include "core/opt/response.h"
+#include "core/splat/sgm.h"
 
 #include <math.h>
 #include <string.h>
 
 enum {
-    WORK_SIZE = 256,   // px; the work is done at this size or below
-    NEAR_MAX = 4,      // neighbours used for a view
-    CHECK_MAX = 10,    // neighbours asked to confirm
-    PLANES_MAX = 144,  // multiple of 16
-    COARSE = 4,        // the first sweep is this much smaller
-    RADIUS = 2,        // px, of the matching window
+    WORK_SIZE = 256,  // px; the work is done at this size or below
+    NEAR_MAX = 4,     // neighbours used for a view
+    CHECK_MAX = 10,   // neighbours asked to confirm
+    PLANES_MAX = 144, // multiple of 16
+    COARSE = 4,       // the first sweep is this much smaller
+    RADIUS = 2,       // px, of the matching window
     TAPS = 2 * RADIUS + 1,
-    SUMS = 3,          // weighted moments of a window, D = I - J: w, wD, wDD
-    COST_UNIT = 100,   // integer cost of 1.0
-    STEP_COST = 7,     // P1: change by one plane
-    JUMP_COST = 45,    // P2: larger change, over flat ground
-    JUMP_COST_MIN = 14 // P2 over a strong edge
+    SUMS = 3,       // weighted moments of a window, D = I - J: w, wD, wDD
+    COST_UNIT = 100 // integer cost of 1.0
 };
 
-static const float COST_BLIND = 0.5f;    // where no pixel carries information
-static const float COST_OUTSIDE = 0.75f; // outside the neighbour's picture: worse than blind, better than wrong
-static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
-static const float NOISE_VAR = 0.012f;   // stops^2 added to the variance: noise alone does not correlate
+static const float COST_BLIND = 0.5f; // where no pixel carries information
+static const float COST_OUTSIDE =
+    0.75f; // outside the neighbour's picture: worse than blind, better than wrong
+static const float INSIDE = 1e-4f; // least weight of a pixel inside the neighbour's picture
+static const float NOISE_VAR =
+    0.012f; // stops^2 added to the variance: noise alone does not correlate
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
 struct plate {
@@ -47,23 +49,20 @@ struct sweep {
     const struct views *v;
     struct depthmaps *out;
     struct response_table table;
-    struct pose *pose;        // (n)
-    struct plate *plate[2];   // (n) fine, coarse
-    int (*near)[CHECK_MAX];   // (n) other views, best first
-    int *n_near;              // (n)
-    float *rho;               // (n, size, size) inverse depth before the check
-    float *sure;              // (n, size, size) 0..1 of the sweep alone
-    float (*range)[2];        // (n) inverse depth of the first and last plane
-    struct scratch *scratch;  // (workers)
+    float linear[3][256];    // 2^table.x
+    struct pose *pose;       // (n)
+    struct plate *plate[2];  // (n) fine, coarse
+    int (*near)[CHECK_MAX];  // (n) other views, best first
+    int *n_near;             // (n)
+    float *rho;              // (n, size, size) inverse depth before the check
+    float *sure;             // (n, size, size) 0..1 of the sweep alone
+    float (*range)[2];       // (n) inverse depth of the first and last plane
+    struct scratch *scratch; // (workers)
 };
 
 /* Of one worker, for the largest picture and number of planes. */
 struct scratch {
-    uint8_t *cost;  // (y, plane, x)
-    int16_t *total; // (y, plane, x)
-    int16_t *path;  // (2, 3, plane, x + 2): rows of the three paths that run down or up
-    int16_t *least; // (2, 3, x + 2): their minima over the planes
-    int16_t *turn;  // (2, x, plane): one row with the planes innermost
+    struct sgm sgm;
     float *contrast; // (y, x)
     float *place;    // (2, x) mapped places of one row
     float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
@@ -84,7 +83,8 @@ struct task {
 
 static void set_pose(const struct camera *c, struct pose *p)
 {
-    double w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3], n = 2.0 / (w * w + x * x + y * y + z * z);
+    double w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3],
+           n = 2.0 / (w * w + x * x + y * y + z * z);
     const double r[9] = {1 - n * (y * y + z * z), n * (x * y - w * z),     n * (x * z + w * y),
                          n * (x * y + w * z),     1 - n * (x * x + z * z), n * (y * z - w * x),
                          n * (x * z - w * y),     n * (y * z + w * x),     1 - n * (x * x + y * y)};
@@ -107,7 +107,8 @@ static void map_between(const struct pose *a, const struct pose *b, double size,
     for (int i = 0; i < 3; i++) {
         double r[3], t = b->t[i];
         for (int j = 0; j < 3; j++) {
-            r[j] = b->r[3 * i] * a->r[3 * j] + b->r[3 * i + 1] * a->r[3 * j + 1] + b->r[3 * i + 2] * a->r[3 * j + 2];
+            r[j] = b->r[3 * i] * a->r[3 * j] + b->r[3 * i + 1] * a->r[3 * j + 1] +
+                   b->r[3 * i + 2] * a->r[3 * j + 2];
             t -= r[j] * a->t[j];
         }
         m[4 * i] = r[0] / fa[0];
@@ -228,66 +229,81 @@ static void choose_range(struct sweep *s, int i)
     }
 }
 
-/* Longest way, in px, that a pixel runs through a neighbour over the range. */
-static double longest_way(const struct task *t, double rho0, double rho1)
+/* Way in px that a pixel runs through a neighbour over a range of inverse depth; 0 if it gets
+ * behind it. */
+static double way_px(const double *h, double u, double v, const float *range)
+{
+    double p[3], q[3], way = 0.0;
+    if (!apply_map(h, u, v, (double)range[0], p))
+        return 0.0;
+    for (int j = 1; j <= 8; j++) {
+        if (!apply_map(h, u, v, (double)range[0] + (double)(range[1] - range[0]) * j / 8, q))
+            return 0.0;
+        way += hypot(q[0] - p[0], q[1] - p[1]);
+        memcpy(p, q, sizeof p);
+    }
+    return way;
+}
+
+/* Planes so that one step is about one pixel where pixels run fastest; a multiple of 16. */
+static int count_planes(const struct task *t, const float *range)
 {
     double longest = 0.0;
     for (int k = 0; k < t->n_near; k++) {
         for (int i = 0; i < 9; i++) {
-            double p[3], q[3], u = t->w * (i % 3) / 2.0, v = t->w * (i / 3) / 2.0, way = 0.0;
-            bool ok = apply_map(t->h[k], u, v, rho0, p);
-            for (int j = 1; j <= 8 && ok; j++) {
-                ok = apply_map(t->h[k], u, v, rho0 + (rho1 - rho0) * j / 8, q);
-                if (ok)
-                    way += hypot(q[0] - p[0], q[1] - p[1]);
-                memcpy(p, q, sizeof p);
-            }
-            longest = fmax(longest, ok ? way : 0.0);
+            double way = way_px(t->h[k], t->w * (i % 3) / 2.0, t->w * (i / 3) / 2.0, range);
+            longest = fmax(longest, way);
         }
     }
-    return longest;
+    return min_int(PLANES_MAX, ((int)fmin(longest, 1e4) + 16) / 16 * 16);
 }
 
 /* ---- pictures ---- */
 
-/* Mean luminance of scale x scale pixels, in stops, and how well it is known. */
+/* Log2 luminance and reliability of scale x scale pixels of a picture from their mean radiance. */
+static void mean_light(const struct sweep *s, const uint8_t *rgb, float shift, float *out)
+{
+    const int scale = s->out->scale;
+    float sum = 0.0f, known = 0.0f;
+    for (int k = 0; k < scale * scale; k++) {
+        const uint8_t *p =
+            rgb + 3 * ((size_t)(k / scale) * (size_t)s->v->size + (size_t)(k % scale));
+        for (int c = 0; c < 3; c++) {
+            sum += s->linear[c][p[c]];
+            known += s->linear[c][p[c]] * s->table.weight[c][p[c]];
+        }
+    }
+    out[0] = log2f(sum / (float)(3 * scale * scale) + 1e-9f) - shift;
+    out[1] = known / (sum + 1e-12f);
+}
+
+static void shrink_plate(const struct plate *fine, const struct plate *coarse)
+{
+    for (int k = 0; k < coarse->size * coarse->size; k++) {
+        int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
+        float value = 0.0f, known = 0.0f;
+        for (int j = 0; j < COARSE * COARSE; j++) {
+            const float *px = fine->px + 2 * ((y0 + j / COARSE) * fine->size + x0 + j % COARSE);
+            value += px[0] * (px[1] + 1e-6f); // the mean of all if none is known
+            known += px[1] + 1e-6f;
+        }
+        coarse->px[2 * k] = value / known;
+        coarse->px[2 * k + 1] = known / (COARSE * COARSE);
+    }
+}
+
 static err_t make_plate(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
     (void)worker;
-    const int w = s->out->size, scale = s->out->scale, size = s->v->size;
-    const uint8_t *rgb = s->v->rgb + (size_t)i * (size_t)size * (size_t)size * 3;
+    const int w = s->out->size;
+    const size_t size = (size_t)s->v->size, scale = (size_t)s->out->scale;
     const float shift = s->v->log2t[i] - s->v->mid_log2t;
-    float linear[3][256];
-    for (int z = 0; z < 3 * 256; z++)
-        linear[z / 256][z % 256] = exp2f(s->table.x[z / 256][z % 256]);
-    for (int y = 0; y < w; y++) {
-        for (int x = 0; x < w; x++) {
-            float sum = 0.0f, known = 0.0f;
-            for (int k = 0; k < scale * scale; k++) {
-                const uint8_t *p = rgb + 3 * ((size_t)(y * scale + k / scale) * (size_t)size + (size_t)(x * scale + k % scale));
-                for (int c = 0; c < 3; c++) {
-                    sum += linear[c][p[c]];
-                    known += linear[c][p[c]] * s->table.weight[c][p[c]];
-                }
-            }
-            float *px = s->plate[0][i].px + 2 * ((size_t)y * (size_t)w + (size_t)x);
-            px[0] = log2f(sum / (float)(3 * scale * scale) + 1e-9f) - shift;
-            px[1] = known / (sum + 1e-12f);
-        }
+    for (int k = 0; k < w * w; k++) {
+        size_t at = ((size_t)i * size + (size_t)(k / w) * scale) * size + (size_t)(k % w) * scale;
+        mean_light(s, s->v->rgb + 3 * at, shift, s->plate[0][i].px + 2 * (size_t)k);
     }
-    const struct plate *coarse = &s->plate[1][i];
-    for (int k = 0; k < coarse->size * coarse->size; k++) {
-        int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
-        float value = 0.0f, weight = 1e-6f;
-        for (int j = 0; j < COARSE * COARSE; j++) {
-            const float *px = s->plate[0][i].px + 2 * ((y0 + j / COARSE) * w + x0 + j % COARSE);
-            value += px[0] * (px[1] + 1e-6f / (COARSE * COARSE));
-            weight += px[1];
-        }
-        coarse->px[2 * k] = value / weight;
-        coarse->px[2 * k + 1] = weight / (COARSE * COARSE);
-    }
+    shrink_plate(&s->plate[0][i], &s->plate[1][i]);
     return OK;
 }
 
@@ -299,7 +315,8 @@ static void place_row(const double *h, int y, int w, double rho, float *u, float
     const float du[3] = {(float)h[0], (float)h[4], (float)h[8]}, end = (float)w - 1.0f;
     float base[3];
     for (int i = 0; i < 3; i++)
-        base[i] = (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * rho);
+        base[i] =
+            (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * rho);
     for (int x = 0; x < w; x++) {
         float z = base[2] + du[2] * (float)x, inv = 1.0f / z;
         u[x] = (base[0] + du[0] * (float)x) * inv - 0.5f;
@@ -325,8 +342,10 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
         int iu = (int)u[x], iv = (int)v[x];
         float fu = u[x] - (float)iu, fv = v[x] - (float)iv;
         const float *q = other + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *below = q + 2 * w;
-        float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) + (below[0] + fu * (below[2] - below[0])) * fv;
-        float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) + (below[1] + fu * (below[3] - below[1])) * fv;
+        float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) +
+                      (below[0] + fu * (below[2] - below[0])) * fv;
+        float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) +
+                      (below[1] + fu * (below[3] - below[1])) * fv;
         float weight = known * p[2 * x + 1] + INSIDE, diff = p[2 * x] - value;
         row[x] = weight;
         row[w + x] = weight * diff;
@@ -334,8 +353,8 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
     }
 }
 
-/* Cost of one row from the column sums (padded by RADIUS on both sides) and the contrast of the view:
- * 1 - correlation = half the variance of the difference over the variance of the view. */
+/* Cost of one row from the column sums (padded by RADIUS on both sides) and the contrast of the
+ * view: 1 - correlation = half the variance of the difference over the variance of the view. */
 static void cost_row(const float *column, const float *contrast, int w, float *out)
 {
     const int stride = w + 2 * RADIUS;
@@ -369,7 +388,8 @@ static void keep_best(float *best, size_t stride, int kept, int w, const float *
     }
 }
 
-/* Move the window of neighbour k down to row y: add the row that enters, subtract the one that leaves. */
+/* Move the window of neighbour k down to row y: add the row that enters, subtract the one that
+ * leaves. */
 static void move_window(const struct task *t, int k, int y, float rho)
 {
     const int w = t->w, enter = y + RADIUS;
@@ -407,12 +427,13 @@ static void cost_plane(const struct task *t, int d)
                 continue;
             float *cost = m->best + (kept + 1) * w;
             const float *centre = m->ring + (size_t)((k * TAPS + y % TAPS) * SUMS) * (size_t)w;
-            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), m->contrast + (size_t)y * (size_t)w, w, cost);
+            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), m->contrast + (size_t)y * (size_t)w,
+                     w, cost);
             for (int x = 0; x < w; x++)
                 cost[x] = centre[x] > 0.0f ? cost[x] : COST_OUTSIDE;
             keep_best(m->best, (size_t)w, kept, w, cost);
         }
-        uint8_t *c = m->cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
+        uint8_t *c = m->sgm.cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
         for (int x = 0; x < w && y >= 0; x++) {
             float sum = 0.5f / COST_UNIT * (float)kept;
             for (int k = 0; k < kept; k++)
@@ -422,143 +443,25 @@ static void cost_plane(const struct task *t, int d)
     }
 }
 
-/* Half the inverse variance of each window of the view, the noise included. */
-static void measure_contrast(const struct task *t)
+/* Half the inverse variance of the window around one pixel of a plate, the noise included. */
+static float inverse_contrast(const struct plate *p, int x, int y)
 {
-    const int w = t->w;
-    const float *px = t->s->plate[t->level][t->i_view].px;
-    for (int y = 0; y < w; y++) {
-        for (int x = 0; x < w; x++) {
-            float weight = 1e-6f, sum = 0.0f, square = 0.0f;
-            float centre = px[2 * (y * w + x)];
-            for (int k = 0; k < TAPS * TAPS; k++) {
-                int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
-                if (u < 0 || v < 0 || u >= w || v >= w)
-                    continue;
-                const float *p = px + 2 * (v * w + u);
-                weight += p[1];
-                sum += p[1] * (p[0] - centre);
-                square += p[1] * (p[0] - centre) * (p[0] - centre);
-            }
-            float var = (square - sum * sum / weight) / weight;
-            t->m->contrast[y * w + x] = 0.5f / (fmaxf(var, 0.0f) + NOISE_VAR);
-        }
+    const float centre = p->px[2 * (y * p->size + x)];
+    float weight = 1e-6f, sum = 0.0f, square = 0.0f;
+    for (int k = 0; k < TAPS * TAPS; k++) {
+        int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
+        if (u < 0 || v < 0 || u >= p->size || v >= p->size)
+            continue;
+        const float *px = p->px + 2 * (v * p->size + u);
+        weight += px[1];
+        sum += px[1] * (px[0] - centre);
+        square += px[1] * (px[0] - centre) * (px[0] - centre);
     }
+    float var = (square - sum * sum / weight) / weight;
+    return 0.5f / ((var > 0.0f ? var : 0.0f) + NOISE_VAR);
 }
 
-/* ---- semi-global matching ---- */
-
-static int16_t min16(int16_t a, int16_t b)
-{
-    return a < b ? a : b;
-}
-
-/* Price of a jump between two pixels: cheaper where the picture has an edge that both pixels know. */
-static int16_t jump_cost(const float *p, const float *q)
-{
-    float edge = fabsf(p[0] - q[0]) * p[1] * q[1];
-    return (int16_t)fmaxf((float)JUMP_COST / (1.0f + 3.0f * edge), (float)JUMP_COST_MIN);
-}
-
-/* One row of one plane of one path, aligned in x. */
-struct path_io {
-    const uint8_t *cost;
-    const int16_t *before, *below, *above; // previous pixels of the path: this plane, the planes beside it
-    const int16_t *least, *jump;           // minimum of the previous pixels over the planes; price of a jump
-    int16_t *now, *total, *floor;          // this path; sum of all paths; minimum over the planes so far
-};
-
-static void path_row(const struct path_io *io, int n)
-{
-    const uint8_t *cost = io->cost;
-    const int16_t *before = io->before, *below = io->below, *above = io->above, *least = io->least, *jump = io->jump;
-    int16_t *restrict now = io->now, *restrict total = io->total, *restrict floor = io->floor;
-    for (int x = 0; x < n; x++) {
-        int16_t beside = (int16_t)(min16(below[x], above[x]) + STEP_COST);
-        int16_t way = min16(min16(before[x], beside), (int16_t)(least[x] + jump[x]));
-        int16_t c = (int16_t)(cost[x] + way - least[x]);
-        now[x] = c;
-        total[x] = (int16_t)(total[x] + c);
-        floor[x] = min16(floor[x], c);
-    }
-}
-
-enum { FAR_COST = 16000 }; // of the planes beside the first and last
-
-/* The three paths that run down (dir 1) or up (dir -1). Rows of m->path have one zero on both sides and FAR_COST planes
- * at both ends, so that borders need no case. */
-static void sweep_vertical(const struct task *t, int dir)
-{
-    const int w = t->w, row = w + 2, planes = t->planes;
-    const size_t path = (size_t)row * (size_t)(planes + 2);
-    struct scratch *m = t->m;
-    const float *px = t->s->plate[t->level][t->i_view].px;
-    memset(m->path, 0, 6 * path * sizeof(int16_t));
-    memset(m->least, 0, 6 * (size_t)row * sizeof(int16_t));
-    for (int p = 0; p < 6; p++) {
-        for (int x = 0; x < row; x++)
-            m->path[(size_t)p * path + (size_t)x] = m->path[(size_t)(p + 1) * path - 1 - (size_t)x] = FAR_COST;
-    }
-    for (int i = 0; i < w; i++) {
-        int y = dir > 0 ? i : w - 1 - i, y0 = i ? y - dir : y, old = i & 1;
-        for (int p = 0; p < 3; p++) {
-            int16_t *now = m->path + (size_t)(3 * (1 - old) + p) * path + 1;
-            const int16_t *before = m->path + (size_t)(3 * old + p) * path + p; // pixel x - 1 + p
-            int16_t *floor = m->least + (3 * (1 - old) + p) * row + 1, *jump = m->turn;
-            for (int x = 0; x < w; x++) {
-                int x0 = x - 1 + p < 0 ? 0 : min_int(x - 1 + p, w - 1);
-                jump[x] = jump_cost(px + 2 * (y * w + x), px + 2 * (y0 * w + x0));
-                floor[x] = FAR_COST;
-            }
-            for (int d = 0; d < planes; d++) {
-                size_t at = ((size_t)y * (size_t)planes + (size_t)d) * (size_t)w;
-                const int16_t *b = before + (d + 1) * row;
-                struct path_io io = {m->cost + at, b, b - row, b + row, m->least + (3 * old + p) * row + p,
-                                     jump,         now + (d + 1) * row, m->total + at, floor};
-                path_row(&io, w);
-            }
-        }
-    }
-}
-
-/* Both horizontal paths of one row, with the planes innermost; adds to total. */
-static void sweep_row(const struct task *t, int y)
-{
-    const int w = t->w, planes = t->planes;
-    const float *px = t->s->plate[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
-    int16_t *cost = t->m->turn, *sum = cost + w * planes, *buffer = sum + w * planes;
-    const uint8_t *c = t->m->cost + (size_t)y * (size_t)planes * (size_t)w;
-    int16_t *total = t->m->total + (size_t)y * (size_t)planes * (size_t)w;
-    for (int x = 0; x < w; x++) {
-        for (int d = 0; d < planes; d++)
-            cost[x * planes + d] = c[d * w + x];
-    }
-    memset(sum, 0, (size_t)w * (size_t)planes * sizeof *sum);
-    for (int dir = 1; dir >= -1; dir -= 2) {
-        int16_t least = 0;
-        memset(buffer, 0, 2 * (size_t)(planes + 2) * sizeof *buffer);
-        for (int i = 0; i < 4; i++)
-            buffer[i / 2 * (planes + 2) + i % 2 * (planes + 1)] = FAR_COST;
-        for (int i = 0; i < w; i++) {
-            int x = dir > 0 ? i : w - 1 - i, x0 = i ? x - dir : x;
-            const int16_t *restrict b = buffer + (i & 1) * (planes + 2) + 1;
-            int16_t *restrict now = buffer + (1 - (i & 1)) * (planes + 2) + 1, *restrict add = sum + x * planes;
-            const int16_t *restrict own = cost + x * planes;
-            int16_t jump = (int16_t)(least + jump_cost(px + 2 * x, px + 2 * x0)), floor = FAR_COST;
-            for (int d = 0; d < planes; d++) {
-                int16_t beside = (int16_t)(min16(b[d - 1], b[d + 1]) + STEP_COST);
-                now[d] = (int16_t)(own[d] + min16(min16(b[d], beside), jump) - least);
-                add[d] = (int16_t)(add[d] + now[d]);
-                floor = min16(floor, now[d]);
-            }
-            least = floor;
-        }
-    }
-    for (int d = 0; d < planes; d++) {
-        for (int x = 0; x < w; x++)
-            total[d * w + x] = (int16_t)(total[d * w + x] + sum[x * planes + d]);
-    }
-}
+/* ---- one view ---- */
 
 /* Best plane with a parabola through its neighbours; `sure` from the matching cost there. */
 static void pick_planes(const struct task *t, float *rho, float *sure)
@@ -566,7 +469,7 @@ static void pick_planes(const struct task *t, float *rho, float *sure)
     const int w = t->w, planes = t->planes;
     for (int i = 0; i < w * w; i++) {
         size_t at = (size_t)(i / w) * (size_t)planes * (size_t)w + (size_t)(i % w);
-        const int16_t *s = t->m->total + at;
+        const int16_t *s = t->m->sgm.total + at;
         int best = 0;
         for (int d = 1; d < planes; d++)
             best = s[d * w] < s[best * w] ? d : best;
@@ -576,13 +479,11 @@ static void pick_planes(const struct task *t, float *rho, float *sure)
             float bend = lo + hi - 2.0f * mid;
             shift = bend > 0.0f ? 0.5f * (lo - hi) / bend : 0.0f;
         }
-        float cost = (float)t->m->cost[at + (size_t)(best * w)] / COST_UNIT;
+        float cost = (float)t->m->sgm.cost[at + (size_t)(best * w)] / COST_UNIT;
         rho[i] = t->rho0 + t->step * ((float)best + shift);
         sure[i] = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
     }
 }
-
-/* ---- one view ---- */
 
 static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
 {
@@ -593,18 +494,17 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     t->n_near = min_int(s->n_near[t->i_view], NEAR_MAX);
     for (int k = 0; k < t->n_near; k++)
         map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
-    double way = longest_way(t, (double)range[0], (double)range[1]);
-    t->planes = min_int(PLANES_MAX, ((int)fmin(way, 1e4) + 16) / 16 * 16);
+    t->planes = count_planes(t, range);
     t->rho0 = range[0];
     t->step = (range[1] - range[0]) / (float)(t->planes - 1);
-    measure_contrast(t);
+    for (int k = 0; k < t->w * t->w; k++)
+        t->m->contrast[k] = inverse_contrast(&s->plate[level][t->i_view], k % t->w, k / t->w);
     for (int d = 0; d < t->planes; d++)
         cost_plane(t, d);
-    memset(t->m->total, 0, (size_t)t->w * (size_t)t->w * (size_t)t->planes * sizeof(int16_t));
-    sweep_vertical(t, 1);
-    sweep_vertical(t, -1);
-    for (int y = 0; y < t->w; y++)
-        sweep_row(t, y);
+    t->m->sgm.w = t->w;
+    t->m->sgm.planes = t->planes;
+    t->m->sgm.light = s->plate[level][t->i_view].px;
+    sgm_run(&t->m->sgm);
     pick_planes(t, rho, sure);
     if (s->run->cancel && atomic_load(s->run->cancel))
         return err_fail(ERR_CANCELLED, "sweep: cancelled at view %d", t->i_view);
@@ -659,7 +559,8 @@ static err_t sweep_view(void *ctx, int i, int worker)
 
 /* ---- agreement between the views ---- */
 
-/* Points of view i that other views see at the same depth take the mean of all and their number as confidence. */
+/* Points of view i that other views see at the same depth take the mean of all and their number as
+ * confidence. */
 static err_t confirm_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
@@ -667,7 +568,8 @@ static err_t confirm_view(void *ctx, int i, int worker)
     const int w = s->out->size, n = s->n_near[i];
     const size_t plane = (size_t)w * (size_t)w;
     const float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
-    const float floor = 0.02f * s->range[i][1] + 1e-9f, step = (s->range[i][1] - s->range[i][0]) / 64.0f;
+    const float floor = 0.02f * s->range[i][1] + 1e-9f,
+                step = (s->range[i][1] - s->range[i][0]) / 64.0f;
     double h[CHECK_MAX][12];
     for (int k = 0; k < n; k++)
         map_between(&s->pose[i], &s->pose[s->near[i][k]], w, h[k]);
@@ -675,8 +577,8 @@ static err_t confirm_view(void *ctx, int i, int worker)
         float sum = rho[at] * (sure[at] + 0.05f), weight = sure[at] + 0.05f, votes = 0.0f;
         for (int k = 0; k < n; k++) {
             double p[3];
-            if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 || p[1] < 0 ||
-                p[0] >= w || p[1] >= w)
+            if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 ||
+                p[1] < 0 || p[0] >= w || p[1] >= w)
                 continue;
             size_t j = (size_t)s->near[i][k] * plane + (size_t)p[1] * (size_t)w + (size_t)p[0];
             float seen = s->rho[j] * (float)p[2];
@@ -687,7 +589,8 @@ static err_t confirm_view(void *ctx, int i, int worker)
             votes += s->sure[j];
         }
         s->out->depth[(size_t)i * plane + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
-        s->out->conf[(size_t)i * plane + (size_t)at] = fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
+        s->out->conf[(size_t)i * plane + (size_t)at] =
+            fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
     }
     return OK;
 }
@@ -714,16 +617,8 @@ static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *
 
 static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scratch *m)
 {
-    const size_t volume = w * w * PLANES_MAX;
-    err_t e = carve(a, bytes, volume, sizeof *m->cost, &m->cost);
-    if (!e)
-        e = carve(a, bytes, volume, sizeof *m->total, &m->total);
-    if (!e)
-        e = carve(a, bytes, 6 * (PLANES_MAX + 2) * (w + 2), sizeof *m->path, &m->path);
-    if (!e)
-        e = carve(a, bytes, 6 * (w + 2), sizeof *m->least, &m->least);
-    if (!e)
-        e = carve(a, bytes, 2 * (w + 1) * (PLANES_MAX + 2), sizeof *m->turn, &m->turn);
+    *bytes = arena_add(*bytes, sgm_need((int)w, PLANES_MAX));
+    err_t e = a ? sgm_init(&m->sgm, a, (int)w, PLANES_MAX) : OK;
     if (!e)
         e = carve(a, bytes, w * w, sizeof *m->contrast, &m->contrast);
     if (!e)
@@ -737,7 +632,8 @@ static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scra
     return e;
 }
 
-static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, int workers, struct sweep *s)
+static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, int workers,
+                       struct sweep *s)
 {
     const size_t n = (size_t)v->n, w = (size_t)(v->size / work_scale(v->size)), c = w / COARSE;
     err_t e = carve(a, bytes, n, sizeof *s->pose, &s->pose);
@@ -781,8 +677,9 @@ size_t sweep_plan(const struct views *v, int threads)
 static err_t check_input(const struct views *v)
 {
     if (v->n < 1 || v->size < 16 || !v->cams)
-        return err_fail(ERR_ARG, "sweep: %d views of %d px %s cameras, needed are views of 16 px with cameras", v->n,
-                        v->size, v->cams ? "with" : "without");
+        return err_fail(
+            ERR_ARG, "sweep: %d views of %d px %s cameras, needed are views of 16 px with cameras",
+            v->n, v->size, v->cams ? "with" : "without");
     for (int i = 0; i < v->n; i++) {
         const struct camera *c = &v->cams[i];
         float sum = v->log2t[i] + c->fx + c->fy + c->cx + c->cy;
@@ -790,13 +687,16 @@ static err_t check_input(const struct views *v)
         if (!isfinite(sum + q + c->t[0] + c->t[1] + c->t[2]) || c->w < 1 || c->h < 1)
             return err_fail(ERR_ARG, "sweep: camera or exposure of view %d is not finite", i);
         if (c->fx <= 0.0f || c->fy <= 0.0f || q < 1e-12f)
-            return err_fail(ERR_ARG, "sweep: view %d has focal lengths %g, %g px and rotation of length %g, all must be above 0",
+            return err_fail(ERR_ARG,
+                            "sweep: view %d has focal lengths %g, %g px and rotation of length %g, "
+                            "all must be above 0",
                             i, (double)c->fx, (double)c->fy, sqrt((double)q));
     }
     return OK;
 }
 
-err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone, struct depthmaps *out)
+err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone,
+                struct depthmaps *out)
 {
     struct sweep s = {.run = r, .v = v, .out = out};
     size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep), bytes = 0;
@@ -815,6 +715,8 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         e = carve_all(r->tmp, &bytes, v, pool_size(r->pool), &s);
     if (!e) {
         response_tabulate(tone, &s.table);
+        for (int k = 0; k < 3 * 256; k++)
+            s.linear[k / 256][k % 256] = exp2f(s.table.x[k / 256][k % 256]);
         for (int i = 0; i < v->n; i++)
             set_pose(&v->cams[i], &s.pose[i]);
         e = pool_for(r->pool, v->n, make_plate, &s);

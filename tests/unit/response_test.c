@@ -1,4 +1,5 @@
-/* Curves that are known are recovered from pictures at several exposures; extremes give a finite rising curve. */
+/* Curves that are known are recovered from pictures at several exposures; extremes give a finite
+ * rising curve. */
 #include "core/opt/response.h"
 
 #include <math.h>
@@ -62,10 +63,12 @@ static void make_world(struct world *w, curve_fn *curve, int exposures, float st
         for (int k = 0; k < SIZE * SIZE; k++) {
             float x = (float)(k % SIZE + 3 * i), y = (float)(k / SIZE - 2 * i);
             for (int c = 0; c < 3; c++) {
-                float l = 2.5f * sinf(0.11f * x + (float)c) + 2.0f * cosf(0.07f * y + 0.05f * x) + 0.5f * (float)c;
+                float l = 2.5f * sinf(0.11f * x + (float)c) + 2.0f * cosf(0.07f * y + 0.05f * x) +
+                          0.5f * (float)c;
                 float noise = (float)random_bits(&seed) / (float)(1 << 24) - 0.5f;
                 float z = 255.0f * curve(l + w->log2t[i] - w->v.mid_log2t) + 3.0f * noise;
-                w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] = (uint8_t)fminf(fmaxf(z + 0.5f, 0.0f), 255.0f);
+                w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] =
+                    (uint8_t)fminf(fmaxf(z + 0.5f, 0.0f), 255.0f);
             }
         }
     }
@@ -79,7 +82,8 @@ static void free_world(struct world *w)
     arena_free(&w->tmp);
 }
 
-/* Root mean square difference in stops over display 12..243, the mean removed: the gauge is ours to choose. */
+/* Root mean square difference in stops over display 12..243, the mean removed: the gauge is ours to
+ * choose. */
 static float curve_error(const struct tonemap *tone, curve_fn *truth)
 {
     float sum = 0.0f, square = 0.0f;
@@ -132,7 +136,8 @@ static void test_known_curves(void **state)
     recover(gamma_curve, 2, 4.0f, 0.1f);
     recover(film_curve, 3, 2.0f, 0.15f);
     recover(film_curve, 3, 4.0f, 0.1f);
-    recover(film_curve, 6, 1.0f, 0.25f); // every view alone with its exposure and its part of the scene
+    recover(film_curve, 6, 1.0f,
+            0.25f); // every view alone with its exposure and its part of the scene
 }
 
 static void test_single_exposure_is_near_srgb(void **state)
@@ -180,7 +185,8 @@ static void test_inverse(void **state)
         assert_true(fabsf(table.x[2][z] - x) < 1e-3f);
         assert_true(table.weight[2][z] >= 0.0f && table.weight[2][z] <= 1.0f);
     }
-    assert_true(table.weight[0][0] == 0.0f && table.weight[0][255] == 0.0f && table.weight[0][128] > 0.8f);
+    assert_true(table.weight[0][0] == 0.0f && table.weight[0][255] == 0.0f &&
+                table.weight[0][128] > 0.8f);
 }
 
 static void test_refusals(void **state)

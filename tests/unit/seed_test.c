@@ -1,4 +1,5 @@
-/* Seeds on a slanted plane with exact depth maps: on the surface, everywhere, once, with the right radiance. */
+/* Seeds on a slanted plane with exact depth maps: on the surface, everywhere, once, with the right
+ * radiance. */
 #include "core/splat/seed.h"
 
 #include "core/opt/response.h"
@@ -56,17 +57,20 @@ static void make_world(struct world *w)
     for (int i = 0; i < VIEWS; i++) {
         float x;
         w->log2t[i] = (float)(i % 2) - 0.5f;
-        w->cams[i] = (struct camera){.w = SIZE, .h = SIZE, .fx = 90, .fy = 90, .cx = 48, .cy = 48, .q = {1}};
+        w->cams[i] =
+            (struct camera){.w = SIZE, .h = SIZE, .fx = 90, .fy = 90, .cx = 48, .cy = 48, .q = {1}};
         w->cams[i].t[0] = 0.2f * (float)i - 0.3f;
         for (int k = 0; k < SIZE * SIZE; k++) {
             (void)plane_depth(&w->cams[i], (float)(k % SIZE) + 0.5f, &x);
             for (int c = 0; c < 3; c++) {
-                float display = response_display(&w->tone, c, plane_light(x) / 0.69314718f + w->log2t[i]);
+                float display =
+                    response_display(&w->tone, c, plane_light(x) / 0.69314718f + w->log2t[i]);
                 w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] = (uint8_t)(255.0f * display + 0.5f);
             }
         }
         for (int k = 0; k < MAP * MAP; k++) {
-            w->depth.depth[i * MAP * MAP + k] = plane_depth(&w->cams[i], 2.0f * (float)(k % MAP) + 1.0f, &x);
+            w->depth.depth[i * MAP * MAP + k] =
+                plane_depth(&w->cams[i], 2.0f * (float)(k % MAP) + 1.0f, &x);
             w->depth.conf[i * MAP * MAP + k] = 1.0f;
         }
     }
@@ -89,25 +93,26 @@ static void check_finite(const struct gaussians *g)
     }
 }
 
+/* Mark the pixels of view j's map within two standard deviations of splat i. */
+static void mark_hits(const struct world *w, const struct gaussians *g, int j, int i, uint8_t *hit)
+{
+    const float *t = w->cams[j].t;
+    float f = 45.0f / (g->plane[G_MU + 2][i] + t[2]);
+    float u = (g->plane[G_MU][i] + t[0]) * f + 23.5f,
+          v = (g->plane[G_MU + 1][i] + t[1]) * f + 23.5f;
+    float reach = 2.0f * expf(g->plane[G_LOG_SCALE + 1][i]) * f;
+    for (int k = 0; k < MAP * MAP; k++)
+        hit[k] |= fabsf((float)(k % MAP) - u) <= reach && fabsf((float)(k / MAP) - v) <= reach;
+}
+
 /* Share of the pixels of the maps that have a splat within two standard deviations. */
 static float coverage(const struct world *w, const struct gaussians *g)
 {
-    static uint8_t hit[MAP * MAP];
     int sum = 0;
     for (int j = 0; j < VIEWS; j++) {
-        memset(hit, 0, sizeof hit);
-        for (int i = 0; i < g->n; i++) {
-            const struct camera *c = &w->cams[j];
-            float z = g->plane[G_MU + 2][i] + c->t[2], f = 45.0f / z;
-            float u = (g->plane[G_MU][i] + c->t[0]) * f + 24.0f, v = (g->plane[G_MU + 1][i] + c->t[1]) * f + 24.0f;
-            float reach = 2.0f * expf(g->plane[G_LOG_SCALE + 1][i]) * f;
-            for (int y = (int)ceilf(v - reach - 0.5f); (float)y + 0.5f <= v + reach; y++) {
-                for (int x = (int)ceilf(u - reach - 0.5f); (float)x + 0.5f <= u + reach; x++) {
-                    if (x >= 0 && y >= 0 && x < MAP && y < MAP)
-                        hit[y * MAP + x] = 1;
-                }
-            }
-        }
+        uint8_t hit[MAP * MAP] = {0};
+        for (int i = 0; i < g->n; i++)
+            mark_hits(w, g, j, i, hit);
         for (int k = 0; k < MAP * MAP; k++)
             sum += hit[k];
     }
@@ -126,15 +131,18 @@ static void test_plane(void **state)
     check_finite(&g);
     assert_true(g.n > 500 && g.n < 3 * MAP * MAP);
     for (int i = 0; i < g.n; i++) {
-        float x = g.plane[G_MU][i], z = g.plane[G_MU + 2][i], light = g.plane[G_SH + 1][i] * 0.2820948f;
+        float x = g.plane[G_MU][i], z = g.plane[G_MU + 2][i],
+              light = g.plane[G_SH + 1][i] * 0.2820948f;
         assert_true(fabsf(z - 4.0f - SLOPE * x) < 0.01f * z);
         flat += x < -0.1f;
         off += fabsf(light - plane_light(x)) > 0.15f;
-        /* The thin axis is the normal of the plane: third column of the rotation along (SLOPE, 0, -1). */
+        /* The thin axis is the normal of the plane: third column of the rotation along (SLOPE, 0,
+         * -1). */
         float q[4];
         for (int k = 0; k < 4; k++)
             q[k] = g.plane[G_QUAT + k][i];
-        float nx = 2.0f * (q[1] * q[3] + q[0] * q[2]), nz = 1.0f - 2.0f * (q[1] * q[1] + q[2] * q[2]);
+        float nx = 2.0f * (q[1] * q[3] + q[0] * q[2]),
+              nz = 1.0f - 2.0f * (q[1] * q[1] + q[2] * q[2]);
         assert_true(fabsf(nx * SLOPE - nz) / sqrtf(1.0f + SLOPE * SLOPE) > 0.98f);
     }
     assert_true(flat < g.n / 6); // one large splat stands for many pixels
@@ -168,7 +176,8 @@ static void test_floating_surface_is_dropped(void **state)
     make_world(&w);
     for (int y = 10; y < 20; y++) {
         for (int x = 20; x < 30; x++)
-            w.depth.depth[MAP * MAP + y * MAP + x] = 2.0f; // view 1 alone believes in something near
+            w.depth.depth[MAP * MAP + y * MAP + x] =
+                2.0f; // view 1 alone believes in something near
     }
     assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
     for (int i = 0; i < g.n; i++)

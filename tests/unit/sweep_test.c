@@ -1,4 +1,5 @@
-/* A slanted textured wall with a card before it, photographed at three exposures through a gamma curve. */
+/* A slanted textured wall with a card before it, photographed at three exposures through a gamma
+ * curve. */
 #include "core/splat/sweep.h"
 
 #include "core/opt/response.h"
@@ -30,7 +31,8 @@ static float texture(float x, float y, int salt)
     float sum = 0.6f * sinf(3.1f * x + 1.7f * y) + 0.8f * sinf(0.9f * y - 0.5f * x);
     for (int level = 0; level < 3; level++) {
         float cell = 0.35f / (float)(1 << level);
-        uint32_t h = (uint32_t)(int)floorf(x / cell) * 73856093u ^ (uint32_t)(int)floorf(y / cell) * 19349663u ^
+        uint32_t h = (uint32_t)(int)floorf(x / cell) * 73856093u ^
+                     (uint32_t)(int)floorf(y / cell) * 19349663u ^
                      (uint32_t)(salt + level) * 83492791u;
         h = (h ^ (h >> 13)) * 1274126177u;
         sum += 0.9f * ((float)((h >> 8) & 0xffff) / 65535.0f - 0.5f);
@@ -65,7 +67,8 @@ static void paint(struct world *w, int i)
             sum += 0.25f * exp2f(light);
         }
         for (int c = 0; c < 3; c++) {
-            float lin = 0.25f * sum * exp2f(w->log2t[i] - w->v.mid_log2t) * (1.0f - 0.2f * (float)c);
+            float lin =
+                0.25f * sum * exp2f(w->log2t[i] - w->v.mid_log2t) * (1.0f - 0.2f * (float)c);
             w->v.rgb[((size_t)i * SIZE * SIZE + (size_t)k) * 3 + (size_t)c] =
                 (uint8_t)(255.0f * fminf(powf(lin, 1.0f / 2.2f), 1.0f) + 0.5f);
         }
@@ -80,7 +83,8 @@ static void make_world(struct world *w, int threads)
     assert_non_null(w->v.rgb);
     for (int i = 0; i < VIEWS; i++) {
         w->log2t[i] = 2.0f * (float)(i % 3) - 2.0f;
-        w->cams[i] = (struct camera){.w = SIZE, .h = SIZE, .fx = 120, .fy = 120, .cx = 64, .cy = 64, .q = {1}};
+        w->cams[i] = (struct camera){
+            .w = SIZE, .h = SIZE, .fx = 120, .fy = 120, .cx = 64, .cy = 64, .q = {1}};
         w->cams[i].t[0] = 0.25f * (float)(i % 3 - 1);
         w->cams[i].t[1] = 0.25f * ((float)(i / 3) - 0.5f);
         w->cams[i].t[2] = 0.05f * (float)(i % 2);
@@ -88,7 +92,9 @@ static void make_world(struct world *w, int threads)
     }
     assert_int_equal(pool_open(&w->pool, threads), OK);
     size_t bytes = sweep_plan(&w->v, threads);
-    assert_int_equal(arena_init(&w->tmp, "tmp", bytes > response_plan(&w->v) ? bytes : response_plan(&w->v)), OK);
+    assert_int_equal(
+        arena_init(&w->tmp, "tmp", bytes > response_plan(&w->v) ? bytes : response_plan(&w->v)),
+        OK);
     assert_int_equal(arena_init(&w->keep, "keep", sweep_keep(&w->v)), OK);
     w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp, .pool = w->pool};
     assert_int_equal(response_run(&w->run, &w->v, &w->tone), OK);
@@ -137,7 +143,8 @@ static void test_depth(void **state)
     assert_int_equal(w.tmp.used, 0);
     check_finite(&d);
     for (int k = 0; k < VIEWS * SIZE * SIZE; k++) {
-        float light, z = cast(&w.cams[k / (SIZE * SIZE)], (float)(k % SIZE) + 0.5f, (float)(k / SIZE % SIZE) + 0.5f, &light);
+        float light, z = cast(&w.cams[k / (SIZE * SIZE)], (float)(k % SIZE) + 0.5f,
+                              (float)(k / SIZE % SIZE) + 0.5f, &light);
         error[n] = fabsf(d.depth[k] - z) / z;
         if (d.conf[k] > 0.5f) {
             sure++;
@@ -147,8 +154,8 @@ static void test_depth(void **state)
     }
     qsort(error, (size_t)n, sizeof *error, by_value);
     if (error[n / 2] > 0.01f || sure < n / 2 || wrong > sure / 30)
-        fail_msg("median error %g, 90 %% %g, sure %d of %d, wrong among them %d", (double)error[n / 2],
-                 (double)error[n * 9 / 10], sure, n, wrong);
+        fail_msg("median error %g, 90 %% %g, sure %d of %d, wrong among them %d",
+                 (double)error[n / 2], (double)error[n * 9 / 10], sure, n, wrong);
     free_world(&w);
 }
 
