@@ -1,0 +1,196 @@
+/* Photographs, pictures and scenes when memory runs out anywhere, libraries included. */
+#include "core/splat/gaussians.h"
+#include "drivers/cameras.h"
+#include "drivers/exrfile.h"
+#include "drivers/imageset.h"
+#include "drivers/img.h"
+#include "drivers/ply.h"
+#include "drivers/scenefile.h"
+#include "tests/fault/alloc_fail.h"
+#include "tests/unit/tmpdir.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+enum { W = 20, H = 12, N_SHOTS = 3, N_SPLATS = 5 };
+
+/* A writer that fails must take its file away again. */
+static err_t removed(err_t e, const char *path)
+{
+    return e && access(path, F_OK) == 0 ? err_fail(ERR_BUSY, "%s", "") : e;
+}
+
+static err_t picture(void *ctx)
+{
+    (void)ctx;
+    uint8_t px[H * W * 3];
+    for (size_t i = 0; i < sizeof px; i++)
+        px[i] = (uint8_t)(i * 7);
+    const char *path = tmpdir_path("picture.png");
+    const struct image8 im = {W, H, 3, px};
+    struct image8 back = {0};
+    unlink(path);
+    err_t e = removed(img_write_png(path, &im), path);
+    if (!e)
+        e = img_read(path, &back);
+    img_free(&back);
+    return e;
+}
+
+/* Reading only: OpenEXRCore 3.1.5 itself falls when exr_add_part finds no memory. */
+static err_t radiance(void *ctx)
+{
+    (void)ctx;
+    struct image back = {0};
+    err_t e = exrfile_read("tests/data/exr/piz_half.exr", &back);
+    exrfile_free(&back);
+    return e;
+}
+
+static err_t set(void *ctx)
+{
+    (void)ctx;
+    const char *rig = tmpdir_path("cameras.json");
+    const struct imageset_request request = {.images = tmpdir_path("images"), .rig = rig};
+    struct imageset s = {0};
+    err_t e = imageset_list(&request, &s);
+    if (!e)
+        e = imageset_load(&s);
+    imageset_free(&s);
+    return e;
+}
+
+static char names[2][NAME_CAP] = {"a.png", "b.png"};
+static float log2t[2] = {-1, 1};
+static struct camera cams[2] = {
+    {W, H, 10, 10, W / 2., H / 2., {1, 0, 0, 0}, {0, 0, 0}},
+    {W, H, 10, 10, W / 2., H / 2., {1, 0, 0, 0}, {1, 0, 0}},
+};
+
+static err_t write_scene(const struct scene *s)
+{
+    const char *ply = tmpdir_path("scene.ply"), *full = tmpdir_path("scene.hdrig"),
+               *tone = tmpdir_path("t.json");
+    unlink(ply), unlink(full), unlink(tone);
+    err_t e = removed(ply_write(ply, &s->g, &s->tone), ply);
+    if (!e)
+        e = removed(scenefile_write(full, s), full);
+    return e ? e : removed(scenefile_write_tone(tone, &s->tone), tone);
+}
+
+static err_t read_scene(struct arena *a)
+{
+    struct ply_info info;
+    struct scenefile_info full;
+    struct gaussians g;
+    struct gaussians_report report;
+    struct scene back;
+    err_t e = ply_peek(tmpdir_path("scene.ply"), &info);
+    if (!e)
+        e = ply_read(tmpdir_path("scene.ply"), a, &g, &report);
+    if (!e)
+        e = scenefile_peek(tmpdir_path("scene.hdrig"), &full);
+    return e ? e : scenefile_read(tmpdir_path("scene.hdrig"), a, &back);
+}
+
+static err_t scene(void *ctx)
+{
+    (void)ctx;
+    struct scene s = {.n_views = 2, .size = W, .names = names, .log2t = log2t, .cams = cams};
+    struct arena a;
+    err_t e = arena_init(&a, "test", 1 << 20);
+    if (!e)
+        e = gaussians_init(&s.g, &a, N_SPLATS, 1);
+    if (!e) {
+        s.g.n = N_SPLATS;
+        for (int i = 0; i < N_SPLATS; i++)
+            s.g.plane[G_QUAT][i] = 1;
+        e = write_scene(&s);
+    }
+    if (!e)
+        e = read_scene(&a);
+    arena_free(&a);
+    return e;
+}
+
+static void survives(alloc_fail_fn *fn)
+{
+    int refused = alloc_fail_sweep(fn, NULL);
+    print_message("%d failing allocations refused\n", refused);
+    assert_true(refused >= 2);
+}
+
+static void pictures_survive(void **state)
+{
+    (void)state;
+    survives(picture);
+}
+
+static void radiance_survives(void **state)
+{
+    (void)state;
+    survives(radiance);
+}
+
+static void sets_survive(void **state)
+{
+    (void)state;
+    survives(set);
+}
+
+static void scenes_survive(void **state)
+{
+    (void)state;
+    survives(scene);
+}
+
+static int make_set(void **state)
+{
+    (void)state;
+    struct rig_view views[N_SHOTS];
+    uint8_t px[H * W * 3] = {0};
+    const struct image8 im = {W, H, 3, px};
+    tmpdir_make();
+    tmpdir_mkdir("images");
+    FILE *f = fopen(tmpdir_path("exposure.json"), "w");
+    assert_non_null(f);
+    for (int i = 0; i < N_SHOTS; i++) {
+        char name[32];
+        snprintf(name, sizeof name, "images/%d.png", i);
+        assert_int_equal(img_write_png(tmpdir_path(name), &im), OK);
+        fprintf(f, "%c\"%d.png\": %d", i ? ',' : '{', i, i + 1);
+        views[i] = (struct rig_view){.cam = cams[0]};
+        snprintf(views[i].name, NAME_CAP, "%d.png", i);
+    }
+    fputs("}\n", f);
+    assert_int_equal(fclose(f), 0);
+    const struct rig rig = {N_SHOTS, views};
+    assert_int_equal(cameras_write(tmpdir_path("cameras.json"), &rig), OK);
+    return 0;
+}
+
+static int remove_set(void **state)
+{
+    (void)state;
+    tmpdir_remove();
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(pictures_survive),
+        cmocka_unit_test(radiance_survives),
+        cmocka_unit_test(sets_survive),
+        cmocka_unit_test(scenes_survive),
+    };
+    return cmocka_run_group_tests(tests, make_set, remove_set);
+}
