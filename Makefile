@@ -51,6 +51,7 @@ MAINS := $(wildcard firmware/hdrig.c firmware/hdrigd.c)
 FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*.c))
 TESTS := $(wildcard tests/unit/*_test.c tests/kernels/*_test.c tests/golden/*_test.c)
 FAULT := $(wildcard tests/fault/*_test.c)
+E2E := $(wildcard tests/e2e/*.c)
 FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 
 # Threads are tested with TSan: *_tsan_test and these.
@@ -122,7 +123,7 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
-tests: $(call programs,$(TESTS))
+tests: $(call programs,$(TESTS) $(E2E))
 tsan-tests: $(TSAN_PROGRAMS)
 arm-tests: $(ARM_PROGRAMS)
 fault-tests: $(call programs,$(FAULT))
@@ -130,6 +131,10 @@ fuzz-targets: $(call programs,$(FUZZ))
 
 $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
+
+# What the scripts there call.
+$(B)/tests/e2e/%: $(B)/tests/e2e/%.o $(LIBS)
+	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
 # malloc of the whole program, so not together with a sanitizer.
 $(call programs,$(FAULT)): $(B)/tests/fault/alloc_fail.o

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # check.sh lint|test|all - builds and runs the tests that need no hardware.
 # One line per step; its output goes to build/log/<step>.log and is shown when the step fails.
-# A test script in tests/e2e gets HDRIG (the tool) and OUT (an empty folder).
+# A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
+# built from tests/e2e/*.c) and OUT (an empty folder).
 set -u
 cd "$(dirname "$0")/.."
 unset MAKEFLAGS MAKELEVEL
@@ -50,13 +51,14 @@ run_tests() { # variant folder-of-the-build source-folder...
     done
 }
 
-run_scripts() { # tool
+run_scripts() { # folder-of-the-build
     local script out
     for script in tests/e2e/*.sh; do
         [ -e "$script" ] || continue
         out=build/e2e/$(basename "$script" .sh)
         rm -rf "$out" && mkdir -p "$out"
-        step "e2e: $(basename "$script")" env HDRIG="$1" OUT="$out" timeout "$limit" bash "$script"
+        step "e2e: $(basename "$script")" env HDRIG="$1/hdrig" BIN="$1/tests/e2e" OUT="$out" \
+            timeout "$limit" "$script"
     done
 }
 
@@ -65,7 +67,7 @@ plain() {
     dir=$(make -s print-B WERROR=1)
     build gcc WERROR=1 all tests fault-tests
     run_tests plain "$dir" unit kernels golden fault
-    run_scripts "$dir/hdrig"
+    run_scripts "$dir"
 }
 
 lints() {
