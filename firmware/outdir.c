@@ -164,18 +164,15 @@ fail:
 static err_t room(const struct outdir *o, uint64_t *bytes)
 {
     struct statvfs v;
-    struct rlimit file;
     if (statvfs(o->tmp, &v) != 0)
         return err_fail(ERR_IO, "%s: %s", o->tmp, strerror(errno));
     *bytes = (uint64_t)v.f_bavail * v.f_frsize;
-    if (getrlimit(RLIMIT_FSIZE, &file) == 0 && file.rlim_cur < *bytes)
-        *bytes = file.rlim_cur;
     return OK;
 }
 
 err_t outdir_reserve(struct outdir *o, uint64_t bytes)
 {
-    uint64_t have;
+    uint64_t have = 0;
     o->need = bytes;
     err_t e = room(o, &have);
     if (!e && have < bytes)
@@ -188,16 +185,20 @@ err_t outdir_reserve(struct outdir *o, uint64_t bytes)
 err_t outdir_reason(const struct outdir *o, err_t e)
 {
     char text[320];
-    uint64_t have;
+    uint64_t have = 0;
+    struct rlimit file;
     if (e != ERR_IO)
         return e;
     snprintf(text, sizeof text, "%s", err_text());
-    if (room(o, &have) == OK && have < o->need)
-        return err_fail(ERR_LIMIT,
-                        "%s (the result takes up to %" PRIu64 " bytes, there is room for %" PRIu64
-                        ")",
-                        text, o->need, have);
-    return err_fail(e, "%s", text);
+    if (room(o, &have) != OK)
+        return err_fail(e, "%s", text);
+    if (getrlimit(RLIMIT_FSIZE, &file) == 0 && file.rlim_cur < have)
+        have = file.rlim_cur;
+    if (have >= o->need)
+        return e;
+    return err_fail(ERR_LIMIT,
+                    "%s (the result takes up to %" PRIu64 " bytes, there is room for %" PRIu64 ")",
+                    text, o->need, have);
 }
 
 err_t outdir_path(const struct outdir *o, const char *name, char path[FILE_PATH_CAP])

@@ -1,0 +1,411 @@
+/* make_set OUT SIZE TRAIN TEST - a small data set in the released layout, without noise in its
+ * geometry: a textured room with boxes and spheres, one of them shiny, lit by a bare lamp. Radiance
+ *           spans more than four orders of magnitude.
+ * World axes are those of the middle camera: x right, y down, z forward; the room is 4.4 x 2.8 x 6
+ * units. Photographs: filmic response (a fit of ACES by K. Narkowicz), shot and read noise, 8 bits.
+ * Train views get the 1st, 3rd and 5th exposure, test views all five, as in the release. The same
+ * arguments give the same bytes. */
+#include "drivers/exrfile.h"
+#include "drivers/file.h"
+#include "drivers/img.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+
+enum { EXPOSURES = 5, SAMPLES = 3, SPHERES = 4, BOXES = 3 }; // samples per pixel and axis
+
+static const double TIMES[EXPOSURES] = {0.125, 0.35, 1, 2.8, 8};
+
+/* ---- vectors ---- */
+
+struct vec {
+    double x, y, z;
+};
+
+static struct vec add(struct vec a, struct vec b)
+{
+    return (struct vec){a.x + b.x, a.y + b.y, a.z + b.z};
+}
+
+static struct vec scale(struct vec a, double s)
+{
+    return (struct vec){a.x * s, a.y * s, a.z * s};
+}
+
+static struct vec sub(struct vec a, struct vec b)
+{
+    return add(a, scale(b, -1));
+}
+
+static double dot(struct vec a, struct vec b)
+{
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+static struct vec cross(struct vec a, struct vec b)
+{
+    return (struct vec){a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+static struct vec unit(struct vec a)
+{
+    return scale(a, 1 / sqrt(dot(a, a)));
+}
+
+/* ---- textures ---- */
+
+static uint32_t hash(int x, int y, int z, uint32_t seed)
+{
+    uint32_t h = seed;
+    h = (h ^ (uint32_t)x) * 0x9e3779b1u;
+    h = (h ^ h >> 15 ^ (uint32_t)y) * 0x85ebca77u;
+    h = (h ^ h >> 13 ^ (uint32_t)z) * 0xc2b2ae3du;
+    return h ^ h >> 16;
+}
+
+static double lattice(int x, int y, int z, uint32_t seed)
+{
+    return hash(x, y, z, seed) / 4294967295.0;
+}
+
+/* Trilinear value noise in 0..1. */
+static double noise(struct vec p, uint32_t seed)
+{
+    int x = (int)floor(p.x), y = (int)floor(p.y), z = (int)floor(p.z);
+    double fx = p.x - x, fy = p.y - y, fz = p.z - z, sum = 0;
+    for (int k = 0; k < 8; k++) {
+        double wx = k & 1 ? fx : 1 - fx, wy = k & 2 ? fy : 1 - fy, wz = k & 4 ? fz : 1 - fz;
+        sum += wx * wy * wz * lattice(x + (k & 1), y + (k >> 1 & 1), z + (k >> 2), seed);
+    }
+    return sum;
+}
+
+/* Two octaves: patches that a coarse match finds, grain that a fine one needs. */
+static double grain(struct vec p, uint32_t seed)
+{
+    return 0.6 * noise(scale(p, 3), seed) + 0.4 * noise(scale(p, 11), seed + 1);
+}
+
+static bool checker(struct vec p, double cell)
+{
+    int k = (int)floor(p.x / cell) + (int)floor(p.y / cell) + (int)floor(p.z / cell);
+    return k & 1;
+}
+
+/* ---- the scene ---- */
+
+enum material { LAMP, SHINY, WALL, FLOOR, CEILING, BACK, PAINTED };
+
+struct sphere {
+    struct vec centre;
+    double radius;
+    enum material material;
+};
+
+struct box {
+    struct vec low, high;
+};
+
+static const struct sphere SPHERE[SPHERES] = {{{0.9, -1.0, 2.6}, 0.12, LAMP},
+                                              {{-0.5, 0.95, 2.2}, 0.45, SHINY},
+                                              {{0.75, 1.1, 1.9}, 0.3, PAINTED},
+                                              {{-1.3, 0.1, 3.1}, 0.28, PAINTED}};
+static const struct box BOX[BOXES] = {{{-1.9, 0.4, 2.7}, {-0.8, 1.4, 3.5}},
+                                      {{0.5, 0.2, 2.9}, {1.5, 1.4, 3.7}},
+                                      {{-0.4, -0.9, 3.9}, {0.5, -0.1, 4.0}}}; // a picture
+static const struct box ROOM = {{-2.2, -1.4, -2.0}, {2.2, 1.4, 4.0}};
+static const struct vec LAMP_COLOUR = {330, 290, 230}, AMBIENT = {0.010, 0.012, 0.016};
+
+struct hit {
+    double t;
+    struct vec normal;
+    enum material material;
+};
+
+static void hit_sphere(const struct sphere *s, struct vec o, struct vec d, struct hit *h)
+{
+    struct vec m = sub(o, s->centre);
+    double b = dot(m, d), c = dot(m, m) - s->radius * s->radius, disc = b * b - c;
+    double t = disc > 0 ? -b - sqrt(disc) : -1;
+    if (t < 1e-6 || t >= h->t)
+        return;
+    *h = (struct hit){t, unit(add(m, scale(d, t))), s->material};
+}
+
+/* Slabs; from inside (the room) the far face, from outside the near one. */
+static void hit_box(const struct box *b, bool inside, struct vec o, struct vec d, struct hit *h)
+{
+    const double low[3] = {b->low.x, b->low.y, b->low.z},
+                 high[3] = {b->high.x, b->high.y, b->high.z};
+    const double from[3] = {o.x, o.y, o.z}, along[3] = {d.x, d.y, d.z};
+    double near = -INFINITY, far = INFINITY, side[3] = {0};
+    int near_axis = 0, far_axis = 0;
+    for (int k = 0; k < 3; k++) {
+        double a = (low[k] - from[k]) / along[k], c = (high[k] - from[k]) / along[k];
+        double enter = fmin(a, c), leave = fmax(a, c);
+        near_axis = enter > near ? k : near_axis;
+        far_axis = leave < far ? k : far_axis;
+        near = fmax(near, enter);
+        far = fmin(far, leave);
+    }
+    double t = inside ? far : near;
+    int axis = inside ? far_axis : near_axis;
+    if (near > far || t < 1e-6 || t >= h->t)
+        return;
+    side[axis] = along[axis] > 0 ? -1 : 1;
+    enum material wall = axis == 1 ? (along[1] > 0 ? FLOOR : CEILING) : axis == 2 ? BACK : WALL;
+    *h = (struct hit){t, {side[0], side[1], side[2]}, inside ? wall : PAINTED};
+}
+
+static struct hit trace(struct vec o, struct vec d)
+{
+    struct hit h = {.t = INFINITY};
+    hit_box(&ROOM, true, o, d, &h);
+    for (int i = 0; i < BOXES; i++)
+        hit_box(&BOX[i], false, o, d, &h);
+    for (int i = 0; i < SPHERES; i++)
+        hit_sphere(&SPHERE[i], o, d, &h);
+    return h;
+}
+
+static struct vec albedo(enum material m, struct vec p)
+{
+    double g = grain(p, (uint32_t)m * 7 + 1);
+    switch (m) {
+    case FLOOR:
+        return checker(add(p, (struct vec){9.01, 9.3, 9.01}), 0.5)
+                   ? (struct vec){0.55 * g, 0.35 * g, 0.2 * g}
+                   : (struct vec){0.3 + 0.5 * g, 0.3 + 0.45 * g, 0.25 + 0.4 * g};
+    case CEILING:
+        return scale((struct vec){0.8, 0.78, 0.72}, 0.6 + 0.4 * g);
+    case BACK:
+        return checker(add(p, (struct vec){9.1, 9.1, 9.05}), 0.35)
+                   ? (struct vec){0.2 + 0.3 * g, 0.25 + 0.4 * g, 0.2 + 0.2 * g}
+                   : (struct vec){0.1 + 0.3 * g, 0.1 + 0.3 * g, 0.3 + 0.4 * g};
+    case WALL:
+        return p.x > 0 ? (struct vec){0.3 + 0.4 * g, 0.2 * g, 0.15 * g}
+                       : (struct vec){0.15 * g, 0.2 + 0.3 * g, 0.3 + 0.4 * g};
+    case PAINTED: {
+        double r = lattice((int)floor(p.x * 4 + 40), (int)floor(p.y * 4 + 40),
+                           (int)floor(p.z * 4 + 40), 5);
+        return (struct vec){(0.2 + 0.6 * r) * g + 0.05, 0.5 * g + 0.05, (0.8 - 0.6 * r) * g + 0.05};
+    }
+    default:
+        return (struct vec){0.25 + 0.3 * g, 0.25 + 0.25 * g, 0.3 + 0.2 * g};
+    }
+}
+
+/* Direct light of the lamp with its shadow, a constant from everywhere else. */
+static struct vec radiance(struct vec o, struct vec d)
+{
+    struct hit h = trace(o, d);
+    struct vec p = add(o, scale(d, h.t)), to = sub(SPHERE[0].centre, p);
+    if (h.material == LAMP)
+        return LAMP_COLOUR;
+    struct vec start = add(p, scale(h.normal, 1e-4)), l = unit(to), a = albedo(h.material, p);
+    double cosine = fmax(0, dot(h.normal, l)), r = SPHERE[0].radius;
+    if (cosine > 0 && trace(start, l).material != LAMP)
+        cosine = 0;
+    double light = cosine * r * r / dot(to, to), gloss = 0;
+    if (h.material == SHINY && cosine > 0)
+        gloss = 0.02 * pow(fmax(0, dot(h.normal, unit(sub(l, d)))), 60);
+    return (struct vec){a.x * (AMBIENT.x + light * LAMP_COLOUR.x) + gloss * LAMP_COLOUR.x,
+                        a.y * (AMBIENT.y + light * LAMP_COLOUR.y) + gloss * LAMP_COLOUR.y,
+                        a.z * (AMBIENT.z + light * LAMP_COLOUR.z) + gloss * LAMP_COLOUR.z};
+}
+
+/* ---- cameras ---- */
+
+/* View i of n: a sunflower on an ellipse of 1.3 x 0.7 units, all looking at one point. */
+static struct camera place(int i, int n, bool test, int size)
+{
+    double r = sqrt((i + 0.5) / n) * (test ? 0.75 : 1),
+           turn = i * 2.399963229728653 + (test ? 1.3 : 0);
+    struct vec eye = {0.65 * r * cos(turn), 0.35 * r * sin(turn), 0.1 * r * cos(2 * turn)};
+    struct vec z = unit(sub((struct vec){0, 0.2, 2.8}, eye)),
+               x = unit(cross((struct vec){0, 1, 0}, z)), y = cross(z, x);
+    double w = 0.5 * sqrt(1 + x.x + y.y + z.z),
+           f = 0.85 * size; // the trace is near 3: no other branch is needed
+    return (struct camera){.w = size,
+                           .h = size,
+                           .fx = (float)f,
+                           .fy = (float)f,
+                           .cx = 0.5f * (float)size,
+                           .cy = 0.5f * (float)size,
+                           .q = {(float)w, (float)((z.y - y.z) / (4 * w)),
+                                 (float)((x.z - z.x) / (4 * w)), (float)((y.x - x.y) / (4 * w))},
+                           .t = {(float)-dot(x, eye), (float)-dot(y, eye), (float)-dot(z, eye)}};
+}
+
+/* Rows of the rotation of a unit quaternion. */
+static void rows(const float q[4], struct vec out[3])
+{
+    double w = (double)q[0], x = (double)q[1], y = (double)q[2], z = (double)q[3];
+    out[0] = (struct vec){1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)};
+    out[1] = (struct vec){2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)};
+    out[2] = (struct vec){2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
+}
+
+static void photograph(const struct camera *cam, struct image *out)
+{
+    struct vec r[3], eye = {0};
+    size_t pixels = (size_t)cam->w * (size_t)cam->h;
+    rows(cam->q, r);
+    for (int k = 0; k < 3; k++)
+        eye = sub(eye, scale(r[k], (double)cam->t[k]));
+    for (size_t i = 0; i < pixels; i++) {
+        struct vec sum = {0};
+        for (int s = 0; s < SAMPLES * SAMPLES; s++) {
+            double u = (double)(i % (size_t)cam->w) + (s % SAMPLES + 0.5) / SAMPLES;
+            double v = (double)(i / (size_t)cam->w) + (s / SAMPLES + 0.5) / SAMPLES;
+            double x = (u - (double)cam->cx) / (double)cam->fx,
+                   y = (v - (double)cam->cy) / (double)cam->fy;
+            struct vec d = unit(add(add(scale(r[0], x), scale(r[1], y)), r[2]));
+            sum = add(sum, scale(radiance(eye, d), 1.0 / (SAMPLES * SAMPLES)));
+        }
+        out->px[i] = (float)sum.x;
+        out->px[pixels + i] = (float)sum.y;
+        out->px[2 * pixels + i] = (float)sum.z;
+    }
+}
+
+/* Display value of an exposure: ACES filmic and gamma 2.2. */
+static double respond(double x)
+{
+    double y = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14);
+    return pow(fmin(fmax(y, 0), 1), 1 / 2.2);
+}
+
+static void develop(const struct image *hdr, double time, uint32_t seed, struct image8 *out)
+{
+    size_t pixels = (size_t)hdr->w * (size_t)hdr->h;
+    for (size_t i = 0; i < 3 * pixels; i++) {
+        double x = (double)hdr->px[(i % 3) * pixels + i / 3] * time, bell = -3;
+        for (int k = 0; k < 6; k++) // six uniform numbers make a bell of variance 1/2
+            bell += lattice((int)i, k, 0, seed);
+        x += bell * 1.41 * sqrt(4e-4 * x + 1e-6);
+        out->px[i] = (uint8_t)(255 * respond(fmax(x, 0)) + 0.5);
+    }
+}
+
+/* ---- files ---- */
+
+struct set {
+    const char *dir;
+    int size;
+    FILE *exposures, *images;
+    struct image hdr;
+    struct image8 ldr;
+    int n_entries, n_images;
+};
+
+static err_t write_photo(struct set *s, const char *kind, int i, int exposure)
+{
+    char name[64], path[FILE_PATH_CAP];
+    develop(&s->hdr, TIMES[exposure], hash(i, exposure, kind[1], 77), &s->ldr);
+    snprintf(name, sizeof name, "images/%s_ldr_%03d_%d.png", kind, i, exposure);
+    fprintf(s->exposures, "%s\n \"%s\": %.9g", s->n_entries++ ? "," : "", name + 7,
+            TIMES[exposure]);
+    err_t e = file_join(s->dir, name, path);
+    return e ? e : img_write_png(path, &s->ldr);
+}
+
+static err_t write_view(struct set *s, bool test, int i, int n)
+{
+    char name[64], path[FILE_PATH_CAP];
+    const char *kind = test ? "test" : "train";
+    struct camera c = place(i, n, test, s->size);
+    struct exrfile_extra extra = {.cam = &c};
+    photograph(&c, &s->hdr);
+    fprintf(s->images, "%d %.9g %.9g %.9g %.9g %.9g %.9g %.9g 1 %s_ldr_%03d_2.png\n\n",
+            ++s->n_images, (double)c.q[0], (double)c.q[1], (double)c.q[2], (double)c.q[3],
+            (double)c.t[0], (double)c.t[1], (double)c.t[2], kind, i);
+    snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr", kind, i);
+    err_t e = file_join(s->dir, name, path);
+    if (!e)
+        e = exrfile_write(path, &s->hdr, &extra, NULL);
+    for (int k = 0; k < EXPOSURES && !e; k += test ? 1 : 2)
+        e = write_photo(s, kind, i, k);
+    return e;
+}
+
+static err_t open_text(const char *dir, const char *name, char path[FILE_PATH_CAP], FILE **f)
+{
+    err_t e = file_join(dir, name, path);
+    return e ? e : file_create(path, f);
+}
+
+static err_t write_views(struct set *s, int train, int test)
+{
+    char exposures[FILE_PATH_CAP], images[FILE_PATH_CAP];
+    err_t e = open_text(s->dir, "exposure.json", exposures, &s->exposures);
+    if (!e)
+        e = open_text(s->dir, "sparse/0/images.txt", images, &s->images);
+    if (e)
+        return e;
+    putc('{', s->exposures);
+    for (int i = 0; i < train + test && !e; i++)
+        e = i < train ? write_view(s, false, i, train) : write_view(s, true, i - train, test);
+    fputs("\n}\n", s->exposures);
+    if (!e)
+        e = file_finish(s->images, images);
+    return e ? e : file_finish(s->exposures, exposures);
+}
+
+static err_t write_camera(const struct set *s)
+{
+    char path[FILE_PATH_CAP];
+    FILE *f;
+    struct camera c = place(0, 1, false, s->size);
+    err_t e = open_text(s->dir, "sparse/0/cameras.txt", path, &f);
+    if (e)
+        return e;
+    fprintf(f, "1 PINHOLE %d %d %.9g %.9g %.9g %.9g\n", c.w, c.h, (double)c.fx, (double)c.fy,
+            (double)c.cx, (double)c.cy);
+    return file_finish(f, path);
+}
+
+static err_t make_folders(const char *dir)
+{
+    static const char *const names[] = {"", "images", "images_hdr", "sparse", "sparse/0"};
+    char path[FILE_PATH_CAP];
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+        err_t e = file_join(dir, names[i], path);
+        if (e)
+            return e;
+        if (mkdir(path, 0777) != 0 && errno != EEXIST)
+            return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    }
+    return OK;
+}
+
+int main(int argc, char **argv)
+{
+    int number[3] = {0};
+    for (int k = 0; k < 3 && argc == 5; k++)
+        number[k] = atoi(argv[2 + k]);
+    if (number[0] < 16 || number[0] > 2048 || number[1] < 1 || number[1] > 999 || number[2] < 0 ||
+        number[2] > 999) {
+        fprintf(stderr, "usage: make_set OUT SIZE TRAIN TEST\n");
+        return 2;
+    }
+    struct set s = {.dir = argv[1], .size = number[0]};
+    size_t values = 3 * (size_t)s.size * (size_t)s.size;
+    s.hdr = (struct image){s.size, s.size, 3, malloc(values * sizeof(float))};
+    s.ldr = (struct image8){s.size, s.size, 3, malloc(values)};
+    err_t e =
+        s.hdr.px && s.ldr.px ? make_folders(s.dir) : err_fail(ERR_NOMEM, "no memory for a picture");
+    if (!e)
+        e = write_camera(&s);
+    if (!e)
+        e = write_views(&s, number[1], number[2]);
+    if (e)
+        fprintf(stderr, "make_set: %s\n", err_text());
+    free(s.hdr.px);
+    free(s.ldr.px);
+    return e ? 1 : 0;
+}

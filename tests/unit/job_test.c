@@ -1,0 +1,136 @@
+/* Planning of a job: what is refused before the work, and how the memory grows. The work itself is
+ * tested end to end. */
+#include "drivers/json.h"
+#include "firmware/job.h"
+#include "tests/unit/small_job.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+static struct shot shots[64];
+
+static struct capture capture(int n, int side)
+{
+    for (int i = 0; i < n; i++) {
+        shots[i] = (struct shot){.image = {side, side, 3, NULL}, .exposure = 1, .has_camera = true};
+        snprintf(shots[i].name, NAME_CAP, "view%d.png", i);
+    }
+    return (struct capture){n, shots};
+}
+
+static struct job_config config(int size, int splats)
+{
+    return (struct job_config){.size = size,
+                               .refine = {.steps = 10, .degree_max = 1, .gaussians_max = splats}};
+}
+
+static void refusals(void **state)
+{
+    (void)state;
+    struct job_memory m;
+    struct job_config cfg = config(56, 1000);
+    struct capture c = capture(1, 100);
+    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    assert_non_null(strstr(err_text(), "1 view"));
+    c = capture(0, 100);
+    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    c = capture(3, 100);
+    shots[1].has_camera = false;
+    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    assert_non_null(strstr(err_text(), "view1.png"));
+    assert_non_null(strstr(err_text(), "--rig"));
+}
+
+static size_t total(int n, int side, struct job_config cfg, int threads)
+{
+    struct job_memory m;
+    struct capture c = capture(n, side);
+    assert_int_equal(job_plan(&c, &cfg, threads, &m), OK);
+    return arena_add(m.pictures, arena_add(m.keep, m.tmp));
+}
+
+static void memory_grows_with_the_work(void **state)
+{
+    (void)state;
+    struct job_memory m;
+    struct capture c = capture(4, 1000);
+    struct job_config cfg = config(112, 20000);
+    assert_int_equal(job_plan(&c, &cfg, 2, &m), OK);
+    assert_true(m.pictures >= 4u * 3000000 && m.pictures < 4u * 3000000 + 10000);
+    size_t base = total(4, 1000, cfg, 2);
+    assert_true(base > 10e6 && base < 200e6);
+    assert_true(total(8, 1000, cfg, 2) > base);
+    assert_true(total(4, 2000, cfg, 2) > base);
+    assert_true(total(4, 1000, config(224, 20000), 2) > base);
+    assert_true(total(4, 1000, config(112, 40000), 2) > base);
+    assert_true(total(4, 1000, cfg, 8) > base);
+}
+
+/* There are never more splats than pixels, whatever the settings allow. */
+static void room_for_no_more_splats_than_pixels(void **state)
+{
+    (void)state;
+    size_t all = total(2, 100, config(56, 2 * 56 * 56), 1);
+    assert_int_equal(total(2, 100, config(56, 4000000), 1), all);
+}
+
+static void warnings_are_bounded(void **state)
+{
+    (void)state;
+    static struct job_result j;
+    for (int i = 0; i < JOB_WARNINGS + 3; i++)
+        job_warn(&j, "%0400d", i);
+    assert_int_equal(j.n_warnings, JOB_WARNINGS);
+    assert_int_equal(strlen(j.warnings[0]), sizeof j.warnings[0] - 1);
+}
+
+/* Names that scripts rely on. */
+static void report_has_every_member(void **state)
+{
+    (void)state;
+    static const char *const members[] = {"views",       "size",      "precision",    "threads",
+                                          "gaussians",   "sh_degree", "refine_steps", "seconds",
+                                          "peak_rss_mb", "quality",   "modelled",     "warnings"};
+    static const char *const stages[] = {"total", "preprocess", "backbone", "heads", "appearance",
+                                         "voxel", "refine",     "render",   "sweep", "write"};
+    static struct small_job job;
+    char *text;
+    size_t size;
+    struct cJSON *doc;
+    struct report rep;
+    small_job_init(&job, 16);
+    job.result.input_psnr = NAN;
+    job_warn(&job.result, "one \"warning\"");
+    FILE *f = open_memstream(&text, &size);
+    report_init(&rep, f);
+    report_open(&rep, NULL, '{');
+    job_report(&job.result, 3, &rep);
+    report_close(&rep);
+    fclose(f);
+    assert_int_equal(json_parse("report", text, size, &doc), OK);
+    for (size_t i = 0; i < sizeof members / sizeof members[0]; i++)
+        assert_non_null(json_member(doc, members[i]));
+    for (size_t i = 0; i < sizeof stages / sizeof stages[0]; i++)
+        assert_non_null(json_member(json_member(doc, "seconds"), stages[i]));
+    assert_string_equal(json_string(json_first(json_member(doc, "warnings"))), "one \"warning\"");
+    json_free(doc);
+    free(text);
+    small_job_free(&job);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(refusals),
+        cmocka_unit_test(memory_grows_with_the_work),
+        cmocka_unit_test(room_for_no_more_splats_than_pixels),
+        cmocka_unit_test(warnings_are_bounded),
+        cmocka_unit_test(report_has_every_member),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

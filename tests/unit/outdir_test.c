@@ -1,0 +1,203 @@
+#include "firmware/outdir.h"
+#include "tests/unit/tmpdir.h"
+
+#include <dirent.h>
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+static int setup(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    tmpdir_remove();
+    return 0;
+}
+
+static int entries(const char *path)
+{
+    DIR *d = opendir(path);
+    int n = 0;
+    assert_non_null(d);
+    while (readdir(d))
+        n++;
+    closedir(d);
+    return n - 2;
+}
+
+static void put(const struct outdir *o, const char *name, const char *content)
+{
+    char path[FILE_PATH_CAP];
+    assert_int_equal(outdir_path(o, name, path), OK);
+    FILE *f = fopen(path, "w");
+    assert_non_null(f);
+    fputs(content, f);
+    assert_int_equal(fclose(f), 0);
+}
+
+static char first_byte(const char *path)
+{
+    FILE *f = fopen(path, "r");
+    assert_non_null(f);
+    int c = getc(f);
+    fclose(f);
+    return (char)c;
+}
+
+static void publish(const char *path, const char *content)
+{
+    struct outdir o;
+    assert_int_equal(outdir_open(path, &o), OK);
+    assert_int_equal(outdir_mkdir(&o, "sub"), OK);
+    put(&o, "sub/x", content);
+    put(&o, OUTDIR_REPORT, "{}");
+    assert_int_equal(outdir_commit(&o), OK);
+    outdir_close(&o);
+}
+
+static void appears_when_complete(void **state)
+{
+    (void)state;
+    struct outdir o;
+    const char *path = tmpdir_path("deep/er/out");
+    assert_int_equal(outdir_open(path, &o), OK);
+    put(&o, OUTDIR_REPORT, "{}");
+    assert_false(file_is_dir(path));
+    assert_int_equal(outdir_commit(&o), OK);
+    outdir_close(&o);
+    assert_true(file_is_regular(tmpdir_path("deep/er/out/report.json")));
+    assert_int_equal(entries(tmpdir_path("deep/er")), 1);
+}
+
+static void without_commit_nothing(void **state)
+{
+    (void)state;
+    struct outdir o;
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    put(&o, "x", "1");
+    outdir_close(&o);
+    outdir_close(&o);
+    assert_int_equal(entries(tmpdir_path(".")), 0);
+}
+
+static void replaces_results_and_empty_folders(void **state)
+{
+    (void)state;
+    const char *path = tmpdir_path("out//");
+    tmpdir_mkdir("out");
+    publish(path, "1");
+    publish(path, "2");
+    assert_int_equal(first_byte(tmpdir_path("out/sub/x")), '2');
+    assert_int_equal(entries(tmpdir_path(".")), 1);
+}
+
+static void keeps_what_is_not_ours(void **state)
+{
+    (void)state;
+    struct outdir o;
+    tmpdir_mkdir("photos");
+    tmpdir_text("photos/a.jpg", "precious");
+    tmpdir_text("file", "precious");
+    assert_int_equal(outdir_open(tmpdir_path("photos"), &o), ERR_ARG);
+    assert_non_null(strstr(err_text(), "photos"));
+    assert_int_equal(outdir_open(tmpdir_path("file"), &o), ERR_ARG);
+    assert_int_equal(symlink("photos", tmpdir_path("link")), 0);
+    assert_int_equal(outdir_open(tmpdir_path("link"), &o), ERR_ARG);
+    assert_int_equal(outdir_open("/", &o), ERR_ARG);
+    assert_int_equal(outdir_open("", &o), ERR_ARG);
+    assert_int_equal(outdir_open("..", &o), ERR_ARG);
+    assert_int_equal(outdir_open(tmpdir_path("photos/."), &o), ERR_ARG);
+    assert_int_equal(outdir_open(tmpdir_path("file/out"), &o), ERR_IO);
+    assert_int_equal(entries(tmpdir_path(".")), 3);
+}
+
+/* A folder that gained a stranger's files while we worked is not replaced. */
+static void looks_again_before_it_replaces(void **state)
+{
+    (void)state;
+    struct outdir o;
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    put(&o, OUTDIR_REPORT, "{}");
+    tmpdir_mkdir("out");
+    tmpdir_text("out/stranger", "precious");
+    assert_int_equal(outdir_commit(&o), ERR_ARG);
+    outdir_close(&o);
+    assert_int_equal(entries(tmpdir_path("out")), 1);
+    assert_int_equal(entries(tmpdir_path(".")), 1);
+}
+
+static void removes_only_what_the_dead_left(void **state)
+{
+    (void)state;
+    struct outdir o;
+    int ready[2];
+    assert_int_equal(pipe(ready), 0);
+    pid_t child = fork();
+    if (child == 0) {
+        bool ok = outdir_open(tmpdir_path("out"), &o) == OK;
+        if (write(ready[1], ok ? "1" : "0", 1) != 1)
+            _exit(1);
+        pause();
+    }
+    char c = 0;
+    assert_int_equal(read(ready[0], &c, 1), 1);
+    assert_int_equal(c, '1');
+    tmpdir_mkdir(".tmp-out-999999999"); // nobody holds it
+    tmpdir_text(".tmp-out-999999999/x", "");
+    tmpdir_mkdir(".tmp-output-1"); // of another name
+    tmpdir_mkdir(".tmp-out-mine");
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    assert_int_equal(entries(tmpdir_path(".")), 4); // child's, ours, the two others
+    outdir_close(&o);
+    kill(child, SIGKILL);
+    waitpid(child, NULL, 0);
+    close(ready[0]);
+    close(ready[1]);
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    outdir_close(&o);
+    assert_int_equal(entries(tmpdir_path(".")), 2);
+}
+
+static void tells_missing_space(void **state)
+{
+    (void)state;
+    struct outdir o;
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    assert_int_equal(outdir_reserve(&o, 1), OK);
+    assert_int_equal(outdir_reason(&o, err_fail(ERR_IO, "x: broken disk")), ERR_IO);
+    assert_int_equal(outdir_reason(&o, OK), OK);
+    assert_int_equal(outdir_reason(&o, ERR_FORMAT), ERR_FORMAT);
+    assert_int_equal(outdir_reserve(&o, UINT64_MAX), ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "18446744073709551615 bytes"));
+    assert_int_equal(outdir_reason(&o, err_fail(ERR_IO, "y: no space left")), ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "y: no space left ("));
+    outdir_close(&o);
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(appears_when_complete),
+        TEST(without_commit_nothing),
+        TEST(replaces_results_and_empty_folders),
+        TEST(keeps_what_is_not_ours),
+        TEST(looks_again_before_it_replaces),
+        TEST(removes_only_what_the_dead_left),
+        TEST(tells_missing_space),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,152 @@
+#include "drivers/cameras.h"
+#include "drivers/exrfile.h"
+#include "drivers/img.h"
+#include "drivers/json.h"
+#include "drivers/ply.h"
+#include "drivers/scenefile.h"
+#include "firmware/publish.h"
+#include "tests/unit/small_job.h"
+#include "tests/unit/tmpdir.h"
+
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/resource.h>
+
+#include <cmocka.h>
+
+enum { SPLATS = 300 };
+
+static struct small_job job;
+static struct outdir out;
+
+static int setup(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    small_job_init(&job, SPLATS);
+    return outdir_open(tmpdir_path("out"), &out) == OK ? 0 : -1;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    outdir_close(&out);
+    small_job_free(&job);
+    tmpdir_remove();
+    return 0;
+}
+
+static void everything_is_there_and_can_be_read(void **state)
+{
+    (void)state;
+    struct cJSON *doc;
+    struct scenefile_info scene;
+    struct ply_info ply;
+    struct rig rig;
+    struct image8 ldr;
+    struct image hdr;
+    double v;
+    assert_int_equal(publish_run(&job.run, &job.result, &out), OK);
+    assert_int_equal(scenefile_peek(tmpdir_path("out/scene.hdrig"), &scene), OK);
+    assert_int_equal(scene.n, SPLATS);
+    assert_int_equal(ply_peek(tmpdir_path("out/scene.ply"), &ply), OK);
+    assert_int_equal(ply.n, SPLATS);
+    assert_int_equal(cameras_read(tmpdir_path("out/cameras.json"), &rig), OK);
+    assert_int_equal(rig.n, SMALL_VIEWS);
+    assert_true(rig.views[1].has_exposure && rig.views[1].exposure_log2 == 1.0f);
+    cameras_free(&rig);
+    assert_int_equal(img_read(tmpdir_path("out/ldr/b.png"), &ldr), OK);
+    assert_int_equal(ldr.w, SMALL_SIZE);
+    img_free(&ldr);
+    assert_int_equal(exrfile_read(tmpdir_path("out/hdr/a.exr"), &hdr), OK);
+    exrfile_free(&hdr);
+    assert_int_equal(json_read(tmpdir_path("out/tone.json"), &doc), OK);
+    json_free(doc);
+    assert_int_equal(json_read(tmpdir_path("out/report.json"), &doc), OK);
+    assert_true(json_number(json_member(doc, "gaussians"), &v) && (int)v == SPLATS);
+    assert_int_equal(json_count(json_member(doc, "warnings")), 0);
+    assert_true(json_number(json_member(json_member(doc, "seconds"), "total"), &v));
+    assert_true(json_number(json_member(json_member(doc, "quality"), "ldr_input_psnr"), &v));
+    assert_true(v > 5 && v < 60);
+    json_free(doc);
+}
+
+/* The same splat in 8 bits and as radiance: the tone curve of the scene joins them. */
+static void pictures_show_the_scene(void **state)
+{
+    (void)state;
+    struct image8 dark, bright;
+    assert_int_equal(publish_run(&job.run, &job.result, &out), OK);
+    assert_int_equal(img_read(tmpdir_path("out/ldr/a.png"), &dark), OK);
+    assert_int_equal(img_read(tmpdir_path("out/ldr/b.png"), &bright), OK);
+    int middle = 3 * (SMALL_SIZE / 2 * SMALL_SIZE + SMALL_SIZE / 2);
+    assert_true(bright.px[middle] > dark.px[middle] + 50); // two stops more
+    img_free(&dark);
+    img_free(&bright);
+}
+
+static void names_that_would_collide(void **state)
+{
+    (void)state;
+    snprintf(job.names[1], NAME_CAP, "a.jpg");
+    assert_int_equal(publish_run(&job.run, &job.result, &out), ERR_ARG);
+    assert_non_null(strstr(err_text(), "a.png and a.jpg"));
+    outdir_close(&out);
+    assert_false(file_is_dir(tmpdir_path("out")));
+}
+
+static void highlights_beyond_half_are_told(void **state)
+{
+    (void)state;
+    struct cJSON *doc;
+    for (int i = 0; i < SPLATS; i++)
+        job.result.scene.g.plane[G_SH][i] = 60; // e^(60 * 0.282) is 2e7
+    assert_int_equal(publish_run(&job.run, &job.result, &out), OK);
+    assert_int_equal(json_read(tmpdir_path("out/report.json"), &doc), OK);
+    assert_int_equal(json_count(json_member(doc, "warnings")), 1);
+    json_free(doc);
+}
+
+static void cancelled(void **state)
+{
+    (void)state;
+    atomic_store(&job.cancel, true);
+    assert_int_equal(publish_run(&job.run, &job.result, &out), ERR_CANCELLED);
+    outdir_close(&out);
+    assert_false(file_is_dir(tmpdir_path("out")));
+}
+
+/* Files may not grow beyond a limit: the same path as a full disk. */
+static void full_disk(void **state)
+{
+    (void)state;
+    struct rlimit was, small = {.rlim_cur = 1000};
+    getrlimit(RLIMIT_FSIZE, &was);
+    small.rlim_max = was.rlim_max;
+    signal(SIGXFSZ, SIG_IGN);
+    setrlimit(RLIMIT_FSIZE, &small);
+    err_t e = publish_run(&job.run, &job.result, &out);
+    setrlimit(RLIMIT_FSIZE, &was);
+    assert_int_equal(e, ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "there is room for 1000)"));
+    outdir_close(&out);
+    assert_false(file_is_dir(tmpdir_path("out")));
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(everything_is_there_and_can_be_read),
+        TEST(pictures_show_the_scene),
+        TEST(names_that_would_collide),
+        TEST(highlights_beyond_half_are_told),
+        TEST(cancelled),
+        TEST(full_disk),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
