@@ -7,6 +7,8 @@
 
 #include "core/types.h"
 
+struct tonemap_curve;
+
 enum {
     TILE = 16,           // px, edge of a raster tile (gsplat 1.4.0)
     SPLAT_BLOCK = 64,    // splats handed to the projection kernels at once at most
@@ -30,15 +32,15 @@ enum {
 /* A projected splat: one cache line. Splats that cannot be seen have x1 < x0. */
 struct splat2d {
     float u, v;           // px, projected centre
-    float across, shear, along; // exponent = across (dx - shear dy)^2 + along dy^2; px^-2, 1, px^-2
-    float opacity;        // 0..1
-    float cut;            // ln(255 opacity): alpha < 1/255 beyond
+    /* log2 alpha = top - across (dx - shear dy)^2 - along dy^2, dx = u - x, dy = v - y */
+    float across, shear, along; // px^-2, 1, px^-2
+    float top;            // log2 of the opacity
     float rgb[3];         // linear radiance
     float z;              // depth, scene units
     int16_t x0, x1, y0, y1; // px, inclusive bounds of the pixels that can reach alpha 1/255, inside the image
     uint8_t tx0, tx1, ty0, ty1; // tiles, half open
     uint32_t base;        // first slot of this splat in the current group of tiles
-    uint32_t pad;
+    uint32_t pad[2];
 };
 
 struct view_geom {        // one camera, prepared once per frame
@@ -67,9 +69,10 @@ struct tile {
     int n, x0, y0, w, h;  // list length; px of the tile's corner; px of the picture
     float background[3];
     float *radiance;      // (3, h, w)
-    float *depth, *alpha; // (h, w)
+    float *depth;         // (h, w) or NULL
+    float *alpha;         // (h, w)
     float *trans;         // (h, w) final transmittance
-    int32_t *last;        // (h, w) 1 + place in the list of the last contributor, 0 if none
+    int32_t *stop;        // (h, w) place in the list where the pixel was full; n if it never was
     /* for tile_grad */
     const float *d_radiance, *d_depth, *d_alpha; // (3, h, w), (h, w), (h, w): d loss / d map; the last two may be NULL
     float *slots;         // (.., SLOT): sums of splat s go to slots[SLOT * slot_of(s)]
@@ -100,20 +103,43 @@ struct adam_step {
 typedef void adam_fn(const struct adam_step *s, int n, const float *seen, const float *grad, float *param,
                      float *m1, float *m2);
 
-/* Rows of a (h, w) map, filtered by the 11-tap Gaussian of SSIM: out(x) = sum_k taps[k] in(x + k), x < w - 10. */
-typedef void blur_row_fn(const float *taps, const float *in, int w, float *out);
-/* Columns: out(x) = sum_k taps[k] in[k][x], x < w. */
-typedef void blur_col_fn(const float *taps, const float *const *in, int w, float *out);
+/* Along a row, with the 11 taps of SSIM: out(i) = sum_k taps[k] in(i + k), i < n - 10. */
+typedef void blur_row_fn(const float *taps, const float *in, int n, float *out);
+/* Across rows: out(i) = sum_k taps[k] in[k][i], i < n. */
+typedef void blur_col_fn(const float *taps, const float *const *in, int n, float *out);
+/* blur_row of x, y, xx, yy, xy, where y = photo / 255. out: (5, stride). scratch: 2 stride floats. */
+typedef void moments_row_fn(const float *taps, const float *x, const uint8_t *photo, int n, size_t stride,
+                            float *scratch, float *out);
 
-/* Display values of one row: x = log2(radiance + 1e-6) + shift, segment of x on the curve, value = sigmoid(a x + b). */
-struct tonemap_curve;
-typedef void tone_row_fn(const struct tonemap_curve *c, const float *radiance, float shift, int n, float *x,
-                         float *value, uint8_t *segment);
+/* One row of one colour between radiance and display. */
+struct tone_row {
+    const struct tonemap_curve *curve;
+    const float *radiance, *alpha; // (n)
+    float shift;                   // log2 t - mid
+    float behind;                  // display value added times (1 - alpha)
+    float *x, *slope, *ldr;        // (n) log2(radiance + 1e-6) + shift; d logit / dx there; display value
+    uint8_t *segment;              // (n) of the curve
+    int n;
+};
+typedef void tone_row_fn(const struct tone_row *t);
+/* d: in d loss / d ldr, out d loss / d radiance. logit: d loss / d logit. d_alpha: += d loss / d alpha. */
+typedef void tone_row_grad_fn(const struct tone_row *t, float *d, float *logit, float *d_alpha);
 
 /* Structural similarity of one row of windows (Wang et al. 2004; C1 = 0.01^2, C2 = 0.03^2, range 1).
  * m: (5, stride) window means of x, y, xx, yy, xy. out: (3, stride) derivatives by the means of x, xx and xy.
  * returns: the sum of the n similarities. */
 typedef double ssim_row_fn(const float *m, size_t stride, int n, float *out);
+
+/* d = l1 sign(x - y) + ssim (g0 + 2 x g1 + y g2), y = photo / 255; g: (3, stride).
+ * returns: sum of |x - y|. */
+struct display_row {
+    const float *x, *g;
+    const uint8_t *photo;
+    size_t stride;
+    float l1, ssim;
+    int n;
+};
+typedef double display_row_fn(const struct display_row *r, float *d);
 
 struct kernels {
     const char *name; // instruction set of the float kernels
@@ -124,8 +150,11 @@ struct kernels {
     adam_fn *adam;
     blur_row_fn *blur_row;
     blur_col_fn *blur_col;
-    tone_row_fn *tone_row;
+    moments_row_fn *moments_row;
     ssim_row_fn *ssim_row;
+    display_row_fn *display_row;
+    tone_row_fn *tone_row;
+    tone_row_grad_fn *tone_row_grad;
 };
 
 /* The variants of the splat and loss kernels; kernels_init chooses. */

@@ -39,38 +39,89 @@ static void blur_col(const float *taps, const float *const *in, int w, float *ou
     }
 }
 
-static inline void tone_lanes(const struct tonemap_curve *c, vf radiance, float shift, float *x, float *value,
-                              uint8_t *segment)
+static void moments_row(const float *taps, const float *x, const uint8_t *photo, int n, size_t stride,
+                        float *scratch, float *out)
 {
-    float a[LANES], b[LANES];
+    float *y = scratch, *product = scratch + stride;
+    for (int i = 0; i < n; i++)
+        y[i] = (float)photo[i] * (1.0f / 255.0f);
+    blur_row(taps, x, n, out);
+    blur_row(taps, y, n, out + stride);
+    for (int i = 0; i < n; i++)
+        product[i] = x[i] * x[i];
+    blur_row(taps, product, n, out + 2 * stride);
+    for (int i = 0; i < n; i++)
+        product[i] = y[i] * y[i];
+    blur_row(taps, product, n, out + 3 * stride);
+    for (int i = 0; i < n; i++)
+        product[i] = x[i] * y[i];
+    blur_row(taps, product, n, out + 4 * stride);
+}
+
+static inline void tone_lanes(const struct tone_row *t, int i, int lanes)
+{
+    const struct tonemap_curve *c = t->curve;
+    float in[LANES] = {0}, open[LANES] = {0}, x[LANES], a[LANES], b[LANES], ldr[LANES];
+    memcpy(in, t->radiance + i, (size_t)lanes * sizeof *in);
+    memcpy(open, t->alpha + i, (size_t)lanes * sizeof *open);
     /* radiance is clamped so that log2 sees a normal number */
-    vf xs = v_log2(v_clamp(radiance, 0.0f, 1e36f) + v_set(TONEMAP_FLOOR)) + v_set(shift);
+    vf xs = v_log2(v_clamp(v_load(in), 0.0f, 1e36f) + v_set(TONEMAP_FLOOR)) + v_set(t->shift);
     v_store(x, xs);
-    for (int l = 0; l < LANES; l++) {
+    for (int l = 0; l < lanes; l++) {
         int s = tonemap_segment(c, x[l]);
-        segment[l] = (uint8_t)s;
+        t->segment[i + l] = (uint8_t)s;
         a[l] = c->a[s];
         b[l] = c->b[s];
     }
     vf logit = v_fma(v_load(a), xs, v_load(b));
-    v_store(value, v_set(1.0f) / (v_set(1.0f) + v_exp(v_set(0.0f) - logit)));
+    vf value = v_set(1.0f) / (v_set(1.0f) + v_exp(v_set(0.0f) - logit));
+    v_store(ldr, v_fma(v_set(t->behind), v_set(1.0f) - v_load(open), value));
+    memcpy(t->x + i, x, (size_t)lanes * sizeof *x);
+    memcpy(t->slope + i, a, (size_t)lanes * sizeof *a);
+    memcpy(t->ldr + i, ldr, (size_t)lanes * sizeof *ldr);
 }
 
-static void tone_row(const struct tonemap_curve *c, const float *radiance, float shift, int n, float *x,
-                     float *value, uint8_t *segment)
+static void tone_row(const struct tone_row *t)
 {
     int i = 0;
-    for (; i + LANES <= n; i += LANES)
-        tone_lanes(c, v_load(radiance + i), shift, x + i, value + i, segment + i);
-    if (i >= n)
-        return;
-    float in[LANES] = {0}, x1[LANES], value1[LANES];
-    uint8_t segment1[LANES];
-    memcpy(in, radiance + i, (size_t)(n - i) * sizeof *in);
-    tone_lanes(c, v_load(in), shift, x1, value1, segment1);
-    memcpy(x + i, x1, (size_t)(n - i) * sizeof *x);
-    memcpy(value + i, value1, (size_t)(n - i) * sizeof *value);
-    memcpy(segment + i, segment1, (size_t)(n - i));
+    for (; i + LANES <= t->n; i += LANES)
+        tone_lanes(t, i, LANES);
+    if (i < t->n)
+        tone_lanes(t, i, t->n - i);
+}
+
+static void tone_row_grad(const struct tone_row *t, float *d, float *logit, float *d_alpha)
+{
+    const float log2_e = 1.44269504f;
+    for (int i = 0; i < t->n; i++) {
+        float v = t->ldr[i] - t->behind * (1.0f - t->alpha[i]);
+        float g = d[i] * v * (1.0f - v), rad = t->radiance[i] < 1e36f ? t->radiance[i] : 1e36f;
+        d_alpha[i] -= t->behind * d[i];
+        logit[i] = g;
+        d[i] = g * t->slope[i] * log2_e / (rad + TONEMAP_FLOOR);
+    }
+}
+
+static double display_row(const struct display_row *r, float *d)
+{
+    const float *g0 = r->g, *g1 = r->g + r->stride, *g2 = r->g + 2 * r->stride;
+    float l1 = r->l1, ssim = r->ssim;
+    for (int i = 0; i < r->n; i++) {
+        float y = (float)r->photo[i] * (1.0f / 255.0f), diff = r->x[i] - y;
+        float sign = (diff > 0 ? l1 : 0.0f) - (diff < 0 ? l1 : 0.0f);
+        d[i] = sign + ssim * (g0[i] + 2.0f * r->x[i] * g1[i] + y * g2[i]);
+    }
+    float part[16] = {0};
+    int i = 0;
+    for (; i + 16 <= r->n; i += 16)
+        for (int k = 0; k < 16; k++)
+            part[k] += fabsf(r->x[i + k] - (float)r->photo[i + k] * (1.0f / 255.0f));
+    for (; i < r->n; i++)
+        part[0] += fabsf(r->x[i] - (float)r->photo[i] * (1.0f / 255.0f));
+    double sum = 0;
+    for (int k = 0; k < 16; k++)
+        sum += (double)part[k];
+    return sum;
 }
 
 /* S = (2 mx my + C1)(2 (xy - mx my) + C2) / ((mx^2 + my^2 + C1)(xx + yy - mx^2 - my^2 + C2)) */
@@ -116,6 +167,9 @@ static void loss_fill(struct kernels *k)
 {
     k->blur_row = blur_row;
     k->blur_col = blur_col;
-    k->tone_row = tone_row;
+    k->moments_row = moments_row;
     k->ssim_row = ssim_row;
+    k->display_row = display_row;
+    k->tone_row = tone_row;
+    k->tone_row_grad = tone_row_grad;
 }

@@ -1,6 +1,7 @@
 /* simd.h - the few vector operations that the float kernels are written in.
  * The including file defines exactly one of SIMD_C, SIMD_SSE41, SIMD_AVX2, SIMD_AVX512, SIMD_NEON.
  * vf: LANES floats; vm: one truth value per lane. The operators + - * / work on vf in every variant.
+ * v_fma(a, b, c) = a b + c; v_fnma(a, b, c) = c - a b; v_recip: 1 / a within 2e-7.
  * Comparisons with NaN are false. v_min/v_max return the second operand if the first is NaN. */
 #ifndef KERNELS_SIMD_H
 #define KERNELS_SIMD_H
@@ -21,6 +22,12 @@ static inline vf v_load(const float *p) { return _mm512_loadu_ps(p); }
 static inline void v_store(float *p, vf a) { _mm512_storeu_ps(p, a); }
 static inline vf v_set(float x) { return _mm512_set1_ps(x); }
 static inline vf v_fma(vf a, vf b, vf c) { return _mm512_fmadd_ps(a, b, c); }
+static inline vf v_fnma(vf a, vf b, vf c) { return _mm512_fnmadd_ps(a, b, c); }
+static inline vf v_recip(vf a)
+{
+    vf r = _mm512_rcp14_ps(a);
+    return _mm512_mul_ps(r, _mm512_fnmadd_ps(a, r, _mm512_set1_ps(2.0f)));
+}
 static inline vf v_min(vf a, vf b) { return _mm512_min_ps(a, b); }
 static inline vf v_max(vf a, vf b) { return _mm512_max_ps(a, b); }
 static inline vf v_sqrt(vf a) { return _mm512_sqrt_ps(a); }
@@ -37,6 +44,7 @@ static inline vf v_exp2i(vf n) /* 2^n, n integral in [-126, 127] */
 {
     return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_add_epi32(_mm512_cvtps_epi32(n), _mm512_set1_epi32(127)), 23));
 }
+static inline vf v_scale2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* a 2^n */
 static inline vf v_exponent(vf a) /* biased exponent bits as float, a > 0 */
 {
     return _mm512_cvtepi32_ps(_mm512_srli_epi32(_mm512_castps_si512(a), 23));
@@ -60,6 +68,8 @@ static inline vf v_load(const float *p) { return _mm256_loadu_ps(p); }
 static inline void v_store(float *p, vf a) { _mm256_storeu_ps(p, a); }
 static inline vf v_set(float x) { return _mm256_set1_ps(x); }
 static inline vf v_fma(vf a, vf b, vf c) { return _mm256_fmadd_ps(a, b, c); }
+static inline vf v_fnma(vf a, vf b, vf c) { return _mm256_fnmadd_ps(a, b, c); }
+static inline vf v_recip(vf a) { return _mm256_set1_ps(1.0f) / a; }
 static inline vf v_min(vf a, vf b) { return _mm256_min_ps(a, b); }
 static inline vf v_max(vf a, vf b) { return _mm256_max_ps(a, b); }
 static inline vf v_sqrt(vf a) { return _mm256_sqrt_ps(a); }
@@ -101,6 +111,8 @@ static inline vf v_load(const float *p) { return _mm_loadu_ps(p); }
 static inline void v_store(float *p, vf a) { _mm_storeu_ps(p, a); }
 static inline vf v_set(float x) { return _mm_set1_ps(x); }
 static inline vf v_fma(vf a, vf b, vf c) { return a * b + c; }
+static inline vf v_fnma(vf a, vf b, vf c) { return c - a * b; }
+static inline vf v_recip(vf a) { return _mm_set1_ps(1.0f) / a; }
 static inline vf v_min(vf a, vf b) { return _mm_min_ps(a, b); }
 static inline vf v_max(vf a, vf b) { return _mm_max_ps(a, b); }
 static inline vf v_sqrt(vf a) { return _mm_sqrt_ps(a); }
@@ -138,6 +150,8 @@ static inline vf v_load(const float *p) { return vld1q_f32(p); }
 static inline void v_store(float *p, vf a) { vst1q_f32(p, a); }
 static inline vf v_set(float x) { return vdupq_n_f32(x); }
 static inline vf v_fma(vf a, vf b, vf c) { return vfmaq_f32(c, a, b); }
+static inline vf v_fnma(vf a, vf b, vf c) { return vfmsq_f32(c, a, b); }
+static inline vf v_recip(vf a) { return vdupq_n_f32(1.0f) / a; }
 static inline vf v_min(vf a, vf b) { return vbslq_f32(vcltq_f32(a, b), a, b); }
 static inline vf v_max(vf a, vf b) { return vbslq_f32(vcgtq_f32(a, b), a, b); }
 static inline vf v_sqrt(vf a) { return vsqrtq_f32(a); }
@@ -174,6 +188,8 @@ static inline vf v_load(const float *p) { return *p; }
 static inline void v_store(float *p, vf a) { *p = a; }
 static inline vf v_set(float x) { return x; }
 static inline vf v_fma(vf a, vf b, vf c) { return a * b + c; }
+static inline vf v_fnma(vf a, vf b, vf c) { return c - a * b; }
+static inline vf v_recip(vf a) { return 1.0f / a; }
 static inline vf v_min(vf a, vf b) { return a < b ? a : b; }
 static inline vf v_max(vf a, vf b) { return a > b ? a : b; }
 static inline vf v_sqrt(vf a) { return sqrtf(a); }
@@ -188,7 +204,7 @@ static inline int m_bits(vm a) { return a; }
 static inline vf v_sel(vm m, vf a, vf b) { return m ? a : b; }
 static inline vf v_exp2i(vf n)
 {
-    int32_t i = ((int32_t)n + 127) << 23;
+    uint32_t i = (uint32_t)((int32_t)fminf(fmaxf(n, -127.0f), 128.0f) + 127) << 23;
     float f;
     memcpy(&f, &i, 4);
     return f;
@@ -210,11 +226,12 @@ static inline vf v_mantissa(vf a)
 static inline float v_sum(vf a) { return a; }
 #endif
 
-/* a*b rounded once with its sign turned: c - a*b. */
-static inline vf v_fnma(vf a, vf b, vf c)
+#if !defined(SIMD_AVX512)
+static inline vf v_scale2(vf a, vf n)
 {
-    return v_fma(v_set(0.0f) - a, b, c);
+    return a * v_exp2i(n);
 }
+#endif
 
 static inline vf v_clamp(vf a, float lo, float hi)
 {
@@ -237,6 +254,20 @@ static inline vf v_exp(vf x)
     p = v_fma(p, r, v_set(5.0000001201e-1f));
     p = v_fma(p * r, r, r) + v_set(1.0f);
     return p * v_exp2i(n);
+}
+
+/* 2^x for x in [-126, 127], relative error below 3e-7; any other x gives some number. Minimax polynomial of degree 5
+ * for 2^f on [-1/2, 1/2], itself within 1e-7. */
+static inline vf v_exp2(vf x)
+{
+    vf n = v_round(x), f = x - n;
+    vf p = v_set(1.326472717e-03f);
+    p = v_fma(p, f, v_set(9.671512833e-03f));
+    p = v_fma(p, f, v_set(5.550733745e-02f));
+    p = v_fma(p, f, v_set(2.402224208e-01f));
+    p = v_fma(p, f, v_set(6.931469776e-01f));
+    p = v_fma(p, f, v_set(1.0f));
+    return v_scale2(p, n);
 }
 
 /* log2(x) for normal x > 0; absolute error below 2e-7 + 1e-7 |log2 x|. Mantissa folded to [sqrt 1/2, sqrt 2], then

@@ -230,23 +230,6 @@ MAP vf proj_colour(const struct gaussians *g, int i, int colour, const vf *basis
     return sum;
 }
 
-/* Half-open tile range and inclusive pixel range of one axis.
- * radius: gsplat's circle, decides the tiles; extent: where alpha can reach 1/255, cuts pixels and tiles further. */
-static int axis_range(float centre, float radius, float extent, int size, uint8_t tiles[2], int16_t px[2])
-{
-    float lo = fmaxf(floorf((centre - radius) / TILE), 0.0f);
-    float hi = fminf(ceilf((centre + radius) / TILE), (float)((size + TILE - 1) / TILE));
-    float x0 = fmaxf(ceilf(centre - extent - 0.5f), lo * TILE);
-    float x1 = fminf(floorf(centre + extent - 0.5f), fminf(hi * TILE, (float)size) - 1.0f);
-    if (!(x0 <= x1))
-        return 0;
-    px[0] = (int16_t)x0;
-    px[1] = (int16_t)x1;
-    tiles[0] = (uint8_t)(px[0] / TILE);
-    tiles[1] = (uint8_t)(px[1] / TILE + 1);
-    return 1;
-}
-
 MAP vm proj_alive(const struct proj *o)
 {
     vf trace = o->xx + o->yy;
@@ -262,65 +245,90 @@ MAP vm proj_finite(const struct gaussians *g, int i)
     return v_le(v_set(0.0f), sum);
 }
 
-enum { F_U, F_V, F_ACROSS, F_SHEAR, F_ALONG, F_O, F_R, F_G, F_BL, F_Z, F_RADIUS, F_XX, F_YY, N_FIELDS };
-
-static void record_store(struct splat2d *s, const float f[N_FIELDS][LANES], int lane, int alive,
-                         const struct view_geom *v)
+/* Inclusive pixel range of one axis, empty if lo > hi.
+ * radius: gsplat's circle, decides the tiles; extent: where alpha can reach 1/255, cuts pixels and tiles further. */
+MAP void axis_range(vf centre, vf radius, vf extent, int size, vf *lo, vf *hi)
 {
-    float u = f[F_U][lane], w = f[F_V][lane], radius = f[F_RADIUS][lane], o = f[F_O][lane];
-    s->x0 = 0;
-    s->x1 = -1;
-    s->opacity = o;
-    if (!alive || !(o >= RASTER_ALPHA_MIN) || !(fabsf(u) < 1e9f) || !(fabsf(w) < 1e9f))
-        return;
-    if (!(u + radius > 0) || !(u - radius < (float)v->w) || !(w + radius > 0) || !(w - radius < (float)v->h))
-        return;
-    float cut = logf(255.0f * o);
-    int16_t px[2], py[2];
-    uint8_t tx[2], ty[2];
+    float tiles = (float)((size + TILE - 1) / TILE);
+    vf inv = v_set(1.0f / TILE), half = v_set(0.5f), zero = v_set(0.0f);
+    vf t0 = v_max(v_floor((centre - radius) * inv), zero);
+    vf t1 = v_min(zero - v_floor((zero - centre - radius) * inv), v_set(tiles));
+    vf x1 = v_min(t1 * v_set((float)TILE), v_set((float)size)) - v_set(1.0f);
+    *lo = v_max(zero - v_floor(extent + half - centre), t0 * v_set((float)TILE));
+    *hi = v_min(v_floor(centre + extent - half), x1);
+    *lo = v_clamp(*lo, 0.0f, (float)size);
+    *hi = v_clamp(*hi, -1.0f, (float)size - 1.0f);
+}
+
+enum { F_U, F_V, F_ACROSS, F_SHEAR, F_ALONG, F_TOP, F_R, F_G, F_BL, F_Z, F_X0, F_X1, F_Y0, F_Y1, N_FIELDS };
+
+static const float LOG2_E = 1.44269504f, LOG2_ALPHA_MIN = -7.99435344f; // log2(1/255)
+
+/* One-axis and common parts of the record of LANES splats. Returns which are drawn. */
+MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int i, float f[N_FIELDS][LANES])
+{
+    struct proj o;
+    proj_load(&o, g, v, i);
+    vm alive = m_and(proj_alive(&o), proj_finite(g, i));
+    vf inv = v_set(1.0f) / o.yy, lo[2], hi[2];
+    vf top = v_log2(v_max(o.opacity, v_set(1e-30f)));
+    vf reach = v_set(2.0f / LOG2_E) * (top - v_set(LOG2_ALPHA_MIN)); // 2 ln(255 opacity)
+    alive = m_and(alive, v_le(v_set(0.0f), reach));
+    vf half = v_set(0.5f) * (o.xx - o.yy);
+    vf root = v_sqrt(v_max(half * half + o.xy * o.xy, v_set(0.01f)));
+    vf r = v_sqrt(v_set(0.5f) * (o.xx + o.yy) + root) * v_set(3.0f);
+    r = v_set(0.0f) - v_floor(v_set(0.0f) - r);
+    vf u = v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx));
+    vf w = v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy));
     /* a little slack: the per-pixel test decides */
-    float ex = sqrtf(2.0f * cut * f[F_XX][lane]) * 1.001f + 0.01f;
-    float ey = sqrtf(2.0f * cut * f[F_YY][lane]) * 1.001f + 0.01f;
-    if (!axis_range(u, radius, ex, v->w, tx, px) || !axis_range(w, radius, ey, v->h, ty, py))
-        return;
-    *s = (struct splat2d){.u = u, .v = w, .across = f[F_ACROSS][lane], .shear = f[F_SHEAR][lane],
-                          .along = f[F_ALONG][lane], .opacity = o, .cut = cut, .rgb = {f[F_R][lane], f[F_G][lane], f[F_BL][lane]}, .z = f[F_Z][lane],
-                          .x0 = px[0], .x1 = px[1], .y0 = py[0], .y1 = py[1],
-                          .tx0 = tx[0], .tx1 = tx[1], .ty0 = ty[0], .ty1 = ty[1]};
+    vf ex = v_fma(v_sqrt(reach * o.xx), v_set(1.001f), v_set(0.01f));
+    vf ey = v_fma(v_sqrt(reach * o.yy), v_set(1.001f), v_set(0.01f));
+    axis_range(u, r, ex, v->w, &lo[0], &hi[0]);
+    axis_range(w, r, ey, v->h, &lo[1], &hi[1]);
+    alive = m_and(alive, m_and(v_le(lo[0], hi[0]), v_le(lo[1], hi[1])));
+    alive = m_and(alive, m_and(v_lt(v_abs(u), v_set(1e9f)), v_lt(v_abs(w), v_set(1e9f))));
+    v_store(f[F_U], u);
+    v_store(f[F_V], w);
+    v_store(f[F_ACROSS], v_set(0.5f * LOG2_E) * o.yy / o.det);
+    v_store(f[F_SHEAR], o.xy * inv);
+    v_store(f[F_ALONG], v_set(0.5f * LOG2_E) * inv);
+    v_store(f[F_TOP], top);
+    v_store(f[F_Z], o.p[2]);
+    v_store(f[F_X0], lo[0]);
+    v_store(f[F_X1], hi[0]);
+    v_store(f[F_Y0], lo[1]);
+    v_store(f[F_Y1], hi[1]);
+    if (!m_any(alive))
+        return 0;
+    vf basis[SH_COEFS_MAX], dir[3] = {v_set(0.0f), v_set(0.0f), v_set(0.0f)}, len;
+    if (g->degree > 0)
+        proj_dir(&o, v, dir, &len);
+    sh_basis(g->degree, dir, basis);
+    for (int c = 0; c < 3; c++)
+        v_store(f[F_R + c], v_exp(v_clamp(proj_colour(g, i, c, basis), -RASTER_LOG_MAX, RASTER_LOG_MAX)));
+    return m_bits(alive);
 }
 
 static void project(const struct gaussians *g, const struct view_geom *v, int first, int count,
                     struct splat2d *out)
 {
     for (int i = first; i < first + count; i += LANES) {
-        struct proj o;
         float f[N_FIELDS][LANES];
-        proj_load(&o, g, v, i);
-        int bits = m_bits(m_and(proj_alive(&o), proj_finite(g, i)));
-        vf inv = v_set(1.0f) / o.yy;
-        v_store(f[F_U], v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx)));
-        v_store(f[F_V], v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy)));
-        v_store(f[F_ACROSS], v_set(0.5f) * o.yy / o.det);
-        v_store(f[F_SHEAR], o.xy * inv);
-        v_store(f[F_ALONG], v_set(0.5f) * inv);
-        v_store(f[F_O], o.opacity);
-        v_store(f[F_Z], o.p[2]);
-        v_store(f[F_XX], o.xx);
-        v_store(f[F_YY], o.yy);
-        vf half = v_set(0.5f) * (o.xx - o.yy);
-        vf root = v_sqrt(v_max(half * half + o.xy * o.xy, v_set(0.01f)));
-        vf r = v_sqrt(v_set(0.5f) * (o.xx + o.yy) + root) * v_set(3.0f);
-        v_store(f[F_RADIUS], v_set(0.0f) - v_floor(v_set(0.0f) - r));
-        vf basis[SH_COEFS_MAX], dir[3], len;
-        if (g->degree > 0)
-            proj_dir(&o, v, dir, &len);
-        else
-            dir[0] = dir[1] = dir[2] = v_set(0.0f);
-        sh_basis(g->degree, dir, basis);
-        for (int c = 0; c < 3; c++)
-            v_store(f[F_R + c], v_exp(v_clamp(proj_colour(g, i, c, basis), -RASTER_LOG_MAX, RASTER_LOG_MAX)));
-        for (int l = 0; l < LANES && i + l < first + count; l++)
-            record_store(&out[i + l], f, l, bits >> l & 1, v);
+        int alive = project_lanes(g, v, i, f);
+        for (int l = 0; l < LANES && i + l < first + count; l++) {
+            struct splat2d *s = &out[i + l];
+            s->x0 = 0;
+            s->x1 = -1;
+            if (!(alive >> l & 1))
+                continue;
+            int x0 = (int)f[F_X0][l], x1 = (int)f[F_X1][l], y0 = (int)f[F_Y0][l], y1 = (int)f[F_Y1][l];
+            *s = (struct splat2d){.u = f[F_U][l], .v = f[F_V][l], .across = f[F_ACROSS][l], .shear = f[F_SHEAR][l],
+                                  .along = f[F_ALONG][l], .top = f[F_TOP][l],
+                                  .rgb = {f[F_R][l], f[F_G][l], f[F_BL][l]}, .z = f[F_Z][l],
+                                  .x0 = (int16_t)x0, .x1 = (int16_t)x1, .y0 = (int16_t)y0, .y1 = (int16_t)y1,
+                                  .tx0 = (uint8_t)(x0 / TILE), .tx1 = (uint8_t)(x1 / TILE + 1),
+                                  .ty0 = (uint8_t)(y0 / TILE), .ty1 = (uint8_t)(y1 / TILE + 1)};
+        }
     }
 }
 
@@ -487,60 +495,72 @@ static void project_grad(const struct gaussians *g, const struct view_geom *v, i
     }
 }
 
-/* Tile-local maps: TILE rows of TILE pixels. A pixel whose transmittance is negative is finished. */
+/* Tile-local maps: TILE rows of TILE pixels. A pixel whose transmittance is negative is full. */
 struct tile_state {
-    float t[TILE * TILE], rgbz[4][TILE * TILE], last[TILE * TILE];
+    float t[TILE * TILE], rgbz[4][TILE * TILE], stop[TILE * TILE];
 };
 
-struct span {
-    int y0, y1, v0, v1; // rows and vectors of the tile that a splat can touch, inclusive
+/* A splat as the row loops read it. */
+struct pen {
+    float u, v, shear, along, top;
+    vf across, rgb[3], z;
+    int y0, y1, v0, v1; // rows and vectors of the tile that it can touch, inclusive
 };
 
-MAP struct span splat_span(const struct splat2d *s, int x0, int y0)
+MAP struct pen pen_of(const struct splat2d *s, const struct tile *t)
 {
-    int a = s->x0 - x0, b = s->x1 - x0, c = s->y0 - y0, d = s->y1 - y0;
-    return (struct span){c < 0 ? 0 : c, d > TILE - 1 ? TILE - 1 : d, a < 0 ? 0 : a / LANES,
-                         b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
+    int a = s->x0 - t->x0, b = s->x1 - t->x0, c = s->y0 - t->y0, d = s->y1 - t->y0;
+    return (struct pen){.u = s->u - ((float)t->x0 + 0.5f), .v = s->v - ((float)t->y0 + 0.5f), .shear = s->shear,
+                        .along = s->along, .top = s->top, .across = v_set(s->across),
+                        .rgb = {v_set(s->rgb[0]), v_set(s->rgb[1]), v_set(s->rgb[2])}, .z = v_set(s->z),
+                        .y0 = c < 0 ? 0 : c, .y1 = d > TILE - 1 ? TILE - 1 : d, .v0 = a < 0 ? 0 : a / LANES,
+                        .v1 = b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
 }
 
 static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
-/* The exponent of one vector of pixels as a sum of two squares: never negative, no cancellation for needles. */
-MAP vf splat_sigma(const struct splat2d *s, vf dx, float dy)
+/* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for needles. */
+MAP vf pen_log2(const struct pen *p, vf dx, float dy)
 {
-    vf d = dx - v_set(s->shear * dy);
-    return v_fma(v_set(s->across) * d, d, v_set(s->along * dy * dy));
+    vf d = dx - v_set(p->shear * dy);
+    return v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy));
 }
 
-MAP int tile_row(const struct splat2d *s, vf dx, float dy, struct tile_state *st, int at, float place)
+MAP int tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int at, float place, int depth)
 {
-    vf sigma = splat_sigma(s, dx, dy), t = v_load(st->t + at);
-    vm hit = m_and(v_le(sigma, v_set(s->cut)), v_lt(v_set(0.0f), t));
+    vf log_alpha = pen_log2(p, dx, dy), t = v_load(st->t + at);
+    vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(v_set(0.0f), t));
     if (!m_any(hit))
         return 0;
-    vf alpha = v_min(v_set(s->opacity) * v_exp(v_set(0.0f) - sigma), v_set(RASTER_ALPHA_MAX));
-    vf next = t - t * alpha;
+    vf alpha = v_min(v_exp2(log_alpha), v_set(RASTER_ALPHA_MAX));
+    vf next = v_fnma(t, alpha, t);
     vm stop = m_and(hit, v_le(next, v_set(RASTER_STOP)));
-    hit = m_andnot(hit, stop);
+    int stopped = m_any(stop);
+    if (stopped) {
+        hit = m_andnot(hit, stop);
+        v_store(st->stop + at, v_sel(stop, v_set(place), v_load(st->stop + at)));
+    }
     vf w = v_sel(hit, alpha * t, v_set(0.0f));
     for (int c = 0; c < 3; c++)
-        v_store(st->rgbz[c] + at, v_fma(w, v_set(s->rgb[c]), v_load(st->rgbz[c] + at)));
-    v_store(st->rgbz[3] + at, v_fma(w, v_set(s->z), v_load(st->rgbz[3] + at)));
-    v_store(st->last + at, v_sel(hit, v_set(place), v_load(st->last + at)));
-    v_store(st->t + at, v_sel(hit, next, v_sel(stop, v_set(0.0f) - t, t)));
-    return m_any(stop);
+        v_store(st->rgbz[c] + at, v_fma(w, p->rgb[c], v_load(st->rgbz[c] + at)));
+    if (depth)
+        v_store(st->rgbz[3] + at, v_fma(w, p->z, v_load(st->rgbz[3] + at)));
+    t = v_sel(hit, next, t);
+    v_store(st->t + at, stopped ? v_sel(stop, v_set(0.0f) - t, t) : t);
+    return stopped;
 }
 
 static void tile_start(const struct tile *t, struct tile_state *st)
 {
     memset(st->rgbz, 0, sizeof st->rgbz);
-    memset(st->last, 0, sizeof st->last);
     for (int y = 0; y < TILE; y++)
-        for (int x = 0; x < TILE; x++)
+        for (int x = 0; x < TILE; x++) {
+            st->stop[y * TILE + x] = (float)t->n;
             st->t[y * TILE + x] = t->x0 + x < t->w && t->y0 + y < t->h ? 1.0f : -1.0f;
+        }
 }
 
-static int row_finished(const struct tile_state *st, int y)
+static int row_full(const struct tile_state *st, int y)
 {
     for (int x = 0; x < TILE; x++)
         if (st->t[y * TILE + x] > 0)
@@ -559,45 +579,51 @@ static void tile_finish(const struct tile *t, const struct tile_state *st)
             float trans = fabsf(st->t[at]);
             for (int c = 0; c < 3; c++)
                 t->radiance[(size_t)c * plane + o] = st->rgbz[c][at] + trans * t->background[c];
-            t->depth[o] = st->rgbz[3][at];
+            if (t->depth)
+                t->depth[o] = st->rgbz[3][at];
             t->alpha[o] = 1.0f - trans;
             t->trans[o] = trans;
-            t->last[o] = (int32_t)st->last[at];
+            t->stop[o] = (int32_t)st->stop[at];
         }
 }
 
-static void tile(const struct tile *t)
+MAP void tile_with(const struct tile *t, int depth)
 {
     struct tile_state st;
-    unsigned finished = 0;
+    unsigned full = 0;
     tile_start(t, &st);
     for (int y = 0; y < TILE; y++)
-        finished |= (unsigned)row_finished(&st, y) << y;
-    for (int i = 0; i < t->n && finished != 0xffff; i++) {
-        const struct splat2d *s = &t->splats[t->list[i]];
+        full |= (unsigned)row_full(&st, y) << y;
+    for (int i = 0; i < t->n && full != 0xffff; i++) {
         if (i + 8 < t->n)
             __builtin_prefetch(&t->splats[t->list[i + 8]]);
-        struct span sp = splat_span(s, t->x0, t->y0);
-        for (int y = sp.y0; y <= sp.y1; y++) {
-            if (finished >> y & 1)
+        struct pen p = pen_of(&t->splats[t->list[i]], t);
+        for (int y = p.y0; y <= p.y1; y++) {
+            if (full >> y & 1)
                 continue;
-            float dy = s->v - ((float)(t->y0 + y) + 0.5f);
             int stopped = 0;
-            for (int k = sp.v0; k <= sp.v1; k++) {
-                vf px = v_load(lane_index + k * LANES) + v_set((float)t->x0 + 0.5f);
-                stopped |= tile_row(s, v_set(s->u) - px, dy, &st, y * TILE + k * LANES, (float)(i + 1));
-            }
+            for (int k = p.v0; k <= p.v1; k++)
+                stopped |= tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
+                                    y * TILE + k * LANES, (float)i, depth);
             if (stopped)
-                finished |= (unsigned)row_finished(&st, y) << y;
+                full |= (unsigned)row_full(&st, y) << y;
         }
     }
     tile_finish(t, &st);
 }
 
+static void tile(const struct tile *t)
+{
+    if (t->depth)
+        tile_with(t, 1);
+    else
+        tile_with(t, 0);
+}
+
 /* Backward state per pixel. rest = (what later splats and the background add to dL/dT) so far. */
 struct grad_state {
-    float t[TILE * TILE], last[TILE * TILE], rest[TILE * TILE], d[4][TILE * TILE];
-    int top; // highest `last` of the tile
+    float t[TILE * TILE], stop[TILE * TILE], rest[TILE * TILE], d[4][TILE * TILE];
+    int top; // highest `stop` of the tile
 };
 
 static void grad_start(const struct tile *t, struct grad_state *st)
@@ -616,50 +642,44 @@ static void grad_start(const struct tile *t, struct grad_state *st)
             }
             st->d[3][at] = t->d_depth ? t->d_depth[o] : 0.0f;
             st->t[at] = t->trans[o];
-            st->last[at] = (float)t->last[o];
+            st->stop[at] = (float)t->stop[o];
             st->rest[at] = t->trans[o] * (back - (t->d_alpha ? t->d_alpha[o] : 0.0f));
-            st->top = t->last[o] > st->top ? t->last[o] : st->top;
+            st->top = t->stop[o] > st->top ? t->stop[o] : st->top;
         }
 }
 
-struct grad_acc {
-    vf v[GRAD2D];
-};
-
-MAP void grad_row(const struct splat2d *s, vf dx, float dy, struct grad_state *st, int at, float place,
-                  struct grad_acc *acc)
+MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, int at, vf place, int depth, vf *acc)
 {
-    vf sigma = splat_sigma(s, dx, dy), zero = v_set(0.0f);
-    vm hit = m_and(v_le(sigma, v_set(s->cut)), v_le(v_set(place), v_load(st->last + at)));
+    vf log_alpha = pen_log2(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
+    vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(place, v_load(st->stop + at)));
     if (!m_any(hit))
         return;
-    vf raw = v_set(s->opacity) * v_exp(zero - sigma);
+    vf raw = v_exp2(log_alpha);
     vf alpha = v_sel(hit, v_min(raw, v_set(RASTER_ALPHA_MAX)), zero);
-    vf inv = v_set(1.0f) / (v_set(1.0f) - alpha);
+    vf inv = v_recip(one - alpha);
     vf t = v_load(st->t + at) * inv;
-    vf f = alpha * t;
-    vf dot = v_set(s->z) * v_load(st->d[3] + at);
-    acc->v[9] = v_fma(f, v_load(st->d[3] + at), acc->v[9]);
-    for (int c = 0; c < 3; c++) {
+    vf f = alpha * t, dot = zero;
+    for (int c = 0; c < (depth ? 4 : 3); c++) {
         vf d = v_load(st->d[c] + at);
-        dot = v_fma(v_set(s->rgb[c]), d, dot);
-        acc->v[6 + c] = v_fma(f, d, acc->v[6 + c]);
+        dot = v_fma(c < 3 ? p->rgb[c] : p->z, d, dot);
+        acc[6 + c] = v_fma(f, d, acc[6 + c]);
     }
     vf rest = v_load(st->rest + at);
-    vf d_alpha = v_sel(hit, t * dot - rest * inv, zero);
+    vf d_alpha = v_fnma(rest, inv, t * dot);
     v_store(st->rest + at, v_fma(f, dot, rest));
     v_store(st->t + at, t);
-    vf d_sigma = v_sel(v_le(raw, v_set(RASTER_ALPHA_MAX)), zero - raw * d_alpha, zero);
+    vm free = m_and(hit, v_le(raw, v_set(RASTER_ALPHA_MAX)));
+    vf d_sigma = v_sel(free, zero - raw * d_alpha, zero);
     vf x = d_sigma * dx, y = d_sigma * v_set(dy);
-    acc->v[0] = acc->v[0] + x;
-    acc->v[1] = acc->v[1] + y;
-    acc->v[2] = v_fma(x, dx, acc->v[2]);
-    acc->v[3] = v_fma(y, dx, acc->v[3]);
-    acc->v[4] = v_fma(y, v_set(dy), acc->v[4]);
-    acc->v[5] = acc->v[5] + d_sigma;
+    acc[0] = acc[0] + x;
+    acc[1] = acc[1] + y;
+    acc[2] = v_fma(x, dx, acc[2]);
+    acc[3] = v_fma(y, dx, acc[3]);
+    acc[4] = v_fma(y, v_set(dy), acc[4]);
+    acc[5] = acc[5] + d_sigma;
 }
 
-static void tile_grad(const struct tile *t)
+MAP void tile_grad_with(const struct tile *t, int depth)
 {
     struct grad_state st;
     grad_start(t, &st);
@@ -673,22 +693,27 @@ static void tile_grad(const struct tile *t)
         }
         if (i >= 8)
             __builtin_prefetch(&t->splats[t->list[i - 8]]);
-        struct grad_acc acc;
+        vf acc[GRAD2D], place = v_set((float)i);
         for (int k = 0; k < GRAD2D; k++)
-            acc.v[k] = v_set(0.0f);
-        struct span sp = splat_span(s, t->x0, t->y0);
-        for (int y = sp.y0; y <= sp.y1; y++) {
-            float dy = s->v - ((float)(t->y0 + y) + 0.5f);
-            for (int k = sp.v0; k <= sp.v1; k++) {
-                vf px = v_load(lane_index + k * LANES) + v_set((float)t->x0 + 0.5f);
-                grad_row(s, v_set(s->u) - px, dy, &st, y * TILE + k * LANES, (float)(i + 1), &acc);
-            }
-        }
+            acc[k] = v_set(0.0f);
+        struct pen p = pen_of(s, t);
+        for (int y = p.y0; y <= p.y1; y++)
+            for (int k = p.v0; k <= p.v1; k++)
+                grad_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st, y * TILE + k * LANES,
+                         place, depth, acc);
         for (int k = 0; k < GRAD2D; k++)
-            slot[k] = v_sum(acc.v[k]);
+            slot[k] = v_sum(acc[k]);
         for (int k = GRAD2D; k < SLOT; k++)
             slot[k] = 0;
     }
+}
+
+static void tile_grad(const struct tile *t)
+{
+    if (t->d_depth)
+        tile_grad_with(t, 1);
+    else
+        tile_grad_with(t, 0);
 }
 
 static void adam(const struct adam_step *s, int n, const float *seen, const float *grad, float *param, float *m1,

@@ -36,7 +36,7 @@ static size_t scratch_of(int w)
 size_t loss_plan(int w, int h, int workers)
 {
     size_t px = (size_t)w * (size_t)h, s = stride_of(w);
-    const size_t need[][2] = {{3 * px, 4}, {3 * px, 4}, {3 * px, 1}, {9 * ((size_t)h + EDGE) * s, 4},
+    const size_t need[][2] = {{3 * px, 4}, {3 * px, 4}, {3 * px, 4}, {3 * px, 1}, {9 * ((size_t)h + EDGE) * s, 4},
                               {scratch_of(w) * (size_t)workers, 4}, {(size_t)chunks_of(h) * P_ALL, 8},
                               {3 * px, 4}, {px, 4}};
     size_t total = 0;
@@ -62,6 +62,7 @@ err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
     l->scratch_floats = scratch_of(w);
     err_t e = arena_alloc(a, 3 * px, 4, &l->ldr);
     e = e ? e : arena_alloc(a, 3 * px, 4, &l->x);
+    e = e ? e : arena_alloc(a, 3 * px, 4, &l->slope);
     e = e ? e : arena_alloc(a, 3 * px, 1, &l->segment);
     e = e ? e : arena_alloc(a, 9 * ((size_t)h + EDGE) * s, 4, &l->maps);
     e = e ? e : arena_alloc(a, l->scratch_floats * (size_t)workers, 4, &l->scratch);
@@ -79,21 +80,24 @@ struct job {
     size_t px;
 };
 
+static struct tone_row tone_row_of(const struct job *j, int colour, int y)
+{
+    size_t row = (size_t)y * (size_t)j->w, at = (size_t)colour * j->px + row;
+    return (struct tone_row){.curve = &j->table.c[colour], .radiance = j->in->pic->radiance + at,
+                             .alpha = j->in->pic->alpha + row, .shift = j->in->shift,
+                             .behind = j->in->behind[colour], .x = j->l->x + at, .slope = j->l->slope + at,
+                             .ldr = j->l->ldr + at, .segment = j->l->segment + at, .n = j->w};
+}
+
 static err_t tone_chunk(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
-    struct loss *l = j->l;
     (void)worker;
     int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
     for (int y = chunk * ROWS; y < end; y++)
-        for (size_t c = 0; c < 3; c++) {
-            size_t at = c * j->px + (size_t)y * (size_t)j->w;
-            j->r->k->tone_row(&j->table.c[c], j->in->pic->radiance + at, j->in->shift, j->w, l->x + at, l->ldr + at,
-                              l->segment + at);
-            const float *alpha = j->in->pic->alpha + (size_t)y * (size_t)j->w;
-            float behind = j->in->behind[c];
-            for (int x = 0; x < j->w && behind != 0.0f; x++)
-                l->ldr[at + (size_t)x] += behind * (1.0f - alpha[x]);
+        for (int c = 0; c < 3; c++) {
+            struct tone_row row = tone_row_of(j, c, y);
+            j->r->k->tone_row(&row);
         }
     return OK;
 }
@@ -104,25 +108,6 @@ static float *map_row(const struct job *j, int colour, int k, int row)
     return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
 }
 
-/* The five products of one row, blurred along it, into ring place `to`: (MEANS, stride). */
-static void blur_products(const struct job *j, int colour, int y, float *line, float *to)
-{
-    const float *x = j->l->ldr + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
-    const uint8_t *photo = j->in->photo + ((size_t)y * (size_t)j->w) * 3 + colour;
-    size_t s = (size_t)j->l->stride;
-    float *yv = line, *product = line + s;
-    for (int i = 0; i < j->w; i++)
-        yv[i] = (float)photo[3 * i] * (1.0f / 255.0f);
-    j->r->k->blur_row(j->l->taps, x, j->w, to);
-    j->r->k->blur_row(j->l->taps, yv, j->w, to + s);
-    for (int k = 2; k < MEANS; k++) {
-        const float *a = k == 3 ? yv : x, *b = k == 2 ? x : yv;
-        for (int i = 0; i < j->w; i++)
-            product[i] = a[i] * b[i];
-        j->r->k->blur_row(j->l->taps, product, j->w, to + (size_t)k * s);
-    }
-}
-
 static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch, double *sum)
 {
     size_t s = (size_t)j->l->stride;
@@ -130,7 +115,9 @@ static void ssim_rows(const struct job *j, int colour, int row0, int row1, float
     float *ring = scratch, *means = scratch + s * MEANS * LOSS_WINDOW, *line = means + s * MEANS;
     float *d = line + 2 * s;
     for (int y = row0; y < row1 + EDGE; y++) {
-        blur_products(j, colour, y, line, ring + (size_t)(y % LOSS_WINDOW) * MEANS * s);
+        size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+        j->r->k->moments_row(j->l->taps, j->l->ldr + at, j->in->photo + at, j->w, s, line,
+                             ring + (size_t)(y % LOSS_WINDOW) * MEANS * s);
         int row = y - EDGE;
         if (row < row0)
             continue;
@@ -162,60 +149,57 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-/* d loss / d display of one row and colour: SSIM through the blurred maps, then L1 and the held-out squares. */
+static void hold_out(const struct job *j, int colour, int y, double *p)
+{
+    const struct loss_input *in = j->in;
+    int px = in->held_px, squares = (j->w + px - 1) / px;
+    const uint8_t *held = in->held + (size_t)(y / px) * (size_t)squares;
+    size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    for (int s = 0; s < squares; s++) {
+        int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
+        for (int i = s * px; i < end && held[s]; i++) {
+            double diff = (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
+            p[P_SSE] += diff * diff;
+            p[P_HELD] += 1;
+            j->l->d_radiance[at + (size_t)i] = 0;
+        }
+    }
+}
+
+/* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */
 static void display_grad(const struct job *j, int colour, int y, float *line, double *p)
 {
     const struct loss_input *in = j->in;
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
-    const float *x = j->l->ldr + at;
-    const uint8_t *photo = in->photo + (size_t)y * (size_t)j->w * 3 + colour;
-    const uint8_t *held = in->held ? in->held + (size_t)(y / in->held_px) *
-                                                    (size_t)((j->w + in->held_px - 1) / in->held_px)
-                                   : NULL;
-    float *d = j->l->d_radiance + at, *g[3] = {line, line + s, line + 2 * s}, *mixed = line + 3 * s;
-    float l1 = in->w_l1 / (float)(3 * j->px), ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE));
+    float *mixed = line + 3 * s;
     for (int k = 0; k < 3; k++) {
         const float *rows[LOSS_WINDOW];
         for (int i = 0; i < LOSS_WINDOW; i++)
             rows[i] = map_row(j, colour, k, y + i);
         j->r->k->blur_col(j->l->taps, rows, j->w + EDGE, mixed);
-        j->r->k->blur_row(j->l->taps, mixed, j->w + EDGE, g[k]);
+        j->r->k->blur_row(j->l->taps, mixed, j->w + EDGE, line + (size_t)k * s);
     }
-    double sum = 0;
-    for (int i = 0; i < j->w; i++) {
-        float target = (float)photo[3 * i] * (1.0f / 255.0f), diff = x[i] - target;
-        float sign = diff > 0 ? l1 : diff < 0 ? -l1 : 0.0f;
-        sum += (double)fabsf(diff);
-        d[i] = sign + ssim * (g[0][i] + 2.0f * x[i] * g[1][i] + target * g[2][i]);
-    }
-    p[P_L1] += sum;
-    for (int i = 0; i < j->w && held; i++) {
-        if (!held[i / in->held_px])
-            continue;
-        double diff = (double)x[i] - (double)photo[3 * i] / 255.0;
-        p[P_SSE] += diff * diff;
-        p[P_HELD] += 1;
-        d[i] = 0;
-    }
+    struct display_row row = {.x = j->l->ldr + at, .g = line, .photo = in->photo + at, .stride = s,
+                              .l1 = in->w_l1 / (float)(3 * j->px),
+                              .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)), .n = j->w};
+    p[P_L1] += j->r->k->display_row(&row, j->l->d_radiance + at);
+    if (in->held)
+        hold_out(j, colour, y, p);
 }
 
 /* From d loss / d display to radiance, alpha and the segments of the curve. */
-static void tone_grad(const struct job *j, int colour, int y, double *p)
+static void tone_grad(const struct job *j, int colour, int y, float *line, double *p)
 {
-    size_t row = (size_t)y * (size_t)j->w, at = (size_t)colour * j->px + row;
-    const struct tonemap_curve *c = &j->table.c[colour];
-    const float *radiance = j->in->pic->radiance + at, *alpha = j->in->pic->alpha + row;
-    const float *x = j->l->x + at, *ldr = j->l->ldr + at;
-    const uint8_t *segment = j->l->segment + at;
-    float *d = j->l->d_radiance + at, *d_alpha = j->l->d_alpha + row, behind = j->in->behind[colour];
+    struct tone_row row = tone_row_of(j, colour, y);
+    float *d = j->l->d_radiance + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    float *d_alpha = j->l->d_alpha + (size_t)y * (size_t)j->w;
+    if (colour == 0)
+        memset(d_alpha, 0, (size_t)j->w * sizeof *d_alpha);
+    j->r->k->tone_row_grad(&row, d, line, d_alpha);
     double *g0 = p + P_G0 + colour * SEGMENTS, *g1 = p + P_G1 + colour * SEGMENTS;
     for (int i = 0; i < j->w; i++) {
-        d_alpha[i] = (colour ? d_alpha[i] : 0.0f) - behind * d[i];
-        float v = ldr[i] - behind * (1.0f - alpha[i]);
-        float g = d[i] * v * (1.0f - v);
-        g0[segment[i]] += (double)g;
-        g1[segment[i]] += (double)(g * x[i]);
-        d[i] = g * c->a[segment[i]] * 1.44269504f / (fminf(radiance[i], 1e36f) + TONEMAP_FLOOR);
+        g0[row.segment[i]] += (double)line[i];
+        g1[row.segment[i]] += (double)(line[i] * row.x[i]);
     }
 }
 
@@ -229,8 +213,9 @@ static err_t grad_chunk(void *ctx, int chunk, int worker)
     int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
     for (int y = chunk * ROWS; y < end; y++)
         for (int c = 0; c < 3; c++) {
-            display_grad(j, c, y, l->scratch + l->scratch_floats * (size_t)worker, p);
-            tone_grad(j, c, y, p);
+            float *line = l->scratch + l->scratch_floats * (size_t)worker;
+            display_grad(j, c, y, line, p);
+            tone_grad(j, c, y, line, p);
         }
     return OK;
 }

@@ -16,7 +16,7 @@ enum { LOSS_WINDOW = 11 };
 struct loss {
     int w, h, stride;       // stride of the derivative maps, w + 10 rounded up
     float taps[LOSS_WINDOW];
-    float *ldr, *x;         // (3, h, w)
+    float *ldr, *x, *slope; // (3, h, w)
     uint8_t *segment;       // (3, h, w)
     float *maps;            // (3 colours, 3, h + 10, stride), zero border of 10
     float *scratch;         // per worker
@@ -30,7 +30,7 @@ struct loss_input {
     const struct render *pic;
     const struct tonemap *tone;
     float shift;            // log2 t - mid_log2t
-    const uint8_t *photo;   // (h, w, 3)
+    const uint8_t *photo;   // (3, h, w)
     float behind[3];        // display value added times (1 - alpha)
     float w_l1, w_ssim;
     const uint8_t *held;    // (ceil(h / held_px), ceil(w / held_px)) 1 = held out; NULL = nothing

@@ -40,7 +40,7 @@ struct refine {
     struct raster raster;
     struct loss loss;
     struct render pic;
-    uint8_t *half;         // (n, size/2, size/2, 3) photographs at half size
+    uint8_t *full, *half;  // (n, 3, size, size) photographs, and at half size
     uint8_t *held;         // (n, squares, squares)
     int squares;
     double *view_sse;      // (n) held-out squared error at the last visit
@@ -73,9 +73,8 @@ static float uniform(struct refine *f)
 static size_t small_need(int n, int size)
 {
     size_t v = (size_t)n, h = (size_t)size / 2, q = ((size_t)size + HELD_PX - 1) / HELD_PX;
-    const size_t need[][2] = {{v * h * h * 3, 1}, {v * q * q, 1}, {v, 8}, {v, 8}, {v, 4}, {v, 4}, {v * 12, 4}, {v, 4},
-                              {3 * (size_t)size * (size_t)size, 4}, {(size_t)size * (size_t)size, 4},
-                              {(size_t)size * (size_t)size, 4}};
+    const size_t need[][2] = {{v * h * h * 3, 1}, {v * (size_t)size * (size_t)size * 3, 1}, {v * q * q, 1}, {v, 8}, {v, 8}, {v, 4}, {v, 4}, {v * 12, 4}, {v, 4},
+                              {3 * (size_t)size * (size_t)size, 4}, {(size_t)size * (size_t)size, 4}};
     size_t total = 0;
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
         total = arena_add(total, arena_need(need[i][0], need[i][1]));
@@ -95,6 +94,7 @@ static err_t alloc_all(struct refine *f)
     struct arena *a = f->r->tmp;
     size_t n = (size_t)f->v->n, size = (size_t)f->v->size, q = (size_t)f->squares, px = size * size;
     err_t e = arena_alloc(a, n * (size / 2) * (size / 2) * 3, 1, &f->half);
+    e = e ? e : arena_alloc(a, n * px * 3, 1, &f->full);
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_sse);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_n);
@@ -103,26 +103,28 @@ static err_t alloc_all(struct refine *f)
     e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
     e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
     e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
-    e = e ? e : arena_alloc(a, px, 4, &f->pic.depth);
     e = e ? e : arena_alloc(a, px, 4, &f->pic.alpha);
     e = e ? e : raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
     e = e ? e : loss_init(&f->loss, a, f->v->size, f->v->size, pool_size(f->r->pool));
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
-static err_t halve_chunk(void *ctx, int i, int worker)
+/* Photographs of one view as planes, and at half size. */
+static err_t planes_chunk(void *ctx, int i, int worker)
 {
     struct refine *f = ctx;
     (void)worker;
     size_t s = (size_t)f->v->size, h = s / 2;
     const uint8_t *in = f->v->rgb + (size_t)i * s * s * 3;
-    uint8_t *out = f->half + (size_t)i * h * h * 3;
-    for (size_t y = 0; y < h; y++)
-        for (size_t x = 0; x < h; x++)
-            for (size_t c = 0; c < 3; c++) {
-                const uint8_t *p = in + (2 * y * s + 2 * x) * 3 + c;
-                out[(y * h + x) * 3 + c] = (uint8_t)((p[0] + p[3] + p[3 * s] + p[3 * s + 3] + 2) / 4);
-            }
+    uint8_t *full = f->full + (size_t)i * s * s * 3, *half = f->half + (size_t)i * h * h * 3;
+    for (size_t c = 0; c < 3; c++) {
+        for (size_t at = 0; at < s * s; at++)
+            full[c * s * s + at] = in[at * 3 + c];
+        for (size_t at = 0; at < h * h; at++) {
+            const uint8_t *p = in + (2 * (at / h) * s + 2 * (at % h)) * 3 + c;
+            half[c * h * h + at] = (uint8_t)((p[0] + p[3] + p[3 * s] + p[3 * s + 3] + 2) / 4);
+        }
+    }
     return OK;
 }
 
@@ -220,7 +222,7 @@ static err_t look(struct refine *f, int i, int scale, const struct camera *cam, 
     if (e)
         return e;
     struct loss_input li = {.pic = &f->pic, .tone = &f->s->tone, .shift = f->s->log2t[i] - f->s->tone.mid_log2t,
-                            .photo = (scale == 1 ? f->v->rgb : f->half) + (size_t)i * side * side * 3,
+                            .photo = (scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
                             .w_l1 = 0.8f, .w_ssim = 0.2f,
                             .held = f->held + (size_t)i * (size_t)f->squares * (size_t)f->squares,
                             .held_px = HELD_PX / scale};
@@ -311,7 +313,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
     struct refine f = {.r = r, .v = v, .cfg = cfg, .s = io, .rep = out, .rng = cfg->seed, .steps = cfg->steps};
     f.squares = (v->size + HELD_PX - 1) / HELD_PX;
     err_t e = alloc_all(&f);
-    e = e ? e : pool_for(r->pool, v->n, halve_chunk, &f);
+    e = e ? e : pool_for(r->pool, v->n, planes_chunk, &f);
     if (!e) {
         choose_held(&f);
         f.extent = scene_extent(io);

@@ -72,7 +72,7 @@ static err_t alloc_forward(struct raster *rs, struct arena *a)
     e = e ? e : arena_alloc(a, rs->cap_places, 4, &rs->list);
     e = e ? e : arena_alloc(a, tiles, sizeof *rs->groups, &rs->groups);
     e = e ? e : arena_alloc(a, px, 4, &rs->trans);
-    return e ? e : arena_alloc(a, px, 4, &rs->last);
+    return e ? e : arena_alloc(a, px, 4, &rs->stop);
 }
 
 err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, bool gradients)
@@ -323,7 +323,7 @@ struct tile raster_tile(const struct raster *rs, const struct raster_input *in, 
     int nx = g->x1 - g->x0;
     struct tile t = {.splats = rs->splats, .list = rs->list + rs->start[k], .n = (int)(rs->start[k + 1] - rs->start[k]),
                      .x0 = (g->x0 + k % nx) * TILE, .y0 = (g->y0 + k / nx) * TILE, .w = rs->view.w, .h = rs->view.h,
-                     .trans = rs->trans, .last = rs->last, .slots = rs->slots,
+                     .trans = rs->trans, .stop = rs->stop, .slots = rs->slots,
                      .gx0 = g->x0, .gx1 = g->x1, .gy0 = g->y0};
     memcpy(t.background, in->background, sizeof t.background);
     return t;

@@ -21,7 +21,7 @@ enum {
 struct render {
     int w, h;
     float *radiance; // (3, h, w) linear, with background
-    float *depth;    // (h, w) sum of z alpha T, not divided by alpha
+    float *depth;    // (h, w) sum of z alpha T, not divided by alpha; NULL = not wanted
     float *alpha;    // (h, w) 0..1
 };
 
@@ -53,7 +53,7 @@ struct raster {
     int n_seen;
     struct view_geom view;
     float *trans;              // (h, w)
-    int32_t *last;             // (h, w)
+    int32_t *stop;             // (h, w)
     float *slots;              // (cap_places, SLOT); NULL without gradients
     float *sums;               // (cap, SLOT)
     float *partial;            // pose gradients per chunk

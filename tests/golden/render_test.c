@@ -133,8 +133,9 @@ static void test_projection(void **state)
             continue;
         drawn++;
         assert_true(radii[i] > 0 && opacity[i] > 1 / 255.f);
-        const double a = 2 * (double)s->across, b = -a * (double)s->shear;
-        const double c = 2 * (double)s->along - b * (double)s->shear;
+        const double ln2 = 0.6931471805599453; // the record holds log2 alpha
+        const double a = 2 * ln2 * (double)s->across, b = -a * (double)s->shear;
+        const double c = 2 * ln2 * (double)s->along - b * (double)s->shear;
         const double got[] = {(double)s->u, (double)s->v, a, b, c, log((double)s->rgb[0]), log((double)s->rgb[2])};
         const float want[] = {uv[2 * i], uv[2 * i + 1], conic[3 * i], conic[3 * i + 1], conic[3 * i + 2],
                               log_rad[3 * i], log_rad[3 * i + 2]};

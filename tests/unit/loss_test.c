@@ -54,7 +54,7 @@ static double ref_of(const double *d)
     for (int k = 0; k < 11; k++)
         norm += taps[k] = exp(-(k - 5) * (k - 5) / 4.5);
     for (int i = 0; i < 3 * PX; i++)
-        l1 += fabs(d[i] - photo[i % PX * 3 + i / PX] / 255.0);
+        l1 += fabs(d[i] - photo[i] / 255.0);
     for (int c = 0; c < 3; c++)
         for (int y = 0; y < H - 10; y++)
             for (int x = 0; x < W - 10; x++) {
@@ -62,7 +62,7 @@ static double ref_of(const double *d)
                 for (int j = 0; j < 121; j++) {
                     int at = (y + j / 11) * W + x + j % 11;
                     double w = taps[j / 11] * taps[j % 11] / norm / norm;
-                    double a = d[c * PX + at], b = photo[at * 3 + c] / 255.0;
+                    double a = d[c * PX + at], b = photo[c * PX + at] / 255.0;
                     m[0] += w * a, m[1] += w * b, m[2] += w * a * a, m[3] += w * b * b, m[4] += w * a * b;
                 }
                 double vx = m[2] - m[0] * m[0], vy = m[3] - m[1] * m[1], cxy = m[4] - m[0] * m[1];
@@ -171,7 +171,7 @@ static void test_held_out(void **state)
     long n = 0;
     for (int i = 0; i < 3 * PX; i++)
         if (is_held(i % PX % W, i % PX / W)) {
-            sse += pow(frozen[i] - photo[i % PX * 3 + i / PX] / 255.0, 2);
+            sse += pow(frozen[i] - photo[i] / 255.0, 2);
             n++;
             assert_float_equal(work.d_radiance[i], 0, 0);
         }
