@@ -23,10 +23,13 @@ struct cmd_option {
 };
 
 /* Options that set a key and mean the same everywhere. */
-#define CMD_KEY(name, arg, key, help) {name, arg, help, key, NULL, NULL}
+#define CMD_KEY(name, arg, key, help)                                                              \
+    {                                                                                              \
+        name, arg, help, key, NULL, NULL                                                           \
+    }
 #define CMD_THREADS CMD_KEY("threads", "N", "threads", "worker threads, 0 = one per core")
 #define CMD_MEMORY CMD_KEY("max-memory", "MB", "max_memory_mb", "refuse jobs that need more")
-#define CMD_SIZE CMD_KEY("size", "N", "size", "edge of the working pictures, px, 14 k")
+#define CMD_SIZE CMD_KEY("size", "N", "size", "working size, px, a multiple of 14")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
 #define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
 #define CMD_DEGREE CMD_KEY("degree-max", "D", "refine.sh_degree_max", "highest SH degree, 0..4")

@@ -35,7 +35,7 @@ struct figure {
     const char *kernels;
     int threads, gaussians;
     double forward_s, backward_s, step_s;
-    double pairs;        // pixels x splats of their lists, up to the last that counts
+    double pairs;        // pixels x splats of their lists, until a pixel is full
     double limit, share; // flop/s, of it in forward and backward together
 };
 
@@ -182,7 +182,7 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     f->gaussians = st->g.n;
     err_t e = measure(st, forward, &f->forward_s);
     for (int i = 0; i < st->pic.w * st->pic.h; i++)
-        f->pairs += st->raster.last[i];
+        f->pairs += st->raster.stop[i];
     if (!e)
         e = loss(st);
     if (!e)

@@ -100,8 +100,6 @@ static err_t make_path(const struct request *rq, struct state *st)
 static err_t place_cameras(const struct request *rq, struct state *st)
 {
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
-    if (!e && st->rig.n == 0)
-        return err_fail(ERR_ARG, "%s: no cameras in it", rq->cameras);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
         scale(&st->rig.views[i].cam, (int)rq->size);
     return e;

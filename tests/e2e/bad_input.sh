@@ -1,0 +1,109 @@
+#!/usr/bin/env bash
+# Every wrong input ends with its exit code and a sentence that names the object; no result is left.
+. tests/e2e/common.bash
+make_set good 56 3 1
+
+refused() { # code regex arguments of reconstruct...
+    local code=$1 regex=$2
+    shift 2
+    expect "$code" "$regex" reconstruct --out "$OUT/result" --size 56 --refine 0 "$@"
+    nothing_at "$OUT/result"
+}
+
+copy() { # name: a data set to spoil, in $set
+    set=$OUT/$1
+    cp -r "$OUT/good" "$set"
+}
+
+# usage
+expect 2 'unknown command "frobnicate"' frobnicate
+expect 2 'usage: hdrig COMMAND'
+expect 2 'unknown option --frobnicate' reconstruct --frobnicate
+expect 2 'unknown option -x' reconstruct -x
+expect 2 'unexpected argument "stray"' reconstruct --images "$OUT/good" stray
+expect 2 '--out needs an argument' reconstruct --out
+expect 2 '--images and --out are needed' reconstruct --images "$OUT/good"
+expect 2 '--size: size: 57 is not a multiple of 14' reconstruct --size 57
+expect 2 '--refine: .*"many" is not a whole number' reconstruct --refine many
+expect 2 '--set: unknown key "color"' reconstruct --set color=1
+expect 1 'no-such.conf' reconstruct --config "$OUT/no-such.conf"
+expect 2 'give either --cameras or --path' render --scene x --out y
+expect 2 '--path: "moon"' render --scene x --out y --path moon
+expect 2 '--what: "coffee"' bench --what coffee
+for command in reconstruct render eval bench doctor config; do
+    succeed $command --help
+    grep -q "^usage: hdrig $command" "$OUT/stdout.txt" || fail "no help of $command"
+done
+
+# pictures
+refused 1 "$OUT/nowhere: not a folder" --images "$OUT/nowhere"
+mkdir "$OUT/empty"
+refused 1 "$OUT/empty: no pictures" --images "$OUT/empty"
+copy one
+rm "$set"/images/train_ldr_00[12]_*
+refused 1 '1 view, a scene needs at least 2' --images "$set"
+copy truncated
+truncate -s 1000 "$set/images/train_ldr_001_0.png"
+refused 1 'truncated/images/train_ldr_001_0.png' --images "$set"
+copy text
+echo 'not a picture' >"$set/images/train_ldr_001_0.png"
+refused 1 'text/images/train_ldr_001_0.png' --images "$set"
+copy sizes
+make_set other 70 1 0
+cp "$OUT/other/images/train_ldr_000_0.png" "$set/images/train_ldr_001_0.png"
+refused 1 'train_ldr_001_0.png has 70 x 70 but|but train_ldr_001_0.png has 70 x 70' --images "$set"
+
+# exposures
+copy unexposed
+rm "$set/exposure.json"
+refused 1 'EXIF.*train_ldr_000_0.png and 8 others' --images "$set"
+copy gap
+sed -i '/train_ldr_001_0/d' "$set/exposure.json"
+refused 1 'train_ldr_001_0.png' --images "$set"
+copy twice
+sed -i 's/ "train_ldr_001_0.png": .*/&\n "train_ldr_001_0.png": 3,/' "$set/exposure.json"
+refused 1 'exposure.json.*train_ldr_001_0.png' --images "$set"
+copy negative
+sed -i 's/"train_ldr_001_0.png": .*/"train_ldr_001_0.png": -1,/' "$set/exposure.json"
+refused 1 'exposure.json.*train_ldr_001_0.png' --images "$set"
+copy garbled
+echo '{"a": ' >"$set/exposure.json"
+refused 1 'garbled.*exposure.json' --images "$set"
+
+# cameras
+copy unposed
+rm -r "$set/sparse"
+refused 1 'train_ldr_000_2.png: its camera is not known; give --rig' --images "$set"
+refused 1 "$OUT/nowhere" --images "$OUT/good" --rig "$OUT/nowhere"
+copy lacking
+sed -i '/train_ldr_001/d' "$set/sparse/0/images.txt"
+refused 1 'sparse/0.*train_ldr_001_0.png' --images "$set"
+copy aspect
+sed -i 's/PINHOLE 56 56/PINHOLE 56 100/' "$set/sparse/0/cameras.txt"
+refused 1 'sparse/0.*train_ldr_00.*56 x 100' --images "$set"
+copy lens
+sed -i 's/PINHOLE.*/OPENCV 56 56 47 47 28 28 0.1 0 0 0/' "$set/sparse/0/cameras.txt"
+refused 1 'cameras.txt.*OPENCV' --images "$set"
+
+# memory and what is in the way
+refused 3 'needs [0-9]+ MB, --max-memory is 64 MB' --images "$OUT/good" --size 448 --max-memory 64
+mkdir "$OUT/precious"
+echo 'do not lose me' >"$OUT/precious/thesis.txt"
+expect 1 'precious: exists and is no former result' \
+    reconstruct --images "$OUT/good" --out "$OUT/precious"
+[ -f "$OUT/precious/thesis.txt" ] || fail "the stranger's folder was touched"
+expect 1 'thesis.txt: exists and is not a folder' \
+    reconstruct --images "$OUT/good" --out "$OUT/precious/thesis.txt"
+
+# scenes
+expect 1 'nowhere/scene.hdrig' render --scene "$OUT/nowhere" --path orbit --out "$OUT/frames"
+succeed reconstruct --images "$OUT/good" --size 56 --refine 0 --out "$OUT/fine"
+cp -r "$OUT/fine" "$OUT/cut"
+truncate -s -1 "$OUT/cut/scene.hdrig"
+expect 1 'cut/scene.hdrig' render --scene "$OUT/cut" --path orbit --out "$OUT/frames"
+echo '{"cams": []}' >"$OUT/cameras.json"
+expect 1 'cameras.json' render --scene "$OUT/fine" --cameras "$OUT/cameras.json" --out "$OUT/frames"
+expect 3 'needs [0-9]+ MB' render --scene "$OUT/fine" --path orbit --size 4000 --max-memory 100 \
+    --out "$OUT/frames"
+nothing_at "$OUT/frames"
+finish

@@ -1,0 +1,55 @@
+#!/usr/bin/env bash
+# From photographs to held-out views: figures above their floors, files under their promised names.
+. tests/e2e/common.bash
+make_set set 112 8 4
+
+succeed eval --data "$OUT/set" --size 112 --refine 200 --json "$OUT/eval.json" --out "$OUT/eval"
+grep -Eq '^LDR +[0-9.]+ +[0-9.]+ +20$' "$OUT/stdout.txt" || fail "no table on stdout"
+at_least "LDR PSNR" "$(number "$OUT/eval.json" ldr psnr)" 27
+at_least "LDR SSIM" "$(number "$OUT/eval.json" ldr ssim)" 0.87
+at_least "HDR PSNR" "$(number "$OUT/eval.json" hdr psnr)" 28
+nearest=$(number "$OUT/eval.json" baseline_nearest psnr)
+at_least "gain over the nearest view" \
+    "$(awk -v a="$(number "$OUT/eval.json" ldr psnr)" -v b="$nearest" 'BEGIN { print a - b }')" 4
+for name in test_ldr_000_0 test_ldr_003_4; do
+    [ -s "$OUT/eval/ldr/$name.png" ] || fail "no ldr/$name.png"
+done
+[ "$(ls "$OUT/eval/ldr" | wc -l)" -eq 20 ] || fail "not 20 LDR pictures"
+[ "$(ls "$OUT/eval/hdr" | wc -l)" -eq 4 ] || fail "not 4 EXR files"
+cmp -s "$OUT/eval.json" "$OUT/eval/report.json" || fail "report.json and --json differ"
+
+# fewer views, on stdout
+succeed eval --data "$OUT/set" --size 56 --views 4 --refine 0 --json -
+grep -q '"views": 4,' "$OUT/stdout.txt" || fail "--views 4 did not take 4 views"
+head -n 1 "$OUT/stdout.txt" | grep -q '^{$' || fail "--json - prints more than JSON"
+expect 1 '9 views asked, there are 8' eval --data "$OUT/set" --size 56 --views 9
+
+# a result folder, and pictures from it
+succeed reconstruct --images "$OUT/set" --size 112 --refine 100 --json - --out "$OUT/scene"
+cmp -s "$OUT/stdout.txt" "$OUT/scene/report.json" || fail "report.json and --json - differ"
+for file in scene.ply scene.hdrig cameras.json tone.json report.json; do
+    [ -s "$OUT/scene/$file" ] || fail "no $file"
+done
+[ "$(ls "$OUT/scene/hdr" | wc -l) $(ls "$OUT/scene/ldr" | wc -l)" = "8 8" ] || fail "not 8 views"
+succeed render --scene "$OUT/scene" --path inputs --out "$OUT/inputs"
+succeed render --scene "$OUT/scene" --cameras "$OUT/scene/cameras.json" --out "$OUT/same"
+for i in 0 7; do
+    cmp -s "$OUT/inputs/frame_000$i.png" "$OUT/same/frame_000$i.png" || fail "frame $i differs"
+done
+succeed render --scene "$OUT/scene" --path orbit --frames 5 --size 64 --ev -2 --hdr \
+    --out "$OUT/orbit"
+[ "$(ls "$OUT/orbit" | wc -l)" -eq 11 ] || fail "not 5 frames twice and a report"
+
+# known cameras from our own file; settings from --set
+succeed reconstruct --images "$OUT/set/images" --rig "$OUT/scene/cameras.json" --set size=56 \
+    --set refine.steps=5 --out "$OUT/again"
+grep -q '"refine_steps": 5,' "$OUT/again/report.json" || fail "--set refine.steps=5 was not heard"
+succeed doctor
+grep -q '^kernels' "$OUT/stdout.txt" || fail "doctor does not tell the kernels"
+succeed config --print --set threads=3
+grep -q '^threads = 3$' "$OUT/stdout.txt" || fail "config --print does not show --set"
+succeed bench --what splat --gaussians 2000 --size 64 --json "$OUT/bench.json"
+for name in seconds_forward seconds_backward seconds_step gaussians pixels share_of_limit; do
+    grep -q "\"$name\": [0-9]" "$OUT/bench.json" || fail "bench: no $name"
+done
+finish
