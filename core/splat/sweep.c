@@ -22,16 +22,17 @@ enum {
     COARSE = 4,       // the first sweep is this much smaller
     RADIUS = 2,       // px, of the matching window
     TAPS = 2 * RADIUS + 1,
-    SUMS = 3,       // weighted moments of a window, D = I - J: w, wD, wDD
-    COST_UNIT = 100 // integer cost of 1.0
+    SUMS = 3,        // weighted moments of a window, D = I - J: w, wD, wDD
+    COST_UNIT = 100, // of sgm: cost of 1.0
+    FINE = 3200,     // cost of 1.0 of one neighbour
+    COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };
 
-static const float COST_BLIND = 0.5f; // where no pixel carries information
-static const float COST_OUTSIDE =
-    0.75f; // outside the neighbour's picture: worse than blind, better than wrong
-static const float INSIDE = 1e-4f; // least weight of a pixel inside the neighbour's picture
-static const float NOISE_VAR =
-    0.012f; // stops^2 added to the variance: noise alone does not correlate
+static const double STEP_PX = 1.2;       // way of the fastest pixel per plane
+static const float COST_BLIND = 0.5f;    // where no pixel carries information
+static const float COST_OUTSIDE = 0.75f; // outside the neighbour: worse than blind, not as wrong
+static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
+static const float NOISE_VAR = 0.012f;   // stops^2 added: noise alone does not correlate
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
 struct plate {
@@ -67,7 +68,7 @@ struct scratch {
     float *place;    // (2, x) mapped places of one row
     float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
     float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) their sums
-    float *best;     // (NEAR_MAX / 2 + 2, x) smallest costs of one row, and two rows of scratch
+    int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row, and one to merge
 };
 
 /* One sweep of one view. */
@@ -245,7 +246,7 @@ static double way_px(const double *h, double u, double v, const float *range)
     return way;
 }
 
-/* Planes so that one step is about one pixel where pixels run fastest; a multiple of 16. */
+/* Planes so that one step is STEP_PX where pixels run fastest; a multiple of 16. */
 static int count_planes(const struct task *t, const float *range)
 {
     double longest = 0.0;
@@ -255,7 +256,7 @@ static int count_planes(const struct task *t, const float *range)
             longest = fmax(longest, way);
         }
     }
-    return min_int(PLANES_MAX, ((int)fmin(longest, 1e4) + 16) / 16 * 16);
+    return min_int(PLANES_MAX, ((int)fmin(longest / STEP_PX, 1e4) + 16) / 16 * 16);
 }
 
 /* ---- pictures ---- */
@@ -353,38 +354,41 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
     }
 }
 
-/* Cost of one row from the column sums (padded by RADIUS on both sides) and the contrast of the
- * view: 1 - correlation = half the variance of the difference over the variance of the view. */
-static void cost_row(const float *column, const float *contrast, int w, float *out)
+/* The smaller of two floats without a comparison, which would keep GCC from making vectors. */
+static inline float lesser(float a, float b)
 {
-    const int stride = w + 2 * RADIUS;
+    return 0.5f * (a + b - fabsf(a - b));
+}
+
+/* Cost of one row, in FINE per 1.0, from the column sums (padded by RADIUS on both sides), the
+ * weights of the row itself and the contrast of the view: 1 - correlation = half the variance of
+ * the difference over the variance of the view. */
+static void cost_row(const float *column, const float *centre, const float *contrast, int w,
+                     int16_t *restrict out)
+{
+    const float *c0 = column, *c1 = c0 + w + 2 * RADIUS, *c2 = c1 + w + 2 * RADIUS;
     for (int x = 0; x < w; x++) {
-        float m[SUMS];
-        for (int q = 0; q < SUMS; q++) {
-            const float *c = column + q * stride + x;
-            m[q] = c[0] + c[1] + c[2] + c[3] + c[4];
-        }
-        float inv = 1.0f / (m[0] + INSIDE), mean = m[1] * inv, off = fabsf(mean);
-        float unlike = (m[2] * inv - mean * mean) * contrast[x];
-        float known = m[0] / (m[0] + 0.06f * TAPS * TAPS);
-        unlike = unlike < 2.0f ? unlike : 2.0f;
-        off = off < 1.0f ? off : 1.0f;
-        out[x] = COST_BLIND + known * (0.35f * unlike + 0.4f * off - COST_BLIND);
+        float m0 = c0[x] + c0[x + 1] + c0[x + 2] + c0[x + 3] + c0[x + 4];
+        float m1 = c1[x] + c1[x + 1] + c1[x + 2] + c1[x + 3] + c1[x + 4];
+        float m2 = c2[x] + c2[x + 1] + c2[x + 2] + c2[x + 3] + c2[x + 4];
+        float inv = 1.0f / (m0 + INSIDE), mean = m1 * inv;
+        float unlike = lesser((m2 * inv - mean * mean) * contrast[x], 2.0f);
+        float cost = 0.35f * unlike + 0.4f * lesser(fabsf(mean), 1.0f) - COST_BLIND;
+        float known = m0 / (m0 + 0.06f * TAPS * TAPS),
+              in = lesser(centre[x] * (1.0f / INSIDE), 1.0f);
+        cost = COST_OUTSIDE + in * (COST_BLIND + known * cost - COST_OUTSIDE);
+        out[x] = (int16_t)(int)(cost * FINE);
     }
 }
 
-/* Merge a row of costs into the `kept` smallest of each pixel, sorted. */
-static void keep_best(float *best, size_t stride, int kept, int w, const float *cost)
+/* The smaller costs go to `low`, the larger stay in `cost`. */
+static void keep_lesser(int16_t *restrict low, int16_t *restrict cost, int w)
 {
-    for (int j = 0; j < kept; j++) {
-        float *restrict p = best + (size_t)j * stride;
-        float *restrict c = best + (size_t)kept * stride;
-        const float *in = j ? c : cost;
-        for (int x = 0; x < w; x++) {
-            float a = p[x], b = in[x];
-            p[x] = a < b ? a : b;
-            c[x] = a < b ? b : a;
-        }
+    for (int x = 0; x < w; x++) {
+        int16_t a = low[x], b = cost[x];
+        int16_t least = a < b ? a : b;
+        cost[x] = (int16_t)(a + b - least);
+        low[x] = least;
     }
 }
 
@@ -420,25 +424,25 @@ static void cost_plane(const struct task *t, int d)
     memset(m->column, 0, (size_t)(NEAR_MAX * SUMS * (w + 2 * RADIUS)) * sizeof(float));
     for (int y = -RADIUS; y < w; y++) {
         for (int i = 0; i < kept * w; i++)
-            m->best[i] = 1e9f;
+            m->best[i] = COST_TOP;
         for (int k = 0; k < t->n_near; k++) {
             move_window(t, k, y, rho);
             if (y < 0)
                 continue;
-            float *cost = m->best + (kept + 1) * w;
             const float *centre = m->ring + (size_t)((k * TAPS + y % TAPS) * SUMS) * (size_t)w;
-            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), m->contrast + (size_t)y * (size_t)w,
-                     w, cost);
-            for (int x = 0; x < w; x++)
-                cost[x] = centre[x] > 0.0f ? cost[x] : COST_OUTSIDE;
-            keep_best(m->best, (size_t)w, kept, w, cost);
+            int16_t *cost = m->best + kept * w;
+            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), centre,
+                     m->contrast + (size_t)y * (size_t)w, w, cost);
+            for (int j = 0; j < kept; j++)
+                keep_lesser(m->best + j * w, cost, w);
         }
         uint8_t *c = m->sgm.cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
         for (int x = 0; x < w && y >= 0; x++) {
-            float sum = 0.5f / COST_UNIT * (float)kept;
+            int sum = 0;
             for (int k = 0; k < kept; k++)
                 sum += m->best[k * w + x];
-            c[x] = (uint8_t)min_int((int)(sum * ((float)COST_UNIT / (float)kept)), 255);
+            sum = sum * COST_UNIT / (kept * FINE);
+            c[x] = (uint8_t)(sum < 0 ? 0 : min_int(sum, 255));
         }
     }
 }
@@ -628,7 +632,7 @@ static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scra
     if (!e)
         e = carve(a, bytes, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
     if (!e)
-        e = carve(a, bytes, (NEAR_MAX / 2 + 2) * w, sizeof *m->best, &m->best);
+        e = carve(a, bytes, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
     return e;
 }
 
