@@ -207,8 +207,7 @@ static err_t load(const struct request *rq, struct state *st)
     cameras_free(&sizes);
     if (rq->size > 0 || !rq->cameras)
         w = h = rq->size > 0 ? (int)rq->size : info.size;
-    size_t cap = ((size_t)info.n + 15) / 16 * 16, pick = arena_need(cap, sizeof(float));
-    size_t draw = draw_plan((int)(cap ? cap : 16), w, h);
+    size_t pick = arena_need((size_t)info.n, sizeof(float)), draw = draw_plan(info.n, w, h);
     e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
         e = engine_reserve(&st->engine, 0, info.need, draw > pick ? draw : pick,

@@ -11,6 +11,7 @@ enum { MAPS = 5, DISPLAY = 3 }; // planes: radiance 3, depth, alpha
 size_t draw_plan(int cap, int w, int h)
 {
     size_t pixels = (size_t)w * (size_t)h;
+    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
     return arena_add(raster_plan(cap, w, h, false),
                      arena_need(pixels, (MAPS + DISPLAY) * sizeof(float)));
 }

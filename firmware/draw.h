@@ -14,7 +14,7 @@ struct draw {
     float mid_log2t;
 };
 
-/* Bytes that draw_init takes for pictures up to w x h px of up to cap splats. */
+/* Bytes that draw_init takes for pictures up to w x h px of gaussians made for `cap` splats. */
 size_t draw_plan(int cap, int w, int h);
 
 /* err:  ERR_ARG (size), ERR_NOMEM. */

@@ -13,6 +13,15 @@
 #include <stdarg.h>
 #include <string.h>
 
+static const char *const stage_names[JOB_STAGES] = {"preprocess", "response", "sweep", "seed",
+                                                    "refine",     "render",   "write", "measure"};
+
+static void announce(const struct run *r, enum job_stage stage)
+{
+    if (r->progress)
+        r->progress(r->progress_ctx, stage_names[stage], 0, 1, NULL);
+}
+
 /* ---- the map ---- */
 
 /* The scene before its first splat: response and cameras, and room for what refinement may add. */
@@ -41,9 +50,11 @@ static err_t place_splats(const struct run *r, const struct job_config *cfg, str
     struct gaussians seeds;
     struct gaussians *g = &out->scene.g;
     size_t mark = arena_mark(r->keep);
+    announce(r, JOB_SWEEP);
     err_t e = sweep_run(r, &out->views, &out->response, &depth);
     job_lap(out, JOB_SWEEP);
     if (!e) {
+        announce(r, JOB_SEED);
         struct seed_input in = {.views = &out->views, .depth = &depth, .tone = &out->response};
         e = seed_run(r, &in, cfg->refine.gaussians_max, &seeds);
     }
@@ -66,6 +77,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     memset(out, 0, sizeof *out);
     out->input_psnr = NAN;
     out->start_s = out->lap_s = engine_seconds();
+    announce(r, JOB_PREPROCESS);
     err_t e = prep_run(r, c, cfg.size, &out->views);
     job_lap(out, JOB_PREPROCESS);
     if (!e)
@@ -171,12 +183,10 @@ static void report_words(struct report *rep, const char *key, int n, const char 
 
 static void report_seconds(const struct job_result *j, struct report *rep)
 {
-    static const char *const names[JOB_STAGES] = {"preprocess", "response", "sweep", "seed",
-                                                  "refine",     "render",   "write", "measure"};
     static const char *const network[] = {"backbone", "heads", "appearance", "voxel"};
     report_open(rep, "seconds", '{');
     for (int i = 0; i < JOB_STAGES; i++)
-        report_number(rep, names[i], j->seconds[i]);
+        report_number(rep, stage_names[i], j->seconds[i]);
     for (size_t i = 0; i < sizeof network / sizeof network[0]; i++)
         report_int(rep, network[i], 0); // this job ran without a network
     report_number(rep, "total", j->lap_s - j->start_s);

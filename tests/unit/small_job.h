@@ -33,7 +33,7 @@ static inline void small_job_init(struct small_job *s, int n)
     memset(s, 0, sizeof *s);
     kernels_init(&s->kernels, 0);
     if (arena_init(&s->keep, "keep", gaussians_need(n, 0)) != OK ||
-        arena_init(&s->tmp, "tmp", draw_plan(n + 15, SMALL_SIZE, SMALL_SIZE)) != OK ||
+        arena_init(&s->tmp, "tmp", draw_plan(n, SMALL_SIZE, SMALL_SIZE)) != OK ||
         gaussians_init(&j->scene.g, &s->keep, n, 0) != OK)
         abort();
     s->run = (struct run){.k = &s->kernels, .keep = &s->keep, .tmp = &s->tmp, .cancel = &s->cancel};
