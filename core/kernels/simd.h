@@ -36,6 +36,8 @@ static inline vf v_round(vf a) { return _mm512_roundscale_ps(a, 0x08); }
 static inline vm v_lt(vf a, vf b) { return _mm512_cmp_ps_mask(a, b, _CMP_LT_OQ); }
 static inline vm v_le(vf a, vf b) { return _mm512_cmp_ps_mask(a, b, _CMP_LE_OQ); }
 static inline vm m_and(vm a, vm b) { return a & b; }
+static inline vm m_or(vm a, vm b) { return a | b; }
+static inline vm m_none(void) { return 0; }
 static inline vm m_andnot(vm a, vm b) { return (vm)(a & ~b); }
 static inline int m_any(vm a) { return a != 0; }
 static inline int m_bits(vm a) { return a; }
@@ -78,6 +80,8 @@ static inline vf v_round(vf a) { return _mm256_round_ps(a, 0x08); }
 static inline vm v_lt(vf a, vf b) { return _mm256_cmp_ps(a, b, _CMP_LT_OQ); }
 static inline vm v_le(vf a, vf b) { return _mm256_cmp_ps(a, b, _CMP_LE_OQ); }
 static inline vm m_and(vm a, vm b) { return _mm256_and_ps(a, b); }
+static inline vm m_or(vm a, vm b) { return _mm256_or_ps(a, b); }
+static inline vm m_none(void) { return _mm256_setzero_ps(); }
 static inline vm m_andnot(vm a, vm b) { return _mm256_andnot_ps(b, a); }
 static inline int m_bits(vm a) { return _mm256_movemask_ps(a); }
 static inline int m_any(vm a) { return m_bits(a) != 0; }
@@ -121,6 +125,8 @@ static inline vf v_round(vf a) { return _mm_round_ps(a, 0x08); }
 static inline vm v_lt(vf a, vf b) { return _mm_cmplt_ps(a, b); }
 static inline vm v_le(vf a, vf b) { return _mm_cmple_ps(a, b); }
 static inline vm m_and(vm a, vm b) { return _mm_and_ps(a, b); }
+static inline vm m_or(vm a, vm b) { return _mm_or_ps(a, b); }
+static inline vm m_none(void) { return _mm_setzero_ps(); }
 static inline vm m_andnot(vm a, vm b) { return _mm_andnot_ps(b, a); }
 static inline int m_bits(vm a) { return _mm_movemask_ps(a); }
 static inline int m_any(vm a) { return m_bits(a) != 0; }
@@ -160,6 +166,8 @@ static inline vf v_round(vf a) { return vrndnq_f32(a); }
 static inline vm v_lt(vf a, vf b) { return vcltq_f32(a, b); }
 static inline vm v_le(vf a, vf b) { return vcleq_f32(a, b); }
 static inline vm m_and(vm a, vm b) { return vandq_u32(a, b); }
+static inline vm m_or(vm a, vm b) { return vorrq_u32(a, b); }
+static inline vm m_none(void) { return vdupq_n_u32(0); }
 static inline vm m_andnot(vm a, vm b) { return vbicq_u32(a, b); }
 static inline int m_any(vm a) { return vmaxvq_u32(a) != 0; }
 static inline int m_bits(vm a)
@@ -198,6 +206,8 @@ static inline vf v_round(vf a) { return rintf(a); }
 static inline vm v_lt(vf a, vf b) { return a < b; }
 static inline vm v_le(vf a, vf b) { return a <= b; }
 static inline vm m_and(vm a, vm b) { return a & b; }
+static inline vm m_or(vm a, vm b) { return a | b; }
+static inline vm m_none(void) { return 0; }
 static inline vm m_andnot(vm a, vm b) { return a & !b; }
 static inline int m_any(vm a) { return a; }
 static inline int m_bits(vm a) { return a; }

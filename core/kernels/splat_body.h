@@ -519,35 +519,43 @@ MAP struct pen pen_of(const struct splat2d *s, const struct tile *t)
 
 static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
-/* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for needles. */
+/* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for needles. Floored, because
+ * powers that are denormal numbers cost a hundred cycles. */
 MAP vf pen_log2(const struct pen *p, vf dx, float dy)
 {
     vf d = dx - v_set(p->shear * dy);
-    return v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy));
+    return v_max(v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy)), v_set(-64.0f));
 }
 
-MAP int tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int at, float place, int depth)
+/* No branch on the pixels: a wrong guess costs more than a row of nothing. Returns the pixels that became full. */
+MAP vm tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int at, int depth)
 {
     vf log_alpha = pen_log2(p, dx, dy), t = v_load(st->t + at);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(v_set(0.0f), t));
-    if (!m_any(hit))
-        return 0;
-    vf alpha = v_min(v_exp2(log_alpha), v_set(RASTER_ALPHA_MAX));
+    vf alpha = v_sel(hit, v_min(v_exp2(log_alpha), v_set(RASTER_ALPHA_MAX)), v_set(0.0f));
     vf next = v_fnma(t, alpha, t);
     vm stop = m_and(hit, v_le(next, v_set(RASTER_STOP)));
-    int stopped = m_any(stop);
-    if (stopped) {
-        hit = m_andnot(hit, stop);
-        v_store(st->stop + at, v_sel(stop, v_set(place), v_load(st->stop + at)));
-    }
-    vf w = v_sel(hit, alpha * t, v_set(0.0f));
+    vf w = v_sel(stop, v_set(0.0f), alpha * t);
     for (int c = 0; c < 3; c++)
         v_store(st->rgbz[c] + at, v_fma(w, p->rgb[c], v_load(st->rgbz[c] + at)));
     if (depth)
         v_store(st->rgbz[3] + at, v_fma(w, p->z, v_load(st->rgbz[3] + at)));
-    t = v_sel(hit, next, t);
-    v_store(st->t + at, stopped ? v_sel(stop, v_set(0.0f) - t, t) : t);
-    return stopped;
+    v_store(st->t + at, v_sel(stop, v_set(0.0f) - t, next));
+    return stop;
+}
+
+/* Note the place of the splat that filled pixels; returns whether the tile has room left. */
+static int tile_stops(struct tile_state *st, int place, int n)
+{
+    vm room = m_none();
+    for (int i = 0; i < TILE * TILE; i += LANES) {
+        vm open = v_lt(v_set(0.0f), v_load(st->t + i));
+        vf stop = v_load(st->stop + i);
+        vm now = m_andnot(v_le(v_set((float)n), stop), open);
+        v_store(st->stop + i, v_sel(now, v_set((float)place), stop));
+        room = m_or(room, open);
+    }
+    return m_any(room);
 }
 
 static void tile_start(const struct tile *t, struct tile_state *st)
@@ -555,17 +563,10 @@ static void tile_start(const struct tile *t, struct tile_state *st)
     memset(st->rgbz, 0, sizeof st->rgbz);
     for (int y = 0; y < TILE; y++)
         for (int x = 0; x < TILE; x++) {
-            st->stop[y * TILE + x] = (float)t->n;
-            st->t[y * TILE + x] = t->x0 + x < t->w && t->y0 + y < t->h ? 1.0f : -1.0f;
+            int inside = t->x0 + x < t->w && t->y0 + y < t->h;
+            st->stop[y * TILE + x] = inside ? (float)t->n : 0.0f;
+            st->t[y * TILE + x] = inside ? 1.0f : -1.0f;
         }
-}
-
-static int row_full(const struct tile_state *st, int y)
-{
-    for (int x = 0; x < TILE; x++)
-        if (st->t[y * TILE + x] > 0)
-            return 0;
-    return 1;
 }
 
 static void tile_finish(const struct tile *t, const struct tile_state *st)
@@ -590,24 +591,18 @@ static void tile_finish(const struct tile *t, const struct tile_state *st)
 MAP void tile_with(const struct tile *t, int depth)
 {
     struct tile_state st;
-    unsigned full = 0;
     tile_start(t, &st);
-    for (int y = 0; y < TILE; y++)
-        full |= (unsigned)row_full(&st, y) << y;
-    for (int i = 0; i < t->n && full != 0xffff; i++) {
+    for (int i = 0; i < t->n; i++) {
         if (i + 8 < t->n)
             __builtin_prefetch(&t->splats[t->list[i + 8]]);
         struct pen p = pen_of(&t->splats[t->list[i]], t);
-        for (int y = p.y0; y <= p.y1; y++) {
-            if (full >> y & 1)
-                continue;
-            int stopped = 0;
+        vm stopped = m_none();
+        for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
-                stopped |= tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
-                                    y * TILE + k * LANES, (float)i, depth);
-            if (stopped)
-                full |= (unsigned)row_full(&st, y) << y;
-        }
+                stopped = m_or(stopped, tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
+                                                 y * TILE + k * LANES, depth));
+        if (m_any(stopped) && !tile_stops(&st, i, t->n))
+            break;
     }
     tile_finish(t, &st);
 }
@@ -652,8 +647,6 @@ MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, i
 {
     vf log_alpha = pen_log2(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(place, v_load(st->stop + at)));
-    if (!m_any(hit))
-        return;
     vf raw = v_exp2(log_alpha);
     vf alpha = v_sel(hit, v_min(raw, v_set(RASTER_ALPHA_MAX)), zero);
     vf inv = v_recip(one - alpha);
