@@ -55,7 +55,7 @@ E2E := $(wildcard tests/e2e/*.c)
 FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 
 # Threads are tested with TSan: *_tsan_test and these.
-TSAN_TESTS := pool
+TSAN_TESTS := pool prep response seed
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half loss metrics pool) golden/render
 
