@@ -35,7 +35,7 @@ struct figure {
     const char *kernels;
     int threads, gaussians;
     double forward_s, backward_s, step_s;
-    double pairs;        // pixels x splats of their lists, until a pixel is full
+    double pairs;        // splats that each pixel looks at, summed
     double limit, share; // flop/s, of it in forward and backward together
 };
 
@@ -174,6 +174,41 @@ static err_t measure(struct state *st, err_t (*fn)(struct state *), double *medi
     return atomic_load(&engine_cancel) ? ERR_CANCELLED : OK;
 }
 
+/* Pixels of a tile that a splat can reach before they are full. */
+static double pairs_of_tile(const struct tile *t)
+{
+    double pairs = 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct splat2d *s = &t->splats[t->list[i]];
+        int x0 = s->x0 > t->x0 ? s->x0 : t->x0,
+            x1 = s->x1 < t->x0 + TILE ? s->x1 : t->x0 + TILE - 1;
+        int y0 = s->y0 > t->y0 ? s->y0 : t->y0,
+            y1 = s->y1 < t->y0 + TILE ? s->y1 : t->y0 + TILE - 1;
+        for (int y = y0; y <= y1; y++)
+            for (int x = x0; x <= x1; x++)
+                pairs += i < t->stop[y * t->w + x];
+    }
+    return pairs;
+}
+
+static err_t count_pairs(struct state *st, double *pairs)
+{
+    struct raster *rs = &st->raster;
+    const struct raster_input in = {&st->g, &st->cam, {0, 0, 0}};
+    *pairs = 0;
+    for (int i = 0; i < rs->n_groups; i++) {
+        const struct raster_group *group = &rs->groups[i];
+        err_t e = raster_load_group(&st->engine.run, rs, i);
+        if (e)
+            return e;
+        for (int k = 0; k < (group->x1 - group->x0) * (group->y1 - group->y0); k++) {
+            struct tile t = raster_tile(rs, &in, k);
+            *pairs += pairs_of_tile(&t);
+        }
+    }
+    return OK;
+}
+
 static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
 {
     kernels_init(&st->engine.kernels, cpu);
@@ -181,8 +216,8 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     f->threads = pool_size(st->engine.run.pool);
     f->gaussians = st->g.n;
     err_t e = measure(st, forward, &f->forward_s);
-    for (int i = 0; i < st->pic.w * st->pic.h; i++)
-        f->pairs += st->raster.stop[i];
+    if (!e)
+        e = count_pairs(st, &f->pairs);
     if (!e)
         e = loss(st);
     if (!e)
