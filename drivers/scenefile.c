@@ -149,7 +149,7 @@ static err_t header_text(const char *path, const struct scene *s,
         for (long at = ftell(f); (at + 8) % DATA_ALIGN != 0; at++)
             putc(' ', f);
         bad = ferror(f);
-        bad |= fclose(f) != 0;
+        bad |= fclose(f) != 0 || !*out; // glibc: a failed last growth leaves NULL and returns 0
     }
     free(names);
     if (!bad)
