@@ -1,5 +1,6 @@
 /* types.h - the plain structs that cross borders between modules.
- * All fields are visible; each has its shape, unit and range. Arrays live in an arena of the caller unless said. */
+ * All fields are visible; each has its shape, unit and range. Arrays live in an arena of the caller
+ * unless said. */
 #ifndef CORE_TYPES_H
 #define CORE_TYPES_H
 
@@ -24,8 +25,8 @@ struct image {
     float *px;          // (channels, h, w), row 0 on top
 };
 
-/* Pinhole camera, x right, y down, z forward. X_cam = R(q) X_world + t; u = fx x/z + cx; pixel (i, j) has its
- * centre at u = i + 0.5, v = j + 0.5 (COLMAP's and gsplat's convention). */
+/* Pinhole camera, x right, y down, z forward. X_cam = R(q) X_world + t; u = fx x/z + cx; pixel
+ * (i, j) has its centre at u = i + 0.5, v = j + 0.5 (COLMAP's and gsplat's convention). */
 struct camera {
     int w, h;             // px, of the image that fx, fy, cx, cy belong to
     float fx, fy, cx, cy; // px
@@ -39,9 +40,9 @@ enum { NAME_CAP = 128 }; // bytes of an image name with its terminating 0
 struct shot {
     char name[NAME_CAP]; // file name without folder
     struct image8 image;
-    double exposure;     // linear exposure time x gain, > 0, any common unit; 0 = not known
+    double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
     bool has_camera;
-    struct camera cam;   // for image.w x image.h
+    struct camera cam; // for image.w x image.h
 };
 
 /* A set of photographs of one static scene. */
@@ -50,14 +51,15 @@ struct capture {
     struct shot *shots; // (n)
 };
 
-/* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2 (model-spec 1). */
+/* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
+ * (model-spec 1). */
 struct views {
-    int n, size;           // number; px
+    int n, size;             // number; px
     char (*names)[NAME_CAP]; // (n)
-    uint8_t *rgb;          // (n, size, size, 3)
-    float *log2t;          // (n) log2(max(t, 1e-8))
-    float mid_log2t;       // (min + max) / 2 of log2t of the input views (model-spec 1.2)
-    struct camera *cams;   // (n) for size x size; NULL if not known
+    uint8_t *rgb;            // (n, size, size, 3)
+    float *log2t;            // (n) log2(max(t, 1e-8))
+    float mid_log2t;         // (min + max) / 2 of log2t of the input views (model-spec 1.2)
+    struct camera *cams;     // (n) for size x size; NULL if not known
 };
 
 enum {
@@ -72,11 +74,12 @@ enum {
     G_PLANES_MAX = G_SH + 3 * SH_COEFS_MAX
 };
 
-/* Gaussians, structure of arrays: plane p of splat i is p[plane][i]. Planes above the degree are NULL or unused. */
+/* Gaussians, structure of arrays: plane p of splat i is p[plane][i]. Planes above the degree are
+ * NULL or unused. */
 struct gaussians {
-    int n, cap;                  // used; room in each plane
-    int degree;                  // of the spherical harmonics, 0..4
-    float *plane[G_PLANES_MAX];  // (cap) each, 64-byte aligned, cap a multiple of 16
+    int n, cap;                 // used; room in each plane
+    int degree;                 // of the spherical harmonics, 0..4
+    float *plane[G_PLANES_MAX]; // (cap) each, 64-byte aligned, cap a multiple of 16
 };
 
 static inline int gaussians_planes(int degree)
@@ -112,10 +115,10 @@ struct kernels;
 /* What every heavy function receives. */
 struct run {
     const struct kernels *k;
-    struct pool *pool;         // NULL = single thread
-    struct arena *keep, *tmp;  // results; scratch, reset to its mark before the function returns
-    atomic_bool *cancel;       // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
-    progress_fn *progress;     // NULL = none
+    struct pool *pool;        // NULL = single thread
+    struct arena *keep, *tmp; // results; scratch, reset to its mark before the function returns
+    atomic_bool *cancel;      // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
+    progress_fn *progress;    // NULL = none
     void *progress_ctx;
 };
 

@@ -1,7 +1,8 @@
 /* kernels.h - the contract of every inner loop, and the table that holds one variant of each.
- * Pure functions on the caller's memory; any thread. Sizes are in elements. No kernel reads or writes outside
- * the extents named here; no alignment is required unless stated. The plain C variant is the reference: the others
- * equal it within the bounds tested in tests/kernels (float arithmetic is ordered differently per instruction set). */
+ * Pure functions on the caller's memory; any thread. Sizes are in elements. No kernel reads or
+ * writes outside the extents named here; no alignment is required unless stated. The plain C
+ * variant is the reference: the others equal it within the bounds tested in tests/kernels (float
+ * arithmetic is ordered differently per instruction set). */
 #ifndef KERNELS_KERNELS_H
 #define KERNELS_KERNELS_H
 
@@ -10,45 +11,46 @@
 struct tonemap_curve;
 
 enum {
-    TILE = 16,           // px, edge of a raster tile (gsplat 1.4.0)
-    SPLAT_BLOCK = 64,    // splats handed to the projection kernels at once at most
-    GRAD2D = 10,         // sums kept per splat and tile by tile_grad
-    SLOT = 12,           // floats from one tile's sums to the next, GRAD2D rounded up to 16-byte pieces
-    POSE_GRAD = 16       // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
+    TILE = 16,        // px, edge of a raster tile (gsplat 1.4.0)
+    SPLAT_BLOCK = 64, // splats handed to the projection kernels at once at most
+    GRAD2D = 10,      // sums kept per splat and tile by tile_grad
+    SLOT = 12,     // floats from one tile's sums to the next, GRAD2D rounded up to 16-byte pieces
+    POSE_GRAD = 16 // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
 };
 
 /* Constants of model-spec 2.13 (gsplat 1.4.0 as the release calls it). */
 #define RASTER_NEAR 1e-10f
 #define RASTER_FAR 1e10f
-#define RASTER_BLUR 0.3f          // px^2 added to both diagonal entries
+#define RASTER_BLUR 0.3f // px^2 added to both diagonal entries
 #define RASTER_ALPHA_MAX 0.999f
 #define RASTER_ALPHA_MIN (1.0f / 255.0f)
 #define RASTER_STOP 1e-4f
-/* Our guards: log radiance is clamped so that sums of radiance and their products stay finite; a footprint
- * beyond 1e9 px is dropped, because its determinant overflows. */
+/* Our guards: log radiance is clamped so that sums of radiance and their products stay finite; a
+ * footprint beyond 1e9 px is dropped, because its determinant overflows. */
 #define RASTER_LOG_MAX 60.0f
 #define RASTER_COV_MAX 1e18f
 
 /* A projected splat: one cache line. Splats that cannot be seen have x1 < x0. */
 struct splat2d {
-    float u, v;           // px, projected centre
+    float u, v; // px, projected centre
     /* log2 alpha = top - across (dx - shear dy)^2 - along dy^2, dx = u - x, dy = v - y */
     float across, shear, along; // px^-2, 1, px^-2
-    float top;            // log2 of the opacity
-    float rgb[3];         // linear radiance
-    float z;              // depth, scene units
-    int16_t x0, x1, y0, y1; // px, inclusive bounds of the pixels that can reach alpha 1/255, inside the image
+    float top;                  // log2 of the opacity
+    float rgb[3];               // linear radiance
+    float z;                    // depth, scene units
+    int16_t x0, x1, y0,
+        y1; // px, inclusive bounds of the pixels that can reach alpha 1/255, inside the image
     uint8_t tx0, tx1, ty0, ty1; // tiles, half open
-    uint32_t base;        // first slot of this splat in the current group of tiles
+    uint32_t base;              // first slot of this splat in the current group of tiles
     uint32_t pad[2];
 };
 
-struct view_geom {        // one camera, prepared once per frame
-    float r[9], t[3];     // world to camera, row-major
-    float centre[3];      // camera centre in the world
-    float fx, fy, cx, cy; // px
+struct view_geom {                        // one camera, prepared once per frame
+    float r[9], t[3];                     // world to camera, row-major
+    float centre[3];                      // camera centre in the world
+    float fx, fy, cx, cy;                 // px
     float lim_x0, lim_x1, lim_y0, lim_y1; // bounds of x/z and y/z inside the Jacobian
-    int w, h;             // px, <= 4080
+    int w, h;                             // px, <= 4080
 };
 
 /* Project splats [first, first+count), count <= SPLAT_BLOCK, into out[first...]. */
@@ -56,11 +58,11 @@ typedef void project_fn(const struct gaussians *g, const struct view_geom *v, in
                         struct splat2d *out);
 
 /* Chain rule of `project` for the same block.
- * sums: (GRAD2D, SPLAT_BLOCK) per-splat totals of tile_grad; zero columns for splats that were not seen.
- * out:  grad (planes of g->degree, SPLAT_BLOCK), overwritten; pose (POSE_GRAD) added to unless NULL.
+ * sums: (GRAD2D, SPLAT_BLOCK) per-splat totals of tile_grad; zero columns for unseen splats.
+ * out: grad (planes of g->degree, SPLAT_BLOCK), overwritten; pose (POSE_GRAD) added to unless NULL.
  * Entries that are not finite are replaced by 0. */
-typedef void project_grad_fn(const struct gaussians *g, const struct view_geom *v, int first, int count,
-                             const float *sums, float *grad, float *pose);
+typedef void project_grad_fn(const struct gaussians *g, const struct view_geom *v, int first,
+                             int count, const float *sums, float *grad, float *pose);
 
 /* One tile of one picture. All maps are (.., h, w) with row stride w. */
 struct tile {
@@ -68,25 +70,27 @@ struct tile {
     const uint32_t *list; // (n) splat numbers, front to back
     int n, x0, y0, w, h;  // list length; px of the tile's corner; px of the picture
     float background[3];
-    float *radiance;      // (3, h, w)
-    float *depth;         // (h, w) or NULL
-    float *alpha;         // (h, w)
-    float *trans;         // (h, w) final transmittance
-    int32_t *stop;        // (h, w) place in the list where the pixel was full; n if it never was
+    float *radiance; // (3, h, w)
+    float *depth;    // (h, w) or NULL
+    float *alpha;    // (h, w)
+    float *trans;    // (h, w) final transmittance
+    int32_t *stop;   // (h, w) place in the list where the pixel was full; n if it never was
     /* for tile_grad */
-    const float *d_radiance, *d_depth, *d_alpha; // (3, h, w), (h, w), (h, w): d loss / d map; the last two may be NULL
-    float *slots;         // (.., SLOT): sums of splat s go to slots[SLOT * slot_of(s)]
-    int gx0, gx1, gy0;    // tiles: rectangle of the current group (see raster.c)
+    const float *d_radiance, *d_depth,
+        *d_alpha;      // (3, h, w), (h, w), (h, w): d loss / d map; the last two may be NULL
+    float *slots;      // (.., SLOT): sums of splat s go to slots[SLOT * slot_of(s)]
+    int gx0, gx1, gy0; // tiles: rectangle of the current group (see raster.c)
 };
 
 /* Blend the list front to back (anchors: model-spec 2.13, per-pixel part). */
 typedef void tile_fn(const struct tile *t);
 
-/* Sums over the tile's pixels, per splat: v x, v y, v xx, v xy, v yy, v (v = d loss / d sigma, x = u - pixel),
- * d loss / d (r, g, b, z). Writes every slot of the list. */
+/* Sums over the tile's pixels, per splat: v x, v y, v xx, v xy, v yy, v (v = d loss / d sigma,
+ * x = u - pixel), d loss / d (r, g, b, z). Writes every slot of the list. */
 typedef void tile_grad_fn(const struct tile *t);
 
-/* Slot of splat s for tile (tx, ty) of the group: rows of the part of its rectangle that lies in the group. */
+/* Slot of splat s for tile (tx, ty) of the group: rows of the part of its rectangle that lies in
+ * the group. */
 static inline uint32_t tile_slot(const struct splat2d *s, const struct tile *t, int tx, int ty)
 {
     int x0 = s->tx0 > t->gx0 ? s->tx0 : t->gx0, x1 = s->tx1 < t->gx1 ? s->tx1 : t->gx1;
@@ -99,17 +103,19 @@ struct adam_step {
     float fix1, fix2;            // 1/(1-beta1^t), 1/(1-beta2^t)
 };
 
-/* Adam on n parameters; those with seen[i] == 0 are left alone, moments included (sparse Adam); others have 1. */
-typedef void adam_fn(const struct adam_step *s, int n, const float *seen, const float *grad, float *param,
-                     float *m1, float *m2);
+/* Adam on n parameters; those with seen[i] == 0 are left alone, moments included (sparse Adam);
+ * others have 1. */
+typedef void adam_fn(const struct adam_step *s, int n, const float *seen, const float *grad,
+                     float *param, float *m1, float *m2);
 
 /* Along a row, with the 11 taps of SSIM: out(i) = sum_k taps[k] in(i + k), i < n - 10. */
 typedef void blur_row_fn(const float *taps, const float *in, int n, float *out);
 /* Across rows: out(i) = sum_k taps[k] in[k][i], i < n. */
 typedef void blur_col_fn(const float *taps, const float *const *in, int n, float *out);
-/* blur_row of x, y, xx, yy, xy, where y = photo / 255. out: (5, stride). scratch: 2 stride floats. */
-typedef void moments_row_fn(const float *taps, const float *x, const uint8_t *photo, int n, size_t stride,
-                            float *scratch, float *out);
+/* blur_row of x, y, xx, yy, xy, where y = photo / 255.
+ * out: (5, stride). scratch: 2 stride floats. */
+typedef void moments_row_fn(const float *taps, const float *x, const uint8_t *photo, int n,
+                            size_t stride, float *scratch, float *out);
 
 /* One row of one colour between radiance and display. */
 struct tone_row {
@@ -117,16 +123,18 @@ struct tone_row {
     const float *radiance, *alpha; // (n)
     float shift;                   // log2 t - mid
     float behind;                  // display value added times (1 - alpha)
-    float *x, *slope, *ldr;        // (n) log2(radiance + 1e-6) + shift; d logit / dx there; display value
-    uint8_t *segment;              // (n) of the curve
+    float *x, *slope, *ldr; // (n) log2(radiance + 1e-6) + shift; d logit / dx there; display value
+    uint8_t *segment;       // (n) of the curve
     int n;
 };
 typedef void tone_row_fn(const struct tone_row *t);
-/* d: in d loss / d ldr, out d loss / d radiance. logit: d loss / d logit. d_alpha: += d loss / d alpha. */
+/* d: in d loss / d ldr, out d loss / d radiance.
+ * logit: d loss / d logit. d_alpha: += d loss / d alpha. */
 typedef void tone_row_grad_fn(const struct tone_row *t, float *d, float *logit, float *d_alpha);
 
-/* Structural similarity of one row of windows (Wang et al. 2004; C1 = 0.01^2, C2 = 0.03^2, range 1).
- * m: (5, stride) window means of x, y, xx, yy, xy. out: (3, stride) derivatives by the means of x, xx and xy.
+/* Structural similarity of a row of windows (Wang et al. 2004; C1 = 0.01^2, C2 = 0.03^2, range 1).
+ * m: (5, stride) window means of x, y, xx, yy, xy.
+ * out: (3, stride) derivatives by the means of x, xx and xy.
  * returns: the sum of the n similarities. */
 typedef double ssim_row_fn(const float *m, size_t stride, int n, float *out);
 

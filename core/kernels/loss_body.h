@@ -1,4 +1,5 @@
-/* loss_body.h - the kernels of the photometric loss, compiled once per instruction set (see kernels.h). */
+/* loss_body.h - the kernels of the photometric loss, compiled once per instruction set.
+ * Included by loss_<isa>.c after one SIMD_ macro. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
 #include "core/net/tonemap.h"
@@ -39,8 +40,8 @@ static void blur_col(const float *taps, const float *const *in, int w, float *ou
     }
 }
 
-static void moments_row(const float *taps, const float *x, const uint8_t *photo, int n, size_t stride,
-                        float *scratch, float *out)
+static void moments_row(const float *taps, const float *x, const uint8_t *photo, int n,
+                        size_t stride, float *scratch, float *out)
 {
     float *y = scratch, *product = scratch + stride;
     for (int i = 0; i < n; i++)
@@ -144,8 +145,9 @@ static double ssim_row(const float *m, size_t stride, int n, float *out)
     int i = 0;
     vf d[3];
     for (; i + LANES <= n; i += LANES) {
-        total += (double)v_sum(ssim_lanes(v_load(m + i), v_load(m + stride + i), v_load(m + 2 * stride + i),
-                                          v_load(m + 3 * stride + i), v_load(m + 4 * stride + i), d));
+        total += (double)v_sum(ssim_lanes(v_load(m + i), v_load(m + stride + i),
+                                          v_load(m + 2 * stride + i), v_load(m + 3 * stride + i),
+                                          v_load(m + 4 * stride + i), d));
         for (int k = 0; k < 3; k++)
             v_store(out + (size_t)k * stride + i, d[k]);
     }
@@ -153,7 +155,8 @@ static double ssim_row(const float *m, size_t stride, int n, float *out)
         float in[5][LANES] = {{0}}, o[LANES];
         for (size_t k = 0; k < 5; k++)
             in[k][0] = m[k * stride + (size_t)i];
-        v_store(o, ssim_lanes(v_load(in[0]), v_load(in[1]), v_load(in[2]), v_load(in[3]), v_load(in[4]), d));
+        v_store(o, ssim_lanes(v_load(in[0]), v_load(in[1]), v_load(in[2]), v_load(in[3]),
+                              v_load(in[4]), d));
         total += (double)o[0];
         for (size_t k = 0; k < 3; k++) {
             v_store(o, d[k]);

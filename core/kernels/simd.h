@@ -1,6 +1,6 @@
 /* simd.h - the few vector operations that the float kernels are written in.
  * The including file defines exactly one of SIMD_C, SIMD_SSE41, SIMD_AVX2, SIMD_AVX512, SIMD_NEON.
- * vf: LANES floats; vm: one truth value per lane. The operators + - * / work on vf in every variant.
+ * vf: LANES floats; vm: one truth value per lane. The operators + - * / work on vf everywhere.
  * v_fma(a, b, c) = a b + c; v_fnma(a, b, c) = c - a b; v_recip: 1 / a within 2e-7.
  * Comparisons with NaN are false. v_min/v_max return the second operand if the first is NaN. */
 #ifndef KERNELS_SIMD_H
@@ -9,6 +9,9 @@
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
+
+/* One line per operation where it fits. */
+// clang-format off
 
 #if defined(SIMD_AVX512)
 #if !defined(__AVX512F__) || !defined(__AVX512DQ__) || !defined(__AVX512VL__)
@@ -44,7 +47,8 @@ static inline int m_bits(vm a) { return a; }
 static inline vf v_sel(vm m, vf a, vf b) { return _mm512_mask_blend_ps(m, b, a); }
 static inline vf v_exp2i(vf n) /* 2^n, n integral in [-126, 127] */
 {
-    return _mm512_castsi512_ps(_mm512_slli_epi32(_mm512_add_epi32(_mm512_cvtps_epi32(n), _mm512_set1_epi32(127)), 23));
+    __m512i biased = _mm512_add_epi32(_mm512_cvtps_epi32(n), _mm512_set1_epi32(127));
+    return _mm512_castsi512_ps(_mm512_slli_epi32(biased, 23));
 }
 static inline vf v_scale2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* a 2^n */
 static inline vf v_exponent(vf a) /* biased exponent bits as float, a > 0 */
@@ -88,9 +92,13 @@ static inline int m_any(vm a) { return m_bits(a) != 0; }
 static inline vf v_sel(vm m, vf a, vf b) { return _mm256_blendv_ps(b, a, m); }
 static inline vf v_exp2i(vf n)
 {
-    return _mm256_castsi256_ps(_mm256_slli_epi32(_mm256_add_epi32(_mm256_cvtps_epi32(n), _mm256_set1_epi32(127)), 23));
+    __m256i biased = _mm256_add_epi32(_mm256_cvtps_epi32(n), _mm256_set1_epi32(127));
+    return _mm256_castsi256_ps(_mm256_slli_epi32(biased, 23));
 }
-static inline vf v_exponent(vf a) { return _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_castps_si256(a), 23)); }
+static inline vf v_exponent(vf a)
+{
+    return _mm256_cvtepi32_ps(_mm256_srli_epi32(_mm256_castps_si256(a), 23));
+}
 static inline vf v_mantissa(vf a)
 {
     __m256i i = _mm256_and_si256(_mm256_castps_si256(a), _mm256_set1_epi32(0x007fffff));
@@ -133,9 +141,13 @@ static inline int m_any(vm a) { return m_bits(a) != 0; }
 static inline vf v_sel(vm m, vf a, vf b) { return _mm_blendv_ps(b, a, m); }
 static inline vf v_exp2i(vf n)
 {
-    return _mm_castsi128_ps(_mm_slli_epi32(_mm_add_epi32(_mm_cvtps_epi32(n), _mm_set1_epi32(127)), 23));
+    __m128i biased = _mm_add_epi32(_mm_cvtps_epi32(n), _mm_set1_epi32(127));
+    return _mm_castsi128_ps(_mm_slli_epi32(biased, 23));
 }
-static inline vf v_exponent(vf a) { return _mm_cvtepi32_ps(_mm_srli_epi32(_mm_castps_si128(a), 23)); }
+static inline vf v_exponent(vf a)
+{
+    return _mm_cvtepi32_ps(_mm_srli_epi32(_mm_castps_si128(a), 23));
+}
 static inline vf v_mantissa(vf a)
 {
     __m128i i = _mm_and_si128(_mm_castps_si128(a), _mm_set1_epi32(0x007fffff));
@@ -180,7 +192,10 @@ static inline vf v_exp2i(vf n)
 {
     return vreinterpretq_f32_s32(vshlq_n_s32(vaddq_s32(vcvtnq_s32_f32(n), vdupq_n_s32(127)), 23));
 }
-static inline vf v_exponent(vf a) { return vcvtq_f32_u32(vshrq_n_u32(vreinterpretq_u32_f32(a), 23)); }
+static inline vf v_exponent(vf a)
+{
+    return vcvtq_f32_u32(vshrq_n_u32(vreinterpretq_u32_f32(a), 23));
+}
 static inline vf v_mantissa(vf a)
 {
     uint32x4_t i = vandq_u32(vreinterpretq_u32_f32(a), vdupq_n_u32(0x007fffff));
@@ -235,6 +250,7 @@ static inline vf v_mantissa(vf a)
 }
 static inline float v_sum(vf a) { return a; }
 #endif
+// clang-format on
 
 #if !defined(SIMD_AVX512)
 static inline vf v_scale2(vf a, vf n)
@@ -248,8 +264,8 @@ static inline vf v_clamp(vf a, float lo, float hi)
     return v_min(v_max(a, v_set(lo)), v_set(hi));
 }
 
-/* e^x for x clamped to [-87, 87]; relative error below 3e-7. Cephes' reduction by ln 2 in two parts and a
- * polynomial of degree 5 for (e^r - 1 - r) / r^2. NaN gives e^-87. */
+/* e^x for x clamped to [-87, 87]; relative error below 3e-7. Cephes' reduction by ln 2 in two parts
+ * and a polynomial of degree 5 for (e^r - 1 - r) / r^2. NaN gives e^-87. */
 static inline vf v_exp(vf x)
 {
     x = v_clamp(x, -87.0f, 87.0f);
@@ -266,8 +282,8 @@ static inline vf v_exp(vf x)
     return p * v_exp2i(n);
 }
 
-/* 2^x for x in [-126, 127], relative error below 3e-7; any other x gives some number. Minimax polynomial of degree 5
- * for 2^f on [-1/2, 1/2], itself within 1e-7. */
+/* 2^x for x in [-126, 127], relative error below 3e-7; any other x gives some number. Minimax
+ * polynomial of degree 5 for 2^f on [-1/2, 1/2], itself within 1e-7. */
 static inline vf v_exp2(vf x)
 {
     vf n = v_round(x), f = x - n;
@@ -280,8 +296,8 @@ static inline vf v_exp2(vf x)
     return v_scale2(p, n);
 }
 
-/* log2(x) for normal x > 0; absolute error below 2e-7 + 1e-7 |log2 x|. Mantissa folded to [sqrt 1/2, sqrt 2], then
- * the odd series of atanh in s = (m-1)/(m+1) to s^9. */
+/* log2(x) for normal x > 0; absolute error below 2e-7 + 1e-7 |log2 x|. Mantissa folded to
+ * [sqrt 1/2, sqrt 2], then the odd series of atanh in s = (m-1)/(m+1) to s^9. */
 static inline vf v_log2(vf x)
 {
     vf e = v_exponent(x) - v_set(127.0f);

@@ -1,131 +1,22 @@
-/* splat_body.h - the splat kernels, written once and compiled once per instruction set (see kernels.h).
- * Included by splat_<isa>.c after one SIMD_ macro. Formulas: model-spec 2.13; backward: derived by the chain rule, with
- * the 2x3 factor N = J R M of the 2-D covariance so that its determinant never cancels (Lagrange's identity). */
+/* splat_body.h - the splat kernels, written once and compiled once per instruction set.
+ * Included by splat_<isa>.c after one SIMD_ macro. Formulas: model-spec 2.13; backward: derived by
+ * the chain rule, with the 2x3 factor N = J R M of the 2-D covariance so that its determinant never
+ * cancels (Lagrange's identity). */
 #include "core/kernels/kernels.h"
+#include "core/kernels/sh_body.h"
 #include "core/kernels/simd.h"
-
-#define MAP static inline __attribute__((always_inline))
-
-static const float sh_c[] = {0.2820947917738781f, 0.48860251190292f};
-
-/* Real spherical harmonics of a unit direction up to `degree` (model-spec 2.13). */
-MAP void sh_basis(int degree, const vf d[3], vf *b)
-{
-    vf x = d[0], y = d[1], z = d[2];
-    b[0] = v_set(sh_c[0]);
-    if (degree < 1)
-        return;
-    b[1] = v_set(-sh_c[1]) * y;
-    b[2] = v_set(sh_c[1]) * z;
-    b[3] = v_set(-sh_c[1]) * x;
-    if (degree < 2)
-        return;
-    vf zz = z * z, c1 = x * x - y * y, s1 = v_set(2.0f) * x * y;
-    b[4] = v_set(0.5462742152960395f) * s1;
-    b[5] = v_set(-1.092548430592079f) * z * y;
-    b[6] = v_fma(v_set(0.9461746957575601f), zz, v_set(-0.3153915652525201f));
-    b[7] = v_set(-1.092548430592079f) * z * x;
-    b[8] = v_set(0.5462742152960395f) * c1;
-    if (degree < 3)
-        return;
-    vf c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
-    vf p11 = v_fma(v_set(-2.285228997322329f), zz, v_set(0.4570457994644658f));
-    b[9] = v_set(-0.5900435899266435f) * s2;
-    b[10] = v_set(1.445305721320277f) * z * s1;
-    b[11] = p11 * y;
-    b[12] = z * v_fma(v_set(1.865881662950577f), zz, v_set(-1.119528997770346f));
-    b[13] = p11 * x;
-    b[14] = v_set(1.445305721320277f) * z * c1;
-    b[15] = v_set(-0.5900435899266435f) * c2;
-    if (degree < 4)
-        return;
-    vf c3 = x * c2 - y * s2, s3 = x * s2 + y * c2;
-    vf p18 = v_fma(v_set(3.31161143515146f), zz, v_set(-0.47308734787878f));
-    vf p19 = z * v_fma(v_set(-4.683325804901025f), zz, v_set(2.007139630671868f));
-    b[16] = v_set(0.6258357354491763f) * s3;
-    b[17] = v_set(-1.770130769779931f) * z * s2;
-    b[18] = p18 * s1;
-    b[19] = p19 * y;
-    b[20] = v_set(1.984313483298443f) * z * b[12] - v_set(1.006230589874905f) * b[6];
-    b[21] = p19 * x;
-    b[22] = p18 * c1;
-    b[23] = v_set(-1.770130769779931f) * z * c2;
-    b[24] = v_set(0.6258357354491763f) * c3;
-}
-
-/* out[a] += sum_k w[k] d b_k / d d[a], the polynomials of sh_basis taken as functions of free x, y, z. */
-MAP void sh_basis_grad(int degree, const vf d[3], const vf *w, vf out[3])
-{
-    vf x = d[0], y = d[1], z = d[2], k;
-    if (degree < 1)
-        return;
-    out[0] = out[0] - v_set(sh_c[1]) * w[3];
-    out[1] = out[1] - v_set(sh_c[1]) * w[1];
-    out[2] = out[2] + v_set(sh_c[1]) * w[2];
-    if (degree < 2)
-        return;
-    vf two = v_set(2.0f), zz = z * z, c1 = x * x - y * y, s1 = two * x * y;
-    vf g_s1 = v_set(0.5462742152960395f) * w[4], g_c1 = v_set(0.5462742152960395f) * w[8];
-    k = v_set(-1.092548430592079f);
-    out[0] = out[0] + k * z * w[7];
-    out[1] = out[1] + k * z * w[5];
-    vf gz = k * (y * w[5] + x * w[7]) + v_set(2 * 0.9461746957575601f) * z * w[6];
-    if (degree >= 3) {
-        vf c2 = x * c1 - y * s1, s2 = x * s1 + y * c1;
-        vf p11 = v_fma(v_set(-2.285228997322329f), zz, v_set(0.4570457994644658f));
-        vf g_s2 = v_set(-0.5900435899266435f) * w[9], g_c2 = v_set(-0.5900435899266435f) * w[15];
-        k = v_set(1.445305721320277f);
-        g_s1 = g_s1 + k * z * w[10];
-        g_c1 = g_c1 + k * z * w[14];
-        out[0] = out[0] + p11 * w[13];
-        out[1] = out[1] + p11 * w[11];
-        gz = gz + k * (s1 * w[10] + c1 * w[14]) + v_set(-2 * 2.285228997322329f) * z * (y * w[11] + x * w[13]);
-        gz = gz + v_fma(v_set(3 * 1.865881662950577f), zz, v_set(-1.119528997770346f)) * w[12];
-        if (degree >= 4) {
-            vf g_s3 = v_set(0.6258357354491763f) * w[16], g_c3 = v_set(0.6258357354491763f) * w[24];
-            vf p18 = v_fma(v_set(3.31161143515146f), zz, v_set(-0.47308734787878f));
-            vf p19 = z * v_fma(v_set(-4.683325804901025f), zz, v_set(2.007139630671868f));
-            vf dp19 = v_fma(v_set(-3 * 4.683325804901025f), zz, v_set(2.007139630671868f));
-            vf p12 = z * v_fma(v_set(1.865881662950577f), zz, v_set(-1.119528997770346f));
-            vf dp12 = v_fma(v_set(3 * 1.865881662950577f), zz, v_set(-1.119528997770346f));
-            k = v_set(-1.770130769779931f);
-            g_s2 = g_s2 + k * z * w[17];
-            g_c2 = g_c2 + k * z * w[23];
-            g_s1 = g_s1 + p18 * w[18];
-            g_c1 = g_c1 + p18 * w[22];
-            out[0] = out[0] + p19 * w[21];
-            out[1] = out[1] + p19 * w[19];
-            gz = gz + k * (s2 * w[17] + c2 * w[23]) + dp19 * (y * w[19] + x * w[21]);
-            gz = gz + v_set(2 * 3.31161143515146f) * z * (s1 * w[18] + c1 * w[22]);
-            gz = gz + (v_set(1.984313483298443f) * (p12 + z * dp12) -
-                       v_set(2 * 1.006230589874905f * 0.9461746957575601f) * z) * w[20];
-            /* c3 = x c2 - y s2, s3 = x s2 + y c2 */
-            out[0] = out[0] + c2 * g_c3 + s2 * g_s3;
-            out[1] = out[1] - s2 * g_c3 + c2 * g_s3;
-            g_c2 = g_c2 + x * g_c3 + y * g_s3;
-            g_s2 = g_s2 - y * g_c3 + x * g_s3;
-        }
-        out[0] = out[0] + c1 * g_c2 + s1 * g_s2;
-        out[1] = out[1] - s1 * g_c2 + c1 * g_s2;
-        g_c1 = g_c1 + x * g_c2 + y * g_s2;
-        g_s1 = g_s1 - y * g_c2 + x * g_s2;
-    }
-    out[0] = out[0] + two * (x * g_c1 + y * g_s1);
-    out[1] = out[1] + two * (x * g_s1 - y * g_c1);
-    out[2] = out[2] + gz;
-}
 
 /* What projection and its chain rule share, for LANES splats. */
 struct proj {
-    vf m[3], p[3], rz;   // centre in the world and in the camera; 1/z
-    vm seen;             // between near and far
-    vf qn[4], inv_norm;  // unit quaternion; 1/|q|
-    vf rot[9], s[3];     // rotation, scales
-    vf w[9];             // R_cam rot
-    vf cx, cy;           // x/z and y/z clamped for the Jacobian
+    vf m[3], p[3], rz;  // centre in the world and in the camera; 1/z
+    vm seen;            // between near and far
+    vf qn[4], inv_norm; // unit quaternion; 1/|q|
+    vf rot[9], s[3];    // rotation, scales
+    vf w[9];            // R_cam rot
+    vf cx, cy;          // x/z and y/z clamped for the Jacobian
     vf j00, j02, j11, j12;
-    vf n0[3], n1[3];     // rows of N = J w diag(s)
-    vf xx, xy, yy, det;  // blurred 2-D covariance
+    vf n0[3], n1[3];    // rows of N = J w diag(s)
+    vf xx, xy, yy, det; // blurred 2-D covariance
     vf opacity;
 };
 
@@ -202,7 +93,8 @@ MAP void proj_load(struct proj *o, const struct gaussians *g, const struct view_
     vf c0 = o->n0[1] * o->n1[2] - o->n0[2] * o->n1[1];
     vf c1 = o->n0[2] * o->n1[0] - o->n0[0] * o->n1[2];
     vf c2 = o->n0[0] * o->n1[1] - o->n0[1] * o->n1[0];
-    o->det = c0 * c0 + c1 * c1 + c2 * c2 + v_set(RASTER_BLUR) * (nn0 + nn1) + v_set(RASTER_BLUR * RASTER_BLUR);
+    o->det = c0 * c0 + c1 * c1 + c2 * c2 + v_set(RASTER_BLUR) * (nn0 + nn1) +
+             v_set(RASTER_BLUR * RASTER_BLUR);
     o->xx = nn0 + v_set(RASTER_BLUR);
     o->yy = nn1 + v_set(RASTER_BLUR);
     o->xy = n01;
@@ -211,7 +103,8 @@ MAP void proj_load(struct proj *o, const struct gaussians *g, const struct view_
 /* Unit direction from the camera centre, its length, and log radiance of one colour. */
 MAP void proj_dir(const struct proj *o, const struct view_geom *v, vf dir[3], vf *len)
 {
-    vf sum = v_set(1e-36f); // a splat on the camera has no direction; it is culled by the near plane
+    vf sum =
+        v_set(1e-36f); // a splat on the camera has no direction; it is culled by the near plane
     for (int k = 0; k < 3; k++) {
         dir[k] = o->m[k] - v_set(v->centre[k]);
         sum = v_fma(dir[k], dir[k], sum);
@@ -246,7 +139,8 @@ MAP vm proj_finite(const struct gaussians *g, int i)
 }
 
 /* Inclusive pixel range of one axis, empty if lo > hi.
- * radius: gsplat's circle, decides the tiles; extent: where alpha can reach 1/255, cuts pixels and tiles further. */
+ * radius: gsplat's circle, decides the tiles; extent: where alpha can reach 1/255, cuts pixels and
+ * tiles further. */
 MAP void axis_range(vf centre, vf radius, vf extent, int size, vf *lo, vf *hi)
 {
     float tiles = (float)((size + TILE - 1) / TILE);
@@ -260,12 +154,29 @@ MAP void axis_range(vf centre, vf radius, vf extent, int size, vf *lo, vf *hi)
     *hi = v_clamp(*hi, -1.0f, (float)size - 1.0f);
 }
 
-enum { F_U, F_V, F_ACROSS, F_SHEAR, F_ALONG, F_TOP, F_R, F_G, F_BL, F_Z, F_X0, F_X1, F_Y0, F_Y1, N_FIELDS };
+enum {
+    F_U,
+    F_V,
+    F_ACROSS,
+    F_SHEAR,
+    F_ALONG,
+    F_TOP,
+    F_R,
+    F_G,
+    F_BL,
+    F_Z,
+    F_X0,
+    F_X1,
+    F_Y0,
+    F_Y1,
+    N_FIELDS
+};
 
 static const float LOG2_E = 1.44269504f, LOG2_ALPHA_MIN = -7.99435344f; // log2(1/255)
 
 /* One-axis and common parts of the record of LANES splats. Returns which are drawn. */
-MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int i, float f[N_FIELDS][LANES])
+MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int i,
+                      float f[N_FIELDS][LANES])
 {
     struct proj o;
     proj_load(&o, g, v, i);
@@ -305,7 +216,8 @@ MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int 
         proj_dir(&o, v, dir, &len);
     sh_basis(g->degree, dir, basis);
     for (int c = 0; c < 3; c++)
-        v_store(f[F_R + c], v_exp(v_clamp(proj_colour(g, i, c, basis), -RASTER_LOG_MAX, RASTER_LOG_MAX)));
+        v_store(f[F_R + c],
+                v_exp(v_clamp(proj_colour(g, i, c, basis), -RASTER_LOG_MAX, RASTER_LOG_MAX)));
     return m_bits(alive);
 }
 
@@ -321,13 +233,24 @@ static void project(const struct gaussians *g, const struct view_geom *v, int fi
             s->x1 = -1;
             if (!(alive >> l & 1))
                 continue;
-            int x0 = (int)f[F_X0][l], x1 = (int)f[F_X1][l], y0 = (int)f[F_Y0][l], y1 = (int)f[F_Y1][l];
-            *s = (struct splat2d){.u = f[F_U][l], .v = f[F_V][l], .across = f[F_ACROSS][l], .shear = f[F_SHEAR][l],
-                                  .along = f[F_ALONG][l], .top = f[F_TOP][l],
-                                  .rgb = {f[F_R][l], f[F_G][l], f[F_BL][l]}, .z = f[F_Z][l],
-                                  .x0 = (int16_t)x0, .x1 = (int16_t)x1, .y0 = (int16_t)y0, .y1 = (int16_t)y1,
-                                  .tx0 = (uint8_t)(x0 / TILE), .tx1 = (uint8_t)(x1 / TILE + 1),
-                                  .ty0 = (uint8_t)(y0 / TILE), .ty1 = (uint8_t)(y1 / TILE + 1)};
+            int x0 = (int)f[F_X0][l], x1 = (int)f[F_X1][l], y0 = (int)f[F_Y0][l],
+                y1 = (int)f[F_Y1][l];
+            *s = (struct splat2d){.u = f[F_U][l],
+                                  .v = f[F_V][l],
+                                  .across = f[F_ACROSS][l],
+                                  .shear = f[F_SHEAR][l],
+                                  .along = f[F_ALONG][l],
+                                  .top = f[F_TOP][l],
+                                  .rgb = {f[F_R][l], f[F_G][l], f[F_BL][l]},
+                                  .z = f[F_Z][l],
+                                  .x0 = (int16_t)x0,
+                                  .x1 = (int16_t)x1,
+                                  .y0 = (int16_t)y0,
+                                  .y1 = (int16_t)y1,
+                                  .tx0 = (uint8_t)(x0 / TILE),
+                                  .tx1 = (uint8_t)(x1 / TILE + 1),
+                                  .ty0 = (uint8_t)(y0 / TILE),
+                                  .ty1 = (uint8_t)(y1 / TILE + 1)};
         }
     }
 }
@@ -338,8 +261,8 @@ MAP vf finite_or_0(vf a)
 }
 
 /* Gradient of the colours: SH planes, and through the direction d_m += dL/d mu. */
-MAP void grad_colour(const struct gaussians *g, const struct view_geom *v, const struct proj *o, int i,
-                     const vf d_rgb[3], float *grad, vf d_m[3])
+MAP void grad_colour(const struct gaussians *g, const struct view_geom *v, const struct proj *o,
+                     int i, const vf d_rgb[3], float *grad, vf d_m[3])
 {
     int n = (g->degree + 1) * (g->degree + 1);
     vf basis[SH_COEFS_MAX], dir[3], len = v_set(1.0f), d_log[3];
@@ -374,23 +297,27 @@ MAP void grad_quat(const struct proj *o, const vf r[9], vf out[4])
 {
     vf w = o->qn[0], x = o->qn[1], y = o->qn[2], z = o->qn[3], two = v_set(2.0f), d[4];
     d[0] = two * (x * (r[7] - r[5]) + y * (r[2] - r[6]) + z * (r[3] - r[1]));
-    d[1] = two * (y * (r[1] + r[3]) + z * (r[2] + r[6]) + w * (r[7] - r[5]) - two * x * (r[4] + r[8]));
-    d[2] = two * (x * (r[1] + r[3]) + z * (r[5] + r[7]) + w * (r[2] - r[6]) - two * y * (r[0] + r[8]));
-    d[3] = two * (x * (r[2] + r[6]) + y * (r[5] + r[7]) + w * (r[3] - r[1]) - two * z * (r[0] + r[4]));
+    d[1] =
+        two * (y * (r[1] + r[3]) + z * (r[2] + r[6]) + w * (r[7] - r[5]) - two * x * (r[4] + r[8]));
+    d[2] =
+        two * (x * (r[1] + r[3]) + z * (r[5] + r[7]) + w * (r[2] - r[6]) - two * y * (r[0] + r[8]));
+    d[3] =
+        two * (x * (r[2] + r[6]) + y * (r[5] + r[7]) + w * (r[3] - r[1]) - two * z * (r[0] + r[4]));
     vf dot = d[0] * w + d[1] * x + d[2] * y + d[3] * z;
     for (int k = 0; k < 4; k++)
         out[k] = (d[k] - dot * o->qn[k]) * o->inv_norm;
 }
 
 struct geom_grad {
-    vf p[3];         // dL/d centre in the camera
-    vf w[9];         // dL/d (R_cam rot)
-    vf s[3];         // dL/d log scale
-    vf intr[4];      // dL/d fx fy cx cy
+    vf p[3];    // dL/d centre in the camera
+    vf w[9];    // dL/d (R_cam rot)
+    vf s[3];    // dL/d log scale
+    vf intr[4]; // dL/d fx fy cx cy
 };
 
 /* From the sums of tile_grad to the camera-space quantities. */
-MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *sum, struct geom_grad *d)
+MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *sum,
+                   struct geom_grad *d)
 {
     vf inv = v_set(1.0f) / o->det, half = v_set(0.5f);
     vf a = o->yy * inv, b = (v_set(0.0f) - o->xy) * inv, c = o->xx * inv;
@@ -416,13 +343,15 @@ MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *su
     vf x = o->p[0] * o->rz, y = o->p[1] * o->rz, zero = v_set(0.0f);
     vm in_x = m_and(v_le(v_set(-v->lim_x0), x), v_le(x, v_set(v->lim_x1)));
     vm in_y = m_and(v_le(v_set(-v->lim_y0), y), v_le(y, v_set(v->lim_y1)));
-    /* j02 = -fx cx / z; the bound of cx is (a - c_x) / fx or -(b + c_x) / fx, so it moves with fx and c_x */
+    /* j02 = -fx cx / z; the bound of cx is (a - c_x) / fx or -(b + c_x) / fx, so it
+     * moves with fx and c_x */
     vf d_cx = zero - d_j02 * o->j00, d_cy = zero - d_j12 * o->j11;
     vf dx = du * v_set(v->fx) + v_sel(in_x, d_cx, zero); // d / d (x/z)
     vf dy = dv * v_set(v->fy) + v_sel(in_y, d_cy, zero);
     d->p[0] = dx * o->rz;
     d->p[1] = dy * o->rz;
-    vf scale = d_j00 * o->j00 + d_j02 * o->j02 + d_j11 * o->j11 + d_j12 * o->j12; // all J are proportional to 1/z
+    vf scale = d_j00 * o->j00 + d_j02 * o->j02 + d_j11 * o->j11 +
+               d_j12 * o->j12; // all J are proportional to 1/z
     d->p[2] = sum[9] - (dx * x + dy * y + scale) * o->rz;
     vf out_x = v_sel(in_x, zero, d_cx), out_y = v_sel(in_y, zero, d_cy);
     d->intr[0] = du * x + (d_j00 * o->j00 + d_j02 * o->j02 - out_x * o->cx) / v_set(v->fx);
@@ -431,8 +360,8 @@ MAP void grad_geom(const struct proj *o, const struct view_geom *v, const vf *su
     d->intr[3] = dv - out_y / v_set(v->fy);
 }
 
-MAP void grad_pose(const struct proj *o, const struct view_geom *v, const struct geom_grad *d, const vf d_dir[3],
-                   int lanes, float *pose)
+MAP void grad_pose(const struct proj *o, const struct view_geom *v, const struct geom_grad *d,
+                   const vf d_dir[3], int lanes, float *pose)
 {
     float buf[LANES];
     vf ray[3]; // d centre of the camera, turned into the camera frame
@@ -510,24 +439,32 @@ struct pen {
 MAP struct pen pen_of(const struct splat2d *s, const struct tile *t)
 {
     int a = s->x0 - t->x0, b = s->x1 - t->x0, c = s->y0 - t->y0, d = s->y1 - t->y0;
-    return (struct pen){.u = s->u - ((float)t->x0 + 0.5f), .v = s->v - ((float)t->y0 + 0.5f), .shear = s->shear,
-                        .along = s->along, .top = s->top, .across = v_set(s->across),
-                        .rgb = {v_set(s->rgb[0]), v_set(s->rgb[1]), v_set(s->rgb[2])}, .z = v_set(s->z),
-                        .y0 = c < 0 ? 0 : c, .y1 = d > TILE - 1 ? TILE - 1 : d, .v0 = a < 0 ? 0 : a / LANES,
+    return (struct pen){.u = s->u - ((float)t->x0 + 0.5f),
+                        .v = s->v - ((float)t->y0 + 0.5f),
+                        .shear = s->shear,
+                        .along = s->along,
+                        .top = s->top,
+                        .across = v_set(s->across),
+                        .rgb = {v_set(s->rgb[0]), v_set(s->rgb[1]), v_set(s->rgb[2])},
+                        .z = v_set(s->z),
+                        .y0 = c < 0 ? 0 : c,
+                        .y1 = d > TILE - 1 ? TILE - 1 : d,
+                        .v0 = a < 0 ? 0 : a / LANES,
                         .v1 = b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
 }
 
 static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
-/* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for needles. Floored, because
- * powers that are denormal numbers cost a hundred cycles. */
+/* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for
+ * needles. Floored, because powers that are denormal numbers cost a hundred cycles. */
 MAP vf pen_log2(const struct pen *p, vf dx, float dy)
 {
     vf d = dx - v_set(p->shear * dy);
     return v_max(v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy)), v_set(-64.0f));
 }
 
-/* No branch on the pixels: a wrong guess costs more than a row of nothing. Returns the pixels that became full. */
+/* No branch on the pixels: a wrong guess costs more than a row of nothing. Returns the pixels that
+ * became full. */
 MAP vm tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int at, int depth)
 {
     vf log_alpha = pen_log2(p, dx, dy), t = v_load(st->t + at);
@@ -572,7 +509,8 @@ static void tile_start(const struct tile *t, struct tile_state *st)
 static void tile_finish(const struct tile *t, const struct tile_state *st)
 {
     size_t plane = (size_t)t->w * (size_t)t->h;
-    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE, ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
+    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE,
+        ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
     for (int y = 0; y < ny; y++)
         for (int x = 0; x < nx; x++) {
             int at = y * TILE + x;
@@ -599,8 +537,8 @@ MAP void tile_with(const struct tile *t, int depth)
         vm stopped = m_none();
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
-                stopped = m_or(stopped, tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
-                                                 y * TILE + k * LANES, depth));
+                stopped = m_or(stopped, tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES),
+                                                 p.v - (float)y, &st, y * TILE + k * LANES, depth));
         if (m_any(stopped) && !tile_stops(&st, i, t->n))
             break;
     }
@@ -625,7 +563,8 @@ static void grad_start(const struct tile *t, struct grad_state *st)
 {
     size_t plane = (size_t)t->w * (size_t)t->h;
     memset(st, 0, sizeof *st);
-    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE, ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
+    int nx = t->w - t->x0 < TILE ? t->w - t->x0 : TILE,
+        ny = t->h - t->y0 < TILE ? t->h - t->y0 : TILE;
     for (int y = 0; y < ny; y++)
         for (int x = 0; x < nx; x++) {
             int at = y * TILE + x;
@@ -643,7 +582,8 @@ static void grad_start(const struct tile *t, struct grad_state *st)
         }
 }
 
-MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, int at, vf place, int depth, vf *acc)
+MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, int at, vf place,
+                  int depth, vf *acc)
 {
     vf log_alpha = pen_log2(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(place, v_load(st->stop + at)));
@@ -692,8 +632,8 @@ MAP void tile_grad_with(const struct tile *t, int depth)
         struct pen p = pen_of(s, t);
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
-                grad_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st, y * TILE + k * LANES,
-                         place, depth, acc);
+                grad_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
+                         y * TILE + k * LANES, place, depth, acc);
         for (int k = 0; k < GRAD2D; k++)
             slot[k] = v_sum(acc[k]);
         for (int k = GRAD2D; k < SLOT; k++)
@@ -709,8 +649,8 @@ static void tile_grad(const struct tile *t)
         tile_grad_with(t, 0);
 }
 
-static void adam(const struct adam_step *s, int n, const float *seen, const float *grad, float *param, float *m1,
-                 float *m2)
+static void adam(const struct adam_step *s, int n, const float *seen, const float *grad,
+                 float *param, float *m1, float *m2)
 {
     int i = 0;
     for (; i + LANES <= n; i += LANES) {

@@ -73,7 +73,8 @@ void tonemap_table_init(struct tonemap_table *out, const struct tonemap *t)
         curve_init(&out->c[c], t->p + c * TONE_PER_COLOUR);
 }
 
-void tonemap_run(const struct tonemap_curve *c, const float *radiance, float shift, size_t n, float *out)
+void tonemap_run(const struct tonemap_curve *c, const float *radiance, float shift, size_t n,
+                 float *out)
 {
     for (size_t i = 0; i < n; i++) {
         float x = log2f(fmaxf(radiance[i], 0.0f) + TONEMAP_FLOOR) + shift;
@@ -82,8 +83,8 @@ void tonemap_run(const struct tonemap_curve *c, const float *radiance, float shi
     }
 }
 
-void tonemap_grad(const float *params, const struct tonemap_curve *c, const double *g0, const double *g1,
-                  float *out)
+void tonemap_grad(const float *params, const struct tonemap_curve *c, const double *g0,
+                  const double *g1, float *out)
 {
     double below0[TONE_HIDDEN + 2] = {0}, below1[TONE_HIDDEN + 2] = {0}; // sums over segments < s
     for (int s = 0; s <= c->n; s++) {

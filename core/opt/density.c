@@ -1,5 +1,6 @@
-/* Splitting keeps the picture nearly the same: along the longest axis (standard deviation s) the two halves sit at
- * +-0.5 s with standard deviation 0.8 s; their sum differs from the original by a few per cent where both are thin. */
+/* Splitting keeps the picture nearly the same: along the longest axis (standard deviation s) the
+ * two halves sit at +-0.5 s with standard deviation 0.8 s; their sum differs from the original by a
+ * few per cent where both are thin. */
 #include "core/opt/density.h"
 
 #include "core/splat/gaussians.h"
@@ -61,7 +62,7 @@ static int by_key(const void *a, const void *b)
     return x < y ? -1 : x > y;
 }
 
-/* 13 bits per axis of the position squashed by x/(1+|x|) around the median, then the splat number. */
+/* 13 bits per axis of the position squashed by x/(1+|x|) around the median, then the number. */
 void density_sort(struct density *d)
 {
     struct gaussians *g = d->g;
@@ -115,11 +116,13 @@ static void split_one(struct density *d, int i, int j)
     for (int k = 1; k < 3; k++)
         if (g->plane[G_LOG_SCALE + k][i] > g->plane[G_LOG_SCALE + axis][i])
             axis = k;
-    float w = g->plane[G_QUAT][i], x = g->plane[G_QUAT + 1][i], y = g->plane[G_QUAT + 2][i], z = g->plane[G_QUAT + 3][i];
+    float w = g->plane[G_QUAT][i], x = g->plane[G_QUAT + 1][i], y = g->plane[G_QUAT + 2][i],
+          z = g->plane[G_QUAT + 3][i];
     float n2 = fmaxf(w * w + x * x + y * y + z * z, 1e-20f);
-    const float col[3][3] = {{w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)},
-                             {2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)},
-                             {2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z}};
+    const float col[3][3] = {
+        {w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)},
+        {2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)},
+        {2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z}};
     float half = 0.5f * expf(g->plane[G_LOG_SCALE + axis][i]);
     for (int k = 0; k < 3; k++) {
         float step = half * col[axis][k] / n2;
@@ -134,7 +137,8 @@ int density_split(struct density *d, int count)
 {
     struct gaussians *g = d->g;
     int n = g->n, room = g->cap - n;
-    for (int i = 0; i < n; i++) { // positive floats order like integers; highest score first, ties by number
+    /* positive floats order like integers; highest score first, ties by number */
+    for (int i = 0; i < n; i++) {
         uint32_t bits;
         float s = d->score[i] > 0 && isfinite(d->score[i]) ? d->score[i] : 0.0f;
         memcpy(&bits, &s, 4);

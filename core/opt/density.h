@@ -1,5 +1,6 @@
-/* density.h - the number of Gaussians: order in memory, removal and splitting, with the optimiser's moments.
- * Everything is a permutation or copy of whole splats over a set of parallel arrays. Deterministic. */
+/* density.h - the number of Gaussians: order in memory, removal and splitting, with the optimiser's
+ * moments. Everything is a permutation or copy of whole splats over a set of parallel arrays.
+ * Deterministic. */
 #ifndef OPT_DENSITY_H
 #define OPT_DENSITY_H
 
@@ -23,11 +24,13 @@ MUST_USE err_t density_init(struct density *d, struct arena *a, struct gaussians
 /* Sort the splats along a Morton curve, so that neighbours in space are neighbours in memory. */
 void density_sort(struct density *d);
 
-/* Remove splats with opacity below `min_opacity`, or with a number that is not finite. Returns how many went. */
+/* Remove splats with opacity below `min_opacity`, or with a number that is not finite. Returns how
+ * many went. */
 int density_prune(struct density *d, float min_opacity);
 
-/* Split the splats of highest score (> 0), at most `count` and at most what the capacity leaves: each becomes two,
- * half as long apart along its longest axis. Scores are reset. Returns how many were split. */
+/* Split the splats of highest score (> 0), at most `count` and at most what the capacity leaves:
+ * each becomes two, half as long apart along its longest axis. Scores are reset. Returns how many
+ * were split. */
 int density_split(struct density *d, int count);
 
 #endif

@@ -1,21 +1,30 @@
 /* Three passes over chunks of rows:
  * 1. tone mapping of every colour: display value, position x on the curve and its segment;
- * 2. window means of x, y, xx, yy, xy (separable blur, a ring of 11 blurred rows), SSIM and its derivatives by three
- *    of the means, written to maps with a zero border;
- * 3. the same blur of these maps is the transposed one, so d SSIM / d x = blur(m0) + 2 x blur(m1) + y blur(m2); L1, held-out
- *    squares, then the chain rule of the tone curve. Sums per chunk are added in chunk order. */
+ * 2. window means of x, y, xx, yy, xy (separable blur, a ring of 11 blurred rows), SSIM and its
+ *    derivatives by three of the means, written to maps with a zero border;
+ * 3. the same blur of these maps is the transposed one, so d SSIM / d x = blur(m0) + 2 x blur(m1) +
+ *    y blur(m2); L1, held-out squares, then the chain rule of the tone curve.
+ * Sums per chunk are added in chunk order. */
 #include "core/opt/loss.h"
 
 #include <math.h>
 #include <string.h>
 
 enum {
-    ROWS = 16,               // of a chunk
+    ROWS = 16, // of a chunk
     EDGE = LOSS_WINDOW - 1,
     MEANS = 5,
-    SEGMENTS = TONE_HIDDEN + 1,
-    /* partial sums of one chunk */
-    P_L1 = 0, P_SSIM, P_SSE, P_HELD, P_G0, P_G1 = P_G0 + 3 * SEGMENTS, P_ALL = P_G1 + 3 * SEGMENTS
+    SEGMENTS = TONE_HIDDEN + 1
+};
+
+enum { // partial sums of one chunk
+    P_L1,
+    P_SSIM,
+    P_SSE,
+    P_HELD,
+    P_G0,
+    P_G1 = P_G0 + 3 * SEGMENTS,
+    P_ALL = P_G1 + 3 * SEGMENTS
 };
 
 static int chunks_of(int rows)
@@ -36,9 +45,15 @@ static size_t scratch_of(int w)
 size_t loss_plan(int w, int h, int workers)
 {
     size_t px = (size_t)w * (size_t)h, s = stride_of(w);
-    const size_t need[][2] = {{3 * px, 4}, {3 * px, 4}, {3 * px, 4}, {3 * px, 1}, {9 * ((size_t)h + EDGE) * s, 4},
-                              {scratch_of(w) * (size_t)workers, 4}, {(size_t)chunks_of(h) * P_ALL, 8},
-                              {3 * px, 4}, {px, 4}};
+    const size_t need[][2] = {{3 * px, 4},
+                              {3 * px, 4},
+                              {3 * px, 4},
+                              {3 * px, 1},
+                              {9 * ((size_t)h + EDGE) * s, 4},
+                              {scratch_of(w) * (size_t)workers, 4},
+                              {(size_t)chunks_of(h) * P_ALL, 8},
+                              {3 * px, 4},
+                              {px, 4}};
     size_t total = 0;
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
         total = arena_add(total, arena_need(need[i][0], need[i][1]));
@@ -49,8 +64,8 @@ err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
 {
     memset(l, 0, sizeof *l);
     if (w < LOSS_WINDOW || h < LOSS_WINDOW || w > RASTER_SIDE_MAX || h > RASTER_SIDE_MAX)
-        return err_fail(ERR_ARG, "loss: picture of %d x %d px, a side must be in [%d, %d]", w, h, LOSS_WINDOW,
-                        RASTER_SIDE_MAX);
+        return err_fail(ERR_ARG, "loss: picture of %d x %d px, a side must be in [%d, %d]", w, h,
+                        LOSS_WINDOW, RASTER_SIDE_MAX);
     l->w = w;
     l->h = h;
     size_t px = (size_t)w * (size_t)h, s = stride_of(w);
@@ -83,10 +98,16 @@ struct job {
 static struct tone_row tone_row_of(const struct job *j, int colour, int y)
 {
     size_t row = (size_t)y * (size_t)j->w, at = (size_t)colour * j->px + row;
-    return (struct tone_row){.curve = &j->table.c[colour], .radiance = j->in->pic->radiance + at,
-                             .alpha = j->in->pic->alpha + row, .shift = j->in->shift,
-                             .behind = j->in->behind[colour], .x = j->l->x + at, .slope = j->l->slope + at,
-                             .ldr = j->l->ldr + at, .segment = j->l->segment + at, .n = j->w};
+    return (struct tone_row){.curve = &j->table.c[colour],
+                             .radiance = j->in->pic->radiance + at,
+                             .alpha = j->in->pic->alpha + row,
+                             .shift = j->in->shift,
+                             .behind = j->in->behind[colour],
+                             .x = j->l->x + at,
+                             .slope = j->l->slope + at,
+                             .ldr = j->l->ldr + at,
+                             .segment = j->l->segment + at,
+                             .n = j->w};
 }
 
 static err_t tone_chunk(void *ctx, int chunk, int worker)
@@ -108,7 +129,8 @@ static float *map_row(const struct job *j, int colour, int k, int row)
     return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
 }
 
-static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch, double *sum)
+static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,
+                      double *sum)
 {
     size_t s = (size_t)j->l->stride;
     int n = j->w - EDGE;
@@ -142,7 +164,8 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     struct job *j = ctx;
     struct loss *l = j->l;
     double *p = l->partial + (size_t)chunk * P_ALL;
-    int windows = j->h - EDGE, row0 = chunk * ROWS, row1 = row0 + ROWS < windows ? row0 + ROWS : windows;
+    int windows = j->h - EDGE, row0 = chunk * ROWS,
+        row1 = row0 + ROWS < windows ? row0 + ROWS : windows;
     p[P_SSIM] = 0;
     for (int c = 0; c < 3 && row0 < row1; c++)
         ssim_rows(j, c, row0, row1, l->scratch + l->scratch_floats * (size_t)worker, &p[P_SSIM]);
@@ -158,7 +181,8 @@ static void hold_out(const struct job *j, int colour, int y, double *p)
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
         for (int i = s * px; i < end && held[s]; i++) {
-            double diff = (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
+            double diff =
+                (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
             p[P_SSE] += diff * diff;
             p[P_HELD] += 1;
             j->l->d_radiance[at + (size_t)i] = 0;
@@ -179,9 +203,13 @@ static void display_grad(const struct job *j, int colour, int y, float *line, do
         j->r->k->blur_col(j->l->taps, rows, j->w + EDGE, mixed);
         j->r->k->blur_row(j->l->taps, mixed, j->w + EDGE, line + (size_t)k * s);
     }
-    struct display_row row = {.x = j->l->ldr + at, .g = line, .photo = in->photo + at, .stride = s,
+    struct display_row row = {.x = j->l->ldr + at,
+                              .g = line,
+                              .photo = in->photo + at,
+                              .stride = s,
                               .l1 = in->w_l1 / (float)(3 * j->px),
-                              .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)), .n = j->w};
+                              .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
+                              .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, j->l->d_radiance + at);
     if (in->held)
         hold_out(j, colour, y, p);
@@ -233,15 +261,18 @@ static void add_up(const struct job *j, struct loss_output *out)
     out->held_n = (long)total[P_HELD];
     memset(out->tone, 0, sizeof out->tone);
     for (int c = 0; c < 3; c++)
-        tonemap_grad(j->in->tone->p + c * TONE_PER_COLOUR, &j->table.c[c], total + P_G0 + c * SEGMENTS,
-                     total + P_G1 + c * SEGMENTS, out->tone + c * TONE_PER_COLOUR);
+        tonemap_grad(j->in->tone->p + c * TONE_PER_COLOUR, &j->table.c[c],
+                     total + P_G0 + c * SEGMENTS, total + P_G1 + c * SEGMENTS,
+                     out->tone + c * TONE_PER_COLOUR);
 }
 
-err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in, struct loss_output *out)
+err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
+               struct loss_output *out)
 {
     struct job j = {.r = r, .l = l, .in = in, .w = in->pic->w, .h = in->pic->h};
     if (j.w < LOSS_WINDOW || j.h < LOSS_WINDOW || j.w > l->w || j.h > l->h)
-        return err_fail(ERR_ARG, "loss: picture of %d x %d px, planned for %d x %d", j.w, j.h, l->w, l->h);
+        return err_fail(ERR_ARG, "loss: picture of %d x %d px, planned for %d x %d", j.w, j.h, l->w,
+                        l->h);
     j.px = (size_t)j.w * (size_t)j.h;
     l->stride = (int)stride_of(j.w);
     tonemap_table_init(&j.table, in->tone);

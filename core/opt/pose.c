@@ -1,5 +1,5 @@
-/* With A = dL/dR R^T + dL/dt t^T, a rotation by w changes the loss by sum_ij A_ij [w]x_ij, so dL/dw is twice the
- * axial vector of A's antisymmetric part; dL/dv = dL/dt. */
+/* With A = dL/dR R^T + dL/dt t^T, a rotation by w changes the loss by sum_ij A_ij [w]x_ij, so dL/dw
+ * is twice the axial vector of A's antisymmetric part; dL/dv = dL/dt. */
 #include "core/opt/pose.h"
 
 #include "core/splat/raster.h"
@@ -30,12 +30,14 @@ void pose_move(struct camera *c, const float twist[6])
         sum += twist[i];
     if (!isfinite(sum))
         return;
-    double angle = sqrt((double)twist[0] * twist[0] + (double)twist[1] * twist[1] + (double)twist[2] * twist[2]);
+    double angle = sqrt((double)twist[0] * twist[0] + (double)twist[1] * twist[1] +
+                        (double)twist[2] * twist[2]);
     double s = angle > 1e-9 ? sin(angle / 2) / angle : 0.5, w = cos(angle / 2);
     double x = s * twist[0], y = s * twist[1], z = s * twist[2];
     const double b[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
-    const double q[4] = {w * b[0] - x * b[1] - y * b[2] - z * b[3], w * b[1] + x * b[0] + y * b[3] - z * b[2],
-                         w * b[2] - x * b[3] + y * b[0] + z * b[1], w * b[3] + x * b[2] - y * b[1] + z * b[0]};
+    const double q[4] = {
+        w * b[0] - x * b[1] - y * b[2] - z * b[3], w * b[1] + x * b[0] + y * b[3] - z * b[2],
+        w * b[2] - x * b[3] + y * b[0] + z * b[1], w * b[3] + x * b[2] - y * b[1] + z * b[0]};
     double len = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     const float d[4] = {(float)w, (float)x, (float)y, (float)z};
     float r[9], t[3];

@@ -1,5 +1,6 @@
 /* pose.h - small rigid motions of cameras: the 6 degrees of freedom that optimisers move.
- * A twist (w, v) acts on the left of world-to-camera: X_cam' = exp(w) X_cam + v. Pure functions; any thread. */
+ * A twist (w, v) acts on the left of world-to-camera: X_cam' = exp(w) X_cam + v.
+ * Pure functions; any thread. */
 #ifndef OPT_POSE_H
 #define OPT_POSE_H
 
@@ -10,7 +11,7 @@
  * out: rotation (3, radians), translation (3, scene units). */
 void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float out[6]);
 
-/* c <- twist applied to c; the quaternion stays unit. A twist that is not finite changes nothing. */
+/* c <- twist applied to c; the quaternion stays unit. A twist that is not finite does nothing. */
 void pose_move(struct camera *c, const float twist[6]);
 
 /* Same view at another picture size. */

@@ -1,8 +1,9 @@
 /* Forward pass:
  * 1. project blocks of splats (SIMD) into one cache line each, count the visible ones per block;
- * 2. compact the visible ones, radix sort by the bits of z (positive floats order like integers; ties by number);
- * 3. count splats per tile by a two-dimensional difference array, split the picture into groups of tiles whose
- *    lists fit the planned memory (nearly always one group);
+ * 2. compact the visible ones, radix sort by the bits of z (positive floats order like integers;
+ *    ties by number);
+ * 3. count splats per tile by a two-dimensional difference array, split the picture into groups of
+ *    tiles whose lists fit the planned memory (nearly always one group);
  * 4. per band of tiles, deal the sorted splats to the lists of their tiles;
  * 5. blend each tile (SIMD).
  * No step depends on how chunks are shared out among threads. */
@@ -14,9 +15,9 @@
 enum {
     CHUNK = RASTER_CHUNK,
     CHUNK_BLOCKS = CHUNK / SPLAT_BLOCK,
-    BAND = 2,           // tile rows filled by one chunk
+    BAND = 2, // tile rows filled by one chunk
     RADIX_BITS = 11,
-    PLACES_PER_SPLAT = 5, // planned tiles per splat; measured 1.5 to 4 on scenes refined from photographs
+    PLACES_PER_SPLAT = 5, // planned tiles per splat; measured 1.5 to 4 on refined scenes
     PLACES_MIN = 1 << 16
 };
 
@@ -47,9 +48,19 @@ size_t raster_plan(int cap, int w, int h, bool gradients)
 {
     size_t n = (size_t)cap + SPLAT_BLOCK, places = places_for(cap), tiles = tiles_for(w, h);
     size_t px = (size_t)w * (size_t)h, chunks = n / CHUNK + 1;
-    const size_t forward[][2] = {{n, sizeof(struct splat2d)}, {n / SPLAT_BLOCK + 2, 4}, {n, 4}, {n, 4}, {n, 4}, {n, 4},
-                                 {n, 8}, {tiles, 4}, {tiles + 1, 4}, {places, 4},
-                                 {tiles, sizeof(struct raster_group)}, {px, 4}, {px, 4}};
+    const size_t forward[][2] = {{n, sizeof(struct splat2d)},
+                                 {n / SPLAT_BLOCK + 2, 4},
+                                 {n, 4},
+                                 {n, 4},
+                                 {n, 4},
+                                 {n, 4},
+                                 {n, 8},
+                                 {tiles, 4},
+                                 {tiles + 1, 4},
+                                 {places, 4},
+                                 {tiles, sizeof(struct raster_group)},
+                                 {px, 4},
+                                 {px, 4}};
     const size_t backward[][2] = {{places * SLOT, 4}, {n * SLOT, 4}, {chunks * POSE_GRAD, 4}};
     size_t total = need_sum(forward, (int)(sizeof forward / sizeof forward[0]));
     if (gradients)
@@ -59,7 +70,8 @@ size_t raster_plan(int cap, int w, int h, bool gradients)
 
 static err_t alloc_forward(struct raster *rs, struct arena *a)
 {
-    size_t n = (size_t)rs->cap + SPLAT_BLOCK, tiles = tiles_for(rs->w, rs->h), px = (size_t)rs->w * (size_t)rs->h;
+    size_t n = (size_t)rs->cap + SPLAT_BLOCK, tiles = tiles_for(rs->w, rs->h),
+           px = (size_t)rs->w * (size_t)rs->h;
     err_t e = arena_alloc(a, n, sizeof *rs->splats, &rs->splats);
     e = e ? e : arena_alloc(a, n / SPLAT_BLOCK + 2, 4, &rs->block_seen);
     for (int i = 0; i < 2; i++) {
@@ -79,8 +91,9 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
 {
     memset(rs, 0, sizeof *rs);
     if (cap < 1 || w < 1 || h < 1 || w > RASTER_SIDE_MAX || h > RASTER_SIDE_MAX)
-        return err_fail(ERR_ARG, "raster: %d splats on %d x %d px; at least 1 and at most %d px a side", cap, w, h,
-                        RASTER_SIDE_MAX);
+        return err_fail(ERR_ARG,
+                        "raster: %d splats on %d x %d px; at least 1 and at most %d px a side", cap,
+                        w, h, RASTER_SIDE_MAX);
     rs->cap = cap;
     rs->w = w;
     rs->h = h;
@@ -141,7 +154,8 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
     struct job *j = ctx;
     struct raster *rs = j->rs;
     (void)worker;
-    for (int b = chunk * CHUNK_BLOCKS; b < (chunk + 1) * CHUNK_BLOCKS && b * SPLAT_BLOCK < j->in->g->n; b++) {
+    for (int b = chunk * CHUNK_BLOCKS;
+         b < (chunk + 1) * CHUNK_BLOCKS && b * SPLAT_BLOCK < j->in->g->n; b++) {
         int first = b * SPLAT_BLOCK, n = j->in->g->n - first;
         n = n < SPLAT_BLOCK ? n : SPLAT_BLOCK;
         j->r->k->project(j->in->g, &rs->view, first, n, rs->splats);
@@ -196,7 +210,8 @@ static void sort_by_depth(struct raster *rs)
     }
 }
 
-/* A box packs the splat number and tile rectangle, so that dealing reads 8 bytes per splat in order. */
+/* A box packs the splat number and tile rectangle, so that dealing reads 8 bytes per splat in
+ * order. */
 static err_t box_chunk(void *ctx, int chunk, int worker)
 {
     struct raster *rs = ((struct job *)ctx)->rs;
@@ -218,11 +233,12 @@ struct box {
 
 static struct box box_unpack(uint64_t b)
 {
-    return (struct box){(uint32_t)(b >> 32), (int)(b >> 24 & 255), (int)(b >> 16 & 255), (int)(b >> 8 & 255),
-                        (int)(b & 255)};
+    return (struct box){(uint32_t)(b >> 32), (int)(b >> 24 & 255), (int)(b >> 16 & 255),
+                        (int)(b >> 8 & 255), (int)(b & 255)};
 }
 
-/* tile_count[t] = splats on tile t: corners of a difference array, then running sums along both axes. */
+/* tile_count[t] = splats on tile t: corners of a difference array, then running sums along both
+ * axes. */
 static void count_tiles(struct raster *rs)
 {
     int tx = rs->tiles_x, ty = rs->tiles_y;
@@ -246,7 +262,8 @@ static void count_tiles(struct raster *rs)
             d[y * tx + x] += d[(y - 1) * tx + x];
 }
 
-/* Whole rows of tiles where they fit, else pieces of one row; one tile always fits because places >= splats. */
+/* Whole rows of tiles where they fit, else pieces of one row; one tile always fits because places
+ * >= splats. */
 static void split_groups(struct raster *rs)
 {
     size_t used = 0;
@@ -321,10 +338,19 @@ struct tile raster_tile(const struct raster *rs, const struct raster_input *in, 
 {
     const struct raster_group *g = &rs->groups[rs->loaded];
     int nx = g->x1 - g->x0;
-    struct tile t = {.splats = rs->splats, .list = rs->list + rs->start[k], .n = (int)(rs->start[k + 1] - rs->start[k]),
-                     .x0 = (g->x0 + k % nx) * TILE, .y0 = (g->y0 + k / nx) * TILE, .w = rs->view.w, .h = rs->view.h,
-                     .trans = rs->trans, .stop = rs->stop, .slots = rs->slots,
-                     .gx0 = g->x0, .gx1 = g->x1, .gy0 = g->y0};
+    struct tile t = {.splats = rs->splats,
+                     .list = rs->list + rs->start[k],
+                     .n = (int)(rs->start[k + 1] - rs->start[k]),
+                     .x0 = (g->x0 + k % nx) * TILE,
+                     .y0 = (g->y0 + k / nx) * TILE,
+                     .w = rs->view.w,
+                     .h = rs->view.h,
+                     .trans = rs->trans,
+                     .stop = rs->stop,
+                     .slots = rs->slots,
+                     .gx0 = g->x0,
+                     .gx1 = g->x1,
+                     .gy0 = g->y0};
     memcpy(t.background, in->background, sizeof t.background);
     return t;
 }
@@ -346,15 +372,18 @@ static err_t check_input(const struct raster *rs, const struct raster_input *in)
     const struct camera *c = in->cam;
     if (in->g->n > rs->cap || in->g->n < 0)
         return err_fail(ERR_ARG, "raster: %d splats, planned for %d", in->g->n, rs->cap);
-    if (c->w < 1 || c->h < 1 || tiles_for(c->w, c->h) > tiles_for(rs->w, rs->h) || c->w > RASTER_SIDE_MAX ||
-        c->h > RASTER_SIDE_MAX || (size_t)c->w * (size_t)c->h > (size_t)rs->w * (size_t)rs->h)
-        return err_fail(ERR_ARG, "raster: picture of %d x %d px, planned for %d x %d", c->w, c->h, rs->w, rs->h);
+    if (c->w < 1 || c->h < 1 || tiles_for(c->w, c->h) > tiles_for(rs->w, rs->h) ||
+        c->w > RASTER_SIDE_MAX || c->h > RASTER_SIDE_MAX ||
+        (size_t)c->w * (size_t)c->h > (size_t)rs->w * (size_t)rs->h)
+        return err_fail(ERR_ARG, "raster: picture of %d x %d px, planned for %d x %d", c->w, c->h,
+                        rs->w, rs->h);
     float sum = c->fx + c->fy + c->cx + c->cy;
     for (int i = 0; i < 4; i++)
         sum += c->q[i] + c->t[i % 3];
     if (!isfinite(sum) || !(c->fx > 0) || !(c->fy > 0))
-        return err_fail(ERR_ARG, "raster: camera with focal lengths %g, %g px has a number that is not usable",
-                        (double)c->fx, (double)c->fy);
+        return err_fail(
+            ERR_ARG, "raster: camera with focal lengths %g, %g px has a number that is not usable",
+            (double)c->fx, (double)c->fy);
     return OK;
 }
 
@@ -386,7 +415,8 @@ static err_t prepare(struct job *j)
     return OK;
 }
 
-err_t raster_run(const struct run *r, struct raster *rs, const struct raster_input *in, struct render *out)
+err_t raster_run(const struct run *r, struct raster *rs, const struct raster_input *in,
+                 struct render *out)
 {
     err_t e = check_input(rs, in);
     if (e)

@@ -1,11 +1,14 @@
 /* raster.h - pictures of Gaussians: forward, and the gradient of a loss on the picture.
- * Equal to gsplat 1.4.0 as the release calls it (model-spec 2.13), up to float rounding near its thresholds.
- * Invariant: the result depends only on the input, never on the number of threads. Nothing is allocated after
- * raster_init: when splats cover more tiles than planned, the picture is made in several groups of tiles.
+ * Equal to gsplat 1.4.0 as the release calls it (model-spec 2.13), up to float rounding near its
+ * thresholds.
+ * Invariant: the result depends only on the input, never on the number of threads.
+ * Nothing is allocated after raster_init: when splats cover more tiles than planned, the picture
+ * is made in several groups of tiles.
  *
- * Defined results at the extremes: splats with a NaN or infinite number, behind or nearer than RASTER_NEAR, with opacity
- * below 1/255, or wider than 1e9 px are not drawn; log radiance is clamped to +-RASTER_LOG_MAX; a zero quaternion is
- * the identity; gradients that are not finite are 0. */
+ * Defined results at the extremes: splats with a NaN or infinite number, behind or nearer than
+ * RASTER_NEAR, with opacity below 1/255, or wider than 1e9 px are not drawn; log radiance is
+ * clamped to +-RASTER_LOG_MAX; a zero quaternion is the identity; gradients that are
+ * not finite are 0. */
 #ifndef SPLAT_RASTER_H
 #define SPLAT_RASTER_H
 
@@ -40,30 +43,31 @@ struct raster_group {
 /* Workspace. Fields belong to raster.c and raster_grad.c. */
 struct raster {
     int cap, w, h, tiles_x, tiles_y;
-    size_t cap_places;         // room for splat-tile pairs in one group
-    struct splat2d *splats;    // (cap)
-    uint32_t *block_seen;      // visible splats before each block
+    size_t cap_places;           // room for splat-tile pairs in one group
+    struct splat2d *splats;      // (cap)
+    uint32_t *block_seen;        // visible splats before each block
     uint32_t *key[2], *order[2]; // (cap) depth keys and splat numbers
-    uint64_t *boxes;           // (cap) splat number and tile rectangle, by depth
-    uint32_t *tile_count;      // (tiles) splats per tile
-    uint32_t *start;           // (tiles + 1) of the current group, row-major in the group
-    uint32_t *list;            // (cap_places)
+    uint64_t *boxes;             // (cap) splat number and tile rectangle, by depth
+    uint32_t *tile_count;        // (tiles) splats per tile
+    uint32_t *start;             // (tiles + 1) of the current group, row-major in the group
+    uint32_t *list;              // (cap_places)
     struct raster_group *groups; // (tiles)
-    int n_groups, loaded;      // loaded: group whose lists are in place
+    int n_groups, loaded;        // loaded: group whose lists are in place
     int n_seen;
     struct view_geom view;
-    float *trans;              // (h, w)
-    int32_t *stop;             // (h, w)
-    float *slots;              // (cap_places, SLOT); NULL without gradients
-    float *sums;               // (cap, SLOT)
-    float *partial;            // pose gradients per chunk
+    float *trans;   // (h, w)
+    int32_t *stop;  // (h, w)
+    float *slots;   // (cap_places, SLOT); NULL without gradients
+    float *sums;    // (cap, SLOT)
+    float *partial; // pose gradients per chunk
 };
 
 /* Bytes that raster_init takes for pictures up to w x h and up to cap splats. */
 size_t raster_plan(int cap, int w, int h, bool gradients);
 
 /* err: ERR_ARG (sizes), ERR_NOMEM. */
-MUST_USE err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, bool gradients);
+MUST_USE err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h,
+                           bool gradients);
 
 /* Draw. in->g->n <= cap; the camera's w, h are those of the picture and at most the planned ones.
  * out:  the maps of *out, whose w, h are set.
@@ -90,11 +94,12 @@ struct raster_sink {
     float *background; // (3) or NULL
 };
 
-/* Backward pass of the last raster_run on this workspace with the same input. The sink may change the splats of its
- * own block.
+/* Backward pass of the last raster_run on this workspace with the same input. The sink may change
+ * the splats of its own block.
  * err: ERR_ARG (no gradients planned), ERR_CANCELLED. */
-MUST_USE err_t raster_grad_run(const struct run *r, struct raster *rs, const struct raster_input *in,
-                               const struct render_grad *up, const struct raster_sink *sink);
+MUST_USE err_t raster_grad_run(const struct run *r, struct raster *rs,
+                               const struct raster_input *in, const struct render_grad *up,
+                               const struct raster_sink *sink);
 
 /* Fill lists of group `i` unless they are in place (for raster_grad.c). */
 MUST_USE err_t raster_load_group(const struct run *r, struct raster *rs, int i);

@@ -1,6 +1,7 @@
-/* Backward pass. Each tile writes the sums of its splats into slots of its own; a splat's slots of one group of tiles are
- * contiguous, so adding them up per splat needs no atomics and has a fixed order. Then blocks of splats go
- * through the chain rule of the projection (SIMD) and to the sink, which may apply the optimiser at once. */
+/* Backward pass. Each tile writes the sums of its splats into slots of its own; a splat's slots of
+ * one group of tiles are contiguous, so adding them up per splat needs no atomics and has a fixed
+ * order. Then blocks of splats go through the chain rule of the projection (SIMD) and to the sink,
+ * which may apply the optimiser at once. */
 #include "core/splat/raster.h"
 
 #include <math.h>
@@ -104,7 +105,8 @@ static err_t chain_chunk(void *ctx, int chunk, int worker)
     struct grad_job *j = ctx;
     struct raster *rs = j->rs;
     (void)worker;
-    _Alignas(64) float sums[GRAD2D * SPLAT_BLOCK], grad[G_PLANES_MAX * SPLAT_BLOCK], seen[SPLAT_BLOCK];
+    _Alignas(64) float sums[GRAD2D * SPLAT_BLOCK], grad[G_PLANES_MAX * SPLAT_BLOCK],
+        seen[SPLAT_BLOCK];
     float *pose = j->sink->pose ? rs->partial + (size_t)chunk * POSE_GRAD : NULL;
     if (pose)
         memset(pose, 0, POSE_GRAD * sizeof *pose);

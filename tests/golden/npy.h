@@ -1,4 +1,4 @@
-/* npy.h - the arrays of the golden sets (NumPy format 1.0, C order, float32 or int32). For tests only. */
+/* npy.h - arrays of the golden sets (NumPy format 1.0, C order, float32 or int32). */
 #ifndef GOLDEN_NPY_H
 #define GOLDEN_NPY_H
 
@@ -7,7 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Contents of tests/data/golden/<name> as 4-byte words; *n words. Ends the test program if it cannot be read.
+/* Contents of tests/data/golden/<name> as 4-byte words; *n words. Ends the test program if it
+ * cannot be read.
  * own: free(). */
 static inline void *npy_load(const char *name, size_t *n)
 {
@@ -16,8 +17,8 @@ static inline void *npy_load(const char *name, size_t *n)
     FILE *f = fopen(path, "rb");
     unsigned char head[10];
     long end = 0;
-    if (!f || fread(head, 1, 10, f) != 10 || memcmp(head, "\x93NUMPY\x01", 7) != 0 || fseek(f, 0, SEEK_END) != 0 ||
-        (end = ftell(f)) < 0) {
+    if (!f || fread(head, 1, 10, f) != 10 || memcmp(head, "\x93NUMPY\x01", 7) != 0 ||
+        fseek(f, 0, SEEK_END) != 0 || (end = ftell(f)) < 0) {
         fprintf(stderr, "%s: not readable as .npy 1.0\n", path);
         exit(1);
     }

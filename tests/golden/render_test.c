@@ -1,5 +1,5 @@
-/* The rasteriser and the tone curve against the golden sets unit_render and unit_tonemap (gsplat 1.4.0 and the
- * released tone mapper, see model-spec 2.13 and 2.14). */
+/* The rasteriser and the tone curve against the golden sets unit_render and unit_tonemap (gsplat
+ * 1.4.0 and the released tone mapper, see model-spec 2.13 and 2.14). */
 #include "core/base/cpu.h"
 #include "core/net/tonemap.h"
 #include "core/splat/raster.h"
@@ -26,9 +26,15 @@ static void set_camera(struct camera *c, const float *w2c, const float *k)
     /* quaternion of the rotation; the golden pose has a positive trace */
     float w = 0.5f * sqrtf(1 + w2c[0] + w2c[5] + w2c[10]);
     assert_true(w > 0.1f);
-    *c = (struct camera){S, S, k[0], k[4], k[2], k[5],
-                         {w, (w2c[9] - w2c[6]) / (4 * w), (w2c[2] - w2c[8]) / (4 * w), (w2c[4] - w2c[1]) / (4 * w)},
-                         {w2c[3], w2c[7], w2c[11]}};
+    *c = (struct camera){
+        S,
+        S,
+        k[0],
+        k[4],
+        k[2],
+        k[5],
+        {w, (w2c[9] - w2c[6]) / (4 * w), (w2c[2] - w2c[8]) / (4 * w), (w2c[4] - w2c[1]) / (4 * w)},
+        {w2c[3], w2c[7], w2c[11]}};
 }
 
 struct fixture {
@@ -49,9 +55,12 @@ static void open_fixture(struct fixture *f, unsigned cpu)
     f->g = (struct gaussians){.n = N, .cap = 512, .degree = 4};
     for (int p = 0; p < gaussians_planes(4); p++)
         assert_int_equal(arena_zalloc(&f->a, 512, 4, &f->g.plane[p]), OK);
-    float *mu = load("unit_render/in.means.npy", 3 * N), *s = load("unit_render/in.scales.npy", 3 * N);
-    float *q = load("unit_render/in.rotations_xyzw.npy", 4 * N), *o = load("unit_render/in.opacities.npy", N);
-    float *sh = load("unit_render/in.harmonics.npy", 75 * N), *w2c = load("unit_render/in.w2c.npy", 16);
+    float *mu = load("unit_render/in.means.npy", 3 * N),
+          *s = load("unit_render/in.scales.npy", 3 * N);
+    float *q = load("unit_render/in.rotations_xyzw.npy", 4 * N),
+          *o = load("unit_render/in.opacities.npy", N);
+    float *sh = load("unit_render/in.harmonics.npy", 75 * N),
+          *w2c = load("unit_render/in.w2c.npy", 16);
     float *k = load("unit_render/in.K.npy", 9);
     for (int i = 0; i < N; i++) {
         for (int j = 0; j < 3; j++) {
@@ -74,9 +83,11 @@ static void open_fixture(struct fixture *f, unsigned cpu)
     assert_int_equal(raster_run(&f->r, &f->rs, &in, &out), OK);
 }
 
-/* Relative rms below 2e-5 and no pixel off by more than 2e-4 of the largest value, except pixels that the golden set
- * marks as near a threshold: there one splat at alpha 1/255 may be in or out (golden ORACLE, "Comparing"). */
-static void compare(const char *what, const float *got, const float *want, const int32_t *mask, int channels)
+/* Relative rms below 2e-5 and no pixel off by more than 2e-4 of the largest value, except pixels
+ * that the golden set marks as near a threshold: there one splat at alpha 1/255 may be in or out
+ * (golden ORACLE, "Comparing"). */
+static void compare(const char *what, const float *got, const float *want, const int32_t *mask,
+                    int channels)
 {
     double sum = 0, ref = 0, top = 0, worst = 0;
     for (int i = 0; i < PX * channels; i++)
@@ -92,17 +103,20 @@ static void compare(const char *what, const float *got, const float *want, const
             ref += (double)want[p * channels + c] * (double)want[p * channels + c];
             worst = fmax(worst, d / top);
         }
-    print_message("  %-8s relative rms %.1e, largest %.1e of the maximum\n", what, sqrt(sum / ref), worst);
+    print_message("  %-8s relative rms %.1e, largest %.1e of the maximum\n", what, sqrt(sum / ref),
+                  worst);
     assert_true(sqrt(sum / ref) < 2e-5);
 }
 
 static void test_render(void **state)
 {
     (void)state;
-    const unsigned masks[] = {0, CPU_SSE41, CPU_SSE41 | CPU_AVX2, CPU_SSE41 | CPU_AVX2 | CPU_AVX512, CPU_NEON};
+    const unsigned masks[] = {0, CPU_SSE41, CPU_SSE41 | CPU_AVX2, CPU_SSE41 | CPU_AVX2 | CPU_AVX512,
+                              CPU_NEON};
     size_t n;
     int32_t *mask = npy_load("unit_render/out.near_threshold_mask.npy", &n);
-    float *hdr = load("unit_render/out.hdr.npy", 3 * PX), *depth = load("unit_render/out.depth.npy", PX);
+    float *hdr = load("unit_render/out.hdr.npy", 3 * PX),
+          *depth = load("unit_render/out.depth.npy", PX);
     float *alpha = load("unit_render/out.alpha.npy", PX);
     for (size_t m = 0; m < sizeof masks / sizeof *masks; m++) {
         static struct fixture f;
@@ -123,8 +137,10 @@ static void test_projection(void **state)
     (void)state;
     static struct fixture f;
     open_fixture(&f, cpu_detect());
-    float *radii = load("unit_render/out.radii.npy", N), *uv = load("unit_render/out.means2d.npy", 2 * N);
-    float *conic = load("unit_render/out.conics.npy", 3 * N), *log_rad = load("unit_render/out.log_radiance.npy", 3 * N);
+    float *radii = load("unit_render/out.radii.npy", N),
+          *uv = load("unit_render/out.means2d.npy", 2 * N);
+    float *conic = load("unit_render/out.conics.npy", 3 * N),
+          *log_rad = load("unit_render/out.log_radiance.npy", 3 * N);
     float *opacity = load("unit_render/in.opacities.npy", N);
     int drawn = 0;
     for (int i = 0; i < N; i++) {
@@ -136,9 +152,10 @@ static void test_projection(void **state)
         const double ln2 = 0.6931471805599453; // the record holds log2 alpha
         const double a = 2 * ln2 * (double)s->across, b = -a * (double)s->shear;
         const double c = 2 * ln2 * (double)s->along - b * (double)s->shear;
-        const double got[] = {(double)s->u, (double)s->v, a, b, c, log((double)s->rgb[0]), log((double)s->rgb[2])};
-        const float want[] = {uv[2 * i], uv[2 * i + 1], conic[3 * i], conic[3 * i + 1], conic[3 * i + 2],
-                              log_rad[3 * i], log_rad[3 * i + 2]};
+        const double got[] = {(double)s->u,           (double)s->v,          a, b, c,
+                              log((double)s->rgb[0]), log((double)s->rgb[2])};
+        const float want[] = {uv[2 * i],        uv[2 * i + 1],  conic[3 * i],      conic[3 * i + 1],
+                              conic[3 * i + 2], log_rad[3 * i], log_rad[3 * i + 2]};
         for (int k = 0; k < 7; k++)
             assert_true(fabs(got[k] - (double)want[k]) < 1e-4 * (1 + fabs((double)want[k])));
     }
@@ -166,7 +183,8 @@ static void test_ldr(void **state)
         snprintf(name, sizeof name, "unit_render/out.ldr%d.npy", e);
         float *want = load(name, 3 * PX);
         for (int c = 0; c < 3; c++)
-            tonemap_run(&table.c[c], f.radiance + c * PX, log2f(exposures[e]) - mid, PX, ldr + c * PX);
+            tonemap_run(&table.c[c], f.radiance + c * PX, log2f(exposures[e]) - mid, PX,
+                        ldr + c * PX);
         compare(name + 16, ldr, want, mask, 3);
         free(want);
     }
@@ -178,7 +196,8 @@ static void test_tonemap(void **state)
 {
     (void)state;
     enum { M = 512 };
-    float *x = load("unit_tonemap/in.log2_radiance.npy", 3 * M), *params = load("unit_tonemap/in.tone_params.npy", 1926);
+    float *x = load("unit_tonemap/in.log2_radiance.npy", 3 * M),
+          *params = load("unit_tonemap/in.tone_params.npy", 1926);
     float *want = load("unit_tonemap/out.ldr.npy", 3 * M), worst = 0;
     struct tonemap t = {.mid_log2t = 0};
     struct tonemap_table table;
@@ -198,7 +217,8 @@ static void test_tonemap(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_render), cmocka_unit_test(test_projection),
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_render),
+                                       cmocka_unit_test(test_projection),
                                        cmocka_unit_test(test_ldr), cmocka_unit_test(test_tonemap)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

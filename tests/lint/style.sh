@@ -1,5 +1,6 @@
 #!/bin/sh
-# Layout and length. A function reaches from an opening to a closing brace in column 1.
+# Layout and length. A function reaches from an opening to a closing brace in column 1. Inner loops
+# have up to 8 parameters, which fit into registers; a struct would have to go through memory.
 files=$(find core drivers firmware sim tests board .ci Makefile -type f 2>/dev/null |
     grep -v -e '^tests/data/' -e '^tests/fuzz/corpus/' | sort)
 code=$(echo "$files" | grep '\.[ch]$')
@@ -20,7 +21,7 @@ FNR == 1 { signature = ""; start = 0 }
 length($0) > 100 { complain(FNR, length($0) " columns, at most 100") }
 FNR == 801 { complain(FNR, "more than 800 lines") }
 FILENAME !~ /\.[ch]$/ { next }
-/^[a-z].*\(/ && !/;$/ { signature = $0; line = FNR; next }
+/^([a-z]|MAP ).*\(/ && !/;$/ { signature = $0; line = FNR; next }
 /^[ ]+.*\)$/ && signature != "" && !start { signature = signature $0; next }
 /^{/ && signature != "" { start = FNR; check_signature(); next }
 /^}/ && start {
@@ -29,7 +30,8 @@ FILENAME !~ /\.[ch]$/ { next }
     start = 0
     signature = ""
 }
-function check_signature(i, c, depth, commas) {
+function check_signature(i, c, depth, commas, most) {
+    most = FILENAME ~ /^core\/kernels\/[a-z0-9]+_body\.h$/ ? 8 : 6
     commas = 0
     depth = 0
     for (i = 1; i <= length(signature); i++) {
@@ -37,8 +39,8 @@ function check_signature(i, c, depth, commas) {
         depth += (c == "(") - (c == ")")
         commas += c == "," && depth == 1
     }
-    if (commas > 5)
-        complain(line, commas + 1 " parameters, at most 6")
+    if (commas >= most)
+        complain(line, commas + 1 " parameters, at most " most)
 }
 function complain(n, what) { print FILENAME ":" n ": " what; bad = 1 }
 END { exit bad }' $files || bad=1

@@ -42,7 +42,7 @@ static float uniform(uint32_t *s)
     return (float)(next_random(s) >> 8) * 0x1p-24f;
 }
 
-/* n points at `at`, feature k of point i is k + i, confidence 0; arenas of just the planned size. */
+/* n points at `at`, feature k of point i is k + i, confidence 0; arenas of the planned size. */
 static void open_world(int n, const float at[3])
 {
     memset(&w, 0, sizeof w);
