@@ -116,7 +116,7 @@ static void test_sort_extremes(void **state)
     open_world(40);
     for (int i = 0; i < 40; i++) // all in one place: the order stays
         for (int k = 0; k < 3; k++)
-            w.g.plane[k][i] = 7;
+            w.g.plane[k][i] = 0;
     density_sort(&w.d);
     for (int i = 0; i < 40; i++)
         assert_true(w.g.plane[ID][i] == (float)i);
