@@ -3,10 +3,10 @@
  *
  * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32 px per view, other
  * squares in other views, so that every surface is still learned from most photographs):
- * - Gaussians: every ROUND steps in the first 60 % the splats that pull hardest are split, while the error falls;
- * - SH bands: one more band at a time is tried for a sixth of the steps and kept if it lowers the error;
- * - steps: the work ends when three rounds have not lowered it.
- * Learning rates: model-spec 5.2; the rate of positions is in units of the scene's extent. */
+ * - Gaussians: between 10 % and 60 % of the steps, once a round, the splats that pull hardest are split, as long
+ *   as the error elsewhere is not much below that of the squares (then more splats would only learn noise);
+ * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the held-out error;
+ * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
 #include "core/opt/refine.h"
 
 #include "core/opt/density.h"
@@ -15,10 +15,16 @@
 #include "core/splat/raster.h"
 
 #include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
-enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6 };
+enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+
+static const float SPLIT_SHARE = 0.08f;   // of the splats in one round
+static const float SPLIT_GAP_DB = 0.6f;   // no more splats when the held-out error is this much above the others
+static const float BAND_GAIN_DB = 0.03f;  // a band must lower the held-out error by this
+static const float STALL_DB = 0.01f;      // a round that gains less does not count as progress
 
 /* Adam: betas and eps of model-spec 5.2. */
 static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
@@ -27,8 +33,10 @@ struct rates {
     float mean, scale, quat, logit, sh0, sh, tone, pose;
 };
 
-/* model-spec 5.2, table of learning rates; `mean` per unit of extent. */
-static const struct rates RATES = {1.6e-4f, 5e-3f, 1e-3f, 5e-2f, 2.5e-3f, 1.25e-4f, 2.5e-4f, 1e-5f};
+/* model-spec 5.2 refines a scene that a network has placed well; ours starts from stereo and has fewer steps, so positions
+ * move 8 times, shapes 3 and 6 times, colours 8 and 20 times as fast there (chosen on held-out squares), and every
+ * rate falls, to 1 % for positions and 10 % for the rest. `mean` is per unit of extent. */
+static const struct rates RATES = {8 * 1.6e-4f, 3 * 5e-3f, 6 * 1e-3f, 5e-2f, 8 * 2.5e-3f, 20 * 1.25e-4f, 2.5e-4f, 1e-5f};
 
 struct refine {
     const struct run *r;
@@ -38,18 +46,23 @@ struct refine {
     struct refine_report *rep;
     struct density d;
     struct raster raster;
-    struct loss loss;
+    struct loss loss_work;
     struct render pic;
     uint8_t *full, *half;  // (n, 3, size, size) photographs, and at half size
     uint8_t *held;         // (n, squares, squares)
     int squares;
     double *view_sse;      // (n) held-out squared error at the last visit
     long *view_n;          // (n) values in it
-    float *view_loss;      // (n)
+    double *view_gap;      // (n, 2) held-out and other mean absolute error at the last visit
     int *deck, dealt;      // (n) order of the views in this round
     uint64_t rng;
     float extent;          // scene units
-    int step, steps;
+    int step, steps, scale; // scale: 2 = half size
+    float loss;            // sum since the start of the round
+    int band_from;         // step at which the highest band was added, 0 = none on trial
+    bool bands_done, splits_done;
+    float best_db;         // held-out, at full size
+    int stalled;           // rounds without progress
     float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
     float *pose_m;         // (n, 12) moments of the twists
     int *pose_t;           // (n) steps of each camera
@@ -73,7 +86,7 @@ static float uniform(struct refine *f)
 static size_t small_need(int n, int size)
 {
     size_t v = (size_t)n, h = (size_t)size / 2, q = ((size_t)size + HELD_PX - 1) / HELD_PX;
-    const size_t need[][2] = {{v * h * h * 3, 1}, {v * (size_t)size * (size_t)size * 3, 1}, {v * q * q, 1}, {v, 8}, {v, 8}, {v, 4}, {v, 4}, {v * 12, 4}, {v, 4},
+    const size_t need[][2] = {{v * h * h * 3, 1}, {v * (size_t)size * (size_t)size * 3, 1}, {v * q * q, 1}, {v, 8}, {v, 8}, {v * 2, 8}, {v, 4}, {v * 12, 4}, {v, 4},
                               {3 * (size_t)size * (size_t)size, 4}, {(size_t)size * (size_t)size, 4}};
     size_t total = 0;
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
@@ -98,14 +111,14 @@ static err_t alloc_all(struct refine *f)
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_sse);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_n);
-    e = e ? e : arena_zalloc(a, n, 4, &f->view_loss);
+    e = e ? e : arena_zalloc(a, n * 2, 8, &f->view_gap);
     e = e ? e : arena_alloc(a, n, 4, &f->deck);
     e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
     e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
     e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
     e = e ? e : arena_alloc(a, px, 4, &f->pic.alpha);
     e = e ? e : raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
-    e = e ? e : loss_init(&f->loss, a, f->v->size, f->v->size, pool_size(f->r->pool));
+    e = e ? e : loss_init(&f->loss_work, a, f->v->size, f->v->size, pool_size(f->r->pool));
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
@@ -168,10 +181,16 @@ static int group_of(int plane)
     return plane < G_LOG_SCALE ? 0 : plane < G_QUAT ? 1 : plane < G_LOGIT ? 2 : plane < G_SH ? 3 : plane < G_SH + 3 ? 4 : 5;
 }
 
+static float progress_of(const struct refine *f)
+{
+    return (float)f->step / (float)f->steps;
+}
+
 static void set_rates(struct refine *f)
 {
-    float decay = powf(0.01f, (float)f->step / (float)f->steps);
-    const float lr[GROUPS] = {RATES.mean * f->extent * decay, RATES.scale, RATES.quat, RATES.logit, RATES.sh0, RATES.sh};
+    float slow = powf(0.1f, progress_of(f)), fast = slow * slow;
+    const float lr[GROUPS] = {RATES.mean * f->extent * fast, RATES.scale * slow, RATES.quat * slow,
+                              RATES.logit * slow,            RATES.sh0 * slow,   RATES.sh * slow};
     for (int i = 0; i < GROUPS; i++)
         set_rate(&f->group[i], lr[i], f->step + 1);
 }
@@ -213,8 +232,8 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
-/* Render and compare view i at 1/scale of its size. */
-static err_t look(struct refine *f, int i, int scale, const struct camera *cam, struct loss_output *out)
+/* Render view i at the current size and compare. */
+static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3], struct loss_output *out)
 {
     size_t side = (size_t)cam->w;
     struct raster_input in = view_input(f, cam);
@@ -222,16 +241,16 @@ static err_t look(struct refine *f, int i, int scale, const struct camera *cam, 
     if (e)
         return e;
     struct loss_input li = {.pic = &f->pic, .tone = &f->s->tone, .shift = f->s->log2t[i] - f->s->tone.mid_log2t,
-                            .photo = (scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
-                            .w_l1 = 0.8f, .w_ssim = 0.2f,
+                            .photo = (f->scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
+                            .behind = {behind[0], behind[1], behind[2]}, .w_l1 = 0.8f, .w_ssim = 0.2f,
                             .held = f->held + (size_t)i * (size_t)f->squares * (size_t)f->squares,
-                            .held_px = HELD_PX / scale};
-    for (int c = 0; c < 3; c++)
-        li.behind[c] = uniform(f);
-    e = loss_run(f->r, &f->loss, &li, out);
+                            .held_px = HELD_PX / f->scale};
+    e = loss_run(f->r, &f->loss_work, &li, out);
     f->view_sse[i] = out->held_sse;
     f->view_n[i] = out->held_n;
-    f->view_loss[i] = (float)out->loss;
+    f->view_gap[2 * i] = out->held_n ? out->held_l1 / (double)out->held_n : 0;
+    f->view_gap[2 * i + 1] = out->held_n ? out->l1 : 0;
+    f->loss += (float)out->loss;
     return e;
 }
 
@@ -240,7 +259,7 @@ static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
     float g[6], twist[6] = {0}, ones[6] = {1, 1, 1, 1, 1, 1}, *m = f->pose_m + 12 * i;
     struct adam_step a;
     pose_twist_grad(&f->s->cams[i], pose, g);
-    set_rate(&a, RATES.pose * powf(0.01f, (float)f->step / (float)f->steps), ++f->pose_t[i]);
+    set_rate(&a, RATES.pose * powf(0.01f, progress_of(f)), ++f->pose_t[i]);
     for (int k = 0; k < 2; k++) { // translations in units of the extent
         struct adam_step b = a;
         b.lr *= k ? f->extent : 1.0f;
@@ -251,16 +270,18 @@ static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
 
 static err_t take_step(struct refine *f)
 {
-    int i = next_view(f), scale = f->step * 3 < f->steps && f->v->size >= 8 * LOSS_WINDOW ? 2 : 1;
-    struct camera cam = pose_scaled(&f->s->cams[i], f->v->size / scale, f->v->size / scale);
+    int i = next_view(f), side = f->v->size / f->scale;
+    struct camera cam = pose_scaled(&f->s->cams[i], side, side);
     struct loss_output out;
-    float pose[POSE_GRAD];
-    err_t e = look(f, i, scale, &cam, &out);
+    float pose[POSE_GRAD], behind[3];
+    for (int c = 0; c < 3; c++)
+        behind[c] = uniform(f);
+    err_t e = look(f, i, &cam, behind, &out);
     if (e)
         return e;
     set_rates(f);
     struct raster_input in = view_input(f, &cam);
-    struct render_grad up = {f->loss.d_radiance, NULL, f->loss.d_alpha};
+    struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
     struct raster_sink sink = {apply, f, f->cfg->poses ? pose : NULL, NULL};
     e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
     if (e)
@@ -276,6 +297,23 @@ static err_t take_step(struct refine *f)
     return OK;
 }
 
+static void note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
+
+static void note(struct refine *f, const char *fmt, ...)
+{
+    va_list ap;
+    if (f->rep->n_notes == REFINE_NOTES)
+        return;
+    va_start(ap, fmt);
+    vsnprintf(f->rep->notes[f->rep->n_notes++], sizeof f->rep->notes[0], fmt, ap);
+    va_end(ap);
+}
+
+static float decibel(double mean_square)
+{
+    return (float)(-10 * log10(fmax(mean_square, 1e-10)));
+}
+
 static float held_db(const struct refine *f)
 {
     double sse = 0, n = 0;
@@ -283,26 +321,149 @@ static float held_db(const struct refine *f)
         sse += f->view_sse[i];
         n += (double)f->view_n[i];
     }
-    return n > 0 ? (float)(-10 * log10(fmax(sse / n, 1e-10))) : 0.0f;
+    return n > 0 ? decibel(sse / n) : 0.0f;
+}
+
+/* How far the held-out squares are worse than the rest, dB of the absolute error. */
+static float gap_db(const struct refine *f)
+{
+    double held = 0, other = 0;
+    for (int i = 0; i < f->v->n; i++) {
+        held += f->view_gap[2 * i];
+        other += f->view_gap[2 * i + 1];
+    }
+    return held > 0 && other > 0 ? (float)(20 * log10(held / other)) : 0.0f;
+}
+
+/* Held-out error of every view, now. */
+static err_t measure(struct refine *f, float *db)
+{
+    const float black[3] = {0, 0, 0};
+    for (int i = 0; i < f->v->n; i++) {
+        struct camera cam = pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
+        struct loss_output out;
+        err_t e = look(f, i, &cam, black, &out);
+        if (e)
+            return e;
+    }
+    *db = held_db(f);
+    return OK;
+}
+
+static void add_band(struct refine *f)
+{
+    struct gaussians *g = &f->s->g;
+    int from = gaussians_planes(g->degree);
+    g->degree++;
+    for (int p = from; p < gaussians_planes(g->degree); p++) {
+        memset(g->plane[p], 0, (size_t)g->cap * sizeof(float));
+        memset(f->d.m1[p], 0, (size_t)g->cap * sizeof(float));
+        memset(f->d.m2[p], 0, (size_t)g->cap * sizeof(float));
+    }
+    f->band_from = f->step;
+}
+
+/* Keep the band on trial only if the held-out squares are worse without it. */
+static err_t judge_band(struct refine *f)
+{
+    float with, without;
+    int degree = f->s->g.degree;
+    err_t e = measure(f, &with);
+    f->s->g.degree = degree - 1;
+    e = e ? e : measure(f, &without);
+    f->s->g.degree = degree;
+    if (e)
+        return e;
+    bool keep = with - without >= BAND_GAIN_DB;
+    if (!keep)
+        f->s->g.degree--;
+    f->bands_done = !keep;
+    f->band_from = 0;
+    note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with, (double)without,
+         keep ? "kept" : "not needed");
+    return OK;
+}
+
+static err_t bands(struct refine *f)
+{
+    int trial = f->steps * 15 / 100;
+    if (f->band_from > 0 && f->step - f->band_from >= trial) {
+        err_t e = judge_band(f);
+        if (e)
+            return e;
+    }
+    if (f->band_from == 0 && !f->bands_done && f->scale == 1 && f->step + trial < f->steps && trial >= f->v->n &&
+        progress_of(f) >= 0.5f && f->s->g.degree < f->cfg->degree_max)
+        add_band(f);
+    return OK;
+}
+
+static void splits(struct refine *f)
+{
+    struct gaussians *g = &f->s->g;
+    if (f->splits_done || progress_of(f) < 0.1f)
+        return;
+    float gap = gap_db(f);
+    f->splits_done = progress_of(f) > 0.6f || gap > SPLIT_GAP_DB || g->n >= f->cfg->gaussians_max;
+    if (f->splits_done) {
+        note(f, "%d Gaussians: %s (held-out squares %.2f dB worse than the rest)", g->n,
+             g->n >= f->cfg->gaussians_max ? "as many as allowed"
+             : gap > SPLIT_GAP_DB         ? "more would learn noise"
+                                          : "time to settle",
+             (double)gap);
+        return;
+    }
+    density_prune(&f->d, 0.01f);
+    int room = f->cfg->gaussians_max - g->n, want = (int)(SPLIT_SHARE * (float)g->n);
+    density_split(&f->d, want < room ? want : room);
+    density_sort(&f->d);
+}
+
+/* Once a round: report, and decide what the scene needs. */
+static err_t end_round(struct refine *f, int round)
+{
+    float db = held_db(f);
+    f->rep->loss = f->loss / (float)round;
+    f->loss = 0;
+    if (f->r->progress) {
+        char text[96];
+        snprintf(text, sizeof text, "held-out %.2f dB, %d Gaussians", (double)db, f->s->g.n);
+        f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
+    }
+    splits(f);
+    if (f->scale > 1 || f->band_from > 0)
+        return OK;
+    bool better = db > f->best_db + STALL_DB;
+    f->stalled = better ? 0 : f->stalled + 1;
+    f->best_db = fmaxf(f->best_db, db);
+    int rest = f->steps / 20 > round ? f->steps / 20 : round;
+    if (f->stalled >= PATIENCE && !f->rep->stopped_early && f->steps - f->step > rest) {
+        f->rep->stopped_early = true;
+        note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error", f->step + rest, f->steps,
+             PATIENCE);
+        f->steps = f->step + rest;
+    }
+    return OK;
 }
 
 static err_t run_steps(struct refine *f)
 {
     int round = f->v->n > ROUND_MIN ? f->v->n : ROUND_MIN;
-    for (f->step = 0; f->step < f->steps; f->step++) {
-        err_t e = take_step(f);
-        if (e)
-            return e;
-        f->rep->steps = f->step + 1;
-        if (f->step + 1 == f->v->n)
-            f->rep->held_out_db[0] = held_db(f);
-        if ((f->step + 1) % round == 0 && f->r->progress) {
-            char note[64];
-            snprintf(note, sizeof note, "held-out %.2f dB, %d Gaussians", (double)held_db(f), f->s->g.n);
-            f->r->progress(f->r->progress_ctx, "refine", f->step + 1, f->steps, note);
-        }
+    err_t e = measure(f, &f->rep->held_out_db[0]);
+    bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
+    f->loss = 0;
+    for (f->step = 0; f->step < f->steps && !e; ) {
+        f->scale = small && f->step * 3 < f->steps ? 2 : 1;
+        f->scoring = !f->splits_done;
+        e = take_step(f);
+        f->rep->steps = ++f->step;
+        if (!e && f->step % round == 0)
+            e = end_round(f, round);
+        e = e ? e : bands(f);
     }
-    return OK;
+    if (!e && f->band_from > 0)
+        e = judge_band(f);
+    return e ? e : measure(f, &f->rep->held_out_db[1]);
 }
 
 err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg, struct scene *io,
@@ -310,7 +471,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
 {
     memset(out, 0, sizeof *out);
     size_t mark = arena_mark(r->tmp);
-    struct refine f = {.r = r, .v = v, .cfg = cfg, .s = io, .rep = out, .rng = cfg->seed, .steps = cfg->steps};
+    struct refine f = {.r = r, .v = v, .cfg = cfg, .s = io, .rep = out, .rng = cfg->seed, .steps = cfg->steps, .scale = 1};
     f.squares = (v->size + HELD_PX - 1) / HELD_PX;
     err_t e = alloc_all(&f);
     e = e ? e : pool_for(r->pool, v->n, planes_chunk, &f);
@@ -320,7 +481,6 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
         density_prune(&f.d, 0.01f); // model-spec 5.2 D
         density_sort(&f.d);
         e = run_steps(&f);
-        out->held_out_db[1] = held_db(&f);
     }
     out->gaussians = io->g.n;
     out->degree = io->g.degree;
