@@ -1,8 +1,8 @@
-/* Every kernel on every instruction set of this machine against plain C: ordinary and extreme input,
- * trial_sizes around the width of vectors, arrays that end or start at inaccessible pages.
+/* Every kernel on every instruction set of this machine against plain C: ordinary and extreme
+ * input, sizes around the width of vectors, arrays that end or start at inaccessible pages.
  * kernels_test [--seed N] [--bench]
- * Bounds are stated in the `keep` functions: a few roundings for row kernels; more where sums are taken in
- * another order or differences of large numbers matter. */
+ * Bounds are stated in the `keep` functions: a few roundings for row kernels; more where sums are
+ * taken in another order or differences of large numbers matter. */
 #include "core/net/tonemap.h"
 #include "core/splat/raster.h"
 #include "tests/kernels/trial.h"
@@ -12,7 +12,7 @@ enum { W = 37, H = 29, TAPS = 11, PX = W * H };
 static const float taps[TAPS] = {0.001f, 0.008f, 0.036f, 0.11f,  0.213f, 0.264f,
                                  0.213f, 0.11f,  0.036f, 0.008f, 0.001f};
 
-/* --- rows ----------------------------------------------------------------------------------------- */
+/* --- rows ---------------------------------------------------------------------------------- */
 
 static const float extremes[] = {0, -0.0f, 1, -1, 1e-45f, -1e-39f, 1e-20f, 3e15f, -3e15f};
 
@@ -124,8 +124,8 @@ static void ssim_call(const struct kernels *k)
     row.sum = k->ssim_row(row.in, (size_t)row.stride, row.n, row.out);
 }
 
-/* Variances are differences of moments: a rounding of 1e-7 there is divided by C2 = 9e-4. Derivatives
- * are up to 1 / C2. */
+/* Variances are differences of moments: a rounding of 1e-7 there is divided by C2 = 9e-4.
+ * Derivatives are up to 1 / C2. */
 static void ssim_keep(struct outcome *o)
 {
     float sum = (float)row.sum;
@@ -239,7 +239,7 @@ static void tone_grad_keep(struct outcome *o)
     trial_put_row(o, "alpha", row.d_alpha, row.n, 1e-6);
 }
 
-/* --- Adam ----------------------------------------------------------------------------------------- */
+/* --- Adam ---------------------------------------------------------------------------------- */
 
 static struct {
     struct adam_step step;
@@ -277,7 +277,7 @@ static void adam_keep(struct outcome *o)
     trial_put_row(o, "second moment", adam.m2, adam.n, 1e-6);
 }
 
-/* --- projection ----------------------------------------------------------------------------------- */
+/* --- projection ---------------------------------------------------------------------------- */
 
 static struct {
     struct gaussians g;
@@ -377,8 +377,8 @@ static void project_keep(struct outcome *o)
         seen[i] = s->x0 <= s->x1 && s->y0 <= s->y1 && !on_camera(proj.first + i);
         if (seen[i] == 0.0f)
             continue;
-        const float v[] = {s->u,   s->v,      s->across, s->shear,  s->along,
-                           s->top, s->rgb[0], s->rgb[1], s->rgb[2], s->z};
+        const float v[] = {s->u,     s->v,      s->shear,  s->top,    s->across,
+                           s->along, s->rgb[0], s->rgb[1], s->rgb[2], s->z};
         for (int k = 0; k < FIELDS; k++)
             f[k][i] = v[k];
         const float box[] = {s->x0, s->x1, s->y0, s->y1};
@@ -392,8 +392,12 @@ static void project_keep(struct outcome *o)
         if (!guard_is_canary(&proj.out[i].u))
             o->fault = "wrote before its block";
     trial_put_row(o, "seen", seen, proj.count, 0);
-    trial_put(o, "record", f[0], (const int[3]){FIELDS, proj.count, SPLAT_BLOCK},
-              proj.finite_only ? INFINITY : 2e-5);
+    double inf = proj.finite_only ? INFINITY : 1;
+    trial_put(o, "centre", f[0], (const int[3]){2, proj.count, SPLAT_BLOCK}, 1e-5 * inf);
+    trial_scale(o, W);
+    trial_put(o, "shape", f[2], (const int[3]){2, proj.count, SPLAT_BLOCK}, 1e-5 * inf);
+    trial_scale(o, 1);
+    trial_put(o, "record", f[4], (const int[3]){6, proj.count, SPLAT_BLOCK}, 2e-5 * inf);
     trial_put(o, "edges", edges[0], (const int[3]){4, proj.count, SPLAT_BLOCK},
               proj.finite_only ? INFINITY : 0);
 }
@@ -423,7 +427,7 @@ static void project_grad_keep(struct outcome *o)
         trial_put_row(o, "pose", proj.pose, POSE_GRAD, proj.finite_only ? INFINITY : 2e-4);
 }
 
-/* --- tiles ---------------------------------------------------------------------------------------- */
+/* --- tiles --------------------------------------------------------------------------------- */
 
 static struct {
     struct tile t;
@@ -506,8 +510,8 @@ static void put_map(struct outcome *o, const char *what, const float *map, doubl
     }
 }
 
-/* Pixels within rounding of a threshold (1/255, full) may go either way; the inputs of the fixed seed
- * have none. */
+/* Pixels within rounding of a threshold (1/255, full) may go either way, but hundreds of seeds have
+ * shown none. */
 static void tile_keep(struct outcome *o)
 {
     static float stop[PX];
@@ -560,10 +564,10 @@ static void tile_grad_keep(struct outcome *o)
         for (size_t k = 0; k < SLOT && !mine[s]; k++)
             if (!guard_is_canary(t->slots + SLOT * s + k))
                 o->fault = "wrote in a slot of another tile";
-    trial_put(o, "sums", sums[0], (const int[3]){GRAD2D, t->n, 2 * SPLAT_BLOCK}, 5e-4);
+    trial_put(o, "sums", sums[0], (const int[3]){GRAD2D, t->n, 2 * SPLAT_BLOCK}, 2e-3);
 }
 
-/* --- all of them ---------------------------------------------------------------------------------- */
+/* --- all of them --------------------------------------------------------------------------- */
 
 static const struct item items[] = {
     {"project", project_make, project_call, project_keep, 1, SPLAT_BLOCK, SPLAT_BLOCK - 1},

@@ -1,6 +1,6 @@
 /* trial.h - runs kernels on guarded memory, compares them with plain C and times them.
- * A float agrees if |got - want| <= bound (|want| + scale); scale is the mean |want| of its row unless
- * said. For tests only; one thread. */
+ * A float agrees if |got - want| <= bound (|want| + scale); scale is the mean |want| of its row
+ * unless said. For tests only; one thread. */
 #ifndef KERNELS_TRIAL_H
 #define KERNELS_TRIAL_H
 
@@ -179,6 +179,22 @@ static inline void trial_run(const struct trial *t, const struct kernels *k, str
         o->fault = "wrote beside its arrays";
 }
 
+/* Largest difference of one row of part q, in units of its bound. */
+static inline double trial_row(const struct part *q, const float *want, const float *got)
+{
+    double scale = q->scale, top = 0;
+    for (int i = 0; i < q->n && q->scale == 0; i++)
+        scale += fabs((double)want[i]) / q->n;
+    for (int i = 0; i < q->n; i++) {
+        if (want[i] == got[i] || (isinf(q->bound) && isfinite(got[i])))
+            continue;
+        double size = fabs((double)want[i]) + scale;
+        double d = fabs((double)got[i] - (double)want[i]) / (q->bound * size);
+        top = d <= top ? top : isnan(d) ? INFINITY : d;
+    }
+    return top;
+}
+
 /* Largest difference in units of the bound; 1 and less is good. *what names its part. */
 static inline double trial_worst(const struct outcome *want, const struct outcome *got,
                                  const char **what)
@@ -187,19 +203,9 @@ static inline double trial_worst(const struct outcome *want, const struct outcom
     for (int p = 0; p < want->n_parts; p++)
         for (int r = 0; r < want->part[p].rows; r++) {
             const struct part *q = &want->part[p];
-            const float *a = want->v + q->at + r * q->n, *b = got->v + q->at + r * q->n;
-            double scale = q->scale;
-            for (int i = 0; i < q->n && q->scale == 0; i++)
-                scale += fabs((double)a[i]) / q->n;
-            for (int i = 0; i < q->n; i++) {
-                double d =
-                    fabs((double)b[i] - (double)a[i]) / (q->bound * (fabs((double)a[i]) + scale));
-                d = a[i] == b[i] ? 0 : isinf(q->bound) && isfinite(b[i]) ? 0 : d;
-                if (!(d <= top)) {
-                    top = isnan(d) ? INFINITY : d;
-                    *what = q->what;
-                }
-            }
+            double d = trial_row(q, want->v + q->at + r * q->n, got->v + q->at + r * q->n);
+            *what = d > top ? q->what : *what;
+            top = fmax(d, top);
         }
     return top;
 }
