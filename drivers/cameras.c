@@ -147,7 +147,7 @@ static err_t get_rig(const char *what, const struct cJSON *doc, struct rig *out)
         return err_fail(ERR_FORMAT, "%s: no array \"cameras\"", what);
     int n = json_count(array);
     if (n < 1 || n > CAMERAS_MAX)
-        return err_fail(ERR_LIMIT, "%s: %d cameras, allowed are 1 to %d", what, n, CAMERAS_MAX);
+        return err_fail(ERR_FORMAT, "%s: %d cameras, allowed are 1 to %d", what, n, CAMERAS_MAX);
     out->views = calloc((size_t)n, sizeof *out->views);
     if (!out->views)
         return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", what, n);

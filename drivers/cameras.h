@@ -29,14 +29,14 @@ struct rig {
  * Checked: sizes 1 to 65536, everything finite, focal lengths > 0, |q| within 1e-3 of 1 (then
  * normalised), names by name_copy and distinct, at most CAMERAS_MAX.
  * own:  cameras_free.
- * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM. On error *out is zeroed. */
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t cameras_read(const char *path, struct rig *out);
 
 /* As cameras_read, from n bytes of text; `what` begins the sentence. */
 MUST_USE err_t cameras_parse(const char *what, const void *text, size_t n, struct rig *out);
 
 /* Write cameras.json; the partial file is removed on error.
- * err:  ERR_IO. */
+ * err:  ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t cameras_write(const char *path, const struct rig *rig);
 
 /* Accepts a zeroed rig. */

@@ -167,7 +167,7 @@ static err_t binary_count(const struct colmap_text *t, struct bytes *b, const ch
     if (b->bad)
         return err_fail(ERR_FORMAT, "%s: %zu bytes hold no number of %s", t->what, t->n, objects);
     if (*out > max)
-        return err_fail(ERR_LIMIT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out,
+        return err_fail(ERR_FORMAT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out,
                         objects, (uintmax_t)max);
     return OK;
 }
@@ -375,7 +375,7 @@ static err_t text_lenses(const struct colmap_text *t, struct lenses *out)
     struct line_reader r = lines_of(t);
     while (next_record(&r)) {
         if (out->n == CAMERAS_MAX)
-            return err_fail(ERR_LIMIT, "%s: more than %d cameras", t->what, CAMERAS_MAX);
+            return err_fail(ERR_FORMAT, "%s: more than %d cameras", t->what, CAMERAS_MAX);
         err_t e = text_lens(&r, out);
         if (e)
             return e;
@@ -408,7 +408,7 @@ static err_t text_views(const struct colmap_text *t, const struct lenses *lenses
     struct line_reader r = lines_of(t);
     while (next_record(&r)) {
         if (out->n == CAMERAS_MAX)
-            return err_fail(ERR_LIMIT, "%s: more than %d images", t->what, CAMERAS_MAX);
+            return err_fail(ERR_FORMAT, "%s: more than %d images", t->what, CAMERAS_MAX);
         err_t e = text_view(&r, lenses, out);
         if (e)
             return e;
@@ -469,7 +469,7 @@ err_t colmap_parse_points(bool binary, const struct colmap_text *points, struct 
     *out = (struct colmap_points){0};
     size_t room = points->n / (binary ? POINT_BYTES_BINARY : POINT_BYTES_TEXT) + 1;
     if (room > POINTS_MAX)
-        return err_fail(ERR_LIMIT, "%s: room for %zu points, at most %d are read", points->what,
+        return err_fail(ERR_FORMAT, "%s: room for %zu points, at most %d are read", points->what,
                         room, POINTS_MAX);
     out->p = calloc(room, sizeof *out->p);
     if (!out->p)

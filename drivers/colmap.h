@@ -11,7 +11,7 @@
 /* Read cameras and images of folder `dir`. Names lose their folders ("cam0/a.png" is "a.png") and
  * must stay distinct.
  * own:  cameras_free.
- * err:  ERR_IO (no such files), ERR_FORMAT, ERR_LIMIT (CAMERAS_MAX), ERR_UNSUPPORTED (camera
+ * err:  ERR_IO (no such files), ERR_FORMAT (also: above CAMERAS_MAX), ERR_UNSUPPORTED (camera
  *       model), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t colmap_read(const char *dir, struct rig *out);
 
@@ -34,7 +34,7 @@ struct colmap_points {
 /* Read points3D of folder `dir`; no such file is the same as no points. Points that are not finite
  * are left out.
  * own:  colmap_free_points.
- * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM. On error *out is zeroed. */
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t colmap_read_points(const char *dir, struct colmap_points *out);
 
 /* Accepts a zeroed struct. */

@@ -18,7 +18,8 @@ static err_t get_entries(const char *what, const struct cJSON *doc, struct expos
         return err_fail(ERR_FORMAT, "%s: not an object of file names and times", what);
     int n = json_count(doc);
     if (n < 1 || n > EXPOSURES_MAX)
-        return err_fail(ERR_LIMIT, "%s: %d exposures, allowed are 1 to %d", what, n, EXPOSURES_MAX);
+        return err_fail(ERR_FORMAT, "%s: %d exposures, allowed are 1 to %d", what, n,
+                        EXPOSURES_MAX);
     out->v = calloc((size_t)n, sizeof *out->v);
     if (!out->v)
         return err_fail(ERR_NOMEM, "%s: no memory for %d exposures", what, n);

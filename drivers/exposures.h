@@ -19,8 +19,8 @@ struct exposures {
 
 /* Read an exposure file.
  * own:  exposures_free.
- * err:  ERR_IO, ERR_FORMAT (also: a name twice, a time that is not finite and > 0), ERR_LIMIT,
- *       ERR_NOMEM. On error *out is zeroed. */
+ * err:  ERR_IO, ERR_FORMAT (also: a name twice, a time that is not finite and > 0), ERR_NOMEM.
+ *       On error *out is zeroed. */
 MUST_USE err_t exposures_read(const char *path, struct exposures *out);
 
 /* As exposures_read, from n bytes of text; `what` begins the sentence. */

@@ -126,7 +126,7 @@ static err_t check_window(struct reader *r)
             display.max.x, display.max.y);
     int64_t w = (int64_t)data.max.x - data.min.x + 1, h = (int64_t)data.max.y - data.min.y + 1;
     if (w < 1 || h < 1 || w > EXRFILE_SIDE_MAX || h > EXRFILE_SIDE_MAX || w * h > EXRFILE_PX_MAX)
-        return err_fail(ERR_LIMIT,
+        return err_fail(ERR_FORMAT,
                         "%s: EXR: %lld x %lld px, allowed are 1 to %d a side and %d in all",
                         r->name, (long long)w, (long long)h, EXRFILE_SIDE_MAX, EXRFILE_PX_MAX);
     r->first_row = data.min.y;

@@ -27,7 +27,7 @@ struct exrfile_extra {
  * rgb:        at least 3 channels, the first three are written.
  * saturated:  how many samples were beyond the range of their type (half: 65504) and were written
  *             as its largest value; may be NULL. A NaN is written as 0 and not counted.
- * err:        ERR_ARG (shape), ERR_IO, ERR_NOMEM. */
+ * err:        ERR_ARG (shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
 MUST_USE err_t exrfile_write(const char *path, const struct image *rgb,
                              const struct exrfile_extra *extra, size_t *saturated);
 
@@ -35,7 +35,7 @@ MUST_USE err_t exrfile_write(const char *path, const struct image *rgb,
  * Scanline or tiled (the full resolution), uncompressed, RLE, ZIP, ZIPS, PIZ or PXR24.
  * out:  3 channels, values as stored (they may be infinite or NaN).
  * own:  exrfile_free.
- * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM, ERR_UNSUPPORTED (deep data, lossy B44 and DWA,
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM, ERR_UNSUPPORTED (deep data, lossy B44 and DWA,
  *       subsampled channels, a data window that is not the display window). On error *out is
  *       zeroed. */
 MUST_USE err_t exrfile_read(const char *path, struct image *out);

@@ -17,7 +17,7 @@ static err_t map_open(int fd, const char *path, size_t max, struct file_map *out
     if (!S_ISREG(st.st_mode))
         return err_fail(ERR_FORMAT, "%s: not a regular file", path);
     if ((uintmax_t)st.st_size > max)
-        return err_fail(ERR_LIMIT, "%s: %jd bytes, at most %zu are read", path,
+        return err_fail(ERR_FORMAT, "%s: %jd bytes, at most %zu are read", path,
                         (intmax_t)st.st_size, max);
     if (st.st_size == 0)
         return OK; // mmap refuses a length of 0
@@ -63,7 +63,7 @@ err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP])
 {
     size_t a = strlen(dir), b = strlen(name);
     if (a + 1 + b >= FILE_PATH_CAP)
-        return err_fail(ERR_LIMIT, "%.64s.../%.64s: path of %zu bytes, allowed are %d", dir, name,
+        return err_fail(ERR_ARG, "%.64s.../%.64s: path of %zu bytes, allowed are %d", dir, name,
                         a + 1 + b, FILE_PATH_CAP - 1);
     memcpy(out, dir, a);
     out[a] = '/';
@@ -71,11 +71,16 @@ err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP])
     return OK;
 }
 
+err_t file_code(int why)
+{
+    return why == ENOSPC || why == EDQUOT ? ERR_LIMIT : ERR_IO;
+}
+
 err_t file_create(const char *path, FILE **out)
 {
     *out = fopen(path, "wbe");
     if (!*out)
-        return err_fail(ERR_IO, "%s: cannot create: %s", path, strerror(errno));
+        return err_fail(file_code(errno), "%s: cannot create: %s", path, strerror(errno));
     setvbuf(*out, NULL, _IOFBF, WRITE_BYTES);
     errno = 0; // stdio keeps the fact of a failed write but not its reason
     return OK;
@@ -99,11 +104,12 @@ err_t file_finish(FILE *f, const char *path)
             return OK;
         int why = errno;
         unlink(path);
-        return err_fail(ERR_IO, "%s: closing failed: %s", path, strerror(why));
+        return err_fail(file_code(why), "%s: closing failed: %s", path, strerror(why));
     }
     int why = errno;
     close_and_remove(f, path);
-    return err_fail(ERR_IO, "%s: writing failed: %s", path, why ? strerror(why) : "unknown reason");
+    return err_fail(file_code(why), "%s: writing failed: %s", path,
+                    why ? strerror(why) : "unknown reason");
 }
 
 void file_discard(FILE *f, const char *path)

@@ -21,7 +21,7 @@ struct file_map {
 
 /* Map a regular file of at most `max` bytes for reading.
  * own:  file_unmap.
- * err:  ERR_IO (open, map), ERR_FORMAT (not a regular file), ERR_LIMIT (larger than max). On error
+ * err:  ERR_IO (open, map), ERR_FORMAT (not a regular file, larger than max). On error
  *       *out is zeroed. */
 MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 
@@ -32,16 +32,19 @@ bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
 
 /* out = "dir/name".
- * err:  ERR_LIMIT if that is longer than FILE_PATH_CAP - 1. */
+ * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP]);
+
+/* Code of a failed write with this errno: ERR_LIMIT if there is no space, else ERR_IO. */
+MUST_USE err_t file_code(int why);
 
 /* Create or empty a file for writing; write with stdio and ask for errors once, in file_finish.
  * own:  file_finish or file_discard.
- * err:  ERR_IO. */
+ * err:  ERR_LIMIT (no space), ERR_IO. */
 MUST_USE err_t file_create(const char *path, FILE **out);
 
 /* Flush, sync to the medium and close. If any write since file_create failed, the file is removed.
- * err:  ERR_IO. f is closed in any case. */
+ * err:  ERR_LIMIT (no space), ERR_IO. f is closed in any case. */
 MUST_USE err_t file_finish(FILE *f, const char *path);
 
 /* Close and remove. Accepts NULL. */

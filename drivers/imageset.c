@@ -75,7 +75,7 @@ static err_t add_picture(const char *dir, const char *name, struct capture *c)
     if (e || !file_is_regular(path))
         return e;
     if (c->n == CAMERAS_MAX)
-        return err_fail(ERR_LIMIT, "%s: more than %d pictures", dir, CAMERAS_MAX);
+        return err_fail(ERR_FORMAT, "%s: more than %d pictures", dir, CAMERAS_MAX);
     struct shot *s = &c->shots[c->n];
     e = name_copy(dir, name, strlen(name), s->name);
     c->n += !e;

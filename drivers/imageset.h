@@ -41,7 +41,7 @@ struct imageset {
  * are refused: a picture without exposure, pictures of different sizes, a rig that lacks a view or
  * has another aspect (cameras_find), a protocol that names a missing file.
  * own:  imageset_free.
- * err:  ERR_ARG (request, too few views), ERR_IO, ERR_FORMAT, ERR_LIMIT (CAMERAS_MAX pictures),
+ * err:  ERR_ARG (request, too few views), ERR_IO, ERR_FORMAT (also: above CAMERAS_MAX pictures),
  *       ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t imageset_list(const struct imageset_request *request, struct imageset *out);
 

@@ -23,8 +23,8 @@ enum {
 static err_t check_size(const char *name, uint32_t w, uint32_t h)
 {
     if (w < 1 || h < 1 || w > IMG_SIDE_MAX || h > IMG_SIDE_MAX || (uint64_t)w * h > IMG_PX_MAX)
-        return err_fail(ERR_LIMIT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all", name,
-                        w, h, IMG_SIDE_MAX, IMG_PX_MAX);
+        return err_fail(ERR_FORMAT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all",
+                        name, w, h, IMG_SIDE_MAX, IMG_PX_MAX);
     return OK;
 }
 
@@ -312,7 +312,7 @@ err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, doubl
 {
     *out = 0.0;
     if (n > IMG_FILE_MAX)
-        return err_fail(ERR_LIMIT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
+        return err_fail(ERR_FORMAT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
     if (is_jpeg(bytes, n))
         return exposure_of(bytes, n, name, out);
     if (!is_png(bytes, n))

@@ -14,7 +14,7 @@ enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
  * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF
  * orientation, gamma and profiles are ignored (model-spec 1.1).
  * own:  img_free.
- * err:  ERR_IO, ERR_FORMAT, ERR_LIMIT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
  *       zeroed. */
 MUST_USE err_t img_read(const char *path, struct image8 *out);
 
@@ -25,7 +25,7 @@ MUST_USE err_t img_read_mem(const void *bytes, size_t n, const char *name, struc
 void img_free(struct image8 *im);
 
 /* Write an RGB picture as PNG, synced to the disk; a file that could not be completed is removed.
- * err:  ERR_ARG (channels or shape), ERR_IO (with the system's reason), ERR_NOMEM. */
+ * err:  ERR_ARG (channels or shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
 MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
 
 /* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN
@@ -36,7 +36,7 @@ MUST_USE err_t img_write_ldr(const char *path, const struct image *im);
  * FNumber^2, seconds at ISO 100 and f/1. A missing ISO counts as 100, a missing FNumber as 1, so
  * that files compare only if all of them carry the same tags.
  * out:  > 0.
- * err:  ERR_IO, ERR_LIMIT, ERR_NOMEM, ERR_FORMAT (no EXIF, no ExposureTime, or a value that is not
+ * err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, no ExposureTime, or a value that is not
  *       finite and > 0). */
 MUST_USE err_t img_exif_exposure(const char *path, double *out);
 MUST_USE err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, double *out);

@@ -65,7 +65,7 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
     if (!found || width == 0 || height == 0)
         return err_fail(ERR_FORMAT, "%s: no PNG or JPEG header with a size", what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
-        return err_fail(ERR_LIMIT, "%s: %u x %u px, at most %d a side", what, width, height,
+        return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);
     *w = (int)width;
     *h = (int)height;

@@ -10,7 +10,7 @@
 #include <stddef.h>
 
 /* out:  *w, *h >= 1.
- * err:  ERR_IO, ERR_LIMIT (above IMG_FILE_MAX bytes or IMG_SIDE_MAX px), ERR_FORMAT. */
+ * err:  ERR_IO, ERR_FORMAT (also: above IMG_FILE_MAX bytes or IMG_SIDE_MAX px). */
 MUST_USE err_t imgsize_read(const char *path, int *w, int *h);
 
 /* As imgsize_read, from n bytes; `what` begins the sentence. */

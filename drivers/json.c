@@ -12,7 +12,7 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
 {
     *out = NULL;
     if (n > JSON_BYTES_MAX)
-        return err_fail(ERR_LIMIT, "%s: %zu bytes of JSON, at most %d are read", what, n,
+        return err_fail(ERR_FORMAT, "%s: %zu bytes of JSON, at most %d are read", what, n,
                         JSON_BYTES_MAX);
     char *copy =
         malloc(n + 1); // cJSON before 1.7.18 looks one byte past a text without terminating 0

@@ -19,7 +19,7 @@ enum { JSON_BYTES_MAX = 2 << 20 };
 /* Parse n bytes of text; `what` (a file) begins the sentence. Nothing but blanks may follow the
  * value.
  * own:  json_free.
- * err:  ERR_FORMAT, ERR_LIMIT (JSON_BYTES_MAX), ERR_NOMEM. On error *out is NULL. */
+ * err:  ERR_FORMAT (also: above JSON_BYTES_MAX), ERR_NOMEM. On error *out is NULL. */
 MUST_USE err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **out);
 
 /* json_parse of a file. err: also those of file_map. */

@@ -184,7 +184,7 @@ static err_t take_property(const char *what, const struct words *w, struct heade
         return err_fail(ERR_FORMAT, "%s: property %s has the unknown type %s", what, w->v[2],
                         w->v[1]);
     if (h->n == PROPERTIES_MAX)
-        return err_fail(ERR_LIMIT, "%s: more than %d properties", what, PROPERTIES_MAX);
+        return err_fail(ERR_FORMAT, "%s: more than %d properties", what, PROPERTIES_MAX);
     if (find(h, w->v[2]))
         return err_fail(ERR_FORMAT, "%s: property %s is there twice", what, w->v[2]);
     struct property *p = &h->v[h->n++];
@@ -212,7 +212,7 @@ static err_t take_element(const char *what, const struct words *w, struct header
         n = n > GAUSSIANS_MAX ? n : 10 * n + (uint64_t)(*c - '0');
     }
     if (n > GAUSSIANS_MAX)
-        return err_fail(ERR_LIMIT, "%s: %s splats, at most %d are read", what, w->v[2],
+        return err_fail(ERR_FORMAT, "%s: %s splats, at most %d are read", what, w->v[2],
                         GAUSSIANS_MAX);
     h->n_rows = (int)n;
     h->in_vertex = true;

@@ -32,7 +32,7 @@ MUST_USE err_t ply_peek(const char *path, struct ply_info *out);
  * slope of that curve at the DC colour; highlights above display white stay clipped and strong
  * view dependence is only right to first order. Then gaussians_sanitize.
  * out:  *g in a (gaussians_need of ply_peek), *report.
- * err:  ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED (ascii, big-endian, lists, SH degree), ERR_LIMIT,
+ * err:  ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED (ascii, big-endian, lists, SH degree),
  *       ERR_NOMEM. On error *g is zeroed. */
 MUST_USE err_t ply_read(const char *path, struct arena *a, struct gaussians *g,
                         struct gaussians_report *report);

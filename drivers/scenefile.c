@@ -224,7 +224,7 @@ static err_t get_whole(const struct scenefile_bytes *f, const struct cJSON *v, c
     if (!json_number(v, &number) || number < 0 || number != floor(number))
         return err_fail(ERR_FORMAT, "%s: %s is not a whole number", f->what, what);
     if (number > max)
-        return err_fail(ERR_LIMIT, "%s: %s is %.0f, at most %.0f is read", f->what, what, number,
+        return err_fail(ERR_FORMAT, "%s: %s is %.0f, at most %.0f is read", f->what, what, number,
                         max);
     *out = (size_t)number;
     return OK;
@@ -302,7 +302,7 @@ static err_t get_counts(const struct scenefile_bytes *f, const struct cJSON *doc
     while (degree < SH_DEGREE_MAX && (degree + 1) * (degree + 1) != sh[0])
         degree++;
     if ((degree + 1) * (degree + 1) != sh[0])
-        return err_fail(ERR_LIMIT, "%s: %zu harmonics, no degree of 0 to %d has as many", f->what,
+        return err_fail(ERR_FORMAT, "%s: %zu harmonics, no degree of 0 to %d has as many", f->what,
                         sh[0], SH_DEGREE_MAX);
     l->info.n = (int)sh[2];
     l->info.degree = (int)degree;

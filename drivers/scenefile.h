@@ -25,8 +25,8 @@
 #include "core/types.h"
 
 /* Write scene.hdrig. s->cams may be NULL only if n_views is 0.
- * err:  ERR_ARG (a splat that is not finite, named), ERR_IO, ERR_NOMEM. The partial file is
- *       removed. */
+ * err:  ERR_ARG (a splat that is not finite, named), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The
+ *       partial file is removed. */
 MUST_USE err_t scenefile_write(const char *path, const struct scene *s);
 
 struct scenefile_info {
@@ -40,7 +40,7 @@ MUST_USE err_t scenefile_peek(const char *path, struct scenefile_info *out);
 
 /* Read a scene. Splats outside the ranges of gaussians_sanitize are brought back into them.
  * out:  *s in a. On error *s is zeroed.
- * err:  ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED (version), ERR_LIMIT, ERR_NOMEM. */
+ * err:  ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED (version), ERR_NOMEM. */
 MUST_USE err_t scenefile_read(const char *path, struct arena *a, struct scene *s);
 
 struct scenefile_bytes {
@@ -57,7 +57,7 @@ MUST_USE err_t scenefile_parse(const struct scenefile_bytes *file, struct arena 
 /* Write tone.json: {"formula", "mid_log2t", "curves": [{"colour", "w1", "b1", "w2", "b2"}, ...],
  * "samples": [{"log2_exposure_relative": x, "rgb": [r, g, b]}, ...]}; x is log2(radiance x t /
  * t_mid).
- * err:  ERR_IO. The partial file is removed. */
+ * err:  ERR_IO, ERR_LIMIT (no space). The partial file is removed. */
 MUST_USE err_t scenefile_write_tone(const char *path, const struct tonemap *tone);
 
 #endif

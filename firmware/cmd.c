@@ -178,6 +178,7 @@ err_t cmd_json_close(FILE *f, const char *path)
     if (!f)
         return OK;
     if (f == stdout)
-        return fflush(f) || ferror(f) ? err_fail(ERR_IO, "stdout: %s", strerror(errno)) : OK;
+        return fflush(f) || ferror(f) ? err_fail(file_code(errno), "stdout: %s", strerror(errno))
+                                      : OK;
     return file_finish(f, path);
 }

@@ -63,7 +63,7 @@ MUST_USE err_t cmd_number(const char *name, const char *text, double min, double
 struct job_config cmd_job(const struct config *cfg, bool poses);
 
 /* Open the file of --json, "-" for stdout, NULL for none (*out is NULL then), and close it.
- * err:  ERR_IO. */
+ * err:  those of file_create and file_finish. */
 MUST_USE err_t cmd_json_open(const char *path, FILE **out);
 MUST_USE err_t cmd_json_close(FILE *f, const char *path);
 

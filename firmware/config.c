@@ -26,7 +26,7 @@ static const struct key keys[] = {
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none"},
     {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,
      "highest degree of the spherical harmonics"},
-    {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 1000000,
+    {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 200000,
      "most Gaussians in a scene"},
 };
 
@@ -108,8 +108,8 @@ static char *next_line(char *out, int cap, void *ctx)
     const char *newline = memchr(start, '\n', s->size - s->at);
     size_t len = newline ? (size_t)(newline - start) + 1 : s->size - s->at;
     if (len >= (size_t)cap) {
-        refuse(s, err_fail(ERR_LIMIT, "%s:%d: line of %zu bytes, at most %d", s->name, s->line, len,
-                           cap - 1));
+        refuse(s, err_fail(ERR_FORMAT, "%s:%d: line of %zu bytes, at most %d", s->name, s->line,
+                           len, cap - 1));
         return NULL;
     }
     if (memchr(start, 0, len)) {
@@ -140,7 +140,7 @@ err_t config_parse(struct config *c, const char *name, const char *text, size_t 
     struct config new = *c;
     struct source s = {.c = &new, .name = name, .text = text, .size = size};
     if (size > CONFIG_FILE_MAX)
-        return err_fail(ERR_LIMIT, "%s: more than %d bytes", name, CONFIG_FILE_MAX);
+        return err_fail(ERR_FORMAT, "%s: more than %d bytes", name, CONFIG_FILE_MAX);
     int line = ini_parse_stream(next_line, &s, handle_pair, &s);
     if (line > 0 && (!s.bad_line || line < s.bad_line))
         return err_fail(ERR_FORMAT, "%s:%d: not \"key = value\"", name, line);
@@ -171,7 +171,7 @@ err_t config_load(struct config *c, const char *dir)
     for (size_t i = 0; i < sizeof layers / sizeof layers[0]; i++) {
         char path[512];
         if (snprintf(path, sizeof path, "%s/%s", dir, layers[i]) >= (int)sizeof path)
-            return err_fail(ERR_LIMIT, "%.*s...: path longer than %zu bytes", QUOTE_MAX, dir,
+            return err_fail(ERR_ARG, "%.*s...: path longer than %zu bytes", QUOTE_MAX, dir,
                             sizeof path - 1);
         if (access(path, F_OK) != 0 && errno == ENOENT)
             continue;

@@ -33,7 +33,7 @@ void config_defaults(struct config *c);
 MUST_USE err_t config_load(struct config *c, const char *dir);
 
 /* Read one file over the values in *c.
- * err:  ERR_IO; ERR_FORMAT, ERR_LIMIT with file name and line number. On error *c is unchanged. */
+ * err:  ERR_IO; ERR_FORMAT with file name and line number. On error *c is unchanged. */
 MUST_USE err_t config_read(struct config *c, const char *path);
 
 /* As config_read for `size` bytes in memory; `name` is for sentences. */

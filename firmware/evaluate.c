@@ -97,7 +97,7 @@ static err_t find_exposure(struct evaluate_result *out, double exposure,
     if (i < out->n_exposures && out->exposures[i].exposure <= exposure)
         return OK;
     if (out->n_exposures == EVALUATE_EXPOSURES)
-        return err_fail(ERR_LIMIT, "the test pictures have more than %d different exposures",
+        return err_fail(ERR_FORMAT, "the test pictures have more than %d different exposures",
                         EVALUATE_EXPOSURES);
     memmove(&out->exposures[i + 1], &out->exposures[i],
             (size_t)(out->n_exposures++ - i) * sizeof out->exposures[0]);

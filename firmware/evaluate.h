@@ -36,7 +36,7 @@ void evaluate_plan(const struct capture *test, int size, int cap, int threads, s
 
 /* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
- * err:  ERR_ARG (a test view without camera), ERR_LIMIT (exposures), those of reading, drawing and
+ * err:  ERR_ARG (a test view without camera), ERR_FORMAT (exposures), those of reading, drawing and
  *       writing, ERR_CANCELLED. */
 MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
                             struct outdir *o, struct evaluate_result *out);

@@ -39,7 +39,7 @@ static err_t split(const char *path, char copy[FILE_PATH_CAP], char parent[FILE_
     while (n > 1 && path[n - 1] == '/')
         n--;
     if (n >= FILE_PATH_CAP)
-        return err_fail(ERR_LIMIT, "%.64s...: path of %zu bytes, allowed are %d", path, n,
+        return err_fail(ERR_ARG, "%.64s...: path of %zu bytes, allowed are %d", path, n,
                         FILE_PATH_CAP - 1);
     memcpy(copy, path, n);
     copy[n] = 0;
@@ -143,7 +143,7 @@ err_t outdir_open(const char *path, struct outdir *o)
         goto fail;
     remove_all_stale(parent, name);
     int n = snprintf(tmp, sizeof tmp, "%s/.tmp-%s-%ld", parent, name, (long)getpid());
-    e = n < (int)sizeof tmp ? OK : err_fail(ERR_LIMIT, "%.64s...: path too long", path);
+    e = n < (int)sizeof tmp ? OK : err_fail(ERR_ARG, "%.64s...: path too long", path);
     if (!e && mkdir(tmp, 0777) != 0)
         e = err_fail(ERR_IO, "%s: cannot create: %s", tmp, strerror(errno));
     if (e)
@@ -211,7 +211,7 @@ err_t outdir_mkdir(struct outdir *o, const char *name)
     char path[FILE_PATH_CAP];
     err_t e = outdir_path(o, name, path);
     if (!e && mkdir(path, 0777) != 0)
-        return err_fail(ERR_IO, "%s: cannot create: %s", path, strerror(errno));
+        return err_fail(file_code(errno), "%s: cannot create: %s", path, strerror(errno));
     return e;
 }
 

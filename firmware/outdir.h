@@ -23,8 +23,8 @@ struct outdir {
 
 /* Begin a result; its parents are created.
  * own:  outdir_close.
- * err:  ERR_ARG (path names no folder of its own, or something there is not a former result and not
- *       empty), ERR_IO, ERR_LIMIT (path too long), ERR_BUSY. On error *o is zeroed. */
+ * err:  ERR_ARG (path too long or names no folder of its own, or something there is not a former
+ *       result and not empty), ERR_IO, ERR_BUSY. On error *o is zeroed. */
 MUST_USE err_t outdir_open(const char *path, struct outdir *o);
 
 /* Refuse to start writing `bytes` if the file system has less room.
@@ -32,11 +32,11 @@ MUST_USE err_t outdir_open(const char *path, struct outdir *o);
 MUST_USE err_t outdir_reserve(struct outdir *o, uint64_t bytes);
 
 /* Create folder `name` inside.
- * err:  ERR_IO, ERR_LIMIT. */
+ * err:  ERR_IO, ERR_ARG (path too long). */
 MUST_USE err_t outdir_mkdir(struct outdir *o, const char *name);
 
 /* Path of file `name` (may begin with a folder) inside.
- * err:  ERR_LIMIT. */
+ * err:  ERR_ARG (too long). */
 MUST_USE err_t outdir_path(const struct outdir *o, const char *name, char path[FILE_PATH_CAP]);
 
 /* What a failed write means: ERR_IO becomes ERR_LIMIT, with the bytes added to its sentence, if

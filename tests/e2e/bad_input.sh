@@ -95,6 +95,13 @@ expect 1 'precious: exists and is no former result' \
 expect 1 'thesis.txt: exists and is not a folder' \
     reconstruct --images "$OUT/good" --out "$OUT/precious/thesis.txt"
 
+# a full disk, the kernel's stand-in for one
+if [ -c /dev/full ]; then
+    expect 3 '/dev/full: .*No space left' bench --gaussians 1000 --size 56 --json /dev/full
+    "$HDRIG" bench --gaussians 1000 --size 56 --json - >/dev/full 2>"$ERR"
+    [ $? -eq 3 ] || fail "full stdout: not exit 3"
+fi
+
 # scenes
 expect 1 'nowhere/scene.hdrig' render --scene "$OUT/nowhere" --path orbit --out "$OUT/frames"
 succeed reconstruct --images "$OUT/good" --size 56 --refine 0 --out "$OUT/fine"

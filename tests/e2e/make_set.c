@@ -1,6 +1,6 @@
-/* make_set OUT SIZE TRAIN TEST [one] - a small data set in the released layout, without noise in its
- * geometry: a room with textures on everything, a lamp, the sun through a window, soft light of the
- * sky and deep shadows. Radiance spans more than four orders of magnitude.
+/* make_set OUT SIZE TRAIN TEST [one] - a small data set in the released layout, with exact geometry:
+ * a room with textures on everything, a lamp, the sun through a window, soft light of the sky and
+ * deep shadows. Radiance spans more than four orders of magnitude.
  * World axes are those of the middle camera: x right, y down, z forward; the room is 4 x 2.8 x 6
  * units. Photographs: filmic response (a fit of ACES by K. Narkowicz), shot and read noise, 8 bits.
  * Train views get the 1st, 3rd and 5th exposure, or with `one` one of them in turn; test views get

@@ -54,7 +54,7 @@ static void a_full_disk_is_noticed(void **state)
 {
     (void)state;
     struct rig none = {0};
-    assert_int_equal(cameras_write("/dev/full", &none), ERR_IO);
+    assert_int_equal(cameras_write("/dev/full", &none), ERR_LIMIT);
     assert_non_null(strstr(err_text(), "No space"));
     assert_int_equal(cameras_write(tmpdir_path("no/such/folder"), &none), ERR_IO);
 }
@@ -67,7 +67,7 @@ static void nonsense_is_refused_with_its_name(void **state)
         err_t code;
     } wrong[] = {
         {"", "not JSON", ERR_FORMAT},
-        {"{\"cameras\":[]}", "0 cameras", ERR_LIMIT},
+        {"{\"cameras\":[]}", "0 cameras", ERR_FORMAT},
         {"[1]", "no array", ERR_FORMAT},
         {RIG("7"), "name", ERR_FORMAT},
         {RIG("{}"), "name", ERR_FORMAT},

@@ -157,8 +157,8 @@ static void absurd_counts_are_refused(void **state)
     struct rig rig;
     struct colmap_points points;
     struct colmap_text t = {"t", many, sizeof many};
-    assert_int_equal(colmap_parse(true, &t, &t, &rig), ERR_LIMIT);
-    assert_int_equal(colmap_parse_points(true, &t, &points), ERR_LIMIT);
+    assert_int_equal(colmap_parse(true, &t, &t, &rig), ERR_FORMAT);
+    assert_int_equal(colmap_parse_points(true, &t, &points), ERR_FORMAT);
     assert_null(points.p);
 }
 

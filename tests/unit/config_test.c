@@ -81,12 +81,12 @@ static void hostile_files_are_refused(void **state)
     char line[400];
     memset(line, 'x', sizeof line - 1);
     line[sizeof line - 1] = 0;
-    refused(line, ERR_LIMIT, "test.conf:1: line of 399 bytes, at most 199");
+    refused(line, ERR_FORMAT, "test.conf:1: line of 399 bytes, at most 199");
     assert_int_equal(config_parse(&c, "zero", "threads = 1\nsize\0= 56\n", 22), ERR_FORMAT);
     assert_string_equal(err_text(), "zero:2: zero byte");
     static char big[CONFIG_FILE_MAX + 1];
     memset(big, '\n', sizeof big);
-    assert_int_equal(config_parse(&c, "big", big, sizeof big), ERR_LIMIT);
+    assert_int_equal(config_parse(&c, "big", big, sizeof big), ERR_FORMAT);
     assert_int_equal(config_parse(&c, "big", big, sizeof big - 1), OK);
     assert_int_equal(config_parse(&c, "empty", NULL, 0), OK);
     assert_int_equal(config_read(&c, "tests/unit"), ERR_IO);
