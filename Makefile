@@ -13,7 +13,7 @@ DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 
 PREFIX ?= /usr/local
 SECONDS ?= 60
-DEMO = build/hdrig reconstruct --images tests/data/room --refine 400 --out out/latest
+DEMO := tests/data/room
 
 ifeq ($(origin CC),default)
 CC := $(CROSS)gcc
@@ -111,7 +111,12 @@ install: all
 	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
 
 demo: all
-	$(DEMO)
+	@echo "$(DEMO): photographs of a room at three exposures become an HDR scene"
+	@build/hdrig reconstruct --images $(DEMO) --size 224 --refine 400 --out out/latest
+	@echo "compared with photographs of places and exposures that it has not seen:"
+	@build/hdrig eval --data $(DEMO) --scene out/latest
+	@echo
+	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.json"
 
 bench: all
 	build/hdrig bench --what all

@@ -204,6 +204,50 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
     return check_times(source ? source : "EXIF (no exposure.json found)", &set->capture);
 }
 
+static int by_time(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Keep the pictures whose time is in `mask`; `time` is scratch for all of them. */
+static err_t keep_times(const char *dir, uint32_t mask, double *time, struct capture *c)
+{
+    int n = 0, all = c->n, highest = 31 - __builtin_clz(mask);
+    for (int i = 0; i < all; i++)
+        time[i] = c->shots[i].exposure;
+    qsort(time, (size_t)all, sizeof *time, by_time);
+    for (int i = 0; i < all; i++)
+        if (n == 0 || time[i] > time[n - 1])
+            time[n++] = time[i];
+    if (highest >= n)
+        return err_fail(ERR_ARG, "%s: exposure %d asked, its pictures have %d different ones", dir,
+                        highest + 1, n);
+    c->n = 0;
+    for (int i = 0; i < all; i++) {
+        const double *rank = bsearch(&c->shots[i].exposure, time, (size_t)n, sizeof *time, by_time);
+        if (rank - time < 32 && mask >> (rank - time) & 1)
+            c->shots[c->n++] = c->shots[i];
+    }
+    return OK;
+}
+
+/* The ranks count all pictures of the folder, so that they mean the same for train and test. */
+static err_t choose_times(const struct imageset_request *rq, struct imageset *set)
+{
+    if (!rq->exposure_set || set->capture.n == 0)
+        return OK;
+    err_t e = get_times(rq, set);
+    if (e)
+        return e;
+    double *time = malloc((size_t)set->capture.n * sizeof *time);
+    if (!time)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d times", set->dir, set->capture.n);
+    e = keep_times(set->dir, rq->exposure_set, time, &set->capture);
+    free(time);
+    return e;
+}
+
 /* ---- which pictures ---- */
 
 /* Shots [from, *to) are the exposures of one view. */
@@ -314,7 +358,7 @@ static err_t choose(const struct imageset_request *rq, bool released, struct ima
     if (!keep)
         return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
     err_t e = OK;
-    if (released && rq->which == IMAGESET_TRAIN && !rq->every_exposure)
+    if (released && rq->which == IMAGESET_TRAIN && !rq->every_exposure && !rq->exposure_set)
         e = choose_by_protocol(set, n, keep, &listed);
     if (!e && !listed)
         choose_spread(rq, released, n_views, &set->capture, keep);
@@ -398,8 +442,10 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
         e = scan(out);
     if (!e) {
         released = is_released(&out->capture);
-        e = filter(rq, released, out);
+        e = choose_times(rq, out);
     }
+    if (!e)
+        e = filter(rq, released, out);
     if (!e)
         e = get_times(rq, out);
     if (!e)

@@ -11,7 +11,8 @@
  * Choice of exposures, unless every_exposure: the names that protocol.json gives for this number of
  * views (key "inputs"; input pictures only); else one exposure per view, in turn the middle, the
  * shortest and the longest of that view (t3, t1, t5 of five: the paper's set, interleaved), and of
- * the views n_views that are evenly spread.
+ * the views n_views that are evenly spread. exposure_set limits this choice to some of the times
+ * that the folder's pictures have, sorted; protocol.json is not read then.
  * thread: any. */
 #ifndef DRIVERS_IMAGESET_H
 #define DRIVERS_IMAGESET_H
@@ -29,6 +30,7 @@ struct imageset_request {
     enum imageset_which which; // of the released layout
     int n_views;               // 0 = all
     bool every_exposure;       // all exposures of the chosen views, without protocol.json
+    uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
 };
 
 struct imageset {

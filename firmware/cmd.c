@@ -151,6 +151,24 @@ err_t cmd_number(const char *name, const char *text, double min, double max, dou
     return OK;
 }
 
+err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_list *out)
+{
+    char *end;
+    out->n = 0;
+    for (const char *at = text;; at = end + 1) {
+        long v = strtol(at, &end, 10);
+        if (end == at || (*end && *end != ','))
+            return err_fail(ERR_ARG, "%s: \"%.64s\" is not a list like 1,2,3", name, text);
+        if (v < min || v > max)
+            return err_fail(ERR_ARG, "%s: %ld is not in %d..%d", name, v, min, max);
+        if (out->n == CMD_LIST_MAX)
+            return err_fail(ERR_ARG, "%s: more than %d numbers", name, CMD_LIST_MAX);
+        out->v[out->n++] = (int)v;
+        if (!*end)
+            return OK;
+    }
+}
+
 struct job_config cmd_job(const struct config *cfg, bool poses)
 {
     return (struct job_config){.size = cfg->size,

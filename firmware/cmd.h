@@ -59,6 +59,16 @@ int cmd_finish(const char *name, err_t e);
  * err:  ERR_ARG. */
 MUST_USE err_t cmd_number(const char *name, const char *text, double min, double max, double *out);
 
+enum { CMD_LIST_MAX = 8 };
+
+struct cmd_list {
+    int n, v[CMD_LIST_MAX];
+};
+
+/* Whole numbers in min..max, separated by commas, for option `name`.
+ * err:  ERR_ARG. */
+MUST_USE err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_list *out);
+
 /* The part of the settings that a job takes. poses: refine the cameras too. */
 struct job_config cmd_job(const struct config *cfg, bool poses);
 

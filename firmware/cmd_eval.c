@@ -1,13 +1,19 @@
-/* hdrig eval: reconstruct a data set and measure it on its held-out views. */
+/* hdrig eval: reconstruct a data set, or take a result of it, and measure it on its held-out views.
+ */
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/evaluate.h"
+
+#include "core/opt/response.h"
+#include "core/prep.h"
+#include "drivers/cameras.h"
+#include "drivers/scenefile.h"
 
 #include <string.h>
 
 struct request {
     struct imageset_request set;
-    const char *views, *out, *json;
+    const char *scene, *views, *exposures, *out, *json;
     struct config cfg;
 };
 
@@ -67,9 +73,11 @@ static void print_score(const char *what, const struct evaluate_score *s)
 static void print_table(const struct state *st)
 {
     const struct evaluate_result *fig = &st->figures;
-    printf("%d input views, %d Gaussians of SH degree %d, %d steps, %.1f s\n\n", st->job.views.n,
-           st->job.scene.g.n, st->job.scene.g.degree, st->job.refine.steps,
-           st->job.lap_s - st->job.start_s);
+    printf("%d input views, %d Gaussians of SH degree %d", st->job.scene.n_views, st->job.scene.g.n,
+           st->job.scene.g.degree);
+    if (!st->job.measured_only)
+        printf(", %d steps", st->job.refine.steps);
+    printf(", %.1f s\n\n", st->job.lap_s - st->job.start_s);
     printf("%-18s %9s %9s %7s\n", "", "PSNR dB", "SSIM", "images");
     print_score("LDR", &fig->ldr);
     for (int i = 0; i < fig->n_exposures; i++) {
@@ -115,47 +123,162 @@ static uint64_t result_bytes(const struct capture *test, int size)
     return (uint64_t)test->n * (pixels * (4 * 2 + 3) + pixels / 4 + 4096); // as if incompressible
 }
 
-/* Lists, memory and folder: everything that can be refused before the work. */
-static err_t prepare(struct state *st, struct request *rq, const struct job_config *job)
+/* ---- from photographs to the scene ---- */
+
+static err_t list(struct state *st, struct request *rq)
 {
-    struct job_memory need;
-    size_t keep, tmp;
     err_t e = imageset_list(&rq->set, &st->train);
     rq->set.which = IMAGESET_TEST;
     rq->set.n_views = 0;
     rq->set.every_exposure = true;
-    if (!e)
-        e = imageset_list(&rq->set, &st->test);
-    if (!e)
-        e = engine_open(&st->engine, rq->cfg.threads);
-    if (!e)
-        e = job_plan(&st->train.capture, job, pool_size(st->engine.pool), &need);
-    if (e)
-        return e;
-    evaluate_plan(&st->test.capture, job->size, job->refine.gaussians_max,
-                  pool_size(st->engine.pool), &keep, &tmp);
-    e = engine_reserve(&st->engine, need.pictures, arena_add(need.keep, keep),
-                       tmp > need.tmp ? tmp : need.tmp, rq->cfg.max_memory_mb);
+    rq->set.exposure_set = 0;
+    return e ? e : imageset_list(&rq->set, &st->test);
+}
+
+static err_t reserve(struct state *st, const struct request *rq, struct job_memory need,
+                     const struct scenefile_info *scene)
+{
+    size_t keep, tmp;
+    evaluate_plan(&st->test.capture, scene->size, scene->n, pool_size(st->engine.pool), &keep,
+                  &tmp);
+    err_t e = engine_reserve(&st->engine, need.pictures, arena_add(need.keep, keep),
+                             tmp > need.tmp ? tmp : need.tmp, rq->cfg.max_memory_mb);
     if (!e && rq->out)
         e = outdir_open(rq->out, &st->out);
-    return e || !rq->out ? e : outdir_reserve(&st->out, result_bytes(&st->test.capture, job->size));
+    return e || !rq->out ? e
+                         : outdir_reserve(&st->out, result_bytes(&st->test.capture, scene->size));
 }
+
+static err_t reconstruct(struct state *st, struct request *rq)
+{
+    const struct job_config job = cmd_job(&rq->cfg, false);
+    const struct scenefile_info most = {.n = job.refine.gaussians_max, .size = job.size};
+    struct job_memory need;
+    err_t e = list(st, rq);
+    if (!e)
+        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), &need);
+    if (!e)
+        e = reserve(st, rq, need, &most);
+    if (!e)
+        e = imageset_load(&st->train);
+    return e ? e : job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+}
+
+/* ---- from a result to its scene ---- */
+
+/* Of the train pictures keep those that the scene was made from. */
+static err_t keep_inputs(const char *scene, struct capture *c)
+{
+    char path[FILE_PATH_CAP];
+    struct rig rig;
+    int n = 0;
+    err_t e = file_join(scene, "cameras.json", path);
+    if (!e)
+        e = cameras_read(path, &rig);
+    if (e)
+        return e;
+    for (int i = 0; i < c->n; i++)
+        for (int k = 0; k < rig.n; k++)
+            if (strcmp(c->shots[i].name, rig.views[k].name) == 0)
+                c->shots[n++] = c->shots[i];
+    c->n = n;
+    cameras_free(&rig);
+    return OK;
+}
+
+static void plan_scene(const struct state *st, const struct scenefile_info *info,
+                       struct job_memory *need)
+{
+    const struct capture *c = &st->train.capture;
+    const struct views v = {.n = c->n, .size = info->size};
+    size_t keep = 0, response;
+    *need = (struct job_memory){.keep = info->need};
+    if (c->n == 0)
+        return;
+    prep_plan(c, info->size, pool_size(st->engine.pool), &keep, &need->tmp);
+    response = response_plan(&v);
+    need->tmp = response > need->tmp ? response : need->tmp;
+    need->keep = arena_add(need->keep, keep);
+    need->pictures =
+        arena_need((size_t)c->n * 3, (size_t)c->shots[0].image.w * (size_t)c->shots[0].image.h);
+}
+
+/* The photographs that the scene was made from, if the data set has them. */
+static err_t read_inputs(struct state *st, int size)
+{
+    const struct run *r = &st->engine.run;
+    if (st->train.capture.n == 0)
+        return OK;
+    err_t e = imageset_load(&st->train);
+    if (!e)
+        e = prep_run(r, &st->train.capture, size, &st->job.views);
+    job_lap(&st->job, JOB_PREPROCESS);
+    if (!e && !st->job.views.cams)
+        e = err_fail(ERR_ARG, "%s: cameras of the input views are not known", st->train.dir);
+    if (!e)
+        e = response_run(r, &st->job.views, &st->job.response);
+    job_lap(&st->job, JOB_RESPONSE);
+    return e;
+}
+
+static err_t read_scene(struct state *st, struct request *rq)
+{
+    char path[FILE_PATH_CAP];
+    struct scenefile_info info;
+    struct job_memory need;
+    st->job.measured_only = true;
+    st->job.start_s = st->job.lap_s = engine_seconds();
+    rq->set.every_exposure = true;
+    err_t e = file_join(rq->scene, "scene.hdrig", path);
+    if (!e)
+        e = scenefile_peek(path, &info);
+    if (!e)
+        e = list(st, rq);
+    if (!e)
+        e = keep_inputs(rq->scene, &st->train.capture);
+    if (e)
+        return e;
+    plan_scene(st, &info, &need);
+    e = reserve(st, rq, need, &info);
+    if (!e)
+        e = scenefile_read(path, &st->engine.keep, &st->job.scene);
+    return e ? e : read_inputs(st, info.size);
+}
+
+/* ---- command ---- */
 
 static err_t evaluate(struct state *st, struct request *rq)
 {
-    struct job_config job = cmd_job(&rq->cfg, false);
     struct outdir *out = rq->out ? &st->out : NULL;
-    err_t e = prepare(st, rq, &job);
+    err_t e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = imageset_load(&st->train);
-    if (!e)
-        e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+        e = rq->scene ? read_scene(st, rq) : reconstruct(st, rq);
     if (!e)
         e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
+    st->job.keep_peak = st->engine.keep.peak;
+    st->job.tmp_peak = st->engine.tmp.peak;
     progress_end(&st->engine.progress);
     if (e)
         return out ? outdir_reason(out, e) : e;
     return publish(st, rq);
+}
+
+static err_t read_numbers(struct request *rq)
+{
+    double views = 0;
+    struct cmd_list list = {0};
+    err_t e = OK;
+    if (rq->scene && (rq->views || rq->exposures))
+        e = err_fail(ERR_ARG, "--scene has its input views; --views and --exposure-set choose some "
+                              "for a reconstruction");
+    if (!e && rq->views)
+        e = cmd_number("--views", rq->views, 1, 4096, &views);
+    if (!e && rq->exposures)
+        e = cmd_list("--exposure-set", rq->exposures, 1, 32, &list);
+    rq->set.n_views = (int)views;
+    for (int i = 0; i < list.n; i++)
+        rq->set.exposure_set |= UINT32_C(1) << (list.v[i] - 1);
+    return e;
 }
 
 int cmd_eval_run(int argc, char **argv)
@@ -164,7 +287,11 @@ int cmd_eval_run(int argc, char **argv)
     struct request rq = {0};
     const struct cmd_option options[] = {
         {"data", "DIR", "data set with train and test pictures", NULL, &rq.set.images, NULL},
+        {"scene", "DIR", "measure this result of hdrig reconstruct, at its own size", NULL,
+         &rq.scene, NULL},
         {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
+        {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
+         &rq.exposures, NULL},
         {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0", NULL,
          &rq.set.rig, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
@@ -179,17 +306,16 @@ int cmd_eval_run(int argc, char **argv)
     };
     const struct cmd_usage usage = {
         "eval", "--data DIR ",
-        "Reconstruct a data set from its train pictures, measure it on its test pictures.", options,
-        sizeof options / sizeof options[0]};
+        "Reconstruct a data set from its train pictures, or take --scene; measure it on its test\n"
+        "pictures. Inputs have one exposure per view: as protocol.json says, or interleaved.",
+        options, sizeof options / sizeof options[0]};
     int code;
-    double views = 0;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
     if (!rq.set.images)
         return cmd_misuse(&usage, "--data is needed");
-    if (rq.views && cmd_number("--views", rq.views, 1, 4096, &views) != OK)
+    if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
-    rq.set.n_views = (int)views;
     code = cmd_finish(usage.name, evaluate(&st, &rq));
     outdir_close(&st.out);
     imageset_free(&st.train);

@@ -118,8 +118,10 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     if (!e) // the same figures go into the mean over all
         add(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
             ssim + (score->ssim - ssim) * (before + 1));
+    if (e || b->j->views.n == 0)
+        return e;
     reexpose(b, &v->cams[0], v->log2t[0]);
-    return e ? e : compare(b, &b->other, &b->truth, &b->out->nearest);
+    return compare(b, &b->other, &b->truth, &b->out->nearest);
 }
 
 /* ---- HDR ---- */
@@ -245,7 +247,7 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     struct views v;
     struct capture one = {1, (struct shot *)(uintptr_t)s};
-    err_t e = prep_run(b->r, &one, b->j->views.size, &v);
+    err_t e = prep_run(b->r, &one, b->j->scene.size, &v);
     job_lap(b->j, JOB_PREPROCESS);
     if (!e && !v.cams)
         e = err_fail(ERR_ARG,
@@ -286,7 +288,7 @@ static err_t read_and_do(struct bench *b, int i)
 
 static err_t init(struct bench *b)
 {
-    const int size = b->j->views.size;
+    const int size = b->j->scene.size;
     const size_t pixels = 3 * (size_t)size * (size_t)size;
     struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};
     float *px;

@@ -183,39 +183,45 @@ static void report_words(struct report *rep, const char *key, int n, const char 
 
 static void report_seconds(const struct job_result *j, struct report *rep)
 {
-    static const char *const network[] = {"backbone", "heads", "appearance", "voxel"};
     report_open(rep, "seconds", '{');
     for (int i = 0; i < JOB_STAGES; i++)
-        report_number(rep, stage_names[i], j->seconds[i]);
-    for (size_t i = 0; i < sizeof network / sizeof network[0]; i++)
-        report_int(rep, network[i], 0); // this job ran without a network
+        if (j->seconds[i] > 0)
+            report_number(rep, stage_names[i], j->seconds[i]);
     report_number(rep, "total", j->lap_s - j->start_s);
     report_close(rep);
 }
 
+/* What refinement decided and reached, on squares of the input views that it did not learn from. */
+static void report_making(const struct job_result *j, struct report *rep)
+{
+    bool held_out = j->refine.steps > 0;
+    report_int(rep, "refine_steps", j->refine.steps);
+    report_bool(rep, "refine_stopped_early", j->refine.stopped_early);
+    report_open(rep, "quality", '{');
+    report_number(rep, "ldr_input_psnr", j->input_psnr);
+    report_number(rep, "held_out_psnr_start", held_out ? (double)j->refine.held_out_db[0] : NAN);
+    report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
+    report_close(rep);
+    report_words(rep, "modelled", j->refine.n_notes, j->refine.notes[0], sizeof j->refine.notes[0]);
+}
+
 void job_report(const struct job_result *j, int threads, struct report *rep)
 {
-    report_int(rep, "views", j->views.n);
+    report_int(rep, "views", j->scene.n_views);
     report_open(rep, "size", '[');
-    report_int(rep, NULL, j->views.size);
-    report_int(rep, NULL, j->views.size);
+    report_int(rep, NULL, j->scene.size);
+    report_int(rep, NULL, j->scene.size);
     report_close(rep);
     report_text(rep, "precision", "fp32");
     report_int(rep, "threads", threads);
     report_int(rep, "gaussians", j->scene.g.n);
     report_int(rep, "sh_degree", j->scene.g.degree);
-    report_int(rep, "refine_steps", j->refine.steps);
-    report_bool(rep, "refine_stopped_early", j->refine.stopped_early);
     report_number(rep, "mid_exposure_log2", (double)j->scene.tone.mid_log2t);
-    report_open(rep, "quality", '{');
-    report_number(rep, "ldr_input_psnr", j->input_psnr);
-    report_number(rep, "held_out_psnr_start", (double)j->refine.held_out_db[0]);
-    report_number(rep, "held_out_psnr", (double)j->refine.held_out_db[1]);
-    report_close(rep);
+    if (!j->measured_only)
+        report_making(j, rep);
     report_seconds(j, rep);
     report_number(rep, "peak_rss_mb", engine_peak_rss_mb());
     report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);
     report_number(rep, "tmp_peak_mb", (double)j->tmp_peak * 1e-6);
-    report_words(rep, "modelled", j->refine.n_notes, j->refine.notes[0], sizeof j->refine.notes[0]);
     report_words(rep, "warnings", j->n_warnings, j->warnings[0], sizeof j->warnings[0]);
 }

@@ -32,13 +32,14 @@ struct job_memory {
 };
 
 struct job_result {
-    struct views views;      // in keep
+    struct views views;      // in keep; n is 0 if the photographs are not at hand
     struct tonemap response; // before refinement
     struct scene scene;      // in keep
     struct refine_report refine;
     double start_s, lap_s; // of the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
+    bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
     int n_warnings;
     char warnings[JOB_WARNINGS][160];

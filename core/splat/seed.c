@@ -538,6 +538,8 @@ static err_t seed_all(struct seed *s)
             for (int x = 0; x < w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
         }
+        if (s->run->progress)
+            s->run->progress(s->run->progress_ctx, "seed", i + 1, 2 * n, NULL);
     }
     return OK;
 }

@@ -59,6 +59,7 @@ struct sweep {
     float *sure;             // (n, size, size) 0..1 of the sweep alone
     float (*range)[2];       // (n) inverse depth of the first and last plane
     struct scratch *scratch; // (workers)
+    atomic_int done;         // views
 };
 
 /* Of one worker, for the largest picture and number of planes. */
@@ -537,9 +538,8 @@ static void narrow_range(const struct task *t, const float *rho, const float *su
     range[1] = fminf(t->rho0 + t->step * ((float)hi + 2.0f), range[1]);
 }
 
-static err_t sweep_view(void *ctx, int i, int worker)
+static err_t match_view(struct sweep *s, int i, int worker)
 {
-    struct sweep *s = ctx;
     struct task t = {.s = s, .m = &s->scratch[worker], .i_view = i};
     const size_t plane = (size_t)s->out->size * (size_t)s->out->size;
     float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
@@ -559,6 +559,18 @@ static err_t sweep_view(void *ctx, int i, int worker)
         narrow_range(&t, rho, sure);
     }
     return sweep_level(&t, 0, rho, sure);
+}
+
+/* Progress is told by the thread that runs the job, worker 0, for all. */
+static err_t sweep_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    const struct run *r = s->run;
+    err_t e = match_view(s, i, worker);
+    int done = atomic_fetch_add(&s->done, 1) + 1;
+    if (!e && worker == 0 && r->progress)
+        r->progress(r->progress_ctx, "sweep", done, s->v->n, NULL);
+    return e;
 }
 
 /* ---- agreement between the views ---- */

@@ -117,6 +117,32 @@ static void test_pictures_come_with_all_exposures_when_asked(void **state)
     imageset_free(&set);
 }
 
+/* The set has the times 0.125, 1, 2, 4, 32; the second and fourth are those of its test pictures. */
+static void inputs_only_at_some_exposures(void **state)
+{
+    (void)state;
+    struct imageset set;
+    make_released(3);
+    tmpdir_text("protocol.json", "{\"inputs\": {\"3\": [\"train_ldr_000_4.png\"]}}");
+    struct imageset_request rq = {.images = tmpdir_root, .exposure_set = 1 << 2};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(
+        &set, 3,
+        (const char *const[]){"train_ldr_000_2.png", "train_ldr_001_2.png", "train_ldr_002_2.png"});
+    imageset_free(&set);
+    rq.exposure_set = 1 << 0 | 1 << 4;
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(
+        &set, 3,
+        (const char *const[]){"train_ldr_000_4.png", "train_ldr_001_0.png", "train_ldr_002_4.png"});
+    imageset_free(&set);
+    rq.exposure_set = 1 << 1;
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT); // no train picture there
+    rq.exposure_set = 1 << 5 | 1;
+    assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
+    assert_non_null(strstr(err_text(), "exposure 6 asked, its pictures have 5 different ones"));
+}
+
 static void a_protocol_names_the_inputs(void **state)
 {
     (void)state;
@@ -279,6 +305,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         IN_FOLDER(one_exposure_per_view_interleaved),
         IN_FOLDER(test_pictures_come_with_all_exposures_when_asked),
+        IN_FOLDER(inputs_only_at_some_exposures),
         IN_FOLDER(a_protocol_names_the_inputs),
         IN_FOLDER(a_plain_folder_is_all_input),
         IN_FOLDER(pixels_come_when_asked),

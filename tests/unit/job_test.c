@@ -96,8 +96,8 @@ static void report_has_every_member(void **state)
     static const char *const members[] = {"views",       "size",      "precision",    "threads",
                                           "gaussians",   "sh_degree", "refine_steps", "seconds",
                                           "peak_rss_mb", "quality",   "modelled",     "warnings"};
-    static const char *const stages[] = {"total", "preprocess", "backbone", "heads", "appearance",
-                                         "voxel", "refine",     "render",   "sweep", "write"};
+    static const char *const stages[] = {"preprocess", "response", "sweep", "seed",
+                                         "refine",     "render",   "write", "total"};
     static struct small_job job;
     char *text;
     size_t size;
@@ -105,6 +105,8 @@ static void report_has_every_member(void **state)
     struct report rep;
     small_job_init(&job, 16);
     job.result.input_psnr = NAN;
+    for (int i = 0; i <= JOB_WRITE; i++)
+        job.result.seconds[i] = 1;
     job_warn(&job.result, "one \"warning\"");
     FILE *f = open_memstream(&text, &size);
     report_init(&rep, f);
@@ -117,6 +119,7 @@ static void report_has_every_member(void **state)
         assert_non_null(json_member(doc, members[i]));
     for (size_t i = 0; i < sizeof stages / sizeof stages[0]; i++)
         assert_non_null(json_member(json_member(doc, "seconds"), stages[i]));
+    assert_null(json_member(json_member(doc, "seconds"), "measure")); // it did not run
     assert_string_equal(json_string(json_first(json_member(doc, "warnings"))), "one \"warning\"");
     json_free(doc);
     free(text);
