@@ -21,7 +21,8 @@ struct density {
 size_t density_plan(int cap, int degree);
 MUST_USE err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int degree);
 
-/* Sort the splats along a Morton curve, so that neighbours in space are neighbours in memory. */
+/* Sort the splats along a Morton curve, so that neighbours in space are neighbours in memory.
+ * Positions are finite (density_prune). */
 void density_sort(struct density *d);
 
 /* Remove splats with opacity below `min_opacity`, or with a number that is not finite. Returns how

@@ -50,6 +50,26 @@ void pose_move(struct camera *c, const float twist[6])
         c->q[i] = (float)(q[i] / len);
 }
 
+float pose_extent(const struct gaussians *g, const struct camera *cams, int n)
+{
+    double c[3] = {0}, sum = 0;
+    for (int i = 0; i < g->n; i++)
+        for (int k = 0; k < 3; k++)
+            c[k] += (double)g->plane[G_MU + k][i] / g->n;
+    for (int i = 0; i < n; i++) {
+        float r[9];
+        double d2 = 0;
+        raster_rotation(cams[i].q, r);
+        for (int k = 0; k < 3; k++) {
+            const float *t = cams[i].t;
+            double o = -(double)(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]);
+            d2 += (o - c[k]) * (o - c[k]);
+        }
+        sum += sqrt(d2) / n;
+    }
+    return sum > 0 && isfinite(sum) ? (float)sum : 1.0f;
+}
+
 struct camera pose_scaled(const struct camera *c, int w, int h)
 {
     struct camera s = *c;

@@ -14,6 +14,10 @@ void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float 
 /* c <- twist applied to c; the quaternion stays unit. A twist that is not finite does nothing. */
 void pose_move(struct camera *c, const float twist[6]);
 
+/* Mean distance from the cameras to the splats' centre of mass, scene units: the yardstick of
+ * positions. 1 if there is nothing to measure. */
+float pose_extent(const struct gaussians *g, const struct camera *cams, int n);
+
 /* Same view at another picture size. */
 struct camera pose_scaled(const struct camera *c, int w, int h);
 

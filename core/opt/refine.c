@@ -1,11 +1,15 @@
-/* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient of each
- * block of splats goes straight into Adam while it is in the cache.
+/* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
+ * of each block of splats goes straight into Adam while it is in the cache.
  *
- * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32 px per view, other
- * squares in other views, so that every surface is still learned from most photographs):
- * - Gaussians: between 10 % and 60 % of the steps, once a round, the splats that pull hardest are split, as long
- *   as the error elsewhere is not much below that of the squares (then more splats would only learn noise);
- * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the held-out error;
+ * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
+ * px per view, other squares in other views, so that every surface is still learned from most
+ * photographs):
+ * - Gaussians: between 10 % and 60 % of the steps, once a round, the splats that pull hardest are
+ * split, as long
+ *   as the error elsewhere is not much below that of the squares (then more splats would only learn
+ * noise);
+ * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
+ * held-out error;
  * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
 #include "core/opt/refine.h"
 
@@ -21,10 +25,12 @@
 
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
 
-static const float SPLIT_SHARE = 0.08f;   // of the splats in one round
-static const float SPLIT_GAP_DB = 0.6f;   // no more splats when the held-out error is this much above the others
-static const float BAND_GAIN_DB = 0.03f;  // a band must lower the held-out error by this
-static const float STALL_DB = 0.01f;      // a round that gains less does not count as progress
+static const float SPLIT_SHARE = 0.08f; // of the splats in one round
+static const float SPLIT_GAP_DB =
+    0.6f; // no more splats when the held-out error is this much above the others
+static const float BAND_GAIN_DB =
+    0.05f; // a band must gain this: pulling any trained band out costs a little
+static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
 
 /* Adam: betas and eps of model-spec 5.2. */
 static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
@@ -33,12 +39,12 @@ struct rates {
     float mean, scale, quat, logit, sh0, sh, tone, pose;
 };
 
-/* model-spec 5.2 refines a scene that a network has placed well; ours starts from stereo and has fewer steps, so
- * positions move 12 times, shapes 6 and 12 times, colours 16 and 40 times as fast (chosen on held-out squares: faster
- * than 8, 3, 6, 8 by 0.35 dB in 500 steps), and every rate falls, to 1 % for positions and 10 % for the rest.
- * `mean` is per unit of extent. */
-static const struct rates RATES = {
-    12 * 1.6e-4f, 6 * 5e-3f, 12 * 1e-3f, 5e-2f, 16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f, 1e-5f};
+/* model-spec 5.2 refines a scene that a network has placed well; ours starts from stereo and has
+ * fewer steps, so positions move 12 times, shapes 6 and 12 times, colours 16 and 40 times as fast
+ * (chosen on held-out squares: faster than 8, 3, 6, 8 by 0.35 dB in 500 steps), and every rate
+ * falls, to 1 % for positions and 10 % for the rest. `mean` is per unit of extent. */
+static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
+                                   16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
 
 struct refine {
     const struct run *r;
@@ -50,24 +56,24 @@ struct refine {
     struct raster raster;
     struct loss loss_work;
     struct render pic;
-    uint8_t *full, *half;  // (n, 3, size, size) photographs, and at half size
-    uint8_t *held;         // (n, squares, squares)
+    uint8_t *full, *half; // (n, 3, size, size) photographs, and at half size
+    uint8_t *held;        // (n, squares, squares)
     int squares;
-    double *view_sse;      // (n) held-out squared error at the last visit
-    long *view_n;          // (n) values in it
-    double *view_gap;      // (n, 2) held-out and other mean absolute error at the last visit
-    int *deck, dealt;      // (n) order of the views in this round
+    double *view_sse; // (n) held-out squared error at the last visit
+    long *view_n;     // (n) values in it
+    double *view_gap; // (n, 2) held-out and other mean absolute error at the last visit
+    int *deck, dealt; // (n) order of the views in this round
     uint64_t rng;
-    float extent;          // scene units
+    float extent;           // scene units
     int step, steps, scale; // scale: 2 = half size
-    float loss;            // sum since the start of the round
-    int band_from;         // step at which the highest band was added, 0 = none on trial
+    float loss;             // sum since the start of the round
+    int band_from;          // step at which the highest band was added, 0 = none on trial
     bool bands_done, splits_done;
-    float best_db;         // held-out, at full size
-    int stalled;           // rounds without progress
+    float best_db; // held-out, at full size
+    int stalled;   // rounds without progress
     float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
-    float *pose_m;         // (n, 12) moments of the twists
-    int *pose_t;           // (n) steps of each camera
+    float *pose_m; // (n, 12) moments of the twists
+    int *pose_t;   // (n) steps of each camera
     struct adam_step group[GROUPS];
     bool scoring;
 };
@@ -88,8 +94,17 @@ static float uniform(struct refine *f)
 static size_t small_need(int n, int size)
 {
     size_t v = (size_t)n, h = (size_t)size / 2, q = ((size_t)size + HELD_PX - 1) / HELD_PX;
-    const size_t need[][2] = {{v * h * h * 3, 1}, {v * (size_t)size * (size_t)size * 3, 1}, {v * q * q, 1}, {v, 8}, {v, 8}, {v * 2, 8}, {v, 4}, {v * 12, 4}, {v, 4},
-                              {3 * (size_t)size * (size_t)size, 4}, {(size_t)size * (size_t)size, 4}};
+    const size_t need[][2] = {{v * h * h * 3, 1},
+                              {v * (size_t)size * (size_t)size * 3, 1},
+                              {v * q * q, 1},
+                              {v, 8},
+                              {v, 8},
+                              {v * 2, 8},
+                              {v, 4},
+                              {v * 12, 4},
+                              {v, 4},
+                              {3 * (size_t)size * (size_t)size, 4},
+                              {(size_t)size * (size_t)size, 4}};
     size_t total = 0;
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
         total = arena_add(total, arena_need(need[i][0], need[i][1]));
@@ -150,37 +165,25 @@ static void choose_held(struct refine *f)
         f->held[i] = next_random(&s) % HELD_ONE_IN == 0;
 }
 
-/* Median distance from the cameras to the splats' centre of mass: the yardstick of positions. */
-static float scene_extent(const struct scene *s)
-{
-    double c[3] = {0}, sum = 0;
-    for (int i = 0; i < s->g.n; i++)
-        for (int k = 0; k < 3; k++)
-            c[k] += (double)s->g.plane[k][i] / s->g.n;
-    for (int i = 0; i < s->n_views; i++) {
-        float r[9];
-        double d2 = 0;
-        raster_rotation(s->cams[i].q, r);
-        for (int k = 0; k < 3; k++) {
-            const float *t = s->cams[i].t;
-            double o = -(double)(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]);
-            d2 += (o - c[k]) * (o - c[k]);
-        }
-        sum += sqrt(d2) / s->n_views;
-    }
-    return sum > 0 && isfinite(sum) ? (float)sum : 1.0f;
-}
-
 static void set_rate(struct adam_step *a, float lr, int t)
 {
-    *a = (struct adam_step){lr, BETA1, BETA2, EPS, (float)(1 / (1 - pow((double)BETA1, t))),
+    *a = (struct adam_step){lr,
+                            BETA1,
+                            BETA2,
+                            EPS,
+                            (float)(1 / (1 - pow((double)BETA1, t))),
                             (float)(1 / (1 - pow((double)BETA2, t)))};
 }
 
 /* Which rate a plane has. */
 static int group_of(int plane)
 {
-    return plane < G_LOG_SCALE ? 0 : plane < G_QUAT ? 1 : plane < G_LOGIT ? 2 : plane < G_SH ? 3 : plane < G_SH + 3 ? 4 : 5;
+    return plane < G_LOG_SCALE ? 0
+           : plane < G_QUAT    ? 1
+           : plane < G_LOGIT   ? 2
+           : plane < G_SH      ? 3
+           : plane < G_SH + 3  ? 4
+                               : 5;
 }
 
 static float progress_of(const struct refine *f)
@@ -191,8 +194,12 @@ static float progress_of(const struct refine *f)
 static void set_rates(struct refine *f)
 {
     float slow = powf(0.1f, progress_of(f)), fast = slow * slow;
-    const float lr[GROUPS] = {RATES.mean * f->extent * fast, RATES.scale * slow, RATES.quat * slow,
-                              RATES.logit * slow,            RATES.sh0 * slow,   RATES.sh * slow};
+    const float lr[GROUPS] = {RATES.mean * f->extent * fast,
+                              RATES.scale * slow,
+                              RATES.quat * slow,
+                              RATES.logit * slow,
+                              RATES.sh0 * slow,
+                              RATES.sh * slow};
     for (int i = 0; i < GROUPS; i++)
         set_rate(&f->group[i], lr[i], f->step + 1);
 }
@@ -204,14 +211,15 @@ static void apply(void *ctx, int first, int count, const float *grad, const floa
     const struct gaussians *g = &f->s->g;
     if (f->scoring)
         for (int i = 0; i < count; i++) {
-            float gx = grad[i], gy = grad[SPLAT_BLOCK + i], gz = grad[2 * SPLAT_BLOCK + i], big = -100;
+            float gx = grad[i], gy = grad[SPLAT_BLOCK + i], gz = grad[2 * SPLAT_BLOCK + i],
+                  big = -100;
             for (int k = 0; k < 3; k++)
                 big = fmaxf(big, g->plane[G_LOG_SCALE + k][first + i]);
             f->d.score[first + i] += sqrtf(gx * gx + gy * gy + gz * gz) * expf(fminf(big, 80.0f));
         }
     for (int p = 0; p < gaussians_planes(g->degree); p++)
-        f->r->k->adam(&f->group[group_of(p)], count, seen, grad + p * SPLAT_BLOCK, g->plane[p] + first,
-                      f->d.m1[p] + first, f->d.m2[p] + first);
+        f->r->k->adam(&f->group[group_of(p)], count, seen, grad + p * SPLAT_BLOCK,
+                      g->plane[p] + first, f->d.m1[p] + first, f->d.m2[p] + first);
 }
 
 static int next_view(struct refine *f)
@@ -235,16 +243,22 @@ static struct raster_input view_input(const struct refine *f, const struct camer
 }
 
 /* Render view i at the current size and compare. */
-static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3], struct loss_output *out)
+static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
+                  struct loss_output *out)
 {
     size_t side = (size_t)cam->w;
     struct raster_input in = view_input(f, cam);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
     if (e)
         return e;
-    struct loss_input li = {.pic = &f->pic, .tone = &f->s->tone, .shift = f->s->log2t[i] - f->s->tone.mid_log2t,
-                            .photo = (f->scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
-                            .behind = {behind[0], behind[1], behind[2]}, .w_l1 = 0.8f, .w_ssim = 0.2f,
+    struct loss_input li = {.pic = &f->pic,
+                            .tone = &f->s->tone,
+                            .shift = f->s->log2t[i] - f->s->tone.mid_log2t,
+                            .photo =
+                                (f->scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
+                            .behind = {behind[0], behind[1], behind[2]},
+                            .w_l1 = 0.8f,
+                            .w_ssim = 0.2f,
                             .held = f->held + (size_t)i * (size_t)f->squares * (size_t)f->squares,
                             .held_px = HELD_PX / f->scale};
     e = loss_run(f->r, &f->loss_work, &li, out);
@@ -342,7 +356,8 @@ static err_t measure(struct refine *f, float *db)
 {
     const float black[3] = {0, 0, 0};
     for (int i = 0; i < f->v->n; i++) {
-        struct camera cam = pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
+        struct camera cam =
+            pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
         struct loss_output out;
         err_t e = look(f, i, &cam, black, &out);
         if (e)
@@ -381,8 +396,8 @@ static err_t judge_band(struct refine *f)
         f->s->g.degree--;
     f->bands_done = !keep;
     f->band_from = 0;
-    note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with, (double)without,
-         keep ? "kept" : "not needed");
+    note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with,
+         (double)without, keep ? "kept" : "not needed");
     return OK;
 }
 
@@ -394,8 +409,8 @@ static err_t bands(struct refine *f)
         if (e)
             return e;
     }
-    if (f->band_from == 0 && !f->bands_done && f->scale == 1 && f->step + trial < f->steps && trial >= f->v->n &&
-        progress_of(f) >= 0.5f && f->s->g.degree < f->cfg->degree_max)
+    if (f->band_from == 0 && !f->bands_done && f->scale == 1 && f->step + trial < f->steps &&
+        trial >= f->v->n && progress_of(f) >= 0.5f && f->s->g.degree < f->cfg->degree_max)
         add_band(f);
     return OK;
 }
@@ -410,8 +425,8 @@ static void splits(struct refine *f)
     if (f->splits_done) {
         note(f, "%d Gaussians: %s (held-out squares %.2f dB worse than the rest)", g->n,
              g->n >= f->cfg->gaussians_max ? "as many as allowed"
-             : gap > SPLIT_GAP_DB         ? "more would learn noise"
-                                          : "time to settle",
+             : gap > SPLIT_GAP_DB          ? "more would learn noise"
+                                           : "time to settle",
              (double)gap);
         return;
     }
@@ -441,8 +456,8 @@ static err_t end_round(struct refine *f, int round)
     int rest = f->steps / 20 > round ? f->steps / 20 : round;
     if (f->stalled >= PATIENCE && !f->rep->stopped_early && f->steps - f->step > rest) {
         f->rep->stopped_early = true;
-        note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error", f->step + rest, f->steps,
-             PATIENCE);
+        note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error",
+             f->step + rest, f->steps, PATIENCE);
         f->steps = f->step + rest;
     }
     return OK;
@@ -454,7 +469,7 @@ static err_t run_steps(struct refine *f)
     err_t e = measure(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     f->loss = 0;
-    for (f->step = 0; f->step < f->steps && !e; ) {
+    for (f->step = 0; f->step < f->steps && !e;) {
         f->scale = small && f->step * 3 < f->steps ? 2 : 1;
         f->scoring = !f->splits_done;
         e = take_step(f);
@@ -468,18 +483,25 @@ static err_t run_steps(struct refine *f)
     return e ? e : measure(f, &f->rep->held_out_db[1]);
 }
 
-err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg, struct scene *io,
-                 struct refine_report *out)
+err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,
+                 struct scene *io, struct refine_report *out)
 {
     memset(out, 0, sizeof *out);
     size_t mark = arena_mark(r->tmp);
-    struct refine f = {.r = r, .v = v, .cfg = cfg, .s = io, .rep = out, .rng = cfg->seed, .steps = cfg->steps, .scale = 1};
+    struct refine f = {.r = r,
+                       .v = v,
+                       .cfg = cfg,
+                       .s = io,
+                       .rep = out,
+                       .rng = cfg->seed,
+                       .steps = cfg->steps,
+                       .scale = 1};
     f.squares = (v->size + HELD_PX - 1) / HELD_PX;
     err_t e = alloc_all(&f);
     e = e ? e : pool_for(r->pool, v->n, planes_chunk, &f);
     if (!e) {
         choose_held(&f);
-        f.extent = scene_extent(io);
+        f.extent = pose_extent(&io->g, io->cams, io->n_views);
         density_prune(&f.d, 0.01f); // model-spec 5.2 D
         density_sort(&f.d);
         e = run_steps(&f);

@@ -1,8 +1,10 @@
 /* refine.h - optimise a scene against its photographs (model-spec 5.2, paper's post-optimisation).
  * Each step draws one input view, renders it, compares the tone-mapped picture with the photograph
- * (0.8 L1 + 0.2 (1 - SSIM)) and moves every parameter by Adam. Squares of every input view are held out: their pixels
- * give no gradient, and their error decides when to stop, how many SH bands and how many Gaussians the scene needs.
- * Invariant: the result depends on the input, the configuration and the seed, never on the number of threads. */
+ * (0.8 L1 + 0.2 (1 - SSIM)) and moves every parameter by Adam. Squares of every input view are held
+ * out: their pixels give no gradient, and their error decides when to stop, how many SH bands and
+ *       how many Gaussians the scene needs.
+ * Invariant: the result depends on the input, the configuration and the seed, never on the number
+ *       of threads. */
 #ifndef OPT_REFINE_H
 #define OPT_REFINE_H
 
@@ -31,17 +33,10 @@ struct refine_report {
 /* Bytes that refine_run takes from r->tmp. */
 size_t refine_plan(int n_views, int size, const struct refine_config *cfg, int threads);
 
-/* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the views.
+/* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
+ * views.
  * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, as far as it came). */
 MUST_USE err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,
                           struct scene *io, struct refine_report *out);
-
-/* Bytes that refine_poses takes from r->tmp. */
-size_t refine_poses_plan(int cap, int size, int threads);
-
-/* Move only the cameras (io, one per view of v) so that the frozen scene fits the photographs: 6 degrees of freedom
- * per view, Adam, 0.8 (1 - SSIM) + 0.2 L1 (model-spec 5.2 C; 100 iterations there). */
-MUST_USE err_t refine_poses(const struct run *r, const struct views *v, const struct scene *s, int iterations,
-                            struct camera *io);
 
 #endif

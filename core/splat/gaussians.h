@@ -6,8 +6,8 @@
 #include "core/types.h"
 
 enum {
-    GAUSSIANS_MAX = 1 << 26
-}; // splats; far above any machine we run on, keeps every index in an int
+    GAUSSIANS_MAX = 1 << 24
+}; // splats; density_sort packs a number into 24 bits
 
 #define GAUSSIANS_LOG_SCALE_MIN -27.6310211f // ln 1e-12
 #define GAUSSIANS_LOG_SCALE_MAX 13.8155106f  // ln 1e6
