@@ -62,7 +62,8 @@ static void moments_row(const float *taps, const float *x, const uint8_t *photo,
 static inline void tone_lanes(const struct tone_row *t, int i, int lanes)
 {
     const struct tonemap_curve *c = t->curve;
-    float in[LANES] = {0}, open[LANES] = {0}, x[LANES], a[LANES], b[LANES], ldr[LANES];
+    float in[LANES] = {0}, open[LANES] = {0}, a[LANES] = {0}, b[LANES] = {0};
+    float x[LANES], ldr[LANES];
     memcpy(in, t->radiance + i, (size_t)lanes * sizeof *in);
     memcpy(open, t->alpha + i, (size_t)lanes * sizeof *open);
     /* radiance is clamped so that log2 sees a normal number */

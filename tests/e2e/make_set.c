@@ -1,4 +1,4 @@
-/* make_set OUT SIZE TRAIN TEST [one] - a small data set in the released layout, with exact geometry:
+/* make_set OUT SIZE TRAIN TEST [one] - a small data set in the released layout, exact geometry:
  * a room with textures on everything, a lamp, the sun through a window, soft light of the sky and
  * deep shadows. Radiance spans more than four orders of magnitude.
  * World axes are those of the middle camera: x right, y down, z forward; the room is 4 x 2.8 x 6
