@@ -78,7 +78,7 @@ lints() {
         step "lint: $(basename "$script" .sh)" sh "$script" "$dir"
     done
     # Not asked for: value flow that cppcheck guesses at and the sanitizers know, sizes of vector
-    # types, which it does not know, and the #error of files that need their instruction set's flags.
+    # types, which it does not know, and the #error of files that need their own flags.
     step "lint: cppcheck" cppcheck -q -j"$jobs" --std=c11 -D_GNU_SOURCE -I. --error-exitcode=1 \
         --enable=warning,performance,portability --suppress=shiftTooManyBits \
         --suppress=shiftNegative --suppress=integerOverflow --suppress=arrayIndexThenCheck \

@@ -15,14 +15,14 @@ struct refine_config {
     int degree_max;    // highest SH degree that may be added, 0..4
     int gaussians_max; // the scene never has more; <= scene.g.cap
     uint64_t seed;
-    bool poses;        // move the cameras of the input views too
+    bool poses; // move the cameras of the input views too
 };
 
 enum { REFINE_NOTES = 8 };
 
 struct refine_report {
-    int steps;            // done
-    bool stopped_early;   // held-out error no longer fell
+    int steps;          // done
+    bool stopped_early; // held-out error no longer fell
     int gaussians, degree;
     float loss;           // mean of the last round through the views
     float held_out_db[2]; // PSNR of the held-out squares at the start and at the end, dB
@@ -36,7 +36,8 @@ size_t refine_plan(int n_views, int size, const struct refine_config *cfg, int t
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
  * views.
  * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, as far as it came). */
-MUST_USE err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,
-                          struct scene *io, struct refine_report *out);
+MUST_USE err_t refine_run(const struct run *r, const struct views *v,
+                          const struct refine_config *cfg, struct scene *io,
+                          struct refine_report *out);
 
 #endif

@@ -117,7 +117,7 @@ static void test_pictures_come_with_all_exposures_when_asked(void **state)
     imageset_free(&set);
 }
 
-/* The set has the times 0.125, 1, 2, 4, 32; the second and fourth are those of its test pictures. */
+/* The set has the times 0.125, 1, 2, 4, 32; 1 and 4 are those of its test pictures. */
 static void inputs_only_at_some_exposures(void **state)
 {
     (void)state;
