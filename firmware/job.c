@@ -56,7 +56,8 @@ static err_t place_splats(const struct run *r, const struct job_config *cfg, str
     if (!e) {
         announce(r, JOB_SEED);
         struct seed_input in = {.views = &out->views, .depth = &depth, .tone = &out->response};
-        e = seed_run(r, &in, cfg->refine.gaussians_max, &seeds);
+        /* half of the room: the refiner adds where the pictures ask for more */
+        e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
     }
     g->degree = 0; // refinement adds bands where the photographs ask for them
     for (int p = 0; !e && p < gaussians_planes(0); p++)
