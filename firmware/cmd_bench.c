@@ -1,7 +1,9 @@
 /* hdrig bench: figures of this machine against its limits.
- * splat: a slab of pixel-sized splats is drawn (forward), differentiated (backward), and optimised
- *        (step: forward, loss,
- * backward and Adam for every parameter), with every instruction set, on one thread and on all. */
+ * splat: a slab of pixel-sized splats is drawn (forward), differentiated (backward) and optimised
+ *        (step: forward, loss, backward and Adam for every parameter): the largest scene with every
+ *        instruction set, on one thread and on all; then every number of splats at every size of
+ *        the picture with the best. Splats keep their size in pixels, so that one axis of that
+ *        table shows the cost of a splat and the other that of a pixel. */
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/limits.h"
@@ -16,7 +18,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SPLATS = 200000, FEW_SPLATS = 50000, REPEATS = 5, RESULTS_MAX = 24 };
+enum { REPEATS = 5, LEVELS_MAX = 10, TABLE_MAX = CMD_LIST_MAX * CMD_LIST_MAX };
 
 /* Operations of the blending loops per pixel and splat, counted in model-spec 2.13: distance and
  * exponent 7, exp 12, alpha 2, weights and four channels 11; backward the same again, and the chain
@@ -27,13 +29,14 @@ enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 
 struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text;
-    double gaussians, degree, size; // gaussians 0: both standard scenes
+    struct cmd_list gaussians, sizes;
+    double degree;
     struct config cfg;
 };
 
 struct figure {
     const char *kernels;
-    int threads, gaussians;
+    int threads, gaussians, pixels;
     double forward_s, backward_s, step_s;
     double pairs;        // splats that each pixel looks at, summed
     double limit, share; // flop/s, of it in forward and backward together
@@ -47,12 +50,11 @@ struct state {
     struct loss loss;
     struct render pic;
     struct tonemap tone;
-    struct tonemap_table table;
     uint8_t *photo;
     float *m1, *m2;      // (planes, cap) Adam's moments
     double bandwidth[2]; // bytes/s of one thread, of all
-    int n;
-    struct figure figures[RESULTS_MAX];
+    int n_levels, n_table;
+    struct figure levels[LEVELS_MAX], table[TABLE_MAX];
 };
 
 /* ---- the scene ---- */
@@ -215,6 +217,7 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     f->kernels = st->engine.kernels.name;
     f->threads = pool_size(st->engine.run.pool);
     f->gaussians = st->g.n;
+    f->pixels = st->cam.w * st->cam.h;
     err_t e = measure(st, forward, &f->forward_s);
     if (!e)
         e = count_pairs(st, &f->pairs);
@@ -232,7 +235,7 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
 /* ---- which ---- */
 
 /* Every level of the mask with all below it, highest first; each on all threads, then on one. */
-static err_t measure_levels(struct state *st, struct pool *one, bool only_best)
+static err_t measure_levels(struct state *st, struct pool *one)
 {
     static const unsigned levels[] = {CPU_AVX512, CPU_AVX2, CPU_SSE41, CPU_NEON, 0};
     unsigned cpu = st->engine.cpu;
@@ -243,19 +246,37 @@ static err_t measure_levels(struct state *st, struct pool *one, bool only_best)
             continue;
         for (int single = 0; single < 2 && !e; single++) {
             st->engine.run.pool = single ? one : all;
-            e = measure_all(st, levels[i] ? cpu : 0, &st->figures[st->n++]);
+            e = measure_all(st, levels[i] ? cpu : 0, &st->levels[st->n_levels++]);
         }
         cpu &= ~levels[i];
-        if (only_best)
-            break;
     }
     st->engine.run.pool = all;
     return e;
 }
 
-static err_t reserve(const struct request *rq, struct state *st, int cap)
+static err_t measure_table(const struct request *rq, struct state *st)
 {
-    const int size = (int)rq->size, degree = (int)rq->degree, workers = pool_size(st->engine.pool);
+    err_t e = OK;
+    for (int k = 0; k < rq->sizes.n; k++)
+        for (int i = 0; i < rq->gaussians.n && !e; i++) {
+            make_scene(st, rq->gaussians.v[i], rq->sizes.v[k]);
+            e = measure_all(st, st->engine.cpu, &st->table[st->n_table++]);
+        }
+    return e;
+}
+
+static int largest(const struct cmd_list *l)
+{
+    int most = l->v[0];
+    for (int i = 1; i < l->n; i++)
+        most = l->v[i] > most ? l->v[i] : most;
+    return most;
+}
+
+static err_t reserve(const struct request *rq, struct state *st)
+{
+    const int cap = largest(&rq->gaussians), size = largest(&rq->sizes);
+    const int degree = (int)rq->degree, workers = pool_size(st->engine.pool);
     const size_t pixels = (size_t)size * (size_t)size,
                  moments = (size_t)gaussians_planes(degree) * ((size_t)cap + 15);
     size_t tmp = arena_add(raster_plan(cap + 15, size, size, true), loss_plan(size, size, workers));
@@ -289,10 +310,9 @@ static err_t bench(const struct request *rq, struct state *st)
 {
     struct pool *one = NULL;
     float *work;
-    int many = rq->gaussians > 0 ? (int)rq->gaussians : SPLATS;
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = reserve(rq, st, many);
+        e = reserve(rq, st);
     if (!e)
         e = pool_open(&one, 1);
     if (!e)
@@ -300,13 +320,11 @@ static err_t bench(const struct request *rq, struct state *st)
     if (!e) {
         st->bandwidth[0] = limits_bandwidth(one, work);
         st->bandwidth[1] = limits_bandwidth(st->engine.pool, work);
-        make_scene(st, many, (int)rq->size);
-        e = measure_levels(st, one, false);
+        make_scene(st, largest(&rq->gaussians), largest(&rq->sizes));
+        e = measure_levels(st, one);
     }
-    if (!e && rq->gaussians <= 0) {
-        make_scene(st, FEW_SPLATS, (int)rq->size);
-        e = measure_levels(st, one, true);
-    }
+    if (!e)
+        e = measure_table(rq, st);
     pool_close(one);
     return e;
 }
@@ -316,6 +334,7 @@ static err_t bench(const struct request *rq, struct state *st)
 static void report_figure(struct report *rep, const struct figure *f)
 {
     report_int(rep, "gaussians", f->gaussians);
+    report_int(rep, "pixels", f->pixels);
     report_text(rep, "kernels", f->kernels);
     report_int(rep, "threads", f->threads);
     report_number(rep, "seconds_forward", f->forward_s);
@@ -326,37 +345,49 @@ static void report_figure(struct report *rep, const struct figure *f)
     report_number(rep, "share_of_limit", f->share);
 }
 
+static void report_figures(struct report *rep, const char *key, const struct figure *f, int n)
+{
+    report_open(rep, key, '[');
+    for (int i = 0; i < n; i++) {
+        report_open(rep, NULL, '{');
+        report_figure(rep, &f[i]);
+        report_close(rep);
+    }
+    report_close(rep);
+}
+
 static void write_report(const struct request *rq, const struct state *st, FILE *f)
 {
     struct report rep;
     report_init(&rep, f);
     report_open(&rep, NULL, '{');
-    report_number(&rep, "pixels", rq->size * rq->size);
     report_number(&rep, "sh_degree", rq->degree);
     report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
     report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
-    report_figure(&rep, &st->figures[0]); // the best level on all threads
-    report_open(&rep, "all", '[');
-    for (int i = 0; i < st->n; i++) {
-        report_open(&rep, NULL, '{');
-        report_figure(&rep, &st->figures[i]);
-        report_close(&rep);
-    }
-    report_close(&rep);
+    report_figure(&rep, &st->levels[0]); // the best level on all threads
+    report_figures(&rep, "levels", st->levels, st->n_levels);
+    report_figures(&rep, "table", st->table, st->n_table);
     report_close(&rep);
 }
 
-static void print_table(const struct state *st)
+static void print_figures(const struct figure *f, int n)
 {
-    printf("memory %.1f GB/s, one thread %.1f GB/s\n\n", st->bandwidth[1] * 1e-9,
-           st->bandwidth[0] * 1e-9);
-    printf("%9s %-8s %7s %9s %9s %9s %10s %6s\n", "splats", "kernels", "threads", "forward s",
-           "backward s", "step s", "GFlop/s", "share");
-    for (int i = 0; i < st->n; i++) {
-        const struct figure *f = &st->figures[i];
-        printf("%9d %-8s %7d %9.4f %10.4f %9.4f %10.1f %6.3f\n", f->gaussians, f->kernels,
-               f->threads, f->forward_s, f->backward_s, f->step_s, f->limit * 1e-9, f->share);
-    }
+    printf("\n%8s %8s %-8s %7s %9s %10s %9s %8s %6s\n", "splats", "pixels", "kernels", "threads",
+           "forward s", "backward s", "step s", "GFlop/s", "share");
+    for (int i = 0; i < n; i++)
+        printf("%8d %8d %-8s %7d %9.4f %10.4f %9.4f %8.1f %6.3f\n", f[i].gaussians, f[i].pixels,
+               f[i].kernels, f[i].threads, f[i].forward_s, f[i].backward_s, f[i].step_s,
+               f[i].limit * 1e-9, f[i].share);
+}
+
+static void print_tables(const struct state *st)
+{
+    printf(
+        "memory %.1f GB/s, one thread %.1f GB/s\nGFlop/s: measured limit of the instruction set; "
+        "share: of it in forward and backward\n",
+        st->bandwidth[1] * 1e-9, st->bandwidth[0] * 1e-9);
+    print_figures(st->levels, st->n_levels);
+    print_figures(st->table, st->n_table);
 }
 
 static err_t write_results(const struct request *rq, const struct state *st)
@@ -368,39 +399,38 @@ static err_t write_results(const struct request *rq, const struct state *st)
     if (f)
         write_report(rq, st, f);
     if (f != stdout)
-        print_table(st);
+        print_tables(st);
     return cmd_json_close(f, rq->json);
 }
 
 static err_t read_numbers(struct request *rq)
 {
-    rq->size = 448;
-    rq->degree = 1;
+    double degree = 1;
     err_t e = OK;
     if (strcmp(rq->what, "splat") != 0 && strcmp(rq->what, "all") != 0)
         e = err_fail(ERR_ARG, "--what: \"%.64s\" is neither splat nor all", rq->what);
-    if (!e && rq->gaussians_text)
-        e = cmd_number("--gaussians", rq->gaussians_text, 1, 4e6, &rq->gaussians);
-    if (!e && rq->size_text)
-        e = cmd_number("--size", rq->size_text, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->size);
+    if (!e)
+        e = cmd_list("--gaussians", rq->gaussians_text, 1, 4000000, &rq->gaussians);
+    if (!e)
+        e = cmd_list("--size", rq->size_text, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
     if (!e && rq->degree_text)
-        e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &rq->degree);
-    rq->size = floor(rq->size);
-    rq->degree = floor(rq->degree);
+        e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &degree);
+    rq->degree = floor(degree);
     return e;
 }
 
 int cmd_bench_run(int argc, char **argv)
 {
     static struct state st;
-    struct request rq = {.what = "all"};
+    struct request rq = {
+        .what = "all", .gaussians_text = "25000,50000,100000,200000", .size_text = "224,448"};
     const struct cmd_option options[] = {
         {"what", "WHICH", "splat: drawing and optimising; all: everything there is", NULL, &rq.what,
          NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
-        {"gaussians", "N", "splats of the scene, default 200000 and 50000", NULL,
-         &rq.gaussians_text, NULL},
-        {"size", "N", "edge of the picture, px, default 448", NULL, &rq.size_text, NULL},
+        {"gaussians", "LIST", "splats, default 25000,50000,100000,200000", NULL, &rq.gaussians_text,
+         NULL},
+        {"size", "LIST", "edges of the picture, px, default 224,448", NULL, &rq.size_text, NULL},
         {"degree", "D", "of the harmonics, default 1", NULL, &rq.degree_text, NULL},
         CMD_THREADS,
         CMD_MEMORY,

@@ -68,8 +68,10 @@ succeed doctor
 grep -q '^kernels' "$OUT/stdout.txt" || fail "doctor does not tell the kernels"
 succeed config --print --set threads=3
 grep -q '^threads = 3$' "$OUT/stdout.txt" || fail "config --print does not show --set"
-succeed bench --what splat --gaussians 2000 --size 64 --json "$OUT/bench.json"
+succeed bench --what splat --gaussians 1000,2000 --size 56,64 --json "$OUT/bench.json"
 for name in seconds_forward seconds_backward seconds_step gaussians pixels share_of_limit; do
     grep -q "\"$name\": [0-9]" "$OUT/bench.json" || fail "bench: no $name"
 done
+[ "$(sed -n '/"table"/,$p' "$OUT/bench.json" | grep -c '"seconds_step"')" -eq 4 ] ||
+    fail "bench: not 2 x 2 figures in the table"
 finish
