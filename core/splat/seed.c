@@ -539,7 +539,8 @@ static err_t seed_all(struct seed *s)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
         }
         if (s->run->progress)
-            s->run->progress(s->run->progress_ctx, "seed", i + 1, 2 * n, NULL);
+            s->run->progress(s->run->progress_ctx, "seed", i + 1, 2 * n,
+                             s->loss > 1 ? "again, with less detail" : NULL);
     }
     return OK;
 }
