@@ -21,7 +21,6 @@ enum { // partial sums of one chunk
     P_L1,
     P_SSIM,
     P_SSE,
-    P_HELD_L1,
     P_HELD,
     P_G0,
     P_G1 = P_G0 + 3 * SEGMENTS,
@@ -185,7 +184,6 @@ static void hold_out(const struct job *j, int colour, int y, double *p)
             double diff =
                 (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
             p[P_SSE] += diff * diff;
-            p[P_HELD_L1] += fabs(diff);
             p[P_HELD] += 1;
             j->l->d_radiance[at + (size_t)i] = 0;
         }
@@ -260,9 +258,7 @@ static void add_up(const struct job *j, struct loss_output *out)
     out->loss = (double)j->in->w_l1 * total[P_L1] / (3.0 * (double)j->px) +
                 (double)j->in->w_ssim * (1 - total[P_SSIM] / windows);
     out->held_sse = total[P_SSE];
-    out->held_l1 = total[P_HELD_L1];
     out->held_n = (long)total[P_HELD];
-    out->l1 = (total[P_L1] - out->held_l1) / fmax(3.0 * (double)j->px - total[P_HELD], 1);
     memset(out->tone, 0, sizeof out->tone);
     for (int c = 0; c < 3; c++)
         tonemap_grad(j->in->tone->p + c * TONE_PER_COLOUR, &j->table.c[c],

@@ -41,9 +41,7 @@ struct loss_input {
 struct loss_output {
     double loss;
     double held_sse;         // sum of squared differences in held-out squares
-    double held_l1;          // sum of absolute differences there
-    long held_n;             // values in both
-    double l1;               // mean absolute difference elsewhere
+    long held_n;             // values in it
     float tone[TONE_PARAMS]; // gradient of the curves
 };
 

@@ -4,10 +4,8 @@
  * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
  * px per view, other squares in other views, so that every surface is still learned from most
  * photographs):
- * - Gaussians: between 10 % and 60 % of the steps, once a round, the splats that pull hardest are
- * split, as long
- *   as the error elsewhere is not much below that of the squares (then more splats would only learn
- * noise);
+ * - Gaussians: between 33 % and 70 % of the steps, once a round, the splats that pull hardest are split, unless
+ *   the held-out error is close to the noise of the photographs (then more splats would only learn noise);
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
  * held-out error;
  * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
@@ -15,6 +13,7 @@
 
 #include "core/opt/density.h"
 #include "core/opt/loss.h"
+#include "core/opt/noise.h"
 #include "core/opt/pose.h"
 #include "core/splat/raster.h"
 
@@ -25,9 +24,8 @@
 
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
 
-static const float SPLIT_SHARE = 0.08f; // of the splats in one round
-static const float SPLIT_GAP_DB =
-    0.6f; // no more splats when the held-out error is this much above the others
+static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
+static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
 static const float BAND_GAIN_DB =
     0.05f; // a band must gain this: pulling any trained band out costs a little
 static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
@@ -61,7 +59,6 @@ struct refine {
     int squares;
     double *view_sse; // (n) held-out squared error at the last visit
     long *view_n;     // (n) values in it
-    double *view_gap; // (n, 2) held-out and other mean absolute error at the last visit
     int *deck, dealt; // (n) order of the views in this round
     uint64_t rng;
     float extent;           // scene units
@@ -69,8 +66,9 @@ struct refine {
     float loss;             // sum since the start of the round
     int band_from;          // step at which the highest band was added, 0 = none on trial
     bool bands_done, splits_done;
-    float best_db; // held-out, at full size
-    int stalled;   // rounds without progress
+    float noise_db; // of the photographs, as a PSNR
+    float best_db;  // held-out, at full size
+    int stalled;    // rounds without progress
     float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
     float *pose_m; // (n, 12) moments of the twists
     int *pose_t;   // (n) steps of each camera
@@ -99,7 +97,6 @@ static size_t small_need(int n, int size)
                               {v * q * q, 1},
                               {v, 8},
                               {v, 8},
-                              {v * 2, 8},
                               {v, 4},
                               {v * 12, 4},
                               {v, 4},
@@ -113,7 +110,7 @@ static size_t small_need(int n, int size)
 
 size_t refine_plan(int n_views, int size, const struct refine_config *cfg, int threads)
 {
-    size_t total = small_need(n_views, size);
+    size_t total = arena_add(small_need(n_views, size), arena_need((size_t)n_views, 8)); // noise
     total = arena_add(total, raster_plan(cfg->gaussians_max, size, size, true));
     total = arena_add(total, loss_plan(size, size, threads));
     return arena_add(total, density_plan(cfg->gaussians_max, cfg->degree_max));
@@ -128,7 +125,6 @@ static err_t alloc_all(struct refine *f)
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_sse);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_n);
-    e = e ? e : arena_zalloc(a, n * 2, 8, &f->view_gap);
     e = e ? e : arena_alloc(a, n, 4, &f->deck);
     e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
     e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
@@ -264,8 +260,6 @@ static err_t look(struct refine *f, int i, const struct camera *cam, const float
     e = loss_run(f->r, &f->loss_work, &li, out);
     f->view_sse[i] = out->held_sse;
     f->view_n[i] = out->held_n;
-    f->view_gap[2 * i] = out->held_n ? out->held_l1 / (double)out->held_n : 0;
-    f->view_gap[2 * i + 1] = out->held_n ? out->l1 : 0;
     f->loss += (float)out->loss;
     return e;
 }
@@ -340,17 +334,6 @@ static float held_db(const struct refine *f)
     return n > 0 ? decibel(sse / n) : 0.0f;
 }
 
-/* How far the held-out squares are worse than the rest, dB of the absolute error. */
-static float gap_db(const struct refine *f)
-{
-    double held = 0, other = 0;
-    for (int i = 0; i < f->v->n; i++) {
-        held += f->view_gap[2 * i];
-        other += f->view_gap[2 * i + 1];
-    }
-    return held > 0 && other > 0 ? (float)(20 * log10(held / other)) : 0.0f;
-}
-
 /* Held-out error of every view, now. */
 static err_t measure(struct refine *f, float *db)
 {
@@ -418,16 +401,17 @@ static err_t bands(struct refine *f)
 static void splits(struct refine *f)
 {
     struct gaussians *g = &f->s->g;
-    if (f->splits_done || progress_of(f) < 0.1f)
+    if (f->splits_done || f->scale > 1)
         return;
-    float gap = gap_db(f);
-    f->splits_done = progress_of(f) > 0.6f || gap > SPLIT_GAP_DB || g->n >= f->cfg->gaussians_max;
+    float db = held_db(f);
+    bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= f->cfg->gaussians_max;
+    f->splits_done = progress_of(f) > 0.7f || noise || all;
     if (f->splits_done) {
-        note(f, "%d Gaussians: %s (held-out squares %.2f dB worse than the rest)", g->n,
-             g->n >= f->cfg->gaussians_max ? "as many as allowed"
-             : gap > SPLIT_GAP_DB          ? "more would learn noise"
-                                           : "time to settle",
-             (double)gap);
+        note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
+             all     ? "as many as allowed"
+             : noise ? "more would learn noise"
+                     : "time to settle",
+             (double)db, (double)f->noise_db);
         return;
     }
     density_prune(&f->d, 0.01f);
@@ -466,7 +450,8 @@ static err_t end_round(struct refine *f, int round)
 static err_t run_steps(struct refine *f)
 {
     int round = f->v->n > ROUND_MIN ? f->v->n : ROUND_MIN;
-    err_t e = measure(f, &f->rep->held_out_db[0]);
+    err_t e = noise_run(f->r, f->v, &f->noise_db);
+    e = e ? e : measure(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     f->loss = 0;
     for (f->step = 0; f->step < f->steps && !e;) {
