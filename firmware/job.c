@@ -44,8 +44,8 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
     return e;
 }
 
-/* Noisy photographs need two splats for five pixels, clean ones more (measured: 0.8 instead of 0.4 a pixel gains
- * nothing at 36.7 dB of noise, and 1.2 dB at 39.3 dB). */
+/* Noisy photographs need two splats for five pixels, clean ones more (measured: 0.8 instead of 0.4
+ * a pixel gains nothing at 36.7 dB of noise, and 1.2 dB at 39.3 dB). */
 static err_t seeds_max(const struct run *r, const struct job_config *cfg, const struct views *v,
                        int *out)
 {

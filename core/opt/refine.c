@@ -4,8 +4,10 @@
  * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
  * px per view, other squares in other views, so that every surface is still learned from most
  * photographs):
- * - Gaussians: between 33 % and 70 % of the steps, once a round, the splats that pull hardest are split, unless
- *   the held-out error is close to the noise of the photographs (then more splats would only learn noise);
+ * - Gaussians: between 33 % and 70 % of the steps, once a round, the splats that pull hardest are
+ * split, unless
+ *   the held-out error is close to the noise of the photographs (then more splats would only learn
+ * noise);
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
  * held-out error;
  * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
