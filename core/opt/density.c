@@ -24,8 +24,10 @@ err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int 
     size_t n = (size_t)g->cap;
     err_t e = OK;
     for (int p = 0; p < gaussians_planes(degree) && !e; p++) {
-        e = arena_zalloc(a, n, 4, &d->m1[p]);
-        e = e ? e : arena_zalloc(a, n, 4, &d->m2[p]);
+        /* bands that come later start with moments of their own: their memory is not touched yet */
+        bool used = p < gaussians_planes(g->degree);
+        e = (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m1[p]);
+        e = e ? e : (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m2[p]);
     }
     e = e ? e : arena_zalloc(a, n, 4, &d->score);
     e = e ? e : arena_alloc(a, n, 4, &d->order);
