@@ -3,7 +3,6 @@
 #include "firmware/draw.h"
 #include "firmware/engine.h"
 
-#include "core/opt/noise.h"
 #include "core/opt/response.h"
 #include "core/prep.h"
 #include "core/splat/gaussians.h"
@@ -44,18 +43,6 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
     return e;
 }
 
-/* Noisy photographs need two splats for five pixels, clean ones more (measured: 0.8 instead of 0.4
- * a pixel gains nothing at 36.7 dB of noise, and 1.2 dB at 39.3 dB). */
-static err_t seeds_max(const struct run *r, const struct job_config *cfg, const struct views *v,
-                       int *out)
-{
-    float noise_db;
-    err_t e = noise_run(r, v, &noise_db);
-    int pixels = v->size * v->size, want = noise_db < 38.0f ? pixels * 2 / 5 : pixels;
-    *out = e ? 0 : want < cfg->refine.gaussians_max ? want : cfg->refine.gaussians_max;
-    return e;
-}
-
 /* Depth and seeds lie behind the scene in keep and are given back. */
 static err_t place_splats(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
@@ -69,9 +56,8 @@ static err_t place_splats(const struct run *r, const struct job_config *cfg, str
     if (!e) {
         announce(r, JOB_SEED);
         struct seed_input in = {.views = &out->views, .depth = &depth, .tone = &out->response};
-        int max = 0;
-        e = seeds_max(r, cfg, &out->views, &max);
-        e = e ? e : seed_run(r, &in, max, &seeds);
+        /* half of the room: the refiner splits where the photographs hold more than noise */
+        e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
     }
     g->degree = 0; // refinement adds bands where the photographs ask for them
     for (int p = 0; !e && p < gaussians_planes(0); p++)

@@ -406,18 +406,20 @@ static void splits(struct refine *f)
     if (f->splits_done || f->scale > 1)
         return;
     float db = held_db(f);
-    bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= f->cfg->gaussians_max;
+    int most = f->v->size * f->v->size; // one a pixel: denser starts gained nothing by it
+    most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
+    bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
     f->splits_done = progress_of(f) > 0.7f || noise || all;
     if (f->splits_done) {
         note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
-             all     ? "as many as allowed"
+             all     ? "as many as pixels or as allowed"
              : noise ? "more would learn noise"
                      : "time to settle",
              (double)db, (double)f->noise_db);
         return;
     }
     density_prune(&f->d, 0.01f);
-    int room = f->cfg->gaussians_max - g->n, want = (int)(SPLIT_SHARE * (float)g->n);
+    int room = most - g->n, want = (int)(SPLIT_SHARE * (float)g->n);
     density_split(&f->d, want < room ? want : room);
     density_sort(&f->d);
 }
