@@ -75,7 +75,6 @@ struct refine {
     float *pose_m; // (n, 12) moments of the twists
     int *pose_t;   // (n) steps of each camera
     struct adam_step group[GROUPS];
-    bool scoring;
 };
 
 static uint64_t next_random(uint64_t *s)
@@ -207,7 +206,7 @@ static void apply(void *ctx, int first, int count, const float *grad, const floa
 {
     struct refine *f = ctx;
     const struct gaussians *g = &f->s->g;
-    if (f->scoring)
+    if (!f->splits_done)
         for (int i = 0; i < count; i++) {
             float gx = grad[i], gy = grad[SPLAT_BLOCK + i], gz = grad[2 * SPLAT_BLOCK + i],
                   big = -100;
@@ -262,7 +261,6 @@ static err_t look(struct refine *f, int i, const struct camera *cam, const float
     e = loss_run(f->r, &f->loss_work, &li, out);
     f->view_sse[i] = out->held_sse;
     f->view_n[i] = out->held_n;
-    f->loss += (float)out->loss;
     return e;
 }
 
@@ -291,6 +289,7 @@ static err_t take_step(struct refine *f)
     err_t e = look(f, i, &cam, behind, &out);
     if (e)
         return e;
+    f->loss += (float)out.loss;
     set_rates(f);
     struct raster_input in = view_input(f, &cam);
     struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
@@ -457,10 +456,8 @@ static err_t run_steps(struct refine *f)
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     e = e ? e : measure(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
-    f->loss = 0;
     for (f->step = 0; f->step < f->steps && !e;) {
         f->scale = small && f->step * 3 < f->steps ? 2 : 1;
-        f->scoring = !f->splits_done;
         e = take_step(f);
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
