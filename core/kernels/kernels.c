@@ -6,6 +6,8 @@ void kernels_init(struct kernels *k, unsigned cpu)
 {
     splat_c(k);
     loss_c(k);
+    gemm_c(&k->net);
+    nn_c(&k->net);
 #if defined(__x86_64__)
     if (cpu & CPU_SSE41) {
         splat_sse41(k);

@@ -6,6 +6,7 @@
 #ifndef KERNELS_KERNELS_H
 #define KERNELS_KERNELS_H
 
+#include "core/kernels/gemm.h"
 #include "core/types.h"
 
 struct tonemap_curve;
@@ -163,6 +164,7 @@ struct kernels {
     display_row_fn *display_row;
     tone_row_fn *tone_row;
     tone_row_grad_fn *tone_row_grad;
+    struct gemm_kernels net; // of the network
 };
 
 /* The variants of the splat and loss kernels; kernels_init chooses. */
@@ -176,6 +178,22 @@ void loss_sse41(struct kernels *k);
 void loss_avx2(struct kernels *k);
 void loss_avx512(struct kernels *k);
 void loss_neon(struct kernels *k);
+
+/* The same for the products (gemm) and rows (nn) of the network; a variant fills the slots that it
+ * improves. */
+void gemm_c(struct gemm_kernels *k);
+void gemm_sse41(struct gemm_kernels *k);
+void gemm_avx2(struct gemm_kernels *k);
+void gemm_avx512(struct gemm_kernels *k);
+void gemm_amx(struct gemm_kernels *k);
+void gemm_neon(struct gemm_kernels *k);
+void gemm_neondot(struct gemm_kernels *k);
+void gemm_i8mm(struct gemm_kernels *k);
+void nn_c(struct gemm_kernels *k);
+void nn_sse41(struct gemm_kernels *k);
+void nn_avx2(struct gemm_kernels *k);
+void nn_avx512(struct gemm_kernels *k);
+void nn_neon(struct gemm_kernels *k);
 
 /* Fill the table with the best variants that `cpu` (bits of cpu.h) allows; 0 gives plain C. */
 void kernels_init(struct kernels *k, unsigned cpu);

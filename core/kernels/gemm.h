@@ -1,0 +1,161 @@
+/* gemm.h - the contract of the inner loops of the network; part of kernels.h.
+ * Products: rows of activations times packed weights (core/net/model.h), one run of rows and a few
+ * panels at a time; what surrounds them (blocking, threads, scratch) is in core/net/layers.c.
+ * Integer kernels are exact: every variant gives the bits of the C reference. Float kernels differ
+ * in the order of sums only.
+ *
+ * Quantisation, defined here once: symmetric, scale = max|x| / 127, integer = round half to even of
+ * x * (127 / max|x|), in -127..127; NaN becomes 0, infinities count as FLT_MAX; where max|x| is
+ * below FLT_MIN all integers and the scale are 0. */
+#ifndef KERNELS_GEMM_H
+#define KERNELS_GEMM_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+enum { PANEL = 16 }; // outputs side by side in packed weights
+
+/* c(i, 16 p + j) = sum over s < segs, l < seg of a[i lda + s seg_stride + l] w(p, s seg + l, j).
+ * k = segs seg. Convolutions on (h, w, c) maps are products of this form: a row of output pixels,
+ * seg = kw channels, seg_stride = a row of the padded map, lda = stride channels.
+ * Bound of the sums: |a| <= 127, |w| <= 128, k <= 131072 fit in int32. */
+struct gemm_s8 {
+    int m, panels;    // rows >= 0; panels >= 1
+    int segs, seg;    // runs >= 1; inputs of a run, a multiple of 4
+    const int8_t *a;  // -127..127
+    size_t lda, seg_stride;
+    const int8_t *w; // panels of (k/4, 16, 4)
+    size_t ldw;      // from one panel to the next, >= 16 k
+    int32_t *c;      // (m, 16 panels), overwritten
+    size_t ldc;      // >= 16 panels
+};
+typedef void gemm_s8_fn(const struct gemm_s8 *g);
+
+/* The same with floats; panels of (k, 16), seg >= 1 of any parity. */
+struct gemm_f32 {
+    int m, panels, segs, seg;
+    const float *a;
+    size_t lda, seg_stride;
+    const float *w;
+    size_t ldw;
+    float *c;
+    size_t ldc;
+    bool add; // c += instead of c =
+};
+typedef void gemm_f32_fn(const struct gemm_f32 *g);
+
+/* Inputs [0, k) of a panel as floats, (k, 16). I8: k is a multiple of 4, without scale. */
+typedef void unpack_s8_fn(const int8_t *w, int k, float *out);
+typedef void unpack_bf16_fn(const uint16_t *w, int k, float *out);
+
+/* max |x| over n floats, NaN ignored, infinities as FLT_MAX; 0 for n = 0. */
+typedef float absmax_fn(const float *x, size_t n);
+
+/* n floats to integers with inverse scale inv = 127 / max, 0 for a zero row (see above). */
+typedef void quant_fn(const float *x, size_t n, float inv, int8_t *out);
+
+/* Rotate each run of `block` floats by the Hadamard matrix of that size over sqrt(block), in place;
+ * block is a power of two >= 4, n a multiple of it. */
+typedef void hadamard_fn(float *x, int n, int block);
+
+/* y = (x - mean) / sqrt(var + eps) * gamma + beta over n values; gamma and beta NULL: 1 and 0.
+ * Sums are taken so that a mean 1e4 times the deviation costs no more than 1e-3 of the result.
+ * y may be x. */
+struct norm {
+    int n;
+    float eps;
+    const float *gamma, *beta; // (n)
+};
+typedef void norm_fn(const struct norm *s, const float *x, float *y);
+
+enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU }; // GELU with erf (model-spec 0)
+
+/* What follows a product, on a block of its sums: v = act(sum * row_scale * scale + bias); then
+ * out = v, or out += gamma v (gamma NULL: 1) when `add`. */
+struct epilogue {
+    int m, n; // rows, columns that count
+    const int32_t *ci; // (m, n) sums of gemm_s8, or NULL
+    const float *cf;   // (m, n) sums of gemm_f32 if ci is NULL
+    size_t ldc;
+    const float *row_scale; // (m) or NULL: 1
+    const float *scale;     // (n) or NULL: 1
+    const float *bias;      // (n) or NULL: 0
+    const float *gamma;     // (n) or NULL: 1; only with add
+    enum activation act;
+    bool add;
+    float *out;
+    size_t ldo;
+};
+typedef void epilogue_fn(const struct epilogue *e);
+
+/* q or k of one token and head, in place: layer norm over the n channels if gamma is not NULL
+ * (eps 1e-5), copied to `before` unless NULL, then rotary embedding unless cosine is NULL: the
+ * first half of the channels turns with the row position, the second with the column; inside each
+ * half pairs (i, i + n/4) (model-spec 2.3).
+ * cosine, sine: (n/2) row angles (n/4), then column angles (n/4). */
+struct head_turn {
+    int n; // width of a head, a multiple of 16, at most 128
+    const float *gamma, *beta;
+    const float *cosine, *sine;
+    float *before;
+};
+typedef void head_turn_fn(const struct head_turn *t, float *x);
+
+/* One block of keys of streaming softmax attention (Milakov and Gimelshein 2018), rows independent.
+ * Logits x_ij = s_ij row_scale_i key_scale_j. State per row: top = largest logit so far, sum =
+ * sum of exp(x - top).
+ * I8 (si not NULL): p = round(127 exp(x - max of this block's row)), 0..127; the sum adds the
+ * rounded values, so that rounding does not change the total weight.
+ * F32: p = exp(x - new top).
+ * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of
+ *      this block (1 for F32). */
+struct attend_block {
+    int m, n; // rows; keys of this block, >= 1
+    const int32_t *si; // (m, n) q k^T of integers, or NULL
+    const float *sf;   // (m, n) of floats; may be pf
+    size_t lds;
+    const float *row_scale; // (m), with 1/sqrt(width) in it
+    const float *key_scale; // (n) or NULL: 1
+    float *top, *sum;       // (m), -INFINITY and 0 at the start
+    int8_t *pi;             // (m, n) if si; the columns up to the next multiple of 4 become 0
+    float *pf;              // (m, n) if sf
+    size_t ldp;
+    float *rescale, *weigh; // (m)
+};
+typedef void attend_block_fn(const struct attend_block *b);
+
+/* o_ij = o_ij rescale_i + weigh_i value_scale_j c_ij; value_scale NULL: 1. ci or cf as above. */
+struct attend_add {
+    int m, n;
+    const int32_t *ci;
+    const float *cf;
+    size_t ldc;
+    const float *rescale, *weigh, *value_scale;
+    float *o;
+    size_t ldo;
+};
+typedef void attend_add_fn(const struct attend_add *a);
+
+/* out = a + t (b - a), n values: one row of a bilinear resize from two. */
+typedef void lerp_fn(const float *a, const float *b, float t, size_t n, float *out);
+
+struct gemm_kernels {
+    const char *s8_name, *f32_name; // instruction sets of the two products
+    gemm_s8_fn *s8;
+    gemm_f32_fn *f32;
+    int s8_rows, f32_rows; // multiples of these many rows run best
+    unpack_s8_fn *unpack_s8;
+    unpack_bf16_fn *unpack_bf16;
+    absmax_fn *absmax;
+    quant_fn *quant;
+    hadamard_fn *hadamard;
+    norm_fn *norm;
+    epilogue_fn *epilogue;
+    head_turn_fn *head_turn;
+    attend_block_fn *attend_block;
+    attend_add_fn *attend_add;
+    lerp_fn *lerp;
+};
+
+#endif

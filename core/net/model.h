@@ -1,0 +1,63 @@
+/* model.h - the weights of a network as they lie in a mapped weights file, ready to use.
+ *
+ * A weights file is a safetensors file; drivers/modelfile.h describes and checks it. Products are
+ * stored packed, so that nothing is copied when a network starts:
+ *   F32, BF16  [panels, k, 16]       panel p, input i, output 16 p + j; outputs >= n are 0
+ *   I8         [panels, k/4, 16, 4]  panel p, input 4 i + l, output 16 p + j; with NAME_scale F32
+ *                                    [n]: weight = scale * integer. k is a multiple of 4.
+ * Immutable after it was opened. thread: any. */
+#ifndef NET_MODEL_H
+#define NET_MODEL_H
+
+#include "core/net/table.h"
+
+#include <stdint.h>
+
+enum precision { PRECISION_F32, PRECISION_BF16, PRECISION_S8 };
+
+/* One matrix product y = W x + b. Pointers into the file. */
+struct weight {
+    enum precision type;
+    int n;             // outputs, >= 1
+    int segs, seg;     // inputs k = segs * seg, see product_shape
+    int rotate;        // I8: edge of the Hadamard blocks that inputs pass first; 0 = none
+    const void *panels; // ((n + 15) / 16, ...) as above; elements of `type`
+    const float *scale; // (n) I8, else NULL
+    const float *bias;  // (n) or NULL
+};
+
+struct model_tensor {
+    struct tensor_spec spec;
+    enum precision type;
+    int rotate;
+    const void *data;
+    const float *scale; // of I8
+};
+
+struct model {
+    struct net_dims dims;
+    enum precision precision; // that of the products which are not exact
+    int n;
+    const struct model_tensor *tensors; // (n) in the order of net_table; unused ones are left out
+    const void *map;                    // the file
+    size_t bytes;
+    const char *source, *licence; // words of the file
+};
+
+/* Tensor `name`; NULL if the model has none. */
+const struct model_tensor *model_find(const struct model *m, const char *name);
+
+/* Plain tensor `name`, in the shape of net_table.
+ * err:  ERR_FORMAT names what is missing. */
+MUST_USE err_t model_plain(const struct model *m, const char *name, const float **out);
+
+/* Product `name`.weight with the bias `name`.bias if the model has one.
+ * err:  ERR_FORMAT names what is missing. */
+MUST_USE err_t model_weight(const struct model *m, const char *name, struct weight *out);
+
+static inline int weight_k(const struct weight *w)
+{
+    return w->segs * w->seg;
+}
+
+#endif
