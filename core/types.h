@@ -112,6 +112,24 @@ typedef void progress_fn(void *ctx, const char *stage, int done, int total, cons
 
 struct kernels;
 
+enum { TAP_RANK_MAX = 5 };
+
+/* One intermediate tensor, or one of `parts` equal pieces of it in C order. */
+struct tap_tensor {
+    const char *name; // as in the reference's golden data
+    int rank, shape[TAP_RANK_MAX]; // of the whole tensor
+    int part, parts;
+    const float *data;           // first element of this piece, or NULL:
+    const int32_t *ints;         // the same as integers
+    size_t stride[TAP_RANK_MAX]; // elements, from index to index of each axis
+};
+
+/* Receives intermediate tensors. thread: any, also several at once. */
+struct tap {
+    void (*put)(void *ctx, const struct tap_tensor *t);
+    void *ctx;
+};
+
 /* What every heavy function receives. */
 struct run {
     const struct kernels *k;
@@ -120,6 +138,7 @@ struct run {
     atomic_bool *cancel;      // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
     progress_fn *progress;    // NULL = none
     void *progress_ctx;
+    const struct tap *tap; // NULL = none: what is only looked at is not computed
 };
 
 #endif

@@ -1,0 +1,104 @@
+/* layers.h - matrix products and convolutions of the network on blocks of rows, in the precision
+ * of their weights: floats stay floats; with I8 weights each row of activations (of a convolution:
+ * each tile) is quantised to s8 with its own scale (gemm.h), unless the caller wants floats.
+ * Maps have channels last: (h, w, c). Pure computation.
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_LAYERS_H
+#define NET_LAYERS_H
+
+#include "core/kernels/kernels.h"
+#include "core/net/model.h"
+
+enum {
+    LAYER_ROWS = 64,  // rows that a worker takes through a product at a time
+    LAYER_TILE_W = 64, // px, tile of a convolution
+    LAYER_TILE_H = 16
+};
+
+/* Scratch of one worker. */
+struct layer_room {
+    int8_t *q;      // (LAYER_ROWS, k) quantised rows, or a quantised tile
+    float *rotated; // (k) a row on its way through the Hadamard transform
+    float *scale;   // (LAYER_ROWS)
+    int32_t *c;     // (LAYER_ROWS, 2 PANEL) sums, also as floats
+    float *panel;   // (LAYER_PANEL_K, 2 PANEL) weights as floats
+};
+
+/* Bytes of a room for products of at most k inputs; SIZE_MAX on overflow. */
+size_t layer_room_need(int k);
+MUST_USE err_t layer_room_init(struct layer_room *room, struct arena *a, int k);
+
+/* Rooms for all workers of the pool, (pool_size(r->pool) or 1), in r->tmp. */
+MUST_USE err_t layer_rooms_init(const struct run *r, int k, struct layer_room **out);
+
+/* Rows of activations. */
+struct layer_in {
+    const float *x; // (m, k)
+    size_t ldx;
+    int m;       // any
+    bool floats; // do not quantise, whatever the weights
+};
+
+/* Where results go: act(W x + b), stored, or with add: out += gamma act(W x + b). */
+struct layer_out {
+    float *out; // (m, n)
+    size_t ldo;
+    enum activation act;
+    bool add;
+    const float *gamma; // (n) or NULL: 1; only with add
+};
+
+/* One product on the calling thread. x and out must not overlap. */
+void layer_rows(const struct gemm_kernels *k, const struct weight *w, const struct layer_in *in,
+                const struct layer_out *out, struct layer_room *room);
+
+/* The same over the pool, LAYER_ROWS rows a chunk.
+ * err:  ERR_NOMEM (r->tmp, see layer_room_need per worker), ERR_CANCELLED. */
+MUST_USE err_t layer_run(const struct run *r, const struct weight *w, const struct layer_in *in,
+                         const struct layer_out *out);
+
+/* Writes n pixels of the input map from (y, x) on, (n, channels); always inside the map.
+ * thread: any. */
+typedef void layer_fetch_fn(const void *ctx, int y, int x, int n, float *out);
+
+/* A convolution with zero padding. Output (y, x) sees inputs from (y stride - pad, x stride - pad).
+ * The input is asked for tile by tile, so that what makes it (a resize, a sum, a ReLU) needs no map
+ * of its own; pixels at tile borders are asked for more than once. */
+struct layer_conv {
+    const struct weight *w; // segs = kh, seg = kw channels
+    int kh, kw, stride, pad, channels;
+    int h, w_px; // of the input
+    layer_fetch_fn *fetch;
+    const void *ctx;
+    bool floats;
+};
+
+/* Size of its output: floor((in + 2 pad - kernel) / stride) + 1. */
+int layer_conv_size(int in, int kernel, int stride, int pad);
+
+/* out->out: (out_h, out_w, n) with ldo from pixel to pixel; `add` as above.
+ * err:  ERR_NOMEM (r->tmp, see layer_conv_need), ERR_CANCELLED. */
+MUST_USE err_t layer_conv_run(const struct run *r, const struct layer_conv *c,
+                              const struct layer_out *out);
+
+/* Bytes that layer_conv_run takes from r->tmp with a pool of `threads`. */
+size_t layer_conv_need(const struct layer_conv *c, int threads);
+
+/* A fetch for a plain map: ctx is a struct layer_map. */
+struct layer_map {
+    const float *px; // (h, w, c)
+    int w, c;
+    bool relu;
+};
+layer_fetch_fn layer_map_fetch;
+
+/* Bilinear resize of a (h, w, c) map seen as a map of (out_h, out_w); ctx of layer_resize_fetch.
+ * align: corners fall on corners; else pixel centres are spread evenly (model-spec 0). */
+struct layer_resize {
+    const float *px;
+    int h, w, c, out_h, out_w;
+    bool align;
+};
+layer_fetch_fn layer_resize_fetch;
+
+#endif
