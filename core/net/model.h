@@ -18,9 +18,9 @@ enum precision { PRECISION_F32, PRECISION_BF16, PRECISION_S8 };
 /* One matrix product y = W x + b. Pointers into the file. */
 struct weight {
     enum precision type;
-    int n;             // outputs, >= 1
-    int segs, seg;     // inputs k = segs * seg, see product_shape
-    int rotate;        // I8: edge of the Hadamard blocks that inputs pass first; 0 = none
+    int n;              // outputs, >= 1
+    int segs, seg;      // inputs k = segs * seg, see product_shape
+    int rotate;         // I8: edge of the Hadamard blocks that inputs pass first; 0 = none
     const void *panels; // ((n + 15) / 16, ...) as above; elements of `type`
     const float *scale; // (n) I8, else NULL
     const float *bias;  // (n) or NULL
@@ -38,16 +38,20 @@ struct model {
     struct net_dims dims;
     enum precision precision; // that of the products which are not exact
     int n;
-    const struct model_tensor *tensors; // (n) in the order of net_table; unused ones are left out
+    const struct model_tensor *tensors; // (n) in the order of table_walk; unused ones are left out
     const void *map;                    // the file
     size_t bytes;
     const char *source, *licence; // words of the file
 };
 
+/* Type of tensor t in a file of this precision: plain and exact ones are F32, and so are products
+ * of an I8 file whose runs are no multiple of 4. */
+enum precision model_type(const struct tensor_spec *t, enum precision file);
+
 /* Tensor `name`; NULL if the model has none. */
 const struct model_tensor *model_find(const struct model *m, const char *name);
 
-/* Plain tensor `name`, in the shape of net_table.
+/* Plain tensor `name`, in the shape of table_walk, `repeat` times.
  * err:  ERR_FORMAT names what is missing. */
 MUST_USE err_t model_plain(const struct model *m, const char *name, const float **out);
 

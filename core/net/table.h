@@ -17,35 +17,35 @@ enum {
     NET_POS_GRID = 37,  // edge of the position grid of DINOv2
     NET_DEPTH_MAX = 64, // blocks of one kind
     NET_NAME_CAP = 96,  // bytes of a tensor name with its terminating 0
-    NET_RAW = 84,       // channels of the Gaussian head: logit, scale 3, rotation 4, SH 75, confidence
+    NET_RAW = 84, // channels of the Gaussian head: logit, scale 3, rotation 4, SH 75, confidence
     NET_SENSITIVITY = 4,
     NET_THETA = 1926, // outputs of the hypernetwork; the first TONE_PARAMS are used
     NET_POSE = 9      // translation 3, quaternion xyzw 4, vertical and horizontal field of view
 };
 
-/* Dimensions, keys of the same name in the file's configuration. Checked by net_dims_check. */
+/* Dimensions, keys of the same name in the file's configuration. Checked by table_check. */
 struct net_dims {
-    int embed, heads;            // width of the tokens; attention heads, embed / heads is a
-                                 // multiple of 16, at most 128
-    int dino_depth, dino_heads;  // DINOv2 blocks and heads
-    int depth;                   // frame and global blocks, each
-    int keep[NET_KEEP];          // kept layers, ascending, the last is depth - 1
-    int qk_layer;                // global block whose q and k steer the fusion
-    int cam_depth, cam_heads;    // camera trunk, width 2 embed
-    int depth_feat, gs_feat;     // width of the two DPT trunks, multiples of 8
+    int embed, heads;           // width of the tokens; attention heads, embed / heads is a
+                                // multiple of 16, at most 128
+    int dino_depth, dino_heads; // DINOv2 blocks and heads
+    int depth;                  // frame and global blocks, each
+    int keep[NET_KEEP];         // kept layers, ascending, the last is depth - 1
+    int qk_layer;               // global block whose q and k steer the fusion
+    int cam_depth, cam_heads;   // camera trunk, width 2 embed
+    int depth_feat, gs_feat;    // width of the two DPT trunks, multiples of 8
     int depth_oc[NET_KEEP], gs_oc[NET_KEEP]; // projection widths, multiples of 4
-    int hdr;                     // width of the appearance branch; gs_feat / 2
-    int size;                    // px, edge of the views it was trained for; multiple of 14
-    float voxel;                 // scene units, cell of the voxel fusion
+    int hdr;     // width of the appearance branch, gs_feat / 2; 0 like gs_* without Gaussian head
+    int size;    // px, edge of the views it was trained for; multiple of 14
+    float voxel; // scene units, cell of the voxel fusion
     bool gauss, appearance; // has the Gaussian head; has the HDR modules (InstantHDR, not AnySplat)
-    bool rope_bf16; // angles rounded to bf16 as in the released training (model-spec 0.1)
+    bool rope_bf16;         // angles rounded to bf16 as in the released training (model-spec 0.1)
 };
 
 /* Dimensions of the release (model-spec 0) and of golden/mini. */
-extern const struct net_dims net_dims_full, net_dims_mini;
+extern const struct net_dims table_full, table_mini;
 
 /* err:  ERR_FORMAT names the dimension, its value and its bound. */
-MUST_USE err_t net_dims_check(const struct net_dims *d);
+MUST_USE err_t table_check(const struct net_dims *d);
 
 /* How a tensor is stored in a weights file (core/net/model.h). */
 enum tensor_role {
@@ -63,24 +63,26 @@ struct tensor_spec {
     bool used;  // false: in the released checkpoint, never read; may be absent
     int rank;
     int shape[4]; // as in the checkpoint
+    int repeat;   // PLAIN: the weights file holds it so many times, one after the other; > 1 for
+                  // the bias of a transposed convolution, whose product has s * s * o outputs
 };
 
 /* Call fn for every tensor of the network, in the order of the released checkpoint; stops at the
- * first error and returns it. d must have passed net_dims_check. */
+ * first error and returns it. d must have passed table_check. */
 typedef err_t tensor_fn(void *ctx, const struct tensor_spec *t);
-MUST_USE err_t net_table(const struct net_dims *d, tensor_fn *fn, void *ctx);
+MUST_USE err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx);
 
 /* Elements of a tensor. */
-size_t tensor_count(const struct tensor_spec *t);
+size_t table_count(const struct tensor_spec *t);
 
 /* The product that a tensor of role LINEAR, CONV or CONV_T becomes: n outputs, k inputs made of
  * `segs` runs of `seg` consecutive ones. Linear: 1 run; convolution: kh runs of kw * c. */
 struct product_shape {
     int n, segs, seg;
 };
-struct product_shape tensor_product(const struct tensor_spec *t);
+struct product_shape table_product(const struct tensor_spec *t);
 
 /* Element of a checkpoint tensor (C order) that is input i of output o of its product. */
-size_t tensor_source(const struct tensor_spec *t, int o, int i);
+size_t table_source(const struct tensor_spec *t, int o, int i);
 
 #endif
