@@ -40,11 +40,13 @@ ISA_sse41 := -msse4.1
 ISA_avx2 := -mavx2 -mfma -mf16c
 ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni \
 	-mprefer-vector-width=512
+ISA_neondot := -march=armv8.2-a+dotprod
+ISA_i8mm := -march=armv8.2-a+i8mm
 isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 
 # --- sources --------------------------------------------------------------------------------------
 OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c)
-OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c)
+OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
 CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
 DRIVERS := $(wildcard drivers/*.c)
 MAINS := $(wildcard firmware/hdrig.c firmware/hdrigd.c)
@@ -86,7 +88,10 @@ $(B)/%.o: %.c Makefile
 	$(CC) $(FLAGS) $(isa) -c $< -o $@
 
 $(B)/core/kernels/%.o: OPT := -O3 -ffp-contract=fast
+# Tiles of products fill all registers: gcc's scheduling before their allocation would spill them.
+$(B)/core/kernels/gemm_%.o: OPT += $(if $(findstring clang,$(CC)),,-fno-schedule-insns)
 # Plain loops that gcc 12 vectorises only here: half the time.
+$(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/config.o: MORE = -Wconversion

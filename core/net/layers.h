@@ -10,7 +10,7 @@
 #include "core/net/model.h"
 
 enum {
-    LAYER_ROWS = 64,  // rows that a worker takes through a product at a time
+    LAYER_ROWS = 64,   // rows that a worker takes through a product at a time
     LAYER_TILE_W = 64, // px, tile of a convolution
     LAYER_TILE_H = 16
 };
