@@ -25,7 +25,12 @@ void kernels_init(struct kernels *k, unsigned cpu)
     if (cpu & CPU_NEON) {
         splat_neon(k);
         loss_neon(k);
+        gemm_neon(&k->net);
     }
+    if (cpu & CPU_NEONDOT)
+        gemm_neondot(&k->net);
+    if (cpu & CPU_I8MM)
+        gemm_i8mm(&k->net);
 #else
     (void)cpu;
 #endif
