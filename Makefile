@@ -40,7 +40,7 @@ ISA_sse41 := -msse4.1
 ISA_avx2 := -mavx2 -mfma -mf16c
 ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni \
 	-mprefer-vector-width=512
-ISA_neondot := -march=armv8.2-a+dotprod
+ISA_neondot := -march=armv8.2-a+dotprod -mtune=cortex-a76
 ISA_i8mm := -march=armv8.2-a+i8mm
 isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 
@@ -88,8 +88,9 @@ $(B)/%.o: %.c Makefile
 	$(CC) $(FLAGS) $(isa) -c $< -o $@
 
 $(B)/core/kernels/%.o: OPT := -O3 -ffp-contract=fast
-# Tiles of products fill all registers: gcc's scheduling before their allocation would spill them.
-$(B)/core/kernels/gemm_%.o: OPT += $(if $(findstring clang,$(CC)),,-fno-schedule-insns)
+# Products fill all registers of Arm: gcc's scheduling before their allocation would spill them.
+$(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstring \
+	clang,$(CC)),,-fno-schedule-insns -frename-registers))
 # Plain loops that gcc 12 vectorises only here: half the time.
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
