@@ -1,0 +1,65 @@
+/* attention.h - softmax attention of many sequences of tokens at once, streamed over blocks of keys
+ * so that no matrix of tokens by tokens exists (Milakov and Gimelshein 2018; Dao et al. 2022).
+ * Queries, keys and values are stored once in the form that the products want, then any rows can be
+ * asked for. In s8 (gemm.h): q and k with a scale per token and head, v per block of keys, head and
+ * channel; else in floats.
+ * Everything a call writes belongs to its tokens, so calls may run side by side. */
+#ifndef NET_ATTENTION_H
+#define NET_ATTENTION_H
+
+#include "core/kernels/kernels.h"
+
+enum {
+    ATTENTION_ROWS = 64, // query rows at a time at most
+    ATTENTION_KEYS = 128 // keys of a block
+};
+
+struct attention {
+    const struct gemm_kernels *k;
+    int seqs, len;    // sequences; tokens of each
+    int heads, width; // width of a head: a multiple of 16, at most 128
+    bool floats;
+    /* carved by attention_init; blocks = len / ATTENTION_KEYS rounded up, keys = ATTENTION_KEYS
+     * blocks; elements are s8 unless floats */
+    void *q;            // (seqs len, heads, width)
+    void *key;          // (seqs, heads, keys / 16, width, 16), s8: (.., width / 4, 16, 4)
+    void *value;        // (seqs, heads, blocks, width / 16, 128, 16), s8: (.., 32, 16, 4)
+    float *query_scale; // (seqs, heads, len) with 1 / sqrt(width); the other two only for s8
+    float *key_scale;   // (seqs, heads, keys)
+    float *value_scale; // (seqs, heads, blocks, width)
+};
+
+/* Scratch of one worker. */
+struct attention_room {
+    int32_t *s;                         // (ROWS, KEYS) logits; floats become weights in place
+    int8_t *p;                          // (ROWS, KEYS) weights
+    int32_t *c;                         // (ROWS, width) sums, also as floats
+    float *top, *sum, *rescale, *weigh; // (ROWS)
+    float *turned;                      // (width, KEYS) values, transposed
+    int8_t *q;                          // (max(width, KEYS)) integers of a key or a channel
+};
+
+/* Tokens [first, first + n) of sequence seq. */
+struct attention_span {
+    int seq, first, n;
+};
+
+/* Bytes of everything above, for the shape in *a; SIZE_MAX on overflow. */
+size_t attention_need(const struct attention *a);
+size_t attention_room_need(int width);
+
+/* Carve the arrays of *a, whose shape the caller has set. */
+MUST_USE err_t attention_init(struct attention *a, struct arena *arena);
+MUST_USE err_t attention_room_init(struct attention_room *room, int width, struct arena *arena);
+
+/* Store tokens: first is a multiple of ATTENTION_KEYS, and n is ATTENTION_KEYS or the rest of the
+ * sequence. qkv: (n, 3, heads, width). */
+void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
+                     struct attention_room *room);
+
+/* What the tokens of s (at most ATTENTION_ROWS) take from their whole sequence through one head;
+ * all of the sequence has been stored. out: (n, width) from row to row ldo. */
+void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
+                    size_t ldo, struct attention_room *room);
+
+#endif
