@@ -45,7 +45,7 @@ ISA_i8mm := -march=armv8.2-a+i8mm
 isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 
 # --- sources --------------------------------------------------------------------------------------
-OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c)
+OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_amx.c)
 OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
 CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
 DRIVERS := $(wildcard drivers/*.c)
@@ -60,7 +60,7 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 TSAN_TESTS := pool prep response seed
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half loss metrics pool raster) \
-	golden/render
+	golden/render kernels/kernels
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))

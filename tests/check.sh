@@ -102,10 +102,17 @@ sanitizers() {
 }
 
 arm() {
-    local program
+    local program cpu cpus
     build "aarch64, core" CROSS=aarch64-linux-gnu- WERROR=1 arm-tests
     for program in $(make -s print-ARM_PROGRAMS CROSS=aarch64-linux-gnu- WERROR=1); do
-        step "arm: $(basename "$program")" timeout "$limit" qemu-aarch64 -cpu cortex-a76 "$program"
+        cpus=cortex-a76
+        case $program in
+        # Base NEON alone; with dot products; with int8 matrix products.
+        */kernels/*) cpus="cortex-a53 cortex-a76 max" ;;
+        esac
+        for cpu in $cpus; do
+            step "$cpu: $(basename "$program")" timeout "$limit" qemu-aarch64 -cpu "$cpu" "$program"
+        done
     done
 }
 
