@@ -47,6 +47,12 @@ void file_unmap(struct file_map *m)
     *m = (struct file_map){0};
 }
 
+bool file_exists(const char *path)
+{
+    struct stat st;
+    return lstat(path, &st) == 0;
+}
+
 bool file_is_dir(const char *path)
 {
     struct stat st;
@@ -116,4 +122,13 @@ void file_discard(FILE *f, const char *path)
 {
     if (f)
         close_and_remove(f, path);
+}
+
+err_t file_replace(const char *from, const char *to)
+{
+    if (rename(from, to) == 0)
+        return OK;
+    int why = errno;
+    unlink(from);
+    return err_fail(file_code(why), "%s: cannot be put there: %s", to, strerror(why));
 }

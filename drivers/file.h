@@ -28,6 +28,7 @@ MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 /* Accepts a zeroed map. */
 void file_unmap(struct file_map *m);
 
+bool file_exists(const char *path); // whatever it is
 bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
 
@@ -46,6 +47,10 @@ MUST_USE err_t file_create(const char *path, FILE **out);
 /* Flush, sync to the medium and close. If any write since file_create failed, the file is removed.
  * err:  ERR_LIMIT (no space), ERR_IO. f is closed in any case. */
 MUST_USE err_t file_finish(FILE *f, const char *path);
+
+/* Rename a finished file; what is at `to` is replaced in one step. `from` is removed on error.
+ * err:  ERR_IO, ERR_LIMIT (no space). */
+MUST_USE err_t file_replace(const char *from, const char *to);
 
 /* Close and remove. Accepts NULL. */
 void file_discard(FILE *f, const char *path);

@@ -91,6 +91,14 @@ bool json_number(const struct cJSON *node, double *out)
     return true;
 }
 
+bool json_truth(const struct cJSON *node, bool *out)
+{
+    if (!cJSON_IsBool(node))
+        return false;
+    *out = cJSON_IsTrue(node);
+    return true;
+}
+
 const char *json_string(const struct cJSON *node)
 {
     return cJSON_IsString(node) ? node->valuestring : NULL;

@@ -45,6 +45,9 @@ const struct cJSON *json_member(const struct cJSON *object, const char *key);
 /* Value of a finite number; false if the node is something else or NULL. */
 bool json_number(const struct cJSON *node, double *out);
 
+/* Value of true or false; false if the node is something else or NULL. */
+bool json_truth(const struct cJSON *node, bool *out);
+
 /* Value of a string; NULL if the node is something else or NULL. */
 const char *json_string(const struct cJSON *node);
 

@@ -81,6 +81,7 @@ MUST_USE err_t cmd_json_close(FILE *f, const char *path);
 int cmd_reconstruct_run(int argc, char **argv);
 int cmd_render_run(int argc, char **argv);
 int cmd_eval_run(int argc, char **argv);
+int cmd_convert_run(int argc, char **argv);
 int cmd_bench_run(int argc, char **argv);
 int cmd_doctor_run(int argc, char **argv);
 int cmd_config_run(int argc, char **argv);

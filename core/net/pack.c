@@ -1,0 +1,90 @@
+#include "core/net/pack.h"
+
+#include "core/kernels/gemm.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+int pack_panels(const struct tensor_spec *t)
+{
+    return (table_product(t).n + PANEL - 1) / PANEL;
+}
+
+static size_t inputs(const struct tensor_spec *t)
+{
+    struct product_shape p = table_product(t);
+    return (size_t)p.segs * (size_t)p.seg;
+}
+
+size_t pack_panel_bytes(const struct tensor_spec *t, enum precision type)
+{
+    size_t each = type == PRECISION_F32 ? 4 : type == PRECISION_BF16 ? 2 : 1;
+    return inputs(t) * PANEL * each;
+}
+
+/* The weights of output o in the order of the product's inputs: table_source without its
+ * divisions. */
+static void gather(const struct tensor_spec *t, int o, const float *in, float *row)
+{
+    size_t c = (size_t)t->shape[1], cell = (size_t)t->shape[2] * (size_t)t->shape[3];
+    in += table_source(t, o, 0);
+    if (t->role == ROLE_LINEAR) {
+        memcpy(row, in, c * sizeof *row);
+    } else if (t->role == ROLE_CONV) {
+        for (size_t at = 0; at < cell; at++)
+            for (size_t i = 0; i < c; i++)
+                row[at * c + i] = in[i * cell + at];
+    } else {
+        for (size_t i = 0; i < (size_t)t->shape[0]; i++)
+            row[i] = in[i * c * cell];
+    }
+}
+
+static uint16_t to_bf16(float v)
+{
+    uint32_t u;
+    memcpy(&u, &v, sizeof u);
+    u += 0x7FFF + (u >> 16 & 1);
+    if ((u & 0x7F800000) == 0x7F800000)
+        u -= 0x10000; // rounded to infinity: the largest finite value instead
+    return (uint16_t)(u >> 16);
+}
+
+/* Round half to even without a library call: |v| is at most 127. */
+static int8_t to_s8(float v)
+{
+    const float big = 12582912.0f; // 1.5 * 2^23
+    return (int8_t)((v + big) - big);
+}
+
+static float quantise(const float *row, size_t k, int8_t *out)
+{
+    float top = 0;
+    for (size_t i = 0; i < k; i++)
+        top = fmaxf(top, fabsf(row[i]));
+    float inv = top < FLT_MIN ? 0 : 127.0f / top;
+    for (size_t i = 0; i < k; i++)
+        out[i / 4 * 4 * PANEL + i % 4] = to_s8(row[i] * inv);
+    return top < FLT_MIN ? 0 : top / 127.0f;
+}
+
+void pack_panel(const struct tensor_spec *t, enum precision type, int p, const float *in,
+                float *row, void *out, float *scale)
+{
+    int n = table_product(t).n;
+    size_t k = inputs(t);
+    memset(out, 0, pack_panel_bytes(t, type));
+    for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
+        gather(t, p * PANEL + j, in, row);
+        if (type == PRECISION_S8) {
+            scale[j] = quantise(row, k, (int8_t *)out + 4 * j);
+        } else if (type == PRECISION_BF16) {
+            for (size_t i = 0; i < k; i++)
+                ((uint16_t *)out)[i * PANEL + (size_t)j] = to_bf16(row[i]);
+        } else {
+            for (size_t i = 0; i < k; i++)
+                ((float *)out)[i * PANEL + (size_t)j] = row[i];
+        }
+    }
+}

@@ -1,0 +1,20 @@
+/* convert.h - weights of others, or made of numbers, become a weights file (drivers/modelfile.h). */
+#ifndef FIRMWARE_CONVERT_H
+#define FIRMWARE_CONVERT_H
+
+#include "firmware/engine.h"
+
+#include "core/net/model.h"
+
+struct convert_request {
+    const char *out;
+    const char *config; // "full", "mini", a file with "model" like golden/mini/index.json; or NULL
+    enum precision precision;
+    int max_mb; // of memory, MB (10^6 bytes)
+};
+
+/* Values of core/net/hashed.h; config is needed.
+ * err:  ERR_ARG, and those of modelwrite_run. */
+MUST_USE err_t convert_hashed(struct engine *en, const struct convert_request *q, uint64_t seed);
+
+#endif
