@@ -1,4 +1,4 @@
-/* npy.h - arrays of the golden sets (NumPy format 1.0, C order, float32 or int32). */
+/* npy.h - arrays of the golden sets and of dumps (NumPy format 1.0, C order, 4-byte values). */
 #ifndef GOLDEN_NPY_H
 #define GOLDEN_NPY_H
 
@@ -7,13 +7,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Contents of tests/data/golden/<name> as 4-byte words; *n words. Ends the test program if it
- * cannot be read.
+/* Contents of a file as 4-byte words; *n words. Ends the program if it cannot be read.
  * own: free(). */
-static inline void *npy_load(const char *name, size_t *n)
+static inline void *npy_read(const char *path, size_t *n)
 {
-    char path[256];
-    snprintf(path, sizeof path, "tests/data/golden/%s", name);
     FILE *f = fopen(path, "rb");
     unsigned char head[10];
     long end = 0;
@@ -32,6 +29,14 @@ static inline void *npy_load(const char *name, size_t *n)
     fclose(f);
     *n = bytes / 4;
     return p;
+}
+
+/* The same for tests/data/golden/<name>. */
+static inline void *npy_load(const char *name, size_t *n)
+{
+    char path[256];
+    snprintf(path, sizeof path, "tests/data/golden/%s", name);
+    return npy_read(path, n);
 }
 
 #endif
