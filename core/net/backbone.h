@@ -1,0 +1,30 @@
+/* backbone.h - from views to tokens: DINOv2 on each view, then pairs of frame and global blocks
+ * (model-spec 2.1 to 2.3).
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_BACKBONE_H
+#define NET_BACKBONE_H
+
+#include "core/net/net.h"
+
+/* Bytes of keep and, during the call, of tmp with a pool of `threads`; SIZE_MAX on overflow. */
+void backbone_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
+                   size_t *tmp);
+
+/* out:  arrays in r->keep.
+ * err:  ERR_NOMEM (see backbone_plan), ERR_CANCELLED. */
+MUST_USE err_t backbone_run(const struct run *r, const struct net *net, const struct views *v,
+                            struct tokens *out);
+
+/* The position embedding of DINOv2 for a grid of n x n patches: bicubic with antialias, a = -0.5,
+ * corners not aligned (model-spec 2.1, point 3).
+ * grid: (NET_POS_GRID, NET_POS_GRID, width).
+ * out:  (n, n, width). */
+void backbone_positions(const float *grid, int width, int n, float *out);
+
+/* Angles of rotary embedding (model-spec 2.3) for a view of n x n patches and heads of `head`
+ * channels. bf16: rounded as in the released training (model-spec 0.1).
+ * out:  cosine, sine (NET_SPECIAL + n n, head / 2), rows then columns; 1 and 0 for the special
+ *       tokens. */
+void backbone_angles(int n, int head, bool bf16, float *cosine, float *sine);
+
+#endif

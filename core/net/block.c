@@ -1,0 +1,227 @@
+/* Two passes over the pool. The first takes ATTENTION_KEYS tokens of a sequence at a time to
+ * queries, keys and values and stores them; the second takes BLOCK_ROWS tokens at a time, of any
+ * sequences, through attention and all that follows, so that everything between the two norms stays
+ * in the worker's scratch. */
+#include "core/net/block.h"
+
+#include "core/net/attention.h"
+#include "core/net/layers.h"
+
+#include <string.h>
+
+enum { BLOCK_ROWS = ATTENTION_ROWS, MLP = 4 };
+
+/* Scratch of one worker. */
+struct worker {
+    struct layer_room layer;
+    struct attention_room attention;
+    float *rows; // (ATTENTION_KEYS, C) normalised rows, then what attention gives
+    float *wide; // (ATTENTION_KEYS, 3 C) q, k, v, or (BLOCK_ROWS, 4 C) of the MLP
+};
+
+struct pass {
+    const struct run *r;
+    const struct block *b;
+    struct attention a;
+    struct worker *worker; // (threads)
+};
+
+static int min_int(int a, int b)
+{
+    return a < b ? a : b;
+}
+
+static size_t wide_floats(const struct block *b)
+{
+    size_t attention = (size_t)ATTENTION_KEYS * 3, mlp = (size_t)BLOCK_ROWS * MLP;
+    return (attention > mlp ? attention : mlp) * (size_t)b->width;
+}
+
+static struct attention shape_of(const struct block *b)
+{
+    return (struct attention){.seqs = b->global ? 1 : b->n_views,
+                              .len = b->global ? b->n_views * b->view_tokens : b->view_tokens,
+                              .heads = b->heads,
+                              .width = b->width / b->heads,
+                              .floats = b->floats & NET_FLOAT_ATTENTION};
+}
+
+size_t block_need(const struct block *b, int threads)
+{
+    const struct attention a = shape_of(b);
+    size_t one = layer_room_need(MLP * b->width);
+    one = arena_add(one, attention_room_need(a.width));
+    one = arena_add(one, arena_need((size_t)ATTENTION_KEYS * (size_t)b->width, sizeof(float)));
+    one = arena_add(one, arena_need(wide_floats(b), sizeof(float)));
+    size_t need = arena_need((size_t)threads, sizeof(struct worker));
+    for (int i = 0; i < threads; i++)
+        need = arena_add(need, one);
+    return arena_add(need, attention_need(&a));
+}
+
+static err_t worker_init(struct worker *w, const struct block *b, struct arena *a)
+{
+    err_t e = layer_room_init(&w->layer, a, MLP * b->width);
+    if (!e)
+        e = attention_room_init(&w->attention, b->width / b->heads, a);
+    if (!e)
+        e = arena_alloc(a, (size_t)ATTENTION_KEYS * (size_t)b->width, sizeof(float), &w->rows);
+    if (!e)
+        e = arena_alloc(a, wide_floats(b), sizeof(float), &w->wide);
+    return e;
+}
+
+static err_t check_cancel(const struct run *r)
+{
+    if (r->cancel && atomic_load(r->cancel))
+        return err_fail(ERR_CANCELLED, "backbone: cancelled");
+    return OK;
+}
+
+static void normalise(const struct pass *p, const float *gamma, const float *beta, int first, int n,
+                      float *out)
+{
+    const struct norm s = {p->b->width, p->b->eps, gamma, beta};
+    size_t c = (size_t)p->b->width;
+    for (int i = 0; i < n; i++)
+        p->r->k->net.norm(&s, p->b->x + (size_t)(first + i) * c, out + (size_t)i * c);
+}
+
+/* How many of the next `left` tokens from `token` on are, like it, special or not. */
+static int run_of(const struct block *b, int token, int left, bool *special)
+{
+    int at = token % b->view_tokens;
+    *special = at < NET_SPECIAL;
+    return min_int(left, (*special ? NET_SPECIAL : b->view_tokens) - at);
+}
+
+/* A product for m tokens from `first` on; x: (m, k). The special ones may be kept in floats. */
+static void product(const struct pass *p, const struct weight *w, int first, int m, const float *x,
+                    const struct layer_out *out, struct layer_room *room)
+{
+    const struct gemm_kernels *k = &p->r->k->net;
+    struct layer_in in = {
+        .x = x, .ldx = (size_t)weight_k(w), .m = m, .floats = p->b->floats & NET_FLOAT_BLOCKS};
+    if (in.floats || !(p->b->floats & NET_FLOAT_SPECIAL)) {
+        layer_rows(k, w, &in, out, room);
+        return;
+    }
+    struct layer_out to = *out;
+    for (int i = 0; i < m; i += in.m) {
+        in.m = run_of(p->b, first + i, m - i, &in.floats);
+        in.x = x + (size_t)i * in.ldx;
+        to.out = out->out + (size_t)i * out->ldo;
+        layer_rows(k, w, &in, &to, room);
+    }
+}
+
+/* ---- first pass ---- */
+
+/* Norms, capture and rotation of the queries and keys of n tokens from `first` on. */
+static void turn(const struct pass *p, int first, int n, float *qkv)
+{
+    const struct block *b = p->b;
+    size_t c = (size_t)b->width, w = c / (size_t)b->heads;
+    size_t tokens = (size_t)b->n_views * (size_t)b->view_tokens;
+    struct head_turn q = {.n = (int)w, .gamma = b->w->q_g, .beta = b->w->q_b}, k = q;
+    k.gamma = b->w->k_g;
+    k.beta = b->w->k_b;
+    for (int i = 0; i < n; i++) {
+        size_t token = (size_t)(first + i), angle = token % (size_t)b->view_tokens * (w / 2);
+        q.cosine = k.cosine = b->cosine ? b->cosine + angle : NULL;
+        q.sine = k.sine = b->cosine ? b->sine + angle : NULL;
+        for (size_t h = 0; h < (size_t)b->heads; h++) {
+            float *at = qkv + (size_t)i * 3 * c + h * w;
+            q.before = b->q ? b->q + (h * tokens + token) * w : NULL;
+            k.before = b->k ? b->k + (h * tokens + token) * w : NULL;
+            p->r->k->net.head_turn(&q, at);
+            p->r->k->net.head_turn(&k, at + c);
+        }
+    }
+}
+
+static err_t store_chunk(void *ctx, int chunk, int worker)
+{
+    const struct pass *p = ctx;
+    const struct block *b = p->b;
+    struct worker *w = p->worker + worker;
+    int per_seq = (p->a.len + ATTENTION_KEYS - 1) / ATTENTION_KEYS;
+    struct attention_span s = {.seq = chunk / per_seq, .first = chunk % per_seq * ATTENTION_KEYS};
+    s.n = min_int(ATTENTION_KEYS, p->a.len - s.first);
+    int first = s.seq * p->a.len + s.first;
+    err_t e = check_cancel(p->r);
+    if (e)
+        return e;
+    normalise(p, b->w->norm1_g, b->w->norm1_b, first, s.n, w->rows);
+    const struct layer_out out = {.out = w->wide, .ldo = 3 * (size_t)b->width};
+    product(p, &b->w->qkv, first, s.n, w->rows, &out, &w->layer);
+    if (b->w->q_g || b->cosine || b->q)
+        turn(p, first, s.n, w->wide);
+    attention_store(&p->a, &s, w->wide, &w->attention);
+    return OK;
+}
+
+/* ---- second pass ---- */
+
+/* What n tokens from `first` on, of one or more sequences, take from theirs; to w->rows. */
+static err_t attend(const struct pass *p, int first, int n, struct worker *w)
+{
+    size_t c = (size_t)p->b->width;
+    struct attention_span s;
+    for (int i = 0; i < n; i += s.n) {
+        s.seq = (first + i) / p->a.len;
+        s.first = (first + i) % p->a.len;
+        s.n = min_int(n - i, p->a.len - s.first);
+        for (int h = 0; h < p->a.heads; h++) {
+            err_t e = check_cancel(p->r);
+            if (e)
+                return e;
+            attention_head(&p->a, &s, h, w->rows + (size_t)i * c + (size_t)(h * p->a.width), c,
+                           &w->attention);
+        }
+    }
+    return OK;
+}
+
+static err_t finish_chunk(void *ctx, int chunk, int worker)
+{
+    const struct pass *p = ctx;
+    const struct block *b = p->b;
+    struct worker *w = p->worker + worker;
+    size_t c = (size_t)b->width;
+    int first = chunk * BLOCK_ROWS, n = min_int(BLOCK_ROWS, b->n_views * b->view_tokens - first);
+    float *x = b->x + (size_t)first * c;
+    err_t e = attend(p, first, n, w);
+    if (e)
+        return e;
+    struct layer_out out = {.out = x, .ldo = c, .add = true, .gamma = b->w->gamma1};
+    product(p, &b->w->proj, first, n, w->rows, &out, &w->layer);
+    normalise(p, b->w->norm2_g, b->w->norm2_b, first, n, w->rows);
+    const struct layer_out mid = {.out = w->wide, .ldo = MLP * c, .act = ACT_GELU};
+    product(p, &b->w->fc1, first, n, w->rows, &mid, &w->layer);
+    out.gamma = b->w->gamma2;
+    product(p, &b->w->fc2, first, n, w->wide, &out, &w->layer);
+    for (int i = 0; b->copy && i < n; i++)
+        memcpy(b->copy + (size_t)(first + i) * b->ld_copy, x + (size_t)i * c, c * sizeof *x);
+    return OK;
+}
+
+err_t block_run(const struct run *r, const struct block *b)
+{
+    struct pass p = {.r = r, .b = b, .a = shape_of(b)};
+    int threads = pool_size(r->pool), tokens = b->n_views * b->view_tokens;
+    int stores = p.a.seqs * ((p.a.len + ATTENTION_KEYS - 1) / ATTENTION_KEYS);
+    size_t mark = arena_mark(r->tmp);
+    err_t e = arena_alloc(r->tmp, (size_t)threads, sizeof *p.worker, &p.worker);
+    for (int i = 0; !e && i < threads; i++)
+        e = worker_init(p.worker + i, b, r->tmp);
+    if (!e)
+        e = attention_init(&p.a, r->tmp);
+    p.a.k = &r->k->net;
+    if (!e)
+        e = pool_for(r->pool, stores, store_chunk, &p);
+    if (!e)
+        e = pool_for(r->pool, (tokens + BLOCK_ROWS - 1) / BLOCK_ROWS, finish_chunk, &p);
+    arena_reset(r->tmp, mark);
+    return e;
+}

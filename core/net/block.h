@@ -1,0 +1,29 @@
+/* block.h - one transformer block over the tokens of all views (model-spec 0, 2.1, 2.3):
+ * x += gamma1 attention(norm1 x); x += gamma2 mlp(norm2 x).
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_BLOCK_H
+#define NET_BLOCK_H
+
+#include "core/net/net.h"
+
+/* V = n_views, P = view_tokens, C = width; a head is C / heads wide. */
+struct block {
+    const struct block_weights *w;
+    int n_views, view_tokens, width, heads;
+    bool global;                // all views are one sequence; else each view is its own
+    unsigned floats;            // NET_FLOAT_ bits
+    float eps;                  // of the two norms
+    const float *cosine, *sine; // (P, C / heads / 2) for head_turn; NULL: no rotary embedding
+    float *x;                   // (V P, C), in place
+    float *q, *k;               // out: (heads, V P, C / heads) after their norms; NULL: not wanted
+    float *copy;                // out: the result again, from row to row ld_copy; NULL: not wanted
+    size_t ld_copy;
+};
+
+/* Bytes that block_run takes from r->tmp with a pool of `threads`; SIZE_MAX on overflow. */
+size_t block_need(const struct block *b, int threads);
+
+/* err:  ERR_NOMEM, ERR_CANCELLED. */
+MUST_USE err_t block_run(const struct run *r, const struct block *b);
+
+#endif

@@ -1,0 +1,23 @@
+/* camera.h - cameras of the views from their camera tokens: four rounds of refinement by a small
+ * transformer across the views (model-spec 2.4). Activations are floats in every precision.
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_CAMERA_H
+#define NET_CAMERA_H
+
+#include "core/net/net.h"
+
+/* Bytes of keep and, during the call, of tmp with a pool of `threads`; SIZE_MAX on overflow. */
+void camera_plan(const struct net *net, int n_views, int threads, size_t *keep, size_t *tmp);
+
+/* out:  n_views, size, pose and cams, in r->keep; depth is NULL.
+ * err:  ERR_NOMEM (see camera_plan), ERR_CANCELLED. */
+MUST_USE err_t camera_run(const struct run *r, const struct net *net, const struct tokens *t,
+                          int size, struct geometry *out);
+
+/* The camera of a pose after activation, for size x size. Where the formulas give none, the nearest
+ * thing stands in: no rotation for a quaternion of length 0 or not finite, 0 for a translation that
+ * is not finite, and a field of view counts as at most pi - 1e-3 (hazards 14, 15 of model-spec 7).
+ * thread: any. */
+void camera_decode(const float pose[NET_POSE], int size, struct camera *out);
+
+#endif
