@@ -21,9 +21,9 @@ enum { PANEL = 16 }; // outputs side by side in packed weights
  * seg = kw channels, seg_stride = a row of the padded map, lda = stride channels.
  * Bound of the sums: |a| <= 127, |w| <= 128, k <= 131072 fit in int32. */
 struct gemm_s8 {
-    int m, panels;    // rows >= 0; panels >= 1
-    int segs, seg;    // runs >= 1; inputs of a run, a multiple of 4
-    const int8_t *a;  // -127..127
+    int m, panels;   // rows >= 0; panels >= 1
+    int segs, seg;   // runs >= 1; inputs of a run, a multiple of 4
+    const int8_t *a; // -127..127
     size_t lda, seg_stride;
     const int8_t *w; // panels of (k/4, 16, 4)
     size_t ldw;      // from one panel to the next, >= 16 k
@@ -74,7 +74,7 @@ enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU }; // GELU with erf (mo
 /* What follows a product, on a block of its sums: v = act(sum * row_scale * scale + bias); then
  * out = v, or out += gamma v (gamma NULL: 1) when `add`. */
 struct epilogue {
-    int m, n; // rows, columns that count
+    int m, n;          // rows, columns that count
     const int32_t *ci; // (m, n) sums of gemm_s8, or NULL
     const float *cf;   // (m, n) sums of gemm_f32 if ci is NULL
     size_t ldc;
@@ -111,7 +111,7 @@ typedef void head_turn_fn(const struct head_turn *t, float *x);
  * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of
  *      this block (1 for F32). */
 struct attend_block {
-    int m, n; // rows; keys of this block, >= 1
+    int m, n;          // rows; keys of this block, >= 1
     const int32_t *si; // (m, n) q k^T of integers, or NULL
     const float *sf;   // (m, n) of floats; may be pf
     size_t lds;
@@ -140,6 +140,25 @@ typedef void attend_add_fn(const struct attend_add *a);
 /* out = a + t (b - a), n values: one row of a bilinear resize from two. */
 typedef void lerp_fn(const float *a, const float *b, float t, size_t n, float *out);
 
+/* Fourier transform of 16 x 16 tiles, one per channel, for convolutions (core/net/fftconv.h).
+ * A real tile has FFT_BINS complex frequencies and FFT_REALS real ones. In `planes` frequency b is
+ * at plane 3 b + {0, 1, 2} and real one r at plane 3 FFT_BINS + r. */
+enum { FFT_EDGE = 16, FFT_BINS = 126, FFT_REALS = 4, FFT_PLANES = 3 * FFT_BINS + FFT_REALS };
+
+struct fft_tile {
+    int n;            // channels, a multiple of 16
+    float *px;        // pixel (y, x), channel c at y row + x step + c
+    size_t row, step; // elements
+    int edge;         // inverse: rows and columns that are wanted, from the first; <= FFT_EDGE
+    float *planes;    // plane p, channel c at p plane + c
+    size_t plane;
+};
+/* Planes of a frequency: real part, imaginary part, their sum. Reads px (FFT_EDGE^2). */
+typedef void fft_forward_fn(const struct fft_tile *t);
+/* Planes of a frequency: y0, y1, y2 with real part y2 - y1, imaginary part y2 + y0 (the three
+ * products of Gauss's complex multiplication). Not divided by 256. Writes px (edge^2). */
+typedef void fft_inverse_fn(const struct fft_tile *t);
+
 struct gemm_kernels {
     const char *s8_name, *f32_name; // instruction sets of the two products
     gemm_s8_fn *s8;
@@ -156,6 +175,9 @@ struct gemm_kernels {
     attend_block_fn *attend_block;
     attend_add_fn *attend_add;
     lerp_fn *lerp;
+    bool s8_beats_fft; // products in s8 are over ten times as fast as in floats (fftconv.h)
+    fft_forward_fn *fft_forward;
+    fft_inverse_fn *fft_inverse;
 };
 
 #endif

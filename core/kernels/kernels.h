@@ -194,6 +194,11 @@ void nn_sse41(struct gemm_kernels *k);
 void nn_avx2(struct gemm_kernels *k);
 void nn_avx512(struct gemm_kernels *k);
 void nn_neon(struct gemm_kernels *k);
+void fft_c(struct gemm_kernels *k);
+void fft_sse41(struct gemm_kernels *k);
+void fft_avx2(struct gemm_kernels *k);
+void fft_avx512(struct gemm_kernels *k);
+void fft_neon(struct gemm_kernels *k);
 
 /* Fill the table with the best variants that `cpu` (bits of cpu.h) allows; 0 gives plain C. */
 void kernels_init(struct kernels *k, unsigned cpu);

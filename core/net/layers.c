@@ -4,6 +4,8 @@
  * row of output pixels is a block whose rows overlap (gemm.h). */
 #include "core/net/layers.h"
 
+#include "core/net/fftconv.h"
+
 #include <float.h>
 #include <string.h>
 
@@ -357,7 +359,8 @@ size_t layer_conv_need(const struct layer_conv *c, int threads)
     size_t all = arena_need((size_t)threads, sizeof(struct conv_room));
     for (int i = 0; i < threads; i++)
         all = arena_add(all, one);
-    return all;
+    size_t fft = fftconv_possible(c) ? fftconv_need(c, threads) : 0;
+    return fft > all ? fft : all;
 }
 
 static err_t init_rooms(struct conv_job *j)
@@ -438,6 +441,9 @@ static err_t conv_chunk(void *ctx, int chunk, int worker)
 
 err_t layer_conv_run(const struct run *r, const struct layer_conv *c, const struct layer_out *out)
 {
+    bool s8 = c->w->type == PRECISION_S8 && !c->floats;
+    if (fftconv_possible(c) && !(s8 && r->k->net.s8_beats_fft))
+        return fftconv_run(r, c, out);
     struct conv_job j = {.r = r, .c = c, .out = out, .t = plan_tiles(c)};
     size_t mark = arena_mark(r->tmp);
     err_t e = init_rooms(&j);
