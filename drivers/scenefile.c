@@ -3,13 +3,13 @@
  * completely, and only then takes memory. */
 #include "drivers/scenefile.h"
 
-#include "core/base/bytes.h"
 #include "core/net/tonemap.h"
 #include "core/splat/gaussians.h"
 #include "drivers/cameras.h"
 #include "drivers/file.h"
 #include "drivers/json.h"
 #include "drivers/name.h"
+#include "drivers/safetensors.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -17,7 +17,7 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "floats are copied as they are");
 
-enum { CAMERA_FLOATS = 11, DATA_ALIGN = 64, SIZE_LIMIT_PX = 65536 };
+enum { CAMERA_FLOATS = 11, SIZE_LIMIT_PX = 65536 };
 
 static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
 static const char *const FORMAT_NAME = "hdrig-scene", *const FORMAT_VERSION = "1";
@@ -61,7 +61,7 @@ static void make_specs(const struct scenefile_info *info, struct spec out[N_TENS
     memcpy(out, specs, sizeof specs);
 }
 
-/* Floats of a tensor. No overflow: shapes are within the limits of step 6 before anyone asks. */
+/* Floats of a tensor. No overflow: shapes are within the limits of step 3 before anyone asks. */
 static size_t count_floats(const struct spec *t)
 {
     size_t n = 1;
@@ -117,46 +117,29 @@ static char *names_text(const struct scene *s)
     return NULL;
 }
 
-static void put_header(FILE *f, const struct scene *s, const char *names,
-                       const struct spec specs[N_TENSORS])
+/* err:  ERR_NOMEM. */
+static err_t put_header(FILE *f, const char *path, const struct scene *s,
+                        const struct spec specs[N_TENSORS])
 {
-    fprintf(f, "{\"__metadata__\":{\"format\":\"%s\",\"version\":\"%s\",\"size\":\"%d\",\"names\":",
-            FORMAT_NAME, FORMAT_VERSION, s->size);
-    json_put_string(f, names);
-    putc('}', f);
-    size_t at = 0;
-    for (int k = 0; k < N_TENSORS; k++) {
-        size_t n = count_floats(&specs[k]) * sizeof(float);
-        fprintf(f, ",\"%s\":{\"dtype\":\"F32\",\"shape\":[", specs[k].name);
-        for (int d = 0; d < specs[k].rank; d++)
-            fprintf(f, d ? ",%zu" : "%zu", specs[k].shape[d]);
-        fprintf(f, "],\"data_offsets\":[%zu,%zu]}", at, at + n);
-        at += n;
-    }
-    putc('}', f);
-}
-
-/* The header with blanks after it up to DATA_ALIGN; own: free. */
-static err_t header_text(const char *path, const struct scene *s,
-                         const struct spec specs[N_TENSORS], char **out, size_t *n)
-{
-    *out = NULL;
+    struct safetensors_writer h;
+    char size[16];
     char *names = names_text(s);
-    FILE *f = names ? open_memstream(out, n) : NULL;
-    bool bad = !f;
-    if (f) {
-        put_header(f, s, names, specs);
-        for (long at = ftell(f); (at + 8) % DATA_ALIGN != 0; at++)
-            putc(' ', f);
-        bad = ferror(f);
-        bad |= fclose(f) != 0 || !*out; // glibc: a failed last growth leaves NULL and returns 0
+    snprintf(size, sizeof size, "%d", s->size);
+    safetensors_begin(&h);
+    safetensors_put_word(&h, "format", FORMAT_NAME);
+    safetensors_put_word(&h, "version", FORMAT_VERSION);
+    safetensors_put_word(&h, "size", size);
+    safetensors_put_word(&h, "names", names ? names : "");
+    for (int k = 0; k < N_TENSORS; k++) {
+        struct safetensors_tensor t = {.name = specs[k].name, .type = "F32", .rank = specs[k].rank};
+        memcpy(t.shape, specs[k].shape, sizeof specs[k].shape);
+        safetensors_put(&h, &t);
     }
+    err_t e = safetensors_end(&h, names ? f : NULL);
+    if (!names || e)
+        e = err_fail(ERR_NOMEM, "%s: no memory for the header of %d views", path, s->n_views);
     free(names);
-    if (!bad)
-        return OK;
-    free(*out);
-    *out = NULL;
-    return err_fail(ERR_NOMEM, "%s: no memory for the header of %d views", path, s->n_views);
+    return e;
 }
 
 static void put_floats(FILE *f, const float *v, size_t n)
@@ -185,26 +168,20 @@ err_t scenefile_write(const char *path, const struct scene *s)
     struct scenefile_info info = {.n = s->g.n, .degree = s->g.degree, .n_views = s->n_views};
     struct spec specs[N_TENSORS];
     FILE *f;
-    char *header;
-    size_t n;
     err_t e = check_finite(path, &s->g);
     if (e)
         return e;
     make_specs(&info, specs);
-    e = header_text(path, s, specs, &header, &n);
+    e = file_create(path, &f);
     if (e)
         return e;
-    e = file_create(path, &f);
-    if (!e) {
-        uint8_t length[8];
-        bytes_put_u64(length, n);
-        fwrite(length, 1, sizeof length, f);
-        fwrite(header, 1, n, f);
-        put_data(f, s);
-        e = file_finish(f, path);
+    e = put_header(f, path, s, specs);
+    if (e) {
+        file_discard(f, path);
+        return e;
     }
-    free(header);
-    return e;
+    put_data(f, s);
+    return file_finish(f, path);
 }
 
 /* ---- reading the header ---- */
@@ -212,199 +189,115 @@ err_t scenefile_write(const char *path, const struct scene *s)
 struct layout {
     struct scenefile_info info;
     struct spec specs[N_TENSORS];
-    size_t begin[N_TENSORS], end[N_TENSORS]; // bytes in data
-    const uint8_t *data;
-    size_t n_data;
+    struct safetensors head;
+    const uint8_t *at[N_TENSORS]; // data
 };
 
-static err_t get_whole(const struct scenefile_bytes *f, const struct cJSON *v, const char *what,
-                       double max, size_t *out)
+static err_t get_metadata(struct layout *l)
 {
-    double number;
-    if (!json_number(v, &number) || number < 0 || number != floor(number))
-        return err_fail(ERR_FORMAT, "%s: %s is not a whole number", f->what, what);
-    if (number > max)
-        return err_fail(ERR_FORMAT, "%s: %s is %.0f, at most %.0f is read", f->what, what, number,
-                        max);
-    *out = (size_t)number;
-    return OK;
-}
-
-/* A list of n whole numbers up to max. */
-static err_t get_list(const struct scenefile_bytes *f, const struct cJSON *tensor, const char *key,
-                      int n, double max, size_t *out)
-{
-    const struct cJSON *list = json_member(tensor, key);
-    if (!json_is_array(list) || json_count(list) != n)
-        return err_fail(ERR_FORMAT, "%s: tensor %s: \"%s\" is not a list of %d numbers", f->what,
-                        json_key(tensor), key, n);
-    for (const struct cJSON *v = json_first(list); v; v = json_next(v)) {
-        err_t e = get_whole(f, v, json_key(tensor), max, out++);
-        if (e)
-            return e;
-    }
-    return OK;
-}
-
-static err_t get_metadata(const struct scenefile_bytes *f, const struct cJSON *doc,
-                          struct layout *l)
-{
-    const struct cJSON *meta = json_member(doc, "__metadata__");
-    const char *format = json_string(json_member(meta, "format"));
-    const char *version = json_string(json_member(meta, "version"));
-    const char *size = json_string(json_member(meta, "size"));
-    if (!format || strcmp(format, FORMAT_NAME) != 0)
-        return err_fail(ERR_FORMAT, "%s: not a scene: its format is \"%.32s\"", f->what,
-                        format ? format : "");
-    if (!version || strcmp(version, FORMAT_VERSION) != 0)
+    const char *what = l->head.what, *format = safetensors_word(&l->head, "format"),
+               *version = safetensors_word(&l->head, "version"),
+               *size = safetensors_word(&l->head, "size");
+    if (strcmp(format, FORMAT_NAME) != 0)
+        return err_fail(ERR_FORMAT, "%s: not a scene: its format is \"%.32s\"", what, format);
+    if (strcmp(version, FORMAT_VERSION) != 0)
         return err_fail(ERR_UNSUPPORTED, "%s: scene of version \"%.32s\", this program reads %s",
-                        f->what, version ? version : "", FORMAT_VERSION);
-    char *end = NULL;
-    long px = size ? strtol(size, &end, 10) : 0;
+                        what, version, FORMAT_VERSION);
+    char *end;
+    long px = strtol(size, &end, 10);
     if (px < 1 || px > SIZE_LIMIT_PX || *end)
-        return err_fail(ERR_FORMAT, "%s: size \"%.32s\", allowed are 1 to %d px", f->what,
-                        size ? size : "", SIZE_LIMIT_PX);
+        return err_fail(ERR_FORMAT, "%s: size \"%.32s\", allowed are 1 to %d px", what, size,
+                        SIZE_LIMIT_PX);
     l->info.size = (int)px;
     return OK;
 }
 
-/* Exactly the tensors of the table, each once. */
-static err_t check_members(const struct scenefile_bytes *f, const struct cJSON *doc,
-                           const struct layout *l)
+/* Exactly the tensors of the table: the container has none twice. */
+static err_t check_members(const struct layout *l)
 {
-    unsigned seen = 0;
-    for (const struct cJSON *m = json_first(doc); m; m = json_next(m)) {
+    const struct safetensors *head = &l->head;
+    for (int i = 0; i < head->n; i++) {
         int k = 0;
-        while (k < N_TENSORS && strcmp(l->specs[k].name, json_key(m)) != 0)
+        while (k < N_TENSORS && strcmp(l->specs[k].name, head->tensors[i].name) != 0)
             k++;
-        if (k == N_TENSORS && strcmp(json_key(m), "__metadata__") != 0)
-            return err_fail(ERR_FORMAT, "%s: unknown tensor %.64s", f->what, json_key(m));
-        if (seen & 1u << k)
-            return err_fail(ERR_FORMAT, "%s: %s is there twice", f->what, json_key(m));
-        seen |= 1u << k;
+        if (k == N_TENSORS)
+            return err_fail(ERR_FORMAT, "%s: unknown tensor %.64s", head->what,
+                            head->tensors[i].name);
     }
-    for (int k = 0; k < N_TENSORS; k++)
-        if (!(seen & 1u << k))
-            return err_fail(ERR_FORMAT, "%s: tensor %s is missing", f->what, l->specs[k].name);
+    for (int k = 0; k < N_TENSORS; k++) {
+        const struct safetensors_tensor *t = safetensors_find(head, l->specs[k].name);
+        if (!t)
+            return err_fail(ERR_FORMAT, "%s: tensor %s is missing", head->what, l->specs[k].name);
+        if (strcmp(t->type, "F32") != 0)
+            return err_fail(ERR_FORMAT, "%s: tensor %s is not F32", head->what, t->name);
+        if (t->rank != l->specs[k].rank)
+            return err_fail(ERR_FORMAT, "%s: tensor %s has %d extents, it must have %d", head->what,
+                            t->name, t->rank, l->specs[k].rank);
+    }
     return OK;
 }
 
 /* Numbers of splats, coefficients and views from the shapes of sh and cameras. */
-static err_t get_counts(const struct scenefile_bytes *f, const struct cJSON *doc, struct layout *l)
+static err_t get_counts(struct layout *l)
 {
-    size_t sh[3], cameras[2];
-    err_t e = get_list(f, json_member(doc, "sh"), "shape", 3, GAUSSIANS_MAX, sh);
-    if (!e)
-        e = get_list(f, json_member(doc, "cameras"), "shape", 2, CAMERAS_MAX, cameras);
-    if (e)
-        return e;
-    size_t degree = 0;
+    const char *what = l->head.what;
+    const size_t *sh = safetensors_find(&l->head, "sh")->shape;
+    size_t views = safetensors_find(&l->head, "cameras")->shape[0], degree = 0;
+    if (sh[2] > GAUSSIANS_MAX || views > CAMERAS_MAX)
+        return err_fail(ERR_FORMAT, "%s: %zu splats and %zu views, at most %d and %d are read",
+                        what, sh[2], views, GAUSSIANS_MAX, CAMERAS_MAX);
     while (degree < SH_DEGREE_MAX && (degree + 1) * (degree + 1) != sh[0])
         degree++;
     if ((degree + 1) * (degree + 1) != sh[0])
-        return err_fail(ERR_FORMAT, "%s: %zu harmonics, no degree of 0 to %d has as many", f->what,
+        return err_fail(ERR_FORMAT, "%s: %zu harmonics, no degree of 0 to %d has as many", what,
                         sh[0], SH_DEGREE_MAX);
     l->info.n = (int)sh[2];
     l->info.degree = (int)degree;
-    l->info.n_views = (int)cameras[0];
+    l->info.n_views = (int)views;
     return OK;
 }
 
-static err_t get_tensor(const struct scenefile_bytes *f, const struct cJSON *tensor, int k,
-                        struct layout *l)
+static err_t check_shapes(const struct layout *l)
 {
-    const struct spec *spec = &l->specs[k];
-    const char *dtype = json_string(json_member(tensor, "dtype"));
-    size_t shape[3], offsets[2];
-    if (!dtype || strcmp(dtype, "F32") != 0 || json_count(tensor) != 3)
-        return err_fail(ERR_FORMAT, "%s: tensor %s is not F32 with dtype, shape and data_offsets",
-                        f->what, spec->name);
-    err_t e = get_list(f, tensor, "shape", spec->rank, GAUSSIANS_MAX, shape);
-    if (!e)
-        e = get_list(f, tensor, "data_offsets", 2, (double)FILE_BYTES_MAX, offsets);
-    if (e)
-        return e;
-    for (int d = 0; d < spec->rank; d++)
-        if (shape[d] != spec->shape[d])
-            return err_fail(ERR_FORMAT,
-                            "%s: tensor %s: extent %d is %zu, the other tensors need %zu", f->what,
-                            spec->name, d, shape[d], spec->shape[d]);
-    size_t bytes = count_floats(spec) * sizeof(float);
-    if (offsets[1] > l->n_data || offsets[0] > offsets[1] || offsets[1] - offsets[0] != bytes)
-        return err_fail(ERR_FORMAT,
-                        "%s: tensor %s: data from %zu to %zu of %zu bytes, its shape needs %zu",
-                        f->what, spec->name, offsets[0], offsets[1], l->n_data, bytes);
-    l->begin[k] = offsets[0];
-    l->end[k] = offsets[1];
-    return OK;
-}
-
-/* Each tensor must begin where another ends: with the right total no overlap or hole is left. */
-static err_t check_tiling(const struct scenefile_bytes *f, const struct layout *l)
-{
-    bool done[N_TENSORS] = {false};
-    size_t at = 0;
-    for (int turn = 0; turn < N_TENSORS; turn++) {
-        int next = -1;
-        for (int k = 0; k < N_TENSORS; k++)
-            if (!done[k] && l->begin[k] == at && (next < 0 || l->end[k] < l->end[next]))
-                next = k; // empty ones first
-        if (next < 0)
-            return err_fail(ERR_FORMAT,
-                            "%s: no tensor begins at byte %zu of the data: overlap or hole",
-                            f->what, at);
-        done[next] = true;
-        at = l->end[next];
+    for (int k = 0; k < N_TENSORS; k++) {
+        const struct safetensors_tensor *t = safetensors_find(&l->head, l->specs[k].name);
+        for (int d = 0; d < t->rank; d++)
+            if (t->shape[d] != l->specs[k].shape[d])
+                return err_fail(ERR_FORMAT,
+                                "%s: tensor %s: extent %d is %zu, the other tensors need %zu",
+                                l->head.what, t->name, d, t->shape[d], l->specs[k].shape[d]);
     }
-    if (at != l->n_data)
-        return err_fail(ERR_FORMAT, "%s: the tensors end at byte %zu of %zu bytes of data", f->what,
-                        at, l->n_data);
     return OK;
 }
 
-static err_t read_layout(const struct scenefile_bytes *f, const struct cJSON *doc, struct layout *l)
+/* Steps 1 to 3. own: safetensors_close(&l->head). */
+static err_t open_header(const struct scenefile_bytes *f, struct layout *l)
 {
-    make_specs(&l->info, l->specs);
-    err_t e = get_metadata(f, doc, l);
-    if (!e)
-        e = check_members(f, doc, l);
-    if (!e)
-        e = get_counts(f, doc, l);
+    memset(l, 0, sizeof *l);
+    err_t e = safetensors_open(f->what, f->p, f->n, f->n, &l->head);
     if (e)
         return e;
-    make_specs(&l->info, l->specs);
-    for (int k = 0; k < N_TENSORS && !e; k++)
-        e = get_tensor(f, json_member(doc, l->specs[k].name), k, l);
+    make_specs(&l->info, l->specs); // names and ranks
+    e = get_metadata(l);
     if (!e)
-        e = check_tiling(f, l);
+        e = check_members(l);
+    if (!e)
+        e = get_counts(l);
+    make_specs(&l->info, l->specs);
+    if (!e)
+        e = check_shapes(l);
+    if (e) {
+        safetensors_close(&l->head);
+        return e;
+    }
+    for (int k = 0; k < N_TENSORS; k++)
+        l->at[k] = (const uint8_t *)f->p + l->head.data +
+                   safetensors_find(&l->head, l->specs[k].name)->begin;
     size_t v = (size_t)l->info.n_views, need = gaussians_need(l->info.n, l->info.degree);
     need = arena_add(need, arena_need(v, NAME_CAP));
     need = arena_add(need, arena_need(v, sizeof(float)));
     l->info.need = arena_add(need, arena_need(v, sizeof(struct camera)));
-    return e;
-}
-
-/* Steps 1 to 8. own: json_free(*doc). */
-static err_t open_header(const struct scenefile_bytes *f, struct layout *l, struct cJSON **doc)
-{
-    memset(l, 0, sizeof *l);
-    *doc = NULL;
-    struct bytes b = bytes_of(f->p, f->n);
-    uint64_t n = bytes_u64(&b);
-    if (b.bad || n > JSON_BYTES_MAX || n > b.left)
-        return err_fail(ERR_FORMAT, "%s: header of %ju bytes in a file of %zu, at most %d are read",
-                        f->what, (uintmax_t)n, f->n, JSON_BYTES_MAX);
-    err_t e = json_parse(f->what, bytes_take(&b, n), n, doc);
-    if (e)
-        return e;
-    l->data = b.p;
-    l->n_data = b.left;
-    e = read_layout(f, *doc, l);
-    if (e) {
-        json_free(*doc);
-        *doc = NULL;
-    }
-    return e;
+    return OK;
 }
 
 /* ---- reading the data ---- */
@@ -412,7 +305,7 @@ static err_t open_header(const struct scenefile_bytes *f, struct layout *l, stru
 static void get_floats(const struct layout *l, int k, size_t first, size_t n, float *out)
 {
     if (n > 0)
-        memcpy(out, l->data + l->begin[k] + first * sizeof(float), n * sizeof(float));
+        memcpy(out, l->at[k] + first * sizeof(float), n * sizeof(float));
 }
 
 static err_t get_splats(const struct scenefile_bytes *f, const struct layout *l, struct arena *a,
@@ -452,11 +345,11 @@ static err_t get_globals(const struct scenefile_bytes *f, const struct layout *l
     return OK;
 }
 
-static err_t get_names(const struct scenefile_bytes *f, const struct cJSON *doc, struct scene *s)
+static err_t get_names(const struct scenefile_bytes *f, const struct layout *l, struct scene *s)
 {
-    const char *text = json_string(json_member(json_member(doc, "__metadata__"), "names"));
+    const char *text = safetensors_word(&l->head, "names");
     struct cJSON *list;
-    err_t e = json_parse(f->what, text ? text : "", text ? strlen(text) : 0, &list);
+    err_t e = json_parse(f->what, text, strlen(text), &list);
     if (e)
         return e;
     int i = 0;
@@ -503,10 +396,9 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
 err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struct scene *s)
 {
     struct layout l;
-    struct cJSON *doc;
     size_t mark = arena_mark(a);
     memset(s, 0, sizeof *s);
-    err_t e = open_header(file, &l, &doc);
+    err_t e = open_header(file, &l);
     if (e)
         return e;
     e = get_splats(file, &l, a, &s->g);
@@ -515,8 +407,8 @@ err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struc
     if (!e)
         e = get_views(file, &l, a, s);
     if (!e)
-        e = get_names(file, doc, s);
-    json_free(doc);
+        e = get_names(file, &l, s);
+    safetensors_close(&l.head);
     if (e) {
         arena_reset(a, mark);
         memset(s, 0, sizeof *s);
@@ -527,12 +419,11 @@ err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struc
 err_t scenefile_peek_bytes(const struct scenefile_bytes *file, struct scenefile_info *out)
 {
     struct layout l;
-    struct cJSON *doc;
     memset(out, 0, sizeof *out);
-    err_t e = open_header(file, &l, &doc);
+    err_t e = open_header(file, &l);
     if (e)
         return e;
-    json_free(doc);
+    safetensors_close(&l.head);
     *out = l.info;
     return OK;
 }

@@ -1,23 +1,18 @@
 /* scenefile.h - scene.hdrig, a scene without loss, and tone.json, its response curve for people.
  *
- * scene.hdrig is a safetensors file (8 bytes little-endian header length, JSON, raw data; described
- * at github.com/huggingface/safetensors), all tensors F32, N splats, K coefficients, V views:
+ * scene.hdrig is a safetensors file (safetensors.h), all tensors F32; N splats, K coefficients of
+ * SH, V views:
  *   mu [3,N]  log_scale [3,N]  quat [4,N]  logit [N]  sh [K,3,N]   the planes of struct gaussians
  *   tone [3,193]  mid_log2t [1]  background [3]
  *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t, for size x size px
  * and in __metadata__: format "hdrig-scene", version "1", size, names (a JSON list of V names).
  *
- * The reader refuses
- *  1. a header length above 2 MB or beyond the file;
- *  2. what is not JSON;
- *  3. another format or version;
- *  4. a tensor that is unknown, missing or there twice;
- *  5. a type other than F32, or a member besides dtype, shape, data_offsets;
- *  6. shapes that contradict each other or exceed GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX;
- *  7. offsets beyond the file or whose length is not that of the shape;
- *  8. data that overlap, leave holes or do not end with the file;
- *  9. numbers that are not finite, cameras that cameras_check refuses, a negative background;
- * 10. names that name_copy refuses or that repeat.
+ * The reader refuses what safetensors.h lists and
+ *  1. another format or version;
+ *  2. a tensor that is unknown or missing, or of a type other than F32;
+ *  3. shapes that contradict each other or exceed GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX;
+ *  4. numbers that are not finite, cameras that cameras_check refuses, a negative background;
+ *  5. names that name_copy refuses or that repeat.
  * thread: any. */
 #ifndef DRIVERS_SCENEFILE_H
 #define DRIVERS_SCENEFILE_H
@@ -34,7 +29,7 @@ struct scenefile_info {
     size_t need;                  // bytes that scenefile_read takes from its arena
 };
 
-/* What scenefile_read would read: steps 1 to 8.
+/* What scenefile_read would read: steps 1 to 3.
  * err:  as scenefile_read. */
 MUST_USE err_t scenefile_peek(const char *path, struct scenefile_info *out);
 
