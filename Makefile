@@ -40,6 +40,7 @@ ISA_sse41 := -msse4.1
 ISA_avx2 := -mavx2 -mfma -mf16c
 ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni \
 	-mprefer-vector-width=512
+ISA_amx := -mamx-tile -mamx-int8
 ISA_neondot := -march=armv8.2-a+dotprod -mtune=cortex-a76
 ISA_i8mm := -march=armv8.2-a+i8mm
 isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))

@@ -5,6 +5,8 @@
 
 #if defined(__x86_64__)
 #include <cpuid.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 #elif defined(__aarch64__)
 #include <asm/hwcap.h>
 #include <sys/auxv.h>
@@ -13,15 +15,19 @@
 static const struct {
     const char *name;
     unsigned bit;
-} levels[] = {{"sse41", CPU_SSE41}, {"avx2", CPU_AVX2},       {"avx512", CPU_AVX512},
-              {"neon", CPU_NEON},   {"neondot", CPU_NEONDOT}, {"i8mm", CPU_I8MM}};
+} levels[] = {{"sse41", CPU_SSE41}, {"avx2", CPU_AVX2}, {"avx512", CPU_AVX512},
+              {"amx", CPU_AMX},     {"neon", CPU_NEON}, {"neondot", CPU_NEONDOT},
+              {"i8mm", CPU_I8MM}};
 
 enum { N_LEVELS = sizeof levels / sizeof levels[0] };
 
 #if defined(__x86_64__)
 
 /* Bits of XCR0 (Intel SDM vol. 1, 13.3): the system saves these registers with a task. */
-enum { XCR0_AVX = 0x06, XCR0_AVX512 = 0xe6 };
+enum { XCR0_AVX = 0x06, XCR0_AVX512 = 0xe6, XCR0_AMX = 0x60000 };
+
+/* CPUID 7.0 EDX: tiles, int8; and what Linux calls its permission (asm/prctl.h since 5.16). */
+enum { BIT_AMX = 1 << 24 | 1 << 25, REQ_XCOMP_PERM = 0x1023, XTILEDATA = 18 };
 
 static unsigned saved_state(void)
 {
@@ -37,19 +43,23 @@ static int has_all(unsigned reg, unsigned bits)
 
 unsigned cpu_detect(void)
 {
-    unsigned a, b, c, d, b7 = 0, c7 = 0, found = 0;
+    unsigned a, b, c, d, b7 = 0, c7 = 0, d7 = 0, found = 0;
     if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_SSE4_1))
         return 0;
     found |= CPU_SSE41;
-    if (__get_cpuid_count(7, 0, &a, &b7, &c7, &d) == 0 || !has_all(c, bit_OSXSAVE | bit_AVX))
+    if (__get_cpuid_count(7, 0, &a, &b7, &c7, &d7) == 0 || !has_all(c, bit_OSXSAVE | bit_AVX))
         return found;
     unsigned saved = saved_state();
     if (!has_all(saved, XCR0_AVX) || !has_all(c, bit_FMA | bit_F16C) || !(b7 & bit_AVX2))
         return found;
     found |= CPU_AVX2;
     unsigned need7 = bit_AVX512F | bit_AVX512BW | bit_AVX512VL | bit_AVX512DQ;
-    if (has_all(saved, XCR0_AVX512) && has_all(b7, need7) && (c7 & bit_AVX512VNNI))
-        found |= CPU_AVX512;
+    if (!has_all(saved, XCR0_AVX512) || !has_all(b7, need7) || !(c7 & bit_AVX512VNNI))
+        return found;
+    found |= CPU_AVX512;
+    if (has_all(saved, XCR0_AMX) && has_all(d7, BIT_AMX) &&
+        syscall(SYS_arch_prctl, REQ_XCOMP_PERM, XTILEDATA) == 0)
+        found |= CPU_AMX;
     return found;
 }
 

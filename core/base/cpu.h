@@ -14,12 +14,14 @@ enum {
     CPU_NEON = 8,
     CPU_NEONDOT = 16, // int8 dot product
     CPU_I8MM = 32,    // int8 matrix product
-    CPU_ALL = 63
+    CPU_AMX = 64,     // tiles and their int8 product
+    CPU_ALL = 127
 };
 
 enum { CPU_NAMES_CAP = 64 }; // bytes that hold every list of names
 
-/* What processor and operating system both support: a set of the bits above; 0 = plain C. */
+/* What processor and operating system both support: a set of the bits above; 0 = plain C. Asks the
+ * system for the state of tiles, which it gives to the whole process. */
 unsigned cpu_detect(void);
 
 /* Read a list of levels to allow, separated by blanks or commas: "sse41,avx2". "c" names no level;

@@ -17,7 +17,7 @@
 
 enum {
     GUARD_BLOCKS = 112,
-    GUARD_BYTES = 1 << 16, // largest block
+    GUARD_BYTES = 1 << 21, // largest block
     GUARD_MARGIN = 256     // bytes of canary on the open side
 };
 

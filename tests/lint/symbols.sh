@@ -8,7 +8,7 @@ done | awk '
     file = part[n - 1] != "" ? part[n - 1] : part[n]
     sub(/\.o$/, "", file)
     prefix = file
-    sub(/_(c|sse41|avx2|avx512|neon)$/, "", prefix)
+    sub(/_(c|sse41|avx2|avx512|amx|neon|neondot|i8mm)$/, "", prefix)
     seen++
     if ($NF != prefix && index($NF, prefix "_") != 1) {
         print file ".c: " $NF " does not start with " prefix "_"

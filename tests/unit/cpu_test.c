@@ -18,6 +18,7 @@ static void detection_is_sane(void **state)
     assert_int_equal(found & (CPU_NEON | CPU_NEONDOT | CPU_I8MM), 0);
     assert_true(!(found & CPU_AVX2) || (found & CPU_SSE41));
     assert_true(!(found & CPU_AVX512) || (found & CPU_AVX2));
+    assert_true(!(found & CPU_AMX) || (found & CPU_AVX512));
     /* gcc's own detection asks the system too */
     assert_int_equal((found & CPU_SSE41) != 0, __builtin_cpu_supports("sse4.1") != 0);
     assert_int_equal((found & CPU_AVX2) != 0,
@@ -26,7 +27,7 @@ static void detection_is_sane(void **state)
     assert_true((found & CPU_AVX512) || !__builtin_cpu_supports("avx512vnni"));
 #elif defined(__aarch64__)
     assert_true(found & CPU_NEON);
-    assert_int_equal(found & (CPU_SSE41 | CPU_AVX2 | CPU_AVX512), 0);
+    assert_int_equal(found & (CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AMX), 0);
 #endif
 }
 
@@ -42,8 +43,8 @@ static void masks_are_lists_of_names(void **state)
     assert_int_equal(m, 0);
     assert_int_equal(cpu_parse_mask(" sse41, avx2 ", &m), OK);
     assert_int_equal(m, CPU_SSE41 | CPU_AVX2);
-    assert_int_equal(cpu_parse_mask("neon neondot,i8mm,avx512", &m), OK);
-    assert_int_equal(m, CPU_NEON | CPU_NEONDOT | CPU_I8MM | CPU_AVX512);
+    assert_int_equal(cpu_parse_mask("neon neondot,i8mm,avx512 amx", &m), OK);
+    assert_int_equal(m, CPU_NEON | CPU_NEONDOT | CPU_I8MM | CPU_AVX512 | CPU_AMX);
 }
 
 static void unknown_words_are_named(void **state)
