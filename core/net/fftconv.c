@@ -53,9 +53,17 @@ static size_t panel_floats(const struct layer_conv *c)
     return (size_t)weight_k(c->w) * PANEL;
 }
 
+/* From plane to plane: an odd number of cache lines, so that a tile's frequencies do not share a
+ * few sets of the cache. */
+static size_t plane_floats(const struct job *j, int channels)
+{
+    size_t n = (size_t)j->tiles * (size_t)channels;
+    return n / PANEL % 2 ? n : n + PANEL;
+}
+
 static size_t row_floats(const struct job *j, int channels)
 {
-    return (size_t)FFT_PLANES * (size_t)j->tiles * (size_t)channels;
+    return FFT_PLANES * plane_floats(j, channels);
 }
 
 static size_t strip_floats(const struct job *j)
@@ -195,7 +203,7 @@ static void fetch_strip(const struct job *j, int y0, float *strip)
 
 static void multiply(const struct job *j, const struct room *o)
 {
-    size_t in = (size_t)j->tiles * (size_t)j->c->channels, out = (size_t)j->tiles * (size_t)j->n;
+    size_t in = plane_floats(j, j->c->channels), out = plane_floats(j, j->n);
     size_t w = (size_t)j->n * (size_t)j->c->channels;
     for (int p = 0; p < FFT_PLANES; p++) {
         const struct gemm_f32 g = {.m = j->tiles,
@@ -237,7 +245,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
 {
     const struct job *j = ctx;
     const struct room *o = j->rooms + worker;
-    size_t ch = (size_t)j->c->channels, n = (size_t)j->n, tiles = (size_t)j->tiles;
+    size_t ch = (size_t)j->c->channels, n = (size_t)j->n;
     int y = chunk * j->edge;
     fetch_strip(j, y - j->c->pad, o->strip);
     for (int i = 0; i < j->tiles; i++) {
@@ -246,7 +254,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
                                    .row = (size_t)j->width * ch,
                                    .step = ch,
                                    .planes = o->in + (size_t)i * ch,
-                                   .plane = tiles * ch};
+                                   .plane = plane_floats(j, j->c->channels)};
         j->r->k->net.fft_forward(&t);
     }
     multiply(j, o);
@@ -257,7 +265,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
                                    .step = n,
                                    .edge = j->edge,
                                    .planes = o->out + (size_t)i * n,
-                                   .plane = tiles * n};
+                                   .plane = plane_floats(j, j->n)};
         j->r->k->net.fft_inverse(&t);
         finish_tile(j, y, i, o->px);
     }
