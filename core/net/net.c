@@ -114,6 +114,7 @@ static void bind_dpt(struct binder *b, struct dpt_weights *w, const char *h)
     plain(b, &w->norm_b, "%s.norm.bias", h);
     for (int k = 0; k < NET_KEEP; k++) {
         weight(b, &w->project[k], "%s.projects.%d", h, k);
+        w->oc[k] = w->project[k].n;
         weight(b, &w->rn[k], "%s.scratch.layer%d_rn", h, k + 1);
         weight(b, &w->out_conv[k], "%s.scratch.refinenet%d.out_conv", h, k + 1);
         bind_unit(b, &w->unit2[k], h, k + 1, 2);
@@ -123,6 +124,7 @@ static void bind_dpt(struct binder *b, struct dpt_weights *w, const char *h)
             bind_unit(b, &w->unit1[k], h, k + 1, 1);
     }
     weight(b, &w->output_conv1, "%s.scratch.output_conv1", h);
+    w->feat = w->out_conv[0].n;
 }
 
 static void bind_appearance(struct binder *b, struct appearance_weights *w)

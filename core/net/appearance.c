@@ -1,0 +1,590 @@
+/* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch.
+ *
+ * Attention (model-spec 2.7) is streamed by blocks of query rows: for each head all logits of the
+ * block, their softmax over all V P keys, summed into the mean over heads; then the columns of the
+ * special tokens are left out and, view by view, the rest meets the values of that view, so that no
+ * (V M)^2 matrix exists. Rows are divided by their sum after these products: sums are linear. */
+#include "core/net/appearance.h"
+
+#include "core/net/plan.h"
+#include "core/net/tap.h"
+#include "core/prep.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { ROWS = 32 }; // queries of a block
+
+#define NORM_EPS 1e-5f    // model-spec 2.6, 2.8
+#define HEAD_SCALE 0.125f // whatever the width of a head (golden/QUIRKS 2)
+#define SHARE_EPS 1e-6f   // model-spec 2.7, 2.8
+#define RANGE_MIN 0.5f    // log2, model-spec 1.2
+#define PI 3.14159265358979323846
+
+struct fusion {
+    const struct run *r;
+    const struct appearance_weights *w;
+    const struct views *v;
+    const struct tokens *t;
+    int heads, head, d; // number and width of heads; width of the branch
+    int m, n, keys;     // M, V M, V P
+    int key_panels, value_panels;
+    struct irradiance *out;
+    float *norm;       // (n, d) xn, later a hidden layer
+    float *film;       // (V, 2 d) gamma, beta
+    float *values;     // per view (value_panels, M, PANEL): d of the mean, d of the variance
+    float *panels;     // per head (key_panels, head, PANEL)
+    float *mean, *var; // (n, d)
+    float *vis;        // (n, V)
+    struct fusion_room *rooms;
+};
+
+/* Scratch of one worker. */
+struct fusion_room {
+    float *logits, *sum; // (ROWS, key_panels PANEL) of one head; of all
+    float *part;         // per view (ROWS, value_panels PANEL)
+    double *mass;        // (V)
+};
+
+static size_t logit_pitch(const struct fusion *f)
+{
+    return (size_t)f->key_panels * PANEL;
+}
+
+static size_t value_pitch(const struct fusion *f)
+{
+    return (size_t)f->value_panels * PANEL;
+}
+
+static int panels_of(int n)
+{
+    return (n + PANEL - 1) / PANEL;
+}
+
+/* ---- exposures ---- */
+
+void appearance_code(float stops, int n, float *out)
+{
+    double a = (double)stops * PI / 8;
+    for (int i = 0; i < n; i += 2) {
+        double angle = a * exp2((double)i / n);
+        out[i] = (float)sin(angle);
+        out[i + 1] = (float)cos(angle);
+    }
+}
+
+float appearance_range(const struct views *v)
+{
+    float lo = v->log2t[0], hi = lo;
+    for (int i = 1; i < v->n; i++) {
+        lo = fminf(lo, v->log2t[i]);
+        hi = fmaxf(hi, v->log2t[i]);
+    }
+    return fmaxf(hi - lo, RANGE_MIN);
+}
+
+static void tap_exposures(const struct fusion *f)
+{
+    int n = f->v->n;
+    float *rel = f->mean; // not yet in use; n_views of it
+    for (int i = 0; i < n; i++)
+        rel[i] = f->v->log2t[i] - f->v->mid_log2t;
+    tap_put(f->r,
+            &(struct tap_tensor){.name = "hdr.rel_logt", .rank = 2, .shape = {1, n}, .data = rel});
+    tap_put(f->r,
+            &(struct tap_tensor){
+                .name = "hdr.exp_embed", .rank = 3, .shape = {1, n, f->d}, .data = f->out->code});
+    tap_put(f->r,
+            &(struct tap_tensor){
+                .name = "hdr.mid_log2t", .rank = 2, .shape = {1, 1}, .data = &f->v->mid_log2t});
+}
+
+static void tap_tokens(const struct fusion *f, const char *name, const float *px)
+{
+    tap_put(f->r,
+            &(struct tap_tensor){.name = name, .rank = 3, .shape = {1, f->n, f->d}, .data = px});
+}
+
+/* ---- tokens ---- */
+
+void appearance_fetch(const void *ctx, int y, int x, int n, float *restrict out)
+{
+    const struct appearance_picture *p = ctx;
+    size_t plane = (size_t)p->size * (size_t)p->size;
+    const float *px = p->planes + (size_t)y * (size_t)p->size + (size_t)x;
+    for (size_t i = 0; i < (size_t)n; i++)
+        for (size_t c = 0; c < 3; c++)
+            out[3 * i + c] = px[c * plane + i];
+}
+
+static struct layer_conv patch_conv(const struct weight *w, int size, const void *ctx)
+{
+    return (struct layer_conv){.w = w,
+                               .kh = NET_PATCH,
+                               .kw = NET_PATCH,
+                               .stride = NET_PATCH,
+                               .pad = 0,
+                               .channels = 3,
+                               .h = size,
+                               .w_px = size,
+                               .fetch = appearance_fetch,
+                               .ctx = ctx,
+                               .floats = true};
+}
+
+/* Appearance tokens of all views, into out->scene, where they stay as the residual. */
+static err_t embed(const struct fusion *f)
+{
+    size_t px = (size_t)f->v->size * (size_t)f->v->size, mark = arena_mark(f->r->tmp);
+    float *planes;
+    err_t e = arena_alloc(f->r->tmp, 3 * px, sizeof(float), &planes);
+    for (int v = 0; v < f->v->n && !e; v++) {
+        const struct appearance_picture picture = {planes, f->v->size};
+        const struct layer_conv c = patch_conv(&f->w->patch_embed, f->v->size, &picture);
+        float *out = f->out->scene + (size_t)v * (size_t)f->m * (size_t)f->d;
+        prep_to_float(f->v->rgb + 3 * px * (size_t)v, f->v->size, planes);
+        e = layer_conv_run(f->r, &c, &(struct layer_out){.out = out, .ldo = (size_t)f->d});
+    }
+    arena_reset(f->r->tmp, mark);
+    if (!e)
+        tap_tokens(f, "hdr.patch_tokens", f->out->scene);
+    return e;
+}
+
+static void norm_rows(const struct fusion *f, const float *in, const float *g, const float *b,
+                      float *out)
+{
+    const struct norm norm = {f->d, NORM_EPS, g, b};
+    for (size_t i = 0; i < (size_t)f->n; i++)
+        f->r->k->net.norm(&norm, in + i * (size_t)f->d, out + i * (size_t)f->d);
+}
+
+/* What the modulation sees of each view: (V, 3 d) code, mean token, mean of these means. */
+static void film_inputs(const struct fusion *f, float *out)
+{
+    size_t d = (size_t)f->d, n_views = (size_t)f->v->n, m = (size_t)f->m;
+    for (size_t c = 0; c < d; c++) {
+        double all = 0;
+        for (size_t v = 0; v < n_views; v++) {
+            double sum = 0;
+            for (size_t i = 0; i < m; i++)
+                sum += f->norm[(v * m + i) * d + c];
+            out[v * 3 * d + c] = f->out->code[v * d + c];
+            out[v * 3 * d + d + c] = (float)(sum / (double)m);
+            all += sum / (double)m;
+        }
+        for (size_t v = 0; v < n_views; v++)
+            out[v * 3 * d + 2 * d + c] = (float)(all / (double)n_views);
+    }
+}
+
+static void tap_film(const struct fusion *f)
+{
+    size_t d = (size_t)f->d;
+    for (int half = 0; half < 2; half++)
+        tap_put(f->r, &(struct tap_tensor){.name = half ? "hdr.film_beta" : "hdr.film_gamma",
+                                           .rank = 3,
+                                           .shape = {1, f->v->n, f->d},
+                                           .data = f->film + (half ? d : 0),
+                                           .stride = {2 * d * (size_t)f->v->n, 2 * d, 1}});
+}
+
+/* out = b(relu(a(in))) over rows of d_in values; hidden: (m, d). */
+static err_t mlp(const struct fusion *f, const struct mlp_weights *w, const struct layer_in *in,
+                 float *hidden, const struct layer_out *out)
+{
+    size_t n = (size_t)w->a.n;
+    err_t e =
+        layer_run(f->r, &w->a, in, &(struct layer_out){.out = hidden, .ldo = n, .act = ACT_RELU});
+    return e ? e : layer_run(f->r, &w->b, &(struct layer_in){hidden, n, in->m, true}, out);
+}
+
+/* Gains and offsets of the values of each view. */
+static err_t modulation(const struct fusion *f)
+{
+    size_t mark = arena_mark(f->r->tmp), d = (size_t)f->d, n = (size_t)f->v->n;
+    float *in, *hidden;
+    err_t e = arena_alloc(f->r->tmp, n * 3 * d, sizeof(float), &in);
+    if (!e)
+        e = arena_alloc(f->r->tmp, n * d, sizeof(float), &hidden);
+    if (!e) {
+        film_inputs(f, in);
+        e = mlp(f, &f->w->film, &(struct layer_in){in, 3 * d, f->v->n, true}, hidden,
+                &(struct layer_out){.out = f->film, .ldo = 2 * d});
+    }
+    arena_reset(f->r->tmp, mark);
+    if (!e)
+        tap_film(f);
+    return e;
+}
+
+/* ---- panels ---- */
+
+/* Values of one view to panels; the mean's are modulated. flat: (M, d) each. */
+static void pack_values(const struct fusion *f, int view, const float *mean, const float *var,
+                        float *out)
+{
+    size_t d = (size_t)f->d, m = (size_t)f->m;
+    const float *gamma = f->film + (size_t)view * 2 * d, *beta = gamma + d;
+    for (size_t c = 0; c < value_pitch(f); c++) {
+        float *to = out + c / PANEL * PANEL * m + c % PANEL;
+        for (size_t i = 0; i < m; i++, to += PANEL)
+            if (c < d)
+                *to = mean[i * d + c] * (1 + gamma[c]) + beta[c];
+            else
+                *to = c < 2 * d ? var[i * d + c - d] : 0;
+    }
+}
+
+static err_t project_values(const struct fusion *f)
+{
+    size_t d = (size_t)f->d, m = (size_t)f->m, mark = arena_mark(f->r->tmp);
+    float *mean, *var;
+    err_t e = arena_alloc(f->r->tmp, m * d, sizeof(float), &mean);
+    if (!e)
+        e = arena_alloc(f->r->tmp, m * d, sizeof(float), &var);
+    for (int v = 0; v < f->v->n && !e; v++) {
+        const struct layer_in in = {f->norm + (size_t)v * m * d, d, f->m, true};
+        e = layer_run(f->r, &f->w->v_mean, &in, &(struct layer_out){.out = mean, .ldo = d});
+        if (!e)
+            e = layer_run(f->r, &f->w->v_var, &in, &(struct layer_out){.out = var, .ldo = d});
+        if (!e)
+            pack_values(f, v, mean, var, f->values + (size_t)v * m * value_pitch(f));
+    }
+    arena_reset(f->r->tmp, mark);
+    return e;
+}
+
+/* Keys of one head to panels; keys beyond the last are zero. */
+static err_t pack_keys(void *ctx, int head, int worker)
+{
+    const struct fusion *f = ctx;
+    size_t width = (size_t)f->head, pitch = logit_pitch(f);
+    const float *k = f->t->k + (size_t)head * (size_t)f->keys * width;
+    float *out = f->panels + (size_t)head * pitch * width;
+    (void)worker;
+    memset(out + (pitch - PANEL) * width, 0, PANEL * width * sizeof *out);
+    for (size_t j = 0; j < (size_t)f->keys; j++)
+        for (size_t i = 0; i < width; i++)
+            out[j / PANEL * PANEL * width + i * PANEL + j % PANEL] = k[j * width + i];
+    return OK;
+}
+
+/* ---- attention ---- */
+
+static err_t check_cancel(const struct run *r)
+{
+    if (r->cancel && atomic_load(r->cancel))
+        return err_fail(ERR_CANCELLED, "network: cancelled");
+    return OK;
+}
+
+/* Softmax of one head for `rows` queries from token row `at` on, added to room->sum. */
+static void add_head(const struct fusion *f, int head, size_t at, int rows,
+                     const struct fusion_room *room)
+{
+    const struct gemm_kernels *k = &f->r->k->net;
+    float scale[ROWS], top[ROWS], sum[ROWS], rescale[ROWS], weigh[ROWS];
+    size_t width = (size_t)f->head, pitch = logit_pitch(f);
+    for (int i = 0; i < rows; i++) {
+        scale[i] = HEAD_SCALE;
+        top[i] = -INFINITY;
+        sum[i] = 0;
+    }
+    const struct gemm_f32 g = {.m = rows,
+                               .panels = f->key_panels,
+                               .segs = 1,
+                               .seg = f->head,
+                               .a = f->t->q + ((size_t)head * (size_t)f->keys + at) * width,
+                               .lda = width,
+                               .w = f->panels + (size_t)head * pitch * width,
+                               .ldw = PANEL * width,
+                               .c = room->logits,
+                               .ldc = pitch};
+    const struct attend_block b = {.m = rows,
+                                   .n = f->keys,
+                                   .sf = room->logits,
+                                   .lds = pitch,
+                                   .row_scale = scale,
+                                   .top = top,
+                                   .sum = sum,
+                                   .pf = room->logits,
+                                   .ldp = pitch,
+                                   .rescale = rescale,
+                                   .weigh = weigh};
+    k->f32(&g);
+    k->attend_block(&b);
+    for (int i = 0; i < rows; i++) {
+        rescale[i] = 1;
+        weigh[i] = 1 / ((float)f->heads * sum[i]);
+    }
+    k->attend_add(&(struct attend_add){.m = rows,
+                                       .n = f->keys,
+                                       .cf = room->logits,
+                                       .ldc = pitch,
+                                       .rescale = rescale,
+                                       .weigh = weigh,
+                                       .o = room->sum,
+                                       .ldo = pitch});
+}
+
+/* Row `row` of the attention map, without special tokens; overwrites the logits. */
+static void tap_attention(const struct fusion *f, int row, const float *sum, float factor,
+                          float *line)
+{
+    size_t m = (size_t)f->m;
+    if (!tap_on(f->r))
+        return;
+    for (size_t v = 0; v < (size_t)f->v->n; v++)
+        for (size_t i = 0; i < m; i++)
+            line[v * m + i] = factor * sum[v * (m + NET_SPECIAL) + NET_SPECIAL + i];
+    tap_put(f->r, &(struct tap_tensor){.name = "hdr.attn",
+                                       .rank = 3,
+                                       .shape = {1, f->n, f->n},
+                                       .part = row,
+                                       .parts = f->n,
+                                       .data = line});
+}
+
+/* Mean and variance over the views of what they have to say to query `row` (model-spec 2.8).
+ * sum: its attention; part: its products with the values of view 0, the next view `step` on. */
+static void combine(const struct fusion *f, int row, const float *sum, const float *part,
+                    const struct fusion_room *room)
+{
+    size_t d = (size_t)f->d, n_views = (size_t)f->v->n, step = ROWS * value_pitch(f);
+    float *vis = f->vis + (size_t)row * n_views, *mean = f->mean + (size_t)row * d;
+    float *var = f->var + (size_t)row * d, range = appearance_range(f->v);
+    double all = 0;
+    for (size_t v = 0; v < n_views; v++) {
+        const float *from = sum + v * ((size_t)f->m + NET_SPECIAL) + NET_SPECIAL;
+        room->mass[v] = 0;
+        for (int i = 0; i < f->m; i++)
+            room->mass[v] += from[i];
+        all += room->mass[v];
+    }
+    float factor = (float)(1 / (all + SHARE_EPS));
+    for (size_t v = 0; v < n_views; v++)
+        vis[v] = (float)(room->mass[v] * factor / (all * factor + SHARE_EPS));
+    for (size_t c = 0; c < d; c++) {
+        float a = 0, centre = 0, spread = 0;
+        for (size_t v = 0; v < n_views; v++) {
+            a += vis[v] * factor * part[v * step + c];
+            centre += vis[v] * factor * part[v * step + d + c];
+        }
+        for (size_t v = 0; v < n_views; v++) {
+            float off = factor * part[v * step + d + c] - centre;
+            spread += vis[v] * off * off;
+        }
+        mean[c] = a;
+        var[c] = spread / range;
+    }
+    tap_attention(f, row, sum, factor, room->logits);
+}
+
+static int blocks_of_view(const struct fusion *f)
+{
+    return (f->m + ROWS - 1) / ROWS;
+}
+
+static err_t fuse_block(void *ctx, int chunk, int worker)
+{
+    const struct fusion *f = ctx;
+    const struct fusion_room *room = f->rooms + worker;
+    int view = chunk / blocks_of_view(f), first = chunk % blocks_of_view(f) * ROWS;
+    int rows = f->m - first < ROWS ? f->m - first : ROWS;
+    size_t p = (size_t)f->m + NET_SPECIAL, pitch = logit_pitch(f), values = value_pitch(f);
+    size_t at = (size_t)view * p + NET_SPECIAL + (size_t)first;
+    memset(room->sum, 0, (size_t)rows * pitch * sizeof(float));
+    for (int head = 0; head < f->heads; head++) {
+        err_t e = check_cancel(f->r);
+        if (e)
+            return e;
+        add_head(f, head, at, rows, room);
+    }
+    for (size_t v = 0; v < (size_t)f->v->n; v++)
+        f->r->k->net.f32(&(struct gemm_f32){.m = rows,
+                                            .panels = f->value_panels,
+                                            .segs = 1,
+                                            .seg = f->m,
+                                            .a = room->sum + v * p + NET_SPECIAL,
+                                            .lda = pitch,
+                                            .w = f->values + v * (size_t)f->m * values,
+                                            .ldw = PANEL * (size_t)f->m,
+                                            .c = room->part + v * ROWS * values,
+                                            .ldc = values});
+    for (int i = 0; i < rows; i++)
+        combine(f, view * f->m + first + i, room->sum + (size_t)i * pitch,
+                room->part + (size_t)i * values, room);
+    return OK;
+}
+
+static err_t fuse(struct fusion *f)
+{
+    size_t mark = arena_mark(f->r->tmp), n_views = (size_t)f->v->n;
+    int workers = pool_size(f->r->pool);
+    err_t e = arena_alloc(f->r->tmp, (size_t)f->heads * logit_pitch(f) * (size_t)f->head,
+                          sizeof(float), &f->panels);
+    if (!e)
+        e = arena_alloc(f->r->tmp, (size_t)workers, sizeof *f->rooms, &f->rooms);
+    for (int i = 0; i < workers && !e; i++) {
+        struct fusion_room *o = f->rooms + i;
+        e = arena_alloc(f->r->tmp, ROWS * logit_pitch(f), sizeof(float), &o->logits);
+        if (!e)
+            e = arena_alloc(f->r->tmp, ROWS * logit_pitch(f), sizeof(float), &o->sum);
+        if (!e)
+            e = arena_alloc(f->r->tmp, n_views * ROWS * value_pitch(f), sizeof(float), &o->part);
+        if (!e)
+            e = arena_alloc(f->r->tmp, n_views, sizeof(double), &o->mass);
+    }
+    if (!e)
+        e = pool_for(f->r->pool, f->heads, pack_keys, f);
+    if (!e)
+        e = pool_for(f->r->pool, f->v->n * blocks_of_view(f), fuse_block, f);
+    arena_reset(f->r->tmp, mark);
+    return e;
+}
+
+/* ---- the stage ---- */
+
+/* Fused statistics to tokens; the statistics are used up. */
+static err_t finish(const struct fusion *f)
+{
+    size_t d = (size_t)f->d;
+    const struct appearance_weights *w = f->w;
+    tap_put(f->r, &(struct tap_tensor){
+                      .name = "hdr.vis_w", .rank = 3, .shape = {1, f->n, f->v->n}, .data = f->vis});
+    tap_tokens(f, "hdr.weighted_mean", f->mean);
+    tap_tokens(f, "hdr.weighted_var", f->var);
+    norm_rows(f, f->mean, w->mean_g, w->mean_b, f->mean);
+    norm_rows(f, f->var, w->var_g, w->var_b, f->var);
+    err_t e = mlp(f, &w->mean_out, &(struct layer_in){f->mean, d, f->n, true}, f->norm,
+                  &(struct layer_out){.out = f->out->scene, .ldo = d, .add = true});
+    if (!e)
+        e = mlp(f, &w->var_out, &(struct layer_in){f->var, d, f->n, true}, f->norm,
+                &(struct layer_out){.out = f->out->sens, .ldo = d});
+    if (e)
+        return e;
+    tap_tokens(f, "hdr.scene_tokens", f->out->scene);
+    tap_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
+    return OK;
+}
+
+static err_t alloc_all(struct fusion *f)
+{
+    struct arena *keep = f->r->keep, *tmp = f->r->tmp;
+    size_t n = (size_t)f->n, d = (size_t)f->d, n_views = (size_t)f->v->n;
+    err_t e = arena_alloc(keep, n_views * d, sizeof(float), &f->out->code);
+    if (!e)
+        e = arena_alloc(keep, n * d, sizeof(float), &f->out->scene);
+    if (!e)
+        e = arena_alloc(keep, n * d, sizeof(float), &f->out->sens);
+    if (!e)
+        e = arena_alloc(tmp, n * d, sizeof(float), &f->norm);
+    if (!e)
+        e = arena_alloc(tmp, n_views * 2 * d, sizeof(float), &f->film);
+    if (!e)
+        e = arena_alloc(tmp, n * value_pitch(f), sizeof(float), &f->values);
+    if (!e)
+        e = arena_alloc(tmp, n * d, sizeof(float), &f->mean);
+    if (!e)
+        e = arena_alloc(tmp, n * d, sizeof(float), &f->var);
+    if (!e)
+        e = arena_alloc(tmp, n * n_views, sizeof(float), &f->vis);
+    return e;
+}
+
+static struct fusion start(const struct net *net, int n_views, int grid)
+{
+    int m = grid * grid, keys = n_views * (m + NET_SPECIAL), d = net->d.hdr;
+    return (struct fusion){.w = &net->appearance,
+                           .heads = net->d.heads,
+                           .head = net->d.embed / net->d.heads,
+                           .d = d,
+                           .m = m,
+                           .n = n_views * m,
+                           .keys = keys,
+                           .key_panels = panels_of(keys),
+                           .value_panels = panels_of(2 * d)};
+}
+
+err_t appearance_run(const struct run *r, const struct net *net, const struct views *v,
+                     const struct tokens *t, struct irradiance *out)
+{
+    struct fusion f = start(net, v->n, t->grid);
+    size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
+    memset(out, 0, sizeof *out);
+    f.r = r;
+    f.v = v;
+    f.t = t;
+    f.out = out;
+    err_t e = alloc_all(&f);
+    if (!e) {
+        for (int i = 0; i < v->n; i++)
+            appearance_code(v->log2t[i] - v->mid_log2t, f.d, out->code + (size_t)i * (size_t)f.d);
+        tap_exposures(&f);
+        e = embed(&f);
+    }
+    if (!e) {
+        norm_rows(&f, out->scene, f.w->ln_g, f.w->ln_b, f.norm);
+        e = modulation(&f);
+    }
+    if (!e)
+        e = project_values(&f);
+    if (!e)
+        e = fuse(&f);
+    if (!e)
+        e = finish(&f);
+    arena_reset(r->tmp, tmp);
+    if (e) {
+        arena_reset(r->keep, keep);
+        memset(out, 0, sizeof *out);
+    } else if (r->progress) {
+        r->progress(r->progress_ctx, "fusion", 1, 1, NULL);
+    }
+    return e;
+}
+
+/* ---- plan ---- */
+
+static void plan_fuse(struct plan *whole, const struct fusion *f, size_t n_views, int threads)
+{
+    struct plan p = {0, 0};
+    plan_hold(&p, (size_t)f->heads * logit_pitch(f) * (size_t)f->head, sizeof(float));
+    plan_hold(&p, (size_t)threads, sizeof(struct fusion_room));
+    for (int i = 0; i < threads; i++) {
+        plan_hold(&p, ROWS * logit_pitch(f), sizeof(float));
+        plan_hold(&p, ROWS * logit_pitch(f), sizeof(float));
+        plan_hold(&p, n_views * ROWS * value_pitch(f), sizeof(float));
+        plan_hold(&p, n_views, sizeof(double));
+    }
+    plan_step(whole, p.peak);
+}
+
+void appearance_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
+                     size_t *tmp)
+{
+    const struct fusion f = start(net, n_views, size / NET_PATCH);
+    struct plan k = {0, 0}, p = {0, 0}, in;
+    size_t n = (size_t)f.n, d = (size_t)f.d, v = (size_t)n_views, m = (size_t)f.m;
+    const struct layer_conv conv = patch_conv(&f.w->patch_embed, size, NULL);
+    plan_hold(&k, v * d, sizeof(float));
+    plan_hold(&k, n * d, sizeof(float));
+    plan_hold(&k, n * d, sizeof(float));
+    plan_hold(&p, n * d, sizeof(float));
+    plan_hold(&p, v * 2 * d, sizeof(float));
+    plan_hold(&p, n * value_pitch(&f), sizeof(float));
+    plan_hold(&p, n * d, sizeof(float));
+    plan_hold(&p, n * d, sizeof(float));
+    plan_hold(&p, n * v, sizeof(float));
+    in = p;
+    plan_hold(&in, 3 * (size_t)size * (size_t)size, sizeof(float));
+    plan_step(&in, layer_conv_need(&conv, threads));
+    plan_step(&p, in.peak - p.held);
+    in = p;
+    plan_hold(&in, 4 * (v + m) * d, sizeof(float)); // inputs of the modulation, flat values
+    plan_step(&in, plan_rooms(3 * f.d, threads));
+    plan_step(&p, in.peak - p.held);
+    plan_fuse(&p, &f, v, threads);
+    *keep = k.held;
+    *tmp = p.peak;
+}

@@ -1,0 +1,181 @@
+/* Per view: the trunk at 8 px per patch, seen at full size by a 3x3 convolution, then a product per
+ * pixel whose first output is the logarithm of the depth. The second one, a confidence, is computed
+ * for a tap only: nothing reads it. */
+#include "core/net/depth.h"
+
+#include "core/net/dpt.h"
+#include "core/net/plan.h"
+#include "core/net/tap.h"
+
+#include <math.h>
+
+#define LOG_MAX 80.0f // of a depth or its inverse
+
+struct tail {
+    const struct run *r;
+    const struct net *net;
+    const struct tokens *t;
+    int size, outputs; // outputs: 1, or 2 where the confidence is tapped
+    struct weight last;
+    float *trunk;  // (edge, edge, feat / 2)
+    float *hidden; // (size, size, hidden)
+    float *raw;    // (size, size, outputs)
+};
+
+static size_t pixels(int size)
+{
+    return (size_t)size * (size_t)size;
+}
+
+static struct layer_conv tail_conv(const struct net *net, int size, const struct dpt_blend *b)
+{
+    const struct weight *w = &net->depth_out.a;
+    return (struct layer_conv){.w = w,
+                               .kh = 3,
+                               .kw = 3,
+                               .stride = 1,
+                               .pad = 1,
+                               .channels = w->seg / 3,
+                               .h = size,
+                               .w_px = size,
+                               .fetch = dpt_blend_fetch,
+                               .ctx = b,
+                               .floats = net->floats & NET_FLOAT_HEADS};
+}
+
+/* Trunk to raw outputs. */
+static err_t run_tail(const struct tail *s)
+{
+    int edge = dpt_edge(s->t->grid), c = s->net->depth.feat / 2;
+    struct dpt_blend b = {.map = {s->trunk, edge, edge, c, s->size, s->size, true}};
+    size_t mark = arena_mark(s->r->tmp), hidden = (size_t)s->net->depth_out.a.n;
+    float *code;
+    err_t e = arena_alloc(s->r->tmp, (size_t)s->size * (size_t)c / 2, sizeof(float), &code);
+    if (!e) {
+        dpt_code(s->size, c, code);
+        b.code = code;
+        const struct layer_conv conv = tail_conv(s->net, s->size, &b);
+        e = layer_conv_run(s->r, &conv,
+                           &(struct layer_out){.out = s->hidden, .ldo = hidden, .act = ACT_RELU});
+    }
+    if (!e)
+        e = layer_run(s->r, &s->last,
+                      &(struct layer_in){s->hidden, hidden, s->size * s->size, true},
+                      &(struct layer_out){.out = s->raw, .ldo = (size_t)s->outputs});
+    arena_reset(s->r->tmp, mark);
+    return e;
+}
+
+static float exponential(float a)
+{
+    return expf(fminf(fmaxf(a, -LOG_MAX), LOG_MAX));
+}
+
+/* The hidden map is used up. */
+static void tap_view(const struct tail *s, int view, const float *depth)
+{
+    int size = s->size, v = s->t->n_views;
+    size_t n = pixels(size);
+    float *conf = s->hidden;
+    if (!tap_on(s->r))
+        return;
+    for (size_t i = 0; i < n; i++)
+        conf[i] = 1 + exponential(s->raw[i * (size_t)s->outputs + 1]);
+    tap_map(s->r, "depth.raw", view, v, (int[]){size, size, s->outputs}, s->raw);
+    tap_put(s->r, &(struct tap_tensor){.name = "depth.depth",
+                                       .rank = 5,
+                                       .shape = {1, v, size, size, 1},
+                                       .part = view,
+                                       .parts = v,
+                                       .data = depth});
+    tap_put(s->r, &(struct tap_tensor){.name = "depth.conf",
+                                       .rank = 4,
+                                       .shape = {1, v, size, size},
+                                       .part = view,
+                                       .parts = v,
+                                       .data = conf});
+}
+
+static err_t run_view(const struct tail *s, int view, float *depth)
+{
+    const struct dpt_job j = {s->net, &s->net->depth, s->t, view, "depth"};
+    err_t e = dpt_run(s->r, &j, s->trunk);
+    if (!e)
+        e = run_tail(s);
+    if (e)
+        return e;
+    for (size_t i = 0; i < pixels(s->size); i++)
+        depth[i] = exponential(s->raw[i * (size_t)s->outputs]);
+    tap_view(s, view, depth);
+    if (s->r->progress)
+        s->r->progress(s->r->progress_ctx, "depth", view + 1, s->t->n_views, NULL);
+    return OK;
+}
+
+static int outputs_of(const struct run *r)
+{
+    return tap_on(r) ? 2 : 1;
+}
+
+err_t depth_run(const struct run *r, const struct net *net, const struct tokens *t,
+                struct geometry *io)
+{
+    struct tail s = {.r = r,
+                     .net = net,
+                     .t = t,
+                     .size = io->size,
+                     .outputs = outputs_of(r),
+                     .last = net->depth_out.b};
+    size_t n = pixels(io->size), trunk = pixels(dpt_edge(t->grid)) * (size_t)net->depth.feat / 2;
+    size_t mark = arena_mark(r->tmp);
+    s.last.n = s.outputs;
+    err_t e = arena_alloc(r->keep, (size_t)t->n_views * n, sizeof(float), &io->depth);
+    if (!e)
+        e = arena_alloc(r->tmp, trunk, sizeof(float), &s.trunk);
+    if (!e)
+        e = arena_alloc(r->tmp, n * (size_t)net->depth_out.a.n, sizeof(float), &s.hidden);
+    if (!e)
+        e = arena_alloc(r->tmp, n * (size_t)s.outputs, sizeof(float), &s.raw);
+    for (int v = 0; v < t->n_views && !e; v++)
+        e = run_view(&s, v, io->depth + (size_t)v * n);
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+void depth_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
+                size_t *tmp)
+{
+    struct plan p = {0, 0};
+    int grid = size / NET_PATCH;
+    const struct layer_conv conv = tail_conv(net, size, NULL);
+    size_t c = (size_t)net->depth.feat / 2, hidden = (size_t)net->depth_out.a.n;
+    plan_hold(&p, pixels(dpt_edge(grid)) * c, sizeof(float));
+    plan_hold(&p, pixels(size) * hidden, sizeof(float));
+    plan_hold(&p, pixels(size) * 2, sizeof(float));
+    plan_step(&p, dpt_plan(&net->depth, grid, threads));
+    plan_hold(&p, (size_t)size * c / 2, sizeof(float));
+    plan_step(&p, layer_conv_need(&conv, threads));
+    plan_step(&p, plan_rooms((int)hidden, threads));
+    *keep = arena_need((size_t)n_views * pixels(size), sizeof(float));
+    *tmp = p.peak;
+}
+
+void depth_unproject(const struct geometry *g, int view, float *points)
+{
+    const struct camera *cam = g->cams + view;
+    const float *depth = g->depth + (size_t)view * pixels(g->size);
+    double w = cam->q[0], x = cam->q[1], y = cam->q[2], z = cam->q[3];
+    const double r[9] = {
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
+        2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y),
+    };
+    for (int j = 0; j < g->size; j++)
+        for (int i = 0; i < g->size; i++, depth++, points += 3) {
+            double d = *depth;
+            const double p[3] = {((double)i - cam->cx) * d / cam->fx - cam->t[0],
+                                 ((double)j - cam->cy) * d / cam->fy - cam->t[1], d - cam->t[2]};
+            for (int k = 0; k < 3; k++)
+                points[k] = (float)(r[k] * p[0] + r[3 + k] * p[1] + r[6 + k] * p[2]);
+        }
+}

@@ -1,0 +1,29 @@
+/* gausshead.h - the Gaussian head, one view at a time: a raw Gaussian for every pixel from the
+ * trunk's map and from the fused appearance, which the picture's own fine structure brings to full
+ * resolution (model-spec 2.9).
+ * Pure computation on the pool inside struct run.
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_GAUSSHEAD_H
+#define NET_GAUSSHEAD_H
+
+#include "core/net/net.h"
+
+/* Bytes that gausshead_run takes; SIZE_MAX on overflow. Of tmp, two maps of (size, size, hdr) and
+ * one of the trunk are the most part. */
+void gausshead_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
+                    size_t *tmp);
+
+/* Inputs of the head. */
+struct gausshead_in {
+    const struct views *views;
+    const struct tokens *tokens;
+    const struct irradiance *irr; // NULL without the appearance branch
+};
+
+/* out:  features and confidence of io in r->keep, and n. summary: (n_views, 2 hdr) for metanet_run,
+ *       not written without the appearance branch; then the sensitivities are 0.
+ * err:  ERR_NOMEM (see gausshead_plan), ERR_FORMAT (metanet_init), ERR_CANCELLED. */
+MUST_USE err_t gausshead_run(const struct run *r, const struct net *net,
+                             const struct gausshead_in *in, struct prediction *io, float *summary);
+
+#endif

@@ -1,0 +1,57 @@
+/* metanet.h - the network that sees everything and writes the tone curve: a summary of each view,
+ * pooled over views, becomes the parameters of the curve (model-spec 2.10).
+ * Its first layer sees, per pixel, the guide map, the raw Gaussians and an exposure code that is
+ * the same for the whole view. The three parts are computed apart, so that they need not be in
+ * memory at once; the code becomes a bias.
+ * Pure computation on the pool inside struct run.
+ * Invariant: results do not depend on the number of threads. */
+#ifndef NET_METANET_H
+#define NET_METANET_H
+
+#include "core/net/net.h"
+
+/* The first layer split by what it sees. */
+struct metanet {
+    const struct net *net;
+    struct weight guide, raw; // panels in r->tmp
+    float *code;              // (panels, hdr, PANEL) sums over the kernel
+};
+
+/* Bytes of r->tmp that metanet_init takes, and of those that the calls for a view give back. */
+size_t metanet_need(const struct net *net);
+size_t metanet_view_plan(const struct net *net, int size, int threads);
+
+/* out:  points into net; panels in r->tmp.
+ * err:  ERR_NOMEM (see metanet_need), ERR_FORMAT (rotated weights that cannot be split). */
+MUST_USE err_t metanet_init(const struct run *r, const struct net *net, struct metanet *out);
+
+/* One view on its way. */
+struct metanet_view {
+    const struct metanet *m;
+    int view, n_views, size;
+    float *sums; // (grid, grid, hdr) of the first layer
+};
+
+/* sums = bias + what the guide map and the exposure add.
+ * guide: (size, size, hdr). code: (hdr) of appearance_code.
+ * err:  ERR_NOMEM (see metanet_view_plan), ERR_CANCELLED. */
+MUST_USE err_t metanet_guide(const struct run *r, const struct metanet_view *v, const float *guide,
+                             const float *code);
+
+/* Add the raw Gaussians of this view and finish it. The sums are used up.
+ * summary: (2 hdr) mean and maximum over the view.
+ * err:  as above. */
+MUST_USE err_t metanet_summarise(const struct run *r, const struct metanet_view *v,
+                                 const struct prediction *p, float *summary);
+
+/* summary: (n_views, 2 hdr).
+ * out:  theta and tone of io; parameters that no image needs are 0 unless r->tap is set.
+ * err:  ERR_NOMEM (r->tmp, see metanet_plan), ERR_CANCELLED. */
+size_t metanet_plan(const struct net *net, int threads);
+MUST_USE err_t metanet_run(const struct run *r, const struct net *net, const float *summary,
+                           int n_views, float mid_log2t, struct prediction *io);
+
+/* Plane of raw channel c (0..87, model-spec 2.9) of one view, (size, size). */
+float *metanet_plane(const struct prediction *p, int c, int view, int size);
+
+#endif
