@@ -1,0 +1,339 @@
+/* Positions and angles against the figures of model-spec; the backbone of a tiny network: memory as
+ * planned, the same bytes for any number of threads, cancellation. Its values are compared in the
+ * golden tests. */
+#include "core/net/backbone.h"
+
+#include "core/base/cpu.h"
+#include "core/net/block.h"
+#include "core/net/tap.h"
+#include "tests/unit/small_model.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+static const struct net_dims tiny = {
+    .embed = 64,
+    .heads = 4,
+    .dino_depth = 2,
+    .dino_heads = 2,
+    .depth = 5,
+    .keep = {0, 1, 2, 4},
+    .qk_layer = 3,
+    .cam_depth = 1,
+    .cam_heads = 2,
+    .depth_feat = 16,
+    .gs_feat = 16,
+    .depth_oc = {8, 8, 8, 8},
+    .gs_oc = {8, 8, 8, 8},
+    .hdr = 8,
+    .size = 42,
+    .voxel = 0.1f,
+    .gauss = true,
+    .appearance = true,
+};
+
+/* ---- positions ---- */
+
+/* Weights of the rows of output 0 and 1 at 32 x 32 (model-spec 2.1, point 3): a grid that is 1 in
+ * row j alone shows the weight of j. */
+static void positions_of_448(void **state)
+{
+    static const float want[2][4] = {{0.88127266f, 0.15239736f, -0.03367002f, 0},
+                                     {-0.02530379f, 0.78374583f, 0.29234094f, -0.05078298f}};
+    static float grid[NET_POS_GRID * NET_POS_GRID * 8], out[32 * 32 * 8];
+    (void)state;
+    for (int i = 0; i < NET_POS_GRID * NET_POS_GRID; i++) {
+        int y = i / NET_POS_GRID, x = i % NET_POS_GRID;
+        if (y < 4)
+            grid[8 * i + y] = 1;
+        if (x < 4)
+            grid[8 * i + 4 + x] = 1;
+    }
+    backbone_positions(grid, 8, 32, out);
+    for (int i = 0; i < 2; i++)
+        for (int j = 0; j < 4; j++)
+            for (int other = 0; other < 32; other += 31) {
+                assert_float_equal(out[8 * (i * 32 + other) + j], want[i][j], 2e-7f);
+                assert_float_equal(out[8 * (other * 32 + i) + 4 + j], want[i][j], 2e-7f);
+            }
+}
+
+/* A grid of its own size stays as it is; a linear one stays linear inside, nearly so where the taps
+ * of a coarse grid are few; one patch sees the whole grid. */
+static void positions_of_other_sizes(void **state)
+{
+    static float grid[NET_POS_GRID * NET_POS_GRID], out[50 * 50];
+    (void)state;
+    for (int i = 0; i < NET_POS_GRID * NET_POS_GRID; i++)
+        grid[i] = (float)(i % NET_POS_GRID) - 18 + 3 * (float)(i / NET_POS_GRID - 18);
+    backbone_positions(grid, 1, NET_POS_GRID, out);
+    assert_memory_equal(out, grid, sizeof grid);
+    for (int n = 20; n <= 50; n += 30) {
+        backbone_positions(grid, 1, n, out);
+        for (int i = 5; i < n - 5; i++) {
+            double y = (i + 0.5) * NET_POS_GRID / n - 0.5 - 18;
+            assert_float_equal(out[i * n + i], 4 * y, n < NET_POS_GRID ? 0.1 : 1e-4);
+        }
+    }
+    backbone_positions(grid, 1, 1, out);
+    assert_float_equal(out[0], 0, 1e-5);
+}
+
+/* ---- angles ---- */
+
+static void exact_angles(void **state)
+{
+    enum { N = 32, HALF = 32 };
+    static float c[(NET_SPECIAL + N * N) * HALF], s[(NET_SPECIAL + N * N) * HALF];
+    (void)state;
+    backbone_angles(N, 2 * HALF, false, c, s);
+    for (int i = 0; i < NET_SPECIAL * HALF; i++)
+        assert_true(c[i] == 1 && s[i] == 0);
+    for (int y = 0; y < N; y++)
+        for (int x = 0; x < N; x++)
+            for (int i = 0; i < HALF; i++) {
+                int at = (NET_SPECIAL + y * N + x) * HALF + i;
+                double angle = (i < 16 ? y + 1 : x + 1) * pow(100, -(i % 16) / 16.0);
+                assert_float_equal(c[at], cos(angle), 5e-6);
+                assert_float_equal(s[at], sin(angle), 5e-6);
+            }
+}
+
+/* model-spec 0.1: frequencies of bf16, and the largest error that rounding the products makes. */
+static void rounded_angles(void **state)
+{
+    static const double want[16] = {1,
+                                    .75,
+                                    .5625,
+                                    .421875,
+                                    .31640625,
+                                    .2373046875,
+                                    .177734375,
+                                    .1337890625,
+                                    .10009765625,
+                                    .0751953125,
+                                    .05615234375,
+                                    .042236328125,
+                                    .03173828125,
+                                    .023681640625,
+                                    .017822265625,
+                                    .0133056640625};
+    enum { N = 32, HALF = 32 };
+    static float c[(NET_SPECIAL + N * N) * HALF], s[(NET_SPECIAL + N * N) * HALF];
+    double largest = 0;
+    (void)state;
+    backbone_angles(N, 2 * HALF, true, c, s);
+    for (int i = 0; i < 16; i++) // the first patch: angle = frequency
+        assert_float_equal(s[NET_SPECIAL * HALF + i], sin(want[i]), 1e-7);
+    for (int y = 0; y < N; y++)
+        for (int i = 0; i < 16; i++) {
+            int at = (NET_SPECIAL + y * N) * HALF + i;
+            double exact = (y + 1) * pow(100, -i / 16.0);
+            double turned = c[at] * sin(exact) - s[at] * cos(exact);
+            if (y < 31) // the note speaks of positions up to 31
+                largest = fmax(largest, fabs(asin(turned)));
+        }
+    assert_float_equal(largest, 0.067, 0.0005);
+}
+
+/* ---- the whole ---- */
+
+enum { VIEWS = 3, SIZE_PX = 56, NAMES_MAX = 64 };
+
+static struct {
+    struct small_model model;
+    struct net net;
+    struct kernels kernels;
+    struct arena keep, tmp;
+    struct pool *pool;
+    atomic_bool cancel;
+    struct tap tap;
+    struct run r;
+    uint8_t rgb[VIEWS * 3 * 70 * 70];
+    struct views v;
+    struct tokens tokens;
+    size_t keep_plan, tmp_plan;
+    int n_taps, cancel_at;
+} t;
+
+static void count_tap(void *ctx, const struct tap_tensor *tensor)
+{
+    (void)ctx;
+    (void)tensor;
+    t.n_taps++;
+}
+
+static void count_blocks(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    (void)ctx;
+    (void)note;
+    assert_string_equal(stage, "backbone");
+    assert_int_equal(total, tiny.dino_depth + 2 * tiny.depth);
+    if (done == t.cancel_at)
+        atomic_store(&t.cancel, true);
+}
+
+static void open_world(enum precision precision, unsigned floats, int size, int threads)
+{
+    memset(&t, 0, sizeof t);
+    small_model_init(&t.model, &tiny, precision);
+    assert_int_equal(net_bind(&t.model.model, floats, &t.net), OK);
+    kernels_init(&t.kernels, cpu_detect());
+    backbone_plan(&t.net, VIEWS, size, threads, &t.keep_plan, &t.tmp_plan);
+    assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
+    assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
+    assert_int_equal(pool_open(&t.pool, threads), OK);
+    t.r = (struct run){.k = &t.kernels,
+                       .pool = t.pool,
+                       .keep = &t.keep,
+                       .tmp = &t.tmp,
+                       .cancel = &t.cancel,
+                       .progress = count_blocks};
+    for (size_t i = 0; i < sizeof t.rgb; i++)
+        t.rgb[i] = (uint8_t)(i * 2654435761u >> 24);
+    t.v = (struct views){.n = VIEWS, .size = size, .rgb = t.rgb};
+}
+
+static void close_world(void)
+{
+    pool_close(t.pool);
+    arena_free(&t.keep);
+    arena_free(&t.tmp);
+    small_model_free(&t.model);
+}
+
+static uint64_t hash_of(const float *p, size_t n, uint64_t h)
+{
+    const unsigned char *b = (const unsigned char *)p;
+    for (size_t i = 0; i < n * sizeof *p; i++)
+        h = (h ^ b[i]) * 0x100000001B3u;
+    return h;
+}
+
+static uint64_t hash_tokens(void)
+{
+    size_t n = (size_t)t.tokens.n_views * (size_t)t.tokens.n_tokens * (size_t)t.tokens.embed;
+    uint64_t h = 0xCBF29CE484222325u;
+    for (int k = 0; k < NET_KEEP; k++)
+        h = hash_of(t.tokens.keep[k], 2 * n, h);
+    return hash_of(t.tokens.k, n, hash_of(t.tokens.q, n, h));
+}
+
+static void plan_is_what_it_takes(void **state)
+{
+    (void)state;
+    for (int size = 14; size <= 70; size += 56)
+        for (unsigned floats = 0; floats <= NET_FLOAT_ALL; floats += NET_FLOAT_ALL)
+            for (int threads = 1; threads <= 3; threads += 2) {
+                open_world(PRECISION_S8, floats, size, threads);
+                assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+                assert_true(t.keep.peak == t.keep_plan);
+                assert_true(t.tmp.peak <= t.tmp_plan && t.tmp.peak > 0.9 * (double)t.tmp_plan);
+                assert_true(t.tmp.used == 0);
+                close_world();
+            }
+}
+
+static void same_bytes_for_any_threads(void **state)
+{
+    static const enum precision precisions[] = {PRECISION_F32, PRECISION_BF16, PRECISION_S8};
+    static const int threads[] = {1, 2, 7};
+    (void)state;
+    for (int p = 0; p < 3; p++) {
+        uint64_t first = 0;
+        for (int i = 0; i < 3; i++) {
+            open_world(precisions[p], NET_FLOAT_SPECIAL, SIZE_PX, threads[i]);
+            assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+            uint64_t h = hash_tokens();
+            first = i == 0 ? h : first;
+            assert_true(h == first);
+            close_world();
+        }
+    }
+}
+
+/* The last kept layer of the float model, to compare with. */
+static float *kept(enum precision precision, unsigned floats, size_t *n)
+{
+    open_world(precision, floats, SIZE_PX, 1);
+    assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+    *n = 2 * (size_t)VIEWS * (size_t)t.tokens.n_tokens * (size_t)t.tokens.embed;
+    float *copy = malloc(*n * sizeof *copy);
+    assert_non_null(copy);
+    memcpy(copy, t.tokens.keep[NET_KEEP - 1], *n * sizeof *copy);
+    close_world();
+    return copy;
+}
+
+static double deviation(const float *a, const float *b, size_t n)
+{
+    double error = 0, all = 0;
+    for (size_t i = 0; i < n; i++) {
+        error += ((double)a[i] - b[i]) * ((double)a[i] - b[i]);
+        all += (double)a[i] * a[i];
+    }
+    return sqrt(error / all);
+}
+
+/* Each part that is kept in floats brings the I8 network nearer to that of floats. */
+static void floats_cost_and_help(void **state)
+{
+    static const unsigned parts[] = {NET_FLOAT_SPECIAL, NET_FLOAT_BLOCKS, NET_FLOAT_ATTENTION,
+                                     NET_FLOAT_BLOCKS | NET_FLOAT_ATTENTION};
+    size_t n;
+    float *want = kept(PRECISION_F32, 0, &n), *plain = kept(PRECISION_S8, 0, &n);
+    double worst = deviation(want, plain, n), best = 1;
+    (void)state;
+    assert_true(worst > 0.005 && worst < 0.08);
+    for (int i = 0; i < 4; i++) {
+        float *some = kept(PRECISION_S8, parts[i], &n);
+        best = deviation(want, some, n);
+        assert_true(best < worst);
+        free(some);
+    }
+    assert_true(best < 0.6 * worst);
+    free(want);
+    free(plain);
+}
+
+static void cancelled(void **state)
+{
+    (void)state;
+    for (int at = 0; at < 8; at += 3) {
+        open_world(PRECISION_S8, 0, SIZE_PX, 2);
+        t.cancel_at = at;
+        atomic_store(&t.cancel, at == 0);
+        assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), ERR_CANCELLED);
+        assert_true(t.tmp.used == 0);
+        close_world();
+    }
+}
+
+static void every_tensor_is_tapped(void **state)
+{
+    (void)state;
+    open_world(PRECISION_F32, 0, SIZE_PX, 1);
+    t.tap.put = count_tap;
+    t.r.tap = &t.tap;
+    assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+    assert_int_equal(t.n_taps, 3 + tiny.dino_depth + 2 * tiny.depth + NET_KEEP + 2);
+    close_world();
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(positions_of_448),       cmocka_unit_test(positions_of_other_sizes),
+        cmocka_unit_test(exact_angles),           cmocka_unit_test(rounded_angles),
+        cmocka_unit_test(plan_is_what_it_takes),  cmocka_unit_test(same_bytes_for_any_threads),
+        cmocka_unit_test(floats_cost_and_help),   cmocka_unit_test(cancelled),
+        cmocka_unit_test(every_tensor_is_tapped),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
