@@ -193,6 +193,25 @@ static void equal_views(void **state)
     }
 }
 
+/* Fields of view stop at 0, everything else may be negative; four rounds add up. */
+static void activation(void **state)
+{
+    float bias[NET_POSE];
+    (void)state;
+    assert_int_equal(run(PRECISION_F32, 2, 1), OK);
+    for (int i = 0; i < NET_POSE; i++)
+        bias[i] = -5;
+    t.net.camera.fc2.bias = bias;
+    arena_reset(&t.keep, 0);
+    assert_int_equal(camera_run(&t.r, &t.net, &t.tokens, 28, &t.g), OK);
+    for (int i = 0; i < 2 * NET_POSE; i++)
+        if (i % NET_POSE < 7)
+            assert_float_equal(t.g.pose[i], -20, 2);
+        else
+            assert_true(t.g.pose[i] == 0);
+    finish();
+}
+
 static void cancelled(void **state)
 {
     (void)state;
@@ -214,6 +233,7 @@ int main(void)
         cmocka_unit_test(translations_are_finite),
         cmocka_unit_test(same_bytes_for_any_threads),
         cmocka_unit_test(equal_views),
+        cmocka_unit_test(activation),
         cmocka_unit_test(cancelled),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
