@@ -1,5 +1,6 @@
-/* A block of at most LAYER_ROWS rows meets the weights a few panels at a time: the sums of the block
- * (at most 16 kB) stay in the first cache between product and epilogue, the rows in the second.
+/* A block of at most LAYER_ROWS rows meets the weights a few panels at a time: the sums of the
+ * block (at most 16 kB) stay in the first cache between product and epilogue, the rows in the
+ * second.
  * A convolution is the same product: a tile of the input is copied with its zero border, then each
  * row of output pixels is a block whose rows overlap (gemm.h). */
 #include "core/net/layers.h"
