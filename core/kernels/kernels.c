@@ -14,18 +14,21 @@ void kernels_init(struct kernels *k, unsigned cpu)
         splat_sse41(k);
         loss_sse41(k);
         gemm_sse41(&k->net);
+        nn_sse41(&k->net);
         fft_sse41(&k->net);
     }
     if (cpu & CPU_AVX2) {
         splat_avx2(k);
         loss_avx2(k);
         gemm_avx2(&k->net);
+        nn_avx2(&k->net);
         fft_avx2(&k->net);
     }
     if (cpu & CPU_AVX512) {
         splat_avx512(k);
         loss_avx512(k);
         gemm_avx512(&k->net);
+        nn_avx512(&k->net);
         fft_avx512(&k->net);
     }
     if (cpu & CPU_AMX) {
@@ -37,6 +40,7 @@ void kernels_init(struct kernels *k, unsigned cpu)
         splat_neon(k);
         loss_neon(k);
         gemm_neon(&k->net);
+        nn_neon(&k->net);
         fft_neon(&k->net);
     }
     if (cpu & CPU_NEONDOT)

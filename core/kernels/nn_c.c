@@ -22,8 +22,8 @@ static float absmax(const float *x, size_t n)
 static void quant(const float *x, size_t n, float inv, int8_t *out)
 {
     for (size_t i = 0; i < n; i++) {
-        float v = isnan(x[i]) ? 0 : fmaxf(fminf(x[i], FLT_MAX), -FLT_MAX) * inv;
-        out[i] = (int8_t)rintf(fmaxf(fminf(v, 127), -127));
+        float v = x[i] * inv; // NaN too for 0 or an infinity times each other
+        out[i] = isnan(v) ? 0 : (int8_t)rintf(fmaxf(fminf(v, 127), -127));
     }
 }
 

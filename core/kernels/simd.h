@@ -2,7 +2,12 @@
  * The including file defines exactly one of SIMD_C, SIMD_SSE41, SIMD_AVX2, SIMD_AVX512, SIMD_NEON.
  * vf: LANES floats; vm: one truth value per lane. The operators + - * / work on vf everywhere.
  * v_fma(a, b, c) = a b + c; v_fnma(a, b, c) = c - a b; v_recip: 1 / a within 2e-7.
- * Comparisons with NaN are false. v_min/v_max return the second operand if the first is NaN. */
+ * Comparisons with NaN are false. v_min/v_max return the second operand if the first is NaN.
+ * Not with SIMD_C:
+ * _n: only the first n lanes, 1 <= n <= LANES; loads set the others to 0.
+ * v_swap(a, d): lanes i and i ^ d change places, d a power of two below LANES. v_top: largest lane.
+ * vint: LANES int32. i_round: to nearest, half to even. i_store8: the first
+ * n lanes, which are in -128..127, as int8. */
 #ifndef KERNELS_SIMD_H
 #define KERNELS_SIMD_H
 
@@ -61,6 +66,36 @@ static inline vf v_mantissa(vf a) /* in [1, 2), a > 0 normal */
     return _mm512_castsi512_ps(_mm512_or_si512(i, _mm512_set1_epi32(0x3f800000)));
 }
 static inline float v_sum(vf a) { return _mm512_reduce_add_ps(a); }
+static inline float v_top(vf a) { return _mm512_reduce_max_ps(a); }
+static inline vm m_first(int n) { return (vm)((1u << n) - 1); }
+static inline vf v_load_n(const float *p, int n) { return _mm512_maskz_loadu_ps(m_first(n), p); }
+static inline void v_store_n(float *p, vf a, int n) { _mm512_mask_storeu_ps(p, m_first(n), a); }
+static inline vf v_swap(vf a, int d)
+{
+    return d == 1   ? _mm512_permute_ps(a, 0xb1)
+           : d == 2 ? _mm512_permute_ps(a, 0x4e)
+           : d == 4 ? _mm512_shuffle_f32x4(a, a, 0xb1)
+                    : _mm512_shuffle_f32x4(a, a, 0x4e);
+}
+typedef __m512i vint;
+static inline vint i_load(const int32_t *p) { return _mm512_loadu_si512(p); }
+static inline vint i_load_n(const int32_t *p, int n)
+{
+    return _mm512_maskz_loadu_epi32(m_first(n), p);
+}
+static inline vint i_zero(void) { return _mm512_setzero_si512(); }
+static inline vint i_add(vint a, vint b) { return _mm512_add_epi32(a, b); }
+static inline int32_t i_sum(vint a) { return _mm512_reduce_add_epi32(a); }
+static inline vf i_float(vint a) { return _mm512_cvtepi32_ps(a); }
+static inline vint i_round(vf a) { return _mm512_cvtps_epi32(a); }
+static inline void i_store8(int8_t *p, vint a, int n)
+{
+    __m128i bytes = _mm512_cvtepi32_epi8(a);
+    if (n == LANES)
+        _mm_storeu_si128((__m128i *)p, bytes);
+    else
+        _mm_mask_storeu_epi8(p, m_first(n), bytes);
+}
 
 #elif defined(SIMD_AVX2)
 #if !defined(__AVX2__) || !defined(__FMA__)
@@ -110,6 +145,45 @@ static inline float v_sum(vf a)
     s = _mm_add_ps(s, _mm_movehl_ps(s, s));
     return _mm_cvtss_f32(_mm_add_ss(s, _mm_movehdup_ps(s)));
 }
+static inline float v_top(vf a)
+{
+    __m128 s = _mm_max_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps(a, 1));
+    s = _mm_max_ps(s, _mm_movehl_ps(s, s));
+    return _mm_cvtss_f32(_mm_max_ss(s, _mm_movehdup_ps(s)));
+}
+typedef __m256i vint;
+static inline vint i_first(int n)
+{
+    const vint lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+    return _mm256_cmpgt_epi32(_mm256_set1_epi32(n), lane);
+}
+static inline vm m_first(int n) { return _mm256_castsi256_ps(i_first(n)); }
+static inline vf v_load_n(const float *p, int n) { return _mm256_maskload_ps(p, i_first(n)); }
+static inline void v_store_n(float *p, vf a, int n) { _mm256_maskstore_ps(p, i_first(n), a); }
+static inline vf v_swap(vf a, int d)
+{
+    return d == 1   ? _mm256_permute_ps(a, 0xb1)
+           : d == 2 ? _mm256_permute_ps(a, 0x4e)
+                    : _mm256_permute2f128_ps(a, a, 1);
+}
+static inline vint i_load(const int32_t *p) { return _mm256_loadu_si256((const __m256i *)p); }
+static inline vint i_load_n(const int32_t *p, int n) { return _mm256_maskload_epi32(p, i_first(n)); }
+static inline vint i_zero(void) { return _mm256_setzero_si256(); }
+static inline vint i_add(vint a, vint b) { return _mm256_add_epi32(a, b); }
+static inline int32_t i_sum(vint a)
+{
+    __m128i s = _mm_add_epi32(_mm256_castsi256_si128(a), _mm256_extracti128_si256(a, 1));
+    s = _mm_add_epi32(s, _mm_shuffle_epi32(s, 0x4e));
+    return _mm_cvtsi128_si32(_mm_add_epi32(s, _mm_shuffle_epi32(s, 0xb1)));
+}
+static inline vf i_float(vint a) { return _mm256_cvtepi32_ps(a); }
+static inline vint i_round(vf a) { return _mm256_cvtps_epi32(a); }
+static inline void i_store8(int8_t *p, vint a, int n)
+{
+    __m128i b = _mm_packs_epi32(_mm256_castsi256_si128(a), _mm256_extracti128_si256(a, 1));
+    int64_t bytes = _mm_cvtsi128_si64(_mm_packs_epi16(b, b));
+    memcpy(p, &bytes, (size_t)n);
+}
 
 #elif defined(SIMD_SSE41)
 #if !defined(__SSE4_1__)
@@ -158,6 +232,36 @@ static inline float v_sum(vf a)
     a = _mm_add_ps(a, _mm_movehl_ps(a, a));
     return _mm_cvtss_f32(_mm_add_ss(a, _mm_movehdup_ps(a)));
 }
+static inline float v_top(vf a)
+{
+    a = _mm_max_ps(a, _mm_movehl_ps(a, a));
+    return _mm_cvtss_f32(_mm_max_ss(a, _mm_movehdup_ps(a)));
+}
+typedef __m128i vint;
+static inline vm m_first(int n)
+{
+    return _mm_castsi128_ps(_mm_cmpgt_epi32(_mm_set1_epi32(n), _mm_setr_epi32(0, 1, 2, 3)));
+}
+static inline vf v_swap(vf a, int d)
+{
+    return d == 1 ? _mm_shuffle_ps(a, a, 0xb1) : _mm_shuffle_ps(a, a, 0x4e);
+}
+static inline vint i_load(const int32_t *p) { return _mm_loadu_si128((const __m128i *)p); }
+static inline vint i_zero(void) { return _mm_setzero_si128(); }
+static inline vint i_add(vint a, vint b) { return _mm_add_epi32(a, b); }
+static inline int32_t i_sum(vint a)
+{
+    a = _mm_add_epi32(a, _mm_shuffle_epi32(a, 0x4e));
+    return _mm_cvtsi128_si32(_mm_add_epi32(a, _mm_shuffle_epi32(a, 0xb1)));
+}
+static inline vf i_float(vint a) { return _mm_cvtepi32_ps(a); }
+static inline vint i_round(vf a) { return _mm_cvtps_epi32(a); }
+static inline void i_store8(int8_t *p, vint a, int n)
+{
+    a = _mm_packs_epi32(a, a);
+    int32_t bytes = _mm_cvtsi128_si32(_mm_packs_epi16(a, a));
+    memcpy(p, &bytes, (size_t)n);
+}
 
 #elif defined(SIMD_NEON)
 #include <arm_neon.h>
@@ -202,6 +306,27 @@ static inline vf v_mantissa(vf a)
     return vreinterpretq_f32_u32(vorrq_u32(i, vdupq_n_u32(0x3f800000)));
 }
 static inline float v_sum(vf a) { return vaddvq_f32(a); }
+static inline float v_top(vf a) { return vmaxvq_f32(a); }
+typedef int32x4_t vint;
+static inline vm m_first(int n)
+{
+    static const int32_t lane[4] = {0, 1, 2, 3};
+    return vcltq_s32(vld1q_s32(lane), vdupq_n_s32(n));
+}
+static inline vf v_swap(vf a, int d) { return d == 1 ? vrev64q_f32(a) : vextq_f32(a, a, 2); }
+static inline vint i_load(const int32_t *p) { return vld1q_s32(p); }
+static inline vint i_zero(void) { return vdupq_n_s32(0); }
+static inline vint i_add(vint a, vint b) { return vaddq_s32(a, b); }
+static inline int32_t i_sum(vint a) { return vaddvq_s32(a); }
+static inline vf i_float(vint a) { return vcvtq_f32_s32(a); }
+static inline vint i_round(vf a) { return vcvtnq_s32_f32(a); }
+static inline void i_store8(int8_t *p, vint a, int n)
+{
+    int16x4_t b = vmovn_s32(a);
+    int8x8_t c = vmovn_s16(vcombine_s16(b, b));
+    uint32_t bytes = vget_lane_u32(vreinterpret_u32_s8(c), 0);
+    memcpy(p, &bytes, (size_t)n);
+}
 
 #else
 #define LANES 1
@@ -251,6 +376,27 @@ static inline vf v_mantissa(vf a)
 static inline float v_sum(vf a) { return a; }
 #endif
 // clang-format on
+
+#if defined(SIMD_SSE41) || defined(SIMD_NEON)
+static inline vf v_load_n(const float *p, int n)
+{
+    float lanes[LANES] = {0};
+    memcpy(lanes, p, (size_t)n * sizeof *p);
+    return v_load(lanes);
+}
+static inline void v_store_n(float *p, vf a, int n)
+{
+    float lanes[LANES];
+    v_store(lanes, a);
+    memcpy(p, lanes, (size_t)n * sizeof *p);
+}
+static inline vint i_load_n(const int32_t *p, int n)
+{
+    int32_t lanes[LANES] = {0};
+    memcpy(lanes, p, (size_t)n * sizeof *p);
+    return i_load(lanes);
+}
+#endif
 
 #if !defined(SIMD_AVX512)
 static inline vf v_scale2(vf a, vf n)

@@ -1,0 +1,478 @@
+/* nn_body.h - what surrounds the products of the network, compiled once per instruction set.
+ * Included by nn_<isa>.c after one SIMD_ macro. Bounds: tests/kernels/nn_test.c.
+ * The last lanes of a row go through the same arithmetic as the others, so that a value does not
+ * depend on its place. */
+#include "core/kernels/kernels.h"
+#include "core/kernels/simd.h"
+
+#include <float.h>
+
+#define MAP static inline __attribute__((always_inline))
+
+static const float ones[16] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
+static const float zeros[16] = {0};
+
+/* A row of factors or terms of which the contract allows NULL. */
+struct row {
+    const float *p;
+    size_t step; // 0: the same vector everywhere
+};
+
+MAP struct row row_of(const float *p, const float *otherwise)
+{
+    return p ? (struct row){p, 1} : (struct row){otherwise, 0};
+}
+
+/* lanes is LANES, known when compiled, or what is left of a row. */
+MAP vf load(const float *p, int lanes)
+{
+    return lanes == LANES ? v_load(p) : v_load_n(p, lanes);
+}
+
+MAP vf load_row(struct row r, int j, int lanes)
+{
+    return load(r.p + r.step * (size_t)j, lanes);
+}
+
+MAP void store(float *p, vf a, int lanes)
+{
+    if (lanes == LANES)
+        v_store(p, a);
+    else
+        v_store_n(p, a, lanes);
+}
+
+/* Sums of a product as floats. */
+MAP vf load_sums(const int32_t *ci, const float *cf, bool ints, size_t at, int lanes)
+{
+    if (ints)
+        return i_float(lanes == LANES ? i_load(ci + at) : i_load_n(ci + at, lanes));
+    return load(cf + at, lanes);
+}
+
+MAP vf magnitude(vf a)
+{
+    return v_max(a, v_set(0.0f) - a);
+}
+
+/* --- quantisation -------------------------------------------------------------------------- */
+
+static float absmax(const float *x, size_t n)
+{
+    vf top[4];
+    size_t i = 0;
+    for (int k = 0; k < 4; k++)
+        top[k] = v_set(0.0f);
+    for (; i + 4 * LANES <= n; i += 4 * LANES)
+        for (int k = 0; k < 4; k++)
+            top[k] = v_max(magnitude(v_load(x + i + (size_t)k * LANES)), top[k]);
+    for (; i < n; i += LANES) {
+        int lanes = n - i < LANES ? (int)(n - i) : LANES;
+        top[0] = v_max(magnitude(v_load_n(x + i, lanes)), top[0]);
+    }
+    return fminf(v_top(v_max(v_max(top[0], top[1]), v_max(top[2], top[3]))), FLT_MAX);
+}
+
+MAP void quant_lanes(const float *x, vf inv, int8_t *out, int lanes)
+{
+    vf v = load(x, lanes) * inv;
+    v = v_sel(v_le(v, v), v, v_set(0.0f)); // not NaN
+    i_store8(out, i_round(v_clamp(v, -127.0f, 127.0f)), lanes);
+}
+
+static void quant(const float *x, size_t n, float inv, int8_t *out)
+{
+    size_t i = 0;
+    for (; i + LANES <= n; i += LANES)
+        quant_lanes(x + i, v_set(inv), out + i, LANES);
+    if (i < n)
+        quant_lanes(x + i, v_set(inv), out + i, (int)(n - i));
+}
+
+/* --- rotation ------------------------------------------------------------------------------ */
+
+/* Stages of strides below `edge` <= LANES: lane i becomes its sum with lane i ^ d, or the difference
+ * where it is the second of the pair. Additions are those of the C reference, in its order: the
+ * same bits everywhere. */
+MAP vf rotate_lanes(vf a, int edge)
+{
+    static const float sign[4][16] = {{1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1},
+                                      {1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, -1},
+                                      {1, 1, 1, 1, -1, -1, -1, -1, 1, 1, 1, 1, -1, -1, -1, -1},
+                                      {1, 1, 1, 1, 1, 1, 1, 1, -1, -1, -1, -1, -1, -1, -1, -1}};
+    for (int k = 0; 1 << k < edge; k++)
+        a = v_fma(a, v_load(sign[k]), v_swap(a, 1 << k));
+    return a;
+}
+
+/* Stages of strides h and 2 h; of all in the last, times the factor. */
+MAP void rotate4(float *x, int n, int h, vf factor)
+{
+    for (int i = 0; i < n; i += 4 * h)
+        for (int j = i; j < i + h; j += LANES) {
+            vf a = v_load(x + j), b = v_load(x + j + h);
+            vf c = v_load(x + j + 2 * h), d = v_load(x + j + 3 * h);
+            vf ab = a + b, cd = c + d, a_b = a - b, c_d = c - d;
+            v_store(x + j, (ab + cd) * factor);
+            v_store(x + j + h, (a_b + c_d) * factor);
+            v_store(x + j + 2 * h, (ab - cd) * factor);
+            v_store(x + j + 3 * h, (a_b - c_d) * factor);
+        }
+}
+
+MAP void rotate2(float *x, int n, int h, vf factor)
+{
+    for (int i = 0; i < n; i += 2 * h)
+        for (int j = i; j < i + h; j += LANES) {
+            vf a = v_load(x + j), b = v_load(x + j + h);
+            v_store(x + j, (a + b) * factor);
+            v_store(x + j + h, (a - b) * factor);
+        }
+}
+
+static void hadamard(float *x, int n, int block)
+{
+    const vf one = v_set(1.0f), unit = v_set(1 / sqrtf((float)block));
+    const vf first = block > LANES ? one : unit;
+    int h = LANES, i = 0;
+    for (; block >= LANES && i < n; i += LANES)
+        v_store(x + i, rotate_lanes(v_load(x + i), LANES) * first);
+    for (; i < n; i += block)
+        v_store_n(x + i, rotate_lanes(v_load_n(x + i, block), block) * unit, block);
+    for (; 4 * h <= block; h *= 4)
+        rotate4(x, n, h, 4 * h == block ? unit : one);
+    if (2 * h == block)
+        rotate2(x, n, h, unit);
+}
+
+/* --- layer norm ---------------------------------------------------------------------------- */
+
+MAP float total(const float *x, int n)
+{
+    vf sum[4];
+    int i = 0;
+    for (int k = 0; k < 4; k++)
+        sum[k] = v_set(0.0f);
+    for (; i + 4 * LANES <= n; i += 4 * LANES)
+        for (int k = 0; k < 4; k++)
+            sum[k] = sum[k] + v_load(x + i + k * LANES);
+    for (; i < n; i += LANES)
+        sum[0] = sum[0] + v_load_n(x + i, n - i < LANES ? n - i : LANES);
+    return v_sum((sum[0] + sum[1]) + (sum[2] + sum[3]));
+}
+
+/* Sums of the differences from `centre` and of their squares. */
+MAP void moments(const float *x, int n, float centre, float *first, float *second)
+{
+    vf sum[4], square[4];
+    int i = 0;
+    for (int k = 0; k < 4; k++)
+        sum[k] = square[k] = v_set(0.0f);
+    for (; i + 4 * LANES <= n; i += 4 * LANES)
+        for (int k = 0; k < 4; k++) {
+            vf d = v_load(x + i + k * LANES) - v_set(centre);
+            sum[k] = sum[k] + d;
+            square[k] = v_fma(d, d, square[k]);
+        }
+    for (; i < n; i += LANES) {
+        int lanes = n - i < LANES ? n - i : LANES;
+        vf d = v_sel(m_first(lanes), v_load_n(x + i, lanes) - v_set(centre), v_set(0.0f));
+        sum[0] = sum[0] + d;
+        square[0] = v_fma(d, d, square[0]);
+    }
+    *first = v_sum((sum[0] + sum[1]) + (sum[2] + sum[3]));
+    *second = v_sum((square[0] + square[1]) + (square[2] + square[3]));
+}
+
+/* A first guess of the mean takes away what would cancel; the differences correct it. */
+MAP void norm_row(const struct norm *s, const float *x, float *y)
+{
+    const struct row gamma = row_of(s->gamma, ones), beta = row_of(s->beta, zeros);
+    const float n = (float)s->n, guess = total(x, s->n) / n;
+    float first, second;
+    moments(x, s->n, guess, &first, &second);
+    const float shift = first / n, var = fmaxf(second / n - shift * shift, 0);
+    const float unit = 1 / sqrtf(var + s->eps);
+    for (int i = 0; i < s->n; i += LANES) {
+        int lanes = s->n - i < LANES ? s->n - i : LANES;
+        vf d = load(x + i, lanes) - v_set(guess) - v_set(shift);
+        d = v_fma(d * v_set(unit), load_row(gamma, i, lanes), load_row(beta, i, lanes));
+        store(y + i, d, lanes);
+    }
+}
+
+static void norm(const struct norm *s, const float *x, float *y)
+{
+    norm_row(s, x, y);
+}
+
+/* --- after a product ----------------------------------------------------------------------- */
+
+/* v Phi(v), where Phi(v) - 1/2 = v P(v^2) / Q(v^2): minimax on |v| < 5.25, within 7e-8, and beyond
+ * it 0 and 1 within 8e-8. */
+MAP vf gelu(vf v)
+{
+    vf x = v_clamp(v, -5.25f, 5.25f), s = x * x;
+    vf p = v_set(6.044539987e-06f), q = v_set(5.152334666e-07f);
+    p = v_fma(p, s, v_set(3.274888149e-04f));
+    q = v_fma(q, s, v_set(1.174655117e-04f));
+    p = v_fma(p, s, v_set(5.606171675e-03f));
+    q = v_fma(q, s, v_set(2.781031653e-03f));
+    p = v_fma(p, s, v_set(5.079319701e-02f));
+    q = v_fma(q, s, v_set(3.806130216e-02f));
+    p = v_fma(p, s, v_set(3.989418745e-01f));
+    q = v_fma(q, s, v_set(2.939797342e-01f));
+    q = v_fma(q, s, v_set(1.0f));
+    // No product of a huge negative number and what is left of 0.
+    return v_max(v_set(-5.25f), v) * v_fma(x * p, v_recip(q), v_set(0.5f));
+}
+
+MAP vf activate(enum activation act, vf v)
+{
+    if (act == ACT_RELU)
+        return v_max(v, v_set(0.0f));
+    if (act == ACT_GELU)
+        return gelu(v);
+    if (act == ACT_SILU)
+        return v * v_recip(v_set(1.0f) + v_exp(v_set(0.0f) - v));
+    return v;
+}
+
+struct columns {
+    struct row scale, bias, gamma;
+};
+
+MAP void finish_lanes(const struct epilogue *e, const struct columns *c, enum activation act,
+                      bool ints, int i, int j, int lanes)
+{
+    vf scale = v_set(e->row_scale ? e->row_scale[i] : 1.0f) * load_row(c->scale, j, lanes);
+    size_t at = (size_t)i * e->ldc + (size_t)j;
+    vf v = load_sums(e->ci, e->cf, ints, at, lanes);
+    v = activate(act, v_fma(v, scale, load_row(c->bias, j, lanes)));
+    float *out = e->out + (size_t)i * e->ldo + j;
+    if (e->add)
+        v = v_fma(load_row(c->gamma, j, lanes), v, load(out, lanes));
+    store(out, v, lanes);
+}
+
+MAP void finish(const struct epilogue *e, enum activation act, bool ints)
+{
+    const struct columns c = {row_of(e->scale, ones), row_of(e->bias, zeros),
+                              row_of(e->gamma, ones)};
+    for (int i = 0; i < e->m; i++) {
+        int j = 0;
+        for (; j + LANES <= e->n; j += LANES)
+            finish_lanes(e, &c, act, ints, i, j, LANES);
+        if (j < e->n)
+            finish_lanes(e, &c, act, ints, i, j, e->n - j);
+    }
+}
+
+MAP void finish_sums(const struct epilogue *e, enum activation act)
+{
+    if (e->ci)
+        finish(e, act, true);
+    else
+        finish(e, act, false);
+}
+
+static void epilogue(const struct epilogue *e)
+{
+    switch (e->act) {
+    case ACT_RELU:
+        finish_sums(e, ACT_RELU);
+        break;
+    case ACT_GELU:
+        finish_sums(e, ACT_GELU);
+        break;
+    case ACT_SILU:
+        finish_sums(e, ACT_SILU);
+        break;
+    case ACT_NONE:
+        finish_sums(e, ACT_NONE);
+    }
+}
+
+/* --- attention ----------------------------------------------------------------------------- */
+
+static void head_turn(const struct head_turn *t, float *x)
+{
+    if (t->gamma) {
+        const struct norm s = {t->n, 1e-5f, t->gamma, t->beta};
+        norm_row(&s, x, x);
+    }
+    if (t->before)
+        memcpy(t->before, x, (size_t)t->n * sizeof *x);
+    if (!t->cosine)
+        return;
+    const int quarter = t->n / 4;
+    for (int half = 0; half < 2; half++, x += 2 * quarter)
+        for (int i = 0; i < quarter; i += LANES) {
+            int lanes = quarter - i < LANES ? quarter - i : LANES;
+            vf c = load(t->cosine + half * quarter + i, lanes);
+            vf s = load(t->sine + half * quarter + i, lanes);
+            vf a = load(x + i, lanes), b = load(x + quarter + i, lanes);
+            store(x + i, v_fnma(b, s, a * c), lanes);
+            store(x + quarter + i, v_fma(a, s, b * c), lanes);
+        }
+}
+
+/* 127 2^x for x <= 0, at most 0.011 from it, and 127 exactly for 0. Polynomial of least relative
+ * error (9e-5) for 2^f on [0, 1) among those that are 1 at 0. */
+MAP vf weight127(vf x)
+{
+    x = v_max(x, v_set(-30.0f));
+    vf n = v_floor(x), f = x - n;
+    vf p = v_set(127 * 7.706704e-02f);
+    p = v_fma(p, f, v_set(127 * 2.2764499e-01f));
+    p = v_fma(p, f, v_set(127 * 6.9511679e-01f));
+    p = v_fma(p, f, v_set(127.0f));
+    return v_scale2(p, n);
+}
+
+/* s key_scale of I8, logits of F32. */
+MAP vf logits(const struct attend_block *b, struct row key, bool ints, int i, int j, int lanes)
+{
+    vf s = load_sums(b->si, b->sf, ints, (size_t)i * b->lds + (size_t)j, lanes);
+    if (!ints)
+        s = s * v_set(b->row_scale[i]);
+    return s * load_row(key, j, lanes);
+}
+
+MAP float largest(const struct attend_block *b, struct row key, bool ints, int i)
+{
+    vf top = v_set(-INFINITY);
+    int j = 0;
+    for (; j + LANES <= b->n; j += LANES)
+        top = v_max(logits(b, key, ints, i, j, LANES), top);
+    if (j < b->n) {
+        vf x = logits(b, key, ints, i, j, b->n - j);
+        top = v_max(v_sel(m_first(b->n - j), x, top), top);
+    }
+    return v_top(top);
+}
+
+/* Weights of one row; its sum and the logit that they are relative to. */
+MAP float weigh_ints(const struct attend_block *b, struct row key, int i, float *base)
+{
+    const float top = largest(b, key, true, i);
+    const vf unit = v_set(b->row_scale[i] * 1.44269504089f);
+    int8_t *out = b->pi + (size_t)i * b->ldp;
+    vint sum = i_zero();
+    int j = 0;
+    for (; j + LANES <= b->n; j += LANES) {
+        vf x = logits(b, key, true, i, j, LANES) - v_set(top);
+        vint p = i_round(weight127(x * unit));
+        sum = i_add(sum, p);
+        i_store8(out + j, p, LANES);
+    }
+    if (j < b->n) {
+        vf x = logits(b, key, true, i, j, b->n - j) - v_set(top);
+        vf w = v_sel(m_first(b->n - j), weight127(x * unit), v_set(0.0f));
+        vint p = i_round(w);
+        sum = i_add(sum, p);
+        i_store8(out + j, p, (b->n - j + 3) / 4 * 4);
+    }
+    *base = top * b->row_scale[i];
+    return (float)i_sum(sum);
+}
+
+MAP float weigh_floats(const struct attend_block *b, struct row key, int i, float *base)
+{
+    const float all = fmaxf(largest(b, key, false, i), b->top[i]);
+    float *out = b->pf + (size_t)i * b->ldp;
+    vf sum = v_set(0.0f);
+    int j = 0;
+    for (; j + LANES <= b->n; j += LANES) {
+        vf p = v_exp(logits(b, key, false, i, j, LANES) - v_set(all));
+        sum = sum + p;
+        v_store(out + j, p);
+    }
+    if (j < b->n) {
+        vf p = v_exp(logits(b, key, false, i, j, b->n - j) - v_set(all));
+        sum = sum + v_sel(m_first(b->n - j), p, v_set(0.0f));
+        v_store_n(out + j, p, b->n - j);
+    }
+    *base = all;
+    return v_sum(sum);
+}
+
+/* e^x for x <= 0. */
+MAP vf fade(vf x)
+{
+    return v_sel(v_lt(x, v_set(-87.0f)), v_set(0.0f), v_exp(x));
+}
+
+/* weigh holds the logit that the weights of a row are relative to, rescale their sum. */
+MAP void merge(const struct attend_block *b, float unit, int i, int lanes)
+{
+    vf base = load(b->weigh + i, lanes), old = load(b->top + i, lanes), all = v_max(old, base);
+    vf rescale = fade(old - all), weigh = fade(base - all) * v_set(unit);
+    vf sum = load(b->sum + i, lanes) * rescale;
+    store(b->sum + i, v_fma(weigh, load(b->rescale + i, lanes), sum), lanes);
+    store(b->top + i, all, lanes);
+    store(b->rescale + i, rescale, lanes);
+    store(b->weigh + i, weigh, lanes);
+}
+
+static void attend_block(const struct attend_block *b)
+{
+    const struct row key = row_of(b->key_scale, ones);
+    for (int i = 0; i < b->m; i++)
+        b->rescale[i] =
+            b->si ? weigh_ints(b, key, i, b->weigh + i) : weigh_floats(b, key, i, b->weigh + i);
+    for (int i = 0; i < b->m; i += LANES)
+        merge(b, b->si ? 1 / 127.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
+}
+
+MAP void add_lanes(const struct attend_add *a, struct row scale, bool ints, int i, int j, int lanes)
+{
+    vf c = load_sums(a->ci, a->cf, ints, (size_t)i * a->ldc + (size_t)j, lanes);
+    float *o = a->o + (size_t)i * a->ldo + j;
+    vf w = v_set(a->weigh[i]) * load_row(scale, j, lanes);
+    store(o, v_fma(w, c, load(o, lanes) * v_set(a->rescale[i])), lanes);
+}
+
+MAP void add_rows(const struct attend_add *a, bool ints)
+{
+    const struct row scale = row_of(a->value_scale, ones);
+    for (int i = 0; i < a->m; i++) {
+        int j = 0;
+        for (; j + LANES <= a->n; j += LANES)
+            add_lanes(a, scale, ints, i, j, LANES);
+        if (j < a->n)
+            add_lanes(a, scale, ints, i, j, a->n - j);
+    }
+}
+
+static void attend_add(const struct attend_add *a)
+{
+    if (a->ci)
+        add_rows(a, true);
+    else
+        add_rows(a, false);
+}
+
+/* --- resizing ------------------------------------------------------------------------------ */
+
+static void lerp(const float *a, const float *b, float t, size_t n, float *out)
+{
+    for (size_t i = 0; i < n; i += LANES) {
+        int lanes = n - i < LANES ? (int)(n - i) : LANES;
+        vf x = load(a + i, lanes);
+        store(out + i, v_fma(v_set(t), load(b + i, lanes) - x, x), lanes);
+    }
+}
+
+static void nn_fill(struct gemm_kernels *k)
+{
+    k->absmax = absmax;
+    k->quant = quant;
+    k->hadamard = hadamard;
+    k->norm = norm;
+    k->epilogue = epilogue;
+    k->head_turn = head_turn;
+    k->attend_block = attend_block;
+    k->attend_add = attend_add;
+    k->lerp = lerp;
+}
