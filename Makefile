@@ -60,8 +60,8 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half loss metrics pool raster) \
-	golden/render kernels/kernels
+ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half layers loss metrics pool raster) \
+	golden/render kernels/gemm kernels/kernels
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
