@@ -7,7 +7,7 @@
 
 # Debian 12 packages: to build and run, and to check.
 DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
-	libopenexr-dev libcjson-dev libinih-dev
+	libopenexr-dev libcjson-dev libinih-dev libzip-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 
@@ -32,7 +32,7 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 	$(if $(WERROR),-Werror)
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread -MMD $(OPT) $(WARN) $(MORE) $(SANFLAGS) $(CFLAGS)
-LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lm \
+LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.

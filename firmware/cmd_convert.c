@@ -35,7 +35,7 @@ static err_t check(const struct options *o)
 
 static err_t convert(struct engine *en, const struct options *o, uint64_t seed)
 {
-    return convert_hashed(en, &o->q, seed);
+    return o->hashed ? convert_hashed(en, &o->q, seed) : convert_file(en, &o->q, o->in);
 }
 
 int cmd_convert_run(int argc, char **argv)
@@ -56,7 +56,9 @@ int cmd_convert_run(int argc, char **argv)
     const struct cmd_usage usage = {
         .name = "convert",
         .synopsis = "FILE --out FILE ",
-        .what = "Weights of a network for this program.",
+        .what =
+            "Weights of InstantHDR, AnySplat or VGGT (PyTorch's .ckpt or .pt, or .safetensors)\n"
+            "become a weights file of this program.",
         .options = options,
         .n_options = sizeof options / sizeof options[0],
     };

@@ -1,12 +1,20 @@
 #include "firmware/convert.h"
 
+#include "core/base/log.h"
+#include "core/base/sha256.h"
 #include "core/net/hashed.h"
+#include "drivers/checkpoint.h"
+#include "drivers/file.h"
+#include "drivers/infer.h"
 #include "drivers/json.h"
 #include "drivers/modelwrite.h"
 #include "drivers/netdims.h"
 
+#include <errno.h>
 #include <inttypes.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 /* ---- dimensions ---- */
 
@@ -83,4 +91,163 @@ err_t convert_hashed(struct engine *en, const struct convert_request *q, uint64_
     err_t e = read_config(q->config, &w.dims);
     w.dims.rope_bf16 = false; // the golden data are pure float32
     return e ? e : write_file(en, q, &w);
+}
+
+/* ---- weights of others ---- */
+
+enum { LIST_CAP = 400, LISTED_MAX = 5, HASH_BYTES = 1 << 20 };
+
+/* Names for a sentence, the first few. */
+struct list {
+    int n;
+    size_t used;
+    char text[LIST_CAP];
+};
+
+static void list_add(struct list *l, const char *name, const char *note)
+{
+    if (l->n++ < LISTED_MAX && l->used < sizeof l->text)
+        l->used += (size_t)snprintf(l->text + l->used, sizeof l->text - l->used, "%s%s%s",
+                                    l->n > 1 ? ", " : "", name, note);
+}
+
+static const char *list_more(const struct list *l)
+{
+    return l->n > LISTED_MAX ? ", ..." : "";
+}
+
+/* A checkpoint against the table of the network. */
+struct match {
+    const struct checkpoint *c;
+    bool *known; // (c->n) whether the table has it, read or not
+    struct list missing, wrong;
+};
+
+static bool same_shape(const struct checkpoint_tensor *a, const struct tensor_spec *b)
+{
+    if (a->rank != b->rank)
+        return false;
+    for (int k = 0; k < a->rank; k++)
+        if (a->shape[k] != (size_t)b->shape[k])
+            return false;
+    return true;
+}
+
+static err_t match_tensor(void *ctx, const struct tensor_spec *t)
+{
+    struct match *m = ctx;
+    const struct checkpoint_tensor *have = checkpoint_find(m->c, t->name);
+    if (have)
+        m->known[have - m->c->tensors] = true;
+    if (!t->used)
+        return OK;
+    if (!have) {
+        list_add(&m->missing, t->name, "");
+    } else if (!same_shape(have, t)) {
+        char note[96] = " [";
+        size_t n = 2;
+        for (int k = 0; k < have->rank && n < 40; k++)
+            n += (size_t)snprintf(note + n, sizeof note - n, k ? ",%zu" : "%zu", have->shape[k]);
+        n += (size_t)snprintf(note + n, sizeof note - n, "], not [");
+        for (int k = 0; k < t->rank; k++)
+            n += (size_t)snprintf(note + n, sizeof note - n, k ? ",%d" : "%d", t->shape[k]);
+        snprintf(note + n, sizeof note - n, "]");
+        list_add(&m->wrong, t->name, note);
+    }
+    return OK;
+}
+
+static void warn_of_extras(const struct match *m)
+{
+    struct list extra = {0};
+    for (int i = 0; i < m->c->n; i++)
+        if (!m->known[i])
+            list_add(&extra, m->c->tensors[i].name, "");
+    if (extra.n > 0)
+        log_warn("%s: %d tensors are not of this network and left out: %s%s", m->c->what, extra.n,
+                 extra.text, list_more(&extra));
+}
+
+static err_t match_all(const struct checkpoint *c, const struct net_dims *d)
+{
+    struct match m = {.c = c, .known = calloc((size_t)c->n + 1, sizeof *m.known)};
+    if (!m.known)
+        return err_fail(ERR_NOMEM, "no memory for %d names", c->n);
+    err_t e = table_walk(d, match_tensor, &m);
+    if (!e && m.missing.n > 0)
+        e = err_fail(ERR_FORMAT, "%s: %d tensors are missing: %s%s", c->what, m.missing.n,
+                     m.missing.text, list_more(&m.missing));
+    if (!e && m.wrong.n > 0)
+        e = err_fail(ERR_FORMAT, "%s: %d tensors have another shape: %s%s", c->what, m.wrong.n,
+                     m.wrong.text, list_more(&m.wrong));
+    if (!e)
+        warn_of_extras(&m);
+    free(m.known);
+    return e;
+}
+
+/* Hash of the file's bytes. */
+static err_t hash_file(const struct run *r, const char *path, char hex[SHA256_HEX_CAP])
+{
+    struct sha256 s;
+    struct stat st;
+    FILE *f = fopen(path, "rbe");
+    uint8_t *block = malloc(HASH_BYTES);
+    err_t e = OK;
+    sha256_init(&s);
+    if (!f || fstat(fileno(f), &st) != 0)
+        e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    else if (!block)
+        e = err_fail(ERR_NOMEM, "no memory to read %s", path);
+    for (int i = 0, total = e ? 0 : (int)(st.st_size / HASH_BYTES) + 1; !e; i++) {
+        size_t n = fread(block, 1, HASH_BYTES, f);
+        sha256_add(&s, block, n);
+        r->progress(r->progress_ctx, "hash", i < total ? i + 1 : total, total, "");
+        if (atomic_load(r->cancel))
+            e = err_fail(ERR_CANCELLED, "cancelled");
+        else if (n < HASH_BYTES)
+            break;
+    }
+    if (!e && ferror(f))
+        e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    if (f)
+        fclose(f);
+    free(block);
+    sha256_hex(&s, hex);
+    return e;
+}
+
+static err_t fetch_tensor(void *ctx, const struct run *r, const struct tensor_spec *t, float *out)
+{
+    const struct checkpoint *c = ctx;
+    (void)r;
+    return checkpoint_read(c, checkpoint_find(c, t->name), out);
+}
+
+static err_t convert_open(struct engine *en, const struct convert_request *q, struct checkpoint *c)
+{
+    char hex[SHA256_HEX_CAP], source[FILE_PATH_CAP + SHA256_HEX_CAP + 16];
+    const char *slash = strrchr(c->what, '/');
+    struct modelwrite w = {
+        .source = source, .licence = "that of the source", .fetch = fetch_tensor, .ctx = c};
+    err_t e = q->config ? read_config(q->config, &w.dims) : infer_run(c, &w.dims);
+    w.dims.rope_bf16 = true;
+    if (!e)
+        e = match_all(c, &w.dims);
+    if (!e)
+        e = hash_file(&en->run, c->what, hex);
+    if (e)
+        return e;
+    snprintf(source, sizeof source, "%.200s sha256:%s", slash ? slash + 1 : c->what, hex);
+    return write_file(en, q, &w);
+}
+
+err_t convert_file(struct engine *en, const struct convert_request *q, const char *path)
+{
+    struct checkpoint c;
+    err_t e = checkpoint_open(path, &c);
+    if (!e)
+        e = convert_open(en, q, &c);
+    checkpoint_close(&c);
+    return e;
 }

@@ -17,4 +17,10 @@ struct convert_request {
  * err:  ERR_ARG, and those of modelwrite_run. */
 MUST_USE err_t convert_hashed(struct engine *en, const struct convert_request *q, uint64_t seed);
 
+/* Weights of InstantHDR, AnySplat or VGGT from a file (drivers/checkpoint.h). Without config the
+ * dimensions follow from it. Tensors that the network does not know are named in a warning.
+ * err:  ERR_ARG, ERR_FORMAT (names up to five tensors that are missing or of another shape), and
+ *       those of checkpoint_open, checkpoint_read and modelwrite_run. */
+MUST_USE err_t convert_file(struct engine *en, const struct convert_request *q, const char *path);
+
 #endif

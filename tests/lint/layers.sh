@@ -13,6 +13,7 @@ BEGIN {
     wrapper["^libexif/"] = "^drivers/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/exrfile\\.c$"
     wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/json\\.c$"
+    wrapper["^zip\\.h$"] = "^drivers/checkpoint\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/config\\.c$"
     wrapper["^cmocka\\.h$"] = "^$"
 }
