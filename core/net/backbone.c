@@ -426,9 +426,9 @@ err_t backbone_run(const struct run *r, const struct net *net, const struct view
 {
     *out = tokens_of(net, v->n, v->size);
     struct stage s = {.r = r, .net = net, .v = v, .t = out};
+    err_t e = init_tokens(r, net, out);
     size_t mark = arena_mark(r->tmp);
     s.total = net->d.dino_depth + 2 * net->d.depth;
-    err_t e = init_tokens(r, net, out);
     if (!e)
         e = arena_alloc(r->tmp, stream_floats(out), sizeof(float), &s.x);
     if (!e)

@@ -10,7 +10,7 @@
 void backbone_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
                    size_t *tmp);
 
-/* out:  arrays in r->keep.
+/* out:  arrays in r->keep, which may be r->tmp.
  * err:  ERR_NOMEM (see backbone_plan), ERR_CANCELLED. */
 MUST_USE err_t backbone_run(const struct run *r, const struct net *net, const struct views *v,
                             struct tokens *out);

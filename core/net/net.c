@@ -1,7 +1,13 @@
 #include "core/net/net.h"
 
+#include "core/net/appearance.h"
 #include "core/net/backbone.h"
 #include "core/net/camera.h"
+#include "core/net/depth.h"
+#include "core/net/gausshead.h"
+#include "core/net/metanet.h"
+#include "core/net/plan.h"
+#include "core/net/tap.h"
 
 #include <limits.h>
 #include <stdarg.h>
@@ -191,4 +197,137 @@ err_t net_bind(const struct model *m, unsigned floats, struct net *out)
     if (out->d.gauss)
         bind_gauss(&b, out);
     return b.e;
+}
+
+/* ---- the graph ---- */
+
+static bool too_many(int n_views, int size)
+{
+    return n_views > INT_MAX / size / size;
+}
+
+/* A stage whose results stay in keep. */
+static void plan_stage(struct plan *keep, struct plan *tmp, size_t kept, size_t taken)
+{
+    keep->held = arena_add(keep->held, kept);
+    plan_step(tmp, taken);
+}
+
+void net_plan(const struct net *net, int n_views, int size, int threads, size_t *keep, size_t *tmp)
+{
+    struct plan k = {0, 0}, p = {0, 0};
+    size_t kept, taken, pixels = (size_t)n_views * (size_t)size * (size_t)size;
+    *keep = *tmp = SIZE_MAX;
+    if (too_many(n_views, size))
+        return;
+    backbone_plan(net, n_views, size, threads, &kept, &taken);
+    p.held = kept; // tokens are not needed in the end
+    plan_step(&p, taken);
+    camera_plan(net, n_views, threads, &kept, &taken);
+    plan_stage(&k, &p, kept, taken);
+    depth_plan(net, n_views, size, threads, &kept, &taken);
+    plan_stage(&k, &p, kept, taken);
+    if (net->d.appearance) {
+        appearance_plan(net, n_views, size, threads, &kept, &taken);
+        plan_stage(&k, &p, kept, taken);
+        plan_hold(&p, (size_t)n_views * 2 * (size_t)net->d.hdr, sizeof(float));
+        plan_step(&p, metanet_plan(net, threads));
+    }
+    if (net->d.gauss) {
+        gausshead_plan(net, n_views, size, threads, &kept, &taken);
+        plan_stage(&k, &p, kept, taken);
+        plan_hold(&k, pixels * 3, sizeof(float));
+    }
+    *keep = k.held;
+    *tmp = p.peak;
+}
+
+static err_t check_views(const struct views *v)
+{
+    if (v->n < 2)
+        return err_fail(ERR_ARG, "the network needs 2 views or more, there is %d", v->n);
+    if (v->size < NET_PATCH || v->size % NET_PATCH != 0)
+        return err_fail(ERR_ARG,
+                        "the network takes views whose side is a multiple of %d px, not %d",
+                        NET_PATCH, v->size);
+    if (too_many(v->n, v->size))
+        return err_fail(ERR_ARG, "%d views of %d px have more than %d pixels", v->n, v->size,
+                        INT_MAX);
+    return OK;
+}
+
+struct points_job {
+    const struct geometry *g;
+    float *points; // (n, 3)
+};
+
+static err_t points_chunk(void *ctx, int chunk, int worker)
+{
+    const struct points_job *j = ctx;
+    size_t side = (size_t)j->g->size;
+    (void)worker;
+    depth_unproject(j->g, chunk, j->points + (size_t)chunk * side * side * 3);
+    return OK;
+}
+
+static err_t find_points(const struct run *r, struct prediction *io)
+{
+    const struct geometry *g = &io->geom;
+    err_t e = arena_alloc(r->keep, (size_t)io->n * 3, sizeof(float), &io->points);
+    struct points_job j = {g, io->points};
+    if (!e)
+        e = pool_for(r->pool, g->n_views, points_chunk, &j);
+    if (!e)
+        tap_put(r, &(struct tap_tensor){.name = "points.world",
+                                        .rank = 5,
+                                        .shape = {1, g->n_views, g->size, g->size, 3},
+                                        .data = io->points});
+    return e;
+}
+
+/* Everything that needs the tokens, after the geometry. */
+static err_t run_gauss(const struct run *r, const struct net *net, const struct views *v,
+                       const struct tokens *t, struct prediction *out)
+{
+    struct irradiance irr;
+    struct gausshead_in in = {.views = v, .tokens = t};
+    float *summary = NULL;
+    err_t e = OK;
+    if (net->d.appearance) {
+        e = appearance_run(r, net, v, t, &irr);
+        in.irr = &irr;
+        if (!e)
+            e = arena_alloc(r->tmp, (size_t)v->n * 2 * (size_t)net->d.hdr, sizeof(float), &summary);
+    }
+    if (!e)
+        e = gausshead_run(r, net, &in, out, summary);
+    if (!e && net->d.appearance)
+        e = metanet_run(r, net, summary, v->n, v->mid_log2t, out);
+    return e ? e : find_points(r, out);
+}
+
+err_t net_run(const struct run *r, const struct net *net, const struct views *v,
+              struct prediction *out)
+{
+    struct tokens t;
+    struct run backbone = *r;
+    size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
+    memset(out, 0, sizeof *out);
+    err_t e = check_views(v);
+    if (e)
+        return e;
+    backbone.keep = r->tmp;
+    e = backbone_run(&backbone, net, v, &t);
+    if (!e)
+        e = camera_run(r, net, &t, v->size, &out->geom);
+    if (!e)
+        e = depth_run(r, net, &t, &out->geom);
+    if (!e && net->d.gauss)
+        e = run_gauss(r, net, v, &t, out);
+    arena_reset(r->tmp, tmp);
+    if (e) {
+        arena_reset(r->keep, keep);
+        memset(out, 0, sizeof *out);
+    }
+    return e;
 }

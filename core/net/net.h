@@ -30,8 +30,8 @@ struct rcu_weights { // residual unit
 struct dpt_weights { // model-spec 2.5
     int feat, oc[NET_KEEP];
     const float *norm_g, *norm_b;
-    struct weight project[NET_KEEP], resize[NET_KEEP]; // resize[2] is unused
-    struct weight rn[NET_KEEP];                        // layer1_rn .. layer4_rn
+    struct weight project[NET_KEEP], resize[NET_KEEP];   // resize[2] is unused
+    struct weight rn[NET_KEEP];                          // layer1_rn .. layer4_rn
     struct rcu_weights unit1[NET_KEEP], unit2[NET_KEEP]; // of refinenet1 .. 4; unit1[3] is unused
     struct weight out_conv[NET_KEEP];                    // of refinenet1 .. 4
     struct weight output_conv1;
@@ -102,32 +102,30 @@ struct geometry {
 
 /* Fused appearance, tokens of all views (model-spec 2.8). */
 struct irradiance {
-    float *code;        // (n_views, hdr) exposure code
+    float *code;         // (n_views, hdr) exposure code
     float *scene, *sens; // (n_views grid^2, hdr)
 };
 
 /* One raw Gaussian per pixel, as voxel_merge takes them. */
 struct prediction {
     struct geometry geom;
-    int n;             // n_views size^2
-    float *points;     // (n, 3)
-    float *features;   // (87, n): channels 0..82, 84..87 of the 88
-    float *confidence; // (n): channel 83
+    int n;                  // n_views size^2
+    float *points;          // (n, 3)
+    float *features;        // (87, n): channels 0..82, 84..87 of the 88
+    float *confidence;      // (n): channel 83
     float theta[NET_THETA]; // tone curve; zero without the appearance branch
     struct tonemap tone;    // its used part
-    bool linear; // AnySplat: the SH give display colours minus 0.5, not log radiance
+    bool linear;            // AnySplat: the SH give display colours minus 0.5, not log radiance
 };
 
-/* Bytes of keep and tmp for a forward pass, with a pool of `threads`; SIZE_MAX on overflow.
- * tapped: run.tap is set. */
-void net_plan(const struct net *net, int n_views, int size, int threads, bool tapped, size_t *keep,
-              size_t *tmp);
+/* Bytes of keep and tmp for a forward pass, with a pool of `threads`; SIZE_MAX on overflow. */
+void net_plan(const struct net *net, int n_views, int size, int threads, size_t *keep, size_t *tmp);
 
 /* The forward pass. v->size is a multiple of 14; without the appearance branch exposures are
  * ignored.
  * out:  arrays in r->keep; features, points and confidence are NULL without a Gaussian head.
- * err:  ERR_ARG (fewer than 2 views, size), ERR_NOMEM (see net_plan), ERR_CANCELLED. On error *out
- *       is zeroed. */
+ * err:  ERR_ARG (fewer than 2 views, size, more than INT_MAX pixels), ERR_NOMEM (see net_plan),
+ *       ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t net_run(const struct run *r, const struct net *net, const struct views *v,
                        struct prediction *out);
 
