@@ -4,33 +4,79 @@
 #if !defined(__AVX512VNNI__) || !defined(__AVX512BW__)
 #error "compile this file with the AVX-512 flags"
 #endif
-#define SIMD_AVX512
-#include "core/kernels/gemm_body.h"
+#include "core/kernels/kernels.h"
 
-enum { ROWS = 8, BLOCK = 64 };
+#include <immintrin.h>
+#include <string.h>
 
-/* Where the sums of rows [i, i + rows) start. */
-static void start_sums(const struct gemm_s8 *g, int i, int rows, int32_t *start)
+/* Rows of a tile, whose activations are added up at a time, that have their sums ready. */
+enum { ROWS = 8, QUAD = 4, BLOCK = 64 };
+
+/* sum[q] += 64 or fewer inputs of row q. */
+static inline __attribute__((always_inline)) void add_inputs(__m512i *sum, const int8_t *const *a,
+                                                             size_t at, __mmask64 which)
 {
     const __m512i one = _mm512_set1_epi8(1);
-    for (int r = 0; r < rows; r++) {
-        __m512i sum = _mm512_setzero_si512();
+    for (int q = 0; q < QUAD; q++)
+        sum[q] = _mm512_dpbusd_epi32(sum[q], one, _mm512_maskz_loadu_epi8(which, a[q] + at));
+}
+
+static inline __m512i fold32(__m512i x, __m512i y)
+{
+    return _mm512_add_epi32(_mm512_unpacklo_epi32(x, y), _mm512_unpackhi_epi32(x, y));
+}
+
+/* The sums of the elements of four vectors. */
+static inline __m128i fold(const __m512i *x)
+{
+    __m512i a = fold32(x[0], x[1]), b = fold32(x[2], x[3]);
+    a = _mm512_add_epi32(_mm512_unpacklo_epi64(a, b), _mm512_unpackhi_epi64(a, b));
+    __m256i c = _mm256_add_epi32(_mm512_castsi512_si256(a), _mm512_extracti64x4_epi64(a, 1));
+    return _mm_add_epi32(_mm256_castsi256_si128(c), _mm256_extracti128_si256(c, 1));
+}
+
+/* Where the sums of rows [i, i + rows) start, rounded up to QUAD of them. */
+static void start_sums(const struct gemm_s8 *g, int i, int rows, int32_t *start)
+{
+    for (int r = 0; r < rows; r += QUAD) {
+        __m512i sum[QUAD];
+        const int8_t *a[QUAD];
+        for (int q = 0; q < QUAD; q++) {
+            sum[q] = _mm512_setzero_si512();
+            a[q] = g->a + (size_t)(i + (r + q < rows ? r + q : rows - 1)) * g->lda;
+        }
         for (int s = 0; s < g->segs; s++) {
-            const int8_t *a = g->a + (size_t)(i + r) * g->lda + (size_t)s * g->seg_stride;
+            size_t at = (size_t)s * g->seg_stride;
             int l = 0;
             for (; l <= g->seg - 64; l += 64)
-                sum = _mm512_dpbusd_epi32(sum, one, _mm512_loadu_si512(a + l));
-            __mmask64 rest = ((__mmask64)1 << (g->seg - l)) - 1;
-            sum = _mm512_dpbusd_epi32(sum, one, _mm512_maskz_loadu_epi8(rest, a + l));
+                add_inputs(sum, a, at + (size_t)l, ~(__mmask64)0);
+            if (l < g->seg)
+                add_inputs(sum, a, at + (size_t)l, ((__mmask64)1 << (g->seg - l)) - 1);
         }
-        start[r] = -128 * _mm512_reduce_add_epi32(sum);
+        __m128i total = _mm_mullo_epi32(fold(sum), _mm_set1_epi32(-128));
+        _mm_storeu_si128((__m128i *)(start + r), total);
     }
 }
 
-static inline __attribute__((always_inline)) void s8_tile(const struct gemm_s8 *g, int i, int panel,
-                                                          const int32_t *start, int rows, int vecs)
+/* Four inputs of each row times those of one or two panels. */
+static inline __attribute__((always_inline)) void
+add_quads(__m512i sum[][2], const int8_t *a, size_t lda, __m512i w0, __m512i w1, const int shape[2])
+{
+    for (int r = 0; r < shape[0]; r++) {
+        int quad;
+        memcpy(&quad, a + (size_t)r * lda, sizeof quad);
+        __m512i x = _mm512_set1_epi32(quad);
+        sum[r][0] = _mm512_dpbusd_epi32(sum[r][0], w0, x);
+        if (shape[1] == 2)
+            sum[r][1] = _mm512_dpbusd_epi32(sum[r][1], w1, x);
+    }
+}
+
+static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, int i, int panel,
+                                                       const int32_t *start, int rows, int vecs)
 {
     __m512i sum[ROWS][2];
+    const int shape[] = {rows, vecs};
     const __m512i flip = _mm512_set1_epi8(-128);
     const int8_t *w0 = g->w + (size_t)panel * g->ldw, *w1 = vecs == 2 ? w0 + g->ldw : w0;
     int32_t *c = g->c + (size_t)i * g->ldc + PANEL * panel;
@@ -38,19 +84,9 @@ static inline __attribute__((always_inline)) void s8_tile(const struct gemm_s8 *
         sum[r][0] = sum[r][1] = _mm512_set1_epi32(start[r]);
     for (int s = 0; s < g->segs; s++) {
         const int8_t *a = g->a + (size_t)i * g->lda + (size_t)s * g->seg_stride;
-        for (int l = 0; l < g->seg; l += 4, w0 += 4 * PANEL, w1 += 4 * PANEL) {
-            __m512i x0 = _mm512_xor_si512(_mm512_loadu_si512(w0), flip), x1 = x0;
-            if (vecs == 2)
-                x1 = _mm512_xor_si512(_mm512_loadu_si512(w1), flip);
-            for (int r = 0; r < rows; r++) {
-                int quad;
-                memcpy(&quad, a + (size_t)r * g->lda + l, sizeof quad);
-                __m512i y = _mm512_set1_epi32(quad);
-                sum[r][0] = _mm512_dpbusd_epi32(sum[r][0], x0, y);
-                if (vecs == 2)
-                    sum[r][1] = _mm512_dpbusd_epi32(sum[r][1], x1, y);
-            }
-        }
+        for (int l = 0; l < g->seg; l += 4, w0 += 4 * PANEL, w1 += 4 * PANEL)
+            add_quads(sum, a + l, g->lda, _mm512_xor_si512(_mm512_loadu_si512(w0), flip),
+                      _mm512_xor_si512(_mm512_loadu_si512(w1), flip), shape);
     }
     for (int r = 0; r < rows; r++, c += g->ldc)
         for (int v = 0; v < vecs; v++)
@@ -58,34 +94,34 @@ static inline __attribute__((always_inline)) void s8_tile(const struct gemm_s8 *
 }
 
 /* One or two panels of rows [i, end). */
-static inline __attribute__((always_inline)) void
-s8_panels(const struct gemm_s8 *g, int i, int end, int panel, const int32_t *start, int vecs)
+static inline __attribute__((always_inline)) void panels(const struct gemm_s8 *g, int i, int end,
+                                                         int panel, const int32_t *start, int vecs)
 {
     for (; i < end; i += ROWS, start += ROWS)
         switch (end - i) {
         case 1:
-            s8_tile(g, i, panel, start, 1, vecs);
+            tile(g, i, panel, start, 1, vecs);
             break;
         case 2:
-            s8_tile(g, i, panel, start, 2, vecs);
+            tile(g, i, panel, start, 2, vecs);
             break;
         case 3:
-            s8_tile(g, i, panel, start, 3, vecs);
+            tile(g, i, panel, start, 3, vecs);
             break;
         case 4:
-            s8_tile(g, i, panel, start, 4, vecs);
+            tile(g, i, panel, start, 4, vecs);
             break;
         case 5:
-            s8_tile(g, i, panel, start, 5, vecs);
+            tile(g, i, panel, start, 5, vecs);
             break;
         case 6:
-            s8_tile(g, i, panel, start, 6, vecs);
+            tile(g, i, panel, start, 6, vecs);
             break;
         case 7:
-            s8_tile(g, i, panel, start, 7, vecs);
+            tile(g, i, panel, start, 7, vecs);
             break;
         default:
-            s8_tile(g, i, panel, start, ROWS, vecs);
+            tile(g, i, panel, start, ROWS, vecs);
         }
 }
 
@@ -96,15 +132,14 @@ static void gemm_s8(const struct gemm_s8 *g)
         int end = g->m - i < BLOCK ? g->m : i + BLOCK, panel = 0;
         start_sums(g, i, end - i, start);
         for (; panel + 2 <= g->panels; panel += 2)
-            s8_panels(g, i, end, panel, start, 2);
+            panels(g, i, end, panel, start, 2);
         if (panel < g->panels)
-            s8_panels(g, i, end, panel, start, 1);
+            panels(g, i, end, panel, start, 1);
     }
 }
 
 void gemm_avx512(struct gemm_kernels *k)
 {
-    gemm_fill(k, "avx512");
     k->s8_name = "avx512";
     k->s8 = gemm_s8;
     k->s8_rows = ROWS;

@@ -41,6 +41,8 @@ static inline __attribute__((always_inline)) void tile(const int16_t *a, const i
             vec x = v_quad(a + r * CHUNK + l);
             sum[r][0] = v_plus(sum[r][0], v_madd(w0, x));
             sum[r][1] = v_plus(sum[r][1], v_madd(w1, x));
+            /* One row after the other: gcc would run out of registers. */
+            __asm__ volatile("" : "+x"(sum[r][0]), "+x"(sum[r][1]));
         }
     }
     for (int r = 0; r < rows; r++, c += ldc) {

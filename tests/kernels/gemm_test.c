@@ -449,41 +449,43 @@ static const struct workload {
 
 enum { WORKLOADS = sizeof workloads / sizeof *workloads, PEAK_ROUNDS = 20000, SUMS = 12 };
 
-/* Multiplications that a loop without memory does at once; NULL fn: not known. */
+/* What a loop without memory can do; NULL fn: not known. */
 struct peak {
     unsigned cpu;
-    int width;
-    float (*fn)(int rounds); // returns what it computed, so that it is computed
+    int width; // multiplications of a step
+    void (*fn)(int rounds);
 };
 
 #if defined(__x86_64__)
 
-#define PEAK(name, isa, type, set, step, lane)                                                     \
-    __attribute__((target(isa))) static float name(int rounds)                                     \
+#define TWELVE(step)                                                                               \
+    step("0") step("1") step("2") step("3") step("4") step("5") step("6") step("7") step("8")      \
+        step("9") step("10") step("11")
+#define ZERO(k) "pxor %%xmm" k ", %%xmm" k "\n"
+#define CLEAR TWELVE(ZERO) ZERO("13") ZERO("14") ZERO("15")
+#define PEAK(name, clear, step)                                                                    \
+    static void name(int rounds)                                                                   \
     {                                                                                              \
-        type s[SUMS], x = set(1), y = set(2);                                                      \
-        for (int k = 0; k < SUMS; k++)                                                             \
-            s[k] = set(k);                                                                         \
-        for (int i = 0; i < rounds; i++) {                                                         \
-            _Pragma("GCC unroll 12") for (int k = 0; k < SUMS; k++) s[k] = step;                   \
-        }                                                                                          \
-        for (int k = 1; k < SUMS; k++)                                                             \
-            s[0] += s[k] * x;                                                                      \
-        return (float)lane;                                                                        \
+        __asm__ volatile(clear "1:\n" TWELVE(step) "dec %0\njnz 1b\n"                              \
+                         : "+r"(rounds)                                                            \
+                         :                                                                         \
+                         : "cc", "xmm0", "xmm1", "xmm2", "xmm3", "xmm4", "xmm5", "xmm6", "xmm7",   \
+                           "xmm8", "xmm9", "xmm10", "xmm11", "xmm13", "xmm14", "xmm15");           \
     }
 
-PEAK(peak_s8_sse41, "sse4.1", __m128i, _mm_set1_epi32, _mm_add_epi32(s[k], _mm_madd_epi16(s[k], y)),
-     _mm_cvtsi128_si32(s[0]))
-PEAK(peak_s8_avx2, "avx2", __m256i, _mm256_set1_epi32,
-     _mm256_add_epi32(s[k], _mm256_madd_epi16(s[k], y)), _mm256_extract_epi32(s[0], 0))
-PEAK(peak_s8_avx512, "avx512f,avx512vnni", __m512i, _mm512_set1_epi32,
-     _mm512_dpbusd_epi32(s[k], x, y), _mm512_reduce_add_epi32(s[0]))
-PEAK(peak_f32_sse41, "sse4.1", __m128, _mm_set1_ps, _mm_add_ps(_mm_mul_ps(s[k], y), x),
-     _mm_cvtss_f32(s[0]))
-PEAK(peak_f32_avx2, "avx2,fma", __m256, _mm256_set1_ps, _mm256_fmadd_ps(s[k], y, x),
-     _mm256_cvtss_f32(s[0]))
-PEAK(peak_f32_avx512, "avx512f", __m512, _mm512_set1_ps, _mm512_fmadd_ps(s[k], y, x),
-     _mm512_reduce_add_ps(s[0]))
+#define S8_SSE41(k) "movdqa %%xmm15, %%xmm13\npmaddwd %%xmm14, %%xmm13\npaddd %%xmm13, %%xmm" k "\n"
+#define S8_AVX2(k) "vpmaddwd %%ymm14, %%ymm15, %%ymm13\nvpaddd %%ymm13, %%ymm" k ", %%ymm" k "\n"
+#define S8_AVX512(k) "vpdpbusd %%zmm14, %%zmm15, %%zmm" k "\n"
+#define F32_SSE41(k) "movaps %%xmm15, %%xmm13\nmulps %%xmm14, %%xmm13\naddps %%xmm13, %%xmm" k "\n"
+#define F32_AVX2(k) "vfmadd231ps %%ymm14, %%ymm15, %%ymm" k "\n"
+#define F32_AVX512(k) "vfmadd231ps %%zmm14, %%zmm15, %%zmm" k "\n"
+
+PEAK(peak_s8_sse41, CLEAR, S8_SSE41)
+PEAK(peak_s8_avx2, "vzeroall\n", S8_AVX2)
+PEAK(peak_s8_avx512, "vzeroall\n", S8_AVX512)
+PEAK(peak_f32_sse41, CLEAR, F32_SSE41)
+PEAK(peak_f32_avx2, "vzeroall\n", F32_AVX2)
+PEAK(peak_f32_avx512, "vzeroall\n", F32_AVX512)
 
 static const struct peak peaks_s8[] = {{CPU_AVX512, 64, peak_s8_avx512},
                                        {CPU_AVX2, 16, peak_s8_avx2},
@@ -500,16 +502,14 @@ static const struct peak peaks_s8[] = {{0, 0, NULL}}, peaks_f32[] = {{0, 0, NULL
 /* Multiplications per second; 0 = not known. */
 static double peak_rate(const struct peak *p, unsigned cpu)
 {
-    static volatile float used;
     double best = 0;
     while ((cpu & p->cpu) != p->cpu)
         p++;
     for (int i = 0; i < 200 && p->fn; i++) {
         double start = trial_seconds();
-        used = p->fn(PEAK_ROUNDS);
+        p->fn(PEAK_ROUNDS);
         best = fmax(best, (double)p->width * SUMS * PEAK_ROUNDS / (trial_seconds() - start));
     }
-    (void)used;
     return best;
 }
 
@@ -611,7 +611,8 @@ static void bench(const struct workload *l, bool floats, const double *peaks)
            l->k_segs * l->seg, l->n, c_rate * 1e-9);
     for (int i = 0; i < LEVELS; i++) {
         struct gemm_kernels k;
-        if (!level_kernels(&levels[i], &k))
+        if (!level_kernels(&levels[i], &k) ||
+            strcmp(floats ? k.f32_name : k.s8_name, levels[i].name) != 0)
             continue;
         double took = best_time(l, &k, floats), rate = macs * m / took;
         printf("  %s %.0f ns %.1f %.0fx", levels[i].name, took * 1e9, rate * 1e-9, rate / c_rate);
