@@ -192,9 +192,11 @@ static err_t pack_one(void *ctx, int panel, int worker)
 {
     struct packing *p = ctx;
     struct writing *x = p->x;
-    uint8_t *out = x->out + (size_t)panel * pack_panel_bytes(p->t, p->type);
-    float *scale = p->type == PRECISION_S8 ? x->scale + x->n_scale + (size_t)panel * PANEL : NULL;
-    pack_panel(p->t, p->type, panel, x->in, x->row + (size_t)worker * p->k, out, scale);
+    const struct pack to = {
+        .row = x->row + (size_t)worker * p->k,
+        .out = x->out + (size_t)panel * pack_panel_bytes(p->t, p->type),
+        .scale = p->type == PRECISION_S8 ? x->scale + x->n_scale + (size_t)panel * PANEL : NULL};
+    pack_panel(p->t, p->type, panel, x->in, &to);
     return OK;
 }
 

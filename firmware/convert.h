@@ -1,4 +1,5 @@
-/* convert.h - weights of others, or made of numbers, become a weights file (drivers/modelfile.h). */
+/* convert.h - weights of others, or made of numbers, become a weights file
+ * (drivers/modelfile.h). */
 #ifndef FIRMWARE_CONVERT_H
 #define FIRMWARE_CONVERT_H
 

@@ -70,21 +70,21 @@ static float quantise(const float *row, size_t k, int8_t *out)
 }
 
 void pack_panel(const struct tensor_spec *t, enum precision type, int p, const float *in,
-                float *row, void *out, float *scale)
+                const struct pack *to)
 {
     int n = table_product(t).n;
     size_t k = inputs(t);
-    memset(out, 0, pack_panel_bytes(t, type));
+    memset(to->out, 0, pack_panel_bytes(t, type));
     for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
-        gather(t, p * PANEL + j, in, row);
+        gather(t, p * PANEL + j, in, to->row);
         if (type == PRECISION_S8) {
-            scale[j] = quantise(row, k, (int8_t *)out + 4 * j);
+            to->scale[j] = quantise(to->row, k, (int8_t *)to->out + 4 * j);
         } else if (type == PRECISION_BF16) {
             for (size_t i = 0; i < k; i++)
-                ((uint16_t *)out)[i * PANEL + (size_t)j] = to_bf16(row[i]);
+                ((uint16_t *)to->out)[i * PANEL + (size_t)j] = to_bf16(to->row[i]);
         } else {
             for (size_t i = 0; i < k; i++)
-                ((float *)out)[i * PANEL + (size_t)j] = row[i];
+                ((float *)to->out)[i * PANEL + (size_t)j] = to->row[i];
         }
     }
 }

@@ -10,11 +10,14 @@
 int pack_panels(const struct tensor_spec *t);
 size_t pack_panel_bytes(const struct tensor_spec *t, enum precision type);
 
-/* Pack panel p.
- * in:   the whole tensor in the order of the checkpoint, finite.
- * row:  scratch, (k) floats.
- * out:  pack_panel_bytes; scale: of I8, those of the panel's outputs below n, from scale[0] on. */
+struct pack {
+    float *row;   // scratch, (k)
+    void *out;    // pack_panel_bytes of them
+    float *scale; // I8: of the panel's outputs below n
+};
+
+/* Pack panel p of a tensor whose values are in the order of the checkpoint, finite. */
 void pack_panel(const struct tensor_spec *t, enum precision type, int p, const float *in,
-                float *row, void *out, float *scale);
+                const struct pack *to);
 
 #endif
