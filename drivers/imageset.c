@@ -201,6 +201,8 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
     e = source ? times_from_file(source, &set->capture) : times_from_exif(set);
     if (e)
         return e;
+    if (rq->may_lack_times)
+        return OK;
     return check_times(source ? source : "EXIF (no exposure.json found)", &set->capture);
 }
 
@@ -414,6 +416,8 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     char path[FILE_PATH_CAP];
     bool found = true;
     const char *source = rq->rig;
+    if (rq->no_cameras)
+        return OK;
     if (!source) {
         err_t e = find_companion(set->dir, "sparse/0", &found, path);
         if (e || !found)

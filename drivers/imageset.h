@@ -31,6 +31,8 @@ struct imageset_request {
     int n_views;               // 0 = all
     bool every_exposure;       // all exposures of the chosen views, without protocol.json
     uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
+    bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
+    bool no_cameras;           // neither rig nor sparse/0 are read
 };
 
 struct imageset {
