@@ -179,22 +179,18 @@ static void to_quaternion(const float r[9], float q[4])
         q[i] = v[k][i] / len;
 }
 
-/* One colour of a block: every band by its matrix. */
-static void turn_colour(const struct turn *t, float *plane, size_t at, int count)
+/* One band of one Gaussian, whose values are n apart. */
+static void turn_band(const struct turn *t, int l, float *c)
 {
     float in[2 * SH_DEGREE_MAX + 1];
-    for (int l = 1; l <= SH_DEGREE_MAX; l++)
-        for (int i = 0; i < count; i++) {
-            float *c = plane + (size_t)(l * l) * t->n + at + (size_t)i;
-            for (int k = 0; k < 2 * l + 1; k++)
-                in[k] = c[(size_t)k * t->n];
-            for (int k = 0; k < 2 * l + 1; k++) {
-                float sum = 0;
-                for (int j = 0; j < 2 * l + 1; j++)
-                    sum += t->m[l * l + k][l * l + j] * in[j];
-                c[(size_t)k * t->n] = sum;
-            }
-        }
+    for (int k = 0; k < 2 * l + 1; k++)
+        in[k] = c[(size_t)k * t->n];
+    for (int k = 0; k < 2 * l + 1; k++) {
+        float sum = 0;
+        for (int j = 0; j < 2 * l + 1; j++)
+            sum += t->m[l * l + k][l * l + j] * in[j];
+        c[(size_t)k * t->n] = sum;
+    }
 }
 
 static void turn_quaternions(const struct turn *t, size_t at, int count)
@@ -219,8 +215,12 @@ static err_t turn_chunk(void *ctx, int chunk, int worker)
     int from = chunk * BLOCK, count = t->count - from < BLOCK ? t->count - from : BLOCK;
     size_t at = (size_t)(t->first + from);
     turn_quaternions(t, at, count);
-    for (size_t c = 0; c < 3; c++)
-        turn_colour(t, t->features + (VOXEL_SH + SH_COEFS_MAX * c) * t->n, at, count);
+    for (int c = 0; c < 3; c++)
+        for (int l = 1; l <= SH_DEGREE_MAX; l++)
+            for (int i = 0; i < count; i++)
+                turn_band(t, l,
+                          t->features + (size_t)(VOXEL_SH + SH_COEFS_MAX * c + l * l) * t->n + at +
+                              (size_t)i);
     return OK;
 }
 

@@ -71,10 +71,9 @@ static void pieces_in_any_order_through_strides(void **state)
     (void)state;
     float map[2][3 * 5 * 2], got[2][2][3][5];
     for (int v = 1; v >= 0; v--) {
-        for (int y = 0; y < 3; y++)
-            for (int x = 0; x < 5; x++)
-                for (int c = 0; c < 2; c++)
-                    map[v][(y * 5 + x) * 2 + c] = (float)(1000 * v + 100 * c + 10 * y + x);
+        for (int i = 0; i < 15; i++)
+            for (int c = 0; c < 2; c++)
+                map[v][i * 2 + c] = (float)(1000 * v + 100 * c + 10 * (i / 5) + i % 5);
         put(&(struct tap_tensor){.name = "map",
                                  .rank = 4,
                                  .shape = {2, 2, 3, 5},
@@ -84,11 +83,11 @@ static void pieces_in_any_order_through_strides(void **state)
                                  .stride = {30, 1, 10, 2}});
     }
     load("map.npy", 60, got);
-    for (int v = 0; v < 2; v++)
-        for (int c = 0; c < 2; c++)
-            for (int y = 0; y < 3; y++)
-                for (int x = 0; x < 5; x++)
-                    assert_float_equal(got[v][c][y][x], 1000 * v + 100 * c + 10 * y + x, 0);
+    for (int v = 0; v < 4; v++)
+        for (int y = 0; y < 3; y++)
+            for (int x = 0; x < 5; x++)
+                assert_float_equal(got[v / 2][v % 2][y][x],
+                                   1000 * (v / 2) + 100 * (v % 2) + 10 * y + x, 0);
 }
 
 /* (1, 4 rows, 3) in pieces of two rows, larger than one block of the writer when widened. */
