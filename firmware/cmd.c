@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { OPTIONS_MAX = 24, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
+enum { OPTIONS_MAX = 32, SIZE_DEFAULT = 448, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
 
 static void print_option(const char *name, const char *arg, const char *help)
 {
@@ -169,9 +169,44 @@ err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_
     }
 }
 
-struct job_config cmd_job(const struct config *cfg, bool poses)
+err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
+                  const struct network **out)
 {
-    return (struct job_config){.size = cfg->size,
+    *out = NULL;
+    if (m->path && strcmp(m->path, "none") != 0) {
+        *out = own;
+        return network_open(m->path, m->precision, (unsigned)cfg->net_float_parts, own);
+    }
+    if (m->precision && strcmp(m->precision, "fp32") != 0)
+        return err_fail(ERR_ARG, "--precision %.16s: there is no network, give --model FILE",
+                        m->precision);
+    return OK;
+}
+
+void cmd_imageset(const struct network *network, struct imageset_request *rq)
+{
+    rq->may_lack_times = network && !network_needs_exposures(network);
+    if (!rq->rig || strcmp(rq->rig, "none") != 0)
+        return;
+    rq->no_cameras = true;
+    rq->rig = NULL;
+}
+
+bool cmd_fill_exposures(struct capture *c)
+{
+    bool lacking = false;
+    for (int i = 0; i < c->n; i++)
+        lacking = lacking || !(c->shots[i].exposure > 0);
+    for (int i = 0; i < c->n && lacking; i++)
+        c->shots[i].exposure = 1;
+    return lacking;
+}
+
+struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses)
+{
+    const int size = network ? network->net.d.size : SIZE_DEFAULT;
+    return (struct job_config){.size = cfg->size ? cfg->size : size,
+                               .network = network,
                                .refine = {.steps = cfg->refine_steps,
                                           .degree_max = cfg->refine_sh_degree_max,
                                           .gaussians_max = cfg->refine_gaussians_max,

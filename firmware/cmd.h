@@ -6,6 +6,8 @@
 #include "firmware/config.h"
 #include "firmware/job.h"
 
+#include "drivers/imageset.h"
+
 #include "core/base/err.h"
 
 #include <stdbool.h>
@@ -69,8 +71,26 @@ struct cmd_list {
  * err:  ERR_ARG. */
 MUST_USE err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_list *out);
 
-/* The part of the settings that a job takes. poses: refine the cameras too. */
-struct job_config cmd_job(const struct config *cfg, bool poses);
+/* Options of commands that can use a network. */
+struct cmd_model {
+    const char *path, *precision; // path: NULL or "none": no network
+};
+
+/* Open it: *out is NULL without a network, else *own.
+ * own:  network_close of *own, which accepts that it was not opened.
+ * err:  those of network_open; ERR_ARG (a precision without a network). */
+MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
+                           const struct network **out);
+
+/* What the cameras and the network mean for the choice of photographs: "none" as rig, and exposures
+ * that may lack. */
+void cmd_imageset(const struct network *network, struct imageset_request *request);
+
+/* A set that may lack exposures gets 1 for all if some do; true then. */
+bool cmd_fill_exposures(struct capture *c);
+
+/* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
+struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
 
 /* Open the file of --json, "-" for stdout, NULL for none (*out is NULL then), and close it.
  * err:  those of file_create and file_finish. */

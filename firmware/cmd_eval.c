@@ -13,12 +13,14 @@
 
 struct request {
     struct imageset_request set;
+    struct cmd_model model;
     const char *scene, *views, *exposures, *out, *json;
     struct config cfg;
 };
 
 struct state {
     struct engine engine;
+    struct network network;
     struct imageset train, test;
     struct outdir out;
     struct job_result job;
@@ -141,8 +143,9 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
     size_t keep, tmp;
     evaluate_plan(&st->test.capture, scene->size, scene->n, pool_size(st->engine.pool), &keep,
                   &tmp);
-    err_t e = engine_reserve(&st->engine, need.pictures, arena_add(need.keep, keep),
-                             tmp > need.tmp ? tmp : need.tmp, rq->cfg.max_memory_mb);
+    err_t e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
+                             arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
+                             rq->cfg.max_memory_mb);
     if (!e && rq->out)
         e = outdir_open(rq->out, &st->out);
     return e || !rq->out ? e
@@ -151,12 +154,18 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
 
 static err_t reconstruct(struct state *st, struct request *rq)
 {
-    const struct job_config job = cmd_job(&rq->cfg, false);
-    const struct scenefile_info most = {.n = job.refine.gaussians_max, .size = job.size};
+    const struct network *network;
     struct job_memory need;
-    err_t e = list(st, rq);
+    err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
+    if (e)
+        return e;
+    cmd_imageset(network, &rq->set);
+    const struct job_config job = cmd_job(&rq->cfg, network, false);
+    e = list(st, rq);
     if (!e)
-        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), &need);
+        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
+    const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n),
+                                        .size = job.size};
     if (!e)
         e = reserve(st, rq, need, &most);
     if (!e)
@@ -294,6 +303,9 @@ int cmd_eval_run(int argc, char **argv)
          &rq.exposures, NULL},
         {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0", NULL,
          &rq.set.rig, NULL},
+        {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},
+        {"precision", "P", "that these weights must have: fp32, bf16 or int8", NULL,
+         &rq.model.precision, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"out", "DIR", "keep the rendered test views there", NULL, &rq.out, NULL},
         CMD_REFINE,
@@ -321,5 +333,6 @@ int cmd_eval_run(int argc, char **argv)
     imageset_free(&st.train);
     imageset_free(&st.test);
     engine_close(&st.engine);
+    network_close(&st.network);
     return code;
 }

@@ -1,62 +1,176 @@
 /* hdrig reconstruct: photographs to an HDR scene. */
 #include "firmware/cmd.h"
+#include "firmware/dump.h"
 #include "firmware/engine.h"
 #include "firmware/publish.h"
 
+#include "core/base/log.h"
 #include "drivers/imageset.h"
+#include "drivers/npy.h"
 
+#include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 struct request {
     struct imageset_request set;
-    const char *out, *json;
+    struct cmd_model model;
+    const char *out, *json, *dump, *dump_exposures;
     bool poses;
     struct config cfg;
 };
 
-static err_t print_result(const struct request *rq, const struct job_result *j, int threads)
+struct state {
+    struct engine engine;
+    struct network network;
+    struct imageset set;
+    struct outdir out, dump;
+    struct npy_dir tensors;
+    struct job_result result;
+};
+
+static err_t print_result(const struct request *rq, const struct state *st)
 {
+    const struct job_result *j = &st->result;
     FILE *json;
     err_t e = cmd_json_open(rq->json, &json);
     if (e)
         return e;
     if (json)
-        publish_report(j, threads, json);
-    if (json != stdout)
-        printf("%s: %d views, %d Gaussians of SH degree %d, input views %.2f dB, held-out squares "
-               "%.2f dB, %.1f s\n",
-               rq->out, j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr,
-               (double)j->refine.held_out_db[1], j->lap_s - j->start_s);
+        publish_report(j, pool_size(st->engine.pool), json);
+    if (json != stdout) {
+        printf("%s: %d views, %d Gaussians of SH degree %d, input views %.2f dB", rq->out,
+               j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr);
+        if (j->refine.steps > 0)
+            printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
+        printf(", %.1f s\n", j->lap_s - j->start_s);
+    }
     return cmd_json_close(json, rq->json);
 }
 
-static err_t reconstruct(const struct request *rq, struct engine *en, struct imageset *set,
-                         struct outdir *o)
+/* ---- dump ---- */
+
+/* Exposures of the dumped picture: as asked, else those of the input views. */
+static err_t dump_exposures(const char *text, const struct capture *c, float log2t[DUMP_EXPOSURES])
 {
-    static struct job_result result;
-    struct job_config job = cmd_job(&rq->cfg, rq->poses);
+    float lo = INFINITY, hi = -INFINITY;
+    char *end;
+    for (int i = 0; i < c->n; i++) {
+        lo = fminf(lo, log2f((float)c->shots[i].exposure));
+        hi = fmaxf(hi, log2f((float)c->shots[i].exposure));
+    }
+    const float inputs[DUMP_EXPOSURES] = {lo, (lo + hi) / 2, hi};
+    for (int i = 0; i < DUMP_EXPOSURES; i++, text = text ? end + 1 : NULL) {
+        double t = text ? strtod(text, &end) : 0;
+        log2t[i] = text ? log2f((float)t) : inputs[i];
+        if (text &&
+            (end == text || *end != (i + 1 < DUMP_EXPOSURES ? ',' : 0) || !isfinite(log2t[i])))
+            return err_fail(ERR_ARG, "--dump-exposures: \"%.64s\" is not like 0.125,1,8", text);
+    }
+    return OK;
+}
+
+static err_t begin_dump(const struct request *rq, struct state *st)
+{
+    if (!rq->dump)
+        return OK;
+    err_t e = outdir_open(rq->dump, &st->dump);
+    if (!e)
+        e = npy_open(&st->tensors, st->dump.tmp);
+    st->engine.run.tap = &st->tensors.tap;
+    return e;
+}
+
+/* With the report, which marks it as a result. */
+static err_t end_dump(const struct request *rq, struct state *st)
+{
+    char path[FILE_PATH_CAP];
+    FILE *f;
+    if (!rq->dump)
+        return OK;
+    err_t e = npy_close(&st->tensors);
+    if (!e)
+        e = outdir_path(&st->dump, OUTDIR_REPORT, path);
+    if (!e)
+        e = file_create(path, &f);
+    if (e)
+        return e;
+    publish_report(&st->result, pool_size(st->engine.pool), f);
+    e = file_finish(f, path);
+    return e ? e : outdir_commit(&st->dump);
+}
+
+/* ---- the job ---- */
+
+static err_t reserve(const struct request *rq, struct state *st, const struct job_config *job,
+                     const struct job_memory *need)
+{
+    const int limit = rq->cfg.max_memory_mb;
+    struct capture fewer = st->set.capture;
+    struct job_memory m = *need;
+    err_t e = engine_reserve(&st->engine, arena_add(m.pictures, m.weights), m.keep, m.tmp, limit);
+    if (e != ERR_LIMIT)
+        return e;
+    while (--fewer.n >= 2) {
+        e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
+        if (e)
+            return e;
+        if ((double)arena_add(arena_add(m.pictures, m.weights), arena_add(m.keep, m.tmp)) <=
+            limit * 1e6)
+            return err_fail(ERR_LIMIT, "%s; %d of %d views would fit", err_text(), fewer.n,
+                            st->set.capture.n);
+    }
+    return ERR_LIMIT;
+}
+
+/* Everything that can be refused before the work. */
+static err_t prepare(struct request *rq, struct state *st, struct job_config *job)
+{
+    const struct network *network;
     struct job_memory need;
-    err_t e = imageset_list(&rq->set, set);
+    err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
+    if (!e && rq->dump && !network)
+        e = err_fail(ERR_ARG, "--dump: there are no tensors without a network, give --model FILE");
+    if (e)
+        return e;
+    cmd_imageset(network, &rq->set);
+    *job = cmd_job(&rq->cfg, network, rq->poses);
+    e = imageset_list(&rq->set, &st->set);
+    if (!e && cmd_fill_exposures(&st->set.capture))
+        log_warn("exposures are not known for all pictures: none is used");
     if (!e)
-        e = engine_open(en, rq->cfg.threads);
+        e = dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
     if (!e)
-        e = job_plan(&set->capture, &job, pool_size(en->pool), &need);
+        e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = engine_reserve(en, need.pictures, need.keep, need.tmp, rq->cfg.max_memory_mb);
+        e = job_plan(&st->set.capture, job, pool_size(st->engine.pool), rq->dump != NULL, &need);
+    return e ? e : reserve(rq, st, job, &need);
+}
+
+static err_t reconstruct(struct request *rq, struct state *st)
+{
+    const struct run *r = &st->engine.run;
+    struct job_config job;
+    err_t e = prepare(rq, st, &job);
     if (!e)
-        e = outdir_open(rq->out, o);
+        e = outdir_open(rq->out, &st->out);
     if (!e)
-        e = imageset_load(set);
+        e = begin_dump(rq, st);
     if (!e)
-        e = job_run(&en->run, &set->capture, &job, &result);
+        e = imageset_load(&st->set);
     if (!e)
-        e = publish_run(&en->run, &result, o);
-    progress_end(&en->progress);
-    return e ? e : print_result(rq, &result, pool_size(en->pool));
+        e = job_run(r, &st->set.capture, &job, &st->result);
+    if (!e)
+        e = end_dump(rq, st);
+    if (!e)
+        e = publish_run(r, &st->result, &st->out);
+    progress_end(&st->engine.progress);
+    return e ? e : print_result(rq, st);
 }
 
 int cmd_reconstruct_run(int argc, char **argv)
 {
+    static struct state st;
     struct request rq = {0};
     const struct cmd_option options[] = {
         {"images", "DIR", "photographs, or a data set whose train pictures are used", NULL,
@@ -64,8 +178,14 @@ int cmd_reconstruct_run(int argc, char **argv)
         {"out", "DIR", "where the result goes; a former result is replaced", NULL, &rq.out, NULL},
         {"exposures", "FILE", "JSON of file name to exposure; else exposure.json or EXIF", NULL,
          &rq.set.exposures, NULL},
-        {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0", NULL,
+        {"rig", "PATH", "COLMAP folder or cameras.json, else sparse/0; none: unknown cameras", NULL,
          &rq.set.rig, NULL},
+        {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},
+        {"precision", "P", "that these weights must have: fp32, bf16 or int8", NULL,
+         &rq.model.precision, NULL},
+        {"dump", "DIR", "every tensor of the network as .npy", NULL, &rq.dump, NULL},
+        {"dump-exposures", "LIST", "three, of the picture there; else those of the inputs", NULL,
+         &rq.dump_exposures, NULL},
         {"json", "FILE", "the report once more, - for stdout", NULL, &rq.json, NULL},
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},
         CMD_REFINE,
@@ -78,20 +198,20 @@ int cmd_reconstruct_run(int argc, char **argv)
     };
     const struct cmd_usage usage = {
         "reconstruct", "--images DIR --out DIR ",
-        "Photographs with known exposures and cameras become an HDR scene.", options,
-        sizeof options / sizeof options[0]};
+        "Photographs with known exposures, and known cameras or a network, become an HDR scene.",
+        options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
     if (!rq.set.images || !rq.out)
         return cmd_misuse(&usage, "--images and --out are needed");
-    struct engine engine = {0};
-    struct imageset set = {0};
-    struct outdir out = {0};
-    err_t e = reconstruct(&rq, &engine, &set, &out);
-    code = cmd_finish(usage.name, e);
-    outdir_close(&out);
-    imageset_free(&set);
-    engine_close(&engine);
+    code = cmd_finish(usage.name, reconstruct(&rq, &st));
+    if (npy_close(&st.tensors) != OK)
+        code = CMD_FAILURE; // after another error, which was told
+    outdir_close(&st.dump);
+    outdir_close(&st.out);
+    imageset_free(&st.set);
+    engine_close(&st.engine);
+    network_close(&st.network);
     return code;
 }

@@ -12,7 +12,8 @@
 struct key {
     const char *name;
     size_t offset;                 // of an int in struct config
-    int min, max, multiple, value; // multiple: of which the value must be; value: the default
+    int min, max, multiple, value; // multiple: of which the value must be; value: the default,
+                                   // which may lie outside
     const char *help;
 };
 
@@ -21,13 +22,16 @@ struct key {
 static const struct key keys[] = {
     {"threads", FIELD(threads), 0, 64, 1, 0, "worker threads, 0 = one per core"},
     {"max_memory_mb", FIELD(max_memory_mb), 64, 1048576, 1, 4000, "refuse jobs that need more, MB"},
-    {"size", FIELD(size), 56, 1792, 14, 448, "edge of the square working pictures, px"},
+    {"size", FIELD(size), 56, 1792, 14, 0,
+     "edge of the square working pictures, px; 0 = that of the model, else 448"},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers"},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none"},
     {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,
      "highest degree of the spherical harmonics"},
     {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 200000,
-     "most Gaussians in a scene"},
+     "most Gaussians in a refined scene"},
+    {"net.float_parts", FIELD(net_float_parts), 0, 15, 1, 0,
+     "int8 parts in floats: 1 blocks, 2 attention, 4 heads, 8 special tokens"},
 };
 
 enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100 };
@@ -58,7 +62,7 @@ err_t config_set(struct config *c, const char *where, const char *key, const cha
     if (end == value || *end)
         return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is not a whole number", where, k->name,
                         QUOTE_MAX, value);
-    if (errno || n < k->min || n > k->max)
+    if (n != k->value && (errno || n < k->min || n > k->max))
         return err_fail(ERR_ARG, "%s: %s: %.*s is not in %d..%d", where, k->name, QUOTE_MAX, value,
                         k->min, k->max);
     if (n % k->multiple)

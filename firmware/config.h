@@ -18,11 +18,12 @@ enum { CONFIG_FILE_MAX = 16384 }; // bytes
 struct config {
     int threads;       // 0 = one per core
     int max_memory_mb; // MB (10^6 bytes)
-    int size;          // px, edge of the square pictures, multiple of 14
+    int size;          // px, edge of the square pictures, multiple of 14; 0 = by the model
     int seed;
     int refine_steps;
     int refine_sh_degree_max; // 0..4
     int refine_gaussians_max;
+    int net_float_parts; // NET_FLOAT_ bits of core/net/net.h
 };
 
 /* The built-in values, the same as board/common/defaults.conf. */

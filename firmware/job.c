@@ -2,19 +2,19 @@
 
 #include "firmware/draw.h"
 #include "firmware/engine.h"
+#include "firmware/start.h"
 
 #include "core/opt/response.h"
 #include "core/prep.h"
 #include "core/splat/gaussians.h"
-#include "core/splat/seed.h"
-#include "core/splat/sweep.h"
 
 #include <math.h>
 #include <stdarg.h>
 #include <string.h>
 
-static const char *const stage_names[JOB_STAGES] = {"preprocess", "response", "sweep", "seed",
-                                                    "refine",     "render",   "write", "measure"};
+static const char *const stage_names[JOB_STAGES] = {
+    "preprocess", "response", "sweep",  "seed",   "backbone", "heads",
+    "appearance", "voxel",    "refine", "render", "write",    "measure"};
 
 static void announce(const struct run *r, enum job_stage stage)
 {
@@ -24,52 +24,13 @@ static void announce(const struct run *r, enum job_stage stage)
 
 /* ---- the map ---- */
 
-/* The scene before its first splat: response and cameras, and room for what refinement may add. */
-static err_t begin_scene(const struct run *r, const struct job_config *cfg, struct job_result *out)
-{
-    const struct views *v = &out->views;
-    struct scene *s = &out->scene;
-    size_t n = (size_t)v->n;
-    *s = (struct scene){.tone = out->response,
-                        .n_views = v->n,
-                        .size = v->size,
-                        .names = v->names,
-                        .log2t = v->log2t};
-    err_t e = arena_alloc(r->keep, n, sizeof *s->cams, &s->cams);
-    if (!e)
-        e = gaussians_init(&s->g, r->keep, cfg->refine.gaussians_max, cfg->refine.degree_max);
-    if (!e)
-        memcpy(s->cams, v->cams, n * sizeof *s->cams);
-    return e;
-}
-
-/* Depth and seeds lie behind the scene in keep and are given back. */
-static err_t place_splats(const struct run *r, const struct job_config *cfg, struct job_result *out)
-{
-    struct depthmaps depth;
-    struct gaussians seeds;
-    struct gaussians *g = &out->scene.g;
-    size_t mark = arena_mark(r->keep);
-    announce(r, JOB_SWEEP);
-    err_t e = sweep_run(r, &out->views, &out->response, &depth);
-    job_lap(out, JOB_SWEEP);
-    if (!e) {
-        announce(r, JOB_SEED);
-        struct seed_input in = {.views = &out->views, .depth = &depth, .tone = &out->response};
-        /* half of the room: the refiner splits where the photographs hold more than noise */
-        e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
-    }
-    g->degree = 0; // refinement adds bands where the photographs ask for them
-    for (int p = 0; !e && p < gaussians_planes(0); p++)
-        memcpy(g->plane[p], seeds.plane[p], (size_t)seeds.n * sizeof(float));
-    if (!e)
-        g->n = seeds.n;
-    arena_reset(r->keep, mark);
-    job_lap(out, JOB_SEED);
-    return e;
-}
-
 static struct job_config within(const struct job_config *cfg, int n_views);
+
+/* Without steps the refiner still takes out what is transparent, which a network's scene keeps. */
+static bool refines(const struct job_config *cfg)
+{
+    return cfg->refine.steps > 0 || !cfg->network;
+}
 
 err_t job_run(const struct run *r, const struct capture *c, const struct job_config *asked,
               struct job_result *out)
@@ -78,6 +39,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     memset(out, 0, sizeof *out);
     out->input_psnr = NAN;
     out->start_s = out->lap_s = engine_seconds();
+    if (cfg.network)
+        out->precision = modelfile_precision(cfg.network->file.model.precision);
     announce(r, JOB_PREPROCESS);
     err_t e = prep_run(r, c, cfg.size, &out->views);
     job_lap(out, JOB_PREPROCESS);
@@ -85,10 +48,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = response_run(r, &out->views, &out->response);
     job_lap(out, JOB_RESPONSE);
     if (!e)
-        e = begin_scene(r, &cfg, out);
-    if (!e)
-        e = place_splats(r, &cfg, out);
-    if (!e)
+        e = start_run(r, &cfg, out);
+    if (!e && refines(&cfg))
         e = refine_run(r, &out->views, &cfg.refine, &out->scene, &out->refine);
     job_lap(out, JOB_REFINE);
     if (!e && out->scene.g.n == 0)
@@ -115,42 +76,49 @@ static size_t max_size(size_t a, size_t b)
     return a > b ? a : b;
 }
 
-static err_t check_capture(const struct capture *c)
+static err_t check_capture(const struct capture *c, bool need_cameras)
 {
     if (c->n < 2)
         return err_fail(ERR_ARG, "%d view, a scene needs at least 2", c->n);
-    for (int i = 0; i < c->n; i++)
+    for (int i = 0; i < c->n && need_cameras; i++)
         if (!c->shots[i].has_camera)
-            return err_fail(
-                ERR_ARG,
-                "%s: its camera is not known; give --rig PATH, or put a sparse/0 folder beside the "
-                "pictures",
-                c->shots[i].name);
+            return err_fail(ERR_ARG,
+                            "%s: its camera is not known; give --rig PATH, or put a sparse/0 "
+                            "folder beside the pictures, or let a network estimate it: --model "
+                            "FILE",
+                            c->shots[i].name);
     return OK;
 }
 
-err_t job_plan(const struct capture *c, const struct job_config *asked, int threads,
+int job_most(const struct job_config *asked, int n_views)
+{
+    struct job_config cfg = within(asked, n_views);
+    long long pixels = (long long)n_views * cfg.size * cfg.size;
+    if (cfg.network && cfg.network->net.d.gauss && cfg.refine.steps == 0)
+        return pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
+    return cfg.refine.gaussians_max;
+}
+
+err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
                struct job_memory *out)
 {
-    err_t e = check_capture(c);
+    err_t e = check_capture(c, asked->network == NULL);
     if (e)
         return e;
     struct job_config cfg = within(asked, c->n);
-    int cap = cfg.refine.gaussians_max;
     struct views v = {.n = c->n, .size = cfg.size}; // all that plans look at
-    memset(out, 0, sizeof *out);
+    size_t keep, tmp;
+    *out = start_plan(&cfg, c->n, threads, tapped);
     for (int i = 0; i < c->n; i++)
         out->pictures = arena_add(out->pictures, arena_need((size_t)c->shots[i].image.w,
                                                             (size_t)c->shots[i].image.h * 3));
-    prep_plan(c, cfg.size, threads, &out->keep, &out->tmp);
-    out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(struct camera)));
-    out->keep = arena_add(out->keep, gaussians_need(cap, cfg.refine.degree_max));
-    out->keep = arena_add(out->keep, arena_add(sweep_keep(&v), seed_keep(cap)));
+    prep_plan(c, cfg.size, threads, &keep, &tmp);
+    out->keep = arena_add(out->keep, keep);
+    out->tmp = max_size(out->tmp, tmp);
     out->tmp = max_size(out->tmp, response_plan(&v));
-    out->tmp = max_size(out->tmp, sweep_plan(&v, threads));
-    out->tmp = max_size(out->tmp, seed_plan(&v));
-    out->tmp = max_size(out->tmp, refine_plan(c->n, cfg.size, &cfg.refine, threads));
-    out->tmp = max_size(out->tmp, draw_plan(cap, cfg.size, cfg.size));
+    if (refines(&cfg))
+        out->tmp = max_size(out->tmp, refine_plan(c->n, cfg.size, &cfg.refine, threads));
+    out->tmp = max_size(out->tmp, draw_plan(job_most(&cfg, c->n), cfg.size, cfg.size));
     return OK;
 }
 
@@ -213,7 +181,8 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     report_int(rep, NULL, j->scene.size);
     report_int(rep, NULL, j->scene.size);
     report_close(rep);
-    report_text(rep, "precision", "fp32");
+    report_text(rep, "precision", j->precision ? j->precision : "fp32");
+    report_bool(rep, "network", j->precision != NULL);
     report_int(rep, "threads", threads);
     report_int(rep, "gaussians", j->scene.g.n);
     report_int(rep, "sh_degree", j->scene.g.degree);

@@ -1,8 +1,10 @@
 /* job.h - one capture through all steps: the map of the project (house rules, section 3).
- * Known cameras, no network: response curve, depth by plane sweep, seeds, refinement. */
+ * Without a network cameras must be known: response curve, depth by plane sweep, seeds. With one it
+ * makes the first Gaussians. Then refinement. */
 #ifndef FIRMWARE_JOB_H
 #define FIRMWARE_JOB_H
 
+#include "firmware/network.h"
 #include "firmware/report.h"
 
 #include "core/opt/refine.h"
@@ -13,6 +15,10 @@ enum job_stage {
     JOB_RESPONSE,
     JOB_SWEEP,
     JOB_SEED,
+    JOB_BACKBONE,
+    JOB_HEADS,      // cameras and depth
+    JOB_APPEARANCE, // fusion, Gaussian head, tone curve
+    JOB_VOXEL,
     JOB_REFINE,
     JOB_RENDER, // this and the following by whoever publishes or evaluates
     JOB_WRITE,
@@ -25,10 +31,13 @@ enum { JOB_WARNINGS = 8 };
 struct job_config {
     int size; // px, edge of the square views
     struct refine_config refine;
+    const struct network *network; // NULL: none
+    float dump_log2t[3];           // exposures of the dumped picture, if run.tap is set
 };
 
 struct job_memory {
-    size_t pictures, keep, tmp; // bytes: decoded photographs (malloc'd by imageset), arenas
+    size_t pictures, weights; // bytes: decoded photographs (malloc'd by imageset), mapped file
+    size_t keep, tmp;         // arenas
 };
 
 struct job_result {
@@ -41,16 +50,20 @@ struct job_result {
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
     bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
+    const char *precision;      // of the network; NULL: none was used
     int n_warnings;
     char warnings[JOB_WARNINGS][160];
 };
 
 /* Memory of a job, before a pixel is decoded; the capture needs only names, sizes and cameras.
- * `c` is refused here if it cannot become a scene: fewer than two views, a view without camera or
- * exposure.
- * err:  ERR_ARG, ERR_LIMIT (overflow). */
+ * `c` is refused here if it cannot become a scene: fewer than two views, without a network a view
+ * without camera. tapped: run.tap will be set.
+ * err:  ERR_ARG. */
 MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
-                        struct job_memory *out);
+                        bool tapped, struct job_memory *out);
+
+/* Most Gaussians that a scene of so many views can have. */
+int job_most(const struct job_config *cfg, int n_views);
 
 /* The whole way from photographs to a scene. Arenas as planned.
  * err:  those of the steps. On error *out holds the times so far, nothing else. */

@@ -35,13 +35,13 @@ static void refusals(void **state)
     struct job_memory m;
     struct job_config cfg = config(56, 1000);
     struct capture c = capture(1, 100);
-    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "1 view"));
     c = capture(0, 100);
-    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
     c = capture(3, 100);
     shots[1].has_camera = false;
-    assert_int_equal(job_plan(&c, &cfg, 1, &m), ERR_ARG);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "view1.png"));
     assert_non_null(strstr(err_text(), "--rig"));
 }
@@ -50,7 +50,7 @@ static size_t total(int n, int side, struct job_config cfg, int threads)
 {
     struct job_memory m;
     struct capture c = capture(n, side);
-    assert_int_equal(job_plan(&c, &cfg, threads, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, threads, false, &m), OK);
     return arena_add(m.pictures, arena_add(m.keep, m.tmp));
 }
 
@@ -60,7 +60,7 @@ static void memory_grows_with_the_work(void **state)
     struct job_memory m;
     struct capture c = capture(4, 1000);
     struct job_config cfg = config(112, 20000);
-    assert_int_equal(job_plan(&c, &cfg, 2, &m), OK);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, &m), OK);
     assert_true(m.pictures >= 4u * 3000000 && m.pictures < 4u * 3000000 + 10000);
     size_t base = total(4, 1000, cfg, 2);
     assert_true(base > 10e6 && base < 200e6);

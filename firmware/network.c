@@ -1,0 +1,242 @@
+#include "firmware/network.h"
+
+#include "firmware/engine.h"
+
+#include "core/net/depth.h"
+#include "core/splat/gaussians.h"
+#include "core/splat/raster.h"
+#include "core/splat/turn.h"
+
+#include <math.h>
+#include <string.h>
+
+static const float DARKEST = 1.0f / 512; // display value
+
+err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
+{
+    memset(out, 0, sizeof *out);
+    err_t e = modelfile_open(path, &out->file);
+    if (e)
+        return e;
+    const char *have = modelfile_precision(out->file.model.precision);
+    if (precision && strcmp(precision, have) != 0)
+        e = err_fail(ERR_ARG,
+                     "%s holds %s weights, --precision %.16s was asked; hdrig convert --precision "
+                     "%.16s makes a file of them",
+                     path, have, precision, precision);
+    if (!e)
+        e = net_bind(&out->file.model, floats, &out->net);
+    if (e)
+        network_close(out);
+    return e;
+}
+
+void network_close(struct network *n)
+{
+    modelfile_close(&n->file);
+    memset(n, 0, sizeof *n);
+}
+
+bool network_needs_exposures(const struct network *n)
+{
+    return n->net.d.appearance;
+}
+
+/* ---- time ---- */
+
+void network_clock_stop(struct network_clock *c)
+{
+    double now = engine_seconds();
+    if (c->n > 0)
+        c->stage[c->n - 1].seconds += now - c->last;
+    c->last = now;
+}
+
+/* Stages follow one another; one that comes again is moved to the end of the list. */
+static void enter(struct network_clock *c, const char *name)
+{
+    int i = 0;
+    while (i < c->n && strcmp(c->stage[i].name, name) != 0)
+        i++;
+    if (i == NETWORK_STAGES)
+        return;
+    if (i == c->n) {
+        snprintf(c->stage[i].name, sizeof c->stage[i].name, "%s", name);
+        c->stage[i].seconds = 0;
+        c->n++;
+        return;
+    }
+    for (; i + 1 < c->n; i++) {
+        struct network_stage swap = c->stage[i];
+        c->stage[i] = c->stage[i + 1];
+        c->stage[i + 1] = swap;
+    }
+}
+
+static void timed_step(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    struct network_clock *c = ctx;
+    if (done == 0) { // it begins: the time before was another's
+        network_clock_stop(c);
+        enter(c, stage);
+    } else { // it has done something
+        enter(c, stage);
+        network_clock_stop(c);
+    }
+    if (c->next)
+        c->next(c->next_ctx, stage, done, total, note);
+}
+
+struct run network_timed(const struct run *r, struct network_clock *clock)
+{
+    struct run out = *r;
+    *clock = (struct network_clock){
+        .next = r->progress, .next_ctx = r->progress_ctx, .last = engine_seconds()};
+    out.progress = timed_step;
+    out.progress_ctx = clock;
+    return out;
+}
+
+double network_seconds(const struct network_clock *c, const char *const *names)
+{
+    double sum = 0;
+    for (; *names; names++)
+        for (int i = 0; i < c->n; i++)
+            if (strcmp(c->stage[i].name, *names) == 0)
+                sum += c->stage[i].seconds;
+    return sum;
+}
+
+/* ---- known cameras ---- */
+
+size_t network_place_plan(int n_views)
+{
+    return arena_add(turn_plan(n_views), arena_need((size_t)n_views, sizeof(struct camera)));
+}
+
+struct place {
+    struct prediction *p;
+    const struct camera *own; // the network's cameras
+    const struct run *r;
+};
+
+static err_t unproject_chunk(void *ctx, int view, int worker)
+{
+    const struct place *pl = ctx;
+    const size_t pixels = (size_t)pl->p->geom.size * (size_t)pl->p->geom.size;
+    (void)worker;
+    depth_unproject(&pl->p->geom, view, pl->p->points + 3 * pixels * (size_t)view);
+    return OK;
+}
+
+static err_t move(const struct place *pl)
+{
+    const struct geometry *g = &pl->p->geom;
+    const int pixels = g->size * g->size;
+    err_t e = OK;
+    for (int i = 0; i < g->n_views && !e && pl->p->features; i++) {
+        float turn[9];
+        turn_rotation(&pl->own[i], &g->cams[i], turn);
+        e = turn_features(pl->r, turn, pl->p->features, (size_t)pl->p->n,
+                          (int[2]){i * pixels, pixels});
+    }
+    return e || !pl->p->points
+               ? e
+               : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
+}
+
+err_t network_place(const struct run *r, const struct camera *cams, struct prediction *p,
+                    float *scale)
+{
+    struct geometry *g = &p->geom;
+    const size_t n = (size_t)g->n_views, mark = arena_mark(r->tmp);
+    struct camera *own;
+    err_t e = turn_scale(r, g->cams, cams, g->n_views, scale);
+    if (!e)
+        e = arena_alloc(r->tmp, n, sizeof *own, &own);
+    if (!e) {
+        memcpy(own, g->cams, n * sizeof *own);
+        memcpy(g->cams, cams, n * sizeof *own);
+        for (size_t i = 0; i < n; i++)
+            for (int k = 0; k < 3; k++)
+                g->cams[i].t[k] /= *scale;
+        e = move(&(struct place){p, own, r});
+    }
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* ---- Gaussians ---- */
+
+err_t network_merge(const struct run *r, const struct prediction *p, float cell, int max,
+                    struct voxels *out, float *used)
+{
+    const struct voxel_input in = {p->n, p->points, p->features, p->confidence};
+    const size_t mark = arena_mark(r->keep);
+    for (*used = cell;;) {
+        err_t e = voxel_merge(r, &in, *used, out);
+        if (e || max == 0 || out->n <= max)
+            return e;
+        arena_reset(r->keep, mark);
+        *used *= fmaxf(1.05f, sqrtf((float)out->n / (float)max)); // surfaces: n ~ 1 / cell^2
+    }
+}
+
+void network_scale(struct gaussians *g, float scale)
+{
+    const float add = logf(scale);
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < g->n; i++) {
+            g->plane[G_MU + k][i] *= scale;
+            g->plane[G_LOG_SCALE + k][i] += add;
+        }
+}
+
+/* ---- plain AnySplat ---- */
+
+void network_from_display(struct gaussians *g)
+{
+    const float basis0 = 0.2820947917738781f; // model-spec 2.13
+    for (int c = 0; c < 3; c++)
+        for (int i = 0; i < g->n; i++) {
+            float mean = g->plane[G_SH + c][i] * basis0 + 0.5f;
+            float gain = mean > DARKEST ? 1 / mean : 0; // of d ln v = d v / v
+            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / basis0;
+            for (int p = G_SH + 3 + c; p < gaussians_planes(g->degree); p += 3)
+                g->plane[p][i] *= gain;
+        }
+}
+
+static double logit(double v)
+{
+    return log(v / (1 - v));
+}
+
+/* log2 of the display value v at knot k. The error of a line between knots is as large everywhere
+ * if they are equally far apart in sqrt(1 - v); here from v = 0.001 to 0.999. */
+static double knot(int k)
+{
+    const double first = 0.9995, last = 1.0 / 32;
+    double s = first + (last - first) * k / (TONE_HIDDEN - 1);
+    return log2(1 - s * s);
+}
+
+void network_display_curve(float mid_log2t, struct tonemap *out)
+{
+    memset(out, 0, sizeof *out);
+    out->mid_log2t = mid_log2t;
+    for (int c = 0; c < 3; c++) {
+        float *p = out->p + c * TONE_PER_COLOUR;
+        double before = 0;
+        for (int k = 0; k < TONE_HIDDEN; k++) {
+            double x = knot(k), next = knot(k + 1);
+            double slope = k + 1 < TONE_HIDDEN ? (logit(exp2(next)) - logit(exp2(x))) / (next - x)
+                                               : before; // beyond the last knot: on as before
+            p[k] = 1;
+            p[TONE_HIDDEN + k] = (float)-x;
+            p[2 * TONE_HIDDEN + k] = (float)(slope - before);
+            before = slope;
+        }
+        p[3 * TONE_HIDDEN] = (float)logit(exp2(knot(0)));
+    }
+}

@@ -1,0 +1,84 @@
+/* network.h - the network inside a job: a weights file that is open, the memory and the time of a
+ * forward pass, and the way from its prediction to the start of a scene. */
+#ifndef FIRMWARE_NETWORK_H
+#define FIRMWARE_NETWORK_H
+
+#include "core/net/net.h"
+#include "core/splat/voxel.h"
+#include "drivers/modelfile.h"
+
+struct network {
+    struct modelfile file;
+    struct net net; // points into file
+};
+
+/* precision: a word of modelfile.h that the file must have, or NULL. floats: NET_FLOAT_ bits.
+ * own:  network_close.
+ * err:  those of modelfile_open; ERR_ARG (another precision). On error *out is zeroed. */
+MUST_USE err_t network_open(const char *path, const char *precision, unsigned floats,
+                            struct network *out);
+
+/* Accepts a zeroed struct. */
+void network_close(struct network *n);
+
+/* Whether the photographs must have exposures: only the appearance branch looks at them. */
+bool network_needs_exposures(const struct network *n);
+
+/* ---- time ---- */
+
+enum { NETWORK_STAGES = 16 };
+
+struct network_stage {
+    char name[24];
+    double seconds;
+};
+
+/* Seconds of each stage that a progress_fn hears of. The time before a step belongs to the stage of
+ * that step; before the first step of a stage, of which nothing is done, to the stage before. */
+struct network_clock {
+    progress_fn *next; // or NULL
+    void *next_ctx;
+    double last; // of the clock
+    int n;
+    struct network_stage stage[NETWORK_STAGES]; // the present one is the last
+};
+
+/* A run whose steps are timed: r with clock in front of its progress. clock must outlive it. */
+struct run network_timed(const struct run *r, struct network_clock *clock);
+
+/* The time since the last step goes to its stage. */
+void network_clock_stop(struct network_clock *clock);
+
+/* Seconds of the stages whose name is in the list `names`, NULL at its end. */
+double network_seconds(const struct network_clock *clock, const char *const *names);
+
+/* ---- from prediction to scene ---- */
+
+/* The factor from the network's world to that of known cameras (turn.h), and p's geometry, points
+ * and features moved to that world divided by the factor: sizes stay those that the network knows.
+ * Pixels are unprojected anew, by the known cameras.
+ * cams: (n_views) known, for p->geom.size.
+ * err:  ERR_NOMEM (r->tmp, see network_place_plan), ERR_CANCELLED. */
+MUST_USE err_t network_place(const struct run *r, const struct camera *cams, struct prediction *p,
+                             float *scale);
+size_t network_place_plan(int n_views);
+
+/* Gaussians of a prediction, merged (voxel.h). max: most of them, 0 = any number; the cell grows
+ * from `cell` until they fit.
+ * out:  memory in r->keep, see voxel_keep. *used: the cell.
+ * err:  ERR_NOMEM (see voxel_plan), ERR_CANCELLED. */
+MUST_USE err_t network_merge(const struct run *r, const struct prediction *p, float cell, int max,
+                             struct voxels *out, float *used);
+
+/* Make every length `scale` times as long. */
+void network_scale(struct gaussians *g, float scale);
+
+/* Display colours minus 0.5, as plain AnySplat gives them, become log radiance for the curve of
+ * network_display_curve: exactly for the mean over all directions, to first order for the bands
+ * above. What would be darker than 1/512 is that, without bands. */
+void network_from_display(struct gaussians *g);
+
+/* A curve that shows radiance as it is, 0..1, within 1/1000, at the middle exposure. */
+void network_display_curve(float mid_log2t, struct tonemap *out);
+
+#endif

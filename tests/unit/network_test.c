@@ -1,0 +1,292 @@
+/* From the prediction of a network to the start of a scene, and its times; the network itself is
+ * tested against golden data. */
+#include "core/kernels/kernels.h"
+#include "core/net/depth.h"
+#include "core/net/tonemap.h"
+#include "core/splat/gaussians.h"
+#include "core/splat/raster.h"
+#include "firmware/engine.h"
+#include "firmware/network.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include <cmocka.h>
+
+/* ---- times ---- */
+
+static int steps_heard;
+
+static void hear(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    (void)stage, (void)done, (void)total, (void)note;
+    assert_ptr_equal(ctx, &steps_heard);
+    steps_heard++;
+}
+
+static void wait_ms(int ms)
+{
+    nanosleep(&(struct timespec){0, ms * 1000000L}, NULL);
+}
+
+static double seconds(const struct network_clock *c, const char *name)
+{
+    return network_seconds(c, (const char *const[]){name, NULL});
+}
+
+static void time_belongs_to_the_stage_that_passed_it(void **state)
+{
+    (void)state;
+    struct network_clock c;
+    struct run r = {.progress = hear, .progress_ctx = &steps_heard}, timed;
+    timed = network_timed(&r, &c);
+    wait_ms(40);
+    timed.progress(timed.progress_ctx, "a", 1, 2, NULL); // says when it has done something
+    wait_ms(20);
+    timed.progress(timed.progress_ctx, "a", 2, 2, NULL);
+    timed.progress(timed.progress_ctx, "b", 0, 1, NULL); // says that it begins
+    wait_ms(30);
+    timed.progress(timed.progress_ctx, "c", 0, 1, NULL);
+    wait_ms(10);
+    timed.progress(timed.progress_ctx, "b", 1, 2, NULL);
+    wait_ms(50);
+    network_clock_stop(&c);
+    assert_int_equal(steps_heard, 5);
+    assert_true(seconds(&c, "a") >= 0.06 && seconds(&c, "a") < 0.1);
+    assert_true(seconds(&c, "b") >= 0.09 && seconds(&c, "b") < 0.13);
+    assert_true(seconds(&c, "c") < 0.03);
+    assert_true(network_seconds(&c, (const char *const[]){"a", "b", NULL}) >= 0.15);
+    assert_float_equal(seconds(&c, "d"), 0, 0);
+}
+
+/* ---- geometry ---- */
+
+enum { VIEWS = 4, SIZE = 28, PX = SIZE * SIZE, N = VIEWS * PX };
+
+struct world {
+    struct arena keep, tmp;
+    struct kernels kernels;
+    struct run r;
+    struct prediction p;
+    struct camera own[VIEWS], known[VIEWS];
+};
+
+static struct world w;
+
+static float wave(int i, int k)
+{
+    return sinf((float)(i * 7 + k * 13) * 0.37f);
+}
+
+/* Cameras around a wall at depth 2; known cameras: the same, turned, moved, 3 times as large. */
+static void make_cameras(void)
+{
+    const float turn[4] = {0.6f, 0.48f, -0.64f, 0}; // unit
+    for (int i = 0; i < VIEWS; i++) {
+        struct camera *c = &w.own[i], *k = &w.known[i];
+        float half = 0.05f * (float)i;
+        *c = (struct camera){.w = SIZE, .h = SIZE, .fx = 30, .fy = 30, .cx = 14, .cy = 14};
+        c->q[0] = cosf(half), c->q[2] = sinf(half);
+        c->t[0] = 0.3f * (float)i, c->t[1] = 0.1f * (float)(i % 2), c->t[2] = 0.05f;
+        /* q_known = q conj(turn); centre 3 turn(c) + (1, 2, 3) */
+        const float *a = c->q, b[4] = {turn[0], -turn[1], -turn[2], -turn[3]};
+        float r[9], centre[3], moved[3], s[9];
+        *k = *c;
+        k->q[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];
+        k->q[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
+        k->q[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
+        k->q[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
+        raster_rotation(c->q, r);
+        raster_rotation(turn, s);
+        for (int j = 0; j < 3; j++)
+            centre[j] = -(r[j] * c->t[0] + r[3 + j] * c->t[1] + r[6 + j] * c->t[2]);
+        for (int j = 0; j < 3; j++)
+            moved[j] =
+                3 * (s[3 * j] * centre[0] + s[3 * j + 1] * centre[1] + s[3 * j + 2] * centre[2]) +
+                (float)(j + 1);
+        raster_rotation(k->q, r);
+        for (int j = 0; j < 3; j++)
+            k->t[j] = -(r[3 * j] * moved[0] + r[3 * j + 1] * moved[1] + r[3 * j + 2] * moved[2]);
+    }
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    memset(&w, 0, sizeof w);
+    make_cameras();
+    if (arena_init(&w.keep, "keep", voxel_keep(N) + (4 << 20)) != OK ||
+        arena_init(&w.tmp, "tmp", voxel_plan(N) + raster_plan(N, SIZE, SIZE, false) + (4 << 20)) !=
+            OK)
+        return -1;
+    kernels_init(&w.kernels, 0);
+    w.r = (struct run){.k = &w.kernels, .keep = &w.keep, .tmp = &w.tmp};
+    struct geometry *g = &w.p.geom;
+    w.p.n = N;
+    if (arena_alloc(&w.keep, VIEWS, sizeof *g->cams, &g->cams) != OK ||
+        arena_alloc(&w.keep, N, sizeof(float), &g->depth) != OK ||
+        arena_alloc(&w.keep, N, 3 * sizeof(float), &w.p.points) != OK ||
+        arena_alloc(&w.keep, N, VOXEL_FEATURES * sizeof(float), &w.p.features) != OK ||
+        arena_alloc(&w.keep, N, sizeof(float), &w.p.confidence) != OK)
+        return -1;
+    g->n_views = VIEWS, g->size = SIZE;
+    memcpy(g->cams, w.own, sizeof w.own);
+    for (int i = 0; i < N; i++) {
+        g->depth[i] = 2 + 0.2f * wave(i, 0);
+        w.p.confidence[i] = wave(i, 1);
+        for (int k = 0; k < VOXEL_FEATURES; k++)
+            w.p.features[k * N + i] = wave(i, k + 2) * (k >= VOXEL_SH ? 2 : 1);
+        for (int k = 0; k < 3; k++)
+            w.p.features[(VOXEL_SCALE + k) * N + i] += 20;
+    }
+    for (int v = 0; v < VIEWS; v++)
+        depth_unproject(g, v, w.p.points + (size_t)v * PX * 3);
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    arena_free(&w.keep);
+    arena_free(&w.tmp);
+    return 0;
+}
+
+static void draw(const struct gaussians *g, const struct camera *cam, float px[4 * PX])
+{
+    struct raster rs;
+    struct raster_input in = {g, cam, {1, 1, 1}};
+    struct render out = {.radiance = px, .alpha = px + 3 * PX};
+    size_t mark = arena_mark(&w.tmp);
+    assert_int_equal(raster_init(&rs, &w.tmp, g->cap, SIZE, SIZE, false), OK);
+    assert_int_equal(raster_run(&w.r, &rs, &in, &out), OK);
+    arena_reset(&w.tmp, mark);
+}
+
+/* The cell is small enough that no two pixels share one: rounding cannot move points to others. */
+static void pictures(const struct camera *cam, float scale, float px[4 * PX])
+{
+    struct voxels v;
+    struct gaussians g;
+    float cell;
+    size_t mark = arena_mark(&w.keep);
+    assert_int_equal(network_merge(&w.r, &w.p, 1e-5f, 0, &v, &cell), OK);
+    assert_float_equal(cell, 1e-5f, 0);
+    assert_int_equal(voxel_adapt(&w.r, &v, &g), OK);
+    network_scale(&g, scale);
+    draw(&g, cam, px);
+    arena_reset(&w.keep, mark);
+}
+
+static void known_cameras_see_what_the_network_saw(void **state)
+{
+    (void)state;
+    static float before[VIEWS][4 * PX], after[4 * PX];
+    float scale;
+    for (int v = 0; v < VIEWS; v++)
+        pictures(&w.own[v], 1, before[v]);
+    assert_int_equal(network_place(&w.r, w.known, &w.p, &scale), OK);
+    assert_float_equal(scale, 3, 1e-4f);
+    for (int v = 0; v < VIEWS; v++) {
+        double worst = 0, ink = 0;
+        pictures(&w.known[v], scale, after);
+        for (int i = 0; i < 4 * PX; i++) {
+            worst = fmax(worst, fabs((double)(after[i] - before[v][i])));
+            ink += fabs((double)before[v][i] - 1);
+        }
+        print_message("  view %d: largest difference %.1e\n", v, worst);
+        assert_true(ink > PX / 4);
+        assert_true(worst < 2e-3);
+    }
+}
+
+static void cells_grow_until_they_fit(void **state)
+{
+    (void)state;
+    struct voxels v;
+    float cell;
+    size_t mark = arena_mark(&w.keep);
+    assert_int_equal(network_merge(&w.r, &w.p, 0.001f, 0, &v, &cell), OK);
+    assert_true(v.n > 3000);
+    arena_reset(&w.keep, mark);
+    assert_int_equal(network_merge(&w.r, &w.p, 0.001f, 500, &v, &cell), OK);
+    assert_true(v.n <= 500 && v.n > 200);
+    assert_true(cell > 0.001f);
+    arena_reset(&w.keep, mark);
+    for (int i = 0; i < N; i++) // far too large a world
+        for (int k = 0; k < 3; k++)
+            w.p.points[3 * i + k] *= 1e12f;
+    assert_int_equal(network_merge(&w.r, &w.p, 0.001f, 50, &v, &cell), OK);
+    assert_true(v.n <= 50 && v.n > 0);
+}
+
+/* ---- plain AnySplat ---- */
+
+static void radiance_is_shown_as_it_is(void **state)
+{
+    (void)state;
+    struct tonemap tone;
+    struct tonemap_table table;
+    float v[1025], shown[1025], worst = 0;
+    network_display_curve(-3, &tone);
+    assert_float_equal(tone.mid_log2t, -3, 0);
+    tonemap_table_init(&table, &tone);
+    for (int i = 0; i <= 1024; i++)
+        v[i] = (float)i / 1024;
+    for (int c = 0; c < 3; c++) {
+        tonemap_run(&table.c[c], v, 0, 1025, shown);
+        for (int i = 0; i <= 1024; i++) {
+            worst = fmaxf(worst, fabsf(shown[i] - v[i]));
+            assert_true(i < 2 || shown[i] > shown[i - 1]);
+        }
+        const float bright[2] = {5, 1000};
+        tonemap_run(&table.c[c], bright, 0, 2, shown);
+        assert_true(shown[0] > 0.999f && shown[1] > 0.999f);
+    }
+    print_message("  worst %.2e\n", (double)worst);
+    assert_true(worst < 1e-3f);
+}
+
+/* A splat of display colour v becomes one of radiance v; a small slope in direction is kept. */
+static void display_colours_become_radiance(void **state)
+{
+    (void)state;
+    static const float b0 = 0.2820947917738781f, b1 = 0.48860251190292f;
+    struct gaussians g;
+    assert_int_equal(gaussians_init(&g, &w.keep, 3, 1), OK);
+    g.n = 3;
+    const float colour[3] = {0.8f, 0.1f, -0.2f};
+    for (int i = 0; i < 3; i++)
+        for (int c = 0; c < 3; c++) {
+            g.plane[G_SH + c][i] = (colour[i] - 0.5f) / b0;
+            g.plane[G_SH + 6 + c][i] = 0.01f; // along z
+        }
+    network_from_display(&g);
+    for (int c = 0; c < 3; c++) {
+        assert_float_equal(expf(g.plane[G_SH + c][0] * b0), 0.8f, 1e-6f);
+        assert_float_equal(expf(g.plane[G_SH + c][1] * b0), 0.1f, 1e-6f);
+        assert_float_equal(expf(g.plane[G_SH + c][2] * b0), 1.0f / 512, 1e-6f);
+        for (int i = 0; i < 2; i++)
+            assert_float_equal(expf(g.plane[G_SH + c][i] * b0 + g.plane[G_SH + 6 + c][i] * b1),
+                               colour[i] + 0.01f * b1, 2e-4f);
+        assert_float_equal(g.plane[G_SH + 6 + c][2], 0, 0);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(time_belongs_to_the_stage_that_passed_it),
+        cmocka_unit_test_setup_teardown(known_cameras_see_what_the_network_saw, setup, teardown),
+        cmocka_unit_test_setup_teardown(cells_grow_until_they_fit, setup, teardown),
+        cmocka_unit_test(radiance_is_shown_as_it_is),
+        cmocka_unit_test_setup_teardown(display_colours_become_radiance, setup, teardown),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
