@@ -33,7 +33,8 @@ static inline void small_pack(struct model_tensor *t, const float *values)
     float *scale = small_alloc((size_t)panels * 16, sizeof *scale);
     float *row = small_alloc((size_t)(s.segs * s.seg), sizeof *row);
     for (int p = 0; p < panels; p++)
-        pack_panel(&t->spec, t->type, p, values, row, data + (size_t)p * bytes, scale + 16 * p);
+        pack_panel(&t->spec, t->type, p, values,
+                   &(struct pack){row, data + (size_t)p * bytes, scale + 16 * p});
     free(row);
     t->data = data;
     t->scale = t->type == PRECISION_S8 ? scale : NULL;
