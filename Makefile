@@ -61,7 +61,7 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 TSAN_TESTS := pool prep response seed
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/,arena bytes cpu err gaussians half layers loss metrics pool raster) \
-	golden/render kernels/gemm kernels/kernels kernels/nn
+	golden/render kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))

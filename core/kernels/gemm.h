@@ -6,7 +6,8 @@
  *
  * Quantisation, defined here once: symmetric, scale = max|x| / 127, integer = round half to even of
  * x * (127 / max|x|), in -127..127; NaN becomes 0, infinities count as FLT_MAX; where max|x| is
- * below FLT_MIN all integers and the scale are 0. */
+ * below FLT_MIN all integers and the scale are 0. Where it is so small that 127 / max|x| is
+ * infinite, signs are left. */
 #ifndef KERNELS_GEMM_H
 #define KERNELS_GEMM_H
 
@@ -56,12 +57,11 @@ typedef float absmax_fn(const float *x, size_t n);
 typedef void quant_fn(const float *x, size_t n, float inv, int8_t *out);
 
 /* Rotate each run of `block` floats by the Hadamard matrix of that size over sqrt(block), in place;
- * block is a power of two >= 4, n a multiple of it. */
+ * block is a power of two >= 4, n a multiple of it. Every variant gives the bits of C. */
 typedef void hadamard_fn(float *x, int n, int block);
 
 /* y = (x - mean) / sqrt(var + eps) * gamma + beta over n values; gamma and beta NULL: 1 and 0.
- * Sums are taken so that a mean 1e4 times the deviation costs no more than 1e-3 of the result.
- * y may be x. */
+ * For |x| < 1e15 within 1e-6 (1 + |y|), also where the mean is 1e4 times the deviation; y may be x. */
 struct norm {
     int n;
     float eps;
@@ -72,7 +72,7 @@ typedef void norm_fn(const struct norm *s, const float *x, float *y);
 enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU }; // GELU with erf (model-spec 0)
 
 /* What follows a product, on a block of its sums: v = act(sum * row_scale * scale + bias); then
- * out = v, or out += gamma v (gamma NULL: 1) when `add`. */
+ * out = v, or out += gamma v (gamma NULL: 1) when `add`. GELU of v is within 5e-7 |v|. */
 struct epilogue {
     int m, n;          // rows, columns that count
     const int32_t *ci; // (m, n) sums of gemm_s8, or NULL
@@ -106,7 +106,8 @@ typedef void head_turn_fn(const struct head_turn *t, float *x);
  * Logits x_ij = s_ij row_scale_i key_scale_j. State per row: top = largest logit so far, sum =
  * sum of exp(x - top).
  * I8 (si not NULL): p = round(127 exp(x - max of this block's row)), 0..127; the sum adds the
- * rounded values, so that rounding does not change the total weight.
+ * rounded values, so that rounding does not change the total weight. p is within 0.512 of the
+ * exact product, so variants differ by at most 1.
  * F32: p = exp(x - new top).
  * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of
  *      this block (1 for F32). */
@@ -115,7 +116,7 @@ struct attend_block {
     const int32_t *si; // (m, n) q k^T of integers, or NULL
     const float *sf;   // (m, n) of floats; may be pf
     size_t lds;
-    const float *row_scale; // (m), with 1/sqrt(width) in it
+    const float *row_scale; // (m), >= 0, with 1/sqrt(width) in it
     const float *key_scale; // (n) or NULL: 1
     float *top, *sum;       // (m), -INFINITY and 0 at the start
     int8_t *pi;             // (m, n) if si; the columns up to the next multiple of 4 become 0

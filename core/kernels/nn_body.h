@@ -1,7 +1,8 @@
 /* nn_body.h - what surrounds the products of the network, compiled once per instruction set.
  * Included by nn_<isa>.c after one SIMD_ macro. Bounds: tests/kernels/nn_test.c.
  * The last lanes of a row go through the same arithmetic as the others, so that a value does not
- * depend on its place. */
+ * depend on its place. Arguments are copied where the compiler has to fear that stores of vectors
+ * change them. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
 
@@ -50,27 +51,28 @@ MAP vf load_sums(const int32_t *ci, const float *cf, bool ints, size_t at, int l
     return load(cf + at, lanes);
 }
 
-MAP vf magnitude(vf a)
-{
-    return v_max(a, v_set(0.0f) - a);
-}
-
 /* --- quantisation -------------------------------------------------------------------------- */
 
 static float absmax(const float *x, size_t n)
 {
-    vf top[4];
+    vf top[4], low[4];
     size_t i = 0;
     for (int k = 0; k < 4; k++)
-        top[k] = v_set(0.0f);
+        top[k] = low[k] = v_set(0.0f);
     for (; i + 4 * LANES <= n; i += 4 * LANES)
-        for (int k = 0; k < 4; k++)
-            top[k] = v_max(magnitude(v_load(x + i + (size_t)k * LANES)), top[k]);
+        for (int k = 0; k < 4; k++) {
+            vf a = v_load(x + i + (size_t)k * LANES);
+            top[k] = v_max(a, top[k]);
+            low[k] = v_min(a, low[k]);
+        }
     for (; i < n; i += LANES) {
-        int lanes = n - i < LANES ? (int)(n - i) : LANES;
-        top[0] = v_max(magnitude(v_load_n(x + i, lanes)), top[0]);
+        vf a = v_load_n(x + i, n - i < LANES ? (int)(n - i) : LANES);
+        top[0] = v_max(a, top[0]);
+        low[0] = v_min(a, low[0]);
     }
-    return fminf(v_top(v_max(v_max(top[0], top[1]), v_max(top[2], top[3]))), FLT_MAX);
+    for (int k = 0; k < 4; k++)
+        top[0] = v_max(v_max(top[k], v_set(0.0f) - low[k]), top[0]);
+    return fminf(v_top(top[0]), FLT_MAX);
 }
 
 MAP void quant_lanes(const float *x, vf inv, int8_t *out, int lanes)
@@ -105,13 +107,19 @@ MAP vf rotate_lanes(vf a, int edge)
     return a;
 }
 
-/* Stages of strides h and 2 h; of all in the last, times the factor. */
-MAP void rotate4(float *x, int n, int h, vf factor)
+/* Stages of strides h and 2 h; below that those within a vector if `lanes`. Times the factor. */
+MAP void rotate4(float *x, int n, int h, vf factor, bool lanes)
 {
     for (int i = 0; i < n; i += 4 * h)
         for (int j = i; j < i + h; j += LANES) {
             vf a = v_load(x + j), b = v_load(x + j + h);
             vf c = v_load(x + j + 2 * h), d = v_load(x + j + 3 * h);
+            if (lanes) {
+                a = rotate_lanes(a, LANES);
+                b = rotate_lanes(b, LANES);
+                c = rotate_lanes(c, LANES);
+                d = rotate_lanes(d, LANES);
+            }
             vf ab = a + b, cd = c + d, a_b = a - b, c_d = c - d;
             v_store(x + j, (ab + cd) * factor);
             v_store(x + j + h, (a_b + c_d) * factor);
@@ -133,14 +141,19 @@ MAP void rotate2(float *x, int n, int h, vf factor)
 static void hadamard(float *x, int n, int block)
 {
     const vf one = v_set(1.0f), unit = v_set(1 / sqrtf((float)block));
-    const vf first = block > LANES ? one : unit;
     int h = LANES, i = 0;
-    for (; block >= LANES && i < n; i += LANES)
-        v_store(x + i, rotate_lanes(v_load(x + i), LANES) * first);
-    for (; i < n; i += block)
-        v_store_n(x + i, rotate_lanes(v_load_n(x + i, block), block) * unit, block);
+    if (block >= 4 * LANES) {
+        rotate4(x, n, LANES, block == 4 * LANES ? unit : one, true);
+        h = 4 * LANES;
+    } else if (block >= LANES) {
+        for (; i < n; i += LANES)
+            v_store(x + i, rotate_lanes(v_load(x + i), LANES) * (block == LANES ? unit : one));
+    } else {
+        for (; i < n; i += block)
+            v_store_n(x + i, rotate_lanes(v_load_n(x + i, block), block) * unit, block);
+    }
     for (; 4 * h <= block; h *= 4)
-        rotate4(x, n, h, 4 * h == block ? unit : one);
+        rotate4(x, n, h, 4 * h == block ? unit : one, false);
     if (2 * h == block)
         rotate2(x, n, h, unit);
 }
@@ -212,7 +225,8 @@ static void norm(const struct norm *s, const float *x, float *y)
  * it 0 and 1 within 8e-8. */
 MAP vf gelu(vf v)
 {
-    vf x = v_clamp(v, -5.25f, 5.25f), s = x * x;
+    v = v_max(v_set(-5.25f), v); // also spares huge numbers times what is left of 0
+    vf x = v_min(v, v_set(5.25f)), s = x * x;
     vf p = v_set(6.044539987e-06f), q = v_set(5.152334666e-07f);
     p = v_fma(p, s, v_set(3.274888149e-04f));
     q = v_fma(q, s, v_set(1.174655117e-04f));
@@ -223,8 +237,7 @@ MAP vf gelu(vf v)
     p = v_fma(p, s, v_set(3.989418745e-01f));
     q = v_fma(q, s, v_set(2.939797342e-01f));
     q = v_fma(q, s, v_set(1.0f));
-    // No product of a huge negative number and what is left of 0.
-    return v_max(v_set(-5.25f), v) * v_fma(x * p, v_recip(q), v_set(0.5f));
+    return v * v_fma(x * p, v_recip(q), v_set(0.5f));
 }
 
 MAP vf activate(enum activation act, vf v)
@@ -243,11 +256,10 @@ struct columns {
 };
 
 MAP void finish_lanes(const struct epilogue *e, const struct columns *c, enum activation act,
-                      bool ints, int i, int j, int lanes)
+                      bool ints, vf row_scale, int i, int j, int lanes)
 {
-    vf scale = v_set(e->row_scale ? e->row_scale[i] : 1.0f) * load_row(c->scale, j, lanes);
-    size_t at = (size_t)i * e->ldc + (size_t)j;
-    vf v = load_sums(e->ci, e->cf, ints, at, lanes);
+    vf v = load_sums(e->ci, e->cf, ints, (size_t)i * e->ldc + (size_t)j, lanes);
+    vf scale = row_scale * load_row(c->scale, j, lanes);
     v = activate(act, v_fma(v, scale, load_row(c->bias, j, lanes)));
     float *out = e->out + (size_t)i * e->ldo + j;
     if (e->add)
@@ -260,11 +272,12 @@ MAP void finish(const struct epilogue *e, enum activation act, bool ints)
     const struct columns c = {row_of(e->scale, ones), row_of(e->bias, zeros),
                               row_of(e->gamma, ones)};
     for (int i = 0; i < e->m; i++) {
+        vf row_scale = v_set(e->row_scale ? e->row_scale[i] : 1.0f);
         int j = 0;
         for (; j + LANES <= e->n; j += LANES)
-            finish_lanes(e, &c, act, ints, i, j, LANES);
+            finish_lanes(e, &c, act, ints, row_scale, i, j, LANES);
         if (j < e->n)
-            finish_lanes(e, &c, act, ints, i, j, e->n - j);
+            finish_lanes(e, &c, act, ints, row_scale, i, j, e->n - j);
     }
 }
 
@@ -278,18 +291,19 @@ MAP void finish_sums(const struct epilogue *e, enum activation act)
 
 static void epilogue(const struct epilogue *e)
 {
+    const struct epilogue copy = *e;
     switch (e->act) {
     case ACT_RELU:
-        finish_sums(e, ACT_RELU);
+        finish_sums(&copy, ACT_RELU);
         break;
     case ACT_GELU:
-        finish_sums(e, ACT_GELU);
+        finish_sums(&copy, ACT_GELU);
         break;
     case ACT_SILU:
-        finish_sums(e, ACT_SILU);
+        finish_sums(&copy, ACT_SILU);
         break;
     case ACT_NONE:
-        finish_sums(e, ACT_NONE);
+        finish_sums(&copy, ACT_NONE);
     }
 }
 
@@ -321,13 +335,12 @@ static void head_turn(const struct head_turn *t, float *x)
  * error (9e-5) for 2^f on [0, 1) among those that are 1 at 0. */
 MAP vf weight127(vf x)
 {
-    x = v_max(x, v_set(-30.0f));
     vf n = v_floor(x), f = x - n;
     vf p = v_set(127 * 7.706704e-02f);
     p = v_fma(p, f, v_set(127 * 2.2764499e-01f));
     p = v_fma(p, f, v_set(127 * 6.9511679e-01f));
     p = v_fma(p, f, v_set(127.0f));
-    return v_scale2(p, n);
+    return v_shrink2(p, n);
 }
 
 /* s key_scale of I8, logits of F32. */
@@ -352,48 +365,46 @@ MAP float largest(const struct attend_block *b, struct row key, bool ints, int i
     return v_top(top);
 }
 
-/* Weights of one row; its sum and the logit that they are relative to. */
-MAP float weigh_ints(const struct attend_block *b, struct row key, int i, float *base)
+/* Weights of one row; returns their sum. weigh holds the largest of what `logits` gives. */
+MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
 {
-    const float top = largest(b, key, true, i);
-    const vf unit = v_set(b->row_scale[i] * 1.44269504089f);
+    const vf unit = v_set(b->row_scale[i] * 1.44269504089f), top = v_set(b->weigh[i]);
     int8_t *out = b->pi + (size_t)i * b->ldp;
     vint sum = i_zero();
     int j = 0;
     for (; j + LANES <= b->n; j += LANES) {
-        vf x = logits(b, key, true, i, j, LANES) - v_set(top);
+        vf x = logits(b, key, true, i, j, LANES) - top;
         vint p = i_round(weight127(x * unit));
         sum = i_add(sum, p);
         i_store8(out + j, p, LANES);
     }
     if (j < b->n) {
-        vf x = logits(b, key, true, i, j, b->n - j) - v_set(top);
+        vf x = logits(b, key, true, i, j, b->n - j) - top;
         vf w = v_sel(m_first(b->n - j), weight127(x * unit), v_set(0.0f));
         vint p = i_round(w);
         sum = i_add(sum, p);
         i_store8(out + j, p, (b->n - j + 3) / 4 * 4);
     }
-    *base = top * b->row_scale[i];
     return (float)i_sum(sum);
 }
 
-MAP float weigh_floats(const struct attend_block *b, struct row key, int i, float *base)
+/* weigh holds the new top. */
+MAP float weigh_floats(const struct attend_block *b, struct row key, int i)
 {
-    const float all = fmaxf(largest(b, key, false, i), b->top[i]);
+    const vf top = v_set(b->weigh[i]);
     float *out = b->pf + (size_t)i * b->ldp;
     vf sum = v_set(0.0f);
     int j = 0;
     for (; j + LANES <= b->n; j += LANES) {
-        vf p = v_exp(logits(b, key, false, i, j, LANES) - v_set(all));
+        vf p = v_exp(logits(b, key, false, i, j, LANES) - top);
         sum = sum + p;
         v_store(out + j, p);
     }
     if (j < b->n) {
-        vf p = v_exp(logits(b, key, false, i, j, b->n - j) - v_set(all));
+        vf p = v_exp(logits(b, key, false, i, j, b->n - j) - top);
         sum = sum + v_sel(m_first(b->n - j), p, v_set(0.0f));
         v_store_n(out + j, p, b->n - j);
     }
-    *base = all;
     return v_sum(sum);
 }
 
@@ -415,42 +426,59 @@ MAP void merge(const struct attend_block *b, float unit, int i, int lanes)
     store(b->weigh + i, weigh, lanes);
 }
 
-static void attend_block(const struct attend_block *b)
+/* One pass over all rows for each step, so that no row waits for the last lanes of its own. */
+MAP void attend(const struct attend_block *b, bool ints)
 {
     const struct row key = row_of(b->key_scale, ones);
+    for (int i = 0; i < b->m; i++) {
+        float top = largest(b, key, ints, i);
+        b->weigh[i] = ints ? top : fmaxf(top, b->top[i]);
+    }
     for (int i = 0; i < b->m; i++)
-        b->rescale[i] =
-            b->si ? weigh_ints(b, key, i, b->weigh + i) : weigh_floats(b, key, i, b->weigh + i);
+        b->rescale[i] = ints ? weigh_ints(b, key, i) : weigh_floats(b, key, i);
+    for (int i = 0; ints && i < b->m; i++)
+        b->weigh[i] *= b->row_scale[i];
     for (int i = 0; i < b->m; i += LANES)
-        merge(b, b->si ? 1 / 127.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
+        merge(b, ints ? 1 / 127.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
 }
 
-MAP void add_lanes(const struct attend_add *a, struct row scale, bool ints, int i, int j, int lanes)
+static void attend_block(const struct attend_block *b)
+{
+    const struct attend_block copy = *b;
+    if (b->si)
+        attend(&copy, true);
+    else
+        attend(&copy, false);
+}
+
+MAP void add_lanes(const struct attend_add *a, struct row scale, bool ints, vf weigh, vf rescale,
+                   int i, int j, int lanes)
 {
     vf c = load_sums(a->ci, a->cf, ints, (size_t)i * a->ldc + (size_t)j, lanes);
     float *o = a->o + (size_t)i * a->ldo + j;
-    vf w = v_set(a->weigh[i]) * load_row(scale, j, lanes);
-    store(o, v_fma(w, c, load(o, lanes) * v_set(a->rescale[i])), lanes);
+    store(o, v_fma(weigh * load_row(scale, j, lanes), c, load(o, lanes) * rescale), lanes);
 }
 
 MAP void add_rows(const struct attend_add *a, bool ints)
 {
     const struct row scale = row_of(a->value_scale, ones);
     for (int i = 0; i < a->m; i++) {
+        vf weigh = v_set(a->weigh[i]), rescale = v_set(a->rescale[i]);
         int j = 0;
         for (; j + LANES <= a->n; j += LANES)
-            add_lanes(a, scale, ints, i, j, LANES);
+            add_lanes(a, scale, ints, weigh, rescale, i, j, LANES);
         if (j < a->n)
-            add_lanes(a, scale, ints, i, j, a->n - j);
+            add_lanes(a, scale, ints, weigh, rescale, i, j, a->n - j);
     }
 }
 
 static void attend_add(const struct attend_add *a)
 {
+    const struct attend_add copy = *a;
     if (a->ci)
-        add_rows(a, true);
+        add_rows(&copy, true);
     else
-        add_rows(a, false);
+        add_rows(&copy, false);
 }
 
 /* --- resizing ------------------------------------------------------------------------------ */

@@ -49,9 +49,9 @@ static void norm(const struct norm *s, const float *x, float *y)
     mean /= s->n;
     for (int i = 0; i < s->n; i++)
         var += (x[i] - mean) * (x[i] - mean);
-    float unit = (float)(1 / sqrt(var / s->n + s->eps)), m = (float)mean;
+    float unit = (float)(1 / sqrt(var / s->n + s->eps));
     for (int i = 0; i < s->n; i++) {
-        float v = (x[i] - m) * unit;
+        float v = (float)(x[i] - mean) * unit;
         y[i] = v * (s->gamma ? s->gamma[i] : 1) + (s->beta ? s->beta[i] : 0);
     }
 }

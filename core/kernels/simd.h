@@ -7,7 +7,7 @@
  * _n: only the first n lanes, 1 <= n <= LANES; loads set the others to 0.
  * v_swap(a, d): lanes i and i ^ d change places, d a power of two below LANES. v_top: largest lane.
  * vint: LANES int32. i_round: to nearest, half to even. i_store8: the first
- * n lanes, which are in -128..127, as int8. */
+ * n lanes as int8, saturated. */
 #ifndef KERNELS_SIMD_H
 #define KERNELS_SIMD_H
 
@@ -56,6 +56,7 @@ static inline vf v_exp2i(vf n) /* 2^n, n integral in [-126, 127] */
     return _mm512_castsi512_ps(_mm512_slli_epi32(biased, 23));
 }
 static inline vf v_scale2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* a 2^n */
+static inline vf v_shrink2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* any n <= 0 */
 static inline vf v_exponent(vf a) /* biased exponent bits as float, a > 0 */
 {
     return _mm512_cvtepi32_ps(_mm512_srli_epi32(_mm512_castps_si512(a), 23));
@@ -90,7 +91,7 @@ static inline vf i_float(vint a) { return _mm512_cvtepi32_ps(a); }
 static inline vint i_round(vf a) { return _mm512_cvtps_epi32(a); }
 static inline void i_store8(int8_t *p, vint a, int n)
 {
-    __m128i bytes = _mm512_cvtepi32_epi8(a);
+    __m128i bytes = _mm512_cvtsepi32_epi8(a);
     if (n == LANES)
         _mm_storeu_si128((__m128i *)p, bytes);
     else
@@ -322,8 +323,8 @@ static inline vf i_float(vint a) { return vcvtq_f32_s32(a); }
 static inline vint i_round(vf a) { return vcvtnq_s32_f32(a); }
 static inline void i_store8(int8_t *p, vint a, int n)
 {
-    int16x4_t b = vmovn_s32(a);
-    int8x8_t c = vmovn_s16(vcombine_s16(b, b));
+    int16x4_t b = vqmovn_s32(a);
+    int8x8_t c = vqmovn_s16(vcombine_s16(b, b));
     uint32_t bytes = vget_lane_u32(vreinterpret_u32_s8(c), 0);
     memcpy(p, &bytes, (size_t)n);
 }
@@ -402,6 +403,10 @@ static inline vint i_load_n(const int32_t *p, int n)
 static inline vf v_scale2(vf a, vf n)
 {
     return a * v_exp2i(n);
+}
+static inline vf v_shrink2(vf a, vf n)
+{
+    return a * v_exp2i(v_max(n, v_set(-126.0f)));
 }
 #endif
 

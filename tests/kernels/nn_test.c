@@ -215,10 +215,9 @@ static void norm_call(const struct kernels *k)
     k->net.norm(&in.norm, in.x, in.y);
 }
 
-/* C takes the mean to float, which is up to 6e-4 of a deviation where the mean is 1e4 of them. */
 static void norm_keep(struct outcome *o)
 {
-    trial_put_row(o, "normal", in.y, in.n, bit(2) ? 1e-3 : 1e-6);
+    trial_put_row(o, "normal", in.y, in.n, 1e-6);
     trial_scale(o, 1);
 }
 
@@ -625,150 +624,6 @@ static void lerp_truth(struct outcome *o)
     put_want(o, "between", 1, in.n);
 }
 
-/* --- over the whole range ------------------------------------------------------------------ */
-
-/* Activations alone: within 4e-7 |v| of GELU and 1e-6 |v| of SiLU, for numbers far below 1 too. A
- * value does not depend on the lane that it is in. */
-static int check_activation(const struct kernels *k, enum activation act, double bound)
-{
-    enum { N = 61, STEPS = 4000 };
-    float v[N], row[N], one;
-    double top = 0;
-    int moved = 0;
-    for (int step = 0; step < STEPS; step++) {
-        for (int i = 0; i < N; i++) {
-            double x = ((double)(step * N + i) + trial_uniform(0, 1)) / (STEPS * N) * 2 - 1;
-            v[i] = (float)(step % 2 ? x * 12 : pow(x, 5) * 1000);
-        }
-        struct epilogue e = {.m = 1, .n = N, .cf = v, .ldc = N, .act = act, .out = row, .ldo = N};
-        k->net.epilogue(&e);
-        e.n = 1;
-        e.out = &one;
-        for (int i = 0; i < N; i++) {
-            double d = fabs((double)row[i] - activate(act, (double)v[i]));
-            top = fmax(top, d / (fabs((double)v[i]) + 1e-30) / bound);
-            e.cf = v + i;
-            k->net.epilogue(&e);
-            moved += memcmp(&one, row + i, sizeof one) != 0;
-        }
-    }
-    if (moved)
-        printf("%d values depend on their lane\n", moved);
-    printf("%s %s %s over its range, error %.2f of the bound\n",
-           top <= 1 && !moved ? "ok" : "FAILED", k->name, act == ACT_GELU ? "GELU" : "SiLU", top);
-    return top > 1 || moved;
-}
-
-/* --- streaming softmax --------------------------------------------------------------------- */
-
-enum { KEYS = 20000, BLOCK = 128, WIDTH = 24, QUERIES = 5 };
-
-static struct {
-    float logit[QUERIES][KEYS], value[KEYS][WIDTH];
-    int8_t value8[KEYS][WIDTH];
-    float top[QUERIES], sum[QUERIES], rescale[QUERIES], weigh[QUERIES], o[QUERIES][WIDTH];
-} stream;
-
-/* Rows of different temper: flat, ordinary, sharp, rising so that every block has a new top, one
- * key far above the others. */
-static void stream_make(void)
-{
-    trial_rng = trial_seed;
-    for (int j = 0; j < KEYS; j++) {
-        for (int i = 0; i < QUERIES; i++)
-            stream.logit[i][j] = (float)trial_uniform(-1, 1) * (i == 1 ? 4.0f : i == 2 ? 80.0f : 1);
-        stream.logit[0][j] = 3;
-        stream.logit[3][j] = 0.01f * (float)j;
-        for (int c = 0; c < WIDTH; c++) {
-            stream.value8[j][c] = (int8_t)trial_uniform(-127, 128);
-            stream.value[j][c] = (float)stream.value8[j][c] / 127;
-        }
-    }
-    stream.logit[4][KEYS / 3] = 1000;
-    for (int i = 0; i < QUERIES; i++) {
-        stream.top[i] = -INFINITY;
-        stream.sum[i] = 0;
-    }
-    memset(stream.o, 0, sizeof stream.o);
-}
-
-/* Logits of integers are multiples of 1e-4. */
-static void stream_block(const struct kernels *k, int first, int n, bool ints)
-{
-    static int32_t si[QUERIES][BLOCK], ci[QUERIES][WIDTH];
-    static float pf[QUERIES][BLOCK], cf[QUERIES][WIDTH], unit[QUERIES], scale[WIDTH];
-    static int8_t pi[QUERIES][BLOCK];
-    for (int i = 0; i < QUERIES; i++) {
-        unit[i] = ints ? 1e-4f : 1;
-        for (int j = 0; j < n; j++) {
-            si[i][j] = (int32_t)rintf(stream.logit[i][first + j] * 1e4f);
-            pf[i][j] = stream.logit[i][first + j];
-        }
-    }
-    const struct attend_block b = {QUERIES, n,     ints ? si[0] : NULL, pf[0],       BLOCK,
-                                   unit,    NULL,  stream.top,          stream.sum,  pi[0],
-                                   pf[0],   BLOCK, stream.rescale,      stream.weigh};
-    k->net.attend_block(&b);
-    for (int i = 0; i < QUERIES; i++)
-        for (int c = 0; c < WIDTH; c++) {
-            scale[c] = ints ? 1 / 127.0f : 1;
-            ci[i][c] = 0;
-            cf[i][c] = 0;
-            for (int j = 0; ints && j < n; j++)
-                ci[i][c] += pi[i][j] * stream.value8[first + j][c];
-            for (int j = 0; !ints && j < n; j++)
-                cf[i][c] += pf[i][j] * stream.value[first + j][c];
-        }
-    const struct attend_add a = {QUERIES,     n ? WIDTH : 0,  ints ? ci[0] : NULL, cf[0],
-                                 WIDTH,       stream.rescale, stream.weigh,        scale,
-                                 stream.o[0], WIDTH};
-    k->net.attend_add(&a);
-}
-
-/* Largest error of a row of values, and the most that rounding of weights may cause: each is within
- * 0.52 / 127 of the largest of its block, and moves the mean by its distance from it. */
-static double stream_error(int i, bool ints, double *limit)
-{
-    static double w[KEYS];
-    double top = -INFINITY, sum = 0, blurred = 0, worst = 0;
-    for (int j = 0; j < KEYS; j++)
-        top = fmax(top, (double)stream.logit[i][j]);
-    for (int first = 0; first < KEYS; first += BLOCK) {
-        double most = 0;
-        int n = KEYS - first < BLOCK ? KEYS - first : BLOCK;
-        for (int j = first; j < first + n; j++) {
-            w[j] = exp((double)stream.logit[i][j] - top);
-            sum += w[j];
-            most = fmax(most, w[j]);
-        }
-        blurred += n * most * 0.52 / 127;
-    }
-    for (int c = 0; c < WIDTH; c++) {
-        double mean = 0;
-        for (int j = 0; j < KEYS; j++)
-            mean += w[j] / sum * (double)stream.value[j][c];
-        worst = fmax(worst, fabs((double)(stream.o[i][c] / stream.sum[i]) - mean));
-    }
-    *limit = ints && blurred < sum ? 2e-4 + blurred / (sum - blurred) : ints ? INFINITY : 2e-5;
-    return worst;
-}
-
-static int check_stream(const struct kernels *k, bool ints)
-{
-    int failures = 0;
-    stream_make();
-    for (int first = 0; first < KEYS; first += BLOCK)
-        stream_block(k, first, KEYS - first < BLOCK ? KEYS - first : BLOCK, ints);
-    for (int i = 0; i < QUERIES; i++) {
-        double limit, error = stream_error(i, ints, &limit);
-        bool bad = !(error <= limit);
-        printf("%s %s softmax over %d keys, %s, row %d: error %.2g of at most %.2g\n",
-               bad ? "FAILED" : "ok", k->name, KEYS, ints ? "integers" : "floats", i, error, limit);
-        failures += bad;
-    }
-    return failures;
-}
-
 /* --- all of them --------------------------------------------------------------------------- */
 
 static const struct slot slots[] = {
@@ -852,10 +707,6 @@ static int check_all(void)
         kernels_init(&k, trial_levels[l]);
         for (int i = 0; i < N_SLOTS; i++)
             failures += check_slot(&slots[i], &k);
-        failures += check_activation(&k, ACT_GELU, 4e-7);
-        failures += check_activation(&k, ACT_SILU, 1e-6);
-        failures += check_stream(&k, false);
-        failures += check_stream(&k, true);
     }
     return failures;
 }
