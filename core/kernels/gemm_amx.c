@@ -4,7 +4,7 @@
  * of a product. What is left of a run passes through tiles of its own width, so that tiles are
  * configured once a call. The last tiles overlap others, or are others once more, where there are
  * not enough rows or panels: they only store the same sums again. */
-#if !defined(__AMX_INT8__)
+#if !defined(__AMX_INT8__) && !defined(__AMXINT8__) // gcc; clang 14
 #error "compile this file with -mamx-tile -mamx-int8"
 #endif
 #include "core/kernels/kernels.h"
