@@ -1,0 +1,325 @@
+/* The whole network at a tiny size: what it refuses, memory as planned, the same bytes for any
+ * number of threads, models without some of the heads. Its values are compared in the golden
+ * tests. */
+#include "core/net/net.h"
+
+#include "core/base/cpu.h"
+#include "tests/unit/small_model.h"
+
+#include <limits.h>
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { VIEWS = 2, SIZE_PX = 42, PIXELS = VIEWS * SIZE_PX * SIZE_PX };
+
+static const struct net_dims tiny = {
+    .embed = 32,
+    .heads = 2,
+    .dino_depth = 1,
+    .dino_heads = 2,
+    .depth = 4,
+    .keep = {0, 1, 2, 3},
+    .qk_layer = 1,
+    .cam_depth = 1,
+    .cam_heads = 2,
+    .depth_feat = 16,
+    .gs_feat = 16,
+    .depth_oc = {8, 8, 8, 8},
+    .gs_oc = {8, 8, 8, 8},
+    .hdr = 8,
+    .size = SIZE_PX,
+    .voxel = 0.1f,
+    .gauss = true,
+    .appearance = true,
+};
+
+static struct {
+    struct small_model model;
+    struct net net;
+    struct kernels kernels;
+    struct arena keep, tmp;
+    struct pool *pool;
+    atomic_bool cancel;
+    int until; // calls of progress until cancel
+    struct tap tap;
+    int n_taps;
+    struct run r;
+    uint8_t rgb[3 * PIXELS];
+    float log2t[VIEWS];
+    struct views v;
+    struct prediction out;
+    size_t keep_plan, tmp_plan;
+} t;
+
+static void count_tap(void *ctx, const struct tap_tensor *tensor)
+{
+    (void)ctx;
+    (void)tensor;
+    t.n_taps++;
+}
+
+static void stop_later(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    (void)ctx;
+    (void)stage;
+    (void)note;
+    assert_true(done <= total);
+    if (--t.until == 0)
+        atomic_store(&t.cancel, true);
+}
+
+static void open_world(const struct net_dims *d, enum precision precision, int threads)
+{
+    memset(&t, 0, sizeof t);
+    small_model_init(&t.model, d, precision);
+    assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
+    kernels_init(&t.kernels, cpu_detect());
+    net_plan(&t.net, VIEWS, SIZE_PX, threads, &t.keep_plan, &t.tmp_plan);
+    assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
+    assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
+    assert_int_equal(pool_open(&t.pool, threads), OK);
+    t.r = (struct run){.k = &t.kernels,
+                       .pool = t.pool,
+                       .keep = &t.keep,
+                       .tmp = &t.tmp,
+                       .cancel = &t.cancel,
+                       .progress = stop_later};
+    for (size_t i = 0; i < sizeof t.rgb; i++)
+        t.rgb[i] = (uint8_t)(i * 2654435761u >> 24);
+    t.log2t[0] = -2;
+    t.log2t[1] = 2;
+    t.v = (struct views){.n = VIEWS, .size = SIZE_PX, .rgb = t.rgb, .log2t = t.log2t};
+    t.tap.put = count_tap;
+}
+
+static void close_world(void)
+{
+    pool_close(t.pool);
+    arena_free(&t.keep);
+    arena_free(&t.tmp);
+    small_model_free(&t.model);
+}
+
+static uint64_t hash_of(const void *p, size_t bytes, uint64_t h)
+{
+    const unsigned char *b = p;
+    for (size_t i = 0; i < bytes; i++)
+        h = (h ^ b[i]) * 0x100000001B3u;
+    return h;
+}
+
+static uint64_t hash_prediction(void)
+{
+    const struct prediction *p = &t.out;
+    uint64_t h = hash_of(p->geom.pose, VIEWS * NET_POSE * sizeof(float), 1);
+    h = hash_of(p->geom.depth, PIXELS * sizeof(float), h);
+    h = hash_of(p->points, 3 * PIXELS * sizeof(float), h);
+    h = hash_of(p->features, 87 * PIXELS * sizeof(float), h);
+    h = hash_of(p->confidence, PIXELS * sizeof(float), h);
+    return hash_of(p->theta, sizeof p->theta, h);
+}
+
+static void same_bytes_and_planned_memory(void **state)
+{
+    static const int threads[] = {1, 2, 7};
+    (void)state;
+    for (int precision = 0; precision < 3; precision++) {
+        uint64_t first = 0;
+        for (int i = 0; i < 3; i++) {
+            open_world(&tiny, (enum precision)precision, threads[i]);
+            assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+            assert_true(t.keep.peak <= t.keep_plan && t.keep.peak > 0.99 * (double)t.keep_plan);
+            assert_true(t.tmp.peak <= t.tmp_plan && t.tmp.peak > 0.9 * (double)t.tmp_plan);
+            assert_true(t.tmp.used == 0 && t.out.n == PIXELS && !t.out.linear);
+            uint64_t h = hash_prediction();
+            first = i == 0 ? h : first;
+            assert_true(h == first);
+            close_world();
+        }
+    }
+}
+
+/* A tap changes nothing, and fits the same memory. */
+static void tapped(void **state)
+{
+    (void)state;
+    open_world(&tiny, PRECISION_S8, 2);
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    memset(t.out.theta + TONE_PARAMS, 0, sizeof t.out.theta - TONE_PARAMS * sizeof(float));
+    uint64_t h = hash_prediction();
+    arena_reset(&t.keep, 0);
+    t.r.tap = &t.tap;
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    memset(t.out.theta + TONE_PARAMS, 0, sizeof t.out.theta - TONE_PARAMS * sizeof(float));
+    assert_true(hash_prediction() == h && t.n_taps > 60);
+    close_world();
+}
+
+/* Points are where cameras and depths put them: back in front of their pixels. */
+static void points_project_back(void **state)
+{
+    (void)state;
+    open_world(&tiny, PRECISION_F32, 1);
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    for (int v = 0; v < VIEWS; v++) {
+        const struct camera *c = t.out.geom.cams + v;
+        const float w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3];
+        const float row[3][3] = {
+            {1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)},
+            {2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)},
+            {2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)}};
+        for (int i = 0; i < SIZE_PX * SIZE_PX; i += 41) {
+            int at = v * SIZE_PX * SIZE_PX + i;
+            const float *p = t.out.points + 3 * at;
+            float q[3];
+            for (int k = 0; k < 3; k++)
+                q[k] = row[k][0] * p[0] + row[k][1] * p[1] + row[k][2] * p[2] + c->t[k];
+            assert_float_equal(q[2], t.out.geom.depth[at], 1e-4 * (1 + (double)q[2]));
+            assert_float_equal(c->fx * q[0] / q[2] + c->cx, (i % SIZE_PX), 1e-2);
+            assert_float_equal(c->fy * q[1] / q[2] + c->cy, (i / SIZE_PX), 1e-2);
+        }
+    }
+    close_world();
+}
+
+static void without_appearance(void **state)
+{
+    struct net_dims d = tiny;
+    (void)state;
+    d.appearance = false;
+    for (int precision = 0; precision < 3; precision++) {
+        open_world(&d, (enum precision)precision, 2);
+        t.v.log2t = NULL;
+        assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+        assert_true(t.out.linear && t.out.features && t.out.confidence && t.out.points);
+        for (int i = 83 * PIXELS; i < 87 * PIXELS; i++)
+            assert_true(t.out.features[i] == 0);
+        for (int i = 0; i < NET_THETA; i++)
+            assert_true(t.out.theta[i] == 0);
+        close_world();
+    }
+}
+
+static void without_gaussians(void **state)
+{
+    struct net_dims d = tiny;
+    (void)state;
+    d.appearance = d.gauss = false;
+    d.gs_feat = d.hdr = 0;
+    memset(d.gs_oc, 0, sizeof d.gs_oc);
+    open_world(&d, PRECISION_S8, 2);
+    t.v.log2t = NULL;
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    assert_true(!t.out.features && !t.out.confidence && !t.out.points && t.out.geom.depth);
+    close_world();
+}
+
+static void assert_refused(err_t want)
+{
+    memset(&t.out, 1, sizeof t.out);
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), want);
+    assert_true(!t.out.points && !t.out.geom.cams && t.out.n == 0);
+    assert_true(t.keep.used == 0 && t.tmp.used == 0);
+}
+
+static void refused(void **state)
+{
+    (void)state;
+    open_world(&tiny, PRECISION_S8, 1);
+    const struct views good = t.v;
+    t.v.n = 1;
+    assert_refused(ERR_ARG);
+    assert_non_null(strstr(err_text(), "2 views"));
+    t.v = good;
+    t.v.size = 43;
+    assert_refused(ERR_ARG);
+    t.v.size = 0;
+    assert_refused(ERR_ARG);
+    t.v = good;
+    t.v.n = INT_MAX / SIZE_PX / SIZE_PX + 1;
+    assert_refused(ERR_ARG);
+    size_t keep, tmp;
+    net_plan(&t.net, t.v.n, SIZE_PX, 1, &keep, &tmp);
+    assert_true(keep == SIZE_MAX && tmp == SIZE_MAX);
+    t.v = good;
+    size_t room = t.tmp.size;
+    t.tmp.size = t.tmp_plan / 2;
+    assert_refused(ERR_NOMEM);
+    t.tmp.size = room;
+    close_world();
+}
+
+/* Cancelled in each stage: no call of progress after the next. */
+static void cancelled(void **state)
+{
+    (void)state;
+    open_world(&tiny, PRECISION_S8, 2);
+    t.until = INT_MAX;
+    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    int all = INT_MAX - t.until;
+    assert_true(all >= 9 + VIEWS + 1 + VIEWS);
+    for (int at = 1; at < all; at++) {
+        arena_reset(&t.keep, 0);
+        atomic_store(&t.cancel, false);
+        t.until = at;
+        assert_refused(ERR_CANCELLED);
+        assert_true(t.until >= -1);
+    }
+    close_world();
+}
+
+/* Each tensor is needed; its name is in the sentence. */
+static void missing_tensors(void **state)
+{
+    struct net net;
+    (void)state;
+    open_world(&tiny, PRECISION_F32, 1);
+    for (int i = 0; i < t.model.model.n; i++) {
+        struct tensor_spec *spec = &t.model.tensors[i].spec;
+        char name[NET_NAME_CAP];
+        memcpy(name, spec->name, sizeof name);
+        spec->name[0] = 'X';
+        err_t e = net_bind(&t.model.model, 0, &net);
+        if (spec->role == ROLE_PLAIN && strstr(name, ".bias") && e == OK)
+            assert_true(i > 0 && t.model.tensors[i - 1].spec.role != ROLE_PLAIN);
+        else
+            assert_true(e == ERR_FORMAT && strstr(err_text(), name));
+        memcpy(spec->name, name, sizeof name);
+    }
+    close_world();
+}
+
+static void float_bits(void **state)
+{
+    struct net net;
+    (void)state;
+    open_world(&tiny, PRECISION_S8, 1);
+    assert_int_equal(net_bind(&t.model.model, NET_FLOAT_SPECIAL | 64, &net), OK);
+    assert_int_equal(net.floats, NET_FLOAT_SPECIAL);
+    close_world();
+    open_world(&tiny, PRECISION_BF16, 1);
+    assert_int_equal(t.net.floats, NET_FLOAT_ALL);
+    close_world();
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(same_bytes_and_planned_memory),
+        cmocka_unit_test(tapped),
+        cmocka_unit_test(points_project_back),
+        cmocka_unit_test(without_appearance),
+        cmocka_unit_test(without_gaussians),
+        cmocka_unit_test(refused),
+        cmocka_unit_test(cancelled),
+        cmocka_unit_test(missing_tensors),
+        cmocka_unit_test(float_bits),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
