@@ -7,6 +7,7 @@
 
 #include "tests/kernels/guard.h"
 
+#include <stddef.h>
 #include <ucontext.h>
 
 enum { EMU_TILES = 8, EMU_ROWS = 16, EMU_BYTES = 64 };
