@@ -1,6 +1,6 @@
 /* Exposure codes; the fusion of appearances against model-spec 2.6 to 2.8 in double, also where all
- * attention goes to tokens that are dropped and where all views are the same; the same bytes for any
- * number of threads; memory as planned. */
+ * attention goes to tokens that are dropped and where all views are the same; the same bytes for
+ * any number of threads; memory as planned. */
 #include "core/net/appearance.h"
 
 #include "tests/unit/heads_ref.h"
@@ -89,8 +89,7 @@ static struct ref_map modulation(const struct ref_map *xn)
         for (int c = 0; c < d; c++) {
             ref_at(&in, v, 0)[c] = code_of(v, c);
             for (int i = 0; i < N; i++) {
-                if (i / M == v)
-                    ref_at(&in, v, 0)[d + c] += xn->px[i * d + c] / M;
+                ref_at(&in, v, 0)[d + c] += i / M == v ? xn->px[i * d + c] / M : 0;
                 ref_at(&in, v, 0)[2 * d + c] += xn->px[i * d + c] / N;
             }
         }

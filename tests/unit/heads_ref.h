@@ -178,11 +178,11 @@ static inline float *ref_part(const char *head, const char *layer, const char *p
 static inline double ref_dot(const struct ref_map *in, const float *w, int edge, int y, int x)
 {
     double sum = 0;
-    for (int a = 0; a < edge; a++)
-        for (int b = 0; b < edge; b++)
-            if (y + a >= 0 && y + a < in->h && x + b >= 0 && x + b < in->w)
-                for (int c = 0; c < in->c; c++)
-                    sum += ref_at(in, y + a, x + b)[c] * (double)w[(c * edge + a) * edge + b];
+    for (int i = 0; i < edge * edge; i++) {
+        int v = y + i / edge, u = x + i % edge;
+        for (int c = 0; c < in->c && v >= 0 && v < in->h && u >= 0 && u < in->w; c++)
+            sum += ref_at(in, v, u)[c] * (double)w[c * edge * edge + i];
+    }
     return sum;
 }
 
@@ -217,15 +217,13 @@ static inline struct ref_map ref_spread(const struct ref_map *in, const char *he
     const float *bias = ref_part(head, layer, "bias", &ignored);
     int up = s.shape[2], n = s.shape[1];
     struct ref_map out = ref_new(in->h * up, in->w * up, n);
-    for (int y = 0; y < out.h; y++)
-        for (int x = 0; x < out.w; x++)
-            for (int o = 0; o < n; o++) {
-                double sum = bias[o];
-                for (int c = 0; c < in->c; c++)
-                    sum += ref_at(in, y / up, x / up)[c] *
-                           (double)w[((c * n + o) * up + y % up) * up + x % up];
-                ref_at(&out, y, x)[o] = sum;
-            }
+    for (int i = 0; i < out.h * out.w * n; i++) {
+        int y = i / n / out.w, x = i / n % out.w, o = i % n;
+        out.px[i] = bias[o];
+        for (int c = 0; c < in->c; c++)
+            out.px[i] += ref_at(in, y / up, x / up)[c] *
+                         (double)w[((c * n + o) * up + y % up) * up + x % up];
+    }
     return out;
 }
 
