@@ -95,23 +95,23 @@ static int run_of(const struct block *b, int token, int left, bool *special)
     return min_int(left, (*special ? NET_SPECIAL : b->view_tokens) - at);
 }
 
-/* A product for m tokens from `first` on; x: (m, k). The special ones may be kept in floats. */
-static void product(const struct pass *p, const struct weight *w, int first, int m, const float *x,
-                    const struct layer_out *out, struct layer_room *room)
+/* A product for the m tokens of `in` from `first` on. The special ones may be kept in floats. */
+static void product(const struct pass *p, const struct weight *w, int first, struct layer_in in,
+                    struct layer_out out, struct layer_room *room)
 {
     const struct gemm_kernels *k = &p->r->k->net;
-    struct layer_in in = {
-        .x = x, .ldx = (size_t)weight_k(w), .m = m, .floats = p->b->floats & NET_FLOAT_BLOCKS};
+    int end = first + in.m;
+    in.ldx = (size_t)weight_k(w);
+    in.floats = p->b->floats & NET_FLOAT_BLOCKS;
     if (in.floats || !(p->b->floats & NET_FLOAT_SPECIAL)) {
-        layer_rows(k, w, &in, out, room);
+        layer_rows(k, w, &in, &out, room);
         return;
     }
-    struct layer_out to = *out;
-    for (int i = 0; i < m; i += in.m) {
-        in.m = run_of(p->b, first + i, m - i, &in.floats);
-        in.x = x + (size_t)i * in.ldx;
-        to.out = out->out + (size_t)i * out->ldo;
-        layer_rows(k, w, &in, &to, room);
+    for (int token = first; token < end; token += in.m) {
+        in.m = run_of(p->b, token, end - token, &in.floats);
+        layer_rows(k, w, &in, &out, room);
+        in.x += (size_t)in.m * in.ldx;
+        out.out += (size_t)in.m * out.ldo;
     }
 }
 
@@ -153,8 +153,8 @@ static err_t store_chunk(void *ctx, int chunk, int worker)
     if (e)
         return e;
     normalise(p, b->w->norm1_g, b->w->norm1_b, first, s.n, w->rows);
-    const struct layer_out out = {.out = w->wide, .ldo = 3 * (size_t)b->width};
-    product(p, &b->w->qkv, first, s.n, w->rows, &out, &w->layer);
+    product(p, &b->w->qkv, first, (struct layer_in){.x = w->rows, .m = s.n},
+            (struct layer_out){.out = w->wide, .ldo = 3 * (size_t)b->width}, &w->layer);
     if (b->w->q_g || b->cosine || b->q)
         turn(p, first, s.n, w->wide);
     attention_store(&p->a, &s, w->wide, &w->attention);
@@ -194,13 +194,14 @@ static err_t finish_chunk(void *ctx, int chunk, int worker)
     err_t e = attend(p, first, n, w);
     if (e)
         return e;
-    struct layer_out out = {.out = x, .ldo = c, .add = true, .gamma = b->w->gamma1};
-    product(p, &b->w->proj, first, n, w->rows, &out, &w->layer);
+    const struct layer_in rows = {.x = w->rows, .m = n}, wide = {.x = w->wide, .m = n};
+    product(p, &b->w->proj, first, rows,
+            (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma1}, &w->layer);
     normalise(p, b->w->norm2_g, b->w->norm2_b, first, n, w->rows);
-    const struct layer_out mid = {.out = w->wide, .ldo = MLP * c, .act = ACT_GELU};
-    product(p, &b->w->fc1, first, n, w->rows, &mid, &w->layer);
-    out.gamma = b->w->gamma2;
-    product(p, &b->w->fc2, first, n, w->wide, &out, &w->layer);
+    product(p, &b->w->fc1, first, rows,
+            (struct layer_out){.out = w->wide, .ldo = MLP * c, .act = ACT_GELU}, &w->layer);
+    product(p, &b->w->fc2, first, wide,
+            (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma2}, &w->layer);
     for (int i = 0; b->copy && i < n; i++)
         memcpy(b->copy + (size_t)(first + i) * b->ld_copy, x + (size_t)i * c, c * sizeof *x);
     return OK;

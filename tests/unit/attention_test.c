@@ -98,31 +98,46 @@ static void naive(int seq, int token, int head)
     free(p);
 }
 
-/* n rows from `first` on of every sequence and head, the result in the middle of wider rows: errors
- * within `bound`, and a quarter of it in the mean of squares. */
-static void check(int first, int n, double bound)
+/* One row of a head against the naive one, each error within `bound`; sum of their squares. */
+static double check_row(int seq, int token, int head, const float *row, double bound)
+{
+    double squares = 0;
+    naive(seq, token, head);
+    for (int c = 0; c < t.a.width; c++) {
+        double error = (double)row[c] - t.want[c];
+        squares += error * error;
+        if (!(fabs(error) <= bound))
+            fail_msg("len %d width %d sequence %d head %d row %d channel %d: %g, wanted %g",
+                     t.a.len, t.a.width, seq, head, token, c, (double)row[c], t.want[c]);
+    }
+    return squares;
+}
+
+/* Rows of a span through one head, written into the middle of wider rows. */
+static double check_head(const struct attention_span *s, int head, double bound)
 {
     size_t ldo = (size_t)(t.a.heads * t.a.width) + 3;
+    double squares = 0;
+    for (size_t i = 0; i < ATTENTION_ROWS * ldo; i++)
+        t.got[i] = 1e9f;
+    attention_head(&t.a, s, head, t.got + head * t.a.width, ldo, &t.room);
+    for (int i = 0; i < s->n; i++) {
+        const float *row = t.got + (size_t)i * ldo + head * t.a.width;
+        squares += check_row(s->seq, s->first + i, head, row, bound);
+        assert_true(row[t.a.width] == 1e9f);
+    }
+    return squares;
+}
+
+/* n rows from `first` on of every sequence and head: errors within `bound`, and a quarter of it in
+ * the mean of squares. */
+static void check(int first, int n, double bound)
+{
     double squares = 0;
     for (int s = 0; s < t.a.seqs; s++)
         for (int h = 0; h < t.a.heads; h++) {
             const struct attention_span span = {s, first, n};
-            for (size_t i = 0; i < ATTENTION_ROWS * ldo; i++)
-                t.got[i] = 1e9f;
-            attention_head(&t.a, &span, h, t.got + h * t.a.width, ldo, &t.room);
-            for (int i = 0; i < n; i++) {
-                const float *row = t.got + (size_t)i * ldo + h * t.a.width;
-                naive(s, first + i, h);
-                for (int c = 0; c < t.a.width; c++) {
-                    double error = (double)row[c] - t.want[c];
-                    squares += error * error;
-                    if (!(fabs(error) <= bound))
-                        fail_msg("len %d width %d sequence %d head %d row %d channel %d: %g, "
-                                 "wanted %g",
-                                 t.a.len, t.a.width, s, h, first + i, c, (double)row[c], t.want[c]);
-                }
-                assert_true(row[t.a.width] == 1e9f);
-            }
+            squares += check_head(&span, h, bound);
         }
     assert_true(sqrt(squares / (t.a.seqs * t.a.heads * n * t.a.width)) <= bound / 4);
 }
@@ -168,12 +183,13 @@ static void large_logits(void **state)
     for (int f = 0; f < 2; f++) {
         open_world(
             (struct attention){.seqs = 1, .len = 500, .heads = 2, .width = 64, .floats = f > 0}, 1);
-        for (int i = 0; i < 500; i++)
-            for (int h = 0; h < 2; h++)
-                for (int c = 0; c < 64; c++) {
-                    at(0, i, 0, h)[c] = c == h ? 80 : 0;
-                    at(0, i, 1, h)[c] = c == h ? 8 * (float)(i - 250) / 250 : 0;
-                }
+        for (int i = 0; i < 2 * 500; i++) {
+            int token = i / 2, head = i % 2;
+            memset(at(0, token, 0, head), 0, 64 * sizeof(float));
+            memset(at(0, token, 1, head), 0, 64 * sizeof(float));
+            at(0, token, 0, head)[head] = 80;
+            at(0, token, 1, head)[head] = 8 * (float)(token - 250) / 250;
+        }
         store();
         check(0, 64, f ? 2e-5 : 0.06);
         close_world();
