@@ -3,7 +3,9 @@
  *        (step: forward, loss, backward and Adam for every parameter): the largest scene with every
  *        instruction set, on one thread and on all; then every number of splats at every size of
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
- *        table shows the cost of a splat and the other that of a pixel. */
+ *        table shows the cost of a splat and the other that of a pixel.
+ * network, kernels: see bench_net.h. */
+#include "firmware/bench_net.h"
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/limits.h"
@@ -28,9 +30,10 @@ enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 #define BENCH_MAX_S 2.0 // of repeats of one measurement
 
 struct request {
-    const char *what, *json, *gaussians_text, *degree_text, *size_text;
+    const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;
+    bool splat, network, kernels;
     struct cmd_list gaussians, sizes;
-    double degree;
+    double degree, views;
     struct config cfg;
 };
 
@@ -55,6 +58,7 @@ struct state {
     double bandwidth[2]; // bytes/s of one thread, of all
     int n_levels, n_table;
     struct figure levels[LEVELS_MAX], table[TABLE_MAX];
+    struct bench_net net;
 };
 
 /* ---- the scene ---- */
@@ -306,7 +310,7 @@ static err_t reserve(const struct request *rq, struct state *st)
     return OK;
 }
 
-static err_t bench(const struct request *rq, struct state *st)
+static err_t bench_splat(const struct request *rq, struct state *st)
 {
     struct pool *one = NULL;
     float *work;
@@ -326,6 +330,18 @@ static err_t bench(const struct request *rq, struct state *st)
     if (!e)
         e = measure_table(rq, st);
     pool_close(one);
+    return e;
+}
+
+static err_t bench(const struct request *rq, struct state *st)
+{
+    const int size = rq->size_text ? rq->sizes.v[0] : 0;
+    err_t e = rq->splat ? bench_splat(rq, st) : OK;
+    engine_close(&st->engine);
+    if (!e && rq->kernels)
+        e = bench_net_kernels(&rq->cfg, &st->net);
+    if (!e && rq->network)
+        e = bench_net_run(rq->model, (int)rq->views, size, &rq->cfg, &st->net);
     return e;
 }
 
@@ -361,12 +377,19 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
     struct report rep;
     report_init(&rep, f);
     report_open(&rep, NULL, '{');
-    report_number(&rep, "sh_degree", rq->degree);
-    report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
-    report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
-    report_figure(&rep, &st->levels[0]); // the best level on all threads
-    report_figures(&rep, "levels", st->levels, st->n_levels);
-    report_figures(&rep, "table", st->table, st->n_table);
+    if (rq->splat) {
+        report_number(&rep, "sh_degree", rq->degree);
+        report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
+        report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
+        report_figure(&rep, &st->levels[0]); // the best level on all threads
+        report_figures(&rep, "levels", st->levels, st->n_levels);
+        report_figures(&rep, "table", st->table, st->n_table);
+    }
+    if (rq->network || rq->kernels) {
+        report_open(&rep, "network", '{');
+        bench_net_report(&st->net, &rep);
+        report_close(&rep);
+    }
     report_close(&rep);
 }
 
@@ -398,39 +421,59 @@ static err_t write_results(const struct request *rq, const struct state *st)
         return e;
     if (f)
         write_report(rq, st, f);
-    if (f != stdout)
+    if (f != stdout && rq->splat)
         print_tables(st);
+    if (f != stdout)
+        bench_net_print(&st->net);
     return cmd_json_close(f, rq->json);
+}
+
+static err_t read_what(struct request *rq)
+{
+    bool all = strcmp(rq->what, "all") == 0;
+    rq->splat = all || strcmp(rq->what, "splat") == 0;
+    rq->kernels = all || strcmp(rq->what, "kernels") == 0;
+    rq->network = (all && rq->model) || strcmp(rq->what, "network") == 0;
+    if (!rq->splat && !rq->kernels && !rq->network)
+        return err_fail(ERR_ARG, "--what: \"%.64s\" is none of splat, network, kernels, all",
+                        rq->what);
+    if (rq->network && !rq->model)
+        return err_fail(ERR_ARG, "--what network needs --model FILE");
+    return OK;
 }
 
 static err_t read_numbers(struct request *rq)
 {
-    double degree = 1;
-    err_t e = OK;
-    if (strcmp(rq->what, "splat") != 0 && strcmp(rq->what, "all") != 0)
-        e = err_fail(ERR_ARG, "--what: \"%.64s\" is neither splat nor all", rq->what);
+    double degree = 1, views = 4;
+    const char *sizes = rq->size_text ? rq->size_text : "224,448";
+    err_t e = read_what(rq);
     if (!e)
         e = cmd_list("--gaussians", rq->gaussians_text, 1, 4000000, &rq->gaussians);
     if (!e)
-        e = cmd_list("--size", rq->size_text, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
+        e = cmd_list("--size", sizes, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
     if (!e && rq->degree_text)
         e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &degree);
+    if (!e && rq->views_text)
+        e = cmd_number("--views", rq->views_text, 2, 1000, &views);
     rq->degree = floor(degree);
+    rq->views = floor(views);
     return e;
 }
 
 int cmd_bench_run(int argc, char **argv)
 {
     static struct state st;
-    struct request rq = {
-        .what = "all", .gaussians_text = "25000,50000,100000,200000", .size_text = "224,448"};
+    struct request rq = {.what = "all", .gaussians_text = "25000,50000,100000,200000"};
     const struct cmd_option options[] = {
-        {"what", "WHICH", "splat: drawing and optimising; all: everything there is", NULL, &rq.what,
+        {"what", "WHICH", "splat: drawing and optimising; network; kernels; all", NULL, &rq.what,
          NULL},
+        {"model", "FILE", "weights of the network", NULL, &rq.model, NULL},
+        {"views", "N", "that the network sees, default 4", NULL, &rq.views_text, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"gaussians", "LIST", "splats, default 25000,50000,100000,200000", NULL, &rq.gaussians_text,
          NULL},
-        {"size", "LIST", "edges of the picture, px, default 224,448", NULL, &rq.size_text, NULL},
+        {"size", "LIST", "edges of the picture, px, default 224,448; network: that of the model",
+         NULL, &rq.size_text, NULL},
         {"degree", "D", "of the harmonics, default 1", NULL, &rq.degree_text, NULL},
         CMD_THREADS,
         CMD_MEMORY,

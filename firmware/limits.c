@@ -7,6 +7,9 @@
 
 #include "core/base/cpu.h"
 
+#include <stdint.h>
+#include <string.h>
+
 #if defined(__x86_64__)
 #include <immintrin.h>
 #elif defined(__aarch64__)
@@ -18,10 +21,31 @@ enum { SUMS = 12, ROUNDS = 1 << 20, TRIES = 5, TRIAD_CHUNK = 1 << 18 };
 typedef float flops_fn(int rounds); // returns what it computed, so that it is computed
 
 struct level {
-    unsigned cpu; // needed
-    int width;    // floats
+    unsigned cpu;    // needed
+    const char *isa; // name of the kernels
+    int width;       // floats
     flops_fn *fn;
 };
+
+typedef void s8_fn(int rounds);
+
+struct s8_level {
+    const char *isa;
+    int macs; // of one of the SUMS steps of a round
+    s8_fn *fn;
+};
+
+/* A loop over independent sums of one step in assembler, which no compiler can shorten: %0 is the
+ * sum, %1 free, %2 and %3 the factors; `reg` is the constraint of a vector register. */
+#define S8(name, options, type, reg, step)                                                         \
+    options static void name(int rounds)                                                           \
+    {                                                                                              \
+        type s[SUMS] = {{0}}, t, a = {0}, b = {0};                                                 \
+        for (int i = 0; i < rounds; i++) {                                                         \
+            _Pragma("GCC unroll 12") for (int k = 0; k < SUMS; k++) __asm__ volatile(              \
+                step : "+" reg(s[k]), "=&" reg(t) : reg(a), reg(b));                               \
+        }                                                                                          \
+    }
 
 #if defined(__x86_64__)
 
@@ -47,9 +71,54 @@ FLOPS(flops_avx2, "avx2,fma", __m256, _mm256_set1_ps, _mm256_fmadd_ps(s[k], half
 FLOPS(flops_avx512, "avx512f", __m512, _mm512_set1_ps, _mm512_fmadd_ps(s[k], half, one),
       _mm512_cvtss_f32(s[0]))
 
-static const struct level levels[] = {{CPU_AVX512, 16, flops_avx512},
-                                      {CPU_AVX2, 8, flops_avx2},
-                                      {0, 4, flops_sse2}}; // SSE4.1 has no wider arithmetic
+static const struct level levels[] = {{CPU_AVX512, "avx512", 16, flops_avx512},
+                                      {CPU_AVX2, "avx2", 8, flops_avx2},
+                                      {CPU_SSE41, "sse41", 4, flops_sse2}, // no wider arithmetic
+                                      {0, "c", 4, flops_sse2}};
+
+S8(s8_sse41, __attribute__((target("sse4.1"))), __m128i, "x",
+   "movdqa %2, %1\n\tpmaddwd %3, %1\n\tpaddd %1, %0")
+S8(s8_avx2, __attribute__((target("avx2"))), __m256i, "x",
+   "vpmaddwd %2, %3, %1\n\tvpaddd %1, %0, %0")
+S8(s8_avx512, __attribute__((target("avx512f,avx512vnni"))), __m512i, "v", "vpdpbusd %2, %3, %0")
+
+struct tiles { // Intel SDM vol. 1, 18.2
+    uint8_t palette, start_row, reserved[14];
+    uint16_t bytes[16];
+    uint8_t rows[16];
+};
+
+/* Four sums of 16 x 16, as many as two by two tiles leave room for. */
+__attribute__((target("amx-tile,amx-int8"))) static void s8_amx(int rounds)
+{
+    struct tiles t = {.palette = 1};
+    for (int i = 0; i < 6; i++) {
+        t.bytes[i] = 64;
+        t.rows[i] = 16;
+    }
+    __asm__ volatile("" ::"r"(&t) : "memory"); // gcc 12 takes it that 8 bytes are read
+    _tile_loadconfig(&t);
+    _tile_zero(0);
+    _tile_zero(1);
+    _tile_zero(2);
+    _tile_zero(3);
+    _tile_zero(4);
+    _tile_zero(5);
+    for (int i = 0; i < rounds * SUMS / 4; i++) {
+        _tile_dpbssd(0, 4, 5);
+        _tile_dpbssd(1, 4, 5);
+        _tile_dpbssd(2, 4, 5);
+        _tile_dpbssd(3, 4, 5);
+    }
+    _tile_release();
+}
+
+static const struct s8_level s8_levels[] = {
+    {"amx", 16 * 16 * 64, s8_amx},
+    {"avx512", 64, s8_avx512},
+    {"avx2", 16, s8_avx2},
+    {"sse41", 8, s8_sse41},
+    {"c", 8, s8_sse41}}; // what a compiler can make of plain loops
 #elif defined(__aarch64__)
 
 static float flops_neon(int rounds)
@@ -68,7 +137,17 @@ static float flops_neon(int rounds)
     return vaddvq_f32(s[0]);
 }
 
-static const struct level levels[] = {{0, 4, flops_neon}};
+static const struct level levels[] = {{0, "neon", 4, flops_neon}, {0, "c", 4, flops_neon}};
+
+S8(s8_neon, , int8x16_t, "w",
+   "smull %1.8h, %2.8b, %3.8b\n\tsmlal2 %1.8h, %2.16b, %3.16b\n\tsadalp %0.4s, %1.8h")
+S8(s8_neondot, __attribute__((target("arch=armv8.2-a+dotprod"))), int8x16_t, "w",
+   "sdot %0.4s, %2.16b, %3.16b")
+S8(s8_i8mm, __attribute__((target("arch=armv8.2-a+i8mm"))), int8x16_t, "w",
+   "smmla %0.4s, %2.16b, %3.16b")
+
+static const struct s8_level s8_levels[] = {
+    {"i8mm", 32, s8_i8mm}, {"neondot", 16, s8_neondot}, {"neon", 16, s8_neon}, {"c", 16, s8_neon}};
 #else
 
 static float flops_c(int rounds)
@@ -82,37 +161,76 @@ static float flops_c(int rounds)
     return sum;
 }
 
-static const struct level levels[] = {{0, 1, flops_c}};
+static void s8_c(int rounds)
+{
+    for (int i = 0; i < rounds; i++)
+        for (int k = 0; k < SUMS; k++)
+            __asm__ volatile("" ::"r"(i * k));
+}
+
+static const struct level levels[] = {{0, "c", 1, flops_c}};
+static const struct s8_level s8_levels[] = {{"c", 1, s8_c}};
 #endif
 
-struct flops {
-    const struct level *level;
+enum {
+    N_LEVELS = sizeof levels / sizeof levels[0],
+    N_S8_LEVELS = sizeof s8_levels / sizeof s8_levels[0]
+};
+
+struct peak {
+    flops_fn *flops;
+    s8_fn *s8;      // or this
     float sums[64]; // one per worker
 };
 
-static err_t flops_chunk(void *ctx, int chunk, int worker)
+static err_t peak_chunk(void *ctx, int chunk, int worker)
 {
-    struct flops *f = ctx;
+    struct peak *p = ctx;
     (void)worker;
-    f->sums[chunk] = f->level->fn(ROUNDS);
+    if (p->s8)
+        p->s8(ROUNDS);
+    else
+        p->sums[chunk] = p->flops(ROUNDS);
     return OK;
+}
+
+/* Best of a few runs of all threads, in steps per second. */
+static double measure(struct pool *pool, struct peak p)
+{
+    const int n = pool_size(pool);
+    double best = 0;
+    for (int i = 0; i < TRIES; i++) {
+        double start = engine_seconds();
+        if (pool_for(pool, n, peak_chunk, &p) != OK)
+            return 0;
+        double rate = (double)SUMS * ROUNDS * n / (engine_seconds() - start);
+        best = rate > best ? rate : best;
+    }
+    return best;
 }
 
 double limits_flops(struct pool *pool, unsigned cpu)
 {
-    struct flops f = {.level = levels};
-    while ((f.level->cpu & cpu) != f.level->cpu)
-        f.level++;
-    int n = pool_size(pool);
-    double best = 0, work = 2.0 * SUMS * ROUNDS * f.level->width * n;
-    for (int i = 0; i < TRIES; i++) {
-        double start = engine_seconds();
-        if (pool_for(pool, n, flops_chunk, &f) != OK)
-            return 0;
-        double rate = work / (engine_seconds() - start);
-        best = rate > best ? rate : best;
-    }
-    return best;
+    const struct level *l = levels;
+    while ((l->cpu & cpu) != l->cpu)
+        l++;
+    return 2.0 * l->width * measure(pool, (struct peak){.flops = l->fn});
+}
+
+double limits_f32(struct pool *pool, const char *isa)
+{
+    for (int i = 0; i < N_LEVELS; i++)
+        if (strcmp(levels[i].isa, isa) == 0)
+            return levels[i].width * measure(pool, (struct peak){.flops = levels[i].fn});
+    return 0;
+}
+
+double limits_s8(struct pool *pool, const char *isa)
+{
+    for (int i = 0; i < N_S8_LEVELS; i++)
+        if (strcmp(s8_levels[i].isa, isa) == 0)
+            return s8_levels[i].macs * measure(pool, (struct peak){.s8 = s8_levels[i].fn});
+    return 0;
 }
 
 static err_t triad_chunk(void *ctx, int chunk, int worker)
