@@ -4,6 +4,7 @@
 
 #include "core/base/cpu.h"
 #include "drivers/file.h"
+#include "drivers/modelfile.h"
 
 #include <link.h>
 #include <stdlib.h>
@@ -48,14 +49,48 @@ static int print_library(struct dl_phdr_info *info, size_t size, void *ctx)
     return 0;
 }
 
+static const char *kind_of(const struct net_dims *d)
+{
+    return !d->gauss        ? "VGGT: cameras and depth"
+           : !d->appearance ? "AnySplat: Gaussians of one exposure"
+                            : "InstantHDR: Gaussians, radiance, tone curve";
+}
+
+/* What a weights file is; reads all of it. */
+static err_t print_model(const char *path)
+{
+    struct modelfile file;
+    err_t e = modelfile_open(path, &file);
+    if (e)
+        return e;
+    const struct model *m = &file.model;
+    const struct net_dims *d = &m->dims;
+    printf("model          %s\n", kind_of(d));
+    printf("weights        %s, %.0f MB, %d tensors\n", modelfile_precision(m->precision),
+           (double)m->bytes * 1e-6, m->n);
+    printf(
+        "dimensions     tokens of %d, %d heads, %d + 2 x %d blocks, views of %d px, cells of %g\n",
+        d->embed, d->heads, d->dino_depth, d->depth, d->size, (double)d->voxel);
+    printf("source         %s\nlicence        %s\n", m->source, m->licence);
+    e = modelfile_verify(&file);
+    if (!e)
+        printf("checksum       right\n");
+    modelfile_close(&file);
+    return e;
+}
+
 int cmd_doctor_run(int argc, char **argv)
 {
     static struct engine engine;
     struct config cfg;
     char have[CPU_NAMES_CAP], used[CPU_NAMES_CAP];
-    const struct cmd_option options[] = {CMD_THREADS};
+    const char *model = NULL;
+    const struct cmd_option options[] = {{"model", "FILE",
+                                          "tell what this weights file is, and check all of it",
+                                          NULL, &model, NULL},
+                                         CMD_THREADS};
     const struct cmd_usage usage = {
-        "doctor", "", "What this machine has, and what hdrig makes of it.", options, 1};
+        "doctor", "", "What this machine has, and what hdrig makes of it.", options, 2};
     int code;
     if (!cmd_parse(&usage, argc, argv, &cfg, &code))
         return code;
@@ -64,13 +99,16 @@ int cmd_doctor_run(int argc, char **argv)
         print_processor();
         printf("instructions   %s\n", cpu_names(cpu_detect(), have));
         printf("used           %s\n", cpu_names(engine.cpu, used));
-        printf("kernels        splat: %s\n", engine.kernels.name);
+        printf("kernels        splat: %s, network: int8 %s, floats %s\n", engine.kernels.name,
+               engine.kernels.net.s8_name, engine.kernels.net.f32_name);
         print_memory();
         printf("threads        %d\n", pool_size(engine.pool));
         printf("settings       %s, %s\n", CONFIG_DIR,
                file_is_dir(CONFIG_DIR) ? "read" : "not there: built-in values");
         dl_iterate_phdr(print_library, NULL);
     }
+    if (!e && model)
+        e = print_model(model);
     engine_close(&engine);
     return cmd_finish(usage.name, e);
 }
