@@ -169,18 +169,27 @@ err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_
     }
 }
 
+bool cmd_has_network(const struct cmd_model *m, const char **reason)
+{
+    bool has = m->path && strcmp(m->path, "none") != 0;
+    enum precision p;
+    *reason = NULL;
+    if (m->precision && !modelfile_parse_precision(m->precision, &p))
+        *reason = "--precision is fp32, bf16 or int8";
+    else if (m->precision && !has && p != PRECISION_F32)
+        *reason = "--precision needs a network, give --model FILE";
+    return has;
+}
+
 err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
                   const struct network **out)
 {
+    const char *reason;
     *out = NULL;
-    if (m->path && strcmp(m->path, "none") != 0) {
-        *out = own;
-        return network_open(m->path, m->precision, (unsigned)cfg->net_float_parts, own);
-    }
-    if (m->precision && strcmp(m->precision, "fp32") != 0)
-        return err_fail(ERR_ARG, "--precision %.16s: there is no network, give --model FILE",
-                        m->precision);
-    return OK;
+    if (!cmd_has_network(m, &reason))
+        return OK;
+    *out = own;
+    return network_open(m->path, m->precision, (unsigned)cfg->net_float_parts, own);
 }
 
 void cmd_imageset(const struct network *network, struct imageset_request *rq)

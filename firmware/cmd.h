@@ -76,9 +76,12 @@ struct cmd_model {
     const char *path, *precision; // path: NULL or "none": no network
 };
 
+/* Whether there is one; *reason is what cmd_misuse says if they contradict each other, or NULL. */
+bool cmd_has_network(const struct cmd_model *m, const char **reason);
+
 /* Open it: *out is NULL without a network, else *own.
  * own:  network_close of *own, which accepts that it was not opened.
- * err:  those of network_open; ERR_ARG (a precision without a network). */
+ * err:  those of network_open. */
 MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
                            const struct network **out);
 

@@ -164,8 +164,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
     e = list(st, rq);
     if (!e)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
-    const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n),
-                                        .size = job.size};
+    const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
     if (!e)
         e = reserve(st, rq, need, &most);
     if (!e)
@@ -324,8 +323,14 @@ int cmd_eval_run(int argc, char **argv)
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
+    const char *reason;
+    bool network = cmd_has_network(&rq.model, &reason);
     if (!rq.set.images)
         return cmd_misuse(&usage, "--data is needed");
+    if (network && rq.scene)
+        return cmd_misuse(&usage, "--scene is finished, --model makes one");
+    if (reason)
+        return cmd_misuse(&usage, reason);
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     code = cmd_finish(usage.name, evaluate(&st, &rq));

@@ -50,24 +50,31 @@ static err_t print_result(const struct request *rq, const struct state *st)
 
 /* ---- dump ---- */
 
+/* Three numbers above 0, as log2. */
+static bool read_exposures(const char *text, float log2t[DUMP_EXPOSURES])
+{
+    char *end = NULL;
+    for (int i = 0; i < DUMP_EXPOSURES; i++, text = end + 1) {
+        log2t[i] = log2f(strtof(text, &end));
+        if (end == text || *end != (i + 1 < DUMP_EXPOSURES ? ',' : 0) || !isfinite(log2t[i]))
+            return false;
+    }
+    return true;
+}
+
 /* Exposures of the dumped picture: as asked, else those of the input views. */
-static err_t dump_exposures(const char *text, const struct capture *c, float log2t[DUMP_EXPOSURES])
+static void dump_exposures(const char *text, const struct capture *c, float log2t[DUMP_EXPOSURES])
 {
     float lo = INFINITY, hi = -INFINITY;
-    char *end;
+    if (text && read_exposures(text, log2t))
+        return;
     for (int i = 0; i < c->n; i++) {
         lo = fminf(lo, log2f((float)c->shots[i].exposure));
         hi = fmaxf(hi, log2f((float)c->shots[i].exposure));
     }
-    const float inputs[DUMP_EXPOSURES] = {lo, (lo + hi) / 2, hi};
-    for (int i = 0; i < DUMP_EXPOSURES; i++, text = text ? end + 1 : NULL) {
-        double t = text ? strtod(text, &end) : 0;
-        log2t[i] = text ? log2f((float)t) : inputs[i];
-        if (text &&
-            (end == text || *end != (i + 1 < DUMP_EXPOSURES ? ',' : 0) || !isfinite(log2t[i])))
-            return err_fail(ERR_ARG, "--dump-exposures: \"%.64s\" is not like 0.125,1,8", text);
-    }
-    return OK;
+    log2t[0] = lo;
+    log2t[1] = (lo + hi) / 2;
+    log2t[2] = hi;
 }
 
 static err_t begin_dump(const struct request *rq, struct state *st)
@@ -129,8 +136,6 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     const struct network *network;
     struct job_memory need;
     err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
-    if (!e && rq->dump && !network)
-        e = err_fail(ERR_ARG, "--dump: there are no tensors without a network, give --model FILE");
     if (e)
         return e;
     cmd_imageset(network, &rq->set);
@@ -139,7 +144,7 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     if (!e && cmd_fill_exposures(&st->set.capture))
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)
-        e = dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
+        dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
     if (!e)
         e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
@@ -166,6 +171,21 @@ static err_t reconstruct(struct request *rq, struct state *st)
         e = publish_run(r, &st->result, &st->out);
     progress_end(&st->engine.progress);
     return e ? e : print_result(rq, st);
+}
+
+/* NULL if the options make sense together. */
+static const char *misuse(const struct request *rq)
+{
+    float log2t[DUMP_EXPOSURES];
+    const char *reason;
+    bool network = cmd_has_network(&rq->model, &reason);
+    if (!rq->set.images || !rq->out)
+        return "--images and --out are needed";
+    if (rq->dump && !network)
+        return "--dump writes the tensors of a network, give --model FILE";
+    if (rq->dump_exposures && !read_exposures(rq->dump_exposures, log2t))
+        return "--dump-exposures is not like 0.125,1,8";
+    return reason;
 }
 
 int cmd_reconstruct_run(int argc, char **argv)
@@ -203,8 +223,8 @@ int cmd_reconstruct_run(int argc, char **argv)
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    if (!rq.set.images || !rq.out)
-        return cmd_misuse(&usage, "--images and --out are needed");
+    if (misuse(&rq))
+        return cmd_misuse(&usage, misuse(&rq));
     code = cmd_finish(usage.name, reconstruct(&rq, &st));
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was told

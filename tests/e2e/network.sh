@@ -1,0 +1,114 @@
+#!/usr/bin/env bash
+# A network inside a job: what is refused, known and unknown cameras, models of every kind, the same
+# bytes with any number of threads, interruption. Weights are hashed, so pictures show nothing.
+. tests/e2e/common.bash
+golden=tests/data/golden/mini
+make_set good 56 3 1
+"$BIN/golden" prepare $golden "$OUT/inputs" >"$OUT/settings.txt" || fail "no inputs"
+settings=$(tr -d '\n' <$golden/index.json | sed 's/.*"model": {\([^}]*\)}.*/\1/')
+
+model() { # name precision dimensions: $OUT/NAME.hdrig
+    echo "{\"voxel_size\": 0.08, \"image_size\": 112, \"model\": {$settings$3}}" >"$OUT/$1.json"
+    sed -i "s/\"name\": \"mini\", //; s/\"gs_oc\": [^]]*\], \(.*\"gs_oc\"\)/\1/" "$OUT/$1.json"
+    succeed convert --hashed 1 --config "$OUT/$1.json" --precision "$2" --out "$OUT/$1.hdrig"
+}
+model hdr int8 ''
+model ldr int8 ', "appearance": false'
+model geometry bf16 \
+    ', "appearance": false, "gauss": false, "hdr": 0, "gs_feat": 0, "gs_oc": [0, 0, 0, 0]'
+
+refused() { # code regex arguments of reconstruct...
+    local code=$1 regex=$2
+    shift 2
+    expect "$code" "$regex" reconstruct --out "$OUT/result" --refine 0 "$@"
+    nothing_at "$OUT/result"
+}
+images=(--images "$OUT/inputs")
+
+# what does not fit together
+refused 2 '--dump .*--model' "${images[@]}" --dump "$OUT/dump"
+refused 2 '--precision .*--model' "${images[@]}" --precision int8
+refused 2 '--precision is fp32, bf16 or int8' "${images[@]}" --model x --precision fp64
+refused 2 '--dump-exposures' "${images[@]}" --model x --dump "$OUT/dump" --dump-exposures 1,2
+refused 1 "$OUT/nowhere.hdrig" "${images[@]}" --model "$OUT/nowhere.hdrig"
+refused 1 'hdr.hdrig holds int8 weights.*fp32' "${images[@]}" --model "$OUT/hdr.hdrig" \
+    --precision fp32
+head -c 100000 "$OUT/hdr.hdrig" >"$OUT/cut.hdrig"
+refused 1 'cut.hdrig' "${images[@]}" --model "$OUT/cut.hdrig"
+expect 1 'cut.hdrig' doctor --model "$OUT/cut.hdrig"
+expect 2 '--scene is finished' eval --data "$OUT/good" --scene x --model "$OUT/hdr.hdrig"
+expect 2 '--what network needs --model' bench --what network
+
+# what is missing, and what is too much
+mkdir "$OUT/one" "$OUT/bare"
+cp "$OUT/inputs/images/000_view0.png" "$OUT/one"
+cp "$OUT"/inputs/images/*.png "$OUT/bare"
+refused 1 '1 view, a scene needs at least 2' --images "$OUT/one" \
+    --exposures "$OUT/inputs/exposure.json" --model "$OUT/hdr.hdrig"
+refused 1 'no exposure for 000_view0.png' --images "$OUT/bare" --model "$OUT/hdr.hdrig"
+refused 1 'its camera is not known; .*--model' "${images[@]}"
+refused 3 'needs [0-9]+ MB, --max-memory is 64 MB$' "${images[@]}" --model "$OUT/hdr.hdrig" \
+    --max-memory 64
+mb=$("$HDRIG" reconstruct "${images[@]}" --out "$OUT/result" --model "$OUT/hdr.hdrig" --refine 0 \
+    --max-memory 64 2>&1 | sed -n 's/.*needs \([0-9]*\) MB.*/\1/p')
+refused 3 '2 of 3 views would fit' "${images[@]}" --model "$OUT/hdr.hdrig" --refine 0 \
+    --max-memory $((mb - 1))
+
+# cameras and exposures that nobody knows
+for kind in hdr ldr geometry; do
+    succeed reconstruct "${images[@]}" --model "$OUT/$kind.hdrig" --refine 0 --json - \
+        --out "$OUT/$kind"
+    for stage in preprocess backbone heads render total; do
+        grep -q "\"$stage\": [0-9]" "$OUT/stdout.txt" || fail "$kind: no time of $stage"
+    done
+    succeed reconstruct "${images[@]}" --model "$OUT/$kind.hdrig" --refine 10 \
+        --out "$OUT/$kind-refined"
+    succeed render --scene "$OUT/$kind-refined" --path orbit --frames 2 --out "$OUT/$kind-orbit"
+done
+for kind in ldr geometry; do
+    succeed reconstruct --images "$OUT/bare" --model "$OUT/$kind.hdrig" --refine 0 \
+        --out "$OUT/$kind-bare"
+done
+
+# known cameras stay as they are, unless they are not wanted
+succeed reconstruct --images "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --refine 0 \
+    --out "$OUT/known"
+succeed reconstruct --images "$OUT/good" --size 56 --refine 0 --out "$OUT/stereo"
+cmp -s "$OUT/known/cameras.json" "$OUT/stereo/cameras.json" || fail "known cameras were changed"
+succeed reconstruct --images "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --refine 0 --rig none \
+    --out "$OUT/unknown"
+cmp -s "$OUT/unknown/cameras.json" "$OUT/known/cameras.json" && fail "--rig none knows cameras"
+succeed eval --data "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --refine 5 --json -
+grep -q '"precision": "int8"' "$OUT/stdout.txt" || fail "eval does not tell the precision"
+
+# threads
+for threads in 1 2 7; do
+    succeed reconstruct "${images[@]}" --model "$OUT/hdr.hdrig" --refine 0 --threads $threads \
+        --out "$OUT/threads$threads"
+    hash=$(sha256sum <"$OUT/threads$threads/scene.hdrig")
+    [ "$hash" = "${first:=$hash}" ] || fail "scene.hdrig differs with $threads threads"
+done
+
+# a signal inside the network
+"$HDRIG" reconstruct "${images[@]}" --model "$OUT/hdr.hdrig" --size 448 --refine 0 \
+    --dump "$OUT/dump" --out "$OUT/result" >"$OUT/stdout.txt" 2>"$ERR" &
+pid=$!
+for ((i = 0; i < 300; i++)); do
+    grep -q '^backbone' "$ERR" && break
+    sleep 0.1
+done
+kill -INT $pid
+wait $pid
+code=$?
+[ $code -eq 130 ] || fail "SIGINT inside the network: exit $code"
+nothing_at "$OUT/result"
+nothing_at "$OUT/dump"
+
+# figures
+succeed doctor --model "$OUT/hdr.hdrig"
+grep -q '^model  *InstantHDR' "$OUT/stdout.txt" || fail "doctor does not tell the model"
+succeed bench --what network --model "$OUT/hdr.hdrig" --views 2 --size 56 --json "$OUT/bench.json"
+for name in seconds gmac gmac_per_s limit_gmac_per_s share_of_limit; do
+    grep -q "\"$name\": [0-9]" "$OUT/bench.json" || fail "bench: no $name"
+done
+finish
