@@ -61,7 +61,8 @@ typedef void quant_fn(const float *x, size_t n, float inv, int8_t *out);
 typedef void hadamard_fn(float *x, int n, int block);
 
 /* y = (x - mean) / sqrt(var + eps) * gamma + beta over n values; gamma and beta NULL: 1 and 0.
- * For |x| < 1e15 within 1e-6 (1 + |y|), also where the mean is 1e4 times the deviation; y may be x. */
+ * For |x| < 1e15 within 1e-6 (1 + |y|), also where the mean is 1e6 times the deviation.
+ * y may be x. */
 struct norm {
     int n;
     float eps;

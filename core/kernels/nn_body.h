@@ -93,9 +93,9 @@ static void quant(const float *x, size_t n, float inv, int8_t *out)
 
 /* --- rotation ------------------------------------------------------------------------------ */
 
-/* Stages of strides below `edge` <= LANES: lane i becomes its sum with lane i ^ d, or the difference
- * where it is the second of the pair. Additions are those of the C reference, in its order: the
- * same bits everywhere. */
+/* Stages of strides below `edge` <= LANES: lane i becomes its sum with lane i ^ d, or the
+ * difference where it is the second of the pair. Additions are those of the C reference, in its
+ * order: the same bits everywhere. */
 MAP vf rotate_lanes(vf a, int edge)
 {
     static const float sign[4][16] = {{1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1},
@@ -408,17 +408,11 @@ MAP float weigh_floats(const struct attend_block *b, struct row key, int i)
     return v_sum(sum);
 }
 
-/* e^x for x <= 0. */
-MAP vf fade(vf x)
-{
-    return v_sel(v_lt(x, v_set(-87.0f)), v_set(0.0f), v_exp(x));
-}
-
 /* weigh holds the logit that the weights of a row are relative to, rescale their sum. */
 MAP void merge(const struct attend_block *b, float unit, int i, int lanes)
 {
     vf base = load(b->weigh + i, lanes), old = load(b->top + i, lanes), all = v_max(old, base);
-    vf rescale = fade(old - all), weigh = fade(base - all) * v_set(unit);
+    vf rescale = v_exp(old - all), weigh = v_exp(base - all) * v_set(unit);
     vf sum = load(b->sum + i, lanes) * rescale;
     store(b->sum + i, v_fma(weigh, load(b->rescale + i, lanes), sum), lanes);
     store(b->top + i, all, lanes);

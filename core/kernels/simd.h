@@ -168,7 +168,10 @@ static inline vf v_swap(vf a, int d)
                     : _mm256_permute2f128_ps(a, a, 1);
 }
 static inline vint i_load(const int32_t *p) { return _mm256_loadu_si256((const __m256i *)p); }
-static inline vint i_load_n(const int32_t *p, int n) { return _mm256_maskload_epi32(p, i_first(n)); }
+static inline vint i_load_n(const int32_t *p, int n)
+{
+    return _mm256_maskload_epi32(p, i_first(n));
+}
 static inline vint i_zero(void) { return _mm256_setzero_si256(); }
 static inline vint i_add(vint a, vint b) { return _mm256_add_epi32(a, b); }
 static inline int32_t i_sum(vint a)

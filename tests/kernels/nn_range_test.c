@@ -112,9 +112,9 @@ static void stream_block(const struct kernels *k, int first, int n, bool ints)
     k->net.attend_add(&a);
 }
 
-/* Largest error of a row of values, and the most that is allowed. Rounding moves a weight by at most
- * 0.52 / 127 of the largest of its block, and a small one by itself, to 0; that moves the mean by
- * its distance from the value, at most 2. */
+/* Largest error of a row of values, and the most that is allowed. Rounding moves a weight by at
+ * most 0.52 / 127 of the largest of its block, and a small one by itself, to 0; that moves the mean
+ * by its distance from the value, at most 2. */
 static double stream_error(int i, bool ints, double *limit)
 {
     static double w[KEYS];

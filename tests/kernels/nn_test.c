@@ -184,7 +184,7 @@ static void hadamard_truth(struct outcome *o)
 /* variant: gamma and beta given; y is x; mean far from 0; eps 1e-6 instead of 1e-5 */
 static void norm_make(int size, enum pattern pattern)
 {
-    double mean = bit(2) ? 1e4 : 0.3;
+    double mean = bit(2) ? 1e6 : 0.3;
     in.n = size;
     in.x = trial_random((size_t)size, mean - 1.7, mean + 1.7);
     if (pattern == EXTREME)
@@ -202,7 +202,7 @@ static void norm_make(int size, enum pattern pattern)
             break;
         default:
             for (int i = 0; i < size; i++)
-                in.x[i] *= bit(2) ? 1e10f : 1e14f;
+                in.x[i] *= bit(2) ? 1e9f : 1e14f;
         }
     in.y = bit(1) ? in.x : trial_floats((size_t)size);
     memcpy(in.before, in.x, (size_t)size * sizeof *in.x);
@@ -225,7 +225,8 @@ static void norm_want(const struct norm *s, const float *x)
 {
     double mean = 0, var = 0;
     for (int i = 0; i < s->n; i++)
-        mean += (double)x[i] / s->n;
+        mean += ((double)x[i] - (double)x[0]) / s->n;
+    mean += (double)x[0];
     for (int i = 0; i < s->n; i++)
         var += ((double)x[i] - mean) * ((double)x[i] - mean) / s->n;
     for (int i = 0; i < s->n; i++)
@@ -515,8 +516,8 @@ static void block_keep(struct outcome *o)
         sum[i] = (float)((double)b->sum[i] / all);
     }
     trial_put(o, "weights", p, (const int[3]){b->m, b->n, b->n},
-              b->si ? (0.512 + 127 * blur) * 1e-3 : blur);
-    trial_scale(o, b->si ? 1e3 : 1e-30);
+              b->si ? (0.512 + 127 * blur) * 1e-6 : blur);
+    trial_scale(o, b->si ? 1e6 : 1e-30);
     trial_put_row(o, "sum", sum, b->m, 1e-6);
     trial_put_row(o, "top", b->top, b->m, 2e-7);
     trial_put_row(o, "rescale", b->rescale, b->m, blur);
