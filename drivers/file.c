@@ -53,6 +53,12 @@ bool file_exists(const char *path)
     return lstat(path, &st) == 0;
 }
 
+void file_drop(const struct file_map *m)
+{
+    if (m->p)
+        madvise((void *)(uintptr_t)m->p, m->n, MADV_DONTNEED);
+}
+
 bool file_is_dir(const char *path)
 {
     struct stat st;

@@ -29,6 +29,9 @@ MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 void file_unmap(struct file_map *m);
 
 bool file_exists(const char *path); // whatever it is
+/* Its pages may leave memory; they are read again when they are looked at. */
+void file_drop(const struct file_map *m);
+
 bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
 

@@ -93,6 +93,7 @@ static err_t forward(const struct run *r, const struct network *n, struct job_re
     struct run timed = network_timed(r, &clock);
     err_t e = net_run(&timed, &n->net, &out->views, p);
     network_clock_stop(&clock);
+    file_drop(&n->file.map); // not needed again
     out->seconds[JOB_BACKBONE] += network_seconds(&clock, backbone);
     out->seconds[JOB_HEADS] += network_seconds(&clock, heads);
     job_lap(out, JOB_APPEARANCE); // the whole pass, hence less the two
