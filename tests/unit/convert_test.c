@@ -1,0 +1,189 @@
+/* The same weights from a checkpoint of PyTorch and from .safetensors under all names that the
+ * releases use become the same file, and what the network cannot run with is refused by name. */
+#include "firmware/convert.h"
+
+#include "drivers/checkpoint.h"
+#include "drivers/modelfile.h"
+
+#include "tests/unit/tiny_net.h"
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+
+#include <cmocka.h>
+
+#define TINY "tests/data/ckpt/tiny.ckpt"
+
+/* How a .safetensors file differs from tiny.ckpt. */
+static struct {
+    const char *strip;                      // prefix taken off the names
+    const char *without, *extra, *reshaped; // tensors
+    const char *nan;
+} change;
+
+static float values[400000];
+
+static void put_header(FILE *f, const struct checkpoint *c)
+{
+    struct safetensors_writer w;
+    safetensors_begin(&w);
+    for (int i = 0; i < c->n; i++) {
+        const struct checkpoint_tensor *t = &c->tensors[i];
+        struct safetensors_tensor s = {.name = t->name, .type = "F32", .rank = t->rank};
+        memcpy(s.shape, t->shape, sizeof s.shape);
+        if (t->type == CHECKPOINT_OTHER || (change.without && strstr(t->name, change.without)))
+            continue;
+        if (change.strip && strncmp(s.name, change.strip, strlen(change.strip)) == 0)
+            s.name += strlen(change.strip);
+        if (change.reshaped && strcmp(t->name, change.reshaped) == 0) {
+            s.shape[0] *= s.shape[1];
+            s.shape[1] = 1;
+        }
+        safetensors_put(&w, &s);
+    }
+    if (change.extra)
+        safetensors_put(&w, &(struct safetensors_tensor){
+                                .name = change.extra, .type = "F32", .rank = 1, .shape = {0}});
+    assert_int_equal(safetensors_end(&w, f), OK);
+}
+
+static const char *write_safetensors(void)
+{
+    const char *path = tmpdir_path("tiny.safetensors");
+    struct checkpoint c;
+    FILE *f = fopen(path, "wb");
+    assert_int_equal(checkpoint_open(TINY, &c), OK);
+    put_header(f, &c);
+    for (int i = 0; i < c.n; i++) {
+        const struct checkpoint_tensor *t = &c.tensors[i];
+        size_t n = checkpoint_count(t);
+        if (t->type == CHECKPOINT_OTHER || (change.without && strstr(t->name, change.without)))
+            continue;
+        assert_true(n <= sizeof values / sizeof values[0]);
+        assert_int_equal(checkpoint_read(&c, t, values), OK);
+        if (change.nan && strcmp(t->name, change.nan) == 0)
+            values[n - 1] = NAN;
+        fwrite(values, sizeof *values, n, f);
+    }
+    checkpoint_close(&c);
+    assert_int_equal(fclose(f), 0);
+    memset(&change, 0, sizeof change);
+    return path;
+}
+
+static err_t convert(const char *in, const char *out, enum precision p, const char *config)
+{
+    static struct engine en;
+    const struct convert_request q = {out, config, p, 1000};
+    assert_int_equal(engine_open(&en, 2), OK);
+    err_t e = convert_file(&en, &q, in);
+    engine_close(&en);
+    return e;
+}
+
+static const char *const config = "tests/data/ckpt/tiny.json";
+
+static void all_sources_give_the_same_data(void **state)
+{
+    (void)state;
+    static const char *const strips[] = {NULL, "encoder."};
+    for (int p = PRECISION_F32; p <= PRECISION_S8; p++)
+        for (int k = 0; k < 2; k++) {
+            struct modelfile a, b;
+            change.strip = strips[k];
+            const char *path = write_safetensors();
+            assert_int_equal(convert(TINY, tmpdir_path("a"), (enum precision)p, config), OK);
+            assert_int_equal(convert(path, tmpdir_path("b"), (enum precision)p, config), OK);
+            assert_int_equal(modelfile_open(tmpdir_path("a"), &a), OK);
+            assert_int_equal(modelfile_open(tmpdir_path("b"), &b), OK);
+            assert_int_equal(a.head.size, b.head.size);
+            assert_memory_equal((const char *)a.model.map + a.head.data,
+                                (const char *)b.model.map + b.head.data, a.head.size);
+            assert_string_equal(a.checksum, b.checksum);
+            assert_memory_equal(&a.model.dims, &tiny_net, sizeof tiny_net);
+            assert_int_equal(modelfile_verify(&a), OK);
+            assert_non_null(strstr(a.model.source, "tiny.ckpt sha256:"));
+            assert_non_null(strstr(b.model.source, "tiny.safetensors sha256:"));
+            modelfile_close(&a);
+            modelfile_close(&b);
+        }
+}
+
+static void refused(err_t code, const char *sentence)
+{
+    const char *out = tmpdir_path("refused");
+    err_t e = convert(write_safetensors(), out, PRECISION_S8, config);
+    if (e != code || !strstr(err_text(), sentence))
+        fail_msg("%d, not %d (%s): %s", e, code, sentence, err_text());
+    assert_false(file_exists(out));
+}
+
+static void what_does_not_fit_is_named(void **state)
+{
+    (void)state;
+    change.without = "encoder.hdr_conv.0.bias";
+    refused(ERR_FORMAT, "1 tensors are missing: encoder.hdr_conv.0.bias");
+    change.without = "encoder.hdr_head.";
+    refused(ERR_FORMAT, "tensors are missing: encoder.hdr_head.patch_embed.weight, ");
+    assert_non_null(strstr(err_text(), ", ..."));
+    change.reshaped = "encoder.hdr_conv.0.weight";
+    refused(ERR_FORMAT, "1 tensors have another shape: encoder.hdr_conv.0.weight [16,1,3,3], not "
+                        "[4,4,3,3]");
+    change.nan = "encoder.aggregator.frame_blocks.1.mlp.fc2.weight";
+    refused(ERR_FORMAT, "frame_blocks.1.mlp.fc2.weight: element 4095 is not finite");
+    change.extra = "encoder.camera_head.token_norm.bias";
+    refused(ERR_FORMAT, "token_norm.bias is there twice");
+}
+
+/* Unused ones may be missing or be anything, and strangers are left out. */
+static void what_is_not_read_does_not_matter(void **state)
+{
+    (void)state;
+    const char *out = tmpdir_path("fine");
+    static const char *const unused[] = {"mask_token", "div_term", "input_merger",
+                                         "gaussian_param_head.scratch.output_conv2"};
+    for (int k = 0; k < 4; k++) {
+        change.without = unused[k];
+        change.extra = k == 0 ? "point_head.norm.weight" : NULL;
+        assert_int_equal(convert(write_safetensors(), out, PRECISION_S8, config), OK);
+    }
+    change.nan = "encoder.gaussian_param_head.input_merger.0.weight";
+    assert_int_equal(convert(write_safetensors(), out, PRECISION_S8, config), OK);
+}
+
+static void requests_are_checked(void **state)
+{
+    (void)state;
+    const char *out = tmpdir_path("none");
+    assert_int_equal(convert(TINY, out, PRECISION_S8, NULL), ERR_UNSUPPORTED);
+    assert_non_null(strstr(err_text(), "4 frame blocks: which layers to keep"));
+    assert_int_equal(convert(TINY, out, PRECISION_S8, "full"), ERR_FORMAT);
+    assert_int_equal(convert(TINY, out, PRECISION_S8, "none.json"), ERR_IO);
+    assert_int_equal(convert(TINY, out, PRECISION_S8, tmpdir_text("a.json", "{}")), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "has no object \"model\""));
+    assert_int_equal(
+        convert(TINY, out, PRECISION_S8, tmpdir_text("a.json", "{\"model\": {\"embed\": 31}}")),
+        ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "embed is 31"));
+    atomic_store(&engine_cancel, true);
+    assert_int_equal(convert(TINY, out, PRECISION_S8, config), ERR_CANCELLED);
+    atomic_store(&engine_cancel, false);
+    assert_false(file_exists(out));
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(all_sources_give_the_same_data),
+        cmocka_unit_test(what_does_not_fit_is_named),
+        cmocka_unit_test(what_is_not_read_does_not_matter),
+        cmocka_unit_test(requests_are_checked),
+    };
+    tmpdir_make();
+    int failures = cmocka_run_group_tests(tests, NULL, NULL);
+    tmpdir_remove();
+    return failures;
+}
