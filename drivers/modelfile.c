@@ -274,38 +274,6 @@ static err_t get_dims(struct modelfile *m)
     return e;
 }
 
-static err_t get_rotation(struct modelfile *m, const struct cJSON *node)
-{
-    double edge;
-    int k = 0;
-    while (k < m->model.n && strcmp(m->tensors[k].spec.name, json_key(node)) != 0)
-        k++;
-    if (k == m->model.n || m->tensors[k].type != PRECISION_S8)
-        return err_fail(ERR_FORMAT, "%s: rotate names %.96s, which is no I8 product", m->head.what,
-                        json_key(node));
-    int seg = table_product(&m->tensors[k].spec).seg;
-    if (!json_number(node, &edge) || edge < 4 || edge > seg || edge != floor(edge) ||
-        ((int)edge & ((int)edge - 1)) != 0 || seg % (int)edge != 0)
-        return err_fail(ERR_FORMAT, "%s: rotate: %s: not a power of two from 4 on that divides %d",
-                        m->head.what, json_key(node), seg);
-    m->tensors[k].rotate = (int)edge;
-    return OK;
-}
-
-static err_t get_rotations(struct modelfile *m)
-{
-    struct cJSON *doc;
-    if (!*safetensors_word(&m->head, "rotate"))
-        return OK;
-    err_t e = get_json(m, "rotate", &doc);
-    if (!e && !json_is_object(doc))
-        e = err_fail(ERR_FORMAT, "%s: rotate is no object", m->head.what);
-    for (const struct cJSON *v = e ? NULL : json_first(doc); v && !e; v = json_next(v))
-        e = get_rotation(m, v);
-    json_free(doc);
-    return e;
-}
-
 err_t modelfile_open_bytes(const char *what, const void *p, size_t n, struct modelfile *out)
 {
     memset(out, 0, sizeof *out);
@@ -319,8 +287,6 @@ err_t modelfile_open_bytes(const char *what, const void *p, size_t n, struct mod
         e = get_dims(out);
     if (!e)
         e = bind_tensors(out);
-    if (!e)
-        e = get_rotations(out);
     if (e)
         modelfile_close(out);
     return e;

@@ -1,8 +1,7 @@
 /* modelfile.h - weights files: a safetensors file that is mapped and used in place.
  *
  * __metadata__: format "hdrig-model", version "1", precision "fp32", "bf16" or "int8", config (JSON
- * of netdims.h), source and licence (words for people), checksum (below) and, if activations are
- * rotated, rotate (JSON of tensor name to edge of the blocks).
+ * of netdims.h), source and licence (words for people), checksum (below).
  * Tensors, by the table of core/net/table.h: products packed as core/net/model.h says, [panels, k,
  * 16] F32 or BF16 or [panels, k/4, 16, 4] I8, each on a border of 64 bytes of the file; then
  * NAME_scale [n] F32 of each I8 product; then plain ones, F32, [repeat * elements] where repeated.
@@ -13,9 +12,7 @@
  *  2. dimensions that table_check refuses, or that miss or have a member of the wrong kind;
  *  3. a tensor that is missing, unknown, of another type or of another shape;
  *  4. data off their border: 64 bytes for products, 4 for others;
- *  5. rotations of what is no I8 product, or by blocks that are no power of two from 4 on or do
- *     not divide a run of inputs;
- *  6. numbers that are not finite in plain tensors, exact products and scales, scales below 0.
+ *  5. numbers that are not finite in plain tensors, exact products and scales, scales below 0.
  * Looking through all products would read gigabytes at each start: modelfile_verify does. Writers
  * refuse what is not finite.
  *

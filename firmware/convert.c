@@ -1,5 +1,7 @@
 #include "firmware/convert.h"
 
+#include "firmware/smooth.h"
+
 #include "core/base/log.h"
 #include "core/base/sha256.h"
 #include "core/net/hashed.h"
@@ -52,9 +54,17 @@ static err_t read_config(const char *config, struct net_dims *d)
 
 static err_t write_file(struct engine *en, const struct convert_request *q, struct modelwrite *w)
 {
+    struct smooth smooth = {.dims = &w->dims, .fetch = w->fetch, .ctx = w->ctx};
     w->precision = q->precision;
+    if (q->precision == PRECISION_S8) {
+        w->fetch = smooth_fetch;
+        w->ctx = &smooth;
+    }
     err_t e = engine_reserve(en, 0, 0, modelwrite_need(w, pool_size(en->pool)), q->max_mb);
-    return e ? e : modelwrite_run(&en->run, w, q->out);
+    if (!e)
+        e = modelwrite_run(&en->run, w, q->out);
+    smooth_free(&smooth);
+    return e;
 }
 
 /* ---- weights made of numbers ---- */

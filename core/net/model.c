@@ -12,6 +12,18 @@ enum precision model_type(const struct tensor_spec *t, enum precision file)
     return file;
 }
 
+/* Hidden units of the blocks' MLPs have outliers, and their activation lets no factor through. */
+int model_rotation(const struct tensor_spec *t, enum precision file)
+{
+    static const char suffix[] = ".mlp.fc2.weight", owner[] = "encoder.aggregator.";
+    size_t n = strlen(t->name), m = sizeof suffix - 1;
+    if (model_type(t, file) != PRECISION_S8 || n < m || strcmp(t->name + n - m, suffix) != 0 ||
+        strncmp(t->name, owner, sizeof owner - 1) != 0)
+        return 0;
+    int k = table_product(t).seg;
+    return k & -k;
+}
+
 const struct model_tensor *model_find(const struct model *m, const char *name)
 {
     for (int i = 0; i < m->n; i++)
@@ -43,7 +55,7 @@ err_t model_weight(const struct model *m, const char *name, struct weight *out)
                            .n = p.n,
                            .segs = p.segs,
                            .seg = p.seg,
-                           .rotate = t->rotate,
+                           .rotate = model_rotation(&t->spec, m->precision),
                            .panels = t->data,
                            .scale = t->scale};
     snprintf(full, sizeof full, "%s.bias", name);

@@ -29,7 +29,6 @@ struct weight {
 struct model_tensor {
     struct tensor_spec spec;
     enum precision type;
-    int rotate;
     const void *data;
     const float *scale; // of I8
 };
@@ -47,6 +46,10 @@ struct model {
 /* Type of tensor t in a file of this precision: plain and exact ones are F32, and so are products
  * of an I8 file whose runs are no multiple of 4. */
 enum precision model_type(const struct tensor_spec *t, enum precision file);
+
+/* Edge of the blocks by which the inputs of product t are rotated (gemm.h) before they become
+ * integers; its weights are stored so. 0 = none, and for PLAIN. */
+int model_rotation(const struct tensor_spec *t, enum precision file);
 
 /* Tensor `name`; NULL if the model has none. */
 const struct model_tensor *model_find(const struct model *m, const char *name);

@@ -1,6 +1,6 @@
 #include "core/net/pack.h"
 
-#include "core/kernels/gemm.h"
+#include "core/kernels/kernels.h"
 
 #include <float.h>
 #include <math.h>
@@ -58,6 +58,14 @@ static int8_t to_s8(float v)
     return (int8_t)((v + big) - big);
 }
 
+/* With the reference kernel: a file's bytes do not depend on the machine. */
+static void rotate(float *row, size_t k, int edge)
+{
+    struct gemm_kernels c;
+    nn_c(&c);
+    c.hadamard(row, (int)k, edge);
+}
+
 static float quantise(const float *row, size_t k, int8_t *out)
 {
     float top = 0;
@@ -78,6 +86,8 @@ void pack_panel(const struct tensor_spec *t, enum precision type, int p, const f
     for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
         gather(t, p * PANEL + j, in, to->row);
         if (type == PRECISION_S8) {
+            if (model_rotation(t, type))
+                rotate(to->row, k, model_rotation(t, type));
             to->scale[j] = quantise(to->row, k, (int8_t *)to->out + 4 * j);
         } else if (type == PRECISION_BF16) {
             for (size_t i = 0; i < k; i++)
