@@ -3,6 +3,7 @@
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/evaluate.h"
+#include "firmware/testcams.h"
 
 #include "core/opt/response.h"
 #include "core/prep.h"
@@ -22,9 +23,11 @@ struct state {
     struct engine engine;
     struct network network;
     struct imageset train, test;
+    struct imageset true_train, true_test; // with cameras, if the network had to find them
     struct outdir out;
     struct job_result job;
     struct evaluate_result figures;
+    struct testcams_error pose;
 };
 
 static void report_score(struct report *rep, const char *key, const struct evaluate_score *s)
@@ -42,6 +45,21 @@ static void report_score(struct report *rep, const char *key, const struct evalu
     report_close(rep);
 }
 
+/* null if cameras were given, or nobody knows better ones. */
+static void report_pose(struct report *rep, const struct testcams_error *p)
+{
+    if (p->n == 0) {
+        report_text(rep, "pose", NULL);
+        return;
+    }
+    report_open(rep, "pose", '{');
+    report_number(rep, "rot_deg_median", p->rot_deg);
+    report_number(rep, "trans_rel_median", p->trans);
+    report_number(rep, "focal_rel", p->focal);
+    report_int(rep, "cameras", p->n);
+    report_close(rep);
+}
+
 static void write_report(const struct state *st, FILE *f)
 {
     struct report rep;
@@ -52,7 +70,7 @@ static void write_report(const struct state *st, FILE *f)
     report_score(&rep, "ldr", &fig->ldr);
     report_score(&rep, "hdr", &fig->hdr);
     report_score(&rep, "baseline_nearest", &fig->nearest);
-    report_text(&rep, "pose", NULL); // cameras were given, not estimated
+    report_pose(&rep, &st->pose);
     report_open(&rep, "per_exposure", '[');
     for (int i = 0; i < fig->n_exposures; i++) {
         report_open(&rep, NULL, '{');
@@ -89,6 +107,10 @@ static void print_table(const struct state *st)
     }
     print_score("HDR mu-law", &fig->hdr);
     print_score("nearest input view", &fig->nearest);
+    if (st->pose.n > 0)
+        printf("%d cameras found: median error %.3g degrees, %.3g of their spread, focal length "
+               "%.3g\n",
+               st->pose.n, st->pose.rot_deg, st->pose.trans, st->pose.focal);
 }
 
 static err_t write_file(const struct state *st, const char *path)
@@ -127,14 +149,31 @@ static uint64_t result_bytes(const struct capture *test, int size)
 
 /* ---- from photographs to the scene ---- */
 
-static err_t list(struct state *st, struct request *rq)
+static err_t list_both(struct imageset_request rq, struct imageset *train, struct imageset *test)
 {
-    err_t e = imageset_list(&rq->set, &st->train);
-    rq->set.which = IMAGESET_TEST;
-    rq->set.n_views = 0;
-    rq->set.every_exposure = true;
-    rq->set.exposure_set = 0;
-    return e ? e : imageset_list(&rq->set, &st->test);
+    err_t e = imageset_list(&rq, train);
+    rq.which = IMAGESET_TEST;
+    rq.n_views = 0;
+    rq.every_exposure = true;
+    rq.exposure_set = 0;
+    return e ? e : imageset_list(&rq, test);
+}
+
+/* Whether the network has to find the cameras; then those of the data set, if it has some, are only
+ * compared. */
+static bool cameras_unknown(const struct state *st, const struct network *network)
+{
+    return network && !st->train.capture.shots[0].has_camera;
+}
+
+static err_t list(struct state *st, const struct request *rq)
+{
+    err_t e = list_both(rq->set, &st->train, &st->test);
+    if (e || !rq->set.no_cameras)
+        return e;
+    struct imageset_request with = rq->set;
+    with.no_cameras = false;
+    return list_both(with, &st->true_train, &st->true_test);
 }
 
 static err_t reserve(struct state *st, const struct request *rq, struct job_memory need,
@@ -152,6 +191,28 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
                          : outdir_reserve(&st->out, result_bytes(&st->test.capture, scene->size));
 }
 
+static void add_testcams(const struct state *st, const struct job_config *job,
+                         struct job_memory *need)
+{
+    const struct capture *train = &st->train.capture;
+    struct job_memory m = testcams_plan(job, train, &st->test.capture, job_most(job, train->n),
+                                        pool_size(st->engine.pool));
+    need->keep = arena_add(need->keep, m.keep);
+    need->tmp = m.tmp > need->tmp ? m.tmp : need->tmp;
+}
+
+static err_t find_test_cameras(struct state *st, const struct job_config *job)
+{
+    const struct capture *real = &st->true_train.capture;
+    const struct run *r = &st->engine.run;
+    err_t e = testcams_run(r, job, &st->job, &st->test);
+    job_lap(&st->job, JOB_MEASURE);
+    if (e || real->n == 0 || !real->shots[0].has_camera)
+        return e;
+    return testcams_measure(r, &st->job, real, &st->true_test.capture, &st->test.capture,
+                            &st->pose);
+}
+
 static err_t reconstruct(struct state *st, struct request *rq)
 {
     const struct network *network;
@@ -164,12 +225,18 @@ static err_t reconstruct(struct state *st, struct request *rq)
     e = list(st, rq);
     if (!e)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
+    if (e)
+        return e;
     const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
-    if (!e)
-        e = reserve(st, rq, need, &most);
+    bool unknown = cameras_unknown(st, network);
+    if (unknown)
+        add_testcams(st, &job, &need);
+    e = reserve(st, rq, need, &most);
     if (!e)
         e = imageset_load(&st->train);
-    return e ? e : job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+    if (!e)
+        e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+    return e || !unknown ? e : find_test_cameras(st, &job);
 }
 
 /* ---- from a result to its scene ---- */
@@ -300,7 +367,7 @@ int cmd_eval_run(int argc, char **argv)
         {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
         {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
          &rq.exposures, NULL},
-        {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0", NULL,
+        {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0; none", NULL,
          &rq.set.rig, NULL},
         {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},
         {"precision", "P", "that these weights must have: fp32, bf16 or int8", NULL,
@@ -337,6 +404,8 @@ int cmd_eval_run(int argc, char **argv)
     outdir_close(&st.out);
     imageset_free(&st.train);
     imageset_free(&st.test);
+    imageset_free(&st.true_train);
+    imageset_free(&st.true_test);
     engine_close(&st.engine);
     network_close(&st.network);
     return code;

@@ -13,7 +13,6 @@ struct job_memory start_plan(const struct job_config *cfg, int n_views, int thre
  * for cfg->refine.gaussians_max unless there is no refinement. Without known cameras those of the
  * network become out->views.cams too. Times go to *out.
  * err:  those of the steps. */
-MUST_USE err_t start_run(const struct run *r, const struct job_config *cfg,
-                         struct job_result *out);
+MUST_USE err_t start_run(const struct run *r, const struct job_config *cfg, struct job_result *out);
 
 #endif

@@ -80,6 +80,10 @@ succeed reconstruct --images "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --re
 cmp -s "$OUT/unknown/cameras.json" "$OUT/known/cameras.json" && fail "--rig none knows cameras"
 succeed eval --data "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --refine 5 --json -
 grep -q '"precision": "int8"' "$OUT/stdout.txt" || fail "eval does not tell the precision"
+succeed eval --data "$OUT/good" --model "$OUT/hdr.hdrig" --size 56 --refine 5 --rig none --json -
+for name in rot_deg_median trans_rel_median focal_rel psnr; do
+    grep -q "\"$name\": [0-9]" "$OUT/stdout.txt" || fail "eval --rig none: no $name"
+done
 
 # threads
 for threads in 1 2 7; do

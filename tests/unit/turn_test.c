@@ -73,6 +73,43 @@ static void scale_of_worlds(void **state)
     arena_free(&tmp);
 }
 
+/* One world is the other turned, moved and 2.5 times as large. */
+static void a_world_is_found_again(void **state)
+{
+    (void)state;
+    struct arena tmp;
+    struct camera a[5], b[5], c;
+    struct turn_world w = {2.5, {0.5, -0.5, 0.5, 0.5}, {1, -2, 3}}, found;
+    double x[3], y[3];
+    assert_int_equal(arena_init(&tmp, "tmp", turn_plan(5)), OK);
+    struct run r = {.tmp = &tmp};
+    rng = 9;
+    for (int i = 0; i < 5; i++) {
+        a[i] = random_camera();
+        b[i] = turn_camera(&w, &a[i]);
+        for (int k = 0; k < 4 && i % 2; k++)
+            b[i].q[k] = -b[i].q[k]; // the same rotation
+    }
+    turn_centre(&a[0], x);
+    turn_centre(&b[0], y); // (x, y, z) -> (-y, z, -x) is this quaternion's rotation
+    assert_float_equal((float)y[0], (float)(1 + 2.5 * -x[1]), 1e-4f);
+    assert_float_equal((float)y[1], (float)(-2 + 2.5 * x[2]), 1e-4f);
+    assert_float_equal((float)y[2], (float)(3 + 2.5 * -x[0]), 1e-4f);
+    assert_int_equal(turn_fit(&r, a, b, 5, &found), OK);
+    assert_float_equal((float)found.scale, 2.5f, 1e-5f);
+    for (int i = 0; i < 5; i++) {
+        float p[9], q[9];
+        c = turn_camera(&found, &a[i]);
+        raster_rotation(c.q, p);
+        raster_rotation(b[i].q, q);
+        for (int k = 0; k < 9; k++)
+            assert_float_equal(p[k], q[k], 1e-5f);
+        for (int k = 0; k < 3; k++)
+            assert_float_equal(c.t[k], b[i].t[k], 1e-4f);
+    }
+    arena_free(&tmp);
+}
+
 static void no_rotation_no_change(void **state)
 {
     (void)state;
@@ -185,6 +222,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(scale_of_worlds),
+        cmocka_unit_test(a_world_is_found_again),
         cmocka_unit_test(no_rotation_no_change),
         cmocka_unit_test(pictures_do_not_change),
     };

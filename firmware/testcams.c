@@ -1,0 +1,256 @@
+#include "firmware/testcams.h"
+
+#include "core/net/backbone.h"
+#include "core/net/camera.h"
+#include "core/opt/align.h"
+#include "core/opt/pose.h"
+#include "core/prep.h"
+#include "core/splat/turn.h"
+#include "drivers/img.h"
+#include "drivers/name.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+static bool begins_view(const struct capture *c, int i)
+{
+    return i == 0 || !name_same_view(c->shots[i].name, c->shots[i - 1].name);
+}
+
+static int count_views(const struct capture *c)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        n += begins_view(c, i);
+    return n;
+}
+
+struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
+                                const struct capture *test, int most, int threads)
+{
+    const struct net *net = &cfg->network->net;
+    const int extra = count_views(test), all = train->n + extra;
+    const size_t pixels = (size_t)cfg->size * (size_t)cfg->size;
+    struct capture one = {1, test->shots};
+    struct job_memory m = {0};
+    size_t keep, tmp, cameras, tokens, work;
+    prep_plan(&one, cfg->size, threads, &keep, &tmp);
+    m.keep = arena_add(arena_need((size_t)all * pixels, 3), keep);
+    m.keep = arena_add(m.keep, arena_need((size_t)all, sizeof(struct camera) + sizeof(float)));
+    backbone_plan(net, all, cfg->size, threads, &tokens, &work);
+    camera_plan(net, all, threads, &cameras, &m.tmp);
+    m.tmp = arena_add(tokens, m.tmp > work ? m.tmp : work);
+    m.keep = arena_add(m.keep, cameras);
+    m.keep = arena_add(m.keep, arena_need((size_t)all, NAME_CAP));
+    work = align_plan(most, cfg->size, threads);
+    work = work > turn_plan(train->n) ? work : turn_plan(train->n);
+    m.tmp = m.tmp > work ? m.tmp : work;
+    m.tmp = m.tmp > tmp ? m.tmp : tmp;
+    return m;
+}
+
+/* ---- pictures ---- */
+
+/* Views of the scene, then one picture of each test view. */
+static err_t begin_views(struct arena *keep, const struct views *train, int n, struct views *all)
+{
+    const size_t bytes = 3 * (size_t)train->size * (size_t)train->size;
+    *all = (struct views){.n = n, .size = train->size, .mid_log2t = train->mid_log2t};
+    err_t e = arena_alloc(keep, bytes, (size_t)n, &all->rgb);
+    if (!e)
+        e = arena_alloc(keep, (size_t)n, sizeof(float), &all->log2t);
+    if (e)
+        return e;
+    memcpy(all->rgb, train->rgb, bytes * (size_t)train->n);
+    memcpy(all->log2t, train->log2t, (size_t)train->n * sizeof(float));
+    return OK;
+}
+
+static err_t add_view(const struct run *r, const struct imageset *test, int i, int at,
+                      struct views *all)
+{
+    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, mark = arena_mark(r->keep);
+    struct shot s = test->capture.shots[i];
+    struct capture one = {1, &s};
+    struct views v;
+    err_t e = imageset_decode(test, i, &s.image);
+    if (!e)
+        e = prep_run(r, &one, all->size, &v);
+    if (!e) {
+        memcpy(all->rgb + bytes * (size_t)at, v.rgb, bytes);
+        all->log2t[at] = v.log2t[0];
+    }
+    img_free(&s.image);
+    arena_reset(r->keep, mark);
+    return e;
+}
+
+/* ---- cameras ---- */
+
+/* Cameras of all views in the world of the network. */
+static err_t look(const struct run *r, const struct net *net, const struct views *all,
+                  struct geometry *out)
+{
+    struct run backbone = *r;
+    struct tokens tokens;
+    const size_t mark = arena_mark(r->tmp);
+    backbone.keep = r->tmp;
+    err_t e = backbone_run(&backbone, net, all, &tokens);
+    if (!e)
+        e = camera_run(r, net, &tokens, all->size, out);
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* The test views among them, in the world of the scene, with the mean focal length of its views. */
+static err_t place(const struct run *r, const struct scene *s, struct geometry *g)
+{
+    struct turn_world w;
+    float fx = 0, fy = 0;
+    err_t e = turn_fit(r, g->cams, s->cams, s->n_views, &w);
+    for (int i = 0; i < s->n_views; i++) {
+        fx += s->cams[i].fx / (float)s->n_views;
+        fy += s->cams[i].fy / (float)s->n_views;
+    }
+    for (int i = s->n_views; i < g->n_views; i++) {
+        g->cams[i] = turn_camera(&w, &g->cams[i]);
+        g->cams[i].fx = fx;
+        g->cams[i].fy = fy;
+    }
+    return e;
+}
+
+static err_t align(const struct run *r, const struct scene *s, const struct views *all,
+                   struct geometry *g)
+{
+    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, first = (size_t)s->n_views;
+    struct views v = {.n = all->n - s->n_views,
+                      .size = all->size,
+                      .rgb = all->rgb + bytes * first,
+                      .log2t = all->log2t + first,
+                      .cams = g->cams + first};
+    err_t e = place(r, s, g);
+    return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
+}
+
+static void give_cameras(const struct camera *cams, struct capture *test)
+{
+    for (int i = 0, view = -1; i < test->n; i++) {
+        struct shot *s = &test->shots[i];
+        view += begins_view(test, i);
+        s->cam = pose_scaled(&cams[view], s->image.w, s->image.h);
+        s->has_camera = true;
+    }
+}
+
+err_t testcams_run(const struct run *r, const struct job_config *cfg, const struct job_result *j,
+                   struct imageset *test)
+{
+    const int n = j->scene.n_views;
+    const size_t mark = arena_mark(r->keep);
+    struct geometry g;
+    struct views all;
+    err_t e = begin_views(r->keep, &j->views, n + count_views(&test->capture), &all);
+    for (int i = 0, at = n; i < test->capture.n && !e; i++)
+        if (begins_view(&test->capture, i))
+            e = add_view(r, test, i, at++, &all);
+    if (!e)
+        e = look(r, &cfg->network->net, &all, &g);
+    if (!e)
+        e = align(r, &j->scene, &all, &g);
+    if (!e)
+        give_cameras(g.cams + n, &test->capture);
+    arena_reset(r->keep, mark);
+    return e;
+}
+
+/* ---- figures ---- */
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median(double *v, int n)
+{
+    qsort(v, (size_t)n, sizeof *v, ascending);
+    return v[n / 2];
+}
+
+/* From the distance of the quaternions, which says more about small angles than their product. */
+static double angle_deg(const struct camera *a, const struct camera *b)
+{
+    double minus = 0, plus = 0;
+    for (int k = 0; k < 4; k++) {
+        double x = (double)a->q[k], y = (double)b->q[k];
+        minus += (x - y) * (x - y);
+        plus += (x + y) * (x + y);
+    }
+    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / 3.14159265358979323846;
+}
+
+/* Root of the mean squared distance of the cameras from their mean. */
+static double spread(const struct camera *c, int n)
+{
+    double sum[3] = {0}, square = 0, x[3];
+    for (int i = 0; i < n; i++) {
+        turn_centre(&c[i], x);
+        for (int k = 0; k < 3; k++) {
+            sum[k] += x[k] / n;
+            square += x[k] * x[k] / n;
+        }
+    }
+    return sqrt(fmax(square - sum[0] * sum[0] - sum[1] * sum[1] - sum[2] * sum[2], 1e-30));
+}
+
+/* figure: (3, n) scratch. */
+static err_t measure(const struct run *r, const struct camera *found, const struct camera *real,
+                     double *figure, struct testcams_error *out)
+{
+    const int n = out->n;
+    const double size = spread(real, n);
+    struct turn_world w;
+    err_t e = turn_fit(r, found, real, n, &w);
+    for (int i = 0; i < n; i++) {
+        struct camera c = turn_camera(&w, &found[i]);
+        double a[3], b[3];
+        turn_centre(&c, a);
+        turn_centre(&real[i], b);
+        figure[i] = angle_deg(&c, &real[i]);
+        figure[n + i] = hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]) / size;
+        figure[2 * n + i] = fabs((double)c.fx / (double)real[i].fx - 1);
+    }
+    out->rot_deg = median(figure, n);
+    out->trans = median(figure + n, n);
+    out->focal = median(figure + 2 * n, n);
+    return e;
+}
+
+err_t testcams_measure(const struct run *r, const struct job_result *j, const struct capture *train,
+                       const struct capture *true_test, const struct capture *test,
+                       struct testcams_error *out)
+{
+    const int side = j->scene.size, views = j->scene.n_views, n = views + count_views(test);
+    struct camera *found = calloc((size_t)n, sizeof *found),
+                  *real = calloc((size_t)n, sizeof *real);
+    double *figure = calloc((size_t)n, 3 * sizeof *figure);
+    err_t e = found && real && figure ? OK : err_fail(ERR_NOMEM, "no memory for %d cameras", n);
+    *out = (struct testcams_error){.n = n};
+    for (int i = 0; i < views && !e; i++) {
+        found[i] = j->scene.cams[i];
+        real[i] = pose_scaled(&train->shots[i].cam, side, side);
+    }
+    for (int i = 0, at = views; i < test->n && !e; i++)
+        if (begins_view(test, i)) {
+            found[at] = pose_scaled(&test->shots[i].cam, side, side);
+            real[at++] = pose_scaled(&true_test->shots[i].cam, side, side);
+        }
+    if (!e)
+        e = measure(r, found, real, figure, out);
+    free(found);
+    free(real);
+    free(figure);
+    return e;
+}

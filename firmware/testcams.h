@@ -1,0 +1,34 @@
+/* testcams.h - where the test photographs of a data set were taken, if no rig tells: the network
+ * looks at them together with the input views, then they are aligned to the finished scene
+ * (model-spec 5.2, B and C). */
+#ifndef FIRMWARE_TESTCAMS_H
+#define FIRMWARE_TESTCAMS_H
+
+#include "firmware/job.h"
+
+#include "drivers/imageset.h"
+
+/* Memory beside that of the job. most: Gaussians of the scene. */
+struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
+                                const struct capture *test, int most, int threads);
+
+/* Find the cameras of test->capture, one per view, from its first picture. j is finished.
+ * err:  those of reading, of the network and of align_run. */
+MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg,
+                            const struct job_result *j, struct imageset *test);
+
+/* Estimated cameras against true ones, after the similarity that fits best. */
+struct testcams_error {
+    int n;          // views, 0: nothing is known
+    double rot_deg; // median angle
+    double trans;   // median distance over the spread of the true cameras
+    double focal;   // median of |f / f_true - 1|
+};
+
+/* All cameras of the scene and of the test views. Shots have the true ones.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t testcams_measure(const struct run *r, const struct job_result *j,
+                                const struct capture *train, const struct capture *true_test,
+                                const struct capture *test, struct testcams_error *out);
+
+#endif
