@@ -106,9 +106,10 @@ typedef void head_turn_fn(const struct head_turn *t, float *x);
 /* One block of keys of streaming softmax attention (Milakov and Gimelshein 2018), rows independent.
  * Logits x_ij = s_ij row_scale_i key_scale_j. State per row: top = largest logit so far, sum =
  * sum of exp(x - top).
- * I8 (si not NULL): p = round(127 exp(x - max of this block's row)), 0..127; the sum adds the
- * rounded values, so that rounding does not change the total weight. p is within 0.512 of the
- * exact product, so variants differ by at most 1.
+ * I8 (si not NULL): p = round(254 exp(x - max of this block's row) - 127), so that a byte carries
+ * 254 steps; attend_add puts the 127 back. The sum adds the rounded values, so that rounding does
+ * not change the total weight. p is within 0.525 of the exact number, so variants differ by at most
+ * 1.
  * F32: p = exp(x - new top).
  * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of
  *      this block (1 for F32). */
@@ -127,13 +128,15 @@ struct attend_block {
 };
 typedef void attend_block_fn(const struct attend_block *b);
 
-/* o_ij = o_ij rescale_i + weigh_i value_scale_j c_ij; value_scale NULL: 1. ci or cf as above. */
+/* o_ij = o_ij rescale_i + weigh_i value_scale_j (c_ij + shift_j); value_scale NULL: 1. ci or cf as
+ * above. */
 struct attend_add {
     int m, n;
     const int32_t *ci;
     const float *cf;
     size_t ldc;
     const float *rescale, *weigh, *value_scale;
+    const int32_t *shift; // (n) with ci: 127 times the sum of the block's integers of v
     float *o;
     size_t ldo;
 };

@@ -331,16 +331,16 @@ static void head_turn(const struct head_turn *t, float *x)
         }
 }
 
-/* 127 2^x for x <= 0, at most 0.011 from it, and 127 exactly for 0. Polynomial of least relative
- * error (9e-5) for 2^f on [0, 1) among those that are 1 at 0. */
-MAP vf weight127(vf x)
+/* 254 2^x - 127 for x <= 0, at most 0.022 from it, and 127 exactly for 0. Polynomial of least
+ * relative error (9e-5) for 2^f on [0, 1) among those that are 1 at 0. */
+MAP vf weight254(vf x)
 {
     vf n = v_floor(x), f = x - n;
-    vf p = v_set(127 * 7.706704e-02f);
-    p = v_fma(p, f, v_set(127 * 2.2764499e-01f));
-    p = v_fma(p, f, v_set(127 * 6.9511679e-01f));
-    p = v_fma(p, f, v_set(127.0f));
-    return v_shrink2(p, n);
+    vf p = v_set(254 * 7.706704e-02f);
+    p = v_fma(p, f, v_set(254 * 2.2764499e-01f));
+    p = v_fma(p, f, v_set(254 * 6.9511679e-01f));
+    p = v_fma(p, f, v_set(254.0f));
+    return v_shrink2(p, n) - v_set(127.0f);
 }
 
 /* s key_scale of I8, logits of F32. */
@@ -374,18 +374,18 @@ MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
     int j = 0;
     for (; j + LANES <= b->n; j += LANES) {
         vf x = logits(b, key, true, i, j, LANES) - top;
-        vint p = i_round(weight127(x * unit));
+        vint p = i_round(weight254(x * unit));
         sum = i_add(sum, p);
         i_store8(out + j, p, LANES);
     }
     if (j < b->n) {
         vf x = logits(b, key, true, i, j, b->n - j) - top;
-        vf w = v_sel(m_first(b->n - j), weight127(x * unit), v_set(0.0f));
+        vf w = v_sel(m_first(b->n - j), weight254(x * unit), v_set(0.0f));
         vint p = i_round(w);
         sum = i_add(sum, p);
         i_store8(out + j, p, (b->n - j + 3) / 4 * 4);
     }
-    return (float)i_sum(sum);
+    return (float)(i_sum(sum) + 127 * b->n);
 }
 
 /* weigh holds the new top. */
@@ -433,7 +433,7 @@ MAP void attend(const struct attend_block *b, bool ints)
     for (int i = 0; ints && i < b->m; i++)
         b->weigh[i] *= b->row_scale[i];
     for (int i = 0; i < b->m; i += LANES)
-        merge(b, ints ? 1 / 127.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
+        merge(b, ints ? 1 / 254.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
 }
 
 static void attend_block(const struct attend_block *b)
@@ -449,6 +449,8 @@ MAP void add_lanes(const struct attend_add *a, struct row scale, bool ints, vf w
                    int i, int j, int lanes)
 {
     vf c = load_sums(a->ci, a->cf, ints, (size_t)i * a->ldc + (size_t)j, lanes);
+    if (ints)
+        c = c + i_float(lanes == LANES ? i_load(a->shift + j) : i_load_n(a->shift + j, lanes));
     float *o = a->o + (size_t)i * a->ldo + j;
     store(o, v_fma(weigh * load_row(scale, j, lanes), c, load(o, lanes) * rescale), lanes);
 }

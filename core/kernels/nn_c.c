@@ -120,17 +120,17 @@ static void attend_block(const struct attend_block *b)
         for (int j = 0; j < b->n; j++) {
             float p = expf(logit(b, i, j) - base);
             if (b->si)
-                p = rintf(127 * p);
+                p = rintf(254 * p - 127);
             if (b->si)
                 b->pi[(size_t)i * b->ldp + (size_t)j] = (int8_t)p;
             else
                 b->pf[(size_t)i * b->ldp + (size_t)j] = p;
-            sum += p;
+            sum += b->si ? p + 127 : p;
         }
         for (int j = b->n; b->si && j % 4; j++)
             b->pi[(size_t)i * b->ldp + (size_t)j] = 0;
         b->rescale[i] = expf(b->top[i] - all);
-        b->weigh[i] = b->si ? expf(top - all) / 127 : 1;
+        b->weigh[i] = b->si ? expf(top - all) / 254 : 1;
         b->sum[i] = b->sum[i] * b->rescale[i] + b->weigh[i] * sum;
         b->top[i] = all;
     }
@@ -141,7 +141,7 @@ static void attend_add(const struct attend_add *a)
     for (int i = 0; i < a->m; i++)
         for (int j = 0; j < a->n; j++) {
             size_t at = (size_t)i * a->ldc + (size_t)j;
-            float c = a->ci ? (float)a->ci[at] : a->cf[at];
+            float c = a->ci ? (float)a->ci[at] + (float)a->shift[j] : a->cf[at];
             float w = a->weigh[i] * (a->value_scale ? a->value_scale[j] : 1);
             float *o = a->o + (size_t)i * a->ldo + j;
             *o = *o * a->rescale[i] + w * c;

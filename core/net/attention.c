@@ -37,7 +37,8 @@ size_t attention_need(const struct attention *a)
     if (a->floats)
         return need;
     need = arena_add(need, arena_need(keys, sizeof(float)));
-    return arena_add(need, arena_need(keys / ATTENTION_KEYS * w, sizeof(float)));
+    need = arena_add(need, arena_need(keys / ATTENTION_KEYS * w, sizeof(float)));
+    return arena_add(need, arena_need(keys / ATTENTION_KEYS * w, sizeof(int32_t)));
 }
 
 err_t attention_init(struct attention *a, struct arena *arena)
@@ -51,10 +52,13 @@ err_t attention_init(struct attention *a, struct arena *arena)
     if (!e)
         e = arena_alloc(arena, heads * (size_t)a->len, sizeof(float), &a->query_scale);
     a->key_scale = a->value_scale = NULL;
+    a->shift = NULL;
     if (!e && !a->floats)
         e = arena_alloc(arena, keys, sizeof(float), &a->key_scale);
     if (!e && !a->floats)
         e = arena_alloc(arena, keys / ATTENTION_KEYS * w, sizeof(float), &a->value_scale);
+    if (!e && !a->floats)
+        e = arena_alloc(arena, keys / ATTENTION_KEYS * w, sizeof(int32_t), &a->shift);
     return e;
 }
 
@@ -186,6 +190,17 @@ static void store_values(const struct block *b, struct attention_room *room)
         for (int i = 0; i < b->n; i += 4)
             memcpy(panel + i * PANEL, room->q + i, 4);
     }
+    memset(room->q, 127, ATTENTION_KEYS);
+    const struct gemm_s8 sums = {.m = 1,
+                                 .panels = a->width / PANEL,
+                                 .segs = 1,
+                                 .seg = (b->n + 3) / 4 * 4,
+                                 .a = room->q,
+                                 .w = to,
+                                 .ldw = ATTENTION_KEYS * PANEL,
+                                 .c = a->shift + block * (size_t)a->width,
+                                 .ldc = (size_t)a->width};
+    a->k->s8(&sums);
 }
 
 void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
@@ -317,21 +332,22 @@ void attention_head(const struct attention *a, const struct attention_span *s, i
     }
     for (int first = 0; first < a->len; first += ATTENTION_KEYS) {
         int n = min_int(ATTENTION_KEYS, a->len - first);
-        size_t block = b.head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS);
+        size_t at =
+            (b.head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS)) * (size_t)a->width;
         logits(a, &b, first, n, room);
         weights(a, &b, first, n, room);
         values(a, &b, first, n, room);
-        const struct attend_add add = {
-            .m = s->n,
-            .n = a->width,
-            .ci = a->floats ? NULL : room->c,
-            .cf = (const float *)room->c,
-            .ldc = (size_t)a->width,
-            .rescale = room->rescale,
-            .weigh = room->weigh,
-            .value_scale = a->floats ? NULL : a->value_scale + block * (size_t)a->width,
-            .o = out,
-            .ldo = ldo};
+        const struct attend_add add = {.m = s->n,
+                                       .n = a->width,
+                                       .ci = a->floats ? NULL : room->c,
+                                       .cf = (const float *)room->c,
+                                       .ldc = (size_t)a->width,
+                                       .rescale = room->rescale,
+                                       .weigh = room->weigh,
+                                       .value_scale = a->floats ? NULL : a->value_scale + at,
+                                       .shift = a->floats ? NULL : a->shift + at,
+                                       .o = out,
+                                       .ldo = ldo};
         a->k->attend_add(&add);
     }
     for (int i = 0; i < s->n; i++) {

@@ -24,9 +24,10 @@ struct attention {
     void *q;            // (seqs len, heads, width)
     void *key;          // (seqs, heads, keys / 16, width, 16), s8: (.., width / 4, 16, 4)
     void *value;        // (seqs, heads, blocks, width / 16, 128, 16), s8: (.., 32, 16, 4)
-    float *query_scale; // (seqs, heads, len) with 1 / sqrt(width); the other two only for s8
+    float *query_scale; // (seqs, heads, len) with 1 / sqrt(width); the others only for s8
     float *key_scale;   // (seqs, heads, keys)
     float *value_scale; // (seqs, heads, blocks, width)
+    int32_t *shift;     // (seqs, heads, blocks, width) 127 times the sum of the block's values
 };
 
 /* Scratch of one worker. */

@@ -85,6 +85,7 @@ static void stream_block(const struct kernels *k, int first, int n, bool ints)
     static int32_t si[QUERIES][BLOCK], ci[QUERIES][WIDTH];
     static float pf[QUERIES][BLOCK], cf[QUERIES][WIDTH], unit[QUERIES], scale[WIDTH];
     static int8_t pi[QUERIES][BLOCK];
+    static int32_t shift[WIDTH];
     for (int i = 0; i < QUERIES; i++) {
         unit[i] = ints ? 1e-4f : 1;
         for (int j = 0; j < n; j++) {
@@ -96,6 +97,11 @@ static void stream_block(const struct kernels *k, int first, int n, bool ints)
                                    unit,    NULL,  stream.top,          stream.sum,  pi[0],
                                    pf[0],   BLOCK, stream.rescale,      stream.weigh};
     k->net.attend_block(&b);
+    for (int c = 0; c < WIDTH; c++) {
+        shift[c] = 0;
+        for (int j = 0; j < n; j++)
+            shift[c] += 127 * stream.value8[first + j][c];
+    }
     for (int i = 0; i < QUERIES; i++)
         for (int c = 0; c < WIDTH; c++) {
             scale[c] = ints ? 1 / 127.0f : 1;
@@ -106,15 +112,15 @@ static void stream_block(const struct kernels *k, int first, int n, bool ints)
             for (int j = 0; !ints && j < n; j++)
                 cf[i][c] += pf[i][j] * stream.value[first + j][c];
         }
-    const struct attend_add a = {QUERIES,     n ? WIDTH : 0,  ints ? ci[0] : NULL, cf[0],
-                                 WIDTH,       stream.rescale, stream.weigh,        scale,
-                                 stream.o[0], WIDTH};
+    const struct attend_add a = {
+        QUERIES, n ? WIDTH : 0, ints ? ci[0] : NULL, cf[0], WIDTH, stream.rescale, stream.weigh,
+        scale,   shift,         stream.o[0],         WIDTH};
     k->net.attend_add(&a);
 }
 
 /* Largest error of a row of values, and the most that is allowed. Rounding moves a weight by at
- * most 0.52 / 127 of the largest of its block, and a small one by itself, to 0; that moves the mean
- * by its distance from the value, at most 2. */
+ * most 0.525 / 254 of the largest of its block, and a small one by itself, to 0; that moves the
+ * mean by its distance from the value, at most 2. */
 static double stream_error(int i, bool ints, double *limit)
 {
     static double w[KEYS];
@@ -130,7 +136,7 @@ static double stream_error(int i, bool ints, double *limit)
             most = fmax(most, w[j]);
         }
         for (int j = first; j < first + n; j++)
-            moved += fmin(w[j], most * 0.52 / 127);
+            moved += fmin(w[j], most * 0.525 / 254);
     }
     for (int c = 0; c < WIDTH; c++) {
         double mean = 0;

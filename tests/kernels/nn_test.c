@@ -475,7 +475,7 @@ static void block_call(const struct kernels *k)
     k->net.attend_block(&in.block_in);
 }
 
-/* Weights as floats, (m, n); looks at what lies between rows. */
+/* Weights as floats, those of integers from 0 on, (m, n); looks at what lies between rows. */
 static void block_weights(struct outcome *o, float *out)
 {
     const struct attend_block *b = &in.block_in;
@@ -485,7 +485,7 @@ static void block_weights(struct outcome *o, float *out)
             size_t at = i * b->ldp + j;
             uint8_t canary = (uint8_t)(GUARD_CANARY >> 8 * (at % 4));
             if (j < n)
-                out[i * n + j] = b->si ? b->pi[at] : b->pf[at];
+                out[i * n + j] = b->si ? 127 + b->pi[at] : b->pf[at];
             else if (b->si && j < pad && b->pi[at] != 0)
                 o->fault = "columns behind the keys are not 0";
             else if (b->si && j >= pad && (uint8_t)b->pi[at] != canary)
@@ -497,7 +497,7 @@ static void block_weights(struct outcome *o, float *out)
 }
 
 /* Logits of size L are rounded to 1.2e-7 L, and so are weights relative to themselves; integers
- * are within 0.512 of 127 times the weight besides. The sum is that of the kernel's own weights. */
+ * are within 0.525 of 254 times the weight besides. The sum is that of the kernel's own weights. */
 static void block_keep(struct outcome *o)
 {
     static float p[CAP], sum[64];
@@ -516,7 +516,7 @@ static void block_keep(struct outcome *o)
         sum[i] = (float)((double)b->sum[i] / all);
     }
     trial_put(o, "weights", p, (const int[3]){b->m, b->n, b->n},
-              b->si ? (0.512 + 127 * blur) * 1e-6 : blur);
+              b->si ? (0.525 + 254 * blur) * 1e-6 : blur);
     trial_scale(o, b->si ? 1e6 : 1e-30);
     trial_put_row(o, "sum", sum, b->m, 1e-6);
     trial_put_row(o, "top", b->top, b->m, 2e-7);
@@ -535,7 +535,7 @@ static void block_truth(struct outcome *o)
         all[i] = fmax(top[i], (double)in.old_top[i]);
         for (size_t j = 0; j < (size_t)b->n; j++) {
             double x = logit(i, j);
-            want[i * (size_t)b->n + j] = b->si ? 127 * exp(x - top[i]) : exp(x - all[i]);
+            want[i * (size_t)b->n + j] = b->si ? 254 * exp(x - top[i]) : exp(x - all[i]);
         }
     }
     put_want(o, "weights", b->m, b->n);
@@ -548,7 +548,7 @@ static void block_truth(struct outcome *o)
         want[i] = exp((double)in.old_top[i] - all[i]);
     put_want(o, "rescale", 1, b->m);
     for (int i = 0; i < b->m; i++)
-        want[i] = b->si ? exp(top[i] - all[i]) / 127 : 1;
+        want[i] = b->si ? exp(top[i] - all[i]) / 254 : 1;
     put_want(o, "weigh", 1, b->m);
 }
 
@@ -565,6 +565,10 @@ static void add_make(int size, enum pattern pattern)
     a->rescale = trial_random(M, 0, 1);
     a->weigh = trial_random(M, 0, pattern == EXTREME ? 1e-9 : 1e-3);
     a->value_scale = half_random(bit(1), size, 0, 1);
+    int32_t *shift = bit(0) ? guard_alloc((size_t)size, sizeof *shift) : NULL;
+    for (int j = 0; shift && j < size; j++)
+        shift[j] = (int32_t)trial_uniform(-2e6, 2e6);
+    a->shift = shift;
     a->o = trial_floats((M - 1) * a->ldo + (size_t)size);
     for (int i = 0; i < M; i++)
         for (int j = 0; j < size; j++)
@@ -587,7 +591,8 @@ static void add_truth(struct outcome *o)
     const struct attend_add *a = &in.add;
     for (size_t i = 0, at = 0; i < M; i++)
         for (size_t j = 0; j < (size_t)in.n; j++, at++) {
-            double v = a->ci ? a->ci[i * a->ldc + j] : (double)a->cf[i * a->ldc + j];
+            double v =
+                a->ci ? (double)a->ci[i * a->ldc + j] + a->shift[j] : (double)a->cf[i * a->ldc + j];
             v *= (double)a->weigh[i] * (a->value_scale ? (double)a->value_scale[j] : 1);
             want[at] = (double)in.before[i * a->ldo + j] * (double)a->rescale[i] + v;
         }

@@ -258,48 +258,57 @@ static void same_bytes_for_any_threads(void **state)
     }
 }
 
-/* The last kept layer of the float model, to compare with. */
-static float *kept(enum precision precision, unsigned floats, size_t *n)
+enum { ROWS = VIEWS * (NET_SPECIAL + SIZE_PX * SIZE_PX / NET_PATCH / NET_PATCH) };
+
+/* Kept layers of a run. */
+struct kept {
+    float x[NET_KEEP][ROWS * 128];
+};
+
+static void keep_run(enum precision precision, unsigned floats, struct kept *out)
 {
     open_world(precision, floats, SIZE_PX, 1);
     assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
-    *n = 2 * (size_t)VIEWS * (size_t)t.tokens.n_tokens * (size_t)t.tokens.embed;
-    float *copy = malloc(*n * sizeof *copy);
-    assert_non_null(copy);
-    memcpy(copy, t.tokens.keep[NET_KEEP - 1], *n * sizeof *copy);
+    assert_true(2 * tiny.embed == 128 && t.tokens.n_tokens * VIEWS == ROWS);
+    for (int k = 0; k < NET_KEEP; k++)
+        memcpy(out->x[k], t.tokens.keep[k], sizeof out->x[k]);
     close_world();
-    return copy;
 }
 
-static double deviation(const float *a, const float *b, size_t n)
+/* Relative difference of layer k of two runs, over all tokens or the special ones. */
+static double deviation(const struct kept *a, const struct kept *b, int k, bool special)
 {
     double error = 0, all = 0;
-    for (size_t i = 0; i < n; i++) {
-        error += ((double)a[i] - b[i]) * ((double)a[i] - b[i]);
-        all += (double)a[i] * a[i];
+    for (int i = 0; i < ROWS * 128; i++) {
+        double x = a->x[k][i], y = b->x[k][i];
+        if (special && i / 128 % (ROWS / VIEWS) >= NET_SPECIAL)
+            continue;
+        error += (x - y) * (x - y);
+        all += x * x;
     }
     return sqrt(error / all);
 }
 
-/* Each part that is kept in floats brings the I8 network nearer to that of floats. */
-static void floats_cost_and_help(void **state)
+/* What parts of an I8 network in floats change. */
+static void floats_help(void **state)
 {
-    static const unsigned parts[] = {NET_FLOAT_SPECIAL, NET_FLOAT_BLOCKS, NET_FLOAT_ATTENTION,
-                                     NET_FLOAT_BLOCKS | NET_FLOAT_ATTENTION};
-    size_t n;
-    float *want = kept(PRECISION_F32, 0, &n), *plain = kept(PRECISION_S8, 0, &n);
-    double worst = deviation(want, plain, n), best = 1;
+    static struct kept want, plain, special, attention, blocks, both;
+    const int last = NET_KEEP - 1;
     (void)state;
-    assert_true(worst > 0.005 && worst < 0.08);
-    for (int i = 0; i < 4; i++) {
-        float *some = kept(PRECISION_S8, parts[i], &n);
-        best = deviation(want, some, n);
-        assert_true(best < worst);
-        free(some);
-    }
-    assert_true(best < 0.6 * worst);
-    free(want);
-    free(plain);
+    keep_run(PRECISION_F32, 0, &want);
+    keep_run(PRECISION_S8, 0, &plain);
+    keep_run(PRECISION_S8, NET_FLOAT_SPECIAL, &special);
+    keep_run(PRECISION_S8, NET_FLOAT_ATTENTION, &attention);
+    keep_run(PRECISION_S8, NET_FLOAT_BLOCKS, &blocks);
+    keep_run(PRECISION_S8, NET_FLOAT_BLOCKS | NET_FLOAT_ATTENTION, &both);
+    double worst = deviation(&want, &plain, last, false);
+    assert_true(worst > 0.005 && worst < 0.05);
+    assert_true(deviation(&want, &blocks, last, false) < 0.8 * worst);
+    assert_true(deviation(&want, &both, last, false) < 0.6 * worst);
+    assert_true(deviation(&want, &attention, last, false) < 1.1 * worst);
+    assert_true(deviation(&plain, &attention, 0, false) > 1e-4);
+    assert_true(deviation(&want, &special, last, false) > 0.9 * worst);
+    assert_true(deviation(&want, &special, 0, true) < 0.95 * deviation(&want, &plain, 0, true));
 }
 
 static void cancelled(void **state)
@@ -329,10 +338,14 @@ static void every_tensor_is_tapped(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(positions_of_448),       cmocka_unit_test(positions_of_other_sizes),
-        cmocka_unit_test(exact_angles),           cmocka_unit_test(rounded_angles),
-        cmocka_unit_test(plan_is_what_it_takes),  cmocka_unit_test(same_bytes_for_any_threads),
-        cmocka_unit_test(floats_cost_and_help),   cmocka_unit_test(cancelled),
+        cmocka_unit_test(positions_of_448),
+        cmocka_unit_test(positions_of_other_sizes),
+        cmocka_unit_test(exact_angles),
+        cmocka_unit_test(rounded_angles),
+        cmocka_unit_test(plan_is_what_it_takes),
+        cmocka_unit_test(same_bytes_for_any_threads),
+        cmocka_unit_test(floats_help),
+        cmocka_unit_test(cancelled),
         cmocka_unit_test(every_tensor_is_tapped),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
