@@ -20,6 +20,7 @@ only_the_result() { # why
 
 # Start a long refinement, wait until it runs, send a signal.
 stop_by() { # signal
+    : >"$ERR" # the former progress must not be taken for the new one
     "$HDRIG" "${job[@]}" --refine 100000 --out "$result" >"$OUT/stdout.txt" 2>"$ERR" &
     local pid=$! i
     for ((i = 0; i < 300; i++)); do
