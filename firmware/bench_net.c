@@ -197,6 +197,7 @@ struct state {
     struct network network;
     struct views views;
     struct prediction prediction;
+    double s8, f32; // limits, multiply-accumulates per second
 };
 
 static err_t make_views(struct arena *a, int n, int size, struct views *v)
@@ -238,6 +239,16 @@ static err_t pass(struct state *st, struct network_clock *clock, double *seconds
     return e;
 }
 
+/* Measured again and again: another program may be in the way. */
+static void look_for_limits(struct state *st)
+{
+    const struct gemm_kernels *k = &st->engine.kernels.net;
+    const double s8 = limits_s8(st->engine.pool, k->s8_name),
+                 f32 = limits_f32(st->engine.pool, k->f32_name);
+    st->s8 = s8 > st->s8 ? s8 : st->s8;
+    st->f32 = f32 > st->f32 ? f32 : st->f32;
+}
+
 static void stage_figures(struct state *st, const struct network_clock *clock,
                           struct bench_net *out)
 {
@@ -246,7 +257,7 @@ static void stage_figures(struct state *st, const struct network_clock *clock,
     const bool s8 = st->network.file.model.precision == PRECISION_S8;
     const struct gemm_kernels *k = &st->engine.kernels.net;
     const char *isa = s8 ? k->s8_name : k->f32_name;
-    const double limit = s8 ? limits_s8(st->engine.pool, isa) : limits_f32(st->engine.pool, isa);
+    const double limit = s8 ? st->s8 : st->f32;
     const struct work w = work_of(&st->network.net.d, out->views, out->size);
     double b = network_seconds(clock, backbone), h = network_seconds(clock, heads);
     const struct bench_net_figure f[BENCH_NET_STAGES] = {
@@ -261,8 +272,6 @@ static void stage_figures(struct state *st, const struct network_clock *clock,
 
 static void kind_figures(struct state *st, double seconds, struct bench_net *out)
 {
-    const double s8 = limits_s8(st->engine.pool, inner.s8_name),
-                 f32 = limits_f32(st->engine.pool, inner.f32_name);
     double rest = seconds;
     for (int i = 0; i < KINDS; i++) {
         bool integers = i <= S8_ATTENTION, product = i <= F32_ATTENTION;
@@ -273,7 +282,7 @@ static void kind_figures(struct state *st, double seconds, struct bench_net *out
         out->kinds[out->n_kinds++] = (struct bench_net_figure){
             kind_names[i],   product ? (integers ? inner.s8_name : inner.f32_name) : NULL,
             out->threads,    s,
-            (double)macs[i], product ? (integers ? s8 : f32) : 0};
+            (double)macs[i], product ? (integers ? st->s8 : st->f32) : 0};
     }
     out->kinds[out->n_kinds++] =
         (struct bench_net_figure){"copies, waiting, other", NULL, out->threads, rest, 0, 0};
@@ -281,19 +290,22 @@ static void kind_figures(struct state *st, double seconds, struct bench_net *out
 
 static err_t both_passes(struct state *st, struct bench_net *out)
 {
-    struct network_clock clock;
+    struct network_clock clock, noted;
     double seconds;
+    look_for_limits(st);
     err_t e = pass(st, &clock, &seconds); // brings the weights into memory
+    look_for_limits(st);
     if (!e)
         e = pass(st, &clock, &out->seconds);
     if (e)
         return e;
-    stage_figures(st, &clock, out);
     out->keep_mb = (double)st->engine.keep.peak * 1e-6;
     out->tmp_mb = (double)st->engine.tmp.peak * 1e-6;
     out->rss_mb = engine_peak_rss_mb();
+    look_for_limits(st);
+    stage_figures(st, &clock, out);
     note_all(&st->engine.kernels.net);
-    e = pass(st, &clock, &seconds);
+    e = pass(st, &noted, &seconds);
     if (!e)
         kind_figures(st, seconds, out);
     return e;
