@@ -414,11 +414,13 @@ static err_t open_any(struct checkpoint *c, const char *path)
 {
     struct stat st;
     uint8_t first[8] = {0};
-    FILE *f = c->file = fopen(path, "rbe");
-    if (!f || fstat(fileno(f), &st) != 0)
+    if (stat(path, &st) != 0)
         return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    if (!S_ISREG(st.st_mode))
+    if (!S_ISREG(st.st_mode)) // a FIFO must not hold us up
         return err_fail(ERR_FORMAT, "%s: not a regular file", path);
+    FILE *f = c->file = fopen(path, "rbe");
+    if (!f)
+        return err_fail(ERR_IO, "%s: %s", path, strerror(errno));
     size_t n = fread(first, 1, sizeof first, f);
     if (n == sizeof first && memcmp(first, "PK\3\4", 4) == 0) {
         fclose(f);

@@ -90,6 +90,8 @@ static void a_checkpoint_of_pytorch_is_read(void **state)
     checkpoint_close(&c);
     assert_int_equal(checkpoint_open("tests/data/ckpt/none.ckpt", &c), ERR_IO);
     assert_int_equal(checkpoint_open("tests/data/ckpt", &c), ERR_FORMAT);
+    assert_int_equal(mkfifo(tmpdir_path("fifo"), 0600), 0);
+    assert_int_equal(checkpoint_open(tmpdir_path("fifo"), &c), ERR_FORMAT);
 }
 
 static void every_cut_is_refused(void **state)
