@@ -1,6 +1,6 @@
 /* gemm.h - the contract of the inner loops of the network; part of kernels.h.
  * Products: rows of activations times packed weights (core/net/model.h), one run of rows and a few
- * panels at a time; what surrounds them (blocking, threads, scratch) is in core/net/layers.c.
+ * panels at a time; what surrounds them (blocking, threads, scratch) is in core/net/layer.c.
  * Integer kernels are exact: every variant gives the bits of the C reference. Float kernels differ
  * in the order of sums only.
  *

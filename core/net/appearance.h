@@ -6,7 +6,7 @@
 #ifndef NET_APPEARANCE_H
 #define NET_APPEARANCE_H
 
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 #include "core/net/net.h"
 
 /* Bytes that appearance_run takes; SIZE_MAX on overflow. */

@@ -4,7 +4,7 @@
 #include "core/net/backbone.h"
 
 #include "core/net/block.h"
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 #include "core/net/tap.h"
 
 #include <math.h>

@@ -5,7 +5,7 @@
 #include "core/net/block.h"
 
 #include "core/net/attention.h"
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 
 #include <string.h>
 

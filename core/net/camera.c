@@ -2,7 +2,7 @@
  * of a product, not rows. */
 #include "core/net/camera.h"
 
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 #include "core/net/tap.h"
 
 #include <math.h>

@@ -5,7 +5,7 @@
 #ifndef NET_DPT_H
 #define NET_DPT_H
 
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 #include "core/net/net.h"
 
 /* One view of one head. */

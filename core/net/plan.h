@@ -3,7 +3,7 @@
 #ifndef NET_PLAN_H
 #define NET_PLAN_H
 
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 
 struct plan {
     size_t held, peak; // bytes, start at 0

@@ -1,6 +1,6 @@
 /* Products and convolutions against naive loops in double, in every precision; the same bytes for
  * any number of threads; memory as planned. */
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 #include "core/net/pack.h"
 
 #include <math.h>
@@ -50,8 +50,9 @@ static struct weight pack(const struct tensor_spec *s, enum precision type)
     static float row[W_MAX];
     struct product_shape p = table_product(s);
     for (int i = 0; i < pack_panels(s); i++)
-        pack_panel(s, type, i, t.w, row, t.panels + (size_t)i * pack_panel_bytes(s, type),
-                   t.scale + i * PANEL);
+        pack_panel(s, type, i, t.w,
+                   &(struct pack){row, t.panels + (size_t)i * pack_panel_bytes(s, type),
+                                  t.scale + i * PANEL});
     return (struct weight){.type = type,
                            .n = p.n,
                            .segs = p.segs,

@@ -3,7 +3,7 @@
  * second.
  * A convolution is the same product: a tile of the input is copied with its zero border, then each
  * row of output pixels is a block whose rows overlap (gemm.h). */
-#include "core/net/layers.h"
+#include "core/net/layer.h"
 
 #include "core/net/fftconv.h"
 

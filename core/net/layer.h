@@ -1,10 +1,10 @@
-/* layers.h - matrix products and convolutions of the network on blocks of rows, in the precision
+/* layer.h - matrix products and convolutions of the network on blocks of rows, in the precision
  * of their weights: floats stay floats; with I8 weights each row of activations (of a convolution:
  * each tile) is quantised to s8 with its own scale (gemm.h), unless the caller wants floats.
  * Maps have channels last: (h, w, c). Pure computation.
  * Invariant: results do not depend on the number of threads. */
-#ifndef NET_LAYERS_H
-#define NET_LAYERS_H
+#ifndef NET_LAYER_H
+#define NET_LAYER_H
 
 #include "core/kernels/kernels.h"
 #include "core/net/model.h"
