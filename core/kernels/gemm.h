@@ -56,7 +56,10 @@ typedef float absmax_fn(const float *x, size_t n);
 /* n floats to integers with inverse scale inv = 127 / max, 0 for a zero row (see above). */
 typedef void quant_fn(const float *x, size_t n, float inv, int8_t *out);
 
-/* Rotate each run of `block` floats by the Hadamard matrix of that size over sqrt(block), in place;
+/* Rotate each run of `block` floats: negate those whose place i has an odd number of ones in
+ * i & i >> 1 (Rudin and Shapiro's sequence), then multiply by the Hadamard matrix of that size over
+ * sqrt(block), in place. Without the signs the mean of a run, times sqrt(block), would end in one
+ * number; with them no number gets more than sqrt(2) of it.
  * block is a power of two >= 4, n a multiple of it. Every variant gives the bits of C. */
 typedef void hadamard_fn(float *x, int n, int block);
 

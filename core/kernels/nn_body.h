@@ -138,8 +138,23 @@ MAP void rotate2(float *x, int n, int h, vf factor)
         }
 }
 
+/* The signs of places 16 a + b come from those of a and of b, and from their bits that meet. */
+static void set_signs(float *x, int n, int block)
+{
+    static const float sign[2][16] = {{1, 1, 1, -1, 1, 1, -1, 1, 1, 1, 1, -1, -1, -1, 1, -1},
+                                      {1, 1, 1, -1, 1, 1, -1, 1, -1, -1, -1, 1, 1, 1, -1, 1}};
+    int lanes = block < LANES ? block : LANES;
+    for (int i = 0; i < n; i += lanes) {
+        unsigned a = (unsigned)(i % block) / 16;
+        vf s = load(sign[a & 1] + i % block % 16, lanes);
+        s = s * v_set(__builtin_parity(a & a >> 1) ? -1.0f : 1.0f);
+        store(x + i, load(x + i, lanes) * s, lanes);
+    }
+}
+
 static void hadamard(float *x, int n, int block)
 {
+    set_signs(x, n, block);
     const vf one = v_set(1.0f), unit = v_set(1 / sqrtf((float)block));
     int h = LANES, i = 0;
     if (block >= 4 * LANES) {

@@ -30,6 +30,10 @@ static void quant(const float *x, size_t n, float inv, int8_t *out)
 static void hadamard(float *x, int n, int block)
 {
     const float unit = 1 / sqrtf((float)block);
+    for (int i = 0; i < n; i++) {
+        unsigned place = (unsigned)(i % block);
+        x[i] = __builtin_parity(place & place >> 1) ? -x[i] : x[i];
+    }
     for (int half = 1; half < block; half *= 2)
         for (int i = 0; i < n; i++)
             if (!(i & half)) {

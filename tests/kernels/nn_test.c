@@ -172,8 +172,9 @@ static void hadamard_truth(struct outcome *o)
         const float *x = in.before + i / in.block * in.block;
         want[i] = 0;
         for (int j = 0; j < in.block; j++)
-            want[i] +=
-                __builtin_parity((unsigned)(i % in.block & j)) ? -(double)x[j] : (double)x[j];
+            want[i] += __builtin_parity((unsigned)((i % in.block & j) ^ (j & j >> 1)))
+                           ? -(double)x[j]
+                           : (double)x[j];
         want[i] /= sqrt(in.block);
     }
     put_want(o, "rotated", 1, in.n);
