@@ -74,7 +74,8 @@ static float value_at(const struct weight *w, int o, int i)
 
 static int turned; // products that are rotated
 
-/* y_i = sum over j of (-1)^(bits that i and j share) x_j / sqrt(edge), the Hadamard matrix. */
+/* y_i = sum over j of (-1)^(pairs of neighbouring bits in j + bits that i and j share) x_j /
+ * sqrt(edge): see hadamard_fn of gemm.h. */
 static void rotate(float *row, int k, int edge)
 {
     float out[1024];
@@ -83,7 +84,10 @@ static void rotate(float *row, int k, int edge)
         for (int i = 0; i < edge; i++) {
             double sum = 0;
             for (int j = 0; j < edge; j++)
-                sum += __builtin_parity((unsigned)(i & j)) ? -row[at + j] : row[at + j];
+                sum +=
+                    __builtin_parity((unsigned)(j & j >> 1)) ^ __builtin_parity((unsigned)(i & j))
+                        ? -row[at + j]
+                        : row[at + j];
             out[i] = (float)(sum / sqrt(edge));
         }
         memcpy(row + at, out, (size_t)edge * sizeof *out);
