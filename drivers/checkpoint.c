@@ -40,7 +40,7 @@ static int by_name(const void *a, const void *b)
 
 const struct checkpoint_tensor *checkpoint_find(const struct checkpoint *c, const char *name)
 {
-    struct checkpoint_tensor key;
+    struct checkpoint_tensor key = {.rank = 0};
     if (c->n == 0 || strlen(name) >= sizeof key.name)
         return NULL;
     strcpy(key.name, name);

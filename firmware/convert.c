@@ -52,17 +52,19 @@ static err_t read_config(const char *config, struct net_dims *d)
     return OK;
 }
 
-static err_t write_file(struct engine *en, const struct convert_request *q, struct modelwrite *w)
+static err_t write_file(struct engine *en, const struct convert_request *q,
+                        const struct modelwrite *weights)
 {
-    struct smooth smooth = {.dims = &w->dims, .fetch = w->fetch, .ctx = w->ctx};
-    w->precision = q->precision;
+    struct modelwrite w = *weights;
+    struct smooth smooth = {.dims = &w.dims, .fetch = w.fetch, .ctx = w.ctx};
+    w.precision = q->precision;
     if (q->precision == PRECISION_S8) {
-        w->fetch = smooth_fetch;
-        w->ctx = &smooth;
+        w.fetch = smooth_fetch;
+        w.ctx = &smooth;
     }
-    err_t e = engine_reserve(en, 0, 0, modelwrite_need(w, pool_size(en->pool)), q->max_mb);
+    err_t e = engine_reserve(en, 0, 0, modelwrite_need(&w, pool_size(en->pool)), q->max_mb);
     if (!e)
-        e = modelwrite_run(&en->run, w, q->out);
+        e = modelwrite_run(&en->run, &w, q->out);
     smooth_free(&smooth);
     return e;
 }
@@ -174,7 +176,7 @@ static void warn_of_extras(const struct match *m)
         if (!m->known[i])
             list_add(&extra, m->c->tensors[i].name, "");
     if (extra.n > 0)
-        log_warn("%s: %d tensors are not of this network and left out: %s%s", m->c->what, extra.n,
+        log_warn("%s: tensors are not of this network and left out (%d): %s%s", m->c->what, extra.n,
                  extra.text, list_more(&extra));
 }
 
@@ -185,10 +187,10 @@ static err_t match_all(const struct checkpoint *c, const struct net_dims *d)
         return err_fail(ERR_NOMEM, "no memory for %d names", c->n);
     err_t e = table_walk(d, match_tensor, &m);
     if (!e && m.missing.n > 0)
-        e = err_fail(ERR_FORMAT, "%s: %d tensors are missing: %s%s", c->what, m.missing.n,
+        e = err_fail(ERR_FORMAT, "%s: tensors are missing (%d): %s%s", c->what, m.missing.n,
                      m.missing.text, list_more(&m.missing));
     if (!e && m.wrong.n > 0)
-        e = err_fail(ERR_FORMAT, "%s: %d tensors have another shape: %s%s", c->what, m.wrong.n,
+        e = err_fail(ERR_FORMAT, "%s: tensors have another shape (%d): %s%s", c->what, m.wrong.n,
                      m.wrong.text, list_more(&m.wrong));
     if (!e)
         warn_of_extras(&m);
@@ -209,7 +211,7 @@ static err_t hash_file(const struct run *r, const char *path, char hex[SHA256_HE
         e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
     else if (!block)
         e = err_fail(ERR_NOMEM, "no memory to read %s", path);
-    for (int i = 0, total = e ? 0 : (int)(st.st_size / HASH_BYTES) + 1; !e; i++) {
+    for (int i = 0, total = e ? 0 : (int)(st.st_size / HASH_BYTES) + 1; !e && block; i++) {
         size_t n = fread(block, 1, HASH_BYTES, f);
         sha256_add(&s, block, n);
         r->progress(r->progress_ctx, "hash", i < total ? i + 1 : total, total, "");
