@@ -100,15 +100,21 @@ static void columns_max(const float *w, size_t n, int c, float *top)
             top[i] = fmaxf(top[i], fabsf(w[o * (size_t)c + (size_t)i]));
 }
 
-/* s = sqrt(a / w), 1 where a side is dead; relative to the middle one within 2^10, so that no
+/* Neither dead nor so extreme that factors could overflow. */
+static bool is_alive(float x)
+{
+    return x > 0x1p-100f && x < 0x1p100f;
+}
+
+/* s = sqrt(a / w), 1 where a side is not alive; relative to the middle one within 2^10, so that no
  * channel is lost in the other direction. */
 static void factors(const float *a, const float *w, int c, float *s)
 {
     double mean = 0;
     int n = 0;
     for (int i = 0; i < c; i++) {
-        bool alive = a[i] > 0 && w[i] > 0 && isfinite(a[i]) && isfinite(w[i]);
-        s[i] = alive ? log2f(a[i] / w[i]) / 2 : NAN;
+        bool alive = is_alive(a[i]) && is_alive(w[i]);
+        s[i] = alive ? (log2f(a[i]) - log2f(w[i])) / 2 : NAN;
         mean += alive ? (double)s[i] : 0;
         n += alive;
     }

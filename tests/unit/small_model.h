@@ -1,4 +1,5 @@
-/* small_model.h - a model in memory, with hashed weights (core/net/hashed.h) of any dimensions. */
+/* small_model.h - a model in memory of any dimensions: hashed weights (core/net/hashed.h), or those
+ * that a function gives. */
 #ifndef UNIT_SMALL_MODEL_H
 #define UNIT_SMALL_MODEL_H
 
@@ -11,8 +12,13 @@
 
 enum { SMALL_TENSORS_MAX = 4096 };
 
+/* Values of a tensor in the order of the checkpoint. */
+typedef void small_fill_fn(void *ctx, const struct tensor_spec *spec, float *out);
+
 struct small_model {
     struct model model;
+    small_fill_fn *fill;
+    void *ctx;
     struct model_tensor tensors[SMALL_TENSORS_MAX];
 };
 
@@ -52,8 +58,9 @@ static inline err_t small_tensor(void *ctx, const struct tensor_spec *spec)
     struct model_tensor *t = s->tensors + s->model.n++;
     size_t n = table_count(spec), times = spec->repeat > 1 ? (size_t)spec->repeat : 1;
     float *values = small_alloc(n * times, sizeof *values);
-    for (size_t i = 0; i < times; i++)
-        hashed_fill(spec, 1, 0, n, values + i * n);
+    s->fill(s->ctx, spec, values);
+    for (size_t i = 1; i < times; i++)
+        memcpy(values + i * n, values, n * sizeof *values);
     *t = (struct model_tensor){.spec = *spec, .type = model_type(spec, s->model.precision)};
     t->data = values;
     if (spec->role == ROLE_PLAIN)
@@ -63,14 +70,28 @@ static inline err_t small_tensor(void *ctx, const struct tensor_spec *spec)
     return OK;
 }
 
+static inline void small_hashed(void *ctx, const struct tensor_spec *spec, float *out)
+{
+    (void)ctx;
+    hashed_fill(spec, 1, 0, table_count(spec), out);
+}
+
 /* own: small_model_free. The struct must not move. */
-static inline void small_model_init(struct small_model *s, const struct net_dims *d,
-                                    enum precision precision)
+static inline void small_model_make(struct small_model *s, const struct net_dims *d,
+                                    enum precision precision, small_fill_fn *fill, void *ctx)
 {
     memset(s, 0, sizeof *s);
+    s->fill = fill;
+    s->ctx = ctx;
     s->model = (struct model){.dims = *d, .precision = precision, .tensors = s->tensors};
     if (table_check(d) != OK || table_walk(d, small_tensor, s) != OK)
         abort();
+}
+
+static inline void small_model_init(struct small_model *s, const struct net_dims *d,
+                                    enum precision precision)
+{
+    small_model_make(s, d, precision, small_hashed, NULL);
 }
 
 static inline void small_model_free(struct small_model *s)
