@@ -20,9 +20,13 @@ static void print_option(const char *name, const char *arg, const char *help)
 static void print_help(const struct cmd_usage *u)
 {
     printf("usage: hdrig %s %s[options]\n\n%s\n\n", u->name, u->synopsis, u->what);
-    for (int i = 0; i < u->n_options; i++)
+    bool own_config = false; // getopt takes the first of two options of a name
+    for (int i = 0; i < u->n_options; i++) {
         print_option(u->options[i].name, u->options[i].arg, u->options[i].help);
-    print_option("config", "FILE", "settings to read after those of " CONFIG_DIR);
+        own_config = own_config || strcmp(u->options[i].name, "config") == 0;
+    }
+    if (!own_config)
+        print_option("config", "FILE", "settings to read after those of " CONFIG_DIR);
     print_option("set", "KEY=VALUE", "one setting, see hdrig config --print");
     print_option("help", NULL, "this text");
 }
