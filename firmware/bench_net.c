@@ -200,7 +200,13 @@ struct state {
     double s8, f32; // limits, multiply-accumulates per second
 };
 
-static err_t make_views(struct arena *a, int n, int size, struct views *v)
+size_t bench_net_views_plan(int n, int size)
+{
+    const size_t pixels = (size_t)n * (size_t)size * (size_t)size;
+    return arena_add(arena_need(pixels, 3), arena_need((size_t)n, sizeof(float)));
+}
+
+err_t bench_net_views(struct arena *a, int n, int size, struct views *v)
 {
     const size_t values = 3 * (size_t)n * (size_t)size * (size_t)size;
     uint64_t rng = 1;
@@ -219,12 +225,11 @@ static err_t make_views(struct arena *a, int n, int size, struct views *v)
 
 static err_t reserve(struct state *st, int n, int size, int max_mb)
 {
-    const size_t pixels = (size_t)n * (size_t)size * (size_t)size;
     size_t keep, tmp;
     net_plan(&st->network.net, n, size, pool_size(st->engine.pool), &keep, &tmp);
-    keep = arena_add(keep, arena_add(arena_need(pixels, 3), arena_need((size_t)n, sizeof(float))));
+    keep = arena_add(keep, bench_net_views_plan(n, size));
     err_t e = engine_reserve(&st->engine, st->network.file.model.bytes, keep, tmp, max_mb);
-    return e ? e : make_views(&st->engine.keep, n, size, &st->views);
+    return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);
 }
 
 static err_t pass(struct state *st, struct network_clock *clock, double *seconds)
@@ -363,12 +368,11 @@ static err_t product_chunk(void *ctx, int chunk, int worker)
     int8_t *a = p->work + (size_t)worker * p->each;
     int8_t *w = a + (ROWS * 256 + k + 3 * gap) * elem, *c = w + k * PANEL * N_PANELS * elem;
     (void)chunk;
-    struct gemm_s8 i = {
-        ROWS, N_PANELS,  s->segs,      s->seg,          a, s->segs > 1 ? 256 : k, gap,
-        w,    k * PANEL, (int32_t *)c, PANEL * N_PANELS};
+    struct gemm_s8 i = {ROWS, N_PANELS,  s->segs,   s->seg,          a, s->segs > 1 ? 256 : k, gap,
+                        w,    k * PANEL, (void *)c, PANEL * N_PANELS};
     struct gemm_f32 f = {
-        ROWS, N_PANELS,   s->segs,   s->seg,     (float *)a,       s->segs > 1 ? 256 : k,
-        gap,  (float *)w, k * PANEL, (float *)c, PANEL * N_PANELS, false};
+        ROWS, N_PANELS,  s->segs,   s->seg,    (void *)a,        s->segs > 1 ? 256 : k,
+        gap,  (void *)w, k * PANEL, (void *)c, PANEL * N_PANELS, false};
     for (int n = 0; n < CALLS / (int)k; n++) {
         if (p->s8)
             p->k->s8(&i);

@@ -32,9 +32,15 @@ struct attention {
 
 /* Scratch of one worker. */
 struct attention_room {
-    int32_t *s;                         // (ROWS, KEYS) logits; floats become weights in place
-    int8_t *p;                          // (ROWS, KEYS) weights
-    int32_t *c;                         // (ROWS, width) sums, also as floats
+    union {
+        int32_t *s; // (ROWS, KEYS) logits
+        float *sf;  // of floats; become weights in place
+    };
+    int8_t *p; // (ROWS, KEYS) weights
+    union {
+        int32_t *c; // (ROWS, width) sums
+        float *cf;  // of floats
+    };
     float *top, *sum, *rescale, *weigh; // (ROWS)
     float *turned;                      // (width, KEYS) values, transposed
     int8_t *q;                          // (max(width, KEYS)) integers of a key or a channel

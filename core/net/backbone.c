@@ -45,7 +45,7 @@ static double cubic(double t)
 static int axis_taps(int n, int i, int *first, float weight[NET_POS_GRID])
 {
     double scale = (double)NET_POS_GRID / n, f = scale > 1 ? scale : 1, centre = (i + 0.5) * scale;
-    double w[NET_POS_GRID], sum = 0;
+    double w[NET_POS_GRID] = {0}, sum = 0;
     int lo = (int)(centre - 2 * f + 0.5), hi = (int)(centre + 2 * f + 0.5);
     lo = lo > 0 ? lo : 0;
     hi = hi < NET_POS_GRID ? hi : NET_POS_GRID;

@@ -65,7 +65,7 @@ static void product_unpacked(const struct block *b, int p, int count, struct lay
                          .segs = 1,
                          .lda = b->lda,
                          .w = room->panel,
-                         .c = (float *)room->c,
+                         .c = room->cf,
                          .ldc = GROUP * PANEL};
     for (int s = 0; s < w->segs; s++)
         for (int at = 0; at < w->seg; at += PANEL_K) {
@@ -106,7 +106,7 @@ static void product(const struct block *b, int p, int count, struct layer_room *
                                    .seg_stride = b->seg_stride,
                                    .w = (const float *)w->panels + from,
                                    .ldw = panel_stride(w),
-                                   .c = (float *)room->c,
+                                   .c = room->cf,
                                    .ldc = GROUP * PANEL};
         b->k->f32(&g);
     } else {
@@ -129,7 +129,7 @@ static void finish(const struct block *b, int p, int count, const struct layer_o
     const struct epilogue e = {.m = b->m,
                                .n = left < count * PANEL ? left : count * PANEL,
                                .ci = b->q ? room->c : NULL,
-                               .cf = (const float *)room->c,
+                               .cf = room->cf,
                                .ldc = GROUP * PANEL,
                                .row_scale = b->q ? room->scale : NULL,
                                .scale = offset(w->scale, first),

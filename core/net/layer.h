@@ -20,8 +20,11 @@ struct layer_room {
     int8_t *q;      // (LAYER_ROWS, k) quantised rows, or a quantised tile
     float *rotated; // (k) a row on its way through the Hadamard transform
     float *scale;   // (LAYER_ROWS)
-    int32_t *c;     // (LAYER_ROWS, 2 PANEL) sums, also as floats
-    float *panel;   // (LAYER_PANEL_K, 2 PANEL) weights as floats
+    union {
+        int32_t *c; // (LAYER_ROWS, 4 PANEL) sums
+        float *cf;  // of floats
+    };
+    float *panel; // weights as floats, some panels and inputs at a time
 };
 
 /* Bytes of a room for products of at most k inputs; SIZE_MAX on overflow. */

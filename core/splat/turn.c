@@ -261,7 +261,7 @@ static void to_quaternion(const float r[9], float q[4])
 /* One band of one Gaussian, whose values are n apart. */
 static void turn_band(const struct turn *t, int l, float *c)
 {
-    float in[2 * SH_DEGREE_MAX + 1];
+    float in[2 * SH_DEGREE_MAX + 1] = {0};
     for (int k = 0; k < 2 * l + 1; k++)
         in[k] = c[(size_t)k * t->n];
     for (int k = 0; k < 2 * l + 1; k++) {
