@@ -51,10 +51,13 @@ static uint16_t to_bf16(float v)
     return (uint16_t)(u >> 16);
 }
 
-/* Round half to even without a library call: |v| is at most 127. */
+/* Round half to even without a library call. Beyond 127 are values over a largest one so small that
+ * its inverse is infinite, and rotated ones that are infinite themselves. */
 static int8_t to_s8(float v)
 {
     const float big = 12582912.0f; // 1.5 * 2^23
+    v = v < 127 ? v : 127;
+    v = v > -127 ? v : -127;
     return (int8_t)((v + big) - big);
 }
 
@@ -70,10 +73,12 @@ static float quantise(const float *row, size_t k, int8_t *out)
 {
     float top = 0;
     for (size_t i = 0; i < k; i++)
-        top = fmaxf(top, fabsf(row[i]));
+        top = fmaxf(top, fminf(fabsf(row[i]), FLT_MAX));
     float inv = top < FLT_MIN ? 0 : 127.0f / top;
-    for (size_t i = 0; i < k; i++)
-        out[i / 4 * 4 * PANEL + i % 4] = to_s8(row[i] * inv);
+    for (size_t i = 0; i < k; i++) {
+        float v = row[i] * inv;
+        out[i / 4 * 4 * PANEL + i % 4] = isnan(v) ? 0 : to_s8(v);
+    }
     return top < FLT_MIN ? 0 : top / 127.0f;
 }
 

@@ -3,6 +3,7 @@
 
 #include "core/kernels/gemm.h"
 
+#include <float.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -122,12 +123,57 @@ static void integers_have_a_scale_per_output(void **state)
     }
 }
 
+/* The rule of the kernels also where its numbers end. */
+static void extreme_integers(void **state)
+{
+    (void)state;
+    static const struct {
+        float in[8];
+        int8_t out[8];
+        float scale;
+    } cases[] = {
+        {{0, 1e-44f, -1e-38f}, {0}, 0},                                    // below FLT_MIN
+        {{0, 2e-38f, -3e-38f, 1e-38f}, {0, 127, -127, 127}, 3e-38f / 127}, // 127 / 3e-38 = inf
+        {{FLT_MAX, -FLT_MAX, 1, 0}, {127, -127, 0, 0}, FLT_MAX / 127},
+    };
+    const struct tensor_spec t = {.role = ROLE_LINEAR, .rank = 2, .shape = {1, 8, 1, 1}};
+    for (size_t k = 0; k < sizeof cases / sizeof cases[0]; k++) {
+        float row[8], scale[PANEL];
+        int8_t panel[8 * PANEL];
+        pack_panel(&t, PRECISION_S8, 0, cases[k].in, &(struct pack){row, panel, scale});
+        assert_true(scale[0] == cases[k].scale);
+        for (int i = 0; i < 8; i++)
+            assert_int_equal(panel[i / 4 * 4 * PANEL + i % 4], cases[k].out[i]);
+    }
+}
+
+/* Rotated sums that are infinite count as the largest number. */
+static void extreme_rotation(void **state)
+{
+    (void)state;
+    const struct tensor_spec t = {.name = "encoder.aggregator.frame_blocks.0.mlp.fc2.weight",
+                                  .role = ROLE_LINEAR,
+                                  .rank = 2,
+                                  .shape = {1, 16, 1, 1}};
+    float in[16], row[16], scale[PANEL];
+    int8_t panel[16 * PANEL];
+    assert_true(model_rotation(&t, PRECISION_S8) > 0);
+    for (int i = 0; i < 16; i++)
+        in[i] = i % 3 ? FLT_MAX : -FLT_MAX;
+    pack_panel(&t, PRECISION_S8, 0, in, &(struct pack){row, panel, scale});
+    assert_true(isfinite(scale[0]) && scale[0] > 0);
+    for (int i = 0; i < 16; i++)
+        assert_true(panel[i / 4 * 4 * PANEL + i % 4] >= -127);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(floats_lie_in_panels),
         cmocka_unit_test(bf16_rounds_to_even_and_saturates),
         cmocka_unit_test(integers_have_a_scale_per_output),
+        cmocka_unit_test(extreme_integers),
+        cmocka_unit_test(extreme_rotation),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
