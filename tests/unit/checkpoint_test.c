@@ -2,6 +2,8 @@
  * archives of every kind that PyTorch does not write. */
 #include "drivers/checkpoint.h"
 
+#include "core/base/half.h"
+
 #include "core/base/bytes.h"
 #include "core/net/hashed.h"
 #include "drivers/file.h"
@@ -43,7 +45,7 @@ static void expect(const struct tensor_spec *t, float *v)
         if (strstr(t->name, ".aggregator."))
             v[i] = to_bf16(v[i]);
         if (strncmp(t->name, mean, strlen(mean)) == 0 && strstr(t->name, "t.0.weight"))
-            v[i] = (float)(_Float16)v[i];
+            v[i] = half_to_float(half_from_float(v[i]));
         if (strncmp(t->name, mean, strlen(mean)) == 0 &&
             (strstr(t->name, "t.1.bias") || strstr(t->name, "t.3.bias")))
             v[i] = 0.25f;
