@@ -6,7 +6,7 @@
 #include "firmware/config.h"
 #include "firmware/report.h"
 
-#include "core/base/err.h"
+#include "core/types.h"
 
 enum { BENCH_NET_STAGES = 4, BENCH_NET_KINDS = 16, BENCH_NET_KERNELS = 64 };
 
@@ -33,6 +33,11 @@ struct bench_net {
  * err:  those of network_open and net_run, ERR_LIMIT (memory). */
 MUST_USE err_t bench_net_run(const char *model, int views, int size, const struct config *cfg,
                              struct bench_net *out);
+
+/* n views of noise, at three exposures in turn.
+ * err:  ERR_NOMEM (bench_net_views_plan bytes of a). */
+MUST_USE err_t bench_net_views(struct arena *a, int n, int size, struct views *v);
+size_t bench_net_views_plan(int n, int size);
 
 /* The products alone, on one thread and on all, with every instruction set.
  * err:  ERR_NOMEM, ERR_CANCELLED. */

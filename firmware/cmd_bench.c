@@ -4,12 +4,13 @@
  *        instruction set, on one thread and on all; then every number of splats at every size of
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
  *        table shows the cost of a splat and the other that of a pixel.
- * network, kernels: see bench_net.h. */
+ * network, kernels: see bench_net.h. trade: see trade.h. */
 #include "firmware/bench_net.h"
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/limits.h"
 #include "firmware/report.h"
+#include "firmware/trade.h"
 
 #include "core/base/cpu.h"
 #include "core/opt/loss.h"
@@ -31,9 +32,10 @@ enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 
 struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;
-    bool splat, network, kernels;
-    struct cmd_list gaussians, sizes;
-    double degree, views;
+    const char *images;
+    bool splat, network, kernels, trade;
+    struct cmd_list gaussians, sizes, views;
+    double degree;
     struct config cfg;
 };
 
@@ -59,6 +61,7 @@ struct state {
     int n_levels, n_table;
     struct figure levels[LEVELS_MAX], table[TABLE_MAX];
     struct bench_net net;
+    struct trade trade;
 };
 
 /* ---- the scene ---- */
@@ -333,6 +336,18 @@ static err_t bench_splat(const struct request *rq, struct state *st)
     return e;
 }
 
+static err_t trade(const struct request *rq, struct state *st)
+{
+    const struct trade_request trade = {.models = rq->model,
+                                        .images = rq->images,
+                                        .n_views = rq->views.n,
+                                        .n_sizes = rq->sizes.n,
+                                        .views = rq->views.v,
+                                        .sizes = rq->sizes.v,
+                                        .print = !rq->json || strcmp(rq->json, "-") != 0};
+    return trade_run(&trade, &rq->cfg, &st->trade);
+}
+
 static err_t bench(const struct request *rq, struct state *st)
 {
     const int size = rq->size_text ? rq->sizes.v[0] : 0;
@@ -341,7 +356,9 @@ static err_t bench(const struct request *rq, struct state *st)
     if (!e && rq->kernels)
         e = bench_net_kernels(&rq->cfg, &st->net);
     if (!e && rq->network)
-        e = bench_net_run(rq->model, (int)rq->views, size, &rq->cfg, &st->net);
+        e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
+    if (!e && rq->trade)
+        e = trade(rq, st);
     return e;
 }
 
@@ -390,6 +407,8 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
         bench_net_report(&st->net, &rep);
         report_close(&rep);
     }
+    if (rq->trade)
+        trade_report(&st->trade, &rep);
     report_close(&rep);
 }
 
@@ -434,17 +453,20 @@ static err_t read_what(struct request *rq)
     rq->splat = all || strcmp(rq->what, "splat") == 0;
     rq->kernels = all || strcmp(rq->what, "kernels") == 0;
     rq->network = (all && rq->model) || strcmp(rq->what, "network") == 0;
-    if (!rq->splat && !rq->kernels && !rq->network)
-        return err_fail(ERR_ARG, "--what: \"%.64s\" is none of splat, network, kernels, all",
+    rq->trade = strcmp(rq->what, "trade") == 0;
+    if (!rq->splat && !rq->kernels && !rq->network && !rq->trade)
+        return err_fail(ERR_ARG, "--what: \"%.64s\" is none of splat, network, kernels, trade, all",
                         rq->what);
-    if (rq->network && !rq->model)
-        return err_fail(ERR_ARG, "--what network needs --model FILE");
+    if ((rq->network || rq->trade) && !rq->model)
+        return err_fail(ERR_ARG, "--what %s needs --model FILE", rq->what);
+    if (rq->images && !rq->trade)
+        return err_fail(ERR_ARG, "--images is for --what trade");
     return OK;
 }
 
 static err_t read_numbers(struct request *rq)
 {
-    double degree = 1, views = 4;
+    double degree = 1;
     const char *sizes = rq->size_text ? rq->size_text : "224,448";
     err_t e = read_what(rq);
     if (!e)
@@ -453,22 +475,25 @@ static err_t read_numbers(struct request *rq)
         e = cmd_list("--size", sizes, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
     if (!e && rq->degree_text)
         e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &degree);
-    if (!e && rq->views_text)
-        e = cmd_number("--views", rq->views_text, 2, 1000, &views);
+    if (!e)
+        e = cmd_list("--views", rq->views_text, 2, 1000, &rq->views);
     rq->degree = floor(degree);
-    rq->views = floor(views);
     return e;
 }
 
 int cmd_bench_run(int argc, char **argv)
 {
     static struct state st;
-    struct request rq = {.what = "all", .gaussians_text = "25000,50000,100000,200000"};
+    struct request rq = {
+        .what = "all", .gaussians_text = "25000,50000,100000,200000", .views_text = "4"};
     const struct cmd_option options[] = {
-        {"what", "WHICH", "splat: drawing and optimising; network; kernels; all", NULL, &rq.what,
+        {"what", "WHICH", "splat: drawing and optimising; network; kernels; all; trade", NULL,
+         &rq.what, NULL},
+        {"model", "FILE", "weights of the network; trade: LIST, the first is the reference", NULL,
+         &rq.model, NULL},
+        {"views", "N", "that the network sees, default 4; trade: LIST", NULL, &rq.views_text, NULL},
+        {"images", "DIR", "trade: photographs that the network sees, else noise", NULL, &rq.images,
          NULL},
-        {"model", "FILE", "weights of the network", NULL, &rq.model, NULL},
-        {"views", "N", "that the network sees, default 4", NULL, &rq.views_text, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"gaussians", "LIST", "splats, default 25000,50000,100000,200000", NULL, &rq.gaussians_text,
          NULL},
@@ -478,8 +503,10 @@ int cmd_bench_run(int argc, char **argv)
         CMD_THREADS,
         CMD_MEMORY,
     };
-    const struct cmd_usage usage = {"bench", "", "Figures of this machine against its limits.",
-                                    options, sizeof options / sizeof options[0]};
+    const struct cmd_usage usage = {
+        "bench", "",
+        "Figures of this machine against its limits; trade: of files of weights against the first.",
+        options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;

@@ -13,6 +13,7 @@ model() { # name precision dimensions: $OUT/NAME.hdrig
     succeed convert --hashed 1 --config "$OUT/$1.json" --precision "$2" --out "$OUT/$1.hdrig"
 }
 model hdr int8 ''
+model exact fp32 ''
 model ldr int8 ', "appearance": false'
 model geometry bf16 \
     ', "appearance": false, "gauss": false, "hdr": 0, "gs_feat": 0, "gs_oc": [0, 0, 0, 0]'
@@ -115,5 +116,14 @@ grep -q '^model  *InstantHDR' "$OUT/stdout.txt" || fail "doctor does not tell th
 succeed bench --what network --model "$OUT/hdr.hdrig" --views 2 --size 56 --json "$OUT/bench.json"
 for name in seconds gmac gmac_per_s limit_gmac_per_s share_of_limit; do
     grep -q "\"$name\": [0-9]" "$OUT/bench.json" || fail "bench: no $name"
+done
+expect 1 '--size: .* multiples of 14 px, not 60' bench --what trade --size 60 \
+    --model "$OUT/hdr.hdrig"
+succeed bench --what trade --model "$OUT/exact.hdrig,$OUT/hdr.hdrig" --views 2,4 --size 56 \
+    --images "$OUT/inputs" --json "$OUT/trade.json"
+[ "$(grep -c '^int8 + attention .* 56 ' "$OUT/stdout.txt")" -eq 2 ] ||
+    fail "trade: not two rows with attention in floats"
+for name in rotation_deg depth_aligned_percent radiance_stops psnr_db; do
+    [ "$(grep -c "\"$name\": [0-9]" "$OUT/trade.json")" -eq 10 ] || fail "trade: not 10 x $name"
 done
 finish
