@@ -2,9 +2,8 @@
  * archives of every kind that PyTorch does not write. */
 #include "drivers/checkpoint.h"
 
-#include "core/base/half.h"
-
 #include "core/base/bytes.h"
+#include "core/base/half.h"
 #include "core/net/hashed.h"
 #include "drivers/file.h"
 #include "drivers/infer.h"
