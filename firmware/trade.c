@@ -190,12 +190,12 @@ static void print_row(const struct trade *t)
 {
     const struct trade_row *r = &t->rows[t->n - 1];
     if (t->n == 1) {
-        printf("%-18s %5s %5s %9s %8s %8s", "precision", "px", "views", "seconds", "MB", "process");
+        printf("%-24s %5s %5s %9s %8s %8s", "precision", "px", "views", "seconds", "MB", "process");
         for (int i = 0; i < DIFFER_FIGURES; i++)
             printf(" %8s", measures[i].head);
         putchar('\n');
     }
-    printf("%-18s %5d %5d %9.3f %8.0f", r->what, r->size, r->views, r->seconds, r->memory_mb);
+    printf("%-24s %5d %5d %9.3f %8.0f", r->what, r->size, r->views, r->seconds, r->memory_mb);
     print_number(r->rss_mb, 0);
     for (int i = 0; i < DIFFER_FIGURES; i++)
         print_number(r->error[i], i == DIFFER_PSNR ? 2 : 4);
