@@ -380,10 +380,18 @@ MAP float largest(const struct attend_block *b, struct row key, bool ints, int i
     return v_top(top);
 }
 
+/* Logits are limited to +-2^16, in steps of log2: a fused product may exceed the largest one by its
+ * rounding, and 2^x of that must stay next to 1. */
+MAP float weigh_unit(const struct attend_block *b, int i)
+{
+    float unit = b->row_scale[i] * 1.44269504089f, top = fabsf(b->weigh[i]);
+    return unit * top > 0x1p16f ? 0x1p16f / top : unit;
+}
+
 /* Weights of one row; returns their sum. weigh holds the largest of what `logits` gives. */
 MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
 {
-    const vf unit = v_set(b->row_scale[i] * 1.44269504089f), top = v_set(b->weigh[i]);
+    const vf unit = v_set(weigh_unit(b, i)), top = v_set(b->weigh[i]);
     int8_t *out = b->pi + (size_t)i * b->ldp;
     vint sum = i_zero();
     int j = 0;

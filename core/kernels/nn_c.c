@@ -122,7 +122,7 @@ static void attend_block(const struct attend_block *b)
             top = fmaxf(top, logit(b, i, j));
         float all = fmaxf(top, b->top[i]), base = b->si ? top : all;
         for (int j = 0; j < b->n; j++) {
-            float p = expf(logit(b, i, j) - base);
+            float p = expf(fminf(logit(b, i, j) - base, 0)); // where the product is fused
             if (b->si)
                 p = rintf(254 * p - 127);
             if (b->si)

@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#define LARGEST 1e15f // of a query or key in integers; times itself and 128 channels below FLT_MAX
+
 static int min_int(int a, int b)
 {
     return a < b ? a : b;
@@ -99,10 +101,11 @@ err_t attention_room_init(struct attention_room *room, int width, struct arena *
 
 /* ---- storing ---- */
 
-/* The part of a token that belongs to one head, quantised; returns its scale. */
+/* The part of a token that belongs to one head, quantised; returns its scale. Larger values are cut
+ * off, so that logits are always finite. */
 static float quantise(const struct gemm_kernels *k, const float *x, int n, int8_t *out)
 {
-    float top = k->absmax(x, (size_t)n);
+    float top = fminf(k->absmax(x, (size_t)n), LARGEST);
     k->quant(x, (size_t)n, top < FLT_MIN ? 0 : 127 / top, out);
     return top < FLT_MIN ? 0 : top / 127;
 }

@@ -164,6 +164,36 @@ static int check_stream(const struct kernels *k, bool ints)
     return failures;
 }
 
+/* --- logits beyond all reason -------------------------------------------------------------- */
+
+/* The largest of integer logits around `size` takes all of the weight, though fused and rounded
+ * products of that size differ by far more than 1. */
+static int check_huge(const struct kernels *k, float size)
+{
+    enum { BEST = 37, N = 61 };
+    static int32_t si[BLOCK];
+    static int8_t pi[BLOCK];
+    float unit = size / 16000, scale[N], top = -INFINITY, sum = 0, rescale, weigh;
+    trial_rng = trial_seed;
+    for (int j = 0; j < N; j++) {
+        scale[j] = (float)trial_uniform(0.2, 0.3);
+        si[j] = (int32_t)trial_uniform(-16000, 16000);
+    }
+    si[BEST] = size < 0 ? -60000 : 60000;
+    unit = fabsf(unit);
+    for (int j = 0; j < N && size < 0; j++)
+        si[j] -= j == BEST ? -59000 : 60000; // all below 0
+    const struct attend_block b = {1,    N,    si, NULL, BLOCK, &unit,    scale,
+                                   &top, &sum, pi, NULL, BLOCK, &rescale, &weigh};
+    k->net.attend_block(&b);
+    bool bad = !(fabsf(sum - 1) < 1e-5f);
+    for (int j = 0; j < N; j++)
+        bad |= pi[j] != (j == BEST ? 127 : -127);
+    printf("%s %s logits of %g: sum %g, largest %d\n", bad ? "FAILED" : "ok", k->name, (double)size,
+           (double)sum, pi[BEST]);
+    return bad;
+}
+
 /* --- all of them --------------------------------------------------------------------------- */
 
 static int check_level(unsigned cpu)
@@ -173,7 +203,8 @@ static int check_level(unsigned cpu)
         return 0;
     kernels_init(&k, cpu);
     return check_activation(&k, ACT_GELU, 5e-7) + check_activation(&k, ACT_SILU, 1e-6) +
-           check_stream(&k, false) + check_stream(&k, true);
+           check_stream(&k, false) + check_stream(&k, true) + check_huge(&k, 1e6f) +
+           check_huge(&k, 1e13f) + check_huge(&k, -1e13f) + check_huge(&k, 1e35f);
 }
 
 int main(int argc, char **argv)

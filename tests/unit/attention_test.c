@@ -216,6 +216,25 @@ static void one_key_dominates(void **state)
         }
 }
 
+/* Queries and keys as large as floats allow: the largest logit takes all. */
+static void huge_values(void **state)
+{
+    static const float sizes[] = {1e4f, 1e9f, 1e14f};
+    (void)state;
+    for (int f = 0; f < 2; f++)
+        for (int s = 0; s < 3; s++) {
+            open_world(
+                (struct attention){.seqs = 1, .len = 300, .heads = 1, .width = 32, .floats = f > 0},
+                0.1f * sizes[s]);
+            for (int i = 0; i < 300; i++)
+                at(0, i, 0, 0)[3] = 3 * sizes[s];
+            at(0, 222, 1, 0)[3] = sizes[s];
+            store();
+            check(0, 64, f ? 1e-6 : 4.0 / 254);
+            close_world();
+        }
+}
+
 /* Equal logits give the mean of all values: also those of a last block with one key. */
 static void equal_logits(void **state)
 {
@@ -234,7 +253,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(lengths_and_widths), cmocka_unit_test(many_keys),
         cmocka_unit_test(large_logits),       cmocka_unit_test(one_key_dominates),
-        cmocka_unit_test(equal_logits),
+        cmocka_unit_test(equal_logits),       cmocka_unit_test(huge_values),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
