@@ -1,4 +1,4 @@
-/* make_flat FILE SIZE VALUE [HOT] - a square PNG of one grey; HOT: its middle pixel has that value. */
+/* make_flat FILE SIZE VALUE [HOT] - a square PNG of one grey; HOT: the value of its middle pixel. */
 #include "drivers/img.h"
 
 #include <stdio.h>

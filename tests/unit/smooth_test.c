@@ -278,32 +278,40 @@ static const char *name_of(const char *prefix, const char *suffix)
     return name[turn];
 }
 
-/* Channel i of a norm times f, the weights that read it (rows, c) over `back`. */
-static void plant_norm(const char *prefix, const char *norm, const char *reads, size_t rows,
-                       size_t c, size_t i, float f, float back)
+/* Channel i of c times f, what reads it over `back`. */
+struct spot {
+    const char *prefix;
+    size_t c, i;
+    float f, back;
+};
+
+static void plant_norm(const struct spot *s, const char *norm, const char *reads, size_t rows)
 {
     char name[NET_NAME_CAP];
-    snprintf(name, sizeof name, "%s%s.weight", prefix, norm);
-    add(name, i, 1, 1, f);
-    snprintf(name, sizeof name, "%s%s.bias", prefix, norm);
-    add(name, i, 1, 1, f);
-    add(name_of(prefix, reads), i, c, rows, 1 / back);
+    snprintf(name, sizeof name, "%s%s.weight", s->prefix, norm);
+    add(name, s->i, 1, 1, s->f);
+    snprintf(name, sizeof name, "%s%s.bias", s->prefix, norm);
+    add(name, s->i, 1, 1, s->f);
+    add(name_of(s->prefix, reads), s->i, s->c, rows, 1 / s->back);
 }
 
-static void plant_value(const char *prefix, size_t c, size_t i, float f, float back)
+static void plant_value(const struct spot *s)
 {
-    add(name_of(prefix, "attn.qkv.weight"), (2 * c + i) * c, 1, c, f);
-    add(name_of(prefix, "attn.qkv.bias"), 2 * c + i, 1, 1, f);
-    add(name_of(prefix, "attn.proj.weight"), i, c, c, 1 / back);
+    size_t row = 2 * s->c + s->i;
+    add(name_of(s->prefix, "attn.qkv.weight"), row * s->c, 1, s->c, s->f);
+    add(name_of(s->prefix, "attn.qkv.bias"), row, 1, 1, s->f);
+    add(name_of(s->prefix, "attn.proj.weight"), s->i, s->c, s->c, 1 / s->back);
 }
 
 /* Four channels each of both norms and of v. */
 static void plant_block(const char *prefix, size_t c, float f, float back)
 {
     for (size_t k = 0; k < 4; k++) {
-        plant_norm(prefix, "norm1", "attn.qkv.weight", 3 * c, c, (5 * k + 3) % c, f, back);
-        plant_norm(prefix, "norm2", "mlp.fc1.weight", 4 * c, c, (7 * k + 1) % c, f, back);
-        plant_value(prefix, c, (3 * k + 2) % c, f, back);
+        plant_norm(&(struct spot){prefix, c, (5 * k + 3) % c, f, back}, "norm1", "attn.qkv.weight",
+                   3 * c);
+        plant_norm(&(struct spot){prefix, c, (7 * k + 1) % c, f, back}, "norm2", "mlp.fc1.weight",
+                   4 * c);
+        plant_value(&(struct spot){prefix, c, (3 * k + 2) % c, f, back});
     }
 }
 
