@@ -1,4 +1,4 @@
-/* make_flat FILE SIZE VALUE [HOT] - a square PNG of one grey; HOT: the value of its middle pixel. */
+/* make_flat FILE SIZE VALUE [HOT] - a square PNG of one grey; HOT: value of its middle pixel. */
 #include "drivers/img.h"
 
 #include <stdio.h>
