@@ -107,7 +107,8 @@ static void head_turn(const struct head_turn *t, float *x)
     }
 }
 
-static float logit(const struct attend_block *b, int i, int j)
+/* Not inlined: fused with a difference it would not be the number that is the largest. */
+static __attribute__((noinline)) float logit(const struct attend_block *b, int i, int j)
 {
     size_t at = (size_t)i * b->lds + (size_t)j;
     float s = b->si ? (float)b->si[at] : b->sf[at];
@@ -122,7 +123,7 @@ static void attend_block(const struct attend_block *b)
             top = fmaxf(top, logit(b, i, j));
         float all = fmaxf(top, b->top[i]), base = b->si ? top : all;
         for (int j = 0; j < b->n; j++) {
-            float p = expf(fminf(logit(b, i, j) - base, 0)); // where the product is fused
+            float p = expf(logit(b, i, j) - base);
             if (b->si)
                 p = rintf(254 * p - 127);
             if (b->si)
