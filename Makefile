@@ -62,7 +62,7 @@ TSAN_TESTS := pool prep response seed appearance depth gausshead modelfile
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/,appearance arena bytes cpu depth err gausshead gaussians half \
 	layer loss metrics pack pool raster sha256) \
-	golden/render kernels/gemm kernels/kernels kernels/nn kernels/nn_range
+	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
