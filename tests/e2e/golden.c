@@ -71,7 +71,7 @@ static int prepare(const char *set, const struct cJSON *index, const char *dir)
     const struct cJSON *file = json_first(json_member(index, "files"));
     const struct cJSON *time = json_first(json_member(index, "exposures"));
     for (int i = 0; file && time; i++, file = json_next(file), time = json_next(time)) {
-        double t;
+        double t = 0;
         if (!json_string(file) || !json_number(time, &t))
             die("files or exposures are malformed");
         snprintf(name, sizeof name, "images/%03d_%.200s", i, json_string(file));
