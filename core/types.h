@@ -116,7 +116,7 @@ enum { TAP_RANK_MAX = 5 };
 
 /* One intermediate tensor, or one of `parts` equal pieces of it in C order. */
 struct tap_tensor {
-    const char *name; // as in the reference's golden data
+    const char *name;              // as in the reference's golden data
     int rank, shape[TAP_RANK_MAX]; // of the whole tensor
     int part, parts;
     const float *data;           // first element of this piece, or NULL:
@@ -140,5 +140,14 @@ struct run {
     void *progress_ctx;
     const struct tap *tap; // NULL = none: what is only looked at is not computed
 };
+
+/* Whether the job is to stop; `stage` begins the sentence.
+ * err:  ERR_CANCELLED. */
+static inline MUST_USE err_t run_check(const struct run *r, const char *stage)
+{
+    if (r->cancel && atomic_load(r->cancel))
+        return err_fail(ERR_CANCELLED, "%s: cancelled", stage);
+    return OK;
+}
 
 #endif

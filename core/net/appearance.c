@@ -272,13 +272,6 @@ static err_t pack_keys(void *ctx, int head, int worker)
 
 /* ---- attention ---- */
 
-static err_t check_cancel(const struct run *r)
-{
-    if (r->cancel && atomic_load(r->cancel))
-        return err_fail(ERR_CANCELLED, "network: cancelled");
-    return OK;
-}
-
 /* Softmax of one head for `rows` queries from token row `at` on, added to room->sum. */
 static void add_head(const struct fusion *f, int head, size_t at, int rows,
                      const struct fusion_room *room)
@@ -396,7 +389,7 @@ static err_t fuse_block(void *ctx, int chunk, int worker)
     size_t at = (size_t)view * p + NET_SPECIAL + (size_t)first;
     memset(room->sum, 0, (size_t)rows * pitch * sizeof(float));
     for (int head = 0; head < f->heads; head++) {
-        err_t e = check_cancel(f->r);
+        err_t e = run_check(f->r, "network");
         if (e)
             return e;
         add_head(f, head, at, rows, room);

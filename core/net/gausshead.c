@@ -212,9 +212,7 @@ static err_t last_row(void *ctx, int y, int worker)
         memset(row, 0, (size_t)h->size * NET_SENSITIVITY * sizeof *row);
     }
     scatter(h, y, NET_RAW, NET_SENSITIVITY, row);
-    if (h->r->cancel && atomic_load(h->r->cancel))
-        return err_fail(ERR_CANCELLED, "network: cancelled");
-    return OK;
+    return run_check(h->r, "network");
 }
 
 static void tap_raw(const struct head *h)

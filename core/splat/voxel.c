@@ -56,13 +56,6 @@ size_t voxel_keep(int n)
     return arena_add(total, arena_need(cap, VOXEL_FEATURES * sizeof(float)));
 }
 
-static err_t check_cancel(const struct run *r)
-{
-    if (r->cancel && atomic_load(r->cancel))
-        return err_fail(ERR_CANCELLED, "voxels: cancelled");
-    return OK;
-}
-
 static err_t alloc_scratch(struct merge *m)
 {
     struct arena *a = m->r->tmp;
@@ -121,7 +114,7 @@ static err_t sort_axis(struct merge *m, const int32_t *key)
     }
     uint32_t range = m->n ? (uint32_t)hi - (uint32_t)lo : 0;
     for (int shift = 0; shift < 32 && range >> shift; shift += DIGIT_BITS) {
-        err_t e = check_cancel(m->r);
+        err_t e = run_check(m->r, "voxels");
         if (e)
             return e;
         sort_digit(m, key, lo, shift);
@@ -179,7 +172,7 @@ static err_t average_chunk(void *ctx, int chunk, int worker)
 {
     const struct merge *m = ctx;
     (void)worker;
-    err_t e = check_cancel(m->r);
+    err_t e = run_check(m->r, "voxels");
     if (e)
         return e;
     bool point = chunk < 3;
@@ -278,7 +271,7 @@ static err_t adapt_chunk(void *ctx, int chunk, int worker)
             for (int i = from; i < to; i++)
                 g->plane[p][i] *= mask;
     }
-    return check_cancel(a->r);
+    return run_check(a->r, "voxels");
 }
 
 err_t voxel_adapt(const struct run *r, struct voxels *io, struct gaussians *out)
