@@ -2,6 +2,7 @@
  * the plain tensors. The checksum is known at the end, so the header is then written again. */
 #include "drivers/modelwrite.h"
 
+#include "core/base/num.h"
 #include "core/kernels/gemm.h"
 #include "core/net/pack.h"
 #include "drivers/file.h"
@@ -35,24 +36,19 @@ struct sizes {
     int tensors;
 };
 
-static size_t larger(size_t a, size_t b)
-{
-    return a > b ? a : b;
-}
-
 static err_t measure(void *ctx, const struct tensor_spec *t)
 {
     struct sizes *s = ctx;
     if (!t->used)
         return OK;
     s->tensors++;
-    s->values = larger(s->values, table_count(t));
+    s->values = num_max_size(s->values, table_count(t));
     if (t->role == ROLE_PLAIN)
         return OK;
     enum precision type = model_type(t, s->precision);
     struct product_shape p = table_product(t);
-    s->packed = larger(s->packed, (size_t)pack_panels(t) * pack_panel_bytes(t, type));
-    s->k = larger(s->k, (size_t)p.segs * (size_t)p.seg);
+    s->packed = num_max_size(s->packed, (size_t)pack_panels(t) * pack_panel_bytes(t, type));
+    s->k = num_max_size(s->k, (size_t)p.segs * (size_t)p.seg);
     s->scales += type == PRECISION_S8 ? (size_t)p.n : 0;
     return OK;
 }

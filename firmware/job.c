@@ -4,6 +4,7 @@
 #include "firmware/engine.h"
 #include "firmware/start.h"
 
+#include "core/base/num.h"
 #include "core/opt/response.h"
 #include "core/prep.h"
 #include "core/splat/gaussians.h"
@@ -71,11 +72,6 @@ static struct job_config within(const struct job_config *cfg, int n_views)
     return out;
 }
 
-static size_t max_size(size_t a, size_t b)
-{
-    return a > b ? a : b;
-}
-
 static err_t check_capture(const struct capture *c, bool need_cameras)
 {
     if (c->n < 2)
@@ -114,11 +110,11 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
                                                             (size_t)c->shots[i].image.h * 3));
     prep_plan(c, cfg.size, threads, &keep, &tmp);
     out->keep = arena_add(out->keep, keep);
-    out->tmp = max_size(out->tmp, tmp);
-    out->tmp = max_size(out->tmp, response_plan(&v));
+    out->tmp = num_max_size(out->tmp, tmp);
+    out->tmp = num_max_size(out->tmp, response_plan(&v));
     if (refines(&cfg))
-        out->tmp = max_size(out->tmp, refine_plan(c->n, cfg.size, &cfg.refine, threads));
-    out->tmp = max_size(out->tmp, draw_plan(job_most(&cfg, c->n), cfg.size, cfg.size));
+        out->tmp = num_max_size(out->tmp, refine_plan(c->n, cfg.size, &cfg.refine, threads));
+    out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, c->n), cfg.size, cfg.size));
     return OK;
 }
 

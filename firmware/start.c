@@ -8,16 +8,12 @@
 #include "firmware/dump.h"
 #include "firmware/engine.h"
 
+#include "core/base/num.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/seed.h"
 #include "core/splat/sweep.h"
 
 #include <string.h>
-
-static size_t max_size(size_t a, size_t b)
-{
-    return a > b ? a : b;
-}
 
 /* The network's planes stay where they are. */
 static bool in_place(const struct job_config *cfg)
@@ -231,8 +227,8 @@ err_t start_run(const struct run *r, const struct job_config *cfg, struct job_re
 static void plan_stereo(const struct views *v, int cap, int threads, struct job_memory *m)
 {
     m->keep = arena_add(m->keep, arena_add(sweep_keep(v), seed_keep(cap)));
-    m->tmp = max_size(m->tmp, sweep_plan(v, threads));
-    m->tmp = max_size(m->tmp, seed_plan(v));
+    m->tmp = num_max_size(m->tmp, sweep_plan(v, threads));
+    m->tmp = num_max_size(m->tmp, seed_plan(v));
 }
 
 static void plan_network(const struct job_config *cfg, int n_views, int threads, bool tapped,
@@ -246,18 +242,18 @@ static void plan_network(const struct job_config *cfg, int n_views, int threads,
     net_plan(&n->net, n_views, cfg->size, threads, &keep, &tmp);
     m->weights = n->file.model.bytes;
     m->keep = arena_add(m->keep, keep);
-    m->tmp = max_size(m->tmp, tmp);
-    m->tmp = max_size(m->tmp, network_place_plan(n_views));
+    m->tmp = num_max_size(m->tmp, tmp);
+    m->tmp = num_max_size(m->tmp, network_place_plan(n_views));
     if (n->net.d.gauss) {
         m->keep = arena_add(m->keep, voxel_keep(all));
-        m->tmp = max_size(m->tmp, voxel_plan(all));
+        m->tmp = num_max_size(m->tmp, voxel_plan(all));
     } else {
         m->keep = arena_add(m->keep, arena_need(pixels, sizeof(float)));
         m->keep = arena_add(m->keep, seed_keep(cfg->refine.gaussians_max));
-        m->tmp = max_size(m->tmp, seed_plan(&v));
+        m->tmp = num_max_size(m->tmp, seed_plan(&v));
     }
     if (tapped)
-        m->tmp = max_size(m->tmp, dump_plan(cfg->size, job_most(cfg, n_views)));
+        m->tmp = num_max_size(m->tmp, dump_plan(cfg->size, job_most(cfg, n_views)));
 }
 
 struct job_memory start_plan(const struct job_config *cfg, int n_views, int threads, bool tapped)

@@ -171,7 +171,6 @@ struct gemm_kernels {
     const char *s8_name, *f32_name; // instruction sets of the two products
     gemm_s8_fn *s8;
     gemm_f32_fn *f32;
-    int s8_rows, f32_rows; // multiples of these many rows run best
     unpack_s8_fn *unpack_s8;
     unpack_bf16_fn *unpack_bf16;
     absmax_fn *absmax;

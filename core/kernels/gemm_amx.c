@@ -100,5 +100,4 @@ void gemm_amx(struct gemm_kernels *k)
 {
     k->s8_name = "amx";
     k->s8 = gemm_s8;
-    k->s8_rows = 2 * ROWS;
 }

@@ -41,5 +41,4 @@ void gemm_avx2(struct gemm_kernels *k)
     gemm_fill(k, "avx2");
     k->s8_name = "avx2";
     k->s8 = gemm_s8;
-    k->s8_rows = ROWS;
 }

@@ -142,5 +142,4 @@ void gemm_avx512(struct gemm_kernels *k)
 {
     k->s8_name = "avx512";
     k->s8 = gemm_s8;
-    k->s8_rows = ROWS;
 }

@@ -89,7 +89,6 @@ static void gemm_fill(struct gemm_kernels *k, const char *name)
 {
     k->f32_name = name;
     k->f32 = gemm_f32;
-    k->f32_rows = F32_ROWS;
     k->unpack_s8 = unpack_s8;
     k->unpack_bf16 = unpack_bf16;
 }

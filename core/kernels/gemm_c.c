@@ -51,7 +51,6 @@ void gemm_c(struct gemm_kernels *k)
     k->s8_name = k->f32_name = "c";
     k->s8 = gemm_s8;
     k->f32 = gemm_f32;
-    k->s8_rows = k->f32_rows = 1;
     k->unpack_s8 = unpack_s8;
     k->unpack_bf16 = unpack_bf16;
 }

@@ -171,8 +171,6 @@ void gemm_neon(struct gemm_kernels *k)
     k->s8_name = k->f32_name = "neon";
     k->s8 = s8_product;
     k->f32 = product;
-    k->s8_rows = S8_ROWS;
-    k->f32_rows = ROWS;
     k->unpack_s8 = unpack_s8;
     k->unpack_bf16 = unpack_bf16;
 }

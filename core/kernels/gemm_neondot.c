@@ -58,5 +58,4 @@ void gemm_neondot(struct gemm_kernels *k)
 {
     k->s8_name = "neondot";
     k->s8 = product;
-    k->s8_rows = ROWS;
 }

@@ -41,5 +41,4 @@ void gemm_sse41(struct gemm_kernels *k)
     gemm_fill(k, "sse41");
     k->s8_name = "sse41";
     k->s8 = gemm_s8;
-    k->s8_rows = ROWS;
 }

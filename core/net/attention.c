@@ -1,15 +1,12 @@
 #include "core/net/attention.h"
 
+#include "core/base/num.h"
+
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
 #define LARGEST 1e15f // of a query or key in integers; times itself and 128 channels below FLT_MAX
-
-static int min_int(int a, int b)
-{
-    return a < b ? a : b;
-}
 
 static size_t count_blocks(const struct attention *a)
 {
@@ -334,7 +331,7 @@ void attention_head(const struct attention *a, const struct attention_span *s, i
         memset(out + (size_t)i * ldo, 0, (size_t)a->width * sizeof *out);
     }
     for (int first = 0; first < a->len; first += ATTENTION_KEYS) {
-        int n = min_int(ATTENTION_KEYS, a->len - first);
+        int n = num_min(ATTENTION_KEYS, a->len - first);
         size_t at =
             (b.head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS)) * (size_t)a->width;
         logits(a, &b, first, n, room);

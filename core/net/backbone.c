@@ -3,6 +3,7 @@
  * DINOv2 (class, registers) and then those of the aggregator (camera, registers). */
 #include "core/net/backbone.h"
 
+#include "core/base/num.h"
 #include "core/net/block.h"
 #include "core/net/layer.h"
 #include "core/net/tap.h"
@@ -379,11 +380,6 @@ static size_t stream_floats(const struct tokens *t)
     return (size_t)t->n_views * (size_t)t->n_tokens * (size_t)t->embed;
 }
 
-static size_t larger(size_t a, size_t b)
-{
-    return a > b ? a : b;
-}
-
 void backbone_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
                    size_t *tmp)
 {
@@ -396,15 +392,15 @@ void backbone_plan(const struct net *net, int n_views, int size, int threads, si
         arena_add(arena_need((1 + patches) * c, sizeof(float)), layer_conv_need(&conv, threads));
     size_t blocks = block_need(&agg, threads);
     agg.global = true;
-    blocks =
-        arena_add(larger(blocks, block_need(&agg, threads)), arena_need(angles, sizeof(float)));
+    blocks = arena_add(num_max_size(blocks, block_need(&agg, threads)),
+                       arena_need(angles, sizeof(float)));
     blocks = arena_add(blocks, arena_need(angles, sizeof(float)));
     *keep = 0;
     for (int k = 0; k < NET_KEEP; k++)
         *keep = arena_add(*keep, arena_need(2 * n, sizeof(float)));
     for (int i = 0; i < 2 && net->d.appearance; i++)
         *keep = arena_add(*keep, arena_need(n, sizeof(float)));
-    *tmp = larger(embed, larger(block_need(&dino, threads), blocks));
+    *tmp = num_max_size(embed, num_max_size(block_need(&dino, threads), blocks));
     *tmp = arena_add(*tmp, arena_need(n, sizeof(float)));
 }
 

@@ -4,6 +4,7 @@
  * in the worker's scratch. */
 #include "core/net/block.h"
 
+#include "core/base/num.h"
 #include "core/net/attention.h"
 #include "core/net/layer.h"
 
@@ -25,11 +26,6 @@ struct pass {
     struct attention a;
     struct worker *worker; // (threads)
 };
-
-static int min_int(int a, int b)
-{
-    return a < b ? a : b;
-}
 
 static size_t wide_floats(const struct block *b)
 {
@@ -71,13 +67,6 @@ static err_t worker_init(struct worker *w, const struct block *b, struct arena *
     return e;
 }
 
-static err_t check_cancel(const struct run *r)
-{
-    if (r->cancel && atomic_load(r->cancel))
-        return err_fail(ERR_CANCELLED, "backbone: cancelled");
-    return OK;
-}
-
 static void normalise(const struct pass *p, const float *gamma, const float *beta, int first, int n,
                       float *out)
 {
@@ -92,7 +81,7 @@ static int run_of(const struct block *b, int token, int left, bool *special)
 {
     int at = token % b->view_tokens;
     *special = at < NET_SPECIAL;
-    return min_int(left, (*special ? NET_SPECIAL : b->view_tokens) - at);
+    return num_min(left, (*special ? NET_SPECIAL : b->view_tokens) - at);
 }
 
 /* A product for the m tokens of `in` from `first` on. The special ones may be kept in floats. */
@@ -147,9 +136,9 @@ static err_t store_chunk(void *ctx, int chunk, int worker)
     struct worker *w = p->worker + worker;
     int per_seq = (p->a.len + ATTENTION_KEYS - 1) / ATTENTION_KEYS;
     struct attention_span s = {.seq = chunk / per_seq, .first = chunk % per_seq * ATTENTION_KEYS};
-    s.n = min_int(ATTENTION_KEYS, p->a.len - s.first);
+    s.n = num_min(ATTENTION_KEYS, p->a.len - s.first);
     int first = s.seq * p->a.len + s.first;
-    err_t e = check_cancel(p->r);
+    err_t e = run_check(p->r, "backbone");
     if (e)
         return e;
     normalise(p, b->w->norm1_g, b->w->norm1_b, first, s.n, w->rows);
@@ -171,9 +160,9 @@ static err_t attend(const struct pass *p, int first, int n, struct worker *w)
     for (int i = 0; i < n; i += s.n) {
         s.seq = (first + i) / p->a.len;
         s.first = (first + i) % p->a.len;
-        s.n = min_int(n - i, p->a.len - s.first);
+        s.n = num_min(n - i, p->a.len - s.first);
         for (int h = 0; h < p->a.heads; h++) {
-            err_t e = check_cancel(p->r);
+            err_t e = run_check(p->r, "backbone");
             if (e)
                 return e;
             attention_head(&p->a, &s, h, w->rows + (size_t)i * c + (size_t)(h * p->a.width), c,
@@ -189,7 +178,7 @@ static err_t finish_chunk(void *ctx, int chunk, int worker)
     const struct block *b = p->b;
     struct worker *w = p->worker + worker;
     size_t c = (size_t)b->width;
-    int first = chunk * BLOCK_ROWS, n = min_int(BLOCK_ROWS, b->n_views * b->view_tokens - first);
+    int first = chunk * BLOCK_ROWS, n = num_min(BLOCK_ROWS, b->n_views * b->view_tokens - first);
     float *x = b->x + (size_t)first * c;
     err_t e = attend(p, first, n, w);
     if (e)

@@ -7,6 +7,7 @@
  * after an upsampling is done before it, since weights of an interpolation sum to one. */
 #include "core/net/dpt.h"
 
+#include "core/base/num.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 
@@ -95,18 +96,6 @@ static int token_width(const struct trunk *t)
     return 2 * t->j->tokens->embed;
 }
 
-static int smaller(int a, int b)
-{
-    return a < b ? a : b;
-}
-
-static err_t check_cancel(const struct run *r)
-{
-    if (r->cancel && atomic_load(r->cancel))
-        return err_fail(ERR_CANCELLED, "network: cancelled");
-    return OK;
-}
-
 static err_t project_chunk(void *ctx, int chunk, int worker)
 {
     const struct project *p = ctx;
@@ -117,7 +106,7 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
     const struct norm norm = {(int)width, NORM_EPS, j->w->norm_g, j->w->norm_b};
     const struct weight *w = j->w->project + p->k;
     const struct layer_in in = {p->rows + (size_t)worker * LAYER_ROWS * width, width,
-                                smaller(left, LAYER_ROWS), p->t->floats};
+                                num_min(left, LAYER_ROWS), p->t->floats};
     const struct layer_out out = {.out = p->out + (size_t)first * (size_t)w->n,
                                   .ldo = (size_t)w->n};
     size_t from = (size_t)j->view * (size_t)tokens->n_tokens + NET_SPECIAL + (size_t)first;
@@ -125,7 +114,7 @@ static err_t project_chunk(void *ctx, int chunk, int worker)
         p->t->r->k->net.norm(&norm, tokens->keep[p->k] + (from + (size_t)i) * width,
                              p->rows + ((size_t)worker * LAYER_ROWS + (size_t)i) * width);
     layer_rows(&p->t->r->k->net, w, &in, &out, p->rooms + worker);
-    return check_cancel(p->t->r);
+    return run_check(p->t->r, "network");
 }
 
 static int chunks_of(int rows)
@@ -199,13 +188,13 @@ static err_t spread_chunk(void *ctx, int chunk, int worker)
     int first = chunk * LAYER_ROWS, left = s->t->grid * s->t->grid - first;
     size_t c = (size_t)s->channels, n = (size_t)s->w.n;
     float *rows = s->rows + (size_t)worker * LAYER_ROWS * n;
-    const struct layer_in in = {s->in + (size_t)first * c, c, smaller(left, LAYER_ROWS),
+    const struct layer_in in = {s->in + (size_t)first * c, c, num_min(left, LAYER_ROWS),
                                 s->t->floats};
     const struct layer_out out = {.out = rows, .ldo = n};
     layer_rows(&s->t->r->k->net, &s->w, &in, &out, s->rooms + worker);
     for (int i = 0; i < in.m; i++)
         spread_token(s, first + i, rows + (size_t)i * n);
-    return check_cancel(s->t->r);
+    return run_check(s->t->r, "network");
 }
 
 /* Transposed convolution with stride = kernel: a product per token. */
@@ -317,7 +306,7 @@ static err_t blend_row(void *ctx, int y, int worker)
     dpt_blend_fetch(s->blend, y, 0, m->out_w, out);
     for (size_t i = 0; s->relu && i < n; i++)
         out[i] = out[i] > 0 ? out[i] : 0;
-    return check_cancel(s->r);
+    return run_check(s->r, "network");
 }
 
 err_t dpt_blend_run(const struct run *r, const struct dpt_blend *b, bool relu, float *out)

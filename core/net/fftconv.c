@@ -7,6 +7,8 @@
  * network correlates, and carry the 1/256 of the inverse. */
 #include "core/net/fftconv.h"
 
+#include "core/base/num.h"
+
 #include <string.h>
 
 enum { WEIGHT_TILE = FFT_EDGE * FFT_EDGE * PANEL, KERNEL_MIN = 5, KERNEL_MAX = 9 };
@@ -180,16 +182,11 @@ static err_t weights_chunk(void *ctx, int p, int worker)
 
 /* ---- rows of tiles ---- */
 
-static int smaller(int a, int b)
-{
-    return a < b ? a : b;
-}
-
 static void fetch_strip(const struct job *j, int y0, float *strip)
 {
     const struct layer_conv *c = j->c;
     size_t ch = (size_t)c->channels, pitch = (size_t)j->width * ch;
-    int n = smaller(c->w_px, j->width - c->pad);
+    int n = num_min(c->w_px, j->width - c->pad);
     size_t before = (size_t)c->pad * ch, filled = before + (size_t)n * ch;
     for (int y = y0; y < y0 + FFT_EDGE; y++, strip += pitch) {
         bool inside = y >= 0 && y < c->h;
@@ -224,10 +221,10 @@ static void multiply(const struct job *j, const struct room *o)
 static void finish_tile(const struct job *j, int y, int i, const float *px)
 {
     const struct layer_out *to = j->out;
-    int x = i * j->edge, rows = smaller(j->edge, j->out_h - y);
+    int x = i * j->edge, rows = num_min(j->edge, j->out_h - y);
     for (int k = 0; k < rows; k++) {
         size_t at = ((size_t)(y + k) * (size_t)j->out_w + (size_t)x) * to->ldo;
-        const struct epilogue e = {.m = smaller(j->edge, j->out_w - x),
+        const struct epilogue e = {.m = num_min(j->edge, j->out_w - x),
                                    .n = j->n,
                                    .cf = px + (size_t)(k * j->edge) * (size_t)j->n,
                                    .ldc = (size_t)j->n,
@@ -269,9 +266,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
         j->r->k->net.fft_inverse(&t);
         finish_tile(j, y, i, o->px);
     }
-    if (j->r->cancel && atomic_load(j->r->cancel))
-        return err_fail(ERR_CANCELLED, "network: cancelled");
-    return OK;
+    return run_check(j->r, "network");
 }
 
 err_t fftconv_run(const struct run *r, const struct layer_conv *c, const struct layer_out *out)

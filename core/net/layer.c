@@ -5,6 +5,7 @@
  * row of output pixels is a block whose rows overlap (gemm.h). */
 #include "core/net/layer.h"
 
+#include "core/base/num.h"
 #include "core/net/fftconv.h"
 
 #include <float.h>
@@ -258,13 +259,6 @@ struct rows_job {
     struct layer_room *rooms;
 };
 
-static err_t check_cancel(const struct run *r)
-{
-    if (r->cancel && atomic_load(r->cancel))
-        return err_fail(ERR_CANCELLED, "network: cancelled");
-    return OK;
-}
-
 static err_t rows_chunk(void *ctx, int chunk, int worker)
 {
     const struct rows_job *j = ctx;
@@ -275,7 +269,7 @@ static err_t rows_chunk(void *ctx, int chunk, int worker)
     in.m = left < LAYER_ROWS ? left : LAYER_ROWS;
     out.out += (size_t)first * out.ldo;
     rows_block(&j->r->k->net, j->w, &in, &out, j->rooms + worker);
-    return check_cancel(j->r);
+    return run_check(j->r, "network");
 }
 
 err_t layer_run(const struct run *r, const struct weight *w, const struct layer_in *in,
@@ -315,17 +309,12 @@ static void size_tile(struct tiling *t, const struct layer_conv *c)
     t->in_w = (t->tile_w - 1) * c->stride + c->kw;
 }
 
-static int smaller(int a, int b)
-{
-    return a < b ? a : b;
-}
-
 static struct tiling plan_tiles(const struct layer_conv *c)
 {
     struct tiling t = {.out_h = layer_conv_size(c->h, c->kh, c->stride, c->pad),
                        .out_w = layer_conv_size(c->w_px, c->kw, c->stride, c->pad)};
-    t.tile_h = smaller(t.out_h, LAYER_TILE_H);
-    t.tile_w = smaller(t.out_w, LAYER_TILE_W);
+    t.tile_h = num_min(t.out_h, LAYER_TILE_H);
+    t.tile_w = num_min(t.out_w, LAYER_TILE_W);
     for (size_tile(&t, c); tile_floats(&t, c) > TILE_FLOATS; size_tile(&t, c)) {
         if (t.tile_h > 1)
             t.tile_h = (t.tile_h + 1) / 2;
@@ -386,7 +375,7 @@ static void fetch_tile(const struct conv_job *j, int y, int x, float *tile)
     const struct layer_conv *c = j->c;
     size_t ch = (size_t)c->channels, pitch = (size_t)j->t.in_w * ch;
     int y0 = y * c->stride - c->pad, x0 = x * c->stride - c->pad;
-    int from = x0 < 0 ? 0 : x0, to = smaller(x0 + j->t.in_w, c->w_px);
+    int from = x0 < 0 ? 0 : x0, to = num_min(x0 + j->t.in_w, c->w_px);
     for (int i = 0; i < j->t.in_h; i++, tile += pitch) {
         if (y0 + i < 0 || y0 + i >= c->h || from >= to) {
             memset(tile, 0, pitch * sizeof *tile);
@@ -415,12 +404,12 @@ static err_t conv_chunk(void *ctx, int chunk, int worker)
     const struct layer_conv *c = j->c;
     struct conv_room *o = j->rooms + worker;
     int y = chunk / j->t.columns * j->t.tile_h, x = chunk % j->t.columns * j->t.tile_w;
-    int h = smaller(j->t.out_h - y, j->t.tile_h);
+    int h = num_min(j->t.out_h - y, j->t.tile_h);
     int panels = count_panels(c->w), group = group_of(c->w);
     size_t ch = (size_t)c->channels, step = (size_t)c->stride * (size_t)j->t.in_w * ch;
     struct block b = {.k = &j->r->k->net,
                       .w = c->w,
-                      .m = smaller(j->t.out_w - x, j->t.tile_w),
+                      .m = num_min(j->t.out_w - x, j->t.tile_w),
                       .lda = (size_t)c->stride * ch,
                       .seg_stride = (size_t)j->t.in_w * ch};
     bool s8 = c->w->type == PRECISION_S8 && !c->floats;
@@ -435,9 +424,9 @@ static err_t conv_chunk(void *ctx, int chunk, int worker)
             out.out += ((size_t)(y + i) * (size_t)j->t.out_w + (size_t)x) * out.ldo;
             b.x = o->tile + (size_t)i * step;
             b.q = s8 ? o->room.q + (size_t)i * step : NULL;
-            finish(&b, p, smaller(panels - p, group), &out, &o->room);
+            finish(&b, p, num_min(panels - p, group), &out, &o->room);
         }
-    return check_cancel(j->r);
+    return run_check(j->r, "network");
 }
 
 err_t layer_conv_run(const struct run *r, const struct layer_conv *c, const struct layer_out *out)
@@ -482,8 +471,8 @@ static struct place place_of(int i, int n_in, int n_out, bool align)
     else
         at = ((float)i + 0.5f) * ((float)n_in / (float)n_out) - 0.5f;
     at = at > 0 ? at : 0;
-    int i0 = smaller((int)at, n_in - 1);
-    return (struct place){i0, smaller(i0 + 1, n_in - 1), at - (float)i0};
+    int i0 = num_min((int)at, n_in - 1);
+    return (struct place){i0, num_min(i0 + 1, n_in - 1), at - (float)i0};
 }
 
 void layer_resize_fetch(const void *ctx, int y, int x, int n, float *restrict out)

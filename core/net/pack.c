@@ -85,14 +85,14 @@ static float quantise(const float *row, size_t k, int8_t *out)
 void pack_panel(const struct tensor_spec *t, enum precision type, int p, const float *in,
                 const struct pack *to)
 {
-    int n = table_product(t).n;
+    int n = table_product(t).n, edge = model_rotation(t, type);
     size_t k = inputs(t);
     memset(to->out, 0, pack_panel_bytes(t, type));
     for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
         gather(t, p * PANEL + j, in, to->row);
         if (type == PRECISION_S8) {
-            if (model_rotation(t, type))
-                rotate(to->row, k, model_rotation(t, type));
+            if (edge)
+                rotate(to->row, k, edge);
             to->scale[j] = quantise(to->row, k, (int8_t *)to->out + 4 * j);
         } else if (type == PRECISION_BF16) {
             for (size_t i = 0; i < k; i++)

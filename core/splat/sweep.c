@@ -8,6 +8,7 @@
  * confirm get confidence and the mean of the confirming depths. */
 #include "core/splat/sweep.h"
 
+#include "core/base/num.h"
 #include "core/opt/response.h"
 #include "core/splat/sgm.h"
 
@@ -197,15 +198,10 @@ static void choose_near(struct sweep *s, int i)
     }
 }
 
-static int min_int(int a, int b)
-{
-    return a < b ? a : b;
-}
-
 /* Inverse depths at which the neighbours still share a good part of the picture. */
 static void choose_range(struct sweep *s, int i)
 {
-    int n = min_int(s->n_near[i], NEAR_MAX);
+    int n = num_min(s->n_near[i], NEAR_MAX);
     double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
     s->range[i][0] = s->range[i][1] = 0.0f;
     for (int k = 0; k < n; k++)
@@ -221,7 +217,7 @@ static void choose_range(struct sweep *s, int i)
     int first = TRIES, last = 0;
     for (int t = 0; t < TRIES; t++) {
         if (seen[t] >= 0.4 * top) {
-            first = min_int(first, t);
+            first = num_min(first, t);
             last = t;
         }
     }
@@ -257,7 +253,7 @@ static int count_planes(const struct task *t, const float *range)
             longest = fmax(longest, way);
         }
     }
-    return min_int(PLANES_MAX, ((int)fmin(longest / STEP_PX, 1e4) + 16) / 16 * 16);
+    return num_min(PLANES_MAX, ((int)fmin(longest / STEP_PX, 1e4) + 16) / 16 * 16);
 }
 
 /* ---- pictures ---- */
@@ -443,7 +439,7 @@ static void cost_plane(const struct task *t, int d)
             for (int k = 0; k < kept; k++)
                 sum += m->best[k * w + x];
             sum = sum * COST_UNIT / (kept * FINE);
-            c[x] = (uint8_t)(sum < 0 ? 0 : min_int(sum, 255));
+            c[x] = (uint8_t)(sum < 0 ? 0 : num_min(sum, 255));
         }
     }
 }
@@ -496,7 +492,7 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     const float *range = s->range[t->i_view];
     t->level = level;
     t->w = s->plate[level][t->i_view].size;
-    t->n_near = min_int(s->n_near[t->i_view], NEAR_MAX);
+    t->n_near = num_min(s->n_near[t->i_view], NEAR_MAX);
     for (int k = 0; k < t->n_near; k++)
         map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
     t->planes = count_planes(t, range);
