@@ -83,37 +83,13 @@ static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, 
             vst1q_s32(c + (size_t)i * g->ldc + 4 * j, row_of(&sum[i / 2][2 * j], i % 2));
 }
 
-static void product(const struct gemm_s8 *g)
-{
-    for (int p = 0; p < g->panels; p++)
-        for (int i = 0; i < g->m; i += ROWS) {
-            const int8_t *a = g->a + (size_t)i * g->lda, *w = g->w + (size_t)p * g->ldw;
-            int32_t *c = g->c + (size_t)i * g->ldc + PANEL * p;
-            switch (g->m - i) {
-            case 1:
-                tile(g, a, w, c, 1);
-                break;
-            case 2:
-                tile(g, a, w, c, 2);
-                break;
-            case 3:
-                tile(g, a, w, c, 3);
-                break;
-            case 4:
-                tile(g, a, w, c, 4);
-                break;
-            case 5:
-                tile(g, a, w, c, 5);
-                break;
-            default:
-                tile(g, a, w, c, ROWS);
-            }
-        }
-}
+#define PRODUCT gemm_s8
+#define ELEM int8_t
+#define SUM int32_t
+#include "core/kernels/tiles_body.h"
 
 void gemm_i8mm(struct gemm_kernels *k)
 {
     k->s8_name = "i8mm";
     k->s8 = product;
-    k->s8_rows = ROWS;
 }

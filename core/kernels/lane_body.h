@@ -49,30 +49,4 @@ static inline __attribute__((always_inline)) void tile(const struct PRODUCT *g, 
             v_store(c + (size_t)i * g->ldc + 4 * j, sum[i][j]);
 }
 
-static void product(const struct PRODUCT *g)
-{
-    for (int p = 0; p < g->panels; p++)
-        for (int i = 0; i < g->m; i += ROWS) {
-            const ELEM *a = g->a + (size_t)i * g->lda, *w = g->w + (size_t)p * g->ldw;
-            SUM *c = g->c + (size_t)i * g->ldc + PANEL * p;
-            switch (g->m - i) {
-            case 1:
-                tile(g, a, w, c, 1);
-                break;
-            case 2:
-                tile(g, a, w, c, 2);
-                break;
-            case 3:
-                tile(g, a, w, c, 3);
-                break;
-            case 4:
-                tile(g, a, w, c, 4);
-                break;
-            case 5:
-                tile(g, a, w, c, 5);
-                break;
-            default:
-                tile(g, a, w, c, ROWS);
-            }
-        }
-}
+#include "core/kernels/tiles_body.h"
