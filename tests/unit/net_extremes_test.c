@@ -19,27 +19,6 @@
 
 enum { VIEWS_MAX = 4, SIZE_MAX_PX = 210, SIZE_PX = 42 };
 
-static const struct net_dims tiny = {
-    .embed = 32,
-    .heads = 2,
-    .dino_depth = 1,
-    .dino_heads = 2,
-    .depth = 4,
-    .keep = {0, 1, 2, 3},
-    .qk_layer = 1,
-    .cam_depth = 1,
-    .cam_heads = 2,
-    .depth_feat = 16,
-    .gs_feat = 16,
-    .depth_oc = {8, 8, 8, 8},
-    .gs_oc = {8, 8, 8, 8},
-    .hdr = 8,
-    .size = SIZE_PX,
-    .voxel = 0.1f,
-    .gauss = true,
-    .appearance = true,
-};
-
 /* Weights that are not as they come: those whose names have this part, times a factor or set. */
 static struct {
     const char *part;
@@ -76,7 +55,7 @@ static void open_world(enum precision precision, int views, int size)
 {
     size_t keep, tmp;
     memset(&t, 0, sizeof t);
-    small_model_make(&t.model, &tiny, precision, changed, NULL);
+    small_model_make(&t.model, &small_model_tiny, precision, changed, NULL);
     assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
     kernels_init(&t.kernels, cpu_detect());
     net_plan(&t.net, views, size, 1, &keep, &tmp);
@@ -307,7 +286,7 @@ static void each(bool products, enum precision precision, float value, bool whol
     static struct names x;
     x.n = 0;
     x.products = products;
-    assert_int_equal(table_walk(&tiny, collect, &x), OK);
+    assert_int_equal(table_walk(&small_model_tiny, collect, &x), OK);
     assert_true(x.n > 100);
     change.how = SET;
     change.value = value;

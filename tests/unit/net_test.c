@@ -18,27 +18,6 @@
 
 enum { VIEWS = 2, SIZE_PX = 42, PIXELS = VIEWS * SIZE_PX * SIZE_PX };
 
-static const struct net_dims tiny = {
-    .embed = 32,
-    .heads = 2,
-    .dino_depth = 1,
-    .dino_heads = 2,
-    .depth = 4,
-    .keep = {0, 1, 2, 3},
-    .qk_layer = 1,
-    .cam_depth = 1,
-    .cam_heads = 2,
-    .depth_feat = 16,
-    .gs_feat = 16,
-    .depth_oc = {8, 8, 8, 8},
-    .gs_oc = {8, 8, 8, 8},
-    .hdr = 8,
-    .size = SIZE_PX,
-    .voxel = 0.1f,
-    .gauss = true,
-    .appearance = true,
-};
-
 static struct {
     struct small_model model;
     struct net net;
@@ -132,7 +111,7 @@ static void same_bytes_and_planned_memory(void **state)
     for (int precision = 0; precision < 3; precision++) {
         uint64_t first = 0;
         for (int i = 0; i < 3; i++) {
-            open_world(&tiny, (enum precision)precision, threads[i]);
+            open_world(&small_model_tiny, (enum precision)precision, threads[i]);
             assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
             assert_true(t.keep.peak <= t.keep_plan && t.keep.peak > 0.99 * (double)t.keep_plan);
             assert_true(t.tmp.peak <= t.tmp_plan && t.tmp.peak > 0.9 * (double)t.tmp_plan);
@@ -149,7 +128,7 @@ static void same_bytes_and_planned_memory(void **state)
 static void tapped(void **state)
 {
     (void)state;
-    open_world(&tiny, PRECISION_S8, 2);
+    open_world(&small_model_tiny, PRECISION_S8, 2);
     assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
     memset(t.out.theta + TONE_PARAMS, 0, sizeof t.out.theta - TONE_PARAMS * sizeof(float));
     uint64_t h = hash_prediction();
@@ -165,7 +144,7 @@ static void tapped(void **state)
 static void points_project_back(void **state)
 {
     (void)state;
-    open_world(&tiny, PRECISION_F32, 1);
+    open_world(&small_model_tiny, PRECISION_F32, 1);
     assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
     for (int v = 0; v < VIEWS; v++) {
         const struct camera *c = t.out.geom.cams + v;
@@ -190,7 +169,7 @@ static void points_project_back(void **state)
 
 static void without_appearance(void **state)
 {
-    struct net_dims d = tiny;
+    struct net_dims d = small_model_tiny;
     (void)state;
     d.appearance = false;
     for (int precision = 0; precision < 3; precision++) {
@@ -208,7 +187,7 @@ static void without_appearance(void **state)
 
 static void without_gaussians(void **state)
 {
-    struct net_dims d = tiny;
+    struct net_dims d = small_model_tiny;
     (void)state;
     d.appearance = d.gauss = false;
     d.gs_feat = d.hdr = 0;
@@ -231,7 +210,7 @@ static void assert_refused(err_t want)
 static void refused(void **state)
 {
     (void)state;
-    open_world(&tiny, PRECISION_S8, 1);
+    open_world(&small_model_tiny, PRECISION_S8, 1);
     const struct views good = t.v;
     t.v.n = 1;
     assert_refused(ERR_ARG);
@@ -259,7 +238,7 @@ static void refused(void **state)
 static void cancelled(void **state)
 {
     (void)state;
-    open_world(&tiny, PRECISION_S8, 2);
+    open_world(&small_model_tiny, PRECISION_S8, 2);
     t.until = INT_MAX;
     assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
     int all = INT_MAX - t.until;
@@ -279,7 +258,7 @@ static void missing_tensors(void **state)
 {
     struct net net;
     (void)state;
-    open_world(&tiny, PRECISION_F32, 1);
+    open_world(&small_model_tiny, PRECISION_F32, 1);
     for (int i = 0; i < t.model.model.n; i++) {
         struct tensor_spec *spec = &t.model.tensors[i].spec;
         char name[NET_NAME_CAP];
@@ -299,11 +278,11 @@ static void float_bits(void **state)
 {
     struct net net;
     (void)state;
-    open_world(&tiny, PRECISION_S8, 1);
+    open_world(&small_model_tiny, PRECISION_S8, 1);
     assert_int_equal(net_bind(&t.model.model, NET_FLOAT_SPECIAL | 64, &net), OK);
     assert_int_equal(net.floats, NET_FLOAT_SPECIAL);
     close_world();
-    open_world(&tiny, PRECISION_BF16, 1);
+    open_world(&small_model_tiny, PRECISION_BF16, 1);
     assert_int_equal(t.net.floats, NET_FLOAT_ALL);
     close_world();
 }

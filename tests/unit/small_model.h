@@ -15,6 +15,28 @@ enum { SMALL_TENSORS_MAX = 4096 };
 /* Values of a tensor in the order of the checkpoint. */
 typedef void small_fill_fn(void *ctx, const struct tensor_spec *spec, float *out);
 
+/* A whole network in the smallest size that has every part. */
+static const struct net_dims small_model_tiny = {
+    .embed = 32,
+    .heads = 2,
+    .dino_depth = 1,
+    .dino_heads = 2,
+    .depth = 4,
+    .keep = {0, 1, 2, 3},
+    .qk_layer = 1,
+    .cam_depth = 1,
+    .cam_heads = 2,
+    .depth_feat = 16,
+    .gs_feat = 16,
+    .depth_oc = {8, 8, 8, 8},
+    .gs_oc = {8, 8, 8, 8},
+    .hdr = 8,
+    .size = 42,
+    .voxel = 0.1f,
+    .gauss = true,
+    .appearance = true,
+};
+
 struct small_model {
     struct model model;
     small_fill_fn *fill;
