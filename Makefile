@@ -3,7 +3,7 @@
 # make install    DESTDIR= PREFIX= BOARD=           make fuzz    SECONDS= for each target (clang)
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
-# CROSS=aarch64-linux-gnu-  SAN=address,undefined
+# CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
 
 # Debian 12 packages: to build and run, and to check.
 DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
@@ -22,7 +22,7 @@ AR := $(CROSS)ar
 ARCH := $(if $(CROSS),$(firstword $(subst -, ,$(CROSS))),$(shell uname -m))
 comma := ,
 V := $(ARCH)$(if $(findstring clang,$(CC)),-clang)
-V := $(V)$(if $(SAN),-$(subst $(comma),-,$(SAN)))$(if $(WERROR),-werror)
+V := $(V)$(if $(SAN),-$(subst $(comma),-,$(SAN)))$(if $(WERROR),-werror)$(if $(PIC),-pic)
 B := build/$(V)
 
 # --- flags ----------------------------------------------------------------------------------------
@@ -31,7 +31,7 @@ OPT := -O2 -ffp-contract=off
 WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wundef \
 	$(if $(WERROR),-Werror)
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
-FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread -MMD -MP $(OPT) $(WARN) $(MORE) $(SANFLAGS) $(CFLAGS)
+FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) $(MORE) $(SANFLAGS) $(CFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
@@ -50,6 +50,7 @@ OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_amx.
 OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
 CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
 DRIVERS := $(wildcard drivers/*.c)
+SIM := $(wildcard sim/*.c)
 MAINS := $(wildcard firmware/hdrig.c firmware/hdrigd.c)
 FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*.c))
 TESTS := $(wildcard tests/unit/*_test.c tests/kernels/*_test.c tests/golden/*_test.c)
@@ -70,11 +71,11 @@ ARM_PROGRAMS = $(ARM_TESTS:%=$(B)/tests/arm/%_test)
 
 objects = $(1:%.c=$(B)/%.o)
 programs = $(1:%.c=$(B)/%)
-LIBS := $(B)/libfirmware.a $(B)/libdrivers.a $(B)/libcore.a
+LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 
 # --- build ----------------------------------------------------------------------------------------
-.PHONY: all demo check test lint format deps deps-check install clean fuzz bench \
+.PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
 	tests tsan-tests arm-tests fault-tests fuzz-targets
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -96,16 +97,24 @@ $(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstr
 # Plain loops that gcc 12 vectorises only here: half the time.
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
+$(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/config.o: MORE = -Wconversion
 
 $(B)/libcore.a: $(call objects,$(CORE))
 $(B)/libdrivers.a: $(call objects,$(DRIVERS))
 $(B)/libfirmware.a: $(call objects,$(FIRMWARE))
+$(B)/libsim.a: $(call objects,$(SIM))
 $(LIBS):
 	@mkdir -p $(@D)
 	@rm -f $@
 	$(AR) qcs $@ $^
+
+# Worlds, sensor and renderer for Python: make libsim
+libsim:
+	@$(MAKE) -s PIC=1 build/$(V)-pic/libsim.so
+$(B)/libsim.so: $(call objects,$(SIM) $(CORE))
+	$(CC) $(FLAGS) -shared $^ -lm -o $@
 
 $(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
@@ -171,7 +180,7 @@ fuzz: deps-check
 	@tests/fuzz.sh $(SECONDS)
 
 format:
-	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch]) \
+	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch] sim/*.[ch]) \
 	    $(wildcard tests/*/*.[ch])
 
 # A value for scripts: make -s print-B

@@ -83,7 +83,7 @@ lints() {
         --enable=warning,performance,portability --suppress=shiftTooManyBits \
         --suppress=shiftNegative --suppress=integerOverflow --suppress=arrayIndexThenCheck \
         --suppress=uninitStructMember --suppress=ctuArrayIndex \
-        --suppress=preprocessorErrorDirective core drivers firmware
+        --suppress=preprocessorErrorDirective core drivers firmware sim
 }
 
 sanitizers() {

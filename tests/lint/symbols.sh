@@ -1,6 +1,6 @@
 #!/bin/sh
 # Every symbol that leaves a file starts with the file's name and '_'; for op_ISA.c, with op_.
-for lib in core drivers firmware; do
+for lib in core drivers sim firmware; do
     nm -A -g --defined-only "$1/lib$lib.a" 2>/dev/null
 done | awk '
 {

@@ -1,0 +1,46 @@
+/* bundle.h - cameras that are right: bundle adjustment of cameras, one focal length and points on
+ * tracks (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
+ * points eliminated (Schur complement), Cauchy loss, graduated from wide to narrow.
+ * Where it starts from is chosen by the final cost: the network's cameras, and cameras from the
+ * tracks alone (two-view geometry by RANSAC, rotations averaged, translations and points linear).
+ * Pure computation; deterministic: random draws come from a fixed seed. */
+#ifndef OPT_BUNDLE_H
+#define OPT_BUNDLE_H
+
+#include "core/opt/match.h"
+#include "core/types.h"
+
+struct bundle_config {
+    const struct camera *start; // (n_views) for v->size, or NULL: none
+    const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used
+    float focal;                // px, 0: from `start`, else that of 60 degrees
+    bool focal_known;           // keep it
+    bool rig_known;             // rotations and centres of `start` relative to each other are
+                                // calibrated: only focal (if not known) and points move
+};
+
+struct bundle_result {
+    struct camera
+        *cams;          // (n_views), one shared fx = fy, principal point at the centre; world: that
+                        // of `start` (best similarity) or the first camera's
+    float *points;      // (n_tracks, 3), NaN where a track was rejected
+    float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if
+                        // not known
+    float rms_px;       // of the inliers
+    int inliers, sightings;
+    int n_placed;     // views that are tied to the others by enough inliers
+    bool *placed;     // (n_views); the cameras of others are those of `start`, moved along, or
+                      // copies of the nearest placed one
+    float confidence; // 0 nothing is known .. 1: share of inliers x placed views x parallax
+    bool from_tracks; // which start won
+};
+
+/* err:  ERR_ARG, ERR_NOMEM (see bundle_plan, bundle_keep), ERR_CANCELLED. Too few tracks are no
+ *       error: confidence is 0 and cams those of `start`, or all in one place. */
+MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,
+                          const struct match_tracks *tracks, const struct bundle_config *cfg,
+                          struct bundle_result *out);
+size_t bundle_plan(int n_views, int n_seen);
+size_t bundle_keep(int n_views, int n_tracks);
+
+#endif

@@ -1,0 +1,46 @@
+/* match.h - the same points in several photographs of mixed exposure: corners, descriptors that do
+ * not see the exposure, matches that agree both ways, sub-pixel positions, tracks over views. The
+ * network's attention narrows the search where there is one (model-spec 2.7: q and k of the fusion
+ * layer, before rotary embedding).
+ * Pure computation on the pool; the result does not depend on the number of threads. */
+#ifndef OPT_MATCH_H
+#define OPT_MATCH_H
+
+#include "core/net/net.h"
+#include "core/types.h"
+
+/* One point seen in one view. */
+struct match_seen {
+    int track, view; // sorted by track, then view; a track has a view at most once
+    float u, v;      // px of v->size, pixel centres at + 0.5
+    float sigma;     // px, expected error, > 0
+};
+
+struct match_tracks {
+    int n_tracks, n;         // tracks of 2 or more views; sightings
+    struct match_seen *seen; // (n)
+};
+
+/* Where the patches of one view are found in another: for each token its best few tokens there. */
+enum { MATCH_PRIOR = 4 };
+struct match_prior {
+    int n_views, grid;
+    int16_t *token; // (n_views, grid^2, n_views, MATCH_PRIOR) token of the other view or -1
+    float *share;   // same shape: share of the attention that goes there, 0..1
+};
+
+/* From the tokens of the network (t->q, t->k not NULL).
+ * out:  lives in r->keep
+ * err:  ERR_NOMEM, ERR_CANCELLED */
+MUST_USE err_t match_attend(const struct run *r, const struct tokens *t, struct match_prior *out);
+
+/* Find tracks. prior: NULL searches everywhere.
+ * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees.
+ * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */
+enum { MATCH_SEEN_MAX = 1 << 16 };
+MUST_USE err_t match_run(const struct run *r, const struct views *v,
+                         const struct match_prior *prior, struct match_tracks *out);
+size_t match_plan(int n_views, int size, int threads);
+size_t match_keep(int n_views, int size);
+
+#endif

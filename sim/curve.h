@@ -1,0 +1,42 @@
+/* curve.h - families of camera response curves: relative exposure (1 = full scale of a linear
+ * sensor) to display value 0..1. Monotone, continuous, finite for every input.
+ * Pure functions; any thread. */
+#ifndef SIM_CURVE_H
+#define SIM_CURVE_H
+
+#include <stdint.h>
+
+enum curve_family {
+    CURVE_LINEAR,
+    CURVE_SRGB,   // IEC 61966-2-1, clipped at 1
+    CURVE_GAMMA,  // power 1 / param, 1.6..3
+    CURVE_FILMIC, // toe and shoulder, rational; param 0..1: strength of the shoulder
+    CURVE_AGX,    // sigmoid in log2 exposure, as AgX-like view transforms; param: stops of range
+    CURVE_LOG,    // camera logs: log2(1 + a x) / log2(1 + a); param: log2 a
+    CURVE_RANDOM, // random monotone spline in log exposure around sRGB, by seed; param: strength
+    CURVE_FAMILIES
+};
+
+enum { CURVE_STEPS = 1024 };
+
+/* A curve, tabulated over log2 of exposure so that evaluation is one lookup. */
+struct curve {
+    enum curve_family family;
+    float param;
+    float lo, hi;                 // log2 exposure of the first and last entry
+    float table[CURVE_STEPS + 1]; // display values, not falling
+};
+
+/* param outside of the family's range is clamped. */
+void curve_make(enum curve_family family, float param, uint64_t seed, struct curve *out);
+
+/* Family and parameter drawn by the seed, as training uses them (never LINEAR). */
+void curve_draw(uint64_t seed, struct curve *out);
+
+/* Display value, 0..1, of relative exposure x; negative and NaN count as 0. */
+float curve_display(const struct curve *c, float x);
+
+/* Smallest relative exposure with that display value, within one entry of the table. */
+float curve_exposure(const struct curve *c, float display);
+
+#endif

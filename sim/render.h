@@ -1,0 +1,42 @@
+/* render.h - photographs of a world with exact radiance, depth and normals. Ray casting with soft
+ * shadows from lamps, windows and sun, indirect light from a grid of probes, and one mirror bounce
+ * for gloss.
+ * Pure computation on the pool; the result does not depend on the number of threads. */
+#ifndef SIM_RENDER_H
+#define SIM_RENDER_H
+
+#include "sim/world.h"
+
+struct render; // a world prepared for pictures: hierarchy of boxes, probes
+
+struct render_quality {
+    int samples; // rays per pixel and axis, 1..8: 1 for training, 4 for reference pictures
+    int shadow;  // shadow rays per light and sample, 1..64
+};
+
+/* Prepare w, which must outlive *out.
+ * out:  lives in `keep`.
+ * err:  ERR_NOMEM (see render_keep), ERR_CANCELLED */
+MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render **out);
+size_t render_keep(void);
+
+/* Radiance along rays that hit nothing is that of the sky; their depth is RENDER_FAR. */
+#define RENDER_FAR 1000.0f // m
+
+/* What a picture consists of; any pointer may be NULL. */
+struct render_maps {
+    float *radiance; // (3, h, w) linear, >= 0, finite
+    float *depth;    // (h, w) z in the camera at the pixel's centre, m
+    float *normal;   // (3, h, w) world, unit, towards the camera; 0 where nothing is hit
+};
+
+/* One picture of cam->w x cam->h, both 1..4096.
+ * err:  ERR_ARG (camera, quality), ERR_CANCELLED */
+MUST_USE err_t render_run(const struct run *r, const struct render *s, const struct camera *cam,
+                          const struct render_quality *q, uint64_t seed,
+                          const struct render_maps *out);
+
+/* Distance along the unit direction d from o to the first surface, m; RENDER_FAR if none. */
+float render_ray(const struct render *s, const float o[3], const float d[3]);
+
+#endif

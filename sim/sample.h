@@ -1,0 +1,59 @@
+/* sample.h - one world photographed by a rig: what training and `hdrig simulate` take. Also built as
+ * build/ARCH/libsim.so, which sim/train calls through ctypes.
+ * Thread: any; calls with different arenas are independent. */
+#ifndef SIM_SAMPLE_H
+#define SIM_SAMPLE_H
+
+#include "sim/render.h"
+#include "sim/sensor.h"
+
+struct sample_ask {
+    uint64_t seed;
+    int kind;          // enum world_kind
+    int n_views, size; // 1..64; px, 14..1024
+    float spread;      // as in struct world_path
+    float fov_deg;     // as in struct world_path
+    int jitter;        // bool
+    struct render_quality quality;
+};
+
+/* Radiance, depth and cameras of all views.
+ * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
+ *       radiance and depth may be NULL. *key: exposure time x electrons that puts the median of the
+ *       median view at 18 % of full scale of the sensor: an exposure of 2^0.
+ * err:  ERR_ARG, ERR_NOMEM, ERR_CANCELLED */
+MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
+                           float *depth, struct camera *cams, double *key);
+
+/* How a radiance image is photographed. */
+struct sample_camera {
+    int size;                    // px, edge of the picture
+    double key;                  // of sample_make
+    const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
+    const struct curve *curve;
+    uint64_t seed; // of the noise
+};
+
+/* Photographs at the exposures 2^stops[i] times key.
+ * out:  px (n, size, size, 3) */
+MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
+                             const float *radiance, int n, const float *stops, uint8_t *px);
+
+/* ---- for ctypes: one thread, own memory; 0 on success, else the err_t ---- */
+
+struct sample_request { // all that Python fills in
+    struct sample_ask ask;
+    int noise;        // 0 or 1: sensor_default or none
+    int curve_family; // enum curve_family, or -1: drawn by curve_seed
+    float curve_param;
+    uint64_t curve_seed, noise_seed;
+};
+
+/* cams (n_views, 11): fx fy cx cy, q wxyz, t. */
+int sample_photograph(const struct sample_request *q, float *radiance, float *depth, float *cams,
+                      double *key);
+int sample_develop(const struct sample_request *q, double key, const float *radiance, int n,
+                   const float *stops, uint8_t *px);
+const char *sample_error(void);
+
+#endif
