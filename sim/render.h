@@ -15,10 +15,13 @@ struct render_quality {
 };
 
 /* Prepare w, which must outlive *out.
- * out:  lives in `keep`.
- * err:  ERR_NOMEM (see render_keep), ERR_CANCELLED */
+ * out:  lives in r->keep.
+ * err:  ERR_NOMEM (see render_keep, render_plan), ERR_CANCELLED */
 MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render **out);
 size_t render_keep(void);
+
+/* Bytes that render_open, and render_run for a picture of w x h px, take from r->tmp. */
+size_t render_plan(int w, int h);
 
 /* Radiance along rays that hit nothing is that of the sky; their depth is RENDER_FAR. */
 #define RENDER_FAR 1000.0f // m
@@ -30,8 +33,9 @@ struct render_maps {
     float *normal;   // (3, h, w) world, unit, towards the camera; 0 where nothing is hit
 };
 
-/* One picture of cam->w x cam->h, both 1..4096.
- * err:  ERR_ARG (camera, quality), ERR_CANCELLED */
+/* One picture of cam->w x cam->h, both 1..4096. Shadows of large lights are smoothed over 5 x 5 px
+ * of one surface where fewer than 4 rays a pixel ask for them, over 3 x 3 where fewer than 16.
+ * err:  ERR_ARG (camera, quality), ERR_NOMEM (r->tmp, see render_plan), ERR_CANCELLED */
 MUST_USE err_t render_run(const struct run *r, const struct render *s, const struct camera *cam,
                           const struct render_quality *q, uint64_t seed,
                           const struct render_maps *out);

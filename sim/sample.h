@@ -18,12 +18,19 @@ struct sample_ask {
 };
 
 /* Radiance, depth and cameras of all views.
- * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
- *       radiance and depth may be NULL. *key: exposure time x electrons that puts the median of the
- *       median view at 18 % of full scale of the sensor: an exposure of 2^0.
- * err:  ERR_ARG, ERR_NOMEM, ERR_CANCELLED */
+ * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; depth may be
+ *       NULL. *key: exposure time, s, with which the median luminance of the view whose median is
+ *       the middle one fills 18 % of the wells of sensor_default: an exposure of 2^0.
+ * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
+
+/* Bytes that sample_make takes from r->tmp with a pool of `threads`; also enough for sample_expose
+ * of one such picture. */
+size_t sample_plan(int size, int threads);
+
+/* Bytes of r->tmp that sample_make and sample_expose take. */
+size_t sample_plan(void);
 
 /* How a radiance image is photographed. */
 struct sample_camera {
@@ -34,8 +41,10 @@ struct sample_camera {
     uint64_t seed; // of the noise
 };
 
-/* Photographs at the exposures 2^stops[i] times key.
- * out:  px (n, size, size, 3) */
+/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key; i is the
+ * number of the frame, for the noise.
+ * out:  px (n, size, size, 3)
+ * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
                              const float *radiance, int n, const float *stops, uint8_t *px);
 
