@@ -30,13 +30,16 @@ struct world_solid {
     enum world_shape shape;
     float size[3], taper; // m, > 0; 0..1
     float r[9], t[3];     // x_world = r x_local + t, r a rotation, row-major
+    float origin[3];      // m; textures are evaluated at x_local + origin, so that solids of one
+                          // material differ and the pieces of a wall continue each other
     int material;
 };
 
 /* A place that light is gathered from directly: a solid that emits, or a window. */
 struct world_light {
     int solid;        // that emits, or -1: an opening to the sky
-    float r[9], t[3]; // frame of the opening; its rectangle is |x| <= size[0], |y| <= size[1]
+    float r[9], t[3]; // frame of the opening, z into the room; its rectangle is |x| <= size[0],
+                      // |y| <= size[1]
     float size[2];    // m
 };
 
