@@ -1,0 +1,48 @@
+"""Checkpoint of train.py to a weights file: python3 sim/train/export.py CKPT OUT.safetensors
+Writes OUT.json beside it; then: hdrig convert OUT.safetensors --config OUT.json --out M.hdrig"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+
+import numpy as np
+import torch
+
+import model
+
+
+def write_tensors(path: str, tensors: dict[str, torch.Tensor]) -> None:
+    """A .safetensors file: length of the header, header in JSON, the values."""
+    header, blobs, at = {}, [], 0
+    for name, t in tensors.items():
+        a = np.ascontiguousarray(t.detach().float().cpu().numpy())
+        header[name] = {"dtype": "F32", "shape": list(a.shape), "data_offsets": [at, at + a.nbytes]}
+        blobs.append(a)
+        at += a.nbytes
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    with open(path + ".part", "wb") as f:
+        f.write(struct.pack("<Q", len(text)))
+        f.write(text)
+        for a in blobs:
+            f.write(a.tobytes())
+    os.replace(path + ".part", path)
+
+
+def export(net: model.Net, path: str, state: dict | None = None) -> None:
+    write_tensors(path, state or net.state_dict())
+    net.d.write(os.path.splitext(path)[0] + ".json")
+
+
+def load(path: str) -> model.Net:
+    c = torch.load(path, map_location="cpu", weights_only=False)
+    net = model.Net(model.Dims(**c["dims"]))
+    net.load_state_dict(c.get("average") or c["model"])
+    return net
+
+
+if __name__ == "__main__":
+    export(load(sys.argv[1]), sys.argv[2])

@@ -1,0 +1,96 @@
+"""model.py against the C network, with weights that model.py makes.
+
+    python3 sim/train/parity.py [CKPT] [--images DIR] [--size N] [--hdrig build/hdrig]
+
+Exports the weights (CKPT, or random ones with every bias disturbed), converts them, reconstructs
+the pictures with --refine 0 --dump and compares poses, depth, raw Gaussians and curves. The bar is
+1e-3 of the largest value."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+import torch
+
+import export
+import model
+
+BAR = 1e-3
+
+
+def disturb(net: model.Net) -> None:
+    g = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for p in net.parameters():
+            p.add_(0.02 * torch.randn(p.shape, generator=g))
+
+
+def main() -> int:
+    a = argparse.ArgumentParser()
+    a.add_argument("ckpt", nargs="?")
+    a.add_argument("--images", default="tests/data/room")
+    a.add_argument("--size", type=int, default=168)
+    a.add_argument("--hdrig", default="build/hdrig")
+    q = a.parse_args()
+    torch.manual_seed(1)
+    net = export.load(q.ckpt) if q.ckpt else model.make(model.Dims())
+    if not q.ckpt:
+        disturb(net)
+    with tempfile.TemporaryDirectory() as d:
+        dump = reconstruct(net, q, d)
+        return compare(net, dump)
+
+
+def reconstruct(net: model.Net, q: argparse.Namespace, d: str) -> dict:
+    export.export(net, f"{d}/w.safetensors")
+    run = lambda *x: subprocess.run([q.hdrig, *x], check=True, stdout=subprocess.DEVNULL,
+                                    stderr=subprocess.DEVNULL)
+    run("convert", f"{d}/w.safetensors", "--config", f"{d}/w.json", "--precision", "fp32",
+        "--out", f"{d}/m.hdrig")
+    images = f"{d}/in/images"
+    os.makedirs(images)
+    times = json.load(open(f"{q.images}/exposure.json"))
+    names = sorted(n for n in times if n.startswith("train"))[:3]
+    for n in names:
+        os.symlink(os.path.abspath(f"{q.images}/images/{n}"), f"{images}/{n}")
+    json.dump({n: times[n] for n in names}, open(f"{d}/in/exposure.json", "w"))
+    run("reconstruct", "--images", f"{d}/in", "--model", f"{d}/m.hdrig", "--refine", "0",
+        "--size", str(q.size), "--dump", f"{d}/dump", "--out", f"{d}/scene", "--precision", "fp32")
+    files = {n[:-4]: f"{d}/dump/{n}" for n in os.listdir(f"{d}/dump") if n.endswith(".npy")}
+    return {n: np.load(p) for n, p in files.items()}
+
+
+def compare(net: model.Net, dump: dict) -> int:
+    images = torch.from_numpy(dump["input.image"])
+    stops = torch.from_numpy(dump["hdr.rel_logt"])
+    with torch.no_grad():
+        o = net.eval()(images, stops)
+    got = {f"camera.pose_enc_iter{i}": p for i, p in enumerate(o["pose"][:-1])}
+    got["fusion.q"], got["fusion.k"] = (t[0] for t in o["qk"])
+    got["depth.depth"] = o["log_depth"].exp()
+    got["gs.raw88"] = o["raw"]
+    got["tone.params"] = o["theta"]
+    for k, i in enumerate(net.d.keep):
+        got[f"agg.keep{i}"] = o["keep"][k]
+    got["camera.pose_enc_iter3"] = o["pose"][-1]
+    bad = 0
+    for name, t in got.items():
+        want, have = dump[name].ravel(), t.numpy().ravel()
+        if name.startswith("camera.pose"):  # the dump is before ReLU
+            want, have = (x.reshape(-1, 9).copy() for x in (want, have))
+            want[:, 7:], have[:, 7:] = np.maximum(want[:, 7:], 0), np.maximum(have[:, 7:], 0)
+            want, have = want.ravel(), have.ravel()
+        err = np.abs(want - have).max() / np.abs(want).max() if want.size == have.size else np.inf
+        bad += not err <= BAR
+        print(f"{name:24s} {want.size:9d} {err:.2e}{'' if err <= BAR else '  <-- differs'}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
