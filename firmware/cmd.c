@@ -220,6 +220,9 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
     const int size = network ? network->net.d.size : SIZE_DEFAULT;
     return (struct job_config){.size = cfg->size ? cfg->size : size,
                                .network = network,
+                               .polish = cfg->cameras_polish != 0,
+                               .stereo = cfg->start_stereo != 0,
+                               .fov_deg = (float)cfg->cameras_fov_deg,
                                .refine = {.steps = cfg->refine_steps,
                                           .degree_max = cfg->refine_sh_degree_max,
                                           .gaussians_max = cfg->refine_gaussians_max,

@@ -105,6 +105,7 @@ int cmd_reconstruct_run(int argc, char **argv);
 int cmd_render_run(int argc, char **argv);
 int cmd_eval_run(int argc, char **argv);
 int cmd_convert_run(int argc, char **argv);
+int cmd_simulate_run(int argc, char **argv);
 int cmd_bench_run(int argc, char **argv);
 int cmd_doctor_run(int argc, char **argv);
 int cmd_config_run(int argc, char **argv);

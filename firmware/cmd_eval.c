@@ -159,11 +159,11 @@ static err_t list_both(struct imageset_request rq, struct imageset *train, struc
     return e ? e : imageset_list(&rq, test);
 }
 
-/* Whether the network has to find the cameras; then those of the data set, if it has some, are only
+/* Whether the cameras have to be found; then those of the data set, if it has some, are only
  * compared. */
-static bool cameras_unknown(const struct state *st, const struct network *network)
+static bool cameras_unknown(const struct state *st)
 {
-    return network && !st->train.capture.shots[0].has_camera;
+    return !st->train.capture.shots[0].has_camera;
 }
 
 static err_t list(struct state *st, const struct request *rq)
@@ -228,7 +228,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
     if (e)
         return e;
     const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
-    bool unknown = cameras_unknown(st, network);
+    bool unknown = cameras_unknown(st);
     if (unknown)
         add_testcams(st, &job, &need);
     e = reserve(st, rq, need, &most);

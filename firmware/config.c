@@ -30,6 +30,12 @@ static const struct key keys[] = {
      "highest degree of the spherical harmonics"},
     {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 200000,
      "most Gaussians in a refined scene"},
+    {"cameras.polish", FIELD(cameras_polish), 0, 1, 1, 1,
+     "bundle adjustment of cameras that are not known; 0 = as the network says"},
+    {"cameras.fov_deg", FIELD(cameras_fov_deg), 0, 150, 1, 0,
+     "horizontal field of view of cameras that are not known; 0 = to be found"},
+    {"start.stereo", FIELD(start_stereo), 0, 1, 1, 1,
+     "refinement starts from 1 stereo, 0 the network's Gaussians"},
     {"net.float_parts", FIELD(net_float_parts), 0, 15, 1, 0,
      "int8 parts in floats: 1 blocks, 2 attention, 4 heads, 8 special tokens"},
 };

@@ -23,6 +23,8 @@ struct config {
     int refine_steps;
     int refine_sh_degree_max; // 0..4
     int refine_gaussians_max;
+    int cameras_polish, cameras_fov_deg;
+    int start_stereo;
     int net_float_parts; // NET_FLOAT_ bits of core/net/net.h
 };
 

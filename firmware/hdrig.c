@@ -14,6 +14,7 @@ static const struct {
     {"render", "pictures of a scene from other places", cmd_render_run},
     {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},
     {"convert", "weights of a network for this program", cmd_convert_run},
+    {"simulate", "a simulated scene as a data set, with the truth", cmd_simulate_run},
     {"bench", "figures of this machine against its limits", cmd_bench_run},
     {"doctor", "what this machine has", cmd_doctor_run},
     {"config", "the settings and their values", cmd_config_run},

@@ -14,8 +14,8 @@
 #include <string.h>
 
 static const char *const stage_names[JOB_STAGES] = {
-    "preprocess", "response", "sweep",  "seed",   "backbone", "heads",
-    "appearance", "voxel",    "refine", "render", "write",    "measure"};
+    "preprocess", "response", "cameras", "sweep",  "seed",  "backbone", "heads",
+    "appearance", "voxel",    "refine",  "render", "write", "measure"};
 
 static void announce(const struct run *r, enum job_stage stage)
 {
@@ -50,6 +50,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     job_lap(out, JOB_RESPONSE);
     if (!e)
         e = start_run(r, &cfg, out);
+    cfg.refine.poses = cfg.refine.poses || out->cameras.found;
     if (!e && refines(&cfg))
         e = refine_run(r, &out->views, &cfg.refine, &out->scene, &out->refine);
     job_lap(out, JOB_REFINE);
@@ -72,17 +73,18 @@ static struct job_config within(const struct job_config *cfg, int n_views)
     return out;
 }
 
-static err_t check_capture(const struct capture *c, bool need_cameras)
+/* All cameras are known, or none. */
+static err_t check_capture(const struct capture *c)
 {
     if (c->n < 2)
         return err_fail(ERR_ARG, "%d view, a scene needs at least 2", c->n);
-    for (int i = 0; i < c->n && need_cameras; i++)
-        if (!c->shots[i].has_camera)
+    for (int i = 1; i < c->n; i++)
+        if (c->shots[i].has_camera != c->shots[0].has_camera)
             return err_fail(ERR_ARG,
-                            "%s: its camera is not known; give --rig PATH, or put a sparse/0 "
-                            "folder beside the pictures, or let a network estimate it: --model "
-                            "FILE",
-                            c->shots[i].name);
+                            "%s: its camera is not known, that of %s is; give all of them with "
+                            "--rig PATH, or none: --rig none",
+                            c->shots[c->shots[i].has_camera ? 0 : i].name,
+                            c->shots[c->shots[i].has_camera ? i : 0].name);
     return OK;
 }
 
@@ -98,13 +100,16 @@ int job_most(const struct job_config *asked, int n_views)
 err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
                struct job_memory *out)
 {
-    err_t e = check_capture(c, asked->network == NULL);
+    struct camera known;
+    err_t e = check_capture(c);
     if (e)
         return e;
     struct job_config cfg = within(asked, c->n);
-    struct views v = {.n = c->n, .size = cfg.size}; // all that plans look at
+    const struct views v = {.n = c->n, // all that plans look at
+                            .size = cfg.size,
+                            .cams = c->shots[0].has_camera ? &known : NULL};
     size_t keep, tmp;
-    *out = start_plan(&cfg, c->n, threads, tapped);
+    *out = start_plan(&cfg, &v, threads, tapped);
     for (int i = 0; i < c->n; i++)
         out->pictures = arena_add(out->pictures, arena_need((size_t)c->shots[i].image.w,
                                                             (size_t)c->shots[i].image.h * 3));
@@ -135,6 +140,20 @@ void job_warn(struct job_result *j, const char *fmt, ...)
     va_start(ap, fmt);
     vsnprintf(j->warnings[j->n_warnings++], sizeof j->warnings[0], fmt, ap);
     va_end(ap);
+}
+
+static void report_cameras(const struct job_cameras *c, struct report *rep)
+{
+    if (!c->found)
+        return;
+    report_open(rep, "cameras", '{');
+    report_number(rep, "confidence", (double)c->confidence);
+    report_number(rep, "rms_px", (double)c->rms_px);
+    report_int(rep, "points_seen", c->sightings);
+    report_int(rep, "points_agree", c->inliers);
+    report_int(rep, "views_placed", c->placed);
+    report_bool(rep, "start_was_network", !c->from_tracks);
+    report_close(rep);
 }
 
 static void report_words(struct report *rep, const char *key, int n, const char *first,
@@ -185,6 +204,7 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     report_number(rep, "mid_exposure_log2", (double)j->scene.tone.mid_log2t);
     if (!j->measured_only)
         report_making(j, rep);
+    report_cameras(&j->cameras, rep);
     report_seconds(j, rep);
     report_number(rep, "peak_rss_mb", engine_peak_rss_mb());
     report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);

@@ -1,6 +1,6 @@
 /* job.h - one capture through all steps: the map of the project (house rules, section 3).
- * Without a network cameras must be known: response curve, depth by plane sweep, seeds. With one it
- * makes the first Gaussians. Then refinement. */
+ * Response curve; cameras, if they are not known, by the network and bundle adjustment; first
+ * Gaussians by the network or by stereo; refinement. */
 #ifndef FIRMWARE_JOB_H
 #define FIRMWARE_JOB_H
 
@@ -13,6 +13,7 @@
 enum job_stage {
     JOB_PREPROCESS,
     JOB_RESPONSE,
+    JOB_CAMERAS, // where they were not known, or a network needs a scale
     JOB_SWEEP,
     JOB_SEED,
     JOB_BACKBONE,
@@ -32,7 +33,10 @@ struct job_config {
     int size; // px, edge of the square views
     struct refine_config refine;
     const struct network *network; // NULL: none
-    float dump_log2t[3];           // exposures of the dumped picture, if run.tap is set
+    bool polish;         // bundle adjustment of the network's cameras; always without a network
+    bool stereo;         // refinement starts from stereo also if a network gave Gaussians
+    float fov_deg;       // of cameras that are not known, horizontal; 0: to be found
+    float dump_log2t[3]; // exposures of the dumped picture, if run.tap is set
 };
 
 struct job_memory {
@@ -40,11 +44,21 @@ struct job_memory {
     size_t keep, tmp;         // arenas
 };
 
+/* How cameras that were not known were found. */
+struct job_cameras {
+    bool found;       // false: they were known, or are the network's own
+    bool from_tracks; // bundle adjustment did better without the network's
+    float confidence; // bundle.h
+    float rms_px;
+    int inliers, sightings, placed; // points seen; views
+};
+
 struct job_result {
     struct views views;      // in keep; n is 0 if the photographs are not at hand
     struct tonemap response; // before refinement
     struct scene scene;      // in keep
     struct refine_report refine;
+    struct job_cameras cameras;
     double start_s, lap_s; // of the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run

@@ -8,6 +8,7 @@
 #include "core/splat/turn.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 static const float DARKEST = 1.0f / 512; // display value
@@ -111,7 +112,8 @@ double network_seconds(const struct network_clock *c, const char *const *names)
 
 size_t network_place_plan(int n_views)
 {
-    return arena_add(turn_plan(n_views), arena_need((size_t)n_views, sizeof(struct camera)));
+    return arena_add(arena_add(turn_plan(n_views), arena_need((size_t)n_views, sizeof(float))),
+                     arena_need((size_t)n_views, sizeof(struct camera)));
 }
 
 struct place {
@@ -145,13 +147,38 @@ static err_t move(const struct place *pl)
                : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
 }
 
-err_t network_place(const struct run *r, const struct camera *cams, struct prediction *p,
-                    float *scale)
+static int ascending(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+/* Each view's depth at its own scale over the median one. */
+static err_t scale_depth(const struct run *r, const float *factor, struct geometry *g,
+                         float *median)
+{
+    const size_t n = (size_t)g->n_views, pixels = (size_t)g->size * (size_t)g->size;
+    float *sorted;
+    err_t e = arena_alloc(r->tmp, n, sizeof *sorted, &sorted);
+    if (e)
+        return e;
+    memcpy(sorted, factor, n * sizeof *sorted);
+    qsort(sorted, n, sizeof *sorted, ascending);
+    *median = sorted[n / 2];
+    for (size_t i = 0; i < n; i++)
+        for (size_t k = 0; k < pixels; k++)
+            g->depth[i * pixels + k] *= factor[i] / *median;
+    return OK;
+}
+
+err_t network_place(const struct run *r, const struct camera *cams, const float *depth_scale,
+                    struct prediction *p, float *scale)
 {
     struct geometry *g = &p->geom;
     const size_t n = (size_t)g->n_views, mark = arena_mark(r->tmp);
     struct camera *own;
-    err_t e = turn_scale(r, g->cams, cams, g->n_views, scale);
+    err_t e = depth_scale ? scale_depth(r, depth_scale, g, scale)
+                          : turn_scale(r, g->cams, cams, g->n_views, scale);
     if (!e)
         e = arena_alloc(r->tmp, n, sizeof *own, &own);
     if (!e) {

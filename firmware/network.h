@@ -54,13 +54,15 @@ double network_seconds(const struct network_clock *clock, const char *const *nam
 
 /* ---- from prediction to scene ---- */
 
-/* The factor from the network's world to that of known cameras (turn.h), and p's geometry, points
- * and features moved to that world divided by the factor: sizes stay those that the network knows.
- * Pixels are unprojected anew, by the known cameras.
- * cams: (n_views) known, for p->geom.size.
+/* The factor from the network's world to that of cameras that are known better, and p's geometry,
+ * points and features moved to that world divided by the factor: sizes stay those that the network
+ * knows. Pixels are unprojected anew, by these cameras.
+ * cams: (n_views) for p->geom.size.
+ * depth_scale: (n_views) factor of each view's depth, then the median is that of the world; NULL:
+ *       the distances of the cameras say (turn.h).
  * err:  ERR_NOMEM (r->tmp, see network_place_plan), ERR_CANCELLED. */
-MUST_USE err_t network_place(const struct run *r, const struct camera *cams, struct prediction *p,
-                             float *scale);
+MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
+                             const float *depth_scale, struct prediction *p, float *scale);
 size_t network_place_plan(int n_views);
 
 /* Gaussians of a prediction, merged (voxel.h). max: most of them, 0 = any number; the cell grows

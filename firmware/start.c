@@ -7,18 +7,32 @@
 
 #include "firmware/dump.h"
 #include "firmware/engine.h"
+#include "firmware/locate.h"
 
 #include "core/base/num.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/seed.h"
 #include "core/splat/sweep.h"
 
+#include <math.h>
 #include <string.h>
 
 /* The network's planes stay where they are. */
 static bool in_place(const struct job_config *cfg)
 {
     return cfg->network && cfg->network->net.d.gauss && cfg->refine.steps == 0;
+}
+
+/* Whether the network's Gaussians begin the scene; else it gives cameras and perhaps depth. */
+static bool takes_gaussians(const struct job_config *cfg)
+{
+    return cfg->network->net.d.gauss && (cfg->refine.steps == 0 || !cfg->stereo);
+}
+
+/* Whether bundle adjustment follows the network. What is dumped is the network's own. */
+static bool locates(const struct run *r, const struct job_config *cfg, const struct job_result *out)
+{
+    return cfg->polish && !r->tap && (!out->views.cams || takes_gaussians(cfg));
 }
 
 static void announce(const struct run *r, const char *stage)
@@ -68,26 +82,84 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg,
 static err_t by_stereo(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
     struct depthmaps depth;
-    size_t mark = arena_mark(r->keep);
     announce(r, "sweep");
     err_t e = sweep_run(r, &out->views, &out->response, &depth);
     job_lap(out, JOB_SWEEP);
+    return e ? e : place_seeds(r, cfg, &depth, out);
+}
+
+/* ---- cameras ---- */
+
+static void sum_up(const struct bundle_result *b, struct job_result *out)
+{
+    const int lost = out->views.n - b->n_placed;
+    out->cameras = (struct job_cameras){.found = true,
+                                        .from_tracks = b->from_tracks,
+                                        .confidence = b->confidence,
+                                        .rms_px = b->rms_px,
+                                        .inliers = b->inliers,
+                                        .sightings = b->sightings,
+                                        .placed = b->n_placed};
+    if (b->confidence < LOCATE_SURE)
+        job_warn(out, "cameras are a guess: the views have too few points in common (%d)",
+                 b->inliers);
+    else if (lost > 0)
+        job_warn(out, "%d of %d views have too little in common with the others", lost,
+                 out->views.n);
+}
+
+/* Bundle adjustment. Of cameras that are known only the scale of the network's depth is wanted.
+ * p: of the network, or NULL. */
+static err_t find_cameras(const struct run *r, const struct job_config *cfg,
+                          const struct prediction *p, struct job_result *out,
+                          struct bundle_result *b)
+{
+    const struct views *v = &out->views;
+    const bool known = v->cams != NULL;
+    struct bundle_config want = {.start = known ? v->cams
+                                          : p   ? p->geom.cams
+                                                : NULL,
+                                 .start_depth = p ? p->geom.depth : NULL,
+                                 .focal_known = known || cfg->fov_deg > 0,
+                                 .rig_known = known};
+    if (!known && cfg->fov_deg > 0)
+        want.focal = (float)v->size / 2 / tanf(cfg->fov_deg * 3.14159265f / 360);
+    err_t e = locate_run(r, v, p && p->matches.token ? &p->matches : NULL, &want, b);
+    if (!e && !known) {
+        memcpy(out->scene.cams, b->cams, (size_t)v->n * sizeof *b->cams);
+        sum_up(b, out);
+    }
+    job_lap(out, JOB_CAMERAS);
+    return e;
+}
+
+static err_t without_network(const struct run *r, const struct job_config *cfg,
+                             struct job_result *out)
+{
+    struct bundle_result b;
+    const size_t mark = arena_mark(r->keep);
+    err_t e = out->views.cams ? OK : find_cameras(r, cfg, NULL, out, &b);
+    out->views.cams = out->scene.cams;
     if (!e)
-        e = place_seeds(r, cfg, &depth, out);
+        e = by_stereo(r, cfg, out);
     arena_reset(r->keep, mark);
     return e;
 }
 
 /* ---- the network ---- */
 
-static err_t forward(const struct run *r, const struct network *n, struct job_result *out,
+static err_t forward(const struct run *r, const struct job_config *cfg, struct job_result *out,
                      struct prediction *p)
 {
+    const struct network *n = cfg->network;
+    struct net net = n->net;
     static const char *const backbone[] = {"backbone", NULL}, *const heads[] = {"camera", "depth",
                                                                                 NULL};
     struct network_clock clock;
     struct run timed = network_timed(r, &clock);
-    err_t e = net_run(&timed, &n->net, &out->views, p);
+    net.d.gauss = takes_gaussians(cfg);
+    net.attend = locates(r, cfg, out);
+    err_t e = net_run(&timed, &net, &out->views, p);
     network_clock_stop(&clock);
     file_drop(&n->file.map); // not needed again
     out->seconds[JOB_BACKBONE] += network_seconds(&clock, backbone);
@@ -97,16 +169,22 @@ static err_t forward(const struct run *r, const struct network *n, struct job_re
     return e;
 }
 
-/* Known cameras, or else those of the network. */
-static err_t take_cameras(const struct run *r, struct job_result *out, struct prediction *p,
-                          float *scale)
+/* Cameras that are known, or polished, or else the network's own; its geometry is moved there, at a
+ * scale that is left to network_scale. */
+static err_t take_cameras(const struct run *r, const struct job_config *cfg, struct job_result *out,
+                          struct prediction *p, float *scale)
 {
     struct scene *s = &out->scene;
+    struct bundle_result b;
     *scale = 1;
-    if (out->views.cams)
-        return network_place(r, s->cams, p, scale);
-    memcpy(s->cams, p->geom.cams, (size_t)s->n_views * sizeof *s->cams);
-    return OK;
+    if (!locates(r, cfg, out)) {
+        if (out->views.cams)
+            return network_place(r, s->cams, NULL, p, scale);
+        memcpy(s->cams, p->geom.cams, (size_t)s->n_views * sizeof *s->cams);
+        return OK;
+    }
+    err_t e = find_cameras(r, cfg, p, out, &b);
+    return e ? e : network_place(r, s->cams, b.depth_scale, p, scale);
 }
 
 static err_t dump_scene(const struct run *r, const struct job_config *cfg,
@@ -188,7 +266,7 @@ static err_t take_depth(const struct run *r, const struct job_config *cfg, float
     return e ? e : place_seeds(r, cfg, &depth, out);
 }
 
-static err_t by_network(const struct run *r, const struct job_config *cfg, struct job_result *out)
+static err_t with_network(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
     struct prediction p;
     float scale = 1;
@@ -196,21 +274,24 @@ static err_t by_network(const struct run *r, const struct job_config *cfg, struc
     err_t e = dump_views(r, &out->views);
     job_lap(out, JOB_PREPROCESS);
     if (!e)
-        e = forward(r, cfg->network, out, &p);
+        e = forward(r, cfg, out, &p);
     if (!e)
         e = dump_prediction(r, &p);
     if (!e)
-        e = take_cameras(r, out, &p, &scale);
+        e = take_cameras(r, cfg, out, &p, &scale);
     out->views.cams = out->scene.cams;
-    if (!e && p.features)
+    if (!e && p.features) {
         e = take_gaussians(r, cfg, &p, out);
-    else if (!e)
-        e = take_depth(r, cfg, scale, &p, out);
-    if (!e && p.features)
         network_scale(&out->scene.g, scale);
+        job_lap(out, JOB_VOXEL);
+    } else if (!e && cfg->stereo) {
+        arena_reset(r->keep, mark);
+        e = by_stereo(r, cfg, out);
+    } else if (!e) {
+        e = take_depth(r, cfg, scale, &p, out);
+    }
     if (!in_place(cfg))
         arena_reset(r->keep, mark);
-    job_lap(out, JOB_VOXEL);
     return e;
 }
 
@@ -219,10 +300,18 @@ err_t start_run(const struct run *r, const struct job_config *cfg, struct job_re
     err_t e = begin_scene(r, cfg, out);
     if (e)
         return e;
-    return cfg->network ? by_network(r, cfg, out) : by_stereo(r, cfg, out);
+    return cfg->network ? with_network(r, cfg, out) : without_network(r, cfg, out);
 }
 
 /* ---- planning ---- */
+
+static void plan_cameras(const struct views *v, int threads, struct job_memory *m)
+{
+    size_t keep, tmp;
+    locate_plan(v->n, v->size, threads, &keep, &tmp);
+    m->keep = arena_add(m->keep, keep);
+    m->tmp = num_max_size(m->tmp, tmp);
+}
 
 static void plan_stereo(const struct views *v, int cap, int threads, struct job_memory *m)
 {
@@ -231,41 +320,48 @@ static void plan_stereo(const struct views *v, int cap, int threads, struct job_
     m->tmp = num_max_size(m->tmp, seed_plan(v));
 }
 
-static void plan_network(const struct job_config *cfg, int n_views, int threads, bool tapped,
+/* The forward pass and what is done with it before its memory is given back. */
+static void plan_forward(const struct job_config *cfg, const struct views *v, int threads,
                          struct job_memory *m)
 {
-    const struct network *n = cfg->network;
-    const struct views v = {.n = n_views, .size = cfg->size};
-    const size_t pixels = (size_t)n_views * (size_t)cfg->size * (size_t)cfg->size;
+    struct net net = cfg->network->net;
+    const size_t pixels = (size_t)v->n * (size_t)v->size * (size_t)v->size;
     const int all = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans say SIZE_MAX
-    size_t keep, tmp;
-    net_plan(&n->net, n_views, cfg->size, threads, &keep, &tmp);
-    m->weights = n->file.model.bytes;
-    m->keep = arena_add(m->keep, keep);
-    m->tmp = num_max_size(m->tmp, tmp);
-    m->tmp = num_max_size(m->tmp, network_place_plan(n_views));
-    if (n->net.d.gauss) {
+    net.d.gauss = takes_gaussians(cfg);
+    net.attend = cfg->polish;
+    net_plan(&net, v->n, v->size, threads, &m->keep, &m->tmp);
+    if (cfg->polish)
+        plan_cameras(v, threads, m);
+    m->tmp = num_max_size(m->tmp, network_place_plan(v->n));
+    if (net.d.gauss) {
         m->keep = arena_add(m->keep, voxel_keep(all));
         m->tmp = num_max_size(m->tmp, voxel_plan(all));
-    } else {
+    } else if (!cfg->stereo) {
         m->keep = arena_add(m->keep, arena_need(pixels, sizeof(float)));
         m->keep = arena_add(m->keep, seed_keep(cfg->refine.gaussians_max));
-        m->tmp = num_max_size(m->tmp, seed_plan(&v));
+        m->tmp = num_max_size(m->tmp, seed_plan(v));
     }
-    if (tapped)
-        m->tmp = num_max_size(m->tmp, dump_plan(cfg->size, job_most(cfg, n_views)));
 }
 
-struct job_memory start_plan(const struct job_config *cfg, int n_views, int threads, bool tapped)
+struct job_memory start_plan(const struct job_config *cfg, const struct views *v, int threads,
+                             bool tapped)
 {
     const int cap = cfg->refine.gaussians_max;
-    const struct views v = {.n = n_views, .size = cfg->size}; // all that plans look at
-    struct job_memory m = {.keep = arena_need((size_t)n_views, sizeof(struct camera))};
+    struct job_memory m = {.keep = 0}, stereo = {.keep = 0};
+    if (cfg->network) {
+        plan_forward(cfg, v, threads, &m);
+        m.weights = cfg->network->file.model.bytes;
+    } else if (!v->cams) {
+        plan_cameras(v, threads, &m);
+    }
+    if (!cfg->network || cfg->stereo)
+        plan_stereo(v, cap, threads, &stereo);
+    m.keep = cfg->network ? num_max_size(m.keep, stereo.keep) : arena_add(m.keep, stereo.keep);
+    m.tmp = num_max_size(m.tmp, stereo.tmp);
+    if (tapped)
+        m.tmp = num_max_size(m.tmp, dump_plan(cfg->size, job_most(cfg, v->n)));
+    m.keep = arena_add(m.keep, arena_need((size_t)v->n, sizeof(struct camera)));
     if (!in_place(cfg))
         m.keep = arena_add(m.keep, gaussians_need(cap, cfg->refine.degree_max));
-    if (cfg->network)
-        plan_network(cfg, n_views, threads, tapped, &m);
-    else
-        plan_stereo(&v, cap, threads, &m);
     return m;
 }

@@ -1,5 +1,8 @@
 #include "firmware/testcams.h"
 
+#include "firmware/locate.h"
+
+#include "core/base/num.h"
 #include "core/net/backbone.h"
 #include "core/net/camera.h"
 #include "core/opt/align.h"
@@ -18,6 +21,15 @@ static bool begins_view(const struct capture *c, int i)
     return i == 0 || !name_same_view(c->shots[i].name, c->shots[i - 1].name);
 }
 
+/* Of the view that begins with picture i; its pictures are in the order of their exposures. */
+static int middle_picture(const struct capture *c, int i)
+{
+    int n = 1;
+    while (i + n < c->n && !begins_view(c, i + n))
+        n++;
+    return i + n / 2;
+}
+
 static int count_views(const struct capture *c)
 {
     int n = 0;
@@ -26,22 +38,35 @@ static int count_views(const struct capture *c)
     return n;
 }
 
+static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
+{
+    size_t keep, tmp;
+    if (cfg->network) {
+        size_t tokens, work;
+        backbone_plan(&cfg->network->net, all, cfg->size, threads, &tokens, &work);
+        camera_plan(&cfg->network->net, all, threads, &keep, &tmp);
+        m->tmp = num_max_size(m->tmp, arena_add(tokens, num_max_size(tmp, work)));
+        m->keep = arena_add(m->keep, keep);
+    }
+    if (cfg->polish || !cfg->network) {
+        locate_plan(all, cfg->size, threads, &keep, &tmp);
+        m->keep = arena_add(m->keep, keep);
+        m->tmp = num_max_size(m->tmp, tmp);
+    }
+}
+
 struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
                                 const struct capture *test, int most, int threads)
 {
-    const struct net *net = &cfg->network->net;
     const int extra = count_views(test), all = train->n + extra;
     const size_t pixels = (size_t)cfg->size * (size_t)cfg->size;
     struct capture one = {1, test->shots};
     struct job_memory m = {0};
-    size_t keep, tmp, cameras, tokens, work;
+    size_t keep, tmp, work;
     prep_plan(&one, cfg->size, threads, &keep, &tmp);
     m.keep = arena_add(arena_need((size_t)all * pixels, 3), keep);
     m.keep = arena_add(m.keep, arena_need((size_t)all, sizeof(struct camera) + sizeof(float)));
-    backbone_plan(net, all, cfg->size, threads, &tokens, &work);
-    camera_plan(net, all, threads, &cameras, &m.tmp);
-    m.tmp = arena_add(tokens, m.tmp > work ? m.tmp : work);
-    m.keep = arena_add(m.keep, cameras);
+    plan_look(cfg, all, threads, &m);
     m.keep = arena_add(m.keep, arena_need((size_t)all, NAME_CAP));
     work = align_plan(most, cfg->size, threads);
     work = work > turn_plan(train->n) ? work : turn_plan(train->n);
@@ -103,34 +128,53 @@ static err_t look(const struct run *r, const struct net *net, const struct views
     return e;
 }
 
+/* Cameras of all views in a world of their own. The focal length is that of the scene, if bundle
+ * adjustment found it. */
+static err_t locate(const struct run *r, const struct job_config *cfg, const struct scene *s,
+                    const struct views *all, struct camera **out)
+{
+    struct geometry g = {.cams = NULL};
+    struct bundle_result b;
+    const bool polish = cfg->polish || !cfg->network;
+    err_t e = cfg->network ? look(r, &cfg->network->net, all, &g) : OK;
+    *out = g.cams;
+    if (e || !polish)
+        return e;
+    const struct bundle_config want = {
+        .start = g.cams, .focal = s->cams[0].fx, .focal_known = true};
+    e = locate_run(r, all, NULL, &want, &b);
+    *out = b.cams;
+    return e;
+}
+
 /* The test views among them, in the world of the scene, with the mean focal length of its views. */
-static err_t place(const struct run *r, const struct scene *s, struct geometry *g)
+static err_t place(const struct run *r, const struct scene *s, int n, struct camera *cams)
 {
     struct turn_world w;
     float fx = 0, fy = 0;
-    err_t e = turn_fit(r, g->cams, s->cams, s->n_views, &w);
+    err_t e = turn_fit(r, cams, s->cams, s->n_views, &w);
     for (int i = 0; i < s->n_views; i++) {
         fx += s->cams[i].fx / (float)s->n_views;
         fy += s->cams[i].fy / (float)s->n_views;
     }
-    for (int i = s->n_views; i < g->n_views; i++) {
-        g->cams[i] = turn_camera(&w, &g->cams[i]);
-        g->cams[i].fx = fx;
-        g->cams[i].fy = fy;
+    for (int i = s->n_views; i < n; i++) {
+        cams[i] = turn_camera(&w, &cams[i]);
+        cams[i].fx = fx;
+        cams[i].fy = fy;
     }
     return e;
 }
 
 static err_t align(const struct run *r, const struct scene *s, const struct views *all,
-                   struct geometry *g)
+                   struct camera *cams)
 {
     const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, first = (size_t)s->n_views;
     struct views v = {.n = all->n - s->n_views,
                       .size = all->size,
                       .rgb = all->rgb + bytes * first,
                       .log2t = all->log2t + first,
-                      .cams = g->cams + first};
-    err_t e = place(r, s, g);
+                      .cams = cams + first};
+    err_t e = place(r, s, all->n, cams);
     return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
 }
 
@@ -149,18 +193,18 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
 {
     const int n = j->scene.n_views;
     const size_t mark = arena_mark(r->keep);
-    struct geometry g;
+    struct camera *cams = NULL;
     struct views all;
     err_t e = begin_views(r->keep, &j->views, n + count_views(&test->capture), &all);
     for (int i = 0, at = n; i < test->capture.n && !e; i++)
         if (begins_view(&test->capture, i))
-            e = add_view(r, test, i, at++, &all);
+            e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
     if (!e)
-        e = look(r, &cfg->network->net, &all, &g);
+        e = locate(r, cfg, &j->scene, &all, &cams);
     if (!e)
-        e = align(r, &j->scene, &all, &g);
+        e = align(r, &j->scene, &all, cams);
     if (!e)
-        give_cameras(g.cams + n, &test->capture);
+        give_cameras(cams + n, &test->capture);
     arena_reset(r->keep, mark);
     return e;
 }

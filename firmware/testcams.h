@@ -1,6 +1,6 @@
-/* testcams.h - where the test photographs of a data set were taken, if no rig tells: the network
- * looks at them together with the input views, then they are aligned to the finished scene
- * (model-spec 5.2, B and C). */
+/* testcams.h - where the test photographs of a data set were taken, if no rig tells: they are
+ * located together with the input views, by the network if there is one and by bundle adjustment,
+ * then aligned to the finished scene (model-spec 5.2, B and C). */
 #ifndef FIRMWARE_TESTCAMS_H
 #define FIRMWARE_TESTCAMS_H
 
@@ -12,8 +12,9 @@
 struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
                                 const struct capture *test, int most, int threads);
 
-/* Find the cameras of test->capture, one per view, from its first picture. j is finished.
- * err:  those of reading, of the network and of align_run. */
+/* Find the cameras of test->capture, one per view, from the middle one of its pictures. j is
+ * finished.
+ * err:  those of reading, of the network, of locate_run and of align_run. */
 MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg,
                             const struct job_result *j, struct imageset *test);
 

@@ -1,11 +1,11 @@
 /* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch.
  *
- * Attention (model-spec 2.7) is streamed by blocks of query rows: for each head all logits of the
- * block, their softmax over all V P keys, summed into the mean over heads; then the columns of the
- * special tokens are left out and, view by view, the rest meets the values of that view, so that no
- * (V M)^2 matrix exists. Rows are divided by their sum after these products: sums are linear. */
+ * Attention (attend.h) comes in blocks of query rows; the columns of the special tokens are left
+ * out and, view by view, the rest meets the values of that view, so that no (V M)^2 matrix exists.
+ * Rows are divided by their sum after these products: sums are linear. */
 #include "core/net/appearance.h"
 
+#include "core/net/attend.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 #include "core/prep.h"
@@ -13,12 +13,11 @@
 #include <math.h>
 #include <string.h>
 
-enum { ROWS = 32 }; // queries of a block
+enum { ROWS = ATTEND_ROWS }; // queries of a block
 
-#define NORM_EPS 1e-5f    // model-spec 2.6, 2.8
-#define HEAD_SCALE 0.125f // whatever the width of a head (golden/QUIRKS 2)
-#define SHARE_EPS 1e-6f   // model-spec 2.7, 2.8
-#define RANGE_MIN 0.5f    // log2, model-spec 1.2
+#define NORM_EPS 1e-5f  // model-spec 2.6, 2.8
+#define SHARE_EPS 1e-6f // model-spec 2.7, 2.8
+#define RANGE_MIN 0.5f  // log2, model-spec 1.2
 #define PI 3.14159265358979323846
 
 struct fusion {
@@ -26,14 +25,14 @@ struct fusion {
     const struct appearance_weights *w;
     const struct views *v;
     const struct tokens *t;
-    int heads, head, d; // number and width of heads; width of the branch
-    int m, n, keys;     // M, V M, V P
-    int key_panels, value_panels;
+    struct attend a;
+    int d;    // width of the branch
+    int m, n; // M, V M
+    int value_panels;
     struct irradiance *out;
     float *norm;       // (n, d) xn, later a hidden layer
     float *film;       // (V, 2 d) gamma, beta
     float *values;     // per view (value_panels, M, PANEL): d of the mean, d of the variance
-    float *panels;     // per head (key_panels, head, PANEL)
     float *mean, *var; // (n, d)
     float *vis;        // (n, V)
     struct fusion_room *rooms;
@@ -41,15 +40,10 @@ struct fusion {
 
 /* Scratch of one worker. */
 struct fusion_room {
-    float *logits, *sum; // (ROWS, key_panels PANEL) of one head; of all
-    float *part;         // per view (ROWS, value_panels PANEL)
-    double *mass;        // (V)
+    struct attend_room attend;
+    float *part;  // per view (ROWS, value_panels PANEL)
+    double *mass; // (V)
 };
-
-static size_t logit_pitch(const struct fusion *f)
-{
-    return (size_t)f->key_panels * PANEL;
-}
 
 static size_t value_pitch(const struct fusion *f)
 {
@@ -255,71 +249,7 @@ static err_t project_values(const struct fusion *f)
     return e;
 }
 
-/* Keys of one head to panels; keys beyond the last are zero. */
-static err_t pack_keys(void *ctx, int head, int worker)
-{
-    const struct fusion *f = ctx;
-    size_t width = (size_t)f->head, pitch = logit_pitch(f);
-    const float *k = f->t->k + (size_t)head * (size_t)f->keys * width;
-    float *out = f->panels + (size_t)head * pitch * width;
-    (void)worker;
-    memset(out + (pitch - PANEL) * width, 0, PANEL * width * sizeof *out);
-    for (size_t j = 0; j < (size_t)f->keys; j++)
-        for (size_t i = 0; i < width; i++)
-            out[j / PANEL * PANEL * width + i * PANEL + j % PANEL] = k[j * width + i];
-    return OK;
-}
-
 /* ---- attention ---- */
-
-/* Softmax of one head for `rows` queries from token row `at` on, added to room->sum. */
-static void add_head(const struct fusion *f, int head, size_t at, int rows,
-                     const struct fusion_room *room)
-{
-    const struct gemm_kernels *k = &f->r->k->net;
-    float scale[ROWS], top[ROWS], sum[ROWS], rescale[ROWS], weigh[ROWS];
-    size_t width = (size_t)f->head, pitch = logit_pitch(f);
-    for (int i = 0; i < rows; i++) {
-        scale[i] = HEAD_SCALE;
-        top[i] = -INFINITY;
-        sum[i] = 0;
-    }
-    const struct gemm_f32 g = {.m = rows,
-                               .panels = f->key_panels,
-                               .segs = 1,
-                               .seg = f->head,
-                               .a = f->t->q + ((size_t)head * (size_t)f->keys + at) * width,
-                               .lda = width,
-                               .w = f->panels + (size_t)head * pitch * width,
-                               .ldw = PANEL * width,
-                               .c = room->logits,
-                               .ldc = pitch};
-    const struct attend_block b = {.m = rows,
-                                   .n = f->keys,
-                                   .sf = room->logits,
-                                   .lds = pitch,
-                                   .row_scale = scale,
-                                   .top = top,
-                                   .sum = sum,
-                                   .pf = room->logits,
-                                   .ldp = pitch,
-                                   .rescale = rescale,
-                                   .weigh = weigh};
-    k->f32(&g);
-    k->attend_block(&b);
-    for (int i = 0; i < rows; i++) {
-        rescale[i] = 1;
-        weigh[i] = 1 / ((float)f->heads * sum[i]);
-    }
-    k->attend_add(&(struct attend_add){.m = rows,
-                                       .n = f->keys,
-                                       .cf = room->logits,
-                                       .ldc = pitch,
-                                       .rescale = rescale,
-                                       .weigh = weigh,
-                                       .o = room->sum,
-                                       .ldo = pitch});
-}
 
 /* Row `row` of the attention map, without special tokens; overwrites the logits. */
 static void tap_attention(const struct fusion *f, int row, const float *sum, float factor,
@@ -371,7 +301,7 @@ static void combine(const struct fusion *f, int row, const float *sum, const flo
         mean[c] = a;
         var[c] = spread / range;
     }
-    tap_attention(f, row, sum, factor, room->logits);
+    tap_attention(f, row, sum, factor, room->attend.logits);
 }
 
 static int blocks_of_view(const struct fusion *f)
@@ -385,28 +315,24 @@ static err_t fuse_block(void *ctx, int chunk, int worker)
     const struct fusion_room *room = f->rooms + worker;
     int view = chunk / blocks_of_view(f), first = chunk % blocks_of_view(f) * ROWS;
     int rows = f->m - first < ROWS ? f->m - first : ROWS;
-    size_t p = (size_t)f->m + NET_SPECIAL, pitch = logit_pitch(f), values = value_pitch(f);
-    size_t at = (size_t)view * p + NET_SPECIAL + (size_t)first;
-    memset(room->sum, 0, (size_t)rows * pitch * sizeof(float));
-    for (int head = 0; head < f->heads; head++) {
-        err_t e = run_check(f->r, "network");
-        if (e)
-            return e;
-        add_head(f, head, at, rows, room);
-    }
+    size_t p = (size_t)f->m + NET_SPECIAL, pitch = attend_pitch(&f->a), values = value_pitch(f);
+    const float *sum = room->attend.sum;
+    err_t e = attend_rows(&f->a, view, first, rows, &room->attend);
+    if (e)
+        return e;
     for (size_t v = 0; v < (size_t)f->v->n; v++)
         f->r->k->net.f32(&(struct gemm_f32){.m = rows,
                                             .panels = f->value_panels,
                                             .segs = 1,
                                             .seg = f->m,
-                                            .a = room->sum + v * p + NET_SPECIAL,
+                                            .a = sum + v * p + NET_SPECIAL,
                                             .lda = pitch,
                                             .w = f->values + v * (size_t)f->m * values,
                                             .ldw = PANEL * (size_t)f->m,
                                             .c = room->part + v * ROWS * values,
                                             .ldc = values});
     for (int i = 0; i < rows; i++)
-        combine(f, view * f->m + first + i, room->sum + (size_t)i * pitch,
+        combine(f, view * f->m + first + i, sum + (size_t)i * pitch,
                 room->part + (size_t)i * values, room);
     return OK;
 }
@@ -415,22 +341,17 @@ static err_t fuse(struct fusion *f)
 {
     size_t mark = arena_mark(f->r->tmp), n_views = (size_t)f->v->n;
     int workers = pool_size(f->r->pool);
-    err_t e = arena_alloc(f->r->tmp, (size_t)f->heads * logit_pitch(f) * (size_t)f->head,
-                          sizeof(float), &f->panels);
-    if (!e)
-        e = arena_alloc(f->r->tmp, (size_t)workers, sizeof *f->rooms, &f->rooms);
+    err_t e = arena_alloc(f->r->tmp, (size_t)workers, sizeof *f->rooms, &f->rooms);
     for (int i = 0; i < workers && !e; i++) {
         struct fusion_room *o = f->rooms + i;
-        e = arena_alloc(f->r->tmp, ROWS * logit_pitch(f), sizeof(float), &o->logits);
-        if (!e)
-            e = arena_alloc(f->r->tmp, ROWS * logit_pitch(f), sizeof(float), &o->sum);
+        e = attend_room_init(&f->a, f->r->tmp, &o->attend);
         if (!e)
             e = arena_alloc(f->r->tmp, n_views * ROWS * value_pitch(f), sizeof(float), &o->part);
         if (!e)
             e = arena_alloc(f->r->tmp, n_views, sizeof(double), &o->mass);
     }
     if (!e)
-        e = pool_for(f->r->pool, f->heads, pack_keys, f);
+        e = attend_init(f->r, f->t, &f->a);
     if (!e)
         e = pool_for(f->r->pool, f->v->n * blocks_of_view(f), fuse_block, f);
     arena_reset(f->r->tmp, mark);
@@ -488,15 +409,12 @@ static err_t alloc_all(struct fusion *f)
 
 static struct fusion start(const struct net *net, int n_views, int grid)
 {
-    int m = grid * grid, keys = n_views * (m + NET_SPECIAL), d = net->d.hdr;
+    int m = grid * grid, d = net->d.hdr;
     return (struct fusion){.w = &net->appearance,
-                           .heads = net->d.heads,
-                           .head = net->d.embed / net->d.heads,
+                           .a = attend_shape(&net->d, n_views, grid),
                            .d = d,
                            .m = m,
                            .n = n_views * m,
-                           .keys = keys,
-                           .key_panels = panels_of(keys),
                            .value_panels = panels_of(2 * d)};
 }
 
@@ -542,11 +460,10 @@ err_t appearance_run(const struct run *r, const struct net *net, const struct vi
 static void plan_fuse(struct plan *whole, const struct fusion *f, size_t n_views, int threads)
 {
     struct plan p = {0, 0};
-    plan_hold(&p, (size_t)f->heads * logit_pitch(f) * (size_t)f->head, sizeof(float));
+    p.held = arena_add(p.held, attend_need(&f->a));
     plan_hold(&p, (size_t)threads, sizeof(struct fusion_room));
     for (int i = 0; i < threads; i++) {
-        plan_hold(&p, ROWS * logit_pitch(f), sizeof(float));
-        plan_hold(&p, ROWS * logit_pitch(f), sizeof(float));
+        p.held = arena_add(p.held, attend_room_need(&f->a));
         plan_hold(&p, n_views * ROWS * value_pitch(f), sizeof(float));
         plan_hold(&p, n_views, sizeof(double));
     }

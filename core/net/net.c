@@ -1,6 +1,7 @@
 #include "core/net/net.h"
 
 #include "core/net/appearance.h"
+#include "core/net/attend.h"
 #include "core/net/backbone.h"
 #include "core/net/camera.h"
 #include "core/net/depth.h"
@@ -227,7 +228,11 @@ void net_plan(const struct net *net, int n_views, int size, int threads, size_t 
     plan_stage(&k, &p, kept, taken);
     depth_plan(net, n_views, size, threads, &kept, &taken);
     plan_stage(&k, &p, kept, taken);
-    if (net->d.appearance) {
+    if (net->attend) {
+        attend_plan(&net->d, n_views, size, threads, &kept, &taken);
+        plan_stage(&k, &p, kept, taken);
+    }
+    if (net->d.gauss && net->d.appearance) {
         appearance_plan(net, n_views, size, threads, &kept, &taken);
         plan_stage(&k, &p, kept, taken);
         plan_hold(&p, (size_t)n_views * 2 * (size_t)net->d.hdr, sizeof(float));
@@ -322,6 +327,8 @@ err_t net_run(const struct run *r, const struct net *net, const struct views *v,
         e = camera_run(r, net, &t, v->size, &out->geom);
     if (!e)
         e = depth_run(r, net, &t, &out->geom);
+    if (!e && net->attend && t.q)
+        e = attend_run(r, &net->d, &t, &out->matches);
     if (!e && net->d.gauss)
         e = run_gauss(r, net, v, &t, out);
     arena_reset(r->tmp, tmp);

@@ -62,6 +62,7 @@ struct meta_weights { // model-spec 2.10
 struct net {
     struct net_dims d;
     unsigned floats; // NET_FLOAT_ bits in force; all of them unless the model is I8
+    bool attend;     // also tell where patches are found in other views, prediction.matches
     /* DINOv2 */
     struct weight patch_embed;
     const float *cls_token, *dino_registers, *pos_embed, *dino_norm_g, *dino_norm_b;
@@ -106,16 +107,28 @@ struct irradiance {
     float *scene, *sens; // (n_views grid^2, hdr)
 };
 
+enum { CORRESPONDENCE_BEST = 4 };
+
+/* Where the network finds the patches of one view in another (attend.h). */
+struct correspondence {
+    int n_views, grid;
+    int16_t
+        *token;   // (n_views, grid^2, n_views, CORRESPONDENCE_BEST) of the other view, best first;
+                  // -1: none
+    float *share; // same shape: share of the attention to that view, 0..1
+};
+
 /* One raw Gaussian per pixel, as voxel_merge takes them. */
 struct prediction {
     struct geometry geom;
-    int n;                  // n_views size^2
-    float *points;          // (n, 3)
-    float *features;        // (87, n): channels 0..82, 84..87 of the 88
-    float *confidence;      // (n): channel 83
-    float theta[NET_THETA]; // tone curve; zero without the appearance branch
-    struct tonemap tone;    // its used part
-    bool linear;            // AnySplat: the SH give display colours minus 0.5, not log radiance
+    int n;                         // n_views size^2
+    float *points;                 // (n, 3)
+    float *features;               // (87, n): channels 0..82, 84..87 of the 88
+    float *confidence;             // (n): channel 83
+    float theta[NET_THETA];        // tone curve; zero without the appearance branch
+    struct tonemap tone;           // its used part
+    struct correspondence matches; // zeroed unless net.attend
+    bool linear; // AnySplat: the SH give display colours minus 0.5, not log radiance
 };
 
 /* Bytes of keep and tmp for a forward pass, with a pool of `threads`; SIZE_MAX on overflow. */

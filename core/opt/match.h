@@ -21,25 +21,13 @@ struct match_tracks {
     struct match_seen *seen; // (n)
 };
 
-/* Where the patches of one view are found in another: for each token its best few tokens there. */
-enum { MATCH_PRIOR = 4 };
-struct match_prior {
-    int n_views, grid;
-    int16_t *token; // (n_views, grid^2, n_views, MATCH_PRIOR) token of the other view or -1
-    float *share;   // same shape: share of the attention that goes there, 0..1
-};
-
-/* From the tokens of the network (t->q, t->k not NULL).
- * out:  lives in r->keep
- * err:  ERR_NOMEM, ERR_CANCELLED */
-MUST_USE err_t match_attend(const struct run *r, const struct tokens *t, struct match_prior *out);
-
-/* Find tracks. prior: NULL searches everywhere.
+/* Find tracks. prior: of net_run (struct correspondence, core/net/net.h; made by core/net/attend.c), NULL
+ * searches everywhere.
  * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees.
  * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,
-                         const struct match_prior *prior, struct match_tracks *out);
+                         const struct correspondence *prior, struct match_tracks *out);
 size_t match_plan(int n_views, int size, int threads);
 size_t match_keep(int n_views, int size);
 

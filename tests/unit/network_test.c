@@ -191,7 +191,7 @@ static void known_cameras_see_what_the_network_saw(void **state)
     float scale;
     for (int v = 0; v < VIEWS; v++)
         pictures(&w.own[v], 1, before[v]);
-    assert_int_equal(network_place(&w.r, w.known, &w.p, &scale), OK);
+    assert_int_equal(network_place(&w.r, w.known, NULL, &w.p, &scale), OK);
     assert_float_equal(scale, 3, 1e-4f);
     for (int v = 0; v < VIEWS; v++) {
         double worst = 0, ink = 0;
