@@ -1,4 +1,4 @@
-/* A curve is tabulated once over u = log2 exposure, -24..0, and looked up with linear interpolation;
+/* A curve is tabulated over u = log2 exposure, -24..0, and looked up with linear interpolation;
  * below the table the display value falls in proportion to the exposure, above it is the last one.
  * Every family gives 1 at exposure 1, where a linear sensor is full.
  *   SRGB    IEC 61966-2-1
