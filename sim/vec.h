@@ -4,6 +4,17 @@
 
 #include <math.h>
 
+/* Unlike fminf and fmaxf one instruction; b if a or b is NaN. */
+static inline float vec_min(float a, float b)
+{
+    return a < b ? a : b;
+}
+
+static inline float vec_max(float a, float b)
+{
+    return a > b ? a : b;
+}
+
 static inline float vec_dot(const float a[3], const float b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -62,6 +73,23 @@ static inline void vec_basis(const float n[3], float a[3], float b[3])
     b[0] = q;
     b[1] = sign + n[1] * n[1] * p;
     b[2] = -n[1];
+}
+
+/* The point of the unit circle after u turns, 0 <= u < 1, within 1e-6: Taylor's series in eighths of
+ * the circle. */
+static inline void vec_circle(float u, float *x, float *y)
+{
+    float t = 4 * u + 0.5f;
+    int quarter = (int)t;
+    float a = (t - (float)quarter - 0.5f) * 1.57079633f, a2 = a * a;
+    float s = a * (1 - a2 / 6 * (1 - a2 / 20 * (1 - a2 / 42)));
+    float c = 1 - a2 / 2 * (1 - a2 / 12 * (1 - a2 / 30 * (1 - a2 / 56)));
+    *x = quarter & 1 ? -s : c;
+    *y = quarter & 1 ? c : s;
+    if (quarter & 2) {
+        *x = -*x;
+        *y = -*y;
+    }
 }
 
 /* Luminance of linear Rec. 709 colours. */
