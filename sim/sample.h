@@ -29,9 +29,6 @@ MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, floa
  * of one such picture. */
 size_t sample_plan(int size, int threads);
 
-/* Bytes of r->tmp that sample_make and sample_expose take. */
-size_t sample_plan(void);
-
 /* How a radiance image is photographed. */
 struct sample_camera {
     int size;                    // px, edge of the picture
