@@ -18,6 +18,7 @@
 enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
 static const float PI = 3.14159265f;
+static const float SLANT = 0.15f; // least cosine, for the width of a footprint
 static const float BEYOND = 1e4f; // m, how far rays to the sky go
 
 float light_lift(float t)
@@ -65,13 +66,17 @@ void light_surface(const struct bvh *b, int solid, const float p[3], const float
     const struct world_solid *w = b->w->solids + solid;
     float local[3], from[3], at[3];
     out->material = b->w->materials + w->material;
+    out->solid = solid;
     solid_normal(b->solids + solid, w, p, out->n, local);
     vec_sub(p, w->t, from);
     vec_turn_back(w->r, from, at);
-    texture_eval(&out->material->albedo, at, local, width, out->albedo);
-    if (vec_dot(out->n, d) > 0)
+    out->facing = -vec_dot(out->n, d);
+    if (out->facing < 0)
         for (int k = 0; k < 3; k++)
             out->n[k] = -out->n[k];
+    out->facing = fabsf(out->facing);
+    texture_eval(&out->material->albedo, at, local, width / vec_max(out->facing, SLANT),
+                 out->albedo);
 }
 
 /* ---- lights ---- */

@@ -67,11 +67,12 @@ float light_lift(float t);
 /* 32 bits out of two. */
 uint32_t light_hash(uint32_t a, uint32_t b);
 
-/* Colour of a solid's surface at p, m, world, seen with a footprint of `width`, m; its normal, unit,
- * on the side that d comes from. */
+/* A solid's surface at p, m, of the world, as a ray of width `width`, m, with direction d sees it. */
 struct light_surface {
-    float albedo[3], n[3];
+    int solid;
     const struct world_material *material;
+    float albedo[3], n[3]; // n: unit, on the side that the ray comes from
+    float facing;          // cosine between -d and n
 };
 void light_surface(const struct bvh *b, int solid, const float p[3], const float d[3], float width,
                    struct light_surface *out);

@@ -7,7 +7,7 @@
 
 #include "sim/world.h"
 
-struct render; // a world prepared for pictures: hierarchy of boxes, probes
+struct render_world; // a world prepared for pictures: hierarchy of boxes, probes
 
 struct render_quality {
     int samples; // rays per pixel and axis, 1..8: 1 for training, 4 for reference pictures
@@ -17,7 +17,7 @@ struct render_quality {
 /* Prepare w, which must outlive *out.
  * out:  lives in r->keep.
  * err:  ERR_NOMEM (see render_keep, render_plan), ERR_CANCELLED */
-MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render **out);
+MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render_world **out);
 size_t render_keep(void);
 
 /* Bytes that render_open, and render_run for a picture of w x h px, take from r->tmp. */
@@ -36,11 +36,11 @@ struct render_maps {
 /* One picture of cam->w x cam->h, both 1..4096. Shadows of large lights are smoothed over 5 x 5 px
  * of one surface where fewer than 4 rays a pixel ask for them, over 3 x 3 where fewer than 16.
  * err:  ERR_ARG (camera, quality), ERR_NOMEM (r->tmp, see render_plan), ERR_CANCELLED */
-MUST_USE err_t render_run(const struct run *r, const struct render *s, const struct camera *cam,
-                          const struct render_quality *q, uint64_t seed,
+MUST_USE err_t render_run(const struct run *r, const struct render_world *s,
+                          const struct camera *cam, const struct render_quality *q, uint64_t seed,
                           const struct render_maps *out);
 
 /* Distance along the unit direction d from o to the first surface, m; RENDER_FAR if none. */
-float render_ray(const struct render *s, const float o[3], const float d[3]);
+float render_ray(const struct render_world *s, const float o[3], const float d[3]);
 
 #endif
