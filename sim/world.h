@@ -1,6 +1,6 @@
-/* world.h - a procedural place to photograph: solids with materials, lamps, sun and sky, made from a
- * seed. Lengths are metres, z is up, radiance is linear and relative (1 is about a white wall in the
- * middle of the room's light).
+/* world.h - a procedural place to photograph: solids with materials, lamps, sun and sky, made from
+ * a seed. Lengths are metres, z is up, radiance is linear and relative (1 is about a white wall in
+ * the middle of the room's light).
  * Pure computation; any thread. The same seed gives the same world on every machine. */
 #ifndef SIM_WORLD_H
 #define SIM_WORLD_H
