@@ -7,10 +7,12 @@
 #include "sim/render.h"
 #include "sim/sensor.h"
 
+enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 1024, SAMPLE_PX = 1 << 24, SAMPLE_SHOTS = 64 };
+
 struct sample_ask {
     uint64_t seed;
     int kind;          // enum world_kind
-    int n_views, size; // 1..64; px, 14..1024
+    int n_views, size; // 1..64; px, 14..1024; at most SAMPLE_PX px in all
     float spread;      // as in struct world_path
     float fov_deg;     // as in struct world_path
     int jitter;        // bool
@@ -18,9 +20,10 @@ struct sample_ask {
 };
 
 /* Radiance, depth and cameras of all views.
- * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; depth may be
- *       NULL. *key: exposure time, s, with which the median luminance of the view whose median is
- *       the middle one fills 18 % of the wells of sensor_default: an exposure of 2^0.
+ * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
+ *       radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance of
+ *       the view whose median is the middle one at 18 % of full scale of sensor_default: an exposure
+ *       of 2^0.
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
@@ -34,12 +37,12 @@ struct sample_camera {
     int size;                    // px, edge of the picture
     double key;                  // of sample_make
     const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
-    const struct curve *curve;
-    uint64_t seed; // of the noise
+    const struct curve *curve;   // not NULL
+    uint64_t seed;               // of the noise
 };
 
-/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key; i is the
- * number of the frame, for the noise.
+/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops in
+ * -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise.
  * out:  px (n, size, size, 3)
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
