@@ -10,6 +10,8 @@
 #include "core/opt/match.h"
 #include "core/types.h"
 
+enum { BUNDLE_VIEWS_MAX = 64 };
+
 struct bundle_config {
     const struct camera *start; // (n_views) for v->size, or NULL: none
     const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used

@@ -102,20 +102,13 @@ static err_t pair_chunk(void *ctx, int chunk, int worker)
     return run_check(job->r, "relative poses");
 }
 
-static int pairs(int n_views)
+err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g)
 {
-    return n_views * (n_views - 1) / 2;
-}
-
-err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *out)
-{
-    struct pairs_job job = {.r = r, .a = a, .g = out};
+    struct pairs_job job = {.r = r, .a = a, .g = g};
     const size_t mark = arena_mark(r->tmp);
     int fill[VIEWGRAPH_VIEWS_MAX];
-    *out = (struct viewgraph){.n_views = a->n_views};
-    err_t e = arena_zalloc(r->keep, (size_t)pairs(a->n_views), sizeof *out->edge, &out->edge);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof *job.list, &job.list);
+    g->n_views = a->n_views;
+    err_t e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof *job.list, &job.list);
     if (!e) {
         for (int i = 0; i < a->first[a->n_tracks]; i++)
             job.first[a->seen[i].view + 1]++;
@@ -126,7 +119,7 @@ err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgr
         for (int t = 0; t < a->n_tracks; t++)
             for (int i = a->first[t]; i < a->first[t + 1]; i++)
                 job.list[fill[a->seen[i].view]++] = (struct place){t, i};
-        e = pool_for(r->pool, pairs(a->n_views), pair_chunk, &job);
+        e = pool_for(r->pool, viewgraph_edges(a->n_views), pair_chunk, &job);
     }
     arena_reset(r->tmp, mark);
     return e;
@@ -603,9 +596,4 @@ size_t viewgraph_plan(int n_views, int n_seen)
     size_t sum = arena_add(arena_need(n * n, sizeof(double)), 2 * arena_need(n, sizeof(double)));
     sum = arena_add(sum, arena_need((size_t)n_seen, sizeof(double)));
     return num_max_size(sum, arena_need((size_t)n_seen, sizeof(struct place)));
-}
-
-size_t viewgraph_keep(int n_views)
-{
-    return arena_need((size_t)pairs(n_views), sizeof(struct viewgraph_edge));
 }

@@ -20,10 +20,15 @@ struct viewgraph {
     struct viewgraph_edge *edge; // pairs a < b at b (b - 1) / 2 + a
 };
 
+static inline int viewgraph_edges(int n_views)
+{
+    return n_views * (n_views - 1) / 2;
+}
+
 /* Relative poses of all pairs, for a->focal.
- * out:  edges live in r->keep
- * err:  ERR_NOMEM (see viewgraph_plan, viewgraph_keep), ERR_CANCELLED. */
-MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *out);
+ * out:  g->edge, room for viewgraph_edges(a->n_views)
+ * err:  ERR_NOMEM (see viewgraph_plan), ERR_CANCELLED. */
+MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g);
 
 /* Rotations of the largest set of views that hang together; the others are not placed, all centres
  * are 0. Edges that contradict the others lose `ok`. Returns the number of views that are placed,
@@ -41,6 +46,5 @@ MUST_USE err_t viewgraph_centres(const struct run *r, const struct viewgraph *g,
                                  bool *found);
 
 size_t viewgraph_plan(int n_views, int n_seen); // r->tmp, of the one that takes most
-size_t viewgraph_keep(int n_views);
 
 #endif

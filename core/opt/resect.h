@@ -1,0 +1,15 @@
+/* resect.h - place one more view from points that other views have placed.
+ * Pure functions, random draws from a fixed seed; any thread. */
+#ifndef OPT_RESECT_H
+#define OPT_RESECT_H
+
+#include "core/opt/adjust.h"
+#include "core/opt/viewgraph.h"
+
+/* Pose of a view that is not placed, from the points of its tracks. The rotation comes from a
+ * placed neighbour's edge, also one that was not believed, or from the pose that is there; the
+ * translation from pairs of points; both are polished on the points within the gate (expected
+ * errors). Returns the number of these; the pose is the old one if that is 0. */
+int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate);
+
+#endif
