@@ -33,10 +33,11 @@ enum {
     WORD_NORM = 256 // length of a descriptor
 };
 
-#define SMOOTH 0.9f       // px, Gauss of the finest level and before each halving of the area
-#define WINDOW 1.5f       // px, Gauss of the structure tensor
-#define NOISE_FLOOR 8e-4f // 0.2 of 255: rounding, averaged over the channels
-#define CUT 0.2f          // largest part of a descriptor (Lowe 2004, 6.1)
+#define SMOOTH 0.9f           // px, Gauss of the finest level and before each halving of the area
+#define WINDOW 1.5f           // px, Gauss of the structure tensor
+#define NOISE_FLOOR 8e-4f     // 0.2 of 255: rounding, averaged over the channels
+#define CELL KNOB(cell, 4.0f) // px, a cell of a descriptor
+#define CUT 0.2f              // largest part of a descriptor (Lowe 2004, 6.1)
 
 int corner_cap(int size)
 {
@@ -368,41 +369,72 @@ static void find_corners(struct corner_view *c, int i, int want, float *room)
 
 /* ---- descriptors ---- */
 
-static void vote(float *hist, float cx, float cy, float turn, float amount)
+/* Direction of a gradient in parts of TURNS to a full turn, 0 <= result <= TURNS, within 0.01. */
+static float direction(float gx, float gy)
 {
-    int x = (int)floorf(cx), y = (int)floorf(cy), t = (int)turn;
-    float fx = cx - (float)x, fy = cy - (float)y, ft = turn - (float)t;
-    for (int j = 0; j < 2; j++) {
-        for (int i = 0; i < 2; i++) {
-            if (x + i < 0 || x + i >= CELLS || y + j < 0 || y + j >= CELLS)
-                continue;
-            float part = amount * (i ? fx : 1 - fx) * (j ? fy : 1 - fy);
-            float *cell = hist + ((y + j) * CELLS + x + i) * TURNS;
-            cell[t % TURNS] += part * (1 - ft);
-            cell[(t + 1) % TURNS] += part * ft;
-        }
-    }
+    float ax = fabsf(gx), ay = fabsf(gy), top = ax > ay ? ax : ay, low = ax > ay ? ay : ax;
+    float r = low / (top + 1e-20f);
+    float turn = r * (1.345f - 0.345f * r) * (TURNS / 8.0f); // atan(r) within 0.004
+    turn = ay > ax ? TURNS / 4.0f - turn : turn;
+    turn = gx < 0 ? TURNS / 2.0f - turn : turn;
+    return gy < 0 ? TURNS - turn : turn;
 }
 
+/* Where one row or column of pixels goes: a cell, its part in the next one, and its weight. */
+struct lane {
+    int px, cell; // cell 0 is outside, and so is CELLS + 1
+    float next, weight;
+};
+
+enum { LANES_MAX = 32 };
+
+/* Pixels within reach of `centre` in 1 .. n - 2; returns their number. */
+static int make_lanes(float centre, float cell, int n, struct lane out[LANES_MAX])
+{
+    float reach = 0.5f * (CELLS + 1) * cell;
+    int count = 0, first = (int)ceilf(centre - reach);
+    for (int i = first > 1 ? first : 1; i <= n - 2 && (float)i < centre + reach; i++) {
+        float d = ((float)i - centre) / cell, at = d + 0.5f * (CELLS + 1);
+        out[count++] = (struct lane){i, (int)at, at - (float)(int)at, expf(-0.125f * d * d)};
+    }
+    return count;
+}
+
+static void vote(float *cell, float part, int turn, float beyond)
+{
+    cell[turn] += part * (1 - beyond);
+    cell[turn + 1] += part * beyond;
+}
+
+/* The descriptor's half on one level: hist (CELLS, CELLS, TURNS). */
 static void gather(const struct corner_level *l, float u, float v, float *hist)
 {
-    const float cell = KNOB(cell, 4.0f);
-    const float reach = 0.5f * (CELLS + 1) * cell, spread = -0.5f / (4 * cell * cell);
-    const float pi = 3.14159265f;
-    float x = u / l->scale - 0.5f, y = v / l->scale - 0.5f;
-    int n = l->size, x0 = (int)ceilf(fmaxf(x - reach, 1)), x1 = (int)floorf(x + reach);
-    int y0 = (int)ceilf(fmaxf(y - reach, 1)), y1 = (int)floorf(y + reach);
-    memset(hist, 0, HALF * sizeof *hist);
-    for (int j = y0; j <= num_min(y1, n - 2); j++) {
-        for (int i = x0; i <= num_min(x1, n - 2); i++) {
-            const float *p = l->light + (size_t)j * (size_t)n + (size_t)i;
-            float gx = p[1] - p[-1], gy = p[n] - p[-n], dx = (float)i - x, dy = (float)j - y;
-            float weight = l->weight[(size_t)j * (size_t)n + (size_t)i];
-            float size = sqrtf(gx * gx + gy * gy) * weight * expf((dx * dx + dy * dy) * spread);
-            float turn = (atan2f(gy, gx) + pi) * (TURNS / (2 * pi));
-            vote(hist, dx / cell + 0.5f * (CELLS - 1), dy / cell + 0.5f * (CELLS - 1),
-                 fmaxf(turn, 0), size);
+    enum { DEPTH = TURNS + 2, WIDTH = (CELLS + 2) * DEPTH };
+    float sum[(CELLS + 2) * WIDTH] = {0};
+    struct lane column[LANES_MAX], row[LANES_MAX];
+    int n = l->size, columns = make_lanes(u / l->scale - 0.5f, CELL, n, column);
+    int rows = make_lanes(v / l->scale - 0.5f, CELL, n, row);
+    for (int j = 0; j < rows; j++) {
+        const struct lane *y = row + j;
+        for (int i = 0; i < columns; i++) {
+            const struct lane *x = column + i;
+            size_t at = (size_t)y->px * (size_t)n + (size_t)x->px;
+            const float *p = l->light + at;
+            float gx = p[1] - p[-1], gy = p[n] - p[-n], turn = direction(gx, gy);
+            float size = sqrtf(gx * gx + gy * gy) * l->weight[at] * x->weight * y->weight;
+            int t = (int)turn;
+            float *to = sum + y->cell * WIDTH + x->cell * DEPTH, beyond = turn - (float)t;
+            vote(to, size * (1 - x->next) * (1 - y->next), t, beyond);
+            vote(to + DEPTH, size * x->next * (1 - y->next), t, beyond);
+            vote(to + WIDTH, size * (1 - x->next) * y->next, t, beyond);
+            vote(to + WIDTH + DEPTH, size * x->next * y->next, t, beyond);
         }
+    }
+    for (int k = 0; k < CELLS * CELLS; k++) {
+        const float *from = sum + (k / CELLS + 1) * WIDTH + (k % CELLS + 1) * DEPTH;
+        memcpy(hist + k * TURNS, from, TURNS * sizeof *hist);
+        hist[k * TURNS] += from[TURNS]; // a full turn is none
+        hist[k * TURNS + 1] += from[TURNS + 1];
     }
 }
 

@@ -13,6 +13,7 @@
 #include "core/opt/epipolar.h"
 #include "core/opt/patch.h"
 
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -28,11 +29,17 @@ enum {
     ROWS = 32,       // corners of a block of products
     PAIR_LEAST = 12, // matches of a pair
     TRACKS_MAX = 4000,
-    SPREAD = 20, // cells of the grid that tracks are spread over, across
-    REFINE = 32, // tracks of a chunk
+    SPREAD = 20,   // cells of the grid that tracks are spread over, across
+    REFINE = 32,   // tracks of a chunk
+    FAR = 1 << 28, // no distance between descriptors
+    NONE = -1
 };
 
-#define SIGMA_MIN 0.05f // px of a level
+#define SIGMA_MIN 0.05f               // px of a level
+#define RATIO KNOB(ratio, 0.8f)       // of distances to the nearest corner and another (Lowe 2004)
+#define RATIO_LINE KNOB(gratio, 0.7f) // the same on an epipolar line
+#define BOUND KNOB(bound, 1.5f)       // px, Sampson distance of corners that agree
+#define BAND KNOB(band, 2.0f)         // px, from the epipolar line
 
 /* One match: corners of two views. */
 struct link {
@@ -44,6 +51,8 @@ struct link {
 struct couple {
     int a, b, n;
     struct link *link;
+    double f[9]; // epipolar geometry of the refined points
+    bool known;  // f
 };
 
 struct room {                     // of a worker
@@ -53,6 +62,7 @@ struct room {                     // of a worker
     int16_t *from;                // (cap) where it is
     int16_t *to;                  // (cap) nearest in b of each corner of a
     float *doubt;                 // (cap)
+    int16_t *near;                // (cap) corners of b on a line
     struct epipolar_match *match; // (cap)
     uint8_t *look;                // (grid^2) whether the network looks at this token
 };
@@ -85,6 +95,12 @@ static size_t seen_cap(int n_views, int size)
 {
     size_t n = (size_t)n_views * (size_t)corner_cap(size);
     return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
+}
+
+/* Place of a pair of views, a < b, among all of n. */
+static int couple_of(int n, int a, int b)
+{
+    return a * (2 * n - a - 1) / 2 + b - a - 1;
 }
 
 static size_t pitch_of(int cap)
@@ -151,40 +167,100 @@ static bool near_by(const struct corner *a, const struct corner *b)
     return fabsf(a->u - b->u) < apart && fabsf(a->v - b->v) < apart;
 }
 
-/* Squared distances of corner i of a to all of b, in place of the products. */
-static void distances(const struct matcher *m, const struct couple *c, int i, struct room *w,
-                      int32_t *row)
+/* What corner i of a may be compared with: corners of b and squared distances. */
+struct trial {
+    int i, n;
+    const int16_t *at; // (n) corners of b; NULL: all, in order
+    int32_t *square;   // (n)
+};
+
+/* Places that the network does not look at count as farther. */
+static void narrow(const struct matcher *m, const struct couple *c, const struct trial *t,
+                   uint8_t *look)
 {
-    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
-    for (int j = 0; j < b->n; j++)
-        row[j] = a->square[i] + b->square[j] - 2 * row[j];
-    if (!m->prior || !look_for(m, c, token_of(m, a->at + i), w->look))
+    const struct corner *b = m->view[c->b].at;
+    if (!m->prior || !look_for(m, c, token_of(m, m->view[c->a].at + t->i), look))
         return;
-    for (int j = 0; j < b->n; j++)
-        if (!w->look[token_of(m, b->at + j)])
-            row[j] = (int32_t)(KNOB(penalty, 1.5f) * (float)row[j]);
+    for (int k = 0; k < t->n; k++)
+        if (!look[token_of(m, b + (t->at ? t->at[k] : k))])
+            t->square[k] = (int32_t)(KNOB(penalty, 1.5f) * (float)t->square[k]);
 }
 
-static void nearest(const struct matcher *m, const struct couple *c, int i, struct room *w,
-                    int32_t *row)
+/* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
+ * whether this one is the nearest so far. */
+static void nearest(const struct matcher *m, const struct couple *c, const struct trial *t,
+                    struct room *w)
 {
-    const struct corner_view *b = m->view + c->b;
-    int32_t best = INT32_MAX, next = INT32_MAX;
-    distances(m, c, i, w, row);
-    for (int j = 0; j < b->n; j++) {
-        if (row[j] < best) {
-            best = row[j];
-            w->to[i] = (int16_t)j;
+    const struct corner *b = m->view[c->b].at;
+    int32_t best = FAR, next = FAR;
+    int to = NONE;
+    narrow(m, c, t, w->look);
+    for (int k = 0; k < t->n; k++) {
+        int j = t->at ? t->at[k] : k;
+        if (t->square[k] < best) {
+            best = t->square[k];
+            to = j;
         }
-        if (row[j] < w->column[j]) {
-            w->column[j] = row[j];
-            w->from[j] = (int16_t)i;
+        if (t->square[k] < w->column[j]) {
+            w->column[j] = t->square[k];
+            w->from[j] = (int16_t)t->i;
         }
     }
-    for (int j = 0; j < b->n; j++)
-        if (row[j] < next && !near_by(b->at + w->to[i], b->at + j))
-            next = row[j];
-    w->doubt[i] = ((float)best + 1) / ((float)next + 1);
+    for (int k = 0; k < t->n; k++)
+        if (t->square[k] < next && !near_by(b + to, b + (t->at ? t->at[k] : k)))
+            next = t->square[k];
+    w->to[t->i] = (int16_t)to;
+    w->doubt[t->i] = ((float)best + 1) / ((float)next + 1);
+}
+
+/* Compare all with all. */
+static void search(const struct matcher *m, const struct couple *c, struct room *w)
+{
+    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
+    for (int i = 0; i < a->n; i++) {
+        int32_t *row = w->product + (size_t)(i % ROWS) * (size_t)m->pitch;
+        if (i % ROWS == 0)
+            m->r->k->net.s8(&(struct gemm_s8){.m = num_min(ROWS, a->n - i),
+                                              .panels = (b->n + PANEL - 1) / PANEL,
+                                              .segs = 1,
+                                              .seg = CORNER_WORD,
+                                              .a = a->word + (size_t)i * CORNER_WORD,
+                                              .lda = CORNER_WORD,
+                                              .w = m->panels[c->b],
+                                              .ldw = PANEL * CORNER_WORD,
+                                              .c = w->product,
+                                              .ldc = (size_t)m->pitch});
+        for (int j = 0; j < b->n; j++)
+            row[j] = a->square[i] + b->square[j] - 2 * row[j];
+        nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
+    }
+}
+
+/* Compare with what lies along the epipolar line only. */
+static void search_lines(const struct matcher *m, const struct couple *c, struct room *w)
+{
+    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
+    const float middle = 0.5f * (float)m->v->size;
+    for (int i = 0; i < a->n; i++) {
+        float x = a->at[i].u - middle, y = a->at[i].v - middle, line[3];
+        for (int k = 0; k < 3; k++)
+            line[k] = (float)(c->f[3 * k] * x + c->f[3 * k + 1] * y + c->f[3 * k + 2]);
+        float reach = BAND * sqrtf(line[0] * line[0] + line[1] * line[1]);
+        struct trial t = {i, 0, w->near, w->product};
+        line[2] -= middle * (line[0] + line[1]);
+        for (int j = 0; j < b->n; j++)
+            if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
+                w->near[t.n++] = (int16_t)j;
+        for (int k = 0; k < t.n; k++) {
+            const int8_t *p = a->word + (size_t)i * CORNER_WORD;
+            const int8_t *q = b->word + (size_t)w->near[k] * CORNER_WORD;
+            int32_t sum = 0;
+            for (int n = 0; n < CORNER_WORD; n++)
+                sum += p[n] * q[n];
+            t.square[k] = a->square[i] + b->square[w->near[k]] - 2 * sum;
+        }
+        nearest(m, c, &t, w);
+    }
 }
 
 static int by_doubt(const void *a, const void *b)
@@ -195,24 +271,33 @@ static int by_doubt(const void *a, const void *b)
     return p->a - q->a;
 }
 
-/* Keep the links that agree with one epipolar geometry. */
-static void verify(const struct matcher *m, struct couple *c, struct epipolar_match *match)
+/* Links of corners that are each other's nearest, the surest first. */
+static void link_up(const struct matcher *m, struct couple *c, const struct room *w, float ratio)
 {
-    double f[9];
+    c->n = 0;
+    for (int i = 0; i < m->view[c->a].n; i++)
+        if (w->to[i] != NONE && w->from[w->to[i]] == i && w->doubt[i] < ratio * ratio)
+            c->link[c->n++] = (struct link){w->doubt[i], (int16_t)i, w->to[i]};
+    qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
+}
+
+static struct epipolar_match meeting(const struct matcher *m, float au, float av, float bu,
+                                     float bv)
+{
     const float middle = 0.5f * (float)m->v->size;
-    const float bound = KNOB(bound, 1.5f);
+    return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
+}
+
+/* The epipolar geometry that most links agree with. */
+static void find_geometry(const struct matcher *m, struct couple *c, struct epipolar_match *match)
+{
     for (int k = 0; k < c->n; k++) {
         const struct corner *a = m->view[c->a].at + c->link[k].a;
         const struct corner *b = m->view[c->b].at + c->link[k].b;
-        match[k] =
-            (struct epipolar_match){{a->u - middle, a->v - middle}, {b->u - middle, b->v - middle}};
+        match[k] = meeting(m, a->u, a->v, b->u, b->v);
     }
-    int n = 0, agree = epipolar_run(match, c->n, (float)m->v->size, bound, f);
-    if (agree >= PAIR_LEAST + c->n / 16)
-        for (int k = 0; k < c->n; k++)
-            if (epipolar_distance(f, match + k) < (double)(bound * bound))
-                c->link[n++] = c->link[k];
-    c->n = n;
+    int agree = epipolar_run(match, c->n, (float)m->v->size, BOUND, c->f);
+    c->known = agree >= PAIR_LEAST + c->n / 16;
 }
 
 static err_t match_couple(void *ctx, int i_couple, int worker)
@@ -220,34 +305,25 @@ static err_t match_couple(void *ctx, int i_couple, int worker)
     struct matcher *m = ctx;
     struct couple *c = m->couple + i_couple;
     struct room *w = m->rooms + worker;
-    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
     err_t e = run_check(m->r, "matching");
     c->n = 0;
-    if (e || a->n < PAIR_LEAST || b->n < PAIR_LEAST)
+    if (e || m->view[c->a].n < PAIR_LEAST || m->view[c->b].n < PAIR_LEAST)
         return e;
-    for (int j = 0; j < b->n; j++)
-        w->column[j] = INT32_MAX;
-    for (int i = 0; i < a->n; i += ROWS) {
-        int rows = num_min(ROWS, a->n - i);
-        m->r->k->net.s8(&(struct gemm_s8){.m = rows,
-                                          .panels = (b->n + PANEL - 1) / PANEL,
-                                          .segs = 1,
-                                          .seg = CORNER_WORD,
-                                          .a = a->word + (size_t)i * CORNER_WORD,
-                                          .lda = CORNER_WORD,
-                                          .w = m->panels[c->b],
-                                          .ldw = PANEL * CORNER_WORD,
-                                          .c = w->product,
-                                          .ldc = (size_t)m->pitch});
-        for (int k = 0; k < rows; k++)
-            nearest(m, c, i + k, w, w->product + (size_t)k * (size_t)m->pitch);
+    for (int turn = 0; turn < 2; turn++) {
+        for (int j = 0; j < m->view[c->b].n; j++)
+            w->column[j] = FAR;
+        if (turn)
+            search_lines(m, c, w);
+        else
+            search(m, c, w);
+        link_up(m, c, w, turn ? RATIO_LINE : RATIO);
+        if (!turn)
+            find_geometry(m, c, w->match);
+        if (!c->known) {
+            c->n = 0;
+            break;
+        }
     }
-    const float ratio = KNOB(ratio, 0.8f);
-    for (int i = 0; i < a->n; i++)
-        if (w->from[w->to[i]] == i && w->doubt[i] < ratio * ratio)
-            c->link[c->n++] = (struct link){w->doubt[i], (int16_t)i, w->to[i]};
-    qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
-    verify(m, c, w->match);
     return OK;
 }
 
@@ -429,6 +505,78 @@ static void list_tracks(struct matcher *m)
     }
 }
 
+/* ---- a last look ---- */
+
+/* Sighting of a track in a view, or NULL. */
+static const struct match_seen *seen_in(const struct matcher *m, const struct track *t, int view)
+{
+    for (int k = t->at; k < t->at + t->n; k++)
+        if (m->seen[k].view == view)
+            return m->seen + k;
+    return NULL;
+}
+
+/* Epipolar geometry of the refined sightings of two views. */
+static err_t look_again(void *ctx, int i_couple, int worker)
+{
+    struct matcher *m = ctx;
+    struct couple *c = m->couple + i_couple;
+    struct epipolar_match *match = m->rooms[worker].match;
+    int n = 0;
+    for (int i = 0; i < m->n_tracks && n < m->cap; i++) {
+        const struct match_seen *a = seen_in(m, m->track + i, c->a);
+        const struct match_seen *b = a ? seen_in(m, m->track + i, c->b) : NULL;
+        if (b)
+            match[n++] = meeting(m, a->u, a->v, b->u, b->v);
+    }
+    int agree = epipolar_run(match, n, (float)m->v->size, KNOB(again, 1.0f), c->f);
+    c->known = agree >= PAIR_LEAST && agree * 2 > n;
+    return run_check(m->r, "matching");
+}
+
+/* Views that speak against sighting k of a track, less those that speak for it. */
+static int against(const struct matcher *m, const struct track *t, int k)
+{
+    const float bound = KNOB(last, 1.0f);
+    int sum = 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct match_seen *a = m->seen + t->at + (i < k ? i : k);
+        const struct match_seen *b = m->seen + t->at + (i < k ? k : i);
+        if (i == k)
+            continue;
+        const struct couple *c = m->couple + couple_of(m->v->n, a->view, b->view);
+        const struct epipolar_match match = meeting(m, a->u, a->v, b->u, b->v);
+        if (c->known)
+            sum += epipolar_distance(c->f, &match) > (double)(bound * bound) ? 1 : -1;
+    }
+    return sum;
+}
+
+/* Take away the sighting that most views speak against, until none is left. */
+static err_t settle_chunk(void *ctx, int chunk, int worker)
+{
+    struct matcher *m = ctx;
+    (void)worker;
+    for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++) {
+        struct track *t = m->track + i;
+        while (t->n > 0) {
+            int worst = 0, most = INT_MIN;
+            for (int k = 0; k < t->n; k++) {
+                int sum = against(m, t, k);
+                if (sum > most) {
+                    most = sum;
+                    worst = k;
+                }
+            }
+            if (most < 0 || t->n < 2)
+                break;
+            struct match_seen *at = m->seen + t->at;
+            memmove(at + worst, at + worst + 1, (size_t)(--t->n - worst) * sizeof *at);
+        }
+    }
+    return run_check(m->r, "matching");
+}
+
 /* ---- result ---- */
 
 static int by_length(const void *a, const void *b)
@@ -507,6 +655,8 @@ static err_t alloc_room(const struct matcher *m, struct room *w)
         e = arena_alloc(tmp, cap, sizeof *w->to, &w->to);
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->doubt, &w->doubt);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->near, &w->near);
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->match, &w->match);
     if (!e)
@@ -601,6 +751,10 @@ static err_t find_tracks(struct matcher *m, struct match_tracks *out)
         return e;
     list_tracks(m);
     e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, refine_chunk, m);
+    if (!e)
+        e = pool_for(m->r->pool, m->n_couples, look_again, m);
+    if (!e)
+        e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, settle_chunk, m);
     return e ? e : collect(m, out);
 }
 
