@@ -1,6 +1,6 @@
 /* timing.h - when the frames of a free-running sensor begin and which controls are in force.
- * A control written during frame n applies from frame n + delay on (+ 0..jitter, but never before an
- * earlier write). A frame that runs is not cut short. Frames follow each other without a gap.
+ * A control written during frame n applies from frame n + delay on (+ 0..jitter, but never before
+ * an earlier write). A frame that runs is not cut short. Frames follow each other without a gap.
  * Pure; any thread. */
 #ifndef SIM_TIMING_H
 #define SIM_TIMING_H
@@ -10,7 +10,7 @@
 enum { TIMING_DELAY_MAX = 32, TIMING_PENDING = 2 * TIMING_DELAY_MAX + 2 };
 
 enum timing_length {
-    TIMING_STRETCH, // a frame is as long as its exposure if that exceeds the period (VBLANK follows)
+    TIMING_STRETCH, // frame is as long as its exposure, but not below the period (VBLANK)
     TIMING_LIMIT,   // the period limits exposures (UVC)
     TIMING_FREE     // exposures have nothing to do with the length (pictures from a file)
 };

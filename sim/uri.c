@@ -88,7 +88,8 @@ err_t uri_parse(const char *what, const char *text, const struct uri_table *tabl
         size_t n = strcspn(text, ",");
         const char *equal = memchr(text, '=', n);
         if (!equal || n > 1 << 20)
-            return err_fail(ERR_ARG, "%s: \"%.*s\" is not name=value", what, (int)(n % 4096), text);
+            return err_fail(ERR_ARG, "%s: \"%.*s\" is not name=value", what, (int)(n < 64 ? n : 64),
+                            text);
         struct option o = {.what = what, .name = text, .value = equal + 1};
         o.name_n = (int)(equal - text);
         o.value_n = (int)(n - (size_t)o.name_n - 1);

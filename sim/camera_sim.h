@@ -1,0 +1,21 @@
+/* camera_sim.h - the camera `sim:KEY=VALUE,...`: photographs a procedural world. The same URI gives
+ * the same frames; opening renders the view once, which takes a second or so.
+ *
+ *   seed=N kind=any|room|yard|dark|plain|mirror      the world
+ *   views=N view=I spread=X fov=DEG jitter=no|yes    one of the rig's N places, I from 0
+ *   size=PX samples=N shadow=N                       square pictures; quality of the rendering
+ *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits
+ *   curve=srgb|gamma|filmic|agx|log|random|linear param=X
+ *   full=US                                          exposure that radiance 1 saturates with
+ *   flicker=X hz=X line=US                           of the light; us per row, rolling shutter
+ *
+ * and the keys of sim/feed.c: clock, timing, metadata, faults (sim/fault.h), truth.
+ * In a program, feed_truth and feed_now of sim/feed.h work with the state. */
+#ifndef SIM_CAMERA_SIM_H
+#define SIM_CAMERA_SIM_H
+
+#include "sim/feed.h"
+
+/* extern const struct camera_ops camera_sim; is in drivers/camera.h. */
+
+#endif
