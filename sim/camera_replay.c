@@ -167,7 +167,7 @@ static err_t replay_open(void *st, const struct camera_cfg *cfg)
 {
     struct state *s = st;
     char dir[FILE_PATH_CAP];
-    const char *text;
+    const char *text = "";
     struct options o = {.which = IMAGESET_TRAIN};
     struct feed_options feed = feed_defaults;
     const struct uri_table tables[] = {{keys, sizeof keys / sizeof keys[0], &o},

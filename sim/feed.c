@@ -354,7 +354,7 @@ static int64_t stamp_of(const struct feed *f, const struct timing_frame *t)
 {
     int64_t at = t->start_ns;
     if (f->opt.stamp == CAMERA_STAMP_END)
-        at += (int64_t)(t->time_s * 1e9);
+        at += (int64_t)fmin(t->time_s * 1e9, (double)(t->end_ns - t->start_ns));
     if (f->fx.stamp_real)
         at += clock_ns(CLOCK_REALTIME) - clock_ns(CLOCK_MONOTONIC);
     return f->fx.stamp_zero ? 0 : at + f->fx.stamp_add_ns;
