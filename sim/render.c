@@ -1,8 +1,8 @@
 /* Every sample of a pixel is one ray to the first surface. Light that comes straight there is drawn
  * by light.c, light that comes by way of other surfaces is blended from the grid of probe.c. Gloss
- * takes Schlick's share F of the light (An Inexpensive BRDF Model, 1994): what F exceeds AMBIENT by
- * is a mirrored ray, whose hit is shaded without gloss; the rest is the highlight of each light plus
- * what the grid gives in the mirrored direction.
+ * takes Schlick's share F of the light (An Inexpensive BRDF Model, 1994): where F is large, by a
+ * mirrored ray, whose hit is shaded without gloss; where it is small, as the highlight of each light
+ * plus what the grid gives in the mirrored direction.
  * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller and
  * Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5 px of
  * one plane with half weights at the edges, so that each window holds the whole pattern evenly. A
@@ -156,6 +156,13 @@ static float gloss_share(const struct world_material *m, float facing)
     return m->specular + (most - m->specular) * a2 * a2 * a;
 }
 
+/* The part of it that is traced: none up to AMBIENT, all from twice that. */
+static float ray_share(const struct world_material *m, float share)
+{
+    float part = vec_min(vec_max(share / AMBIENT - 1, 0), 1);
+    return m->roughness < ROUGH_RAY && part * share > RAY_LEAST ? part * share : 0;
+}
+
 static float lobe_of(float roughness)
 {
     float square = roughness * roughness;
@@ -187,9 +194,9 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
 {
     const struct light_spot *spot = &hand->first;
     float rough = on->material->roughness, share = gloss_share(on->material, on->facing);
-    float ray = rough < ROUGH_RAY ? vec_max(share - AMBIENT, 0) : 0, light[3];
+    float ray = ray_share(on->material, share), light[3];
     float *to = rough < ROUGH_BLUR ? out->part[REST] : out->part[GLOSS];
-    if (ray > RAY_LEAST) {
+    if (ray > 0) {
         struct gaze next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
         next.lamps = rough < ROUGH_LAMP;
         next.sun = rough < ROUGH_SUN;
@@ -197,8 +204,6 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
         bend(spot, rough, dice, next.d);
         mirrored(s, &next, &hand->second, dice, light);
         vec_along(to, ray, light, to);
-    } else {
-        ray = 0;
     }
     if (share - ray > 1e-3f) {
         probe_light(&s->probes, spot->p, spot->mirror, light);
@@ -209,7 +214,7 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
 static void set_gloss(const struct gaze *g, const struct light_surface *on, struct light_spot *spot)
 {
     float rough = on->material->roughness, share = gloss_share(on->material, on->facing);
-    float part = vec_min(share, AMBIENT);
+    float part = share - ray_share(on->material, share);
     vec_along(g->d, 2 * on->facing, on->n, spot->mirror);
     spot->lobe = lobe_of(vec_max(rough, ROUGH_LAMP));
     spot->shine[0] = rough < ROUGH_LAMP ? part : share;

@@ -108,9 +108,9 @@ static float hit_sphere(const float o[3], const float d[3], float most)
     return t > 0 && t < most ? t : most;
 }
 
-/* Where a frustum's side is met: x^2 + y^2 = (mean - slope z)^2, |z| <= 1, t counted from o. */
-static float hit_side(const struct solid *s, const float o[3], const float d[3],
-                      const float range[2])
+/* Where a frustum's side, x^2 + y^2 = (mean - slope z)^2 with |z| <= 1, is met after `least`;
+ * infinite if nowhere. */
+static float hit_side(const struct solid *s, const float o[3], const float d[3], float least)
 {
     float mean = (1 + s->k) / 2, slope = (1 - s->k) / 2;
     float ro = mean - slope * o[2], rd = -slope * d[2];
@@ -119,13 +119,13 @@ static float hit_side(const struct solid *s, const float o[3], const float d[3],
     float c = o[0] * o[0] + o[1] * o[1] - ro * ro;
     float square = b * b - a * c;
     if (!(square >= 0))
-        return range[1];
+        return INFINITY;
     float q = -(b + (b < 0 ? -sqrtf(square) : sqrtf(square)));
-    float roots[2] = {c / away_from_0(q), q / away_from_0(a)}, best = range[1];
+    float roots[2] = {c / away_from_0(q), q / away_from_0(a)}, best = INFINITY;
     for (int i = 0; i < 2; i++) {
         float t = roots[i];
         bool on = fabsf(o[2] + t * d[2]) <= 1;
-        best = on && t > range[0] && t < best ? t : best;
+        best = on && t > least && t < best ? t : best;
     }
     return best;
 }
@@ -134,7 +134,7 @@ static float hit_frustum(const struct solid *s, const float o[3], const float d[
 {
     float middle = -vec_dot(o, d) / vec_dot(d, d), near[3];
     vec_along(o, middle, d, near);
-    float best = hit_side(s, near, d, (float[2]){-middle, most - middle});
+    float best = hit_side(s, near, d, -middle);
     float up = away_from_0(d[2]);
     for (int end = -1; end <= 1; end += 2) {
         float t = ((float)end - near[2]) / up;
