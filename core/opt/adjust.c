@@ -18,7 +18,8 @@
 #include <string.h>
 
 enum { GROUPS = 8, BLOCK = 256, PAIRS_MOST = 24, POINT_STEPS = 4 };
-static const double BEHIND = 1e30, NEAREST = 1e-9;
+static const double BEHIND = 1e30, NEAREST = 1e-9,
+                    DONE = 3e-6; // DONE: relative gain of a last step
 
 /* ---- one sighting ---- */
 
@@ -549,7 +550,7 @@ static void move(struct normal *m, struct adjust *a, const double *pose)
 static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps)
 {
     const size_t bytes = (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *pose;
-    double cost, now = 0;
+    double cost, now = 0, ease = 0.1;
     err_t e = total_cost(m, &cost);
     cost += prior_cost(a);
     m->damping = 1e-4;
@@ -568,9 +569,10 @@ static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps
         e = total_cost(m, &now);
         now += prior_cost(a);
         if (!e && now < cost) {
-            bool done = cost - now < 1e-5 * cost;
+            bool done = cost - now < DONE * cost;
             cost = now;
-            m->damping = fmax(m->damping * 0.1, 1e-9);
+            m->damping = fmax(m->damping * ease, 1e-9);
+            ease = fmax(ease * 0.5, 0.1);
             if (done)
                 break;
             continue;
@@ -580,7 +582,8 @@ static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps
         m->trial = point;
         a->focal = focal;
         memcpy(a->pose, pose, bytes);
-        m->damping *= 10;
+        m->damping *= 4;
+        ease = 0.8;
     }
     return e;
 }

@@ -32,7 +32,7 @@ struct answer {
     double focal, scale; // scale: of the expected errors, at least 1
     double *pose, *point;
     bool *placed, *in;
-    long score;
+    double score;
     bool from_tracks;
 };
 
@@ -234,7 +234,7 @@ static err_t place_again(struct bundle *b, bool *any)
 /* The last rounds, common to both starts. */
 static err_t finish(struct bundle *b)
 {
-    static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {GATE, 2, 15}};
+    static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {GATE, 2, 25}};
     bool any = false;
     err_t e = rounds(b, middle, 1);
     b->scale = error_scale(b);
@@ -255,16 +255,21 @@ static err_t finish(struct bundle *b)
     return e;
 }
 
-/* Redundancy of the inliers, and of all sightings. */
-static long redundancy(const struct adjust *a, long *all)
+/* Redundancy of the inliers and of all sightings; with `soft`, sightings near the gate count
+ * less. */
+static double redundancy(const struct bundle *b, bool soft, double *all)
 {
-    long sum = 0;
+    const struct adjust *a = &b->a;
+    double sum = 0;
     *all = 0;
     for (int t = 0; t < a->n_tracks; t++) {
-        int n = 0, seen = a->first[t + 1] - a->first[t];
-        for (int i = a->first[t]; i < a->first[t + 1]; i++)
-            n += a->in[i];
-        sum += n > 1 ? 2 * n - 3 : 0;
+        const int seen = a->first[t + 1] - a->first[t];
+        double n = 0;
+        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
+            double e2 = soft ? adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]) : 0;
+            n += a->in[i] ? fmax(0, 1 - e2 / (GATE * GATE)) : 0;
+        }
+        sum += fmax(0, 2 * n - 3);
         *all += seen > 1 ? 2 * seen - 3 : 0;
     }
     return sum;
@@ -275,7 +280,7 @@ static void keep_better(struct bundle *b, bool from_tracks)
 {
     struct answer *w = &b->best;
     const struct adjust *a = &b->a;
-    long all, score = redundancy(a, &all);
+    double all, score = redundancy(b, true, &all);
     if (score <= w->score)
         return;
     w->score = score;
@@ -290,19 +295,19 @@ static void keep_better(struct bundle *b, bool from_tracks)
 
 /* ---- starts ---- */
 
-static void forget(struct bundle *b)
+static void forget(struct bundle *b, double focal)
 {
-    b->a.focal = start_focal(b);
+    b->a.focal = focal;
     b->scale = 1;
     memset(b->a.point, 0, 4 * (size_t)b->a.n_tracks * sizeof *b->a.point);
 }
 
-static err_t from_tracks(struct bundle *b)
+static err_t from_tracks(struct bundle *b, double focal)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
     bool found = false;
-    forget(b);
+    forget(b, focal);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
     if (e || viewgraph_rotations(&b->g, a) == 0)
         return e;
@@ -407,7 +412,7 @@ static err_t from_cameras(struct bundle *b)
 {
     static const struct round first[] = {{100, 60, 10}, {60, 30, 10}, {30, 15, 10}, {20, 8, 10}};
     struct adjust *a = &b->a;
-    forget(b);
+    forget(b, start_focal(b));
     load_cameras(b);
     points_at(b, typical_depth(b));
     adjust_centre(a);
@@ -429,7 +434,7 @@ static err_t from_cameras(struct bundle *b)
 static err_t from_rig(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
-    forget(b);
+    forget(b, start_focal(b));
     load_cameras(b);
     b->a.poses_fixed = true;
     err_t e = rounds(b, first, 2);
@@ -604,12 +609,12 @@ static double parallax_px(struct bundle *b)
 static float confidence(struct bundle *b, const struct bundle_result *out)
 {
     const double CHANCE = 0.2, wanted = 4 * fmax(0.5, (double)out->rms_px);
-    long all, in;
+    double all, in;
     memcpy(b->a.in, b->best.in, (size_t)b->tracks->n * sizeof *b->a.in);
-    in = redundancy(&b->a, &all);
+    in = redundancy(b, false, &all);
     if (all < 1)
         return 0;
-    double share = fmax(0, ((double)in / (double)all - CHANCE) / (1 - CHANCE));
+    double share = fmax(0, (in / all - CHANCE) / (1 - CHANCE));
     double parallax = pow(parallax_px(b) / wanted, 4);
     return (float)(share * out->n_placed / b->n_views * parallax / (1 + parallax));
 }
@@ -645,6 +650,8 @@ static err_t room_for(const struct run *r, int n_views, int n_tracks, struct bun
     return e;
 }
 
+/* Relative poses for a wrong focal length are wrong, and adjustment then moves slowly: it starts
+ * once more where the focal length turns out to be another one. */
 static err_t search(struct bundle *b)
 {
     err_t e = OK;
@@ -654,7 +661,12 @@ static err_t search(struct bundle *b)
     b->a.focal_fixed = b->cfg->focal_known;
     if (b->cfg->rig_known)
         return from_rig(b);
-    e = from_tracks(b);
+    for (int k = 0; k < 3 && !e; k++) {
+        double focal = b->best.focal;
+        e = from_tracks(b, focal);
+        if (fabs(log(b->best.focal / focal)) < 0.05)
+            break;
+    }
     if (!e && b->cfg->start)
         e = from_cameras(b);
     return e;
