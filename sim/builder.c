@@ -162,7 +162,7 @@ static const struct look LOOK[ROLE_COUNT] = {
                    {.02f, .3f},
                    {0, .05f},
                    {.1f, .5f}},
-    [ROLE_POSTER] = {{P, N, S, T},
+    [ROLE_POSTER] = {{P, P, S, T},
                      {.15f, .6f},
                      {.4f, 1},
                      {0, 1},
@@ -189,7 +189,7 @@ static const struct look LOOK[ROLE_COUNT] = {
                     {.05f, .2f},
                     {.2f, .6f},
                     {.1f, .5f}},
-    [ROLE_CARTON] = {{P, N, P, W},
+    [ROLE_CARTON] = {{P, N, P, T},
                      {.15f, .5f},
                      {.3f, .8f},
                      {.06f, .11f},
@@ -250,6 +250,16 @@ static float draw_range(struct builder *b, struct range r)
     return builder_draw(b, r.lo, r.hi);
 }
 
+/* Hue within a range; of those that may be anything half are between red and yellow, as of clay,
+ * timber and most paint. */
+static float draw_hue(struct builder *b, struct range r)
+{
+    float hue = draw_range(b, r), choice = builder_draw(b, 0.0f, 1.0f);
+    if (r.hi - r.lo < 0.9f || choice > 0.75f)
+        return hue;
+    return choice < 0.5f ? 0.98f + 0.15f * hue : 0.53f + 0.13f * hue;
+}
+
 int builder_material(struct builder *b, enum builder_role role)
 {
     struct world *w = b->w;
@@ -262,11 +272,11 @@ int builder_material(struct builder *b, enum builder_role role)
     m->albedo.seed = (uint32_t)builder_draw(b, 0.0f, 16777216.0f);
     m->albedo.scale = draw_range(b, k->scale);
     m->albedo.contrast = draw_range(b, k->contrast);
-    float hue = draw_range(b, k->hue), saturation = draw_range(b, k->saturation);
+    float hue = draw_hue(b, k->hue), saturation = draw_range(b, k->saturation);
     colour(hue, saturation, draw_range(b, k->light), m->albedo.colour[0]);
     float other = hue + builder_draw(b, -0.07f, 0.07f);
     colour(other, saturation, draw_range(b, k->dark), m->albedo.colour[1]);
-    float accent = hue + builder_draw(b, 0.15f, 0.85f);
+    float accent = builder_chance(b, 0.5f) ? hue + 0.5f : draw_hue(b, (struct range){0, 1});
     colour(accent, fminf(1.5f * saturation, 0.9f), builder_draw(b, k->dark.lo, k->light.hi),
            m->albedo.colour[2]);
     m->specular = draw_range(b, k->specular);

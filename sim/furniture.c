@@ -339,20 +339,25 @@ void furniture_picture(struct builder *b, const struct frame *f, const float hal
 
 void furniture_floor_lamp(struct builder *b, const struct frame *f, float radiance)
 {
-    int m = builder_material(b, ROLE_METAL);
+    int m = builder_material(b, ROLE_METAL), style = builder_pick(b, 3);
     float tall = builder_draw(b, 0.6f, 0.8f), r = builder_draw(b, 0.13f, 0.22f);
+    float taper = builder_draw(b, 0.5f, 1.0f), z = 2 * tall + r;
     builder_rod(b, f, (float[]){0.15f, 0.015f}, (float[]){0, 0, 0.015f}, m);
     builder_rod(b, f, (float[]){0.013f, tall}, (float[]){0, 0, tall}, m);
-    int shade = builder_glow(b, radiance, 0.15f);
-    float taper = builder_draw(b, 0.5f, 1.0f);
-    builder_lamp(b, builder_add(b, f,
-                                &(struct part){WORLD_FRUSTUM,
-                                               {r, r, 0.13f},
-                                               {0, 0, 2 * tall + 0.13f},
-                                               shade,
-                                               taper,
-                                               {0, 0, 0},
-                                               CUT_RANDOM}));
+    struct part p = {.shape = style == 0 ? WORLD_ELLIPSOID : WORLD_FRUSTUM,
+                     .size = {r, r, style == 0 ? r : 0.13f},
+                     .at = {0, 0, style == 0 ? z : 2 * tall + 0.13f},
+                     .taper = taper};
+    if (style == 2) { // a cloth shade that lets no light through, its bulb below
+        p.material = builder_material(b, ROLE_CLOTH);
+        builder_add(b, f, &p);
+        p = (struct part){.shape = WORLD_ELLIPSOID,
+                          .size = {0.035f, 0.035f, 0.05f},
+                          .at = {0.06f, 0, 2 * tall - 0.06f}};
+        radiance *= 18.0f;
+    }
+    p.material = builder_glow(b, radiance, 0.15f);
+    builder_lamp(b, builder_add(b, f, &p));
 }
 
 void furniture_size(struct builder *b, const struct piece *p, float half[2], float *height)

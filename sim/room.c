@@ -343,11 +343,11 @@ static void along_walls(struct room *r)
 static void on_walls(struct room *r)
 {
     struct builder *b = r->b;
-    for (int i = 0; i < 22 && b->w->n_solids < WORLD_SOLIDS - 180; i++) {
+    for (int i = 0; i < 48 && b->w->n_solids < WORLD_SOLIDS - 180; i++) {
         int k = builder_pick(b, WALLS);
-        float hx = builder_draw(b, 0.12f, 0.5f), hz = builder_draw(b, 0.15f, 0.45f);
+        float hx = builder_draw(b, 0.12f, 0.6f), hz = builder_draw(b, 0.15f, 0.55f);
         float wall = wall_half(r, k) - hx;
-        float x = builder_draw(b, -wall, wall), z = builder_draw(b, 1.3f, 1.9f);
+        float x = builder_draw(b, -wall, wall), z = builder_draw(b, 1.2f, 2.0f);
         const struct span s = {{x - hx - 0.1f, x + hx + 0.1f}, {z - hz - 0.1f, z + hz + 0.1f}};
         if (z + hz > r->height - 0.15f || !wall_claim(r, k, &s))
             continue;
@@ -419,7 +419,8 @@ static void lamps(struct room *r)
         float y = builder_draw(b, -0.6f, 0.6f) * r->half[1];
         ceiling_lamp(r, x, y, power * builder_draw(b, 0.3f, 1.2f));
     }
-    for (int i = 0; i < 6; i++) {
+    int tries = n == 0 && !r->day ? 20 : (builder_chance(b, 0.5f) ? 6 : 0);
+    for (int i = 0; i < tries; i++) {
         float x = builder_draw(b, -0.9f, 0.9f) * r->half[0];
         float y = builder_draw(b, -0.9f, 0.9f) * r->half[1];
         float share = builder_draw(b, 0.15f, 0.6f);

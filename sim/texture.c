@@ -83,6 +83,12 @@ static float side(const struct point *s, float d)
     return clamp(d / s->width + 0.5f, 0.0f, 1.0f);
 }
 
+/* Share of the footprint in a strip of that half width, x from its middle. */
+static float strip(const struct point *s, float x, float half)
+{
+    return side(s, half + x) - side(s, x - half);
+}
+
 static float corner(uint32_t h)
 {
     h = (h ^ (h >> 15)) * 0x2c1b3c6du;
@@ -150,7 +156,10 @@ static void clouds(const struct point *s, float out[3])
     if (s->seed % 3 == 1) // patches with soft borders
         t = 0.5f + strong * clamp(5.0f * (a + 0.2f * b), -0.7f, 0.7f);
     else if (s->seed % 3 == 2) // veins where the sum crosses zero
-        t = 1.0f - strong * clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f) + 0.25f * strong * b;
+        t = 1.0f -
+            strong *
+                mix(0.25f, clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f), seen(s, 0.4f * s->scale)) +
+            0.25f * strong * b;
     mix3(s->t->colour[0], s->t->colour[1], clamp(t, 0.0f, 1.0f), out);
     mix3(out, s->t->colour[2], clamp(strong * (b + 0.4f * a - 0.1f), 0.0f, 0.8f), out);
 }
@@ -187,17 +196,17 @@ static void brick(const struct point *s, float out[3])
     float du = (0.5f - fabsf(u - (float)i - 0.5f)) * s->scale;
     float dv = (0.5f - fabsf(v - (float)j - 0.5f)) * height;
     float rough = octave(s, height * 0.35f, 41);
-    float d = (du < dv ? du : dv) - joint * (0.5f + 0.4f * rough);
+    float gap = strip(s, du < dv ? du : dv, joint * (0.5f + 0.4f * rough));
 
     float mean[3], own[3];
-    mix3(t->colour[0], t->colour[1], 0.4f, mean);
+    mix3(t->colour[0], t->colour[1], 0.325f, mean);
     mix3(t->colour[0], t->colour[1], unit(h) * (0.3f + 0.7f * unit(h * 0x9e3779b1u)), own);
     float tone = 1.0f + (0.3f + 0.9f * s->contrast) * (unit(h * 0x85ebca77u) - 0.5f);
     for (int c = 0; c < 3; c++)
         own[c] *= tone;
     mix3(mean, own, seen(s, height), own);
-    float gap = 1.0f - joint / height;
-    mix3(t->colour[2], own, mix(gap, side(s, d), seen(s, height)), out);
+    float share = joint / height + joint / s->scale; // of mortar
+    mix3(own, t->colour[2], mix(share, gap, seen(s, height)), out);
 }
 
 /* Whether and how far (x, y), -0.5..0.5, lies inside of the motif `h` of a tile. */
@@ -237,7 +246,7 @@ static void tiles(const struct point *s, float out[3])
     float x = u - (float)i - 0.5f, y = v - (float)j - 0.5f;
     float joint = 0.02f + 0.03f * unit(s->seed * 0x85ebca6bu);
     float own[3], mark[3], mean[3];
-    mix3(t->colour[0], t->colour[1], 0.4f, mean);
+    mix3(t->colour[0], t->colour[1], 0.325f, mean);
     mix3(t->colour[0], t->colour[1], unit(h) * unit(h * 0x9e3779b1u) * 1.3f, own);
     float tone = 1.0f + (0.1f + 0.8f * s->contrast) * (unit(h * 0x85ebca77u) - 0.5f);
     mix3(t->colour[1], t->colour[2], unit(h * 0xc2b2ae35u), mark);
@@ -250,22 +259,23 @@ static void tiles(const struct point *s, float out[3])
     }
     for (int c = 0; c < 3; c++)
         own[c] *= tone;
-    float d = 0.5f - (fabsf(x) > fabsf(y) ? fabsf(x) : fabsf(y)) - 0.5f * joint;
-    float keep = seen(s, size);
+    float d = 0.5f - (fabsf(x) > fabsf(y) ? fabsf(x) : fabsf(y)), keep = seen(s, size);
     mix3(mean, own, keep, own);
     const float dark[3] = {0.4f * mean[0], 0.4f * mean[1], 0.4f * mean[2]};
-    mix3(dark, own, mix(1.0f - 2.0f * joint, side(s, d * size), keep), out);
+    mix3(own, dark, mix(2.0f * joint, strip(s, d * size, 0.5f * joint * size), keep), out);
 }
 
-/* Planks along u. Rings are bands across the plank, bent by noise and by a knot. */
+/* Planks along u, in every second texture along v. Rings are bands across the plank, bent by noise
+ * and by a knot. */
 static void wood(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
-    float wide = s->scale, v = s->v / wide;
+    bool upright = (s->seed & 2) != 0;
+    float wide = s->scale, v = (upright ? s->u : s->v) / wide;
     int j = whole(v);
     uint32_t row = cell(j, 3, s->face);
     float length = 7.0f + 5.0f * unit(row);
-    float u = s->u / wide / length + unit(row * 0x9e3779b1u);
+    float u = (upright ? s->v : s->u) / wide / length + unit(row * 0x9e3779b1u);
     int i = whole(u);
     uint32_t h = cell(i, j, s->face + 1);
     float x = (u - (float)i) * length, y = v - (float)j; // in widths of the plank
@@ -283,17 +293,16 @@ static void wood(const struct point *s, float out[3])
         if (k > 0.0f)
             fibre += k * noise2(x * f * 0.07f + turn, y * f, s->seed + 5 + (uint32_t)o);
     }
-    float grain = mix(0.5f, ring * ring, keep) + 0.35f * fibre;
+    float grain = mix(0.333f, ring * ring, keep) + 0.35f * fibre;
     float dark = (0.25f + 0.75f * s->contrast) * grain + 0.8f * keep * clamp(knot - 0.75f, 0, 1);
     mix3(t->colour[0], t->colour[1], clamp(dark, 0.0f, 1.0f), out);
     float own = seen(s, wide),
           tone = 1.0f + own * (0.25f + 0.6f * s->contrast) * (unit(row * 0x165667b1u + h) - 0.5f);
     float gap = 0.02f + 0.02f * unit(s->seed), dv = y < 0.5f ? y : 1.0f - y;
     float du = x < 0.5f * length ? x : length - x;
-    float d = ((du < dv ? du : dv) - gap) * wide;
-    float open = mix(1.0f - 2.0f * gap, side(s, d), own);
+    float gaps = strip(s, (du < dv ? du : dv) * wide, gap * wide);
     for (int c = 0; c < 3; c++)
-        out[c] *= tone * mix(0.25f, 1.0f, open);
+        out[c] *= tone * (1.0f - 0.75f * mix(2.2f * gap, gaps, own));
 }
 
 /* Stripes of random width and colour along one coordinate: position in stripe k of a period. */
@@ -302,16 +311,22 @@ static void stripe(const struct point *s, float x, uint32_t salt, float out[3])
     float period = s->scale, a = x / period;
     int k = whole(a);
     float in = a - (float)k;
-    uint32_t regular = (s->seed & 32) ? 0u : (uint32_t)k; // else every period looks the same
-    uint32_t h = stir(s->seed + salt + regular * 0x9e3779b9u);
+    bool random = (s->seed & 32) == 0; // else every period looks the same
+    uint32_t h = stir(s->seed + salt + (random ? (uint32_t)k * 0x9e3779b9u : 0u));
     float first = 0.25f + 0.35f * unit(h), second = first + 0.1f + 0.25f * unit(h * 0x9e3779b1u);
     const float(*colour)[3] = s->t->colour;
     float b = side(s, (in - first) * period), c = side(s, (in - second) * period);
-    float keep = seen(s, 0.4f * period);
-    float mean[3];
-    mix3(colour[0], colour[1], 0.35f, mean);
-    mix3(colour[0], colour[1 + (h >> 31)], b, out);
-    mix3(out, colour[(h >> 30) & 1 ? 0 : 2], c, out);
+    float keep = seen(s, 0.4f * period), mean[3];
+    const float *second_colour = colour[1 + (h >> 31)], *third = colour[(h >> 30) & 1 ? 0 : 2];
+    mix3(colour[0], second_colour, b, out);
+    mix3(out, third, c, out);
+    if (random) { // widths and colours of all periods together
+        mix3(colour[1], colour[2], 0.72f, mean);
+        mix3(colour[0], mean, 0.4f, mean);
+    } else
+        for (int i = 0; i < 3; i++)
+            mean[i] = first * colour[0][i] + (second - first) * second_colour[i] +
+                      (1.0f - second) * third[i];
     mix3(mean, out, keep, out);
 }
 
@@ -411,7 +426,8 @@ static void print(const struct point *s, float out[3])
     uint32_t page = cell(i, j, s->face);
     float x = (u - (float)i - 0.06f) / 0.88f, y = (1.0f - v + (float)j - 0.06f) / 0.88f;
     float mean[3], ink[3], paper[3];
-    mix3(t->colour[0], t->colour[2], (page & 3) == 0 ? 0.7f : 0.0f, paper);
+    float tint = mix(0.175f, (page & 3) == 0 ? 0.7f : 0.0f, seen(s, s->scale)); // one of four
+    mix3(t->colour[0], t->colour[2], tint, paper);
     mix3(paper, t->colour[1], 0.2f, mean);
     if (!(x >= 0.0f && x < 1.0f && y >= 0.0f && y < 1.0f)) {
         mix3(mean, paper, seen(s, s->scale), out);
