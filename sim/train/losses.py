@@ -120,3 +120,60 @@ def geometry_figures(pose: Tensor, log_depth: Tensor, batch: data.Batch) -> dict
     still = torch.rad2deg(2 * torch.acos(batch.pose[..., 6].clamp(max=1)))[:, 1:]
     return {"rot": angle.median(), "rot0": still.median(), "t": shift.median(), "t0": far.median(),
             "fov": fov.median(), "depth": d.abs().nanmean(), "depth1": (d - middle).abs().nanmean()}
+
+
+# ---- appearance ----
+
+SH0 = 0.28209479177387814
+SURE, EDGE = 0.95, 0.4  # opacity inside of surfaces and at steps of depth
+FOOTPRINT = 0.7  # standard deviation of a Gaussian over the distance of pixels
+
+
+def develop_at(batch: data.Batch, stops: Tensor) -> Tensor:
+    """What the camera shows without noise at other exposures, (B, V, 3, S, S)."""
+    e = batch.radiance * torch.exp2(stops)[..., None, None, None]
+    return data.develop(e.flatten(1, 4), batch.curve).view_as(e)
+
+
+def reexposed(raw: Tensor, theta: Tensor, stops: Tensor) -> Tensor:
+    """Display values of the pixels' own Gaussians; stops (B, V) relative to the middle."""
+    log_h = raw[:, :, [8, 33, 58]] * SH0
+    x = torch.log2(torch.exp(log_h.clamp(-25, 25)) + 1e-6) + stops[..., None, None, None]
+    return model.tone(theta, x.transpose(1, 2)).transpose(1, 2)
+
+
+def appearance_loss(raw: Tensor, theta: Tensor, batch: data.Batch, other: list[Tensor]) -> tuple:
+    """other: exposures (B, V), log2, beside the picture's own."""
+    middle = mid_stops(batch.stops)
+    own = batch.images
+    first = (reexposed(raw, theta, batch.stops - middle) - own).abs().mean()
+    error = 0.0
+    for s in other:
+        error = error + (reexposed(raw, theta, s - middle) - develop_at(batch, s)).abs().mean()
+    error = error / max(len(other), 1)
+    return first + 2 * error, {"own": first.detach(), "other": torch.as_tensor(error).detach()}
+
+
+def mid_stops(stops: Tensor) -> Tensor:
+    return (stops.amax(1, keepdim=True) + stops.amin(1, keepdim=True)) / 2
+
+
+def shape_loss(raw: Tensor, log_depth: Tensor, fov: Tensor, truth: Tensor) -> tuple:
+    """Gaussians as large as pixels of the predicted depth, opaque but at edges, without colours
+    that depend on direction."""
+    size = raw.shape[-1]
+    pixel = 2 * torch.tan(fov.clamp(0.2, 2.5) / 2) / size
+    want = torch.log(FOOTPRINT * pixel[..., None, None]) + log_depth
+    have = torch.log(1e-3 * F.softplus(raw[:, :, 1:4]) + 1e-7)
+    scale = (have - want[:, :, None]).abs().mean()
+    step = torch.zeros_like(truth)
+    d = torch.log(truth.clamp_min(1e-4))
+    step[..., 1:] = (d[..., 1:] - d[..., :-1]).abs()
+    step[..., 1:, :] = torch.maximum(step[..., 1:, :], (d[..., 1:, :] - d[..., :-1, :]).abs())
+    target = torch.where((step > 0.08) & (truth > 0), EDGE, SURE)
+    opaque = F.binary_cross_entropy_with_logits(raw[:, :, 0], target)
+    unit = raw.new_tensor([0.0, 0, 0, 1]).view(4, 1, 1)
+    turn = (raw[:, :, 4:8] - unit).square().mean()
+    bands = [c for k in (8, 33, 58) for c in range(k + 1, k + 25)]
+    rest = raw[:, :, bands].square().mean() + raw[:, :, 83].square().mean()
+    return 0.1 * scale + 0.05 * opaque + 0.02 * turn + 0.02 * rest, {"scale": scale.detach()}

@@ -12,6 +12,7 @@ import copy
 import json
 import math
 import os
+import signal
 import time
 
 import numpy as np
@@ -74,6 +75,8 @@ class Trainer:
         self.average = copy.deepcopy(self.net).eval()
         self.resume()
         self.schedule = Schedule(q, self.spent)
+        self.stop = False
+        signal.signal(signal.SIGTERM, lambda *_: setattr(self, "stop", True))
 
     def stage_params(self) -> None:
         e = self.net.encoder
@@ -137,12 +140,43 @@ class Trainer:
         total = self.q.match * match + camera + error
         return total, {"match": match, "camera": camera, "depth": error, **figures}
 
+    def appearance(self, net: model.Net, b: data.Batch, r: np.random.Generator) -> tuple:
+        size, (n, v) = b.images.shape[-1], b.stops.shape
+        with torch.no_grad():
+            keep, qk = net.backbone(b.images)
+            fov = net.encoder.camera_head(keep[-1])[-1][..., 8].float()
+            depth, _ = net.encoder.depth_head([k.flatten(0, 1) for k in keep], size)
+        raw, theta = net.gaussians(b.images, keep, qk, b.stops - losses.mid_stops(b.stops))
+        lo, hi = b.stops.amin(1, keepdim=True), b.stops.amax(1, keepdim=True)
+        other = [lo + (hi - lo) * torch.from_numpy(r.random((n, v))).to(lo)
+                 + torch.from_numpy(r.normal(size=(n, v)) * 0.7).to(lo) for _ in range(2)]
+        with torch.autocast(self.q.device, enabled=False):
+            picture, f = losses.appearance_loss(raw, theta, b, other)
+            shape, g = losses.shape_loss(raw, depth.unflatten(0, (n, v)), fov, b.depth)
+        return picture + shape, {**f, **g}
+
     def forward(self, net: model.Net, b: data.Batch, share: float) -> tuple[Tensor, dict]:
         with torch.autocast(self.q.device, dtype=torch.bfloat16, enabled=self.q.bf16):
-            return self.geometry(net, b, share)
+            if self.q.stage == "geometry":
+                return self.geometry(net, b, share)
+            return self.appearance(net, b, self.rng)
 
     @torch.no_grad()
     def validate(self, scenes: data.Replay) -> dict:
+        return self.validate_geometry(scenes) if self.q.stage == "geometry" \
+            else self.validate_appearance(scenes)
+
+    def validate_appearance(self, scenes: data.Replay) -> dict:
+        r, total = np.random.default_rng(5), {}
+        for name in sorted(scenes.scenes)[: self.q.val]:
+            b = scenes.collect([name], r, 4, self.q.val_size).to(self.q.device)
+            with torch.autocast(self.q.device, dtype=torch.bfloat16, enabled=self.q.bf16):
+                _, f = self.appearance(self.average, b, r)
+            for k, x in f.items():
+                total.setdefault(k, []).append(float(x))
+        return {k: float(np.mean(x)) for k, x in total.items()}
+
+    def validate_geometry(self, scenes: data.Replay) -> dict:
         """On the averaged weights; the same samples every time."""
         r, net, total = np.random.default_rng(5), self.average, {}
         names = sorted(scenes.scenes)[: self.q.val]
@@ -190,7 +224,7 @@ class Trainer:
         held_out = data.Replay(q.scenes, 64, True)
         held_out.wait(min(4, q.val))
         sums, since, saved, exported, views = {}, time.time(), time.time(), 0.0, self.views
-        while (share := self.schedule.share(self.step)) < 1:
+        while (share := self.schedule.share(self.step)) < 1 and not self.stop:
             for k, x in self.train_step(scenes, share).items():
                 sums.setdefault(k, []).append(float(x.detach()))
             if self.step % q.every == 0:
@@ -210,9 +244,11 @@ class Trainer:
             if time.time() - exported > q.snap_s:
                 export.export(self.average, f"{q.out}/snap.safetensors")
                 exported = time.time()
-        self.report(held_out)
         self.save()
-        export.export(self.average, f"{q.out}/{q.stage}.safetensors")
+        if not self.stop:
+            self.report(held_out)
+            self.save()
+            export.export(self.average, f"{q.out}/{q.stage}.safetensors")
 
     def report(self, held_out: data.Replay) -> None:
         f = self.validate(held_out)
