@@ -246,6 +246,20 @@ static void test_no_buffers(const struct backend *b)
     }
 }
 
+/* Who comes late finds the oldest frames and a gap behind them: nothing is dropped in silence. */
+static void test_slow_reader(const struct backend *b)
+{
+    struct frame f;
+    void *st = open_camera(b, "");
+    nanosleep(&(struct timespec){.tv_nsec = 100000000}, NULL);
+    for (uint32_t i = 0; i < 5; i++) {
+        assert_int_equal(wait_frame(b, st, &f), OK);
+        assert_true(i < 4 ? f.sequence == i : f.sequence > 6);
+        b->ops->release(st, &f);
+    }
+    close_camera(b, st);
+}
+
 /* Real time: frames come at the rate that info tells, stamped with CLOCK_MONOTONIC. */
 static void test_rate(const struct backend *b)
 {
@@ -336,16 +350,22 @@ BOTH(test_timeout)
 BOTH(test_unplug)
 BOTH(test_node)
 BOTH(test_no_buffers)
+BOTH(test_slow_reader)
 BOTH(test_rate)
 BOTH(test_refused_wishes)
 
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_open_close_twice_both), cmocka_unit_test(test_request_both),
-        cmocka_unit_test(test_wrong_requests_both),   cmocka_unit_test(test_timeout_both),
-        cmocka_unit_test(test_unplug_both),           cmocka_unit_test(test_node_both),
-        cmocka_unit_test(test_no_buffers_both),       cmocka_unit_test(test_rate_both),
+        cmocka_unit_test(test_open_close_twice_both),
+        cmocka_unit_test(test_request_both),
+        cmocka_unit_test(test_wrong_requests_both),
+        cmocka_unit_test(test_timeout_both),
+        cmocka_unit_test(test_unplug_both),
+        cmocka_unit_test(test_node_both),
+        cmocka_unit_test(test_no_buffers_both),
+        cmocka_unit_test(test_slow_reader_both),
+        cmocka_unit_test(test_rate_both),
         cmocka_unit_test(test_refused_wishes_both),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
