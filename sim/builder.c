@@ -277,6 +277,8 @@ int builder_material(struct builder *b, enum builder_role role)
     float other = hue + builder_draw(b, -0.07f, 0.07f);
     colour(other, saturation, draw_range(b, k->dark), m->albedo.colour[1]);
     float accent = builder_chance(b, 0.5f) ? hue + 0.5f : draw_hue(b, (struct range){0, 1});
+    if (k->hue.hi - k->hue.lo < 0.3f) // what is not painted
+        accent = hue + builder_draw(b, -0.06f, 0.06f);
     colour(accent, fminf(1.5f * saturation, 0.9f), builder_draw(b, k->dark.lo, k->light.hi),
            m->albedo.colour[2]);
     m->specular = draw_range(b, k->specular);

@@ -283,11 +283,12 @@ static void subject(struct room *r)
         builder_box(b, &r->root, (float[]){hx, hy, 0.005f},
                     (float[]){r->focus[0], 0.3f * r->focus[1], 0.005f}, rug);
     }
+    static const uint8_t OFTEN[] = {0, 0, 0, 1, 1, 1, 2, 3, 4};
     bool done = false;
     for (int i = 0; i < 12 && !done; i++) {
         float turn = 0.5f * PI + builder_draw(b, -0.6f, 0.6f);
         float x = r->focus[0] + 0.02f * (float)i;
-        done = put(r, &furniture_middle[builder_pick(b, FURNITURE_MIDDLE)],
+        done = put(r, &furniture_middle[OFTEN[builder_pick(b, (int)sizeof OFTEN)]],
                    (float[]){x, r->focus[1], turn});
     }
     for (int i = 0; i < 14; i++) {
