@@ -423,13 +423,13 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
 }
 
 /* Accept E as the best so far if it or its polished form is. */
-static void consider(struct sample *s, const double e[9])
+static void consider(struct sample *s, const double e[9], int steps)
 {
     double r[9], t[3], now[9], cost = cost_of(s, e, s->cost);
-    if (!(cost < s->cost))
+    if (!(cost <= s->cost))
         return;
     decompose(s, e, r, t);
-    for (int i = 0; i <= POLISH; i++) {
+    for (int i = 0; i <= steps; i++) {
         essential(r, t, now);
         cost = cost_of(s, now, s->cost);
         if (cost < s->cost) {
@@ -437,7 +437,7 @@ static void consider(struct sample *s, const double e[9])
             memcpy(s->r, r, sizeof s->r);
             memcpy(s->t, t, sizeof s->t);
         }
-        if (i < POLISH)
+        if (i < steps)
             polish_step(s, r, t);
     }
 }
@@ -567,7 +567,7 @@ static void sample_run(struct sample *s)
         }
         int n = twoview_five(five, e);
         for (int i = 0; i < n; i++)
-            consider(s, e[i]);
+            consider(s, e[i], POLISH);
         if (s->cost < before)
             want = enough(s);
     }
@@ -576,13 +576,20 @@ static void sample_run(struct sample *s)
 void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct twoview *out)
 {
     struct sample s = {.m = m, .n = n, .state = seed, .cost = 1e300};
-    double r[9];
+    double r[9], e[9];
     for (int k = 0; k < 9; k++)
         s.r[k] = k % 4 == 0;
     *out = (struct twoview){.r = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
     if (n < TWOVIEW_LEAST)
         return;
     sample_run(&s);
+    if (s.cost < 1e300) {
+        essential(s.r, s.t, e);
+        s.cost *= 1 + 1e-9;
+        consider(&s, e, 4 * POLISH);
+        essential(s.r, s.t, e); // polish may move a baseline that is hardly seen to its other side
+        decompose(&s, e, s.r, s.t);
+    }
     memcpy(out->r, s.r, sizeof out->r);
     memcpy(out->t, s.t, sizeof out->t);
     out->parallax = lin_dot(s.t, s.t) > 0;
