@@ -3,7 +3,7 @@
  * area goes to det m^T n): of a ball the part that is seen, evenly over its outline; of a box or
  * frustum one face by the area it shows; of a torus the cone around it. Light through an opening is
  * that of the sky behind a point of it, whatever is in the way on either side.
- * At most PICKS lights are drawn, each with a chance p in proportion to what it would give without
+ * At most PICKS lights are drawn, each with a chance p that grows with what it would give without
  * shadows (systematic sampling, so that all p are exact), and count 1 / p.
  * Numbers of neighbouring pixels are points of one (0,2)-sequence (Kollig and Keller, Efficient
  * Multidimensional Sampling, 2002), scrambled by dimension, random below the strata.
@@ -15,10 +15,11 @@
 
 #include <string.h>
 
-enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
+enum { PICKS = 3, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
 static const float PI = 3.14159265f;
 static const float SLANT = 0.15f; // least cosine, for the width of a footprint
+static const float EVENLY = 0.4f; // share of the chances that all lights have alike
 static const float BEYOND = 1e4f; // m, how far rays to the sky go
 
 float light_lift(float t)
@@ -413,13 +414,19 @@ static void gather_dome(const struct light_set *s, struct light_spot *spot,
 /* What a light would give without shadows, about; 0 only if all of it is below the surface. */
 static float promise(const struct light *l, const struct light_spot *spot)
 {
-    float to[3];
+    float to[3], reach = l->radius, turned = 1;
     vec_sub(l->centre, spot->p, to);
-    float square = vec_dot(to, to), up = vec_dot(to, spot->n) + l->radius;
-    if (!(up > 0))
+    float square = vec_dot(to, to), far = sqrtf(square) + 1e-6f, up = vec_dot(to, spot->n);
+    if (l->solid < 0) {
+        const float *r = l->w->r, *n = spot->n;
+        reach = fabsf(r[0] * n[0] + r[3] * n[1] + r[6] * n[2]) * l->w->size[0] +
+                fabsf(r[1] * n[0] + r[4] * n[1] + r[7] * n[2]) * l->w->size[1];
+        turned = fabsf(r[2] * to[0] + r[5] * to[1] + r[8] * to[2]) / far + 0.1f;
+    }
+    if (!(up + reach > 0))
         return 0;
-    return l->power * vec_min(up, sqrtf(square)) /
-           ((square + l->radius * l->radius) * sqrtf(square) + 1e-9f);
+    up = vec_min(0.5f * (up + reach + vec_max(up, 0)) / far, 1);
+    return l->power * turned * up / (square + l->radius * l->radius);
 }
 
 void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
@@ -436,12 +443,13 @@ void light_gather(const struct light_set *s, struct light_spot *spot, const stru
     if (some > PICKS)
         light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {
-        float p = chance[i] > 0 ? 1 : 0;
+        float p = 1;
         if (some > PICKS)
-            p = vec_min(1, PICKS * chance[i] / all);
-        bool drawn = floorf(at + p - u[0]) > floorf(at - u[0]);
+            p = vec_min(1, PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some));
+        p = chance[i] > 0 ? p : 0;
+        bool drawn = p > 0 && floorf(at + p - u[0]) > floorf(at - u[0]);
         at += p;
-        if (drawn && p > 0)
+        if (drawn)
             gather_light(s, spot, i, d, 1 / p, out);
     }
     if (s->sun)

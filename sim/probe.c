@@ -25,6 +25,7 @@ static const float PI = 3.14159265f;
 static const float SPACING = 0.9f;   // m, wanted
 static const float FAR = 1000;       // m
 static const float SELDOM = 1e-3f;   // weight of a point that took the mean of its neighbours
+static const float NEAR = 0.4f;      // of a step; how soft the choice of the normal's side is
 static const float ALBEDO_AT = 0.3f; // m, footprint of remembered colours
 
 struct probe_cube {
@@ -247,7 +248,7 @@ void probe_light(const struct probes *s, const float p[3], const float n[3], flo
             weight *= up ? part[k] : 1 - part[k];
             to[k] = ((float)up - part[k]) * s->step[k];
         }
-        float facing = vec_dot(to, n) / sqrtf(vec_dot(to, to) + 1e-6f) + 1;
+        float above = vec_dot(to, n), facing = above / (fabsf(above) + NEAR * s->step[0]) + 1;
         weight = (weight + 1e-4f) * (facing * facing * 0.25f + 0.02f) * s->all[i].weight;
         all += weight;
         add_cube(s->all + i, squares, side, weight, sum);

@@ -5,7 +5,8 @@
  * plus what the grid gives in the mirrored direction.
  * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller and
  * Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5 px of
- * one plane with half weights at the edges, so that each window holds the whole pattern evenly. A
+ * one plane with half weights at the edges, so that each window holds the whole pattern evenly; the
+ * sun, over 3 x 3. A
  * neighbour belongs if its normal agrees and its 1 / z is that of the pixel's plane, which is linear
  * in the picture. The irradiance is averaged, not the colour, so that textures stay sharp. */
 #include "sim/render.h"
@@ -24,7 +25,8 @@ enum {
     REST,   // radiance apart from:
     SOFT,   // irradiance from large lights,
     ALBEDO, // times this,
-    GLOSS,  // and radiance of rough gloss
+    GLOSS,  // radiance of rough gloss,
+    SUN,    // and irradiance from the sun, times ALBEDO
     PARTS,
     DEPTH = PARTS, // 1 / z, 0 if nothing; its changes from px to px to the right and down
     NORMAL,
@@ -244,8 +246,9 @@ static void look(const struct render_world *s, const struct gaze *g, struct hand
     float rough = 1 - (glossy ? gloss_share(m, on.facing) : 0);
     for (int k = 0; k < 3; k++) {
         out->part[ALBEDO][k] = on.albedo[k] * rough / PI;
-        out->part[REST][k] = m->emission[k] + out->part[ALBEDO][k] * (sum.sun[k] + light[k]);
+        out->part[REST][k] = m->emission[k] + out->part[ALBEDO][k] * light[k];
         out->part[SOFT][k] = sum.soft[k];
+        out->part[SUN][k] = sum.sun[k];
         out->part[GLOSS][k] = sum.gloss[k];
     }
     if (glossy)
@@ -342,7 +345,8 @@ static void sample_pixel(const struct picture *p, int i, int j, struct hand *han
             (float)i + ((float)y + 0.5f) / (float)side, &g);
         look(p->s, &g, hand, &dice, &one);
         for (int c = 0; c < 3; c++) {
-            one.part[REST][c] += one.part[ALBEDO][c] * one.part[SOFT][c] + one.part[GLOSS][c];
+            float light = one.part[SOFT][c] + one.part[SUN][c];
+            one.part[REST][c] += one.part[ALBEDO][c] * light + one.part[GLOSS][c];
             for (int part = 0; part < PARTS; part++)
                 out->part[part][c] += one.part[part][c] / (float)all;
         }
@@ -420,69 +424,95 @@ static err_t draw_row(void *ctx, int i, int worker)
 
 /* ---- smoothing ---- */
 
-/* Sums of a strip of a row. */
+/* Sums over the windows of a strip of a row: of what large lights give and of the sun, whose
+ * shadows are sharper. */
 struct strip {
     const float *plane; // of struct picture
-    size_t px;
-    int w, i, first, n;
-    float tight[STRIP];  // per difference of 1 / z
-    float sum[6][STRIP]; // irradiance, gloss
-    float weight[STRIP];
+    size_t px, at;      // of a plane; of the first pixel
+    int w, first, n;
+    float tight[STRIP];     // per difference of 1 / z
+    float sum[3][3][STRIP]; // irradiance, gloss, irradiance of the sun
+    float weight[2][STRIP];
 };
 
-/* Add to every pixel of the strip its neighbour at x, y. */
-static void add_neighbour(struct strip *s, int x, int y, float share)
+/* How well each pixel's neighbour at x, y belongs to it. */
+static void belong(const struct strip *s, int x, int y, const int range[2], float *restrict out)
 {
-    int from = s->first + x < 0 ? -(s->first + x) : 0;
-    int to = s->first + s->n + x > s->w ? s->w - s->first - x : s->n;
-    const float *own = s->plane + (size_t)s->i * (size_t)s->w + (size_t)s->first;
-    const float *other = own + (ptrdiff_t)y * s->w + x;
-    const size_t px = s->px, z = 3 * DEPTH * px, n = 3 * NORMAL * px;
-    const float *soft = other + 3 * SOFT * px, *gloss = other + 3 * GLOSS * px;
-    for (int j = from; j < to; j++) {
-        float turn = own[n + (size_t)j] * other[n + (size_t)j] +
-                     own[n + px + (size_t)j] * other[n + px + (size_t)j] +
-                     own[n + 2 * px + (size_t)j] * other[n + 2 * px + (size_t)j];
-        float there = own[z + (size_t)j] + own[z + px + (size_t)j] * (float)x +
-                      own[z + 2 * px + (size_t)j] * (float)y;
-        float off = fabsf(other[z + (size_t)j] - there) * s->tight[j];
-        float weight = share * vec_max(10 * turn - 9, 0) * vec_max(1 - off, 0);
-        s->weight[j] += weight;
-        s->sum[0][j] += weight * soft[j];
-        s->sum[1][j] += weight * soft[px + (size_t)j];
-        s->sum[2][j] += weight * soft[2 * px + (size_t)j];
-        s->sum[3][j] += weight * gloss[j];
-        s->sum[4][j] += weight * gloss[px + (size_t)j];
-        s->sum[5][j] += weight * gloss[2 * px + (size_t)j];
+    const float *z = s->plane + 3 * DEPTH * s->px + s->at, *nx = z + 3 * s->px;
+    const float *right = z + s->px, *down = right + s->px, *ny = nx + s->px, *nz = ny + s->px;
+    const ptrdiff_t to = (ptrdiff_t)y * s->w + x;
+    for (int j = range[0]; j < range[1]; j++) {
+        float turn = nx[j] * nx[to + j] + ny[j] * ny[to + j] + nz[j] * nz[to + j];
+        float there = z[j] + right[j] * (float)x + down[j] * (float)y;
+        float off = fabsf(z[to + j] - there) * s->tight[j];
+        out[j] = vec_max(10 * turn - 9, 0) * vec_max(1 - off, 0);
     }
 }
 
-static void smooth_strip(const struct picture *p, struct strip *s)
+static void add_plane(const float *restrict weight, float share, const float *restrict plane,
+                      const int range[2], float *restrict sum)
 {
-    int reach = p->period / 2, h = p->cam->h;
-    const float *own = s->plane + (size_t)s->i * (size_t)s->w + (size_t)s->first;
+    for (int j = range[0]; j < range[1]; j++)
+        sum[j] += share * weight[j] * plane[j];
+}
+
+/* Add to every pixel of the strip its neighbour at x, y. */
+static void add_neighbour(struct strip *s, int x, int y, const float share[2])
+{
+    static const int parts[3] = {SOFT, GLOSS, SUN};
+    float weight[STRIP];
+    int range[2] = {s->first + x < 0 ? -(s->first + x) : 0, s->n};
+    if (s->first + s->n + x > s->w)
+        range[1] = s->w - s->first - x;
+    belong(s, x, y, range, weight);
+    for (int window = 0; window < 2; window++)
+        for (int j = range[0]; j < range[1]; j++)
+            s->weight[window][j] += share[window] * weight[j];
+    for (int k = 0; k < 3; k++) {
+        float part = share[parts[k] == SUN];
+        const float *plane = s->plane + 3 * (size_t)parts[k] * s->px + s->at;
+        plane += (ptrdiff_t)y * s->w + x;
+        for (size_t c = 0; c < 3 && part > 0; c++)
+            add_plane(weight, part, plane + c * s->px, range, s->sum[k][c]);
+    }
+}
+
+/* Weights of a window from -reach to reach, half at both ends. */
+static float window_share(int x, int y, int reach)
+{
+    int a = abs(x), b = abs(y);
+    return a > reach || b > reach ? 0 : (a == reach ? 0.5f : 1) * (b == reach ? 0.5f : 1);
+}
+
+static void smooth_pixel(const struct picture *p, const struct strip *s, size_t c, int j)
+{
+    const size_t px = s->px;
+    const float *at = s->plane + c * px + s->at + (size_t)j;
+    float change = 0;
+    if (s->weight[0][j] > 0.1f && s->weight[1][j] > 0.1f) {
+        float soft = s->sum[0][c][j] / s->weight[0][j] - at[3 * SOFT * px];
+        float gloss = s->sum[1][c][j] / s->weight[0][j] - at[3 * GLOSS * px];
+        float sun = s->sum[2][c][j] / s->weight[1][j] - at[3 * SUN * px];
+        change = at[3 * ALBEDO * px] * (soft + sun) + gloss;
+    }
+    p->out->radiance[c * px + s->at + (size_t)j] = finite_light(*at + change);
+}
+
+static void smooth_strip(const struct picture *p, struct strip *s, int i)
+{
+    int reach = p->period / 2;
+    const float *z = s->plane + 3 * DEPTH * s->px + s->at;
     for (int j = 0; j < s->n; j++)
-        s->tight[j] = 1 / vec_max(PLANE_WITHIN * own[3 * DEPTH * s->px + (size_t)j], 1e-9f);
+        s->tight[j] = 1 / vec_max(PLANE_WITHIN * z[j], 1e-9f);
     for (int y = -reach; y <= reach; y++) {
-        for (int x = -reach; x <= reach; x++) {
-            float share = (abs(x) == reach ? 0.5f : 1) * (abs(y) == reach ? 0.5f : 1);
-            if (s->i + y >= 0 && s->i + y < h)
-                add_neighbour(s, x, y, share);
+        for (int x = -reach; x <= reach && i + y >= 0 && i + y < p->cam->h; x++) {
+            float share[2] = {window_share(x, y, reach), window_share(x, y, 1)};
+            add_neighbour(s, x, y, share);
         }
     }
-    for (int j = 0; j < s->n; j++) {
-        for (size_t c = 0; c < 3; c++) {
-            const float *at = own + c * s->px + j;
-            float change = 0;
-            if (s->weight[j] > 0.1f) {
-                float soft = s->sum[c][j] / s->weight[j] - at[3 * SOFT * s->px];
-                change = at[3 * ALBEDO * s->px] * soft;
-                change += s->sum[3 + c][j] / s->weight[j] - at[3 * GLOSS * s->px];
-            }
-            size_t to = c * s->px + (size_t)s->i * (size_t)s->w + (size_t)(s->first + j);
-            p->out->radiance[to] = finite_light(*at + change);
-        }
-    }
+    for (size_t c = 0; c < 3; c++)
+        for (int j = 0; j < s->n; j++)
+            smooth_pixel(p, s, c, j);
 }
 
 static err_t smooth_row(void *ctx, int i, int worker)
@@ -492,10 +522,11 @@ static err_t smooth_row(void *ctx, int i, int worker)
     (void)worker;
     err_t e = run_check(p->r, "picture");
     for (int first = 0; first < w && !e; first += STRIP) {
-        struct strip s = {.plane = p->plane, .w = w, .i = i, .first = first};
+        struct strip s = {.plane = p->plane, .w = w, .first = first};
         s.px = (size_t)w * (size_t)p->cam->h;
+        s.at = (size_t)i * (size_t)w + (size_t)first;
         s.n = w - first < STRIP ? w - first : STRIP;
-        smooth_strip(p, &s);
+        smooth_strip(p, &s, i);
     }
     return e;
 }
