@@ -530,6 +530,8 @@ static void place(struct point *s, const float p[3], const float n[3])
     }
     int axis = a[2] >= a[0] && a[2] >= a[1] ? 2 : (a[0] >= a[1] ? 0 : 1);
     s->u = s->p[axis == 0 ? 1 : 0];
+    if ((axis == 1) == (n[axis] > 0.0f)) // so that print reads from left to right from outside
+        s->u = -s->u;
     s->v = s->p[axis == 2 ? 1 : 2];
     s->face = s->seed + (uint32_t)axis * 0x27d4eb2fu + (n[axis] < 0.0f ? 0x165667b1u : 0u);
 }
