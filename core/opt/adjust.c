@@ -164,11 +164,7 @@ static double point_polish(const struct adjust *a, int track, double gate2, doub
                 s.error[0] * s.error[0] + s.error[1] * s.error[1] >= gate2)
                 continue;
             for (int k = 0; k < 2; k++)
-                for (int p = 0; p < 3; p++) {
-                    g[p] -= s.point[k][p] * s.error[k];
-                    for (int q = 0; q < 3; q++)
-                        h[3 * p + q] += s.point[k][p] * s.point[k][q];
-                }
+                lin_add(h, g, 3, s.point[k], 1, s.error[k]);
         }
         double trace = h[0] + h[4] + h[8];
         for (int k = 0; k < 3; k++)
@@ -287,7 +283,7 @@ static void group_of(int n_tracks, int g, int *from, int *to)
 /* What one track adds: its own block, and for each sighting the block between pose and point. */
 struct track_sum {
     double h[9], g[3], focal[3]; // point; focal by point
-    int n, view[2];              // sightings; range of views, for nothing else than speed
+    int n;                       // sightings
 };
 
 /* Add the cameras' own blocks of a sighting to the group's sums; returns its weight. */
@@ -354,6 +350,14 @@ static void linearise(struct normal *m, int track, double *cross, double *sum, d
     }
 }
 
+/* block -= u v^T of two 6 x 3 matrices. */
+static void subtract(const double *u, const double *v, double *block, size_t stride)
+{
+    for (int p = 0; p < 6; p++)
+        for (int q = 0; q < 6; q++)
+            block[(size_t)p * stride + (size_t)q] -= lin_dot(u + 3 * p, v + 3 * q);
+}
+
 /* sum -= W H^-1 W^T between all sightings of a track and the focal length. */
 static void eliminate(const struct normal *m, int track, const struct track_sum *t, double *cross,
                       double *sum, double *rhs)
@@ -377,13 +381,10 @@ static void eliminate(const struct normal *m, int track, const struct track_sum 
             rhs[row + (size_t)p] -= lin_dot(wh + 3 * p, t->g);
             sum[f * n + row + (size_t)p] -= lin_dot(wh + 3 * p, t->focal);
         }
-        for (int j = 0; j <= i; j++) { // views ascend: the lower triangle
-            const double *v = cross + 36 * (size_t)j;
-            double *block = sum + row * n + 6 * (size_t)a->seen[at - i + j].view;
-            for (int p = 0; p < 6 && a->in[at - i + j]; p++)
-                for (int q = 0; q < 6; q++)
-                    block[(size_t)p * n + (size_t)q] -= lin_dot(wh + 3 * p, v + 3 * q);
-        }
+        for (int j = 0; j <= i; j++) // views ascend: the lower triangle
+            if (a->in[at - i + j])
+                subtract(wh, cross + 36 * (size_t)j,
+                         sum + row * n + 6 * (size_t)a->seen[at - i + j].view, n);
     }
 }
 
@@ -472,11 +473,12 @@ static err_t back_group(void *ctx, int g, int worker)
             continue;
         for (int k = 0; k < 3; k++)
             track.g[k] -= track.focal[k] * m->step[m->n - 1];
-        for (int i = 0; i < track.n; i++)
-            for (int p = 0; p < 6; p++)
-                for (int k = 0; k < 3; k++)
-                    track.g[k] -= cross[36 * (size_t)i + (size_t)(3 * p + k)] *
-                                  m->step[6 * a->seen[a->first[t] + i].view + p];
+        for (int i = 0; i < 6 * track.n; i++) {
+            const double *w = cross + 36 * (size_t)(i / 6) + 3 * (size_t)(i % 6);
+            const double by_view = m->step[6 * a->seen[a->first[t] + i / 6].view + i % 6];
+            for (int k = 0; k < 3; k++)
+                track.g[k] -= w[k] * by_view;
+        }
         lin_apply(inverse, track.g, by);
         if (lin_dot(by, by) < 1)
             adjust_move_point(point, by);

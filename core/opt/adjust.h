@@ -12,8 +12,8 @@ struct adjust_seen {
     int view;
 };
 
-/* Poses are R row-major and t of X_cam = R X + t; points are homogeneous (x, y, z, w) of unit
- * length with w >= 0 unless they lie beyond infinity by noise: what is far needs no special case. */
+/* Poses are R row-major and t of X_cam = R X + t; points are homogeneous (x, y, z, w) of length 1
+ * with w >= 0 unless they lie beyond infinity by noise: what is far needs no special case. */
 struct adjust {
     int n_views, n_tracks;
     const int *first;               // (n_tracks + 1) sightings of track i are first[i]..first[i+1]

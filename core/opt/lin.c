@@ -89,6 +89,15 @@ void lin_rotation(const double q[4], double r[9])
     r[8] = 1 - n * (x * x + y * y);
 }
 
+void lin_add(double *h, double *g, int n, const double *row, double w, double error)
+{
+    for (int i = 0; i < n; i++) {
+        g[i] -= w * row[i] * error;
+        for (int j = 0; j <= i; j++)
+            h[(long)i * n + j] += w * row[i] * row[j];
+    }
+}
+
 bool lin_cholesky(double *a, int n)
 {
     for (int i = 0; i < n; i++) {

@@ -49,6 +49,10 @@ void lin_log(const double r[9], double w[3]);
 void lin_quat(const double r[9], double q[4]);
 void lin_rotation(const double q[4], double r[9]);
 
+/* One equation row x + error = 0 of weight w: lower triangle of h (n x n) += w row row^T and
+ * g -= w error row. */
+void lin_add(double *h, double *g, int n, const double *row, double w, double error);
+
 /* Lower Cholesky factor in place of the n x n matrix whose lower triangle is a (rows of n). False,
  * and a is spoilt, if a is not positive definite. */
 bool lin_cholesky(double *a, int n);

@@ -109,11 +109,7 @@ static void polish_step(struct resect *s, double kernel)
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
         double w = 1 / (1 + e2 / (kernel * kernel));
         for (int k = 0; k < 2; k++)
-            for (int i = 0; i < 6; i++) {
-                g[i] -= w * w * d.pose[k][i] * d.error[k];
-                for (int j = 0; j <= i; j++)
-                    h[6 * i + j] += w * w * d.pose[k][i] * d.pose[k][j];
-            }
+            lin_add(h, g, 6, d.pose[k], w * w, d.error[k]);
     }
     for (int k = 0; k < 6; k++)
         h[7 * k] += 1e-6 * h[7 * k] + 1e-12;

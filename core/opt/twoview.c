@@ -146,31 +146,38 @@ static int roots_of(const double p[11], double limit, double roots[10])
     return n;
 }
 
-/* Four orthonormal vectors across the five rows of q, appended to them. */
+/* Take the first n rows of q out of v, twice for the digits; returns the length that is left. */
+static double orthogonal(const double q[9][9], int n, double v[9])
+{
+    double len = 0;
+    for (int k = 0; k < 2 * n; k++) {
+        double along = 0;
+        for (int j = 0; j < 9; j++)
+            along += q[k % n][j] * v[j];
+        for (int j = 0; j < 9; j++)
+            v[j] -= along * q[k % n][j];
+    }
+    for (int j = 0; j < 9; j++)
+        len += v[j] * v[j];
+    return sqrt(len);
+}
+
+/* Make the five rows of q orthonormal and append four vectors across them: of the axes, those that
+ * lie farthest outside. False if the rows depend on each other. */
 static bool null_space(double q[9][9])
 {
     for (int i = 0; i < 9; i++) {
-        double best = i < 5 ? 1e-10 : 0;
-        double from[9];
-        memcpy(from, q[i], sizeof from);
+        double best = 0, row[9];
+        memcpy(row, q[i], sizeof row);
         for (int e = 0; e < (i < 5 ? 1 : 9); e++) {
-            double v[9] = {0}, len = 0;
+            double v[9] = {0};
             v[e] = 1;
             if (i < 5)
-                memcpy(v, from, sizeof v);
-            for (int k = 0; k < 2 * i; k++) {
-                double along = 0;
-                for (int j = 0; j < 9; j++)
-                    along += q[k % i][j] * v[j];
-                for (int j = 0; j < 9; j++)
-                    v[j] -= along * q[k % i][j];
-            }
-            for (int j = 0; j < 9; j++)
-                len += v[j] * v[j];
-            len = sqrt(len);
+                memcpy(v, row, sizeof v);
+            double len = orthogonal((const double(*)[9])q, i, v);
             for (int j = 0; j < 9 && len > best; j++)
                 q[i][j] = v[j] / len;
-            best = len > best ? len : best;
+            best = fmax(best, len);
         }
         if (!(best > 1e-10))
             return false;
@@ -393,11 +400,7 @@ static void add_normal(const double r[9], const double t[3], const struct twovie
         j[k] = turn[k] * inv;
     for (int k = 0; k < 2; k++)
         j[3 + k] = lin_dot(move, across[k]) * inv;
-    for (int i = 0; i < 5; i++) {
-        g[i] += w * j[i] * c * inv;
-        for (int k = 0; k <= i; k++)
-            h[5 * i + k] += w * j[i] * j[k];
-    }
+    lin_add(h, g, 5, j, w, c * inv);
 }
 
 static void polish_step(const struct sample *s, double r[9], double t[3])
@@ -411,14 +414,13 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
     if (!lin_cholesky(h, 5))
         return;
     lin_solve(h, 5, g);
-    const double w[3] = {-g[0], -g[1], -g[2]};
-    if (!(lin_dot(w, w) + g[3] * g[3] + g[4] * g[4] < 1))
+    if (!(lin_dot(g, g) + g[3] * g[3] + g[4] * g[4] < 1))
         return;
-    lin_exp(w, turn);
+    lin_exp(g, turn);
     memcpy(old, r, sizeof old);
     lin_product(turn, old, r);
     for (int k = 0; k < 3; k++)
-        t[k] -= g[3] * across[0][k] + g[4] * across[1][k];
+        t[k] += g[3] * across[0][k] + g[4] * across[1][k];
     lin_unit(t);
 }
 
@@ -460,11 +462,7 @@ static void rotate_step(const struct sample *s, double r[9])
         const double j[2][3] = {{-u * v, 1 + u * u, -v}, {-1 - v * v, u * v, u}};
         const double c[2] = {u - m->b[0], v - m->b[1]};
         for (int k = 0; k < 2; k++)
-            for (int a = 0; a < 3; a++) {
-                g[a] -= w * j[k][a] * c[k];
-                for (int b = 0; b < 3; b++)
-                    h[3 * a + b] += w * j[k][a] * j[k][b];
-            }
+            lin_add(h, g, 3, j[k], w, c[k]);
     }
     if (!lin_cholesky(h, 3))
         return;
@@ -549,22 +547,27 @@ static int enough(const struct sample *s)
     return want < SAMPLES_LEAST ? SAMPLES_LEAST : want > SAMPLES_MOST ? SAMPLES_MOST : (int)want;
 }
 
+/* Five different matches. */
+static void draw_five(struct sample *s, const struct twoview_match *five[5])
+{
+    for (int i = 0; i < 5; i++) {
+        uint32_t at = draw(&s->state, s->n);
+        for (int j = 0; j < i; j++)
+            if (five[j] == &s->m[at]) {
+                at = (at + 1) % (uint32_t)s->n;
+                j = -1;
+            }
+        five[i] = &s->m[at];
+    }
+}
+
 static void sample_run(struct sample *s)
 {
     int want = SAMPLES_MOST;
     for (int k = 0; k < want; k++) {
         const struct twoview_match *five[5];
         double e[TWOVIEW_SOLUTIONS][9], before = s->cost;
-        uint32_t at[5];
-        for (int i = 0; i < 5; i++) {
-            at[i] = draw(&s->state, s->n);
-            for (int j = 0; j < i; j++)
-                if (at[j] == at[i]) {
-                    at[i] = (at[i] + 1) % (uint32_t)s->n;
-                    j = -1;
-                }
-            five[i] = &s->m[at[i]];
-        }
+        draw_five(s, five);
         int n = twoview_five(five, e);
         for (int i = 0; i < n; i++)
             consider(s, e[i], POLISH);

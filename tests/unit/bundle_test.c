@@ -167,18 +167,41 @@ static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], boo
     }
 }
 
+/* Errors after unknown i (6 of the pose, 3 of the point, ln focal) has moved by `by`. */
+static void moved_error(struct adjust *a, const double point[4], const struct adjust_seen *s, int i,
+                        double by, double out[2])
+{
+    double *pose = a->pose + ADJUST_POSE * (size_t)s->view, own[ADJUST_POSE], p[4], move[6] = {0};
+    const double focal = a->focal;
+    struct adjust_slope d;
+    memcpy(own, pose, sizeof own);
+    memcpy(p, point, sizeof p);
+    move[i < 6 ? i : i % 3] = by;
+    if (i < 6)
+        adjust_move_pose(pose, move);
+    else if (i < 9)
+        adjust_move_point(p, move);
+    else
+        a->focal = focal * exp(by);
+    assert_true(adjust_slope(a, p, s, &d));
+    memcpy(out, d.error, sizeof d.error);
+    memcpy(pose, own, sizeof own);
+    a->focal = focal;
+}
+
 static void slopes_are_differences(void **unused)
 {
     (void)unused;
-    double pose[SMALL][ADJUST_POSE];
+    const double h = 1e-6;
+    double pose[SMALL][ADJUST_POSE], point[4], up[2], down[2];
     bool placed[SMALL];
     struct adjust a;
+    struct adjust_slope d;
     int checked = 0;
     scene_state = 4;
     for (int trial = 0; trial < 500; trial++) {
         struct adjust_seen s = {5, -7, 1.7f, trial % SMALL};
-        struct adjust_slope d, e, f;
-        double point[4], length = 0;
+        double length = 0;
         small_problem(&a, pose, placed);
         for (int k = 0; k < 4; k++) {
             point[k] = k == 3 && trial % 5 == 0 ? 0 : scene_uniform(-1, 1);
@@ -189,31 +212,16 @@ static void slopes_are_differences(void **unused)
         if (!adjust_slope(&a, point, &s, &d) ||
             adjust_depth(&a, s.view, point) * fabs(point[3]) < 0.2)
             continue;
-        assert_float_equal(d.error[0] * d.error[0] + d.error[1] * d.error[1],
-                           adjust_error(&a, point, &s), 1e-6 * adjust_error(&a, point, &s));
+        double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
+        assert_float_equal(e2, adjust_error(&a, point, &s), 1e-6 * e2);
         checked++;
-        for (int i = 0; i < 10; i++) {
-            const double h = 1e-6;
-            double value[2][2], own[ADJUST_POSE], p[4], by[6] = {0};
-            memcpy(own, pose[s.view], sizeof own);
-            for (int side = 0; side < 2; side++) {
-                by[i < 6 ? i : i < 9 ? i - 6 : 0] = side ? -h : h;
-                memcpy(p, point, sizeof p);
-                if (i < 6)
-                    adjust_move_pose(pose[s.view], by);
-                else if (i < 9)
-                    adjust_move_point(p, by);
-                a.focal = i == 9 ? 400 * exp(by[0]) : 400;
-                assert_true(adjust_slope(&a, p, &s, side ? &f : &e));
-                memcpy(value[side], side ? f.error : e.error, sizeof value[side]);
-                memcpy(pose[s.view], own, sizeof own);
-            }
-            a.focal = 400;
-            for (int k = 0; k < 2; k++) {
-                double slope = i < 6 ? d.pose[k][i] : i < 9 ? d.point[k][i - 6] : d.focal[k];
-                double seen = (value[0][k] - value[1][k]) / (2 * h);
-                assert_float_equal(slope, seen, 1e-4 * (fabs(seen) + 100));
-            }
+        for (int i = 0; i < 20; i++) {
+            const int u = i / 2, k = i % 2;
+            moved_error(&a, point, &s, u, h, up);
+            moved_error(&a, point, &s, u, -h, down);
+            double slope = u < 6 ? d.pose[k][u] : u < 9 ? d.point[k][u - 6] : d.focal[k];
+            double seen = (up[k] - down[k]) / (2 * h);
+            assert_float_equal(slope, seen, 1e-4 * (fabs(seen) + 100));
         }
     }
     assert_true(checked > 40);
