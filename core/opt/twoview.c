@@ -194,7 +194,7 @@ static void add_product(const double *a, int na, const double *b, int nb, double
             out[i + j] += factor * a[i] * b[j];
 }
 
-/* Rows of Nister's matrix B: coefficients of x and y (degree 3) and 1 (degree 4), ascending in z. */
+/* Rows of Nister's matrix B: coefficients of x and y (degree 3) and 1 (degree 4), from z^0 on. */
 static void reduced(const double a[10][CUBIC], double b[3][3][5])
 {
     for (int i = 0; i < 3; i++) {
