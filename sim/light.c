@@ -373,24 +373,36 @@ static void gather_light(const struct light_set *s, struct light_spot *spot, int
     add_gloss(spot, r.d, light, spot->shine[0], out->gloss);
 }
 
+/* Whether the way to a point of the sun's disc is open; times the cosine. */
+static float sun_from(const struct light_set *s, struct light_spot *spot, const float u[2],
+                      struct ray_to *r)
+{
+    const struct world *w = s->bvh->w;
+    float c = 1 - u[0] * (1 - w->sun_cos), side = sqrtf(vec_max(1 - c * c, 0)), x, y;
+    vec_circle(u[1], &x, &y);
+    for (int k = 0; k < 3; k++)
+        r->d[k] = side * (x * s->across[0][k] + y * s->across[1][k]) + c * w->sun_dir[k];
+    c = vec_dot(spot->n, r->d);
+    return c > 0 && open_way(s, spot, WORLD_LIGHTS, r, -1) ? c : 0;
+}
+
+/* Two opposite points of the disc: together they hardly err where an edge crosses its middle. */
 static void gather_sun(const struct light_set *s, struct light_spot *spot,
                        const struct light_dice *d, struct light_sum *out)
 {
     const struct world *w = s->bvh->w;
     struct ray_to r = {.t = BEYOND};
-    float u[2], x, y;
+    float u[2];
     if (vec_dot(spot->n, w->sun_dir) < -0.05f)
         return;
     light_throw(d, DIM_SUN, u);
-    float c = 1 - u[0] * (1 - w->sun_cos), side = sqrtf(vec_max(1 - c * c, 0));
-    vec_circle(u[1], &x, &y);
-    for (int k = 0; k < 3; k++)
-        r.d[k] = side * (x * s->across[0][k] + y * s->across[1][k]) + c * w->sun_dir[k];
-    c = vec_dot(spot->n, r.d);
-    if (!(c > 0) || !open_way(s, spot, WORLD_LIGHTS, &r, -1))
+    float seen = sun_from(s, spot, u, &r);
+    u[1] = u[1] < 0.5f ? u[1] + 0.5f : u[1] - 0.5f;
+    seen = 0.5f * (seen + sun_from(s, spot, u, &r));
+    if (!(seen > 0))
         return;
-    vec_along(out->sun, c, w->sun, out->sun);
-    add_gloss(spot, r.d, w->sun, spot->shine[1], out->gloss);
+    vec_along(out->sun, seen, w->sun, out->sun);
+    add_gloss(spot, w->sun_dir, w->sun, spot->shine[1], out->gloss);
 }
 
 /* Directions by their cosine, so that the mean of pi L is the irradiance. */
@@ -409,6 +421,7 @@ static void gather_dome(const struct light_set *s, struct light_spot *spot,
         return;
     light_sky(s->bvh->w, r.d, false, light);
     vec_along(out->soft, PI, light, out->soft);
+    vec_along(out->gloss, spot->shine[2], light, out->gloss);
 }
 
 /* What a light would give without shadows, about; 0 only if all of it is below the surface. */
@@ -429,29 +442,43 @@ static float promise(const struct light *l, const struct light_spot *spot)
     return l->power * turned * up / (square + l->radius * l->radius);
 }
 
-void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
-                  struct light_sum *out)
+/* Some of the lights, each for as often as it is left out. */
+static void gather_some(const struct light_set *s, struct light_spot *spot,
+                        const struct light_dice *d, const float chance[WORLD_LIGHTS],
+                        struct light_sum *out)
 {
-    float chance[WORLD_LIGHTS], all = 0, u[2] = {0, 0}, at = 0;
+    float all = 0, u[2], at = 0;
     int some = 0;
-    memset(out, 0, sizeof *out);
     for (int i = 0; i < s->n; i++) {
-        chance[i] = promise(s->l + i, spot);
         all += chance[i];
         some += chance[i] > 0;
     }
-    if (some > PICKS)
-        light_throw(d, DIM_PICK, u);
+    light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {
-        float p = 1;
-        if (some > PICKS)
-            p = vec_min(1, PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some));
-        p = chance[i] > 0 ? p : 0;
+        float p = PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some);
+        p = chance[i] > 0 ? vec_min(p, 1) : 0;
         bool drawn = p > 0 && floorf(at + p - u[0]) > floorf(at - u[0]);
         at += p;
         if (drawn)
             gather_light(s, spot, i, d, 1 / p, out);
     }
+}
+
+void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
+                  struct light_sum *out)
+{
+    float chance[WORLD_LIGHTS];
+    int some = 0;
+    memset(out, 0, sizeof *out);
+    for (int i = 0; i < s->n; i++) {
+        chance[i] = promise(s->l + i, spot);
+        some += chance[i] > 0;
+    }
+    if (some > PICKS)
+        gather_some(s, spot, d, chance, out);
+    for (int i = 0; i < s->n && some <= PICKS; i++)
+        if (chance[i] > 0)
+            gather_light(s, spot, i, d, 1, out);
     if (s->sun)
         gather_sun(s, spot, d, out);
     if (s->dome)

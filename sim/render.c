@@ -5,10 +5,9 @@
  * plus what the grid gives in the mirrored direction.
  * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller and
  * Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5 px of
- * one plane with half weights at the edges, so that each window holds the whole pattern evenly; the
- * sun, over 3 x 3. A
- * neighbour belongs if its normal agrees and its 1 / z is that of the pixel's plane, which is linear
- * in the picture. The irradiance is averaged, not the colour, so that textures stay sharp. */
+ * one plane with half weights at the edges, so that each window holds the whole pattern evenly; what
+ * came from the sun, over 3 x 3. A neighbour belongs if its normal agrees and its 1 / z is that of
+ * the pixel's plane, which is linear in the picture. The irradiance is averaged, not the colour, so that textures stay sharp. */
 #include "sim/render.h"
 
 #include "core/splat/raster.h"
@@ -114,7 +113,7 @@ static void stand_on(const struct gaze *g, float t, const struct light_surface *
     vec_along(g->o, t, g->d, spot->p);
     vec_along(spot->p, light_lift(g->far + t), on->n, spot->p);
     memcpy(spot->n, on->n, sizeof spot->n);
-    spot->shine[0] = spot->shine[1] = 0;
+    memset(spot->shine, 0, sizeof spot->shine);
 }
 
 static int meet(const struct render_world *s, const struct gaze *g, struct light_surface *on,
@@ -137,8 +136,9 @@ static void mirrored(const struct render_world *s, const struct gaze *g, struct 
     struct light_sum sum;
     float t, light[3];
     int solid = meet(s, g, &on, &t);
-    if (solid < 0) {
+    if (solid < 0) { // light of openings came with that of lamps
         light_sky(s->w, g->d, g->sun, out);
+        vec_along((float[3]){0}, g->lamps || s->lights.dome, out, out);
         return;
     }
     stand_on(g, t, &on, spot);
@@ -221,6 +221,7 @@ static void set_gloss(const struct gaze *g, const struct light_surface *on, stru
     spot->lobe = lobe_of(vec_max(rough, ROUGH_LAMP));
     spot->shine[0] = rough < ROUGH_LAMP ? part : share;
     spot->shine[1] = rough < ROUGH_SUN ? part : share;
+    spot->shine[2] = part;
 }
 
 static void look(const struct render_world *s, const struct gaze *g, struct hand *hand,
