@@ -2,7 +2,7 @@
  * tracks (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
  * points eliminated (Schur complement), Cauchy loss, graduated from wide to narrow.
  * Where it starts from is chosen by the final cost: the network's cameras, and cameras from the
- * tracks alone (two-view geometry by RANSAC, rotations averaged, translations and points linear).
+ * tracks alone (two-view geometry by RANSAC, rotations averaged, centres and points linear).
  * Pure computation; deterministic: random draws come from a fixed seed. */
 #ifndef OPT_BUNDLE_H
 #define OPT_BUNDLE_H
@@ -13,7 +13,8 @@
 enum { BUNDLE_VIEWS_MAX = 64 };
 
 struct bundle_config {
-    const struct camera *start; // (n_views) for v->size, or NULL: none
+    const struct camera *start; // (n_views) for v->size, or NULL: none; not used at all if one of
+                                // them is not finite or no camera
     const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used
     float focal;                // px, 0: from `start`, else that of 60 degrees
     bool focal_known;           // keep it
@@ -24,8 +25,10 @@ struct bundle_config {
 struct bundle_result {
     struct camera
         *cams;          // (n_views), one shared fx = fy, principal point at the centre; world: that
-                        // of `start` (best similarity) or the first camera's
-    float *points;      // (n_tracks, 3), NaN where a track was rejected
+                        // of `start` (best similarity) or the first placed camera's, where a
+                        // typical point lies at distance 1 from the middle of the rig
+    float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
+                        // where rays are parallel
     float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if
                         // not known
     float rms_px;       // of the inliers
@@ -37,7 +40,9 @@ struct bundle_result {
     bool from_tracks; // which start won
 };
 
-/* err:  ERR_ARG, ERR_NOMEM (see bundle_plan, bundle_keep), ERR_CANCELLED. Too few tracks are no
+/* out:  lives in r->keep
+ * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that are not as match.h says), ERR_NOMEM (see
+ *       bundle_plan, bundle_keep), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no
  *       error: confidence is 0 and cams those of `start`, or all in one place. */
 MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,
                           const struct match_tracks *tracks, const struct bundle_config *cfg,

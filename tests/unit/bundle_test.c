@@ -266,7 +266,7 @@ static void far_points_have_no_end(void **unused)
 static void narrow_grid_from_tracks(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(1500, 381, 0.3, 15)};
+    struct job j = {.rig = room(1000, 381, 0.3, 15)};
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){0});
@@ -282,7 +282,7 @@ static void narrow_grid_from_tracks(void **unused)
 static void wide_arc_from_tracks(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(1500, 520, 0.3, 25)};
+    struct job j = {.rig = room(1100, 520, 0.3, 25)};
     scene_arc(&j.rig, 12, 110);
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){0});
@@ -294,7 +294,7 @@ static void wide_arc_from_tracks(void **unused)
 static void start_that_is_off(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(600, 381, 0.3, 15)};
+    struct job j = {.rig = room(450, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS];
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
@@ -317,7 +317,8 @@ static void start_without_pairs(void **unused)
     disturb(&j.rig, 10, 381, start);
     run_ok(&j, &(struct bundle_config){.start = start});
     compare(&j, &turn, &centre);
-    assert_false(j.out.from_tracks && j.out.n_placed < j.rig.n_views);
+    assert_false(j.out.from_tracks);
+    assert_true(j.out.n_placed > 12);
     assert_true(turn < 1.5);
     done(&j);
 }
@@ -398,7 +399,7 @@ static void what_is_known_stays(void **unused)
 static void threads_change_nothing(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(300, 381, 0.3, 15)};
+    struct job j = {.rig = room(200, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS], cams[SCENE_VIEWS];
     scene_grid(&j.rig);
     j.rig.n_views = 8;
@@ -553,7 +554,7 @@ static void a_wall(void **unused)
 static void every_match_wrong(void **unused)
 {
     (void)unused;
-    static const int views[] = {2, 3, 8};
+    static const int views[] = {2, 3, 6};
     for (int k = 0; k < 3; k++) {
         struct job j = {.rig = room(400, 381, 0, 20)};
         scene_arc(&j.rig, views[k], 2.0 * views[k]);
