@@ -21,9 +21,9 @@
 enum {
     VIEW_LEAST = 10, // inliers of a placed view
     LINK_LEAST = 8,  // common inliers of two views that are tied
-    GATE = 4,        // expected errors of an inlier
-    CUBE = 3
+    GATE = 4         // expected errors of an inlier
 };
+static const double CHANCE = 0.2;               // redundancy that wrong matches may have
 static const double FAR = 1e-6;                 // least w of a point that is given out
 static const double FOV60 = 0.8660254037844386; // focal length over picture size at 60 degrees
 
@@ -605,10 +605,10 @@ static double parallax_px(struct bundle *b)
     return median(b->sorted, n);
 }
 
-/* Chance lets some sightings fit: a redundancy of CHANCE is worth nothing. */
+/* Share of the redundancy beyond chance, of the views, and parallax against the errors. */
 static float confidence(struct bundle *b, const struct bundle_result *out)
 {
-    const double CHANCE = 0.2, wanted = 4 * fmax(0.5, (double)out->rms_px);
+    const double wanted = 4 * fmax(0.5, (double)out->rms_px);
     double all, in;
     memcpy(b->a.in, b->best.in, (size_t)b->tracks->n * sizeof *b->a.in);
     in = redundancy(b, false, &all);
@@ -642,7 +642,7 @@ static err_t room_for(const struct run *r, int n_views, int n_tracks, struct bun
 {
     err_t e = arena_zalloc(r->keep, (size_t)n_views, sizeof *out->cams, &out->cams);
     if (!e)
-        e = arena_alloc(r->keep, CUBE * (size_t)n_tracks, sizeof *out->points, &out->points);
+        e = arena_alloc(r->keep, 3 * (size_t)n_tracks, sizeof *out->points, &out->points);
     if (!e)
         e = arena_alloc(r->keep, (size_t)n_views, sizeof *out->depth_scale, &out->depth_scale);
     if (!e)
@@ -711,7 +711,7 @@ size_t bundle_keep(int n_views, int n_tracks)
     const size_t v = (size_t)n_views;
     size_t sum = arena_add(arena_need(v, sizeof(struct camera)), arena_need(v, sizeof(float)));
     sum = arena_add(sum, arena_need(v, sizeof(bool)));
-    return arena_add(sum, arena_need(CUBE * (size_t)n_tracks, sizeof(float)));
+    return arena_add(sum, arena_need(3 * (size_t)n_tracks, sizeof(float)));
 }
 
 size_t bundle_plan(int n_views, int n_seen)

@@ -1,21 +1,22 @@
 #!/usr/bin/env python3
 """How well COLMAP places the cameras of a folder of images, and how well a cameras.json does.
 
-COLMAP (Debian: apt-get install --no-install-recommends colmap; version 3.8 in Debian 12, on the CPU)
-is no dependency of the tests. It gets one shared SIMPLE_PINHOLE camera, whose principal point stays
+COLMAP (Debian: apt-get install --no-install-recommends colmap; Debian 12 has version 3.8), here on
+the CPU, is no dependency of the tests. It gets one shared SIMPLE_PINHOLE camera, whose principal point stays
 in the middle. Its largest model, and the file that hdrig writes, are compared with a true model
 (COLMAP text: cameras.txt, images.txt) after the best similarity: median error of the rotations in
 degrees, of the centres as a share of their spread, and the focal length over the true one. Images
 of the true model are found by name, or else by name without the number of the exposure at its end.
 
 usage: colmap_pose.py --truth sparse/0 [--images DIR [--names a.png,b.png | --protocol protocol.json
-                      --views 18] [--work DIR] [--threads 2] [--focal PX]] [--cameras cameras.json]
+                      --views 18] [--work DIR] [--threads 2] [--focal PX, of PNG]] [--cameras cameras.json]
 """
 import argparse
 import json
 import os
 import re
 import shutil
+import struct
 import subprocess
 import tempfile
 import time
@@ -117,10 +118,9 @@ def colmap(args, work, names):
 
     camera = ["--ImageReader.single_camera", "1", "--ImageReader.camera_model", "SIMPLE_PINHOLE"]
     if args.focal:
-        from_size = subprocess.run(["file", os.path.join(images, names[0])], capture_output=True,
-                                   text=True, check=True).stdout
-        w, h = re.search(r"(\d+) ?x ?(\d+)", from_size).groups()
-        camera += ["--ImageReader.camera_params", f"{args.focal},{int(w) / 2},{int(h) / 2}"]
+        with open(os.path.join(images, names[0]), "rb") as f:
+            w, h = struct.unpack(">II", f.read(24)[16:])  # of a PNG
+        camera += ["--ImageReader.camera_params", f"{args.focal},{w / 2},{h / 2}"]
     call("feature_extractor", "--database_path", database, "--image_path", images, *camera,
          "--SiftExtraction.use_gpu", "0", "--SiftExtraction.num_threads", threads)
     call("exhaustive_matcher", "--database_path", database, "--SiftMatching.use_gpu", "0",
