@@ -1,6 +1,7 @@
-/* The grey value is the mean of the display values: where a channel saturates or sinks into black
- * it ceases to change by itself, and what follows looks at directions of gradients and at contrast
- * relative to the surroundings only, so any rising response gives the same answer.
+/* The grey value is the mean over the channels of the logarithm of the display value with a toe:
+ * where a channel saturates or sinks into black it ceases to change by itself, and what follows
+ * looks at directions of gradients and at contrast relative to the surroundings only, so that the
+ * response and the exposure hardly matter.
  *
  * Noise is the lower quartile of |Laplacian of Laplacians| by brightness (Immerkaer 1996). Corners
  * are maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994) that noise does
@@ -16,13 +17,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#ifdef EXPERIMENT
-float knob(const char *name, float d);
-#define KNOB(n, d) knob(#n, d)
-#else
-#define KNOB(n, d) (d)
-#endif
-
 enum {
     TAPS = 3,  // of a Gauss kernel, to one side
     CELLS = 4, // of a descriptor, across
@@ -33,11 +27,14 @@ enum {
     WORD_NORM = 256 // length of a descriptor
 };
 
-#define SMOOTH 0.9f           // px, Gauss of the finest level and before each halving of the area
-#define WINDOW 1.5f           // px, Gauss of the structure tensor
-#define NOISE_FLOOR 8e-4f     // 0.2 of 255: rounding, averaged over the channels
-#define CELL KNOB(cell, 4.0f) // px, a cell of a descriptor
-#define CUT 0.2f              // largest part of a descriptor (Lowe 2004, 6.1)
+#define SMOOTH 0.9f       // px, Gauss of the finest level and before each halving of the area
+#define WINDOW 1.5f       // px, Gauss of the structure tensor
+#define TOE 0.03f         // display value, below which the logarithm is straight
+#define NOISE_FLOOR 8e-4f // 0.2 of 255: rounding, averaged over the channels
+#define CELL 4.0f         // px, a cell of a descriptor
+#define SNR 6.0f          // of the eigenvalue to what noise adds to it
+#define COARSE 0.7f       // length of the coarse half of a descriptor, in that of the fine one
+#define CUT 0.2f          // largest part of a descriptor (Lowe 2004, 6.1)
 
 int corner_cap(int size)
 {
@@ -160,18 +157,20 @@ static void shrink(const float *from, int m, float *restrict to, int n)
 static void trust_table(float trust[256])
 {
     for (int z = 0; z < 256; z++) {
-        float end = fminf((float)z - KNOB(dark, 1.0f), KNOB(bright, 254.0f) - (float)z);
+        float end = (float)(num_min(z - 1, 254 - z));
         trust[z] = fminf(fmaxf(end / 6.0f, 0.0f), 1.0f);
     }
 }
 
 static void grey(const uint8_t *rgb, struct corner_level *l)
 {
-    float trust[256];
+    float trust[256], tone[256];
     trust_table(trust);
+    for (int z = 0; z < 256; z++)
+        tone[z] = logf((float)z / (255 * TOE) + 1) / logf(1 / TOE + 1);
     size_t px = (size_t)l->size * (size_t)l->size;
     for (size_t i = 0; i < px; i++, rgb += 3) {
-        l->light[i] = (float)(rgb[0] + rgb[1] + rgb[2]) / 765.0f;
+        l->light[i] = (tone[rgb[0]] + tone[rgb[1]] + tone[rgb[2]]) / 3;
         l->weight[i] = fmaxf(fmaxf(trust[rgb[0]], trust[rgb[1]]), trust[rgb[2]]);
     }
 }
@@ -314,7 +313,7 @@ static int find_peaks(const struct corner_view *c, int i, const float *px, struc
     for (size_t y = MARGIN; y + MARGIN < w; y++) {
         for (size_t x = MARGIN; x + MARGIN < w; x++) {
             size_t k = y * w + x;
-            if (px[k] > KNOB(snr, 6.0f) * corner_noise(c, i, l->light[k]) && is_peak(px, w, k))
+            if (px[k] > SNR * corner_noise(c, i, l->light[k]) && is_peak(px, w, k))
                 out[n++] = (struct peak){px[k], (int)k};
         }
     }
@@ -456,18 +455,10 @@ static void describe(struct corner_view *c, int k)
     for (int s = 0; s < 2; s++) {
         float *part = hist + s * HALF;
         gather(c->level + at->level + 2 * s, at->u, at->v, part);
-        if (KNOB(root, 0)) {
-            float sum = 1e-12f;
-            for (int i = 0; i < HALF; i++)
-                sum += part[i];
-            for (int i = 0; i < HALF; i++)
-                part[i] = sqrtf(part[i] / sum);
-        } else {
-            normalise(part, HALF, 1);
-            for (int i = 0; i < HALF; i++)
-                part[i] = fminf(part[i], CUT);
-        }
-        normalise(part, HALF, s ? KNOB(far, 0.7f) : 1.0f);
+        normalise(part, HALF, 1);
+        for (int i = 0; i < HALF; i++)
+            part[i] = fminf(part[i], CUT);
+        normalise(part, HALF, s ? COARSE : 1.0f);
     }
     normalise(hist, 2 * HALF, WORD_NORM);
     for (int i = 0; i < 2 * HALF; i++) {

@@ -19,7 +19,7 @@ enum {
 struct corner_level {
     int size;      // px
     float scale;   // px of the view in a pixel of the level
-    float *light;  // (size, size) display values 0..1, smoothed
+    float *light;  // (size, size) logarithm of the grey value, 0..1, smoothed
     float *weight; // (size, size) 0 black or saturated .. 1
 };
 
@@ -32,7 +32,8 @@ struct corner {
 /* All that matching needs of one view. */
 struct corner_view {
     struct corner_level level[CORNER_LEVELS];
-    float noise[CORNER_BINS]; // of display values 0..1 between i / BINS and (i + 1) / BINS
+    float noise
+        [CORNER_BINS]; // deviation of light before smoothing, where it is between i / BINS and (i + 1) / BINS
     int n;
     struct corner *at; // (corner_cap)
     int8_t *word;      // (corner_cap, CORNER_WORD) descriptors

@@ -49,8 +49,8 @@ static void swap_columns(double a[SAMPLE][9], int *order, int i, int j)
     order[j] = t;
 }
 
-/* Gauss and Jordan with full pivoting; the columns are then in `order`. 0 if the rank is below 7.
- */
+/* Gauss and Jordan with full pivoting; the columns are then in `order`. Returns the rank, which is
+ * 6 or less where the view only shifted or did not move at all. */
 static int eliminate(double a[SAMPLE][9], int order[9])
 {
     for (int i = 0; i < 9; i++)
@@ -64,7 +64,7 @@ static int eliminate(double a[SAMPLE][9], int order[9])
                     pc = c;
                 }
         if (fabs(a[pr][pc]) < 1e-9)
-            return 0;
+            return k;
         double t[9];
         memcpy(t, a[pr], sizeof t);
         memcpy(a[pr], a[k], sizeof t);
@@ -76,7 +76,7 @@ static int eliminate(double a[SAMPLE][9], int order[9])
                 a[r][c] -= part * a[k][c];
         }
     }
-    return 1;
+    return SAMPLE;
 }
 
 static double determinant(const double f[9])
@@ -85,9 +85,12 @@ static double determinant(const double f[9])
            f[2] * (f[3] * f[7] - f[4] * f[6]);
 }
 
-/* Real roots of c3 x^3 + c2 x^2 + c1 x + c0. */
+/* Real roots of c3 x^3 + c2 x^2 + c1 x + c0; one of them if everything is a root. */
 static int cubic(const double c[4], double root[3])
 {
+    root[0] = 0;
+    if (c[0] == 0)
+        return 1;
     if (fabs(c[3]) < 1e-12 * (fabs(c[2]) + fabs(c[1]) + fabs(c[0]))) {
         double d = c[1] * c[1] - 4 * c[2] * c[0];
         if (c[2] == 0 || d < 0)
@@ -116,11 +119,10 @@ static int solve_seven(const struct epipolar_match *const m[SAMPLE], double scal
     int order[9];
     for (int i = 0; i < SAMPLE; i++)
         equation(m[i], scale, a[i]);
-    if (!eliminate(a, order))
-        return 0;
+    int rank = eliminate(a, order);
     memset(p, 0, sizeof p);
     memset(q, 0, sizeof q);
-    for (int i = 0; i < SAMPLE; i++) {
+    for (int i = 0; i < rank; i++) {
         p[order[i]] = -a[i][7] / a[i][i];
         q[order[i]] = -a[i][8] / a[i][i];
     }

@@ -18,28 +18,30 @@
 #include <stdlib.h>
 #include <string.h>
 
-#ifdef EXPERIMENT
-float knob(const char *name, float d);
-#define KNOB(n, d) knob(#n, d)
-#else
-#define KNOB(n, d) (d)
-#endif
-
 enum {
     ROWS = 32,       // corners of a block of products
     PAIR_LEAST = 12, // matches of a pair
     TRACKS_MAX = 4000,
-    SPREAD = 20,   // cells of the grid that tracks are spread over, across
-    REFINE = 32,   // tracks of a chunk
-    FAR = 1 << 28, // no distance between descriptors
+    SPREAD = 20,    // cells of the grid that tracks are spread over, across
+    REFINE = 32,    // tracks of a chunk
+    UNLIKE = 50000, // squared distance of descriptors that have nothing in common
+    FAR = 1 << 28,  // no distance between descriptors
     NONE = -1
 };
 
-#define SIGMA_MIN 0.05f               // px of a level
-#define RATIO KNOB(ratio, 0.8f)       // of distances to the nearest corner and another (Lowe 2004)
-#define RATIO_LINE KNOB(gratio, 0.7f) // the same on an epipolar line
-#define BOUND KNOB(bound, 1.5f)       // px, Sampson distance of corners that agree
-#define BAND KNOB(band, 2.0f)         // px, from the epipolar line
+#define SIGMA_MIN 0.05f // px of a level
+#define RATIO 0.8f      // of distances to the nearest corner and another (Lowe 2004)
+#define RATIO_LINE 0.7f // the same on an epipolar line
+#define APART 5.0f      // px, corners that are not the same place
+#define ELSEWHERE 1.5f  // how much farther descriptors count where the network does not look
+#define SHARE_MIN 0.1f  // of the attention that the best tokens need to be believed
+#define SAME 0.7f       // px of a level, corners of one place
+#define LIKE_MIN 0.85f  // correlation of a patch that is found again
+#define LIKE_SURE 0.95f // the same, and no other level is tried
+#define SLIDE_MAX 3.0f  // px of a level, from the corner to the patch
+#define EXACT 0.8f      // px, Sampson distance of refined sightings
+#define BOUND 1.5f      // px, Sampson distance of corners that agree
+#define BAND 2.0f       // px, from the epipolar line
 
 /* One match: corners of two views. */
 struct link {
@@ -76,6 +78,7 @@ struct matcher {
     int8_t **panels;          // (n) descriptors as gemm_s8 wants them
     struct couple *couple;    // (n_couples)
     struct room *rooms;
+    int *token;        // (n cap) patch of the network that a corner lies in
     int *parent;       // (n cap) of union and find
     int *first, *next; // (n cap) members of a track, a ring
     uint64_t *mask;    // (n cap) views of a track, modulo 64
@@ -110,6 +113,14 @@ static size_t pitch_of(int cap)
 
 /* ---- pairs ---- */
 
+static int token_of(const struct matcher *m, const struct corner *c)
+{
+    int g = m->prior->grid;
+    int x = num_min((int)(c->u * (float)g / (float)m->v->size), g - 1);
+    int y = num_min((int)(c->v * (float)g / (float)m->v->size), g - 1);
+    return y * g + x;
+}
+
 static err_t prepare_view(void *ctx, int i, int worker)
 {
     struct matcher *m = ctx;
@@ -125,15 +136,9 @@ static err_t prepare_view(void *ctx, int i, int worker)
         for (int q = 0; q < CORNER_WORD; q += 4)
             memcpy(to + q * PANEL, c->word + (size_t)k * CORNER_WORD + q, 4);
     }
+    for (int k = 0; m->prior && k < c->n; k++)
+        m->token[i * m->cap + k] = token_of(m, c->at + k);
     return OK;
-}
-
-static int token_of(const struct matcher *m, const struct corner *c)
-{
-    int g = m->prior->grid;
-    int x = num_min((int)(c->u * (float)g / (float)m->v->size), g - 1);
-    int y = num_min((int)(c->v * (float)g / (float)m->v->size), g - 1);
-    return y * g + x;
 }
 
 /* Mark the tokens of view b around those where the network finds token t of view a. False if it
@@ -147,7 +152,7 @@ static bool look_for(const struct matcher *m, const struct couple *c, int t, uin
     float sum = 0;
     for (int k = 0; k < CORRESPONDENCE_BEST; k++)
         sum += p->token[at + k] >= 0 ? p->share[at + k] : 0;
-    if (sum < KNOB(known, 0.1f))
+    if (sum < SHARE_MIN)
         return false;
     memset(look, 0, (size_t)(g * g));
     for (int k = 0; k < CORRESPONDENCE_BEST; k++) {
@@ -163,8 +168,7 @@ static bool look_for(const struct matcher *m, const struct couple *c, int t, uin
 
 static bool near_by(const struct corner *a, const struct corner *b)
 {
-    const float apart = KNOB(apart, 5.0f);
-    return fabsf(a->u - b->u) < apart && fabsf(a->v - b->v) < apart;
+    return fabsf(a->u - b->u) < APART && fabsf(a->v - b->v) < APART;
 }
 
 /* What corner i of a may be compared with: corners of b and squared distances. */
@@ -178,12 +182,12 @@ struct trial {
 static void narrow(const struct matcher *m, const struct couple *c, const struct trial *t,
                    uint8_t *look)
 {
-    const struct corner *b = m->view[c->b].at;
-    if (!m->prior || !look_for(m, c, token_of(m, m->view[c->a].at + t->i), look))
+    const int *token = m->token + c->b * m->cap;
+    if (!m->prior || !look_for(m, c, m->token[c->a * m->cap + t->i], look))
         return;
     for (int k = 0; k < t->n; k++)
-        if (!look[token_of(m, b + (t->at ? t->at[k] : k))])
-            t->square[k] = (int32_t)(KNOB(penalty, 1.5f) * (float)t->square[k]);
+        if (!look[token[t->at ? t->at[k] : k]])
+            t->square[k] = (int32_t)(ELSEWHERE * (float)t->square[k]);
 }
 
 /* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
@@ -192,7 +196,7 @@ static void nearest(const struct matcher *m, const struct couple *c, const struc
                     struct room *w)
 {
     const struct corner *b = m->view[c->b].at;
-    int32_t best = FAR, next = FAR;
+    int32_t best = FAR, next = UNLIKE;
     int to = NONE;
     narrow(m, c, t, w->look);
     for (int k = 0; k < t->n; k++) {
@@ -359,7 +363,7 @@ static void start_nodes(struct matcher *m)
         for (int k = 0; k < c->n; k++) {
             int node = i * m->cap + k, p = 0;
             while (p < k) {
-                float reach = KNOB(place, 0.7f) * c->level[c->at[p].level].scale;
+                float reach = SAME * c->level[c->at[p].level].scale;
                 float du = c->at[p].u - c->at[k].u, dv = c->at[p].v - c->at[k].v;
                 if (m->parent[i * m->cap + p] == i * m->cap + p &&
                     du * du + dv * dv < reach * reach)
@@ -412,22 +416,31 @@ static err_t join_all(struct matcher *m)
 
 /* ---- refinement ---- */
 
+/* Find a patch of `level` at a node's place on the level that shows it best: this one, or a
+ * neighbour where the camera was nearer or farther. */
 static bool find_member(const struct matcher *m, const struct patch *p, int level, int node,
-                        struct patch_place *out)
+                        struct match_seen *out, float *like)
 {
-    static const float zoom[3] = {1, 1.35f, 0.74f};
+    static const int other[3] = {0, 1, -1};
     const struct corner_view *c = m->view + node / m->cap;
     const struct corner *at = c->at + node % m->cap;
-    const struct corner_level *l = c->level + level;
-    *out = (struct patch_place){.like = -1};
-    for (int i = 0; i < 3 && out->like < 0.95f; i++) {
-        struct patch_place try = {
-            .u = at->u / l->scale, .v = at->v / l->scale, .m = {zoom[i], 0, 0, zoom[i]}};
-        if (patch_find(p, l, &try) && try.like > out->like)
-            *out = try;
+    *like = -1;
+    for (int i = 0; i < 3 && *like < LIKE_SURE; i++) {
+        if (level + other[i] < 0)
+            continue;
+        const struct corner_level *l = c->level + level + other[i];
+        float u = at->u / l->scale, v = at->v / l->scale;
+        struct patch_place place = {.u = u, .v = v, .m = {1, 0, 0, 1}};
+        if (!patch_find(p, l, &place) || place.like <= *like ||
+            hypotf(place.u - u, place.v - v) > SLIDE_MAX)
+            continue;
+        *like = place.like;
+        *out = (struct match_seen){.view = node / m->cap,
+                                   .u = place.u * l->scale,
+                                   .v = place.v * l->scale,
+                                   .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
     }
-    float du = out->u - at->u / l->scale, dv = out->v - at->v / l->scale;
-    return out->like > KNOB(like, 0.8f) && du * du + dv * dv < KNOB(slide, 9.0f);
+    return *like > LIKE_MIN;
 }
 
 /* Member of a track that shows it best. */
@@ -465,14 +478,11 @@ static void refine_track(const struct matcher *m, struct track *t)
         return;
     out[t->n++] = (struct match_seen){.view = best / m->cap, .u = at->u, .v = at->v};
     for (int i = m->next[best]; i != best; i = m->next[i]) {
-        struct patch_place place;
-        if (!find_member(m, &p, at->level, i, &place))
+        float like;
+        if (!find_member(m, &p, at->level, i, out + t->n, &like))
             continue;
-        float sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale;
-        least = fminf(least, sigma);
-        sum += place.like;
-        out[t->n++] = (struct match_seen){
-            .view = i / m->cap, .u = place.u * l->scale, .v = place.v * l->scale, .sigma = sigma};
+        least = fminf(least, out[t->n++].sigma);
+        sum += like;
     }
     out->sigma = least;
     t->like = t->n > 1 ? sum / (float)(t->n - 1) : 0;
@@ -529,7 +539,7 @@ static err_t look_again(void *ctx, int i_couple, int worker)
         if (b)
             match[n++] = meeting(m, a->u, a->v, b->u, b->v);
     }
-    int agree = epipolar_run(match, n, (float)m->v->size, KNOB(again, 1.0f), c->f);
+    int agree = epipolar_run(match, n, (float)m->v->size, EXACT, c->f);
     c->known = agree >= PAIR_LEAST && agree * 2 > n;
     return run_check(m->r, "matching");
 }
@@ -537,7 +547,6 @@ static err_t look_again(void *ctx, int i_couple, int worker)
 /* Views that speak against sighting k of a track, less those that speak for it. */
 static int against(const struct matcher *m, const struct track *t, int k)
 {
-    const float bound = KNOB(last, 1.0f);
     int sum = 0;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *a = m->seen + t->at + (i < k ? i : k);
@@ -547,7 +556,7 @@ static int against(const struct matcher *m, const struct track *t, int k)
         const struct couple *c = m->couple + couple_of(m->v->n, a->view, b->view);
         const struct epipolar_match match = meeting(m, a->u, a->v, b->u, b->v);
         if (c->known)
-            sum += epipolar_distance(c->f, &match) > (double)(bound * bound) ? 1 : -1;
+            sum += epipolar_distance(c->f, &match) > (double)(EXACT * EXACT) ? 1 : -1;
     }
     return sum;
 }
@@ -695,6 +704,8 @@ static err_t alloc_pairs(struct matcher *m)
         }
     }
     if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->token, &m->token);
+    if (!e)
         e = arena_alloc(tmp, nodes, sizeof *m->parent, &m->parent);
     if (!e)
         e = arena_alloc(tmp, nodes, sizeof *m->first, &m->first);
@@ -724,7 +735,7 @@ size_t match_plan(int n_views, int size, int threads)
     sum = arena_add(sum, arena_need(couples, arena_need(cap, sizeof(struct link))));
     sum = arena_add(sum, arena_need(couples, sizeof(struct couple)));
     sum = arena_add(sum, arena_need(couples * cap + 1, sizeof(struct edge)));
-    sum = arena_add(sum, arena_need(nodes, 3 * sizeof(int) + sizeof(uint64_t) +
+    sum = arena_add(sum, arena_need(nodes, 4 * sizeof(int) + sizeof(uint64_t) +
                                                sizeof(struct match_seen) + sizeof(struct track)));
     return arena_add(sum, arena_need(n * SPREAD * SPREAD + 64, 16 * sizeof(uint16_t)));
 }
@@ -734,6 +745,7 @@ size_t match_keep(int n_views, int size)
     return arena_need(seen_cap(n_views, size), sizeof(struct match_seen));
 }
 
+/* Corners, pairs, tracks, refinement, choice. */
 static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 {
     err_t e = alloc_views(m);
@@ -764,7 +776,7 @@ err_t match_run(const struct run *r, const struct views *v, const struct corresp
     int cap = corner_cap(v->size);
     struct matcher m = {.r = r,
                         .v = v,
-                        .prior = prior,
+                        .prior = prior && prior->token ? prior : NULL,
                         .cap = cap,
                         .pitch = (int)pitch_of(cap),
                         .n_couples = v->n * (v->n - 1) / 2};

@@ -1,7 +1,7 @@
 /* match.h - the same points in several photographs of mixed exposure: corners, descriptors that do
- * not see the exposure, matches that agree both ways, sub-pixel positions, tracks over views. The
- * network's attention narrows the search where there is one (model-spec 2.7: q and k of the fusion
- * layer, before rotary embedding).
+ * not see the exposure, matches that agree both ways and with one epipolar geometry, sub-pixel
+ * positions, tracks over views. The network's attention narrows the search where there is one
+ * (model-spec 2.7).
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef OPT_MATCH_H
 #define OPT_MATCH_H
@@ -21,9 +21,10 @@ struct match_tracks {
     struct match_seen *seen; // (n)
 };
 
-/* Find tracks. prior: of net_run (struct correspondence, core/net/net.h; made by core/net/attend.c), NULL
- * searches everywhere.
- * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees.
+/* Find tracks. prior: of net_run for these views (core/net/attend.c), or NULL: places where the
+ * network does not look are less likely; where its attention is flat it is not asked.
+ * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees, and for
+ *       one view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,

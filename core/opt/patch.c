@@ -9,18 +9,12 @@
 #include <math.h>
 #include <string.h>
 
-#ifdef EXPERIMENT
-float knob(const char *name, float d);
-#define KNOB(n, d) knob(#n, d)
-#else
-#define KNOB(n, d) (d)
-#endif
-
 enum { SHIFTS = 4, STEPS = 10 };
 
-#define CONTRAST_MIN 2e-3f // display units: half of a step
+#define WIDTH 3.5f         // px, Gauss that a patch fades with
+#define CONTRAST_MIN 2e-3f // of light, which is 0..1: what rounding leaves uncertain
 #define RIDGE 1e-3         // of the largest normal equation
-#define CORRELATED 4.0     // pixels that share noise, as light is smoothed
+#define CORRELATED 7.0     // pixels that share noise, as light is smoothed
 
 /* Value between pixels; (x, y) in pixel centres, inside by one pixel. */
 static float sample(const float *px, int n, float x, float y)
@@ -101,10 +95,9 @@ bool patch_make(const struct corner_level *l, float u, float v, struct patch *ou
         float dx = (float)(k % PATCH_EDGE - PATCH_REACH);
         float dy = (float)(k / PATCH_EDGE - PATCH_REACH);
         float x = u - 0.5f + dx, y = v - 0.5f + dy;
-        float wide = KNOB(wide, 0.7f) * PATCH_REACH;
         out->light[k] = sample(l->light, l->size, x, y);
         out->weight[k] =
-            sample(l->weight, l->size, x, y) * expf(-0.5f * (dx * dx + dy * dy) / (wide * wide));
+            sample(l->weight, l->size, x, y) * expf(-0.5f * (dx * dx + dy * dy) / (WIDTH * WIDTH));
         gradient[k][0] =
             0.5f * (sample(l->light, l->size, x + 1, y) - sample(l->light, l->size, x - 1, y));
         gradient[k][1] =
