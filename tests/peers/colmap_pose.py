@@ -2,14 +2,16 @@
 """How well COLMAP places the cameras of a folder of images, and how well a cameras.json does.
 
 COLMAP (Debian: apt-get install --no-install-recommends colmap; Debian 12 has version 3.8), here on
-the CPU, is no dependency of the tests. It gets one shared SIMPLE_PINHOLE camera, whose principal point stays
-in the middle. Its largest model, and the file that hdrig writes, are compared with a true model
-(COLMAP text: cameras.txt, images.txt) after the best similarity: median error of the rotations in
-degrees, of the centres as a share of their spread, and the focal length over the true one. Images
-of the true model are found by name, or else by name without the number of the exposure at its end.
+the CPU, is no dependency of the tests. It gets one shared SIMPLE_PINHOLE camera, whose principal
+point stays in the middle. Its largest model, and the file that hdrig writes, are compared with a
+true model (COLMAP text: cameras.txt, images.txt) after the best similarity: median error of the
+rotations in degrees, of the centres as a share of their spread, and the focal length over the true
+one. Images of the true model are found by name, or else by name without the number of the exposure
+at its end.
 
-usage: colmap_pose.py --truth sparse/0 [--images DIR [--names a.png,b.png | --protocol protocol.json
-                      --views 18] [--work DIR] [--threads 2] [--focal PX, of PNG]] [--cameras cameras.json]
+usage: colmap_pose.py --truth sparse/0 [--cameras cameras.json]
+                      [--images DIR [--names a.png,b.png | --protocol protocol.json --views 18]
+                       [--work DIR] [--threads 2] [--focal PX, of PNG]]
 """
 import argparse
 import json
