@@ -136,7 +136,10 @@ static err_t stream(struct state *s, const struct camera_cfg *cfg, struct feed_o
     feed->longest_us = hi * 1e6;
     feed->gain_max = 1.0;
     feed->first_us = sqrt(lo * hi) * 1e6;
-    return feed_open(&s->feed, cfg, feed, &source);
+    err_t e = feed_open(&s->feed, cfg, feed, &source);
+    if (!e)
+        feed_start(&s->feed);
+    return e;
 }
 
 static err_t split_uri(const char *uri, char dir[FILE_PATH_CAP], const char **options)

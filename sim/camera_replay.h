@@ -1,6 +1,6 @@
 /* camera_replay.h - the camera `replay:FOLDER,KEY=VALUE,...`: plays photographs. FOLDER is whatever
- * drivers/imageset.h reads with exposures, without comma in its name. An exposure that is asked for
- * gives the picture of the present view that is nearest in log exposure; frames say which one it is.
+ * drivers/imageset.h reads with exposures, without comma in its name. A request gives the picture
+ * of the present view that is nearest in log exposure; frames say which one it is.
  *
  *   which=train|test|all   pictures of the released layout
  *   bracket=N              N pictures in the order of names are one view; 0: told by their names

@@ -179,8 +179,12 @@ static err_t start(struct state *s, const struct camera_cfg *cfg, const struct o
                                  .black = rgb ? 0 : s->sensor.black,
                                  .format = format[o->format],
                                  .expose = expose};
-    err_t e = render(o, s);
-    return e ? e : feed_open(&s->feed, cfg, feed, &source);
+    err_t e = feed_open(&s->feed, cfg, feed, &source);
+    if (!e)
+        e = render(o, s);
+    if (!e)
+        feed_start(&s->feed);
+    return e;
 }
 
 static void sim_close(void *st)

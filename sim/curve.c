@@ -4,8 +4,8 @@
  *   SRGB    IEC 61966-2-1
  *   FILMIC  rational fit of the ACES curve (Narkowicz 2015), coded as sRGB; the shoulder grows with
  *           the exposure that is mapped to white
- *   AGX     sigmoid in u through a pivot 3.5 stops under white: a line of given slope there, bent to
- *           reach 1 at u = 0 and 0 at the end of the range (form of Troy Sobotka's AgX)
+ *   AGX     sigmoid in u through a pivot 3.5 stops under white: a line of given slope there, bent
+ *           to reach 1 at u = 0 and 0 at the end of the range (form of Troy Sobotka's AgX)
  *   LOG     log2(1 + a x) / log2(1 + a)
  *   RANDOM  integral over u of the slope of sRGB times exp(strength * s(u)), s a cubic B-spline
  *           with normal coefficients every 2 stops: monotone whatever the numbers are */

@@ -17,6 +17,7 @@ static const struct {
     bool whole;
 } verbs[FAULT_VERBS] = {
     [FAULT_DROP] = {"drop", NULL, true, 1, 1e6, true},
+    [FAULT_LOSE] = {"lose", NULL, true, 0, 1, false},
     [FAULT_DUPLICATE] = {.verb = "duplicate"},
     [FAULT_REPEAT] = {.verb = "repeat"},
     [FAULT_ERROR] = {.verb = "error"},

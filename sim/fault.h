@@ -7,6 +7,7 @@
  * Lines end with a newline or ';'. A script in a URI begins with "at "; anything else is a file.
  *
  *   drop K [nogap]        K frames are lost; with nogap the sequence does not tell
+ *   lose P                from now on each frame is lost with probability P, the sequence tells
  *   duplicate             the frame comes twice, sequence and all
  *   repeat                the frame has the pixels of the one before, but says it were new
  *   error                 flagged as bad, with torn pixels
@@ -41,6 +42,7 @@
 
 enum fault_verb {
     FAULT_DROP,
+    FAULT_LOSE,
     FAULT_DUPLICATE,
     FAULT_REPEAT,
     FAULT_ERROR,

@@ -165,18 +165,18 @@ err_t feed_open(struct feed *f, const struct camera_cfg *cfg, const struct feed_
     err_t e = check_wish(cfg, source);
     if (!e)
         e = open_files(f);
-    if (!e)
-        e = make_slots(f, cfg->buffers ? cfg->buffers : 4);
-    if (e)
-        return e;
-    struct timing_cfg timing = timing_of(opt);
-    f->base_ns = f->clock_ns = opt->virtual ? VIRTUAL_START : clock_ns(CLOCK_MONOTONIC);
-    timing_open(&f->timing, &timing, f->base_ns + (int64_t)(opt->skew_us * 1e3),
-                opt->first_us * 1e-6);
+    return e ? e : make_slots(f, cfg->buffers ? cfg->buffers : 4);
+}
+
+void feed_start(struct feed *f)
+{
+    struct timing_cfg timing = timing_of(&f->opt);
+    f->base_ns = f->clock_ns = f->opt.virtual ? VIRTUAL_START : clock_ns(CLOCK_MONOTONIC);
+    timing_open(&f->timing, &timing, f->base_ns + (int64_t)(f->opt.skew_us * 1e3),
+                f->opt.first_us * 1e-6);
     f->last_true = f->last_programmed = f->last_set =
         (struct exposure){f->timing.now.time_s, f->timing.now.gain};
     arm(f);
-    return OK;
 }
 
 void feed_close(struct feed *f)
@@ -233,6 +233,9 @@ static void strike(struct feed *f, const struct fault *x)
     case FAULT_DROP:
         fx->drop = (int64_t)x->number;
         fx->drop_hidden = x->nogap;
+        break;
+    case FAULT_LOSE:
+        fx->loss = x->number;
         break;
     case FAULT_SEQUENCE_STUCK:
         fx->stuck = true;
@@ -433,6 +436,7 @@ static void finish(struct feed *f)
         f->sequence += 1 + fx->sequence_add;
     fx->sequence_add = 0;
     item.sequence = f->sequence;
+    drop |= fx->loss > 0.0 && sensor_uniform(~0u, (uint64_t)t.number) < fx->loss;
     for (int i = 0; i < copies && !drop; i++)
         push(f, &item);
 }

@@ -83,7 +83,7 @@ struct feed_effects {
     int64_t drop, ignore, refuse_left, rollover;
     enum fault_verb refuse;
     bool drop_hidden, stalled, stuck, half, stamp_zero, stamp_real;
-    double quantum_s, gain, gain_step, balance, balance_step, digital;
+    double loss, quantum_s, gain, gain_step, balance, balance_step, digital;
     int64_t stamp_add_ns;
     uint32_t sequence_add;
 };
@@ -106,11 +106,12 @@ struct feed { // fields are the feed's own
     FILE *truth;
 };
 
-/* Start streaming.
+/* Check options and acquire everything that can fail.
  * own:  feed_close, also after an error.
  * err:  ERR_ARG, ERR_LOST, ERR_FORMAT, ERR_IO, ERR_UNSUPPORTED, ERR_NOMEM */
 MUST_USE err_t feed_open(struct feed *f, const struct camera_cfg *cfg,
                          const struct feed_options *opt, const struct feed_source *source);
+void feed_start(struct feed *f); // frame 0 begins now
 void feed_close(struct feed *f); // accepts a zeroed one
 
 void feed_info(const void *st, struct camera_info *out);
