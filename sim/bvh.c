@@ -213,10 +213,11 @@ static struct ray make_ray(const float o[3], const float d[3])
     return r;
 }
 
-/* Where the ray enters and leaves the four children; gcc vectorises this only as a function. */
+/* Where the ray enters the four children, and whether it meets them; gcc vectorises this only as a
+ * function. */
 __attribute__((noinline)) static void cross(const struct bvh_node *restrict n,
                                             const struct ray *restrict r, float most,
-                                            float *restrict in, float *restrict out)
+                                            float *restrict in, int *restrict met)
 {
     const float *x0 = n->box[r->near[0]], *y0 = n->box[r->near[1]], *z0 = n->box[r->near[2]];
     const float *x1 = n->box[r->far[0]], *y1 = n->box[r->far[1]], *z1 = n->box[r->far[2]];
@@ -226,8 +227,18 @@ __attribute__((noinline)) static void cross(const struct bvh_node *restrict n,
         float near = vec_max((x0[i] - x) * a, vec_max((y0[i] - y) * b, (z0[i] - z) * c));
         float far = vec_min((x1[i] - x) * a, vec_min((y1[i] - y) * b, (z1[i] - z) * c));
         in[i] = vec_max(near, 0);
-        out[i] = vec_min(far, most);
+        met[i] = in[i] <= vec_min(far, most) ? -1 : 0;
     }
+}
+
+/* A bit for each child that the ray meets. */
+static inline unsigned meet(const struct bvh_node *n, const struct ray *r, float most,
+                            float in[WIDE])
+{
+    int met[WIDE];
+    cross(n, r, most, in, met);
+    return ((unsigned)met[0] & 1) | ((unsigned)met[1] & 2) | ((unsigned)met[2] & 4) |
+           ((unsigned)met[3] & 8);
 }
 
 struct todo {
@@ -236,14 +247,12 @@ struct todo {
 };
 
 /* Push the children that the ray meets, the nearest last. */
-static int sort_in(const struct bvh_node *n, const float in[WIDE], const float out[WIDE],
+static int sort_in(const struct bvh_node *n, unsigned met, const float in[WIDE],
                    struct todo stack[WIDE])
 {
     int depth = 0;
-    for (int k = 0; k < WIDE; k++) {
-        if (!(in[k] <= out[k]))
-            continue;
-        int at = depth++;
+    for (; met; met &= met - 1) {
+        int k = __builtin_ctz(met), at = depth++;
         for (; at > 0 && stack[at - 1].t < in[k]; at--)
             stack[at] = stack[at - 1];
         stack[at] = (struct todo){n->child[k], in[k]};
@@ -269,9 +278,9 @@ int bvh_first(const struct bvh *b, const float o[3], const float d[3], float mos
             *t = at;
             continue;
         }
-        float in[WIDE], out[WIDE];
-        cross(b->nodes + next.node, &r, *t, in, out);
-        depth += sort_in(b->nodes + next.node, in, out, stack + depth);
+        float in[WIDE];
+        unsigned met = meet(b->nodes + next.node, &r, *t, in);
+        depth += sort_in(b->nodes + next.node, met, in, stack + depth);
     }
     return best;
 }
@@ -279,23 +288,20 @@ int bvh_first(const struct bvh *b, const float o[3], const float d[3], float mos
 int bvh_any(const struct bvh *b, const float o[3], const float d[3], float most,
             const int skip_guess[2])
 {
-    int stack[STACK], depth = 0, guess = skip_guess[1];
-    struct ray r = make_ray(o, d);
-    if (guess >= 0 && guess != skip_guess[0] && solid_hit(b->solids + guess, o, d, most) < most)
+    int stack[STACK], depth = 0, skip = skip_guess[0], guess = skip_guess[1];
+    if (guess >= 0 && guess != skip && solid_hit(b->solids + guess, o, d, most) < most)
         return guess;
+    struct ray r = make_ray(o, d);
     if (b->n)
         stack[depth++] = 0;
     while (depth) {
         const struct bvh_node *n = b->nodes + stack[--depth];
-        float in[WIDE], out[WIDE];
-        cross(n, &r, most, in, out);
-        for (int k = 0; k < WIDE; k++) {
-            if (!(in[k] <= out[k]))
-                continue;
-            int solid = -1 - n->child[k];
-            if (solid < 0)
-                stack[depth++] = n->child[k];
-            else if (solid != skip_guess[0] && solid_hit(b->solids + solid, o, d, most) < most)
+        float in[WIDE];
+        for (unsigned met = meet(n, &r, most, in); met; met &= met - 1) {
+            int child = n->child[__builtin_ctz(met)], solid = -1 - child;
+            if (child >= 0)
+                stack[depth++] = child;
+            else if (solid != skip && solid_hit(b->solids + solid, o, d, most) < most)
                 return solid;
         }
     }

@@ -244,15 +244,16 @@ static void look(const struct render_world *s, const struct gaze *g, struct hand
         set_gloss(g, &on, spot);
     light_gather(&s->lights, spot, dice, &sum);
     probe_light(&s->probes, spot->p, spot->n, light);
-    float rough = 1 - (glossy ? gloss_share(m, on.facing) : 0);
+    float share = glossy ? gloss_share(m, on.facing) : 0;
+    float even = share <= AMBIENT ? share : 0; // of little gloss, which mirrors its own side
     for (int k = 0; k < 3; k++) {
-        out->part[ALBEDO][k] = on.albedo[k] * rough / PI;
-        out->part[REST][k] = m->emission[k] + out->part[ALBEDO][k] * light[k];
+        out->part[ALBEDO][k] = on.albedo[k] * (1 - share) / PI;
+        out->part[REST][k] = m->emission[k] + (out->part[ALBEDO][k] + even / PI) * light[k];
         out->part[SOFT][k] = sum.soft[k];
         out->part[SUN][k] = sum.sun[k];
         out->part[GLOSS][k] = sum.gloss[k];
     }
-    if (glossy)
+    if (share > AMBIENT)
         add_mirrored(s, g, hand, dice, &on, out);
 }
 
@@ -413,7 +414,7 @@ static err_t draw_row(void *ctx, int i, int worker)
         float scale = aim(p, (float)j + 0.5f, (float)i + 0.5f, &g);
         if (p->out->radiance)
             sample_pixel(p, i, j, &hand, &seen);
-        if ((!p->out->radiance || p->q->samples > 1)) {
+        if (!p->out->radiance || p->q->samples > 1) {
             memset(seen.n, 0, sizeof seen.n);
             if (meet(p->s, &g, &on, &seen.t) >= 0)
                 memcpy(seen.n, on.n, sizeof seen.n);

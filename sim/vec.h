@@ -56,8 +56,9 @@ static inline float vec_unit(float v[3])
         v[2] = 1;
         return 0;
     }
+    float inverse = 1 / length;
     for (int k = 0; k < 3; k++)
-        v[k] /= length;
+        v[k] *= inverse;
     return length;
 }
 
