@@ -101,6 +101,18 @@ static void test_inverse(void **state)
     }
 }
 
+/* Of all exposures with the same display value, the smallest. */
+static void test_plateau(void **state)
+{
+    struct curve c;
+    (void)state;
+    curve_make(CURVE_SRGB, 0.0f, 0, &c);
+    for (int i = 600; i < 800; i++)
+        c.table[i] = c.table[600];
+    float x = curve_exposure(&c, c.table[600]);
+    assert_true(fabsf(log2f(x) - (c.lo + 600.0f * (c.hi - c.lo) / CURVE_STEPS)) < 0.03f);
+}
+
 static void test_draw(void **state)
 {
     int seen[CURVE_FAMILIES] = {0};
@@ -126,7 +138,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_shape),    cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_formulas), cmocka_unit_test(test_middle_grey),
-        cmocka_unit_test(test_inverse),  cmocka_unit_test(test_draw),
+        cmocka_unit_test(test_inverse),  cmocka_unit_test(test_plateau),
+        cmocka_unit_test(test_draw),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -385,6 +385,22 @@ static void test_untrue_exposures(void **state)
     }
 }
 
+/* What is ignored leaves the exposure that was true before. */
+static void test_ignore_later(void **state)
+{
+    struct exposure set;
+    void *st = open_fake("clock=virtual,delay=1,faults=at frame 2 ignore 2");
+    (void)state;
+    for (int i = 0; i < 5; i++) {
+        assert_int_equal(ask(st, 0.001 * (i + 1), 1.0, &set), OK);
+        take(st, &ev[i]);
+    }
+    static const double want[5] = {0.01, 0.001, 0.001, 0.001, 0.004};
+    for (int i = 0; i < 5; i++)
+        assert_true(near(ev[i].truth.exposure.time_s, want[i], 1e-9));
+    close_fake(st);
+}
+
 static void test_refusals(void **state)
 {
     static const struct {
@@ -438,6 +454,7 @@ int main(void)
         cmocka_unit_test(test_sequence),
         cmocka_unit_test(test_stamps),
         cmocka_unit_test(test_untrue_exposures),
+        cmocka_unit_test(test_ignore_later),
         cmocka_unit_test(test_refusals),
         cmocka_unit_test(test_format_changes),
     };
