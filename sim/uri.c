@@ -15,7 +15,7 @@ struct option {
 
 static err_t set_number(const struct option *o, const struct uri_key *k, void *field)
 {
-    char text[64], *end = text;
+    char text[64] = "", *end = text;
     double v = NAN;
     if (o->value_n > 0 && o->value_n < (int)sizeof text) {
         memcpy(text, o->value, (size_t)o->value_n);
