@@ -370,7 +370,7 @@ static void gather_light(const struct light_set *s, struct light_spot *spot, int
     for (int k = 0; k < 3; k++)
         light[k] *= r.weight * times;
     vec_along(out->soft, c, light, out->soft);
-    add_gloss(spot, r.d, light, spot->shine[0], out->gloss);
+    add_gloss(spot, r.d, light, spot->shine[l->solid < 0 ? 2 : 0], out->gloss);
 }
 
 /* Whether the way to a point of the sun's disc is open; times the cosine. */

@@ -42,10 +42,10 @@ void light_throw(const struct light_dice *d, uint32_t dim, float u[2]);
 
 /* Where light falls. */
 struct light_spot {
-    float p[3], n[3]; // m, above the surface by light_lift; unit
-    float mirror[3];  // unit, where the eye's ray is reflected to
-    float lobe;       // exponent of the cosine around it
-    float shine[3];   // share in the gloss of lamps, of the sun, of the whole sky; 0: none
+    float p[3], n[3];                // m, above the surface by light_lift; unit
+    float mirror[3];                 // unit, where the eye's ray is reflected to
+    float lobe;                      // exponent of the cosine around it
+    float shine[3];                  // share in the gloss of lamps, of the sun, of the sky; 0: none
     uint32_t last[WORLD_LIGHTS + 2]; // 1 + solid that was last in the way, by light: a guess
 };
 

@@ -37,6 +37,7 @@ static const float RADIANCE_MAX = 1e9f;
 static const float PLANE_WITHIN = 0.005f; // of 1 / z, how well a neighbour must lie in the plane
 static const float AMBIENT = 0.05f;       // F up to which a surface mirrors no picture
 static const float RAY_LEAST = 0.005f;    // weight from which a mirrored ray is worth its time
+static const float CLEAR = 0.15f;         // weight from which a mirrored picture must have no grain
 static const float ROUGH_RAY = 0.6f;      // roughness from which none is traced
 static const float ROUGH_LAMP = 0.2f;     // from which lamps shine by their lobe, not by the ray
 static const float ROUGH_SUN = 0.02f;     // the same of the sun
@@ -94,6 +95,7 @@ struct gaze {
     float o[3], d[3];  // m; unit
     float far, spread; // m, length of the way to o; widening of the footprint per m
     bool lamps, sun;   // whether it sees listed lamps; the sun's disc
+    int looks;         // how often lights are drawn where it ends
 };
 
 struct seen {
@@ -136,19 +138,24 @@ static void mirrored(const struct render_world *s, const struct gaze *g, struct 
     struct light_sum sum;
     float t, light[3];
     int solid = meet(s, g, &on, &t);
-    if (solid < 0) { // light of openings came with that of lamps
+    if (solid < 0) {
         light_sky(s->w, g->d, g->sun, out);
-        vec_along((float[3]){0}, g->lamps || s->lights.dome, out, out);
         return;
     }
     stand_on(g, t, &on, spot);
-    light_gather(&s->lights, spot, dice, &sum);
     probe_light(&s->probes, spot->p, spot->n, light);
-    bool glows = g->lamps || !s->lights.listed[solid];
-    for (int k = 0; k < 3; k++) {
-        out[k] = on.albedo[k] / PI * (sum.soft[k] + sum.sun[k] + light[k]);
-        out[k] += glows ? on.material->emission[k] : 0;
+    for (int i = 0; i < g->looks; i++) {
+        struct light_dice one = *dice;
+        one.index = dice->index * (uint32_t)g->looks + (uint32_t)i;
+        one.noise += (uint32_t)i;
+        one.bits = dice->bits + (g->looks > 1 ? 2 : 0);
+        light_gather(&s->lights, spot, &one, &sum);
+        for (int k = 0; k < 3; k++)
+            light[k] += (sum.soft[k] + sum.sun[k]) / (float)g->looks;
     }
+    bool glows = g->lamps || !s->lights.listed[solid];
+    for (int k = 0; k < 3; k++)
+        out[k] = on.albedo[k] / PI * light[k] + (glows ? on.material->emission[k] : 0);
 }
 
 /* Schlick's share of the gloss, less at grazing angles where the surface is rough. */
@@ -202,6 +209,7 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
         struct gaze next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
         next.lamps = rough < ROUGH_LAMP;
         next.sun = rough < ROUGH_SUN;
+        next.looks = ray > CLEAR && rough < ROUGH_BLUR && dice->bits < 6 ? 4 : 1;
         memcpy(next.o, spot->p, sizeof next.o);
         bend(spot, rough, dice, next.d);
         mirrored(s, &next, &hand->second, dice, light);

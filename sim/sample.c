@@ -10,7 +10,9 @@
 
 enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40 };
 
-static const double KEY_LEVEL = 0.18; // of full scale: a grey card
+static const double KEY_LEVEL = 0.18;    // of full scale: a grey card
+static const double LIGHT_LEAST = 1e-4;  // radiance that the meter still follows
+static const double EXPOSURE_MAX = 3600; // s, of a sensor
 
 /* Electrons that stand for full scale: of the well or of the converter's last number. */
 static double full_scale(const struct sensor *s)
@@ -123,7 +125,7 @@ static double key_of(struct sample *s)
 {
     qsort(s->median, (size_t)s->a->n_views, sizeof *s->median, by_value);
     double light = s->median[s->a->n_views / 2];
-    light = light > 1e-6 ? light : 1e-6; // a picture that is all but black
+    light = light > LIGHT_LEAST ? light : LIGHT_LEAST;
     return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
 }
 
@@ -247,12 +249,13 @@ err_t sample_expose(const struct run *r, const struct sample_camera *c, const fl
 {
     err_t e = check_shots(c, n, stops);
     for (int i = 0; i < n && !e; i++) {
-        struct sensor_shot shot = {.exposure_s = c->key * exp2((double)stops[i]),
-                                   .gain = 1,
-                                   .seed = c->seed,
-                                   .frame = (uint64_t)i};
+        double exposure = c->key * exp2((double)stops[i]);
+        struct sensor_shot shot = {
+            .exposure_s = exposure, .gain = 1, .seed = c->seed, .frame = (uint64_t)i};
         uint8_t *to = px + (size_t)i * 3 * (size_t)c->size * (size_t)c->size;
         e = run_check(r, "photographs");
+        if (c->sensor && exposure > EXPOSURE_MAX)
+            shot.exposure_s = EXPOSURE_MAX;
         if (!e && c->sensor)
             e = develop_noisy(r, c, radiance, &shot, to);
         else if (!e)

@@ -42,7 +42,8 @@ struct sample_camera {
 };
 
 /* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops in
- * -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise.
+ * -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is exposed for an hour
+ * at most.
  * out:  px (n, size, size, 3)
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
