@@ -101,6 +101,15 @@ static void gauss_taps(float sigma, float tap[TAPS + 1])
         tap[i] /= sum;
 }
 
+static void smooth_row(const float *row, int n, const float tap[TAPS + 1], float *restrict to)
+{
+    for (int x = 0; x < n; x++) {
+        to[x] = tap[0] * row[x];
+        for (int i = 1; i <= TAPS; i++)
+            to[x] += tap[i] * (row[x >= i ? x - i : 0] + row[x + i < n ? x + i : n - 1]);
+    }
+}
+
 /* Gauss filter of a square picture, in place; the border repeats. room: (n, n). */
 static void smooth(float *px, int n, float sigma, float *restrict room)
 {
@@ -119,20 +128,8 @@ static void smooth(float *px, int n, float sigma, float *restrict room)
                 to[x] += tap[i] * (up[x] + down[x]);
         }
     }
-    for (int y = 0; y < n; y++) {
-        float *restrict to = px + (size_t)y * w;
-        const float *row = room + (size_t)y * w;
-        for (int x = 0; x < n; x++) {
-            float sum = tap[0] * row[x];
-            if (x >= TAPS && x < n - TAPS)
-                for (int i = 1; i <= TAPS; i++)
-                    sum += tap[i] * (row[x - i] + row[x + i]);
-            else
-                for (int i = 1; i <= TAPS; i++)
-                    sum += tap[i] * (row[x >= i ? x - i : 0] + row[num_min(x + i, n - 1)]);
-            to[x] = sum;
-        }
-    }
+    for (int y = 0; y < n; y++)
+        smooth_row(room + (size_t)y * w, n, tap, px + (size_t)y * w);
 }
 
 static void shrink(const float *from, int m, float *restrict to, int n)

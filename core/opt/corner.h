@@ -32,8 +32,7 @@ struct corner {
 /* All that matching needs of one view. */
 struct corner_view {
     struct corner_level level[CORNER_LEVELS];
-    float noise
-        [CORNER_BINS]; // deviation of light before smoothing, where it is between i / BINS and (i + 1) / BINS
+    float noise[CORNER_BINS]; // deviation of light before smoothing, by light from 0 to 1
     int n;
     struct corner *at; // (corner_cap)
     int8_t *word;      // (corner_cap, CORNER_WORD) descriptors

@@ -56,13 +56,11 @@ static int eliminate(double a[SAMPLE][9], int order[9])
     for (int i = 0; i < 9; i++)
         order[i] = i;
     for (int k = 0; k < SAMPLE; k++) {
-        int pr = k, pc = k;
-        for (int r = k; r < SAMPLE; r++)
-            for (int c = k; c < 9; c++)
-                if (fabs(a[r][c]) > fabs(a[pr][pc])) {
-                    pr = r;
-                    pc = c;
-                }
+        int at = 10 * k; // row times 9 plus column
+        for (int i = 9 * k; i < 9 * SAMPLE; i++)
+            if (i % 9 >= k && fabs(a[i / 9][i % 9]) > fabs(a[at / 9][at % 9]))
+                at = i;
+        int pr = at / 9, pc = at % 9;
         if (fabs(a[pr][pc]) < 1e-9)
             return k;
         double t[9];

@@ -1,16 +1,13 @@
-/* Each view becomes corners with descriptors (corner.h). For each pair of views all descriptors
- * are multiplied with each other in integers; a match is the best of both views for each other and
- * clearly better than the next one elsewhere (Lowe 2004, 7.1), where places that the network does
- * not look at count as worse. Of the matches of a pair those are kept that one epipolar geometry
- * explains. Corners joined by matches, the surest first, are one track, unless two of them lie in
- * one view. The strongest sighting of a track is cut out and found to a fraction of a pixel in the
- * others (patch.h); a last look at the epipolar geometry of the result drops what slid away. */
+/* Each view becomes corners with descriptors (corner.h), each pair of views a list of matches that
+ * one epipolar geometry explains (pair.h). Corners joined by matches, the surest first, are one
+ * track, unless two of them lie in one view. The strongest sighting of a track is cut out and found
+ * to a fraction of a pixel in the others (patch.h). The epipolar geometry of the refined points
+ * then drops what slid away or never belonged. Long tracks come first, and tracks that add to a
+ * crowd in all of their views are left out. */
 #include "core/opt/match.h"
 
 #include "core/base/num.h"
-#include "core/kernels/kernels.h"
-#include "core/opt/corner.h"
-#include "core/opt/epipolar.h"
+#include "core/opt/pair.h"
 #include "core/opt/patch.h"
 
 #include <limits.h>
@@ -19,69 +16,34 @@
 #include <string.h>
 
 enum {
-    ROWS = 32,       // corners of a block of products
-    PAIR_LEAST = 12, // matches of a pair
     TRACKS_MAX = 4000,
-    SPREAD = 20,    // cells of the grid that tracks are spread over, across
-    REFINE = 32,    // tracks of a chunk
-    UNLIKE = 50000, // squared distance of descriptors that have nothing in common
-    FAR = 1 << 28,  // no distance between descriptors
-    NONE = -1
+    SPREAD = 20, // cells of the grid that tracks are spread over, across
+    REFINE = 32  // tracks of a chunk
 };
 
-#define SIGMA_MIN 0.05f // px of a level
-#define RATIO 0.8f      // of distances to the nearest corner and another (Lowe 2004)
-#define RATIO_LINE 0.7f // the same on an epipolar line
-#define APART 5.0f      // px, corners that are not the same place
-#define ELSEWHERE 1.5f  // how much farther descriptors count where the network does not look
-#define SHARE_MIN 0.1f  // of the attention that the best tokens need to be believed
-#define SAME 0.7f       // px of a level, corners of one place
-#define LIKE_MIN 0.85f  // correlation of a patch that is found again
-#define LIKE_SURE 0.95f // the same, and no other level is tried
-#define SLIDE_MAX 3.0f  // px of a level, from the corner to the patch
-#define EXACT 0.8f      // px, Sampson distance of refined sightings
-#define BOUND 1.5f      // px, Sampson distance of corners that agree
-#define BAND 2.0f       // px, from the epipolar line
+#define SIGMA_MIN 0.05f  // px of a level
+#define SAME 0.7f        // px of a level, corners of one place
+#define LIKE_MIN 0.85f   // correlation of a patch that is found again
+#define STRETCH_MAX 0.5f // log2 of areas, up to which no other level is tried
+#define SLIDE_MAX 3.0f   // px of a level, from the corner to the patch
+#define EXACT 0.8f       // px, Sampson distance of refined sightings
 
-/* One match: corners of two views. */
-struct link {
-    float doubt; // distance over that of the next best
-    int16_t a, b;
-};
-
-/* Two views; links are good ones, at most corner_cap. */
-struct couple {
-    int a, b, n;
-    struct link *link;
-    double f[9]; // epipolar geometry of the refined points
-    bool known;  // f
-};
-
-struct room {                     // of a worker
-    float *picture;               // (corner_scratch)
-    int32_t *product;             // (ROWS, pitch)
-    int32_t *column;              // (cap) smallest distance to each corner of b
-    int16_t *from;                // (cap) where it is
-    int16_t *to;                  // (cap) nearest in b of each corner of a
-    float *doubt;                 // (cap)
-    int16_t *near;                // (cap) corners of b on a line
-    struct epipolar_match *match; // (cap)
-    uint8_t *look;                // (grid^2) whether the network looks at this token
+struct room {       // of a worker
+    float *picture; // (corner_scratch)
+    struct pair_room pair;
 };
 
 struct matcher {
     const struct run *r;
     const struct views *v;
-    const struct correspondence *prior;
-    int cap, pitch, n_couples;
-    struct corner_view *view; // (n)
-    int8_t **panels;          // (n) descriptors as gemm_s8 wants them
-    struct couple *couple;    // (n_couples)
+    struct pair_views p;
+    int cap, n_couples;  // of p; of views
+    struct pair *couple; // (n_couples)
     struct room *rooms;
-    int *token;        // (n cap) patch of the network that a corner lies in
-    int *parent;       // (n cap) of union and find
-    int *first, *next; // (n cap) members of a track, a ring
-    uint64_t *mask;    // (n cap) views of a track, modulo 64
+    int *parent;    // (n cap) of union and find
+    int *first;     // (n cap) node of a corner's place
+    int *next;      // (n cap) members of a track, a ring
+    uint64_t *mask; // (n cap) views of a track, modulo 64
     int n_tracks;
     struct track *track;     // (n cap / 2)
     struct match_seen *seen; // (n cap)
@@ -106,229 +68,28 @@ static int couple_of(int n, int a, int b)
     return a * (2 * n - a - 1) / 2 + b - a - 1;
 }
 
-static size_t pitch_of(int cap)
-{
-    return (size_t)(cap + PANEL - 1) / PANEL * PANEL;
-}
-
 /* ---- pairs ---- */
-
-static int token_of(const struct matcher *m, const struct corner *c)
-{
-    int g = m->prior->grid;
-    int x = num_min((int)(c->u * (float)g / (float)m->v->size), g - 1);
-    int y = num_min((int)(c->v * (float)g / (float)m->v->size), g - 1);
-    return y * g + x;
-}
 
 static err_t prepare_view(void *ctx, int i, int worker)
 {
     struct matcher *m = ctx;
-    size_t size = (size_t)m->v->size;
-    struct corner_view *c = m->view + i;
+    size_t size = (size_t)m->p.size;
     err_t e = run_check(m->r, "matching");
     if (e)
         return e;
-    corner_run(m->v->rgb + (size_t)i * size * size * 3, m->v->size, m->rooms[worker].picture, c);
-    memset(m->panels[i], 0, (size_t)m->pitch * CORNER_WORD);
-    for (int k = 0; k < c->n; k++) {
-        int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_WORD + k % PANEL * 4;
-        for (int q = 0; q < CORNER_WORD; q += 4)
-            memcpy(to + q * PANEL, c->word + (size_t)k * CORNER_WORD + q, 4);
-    }
-    for (int k = 0; m->prior && k < c->n; k++)
-        m->token[i * m->cap + k] = token_of(m, c->at + k);
+    corner_run(m->v->rgb + (size_t)i * size * size * 3, m->p.size, m->rooms[worker].picture,
+               m->p.view + i);
+    pair_prepare(&m->p, i);
     return OK;
-}
-
-/* Mark the tokens of view b around those where the network finds token t of view a. False if it
- * does not know. */
-static bool look_for(const struct matcher *m, const struct couple *c, int t, uint8_t *look)
-{
-    const struct correspondence *p = m->prior;
-    int g = p->grid;
-    size_t at = (((size_t)c->a * (size_t)(g * g) + (size_t)t) * (size_t)p->n_views + (size_t)c->b) *
-                CORRESPONDENCE_BEST;
-    float sum = 0;
-    for (int k = 0; k < CORRESPONDENCE_BEST; k++)
-        sum += p->token[at + k] >= 0 ? p->share[at + k] : 0;
-    if (sum < SHARE_MIN)
-        return false;
-    memset(look, 0, (size_t)(g * g));
-    for (int k = 0; k < CORRESPONDENCE_BEST; k++) {
-        int x = p->token[at + k] % g, y = p->token[at + k] / g;
-        if (p->token[at + k] < 0 || p->share[at + k] < 0.25f * sum / CORRESPONDENCE_BEST)
-            continue;
-        for (int j = y > 0 ? y - 1 : 0; j <= num_min(y + 1, g - 1); j++)
-            for (int i = x > 0 ? x - 1 : 0; i <= num_min(x + 1, g - 1); i++)
-                look[j * g + i] = 1;
-    }
-    return true;
-}
-
-static bool near_by(const struct corner *a, const struct corner *b)
-{
-    return fabsf(a->u - b->u) < APART && fabsf(a->v - b->v) < APART;
-}
-
-/* What corner i of a may be compared with: corners of b and squared distances. */
-struct trial {
-    int i, n;
-    const int16_t *at; // (n) corners of b; NULL: all, in order
-    int32_t *square;   // (n)
-};
-
-/* Places that the network does not look at count as farther. */
-static void narrow(const struct matcher *m, const struct couple *c, const struct trial *t,
-                   uint8_t *look)
-{
-    const int *token = m->token + c->b * m->cap;
-    if (!m->prior || !look_for(m, c, m->token[c->a * m->cap + t->i], look))
-        return;
-    for (int k = 0; k < t->n; k++)
-        if (!look[token[t->at ? t->at[k] : k]])
-            t->square[k] = (int32_t)(ELSEWHERE * (float)t->square[k]);
-}
-
-/* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
- * whether this one is the nearest so far. */
-static void nearest(const struct matcher *m, const struct couple *c, const struct trial *t,
-                    struct room *w)
-{
-    const struct corner *b = m->view[c->b].at;
-    int32_t best = FAR, next = UNLIKE;
-    int to = NONE;
-    narrow(m, c, t, w->look);
-    for (int k = 0; k < t->n; k++) {
-        int j = t->at ? t->at[k] : k;
-        if (t->square[k] < best) {
-            best = t->square[k];
-            to = j;
-        }
-        if (t->square[k] < w->column[j]) {
-            w->column[j] = t->square[k];
-            w->from[j] = (int16_t)t->i;
-        }
-    }
-    for (int k = 0; k < t->n; k++)
-        if (t->square[k] < next && !near_by(b + to, b + (t->at ? t->at[k] : k)))
-            next = t->square[k];
-    w->to[t->i] = (int16_t)to;
-    w->doubt[t->i] = ((float)best + 1) / ((float)next + 1);
-}
-
-/* Compare all with all. */
-static void search(const struct matcher *m, const struct couple *c, struct room *w)
-{
-    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
-    for (int i = 0; i < a->n; i++) {
-        int32_t *row = w->product + (size_t)(i % ROWS) * (size_t)m->pitch;
-        if (i % ROWS == 0)
-            m->r->k->net.s8(&(struct gemm_s8){.m = num_min(ROWS, a->n - i),
-                                              .panels = (b->n + PANEL - 1) / PANEL,
-                                              .segs = 1,
-                                              .seg = CORNER_WORD,
-                                              .a = a->word + (size_t)i * CORNER_WORD,
-                                              .lda = CORNER_WORD,
-                                              .w = m->panels[c->b],
-                                              .ldw = PANEL * CORNER_WORD,
-                                              .c = w->product,
-                                              .ldc = (size_t)m->pitch});
-        for (int j = 0; j < b->n; j++)
-            row[j] = a->square[i] + b->square[j] - 2 * row[j];
-        nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
-    }
-}
-
-/* Compare with what lies along the epipolar line only. */
-static void search_lines(const struct matcher *m, const struct couple *c, struct room *w)
-{
-    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
-    const float middle = 0.5f * (float)m->v->size;
-    for (int i = 0; i < a->n; i++) {
-        float x = a->at[i].u - middle, y = a->at[i].v - middle, line[3];
-        for (int k = 0; k < 3; k++)
-            line[k] = (float)(c->f[3 * k] * x + c->f[3 * k + 1] * y + c->f[3 * k + 2]);
-        float reach = BAND * sqrtf(line[0] * line[0] + line[1] * line[1]);
-        struct trial t = {i, 0, w->near, w->product};
-        line[2] -= middle * (line[0] + line[1]);
-        for (int j = 0; j < b->n; j++)
-            if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
-                w->near[t.n++] = (int16_t)j;
-        for (int k = 0; k < t.n; k++) {
-            const int8_t *p = a->word + (size_t)i * CORNER_WORD;
-            const int8_t *q = b->word + (size_t)w->near[k] * CORNER_WORD;
-            int32_t sum = 0;
-            for (int n = 0; n < CORNER_WORD; n++)
-                sum += p[n] * q[n];
-            t.square[k] = a->square[i] + b->square[w->near[k]] - 2 * sum;
-        }
-        nearest(m, c, &t, w);
-    }
-}
-
-static int by_doubt(const void *a, const void *b)
-{
-    const struct link *p = a, *q = b;
-    if (p->doubt != q->doubt)
-        return p->doubt < q->doubt ? -1 : 1;
-    return p->a - q->a;
-}
-
-/* Links of corners that are each other's nearest, the surest first. */
-static void link_up(const struct matcher *m, struct couple *c, const struct room *w, float ratio)
-{
-    c->n = 0;
-    for (int i = 0; i < m->view[c->a].n; i++)
-        if (w->to[i] != NONE && w->from[w->to[i]] == i && w->doubt[i] < ratio * ratio)
-            c->link[c->n++] = (struct link){w->doubt[i], (int16_t)i, w->to[i]};
-    qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
-}
-
-static struct epipolar_match meeting(const struct matcher *m, float au, float av, float bu,
-                                     float bv)
-{
-    const float middle = 0.5f * (float)m->v->size;
-    return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
-}
-
-/* The epipolar geometry that most links agree with. */
-static void find_geometry(const struct matcher *m, struct couple *c, struct epipolar_match *match)
-{
-    for (int k = 0; k < c->n; k++) {
-        const struct corner *a = m->view[c->a].at + c->link[k].a;
-        const struct corner *b = m->view[c->b].at + c->link[k].b;
-        match[k] = meeting(m, a->u, a->v, b->u, b->v);
-    }
-    int agree = epipolar_run(match, c->n, (float)m->v->size, BOUND, c->f);
-    c->known = agree >= PAIR_LEAST + c->n / 16;
 }
 
 static err_t match_couple(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
-    struct couple *c = m->couple + i_couple;
-    struct room *w = m->rooms + worker;
     err_t e = run_check(m->r, "matching");
-    c->n = 0;
-    if (e || m->view[c->a].n < PAIR_LEAST || m->view[c->b].n < PAIR_LEAST)
-        return e;
-    for (int turn = 0; turn < 2; turn++) {
-        for (int j = 0; j < m->view[c->b].n; j++)
-            w->column[j] = FAR;
-        if (turn)
-            search_lines(m, c, w);
-        else
-            search(m, c, w);
-        link_up(m, c, w, turn ? RATIO_LINE : RATIO);
-        if (!turn)
-            find_geometry(m, c, w->match);
-        if (!c->known) {
-            c->n = 0;
-            break;
-        }
-    }
-    return OK;
+    if (!e)
+        pair_run(&m->p, &m->rooms[worker].pair, m->couple + i_couple);
+    return e;
 }
 
 /* ---- tracks ---- */
@@ -355,27 +116,28 @@ static void join(struct matcher *m, int i, int j)
     m->next[b] = t;
 }
 
-/* Corners of one place on several levels are one node: the finest. */
+/* The first corner of a view at the place of corner k: on several levels it is one point. */
+static int place_of(const struct corner_view *c, const int *parent, int at, int k)
+{
+    for (int i = 0; i < k; i++) {
+        float reach = SAME * c->level[c->at[i].level].scale;
+        float du = c->at[i].u - c->at[k].u, dv = c->at[i].v - c->at[k].v;
+        if (parent[at + i] == at + i && du * du + dv * dv < reach * reach)
+            return i;
+    }
+    return k;
+}
+
 static void start_nodes(struct matcher *m)
 {
     for (int i = 0; i < m->v->n; i++) {
-        const struct corner_view *c = m->view + i;
-        for (int k = 0; k < c->n; k++) {
-            int node = i * m->cap + k, p = 0;
-            while (p < k) {
-                float reach = SAME * c->level[c->at[p].level].scale;
-                float du = c->at[p].u - c->at[k].u, dv = c->at[p].v - c->at[k].v;
-                if (m->parent[i * m->cap + p] == i * m->cap + p &&
-                    du * du + dv * dv < reach * reach)
-                    break;
-                p++;
-            }
-            m->parent[node] = i * m->cap + p;
+        for (int k = 0; k < m->p.view[i].n; k++) {
+            int at = i * m->cap, node = at + k;
+            m->parent[node] = m->first[node] = at + place_of(m->p.view + i, m->parent, at, k);
             m->next[node] = node;
             m->mask[node] = (uint64_t)1 << (i % 64);
         }
     }
-    memcpy(m->first, m->parent, (size_t)m->v->n * (size_t)m->cap * sizeof *m->first);
 }
 
 struct edge {
@@ -402,7 +164,7 @@ static err_t join_all(struct matcher *m)
         return e;
     n = 0;
     for (int i = 0; i < m->n_couples; i++) {
-        const struct couple *c = m->couple + i;
+        const struct pair *c = m->couple + i;
         for (int k = 0; k < c->n; k++)
             edge[n++] = (struct edge){c->link[k].doubt, m->first[c->a * m->cap + c->link[k].a],
                                       m->first[c->b * m->cap + c->link[k].b]};
@@ -416,40 +178,53 @@ static err_t join_all(struct matcher *m)
 
 /* ---- refinement ---- */
 
-/* Find a patch of `level` at a node's place on the level that shows it best: this one, or a
- * neighbour where the camera was nearer or farther. */
-static bool find_member(const struct matcher *m, const struct patch *p, int level, int node,
+/* What the reference shows, from two levels that follow each other. */
+struct view_of {
+    int level;
+    bool cut[2];
+    struct patch patch[2];
+};
+
+/* How far from 1 a patch's magnification is, where it is found. */
+static float stretch(const struct patch_place *at)
+{
+    return fabsf(log2f(fmaxf(fabsf(at->m[0] * at->m[3] - at->m[1] * at->m[2]), 1e-3f)));
+}
+
+/* Find the reference at a node's place, between levels where it is as large and as smooth: else
+ * corners seem to move. */
+static bool find_member(const struct matcher *m, const struct view_of *o, int node,
                         struct match_seen *out, float *like)
 {
-    static const int other[3] = {0, 1, -1};
-    const struct corner_view *c = m->view + node / m->cap;
+    const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
+    const struct corner_view *c = m->p.view + node / m->cap;
     const struct corner *at = c->at + node % m->cap;
-    *like = -1;
-    for (int i = 0; i < 3 && *like < LIKE_SURE; i++) {
-        if (level + other[i] < 0)
-            continue;
-        const struct corner_level *l = c->level + level + other[i];
+    float least = INFINITY;
+    for (int i = 0; i < 3 && least > STRETCH_MAX; i++) {
+        const struct corner_level *l = c->level + o->level + to[i];
         float u = at->u / l->scale, v = at->v / l->scale;
         struct patch_place place = {.u = u, .v = v, .m = {1, 0, 0, 1}};
-        if (!patch_find(p, l, &place) || place.like <= *like ||
+        if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &place) ||
+            place.like < LIKE_MIN || stretch(&place) >= least ||
             hypotf(place.u - u, place.v - v) > SLIDE_MAX)
             continue;
+        least = stretch(&place);
         *like = place.like;
         *out = (struct match_seen){.view = node / m->cap,
                                    .u = place.u * l->scale,
                                    .v = place.v * l->scale,
                                    .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
     }
-    return *like > LIKE_MIN;
+    return least < INFINITY;
 }
 
 /* Member of a track that shows it best. */
-static int reference(const struct matcher *m, int root)
+static int best_member(const struct matcher *m, int root)
 {
     int best = root;
     float top = 0;
     for (int i = m->next[root], k = 0; i != root || !k; i = m->next[i], k++) {
-        float strength = m->view[i / m->cap].at[i % m->cap].strength;
+        float strength = m->p.view[i / m->cap].at[i % m->cap].strength;
         if (strength > top) {
             top = strength;
             best = i;
@@ -466,20 +241,21 @@ static int by_view(const void *a, const void *b)
 /* Sightings of a track where it is found again. */
 static void refine_track(const struct matcher *m, struct track *t)
 {
-    int best = reference(m, t->root);
+    int best = best_member(m, t->root);
     struct match_seen *out = m->seen + t->at;
-    struct patch p;
-    const struct corner_view *c = m->view + best / m->cap;
+    const struct corner_view *c = m->p.view + best / m->cap;
     const struct corner *at = c->at + best % m->cap;
-    const struct corner_level *l = c->level + at->level;
+    struct view_of reference = {.level = at->level};
     float sum = 0, least = INFINITY;
+    for (int k = 0; k < 2; k++) {
+        const struct corner_level *l = c->level + at->level + k;
+        reference.cut[k] = patch_make(l, at->u / l->scale, at->v / l->scale, reference.patch + k);
+    }
     t->n = 0;
-    if (!patch_make(l, at->u / l->scale, at->v / l->scale, &p))
-        return;
     out[t->n++] = (struct match_seen){.view = best / m->cap, .u = at->u, .v = at->v};
     for (int i = m->next[best]; i != best; i = m->next[i]) {
-        float like;
-        if (!find_member(m, &p, at->level, i, out + t->n, &like))
+        float like = 0;
+        if (!find_member(m, &reference, i, out + t->n, &like))
             continue;
         least = fminf(least, out[t->n++].sigma);
         sum += like;
@@ -503,7 +279,7 @@ static void list_tracks(struct matcher *m)
     int at = 0;
     m->n_tracks = 0;
     for (int i = 0; i < m->v->n; i++) {
-        for (int node = i * m->cap; node < i * m->cap + m->view[i].n; node++) {
+        for (int node = i * m->cap; node < i * m->cap + m->p.view[i].n; node++) {
             int n = 1;
             if (m->parent[node] != node || m->next[node] == node)
                 continue;
@@ -530,14 +306,14 @@ static const struct match_seen *seen_in(const struct matcher *m, const struct tr
 static err_t look_again(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
-    struct couple *c = m->couple + i_couple;
-    struct epipolar_match *match = m->rooms[worker].match;
+    struct pair *c = m->couple + i_couple;
+    struct epipolar_match *match = m->rooms[worker].pair.match;
     int n = 0;
     for (int i = 0; i < m->n_tracks && n < m->cap; i++) {
         const struct match_seen *a = seen_in(m, m->track + i, c->a);
         const struct match_seen *b = a ? seen_in(m, m->track + i, c->b) : NULL;
         if (b)
-            match[n++] = meeting(m, a->u, a->v, b->u, b->v);
+            match[n++] = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
     }
     int agree = epipolar_run(match, n, (float)m->v->size, EXACT, c->f);
     c->known = agree >= PAIR_LEAST && agree * 2 > n;
@@ -553,36 +329,37 @@ static int against(const struct matcher *m, const struct track *t, int k)
         const struct match_seen *b = m->seen + t->at + (i < k ? k : i);
         if (i == k)
             continue;
-        const struct couple *c = m->couple + couple_of(m->v->n, a->view, b->view);
-        const struct epipolar_match match = meeting(m, a->u, a->v, b->u, b->v);
+        const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
+        const struct epipolar_match match = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
         if (c->known)
             sum += epipolar_distance(c->f, &match) > (double)(EXACT * EXACT) ? 1 : -1;
     }
     return sum;
 }
 
-/* Take away the sighting that most views speak against, until none is left. */
+/* Take away the sighting that most views speak against, until all have more for them. */
+static void settle_track(const struct matcher *m, struct track *t)
+{
+    struct match_seen *at = m->seen + t->at;
+    while (t->n >= 2) {
+        int worst = 0, most = INT_MIN;
+        for (int k = 0; k < t->n; k++) {
+            int sum = against(m, t, k);
+            worst = sum > most ? k : worst;
+            most = sum > most ? sum : most;
+        }
+        if (most < 0)
+            break;
+        memmove(at + worst, at + worst + 1, (size_t)(--t->n - worst) * sizeof *at);
+    }
+}
+
 static err_t settle_chunk(void *ctx, int chunk, int worker)
 {
     struct matcher *m = ctx;
     (void)worker;
-    for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++) {
-        struct track *t = m->track + i;
-        while (t->n > 0) {
-            int worst = 0, most = INT_MIN;
-            for (int k = 0; k < t->n; k++) {
-                int sum = against(m, t, k);
-                if (sum > most) {
-                    most = sum;
-                    worst = k;
-                }
-            }
-            if (most < 0 || t->n < 2)
-                break;
-            struct match_seen *at = m->seen + t->at;
-            memmove(at + worst, at + worst + 1, (size_t)(--t->n - worst) * sizeof *at);
-        }
-    }
+    for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++)
+        settle_track(m, m->track + i);
     return run_check(m->r, "matching");
 }
 
@@ -649,46 +426,17 @@ static err_t collect(struct matcher *m, struct match_tracks *out)
 
 /* ---- the whole ---- */
 
-static err_t alloc_room(const struct matcher *m, struct room *w)
+static err_t alloc_rooms(struct matcher *m)
 {
     struct arena *tmp = m->r->tmp;
-    size_t cap = (size_t)m->cap, grid = m->prior ? (size_t)m->prior->grid : 0;
-    err_t e = arena_alloc(tmp, corner_scratch(m->v->size), sizeof(float), &w->picture);
-    if (!e)
-        e = arena_alloc(tmp, ROWS * (size_t)m->pitch, sizeof(int32_t), &w->product);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->column, &w->column);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->from, &w->from);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->to, &w->to);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->doubt, &w->doubt);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->near, &w->near);
-    if (!e)
-        e = arena_alloc(tmp, cap, sizeof *w->match, &w->match);
-    if (!e)
-        e = arena_alloc(tmp, grid * grid, 1, &w->look);
-    return e;
-}
-
-static err_t alloc_views(struct matcher *m)
-{
-    struct arena *tmp = m->r->tmp;
-    size_t n = (size_t)m->v->n, workers = (size_t)pool_size(m->r->pool);
-    err_t e = arena_alloc(tmp, n, sizeof *m->view, &m->view);
-    if (!e)
-        e = arena_alloc(tmp, n, sizeof *m->panels, &m->panels);
-    if (!e)
-        e = arena_alloc(tmp, workers, sizeof *m->rooms, &m->rooms);
-    for (size_t i = 0; i < n && !e; i++) {
-        e = corner_alloc(tmp, m->v->size, m->view + i);
+    int workers = pool_size(m->r->pool);
+    err_t e = arena_alloc(tmp, (size_t)workers, sizeof *m->rooms, &m->rooms);
+    for (int i = 0; i < workers && !e; i++) {
+        struct room *w = m->rooms + i;
+        e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w->picture, &w->picture);
         if (!e)
-            e = arena_alloc(tmp, (size_t)m->pitch, CORNER_WORD, m->panels + i);
+            e = pair_room_init(tmp, &m->p, &w->pair);
     }
-    for (size_t i = 0; i < workers && !e; i++)
-        e = alloc_room(m, m->rooms + i);
     return e;
 }
 
@@ -699,12 +447,10 @@ static err_t alloc_pairs(struct matcher *m)
     err_t e = arena_alloc(tmp, (size_t)m->n_couples, sizeof *m->couple, &m->couple);
     for (int a = 0, k = 0; a < m->v->n; a++) {
         for (int b = a + 1; b < m->v->n && !e; b++, k++) {
-            m->couple[k] = (struct couple){.a = a, .b = b};
-            e = arena_alloc(tmp, cap, sizeof(struct link), &m->couple[k].link);
+            m->couple[k] = (struct pair){.a = a, .b = b};
+            e = arena_alloc(tmp, cap, sizeof(struct pair_link), &m->couple[k].link);
         }
     }
-    if (!e)
-        e = arena_alloc(tmp, nodes, sizeof *m->token, &m->token);
     if (!e)
         e = arena_alloc(tmp, nodes, sizeof *m->parent, &m->parent);
     if (!e)
@@ -723,21 +469,20 @@ static err_t alloc_pairs(struct matcher *m)
 size_t match_plan(int n_views, int size, int threads)
 {
     size_t n = (size_t)n_views, w = (size_t)threads, cap = (size_t)corner_cap(size);
-    size_t couples = n * (n - 1) / 2, nodes = n * cap, grid = (size_t)size / NET_PATCH + 1;
-    size_t each = arena_add(corner_keep(size), arena_need(pitch_of((int)cap), CORNER_WORD));
-    size_t room = arena_add(arena_need(corner_scratch(size), sizeof(float)),
-                            arena_need(ROWS * pitch_of((int)cap), sizeof(int32_t)));
-    room = arena_add(room, arena_need(cap, 64));
-    room = arena_add(room, arena_need(grid * grid + 8 * ARENA_ALIGN, 1));
-    size_t sum = arena_need(n, each);
-    sum = arena_add(sum, arena_need(w, arena_add(room, sizeof(struct room))));
-    sum = arena_add(sum, arena_need(n, sizeof(struct corner_view) + 64));
-    sum = arena_add(sum, arena_need(couples, arena_need(cap, sizeof(struct link))));
-    sum = arena_add(sum, arena_need(couples, sizeof(struct couple)));
-    sum = arena_add(sum, arena_need(couples * cap + 1, sizeof(struct edge)));
-    sum = arena_add(sum, arena_need(nodes, 4 * sizeof(int) + sizeof(uint64_t) +
-                                               sizeof(struct match_seen) + sizeof(struct track)));
-    return arena_add(sum, arena_need(n * SPREAD * SPREAD + 64, 16 * sizeof(uint16_t)));
+    size_t couples = n * (n - 1) / 2, nodes = n * cap;
+    size_t room = arena_add(arena_need(corner_scratch(size), sizeof(float)), pair_room_need(size));
+    size_t sum = pair_views_need(n_views, size);
+    sum = arena_add(sum, arena_need(w, sizeof(struct room)));
+    sum = arena_add(sum, arena_need(w, room));
+    sum = arena_add(sum, arena_need(couples, sizeof(struct pair)));
+    sum = arena_add(sum, arena_need(couples, arena_need(cap, sizeof(struct pair_link))));
+    for (int i = 0; i < 3; i++)
+        sum = arena_add(sum, arena_need(nodes, sizeof(int)));
+    sum = arena_add(sum, arena_need(nodes, sizeof(uint64_t)));
+    sum = arena_add(sum, arena_need(nodes / 2 + 1, sizeof(struct track)));
+    sum = arena_add(sum, arena_need(nodes, sizeof(struct match_seen)));
+    return arena_add(sum, num_max_size(arena_need(couples * cap + 1, sizeof(struct edge)),
+                                       arena_need(n * SPREAD * SPREAD, sizeof(uint16_t))));
 }
 
 size_t match_keep(int n_views, int size)
@@ -748,7 +493,9 @@ size_t match_keep(int n_views, int size)
 /* Corners, pairs, tracks, refinement, choice. */
 static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 {
-    err_t e = alloc_views(m);
+    err_t e = pair_views_init(m->r->tmp, m->v->n, m->v->size, &m->p);
+    if (!e)
+        e = alloc_rooms(m);
     if (!e)
         e = alloc_pairs(m);
     if (!e)
@@ -773,13 +520,12 @@ static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 err_t match_run(const struct run *r, const struct views *v, const struct correspondence *prior,
                 struct match_tracks *out)
 {
-    int cap = corner_cap(v->size);
-    struct matcher m = {.r = r,
-                        .v = v,
-                        .prior = prior && prior->token ? prior : NULL,
-                        .cap = cap,
-                        .pitch = (int)pitch_of(cap),
-                        .n_couples = v->n * (v->n - 1) / 2};
+    struct matcher m = {
+        .r = r,
+        .v = v,
+        .p = {.k = r->k, .prior = prior && prior->token && prior->n_views == v->n ? prior : NULL},
+        .cap = corner_cap(v->size),
+        .n_couples = v->n * (v->n - 1) / 2};
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     if (v->n < 2 || v->size < CORNER_SIZE_MIN)

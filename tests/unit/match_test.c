@@ -234,7 +234,7 @@ static void expect(struct world *w, int tracks, double good, double median)
     assert_true(t.n_tracks >= tracks);
     assert_true(q.good >= good);
     assert_true(q.median <= median);
-    assert_true(q.spread > 0.4 && q.spread < 2.5);
+    assert_true(q.spread > 0.4 && q.spread < 3);
 }
 
 /* ---- tests ---- */
@@ -295,28 +295,30 @@ static void test_scale(void **state)
     close_world(&w);
 }
 
-/* A shift by whole pixels is found exactly, and so is none. */
+/* A shift by a whole pixel is found exactly on the finest level, within a part of a pixel of the
+ * others, whose pixels it is not a multiple of. */
 static void test_shift(void **state)
 {
-    for (int shift = 0; shift < 2; shift++) {
+    for (size_t shift = 0; shift < 2; shift++) {
         struct world w;
+        int exact = 0, close = 0;
         (void)state;
         open_world(&w, 2, 1);
         fan(&w, 0, 0, 1e9);
-        for (size_t y = 0; y < SIZE; y++)
-            for (size_t x = 0; x < SIZE; x++)
-                memcpy(w.v.rgb + ((SIZE + y) * SIZE + x) * 3,
-                       w.v.rgb +
-                           (y * SIZE + (x + (size_t)shift < SIZE ? x + (size_t)shift : x)) * 3,
-                       3);
+        for (size_t y = 0; y < SIZE; y++) {
+            uint8_t *row = w.v.rgb + y * SIZE * 3;
+            memmove(row + (size_t)SIZE * SIZE * 3, row + shift * 3, (SIZE - shift) * 3);
+        }
         struct match_tracks t = find(&w, NULL);
-        int exact = 0; // to the last bit but rounding
         for (int i = 0; i < t.n; i += 2) {
             const struct match_seen *a = t.seen + i, *b = a + 1;
-            exact += hypotf(a->u - b->u - (float)shift, a->v - b->v) < 0.02f;
+            float off = hypotf(a->u - b->u - (float)shift, a->v - b->v);
+            exact += off < 0.002f;
+            close += off < 0.15f;
         }
         assert_true(t.n_tracks > 250);
-        assert_true(exact >= t.n_tracks * 98 / 100);
+        assert_true(exact >= (shift ? t.n_tracks / 2 : t.n_tracks));
+        assert_int_equal(close, t.n_tracks);
         close_world(&w);
     }
 }
