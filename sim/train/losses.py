@@ -129,29 +129,28 @@ SURE, EDGE = 0.95, 0.4  # opacity inside of surfaces and at steps of depth
 FOOTPRINT = 0.7  # standard deviation of a Gaussian over the distance of pixels
 
 
-def develop_at(batch: data.Batch, stops: Tensor) -> Tensor:
-    """What the camera shows without noise at other exposures, (B, V, 3, S, S)."""
-    e = batch.radiance * torch.exp2(stops)[..., None, None, None]
-    return data.develop(e.flatten(1, 4), batch.curve).view_as(e)
-
-
-def reexposed(raw: Tensor, theta: Tensor, stops: Tensor) -> Tensor:
-    """Display values of the pixels' own Gaussians; stops (B, V) relative to the middle."""
-    log_h = raw[:, :, [8, 33, 58]] * SH0
-    x = torch.log2(torch.exp(log_h.clamp(-25, 25)) + 1e-6) + stops[..., None, None, None]
+def reexposed(log_h: Tensor, theta: Tensor, stops: Tensor) -> Tensor:
+    """Display values of log-radiances (B, V, 3, N); stops (B, V) relative to the middle."""
+    x = torch.log2(torch.exp(log_h.clamp(-25, 25)) + 1e-6) + stops[..., None, None]
     return model.tone(theta, x.transpose(1, 2)).transpose(1, 2)
 
 
-def appearance_loss(raw: Tensor, theta: Tensor, batch: data.Batch, other: list[Tensor]) -> tuple:
-    """other: exposures (B, V), log2, beside the picture's own."""
+def appearance_loss(raw: Tensor, theta: Tensor, batch: data.Batch, other: list[Tensor],
+                    share: float = 0.25) -> tuple[Tensor, dict]:
+    """Of a share of the pixels. other: exposures (B, V), log2, beside the picture's own."""
     middle = mid_stops(batch.stops)
-    own = batch.images
-    first = (reexposed(raw, theta, batch.stops - middle) - own).abs().mean()
-    error = 0.0
-    for s in other:
-        error = error + (reexposed(raw, theta, s - middle) - develop_at(batch, s)).abs().mean()
-    error = error / max(len(other), 1)
-    return first + 2 * error, {"own": first.detach(), "other": torch.as_tensor(error).detach()}
+    n = raw.shape[-1] ** 2
+    i = torch.randperm(n, device=raw.device)[: max(1, int(n * share))]
+    pick = lambda t: t.flatten(-2)[..., i]
+    log_h = pick(raw[:, :, [8, 33, 58]]) * SH0
+    radiance = pick(batch.radiance)
+    own = (reexposed(log_h, theta, batch.stops - middle) - pick(batch.images)).abs().mean()
+    error = raw.new_zeros(())
+    for s in other:  # what the camera shows there, without noise
+        e = radiance * torch.exp2(s)[..., None, None]
+        want = data.develop(e.flatten(1), batch.curve).view_as(e)
+        error = error + (reexposed(log_h, theta, s - middle) - want).abs().mean() / len(other)
+    return own + 2 * error, {"own": own.detach(), "other": error.detach()}
 
 
 def mid_stops(stops: Tensor) -> Tensor:

@@ -137,7 +137,7 @@ class Trainer:
         dense = [int(i) for i in self.rng.permutation(v)[: max(1, round(v * self.q.dense))]]
         depth, conf = net.encoder.depth_head([k[:, dense].flatten(0, 1) for k in keep], size)
         error = losses.depth_loss(depth, conf, b.depth[:, dense].flatten(0, 1))
-        total = self.q.match * match + camera + error
+        total = self.q.match * match + self.q.camera * camera + error
         return total, {"match": match, "camera": camera, "depth": error, **figures}
 
     def appearance(self, net: model.Net, b: data.Batch, r: np.random.Generator) -> tuple:
@@ -279,6 +279,7 @@ def options() -> argparse.Namespace:
     p.add_argument("--sizes", type=int, nargs="+", default=[112, 168, 224])
     p.add_argument("--dense", type=float, default=0.5, help="share of views with depth")
     p.add_argument("--match", type=float, default=1.0, help="weight of the correspondences")
+    p.add_argument("--camera", type=float, default=1.0, help="weight of the cameras")
     p.add_argument("--val", type=int, default=16)
     p.add_argument("--val-size", type=int, default=168)
     p.add_argument("--val-every", type=int, default=250)
