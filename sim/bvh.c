@@ -197,20 +197,29 @@ err_t bvh_build(struct arena *keep, const struct world *w, struct bvh *out)
 /* ---- rays ---- */
 
 struct ray {
-    float o[3], inverse[3];
-    int near[3], far[3]; // rows of bvh_node.box
+    float o[3][WIDE], inverse[3][WIDE]; // once for each child
+    size_t near[3], far[3];             // bytes of the rows in bvh_node.box
 };
 
 static struct ray make_ray(const float o[3], const float d[3])
 {
     struct ray r;
-    for (int k = 0; k < 3; k++) {
-        r.o[k] = o[k];
-        r.inverse[k] = 1 / (fabsf(d[k]) > 1e-20f ? d[k] : 1e-20f);
-        r.near[k] = r.inverse[k] < 0 ? 3 + k : k;
-        r.far[k] = r.inverse[k] < 0 ? k : 3 + k;
+    const size_t row = sizeof(float[WIDE]);
+    for (size_t k = 0; k < 3; k++) {
+        float inverse = 1 / (fabsf(d[k]) > 1e-20f ? d[k] : 1e-20f);
+        for (int i = 0; i < WIDE; i++) {
+            r.o[k][i] = o[k];
+            r.inverse[k][i] = inverse;
+        }
+        r.near[k] = row * (inverse < 0 ? 3 + k : k);
+        r.far[k] = row * (inverse < 0 ? k : 3 + k);
     }
     return r;
+}
+
+static inline const float *row_of(const struct bvh_node *n, size_t at)
+{
+    return (const float *)((const char *)n->box + at);
 }
 
 /* Where the ray enters the four children, and whether it meets them; gcc vectorises this only as a
@@ -219,11 +228,12 @@ __attribute__((noinline)) static void cross(const struct bvh_node *restrict n,
                                             const struct ray *restrict r, float most,
                                             float *restrict in, int *restrict met)
 {
-    const float *x0 = n->box[r->near[0]], *y0 = n->box[r->near[1]], *z0 = n->box[r->near[2]];
-    const float *x1 = n->box[r->far[0]], *y1 = n->box[r->far[1]], *z1 = n->box[r->far[2]];
-    const float x = r->o[0], y = r->o[1], z = r->o[2];
-    const float a = r->inverse[0], b = r->inverse[1], c = r->inverse[2];
+    const float *x0 = row_of(n, r->near[0]), *x1 = row_of(n, r->far[0]);
+    const float *y0 = row_of(n, r->near[1]), *y1 = row_of(n, r->far[1]);
+    const float *z0 = row_of(n, r->near[2]), *z1 = row_of(n, r->far[2]);
     for (int i = 0; i < WIDE; i++) {
+        float x = r->o[0][i], y = r->o[1][i], z = r->o[2][i];
+        float a = r->inverse[0][i], b = r->inverse[1][i], c = r->inverse[2][i];
         float near = vec_max((x0[i] - x) * a, vec_max((y0[i] - y) * b, (z0[i] - z) * c));
         float far = vec_min((x1[i] - x) * a, vec_min((y1[i] - y) * b, (z1[i] - z) * c));
         in[i] = vec_max(near, 0);
@@ -241,35 +251,35 @@ static inline unsigned meet(const struct bvh_node *n, const struct ray *r, float
            ((unsigned)met[3] & 8);
 }
 
-struct todo {
+struct pending {
     int node;
     float t;
 };
 
 /* Push the children that the ray meets, the nearest last. */
 static int sort_in(const struct bvh_node *n, unsigned met, const float in[WIDE],
-                   struct todo stack[WIDE])
+                   struct pending stack[WIDE])
 {
     int depth = 0;
     for (; met; met &= met - 1) {
         int k = __builtin_ctz(met), at = depth++;
         for (; at > 0 && stack[at - 1].t < in[k]; at--)
             stack[at] = stack[at - 1];
-        stack[at] = (struct todo){n->child[k], in[k]};
+        stack[at] = (struct pending){n->child[k], in[k]};
     }
     return depth;
 }
 
 int bvh_first(const struct bvh *b, const float o[3], const float d[3], float most, float *t)
 {
-    struct todo stack[STACK];
+    struct pending stack[STACK];
     struct ray r = make_ray(o, d);
     int depth = 0, best = -1;
     *t = most;
     if (b->n)
-        stack[depth++] = (struct todo){0, 0};
+        stack[depth++] = (struct pending){0, 0};
     while (depth) {
-        struct todo next = stack[--depth];
+        struct pending next = stack[--depth];
         if (next.t > *t)
             continue;
         if (next.node < 0) {

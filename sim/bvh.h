@@ -1,6 +1,5 @@
-/* bvh.h - a hierarchy of boxes around the solids of a world: which one a ray meets first, and whether
- * it meets any.
- * Pure computation; any thread. */
+/* bvh.h - a hierarchy of boxes around the solids of a world: which one a ray meets first, and
+ * whether it meets any. Pure computation; any thread. */
 #ifndef SIM_BVH_H
 #define SIM_BVH_H
 

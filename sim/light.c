@@ -442,43 +442,41 @@ static float promise(const struct light *l, const struct light_spot *spot)
     return l->power * turned * up / (square + l->radius * l->radius);
 }
 
-/* Some of the lights, each for as often as it is left out. */
-static void gather_some(const struct light_set *s, struct light_spot *spot,
-                        const struct light_dice *d, const float chance[WORLD_LIGHTS],
-                        struct light_sum *out)
+/* Chances to be drawn, in part by what each light promises, in part alike; PICKS in all at most.
+ * Returns whether all are 0 or 1. */
+static bool choose(const struct light_set *s, const struct light_spot *spot,
+                   float chance[WORLD_LIGHTS])
 {
-    float all = 0, u[2], at = 0;
+    float all = 0;
     int some = 0;
     for (int i = 0; i < s->n; i++) {
-        all += chance[i];
+        all += chance[i] = promise(s->l + i, spot);
         some += chance[i] > 0;
     }
-    light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {
-        float p = PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some);
-        p = chance[i] > 0 ? vec_min(p, 1) : 0;
-        bool drawn = p > 0 && floorf(at + p - u[0]) > floorf(at - u[0]);
-        at += p;
-        if (drawn)
-            gather_light(s, spot, i, d, 1 / p, out);
+        float p = some <= PICKS ? 1 : 0;
+        if (some > PICKS)
+            p = PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some);
+        chance[i] = chance[i] > 0 ? vec_min(p, 1) : 0;
     }
+    return some <= PICKS;
 }
 
 void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
                   struct light_sum *out)
 {
-    float chance[WORLD_LIGHTS];
-    int some = 0;
+    float chance[WORLD_LIGHTS], u[2] = {0, 0}, at = 0;
     memset(out, 0, sizeof *out);
+    bool every = choose(s, spot, chance);
+    if (!every)
+        light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {
-        chance[i] = promise(s->l + i, spot);
-        some += chance[i] > 0;
+        float p = chance[i];
+        bool drawn = p > 0 && (every || floorf(at + p - u[0]) > floorf(at - u[0]));
+        at += p;
+        if (drawn)
+            gather_light(s, spot, i, d, 1 / p, out);
     }
-    if (some > PICKS)
-        gather_some(s, spot, d, chance, out);
-    for (int i = 0; i < s->n && some <= PICKS; i++)
-        if (chance[i] > 0)
-            gather_light(s, spot, i, d, 1, out);
     if (s->sun)
         gather_sun(s, spot, d, out);
     if (s->dome)

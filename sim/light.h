@@ -67,7 +67,8 @@ float light_lift(float t);
 /* 32 bits out of two. */
 uint32_t light_hash(uint32_t a, uint32_t b);
 
-/* A solid's surface at p, m, of the world, as a ray of width `width`, m, with direction d sees it. */
+/* A solid's surface at p, m, of the world, as a ray of width `width`, m, with direction d sees
+ * it. */
 struct light_surface {
     int solid;
     const struct world_material *material;

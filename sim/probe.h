@@ -1,6 +1,6 @@
-/* probe.h - light that comes to a point by way of other surfaces: gathered at the points of a grid in
- * the six directions of its axes, and blended from there.
- * Pure computation on the pool; the result does not depend on the number of threads. */
+/* probe.h - light that comes to a point by way of other surfaces: gathered at the points of a
+ * grid in the six directions of its axes, and blended from there. Pure computation on the pool;
+ * the result does not depend on the number of threads. */
 #ifndef SIM_PROBE_H
 #define SIM_PROBE_H
 

@@ -1,13 +1,14 @@
 /* Every sample of a pixel is one ray to the first surface. Light that comes straight there is drawn
  * by light.c, light that comes by way of other surfaces is blended from the grid of probe.c. Gloss
  * takes Schlick's share F of the light (An Inexpensive BRDF Model, 1994): where F is large, by a
- * mirrored ray, whose hit is shaded without gloss; where it is small, as the highlight of each light
- * plus what the grid gives in the mirrored direction.
- * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller and
- * Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5 px of
- * one plane with half weights at the edges, so that each window holds the whole pattern evenly; what
- * came from the sun, over 3 x 3. A neighbour belongs if its normal agrees and its 1 / z is that of
- * the pixel's plane, which is linear in the picture. The irradiance is averaged, not the colour, so that textures stay sharp. */
+ * mirrored ray, whose hit is shaded without gloss; where it is small, as the highlight of each
+ * light plus what the grid gives in the mirrored direction.
+ * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller
+ * and Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5
+ * px of one plane with half weights at the edges, so that each window holds the whole pattern
+ * evenly; what came from the sun, over 3 x 3. A neighbour belongs if its normal agrees and its
+ * depth is that of the pixel's plane, whose 1 / z is linear in the picture. The irradiance is
+ * averaged, not the colour, so that textures stay sharp. */
 #include "sim/render.h"
 
 #include "core/splat/raster.h"
@@ -475,7 +476,7 @@ static void add_neighbour(struct strip *s, int x, int y, const float share[2])
     if (s->first + s->n + x > s->w)
         range[1] = s->w - s->first - x;
     belong(s, x, y, range, weight);
-    for (int window = 0; window < 2; window++)
+    for (int window = 0; window < 2 && share[window] > 0; window++)
         for (int j = range[0]; j < range[1]; j++)
             s->weight[window][j] += share[window] * weight[j];
     for (int k = 0; k < 3; k++) {

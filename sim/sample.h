@@ -1,6 +1,6 @@
-/* sample.h - one world photographed by a rig: what training and `hdrig simulate` take. Also built as
- * build/ARCH/libsim.so, which sim/train calls through ctypes.
- * Thread: any; calls with different arenas are independent. */
+/* sample.h - one world photographed by a rig: what training and `hdrig simulate` take. Also
+ * built as build/ARCH/libsim.so, which sim/train calls through ctypes. Thread: any; calls with
+ * different arenas are independent. */
 #ifndef SIM_SAMPLE_H
 #define SIM_SAMPLE_H
 
@@ -21,9 +21,9 @@ struct sample_ask {
 
 /* Radiance, depth and cameras of all views.
  * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
- *       radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance of
- *       the view whose median is the middle one at 18 % of full scale of sensor_default: an exposure
- *       of 2^0.
+ *       radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance
+ *       of the view whose median is the middle one at 18 % of full scale of sensor_default: an
+ *       exposure of 2^0.
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
@@ -41,9 +41,9 @@ struct sample_camera {
     uint64_t seed;               // of the noise
 };
 
-/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops in
- * -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is exposed for an hour
- * at most.
+/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops
+ * in -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is
+ * exposed for an hour at most.
  * out:  px (n, size, size, 3)
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,

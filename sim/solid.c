@@ -1,10 +1,10 @@
-/* A ray is taken to the frame of the unit shape by the inverse of the solid's map, where t stays the
- * same. Quadrics are solved about the point of the ray that is nearest to the frame's origin, since
- * b^2 - ac of a far and small solid would cancel (Haines et al., Precision Improvements for
- * Ray/Sphere Intersection, Ray Tracing Gems, 2019, chapter 7). Boxes are three slabs. A torus is
- * approached by steps of its distance (Hart, Sphere Tracing, 1996), which no step can pass; the last
- * step goes along the slope. A normal of the frame goes to the world by the transposed map.
- * Roots before 0 are behind the ray; a ray from inside meets the way out. */
+/* A ray is taken to the frame of the unit shape by the inverse of the solid's map, where t stays
+ * the same. Quadrics are solved about the point of the ray that is nearest to the frame's
+ * origin, since b^2 - ac of a far and small solid would cancel (Haines et al., Precision
+ * Improvements for Ray/Sphere Intersection, Ray Tracing Gems, 2019, chapter 7). Boxes are three
+ * slabs. A torus is approached by steps of its distance (Hart, Sphere Tracing, 1996), which no
+ * step can pass; the last step goes along the slope. A normal of the frame goes to the world by
+ * the transposed map. Roots before 0 are behind the ray; a ray from inside meets the way out. */
 #include "sim/solid.h"
 
 #include "sim/vec.h"

@@ -20,8 +20,9 @@ void solid_of(const struct world_solid *w, struct solid *out);
 /* Axis-parallel box of the world around it, m. */
 void solid_bounds(const struct world_solid *w, float lo[3], float hi[3]);
 
-/* Distance along d, > 0 and < most, to where the ray from o meets the surface first, from outside or
- * inside; `most` if nowhere. o and d belong to the world, d need not be a unit vector. */
+/* Distance along d, > 0 and < most, to where the ray from o meets the surface first, from
+ * outside or inside; `most` if nowhere. o and d belong to the world, d need not be a unit
+ * vector. */
 float solid_hit(const struct solid *s, const float o[3], const float d[3], float most);
 
 /* Outer normals at p, m, on the surface: unit vectors of the world and of the solid's frame. A

@@ -76,8 +76,8 @@ static inline void vec_basis(const float n[3], float a[3], float b[3])
     b[2] = -n[1];
 }
 
-/* The point of the unit circle after u turns, 0 <= u < 1, within 1e-6: Taylor's series in eighths of
- * the circle. */
+/* The point of the unit circle after u turns, 0 <= u < 1, within 1e-6: Taylor's series in
+ * eighths of the circle. */
 static inline void vec_circle(float u, float *x, float *y)
 {
     float t = 4 * u + 0.5f;
