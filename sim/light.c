@@ -15,7 +15,7 @@
 
 #include <string.h>
 
-enum { PICKS = 3, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
+enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
 static const float PI = 3.14159265f;
 static const float SLANT = 0.15f; // least cosine, for the width of a footprint
