@@ -278,6 +278,24 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
         arena_need((size_t)c->n * 3, (size_t)c->shots[0].image.w * (size_t)c->shots[0].image.h);
 }
 
+/* Without known cameras the scene tells where its photographs were taken. */
+static err_t take_cameras(struct state *st)
+{
+    struct views *v = &st->job.views;
+    const struct scene *s = &st->job.scene;
+    if (v->cams)
+        return OK;
+    if (v->n != s->n_views)
+        return err_fail(ERR_ARG, "%s: %d of the scene's %d input views are there", st->train.dir,
+                        v->n, s->n_views);
+    for (int i = 0; i < v->n; i++)
+        if (strcmp(v->names[i], s->names[i]) != 0)
+            return err_fail(ERR_ARG, "%s: %s is no input view of the scene", st->train.dir,
+                            v->names[i]);
+    v->cams = s->cams;
+    return OK;
+}
+
 /* The photographs that the scene was made from, if the data set has them. */
 static err_t read_inputs(struct state *st, int size)
 {
@@ -288,8 +306,8 @@ static err_t read_inputs(struct state *st, int size)
     if (!e)
         e = prep_run(r, &st->train.capture, size, &st->job.views);
     job_lap(&st->job, JOB_PREPROCESS);
-    if (!e && !st->job.views.cams)
-        e = err_fail(ERR_ARG, "%s: cameras of the input views are not known", st->train.dir);
+    if (!e)
+        e = take_cameras(st);
     if (!e)
         e = response_run(r, &st->job.views, &st->job.response);
     job_lap(&st->job, JOB_RESPONSE);
@@ -301,8 +319,10 @@ static err_t read_scene(struct state *st, struct request *rq)
     char path[FILE_PATH_CAP];
     struct scenefile_info info;
     struct job_memory need;
+    struct job_config job = cmd_job(&rq->cfg, NULL, false);
     st->job.measured_only = true;
     st->job.start_s = st->job.lap_s = engine_seconds();
+    cmd_imageset(NULL, &rq->set);
     rq->set.every_exposure = true;
     err_t e = file_join(rq->scene, "scene.hdrig", path);
     if (!e)
@@ -311,13 +331,20 @@ static err_t read_scene(struct state *st, struct request *rq)
         e = list(st, rq);
     if (!e)
         e = keep_inputs(rq->scene, &st->train.capture);
+    if (!e)
+        e = keep_inputs(rq->scene, &st->true_train.capture);
     if (e)
         return e;
+    job.size = info.size;
     plan_scene(st, &info, &need);
+    if (rq->set.no_cameras)
+        add_testcams(st, &job, &need);
     e = reserve(st, rq, need, &info);
     if (!e)
         e = scenefile_read(path, &st->engine.keep, &st->job.scene);
-    return e ? e : read_inputs(st, info.size);
+    if (!e)
+        e = read_inputs(st, info.size);
+    return e || !rq->set.no_cameras ? e : find_test_cameras(st, &job);
 }
 
 /* ---- command ---- */

@@ -139,6 +139,10 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
     struct bundle_result b;
     const size_t mark = arena_mark(r->keep);
     err_t e = out->views.cams ? OK : find_cameras(r, cfg, NULL, out, &b);
+    if (!e && !out->views.cams && b.n_placed < 2)
+        e = err_fail(ERR_ARG,
+                     "the cameras cannot be found: the views have too few points in common; give "
+                     "--rig PATH, or put a sparse/0 folder beside the pictures");
     out->views.cams = out->scene.cams;
     if (!e)
         e = by_stereo(r, cfg, out);

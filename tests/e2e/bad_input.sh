@@ -71,9 +71,12 @@ echo '{"a": ' >"$set/exposure.json"
 refused 1 'garbled.*exposure.json' --images "$set"
 
 # cameras
-copy unposed
-rm -r "$set/sparse"
-refused 1 'train_ldr_000_2.png: its camera is not known; give --rig' --images "$set"
+mkdir "$OUT/blank"
+for i in 1 2 3; do
+    "$BIN/make_flat" "$OUT/blank/$i.png" 56 $((60 * i))
+done
+echo '{"1.png": 1, "2.png": 2, "3.png": 4}' >"$OUT/blank/exposure.json"
+refused 1 'the cameras cannot be found: .*give --rig' --images "$OUT/blank"
 refused 1 "$OUT/nowhere" --images "$OUT/good" --rig "$OUT/nowhere"
 copy lacking
 sed -i '/train_ldr_001/d' "$set/sparse/0/images.txt"

@@ -1,0 +1,77 @@
+#!/usr/bin/env bash
+# From a simulated world to a scene without known cameras: cameras and quality within stated bounds,
+# the same bytes with any number of threads, worlds at the extremes, bad requests.
+. tests/e2e/common.bash
+
+simulate() { # name arguments...
+    local name=$1
+    shift
+    succeed simulate --out "$OUT/$name" --size 168 --samples 1 "$@"
+}
+
+number() { # key: of the report on stdout, the first one
+    sed -n "s/.*\"$1\": \([-0-9.e]*\).*/\1/p" "$OUT/stdout.txt" | head -n 1
+}
+
+at_least() { # what value bound
+    awk -v a="$2" -v b="$3" 'BEGIN { exit !(a != "" && a >= b) }' ||
+        fail "$1 is ${2:-missing}, less than $3"
+}
+
+# bad requests
+expect 2 '--out is needed' simulate
+expect 2 '--kind: "moon" is none of room yard' simulate --out "$OUT/no" --kind moon
+expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
+expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
+expect 2 '--exposures: 1 does not come after' simulate --out "$OUT/no" --exposures 4,1
+expect 3 'needs [0-9]+ MB' simulate --out "$OUT/no" --size 1008 --views 32 --max-memory 64
+nothing_at "$OUT/no"
+
+# the layout, twice the same
+simulate room --seed 5 --kind room --views 6
+simulate again --seed 5 --kind room --views 6 --threads 1
+diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with one thread"
+[ "$(ls "$OUT/room/images" | wc -l)" -eq $((6 * 3 + 5 * 5)) ] || fail "not every picture is there"
+succeed eval --data "$OUT/room" --refine 100 --json -
+at_least "PSNR with known cameras" "$(sed -n '/"ldr"/,/psnr/p' "$OUT/stdout.txt" |
+    sed -n 's/.*psnr": \([0-9.]*\).*/\1/p' | head -n 1)" 20
+
+# nobody knows the cameras
+succeed eval --data "$OUT/room" --rig none --refine 100 --json -
+at_least "PSNR without cameras" "$(sed -n '/"ldr"/,/psnr/p' "$OUT/stdout.txt" |
+    sed -n 's/.*psnr": \([0-9.]*\).*/\1/p' | head -n 1)" 19
+at_least "accuracy of cameras" "$(awk -v e="$(number rot_deg_median)" 'BEGIN { print 1 - e }')" 0.5
+for threads in 1 3; do
+    succeed reconstruct --images "$OUT/room" --rig none --refine 0 --threads $threads \
+        --out "$OUT/threads$threads"
+    hash=$(sha256sum <"$OUT/threads$threads/scene.hdrig")
+    [ "$hash" = "${first:=$hash}" ] || fail "cameras differ with $threads threads"
+done
+succeed reconstruct --images "$OUT/room" --rig none --refine 0 --out "$OUT/room-scene"
+succeed eval --data "$OUT/room" --scene "$OUT/room-scene" --rig none --json -
+grep -q '"rot_deg_median": [0-9]' "$OUT/stdout.txt" || fail "eval --scene --rig none: no pose"
+
+# extremes: a scene, or a sentence that says why not
+extreme() { # name arguments of simulate
+    local name=$1 code
+    shift
+    simulate "$name" "$@"
+    "$HDRIG" reconstruct --images "$OUT/$name" --rig none --refine 20 --out "$OUT/$name-scene" \
+        --json - >"$OUT/stdout.txt" 2>"$ERR"
+    code=$?
+    if [ $code -eq 0 ]; then
+        grep -Eqi '\b(nan|inf)' "$OUT/stdout.txt" && fail "$name: not finite"
+    else
+        [ $code -eq 1 ] && grep -q 'cameras cannot be found' "$ERR" ||
+            fail "$name: exit $code: $(tail -n 1 "$ERR")"
+    fi
+}
+extreme lamp --kind dark --views 4 --exposures 0.0009765625,1,1024
+extreme plain --kind plain --views 4
+extreme mirror --kind mirror --views 4
+extreme black --kind room --views 4 --exposures 1e-9,1e-8,1
+extreme white --kind room --views 4 --exposures 1,1e8,1e9
+extreme still --kind room --views 4 --spread 0
+extreme wide --kind yard --views 3 --spread 1
+extreme many --kind room --views 16 --size 112
+finish
