@@ -110,11 +110,12 @@ $(LIBS):
 	@rm -f $@
 	$(AR) qcs $@ $^
 
-# Worlds, sensor and renderer for Python: make libsim
+# Worlds, sensor and renderer for Python: make libsim. Without what needs drivers.
+SIM_ALONE := $(filter-out $(shell grep -l '"drivers/' $(SIM)) sim/camera_% sim/feed.c,$(SIM))
 libsim:
 	@$(MAKE) -s PIC=1 build/$(V)-pic/libsim.so
-$(B)/libsim.so: $(call objects,$(SIM) $(CORE))
-	$(CC) $(FLAGS) -shared $^ -lm -o $@
+$(B)/libsim.so: $(call objects,$(SIM_ALONE) $(CORE))
+	$(CC) $(FLAGS) -shared -Wl,-z,defs $^ -lm -o $@
 
 $(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
