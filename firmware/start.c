@@ -92,7 +92,6 @@ static err_t by_stereo(const struct run *r, const struct job_config *cfg, struct
 
 static void sum_up(const struct bundle_result *b, struct job_result *out)
 {
-    const int lost = out->views.n - b->n_placed;
     out->cameras = (struct job_cameras){.found = true,
                                         .from_tracks = b->from_tracks,
                                         .confidence = b->confidence,
@@ -103,9 +102,28 @@ static void sum_up(const struct bundle_result *b, struct job_result *out)
     if (b->confidence < LOCATE_SURE)
         job_warn(out, "cameras are a guess: the views have too few points in common (%d)",
                  b->inliers);
-    else if (lost > 0)
-        job_warn(out, "%d of %d views have too little in common with the others", lost,
-                 out->views.n);
+}
+
+/* A view that is not tied to the others would only spoil the scene. */
+static void leave_out(const struct bundle_result *b, struct job_result *out)
+{
+    struct views *v = &out->views;
+    const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
+    int n = 0;
+    if (b->confidence < LOCATE_SURE || b->n_placed < 2)
+        return;
+    for (int i = 0; i < v->n; i++) {
+        if (!b->placed[i]) {
+            job_warn(out, "%s is left out: too little in common with the other views",
+                     v->names[i]);
+            continue;
+        }
+        memmove(v->names[n], v->names[i], NAME_CAP);
+        memmove(v->rgb + bytes * (size_t)n, v->rgb + bytes * (size_t)i, bytes);
+        v->log2t[n] = v->log2t[i];
+        out->scene.cams[n++] = out->scene.cams[i];
+    }
+    v->n = out->scene.n_views = n;
 }
 
 /* Bundle adjustment. Of cameras that are known only the scale of the network's depth is wanted.
@@ -143,6 +161,8 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
         e = err_fail(ERR_ARG,
                      "the cameras cannot be found: the views have too few points in common; give "
                      "--rig PATH, or put a sparse/0 folder beside the pictures");
+    if (!e && !out->views.cams)
+        leave_out(&b, out);
     out->views.cams = out->scene.cams;
     if (!e)
         e = by_stereo(r, cfg, out);
@@ -188,7 +208,11 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
         return OK;
     }
     err_t e = find_cameras(r, cfg, p, out, &b);
-    return e ? e : network_place(r, s->cams, b.depth_scale, p, scale);
+    if (!e && !out->views.cams && !p->features && cfg->stereo)
+        leave_out(&b, out);
+    else if (!e)
+        e = network_place(r, s->cams, b.depth_scale, p, scale);
+    return e;
 }
 
 static err_t dump_scene(const struct run *r, const struct job_config *cfg,

@@ -272,6 +272,15 @@ static err_t measure(const struct run *r, const struct camera *found, const stru
     return e;
 }
 
+/* Of the photograph `name`, which is there. */
+static const struct shot *shot_of(const struct capture *c, const char *name)
+{
+    const struct shot *s = c->shots;
+    while (strcmp(s->name, name) != 0)
+        s++;
+    return s;
+}
+
 err_t testcams_measure(const struct run *r, const struct job_result *j, const struct capture *train,
                        const struct capture *true_test, const struct capture *test,
                        struct testcams_error *out)
@@ -283,8 +292,9 @@ err_t testcams_measure(const struct run *r, const struct job_result *j, const st
     err_t e = found && real && figure ? OK : err_fail(ERR_NOMEM, "no memory for %d cameras", n);
     *out = (struct testcams_error){.n = n};
     for (int i = 0; i < views && !e; i++) {
+        const struct shot *s = shot_of(train, j->scene.names[i]);
         found[i] = j->scene.cams[i];
-        real[i] = pose_scaled(&train->shots[i].cam, side, side);
+        real[i] = pose_scaled(&s->cam, side, side);
     }
     for (int i = 0, at = views; i < test->n && !e; i++)
         if (begins_view(test, i)) {
