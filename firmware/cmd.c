@@ -217,7 +217,9 @@ bool cmd_fill_exposures(struct capture *c)
 
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses)
 {
-    const int size = network ? network->net.d.size : SIZE_DEFAULT;
+    /* stereo looks at all there is to see */
+    const bool whole = network && (cfg->refine_steps == 0 || !cfg->start_stereo);
+    const int size = whole ? network->net.d.size : SIZE_DEFAULT;
     return (struct job_config){.size = cfg->size ? cfg->size : size,
                                .network = network,
                                .polish = cfg->cameras_polish != 0,

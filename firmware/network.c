@@ -2,7 +2,10 @@
 
 #include "firmware/engine.h"
 
+#include "core/base/num.h"
 #include "core/net/depth.h"
+#include "core/opt/pose.h"
+#include "core/prep.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/raster.h"
 #include "core/splat/turn.h"
@@ -106,6 +109,74 @@ double network_seconds(const struct network_clock *c, const char *const *names)
             if (strcmp(c->stage[i].name, *names) == 0)
                 sum += c->stage[i].seconds;
     return sum;
+}
+
+/* ---- cameras alone ---- */
+
+static struct net geometry_of(const struct network *n)
+{
+    struct net net = n->net;
+    net.d.gauss = false;
+    net.attend = true;
+    return net;
+}
+
+static int look_size(const struct network *n, int size)
+{
+    return size < n->net.d.size ? size : n->net.d.size;
+}
+
+/* The views as photographs, to be resized. */
+static struct shot shot_of(const struct views *v, int i)
+{
+    struct shot s = {.image = {v->size, v->size, 3, NULL}, .exposure = 1};
+    s.image.px = v->rgb ? v->rgb + 3 * (size_t)i * (size_t)v->size * (size_t)v->size : NULL;
+    memcpy(s.name, v->names ? v->names[i] : "", v->names ? NAME_CAP : 1);
+    return s;
+}
+
+static err_t reduce(const struct run *r, const struct views *v, int size, struct views *out)
+{
+    struct capture c = {.n = v->n};
+    err_t e = arena_alloc(r->keep, (size_t)v->n, sizeof *c.shots, &c.shots);
+    for (int i = 0; i < v->n && !e; i++)
+        c.shots[i] = shot_of(v, i);
+    if (!e)
+        e = prep_run(r, &c, size, out);
+    if (!e) {
+        out->log2t = v->log2t;
+        out->mid_log2t = v->mid_log2t;
+    }
+    return e;
+}
+
+err_t network_look(const struct run *r, const struct network *n, const struct views *v,
+                   struct prediction *out)
+{
+    const int size = look_size(n, v->size);
+    const struct net net = geometry_of(n);
+    struct views small = *v;
+    err_t e = size == v->size ? OK : reduce(r, v, size, &small);
+    if (!e)
+        e = net_run(r, &net, &small, out);
+    for (int i = 0; i < v->n && !e; i++)
+        out->geom.cams[i] = pose_scaled(&out->geom.cams[i], v->size, v->size);
+    return e;
+}
+
+void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
+                       size_t *tmp)
+{
+    const int size = look_size(n, v->size);
+    const struct net net = geometry_of(n);
+    const struct shot one = shot_of(v, 0);
+    const struct capture c = {1, (struct shot *)(uintptr_t)&one};
+    size_t more, work;
+    net_plan(&net, v->n, size, threads, keep, tmp);
+    prep_plan(&c, size, threads, &more, &work);
+    *keep = arena_add(*keep, (size_t)v->n * more);
+    *keep = arena_add(*keep, arena_need((size_t)v->n, sizeof(struct shot)));
+    *tmp = num_max_size(*tmp, (size_t)threads * work);
 }
 
 /* ---- known cameras ---- */

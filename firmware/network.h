@@ -52,6 +52,18 @@ void network_clock_stop(struct network_clock *clock);
 /* Seconds of the stages whose name is in the list `names`, NULL at its end. */
 double network_seconds(const struct network_clock *clock, const char *const *names);
 
+/* ---- cameras alone ---- */
+
+/* Cameras of all views, their depth and where patches are found in other views, without Gaussians.
+ * Views larger than those that the network was trained for are reduced: what comes of it is only a
+ * start.
+ * out:  geom.cams for v->size; depth and matches of the size that the network saw.
+ * err:  those of prep_run and net_run; ERR_NOMEM (see network_look_plan). */
+MUST_USE err_t network_look(const struct run *r, const struct network *n, const struct views *v,
+                            struct prediction *out);
+void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
+                       size_t *tmp);
+
 /* ---- from prediction to scene ---- */
 
 /* The factor from the network's world to that of cameras that are known better, and p's geometry,

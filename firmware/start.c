@@ -29,6 +29,12 @@ static bool takes_gaussians(const struct job_config *cfg)
     return cfg->network->net.d.gauss && (cfg->refine.steps == 0 || !cfg->stereo);
 }
 
+/* Whether the network is only asked for cameras. */
+static bool looks(const struct job_config *cfg)
+{
+    return !takes_gaussians(cfg) && cfg->stereo;
+}
+
 /* Whether bundle adjustment follows the network. What is dumped is the network's own. */
 static bool locates(const struct run *r, const struct job_config *cfg, const struct job_result *out)
 {
@@ -114,8 +120,7 @@ static void leave_out(const struct bundle_result *b, struct job_result *out)
         return;
     for (int i = 0; i < v->n; i++) {
         if (!b->placed[i]) {
-            job_warn(out, "%s is left out: too little in common with the other views",
-                     v->names[i]);
+            job_warn(out, "%s is left out: too little in common with the other views", v->names[i]);
             continue;
         }
         memmove(v->names[n], v->names[i], NAME_CAP);
@@ -137,7 +142,7 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
     struct bundle_config want = {.start = known ? v->cams
                                           : p   ? p->geom.cams
                                                 : NULL,
-                                 .start_depth = p ? p->geom.depth : NULL,
+                                 .start_depth = p && !looks(cfg) ? p->geom.depth : NULL,
                                  .focal_known = known || cfg->fov_deg > 0,
                                  .rig_known = known};
     if (!known && cfg->fov_deg > 0)
@@ -183,7 +188,8 @@ static err_t forward(const struct run *r, const struct job_config *cfg, struct j
     struct run timed = network_timed(r, &clock);
     net.d.gauss = takes_gaussians(cfg);
     net.attend = locates(r, cfg, out);
-    err_t e = net_run(&timed, &net, &out->views, p);
+    err_t e = looks(cfg) ? network_look(&timed, n, &out->views, p)
+                         : net_run(&timed, &net, &out->views, p);
     network_clock_stop(&clock);
     file_drop(&n->file.map); // not needed again
     out->seconds[JOB_BACKBONE] += network_seconds(&clock, backbone);
@@ -208,7 +214,7 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
         return OK;
     }
     err_t e = find_cameras(r, cfg, p, out, &b);
-    if (!e && !out->views.cams && !p->features && cfg->stereo)
+    if (!e && looks(cfg))
         leave_out(&b, out);
     else if (!e)
         e = network_place(r, s->cams, b.depth_scale, p, scale);
@@ -323,12 +329,26 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
     return e;
 }
 
+/* What is dumped is the network's whole pass. */
+static struct job_config within(const struct job_config *asked, bool tapped)
+{
+    struct job_config cfg = *asked;
+    cfg.stereo = cfg.stereo && !tapped;
+    return cfg;
+}
+
 err_t start_run(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
-    err_t e = begin_scene(r, cfg, out);
+    const struct job_config mine = within(cfg, r->tap != NULL);
+    err_t e = begin_scene(r, &mine, out);
     if (e)
         return e;
-    return cfg->network ? with_network(r, cfg, out) : without_network(r, cfg, out);
+    if (mine.network && !(looks(&mine) && out->views.cams))
+        return with_network(r, &mine, out);
+    if (mine.network)
+        job_warn(out, "the network was not needed: cameras are known, and refinement starts from "
+                      "stereo (start.stereo)");
+    return without_network(r, &mine, out);
 }
 
 /* ---- planning ---- */
@@ -357,7 +377,10 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
     const int all = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans say SIZE_MAX
     net.d.gauss = takes_gaussians(cfg);
     net.attend = cfg->polish;
-    net_plan(&net, v->n, v->size, threads, &m->keep, &m->tmp);
+    if (looks(cfg))
+        network_look_plan(cfg->network, v, threads, &m->keep, &m->tmp);
+    else
+        net_plan(&net, v->n, v->size, threads, &m->keep, &m->tmp);
     if (cfg->polish)
         plan_cameras(v, threads, m);
     m->tmp = num_max_size(m->tmp, network_place_plan(v->n));
@@ -371,9 +394,10 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
     }
 }
 
-struct job_memory start_plan(const struct job_config *cfg, const struct views *v, int threads,
+struct job_memory start_plan(const struct job_config *asked, const struct views *v, int threads,
                              bool tapped)
 {
+    const struct job_config mine = within(asked, tapped), *cfg = &mine;
     const int cap = cfg->refine.gaussians_max;
     struct job_memory m = {.keep = 0}, stereo = {.keep = 0};
     if (cfg->network) {

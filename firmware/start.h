@@ -7,7 +7,7 @@
 
 /* Memory of start_run, with a pool of `threads`, and of drawing its result. Of v only its sizes are
  * looked at, and whether it has cameras. tapped: run.tap is set. */
-struct job_memory start_plan(const struct job_config *cfg, const struct views *v, int threads,
+struct job_memory start_plan(const struct job_config *asked, const struct views *v, int threads,
                              bool tapped);
 
 /* From out->views and out->response to out->scene, ready for refinement; its Gaussians have room

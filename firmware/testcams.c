@@ -3,8 +3,6 @@
 #include "firmware/locate.h"
 
 #include "core/base/num.h"
-#include "core/net/backbone.h"
-#include "core/net/camera.h"
 #include "core/opt/align.h"
 #include "core/opt/pose.h"
 #include "core/prep.h"
@@ -40,12 +38,11 @@ static int count_views(const struct capture *c)
 
 static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
 {
+    const struct views v = {.n = all, .size = cfg->size};
     size_t keep, tmp;
     if (cfg->network) {
-        size_t tokens, work;
-        backbone_plan(&cfg->network->net, all, cfg->size, threads, &tokens, &work);
-        camera_plan(&cfg->network->net, all, threads, &keep, &tmp);
-        m->tmp = num_max_size(m->tmp, arena_add(tokens, num_max_size(tmp, work)));
+        network_look_plan(cfg->network, &v, threads, &keep, &tmp);
+        m->tmp = num_max_size(m->tmp, tmp);
         m->keep = arena_add(m->keep, keep);
     }
     if (cfg->polish || !cfg->network) {
@@ -113,36 +110,21 @@ static err_t add_view(const struct run *r, const struct imageset *test, int i, i
 
 /* ---- cameras ---- */
 
-/* Cameras of all views in the world of the network. */
-static err_t look(const struct run *r, const struct net *net, const struct views *all,
-                  struct geometry *out)
-{
-    struct run backbone = *r;
-    struct tokens tokens;
-    const size_t mark = arena_mark(r->tmp);
-    backbone.keep = r->tmp;
-    err_t e = backbone_run(&backbone, net, all, &tokens);
-    if (!e)
-        e = camera_run(r, net, &tokens, all->size, out);
-    arena_reset(r->tmp, mark);
-    return e;
-}
-
 /* Cameras of all views in a world of their own. The focal length is that of the scene, if bundle
  * adjustment found it. */
 static err_t locate(const struct run *r, const struct job_config *cfg, const struct scene *s,
                     const struct views *all, struct camera **out)
 {
-    struct geometry g = {.cams = NULL};
+    struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
     const bool polish = cfg->polish || !cfg->network;
-    err_t e = cfg->network ? look(r, &cfg->network->net, all, &g) : OK;
-    *out = g.cams;
+    err_t e = cfg->network ? network_look(r, cfg->network, all, &p) : OK;
+    *out = p.geom.cams;
     if (e || !polish)
         return e;
     const struct bundle_config want = {
-        .start = g.cams, .focal = s->cams[0].fx, .focal_known = true};
-    e = locate_run(r, all, NULL, &want, &b);
+        .start = p.geom.cams, .focal = s->cams[0].fx, .focal_known = true};
+    e = locate_run(r, all, p.matches.token ? &p.matches : NULL, &want, &b);
     *out = b.cams;
     return e;
 }
