@@ -652,23 +652,35 @@ static err_t room_for(const struct run *r, int n_views, int n_tracks, struct bun
 
 /* Relative poses for a wrong focal length are wrong, and adjustment then moves slowly: it starts
  * once more where the focal length turns out to be another one. */
-static err_t search(struct bundle *b)
+static err_t from_focal(struct bundle *b, double focal)
 {
     err_t e = OK;
-    b->best.focal = start_focal(b);
-    b->a.prior_focal = log(b->best.focal);
+    b->a.prior_focal = log(focal);
+    for (int k = 0; k < 3 && !e; k++) {
+        e = from_tracks(b, focal);
+        if (fabs(log(b->a.focal / focal)) < 0.05)
+            break;
+        focal = b->a.focal;
+    }
+    return e;
+}
+
+static err_t search(struct bundle *b)
+{
+    const double focal = start_focal(b), usual = FOV60 * b->size;
+    b->best.focal = focal;
+    b->a.prior_focal = log(focal);
     b->a.prior = b->cfg->focal > 0 ? 10 : b->cfg->start ? 4 : 2;
     b->a.focal_fixed = b->cfg->focal_known;
     if (b->cfg->rig_known)
         return from_rig(b);
-    for (int k = 0; k < 3 && !e; k++) {
-        double focal = b->best.focal;
-        e = from_tracks(b, focal);
-        if (fabs(log(b->best.focal / focal)) < 0.05)
-            break;
-    }
-    if (!e && b->cfg->start)
-        e = from_cameras(b);
+    err_t e = b->cfg->start ? from_cameras(b) : OK;
+    b->a.focal_fixed = b->cfg->focal_known;
+    if (!e)
+        e = from_focal(b, focal);
+    /* a network's focal length may be worse than none */
+    if (!e && !(b->cfg->focal > 0) && fabs(log(focal / usual)) > 0.05)
+        e = from_focal(b, usual);
     return e;
 }
 
