@@ -13,7 +13,7 @@ DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 
 PREFIX ?= /usr/local
 SECONDS ?= 60
-DEMO := tests/data/room
+DEMO := 3 # seed of the room
 
 ifeq ($(origin CC),default)
 CC := $(CROSS)gcc
@@ -123,16 +123,20 @@ $(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
 install: all
 	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
 	    { echo "no board/$(BOARD)/board.conf"; exit 1; })
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)/etc/hdrig
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	$(if $(TOOLS),install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin)
+	install -m 644 sim/train/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
 	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
 
 demo: all
-	@echo "$(DEMO): photographs of a room at three exposures become an HDR scene"
-	@build/hdrig reconstruct --images $(DEMO) --size 224 --refine 400 --out out/latest
+	@echo "a simulated room, photographed by a rig of 9 cameras at three exposures"
+	@build/hdrig simulate --kind room --seed $(DEMO) --views 9 --size 336 --samples 2 \
+	    --out out/rig
+	@echo "becomes an HDR scene; where the cameras stood is not told"
+	@build/hdrig reconstruct --images out/rig --rig none --size 336 --refine 400 --out out/latest
 	@echo "compared with photographs of places and exposures that it has not seen:"
-	@build/hdrig eval --data $(DEMO) --scene out/latest
+	@build/hdrig eval --data out/rig --rig none --scene out/latest
 	@echo
 	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.json"
 

@@ -196,6 +196,16 @@ err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct ne
     return network_open(m->path, m->precision, (unsigned)cfg->net_float_parts, own);
 }
 
+err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
+                  const struct network **out)
+{
+    char path[FILE_PATH_CAP];
+    if (m->path || c->n == 0 || c->shots[0].has_camera || !network_shipped(path))
+        return OK;
+    *out = own;
+    return network_open(path, NULL, 0, own);
+}
+
 void cmd_imageset(const struct network *network, struct imageset_request *rq)
 {
     rq->may_lack_times = network && !network_needs_exposures(network);

@@ -221,8 +221,11 @@ static err_t reconstruct(struct state *st, struct request *rq)
     if (e)
         return e;
     cmd_imageset(network, &rq->set);
-    const struct job_config job = cmd_job(&rq->cfg, network, false);
+    struct job_config job = cmd_job(&rq->cfg, network, false);
     e = list(st, rq);
+    if (!e)
+        e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
+    job.cameras_only = !network;
     if (!e)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
     if (e)

@@ -141,6 +141,9 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     cmd_imageset(network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
     e = imageset_list(&rq->set, &st->set);
+    if (!e)
+        e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
+    job->cameras_only = !network;
     if (!e && cmd_fill_exposures(&st->set.capture))
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)

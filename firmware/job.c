@@ -30,7 +30,13 @@ static struct job_config within(const struct job_config *cfg, int n_views);
 /* Without steps the refiner still takes out what is transparent, which a network's scene keeps. */
 static bool refines(const struct job_config *cfg)
 {
-    return cfg->refine.steps > 0 || !cfg->network;
+    return cfg->refine.steps > 0 || !job_forward(cfg);
+}
+
+bool job_forward(const struct job_config *cfg)
+{
+    return cfg->network && !cfg->cameras_only && cfg->network->net.d.gauss &&
+           cfg->refine.steps == 0;
 }
 
 err_t job_run(const struct run *r, const struct capture *c, const struct job_config *asked,
@@ -92,7 +98,7 @@ int job_most(const struct job_config *asked, int n_views)
 {
     struct job_config cfg = within(asked, n_views);
     long long pixels = (long long)n_views * cfg.size * cfg.size;
-    if (cfg.network && cfg.network->net.d.gauss && cfg.refine.steps == 0)
+    if (job_forward(&cfg))
         return pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
     return cfg.refine.gaussians_max;
 }

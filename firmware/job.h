@@ -33,6 +33,7 @@ struct job_config {
     int size; // px, edge of the square views
     struct refine_config refine;
     const struct network *network; // NULL: none
+    bool cameras_only;             // the network is only asked for cameras
     bool polish;         // bundle adjustment of the network's cameras; always without a network
     bool stereo;         // refinement starts from stereo also if a network gave Gaussians
     float fov_deg;       // of cameras that are not known, horizontal; 0: to be found
@@ -75,6 +76,9 @@ struct job_result {
  * err:  ERR_ARG. */
 MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
                         bool tapped, struct job_memory *out);
+
+/* Whether the scene is the network's single forward pass. */
+bool job_forward(const struct job_config *cfg);
 
 /* Most Gaussians that a scene of so many views can have. */
 int job_most(const struct job_config *cfg, int n_views);

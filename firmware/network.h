@@ -5,6 +5,7 @@
 
 #include "core/net/net.h"
 #include "core/splat/voxel.h"
+#include "drivers/file.h"
 #include "drivers/modelfile.h"
 
 struct network {
@@ -17,6 +18,10 @@ struct network {
  * err:  those of modelfile_open; ERR_ARG (another precision). On error *out is zeroed. */
 MUST_USE err_t network_open(const char *path, const char *precision, unsigned floats,
                             struct network *out);
+
+/* Where the model lies that comes with this program: small.hdrig beside the program as it was
+ * installed or built. False: it is not there. */
+bool network_shipped(char path[FILE_PATH_CAP]);
 
 /* Accepts a zeroed struct. */
 void network_close(struct network *n);

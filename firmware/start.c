@@ -17,22 +17,16 @@
 #include <math.h>
 #include <string.h>
 
-/* The network's planes stay where they are. */
-static bool in_place(const struct job_config *cfg)
-{
-    return cfg->network && cfg->network->net.d.gauss && cfg->refine.steps == 0;
-}
-
 /* Whether the network's Gaussians begin the scene; else it gives cameras and perhaps depth. */
 static bool takes_gaussians(const struct job_config *cfg)
 {
-    return cfg->network->net.d.gauss && (cfg->refine.steps == 0 || !cfg->stereo);
+    return job_forward(cfg) || (cfg->network->net.d.gauss && !cfg->cameras_only && !cfg->stereo);
 }
 
 /* Whether the network is only asked for cameras. */
 static bool looks(const struct job_config *cfg)
 {
-    return !takes_gaussians(cfg) && cfg->stereo;
+    return cfg->cameras_only || (!takes_gaussians(cfg) && cfg->stereo);
 }
 
 /* Whether bundle adjustment follows the network. What is dumped is the network's own. */
@@ -59,7 +53,7 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
                         .names = v->names,
                         .log2t = v->log2t};
     err_t e = arena_alloc(r->keep, n, sizeof *s->cams, &s->cams);
-    if (!e && !in_place(cfg))
+    if (!e && !job_forward(cfg))
         e = gaussians_init(&s->g, r->keep, cfg->refine.gaussians_max, cfg->refine.degree_max);
     if (!e && v->cams)
         memcpy(s->cams, v->cams, n * sizeof *s->cams);
@@ -239,7 +233,7 @@ static err_t merge(const struct run *r, const struct job_config *cfg, const stru
                    struct scene *s)
 {
     const struct net_dims *d = &cfg->network->net.d;
-    const int max = in_place(cfg) ? 0 : cfg->refine.gaussians_max;
+    const int max = job_forward(cfg) ? 0 : cfg->refine.gaussians_max;
     struct voxels cells;
     float cell;
     announce(r, "voxel");
@@ -273,7 +267,7 @@ static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
     err_t e = merge(r, cfg, p, &found);
     if (e)
         return e;
-    if (in_place(cfg))
+    if (job_forward(cfg))
         s->g = found.g;
     else
         copy_gaussians(&found.g, cfg->refine.degree_max, &s->g);
@@ -281,7 +275,7 @@ static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
     gaussians_sanitize(&s->g, &report);
     if (report.dropped)
         job_warn(out, "%d Gaussians of the network were not finite", report.dropped);
-    for (int c = 0; c < 3 && in_place(cfg); c++)
+    for (int c = 0; c < 3 && job_forward(cfg); c++)
         s->background[c] = 1; // model-spec 2.13
     return OK;
 }
@@ -324,7 +318,7 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
     } else if (!e) {
         e = take_depth(r, cfg, scale, &p, out);
     }
-    if (!in_place(cfg))
+    if (!job_forward(cfg))
         arena_reset(r->keep, mark);
     return e;
 }
@@ -413,7 +407,7 @@ struct job_memory start_plan(const struct job_config *asked, const struct views 
     if (tapped)
         m.tmp = num_max_size(m.tmp, dump_plan(cfg->size, job_most(cfg, v->n)));
     m.keep = arena_add(m.keep, arena_need((size_t)v->n, sizeof(struct camera)));
-    if (!in_place(cfg))
+    if (!job_forward(cfg))
         m.keep = arena_add(m.keep, gaussians_need(cap, cfg->refine.degree_max));
     return m;
 }
