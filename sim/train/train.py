@@ -28,7 +28,7 @@ CLIP = 1.0  # norm of the gradient
 
 
 class Schedule:
-    """Share of the run that is over, by the clock or by steps; DIR/DEADLINE (unix time) wins."""
+    """Share of the run that is over, by the clock or by steps; DIR/STAGE_DEADLINE wins."""
 
     def __init__(self, q: argparse.Namespace, spent: float):
         self.q, self.spent, self.start = q, spent, time.time()
@@ -40,7 +40,7 @@ class Schedule:
     def share(self, step: int) -> float:
         if self.q.steps:
             return min(step / self.q.steps, 1.0)
-        path = f"{self.q.out}/DEADLINE"
+        path = f"{self.q.out}/{self.q.stage.upper()}_DEADLINE"
         end = float(open(path).read() or 0) if os.path.exists(path) else self.end
         begin = self.start - self.spent
         return min(max((time.time() - begin) / max(end - begin, 1.0), 0.0), 1.0)
