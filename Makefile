@@ -13,7 +13,7 @@ DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 
 PREFIX ?= /usr/local
 SECONDS ?= 60
-DEMO := 3 # seed of the room
+DEMO := 13
 
 ifeq ($(origin CC),default)
 CC := $(CROSS)gcc

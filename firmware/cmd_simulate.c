@@ -92,7 +92,7 @@ static err_t read_ask(const struct request *rq, struct dataset_ask *a)
     int family = CURVE_FILMIC;
     err_t e = read_scene(rq, a);
     if (!e)
-        e = read_exposures(rq->exposures ? rq->exposures : "0.0625,0.25,1,4,16", a);
+        e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
     if (!e && rq->curve)
         e = find_word("--curve", rq->curve, families, CURVE_FAMILIES, &family);
     if (e)
@@ -171,7 +171,7 @@ int cmd_simulate_run(int argc, char **argv)
          &rq.spread, NULL},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
         {"free-hand", NULL, "heights, targets and rolls differ", NULL, NULL, &rq.free_hand},
-        {"exposures", "LIST", "times over the metered one (0.0625,0.25,1,4,16)", NULL,
+        {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL,
          &rq.exposures, NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},

@@ -43,6 +43,8 @@ static const float ROUGH_RAY = 0.6f;      // roughness from which none is traced
 static const float ROUGH_LAMP = 0.2f;     // from which lamps shine by their lobe, not by the ray
 static const float ROUGH_SUN = 0.02f;     // the same of the sun
 static const float ROUGH_BLUR = 0.05f;    // from which gloss is averaged over neighbours
+static const float GLINT = 4; // most that one ray of it may bring, over what the grid has there
+static const float SHINE = 8; // most that the highlights of a point may be, over its own light
 
 struct render_world {
     const struct world *w;
@@ -197,6 +199,13 @@ static void bend(const struct light_spot *spot, float roughness, const struct li
         memcpy(d, spot->mirror, 3 * sizeof *d);
 }
 
+/* One ray of a wide lobe that meets a bright window would be a glint without meaning. */
+static void dim(const float even[3], float light[3])
+{
+    for (int k = 0; k < 3; k++)
+        light[k] = vec_min(light[k], GLINT / PI * even[k]);
+}
+
 /* What is mirrored of the surroundings, with weight `ray` by a ray and `ambient` from the grid. */
 static void add_mirrored(const struct render_world *s, const struct gaze *g, struct hand *hand,
                          const struct light_dice *dice, const struct light_surface *on,
@@ -204,8 +213,10 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
 {
     const struct light_spot *spot = &hand->first;
     float rough = on->material->roughness, share = gloss_share(on->material, on->facing);
-    float ray = ray_share(on->material, share), light[3];
+    float ray = ray_share(on->material, share), light[3], even[3];
     float *to = rough < ROUGH_BLUR ? out->part[REST] : out->part[GLOSS];
+    if (share > 1e-3f)
+        probe_light(&s->probes, spot->p, spot->mirror, even);
     if (ray > 0) {
         struct gaze next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
         next.lamps = rough < ROUGH_LAMP;
@@ -214,12 +225,12 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
         memcpy(next.o, spot->p, sizeof next.o);
         bend(spot, rough, dice, next.d);
         mirrored(s, &next, &hand->second, dice, light);
+        if (rough >= ROUGH_BLUR)
+            dim(even, light);
         vec_along(to, ray, light, to);
     }
-    if (share - ray > 1e-3f) {
-        probe_light(&s->probes, spot->p, spot->mirror, light);
-        vec_along(to, (share - ray) / PI, light, to);
-    }
+    if (share - ray > 1e-3f)
+        vec_along(to, (share - ray) / PI, even, to);
 }
 
 static void set_gloss(const struct gaze *g, const struct light_surface *on, struct light_spot *spot)
@@ -260,7 +271,8 @@ static void look(const struct render_world *s, const struct gaze *g, struct hand
         out->part[REST][k] = m->emission[k] + (out->part[ALBEDO][k] + even / PI) * light[k];
         out->part[SOFT][k] = sum.soft[k];
         out->part[SUN][k] = sum.sun[k];
-        out->part[GLOSS][k] = sum.gloss[k];
+        out->part[GLOSS][k] = vec_min(sum.gloss[k], SHINE / PI * on.albedo[k] *
+                                                        (sum.soft[k] + sum.sun[k] + light[k]));
     }
     if (share > AMBIENT)
         add_mirrored(s, g, hand, dice, &on, out);

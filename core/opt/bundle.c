@@ -11,6 +11,7 @@
 #include "core/opt/adjust.h"
 #include "core/opt/lin.h"
 #include "core/opt/resect.h"
+#include "core/opt/ties.h"
 #include "core/opt/viewgraph.h"
 #include "core/splat/turn.h"
 
@@ -18,11 +19,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum {
-    VIEW_LEAST = 10, // inliers of a placed view
-    LINK_LEAST = 8,  // common inliers of two views that are tied
-    GATE = 4         // expected errors of an inlier
-};
+enum { GATE = 4 };                              // expected errors of an inlier
 static const double CHANCE = 0.2;               // redundancy that wrong matches may have
 static const double FAR = 1e-6;                 // least w of a point that is given out
 static const double FOV60 = 0.8660254037844386; // focal length over picture size at 60 degrees
@@ -188,45 +185,13 @@ static double error_scale(struct bundle *b)
     return fmax(1, fmin(4, sqrt(median(b->sorted, n)) / 1.1774));
 }
 
-static int root(const int *to, int v)
-{
-    while (to[v] != v)
-        v = to[v];
-    return v;
-}
-
-/* Take back views with too few inliers, and all but the largest set of views that are tied. */
-static void dismiss(struct bundle *b)
-{
-    struct adjust *a = &b->a;
-    int common[BUNDLE_VIEWS_MAX][BUNDLE_VIEWS_MAX] = {{0}}, to[BUNDLE_VIEWS_MAX];
-    int size[BUNDLE_VIEWS_MAX] = {0}, best = 0;
-    for (int t = 0; t < a->n_tracks; t++)
-        for (int i = a->first[t]; i < a->first[t + 1]; i++)
-            for (int j = a->first[t]; j <= i; j++)
-                common[a->seen[i].view][a->seen[j].view] += a->in[i] && a->in[j];
-    for (int v = 0; v < b->n_views; v++) {
-        to[v] = v;
-        a->placed[v] &= common[v][v] >= VIEW_LEAST;
-        for (int u = 0; u < v && a->placed[v]; u++)
-            if (a->placed[u] && common[v][u] >= LINK_LEAST)
-                to[root(to, u)] = root(to, v);
-    }
-    for (int v = 0; v < b->n_views; v++)
-        size[root(to, v)] += a->placed[v];
-    for (int v = 0; v < b->n_views; v++)
-        best = size[v] > size[best] ? v : best;
-    for (int v = 0; v < b->n_views; v++)
-        a->placed[v] &= root(to, v) == best && size[best] > 1;
-}
-
 /* Views that are not placed, from the points that the others have. */
 static err_t place_again(struct bundle *b, bool *any)
 {
     struct adjust *a = &b->a;
     *any = false;
     for (int v = 0; v < b->n_views; v++)
-        if (!a->placed[v] && resect_view(&b->g, a, v, GATE * b->scale) >= VIEW_LEAST)
+        if (!a->placed[v] && resect_view(&b->g, a, v, GATE * b->scale) >= TIES_VIEW)
             a->placed[v] = *any = true;
     return run_check(b->r, "placing views");
 }
@@ -240,7 +205,7 @@ static err_t finish(struct bundle *b)
     b->scale = error_scale(b);
     if (!e)
         e = rounds(b, last, 1);
-    dismiss(b);
+    ties_dismiss(&b->a);
     if (!e && !b->cfg->rig_known)
         e = place_again(b, &any);
     if (!e && any)
@@ -249,7 +214,7 @@ static err_t finish(struct bundle *b)
         e = rounds(b, last, 2);
     if (!e)
         e = adjust_points(b->r, &b->a, GATE * b->scale);
-    dismiss(b);
+    ties_dismiss(&b->a);
     if (!e)
         e = adjust_points(b->r, &b->a, GATE * b->scale);
     return e;
@@ -574,7 +539,7 @@ static void give_scales(struct bundle *b, const struct world *w, struct bundle_r
             if (ratio > 0 && isfinite(ratio))
                 b->sorted[n++] = ratio;
         }
-        if (n >= VIEW_LEAST)
+        if (n >= TIES_VIEW)
             out->depth_scale[v] = (float)median(b->sorted, n);
     }
 }

@@ -10,6 +10,7 @@
 #include <string.h>
 
 enum { DRAWS = 60, STEPS = 12, POINTS_LEAST = 6, POINTS_MOST = 512 };
+static const double SHARE = 0.5; // least share of the points
 
 struct resect {
     struct adjust *a;
@@ -162,12 +163,13 @@ static bool from_neighbour(const struct viewgraph *g, const struct adjust *a, in
 int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate)
 {
     struct resect s = {.a = a, .view = view, .gate = gate, .state = 1u + (uint32_t)view};
-    double best[ADJUST_POSE], least = INFINITY;
+    double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
     int most = 0;
     collect(&s);
     if (s.n < POINTS_LEAST)
         return 0;
-    memcpy(best, pose_of(&s), sizeof best);
+    memcpy(old, pose_of(&s), sizeof old);
+    memcpy(best, old, sizeof best);
     for (int other = 0; other < a->n_views; other++) {
         int inliers;
         if (other != view && !from_neighbour(g, a, view, other, pose_of(&s)))
@@ -179,6 +181,8 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
             memcpy(best, pose_of(&s), sizeof best);
         }
     }
-    memcpy(pose_of(&s), best, sizeof best);
+    if (most < SHARE * s.n) // another place may fit as well
+        most = 0;
+    memcpy(pose_of(&s), most ? best : old, sizeof best);
     return most;
 }

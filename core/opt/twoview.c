@@ -3,9 +3,9 @@
  * constraints, reduced by Gauss-Jordan; three of them leave a 3 x 3 matrix of polynomials in z,
  * whose determinant has degree ten. Its real roots are enclosed by those of its derivatives.
  * Samples are scored by the truncated Sampson distance (MSAC, Torr and Zisserman 2000) of all
- * matches; each new best one is polished on them (LO-RANSAC, Chum et al. 2003) in rotation and
- * direction. Where a rotation alone fits nearly as many matches in both coordinates, the direction
- * is noise and is not given. */
+ * matches, those behind a view being wrong; each one that may become the best is polished on them
+ * (LO-RANSAC, Chum et al. 2003) in rotation and direction. Where a rotation alone fits nearly as
+ * many matches in both coordinates, the direction is noise and is not given. */
 #include "core/opt/twoview.h"
 
 #include "core/opt/lin.h"
@@ -14,7 +14,8 @@
 #include <stddef.h>
 #include <string.h>
 
-enum { CUBIC = 20, QUADRIC = 10, SAMPLES_LEAST = 24, SAMPLES_MOST = 300, POLISH = 5 };
+enum { CUBIC = 20, QUADRIC = 10, SAMPLES_LEAST = 24, SAMPLES_MOST = 300, TRIAL = 2, POLISH = 5 };
+static const double PROMISING = 2; // costs of the best pose at which another is polished
 
 /* ---- five points ---- */
 
@@ -339,6 +340,25 @@ static bool in_front(const double r[9], const double t[3], const struct twoview_
     return ab * bt - bb * at > 0 && aa * bt - ab * at > 0;
 }
 
+/* Behind a view, and not only because it is too far to tell? */
+static bool behind(const double r[9], const double t[3], const struct twoview_match *m)
+{
+    return !in_front(r, t, m) && !(turned(r, m) < TWOVIEW_GATE * TWOVIEW_GATE);
+}
+
+/* Truncated cost of a pose: E alone also fits points behind the views. */
+static double pose_cost(const struct sample *s, const double r[9], const double t[3], double most)
+{
+    const double gate = TWOVIEW_GATE * TWOVIEW_GATE;
+    double e[9], sum = 0;
+    essential(r, t, e);
+    for (int i = 0; i < s->n && sum < most; i++) {
+        double d2 = epipolar(e, &s->m[i]);
+        sum += d2 < gate && !behind(r, t, &s->m[i]) ? d2 : gate;
+    }
+    return sum;
+}
+
 /* Rotation and direction of E by the side of most matches (Horn, "Recovering baseline and
  * orientation from essential matrix", 1990). */
 static void decompose(const struct sample *s, const double e[9], double r[9], double t[3])
@@ -424,21 +444,24 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
     lin_unit(t);
 }
 
-/* Accept E as the best so far if it or its polished form is. */
+/* Accept E as the best so far if it or its polished form is: the noise of five matches may cost
+ * more than the second reading of a plane does that is polished. */
 static void consider(struct sample *s, const double e[9], int steps)
 {
-    double r[9], t[3], now[9], cost = cost_of(s, e, s->cost);
-    if (!(cost <= s->cost))
+    const double most = PROMISING * s->cost;
+    double r[9], t[3];
+    if (!(cost_of(s, e, most) <= most))
         return;
     decompose(s, e, r, t);
     for (int i = 0; i <= steps; i++) {
-        essential(r, t, now);
-        cost = cost_of(s, now, s->cost);
+        double cost = pose_cost(s, r, t, s->cost);
         if (cost < s->cost) {
             s->cost = cost;
             memcpy(s->r, r, sizeof s->r);
             memcpy(s->t, t, sizeof s->t);
         }
+        if (i == TRIAL && cost > s->cost)
+            return;
         if (i < steps)
             polish_step(s, r, t);
     }
@@ -598,7 +621,7 @@ void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct two
     out->parallax = lin_dot(s.t, s.t) > 0;
     for (int i = 0; i < n && out->parallax; i++)
         out->inliers += twoview_distance(out, &m[i]) < TWOVIEW_GATE * TWOVIEW_GATE &&
-                        in_front(out->r, out->t, &m[i]);
+                        !behind(out->r, out->t, &m[i]);
     int alone = rotation_alone(&s, r);
     if (alone >= 0.9 * out->inliers) {
         *out = (struct twoview){.inliers = alone};

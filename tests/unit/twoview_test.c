@@ -176,6 +176,28 @@ static void plane(void **unused)
     assert_true(good >= 5);
 }
 
+/* A plane with little in front of it, and no wrong match: some poses fit every line but have half
+ * of the points behind the views. The right one has them all in front. */
+static void shallow_relief(void **unused)
+{
+    (void)unused;
+    struct pair p;
+    struct twoview v;
+    state = 23;
+    for (int trial = 0; trial < 60; trial++) {
+        double angle = 10 + trial % 3 * 10;
+        make(&p, angle, 2 * 3 * sin(angle * PI / 360), true, 0.5, 0);
+        for (int i = 0; i < MATCHES; i += 8) {
+            double u = uniform(-0.5, 0.5), w = uniform(-0.5, 0.5);
+            double z = 2.9 / (1 - 0.4 * u - 0.3 * w);
+            p.m[i] = match_of(&p, (const double[3]){u * z, w * z, z}, 0.5);
+        }
+        twoview_run(p.m, MATCHES, 3, &v);
+        assert_true(v.parallax);
+        assert_true(v.inliers > 0.93 * MATCHES);
+    }
+}
+
 static void no_parallax(void **unused)
 {
     (void)unused;
@@ -313,6 +335,7 @@ int main(void)
         cmocka_unit_test(five_matches_that_say_nothing),
         cmocka_unit_test(noisy_and_wrong_matches),
         cmocka_unit_test(plane),
+        cmocka_unit_test(shallow_relief),
         cmocka_unit_test(no_parallax),
         cmocka_unit_test(nothing_to_find),
         cmocka_unit_test(the_same_seed_is_the_same_result),
