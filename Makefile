@@ -31,7 +31,8 @@ OPT := -O2 -ffp-contract=off
 WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wundef \
 	$(if $(WERROR),-Werror)
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
-FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) $(MORE) $(SANFLAGS) $(CFLAGS)
+FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
+	$(MORE) $(SANFLAGS) $(CFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 

@@ -85,8 +85,8 @@ bool cmd_has_network(const struct cmd_model *m, const char **reason);
 MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
                            const struct network **out);
 
-/* Without --model, and if nobody knows the cameras of c, the model that comes with this program finds
- * them: *out, with *own behind it. Unchanged if there is a network, or no such model.
+/* Without --model, and if nobody knows the cameras of c, the model that comes with this program
+ * finds them: *out, with *own behind it. Unchanged if there is a network, or no such model.
  * own, err: as cmd_network. */
 MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
                            const struct network **out);

@@ -1,4 +1,5 @@
-/* dataset.h - a simulated scene in the released data layout: what a rig photographed, and the truth.
+/* dataset.h - a simulated scene in the released data layout: what a rig photographed, and the
+ * truth.
  * thread: any. */
 #ifndef SIM_DATASET_H
 #define SIM_DATASET_H

@@ -110,7 +110,8 @@ def main():
         r = {k: mean(found, k) for k in found[0] if k != "precision"}
         r |= {"model": found[0]["precision"], "size": size, "views": views}
         rows.append(r)
-        print(f"| {r['model']} | {size} | {views} | {refine} | {r['seconds']:.1f} | {r['mb']:.0f} | "
+        print(f"| {r['model']} | {size} | {views} | {refine} | {r['seconds']:.1f} | "
+              f"{r['mb']:.0f} | "
               f"{r['splats']:.0f} | {r['ldr']:.2f} | {r['ssim']:.3f} | {r['hdr']:.2f} | "
               f"{r['ldr'] - r['nearest']:+.1f} | {r['rotation']:.3f} |", flush=True)
     if q.plot and rows:

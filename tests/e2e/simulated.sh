@@ -9,15 +9,6 @@ simulate() { # name arguments...
     succeed simulate --out "$OUT/$name" --samples 1 "$@"
 }
 
-number() { # key: of the report on stdout, the first one
-    sed -n "s/.*\"$1\": \([-0-9.e]*\).*/\1/p" "$OUT/stdout.txt" | head -n 1
-}
-
-at_least() { # what value bound
-    awk -v a="$2" -v b="$3" 'BEGIN { exit !(a != "" && a >= b) }' ||
-        fail "$1 is ${2:-missing}, less than $3"
-}
-
 # bad requests
 expect 2 '--out is needed' simulate
 expect 2 '--kind: "moon" is none of room yard' simulate --out "$OUT/no" --kind moon
@@ -32,15 +23,14 @@ simulate room --seed 7 --kind room --views 7 --size 224
 simulate again --seed 7 --kind room --views 7 --size 224 --threads 1
 diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with one thread"
 [ "$(ls "$OUT/room/images" | wc -l)" -eq $((7 * 3 + 6 * 5)) ] || fail "not every picture is there"
-succeed eval --data "$OUT/room" --size 224 --refine 100 --json -
-at_least "PSNR with known cameras" "$(sed -n '/"ldr"/,/psnr/p' "$OUT/stdout.txt" |
-    sed -n 's/.*psnr": \([0-9.]*\).*/\1/p' | head -n 1)" 20
+succeed eval --data "$OUT/room" --size 224 --refine 100 --json "$OUT/known.json"
+at_least "PSNR with known cameras" "$(number "$OUT/known.json" ldr psnr)" 22
 
 # nobody knows the cameras
-succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json -
-at_least "PSNR without cameras" "$(sed -n '/"ldr"/,/psnr/p' "$OUT/stdout.txt" |
-    sed -n 's/.*psnr": \([0-9.]*\).*/\1/p' | head -n 1)" 19
-at_least "accuracy of cameras" "$(awk -v e="$(number rot_deg_median)" 'BEGIN { print 1 - e }')" 0
+succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json "$OUT/found.json"
+at_least "PSNR without cameras" "$(number "$OUT/found.json" ldr psnr)" 21
+at_least "one degree less the error of cameras" \
+    "$(awk -v e="$(number "$OUT/found.json" pose rot_deg_median)" 'BEGIN { print 1 - e }')" 0
 for threads in 1 3; do
     succeed reconstruct --images "$OUT/room" --size 224 --rig none --refine 0 --threads $threads \
         --out "$OUT/threads$threads"
@@ -56,8 +46,8 @@ extreme() { # name arguments of simulate
     local name=$1 code
     shift
     simulate "$name" --size 112 "$@"
-    "$HDRIG" reconstruct --images "$OUT/$name" --size 112 --rig none --refine 20 --out "$OUT/$name-scene" \
-        --json - >"$OUT/stdout.txt" 2>"$ERR"
+    "$HDRIG" reconstruct --images "$OUT/$name" --size 112 --rig none --refine 20 \
+        --out "$OUT/$name-scene" --json - >"$OUT/stdout.txt" 2>"$ERR"
     code=$?
     if [ $code -eq 0 ]; then
         grep -Eqi '\b(nan|inf)' "$OUT/stdout.txt" && fail "$name: not finite"
