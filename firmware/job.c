@@ -106,7 +106,7 @@ int job_most(const struct job_config *asked, int n_views)
 err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
                struct job_memory *out)
 {
-    struct camera known;
+    struct camera known = {0};
     err_t e = check_capture(c);
     if (e)
         return e;

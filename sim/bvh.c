@@ -219,7 +219,7 @@ static struct ray make_ray(const float o[3], const float d[3])
 
 static inline const float *row_of(const struct bvh_node *n, size_t at)
 {
-    return (const float *)((const char *)n->box + at);
+    return (const float *)(const void *)((const char *)n->box + at);
 }
 
 /* Where the ray enters the four children, and whether it meets them; gcc vectorises this only as a

@@ -358,7 +358,7 @@ static struct light_dice dice_of(const struct picture *p, int i, int j, int samp
 static void sample_pixel(const struct picture *p, int i, int j, struct hand *hand, struct seen *out)
 {
     int side = p->q->samples, shadow = p->q->shadow, all = side * side * shadow;
-    struct seen one;
+    struct seen one = {0};
     memset(out, 0, sizeof *out);
     for (int k = 0; k < all; k++) {
         int x = k / shadow % side, y = k / shadow / side;

@@ -213,7 +213,7 @@ static uint32_t draw(uint32_t *state, uint32_t below)
 static void choose(const struct epipolar_match *m, int from, uint32_t *state,
                    const struct epipolar_match *out[SAMPLE])
 {
-    int at[SAMPLE], n = 0;
+    int at[SAMPLE] = {0}, n = 0;
     while (n < SAMPLE) {
         int one = (int)draw(state, (uint32_t)from), k = 0;
         while (k < n && at[k] != one)
