@@ -571,7 +571,7 @@ void room_build(struct builder *b)
     const float inside[2][3] = {{-r.half[0], -r.half[1], 0}, {r.half[0], r.half[1], r.height}};
     room_box(&r.root, inside, w->lo, w->hi);
     room_box(&r.root, (const float(*)[3])r.stand, w->stand[0], w->stand[1]);
-    float unused[3];
+    float unused[3] = {0};
     const float focus[2][3] = {{r.focus[0], r.focus[1], r.focus[2]},
                                {r.focus[0], r.focus[1], r.focus[2]}};
     room_box(&r.root, focus, w->focus, unused);
