@@ -16,6 +16,7 @@ enum { TRAIN = 4, TEST = 5, SIDE = 100 }; // five test pictures show three views
 
 static struct shot train[TRAIN], real[TEST], found[TEST];
 static struct camera scene[TRAIN];
+static char scene_names[TRAIN][NAME_CAP];
 static struct job_result job;
 static struct arena tmp;
 static struct run r = {.tmp = &tmp};
@@ -36,6 +37,8 @@ static int setup(void **state)
     for (int i = 0; i < TRAIN; i++) {
         train[i].cam = camera(i);
         scene[i] = turn_camera(&w, &train[i].cam);
+        snprintf(train[i].name, NAME_CAP, "train_%d.png", i);
+        snprintf(scene_names[i], NAME_CAP, "train_%d.png", i);
     }
     for (int i = 0; i < TEST; i++) {
         int view = names[i][5] - '0';
@@ -47,6 +50,7 @@ static int setup(void **state)
     job.scene.size = SIDE;
     job.scene.n_views = TRAIN;
     job.scene.cams = scene;
+    job.scene.names = scene_names;
     return arena_init(&tmp, "tmp", turn_plan(TRAIN + TEST)) == OK ? 0 : -1;
 }
 
