@@ -122,7 +122,7 @@ static double enclosed(const double *p, const double *slope, int degree, double 
  * most. */
 static int roots_of(const double p[11], double limit, double roots[10])
 {
-    double chain[11][11], old[12], now[11];
+    double chain[11][11], old[12], now[11] = {0};
     int n = 0;
     memcpy(chain[10], p, sizeof chain[10]);
     for (int d = 10; d > 1; d--)
@@ -448,7 +448,8 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
  * more than the second reading of a plane does that is polished. */
 static void consider(struct sample *s, const double e[9], int steps)
 {
-    const double most = PROMISING * s->cost;
+    const double half = 0.5 * s->n * TWOVIEW_GATE * TWOVIEW_GATE; // cost of half of them wrong
+    const double most = fmax(s->cost, fmin(PROMISING * s->cost, half));
     double r[9], t[3];
     if (!(cost_of(s, e, most) <= most))
         return;

@@ -294,7 +294,7 @@ static void wide_arc_from_tracks(void **unused)
 static void start_that_is_off(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(450, 381, 0.3, 15)};
+    struct job j = {.rig = room(250, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS];
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
@@ -445,6 +445,99 @@ static void view_that_fits_nowhere(void **unused)
     run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
     assert_memory_equal(j.out.cams[3].q, j.rig.cams[3].q, sizeof j.out.cams[3].q);
     done(&j);
+}
+
+/* Sightings of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the camera
+ * at `degrees` around would be; in the others it is not seen. */
+static void mislead(struct job *j, int right, int wrong, const double degrees[2])
+{
+    struct match_tracks *t = &j->tracks.t;
+    const int all = t->n;
+    int kept = 0;
+    for (int i = t->n = 0; i < all; i++) {
+        struct match_seen s = t->seen[i];
+        if (s.view == 3 && kept++ >= right + wrong)
+            continue;
+        if (s.view == 3 && (kept - 1) % (right + wrong) >= right) {
+            struct camera c = scene_dome(degrees[kept % 2], 4, j->rig.focal);
+            double u, v;
+            scene_see(&c, j->tracks.point[s.track], &u, &v);
+            s.u = (float)(u + 0.5 * scene_normal());
+            s.v = (float)(v + 0.5 * scene_normal());
+        }
+        t->seen[t->n++] = s;
+    }
+    assert_true(kept >= right + wrong);
+}
+
+/* The seven views besides view 3. */
+static void assert_others_right(struct job *j)
+{
+    const struct camera cam = j->rig.cams[3];
+    const int placed = j->out.n_placed;
+    for (int v = 0; v < 8; v++)
+        assert_true(v == 3 || j->out.placed[v]);
+    j->out.cams[3] = j->out.cams[7];
+    j->rig.cams[3] = j->rig.cams[7];
+    j->out.n_placed = 8;
+    assert_right(j, 0.1, 0.02, 0.02);
+    j->rig.cams[3] = cam;
+    j->out.n_placed = placed;
+}
+
+/* Matches of one view that tell of another place than its own, as repeats of a pattern do. */
+static void view_in_two_places(void **unused)
+{
+    (void)unused;
+    static const int right[] = {0, 90, 30}, wrong[] = {60, 45, 30};
+    static const double away[][2] = {{-25, 20}, {25, 25}, {-15, -15}};
+    for (int k = 0; k < 3; k++) {
+        struct job j = {.rig = room(500, 381, 0.1, 25)};
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        mislead(&j, right[k], wrong[k], away[k]);
+        run_ok(&j, &(struct bundle_config){.focal = 381});
+        assert_int_equal(j.out.placed[3], k == 1);
+        if (k == 1)
+            assert_right(&j, 0.1, 0.02, 0.02);
+        assert_others_right(&j);
+        done(&j);
+    }
+}
+
+/* View 3 keeps only points that view 4 sees too, and these no other view sees; returns them. */
+static int keep_pairs(struct match_tracks *t)
+{
+    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
+    for (int i = 0; i < t->n; i++)
+        in[t->seen[i].track] |= t->seen[i].view == 3 ? 1 : t->seen[i].view == 4 ? 2 : 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct match_seen s = t->seen[i];
+        const bool pair = in[s.track] == 3;
+        pairs += pair && s.view == 3;
+        if (pair ? s.view == 3 || s.view == 4 : s.view != 3)
+            t->seen[n++] = s;
+    }
+    free(in);
+    t->n = n;
+    return pairs;
+}
+
+/* How far away such a view is, nobody knows. */
+static void view_that_hangs_on_one(void **unused)
+{
+    (void)unused;
+    for (uint32_t seed = 12; seed < 15; seed++) {
+        struct job j = {.rig = room(700, 381, 0.1, 25)};
+        j.rig.seed = seed;
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        assert_true(keep_pairs(&j.tracks.t) > 100);
+        run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+        assert_false(j.out.placed[3]);
+        assert_others_right(&j);
+        done(&j);
+    }
 }
 
 /* ---- little or nothing to go by ---- */
@@ -640,6 +733,8 @@ int main(void)
         cmocka_unit_test(what_is_known_stays),
         cmocka_unit_test(threads_change_nothing),
         cmocka_unit_test(view_that_fits_nowhere),
+        cmocka_unit_test(view_in_two_places),
+        cmocka_unit_test(view_that_hangs_on_one),
         cmocka_unit_test(no_tracks),
         cmocka_unit_test(views_in_one_place),
         cmocka_unit_test(two_and_three_views),
