@@ -662,21 +662,105 @@ def start_curve() -> Tensor:
     return torch.cat([side, knot, w[:64].float(), w[64:].float()])
 
 
-def curve_row_check() -> Tensor:
-    return tone(start_curve().repeat(10)[None, :THETA].clone(), torch.linspace(-8, 3, 12)
-                .expand(1, 3, -1))
+KNEES = (0.0, 0.04, 0.1, 0.2, 0.35, 0.55, 0.75, 0.92)  # display values
+KNEE_GAIN = 8.0  # of their ramps, so that the position code added to them matters little
+STOPS_GAIN = 2.5  # stops of a picture from what its tokens say of it, by regression
+
+
+def inverse_curve() -> tuple[Tensor, float]:
+    """Natural log of the radiance over display values as ramps that start at KNEES, and offset."""
+    x = torch.linspace(-8, 2, 500, dtype=torch.float64)
+    p = tone(start_curve().repeat(10)[None, :THETA].clone(), x.float().expand(1, 3, -1))
+    p = p[0, 0].double()
+    fair = torch.diff(p, prepend=p[:1]).clamp_min(1e-4).sqrt()[:, None]  # even over display values
+    ramps = torch.relu(p[:, None] - torch.tensor(KNEES, dtype=torch.float64)) * KNEE_GAIN
+    a = torch.cat([ramps, torch.ones(len(x), 1, dtype=torch.float64)], 1)
+    b = a * fair
+    w = torch.linalg.solve(b.T @ b + 1e-5 * torch.eye(len(KNEES) + 1),
+                           b.T @ (fair[:, 0] * x * math.log(2)))
+    return w[:-1].float(), float(w[-1])
+
+
+def only(conv: nn.Conv2d, out: int, taps: dict[int, float], bias: float = 0.0) -> None:
+    """Make an output the sum of some inputs at the centre of the kernel."""
+    conv.weight[out] = 0
+    for i, w in taps.items():
+        conv.weight[out, i, conv.kernel_size[0] // 2, conv.kernel_size[1] // 2] = w
+    conv.bias[out] = bias
 
 
 @torch.no_grad()
 def init_appearance(net: Net) -> None:
+    """The branch starts as an inverse of sRGB: level of a patch by its token, detail by the guide
+    (channels 0-5), exposure of the picture by the tokens (6, 7). Needs 32 channels or more; with
+    fewer only the curves start sensibly."""
     e = net.encoder
+    init_outputs(e)
+    if net.d.hdr < 32:
+        return
+    h, last = e.hdr_head, e.hdr_conv[2]
+    r, sig = h.regression, net.d.hdr - 1
+    h.patch_embed.weight[:8] = 0
+    h.patch_embed.bias[:8] = 0
+    for c in range(3):
+        h.patch_embed.weight[c, c] = 1 / PATCH**2
+        only(h.guide_encoder[0], c, {c: 1.0})
+        only(h.scene_conv[0], c, {c: 1.0})
+        only(h.scene_conv[0], 3 + c, {})
+        only(h.hdr_upsample.proj_guide[0], c, {c: 1.0})
+        only(h.hdr_upsample.proj_guide[0], 3 + c, {c: -1.0})
+    for c in (6, 7):
+        only(h.scene_conv[0], c, {c: 1.0})
+        only(h.hdr_upsample.proj_guide[0], c, {})
+    init_stops(r, sig)
+    e.gaussian_param_head.scratch.output_conv1.weight.mul_(0.1)
+    ramps, offset = inverse_curve()
+    n = len(KNEES)
+    for c in range(3):
+        last.weight[8 + 25 * c] = 0
+        last.bias[8 + 25 * c] = offset / 0.28209479
+        for k in range(n):
+            only(h.hdr_upsample.proj_out[0], n * c + k, {c: KNEE_GAIN, 3 + c: -KNEE_GAIN},
+                 -KNEE_GAIN * KNEES[k])
+            last.weight[8 + 25 * c, n * c + k, 0, 0] = ramps[k] / 0.28209479
+        for k, sign in ((3 * n, -1), (3 * n + 1, 1)):
+            last.weight[8 + 25 * c, k, 0, 0] = sign * STOPS_GAIN * math.log(2) / 0.28209479
+    for k in (0, 1):
+        only(h.hdr_upsample.proj_out[0], 3 * n + k, {6 + k: 1.0})
+    for k in range(3 * n + 2):
+        only(e.hdr_conv[0], k, {k: 1.0})
+
+
+def init_stops(r: Regression, sig: int) -> None:
+    """Channel sig of the values is the sine of the exposure; its mean over the attention, which
+    mostly stays in the own picture, comes out on channels 6 and 7, one for each sign."""
+    film, out = r.exp_film, r.mean_out
+    film[0].weight[:2] = 0
+    film[0].bias[:2] = 0
+    film[0].weight[0, 0], film[0].weight[1, 0] = 1.0, -1.0
+    film[2].weight[sig + len(r.ln.weight)] = 0
+    film[2].weight[sig + len(r.ln.weight), :2] = torch.tensor([1.0, -1.0])
+    film[2].bias[sig + len(r.ln.weight)] = 0
+    r.v_mean_proj.weight[sig] = 0
+    r.v_mean_proj.bias[sig] = 0
+    for k, sign in ((0, 1.0), (1, -1.0)):
+        out[1].weight[k] = 0
+        out[1].bias[k] = 0
+        out[1].weight[k, sig] = sign
+        out[3].weight[6 + k] = 0
+        out[3].bias[6 + k] = 0
+        out[3].weight[6 + k, k] = 1.0
+    out[3].weight[:6] = 0
+    out[3].bias[:6] = 0
+
+
+def init_outputs(e: Encoder) -> None:
     last = e.hdr_conv[2]
     last.weight.mul_(0.1)
     last.bias.zero_()
     last.bias[0] = 2.2  # opacity 0.9
     last.bias[1:4] = 5.0  # 0.001 softplus(5) is half a pixel at 224 px
     last.bias[7] = 1.0
-    last.weight[11:83].mul_(0.1)
     out = e.generate_tonemapper.out[2]
     out.weight.mul_(0.02)
     out.bias.zero_()

@@ -91,10 +91,14 @@ class Trainer:
             for m in (e.gaussian_param_head.input_merger,
                       e.gaussian_param_head.scratch.output_conv2):
                 m.requires_grad_(False)
-        wide = [p for p in self.net.parameters() if p.requires_grad and p.ndim > 1]
-        thin = [p for p in self.net.parameters() if p.requires_grad and p.ndim <= 1]
+        groups = {}
+        for name, p in self.net.named_parameters():
+            if p.requires_grad:
+                slow = not learn and "tonemapper" not in name  # dark pixels: steep, see model.py
+                groups.setdefault((p.ndim > 1, slow), []).append(p)
         self.opt = torch.optim.AdamW(
-            [{"params": wide, "weight_decay": 0.02}, {"params": thin, "weight_decay": 0.0}],
+            [{"params": p, "weight_decay": 0.02 * wide, "scale": self.q.slow if slow else 1.0}
+             for (wide, slow), p in groups.items()],
             lr=self.q.rate, betas=(0.9, 0.98), fused=True)
 
     # ---- checkpoints ----
@@ -114,8 +118,10 @@ class Trainer:
             print(f"continues at step {self.step}", flush=True)
         elif self.q.stage == "appearance":
             c = torch.load(self.path("geometry"), map_location=self.q.device, weights_only=False)
-            self.net.load_state_dict(c["average"])
-            self.average.load_state_dict(c["average"])
+            geometry = {k: v for k, v in c["average"].items() if ".".join(k.split(".")[:2]) in
+                        ("encoder.aggregator", "encoder.camera_head", "encoder.depth_head")}
+            self.net.load_state_dict(geometry, strict=False)
+            self.average.load_state_dict(self.net.state_dict())
 
     def save(self) -> None:
         c = {"dims": vars(self.net.d), "model": self.net.state_dict(),
@@ -200,7 +206,7 @@ class Trainer:
         n, v, size = draw_shape(self.rng, share, self.q)
         b = scenes.batch(self.rng, n, v, size).to(self.q.device)
         for g in self.opt.param_groups:
-            g["lr"] = rate(self.step, share, self.q)
+            g["lr"] = rate(self.step, share, self.q) * g["scale"]
         loss, parts = self.forward(self.net, b, share)
         self.opt.zero_grad(set_to_none=True)
         loss.backward()
@@ -280,6 +286,7 @@ def options() -> argparse.Namespace:
     p.add_argument("--dense", type=float, default=0.5, help="share of views with depth")
     p.add_argument("--match", type=float, default=1.0, help="weight of the correspondences")
     p.add_argument("--camera", type=float, default=1.0, help="weight of the cameras")
+    p.add_argument("--slow", type=float, default=0.1, help="rate of all but the hypernetwork")
     p.add_argument("--val", type=int, default=16)
     p.add_argument("--val-size", type=int, default=168)
     p.add_argument("--val-every", type=int, default=250)
