@@ -399,7 +399,7 @@ static void what_is_known_stays(void **unused)
 static void threads_change_nothing(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(200, 381, 0.3, 15)};
+    struct job j = {.rig = room(100, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS], cams[SCENE_VIEWS];
     scene_grid(&j.rig);
     j.rig.n_views = 8;
@@ -649,7 +649,7 @@ static void every_match_wrong(void **unused)
     (void)unused;
     static const int views[] = {2, 3, 6};
     for (int k = 0; k < 3; k++) {
-        struct job j = {.rig = room(400, 381, 0, 20)};
+        struct job j = {.rig = room(250, 381, 0, 20)};
         scene_arc(&j.rig, views[k], 2.0 * views[k]);
         scene_make(&j.rig, &j.tracks);
         for (int i = 0; i < j.tracks.t.n; i++) {
