@@ -150,6 +150,13 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
     return e;
 }
 
+static err_t refuse_cameras(void)
+{
+    return err_fail(ERR_ARG,
+                    "the cameras cannot be found: the views have too few points in common; give "
+                    "--rig PATH, or put a sparse/0 folder beside the pictures");
+}
+
 static err_t without_network(const struct run *r, const struct job_config *cfg,
                              struct job_result *out)
 {
@@ -157,9 +164,7 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
     const size_t mark = arena_mark(r->keep);
     err_t e = out->views.cams ? OK : find_cameras(r, cfg, NULL, out, &b);
     if (!e && !out->views.cams && b.n_placed < 2)
-        e = err_fail(ERR_ARG,
-                     "the cameras cannot be found: the views have too few points in common; give "
-                     "--rig PATH, or put a sparse/0 folder beside the pictures");
+        e = refuse_cameras();
     if (!e && !out->views.cams)
         leave_out(&b, out);
     out->views.cams = out->scene.cams;
@@ -208,6 +213,8 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
         return OK;
     }
     err_t e = find_cameras(r, cfg, p, out, &b);
+    if (!e && cfg->cameras_only && b.n_placed < 2)
+        e = refuse_cameras();
     if (!e && looks(cfg))
         leave_out(&b, out);
     else if (!e)

@@ -38,7 +38,8 @@ exposed() { # folder exposure...: of its pictures 0.png, 1.png, ...
 scene() { # name precision arguments...
     local name=$1 precision=$2
     shift 2
-    succeed reconstruct --model "$OUT/$precision.hdrig" --refine 5 --size 56 --out "$OUT/$name" "$@"
+    succeed reconstruct --model "$OUT/$precision.hdrig" --set cameras.polish=0 \
+        --set start.stereo=0 --refine 5 --size 56 --out "$OUT/$name" "$@"
     ! grep -Eiq '[^a-z](nan|inf)[^a-z]' "$OUT/$name"/*.json "$OUT/stdout.txt" ||
         fail "$name: $(grep -Eio '.{20}[^a-z](nan|inf)[^a-z]' "$OUT/$name"/*.json | head -n 1)"
     succeed render --scene "$OUT/$name" --path orbit --frames 1 --out "$OUT/$name-orbit"
