@@ -60,9 +60,9 @@ E2E := $(wildcard tests/e2e/*.c)
 FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 
 # Threads are tested with TSan: *_tsan_test and these.
-TSAN_TESTS := pool prep response seed appearance depth gausshead modelfile
+TSAN_TESTS := pool prep response seed appearance attend depth gausshead modelfile sample
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := $(addprefix unit/,appearance arena bytes cpu depth err gausshead gaussians half \
+ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead gaussians half \
 	layer loss metrics pack pool raster sha256) \
 	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
