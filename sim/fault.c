@@ -112,9 +112,11 @@ static err_t when(const struct line *l, struct fault *out)
     err_t e = number(l, 2, 0.0, 1e9, &v);
     if (!e && !out->by_time)
         e = whole(l, 2, v);
+    if (e)
+        return e;
     out->frame = out->by_time ? 0 : (int64_t)v;
     out->time_ns = out->by_time ? (int64_t)llround(v * 1e9) : 0;
-    return e;
+    return OK;
 }
 
 /* Verb and its own word; *at is the word behind them. */
