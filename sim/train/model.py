@@ -45,7 +45,7 @@ class Dims:
     voxel: float = 0.004
     gauss: bool = True
     appearance: bool = True
-    rope_bf16: bool = False
+    rope_bf16: bool = True  # hdrig convert takes every file as trained with rounded angles
 
     def write(self, path: str) -> None:
         """As `hdrig convert --config` reads it."""
