@@ -62,8 +62,8 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance attend depth gausshead modelfile sample
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead gaussians half \
-	layer loss metrics pack pool raster sha256) \
+ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead gaussians \
+	half layer loss metrics pack pool raster sha256) \
 	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
@@ -81,11 +81,18 @@ TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 .DELETE_ON_ERROR:
 .SECONDARY:
 
-all: deps $(LIBS) $(TOOLS) $(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%))
+all: deps $(LIBS) $(TOOLS) $(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) \
+	$(if $(CROSS),,build/small.hdrig)
 
 # build/hdrig is the plain native one.
 build/hdrig build/hdrigd: build/%: build/$(V)/%
 	ln -sf $(V)/$* $@
+
+# The model that comes with the program, from the weights that training can go on from.
+MODEL := sim/train/small.safetensors
+build/small.hdrig: $(MODEL) | $(B)/hdrig
+	$(B)/hdrig convert $< --config $(MODEL:.safetensors=.json) --precision int8 --out $@ \
+	    2>build/small.log || { cat build/small.log; exit 1; }
 
 $(B)/%.o: %.c Makefile
 	@mkdir -p $(@D)
@@ -126,7 +133,7 @@ install: all
 	    { echo "no board/$(BOARD)/board.conf"; exit 1; })
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	$(if $(TOOLS),install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin)
-	install -m 644 sim/train/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
+	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
 	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
 

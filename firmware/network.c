@@ -115,7 +115,7 @@ double network_seconds(const struct network_clock *c, const char *const *names)
 bool network_shipped(char path[FILE_PATH_CAP])
 {
     static const char *const places[] = {"../share/hdrig/small.hdrig",
-                                         "../../sim/train/small.hdrig"};
+                                         "../small.hdrig"};
     char self[FILE_PATH_CAP];
     const ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
     if (n <= 0)

@@ -116,6 +116,9 @@ class Trainer:
             self.step, self.views, self.spent = c["step"], c["views"], c["spent"]
             self.log = c["log"]
             print(f"continues at step {self.step}", flush=True)
+        elif self.q.init:
+            self.net.load_state_dict(export.read_tensors(self.q.init))
+            self.average.load_state_dict(self.net.state_dict())
         elif self.q.stage == "appearance":
             c = torch.load(self.path("geometry"), map_location=self.q.device, weights_only=False)
             geometry = {k: v for k, v in c["average"].items() if ".".join(k.split(".")[:2]) in
@@ -274,6 +277,7 @@ def options() -> argparse.Namespace:
     p.add_argument("stage", choices=["geometry", "appearance"])
     p.add_argument("--out", default="/tmp/train")
     p.add_argument("--scenes", default="/tmp/train/scenes")
+    p.add_argument("--init", help=".safetensors to start from, without a checkpoint")
     p.add_argument("--dims", help="JSON with some of the dimensions", default="{}")
     p.add_argument("--minutes", type=float, default=60)
     p.add_argument("--steps", type=int, default=0, help="length of the run, instead of minutes")
