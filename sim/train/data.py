@@ -168,7 +168,7 @@ def sensor_noise(e: Tensor, g: torch.Generator, well: float = 10000.0, read: flo
 
 def draw_stops(r: np.random.Generator, v: int) -> np.ndarray:
     """One exposure for each of v views from a bracket of three around the middle."""
-    step = r.uniform(0.5, 3.0) if r.random() < 0.9 else 0.0
+    step = r.uniform(0.5, 4.5) if r.random() < 0.9 else 0.0
     choice = r.integers(-1, 2, v)
     return (choice * step + r.uniform(-1.2, 1.2)).astype(np.float32)
 
