@@ -84,6 +84,7 @@ int cmd_doctor_run(int argc, char **argv)
     static struct engine engine;
     struct config cfg;
     char have[CPU_NAMES_CAP], used[CPU_NAMES_CAP];
+    char shipped[FILE_PATH_CAP];
     const char *model = NULL;
     const struct cmd_option options[] = {{"model", "FILE",
                                           "tell what this weights file is, and check all of it",
@@ -105,6 +106,8 @@ int cmd_doctor_run(int argc, char **argv)
         printf("threads        %d\n", pool_size(engine.pool));
         printf("settings       %s, %s\n", CONFIG_DIR,
                file_is_dir(CONFIG_DIR) ? "read" : "not there: built-in values");
+        printf("small model    %s\n",
+               network_shipped(shipped) ? shipped : "not there: `make` makes build/small.hdrig");
         dl_iterate_phdr(print_library, NULL);
     }
     if (!e && model)
