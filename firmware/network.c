@@ -11,7 +11,6 @@
 #include "core/splat/turn.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -114,8 +113,7 @@ double network_seconds(const struct network_clock *c, const char *const *names)
 
 bool network_shipped(char path[FILE_PATH_CAP])
 {
-    static const char *const places[] = {"../share/hdrig/small.hdrig",
-                                         "../small.hdrig"};
+    static const char *const places[] = {"../share/hdrig/small.hdrig", "../small.hdrig"};
     char self[FILE_PATH_CAP];
     const ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
     if (n <= 0)
@@ -235,12 +233,6 @@ static err_t move(const struct place *pl)
                : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
 }
 
-static int ascending(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 /* Each view's depth at its own scale over the median one. */
 static err_t scale_depth(const struct run *r, const float *factor, struct geometry *g,
                          float *median)
@@ -251,8 +243,7 @@ static err_t scale_depth(const struct run *r, const float *factor, struct geomet
     if (e)
         return e;
     memcpy(sorted, factor, n * sizeof *sorted);
-    qsort(sorted, n, sizeof *sorted, ascending);
-    *median = sorted[n / 2];
+    *median = num_median(sorted, n);
     for (size_t i = 0; i < n; i++)
         for (size_t k = 0; k < pixels; k++)
             g->depth[i * pixels + k] *= factor[i] / *median;

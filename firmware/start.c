@@ -317,7 +317,8 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
     out->views.cams = out->scene.cams;
     if (!e && p.features) {
         e = take_gaussians(r, cfg, &p, out);
-        network_scale(&out->scene.g, scale);
+        if (!e)
+            network_scale(&out->scene.g, scale);
         job_lap(out, JOB_VOXEL);
     } else if (!e && cfg->stereo) {
         arena_reset(r->keep, mark);

@@ -1,4 +1,4 @@
-/* num.h - the smaller and the larger of two numbers. thread: any. */
+/* num.h - the smaller and the larger of two numbers, the middle of many. thread: any. */
 #ifndef BASE_NUM_H
 #define BASE_NUM_H
 
@@ -13,5 +13,8 @@ static inline size_t num_max_size(size_t a, size_t b)
 {
     return a > b ? a : b;
 }
+
+/* Upper median of n finite numbers, which are sorted; 0 if there are none. */
+float num_median(float *v, size_t n);
 
 #endif

@@ -16,7 +16,6 @@
 #include "core/splat/turn.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 enum { GATE = 4 };                              // expected errors of an inlier
@@ -83,18 +82,9 @@ static bool usable(const struct camera *start, int n)
     return n > 0;
 }
 
-static int ascending(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 static double median(float *v, int n)
 {
-    if (n < 1)
-        return 0;
-    qsort(v, (size_t)n, sizeof *v, ascending);
-    return (double)v[n / 2];
+    return (double)num_median(v, (size_t)n);
 }
 
 static double start_focal(const struct bundle *b)

@@ -2,11 +2,11 @@
  * rule that is exact for polynomials of degree 9: Gauss-Legendre in z, equal steps around. */
 #include "core/splat/turn.h"
 
+#include "core/base/num.h"
 #include "core/splat/raster.h"
 #include "core/splat/voxel.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 enum { RINGS = 5, STEPS = 10, BLOCK = 1024 };
@@ -41,12 +41,6 @@ static double distance(const struct camera *a, const struct camera *b)
                 (p[2] - q[2]) * (p[2] - q[2]));
 }
 
-static int ascending(const void *a, const void *b)
-{
-    float x = *(const float *)a, y = *(const float *)b;
-    return (x > y) - (x < y);
-}
-
 err_t turn_scale(const struct run *r, const struct camera *from, const struct camera *to,
                  int n_views, float *out)
 {
@@ -62,10 +56,8 @@ err_t turn_scale(const struct run *r, const struct camera *from, const struct ca
             if (a > 0 && b > 0 && isnormal((float)(b / a)))
                 ratio[n++] = (float)(b / a);
         }
-    if (n > 0) {
-        qsort(ratio, n, sizeof *ratio, ascending);
-        *out = ratio[n / 2];
-    }
+    if (n > 0)
+        *out = num_median(ratio, n);
     arena_reset(r->tmp, mark);
     return OK;
 }

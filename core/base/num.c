@@ -1,0 +1,17 @@
+#include "core/base/num.h"
+
+#include <stdlib.h>
+
+static int ascending(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+float num_median(float *v, size_t n)
+{
+    if (n == 0)
+        return 0;
+    qsort(v, n, sizeof *v, ascending);
+    return v[n / 2];
+}
