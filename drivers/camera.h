@@ -26,8 +26,19 @@ enum camera_format {
     CAMERA_NV12,   // Y plane, then (h/2) rows of Cb,Cr pairs, same stride
     CAMERA_MJPG,   // a JPEG file; stride 0
     CAMERA_GREY,   // 8 bits
-    CAMERA_RGGB16, // Bayer mosaic in 16-bit little-endian words, `bits` low bits used
+    CAMERA_GREY16, // 16-bit little-endian words, `bits` low bits used
+    CAMERA_RGGB16, // Bayer mosaic in such words
     CAMERA_BGGR16,
+    CAMERA_GRBG16,
+    CAMERA_GBRG16,
+    CAMERA_RGGB10P, // MIPI: 4 px in 5 bytes, bits 9..2, then the low pairs, px 0 in bits 1:0
+    CAMERA_BGGR10P,
+    CAMERA_GRBG10P,
+    CAMERA_GBRG10P,
+    CAMERA_RGGB12P, // MIPI: 2 px in 3 bytes, bits 11..4 each, then px 0 in the low nibble
+    CAMERA_BGGR12P,
+    CAMERA_GRBG12P,
+    CAMERA_GBRG12P,
     CAMERA_FORMATS
 };
 
@@ -46,13 +57,17 @@ struct exposure {
 
 enum camera_stamp { CAMERA_STAMP_START, CAMERA_STAMP_END }; // of the first row's exposure
 
+enum { CAMERA_UNIT_CAP = 128 }; // bytes with the terminating 0
+
 /* What holds from open to close. */
 struct camera_info {
-    int w, h, stride;          // px; bytes from row to row
-    enum camera_format format; // never CAMERA_ANY
-    int bits, black;           // of a mosaic: used bits, black level; else 8, 0
-    int buffers;               // frames that may be held and waiting together
-    double period_s;           // of frames whose exposure fits into it
+    char unit[CAMERA_UNIT_CAP]; // this very device, the same after replugging: with size and format
+                                // it names a calibration; printable, without spaces
+    int w, h, stride;           // px; bytes from row to row
+    enum camera_format format;  // never CAMERA_ANY
+    int bits, black;            // of a mosaic: used bits, black level; else 8, 0
+    int buffers;                // frames that may be held and waiting together
+    double period_s;            // of frames whose exposure fits into it
     double time_min_s, time_max_s;
     double time_step_s;             // exposure times are rounded down to multiples; 0 not known
     double gain_max;                // 1: cannot be changed
@@ -60,6 +75,7 @@ struct camera_info {
                                     // that shows it; -1 not known
     enum camera_stamp stamp;        // what timestamp_ns means
     bool reports;                   // frames say their exposure
+    bool limited, bt709;            // of YUV: 16..235 instead of 0..255; matrix, else BT.601
 };
 
 enum {
@@ -120,6 +136,7 @@ struct camera_ops {
     void (*release)(void *st, struct frame *f);
 };
 
+extern const struct camera_ops camera_v4l2, camera_libcamera;
 extern const struct camera_ops camera_sim, camera_replay; // in sim/, named by firmware/backends.c
 
 #endif

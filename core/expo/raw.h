@@ -1,0 +1,18 @@
+/* raw.h - the numbers of one camera frame, unpacked. */
+#ifndef EXPO_RAW_H
+#define EXPO_RAW_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum raw_cfa { RAW_MONO, RAW_RGB, RAW_RGGB, RAW_BGGR, RAW_GRBG, RAW_GBRG }; // first 2x2 by rows
+
+struct raw {
+    int w, h; // px; even for a mosaic
+    enum raw_cfa cfa;
+    int bits, black; // codes are 0 .. 2^bits - 1; the code of no light
+    bool linear;     // code - black is proportional to exposure; else codes are display values
+    uint16_t *px;    // (h, w), or (h, w, 3) for RAW_RGB; row 0 on top
+};
+
+#endif

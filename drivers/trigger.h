@@ -1,0 +1,43 @@
+/* trigger.h - what asks for a capture: a button on a GPIO line, a key, a timer. A backend is one
+ * constant table, trigger_NAME. A command on the control socket is not one of these: it has a
+ * partner who is answered (firmware/ctl.h).
+ * thread: one, the same from open to close. Only open and close block. */
+#ifndef DRIVERS_TRIGGER_H
+#define DRIVERS_TRIGGER_H
+
+#include "core/base/err.h"
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* URIs: gpio:CHIP/LINE[,edge=falling|rising][,bias=up|down|none][,debounce_ms=5]
+ *         CHIP is a path, a name or a label of a chip; LINE an offset or the name of a line.
+ *         Default: falling edge with pull-up (a button to ground).
+ *       gpiod:... the same through libgpiod, for those who need its rights or its chips
+ *       evdev:/dev/input/...[,key=CODE]   a key going down; default any key
+ *       timer:SECONDS                     every so often, 0.01 .. 1e6 */
+struct trigger_event {
+    int64_t time_ns; // CLOCK_MONOTONIC of the edge, after debouncing
+    uint32_t count;  // of edges that count, by this device, from 1 on
+    uint32_t lost;   // edges that the kernel says it lost before this one
+};
+
+struct trigger_ops {
+    const char *name; // BACKEND of the URI
+    size_t state_bytes;
+
+    /* own:  close; on error there is nothing to close.
+     * err:  ERR_ARG (URI: key and bound), ERR_LOST (no such device or line), ERR_BUSY (names the
+     *       consumer), ERR_IO (no permission: says which group or rule), ERR_UNSUPPORTED */
+    MUST_USE err_t (*open)(void *st, const char *uri);
+    void (*close)(void *st);
+    int (*fd)(const void *st); // readable when next has something to say. Constant.
+
+    /* err:  ERR_AGAIN (none), ERR_IO (one read failed), ERR_LOST (device gone: close) */
+    MUST_USE err_t (*next)(void *st, struct trigger_event *out);
+};
+
+extern const struct trigger_ops trigger_gpio, trigger_gpiod, trigger_evdev, trigger_timer;
+
+#endif

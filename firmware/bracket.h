@@ -1,0 +1,159 @@
+/* bracket.h - the bracket machine: which exposure each camera of a rig is asked for next, and which
+ * frame may be kept under which exposure. Pure: no device, no clock; time comes inside events.
+ *
+ * States, and what is true in each:
+ *   IDLE      no camera is open
+ *   ARMED     every camera streams at its base exposure
+ *   SHOOTING  a plan runs; kept frames are proven, those still missing have been asked for or will
+ *             be with the next frame of their camera
+ *   DONE      every frame of the plan is kept
+ *   FAULT     the plan was given up; kept frames are still proven; `reason` says why
+ *
+ *   IDLE     -> ARMED     arm()
+ *   ARMED    -> SHOOTING  begin()     plan valid
+ *   SHOOTING -> SHOOTING  frame()     kept, or not; next exposure requested
+ *   SHOOTING -> SHOOTING  restart()   no frames for 3 longest waits + 1 s: once per camera and set
+ *   SHOOTING -> DONE      last frame kept
+ *   SHOOTING -> FAULT     fail()      attempts spent, camera lost, cancelled
+ *   DONE, FAULT -> ARMED  arm()
+ *
+ * What a frame is, is decided by evidence (capture notes 3.2, W1..W5). From the log of requests
+ * follow the exposures that can be in force in it (delay lo..hi, gaps of sequence and of time
+ * widen this). The pixels, compared with a reference whose exposure is beyond doubt - a frame from
+ * after so long a rest that every witness must agree - and with frames kept since, pick one of
+ * them; what the device reports must agree with it. Exposures that cannot be told apart by the
+ * pixels are only accepted from rest, and marked.
+ * Pipelined: a new exposure with every frame, N + delay + 2 frames when nothing fails. After a
+ * conflict a camera holds each exposure for delay + 2 frames instead.
+ *
+ * Invariant: no frame is kept whose recorded exposure differs from the true one by more than
+ * `tolerance` (stops), unless its evidence says `unverified`.
+ * thread: any, one at a time. */
+#ifndef FIRMWARE_BRACKET_H
+#define FIRMWARE_BRACKET_H
+
+#include "drivers/camera.h"
+
+#include "core/expo/witness.h"
+
+enum { BRACKET_CAMERAS_MAX = 16, BRACKET_EXPOSURES_MAX = 9 };
+
+/* What is known about a camera: camera_info, overruled by calibration. */
+struct bracket_camera {
+    double period_s, time_min_s, time_max_s, time_step_s;
+    int delay_lo, delay_hi; // frames, 0..32; unknown: 0..8
+    enum camera_stamp stamp;
+    bool reports;
+    double tolerance; // stops: 0.10 for linear numbers or a recovered curve, else 0.30
+};
+
+/* The exposures of one camera, in the order of shooting; may repeat. n is 0 for a camera that takes
+ * no part. Stagger mode is a plan with n = 1 and another exposure per camera. */
+struct bracket_plan {
+    int n;
+    struct exposure ask[BRACKET_EXPOSURES_MAX];
+};
+
+enum bracket_proof {         // in falling strength
+    BRACKET_REPORTED,        // device, requests and pixels agree
+    BRACKET_PIXELS,          // requests and pixels agree; the device says nothing
+    BRACKET_UNVERIFIED_DARK, // from rest, device and requests agree; too dark for the pixels
+    BRACKET_UNVERIFIED_BRIGHT
+};
+
+/* What stands behind a kept frame. */
+struct bracket_evidence {
+    struct exposure asked, set, reported; // plan; as the device read it back; of the frame
+    bool reported_known, ratio_known;
+    float ratio, ratio_asked; // stops, to the frame compared with: by the pixels, by exposures
+    int places;               // that the ratio is from
+    enum bracket_proof proof;
+    uint32_t sequence;
+    int64_t timestamp_ns, start_ns, request_ns; // frame; its exposure began; request was made
+    int frames_since;                           // the request
+    int attempts;                               // frames looked at for this exposure
+    bool rested;                                // not pipelined
+};
+
+enum bracket_state { BRACKET_IDLE, BRACKET_ARMED, BRACKET_SHOOTING, BRACKET_DONE, BRACKET_FAULT };
+
+enum bracket_reason { // of a fault; bracket_sentence says it
+    BRACKET_NONE,
+    BRACKET_DEVICE_LOST,
+    BRACKET_STALLED,
+    BRACKET_INEFFECTIVE, // exposure has no, or another, effect
+    BRACKET_SCENE_CHANGED,
+    BRACKET_DISAGREES, // device reports what pixels and requests contradict
+    BRACKET_GAINS,     // digital gain or white balance move
+    BRACKET_BAD_FRAMES,
+    BRACKET_REFUSED, // the device does not take a request
+    BRACKET_CANCELLED,
+    BRACKET_REASONS
+};
+
+enum bracket_event_kind {
+    BRACKET_ARM,      // cameras stream; their base exposure is what `camera_set` says
+    BRACKET_BEGIN,    // plan
+    BRACKET_ANSWER,   // of a request: err, set
+    BRACKET_FRAME,    // frame, witness
+    BRACKET_UNUSABLE, // a frame that could not be had or read (ERR_IO, bad JPEG); frame may be NULL
+    BRACKET_LOST,     // camera gone
+    BRACKET_OPENED,   // camera streams again after a restart
+    BRACKET_TICK,
+    BRACKET_CANCEL
+};
+
+struct bracket_event {
+    enum bracket_event_kind kind;
+    int64_t now_ns; // CLOCK_MONOTONIC
+    int camera;
+    const struct bracket_plan *plan; // [cameras], of BEGIN
+    const struct frame *frame;       // pixels are not looked at
+    const struct witness *witness;
+    err_t err; // of ANSWER; OK: `set` holds
+    struct exposure set;
+};
+
+enum bracket_action_kind {
+    BRACKET_REQUEST, // ask the camera for `exposure`; answer with ANSWER before anything else
+    BRACKET_KEEP,    // copy the frame of this event as exposure `index`; evidence is in the machine
+    BRACKET_FORGET,  // all kept frames of the camera: the light changed, it starts again
+    BRACKET_RESTART  // close and open the camera, then OPENED or LOST
+};
+
+struct bracket_action {
+    enum bracket_action_kind kind;
+    int camera, index;
+    struct exposure exposure;
+};
+
+struct bracket; // about 1 MB for 16 cameras
+
+/* own: bracket_free. err: ERR_NOMEM, ERR_ARG (0 or too many cameras, fields out of range) */
+MUST_USE err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out);
+void bracket_free(struct bracket *b);
+
+/* One event; then bracket_action until it is false, before the next event.
+ * err:  ERR_ARG (a plan out of range; state is unchanged). */
+MUST_USE err_t bracket_event(struct bracket *b, const struct bracket_event *ev);
+bool bracket_action(struct bracket *b, struct bracket_action *out);
+
+enum bracket_state bracket_state(const struct bracket *b);
+enum bracket_reason bracket_reason(const struct bracket *b, int *camera);
+const char *bracket_sentence(enum bracket_reason r);
+
+/* Evidence of a kept frame; NULL if it is not kept. */
+const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index);
+
+struct bracket_progress {
+    int kept, wanted; // frames of all cameras
+    int frames;       // looked at since BEGIN, of the camera that needed most
+    int rejected, lost;
+    bool resting; // some camera is not pipelined any more
+};
+void bracket_progress(const struct bracket *b, struct bracket_progress *out);
+
+/* When a TICK is due if nothing else happens, CLOCK_MONOTONIC; INT64_MAX: never. */
+int64_t bracket_deadline(const struct bracket *b);
+
+#endif

@@ -1,0 +1,52 @@
+/* store.h - takes on disk, each complete or not there (capture notes 3.9).
+ *
+ *   STORE/counter                   the next number, replaced atomically
+ *   STORE/BOOT8-NNNNNN/             BOOT8: first 8 digits of the boot id; NNNNNN: counter
+ *     images/train_CC_EE.png|jpg    display pictures: camera CC, exposure EE; JPEG as it came
+ *     exposure.json                 name to exposure: what `hdrig reconstruct --images` reads
+ *     raw/CC_EE.bin                 bytes of the driver, unless the JPEG is them
+ *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes
+ *     manifest.json                 everything known, sizes and SHA-256 of all files; written last
+ *   STORE/aborted-BOOT8-NNNNNN/     the same for takes that were given up: raw/ and manifest only
+ *
+ * Written as .tmp-..., every file synced, then renamed with RENAME_NOREPLACE and the parent synced.
+ * thread: one; another may read. */
+#ifndef FIRMWARE_STORE_H
+#define FIRMWARE_STORE_H
+
+#include "firmware/take.h"
+
+enum { STORE_ID_CAP = 32 };
+
+struct store_config {
+    const char *path;
+    uint64_t reserve; // bytes of the file system that stay free
+    bool merge;       // write merged/
+    int keep;         // takes; the oldest finished ones beyond that are removed; 0: all
+};
+
+struct store;
+
+/* Creates the folder, removes what a crash left, checks the last takes.
+ * own:  store_close. err: ERR_IO (names path; read-only, no permission), ERR_BUSY (another process
+ *       has it), ERR_ARG, ERR_NOMEM */
+MUST_USE err_t store_open(const struct store_config *cfg, struct store **out);
+void store_close(struct store *s);
+
+/* Whether a take of that many bytes would fit.
+ * err:  ERR_LIMIT with need, free and reserve. */
+MUST_USE err_t store_room(const struct store *s, uint64_t bytes);
+
+/* Write a take and make it visible.
+ * out:  id, its folder's name.
+ * err:  ERR_LIMIT (full; nothing of it is left, older takes are), ERR_IO */
+MUST_USE err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP]);
+
+/* Names of takes, newest first; returns their number, at most cap. */
+int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap);
+
+/* Compare a take with its manifest: every file, size and hash.
+ * err:  ERR_FORMAT names the file, ERR_IO. */
+MUST_USE err_t store_verify(const char *dir);
+
+#endif

@@ -1,0 +1,51 @@
+/* take.h - one capture of a rig: the frames that were kept, as the devices gave them, with all that
+ * is known about each. Passed from session to store by pointer. */
+#ifndef FIRMWARE_TAKE_H
+#define FIRMWARE_TAKE_H
+
+#include "firmware/bracket.h"
+
+#include "core/expo/meter.h"
+
+enum { TAKE_FRAMES_MAX = BRACKET_CAMERAS_MAX * BRACKET_EXPOSURES_MAX, TAKE_TEXT = 256 };
+
+/* The same moment on three clocks, ns. */
+struct take_clocks {
+    int64_t monotonic_ns, boottime_ns, realtime_ns;
+};
+
+struct take_frame {
+    int camera, index; // of the plan
+    uint8_t *data;     // as the driver gave it
+    size_t bytes;
+    struct bracket_evidence evidence;
+    struct take_clocks start; // of its exposure
+};
+
+struct take_camera {
+    char uri[TAKE_TEXT];
+    struct camera_info info;
+    bool has_crf;
+    struct crf crf;
+};
+
+enum take_status { TAKE_COMPLETE, TAKE_ABORTED };
+
+struct take {
+    int n_cameras, n; // frames
+    struct take_camera camera[BRACKET_CAMERAS_MAX];
+    struct take_frame frame[TAKE_FRAMES_MAX]; // by camera, then index
+    enum take_status status;
+    char reason[TAKE_TEXT]; // why it was aborted; else warnings (coverage, unverified), or ""
+    struct take_clocks trigger;
+    bool clock_synced; // CLOCK_REALTIME by adjtimex
+    bool stagger, metered;
+    struct meter_result meter[BRACKET_CAMERAS_MAX]; // if metered
+    double tolerance;                               // stops, the worst of the cameras
+    double skew_s;                                  // largest between exposures of the same index
+    int frames_used, rejected;
+};
+
+void take_free(struct take *t); // frames too; accepts NULL
+
+#endif
