@@ -14,7 +14,7 @@
 
 #include "sim/fault.h"
 #include "sim/timing.h"
-#include "sim/uri.h"
+#include "drivers/uri.h"
 
 #include <stdio.h>
 

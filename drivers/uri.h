@@ -1,7 +1,7 @@
-/* uri.h - "backend:name=value,name=value": strict options of simulated devices from a table.
+/* uri.h - "backend:name=value,name=value": strict options of devices from a table.
  * thread: any. */
-#ifndef SIM_URI_H
-#define SIM_URI_H
+#ifndef DRIVERS_URI_H
+#define DRIVERS_URI_H
 
 #include "core/base/err.h"
 

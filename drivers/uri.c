@@ -1,4 +1,4 @@
-#include "sim/uri.h"
+#include "drivers/uri.h"
 
 #include <math.h>
 #include <stdbool.h>
