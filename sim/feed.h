@@ -12,9 +12,9 @@
 
 #include "drivers/camera.h"
 
+#include "drivers/uri.h"
 #include "sim/fault.h"
 #include "sim/timing.h"
-#include "drivers/uri.h"
 
 #include <stdio.h>
 
