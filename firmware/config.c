@@ -4,64 +4,148 @@
 
 #include <errno.h>
 #include <ini.h>
+#include <math.h>
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
+enum kind { WHOLE, WORD, TEXT };
+
 struct key {
-    const char *name;
-    size_t offset;                 // of an int in struct config
+    const char *name;              // of numbered ones, without the number
+    size_t offset;                 // in struct config: of an int, or of count char[CONFIG_TEXT]
     int min, max, multiple, value; // multiple: of which the value must be; value: the default,
                                    // which may lie outside
     const char *help;
+    enum kind kind;
+    const char *text; // default of a TEXT; the words of a WORD, separated by '|'
+    int count;        // 0: not numbered
 };
 
 #define FIELD(f) offsetof(struct config, f)
 
+static const char formats[] =
+    "any|rgb8|bgr8|yuyv|nv12|mjpg|grey|grey16|rggb16|bggr16|grbg16|gbrg16|"
+    "rggb10p|bggr10p|grbg10p|gbrg10p|rggb12p|bggr12p|grbg12p|gbrg12p";
+
 static const struct key keys[] = {
-    {"threads", FIELD(threads), 0, 64, 1, 0, "worker threads, 0 = one per core"},
-    {"max_memory_mb", FIELD(max_memory_mb), 64, 1048576, 1, 4000, "refuse jobs that need more, MB"},
+    {"threads", FIELD(threads), 0, 64, 1, 0, "worker threads, 0 = one per core", WHOLE, NULL, 0},
+    {"max_memory_mb", FIELD(max_memory_mb), 64, 1048576, 1, 4000, "refuse jobs that need more, MB",
+     WHOLE, NULL, 0},
     {"size", FIELD(size), 56, 1792, 14, 0,
-     "edge of the square working pictures, px; 0 = that of the model, else 448"},
-    {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers"},
-    {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none"},
+     "edge of the square working pictures, px; 0 = that of the model, else 448", WHOLE, NULL, 0},
+    {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers", WHOLE, NULL, 0},
+    {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none",
+     WHOLE, NULL, 0},
     {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,
-     "highest degree of the spherical harmonics"},
+     "highest degree of the spherical harmonics", WHOLE, NULL, 0},
     {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 200000,
-     "most Gaussians in a refined scene"},
+     "most Gaussians in a refined scene", WHOLE, NULL, 0},
     {"cameras.polish", FIELD(cameras_polish), 0, 1, 1, 1,
-     "bundle adjustment of cameras that are not known; 0 = as the network says"},
+     "bundle adjustment of cameras that are not known; 0 = as the network says", WHOLE, NULL, 0},
     {"cameras.fov_deg", FIELD(cameras_fov_deg), 0, 150, 1, 0,
-     "horizontal field of view of cameras that are not known; 0 = to be found"},
+     "horizontal field of view of cameras that are not known; 0 = to be found", WHOLE, NULL, 0},
     {"start.stereo", FIELD(start_stereo), 0, 1, 1, 1,
-     "refinement starts from 1 stereo, 0 the network's Gaussians"},
+     "refinement starts from 1 stereo, 0 the network's Gaussians", WHOLE, NULL, 0},
     {"net.float_parts", FIELD(net_float_parts), 0, 15, 1, 0,
-     "int8 parts in floats: 1 blocks, 2 attention, 4 heads, 8 special tokens"},
+     "int8 parts in floats: 1 blocks, 2 attention, 4 heads, 8 special tokens", WHOLE, NULL, 0},
+
+    {"camera.", FIELD(camera), 0, 0, 1, 0,
+     "cameras of the rig: v4l2:PATH, libcamera:ID, replay:DIR, sim:seed=N", TEXT, "",
+     CONFIG_CAMERAS},
+    {"camera.width", FIELD(camera_w), 0, 16384, 1, 0, "px; 0 = the camera's own", WHOLE, NULL, 0},
+    {"camera.height", FIELD(camera_h), 0, 16384, 1, 0, "px; 0 = the camera's own", WHOLE, NULL, 0},
+    {"camera.format", FIELD(camera_format), 0, 0, 1, 0, "of the pixels", WORD, formats, 0},
+    {"trigger.", FIELD(trigger), 0, 0, 1, 0,
+     "triggers: gpio:CHIP/LINE, gpiod:CHIP/LINE, evdev:PATH, timer:SECONDS", TEXT, "",
+     CONFIG_TRIGGERS},
+    {"trigger.lockout_ms", FIELD(trigger_lockout_ms), 0, 60000, 1, 200,
+     "presses that follow sooner are counted but not answered, ms", WHOLE, NULL, 0},
+    {"trigger.busy", FIELD(trigger_busy), 0, 0, 1, 0, "a press while a capture runs", WORD,
+     "reject|queue|coalesce", 0},
+    {"trigger.queue", FIELD(trigger_queue), 1, 16, 1, 4, "places of the queue", WHOLE, NULL, 0},
+    {"lamp", FIELD(lamp), 0, 0, 1, 0, "lamp for the eye: gpio:CHIP/LINE", TEXT, "", 0},
+    {"bracket.mode", FIELD(bracket_mode), 0, 0, 1, 0,
+     "the fewest exposures that cover the scene, or those of bracket.ev", WORD, "auto|list", 0},
+    {"bracket.ev", FIELD(bracket_ev), 0, 0, 1, 0, "exposures in stops around the middle one", TEXT,
+     "-4 0 4", 0},
+    {"bracket.middle_us", FIELD(bracket_middle_us), 0, 60000000, 1, 0,
+     "exposure of 0 stops, us; 0 = metered", WHOLE, NULL, 0},
+    {"bracket.stagger", FIELD(bracket_stagger), 0, 1, 1, 0, "1 = one exposure per camera, in turn",
+     WHOLE, NULL, 0},
+    {"bracket.snr_db", FIELD(bracket_snr_db), 6, 40, 1, 20,
+     "least signal to noise of what is covered, dB", WHOLE, NULL, 0},
+    {"bracket.skew_ms", FIELD(bracket_skew_ms), 0, 10000, 1, 0,
+     "most time between the cameras' exposures, ms; 0 = any", WHOLE, NULL, 0},
+    {"store.path", FIELD(store_path), 0, 0, 1, 0, "folder of the captures", TEXT,
+     "/var/lib/hdrig/captures", 0},
+    {"store.reserve_mb", FIELD(store_reserve_mb), 0, 1048576, 1, 500, "space that stays free, MB",
+     WHOLE, NULL, 0},
+    {"store.keep", FIELD(store_keep), 0, 1000000, 1, 0,
+     "captures that are kept, older ones are removed; 0 = all", WHOLE, NULL, 0},
+    {"store.merge", FIELD(store_merge), 0, 1, 1, 1, "1 = merge full brackets to OpenEXR", WHOLE,
+     NULL, 0},
+    {"calibration.path", FIELD(calibration_path), 0, 0, 1, 0, "folder of hdrig calibrate", TEXT,
+     "/var/lib/hdrig/calibration", 0},
+    {"results.path", FIELD(results_path), 0, 0, 1, 0, "folder of the scenes", TEXT,
+     "/var/lib/hdrig/results", 0},
+    {"job.run", FIELD(job_run), 0, 1, 1, 1, "1 = reconstruct every capture", WHOLE, NULL, 0},
+    {"control.socket", FIELD(control_socket), 0, 0, 1, 0, "where hdrig asks the daemon", TEXT,
+     "/run/hdrig/control", 0},
+    {"http.port", FIELD(http_port), 0, 65535, 1, 8080, "of the status page; 0 = none", WHOLE, NULL,
+     0},
+    {"http.address", FIELD(http_address), 0, 0, 1, 0, "that the status page is served on", TEXT,
+     "127.0.0.1", 0},
+    {"http.token", FIELD(http_token), 0, 0, 1, 0, "password of the status page", TEXT, "", 0},
 };
 
-enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100 };
+enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100, LINE_MAX_WORDS = 90 };
 
 static int *field(struct config *c, const struct key *k)
 {
     return (int *)(void *)((char *)c + k->offset);
 }
 
+static char *text_field(struct config *c, const struct key *k, int i)
+{
+    return (char *)c + k->offset + (size_t)i * CONFIG_TEXT;
+}
+
 void config_defaults(struct config *c)
 {
     memset(c, 0, sizeof *c);
-    for (int i = 0; i < N_KEYS; i++)
-        *field(c, &keys[i]) = keys[i].value;
+    for (int i = 0; i < N_KEYS; i++) {
+        if (keys[i].kind != TEXT)
+            *field(c, &keys[i]) = keys[i].value;
+        else if (!keys[i].count)
+            strcpy(text_field(c, &keys[i], 0), keys[i].text);
+    }
 }
 
-err_t config_set(struct config *c, const char *where, const char *key, const char *value)
+/* Key of that name and, of a numbered one, the place in its array. */
+static const struct key *find(const char *name, int *place)
 {
-    const struct key *k = NULL;
-    for (int i = 0; i < N_KEYS && !k; i++)
-        if (strcmp(keys[i].name, key) == 0)
-            k = &keys[i];
-    if (!k)
-        return err_fail(ERR_ARG, "%s: unknown key \"%.*s\"", where, QUOTE_MAX, key);
+    *place = 0;
+    for (int i = 0; i < N_KEYS; i++) {
+        const struct key *k = &keys[i];
+        size_t n = strlen(k->name);
+        if (!k->count && strcmp(k->name, name) == 0)
+            return k;
+        if (!k->count || strncmp(name, k->name, n) != 0 || name[n] < '1' || name[n] > '9')
+            continue;
+        char *end;
+        long number = strtol(name + n, &end, 10);
+        if (*end || number > k->count)
+            continue;
+        *place = (int)number - 1;
+        return k;
+    }
+    return NULL;
+}
+
+static err_t set_whole(struct config *c, const char *where, const struct key *k, const char *value)
+{
     char *end;
     errno = 0;
     long long n = strtoll(value, &end, 10);
@@ -76,6 +160,46 @@ err_t config_set(struct config *c, const char *where, const char *key, const cha
                         k->multiple);
     *field(c, k) = (int)n;
     return OK;
+}
+
+static err_t set_word(struct config *c, const char *where, const struct key *k, const char *value)
+{
+    size_t len = strlen(value);
+    int place = 0;
+    for (const char *w = k->text; w; place++) {
+        size_t n = strcspn(w, "|");
+        if (n == len && memcmp(w, value, n) == 0) {
+            *field(c, k) = place;
+            return OK;
+        }
+        w = w[n] ? w + n + 1 : NULL;
+    }
+    return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is none of %s", where, k->name, QUOTE_MAX, value,
+                    k->text);
+}
+
+static err_t set_text(char *field_of, const char *where, const char *key, const char *value)
+{
+    size_t len = strlen(value);
+    if (len >= CONFIG_TEXT)
+        return err_fail(ERR_ARG, "%s: %s: %zu bytes, at most %d", where, key, len, CONFIG_TEXT - 1);
+    for (size_t i = 0; i < len; i++)
+        if ((unsigned char)value[i] < ' ' || value[i] == 127)
+            return err_fail(ERR_ARG, "%s: %s: control character %d", where, key, value[i]);
+    memset(field_of, 0, CONFIG_TEXT);
+    memcpy(field_of, value, len);
+    return OK;
+}
+
+err_t config_set(struct config *c, const char *where, const char *key, const char *value)
+{
+    int place;
+    const struct key *k = find(key, &place);
+    if (!k)
+        return err_fail(ERR_ARG, "%s: unknown key \"%.*s\"", where, QUOTE_MAX, key);
+    if (k->kind == TEXT)
+        return set_text(text_field(c, k, place), where, key, value);
+    return k->kind == WORD ? set_word(c, where, k, value) : set_whole(c, where, k, value);
 }
 
 err_t config_assign(struct config *c, const char *text)
@@ -193,14 +317,100 @@ err_t config_load(struct config *c, const char *dir)
     return OK;
 }
 
-err_t config_print(const struct config *c, FILE *out)
+err_t config_stops(const char *where, const char *text, double *ev, int cap, int *n)
+{
+    const char *blank = " ,";
+    *n = 0;
+    for (text += strspn(text, blank); *text; text += strspn(text, blank)) {
+        char *end;
+        double v = strtod(text, &end);
+        size_t len = strcspn(text, blank);
+        if (end != text + len || !(fabs(v) <= CONFIG_STOPS_MAX))
+            return err_fail(ERR_ARG, "%s: \"%.*s\" is not a number in -%d..%d", where,
+                            (int)(len < QUOTE_MAX ? len : QUOTE_MAX), text, CONFIG_STOPS_MAX,
+                            CONFIG_STOPS_MAX);
+        if (*n == cap)
+            return err_fail(ERR_ARG, "%s: more than %d exposures", where, cap);
+        ev[(*n)++] = v;
+        text += len;
+    }
+    return OK;
+}
+
+static bool is_loopback(const char *address)
+{
+    return strncmp(address, "127.", 4) == 0 || strcmp(address, "::1") == 0;
+}
+
+err_t config_check_rig(const struct config *c)
+{
+    double ev[9];
+    int n;
+    for (int i = 1; i < CONFIG_CAMERAS; i++)
+        if (c->camera[i][0] && !c->camera[i - 1][0])
+            return err_fail(ERR_ARG, "camera.%d is set, but camera.%d is not", i + 1, i);
+    for (int i = 0; i < CONFIG_CAMERAS; i++)
+        for (int j = 0; j < i; j++)
+            if (c->camera[i][0] && strcmp(c->camera[i], c->camera[j]) == 0)
+                return err_fail(ERR_ARG, "camera.%d and camera.%d are both %s", j + 1, i + 1,
+                                c->camera[i]);
+    err_t e = config_stops("bracket.ev", c->bracket_ev, ev, sizeof ev / sizeof ev[0], &n);
+    if (e)
+        return e;
+    if (c->bracket_mode == CONFIG_LIST && n == 0)
+        return err_fail(ERR_ARG, "bracket.mode is list, but bracket.ev has no exposures");
+    if (c->bracket_mode == CONFIG_AUTO && c->bracket_middle_us)
+        return err_fail(ERR_ARG, "bracket.mode is auto, which has no use for bracket.middle_us");
+    if (c->http_port && !is_loopback(c->http_address) && !c->http_token[0])
+        return err_fail(ERR_ARG,
+                        "http.address %s is open to others: http.token must be set, or the address "
+                        "be 127.0.0.1",
+                        c->http_address);
+    return OK;
+}
+
+static void print_word(const struct key *k, int value, FILE *out)
+{
+    const char *chosen = "";
+    int column = 1, len = 0;
+    fprintf(out, "# %s:\n#", k->help);
+    for (const char *w = k->text; *w; w += strcspn(w, "|"), w += *w == '|', value--) {
+        int n = (int)strcspn(w, "|");
+        if (column + n > LINE_MAX_WORDS)
+            column = fprintf(out, "\n#") - 1;
+        column += fprintf(out, " %.*s", n, w);
+        if (value == 0) {
+            chosen = w;
+            len = n;
+        }
+    }
+    fprintf(out, "\n%s = %.*s\n", k->name, len, chosen);
+}
+
+static void print_key(const struct config *c, const struct key *k, FILE *out)
 {
     struct config copy = *c;
-    for (int i = 0; i < N_KEYS; i++) {
-        const struct key *k = &keys[i];
+    if (k->kind == WHOLE)
         fprintf(out, "# %s (%d..%d, default %d)\n%s = %d\n", k->help, k->min, k->max, k->value,
                 k->name, *field(&copy, k));
-    }
+    if (k->kind == WORD)
+        print_word(k, *field(&copy, k), out);
+    const char *text = text_field(&copy, k, 0);
+    if (k->kind == TEXT && !k->count)
+        fprintf(out, "# %s\n%s =%s%s\n", k->help, k->name, *text ? " " : "", text);
+    if (!k->count)
+        return;
+    fprintf(out, "# %s; %s1 .. %s%d\n", k->help, k->name, k->name, k->count);
+    for (int i = 0; i < k->count; i++)
+        if (i == 0 || *text_field(&copy, k, i))
+            fprintf(out, "%s%d =%s%s\n", k->name, i + 1, *text_field(&copy, k, i) ? " " : "",
+                    text_field(&copy, k, i));
+}
+
+err_t config_print(const struct config *c, FILE *out)
+{
+    for (int i = 0; i < N_KEYS; i++)
+        print_key(c, &keys[i], out);
     return fflush(out) || ferror(out)
                ? err_fail(ERR_IO, "config: cannot be written: %s", strerror(errno))
                : OK;

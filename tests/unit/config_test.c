@@ -1,5 +1,7 @@
 #include "firmware/config.h"
 
+#include "drivers/camera.h"
+
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -33,6 +35,8 @@ static void shipped_file_equals_the_table(void **state)
     struct config want, c;
     config_defaults(&want);
     memset(&c, 0x55, sizeof c);
+    memset(c.camera, 0, sizeof c.camera); // of these the file has only the first
+    memset(c.trigger, 0, sizeof c.trigger);
     assert_int_equal(config_read(&c, "board/common/defaults.conf"), OK);
     assert_memory_equal(&c, &want, sizeof c);
 }
@@ -176,10 +180,63 @@ static void printed_settings_read_back(void **state)
     fclose(full);
 }
 
+static void words_texts_and_numbered_keys(void **state)
+{
+    (void)state;
+    struct config c;
+    config_defaults(&c);
+    const char *text = "camera.1 = v4l2:/dev/video0,longest_ms=100\ncamera.16=sim:seed=3\n"
+                       "camera.format = rggb12p\ntrigger.busy = coalesce\nlamp =\n";
+    assert_int_equal(parse(&c, text), OK);
+    assert_string_equal(c.camera[0], "v4l2:/dev/video0,longest_ms=100");
+    assert_string_equal(c.camera[15], "sim:seed=3");
+    assert_int_equal(c.camera_format, CAMERA_RGGB12P);
+    assert_int_equal(c.trigger_busy, CONFIG_COALESCE);
+    assert_string_equal(c.lamp, "");
+    refused("trigger.busy = rejec", ERR_FORMAT,
+            "test.conf:1: trigger.busy: \"rejec\" is none of reject|queue|coalesce");
+    refused("camera.17 = a", ERR_FORMAT, "test.conf:1: unknown key \"camera.17\"");
+    refused("camera.0 = a", ERR_FORMAT, "test.conf:1: unknown key \"camera.0\"");
+    refused("camera. = a", ERR_FORMAT, "test.conf:1: unknown key \"camera.\"");
+    refused("lamp = a\x01z", ERR_FORMAT, "test.conf:1: lamp: control character 1");
+}
+
+static void contradiction(const char *text, const char *sentence)
+{
+    struct config c;
+    config_defaults(&c);
+    assert_int_equal(parse(&c, text), OK);
+    assert_int_equal(config_check_rig(&c), ERR_ARG);
+    assert_string_equal(err_text(), sentence);
+}
+
+static void contradictions_name_both_keys(void **state)
+{
+    (void)state;
+    struct config c;
+    config_defaults(&c);
+    assert_int_equal(config_check_rig(&c), OK);
+    contradiction("camera.2 = sim:seed=1", "camera.2 is set, but camera.1 is not");
+    contradiction("camera.1 = sim:\ncamera.2 = sim:", "camera.1 and camera.2 are both sim:");
+    contradiction("bracket.ev = 0 x", "bracket.ev: \"x\" is not a number in -16..16");
+    contradiction("bracket.ev = 17", "bracket.ev: \"17\" is not a number in -16..16");
+    contradiction("bracket.ev = nan", "bracket.ev: \"nan\" is not a number in -16..16");
+    contradiction("bracket.ev = 1 1 1 1 1 1 1 1 1 1", "bracket.ev: more than 9 exposures");
+    contradiction("bracket.ev =\nbracket.mode = list",
+                  "bracket.mode is list, but bracket.ev has no exposures");
+    contradiction("bracket.middle_us = 100",
+                  "bracket.mode is auto, which has no use for bracket.middle_us");
+    contradiction("http.address = 0.0.0.0",
+                  "http.address 0.0.0.0 is open to others: http.token must be set, or the address "
+                  "be 127.0.0.1");
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(shipped_file_equals_the_table),
+        cmocka_unit_test(words_texts_and_numbered_keys),
+        cmocka_unit_test(contradictions_name_both_keys),
         cmocka_unit_test(later_values_win),
         cmocka_unit_test(sentences_name_file_line_and_bound),
         cmocka_unit_test(hostile_files_are_refused),
