@@ -102,37 +102,59 @@ static err_t jpeg_error(tjhandle tj, const char *name)
     return err_fail(ERR_FORMAT, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
 }
 
-static err_t jpeg_decode(tjhandle tj, const void *bytes, size_t n, const char *name,
-                         struct image8 *out)
+/* Size of a picture that may be decoded. */
+static err_t jpeg_head(tjhandle tj, const void *bytes, size_t n, const char *name,
+                       struct image8 *out)
 {
-    int w, h, sampling, colours;
-    if (tjDecompressHeader3(tj, bytes, n, &w, &h, &sampling, &colours) != 0)
+    int sampling, colours;
+    if (tjDecompressHeader3(tj, bytes, n, &out->w, &out->h, &sampling, &colours) != 0)
         return jpeg_error(tj, name);
-    err_t e = check_size(name, (uint32_t)w, (uint32_t)h);
+    err_t e = check_size(name, (uint32_t)out->w, (uint32_t)out->h);
     if (e)
         return e;
     if (colours == TJCS_CMYK || colours == TJCS_YCCK)
         return err_fail(ERR_UNSUPPORTED,
                         "%s: JPEG: CMYK pictures are not supported, convert it to RGB", name);
-    if ((uint64_t)w * (uint64_t)h / JPEG_PX_PER_BYTE_MAX > n)
-        return err_fail(ERR_FORMAT, "%s: JPEG: %zu bytes cannot hold %d x %d px", name, n, w, h);
-    e = alloc_px(name, (uint32_t)w, (uint32_t)h, out);
-    if (e)
-        return e;
+    if ((uint64_t)out->w * (uint64_t)out->h / JPEG_PX_PER_BYTE_MAX > n)
+        return err_fail(ERR_FORMAT, "%s: JPEG: %zu bytes cannot hold %d x %d px", name, n, out->w,
+                        out->h);
+    return OK;
+}
+
+static err_t jpeg_pixels(tjhandle tj, const void *bytes, size_t n, const char *name,
+                         const struct image8 *out)
+{
     const int flags = TJFLAG_STOPONWARNING | TJFLAG_LIMITSCANS | TJFLAG_ACCURATEDCT;
-    if (tjDecompress2(tj, bytes, n, out->px, w, 0, h, TJPF_RGB, flags) != 0)
+    if (tjDecompress2(tj, bytes, n, out->px, out->w, 0, out->h, TJPF_RGB, flags) != 0)
         return jpeg_error(tj, name);
     return OK;
 }
 
+/* out->px NULL: allocated; else for a picture of out's size. */
 static err_t read_jpeg(const void *bytes, size_t n, const char *name, struct image8 *out)
 {
+    struct image8 head = {0};
     tjhandle tj = tjInitDecompress();
     if (!tj)
         return err_fail(ERR_NOMEM, "%s: no memory for the JPEG decoder", name);
-    err_t e = jpeg_decode(tj, bytes, n, name, out);
+    err_t e = jpeg_head(tj, bytes, n, name, &head);
+    if (!e && out->px && (head.w != out->w || head.h != out->h))
+        e = err_fail(ERR_FORMAT, "%s: JPEG of %d x %d px, not %d x %d", name, head.w, head.h,
+                     out->w, out->h);
+    if (!e && !out->px)
+        e = alloc_px(name, (uint32_t)head.w, (uint32_t)head.h, out);
+    if (!e)
+        e = jpeg_pixels(tj, bytes, n, name, out);
     tjDestroy(tj);
     return e;
+}
+
+err_t img_decode_jpeg(const void *bytes, size_t n, const char *name, const struct image8 *out)
+{
+    struct image8 to = *out;
+    if (!is_jpeg(bytes, n))
+        return err_fail(ERR_FORMAT, "%s: does not begin as a JPEG does", name);
+    return read_jpeg(bytes, n, name, &to);
 }
 
 err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out)
@@ -177,13 +199,17 @@ static err_t write_file(const char *path, const void *bytes, size_t n)
     return file_finish(f, path);
 }
 
-static int png_encode(spng_ctx *ctx, const struct image8 *im)
+static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
 {
     struct spng_ihdr head = {.width = (uint32_t)im->w,
                              .height = (uint32_t)im->h,
                              .bit_depth = 8,
                              .color_type = SPNG_COLOR_TYPE_TRUECOLOR};
     int code = spng_set_option(ctx, SPNG_ENCODE_TO_BUFFER, 1);
+    if (!code && fast)
+        code = spng_set_option(ctx, SPNG_IMG_COMPRESSION_LEVEL, 1);
+    if (!code && fast) // of the filters that help, the one that costs least: by measurement
+        code = spng_set_option(ctx, SPNG_FILTER_CHOICE, SPNG_FILTER_CHOICE_UP);
     if (!code)
         code = spng_set_ihdr(ctx, &head);
     if (!code)
@@ -192,27 +218,40 @@ static int png_encode(spng_ctx *ctx, const struct image8 *im)
     return code;
 }
 
-err_t img_write_png(const char *path, const struct image8 *im)
+/* own: free(*bytes). */
+static err_t encode_png(const struct image8 *im, const char *name, bool fast, void **bytes,
+                        size_t *n)
 {
+    *bytes = NULL;
     if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
-        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", path, im->w,
+        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", name, im->w,
                         im->h, im->channels);
-    err_t e;
     spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
     if (!ctx)
-        return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", path);
-    size_t n = 0;
-    unsigned char *bytes = NULL;
-    int code = png_encode(ctx, im);
+        return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", name);
+    int code = png_encode(ctx, im, fast);
     if (!code)
-        bytes = spng_get_png_buffer(ctx, &n, &code);
-    if (bytes)
-        e = write_file(path, bytes, n);
-    else
-        e = err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", path,
-                     spng_strerror(code));
-    free(bytes);
+        *bytes = spng_get_png_buffer(ctx, n, &code);
     spng_ctx_free(ctx);
+    return *bytes ? OK
+                  : err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", name,
+                             spng_strerror(code));
+}
+
+err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes, size_t *n)
+{
+    return encode_png(im, name, true, bytes, n);
+}
+
+err_t img_write_png(const char *path, const struct image8 *im)
+{
+    void *bytes;
+    size_t n;
+    err_t e = encode_png(im, path, false, &bytes, &n);
+    if (e)
+        return e;
+    e = write_file(path, bytes, n);
+    free(bytes);
     return e;
 }
 

@@ -21,12 +21,25 @@ MUST_USE err_t img_read(const char *path, struct image8 *out);
 /* As img_read, from `n` bytes in memory; `name` is for sentences. */
 MUST_USE err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out);
 
+/* Decode a JPEG of out->w x out->h px into out->px. Huffman tables that the file lacks are those of
+ * the standard, as motion JPEG wants it.
+ * err:  as img_read_mem, ERR_FORMAT also for another size */
+MUST_USE err_t img_decode_jpeg(const void *bytes, size_t n, const char *name,
+                               const struct image8 *out);
+
 /* Accepts a zeroed image. */
 void img_free(struct image8 *im);
 
 /* Write an RGB picture as PNG, synced to the disk; a file that could not be completed is removed.
  * err:  ERR_ARG (channels or shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
 MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
+
+/* Encode as PNG into memory in a tenth of the time of img_write_png, for a fifth more bytes; `name`
+ * is for sentences.
+ * own:  free(*bytes).
+ * err:  ERR_ARG (channels or shape), ERR_NOMEM. On error *bytes is NULL. */
+MUST_USE err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes,
+                                   size_t *n);
 
 /* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN
  * as 0. */
