@@ -1,15 +1,17 @@
 # make            build/hdrig and its libraries     make check   everything that needs no hardware
 # make demo       first scene, in out/latest        make test    without sanitizers and lints
 # make install    DESTDIR= PREFIX= BOARD=           make fuzz    SECONDS= for each target (clang)
+# make check-kernel   real kernel drivers in User Mode Linux, which it builds once
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
 # CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
 
 # Debian 12 packages: to build and run, and to check.
 DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
-	libopenexr-dev libcjson-dev libinih-dev libzip-dev
+	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod xz-utils
 
 PREFIX ?= /usr/local
 SECONDS ?= 60
@@ -33,7 +35,7 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
 	$(MORE) $(SANFLAGS) $(CFLAGS)
-LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lm \
+LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lgpiod -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
@@ -58,6 +60,7 @@ TESTS := $(wildcard tests/unit/*_test.c tests/kernels/*_test.c tests/golden/*_te
 FAULT := $(wildcard tests/fault/*_test.c)
 E2E := $(wildcard tests/e2e/*.c)
 FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
+KERNEL := $(filter-out tests/kernel/uvc.c,$(wildcard tests/kernel/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance attend depth gausshead modelfile sample
@@ -77,7 +80,7 @@ TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
-	tests tsan-tests arm-tests fault-tests fuzz-targets
+	tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -161,6 +164,9 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
+check-kernel: deps-kernel $(call programs,$(KERNEL))
+	@tests/kernel/run.sh $(B)/tests/kernel $(TEST)
+
 tests: $(call programs,$(TESTS) $(E2E))
 tsan-tests: $(TSAN_PROGRAMS)
 arm-tests: $(ARM_PROGRAMS)
@@ -172,6 +178,10 @@ $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 
 # What the scripts there call.
 $(B)/tests/e2e/%: $(B)/tests/e2e/%.o $(LIBS)
+	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
+
+$(B)/tests/kernel/usbcam: $(B)/tests/kernel/uvc.o
+$(B)/tests/kernel/%: $(B)/tests/kernel/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
 # malloc of the whole program, so not together with a sanitizer.
@@ -202,10 +212,12 @@ print-%: ; @echo $($*)
 # --- packages -------------------------------------------------------------------------------------
 deps: build/deps
 deps-check: build/deps-check
+deps-kernel: build/deps-kernel
 build/deps: NEED := $(DEPS)
 build/deps-check: NEED := $(DEPS_CHECK)
+build/deps-kernel: NEED := $(DEPS_KERNEL)
 
-build/deps build/deps-check: Makefile
+build/deps build/deps-check build/deps-kernel: Makefile
 	@mkdir -p build
 	@command -v dpkg-query >/dev/null || { \
 	    echo "not a Debian system, assuming that these are here: $(NEED)"; touch $@; exit 0; }; \

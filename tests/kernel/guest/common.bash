@@ -1,0 +1,38 @@
+# Sourced by the tests of this folder. A test is a script that exits with 0 if all is well; what it
+# prints may not depend on anything but virtual time. BIN has the programs of tests/kernel.
+set -euo pipefail
+
+fail() {
+    echo "FAILED: $*" >&2
+    exit 1
+}
+
+load() { # module [parameter=value]...
+    modprobe -d "$MODULES" "$@" || fail "module $1 does not load"
+}
+
+unload() {
+    modprobe -d "$MODULES" -r "$@" || fail "module $1 stays"
+}
+
+# Wait for a condition, 10 s of virtual time at most.
+await() { # what command...
+    local what=$1 i
+    shift
+    for ((i = 0; i < 1000; i++)); do
+        if "$@" 2>/dev/null; then
+            return
+        fi
+        sleep 0.01
+    done
+    fail "no $what within 10 s"
+}
+
+expect() { # what got wanted
+    [ "$2" = "$3" ] || fail "$1: got '$2', wanted '$3'"
+    echo "$1: $2"
+}
+
+between() { # what got least most
+    { [ "$2" -ge "$3" ] && [ "$2" -le "$4" ]; } || fail "$1: $2, not $3..$4"
+}
