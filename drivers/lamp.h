@@ -5,6 +5,7 @@
 #define DRIVERS_LAMP_H
 
 #include "core/base/err.h"
+#include "drivers/device.h"
 
 #include <stdint.h>
 
@@ -21,7 +22,8 @@ struct lamp;
  * own:  lamp_close, which leaves it off.
  * err:  as trigger_ops.open, ERR_NOMEM */
 MUST_USE err_t lamp_open(const char *uri, struct lamp **out);
-void lamp_close(struct lamp *l);
+MUST_USE err_t lamp_open_with(const char *uri, const struct device_sys *sys, struct lamp **out);
+void lamp_close(struct lamp *l); // accepts NULL
 
 void lamp_show(struct lamp *l, enum lamp_state s, int64_t now_ns);
 

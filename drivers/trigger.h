@@ -6,6 +6,7 @@
 #define DRIVERS_TRIGGER_H
 
 #include "core/base/err.h"
+#include "drivers/device.h"
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -13,14 +14,17 @@
 
 /* URIs: gpio:CHIP/LINE[,edge=falling|rising][,bias=up|down|none][,debounce_ms=5]
  *         CHIP is a path, a name or a label of a chip; LINE an offset or the name of a line.
- *         Default: falling edge with pull-up (a button to ground).
- *       gpiod:... the same through libgpiod, for those who need its rights or its chips
+ *         Default: falling edge with pull-up (a button to ground); pull-down for a rising one.
+ *         A line that is held down at open is no trigger. debounce_ms: 0..1000.
+ *       gpiod:... the same through libgpiod, for those who want its chips. Version 1 has no
+ *         debouncing (this program does it by the stamps) and cannot tell what was lost.
  *       evdev:/dev/input/...[,key=CODE]   a key going down; default any key
  *       timer:SECONDS                     every so often, 0.01 .. 1e6 */
 struct trigger_event {
     int64_t time_ns; // CLOCK_MONOTONIC of the edge, after debouncing
-    uint32_t count;  // of edges that count, by this device, from 1 on
-    uint32_t lost;   // edges that the kernel says it lost before this one
+    uint32_t count;  // of events of this device, from 1 on
+    uint32_t lost;   // before this one, as far as the kernel says: edges of either direction,
+                     // gaps in a key's events, expiries of a timer
 };
 
 struct trigger_ops {
@@ -37,6 +41,10 @@ struct trigger_ops {
     /* err:  ERR_AGAIN (none), ERR_IO (one read failed), ERR_LOST (device gone: close) */
     MUST_USE err_t (*next)(void *st, struct trigger_event *out);
 };
+
+/* open of gpio and evdev with other system calls. */
+MUST_USE err_t trigger_gpio_open_with(void *st, const char *uri, const struct device_sys *sys);
+MUST_USE err_t trigger_evdev_open_with(void *st, const char *uri, const struct device_sys *sys);
 
 extern const struct trigger_ops trigger_gpio, trigger_gpiod, trigger_evdev, trigger_timer;
 

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Every symbol that leaves a file starts with the file's name and '_'; for op_ISA.c, with op_.
+# Every symbol that leaves a file starts with the file's name and '_'; for op_ISA.c, with op_; for
+# the two versions of a library, with the name that both share.
 for lib in core drivers sim firmware; do
     nm -A -g --defined-only "$1/lib$lib.a" 2>/dev/null
 done | awk '
@@ -9,6 +10,7 @@ done | awk '
     sub(/\.o$/, "", file)
     prefix = file
     sub(/_(c|sse41|avx2|avx512|amx|neon|neondot|i8mm)$/, "", prefix)
+    sub(/gpiod[12]$/, "gpiod", prefix)
     seen++
     if ($NF != prefix && index($NF, prefix "_") != 1) {
         print file ".c: " $NF " does not start with " prefix "_"
