@@ -369,7 +369,7 @@ struct channel {
 
 struct writer {
     const char *path;
-    int w, h;
+    int w, h, part;
     FILE *f;
     uint64_t at; // position of f
     exr_context_t ctxt;
@@ -403,7 +403,7 @@ static exr_result_t declare_channels(struct writer *w)
 {
     exr_result_t code = EXR_ERR_SUCCESS;
     for (int i = 0; i < w->n_channels && !code; i++)
-        code = exr_add_channel(w->ctxt, PART, w->channel[i].name,
+        code = exr_add_channel(w->ctxt, w->part, w->channel[i].name,
                                w->channel[i].half ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT,
                                EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     return code;
@@ -458,17 +458,24 @@ static exr_result_t declare_camera(exr_context_t ctxt, const struct camera *c)
     return code;
 }
 
-static exr_result_t write_header(struct writer *w, const struct exrfile_extra *extra)
+/* Part w->part as every file has it. */
+static exr_result_t declare_part(struct writer *w, const char *name, exr_compression_t coding)
 {
     static const exr_attr_chromaticities_t rec709 = {0.64f, 0.33f, 0.30f,   0.60f,
                                                      0.15f, 0.06f, 0.3127f, 0.3290f};
-    exr_result_t code = exr_add_part(w->ctxt, "hdrig", EXR_STORAGE_SCANLINE, NULL);
+    exr_result_t code = exr_add_part(w->ctxt, name, EXR_STORAGE_SCANLINE, NULL);
     if (!code)
-        code = exr_initialize_required_attr_simple(w->ctxt, PART, w->w, w->h, EXR_COMPRESSION_ZIP);
+        code = exr_initialize_required_attr_simple(w->ctxt, w->part, w->w, w->h, coding);
     if (!code)
         code = declare_channels(w);
     if (!code)
-        code = exr_attr_set_chromaticities(w->ctxt, PART, "chromaticities", &rec709);
+        code = exr_attr_set_chromaticities(w->ctxt, w->part, "chromaticities", &rec709);
+    return code;
+}
+
+static exr_result_t write_header(struct writer *w, const struct exrfile_extra *extra)
+{
+    exr_result_t code = declare_part(w, "hdrig", EXR_COMPRESSION_ZIP);
     if (!code && extra->exposure_s > 0.0f)
         code = exr_attr_set_float(w->ctxt, PART, "expTime", extra->exposure_s);
     if (!code && extra->log2t)
@@ -502,10 +509,10 @@ static size_t clean_half(const float *in, size_t n, uint16_t *out)
 static exr_result_t write_block(struct writer *w, int y)
 {
     exr_chunk_info_t chunk;
-    exr_result_t code = exr_write_scanline_chunk_info(w->ctxt, PART, y, &chunk);
+    exr_result_t code = exr_write_scanline_chunk_info(w->ctxt, w->part, y, &chunk);
     if (!code)
-        code = w->pipe_open ? exr_encoding_update(w->ctxt, PART, &chunk, &w->pipe)
-                            : exr_encoding_initialize(w->ctxt, PART, &chunk, &w->pipe);
+        code = w->pipe_open ? exr_encoding_update(w->ctxt, w->part, &chunk, &w->pipe)
+                            : exr_encoding_initialize(w->ctxt, w->part, &chunk, &w->pipe);
     if (code)
         return code;
     size_t at = (size_t)y * (size_t)w->w, n = (size_t)chunk.height * (size_t)w->w;
@@ -521,41 +528,56 @@ static exr_result_t write_block(struct writer *w, int y)
         out->user_line_stride = out->bytes_per_element * w->w;
     }
     if (!w->pipe_open)
-        code = exr_encoding_choose_default_routines(w->ctxt, PART, &w->pipe);
+        code = exr_encoding_choose_default_routines(w->ctxt, w->part, &w->pipe);
     w->pipe_open = true;
-    return code ? code : exr_encoding_run(w->ctxt, PART, &w->pipe);
+    return code ? code : exr_encoding_run(w->ctxt, w->part, &w->pipe);
 }
 
+/* All of part w->part. */
 static err_t write_blocks(struct writer *w)
 {
     int32_t lines;
-    exr_result_t code = exr_get_scanlines_per_chunk(w->ctxt, PART, &lines);
+    exr_result_t code = exr_get_scanlines_per_chunk(w->ctxt, w->part, &lines);
     for (int i = 0; i < w->n_channels && !code; i++) {
         struct channel *c = &w->channel[i];
+        if (c->rows) // of the part before: all have the same blocks
+            continue;
         c->rows = calloc((size_t)lines * (size_t)w->w, c->half ? sizeof(uint16_t) : sizeof(float));
         if (!c->rows)
             return err_fail(ERR_NOMEM, "%s: no memory for %d rows of %d px", w->path, lines, w->w);
     }
     for (int y = 0; y < w->h && !code; y += lines)
         code = write_block(w, y);
+    if (w->pipe_open)
+        exr_encoding_destroy(w->ctxt, &w->pipe);
+    w->pipe_open = false;
     return code ? library_error(w->path, code) : OK;
 }
 
-static err_t write_open_file(struct writer *w, const struct exrfile_extra *extra)
+/* Start with an empty file. own: write_end. */
+static exr_result_t write_begin(struct writer *w)
 {
     exr_context_initializer_t s = settings();
     s.user_data = w;
     s.write_fn = file_write;
-    exr_result_t code = exr_start_write(&w->ctxt, w->path, EXR_WRITE_FILE_DIRECTLY, &s);
-    if (!code)
-        code = write_header(w, extra);
-    err_t e = code ? library_error(w->path, code) : write_blocks(w);
-    if (w->pipe_open)
-        exr_encoding_destroy(w->ctxt, &w->pipe);
-    code = exr_finish(&w->ctxt); // writes the table of chunks
+    return exr_start_write(&w->ctxt, w->path, EXR_WRITE_FILE_DIRECTLY, &s);
+}
+
+/* e: what went wrong before. */
+static err_t write_end(struct writer *w, err_t e)
+{
+    exr_result_t code = exr_finish(&w->ctxt); // writes the table of chunks
     for (int i = 0; i < w->n_channels; i++)
         free(w->channel[i].rows);
     return e || !code ? e : library_error(w->path, code);
+}
+
+static err_t write_open_file(struct writer *w, const struct exrfile_extra *extra)
+{
+    exr_result_t code = write_begin(w);
+    if (!code)
+        code = write_header(w, extra);
+    return write_end(w, code ? library_error(w->path, code) : write_blocks(w));
 }
 
 err_t exrfile_write(const char *path, const struct image *rgb, const struct exrfile_extra *extra,
@@ -586,4 +608,61 @@ err_t exrfile_write(const char *path, const struct image *rgb, const struct exrf
     if (saturated)
         *saturated = w.saturated;
     return file_finish(w.f, path);
+}
+
+/* ---- several parts ---- */
+
+static exr_result_t declare_attrs(struct writer *w, const struct exrfile_part *part)
+{
+    exr_result_t code = EXR_ERR_SUCCESS;
+    for (int i = 0; i < part->n_attr && !code; i++) {
+        const struct exrfile_attr *a = &part->attr[i];
+        code = a->text ? exr_attr_set_string(w->ctxt, w->part, a->name, a->text)
+                       : exr_attr_set_float(w->ctxt, w->part, a->name, a->number);
+    }
+    return code;
+}
+
+static exr_result_t write_headers(struct writer *w, const struct exrfile_parts *p)
+{
+    exr_result_t code = EXR_ERR_SUCCESS;
+    for (w->part = 0; w->part < p->n && !code; w->part++) {
+        code = declare_part(w, p->part[w->part].name, EXR_COMPRESSION_PIZ);
+        if (!code)
+            code = declare_attrs(w, &p->part[w->part]);
+    }
+    return code ? code : exr_write_header(w->ctxt);
+}
+
+static err_t write_part(struct writer *w, const struct exrfile_parts *p)
+{
+    const struct image *im;
+    err_t e = p->fill(p->ctx, w->part, &im);
+    if (e)
+        return e;
+    if (!im->px || im->channels < COLOURS || im->w != w->w || im->h != w->h)
+        return err_fail(ERR_ARG, "%s: EXR: part %s is %d x %d of %d channels instead of %d x %d",
+                        w->path, p->part[w->part].name, im->w, im->h, im->channels, w->w, w->h);
+    size_t plane = (size_t)w->w * (size_t)w->h;
+    for (int i = 0; i < COLOURS; i++) // B, G, R
+        w->channel[i].px = im->px + (size_t)(COLOURS - 1 - i) * plane;
+    return write_blocks(w);
+}
+
+err_t exrfile_put_parts(FILE *f, const char *name, const struct exrfile_parts *p)
+{
+    struct writer w = {.path = name, .w = p->w, .h = p->h, .f = f, .n_channels = COLOURS};
+    if (p->n < 1 || p->w < 1 || p->h < 1 || p->w > EXRFILE_SIDE_MAX || p->h > EXRFILE_SIDE_MAX)
+        return err_fail(ERR_ARG, "%s: EXR: %d parts of %d x %d px, allowed are 1 to %d a side",
+                        name, p->n, p->w, p->h, EXRFILE_SIDE_MAX);
+    w.channel[0] = (struct channel){"B", NULL, true, NULL};
+    w.channel[1] = (struct channel){"G", NULL, true, NULL};
+    w.channel[2] = (struct channel){"R", NULL, true, NULL};
+    exr_result_t code = write_begin(&w);
+    if (!code)
+        code = write_headers(&w, p);
+    err_t e = code ? library_error(name, code) : OK;
+    for (w.part = 0; w.part < p->n && !e; w.part++)
+        e = write_part(&w, p);
+    return write_end(&w, e);
 }

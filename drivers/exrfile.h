@@ -7,6 +7,8 @@
 
 #include "core/types.h"
 
+#include <stdio.h>
+
 enum { EXRFILE_SIDE_MAX = 16384, EXRFILE_PX_MAX = 1 << 28, EXRFILE_BYTES_MAX = 1 << 30 };
 
 /* What may go into the file beside R, G and B; a zeroed struct adds nothing. */
@@ -30,6 +32,33 @@ struct exrfile_extra {
  * err:        ERR_ARG (shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
 MUST_USE err_t exrfile_write(const char *path, const struct image *rgb,
                              const struct exrfile_extra *extra, size_t *saturated);
+
+/* An attribute: a text, or a number if `text` is NULL. */
+struct exrfile_attr {
+    const char *name, *text;
+    float number;
+};
+
+/* One picture of several in a file. */
+struct exrfile_part {
+    const char *name; // no two alike
+    const struct exrfile_attr *attr;
+    int n_attr;
+};
+
+/* What a file of several parts holds: all of one size, R, G and B as half. */
+struct exrfile_parts {
+    int n, w, h;
+    const struct exrfile_part *part; // [n]
+    /* Pixels of part i, at least 3 channels; valid until the next call. */
+    err_t (*fill)(void *ctx, int i, const struct image **out);
+    void *ctx;
+};
+
+/* Write a scanline file of several parts in their order to a stream that can seek, in PIZ, with
+ * Rec. 709 chromaticities; values as in exrfile_write. `name` is for sentences.
+ * err:  ERR_ARG (shape), ERR_NOMEM, ERR_IO (the stream: it knows the reason), those of fill. */
+MUST_USE err_t exrfile_put_parts(FILE *f, const char *name, const struct exrfile_parts *p);
 
 /* Read R, G and B (half, float or uint) of the first part; a file with only Y becomes grey.
  * Scanline or tiled (the full resolution), uncompressed, RLE, ZIP, ZIPS, PIZ or PXR24.

@@ -17,6 +17,8 @@
 
 #include <cmocka.h>
 
+#include <OpenEXR/openexr.h>
+
 enum { W = 21, H = 19, N = W * H };
 
 static float stored(int c, int i)
@@ -262,6 +264,114 @@ static void attributes(void **state)
     free(p);
 }
 
+/* ---- several parts, read back by the library ---- */
+
+struct three {
+    struct image im;
+    float value[3]; // of the parts
+    int asked;
+};
+
+static err_t fill_part(void *ctx, int i, const struct image **out)
+{
+    struct three *t = ctx;
+    if (i != t->asked++)
+        return err_fail(ERR_ARG, "part %d out of turn", i);
+    for (int k = 0; k < 3 * W * H; k++)
+        t->im.px[k] = t->value[i] * (float)(k % 64);
+    t->im.px[5] = NAN;
+    *out = &t->im;
+    return OK;
+}
+
+/* Channel `name` of a part, converted to float by the library. */
+static void library_plane(exr_context_t f, int part, const char *name, float *out)
+{
+    int32_t lines;
+    assert_int_equal(exr_get_scanlines_per_chunk(f, part, &lines), 0);
+    for (int y = 0; y < H; y += lines) {
+        exr_chunk_info_t chunk;
+        exr_decode_pipeline_t pipe;
+        assert_int_equal(exr_read_scanline_chunk_info(f, part, y, &chunk), 0);
+        assert_int_equal(exr_decoding_initialize(f, part, &chunk, &pipe), 0);
+        static float rest[3][W * H]; // the library wants a place for every channel
+        for (int c = 0; c < pipe.channel_count; c++) {
+            bool mine = strcmp(pipe.channels[c].channel_name, name) == 0;
+            pipe.channels[c].decode_to_ptr = (uint8_t *)(mine ? out + y * W : rest[c]);
+            pipe.channels[c].user_bytes_per_element = 4;
+            pipe.channels[c].user_data_type = EXR_PIXEL_FLOAT;
+            pipe.channels[c].user_pixel_stride = 4;
+            pipe.channels[c].user_line_stride = 4 * W;
+        }
+        assert_int_equal(exr_decoding_choose_default_routines(f, part, &pipe), 0);
+        assert_int_equal(exr_decoding_run(f, part, &pipe), 0);
+        exr_decoding_destroy(f, &pipe);
+    }
+}
+
+static void check_part(exr_context_t f, int part, float value)
+{
+    static const char *const names[3] = {"merged", "e00", "e01"}, *const rgb[3] = {"R", "G", "B"};
+    static float plane[W * H];
+    const char *got;
+    float number;
+    int32_t length;
+    assert_int_equal(exr_get_name(f, part, &got), 0);
+    assert_string_equal(got, names[part]);
+    assert_int_equal(exr_attr_get_float(f, part, "expTime", &number), 0);
+    assert_true(number == value);
+    assert_int_equal(exr_attr_get_string(f, part, "capDate", &length, &got), 0);
+    assert_string_equal(got, "2026:01:02 03:04:05");
+    for (int c = 0; c < 3; c++) {
+        library_plane(f, part, rgb[c], plane);
+        for (int i = 0; i < W * H; i++)
+            if (plane[i] != (c == 0 && i == 5 ? 0.0f : value * (float)((c * W * H + i) % 64)))
+                fail_msg("part %d, %s, pixel %d: %g", part, rgb[c], i, (double)plane[i]);
+    }
+}
+
+static void several_parts(void **state)
+{
+    (void)state;
+    struct three t = {.value = {1.0f, 0.25f, 4.0f}};
+    struct exrfile_attr attr[3][2] = {
+        {{"expTime", NULL, 1.0f}, {"capDate", "2026:01:02 03:04:05", 0}},
+        {{"expTime", NULL, 0.25f}, {"capDate", "2026:01:02 03:04:05", 0}},
+        {{"expTime", NULL, 4.0f}, {"capDate", "2026:01:02 03:04:05", 0}}};
+    const struct exrfile_part part[3] = {
+        {"merged", attr[0], 2}, {"e00", attr[1], 2}, {"e01", attr[2], 2}};
+    struct exrfile_parts p = {3, W, H, part, fill_part, &t};
+    const char *path = tmpdir_path("parts.exr");
+    FILE *f = fopen(path, "wb");
+    fill(&t.im, W, H);
+    assert_int_equal(exrfile_put_parts(f, path, &p), OK);
+    fclose(f);
+    assert_int_equal(t.asked, 3);
+    exr_context_t x;
+    exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
+    int n;
+    assert_int_equal(exr_start_read(&x, path, &init), 0);
+    assert_int_equal(exr_get_count(x, &n), 0);
+    assert_int_equal(n, 3);
+    for (int i = 0; i < n; i++)
+        check_part(x, i, t.value[i]);
+    exr_finish(&x);
+    struct image first;
+    assert_int_equal(exrfile_read(path, &first), OK);
+    assert_true(first.px[7] == 7.0f);
+    exrfile_free(&first);
+    p.w = W - 1;
+    t.asked = 0;
+    f = fopen(path, "wb");
+    says(exrfile_put_parts(f, path, &p), ERR_ARG, "part merged is 21 x 19");
+    fclose(f);
+    f = fopen("/dev/full", "wb");
+    p.w = W;
+    t.asked = 0;
+    assert_true(exrfile_put_parts(f, "full", &p) != OK || fflush(f) != 0);
+    fclose(f);
+}
+
 static void writing_fails_cleanly(void **state)
 {
     (void)state;
@@ -312,6 +422,7 @@ int main(void)
         cmocka_unit_test(round_trip),
         cmocka_unit_test(values_out_of_range),
         cmocka_unit_test(attributes),
+        cmocka_unit_test(several_parts),
         cmocka_unit_test(writing_fails_cleanly),
     };
     return cmocka_run_group_tests(tests, setup, teardown);

@@ -226,8 +226,16 @@ static void png_round_trip(void **state)
     assert_true(back.w == W && back.h == H);
     assert_memory_equal(back.px, im.px, 3 * W * H);
     img_free(&back);
+    void *bytes;
+    size_t n;
+    assert_int_equal(img_encode_png_fast(&im, "fast", &bytes, &n), OK);
+    assert_int_equal(img_read_mem(bytes, n, "fast", &back), OK);
+    assert_memory_equal(back.px, im.px, 3 * W * H);
+    img_free(&back);
+    free(bytes);
     im.channels = 4;
     says(img_write_png(path, &im), ERR_ARG, "4 channels");
+    says(img_encode_png_fast(&im, "fast", &bytes, &n), ERR_ARG, "fast: no RGB picture");
     img_free(&im);
 }
 
