@@ -8,7 +8,8 @@
 
 # Debian 12 packages: to build and run, and to check.
 DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
-	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev
+	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev \
+	libmicrohttpd-dev libsystemd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod xz-utils
@@ -35,7 +36,7 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
 	$(MORE) $(SANFLAGS) $(CFLAGS)
-LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lgpiod -lm \
+LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lmicrohttpd -lsystemd -lgpiod -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
@@ -111,6 +112,7 @@ $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/config.o: MORE = -Wconversion
+$(B)/firmware/http.o: $(wildcard firmware/page.*)
 
 $(B)/libcore.a: $(call objects,$(CORE))
 $(B)/libdrivers.a: $(call objects,$(DRIVERS))

@@ -19,6 +19,8 @@ BEGIN {
     wrapper["^linux/gpio\\.h$"] = "^drivers/gpio\\.c$"
     wrapper["^linux/input\\.h$"] = "^drivers/trigger_evdev\\.c$"
     wrapper["^zip\\.h$"] = "^drivers/checkpoint\\.c$"
+    wrapper["^microhttpd\\.h$"] = "^firmware/http\\.c$"
+    wrapper["^systemd/"] = "^firmware/daemon\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/config\\.c$"
     wrapper["^cmocka\\.h$"] = "^$"
 }
