@@ -1,0 +1,129 @@
+"use strict";
+
+const byId = (id) => document.getElementById(id);
+
+function element(name, text, className) {
+  const e = document.createElement(name);
+  if (text !== undefined) e.textContent = text;
+  if (className) e.className = className;
+  return e;
+}
+
+function seconds(s) {
+  if (s < 1e-3) return (s * 1e6).toPrecision(3) + " us";
+  return s < 1 ? (s * 1e3).toPrecision(3) + " ms" : s.toPrecision(3) + " s";
+}
+
+const percent = (x) => (100 * x).toPrecision(2) + " %";
+
+function drawHistogram(canvas, counts) {
+  const g = canvas.getContext("2d");
+  const top = Math.max(1, ...counts.map((n) => Math.sqrt(n)));
+  canvas.width = counts.length * 4;
+  canvas.height = 48;
+  counts.forEach((n, i) => {
+    const h = (48 * Math.sqrt(n)) / top;
+    g.fillStyle = i === counts.length - 1 ? "#c2371d" : "#1668c7";
+    g.fillRect(i * 4, 48 - h, 3, h);
+  });
+}
+
+function cameraCard(c) {
+  const card = element("div", undefined, "card");
+  card.append(element("h3", c.unit || c.uri));
+  card.append(element("p", `${c.width} x ${c.height} ${c.format}`, "small"));
+  const canvas = element("canvas");
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", "histogram of the last picture");
+  drawHistogram(canvas, c.histogram);
+  card.append(canvas);
+  card.append(element("p", c.present
+    ? `${seconds(c.exposure_s)}, clipped ${percent(c.clipped)}, dark ${percent(c.dark)}`
+    : "not there", "small"));
+  return card;
+}
+
+function captureCard(c) {
+  const card = element("div", undefined, c.complete ? "card" : "card aborted");
+  card.append(element("h3", c.id));
+  const stops = c.stops ? `, scene ${c.stops.toFixed(1)} stops` : "";
+  card.append(element("p", `${c.frames} frames of ${c.cameras} cameras${stops}`, "small"));
+  if (c.clipped !== undefined)
+    card.append(element("p", `clipped in all ${percent(c.clipped)}, dark in all ${percent(c.dark)}`, "small"));
+  if (c.reason) card.append(element("p", c.reason, "small"));
+  const links = element("p", undefined, "small");
+  const link = (text, href) => {
+    const a = element("a", text);
+    a.href = href;
+    links.append(a, " ");
+  };
+  link("manifest", `/captures/${c.id}/manifest.json`);
+  if (c.result) {
+    link("report", `/results/${c.id}/report.json`);
+    link("scene.ply", `/results/${c.id}/scene.ply`);
+  }
+  card.append(links);
+  for (const name of c.images || []) {
+    const img = element("img");
+    img.src = `/captures/${c.id}/images/${name}`;
+    img.alt = name;
+    img.loading = "lazy";
+    card.append(img);
+  }
+  return card;
+}
+
+function show(s) {
+  const state = byId("state");
+  state.textContent = s.state;
+  state.className = "state " + (s.state === "armed" ? "armed" : s.state === "lost" ? "fault" : "busy");
+  byId("sentence").textContent = s.sentence;
+  const busy = s.state === "metering" || s.state === "shooting" || s.state === "ready";
+  byId("capture").disabled = s.state !== "armed";
+  byId("cancel").hidden = !busy && !s.job.running;
+  byId("progress").hidden = !busy;
+  byId("progress").value = s.progress.wanted ? s.progress.kept / s.progress.wanted : 0;
+  byId("cameras").replaceChildren(...s.cameras.map(cameraCard));
+  const job = s.job;
+  byId("job").textContent = job.running
+    ? `${job.id}: ${job.line}` + (job.waiting ? `, ${job.waiting} wait` : "")
+    : job.last ? `${job.last_id}: ${job.last}. ${job.last_line}` : "none yet";
+  const key = JSON.stringify(s.captures);
+  if (key !== show.key) { // pictures are not loaded again for nothing
+    byId("captures").replaceChildren(...s.captures.map(captureCard));
+    show.key = key;
+  }
+  byId("counters").replaceChildren(...Object.entries(s.counters).map(([name, n]) => {
+    const row = element("tr");
+    row.append(element("td", name.replaceAll("_", " ")), element("td", n));
+    return row;
+  }));
+}
+
+async function refresh() {
+  try {
+    const r = await fetch("/status.json");
+    if (r.status === 401) return void location.reload();
+    show(await r.json());
+    if (refresh.broken) byId("message").textContent = "";
+    refresh.broken = false;
+  } catch (e) {
+    byId("state").textContent = "no answer";
+    byId("state").className = "state fault";
+    byId("message").textContent = "the daemon does not answer";
+    byId("capture").disabled = true;
+    refresh.broken = true;
+  }
+}
+
+async function post(path) {
+  const r = await fetch(path, { method: "POST", headers: { "X-Hdrig": "1" } });
+  const answer = await r.json();
+  byId("message").textContent = answer.ok ? "" : answer.error;
+  refresh();
+}
+
+byId("capture").addEventListener("click", () => post("/capture"));
+byId("cancel").addEventListener("click", () => post("/cancel"));
+refresh();
+setInterval(refresh, 1000);
