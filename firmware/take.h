@@ -46,6 +46,13 @@ struct take {
     int frames_used, rejected;
 };
 
+/* The linear exposure that is recorded for a frame, time x gain, s: what the device reports of it,
+ * else what it read back when asked. */
+double take_exposure_s(const struct take_frame *f);
+
+/* Word of a format: "mjpg", "rggb10p"; NULL if there is no such format. */
+const char *take_format(enum camera_format f);
+
 void take_free(struct take *t); // frames too; accepts NULL
 
 #endif
