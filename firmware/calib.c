@@ -151,6 +151,17 @@ static err_t same(const struct reader *r, enum key k, const char *value)
                     keys[k].name, QUOTE, value, want);
 }
 
+/* Without blanks around it. */
+static char *trim(char *s)
+{
+    s += strspn(s, " \t");
+    size_t n = strlen(s);
+    while (n > 0 && (s[n - 1] == ' ' || s[n - 1] == '\t' || s[n - 1] == '\r'))
+        n--;
+    s[n] = 0;
+    return s;
+}
+
 static err_t assign(struct reader *r, const char *name, char *value)
 {
     int k = 0;
@@ -172,17 +183,6 @@ static err_t assign(struct reader *r, const char *name, char *value)
         e = err_fail(ERR_FORMAT, "%s:%d: %s: \"%.*s\" after the number", r->what, r->line, name,
                      QUOTE, value);
     return e;
-}
-
-/* Without blanks around it. */
-static char *trim(char *s)
-{
-    s += strspn(s, " \t");
-    size_t n = strlen(s);
-    while (n > 0 && (s[n - 1] == ' ' || s[n - 1] == '\t' || s[n - 1] == '\r'))
-        n--;
-    s[n] = 0;
-    return s;
 }
 
 static err_t take_line(struct reader *r, char *line)
