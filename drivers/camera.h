@@ -89,10 +89,11 @@ struct frame {
     size_t bytes;     // valid ones; those beyond are from some older frame
     int w, h, stride; // px, bytes; of this frame: compare with camera_info
     enum camera_format format;
-    uint32_t sequence;    // counts frames, also lost ones; some devices get this wrong
-    int64_t timestamp_ns; // CLOCK_MONOTONIC if the device is right; see camera_info.stamp
-    unsigned flags;       // FRAME_*
-    bool exposure_known;  // the device says what this frame was exposed with:
+    uint32_t sequence; // counts frames, also lost ones; some devices get this wrong
+    int64_t
+        timestamp_ns; // CLOCK_MONOTONIC if the device is right; see camera_info.stamp; 0: not known
+    unsigned flags;   // FRAME_*
+    bool exposure_known; // the device says what this frame was exposed with:
     struct exposure exposure;
     bool gains_known; // the device says what it multiplied the pixels with:
     double digital_gain, red_gain, blue_gain;

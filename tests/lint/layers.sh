@@ -22,6 +22,7 @@ BEGIN {
     wrapper["^microhttpd\\.h$"] = "^firmware/http\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/config\\.c$"
+    wrapper["^linux/(videodev2|v4l2-|media)"] = "^drivers/(camera_v4l2|v4l2_[a-z]+)\\.c$"
     wrapper["^cmocka\\.h$"] = "^$"
 }
 FNR == 1 {
