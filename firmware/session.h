@@ -56,6 +56,9 @@ void session_close(struct session *s); // accepts NULL
 
 enum session_state session_state(const struct session *s);
 
+/* The most bytes that a take of that order may need on disk. */
+uint64_t session_bytes(const struct session *s, const struct session_order *o);
+
 /* Sentence for the user: what it does or waits for. */
 const char *session_status(const struct session *s);
 
@@ -86,13 +89,14 @@ void session_cancel(struct session *s, const char *reason);
  * own:  take_free. err: ERR_AGAIN */
 MUST_USE err_t session_collect(struct session *s, struct take **out);
 
-/* The last frame of a camera as a small grey histogram and picture for the status page: any frame,
- * also while armed. */
+enum { SESSION_BINS = 64 };
+
+/* What a camera sees now, for the status page: the newest frame, looked at once a second. */
 struct session_view {
-    int64_t timestamp_ns;
-    struct exposure exposure; // as set
-    uint32_t histogram[64];   // of display values
-    float clipped, dark;      // shares
+    bool present;
+    struct exposure exposure;         // as set
+    uint32_t histogram[SESSION_BINS]; // of display values
+    float clipped, dark;              // shares
 };
 void session_view(const struct session *s, int camera, struct session_view *out);
 

@@ -1,0 +1,30 @@
+/* summary.h - a stored take in a few words, read from its manifest.
+ * thread: any. */
+#ifndef FIRMWARE_SUMMARY_H
+#define FIRMWARE_SUMMARY_H
+
+#include "firmware/store.h"
+
+#include <stdbool.h>
+#include <stdio.h>
+
+enum { SUMMARY_IMAGES = 3 };
+
+struct summary {
+    char id[STORE_ID_CAP];
+    bool complete;
+    int frames, cameras;
+    double stops;         // of the scene; 0: not metered
+    double clipped, dark; // shares, worst camera; -1: not known
+    char reason[TAKE_TEXT];
+    int n_images;
+    char image[SUMMARY_IMAGES][32]; // of the first camera: names in images/
+};
+
+/* err: ERR_IO, ERR_FORMAT */
+MUST_USE err_t summary_read(const char *store, const char *id, struct summary *out);
+
+/* As a JSON object; `result`: there is a scene. */
+void summary_write(const struct summary *s, bool result, FILE *out);
+
+#endif
