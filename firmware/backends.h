@@ -6,12 +6,9 @@
 #include "drivers/camera.h"
 #include "drivers/trigger.h"
 
-/* The backend that a URI names before its first ':'; NULL if there is none. */
-const struct camera_ops *backends_camera(const char *uri);
-const struct trigger_ops *backends_trigger(const char *uri);
-
-/* Names, separated by blanks, for sentences and doctor. */
-const char *backends_cameras(void);
-const char *backends_triggers(void);
+/* The backend that a URI names before its first ':'.
+ * err:  ERR_ARG lists those that there are. */
+MUST_USE err_t backends_camera(const char *uri, const struct camera_ops **out);
+MUST_USE err_t backends_trigger(const char *uri, const struct trigger_ops **out);
 
 #endif

@@ -643,10 +643,9 @@ static err_t open_sources(struct daemon *d)
         s->uri = d->set->trigger[i];
         if (!*s->uri)
             continue;
-        s->ops = backends_trigger(s->uri);
-        if (!s->ops)
-            return err_fail(ERR_ARG, "trigger.%d: %s: there is no such kind of trigger", i + 1,
-                            s->uri);
+        err_t e = backends_trigger(s->uri, &s->ops);
+        if (e)
+            return e;
         s->st = malloc(s->ops->state_bytes);
         if (!s->st)
             return err_fail(ERR_NOMEM, "trigger.%d: no memory", i + 1);
