@@ -178,6 +178,10 @@ fuzz-targets: $(call programs,$(FUZZ))
 $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
 
+# Each plays one version of the library.
+$(B)/tests/unit/trigger_gpiod1_test.o: MORE = -Itests/unit/fakegpiod1
+$(B)/tests/unit/trigger_gpiod2_test.o: MORE = -Itests/unit/fakegpiod2
+
 # What the scripts there call.
 $(B)/tests/e2e/%: $(B)/tests/e2e/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
