@@ -430,6 +430,8 @@ static void test_keys(void **state)
     assert_int_equal(key_event(st, 1000250000, 1, 0), OK);
     assert_int_equal(key_event(st, 4000250000, 2, 0), OK);
     assert_int_equal(key_event(st, 5000250000, 3, 1), OK);
+    type(6, EV_KEY, KEY_A, 1);
+    assert_int_equal(key_event(st, 6000250000, 4, 0), OK);
     assert_int_equal(key_event(st, 0, 0, 0), ERR_AGAIN);
     assert_false(readable(trigger_evdev.fd(st)));
     input.read_errno = ENODEV;
