@@ -79,8 +79,15 @@ static err_t apply(const struct cmd_usage *u, int c, const char *arg, struct con
     if (c < OPT_FIRST)
         return OK;
     const struct cmd_option *o = &u->options[c - OPT_FIRST];
-    if (o->text)
-        *o->text = arg;
+    if (o->text) {
+        bool many = strstr(o->arg, "...") != NULL;
+        int i = 0;
+        while (many && i < CMD_TEXTS_MAX && o->text[i])
+            i++;
+        if (i == CMD_TEXTS_MAX)
+            return err_fail(ERR_ARG, "--%s: more than %d", o->name, CMD_TEXTS_MAX);
+        o->text[i] = arg;
+    }
     if (o->flag)
         *o->flag = true;
     if (!o->key)

@@ -15,9 +15,12 @@
 
 enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUPTED = 130 };
 
+enum { CMD_TEXTS_MAX = 16 };
+
 /* One option of a command line. Exactly one of key, text and flag says where it goes. */
 struct cmd_option {
-    const char *name, *arg; // arg: its word in the help, NULL for a switch
+    const char *name, *arg; // arg: its word in the help, NULL for a switch; "URI...": may come
+                            // CMD_TEXTS_MAX times, and `text` is an array of so many, NULL at first
     const char *help;
     const char *key;   // setting of config.h
     const char **text; // receives the argument
@@ -112,6 +115,9 @@ int cmd_render_run(int argc, char **argv);
 int cmd_eval_run(int argc, char **argv);
 int cmd_convert_run(int argc, char **argv);
 int cmd_simulate_run(int argc, char **argv);
+int cmd_capture_run(int argc, char **argv);
+int cmd_status_run(int argc, char **argv);
+int cmd_cancel_run(int argc, char **argv);
 int cmd_bench_run(int argc, char **argv);
 int cmd_doctor_run(int argc, char **argv);
 int cmd_config_run(int argc, char **argv);
