@@ -1,5 +1,7 @@
 /* meter.h - the fewest exposures that cover a scene (capture notes 4): histogram of log2 radiance
- * from probes, greedy cover of its occupied bins, choice of shift, coverage afterwards.
+ * from probes, least cover of its occupied bins, choice of shift, coverage afterwards.
+ * A pixel is covered if one frame has it below `headroom` and the frames that have it so merge to
+ * at least `snr`.
  * Radiance is relative: 1 saturates the sensor in 1 s at gain 1.
  * Pure; any thread. */
 #ifndef EXPO_METER_H
@@ -8,7 +10,7 @@
 #include "core/expo/crf.h"
 #include "core/expo/raw.h"
 
-enum { METER_EXPOSURES_MAX = 9, METER_BINS = 160, METER_PER_STOP = 4 };
+enum { METER_EXPOSURES_MAX = 9, METER_BINS = 320, METER_PER_STOP = 8 };
 
 /* The sensor and what is wanted. Zero fields get defaults from meter_defaults. */
 struct meter_config {
@@ -18,7 +20,7 @@ struct meter_config {
     double clip;       // share of pixels that may be clipped in all exposures
     double dark;       // share that may be below snr in all
     double headroom;   // top of the usable range, of saturation
-    double overlap;    // stops, of neighbouring exposures
+    double overlap;    // stops, of neighbouring exposures, where that costs no further one
     double time_min_s, time_max_s, time_step_s; // step 0: any
     double blur_s;                              // no exposure longer than this; 0: no limit
     double budget_s;                            // sum of times; 0: no limit
@@ -36,18 +38,20 @@ struct meter {
     int probes;
     double probe_s[METER_EXPOSURES_MAX];
     bool clipped, starved; // by the shortest probe; by the longest
+    double bin_lo;         // log2 radiance of the lower edge of bin 0
     /* fields below are meter.c's own */
-    float bin_lo; // log2 radiance of bin 0
-    double seen[METER_BINS];
+    double lo, hi, floor; // log2 of relative exposure: usable from, to; seen at all from
+    float share[METER_EXPOSURES_MAX][2][METER_BINS]; // of each probe: strongest, weakest channel
 };
 
 /* err: ERR_ARG names field and bound. */
 MUST_USE err_t meter_begin(const struct meter_config *cfg, struct meter *m);
 
-/* The next probe, or 0 when enough is known (two or three). */
+/* The time of the next probe at gain 1, s, or 0 when enough is known (after one to three). */
 double meter_probe(const struct meter *m);
 
-/* A probe's pixels; exposure is time x gain. crf NULL: sRGB for display values. */
+/* A probe's pixels; exposure is time x gain. crf NULL: sRGB for display values; the same for all
+ * probes. */
 void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, double exposure_s);
 
 struct meter_result {
