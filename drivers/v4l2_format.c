@@ -1,6 +1,6 @@
 /* What the driver answers is compared with what was asked: VIDIOC_S_FMT adjusts where it could
- * refuse. Sizes and strides of the answer are bounded here; what a buffer really holds is checked with
- * every frame. */
+ * refuse. Sizes and strides of the answer are bounded here; what a buffer really holds is checked
+ * with every frame. */
 #include "drivers/v4l2_format.h"
 
 #include <errno.h>

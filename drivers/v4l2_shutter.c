@@ -357,7 +357,9 @@ err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, dou
     if (!e && c->least > c->most)
         e = err_fail(ERR_UNSUPPORTED, "%s: exposures of %lld..%lld times %.1f us make no range",
                      c->node.path, (long long)c->least, (long long)c->most, c->unit_s * 1e6);
-    return e ? e : write_codes(c, fit(r.usual, c->least, c->most, c->step), c->gain);
+    if (!e)
+        e = write_codes(c, fit(r.usual, c->least, c->most, c->step), c->gain);
+    return e == ERR_ARG ? err_fail(ERR_UNSUPPORTED, "%s", err_text()) : e; // nobody asked for it
 }
 
 err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
@@ -382,7 +384,7 @@ err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
         c->vblank = was;
     }
     if (e)
-        return e;
+        return e == ERR_NOMEM ? err_fail(ERR_IO, "%s", err_text()) : e; // the kernel's, for once
     if (c->code < 1)
         return err_fail(ERR_IO, "%s: exposure set to %lld reads back as %lld", c->node.path,
                         (long long)code, (long long)c->code);
