@@ -1,0 +1,122 @@
+/* Thin pictures against full ones, in every format. */
+#include "drivers/thin.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+/* Bytes that a row of w px takes at least, and of a frame. */
+static int row_of(enum camera_format f, int w)
+{
+    return f == CAMERA_RGB8 || f == CAMERA_BGR8         ? 3 * w
+           : f == CAMERA_GREY || f == CAMERA_NV12       ? w
+           : f >= CAMERA_RGGB10P && f <= CAMERA_GBRG10P ? (w + 3) / 4 * 5
+           : f >= CAMERA_RGGB12P && f <= CAMERA_GBRG12P ? (w + 1) / 2 * 3
+                                                        : 2 * w;
+}
+
+/* Every block of the thin picture is a block of the full one, at a multiple of 4, in order. */
+static void check_blocks(const struct raw *thin, const struct raw *full)
+{
+    int c = full->cfa == RAW_RGB ? 3 : 1, last_y = -1;
+    size_t run = sizeof(uint16_t) * (size_t)(THIN_BLOCK * c);
+    assert_int_equal(thin->cfa, full->cfa);
+    assert_true(thin->w <= 128 && thin->h <= 128 && thin->w % 4 == 0 && thin->h % 4 == 0);
+    for (int by = 0; by < thin->h / 4; by++) {
+        int found_y = -1, last_x = -1;
+        for (int y = 0; y + 4 <= full->h && found_y < 0; y += 4)
+            if (y > last_y &&
+                memcmp(thin->px + by * 4 * thin->w * c,
+                       full->px + (y * full->w + (full->w / 4 / (thin->w / 4) / 2) * 4) * c,
+                       run) == 0)
+                found_y = y;
+        if (found_y < 0)
+            fail_msg("row of blocks %d is nowhere", by);
+        last_y = found_y;
+        for (int bx = 0; bx < thin->w / 4; bx++) {
+            int found_x = -1;
+            for (int x = last_x + 1; x + 4 <= full->w && found_x < 0; x++)
+                if (x % 4 == 0 && memcmp(thin->px + (by * 4 * thin->w + bx * 4) * c,
+                                         full->px + (found_y * full->w + x) * c, run) == 0)
+                    found_x = x;
+            assert_true(found_x >= 0);
+            last_x = found_x;
+            for (int r = 1; r < 4; r++)
+                assert_memory_equal(thin->px + ((by * 4 + r) * thin->w + bx * 4) * c,
+                                    full->px + ((found_y + r) * full->w + found_x) * c, run);
+        }
+    }
+    assert_true(last_y >= full->h * 9 / 10 - 8); // spread to the end
+}
+
+static void check_format(enum camera_format format, int w, int h)
+{
+    struct camera_info info = {.w = w, .h = h, .format = format, .bits = 16};
+    if (format >= CAMERA_RGGB10P)
+        info.bits = format <= CAMERA_GBRG10P ? 10 : 12;
+    if (format < CAMERA_GREY16)
+        info.bits = 8;
+    info.stride = row_of(format, w) + 6;
+    size_t bytes = (size_t)info.stride * (size_t)(format == CAMERA_NV12 ? h * 3 / 2 : h);
+    uint8_t *data = malloc(bytes);
+    struct raw full = {.px = malloc(unpack_count(&info) * 2)};
+    struct raw thin = {.px = malloc(thin_count(&info) * 2)};
+    uint32_t x = 1;
+    for (size_t i = 0; i < bytes; i++)
+        data[i] = (uint8_t)((x = x * 1664525 + 1013904223) >> 24);
+    struct frame f = {
+        .data = data, .bytes = bytes, .w = w, .h = h, .stride = info.stride, .format = format};
+    if (unpack_run(&info, &f, &full) != OK)
+        fail_msg("format %d %dx%d: %s", format, w, h, err_text());
+    assert_int_equal(thin_run(&info, &f, &thin), OK);
+    struct raw kind = thin_kind(&info);
+    assert_true(kind.linear == full.linear && kind.bits == full.bits && kind.black == full.black);
+    assert_true((kind.cfa >= RAW_RGGB) == (full.cfa >= RAW_RGGB));
+    if (w <= 128 && h <= 128) {
+        assert_true(thin.w == w && thin.h == h);
+        assert_memory_equal(thin.px, full.px, unpack_count(&info) * 2);
+    } else
+        check_blocks(&thin, &full);
+    f.bytes -= 7; // the padding of the last row and a byte
+    assert_int_equal(thin_run(&info, &f, &thin), ERR_FORMAT);
+    free(data);
+    free(full.px);
+    free(thin.px);
+}
+
+static void every_format(void **state)
+{
+    (void)state;
+    for (int f = CAMERA_RGB8; f < CAMERA_FORMATS; f++) {
+        if (f == CAMERA_MJPG)
+            continue;
+        check_format((enum camera_format)f, 640, 360);
+        check_format((enum camera_format)f, 130, 66);
+        check_format((enum camera_format)f, 4, 1000);
+        check_format((enum camera_format)f, 128, 96);
+        check_format((enum camera_format)f, 2, 2);
+    }
+}
+
+static void nothing_that_unpack_refuses(void **state)
+{
+    (void)state;
+    struct camera_info info = {.w = 0, .h = 10, .format = CAMERA_RGB8};
+    assert_int_equal(thin_count(&info), 0);
+    info.w = 20000;
+    assert_int_equal(thin_count(&info), 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(every_format),
+        cmocka_unit_test(nothing_that_unpack_refuses),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
