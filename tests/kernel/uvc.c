@@ -224,8 +224,10 @@ static int set_control(struct uvc *u, struct uvc_control *c, int32_t v)
     err_t err;
     if (v < c->min || v > c->max)
         return refuse(u, OUT_OF_RANGE);
+    if (c == &u->control[UVC_TIME] && u->control[UVC_AUTO].cur != MANUAL)
+        return refuse(u, WRONG_STATE);
     c->cur = v;
-    if (c != &u->control[UVC_TIME] && c != &u->control[UVC_GAIN])
+    if (c == &u->control[UVC_PRIORITY] || c == &u->control[UVC_BRIGHTNESS])
         return 0;
     e = (struct exposure){u->control[UVC_TIME].cur * STEP_S, u->control[UVC_GAIN].cur / GAIN_STEP};
     err = u->set(u->ctx, &e);

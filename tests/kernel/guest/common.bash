@@ -7,6 +7,13 @@ fail() {
     exit 1
 }
 
+# sleep without a process, of which User Mode Linux starts some hundred a second.
+[ -p /run/nap ] || mkfifo /run/nap
+exec 9<>/run/nap
+nap() { # seconds
+    read -r -t "$1" -u 9 || true
+}
+
 load() { # module [parameter=value]...
     modprobe -d "$MODULES" "$@" || fail "module $1 does not load"
 }
@@ -23,7 +30,7 @@ await() { # what command...
         if "$@" 2>/dev/null; then
             return
         fi
-        sleep 0.01
+        nap 0.01
     done
     fail "no $what within 10 s"
 }
