@@ -2,11 +2,15 @@
 
 #include <stdlib.h>
 
-double take_exposure_s(const struct take_frame *f)
+const struct exposure *take_exposure(const struct take_frame *f)
 {
     const struct bracket_evidence *v = &f->evidence;
-    const struct exposure *x = v->reported_known ? &v->reported : &v->set;
-    return x->time_s * x->gain;
+    return v->reported_known ? &v->reported : &v->set;
+}
+
+double take_exposure_s(const struct take_frame *f)
+{
+    return take_exposure(f)->time_s * take_exposure(f)->gain;
 }
 
 const char *take_format(enum camera_format f)

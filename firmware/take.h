@@ -46,8 +46,9 @@ struct take {
     int frames_used, rejected;
 };
 
-/* The linear exposure that is recorded for a frame, time x gain, s: what the device reports of it,
- * else what it read back when asked. */
+/* The exposure that is recorded for a frame: what the device reports of it, else what it read back
+ * when asked; and as time x gain, s. */
+const struct exposure *take_exposure(const struct take_frame *f);
 double take_exposure_s(const struct take_frame *f);
 
 /* Word of a format: "mjpg", "rggb10p"; NULL if there is no such format. */
