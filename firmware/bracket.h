@@ -2,32 +2,40 @@
  * frame may be kept under which exposure. Pure: no device, no clock; time comes inside events.
  *
  * States, and what is true in each:
- *   IDLE      no camera is open
+ *   IDLE      some camera does not stream
  *   ARMED     every camera streams at its base exposure
  *   SHOOTING  a plan runs; kept frames are proven, those still missing have been asked for or will
  *             be with the next frame of their camera
- *   DONE      every frame of the plan is kept
+ *   DONE      every frame of the plan is kept, and the light was the same afterwards
  *   FAULT     the plan was given up; kept frames are still proven; `reason` says why
  *
- *   IDLE     -> ARMED     arm()
- *   ARMED    -> SHOOTING  begin()     plan valid
+ *   IDLE     -> ARMED     arm()       of the last camera
+ *   ARMED    -> IDLE      lost()
+ *   ARMED    -> SHOOTING  begin()     plan valid; from DONE too, if nobody else asked for exposures
  *   SHOOTING -> SHOOTING  frame()     kept, or not; next exposure requested
  *   SHOOTING -> SHOOTING  restart()   no frames for 3 longest waits + 1 s: once per camera and set
- *   SHOOTING -> DONE      last frame kept
+ *   SHOOTING -> DONE      frame()     the last one missing
  *   SHOOTING -> FAULT     fail()      attempts spent, camera lost, cancelled
- *   DONE, FAULT -> ARMED  arm()
+ *   DONE, FAULT -> IDLE, ARMED  arm() of the first, the last camera
  *
- * What a frame is, is decided by evidence (capture notes 3.2, W1..W5). From the log of requests
- * follow the exposures that can be in force in it (delay lo..hi, gaps of sequence and of time
- * widen this). The pixels, compared with a reference whose exposure is beyond doubt - a frame from
- * after so long a rest that every witness must agree - and with frames kept since, pick one of
- * them; what the device reports must agree with it. Exposures that cannot be told apart by the
- * pixels are only accepted from rest, and marked.
- * Pipelined: a new exposure with every frame, N + delay + 2 frames when nothing fails. After a
- * conflict a camera holds each exposure for delay + 2 frames instead.
+ * Within SHOOTING, each camera by itself:
+ *   WAIT   at base, until a frame from after so long a rest that every witness must agree, and one
+ *          more like it, are the reference. Usually there before the trigger.
+ *   RUN    pipelined: a new exposure with every frame; in the end base again
+ *   CHECK  after a conflict, or a restart: at base. It looks like the reference: go on with REST.
+ *          It does not: the light changed, everything is forgotten and WAIT comes again, once.
+ *   REST   one exposure at a time, until requests allow for no other
+ *   OVER   everything kept, and a base frame afterwards that looks like the reference
+ *
+ * What a frame is, is decided by evidence (capture notes 3.2, W1..W5; firmware/label.h). From the
+ * log of requests follow the exposures that can be in force in it. The pixels, compared with the
+ * reference and with frames kept since, pick one of them; what the device reports must agree.
+ * Exposures that cannot be told apart by the pixels are only accepted from rest, and marked.
+ * N + delay + 1 frames when nothing fails.
  *
  * Invariant: no frame is kept whose recorded exposure differs from the true one by more than
- * `tolerance` (stops), unless its evidence says `unverified`.
+ * `tolerance` (stops), unless its evidence says `unverified`; a factor common to the reference and
+ * all frames of a camera cannot be seen and does no harm.
  * thread: any, one at a time. */
 #ifndef FIRMWARE_BRACKET_H
 #define FIRMWARE_BRACKET_H
@@ -63,6 +71,7 @@ enum bracket_proof {         // in falling strength
 
 /* What stands behind a kept frame. */
 struct bracket_evidence {
+    struct exposure exposure;             // to go by: reported, else what `set` amounts to
     struct exposure asked, set, reported; // plan; as the device read it back; of the frame
     bool reported_known, ratio_known;
     float ratio, ratio_asked; // stops, to the frame compared with: by the pixels, by exposures
@@ -71,7 +80,7 @@ struct bracket_evidence {
     uint32_t sequence;
     int64_t timestamp_ns, start_ns, request_ns; // frame; its exposure began; request was made
     int frames_since;                           // the request
-    int attempts;                               // frames looked at for this exposure
+    int attempts;                               // requests for this exposure
     bool rested;                                // not pipelined
 };
 
@@ -92,14 +101,15 @@ enum bracket_reason { // of a fault; bracket_sentence says it
 };
 
 enum bracket_event_kind {
-    BRACKET_ARM,      // cameras stream; their base exposure is what `camera_set` says
-    BRACKET_BEGIN,    // plan
-    BRACKET_ANSWER,   // of a request: err, set
-    BRACKET_FRAME,    // frame, witness
+    BRACKET_ARM,    // the camera streams; `set`, which it was asked for last, is its base exposure.
+                    // To be said again after DONE, FAULT and requests of others
+    BRACKET_BEGIN,  // plan
+    BRACKET_ANSWER, // of a request: err, set
+    BRACKET_FRAME,  // frame, witness
     BRACKET_UNUSABLE, // a frame that could not be had or read (ERR_IO, bad JPEG); frame may be NULL
-    BRACKET_LOST,     // camera gone
+    BRACKET_LOST,     // camera gone; streams again with ARM
     BRACKET_OPENED,   // camera streams again after a restart
-    BRACKET_TICK,
+    BRACKET_TICK,     // of no camera, as are BEGIN and CANCEL
     BRACKET_CANCEL
 };
 
@@ -115,10 +125,11 @@ struct bracket_event {
 };
 
 enum bracket_action_kind {
-    BRACKET_REQUEST, // ask the camera for `exposure`; answer with ANSWER before anything else
-    BRACKET_KEEP,    // copy the frame of this event as exposure `index`; evidence is in the machine
-    BRACKET_FORGET,  // all kept frames of the camera: the light changed, it starts again
-    BRACKET_RESTART  // close and open the camera, then OPENED or LOST
+    BRACKET_REQUEST, // ask the camera for `exposure`; ANSWER before any other event of it, at once
+    // or when bracket_action is false. Comes after DONE and FAULT too: back to base
+    BRACKET_KEEP,   // copy the frame of this event as exposure `index`; evidence is in the machine
+    BRACKET_FORGET, // all kept frames of the camera: the light changed, it starts again
+    BRACKET_RESTART // close and open the camera, then OPENED or LOST
 };
 
 struct bracket_action {
@@ -127,14 +138,14 @@ struct bracket_action {
     struct exposure exposure;
 };
 
-struct bracket; // about 1 MB for 16 cameras
+struct bracket; // about 100 kB per camera
 
 /* own: bracket_free. err: ERR_NOMEM, ERR_ARG (0 or too many cameras, fields out of range) */
 MUST_USE err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out);
 void bracket_free(struct bracket *b);
 
-/* One event; then bracket_action until it is false, before the next event.
- * err:  ERR_ARG (a plan out of range; state is unchanged). */
+/* One event; then bracket_action until it is false, before the next event but ANSWER.
+ * err:  ERR_ARG (a plan out of range, an event that cannot be now; nothing is changed). */
 MUST_USE err_t bracket_event(struct bracket *b, const struct bracket_event *ev);
 bool bracket_action(struct bracket *b, struct bracket_action *out);
 
