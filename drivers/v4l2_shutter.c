@@ -169,8 +169,11 @@ static uint32_t exposure_id(const struct v4l2_shutter *c)
 static err_t refused(const struct v4l2_shutter *c, int number, int64_t code)
 {
     switch (number) {
+    case EBUSY:
+        return err_fail(ERR_BUSY, "%s: the camera takes no exposure now", c->node.path);
     case EACCES:
     case EPERM:
+    case EILSEQ: // "wrong state" of a USB camera
         return err_fail(ERR_UNSUPPORTED,
                         "%s: exposure is not ours to set: an automatic mode of the camera has it",
                         c->node.path);
@@ -207,7 +210,8 @@ static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
     if (there(&r))
         code = fit(code, r.lo, r.hi, r.step);
     int number = set_codes(c, code, gain, &written);
-    if (number == EACCES && !written) { // somebody else has switched it on again
+    if ((number == EACCES || number == EILSEQ) &&
+        !written) { // somebody else has switched it on again
         e = freeze(&c->node, &freezes[0]);
         if (e)
             return e;
@@ -235,6 +239,8 @@ static err_t set_vblank(struct v4l2_shutter *c, int64_t to)
     if (to == c->vblank)
         return OK;
     int number = set(&c->node, V4L2_CID_VBLANK, to);
+    if (number == EBUSY)
+        return err_fail(ERR_BUSY, "%s: the length of frames cannot be set now", c->node.path);
     if (number)
         return v4l2_sys_fail(&c->node, number, "set its vertical blanking");
     c->vblank = to;

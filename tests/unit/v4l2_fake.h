@@ -582,6 +582,7 @@ static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg
         fake_breach(f, "ioctl without device");
     int number = fake_refuses(f, request);
     fake_pass(f);
+    fake_arm(f);
     if (f->lost)
         number = ENODEV;
     if (number)
