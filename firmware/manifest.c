@@ -96,7 +96,7 @@ static void put_ns(FILE *f, const char *key, int64_t ns)
 }
 
 /* The last member of an object: no comma follows. */
-static void put_clocks(FILE *f, const char *key, const struct take_clocks *c)
+static void put_clocks(FILE *f, const char *key, const struct clocks *c)
 {
     put_key(f, key);
     fprintf(f, "{\"monotonic_ns\": \"%" PRId64 "\", \"boottime_ns\": \"%" PRId64 "\", ",

@@ -150,7 +150,7 @@ static void add_number(struct part_attrs *a, const char *name, double v)
 }
 
 /* Standard attributes, then our own with their prefix. capDate is UTC, so utcOffset is 0. */
-static void describe(struct part_attrs *a, const struct take *t, const struct take_clocks *at)
+static void describe(struct part_attrs *a, const struct take *t, const struct clocks *at)
 {
     time_t seconds = (time_t)(at->realtime_ns / 1000000000 - (at->realtime_ns % 1000000000 < 0));
     struct tm tm;

@@ -4,22 +4,18 @@
 #define FIRMWARE_TAKE_H
 
 #include "firmware/bracket.h"
+#include "firmware/clocks.h"
 
 #include "core/expo/meter.h"
 
 enum { TAKE_FRAMES_MAX = BRACKET_CAMERAS_MAX * BRACKET_EXPOSURES_MAX, TAKE_TEXT = 256 };
-
-/* The same moment on three clocks, ns. */
-struct take_clocks {
-    int64_t monotonic_ns, boottime_ns, realtime_ns;
-};
 
 struct take_frame {
     int camera, index; // of the plan
     uint8_t *data;     // as the driver gave it
     size_t bytes;
     struct bracket_evidence evidence;
-    struct take_clocks start; // of its exposure
+    struct clocks start; // of its exposure
 };
 
 struct take_camera {
@@ -37,7 +33,7 @@ struct take {
     struct take_frame frame[TAKE_FRAMES_MAX]; // by camera, then index
     enum take_status status;
     char reason[TAKE_TEXT]; // why it was aborted; else warnings (coverage, unverified), or ""
-    struct take_clocks trigger;
+    struct clocks trigger;
     bool clock_synced; // CLOCK_REALTIME by adjtimex
     bool stagger, metered;
     struct meter_result meter[BRACKET_CAMERAS_MAX]; // if metered
@@ -46,10 +42,15 @@ struct take {
     int frames_used, rejected;
 };
 
-/* The exposure that is recorded for a frame: what the device reports of it, else what it read back
- * when asked; and as time x gain, s. */
+/* The exposure that is recorded for a frame, and as time x gain, s. */
 const struct exposure *take_exposure(const struct take_frame *f);
 double take_exposure_s(const struct take_frame *f);
+
+/* Most time between the starts of the same exposure by two cameras, s. */
+double take_skew_s(const struct take *t);
+
+/* Whether the exposure of some frame could not be proven by its pixels. */
+bool take_unverified(const struct take *t);
 
 /* Word of a format: "mjpg", "rggb10p"; NULL if there is no such format. */
 const char *take_format(enum camera_format f);

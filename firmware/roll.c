@@ -1,0 +1,97 @@
+#include "firmware/roll.h"
+
+#include "drivers/thin.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+err_t roll_add(struct roll *r, const struct take_frame *t, const struct frame *f, bool used)
+{
+    if (r->n == ROLL_MAX)
+        return err_fail(ERR_LIMIT, "camera %d: more than %d frames", t->camera, ROLL_MAX);
+    uint8_t *copy = malloc(f->bytes);
+    if (!copy)
+        return err_fail(ERR_NOMEM, "camera %d: no memory for a frame of %zu bytes", t->camera,
+                        f->bytes);
+    memcpy(copy, f->data, f->bytes);
+    r->kept[r->n].frame = *t;
+    r->kept[r->n].frame.data = copy;
+    r->kept[r->n].frame.bytes = f->bytes;
+    r->kept[r->n++].used = used;
+    return OK;
+}
+
+void roll_cut(struct roll *r, int from)
+{
+    for (int k = from; k < r->n; k++)
+        free(r->kept[k].frame.data);
+    r->n = from < r->n ? from : r->n;
+}
+
+size_t roll_bytes(const struct roll *r)
+{
+    size_t sum = 0;
+    for (int k = 0; k < r->n; k++)
+        sum += r->kept[k].frame.bytes;
+    return sum;
+}
+
+int roll_used(const struct roll *r)
+{
+    int n = 0;
+    for (int k = 0; k < r->n; k++)
+        n += r->kept[k].used;
+    return n;
+}
+
+/* A kept frame as the backend gave it. */
+static struct frame as_frame(const struct camera_info *info, const struct take_frame *t)
+{
+    return (struct frame){.data = t->data,
+                          .bytes = t->bytes,
+                          .w = info->w,
+                          .h = info->h,
+                          .stride = info->stride,
+                          .format = info->format};
+}
+
+void roll_cover(const struct roll *r, const struct take_camera *c, const struct meter_config *cfg,
+                struct meter_cover *out)
+{
+    struct raw px[ROLL_MAX];
+    double exposure[ROLL_MAX];
+    size_t count = thin_count(&c->info);
+    int n = 0;
+    *out = (struct meter_cover){0};
+    uint16_t *all = r->n ? malloc(count * sizeof *all * (size_t)r->n) : NULL;
+    for (int k = 0; all && k < r->n; k++) {
+        struct frame f = as_frame(&c->info, &r->kept[k].frame);
+        px[n].px = all + count * (size_t)n;
+        if (r->kept[k].used && thin_run(&c->info, &f, &px[n]) == OK)
+            exposure[n++] = take_exposure_s(&r->kept[k].frame);
+    }
+    if (n > 0)
+        meter_check(cfg, px, n, c->has_crf ? &c->crf : NULL, exposure, out);
+    free(all);
+}
+
+static int by_exposure(const void *a, const void *b)
+{
+    double x = take_exposure_s(a), y = take_exposure_s(b);
+    return (x > y) - (x < y);
+}
+
+void roll_move(struct roll *r, struct take *t)
+{
+    int first = t->n;
+    for (int k = 0; k < r->n; k++) {
+        if (r->kept[k].used && t->n - first < BRACKET_EXPOSURES_MAX && t->n < TAKE_FRAMES_MAX)
+            t->frame[t->n++] = r->kept[k].frame;
+        else
+            free(r->kept[k].frame.data);
+    }
+    r->n = 0;
+    qsort(t->frame + first, (size_t)(t->n - first), sizeof t->frame[0], by_exposure);
+    for (int k = first; k < t->n; k++)
+        t->frame[k].index = k - first;
+}

@@ -1,0 +1,44 @@
+#include "firmware/schedule.h"
+
+#include <math.h>
+
+bool schedule_is_metered(const struct session_order *o)
+{
+    return o->mode == SESSION_AUTO || !(o->middle_s > 0);
+}
+
+static void add(struct bracket_plan *p, double time_s)
+{
+    if (p->n < BRACKET_EXPOSURES_MAX)
+        p->ask[p->n++] = (struct exposure){time_s, 1};
+}
+
+/* Stops around the middle one, within the limits of the device. */
+static void add_list(const struct session_order *o, const struct camera_info *info,
+                     const struct meter_result *r, struct bracket_plan *out)
+{
+    double middle = o->middle_s;
+    if (schedule_is_metered(o))
+        middle = sqrt(r->time_s[0] * r->time_s[r->n - 1]);
+    for (int k = 0; k < o->n; k++)
+        add(out, fmin(fmax(middle * exp2(o->ev[k]), info->time_min_s), info->time_max_s));
+}
+
+void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
+                    const struct meter_result *r, struct roll *roll, struct bracket_plan *out)
+{
+    out->n = 0;
+    if (o->mode == SESSION_LIST)
+        add_list(o, info, r, out);
+    for (int k = 0; o->mode == SESSION_AUTO && k < r->n; k++) {
+        bool probed = r->probe[k] >= 0 && r->probe[k] < roll->n && !o->stagger;
+        if (probed)
+            roll->kept[r->probe[k]].used = true;
+        else
+            add(out, r->time_s[k]);
+    }
+    if (o->stagger && out->n > 1) {
+        out->ask[0] = out->ask[turn % out->n];
+        out->n = 1;
+    }
+}

@@ -1,0 +1,19 @@
+/* schedule.h - which exposures a camera is asked for.
+ * Pure; any thread. */
+#ifndef FIRMWARE_SCHEDULE_H
+#define FIRMWARE_SCHEDULE_H
+
+#include "firmware/roll.h"
+#include "firmware/session.h"
+
+/* Whether probes are needed: for the exposures, or for the middle one of a list. */
+bool schedule_is_metered(const struct session_order *o);
+
+/* The plan of one camera. In an automatic bracket, probes that serve as exposures are marked as
+ * used and not asked for again. In stagger mode the camera takes one exposure, number `turn` of
+ * those of a full bracket, round and round; probes do not count then.
+ * r: what the meter says, if it was asked. */
+void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
+                    const struct meter_result *r, struct roll *roll, struct bracket_plan *out);
+
+#endif

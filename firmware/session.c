@@ -1,0 +1,793 @@
+/* One machine for the rig (bracket.h) and a meter for each camera. A take is a row of plans for the
+ * machine: probes until every meter knows enough, the exposures that probes do not already give,
+ * and at most one more where the pictures show that something is not covered. Kept frames of all
+ * plans are pooled and sorted by exposure at the end. */
+#include "firmware/session.h"
+
+#include "firmware/backends.h"
+#include "firmware/clocks.h"
+#include "firmware/roll.h"
+#include "firmware/schedule.h"
+
+#include "core/base/log.h"
+#include "drivers/thin.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define SECOND INT64_C(1000000000)
+
+enum {
+    RETRY_S = 1,
+    DRAIN = 2 * CAMERA_BUFFERS_MAX // frames of one camera at a time, so that others get their turn
+};
+
+#define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
+#define BASE_S 0.01          // exposure while armed, to begin with
+#define BASE_LONGEST_S 0.1   // as far as darkness drives it
+
+enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND };
+
+struct cam {
+    const struct camera_ops *ops;
+    void *st;
+    bool open;
+    struct take_camera about;
+    struct calib calib;
+    bool calibrated;
+    struct exposure set; // last request, as read back
+    int64_t retry_ns, viewed_ns, armed_ns;
+    struct session_view view;
+    struct meter meter;
+    struct meter_result plan;
+    struct roll roll;
+    int n_before; // frames of former plans of this take
+};
+
+struct session {
+    struct session_config cfg;
+    int n;
+    struct cam cam[BRACKET_CAMERAS_MAX];
+    struct bracket *machine;
+    struct raw sample; // of the frame in hand
+    struct witness witness;
+    enum phase phase;
+    bool lost, cancelled, ready, complete;
+    bool relit, again; // the light changed after probes; metered anew once
+    struct session_order order;
+    struct bracket_plan plan[BRACKET_CAMERAS_MAX];
+    int turn; // of stagger mode
+    int64_t begun_ns;
+    struct clocks trigger;
+    int frames_used, rejected;
+    char status[TAKE_TEXT], reason[TAKE_TEXT], note[TAKE_TEXT];
+};
+
+/* ---- opening ---- */
+
+static err_t name_camera(const struct cam *c, err_t e)
+{
+    return err_fail(e, "%s: %s", c->about.uri, err_text());
+}
+
+static err_t open_camera(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    struct camera_cfg cfg = {c->about.uri, s->cfg.w, s->cfg.h, s->cfg.format, 0};
+    struct camera_info info;
+    err_t e = c->ops->open(c->st, &cfg);
+    if (e)
+        return name_camera(c, e);
+    c->ops->info(c->st, &info);
+    c->open = true;
+    c->view = (struct session_view){.present = true};
+    c->about.info = info;
+    return OK;
+}
+
+static void close_camera(struct cam *c)
+{
+    if (c->open)
+        c->ops->close(c->st);
+    c->open = false;
+    c->view.present = false;
+}
+
+static err_t prepare_camera(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    if (strlen(s->cfg.uri[i]) >= sizeof c->about.uri)
+        return err_fail(ERR_ARG, "camera %d: URI longer than %zu bytes", i + 1,
+                        sizeof c->about.uri - 1);
+    strcpy(c->about.uri, s->cfg.uri[i]);
+    err_t e = backends_camera(c->about.uri, &c->ops);
+    if (e)
+        return e;
+    c->st = calloc(1, c->ops->state_bytes);
+    if (!c->st)
+        return err_fail(ERR_NOMEM, "%s: no memory", c->about.uri);
+    e = open_camera(s, i);
+    if (!e && s->cfg.calibration)
+        e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
+    c->about.has_crf = c->calibrated && c->calib.has_crf;
+    c->about.crf = c->calib.crf;
+    return e;
+}
+
+static err_t make_machine(struct session *s)
+{
+    struct bracket_camera about[BRACKET_CAMERAS_MAX];
+    size_t most = 0;
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        size_t count = thin_count(&c->about.info);
+        if (!count)
+            return err_fail(ERR_UNSUPPORTED, "%s: pictures of %dx%d px cannot be read",
+                            c->about.uri, c->about.info.w, c->about.info.h);
+        most = count > most ? count : most;
+        calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about[i]);
+    }
+    s->sample.px = malloc(most * sizeof *s->sample.px);
+    if (!s->sample.px)
+        return err_fail(ERR_NOMEM, "cameras: no memory for a picture");
+    return bracket_new(about, s->n, &s->machine);
+}
+
+static err_t arm(struct session *s);
+
+err_t session_open(const struct session_config *cfg, struct session **out)
+{
+    *out = NULL;
+    if (cfg->n < 1 || cfg->n > BRACKET_CAMERAS_MAX)
+        return err_fail(ERR_ARG, "%d cameras, 1..%d are possible", cfg->n, BRACKET_CAMERAS_MAX);
+    struct session *s = calloc(1, sizeof *s);
+    if (!s)
+        return err_fail(ERR_NOMEM, "cameras: no memory");
+    s->cfg = *cfg;
+    err_t e = OK;
+    for (s->n = 0; !e && s->n < cfg->n; s->n++)
+        e = prepare_camera(s, s->n);
+    if (!e)
+        e = make_machine(s);
+    if (!e)
+        e = arm(s);
+    if (e) {
+        session_close(s);
+        return e;
+    }
+    *out = s;
+    return OK;
+}
+
+void session_close(struct session *s)
+{
+    if (!s)
+        return;
+    for (int i = 0; i < s->n; i++) {
+        roll_cut(&s->cam[i].roll, 0);
+        close_camera(&s->cam[i]);
+        free(s->cam[i].st);
+    }
+    bracket_free(s->machine);
+    free(s->sample.px);
+    free(s);
+}
+
+/* ---- the machine's wishes ---- */
+
+static const struct crf *crf_of(const struct cam *c)
+{
+    return c->about.has_crf ? &c->about.crf : NULL;
+}
+
+static err_t keep(struct session *s, const struct bracket_action *a, const struct frame *f)
+{
+    struct cam *c = &s->cam[a->camera];
+    struct take_frame t = {.camera = a->camera,
+                           .index = a->index,
+                           .evidence = *bracket_evidence(s->machine, a->camera, a->index)};
+    size_t held = f->bytes;
+    for (int i = 0; i < s->n; i++)
+        held += roll_bytes(&s->cam[i].roll);
+    if (s->cfg.memory && held > s->cfg.memory)
+        return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
+                        held / 1000000, s->cfg.memory / 1000000);
+    t.start = clocks_at(t.evidence.start_ns);
+    bool probe = s->phase == PHASE_PROBE;
+    err_t e = roll_add(&c->roll, &t, f, !probe);
+    if (!e && probe) // the pixels of this very frame are in s->sample
+        meter_add(&c->meter, &s->sample, crf_of(c), take_exposure_s(&t));
+    return e;
+}
+
+/* What was seen in another light serves no more: probes neither. */
+static void forget_light(struct session *s, int i)
+{
+    s->relit = s->relit || s->cam[i].n_before > 0;
+    roll_cut(&s->cam[i].roll, 0);
+}
+
+static err_t request(struct session *s, const struct bracket_action *a, int64_t now)
+{
+    struct cam *c = &s->cam[a->camera];
+    struct bracket_event answer = {
+        .kind = BRACKET_ANSWER, .now_ns = now, .camera = a->camera, .err = ERR_LOST};
+    if (c->open)
+        answer.err = c->ops->request(c->st, &a->exposure, &answer.set);
+    if (!answer.err)
+        c->set = answer.set;
+    return bracket_event(s->machine, &answer);
+}
+
+static void lose(struct session *s, int i, int64_t now)
+{
+    struct cam *c = &s->cam[i];
+    log_warn("%s: %s", c->about.uri, err_text());
+    close_camera(c);
+    c->retry_ns = now + RETRY_S * SECOND;
+    s->lost = true;
+}
+
+static err_t restart(struct session *s, int i, int64_t now)
+{
+    struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
+    log_warn("%s: no frames come, starting it again", s->cam[i].about.uri);
+    close_camera(&s->cam[i]);
+    if (open_camera(s, i) != OK) {
+        lose(s, i, now);
+        ev.kind = BRACKET_LOST;
+    }
+    return bracket_event(s->machine, &ev);
+}
+
+/* Tell the machine, and do what it wants. f: the frame of the event. */
+static err_t tell(struct session *s, const struct bracket_event *ev, const struct frame *f)
+{
+    struct bracket_action a;
+    err_t e = bracket_event(s->machine, ev);
+    while (!e && bracket_action(s->machine, &a)) {
+        if (a.kind == BRACKET_REQUEST)
+            e = request(s, &a, ev->now_ns);
+        else if (a.kind == BRACKET_KEEP)
+            e = keep(s, &a, f);
+        else if (a.kind == BRACKET_FORGET)
+            forget_light(s, a.camera);
+        else if (a.kind == BRACKET_RESTART)
+            e = restart(s, a.camera, ev->now_ns);
+    }
+    return e;
+}
+
+/* ---- frames ---- */
+
+/* What the status page shows. */
+static void look(const struct session *s, struct cam *c, int64_t now)
+{
+    const struct raw *p = &s->sample;
+    size_t n = (size_t)p->w * (size_t)p->h * (p->cfa == RAW_RGB ? 3 : 1);
+    int top = (1 << p->bits) - 1, range = top - p->black;
+    uint32_t clipped = 0, dark = 0;
+    c->viewed_ns = now;
+    c->view.exposure = c->set;
+    memset(c->view.histogram, 0, sizeof c->view.histogram);
+    for (size_t i = 0; i < n; i++) {
+        int v = p->px[i] > p->black ? p->px[i] - p->black : 0;
+        double display = (double)v / range;
+        if (p->linear)
+            display = pow(display, 1 / 2.2);
+        int bin = (int)(display * SESSION_BINS);
+        c->view.histogram[bin < SESSION_BINS ? bin : SESSION_BINS - 1]++;
+        clipped += v >= range * 0.99;
+        dark += v <= range * 0.005;
+    }
+    c->view.clipped = (float)((double)clipped / (double)n);
+    c->view.dark = (float)((double)dark / (double)n);
+}
+
+static bool shooting(const struct session *s)
+{
+    return bracket_state(s->machine) == BRACKET_SHOOTING;
+}
+
+/* While nothing runs, most frames only count; their pixels are looked at now and then. */
+static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
+{
+    struct cam *c = &s->cam[i];
+    struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
+    bool view = now - c->viewed_ns >= LOOK_NS, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
+    if (!bad && (shooting(s) || view)) {
+        bad = thin_run(&c->about.info, f, &s->sample) != OK;
+        if (!bad && view)
+            look(s, c, now);
+        if (!bad)
+            witness_take(&s->sample, crf_of(c), &s->witness);
+        ev.witness = bad ? NULL : &s->witness;
+    }
+    if (bad)
+        ev.kind = BRACKET_UNUSABLE;
+    err_t e = tell(s, &ev, f);
+    c->ops->release(c->st, f);
+    return e;
+}
+
+static err_t drain(struct session *s, int i, int64_t now)
+{
+    struct cam *c = &s->cam[i];
+    err_t e = OK;
+    for (int n = 0; n < DRAIN && c->open && !e; n++) {
+        struct frame f;
+        struct bracket_event ev = {.now_ns = now, .camera = i};
+        err_t got = c->ops->next(c->st, &f);
+        if (got == ERR_AGAIN)
+            return OK;
+        if (got == OK) {
+            e = take_frame(s, i, &f, now);
+            continue;
+        }
+        if (got == ERR_LOST)
+            lose(s, i, now);
+        ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
+        e = tell(s, &ev, NULL);
+    }
+    return e;
+}
+
+/* ---- lost and found ---- */
+
+static bool same_device(const struct camera_info *a, const struct camera_info *b)
+{
+    return strcmp(a->unit, b->unit) == 0 && a->w == b->w && a->h == b->h && a->format == b->format;
+}
+
+/* Ask for the exposure of waiting, and tell the machine which it is. A camera that does not take it
+ * is as good as lost. Returns the first error; the others are armed. */
+static err_t arm_one(struct session *s, int i, double base_s)
+{
+    struct cam *c = &s->cam[i];
+    const struct camera_info *info = &c->about.info;
+    struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i};
+    struct exposure ask = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
+    if (base_s > 0) {
+        err_t e = c->ops->request(c->st, &ask, &c->set);
+        if (e) {
+            e = name_camera(c, e);
+            lose(s, i, clocks_now());
+            return e;
+        }
+    }
+    ev.now_ns = c->armed_ns = clocks_now();
+    ev.set = c->set;
+    return tell(s, &ev, NULL);
+}
+
+static err_t arm(struct session *s)
+{
+    err_t first = OK;
+    for (int i = 0; i < s->n; i++) {
+        if (!s->cam[i].open)
+            continue;
+        err_t e = arm_one(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
+        first = first ? first : e;
+    }
+    return first;
+}
+
+/* While waiting: an exposure that most of the scene is visible at, so that the reference tells
+ * something. */
+static err_t adapt(struct session *s, int i, int64_t now)
+{
+    const struct cam *c = &s->cam[i];
+    const struct camera_info *info = &c->about.info;
+    double longest = fmin(BASE_LONGEST_S, info->time_max_s), t = c->set.time_s;
+    if (!c->open || s->phase != PHASE_NONE || s->ready || now - c->armed_ns < SECOND / 2 ||
+        c->viewed_ns - c->armed_ns < SECOND / 2)
+        return OK;
+    if (c->view.clipped > 0.5f && t > info->time_min_s)
+        return arm_one(s, i, t / 4);
+    if (c->view.dark > 0.5f && t < longest)
+        return arm_one(s, i, fmin(4 * t, longest));
+    return OK;
+}
+
+static err_t find_lost(struct session *s, int64_t now)
+{
+    bool lost = false;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct camera_info before = c->about.info;
+        if (!c->open && now >= c->retry_ns) {
+            c->retry_ns = now + RETRY_S * SECOND;
+            c->set.time_s = 0;
+            if (open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
+                log_warn("%s: came back as %s %dx%d, was %s %dx%d", c->about.uri,
+                         c->about.info.unit, c->about.info.w, c->about.info.h, before.unit,
+                         before.w, before.h);
+                close_camera(c);
+                c->about.info = before;
+            } else if (c->open)
+                log_info("%s: there again", c->about.uri);
+        }
+        lost = lost || !c->open;
+    }
+    bool found = s->lost && !lost;
+    s->lost = lost;
+    err_t e = found ? arm(s) : OK;
+    return e == ERR_NOMEM ? e : OK;
+}
+
+/* ---- a take ---- */
+
+static void begin_plan(struct session *s, enum phase phase, int64_t now, err_t *e)
+{
+    struct bracket_event ev = {.kind = BRACKET_BEGIN, .now_ns = now, .plan = s->plan};
+    s->phase = phase;
+    for (int i = 0; i < s->n; i++)
+        s->cam[i].n_before = s->cam[i].roll.n;
+    *e = tell(s, &ev, NULL);
+}
+
+static int planned(const struct session *s)
+{
+    int n = 0;
+    for (int i = 0; i < s->n; i++)
+        n += s->plan[i].n;
+    return n;
+}
+
+static void plan_probes(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        double t = meter_probe(&s->cam[i].meter);
+        s->plan[i] = (struct bracket_plan){.n = t > 0, .ask = {{t, 1}}};
+    }
+}
+
+static err_t begin_meters(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        const struct camera_info *info = &c->about.info;
+        struct raw kind = thin_kind(info);
+        struct meter_config m;
+        bool known = c->calibrated && c->calib.time_max_s > 0;
+        meter_defaults(&kind, known ? c->calib.time_min_s : info->time_min_s,
+                       known ? c->calib.time_max_s : info->time_max_s, info->time_step_s, &m);
+        if (s->order.snr > 0)
+            m.snr = s->order.snr;
+        m.exposures_max = BRACKET_EXPOSURES_MAX;
+        err_t e = meter_begin(&m, &c->meter);
+        if (e)
+            return name_camera(c, e);
+    }
+    return OK;
+}
+
+static err_t plan_shots(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        if (schedule_is_metered(&s->order) && meter_plan(&c->meter, &c->plan) != OK)
+            return name_camera(c, ERR_ARG);
+        schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
+    }
+    s->turn += s->order.stagger;
+    return OK;
+}
+
+/* Plan one more exposure where it helps; false: nothing to do. */
+static bool plan_extension(struct session *s)
+{
+    bool any = false;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct meter_cover cover;
+        s->plan[i].n = 0;
+        roll_cover(&c->roll, &c->about, &c->meter.cfg, &cover);
+        c->plan.clipped = cover.clipped;
+        c->plan.dark = cover.dark;
+        if (!(cover.extend_s > 0) || roll_used(&c->roll) >= BRACKET_EXPOSURES_MAX)
+            continue;
+        s->plan[i] = (struct bracket_plan){.n = 1, .ask = {{cover.extend_s, 1}}};
+        any = true;
+    }
+    return any;
+}
+
+static void finish(struct session *s, bool complete)
+{
+    s->complete = complete;
+    s->ready = true;
+    s->phase = PHASE_NONE;
+}
+
+static void note_device_limits(struct session *s)
+{
+    for (int i = 0; i < s->n && s->order.mode == SESSION_AUTO && !s->note[0]; i++) {
+        const struct cam *c = &s->cam[i];
+        if (c->plan.too_bright || c->plan.too_dark)
+            snprintf(s->note, sizeof s->note, "%.100s: the scene is too %s for the camera",
+                     c->about.uri, c->plan.too_bright ? "bright" : "dark");
+    }
+}
+
+static err_t start_plans(struct session *s, int64_t now);
+
+/* The plan that ran is done: the next one, or the end. */
+static err_t advance(struct session *s, int64_t now)
+{
+    err_t e = OK;
+    enum phase next = s->phase;
+    if (s->relit && s->again)
+        return err_fail(ERR_CANCELLED, "%s", bracket_sentence(BRACKET_SCENE_CHANGED));
+    if (s->relit) {
+        s->relit = false;
+        s->again = true;
+        return start_plans(s, now);
+    }
+    if (s->phase == PHASE_PROBE) {
+        plan_probes(s);
+        if (planned(s) == 0) {
+            e = plan_shots(s);
+            next = PHASE_SHOOT;
+        }
+    } else if (s->phase == PHASE_SHOOT && s->order.mode == SESSION_AUTO && !s->order.stagger &&
+               s->order.verify && plan_extension(s))
+        next = PHASE_EXTEND;
+    else {
+        finish(s, true);
+        return OK;
+    }
+    if (e)
+        return e;
+    if (planned(s) == 0) { // probes were enough
+        s->phase = next;
+        return advance(s, now);
+    }
+    begin_plan(s, next, now, &e);
+    return e;
+}
+
+static void fail(struct session *s, const char *why)
+{
+    snprintf(s->reason, sizeof s->reason, "%s", why);
+    finish(s, false);
+}
+
+/* Where the machine has come to. */
+static err_t follow(struct session *s, int64_t now)
+{
+    struct bracket_progress p;
+    err_t e = OK;
+    while (s->phase != PHASE_NONE && !e && !shooting(s)) {
+        bracket_progress(s->machine, &p);
+        s->frames_used += p.frames;
+        s->rejected += p.rejected;
+        if (bracket_state(s->machine) == BRACKET_DONE)
+            e = advance(s, now);
+        else {
+            int i = 0;
+            enum bracket_reason r = bracket_reason(s->machine, &i);
+            char text[TAKE_TEXT];
+            snprintf(text, sizeof text, "%.100s: %s", s->cam[i].about.uri, bracket_sentence(r));
+            fail(s, s->cancelled ? s->reason : text);
+        }
+    }
+    if (e && s->phase != PHASE_NONE) {
+        fail(s, err_text());
+        e = OK;
+    }
+    return e;
+}
+
+/* From the beginning: meters know nothing, no frame is kept. */
+static err_t start_plans(struct session *s, int64_t now)
+{
+    bool metered = schedule_is_metered(&s->order);
+    for (int i = 0; i < s->n; i++)
+        roll_cut(&s->cam[i].roll, 0);
+    err_t e = begin_meters(s);
+    if (!e && metered)
+        plan_probes(s);
+    else if (!e)
+        e = plan_shots(s);
+    if (!e)
+        begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now, &e);
+    return e;
+}
+
+static err_t check_order(const struct session *s, const struct session_order *o)
+{
+    if (o->mode == SESSION_LIST && (o->n < 1 || o->n > BRACKET_EXPOSURES_MAX))
+        return err_fail(ERR_ARG, "%d exposures, 1..%d are possible", o->n, BRACKET_EXPOSURES_MAX);
+    if (s->ready || s->phase != PHASE_NONE)
+        return err_fail(ERR_BUSY, "a capture runs");
+    for (int i = 0; i < s->n; i++)
+        if (!s->cam[i].open)
+            return err_fail(ERR_LOST, "%s is not there", s->cam[i].about.uri);
+    uint64_t need = session_bytes(s, o) / 3; // the rest is on disk only
+    if (s->cfg.memory && need > s->cfg.memory)
+        return err_fail(ERR_LIMIT, "frames need up to %llu MB, max_memory_mb allows %zu",
+                        (unsigned long long)(need / 1000000), s->cfg.memory / 1000000);
+    return OK;
+}
+
+err_t session_begin(struct session *s, const struct session_order *o)
+{
+    int64_t now = clocks_now();
+    err_t e = check_order(s, o);
+    if (e)
+        return e;
+    s->order = *o;
+    s->cancelled = s->relit = s->again = false;
+    s->reason[0] = s->note[0] = 0;
+    s->frames_used = s->rejected = 0;
+    s->begun_ns = now;
+    s->trigger = clocks_at(o->trigger_ns ? o->trigger_ns : now);
+    e = start_plans(s, now);
+    if (e)
+        s->phase = PHASE_NONE;
+    return e ? e : follow(s, now);
+}
+
+void session_cancel(struct session *s, const char *reason)
+{
+    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = clocks_now()};
+    if (s->phase == PHASE_NONE)
+        return;
+    s->cancelled = true;
+    snprintf(s->reason, sizeof s->reason, "%s", reason);
+    if (tell(s, &ev, NULL) != OK || follow(s, ev.now_ns) != OK)
+        fail(s, reason);
+}
+
+/* ---- the finished take ---- */
+
+static void describe(struct session *s, struct take *t)
+{
+    t->status = s->complete ? TAKE_COMPLETE : TAKE_ABORTED;
+    t->trigger = s->trigger;
+    t->clock_synced = clocks_synced();
+    t->stagger = s->order.stagger;
+    t->metered = schedule_is_metered(&s->order);
+    t->frames_used = s->frames_used;
+    t->rejected = s->rejected;
+    t->skew_s = take_skew_s(t);
+    note_device_limits(s);
+    if (s->complete && s->order.skew_s > 0 && t->skew_s > s->order.skew_s) {
+        t->status = TAKE_ABORTED;
+        snprintf(s->reason, sizeof s->reason, "cameras were %.3g s apart, bracket.skew_ms is %.3g",
+                 t->skew_s, s->order.skew_s * 1e3);
+    }
+    if (t->status == TAKE_COMPLETE && take_unverified(t))
+        snprintf(s->reason, sizeof s->reason,
+                 "too dark or too bright to prove every exposure by its pixels");
+    bool both = s->reason[0] && s->note[0];
+    snprintf(t->reason, sizeof t->reason, "%.120s%s%.120s", s->reason, both ? "; " : "", s->note);
+}
+
+err_t session_collect(struct session *s, struct take **out)
+{
+    *out = NULL;
+    if (!s->ready)
+        return err_fail(ERR_AGAIN, "no take is ready");
+    struct take *t = calloc(1, sizeof *t);
+    if (!t)
+        return err_fail(ERR_NOMEM, "take: no memory");
+    t->n_cameras = s->n;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct bracket_camera about;
+        calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about);
+        t->tolerance = fmax(t->tolerance, about.tolerance);
+        t->camera[i] = c->about;
+        t->meter[i] = c->plan;
+        roll_move(&c->roll, t);
+    }
+    describe(s, t);
+    s->ready = false;
+    *out = t;
+    err_t e = arm(s);
+    return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
+}
+
+/* ---- state ---- */
+
+enum session_state session_state(const struct session *s)
+{
+    if (s->ready)
+        return SESSION_READY;
+    if (s->phase != PHASE_NONE)
+        return s->phase == PHASE_PROBE ? SESSION_METERING : SESSION_SHOOTING;
+    return s->lost ? SESSION_LOST : SESSION_ARMED;
+}
+
+const char *session_status(const struct session *s)
+{
+    static const char *const words[] = {[SESSION_LOST] = "waits for a camera",
+                                        [SESSION_ARMED] = "ready to capture",
+                                        [SESSION_METERING] = "meters the light",
+                                        [SESSION_SHOOTING] = "takes the exposures",
+                                        [SESSION_READY] = "hands over a capture"};
+    return words[session_state(s)];
+}
+
+double session_longest_s(const struct session *s)
+{
+    double longest = 0;
+    for (int i = 0; i < s->n; i++)
+        longest = fmax(longest, s->cam[i].set.time_s);
+    return longest;
+}
+
+int session_cameras(const struct session *s)
+{
+    return s->n;
+}
+
+const struct take_camera *session_camera(const struct session *s, int i)
+{
+    return &s->cam[i].about;
+}
+
+void session_progress(const struct session *s, struct bracket_progress *out)
+{
+    bracket_progress(s->machine, out);
+}
+
+void session_view(const struct session *s, int camera, struct session_view *out)
+{
+    *out = s->cam[camera].view;
+}
+
+/* As the driver gave it, as a picture, and merged. */
+uint64_t session_bytes(const struct session *s, const struct session_order *o)
+{
+    uint64_t sum = 0;
+    int n = o->stagger ? 1 : o->mode == SESSION_LIST ? o->n : BRACKET_EXPOSURES_MAX;
+    for (int i = 0; i < s->n; i++) {
+        const struct camera_info *info = &s->cam[i].about.info;
+        uint64_t px = (uint64_t)info->w * (uint64_t)info->h;
+        uint64_t frame = info->stride ? (uint64_t)info->stride * (uint64_t)info->h : px;
+        sum += (uint64_t)n * 3 * (frame > px ? frame : px);
+    }
+    return sum;
+}
+
+/* ---- the loop ---- */
+
+int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *deadline_ns)
+{
+    int n = 0;
+    *deadline_ns = bracket_deadline(s->machine);
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        if (c->open && n < cap)
+            fds[n++] = (struct pollfd){.fd = c->ops->fd(c->st), .events = POLLIN | POLLPRI};
+        if (!c->open && c->retry_ns < *deadline_ns)
+            *deadline_ns = c->retry_ns;
+    }
+    return n;
+}
+
+err_t session_step(struct session *s, int64_t now)
+{
+    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
+    err_t e = OK;
+    for (int i = 0; !e && i < s->n; i++)
+        e = drain(s, i, now);
+    if (!e && now >= bracket_deadline(s->machine))
+        e = tell(s, &tick, NULL);
+    if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
+        session_cancel(s, err_text());
+        e = OK;
+    }
+    if (!e)
+        e = follow(s, now);
+    for (int i = 0; !e && i < s->n; i++)
+        e = adapt(s, i, now);
+    if (!e && s->lost && s->phase == PHASE_NONE)
+        e = find_lost(s, now);
+    return e == ERR_NOMEM ? e : OK;
+}
