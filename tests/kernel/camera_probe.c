@@ -4,17 +4,23 @@
  *   frames N   take N frames: steps of sequence and of time, flags, and their truth, if it is
  *              usbcam that sends them
  *   until US   take frames until the truth is that exposure; tells how many
- *   reopen N   close and open, each time with a frame
+ *   reopen N   close and open, N times, each with a frame; an error is told, and the next try made
+ *   control ID=VALUE   set a control of the node, as another program would
  * Exits with 0, 1 after an error, 2 when the camera cannot be opened. */
 #include "tests/kernel/truth.h"
 
 #include "drivers/camera.h"
 #include "drivers/unpack.h"
 
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/videodev2.h>
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
 
 static const char *const formats[CAMERA_FORMATS] = {
     "any",     "rgb8",    "bgr8",    "yuyv",    "nv12",    "mjpg",    "grey",
@@ -26,6 +32,7 @@ struct probe {
     void *st;
     struct camera_cfg cfg;
     struct camera_info info;
+    bool is_open;
     uint32_t sequence;
     int64_t stamp_ns;
 };
@@ -33,6 +40,7 @@ struct probe {
 static err_t open_it(struct probe *p)
 {
     err_t e = p->ops->open(p->st, &p->cfg);
+    p->is_open = e == OK;
     if (!e)
         p->ops->info(p->st, &p->info);
     p->stamp_ns = 0;
@@ -51,15 +59,22 @@ static err_t wait_frame(struct probe *p, struct frame *f)
     return err_fail(ERR_TIMEOUT, "no frame in 5 s");
 }
 
-static void tell_mean(const struct probe *p, const struct frame *f)
+/* Means by channel; of a mosaic by place in its squares of 2 x 2. */
+static void tell_means(const struct probe *p, const struct frame *f)
 {
-    size_t n = unpack_count(&p->info);
-    struct raw raw = {.px = malloc(n * sizeof *raw.px)};
-    double sum = 0.0;
+    struct raw raw = {.px = malloc(unpack_count(&p->info) * sizeof *raw.px)};
+    double sum[4] = {0.0};
     if (raw.px && unpack_run(&p->info, f, &raw) == OK) {
-        for (size_t i = 0; i < n; i++)
-            sum += raw.px[i];
-        printf(" mean %.2f", sum / (double)n);
+        int n = raw.cfa == RAW_RGB ? 3 : raw.cfa == RAW_MONO ? 1 : 4;
+        for (int i = 0; i < raw.w * raw.h; i++) {
+            for (int c = 0; n == 3 && c < 3; c++)
+                sum[c] += raw.px[3 * i + c];
+            if (n != 3)
+                sum[n == 1 ? 0 : i / raw.w % 2 * 2 + i % raw.w % 2] += raw.px[i];
+        }
+        printf(" mean");
+        for (int c = 0; c < n; c++)
+            printf(" %.2f", sum[c] / (raw.w * raw.h / (n == 4 ? 4 : 1)));
     } else {
         printf(" unusable: %s", err_text());
     }
@@ -75,7 +90,7 @@ static void tell(struct probe *p, const struct frame *f)
     else
         printf("first frame");
     printf(" flags %u", f->flags);
-    tell_mean(p, f);
+    tell_means(p, f);
     if (f->exposure_known)
         printf(" reported %.0f us", f->exposure.time_s * 1e6);
     if (truth_read(f->data, f->bytes, &t))
@@ -135,20 +150,35 @@ static err_t until(struct probe *p, double us)
 
 static err_t reopen(struct probe *p, int n)
 {
+    int opened = 0;
     for (int i = 0; i < n; i++) {
         struct frame f;
-        p->ops->close(p->st);
+        if (p->is_open)
+            p->ops->close(p->st);
         err_t e = open_it(p);
+        if (!e)
+            e = wait_frame(p, &f);
         if (e) {
             printf("error %d: %s\n", (int)e, err_text());
-            exit(2);
+            continue;
         }
-        e = wait_frame(p, &f);
-        if (e)
-            return e;
         p->ops->release(p->st, &f);
+        opened++;
     }
-    printf("opened %d times\n", n);
+    printf("opened %d of %d times\n", opened, n);
+    return p->is_open ? OK : ERR_LOST;
+}
+
+static err_t control(struct probe *p, const char *text)
+{
+    const char *path = strchr(p->cfg.uri, ':') + 1;
+    char *end;
+    struct v4l2_control c = {.id = (uint32_t)strtoul(text, &end, 0)};
+    c.value = atoi(end + 1);
+    int fd = open(path, O_RDWR | O_CLOEXEC);
+    if (fd < 0 || ioctl(fd, VIDIOC_S_CTRL, &c))
+        return err_fail(ERR_IO, "control %s: %s", text, strerror(errno));
+    close(fd);
     return OK;
 }
 
@@ -168,6 +198,8 @@ static err_t operate(struct probe *p, char **word)
         if (!strcmp(word[0], timed[i].name))
             return timed[i].run(p, atof(word[1]));
     }
+    if (!strcmp(word[0], "control"))
+        return control(p, word[1]);
     fprintf(stderr, "no operation %s\n", word[0]);
     exit(3);
 }
@@ -209,7 +241,8 @@ int main(int argc, char **argv)
         e = operate(&p, argv + i);
     if (e)
         printf("error %d: %s\n", (int)e, err_text());
-    p.ops->close(p.st);
+    if (p.is_open)
+        p.ops->close(p.st);
     free(p.st);
     return e != OK;
 }

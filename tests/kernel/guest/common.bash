@@ -43,3 +43,17 @@ expect() { # what got wanted
 between() { # what got least most
     { [ "$2" -ge "$3" ] && [ "$2" -le "$4" ]; } || fail "$1: $2, not $3..$4"
 }
+
+# probe_camera STATUS NODE OPERATION...: camera_probe; what it tells is printed and in the file `seen`.
+probe_camera() {
+    local rc=0 wanted=$1 node=$2
+    shift 2
+    "$BIN/camera_probe" "v4l2:$node" "$@" >seen || rc=$?
+    cat seen
+    [ $rc = "$wanted" ] || fail "the probe ended with $rc, not $wanted"
+}
+
+# Lines of `seen` with a pattern.
+count() {
+    grep -c -- "$1" seen || true
+}

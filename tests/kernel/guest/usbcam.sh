@@ -20,18 +20,8 @@ pull() {
     await "end of the camera" test ! -e $node
 }
 
-# probe STATUS OPERATION...: what it tells is printed and in the file `seen`.
 probe() {
-    local rc=0 wanted=$1
-    shift
-    "$BIN/camera_probe" v4l2:$node "$@" >seen || rc=$?
-    cat seen
-    [ $rc = "$wanted" ] || fail "the probe ended with $rc, not $wanted"
-}
-
-# Count lines of `seen` with a pattern.
-count() {
-    grep -c -- "$1" seen || true
+    probe_camera "$1" $node "${@:2}"
 }
 
 echo "== exposures come when they may, and stay; automatic exposure does not"
@@ -44,7 +34,7 @@ expect "frames before, when it does not wander any more" \
     "$(sed '/ask/,$d' seen | tail -n 4 | grep -c ' truth .* 10000 us')" 4
 expect "settings that took 4 frames" "$(count 'there after 4 frames')" 4
 expect "frames of the last setting" "$(count ' truth .* 12300 us')" 3
-expect "opened" "$(count 'opened 20 times')" 1
+expect "opened" "$(count 'opened 20 of 20 times')" 1
 probe 0 mjpg ask 2000 until 2000 frames 2
 expect "JPEG frames with 2 ms" "$(count ' truth .* 2000 us')" 2
 pull
