@@ -7,6 +7,7 @@
 #include "firmware/ctl.h"
 #include "firmware/http.h"
 #include "firmware/jobs.h"
+#include "firmware/schedule.h"
 #include "firmware/session.h"
 #include "firmware/store.h"
 #include "firmware/summary.h"
@@ -249,7 +250,10 @@ static err_t begin(struct daemon *d, int64_t press_ns)
 {
     struct session_order o;
     make_order(d, press_ns, &o);
-    err_t e = store_room(d->store, session_bytes(d->session, &o));
+    uint64_t need = 0;
+    for (int i = 0; i < session_cameras(d->session); i++)
+        need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));
+    err_t e = store_room(d->store, need);
     if (!e)
         e = session_begin(d->session, &o);
     snprintf(d->trouble, sizeof d->trouble, "%s", e ? err_text() : "");

@@ -7,6 +7,11 @@ bool schedule_is_metered(const struct session_order *o)
     return o->mode == SESSION_AUTO || !(o->middle_s > 0);
 }
 
+int schedule_frames(const struct session_order *o)
+{
+    return o->stagger ? 1 : o->mode == SESSION_LIST ? o->n : BRACKET_EXPOSURES_MAX;
+}
+
 static void add(struct bracket_plan *p, double time_s)
 {
     if (p->n < BRACKET_EXPOSURES_MAX)

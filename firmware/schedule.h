@@ -9,6 +9,9 @@
 /* Whether probes are needed: for the exposures, or for the middle one of a list. */
 bool schedule_is_metered(const struct session_order *o);
 
+/* The most frames that a take of that order keeps of one camera. */
+int schedule_frames(const struct session_order *o);
+
 /* The plan of one camera. In an automatic bracket, probes that serve as exposures are marked as
  * used and not asked for again. In stagger mode the camera takes one exposure, number `turn` of
  * those of a full bracket, round and round; probes do not count then.

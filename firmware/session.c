@@ -606,10 +606,6 @@ static err_t check_order(const struct session *s, const struct session_order *o)
     for (int i = 0; i < s->n; i++)
         if (!s->cam[i].open)
             return err_fail(ERR_LOST, "%s is not there", s->cam[i].about.uri);
-    uint64_t need = session_bytes(s, o) / 3; // the rest is on disk only
-    if (s->cfg.memory && need > s->cfg.memory)
-        return err_fail(ERR_LIMIT, "frames need up to %llu MB, max_memory_mb allows %zu",
-                        (unsigned long long)(need / 1000000), s->cfg.memory / 1000000);
     return OK;
 }
 
@@ -739,20 +735,6 @@ void session_progress(const struct session *s, struct bracket_progress *out)
 void session_view(const struct session *s, int camera, struct session_view *out)
 {
     *out = s->cam[camera].view;
-}
-
-/* As the driver gave it, as a picture, and merged. */
-uint64_t session_bytes(const struct session *s, const struct session_order *o)
-{
-    uint64_t sum = 0;
-    int n = o->stagger ? 1 : o->mode == SESSION_LIST ? o->n : BRACKET_EXPOSURES_MAX;
-    for (int i = 0; i < s->n; i++) {
-        const struct camera_info *info = &s->cam[i].about.info;
-        uint64_t px = (uint64_t)info->w * (uint64_t)info->h;
-        uint64_t frame = info->stride ? (uint64_t)info->stride * (uint64_t)info->h : px;
-        sum += (uint64_t)n * 3 * (frame > px ? frame : px);
-    }
-    return sum;
 }
 
 /* ---- the loop ---- */

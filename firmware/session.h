@@ -56,9 +56,6 @@ void session_close(struct session *s); // accepts NULL
 
 enum session_state session_state(const struct session *s);
 
-/* The most bytes that a take of that order may need on disk. */
-uint64_t session_bytes(const struct session *s, const struct session_order *o);
-
 /* Sentence for the user: what it does or waits for. */
 const char *session_status(const struct session *s);
 

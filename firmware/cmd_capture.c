@@ -1,0 +1,281 @@
+/* hdrig capture: one take, by the daemon or, with --camera, by this program itself. */
+#include "firmware/clocks.h"
+#include "firmware/cmd.h"
+#include "firmware/ctl.h"
+#include "firmware/engine.h"
+#include "firmware/progress.h"
+#include "firmware/schedule.h"
+#include "firmware/session.h"
+#include "firmware/store.h"
+
+#include "drivers/file.h"
+#include "drivers/json.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <libgen.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#define SECOND INT64_C(1000000000)
+
+struct request {
+    struct config cfg;
+    const char *camera[CMD_TEXTS_MAX];
+    const char *bracket, *middle, *out;
+    bool stagger;
+};
+
+/* ---- by the daemon ---- */
+
+static int ask_daemon(const char *name, const struct config *cfg, const char *line)
+{
+    static char answer[CTL_ANSWER_MAX];
+    struct cJSON *doc = NULL;
+    bool ok = false;
+    err_t e = ctl_ask(cfg->control_socket, line, 0, answer);
+    if (!e)
+        e = json_parse("answer of the daemon", answer, strlen(answer), &doc);
+    if (!e && (!json_truth(json_member(doc, "ok"), &ok) || !ok)) {
+        const char *why = json_string(json_member(doc, "error"));
+        e = err_fail(ERR_IO, "%s", why ? why : "the daemon refuses");
+    }
+    const char *id = json_string(json_member(doc, "id"));
+    if (!e && id)
+        printf("%s/%s\n", cfg->store_path, id);
+    json_free(doc);
+    return cmd_finish(name, e);
+}
+
+/* ---- by ourselves ---- */
+
+static err_t make_order(const struct request *q, struct session_order *o)
+{
+    const char *stops = q->bracket ? q->bracket : "auto";
+    double middle = 0;
+    err_t e = OK;
+    *o = (struct session_order){.mode = SESSION_AUTO,
+                                .stagger = q->stagger,
+                                .verify = true,
+                                .snr = pow(10, q->cfg.bracket_snr_db / 20.0)};
+    if (strcmp(stops, "auto") != 0) {
+        o->mode = SESSION_LIST;
+        e = config_stops("--bracket", stops, o->ev, BRACKET_EXPOSURES_MAX, &o->n);
+        if (!e && o->n == 0)
+            e = err_fail(ERR_ARG, "--bracket: auto, or stops like -4,0,4");
+    }
+    if (!e && q->middle)
+        e = cmd_number("--middle", q->middle, 1e-6, 1e4, &middle);
+    o->middle_s = middle;
+    return e;
+}
+
+static err_t open_cameras(const struct request *q, struct session **out)
+{
+    struct session_config s = {.w = q->cfg.camera_w,
+                               .h = q->cfg.camera_h,
+                               .format = (enum camera_format)q->cfg.camera_format,
+                               .calibration = q->cfg.calibration_path,
+                               .memory = (size_t)q->cfg.max_memory_mb * 1000000};
+    while (s.n < CMD_TEXTS_MAX && q->camera[s.n]) {
+        s.uri[s.n] = q->camera[s.n];
+        s.n++;
+    }
+    return session_open(&s, out);
+}
+
+/* Wait for what session_poll names; a tenth of a second at most, for Ctrl-C. */
+static void wait_for(const struct session *s)
+{
+    struct pollfd fds[BRACKET_CAMERAS_MAX];
+    int64_t deadline;
+    int n = session_poll(s, fds, BRACKET_CAMERAS_MAX, &deadline);
+    int64_t left = deadline - clocks_now();
+    left = left < 0 ? 0 : left > SECOND / 10 ? SECOND / 10 : left;
+    struct timespec t = {.tv_nsec = left};
+    ppoll(fds, (nfds_t)n, &t, NULL);
+}
+
+static err_t run(struct session *s, const struct session_order *o, struct take **out)
+{
+    struct progress p;
+    struct bracket_progress b = {0};
+    err_t e = session_begin(s, o);
+    progress_init(&p, stderr);
+    while (!e && session_state(s) != SESSION_READY) {
+        wait_for(s);
+        e = session_step(s, clocks_now());
+        if (atomic_load(&engine_cancel))
+            session_cancel(s, "cancelled");
+        session_progress(s, &b);
+        if (!e)
+            progress_step(&p, session_state(s) == SESSION_METERING ? "metering" : "capture", b.kept,
+                          b.wanted, NULL);
+    }
+    progress_end(&p);
+    if (!e)
+        e = session_collect(s, out);
+    if (!e && (*out)->status != TAKE_COMPLETE)
+        e = atomic_load(&engine_cancel) ? err_fail(ERR_CANCELLED, "cancelled")
+                                        : err_fail(ERR_IO, "%s", (*out)->reason);
+    return e;
+}
+
+/* A store of its own beside DIR, whose only take becomes DIR. */
+static err_t publish(const struct take *t, const char *dir, const struct config *cfg)
+{
+    char parent[FILE_PATH_CAP], own[FILE_PATH_CAP], from[FILE_PATH_CAP], counter[FILE_PATH_CAP];
+    char id[STORE_ID_CAP], name[32];
+    struct store *s = NULL;
+    if (strlen(dir) >= sizeof parent)
+        return err_fail(ERR_ARG, "--out: longer than %zu bytes", sizeof parent - 1);
+    strcpy(parent, dir);
+    memmove(parent, dirname(parent), strlen(dirname(parent)) + 1);
+    snprintf(name, sizeof name, ".hdrig-%d", (int)getpid());
+    err_t e = file_join(parent, name, own);
+    struct store_config c = {own, (uint64_t)cfg->store_reserve_mb * 1000000, cfg->store_merge, 0};
+    if (!e)
+        e = store_open(&c, &s);
+    if (!e)
+        e = store_commit(s, t, id);
+    if (!e)
+        e = file_join(own, id, from);
+    store_close(s);
+    if (!e && renameat2(AT_FDCWD, from, AT_FDCWD, dir, RENAME_NOREPLACE) != 0)
+        e = err_fail(ERR_IO, "%s: %s", dir, strerror(errno));
+    if (file_join(own, "counter", counter) == OK)
+        unlink(counter);
+    rmdir(own);
+    return e;
+}
+
+static void tell(const struct take *t, const char *dir)
+{
+    fprintf(stderr, "%d frames of %d camera%s, %d looked at, %d refused%s%s\n", t->n, t->n_cameras,
+            t->n_cameras == 1 ? "" : "s", t->frames_used, t->rejected, t->reason[0] ? "; " : "",
+            t->reason);
+    for (int i = 0; i < t->n; i++) {
+        const struct take_frame *f = &t->frame[i];
+        fprintf(stderr, "  camera %d: %.6g s%s\n", f->camera, take_exposure_s(f),
+                f->evidence.proof >= BRACKET_UNVERIFIED_DARK ? ", not proven by its pixels" : "");
+    }
+    printf("%s\n", dir);
+}
+
+static err_t capture(const struct request *q)
+{
+    struct session *s = NULL;
+    struct session_order o;
+    struct take *t = NULL;
+    err_t e = make_order(q, &o);
+    if (!e && file_exists(q->out))
+        e = err_fail(ERR_ARG, "--out: %s is there already", q->out);
+    if (!e)
+        e = open_cameras(q, &s);
+    if (!e)
+        e = run(s, &o, &t);
+    if (!e)
+        e = publish(t, q->out, &q->cfg);
+    if (!e)
+        tell(t, q->out);
+    take_free(t);
+    session_close(s);
+    return e;
+}
+
+int cmd_capture_run(int argc, char **argv)
+{
+    struct request q = {0};
+    int code;
+    const struct cmd_option options[] = {
+        {"camera", "URI...", "take it here, with these cameras; else the daemon does", NULL,
+         q.camera, NULL},
+        {"out", "DIR", "with --camera: where the take goes", NULL, &q.out, NULL},
+        {"bracket", "B", "auto, or stops around the middle exposure: -4,0,4 (auto)", NULL,
+         &q.bracket, NULL},
+        {"middle", "S", "exposure of 0 stops, s; else metered", NULL, &q.middle, NULL},
+        {"stagger", NULL, "one exposure per camera, in turn", NULL, NULL, &q.stagger},
+        CMD_MEMORY,
+    };
+    const struct cmd_usage usage = {"capture", "", "Takes one capture.", options,
+                                    sizeof options / sizeof options[0]};
+    if (!cmd_parse(&usage, argc, argv, &q.cfg, &code))
+        return code;
+    if (!q.camera[0] && (q.out || q.bracket || q.middle || q.stagger))
+        return cmd_misuse(&usage, "--out, --bracket, --middle and --stagger go with --camera: the "
+                                  "daemon has its settings");
+    if (!q.camera[0])
+        return ask_daemon("capture", &q.cfg, "capture wait");
+    if (!q.out)
+        return cmd_misuse(&usage, "--out is needed");
+    return cmd_finish("capture", capture(&q));
+}
+
+int cmd_cancel_run(int argc, char **argv)
+{
+    struct config cfg;
+    int code;
+    const struct cmd_usage usage = {"cancel", "",
+                                    "Ends the running capture of the daemon, else its running "
+                                    "reconstruction.",
+                                    NULL, 0};
+    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
+        return code;
+    return ask_daemon("cancel", &cfg, "cancel");
+}
+
+static void print_status(const struct cJSON *doc)
+{
+    const char *state = json_string(json_member(doc, "state"));
+    const char *sentence = json_string(json_member(doc, "sentence"));
+    const struct cJSON *cameras = json_member(doc, "cameras"), *job = json_member(doc, "job");
+    const struct cJSON *takes = json_member(doc, "captures");
+    bool running = false;
+    printf("%s: %s\n", state ? state : "?", sentence ? sentence : "");
+    for (const struct cJSON *c = json_first(cameras); c; c = json_next(c)) {
+        bool there = false;
+        const char *uri = json_string(json_member(c, "uri"));
+        printf("camera   %s%s\n", uri ? uri : "?",
+               json_truth(json_member(c, "present"), &there) && there ? "" : ", not there");
+    }
+    if (json_truth(json_member(job, "running"), &running) && running) {
+        const char *id = json_string(json_member(job, "id"));
+        const char *line = json_string(json_member(job, "line"));
+        printf("job      %s: %s\n", id ? id : "?", line ? line : "");
+    }
+    for (const struct cJSON *t = json_first(takes); t; t = json_next(t)) {
+        double frames = 0;
+        const char *id = json_string(json_member(t, "id"));
+        const char *reason = json_string(json_member(t, "reason"));
+        if (json_number(json_member(t, "frames"), &frames))
+            printf("capture  %s: %.0f frames%s%s\n", id ? id : "?", frames,
+                   reason && *reason ? ", " : "", reason ? reason : "");
+    }
+}
+
+int cmd_status_run(int argc, char **argv)
+{
+    static char answer[CTL_ANSWER_MAX];
+    struct config cfg;
+    struct cJSON *doc = NULL;
+    bool json = false;
+    int code;
+    const struct cmd_option options[] = {
+        {"json", NULL, "everything, as the daemon says it", NULL, NULL, &json},
+    };
+    const struct cmd_usage usage = {"status", "", "What the daemon does.", options, 1};
+    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
+        return code;
+    err_t e = ctl_ask(cfg.control_socket, "status", 10, answer);
+    if (!e)
+        e = json_parse("answer of the daemon", answer, strlen(answer), &doc);
+    if (!e && json)
+        puts(answer);
+    else if (!e)
+        print_status(doc);
+    json_free(doc);
+    return cmd_finish("status", e);
+}
