@@ -2,6 +2,7 @@
 
 #include <sys/timex.h>
 #include <time.h>
+#include <unistd.h>
 
 static int64_t read_clock(clockid_t id)
 {
@@ -25,5 +26,8 @@ struct clocks clocks_at(int64_t monotonic_ns)
 bool clocks_synced(void)
 {
     struct timex t = {0};
-    return adjtimex(&t) != TIME_ERROR && !(t.status & STA_UNSYNC);
+    int state = adjtimex(&t);
+    if (state < 0) // a sandbox may forbid it
+        return access("/run/systemd/timesync/synchronized", F_OK) == 0;
+    return state != TIME_ERROR && !(t.status & STA_UNSYNC);
 }

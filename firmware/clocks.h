@@ -15,7 +15,7 @@ int64_t clocks_now(void); // CLOCK_MONOTONIC, ns
 /* A moment of CLOCK_MONOTONIC on all clocks, as they stand to each other now. */
 struct clocks clocks_at(int64_t monotonic_ns);
 
-/* Whether CLOCK_REALTIME is kept right by something (adjtimex). */
+/* Whether something keeps CLOCK_REALTIME right: the kernel knows, else systemd-timesyncd. */
 bool clocks_synced(void);
 
 #endif
