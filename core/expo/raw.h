@@ -15,4 +15,11 @@ struct raw {
     uint16_t *px;    // (h, w), or (h, w, 3) for RAW_RGB; row 0 on top
 };
 
+/* Colour of a site of a mosaic: 0 red, 1 green, 2 blue. */
+static inline int raw_colour(enum raw_cfa cfa, int y, int x)
+{
+    int c = (y & 1) + ((x & 1) ^ (cfa == RAW_GRBG || cfa == RAW_GBRG)); // as if red were first
+    return cfa == RAW_BGGR || cfa == RAW_GBRG ? 2 - c : c;
+}
+
 #endif

@@ -23,7 +23,8 @@ struct witness {
     int good, dark, clipped; // places
 };
 
-/* `crf` is for display values; NULL: sRGB is assumed, which callers must allow for (`loose`). */
+/* `crf` is for display values; NULL: sRGB is assumed, which callers must allow for: under another
+ * curve ratios are wrong, by up to 0.1 stops per stop for gamma 2.2, 0.6 for filmic ones. */
 void witness_take(const struct raw *px, const struct crf *crf, struct witness *out);
 
 struct witness_ratio {
@@ -31,7 +32,7 @@ struct witness_ratio {
     float log2;   // exposure of b over that of a: median over the places; 0 if there are none
     float spread; // half of the range between the quartiles: large if the scene or the light of
                   // parts of it changed
-    float lo, hi; // what the dark and clipped places allow, with 2 % of them wrong; -/+ INFINITY
+    float lo, hi; // what dark and clipped places allow, with 2 % of all places wrong; -/+ INFINITY
 };
 
 /* Compare b with a. */

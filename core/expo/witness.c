@@ -1,0 +1,210 @@
+/* A place is a block of EDGE x EDGE pixels, centred in a cell of an even grid; only these are
+ * touched. Per colour the block's codes become relative exposure (display values by a table, linear
+ * ones less black) and are averaged; the strongest of red, green and blue counts. Of a mosaic only
+ * sites of one colour are averaged, green over both of its kinds.
+ * CLIPPED if any pixel of any colour is above CLIP of the range: a scene that clips in one colour
+ * says nothing safe by the others once a device has mixed them.
+ * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
+ * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
+ * of linear numbers, a black level that is wrong by half a code.
+ * A ratio is the median of log2 x_b / x_a over places good in both, 4.5 of the capture notes. A
+ * place that is dark or clipped in one bounds it from one side; of the bounds sorted, the one with
+ * 2 % of all places beyond it is taken. */
+#include "core/expo/witness.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { EDGE = 8, WRONG = WITNESS_PLACES / 50 };
+
+#define LOG2E 1.44269504f
+#define DARK_DISPLAY 8    // codes: capture notes 4.2
+#define DARK_LINEAR 8     // codes above black
+#define CLIP_DISPLAY 246  // code
+#define CLIP_LINEAR 0.9f  // of the range above black: response bends before its end
+#define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG
+#define STEP_LINEAR 0.29f // rounding
+#define BLACK_ERROR 0.5f  // codes
+#define LEAST 1e-9f       // relative exposure: logarithms are finite
+#define SD_MAX 0.15f      // stops: noisier places are dark
+
+struct scale {
+    const struct raw *px;
+    int clip;            // first code that counts as clipped
+    float unit;          // relative exposure of a code of linear numbers
+    float table[3][256]; // of display values
+    float dark[3];       // relative exposure below which it is dark
+};
+
+/* Sums over one colour of a block. */
+struct sum {
+    int n, pairs, clipped;
+    float x, diff2; // sum of exposures; of squared differences of neighbours
+    int64_t codes;
+};
+
+struct mean {
+    float x, sd; // relative exposure; its error, linear
+};
+
+static void scale_init(const struct raw *px, const struct crf *crf, struct scale *s)
+{
+    struct crf srgb;
+    s->px = px;
+    int top = (1 << px->bits) - 1 - px->black;
+    s->unit = 1.0f / (float)top;
+    s->clip = px->linear ? px->black + (int)(CLIP_LINEAR * (float)top) : CLIP_DISPLAY;
+    if (!px->linear && !crf) {
+        crf_srgb(&srgb);
+        crf = &srgb;
+    }
+    for (int c = 0; c < 3; c++) {
+        for (int i = 0; i < 256 && !px->linear; i++)
+            s->table[c][i] = exp2f(crf->log2x[c][i]);
+        s->dark[c] = px->linear ? DARK_LINEAR * s->unit : s->table[c][DARK_DISPLAY];
+    }
+}
+
+static inline float exposure_of(const struct scale *s, int colour, int code)
+{
+    return s->px->linear ? (float)(code - s->px->black) * s->unit : s->table[colour][code & 255];
+}
+
+/* n sites of a colour in a row, `step` numbers apart. */
+static void add_row(const struct scale *s, int colour, const uint16_t *p, int n, int step,
+                    struct sum *to)
+{
+    float last = 0.0f;
+    for (int i = 0; i < n; i++, p += step) {
+        float x = exposure_of(s, colour, *p);
+        to->clipped += *p >= s->clip;
+        to->codes += *p;
+        to->x += x;
+        to->diff2 += i > 0 ? (x - last) * (x - last) : 0.0f;
+        last = x;
+    }
+    to->n += n;
+    to->pairs += n - 1;
+}
+
+/* Sums of a block per colour, which begins at an even site of a mosaic. */
+static void add_block(const struct scale *s, int y0, int x0, struct sum to[3])
+{
+    const struct raw *px = s->px;
+    int w = num_min(px->w, EDGE), h = num_min(px->h, EDGE);
+    size_t pitch = px->cfa == RAW_RGB ? 3 : 1;
+    for (int y = y0; y < y0 + h; y++) {
+        const uint16_t *p = px->px + ((size_t)y * (size_t)px->w + (size_t)x0) * pitch;
+        if (px->cfa == RAW_MONO)
+            add_row(s, 1, p, w, 1, &to[1]);
+        else if (px->cfa == RAW_RGB)
+            for (int c = 0; c < 3; c++)
+                add_row(s, c, p + c, w, 3, &to[c]);
+        else
+            for (int k = 0; k < 2; k++)
+                add_row(s, raw_colour(px->cfa, y, k), p + k, w / 2, 2,
+                        &to[raw_colour(px->cfa, y, k)]);
+    }
+}
+
+static struct mean mean_of(const struct scale *s, int colour, const struct sum *m)
+{
+    float n = (float)m->n, step = STEP_LINEAR * s->unit, black = BLACK_ERROR * s->unit;
+    if (!s->px->linear) {
+        int code = num_min((int)(m->codes / m->n), 254), below = code > 0 ? code - 1 : 0;
+        step = STEP_DISPLAY * 0.5f * (s->table[colour][code + 1] - s->table[colour][below]);
+        black = 0.0f;
+    }
+    float noise2 = m->pairs > 0 ? 0.5f * m->diff2 / (float)m->pairs / n : 0.0f;
+    return (struct mean){m->x / n, sqrtf(noise2 + step * step + black * black)};
+}
+
+static enum witness_state judge(const struct scale *s, int y0, int x0, float *x, float *sd)
+{
+    struct sum sums[3] = {{0}};
+    struct mean best = {-INFINITY, 0.0f};
+    bool clipped = false;
+    int colour = 1;
+    add_block(s, y0, x0, sums);
+    for (int c = 0; c < 3; c++) {
+        if (sums[c].n == 0)
+            continue;
+        struct mean m = mean_of(s, c, &sums[c]);
+        clipped |= sums[c].clipped > 0;
+        colour = m.x > best.x ? c : colour;
+        best = m.x > best.x ? m : best;
+    }
+    *x = fmaxf(best.x, LEAST);
+    *sd = LOG2E * best.sd / *x;
+    if (clipped)
+        return WITNESS_CLIPPED;
+    if (best.x >= s->dark[colour] && *sd <= SD_MAX)
+        return WITNESS_GOOD;
+    *x = fmaxf(fmaxf(best.x + 2.0f * best.sd, s->dark[colour]), LEAST);
+    *sd = 0.0f;
+    return WITNESS_DARK;
+}
+
+/* First pixel of the block of cell i, of n pixels. */
+static int begin_of(const struct raw *px, int i, int n)
+{
+    int at = (int)((2 * i + 1) * (int64_t)n / (2 * WITNESS_EDGE)) - EDGE / 2;
+    at = at > n - EDGE ? n - EDGE : at;
+    at = at < 0 ? 0 : at;
+    return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
+}
+
+void witness_take(const struct raw *px, const struct crf *crf, struct witness *out)
+{
+    struct scale s;
+    int count[3] = {0};
+    scale_init(px, crf, &s);
+    for (int i = 0; i < WITNESS_PLACES; i++) {
+        int y = begin_of(px, i / WITNESS_EDGE, px->h), x = begin_of(px, i % WITNESS_EDGE, px->w);
+        out->state[i] = (uint8_t)judge(&s, y, x, &out->x[i], &out->sd[i]);
+        count[out->state[i]]++;
+    }
+    out->good = count[WITNESS_GOOD];
+    out->dark = count[WITNESS_DARK];
+    out->clipped = count[WITNESS_CLIPPED];
+}
+
+/* ---- comparison ---- */
+
+struct lists {
+    int n, n_lo, n_hi;
+    float ratio[WITNESS_PLACES], lo[WITNESS_PLACES], hi[WITNESS_PLACES];
+};
+
+static void add_place(const struct witness *a, const struct witness *b, int i, struct lists *to)
+{
+    int sa = a->state[i], sb = b->state[i];
+    float r = log2f(b->x[i]) - log2f(a->x[i]);
+    float error = 2.0f * sqrtf(a->sd[i] * a->sd[i] + b->sd[i] * b->sd[i]);
+    if (sa == WITNESS_GOOD && sb == WITNESS_GOOD)
+        to->ratio[to->n++] = r;
+    else if (sa != WITNESS_CLIPPED && sb != WITNESS_DARK)
+        to->lo[to->n_lo++] = r - error;
+    else if (sa != WITNESS_DARK && sb != WITNESS_CLIPPED)
+        to->hi[to->n_hi++] = r + error;
+}
+
+void witness_compare(const struct witness *a, const struct witness *b, struct witness_ratio *out)
+{
+    struct lists l;
+    l.n = l.n_lo = l.n_hi = 0;
+    for (int i = 0; i < WITNESS_PLACES; i++)
+        add_place(a, b, i, &l);
+    *out = (struct witness_ratio){.places = l.n, .lo = -INFINITY, .hi = INFINITY};
+    out->log2 = num_median(l.ratio, (size_t)l.n); // sorts
+    if (l.n > 0)
+        out->spread = 0.5f * (l.ratio[l.n - 1 - l.n / 4] - l.ratio[l.n / 4]);
+    num_median(l.lo, (size_t)l.n_lo);
+    num_median(l.hi, (size_t)l.n_hi);
+    if (l.n_lo > WRONG)
+        out->lo = l.lo[l.n_lo - 1 - WRONG];
+    if (l.n_hi > WRONG)
+        out->hi = l.hi[WRONG];
+}

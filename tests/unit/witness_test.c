@@ -1,0 +1,364 @@
+/* The sensor's simulation photographs scenes of several stops at known exposures; the ratio that
+ * the pixels tell must be that of the exposures, the bounds must hold, and what cannot be told must
+ * be said to be unknown. */
+#include "core/expo/witness.h"
+
+#include "sim/sensor.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { W = 256, H = 192, N = W * H };
+
+static const struct run plain;
+static float radiance[3 * N];
+static uint16_t numbers[3 * N], shown[3 * N];
+static uint8_t display[3 * N];
+
+/* Waves in log2 radiance of `stops` rms, a colour cast that changes over the picture. */
+static void make_scene(float stops, uint64_t seed)
+{
+    static float f[N];
+    double power = 0.0;
+    memset(f, 0, sizeof f);
+    for (uint64_t k = 0; k < 12; k++) {
+        double angle = 6.2831853 * sensor_uniform(seed, 2 * k),
+               phase = sensor_uniform(seed, 2 * k + 1);
+        double waves = 0.7 * exp2(0.5 * (double)k), a = pow(waves, -0.7);
+        power += 0.5 * a * a;
+        for (int i = 0; i < N; i++)
+            f[i] +=
+                (float)(a * cos(6.2831853 *
+                                (waves * (i % W * cos(angle) + i / W * sin(angle)) / W + phase)));
+    }
+    for (int i = 0; i < N; i++) {
+        float l = f[i] / (float)sqrt(power) * stops;
+        radiance[i] = exp2f(l + 0.8f * sinf(0.04f * (float)(i % W)));
+        radiance[N + i] = exp2f(l);
+        radiance[2 * N + i] = exp2f(l + 0.8f * cosf(0.05f * (float)(i / W)));
+    }
+}
+
+static void expose(struct sensor *s, double t, uint64_t frame)
+{
+    struct sensor_shot shot = {.exposure_s = t, .gain = 1.0f, .seed = 7, .frame = frame};
+    struct image im = {W, H, 3, radiance};
+    struct sensor_raw raw = {W, H, numbers};
+    s->electrons = s->full_well; // radiance 1 saturates in 1 s
+    assert_int_equal(sensor_expose(&plain, s, &shot, &im, &raw), OK);
+}
+
+/* 12 bits; the other two orders by leaving a column out. */
+static void take_raw(double t, uint64_t frame, enum raw_cfa cfa, struct witness *out)
+{
+    struct sensor s = sensor_default;
+    bool shift = cfa == RAW_GRBG || cfa == RAW_GBRG;
+    s.cfa = cfa == RAW_RGGB || cfa == RAW_GRBG ? SENSOR_RGGB : SENSOR_BGGR;
+    expose(&s, t, frame);
+    struct raw raw = {W, H, cfa, s.bits, s.black, true, numbers};
+    if (shift) {
+        raw.w = W - 2;
+        raw.px = shown;
+        for (int y = 0; y < H; y++)
+            memcpy(shown + y * raw.w, numbers + y * W + 1, sizeof *shown * (size_t)raw.w);
+    }
+    witness_take(&raw, NULL, out);
+}
+
+static void take_display(double t, uint64_t frame, const struct curve *c, const struct crf *crf,
+                         struct witness *out)
+{
+    struct sensor s = sensor_default;
+    struct sensor_shot shot = {.exposure_s = t, .gain = 1.0f};
+    struct sensor_raw raw = {W, H, numbers};
+    expose(&s, t, frame);
+    assert_int_equal(sensor_develop(&plain, &s, &shot, c, &raw, display), OK);
+    for (int i = 0; i < 3 * N; i++)
+        shown[i] = display[i];
+    witness_take(&(struct raw){W, H, RAW_RGB, 8, 0, false, shown}, crf, out);
+}
+
+/* What is wrong about a ratio whose truth is `stops`. */
+static void check_ratio(const struct witness *a, const struct witness *b, double stops,
+                        double tolerance)
+{
+    struct witness_ratio r, back;
+    witness_compare(a, b, &r);
+    witness_compare(b, a, &back);
+    if (r.places >= 10 && !(fabs(r.log2 - stops) <= tolerance))
+        fail_msg("%.3f instead of %.1f stops by %d places", (double)r.log2, stops, r.places);
+    if (!(r.lo <= stops && r.hi >= stops && back.lo <= -stops && back.hi >= -stops))
+        fail_msg("%.1f stops outside %.3f..%.3f or %.3f..%.3f", stops, (double)r.lo, (double)r.hi,
+                 (double)-back.hi, (double)-back.lo);
+    assert_true(r.places == back.places && fabsf(r.log2 + back.log2) < 0.03f);
+    assert_true(r.spread >= 0.0f && r.spread < 0.08f);
+    assert_int_equal(a->good + a->dark + a->clipped, WITNESS_PLACES);
+}
+
+static void test_mosaics(void **state)
+{
+    struct witness a, b;
+    int told = 0;
+    (void)state;
+    for (int stops = 0; stops <= 10; stops++) {
+        make_scene(2.0f, (uint64_t)stops);
+        enum raw_cfa cfa = RAW_RGGB + stops % 4;
+        take_raw(0.1 * exp2(-0.5 * stops), 1, cfa, &a);
+        take_raw(0.1 * exp2(0.5 * stops), 2, cfa, &b);
+        check_ratio(&a, &b, stops, 0.03);
+        struct witness_ratio r;
+        witness_compare(&a, &b, &r);
+        told += r.places >= 10;
+        if (stops == 0)
+            assert_true(r.places > WITNESS_PLACES * 9 / 10);
+        if (stops >= 8) // the bound alone says much
+            assert_true(r.lo > (float)stops - 1.5f);
+    }
+    assert_true(told >= 8);
+}
+
+static void crf_of(const struct curve *c, struct crf *out)
+{
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < 256; i++)
+            out->log2x[k][i] = log2f(fmaxf(curve_exposure(c, (float)i / 255.0f), 1e-6f));
+}
+
+static void test_curves_that_are_known(void **state)
+{
+    static const enum curve_family family[] = {CURVE_SRGB, CURVE_AGX, CURVE_FILMIC};
+    static const float param[] = {0.0f, 11.0f, 0.5f};
+    struct witness a, b;
+    struct curve c;
+    struct crf crf;
+    (void)state;
+    for (int stops = 0; stops <= 9; stops++) {
+        int k = stops % 3;
+        make_scene(2.0f, (uint64_t)stops + 20);
+        curve_make(family[k], param[k], 0, &c);
+        crf_of(&c, &crf);
+        const struct crf *use = k ? &crf : NULL;
+        take_display(0.1 * exp2(-0.5 * stops), 1, &c, use, &a);
+        take_display(0.1 * exp2(0.5 * stops), 2, &c, use, &b);
+        check_ratio(&a, &b, stops, 0.03);
+    }
+}
+
+/* sRGB is assumed: so far off may a ratio be, per stop. */
+static void test_curves_that_are_not(void **state)
+{
+    static const struct {
+        enum curve_family family;
+        float param, wrong;
+    } is[] = {{CURVE_GAMMA, 2.2f, 0.12f}, {CURVE_FILMIC, 0.5f, 0.5f}, {CURVE_AGX, 11.0f, 0.6f}};
+    struct witness a, b;
+    struct witness_ratio r;
+    struct curve c;
+    (void)state;
+    make_scene(1.5f, 3);
+    for (int k = 0; k < 3; k++) {
+        curve_make(is[k].family, is[k].param, 0, &c);
+        take_display(0.1, 1, &c, NULL, &a);
+        for (int stops = 0; stops <= 3; stops++) {
+            take_display(0.1 * exp2(stops), 2, &c, NULL, &b);
+            witness_compare(&a, &b, &r);
+            assert_true(fabsf(r.log2 - (float)stops) <= 0.02f + is[k].wrong * (float)stops);
+        }
+    }
+}
+
+/* ---- single places ---- */
+
+static uint16_t flat_px[3 * 64 * 64];
+
+static struct raw flat(enum raw_cfa cfa, bool linear, int code)
+{
+    for (int i = 0; i < 3 * 64 * 64; i++)
+        flat_px[i] = (uint16_t)code;
+    return (struct raw){64, 64, cfa, linear ? 10 : 8, linear ? 64 : 0, linear, flat_px};
+}
+
+static void test_states(void **state)
+{
+    static const struct {
+        enum raw_cfa cfa;
+        bool linear;
+        int code, want;
+    } cases[] = {
+        {RAW_RGGB, true, 64, WITNESS_DARK},      {RAW_RGGB, true, 0, WITNESS_DARK},
+        {RAW_RGGB, true, 71, WITNESS_DARK},      {RAW_RGGB, true, 73, WITNESS_GOOD},
+        {RAW_GBRG, true, 900, WITNESS_GOOD},     {RAW_GBRG, true, 930, WITNESS_CLIPPED},
+        {RAW_MONO, true, 1023, WITNESS_CLIPPED}, {RAW_RGB, false, 7, WITNESS_DARK},
+        {RAW_RGB, false, 9, WITNESS_GOOD},       {RAW_RGB, false, 245, WITNESS_GOOD},
+        {RAW_RGB, false, 246, WITNESS_CLIPPED},  {RAW_MONO, false, 0, WITNESS_DARK},
+        {RAW_MONO, false, 255, WITNESS_CLIPPED},
+    };
+    struct witness w;
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        struct raw r = flat(cases[i].cfa, cases[i].linear, cases[i].code);
+        witness_take(&r, NULL, &w);
+        const int count[3] = {w.good, w.dark, w.clipped};
+        assert_int_equal(count[cases[i].want], WITNESS_PLACES);
+        for (int k = 0; k < WITNESS_PLACES; k++) {
+            assert_int_equal(w.state[k], cases[i].want);
+            assert_true(w.x[k] > 0.0f && w.x[k] <= 1.0f && w.sd[k] >= 0.0f && w.sd[k] < 1.0f);
+        }
+    }
+    struct raw r = flat(RAW_RGGB, true, 64 + 96);
+    witness_take(&r, NULL, &w);
+    assert_true(fabsf(w.x[5] - 96.0f / 959.0f) < 1e-6f);
+    r = flat(RAW_RGB, false, 188); // half of the light in sRGB
+    witness_take(&r, NULL, &w);
+    assert_true(fabsf(w.x[5] - 0.5029f) < 1e-3f);
+}
+
+/* One wrong pixel of any colour, wherever in a block, clips its place and no other. */
+static void test_one_clipped_pixel(void **state)
+{
+    struct witness w;
+    (void)state;
+    for (int k = 0; k < 3 * 64 * 64; k += 577) {
+        struct raw r = flat(RAW_RGB, false, 40);
+        r.px[k] = 255;
+        witness_take(&r, NULL, &w);
+        assert_in_range(w.clipped, 1, 25); // blocks of this small picture overlap
+    }
+    struct raw r = flat(RAW_BGGR, true, 200);
+    r.px[33 * 64 + 32] = 1023;
+    witness_take(&r, NULL, &w);
+    assert_in_range(w.clipped, 1, 25);
+}
+
+/* The strongest colour counts, at its own sites. */
+static void test_strongest(void **state)
+{
+    struct witness w;
+    (void)state;
+    for (enum raw_cfa cfa = RAW_RGGB; cfa <= RAW_GBRG; cfa++)
+        for (int strong = 0; strong < 3; strong++) {
+            struct raw r = flat(cfa, true, 100);
+            for (int i = 0; i < 64 * 64; i++)
+                if (raw_colour(cfa, i / 64, i % 64) == strong)
+                    r.px[i] = 64 + 480;
+            witness_take(&r, NULL, &w);
+            for (int i = 0; i < WITNESS_PLACES; i++)
+                assert_true(fabsf(w.x[i] - 480.0f / 959.0f) < 1e-6f);
+        }
+    const enum raw_cfa first[4] = {RAW_RGGB, RAW_GRBG, RAW_GBRG, RAW_BGGR};
+    for (int k = 0; k < 4; k++) // red is where the order says
+        assert_int_equal(raw_colour(first[k], k / 2, k % 2), 0);
+}
+
+static void test_small_pictures(void **state)
+{
+    static const int sizes[][2] = {{1, 1}, {2, 2}, {2, 300}, {14, 14}, {31, 33}, {300, 2}};
+    struct witness a;
+    struct witness_ratio r;
+    (void)state;
+    for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++)
+        for (enum raw_cfa cfa = RAW_MONO; cfa <= RAW_GBRG; cfa++) {
+            int w = sizes[i][0], h = sizes[i][1];
+            if (cfa >= RAW_RGGB && (w % 2 || h % 2))
+                continue;
+            size_t n = (size_t)w * (size_t)h * (cfa == RAW_RGB ? 3 : 1);
+            uint16_t *px = malloc(n * sizeof *px); // of its own: beyond is seen
+            assert_non_null(px);
+            for (size_t k = 0; k < n; k++)
+                px[k] = 100;
+            witness_take(&(struct raw){w, h, cfa, 8, 0, false, px}, NULL, &a);
+            free(px);
+            assert_int_equal(a.good, WITNESS_PLACES);
+            witness_compare(&a, &a, &r);
+            assert_true(r.places == WITNESS_PLACES && r.log2 == 0.0f && r.spread == 0.0f);
+        }
+}
+
+/* ---- scenes that say little or change ---- */
+
+static void test_nothing_to_see(void **state)
+{
+    struct witness dark, bright, good;
+    struct witness_ratio r;
+    (void)state;
+    make_scene(1.0f, 5);
+    take_raw(1e-7, 1, RAW_RGGB, &dark);
+    take_raw(1e3, 2, RAW_RGGB, &bright);
+    take_raw(0.1, 3, RAW_RGGB, &good);
+    assert_true(dark.dark == WITNESS_PLACES && bright.clipped == WITNESS_PLACES);
+    witness_compare(&dark, &bright, &r);
+    assert_true(r.places == 0 && r.log2 == 0.0f && r.spread == 0.0f && r.lo > 6.0f);
+    assert_true(isinf(r.hi));
+    witness_compare(&dark, &dark, &r);
+    assert_true(r.places == 0 && isinf(r.lo) && isinf(r.hi));
+    witness_compare(&good, &dark, &r); // truth: -20
+    assert_true(r.hi >= -20.0f && r.hi < -5.0f && isinf(r.lo));
+    witness_compare(&bright, &good, &r); // truth: -13
+    assert_true(r.hi >= -13.3f && r.hi < 0.0f && isinf(r.lo));
+}
+
+/* A lamp lights a share of the picture by 3 stops between two frames. */
+static void test_lamp(void **state)
+{
+    static const double share[] = {0.2, 0.4, 0.6};
+    struct witness a, b;
+    struct witness_ratio r;
+    (void)state;
+    for (int k = 0; k < 3; k++) {
+        make_scene(1.0f, 6);
+        take_raw(0.02, 1, RAW_RGGB, &a);
+        for (int i = 0; i < 3 * N; i++)
+            if (i % W < share[k] * W)
+                radiance[i] *= 8.0f;
+        take_raw(0.04, 2, RAW_RGGB, &b);
+        witness_compare(&a, &b, &r);
+        if (k == 0)
+            assert_true(fabsf(r.log2 - 1.0f) < 0.05f); // the median does not mind
+        else
+            assert_true(r.spread > 1.0f);
+    }
+}
+
+/* Bounds bear 2 % of wrong places, not 6 %. */
+static void test_wrong_places(void **state)
+{
+    struct witness a, b;
+    struct witness_ratio r;
+    (void)state;
+    make_scene(1.0f, 7);
+    take_raw(0.02, 1, RAW_RGGB, &a);
+    take_raw(2.0, 2, RAW_RGGB, &b);
+    for (int wrong = 0; wrong <= 60; wrong += 20) {
+        struct witness x = a;
+        for (int i = 0; i < wrong; i++) {
+            x.x[17 * i] = 1e-6f;
+            x.state[17 * i] = WITNESS_DARK;
+            b.state[17 * i] = WITNESS_CLIPPED;
+        }
+        witness_compare(&x, &b, &r);
+        assert_true(wrong <= 20 ? r.lo < 6.7f && r.lo > 4.0f : r.lo > 10.0f);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_mosaics),
+        cmocka_unit_test(test_curves_that_are_known),
+        cmocka_unit_test(test_curves_that_are_not),
+        cmocka_unit_test(test_states),
+        cmocka_unit_test(test_one_clipped_pixel),
+        cmocka_unit_test(test_strongest),
+        cmocka_unit_test(test_small_pictures),
+        cmocka_unit_test(test_nothing_to_see),
+        cmocka_unit_test(test_lamp),
+        cmocka_unit_test(test_wrong_places),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
