@@ -507,8 +507,8 @@ static void note_device_limits(struct session *s)
     for (int i = 0; i < s->n && s->order.mode == SESSION_AUTO && !s->note[0]; i++) {
         const struct cam *c = &s->cam[i];
         if (c->plan.too_bright || c->plan.too_dark)
-            snprintf(s->note, sizeof s->note, "%.100s: the scene is too %s for the camera",
-                     c->about.uri, c->plan.too_bright ? "bright" : "dark");
+            snprintf(s->note, sizeof s->note, "camera %d: the scene is too %s for it", i + 1,
+                     c->plan.too_bright ? "bright" : "dark");
     }
 }
 
@@ -569,9 +569,9 @@ static err_t follow(struct session *s, int64_t now)
         else {
             int i = 0;
             enum bracket_reason r = bracket_reason(s->machine, &i);
-            char text[TAKE_TEXT];
-            snprintf(text, sizeof text, "%.100s: %s", s->cam[i].about.uri, bracket_sentence(r));
-            fail(s, s->cancelled ? s->reason : text);
+            if (!s->cancelled)
+                snprintf(s->reason, sizeof s->reason, "camera %d: %s", i + 1, bracket_sentence(r));
+            finish(s, false);
         }
     }
     if (e && s->phase != PHASE_NONE) {

@@ -1,0 +1,282 @@
+/* Takes with simulated cameras, compared with what the simulator says of every frame. */
+#include "firmware/session.h"
+
+#include "firmware/clocks.h"
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include <cmocka.h>
+
+#define SECOND INT64_C(1000000000)
+
+static struct session *s;
+static char uri[4][512];
+
+static int set_up(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    s = NULL;
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    (void)state;
+    session_close(s);
+    tmpdir_remove();
+    return 0;
+}
+
+static err_t open_rig(int n, const char *options)
+{
+    struct session_config c = {.n = n};
+    for (int i = 0; i < n; i++) {
+        snprintf(
+            uri[i], sizeof uri[i],
+            "sim:kind=room,seed=5,size=56,samples=1,fps=100,views=4,view=%d,truth=%s/truth%d%s%s",
+            i, tmpdir_root, i, *options ? "," : "", options);
+        c.uri[i] = uri[i];
+    }
+    return session_open(&c, &s);
+}
+
+static void turn(void)
+{
+    struct pollfd p[BRACKET_CAMERAS_MAX];
+    int64_t deadline;
+    int n = session_poll(s, p, BRACKET_CAMERAS_MAX, &deadline);
+    poll(p, (nfds_t)n, 20);
+    assert_int_equal(session_step(s, clocks_now()), OK);
+}
+
+static void run_until(enum session_state state, double limit_s)
+{
+    int64_t end = clocks_now() + (int64_t)(limit_s * 1e9);
+    while (session_state(s) != state && clocks_now() < end)
+        turn();
+    if (session_state(s) != state)
+        fail_msg("never in state %d, but %d: %s", state, session_state(s), session_status(s));
+}
+
+static struct take *run_take(const struct session_order *o)
+{
+    struct take *t;
+    if (session_begin(s, o) != OK)
+        fail_msg("%s", err_text());
+    run_until(SESSION_READY, 10);
+    assert_int_equal(session_collect(s, &t), OK);
+    return t;
+}
+
+/* The exposure that the simulator gave to the frame with that sequence. */
+static double true_exposure(int camera, uint32_t sequence)
+{
+    char name[32];
+    unsigned seq;
+    long long ns, number;
+    double time, gain, found = NAN;
+    snprintf(name, sizeof name, "truth%d", camera);
+    FILE *f = fopen(tmpdir_path(name), "r");
+    assert_non_null(f);
+    char line[256];
+    while (fgets(line, sizeof line, f))
+        if (sscanf(line, "%u %lld %lld %lf %lf", &seq, &ns, &number, &time, &gain) == 5 &&
+            seq == sequence)
+            found = time * gain;
+    fclose(f);
+    return found;
+}
+
+static void check_labels(const struct take *t)
+{
+    for (int i = 0; i < t->n; i++) {
+        const struct take_frame *f = &t->frame[i];
+        double truth = true_exposure(f->camera, f->evidence.sequence);
+        if (!(fabs(log2(take_exposure_s(f) / truth)) <= t->tolerance))
+            fail_msg("camera %d index %d: recorded %g, true %g", f->camera, f->index,
+                     take_exposure_s(f), truth);
+        assert_true(f->bytes == 56 * 56 * 3);
+        assert_true(f->start.realtime_ns > f->start.monotonic_ns);
+    }
+}
+
+static void a_list_of_exposures(void **state)
+{
+    (void)state;
+    struct session_order o = {
+        .mode = SESSION_LIST, .n = 3, .ev = {2, -2, 0}, .middle_s = 0.004, .trigger_ns = 5};
+    assert_int_equal(open_rig(1, ""), OK);
+    run_until(SESSION_ARMED, 1);
+    for (int i = 0; i < 30; i++) // a reference is at hand
+        turn();
+    struct take *t = run_take(&o);
+    assert_int_equal(t->status, TAKE_COMPLETE);
+    assert_int_equal(t->n, 3);
+    assert_int_equal(t->trigger.monotonic_ns, 5);
+    for (int i = 0; i < 3; i++) { // by rising exposure
+        assert_int_equal(t->frame[i].index, i);
+        assert_true(fabs(log2(take_exposure_s(&t->frame[i]) / 0.004) - (2 * i - 2)) < 0.05);
+    }
+    check_labels(t);
+    struct bracket_progress p;
+    session_progress(s, &p);
+    assert_true(p.frames <= 3 + 2 + 2);
+    take_free(t);
+    t = run_take(&o); // and once more
+    assert_int_equal(t->n, 3);
+    check_labels(t);
+    take_free(t);
+}
+
+static void metered_with_two_cameras(void **state)
+{
+    (void)state;
+    struct session_order o = {.mode = SESSION_AUTO, .verify = true};
+    assert_int_equal(open_rig(2, ""), OK);
+    struct take *t = run_take(&o);
+    if (t->status != TAKE_COMPLETE)
+        fail_msg("%s", t->reason);
+    assert_true(t->n >= 2 && t->n <= 2 * BRACKET_EXPOSURES_MAX);
+    assert_true(t->metered && t->meter[0].stops > 3 && t->meter[1].stops > 3);
+    for (int i = 0; i < 2; i++)
+        assert_true(t->meter[i].clipped < 0.02);
+    check_labels(t);
+    for (int i = 1; i < t->n; i++)
+        assert_true(t->frame[i].camera > t->frame[i - 1].camera ||
+                    take_exposure_s(&t->frame[i]) > take_exposure_s(&t->frame[i - 1]));
+    take_free(t);
+}
+
+static void stagger_gives_every_camera_one(void **state)
+{
+    (void)state;
+    struct session_order o = {
+        .mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.004, .stagger = true};
+    int seen[3][3] = {{0}};
+    assert_int_equal(open_rig(3, ""), OK);
+    for (int k = 0; k < 3; k++) {
+        struct take *t = run_take(&o);
+        assert_int_equal(t->n, 3);
+        assert_true(t->stagger);
+        check_labels(t);
+        for (int i = 0; i < 3; i++) {
+            int level = (int)lround(log2(take_exposure_s(&t->frame[i]) / 0.004) / 2) + 1;
+            assert_int_equal(t->frame[i].camera, i);
+            seen[i][level]++;
+        }
+        take_free(t);
+    }
+    for (int i = 0; i < 9; i++) // every camera every exposure once
+        assert_int_equal(seen[i / 3][i % 3], 1);
+}
+
+static void lost_in_the_middle_and_found_again(void **state)
+{
+    (void)state;
+    char options[300];
+    struct session_order o = {
+        .mode = SESSION_LIST, .n = 9, .middle_s = 0.2, .ev = {0, 1, 0, 1, 0, 1, 0, 1, 0}};
+    struct take *t;
+    tmpdir_text("node", "");
+    snprintf(options, sizeof options, "node=%s", tmpdir_path("node"));
+    assert_int_equal(open_rig(2, options), OK);
+    assert_int_equal(session_begin(s, &o), OK);
+    assert_int_equal(session_begin(s, &o), ERR_BUSY);
+    for (int i = 0; i < 20; i++)
+        turn();
+    unlink(tmpdir_path("node"));
+    run_until(SESSION_READY, 5);
+    assert_int_equal(session_collect(s, &t), OK);
+    assert_int_equal(t->status, TAKE_ABORTED);
+    assert_non_null(strstr(t->reason, "unplugged"));
+    check_labels(t);
+    take_free(t);
+    run_until(SESSION_LOST, 1);
+    assert_int_equal(session_begin(s, &o), ERR_LOST);
+    tmpdir_text("node", "");
+    run_until(SESSION_ARMED, 3);
+    struct session_order quick = {.mode = SESSION_LIST, .n = 2, .ev = {-2, 0}, .middle_s = 0.004};
+    t = run_take(&quick);
+    assert_int_equal(t->status, TAKE_COMPLETE);
+    take_free(t);
+}
+
+static void cancelled(void **state)
+{
+    (void)state;
+    struct session_order o = {.mode = SESSION_LIST, .n = 2, .middle_s = 1, .ev = {0, 1}};
+    struct take *t;
+    assert_int_equal(open_rig(1, ""), OK);
+    session_cancel(s, "nothing runs");
+    assert_int_equal(session_state(s), SESSION_ARMED);
+    assert_int_equal(session_begin(s, &o), OK);
+    turn();
+    session_cancel(s, "shutdown");
+    assert_int_equal(session_state(s), SESSION_READY);
+    assert_int_equal(session_collect(s, &t), OK);
+    assert_int_equal(t->status, TAKE_ABORTED);
+    assert_string_equal(t->reason, "shutdown");
+    take_free(t);
+    assert_int_equal(session_collect(s, &t), ERR_AGAIN);
+}
+
+static void lies_are_not_believed(void **state)
+{
+    (void)state;
+    struct session_order o = {.mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.004};
+    assert_int_equal(open_rig(1, "metadata=late,faults=at frame 60 lose 0.2"), OK);
+    for (int k = 0; k < 4; k++) {
+        struct take *t = run_take(&o);
+        check_labels(t);
+        take_free(t);
+    }
+    session_close(s);
+    assert_int_equal(open_rig(1, "readback=cached,metadata=absent,faults=at frame 10 ignore 0"),
+                     OK);
+    for (int i = 0; i < 30; i++)
+        turn();
+    struct take *t = run_take(&o);
+    assert_int_equal(t->status, TAKE_ABORTED);
+    check_labels(t);
+    take_free(t);
+}
+
+static void what_cannot_be_opened(void **state)
+{
+    (void)state;
+    struct session_config c = {.n = 1, .uri = {"v4l2:/dev/nowhere"}};
+    assert_int_equal(session_open(&c, &s), ERR_LOST);
+    assert_null(s);
+    c.uri[0] = "camera";
+    assert_int_equal(session_open(&c, &s), ERR_ARG);
+    assert_non_null(strstr(err_text(), "v4l2:"));
+    c.n = 17;
+    assert_int_equal(session_open(&c, &s), ERR_ARG);
+    assert_int_equal(open_rig(1, ""), OK);
+    struct session_order o = {.mode = SESSION_LIST, .n = 10, .middle_s = 1};
+    assert_int_equal(session_begin(s, &o), ERR_ARG);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(a_list_of_exposures, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(metered_with_two_cameras, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(stagger_gives_every_camera_one, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(lost_in_the_middle_and_found_again, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(cancelled, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(lies_are_not_believed, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(what_cannot_be_opened, set_up, tear_down),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
