@@ -215,8 +215,10 @@ static err_t fill_part(void *ctx, int i, const struct image **out)
     struct merge *m = ctx;
     const double one = 1.0;
     *out = &m->im;
-    if (i > 0)
-        merge_rows(&m->raw[i - 1], 1, &one, m->crf, m->how, 0, m->im.h, &m->im);
+    if (i > 0) {
+        struct merge_set set = {&m->raw[i - 1], 1, &one, m->crf, m->how};
+        merge_rows(&set, 0, m->im.h, &m->im);
+    }
     return OK;
 }
 
@@ -226,7 +228,8 @@ static err_t merge_open(struct merge *m)
     m->im = (struct image){m->raw[0].w, m->raw[0].h, 3, malloc(plane * 3 * sizeof(float))};
     if (!m->im.px)
         return err_fail(ERR_NOMEM, "merging: no memory for %d x %d px", m->im.w, m->im.h);
-    merge_rows(m->raw, m->n, m->exposure_s, m->crf, m->how, 0, m->im.h, &m->im);
+    struct merge_set set = {m->raw, m->n, m->exposure_s, m->crf, m->how};
+    merge_rows(&set, 0, m->im.h, &m->im);
     m->scale = scale_of(&m->im);
     for (size_t i = 0; i < 3 * plane; i++)
         m->im.px[i] /= m->scale;

@@ -14,7 +14,21 @@ struct develop {
 void develop_balance(const struct raw *frames, int n, struct develop *out);
 
 /* px: (h, w, 3). Display values pass as they are; a mosaic is demosaiced (Malvar, He & Cutler,
- * ICASSP 2004), grey is repeated. */
+ * ICASSP 2004), grey is repeated. What the sensor clips in all colours is white. */
 void develop_run(const struct raw *in, const struct develop *how, uint8_t *px);
+
+/* Demosaicing of numbers that are made when they are needed. */
+struct develop_mosaic {
+    enum raw_cfa cfa;
+    int w, h;
+    const void *ctx;
+    /* v: numbers of the n sites from x on in row y. */
+    void (*fill)(const void *ctx, int y, int x, int n, float *v);
+    /* rgb: three times n, for the pixels from x on in row y. */
+    void (*put)(const void *ctx, int y, int x, int n, float *const rgb[3]);
+};
+
+/* Rows begin..end-1; of a row the pixels come in pieces. */
+void develop_rows(const struct develop_mosaic *m, int begin, int end);
 
 #endif

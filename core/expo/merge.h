@@ -10,10 +10,19 @@
 #include "core/expo/develop.h"
 #include "core/types.h"
 
-/* n frames of one size and kind, 1..9, at exposures (time x gain, s). Rows begin..end-1 of `out`
- * (3 planes) are written; crf is for display values, NULL: sRGB. Pixels that are clipped in all
+/* Frames of one size and kind. */
+struct merge_set {
+    const struct raw *frames; // (n)
+    int n;                    // 1..MERGE_FRAMES_MAX
+    const double *exposure_s; // (n) time x gain, > 0
+    const struct crf *crf;    // of display values; NULL: sRGB
+    const struct develop *how;
+};
+
+enum { MERGE_FRAMES_MAX = 9 };
+
+/* Rows begin..end-1 of `out` (3 planes) are written: finite, >= 0. Pixels that are clipped in all
  * frames get the least radiance that explains it, those dark in all what the longest says. */
-void merge_rows(const struct raw *frames, int n, const double *exposure_s, const struct crf *crf,
-                const struct develop *how, int begin, int end, struct image *out);
+void merge_rows(const struct merge_set *s, int begin, int end, struct image *out);
 
 #endif

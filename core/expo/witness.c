@@ -2,8 +2,8 @@
  * touched. Per colour the block's codes become relative exposure (display values by a table, linear
  * ones less black) and are averaged; the strongest of red, green and blue counts. Of a mosaic only
  * sites of one colour are averaged, green over both of its kinds.
- * CLIPPED if any pixel of any colour is above CLIP of the range: a scene that clips in one colour
- * says nothing safe by the others once a device has mixed them.
+ * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
+ * colour says nothing safe by the others once a device has mixed them.
  * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
  * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
  * of linear numbers, a black level that is wrong by half a code.
@@ -22,8 +22,6 @@ enum { EDGE = 8, WRONG = WITNESS_PLACES / 50 };
 #define LOG2E 1.44269504f
 #define DARK_DISPLAY 8    // codes: capture notes 4.2
 #define DARK_LINEAR 8     // codes above black
-#define CLIP_DISPLAY 246  // code
-#define CLIP_LINEAR 0.9f  // of the range above black: response bends before its end
 #define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG
 #define STEP_LINEAR 0.29f // rounding
 #define BLACK_ERROR 0.5f  // codes
@@ -55,7 +53,7 @@ static void scale_init(const struct raw *px, const struct crf *crf, struct scale
     s->px = px;
     int top = (1 << px->bits) - 1 - px->black;
     s->unit = 1.0f / (float)top;
-    s->clip = px->linear ? px->black + (int)(CLIP_LINEAR * (float)top) : CLIP_DISPLAY;
+    s->clip = raw_clip(px);
     if (!px->linear && !crf) {
         crf_srgb(&srgb);
         crf = &srgb;
