@@ -24,7 +24,7 @@ for test in "$@"; do
     printf '%-52s' "kernel: $test"
     TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=512M time-travel=inf-cpu \
         time-travel-start=1700000000000000000 rootfstype=hostfs rootflags=/ ro \
-        init="$root/tests/kernel/guest/init.sh" con=null con0=null,fd:1 quiet loglevel=4 \
+        init="$root/tests/kernel/guest/init.sh" con=null con0=null,fd:1 quiet loglevel=3 \
         TEST="$root/tests/kernel/guest/$test.sh" BIN="$bin" MODULES="$made" \
         >"$log" 2>&1 </dev/null
     if grep -qx 'TEST_EXIT 0' "$log"; then

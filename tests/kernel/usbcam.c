@@ -4,9 +4,9 @@
  * device at the other end; uvcvideo binds to it and makes /dev/videoN. Frames, control timing and
  * misfortunes are those of the simulated camera (sim/camera_sim.h), which should have
  * length=limit,quantum=100 like real ones. Of its faults, those of the driver's queue (eio, index)
- * are lost frames here, a gap of the sequence is a broken frame, which uvcvideo drops, and unplug is followed by plugging
- * in again after 0.7 s, which SIGUSR1 does too. While exposure is automatic it wanders. SIGTERM
- * ends.
+ * are lost frames here, a gap of the sequence is a broken frame, which uvcvideo drops, and unplug
+ * is followed by plugging in again after 0.7 s, which SIGUSR1 does too. While exposure is automatic
+ * it wanders. SIGTERM ends.
  * USB/IP: Documentation/usb/usbip_protocol.rst of the kernel; all numbers are big-endian. */
 #include "tests/kernel/truth.h"
 #include "tests/kernel/uvc.h"

@@ -44,7 +44,7 @@ between() { # what got least most
     { [ "$2" -ge "$3" ] && [ "$2" -le "$4" ]; } || fail "$1: $2, not $3..$4"
 }
 
-# probe_camera STATUS NODE OPERATION...: camera_probe; what it tells is printed and in the file `seen`.
+# probe_camera STATUS NODE OPERATION...: what camera_probe tells is printed and in the file `seen`.
 probe_camera() {
     local rc=0 wanted=$1 node=$2
     shift 2
