@@ -42,15 +42,17 @@ struct seat { // a camera
     int tries[BRACKET_EXPOSURES_MAX];
     struct bracket_evidence evidence[BRACKET_EXPOSURES_MAX];
     int64_t begin_ns, alive_ns;
-    int since; // frames since BEGIN, as ages of requests
+    double slow_s; // longest frame before a restart: it may run on
+    int since;     // frames since BEGIN, as ages of requests
     int frames, rejected, lost;
     int settled;                     // frames that make the reference
     int conflicts, judged, bad;      // in a row, or since the phase began
     int refusals, forgets, restarts; // in a row; per set
     int target, suspect;             // index, -1: none
-    double measured, before; // stops of the last frame; of the one before the request at rest; NAN
-    enum bracket_reason cause; // why the last frame was refused
-    int w, h;                  // of the reference
+    double still;                    // stops that the last frames had, NAN: not known
+    int still_since;                 // as `since`
+    enum bracket_reason cause;       // why the last frame was refused
+    int w, h;                        // of the reference
     enum camera_format format;
     bool gains_known;
     double red, blue;
@@ -137,7 +139,6 @@ static void request(struct seat *c, int index, int64_t now_ns)
         return;
     c->wish[index] = ASKED;
     c->tries[index]++;
-    c->before = c->measured;
 }
 
 static bool complete(const struct seat *c)
@@ -158,26 +159,19 @@ static double distance(const struct seat *c, int index)
     return best;
 }
 
-/* The first in the order of the plan, then, of those that were tried, what is nearest to a frame
- * to compare with: -1 none. */
+/* The first in the order of the plan; of those that were tried, or at rest, what is nearest to a
+ * frame to compare with: -1 none. */
 static int pick(const struct seat *c)
 {
     int best = -1;
-    for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] == MISSING && c->tries[i] == 0)
+    for (int i = 0; i < c->plan.n; i++) {
+        if (c->wish[i] == KEPT || (c->wish[i] == ASKED && c->phase == RUN))
+            continue;
+        if (c->tries[i] == 0 && c->phase == RUN)
             return i;
-    for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] == MISSING && (best < 0 || distance(c, i) < distance(c, best)))
+        if (best < 0 || distance(c, i) < distance(c, best))
             best = i;
-    return best;
-}
-
-static int pick_at_rest(const struct seat *c)
-{
-    int best = -1;
-    for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] != KEPT && (best < 0 || distance(c, i) < distance(c, best)))
-            best = i;
+    }
     return best;
 }
 
@@ -190,7 +184,7 @@ static void request_next(struct seat *c, int64_t now_ns)
     if (c->phase == RUN)
         i = pick(c);
     if (c->phase == REST && (c->target < 0 || c->wish[c->target] == KEPT))
-        c->target = pick_at_rest(c);
+        c->target = pick(c);
     if (c->phase == REST)
         i = c->target;
     if (i >= 0 && (c->phase == RUN || !newest || newest->index != i))
@@ -214,6 +208,16 @@ static void give_up_passed(struct seat *c, int before)
 
 /* ---- ends ---- */
 
+static void forget(struct seat *c)
+{
+    for (int i = 0; i < c->plan.n; i++) {
+        c->forget |= c->wish[i] == KEPT;
+        c->wish[i] = MISSING;
+        c->tries[i] = 0;
+    }
+    label_forget(&c->label, false);
+}
+
 static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason why, int64_t now_ns)
 {
     b->state = BRACKET_FAULT;
@@ -222,7 +226,10 @@ static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason w
     for (int i = 0; i < b->n; i++) {
         struct seat *c = &b->seat[i];
         c->forget = c->restart = c->request = false;
-        label_unlearn(&c->label);
+        if (c == culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
+                             why == BRACKET_DISAGREES))
+            forget(c); // whatever they were compared with is in doubt
+        label_trust(&c->label);
         if (c->armed && !c->restarting && c->plan.n > 0 && !is_base(c, label_newest(&c->label)))
             request(c, LABEL_BASE, now_ns);
     }
@@ -244,19 +251,17 @@ static void over(struct bracket *b, struct seat *c)
     b->state = BRACKET_DONE;
 }
 
-static void light_changed(struct bracket *b, struct seat *c, int64_t now_ns)
+static void light_changed(struct bracket *b, struct seat *c, const struct label_look *k,
+                          int64_t now_ns)
 {
-    if (c->forgets++) {
+    // once; and not into a darkness or glare where nothing could be compared
+    if (c->forgets++ || !(k->measured || k->changed)) {
         fault(b, c, BRACKET_SCENE_CHANGED, now_ns);
         return;
     }
-    for (int i = 0; i < c->plan.n; i++) {
-        c->forget |= c->wish[i] == KEPT;
-        c->wish[i] = MISSING;
-        c->tries[i] = 0;
-    }
+    forget(c);
     label_forget(&c->label, true);
-    label_unlearn(&c->label);
+    label_trust(&c->label);
     c->settled = 0;
     c->suspect = -1;
     enter(c, WAIT);
@@ -318,39 +323,13 @@ static int missing_index(const struct seat *c, const struct label_request *e)
     return -1;
 }
 
-static enum bracket_proof proof_of(const struct seat *c, const struct label_look *k, bool reported)
-{
-    if (!k->measured || !c->label.anchor[k->by].proven)
-        return k->dark >= k->clipped ? BRACKET_UNVERIFIED_DARK : BRACKET_UNVERIFIED_BRIGHT;
-    return reported ? BRACKET_REPORTED : BRACKET_PIXELS;
-}
-
 static void keep(struct seat *c, int i, const struct bracket_event *ev, const struct label_look *k)
 {
-    const struct frame *f = ev->frame;
-    const struct label_request *e = &c->label.log[k->entry];
     struct bracket_evidence *v = &c->evidence[i];
-    *v = (struct bracket_evidence){.exposure = k->exposure,
-                                   .asked = c->plan.ask[i],
-                                   .set = e->set,
-                                   .reported_known = f->exposure_known,
-                                   .ratio_known = k->measured,
-                                   .ratio = k->ratio,
-                                   .places = k->places,
-                                   .proof = proof_of(c, k, f->exposure_known),
-                                   .sequence = f->sequence,
-                                   .timestamp_ns = f->timestamp_ns,
-                                   .start_ns = f->timestamp_ns,
-                                   .request_ns = e->answered_ns,
-                                   .frames_since = e->age_lo,
-                                   .attempts = c->tries[i],
-                                   .rested = c->phase != RUN};
-    if (f->exposure_known)
-        v->reported = f->exposure;
-    if (k->measured)
-        v->ratio_asked = (float)(label_stops(&k->exposure) - c->label.anchor[k->by].recorded);
-    if (c->label.cfg.stamp == CAMERA_STAMP_END)
-        v->start_ns -= (int64_t)(k->exposure.time_s * 1e9);
+    label_evidence(&c->label, ev->frame, k, v);
+    v->asked = c->plan.ask[i];
+    v->attempts = c->tries[i];
+    v->rested = c->phase != RUN;
     label_hold(&c->label, i, ev->witness, k);
     c->wish[i] = KEPT;
     c->keep = i;
@@ -366,7 +345,7 @@ static void known(struct bracket *b, struct seat *c, const struct bracket_event 
     bool early = c->since < 1 || (base && c->label.sane && ev->frame->timestamp_ns < c->begin_ns);
     int i = missing_index(c, e);
     c->judged = 0;
-    if (i >= 0 && !early)
+    if (i >= 0 && !early && (c->phase == RUN || (c->phase == REST && label_alone(&c->label))))
         keep(c, i, ev, k);
     give_up_passed(c, k->entry);
     if (!base || !at_base)
@@ -386,18 +365,30 @@ static void judge(struct bracket *b, struct seat *c, const struct label_look *k,
     double tolerance = c->label.cfg.tolerance;
     if (++c->judged < JUDGED_MAX)
         return;
-    bool still = k->measured && fabs(k->stops - c->before) <= 0.5 * tolerance &&
+    // nothing has moved since before the request
+    bool still = c->since - c->still_since > e->age_hi - c->label.lo && !isnan(c->still) &&
                  fabs(e->stops - e->from) > 2.0 * tolerance;
     if (k->disagrees)
         fault(b, c, BRACKET_DISAGREES, now_ns);
-    else if (c->phase == CHECK)
-        light_changed(b, c, now_ns);
     else if (still)
         fault(b, c, BRACKET_INEFFECTIVE, now_ns);
+    else if (c->phase == CHECK)
+        light_changed(b, c, k, now_ns);
     else {
         c->suspect = c->target;
         enter(c, CHECK);
     }
+}
+
+/* The delay is another one, or a flash of light made a frame look like its neighbour; then others
+ * may have been mistaken too. */
+static void shifted(struct seat *c)
+{
+    label_doubt(&c->label);
+    if (c->phase != RUN)
+        return;
+    forget(c);
+    enter(c, CHECK);
 }
 
 static bool tried_in_vain(const struct seat *c)
@@ -413,8 +404,14 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
     struct label_look k;
     label_look(&c->label, ev->frame, ev->witness, &k);
     bool rested = label_rested(&c->label);
+    if (!k.measured || !(fabs(k.stops - c->still) <= 0.5 * c->label.cfg.tolerance)) {
+        c->still = k.measured ? k.stops : NAN;
+        c->still_since = c->since;
+    }
     if (k.verdict == LABEL_SHIFTED)
-        label_learn(&c->label, &k);
+        shifted(c);
+    if (k.verdict == LABEL_PROVEN)
+        label_narrow(&c->label, &k);
     if (k.verdict == LABEL_PROVEN || (k.verdict == LABEL_BLIND && rested && c->phase != RUN))
         known(b, c, ev, &k);
     if (k.verdict == LABEL_CONFLICT) {
@@ -426,7 +423,6 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
         if (rested && c->phase != RUN)
             judge(b, c, &k, ev->now_ns);
     }
-    c->measured = k.measured ? k.stops : NAN;
     give_up_passed(c, 0);
     if (c->phase == RUN && (c->conflicts >= CONFLICTS_MAX || tried_in_vain(c) ||
                             (rested && is_base(c, label_newest(&c->label)))))
@@ -569,7 +565,8 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         c->since = c->suspect = -1;
         c->frames = c->rejected = c->lost = c->bad = 0;
         c->refusals = c->forgets = c->restarts = 0;
-        c->measured = c->before = NAN;
+        c->slow_s = 0.0;
+        c->still = NAN;
         c->cause = BRACKET_BAD_FRAMES;
         enter(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? RUN : WAIT);
         request_next(c, ev->now_ns);
@@ -615,6 +612,7 @@ static void opened(struct bracket *b, struct seat *c, const struct bracket_event
         return;
     c->restarting = c->asking = c->request = false;
     c->alive_ns = ev->now_ns;
+    c->slow_s = label_longest_s(&c->label);
     label_restart(&c->label, NULL, ev->now_ns);
     give_up_passed(c, 0);
     enter(c, c->settled >= 2 ? CHECK : WAIT);
@@ -624,7 +622,7 @@ static void opened(struct bracket *b, struct seat *c, const struct bracket_event
 
 static int64_t deadline(const struct seat *c)
 {
-    double wait_s = WAITS * label_longest_s(&c->label) + PATIENCE_S;
+    double wait_s = WAITS * fmax(label_longest_s(&c->label), c->slow_s) + PATIENCE_S;
     int64_t ns = (int64_t)fmin(wait_s * 1e9, 9e18);
     return c->alive_ns > INT64_MAX - ns ? INT64_MAX : c->alive_ns + ns;
 }

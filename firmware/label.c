@@ -20,6 +20,7 @@ enum {
     PLACES_MANY = WITNESS_PLACES / 8,      // no need for another anchor
     DOUBT = 8,                             // frames: devices whose delay nobody knows
     REST = 2,                              // frames beyond doubt
+    UNSURE = 2,                            // a wider range of delays is not known, but a guess
     GAP_MAX = 64,                          // frames lost in one go; more is nonsense
     AGE_MAX = 1 << 20
 };
@@ -50,7 +51,7 @@ void label_init(struct label *l, const struct bracket_camera *cfg)
 {
     memset(l, 0, sizeof *l);
     l->cfg = *cfg;
-    label_unlearn(l);
+    label_trust(l);
     l->doubt = cfg->delay_hi + REST > DOUBT ? cfg->delay_hi + REST : DOUBT;
 }
 
@@ -186,13 +187,20 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns)
     return lo;
 }
 
-void label_learn(struct label *l, const struct label_look *k)
+void label_doubt(struct label *l)
+{
+    l->lo = 0;
+    l->hi = l->doubt;
+}
+
+void label_narrow(struct label *l, const struct label_look *k)
 {
     const struct label_request *e = &l->log[k->entry];
-    if (k->entry > 0 && e->age_hi < l->lo)
-        l->lo = e->age_hi > 0 ? e->age_hi : 0;
-    if (k->entry + 1 < l->n && e[1].age_lo >= l->hi)
-        l->hi = e[1].age_lo + 1;
+    if (l->hi - l->lo <= UNSURE || e->index == LABEL_BASE || k->entry + 1 == l->n)
+        return;
+    int lo = e[1].age_lo + 1, hi = e->age_hi;
+    l->lo = lo > l->lo ? lo : l->lo;
+    l->hi = hi < l->hi ? hi : l->hi;
 }
 
 /* ---- pixels ---- */
@@ -269,7 +277,7 @@ void label_forget(struct label *l, bool reference)
             l->anchor[i].held = false;
 }
 
-void label_unlearn(struct label *l)
+void label_trust(struct label *l)
 {
     l->lo = l->cfg.delay_lo;
     l->hi = l->cfg.delay_hi;
@@ -385,4 +393,35 @@ void label_look(const struct label *l, const struct frame *f, const struct witne
         out->verdict = LABEL_SHIFTED;
     else
         out->verdict = out->measured ? LABEL_PROVEN : LABEL_BLIND;
+}
+
+static enum bracket_proof proof_of(const struct label *l, const struct label_look *k, bool reported)
+{
+    if (!k->measured || !l->anchor[k->by].proven)
+        return k->dark >= k->clipped ? BRACKET_UNVERIFIED_DARK : BRACKET_UNVERIFIED_BRIGHT;
+    return reported ? BRACKET_REPORTED : BRACKET_PIXELS;
+}
+
+void label_evidence(const struct label *l, const struct frame *f, const struct label_look *k,
+                    struct bracket_evidence *out)
+{
+    const struct label_request *e = &l->log[k->entry];
+    *out = (struct bracket_evidence){.exposure = k->exposure,
+                                     .set = e->set,
+                                     .reported_known = f->exposure_known,
+                                     .ratio_known = k->measured,
+                                     .ratio = k->ratio,
+                                     .places = k->places,
+                                     .proof = proof_of(l, k, f->exposure_known),
+                                     .sequence = f->sequence,
+                                     .timestamp_ns = f->timestamp_ns,
+                                     .start_ns = f->timestamp_ns,
+                                     .request_ns = e->answered_ns,
+                                     .frames_since = e->age_lo};
+    if (f->exposure_known)
+        out->reported = f->exposure;
+    if (k->measured)
+        out->ratio_asked = (float)(label_stops(&k->exposure) - l->anchor[k->by].recorded);
+    if (l->cfg.stamp == CAMERA_STAMP_END)
+        out->start_ns -= (int64_t)(k->exposure.time_s * 1e9);
 }

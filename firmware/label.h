@@ -3,7 +3,7 @@
  *
  * Pixels decide; requests say what they may decide for; the device must agree. An exposure can be
  * in force from `lo` frames after its request on, and is so from `hi` frames on until a later one
- * is. Both are believed until the pixels show otherwise (label_learn), within 0..`doubt`.
+ * is. Both are believed until the pixels show otherwise, within 0..`doubt`.
  * Ages of requests are intervals: sequence numbers and time stamps may contradict each other.
  * thread: any, one at a time per struct. */
 #ifndef FIRMWARE_LABEL_H
@@ -99,10 +99,15 @@ double label_longest_s(const struct label *l);
 void label_look(const struct label *l, const struct frame *f, const struct witness *w,
                 struct label_look *out);
 
-/* Widen the delay so that a shifted look fits. */
-void label_learn(struct label *l, const struct label_look *k);
+/* The delay: unknown after all; narrowed, if it is unknown, to what a proven look shows; as it was
+ * promised. */
+void label_doubt(struct label *l);
+void label_narrow(struct label *l, const struct label_look *k);
+void label_trust(struct label *l);
 
-void label_unlearn(struct label *l);
+/* What is known about a frame that is kept; the plan's fields are the caller's. */
+void label_evidence(const struct label *l, const struct frame *f, const struct label_look *k,
+                    struct bracket_evidence *out);
 
 /* Make a frame an anchor; k is its look. */
 void label_hold(struct label *l, int index, const struct witness *w, const struct label_look *k);
