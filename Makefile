@@ -7,8 +7,8 @@
 # CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
 
 # Debian 12 packages: to build and run, and to check.
-DEPS := gcc libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
-	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev \
+DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
+	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
@@ -21,6 +21,7 @@ DEMO := 13
 ifeq ($(origin CC),default)
 CC := $(CROSS)gcc
 endif
+CXX := $(if $(findstring clang,$(CC)),clang++,$(CROSS)g++)
 AR := $(CROSS)ar
 ARCH := $(if $(CROSS),$(firstword $(subst -, ,$(CROSS))),$(shell uname -m))
 comma := ,
@@ -36,6 +37,9 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
 	$(MORE) $(SANFLAGS) $(CFLAGS)
+# The module alone is C++; libcamera's headers want C++20 from 0.7.1 on.
+CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
+	-Wshadow -Wundef $(if $(WERROR),-Werror) $(SANFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lmicrohttpd -lsystemd -lgpiod -lm \
 	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
@@ -78,6 +82,8 @@ objects = $(1:%.c=$(B)/%.o)
 programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(MAINS:firmware/%.c=$(B)/%)
+MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
+MODULE_NEEDS := drivers/libcamera_shim.cpp drivers/libcamera_shim.h drivers/camera.h Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
@@ -85,8 +91,8 @@ TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 .DELETE_ON_ERROR:
 .SECONDARY:
 
-all: deps $(LIBS) $(TOOLS) $(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) \
-	$(if $(CROSS),,build/small.hdrig)
+all: deps $(LIBS) $(TOOLS) $(MODULE) \
+	$(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) $(if $(CROSS),,build/small.hdrig)
 
 # build/hdrig is the plain native one.
 build/hdrig build/hdrigd: build/%: build/$(V)/%
@@ -133,11 +139,17 @@ $(B)/libsim.so: $(call objects,$(SIM_ALONE) $(CORE))
 $(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
+# libcamera, for those who have it: loaded by drivers/camera_libcamera.c.
+$(B)/hdrig-libcamera.so: $(MODULE_NEEDS)
+	@mkdir -p $(@D)
+	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
+
 install: all
 	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
 	    { echo "no board/$(BOARD)/board.conf"; exit 1; })
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	$(if $(TOOLS),install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin)
+	$(if $(MODULE),install -D -m 644 $(MODULE) $(DESTDIR)$(PREFIX)/lib/hdrig/$(notdir $(MODULE)))
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
 	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
@@ -178,6 +190,15 @@ fuzz-targets: $(call programs,$(FUZZ))
 $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
 
+# The module over a libcamera that is played: what 0.0.3 has, what 0.7.2 has.
+FAKECAMERAS := $(B)/tests/unit/fakecamera_3.so $(B)/tests/unit/fakecamera_72.so
+$(B)/tests/unit/camera_libcamera_test: | $(FAKECAMERAS)
+$(FAKECAMERAS): $(B)/tests/unit/fakecamera_%.so: $(MODULE_NEEDS) \
+		$(wildcard tests/unit/fakecamera/*.* tests/unit/fakecamera/libcamera/*)
+	@mkdir -p $(@D)
+	$(CXX) $(CXXFLAGS_MODULE) -Itests/unit/fakecamera -DFAKE_RELEASE=$* \
+	    -Dclock_gettime=fakecamera_clock -o $@ $(filter %.cpp,$^)
+
 # Each plays one version of the library.
 $(B)/tests/unit/trigger_gpiod1_test.o: MORE = -Itests/unit/fakegpiod1
 $(B)/tests/unit/trigger_gpiod2_test.o: MORE = -Itests/unit/fakegpiod2
@@ -210,7 +231,7 @@ fuzz: deps-check
 
 format:
 	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch] sim/*.[ch]) \
-	    $(wildcard tests/*/*.[ch])
+	    $(wildcard tests/*/*.[ch] drivers/*.cpp tests/unit/fakecamera/*.*)
 
 # A value for scripts: make -s print-B
 print-%: ; @echo $($*)

@@ -15,6 +15,7 @@ BEGIN {
     wrapper["^libexif/"] = "^drivers/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/exrfile\\.c$"
     wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/json\\.c$"
+    wrapper["^libcamera/"] = "^drivers/libcamera_shim\\.cpp$"
     wrapper["^gpiod\\.h$"] = "^drivers/trigger_gpiod[12]\\.c$"
     wrapper["^linux/gpio\\.h$"] = "^drivers/gpio\\.c$"
     wrapper["^linux/input\\.h$"] = "^drivers/trigger_evdev\\.c$"

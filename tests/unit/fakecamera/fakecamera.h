@@ -1,0 +1,44 @@
+/* fakecamera.h - how the libcamera that is played for tests behaves, and what it saw. The test
+ * finds the struct by its name in the module that was built with it.
+ * thread: fields are set before open; those marked live at any time. */
+#ifndef FAKECAMERA_FAKECAMERA_H
+#define FAKECAMERA_FAKECAMERA_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum { FAKECAMERA_CAMERAS = 3 };
+
+struct fakecamera {
+    int n_cameras;
+    const char *id[FAKECAMERA_CAMERAS], *model[FAKECAMERA_CAMERAS];
+    bool usb;          // no gain that counts, no exposure in the metadata
+    bool uncontrolled; // no exposure at all
+    bool apart;        // planes in different memory
+    bool invalid;      // no configuration will do
+    bool smaller;      // gives another size than was asked for
+    bool unknown_format;
+    bool silent;   // no frames
+    bool boottime; // stamps by the book; the machine has slept for 1000 s
+    int delay;     // frames from a request's controls to the first frame that shows them
+    int startup;   // frames at the start that are not to be used, where that can be told
+    int fail_manager, fail_acquire, fail_configure, fail_allocate, fail_start; // errno
+
+    /* live */
+    int cancel;     // so many of the next frames are cancelled
+    int bad, cut;   // so many are bad, have fewer bytes
+    int fail_queue; // errno
+    bool unplug;
+
+    /* what was seen */
+    int managers, acquired, buffers, running; // that are there now
+    int wrong;                                // calls that libcamera forbids
+    char what[128];                           // the last of them
+    int frozen;                               // automatic controls switched off at the start
+    int64_t frame_us[2];                      // FrameDurationLimits at the start
+    unsigned frames;
+};
+
+#define FAKECAMERA_SYMBOL "fakecamera"
+
+#endif
