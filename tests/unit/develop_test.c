@@ -48,24 +48,27 @@ static void demosaic(int begin, int end)
     develop_rows(&m, begin, end);
 }
 
-/* Mean of the sites of each colour among the nearest 3 x 3. */
+/* Mean of the sites of colour c that are nearest among 3 x 3. */
+static float nearest(int c, int y0, int x0)
+{
+    float sum[3] = {0.0f}, n[3] = {0.0f}; // by squared distance
+    for (int k = 0; k < 9; k++) {
+        int dy = k / 3 - 1, dx = k % 3 - 1, y = y0 + dy, x = x0 + dx, d = dy * dy + dx * dx;
+        bool counts = y >= 0 && y < pic.h && x >= 0 && x < pic.w;
+        if (counts && raw_colour(pic.cfa, y, x) == c) {
+            sum[d] += site(&pic, y, x);
+            n[d] += 1.0f;
+        }
+    }
+    int d = n[0] > 0.0f ? 0 : n[1] > 0.0f ? 1 : 2;
+    return sum[d] / n[d];
+}
+
 static void demosaic_bilinear(void)
 {
     for (int i = 0; i < pic.w * pic.h; i++)
-        for (int c = 0; c < 3; c++) {
-            float sum = 0.0f, n = 0.0f, far = 4.0f;
-            for (int k = 0; k < 9; k++) {
-                int y = i / pic.w + k / 3 - 1, x = i % pic.w + k % 3 - 1;
-                float d = (float)((k / 3 - 1) * (k / 3 - 1) + (k % 3 - 1) * (k % 3 - 1));
-                if (y < 0 || y >= pic.h || x < 0 || x >= pic.w || d > far ||
-                    raw_colour(pic.cfa, y, x) != c)
-                    continue;
-                n = d < far ? 1.0f : n + 1.0f;
-                sum = d < far ? site(&pic, y, x) : sum + site(&pic, y, x);
-                far = d;
-            }
-            pic.bilinear[c][i] = sum / n;
-        }
+        for (int c = 0; c < 3; c++)
+            pic.bilinear[c][i] = nearest(c, i / pic.w, i % pic.w);
 }
 
 static double psnr(float (*got)[N])
@@ -95,7 +98,7 @@ static float smooth(int c, float x, float y)
     return tint[c] * (0.5f + 0.25f * sinf(0.7f * x + 0.2f * y) + 0.2f * cosf(0.5f * y - 0.1f * x));
 }
 
-/* A slanted edge, soft over about a pixel, between two colours of like hue, as edges of light are. */
+/* A slanted edge, soft over about a pixel, of light: the hue is the same on both sides. */
 static float edge(int c, float x, float y)
 {
     float d = 0.9f * (x - 150.0f) + 0.43f * (y - 45.0f);
