@@ -107,7 +107,7 @@ static err_t run(struct session *s, const struct session_order *o, struct take *
     progress_init(&p, stderr);
     while (!e && session_state(s) != SESSION_READY) {
         wait_for(s);
-        e = session_step(s, clocks_now());
+        e = session_step(s);
         if (atomic_load(&engine_cancel))
             session_cancel(s, "cancelled");
         session_progress(s, &b);

@@ -577,7 +577,7 @@ static err_t turn(struct daemon *d)
     if (!d->stopping)
         open_cameras(d, now, &e);
     if (!e && d->session)
-        e = session_step(d->session, now);
+        e = session_step(d->session);
     if (e)
         return e;
     for (int i = 0; i < CONFIG_TRIGGERS && !d->stopping; i++) {

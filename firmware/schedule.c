@@ -29,6 +29,13 @@ static void add_list(const struct session_order *o, const struct camera_info *in
         add(out, fmin(fmax(middle * exp2(o->ev[k]), info->time_min_s), info->time_max_s));
 }
 
+/* A probe that only rest speaks for is taken again, in the company of others. */
+static bool is_proven(const struct roll *r, int probe)
+{
+    return probe >= 0 && probe < r->n &&
+           r->kept[probe].frame.evidence.proof < BRACKET_UNVERIFIED_DARK;
+}
+
 void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
                     const struct meter_result *r, struct roll *roll, struct bracket_plan *out)
 {
@@ -36,9 +43,9 @@ void schedule_shots(const struct session_order *o, int turn, const struct camera
     if (o->mode == SESSION_LIST)
         add_list(o, info, r, out);
     for (int k = 0; o->mode == SESSION_AUTO && k < r->n; k++) {
-        bool probed = r->probe[k] >= 0 && r->probe[k] < roll->n && !o->stagger;
-        if (probed)
-            roll->kept[r->probe[k]].used = true;
+        int probe = o->stagger ? -1 : r->probe[k];
+        if (is_proven(roll, probe))
+            roll->kept[probe].used = true;
         else
             add(out, r->time_s[k]);
     }

@@ -19,10 +19,7 @@
 
 #define SECOND INT64_C(1000000000)
 
-enum {
-    RETRY_S = 1,
-    DRAIN = 2 * CAMERA_BUFFERS_MAX // frames of one camera at a time, so that others get their turn
-};
+enum { RETRY_S = 1 };
 
 #define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
 #define BASE_S 0.01          // exposure while armed, to begin with
@@ -109,7 +106,7 @@ static err_t prepare_camera(struct session *s, int i)
     if (!c->st)
         return err_fail(ERR_NOMEM, "%s: no memory", c->about.uri);
     e = open_camera(s, i);
-    if (!e && s->cfg.calibration)
+    if (!e && s->cfg.calibration && c->about.info.unit[0])
         e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
     c->about.has_crf = c->calibrated && c->calib.has_crf;
     c->about.crf = c->calib.crf;
@@ -312,12 +309,14 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     return e;
 }
 
-static err_t drain(struct session *s, int i, int64_t now)
+/* At most what its buffers hold, so that others get their turn. */
+static err_t drain(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     err_t e = OK;
-    for (int n = 0; n < DRAIN && c->open && !e; n++) {
+    for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
         struct frame f;
+        int64_t now = clocks_now(); // looking at a frame takes time
         struct bracket_event ev = {.now_ns = now, .camera = i};
         err_t got = c->ops->next(c->st, &f);
         if (got == ERR_AGAIN)
@@ -753,12 +752,13 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
     return n;
 }
 
-err_t session_step(struct session *s, int64_t now)
+err_t session_step(struct session *s)
 {
-    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
-        e = drain(s, i, now);
+        e = drain(s, i);
+    int64_t now = clocks_now();
+    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     if (!e && now >= bracket_deadline(s->machine))
         e = tell(s, &tick, NULL);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {

@@ -72,7 +72,7 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 
 /* Handle all that waits.
  * err:  ERR_NOMEM; troubles of cameras are states and sentences, not errors. */
-MUST_USE err_t session_step(struct session *s, int64_t now_ns);
+MUST_USE err_t session_step(struct session *s);
 
 /* Begin a take.
  * err:  ERR_BUSY (one runs or waits), ERR_LOST (names the camera), ERR_ARG (order), ERR_NOMEM,
