@@ -83,7 +83,7 @@ programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
-MODULE_NEEDS := drivers/libcamera_shim.cpp drivers/libcamera_shim.h drivers/camera.h Makefile
+MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) drivers/camera.h Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
@@ -231,7 +231,7 @@ fuzz: deps-check
 
 format:
 	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch] sim/*.[ch]) \
-	    $(wildcard tests/*/*.[ch] drivers/*.cpp tests/unit/fakecamera/*.*)
+	    $(wildcard tests/*/*.[ch] drivers/*.?pp tests/unit/fakecamera/*.*)
 
 # A value for scripts: make -s print-B
 print-%: ; @echo $($*)
