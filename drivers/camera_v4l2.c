@@ -7,6 +7,7 @@
  * Sequence numbers and stamps are handed on as they come; only the caller can judge them. */
 #include "drivers/camera_v4l2.h"
 
+#include "drivers/unpack.h"
 #include "drivers/uri.h"
 #include "drivers/v4l2_format.h"
 #include "drivers/v4l2_queue.h"
@@ -144,6 +145,12 @@ static err_t set_format(struct state *s, const struct camera_cfg *cfg)
     err_t e = v4l2_format_set(&s->video, cfg, &s->layout);
     if (!e && s->opt.subdev[0])
         e = v4l2_format_pad(&s->sub, &s->layout);
+    const struct v4l2_layout *l = &s->layout;
+    struct camera_info info = {.w = l->w, .h = l->h, .stride = l->stride, .format = l->format};
+    info.bits = l->bits;
+    if (!e && unpack_count(&info) == 0)
+        e = err_fail(ERR_UNSUPPORTED, "%s: pictures of %dx%d px have odd sides or too many pixels",
+                     s->video.path, l->w, l->h);
     return e;
 }
 

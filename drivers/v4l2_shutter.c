@@ -123,23 +123,25 @@ static err_t check_frozen(const struct v4l2_node *n, const struct freeze *f, int
 {
     int64_t now;
     int number = get(n, f->id, &now);
-    if (number == ENODEV)
+    if (number)
         return v4l2_sys_fail(n, number, "read its controls");
-    if (number == 0 && (now == f->value || now == f->or_value))
+    if (now == f->value || now == f->or_value)
         return OK;
-    return err_fail(ERR_UNSUPPORTED, "%s: %s cannot be switched off (%s; it reads %lld, not %d)",
-                    n->path, f->name, strerror(written ? written : number), (long long)now,
-                    f->value);
+    bool refused = !written || written == EINVAL || written == ERANGE || written == EACCES;
+    return err_fail(refused ? ERR_UNSUPPORTED : ERR_IO,
+                    "%s: %s cannot be switched off (it reads %lld, not %d)%s%s", n->path, f->name,
+                    (long long)now, f->value, written ? ": " : "",
+                    written ? strerror(written) : "");
 }
 
 static err_t freeze(const struct v4l2_node *n, const struct freeze *f)
 {
     struct range r;
     err_t e = query(n, f->id, &r);
-    if (e || !there(&r) || r.fixed)
+    if (e || !there(&r))
         return e;
     int64_t to = f->to == LOWEST ? r.lo : f->to == USUAL ? r.usual : f->value;
-    int number = set(n, f->id, to);
+    int number = r.fixed ? EACCES : set(n, f->id, to);
     if ((number == EINVAL || number == ERANGE) && f->or_value != f->value)
         number = set(n, f->id, f->or_value);
     if (number == ENODEV)
@@ -210,8 +212,7 @@ static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
     if (there(&r))
         code = fit(code, r.lo, r.hi, r.step);
     int number = set_codes(c, code, gain, &written);
-    if ((number == EACCES || number == EILSEQ) &&
-        !written) { // somebody else has switched it on again
+    if ((number == EACCES || number == EILSEQ) && !written) { // somebody switched it on again
         e = freeze(&c->node, &freezes[0]);
         if (e)
             return e;
@@ -368,6 +369,24 @@ err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, dou
     return e == ERR_ARG ? err_fail(ERR_UNSUPPORTED, "%s", err_text()) : e; // nobody asked for it
 }
 
+/* Frames are stretched before a longer exposure is written and shortened after a shorter one: what
+ * begins between the two has an exposure that was asked for. */
+static err_t stretch_and_write(struct v4l2_shutter *c, int64_t code, int64_t gain)
+{
+    int64_t was = c->vblank, to = was;
+    if (c->kind == V4L2_SHUTTER_LINES && c->vblank_lo < c->vblank_hi)
+        to = vblank_for(c, code);
+    err_t e = to > was ? set_vblank(c, to) : OK;
+    if (e)
+        return e;
+    e = write_codes(c, code, gain);
+    if (e && to > was) // coming frames are not to change
+        (void)!set_vblank(c, was);
+    if (!e && to < was && set_vblank(c, to) == ERR_LOST)
+        return ERR_LOST; // else frames are longer than they need be, until the next request
+    return e;
+}
+
 err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
                            struct exposure *set_to)
 {
@@ -378,17 +397,7 @@ err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
     int64_t code = fit((int64_t)codes, c->least, c->most, c->step), gain = c->gain_lo;
     if (c->gain_lo < c->gain_hi)
         gain = v4l2_sensor_code(c->sensor, ask->gain, c->gain_lo, c->gain_hi);
-    int64_t was = c->vblank, was_code = c->code;
-    err_t e = OK;
-    if (c->kind == V4L2_SHUTTER_LINES && c->vblank_lo < c->vblank_hi)
-        e = set_vblank(c, vblank_for(c, code));
-    if (!e)
-        e = write_codes(c, code, gain);
-    if (e && c->vblank != was) { // coming frames are not to change
-        set(&c->node, V4L2_CID_VBLANK, was);
-        set(&c->node, exposure_id(c), was_code);
-        c->vblank = was;
-    }
+    err_t e = stretch_and_write(c, code, gain);
     if (e)
         return e == ERR_NOMEM ? err_fail(ERR_IO, "%s", err_text()) : e; // the kernel's, for once
     if (c->code < 1)

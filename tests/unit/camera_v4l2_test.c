@@ -264,6 +264,9 @@ static void test_automatic(void **st)
         open_refused(webcam, ERR_UNSUPPORTED, c[i].says);
         fake_uvc(&fake);
         fake_control(&fake, c[i].id)->refuse = EIO;
+        open_refused(webcam, ERR_IO, c[i].says);
+        fake_uvc(&fake);
+        fake_control(&fake, c[i].id)->flags = V4L2_CTRL_FLAG_READ_ONLY;
         open_refused(webcam, ERR_UNSUPPORTED, c[i].says);
     }
     fake_uvc(&fake);

@@ -23,7 +23,13 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { FAKE_CONTROLS = 48, FAKE_BUFFERS = 40, FAKE_LIST = 8, FAKE_LATE = 64 };
+enum {
+    FAKE_CONTROLS = 48,
+    FAKE_BUFFERS = 40,
+    FAKE_LIST = 8,
+    FAKE_LATE = 64,
+    FAKE_MEMORY = 1 << 18
+};
 
 enum fake_clock {
     FAKE_MANUAL,  // frames come by fake_frame
@@ -40,6 +46,7 @@ struct fake_control {
 
 struct fake_buffer {
     uint8_t *p; // mapped
+    size_t mapped;
     bool queued, done;
     struct v4l2_buffer b;
     uint32_t bytes, offset;
@@ -72,6 +79,8 @@ struct fake {
     bool fail_on;        // and all after it
     int fail_errno;
     unsigned long fail_request; // counts only those
+    uint32_t liar;              // one answer in so many has a wrong byte
+    uint32_t dice;
     // state
     struct v4l2_format fmt;
     struct v4l2_fract now_pace;
@@ -81,7 +90,7 @@ struct fake {
     int n, fd, sub_fd, fds, maps;
     bool streaming, lost, fatal, source_changed;
     uint32_t sequence;
-    int64_t number, now_ns, history[FAKE_LATE];
+    int64_t armed_ns, number, now_ns, history[FAKE_LATE];
     int offs; // VIDIOC_STREAMOFF so far
     char breach[200];
 };
@@ -143,7 +152,7 @@ static inline void fake_fill(struct fake *f, struct fake_buffer *b, int64_t stam
     b->offset = f->offset;
     if (f->overlong)
         b->bytes = fake_length(f) + 1;
-    if (b->p && f->offset < 4096)
+    if (b->p && f->offset + sizeof code <= b->mapped)
         memcpy(b->p + f->offset, &code, sizeof code);
     b->b.sequence = f->sequence;
     b->b.flags = f->flags | f->stamp_flags;
@@ -201,11 +210,14 @@ static inline void fake_arm(struct fake *f)
     int64_t t = 0;
     if (f->fd < 0)
         return;
-    bool stalls = f->stall_at && f->number >= f->stall_at;
-    if (f->clock == FAKE_REAL && f->streaming && !stalls)
+    bool runs = f->streaming && !(f->stall_at && f->number >= f->stall_at);
+    if (f->clock == FAKE_REAL && runs)
         t = f->now_ns + fake_period_ns(f);
-    if (f->lost || f->n_ready > 0 || (f->clock == FAKE_VIRTUAL && f->streaming && !stalls))
+    if (f->lost || f->n_ready > 0 || (f->clock == FAKE_VIRTUAL && runs))
         t = 1;
+    if (t == f->armed_ns)
+        return;
+    f->armed_ns = t;
     struct itimerspec spec = {.it_value = {t / 1000000000, t % 1000000000}};
     timerfd_settime(f->fd, TFD_TIMER_ABSTIME, &spec, NULL);
 }
@@ -214,22 +226,14 @@ static inline void fake_arm(struct fake *f)
 
 static inline uint32_t fake_row(uint32_t fourcc, uint32_t w)
 {
-    switch (fourcc) {
-    case V4L2_PIX_FMT_RGB24:
-    case V4L2_PIX_FMT_BGR24:
-        return 3 * w;
-    case V4L2_PIX_FMT_MJPEG:
-        return 0;
-    case V4L2_PIX_FMT_SRGGB10P:
-        return (w + 3) / 4 * 5;
-    case V4L2_PIX_FMT_SRGGB12P:
-        return (w + 1) / 2 * 3;
-    case V4L2_PIX_FMT_NV12:
-    case V4L2_PIX_FMT_GREY:
-        return w;
-    default:
-        return 2 * w;
-    }
+    bool rgb = fourcc == V4L2_PIX_FMT_RGB24 || fourcc == V4L2_PIX_FMT_BGR24;
+    bool bytes = fourcc == V4L2_PIX_FMT_NV12 || fourcc == V4L2_PIX_FMT_GREY;
+    return rgb                               ? 3 * w
+           : bytes                           ? w
+           : fourcc == V4L2_PIX_FMT_MJPEG    ? 0
+           : fourcc == V4L2_PIX_FMT_SRGGB10P ? (w + 3) / 4 * 5
+           : fourcc == V4L2_PIX_FMT_SRGGB12P ? (w + 1) / 2 * 3
+                                             : 2 * w;
 }
 
 static inline void fake_put_format(struct fake *f, uint32_t w, uint32_t h, uint32_t fourcc)
@@ -432,8 +436,6 @@ static inline int fake_request(struct fake *f, struct v4l2_requestbuffers *r)
         return EBUSY;
     if (f->maps > 0)
         fake_breach(f, "REQBUFS with memory mapped");
-    if (r->count > FAKE_BUFFERS)
-        return EINVAL;
     if (r->count && f->wrong_count)
         r->count = f->wrong_count;
     memset(f->buf, 0, sizeof f->buf);
@@ -574,6 +576,34 @@ static inline int fake_dispatch(struct fake *f, unsigned long request, void *arg
     }
 }
 
+static inline uint32_t fake_roll(struct fake *f, uint32_t n)
+{
+    f->dice = f->dice * 1664525 + 1013904223;
+    return (f->dice >> 8) % n;
+}
+
+/* A byte of the answer, or of what it points to, is wrong; pointers are not the kernel's. */
+static inline void fake_lie(struct fake *f, unsigned long request, void *arg)
+{
+    size_t size = _IOC_SIZE(request);
+    if (!f->liar || fake_roll(f, f->liar) != 0 || size == 0)
+        return;
+    struct v4l2_ext_controls *all = arg;
+    struct v4l2_buffer *b = arg;
+    bool controls = request == VIDIOC_S_EXT_CTRLS || request == VIDIOC_G_EXT_CTRLS;
+    bool planes = f->mplane && (request == VIDIOC_DQBUF || request == VIDIOC_QUERYBUF);
+    uint8_t *at = controls ? (uint8_t *)all->controls : planes ? (uint8_t *)b->m.planes : arg;
+    if (controls)
+        size = all->count * sizeof *all->controls;
+    else if (planes && fake_roll(f, 2))
+        size = sizeof *b->m.planes;
+    else if (planes) {
+        at = arg;
+        size = offsetof(struct v4l2_buffer, m);
+    }
+    at[fake_roll(f, (uint32_t)size)] ^= (uint8_t)(1 + fake_roll(f, 255));
+}
+
 static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg)
 {
     struct fake *f = ctx;
@@ -596,6 +626,8 @@ static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg
     else
         number = sub ? ENOTTY : fake_dispatch(f, request, arg);
     fake_arm(f);
+    if (!number)
+        fake_lie(f, request, arg);
     return fake_errno(number);
 }
 
@@ -612,6 +644,7 @@ static inline int fake_open(void *ctx, const char *path)
         fake_breach(f, "opened twice");
     int fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
     *(sub ? &f->sub_fd : &f->fd) = fd;
+    f->armed_ns = sub ? f->armed_ns : 0;
     f->fds++;
     return fd;
 }
@@ -637,13 +670,16 @@ static inline void *fake_mmap(void *ctx, size_t length, int fd, int64_t offset)
     struct fake *f = ctx;
     int number = fake_refuses(f, 0);
     number = number == EINTR ? 0 : number; // signals do not interrupt it
-    if (fd != f->fd || offset / 4096 >= f->n || length != fake_length(f))
+    bool none = offset < 0 || offset / 4096 >= f->n || f->buf[offset / 4096].p;
+    if (fd != f->fd || (!f->liar && (length != fake_length(f) || none)))
         fake_breach(f, "mmap of what is not a buffer");
+    number = none || length > FAKE_MEMORY ? EINVAL : number;
     errno = number;
     uint8_t *p = number ? NULL : calloc(1, length);
     if (!p)
         return MAP_FAILED;
     f->buf[offset / 4096].p = p;
+    f->buf[offset / 4096].mapped = length;
     f->maps++;
     return p;
 }
@@ -651,11 +687,12 @@ static inline void *fake_mmap(void *ctx, size_t length, int fd, int64_t offset)
 static inline int fake_munmap(void *ctx, void *p, size_t length)
 {
     struct fake *f = ctx;
-    if (f->fd < 0 || length != fake_length(f))
+    int i = 0;
+    while (i < FAKE_BUFFERS - 1 && f->buf[i].p != p)
+        i++;
+    if (f->fd < 0 || f->buf[i].p != p || f->buf[i].mapped != length)
         fake_breach(f, "munmap");
-    for (int i = 0; i < FAKE_BUFFERS; i++)
-        if (f->buf[i].p == p)
-            f->buf[i].p = NULL;
+    f->buf[i].p = NULL;
     free(p);
     f->maps--;
     return 0;
@@ -674,7 +711,7 @@ static inline int fake_name(void *ctx, int fd, char *out, size_t cap)
 
 static inline void fake_basis(struct fake *f)
 {
-    static const struct v4l2_fract paces[] = {{1, 200}, {1, 60}, {1, 30}, {1, 15}, {1, 5}};
+    static const struct v4l2_fract paces[] = {{1, 60}, {1, 30}, {1, 15}, {1, 5}};
     memset(f, 0, sizeof *f);
     f->sys = (struct v4l2_sys){.ctx = f,
                                .open = fake_open,
@@ -694,7 +731,7 @@ static inline void fake_basis(struct fake *f)
     f->stamp_flags = V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC;
     f->colours = V4L2_COLORSPACE_SRGB;
     memcpy(f->pace, paces, sizeof paces);
-    f->now_pace = f->pace[2];
+    f->now_pace = f->pace[1];
     snprintf(f->bus, sizeof f->bus, "usb-0000:00:14.0-1");
 }
 
@@ -719,11 +756,6 @@ static inline void fake_uvc(struct fake *f)
     fake_add(f, V4L2_CID_FOCUS_AUTO, 0, 1, 1);
     fake_add(f, V4L2_CID_FOCUS_ABSOLUTE, 0, 250, 0);
     fake_add(f, V4L2_CID_CONTRAST, 0, 255, 32);
-    f->pace[0] = (struct v4l2_fract){1, 60};
-    f->pace[1] = (struct v4l2_fract){1, 30};
-    f->pace[2] = (struct v4l2_fract){1, 15};
-    f->pace[3] = (struct v4l2_fract){1, 5};
-    f->pace[4] = (struct v4l2_fract){0, 0};
     fake_put_format(f, 64, 48, V4L2_PIX_FMT_MJPEG);
 }
 
