@@ -40,18 +40,20 @@ static void fill_row(const struct develop_mosaic *m, int y, int x, int n, float 
 static void demosaic_row(const struct develop_mosaic *m, int y, int x, int n, float *const r[5],
                          float *const rgb[3])
 {
+    int c = raw_colour(m->cfa, y, x), across = raw_colour(m->cfa, y, x + 1), green = c == 1;
+    int own = green ? across : c; // of this row, beside green
     for (int i = 0; i < n; i++) {
         const float *p = r[2] + i + 2, *up = r[1] + i + 2, *down = r[3] + i + 2;
         float h1 = p[-1] + p[1], h2 = p[-2] + p[2], v1 = *up + *down;
         float v2 = r[0][i + 2] + r[4][i + 2], d = up[-1] + up[1] + down[-1] + down[1];
-        int c = raw_colour(m->cfa, y, x + i), across = raw_colour(m->cfa, y, x + i + 1);
-        rgb[c][i] = *p;
-        if (c != 1) {
+        if ((i & 1) == green) {
+            rgb[own][i] = *p;
             rgb[1][i] = 0.125f * (4.0f * *p + 2.0f * (h1 + v1) - (h2 + v2));
-            rgb[2 - c][i] = 0.125f * (6.0f * *p + 2.0f * d - 1.5f * (h2 + v2));
+            rgb[2 - own][i] = 0.125f * (6.0f * *p + 2.0f * d - 1.5f * (h2 + v2));
         } else {
-            rgb[across][i] = 0.125f * (5.0f * *p + 4.0f * h1 - d - h2 + 0.5f * v2);
-            rgb[2 - across][i] = 0.125f * (5.0f * *p + 4.0f * v1 - d - v2 + 0.5f * h2);
+            rgb[1][i] = *p;
+            rgb[own][i] = 0.125f * (5.0f * *p + 4.0f * h1 - d - h2 + 0.5f * v2);
+            rgb[2 - own][i] = 0.125f * (5.0f * *p + 4.0f * v1 - d - v2 + 0.5f * h2);
         }
     }
 }

@@ -1,5 +1,5 @@
-/* A place is a block of EDGE x EDGE pixels, centred in a cell of an even grid; only these are
- * touched. Per colour the block's codes become relative exposure (display values by a table, linear
+/* A place is a block of up to BLOCK x BLOCK pixels, centred in a cell of an even grid; only these
+ * are touched. Per colour the block's codes become relative exposure (display values by a table, linear
  * ones less black) and are averaged; the strongest of red, green and blue counts. Of a mosaic only
  * sites of one colour are averaged, green over both of its kinds.
  * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
@@ -17,7 +17,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { EDGE = 8, WRONG = WITNESS_PLACES / 50 };
+enum { BLOCK = 8, WRONG = WITNESS_PLACES / 50 };
 
 #define LOG2E 1.44269504f
 #define DARK_DISPLAY 8    // codes: capture notes 4.2
@@ -87,11 +87,18 @@ static void add_row(const struct scale *s, int colour, const uint16_t *p, int n,
     to->pairs += n - 1;
 }
 
+/* Edge of the blocks along a side of n px: no longer than a cell, even. */
+static int edge_of(int n)
+{
+    int cell = n / WITNESS_EDGE / 2 * 2;
+    return num_min(n, cell < 2 ? 2 : num_min(cell, BLOCK));
+}
+
 /* Sums of a block per colour, which begins at an even site of a mosaic. */
 static void add_block(const struct scale *s, int y0, int x0, struct sum to[3])
 {
     const struct raw *px = s->px;
-    int w = num_min(px->w, EDGE), h = num_min(px->h, EDGE);
+    int w = edge_of(px->w), h = edge_of(px->h);
     size_t pitch = px->cfa == RAW_RGB ? 3 : 1;
     for (int y = y0; y < y0 + h; y++) {
         const uint16_t *p = px->px + ((size_t)y * (size_t)px->w + (size_t)x0) * pitch;
@@ -148,9 +155,8 @@ static enum witness_state judge(const struct scale *s, int y0, int x0, float *x,
 /* First pixel of the block of cell i, of n pixels. */
 static int begin_of(const struct raw *px, int i, int n)
 {
-    int at = (int)((2 * i + 1) * (int64_t)n / (2 * WITNESS_EDGE)) - EDGE / 2;
-    at = at > n - EDGE ? n - EDGE : at;
-    at = at < 0 ? 0 : at;
+    int edge = edge_of(n), at = (int)((2 * i + 1) * (int64_t)n / (2 * WITNESS_EDGE)) - edge / 2;
+    at = at < 0 ? 0 : num_min(at, n - edge);
     return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
 }
 
