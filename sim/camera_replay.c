@@ -1,6 +1,7 @@
 /* All pictures that may be shown are decoded at open, so that no frame waits for a file. */
 #include "sim/camera_replay.h"
 
+#include "core/base/sha256.h"
 #include "drivers/imageset.h"
 #include "drivers/img.h"
 #include "drivers/name.h"
@@ -113,6 +114,19 @@ static err_t load(struct state *s)
     return imageset_load(&s->set);
 }
 
+/* Named by pictures and exposures, wherever the folder is. */
+static void name_unit(const struct capture *c, char unit[CAMERA_UNIT_CAP])
+{
+    struct sha256 hash;
+    char hex[SHA256_HEX_CAP];
+    sha256_init(&hash);
+    for (int i = 0; i < c->n; i++) {
+        sha256_add(&hash, c->shots[i].name, strlen(c->shots[i].name) + 1);
+        sha256_add(&hash, &c->shots[i].exposure, sizeof c->shots[i].exposure);
+    }
+    snprintf(unit, CAMERA_UNIT_CAP, "replay-%.16s", sha256_hex(&hash, hex));
+}
+
 /* The feed as this folder needs it. */
 static err_t stream(struct state *s, const struct camera_cfg *cfg, struct feed_options *feed)
 {
@@ -131,6 +145,7 @@ static err_t stream(struct state *s, const struct camera_cfg *cfg, struct feed_o
                                  .time_min_s = lo,
                                  .expose = expose,
                                  .snap = snap};
+    name_unit(c, source.unit);
     feed->length = TIMING_FREE;
     feed->step_us = 0.0;
     feed->longest_us = hi * 1e6;

@@ -1,5 +1,6 @@
 /* The view is rendered once, at open, in linear radiance; every frame is that radiance through the
- * sensor at the frame's true exposure, with noise by the frame's number. */
+ * sensor at the frame's true exposure, with noise by the frame's number.
+ * The unit is what makes a sensor and its curve: seed, view, family and parameter of the curve. */
 #include "sim/camera_sim.h"
 
 #include "sim/render.h"
@@ -28,7 +29,7 @@ struct state {
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"seed", AT(seed), URI_WHOLE, 0, 9007199254740992.0, NULL},
-    {"kind", AT(kind), URI_WORD, 0, 0, "any|room|yard|dark|plain|mirror"},
+    {"kind", AT(kind), URI_WORD, 0, 0, "any|" WORLD_WORDS},
     {"views", AT(views), URI_WHOLE, 1, 64, NULL},
     {"view", AT(view), URI_WHOLE, 0, 63, NULL},
     {"spread", AT(spread), URI_REAL, 0, 1, NULL},
@@ -38,7 +39,7 @@ static const struct uri_key keys[] = {
     {"samples", AT(samples), URI_WHOLE, 1, 8, NULL},
     {"shadow", AT(shadow), URI_WHOLE, 1, 64, NULL},
     {"format", AT(format), URI_WORD, 0, 0, "rgb|rggb|bggr"},
-    {"curve", AT(curve), URI_WORD, 0, 0, "linear|srgb|gamma|filmic|agx|log|random"},
+    {"curve", AT(curve), URI_WORD, 0, 0, CURVE_WORDS},
     {"param", AT(param), URI_REAL, 0, 16, NULL},
     {"full", AT(full_us), URI_REAL, 10, 1e8, NULL},
     {"flicker", AT(flicker), URI_REAL, 0, 1, NULL},
@@ -53,7 +54,7 @@ static const struct options defaults = {
     .shadow = 4,
     .spread = 0.5,
     .fov = 60.0,
-    .param = NAN, // that of the family
+    .param = NAN, // the usual one
     .curve = CURVE_SRGB,
     .full_us = 20000.0,
     .hz = 100.0,
@@ -136,7 +137,6 @@ static err_t render(const struct options *o, struct state *s)
 
 static void prepare(const struct options *o, struct state *s)
 {
-    static const float param[CURVE_FAMILIES] = {0.0f, 0.0f, 2.2f, 0.5f, 11.0f, 8.0f, 0.4f};
     s->size = (int)o->size;
     s->seed = (uint64_t)o->seed;
     s->sensor = sensor_default;
@@ -146,8 +146,7 @@ static void prepare(const struct options *o, struct state *s)
     s->sensor.flicker_hz = (float)o->hz;
     s->sensor.line_s = (float)(o->line_us * 1e-6);
     s->sensor.unit = (uint64_t)o->view;
-    curve_make((enum curve_family)o->curve, isnan(o->param) ? param[o->curve] : (float)o->param,
-               s->seed, &s->curve);
+    curve_make((enum curve_family)o->curve, (float)o->param, s->seed, &s->curve);
 }
 
 static err_t check(const struct options *o)
@@ -179,6 +178,8 @@ static err_t start(struct state *s, const struct camera_cfg *cfg, const struct o
                                  .black = rgb ? 0 : s->sensor.black,
                                  .format = format[o->format],
                                  .expose = expose};
+    snprintf(source.unit, sizeof source.unit, "sim-%lld-%lld-%d-%g", (long long)o->seed,
+             (long long)o->view, o->curve, s->curve.param);
     err_t e = feed_open(&s->feed, cfg, feed, &source);
     if (!e)
         e = render(o, s);

@@ -208,6 +208,7 @@ void feed_info(const void *st, struct camera_info *out)
                                 .gain_max = t->gain_max,
                                 .stamp = (enum camera_stamp)f->opt.stamp,
                                 .reports = f->opt.metadata != FEED_ABSENT};
+    memcpy(out->unit, s->unit, sizeof out->unit);
     out->time_max_s = timing_time(t, t->longest_s);
     out->exposure_delay = f->opt.claim >= -1 ? (int)f->opt.claim : t->delay;
     out->gain_delay = f->opt.claim >= -1 ? (int)f->opt.claim : t->gain_delay;

@@ -50,6 +50,7 @@ struct feed_source {
     int w, h, bytes_per_px, bits, black;
     enum camera_format format;
     double time_min_s; // 0: the step of exposure times
+    char unit[CAMERA_UNIT_CAP];
     /* Fill px (stride w * bytes_per_px). Must not fail but for lack of memory. */
     MUST_USE err_t (*expose)(void *ctx, const struct feed_shot *shot, uint8_t *px);
     /* The exposure that this source has now instead of *e; returns what expose knows it by. NULL:

@@ -1,5 +1,5 @@
-/* A place is a block of up to BLOCK x BLOCK pixels, centred in a cell of an even grid; only these
- * are touched. Per colour the block's codes become relative exposure (display values by a table, linear
+/* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; only these are
+ * touched. Per colour the block's codes become relative exposure (display values by a table, linear
  * ones less black) and are averaged; the strongest of red, green and blue counts. Of a mosaic only
  * sites of one colour are averaged, green over both of its kinds.
  * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one

@@ -142,6 +142,7 @@ static err_t wait_frame(const struct backend *b, void *st, struct frame *f)
 
 static void test_open_close_twice(const struct backend *b)
 {
+    char unit[CAMERA_UNIT_CAP];
     for (int i = 0; i < 2; i++) {
         struct camera_info info;
         struct frame f;
@@ -153,6 +154,11 @@ static void test_open_close_twice(const struct backend *b)
         assert_true(info.buffers == 4 && info.period_s > 0.0);
         assert_true(b->kernel ? info.exposure_delay == -1 : info.exposure_delay >= 1);
         assert_true(info.time_min_s > 0.0 && info.time_max_s >= info.time_min_s);
+        assert_true(info.unit[0] && !strpbrk(info.unit, " \t\n"));
+        assert_true(b->kernel || strncmp(info.unit, b->ops->name, strlen(b->ops->name)) == 0);
+        if (i == 0)
+            memcpy(unit, info.unit, sizeof unit);
+        assert_string_equal(info.unit, unit); // the same after reopening
         assert_int_equal(wait_frame(b, st, &f), OK);
         assert_true(f.w == SIZE && f.h == SIZE && f.bytes == (size_t)(SIZE * info.stride) &&
                     f.data);
