@@ -3,14 +3,14 @@
  * A g = b in the codes alone:
  *   A = sum over pixels of diag(w) - w w^T / sum(w),   b = w (log2 t - mean of log2 t).
  * Family: g = B c, with z / 255 = d: log2 d for gamma, and for toe and shoulder a cubic spline:
- * d, d^2, d^3 and (d - k / KNOTS)^3 above k / KNOTS. B^T A B c = B^T b, first with hat weights, then
- * with those of the rounding of codes, as the slope of g is known.
+ * d, d^2, d^3 and (d - k / KNOTS)^3 above k / KNOTS. B^T A B c = B^T b, first with hat weights,
+ * then with those of the rounding of codes, as the slope of g is known.
  * Debevec: hat weights; A + squares of hat-weighted second differences.
  * Robertson: E and x(z) in turn, each the weighted mean that the other implies, starting with the
  * family's curve: exposures in equal ratios leave open any periodic part of g, which only the start
  * determines.
- * Pixels: over all of the picture by a stride, a bounded number for each mean code, those in flat
- * surroundings first; every fourth is held out.
+ * Pixels: over all of the picture by a stride, a bounded number for each mean code, those in
+ * flat surroundings first; every fourth is held out.
  * At the end: means of neighbours where a curve falls (pool adjacent violators), 0 at code 255.
  * Pictures are ordered by exposure, then content, so that the order given does not matter. */
 #include "core/expo/crf.h"
@@ -23,12 +23,13 @@
 enum {
     CODES = 256,
     MOST = 9,      // pictures
-    LIST = 65536,  // pixels of a channel
+    LIST = 32768,  // pixels of a channel
     STRATUM = 256, // pixels of one mean code
+    ROUGH = 8,     // up to so many, if there are not more in flat surroundings
     KNOTS = 7,     // intervals of the family's spline
     TERMS = KNOTS + 3,
     HELD = 4,      // every HELD-th pixel is held out
-    FLAT = 6,      // codes that neighbours may differ by
+    FLAT = 16,     // codes that neighbours may differ by
     DARK = 5,      // codes below and
     BRIGHT = 250,  // above are not counted as seen
     SPAN_LO = 48,  // codes that must be reached
@@ -144,10 +145,12 @@ static bool flat(const struct work *k, size_t at)
     size_t w = (size_t)k->w, x = at % w, y = at / w;
     size_t left = x > 0 ? at - 1 : at, right = x + 1 < w ? at + 1 : at;
     size_t up = y > 0 ? at - w : at, down = y + 1 < (size_t)k->h ? at + w : at;
-    for (int j = 0; j < k->n; j++)
-        if (difference(code(k, j, left), code(k, j, right)) > FLAT ||
-            difference(code(k, j, up), code(k, j, down)) > FLAT)
+    for (int j = 0; j < k->n; j++) {
+        int z = code(k, j, at);
+        if (difference(code(k, j, left), z) > FLAT || difference(code(k, j, right), z) > FLAT ||
+            difference(code(k, j, up), z) > FLAT || difference(code(k, j, down), z) > FLAT)
             return false;
+    }
     return true;
 }
 
@@ -165,11 +168,11 @@ static size_t common(size_t a, size_t b)
 static void choose(struct work *k, int *links)
 {
     size_t n = (size_t)k->w * (size_t)k->h, stride = (size_t)((double)n * 0.618034) | 1;
-    int count[2][CODES] = {{0}};
+    int count[CODES] = {0};
     while (common(stride, n) > 1)
         stride += 2;
     k->pixels = *links = 0;
-    for (int pass = 0; pass < 2; pass++)
+    for (int rough = 0; rough < 2; rough++)
         for (size_t i = 0, at = 0; i < n && k->pixels < LIST; i++, at = (at + stride) % n) {
             int mean = 0, used = 0;
             for (int j = 0; j < k->n; j++) {
@@ -178,10 +181,9 @@ static void choose(struct work *k, int *links)
                 used += z >= DARK && z <= BRIGHT;
             }
             mean /= k->n;
-            if (used < 2 || count[0][mean] + count[1][mean] >= STRATUM ||
-                flat(k, at) != (pass == 0))
+            if (used < 2 || count[mean] >= (rough ? ROUGH : STRATUM) || flat(k, at) == (rough == 1))
                 continue;
-            count[pass][mean]++;
+            count[mean]++;
             k->list[k->pixels++] = (uint32_t)at;
             *links += used - 1;
         }
@@ -271,18 +273,26 @@ static void set_basis(struct work *k)
     }
 }
 
-static bool fit_family(struct work *k)
+/* B^T v. */
+static void project(const struct work *k, const double *v, double *out)
 {
-    double x[TERMS] = {0.0};
-    memset(k->f, 0, TERMS * TERMS * sizeof *k->f);
-    for (int z = 0; z < CODES; z++)
-        for (int y = 0; y < CODES; y++)
-            for (int i = 0; k->a[z * CODES + y] != 0.0 && i < TERMS; i++)
-                for (int j = 0; j < TERMS; j++)
-                    k->f[i * TERMS + j] += k->basis[z][i] * k->a[z * CODES + y] * k->basis[y][j];
+    memset(out, 0, TERMS * sizeof *out);
     for (int z = 0; z < CODES; z++)
         for (int i = 0; i < TERMS; i++)
-            x[i] += k->basis[z][i] * k->b[z];
+            out[i] += k->basis[z][i] * v[z];
+}
+
+static bool fit_family(struct work *k)
+{
+    double x[TERMS];
+    memset(k->f, 0, TERMS * TERMS * sizeof *k->f);
+    for (int z = 0; z < CODES; z++) {
+        double row[TERMS];
+        project(k, k->a + z * CODES, row);
+        for (int i = 0; i < TERMS * TERMS; i++)
+            k->f[i] += k->basis[z][i / TERMS] * row[i % TERMS];
+    }
+    project(k, k->b, x);
     if (!solve(k, TERMS, x))
         return false;
     for (int z = 0; z < CODES; z++) {
