@@ -21,23 +21,20 @@ struct state {
     struct outdir out;
 };
 
-static const char *const kinds[WORLD_KINDS] = {"room", "yard", "dark", "plain", "mirror"};
-static const char *const families[CURVE_FAMILIES] = {"linear", "srgb", "gamma", "filmic",
-                                                     "agx",    "log",  "random"};
-static const float params[CURVE_FAMILIES] = {0, 0, 2.2f, 0.5f, 12, 8, 0.5f};
-
-static err_t find_word(const char *option, const char *word, const char *const *words, int n,
-                       int *out)
+/* words: "first|second|..." */
+static err_t find_word(const char *option, const char *word, const char *words, int *out)
 {
-    char list[128] = "";
-    for (int i = 0; i < n; i++) {
-        if (strcmp(word, words[i]) == 0) {
+    const size_t n = strlen(word);
+    const char *at = words;
+    for (int i = 0; at; i++) {
+        if (strncmp(at, word, n) == 0 && (at[n] == '|' || at[n] == 0)) {
             *out = i;
             return OK;
         }
-        snprintf(list + strlen(list), sizeof list - strlen(list), " %s", words[i]);
+        at = strchr(at, '|');
+        at += at ? 1 : 0;
     }
-    return err_fail(ERR_ARG, "%s: \"%.64s\" is none of%s", option, word, list);
+    return err_fail(ERR_ARG, "%s: \"%.64s\" is none of %s", option, word, words);
 }
 
 static err_t read_number(const char *name, const char *text, double min, double max, double *out)
@@ -83,7 +80,7 @@ static err_t read_scene(const struct request *rq, struct dataset_ask *a)
                                     .jitter = rq->free_hand,
                                     .quality = {(int)samples, 4}};
     if (!e && rq->kind)
-        e = find_word("--kind", rq->kind, kinds, WORLD_KINDS, &a->sample.kind);
+        e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     return e;
 }
 
@@ -94,16 +91,16 @@ static err_t read_ask(const struct request *rq, struct dataset_ask *a)
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
     if (!e && rq->curve)
-        e = find_word("--curve", rq->curve, families, CURVE_FAMILIES, &family);
+        e = find_word("--curve", rq->curve, CURVE_WORDS, &family);
     if (e)
         return e;
     a->noise = !rq->noise_free;
-    curve_make((enum curve_family)family, params[family], a->sample.seed, &a->curve);
+    curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
     return OK;
 }
 
 /* Marks the folder as a result, and tells how it was made. */
-static err_t write_report(const struct dataset_ask *a, struct outdir *o)
+static err_t write_report(const struct request *rq, const struct dataset_ask *a, struct outdir *o)
 {
     char path[FILE_PATH_CAP];
     struct report rep;
@@ -116,7 +113,7 @@ static err_t write_report(const struct dataset_ask *a, struct outdir *o)
     report_init(&rep, f);
     report_open(&rep, NULL, '{');
     report_int(&rep, "seed", (long long)a->sample.seed);
-    report_text(&rep, "kind", a->sample.kind == WORLD_ANY ? "any" : kinds[a->sample.kind]);
+    report_text(&rep, "kind", rq->kind ? rq->kind : "any");
     report_int(&rep, "views", a->sample.n_views);
     report_int(&rep, "size", a->sample.size);
     report_number(&rep, "spread", (double)a->sample.spread);
@@ -124,7 +121,7 @@ static err_t write_report(const struct dataset_ask *a, struct outdir *o)
     report_bool(&rep, "free_hand", a->sample.jitter != 0);
     report_int(&rep, "samples", a->sample.quality.samples);
     report_bool(&rep, "noise", a->noise);
-    report_text(&rep, "curve", families[a->curve.family]);
+    report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
     report_close(&rep);
     return file_finish(f, path);
 }
@@ -144,7 +141,7 @@ static err_t simulate(const struct request *rq, const struct dataset_ask *a, str
     if (!e)
         e = outdir_reason(&st->out, dataset_write(&st->engine.run, a, st->out.tmp));
     if (!e)
-        e = write_report(a, &st->out);
+        e = write_report(rq, a, &st->out);
     if (!e)
         e = outdir_commit(&st->out);
     progress_end(&st->engine.progress);
@@ -171,8 +168,8 @@ int cmd_simulate_run(int argc, char **argv)
          &rq.spread, NULL},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
         {"free-hand", NULL, "heights, targets and rolls differ", NULL, NULL, &rq.free_hand},
-        {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL,
-         &rq.exposures, NULL},
+        {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL, &rq.exposures,
+         NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
         {"noise-free", NULL, "an ideal sensor", NULL, NULL, &rq.noise_free},

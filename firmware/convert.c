@@ -243,7 +243,6 @@ static err_t convert_open(struct engine *en, const struct convert_request *q, st
     struct modelwrite w = {
         .source = source, .licence = "that of the source", .fetch = fetch_tensor, .ctx = c};
     err_t e = q->config ? read_config(q->config, &w.dims) : infer_run(c, &w.dims);
-    w.dims.rope_bf16 = true;
     if (!e)
         e = match_all(c, &w.dims);
     if (!e)

@@ -22,8 +22,13 @@
 #define KNOT 2.0 // stops between coefficients of RANDOM
 enum { KNOTS = 16 };
 
-static const float param_lo[CURVE_FAMILIES] = {0.0f, 0.0f, 1.6f, 0.0f, 8.0f, 3.0f, 0.0f};
-static const float param_hi[CURVE_FAMILIES] = {0.0f, 0.0f, 3.0f, 1.0f, 16.0f, 12.0f, 1.5f};
+static const struct {
+    float lo, hi, usual;
+} params[CURVE_FAMILIES] = {[CURVE_GAMMA] = {1.6f, 3.0f, 2.2f},
+                            [CURVE_FILMIC] = {0.0f, 1.0f, 0.5f},
+                            [CURVE_AGX] = {8.0f, 16.0f, 12.0f},
+                            [CURVE_LOG] = {3.0f, 12.0f, 8.0f},
+                            [CURVE_RANDOM] = {0.0f, 1.5f, 0.5f}};
 
 static double srgb(double x)
 {
@@ -111,9 +116,10 @@ static double display_of(const struct curve *c, double u)
 
 void curve_make(enum curve_family family, float param, uint64_t seed, struct curve *out)
 {
-    float lo = param_lo[family], hi = param_hi[family];
+    if (isnan(param))
+        param = params[family].usual;
     out->family = family;
-    out->param = param >= lo ? fminf(param, hi) : lo; // NaN is lo
+    out->param = fminf(fmaxf(param, params[family].lo), params[family].hi);
     out->lo = LOW;
     out->hi = 0.0f;
     if (family == CURVE_RANDOM) {
@@ -137,7 +143,7 @@ void curve_draw(uint64_t seed, struct curve *out)
     int k = (int)(sensor_uniform(seed, 0) * n);
     enum curve_family f = family[k];
     float t = (float)sensor_uniform(seed, 1);
-    curve_make(f, param_lo[f] + t * (param_hi[f] - param_lo[f]), seed + 1, out);
+    curve_make(f, params[f].lo + t * (params[f].hi - params[f].lo), seed + 1, out);
 }
 
 /* Exact to 1e-6, for x > 0 and normal: half of what libm takes. */

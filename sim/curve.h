@@ -17,6 +17,8 @@ enum curve_family {
     CURVE_FAMILIES
 };
 
+#define CURVE_WORDS "linear|srgb|gamma|filmic|agx|log|random" // names of the families
+
 enum { CURVE_STEPS = 1024 };
 
 /* A curve, tabulated over log2 of exposure so that evaluation is one lookup. */
@@ -27,7 +29,7 @@ struct curve {
     float table[CURVE_STEPS + 1]; // display values, not falling
 };
 
-/* param outside of the family's range is clamped. */
+/* param outside of the family's range is clamped; NAN: its usual one. */
 void curve_make(enum curve_family family, float param, uint64_t seed, struct curve *out);
 
 /* Family and parameter drawn by the seed, as training uses them (never LINEAR). */

@@ -53,6 +53,8 @@ enum world_kind {
     WORLD_KINDS
 };
 
+#define WORLD_WORDS "room|yard|dark|plain|mirror" // names of the kinds
+
 struct world {
     enum world_kind kind;
     int n_solids, n_materials, n_lights;

@@ -11,7 +11,7 @@ simulate() { # name arguments...
 
 # bad requests
 expect 2 '--out is needed' simulate
-expect 2 '--kind: "moon" is none of room yard' simulate --out "$OUT/no" --kind moon
+expect 2 '--kind: "moon" is none of room.yard' simulate --out "$OUT/no" --kind moon
 expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
 expect 2 '--exposures: 1 does not come after' simulate --out "$OUT/no" --exposures 4,1

@@ -112,6 +112,33 @@ static void all_sources_give_the_same_data(void **state)
         }
 }
 
+/* A checkpoint does not tell whether its angles were rounded: the dimensions do, else they were. */
+static void rounded_angles_are_as_the_dimensions_say(void **state)
+{
+    static const char *const says[] = {"", "\"rope_bf16\": true,", "\"rope_bf16\": false,"};
+    static char text[4096];
+    (void)state;
+    FILE *f = fopen(config, "r");
+    assert_non_null(f);
+    size_t n = fread(text, 1, sizeof text - 1, f);
+    fclose(f);
+    text[n] = 0;
+    char *rest = strstr(text, "\"embed\"");
+    assert_non_null(rest);
+    assert_null(strstr(text, "rope_bf16"));
+    for (int k = 0; k < 3; k++) {
+        struct modelfile m;
+        assert_non_null(f = fopen(tmpdir_path("dims.json"), "w"));
+        fprintf(f, "%.*s%s%s", (int)(rest - text), text, says[k], rest);
+        assert_int_equal(fclose(f), 0);
+        assert_int_equal(convert(TINY, tmpdir_path("a"), PRECISION_F32, tmpdir_path("dims.json")),
+                         OK);
+        assert_int_equal(modelfile_open(tmpdir_path("a"), &m), OK);
+        assert_int_equal(m.model.dims.rope_bf16, k < 2);
+        modelfile_close(&m);
+    }
+}
+
 static void refused(err_t code, const char *sentence)
 {
     const char *out = tmpdir_path("refused");
@@ -178,6 +205,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(all_sources_give_the_same_data),
+        cmocka_unit_test(rounded_angles_are_as_the_dimensions_say),
         cmocka_unit_test(what_does_not_fit_is_named),
         cmocka_unit_test(what_is_not_read_does_not_matter),
         cmocka_unit_test(requests_are_checked),

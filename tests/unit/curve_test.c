@@ -113,6 +113,18 @@ static void test_plateau(void **state)
     assert_true(fabsf(log2f(x) - (c.lo + 600.0f * (c.hi - c.lo) / CURVE_STEPS)) < 0.03f);
 }
 
+static void test_usual_parameter(void **state)
+{
+    static const float usual[CURVE_FAMILIES] = {0.0f, 0.0f, 2.2f, 0.5f, 12.0f, 8.0f, 0.5f};
+    struct curve a, b;
+    (void)state;
+    for (int f = 0; f < CURVE_FAMILIES; f++) {
+        curve_make((enum curve_family)f, NAN, 1, &a);
+        curve_make((enum curve_family)f, usual[f], 1, &b);
+        assert_memory_equal(&a, &b, sizeof a);
+    }
+}
+
 static void test_draw(void **state)
 {
     int seen[CURVE_FAMILIES] = {0};
@@ -139,7 +151,7 @@ int main(void)
         cmocka_unit_test(test_shape),    cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_formulas), cmocka_unit_test(test_middle_grey),
         cmocka_unit_test(test_inverse),  cmocka_unit_test(test_plateau),
-        cmocka_unit_test(test_draw),
+        cmocka_unit_test(test_draw),     cmocka_unit_test(test_usual_parameter),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
