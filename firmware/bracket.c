@@ -196,7 +196,7 @@ static void request_next(struct seat *c, int64_t now_ns)
 /* Asked, but cannot come any more: entry `before` and later ones are still to come. */
 static void give_up_passed(struct seat *c, int before)
 {
-    bool comes[BRACKET_EXPOSURES_MAX + 1] = {false};
+    bool comes[LABEL_OTHER + 1] = {false};
     for (int i = before; i < c->label.n; i++)
         comes[c->label.log[i].index] |= !label_passed(&c->label, i);
     if (c->request || c->asking)
@@ -240,6 +240,11 @@ static void enter(struct seat *c, enum phase p)
     c->phase = p;
     c->conflicts = c->judged = 0;
     c->target = -1;
+}
+
+static enum phase first_phase(const struct seat *c)
+{
+    return label_unsteady(&c->label) ? REST : RUN;
 }
 
 static void over(struct bracket *b, struct seat *c)
@@ -315,7 +320,7 @@ static void settle(struct seat *c, const struct bracket_event *ev)
 /* The missing exposure that entry `e` of the log stands for: -1 none. */
 static int missing_index(const struct seat *c, const struct label_request *e)
 {
-    if (e->index != LABEL_BASE && c->wish[e->index] != KEPT)
+    if (e->index < c->plan.n && c->wish[e->index] != KEPT)
         return e->index;
     for (int i = 0; i < c->plan.n; i++)
         if (c->wish[i] != KEPT && label_same(c->stops[i], e->stops))
@@ -341,8 +346,9 @@ static void known(struct bracket *b, struct seat *c, const struct bracket_event 
 {
     const struct label_request *e = &c->label.log[k->entry];
     bool base = is_base(c, e), at_base = is_base(c, label_newest(&c->label));
-    // what ran at the trigger, or waited somewhere, is of the time before it
-    bool early = c->since < 1 || (base && c->label.sane && ev->frame->timestamp_ns < c->begin_ns);
+    // an exposure of before the trigger: so may the frame be
+    bool early = e->asked_ns < c->begin_ns &&
+                 (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
     if (i >= 0 && !early && (c->phase == RUN || (c->phase == REST && label_alone(&c->label))))
@@ -366,7 +372,7 @@ static void judge(struct bracket *b, struct seat *c, const struct label_look *k,
     if (++c->judged < JUDGED_MAX)
         return;
     // nothing has moved since before the request
-    bool still = c->since - c->still_since > e->age_hi - c->label.lo && !isnan(c->still) &&
+    bool still = c->since - c->still_since > e->age_hi - c->label.lo + 1 && !isnan(c->still) &&
                  fabs(e->stops - e->from) > 2.0 * tolerance;
     if (k->disagrees)
         fault(b, c, BRACKET_DISAGREES, now_ns);
@@ -443,7 +449,7 @@ static void wait_at_base(struct bracket *b, struct seat *c, const struct bracket
     if (c->judged >= BAD_MAX)
         fault(b, c, BRACKET_DISAGREES, ev->now_ns);
     else if (c->settled >= 2)
-        enter(c, RUN);
+        enter(c, first_phase(c));
 }
 
 static void shoot(struct bracket *b, struct seat *c, const struct bracket_event *ev,
@@ -561,6 +567,9 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         memset(c->wish, 0, sizeof c->wish);
         memset(c->tries, 0, sizeof c->tries);
         label_forget(&c->label, false);
+        for (int k = 0; k < c->label.n; k++) // of the plan before
+            if (c->label.log[k].index != LABEL_BASE)
+                c->label.log[k].index = LABEL_OTHER;
         c->begin_ns = c->alive_ns = ev->now_ns;
         c->since = c->suspect = -1;
         c->frames = c->rejected = c->lost = c->bad = 0;
@@ -568,7 +577,7 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         c->slow_s = 0.0;
         c->still = NAN;
         c->cause = BRACKET_BAD_FRAMES;
-        enter(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? RUN : WAIT);
+        enter(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? first_phase(c) : WAIT);
         request_next(c, ev->now_ns);
     }
     return OK;

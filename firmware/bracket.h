@@ -21,7 +21,8 @@
  * Within SHOOTING, each camera by itself:
  *   WAIT   at base, until a frame from after so long a rest that every witness must agree, and one
  *          more like it, are the reference. Usually there before the trigger.
- *   RUN    pipelined: a new exposure with every frame; in the end base again
+ *   RUN    pipelined: a new exposure with every frame; in the end base again. Not for cameras
+ *          whose delay varies and that do not report: REST at once.
  *   CHECK  after a conflict, or a restart: at base. It looks like the reference: go on with REST.
  *          It does not: the light changed, everything is forgotten and WAIT comes again, once.
  *   REST   one exposure at a time, until requests allow for no other

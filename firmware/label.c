@@ -20,7 +20,7 @@ enum {
     PLACES_MANY = WITNESS_PLACES / 8,      // no need for another anchor
     DOUBT = 8,                             // frames: devices whose delay nobody knows
     REST = 2,                              // frames beyond doubt
-    UNSURE = 2,                            // a wider range of delays is not known, but a guess
+    UNSURE = 2,                            // a wider range of delays is no jitter, but a guess
     GAP_MAX = 64,                          // frames lost in one go; more is nonsense
     AGE_MAX = 1 << 20
 };
@@ -191,14 +191,20 @@ void label_doubt(struct label *l)
 {
     l->lo = 0;
     l->hi = l->doubt;
+    l->guess = true;
+}
+
+bool label_unsteady(const struct label *l)
+{
+    return l->hi > l->lo && !l->guess && !l->cfg.reports;
 }
 
 void label_narrow(struct label *l, const struct label_look *k)
 {
     const struct label_request *e = &l->log[k->entry];
-    if (l->hi - l->lo <= UNSURE || e->index == LABEL_BASE || k->entry + 1 == l->n)
+    if (!l->guess || e->index == LABEL_BASE || !k->unique)
         return;
-    int lo = e[1].age_lo + 1, hi = e->age_hi;
+    int lo = k->entry + 1 < l->n ? e[1].age_lo + 1 : 0, hi = e->age_hi;
     l->lo = lo > l->lo ? lo : l->lo;
     l->hi = hi < l->hi ? hi : l->hi;
 }
@@ -281,6 +287,7 @@ void label_trust(struct label *l)
 {
     l->lo = l->cfg.delay_lo;
     l->hi = l->cfg.delay_hi;
+    l->guess = l->hi - l->lo > UNSURE;
 }
 
 /* ---- the device ---- */
@@ -358,15 +365,17 @@ static const struct candidate *nearest(const struct candidate *c, int n, bool st
     return best;
 }
 
-/* Another exposure that could be taken for it: by the pixels, or at all if they tell nothing. */
-static bool has_rival(const struct label *l, const struct candidate *c, int n,
-                      const struct candidate *best, bool measured)
+/* Other candidates with an exposure that could be taken for it, by the pixels, or at all if they
+ * tell nothing; or (twins) with the same one. */
+static int rivals(const struct label *l, const struct candidate *c, int n,
+                  const struct candidate *best, bool twins)
 {
-    for (int i = 0; i < n; i++)
-        if (c[i].strict && (c[i].fits || !measured) &&
-            fabs(c[i].stops - best->stops) > 0.5 * l->cfg.tolerance)
-            return true;
-    return false;
+    int found = 0;
+    for (int i = 0; i < n; i++) {
+        bool same = fabs(c[i].stops - best->stops) <= 0.5 * l->cfg.tolerance;
+        found += c[i].strict && c[i].fits && same == twins && &c[i] != best;
+    }
+    return found;
 }
 
 void label_look(const struct label *l, const struct frame *f, const struct witness *w,
@@ -385,7 +394,8 @@ void label_look(const struct label *l, const struct frame *f, const struct witne
         return;
     out->entry = pick->entry;
     out->exposure = pick->exposure;
-    if (best && has_rival(l, c, n, best, out->measured))
+    out->unique = best && rivals(l, c, n, best, true) == 0;
+    if (best && rivals(l, c, n, best, false) > 0)
         out->verdict = LABEL_UNDECIDED;
     else if (!pick->agree)
         out->disagrees = true;

@@ -15,11 +15,12 @@ enum {
     LABEL_LOG = 64,
     LABEL_REFERENCE = BRACKET_EXPOSURES_MAX, // anchor; the others are kept frames by index
     LABEL_ANCHORS,
-    LABEL_BASE = BRACKET_EXPOSURES_MAX // index of a request for the base exposure
+    LABEL_BASE = BRACKET_EXPOSURES_MAX, // index of a request for the base exposure
+    LABEL_OTHER                         // of one for another plan
 };
 
 struct label_request {
-    int index;                        // of the plan, or LABEL_BASE
+    int index;                        // of the plan, LABEL_BASE or LABEL_OTHER
     struct exposure ask, set, expect; // set: read back; expect: what the sensor should make of it
     double stops, from;               // log2 of expect; of the request before, NAN: none
     int age_lo, age_hi;               // frames since the one that ran during the request
@@ -37,6 +38,7 @@ struct label_anchor {
 struct label {
     struct bracket_camera cfg;
     int lo, hi, doubt; // frames
+    bool guess;        // lo..hi is not known, but a guess
     struct label_request log[LABEL_LOG];
     int n; // oldest first
     struct label_anchor anchor[LABEL_ANCHORS];
@@ -58,6 +60,7 @@ struct label_look {
     enum label_verdict verdict;
     int entry;                // of the log; -1: none
     struct exposure exposure; // to be recorded: as reported, else expected
+    bool unique;              // no other request for the same can be in force
     bool disagrees;           // pixels and requests fit, the report does not
     bool measured, changed;   // by pixels; the light of parts changed
     double stops, error;      // if measured: log2 of exposure, s
@@ -104,6 +107,10 @@ void label_look(const struct label *l, const struct frame *f, const struct witne
 void label_doubt(struct label *l);
 void label_narrow(struct label *l, const struct label_look *k);
 void label_trust(struct label *l);
+
+/* The delay varies, and nobody tells when a request took effect: a flash of light could make a
+ * frame look like its neighbour in time. */
+bool label_unsteady(const struct label *l);
 
 /* What is known about a frame that is kept; the plan's fields are the caller's. */
 void label_evidence(const struct label *l, const struct frame *f, const struct label_look *k,

@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum { SIM_QUEUE = 4, SIM_NOISE = 4096, SIM_PLACES = 192 }; // the other places are black
-enum sim_report { SIM_HONEST, SIM_SILENT, SIM_LATE, SIM_EARLY };
+enum sim_report { SIM_HONEST, SIM_SILENT, SIM_LATE, SIM_EARLY, SIM_HALF };
 enum sim_readback { SIM_EXACT, SIM_CACHED, SIM_LAGGED };
 
 struct sim_camera {
@@ -26,8 +26,8 @@ struct sim_camera {
     // probabilities per frame, from frame `from` on
     double drop, hide, error, twice, repeat, lag, garble;
     int64_t from;
-    bool stuck, stamp_zero;
-    int64_t stamp_add_ns;
+    bool stuck, stamp_fixed;
+    int64_t stamp_value, stamp_add_ns;
     uint32_t sequence_add;
     int64_t ignore_from, ignore_frames; // -1 for ever
     double quantum_s, rollover_s, gain_step, digital, balance_step;
@@ -40,6 +40,7 @@ struct sim_camera {
 
     float scene[SIM_PLACES]; // relative exposure after 1 s
     float floor;             // below is dark
+    bool bright;             // the other places are white, not black
 
     // running
     uint32_t sequence;
@@ -118,10 +119,10 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
     }
     w->good = SIM_PLACES - w->dark - w->clipped;
     for (int i = SIM_PLACES; i < WITNESS_PLACES; i++) {
-        w->x[i] = c->floor;
-        w->state[i] = WITNESS_DARK;
+        w->x[i] = c->bright ? 1.0f : c->floor;
+        w->state[i] = c->bright ? WITNESS_CLIPPED : WITNESS_DARK;
     }
-    w->dark += WITNESS_PLACES - SIM_PLACES;
+    *(c->bright ? &w->clipped : &w->dark) += WITNESS_PLACES - SIM_PLACES;
 }
 
 /* Log radiance evenly over `stops`, its middle at `middle` of saturation in exposure e. */
@@ -250,12 +251,14 @@ static inline void sim_shoot(struct sim_camera *c, const struct timing_frame *t,
     if (c->stamp == CAMERA_STAMP_END)
         f->timestamp_ns +=
             (int64_t)(fmin(t->time_s, 1e-9 * (double)(t->end_ns - t->start_ns)) * 1e9);
-    if (c->stamp_zero && struck)
-        f->timestamp_ns = 0;
+    if (c->stamp_fixed && struck)
+        f->timestamp_ns = c->stamp_value;
     f->exposure_known = c->report != SIM_SILENT;
     f->exposure = c->report == SIM_LATE    ? c->last_programmed
                   : c->report == SIM_EARLY ? next
                                            : programmed;
+    if (c->report == SIM_HALF)
+        f->exposure.time_s *= 0.5;
     f->gains_known = c->tell_gains;
     f->digital_gain = struck ? c->digital : 1.0;
     f->red_gain = 1.7 * c->balance;
@@ -327,6 +330,7 @@ static inline void sim_camera_init(struct sim_camera *c)
     c->gain_step = c->balance_step = c->digital = c->drift = c->balance = 1.0;
     c->ignore_from = c->stall_at = c->lamp_at = INT64_MAX;
     c->tell_gains = true;
+    c->hold_until = INT64_MIN;
 }
 
 static inline void sim_start(struct sim *s, int camera, const struct timing_cfg *t,
