@@ -253,7 +253,7 @@ struct libcamera_shim_camera {
     {
         if (started)
             camera->stop(); // cancels what is queued; fails when the camera is gone
-        if (camera) {
+        if (event >= 0) {
             camera->requestCompleted.disconnect(this);
             camera->disconnected.disconnect(this);
         }

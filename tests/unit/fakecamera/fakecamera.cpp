@@ -43,6 +43,12 @@ static void wrong(const char *what)
     snprintf(fakecamera.what, sizeof fakecamera.what, "%s", what);
 }
 
+extern "C" __attribute__((visibility("default"))) void fakecamera_put(int *field, int value)
+{
+    const std::lock_guard<std::recursive_mutex> hold(guard);
+    *field = value;
+}
+
 struct Camera::device {
     int i = 0;
     std::string id;

@@ -1,6 +1,6 @@
 /* fakecamera.h - how the libcamera that is played for tests behaves, and what it saw. The test
  * finds the struct by its name in the module that was built with it.
- * thread: fields are set before open; those marked live at any time. */
+ * thread: the test's, before open; fields marked live through fakecamera_put at any time. */
 #ifndef FAKECAMERA_FAKECAMERA_H
 #define FAKECAMERA_FAKECAMERA_H
 
@@ -28,7 +28,7 @@ struct fakecamera {
     int cancel;     // so many of the next frames are cancelled
     int bad, cut;   // so many are bad, have fewer bytes
     int fail_queue; // errno
-    bool unplug;
+    int unplug;
 
     /* what was seen */
     int managers, acquired, buffers, running; // that are there now
@@ -40,5 +40,6 @@ struct fakecamera {
 };
 
 #define FAKECAMERA_SYMBOL "fakecamera"
+#define FAKECAMERA_PUT "fakecamera_put" // void (*)(int *field, int value)
 
 #endif

@@ -438,11 +438,13 @@ template <class... A> class Signal
   public:
     template <class T> void connect(T *to, void (T::*slot)(A...))
     {
+        to_ = to;
         slot_ = [=](A... a) { (to->*slot)(a...); };
     }
-    template <class T> void disconnect(T *)
+    template <class T> void disconnect(T *to)
     {
-        slot_ = nullptr;
+        if (to == to_)
+            slot_ = nullptr;
     }
     void emit(A... a)
     {
@@ -451,6 +453,7 @@ template <class... A> class Signal
     }
 
   private:
+    void *to_ = nullptr;
     std::function<void(A...)> slot_;
 };
 
