@@ -156,7 +156,7 @@ static enum witness_state judge(const struct scale *s, int y0, int x0, float *x,
 static int begin_of(const struct raw *px, int i, int n)
 {
     int edge = edge_of(n), at = (int)((2 * i + 1) * (int64_t)n / (2 * WITNESS_EDGE)) - edge / 2;
-    at = at < 0 ? 0 : num_min(at, n - edge);
+    at = at < 0 ? 0 : at;
     return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
 }
 

@@ -138,7 +138,7 @@ static void test_bounds(void **state)
         f = frame_of(&info, NULL, bytes);
         says(unpack_check(&info, &f), ERR_FORMAT, "0 bytes, its format needs");
         f = frame_of(&info, data, bytes);
-        f.stride--;
+        f.stride += 2;
         says(unpack_check(&info, &f), ERR_FORMAT, "bytes from row to row");
         const int strides[] = {p->row - 1, 0, -p->row, -1, INT32_MIN};
         for (int i = 0; i < 5; i++) {
@@ -419,6 +419,10 @@ static void test_jpeg_wrong(void **state)
         info.h -= k == 1 ? 8 : 0;
         struct frame f = frame_of(&info, file.p, file.n);
         says(unpack_check(&info, &f), ERR_FORMAT, "JPEG of 24 x 16 px, not");
+    }
+    for (int k = 0; k < 2; k++) {
+        struct image8 small = {24 - k, 15 + k, 3, (uint8_t *)px};
+        says(img_decode_jpeg(file.p, file.n, "it", &small), ERR_FORMAT, "it: JPEG of 24 x 16 px");
     }
     load("cmyk.jpg", &file);
     assert_int_not_equal(run(&file, false), OK);
