@@ -30,8 +30,6 @@ static int call(struct v4l2_queue *q, unsigned long request, struct message *m, 
     if (q->mplane) {
         m->b.m.planes = m->plane;
         m->b.length = VIDEO_MAX_PLANES;
-        if (request == VIDIOC_QBUF)
-            m->b.length = 1;
     }
     return v4l2_sys_ioctl(&q->node, request, m);
 }
@@ -240,6 +238,5 @@ void v4l2_queue_give(struct v4l2_queue *q, int index)
     if (index < 0 || index >= q->n || q->slot[index].owner != V4L2_QUEUE_CALLER)
         return;
     q->slot[index].owner = V4L2_QUEUE_OURS;
-    if (!q->lost)
-        queue_one(q, index); // when that fails, the next take tries again
+    queue_one(q, index); // when that fails, the next take tries again
 }

@@ -66,8 +66,8 @@ double v4l2_sensor_gain(const struct v4l2_sensor *s, int64_t code)
     double c = (double)code;
     if (s->db > 0.0)
         return pow(10.0, s->db * c / 20.0);
-    double below = s->m1 * c + s->c1, g = (s->m0 * c + s->c0) / below;
-    return below > 0.0 && isfinite(g) && g > 0.0 ? g : 0.0;
+    double g = (s->m0 * c + s->c0) / (s->m1 * c + s->c1);
+    return isfinite(g) && g > 0.0 ? g : 0.0;
 }
 
 int64_t v4l2_sensor_code(const struct v4l2_sensor *s, double gain, int64_t lo, int64_t hi)

@@ -1,7 +1,6 @@
 /* Every setting is one VIDIOC_S_EXT_CTRLS, so that an error names its control; exposure and gain go
- * together, and come back when only the first of them was written. Drivers clamp in silence: what
- * is in force is read back. VBLANK comes before EXPOSURE, whose range depends on it; that range is
- * asked for with every request, which is what VIDIOC_DQEVENT would tell. */
+ * together, and come back when only the first of them was written. Drivers clamp in silence, also
+ * to ranges that have changed (VBLANK changes that of EXPOSURE): what is in force is read back. */
 #include "drivers/v4l2_shutter.h"
 
 #include "core/base/log.h"
@@ -204,16 +203,10 @@ static int set_codes(const struct v4l2_shutter *c, int64_t code, int64_t gain, u
 /* Set both, and know what the device made of them. err: as refused */
 static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
 {
-    struct range r;
     uint32_t written;
-    err_t e = query(&c->node, exposure_id(c), &r);
-    if (e)
-        return e;
-    if (there(&r))
-        code = fit(code, r.lo, r.hi, r.step);
     int number = set_codes(c, code, gain, &written);
     if ((number == EACCES || number == EILSEQ) && !written) { // somebody switched it on again
-        e = freeze(&c->node, &freezes[0]);
+        err_t e = freeze(&c->node, &freezes[0]);
         if (e)
             return e;
         number = set_codes(c, code, gain, &written);
@@ -266,7 +259,7 @@ static err_t line_time(struct v4l2_shutter *c, const struct v4l2_layout *l)
         number = get(&c->node, V4L2_CID_HBLANK, &hblank);
     if (number)
         return v4l2_sys_fail(&c->node, number, "tell its pixel rate and blanking");
-    c->unit_s = rate > 0 ? ((double)l->w + (double)hblank) / (double)rate : 0.0;
+    c->unit_s = ((double)l->w + (double)hblank) / (double)rate;
     if (!(c->unit_s >= 1e-7 && c->unit_s <= 0.1))
         return err_fail(ERR_UNSUPPORTED,
                         "%s: %d px and %lld of blanking at %lld px/s make no time of a line",

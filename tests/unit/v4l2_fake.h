@@ -370,7 +370,8 @@ static inline bool fake_owned(struct fake *f, uint32_t id)
 static inline int64_t fake_clamp(const struct fake_control *c, int64_t v)
 {
     v = v < c->lo ? c->lo : v > c->hi ? c->hi : v;
-    return c->lo + (v - c->lo) / c->step * c->step;
+    v = c->lo + (v - c->lo + c->step / 2) / c->step * c->step; // the nearest
+    return v > c->hi ? v - c->step : v;
 }
 
 static inline int fake_set(struct fake *f, struct fake_control *c, int64_t v)
@@ -381,7 +382,7 @@ static inline int fake_set(struct fake *f, struct fake_control *c, int64_t v)
         return 0;
     c->value = fake_clamp(c, v);
     struct fake_control *e = fake_control(f, V4L2_CID_EXPOSURE);
-    if (c->id == V4L2_CID_VBLANK && e) {
+    if (c->id == V4L2_CID_VBLANK && e && f->margin) {
         e->hi = f->h[0] + c->value - f->margin;
         e->value = fake_clamp(e, e->value);
     }
@@ -542,7 +543,7 @@ static inline int fake_dispatch(struct fake *f, unsigned long request, void *arg
         memcpy(c->card, f->card, sizeof f->card);
         memcpy(c->bus_info, f->bus, sizeof f->bus);
         c->device_caps = f->caps;
-        c->capabilities = f->caps | V4L2_CAP_DEVICE_CAPS | V4L2_CAP_META_CAPTURE;
+        c->capabilities = f->caps | V4L2_CAP_DEVICE_CAPS | V4L2_CAP_VIDEO_CAPTURE;
         return 0;
     }
     case VIDIOC_ENUM_FMT:
@@ -654,8 +655,8 @@ static inline int fake_close(void *ctx, int fd)
     struct fake *f = ctx;
     if (fd < 0 || (fd != f->fd && fd != f->sub_fd))
         fake_breach(f, "close of what is not open");
-    if (fd == f->fd && (f->maps > 0 || (f->streaming && !f->lost && !f->fail_at)))
-        fake_breach(f, "closed with memory mapped, or while it streams");
+    if (fd == f->fd && (f->maps > 0 || ((f->streaming || f->n) && !f->lost && !f->fail_at)))
+        fake_breach(f, "closed with memory mapped, with buffers, or while it streams");
     *(fd == f->fd ? &f->fd : &f->sub_fd) = -1;
     f->fds--;
     if (fd != f->sub_fd && f->fd < 0) { // the driver frees all
