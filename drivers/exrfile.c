@@ -15,6 +15,7 @@
 #include <float.h>
 #include <math.h>
 #include <stdarg.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -51,10 +52,36 @@ static err_t library_error(const char *name, exr_result_t code)
                     last_words[0] ? last_words : exr_get_default_error_message(code));
 }
 
+/* exr_add_part of 3.1 writes through NULL when there is no memory for a second part: it gets this
+ * then, and the file is given up. */
+static _Thread_local struct {
+    _Alignas(max_align_t) uint8_t bytes[8192];
+    size_t used;
+    bool open;
+} reserve;
+
+static void *take_reserve(size_t n)
+{
+    n = (n + sizeof(max_align_t) - 1) / sizeof(max_align_t) * sizeof(max_align_t);
+    if (!reserve.open || n > sizeof reserve.bytes - reserve.used)
+        return NULL;
+    void *p = memset(reserve.bytes + reserve.used, 0, n);
+    reserve.used += n;
+    return p;
+}
+
 /* Zeroed, so that a chunk that decodes to less than it should leaves zeros and not old memory. */
 static void *alloc_zeroed(size_t n)
 {
-    return calloc(1, n);
+    void *p = calloc(1, n);
+    return p ? p : take_reserve(n);
+}
+
+static void free_block(void *p)
+{
+    uintptr_t at = (uintptr_t)p - (uintptr_t)reserve.bytes;
+    if (at >= sizeof reserve.bytes)
+        free(p);
 }
 
 static exr_context_initializer_t settings(void)
@@ -63,7 +90,7 @@ static exr_context_initializer_t settings(void)
     last_words[0] = 0;
     s.error_handler_fn = keep_words;
     s.alloc_fn = alloc_zeroed;
-    s.free_fn = free;
+    s.free_fn = free_block;
     s.max_image_width = s.max_tile_width = EXRFILE_SIDE_MAX;
     s.max_image_height = s.max_tile_height = EXRFILE_SIDE_MAX;
     s.flags = EXR_CONTEXT_FLAG_STRICT_HEADER | EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
@@ -458,12 +485,21 @@ static exr_result_t declare_camera(exr_context_t ctxt, const struct camera *c)
     return code;
 }
 
+static exr_result_t add_part(struct writer *w, const char *name)
+{
+    reserve.open = true;
+    reserve.used = 0;
+    exr_result_t code = exr_add_part(w->ctxt, name, EXR_STORAGE_SCANLINE, NULL);
+    reserve.open = false;
+    return reserve.used ? EXR_ERR_OUT_OF_MEMORY : code;
+}
+
 /* Part w->part as every file has it. */
 static exr_result_t declare_part(struct writer *w, const char *name, exr_compression_t coding)
 {
     static const exr_attr_chromaticities_t rec709 = {0.64f, 0.33f, 0.30f,   0.60f,
                                                      0.15f, 0.06f, 0.3127f, 0.3290f};
-    exr_result_t code = exr_add_part(w->ctxt, name, EXR_STORAGE_SCANLINE, NULL);
+    exr_result_t code = add_part(w, name);
     if (!code)
         code = exr_initialize_required_attr_simple(w->ctxt, w->part, w->w, w->h, coding);
     if (!code)

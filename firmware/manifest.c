@@ -192,6 +192,7 @@ static void put_camera(FILE *f, const struct take *t, int i)
 
 static void put_evidence(FILE *f, const struct bracket_evidence *v)
 {
+    put_exposure(f, "exposure", &v->exposure);
     put_exposure(f, "asked", &v->asked);
     put_exposure(f, "set", &v->set);
     put_exposure(f, "reported", v->reported_known ? &v->reported : NULL);

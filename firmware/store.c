@@ -210,7 +210,8 @@ static err_t sync_parent(const struct store *s, char *path)
     return e;
 }
 
-/* The folder and those above it, so that a power cut finds them. */
+/* The folder and those above it, so that a power cut finds them: also those that are there, which a
+ * former run may have made and not brought to the disk. Some of them may be closed to us. */
 static err_t make_folders(const struct store *s)
 {
     char path[FILE_PATH_CAP];
@@ -220,11 +221,13 @@ static err_t make_folders(const struct store *s)
             continue;
         memcpy(path, s->path, i);
         path[i] = 0;
-        if (file_is_dir(path))
-            continue;
-        e = store_fs_mkdir(s->fs, path);
+        bool there = file_is_dir(path);
+        if (!there)
+            e = store_fs_mkdir(s->fs, path);
         if (!e)
             e = sync_parent(s, path);
+        if (there)
+            e = OK;
     }
     return e;
 }

@@ -144,7 +144,7 @@ static void refuses(void **state)
         {"format = rgb8\n", "the camera's is \"yuyv\""},
         {HEAD "crf.red = -1 0 1\n", "x:4: crf.red: 1 is not in -40..0"},
         {HEAD "crf.red = -1 -1\n", "number 2 of 256 does not rise"},
-        {HEAD "crf.red = -1 -0.5 ;\n", "\";\" is not a number"},
+        {HEAD "crf.red = -1 -0.5 ;\n", "\" ;\" is not a number"},
     };
     struct calib out;
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
