@@ -213,8 +213,7 @@ err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out)
     struct message m;
     if (q->lost)
         return err_fail(ERR_LOST, "%s: lost; open it again", q->node.path);
-    int again = queue_ours(q);
-    int number = is_gone(again) ? again : call(q, VIDIOC_DQBUF, &m, 0);
+    int again = queue_ours(q), number = call(q, VIDIOC_DQBUF, &m, 0);
     if (is_gone(number))
         return v4l2_queue_lose(q, "unplugged");
     if (number == EAGAIN && again)
