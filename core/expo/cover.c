@@ -217,7 +217,9 @@ static void judge(const struct task *t, const double *times, int n, struct worth
     }
     out->dark = fmax(dark[0], dark[1]);
     out->bad = fmax(out->clipped - c->clip - SLIGHT, 0.0) + fmax(out->dark - c->dark - SLIGHT, 0.0);
-    out->quality -= TIME_COST * log2(total + TIME_FREE_S) + OVERLAP_COST * lack(t, times, n);
+    out->quality -= OVERLAP_COST * lack(t, times, n);
+    if (out->bad <= SLIGHT) // what cannot be covered is worth any time
+        out->quality -= TIME_COST * log2(total + TIME_FREE_S);
 }
 
 static bool better(const struct worth *a, const struct worth *b)

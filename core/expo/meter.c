@@ -2,8 +2,7 @@
  * e = (S^2 + S sqrt(S^2 + 4 read_noise^2)) / 2; independent frames add the squares of their ratios.
  * Histogram: of each probe the bins that it has unclipped; where several have a bin, the longest
  * of them. What is clipped in the longer probe is what the shorter one shows above its border.
- * Noise may lift places over that border: there the brightest are meant. A place counts as
- * brighter by a sigma where the top is concerned, as darker by half of one at the bottom.
+ * Noise may lift places over that border: there the brightest are meant.
  * Probes: the first in the middle of the range of times; shorter by what one probe sees while too
  * much is clipped, longer while too much is below what is seen. Then cover.c plans.
  * Source: EMVA 1288 release 4 (noise). */
@@ -24,9 +23,12 @@ enum {
     CODE_SEEN = 3,          // least display code that tells anything
     MOST = METER_EXPOSURES_MAX
 };
-#define SEEN_SNR 3.0    // least ratio at which a pixel of a probe is placed in the histogram
-#define FIRST_MAX_S 1.0 // the first probe is in the middle of the range of times up to here
-#define SLIGHT 1e-9     // rounding of shares
+#define SEEN_SNR 3.0      // least ratio at which a pixel of a probe is placed in the histogram
+#define FIRST_MAX_S 1.0   // the first probe is in the middle of the range of times up to here
+#define TOP_SIGMAS 1.0    // of its noise, by which a place counts as brighter,
+#define BOTTOM_SIGMAS 0.7 // and as darker, where these ends are concerned
+#define CHECK 0.9         // of the ratio is enough afterwards: one place's own noise is in it
+#define SLIGHT 1e-9       // rounding of shares
 
 /* --- configuration -------------------------------------------------------------------------- */
 
@@ -304,8 +306,8 @@ void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, dou
             int n = place(&s, i, j, hi, x);
             float top = n == 3 ? fmaxf(fmaxf(x[0], x[1]), x[2]) : x[0];
             float bottom = n == 3 ? fminf(fminf(x[0], x[1]), x[2]) : x[0];
-            count[0][bin_of(m, top, 1.0, log2t)]++;
-            count[1][bin_of(m, bottom, -0.5, log2t)]++;
+            count[0][bin_of(m, top, TOP_SIGMAS, log2t)]++;
+            count[1][bin_of(m, bottom, -BOTTOM_SIGMAS, log2t)]++;
         }
     float one = 1.0f / ((float)s.w * (float)s.h);
     for (int k = 0; k < 2; k++)
@@ -357,22 +359,23 @@ double meter_probe(const struct meter *m)
 
 /* --- plan ----------------------------------------------------------------------------------- */
 
-/* What the longest probe does not see is just below its floor; if it is too much to be ignored, it
- * may reach down over the range of one more exposure. */
+/* What the longest probe does not see is below its floor, twice as far down as it would be at the
+ * density of the stop above, at most over the range of one exposure and what can be reached. */
 static void place_unseen(const struct meter *m, double *top, double *bottom)
 {
-    double t_long, dark = unseen(m, &t_long), a = top[0], b = bottom[0];
+    double t_long, dark = unseen(m, &t_long), a = top[0], b = bottom[0], dense = 0.0;
     int last = seen_bin(m, t_long) - 1, length = cover_length(m);
-    int reach = cover_top(m, cover_longest(&m->cfg)) - length;
-    int n = dark > m->cfg.dark + SLIGHT ? length : 1;
-    n = n < last - reach + 1 ? n : last - reach + 1;
+    int reach = last - (cover_top(m, cover_longest(&m->cfg)) - length) + 1;
     if (last < 1)
         return;
-    n = n < 1 ? 1 : n < last ? n : last;
+    for (int i = last + 1; i <= last + METER_PER_STOP && i < METER_BINS; i++)
+        dense += bottom[i] / METER_PER_STOP;
+    double wide = dark > 0.0 ? ceil(2.0 * dark / fmax(dense, SLIGHT)) : 1.0;
+    wide = fmax(fmin(fmin(wide, length), fmin(reach, last)), 1.0);
     top[0] = bottom[0] = 0.0;
-    for (int i = last; i > last - n; i--) {
-        top[i] += a / n;
-        bottom[i] += b / n;
+    for (int i = last; i > last - (int)wide; i--) {
+        top[i] += a / (int)wide;
+        bottom[i] += b / (int)wide;
     }
 }
 
@@ -418,14 +421,14 @@ static double merged(const struct meter *m, const double *exposure, const float 
 static void add_place(const struct meter *m, const double *exposure, const float *x, int n,
                       int channels, struct tally *out)
 {
-    double darkest = INFINITY, l, hi = exp2(m->hi);
+    double darkest = INFINITY, l, hi = exp2(m->hi), need = CHECK * m->cfg.snr;
     bool clipped = false;
     for (int c = 0; c < channels; c++) {
         bool open = false;
         for (int i = 0; i < n; i++)
             open = open || x[3 * i + c] <= hi;
         clipped = clipped || !open;
-        if (open && merged(m, exposure, x + c, n, &l) < m->cfg.snr * m->cfg.snr)
+        if (open && merged(m, exposure, x + c, n, &l) < need * need)
             darkest = fmin(darkest, l);
     }
     out->clipped += clipped;
