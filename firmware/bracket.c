@@ -57,7 +57,7 @@ struct seat { // a camera
     bool gains_known;
     double red, blue;
     // actions that wait
-    bool forget, restart, request, asking;
+    bool forget, relit, restart, request, asking;
     int keep; // index, -1: none
     struct label_request next;
 };
@@ -225,7 +225,7 @@ static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason w
     b->culprit = culprit ? (int)(culprit - b->seat) : -1;
     for (int i = 0; i < b->n; i++) {
         struct seat *c = &b->seat[i];
-        c->forget = c->restart = c->request = false;
+        c->forget = c->relit = c->restart = c->request = false;
         if (c == culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
                              why == BRACKET_DISAGREES))
             forget(c); // whatever they were compared with is in doubt
@@ -265,6 +265,7 @@ static void light_changed(struct bracket *b, struct seat *c, const struct label_
         return;
     }
     forget(c);
+    c->relit = true;
     label_forget(&c->label, true);
     label_trust(&c->label);
     c->settled = 0;
@@ -711,8 +712,10 @@ bool bracket_action(struct bracket *b, struct bracket_action *out)
     for (int i = 0; i < b->n; i++) {
         struct seat *c = &b->seat[i];
         *out = (struct bracket_action){.camera = i};
-        if (c->forget) {
+        if (c->forget || c->relit) {
             out->kind = BRACKET_FORGET;
+            out->index = c->relit;
+            c->relit = false;
             c->forget = false;
         } else if (c->keep >= 0) {
             out->kind = BRACKET_KEEP;

@@ -410,17 +410,22 @@ static void on_line(void *ctx, uint64_t id, const char *line)
 
 /* ---- triggers ---- */
 
-static void open_source(struct source *s, int64_t now)
+/* err: ERR_ARG: no retry will mend it. */
+static err_t open_source(struct source *s, int64_t now)
 {
     if (!s->ops || s->open || now < s->retry_ns)
-        return;
+        return OK;
     s->retry_ns = now + RETRY_S * INT64_C(1000000000);
-    s->open = s->ops->open(s->st, s->uri) == OK;
-    if (!s->open && !s->told)
+    err_t e = s->ops->open(s->st, s->uri);
+    s->open = e == OK;
+    if (e == ERR_ARG)
+        return e;
+    if (e && !s->told)
         log_warn("trigger %s: %s; trying again", s->uri, err_text());
-    if (s->open && s->told)
+    if (!e && s->told)
         log_info("trigger %s: there again", s->uri);
     s->told = !s->open;
+    return OK;
 }
 
 static void read_source(struct daemon *d, struct source *s)
@@ -580,10 +585,12 @@ static err_t turn(struct daemon *d)
         e = session_step(d->session);
     if (e)
         return e;
-    for (int i = 0; i < CONFIG_TRIGGERS && !d->stopping; i++) {
-        open_source(&d->source[i], now);
+    for (int i = 0; !e && i < CONFIG_TRIGGERS && !d->stopping; i++) {
+        e = open_source(&d->source[i], now);
         read_source(d, &d->source[i]);
     }
+    if (e)
+        return e;
     ctl_step(d->ctl);
     if (d->http)
         http_step(d->http);

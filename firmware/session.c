@@ -199,11 +199,13 @@ static err_t keep(struct session *s, const struct bracket_action *a, const struc
     return e;
 }
 
-/* What was seen in another light serves no more: probes neither. */
-static void forget_light(struct session *s, int i)
+/* Frames of this plan; what was seen in another light serves no more, probes neither. */
+static void forget(struct session *s, const struct bracket_action *a)
 {
-    s->relit = s->relit || s->cam[i].n_before > 0;
-    roll_cut(&s->cam[i].roll, 0);
+    struct cam *c = &s->cam[a->camera];
+    bool relit = a->index == 1, metered = s->phase == PHASE_PROBE && c->roll.n > c->n_before;
+    s->relit = s->relit || metered || (relit && c->n_before > 0);
+    roll_cut(&c->roll, relit ? 0 : c->n_before);
 }
 
 static err_t request(struct session *s, const struct bracket_action *a, int64_t now)
@@ -250,7 +252,7 @@ static err_t tell(struct session *s, const struct bracket_event *ev, const struc
         else if (a.kind == BRACKET_KEEP)
             e = keep(s, &a, f);
         else if (a.kind == BRACKET_FORGET)
-            forget_light(s, a.camera);
+            forget(s, &a);
         else if (a.kind == BRACKET_RESTART)
             e = restart(s, a.camera, ev->now_ns);
     }

@@ -1,0 +1,208 @@
+#!/usr/bin/env bash
+# The daemon with simulated cameras: captures on command, by timer and over HTTP, what it refuses,
+# how it ends, what is left after a crash.
+. tests/e2e/common.bash
+DAEMON=${HDRIG%/*}/hdrigd
+LOG=$OUT/hdrigd.txt
+SOCKET=$(mktemp -d)/control # a socket's path is short
+PORT=$((20000 + $$ % 20000))
+pid=
+
+settings() { # lines...
+    printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run = 0" \
+        "calibration.path = $OUT/calibration" "control.socket = $SOCKET" "http.port = $PORT" \
+        "store.reserve_mb = 1" "camera.1 = $(camera 0)" "$@" >"$OUT/hdrig.conf"
+}
+
+camera() { # view options
+    echo "sim:kind=room,seed=5,size=56,samples=1,fps=100,views=4,view=$1${2-}"
+}
+
+start() {
+    "$DAEMON" --config "$OUT/hdrig.conf" 2>"$LOG" &
+    pid=$!
+    for _ in $(seq 100); do
+        [ -S "$SOCKET" ] && state >/dev/null && return
+        sleep 0.1
+    done
+    fail "the daemon does not answer: $(cat "$LOG")"
+}
+
+ask() { # command...
+    "$HDRIG" "$@" --config "$OUT/hdrig.conf"
+}
+
+state() {
+    ask status --json 2>/dev/null | sed 's/^{"ok": true, "state": "\([a-z]*\)".*/\1/'
+}
+
+wait_for() { # state
+    for _ in $(seq 100); do
+        [ "$(state)" = "$1" ] && return
+        sleep 0.1
+    done
+    fail "never $1, but $(state)"
+}
+
+count() { # name
+    ask status --json | sed "s/.*\"$1\": \\([0-9]*\\).*/\\1/"
+}
+
+stop() { # seconds that it may take
+    local from=$EPOCHREALTIME code took
+    kill -TERM $pid
+    wait $pid
+    code=$?
+    took=$(awk -v a="$from" -v b="$EPOCHREALTIME" 'BEGIN { print b - a }')
+    [ $code -eq 0 ] || fail "the daemon ends with $code: $(tail -n 1 "$LOG")"
+    at_least "seconds left when it ended" "$(awk -v t="$took" -v l="$1" 'BEGIN { print l - t }')" 0
+    [ ! -e "$SOCKET" ] || fail "the socket is left"
+}
+
+http() { # method path header
+    exec 3<>"/dev/tcp/127.0.0.1/$PORT" || return
+    printf '%s %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n%s\r\n\r\n' \
+        "$1" "$2" "$3" >&3
+    cat <&3
+    exec 3>&-
+}
+
+# ends with this code and a sentence
+refused() { # code regex arguments...
+    local code=$1 regex=$2 got
+    shift 2
+    timeout 20 "$DAEMON" "$@" >"$OUT/stdout.txt" 2>"$ERR"
+    got=$?
+    [ $got -eq "$code" ] || fail "hdrigd $*: exit $got, expected $code: $(tail -n 1 "$ERR")"
+    grep -Eq -e "$regex" "$ERR" || fail "hdrigd $*: \"$(tail -n 1 "$ERR")\" does not match $regex"
+}
+
+# settings
+settings
+[ "$("$DAEMON" --config "$OUT/hdrig.conf" --check)" = "the settings are good" ] || fail "--check"
+refused 2 'unknown option --now' --now
+settings "camera.sharpness = 3"
+refused 78 'hdrig.conf:9: unknown key "camera.sharpness"' --config "$OUT/hdrig.conf"
+settings "trigger.busy = later"
+refused 78 'hdrig.conf:9: trigger.busy: "later" is none of reject\|queue\|coalesce' \
+    --config "$OUT/hdrig.conf"
+settings "http.address = 0.0.0.0"
+refused 78 'http.token must be set' --config "$OUT/hdrig.conf"
+settings "camera.2 = webcam:0"
+refused 78 'camera webcam:0: begins with none of .*v4l2:' --config "$OUT/hdrig.conf"
+settings "trigger.1 = timer:0"
+refused 78 'timer' --config "$OUT/hdrig.conf"
+settings
+expect 1 'no daemon answers.*systemctl start hdrigd' capture --config "$OUT/hdrig.conf"
+
+# a capture on command
+settings "camera.2 = $(camera 1)"
+start
+wait_for armed
+take=$(ask capture 2>"$ERR") || fail "capture: $(cat "$ERR")"
+[ -f "$take/manifest.json" ] && [ -f "$take/exposure.json" ] || fail "no take at \"$take\""
+[ "$(ls "$take"/merged/*.exr | wc -l)" -eq 2 ] || fail "not every camera's bracket is merged"
+refused 1 'another (hdrigd|process)' --config "$OUT/hdrig.conf"
+
+# over HTTP
+http GET / '' | grep -q '<title>hdrig</title>' || fail "no page"
+http GET /status.json '' | grep -q "\"id\": \"${take##*/}\"" || fail "the page does not know the take"
+http GET "/captures/${take##*/}/images/train_00_00.png" '' | head -c 400 | grep -aq 'image/png' ||
+    fail "no picture over HTTP"
+http POST /capture '' | grep -q 403 || fail "another site may press the button"
+http POST /capture 'X-Hdrig: 1' | grep -q '"ok": true' || fail "no capture over HTTP"
+wait_for armed
+stop 3
+[ "$(find "$OUT/store" -maxdepth 1 -name '*-00000[12]' | wc -l)" -eq 2 ] || fail "two takes are not there"
+"$HDRIG" reconstruct --images "$take" --size 56 --refine 0 --out "$OUT/scene" 2>"$ERR" ||
+    grep -q 'cameras cannot be found' "$ERR" || fail "a take cannot be read: $(tail -n 1 "$ERR")"
+
+# a hundred presses a second: every one is counted
+settings "trigger.1 = timer:0.01" "trigger.lockout_ms = 20"
+start
+sleep 3
+total=$(count presses)
+at_least "presses in 3 s" "$total" 100
+at_least "takes in 3 s" "$(count takes)" 1
+ask status --json >"$OUT/status.json"
+sum=0
+for name in takes aborted locked_out rejected refused; do
+    sum=$((sum + $(sed "s/.*\"$name\": \\([0-9]*\\).*/\\1/" "$OUT/status.json")))
+done
+total=$(sed 's/.*"presses": \([0-9]*\).*/\1/' "$OUT/status.json")
+[ $((total - sum)) -ge 0 ] && [ $((total - sum)) -le 2 ] || # one may run, one be written
+    fail "of $total presses $sum are accounted for"
+stop 3
+
+# SIGTERM in a long exposure: within that and 2 s; the take is kept as aborted
+settings "bracket.mode = list" "bracket.ev = 0 0 0" "bracket.middle_us = 1000000"
+start
+wait_for armed
+ask capture >/dev/null 2>"$ERR" &
+asking=$!
+wait_for shooting
+sleep 0.5
+stop 3.2
+wait $asking && fail "a capture that was cut off counts as done"
+[ "$(find "$OUT/store" -maxdepth 1 -name 'aborted-*' | wc -l)" -ge 1 ] || fail "no aborted take"
+grep -q '"reason": "shutdown"' "$OUT"/store/aborted-*/manifest.json || fail "its reason is missing"
+
+# cancelled
+start
+wait_for armed
+ask capture >/dev/null 2>"$ERR" &
+asking=$!
+wait_for shooting
+ask cancel || fail "cancel"
+wait $asking && fail "a cancelled capture counts as done"
+grep -q cancelled "$ERR" || fail "capture says: $(cat "$ERR")"
+
+# killed: nothing half is seen, the next daemon clears up and its numbers go on
+kill -9 $pid
+wait $pid 2>/dev/null
+mkdir "$OUT/store/.tmp-00000000-000099"
+settings
+start
+wait_for armed
+[ ! -e "$OUT/store/.tmp-00000000-000099" ] || fail "what a crash left is still there"
+last=$(ls "$OUT/store" | sed -n 's/.*-//p' | sort | tail -n 1)
+take=$(ask capture 2>"$ERR") || fail "capture after a crash: $(cat "$ERR")"
+[ "${take##*-}" \> "$last" ] || fail "number ${take##*-} after $last"
+stop 3
+
+# no room
+settings "store.reserve_mb = 1048576"
+start
+wait_for armed
+ask capture 2>"$ERR" && fail "a capture without room"
+grep -Eq 'MB|bytes' "$ERR" || fail "no figures: $(cat "$ERR")"
+stop 3
+
+# a camera that comes later
+settings "camera.2 = $(camera 1 ",node=$OUT/node")"
+start
+ask capture 2>"$ERR" && fail "a capture without cameras"
+grep -q 'no such camera' "$ERR" || fail "capture says: $(cat "$ERR")"
+touch "$OUT/node"
+wait_for armed
+rm "$OUT/node"
+wait_for lost
+touch "$OUT/node"
+wait_for armed
+ask capture >/dev/null 2>"$ERR" || fail "after replugging: $(cat "$ERR")"
+stop 3
+
+# reconstructed in the background
+settings "job.run = 1" "size = 56" "refine.steps = 0"
+start
+wait_for armed
+take=$(ask capture 2>"$ERR")
+for _ in $(seq 100); do
+    ask status --json | grep -Eq '"last": "(done|failed)"' && break
+    sleep 0.1
+done
+ask status --json | grep -Eq '"last": "(done|failed)", "last_id": "'"${take##*/}" ||
+    fail "no reconstruction was tried"
+stop 8
+rm -rf "${SOCKET%/*}"
+finish
