@@ -68,8 +68,8 @@ static inline void disk_reset(const char *root, bool watch)
     snprintf(disk.root, sizeof disk.root, "%s", root);
 }
 
-/* Whether this call fails. A full disk has no effect on what needs no space. From dead_at on nothing
- * has an effect, as if the process had been killed; until the test sets it to -1. */
+/* Whether this call fails. A full disk has no effect on what needs no space. From dead_at on no
+ * call has an effect, as if the process had been killed; until the test sets it to -1. */
 static inline bool disk_fails(bool changes, bool needs_space)
 {
     int call = disk.calls++;
@@ -86,7 +86,8 @@ static inline bool disk_fails(bool changes, bool needs_space)
     return now;
 }
 
-/* The node of a path, -1 if there is none, or not in our folder; where its last name would be and what it is. */
+/* The node of a path, -1 if there is none, or not in our folder; where its last name would be, and
+ * that name. */
 static inline int disk_find(const char *path, int *folder, char name[DISK_NAME])
 {
     int node = 0;
