@@ -84,7 +84,8 @@ programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(MAINS:firmware/%.c=$(B)/%)
 MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
-MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) drivers/camera.h Makefile
+MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) drivers/camera.h \
+	Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
