@@ -245,8 +245,9 @@ struct libcamera_shim_camera {
         const unsigned at = read.load(std::memory_order_relaxed);
         if (at == written.load(std::memory_order_acquire))
             return nullptr;
+        lc::Request *const r = ring[at % ring.size()];
         read.store(at + 1, std::memory_order_relaxed);
-        return ring[at % ring.size()];
+        return r;
     }
 
     ~libcamera_shim_camera()
@@ -609,7 +610,7 @@ err_t was_cancelled(session &s, lc::Request *r)
 
 err_t next(session &s, frame *out)
 {
-    memset(out, 0, sizeof *out);
+    *out = frame{};
     for (;;) {
         if (s.lost)
             return gone(s, "the camera has gone");
@@ -643,7 +644,7 @@ void release(session &s, frame *f)
     const auto at = static_cast<size_t>(f->index);
     if (!f->data)
         return;
-    memset(f, 0, sizeof *f);
+    *f = frame{};
     sync_cpu(s.maps[at], DMA_BUF_SYNC_END);
     const err_t e = again(s, s.requests[at].get());
     (void)e; // next says so

@@ -244,8 +244,8 @@ static void test_bad_frames(int release)
     put(&fake->bad, 1);
     put(&fake->cut, 2);
     for (int i = 0; i < 30; i++) {
-        if (i == 15)
-            put(&fake->cancel, 2);
+        if (i == 15 || i == 22)
+            put(&fake->cancel, 3); // never more than there are buffers in a row
         err_t e = wait_frame(st, &f);
         if (e) {
             assert_int_equal(e, ERR_IO);
@@ -259,7 +259,7 @@ static void test_bad_frames(int release)
         good += f.flags == 0;
         camera_libcamera.release(st, &f);
     }
-    assert_true(errors == 1 && shorts == 2 && cancelled == 2 && good >= 24);
+    assert_true(errors == 1 && shorts == 2 && cancelled == 6 && good >= 20);
     put(&fake->cancel, 100); // a stream that has stalled
     err_t e = OK;
     for (int i = 0; i < 20 && e != ERR_LOST; i++) {
@@ -298,11 +298,13 @@ static void test_unplug(int release)
         put(&fake->unplug, 0);
     }
     void *st = open_camera(release, "imx477", CAMERA_ANY);
-    assert_int_equal(wait_frame(st, &f), OK);
+    for (int i = 0; i < 4; i++)
+        assert_int_equal(wait_frame(st, &f), OK);
+    assert_int_equal(camera_libcamera.next(st, &kept), ERR_AGAIN);
+    assert_false(readable(st, 0));
     put(&fake->fail_queue, EINVAL);
     camera_libcamera.release(st, &f); // cannot say it
-    while (camera_libcamera.next(st, &f) == OK)
-        camera_libcamera.release(st, &f);
+    assert_true(readable(st, 0));
     assert_int_equal(camera_libcamera.next(st, &f), ERR_LOST);
     assert_non_null(strstr(err_text(), strerror(EINVAL)));
     close_camera(st);
@@ -438,6 +440,17 @@ static void test_clock(int release)
     check_clean();
 }
 
+static int count_lines(const char *path)
+{
+    int n = 0;
+    FILE *f = fopen(path, "r");
+    assert_non_null(f);
+    for (int c; (c = fgetc(f)) != EOF;)
+        n += c == '\n';
+    fclose(f);
+    return n;
+}
+
 static int count_fds(void)
 {
     int n = 0;
@@ -448,7 +461,20 @@ static int count_fds(void)
     return n;
 }
 
-/* Frames that are not to be used are not seen, where libcamera can tell; nothing leaks. */
+static void test_no_leak(int release)
+{
+    play(release, &usual);
+    for (int i = 0; i < 10; i++) // what the C library keeps
+        close_camera(open_camera(release, "imx477", CAMERA_ANY));
+    int fds = count_fds(), maps = count_lines("/proc/self/maps");
+    for (int i = 0; i < 60; i++)
+        close_camera(open_camera(release, "imx477", CAMERA_ANY));
+    assert_int_equal(count_fds(), fds);
+    assert_true(count_lines("/proc/self/maps") < maps + 60);
+    check_clean();
+}
+
+/* Frames that are not to be used are not seen, where libcamera can tell. */
 static void test_startup(void **state)
 {
     struct fakecamera how = usual;
@@ -460,10 +486,6 @@ static void test_startup(void **state)
     assert_int_equal(wait_frame(st, &f), OK);
     assert_true(f.sequence >= 8);
     close_camera(st);
-    int before = count_fds();
-    for (int i = 0; i < 100; i++)
-        close_camera(open_camera(NEW, "imx477", CAMERA_ANY));
-    assert_int_equal(count_fds(), before);
     check_clean();
 }
 
@@ -530,6 +552,7 @@ BOTH(test_rig)
 BOTH(test_refusals)
 BOTH(test_failures)
 BOTH(test_clock)
+BOTH(test_no_leak)
 
 int main(void)
 {
@@ -539,8 +562,8 @@ int main(void)
         cmocka_unit_test(test_unplug_both),   cmocka_unit_test(test_all_held_both),
         cmocka_unit_test(test_rig_both),      cmocka_unit_test(test_refusals_both),
         cmocka_unit_test(test_failures_both), cmocka_unit_test(test_clock_both),
-        cmocka_unit_test(test_startup),       cmocka_unit_test(test_silent),
-        cmocka_unit_test(test_module),
+        cmocka_unit_test(test_no_leak_both),  cmocka_unit_test(test_startup),
+        cmocka_unit_test(test_silent),        cmocka_unit_test(test_module),
     };
     return cmocka_run_group_tests(tests, find_modules, NULL);
 }

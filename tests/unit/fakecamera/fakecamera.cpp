@@ -151,6 +151,12 @@ Request::Request(Camera *camera, uint64_t cookie)
 {
 }
 
+Request::~Request()
+{
+    if (fakecamera.buffers == 0 && !buffers_.empty())
+        wrong("a request outlives its buffers");
+}
+
 void Request::reuse(ReuseFlag flags)
 {
     const std::lock_guard<std::recursive_mutex> hold(guard);
@@ -453,6 +459,8 @@ CameraManager::CameraManager()
 CameraManager::~CameraManager()
 {
     fakecamera.managers--;
+    if (!cameras_.empty())
+        wrong("the manager ends without a stop");
     if (fakecamera.acquired != 0)
         wrong("the manager ends while a camera is held");
 }

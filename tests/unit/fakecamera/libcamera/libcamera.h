@@ -393,6 +393,7 @@ class Request
     enum ReuseFlag { Default, ReuseBuffers };
     using BufferMap = std::map<const Stream *, FrameBuffer *>;
     Request(Camera *camera, uint64_t cookie);
+    ~Request();
     void reuse(ReuseFlag flags);
     int addBuffer(const Stream *stream, FrameBuffer *buffer)
     {
