@@ -1,6 +1,7 @@
 # make            build/hdrig and its libraries     make check   everything that needs no hardware
 # make demo       first scene, in out/latest        make test    without sanitizers and lints
-# make install    DESTDIR= PREFIX= BOARD=           make fuzz    SECONDS= for each target (clang)
+# make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
+# make check-kernel  drivers under real kernels     make fuzz    SECONDS= for each target (clang)
 # make check-kernel   real kernel drivers in User Mode Linux, which it builds once
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
@@ -10,10 +11,11 @@
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck \
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod xz-utils
 
+VERSION := 0.5.0
 PREFIX ?= /usr/local
 SECONDS ?= 60
 DEMO := 13
@@ -88,7 +90,7 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 	Makefile
 
 # --- build ----------------------------------------------------------------------------------------
-.PHONY: all demo libsim check test lint format deps deps-check install clean fuzz bench \
+.PHONY: all demo libsim check test lint format deps deps-check install deb clean fuzz bench \
 	tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel
 .DELETE_ON_ERROR:
 .SECONDARY:
@@ -146,15 +148,42 @@ $(B)/hdrig-libcamera.so: $(MODULE_NEEDS)
 	@mkdir -p $(@D)
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
 
+LIB = $(DESTDIR)$(PREFIX)/lib
 install: all
 	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
-	    { echo "no board/$(BOARD)/board.conf"; exit 1; })
+	    { echo "no board/$(BOARD)/board.conf: $(filter-out common debian, \
+	    $(notdir $(wildcard board/*)))"; exit 1; })
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
-	$(if $(TOOLS),install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin)
-	$(if $(MODULE),install -D -m 644 $(MODULE) $(DESTDIR)$(PREFIX)/lib/hdrig/$(notdir $(MODULE)))
+	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
+	$(if $(MODULE),install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE)))
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
 	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
+	install -D -m 644 board/common/60-hdrig.rules $(LIB)/udev/rules.d/60-hdrig.rules
+	install -D -m 644 board/common/hdrig.sysusers $(LIB)/sysusers.d/hdrig.conf
+	install -d $(LIB)/systemd/system
+	sed 's|@BIN@|$(PREFIX)/bin|' board/common/hdrigd.service >$(LIB)/systemd/system/hdrigd.service
+	$(if $(DESTDIR),,if [ -d /run/systemd/system ]; then \
+	    systemd-sysusers $(LIB)/sysusers.d/hdrig.conf; udevadm control --reload; \
+	    udevadm trigger --subsystem-match=gpio; systemctl daemon-reload; fi)
+
+# BOARD=rpi5 for a package that is ready for that board.
+DEB_ARCH := $(if $(filter aarch64,$(ARCH)),arm64,amd64)
+deb: all
+	rm -rf build/deb
+	mkdir -p build/deb/root/DEBIAN build/deb/debian
+	@$(MAKE) -s install DESTDIR=$(CURDIR)/build/deb/root PREFIX=/usr
+	strip --strip-unneeded build/deb/root/usr/bin/*
+	install -D -m 644 README.md build/deb/root/usr/share/doc/hdrig/README.md
+	install -D -m 644 LICENSE build/deb/root/usr/share/doc/hdrig/copyright
+	install -m 755 board/debian/postinst board/debian/prerm build/deb/root/DEBIAN
+	cd build/deb/root && find etc -type f | sed 's|^|/|' >DEBIAN/conffiles
+	echo "Source: hdrig" >build/deb/debian/control
+	cd build/deb && dpkg-shlibdeps -O root/usr/bin/hdrig root/usr/bin/hdrigd >depends
+	sed -e "s/@VERSION@/$(VERSION)/; s/@ARCH@/$(DEB_ARCH)/" \
+	    -e "s/@DEPENDS@/$$(sed 's/^shlibs:Depends=//' build/deb/depends)/" \
+	    board/debian/control >build/deb/root/DEBIAN/control
+	dpkg-deb --root-owner-group -b build/deb/root build/hdrig_$(VERSION)_$(DEB_ARCH).deb
 
 demo: all
 	@echo "a simulated room, photographed by a rig of 9 cameras at three exposures"

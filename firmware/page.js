@@ -47,9 +47,11 @@ function captureCard(c) {
   const card = element("div", undefined, c.complete ? "card" : "card aborted");
   card.append(element("h3", c.id));
   const stops = c.stops ? `, scene ${c.stops.toFixed(1)} stops` : "";
-  card.append(element("p", `${c.frames} frames of ${c.cameras} cameras${stops}`, "small"));
+  const cameras = `${c.cameras} camera${c.cameras === 1 ? "" : "s"}`;
+  card.append(element("p", `${c.frames} frames of ${cameras}${stops}`, "small"));
   if (c.clipped !== undefined)
-    card.append(element("p", `clipped in all ${percent(c.clipped)}, dark in all ${percent(c.dark)}`, "small"));
+    card.append(element("p", `clipped in all ${percent(c.clipped)}, dark in all ${percent(c.dark)}`,
+      "small"));
   if (c.reason) card.append(element("p", c.reason, "small"));
   const links = element("p", undefined, "small");
   const link = (text, href) => {
@@ -76,7 +78,8 @@ function captureCard(c) {
 function show(s) {
   const state = byId("state");
   state.textContent = s.state;
-  state.className = "state " + (s.state === "armed" ? "armed" : s.state === "lost" ? "fault" : "busy");
+  const kinds = { armed: "armed", lost: "fault" };
+  state.className = "state " + (kinds[s.state] || "busy");
   byId("sentence").textContent = s.sentence;
   const busy = s.state === "metering" || s.state === "shooting" || s.state === "ready";
   byId("capture").disabled = s.state !== "armed";

@@ -61,8 +61,8 @@ stop() { # seconds that it may take
 
 http() { # method path header
     exec 3<>"/dev/tcp/127.0.0.1/$PORT" || return
-    printf '%s %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 0\r\n%s\r\n\r\n' \
-        "$1" "$2" "$3" >&3
+    printf '%s %s HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n' "$1" "$2" >&3
+    printf 'Content-Length: 0\r\n%s\r\n\r\n' "$3" >&3
     cat <&3
     exec 3>&-
 }
@@ -106,14 +106,16 @@ refused 1 'another (hdrigd|process)' --config "$OUT/hdrig.conf"
 
 # over HTTP
 http GET / '' | grep -q '<title>hdrig</title>' || fail "no page"
-http GET /status.json '' | grep -q "\"id\": \"${take##*/}\"" || fail "the page does not know the take"
+http GET /status.json '' | grep -q "\"id\": \"${take##*/}\"" ||
+    fail "the page does not know the take"
 http GET "/captures/${take##*/}/images/train_00_00.png" '' | head -c 400 | grep -aq 'image/png' ||
     fail "no picture over HTTP"
 http POST /capture '' | grep -q 403 || fail "another site may press the button"
 http POST /capture 'X-Hdrig: 1' | grep -q '"ok": true' || fail "no capture over HTTP"
 wait_for armed
 stop 3
-[ "$(find "$OUT/store" -maxdepth 1 -name '*-00000[12]' | wc -l)" -eq 2 ] || fail "two takes are not there"
+[ "$(find "$OUT/store" -maxdepth 1 -name '*-00000[12]' | wc -l)" -eq 2 ] ||
+    fail "two takes are not there"
 "$HDRIG" reconstruct --images "$take" --size 56 --refine 0 --out "$OUT/scene" 2>"$ERR" ||
     grep -q 'cameras cannot be found' "$ERR" || fail "a take cannot be read: $(tail -n 1 "$ERR")"
 
