@@ -74,7 +74,9 @@ static void *take_reserve(size_t n)
 static void *alloc_zeroed(size_t n)
 {
     void *p = calloc(1, n);
-    return p ? p : take_reserve(n);
+    if (!p)
+        p = take_reserve(n);
+    return p;
 }
 
 static void free_block(void *p)

@@ -395,6 +395,7 @@ static int oldest(const struct store *s, bool is_aborted, struct entry *out)
     struct entry x;
     int n = 0;
     DIR *d = opendir(s->path);
+    *out = (struct entry){0};
     while (d && next_entry(d, &x))
         if (x.is_aborted == is_aborted && (n++ == 0 || comes_before(out, &x)))
             *out = x;
@@ -465,11 +466,11 @@ static err_t check_frame(const struct take *t, int i)
 
 static err_t check(const struct take *t)
 {
+    int least = t->status == TAKE_COMPLETE ? 1 : 0;
     if (t->n_cameras < 1 || t->n_cameras > BRACKET_CAMERAS_MAX || t->n > TAKE_FRAMES_MAX ||
-        t->n < (t->status == TAKE_COMPLETE))
+        t->n < least)
         return err_fail(ERR_ARG, "take: %d cameras and %d frames, allowed are 1 to %d and %d to %d",
-                        t->n_cameras, t->n, BRACKET_CAMERAS_MAX, t->status == TAKE_COMPLETE,
-                        TAKE_FRAMES_MAX);
+                        t->n_cameras, t->n, BRACKET_CAMERAS_MAX, least, TAKE_FRAMES_MAX);
     err_t e = OK;
     for (int i = 0; i < t->n && !e; i++)
         e = check_frame(t, i);

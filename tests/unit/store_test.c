@@ -256,6 +256,27 @@ static void manifest_says_everything(void **state)
     store_close(s);
 }
 
+static void balances_large_mosaics(void **state)
+{
+    (void)state;
+    char id[STORE_ID_CAP];
+    struct store *s = open_keep(0);
+    struct cJSON *doc;
+    struct take *t = small_take(1, 1, CAMERA_RGGB16);
+    struct camera_info *info = &t->camera[0].info;
+    info->w = 1000; // of which some cells are looked at
+    info->h = 300;
+    info->stride = 2 * info->w;
+    free(t->frame[0].data);
+    small_words(&t->frame[0], info);
+    commit(s, t, id);
+    ok(json_read(in(id, "manifest.json"), &doc));
+    assert_true(fabs(number_at(doc, "white_red") - 2.0) < 0.02);
+    assert_true(fabs(number_at(doc, "white_blue") - 1.0) < 0.02);
+    json_free(doc);
+    store_close(s);
+}
+
 static void aborted_takes(void **state)
 {
     (void)state;
@@ -690,6 +711,7 @@ int main(void)
                                        EACH(keeps_what_the_driver_gave),
                                        EACH(merges_radiance),
                                        EACH(manifest_says_everything),
+                                       EACH(balances_large_mosaics),
                                        EACH(aborted_takes),
                                        EACH(numbers_rise),
                                        EACH(lists_only_takes),
