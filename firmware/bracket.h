@@ -129,8 +129,8 @@ enum bracket_action_kind {
     BRACKET_REQUEST, // ask the camera for `exposure`; ANSWER before any other event of it, at once
     // or when bracket_action is false. Comes after DONE and FAULT too: back to base
     BRACKET_KEEP,   // copy the frame of this event as exposure `index`; evidence is in the machine
-    BRACKET_FORGET, // all kept frames of the camera in this plan, for they may be mistaken; index 1:
-                    // the light changed, so that those of former plans do not go with new ones
+    BRACKET_FORGET, // all kept frames of the camera in this plan, for they may be mistaken; index
+                    // 1: the light changed, so that frames of former plans do not go with new ones
     BRACKET_RESTART // close and open the camera, then OPENED or LOST
 };
 
