@@ -80,7 +80,7 @@ static struct exposure expected(const struct label *l, const struct label_reques
 {
     double off = fabs(label_stops(&r->set) - label_stops(&r->ask));
     bool near = off <= 0.5 || fabs(r->set.time_s - r->ask.time_s) <= l->cfg.time_step_s;
-    bool former = fabs(label_stops(&r->set) - r->from) < off;
+    bool former = !(fabs(label_stops(&r->set) - r->from) >= off); // or nobody knows
     return label_rounded(l, near && !former ? &r->set : &r->ask);
 }
 
