@@ -13,6 +13,7 @@ static const struct {
     {"capture", "one capture, by the daemon or with cameras of this machine", cmd_capture_run},
     {"status", "what the daemon does", cmd_status_run},
     {"cancel", "ends what the daemon does", cmd_cancel_run},
+    {"calibrate", "what a camera really does, measured and kept", cmd_calibrate_run},
     {"reconstruct", "photographs to an HDR scene", cmd_reconstruct_run},
     {"render", "pictures of a scene from other places", cmd_render_run},
     {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},
