@@ -5,7 +5,7 @@
  * leave too much, the fewest after which one more gains less than `clip`.
  * Times: legal ones, rounded down; then coordinates are searched. A bin counts as it would be
  * merged, at its worse edge; as many members as possible are probes; then the mean log2 of signal
- * to noise counts, against the sum of times and missing overlap. If rounding has opened a gap that
+ * to noise counts, against the sum of times. If rounding has opened a gap that
  * the search does not close, one exposure more.
  * Sources: Barakat, Hone & Darcie, IEEE TIP 2008 (minimal sets); Gallo et al., Eurographics 2012
  * (noise over the histogram, a share ignored). */
@@ -19,10 +19,9 @@ enum {
     SEARCH = 3 * METER_PER_STOP, // steps of a bin to either side
     MOST = METER_EXPOSURES_MAX
 };
-#define TIME_COST 0.25    // mean log2 SNR that a doubling of the sum of times must bring
-#define TIME_FREE_S 0.1   // sums of times below do not count
-#define OVERLAP_COST 0.25 // as TIME_COST, for a stop of missing overlap
-#define SLIGHT 1e-9       // rounding of shares
+#define TIME_COST 0.25  // mean log2 SNR that a doubling of the sum of times must bring
+#define TIME_FREE_S 0.1 // sums of times below do not count
+#define SLIGHT 1e-9     // rounding of shares
 
 double cover_legal(const struct meter_config *c, double t)
 {
@@ -180,20 +179,6 @@ static int probe_of(const struct meter *m, double time)
     return -1;
 }
 
-/* Stops of overlap that neighbours lack where the scene goes on below the longer one's top. */
-static double lack(const struct task *t, const double *times, int n)
-{
-    const struct meter *m = t->m;
-    double most = m->hi - m->lo - m->cfg.overlap, lacks = 0.0;
-    for (int i = 1; i < n; i++) {
-        int b = cover_top(m, times[i]);
-        double step = log2(times[i] / times[i - 1]);
-        if (step > most && t->mass[b] > 0.0)
-            lacks += step - most;
-    }
-    return lacks;
-}
-
 static void judge(const struct task *t, const double *times, int n, struct worth *out)
 {
     const struct meter_config *c = &t->m->cfg;
@@ -217,7 +202,6 @@ static void judge(const struct task *t, const double *times, int n, struct worth
     }
     out->dark = fmax(dark[0], dark[1]);
     out->bad = fmax(out->clipped - c->clip - SLIGHT, 0.0) + fmax(out->dark - c->dark - SLIGHT, 0.0);
-    out->quality -= OVERLAP_COST * lack(t, times, n);
     if (out->bad <= SLIGHT) // what cannot be covered is worth any time
         out->quality -= TIME_COST * log2(total + TIME_FREE_S);
 }

@@ -20,7 +20,7 @@ struct meter_config {
     double clip;       // share of pixels that may be clipped in all exposures
     double dark;       // share that may be below snr in all
     double headroom;   // top of the usable range, of saturation
-    double overlap;    // stops, of neighbouring exposures, where that costs no further one
+    double overlap;    // stops, of an extension with what it extends (meter_check)
     double time_min_s, time_max_s, time_step_s; // step 0: any
     double blur_s;                              // no exposure longer than this; 0: no limit
     double budget_s;                            // sum of times; 0: no limit

@@ -472,7 +472,7 @@ static void test_24_stops(void **state)
     config_of(&d, &c);
     plan(&d, &c, &s, &p);
     assert_true(p.too_bright && p.too_dark);
-    assert_true(p.n >= 2 && p.time_s[0] == 1e-4 && p.time_s[p.n - 1] > 0.06);
+    assert_true(p.n >= 2 && p.n <= 3 && p.time_s[0] == 1e-4 && p.time_s[p.n - 1] > 0.06);
     assert_true(fabs(p.clipped - 2.86 / 24.0) < 0.02 && fabs(p.dark - 5.3 / 24.0) < 0.03);
 }
 
@@ -550,38 +550,23 @@ static void test_limits(void **state)
     assert_true(p.clipped + p.dark < 1.0 - 2.0 * 5.7 / 16.0); // two of 6.1 stops each
 }
 
-/* One exposure for a room with a small window goes to the room. */
+/* One exposure for a dark room with a small window goes to the room. */
 static void test_one_of_two(void **state)
 {
     static struct place_set s;
     struct meter_config c;
     struct meter_result p;
     (void)state;
-    even_scene(0.0, 3.0, &s);
+    even_scene(-6.0, 3.0, &s);
     for (int i = 0; i < PLACES / 20; i++)
-        s.l[i * 20][1] = 12.0f;
+        s.l[i * 20][1] = 15.8f;
     config_of(&imx477, &c);
     plan(&imx477, &c, &s, &p);
     assert_true(p.n == 2 && !p.too_bright && !p.too_dark);
     c.exposures_max = 1;
     plan(&imx477, &c, &s, &p);
     assert_true(p.n == 1 && p.too_bright && !p.too_dark && fabs(p.clipped - 0.05) < 0.002);
-    assert_true(p.time_s[0] > 0.3 && p.time_s[0] < 1.0);
-}
-
-/* Neighbours overlap where an exposure more is not the price. */
-static void test_overlap(void **state)
-{
-    static struct place_set s;
-    struct meter_config c;
-    struct meter_result p;
-    (void)state;
-    even_scene(4.0, 10.0, &s);
-    config_of(&imx477, &c);
-    c.overlap = 1.5;
-    plan(&imx477, &c, &s, &p);
-    assert_int_equal(p.n, 2);
-    assert_true(log2(p.time_s[1] / p.time_s[0]) < 6.14 - 1.3);
+    assert_true(p.time_s[0] > 10.0);
 }
 
 /* Places are spread over large frames, whatever their kind. */
@@ -708,7 +693,9 @@ static void test_coverage(void **state)
     }
     even_scene(-60.0, 0.0, &s);
     times[0] = 0.1;
-    cover(&imx477, &s, times, 1, &v);
+    d = imx477;
+    d.read_noise = 0.0; // no code tells anything
+    cover(&d, &s, times, 1, &v);
     assert_true(v.dark == 1.0 && v.extend_s > 0.1);
     times[0] = 60.0;
     cover(&imx477, &s, times, 1, &v);
@@ -725,9 +712,9 @@ int main(void)
         cmocka_unit_test(test_usable_range), cmocka_unit_test(test_counts),
         cmocka_unit_test(test_24_stops),     cmocka_unit_test(test_nothing_to_see),
         cmocka_unit_test(test_times),        cmocka_unit_test(test_limits),
-        cmocka_unit_test(test_one_of_two),   cmocka_unit_test(test_overlap),
-        cmocka_unit_test(test_large_frame),  cmocka_unit_test(test_bad_config),
-        cmocka_unit_test(test_coverage),     cmocka_unit_test(test_random),
+        cmocka_unit_test(test_one_of_two),   cmocka_unit_test(test_large_frame),
+        cmocka_unit_test(test_bad_config),   cmocka_unit_test(test_coverage),
+        cmocka_unit_test(test_random),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
