@@ -71,30 +71,13 @@ struct bracket {
 
 /* ---- life ---- */
 
-static err_t check_camera(int i, const struct bracket_camera *c)
-{
-    bool times = c->time_min_s > 0.0 && c->time_max_s >= c->time_min_s && c->time_max_s < 1e6;
-    if (!times || !(c->time_step_s >= 0.0 && c->time_step_s <= c->time_max_s))
-        return err_fail(ERR_ARG,
-                        "camera %d: exposure times of %g..%g s in steps of %g s make no sense", i,
-                        c->time_min_s, c->time_max_s, c->time_step_s);
-    if (!(c->period_s > 0.0 && c->period_s < 1e6))
-        return err_fail(ERR_ARG, "camera %d: a frame of %g s, not 0..1e6", i, c->period_s);
-    if (c->delay_lo < 0 || c->delay_hi < c->delay_lo || c->delay_hi > 32)
-        return err_fail(ERR_ARG, "camera %d: delay of %d..%d frames, not within 0..32", i,
-                        c->delay_lo, c->delay_hi);
-    if (!(c->tolerance >= 0.01 && c->tolerance <= 1.0))
-        return err_fail(ERR_ARG, "camera %d: tolerance of %g stops, not 0.01..1", i, c->tolerance);
-    return OK;
-}
-
 err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out)
 {
     *out = NULL;
     if (n < 1 || n > BRACKET_CAMERAS_MAX)
         return err_fail(ERR_ARG, "bracket: %d cameras, not 1..%d", n, BRACKET_CAMERAS_MAX);
     for (int i = 0; i < n; i++) {
-        err_t e = check_camera(i, &cameras[i]);
+        err_t e = label_check(i, &cameras[i]);
         if (e)
             return e;
     }

@@ -47,6 +47,23 @@ static double seconds(int64_t from, int64_t to)
 
 /* ---- requests ---- */
 
+err_t label_check(int i, const struct bracket_camera *c)
+{
+    bool times = c->time_min_s > 0.0 && c->time_max_s >= c->time_min_s && c->time_max_s < 1e6;
+    if (!times || !(c->time_step_s >= 0.0 && c->time_step_s <= c->time_max_s))
+        return err_fail(ERR_ARG,
+                        "camera %d: exposure times of %g..%g s in steps of %g s make no sense", i,
+                        c->time_min_s, c->time_max_s, c->time_step_s);
+    if (!(c->period_s > 0.0 && c->period_s < 1e6))
+        return err_fail(ERR_ARG, "camera %d: a frame of %g s, not 0..1e6", i, c->period_s);
+    if (c->delay_lo < 0 || c->delay_hi < c->delay_lo || c->delay_hi > 32)
+        return err_fail(ERR_ARG, "camera %d: delay of %d..%d frames, not within 0..32", i,
+                        c->delay_lo, c->delay_hi);
+    if (!(c->tolerance >= 0.01 && c->tolerance <= 1.0))
+        return err_fail(ERR_ARG, "camera %d: tolerance of %g stops, not 0.01..1", i, c->tolerance);
+    return OK;
+}
+
 void label_init(struct label *l, const struct bracket_camera *cfg)
 {
     memset(l, 0, sizeof *l);

@@ -70,6 +70,9 @@ struct label_look {
     int dark, clipped;        // places, of both
 };
 
+/* err:  ERR_ARG names camera i, field and bound. */
+MUST_USE err_t label_check(int i, const struct bracket_camera *c);
+
 void label_init(struct label *l, const struct bracket_camera *cfg);
 
 /* Forget requests and frames. base: the exposure asked for last, NULL: not known. */
