@@ -48,8 +48,8 @@ uint64_t store_need(const struct store *s, const struct camera_info *info, int f
  * err:  ERR_LIMIT with need, free and reserve. */
 MUST_USE err_t store_room(const struct store *s, uint64_t bytes);
 
-/* Write a take and make it visible. After an error nothing of it is left, older takes are, and it
- * may be tried again.
+/* Write a take and make it visible. After an error nothing of it is left (a disk that refuses even
+ * to take it back may show it, whole), older takes are, and it may be tried again.
  * out:  id, its folder's name.
  * err:  ERR_LIMIT (full), ERR_IO, ERR_ARG (a take that contradicts itself), ERR_NOMEM, those of
  *       unpack_run */
