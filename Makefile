@@ -209,7 +209,7 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
-check-kernel: deps-kernel $(call programs,$(KERNEL))
+check-kernel: deps-kernel $(TOOLS) $(call programs,$(KERNEL))
 	@tests/kernel/run.sh $(B)/tests/kernel $(TEST)
 
 tests: $(call programs,$(TESTS) $(E2E))
