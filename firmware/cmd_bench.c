@@ -4,8 +4,10 @@
  *        instruction set, on one thread and on all; then every number of splats at every size of
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
  *        table shows the cost of a splat and the other that of a pixel.
- * network, kernels: see bench_net.h. trade: see trade.h. */
+ * network, kernels: see bench_net.h. trade: see trade.h. capture: see bench_capture.h. */
+#include "firmware/bench_capture.h"
 #include "firmware/bench_net.h"
+#include "firmware/bracket.h"
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/limits.h"
@@ -32,8 +34,9 @@ enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 
 struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;
-    const char *images;
-    bool splat, network, kernels, trade;
+    const char *images, *cameras_text;
+    bool splat, network, kernels, trade, capture;
+    double cameras;
     struct cmd_list gaussians, sizes, views;
     double degree;
     struct config cfg;
@@ -61,6 +64,7 @@ struct state {
     int n_levels, n_table;
     struct figure levels[LEVELS_MAX], table[TABLE_MAX];
     struct bench_net net;
+    struct bench_capture capture;
     struct trade trade;
 };
 
@@ -357,6 +361,8 @@ static err_t bench(const struct request *rq, struct state *st)
         e = bench_net_kernels(&rq->cfg, &st->net);
     if (!e && rq->network)
         e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
+    if (!e && rq->capture)
+        e = bench_capture_run((int)rq->cameras, &rq->cfg, &st->capture);
     if (!e && rq->trade)
         e = trade(rq, st);
     return e;
@@ -407,6 +413,11 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
         bench_net_report(&st->net, &rep);
         report_close(&rep);
     }
+    if (rq->capture) {
+        report_open(&rep, "capture", '{');
+        bench_capture_report(&st->capture, &rep);
+        report_close(&rep);
+    }
     if (rq->trade)
         trade_report(&st->trade, &rep);
     report_close(&rep);
@@ -444,6 +455,8 @@ static err_t write_results(const struct request *rq, const struct state *st)
         print_tables(st);
     if (f != stdout)
         bench_net_print(&st->net);
+    if (f != stdout && rq->capture)
+        bench_capture_print(&st->capture);
     return cmd_json_close(f, rq->json);
 }
 
@@ -454,8 +467,10 @@ static err_t read_what(struct request *rq)
     rq->kernels = all || strcmp(rq->what, "kernels") == 0;
     rq->network = (all && rq->model) || strcmp(rq->what, "network") == 0;
     rq->trade = strcmp(rq->what, "trade") == 0;
-    if (!rq->splat && !rq->kernels && !rq->network && !rq->trade)
-        return err_fail(ERR_ARG, "--what: \"%.64s\" is none of splat, network, kernels, trade, all",
+    rq->capture = all || strcmp(rq->what, "capture") == 0;
+    if (!rq->splat && !rq->kernels && !rq->network && !rq->trade && !rq->capture)
+        return err_fail(ERR_ARG,
+                        "--what: \"%.64s\" is none of splat, network, kernels, capture, trade, all",
                         rq->what);
     if ((rq->network || rq->trade) && !rq->model)
         return err_fail(ERR_ARG, "--what %s needs --model FILE", rq->what);
@@ -467,6 +482,7 @@ static err_t read_what(struct request *rq)
 static err_t read_numbers(struct request *rq)
 {
     double degree = 1;
+    rq->cameras = BRACKET_CAMERAS_MAX;
     const char *sizes = rq->size_text ? rq->size_text : "224,448";
     err_t e = read_what(rq);
     if (!e)
@@ -475,6 +491,8 @@ static err_t read_numbers(struct request *rq)
         e = cmd_list("--size", sizes, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
     if (!e && rq->degree_text)
         e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &degree);
+    if (!e && rq->cameras_text)
+        e = cmd_number("--cameras", rq->cameras_text, 1, BRACKET_CAMERAS_MAX, &rq->cameras);
     if (!e)
         e = cmd_list("--views", rq->views_text, 2, 1000, &rq->views);
     rq->degree = floor(degree);
@@ -487,8 +505,9 @@ int cmd_bench_run(int argc, char **argv)
     struct request rq = {
         .what = "all", .gaussians_text = "25000,50000,100000,200000", .views_text = "4"};
     const struct cmd_option options[] = {
-        {"what", "WHICH", "splat: drawing and optimising; network; kernels; all; trade", NULL,
-         &rq.what, NULL},
+        {"what", "WHICH", "splat: drawing and optimising; network; kernels; capture; all; trade",
+         NULL, &rq.what, NULL},
+        {"cameras", "N", "of --what capture, default 16", NULL, &rq.cameras_text, NULL},
         {"model", "FILE", "weights of the network; trade: LIST, the first is the reference", NULL,
          &rq.model, NULL},
         {"views", "N", "that the network sees, default 4; trade: LIST", NULL, &rq.views_text, NULL},
