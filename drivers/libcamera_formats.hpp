@@ -18,12 +18,12 @@ struct format {
     lc::PixelFormat theirs;
 };
 
-/* Of several with the same name on our side the first that a camera has is taken. */
+/* The first that a camera has is taken; of those before the ISP only on demand. */
 const format formats[] = {
     {CAMERA_RGB8, 8, lc::formats::BGR888}, // named from the high byte of a word on
     {CAMERA_BGR8, 8, lc::formats::RGB888},
-    {CAMERA_NV12, 8, lc::formats::NV12},
     {CAMERA_YUYV, 8, lc::formats::YUYV},
+    {CAMERA_NV12, 8, lc::formats::NV12},
     {CAMERA_MJPG, 8, lc::formats::MJPEG},
     {CAMERA_GREY, 8, lc::formats::R8},
     {CAMERA_GREY16, 12, lc::formats::R12},

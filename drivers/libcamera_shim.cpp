@@ -11,6 +11,7 @@
  * Compiles with 0.0.3 to 0.7.2. */
 #include "drivers/libcamera_shim.h"
 
+#include "drivers/libcamera_controls.hpp"
 #include "drivers/libcamera_formats.hpp"
 
 #include <libcamera/libcamera.h>
@@ -39,6 +40,7 @@ namespace
 {
 
 constexpr int FIRST_FRAME_MS = 5000;
+constexpr int PERIOD_FRAMES = 3;      // after which the period is taken from the stamps
 constexpr double START_S = 0.01;      // exposure before anything is asked for
 constexpr double UVC_STEP_US = 100.0; // to which the UVC handler cuts exposure times
 
@@ -75,67 +77,7 @@ err_t code_of(int why)
     return why == -EBUSY ? ERR_BUSY : why == -ENODEV ? ERR_LOST : ERR_IO;
 }
 
-/* ---- controls ---- */
-
-/* The first element as a number. */
-double number(const lc::ControlValue &v, double otherwise)
-{
-    const auto bytes = v.data();
-    const auto as = [&](auto x) {
-        if (bytes.size() < sizeof x)
-            return otherwise;
-        memcpy(&x, bytes.data(), sizeof x);
-        return static_cast<double>(x);
-    };
-    switch (v.type()) {
-    case lc::ControlTypeBool:
-    case lc::ControlTypeByte:
-        return as(uint8_t{});
-    case lc::ControlTypeInteger32:
-        return as(int32_t{});
-    case lc::ControlTypeInteger64:
-        return as(int64_t{});
-    case lc::ControlTypeFloat:
-        return as(float{});
-    default:
-        return otherwise;
-    }
-}
-
-void set_number(lc::ControlList &list, const lc::ControlId &id, double v)
-{
-    switch (id.type()) {
-    case lc::ControlTypeBool:
-        list.set(id.id(), lc::ControlValue(v != 0.0));
-        break;
-    case lc::ControlTypeInteger32:
-        list.set(id.id(), lc::ControlValue(static_cast<int32_t>(v)));
-        break;
-    case lc::ControlTypeFloat:
-        list.set(id.id(), lc::ControlValue(static_cast<float>(v)));
-        break;
-    default:
-        break;
-    }
-}
-
-/* Off, or manual. */
-struct frozen {
-    const char *name;
-    double value;
-};
-const frozen frozen_controls[] = {
-    {"AeEnable", 0}, {"ExposureTimeMode", 1}, {"AnalogueGainMode", 1}, {"AwbEnable", 0},
-    {"AfMode", 0},   {"AeFlickerMode", 0},    {"HdrMode", 0},
-};
-
-const lc::ControlInfoMap::value_type *find_control(const lc::Camera &camera, const char *name)
-{
-    for (const auto &entry : camera.controls())
-        if (entry.first->name() == name)
-            return &entry;
-    return nullptr;
-}
+/* ---- what differs between releases and cameras ---- */
 
 /* Frames at the start that are transferred well and are not to be used: 0.5.2 and later. */
 template <class M> auto is_startup(const M &m, int) -> decltype(M::FrameStartup, bool())
@@ -336,8 +278,6 @@ err_t acquire(session &s)
 void wish_format(lc::StreamConfiguration &stream, camera_format wish)
 {
     const auto has = stream.formats().pixelformats();
-    if (wish == CAMERA_ANY && format_of(stream.pixelFormat))
-        return;
     const format *first = nullptr;
     for (const format &f : formats) {
         if (wish == CAMERA_ANY ? is_raw(f.ours) : f.ours != wish)
@@ -662,26 +602,43 @@ void learn(session &s, const frame &f, const lc::ControlList &m)
         i.black = (*black)[0] >> (16 - i.bits); // of 16 bits
     i.period_s = s.frame_us[0] > 1       ? 1e-6 * static_cast<double>(s.frame_us[0])
                  : period && *period > 0 ? 1e-6 * static_cast<double>(*period)
-                                         : 1.0 / 30;
+                                         : 0.0;
     if (!i.reports) { // a USB camera: gain is no factor, see the anchors of V4L2
         i.gain_max = 1.0;
         s.step_us = UVC_STEP_US;
         i.time_step_s = UVC_STEP_US * 1e-6;
     }
-    if (i.time_max_s <= 0.0)
+}
+
+/* Whether the period is known after n frames, of which the last two are these. The first interval
+ * of a stream may be anything. */
+bool know_period(session &s, int n, const frame &before, const frame &f)
+{
+    camera_info &i = s.info;
+    const double step = 1e-9 * static_cast<double>(f.timestamp_ns - before.timestamp_ns);
+    if (i.period_s <= 0.0 && n >= PERIOD_FRAMES)
+        i.period_s = step > 0.0 && step < 10.0 ? step / std::max(f.sequence - before.sequence, 1u)
+                                               : 1.0 / 30;
+    if (i.period_s > 0.0 && i.time_max_s <= 0.0)
         i.time_min_s = i.time_max_s = i.period_s; // nothing can be asked for
+    return i.period_s > 0.0;
 }
 
 err_t first_frame(session &s)
 {
     const int64_t limit = now_ns(CLOCK_MONOTONIC) + int64_t{FIRST_FRAME_MS} * 1000000;
-    for (;;) {
-        frame f;
+    frame f, before{};
+    for (int n = 0;;) {
         const err_t e = next(s, &f);
         if (e == OK) {
-            learn(s, f, s.requests[static_cast<size_t>(f.index)]->metadata());
+            if (n++ == 0)
+                learn(s, f, s.requests[static_cast<size_t>(f.index)]->metadata());
+            const bool done = know_period(s, n, before, f);
+            before = f;
             release(s, &f);
-            return OK;
+            if (done)
+                return OK;
+            continue;
         }
         if (e == ERR_LOST)
             return e;

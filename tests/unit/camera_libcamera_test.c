@@ -132,7 +132,7 @@ static void test_info(int release)
 {
     struct camera_info info;
     play(release, &usual);
-    void *st = open_camera(release, "imx477", CAMERA_ANY);
+    void *st = open_camera(release, "imx477", CAMERA_NV12);
     camera_libcamera.info(st, &info);
     assert_string_equal(info.unit, "imx477:/base/i2c/imx477@1a");
     assert_true(info.w == 8 && info.h == 4 && info.format == CAMERA_NV12 && info.stride == 8);
@@ -152,7 +152,7 @@ static void test_info(int release)
     assert_int_equal(wait_frame(st, &f), OK);
     assert_true(f.exposure_known && !f.gains_known); // the ISP is behind these pixels
     close_camera(st);
-    st = open_camera(release, "imx477", CAMERA_RGB8);
+    st = open_camera(release, "imx477", CAMERA_ANY); // colour in full first
     camera_libcamera.info(st, &info);
     assert_true(info.format == CAMERA_RGB8 && info.stride == 24);
     close_camera(st);
@@ -168,7 +168,7 @@ static void test_request(int release)
     struct exposure set;
     int64_t last = 0;
     play(release, &usual);
-    void *st = open_camera(release, "imx477", CAMERA_ANY);
+    void *st = open_camera(release, "imx477", CAMERA_NV12);
     for (int i = 0; i < 5; i++) {
         double gain = i % 2 ? 100.0 : 2.0;
         struct exposure ask = {times[i], gain};
@@ -210,7 +210,7 @@ static void test_usb(int release)
     void *st = open_camera(release, "imx219", CAMERA_ANY);
     camera_libcamera.info(st, &info);
     assert_true(!info.reports && info.gain_max == 1.0 && fabs(info.time_step_s - 1e-4) < 1e-12);
-    assert_true(info.format == CAMERA_YUYV && info.period_s > 0.0);
+    assert_true(info.format == CAMERA_YUYV && info.period_s > 5e-4 && info.period_s < 1.0);
     assert_int_equal(camera_libcamera.request(st, &(struct exposure){0.01239, 8.0}, &set), OK);
     assert_true(fabs(set.time_s - 0.0123) < 1e-12 && set.gain == 1.0);
     for (int i = 0; i < 10; i++) {
@@ -228,7 +228,7 @@ static void test_usb(int release)
     play(release, &how);
     st = open_camera(release, "imx219", CAMERA_MJPG);
     camera_libcamera.info(st, &info);
-    assert_true(info.stride == 0 && info.time_min_s > 0.0 && info.time_max_s == info.time_min_s);
+    assert_true(info.stride == 0 && info.time_min_s > 5e-4 && info.time_max_s == info.period_s);
     assert_int_equal(camera_libcamera.request(st, &set, &set), ERR_UNSUPPORTED);
     close_camera(st);
     check_clean();
@@ -390,7 +390,8 @@ static void test_refusals(int release)
     how = usual;
     how.apart = true;
     play(release, &how);
-    refuse(release, "imx477", &any, ERR_UNSUPPORTED, "plane 1 of a buffer lies apart");
+    refuse(release, "imx477", &(struct camera_cfg){.format = CAMERA_NV12}, ERR_UNSUPPORTED,
+           "plane 1 of a buffer lies apart");
 }
 
 /* Each step of an opening fails. */
