@@ -471,11 +471,12 @@ err_t calibrate_range(struct watch *w, double longest_s, struct calibrate *c)
     if (e)
         return e;
     witness_compare(&before.seen, &after.seen, &r);
-    if (fabs((double)r.log2) > STILL || r.places < LEAST_PLACES)
+    c->drift = r.log2;
+    if (fabs(c->drift) > STILL || r.places < LEAST_PLACES)
         return err_fail(ERR_LIMIT,
                         "%s: the light or the scene changed: the same exposure differs by %.2f "
                         "stops",
-                        w->uri, (double)r.log2);
+                        w->uri, c->drift);
     e = find_range(w, c);
     if (!e)
         c->parts |= CALIBRATE_RANGE;

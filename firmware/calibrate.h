@@ -33,6 +33,7 @@ struct calibrate {
     int n;              // steps of the sweep
     struct calibrate_step step[CALIBRATE_STEPS_MAX]; // by rising exposure
     double seen_min_s, seen_max_s;                   // in which pixels prove that exposure obeys
+    double drift;                                    // stops, of the base exposure during the sweep
     char curve_why[CALIBRATE_TEXT];                  // why there is no response curve, or ""
 };
 

@@ -14,6 +14,7 @@ static const struct {
     {"status", "what the daemon does", cmd_status_run},
     {"cancel", "ends what the daemon does", cmd_cancel_run},
     {"calibrate", "what a camera really does, measured and kept", cmd_calibrate_run},
+    {"selftest", "whether a camera does what captures need", cmd_selftest_run},
     {"reconstruct", "photographs to an HDR scene", cmd_reconstruct_run},
     {"render", "pictures of a scene from other places", cmd_render_run},
     {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},

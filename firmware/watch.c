@@ -302,6 +302,14 @@ err_t watch_resume(struct watch *w)
 
 /* ---- requests ---- */
 
+/* Devices round down, to less than a step; those that do not know their steps to less than half. */
+static bool is_rounded(const struct camera_info *info, double ask, double set)
+{
+    double step = info->time_step_s > 0.0 ? info->time_step_s : 0.5 * ask, eps = 1e-6 * ask;
+    double least = fmin(fmax(ask - step, info->time_min_s), info->time_max_s);
+    return set <= fmax(ask, info->time_min_s) + eps && set >= least - eps;
+}
+
 err_t watch_ask(struct watch *w, double time_s, int index)
 {
     struct label_request r = {.index = index, .ask = {time_s, 1.0}};
@@ -318,6 +326,7 @@ err_t watch_ask(struct watch *w, double time_s, int index)
     }
     if (e)
         return e == ERR_LOST ? e : err_fail(e, "exposure of %g s: %s", time_s, err_text());
+    w->count.misread += !is_rounded(&w->info, time_s, r.set.time_s);
     r.answered_ns = clocks_now();
     label_asked(&w->label, &r);
     return OK;

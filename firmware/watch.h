@@ -11,12 +11,12 @@
 /* Of all frames since open. */
 struct watch_count {
     int frames;
-    int lost;               // by the sequence
-    int hidden;             // by the time stamps, and the sequence does not tell
-    int repeated, backward; // sequence
-    int flagged;            // as bad or short, by the device
-    int unreadable, failed; // by unpacking; ERR_IO
-    int requests, refused;
+    int lost;                                // by the sequence
+    int hidden;                              // by the time stamps, and the sequence does not tell
+    int repeated, backward;                  // sequence
+    int flagged;                             // as bad or short, by the device
+    int unreadable, failed;                  // by unpacking; ERR_IO
+    int requests, refused, misread;          // misread: not rounded down to a step
     int unstamped, stamps_back, stamps_wall; // 0; earlier than before; of CLOCK_REALTIME
     double stamp_early_s, stamp_late_s; // arrival less stamp, the least and the most; of the others
     double gain_off, balance_off;       // most that digital gain is off 1, and balance moves
