@@ -3,7 +3,8 @@
 #include <stdbool.h>
 #include <string.h>
 
-static const struct camera_ops *const cameras[] = {&camera_v4l2, &camera_replay, &camera_sim};
+static const struct camera_ops *const cameras[] = {&camera_v4l2, &camera_libcamera, &camera_replay,
+                                                   &camera_sim};
 static const struct trigger_ops *const triggers[] = {&trigger_gpio, &trigger_gpiod, &trigger_evdev,
                                                      &trigger_timer};
 
