@@ -7,6 +7,7 @@
 #include "drivers/uri.h"
 
 #include <dlfcn.h>
+#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -72,6 +73,7 @@ static err_t load(const struct options *o, const struct libcamera_shim **out)
     err_t e = path[0] ? OK : find_module(path);
     if (e)
         return e;
+    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would greet on stderr
     void *lib = dlopen(path, RTLD_NOW | RTLD_LOCAL);
     if (!lib)
         return err_fail(ERR_UNSUPPORTED,

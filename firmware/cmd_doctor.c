@@ -3,9 +3,11 @@
 #include "firmware/engine.h"
 
 #include "core/base/cpu.h"
+#include "drivers/camera.h"
 #include "drivers/file.h"
 #include "drivers/modelfile.h"
 
+#include <glob.h>
 #include <link.h>
 #include <stdlib.h>
 #include <string.h>
@@ -47,6 +49,35 @@ static int print_library(struct dl_phdr_info *info, size_t size, void *ctx)
         printf("library        %s\n", strrchr(real, '/') + 1);
     free(real);
     return 0;
+}
+
+/* Device nodes, and what mends the rights to them. */
+static void print_nodes(const char *what, const char *pattern, const char *group)
+{
+    glob_t g;
+    bool found = glob(pattern, 0, NULL, &g) == 0;
+    for (size_t i = 0; found && i < g.gl_pathc; i++) {
+        bool ours = access(g.gl_pathv[i], R_OK | W_OK) == 0;
+        printf("%-14s %s%s%s%s\n", what, g.gl_pathv[i],
+               ours ? "" : ": no permission, add the user: ", ours ? "" : "sudo adduser $USER ",
+               ours ? "" : group);
+    }
+    if (!found)
+        printf("%-14s none at %s\n", what, pattern);
+    globfree(&g);
+}
+
+/* Only opening one shows whether module, library and rights are there. */
+static void print_libcamera(void)
+{
+    struct camera_cfg cfg = {.uri = "libcamera:0"};
+    void *st = calloc(1, camera_libcamera.state_bytes);
+    if (st && camera_libcamera.open(st, &cfg) == OK) {
+        printf("libcamera      the first camera streams\n");
+        camera_libcamera.close(st);
+    } else if (st)
+        printf("libcamera      %s\n", err_text());
+    free(st);
 }
 
 static const char *kind_of(const struct net_dims *d)
@@ -108,6 +139,9 @@ int cmd_doctor_run(int argc, char **argv)
                file_is_dir(CONFIG_DIR) ? "read" : "not there: built-in values");
         printf("small model    %s\n",
                network_shipped(shipped) ? shipped : "not there: `make` makes build/small.hdrig");
+        print_nodes("camera", "/dev/video*", "video");
+        print_nodes("gpio", "/dev/gpiochip*", "hdrig");
+        print_libcamera();
         dl_iterate_phdr(print_library, NULL);
     }
     if (!e && model)
