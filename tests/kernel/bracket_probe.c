@@ -97,7 +97,7 @@ static void run(struct session *s, struct session_order *o, int takes, struct ta
         int count = session_poll(s, fds, 2 * BRACKET_CAMERAS_MAX, &deadline);
         int64_t wait = deadline == INT64_MAX ? 1000 : (deadline - now_ns()) / 1000000 + 1;
         poll(fds, (nfds_t)count, wait < 0 ? 0 : wait > 1000 ? 1000 : (int)wait);
-        if (session_step(s, now_ns()))
+        if (session_step(s))
             die();
         if (session_state(s) == SESSION_READY) {
             if (session_collect(s, &t))

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # run.sh FOLDER [TEST...] - runs tests/kernel/guest/TEST.sh, by default all, each in its own User
 # Mode Linux with virtual time; FOLDER has the programs built from tests/kernel/*.c.
-# One line per test; its log is build/log/kernel_TEST.log and is shown when the test fails.
+# One line per test; its log is build/log/kernel_TEST.log, whose end is shown when the test fails.
 set -u
 cd "$(dirname "$0")/../.."
 root=$PWD
@@ -26,14 +26,14 @@ for test in "$@"; do
         time-travel-start=1700000000000000000 rootfstype=hostfs rootflags=/ ro \
         init="$root/tests/kernel/guest/init.sh" con=null con0=null,fd:1 quiet loglevel=3 \
         TEST="$root/tests/kernel/guest/$test.sh" BIN="$bin" MODULES="$made" \
-        >"$log" 2>&1 </dev/null
+        </dev/null 2>&1 | tr -d '\r' >"$log"
     if grep -qx 'TEST_EXIT 0' "$log"; then
         passed=$((passed + 1))
         printf 'ok %5d s\n' $((SECONDS - start))
     else
         failed=$((failed + 1))
         printf 'FAILED\n'
-        sed 's/^/    /' "$log"
+        tail -n 60 "$log" | sed 's/^/    /'
     fi
 done
 echo "$passed passed, $failed failed"

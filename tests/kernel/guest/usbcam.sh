@@ -72,8 +72,8 @@ pull
 unload uvcvideo
 load uvcvideo
 
-echo "== settings that the camera refuses"
-plug "faults=at frame 50 refuse busy 1;at frame 80 refuse range 1;at frame 110 refuse access 1"
+echo "== settings that the camera refuses; in a wrong state it is asked twice"
+plug "faults=at frame 50 refuse busy 1;at frame 80 refuse range 1;at frame 110 refuse access 3"
 probe 0 frames 60 ask 5000 ask 5000 until 5000 frames 25 ask 6000 ask 6000 until 6000 \
     frames 30 ask 7000 ask 7000 until 7000
 expect "refused" "$(count 'error')" 3
