@@ -10,6 +10,7 @@
 #include "firmware/locate.h"
 
 #include "core/base/num.h"
+#include "core/opt/response.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/seed.h"
 #include "core/splat/sweep.h"
@@ -62,14 +63,40 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
 
 /* ---- seeds from depth ---- */
 
+/* Geometric mean of the radiance that the photographs tell of: holes in a scene are less wrong in
+ * it than in black. */
+static void set_background(const struct views *v, const struct tonemap *tone, float out[3])
+{
+    const size_t pixels = (size_t)v->size * (size_t)v->size;
+    struct response_table table;
+    response_tabulate(tone, &table);
+    for (int c = 0; c < 3; c++) {
+        double sum = 0, weight = 0;
+        for (int i = 0; i < v->n; i++) {
+            float shift = v->log2t[i] - v->mid_log2t;
+            const uint8_t *p = v->rgb + 3 * pixels * (size_t)i + c;
+            for (size_t k = 0; k < pixels; k++, p += 3) {
+                double w = (double)table.weight[c][*p] + 1e-4;
+                sum += w * (double)(table.x[c][*p] - shift);
+                weight += w;
+            }
+        }
+        out[c] = (float)exp2(sum / weight);
+    }
+}
+
 static err_t place_seeds(const struct run *r, const struct job_config *cfg,
                          const struct depthmaps *depth, struct job_result *out)
 {
     struct gaussians seeds, *g = &out->scene.g;
-    struct seed_input in = {.views = &out->views, .depth = depth, .tone = &out->response};
+    const struct seed_input in = {.views = &out->views,
+                                  .depth = depth,
+                                  .tone = &out->response,
+                                  .guess = cfg->refine.steps > 0};
     announce(r, "seed");
     /* half of the room: the refiner splits where the photographs hold more than noise */
     err_t e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
+    set_background(&out->views, &out->response, out->scene.background);
     g->degree = 0; // refinement adds bands where the photographs ask for them
     for (int p = 0; !e && p < gaussians_planes(0); p++)
         memcpy(g->plane[p], seeds.plane[p], (size_t)seeds.n * sizeof(float));

@@ -2,7 +2,9 @@
  * pictures). The map of a view is cut into blocks; a block that is flat in colour and in depth
  * becomes one splat, others are cut into four, down to a quarter of a pixel of the map. Each
  * splat is projected into all views: where it explains a pixel, that pixel gets no splat of its
- * own, and its radiance counts. A second round fills pixels that nothing explains. */
+ * own, and its radiance counts. A second round fills pixels that nothing explains: in pictures
+ * from other places guesses do more harm than holes, so it is for views without depth and for
+ * scenes that will be refined. */
 #include "core/splat/seed.h"
 
 #include "core/opt/response.h"
@@ -26,6 +28,7 @@ enum {
 }; // marks: some splat lies there; one at the pixel's own depth
 
 static const float SURE = 0.3f;       // confidence from which a depth is believed
+static const float BLIND = 0.05f;     // share of sure pixels below which a view has no depth
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
 static const float AGREE = 0.02f;     // relative difference of depths that are the same surface
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
@@ -523,6 +526,16 @@ static void sort_views(struct seed *s)
     }
 }
 
+static bool is_blind(const struct seed *s, int view)
+{
+    const int pixels = s->in->depth->size * s->in->depth->size;
+    const float *conf = s->in->depth->conf + (size_t)view * (size_t)pixels;
+    int sure = 0;
+    for (int i = 0; i < pixels; i++)
+        sure += conf[i] >= SURE;
+    return (float)sure < BLIND * (float)pixels;
+}
+
 /* All splats at the present loss of detail; s->full if they are too many. */
 static err_t seed_all(struct seed *s)
 {
@@ -533,6 +546,8 @@ static err_t seed_all(struct seed *s)
     for (int i = 0; i < 2 * n && !s->full; i++) {
         if (s->run->cancel && atomic_load(s->run->cancel))
             return err_fail(ERR_CANCELLED, "seed: cancelled");
+        if (i >= n && !s->in->guess && !is_blind(s, s->order[i % n]))
+            continue;
         guess_depth(s, s->order[i % n]);
         for (int y = 0; y < w; y += BLOCK) {
             for (int x = 0; x < w; x += BLOCK)

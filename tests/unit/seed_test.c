@@ -74,7 +74,7 @@ static void make_world(struct world *w)
             w->depth.conf[i * MAP * MAP + k] = 1.0f;
         }
     }
-    w->in = (struct seed_input){&w->v, &w->depth, &w->tone};
+    w->in = (struct seed_input){&w->v, &w->depth, &w->tone, false};
     w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp};
 }
 
@@ -185,18 +185,38 @@ static void test_floating_surface_is_dropped(void **state)
     free_world(&w);
 }
 
-static void test_unsure_pixels_are_filled(void **state)
+/* Where nothing is sure, holes stay unless guesses are wanted. */
+static void test_unsure_pixels_are_filled_if_asked(void **state)
+{
+    (void)state;
+    for (int guess = 0; guess < 2; guess++) {
+        struct world w;
+        struct gaussians g;
+        make_world(&w);
+        w.in.guess = guess;
+        for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+            if (k / MAP % MAP > 15 && k / MAP % MAP < 30)
+                w.depth.conf[k] = 0.0f;
+        }
+        assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+        check_finite(&g);
+        float filled = coverage(&w, &g);
+        assert_true(guess ? filled > 0.98f : filled > 0.68f && filled < 0.85f);
+        free_world(&w);
+    }
+}
+
+/* A view in which next to nothing is sure has only its guess. */
+static void test_blind_view_is_guessed(void **state)
 {
     (void)state;
     struct world w;
     struct gaussians g;
     make_world(&w);
-    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
-        if (k % MAP > 15 && k % MAP < 30)
-            w.depth.conf[k] = 0.0f;
-    }
+    memset(w.depth.conf, 0, VIEWS * MAP * MAP * sizeof(float));
+    for (int k = 0; k < MAP; k++)
+        w.depth.conf[k] = 1.0f; // 2 % of the first view
     assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
-    check_finite(&g);
     assert_true(coverage(&w, &g) > 0.98f);
     free_world(&w);
 }
@@ -235,7 +255,8 @@ int main(void)
         cmocka_unit_test(test_plane),
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
-        cmocka_unit_test(test_unsure_pixels_are_filled),
+        cmocka_unit_test(test_unsure_pixels_are_filled_if_asked),
+        cmocka_unit_test(test_blind_view_is_guessed),
         cmocka_unit_test(test_extremes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
