@@ -8,7 +8,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
-#include <unistd.h>
 
 static const char *const names[] = {"off", "armed", "busy", "fault"};
 
@@ -17,6 +16,12 @@ static int64_t now_ns(void)
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static void sleep_until(int64_t ns)
+{
+    struct timespec t = {ns / 1000000000, ns % 1000000000};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL);
 }
 
 static int value(const char *path)
@@ -37,10 +42,10 @@ static err_t look(struct lamp *l, const char *path, int count)
         while (!e && lamp_next_ns(l) <= now_ns())
             e = lamp_tick(l, now_ns());
         while (!e && lamp_next_ns(l) < next) {
-            usleep((useconds_t)((lamp_next_ns(l) - now_ns()) / 1000 + 1));
+            sleep_until(lamp_next_ns(l));
             e = lamp_tick(l, now_ns());
         }
-        usleep((useconds_t)((next - now_ns()) / 1000));
+        sleep_until(next);
         int c = value(path);
         if (c != last && run > 0) {
             printf(" %d%c", run, last == '1' ? '+' : '-');

@@ -144,14 +144,21 @@ expect "events" "$(wc -l <events)" 1
 
 echo "== the lamp"
 value=$lines/sim_gpio5/value
-"$BIN/lamp_probe" gpio:rigchip/lamp "$value" off 10 armed 50 busy 200 fault 200 armed 10
-"$BIN/lamp_probe" "gpio:$chip/5,active=low" "$value" off 5 armed 5
+"$BIN/lamp_probe" gpio:rigchip/lamp "$value" off 10 armed 50 busy 200 fault 200 armed 10 >seen
+cat seen
+for pattern in 'off 10-' 'armed 50[+]' 'busy( 1[23][+] 1[23]-){8}' 'fault( 10[+] 10- 10[+] 70-){2}' \
+    'armed 10[+]' 'closed 0'; do
+    grep -Eqx "$pattern" seen || fail "the lamp did not show $pattern"
+done
+"$BIN/lamp_probe" "gpio:$chip/5,active=low" "$value" off 5 armed 5 >seen
+expect "the other way round" "$(head -n 2 seen | tr '\n' ' ')" "off 5+ armed 5- "
 "$BIN/lamp_probe" gpio:rigchip/lamp "$value" busy 300 >seen &
 pid=$!
 nap 1
 echo 0 >$config/live
 wait $pid && fail "a lamp without a chip shines"
 cat seen
+expect "without a chip" "$(grep -c 'error -7' seen)" 1
 
 echo "== a timer"
 timeout 2.1 "$BIN/trigger_probe" timer timer:0.25 >seen || true
