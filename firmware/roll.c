@@ -44,15 +44,33 @@ int roll_used(const struct roll *r)
     return n;
 }
 
-/* A kept frame as the backend gave it. */
-static struct frame as_frame(const struct camera_info *info, const struct take_frame *t)
+static err_t pixels(const struct roll *r, int k, const struct camera_info *info, struct raw *out)
 {
-    return (struct frame){.data = t->data,
-                          .bytes = t->bytes,
-                          .w = info->w,
-                          .h = info->h,
-                          .stride = info->stride,
-                          .format = info->format};
+    const struct take_frame *t = &r->kept[k].frame;
+    struct frame f = {.data = t->data,
+                      .bytes = t->bytes,
+                      .w = info->w,
+                      .h = info->h,
+                      .stride = info->stride,
+                      .format = info->format};
+    return thin_run(info, &f, out);
+}
+
+static const struct crf *crf_of(const struct take_camera *c)
+{
+    return c->has_crf ? &c->crf : NULL;
+}
+
+err_t roll_meter(const struct roll *r, int from, const struct take_camera *c, struct raw *px,
+                 struct meter *m)
+{
+    err_t e = OK;
+    for (int k = from; k < r->n && !e; k++) {
+        e = pixels(r, k, &c->info, px);
+        if (!e)
+            meter_add(m, px, crf_of(c), take_exposure_s(&r->kept[k].frame));
+    }
+    return e;
 }
 
 void roll_cover(const struct roll *r, const struct take_camera *c, const struct meter_config *cfg,
@@ -65,13 +83,12 @@ void roll_cover(const struct roll *r, const struct take_camera *c, const struct 
     *out = (struct meter_cover){0};
     uint16_t *all = r->n ? malloc(count * sizeof *all * (size_t)r->n) : NULL;
     for (int k = 0; all && k < r->n; k++) {
-        struct frame f = as_frame(&c->info, &r->kept[k].frame);
         px[n].px = all + count * (size_t)n;
-        if (r->kept[k].used && thin_run(&c->info, &f, &px[n]) == OK)
+        if (r->kept[k].used && pixels(r, k, &c->info, &px[n]) == OK)
             exposure[n++] = take_exposure_s(&r->kept[k].frame);
     }
     if (n > 0)
-        meter_check(cfg, px, n, c->has_crf ? &c->crf : NULL, exposure, out);
+        meter_check(cfg, px, n, crf_of(c), exposure, out);
     free(all);
 }
 

@@ -27,6 +27,11 @@ void roll_cut(struct roll *r, int from);
 size_t roll_bytes(const struct roll *r);
 int roll_used(const struct roll *r);
 
+/* Tell the meter the frames from that one on.
+ * px: room for a small picture (drivers/thin.h). err: as thin_run. */
+MUST_USE err_t roll_meter(const struct roll *r, int from, const struct take_camera *c,
+                          struct raw *px, struct meter *m);
+
 /* What the used frames leave uncovered; pictures that cannot be had count for nothing. */
 void roll_cover(const struct roll *r, const struct take_camera *c, const struct meter_config *cfg,
                 struct meter_cover *out);

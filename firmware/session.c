@@ -192,19 +192,15 @@ static err_t keep(struct session *s, const struct bracket_action *a, const struc
         return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
                         held / 1000000, s->cfg.memory / 1000000);
     t.start = clocks_at(t.evidence.start_ns);
-    bool probe = s->phase == PHASE_PROBE;
-    err_t e = roll_add(&c->roll, &t, f, !probe);
-    if (!e && probe) // the pixels of this very frame are in s->sample
-        meter_add(&c->meter, &s->sample, crf_of(c), take_exposure_s(&t));
-    return e;
+    return roll_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
 }
 
 /* Frames of this plan; what was seen in another light serves no more, probes neither. */
 static void forget(struct session *s, const struct bracket_action *a)
 {
     struct cam *c = &s->cam[a->camera];
-    bool relit = a->index == 1, metered = s->phase == PHASE_PROBE && c->roll.n > c->n_before;
-    s->relit = s->relit || metered || (relit && c->n_before > 0);
+    bool relit = a->index == 1;
+    s->relit = s->relit || (relit && c->n_before > 0);
     roll_cut(&c->roll, relit ? 0 : c->n_before);
 }
 
@@ -437,6 +433,17 @@ static int planned(const struct session *s)
     return n;
 }
 
+/* Only now: a kept frame may still be forgotten while its plan runs. */
+static err_t meter_probes(struct session *s)
+{
+    err_t e = OK;
+    for (int i = 0; i < s->n && !e; i++) {
+        struct cam *c = &s->cam[i];
+        e = roll_meter(&c->roll, c->n_before, &c->about, &s->sample, &c->meter);
+    }
+    return e;
+}
+
 static void plan_probes(struct session *s)
 {
     for (int i = 0; i < s->n; i++) {
@@ -528,8 +535,9 @@ static err_t advance(struct session *s, int64_t now)
         return start_plans(s, now);
     }
     if (s->phase == PHASE_PROBE) {
+        e = meter_probes(s);
         plan_probes(s);
-        if (planned(s) == 0) {
+        if (!e && planned(s) == 0) {
             e = plan_shots(s);
             next = PHASE_SHOOT;
         }
