@@ -176,11 +176,11 @@ static void request_next(struct seat *c, int64_t now_ns)
         request(c, LABEL_BASE, now_ns);
 }
 
-/* Asked, but cannot come any more: entry `before` and later ones are still to come. */
-static void give_up_passed(struct seat *c, int before)
+/* Asked, but cannot come any more. */
+static void give_up_passed(struct seat *c)
 {
     bool comes[LABEL_OTHER + 1] = {false};
-    for (int i = before; i < c->label.n; i++)
+    for (int i = 0; i < c->label.n; i++)
         comes[c->label.log[i].index] |= !label_passed(&c->label, i);
     if (c->request || c->asking)
         comes[c->next.index] = true;
@@ -337,7 +337,6 @@ static void known(struct bracket *b, struct seat *c, const struct bracket_event 
     c->judged = 0;
     if (i >= 0 && !early && (c->phase == RUN || (c->phase == REST && label_alone(&c->label))))
         keep(c, i, ev, k);
-    give_up_passed(c, k->entry);
     if (!base || !at_base)
         return;
     if (complete(c))
@@ -375,10 +374,9 @@ static void judge(struct bracket *b, struct seat *c, const struct label_look *k,
 static void shifted(struct seat *c)
 {
     label_doubt(&c->label);
-    if (c->phase != RUN)
-        return;
     forget(c);
-    enter(c, CHECK);
+    if (c->phase == RUN)
+        enter(c, CHECK);
 }
 
 static bool tried_in_vain(const struct seat *c)
@@ -400,7 +398,7 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
     }
     if (k.verdict == LABEL_SHIFTED)
         shifted(c);
-    if (k.verdict == LABEL_PROVEN)
+    if (k.verdict == LABEL_PROVEN && c->phase == RUN)
         label_narrow(&c->label, &k);
     if (k.verdict == LABEL_PROVEN || (k.verdict == LABEL_BLIND && rested && c->phase != RUN))
         known(b, c, ev, &k);
@@ -413,7 +411,7 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
         if (rested && c->phase != RUN)
             judge(b, c, &k, ev->now_ns);
     }
-    give_up_passed(c, 0);
+    give_up_passed(c);
     if (c->phase == RUN && (c->conflicts >= CONFLICTS_MAX || tried_in_vain(c) ||
                             (rested && is_base(c, label_newest(&c->label)))))
         enter(c, CHECK);
@@ -607,7 +605,7 @@ static void opened(struct bracket *b, struct seat *c, const struct bracket_event
     c->alive_ns = ev->now_ns;
     c->slow_s = label_longest_s(&c->label);
     label_restart(&c->label, NULL, ev->now_ns);
-    give_up_passed(c, 0);
+    give_up_passed(c);
     enter(c, c->settled >= 2 ? CHECK : WAIT);
     if (b->state == BRACKET_SHOOTING)
         request_next(c, ev->now_ns);

@@ -7,7 +7,7 @@
  *   SHOOTING  a plan runs; kept frames are proven, those still missing have been asked for or will
  *             be with the next frame of their camera
  *   DONE      every frame of the plan is kept, and the light was the same afterwards
- *   FAULT     the plan was given up; kept frames are still proven; `reason` says why
+ *   FAULT     the plan was given up; frames still kept are proven; `reason` says why
  *
  *   IDLE     -> ARMED     arm()       of the last camera
  *   ARMED    -> IDLE      lost()
@@ -36,7 +36,9 @@
  *
  * Invariant: no frame is kept whose recorded exposure differs from the true one by more than
  * `tolerance` (stops), unless its evidence says `unverified`; a factor common to the reference and
- * all frames of a camera cannot be seen and does no harm.
+ * all frames of a camera cannot be seen and does no harm. What could break it: light that for
+ * as long as the set is another by exactly a step, a camera that reports nothing, and a delay that
+ * nobody knows, all together.
  * thread: any, one at a time. */
 #ifndef FIRMWARE_BRACKET_H
 #define FIRMWARE_BRACKET_H
@@ -106,7 +108,7 @@ enum bracket_event_kind {
                     // To be said again after DONE, FAULT and requests of others
     BRACKET_BEGIN,  // plan
     BRACKET_ANSWER, // of a request: err, set
-    BRACKET_FRAME,  // frame, witness
+    BRACKET_FRAME, // frame, witness; NULL will do outside of SHOOTING, for a frame that only counts
     BRACKET_UNUSABLE, // a frame that could not be had or read (ERR_IO, bad JPEG); frame may be NULL
     BRACKET_LOST,     // camera gone; streams again with ARM
     BRACKET_OPENED,   // camera streams again after a restart

@@ -114,6 +114,7 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
         w->sd[i] = 1.4427f * sd;
         w->x[i] = fminf(fmaxf(x, c->floor), 1.0f); // dark: at most that
         w->state[i] = x >= 0.95f ? WITNESS_CLIPPED : x < c->floor ? WITNESS_DARK : WITNESS_GOOD;
+        w->sd[i] = w->state[i] == WITNESS_DARK ? 0.0f : w->sd[i]; // x is a bound
         w->clipped += w->state[i] == WITNESS_CLIPPED;
         w->dark += w->state[i] == WITNESS_DARK;
     }
