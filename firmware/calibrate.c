@@ -24,7 +24,8 @@
 
 enum {
     UNKNOWN = 8, // frames, delay of devices that say nothing
-    SETTLE = 2,  // frames beyond the delay
+    IDLE_MAX = 3,
+    SETTLE = 2, // frames beyond the delay
     GOOD_PLACES = WITNESS_PLACES * 2 / 5,
     FEW_PLACES = WITNESS_PLACES / 20,
     LEAST_PLACES = WITNESS_PLACES / 200 + 1, // as firmware/label.c
@@ -48,16 +49,20 @@ enum {
 static const double tolerance_good = 0.10, tolerance_loose = 0.30; // stops, capture notes 2, 6
 static const double picture_stops[PICTURES] = {0.0, 1.4, 3.2, 5.4, 8.0};
 
+double calibrate_slack(const struct watch *w)
+{
+    return w->linear ? tolerance_good : 2.0 * tolerance_good;
+}
+
 static double limited(const struct watch *w, double t, double longest_s)
 {
     return fmax(fmin(t, fmin(w->info.time_max_s, longest_s)), w->info.time_min_s);
 }
 
-/* Frames to wait for rest before the delay is measured. */
-static int patience(const struct watch *w)
+/* Frames to wait for rest while the delay is not measured. */
+static int patience(const struct calibrate *c)
 {
-    int said = w->info.exposure_delay < 0 ? UNKNOWN : num_min(w->info.exposure_delay, DELAY_MAX);
-    return (said > UNKNOWN ? said : UNKNOWN) + SETTLE;
+    return (c->calib.delay_hi > UNKNOWN ? c->calib.delay_hi : UNKNOWN) + SETTLE;
 }
 
 static err_t hold(struct watch *w, double time_s, int frames, struct sight *out)
@@ -68,25 +73,25 @@ static err_t hold(struct watch *w, double time_s, int frames, struct sight *out)
 
 /* ---- base ---- */
 
-static err_t judge_base(const struct watch *w, const struct witness *best, double t)
+static err_t judge_base(const struct witness *best, double t)
 {
     if (best->good >= FEW_PLACES)
         return OK;
     return err_fail(ERR_LIMIT,
-                    "%s: too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
-                    w->uri, best->dark > best->clipped ? "dark" : "bright", t,
+                    "too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
+                    best->dark > best->clipped ? "dark" : "bright", t,
                     100 * best->good / WITNESS_PLACES, 100 * FEW_PLACES / WITNESS_PLACES);
 }
 
-err_t calibrate_base(struct watch *w, double longest_s, struct calibrate *c)
+err_t calibrate_base(struct watch *w, struct calibrate *c)
 {
-    double t = limited(w, fmin(START_S, 0.5 * w->info.period_s), longest_s);
+    double t = limited(w, fmin(START_S, 0.5 * w->info.period_s), c->longest_s);
     struct witness best = {.good = -1};
     int way = 0;
     for (int i = 0; i < 16; i++) {
         struct sight s;
         watch_tell(w, "exposure", i, 16);
-        err_t e = hold(w, t, patience(w), &s);
+        err_t e = hold(w, t, patience(c), &s);
         if (e)
             return e;
         if (s.seen.good > best.good) {
@@ -94,14 +99,14 @@ err_t calibrate_base(struct watch *w, double longest_s, struct calibrate *c)
             c->base_s = t;
         }
         int to = s.seen.dark > s.seen.clipped ? 1 : -1;
-        double next = limited(w, to > 0 ? 4.0 * t : 0.25 * t, longest_s);
+        double next = limited(w, to > 0 ? 4.0 * t : 0.25 * t, c->longest_s);
         if (best.good >= GOOD_PLACES || to == -way || next == t)
             break;
         way = to;
         t = next;
     }
     watch_tell(w, "exposure", 16, 16);
-    return judge_base(w, &best, c->base_s);
+    return judge_base(&best, c->base_s);
 }
 
 /* ---- delay ---- */
@@ -185,11 +190,11 @@ static bool learn(const struct trial *t, struct delays *exact, struct delays *wi
 static err_t no_effect(const struct watch *w, const struct trial *t, double from, double to)
 {
     if (t->n == 0)
-        return err_fail(ERR_FORMAT, "%s: no frame could be used", w->uri);
+        return watch_unusable(w, TRACK);
     return err_fail(ERR_UNSUPPORTED,
-                    "%s: exposure has no effect: from %.3g s to %.3g s, %d frames later the "
-                    "picture is %.2f times as bright; an automatic mode may be on",
-                    w->uri, from, to, t->hi[t->n - 1], (double)exp2f(t->stops[t->n - 1]));
+                    "exposure has no effect: from %.3g s to %.3g s, %d frames later the picture is "
+                    "%.2f times as bright; an automatic mode may be on",
+                    from, to, t->hi[t->n - 1], (double)exp2f(t->stops[t->n - 1]));
 }
 
 static err_t ends_of(const struct watch *w, double base_s, double end[2])
@@ -198,8 +203,8 @@ static err_t ends_of(const struct watch *w, double base_s, double end[2])
     end[1] = limited(w, 4.0 * end[0], INFINITY);
     end[0] = limited(w, 0.25 * end[1], INFINITY);
     if (end[1] < 2.0 * end[0])
-        return err_fail(ERR_UNSUPPORTED, "%s: exposure can only be varied from %g s to %g s",
-                        w->uri, end[0], end[1]);
+        return err_fail(ERR_UNSUPPORTED, "exposure can only be varied from %g s to %g s", end[0],
+                        end[1]);
     return OK;
 }
 
@@ -209,9 +214,10 @@ err_t calibrate_delay(struct watch *w, struct calibrate *c)
     struct trial t;
     struct sight at;
     double end[2];
+    int idle = 0; // steps in a row without a change
     err_t e = ends_of(w, c->base_s, end);
     if (!e)
-        e = hold(w, end[0], patience(w), &at);
+        e = hold(w, end[0], DELAY_MAX + SETTLE, &at);
     for (int i = 0; !e && i < ATTEMPTS && exact.n < TRIALS; i++) {
         watch_tell(w, "latency", exact.n, TRIALS);
         wait_for_phase(w, i);
@@ -219,19 +225,22 @@ err_t calibrate_delay(struct watch *w, struct calibrate *c)
         struct witness from = at.seen;
         if (!e)
             e = step_to(w, end[(i + 1) % 2], &from, &t, &at);
-        if (!e && !learn(&t, &exact, &wide) && exact.n + wide.n == 0)
-            return no_effect(w, &t, end[i % 2], end[(i + 1) % 2]);
+        bool learnt = !e && learn(&t, &exact, &wide);
+        idle = learnt ? 0 : idle + 1;
+        if (!e && (idle == IDLE_MAX || (idle > 0 && (t.n == 0 || exact.n + wide.n == 0))))
+            e = no_effect(w, &t, end[i % 2], end[(i + 1) % 2]);
     }
     if (e)
         return e;
     watch_tell(w, "latency", TRIALS, TRIALS);
     const struct delays *d = exact.n >= TRIALS / 3 ? &exact : &wide;
+    int waited = patience(c);
     c->calib.delay_lo = num_min(d->lo, DELAY_MAX);
     c->calib.delay_hi = num_min(d->hi, DELAY_MAX);
     c->trials = d->n;
     c->unsure = wide.n;
     c->parts |= CALIBRATE_LATENCY;
-    return OK;
+    return c->calib.delay_hi > waited ? calibrate_base(w, c) : OK;
 }
 
 /* ---- response ---- */
@@ -296,12 +305,12 @@ static void use_curve(struct watch *w, struct calibrate *c)
 }
 
 /* Pictures and curve of one window; *c tells whether there is one. */
-static err_t try_window(struct watch *w, const double stops[2], double longest_s,
-                        struct calibrate *c, struct pictures *p)
+static err_t try_window(struct watch *w, const double stops[2], struct calibrate *c,
+                        struct pictures *p)
 {
     double ends[2];
     for (int i = 0; i < 2; i++)
-        ends[i] = limited(w, c->base_s * exp2(stops[i]), longest_s);
+        ends[i] = limited(w, c->base_s * exp2(stops[i]), c->longest_s);
     if (log2(ends[1] / ends[0]) < CURVE_STOPS) {
         snprintf(c->curve_why, sizeof c->curve_why, "exposures of %.3g..%.3g s are too much alike",
                  ends[0], ends[1]);
@@ -313,7 +322,7 @@ static err_t try_window(struct watch *w, const double stops[2], double longest_s
     return e ? e : watch_resume(w);
 }
 
-err_t calibrate_curve(struct watch *w, double longest_s, struct calibrate *c)
+err_t calibrate_curve(struct watch *w, struct calibrate *c)
 {
     static const double windows[][2] = {{-4.0, 4.0}, {0.0, 5.0}, {-6.0, 1.0}};
     enum { WINDOWS = sizeof windows / sizeof windows[0] };
@@ -322,7 +331,7 @@ err_t calibrate_curve(struct watch *w, double longest_s, struct calibrate *c)
     c->calib.has_crf = false;
     c->curve_why[0] = 0;
     for (int i = 0; !e && i < WINDOWS && !w->linear && !c->calib.has_crf; i++)
-        e = try_window(w, windows[i], longest_s, c, &p);
+        e = try_window(w, windows[i], c, &p);
     for (int i = 0; i < PICTURES; i++)
         free(p.px[i]);
     use_curve(w, c);
@@ -334,16 +343,17 @@ err_t calibrate_curve(struct watch *w, double longest_s, struct calibrate *c)
 /* ---- range ---- */
 
 /* b against a, which was `asked` stops shorter. */
-static void judge(const struct witness *a, const struct witness *b, double tolerance,
+static void judge(const struct watch *w, const struct witness *a, const struct witness *b,
                   struct calibrate_step *s)
 {
     struct witness_ratio r;
-    bool loose = tolerance >= 0.2; // the curve is not known: only what no curve could do is wrong
-    double least = loose ? 0.25 * s->asked : s->asked - tolerance;
-    double most = loose ? 2.5 * s->asked : s->asked + tolerance;
     witness_compare(a, b, &r);
+    double slack = calibrate_slack(w) * (r.places < FEW_PLACES ? 2.0 : 1.0);
+    bool loose = !w->linear && !w->has_crf; // only what no curve could do is wrong
+    double least = loose ? 0.25 * s->asked : s->asked - slack;
+    double most = loose ? 2.5 * s->asked : s->asked + slack;
     double error = MEDIAN_ERROR * r.spread / sqrt(fmax(r.places, 1.0));
-    bool seen = r.places >= LEAST_PLACES && 4.0 * error <= tolerance;
+    bool seen = r.places >= LEAST_PLACES && 4.0 * error <= slack;
     double lo = seen ? r.log2 : r.lo, hi = seen ? r.log2 : r.hi;
     s->measured = seen ? r.log2 : NAN;
     s->rises = lo > 0.0 || !seen;
@@ -372,7 +382,7 @@ static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
             e = hold(k->w, time_s, frames, &s);
         if (e)
             return e;
-        judge(&k->last, &s.seen, k->c->calib.tolerance, out);
+        judge(k->w, &k->last, &s.seen, out);
         if (out->verdict != CALIBRATE_WRONG)
             break;
     }
@@ -381,11 +391,11 @@ static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
     return OK;
 }
 
-static err_t sweep(struct watch *w, double longest_s, struct calibrate *c)
+static err_t sweep(struct watch *w, struct calibrate *c)
 {
     struct sweep k = {.w = w, .c = c, .last_s = w->info.time_min_s};
     struct sight s;
-    double longest = limited(w, INFINITY, longest_s), from = w->info.time_min_s;
+    double longest = limited(w, INFINITY, c->longest_s), from = w->info.time_min_s;
     int most = num_min((int)ceil(log2(longest / from) / STEP), CALIBRATE_STEPS_MAX - 1);
     err_t e = hold(w, from, c->calib.delay_hi + 1, &s);
     k.last = s.seen;
@@ -433,6 +443,15 @@ static err_t narrow(struct watch *w, struct calibrate *c, double good_s, double 
     return OK;
 }
 
+/* A curve by which neighbours are wrong is not good enough to judge frames by. */
+static void judge_curve(struct watch *w, struct calibrate *c, int lo, int hi)
+{
+    for (int i = lo + 1; i <= hi && !w->linear; i++)
+        if (c->step[i].verdict == CALIBRATE_OBEYS &&
+            fabs(c->step[i].measured - c->step[i].asked) > tolerance_good)
+            c->calib.tolerance = tolerance_loose;
+}
+
 /* The range around the base, to the first wrong pair either way. */
 static err_t find_range(struct watch *w, struct calibrate *c)
 {
@@ -443,6 +462,7 @@ static err_t find_range(struct watch *w, struct calibrate *c)
         lo--;
     for (hi = at; hi + 1 < c->n && c->step[hi + 1].verdict != CALIBRATE_WRONG;)
         hi++;
+    judge_curve(w, c, lo, hi);
     c->calib.time_min_s = lo > 0 ? c->step[lo].time_s : w->info.time_min_s;
     c->calib.time_max_s = w->info.time_max_s;
     c->seen_min_s = c->seen_max_s = c->step[at].time_s;
@@ -458,14 +478,14 @@ static err_t find_range(struct watch *w, struct calibrate *c)
     return e;
 }
 
-err_t calibrate_range(struct watch *w, double longest_s, struct calibrate *c)
+err_t calibrate_range(struct watch *w, struct calibrate *c)
 {
     struct sight before, after;
     struct witness_ratio r;
     int frames = c->calib.delay_hi + 1;
     err_t e = hold(w, c->base_s, frames, &before);
     if (!e)
-        e = sweep(w, longest_s, c);
+        e = sweep(w, c);
     if (!e)
         e = hold(w, c->base_s, frames, &after);
     if (e)
@@ -474,9 +494,9 @@ err_t calibrate_range(struct watch *w, double longest_s, struct calibrate *c)
     c->drift = r.log2;
     if (fabs(c->drift) > STILL || r.places < LEAST_PLACES)
         return err_fail(ERR_LIMIT,
-                        "%s: the light or the scene changed: the same exposure differs by %.2f "
+                        "the light or the scene changed: the same exposure differs by %.2f "
                         "stops",
-                        w->uri, c->drift);
+                        c->drift);
     e = find_range(w, c);
     if (!e)
         c->parts |= CALIBRATE_RANGE;
@@ -489,17 +509,18 @@ err_t calibrate_run(struct watch *w, unsigned parts, double longest_s, const str
                     struct calibrate *c)
 {
     memset(c, 0, sizeof *c);
+    c->longest_s = longest_s;
     c->calib = *known;
     use_curve(w, c);
     if ((parts & CALIBRATE_RANGE) && !c->calib.has_crf)
         parts |= CALIBRATE_RESPONSE;
-    err_t e = calibrate_base(w, longest_s, c);
+    err_t e = calibrate_base(w, c);
     if (!e && (parts & CALIBRATE_LATENCY))
         e = calibrate_delay(w, c);
     if (!e && (parts & CALIBRATE_RESPONSE))
-        e = calibrate_curve(w, longest_s, c);
+        e = calibrate_curve(w, c);
     if (!e && (parts & CALIBRATE_RANGE))
-        e = calibrate_range(w, longest_s, c);
+        e = calibrate_range(w, c);
     c->calib.when_s = clocks_at(clocks_now()).realtime_ns / 1000000000;
     return e;
 }

@@ -26,6 +26,7 @@ struct calibrate_step {
 };
 
 struct calibrate {
+    double longest_s;   // exposure that is tried, given
     struct calib calib; // as it may be saved
     unsigned parts;     // that were measured: enum calibrate_part
     double base_s;      // an exposure at which the scene shows
@@ -37,9 +38,9 @@ struct calibrate {
     char curve_why[CALIBRATE_TEXT];                  // why there is no response curve, or ""
 };
 
-/* An exposure of at most longest_s at which much of the scene is neither dark nor clipped.
+/* An exposure at which much of the scene is neither dark nor clipped.
  * err:  those of watch_rest and watch_ask, as everywhere here; ERR_LIMIT: too dark, too bright. */
-MUST_USE err_t calibrate_base(struct watch *w, double longest_s, struct calibrate *c);
+MUST_USE err_t calibrate_base(struct watch *w, struct calibrate *c);
 
 /* Frames from the one that runs during a request to the first that shows it. From here on base_s
  * must be set.
@@ -48,12 +49,15 @@ MUST_USE err_t calibrate_delay(struct watch *w, struct calibrate *c);
 
 /* The response curve of a display format, also into w; without one curve_why tells. Nothing to do
  * for linear numbers. The delay must be known, here and below. */
-MUST_USE err_t calibrate_curve(struct watch *w, double longest_s, struct calibrate *c);
+MUST_USE err_t calibrate_curve(struct watch *w, struct calibrate *c);
 
-/* A sweep of exposures up to longest_s, 0.9 stops apart: multiples of one step would fall in with
+/* A sweep of exposures, 0.9 stops apart: multiples of one step would fall in with
  * those of a camera that has coarser steps than it says.
  * err:  ERR_LIMIT: the light or the scene changed. */
-MUST_USE err_t calibrate_range(struct watch *w, double longest_s, struct calibrate *c);
+MUST_USE err_t calibrate_range(struct watch *w, struct calibrate *c);
+
+/* Stops that the ratio of neighbours in the sweep may be off. */
+double calibrate_slack(const struct watch *w);
 
 /* The parts that are wanted, and what they need; the others stay as in `known`, of calib_load. */
 MUST_USE err_t calibrate_run(struct watch *w, unsigned parts, double longest_s,

@@ -20,7 +20,12 @@
 #define SECOND INT64_C(1000000000)
 #define WALL_NS INT64_C(1000000000000000000) // 30 years: no machine runs for so long
 
-enum { BUSY_FRAMES = 10, UNUSABLE_MAX = 100 };
+enum {
+    BUSY_FRAMES = 10,
+    UNUSABLE_MAX = 100,
+    GAP_MAX = 64,
+    FLOOR = 24 // display code
+};
 
 /* ---- life ---- */
 
@@ -108,7 +113,9 @@ static void count_sequence(struct watch *w, const struct frame *f)
     c->backward += gap > UINT32_MAX / 2;
     gap = gap == 0 || gap > UINT32_MAX / 2 ? 1 : gap;
     c->lost += (int)gap - 1;
-    c->hidden += timed && dt > ((double)gap + 0.5 + end) * longest;
+    bool jump = timed && dt > ((double)gap + GAP_MAX) * longest;
+    c->jumps += jump;
+    c->hidden += timed && !jump && dt > ((double)gap + 0.5 + end) * longest;
     c->stamps_back += timed && dt <= 0.0;
 }
 
@@ -120,9 +127,9 @@ static void count_frame(struct watch *w, const struct frame *f, int64_t now)
         count_sequence(w, f);
     c->frames++;
     c->flagged += (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
-    c->unstamped += f->timestamp_ns == 0;
+    c->unstamped += f->timestamp_ns <= 0;
     c->stamps_wall += f->timestamp_ns > WALL_NS;
-    if (f->timestamp_ns != 0 && f->timestamp_ns <= WALL_NS) {
+    if (f->timestamp_ns > 0 && f->timestamp_ns <= WALL_NS) {
         c->stamp_early_s = fmin(c->stamp_early_s, late);
         c->stamp_late_s = fmax(c->stamp_late_s, late);
     }
@@ -185,6 +192,20 @@ static err_t fetch(struct watch *w, struct frame *f, struct sight *out)
     }
 }
 
+/* In the dark, noise that cannot go below black, and black that is not 0, look like light. */
+static void doubt_dark(const struct watch *w, struct witness *s)
+{
+    struct crf srgb;
+    crf_srgb(&srgb);
+    float floor = exp2f((w->has_crf ? &w->crf : &srgb)->log2x[1][FLOOR]);
+    for (int i = 0; i < WITNESS_PLACES; i++)
+        if (s->state[i] == WITNESS_GOOD && s->x[i] < floor) {
+            s->state[i] = WITNESS_DARK;
+            s->good--;
+            s->dark++;
+        }
+}
+
 static err_t look_at(struct watch *w, const struct frame *f, struct sight *out)
 {
     err_t e = out->usable ? thin_run(&w->info, f, &w->sample) : OK;
@@ -194,6 +215,8 @@ static err_t look_at(struct watch *w, const struct frame *f, struct sight *out)
     out->usable = out->usable && !e;
     if (out->usable)
         witness_take(&w->sample, w->has_crf ? &w->crf : NULL, &out->seen);
+    if (out->usable && !w->linear)
+        doubt_dark(w, &out->seen);
     return OK;
 }
 
@@ -209,7 +232,7 @@ err_t watch_next(struct watch *w, bool look, struct sight *out)
     return e;
 }
 
-static err_t unusable(const struct watch *w, int n)
+err_t watch_unusable(const struct watch *w, int n)
 {
     return err_fail(ERR_FORMAT, "%s: %d frames in a row cannot be used: %s", w->uri, n,
                     w->count.unreadable ? err_text() : "the camera marks them as bad");
@@ -228,7 +251,7 @@ err_t watch_rest(struct watch *w, int frames, struct sight *out)
         if (out->usable)
             return OK;
         if (++bad == UNUSABLE_MAX)
-            return unusable(w, bad);
+            return watch_unusable(w, bad);
     }
 }
 
@@ -269,7 +292,7 @@ err_t watch_picture(struct watch *w, int frames, uint8_t *rgb)
         w->count.unreadable += e != OK;
         bad += old;
     }
-    return unusable(w, UNUSABLE_MAX);
+    return watch_unusable(w, UNUSABLE_MAX);
 }
 
 err_t watch_drain(struct watch *w)

@@ -11,13 +11,14 @@
 /* Of all frames since open. */
 struct watch_count {
     int frames;
-    int lost;                                // by the sequence
-    int hidden;                              // by the time stamps, and the sequence does not tell
-    int repeated, backward;                  // sequence
-    int flagged;                             // as bad or short, by the device
-    int unreadable, failed;                  // by unpacking; ERR_IO
-    int requests, refused, misread;          // misread: not rounded down to a step
-    int unstamped, stamps_back, stamps_wall; // 0; earlier than before; of CLOCK_REALTIME
+    int lost;                       // by the sequence
+    int hidden;                     // by the time stamps, and the sequence does not tell
+    int repeated, backward;         // sequence
+    int flagged;                    // as bad or short, by the device
+    int unreadable, failed;         // by unpacking; ERR_IO
+    int requests, refused, misread; // misread: not rounded down to a step
+    int unstamped, stamps_back;     // 0 or less; not later than the one before
+    int stamps_wall, jumps;         // of CLOCK_REALTIME; too far ahead for frames that were lost
     double stamp_early_s, stamp_late_s; // arrival less stamp, the least and the most; of the others
     double gain_off, balance_off;       // most that digital gain is off 1, and balance moves
     bool gains_known;
@@ -68,6 +69,9 @@ MUST_USE err_t watch_next(struct watch *w, bool look, struct sight *out);
 /* The first usable frame that is so many frames older than the last request.
  * err:  as watch_next; ERR_FORMAT (100 unusable frames in a row) */
 MUST_USE err_t watch_rest(struct watch *w, int frames, struct sight *out);
+
+/* ERR_FORMAT: n frames in a row, and why. */
+MUST_USE err_t watch_unusable(const struct watch *w, int n);
 
 /* As watch_rest, all of the picture as 8-bit R,G,B; only for display values. */
 MUST_USE err_t watch_picture(struct watch *w, int frames, uint8_t *rgb);
