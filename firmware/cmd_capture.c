@@ -22,6 +22,8 @@
 
 #define SECOND INT64_C(1000000000)
 
+enum { SETTLE_S = 3 }; // at most, until the cameras see something
+
 struct request {
     struct config cfg;
     const char *camera[CMD_TEXTS_MAX];
@@ -99,11 +101,25 @@ static void wait_for(const struct session *s)
     ppoll(fds, (nfds_t)n, &t, NULL);
 }
 
+/* The cameras have only just been opened. */
+static err_t settle(struct session *s)
+{
+    int64_t end = clocks_now() + SETTLE_S * SECOND;
+    err_t e = OK;
+    while (!e && !session_settled(s) && clocks_now() < end && !atomic_load(&engine_cancel)) {
+        wait_for(s);
+        e = session_step(s);
+    }
+    return e;
+}
+
 static err_t run(struct session *s, const struct session_order *o, struct take **out)
 {
     struct progress p;
     struct bracket_progress b = {0};
-    err_t e = session_begin(s, o);
+    err_t e = settle(s);
+    if (!e)
+        e = session_begin(s, o);
     progress_init(&p, stderr);
     while (!e && session_state(s) != SESSION_READY) {
         wait_for(s);

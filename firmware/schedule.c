@@ -2,6 +2,20 @@
 
 #include <math.h>
 
+#define BASE_LONGEST_S 0.1 // as far as darkness drives it
+#define BASE_FACTOR 4.0
+
+double schedule_base(const struct session_view *v, const struct camera_info *info, double now_s)
+{
+    double t = now_s;
+    if (v->clipped > 0.5f)
+        t = fmax(now_s / BASE_FACTOR, info->time_min_s);
+    else if (v->dark > 0.5f)
+        t = fmin(now_s * BASE_FACTOR, fmin(BASE_LONGEST_S, info->time_max_s));
+    bool better = v->clipped > 0.5f ? t < 0.9 * now_s : t > 1.1 * now_s; // not for the rounding
+    return better ? t : 0;
+}
+
 bool schedule_is_metered(const struct session_order *o)
 {
     return o->mode == SESSION_AUTO || !(o->middle_s > 0);

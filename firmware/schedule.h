@@ -6,6 +6,10 @@
 #include "firmware/roll.h"
 #include "firmware/session.h"
 
+/* A better exposure to wait at than now_s, which v was seen at: so that most of the scene is
+ * visible. 0: there is none. */
+double schedule_base(const struct session_view *v, const struct camera_info *info, double now_s);
+
 /* Whether probes are needed: for the exposures, or for the middle one of a list. */
 bool schedule_is_metered(const struct session_order *o);
 

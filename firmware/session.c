@@ -19,11 +19,10 @@
 
 #define SECOND INT64_C(1000000000)
 
-enum { RETRY_S = 1 };
+enum { RETRY_S = 1, SETTLE = 12 }; // s; frames until a request is surely in force
 
 #define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
 #define BASE_S 0.01          // exposure while armed, to begin with
-#define BASE_LONGEST_S 0.1   // as far as darkness drives it
 
 enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND };
 
@@ -34,8 +33,9 @@ struct cam {
     struct take_camera about;
     struct calib calib;
     bool calibrated;
-    struct exposure set; // last request, as read back
-    int64_t retry_ns, viewed_ns, armed_ns;
+    struct exposure set;       // last request, as read back
+    int64_t retry_ns, look_ns; // when to look for it, and at what it sees
+    bool looked;               // since it was armed
     struct session_view view;
     struct meter meter;
     struct meter_result plan;
@@ -174,11 +174,6 @@ void session_close(struct session *s)
 
 /* ---- the machine's wishes ---- */
 
-static const struct crf *crf_of(const struct cam *c)
-{
-    return c->about.has_crf ? &c->about.crf : NULL;
-}
-
 static err_t keep(struct session *s, const struct bracket_action *a, const struct frame *f)
 {
     struct cam *c = &s->cam[a->camera];
@@ -264,7 +259,8 @@ static void look(const struct session *s, struct cam *c, int64_t now)
     size_t n = (size_t)p->w * (size_t)p->h * (p->cfa == RAW_RGB ? 3 : 1);
     int top = (1 << p->bits) - 1, range = top - p->black;
     uint32_t clipped = 0, dark = 0;
-    c->viewed_ns = now;
+    c->look_ns = now + LOOK_NS;
+    c->looked = true;
     c->view.exposure = c->set;
     memset(c->view.histogram, 0, sizeof c->view.histogram);
     for (size_t i = 0; i < n; i++) {
@@ -291,13 +287,13 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
 {
     struct cam *c = &s->cam[i];
     struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
-    bool view = now - c->viewed_ns >= LOOK_NS, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
+    bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
     if (!bad && (shooting(s) || view)) {
         bad = thin_run(&c->about.info, f, &s->sample) != OK;
         if (!bad && view)
             look(s, c, now);
         if (!bad)
-            witness_take(&s->sample, crf_of(c), &s->witness);
+            witness_take(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->witness);
         ev.witness = bad ? NULL : &s->witness;
     }
     if (bad)
@@ -354,8 +350,10 @@ static err_t arm_one(struct session *s, int i, double base_s)
             return e;
         }
     }
-    ev.now_ns = c->armed_ns = clocks_now();
+    ev.now_ns = clocks_now();
     ev.set = c->set;
+    c->looked = false;
+    c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
     return tell(s, &ev, NULL);
 }
 
@@ -371,21 +369,25 @@ static err_t arm(struct session *s)
     return first;
 }
 
-/* While waiting: an exposure that most of the scene is visible at, so that the reference tells
- * something. */
-static err_t adapt(struct session *s, int i, int64_t now)
+static double better_base(const struct cam *c)
+{
+    return schedule_base(&c->view, &c->about.info, c->set.time_s);
+}
+
+static err_t adapt(struct session *s, int i)
 {
     const struct cam *c = &s->cam[i];
-    const struct camera_info *info = &c->about.info;
-    double longest = fmin(BASE_LONGEST_S, info->time_max_s), t = c->set.time_s;
-    if (!c->open || s->phase != PHASE_NONE || s->ready || now - c->armed_ns < SECOND / 2 ||
-        c->viewed_ns - c->armed_ns < SECOND / 2)
-        return OK;
-    if (c->view.clipped > 0.5f && t > info->time_min_s)
-        return arm_one(s, i, t / 4);
-    if (c->view.dark > 0.5f && t < longest)
-        return arm_one(s, i, fmin(4 * t, longest));
-    return OK;
+    bool waits = c->open && c->looked && s->phase == PHASE_NONE && !s->ready;
+    double t = waits ? better_base(c) : 0;
+    return t > 0 ? arm_one(s, i, t) : OK;
+}
+
+bool session_settled(const struct session *s)
+{
+    for (int i = 0; i < s->n; i++)
+        if (!s->cam[i].looked || better_base(&s->cam[i]) > 0)
+            return false;
+    return true;
 }
 
 static err_t find_lost(struct session *s, int64_t now)
@@ -564,6 +566,17 @@ static void fail(struct session *s, const char *why)
     finish(s, false);
 }
 
+/* An unusual curve looks like an exposure that is not obeyed. */
+static const char *advice(const struct session *s, int i, enum bracket_reason r)
+{
+    const struct take_camera *c = &s->cam[i].about;
+    bool known = c->has_crf || thin_kind(&c->info).linear;
+    return r == BRACKET_INEFFECTIVE && !known
+               ? "; unless its response curve is an unusual one, which hdrig calibrate --camera "
+                 "URI measures"
+               : "";
+}
+
 /* Where the machine has come to. */
 static err_t follow(struct session *s, int64_t now)
 {
@@ -579,7 +592,8 @@ static err_t follow(struct session *s, int64_t now)
             int i = 0;
             enum bracket_reason r = bracket_reason(s->machine, &i);
             if (!s->cancelled)
-                snprintf(s->reason, sizeof s->reason, "camera %d: %s", i + 1, bracket_sentence(r));
+                snprintf(s->reason, sizeof s->reason, "camera %d: %s%s", i + 1, bracket_sentence(r),
+                         advice(s, i, r));
             finish(s, false);
         }
     }
@@ -669,7 +683,7 @@ static void describe(struct session *s, struct take *t)
         snprintf(s->reason, sizeof s->reason,
                  "too dark or too bright to prove every exposure by its pixels");
     bool both = s->reason[0] && s->note[0];
-    snprintf(t->reason, sizeof t->reason, "%.120s%s%.120s", s->reason, both ? "; " : "", s->note);
+    snprintf(t->reason, sizeof t->reason, "%.180s%s%.70s", s->reason, both ? "; " : "", s->note);
 }
 
 err_t session_collect(struct session *s, struct take **out)
@@ -778,7 +792,7 @@ err_t session_step(struct session *s)
     if (!e)
         e = follow(s, now);
     for (int i = 0; !e && i < s->n; i++)
-        e = adapt(s, i, now);
+        e = adapt(s, i);
     if (!e && s->lost && s->phase == PHASE_NONE)
         e = find_lost(s, now);
     return e == ERR_NOMEM ? e : OK;

@@ -56,6 +56,10 @@ void session_close(struct session *s); // accepts NULL
 
 enum session_state session_state(const struct session *s);
 
+/* Whether every camera waits at an exposure that it sees something at, as far as that can be: a
+ * bracket that begins earlier may have to say `unverified`. */
+bool session_settled(const struct session *s);
+
 /* Sentence for the user: what it does or waits for. */
 const char *session_status(const struct session *s);
 
