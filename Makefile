@@ -71,7 +71,7 @@ KERNEL := $(filter-out tests/kernel/uvc.c,$(wildcard tests/kernel/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance attend depth gausshead modelfile sample \
-	camera_libcamera
+	camera_libcamera writer
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead gaussians \
 	half layer loss metrics pack pool raster sha256) \
