@@ -109,13 +109,14 @@ static void count_sequence(struct watch *w, const struct frame *f)
     double longest = label_longest_s(l), dt = (double)(f->timestamp_ns - l->stamp_ns) * 1e-9;
     bool end = w->info.stamp == CAMERA_STAMP_END;
     bool timed = f->timestamp_ns > 0 && l->stamp_ns > 0;
+    bool known = l->n > 1 || (l->n == 1 && l->log[0].age_lo > l->doubt); // how long frames are
     c->repeated += gap == 0;
     c->backward += gap > UINT32_MAX / 2;
     gap = gap == 0 || gap > UINT32_MAX / 2 ? 1 : gap;
     c->lost += (int)gap - 1;
-    bool jump = timed && dt > ((double)gap + GAP_MAX) * longest;
+    bool jump = timed && known && dt > ((double)gap + GAP_MAX) * longest;
     c->jumps += jump;
-    c->hidden += timed && !jump && dt > ((double)gap + 0.5 + end) * longest;
+    c->hidden += timed && known && !jump && dt > ((double)gap + 0.5 + end) * longest;
     c->stamps_back += timed && dt <= 0.0;
 }
 

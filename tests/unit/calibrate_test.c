@@ -47,8 +47,9 @@ static int tear_down(void **state)
 
 static const char *camera(const char *options)
 {
-    snprintf(uri, sizeof uri, "sim:kind=room,seed=5,size=56,samples=1,fps=100,clock=virtual%s%s",
-             *options ? "," : "", options);
+    const char *size = strstr(options, "size=") ? "" : "size=34,"; // small ones are quick
+    snprintf(uri, sizeof uri, "sim:kind=room,seed=5,%ssamples=1,shadow=1,fps=100,clock=virtual%s%s",
+             size, *options ? "," : "", options);
     return uri;
 }
 
@@ -82,7 +83,7 @@ static void calibrate(const char *options)
 static void everything_of_a_good_camera(void **state)
 {
     (void)state;
-    calibrate("format=rggb,delay=5,gaindelay=5");
+    calibrate("size=56,format=rggb,delay=5");
     assert_int_equal(c.calib.delay_lo, 5);
     assert_int_equal(c.calib.delay_hi, 5);
     assert_true(c.trials >= 12 && c.unsure == 0);
@@ -120,8 +121,8 @@ static void response_curves(void **state)
         enum curve_family family;
     } of[] = {{"filmic", CURVE_FILMIC}, {"agx", CURVE_AGX}};
     for (int i = 0; i < 2; i++) {
-        char options[32];
-        snprintf(options, sizeof options, "curve=%s", of[i].word);
+        char options[40];
+        snprintf(options, sizeof options, "size=56,curve=%s", of[i].word);
         calibrate(options);
         assert_true(c.calib.has_crf && c.calib.crf.known && c.calib.tolerance == 0.10);
         double off = curve_error(&c.calib.crf, of[i].family);
@@ -136,7 +137,7 @@ static void response_curves(void **state)
 static void parts(void **state)
 {
     (void)state;
-    open_camera("claim=-1");
+    open_camera("size=56,claim=-1");
     assert_int_equal(calibrate_parts(CALIBRATE_LATENCY), OK);
     assert_int_equal(c.parts, CALIBRATE_LATENCY);
     assert_true(c.calib.delay_lo == 2 && c.calib.delay_hi == 2);
@@ -176,10 +177,10 @@ static void delays(void **state)
 static void ranges(void **state)
 {
     (void)state;
-    calibrate("faults=at frame 0 rollover 1500"); // of 20 us
+    calibrate("size=56,faults=at frame 0 rollover 1500"); // of 20 us
     assert_true(c.calib.time_max_s > 0.022 && c.calib.time_max_s < 0.030);
     assert_true(c.calib.time_min_s == w->info.time_min_s && c.seen_max_s <= c.calib.time_max_s);
-    calibrate("curve=agx,faults=at frame 0 quantum 0.001");
+    calibrate("size=56,curve=agx,faults=at frame 0 quantum 0.001");
     assert_true(c.calib.time_min_s > 0.002 && c.calib.time_min_s < 0.008);
     assert_true(c.calib.time_max_s == w->info.time_max_s && c.calib.has_crf);
 }
@@ -201,7 +202,7 @@ static void sentences(void **state)
     refused("longest=20", ERR_LIMIT, "too dark");
     refused("format=rggb,faults=at frame 150 gain 1.004", ERR_LIMIT, "the same exposure differs");
     refused("faults=at frame 3 refuse access 0", ERR_UNSUPPORTED, "permission denied");
-    refused("faults=at frame 60 format", ERR_FORMAT, "28 x 28");
+    refused("faults=at frame 60 format", ERR_FORMAT, "17 x 17");
     refused("faults=at frame 60 unplug", ERR_LOST, "unplugged");
     open_camera("");
     atomic_store(&engine_cancel, true);
@@ -237,7 +238,7 @@ static void expect(const char *options, const char *failing)
 static void a_good_camera_passes(void **state)
 {
     (void)state;
-    expect("curve=filmic", "");
+    expect("size=56,curve=filmic", "");
     for (int i = 0; i < SELFTEST_CHECKS; i++)
         assert_int_equal(t.check[i].result, SELFTEST_PASS);
     assert_true(!t.calibrated && t.measured.calib.has_crf);
