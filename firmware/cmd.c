@@ -1,6 +1,8 @@
 #include "firmware/cmd.h"
+#include "firmware/ctl.h"
 
 #include "drivers/file.h"
+#include "drivers/json.h"
 
 #include <errno.h>
 #include <getopt.h>
@@ -269,4 +271,23 @@ err_t cmd_json_close(FILE *f, const char *path)
         return fflush(f) || ferror(f) ? err_fail(file_code(errno), "stdout: %s", strerror(errno))
                                       : OK;
     return file_finish(f, path);
+}
+
+int cmd_ask(const char *name, const struct config *cfg, const char *line)
+{
+    static char answer[CTL_ANSWER_MAX];
+    struct cJSON *doc = NULL;
+    bool ok = false;
+    err_t e = ctl_ask(cfg->control_socket, line, 0, answer);
+    if (!e)
+        e = json_parse("answer of the daemon", answer, strlen(answer), &doc);
+    if (!e && (!json_truth(json_member(doc, "ok"), &ok) || !ok)) {
+        const char *why = json_string(json_member(doc, "error"));
+        e = err_fail(ERR_IO, "%s", why ? why : "the daemon refuses");
+    }
+    const char *id = json_string(json_member(doc, "id"));
+    if (!e && id)
+        printf("%s/%s\n", cfg->store_path, id);
+    json_free(doc);
+    return cmd_finish(name, e);
 }

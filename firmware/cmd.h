@@ -109,6 +109,9 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
 MUST_USE err_t cmd_json_open(const char *path, FILE **out);
 MUST_USE err_t cmd_json_close(FILE *f, const char *path);
 
+/* Send a line to the daemon (ctl.h); prints the take that it names. Returns an exit code. */
+int cmd_ask(const char *name, const struct config *cfg, const char *line);
+
 /* The commands: argv[0] is the command's name; they return an exit code. */
 int cmd_reconstruct_run(int argc, char **argv);
 int cmd_render_run(int argc, char **argv);

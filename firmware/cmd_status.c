@@ -1,0 +1,60 @@
+/* hdrig status: what the daemon does. */
+#include "firmware/cmd.h"
+#include "firmware/ctl.h"
+
+#include "drivers/json.h"
+
+#include <string.h>
+
+static void print_status(const struct cJSON *doc)
+{
+    const char *state = json_string(json_member(doc, "state"));
+    const char *sentence = json_string(json_member(doc, "sentence"));
+    const struct cJSON *cameras = json_member(doc, "cameras"), *job = json_member(doc, "job");
+    const struct cJSON *takes = json_member(doc, "captures");
+    bool running = false;
+    printf("%s: %s\n", state ? state : "?", sentence ? sentence : "");
+    for (const struct cJSON *c = json_first(cameras); c; c = json_next(c)) {
+        bool there = false;
+        const char *uri = json_string(json_member(c, "uri"));
+        printf("camera   %s%s\n", uri ? uri : "?",
+               json_truth(json_member(c, "present"), &there) && there ? "" : ", not there");
+    }
+    if (json_truth(json_member(job, "running"), &running) && running) {
+        const char *id = json_string(json_member(job, "id"));
+        const char *line = json_string(json_member(job, "line"));
+        printf("job      %s: %s\n", id ? id : "?", line ? line : "");
+    }
+    for (const struct cJSON *t = json_first(takes); t; t = json_next(t)) {
+        double frames = 0;
+        const char *id = json_string(json_member(t, "id"));
+        const char *reason = json_string(json_member(t, "reason"));
+        if (json_number(json_member(t, "frames"), &frames))
+            printf("capture  %s: %.0f frames%s%s\n", id ? id : "?", frames,
+                   reason && *reason ? ", " : "", reason ? reason : "");
+    }
+}
+
+int cmd_status_run(int argc, char **argv)
+{
+    static char answer[CTL_ANSWER_MAX];
+    struct config cfg;
+    struct cJSON *doc = NULL;
+    bool json = false;
+    int code;
+    const struct cmd_option options[] = {
+        {"json", NULL, "everything, as the daemon says it", NULL, NULL, &json},
+    };
+    const struct cmd_usage usage = {"status", "", "What the daemon does.", options, 1};
+    if (!cmd_parse(&usage, argc, argv, &cfg, &code))
+        return code;
+    err_t e = ctl_ask(cfg.control_socket, "status", 10, answer);
+    if (!e)
+        e = json_parse("answer of the daemon", answer, strlen(answer), &doc);
+    if (!e && json)
+        puts(answer);
+    else if (!e)
+        print_status(doc);
+    json_free(doc);
+    return cmd_finish("status", e);
+}
