@@ -4,6 +4,7 @@
 
 #define BASE_LONGEST_S 0.1 // as far as darkness drives it
 #define BASE_FACTOR 4.0
+#define LIMIT 0.01 // beyond the range of the device: the rounding of whoever asks
 
 double schedule_base(const struct session_view *v, const struct camera_info *info, double now_s)
 {
@@ -32,15 +33,34 @@ static void add(struct bracket_plan *p, double time_s)
         p->ask[p->n++] = (struct exposure){time_s, 1};
 }
 
-/* Stops around the middle one, within the limits of the device. */
-static void add_list(const struct session_order *o, const struct camera_info *info,
-                     const struct meter_result *r, struct bracket_plan *out)
+/* Stops around the middle one. */
+static double list_time(const struct session_order *o, const struct meter_result *r, int k)
 {
     double middle = o->middle_s;
     if (schedule_is_metered(o))
         middle = sqrt(r->time_s[0] * r->time_s[r->n - 1]);
+    return middle * exp2(o->ev[k]);
+}
+
+static void add_list(const struct session_order *o, const struct camera_info *info,
+                     const struct meter_result *r, struct bracket_plan *out)
+{
     for (int k = 0; k < o->n; k++)
-        add(out, fmin(fmax(middle * exp2(o->ev[k]), info->time_min_s), info->time_max_s));
+        add(out, fmin(fmax(list_time(o, r, k), info->time_min_s), info->time_max_s));
+}
+
+const char *schedule_limit(const struct session_order *o, const struct camera_info *info,
+                           const struct meter_result *r)
+{
+    for (int k = 0; o->mode == SESSION_LIST && k < o->n; k++) {
+        double t = list_time(o, r, k);
+        if (t < info->time_min_s * (1 - LIMIT) || t > info->time_max_s * (1 + LIMIT))
+            return t < info->time_min_s ? "it has no exposures as short as some of these"
+                                        : "it has no exposures as long as some of these";
+    }
+    if (o->mode == SESSION_LIST || !(r->too_bright || r->too_dark))
+        return NULL;
+    return r->too_bright ? "the scene is too bright for it" : "the scene is too dark for it";
 }
 
 /* A probe that only rest speaks for is taken again, in the company of others. */

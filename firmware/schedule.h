@@ -16,6 +16,10 @@ bool schedule_is_metered(const struct session_order *o);
 /* The most frames that a take of that order keeps of one camera. */
 int schedule_frames(const struct session_order *o);
 
+/* What the device cannot do of that; NULL: nothing. */
+const char *schedule_limit(const struct session_order *o, const struct camera_info *info,
+                           const struct meter_result *r);
+
 /* The plan of one camera. In an automatic bracket, probes that serve as exposures are marked as
  * used and not asked for again. In stagger mode the camera takes one exposure, number `turn` of
  * those of a full bracket, round and round; probes do not count then.

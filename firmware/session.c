@@ -512,13 +512,12 @@ static void finish(struct session *s, bool complete)
     s->phase = PHASE_NONE;
 }
 
-static void note_device_limits(struct session *s)
+static void note_limits(struct session *s)
 {
-    for (int i = 0; i < s->n && s->order.mode == SESSION_AUTO && !s->note[0]; i++) {
-        const struct cam *c = &s->cam[i];
-        if (c->plan.too_bright || c->plan.too_dark)
-            snprintf(s->note, sizeof s->note, "camera %d: the scene is too %s for it", i + 1,
-                     c->plan.too_bright ? "bright" : "dark");
+    for (int i = 0; i < s->n && s->complete && !s->note[0]; i++) {
+        const char *limit = schedule_limit(&s->order, &s->cam[i].about.info, &s->cam[i].plan);
+        if (limit)
+            snprintf(s->note, sizeof s->note, "camera %d: %s", i + 1, limit);
     }
 }
 
@@ -673,7 +672,7 @@ static void describe(struct session *s, struct take *t)
     t->frames_used = s->frames_used;
     t->rejected = s->rejected;
     t->skew_s = take_skew_s(t);
-    note_device_limits(s);
+    note_limits(s);
     if (s->complete && s->order.skew_s > 0 && t->skew_s > s->order.skew_s) {
         t->status = TAKE_ABORTED;
         snprintf(s->reason, sizeof s->reason, "cameras were %.3g s apart, bracket.skew_ms is %.3g",
