@@ -1,7 +1,8 @@
 /* What a frame is, from three witnesses (capture notes 3.2, 4.5).
  *
  * Requests. Each has an age, an interval in frames: at every frame it grows by the gap of sequence
- * numbers, if time stamps agree, else by all that either allows. Entry i of the log may be in
+ * numbers, if time stamps agree, else by all that either allows. Its lower end does not grow by
+ * frames that are older than the request by their stamps. Entry i of the log may be in
  * force if it is `lo` frames old and entry i + 1 is not yet `hi` frames old (strict); `doubt`
  * bounds how wrong the promised delay may be (wide).
  * Pixels. The exposure is that of an anchor times the median ratio at the same places. Anchors
@@ -28,7 +29,7 @@ enum {
 #define MEDIAN_ERROR 1.855 // 1.25 / 0.674
 #define REPORT 0.005       // W1: 0.5 %
 #define SAME 0.005         // stops
-#define LATE_S 3.0         // stamps older than this and two frames are of another clock
+#define LATE_S 1.0         // stamps older than this and two frames are of another clock
 
 double label_stops(const struct exposure *e)
 {
@@ -181,6 +182,15 @@ static void gap_of(const struct label *l, const struct frame *f, int *lo, int *h
     *hi = agree || (int)gap > *hi ? (int)gap : *hi;
 }
 
+/* W3: a frame that began before the request, or even ended, and waited to be seen since. No more
+ * than all buffers can wait. */
+static int oldest(const struct label *l, const struct label_request *r, const struct frame *f)
+{
+    double before = l->sane ? seconds(f->timestamp_ns, r->asked_ns) : -1.0;
+    int age = before < 0.0 ? r->age_lo : before < l->cfg.period_s ? 0 : -1;
+    return age > r->age_hi - CAMERA_BUFFERS_MAX ? age : r->age_hi - CAMERA_BUFFERS_MAX;
+}
+
 int label_advance(struct label *l, const struct frame *f, int64_t now_ns)
 {
     int lo = 1, hi = 1;
@@ -193,8 +203,11 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns)
     l->sequence = f->sequence;
     l->stamp_ns = f->timestamp_ns;
     for (int i = 0; i < l->n; i++) {
-        l->log[i].age_lo = l->log[i].age_lo + lo < AGE_MAX ? l->log[i].age_lo + lo : AGE_MAX;
-        l->log[i].age_hi = l->log[i].age_hi + hi < AGE_MAX ? l->log[i].age_hi + hi : AGE_MAX;
+        struct label_request *r = &l->log[i];
+        r->age_hi = r->age_hi + hi < AGE_MAX ? r->age_hi + hi : AGE_MAX;
+        r->age_lo = r->age_lo + lo < AGE_MAX ? r->age_lo + lo : AGE_MAX;
+        int most = oldest(l, r, f);
+        r->age_lo = most < r->age_lo ? most : r->age_lo;
     }
     int gone = 0; // beyond doubt: a long frame may still run if frames were lost
     while (gone + 1 < l->n && l->log[gone + 1].age_lo >= 2 * l->doubt)

@@ -598,6 +598,25 @@ static void test_backlog(void **state)
     rig_close();
 }
 
+/* Whoever takes the frames is now and then late by some: still pipelined. */
+static void test_late_host(void **state)
+{
+    (void)state;
+    int frames = 0;
+    for (int seed = 0; seed < 50; seed++) {
+        struct sim_camera *c = rig_plain();
+        rig.sim.random = (uint64_t)seed;
+        c->report = SIM_SILENT;
+        c->lag = 0.1;
+        assert_int_equal(rig_shoot(), BRACKET_NONE);
+        assert_complete(BRACKET_REPORTED + 1);
+        assert_int_equal(c->forgotten, 0);
+        frames += rig.sim.frames;
+        rig_close();
+    }
+    assert_in_range(frames, 50 * (3 + 2 + 1), 50 * (3 + 2 + 6));
+}
+
 static void test_many_cameras(void **state)
 {
     (void)state;
@@ -685,15 +704,15 @@ static int make_noise(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_frames_used),  cmocka_unit_test(test_states),
-        cmocka_unit_test(test_cancel),       cmocka_unit_test(test_bad_arguments),
-        cmocka_unit_test(test_reasons),      cmocka_unit_test(test_reasons_of_devices),
-        cmocka_unit_test(test_odd_frames),   cmocka_unit_test(test_lamp),
-        cmocka_unit_test(test_stall),        cmocka_unit_test(test_long),
-        cmocka_unit_test(test_blind),        cmocka_unit_test(test_hearsay),
-        cmocka_unit_test(test_flash),        cmocka_unit_test(test_backlog),
-        cmocka_unit_test(test_many_cameras), cmocka_unit_test(test_clock),
-        cmocka_unit_test(test_repeats),
+        cmocka_unit_test(test_frames_used), cmocka_unit_test(test_states),
+        cmocka_unit_test(test_cancel),      cmocka_unit_test(test_bad_arguments),
+        cmocka_unit_test(test_reasons),     cmocka_unit_test(test_reasons_of_devices),
+        cmocka_unit_test(test_odd_frames),  cmocka_unit_test(test_lamp),
+        cmocka_unit_test(test_stall),       cmocka_unit_test(test_long),
+        cmocka_unit_test(test_blind),       cmocka_unit_test(test_hearsay),
+        cmocka_unit_test(test_flash),       cmocka_unit_test(test_backlog),
+        cmocka_unit_test(test_late_host),   cmocka_unit_test(test_many_cameras),
+        cmocka_unit_test(test_clock),       cmocka_unit_test(test_repeats),
     };
     return cmocka_run_group_tests(tests, make_noise, NULL);
 }
