@@ -128,11 +128,11 @@ bool network_shipped(char path[FILE_PATH_CAP])
 
 /* ---- cameras alone ---- */
 
-static struct net geometry_of(const struct network *n)
+static struct net geometry_of(const struct network *n, bool attend)
 {
     struct net net = n->net;
     net.d.gauss = false;
-    net.attend = true;
+    net.attend = attend;
     return net;
 }
 
@@ -165,11 +165,11 @@ static err_t reduce(const struct run *r, const struct views *v, int size, struct
     return e;
 }
 
-err_t network_look(const struct run *r, const struct network *n, const struct views *v,
+err_t network_look(const struct run *r, const struct network *n, bool attend, const struct views *v,
                    struct prediction *out)
 {
     const int size = look_size(n, v->size);
-    const struct net net = geometry_of(n);
+    const struct net net = geometry_of(n, attend);
     struct views small = *v;
     err_t e = size == v->size ? OK : reduce(r, v, size, &small);
     if (!e)
@@ -183,7 +183,7 @@ void network_look_plan(const struct network *n, const struct views *v, int threa
                        size_t *tmp)
 {
     const int size = look_size(n, v->size);
-    const struct net net = geometry_of(n);
+    const struct net net = geometry_of(n, true);
     const struct shot one = shot_of(v, 0);
     const struct capture c = {1, (struct shot *)(uintptr_t)&one};
     size_t more, work;

@@ -59,13 +59,14 @@ double network_seconds(const struct network_clock *clock, const char *const *nam
 
 /* ---- cameras alone ---- */
 
-/* Cameras of all views, their depth and where patches are found in other views, without Gaussians.
+/* Cameras of all views, their depth and, if attend, where patches are found in other views, without
+ * Gaussians.
  * Views larger than those that the network was trained for are reduced: what comes of it is only a
  * start.
  * out:  geom.cams for v->size; depth and matches of the size that the network saw.
  * err:  those of prep_run and net_run; ERR_NOMEM (see network_look_plan). */
-MUST_USE err_t network_look(const struct run *r, const struct network *n, const struct views *v,
-                            struct prediction *out);
+MUST_USE err_t network_look(const struct run *r, const struct network *n, bool attend,
+                            const struct views *v, struct prediction *out);
 void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
                        size_t *tmp);
 

@@ -214,7 +214,7 @@ static err_t forward(const struct run *r, const struct job_config *cfg, struct j
     struct run timed = network_timed(r, &clock);
     net.d.gauss = takes_gaussians(cfg);
     net.attend = locates(r, cfg, out);
-    err_t e = looks(cfg) ? network_look(&timed, n, &out->views, p)
+    err_t e = looks(cfg) ? network_look(&timed, n, net.attend, &out->views, p)
                          : net_run(&timed, &net, &out->views, p);
     network_clock_stop(&clock);
     file_drop(&n->file.map); // not needed again

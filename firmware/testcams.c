@@ -118,7 +118,7 @@ static err_t locate(const struct run *r, const struct job_config *cfg, const str
     struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
     const bool polish = cfg->polish || !cfg->network;
-    err_t e = cfg->network ? network_look(r, cfg->network, all, &p) : OK;
+    err_t e = cfg->network ? network_look(r, cfg->network, polish, all, &p) : OK;
     *out = p.geom.cams;
     if (e || !polish)
         return e;

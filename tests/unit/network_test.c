@@ -8,6 +8,8 @@
 #include "firmware/engine.h"
 #include "firmware/network.h"
 
+#include "tests/unit/small_model.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -279,6 +281,38 @@ static void display_colours_become_radiance(void **state)
     }
 }
 
+/* ---- cameras alone ---- */
+
+static void correspondences_are_sought_if_asked(void **state)
+{
+    (void)state;
+    static struct small_model m;
+    static struct engine en;
+    static uint8_t rgb[2 * 3 * 42 * 42];
+    struct network n = {0};
+    struct prediction p;
+    const struct views v = {.n = 2,
+                            .size = 42,
+                            .rgb = rgb,
+                            .log2t = (float[2]){0, 0},
+                            .names = (char[2][NAME_CAP]){""}};
+    size_t keep, tmp;
+    for (size_t i = 0; i < sizeof rgb; i++)
+        rgb[i] = (uint8_t)(i * 37 % 251);
+    small_model_init(&m, &small_model_tiny, PRECISION_F32);
+    assert_int_equal(net_bind(&m.model, 0, &n.net), OK);
+    assert_int_equal(engine_open(&en, 1), OK);
+    network_look_plan(&n, &v, 1, &keep, &tmp);
+    assert_int_equal(engine_reserve(&en, 0, 2 * keep, tmp, 1000), OK);
+    for (int attend = 0; attend < 2; attend++) {
+        assert_int_equal(network_look(&en.run, &n, attend, &v, &p), OK);
+        assert_true(!p.matches.token == !attend);
+        assert_non_null(p.geom.cams);
+    }
+    engine_close(&en);
+    small_model_free(&m);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -286,6 +320,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(known_cameras_see_what_the_network_saw, setup, teardown),
         cmocka_unit_test_setup_teardown(cells_grow_until_they_fit, setup, teardown),
         cmocka_unit_test(radiance_is_shown_as_it_is),
+        cmocka_unit_test(correspondences_are_sought_if_asked),
         cmocka_unit_test_setup_teardown(display_colours_become_radiance, setup, teardown),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
