@@ -13,7 +13,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libmicrohttpd-dev libsystemd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
-DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod xz-utils
+DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa xz-utils
 
 VERSION := 0.5.0
 PREFIX ?= /usr/local
@@ -209,7 +209,7 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
-check-kernel: deps-kernel $(TOOLS) $(call programs,$(KERNEL))
+check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(KERNEL))
 	@tests/kernel/run.sh $(B)/tests/kernel $(TEST)
 
 tests: $(call programs,$(TESTS) $(E2E))

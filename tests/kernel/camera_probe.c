@@ -11,6 +11,7 @@
 
 #include "drivers/camera.h"
 #include "drivers/unpack.h"
+#include "firmware/backends.h"
 
 #include <errno.h>
 #include <fcntl.h>
@@ -219,10 +220,12 @@ static int wish(struct camera_cfg *cfg, char **argv, int i)
 
 int main(int argc, char **argv)
 {
-    struct probe p = {.ops = &camera_v4l2};
+    struct probe p = {0};
     if (argc < 2)
         return 3;
     setvbuf(stdout, NULL, _IOLBF, 0);
+    if (backends_camera(argv[1], &p.ops))
+        return 3;
     p.st = malloc(p.ops->state_bytes);
     p.cfg.uri = argv[1];
     int i = wish(&p.cfg, argv, 2);

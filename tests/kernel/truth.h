@@ -1,7 +1,7 @@
 /* truth.h - what a frame of usbcam really is, written into its first bytes: over the pixels, or as
  * a comment of the JPEG. */
-#ifndef TESTS_KERNEL_TRUTH_H
-#define TESTS_KERNEL_TRUTH_H
+#ifndef KERNEL_TRUTH_H
+#define KERNEL_TRUTH_H
 
 #include <stdbool.h>
 #include <stddef.h>

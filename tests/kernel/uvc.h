@@ -1,8 +1,8 @@
 /* uvc.h - the USB side of a video camera: its descriptors and the requests to its controls (USB
  * Device Class Definition for Video Devices 1.1). No I/O.
  * thread: one. */
-#ifndef TESTS_KERNEL_UVC_H
-#define TESTS_KERNEL_UVC_H
+#ifndef KERNEL_UVC_H
+#define KERNEL_UVC_H
 
 #include "drivers/camera.h"
 

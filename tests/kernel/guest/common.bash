@@ -44,11 +44,11 @@ between() { # what got least most
     { [ "$2" -ge "$3" ] && [ "$2" -le "$4" ]; } || fail "$1: $2, not $3..$4"
 }
 
-# probe_camera STATUS NODE OPERATION...: what camera_probe tells is printed and in the file `seen`.
+# probe_camera STATUS URI OPERATION...: what camera_probe tells is printed and in the file `seen`.
 probe_camera() {
-    local rc=0 wanted=$1 node=$2
+    local rc=0 wanted=$1 uri=$2
     shift 2
-    "$BIN/camera_probe" "v4l2:$node" "$@" >seen || rc=$?
+    "$BIN/camera_probe" "$uri" "$@" >seen || rc=$?
     cat seen
     [ $rc = "$wanted" ] || fail "the probe ended with $rc, not $wanted"
 }

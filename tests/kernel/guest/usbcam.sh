@@ -21,7 +21,7 @@ pull() {
 }
 
 probe() {
-    probe_camera "$1" $node "${@:2}"
+    probe_camera "$1" v4l2:$node "${@:2}"
 }
 
 echo "== exposures come when they may, and stay; automatic exposure does not"

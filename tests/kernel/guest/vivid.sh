@@ -29,7 +29,7 @@ colours() { # format node
 echo "== formats: white, black, red and blue are what they should be"
 for node in /dev/video0 /dev/video1; do
     for format in yuyv nv12 rgb8 bgr8 grey grey16 rggb16 bggr16 grbg16 gbrg16; do
-        probe_camera 0 $node 640x360 $format control $text=2 control $pattern=6 frames 6 \
+        probe_camera 0 v4l2:$node 640x360 $format control $text=2 control $pattern=6 frames 6 \
             control $pattern=5 frames 6 control $pattern=7 frames 6 control $pattern=9 frames 6 \
             control $pattern=6
         expect "$node has $format" "$(head -n 1 seen | cut -d ' ' -f 2-4,7)" "640 x 360 $format"
@@ -40,29 +40,29 @@ done
 
 echo "== sizes"
 for size in 320x180 1280x720 1920x1080 3840x2160; do
-    probe_camera 0 /dev/video0 $size yuyv frames 3
+    probe_camera 0 v4l2:/dev/video0 $size yuyv frames 3
     expect "size" "$(head -n 1 seen | cut -d ' ' -f 2-4 | tr -d ' ')" $size
 done
-probe_camera 2 /dev/video0 641x361 yuyv
-probe_camera 2 /dev/video0 mjpg
+probe_camera 2 v4l2:/dev/video0 641x361 yuyv
+probe_camera 2 v4l2:/dev/video0 mjpg
 
 echo "== an exposure cannot be asked for, since it has none"
-probe_camera 0 /dev/video0 frames 1 ask 10000 frames 2
+probe_camera 0 v4l2:/dev/video0 frames 1 ask 10000 frames 2
 expect "refused" "$(count 'error -8')" 1
 
 echo "== opened 20 times"
-probe_camera 0 /dev/video0 reopen 20
+probe_camera 0 v4l2:/dev/video0 reopen 20
 expect "opened" "$(count 'opened 20 of 20 times')" 1
-probe_camera 0 /dev/video1 reopen 20
+probe_camera 0 v4l2:/dev/video1 reopen 20
 expect "opened" "$(count 'opened 20 of 20 times')" 1
 
 echo "== lost buffers leave gaps" # which ones is up to the kernel's random numbers
-probe_camera 0 /dev/video0 320x180 control $dropped=40 frames 50 >/dev/null
+probe_camera 0 v4l2:/dev/video0 320x180 control $dropped=40 frames 50 >/dev/null
 between "gaps" "$(($(count 'frame +') - $(count 'frame +1 ')))" 5 40
 "$BIN/camera_probe" v4l2:/dev/video0 control $dropped=0 >/dev/null
 
 inject() { # control operation...
-    probe_camera "$1" /dev/video0 320x180 frames 3 control "$2=1" "${@:3}"
+    probe_camera "$1" v4l2:/dev/video0 320x180 frames 3 control "$2=1" "${@:3}"
 }
 
 echo "== a bad buffer"
@@ -73,7 +73,7 @@ inject 0 0x00f0f043 reopen 3
 expect "errors" "$(count error)" 1
 expect "opened" "$(count 'opened 2 of 3 times')" 1
 echo "== VIDIOC_QBUF fails"
-probe_camera 0 /dev/video0 320x180 $(for _ in 1 2 3 4 5 6; do
+probe_camera 0 v4l2:/dev/video0 320x180 $(for _ in 1 2 3 4 5 6; do
     echo control 0x00f0f044=1 frames 3
 done) frames 4
 expect "frames" "$(($(count ' flags 0 ')))" 22
@@ -89,6 +89,6 @@ for _ in 1 2 3; do
     inject 1 0x00f0f041 frames 8
     expect "lost" "$(tail -n 1 seen | cut -d : -f 1)" "error -7"
     await "camera again" test -e /dev/video0
-    probe_camera 0 /dev/video0 320x180 frames 2
+    probe_camera 0 v4l2:/dev/video0 320x180 frames 2
 done
 unload vivid
