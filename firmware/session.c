@@ -777,13 +777,15 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 
 err_t session_step(struct session *s)
 {
+    // only what had not come by now is late: looking at the others takes time
+    int64_t now = clocks_now();
+    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
         e = drain(s, i);
-    int64_t now = clocks_now();
-    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     if (!e && now >= bracket_deadline(s->machine))
         e = tell(s, &tick, NULL);
+    now = clocks_now();
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());
         e = OK;
