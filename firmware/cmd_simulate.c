@@ -63,7 +63,7 @@ static err_t read_exposures(const char *text, struct dataset_ask *a)
 
 static err_t read_scene(const struct request *rq, struct dataset_ask *a)
 {
-    double views = 9, spread = 0.3, fov = 60, samples = 4;
+    double views = 9, spread = 0.3, fov = 60, samples = 6;
     err_t e = read_number("--views", rq->views, 2, 32, &views);
     if (!e)
         e = read_number("--spread", rq->spread, 0, 1, &spread);
@@ -78,7 +78,9 @@ static err_t read_scene(const struct request *rq, struct dataset_ask *a)
                                     .spread = (float)spread,
                                     .fov_deg = (float)fov,
                                     .jitter = rq->free_hand,
-                                    .quality = {(int)samples, 4}};
+                                    .quality = {.samples = (int)samples}};
+    /* rays through other points of the pixel serve its edges and its shadows */
+    a->sample.quality.shadow = samples < 4 ? 4 / (int)samples : 1;
     if (!e && rq->kind)
         e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     return e;
@@ -173,7 +175,7 @@ int cmd_simulate_run(int argc, char **argv)
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
         {"noise-free", NULL, "an ideal sensor", NULL, NULL, &rq.noise_free},
-        {"samples", "N", "rays per pixel and axis, 1..8 (4)", NULL, &rq.samples, NULL},
+        {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
         CMD_SIZE,
         CMD_THREADS,
         CMD_MEMORY,
