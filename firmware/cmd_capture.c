@@ -115,32 +115,61 @@ static err_t run(struct session *s, const struct session_order *o, struct take *
     return e;
 }
 
-/* A store of its own beside DIR, whose only take becomes DIR. */
-static err_t publish(const struct take *t, const char *dir, const struct config *cfg)
+/* ---- a store of its own beside DIR, whose only take becomes DIR ---- */
+
+struct outlet {
+    struct store *store;
+    char path[FILE_PATH_CAP];
+};
+
+static err_t outlet_open(const char *dir, const struct config *cfg, struct outlet *o)
 {
-    char parent[FILE_PATH_CAP], own[FILE_PATH_CAP], from[FILE_PATH_CAP], counter[FILE_PATH_CAP];
-    char id[STORE_ID_CAP], name[32];
-    struct store *s = NULL;
-    if (strlen(dir) >= sizeof parent)
-        return err_fail(ERR_ARG, "--out: longer than %zu bytes", sizeof parent - 1);
-    strcpy(parent, dir);
-    memmove(parent, dirname(parent), strlen(dirname(parent)) + 1);
+    char copy[FILE_PATH_CAP], name[32];
+    if (file_exists(dir))
+        return err_fail(ERR_ARG, "--out: %s is there already", dir);
+    if (strlen(dir) >= sizeof copy)
+        return err_fail(ERR_ARG, "--out: longer than %zu bytes", sizeof copy - 1);
+    strcpy(copy, dir);
+    const char *parent = dirname(copy);
+    if (!file_exists(parent))
+        return err_fail(ERR_IO, "--out: %s: there is no folder %s", dir, parent);
     snprintf(name, sizeof name, ".hdrig-%d", (int)getpid());
-    err_t e = file_join(parent, name, own);
-    struct store_config c = {own, (uint64_t)cfg->store_reserve_mb * 1000000, cfg->store_merge, 0};
+    err_t e = file_join(parent, name, o->path);
+    struct store_config c = {o->path, (uint64_t)cfg->store_reserve_mb * 1000000, cfg->store_merge,
+                             0};
+    return e ? e : store_open(&c, &o->store);
+}
+
+/* Whether there is room for a take of that order, before it is taken. */
+static err_t outlet_room(const struct outlet *out, const struct session *s,
+                         const struct session_order *o)
+{
+    uint64_t need = 0;
+    for (int i = 0; i < session_cameras(s); i++)
+        need += store_need(out->store, &session_camera(s, i)->info, schedule_frames(o));
+    return store_room(out->store, need);
+}
+
+static err_t outlet_commit(const struct outlet *o, const struct take *t, const char *dir)
+{
+    char from[FILE_PATH_CAP], id[STORE_ID_CAP];
+    err_t e = store_commit(o->store, t, id);
     if (!e)
-        e = store_open(&c, &s);
-    if (!e)
-        e = store_commit(s, t, id);
-    if (!e)
-        e = file_join(own, id, from);
-    store_close(s);
+        e = file_join(o->path, id, from);
     if (!e && renameat2(AT_FDCWD, from, AT_FDCWD, dir, RENAME_NOREPLACE) != 0)
         e = err_fail(ERR_IO, "%s: %s", dir, strerror(errno));
-    if (file_join(own, "counter", counter) == OK)
-        unlink(counter);
-    rmdir(own);
     return e;
+}
+
+static void outlet_close(struct outlet *o)
+{
+    char counter[FILE_PATH_CAP];
+    if (!o->store)
+        return;
+    store_close(o->store);
+    if (file_join(o->path, "counter", counter) == OK)
+        unlink(counter);
+    rmdir(o->path);
 }
 
 static void tell(const struct take *t, const char *dir)
@@ -160,16 +189,20 @@ static err_t capture(const struct request *q)
 {
     struct session *s = NULL;
     struct session_order o;
+    struct outlet out = {0};
     struct take *t = NULL;
     err_t e = make_order(q, &o);
-    if (!e && file_exists(q->out))
-        e = err_fail(ERR_ARG, "--out: %s is there already", q->out);
+    if (!e)
+        e = outlet_open(q->out, &q->cfg, &out);
     if (!e)
         e = open_cameras(q, &s);
     if (!e)
+        e = outlet_room(&out, s, &o);
+    if (!e)
         e = run(s, &o, &t);
     if (!e)
-        e = publish(t, q->out, &q->cfg);
+        e = outlet_commit(&out, t, q->out);
+    outlet_close(&out);
     if (!e)
         tell(t, q->out);
     take_free(t);
