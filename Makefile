@@ -187,7 +187,7 @@ deb: all
 
 demo: all
 	@echo "a simulated room, photographed by a rig of 9 cameras at three exposures"
-	@build/hdrig simulate --kind room --seed $(DEMO) --views 9 --size 336 --samples 2 \
+	@build/hdrig simulate --kind room --seed $(DEMO) --views 9 --size 336 --samples 4 \
 	    --out out/rig
 	@echo "becomes an HDR scene; where the cameras stood is not told"
 	@build/hdrig reconstruct --images out/rig --rig none --size 336 --refine 400 --out out/latest
