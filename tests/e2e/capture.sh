@@ -151,7 +151,8 @@ honest "$ineffective|reports" steps "$FAST,faults=at frame 0 quantum 0.003"
 honest "$relit" relit "$FAST,metadata=absent,faults=at frame 18 digital 2" \
     --bracket -3,-2,-1,0,1,2,3 --middle 0.004
 honest "$relit" twice \
-    "$FAST,metadata=absent,faults=at frame 18 digital 2;at frame 40 digital 5" --bracket -3,-2,-1,0,1,2,3 --middle 0.004
+    "$FAST,metadata=absent,faults=at frame 18 digital 2;at frame 40 digital 5" \
+    --bracket -3,-2,-1,0,1,2,3 --middle 0.004
 honest "$relit|$ineffective" drift "$FAST,faults=at frame 12 gain 1.02"
 factor=
 refused 'digital gain' digital "$FAST,faults=at frame 3 digital 2"
@@ -177,8 +178,8 @@ expect 1 '--bracket' capture --camera "$(sim bad $FAST)" --out "$TAKES/bad" \
     --bracket 0,1,2,3,4,5,6,7,8,9
 expect 1 '--middle' capture --camera "$(sim bad $FAST)" --out "$TAKES/bad" --middle 0
 expect 1 'there is no folder' capture --camera "$(sim bad $FAST)" --out "$OUT/nowhere/bad"
-expect 3 'bytes.* are to stay free, there is room for' capture --camera "$(sim bad $FAST)" --out "$TAKES/bad" \
-    --set store.reserve_mb=1048576
+expect 3 'bytes.* are to stay free, there is room for' capture \
+    --camera "$(sim bad $FAST)" --out "$TAKES/bad" --set store.reserve_mb=1048576
 
 # ---- Ctrl-C in an exposure of a minute
 "$HDRIG" capture --camera "$(sim stopped $FAST,$MINUTE)" --out "$TAKES/bad" \
