@@ -7,7 +7,7 @@ cd "$(dirname "$0")/../.."
 root=$PWD
 bin=$root/$1
 shift
-limit=${LIMIT:-300} # seconds of the machine, for one that hangs
+limit=${LIMIT:-600} # seconds of the machine, for one that hangs
 made=$(tests/kernel/build.sh) || exit 1
 [ $# -gt 0 ] || set -- $(cd tests/kernel/guest && ls ./*.sh | sed 's/^\.\/\(.*\)\.sh$/\1/' |
     grep -vx init)

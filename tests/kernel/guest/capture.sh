@@ -55,7 +55,9 @@ press() { # with bounce
 }
 
 takes() {
-    find store -maxdepth 1 -name '????????-??????' | wc -l
+    local all=(store/????????-??????)
+    [ -e "${all[0]}" ] || all=()
+    echo ${#all[@]}
 }
 
 stored() { # number
@@ -63,9 +65,10 @@ stored() { # number
 }
 
 lit() { # whether the lamp is lit steadily
-    local i
+    local i v
     for ((i = 0; i < 30; i++)); do
-        [ "$(cat $lines/sim_gpio5/value)" = 1 ] || return
+        read -r v <$lines/sim_gpio5/value
+        [ "$v" = 1 ] || return
         nap 0.02
     done
 }
