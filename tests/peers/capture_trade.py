@@ -2,9 +2,9 @@
 """What the number of exposures costs and brings: the metered set of `hdrig capture` against fixed
 ones, on simulated worlds, from the simulated camera to the scene. One table (stdout, markdown).
 
-    tests/peers/capture_trade.py --worlds room:1,room:2,dark:3 --work DIR [--steps 300]
+    tests/peers/capture_trade.py --work DIR [--worlds room:1,room:2,dark:3] [--steps 300]
 
-Every place of the rig takes each set by itself, in real time at 30 frames a second. `hdrig simulate`
+Every place of the rig takes each set by itself, in real time, 30 frames a second. `hdrig simulate`
 photographs the same world from the same places and from those between, which are held out; its unit
 of exposure is found by comparing pictures. Cameras are the true ones, so that only the exposures
 differ. Fixed sets lie around the middle exposure of the world, 18 % grey, 2 stops apart; of the
