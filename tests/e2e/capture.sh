@@ -160,10 +160,11 @@ refused 'unplugged' unplugged "$FAST,faults=at frame 20 unplug"
 seq 30 280 | sed 's/.*/at frame & error/' >"$OUT/torn.txt"
 refused 'lost or damaged' torn "$FAST,faults=$OUT/torn.txt"
 refused 'does not take the exposure' busy "$FAST,faults=at frame 14 refuse busy 0"
-for curve in filmic agx; do
-    honest "$ineffective; unless its response curve is an unusual one.*hdrig calibrate" $curve \
-        $INSTANT,size=112,curve=$curve --bracket -6,-3,0,3 --middle 0.004
-done
+refused "$ineffective; unless its response curve is an unusual one.*hdrig calibrate" filmic \
+    $FAST,curve=filmic
+succeed calibrate --camera "$(sim filmic $FAST,curve=filmic)" --longest 0.1 --out "$OUT/calibration"
+complete calibrated $FAST,curve=filmic --set calibration.path="$OUT/calibration"
+[ "$(figure tolerance_stops)" = 0.1 ] || fail "calibrated: the curve is not used"
 
 # ---- bad input
 expect 1 'no such|cannot|not there' capture --camera v4l2:/dev/video99 --out "$TAKES/bad"
@@ -207,7 +208,8 @@ succeed capture "${rig[@]}" --bracket -4,0,4 --middle 0.004 --out "$TAKES/rig"
 succeed capture "${rig[@]}" --stagger --bracket -4,0,4 --middle 0.004 --out "$TAKES/staggered"
 [ "$(ls "$TAKES/staggered/images" | wc -l)" -eq 4 ] || fail "staggered: not four pictures"
 for take in "$TAKES/rig" "$TAKES/staggered"; do
-    "$HDRIG" reconstruct --images "$take" --size 112 --refine 0 --out "$OUT/scene" 2>"$ERR" ||
+    "$HDRIG" reconstruct --images "$take" --size 112 --refine 0 --out "$OUT/scene" \
+        >"$OUT/stdout.txt" 2>"$ERR" ||
         grep -Eq 'cameras cannot be found' "$ERR" || fail "${take##*/}: $(tail -n 1 "$ERR")"
 done
 
