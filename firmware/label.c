@@ -187,7 +187,7 @@ static void gap_of(const struct label *l, const struct frame *f, int *lo, int *h
 static int oldest(const struct label *l, const struct label_request *r, const struct frame *f)
 {
     double before = l->sane ? seconds(f->timestamp_ns, r->asked_ns) : -1.0;
-    int age = before < 0.0 ? r->age_lo : before < l->cfg.period_s ? 0 : -1;
+    int age = before < 0.0 ? AGE_MAX : before < l->cfg.period_s ? 0 : -1;
     return age > r->age_hi - CAMERA_BUFFERS_MAX ? age : r->age_hi - CAMERA_BUFFERS_MAX;
 }
 
@@ -232,7 +232,7 @@ bool label_unsteady(const struct label *l)
 void label_narrow(struct label *l, const struct label_look *k)
 {
     const struct label_request *e = &l->log[k->entry];
-    if (!l->guess || e->index == LABEL_BASE || !k->unique)
+    if (!l->guess || e->index == LABEL_BASE)
         return;
     int lo = k->entry + 1 < l->n ? e[1].age_lo + 1 : 0, hi = e->age_hi;
     l->lo = lo > l->lo ? lo : l->lo;
@@ -395,17 +395,14 @@ static const struct candidate *nearest(const struct candidate *c, int n, bool st
     return best;
 }
 
-/* Other candidates with an exposure that could be taken for it, by the pixels, or at all if they
- * tell nothing; or (twins) with the same one. */
-static int rivals(const struct label *l, const struct candidate *c, int n,
-                  const struct candidate *best, bool twins)
+/* Another exposure that could be taken for it. */
+static bool has_rival(const struct label *l, const struct candidate *c, int n,
+                      const struct candidate *best)
 {
-    int found = 0;
-    for (int i = 0; i < n; i++) {
-        bool same = fabs(c[i].stops - best->stops) <= 0.5 * l->cfg.tolerance;
-        found += c[i].strict && c[i].fits && same == twins && &c[i] != best;
-    }
-    return found;
+    for (int i = 0; i < n; i++)
+        if (c[i].strict && c[i].fits && fabs(c[i].stops - best->stops) > 0.5 * l->cfg.tolerance)
+            return true;
+    return false;
 }
 
 void label_look(const struct label *l, const struct frame *f, const struct witness *w,
@@ -424,8 +421,7 @@ void label_look(const struct label *l, const struct frame *f, const struct witne
         return;
     out->entry = pick->entry;
     out->exposure = pick->exposure;
-    out->unique = best && rivals(l, c, n, best, true) == 0;
-    if (best && rivals(l, c, n, best, false) > 0)
+    if (best && has_rival(l, c, n, best))
         out->verdict = LABEL_UNDECIDED;
     else if (!pick->agree)
         out->disagrees = true;

@@ -60,7 +60,6 @@ struct label_look {
     enum label_verdict verdict;
     int entry;                // of the log; -1: none
     struct exposure exposure; // to be recorded: as reported, else expected
-    bool unique;              // no other request for the same can be in force
     bool disagrees;           // pixels and requests fit, the report does not
     bool measured, changed;   // by pixels; the light of parts changed
     double stops, error;      // if measured: log2 of exposure, s

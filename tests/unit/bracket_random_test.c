@@ -297,7 +297,7 @@ static const struct misfortune {
     {"sequence stuck", sequence_stuck, 0.99},
     {"sequence wraps", sequence_wraps, 0.99},
     {"stamps zero", stamp_zero, 0.99},
-    {"stamps jump", stamp_jumps, 0.99},
+    {"stamps jump", stamp_jumps, 0.999},
     {"lamp switched", lamp_on, 0.92},
     {"gain drifts", gain_drifts, 0.0},
     {"digital gain", digital_gain, 0.0},
