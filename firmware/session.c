@@ -486,7 +486,7 @@ static err_t plan_shots(struct session *s)
     return OK;
 }
 
-/* Plan one more exposure where it helps; false: nothing to do. */
+/* Note what is covered; plan one more exposure where it helps; false: nothing to do. */
 static bool plan_extension(struct session *s)
 {
     bool any = false;
@@ -542,8 +542,8 @@ static err_t advance(struct session *s, int64_t now)
             e = plan_shots(s);
             next = PHASE_SHOOT;
         }
-    } else if (s->phase == PHASE_SHOOT && s->order.mode == SESSION_AUTO && !s->order.stagger &&
-               s->order.verify && plan_extension(s))
+    } else if (s->order.mode == SESSION_AUTO && !s->order.stagger && s->order.verify &&
+               plan_extension(s) && s->phase == PHASE_SHOOT)
         next = PHASE_EXTEND;
     else {
         finish(s, true);
