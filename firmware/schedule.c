@@ -2,20 +2,8 @@
 
 #include <math.h>
 
-#define BASE_LONGEST_S 0.1 // as far as darkness drives it
-#define BASE_FACTOR 4.0
 #define LIMIT 0.01 // beyond the range of the device: the rounding of whoever asks
-
-double schedule_base(const struct session_view *v, const struct camera_info *info, double now_s)
-{
-    double t = now_s;
-    if (v->clipped > 0.5f)
-        t = fmax(now_s / BASE_FACTOR, info->time_min_s);
-    else if (v->dark > 0.5f)
-        t = fmin(now_s * BASE_FACTOR, fmin(BASE_LONGEST_S, info->time_max_s));
-    bool better = v->clipped > 0.5f ? t < 0.9 * now_s : t > 1.1 * now_s; // not for the rounding
-    return better ? t : 0;
-}
+#define LINK 5.0   // stops between frames that are sure to show the same places
 
 bool schedule_is_metered(const struct session_order *o)
 {
@@ -31,6 +19,21 @@ static void add(struct bracket_plan *p, double time_s)
 {
     if (p->n < BRACKET_EXPOSURES_MAX)
         p->ask[p->n++] = (struct exposure){time_s, 1};
+}
+
+void schedule_probe(double time_s, double base_s, const struct camera_info *info,
+                    struct bracket_plan *out)
+{
+    out->n = 0;
+    if (!(time_s > 0))
+        return;
+    double stops = log2(time_s / base_s);
+    int links = (int)fmin(ceil(fabs(stops) / LINK), BRACKET_EXPOSURES_MAX) - 1;
+    for (int k = 1; k <= links; k++) {
+        double t = base_s * exp2(stops * k / (links + 1));
+        add(out, fmin(fmax(t, info->time_min_s), info->time_max_s));
+    }
+    add(out, time_s);
 }
 
 /* Stops around the middle one. */

@@ -6,15 +6,16 @@
 #include "firmware/roll.h"
 #include "firmware/session.h"
 
-/* A better exposure to wait at than now_s, which v was seen at: so that most of the scene is
- * visible. 0: there is none. */
-double schedule_base(const struct session_view *v, const struct camera_info *info, double now_s);
-
 /* Whether probes are needed: for the exposures, or for the middle one of a list. */
 bool schedule_is_metered(const struct session_order *o);
 
 /* The most frames that a take of that order keeps of one camera. */
 int schedule_frames(const struct session_order *o);
+
+/* The plan for a probe, which is its last exposure, from a reference at base_s: links between them,
+ * if they are so far apart that pixels could not tell one from the other. Time 0: no plan. */
+void schedule_probe(double time_s, double base_s, const struct camera_info *info,
+                    struct bracket_plan *out);
 
 /* What the device cannot do of that; NULL: nothing. */
 const char *schedule_limit(const struct session_order *o, const struct camera_info *info,

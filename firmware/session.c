@@ -8,6 +8,7 @@
 #include "firmware/clocks.h"
 #include "firmware/roll.h"
 #include "firmware/schedule.h"
+#include "firmware/view.h"
 
 #include "core/base/log.h"
 #include "drivers/thin.h"
@@ -186,6 +187,8 @@ static err_t keep(struct session *s, const struct bracket_action *a, const struc
     if (s->cfg.memory && held > s->cfg.memory)
         return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
                         held / 1000000, s->cfg.memory / 1000000);
+    if (s->phase == PHASE_PROBE && a->index + 1 < s->plan[a->camera].n)
+        return OK; // a link
     t.start = clocks_at(t.evidence.start_ns);
     return roll_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
 }
@@ -255,26 +258,10 @@ static err_t tell(struct session *s, const struct bracket_event *ev, const struc
 /* What the status page shows. */
 static void look(const struct session *s, struct cam *c, int64_t now)
 {
-    const struct raw *p = &s->sample;
-    size_t n = (size_t)p->w * (size_t)p->h * (p->cfa == RAW_RGB ? 3 : 1);
-    int top = (1 << p->bits) - 1, range = top - p->black;
-    uint32_t clipped = 0, dark = 0;
     c->look_ns = now + LOOK_NS;
     c->looked = true;
     c->view.exposure = c->set;
-    memset(c->view.histogram, 0, sizeof c->view.histogram);
-    for (size_t i = 0; i < n; i++) {
-        int v = p->px[i] > p->black ? p->px[i] - p->black : 0;
-        double display = (double)v / range;
-        if (p->linear)
-            display = pow(display, 1 / 2.2);
-        int bin = (int)(display * SESSION_BINS);
-        c->view.histogram[bin < SESSION_BINS ? bin : SESSION_BINS - 1]++;
-        clipped += v >= range * 0.99;
-        dark += v <= range * 0.005;
-    }
-    c->view.clipped = (float)((double)clipped / (double)n);
-    c->view.dark = (float)((double)dark / (double)n);
+    view_look(&s->sample, &c->view);
 }
 
 static bool shooting(const struct session *s)
@@ -371,7 +358,7 @@ static err_t arm(struct session *s)
 
 static double better_base(const struct cam *c)
 {
-    return schedule_base(&c->view, &c->about.info, c->set.time_s);
+    return view_base(&c->view, &c->about.info, c->set.time_s);
 }
 
 static err_t adapt(struct session *s, int i)
@@ -449,8 +436,8 @@ static err_t meter_probes(struct session *s)
 static void plan_probes(struct session *s)
 {
     for (int i = 0; i < s->n; i++) {
-        double t = meter_probe(&s->cam[i].meter);
-        s->plan[i] = (struct bracket_plan){.n = t > 0, .ask = {{t, 1}}};
+        const struct cam *c = &s->cam[i];
+        schedule_probe(meter_probe(&c->meter), c->set.time_s, &c->about.info, &s->plan[i]);
     }
 }
 
