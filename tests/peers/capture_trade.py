@@ -18,6 +18,7 @@ import json
 import os
 import shutil
 import subprocess
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from PIL import Image
@@ -136,7 +137,9 @@ def trial(q, world):
         known = [(n, e) for n, e in json.load(f).items() if n.startswith("train_ldr_000_")]
     unit = None
     for name, stops in SETS.items():
-        takes = [shoot(q, world, v, stops, unit, f"{base}/{name[0]}-{v}") for v in range(VIEWS)]
+        with ThreadPoolExecutor(2) as two:
+            takes = list(two.map(
+                lambda v: shoot(q, world, v, stops, unit, f"{base}/{name[0]}-{v}"), range(VIEWS)))
         pictures = [t["pictures"] for t in takes]
         if unit is None:
             truth = [(f"{data}/images/{n}", e) for n, e in known]
@@ -179,9 +182,10 @@ def main():
     p.add_argument("--steps", default="300")
     p.add_argument("--hdrig", default="build/x86_64/hdrig")
     q = p.parse_args()
-    worlds = {w: trial(q, w) for w in q.worlds.split(",")}
-    for world, rows in worlds.items():
-        table(world, rows)
+    worlds = {}
+    for world in q.worlds.split(","):
+        worlds[world] = trial(q, world)
+        table(world, worlds[world])
     mean = {n: {k: np.mean([w[n][k] for w in worlds.values()]) for k in r}
             for n, r in next(iter(worlds.values())).items()}
     table("mean", mean)
