@@ -209,8 +209,8 @@ static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason w
     for (int i = 0; i < b->n; i++) {
         struct seat *c = &b->seat[i];
         c->forget = c->relit = c->restart = c->request = false;
-        if (c == culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
-                             why == BRACKET_DISAGREES))
+        if (i == b->culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
+                                why == BRACKET_DISAGREES))
             forget(c); // whatever they were compared with is in doubt
         label_trust(&c->label);
         if (c->armed && !c->restarting && c->plan.n > 0 && !is_base(c, label_newest(&c->label)))

@@ -13,11 +13,12 @@
 
 enum { CONNECTIONS = 16, TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
 
-/* The files of the page, in the binary. */
+/* The files of the page, in the binary, each with its size. */
 #define HTTP_FILE(symbol, path)                                                                    \
-    extern const char symbol[], symbol##_end[];                                                    \
-    __asm__(".pushsection .rodata\n" #symbol ":\n.incbin \"" path "\"\n" #symbol                   \
-            "_end:\n.popsection\n")
+    extern const char symbol[];                                                                    \
+    extern const unsigned symbol##_size;                                                           \
+    __asm__(".pushsection .rodata\n" #symbol ":\n.incbin \"" path "\"\n1:\n.balign 4\n" #symbol    \
+            "_size:\n.4byte 1b - " #symbol "\n.popsection\n")
 HTTP_FILE(http_page_html, "firmware/page.html");
 HTTP_FILE(http_page_css, "firmware/page.css");
 HTTP_FILE(http_page_js, "firmware/page.js");
@@ -196,13 +197,11 @@ static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const
 {
     if (strcmp(url, "/") == 0)
         return send_text(c, MHD_HTTP_OK, "text/html; charset=utf-8", http_page_html,
-                         (size_t)(http_page_html_end - http_page_html));
+                         http_page_html_size);
     if (strcmp(url, "/page.css") == 0)
-        return send_text(c, MHD_HTTP_OK, "text/css", http_page_css,
-                         (size_t)(http_page_css_end - http_page_css));
+        return send_text(c, MHD_HTTP_OK, "text/css", http_page_css, http_page_css_size);
     if (strcmp(url, "/page.js") == 0)
-        return send_text(c, MHD_HTTP_OK, "text/javascript", http_page_js,
-                         (size_t)(http_page_js_end - http_page_js));
+        return send_text(c, MHD_HTTP_OK, "text/javascript", http_page_js, http_page_js_size);
     if (strcmp(url, "/status.json") == 0)
         return send_status(h, c);
     if (strncmp(url, "/captures/", 10) == 0)

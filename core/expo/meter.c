@@ -104,8 +104,7 @@ static void set_limits(struct meter *m, const struct crf *crf)
     m->hi = log2(c->headroom);
     m->lo = log2(electrons_for(c->snr, c->read_noise) / c->electrons);
     m->floor = log2(electrons_for(SEEN_SNR, c->read_noise) / c->electrons);
-    if (c->display && crf == NULL)
-        crf_srgb(&srgb);
+    crf_srgb(&srgb);
     const struct crf *use = crf != NULL ? crf : &srgb;
     for (int i = 0; c->display && i < 3; i++) {
         m->hi = fmin(m->hi, use->log2x[i][CODE_HI]);

@@ -100,7 +100,8 @@ expect 1 'thesis.txt: exists and is not a folder' \
 
 # a full disk, the kernel's stand-in for one
 if [ -c /dev/full ]; then
-    expect 3 '/dev/full: .*No space left' bench --what splat --gaussians 1000 --size 56 --json /dev/full
+    expect 3 '/dev/full: .*No space left' bench --what splat --gaussians 1000 --size 56 \
+        --json /dev/full
     "$HDRIG" bench --what splat --gaussians 1000 --size 56 --json - >/dev/full 2>"$ERR"
     [ $? -eq 3 ] || fail "full stdout: not exit 3"
 fi

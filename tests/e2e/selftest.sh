@@ -65,7 +65,8 @@ check 'stream' "$real,faults=at frame 60 stall 0"
 
 # the daemon's calibration is used
 "$HDRIG" selftest --camera "$sim,curve=agx,claim=-1" --longest 0.1 --json - \
-    --set calibration.path="$OUT/calib" >"$OUT/stdout.txt" 2>"$ERR" || fail "calibrated: $(cat "$ERR")"
+    --set calibration.path="$OUT/calib" >"$OUT/stdout.txt" 2>"$ERR" ||
+    fail "calibrated: $(cat "$ERR")"
 grep -q '"calibrated": true' "$OUT/stdout.txt" || fail "the calibration was not used"
 [ -z "$(ls -d "${TMPDIR:-/tmp}"/hdrig-selftest-* 2>/dev/null)" ] || fail "a folder was left behind"
 
