@@ -234,6 +234,11 @@ err_t calibrate_delay(struct watch *w, struct calibrate *c)
         return e;
     watch_tell(w, "latency", TRIALS, TRIALS);
     const struct delays *d = exact.n >= TRIALS / 3 ? &exact : &wide;
+    if (d->hi - d->lo > UNKNOWN)
+        return err_fail(ERR_LIMIT,
+                        "the delay cannot be told, it is in %d..%d: %d of %d frames were lost, "
+                        "perhaps because this machine is too slow",
+                        d->lo, d->hi, w->count.lost + w->count.hidden, w->count.frames);
     int waited = patience(c);
     c->calib.delay_lo = num_min(d->lo, DELAY_MAX);
     c->calib.delay_hi = num_min(d->hi, DELAY_MAX);

@@ -161,7 +161,7 @@ int cmd_calibrate_run(int argc, char **argv)
         {"out", "DIR", "where calibrations are (calibration.path)", NULL, &q.dir, NULL},
     };
     const struct cmd_usage usage = {
-        "calibrate", "--camera URI",
+        "calibrate", "--camera URI ",
         "Measures a camera that looks at a scene which stays as it is: after how many frames\n"
         "exposure shows, in which range it obeys, the response curve.",
         options, sizeof options / sizeof options[0]};

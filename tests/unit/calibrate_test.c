@@ -202,6 +202,7 @@ static void sentences(void **state)
     refused("longest=20", ERR_LIMIT, "too dark");
     refused("format=rggb,faults=at frame 150 gain 1.004", ERR_LIMIT, "the same exposure differs");
     refused("faults=at frame 3 refuse access 0", ERR_UNSUPPORTED, "permission denied");
+    refused("delay=2,faults=at frame 80 lose 0.9", ERR_LIMIT, "frames were lost");
     refused("faults=at frame 60 format", ERR_FORMAT, "17 x 17");
     refused("faults=at frame 60 unplug", ERR_LOST, "unplugged");
     open_camera("");
