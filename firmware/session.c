@@ -331,6 +331,8 @@ static err_t arm_one(struct session *s, int i, double base_s)
     struct exposure ask = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
     if (base_s > 0) {
         err_t e = c->ops->request(c->st, &ask, &c->set);
+        if (!e && fabs(log2(c->set.time_s / ask.time_s)) > 0.1) // reads back what was before?
+            e = c->ops->request(c->st, &ask, &c->set);
         if (e) {
             e = name_camera(c, e);
             lose(s, i, clocks_now());

@@ -241,6 +241,13 @@ static void lies_are_not_believed(void **state)
         take_free(t);
     }
     session_close(s);
+    assert_int_equal(open_rig(1, "readback=lagged,first=500"), OK);
+    struct take *lagged = run_take(&o);
+    if (lagged->status != TAKE_COMPLETE)
+        fail_msg("%s", lagged->reason);
+    check_labels(lagged);
+    take_free(lagged);
+    session_close(s);
     assert_int_equal(open_rig(1, "readback=cached,metadata=absent,faults=at frame 10 ignore 0"),
                      OK);
     for (int i = 0; i < 30; i++)
