@@ -158,8 +158,8 @@ honest "$relit|$ineffective" drift "$FAST,faults=at frame 12 gain 1.02"
 factor=
 refused 'digital gain' digital "$FAST,faults=at frame 3 digital 2"
 refused 'unplugged' unplugged "$FAST,faults=at frame 20 unplug"
-seq 30 280 | sed 's/.*/at frame & error/' >"$OUT/torn.txt"
-refused 'lost or damaged' torn "$FAST,faults=$OUT/torn.txt"
+seq 10 260 | sed 's/.*/at frame & error/' >"$OUT/torn.txt"
+refused "lost or damaged" torn "kind=room,size=112,fps=30,faults=$OUT/torn.txt"
 refused 'does not take the exposure' busy "$FAST,faults=at frame 14 refuse busy 0"
 refused "$ineffective; unless its response curve is an unusual one.*hdrig calibrate" filmic \
     $FAST,curve=filmic
