@@ -18,6 +18,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -55,7 +56,17 @@ def shoot(q, world, view, stops, middle, out):
     uri = (f"sim:kind={kind},seed={seed},size={q.size},samples=4,views={2 * VIEWS - 1},"
            f"view={2 * view},spread=0.3,full={FULL_S * 1e6:g}")
     order = ["--bracket", ",".join(map(str, stops)), "--middle", middle] if stops else []
-    run(q.hdrig, "capture", "--camera", uri, "--out", out, "--set", "store.merge=0", *order)
+    command = [q.hdrig, "capture", "--camera", f"{uri},truth={out}.truth", "--out", out, "--set",
+               "store.merge=0", *order]
+    for left in (2, 1, 0):  # a busy machine may be too late for a camera
+        try:
+            run(*command)
+            break
+        except SystemExit as e:
+            if not left:
+                raise
+            print(f"once more: {e}", file=sys.stderr)
+            os.rename(f"{out}.truth", f"{out}.failed{left}")
     with open(f"{out}/manifest.json") as f:
         m = json.load(f)
     ends = [int(f["start_ns"]) * 1e-9 + f["exposure_s"] for f in m["frames"]]
