@@ -19,9 +19,9 @@ enum { CONNECTIONS = 16, TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, D
     extern const unsigned symbol##_size;                                                           \
     __asm__(".pushsection .rodata\n" #symbol ":\n.incbin \"" path "\"\n1:\n.balign 4\n" #symbol    \
             "_size:\n.4byte 1b - " #symbol "\n.popsection\n")
-HTTP_FILE(http_page_html, "firmware/page.html");
-HTTP_FILE(http_page_css, "firmware/page.css");
-HTTP_FILE(http_page_js, "firmware/page.js");
+HTTP_FILE(http_page_html, "firmware/web/page.html");
+HTTP_FILE(http_page_css, "firmware/web/page.css");
+HTTP_FILE(http_page_js, "firmware/web/page.js");
 
 struct http {
     struct http_config cfg;

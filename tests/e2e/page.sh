@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
-# The status page in a browser: what it shows, its button, on the screen of a telephone. The browser
-# is driven through its debugging pipe: messages of JSON that end with a zero byte.
+# The status page in a browser: what it shows, its button, on the screen of a telephone.
 . tests/e2e/common.bash
-BROWSER=$(command -v chromium || command -v chromium-browser) || { echo "no chromium"; exit 1; }
+. tests/e2e/browser.bash
 SOCKET=$(mktemp -d)/control
 PORT=$((20000 + $$ % 20000))
 printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run = 0" \
@@ -10,49 +9,7 @@ printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run =
     "camera.1 = sim:kind=room,seed=5,size=56,samples=1,fps=50" >"$OUT/hdrig.conf"
 "${HDRIG%/*}/hdrigd" --config "$OUT/hdrig.conf" 2>"$OUT/hdrigd.txt" &
 daemon=$!
-mkfifo "$OUT/to" "$OUT/from"
-"$BROWSER" --headless=new --no-sandbox --disable-gpu --disable-dev-shm-usage \
-    --user-data-dir="$OUT/browser" --remote-debugging-pipe \
-    3<"$OUT/to" 4>"$OUT/from" >/dev/null 2>"$OUT/browser.txt" &
-browser=$!
-exec 5>"$OUT/to" 6<"$OUT/from"
-id=0 session=
-
-# call METHOD PARAMS: the answer is in $answer
-call() {
-    id=$((id + 1))
-    printf '{"id":%d,"method":"%s","params":%s%s}\0' $id "$1" "$2" \
-        "${session:+,\"sessionId\":\"$session\"}" >&5
-    while IFS= read -r -d '' -t 60 answer <&6; do
-        case $answer in '{"id":'$id,*) return ;; esac
-    done
-    fail "the browser does not answer $1"
-    exit 1
-}
-
-field() { # name, of the answer
-    sed "s/.*\"$1\":\"\\([^\"]*\\)\".*/\\1/" <<<"$answer"
-}
-
-# The value of an expression in the page.
-value() {
-    call Runtime.evaluate "{\"expression\":\"String($1)\",\"awaitPromise\":true}"
-    field value
-}
-
-wait_for() { # expression value
-    for _ in $(seq 100); do
-        [ "$(value "$1")" = "$2" ] && return
-        sleep 0.1
-    done
-    fail "$1 is \"$(value "$1")\", not \"$2\""
-}
-
-call Target.createTarget '{"url":"about:blank"}'
-call Target.attachToTarget "{\"targetId\":\"$(field targetId)\",\"flatten\":true}"
-session=$(field sessionId)
-call Emulation.setDeviceMetricsOverride \
-    '{"width":360,"height":740,"deviceScaleFactor":2,"mobile":true}'
+scale=2 mobile=true browser_open 360 740 --disable-gpu
 for _ in $(seq 50); do
     [ -S "$SOCKET" ] && break
     sleep 0.1
@@ -75,17 +32,13 @@ wait_for "document.querySelector('#captures img').complete" true
 [ "$(value "document.querySelector('#captures a').textContent")" = manifest ] || fail "no link"
 [ "$(value "document.getElementById('message').textContent")" = "" ] ||
     fail "the page complains: $(value "document.getElementById('message').textContent")"
-call Page.captureScreenshot '{"format":"png","captureBeyondViewport":true}'
-field data | base64 -d >"$OUT/page.png"
-[ -s "$OUT/page.png" ] || fail "no screenshot"
+screenshot "$OUT/page.png"
 
 # nobody there any more
 kill -TERM $daemon
 wait $daemon || fail "the daemon ends with $?"
 wait_for "document.getElementById('state').textContent" "no answer"
 [ "$(value "document.getElementById('capture').disabled")" = true ] || fail "the button still works"
-exec 5>&- 6<&-
-kill $browser 2>/dev/null
-wait $browser 2>/dev/null
-rm -rf "${SOCKET%/*}" "$OUT/browser"
+browser_close
+rm -rf "${SOCKET%/*}"
 finish
