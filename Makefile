@@ -122,7 +122,7 @@ $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/config.o: MORE = -Wconversion
-$(B)/firmware/http.o: $(wildcard firmware/web/page.*)
+$(B)/firmware/http.o $(B)/firmware/viewer.o $(B)/firmware/sheet.o: $(wildcard firmware/web/*)
 
 $(B)/libcore.a: $(call objects,$(CORE))
 $(B)/libdrivers.a: $(call objects,$(DRIVERS))

@@ -1,6 +1,8 @@
 /* Requests are small and answered at once; files are sent by the library. */
 #include "firmware/http.h"
 
+#include "firmware/embed.h"
+
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -14,14 +16,9 @@
 enum { CONNECTIONS = 16, TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
 
 /* The files of the page, in the binary, each with its size. */
-#define HTTP_FILE(symbol, path)                                                                    \
-    extern const char symbol[];                                                                    \
-    extern const unsigned symbol##_size;                                                           \
-    __asm__(".pushsection .rodata\n" #symbol ":\n.incbin \"" path "\"\n1:\n.balign 4\n" #symbol    \
-            "_size:\n.4byte 1b - " #symbol "\n.popsection\n")
-HTTP_FILE(http_page_html, "firmware/web/page.html");
-HTTP_FILE(http_page_css, "firmware/web/page.css");
-HTTP_FILE(http_page_js, "firmware/web/page.js");
+EMBED_FILE(http_page_html, "firmware/web/page.html");
+EMBED_FILE(http_page_css, "firmware/web/page.css");
+EMBED_FILE(http_page_js, "firmware/web/page.js");
 
 struct http {
     struct http_config cfg;

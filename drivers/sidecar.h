@@ -1,0 +1,32 @@
+/* sidecar.h - what a file of splats has no place for: NAME.json beside NAME.ply, NAME.spz or
+ * NAME.glb.
+ *   {"format": "hdrig-sidecar", "version": 1, "ev": stops of display.h, "mid_exposure_log2": ...,
+ *    "background": [r, g, b], "tone": [{"w1": [64], "b1": [64], "w2": [64], "b2": x}, ...],
+ *    "size": px, "cameras": as in cameras.json, with exposures}
+ * Numbers have nine digits: written and read back they are the same floats.
+ * thread: any. */
+#ifndef DRIVERS_SIDECAR_H
+#define DRIVERS_SIDECAR_H
+
+#include "core/types.h"
+
+/* "NAME.json" of a path "NAME.xyz".
+ * err:  ERR_ARG (too long). */
+MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
+
+/* Write everything of s but its splats.
+ * err:  ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
+MUST_USE err_t sidecar_write(const char *splats, const struct scene *s);
+
+/* Views of the sidecar of `splats`; 0 and *need 0 if there is no such file.
+ * out:  *need = bytes that sidecar_read takes from its arena.
+ * err:  as sidecar_read. */
+MUST_USE err_t sidecar_peek(const char *splats, int *n_views, size_t *need);
+
+/* Fill all of *s but its splats. Without a sidecar: sRGB at ev (display_tonemap), a black
+ * background, no views.
+ * err:  ERR_IO, ERR_FORMAT (member named; numbers not finite, cameras that cameras_check refuses,
+ *       more than CAMERAS_MAX), ERR_UNSUPPORTED (version), ERR_NOMEM. */
+MUST_USE err_t sidecar_read(const char *splats, float ev, struct arena *a, struct scene *s);
+
+#endif

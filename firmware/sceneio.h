@@ -1,0 +1,29 @@
+/* sceneio.h - a scene in whichever kind of file: result folder or .hdrig, .ply, .spz, .glb in; .hdrig,
+ * .ply, .spz, .glb, .html out. The kind is told by the name's end.
+ * thread: any. */
+#ifndef FIRMWARE_SCENEIO_H
+#define FIRMWARE_SCENEIO_H
+
+#include "core/splat/gaussians.h"
+#include "core/types.h"
+
+struct sceneio_info {
+    int n, degree, n_views, size;
+    bool has_hdr; // radiance; else display colours, taken as sRGB
+    size_t need;  // bytes that sceneio_read takes from its arena
+};
+
+/* err:  as sceneio_read. */
+MUST_USE err_t sceneio_peek(const char *path, struct sceneio_info *out);
+
+/* out:  *s in a; *report of gaussians_sanitize.
+ * err:  ERR_ARG (no such kind), ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED, ERR_NOMEM: the sentence names
+ *       file and field. On error *s is zeroed. */
+MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
+                            struct gaussians_report *report);
+
+/* Write the file, and its sidecar where the kind needs one; both or neither.
+ * err:  ERR_ARG, ERR_IO, ERR_LIMIT, ERR_NOMEM. */
+MUST_USE err_t sceneio_write(const char *path, const struct scene *s);
+
+#endif

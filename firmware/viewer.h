@@ -1,0 +1,22 @@
+/* viewer.h - view.html: a scene in one page that opens from the disk, without network or server.
+ * firmware/web/view.{html,css,js} with the scene in base64 behind them.
+ * thread: any. */
+#ifndef FIRMWARE_VIEWER_H
+#define FIRMWARE_VIEWER_H
+
+#include "core/types.h"
+
+struct viewer_input {
+    const struct scene *scene;
+    const uint8_t *photos; // (n_views, size, size, 3) 8 bit, as taken; NULL: none to compare with
+    const char *title;
+    const char *report; // address of the report, relative; NULL: none
+};
+
+/* Upper bound of the file. */
+uint64_t viewer_bytes(const struct viewer_input *in);
+
+/* err:  ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
+MUST_USE err_t viewer_write(const char *path, const struct viewer_input *in);
+
+#endif
