@@ -1,5 +1,5 @@
-/* sceneio.h - a scene in whichever kind of file: result folder or .hdrig, .ply, .spz, .glb in; .hdrig,
- * .ply, .spz, .glb, .html out. The kind is told by the name's end.
+/* sceneio.h - a scene in whichever kind of file: result folder or .hdrig, .ply, .spz, .glb in;
+ * .hdrig, .ply, .spz, .glb, .html out. The kind is told by the name's end.
  * thread: any. */
 #ifndef FIRMWARE_SCENEIO_H
 #define FIRMWARE_SCENEIO_H

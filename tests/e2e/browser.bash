@@ -14,8 +14,8 @@ browser_open() { # width height px [arguments for the browser]...
     call Target.createTarget '{"url":"about:blank"}'
     call Target.attachToTarget "{\"targetId\":\"$(field targetId)\",\"flatten\":true}"
     session=$(field sessionId)
-    call Emulation.setDeviceMetricsOverride \
-        "{\"width\":${size% *},\"height\":${size#* },\"deviceScaleFactor\":${scale:-1},\"mobile\":${mobile:-false}}"
+    call Emulation.setDeviceMetricsOverride "{\"width\":${size% *},\"height\":${size#* },
+        \"deviceScaleFactor\":${scale:-1},\"mobile\":${mobile:-false}}"
 }
 
 browser_close() {
