@@ -1,6 +1,6 @@
 /* sheet.h - report.html: what was photographed, what was modelled and why, in words and pictures;
- * one page that opens from the disk. firmware/web/sheet.{html,css,js} with report.json, thumbnails and
- * curves behind them.
+ * one page that opens from the disk. firmware/web/sheet.{html,css,js} with report.json, thumbnails
+ * and curves behind them.
  * thread: any. */
 #ifndef FIRMWARE_SHEET_H
 #define FIRMWARE_SHEET_H
