@@ -218,14 +218,22 @@ static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
     return code;
 }
 
+static err_t check_picture(const struct image8 *im, const char *name)
+{
+    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
+        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", name, im->w,
+                        im->h, im->channels);
+    return OK;
+}
+
 /* own: free(*bytes). */
 static err_t encode_png(const struct image8 *im, const char *name, bool fast, void **bytes,
                         size_t *n)
 {
     *bytes = NULL;
-    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
-        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", name, im->w,
-                        im->h, im->channels);
+    err_t e = check_picture(im, name);
+    if (e)
+        return e;
     spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
     if (!ctx)
         return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", name);
@@ -241,6 +249,32 @@ static err_t encode_png(const struct image8 *im, const char *name, bool fast, vo
 err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes, size_t *n)
 {
     return encode_png(im, name, true, bytes, n);
+}
+
+err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, void **bytes,
+                      size_t *n)
+{
+    *bytes = NULL;
+    err_t e = check_picture(im, name);
+    if (e)
+        return e;
+    unsigned char *out = malloc(tjBufSize(im->w, im->h, TJSAMP_444));
+    tjhandle tj = tjInitCompress();
+    unsigned long used = 0;
+    if (!out || !tj)
+        e = err_fail(ERR_NOMEM, "%s: no memory for the JPEG encoder", name);
+    else if (tjCompress2(tj, im->px, im->w, 0, im->h, TJPF_RGB, &out, &used, TJSAMP_444, quality,
+                         TJFLAG_NOREALLOC) != 0)
+        e = err_fail(ERR_ARG, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
+    if (tj)
+        tjDestroy(tj);
+    if (e) {
+        free(out);
+        return e;
+    }
+    *bytes = out;
+    *n = used;
+    return OK;
 }
 
 err_t img_write_png(const char *path, const struct image8 *im)

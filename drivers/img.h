@@ -41,6 +41,13 @@ MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
 MUST_USE err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes,
                                    size_t *n);
 
+/* Encode as JPEG into memory, every colour at full resolution. quality: 1..100; `name` is for
+ * sentences.
+ * own:  free(*bytes).
+ * err:  ERR_ARG (channels or shape), ERR_NOMEM. On error *bytes is NULL. */
+MUST_USE err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, void **bytes,
+                               size_t *n);
+
 /* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN
  * as 0. */
 MUST_USE err_t img_write_ldr(const char *path, const struct image *im);

@@ -239,6 +239,33 @@ static void png_round_trip(void **state)
     img_free(&im);
 }
 
+/* A smooth picture comes back within the steps of a fine quantisation, colours where they were. */
+static void jpeg_round_trip(void **state)
+{
+    (void)state;
+    enum { SIDE = 37 }; // no multiple of a block
+    uint8_t px[3 * SIDE * SIDE];
+    struct image8 im = {SIDE, SIDE, 3, px}, back;
+    void *bytes;
+    size_t n;
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        px[3 * i] = (uint8_t)(i % SIDE * 6);
+        px[3 * i + 1] = (uint8_t)(i / SIDE * 6);
+        px[3 * i + 2] = 40;
+    }
+    assert_int_equal(img_encode_jpeg(&im, 95, "small", &bytes, &n), OK);
+    assert_true(n < 2000);
+    assert_int_equal(img_read_mem(bytes, n, "small", &back), OK);
+    assert_true(back.w == SIDE && back.h == SIDE);
+    for (int i = 0; i < 3 * SIDE * SIDE; i++)
+        assert_true(abs(back.px[i] - px[i]) <= 6);
+    img_free(&back);
+    free(bytes);
+    im.w = 0;
+    says(img_encode_jpeg(&im, 95, "small", &bytes, &n), ERR_ARG, "small: no RGB picture");
+    assert_null(bytes);
+}
+
 static void ldr_values(void **state)
 {
     (void)state;
@@ -292,10 +319,15 @@ static int teardown(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(reads_every_kind_of_png), cmocka_unit_test(reads_jpeg_as_pillow),
-        cmocka_unit_test(survives_damage),         cmocka_unit_test(refuses_too_large),
-        cmocka_unit_test(refuses_other_files),     cmocka_unit_test(exposures),
-        cmocka_unit_test(png_round_trip),          cmocka_unit_test(ldr_values),
+        cmocka_unit_test(reads_every_kind_of_png),
+        cmocka_unit_test(reads_jpeg_as_pillow),
+        cmocka_unit_test(survives_damage),
+        cmocka_unit_test(refuses_too_large),
+        cmocka_unit_test(refuses_other_files),
+        cmocka_unit_test(exposures),
+        cmocka_unit_test(png_round_trip),
+        cmocka_unit_test(jpeg_round_trip),
+        cmocka_unit_test(ldr_values),
         cmocka_unit_test(writing_fails_cleanly),
     };
     return cmocka_run_group_tests(tests, setup, teardown);
