@@ -4,15 +4,17 @@
 #ifndef SIM_CURVE_H
 #define SIM_CURVE_H
 
+#include "core/expo/family.h"
+
 #include <stdint.h>
 
-enum curve_family {
-    CURVE_LINEAR,
-    CURVE_SRGB,   // IEC 61966-2-1, clipped at 1
-    CURVE_GAMMA,  // power 1 / param, 1.6..3
-    CURVE_FILMIC, // toe and shoulder, rational; param 0..1: strength of the shoulder
-    CURVE_AGX,    // sigmoid in log2 exposure, as AgX-like view transforms; param: stops of range
-    CURVE_LOG,    // camera logs: log2(1 + a x) / log2(1 + a); param: log2 a
+enum curve_family { // those of family.h, and one more
+    CURVE_LINEAR = FAMILY_LINEAR,
+    CURVE_SRGB = FAMILY_SRGB,
+    CURVE_GAMMA = FAMILY_GAMMA,   // param 1.6..3
+    CURVE_FILMIC = FAMILY_FILMIC, // param 0..1
+    CURVE_AGX = FAMILY_AGX,       // param 8..16
+    CURVE_LOG = FAMILY_LOG,       // param 3..12
     CURVE_RANDOM, // random monotone spline in log exposure around sRGB, by seed; param: strength
     CURVE_FAMILIES
 };
