@@ -70,32 +70,6 @@ err_t cameras_check_names(const char *what, const struct rig *rig)
     return e;
 }
 
-static err_t get_float(const char *what, const struct cJSON *object, const char *key, float *out)
-{
-    double v;
-    if (!json_number(json_member(object, key), &v) || !isfinite((float)v))
-        return err_fail(ERR_FORMAT, "%s: \"%s\" is absent or not a finite number", what, key);
-    *out = (float)v;
-    return OK;
-}
-
-static err_t get_floats(const char *what, const struct cJSON *object, const char *key, int n,
-                        float *out)
-{
-    const struct cJSON *array = json_member(object, key);
-    if (!json_is_array(array) || json_count(array) != n)
-        return err_fail(ERR_FORMAT, "%s: \"%s\" is not an array of %d numbers", what, key, n);
-    int i = 0;
-    for (const struct cJSON *v = json_first(array); v; v = json_next(v)) {
-        double number;
-        if (!json_number(v, &number) || !isfinite((float)number))
-            return err_fail(ERR_FORMAT, "%s: \"%s\" element %d is not a finite number", what, key,
-                            i);
-        out[i++] = (float)number;
-    }
-    return OK;
-}
-
 static err_t get_size(const char *what, const struct cJSON *object, const char *key, int *out)
 {
     double v;
@@ -114,7 +88,7 @@ static err_t get_intrinsics(const char *what, const struct cJSON *object, struct
     if (!e)
         e = get_size(what, object, "h", &cam->h);
     for (int k = 0; k < 4 && !e; k++)
-        e = get_float(what, object, keys[k], places[k]);
+        e = json_float(what, object, keys[k], places[k]);
     return e;
 }
 
@@ -129,13 +103,13 @@ static err_t get_view(const char *file, const struct cJSON *object, int i, struc
     if (!e)
         e = get_intrinsics(what, object, &out->cam);
     if (!e)
-        e = get_floats(what, object, "q", 4, out->cam.q);
+        e = json_floats(what, object, "q", 4, out->cam.q);
     if (!e)
-        e = get_floats(what, object, "t", 3, out->cam.t);
+        e = json_floats(what, object, "t", 3, out->cam.t);
     if (e)
         return e;
     out->has_exposure = json_member(object, "exposure_log2") != NULL;
-    if (out->has_exposure && (e = get_float(what, object, "exposure_log2", &out->exposure_log2)))
+    if (out->has_exposure && (e = json_float(what, object, "exposure_log2", &out->exposure_log2)))
         return e;
     return cameras_check(file, out->name, &out->cam);
 }
@@ -185,7 +159,7 @@ err_t cameras_read(const char *path, struct rig *out)
     return e ? e : take_document(path, doc, out);
 }
 
-static void put_view(FILE *f, const struct rig_view *v)
+void cameras_put(FILE *f, const struct rig_view *v)
 {
     const struct camera *c = &v->cam;
     fputs("    {\"name\": ", f);
@@ -211,7 +185,7 @@ err_t cameras_write(const char *path, const struct rig *rig)
         "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n",
         f);
     for (int i = 0; i < rig->n; i++) {
-        put_view(f, &rig->views[i]);
+        cameras_put(f, &rig->views[i]);
         fputs(i + 1 < rig->n ? ",\n" : "\n", f);
     }
     fputs("  ]\n}\n", f);

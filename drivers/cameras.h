@@ -10,6 +10,8 @@
 
 #include "core/types.h"
 
+#include <stdio.h>
+
 enum { CAMERAS_MAX = 4096 }; // views of one set
 
 struct rig_view {
@@ -38,6 +40,9 @@ MUST_USE err_t cameras_parse(const char *what, const void *text, size_t n, struc
 /* Write cameras.json; the partial file is removed on error.
  * err:  ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t cameras_write(const char *path, const struct rig *rig);
+
+/* Write one element of the list "cameras", without the comma behind it. */
+void cameras_put(FILE *f, const struct rig_view *v);
 
 /* Accepts a zeroed rig. */
 void cameras_free(struct rig *rig);

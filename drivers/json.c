@@ -104,6 +104,31 @@ const char *json_string(const struct cJSON *node)
     return cJSON_IsString(node) ? node->valuestring : NULL;
 }
 
+err_t json_float(const char *what, const struct cJSON *object, const char *key, float *out)
+{
+    double v;
+    if (!json_number(json_member(object, key), &v) || !isfinite((float)v))
+        return err_fail(ERR_FORMAT, "%s: \"%s\" is absent or not a finite number", what, key);
+    *out = (float)v;
+    return OK;
+}
+
+err_t json_floats(const char *what, const struct cJSON *object, const char *key, int n, float *out)
+{
+    const struct cJSON *array = json_member(object, key);
+    if (!json_is_array(array) || json_count(array) != n)
+        return err_fail(ERR_FORMAT, "%s: \"%s\" is not an array of %d numbers", what, key, n);
+    int i = 0;
+    for (const struct cJSON *v = json_first(array); v; v = json_next(v)) {
+        double number;
+        if (!json_number(v, &number) || !isfinite((float)number))
+            return err_fail(ERR_FORMAT, "%s: \"%s\" element %d is not a finite number", what, key,
+                            i);
+        out[i++] = (float)number;
+    }
+    return OK;
+}
+
 void json_put_string(FILE *f, const char *s)
 {
     putc('"', f);

@@ -51,6 +51,13 @@ bool json_truth(const struct cJSON *node, bool *out);
 /* Value of a string; NULL if the node is something else or NULL. */
 const char *json_string(const struct cJSON *node);
 
+/* Member `key` of an object as one finite float, or as an array of exactly n of them.
+ * err:  ERR_FORMAT naming the key; `what` begins the sentence. */
+MUST_USE err_t json_float(const char *what, const struct cJSON *object, const char *key,
+                          float *out);
+MUST_USE err_t json_floats(const char *what, const struct cJSON *object, const char *key, int n,
+                           float *out);
+
 /* Write s in quotes, escaped; s is valid UTF-8. */
 void json_put_string(FILE *f, const char *s);
 

@@ -3,19 +3,25 @@
  *   {"format": "hdrig-sidecar", "version": 1, "ev": stops of display.h, "mid_exposure_log2": ...,
  *    "background": [r, g, b], "tone": [{"w1": [64], "b1": [64], "w2": [64], "b2": x}, ...],
  *    "size": px, "cameras": as in cameras.json, with exposures}
- * Numbers have nine digits: written and read back they are the same floats.
+ * Numbers have nine digits: written and read back they are the same floats. "ev" is for other
+ * programs, it follows from the tone curve. A NAME.json without that "format" is somebody else's:
+ * it is neither read nor overwritten.
  * thread: any. */
 #ifndef DRIVERS_SIDECAR_H
 #define DRIVERS_SIDECAR_H
 
 #include "core/types.h"
 
+enum { SIDECAR_SIZE = 448 }; // px, of pictures of a scene without sidecar
+
 /* "NAME.json" of a path "NAME.xyz".
  * err:  ERR_ARG (too long). */
 MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
 
 /* Write everything of s but its splats.
- * err:  ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
+ * err:  ERR_ARG (a number is not finite; NAME.json is somebody else's), ERR_FORMAT (a camera that
+ *       cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is
+ *       removed. */
 MUST_USE err_t sidecar_write(const char *splats, const struct scene *s);
 
 /* Views of the sidecar of `splats`; 0 and *need 0 if there is no such file.
@@ -24,9 +30,20 @@ MUST_USE err_t sidecar_write(const char *splats, const struct scene *s);
 MUST_USE err_t sidecar_peek(const char *splats, int *n_views, size_t *need);
 
 /* Fill all of *s but its splats. Without a sidecar: sRGB at ev (display_tonemap), a black
- * background, no views.
+ * background, no views, SIDECAR_SIZE.
  * err:  ERR_IO, ERR_FORMAT (member named; numbers not finite, cameras that cameras_check refuses,
- *       more than CAMERAS_MAX), ERR_UNSUPPORTED (version), ERR_NOMEM. */
+ *       more than CAMERAS_MAX), ERR_UNSUPPORTED (version), ERR_NOMEM. On error *s is as it was. */
 MUST_USE err_t sidecar_read(const char *splats, float ev, struct arena *a, struct scene *s);
+
+struct sidecar_bytes {
+    const char *what; // begins the sentence
+    const void *p;
+    size_t n;
+};
+
+/* The same from memory. */
+MUST_USE err_t sidecar_peek_bytes(const struct sidecar_bytes *file, int *n_views, size_t *need);
+MUST_USE err_t sidecar_parse(const struct sidecar_bytes *file, float ev, struct arena *a,
+                             struct scene *s);
 
 #endif

@@ -25,8 +25,8 @@ float display_decode(float value);
  *       exp(+-RASTER_LOG_MAX). */
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out);
 
-/* The way back, fitted in the logarithm: f of degree 0..3. Colours at or below 0 become radiance
- * DISPLAY_FLOOR / 2^ev.
+/* The way back, fitted in the logarithm: f of degree 0..3. Linear values below DISPLAY_FLOOR, of
+ * which foreign scenes have many, are raised to it. A colour that is not finite becomes NaN.
  * out:  (degree+1)^2 by 3. */
 #define DISPLAY_FLOOR 1e-4f // linear
 void display_to_radiance(const float *f, int degree, float ev, float *out);
