@@ -58,7 +58,7 @@ static const struct {
     [DELAY_HI] = {"delay_hi", WHOLE, 0, DELAY_MAX},
     [TIME_MIN] = {"time_min_s", NUMBER, 1e-9, 1000},
     [TIME_MAX] = {"time_max_s", NUMBER, 1e-9, 1000},
-    [TOLERANCE] = {"tolerance", NUMBER, 0.001, 2},
+    [TOLERANCE] = {"tolerance", NUMBER, 0.01, 1}, // of struct bracket_camera
     [CRF_ERROR] = {"crf.error", NUMBER, 0, 10},
     [CRF_RED] = {"crf.red", CURVE, -40, 0},
     [CRF_GREEN] = {"crf.green", CURVE, -40, 0},

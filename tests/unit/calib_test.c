@@ -132,7 +132,9 @@ static void refuses(void **state)
         {HEAD "delay_lo = 33\n", "x:4: delay_lo: 33 is not a whole number in 0..32"},
         {HEAD "delay_lo = -1\n", "x:4: delay_lo: -1 is not"},
         {HEAD "delay_lo = 1.5\n", "x:4: delay_lo: 1.5 is not a whole"},
-        {HEAD "tolerance = nan\n", "x:4: tolerance: nan is not in 0.001..2"},
+        {HEAD "tolerance = nan\n", "x:4: tolerance: nan is not in 0.01..1"},
+        {HEAD "tolerance = 1.1\n", "x:4: tolerance: 1.1 is not"}, // the bracket machine says so
+        {HEAD "tolerance = 0.009\n", "x:4: tolerance: 0.009 is not"},
         {HEAD "time_max_s = inf\n", "x:4: time_max_s: inf is not"},
         {HEAD "time_max_s = \n", "\"\" is not a number"},
         {HEAD "time_max_s = 1 2\n", "\"2\" after the number"},
