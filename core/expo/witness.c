@@ -185,14 +185,43 @@ struct lists {
 static void add_place(const struct witness *a, const struct witness *b, int i, struct lists *to)
 {
     int sa = a->state[i], sb = b->state[i];
-    float r = log2f(b->x[i]) - log2f(a->x[i]);
-    float error = 2.0f * sqrtf(a->sd[i] * a->sd[i] + b->sd[i] * b->sd[i]);
-    if (sa == WITNESS_GOOD && sb == WITNESS_GOOD)
+    bool lo = sa != WITNESS_CLIPPED && sb != WITNESS_DARK;
+    bool hi = sa != WITNESS_DARK && sb != WITNESS_CLIPPED;
+    if (!lo && !hi)
+        return; // most of a dark picture, so before the logarithm
+    float r = log2f(b->x[i] / a->x[i]);
+    if (lo && hi) {
         to->ratio[to->n++] = r;
-    else if (sa != WITNESS_CLIPPED && sb != WITNESS_DARK)
+        return;
+    }
+    float error = 2.0f * sqrtf(a->sd[i] * a->sd[i] + b->sd[i] * b->sd[i]);
+    if (lo)
         to->lo[to->n_lo++] = r - error;
-    else if (sa != WITNESS_DARK && sb != WITNESS_CLIPPED)
+    else
         to->hi[to->n_hi++] = r + error;
+}
+
+/* What would be at place k of n numbers in order (Hoare's FIND); reorders them. */
+static float ranked(float *v, int n, int k)
+{
+    for (int lo = 0, hi = n - 1; lo < hi;) {
+        float pivot = v[k];
+        int i = lo, j = hi;
+        while (i <= j) {
+            while (v[i] < pivot)
+                i++;
+            while (pivot < v[j])
+                j--;
+            if (i > j)
+                break;
+            float t = v[i];
+            v[i++] = v[j];
+            v[j--] = t;
+        }
+        lo = j < k ? i : lo;
+        hi = k < i ? j : hi;
+    }
+    return v[k];
 }
 
 void witness_compare(const struct witness *a, const struct witness *b, struct witness_ratio *out)
@@ -202,13 +231,14 @@ void witness_compare(const struct witness *a, const struct witness *b, struct wi
     for (int i = 0; i < WITNESS_PLACES; i++)
         add_place(a, b, i, &l);
     *out = (struct witness_ratio){.places = l.n, .lo = -INFINITY, .hi = INFINITY};
-    out->log2 = num_median(l.ratio, (size_t)l.n); // sorts
-    if (l.n > 0)
-        out->spread = 0.5f * (l.ratio[l.n - 1 - l.n / 4] - l.ratio[l.n / 4]);
-    num_median(l.lo, (size_t)l.n_lo);
-    num_median(l.hi, (size_t)l.n_hi);
+    if (l.n > 0) {
+        int quarter = l.n / 4;
+        out->log2 = ranked(l.ratio, l.n, l.n / 2);
+        out->spread =
+            0.5f * (ranked(l.ratio, l.n, l.n - 1 - quarter) - ranked(l.ratio, l.n, quarter));
+    }
     if (l.n_lo > WRONG)
-        out->lo = l.lo[l.n_lo - 1 - WRONG];
+        out->lo = ranked(l.lo, l.n_lo, l.n_lo - 1 - WRONG);
     if (l.n_hi > WRONG)
-        out->hi = l.hi[WRONG];
+        out->hi = ranked(l.hi, l.n_hi, WRONG);
 }
