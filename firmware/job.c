@@ -2,6 +2,7 @@
 
 #include "firmware/draw.h"
 #include "firmware/engine.h"
+#include "firmware/figures.h"
 #include "firmware/start.h"
 
 #include "core/base/num.h"
@@ -50,6 +51,10 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         out->precision = modelfile_precision(cfg.network->file.model.precision);
     announce(r, JOB_PREPROCESS);
     err_t e = prep_run(r, c, cfg.size, &out->views);
+    if (!e)
+        e = arena_alloc(r->keep, (size_t)c->n, sizeof *out->input_db, &out->input_db);
+    for (int i = 0; i < c->n && !e; i++)
+        out->input_db[i] = NAN;
     job_lap(out, JOB_PREPROCESS);
     if (!e)
         e = response_run(r, &out->views, &out->response);
@@ -61,7 +66,9 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = refine_run(r, &out->views, &cfg.refine, &out->scene, &out->refine);
     job_lap(out, JOB_REFINE);
     if (!e && out->scene.g.n == 0)
-        job_warn(out, "the scene is empty: no splat was found or kept");
+        job_warn(out,
+                 "the scene is empty, no splat was found or kept: take sharp photographs of one "
+                 "place that overlap by more than half");
     out->keep_peak = r->keep->peak;
     out->tmp_peak = r->tmp->peak;
     return e;
@@ -121,6 +128,7 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
                                                             (size_t)c->shots[i].image.h * 3));
     prep_plan(c, cfg.size, threads, &keep, &tmp);
     out->keep = arena_add(out->keep, keep);
+    out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
     out->tmp = num_max_size(out->tmp, tmp);
     out->tmp = num_max_size(out->tmp, response_plan(&v));
     if (refines(&cfg))
@@ -211,6 +219,7 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     if (!j->measured_only)
         report_making(j, rep);
     report_cameras(&j->cameras, rep);
+    figures_report(j, rep);
     report_seconds(j, rep);
     report_number(rep, "peak_rss_mb", engine_peak_rss_mb());
     report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);

@@ -27,7 +27,7 @@ enum job_stage {
     JOB_STAGES
 };
 
-enum { JOB_WARNINGS = 8 };
+enum { JOB_WARNINGS = 72 }; // one for each view that may be left out, and some
 
 struct job_config {
     int size; // px, edge of the square views
@@ -63,11 +63,12 @@ struct job_result {
     double start_s, lap_s; // of the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
+    float *input_db;            // (views.n) dB of each, in keep, NAN until then; NULL: not rendered
     bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
     const char *precision;      // of the network; NULL: none was used
     int n_warnings;
-    char warnings[JOB_WARNINGS][160];
+    char warnings[JOB_WARNINGS][240];
 };
 
 /* Memory of a job, before a pixel is decoded; the capture needs only names, sizes and cameras.

@@ -50,13 +50,29 @@ void report_close(struct report *r)
         putc('\n', r->f);
 }
 
-void report_number(struct report *r, const char *key, double v)
+static void put_number(struct report *r, double v)
 {
-    begin(r, key);
     if (isfinite(v))
         fprintf(r->f, "%.6g", v);
     else
         fputs("null", r->f);
+}
+
+void report_number(struct report *r, const char *key, double v)
+{
+    begin(r, key);
+    put_number(r, v);
+}
+
+void report_row(struct report *r, const char *key, const double *v, int n)
+{
+    begin(r, key);
+    putc('[', r->f);
+    for (int i = 0; i < n; i++) {
+        fputs(i > 0 ? ", " : "", r->f);
+        put_number(r, v[i]);
+    }
+    putc(']', r->f);
 }
 
 void report_int(struct report *r, const char *key, long long v)

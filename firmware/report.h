@@ -27,6 +27,10 @@ void report_close(struct report *r);
 
 /* Six digits; null if v is not finite. */
 void report_number(struct report *r, const char *key, double v);
+
+/* An array of such numbers on one line. */
+void report_row(struct report *r, const char *key, const double *v, int n);
+
 void report_int(struct report *r, const char *key, long long v);
 void report_bool(struct report *r, const char *key, bool v);
 
