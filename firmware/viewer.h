@@ -6,17 +6,24 @@
 
 #include "core/types.h"
 
+enum {
+    VIEWER_SPLATS_MAX = 1 << 22,  // that a page may hold
+    VIEWER_SCENE_MAX = 256 << 20, // bytes; SH bands beyond that are left out, the highest first
+};
+
 struct viewer_input {
     const struct scene *scene;
     const uint8_t *photos; // (n_views, size, size, 3) 8 bit, as taken; NULL: none to compare with
-    const char *title;
-    const char *report; // address of the report, relative; NULL: none
+    const char *title;     // UTF-8
+    const char *report;    // address of the report, relative; NULL: none
 };
 
 /* Upper bound of the file. */
 uint64_t viewer_bytes(const struct viewer_input *in);
 
-/* err:  ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
+/* Splats that are never drawn (a number that is not finite, opacity below 1/255) are left out.
+ * err:  ERR_ARG (more than VIEWER_SPLATS_MAX), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial
+ *       file is removed. */
 MUST_USE err_t viewer_write(const char *path, const struct viewer_input *in);
 
 #endif
