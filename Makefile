@@ -10,7 +10,7 @@
 # Debian 12 packages: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
-	libmicrohttpd-dev libsystemd-dev
+	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
 	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa xz-utils
@@ -42,8 +42,8 @@ FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT
 # The module alone is C++; libcamera's headers want C++20 from 0.7.1 on.
 CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
 	-Wshadow -Wundef $(if $(WERROR),-Werror) $(SANFLAGS)
-LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lmicrohttpd -lsystemd -lgpiod -lm \
-	$(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
+LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lz -lzstd -lmicrohttpd -lsystemd \
+	-lgpiod -lm $(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
 ISA_sse41 := -msse4.1

@@ -19,6 +19,7 @@ BEGIN {
     wrapper["^gpiod\\.h$"] = "^drivers/trigger_gpiod[12]\\.c$"
     wrapper["^linux/gpio\\.h$"] = "^drivers/gpio\\.c$"
     wrapper["^linux/input\\.h$"] = "^drivers/trigger_evdev\\.c$"
+    wrapper["^(zlib|zstd)\\.h$"] = "^drivers/packed\\.c$"
     wrapper["^zip\\.h$"] = "^drivers/checkpoint\\.c$"
     wrapper["^microhttpd\\.h$"] = "^firmware/http\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon\\.c$"

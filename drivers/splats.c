@@ -1,0 +1,35 @@
+/* A reflection of axes D = diag(+-1) turns R S S R^T into (D R D) S S (D R D)^T: the quaternion's x
+ * belongs to the product of the signs of y and z, and so on. A harmonic is odd or even in each
+ * coordinate (sh_body.h has the polynomials). */
+#include "drivers/splats.h"
+
+#include <math.h>
+
+err_t splats_check(const char *path, const struct gaussians *g)
+{
+    for (int p = 0; p < gaussians_planes(g->degree); p++)
+        for (int i = 0; i < g->n; i++)
+            if (!isfinite(g->plane[p][i]))
+                return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
+                                g->n, p, (double)g->plane[p][i]);
+    for (int i = 0; i < g->n; i++) {
+        float longest = 0;
+        for (int k = 0; k < 4; k++)
+            longest = fmaxf(longest, fabsf(g->plane[G_QUAT + k][i]));
+        if (!(longest > 0))
+            return err_fail(ERR_ARG, "%s: splat %d of %d: quaternion of length 0", path, i, g->n);
+    }
+    return OK;
+}
+
+int splats_sign(int plane, unsigned axes)
+{
+    enum { X = 1, Y = 2, Z = 4 };
+    static const unsigned char odd_geometry[G_SH] = {X, Y, Z, 0, 0, 0, 0, Y | Z, X | Z, X | Y, 0};
+    static const unsigned char odd[SH_COEFS_MAX] = {
+        0,     Y,         Z,     X,     X | Y, Y | Z, 0, X | Z, 0, // bands 0 to 2
+        Y,     X | Y | Z, Y,     Z,     X,     Z,     X,           // 3
+        X | Y, Y | Z,     X | Y, Y | Z, 0,     X | Z, 0, X | Z, 0};
+    unsigned set = axes & (plane < G_SH ? odd_geometry[plane] : odd[(plane - G_SH) / 3]);
+    return (set ^ set >> 1 ^ set >> 2) & 1 ? -1 : 1;
+}
