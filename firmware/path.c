@@ -1,5 +1,9 @@
 /* Point of convergence: least squares over all axes of the distance to the lines c + s a,
- * sum (I - a a^T) (p - c) = 0. */
+ * sum (I - a a^T) (p - c) = 0.
+ * Way through the cameras: Catmull-Rom as the pyramid of P. J. Barry and R. N. Goldman (SIGGRAPH
+ * 1988), its knots apart as cameras are, and its six interpolations lines for centres and great
+ * arcs for rotations (J. Schlag, Graphics Gems II, 1991): centres and rotations turn without a
+ * kink. */
 #include "firmware/path.h"
 
 #include "core/splat/raster.h"
@@ -207,4 +211,151 @@ void path_orbit(const struct camera *cams, int n_cams, double far, int i, int n,
         eye[k] = s.centre[k] + cos(turn) * s.across * s.right[k] + sin(turn) * s.along * s.down[k];
     *out = cams[0];
     look_at(eye, p, s.down, out);
+}
+
+/* ---- through the cameras ---- */
+
+#define STOP_SHARE 0.1 // of the mean step: cameras nearer than that are one stop
+
+struct pose {
+    double c[3], q[4]; // centre; rotation as in struct camera
+};
+
+static struct pose pose_of(const struct camera *cam)
+{
+    struct pose p;
+    path_centre(cam, p.c);
+    for (int k = 0; k < 4; k++)
+        p.q[k] = (double)cam->q[k];
+    return p;
+}
+
+/* Angle between unit vectors, 0..pi; exact for small ones too. */
+static double arc(const double a[4], const double b[4])
+{
+    double minus = 0, plus = 0;
+    for (int k = 0; k < 4; k++) {
+        minus += (a[k] - b[k]) * (a[k] - b[k]);
+        plus += (a[k] + b[k]) * (a[k] + b[k]);
+    }
+    return 2 * atan2(sqrt(minus), sqrt(plus));
+}
+
+/* The line and the great arc from a (u = 0) to b (u = 1), and beyond. */
+static struct pose between(const struct pose *a, const struct pose *b, double u)
+{
+    struct pose out;
+    double angle = arc(a->q, b->q), s = sin(angle);
+    bool turns = s > 1e-9;
+    for (int k = 0; k < 4; k++)
+        out.q[k] =
+            turns ? (sin((1 - u) * angle) * a->q[k] + sin(u * angle) * b->q[k]) / s : a->q[k];
+    for (int k = 0; k < 3; k++)
+        out.c[k] = a->c[k] + u * (b->c[k] - a->c[k]);
+    return out;
+}
+
+/* Of the two quaternions of b's rotation the one nearer to a's. */
+static void align(const struct pose *a, struct pose *b)
+{
+    double cosine = 0;
+    for (int k = 0; k < 4; k++)
+        cosine += a->q[k] * b->q[k];
+    for (int k = 0; k < 4; k++)
+        b->q[k] *= cosine < 0 ? -1 : 1;
+}
+
+/* How far the picture of something at `far` moves from a to b, radians. */
+static double step(const struct camera *a, const struct camera *b, double far)
+{
+    struct pose p = pose_of(a), q = pose_of(b);
+    double square = 0;
+    align(&p, &q);
+    for (int k = 0; k < 3; k++)
+        square += (p.c[k] - q.c[k]) * (p.c[k] - q.c[k]);
+    return sqrt(square) / far + 2 * arc(p.q, q.q);
+}
+
+struct way {
+    const struct camera *cams;
+    int n;
+    double far, apart; // apart: the least step between two stops
+};
+
+/* The stop behind camera a, -1 if there is none; *h is the step there. */
+static int next_stop(const struct way *w, int a, double *h)
+{
+    for (int b = a + 1; b < w->n; b++) {
+        *h = step(w->cams + a, w->cams + b, w->far);
+        if (*h > w->apart)
+            return b;
+    }
+    return -1;
+}
+
+/* At t in 0..h[1] between p[1] and p[2]; h: steps between the four. */
+static struct pose pyramid(const struct pose p[4], const double h[3], double t)
+{
+    struct pose a0 = between(p, p + 1, 1 + t / h[0]), a1 = between(p + 1, p + 2, t / h[1]),
+                a2 = between(p + 2, p + 3, (t - h[1]) / h[2]),
+                b0 = between(&a0, &a1, (t + h[0]) / (h[0] + h[1])),
+                b1 = between(&a1, &a2, t / (h[1] + h[2]));
+    return between(&b0, &b1, t / h[1]);
+}
+
+static double length(const struct way *w)
+{
+    double sum = 0, h = 0;
+    for (int a = 0; (a = next_stop(w, a, &h)) >= 0;)
+        sum += h;
+    return sum;
+}
+
+/* Put the first of two cameras at `p`, its lens on the way to that of the second. */
+static void place(const struct camera *second, double share, struct pose p, struct camera *cam)
+{
+    const float u = (float)share;
+    cam->fx += u * (second->fx - cam->fx);
+    cam->fy += u * (second->fy - cam->fy);
+    cam->cx += u * (second->cx - cam->cx);
+    cam->cy += u * (second->cy - cam->cy);
+    for (int k = 0; k < 4; k++)
+        cam->q[k] = (float)p.q[k];
+    for (int k = 0; k < 3; k++) {
+        double r[3];
+        row(cam, k, r);
+        cam->t[k] = (float)-dot(r, p.c);
+    }
+}
+
+void path_through(const struct camera *cams, int n_cams, double far, double u, struct camera *out)
+{
+    struct way w = {cams, n_cams, far, 0};
+    w.apart = STOP_SHARE * length(&w) / n_cams;
+    double t = u * length(&w), h[3] = {0};
+    int before = -1, a = 0, b = next_stop(&w, 0, &h[1]);
+    while (b >= 0 && t > h[1]) {
+        t -= h[1];
+        h[0] = h[1];
+        before = a;
+        a = b;
+        b = next_stop(&w, a, &h[1]);
+    }
+    *out = cams[a];
+    if (b < 0)
+        return;
+    int after = next_stop(&w, b, &h[2]);
+    struct pose p[4] = {pose_of(cams + (before < 0 ? a : before)), pose_of(cams + a),
+                        pose_of(cams + b), pose_of(cams + (after < 0 ? b : after))};
+    for (int k = 0; k < 3; k++)
+        align(p + k, p + k + 1);
+    if (before < 0) { // as if there were one before the first
+        p[0] = between(p + 1, p + 2, -1);
+        h[0] = h[1];
+    }
+    if (after < 0) {
+        p[3] = between(p + 1, p + 2, 2);
+        h[2] = h[1];
+    }
+    place(cams + b, t / h[1], pyramid(p, h, t), out);
 }

@@ -25,4 +25,11 @@ int path_nearest(const struct camera *cams, int n, const struct camera *to);
 void path_orbit(const struct camera *cams, int n_cams, double far, int i, int n,
                 struct camera *out);
 
+/* At share u (0..1) of a smooth way through the cameras in their order, from the first to the last,
+ * at an even speed: what is at `far` moves evenly across the picture. Cameras that nearly agree are
+ * one stop.
+ * far:  scene units, > 0.
+ * out:  intrinsics between those of its two neighbours; all cameras are for one picture size. */
+void path_through(const struct camera *cams, int n_cams, double far, double u, struct camera *out);
+
 #endif
