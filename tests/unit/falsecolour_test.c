@@ -107,6 +107,7 @@ static void legend(void **state)
             ink[(y + 8) / 16] += px[3 * (y * W + x)] > 128;
     for (int s = -9; s <= 9; s++)
         assert_int_equal(ink[9 - s] > 10, s % 4 == 0);
+    assert_true(ink[9 - 8] > ink[9 + 8]); // + has more than -
 }
 
 /* Guards around the pixels stay, however small the picture. */
