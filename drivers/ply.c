@@ -5,25 +5,24 @@
 
 #include "core/base/bytes.h"
 #include "core/base/half.h"
-#include "core/net/tonemap.h"
+#include "core/splat/display.h"
 #include "drivers/file.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
-
-#define SH_C0 0.28209479177387814 // band 0 of the spherical harmonics
 
 enum {
     HEADER_MAX = 65536, // bytes; viewers stop at 10 kB to 64 kB
     PROPERTIES_MAX = 512,
     WORD_CAP = 32,
     LINE_WORDS = 5, // property list uchar int vertex_indices
-    STANDARD_FLOATS = 17,
-    ROW_MAX = 4 * STANDARD_FLOATS + 2 * 3 * SH_COEFS_MAX
+    SHOWN_COEFS_MAX = (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1),
+    FLOATS_MAX = 14 + 3 * SHOWN_COEFS_MAX,
+    ROW_MAX = 4 * FLOATS_MAX + 2 * 3 * SH_COEFS_MAX
 };
 
-static const double LOG_EXPONENT_MAX = 80; // exp stays a float
-static const double DARKEST_LINEAR = 1e-4; // of a display value that becomes radiance
+#define EV_MAX 200 // stops; two floats are never further apart
 static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
 
 /* ---- writing ---- */
@@ -42,71 +41,96 @@ static err_t check_splat(const char *path, const struct gaussians *g, int i)
     return OK;
 }
 
-static float display_dc(const struct tonemap_curve *curve, float sh_dc)
+static int coefs_of(int degree)
 {
-    float radiance = (float)exp(fmin(SH_C0 * sh_dc, LOG_EXPONENT_MAX)), display;
-    tonemap_run(curve, &radiance, 0, 1, &display);
-    return (float)((display - 0.5) / SH_C0);
+    return (degree + 1) * (degree + 1);
 }
 
-static uint8_t *put_standard(const struct gaussians *g, const struct tonemap_table *tone, int i,
-                             uint8_t *p)
+static int shown_degree(int degree)
 {
+    return degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX;
+}
+
+/* f_dc of all colours, then f_rest of one colour after the other. */
+static uint8_t *put_shown(const float *sh, int coefs, uint8_t *p)
+{
+    for (int c = 0; c < 3; c++)
+        p = bytes_put_f32(p, sh[c]);
+    for (int c = 0; c < 3; c++)
+        for (int k = 1; k < coefs; k++)
+            p = bytes_put_f32(p, sh[3 * k + c]);
+    return p;
+}
+
+static uint8_t *put_row(const struct gaussians *g, float ev, int i, uint8_t *p)
+{
+    float log_sh[3 * SH_COEFS_MAX], shown[3 * SHOWN_COEFS_MAX];
+    int coefs = coefs_of(g->degree);
     double length = 0;
     for (int k = 0; k < 4; k++)
         length += (double)g->plane[G_QUAT + k][i] * g->plane[G_QUAT + k][i];
     length = sqrt(length);
+    for (int j = 0; j < 3 * coefs; j++)
+        log_sh[j] = g->plane[G_SH + j][i];
+    display_from_radiance(log_sh, g->degree, ev, shown);
     for (int k = 0; k < 3; k++)
         p = bytes_put_f32(p, g->plane[G_MU + k][i]);
     for (int k = 0; k < 3; k++)
         p = bytes_put_f32(p, 0); // normals, which splats do not have
-    for (int k = 0; k < 3; k++)
-        p = bytes_put_f32(p, display_dc(&tone->c[k], g->plane[G_SH + k][i]));
+    p = put_shown(shown, coefs_of(shown_degree(g->degree)), p);
     p = bytes_put_f32(p, g->plane[G_LOGIT][i]);
     for (int k = 0; k < 3; k++)
         p = bytes_put_f32(p, fmaxf(g->plane[G_LOG_SCALE + k][i], GAUSSIANS_LOG_SCALE_MIN));
     for (int k = 0; k < 4; k++)
         p = bytes_put_f32(p, (float)(g->plane[G_QUAT + k][i] / length));
+    for (int c = 0; c < 3; c++)
+        for (int k = 0; k < coefs; k++)
+            p = bytes_put_u16(p, half_from_float_sat(log_sh[3 * k + c]));
     return p;
 }
 
-static void put_header(FILE *f, const struct gaussians *g, const struct tonemap *tone)
+static void put_names(FILE *f, const char *type, const char *prefix, int n)
 {
-    static const char *const standard[STANDARD_FLOATS] = {
-        "x",       "y",       "z",       "nx",      "ny",    "nz",    "f_dc_0", "f_dc_1", "f_dc_2",
-        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2",  "rot_3"};
+    for (int k = 0; k < n; k++)
+        fprintf(f, "property %s %s%d\n", type, prefix, k);
+}
+
+static void put_header(FILE *f, const struct scene *s, float ev)
+{
+    static const char *const first[] = {"x", "y", "z", "nx", "ny", "nz"};
     fprintf(f, "ply\nformat binary_little_endian 1.0\n");
-    fprintf(f, "comment hdrig mid_log2t %.9g sh_degree %d\n", (double)tone->mid_log2t, g->degree);
-    fprintf(f, "element vertex %d\n", g->n);
-    for (int k = 0; k < STANDARD_FLOATS; k++)
-        fprintf(f, "property float %s\n", standard[k]);
-    for (int k = 0; k < gaussians_planes(g->degree) - G_SH; k++)
-        fprintf(f, "property ushort ihdr_log_%d\n", k);
+    fprintf(f, "comment ihdr ev %.9g\n", (double)ev);
+    fprintf(f, "comment ihdr mid_exposure_log2 %.9g\n", (double)s->tone.mid_log2t);
+    fprintf(f, "comment ihdr background %.9g %.9g %.9g\n", (double)s->background[0],
+            (double)s->background[1], (double)s->background[2]);
+    fprintf(f, "element vertex %d\n", s->g.n);
+    for (size_t k = 0; k < sizeof first / sizeof first[0]; k++)
+        fprintf(f, "property float %s\n", first[k]);
+    put_names(f, "float", "f_dc_", 3);
+    put_names(f, "float", "f_rest_", 3 * coefs_of(shown_degree(s->g.degree)) - 3);
+    fprintf(f, "property float opacity\n");
+    put_names(f, "float", "scale_", 3);
+    put_names(f, "float", "rot_", 4);
+    put_names(f, "ushort", "ihdr_log_", 3 * coefs_of(s->g.degree));
     fprintf(f, "end_header\n");
 }
 
-err_t ply_write(const char *path, const struct gaussians *g, const struct tonemap *tone)
+err_t ply_write(const char *path, const struct scene *s)
 {
     FILE *f;
-    struct tonemap_table table;
+    float ev = display_ev(&s->tone);
     err_t e = file_create(path, &f);
     if (e)
         return e;
-    tonemap_table_init(&table, tone);
-    put_header(f, g, tone);
-    int coefs = (gaussians_planes(g->degree) - G_SH) / 3;
-    for (int i = 0; i < g->n; i++) {
-        uint8_t row[ROW_MAX], *p;
-        e = check_splat(path, g, i);
+    put_header(f, s, ev);
+    for (int i = 0; i < s->g.n; i++) {
+        uint8_t row[ROW_MAX];
+        e = check_splat(path, &s->g, i);
         if (e) {
             file_discard(f, path);
             return e;
         }
-        p = put_standard(g, &table, i, row);
-        for (int c = 0; c < 3; c++)
-            for (int k = 0; k < coefs; k++)
-                p = bytes_put_u16(p, half_from_float_sat(g->plane[G_SH + 3 * k + c][i]));
-        fwrite(row, 1, (size_t)(p - row), f);
+        fwrite(row, 1, (size_t)(put_row(&s->g, ev, i, row) - row), f);
     }
     return file_finish(f, path);
 }
@@ -132,6 +156,7 @@ struct header {
     size_t row;   // bytes
     int n_rows, n;
     bool has_format, in_vertex, past_vertex;
+    float ev; // of the comment
     struct property v[PROPERTIES_MAX];
 };
 
@@ -237,6 +262,21 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
                     w->n ? w->v[0] : "");
 }
 
+/* "comment ihdr ev X"; other comments say nothing that is needed here. */
+static err_t take_comment(const char *what, const char *line, size_t n, struct header *h)
+{
+    struct words w;
+    if (!split(line, n, &w) || !is(&w, 4, "comment") || strcmp(w.v[1], "ihdr") != 0 ||
+        strcmp(w.v[2], "ev") != 0)
+        return OK;
+    char *end;
+    h->ev = strtof(w.v[3], &end);
+    if (*end || !(fabsf(h->ev) <= EV_MAX))
+        return err_fail(ERR_FORMAT, "%s: comment ihdr ev \"%s\", allowed are -%d to %d stops", what,
+                        w.v[3], EV_MAX, EV_MAX);
+    return OK;
+}
+
 static bool is_comment(const char *line, size_t n)
 {
     return (n >= 7 && memcmp(line, "comment", 7) == 0) ||
@@ -256,8 +296,12 @@ static err_t take_lines(const struct ply_bytes *file, struct header *h)
         size_t n = (size_t)(stop - line);
         at += n + 1;
         struct words w;
-        if (number > 1 && is_comment(line, n))
+        if (number > 1 && is_comment(line, n)) {
+            err_t e = take_comment(file->what, line, n, h);
+            if (e)
+                return e;
             continue;
+        }
         if (!split(line, n, &w))
             return err_fail(ERR_FORMAT, "%s: header line %d has words too many or too long",
                             file->what, number);
@@ -325,19 +369,20 @@ static err_t find_degree(const char *what, const struct header *h, struct ply_in
     int n_log = count_numbered(h, "ihdr_log_"), n_rest = count_numbered(h, "f_rest_");
     out->has_hdr = n_log > 0;
     out->n = h->n_rows;
-    int coefs = out->has_hdr ? n_log : n_rest + 3, top = out->has_hdr ? SH_DEGREE_MAX : 3;
-    for (out->degree = 0; out->degree <= top; out->degree++)
-        if (3 * (out->degree + 1) * (out->degree + 1) == coefs)
+    out->ev = h->ev;
+    int numbers = out->has_hdr ? n_log : n_rest + 3;
+    for (out->degree = 0; out->degree <= SH_DEGREE_MAX; out->degree++)
+        if (3 * coefs_of(out->degree) == numbers)
             return OK;
     return err_fail(ERR_UNSUPPORTED, "%s: %d properties %s*: no SH degree of 0 to %d has as many",
                     what, out->has_hdr ? n_log : n_rest, out->has_hdr ? "ihdr_log_" : "f_rest_",
-                    top);
+                    SH_DEGREE_MAX);
 }
 
 /* Name of the property of an SH plane: the coefficients of one colour follow each other. */
 static void sh_name(const struct ply_info *info, int k, int c, char name[WORD_CAP])
 {
-    int coefs = (info->degree + 1) * (info->degree + 1);
+    int coefs = coefs_of(info->degree);
     if (info->has_hdr)
         snprintf(name, WORD_CAP, "ihdr_log_%d", c * coefs + k);
     else if (k == 0)
@@ -354,8 +399,7 @@ static err_t find_sources(const char *what, const struct header *h, struct sourc
     err_t e = find_degree(what, h, &out->info);
     for (int p = 0; p < G_SH && !e; p++)
         e = find_source(what, h, names[p], TYPE_FLOAT, &out->offset[p]);
-    int coefs = (out->info.degree + 1) * (out->info.degree + 1);
-    for (int j = 0; j < 3 * coefs && !e; j++) {
+    for (int j = 0; !e && j < 3 * coefs_of(out->info.degree); j++) {
         char name[WORD_CAP];
         sh_name(&out->info, j / 3, j % 3, name);
         e = find_source(what, h, name, out->info.has_hdr ? TYPE_USHORT : TYPE_FLOAT,
@@ -378,43 +422,20 @@ static float half_at(const uint8_t *row, size_t offset)
     return half_to_float(bytes_u16(&b));
 }
 
-/* Display value (sRGB, IEC 61966-2-1) to linear light and the relative slope d ln(linear) / d
- * display. */
-static double linear_of(double display, double *slope)
+static void take_row(const struct sources *s, const uint8_t *row, float ev, int i,
+                     struct gaussians *g)
 {
-    *slope = 2.4 / (fmax(display, 0.04045) + 0.055); // held below the knee: 1/display has no bound
-    if (display <= 0.04045)
-        return display / 12.92;
-    return pow((display + 0.055) / 1.055, 2.4);
-}
-
-static void colour_from_display(const struct sources *s, const uint8_t *row, int i,
-                                struct gaussians *g)
-{
-    int coefs = (s->info.degree + 1) * (s->info.degree + 1);
-    for (int c = 0; c < 3; c++) {
-        double slope;
-        double linear = linear_of(0.5 + SH_C0 * float_at(row, s->offset[G_SH + c]), &slope);
-        bool dark = linear < DARKEST_LINEAR;
-        g->plane[G_SH + c][i] =
-            isnan(linear) ? NAN : (float)(log(dark ? DARKEST_LINEAR : linear) / SH_C0);
-        for (int k = 1; k < coefs; k++) {
-            double v = float_at(row, s->offset[G_SH + 3 * k + c]);
-            g->plane[G_SH + 3 * k + c][i] = dark && isfinite(v) ? 0 : (float)(v * slope);
-        }
-    }
-}
-
-static void take_row(const struct sources *s, const uint8_t *row, int i, struct gaussians *g)
-{
+    float sh[3 * SH_COEFS_MAX], log_sh[3 * SH_COEFS_MAX];
+    int n_sh = 3 * coefs_of(s->info.degree);
     for (int p = 0; p < G_SH; p++)
         g->plane[p][i] = float_at(row, s->offset[p]);
-    if (!s->info.has_hdr) {
-        colour_from_display(s, row, i, g);
-        return;
-    }
-    for (int p = G_SH; p < gaussians_planes(g->degree); p++)
-        g->plane[p][i] = half_at(row, s->offset[p]);
+    for (int j = 0; j < n_sh; j++)
+        sh[j] = s->info.has_hdr ? half_at(row, s->offset[G_SH + j])
+                                : float_at(row, s->offset[G_SH + j]);
+    if (!s->info.has_hdr)
+        display_to_radiance(sh, s->info.degree, ev, log_sh);
+    for (int j = 0; j < n_sh; j++)
+        g->plane[G_SH + j][i] = s->info.has_hdr ? sh[j] : log_sh[j];
 }
 
 err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out)
@@ -430,7 +451,7 @@ err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out)
     return e;
 }
 
-err_t ply_parse(const struct ply_bytes *file, struct arena *a, struct gaussians *g,
+err_t ply_parse(const struct ply_bytes *file, float ev, struct arena *a, struct gaussians *g,
                 struct gaussians_report *report)
 {
     struct header h;
@@ -445,7 +466,7 @@ err_t ply_parse(const struct ply_bytes *file, struct arena *a, struct gaussians 
         return e;
     const uint8_t *row = (const uint8_t *)file->p + h.bytes;
     for (int i = 0; i < s.info.n; i++, row += h.row)
-        take_row(&s, row, i, g);
+        take_row(&s, row, ev, i, g);
     g->n = s.info.n;
     gaussians_sanitize(g, report);
     return OK;
@@ -463,7 +484,7 @@ err_t ply_peek(const char *path, struct ply_info *out)
     return e;
 }
 
-err_t ply_read(const char *path, struct arena *a, struct gaussians *g,
+err_t ply_read(const char *path, float ev, struct arena *a, struct gaussians *g,
                struct gaussians_report *report)
 {
     struct file_map m;
@@ -471,7 +492,7 @@ err_t ply_read(const char *path, struct arena *a, struct gaussians *g,
     err_t e = file_map(path, FILE_BYTES_MAX, &m);
     if (e)
         return e;
-    e = ply_parse(&(struct ply_bytes){path, m.p, m.n}, a, g, report);
+    e = ply_parse(&(struct ply_bytes){path, m.p, m.n}, ev, a, g, report);
     file_unmap(&m);
     return e;
 }

@@ -1,9 +1,11 @@
 /* Degree 0 is solved directly, in double. For higher degrees the function on the other side of the
  * transfer is sampled on RINGS circles of latitude (Gauss-Legendre in z) in STEPS even steps and
- * projected back:  f_k = sum over directions of  weight * value * Y_k.
- * On one ring Y_(l,+-m) = p_lm(z) {cos, sin}(m phi), so both ways are short Fourier sums.
- * The rule is exact up to polynomials of degree 15: harmonics of degree 3 come back unchanged as
- * long as the sampled function has no bands above 12.
+ * fitted. On one ring Y_(l,+-m) = p_lm(z) {cos, sin}(m phi), so sums over k and over directions are
+ * short Fourier sums. The rule is exact for polynomials up to degree 15.
+ * To display values the least-squares fit is the projection f_k = sum weight value Y_k. The way
+ * back is fitted in the logarithm, where an error at a display value v is seen (v + 0.055) / 2.4
+ * times: least squares with the square of that as weights, by conjugate gradients that begin at
+ * the projection.
  * Nodes and weights: Abramowitz and Stegun, table 25.4. Harmonics: sh_body.h (model-spec 2.13).
  * Transfer: IEC 61966-2-1. */
 #include "core/splat/display.h"
@@ -17,7 +19,9 @@
 enum {
     RINGS = 8,
     STEPS = 16,
+    DIRECTIONS = RINGS * STEPS,
     WAVES = SH_DEGREE_MAX + 1,
+    ITERATIONS = 4,                 // more gain less than 1 dB
     TERMS = WAVES * (WAVES + 1) / 2 // p_lm at l (l + 1) / 2 + m
 };
 
@@ -64,138 +68,174 @@ static double clamp_log(double v)
     return fmin(fmax(v, -(double)RASTER_LOG_MAX), (double)RASTER_LOG_MAX);
 }
 
-static double log_radiance(double value, double shift)
-{
-    return clamp_log(fmax(decode_log(value), log((double)DISPLAY_FLOOR)) - shift);
-}
+/* ---- the sphere ---- */
 
-/* Values of one ring, log radiance to display value less 0.5 and back; shift = ev ln 2. */
-typedef void ring_fn(double shift, double v[STEPS]);
-
-static void to_display(double shift, double v[STEPS])
-{
-    float knee = logf((float)knee_linear);
-    for (int j = 0; j < STEPS; j++) {
-        float u = (float)(clamp_log(v[j]) + shift);
-        float shown = u > knee ? 1.055f * expf(u / 2.4f) - 0.055f : 12.92f * expf(u);
-        v[j] = (double)shown - 0.5;
-    }
-}
-
-static void to_log(double shift, double v[STEPS])
-{
-    for (int j = 0; j < STEPS; j++)
-        v[j] = log_radiance(v[j] + 0.5, shift);
-}
-
-/* ---- the fit ---- */
-
-/* p_lm(z) with the factor sqrt 2 of m > 0. */
-static void ring_terms(double z, double p[TERMS])
-{
-    double zz = z * z, s = sqrt(1 - zz), s2 = s * s, s3 = s2 * s;
-    p[0] = sh_c0;
-    p[1] = 0.48860251190292 * z;
-    p[2] = -0.48860251190292 * s;
-    p[3] = 0.9461746957575601 * zz - 0.3153915652525201;
-    p[4] = -1.092548430592079 * z * s;
-    p[5] = 0.5462742152960395 * s2;
-    p[6] = z * (1.865881662950577 * zz - 1.119528997770346);
-    p[7] = (0.4570457994644658 - 2.285228997322329 * zz) * s;
-    p[8] = 1.445305721320277 * z * s2;
-    p[9] = -0.5900435899266435 * s3;
-    p[10] = 1.984313483298443 * z * p[6] - 1.006230589874905 * p[3];
-    p[11] = z * (2.007139630671868 - 4.683325804901025 * zz) * s;
-    p[12] = (3.31161143515146 * zz - 0.47308734787878) * s2;
-    p[13] = -1.770130769779931 * z * s3;
-    p[14] = 0.6258357354491763 * s2 * s2;
-}
-
-/* cos and sin of m phi on the steps. */
-struct waves {
-    double cosine[WAVES][STEPS], sine[WAVES][STEPS];
+struct sphere {
+    float p[RINGS][TERMS], weight[RINGS]; // weights of a direction
+    float cosine[WAVES][STEPS], sine[WAVES][STEPS];
 };
 
-static void waves_init(struct waves *w)
+/* p_lm(z) with the factor sqrt 2 of m > 0. */
+static void ring_terms(double z, float p[TERMS])
 {
-    static const double quarter[STEPS / 4 + 1] = {1, 0.9238795325112867, 0.7071067811865476,
-                                                  0.3826834323650898, 0};
-    double turn[STEPS];
+    double zz = z * z, s = sqrt(1 - zz), s2 = s * s, s3 = s2 * s;
+    double p3 = 0.9461746957575601 * zz - 0.3153915652525201;
+    double p6 = z * (1.865881662950577 * zz - 1.119528997770346);
+    p[0] = (float)sh_c0;
+    p[1] = (float)(0.48860251190292 * z);
+    p[2] = (float)(-0.48860251190292 * s);
+    p[3] = (float)p3;
+    p[4] = (float)(-1.092548430592079 * z * s);
+    p[5] = (float)(0.5462742152960395 * s2);
+    p[6] = (float)p6;
+    p[7] = (float)((0.4570457994644658 - 2.285228997322329 * zz) * s);
+    p[8] = (float)(1.445305721320277 * z * s2);
+    p[9] = (float)(-0.5900435899266435 * s3);
+    p[10] = (float)(1.984313483298443 * z * p6 - 1.006230589874905 * p3);
+    p[11] = (float)(z * (2.007139630671868 - 4.683325804901025 * zz) * s);
+    p[12] = (float)((3.31161143515146 * zz - 0.47308734787878) * s2);
+    p[13] = (float)(-1.770130769779931 * z * s3);
+    p[14] = (float)(0.6258357354491763 * s2 * s2);
+}
+
+static void sphere_init(struct sphere *s)
+{
+    static const float quarter[STEPS / 4 + 1] = {1, 0.923879533f, 0.707106781f, 0.382683432f, 0};
+    float turn[STEPS]; // cosine of a step
     for (int j = 0; j < STEPS; j++) {
         int k = j <= STEPS / 2 ? j : STEPS - j;
         turn[j] = k <= STEPS / 4 ? quarter[k] : -quarter[STEPS / 2 - k];
     }
     for (int m = 0; m < WAVES; m++)
         for (int j = 0; j < STEPS; j++) {
-            w->cosine[m][j] = turn[m * j % STEPS];
-            w->sine[m][j] = turn[(m * j + 3 * STEPS / 4) % STEPS];
+            s->cosine[m][j] = turn[m * j % STEPS];
+            s->sine[m][j] = turn[(m * j + 3 * STEPS / 4) % STEPS];
         }
-}
-
-/* Harmonics of one colour (every third number) on the ring with terms p. */
-static void sample(const struct waves *w, const double p[TERMS], const float *sh, int degree,
-                   double v[STEPS])
-{
-    memset(v, 0, STEPS * sizeof *v);
-    for (int m = 0; m <= degree; m++) {
-        double a = 0, b = 0;
-        for (int l = m; l <= degree; l++) {
-            double term = p[l * (l + 1) / 2 + m];
-            a += term * (double)sh[3 * (l * l + l + m)];
-            b += term * (double)sh[3 * (l * l + l - m)];
-        }
-        if (m == 0)
-            b = 0;
-        for (int j = 0; j < STEPS; j++)
-            v[j] += a * w->cosine[m][j] + b * w->sine[m][j];
-    }
-}
-
-/* out += weight * ring of values, projected. */
-static void project(const struct waves *w, const double p[TERMS], const double v[STEPS], int degree,
-                    double out[SH_COEFS_MAX])
-{
-    for (int m = 0; m <= degree; m++) {
-        double a = 0, b = 0;
-        for (int j = 0; j < STEPS; j++) {
-            a += v[j] * w->cosine[m][j];
-            b += v[j] * w->sine[m][j];
-        }
-        for (int l = m; l <= degree; l++) {
-            double term = p[l * (l + 1) / 2 + m];
-            out[l * l + l + m] += term * a;
-            if (m > 0)
-                out[l * l + l - m] += term * b;
-        }
-    }
-}
-
-struct fit {
-    int degree_in, degree_out;
-    double shift;
-    ring_fn *fn;
-};
-
-static void fit_run(const struct fit *f, const float *in, float *out)
-{
-    struct waves w;
-    double sum[3][SH_COEFS_MAX] = {0};
-    waves_init(&w);
     for (int r = 0; r < RINGS; r++) {
-        double p[TERMS], z = ring_z[r / 2], weight = ring_weight[r / 2] * 2 * pi / STEPS;
-        ring_terms(r % 2 ? -z : z, p);
-        for (int c = 0; c < 3; c++) {
-            double v[STEPS];
-            sample(&w, p, in + c, f->degree_in, v);
-            f->fn(f->shift, v);
-            for (int j = 0; j < STEPS; j++)
-                v[j] *= weight;
-            project(&w, p, v, f->degree_out, sum[c]);
-        }
+        ring_terms(r % 2 ? -ring_z[r / 2] : ring_z[r / 2], s->p[r]);
+        s->weight[r] = (float)(ring_weight[r / 2] * 2 * pi / STEPS);
     }
-    for (int k = 0; k < (f->degree_out + 1) * (f->degree_out + 1); k++)
-        for (int c = 0; c < 3; c++)
-            out[3 * k + c] = (float)sum[c][k];
+}
+
+/* v = sum_k sh_k Y_k. */
+static void sample(const struct sphere *s, const float *sh, int degree, float v[DIRECTIONS])
+{
+    memset(v, 0, DIRECTIONS * sizeof *v);
+    for (int r = 0; r < RINGS; r++, v += STEPS)
+        for (int m = 0; m <= degree; m++) {
+            float a = 0, b = 0;
+            for (int l = m; l <= degree; l++) {
+                a += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l + m];
+                b += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l - m];
+            }
+            for (int j = 0; j < STEPS; j++)
+                v[j] += a * s->cosine[m][j] + b * s->sine[m][j]; // the sine of m = 0 is 0
+        }
+}
+
+/* sh_k = sum of weight v Y_k. */
+static void project(const struct sphere *s, const float v[DIRECTIONS], int degree, float *sh)
+{
+    memset(sh, 0, SH_COEFS_MAX * sizeof *sh);
+    for (int r = 0; r < RINGS; r++, v += STEPS)
+        for (int m = 0; m <= degree; m++) {
+            float a = 0, b = 0;
+            for (int j = 0; j < STEPS; j++) {
+                a += v[j] * s->cosine[m][j];
+                b += v[j] * s->sine[m][j];
+            }
+            for (int l = m; l <= degree; l++) {
+                float term = s->weight[r] * s->p[r][l * (l + 1) / 2 + m];
+                sh[l * l + l + m] += term * a;
+                if (m > 0)
+                    sh[l * l + l - m] += term * b;
+            }
+        }
+}
+
+/* ---- the fits ---- */
+
+static int coefs_of(int degree)
+{
+    return (degree + 1) * (degree + 1);
+}
+
+/* One colour of planes (every third number), kept where sums of floats stay finite. */
+static void take_colour(const float *planes, int degree, float sh[SH_COEFS_MAX])
+{
+    for (int k = 0; k < coefs_of(degree); k++)
+        sh[k] = fminf(fmaxf(planes[3 * k], -1e15f), 1e15f);
+}
+
+static void put_colour(const float *sh, int degree, float *planes)
+{
+    for (int k = 0; k < coefs_of(degree); k++)
+        planes[3 * k] = sh[k];
+}
+
+static void fit_display(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX])
+{
+    const float knee = logf((float)knee_linear);
+    float v[DIRECTIONS];
+    sample(s, sh, degree, v);
+    for (int i = 0; i < DIRECTIONS; i++) {
+        float u = fminf(fmaxf(v[i], -RASTER_LOG_MAX), RASTER_LOG_MAX) + shift;
+        v[i] = (u > knee ? 1.055f * expf(u / 2.4f) - 0.055f : 12.92f * expf(u)) - 0.5f;
+    }
+    project(s, v, degree, sh);
+}
+
+static float dot(const float *a, const float *b, int n)
+{
+    float sum = 0;
+    for (int k = 0; k < n; k++)
+        sum += a[k] * b[k];
+    return sum;
+}
+
+/* out = projection of weighted values of sh. */
+static void apply(const struct sphere *s, const float seen[DIRECTIONS], int degree, const float *sh,
+                  float *out)
+{
+    float v[DIRECTIONS];
+    sample(s, sh, degree, v);
+    for (int i = 0; i < DIRECTIONS; i++)
+        v[i] *= seen[i];
+    project(s, v, degree, out);
+}
+
+static void fit_log(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX])
+{
+    float v[DIRECTIONS], seen[DIRECTIONS], weighted[DIRECTIONS];
+    float residual[SH_COEFS_MAX], step[SH_COEFS_MAX], image[SH_COEFS_MAX];
+    int n = coefs_of(degree);
+    sample(s, sh, degree, v);
+    for (int i = 0; i < DIRECTIONS; i++) {
+        float shown = v[i] + 0.5f, slope = fminf(fmaxf(shown, 0), 1) + 0.055f;
+        seen[i] = slope * slope;
+        float log_linear = shown > (float)knee_value
+                               ? 2.4f * logf((shown + 0.055f) / 1.055f)
+                               : logf(fmaxf(shown / 12.92f, DISPLAY_FLOOR_FIT));
+        v[i] = fminf(fmaxf(log_linear - shift, -RASTER_LOG_MAX), RASTER_LOG_MAX);
+        weighted[i] = seen[i] * v[i];
+    }
+    project(s, v, degree, sh);
+    apply(s, seen, degree, sh, image);
+    project(s, weighted, degree, residual);
+    for (int k = 0; k < n; k++)
+        step[k] = residual[k] -= image[k];
+    float length = dot(residual, residual, n), enough = 1e-10f * length;
+    for (int i = 0; i < ITERATIONS && length > enough; i++) {
+        apply(s, seen, degree, step, image);
+        float go = length / dot(step, image, n), before = length;
+        for (int k = 0; k < n; k++) {
+            sh[k] += go * step[k];
+            residual[k] -= go * image[k];
+        }
+        length = dot(residual, residual, n);
+        for (int k = 0; k < n; k++)
+            step[k] = residual[k] + length / before * step[k];
+    }
 }
 
 /* NaN for a colour of which some coefficient is not finite. */
@@ -214,22 +254,41 @@ void display_from_radiance(const float *log_sh, int degree, float ev, float *out
 {
     double shift = (double)ev * ln2;
     int top = degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX;
-    for (int c = 0; c < 3 && degree == 0; c++) {
-        double shown = encode(exp(clamp_log(sh_c0 * (double)log_sh[c]) + shift));
-        out[c] = (float)((shown - 0.5) / sh_c0);
-    }
+    struct sphere s;
     if (degree > 0)
-        fit_run(&(struct fit){degree, top, shift, to_display}, log_sh, out);
+        sphere_init(&s);
+    for (int c = 0; c < 3; c++) {
+        float sh[SH_COEFS_MAX];
+        if (degree > 0) {
+            take_colour(log_sh + c, degree, sh);
+            fit_display(&s, degree, (float)shift, sh);
+        } else {
+            double shown = encode(exp(clamp_log(sh_c0 * (double)log_sh[c]) + shift));
+            sh[0] = (float)((shown - 0.5) / sh_c0);
+        }
+        put_colour(sh, top, out + c);
+    }
     spread_nan(log_sh, degree, top, out);
 }
 
 void display_to_radiance(const float *f, int degree, float ev, float *out)
 {
     double shift = (double)ev * ln2;
-    for (int c = 0; c < 3 && degree == 0; c++)
-        out[c] = (float)(log_radiance(0.5 + sh_c0 * (double)f[c], shift) / sh_c0);
+    struct sphere s;
     if (degree > 0)
-        fit_run(&(struct fit){degree, degree, shift, to_log}, f, out);
+        sphere_init(&s);
+    for (int c = 0; c < 3; c++) {
+        float sh[SH_COEFS_MAX];
+        if (degree > 0) {
+            take_colour(f + c, degree, sh);
+            fit_log(&s, degree, (float)shift, sh);
+        } else {
+            double linear =
+                fmax(decode_log(0.5 + sh_c0 * (double)f[c]), log((double)DISPLAY_FLOOR));
+            sh[0] = (float)(clamp_log(linear - shift) / sh_c0);
+        }
+        put_colour(sh, degree, out + c);
+    }
     spread_nan(f, degree, degree, out);
 }
 
@@ -249,7 +308,7 @@ static bool find_middle(const struct tonemap_curve *c, double *x)
         double hi = s < c->n ? fmin((double)c->knot[s], highest) : highest;
         double a = (double)c->a[s], b = (double)c->b[s];
         if (lo < hi && a * lo + b <= 0 && a * hi + b > 0) {
-            *x = -b / a;
+            *x = fmin(fmax(-b / a, lo), hi);
             return true;
         }
     }
@@ -271,8 +330,8 @@ float display_ev(const struct tonemap *t)
 }
 
 /* Unit 0 carries the line of the dark, the others bend it at display values that are densest near
- * black and white, one of them at 0.5; above the last the curve is level. What the curve adds to radiance is
- * taken off at 0.5, so that display_ev gives ev again. */
+ * black and white, one of them at 0.5; above the last the curve is level. What the curve adds to
+ * radiance is taken off at 0.5, so that display_ev gives ev again. */
 void display_tonemap(float ev, struct tonemap *out)
 {
     const int knots = TONE_HIDDEN - 1;

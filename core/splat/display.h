@@ -25,10 +25,11 @@ float display_decode(float value);
  *       exp(+-RASTER_LOG_MAX). */
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out);
 
-/* The way back, fitted in the logarithm: f of degree 0..3. Linear values below DISPLAY_FLOOR, of
+/* The way back, fitted in the logarithm: f of degree 0..4. Linear values below the floor, of
  * which foreign scenes have many, are raised to it. A colour that is not finite becomes NaN.
  * out:  (degree+1)^2 by 3. */
-#define DISPLAY_FLOOR 1e-4f // linear
+#define DISPLAY_FLOOR 1e-6f     // linear, at degree 0
+#define DISPLAY_FLOOR_FIT 1e-4f // above: what cannot be seen must not bend the fit
 void display_to_radiance(const float *f, int degree, float ev, float *out);
 
 /* A curve that shows radiance 2^-ev x as sRGB shows x, to within what 64 units can; mid_log2t 0. */

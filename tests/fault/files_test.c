@@ -80,7 +80,7 @@ static err_t write_scene(const struct scene *s)
     const char *ply = tmpdir_path("scene.ply"), *full = tmpdir_path("scene.hdrig"),
                *tone = tmpdir_path("t.json");
     unlink(ply), unlink(full), unlink(tone);
-    err_t e = removed(ply_write(ply, &s->g, &s->tone), ply);
+    err_t e = removed(ply_write(ply, s), ply);
     if (!e)
         e = removed(scenefile_write(full, s), full);
     return e ? e : removed(scenefile_write_tone(tone, &s->tone), tone);
@@ -95,7 +95,7 @@ static err_t read_scene(struct arena *a)
     struct scene back;
     err_t e = ply_peek(tmpdir_path("scene.ply"), &info);
     if (!e)
-        e = ply_read(tmpdir_path("scene.ply"), a, &g, &report);
+        e = ply_read(tmpdir_path("scene.ply"), info.ev, a, &g, &report);
     if (!e)
         e = scenefile_peek(tmpdir_path("scene.hdrig"), &full);
     return e ? e : scenefile_read(tmpdir_path("scene.hdrig"), a, &back);

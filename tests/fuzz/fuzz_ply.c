@@ -16,7 +16,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         return 0;
     struct gaussians g;
     struct gaussians_report report;
-    if (ply_parse(&file, &a, &g, &report) || g.n + report.dropped != info.n)
+    if (ply_parse(&file, info.ev, &a, &g, &report) || g.n + report.dropped != info.n)
         abort(); // what was peeked must be read
     arena_free(&a);
     return 0;
