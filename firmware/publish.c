@@ -1,6 +1,8 @@
 #include "firmware/publish.h"
 
 #include "firmware/draw.h"
+#include "firmware/figures.h"
+#include "firmware/sheet.h"
 
 #include "core/metrics.h"
 #include "core/splat/gaussians.h"
@@ -8,7 +10,6 @@
 #include "drivers/img.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
-#include "drivers/sidecar.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -19,9 +20,10 @@ static uint64_t result_bytes(const struct scene *s)
 {
     uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
     uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
-    uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
+    uint64_t ply = n * (17 * 4 + 2 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
-    return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20);
+    return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
+           sheet_bytes(s->n_views);
 }
 
 /* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
@@ -41,6 +43,7 @@ struct pictures {
     const struct run *r;
     struct job_result *j;
     struct outdir *o;
+    struct sheet *sheet;
     struct draw draw;
     size_t clipped; // values above the largest half
     double psnr;    // sum over the views
@@ -56,12 +59,16 @@ static err_t write_view(struct pictures *p, int i)
     if (e)
         return e;
     draw_display(&p->draw, s->log2t[i]);
-    double mse =
-        squared_error(&p->draw.display, p->j->views.rgb + values * (size_t)i) / (double)values;
-    p->psnr += fmin(-10 * log10(mse), METRICS_PSNR_MAX);
+    const uint8_t *photograph = p->j->views.rgb + values * (size_t)i;
+    double mse = squared_error(&p->draw.display, photograph) / (double)values;
+    double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
+    p->psnr += psnr;
+    p->j->input_db[i] = (float)psnr;
     job_lap(p->j, JOB_RENDER);
+    e = sheet_picture(p->sheet, i, s->size, photograph, &p->draw.display);
     draw_name("ldr", s->names[i], "png", name);
-    e = outdir_path(p->o, name, path);
+    if (!e)
+        e = outdir_path(p->o, name, path);
     if (!e)
         e = img_write_ldr(path, &p->draw.display);
     draw_name("hdr", s->names[i], "exr", name);
@@ -74,9 +81,10 @@ static err_t write_view(struct pictures *p, int i)
     return e;
 }
 
-static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o)
+static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o,
+                         struct sheet *sheet)
 {
-    struct pictures p = {.r = r, .j = j, .o = o};
+    struct pictures p = {.r = r, .j = j, .o = o, .sheet = sheet};
     const struct scene *s = &j->scene;
     size_t mark = arena_mark(r->tmp);
     err_t e = draw_init(&p.draw, r->tmp, s->g.cap, s->size, s->size);
@@ -88,9 +96,11 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     arena_reset(r->tmp, mark);
     j->input_psnr = p.psnr / s->n_views;
     if (p.clipped)
-        job_warn(j,
-                 "%zu values of the EXR files are above the largest half float and stored as 65504",
-                 p.clipped);
+        job_warn(
+            j,
+            "%zu values of the EXR files are above the largest half float and stored as 65504; "
+            "scene.hdrig has them whole",
+            p.clipped);
     return e;
 }
 
@@ -130,9 +140,7 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
     char path[FILE_PATH_CAP];
     err_t e = outdir_path(o, "scene.ply", path);
     if (!e)
-        e = ply_write(path, s);
-    if (!e)
-        e = sidecar_write(path, s);
+        e = ply_write(path, &s->g, &s->tone);
     if (!e)
         e = outdir_path(o, "scene.hdrig", path);
     if (!e)
@@ -146,21 +154,48 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
     return e ? e : write_cameras(s, path);
 }
 
-static err_t write_report(const struct job_result *j, int threads, const struct outdir *o)
+static err_t write_text(const char *path, const char *text)
 {
-    char path[FILE_PATH_CAP];
     FILE *f;
-    err_t e = outdir_path(o, OUTDIR_REPORT, path);
-    if (!e)
-        e = file_create(path, &f);
+    err_t e = file_create(path, &f);
     if (e)
         return e;
-    publish_report(j, threads, f);
+    fputs(text, f);
     return file_finish(f, path);
+}
+
+/* report.json, and with it the end of the page. */
+static err_t write_report(const struct job_result *j, int threads, const struct outdir *o,
+                          struct sheet *sheet)
+{
+    char path[FILE_PATH_CAP], *text = NULL;
+    size_t n;
+    err_t e = outdir_path(o, OUTDIR_REPORT, path);
+    if (e)
+        return e;
+    FILE *f = open_memstream(&text, &n);
+    if (f)
+        publish_report(j, threads, f);
+    if (!f || fclose(f) != 0)
+        e = err_fail(ERR_NOMEM, "%s: no memory for its text", path);
+    if (!e)
+        e = write_text(path, text);
+    if (!e)
+        e = sheet_close(sheet, text);
+    free(text);
+    return e;
+}
+
+static err_t open_sheet(const struct outdir *o, struct sheet *sheet)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = outdir_path(o, SHEET_NAME, path);
+    return e ? e : sheet_open(path, sheet);
 }
 
 err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
 {
+    struct sheet sheet = {0};
     err_t e = check_names(&j->scene);
     if (!e)
         e = outdir_reserve(o, result_bytes(&j->scene));
@@ -169,12 +204,17 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
     if (!e)
         e = outdir_mkdir(o, "hdr");
     if (!e)
-        e = write_views(r, j, o);
+        e = open_sheet(o, &sheet);
+    if (!e)
+        e = write_views(r, j, o, &sheet);
     if (!e)
         e = write_scene(&j->scene, o);
     job_lap(j, JOB_WRITE);
-    if (!e)
-        e = write_report(j, pool_size(r->pool), o);
+    if (!e) {
+        figures_warn(j);
+        e = write_report(j, pool_size(r->pool), o, &sheet);
+    }
+    sheet_discard(&sheet);
     e = outdir_reason(o, e);
     if (!e && atomic_load(r->cancel))
         return ERR_CANCELLED;

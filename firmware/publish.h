@@ -1,5 +1,5 @@
 /* publish.h - the folder of a finished job: scene.ply, scene.hdrig, cameras.json, tone.json,
- * hdr/NAME.exr and ldr/NAME.png per input view at its own exposure, report.json. */
+ * hdr/NAME.exr and ldr/NAME.png per input view at its own exposure, report.json, report.html. */
 #ifndef FIRMWARE_PUBLISH_H
 #define FIRMWARE_PUBLISH_H
 

@@ -21,7 +21,7 @@ struct small_job {
     struct run run;
     struct job_result result;
     char names[SMALL_VIEWS][NAME_CAP];
-    float log2t[SMALL_VIEWS];
+    float log2t[SMALL_VIEWS], db[SMALL_VIEWS];
     struct camera cams[SMALL_VIEWS];
     uint8_t rgb[SMALL_VIEWS * 3 * SMALL_SIZE * SMALL_SIZE];
 };
@@ -56,6 +56,7 @@ static inline void small_job_init(struct small_job *s, int n)
     }
     tonemap_linear(&j->scene.tone, 1, -10, 10, 0);
     j->views = (struct views){SMALL_VIEWS, SMALL_SIZE, s->names, s->rgb, s->log2t, 0, s->cams};
+    j->input_db = s->db;
     j->scene.n_views = SMALL_VIEWS;
     j->scene.size = SMALL_SIZE;
     j->scene.names = s->names;

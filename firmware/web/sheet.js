@@ -1,0 +1,416 @@
+"use strict";
+
+const read = (id) => JSON.parse(document.getElementById(id).textContent);
+const report = read("data"), pictures = read("pictures");
+const inputs = report.inputs || [], exposures = report.exposures || [];
+
+// ---- words and elements ----
+
+const SVG = "http://www.w3.org/2000/svg";
+const SVG_NAMES = new Set(["svg", "path", "line", "rect", "circle", "text", "title", "g"]);
+
+// element("p", {class: "small"}, child, ...): text is never read as HTML
+function element(name, attributes = {}, ...children) {
+  const e = SVG_NAMES.has(name) ? document.createElementNS(SVG, name) : document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) e.setAttribute(key, value);
+  e.append(...children.filter((c) => c !== null && c !== undefined));
+  return e;
+}
+
+const known = (v) => typeof v === "number";
+const fixed = (v, digits) => known(v) ? v.toFixed(digits).replace("-", "\u2212") : "not known";
+const db = (v) => known(v) ? fixed(v, 2) + " dB" : "not known";
+const share = (v) => known(v) ? (v > 0 && v < 0.0005 ? "< 0.1 %" : fixed(100 * v, 1) + " %") : "not known";
+const count = (v) => v.toLocaleString("en");
+const seconds = (v) => v < 0.1 ? fixed(1000 * v, 0) + " ms" : v < 100 ? fixed(v, 1) + " s" : fixed(v, 0) + " s";
+const stops = (v) => (v > 0 ? "+" : "") + fixed(v, 1).replace(/^\u22120\.0$/, "0.0") + " stops";
+const plural = (n, word) => `${count(n)} ${word}${n === 1 ? "" : "s"}`;
+
+function exposureTime(log2) {
+  const t = 2 ** log2;
+  return t > 0.3 ? `${Number(t.toPrecision(3))} s` : `1/${Math.round(1 / t)} s`;
+}
+
+// A figure of report.json under its path, so that scripts find it.
+const figure = (path, text) => element("span", { "data-key": path }, text);
+
+function section(id, title, ...children) {
+  const e = element("section", { id }, element("h2", {}, title), ...children);
+  document.getElementById("sections").append(e);
+}
+
+function table(head, rows) {
+  const cell = (name) => (v, i) => element(name, i ? { class: "n" } : {}, v);
+  return element("div", { class: "scroll" }, element("table", {},
+    element("tr", {}, ...head.map(cell("th"))),
+    ...rows.map((r) => element("tr", {}, ...r.map(cell("td"))))));
+}
+
+function tile(value, what) {
+  if (value === null) return null;
+  return element("div", { class: "tile" }, element("b", {}, value), element("span", {}, what));
+}
+
+function svg(width, height, ...children) {
+  return element("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" }, ...children);
+}
+
+const line = (x1, y1, x2, y2, name = "axis") => element("line", { x1, y1, x2, y2, class: name });
+const label = (x, y, text, anchor = "middle") =>
+  element("text", { x, y, "text-anchor": anchor }, text);
+
+function polyline(points, attributes) {
+  const d = points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(2)} ${y.toFixed(2)}`).join("");
+  return element("path", { d, ...attributes });
+}
+
+// ---- head ----
+
+function head() {
+  const quality = report.quality || {};
+  const name = decodeURIComponent(location.pathname).split("/").slice(-2, -1)[0];
+  if (name) document.title = `Scan report: ${name}`;
+  document.getElementById("summary").append(
+    `${plural(report.views, "view")} of ${report.size[0]} x ${report.size[1]} px`,
+    exposures.length ? ` at ${plural(exposures.length, "exposure")}` : "",
+    `, modelled by ${plural(report.gaussians, "splat")}`);
+  const range = exposures.length
+    ? exposures.at(0) && Math.max(...exposures.map((e) => e.radiance_stops[1])) -
+      Math.min(...exposures.map((e) => e.radiance_stops[0])) : null;
+  const tiles = [
+    known(quality.ldr_input_psnr) &&
+      tile(figure("quality.ldr_input_psnr", db(quality.ldr_input_psnr)), "scene against its photographs"),
+    known(quality.held_out_psnr) &&
+      tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)), "on squares not learned from"),
+    report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "on views not seen"),
+    range !== null && tile(`${fixed(range, 1)} stops`, "of radiance seen well"),
+    tile(figure("gaussians", count(report.gaussians)), "splats"),
+    tile(figure("sh_degree", String(report.sh_degree)), "degree of the harmonics"),
+    tile(figure("seconds.total", seconds(report.seconds.total)), "in all"),
+    tile(figure("peak_rss_mb", `${fixed(report.peak_rss_mb, 0)} MB`), "of memory at most"),
+  ];
+  document.getElementById("figures").append(...tiles.filter(Boolean));
+}
+
+function warnings() {
+  const list = report.warnings;
+  section("warnings", "Warnings", list.length
+    ? element("ul", { class: "warnings" }, ...list.map((w) => element("li", {}, w)))
+    : element("p", {}, "None."));
+}
+
+// ---- photographs ----
+
+function histogram(h) {
+  const bins = h.red.length;
+  const top = Math.sqrt(Math.max(1, ...h.red, ...h.green, ...h.blue));
+  const area = (colour) => {
+    const points = h[colour].flatMap((n, i) => {
+      const y = 24 - 24 * Math.sqrt(n) / top;
+      return [[i, y], [i + 1, y]];
+    });
+    return polyline([[0, 24], ...points, [bins, 24]], { class: `fill-${colour}` });
+  };
+  const e = svg(bins, 24, area("red"), area("green"), area("blue"));
+  e.setAttribute("preserveAspectRatio", "none");
+  e.setAttribute("class", "histogram");
+  e.setAttribute("aria-label", "histogram of red, green and blue, dark left, bright right");
+  return e;
+}
+
+function picture(i, name, what) {
+  if (!pictures[i]) return null;
+  return element("img", { class: name, src: pictures[i], alt: `${inputs[i].name}: ${what}` });
+}
+
+function ends(h) { // shares of the first two bins and of the last one, per colour
+  const of = (colour) => {
+    const all = h[colour].reduce((a, b) => a + b, 0);
+    return [(h[colour][0] + h[colour][1]) / all, h[colour].at(-1) / all];
+  };
+  const words = (k) => ["red", "green", "blue"].map((c) => share(of(c)[k])).join(", ");
+  return `red, green, blue: clipped ${words(1)}; dark ${words(0)}`;
+}
+
+function photographs() {
+  const card = (v, i) => element("article", { class: "card", title: ends(v.histogram) },
+    picture(i, "thumb", "photograph"),
+    element("h3", {}, `${i + 1}  ${v.name}`),
+    element("p", { class: "small" }, figure(`inputs.${i}.stops`, stops(v.stops)), ", ",
+      exposureTime(v.exposure_log2)),
+    histogram(v.histogram),
+    element("div", { class: "small soft" },
+      element("p", {}, "clipped ", figure(`inputs.${i}.clipped`, share(v.clipped)),
+        ", dark ", figure(`inputs.${i}.dark`, share(v.dark))),
+      element("p", {}, "seen well only here ", figure(`inputs.${i}.alone`, share(v.alone)))));
+  section("photographs", "Photographs",
+    element("p", { class: "small soft" }, "Exposure in stops to the middle one, and as given. " +
+      "A pixel counts as clipped or dark by its brightest colour: display values from 252 on, " +
+      "and below 8."),
+    element("div", { class: "cards" }, ...inputs.map(card)));
+}
+
+function exposureChart() {
+  const from = Math.floor(Math.min(...exposures.map((e) => e.radiance_stops[0])));
+  const to = Math.ceil(Math.max(...exposures.map((e) => e.radiance_stops[1])));
+  const left = 64, width = 640, row = 24, bottom = exposures.length * row;
+  const x = (s) => left + (s - from) / Math.max(1, to - from) * (width - left - 10);
+  const step = to - from > 20 ? 4 : 2, marks = [];
+  for (let s = Math.ceil(from / step) * step; s <= to; s += step)
+    marks.push(line(x(s), 0, x(s), bottom), label(x(s), bottom + 14, fixed(s, 0)));
+  const bars = exposures.map((e, i) => {
+    const [a, b] = e.radiance_stops;
+    return element("g", {},
+      element("rect", { class: "bar", x: x(a), y: i * row + 5, width: x(b) - x(a), height: row - 10, rx: 3 }),
+      label(left - 8, i * row + 16, stops(e.stops).replace(" stops", ""), "end"));
+  });
+  const chart = svg(width, bottom + 20, ...marks, ...bars);
+  chart.setAttribute("aria-label", "radiance that each exposure sees well");
+  return chart;
+}
+
+function overlap() {
+  if (exposures.length < 2)
+    return "There is one exposure: what it does not see well nobody knows.";
+  const steps = exposures.slice(1).map((e, i) =>
+    exposures[i].radiance_stops[0] - e.radiance_stops[1]); // above 0: a gap
+  const worst = Math.max(...steps);
+  return worst > 0
+    ? `Between two neighbours ${fixed(worst, 1)} stops are seen well by neither.`
+    : `Neighbours overlap by ${fixed(-worst, 1)} stops or more, so that each scales the next.`;
+}
+
+function contributions() {
+  const rows = exposures.map((e, i) => [
+    stops(e.stops), String(e.views),
+    figure(`exposures.${i}.clipped`, share(e.clipped)), figure(`exposures.${i}.dark`, share(e.dark)),
+    figure(`exposures.${i}.alone`, share(e.alone)),
+    `${fixed(e.radiance_stops[0], 1)} to ${fixed(e.radiance_stops[1], 1)}`]);
+  section("exposures", "What each exposure contributed",
+    element("p", {}, overlap()),
+    exposureChart(),
+    element("p", { class: "small soft" }, "Bars: radiance that an exposure sees well, in stops to " +
+      "what is half of full scale at the middle exposure. Seen well only here: of its pixels, " +
+      "those that would be clipped or dark at every other exposure."),
+    table(["exposure", "views", "clipped", "dark", "seen well only here", "radiance, stops"], rows));
+}
+
+// ---- cameras ----
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
+const times = (a, s) => a.map((v) => v * s);
+const unit = (a) => times(a, 1 / (Math.sqrt(dot(a, a)) || 1));
+const cross = (a, b) =>
+  [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const sum = (list) => list.reduce((a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]], [0, 0, 0]);
+
+// Axes of the drawing: right, up and forward of the cameras together.
+function frame(cameras) {
+  const up = unit(sum(cameras.map((c) => c.up)));
+  let ahead = sum(cameras.map((c) => c.forward));
+  ahead = minus(ahead, times(up, dot(ahead, up)));
+  if (dot(ahead, ahead) < 1e-6) { // they look all around
+    ahead = cameras[0].forward;
+    ahead = minus(ahead, times(up, dot(ahead, up)));
+  }
+  ahead = unit(ahead);
+  return { right: cross(ahead, up), up, ahead };
+}
+
+function plan(cameras, across, upward, caption) {
+  const size = 300, edge = 36;
+  const place = cameras.map((c) => [dot(c.centre, across), -dot(c.centre, upward)]);
+  const low = [0, 1].map((k) => Math.min(...place.map((p) => p[k])));
+  const high = [0, 1].map((k) => Math.max(...place.map((p) => p[k])));
+  const extent = Math.max(high[0] - low[0], high[1] - low[1], 1e-9);
+  const at = (p) => [0, 1].map((k) =>
+    size / 2 + (p[k] - (low[k] + high[k]) / 2) / extent * (size - 2 * edge));
+  const draw = (c, i) => {
+    const [x, y] = at(place[i]), reach = 30, half = Math.tan(c.fov_deg * Math.PI / 360);
+    const flat = (v) => [dot(v, across), -dot(v, upward)];
+    const f = flat(c.forward), s = flat(cross(c.forward, c.up)), u = flat(c.up);
+    const corner = (a, b) => [x + reach * (f[0] + half * (a * s[0] + b * u[0])),
+      y + reach * (f[1] + half * (a * s[1] + b * u[1]))];
+    const cone = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
+    return element("g", {}, element("title", {}, `${i + 1}  ${inputs[i].name}`),
+      polyline([...cone, cone[0]], { class: "view" }),
+      ...cone.map((p) => line(x, y, p[0], p[1], "view")),
+      element("circle", { class: "dot", cx: x, cy: y, r: 2.5 }),
+      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, String(i + 1)) : null);
+  };
+  const drawing = svg(size, size, ...cameras.map(draw));
+  drawing.setAttribute("aria-label", caption);
+  return element("figure", { class: "card" }, drawing, element("figcaption", {}, caption));
+}
+
+function cameraWords() {
+  const c = report.cameras;
+  if (!c)
+    return element("p", {}, "Where they stood was given with the photographs, or is the " +
+      "network's own answer.");
+  const start = c.start_was_network ? "the network's cameras" : "points that the photographs have in common";
+  return element("p", {}, `Found from ${start}: `,
+    figure("cameras.points_agree", count(c.points_agree)), " of ",
+    figure("cameras.points_seen", count(c.points_seen)), " sightings agree, within ",
+    figure("cameras.rms_px", `${fixed(c.rms_px, 2)} px`), " (rms). Confidence ",
+    figure("cameras.confidence", fixed(c.confidence, 2)),
+    " of 1; below 0.5 they are a guess. Views that are tied to the others: ",
+    figure("cameras.views_placed", String(c.views_placed)), ".");
+}
+
+function cameras() {
+  const all = inputs.map((v) => v.camera).filter(Boolean);
+  if (!all.length || all.length < inputs.length) return;
+  const { right, up, ahead } = frame(all);
+  const focal = all.map((c) => c.focal_px), angle = all.map((c) => c.fov_deg);
+  const span = (list, digits) => {
+    const [a, b] = [Math.min(...list), Math.max(...list)].map((v) => fixed(v, digits));
+    return a === b ? a : `${a} to ${b}`;
+  };
+  section("cameras", "Cameras", cameraWords(),
+    element("p", {}, `Focal length ${span(focal, 1)} px at ${report.size[0]} px, ` +
+      `${span(angle, 1)} degrees across.`),
+    element("div", { class: "plans" },
+      plan(all, right, ahead, "from above, looking up the page"),
+      plan(all, ahead, up, "from the side, looking to the right")));
+}
+
+// ---- tone curve ----
+
+const familyName = (f) => f.parameter ? `${f.name} ${f.parameter}` : f.name;
+
+function toneChart(tone) {
+  const left = 34, width = 640, height = 300, bottom = height - 26;
+  const curves = [tone.red, tone.green, tone.blue];
+  const inside = tone.stops.filter((s, i) => curves.some((c) => c[i] > 0.004 && c[i] < 0.996));
+  const from = Math.floor(Math.min(-4, ...inside)), to = Math.ceil(Math.max(3, ...inside));
+  const x = (s) => left + (s - from) / (to - from) * (width - left - 10);
+  const y = (v) => bottom - v * (bottom - 8);
+  const draw = (values, name) => polyline(
+    tone.stops.map((s, i) => [s, values[i]]).filter(([s, v]) => known(v) && s >= from && s <= to)
+      .map(([s, v]) => [x(s), y(v)]), { class: name });
+  const marks = [];
+  for (let s = from; s <= to; s += to - from > 12 ? 2 : 1)
+    marks.push(line(x(s), y(0), x(s), y(1)), label(x(s), bottom + 15, fixed(s, 0)));
+  for (const v of [0, 0.25, 0.5, 0.75, 1])
+    marks.push(line(left, y(v), width - 10, y(v)), label(left - 6, y(v) + 4, String(v * 100), "end"));
+  const chart = svg(width, height, ...marks,
+    ...tone.families.map((f) => draw(f.display, f.name === tone.nearest ? "family near" : "family")),
+    draw(tone.red, "curve red"), draw(tone.green, "curve green"), draw(tone.blue, "curve blue"));
+  chart.setAttribute("aria-label", "display value over exposure, red, green, blue, and known families");
+  return chart;
+}
+
+function toneCurve() {
+  const tone = report.tone, near = tone.families.find((f) => f.name === tone.nearest);
+  const rows = tone.families.map((f, i) => [familyName(f),
+    figure(`tone.families.${i}.rms`, known(f.rms) ? `${fixed(100 * f.rms, 1)} %` : "not known")]);
+  section("tone", "Tone curve",
+    element("p", {}, near
+      ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale away (rms).`
+      : "The curve is like that of no known family: it does not lead from black to white."),
+    toneChart(tone),
+    element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as the " +
+      "scene has it in red, green and blue. Dashed: known families, each moved to where it fits " +
+      "best; the nearest one in blue."),
+    table(["family", "distance (rms)"], rows));
+}
+
+// ---- quality ----
+
+function residuals() {
+  const order = inputs.map((v, i) => i).filter((i) => known(inputs[i].psnr))
+    .sort((a, b) => inputs[a].psnr - inputs[b].psnr);
+  if (!order.length) return;
+  const card = (i) => element("article", { class: "card" },
+    picture(i, "strip", "photograph, scene, distance"),
+    element("div", { class: "three soft" }, ...["photograph", "scene", "distance"]
+      .map((t) => element("span", {}, t))),
+    element("h3", {}, `${i + 1}  ${inputs[i].name}`),
+    element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
+      stops(inputs[i].stops)));
+  const cards = (list) => element("div", { class: "cards wide" }, ...list.map(card));
+  const quality = report.quality, first = 12;
+  section("residuals", "Scene against photographs, worst first",
+    element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
+      ? `On squares that refinement did not learn from: ${db(quality.held_out_psnr_start)} at the ` +
+        `start, ${db(quality.held_out_psnr)} at the end.`
+      : "Nothing was held out: there was no refinement."),
+    element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is none, " +
+      "white a quarter of full scale or more."),
+    cards(order.slice(0, first)),
+    order.length > first
+      ? element("details", {}, element("summary", {}, `${order.length - first} more`),
+        cards(order.slice(first))) : null);
+}
+
+function measured() {
+  if (!report.ldr && !report.hdr) return;
+  const row = (name, key) => report[key] &&
+    [name, figure(`${key}.psnr`, db(report[key].psnr)), figure(`${key}.ssim`, fixed(report[key].ssim, 4)),
+      String(report[key].images)];
+  const rows = [row("photographs", "ldr"), row("radiance (mu-law)", "hdr"),
+    row("nearest input view instead", "baseline_nearest"),
+    ...(report.per_exposure || []).map((e) =>
+      [`photographs at exposure ${e.exposure}`, db(e.psnr), fixed(e.ssim, 4), ""])];
+  const p = report.pose;
+  section("measured", "Measured on views that it has not seen",
+    table(["against", "PSNR", "SSIM", "pictures"], rows.filter(Boolean)),
+    p ? element("p", {}, `Cameras: median error ${fixed(p.rot_deg_median, 2)} degrees, ` +
+      `${fixed(100 * p.trans_rel_median, 1)} % of their spread.`) : null);
+}
+
+function modelled() {
+  const words = [...(report.modelled || [])];
+  if (!("refine_steps" in report))
+    words.push("The scene was read from a file: its own report tells how it was made.");
+  else if (report.refine_steps === 0)
+    words.push(report.network ? "The network's single pass, no refinement."
+      : "The start from stereo, no refinement.");
+  else
+    words.push(`${plural(report.refine_steps, "step")} of refinement` +
+      (report.refine_stopped_early ? ": it stopped early, as more did not help." : "."));
+  words.push(`Spherical harmonics of degree ${report.sh_degree}: colours ` +
+    (report.sh_degree ? "change with the direction." : "are the same from every direction."));
+  section("modelled", "What was modelled, and why",
+    element("ul", {}, ...words.map((w) => element("li", {}, w))));
+}
+
+// ---- cost ----
+
+const stageWords = {
+  preprocess: "photographs resized", response: "response curve", cameras: "cameras", sweep: "stereo",
+  seed: "first splats", backbone: "network, backbone", heads: "network, cameras and depth",
+  appearance: "network, appearance", voxel: "splats merged", refine: "refinement",
+  render: "input views drawn", write: "files written", measure: "measured",
+};
+
+function cost() {
+  const { total, ...stages } = report.seconds;
+  const longest = Math.max(...Object.values(stages), 1e-9);
+  const rows = Object.entries(stages).flatMap(([name, s]) => {
+    const bar = element("i");
+    bar.style.width = `${100 * s / longest}%`;
+    return [element("span", {}, stageWords[name] || name), bar,
+      figure(`seconds.${name}`, seconds(s))];
+  });
+  section("cost", "Time and memory",
+    element("div", { class: "times small" }, ...rows),
+    element("p", { class: "small soft" }, `${seconds(total)} in all on ` +
+      `${plural(report.threads, "thread")}. Memory at most ${fixed(report.peak_rss_mb, 0)} MB, of ` +
+      `this ${fixed(report.keep_peak_mb, 0)} MB results and ${fixed(report.tmp_peak_mb, 0)} MB scratch.`));
+}
+
+head();
+warnings();
+if (inputs.length) {
+  photographs();
+  contributions();
+  cameras();
+}
+toneCurve();
+residuals();
+measured();
+modelled();
+cost();
