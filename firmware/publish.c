@@ -10,6 +10,7 @@
 #include "drivers/img.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
+#include "drivers/sidecar.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -20,7 +21,7 @@ static uint64_t result_bytes(const struct scene *s)
 {
     uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
     uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
-    uint64_t ply = n * (17 * 4 + 2 * (planes - G_SH)), whole = n * planes * 4;
+    uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
     return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
            sheet_bytes(s->n_views);
@@ -140,7 +141,9 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
     char path[FILE_PATH_CAP];
     err_t e = outdir_path(o, "scene.ply", path);
     if (!e)
-        e = ply_write(path, &s->g, &s->tone);
+        e = ply_write(path, s);
+    if (!e)
+        e = sidecar_write(path, s);
     if (!e)
         e = outdir_path(o, "scene.hdrig", path);
     if (!e)
