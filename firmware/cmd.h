@@ -115,6 +115,7 @@ int cmd_ask(const char *name, const struct config *cfg, const char *line);
 /* The commands: argv[0] is the command's name; they return an exit code. */
 int cmd_reconstruct_run(int argc, char **argv);
 int cmd_render_run(int argc, char **argv);
+int cmd_view_run(int argc, char **argv);
 int cmd_eval_run(int argc, char **argv);
 int cmd_convert_run(int argc, char **argv);
 int cmd_simulate_run(int argc, char **argv);

@@ -17,6 +17,7 @@ static const struct {
     {"selftest", "whether a camera does what captures need", cmd_selftest_run},
     {"reconstruct", "photographs to an HDR scene", cmd_reconstruct_run},
     {"render", "pictures of a scene from other places", cmd_render_run},
+    {"view", "a scene in the browser", cmd_view_run},
     {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},
     {"convert", "weights of a network for this program", cmd_convert_run},
     {"simulate", "a simulated scene as a data set, with the truth", cmd_simulate_run},

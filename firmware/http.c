@@ -32,12 +32,19 @@ struct request { // of one that has a body
     size_t n;
 };
 
+/* The status page, and pages of results, which have everything inside them and ask nobody. */
+static const char page_policy[] =
+    "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'";
+static const char result_policy[] =
+    "default-src 'none'; script-src 'unsafe-inline' blob:; worker-src blob:; "
+    "style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'";
+
 static const char *type_of(const char *name)
 {
     static const char *const types[][2] = {
-        {".json", "application/json"}, {".png", "image/png"},
-        {".jpg", "image/jpeg"},        {".html", "text/html"},
-        {".exr", "image/x-exr"},       {".ply", "application/octet-stream"},
+        {".json", "application/json"}, {".png", "image/png"},   {".jpg", "image/jpeg"},
+        {".html", "text/html"},        {".exr", "image/x-exr"},
     };
     const char *dot = strrchr(name, '.');
     for (size_t i = 0; dot && i < sizeof types / sizeof types[0]; i++)
@@ -47,14 +54,12 @@ static const char *type_of(const char *name)
 }
 
 static enum MHD_Result send_response(struct MHD_Connection *c, unsigned status, const char *type,
-                                     struct MHD_Response *r)
+                                     const char *policy, struct MHD_Response *r)
 {
     if (!r)
         return MHD_NO;
     MHD_add_response_header(r, "Content-Type", type);
-    MHD_add_response_header(r, "Content-Security-Policy",
-                            "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; "
-                            "base-uri 'none'");
+    MHD_add_response_header(r, "Content-Security-Policy", policy);
     MHD_add_response_header(r, "X-Content-Type-Options", "nosniff");
     MHD_add_response_header(r, "Referrer-Policy", "no-referrer");
     MHD_add_response_header(r, "Cache-Control", "no-store");
@@ -68,7 +73,7 @@ static enum MHD_Result send_text(struct MHD_Connection *c, unsigned status, cons
 {
     struct MHD_Response *r =
         MHD_create_response_from_buffer(n, (void *)(uintptr_t)text, MHD_RESPMEM_MUST_COPY);
-    return send_response(c, status, type, r);
+    return send_response(c, status, type, page_policy, r);
 }
 
 static enum MHD_Result send_error(struct MHD_Connection *c, unsigned status, const char *sentence)
@@ -168,7 +173,7 @@ static enum MHD_Result send_file(struct MHD_Connection *c, const char *dir, cons
     struct MHD_Response *r = MHD_create_response_from_fd64((uint64_t)st.st_size, fd);
     if (!r)
         close(fd);
-    return send_response(c, MHD_HTTP_OK, type_of(path), r);
+    return send_response(c, MHD_HTTP_OK, type_of(path), result_policy, r);
 }
 
 /* ---- requests ---- */
@@ -192,6 +197,10 @@ static enum MHD_Result send_status(const struct http *h, struct MHD_Connection *
 
 static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const char *url)
 {
+    if (strncmp(url, "/results/", 9) == 0)
+        return send_file(c, h->cfg.results, url + 9);
+    if (!h->cfg.status)
+        return send_error(c, MHD_HTTP_NOT_FOUND, "only files below /results");
     if (strcmp(url, "/") == 0)
         return send_text(c, MHD_HTTP_OK, "text/html; charset=utf-8", http_page_html,
                          http_page_html_size);
@@ -203,8 +212,6 @@ static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const
         return send_status(h, c);
     if (strncmp(url, "/captures/", 10) == 0)
         return send_file(c, h->cfg.captures, url + 10);
-    if (strncmp(url, "/results/", 9) == 0)
-        return send_file(c, h->cfg.results, url + 9);
     return send_error(c, MHD_HTTP_NOT_FOUND, "no such page");
 }
 
@@ -233,7 +240,7 @@ static enum MHD_Result login(const struct http *h, struct MHD_Connection *c,
     snprintf(cookie, sizeof cookie, "hdrig=%s; HttpOnly; SameSite=Strict; Path=/", h->cfg.token);
     MHD_add_response_header(r, "Set-Cookie", cookie);
     MHD_add_response_header(r, "Location", "/");
-    return send_response(c, MHD_HTTP_SEE_OTHER, "text/plain", r);
+    return send_response(c, MHD_HTTP_SEE_OTHER, "text/plain", page_policy, r);
 }
 
 static enum MHD_Result ask_token(struct MHD_Connection *c, const char *method, const char *url)
@@ -259,7 +266,7 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
         return login(h, c, q);
     if (h->cfg.token[0] && !has_token(h, c))
         return ask_token(c, method, url);
-    if (post && (strcmp(url, "/capture") == 0 || strcmp(url, "/cancel") == 0))
+    if (post && h->cfg.command && (strcmp(url, "/capture") == 0 || strcmp(url, "/cancel") == 0))
         return command(h, c, url + 1);
     if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0)
         return get(h, c, url);

@@ -5,6 +5,8 @@
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie
  *   GET  /captures/...  /results/...  files, never beyond these folders, never through links
+ * Without `status` there is no daemon, and only results are served. Their pages carry scripts inside
+ * them, which may not ask anybody for anything.
  * With a token every request needs it: as a cookie, or "Authorization: Bearer TOKEN". Without one,
  * Host must be an address, localhost or this machine's name, so that no other site can reach the
  * page by a name of its own. */
@@ -23,7 +25,7 @@ struct http_config {
     const char *token;   // "" for none
     const char *captures, *results;
     void *ctx;
-    void (*status)(void *ctx, FILE *out);
+    void (*status)(void *ctx, FILE *out);          // NULL: then captures and command may be too
     err_t (*command)(void *ctx, const char *line); // as on the control socket
 };
 

@@ -61,7 +61,8 @@ function captureCard(c) {
   };
   link("manifest", `/captures/${c.id}/manifest.json`);
   if (c.result) {
-    link("report", `/results/${c.id}/report.json`);
+    link("scene", `/results/${c.id}/view.html`);
+    link("report", `/results/${c.id}/report.html`);
     link("scene.ply", `/results/${c.id}/scene.ply`);
   }
   card.append(links);
