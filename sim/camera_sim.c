@@ -13,7 +13,7 @@
 struct options {
     int64_t seed, views, view, size, samples, shadow;
     double spread, fov, param, full_us, flicker, hz, line_us;
-    int kind, jitter, format, curve;
+    int kind, free_hand, format, curve;
 };
 
 struct state {
@@ -34,7 +34,7 @@ static const struct uri_key keys[] = {
     {"view", AT(view), URI_WHOLE, 0, 63, NULL},
     {"spread", AT(spread), URI_REAL, 0, 1, NULL},
     {"fov", AT(fov), URI_REAL, 20, 120, NULL},
-    {"jitter", AT(jitter), URI_WORD, 0, 0, "no|yes"},
+    {"freehand", AT(free_hand), URI_WORD, 0, 0, "no|yes"},
     {"size", AT(size), URI_WHOLE, 14, 2048, NULL},
     {"samples", AT(samples), URI_WHOLE, 1, 8, NULL},
     {"shadow", AT(shadow), URI_WHOLE, 1, 64, NULL},
@@ -104,7 +104,7 @@ static err_t render_in(const struct run *r, const struct options *o, struct stat
     struct world_path path = {.n = (int)o->views,
                               .spread = (float)o->spread,
                               .fov_deg = (float)o->fov,
-                              .jitter = o->jitter};
+                              .jitter = o->free_hand};
     struct render_quality q = {(int)o->samples, (int)o->shadow};
     struct render_maps maps = {.radiance = s->radiance};
     err_t e = world_make(r->keep, s->seed, (enum world_kind)(o->kind + WORLD_ANY), &w);

@@ -2,7 +2,7 @@
  * the same frames; opening renders the view once, which takes a second or so.
  *
  *   seed=N kind=any|room|yard|dark|plain|mirror      the world
- *   views=N view=I spread=X fov=DEG jitter=no|yes    one of the rig's N places, I from 0
+ *   views=N view=I spread=X fov=DEG freehand=no|yes  one of the rig's N places, I from 0
  *   size=PX samples=N shadow=N                       square pictures; quality of the rendering
  *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits
  *   curve=srgb|gamma|filmic|agx|log|random|linear param=X

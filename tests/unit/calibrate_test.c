@@ -6,7 +6,6 @@
 #include "firmware/selftest.h"
 
 #include "sim/curve.h"
-#include "sim/feed.h"
 #include "tests/unit/tmpdir.h"
 
 #include <math.h>
@@ -147,25 +146,19 @@ static void parts(void **state)
     assert_true(c.calib.delay_hi == 2 && c.calib.has_crf && c.calib.tolerance == 0.10);
 }
 
-static void vary_the_delay(int frames)
-{
-    ((struct feed *)w->st)->timing.cfg.jitter = frames; // no option of this camera's URI tells
-}
-
 static void delays(void **state)
 {
     (void)state;
     const struct {
         const char *options;
-        int jitter, lo, hi;
-    } of[] = {{"delay=1", 0, 1, 1},
-              {"delay=12,claim=3", 0, 12, 12},
-              {"delay=3,claim=-1", 2, 3, 5},
-              {"delay=4,faults=at frame 0 lose 0.15", 0, 4, 4},
-              {"delay=4,faults=at frame 0 sequence stuck", 0, 4, 4}};
+        int lo, hi;
+    } of[] = {{"delay=1", 1, 1},
+              {"delay=12,claim=3", 12, 12},
+              {"delay=3,claim=-1,jitter=2", 3, 5},
+              {"delay=4,faults=at frame 0 lose 0.15", 4, 4},
+              {"delay=4,faults=at frame 0 sequence stuck", 4, 4}};
     for (size_t i = 0; i < sizeof of / sizeof of[0]; i++) {
         open_camera(of[i].options);
-        vary_the_delay(of[i].jitter);
         if (calibrate_parts(CALIBRATE_LATENCY) != OK)
             fail_msg("%s: %s", of[i].options, err_text());
         if (c.calib.delay_lo != of[i].lo || c.calib.delay_hi != of[i].hi)
