@@ -3,6 +3,7 @@
 #include "firmware/draw.h"
 #include "firmware/figures.h"
 #include "firmware/sheet.h"
+#include "firmware/viewer.h"
 
 #include "core/metrics.h"
 #include "core/splat/gaussians.h"
@@ -16,15 +17,26 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Upper bound of the folder: pictures as if they could not be compressed. */
-static uint64_t result_bytes(const struct scene *s)
+static struct viewer_input viewer_of(const struct job_result *j, const struct outdir *o)
 {
+    const char *slash = strrchr(o->path, '/');
+    return (struct viewer_input){.scene = &j->scene,
+                                 .photos = j->views.n > 0 ? j->views.rgb : NULL,
+                                 .title = slash ? slash + 1 : o->path,
+                                 .report = SHEET_NAME};
+}
+
+/* Upper bound of the folder: pictures as if they could not be compressed. */
+static uint64_t result_bytes(const struct job_result *j, const struct outdir *o)
+{
+    const struct scene *s = &j->scene;
+    struct viewer_input viewer = viewer_of(j, o);
     uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
     uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
     uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
     return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
-           sheet_bytes(s->n_views);
+           sheet_bytes(s->n_views) + viewer_bytes(&viewer);
 }
 
 /* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
@@ -157,6 +169,18 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
     return e ? e : write_cameras(s, path);
 }
 
+static err_t write_viewer(struct job_result *j, const struct outdir *o)
+{
+    char path[FILE_PATH_CAP];
+    struct viewer_input viewer = viewer_of(j, o);
+    if (j->scene.g.n > VIEWER_SPLATS_MAX) {
+        job_warn(j, "no view.html: %d splats are more than a page can hold", j->scene.g.n);
+        return OK;
+    }
+    err_t e = outdir_path(o, "view.html", path);
+    return e ? e : viewer_write(path, &viewer);
+}
+
 static err_t write_text(const char *path, const char *text)
 {
     FILE *f;
@@ -201,7 +225,7 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
     struct sheet sheet = {0};
     err_t e = check_names(&j->scene);
     if (!e)
-        e = outdir_reserve(o, result_bytes(&j->scene));
+        e = outdir_reserve(o, result_bytes(j, o));
     if (!e)
         e = outdir_mkdir(o, "ldr");
     if (!e)
@@ -212,6 +236,8 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
         e = write_views(r, j, o, &sheet);
     if (!e)
         e = write_scene(&j->scene, o);
+    if (!e)
+        e = write_viewer(j, o);
     job_lap(j, JOB_WRITE);
     if (!e) {
         figures_warn(j);
