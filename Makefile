@@ -194,7 +194,8 @@ demo: all
 	@echo "compared with photographs of places and exposures that it has not seen:"
 	@build/hdrig eval --data out/rig --rig none --scene out/latest
 	@echo
-	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.json"
+	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.html"
+	@echo "look at it: open out/latest/view.html in a browser, or build/hdrig view out/latest"
 
 bench: all
 	build/hdrig bench --what all
