@@ -303,11 +303,15 @@ static double middle_log2(void) // of linear light that sRGB shows as 0.5
 static bool find_middle(const struct tonemap_curve *c, double *x)
 {
     double lowest = log2(2 * (double)TONEMAP_FLOOR), highest = (double)RASTER_LOG_MAX / ln2;
+    bool below = false;
     for (int s = 0; s <= c->n; s++) {
         double lo = s > 0 ? fmax((double)c->knot[s - 1], lowest) : lowest;
         double hi = s < c->n ? fmin((double)c->knot[s], highest) : highest;
         double a = (double)c->a[s], b = (double)c->b[s];
-        if (lo < hi && a * lo + b <= 0 && a * hi + b > 0) {
+        if (!(lo < hi))
+            continue;
+        below |= a * lo + b <= 0; // perhaps only on the segment before, if 0.5 is at a knot
+        if (below && a * hi + b > 0) {
             *x = fmin(fmax(-b / a, lo), hi);
             return true;
         }
