@@ -186,6 +186,14 @@ err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t 
     return e;
 }
 
+int prep_places(const struct capture *c)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        n += i == 0 || !c->shots[i].again;
+    return n;
+}
+
 static void largest(const struct capture *c, int *w, int *h)
 {
     *w = *h = 1;
@@ -203,7 +211,9 @@ void prep_plan(const struct capture *c, int size, int threads, size_t *keep, siz
     *keep = arena_add(arena_need(n, NAME_CAP), arena_need(n, view));
     *keep = arena_add(*keep, arena_need(n, sizeof(float)));
     *keep = arena_add(*keep, arena_need(n, sizeof(struct camera)));
-    *tmp = arena_need((size_t)threads, sizeof(struct scratch));
+    *keep = arena_add(*keep, arena_need(n, sizeof(int)));
+    *tmp =
+        arena_add(arena_need(n, sizeof(int)), arena_need((size_t)threads, sizeof(struct scratch)));
     for (int i = 0; i < threads; i++)
         *tmp = arena_add(*tmp, scratch_need(w, h, size));
 }
@@ -252,7 +262,8 @@ static err_t views_alloc(const struct run *r, const struct capture *c, int size,
     bool cameras = true;
     for (int i = 0; i < c->n; i++)
         cameras = cameras && c->shots[i].has_camera;
-    v->n = c->n;
+    v->n = prep_places(c);
+    v->n_more = c->n - v->n;
     v->size = size;
     err_t e = arena_alloc(r->keep, n, sizeof *v->names, &v->names);
     if (!e)
@@ -261,21 +272,34 @@ static err_t views_alloc(const struct run *r, const struct capture *c, int size,
         e = arena_alloc(r->keep, n, sizeof *v->log2t, &v->log2t);
     if (!e && cameras)
         e = arena_alloc(r->keep, n, sizeof *v->cams, &v->cams);
+    if (!e && v->n_more)
+        e = arena_alloc(r->keep, n, sizeof *v->place, &v->place);
     return e;
 }
 
-static void fill_small(const struct capture *c, struct views *v)
+static void fill_photo(const struct shot *s, int k, struct views *v)
+{
+    memcpy(v->names[k], s->name, NAME_CAP);
+    v->names[k][NAME_CAP - 1] = 0;
+    v->log2t[k] = log2f((float)fmax(s->exposure, EXPOSURE_MIN));
+}
+
+/* slot: where the photograph of each shot goes; the first of a place stands for it. */
+static void fill_small(const struct capture *c, struct views *v, int *slot)
 {
     float low = INFINITY, high = -INFINITY;
+    int place = 0, more = 0;
     for (int i = 0; i < c->n; i++) {
-        const struct shot *s = &c->shots[i];
-        memcpy(v->names[i], s->name, NAME_CAP);
-        v->names[i][NAME_CAP - 1] = 0;
-        v->log2t[i] = log2f((float)fmax(s->exposure, EXPOSURE_MIN));
-        low = fminf(low, v->log2t[i]);
-        high = fmaxf(high, v->log2t[i]);
-        if (v->cams)
-            v->cams[i] = scaled(&s->cam, v->size);
+        bool again = i > 0 && c->shots[i].again;
+        slot[i] = again ? v->n + more : place;
+        if (again)
+            v->place[more++] = place - 1;
+        else if (v->cams)
+            v->cams[place] = scaled(&c->shots[i].cam, v->size);
+        place += !again;
+        fill_photo(&c->shots[i], slot[i], v);
+        low = fminf(low, v->log2t[slot[i]]);
+        high = fmaxf(high, v->log2t[slot[i]]);
     }
     v->mid_log2t = (low + high) / 2;
 }
@@ -284,6 +308,7 @@ struct job {
     const struct run *r;
     const struct capture *c;
     struct views *v;
+    const int *slot;
     struct scratch *scratch; // one per worker
 };
 
@@ -294,15 +319,16 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     if (j->r->cancel && atomic_load(j->r->cancel))
         return err_fail(ERR_CANCELLED, "prep: cancelled");
     resize(&j->c->shots[chunk].image, j->v->size, &j->scratch[worker],
-           j->v->rgb + (size_t)chunk * view);
+           j->v->rgb + (size_t)j->slot[chunk] * view);
     return OK;
 }
 
-static err_t resize_all(const struct run *r, const struct capture *c, struct views *v)
+static err_t resize_all(const struct run *r, const struct capture *c, const int *slot,
+                        struct views *v)
 {
     int w, h, workers = pool_size(r->pool);
     largest(c, &w, &h);
-    struct job j = {r, c, v, NULL};
+    struct job j = {r, c, v, slot, NULL};
     err_t e = arena_alloc(r->tmp, (size_t)workers, sizeof *j.scratch, &j.scratch);
     for (int i = 0; i < workers && !e; i++)
         e = scratch_alloc(&j.scratch[i], w, h, v->size, r->tmp);
@@ -317,10 +343,12 @@ err_t prep_run(const struct run *r, const struct capture *c, int size, struct vi
         return e;
     struct views v = {0};
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
+    int *slot;
     e = views_alloc(r, c, size, &v);
+    e = e ? e : arena_alloc(r->tmp, (size_t)c->n, sizeof *slot, &slot);
     if (!e) {
-        fill_small(c, &v);
-        e = resize_all(r, c, &v);
+        fill_small(c, &v, slot);
+        e = resize_all(r, c, slot, &v);
     }
     arena_reset(r->tmp, tmp);
     if (e) {

@@ -18,7 +18,11 @@ MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp,
  * that overflows. */
 void prep_plan(const struct capture *c, int size, int threads, size_t *keep, size_t *tmp);
 
-/* Resize all shots, take their exposures to log2, scale their cameras to size x size.
+/* Places that the shots were taken from. */
+int prep_places(const struct capture *c);
+
+/* Resize all shots, take their exposures to log2, scale their cameras to size x size. The first
+ * shot of a place stands for it, others of the place follow behind all places.
  * out:  arrays live in r->keep; cams is NULL unless every shot has a camera.
  * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite
  *       and > 0, a camera for another image size; the sentence names the file), ERR_NOMEM,

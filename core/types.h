@@ -43,6 +43,7 @@ struct shot {
     double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
     bool has_camera;
     struct camera cam; // for image.w x image.h
+    bool again;        // from the same place as the shot before it, at another exposure
 };
 
 /* A set of photographs of one static scene. */
@@ -52,15 +53,27 @@ struct capture {
 };
 
 /* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
- * (model-spec 1). */
+ * (model-spec 1). Photographs 0 .. n - 1 show one place each, and most steps look at these only;
+ * n .. n + n_more - 1 are other exposures of these places. */
 struct views {
-    int n, size;             // number; px
-    char (*names)[NAME_CAP]; // (n)
-    uint8_t *rgb;            // (n, size, size, 3)
-    float *log2t;            // (n) log2(max(t, 1e-8))
-    float mid_log2t;         // (min + max) / 2 of log2t of the input views (model-spec 1.2)
+    int n, size;             // places; px
+    char (*names)[NAME_CAP]; // (n + n_more)
+    uint8_t *rgb;            // (n + n_more, size, size, 3)
+    float *log2t;            // (n + n_more) log2(max(t, 1e-8))
+    float mid_log2t;         // (min + max) / 2 of log2t of all photographs (model-spec 1.2)
     struct camera *cams;     // (n) for size x size; NULL if not known
+    int n_more;
+    int *place; // (n_more) of photograph n + i, ascending
 };
+
+/* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */
+static inline int views_next(const struct views *v, int place, int last)
+{
+    for (int i = last < v->n ? 0 : last - v->n + 1; i < v->n_more; i++)
+        if (v->place[i] == place)
+            return v->n + i;
+    return -1;
+}
 
 enum {
     SH_DEGREE_MAX = 4,

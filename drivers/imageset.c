@@ -306,7 +306,7 @@ static void choose_spread(const struct imageset_request *rq, bool released, int 
         int ranks[3] = {m / 2, 0, m - 1};
         int chosen = shot_of_rank(c->shots, from, to, ranks[turn++ % 3]);
         for (int i = from; i < to; i++)
-            keep[i] = rq->every_exposure || i == chosen;
+            keep[i] = rq->every_exposure || rq->brackets || i == chosen;
     }
 }
 
@@ -366,6 +366,9 @@ static err_t choose(const struct imageset_request *rq, bool released, struct ima
         choose_spread(rq, released, n_views, &set->capture, keep);
     if (!e)
         compact(&set->capture, keep);
+    for (int i = 1; i < set->capture.n && released && rq->brackets && !e; i++)
+        set->capture.shots[i].again =
+            name_same_view(set->capture.shots[i - 1].name, set->capture.shots[i].name);
     free(keep);
     return e;
 }

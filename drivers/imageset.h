@@ -8,7 +8,7 @@
  * pictures are inputs, "test" pictures are held out, and train_ldr_000_2.png is exposure 2 of view
  * train_ldr_000. In any other folder every picture is a view of its own and an input.
  *
- * Choice of exposures, unless every_exposure: the names that protocol.json gives for this number of
+ * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for this number of
  * views (key "inputs"; input pictures only); else one exposure per view, in turn the middle, the
  * shortest and the longest of that view (t3, t1, t5 of five: the paper's set, interleaved), and of
  * the views n_views that are evenly spread. exposure_set limits this choice to some of the times
@@ -30,6 +30,7 @@ struct imageset_request {
     enum imageset_which which; // of the released layout
     int n_views;               // 0 = all
     bool every_exposure;       // all exposures of the chosen views, without protocol.json
+    bool brackets;             // all exposures of each view, unless protocol.json names pictures
     uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
     bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
     bool no_cameras;           // neither rig nor sparse/0 are read

@@ -140,6 +140,7 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
         return e;
     cmd_imageset(network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
+    rq->set.brackets = !rq->set.may_lack_times && !job_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);

@@ -7,6 +7,7 @@
 
 #include "core/base/num.h"
 #include "core/opt/response.h"
+#include "core/opt/stack.h"
 #include "core/prep.h"
 #include "core/splat/gaussians.h"
 
@@ -40,10 +41,20 @@ bool job_forward(const struct job_config *cfg)
            cfg->refine.steps == 0;
 }
 
+/* What is left of full brackets, and its response. */
+static err_t choose_exposures(const struct run *r, const struct job_config *cfg,
+                              struct job_result *out)
+{
+    const bool gaussians = cfg->network && !cfg->cameras_only && !cfg->stereo;
+    out->taken = out->views.n + out->views.n_more;
+    err_t e = stack_choose(r, &out->response, gaussians, &out->views);
+    return e ? e : response_run(r, &out->views, &out->response);
+}
+
 err_t job_run(const struct run *r, const struct capture *c, const struct job_config *asked,
               struct job_result *out)
 {
-    struct job_config cfg = within(asked, c->n);
+    struct job_config cfg = within(asked, prep_places(c));
     memset(out, 0, sizeof *out);
     out->input_psnr = NAN;
     out->start_s = out->lap_s = engine_seconds();
@@ -58,6 +69,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     job_lap(out, JOB_PREPROCESS);
     if (!e)
         e = response_run(r, &out->views, &out->response);
+    if (!e && out->views.n_more)
+        e = choose_exposures(r, &cfg, out);
     job_lap(out, JOB_RESPONSE);
     if (!e)
         e = start_run(r, &cfg, out);
@@ -89,8 +102,8 @@ static struct job_config within(const struct job_config *cfg, int n_views)
 /* All cameras are known, or none. */
 static err_t check_capture(const struct capture *c)
 {
-    if (c->n < 2)
-        return err_fail(ERR_ARG, "%d view, a scene needs at least 2", c->n);
+    if (prep_places(c) < 2)
+        return err_fail(ERR_ARG, "%d view, a scene needs at least 2", prep_places(c));
     for (int i = 1; i < c->n; i++)
         if (c->shots[i].has_camera != c->shots[0].has_camera)
             return err_fail(ERR_ARG,
@@ -117,8 +130,10 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
     err_t e = check_capture(c);
     if (e)
         return e;
-    struct job_config cfg = within(asked, c->n);
-    const struct views v = {.n = c->n, // all that plans look at
+    const int places = prep_places(c);
+    struct job_config cfg = within(asked, places);
+    const struct views v = {.n = places, // all that plans look at
+                            .n_more = c->n - places,
                             .size = cfg.size,
                             .cams = c->shots[0].has_camera ? &known : NULL};
     size_t keep, tmp;
@@ -131,9 +146,10 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
     out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
     out->tmp = num_max_size(out->tmp, tmp);
     out->tmp = num_max_size(out->tmp, response_plan(&v));
+    out->tmp = num_max_size(out->tmp, stack_plan(&v, threads));
     if (refines(&cfg))
-        out->tmp = num_max_size(out->tmp, refine_plan(c->n, cfg.size, &cfg.refine, threads));
-    out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, c->n), cfg.size, cfg.size));
+        out->tmp = num_max_size(out->tmp, refine_plan(&v, &cfg.refine, threads));
+    out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, places), cfg.size, cfg.size));
     return OK;
 }
 
@@ -200,12 +216,23 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_number(rep, "held_out_psnr_start", held_out ? (double)j->refine.held_out_db[0] : NAN);
     report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
     report_close(rep);
-    report_words(rep, "modelled", j->refine.n_notes, j->refine.notes[0], sizeof j->refine.notes[0]);
+    report_open(rep, "modelled", '[');
+    if (j->taken > j->views.n + j->views.n_more) {
+        char text[128];
+        snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",
+                 j->views.n + j->views.n_more, j->taken);
+        report_text(rep, NULL, text);
+    }
+    for (int i = 0; i < j->refine.n_notes; i++)
+        report_text(rep, NULL, j->refine.notes[i]);
+    report_close(rep);
 }
 
 void job_report(const struct job_result *j, int threads, struct report *rep)
 {
     report_int(rep, "views", j->scene.n_views);
+    if (j->views.n > 0)
+        report_int(rep, "photographs", j->views.n + j->views.n_more);
     report_open(rep, "size", '[');
     report_int(rep, NULL, j->scene.size);
     report_int(rep, NULL, j->scene.size);

@@ -11,6 +11,7 @@
 
 #include "core/base/num.h"
 #include "core/opt/response.h"
+#include "core/opt/stack.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/seed.h"
 #include "core/splat/sweep.h"
@@ -85,18 +86,22 @@ static void set_background(const struct views *v, const struct tonemap *tone, fl
     }
 }
 
-static err_t place_seeds(const struct run *r, const struct job_config *cfg,
+/* What stereo looks at: of each place one picture with all that its exposures show. */
+struct seen {
+    struct views views;
+    struct tonemap tone;
+};
+
+static err_t place_seeds(const struct run *r, const struct job_config *cfg, const struct seen *seen,
                          const struct depthmaps *depth, struct job_result *out)
 {
     struct gaussians seeds, *g = &out->scene.g;
-    const struct seed_input in = {.views = &out->views,
-                                  .depth = depth,
-                                  .tone = &out->response,
-                                  .guess = cfg->refine.steps > 0};
+    const struct seed_input in = {
+        .views = &seen->views, .depth = depth, .tone = &seen->tone, .guess = cfg->refine.steps > 0};
     announce(r, "seed");
     /* half of the room: the refiner splits where the photographs hold more than noise */
     err_t e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
-    set_background(&out->views, &out->response, out->scene.background);
+    set_background(&seen->views, &seen->tone, out->scene.background);
     g->degree = 0; // refinement adds bands where the photographs ask for them
     for (int p = 0; !e && p < gaussians_planes(0); p++)
         memcpy(g->plane[p], seeds.plane[p], (size_t)seeds.n * sizeof(float));
@@ -109,10 +114,17 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg,
 static err_t by_stereo(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
     struct depthmaps depth;
+    struct seen seen;
+    const size_t mark = arena_mark(r->tmp);
     announce(r, "sweep");
-    err_t e = sweep_run(r, &out->views, &out->response, &depth);
+    err_t e = stack_merge(r, &out->views, &out->response, &seen.views, &seen.tone);
+    if (!e)
+        e = sweep_run(r, &seen.views, &seen.tone, &depth);
     job_lap(out, JOB_SWEEP);
-    return e ? e : place_seeds(r, cfg, &depth, out);
+    if (!e)
+        e = place_seeds(r, cfg, &seen, &depth, out);
+    arena_reset(r->tmp, mark);
+    return e;
 }
 
 /* ---- cameras ---- */
@@ -132,24 +144,29 @@ static void sum_up(const struct bundle_result *b, struct job_result *out)
 }
 
 /* A view that is not tied to the others would only spoil the scene. */
-static void leave_out(const struct bundle_result *b, struct job_result *out)
+static err_t leave_out(const struct run *r, const struct bundle_result *b, struct job_result *out)
 {
     struct views *v = &out->views;
-    const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
+    const size_t mark = arena_mark(r->tmp);
+    bool *keep;
     int n = 0;
     if (b->confidence < LOCATE_SURE || b->n_placed < 2)
-        return;
+        return OK;
+    err_t e = arena_alloc(r->tmp, (size_t)(v->n + v->n_more), sizeof *keep, &keep);
+    if (e)
+        return e;
+    for (int i = 0; i < v->n + v->n_more; i++)
+        keep[i] = i >= v->n || b->placed[i];
     for (int i = 0; i < v->n; i++) {
-        if (!b->placed[i]) {
+        if (keep[i])
+            out->scene.cams[n++] = out->scene.cams[i];
+        else
             job_warn(out, "%s is left out: too little in common with the other views", v->names[i]);
-            continue;
-        }
-        memmove(v->names[n], v->names[i], NAME_CAP);
-        memmove(v->rgb + bytes * (size_t)n, v->rgb + bytes * (size_t)i, bytes);
-        v->log2t[n] = v->log2t[i];
-        out->scene.cams[n++] = out->scene.cams[i];
     }
-    v->n = out->scene.n_views = n;
+    stack_drop(v, keep);
+    out->scene.n_views = n;
+    arena_reset(r->tmp, mark);
+    return OK;
 }
 
 /* Bundle adjustment. Of cameras that are known only the scale of the network's depth is wanted.
@@ -166,9 +183,14 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
                                  .start_depth = p && !looks(cfg) ? p->geom.depth : NULL,
                                  .focal_known = known || cfg->fov_deg > 0,
                                  .rig_known = known};
+    struct seen seen;
+    const size_t mark = arena_mark(r->tmp);
     if (!known && cfg->fov_deg > 0)
         want.focal = (float)v->size / 2 / tanf(cfg->fov_deg * 3.14159265f / 360);
-    err_t e = locate_run(r, v, p && p->matches.token ? &p->matches : NULL, &want, b);
+    err_t e = stack_merge(r, v, &out->response, &seen.views, &seen.tone);
+    if (!e)
+        e = locate_run(r, &seen.views, p && p->matches.token ? &p->matches : NULL, &want, b);
+    arena_reset(r->tmp, mark);
     if (!e && !known) {
         memcpy(out->scene.cams, b->cams, (size_t)v->n * sizeof *b->cams);
         sum_up(b, out);
@@ -193,7 +215,7 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
     if (!e && !out->views.cams && b.n_placed < 2)
         e = refuse_cameras();
     if (!e && !out->views.cams)
-        leave_out(&b, out);
+        e = leave_out(r, &b, out);
     out->views.cams = out->scene.cams;
     if (!e)
         e = by_stereo(r, cfg, out);
@@ -243,7 +265,7 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
     if (!e && cfg->cameras_only && b.n_placed < 2)
         e = refuse_cameras();
     if (!e && looks(cfg))
-        leave_out(&b, out);
+        e = leave_out(r, &b, out);
     else if (!e)
         e = network_place(r, s->cams, b.depth_scale, p, scale);
     return e;
@@ -319,13 +341,20 @@ static err_t take_depth(const struct run *r, const struct job_config *cfg, float
                         struct prediction *p, struct job_result *out)
 {
     const size_t n = (size_t)p->geom.n_views * (size_t)p->geom.size * (size_t)p->geom.size;
+    const size_t mark = arena_mark(r->tmp);
+    struct seen seen;
     struct depthmaps depth = {p->geom.n_views, p->geom.size, 1, p->geom.depth, NULL};
     err_t e = arena_alloc(r->keep, n, sizeof *depth.conf, &depth.conf);
     for (size_t i = 0; i < n && !e; i++) {
         depth.conf[i] = 1;
         depth.depth[i] *= scale;
     }
-    return e ? e : place_seeds(r, cfg, &depth, out);
+    if (!e)
+        e = stack_merge(r, &out->views, &out->response, &seen.views, &seen.tone);
+    if (!e)
+        e = place_seeds(r, cfg, &seen, &depth, out);
+    arena_reset(r->tmp, mark);
+    return e;
 }
 
 static err_t with_network(const struct run *r, const struct job_config *cfg, struct job_result *out)
@@ -441,6 +470,7 @@ struct job_memory start_plan(const struct job_config *asked, const struct views 
     m.tmp = num_max_size(m.tmp, stereo.tmp);
     if (tapped)
         m.tmp = num_max_size(m.tmp, dump_plan(cfg->size, job_most(cfg, v->n)));
+    m.tmp = arena_add(m.tmp, stack_plan(v, threads));
     m.keep = arena_add(m.keep, arena_need((size_t)v->n, sizeof(struct camera)));
     if (!job_forward(cfg))
         m.keep = arena_add(m.keep, gaussians_need(cap, cfg->refine.degree_max));

@@ -172,7 +172,7 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static void hold_out(const struct job *j, int colour, int y, double *p)
+static void hold_out(const struct job *j, int colour, int y, float *d, double *p)
 {
     const struct loss_input *in = j->in;
     int px = in->held_px, squares = (j->w + px - 1) / px;
@@ -185,13 +185,13 @@ static void hold_out(const struct job *j, int colour, int y, double *p)
                 (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
             p[P_SSE] += diff * diff;
             p[P_HELD] += 1;
-            j->l->d_radiance[at + (size_t)i] = 0;
+            d[i] = 0;
         }
     }
 }
 
 /* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */
-static void display_grad(const struct job *j, int colour, int y, float *line, double *p)
+static void display_grad(const struct job *j, int colour, int y, float *line, float *d, double *p)
 {
     const struct loss_input *in = j->in;
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
@@ -210,18 +210,17 @@ static void display_grad(const struct job *j, int colour, int y, float *line, do
                               .l1 = in->w_l1 / (float)(3 * j->px),
                               .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
                               .n = j->w};
-    p[P_L1] += j->r->k->display_row(&row, j->l->d_radiance + at);
+    p[P_L1] += j->r->k->display_row(&row, d);
     if (in->held)
-        hold_out(j, colour, y, p);
+        hold_out(j, colour, y, d, p);
 }
 
 /* From d loss / d display to radiance, alpha and the segments of the curve. */
-static void tone_grad(const struct job *j, int colour, int y, float *line, double *p)
+static void tone_grad(const struct job *j, int colour, int y, float *line, float *d, double *p)
 {
     struct tone_row row = tone_row_of(j, colour, y);
-    float *d = j->l->d_radiance + (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     float *d_alpha = j->l->d_alpha + (size_t)y * (size_t)j->w;
-    if (colour == 0)
+    if (colour == 0 && !j->in->more)
         memset(d_alpha, 0, (size_t)j->w * sizeof *d_alpha);
     j->r->k->tone_row_grad(&row, d, line, d_alpha);
     double *g0 = p + P_G0 + colour * SEGMENTS, *g1 = p + P_G1 + colour * SEGMENTS;
@@ -242,8 +241,12 @@ static err_t grad_chunk(void *ctx, int chunk, int worker)
     for (int y = chunk * ROWS; y < end; y++)
         for (int c = 0; c < 3; c++) {
             float *line = l->scratch + l->scratch_floats * (size_t)worker;
-            display_grad(j, c, y, line, p);
-            tone_grad(j, c, y, line, p);
+            float *to = l->d_radiance + (size_t)c * j->px + (size_t)y * (size_t)j->w;
+            float *d = j->in->more ? line + 4 * (size_t)l->stride : to;
+            display_grad(j, c, y, line, d, p);
+            tone_grad(j, c, y, line, d, p);
+            for (int i = 0; j->in->more && i < j->w; i++)
+                to[i] += d[i];
         }
     return OK;
 }

@@ -36,6 +36,7 @@ struct loss_input {
     float w_l1, w_ssim;
     const uint8_t *held; // (ceil(h / held_px), ceil(w / held_px)) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
+    bool more; // add to the gradients of the call before: another photograph, same picture
 };
 
 struct loss_output {

@@ -7,7 +7,7 @@ enum { LEVELS = 16 * 256 }; // largest response of the mask, plus one
 
 struct noise {
     const struct views *v;
-    double *square; // (n) variance per view, display units
+    double *square; // (photographs) variance, display units
 };
 
 static double channel_deviation(const uint8_t *rgb, int size, int channel)
@@ -45,12 +45,13 @@ static err_t noise_view(void *ctx, int i, int worker)
 err_t noise_run(const struct run *r, const struct views *v, float *db)
 {
     struct noise j = {v, NULL};
+    const int n = v->n + v->n_more;
     size_t mark = arena_mark(r->tmp);
     double sum = 0;
-    err_t e = arena_alloc(r->tmp, (size_t)v->n, sizeof *j.square, &j.square);
-    e = e ? e : pool_for(r->pool, v->n, noise_view, &j);
-    for (int i = 0; i < v->n && !e; i++)
-        sum += j.square[i] / v->n;
+    err_t e = arena_alloc(r->tmp, (size_t)n, sizeof *j.square, &j.square);
+    e = e ? e : pool_for(r->pool, n, noise_view, &j);
+    for (int i = 0; i < n && !e; i++)
+        sum += j.square[i] / n;
     arena_reset(r->tmp, mark);
     *db = e ? 0 : (float)(-10 * log10(fmax(sum, 1e-10)));
     return e;

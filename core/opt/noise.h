@@ -8,7 +8,7 @@
 /* out: *db, PSNR that the noise of the photographs alone leaves, dB (100 = none seen). Median of
  *       the absolute Laplacian of Laplacians, whose response to white noise is 6 times its
  * deviation (Immerkaer 1996); saturated pixels and flat texture do not count. Takes 8 bytes per
- * view from r->tmp.
+ * photograph from r->tmp.
  * err:  ERR_NOMEM. */
 MUST_USE err_t noise_run(const struct run *r, const struct views *v, float *db);
 

@@ -1,5 +1,7 @@
 /* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
- * of each block of splats goes straight into Adam while it is in the cache.
+ * of each block of splats goes straight into Adam while it is in the cache. All exposures of a view
+ * share the rendering: its loss is their mean, and what is black or saturated has next to no slope
+ * on the curve.
  *
  * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
  * px per view, other squares in other views, so that every surface is still learned from most
@@ -56,7 +58,7 @@ struct refine {
     struct raster raster;
     struct loss loss_work;
     struct render pic;
-    uint8_t *full, *half; // (n, 3, size, size) photographs, and at half size
+    uint8_t *full, *half; // (photographs, 3, size, size), and at half size
     uint8_t *held;        // (n, squares, squares)
     int squares;
     double *view_sse; // (n) held-out squared error at the last visit
@@ -90,30 +92,31 @@ static float uniform(struct refine *f)
     return (float)(next_random(&f->rng) >> 40) * 0x1p-24f;
 }
 
-static size_t small_need(int n, int size)
+static size_t small_need(const struct views *views)
 {
-    size_t v = (size_t)n, h = (size_t)size / 2, q = ((size_t)size + HELD_PX - 1) / HELD_PX;
-    const size_t need[][2] = {{v * h * h * 3, 1},
-                              {v * (size_t)size * (size_t)size * 3, 1},
+    size_t v = (size_t)views->n, all = v + (size_t)views->n_more, size = (size_t)views->size;
+    size_t h = size / 2, q = (size + HELD_PX - 1) / HELD_PX;
+    const size_t need[][2] = {{all * h * h * 3, 1},
+                              {all * size * size * 3, 1},
                               {v * q * q, 1},
                               {v, 8},
                               {v, 8},
                               {v, 4},
                               {v * 12, 4},
                               {v, 4},
-                              {3 * (size_t)size * (size_t)size, 4},
-                              {(size_t)size * (size_t)size, 4}};
+                              {3 * size * size, 4},
+                              {size * size, 4}};
     size_t total = 0;
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
         total = arena_add(total, arena_need(need[i][0], need[i][1]));
     return total;
 }
 
-size_t refine_plan(int n_views, int size, const struct refine_config *cfg, int threads)
+size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads)
 {
-    size_t total = arena_add(small_need(n_views, size), arena_need((size_t)n_views, 8)); // noise
-    total = arena_add(total, raster_plan(cfg->gaussians_max, size, size, true));
-    total = arena_add(total, loss_plan(size, size, threads));
+    size_t total = arena_add(small_need(v), arena_need((size_t)(v->n + v->n_more), 8)); // noise
+    total = arena_add(total, raster_plan(cfg->gaussians_max, v->size, v->size, true));
+    total = arena_add(total, loss_plan(v->size, v->size, threads));
     return arena_add(total, density_plan(cfg->gaussians_max, cfg->degree_max));
 }
 
@@ -121,8 +124,9 @@ static err_t alloc_all(struct refine *f)
 {
     struct arena *a = f->r->tmp;
     size_t n = (size_t)f->v->n, size = (size_t)f->v->size, q = (size_t)f->squares, px = size * size;
-    err_t e = arena_alloc(a, n * (size / 2) * (size / 2) * 3, 1, &f->half);
-    e = e ? e : arena_alloc(a, n * px * 3, 1, &f->full);
+    size_t all = n + (size_t)f->v->n_more;
+    err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
+    e = e ? e : arena_alloc(a, all * px * 3, 1, &f->full);
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_sse);
     e = e ? e : arena_zalloc(a, n, 8, &f->view_n);
@@ -136,7 +140,7 @@ static err_t alloc_all(struct refine *f)
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
-/* Photographs of one view as planes, and at half size. */
+/* One photograph as planes, and at half size. */
 static err_t planes_chunk(void *ctx, int i, int worker)
 {
     struct refine *f = ctx;
@@ -239,26 +243,47 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
-/* Render view i at the current size and compare. */
+/* The loss of the rendered picture of view i against photograph k, with this share, added to *out
+ * and, but for the first, to the gradients. */
+static err_t compare(struct refine *f, int i, int k, float share, const float behind[3],
+                     struct loss_output *out)
+{
+    const size_t side = (size_t)f->pic.w, squares = (size_t)f->squares * (size_t)f->squares;
+    struct loss_input li = {.pic = &f->pic,
+                            .tone = &f->s->tone,
+                            .shift = f->v->log2t[k] - f->s->tone.mid_log2t,
+                            .photo =
+                                (f->scale == 1 ? f->full : f->half) + (size_t)k * side * side * 3,
+                            .behind = {behind[0], behind[1], behind[2]},
+                            .w_l1 = 0.8f * share,
+                            .w_ssim = 0.2f * share,
+                            .held = f->held + (size_t)i * squares,
+                            .held_px = HELD_PX / f->scale,
+                            .more = k != i};
+    struct loss_output one;
+    err_t e = loss_run(f->r, &f->loss_work, &li, &one);
+    if (e)
+        return e;
+    out->loss += one.loss;
+    out->held_sse += one.held_sse;
+    out->held_n += one.held_n;
+    for (int p = 0; p < TONE_PARAMS; p++)
+        out->tone[p] += one.tone[p];
+    return OK;
+}
+
+/* Render view i at the current size and compare with its photographs. */
 static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
                   struct loss_output *out)
 {
-    size_t side = (size_t)cam->w;
     struct raster_input in = view_input(f, cam);
+    int n = 0;
+    memset(out, 0, sizeof *out);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
-    if (e)
-        return e;
-    struct loss_input li = {.pic = &f->pic,
-                            .tone = &f->s->tone,
-                            .shift = f->s->log2t[i] - f->s->tone.mid_log2t,
-                            .photo =
-                                (f->scale == 1 ? f->full : f->half) + (size_t)i * side * side * 3,
-                            .behind = {behind[0], behind[1], behind[2]},
-                            .w_l1 = 0.8f,
-                            .w_ssim = 0.2f,
-                            .held = f->held + (size_t)i * (size_t)f->squares * (size_t)f->squares,
-                            .held_px = HELD_PX / f->scale};
-    e = loss_run(f->r, &f->loss_work, &li, out);
+    for (int k = i; k >= 0; k = views_next(f->v, i, k))
+        n++;
+    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k))
+        e = compare(f, i, k, 1 / (float)n, behind, out);
     f->view_sse[i] = out->held_sse;
     f->view_n[i] = out->held_n;
     return e;
@@ -484,7 +509,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .scale = 1};
     f.squares = (v->size + HELD_PX - 1) / HELD_PX;
     err_t e = alloc_all(&f);
-    e = e ? e : pool_for(r->pool, v->n, planes_chunk, &f);
+    e = e ? e : pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
     if (!e) {
         choose_held(&f);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);

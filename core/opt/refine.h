@@ -1,8 +1,8 @@
 /* refine.h - optimise a scene against its photographs (model-spec 5.2, paper's post-optimisation).
- * Each step draws one input view, renders it, compares the tone-mapped picture with the photograph
- * (0.8 L1 + 0.2 (1 - SSIM)) and moves every parameter by Adam. Squares of every input view are held
- * out: their pixels give no gradient, and their error decides when to stop, how many SH bands and
- *       how many Gaussians the scene needs.
+ * Each step draws one input view, renders it, compares the tone-mapped picture with its photograph,
+ * or all photographs of a bracket (0.8 L1 + 0.2 (1 - SSIM)), and moves every parameter by Adam.
+ * Squares of every input view are held out: their pixels give no gradient, and their error decides
+ * when to stop, how many SH bands and how many Gaussians the scene needs.
  * Invariant: the result depends on the input, the configuration and the seed, never on the number
  *       of threads. */
 #ifndef OPT_REFINE_H
@@ -30,8 +30,8 @@ struct refine_report {
     char notes[REFINE_NOTES][128]; // decisions in words, for the report
 };
 
-/* Bytes that refine_run takes from r->tmp. */
-size_t refine_plan(int n_views, int size, const struct refine_config *cfg, int threads);
+/* Bytes that refine_run takes from r->tmp; of v only its numbers are looked at. */
+size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
 
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
  * views.

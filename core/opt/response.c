@@ -10,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { BINS = 45, LEVELS = 64, ROUNDS = 6, GROUPS_MAX = 16 };
+enum { BINS = 45, LEVELS = 64, ROUNDS = 6, GROUPS_MAX = 16, SPREAD = 33 };
 
 static const double U_END = 6.6;      // the curve lives on [-U_END, U_END]; logit of 1/512 is -6.24
 static const double SMOOTH = 5.0;     // weight of a bend, with data normalised to one per knot
@@ -142,13 +142,14 @@ static void solve(double (*a)[BINS], double *b)
     }
 }
 
-static void make_rise(double *g)
+/* middle: x of the knot at u = 0. */
+static void make_rise(double *g, double middle)
 {
     const double step = 2.0 * U_END / (BINS - 1);
     double rise[BINS];
     for (int k = 0; k + 1 < BINS; k++)
         rise[k] = fmin(fmax(g[k + 1] - g[k], RISE_MIN * step), RISE_MAX * step);
-    g[BINS / 2] = 0.0;
+    g[BINS / 2] = middle;
     for (int k = BINS / 2; k + 1 < BINS; k++)
         g[k + 1] = g[k] + rise[k];
     for (int k = BINS / 2; k > 0; k--)
@@ -182,6 +183,14 @@ static void write_side(const double *g, double x_end, float *p, int first)
     }
 }
 
+static void write_colour(const double *g, struct tonemap *out, int colour)
+{
+    float *p = out->p + colour * TONE_PER_COLOUR;
+    write_side(g, g[0], p, 0);
+    write_side(g, g[BINS - 1], p, TONE_HIDDEN / 2);
+    p[3 * TONE_HIDDEN] = (float)curve_at(g, 0.0);
+}
+
 void response_fit(const struct response_pair *pairs, int n, float mid_log2t, struct tonemap *out)
 {
     double g[BINS], a[BINS][BINS];
@@ -193,15 +202,11 @@ void response_fit(const struct response_pair *pairs, int n, float mid_log2t, str
         solve(a, b);
         memcpy(g, b, sizeof g);
     }
-    make_rise(g);
+    make_rise(g, 0.0);
     memset(out, 0, sizeof *out);
     out->mid_log2t = mid_log2t;
-    for (int c = 0; c < 3; c++) {
-        float *p = out->p + c * TONE_PER_COLOUR;
-        write_side(g, g[0], p, 0);
-        write_side(g, g[BINS - 1], p, TONE_HIDDEN / 2);
-        p[3 * TONE_HIDDEN] = (float)curve_at(g, 0.0);
-    }
+    for (int c = 0; c < 3; c++)
+        write_colour(g, out, c);
 }
 
 /* ---- use of the curve ---- */
@@ -258,6 +263,40 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
     }
 }
 
+/* Mean display value of x over exposures lo .. hi stops away. */
+static double spread_display(const struct tonemap *tone, int colour, double x, const float end[2])
+{
+    double sum = 0.0;
+    for (int i = 0; i < SPREAD; i++) {
+        double away = (double)end[0] + (double)(end[1] - end[0]) * i / (SPREAD - 1);
+        sum += (double)response_display(tone, colour, (float)(x + away)) / SPREAD;
+    }
+    return sum;
+}
+
+void response_spread(const struct tonemap *tone, float lo, float hi, struct tonemap *out,
+                     float *log2t)
+{
+    const float end[2] = {lo, hi};
+    double g[BINS], middle = 0.0;
+    struct tonemap made = {.mid_log2t = tone->mid_log2t};
+    for (int c = 0; c < 3; c++) {
+        for (int k = 0; k < BINS; k++) {
+            double a = (double)-X_END - (double)hi, b = (double)X_END - (double)lo;
+            for (int i = 0; i < 40; i++) {
+                double x = 0.5 * (a + b), u = logit(spread_display(tone, c, x, end));
+                *(u < knot_u(k) ? &a : &b) = x;
+            }
+            g[k] = 0.5 * (a + b);
+        }
+        middle = c == 0 ? g[BINS / 2] : middle;
+        make_rise(g, g[BINS / 2] - middle);
+        write_colour(g, &made, c);
+    }
+    *log2t = (float)((double)tone->mid_log2t - middle);
+    *out = made;
+}
+
 /* ---- histograms ---- */
 
 static err_t check_views(const struct views *v)
@@ -265,7 +304,7 @@ static err_t check_views(const struct views *v)
     if (v->n < 1 || v->size < 2)
         return err_fail(ERR_ARG, "response: %d views of %d px, needed are 1 view of 2 px", v->n,
                         v->size);
-    for (int i = 0; i < v->n; i++) {
+    for (int i = 0; i < v->n + v->n_more; i++) {
         if (!isfinite(v->log2t[i]))
             return err_fail(ERR_ARG, "response: exposure of view %d is not finite", i);
     }
@@ -344,13 +383,44 @@ static int add_group_pair(const struct group *a, const struct group *b, struct r
     return n;
 }
 
-enum { PAIRS_MAX = GROUPS_MAX * (GROUPS_MAX - 1) / 2 * 3 * LEVELS };
+/* Quantiles of one place are those of the same pixels, so its exposures are compared with the next
+ * longer ones only, and places not at all. */
+static int add_place(const struct views *v, int place, struct group *g, struct response_pair *out)
+{
+    int n = 0, pairs = 0;
+    for (int i = place; i >= 0; i = views_next(v, place, i)) {
+        int at = n < GROUPS_MAX ? n++ : n - 1;
+        for (; at > 0 && g[at - 1].log2t > (double)v->log2t[i]; at--)
+            g[at] = g[at - 1];
+        memset(&g[at], 0, sizeof g[at]);
+        g[at].log2t = (double)v->log2t[i];
+        count_pixels(v, i, &g[at]);
+    }
+    for (int i = 1; i < n; i++)
+        pairs += add_group_pair(&g[i - 1], &g[i], out + pairs);
+    return pairs;
+}
+
+static int add_groups(const struct views *v, struct group *g, struct response_pair *out)
+{
+    int n_groups = collect_groups(v, g), n = 0;
+    for (int i = 0; i < n_groups; i++) {
+        for (int j = i + 1; j < n_groups; j++)
+            n += add_group_pair(&g[i], &g[j], out + n);
+    }
+    return n;
+}
+
+static size_t pairs_max(const struct views *v)
+{
+    size_t groups = GROUPS_MAX * (GROUPS_MAX - 1) / 2, more = (size_t)v->n_more;
+    return (more ? more : groups) * 3 * LEVELS;
+}
 
 size_t response_plan(const struct views *v)
 {
-    (void)v;
     return arena_add(arena_need(GROUPS_MAX, sizeof(struct group)),
-                     arena_need(PAIRS_MAX, sizeof(struct response_pair)));
+                     arena_need(pairs_max(v), sizeof(struct response_pair)));
 }
 
 err_t response_run(const struct run *r, const struct views *v, struct tonemap *out)
@@ -363,13 +433,11 @@ err_t response_run(const struct run *r, const struct views *v, struct tonemap *o
         return e;
     e = arena_zalloc(r->tmp, GROUPS_MAX, sizeof *g, &g);
     if (!e)
-        e = arena_alloc(r->tmp, PAIRS_MAX, sizeof *pairs, &pairs);
+        e = arena_alloc(r->tmp, pairs_max(v), sizeof *pairs, &pairs);
     if (!e) {
-        int n_groups = collect_groups(v, g), n = 0;
-        for (int i = 0; i < n_groups; i++) {
-            for (int j = i + 1; j < n_groups; j++)
-                n += add_group_pair(&g[i], &g[j], pairs + n);
-        }
+        int n = v->n_more ? 0 : add_groups(v, g, pairs);
+        for (int i = 0; i < v->n && v->n_more; i++)
+            n += add_place(v, i, g, pairs + n);
         response_fit(pairs, n, v->mid_log2t, out);
     }
     arena_reset(r->tmp, mark);

@@ -23,7 +23,8 @@ struct response_pair {
     float za, zb, d, weight; // display 0..1; stops; > 0
 };
 
-/* Curve from the histograms of `v`. With one exposure, or pictures without grey values, it is close
+/* Curve from the histograms of `v`: of the exposures of each place if there are several, else of
+ * views at different exposures. With one exposure, or pictures without grey values, it is close
  * to sRGB.
  * err:  ERR_ARG (no views, exposures not finite), ERR_NOMEM. On error *out is not changed. */
 MUST_USE err_t response_run(const struct run *r, const struct views *v, struct tonemap *out);
@@ -42,6 +43,12 @@ float response_display(const struct tonemap *tone, int colour, float x);
 /* Natural log of the radiance that a display value 0..1 has at exposure log2t; finite, ends at 24
  * stops from x = 0. */
 float response_radiance_log(const struct tonemap *tone, int colour, float display, float log2t);
+
+/* The curve of a picture that would be the mean over all exposures lo .. hi stops from the middle one:
+ * steep nowhere, flat nowhere between them.
+ * out:  *out may be *tone. *log2t: the exposure that such a picture counts as. */
+void response_spread(const struct tonemap *tone, float lo, float hi, struct tonemap *out,
+                     float *log2t);
 
 /* Inverse curve and reliability for the 256 display values. */
 void response_tabulate(const struct tonemap *tone, struct response_table *out);

@@ -132,7 +132,15 @@ static void open_case(unsigned cpu)
         alpha[i] = (float)uniform(0, 1);
     memset(held, 0, sizeof held);
     held[1] = held[6] = 1;
-    in = (struct loss_input){&pic, &tone, 0.7f, photo, {.1f, .3f, -.2f}, 0.8f, 0.2f, held, 12};
+    in = (struct loss_input){.pic = &pic,
+                             .tone = &tone,
+                             .shift = 0.7f,
+                             .photo = photo,
+                             .behind = {.1f, .3f, -.2f},
+                             .w_l1 = 0.8f,
+                             .w_ssim = 0.2f,
+                             .held = held,
+                             .held_px = 12};
     for (int i = 0; i < 3 * PX; i++)
         ref_radiance[i] = (double)radiance[i];
     for (int i = 0; i < PX; i++)

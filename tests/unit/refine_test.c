@@ -99,7 +99,8 @@ static void open_world(int threads, int degree)
         pose_move(&W.cams[i], away);
     }
     photograph();
-    W.v = (struct views){V, S, W.names, W.rgb, W.log2t, 0, W.cams};
+    W.v = (struct views){
+        .n = V, .size = S, .names = W.names, .rgb = W.rgb, .log2t = W.log2t, .cams = W.cams};
     W.start = (struct scene){.tone = W.truth.tone,
                              .n_views = V,
                              .size = S,
@@ -302,12 +303,12 @@ static void test_plan(void **state)
     struct refine_config cfg = {20, 2, CAP, 5, false};
     struct refine_report rep;
     struct arena exact;
-    assert_int_equal(arena_init(&exact, "exact", refine_plan(V, S, &cfg, 2)), OK);
+    assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);
     W.r.tmp = &exact;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
     assert_true(exact.peak > exact.size * 9 / 10);
     arena_free(&exact);
-    assert_int_equal(arena_init(&exact, "small", refine_plan(V, S, &cfg, 2) / 2), OK);
+    assert_int_equal(arena_init(&exact, "small", refine_plan(&W.v, &cfg, 2) / 2), OK);
     W.r.tmp = &exact;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_NOMEM);
     arena_free(&exact);

@@ -55,7 +55,12 @@ static inline void small_job_init(struct small_job *s, int n)
         g->plane[G_QUAT][i] = 1;
     }
     tonemap_linear(&j->scene.tone, 1, -10, 10, 0);
-    j->views = (struct views){SMALL_VIEWS, SMALL_SIZE, s->names, s->rgb, s->log2t, 0, s->cams};
+    j->views = (struct views){.n = SMALL_VIEWS,
+                              .size = SMALL_SIZE,
+                              .names = s->names,
+                              .rgb = s->rgb,
+                              .log2t = s->log2t,
+                              .cams = s->cams};
     j->input_db = s->db;
     j->scene.n_views = SMALL_VIEWS;
     j->scene.size = SMALL_SIZE;
