@@ -147,8 +147,7 @@ static void project(const struct sphere *s, const float v[DIRECTIONS], int degre
             for (int l = m; l <= degree; l++) {
                 float term = s->weight[r] * s->p[r][l * (l + 1) / 2 + m];
                 sh[l * l + l + m] += term * a;
-                if (m > 0)
-                    sh[l * l + l - m] += term * b;
+                sh[l * l + l - m] += term * b; // of m = 0: 0
             }
         }
 }

@@ -176,7 +176,7 @@ static void hostile_files_are_refused(void **state)
         {"\"cameras\"", "\"camera\"", "no array \"cameras\"", ERR_FORMAT},
         {"a.png", "../a.png", "camera 0: byte 2 of a name", ERR_FORMAT},
         {"\"q\": [0.6", "\"q\": [0.7", "quaternion", ERR_FORMAT},
-        {", \"exposure_log2\": -1.2345679", "", "camera 0 (a.png) has no \"exposure_log2\"",
+        {", \"exposure_log2\": -1.23456788", "", "camera 0 (a.png) has no \"exposure_log2\"",
          ERR_FORMAT},
     };
     static char text[TEXT_CAP];
