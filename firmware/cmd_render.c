@@ -5,7 +5,10 @@
 #include "firmware/outdir.h"
 #include "firmware/path.h"
 #include "firmware/report.h"
+#include "firmware/video.h"
 
+#include "core/base/log.h"
+#include "core/falsecolour.h"
 #include "core/metrics.h"
 #include "drivers/cameras.h"
 #include "drivers/img.h"
@@ -14,14 +17,16 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
-enum { FRAMES_MAX = 9999 };
+enum { FRAMES_MAX = 9999, FRAMES_DEFAULT = 60, FPS_DEFAULT = 30 };
 
 struct request {
-    const char *scene, *cameras, *path, *out;
-    const char *ev_text, *frames_text, *size_text;
-    double ev, frames, size; // size 0: that of the cameras
-    bool hdr;
+    const char *scene, *cameras, *path, *video, *out;
+    const char *ev_text, *frames_text, *size_text, *fps_text;
+    double ev[2], frames, size,
+        fps; // ev: of the first frame, the last; size 0: that of the cameras
+    bool hdr, false_colour;
     struct config cfg;
 };
 
@@ -30,7 +35,11 @@ struct state {
     struct scene scene;
     struct rig rig; // where to stand
     struct draw draw;
+    struct image8 picture; // of the frame drawn last
     struct outdir out;
+    struct video video;
+    err_t video_error; // why there is none; the frames do without
+    char video_text[512];
     size_t clipped;
     double seconds[2]; // drawing, writing
 };
@@ -75,24 +84,34 @@ static err_t median_depth(struct state *st, double *out)
     return e;
 }
 
+/* Share of frame i on the way from the first to the last. */
+static double share(const struct state *st, int i)
+{
+    return st->rig.n > 1 ? (double)i / (st->rig.n - 1) : 0;
+}
+
+/* An orbit, or the input cameras: exactly these, or a way through them if anything moves. */
 static err_t make_path(const struct request *rq, struct state *st)
 {
     const struct scene *s = &st->scene;
-    bool orbit = strcmp(rq->path, "orbit") == 0;
+    bool orbit = strcmp(rq->path, "orbit") == 0, moves = orbit || rq->video || rq->frames_text;
     double far = 1;
     if (s->n_views == 0)
         return err_fail(ERR_ARG, "%s: the scene has no input views: give --cameras FILE",
                         rq->scene);
-    st->rig.n = orbit ? (int)rq->frames : s->n_views;
+    st->rig.n = moves ? (int)rq->frames : s->n_views;
     st->rig.views = calloc((size_t)st->rig.n, sizeof *st->rig.views);
     if (!st->rig.views)
         return err_fail(ERR_NOMEM, "no memory for %d cameras", st->rig.n);
-    err_t e = orbit ? median_depth(st, &far) : OK;
+    err_t e = moves ? median_depth(st, &far) : OK;
     for (int i = 0; i < st->rig.n && !e; i++) {
+        struct camera *cam = &st->rig.views[i].cam;
         if (orbit)
-            path_orbit(s->cams, s->n_views, far, i, st->rig.n, &st->rig.views[i].cam);
+            path_orbit(s->cams, s->n_views, far, i, st->rig.n, cam);
+        else if (moves)
+            path_through(s->cams, s->n_views, far, share(st, i), cam);
         else
-            st->rig.views[i].cam = s->cams[i];
+            *cam = s->cams[i];
     }
     return e;
 }
@@ -102,6 +121,15 @@ static err_t place_cameras(const struct request *rq, struct state *st)
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
         scale(&st->rig.views[i].cam, (int)rq->size);
+    const struct camera *first = e ? NULL : &st->rig.views[0].cam;
+    for (int i = 1; i < st->rig.n && !e && rq->video; i++) {
+        const struct camera *cam = &st->rig.views[i].cam;
+        if (cam->w != first->w || cam->h != first->h)
+            e = err_fail(ERR_ARG,
+                         "camera %d is for %d x %d px, the first for %d x %d; a video has one "
+                         "size: give --size",
+                         i, cam->w, cam->h, first->w, first->h);
+    }
     return e;
 }
 
@@ -116,21 +144,47 @@ static void largest(const struct rig *rig, int *w, int *h)
     }
 }
 
+/* The last drawing at an exposure, in 8 bits. */
+static void develop(const struct request *rq, struct state *st, float log2t)
+{
+    const struct render *maps = &st->draw.maps;
+    st->picture.w = maps->w;
+    st->picture.h = maps->h;
+    if (rq->false_colour) {
+        const struct image radiance = {maps->w, maps->h, 3, maps->radiance};
+        falsecolour_run(&radiance, log2t, &st->picture);
+        return;
+    }
+    size_t n = (size_t)maps->w * (size_t)maps->h;
+    draw_display(&st->draw, log2t);
+    for (size_t i = 0; i < 3 * n; i++) {
+        float v = st->draw.display.px[i % 3 * n + i / 3];
+        st->picture.px[i] = (uint8_t)(v > 0 ? fminf(v, 1) * 255.0f + 0.5f : 0); // NaN is black
+    }
+}
+
+/* From --ev A to B, slow at both ends. */
+static float exposure(const struct request *rq, const struct state *st, int i)
+{
+    double u = share(st, i), ev = rq->ev[0] + (rq->ev[1] - rq->ev[0]) * u * u * (3 - 2 * u);
+    return st->scene.tone.mid_log2t + (float)ev;
+}
+
 static err_t write_frame(const struct request *rq, struct state *st, int i)
 {
     char name[32], path[FILE_PATH_CAP];
     size_t clipped = 0;
-    float log2t = st->scene.tone.mid_log2t + (float)rq->ev;
+    float log2t = exposure(rq, st, i);
     double start = engine_seconds();
     err_t e = draw_run(&st->engine.run, &st->draw, &st->scene, &st->rig.views[i].cam);
     if (e)
         return e;
-    draw_display(&st->draw, log2t);
+    develop(rq, st, log2t);
     double drawn = engine_seconds();
     snprintf(name, sizeof name, "frame_%04d.png", i);
     e = outdir_path(&st->out, name, path);
     if (!e)
-        e = img_write_ldr(path, &st->draw.display);
+        e = img_write_png(path, &st->picture);
     snprintf(name, sizeof name, "frame_%04d.exr", i);
     if (!e && rq->hdr)
         e = outdir_path(&st->out, name, path);
@@ -142,7 +196,58 @@ static err_t write_frame(const struct request *rq, struct state *st, int i)
     return e;
 }
 
-static err_t write_frames(const struct request *rq, struct state *st)
+/* What the false colours mean. */
+static err_t write_legend(const struct state *st)
+{
+    static uint8_t px[3 * FALSECOLOUR_LEGEND_W * FALSECOLOUR_LEGEND_H];
+    const struct image8 legend = {FALSECOLOUR_LEGEND_W, FALSECOLOUR_LEGEND_H, 3, px};
+    char path[FILE_PATH_CAP];
+    falsecolour_legend(&legend);
+    err_t e = outdir_path(&st->out, "legend.png", path);
+    return e ? e : img_write_png(path, &legend);
+}
+
+/* A video in the folder of the frames appears with them: that folder is yet to get its name. */
+static err_t video_path(const struct request *rq, const struct state *st, char path[FILE_PATH_CAP])
+{
+    char folder[FILE_PATH_CAP];
+    struct stat a, b;
+    const char *slash = strrchr(rq->video, '/'), *name = slash ? slash + 1 : rq->video;
+    int n = snprintf(folder, sizeof folder, "%.*s", slash ? (int)(slash - rq->video) : 1,
+                     slash ? rq->video : ".");
+    bool same = n < (int)sizeof folder && strcmp(folder, st->out.path) == 0;
+    if (!same && stat(folder, &a) == 0 && stat(st->out.path, &b) == 0)
+        same = a.st_dev == b.st_dev && a.st_ino == b.st_ino;
+    if (same)
+        return outdir_path(&st->out, name, path);
+    n = snprintf(path, FILE_PATH_CAP, "%s", rq->video);
+    return n < FILE_PATH_CAP ? OK : err_fail(ERR_ARG, "%.64s...: path too long", rq->video);
+}
+
+/* Frames go on without a video, which is told now and when they are ready. */
+static err_t without_video(struct state *st, err_t e)
+{
+    if (!e || e == ERR_CANCELLED)
+        return e;
+    st->video_error = e;
+    snprintf(st->video_text, sizeof st->video_text, "%s", err_text());
+    progress_end(&st->engine.progress);
+    log_warn("render: %s; the frames go on without a video", st->video_text);
+    video_close(&st->video);
+    return OK;
+}
+
+static err_t open_video(const struct request *rq, struct state *st)
+{
+    char path[FILE_PATH_CAP];
+    const struct camera *cam = &st->rig.views[0].cam;
+    err_t e = video_path(rq, st, path);
+    if (!e)
+        e = video_open(path, cam->w, cam->h, rq->fps, &st->video);
+    return without_video(st, e);
+}
+
+static err_t prepare(const struct request *rq, struct state *st)
 {
     int w, h;
     largest(&st->rig, &w, &h);
@@ -152,13 +257,26 @@ static err_t write_frames(const struct request *rq, struct state *st)
         e = outdir_reserve(&st->out, (uint64_t)st->rig.n * (each + each / 64 + 4096));
     if (!e)
         e = draw_init(&st->draw, &st->engine.tmp, st->scene.g.cap, w, h);
+    if (!e)
+        e = arena_alloc(&st->engine.tmp, pixels, 3, &st->picture.px);
+    st->picture.channels = 3;
+    if (!e && rq->false_colour)
+        e = write_legend(st);
+    return e || !rq->video ? e : open_video(rq, st);
+}
+
+static err_t write_frames(const struct request *rq, struct state *st)
+{
+    err_t e = prepare(rq, st);
     for (int i = 0; i < st->rig.n && !e; i++) {
         e = write_frame(rq, st, i);
+        if (!e && st->video.pipe)
+            e = without_video(st, video_put(&st->video, &st->picture));
         progress_step(&st->engine.progress, "render", i + 1, st->rig.n, NULL);
         if (!e && atomic_load(&engine_cancel))
             e = ERR_CANCELLED;
     }
-    return e;
+    return e || !st->video.pipe ? e : without_video(st, video_finish(&st->video));
 }
 
 static err_t write_report(const struct request *rq, const struct state *st)
@@ -175,7 +293,12 @@ static err_t write_report(const struct request *rq, const struct state *st)
     report_open(&rep, NULL, '{');
     report_int(&rep, "frames", st->rig.n);
     report_int(&rep, "gaussians", st->scene.g.n);
-    report_number(&rep, "ev", rq->ev);
+    report_number(&rep, "ev", rq->ev[0]);
+    report_number(&rep, "ev_last", rq->ev[1]);
+    if (rq->false_colour) // luminance of the scene where the colours show 0 stops, first frame
+        report_number(&rep, "false_colour_0", exp2(-(double)exposure(rq, st, 0)));
+    if (rq->video)
+        report_text(&rep, "video", st->video_error ? NULL : st->video.format->encoder);
     report_int(&rep, "clipped_values", (long long)st->clipped);
     report_open(&rep, "seconds", '{');
     report_number(&rep, "render", st->seconds[0]);
@@ -207,7 +330,8 @@ static err_t load(const struct request *rq, struct state *st)
     cameras_free(&sizes);
     if (rq->size > 0 || !rq->cameras)
         w = h = rq->size > 0 ? (int)rq->size : info.size;
-    size_t pick = arena_need((size_t)info.n, sizeof(float)), draw = draw_plan(info.n, w, h);
+    size_t pick = arena_need((size_t)info.n, sizeof(float)),
+           draw = arena_add(draw_plan(info.n, w, h), arena_need((size_t)w * (size_t)h, 3));
     e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
         e = engine_reserve(&st->engine, 0, info.need, draw > pick ? draw : pick,
@@ -230,19 +354,51 @@ static err_t render(const struct request *rq, struct state *st)
     e = outdir_commit(&st->out);
     if (!e)
         printf("%s: %d frames, %.1f s\n", rq->out, st->rig.n, st->seconds[0] + st->seconds[1]);
+    if (!e && st->video_error)
+        return err_fail(st->video_error, "%s (the frames are in %s)", st->video_text, rq->out);
+    if (!e && rq->video)
+        printf("%s: %.1f s, %g frames/s, %s (%s)\n", rq->video, st->rig.n / rq->fps, rq->fps,
+               st->video.format->codec, st->video.format->encoder);
     return e;
+}
+
+/* "X", or "A..B". */
+static err_t read_ev(const char *text, double ev[2])
+{
+    char first[32];
+    const char *dots = strstr(text, "..");
+    size_t n = dots ? (size_t)(dots - text) : 0;
+    if (n >= sizeof first)
+        return err_fail(ERR_ARG, "--ev: \"%.64s\" is not like -3..3", text);
+    snprintf(first, sizeof first, "%.*s", (int)n, text);
+    err_t e = cmd_number("--ev", dots ? first : text, -40, 40, &ev[0]);
+    ev[1] = ev[0];
+    return e || !dots ? e : cmd_number("--ev", dots + 2, -40, 40, &ev[1]);
+}
+
+static bool is_mp4(const char *path)
+{
+    size_t n = strlen(path);
+    return n > 4 && strcmp(path + n - 4, ".mp4") == 0 && path[n - 5] != '/';
 }
 
 static err_t read_numbers(struct request *rq)
 {
-    rq->frames = 60;
+    rq->frames = FRAMES_DEFAULT;
+    rq->fps = FPS_DEFAULT;
     err_t e = OK;
     if (rq->ev_text)
-        e = cmd_number("--ev", rq->ev_text, -40, 40, &rq->ev);
+        e = read_ev(rq->ev_text, rq->ev);
     if (!e && rq->frames_text)
         e = cmd_number("--frames", rq->frames_text, 1, FRAMES_MAX, &rq->frames);
     if (!e && rq->size_text)
         e = cmd_number("--size", rq->size_text, 1, RASTER_SIDE_MAX, &rq->size);
+    if (!e && rq->fps_text)
+        e = cmd_number("--fps", rq->fps_text, 1, VIDEO_FPS_MAX, &rq->fps);
+    if (!e && rq->fps_text && !rq->video)
+        e = err_fail(ERR_ARG, "--fps is for --video");
+    if (!e && rq->video && !is_mp4(rq->video))
+        e = err_fail(ERR_ARG, "--video: \"%.64s\" is not called NAME.mp4", rq->video);
     if (!e && !rq->cameras == !rq->path)
         e = err_fail(ERR_ARG, "give either --cameras or --path");
     if (!e && rq->path && strcmp(rq->path, "orbit") != 0 && strcmp(rq->path, "inputs") != 0)
@@ -260,19 +416,23 @@ int cmd_render_run(int argc, char **argv)
          NULL},
         {"path", "WHICH", "orbit: a circle within the input views; inputs: these", NULL, &rq.path,
          NULL},
-        {"ev", "X", "exposure in stops, 0 = the middle one of the photographs", NULL, &rq.ev_text,
-         NULL},
-        {"frames", "N", "of an orbit, default 60", NULL, &rq.frames_text, NULL},
+        {"frames", "N", "of an orbit or of a way through the inputs, default 60", NULL,
+         &rq.frames_text, NULL},
+        {"video", "FILE.mp4", "the frames as a film too, by ffmpeg", NULL, &rq.video, NULL},
+        {"fps", "N", "its frames a second, default 30", NULL, &rq.fps_text, NULL},
+        {"ev", "X", "exposure in stops, 0 = the middle one of the photographs; A..B: from A to B",
+         NULL, &rq.ev_text, NULL},
+        {"false-colour", NULL, "radiance in colours, 8 stops around that exposure; legend.png",
+         NULL, NULL, &rq.false_colour},
         {"size", "N", "px, square; else the size of the cameras", NULL, &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},
         {"out", "DIR", "where the frames go; a former result is replaced", NULL, &rq.out, NULL},
         CMD_THREADS,
         CMD_MEMORY,
     };
-    const struct cmd_usage usage = {"render",
-                                    "--scene DIR --cameras FILE|--path orbit|inputs --out DIR ",
-                                    "Pictures of a scene: PNG at one exposure, and EXR.", options,
-                                    sizeof options / sizeof options[0]};
+    const struct cmd_usage usage = {
+        "render", "--scene DIR --cameras FILE|--path orbit|inputs --out DIR ",
+        "Pictures of a scene as PNG, EXR and video.", options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
@@ -281,6 +441,7 @@ int cmd_render_run(int argc, char **argv)
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     code = cmd_finish(usage.name, render(&rq, &st));
+    video_close(&st.video);
     outdir_close(&st.out);
     cameras_free(&st.rig);
     engine_close(&st.engine);
