@@ -93,20 +93,17 @@ static const char *plain_some(struct packed_in *in, uint8_t *out, size_t *n, boo
 err_t packed_some(struct packed_in *in, const char *part, void *out, size_t n, size_t *got)
 {
     uint8_t *to = out;
-    bool end = false;
-    for (*got = 0; *got < n && !end;) {
+    for (*got = 0; *got < n && !in->ended;) {
         size_t made = n - *got, left = in->left;
-        const char *wrong = in->kind == PACKED_GZIP   ? inflate_some(in, to + *got, &made, &end)
-                            : in->kind == PACKED_ZSTD ? zstd_some(in, to + *got, &made, &end)
-                                                      : plain_some(in, to + *got, &made, &end);
+        const char *wrong = in->kind == PACKED_GZIP   ? inflate_some(in, to + *got, &made, &in->ended)
+                            : in->kind == PACKED_ZSTD ? zstd_some(in, to + *got, &made, &in->ended)
+                                                      : plain_some(in, to + *got, &made, &in->ended);
         if (wrong)
             return err_fail(ERR_FORMAT, "%s: %s: damaged (%s)", in->what, part, wrong);
         *got += made;
-        if (!end && made == 0 && in->left == left)
+        if (!in->ended && made == 0 && in->left == left)
             return err_fail(ERR_FORMAT, "%s: %s: cut off", in->what, part);
     }
-    if (end)
-        in->left = 0;
     return OK;
 }
 

@@ -18,6 +18,7 @@ struct packed_in {
     enum packed_kind kind;
     const uint8_t *p; // what is not read yet, not owned
     size_t left;
+    bool ended;  // all of the stream has been read
     void *state; // of the library
 };
 
