@@ -12,7 +12,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
-	gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+	ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa xz-utils
 
 VERSION := 0.5.0
