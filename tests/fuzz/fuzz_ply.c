@@ -1,6 +1,7 @@
 /* A PLY file from anyone: the header says how much memory is taken, then come rows. */
 #include "drivers/ply.h"
 
+#include <math.h>
 #include <stdlib.h>
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -18,6 +19,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     struct gaussians_report report;
     if (ply_parse(&file, info.ev, &a, &g, &report) || g.n + report.dropped != info.n)
         abort(); // what was peeked must be read
+    for (int i = 0; i < g.n; i++)
+        for (int p = 0; p < gaussians_planes(g.degree); p++)
+            if (!isfinite(g.plane[p][i]))
+                abort();
     arena_free(&a);
     return 0;
 }
