@@ -1,8 +1,8 @@
 # make            build/hdrig and its libraries     make check   everything that needs no hardware
 # make demo       first scene, in out/latest        make test    without sanitizers and lints
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
-# make check-kernel  drivers under real kernels     make fuzz    SECONDS= for each target (clang)
-# make check-kernel   real kernel drivers in User Mode Linux, which it builds once
+# make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
+# make fuzz       SECONDS= for each target (clang)
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
 # CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
@@ -14,6 +14,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
 	ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa xz-utils
+DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
 
 VERSION := 0.5.0
 PREFIX ?= /usr/local
@@ -91,7 +92,7 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install deb clean fuzz bench \
-	tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel
+	tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel deps-qemu
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -272,11 +273,13 @@ print-%: ; @echo $($*)
 deps: build/deps
 deps-check: build/deps-check
 deps-kernel: build/deps-kernel
+deps-qemu: build/deps-qemu
 build/deps: NEED := $(DEPS)
 build/deps-check: NEED := $(DEPS_CHECK)
 build/deps-kernel: NEED := $(DEPS_KERNEL)
+build/deps-qemu: NEED := $(DEPS_QEMU)
 
-build/deps build/deps-check build/deps-kernel: Makefile
+build/deps build/deps-check build/deps-kernel build/deps-qemu: Makefile
 	@mkdir -p build
 	@command -v dpkg-query >/dev/null || { \
 	    echo "not a Debian system, assuming that these are here: $(NEED)"; touch $@; exit 0; }; \

@@ -1,11 +1,12 @@
 #!/bin/bash
-# First process of the guest. Its root is the root of the machine, read-only; what tests write goes
-# to memory. TEST, BIN and MODULES come from the kernel's command line.
+# First process of the guest. Its root is that of the machine, read-only, or a copy of what it needs;
+# what tests write goes to memory. TEST, BIN and MODULES come from the kernel's command line.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C TMPDIR=/run/tmp HOME=/run/tmp
 mount -t proc proc /proc
 mount -t sysfs sys /sys
 mount -t devtmpfs dev /dev
 mount -t tmpfs run /run
+modprobe -d "$MODULES" configfs
 mount -t configfs config /sys/kernel/config
 mkdir -p "$TMPDIR" /dev/shm
 ln -s /proc/self/fd /dev/fd

@@ -2,6 +2,9 @@
 # made from the log. Disks are in memory.
 . "${0%/*}/common.bash"
 
+load brd rd_nr=4 rd_size=65536
+load dm-log-writes
+load ext4
 data=/dev/ram0 log=/dev/ram1 work=/dev/ram2
 mkdir -p disk
 truncate -s 12M base

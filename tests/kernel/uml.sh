@@ -1,46 +1,25 @@
 #!/usr/bin/env bash
-# build.sh - User Mode Linux for the tests here, out of Debian's source package; prints the folder
-# with `linux` and `lib/modules`. Built once per package version, uml.config and this file; kept in
-# $XDG_CACHE_HOME/hdrig, so that other checkouts on the machine find it.
-set -euo pipefail
-here=$(cd "$(dirname "$0")" && pwd)
+# uml.sh - User Mode Linux for the tests here, out of Debian's source package; prints the folder
+# with `linux` and `lib/modules`.
+. "${0%/*}/cache.bash"
 package=linux-source-6.1
-cache=${XDG_CACHE_HOME:-$HOME/.cache}/hdrig
-key=$(cat "$here/uml.config" "$here/build.sh" | sha256sum | cut -c 1-12)
-
-fail() {
-    echo "kernel for the tests: $*" >&2
-    exit 1
-}
-
-mkdir -p "$cache"
-exec 9>"$cache/lock"
-flock 9
+name=uml-$(key uml.sh uml.config)
 
 version=$(apt-cache policy "$package" 2>/dev/null | sed -n 's/^ *Candidate: //p' | tr ':~' '__')
 if [ -z "$version" ] || [ "$version" = "(none)" ]; then
-    version=$(cd "$cache" && for d in uml-"$key"-*; do echo "${d#uml-"$key"-}"; done | tail -n 1)
-    [ -e "$cache/uml-$key-$version/linux" ] ||
+    version=$(cd "$cache" && for d in "$name"-*; do echo "${d#"$name-"}"; done | tail -n 1)
+    [ -e "$cache/$name-$version/linux" ] ||
         fail "apt knows no package $package, and none is built; apt-get update needs a network"
 fi
-made=$cache/uml-$key-$version
+made=$cache/$name-$version
 if [ -e "$made/linux" ]; then
     echo "$made"
     exit
 fi
 
-free=$(df -Pk "$cache" | awk 'NR == 2 { print int($4 / 1024) }')
-[ "$free" -ge 2500 ] || fail "$cache has $free MB left, the build needs 2500"
-work=$cache/.build
-rm -rf "$work" && mkdir -p "$work"
-trap 'rm -rf "$work"' EXIT
-cd "$work"
+begin_work 2500
 echo "building User Mode Linux $version once, five minutes of one processor" >&2
-log=$cache/build.log
-# As root apt would download as another user, who may not write here.
-apt-get -q -o APT::Sandbox::User=root download "$package" >"$log" 2>&1 ||
-    fail "cannot download $package: $(tail -n 1 "$log")"
-dpkg -x "$package"_*.deb .
+unpack "$package"
 tar xf "usr/src/$package.tar.xz"
 source=$work/$package
 
@@ -70,13 +49,10 @@ build() {
     make -s ARCH=um modules_install INSTALL_MOD_PATH="$work/made" INSTALL_MOD_STRIP=1
 }
 
-unset MAKEFLAGS MAKELEVEL MFLAGS
 (build) >"$log" 2>&1 || {
     tail -n 30 "$log" >&2
     fail "does not build, $log"
 }
-rm -f "$work"/made/lib/modules/*/{build,source}
-strip -o "$work/made/linux" "$work/b/linux"
-rm -rf "$made"
-mv "$work/made" "$made"
-echo "$made"
+rm -f made/lib/modules/*/{build,source}
+strip -o made/linux b/linux
+keep "$made"
