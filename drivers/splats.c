@@ -3,6 +3,8 @@
  * coordinate (sh_body.h has the polynomials). */
 #include "drivers/splats.h"
 
+#include "core/splat/display.h"
+
 #include <math.h>
 
 err_t splats_check(const char *path, const struct gaussians *g)
@@ -32,4 +34,17 @@ int splats_sign(int plane, unsigned axes)
         X | Y, Y | Z,     X | Y, Y | Z, 0,     X | Z, 0, X | Z, 0};
     unsigned set = axes & (plane < G_SH ? odd_geometry[plane] : odd[(plane - G_SH) / 3]);
     return (set ^ set >> 1 ^ set >> 2) & 1 ? -1 : 1;
+}
+
+void splats_to_radiance(struct gaussians *g, float ev)
+{
+    int planes = gaussians_planes(g->degree) - G_SH;
+    for (int i = 0; i < g->n; i++) {
+        float f[3 * SH_COEFS_MAX], out[3 * SH_COEFS_MAX];
+        for (int j = 0; j < planes; j++)
+            f[j] = g->plane[G_SH + j][i];
+        display_to_radiance(f, g->degree, ev, out);
+        for (int j = 0; j < planes; j++)
+            g->plane[G_SH + j][i] = out[j];
+    }
 }

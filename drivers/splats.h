@@ -15,4 +15,7 @@ enum { SPLATS_RUB = 2 | 4, SPLATS_LUF = 1 | 2 }; // bits x, y, z: right, up, bac
 /* -1 or 1: what a plane of struct gaussians is multiplied with to change these axes, either way. */
 int splats_sign(int plane, unsigned axes);
 
+/* Display harmonics in the planes of SH, degree 0 to 3, become those of radiance, at `ev`. */
+void splats_to_radiance(struct gaussians *g, float ev);
+
 #endif

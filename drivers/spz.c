@@ -432,19 +432,6 @@ static void to_scene(const struct layout *l, struct gaussians *g)
     }
 }
 
-static void colours_to_radiance(float ev, struct gaussians *g, int n)
-{
-    int planes = 3 * coefs(g->degree);
-    for (int i = 0; i < n; i++) {
-        float f[3 * SH_COEFS_MAX], out[3 * SH_COEFS_MAX];
-        for (int j = 0; j < planes; j++)
-            f[j] = g->plane[G_SH + j][i];
-        display_to_radiance(f, g->degree, ev, out);
-        for (int j = 0; j < planes; j++)
-            g->plane[G_SH + j][i] = out[j];
-    }
-}
-
 err_t spz_peek_bytes(const struct spz_bytes *file, struct spz_info *out)
 {
     struct layout l;
@@ -474,10 +461,10 @@ err_t spz_parse(const struct spz_bytes *file, float ev, struct arena *a, struct 
         memset(g, 0, sizeof *g);
         return e;
     }
+    g->n = l.info.n;
     to_scene(&l, g);
     if (!l.record.found)
-        colours_to_radiance(ev, g, l.info.n);
-    g->n = l.info.n;
+        splats_to_radiance(g, ev);
     gaussians_sanitize(g, report);
     return OK;
 }
