@@ -11,7 +11,8 @@ const SVG_NAMES = new Set(["svg", "path", "line", "rect", "circle", "text", "tit
 
 // element("p", {class: "small"}, child, ...): text is never read as HTML
 function element(name, attributes = {}, ...children) {
-  const e = SVG_NAMES.has(name) ? document.createElementNS(SVG, name) : document.createElement(name);
+  const e = SVG_NAMES.has(name) ? document.createElementNS(SVG, name)
+    : document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) e.setAttribute(key, value);
   e.append(...children.filter((c) => c !== null && c !== undefined));
   return e;
@@ -20,9 +21,9 @@ function element(name, attributes = {}, ...children) {
 const known = (v) => typeof v === "number";
 const fixed = (v, digits) => known(v) ? v.toFixed(digits).replace("-", "\u2212") : "not known";
 const db = (v) => known(v) ? fixed(v, 2) + " dB" : "not known";
-const share = (v) => known(v) ? (v > 0 && v < 0.0005 ? "< 0.1 %" : fixed(100 * v, 1) + " %") : "not known";
+const share = (v) => v > 0 && v < 0.0005 ? "< 0.1 %" : fixed(100 * v, 1) + " %";
 const count = (v) => v.toLocaleString("en");
-const seconds = (v) => v < 0.1 ? fixed(1000 * v, 0) + " ms" : v < 100 ? fixed(v, 1) + " s" : fixed(v, 0) + " s";
+const seconds = (v) => v < 0.1 ? fixed(1000 * v, 0) + " ms" : fixed(v, v < 100 ? 1 : 0) + " s";
 const stops = (v) => (v > 0 ? "+" : "") + fixed(v, 1).replace(/^\u22120\.0$/, "0.0") + " stops";
 const plural = (n, word) => `${count(n)} ${word}${n === 1 ? "" : "s"}`;
 
@@ -47,13 +48,15 @@ function table(head, rows) {
 }
 
 function tile(value, what) {
-  if (value === null) return null;
   return element("div", { class: "tile" }, element("b", {}, value), element("span", {}, what));
 }
 
 function svg(width, height, ...children) {
   return element("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" }, ...children);
 }
+
+// px: words in charts stay legible
+const chartWidth = Math.max(300, Math.min(640, innerWidth - 40));
 
 const line = (x1, y1, x2, y2, name = "axis") => element("line", { x1, y1, x2, y2, class: name });
 const label = (x, y, text, anchor = "middle") =>
@@ -68,22 +71,19 @@ function polyline(points, attributes) {
 
 function head() {
   const quality = report.quality || {};
-  const name = decodeURIComponent(location.pathname).split("/").slice(-2, -1)[0];
-  if (name) document.title = `Scan report: ${name}`;
   document.getElementById("summary").append(
     `${plural(report.views, "view")} of ${report.size[0]} x ${report.size[1]} px`,
     exposures.length ? ` at ${plural(exposures.length, "exposure")}` : "",
     `, modelled by ${plural(report.gaussians, "splat")}`);
-  const range = exposures.length
-    ? exposures.at(0) && Math.max(...exposures.map((e) => e.radiance_stops[1])) -
-      Math.min(...exposures.map((e) => e.radiance_stops[0])) : null;
+  const range = Math.max(...exposures.map((e) => e.radiance_stops[1])) -
+    Math.min(...exposures.map((e) => e.radiance_stops[0]));
   const tiles = [
     known(quality.ldr_input_psnr) &&
-      tile(figure("quality.ldr_input_psnr", db(quality.ldr_input_psnr)), "scene against its photographs"),
+      tile(figure("quality.ldr_input_psnr", db(quality.ldr_input_psnr)), "against its photographs"),
     known(quality.held_out_psnr) &&
-      tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)), "on squares not learned from"),
+      tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)), "where it did not learn"),
     report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "on views not seen"),
-    range !== null && tile(`${fixed(range, 1)} stops`, "of radiance seen well"),
+    exposures.length && tile(`${fixed(range, 1)} stops`, "of radiance seen well"),
     tile(figure("gaussians", count(report.gaussians)), "splats"),
     tile(figure("sh_degree", String(report.sh_degree)), "degree of the harmonics"),
     tile(figure("seconds.total", seconds(report.seconds.total)), "in all"),
@@ -123,37 +123,41 @@ function picture(i, name, what) {
   return element("img", { class: name, src: pictures[i], alt: `${inputs[i].name}: ${what}` });
 }
 
-function ends(h) { // shares of the first two bins and of the last one, per colour
-  const of = (colour) => {
-    const all = h[colour].reduce((a, b) => a + b, 0);
-    return [(h[colour][0] + h[colour][1]) / all, h[colour].at(-1) / all];
+const title = (i) => element("h3", {}, element("small", {}, String(i + 1)), inputs[i].name);
+
+// Share per colour of what lies in `bins` of the histogram.
+function perColour(h, bins) {
+  const of = (counts) => {
+    const all = counts.reduce((a, b) => a + b, 0), some = counts.slice(...bins);
+    return fixed(100 * some.reduce((a, b) => a + b, 0) / all, 1);
   };
-  const words = (k) => ["red", "green", "blue"].map((c) => share(of(c)[k])).join(", ");
-  return `red, green, blue: clipped ${words(1)}; dark ${words(0)}`;
+  return `R ${of(h.red)}, G ${of(h.green)}, B ${of(h.blue)}`;
 }
 
 function photographs() {
-  const card = (v, i) => element("article", { class: "card", title: ends(v.histogram) },
+  const card = (v, i) => element("article", { class: "card" },
     picture(i, "thumb", "photograph"),
-    element("h3", {}, `${i + 1}  ${v.name}`),
+    title(i),
     element("p", { class: "small" }, figure(`inputs.${i}.stops`, stops(v.stops)), ", ",
       exposureTime(v.exposure_log2)),
     histogram(v.histogram),
     element("div", { class: "small soft" },
       element("p", {}, "clipped ", figure(`inputs.${i}.clipped`, share(v.clipped)),
-        ", dark ", figure(`inputs.${i}.dark`, share(v.dark))),
+        ` (${perColour(v.histogram, [-1])})`),
+      element("p", {}, "dark ", figure(`inputs.${i}.dark`, share(v.dark)),
+        ` (${perColour(v.histogram, [0, 2])})`),
       element("p", {}, "seen well only here ", figure(`inputs.${i}.alone`, share(v.alone)))));
   section("photographs", "Photographs",
     element("p", { class: "small soft" }, "Exposure in stops to the middle one, and as given. " +
       "A pixel counts as clipped or dark by its brightest colour: display values from 252 on, " +
-      "and below 8."),
+      "and below 8; in brackets each colour by itself."),
     element("div", { class: "cards" }, ...inputs.map(card)));
 }
 
 function exposureChart() {
   const from = Math.floor(Math.min(...exposures.map((e) => e.radiance_stops[0])));
   const to = Math.ceil(Math.max(...exposures.map((e) => e.radiance_stops[1])));
-  const left = 64, width = 640, row = 24, bottom = exposures.length * row;
+  const left = 48, width = chartWidth, row = 24, bottom = exposures.length * row;
   const x = (s) => left + (s - from) / Math.max(1, to - from) * (width - left - 10);
   const step = to - from > 20 ? 4 : 2, marks = [];
   for (let s = Math.ceil(from / step) * step; s <= to; s += step)
@@ -161,10 +165,12 @@ function exposureChart() {
   const bars = exposures.map((e, i) => {
     const [a, b] = e.radiance_stops;
     return element("g", {},
-      element("rect", { class: "bar", x: x(a), y: i * row + 5, width: x(b) - x(a), height: row - 10, rx: 3 }),
+      element("rect",
+        { class: "bar", x: x(a), y: i * row + 5, width: x(b) - x(a), height: row - 10, rx: 3 }),
       label(left - 8, i * row + 16, stops(e.stops).replace(" stops", ""), "end"));
   });
   const chart = svg(width, bottom + 20, ...marks, ...bars);
+  chart.setAttribute("class", "chart");
   chart.setAttribute("aria-label", "radiance that each exposure sees well");
   return chart;
 }
@@ -183,16 +189,17 @@ function overlap() {
 function contributions() {
   const rows = exposures.map((e, i) => [
     stops(e.stops), String(e.views),
-    figure(`exposures.${i}.clipped`, share(e.clipped)), figure(`exposures.${i}.dark`, share(e.dark)),
+    figure(`exposures.${i}.clipped`, share(e.clipped)),
+    figure(`exposures.${i}.dark`, share(e.dark)),
     figure(`exposures.${i}.alone`, share(e.alone)),
     `${fixed(e.radiance_stops[0], 1)} to ${fixed(e.radiance_stops[1], 1)}`]);
   section("exposures", "What each exposure contributed",
     element("p", {}, overlap()),
     exposureChart(),
-    element("p", { class: "small soft" }, "Bars: radiance that an exposure sees well, in stops to " +
-      "what is half of full scale at the middle exposure. Seen well only here: of its pixels, " +
-      "those that would be clipped or dark at every other exposure."),
-    table(["exposure", "views", "clipped", "dark", "seen well only here", "radiance, stops"], rows));
+    element("p", { class: "small soft" }, "Bars: radiance that an exposure sees well, in stops " +
+      "to what is half of full scale at the middle exposure. Only here: of its pixels, those " +
+      "seen well that would be clipped or dark at every other exposure."),
+    table(["exposure", "views", "clipped", "dark", "only here", "radiance, stops"], rows));
 }
 
 // ---- cameras ----
@@ -249,13 +256,14 @@ function cameraWords() {
   if (!c)
     return element("p", {}, "Where they stood was given with the photographs, or is the " +
       "network's own answer.");
-  const start = c.start_was_network ? "the network's cameras" : "points that the photographs have in common";
+  const start = c.start_was_network ? "the network's cameras"
+    : "points that the photographs have in common";
   return element("p", {}, `Found from ${start}: `,
     figure("cameras.points_agree", count(c.points_agree)), " of ",
     figure("cameras.points_seen", count(c.points_seen)), " sightings agree, within ",
     figure("cameras.rms_px", `${fixed(c.rms_px, 2)} px`), " (rms). Confidence ",
     figure("cameras.confidence", fixed(c.confidence, 2)),
-    " of 1; below 0.5 they are a guess. Views that are tied to the others: ",
+    " of 1; below 0.1 they are a guess. Views that are tied to the others: ",
     figure("cameras.views_placed", String(c.views_placed)), ".");
 }
 
@@ -281,7 +289,7 @@ function cameras() {
 const familyName = (f) => f.parameter ? `${f.name} ${f.parameter}` : f.name;
 
 function toneChart(tone) {
-  const left = 34, width = 640, height = 300, bottom = height - 26;
+  const left = 34, width = chartWidth, height = 0.35 * width + 80, bottom = height - 26;
   const curves = [tone.red, tone.green, tone.blue];
   const inside = tone.stops.filter((s, i) => curves.some((c) => c[i] > 0.004 && c[i] < 0.996));
   const from = Math.floor(Math.min(-4, ...inside)), to = Math.ceil(Math.max(3, ...inside));
@@ -294,11 +302,14 @@ function toneChart(tone) {
   for (let s = from; s <= to; s += to - from > 12 ? 2 : 1)
     marks.push(line(x(s), y(0), x(s), y(1)), label(x(s), bottom + 15, fixed(s, 0)));
   for (const v of [0, 0.25, 0.5, 0.75, 1])
-    marks.push(line(left, y(v), width - 10, y(v)), label(left - 6, y(v) + 4, String(v * 100), "end"));
+    marks.push(line(left, y(v), width - 10, y(v)),
+      label(left - 6, y(v) + 4, String(v * 100), "end"));
   const chart = svg(width, height, ...marks,
-    ...tone.families.map((f) => draw(f.display, f.name === tone.nearest ? "family near" : "family")),
+    ...tone.families.map((f) =>
+      draw(f.display, f.name === tone.nearest ? "family near" : "family")),
     draw(tone.red, "curve red"), draw(tone.green, "curve green"), draw(tone.blue, "curve blue"));
-  chart.setAttribute("aria-label", "display value over exposure, red, green, blue, and known families");
+  chart.setAttribute("class", "chart");
+  chart.setAttribute("aria-label", "display value over exposure: red, green, blue, known families");
   return chart;
 }
 
@@ -308,11 +319,12 @@ function toneCurve() {
     figure(`tone.families.${i}.rms`, known(f.rms) ? `${fixed(100 * f.rms, 1)} %` : "not known")]);
   section("tone", "Tone curve",
     element("p", {}, near
-      ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale away (rms).`
+      ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale ` +
+        "away (rms)."
       : "The curve is like that of no known family: it does not lead from black to white."),
     toneChart(tone),
-    element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as the " +
-      "scene has it in red, green and blue. Dashed: known families, each moved to where it fits " +
+    element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as " +
+      "the scene has it in red, green and blue. Dashed: known families, each moved to where it fits " +
       "best; the nearest one in blue."),
     table(["family", "distance (rms)"], rows));
 }
@@ -327,18 +339,18 @@ function residuals() {
     picture(i, "strip", "photograph, scene, distance"),
     element("div", { class: "three soft" }, ...["photograph", "scene", "distance"]
       .map((t) => element("span", {}, t))),
-    element("h3", {}, `${i + 1}  ${inputs[i].name}`),
+    title(i),
     element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
       stops(inputs[i].stops)));
   const cards = (list) => element("div", { class: "cards wide" }, ...list.map(card));
   const quality = report.quality, first = 12;
   section("residuals", "Scene against photographs, worst first",
     element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
-      ? `On squares that refinement did not learn from: ${db(quality.held_out_psnr_start)} at the ` +
-        `start, ${db(quality.held_out_psnr)} at the end.`
+      ? "On squares that refinement did not learn from: " +
+        `${db(quality.held_out_psnr_start)} at the start, ${db(quality.held_out_psnr)} at the end.`
       : "Nothing was held out: there was no refinement."),
-    element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is none, " +
-      "white a quarter of full scale or more."),
+    element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
+      "none, white a quarter of full scale or more."),
     cards(order.slice(0, first)),
     order.length > first
       ? element("details", {}, element("summary", {}, `${order.length - first} more`),
@@ -348,8 +360,8 @@ function residuals() {
 function measured() {
   if (!report.ldr && !report.hdr) return;
   const row = (name, key) => report[key] &&
-    [name, figure(`${key}.psnr`, db(report[key].psnr)), figure(`${key}.ssim`, fixed(report[key].ssim, 4)),
-      String(report[key].images)];
+    [name, figure(`${key}.psnr`, db(report[key].psnr)),
+      figure(`${key}.ssim`, fixed(report[key].ssim, 4)), String(report[key].images)];
   const rows = [row("photographs", "ldr"), row("radiance (mu-law)", "hdr"),
     row("nearest input view instead", "baseline_nearest"),
     ...(report.per_exposure || []).map((e) =>
@@ -380,8 +392,9 @@ function modelled() {
 // ---- cost ----
 
 const stageWords = {
-  preprocess: "photographs resized", response: "response curve", cameras: "cameras", sweep: "stereo",
-  seed: "first splats", backbone: "network, backbone", heads: "network, cameras and depth",
+  preprocess: "photographs resized", response: "response curve", cameras: "cameras",
+  sweep: "stereo", seed: "first splats", backbone: "network, backbone",
+  heads: "network, cameras and depth",
   appearance: "network, appearance", voxel: "splats merged", refine: "refinement",
   render: "input views drawn", write: "files written", measure: "measured",
 };
@@ -398,8 +411,9 @@ function cost() {
   section("cost", "Time and memory",
     element("div", { class: "times small" }, ...rows),
     element("p", { class: "small soft" }, `${seconds(total)} in all on ` +
-      `${plural(report.threads, "thread")}. Memory at most ${fixed(report.peak_rss_mb, 0)} MB, of ` +
-      `this ${fixed(report.keep_peak_mb, 0)} MB results and ${fixed(report.tmp_peak_mb, 0)} MB scratch.`));
+      `${plural(report.threads, "thread")}. Memory at most ${fixed(report.peak_rss_mb, 0)} MB; ` +
+      `set aside were ${fixed(report.keep_peak_mb, 0)} MB for results and ` +
+      `${fixed(report.tmp_peak_mb, 0)} MB for the work.`));
 }
 
 head();
