@@ -267,13 +267,14 @@ static err_t check_scene(const char *path, const struct scene *s)
     return e;
 }
 
-/* Somebody else's file of that name stays. */
-static err_t check_place(const char *path)
+err_t sidecar_check_place(const char *splats)
 {
+    char path[FILE_PATH_CAP];
     struct cJSON *doc;
-    if (!file_exists(path))
-        return OK;
-    err_t e = json_read(path, &doc);
+    err_t e = sidecar_path(splats, path, sizeof path);
+    if (e || !file_exists(path))
+        return e;
+    e = json_read(path, &doc);
     bool ours = !e && is_ours(doc);
     json_free(doc);
     if (e == ERR_NOMEM || ours)
@@ -334,7 +335,7 @@ err_t sidecar_write(const char *splats, const struct scene *s)
     if (!e)
         e = check_scene(path, s);
     if (!e)
-        e = check_place(path);
+        e = sidecar_check_place(splats);
     if (!e)
         e = file_create(path, &f);
     if (e)

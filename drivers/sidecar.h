@@ -18,6 +18,10 @@ enum { SIDECAR_SIZE = 448 }; // px, of pictures of a scene without sidecar
  * err:  ERR_ARG (too long). */
 MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
 
+/* Whether sidecar_write may put a file there.
+ * err:  ERR_ARG (NAME.json is somebody else's), ERR_NOMEM. */
+MUST_USE err_t sidecar_check_place(const char *splats);
+
 /* Write everything of s but its splats.
  * err:  ERR_ARG (a number is not finite; NAME.json is somebody else's), ERR_FORMAT (a camera that
  *       cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is

@@ -413,6 +413,7 @@ static err_t look(const struct spz_bytes *f, struct layout *l)
     }
     l->info.has_hdr = l->record.found;
     l->info.ev = l->record.ev;
+    l->info.band_lost = !l->record.found && l->degree > DISPLAY_DEGREE_MAX;
     l->info.degree = l->record.found                  ? l->record.degree
                      : l->degree > DISPLAY_DEGREE_MAX ? DISPLAY_DEGREE_MAX
                                                       : l->degree;

@@ -63,9 +63,10 @@ void spz_widths(int version, int degree, size_t out[SPZ_ARRAYS]);
 double spz_log(int byte, float ev);
 
 struct spz_info {
-    int n, degree; // what gaussians_need asks for
-    bool has_hdr;  // radiance from the record; else from the display colours
-    float ev;      // of the record, stops; 0 without
+    int n, degree;  // what gaussians_need asks for
+    bool has_hdr;   // radiance from the record; else from the display colours
+    bool band_lost; // display colours of degree 4, of which 3 are read
+    float ev;       // of the record, stops; 0 without
 };
 
 /* What spz_read would read. err: as spz_read. */

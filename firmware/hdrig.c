@@ -20,6 +20,8 @@ static const struct {
     {"view", "a scene in the browser", cmd_view_run},
     {"eval", "reconstruct a data set and measure it on its held-out views", cmd_eval_run},
     {"convert", "weights of a network for this program", cmd_convert_run},
+    {"convert-scene", "a scene in another kind of file, and what that loses",
+     cmd_convert_scene_run},
     {"simulate", "a simulated scene as a data set, with the truth", cmd_simulate_run},
     {"bench", "figures of this machine against its limits", cmd_bench_run},
     {"doctor", "what this machine has", cmd_doctor_run},
@@ -32,7 +34,7 @@ static void print_help(FILE *f)
 {
     fputs("usage: hdrig COMMAND [options]\n\n", f);
     for (int i = 0; i < N_COMMANDS; i++)
-        fprintf(f, "  %-12s %s\n", commands[i].name, commands[i].help);
+        fprintf(f, "  %-13s %s\n", commands[i].name, commands[i].help);
     fputs("\nhdrig COMMAND --help tells the options of a command.\n", f);
 }
 

@@ -9,8 +9,9 @@
 
 struct sceneio_info {
     int n, degree, n_views, size;
-    bool has_hdr; // radiance; else display colours, taken as sRGB
-    size_t need;  // bytes that sceneio_read takes from its arena
+    bool has_hdr;   // radiance; else display colours, taken as sRGB
+    bool band_lost; // some harmonics of the file are not read
+    size_t need;    // bytes that sceneio_read takes from its arena
 };
 
 /* err:  as sceneio_read. */
@@ -22,8 +23,17 @@ MUST_USE err_t sceneio_peek(const char *path, struct sceneio_info *out);
 MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
                             struct gaussians_report *report);
 
-/* Write the file, and its sidecar where the kind needs one; both or neither.
- * err:  ERR_ARG, ERR_IO, ERR_LIMIT, ERR_NOMEM. */
-MUST_USE err_t sceneio_write(const char *path, const struct scene *s);
+/* Refuse a place where sceneio_write would not write, before the work.
+ * out:  *readable: sceneio_read knows the kind too.
+ * err:  ERR_ARG (no such kind; a folder; the sidecar of somebody else). */
+MUST_USE err_t sceneio_check_place(const char *path, bool *readable);
+
+/* Write the file, and its sidecar where the kind needs one: they appear under their names when
+ * complete. spz: version of .spz, 3 or 4.
+ * err:  those of sceneio_check_place; ERR_ARG, ERR_IO, ERR_LIMIT, ERR_NOMEM. */
+MUST_USE err_t sceneio_write(const char *path, const struct scene *s, int spz);
+
+/* Bytes that sceneio_write takes beside the scene. */
+size_t sceneio_write_plan(int n);
 
 #endif

@@ -1,0 +1,255 @@
+/* Splats without a sidecar of their own have what their file tells: radiance, or sRGB at its ev. */
+#include "firmware/sceneio.h"
+
+#include "firmware/viewer.h"
+
+#include "core/splat/display.h"
+#include "drivers/file.h"
+#include "drivers/glb.h"
+#include "drivers/ply.h"
+#include "drivers/scenefile.h"
+#include "drivers/sidecar.h"
+#include "drivers/spz.h"
+#include "drivers/spzwrite.h"
+
+#include <string.h>
+#include <unistd.h>
+
+enum kind { HDRIG, PLY, SPZ, GLB, HTML, KINDS };
+static const char *const ends[KINDS] = {".hdrig", ".ply", ".spz", ".glb", ".html"};
+
+static bool has_sidecar(enum kind kind)
+{
+    return kind == PLY || kind == SPZ || kind == GLB;
+}
+
+static err_t kind_of(const char *path, enum kind *out)
+{
+    size_t n = strlen(path);
+    for (int k = 0; k < KINDS; k++) {
+        size_t m = strlen(ends[k]);
+        *out = (enum kind)k;
+        if (n > m && strcmp(path + n - m, ends[k]) == 0)
+            return OK;
+    }
+    return err_fail(ERR_ARG, "%s: scenes are files .hdrig, .ply, .spz and .glb; .html is written",
+                    path);
+}
+
+/* ---- reading ---- */
+
+/* The file of a result folder, or the path as it is. */
+static err_t find(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
+{
+    err_t e;
+    *kind = HDRIG;
+    if (file_is_dir(path))
+        return file_join(path, "scene.hdrig", file);
+    e = kind_of(path, kind);
+    if (!e && *kind == HTML)
+        e = err_fail(ERR_ARG, "%s: pages are written, not read", path);
+    if (!e && strlen(path) >= FILE_PATH_CAP)
+        e = err_fail(ERR_ARG, "%.64s...: a path of more than %d bytes", path, FILE_PATH_CAP - 1);
+    if (!e)
+        strcpy(file, path);
+    return e;
+}
+
+struct splats {
+    int n, degree;
+    bool has_hdr, band_lost;
+    float ev;
+};
+
+static err_t peek_splats(const char *path, enum kind kind, struct splats *out)
+{
+    struct ply_info ply;
+    struct spz_info spz;
+    struct glb_info glb;
+    err_t e;
+    *out = (struct splats){0};
+    if (kind == PLY) {
+        e = ply_peek(path, &ply);
+        if (!e)
+            *out = (struct splats){ply.n, ply.degree, ply.has_hdr, false, ply.ev};
+    } else if (kind == SPZ) {
+        e = spz_peek(path, &spz);
+        if (!e)
+            *out = (struct splats){spz.n, spz.degree, spz.has_hdr, spz.band_lost, spz.ev};
+    } else {
+        e = glb_peek(path, &glb);
+        if (!e)
+            *out = (struct splats){glb.n, glb.degree, glb.has_hdr, false, glb.ev};
+    }
+    return e;
+}
+
+static err_t peek_scenefile(const char *path, struct sceneio_info *out)
+{
+    struct scenefile_info info;
+    err_t e = scenefile_peek(path, &info);
+    if (!e)
+        *out = (struct sceneio_info){.n = info.n,
+                                     .degree = info.degree,
+                                     .n_views = info.n_views,
+                                     .size = info.size,
+                                     .has_hdr = true,
+                                     .need = info.need};
+    return e;
+}
+
+err_t sceneio_peek(const char *path, struct sceneio_info *out)
+{
+    char file[FILE_PATH_CAP];
+    enum kind kind;
+    struct splats splats;
+    memset(out, 0, sizeof *out);
+    err_t e = find(path, file, &kind);
+    if (e || kind == HDRIG)
+        return e ? e : peek_scenefile(file, out);
+    e = peek_splats(file, kind, &splats);
+    if (!e)
+        e = sidecar_peek(file, &out->n_views, &out->need);
+    if (e)
+        return e;
+    out->n = splats.n;
+    out->degree = splats.degree;
+    out->size = SIDECAR_SIZE;
+    out->has_hdr = splats.has_hdr;
+    out->band_lost = splats.band_lost;
+    out->need = arena_add(out->need, gaussians_need(splats.n, splats.degree));
+    return OK;
+}
+
+static err_t read_splats(const char *path, enum kind kind, struct arena *a, struct scene *s,
+                         struct gaussians_report *report)
+{
+    struct splats splats;
+    int n_views;
+    size_t need;
+    err_t e = peek_splats(path, kind, &splats);
+    if (!e)
+        e = sidecar_peek(path, &n_views, &need);
+    if (!e)
+        e = sidecar_read(path, splats.ev, a, s);
+    if (e)
+        return e;
+    float ev = need > 0 ? display_ev(&s->tone) : splats.ev;
+    if (kind == PLY)
+        return ply_read(path, ev, a, &s->g, report);
+    return kind == SPZ ? spz_read(path, ev, a, &s->g, report)
+                       : glb_read(path, ev, a, &s->g, report);
+}
+
+err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
+                   struct gaussians_report *report)
+{
+    char file[FILE_PATH_CAP];
+    enum kind kind;
+    size_t mark = arena_mark(a);
+    memset(s, 0, sizeof *s);
+    *report = (struct gaussians_report){0};
+    err_t e = find(path, file, &kind);
+    if (!e)
+        e = kind == HDRIG ? scenefile_read(file, a, s) : read_splats(file, kind, a, s, report);
+    if (e) {
+        arena_reset(a, mark);
+        memset(s, 0, sizeof *s);
+    }
+    return e;
+}
+
+/* ---- writing ---- */
+
+err_t sceneio_check_place(const char *path, bool *readable)
+{
+    enum kind kind;
+    *readable = false;
+    err_t e = kind_of(path, &kind);
+    if (!e && file_is_dir(path))
+        e = err_fail(ERR_ARG, "%s: a folder", path);
+    if (!e && has_sidecar(kind))
+        e = sidecar_check_place(path);
+    *readable = !e && kind != HTML;
+    return e;
+}
+
+static const char *name_of(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+/* Name of the file while it is written, in the same folder. */
+static err_t temporary(const char *path, char out[FILE_PATH_CAP])
+{
+    const char *name = name_of(path);
+    int n = snprintf(out, FILE_PATH_CAP, "%.*s.tmp-%d-%s", (int)(name - path), path, (int)getpid(),
+                     name);
+    if (n >= FILE_PATH_CAP)
+        return err_fail(ERR_ARG, "%.64s...: a path of more than %d bytes", path, FILE_PATH_CAP - 1);
+    return OK;
+}
+
+static err_t write_kind(const char *path, enum kind kind, const struct scene *s, int spz)
+{
+    struct viewer_input page = {.scene = s, .title = "hdrig"};
+    switch (kind) {
+    case HDRIG:
+        return scenefile_write(path, s);
+    case PLY:
+        return ply_write(path, s);
+    case SPZ:
+        return spzwrite_scene(path, s, spz);
+    case GLB:
+        return glb_write(path, s);
+    default:
+        return viewer_write(path, &page);
+    }
+}
+
+/* The splats come last: who sees them finds what belongs to them. */
+static err_t show(const char *tmp, const char *path, enum kind kind)
+{
+    char from[FILE_PATH_CAP], to[FILE_PATH_CAP];
+    err_t e = OK;
+    if (has_sidecar(kind)) {
+        e = sidecar_path(tmp, from, sizeof from);
+        if (!e)
+            e = sidecar_path(path, to, sizeof to);
+        if (!e)
+            e = file_replace(from, to);
+    }
+    if (!e)
+        return file_replace(tmp, path);
+    unlink(tmp);
+    return e;
+}
+
+err_t sceneio_write(const char *path, const struct scene *s, int spz)
+{
+    char tmp[FILE_PATH_CAP];
+    enum kind kind;
+    bool readable;
+    err_t e = sceneio_check_place(path, &readable);
+    if (!e)
+        e = kind_of(path, &kind);
+    if (!e)
+        e = temporary(path, tmp);
+    if (!e)
+        e = write_kind(tmp, kind, s, spz);
+    if (e)
+        return e;
+    if (has_sidecar(kind))
+        e = sidecar_write(tmp, s);
+    if (e) {
+        unlink(tmp);
+        return e;
+    }
+    return show(tmp, path, kind);
+}
+
+size_t sceneio_write_plan(int n)
+{
+    return (size_t)n * 3 * (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1);
+}
