@@ -324,8 +324,8 @@ function toneCurve() {
       : "The curve is like that of no known family: it does not lead from black to white."),
     toneChart(tone),
     element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as " +
-      "the scene has it in red, green and blue. Dashed: known families, each moved to where it fits " +
-      "best; the nearest one in blue."),
+      "the scene has it in red, green and blue. Dashed: known families, each moved to where it " +
+      "fits best; the nearest one in blue."),
     table(["family", "distance (rms)"], rows));
 }
 
@@ -346,8 +346,8 @@ function residuals() {
   const quality = report.quality, first = 12;
   section("residuals", "Scene against photographs, worst first",
     element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
-      ? "On squares that refinement did not learn from: " +
-        `${db(quality.held_out_psnr_start)} at the start, ${db(quality.held_out_psnr)} at the end.`
+      ? "On squares that refinement did not learn from: " + db(quality.held_out_psnr_start) +
+        ` at the start, ${db(quality.held_out_psnr)} at the end.`
       : "Nothing was held out: there was no refinement."),
     element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
       "none, white a quarter of full scale or more."),

@@ -40,11 +40,14 @@ static void layout(void **state)
     report_open(&rep, "c", '{');
     report_close(&rep);
     report_text(&rep, "d", NULL);
+    report_row(&rep, "e", (const double[]){1, -0.25, NAN}, 3);
+    report_row(&rep, "f", NULL, 0);
     report_close(&rep);
     end();
     assert_string_equal(
         text,
-        "{\n  \"a\": -3,\n  \"b\": [\n    0.5,\n    true\n  ],\n  \"c\": {},\n  \"d\": null\n}\n");
+        "{\n  \"a\": -3,\n  \"b\": [\n    0.5,\n    true\n  ],\n  \"c\": {},\n  \"d\": null,\n"
+        "  \"e\": [1, -0.25, null],\n  \"f\": []\n}\n");
     free(text);
 }
 
