@@ -117,6 +117,36 @@ static void test_pictures_come_with_all_exposures_when_asked(void **state)
     imageset_free(&set);
 }
 
+/* Brackets come whole, a protocol comes first. */
+static void brackets_come_whole_when_asked(void **state)
+{
+    (void)state;
+    struct imageset set;
+    make_released(2);
+    struct imageset_request rq = {.images = tmpdir_root, .brackets = true};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(&set, 6,
+                (const char *const[]){"train_ldr_000_0.png", "train_ldr_000_2.png",
+                                      "train_ldr_000_4.png", "train_ldr_001_0.png",
+                                      "train_ldr_001_2.png", "train_ldr_001_4.png"});
+    for (int i = 0; i < 6; i++) {
+        assert_int_equal(set.capture.shots[i].again, i % 3 != 0);
+        assert_true(set.capture.shots[i].cam.t[0] == (float)(i / 3));
+    }
+    imageset_free(&set);
+    rq.n_views = 1;
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.capture.n, 3);
+    imageset_free(&set);
+    tmpdir_text("protocol.json",
+                "{\"inputs\": {\"2\": [\"train_ldr_000_4.png\", \"train_ldr_001_0.png\"]}}");
+    rq.n_views = 0;
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(&set, 2, (const char *const[]){"train_ldr_000_4.png", "train_ldr_001_0.png"});
+    assert_false(set.capture.shots[1].again);
+    imageset_free(&set);
+}
+
 /* The set has the times 0.125, 1, 2, 4, 32; 1 and 4 are those of its test pictures. */
 static void inputs_only_at_some_exposures(void **state)
 {
@@ -305,6 +335,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         IN_FOLDER(one_exposure_per_view_interleaved),
         IN_FOLDER(test_pictures_come_with_all_exposures_when_asked),
+        IN_FOLDER(brackets_come_whole_when_asked),
         IN_FOLDER(inputs_only_at_some_exposures),
         IN_FOLDER(a_protocol_names_the_inputs),
         IN_FOLDER(a_plain_folder_is_all_input),

@@ -201,6 +201,41 @@ static void test_gradients(void **state)
     }
 }
 
+/* Two photographs of one picture: value and gradients add up. */
+static void test_shared(void **state)
+{
+    (void)state;
+    static double first_radiance[3 * PX], first_alpha[PX];
+    for (int m = next_isa(-1), first = m; m < N_MASKS; m = next_isa(m)) {
+        seed = 4;
+        open_case(masks[m]);
+        if (m == first) {
+            ref_gradients();
+            memcpy(first_radiance, want_radiance, sizeof first_radiance);
+            memcpy(first_alpha, want_alpha, sizeof first_alpha);
+        }
+        assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+        for (int i = 0; i < 3 * PX; i++)
+            photo[i] = (uint8_t)(255 - photo[i]);
+        in.shift = -1.5f;
+        in.more = true;
+        ref_shift = -1.5;
+        for (int i = 0; i < 3 * PX; i++)
+            frozen[i] = display(i / PX, ref_radiance[i], ref_alpha[i % PX]);
+        if (m == first)
+            ref_gradients();
+        for (int i = 0; i < 3 * PX && m == first; i++) {
+            want_radiance[i] += first_radiance[i];
+            want_alpha[i % PX] += i < PX ? first_alpha[i] : 0;
+        }
+        assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+        assert_true(fabs(out.loss - want_loss) < 1e-6);
+        compare("radiance", work.d_radiance, want_radiance, 3 * PX, STEP_RADIANCE);
+        compare("alpha", work.d_alpha, want_alpha, PX, STEP_ALPHA);
+        arena_free(&arena);
+    }
+}
+
 static void test_held_out(void **state)
 {
     (void)state;
@@ -259,7 +294,8 @@ static void test_refuses(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients), cmocka_unit_test(test_held_out),
-        cmocka_unit_test(test_extremes), cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_gradients), cmocka_unit_test(test_shared),
+        cmocka_unit_test(test_held_out), cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

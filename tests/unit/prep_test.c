@@ -191,6 +191,37 @@ static void run_fills_views(void **state)
     capture_close(&c);
 }
 
+/* Shots 0 and 1 are one place: the second goes behind the third. */
+static void exposures_go_behind_places(void **state)
+{
+    (void)state;
+    struct shot shots[3];
+    struct capture c;
+    struct views each, v;
+    struct arena keep[2];
+    const size_t bytes = 3 * 56 * 56;
+    capture_open(&c, shots);
+    assert_int_equal(run_planned(&c, 1, &keep[0], &each), OK);
+    assert_int_equal(prep_places(&c), 3);
+    shots[0].again = true; // of nothing before it
+    shots[1].again = true;
+    shots[2].cam.t[0] = 8;
+    assert_int_equal(prep_places(&c), 2);
+    assert_int_equal(run_planned(&c, 2, &keep[1], &v), OK);
+    assert_true(v.n == 2 && v.n_more == 1 && v.place[0] == 0);
+    assert_string_equal(v.names[1], "shot_2.png");
+    assert_string_equal(v.names[2], "shot_1.png");
+    assert_true(v.log2t[1] == 5 && v.log2t[2] == -3 && v.mid_log2t == 1);
+    assert_true(v.cams[0].t[0] == 7 && v.cams[1].t[0] == 8);
+    assert_memory_equal(v.rgb + bytes, each.rgb + 2 * bytes, bytes);
+    assert_memory_equal(v.rgb + 2 * bytes, each.rgb + bytes, bytes);
+    assert_true(views_next(&v, 0, 0) == 2 && views_next(&v, 0, 2) == -1);
+    assert_int_equal(views_next(&v, 1, 1), -1);
+    arena_free(&keep[0]);
+    arena_free(&keep[1]);
+    capture_close(&c);
+}
+
 static void refused(struct capture *c, const char *words)
 {
     struct arena keep;
@@ -256,6 +287,7 @@ int main(void)
         cmocka_unit_test(resize_equals_golden),
         cmocka_unit_test(resize_equals_pillow_on_odd_shapes),
         cmocka_unit_test(run_fills_views),
+        cmocka_unit_test(exposures_go_behind_places),
         cmocka_unit_test(run_refuses),
         cmocka_unit_test(run_can_be_cancelled),
     };
