@@ -3,6 +3,7 @@
 #include "firmware/cmd.h"
 #include "firmware/engine.h"
 #include "firmware/evaluate.h"
+#include "firmware/sheet.h"
 #include "firmware/testcams.h"
 
 #include "core/opt/response.h"
@@ -123,14 +124,23 @@ static err_t write_file(const struct state *st, const char *path)
     return cmd_json_close(f, path);
 }
 
+/* report.json and the page of it, next to the pictures. */
+static err_t write_folder(const struct state *st)
+{
+    char json[FILE_PATH_CAP], page[FILE_PATH_CAP];
+    err_t e = outdir_path(&st->out, OUTDIR_REPORT, json);
+    if (!e)
+        e = outdir_path(&st->out, SHEET_NAME, page);
+    if (!e)
+        e = write_file(st, json);
+    return e ? e : sheet_write(page, &st->job, json);
+}
+
 static err_t publish(struct state *st, const struct request *rq)
 {
-    char path[FILE_PATH_CAP];
     err_t e = OK;
     if (rq->out) {
-        e = outdir_path(&st->out, OUTDIR_REPORT, path);
-        if (!e)
-            e = outdir_reason(&st->out, write_file(st, path));
+        e = outdir_reason(&st->out, write_folder(st));
         if (!e)
             e = outdir_commit(&st->out);
     }
@@ -141,10 +151,11 @@ static err_t publish(struct state *st, const struct request *rq)
     return e;
 }
 
-static uint64_t result_bytes(const struct capture *test, int size)
+static uint64_t result_bytes(const struct capture *test, int n_train, int size)
 {
     uint64_t pixels = (uint64_t)size * (uint64_t)size;
-    return (uint64_t)test->n * (pixels * (4 * 2 + 3) + pixels / 4 + 4096); // as if incompressible
+    return (uint64_t)test->n * (pixels * (4 * 2 + 3) + pixels / 4 + 4096) + // as if incompressible
+           sheet_bytes(n_train);
 }
 
 /* ---- from photographs to the scene ---- */
@@ -188,7 +199,8 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
     if (!e && rq->out)
         e = outdir_open(rq->out, &st->out);
     return e || !rq->out ? e
-                         : outdir_reserve(&st->out, result_bytes(&st->test.capture, scene->size));
+                         : outdir_reserve(&st->out, result_bytes(&st->test.capture,
+                                                                 st->train.capture.n, scene->size));
 }
 
 static void add_testcams(const struct state *st, const struct job_config *job,

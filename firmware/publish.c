@@ -181,36 +181,20 @@ static err_t write_viewer(struct job_result *j, const struct outdir *o)
     return e ? e : viewer_write(path, &viewer);
 }
 
-static err_t write_text(const char *path, const char *text)
-{
-    FILE *f;
-    err_t e = file_create(path, &f);
-    if (e)
-        return e;
-    fputs(text, f);
-    return file_finish(f, path);
-}
-
 /* report.json, and with it the end of the page. */
 static err_t write_report(const struct job_result *j, int threads, const struct outdir *o,
                           struct sheet *sheet)
 {
-    char path[FILE_PATH_CAP], *text = NULL;
-    size_t n;
+    char path[FILE_PATH_CAP];
+    FILE *f;
     err_t e = outdir_path(o, OUTDIR_REPORT, path);
+    if (!e)
+        e = file_create(path, &f);
     if (e)
         return e;
-    FILE *f = open_memstream(&text, &n);
-    if (f)
-        publish_report(j, threads, f);
-    if (!f || fclose(f) != 0)
-        e = err_fail(ERR_NOMEM, "%s: no memory for its text", path);
-    if (!e)
-        e = write_text(path, text);
-    if (!e)
-        e = sheet_close(sheet, text);
-    free(text);
-    return e;
+    publish_report(j, threads, f);
+    e = file_finish(f, path);
+    return e ? e : sheet_close(sheet, path);
 }
 
 static err_t open_sheet(const struct outdir *o, struct sheet *sheet)

@@ -167,12 +167,19 @@ err_t sheet_open(const char *path, struct sheet *s)
 err_t sheet_close(struct sheet *s, const char *json)
 {
     FILE *f = s->f;
+    struct file_map text;
+    err_t e = file_map(json, SIZE_MAX, &text);
+    if (e) {
+        sheet_discard(s);
+        return e;
+    }
     fputs("}</script>\n<script type=\"application/json\" id=\"data\">", f);
-    for (; *json; json++)
-        if (*json == '<')
+    for (size_t i = 0; i < text.n; i++)
+        if (text.p[i] == '<')
             fputs("\\u003c", f);
         else
-            putc(*json, f);
+            putc(text.p[i], f);
+    file_unmap(&text);
     fputs("</script>\n<script>", f);
     fwrite(sheet_js, 1, sheet_js_size, f);
     fputs("</script>\n", f);

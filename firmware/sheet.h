@@ -31,8 +31,8 @@ MUST_USE err_t sheet_open(const char *path, struct sheet *s);
 MUST_USE err_t sheet_picture(struct sheet *s, int i, int size, const uint8_t *photograph,
                              const struct image *display);
 
-/* Finish the file. json: the text of report.json.
- * err:  ERR_IO, ERR_LIMIT (no space); then there is no file. */
+/* Finish the file. json: path of report.json.
+ * err:  ERR_IO, ERR_LIMIT (no space), ERR_FORMAT (of report.json); then there is no file. */
 MUST_USE err_t sheet_close(struct sheet *s, const char *json);
 
 /* Remove what was not closed. Accepts a zeroed sheet. */

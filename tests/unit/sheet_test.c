@@ -341,9 +341,8 @@ static void names_cannot_end_the_data(void **state)
     (void)state;
     static const char name[] = "</script><script>alert(1)</script>\\\"<!--\xc3\xa4\xe2\x82\xac.png";
     struct cJSON *doc;
-    char *json;
-    size_t n;
-    FILE *file = open_memstream(&json, &n);
+    const char *json = tmpdir_path("report.json");
+    FILE *file = fopen(json, "w");
     struct report rep;
     report_init(&rep, file);
     report_open(&rep, NULL, '{');
@@ -360,14 +359,14 @@ static void names_cannot_end_the_data(void **state)
     assert_string_equal(json_string(json_member(doc, "name")), name);
     json_free(doc);
     free(text);
-    free(json);
 }
 
 static void small_and_alone(void **state)
 {
     (void)state;
     job.result.views.n = 0;
-    assert_int_equal(sheet_write(tmpdir_path("r.html"), &job.result, "{}"), OK);
+    assert_int_equal(sheet_write(tmpdir_path("r.html"), &job.result, tmpdir_text("r.json", "{}")),
+                     OK);
     char *text = page(tmpdir_path("r.html"));
     assert_true(strlen(text) < 60000);
     assert_true(strlen(text) <= sheet_bytes(0));
@@ -420,7 +419,7 @@ static void photograph_scene_and_distance(void **state)
     }
     assert_int_equal(sheet_open(tmpdir_path("p.html"), &s), OK);
     assert_int_equal(sheet_picture(&s, 7, N, photograph, &display), OK);
-    assert_int_equal(sheet_close(&s, "{}"), OK);
+    assert_int_equal(sheet_close(&s, tmpdir_text("r.json", "{}")), OK);
     char *text = page(tmpdir_path("p.html"));
     assert_non_null(strstr(text, "\"7\": \"data:image/jpeg;base64,"));
     decode(text, &strip);
@@ -441,7 +440,8 @@ static void a_photograph_alone(void **state)
     struct sheet s = {0};
     const struct image other = {1, 1, 3, (float[]){0, 0, 0}};
     memset(job.rgb, 200, sizeof job.rgb);
-    assert_int_equal(sheet_write(tmpdir_path("s.html"), &job.result, "{}"), OK);
+    assert_int_equal(sheet_write(tmpdir_path("s.html"), &job.result, tmpdir_text("r.json", "{}")),
+                     OK);
     char *text = page(tmpdir_path("s.html"));
     assert_int_equal(occurrences(text, "data:image/jpeg"), SMALL_VIEWS);
     decode(text, &strip);
@@ -457,14 +457,19 @@ static void trouble_leaves_no_file(void **state)
     (void)state;
     struct rlimit was, small = {.rlim_cur = 1000};
     struct sheet s;
-    assert_int_equal(sheet_write(tmpdir_path("no/r.html"), &job.result, "{}"), ERR_IO);
+    assert_int_equal(
+        sheet_write(tmpdir_path("no/r.html"), &job.result, tmpdir_text("r.json", "{}")), ERR_IO);
     getrlimit(RLIMIT_FSIZE, &was);
     small.rlim_max = was.rlim_max;
     signal(SIGXFSZ, SIG_IGN);
+    const char *json = tmpdir_text("r.json", "{}");
     setrlimit(RLIMIT_FSIZE, &small);
-    err_t e = sheet_write(tmpdir_path("r.html"), &job.result, "{}");
+    err_t e = sheet_write(tmpdir_path("r.html"), &job.result, json);
     setrlimit(RLIMIT_FSIZE, &was);
     assert_int_equal(e, ERR_IO);
+    assert_int_not_equal(access(tmpdir_path("r.html"), F_OK), 0);
+    assert_int_equal(sheet_write(tmpdir_path("r.html"), &job.result, tmpdir_path("no.json")),
+                     ERR_IO);
     assert_int_not_equal(access(tmpdir_path("r.html"), F_OK), 0);
     assert_int_equal(sheet_open(tmpdir_path("r.html"), &s), OK);
     sheet_discard(&s);
