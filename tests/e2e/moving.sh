@@ -1,0 +1,161 @@
+#!/usr/bin/env bash
+# Pictures in motion: ways of the camera, sweeps of the exposure, false colours, videos, and what
+# may go wrong with ffmpeg. Frames come in any case; a video is whole or not there.
+. tests/e2e/common.bash
+make_set set 56 3 1
+scene=$OUT/scene
+succeed reconstruct --images "$OUT/set" --size 56 --refine 0 --out "$scene"
+render=(render --scene "$scene")
+
+frames() { # folder: how many
+    find "$1" -name 'frame_*.png' | wc -l
+}
+
+same() { # what got expected
+    [ "$2" = "$3" ] || fail "$1: $2, expected $3"
+}
+
+mean() { # file...
+    "$BIN/look" mean "$@" || fail "look mean $*"
+}
+
+# bad requests
+for bad in x ..3 1.. 1..x 1..50 -3..-41 1111111111111111111111111111111111111111111111..2; do
+    expect 2 '^hdrig render: --ev: ' "${render[@]}" --path orbit --out "$OUT/no" --ev "$bad"
+done
+expect 2 '--fps is for --video' "${render[@]}" --path orbit --out "$OUT/no" --fps 10
+expect 2 '--fps: 0 is not in 1..240' "${render[@]}" --path orbit --out "$OUT/no" --fps 0 --video a.mp4
+for bad in a.avi .mp4 "$OUT/.mp4" mp4; do
+    expect 2 "--video: .* is not called NAME.mp4" "${render[@]}" --path orbit --out "$OUT/no" \
+        --video "$bad"
+done
+sed '0,/"w": 56, "h": 56/s//"w": 28, "h": 28/' "$scene/cameras.json" >"$OUT/unequal.json"
+expect 1 'camera 1 is for 56 x 56 px, the first for 28 x 28; a video has one size: give --size' \
+    "${render[@]}" --cameras "$OUT/unequal.json" --out "$OUT/no" --video "$OUT/no.mp4"
+nothing_at "$OUT/no"
+
+# ways: the inputs exactly, or through them
+succeed "${render[@]}" --path inputs --out "$OUT/inputs"
+same "frames at the inputs" "$(frames "$OUT/inputs")" 3
+succeed "${render[@]}" --path inputs --frames 9 --out "$OUT/way"
+same "frames through the inputs" "$(frames "$OUT/way")" 9
+mapfile -t ends < <(mean "$OUT"/inputs/frame_000[02].png "$OUT"/way/frame_000[08].png)
+for i in 0 1; do
+    awk -v a="${ends[i]}" -v b="${ends[i + 2]}" 'BEGIN { exit !(a > 1 && (a - b) ^ 2 < 0.01) }' ||
+        fail "the way does not end at an input: ${ends[*]}"
+done
+
+# sweep: each frame brighter than the one before; the ends are those of single exposures
+succeed "${render[@]}" --path orbit --frames 7 --ev -6..6 --out "$OUT/sweep"
+mean "$OUT"/sweep/frame_*.png | awk 'NR > 1 && $1 <= last { exit 1 } { last = $1 }' ||
+    fail "a sweep is not monotone: $(mean "$OUT"/sweep/frame_*.png | tr '\n' ' ')"
+succeed "${render[@]}" --path orbit --frames 7 --ev -6 --out "$OUT/dark"
+cmp -s "$OUT/dark/frame_0000.png" "$OUT/sweep/frame_0000.png" || fail "a sweep begins elsewhere"
+succeed "${render[@]}" --path orbit --frames 7 --ev 6 --out "$OUT/bright"
+cmp -s "$OUT/bright/frame_0006.png" "$OUT/sweep/frame_0006.png" || fail "a sweep ends elsewhere"
+
+# false colours are those of the radiance, which EXR has in half floats; the exposure moves them
+zero() { # folder: the luminance of 0 stops
+    sed -n 's/.*"false_colour_0": \([0-9.e+-]*\).*/\1/p' "$1/report.json"
+}
+succeed "${render[@]}" --path inputs --hdr --out "$OUT/hdr"
+for ev in 0 2; do
+    succeed "${render[@]}" --path inputs --false-colour --ev $ev --out "$OUT/false$ev"
+    differ=$("$BIN/look" false "$OUT/hdr/frame_0001.exr" "$OUT/false$ev/frame_0001.png" \
+        "$(zero "$OUT/false$ev")")
+    at_least "agreement of false colours at $ev EV" "$((8 - differ))" 6
+done
+at_least "difference of false colours 2 stops apart" "$("$BIN/look" false \
+    "$OUT/hdr/frame_0001.exr" "$OUT/false2/frame_0001.png" "$(zero "$OUT/false0")")" 20
+at_least "stops between them" \
+    "$(awk -v a="$(zero "$OUT/false0")" -v b="$(zero "$OUT/false2")" 'BEGIN { print a / b }')" 3.999
+mean "$OUT/false0/legend.png" >/dev/null
+[ ! -e "$OUT/inputs/legend.png" ] || fail "a legend without false colours"
+
+# ffmpeg that is not there, or dies
+mkdir "$OUT/bin" "$OUT/films"
+for tool in find grep ls rm tail wc; do
+    ln -s "$(command -v $tool)" "$OUT/bin"
+done
+without() { # code regex arguments...: frames, no video
+    local code=$1 regex=$2
+    shift 2
+    rm -rf "$OUT/frames"
+    expect "$code" "^hdrig render: .*$regex" "${render[@]}" --path orbit --frames 60 \
+        --out "$OUT/frames" "$@"
+    same "frames without a video" "$(frames "$OUT/frames")" 60
+    grep -q '"video": null' "$OUT/frames/report.json" || fail "report.json claims a video"
+    same "left of a video" "$(ls -A "$OUT/films")" ""
+}
+PATH=$OUT/bin without 1 'ffmpeg is not installed.*apt-get install ffmpeg.*frames are in' \
+    --video "$OUT/films/a.mp4"
+cat >"$OUT/bin/ffmpeg" <<'EOF'
+#!/bin/sh
+case "$*" in *-encoders*) echo ' V....D libx264  H.264'; exit;; esac
+for out; do :; done
+head -c 20000 >"${out#file:}"
+exit 7
+EOF
+chmod +x "$OUT/bin/ffmpeg"
+PATH=$OUT/bin:$PATH without 1 'films/a.mp4: ffmpeg ended with exit code 7' \
+    --video "$OUT/films/a.mp4"
+
+if ! command -v ffmpeg >/dev/null; then
+    echo "no ffmpeg: videos are left out"
+    finish
+    exit
+fi
+
+probe() { # file: codec, size, format, colours, rate, length, frames
+    ffprobe -v error -select_streams v -count_frames -of csv=p=0 -show_entries \
+        stream=codec_name,width,height,pix_fmt,color_range,color_space,r_frame_rate,duration,nb_read_frames \
+        "$1"
+}
+
+# videos: whole, of even sides, with the same frames beside them
+succeed "${render[@]}" --path orbit --frames 12 --size 57 --video "$OUT/films/a.mp4" \
+    --out "$OUT/frames"
+same "orbit" "$(probe "$OUT/films/a.mp4")" h264,58,58,yuv420p,tv,bt709,30/1,0.400000,12
+succeed "${render[@]}" --path orbit --frames 12 --size 57 --out "$OUT/plain"
+same "frames beside a video" "$(cd "$OUT/frames" && sha256sum frame_*)" \
+    "$(cd "$OUT/plain" && sha256sum frame_*)"
+succeed "${render[@]}" --path inputs --frames 10 --fps 25 --ev -2..2 --false-colour \
+    --video "$OUT/films/a.mp4" --out "$OUT/frames"
+same "inputs" "$(probe "$OUT/films/a.mp4")" h264,56,56,yuv420p,tv,bt709,25/1,0.400000,10
+for round in first again; do # in the folder of the frames, which is replaced
+    succeed "${render[@]}" --path inputs --frames 2 --video "$OUT/both/b.mp4" --out "$OUT/both/"
+    same "$round" "$(ls "$OUT/both" | tr '\n' ' ')" "b.mp4 frame_0000.png frame_0001.png report.json "
+done
+tool=$(readlink -f "$HDRIG")
+(cd "$OUT/both" && "$tool" render --scene ../scene --path inputs \
+    --frames 2 --video b.mp4 --out ../both >/dev/null 2>&1) || fail "a video in this folder"
+same "this folder" "$(ls "$OUT/both" | tr '\n' ' ')" "b.mp4 frame_0000.png frame_0001.png report.json "
+rm "$OUT/films/a.mp4"
+
+# where there is no place, or no space
+without 1 'nowhere/a.mp4: cannot create: No such file' --video "$OUT/nowhere/a.mp4"
+mkdir "$OUT/small"
+if mount -t tmpfs -o size=8k tmpfs "$OUT/small" 2>/dev/null; then
+    trap 'umount "$OUT/small"' EXIT
+    without 3 'small/a.mp4: .*No space left on device' --video "$OUT/small/a.mp4"
+    same "left on the small disk" "$(ls -A "$OUT/small")" ""
+else
+    echo "no right to mount a small file system: left out"
+fi
+
+# Ctrl-C in the middle
+: >"$ERR"
+"$HDRIG" "${render[@]}" --path orbit --frames 9999 --video "$OUT/films/a.mp4" \
+    --out "$OUT/long" >"$OUT/stdout.txt" 2>"$ERR" &
+pid=$!
+for ((i = 0; i < 600; i++)); do
+    [ -s "$OUT/films/.tmp-a.mp4" ] && break
+    sleep 0.1
+done
+kill -INT $pid
+wait $pid
+same "exit code of Ctrl-C" $? 130
+nothing_at "$OUT/long"
+same "left of a video by Ctrl-C" "$(ls -A "$OUT/films")" ""
+! pgrep -f "file:$OUT/films/.tmp-a.mp4" >/dev/null || fail "ffmpeg still runs"
+finish
