@@ -2,7 +2,7 @@
 /* The scene is drawn as core/splat/raster.c does it, in four steps:
  *   project  one texel per splat: where it is, its shape, its radiance    when the camera changes
  *   sort     farthest first, in a worker                                  when the camera changes
- *   blend    premultiplied radiance, half floats                          when one of these changed
+ *   blend    premultiplied radiance                                       when one of these changed
  *   tone     radiance to display values at an exposure                    always
  * Radiance in the picture is divided by info.unit, a power of two, so that the brightest fits into
  * half floats. Rows of pictures go from top to bottom, in textures too. */
@@ -205,8 +205,8 @@ void main() {
 const TONE = `
 uniform sampler2D picture, curves;
 uniform ivec2 size;
-uniform float coarse, shift, scene, curveLo, curveScale;
-uniform int mode;
+uniform float shift, curveLo, curveScale;
+uniform int mode, rough;
 out vec4 pixel;
 
 float tone(float L, int c) {
@@ -231,8 +231,8 @@ vec3 turbo(float stops) {
 
 void main() {
   vec2 at = vec2(gl_FragCoord.x, float(size.y) - gl_FragCoord.y);
-  vec3 L = coarse > 1.0 ? texture(picture, at / vec2(size)).rgb
-                        : texelFetch(picture, ivec2(at), 0).rgb;
+  vec3 L = rough == 1 ? texture(picture, at / vec2(size)).rgb
+                      : texelFetch(picture, ivec2(at), 0).rgb;
   L *= UNIT;
   if (mode == 0) L = vec3(tone(L.r, 0), tone(L.g, 1), tone(L.b, 2));
   else if (mode == 1) L = srgb(min(L * exp2(shift + SRGB_EV), 1.0));
@@ -353,7 +353,8 @@ function openGpu(scene) {
     throw new Error("this graphics driver cannot draw into floating-point pictures " +
       "(EXT_color_buffer_float), which radiance needs");
   const limit = gl.getParameter(gl.MAX_TEXTURE_SIZE);
-  gpu = { limit, width: Math.min(4096, limit), pw: 0, ph: 0 };
+  gpu = { limit, width: Math.min(4096, limit), pw: 0, ph: 0, format: 0,
+    still: gl.getExtension("EXT_float_blend") ? gl.RGBA32F : gl.RGBA16F };
   const names = { UNIT: info.unit, SRGB_EV: info.srgb_ev, MIDDLE: info.middle,
     SCALE_LO: info.scale[0], SCALE_STEP: info.scale[1], LOGIT_LO: info.logit[0],
     LOGIT_STEP: info.logit[1], LIGHT_LO: info.light[0], LIGHT_STEP: info.light[1] };
@@ -490,10 +491,10 @@ function fit(cam, w, h) {
 
 /* ---- drawing ---- */
 
-/* at, last: of the views; -1: none. focus: distance of what the camera turns around. coarse: screen
- * pixels for one of the picture. moved: when, ms. */
+/* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
+ * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms. */
 const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
-  coarse: 1, moved: -1e9, probe: null };
+  moving: true, coarse: 2, moved: 0, probe: null };
 let scheduled = false, stale = true, firstPicture = 0;
 
 function invalidate(geometry) {
@@ -512,18 +513,20 @@ function resize() {
   stale = true;
 }
 
+/* Half floats while the camera moves; at rest floats where they can be blended. */
 function openPicture(w, h) {
-  if (gpu.pw === w && gpu.ph === h) return;
+  const format = state.moving ? gl.RGBA16F : gpu.still;
+  if (gpu.pw === w && gpu.ph === h && gpu.format === format) return;
   if (gpu.picture) {
     gl.deleteTexture(gpu.picture);
     gl.deleteFramebuffer(gpu.blended);
   }
-  gpu.picture = texture(gl.RGBA16F, w, h);
-  for (const key of ["MIN", "MAG"])
-    gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}_FILTER`], gl.LINEAR);
+  gpu.picture = texture(format, w, h);
+  for (const key of ["MIN", "MAG"]) // of half floats alone; floats are never enlarged
+    gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}_FILTER`],
+      format === gl.RGBA16F ? gl.LINEAR : gl.NEAREST);
   gpu.blended = target([gpu.picture]);
-  gpu.pw = w;
-  gpu.ph = h;
+  Object.assign(gpu, { pw: w, ph: h, format });
 }
 
 function project(v) {
@@ -543,6 +546,9 @@ function project(v) {
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
+/* Farthest first over the background: errors of half floats fade with what is drawn over them.
+ * raster.c goes the other way, and where less than 1e-4 would pass it leaves out that splat and all
+ * behind it; this picture shows them. */
 function blend(v) {
   const p = gpu.blend, [r, g, b] = info.background.map((x) => Math.min(x / info.unit, HALF_MAX));
   gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.blended);
@@ -554,7 +560,7 @@ function blend(v) {
   gl.uniform2f(p.at.size, v.w, v.h);
   gl.uniform1i(p.at.seen, sorting.seen);
   gl.enable(gl.BLEND);
-  gl.drawElementsInstanced(gl.TRIANGLES, 6 * Math.min(BATCH, sorting.seen), gl.UNSIGNED_SHORT, 0,
+  gl.drawElementsInstanced(gl.TRIANGLES, 6 * BATCH, gl.UNSIGNED_SHORT, 0,
     Math.ceil(sorting.seen / BATCH));
   gl.disable(gl.BLEND);
 }
@@ -565,7 +571,7 @@ function tone() {
   gl.viewport(0, 0, canvas.width, canvas.height);
   use(p, { picture: gpu.picture, curves: gpu.curves });
   gl.uniform2i(p.at.size, canvas.width, canvas.height);
-  gl.uniform1f(p.at.coarse, state.coarse);
+  gl.uniform1i(p.at.rough, gpu.format === gl.RGBA16F && gpu.pw < canvas.width);
   gl.uniform1f(p.at.shift, state.ev);
   gl.uniform1f(p.at.curveLo, gpu.curve.lo);
   gl.uniform1f(p.at.curveScale, gpu.curve.scale);
@@ -575,7 +581,8 @@ function tone() {
 
 function draw() {
   if (stale && sorting.seen >= 0) {
-    const w = Math.ceil(canvas.width / state.coarse), h = Math.ceil(canvas.height / state.coarse);
+    const shrink = state.moving ? state.coarse : 1;
+    const w = Math.ceil(canvas.width / shrink), h = Math.ceil(canvas.height / shrink);
     const v = fit(state.cam, w, h);
     openPicture(w, h);
     if (info.n) project(v);
@@ -596,31 +603,31 @@ function frame(now) {
   if (!firstPicture && sorting.seen >= 0) {
     radiance(0, 0, 1, 1); // waits for the picture
     firstPicture = performance.now();
+    state.coarse = 1;
+    invalidate(false);
     showFacts();
   }
 }
 
-/* While the camera moves, fewer pixels where pictures come too slowly; all of them at rest. */
+/* The first picture, and those while the camera moves, have fewer pixels where they come too slowly;
+ * all of them at rest. */
 const pace = { last: 0, timer: 0 };
 function choosePace(now) {
-  const moving = now - state.moved < 200;
-  if (!moving) {
-    stale = stale || state.coarse > 1;
-    state.coarse = 1;
-    pace.last = 0;
-    return;
+  if (!firstPicture || now - state.moved < 200) {
+    const ms = now - pace.last;
+    if (state.moving && ms > 70 && ms < 1000) state.coarse = Math.min(state.coarse * 1.5, 5);
+    if (state.moving && ms < 24) state.coarse = Math.max(state.coarse / 1.1, 1);
+    state.moving = true;
+    pace.last = now;
+    clearTimeout(pace.timer);
+    pace.timer = setTimeout(() => invalidate(false), 250);
+  } else if (state.moving) {
+    state.moving = false;
+    stale = true;
   }
-  const ms = now - pace.last;
-  if (pace.last && ms < 1000) {
-    if (ms > 70) state.coarse = Math.min(state.coarse * 1.5, 5);
-    else if (ms < 24) state.coarse = Math.max(state.coarse / 1.1, 1);
-  }
-  pace.last = now;
-  clearTimeout(pace.timer);
-  pace.timer = setTimeout(() => invalidate(false), 250);
 }
 
-/* Linear R, G, B, alpha of w x h pixels of the picture. */
+/* Linear R, G, B, and coverage 0..1, of w x h pixels of the picture. */
 function radiance(x, y, w, h) {
   const out = new Float32Array(4 * w * h);
   gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.blended);
@@ -949,7 +956,7 @@ function openControls() {
 
 /* The picture is that of the last camera, at full resolution. */
 async function settled() {
-  while (sorting.busy || scheduled || stale || state.coarse > 1)
+  while (sorting.busy || scheduled || stale || state.moving)
     await new Promise((done) => setTimeout(done, 5));
 }
 
