@@ -159,11 +159,11 @@ static int coefs_of(int degree)
     return (degree + 1) * (degree + 1);
 }
 
-/* One colour of planes (every third number), kept where sums of floats stay finite. */
+/* One colour of planes: every third number. */
 static void take_colour(const float *planes, int degree, float sh[SH_COEFS_MAX])
 {
     for (int k = 0; k < coefs_of(degree); k++)
-        sh[k] = fminf(fmaxf(planes[3 * k], -1e15f), 1e15f);
+        sh[k] = planes[3 * k];
 }
 
 static void put_colour(const float *sh, int degree, float *planes)
@@ -351,7 +351,7 @@ void display_tonemap(float ev, struct tonemap *out)
         p[i] = 1;
         p[TONE_HIDDEN + i] = (float)-x;
         p[2 * TONE_HIDDEN + i] = (float)(next_slope - slope);
-        slope += (double)p[2 * TONE_HIDDEN + i]; // as rounded, so that the end is level
+        slope = next_slope;
         x = next_x;
         y = next_y;
     }

@@ -198,6 +198,35 @@ static void the_middle_of_the_curve_is_shown_as_the_middle(void **state)
     assert_true(isfinite(display_ev(&t)));
 }
 
+/* Units at -20 and at `knot`, in all colours. */
+static struct tonemap two_units(float knot, float w2, float v2, float b2)
+{
+    struct tonemap t = {0};
+    for (int c = 0; c < 3; c++) {
+        float *p = t.p + c * TONE_PER_COLOUR;
+        p[0] = p[1] = 1;
+        p[TONE_HIDDEN] = 20;
+        p[TONE_HIDDEN + 1] = -knot;
+        p[2 * TONE_HIDDEN] = w2;
+        p[2 * TONE_HIDDEN + 1] = v2;
+        p[3 * TONE_HIDDEN] = b2;
+    }
+    return t;
+}
+
+static void curves_that_hardly_have_a_middle(void **state)
+{
+    (void)state;
+    struct tonemap t = two_units(100, 0, -10, -50); // its last line is above 0.5 where it is not
+    assert_true(display_ev(&t) == 0);
+    for (int i = 0; i < 10000; i++) { // level from 0.5 on, but for rounding
+        float knot = (float)uniform(-10, 10);
+        t = two_units(knot, 0.1f, -0.1f, -(0.1f * (knot + 20)));
+        float ev = display_ev(&t);
+        assert_true(ev == 0 || fabs(ev - log2(middle) + log2(exp2(knot) - 1e-6)) < 1e-3);
+    }
+}
+
 static void the_made_curve_is_srgb(void **state)
 {
     (void)state;
@@ -226,6 +255,7 @@ int main(void)
         cmocka_unit_test(foreign_colours_stay_what_they_were),
         cmocka_unit_test(numbers_stay_finite_and_nan_stays),
         cmocka_unit_test(the_middle_of_the_curve_is_shown_as_the_middle),
+        cmocka_unit_test(curves_that_hardly_have_a_middle),
         cmocka_unit_test(the_made_curve_is_srgb),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

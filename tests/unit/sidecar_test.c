@@ -170,7 +170,7 @@ static void hostile_files_are_refused(void **state)
         {"\"b2\": ", "\"b3\": ", "tone curve 0: \"b2\"", ERR_FORMAT},
         {"\"w1\": [", "\"w1\": [1,", "tone curve 0: \"w1\" is not an array of 64", ERR_FORMAT},
         {"\"b1\": [", "\"b1\": [null] , \"b0\": [", "tone curve 0: \"b1\"", ERR_FORMAT},
-        {"\"size\": 112", "\"size\": 0", "\"size\"", ERR_FORMAT},
+        {"\"size\": 112", "\"size\": 0", "\"size\" is not a whole", ERR_FORMAT},
         {"\"size\": 112", "\"size\": 113", "camera 0 (a.png) is for 112 x 112", ERR_FORMAT},
         {"\"cameras\": [", "\"cameras\": [1,", "camera 0: \"name\"", ERR_FORMAT},
         {"\"cameras\"", "\"camera\"", "no array \"cameras\"", ERR_FORMAT},
