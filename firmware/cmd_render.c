@@ -5,6 +5,7 @@
 #include "firmware/outdir.h"
 #include "firmware/path.h"
 #include "firmware/report.h"
+#include "firmware/sceneio.h"
 #include "firmware/video.h"
 
 #include "core/base/log.h"
@@ -12,8 +13,8 @@
 #include "core/metrics.h"
 #include "drivers/cameras.h"
 #include "drivers/img.h"
-#include "drivers/scenefile.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -32,6 +33,7 @@ struct request {
 
 struct state {
     struct engine engine;
+    struct arena own; // of the scene
     struct scene scene;
     struct rig rig; // where to stand
     struct draw draw;
@@ -97,7 +99,7 @@ static err_t make_path(const struct request *rq, struct state *st)
     bool orbit = strcmp(rq->path, "orbit") == 0, moves = orbit || rq->video || rq->frames_text;
     double far = 1;
     if (s->n_views == 0)
-        return err_fail(ERR_ARG, "%s: the scene has no input views: give --cameras FILE",
+        return err_fail(ERR_ARG, "%s: the scene has no views to go by: give --cameras FILE",
                         rq->scene);
     st->rig.n = moves ? (int)rq->frames : s->n_views;
     st->rig.views = calloc((size_t)st->rig.n, sizeof *st->rig.views);
@@ -311,39 +313,47 @@ static err_t write_report(const struct request *rq, const struct state *st)
 
 /* ---- command ---- */
 
-/* The scene goes to keep; tmp is planned once the pictures' sizes are known, so the scene is read
- * in between. */
 static err_t load(const struct request *rq, struct state *st)
 {
-    char path[FILE_PATH_CAP];
-    struct scenefile_info info;
-    struct rig sizes = {0};
-    int w, h;
-    err_t e = file_join(rq->scene, "scene.hdrig", path);
+    struct sceneio_info info;
+    struct gaussians_report report = {0};
+    if (!file_exists(rq->scene))
+        return err_fail(ERR_IO, "%s: %s", rq->scene, strerror(ENOENT));
+    err_t e = sceneio_peek(rq->scene, &info);
     if (!e)
-        e = scenefile_peek(path, &info);
-    if (!e && rq->cameras)
-        e = cameras_read(rq->cameras, &sizes);
+        e = engine_open(&st->engine, rq->cfg.threads);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, info.need, arena_need((size_t)info.n, sizeof(float)),
+                           rq->cfg.max_memory_mb);
+    if (!e)
+        e = sceneio_read(rq->scene, &st->engine.keep, &st->scene, &report);
     if (e)
         return e;
-    largest(&sizes, &w, &h);
-    cameras_free(&sizes);
-    if (rq->size > 0 || !rq->cameras)
-        w = h = rq->size > 0 ? (int)rq->size : info.size;
-    size_t pick = arena_need((size_t)info.n, sizeof(float)),
-           draw = arena_add(draw_plan(info.n, w, h), arena_need((size_t)w * (size_t)h, 3));
-    e = engine_open(&st->engine, rq->cfg.threads);
-    if (!e)
-        e = engine_reserve(&st->engine, 0, info.need, draw > pick ? draw : pick,
-                           rq->cfg.max_memory_mb);
-    return e ? e : scenefile_read(path, &st->engine.keep, &st->scene);
+    if (!info.has_hdr)
+        log_warn("%s: display colours without radiance, taken as sRGB", rq->scene);
+    if (report.dropped > 0)
+        log_warn("%s: %d splats were not finite and are left out", rq->scene, report.dropped);
+    return place_cameras(rq, st);
+}
+
+/* Memory for the pictures, whose sizes are known once the scene is there. */
+static err_t make_room(const struct request *rq, struct state *st)
+{
+    int w, h;
+    largest(&st->rig, &w, &h);
+    st->own = st->engine.keep;
+    st->engine.keep = (struct arena){0};
+    arena_free(&st->engine.tmp);
+    size_t draw = draw_plan(st->scene.g.cap, w, h), picture = arena_need((size_t)w * (size_t)h, 3);
+    return engine_reserve(&st->engine, st->own.size, 0, arena_add(draw, picture),
+                          rq->cfg.max_memory_mb);
 }
 
 static err_t render(const struct request *rq, struct state *st)
 {
     err_t e = load(rq, st);
     if (!e)
-        e = place_cameras(rq, st);
+        e = make_room(rq, st);
     if (!e)
         e = write_frames(rq, st);
     progress_end(&st->engine.progress);
@@ -411,7 +421,8 @@ int cmd_render_run(int argc, char **argv)
     static struct state st;
     struct request rq = {0};
     const struct cmd_option options[] = {
-        {"scene", "DIR", "result of hdrig reconstruct", NULL, &rq.scene, NULL},
+        {"scene", "PATH", "result of hdrig reconstruct, or a file .hdrig, .ply, .spz or .glb", NULL,
+         &rq.scene, NULL},
         {"cameras", "FILE", "cameras.json: one frame for each of its cameras", NULL, &rq.cameras,
          NULL},
         {"path", "WHICH", "orbit: a circle within the input views; inputs: these", NULL, &rq.path,
@@ -431,7 +442,7 @@ int cmd_render_run(int argc, char **argv)
         CMD_MEMORY,
     };
     const struct cmd_usage usage = {
-        "render", "--scene DIR --cameras FILE|--path orbit|inputs --out DIR ",
+        "render", "--scene PATH --cameras FILE|--path orbit|inputs --out DIR ",
         "Pictures of a scene as PNG, EXR and video.", options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
@@ -444,6 +455,7 @@ int cmd_render_run(int argc, char **argv)
     video_close(&st.video);
     outdir_close(&st.out);
     cameras_free(&st.rig);
+    arena_free(&st.own);
     engine_close(&st.engine);
     return code;
 }

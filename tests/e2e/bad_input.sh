@@ -107,7 +107,7 @@ if [ -c /dev/full ]; then
 fi
 
 # scenes
-expect 1 'nowhere/scene.hdrig' render --scene "$OUT/nowhere" --path orbit --out "$OUT/frames"
+expect 1 'nowhere: No such file' render --scene "$OUT/nowhere" --path orbit --out "$OUT/frames"
 succeed reconstruct --images "$OUT/good" --size 56 --refine 0 --out "$OUT/fine"
 cp -r "$OUT/fine" "$OUT/cut"
 truncate -s -1 "$OUT/cut/scene.hdrig"

@@ -24,7 +24,8 @@ for bad in x ..3 1.. 1..x 1..50 -3..-41 1111111111111111111111111111111111111111
     expect 2 '^hdrig render: --ev: ' "${render[@]}" --path orbit --out "$OUT/no" --ev "$bad"
 done
 expect 2 '--fps is for --video' "${render[@]}" --path orbit --out "$OUT/no" --fps 10
-expect 2 '--fps: 0 is not in 1..240' "${render[@]}" --path orbit --out "$OUT/no" --fps 0 --video a.mp4
+expect 2 '--fps: 0 is not in 1..240' "${render[@]}" --path orbit --out "$OUT/no" --fps 0 \
+    --video a.mp4
 for bad in a.avi .mp4 "$OUT/.mp4" mp4; do
     expect 2 "--video: .* is not called NAME.mp4" "${render[@]}" --path orbit --out "$OUT/no" \
         --video "$bad"
@@ -44,6 +45,20 @@ for i in 0 1; do
     awk -v a="${ends[i]}" -v b="${ends[i + 2]}" 'BEGIN { exit !(a > 1 && (a - b) ^ 2 < 0.01) }' ||
         fail "the way does not end at an input: ${ends[*]}"
 done
+
+# a file of the scene shows the same
+succeed render --scene "$scene/scene.hdrig" --path inputs --out "$OUT/file"
+same "frames of scene.hdrig" "$(cd "$OUT/file" && sha256sum frame_*)" \
+    "$(cd "$OUT/inputs" && sha256sum frame_*)"
+succeed convert-scene "$scene" --out "$OUT/scene.glb"
+succeed render --scene "$OUT/scene.glb" --path inputs --out "$OUT/glb"
+mean "$OUT"/inputs/frame_*.png "$OUT"/glb/frame_*.png |
+    awk '{ v[NR] = $1 } END { exit !(NR == 6 && (v[2] - v[5]) ^ 2 < 1) }' ||
+    fail "scene.glb shows something else"
+rm "$OUT/scene.json"
+expect 1 'scene.glb: the scene has no views to go by: give --cameras FILE' \
+    render --scene "$OUT/scene.glb" --path inputs --out "$OUT/no"
+succeed render --scene "$OUT/scene.glb" --cameras "$scene/cameras.json" --out "$OUT/glb"
 
 # sweep: each frame brighter than the one before; the ends are those of single exposures
 succeed "${render[@]}" --path orbit --frames 7 --ev -6..6 --out "$OUT/sweep"
@@ -106,10 +121,9 @@ if ! command -v ffmpeg >/dev/null; then
     exit
 fi
 
-probe() { # file: codec, size, format, colours, rate, length, frames
-    ffprobe -v error -select_streams v -count_frames -of csv=p=0 -show_entries \
-        stream=codec_name,width,height,pix_fmt,color_range,color_space,r_frame_rate,duration,nb_read_frames \
-        "$1"
+entries=codec_name,width,height,pix_fmt,color_range,color_space,r_frame_rate,duration,nb_read_frames
+probe() { # file: these
+    ffprobe -v error -select_streams v -count_frames -of csv=p=0 -show_entries "stream=$entries" "$1"
 }
 
 # videos: whole, of even sides, with the same frames beside them
@@ -124,12 +138,12 @@ succeed "${render[@]}" --path inputs --frames 10 --fps 25 --ev -2..2 --false-col
 same "inputs" "$(probe "$OUT/films/a.mp4")" h264,56,56,yuv420p,tv,bt709,25/1,0.400000,10
 for round in first again; do # in the folder of the frames, which is replaced
     succeed "${render[@]}" --path inputs --frames 2 --video "$OUT/both/b.mp4" --out "$OUT/both/"
-    same "$round" "$(ls "$OUT/both" | tr '\n' ' ')" "b.mp4 frame_0000.png frame_0001.png report.json "
+    same "$round" "$(ls "$OUT/both" | xargs)" "b.mp4 frame_0000.png frame_0001.png report.json"
 done
 tool=$(readlink -f "$HDRIG")
 (cd "$OUT/both" && "$tool" render --scene ../scene --path inputs \
     --frames 2 --video b.mp4 --out ../both >/dev/null 2>&1) || fail "a video in this folder"
-same "this folder" "$(ls "$OUT/both" | tr '\n' ' ')" "b.mp4 frame_0000.png frame_0001.png report.json "
+same "this folder" "$(ls "$OUT/both" | xargs)" "b.mp4 frame_0000.png frame_0001.png report.json"
 rm "$OUT/films/a.mp4"
 
 # where there is no place, or no space
