@@ -4,6 +4,8 @@
  * sites of one colour are averaged, green over both of its kinds.
  * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
  * colour says nothing safe by the others once a device has mixed them.
+ * Display values that are noise, cut off at black, are DARK whatever code they have: curves like
+ * logarithms show single electrons well above code 8.
  * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
  * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
  * of linear numbers, a black level that is wrong by half a code.
@@ -27,6 +29,8 @@ enum { BLOCK = 8, WRONG = WITNESS_PLACES / 50 };
 #define BLACK_ERROR 0.5f  // codes
 #define LEAST 1e-9f       // relative exposure: logarithms are finite
 #define SD_MAX 0.15f      // stops: noisier places are dark
+#define FAINT 0x1p-7f     // relative exposure: below, a display's noise may be cut off at black,
+#define STAND_OUT 4.0f    // and looks like light unless a pixel is so many times above it
 
 struct scale {
     const struct raw *px;
@@ -44,7 +48,7 @@ struct sum {
 };
 
 struct mean {
-    float x, sd; // relative exposure; its error, linear
+    float x, sd, noise; // relative exposure; its error; noise of a pixel, linear
 };
 
 static void scale_init(const struct raw *px, const struct crf *crf, struct scale *s)
@@ -122,14 +126,14 @@ static struct mean mean_of(const struct scale *s, int colour, const struct sum *
         step = STEP_DISPLAY * 0.5f * (s->table[colour][code + 1] - s->table[colour][below]);
         black = 0.0f;
     }
-    float noise2 = m->pairs > 0 ? 0.5f * m->diff2 / (float)m->pairs / n : 0.0f;
-    return (struct mean){m->x / n, sqrtf(noise2 + step * step + black * black)};
+    float noise2 = m->pairs > 0 ? 0.5f * m->diff2 / (float)m->pairs : 0.0f;
+    return (struct mean){m->x / n, sqrtf(noise2 / n + step * step + black * black), sqrtf(noise2)};
 }
 
 static enum witness_state judge(const struct scale *s, int y0, int x0, float *x, float *sd)
 {
     struct sum sums[3] = {{0}};
-    struct mean best = {-INFINITY, 0.0f};
+    struct mean best = {-INFINITY, 0.0f, 0.0f};
     bool clipped = false;
     int colour = 1;
     add_block(s, y0, x0, sums);
@@ -145,9 +149,11 @@ static enum witness_state judge(const struct scale *s, int y0, int x0, float *x,
     *sd = LOG2E * best.sd / *x;
     if (clipped)
         return WITNESS_CLIPPED;
-    if (best.x >= s->dark[colour] && *sd <= SD_MAX)
+    float noise = s->px->linear ? 0.0f : best.noise; // linear numbers have a black level
+    bool drowned = best.x < FAINT && best.x < STAND_OUT * noise;
+    if (best.x >= s->dark[colour] && *sd <= SD_MAX && !drowned)
         return WITNESS_GOOD;
-    *x = fmaxf(fmaxf(best.x + 2.0f * best.sd, s->dark[colour]), LEAST);
+    *x = fmaxf(fmaxf(best.x + 2.0f * best.sd + noise, s->dark[colour]), LEAST);
     *sd = 0.0f;
     return WITNESS_DARK;
 }

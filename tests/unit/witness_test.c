@@ -150,6 +150,54 @@ static void test_curves_that_are_known(void **state)
     }
 }
 
+/* By five pictures of the scene, as a calibration does it. */
+static void recover(const struct curve *c, struct crf *out)
+{
+    static uint8_t px[5][3 * N];
+    static const double stops[5] = {0.0, 1.4, 3.2, 5.4, 8.0};
+    double exposure[5];
+    struct crf_stack s = {5, W, H, (const uint8_t *[]){px[0], px[1], px[2], px[3], px[4]},
+                          exposure};
+    struct witness unused;
+    for (int i = 0; i < 5; i++) {
+        exposure[i] = 0.05 * exp2(-stops[i]);
+        take_display(exposure[i], 10 + (uint64_t)i, c, NULL, &unused);
+        memcpy(px[i], display, sizeof display);
+    }
+    void *tmp = aligned_alloc(64, (crf_plan(&s) + 63) / 64 * 64);
+    assert_non_null(tmp);
+    assert_int_equal(crf_recover(CRF_DEBEVEC, &s, tmp, out), OK);
+    free(tmp);
+}
+
+/* Log curves show single electrons: noise that cannot go below black looks like light, and spoils
+ * the dark end of the curve that was recovered from it. */
+static void test_log_curves_in_the_dark(void **state)
+{
+    struct witness a, b;
+    struct curve c;
+    struct crf crf;
+    struct witness_ratio r;
+    int told = 0;
+    (void)state;
+    make_scene(2.0f, 40);
+    for (int param = 6; param <= 8; param++) {
+        curve_make(CURVE_LOG, (float)param, 0, &c);
+        recover(&c, &crf);
+        for (int stops = 0; stops <= 8; stops++) {
+            take_display(0.03 * exp2(-stops), 1, &c, &crf, &a);
+            take_display(0.03, 2, &c, &crf, &b);
+            witness_compare(&a, &b, &r);
+            bool right = r.lo <= (float)stops + 0.1f && r.hi >= (float)stops - 0.1f;
+            if (r.places >= 10 && !(fabsf(r.log2 - (float)stops) <= 0.1f && right))
+                fail_msg("param %d: %.2f in %.2f..%.2f instead of %d stops by %d places", param,
+                         (double)r.log2, (double)r.lo, (double)r.hi, stops, r.places);
+            told += r.places >= 10;
+        }
+    }
+    assert_true(told >= 24);
+}
+
 /* sRGB is assumed: so far off may a ratio be, per stop. */
 static void test_curves_that_are_not(void **state)
 {
@@ -351,6 +399,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_mosaics),
         cmocka_unit_test(test_curves_that_are_known),
+        cmocka_unit_test(test_log_curves_in_the_dark),
         cmocka_unit_test(test_curves_that_are_not),
         cmocka_unit_test(test_states),
         cmocka_unit_test(test_one_clipped_pixel),
