@@ -253,6 +253,9 @@ static err_t check_floats(const char *path, const char *key, const float *v, int
 
 static err_t check_scene(const char *path, const struct scene *s)
 {
+    if (s->size < 1 || s->size > SIZE_LIMIT_PX)
+        return err_fail(ERR_ARG, "%s: \"size\" %d, allowed are 1 to %d", path, s->size,
+                        SIZE_LIMIT_PX);
     err_t e = check_floats(path, "tone", s->tone.p, TONE_PARAMS);
     if (!e)
         e = check_floats(path, "mid_exposure_log2", &s->tone.mid_log2t, 1);

@@ -6,6 +6,7 @@
 #include "drivers/img.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
+#include "drivers/sidecar.h"
 #include "tests/fault/alloc_fail.h"
 #include "tests/unit/tmpdir.h"
 
@@ -71,18 +72,20 @@ static err_t set(void *ctx)
 static char names[2][NAME_CAP] = {"a.png", "b.png"};
 static float log2t[2] = {-1, 1};
 static struct camera cams[2] = {
-    {W, H, 10, 10, W / 2., H / 2., {1, 0, 0, 0}, {0, 0, 0}},
-    {W, H, 10, 10, W / 2., H / 2., {1, 0, 0, 0}, {1, 0, 0}},
+    {W, W, 10, 10, W / 2., W / 2., {1, 0, 0, 0}, {0, 0, 0}},
+    {W, W, 10, 10, W / 2., W / 2., {1, 0, 0, 0}, {1, 0, 0}},
 };
 
 static err_t write_scene(const struct scene *s)
 {
     const char *ply = tmpdir_path("scene.ply"), *full = tmpdir_path("scene.hdrig"),
-               *tone = tmpdir_path("t.json");
-    unlink(ply), unlink(full), unlink(tone);
+               *tone = tmpdir_path("t.json"), *side = tmpdir_path("scene.json");
+    unlink(ply), unlink(full), unlink(tone), unlink(side);
     err_t e = removed(ply_write(ply, s), ply);
     if (!e)
         e = removed(scenefile_write(full, s), full);
+    if (!e)
+        e = removed(sidecar_write(ply, s), side);
     return e ? e : removed(scenefile_write_tone(tone, &s->tone), tone);
 }
 
@@ -96,6 +99,8 @@ static err_t read_scene(struct arena *a)
     err_t e = ply_peek(tmpdir_path("scene.ply"), &info);
     if (!e)
         e = ply_read(tmpdir_path("scene.ply"), info.ev, a, &g, &report);
+    if (!e)
+        e = sidecar_read(tmpdir_path("scene.ply"), info.ev, a, &back);
     if (!e)
         e = scenefile_peek(tmpdir_path("scene.hdrig"), &full);
     return e ? e : scenefile_read(tmpdir_path("scene.hdrig"), a, &back);
@@ -168,6 +173,7 @@ static int make_set(void **state)
         assert_int_equal(img_write_png(tmpdir_path(name), &im), OK);
         fprintf(f, "%c\"%d.png\": %d", i ? ',' : '{', i, i + 1);
         views[i] = (struct rig_view){.cam = cams[0]};
+        views[i].cam.h = H;
         snprintf(views[i].name, NAME_CAP, "%d.png", i);
     }
     fputs("}\n", f);

@@ -4,6 +4,7 @@
 #include "drivers/json.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
+#include "drivers/sidecar.h"
 #include "firmware/publish.h"
 #include "tests/unit/small_job.h"
 #include "tests/unit/tmpdir.h"
@@ -45,6 +46,8 @@ static void everything_is_there_and_can_be_read(void **state)
     struct cJSON *doc;
     struct scenefile_info scene;
     struct ply_info ply;
+    int n_views;
+    size_t need;
     struct rig rig;
     struct image8 ldr;
     struct image hdr;
@@ -54,6 +57,8 @@ static void everything_is_there_and_can_be_read(void **state)
     assert_int_equal(scene.n, SPLATS);
     assert_int_equal(ply_peek(tmpdir_path("out/scene.ply"), &ply), OK);
     assert_int_equal(ply.n, SPLATS);
+    assert_int_equal(sidecar_peek(tmpdir_path("out/scene.ply"), &n_views, &need), OK);
+    assert_int_equal(n_views, SMALL_VIEWS);
     assert_int_equal(cameras_read(tmpdir_path("out/cameras.json"), &rig), OK);
     assert_int_equal(rig.n, SMALL_VIEWS);
     assert_true(rig.views[1].has_exposure && rig.views[1].exposure_log2 == 1.0f);

@@ -131,6 +131,9 @@ static void what_cannot_be_read_is_not_written(void **state)
     s = make();
     s.background[2] = NAN;
     assert_int_equal(sidecar_write(path, &s), ERR_ARG);
+    s = make();
+    s.size = 0;
+    assert_int_equal(sidecar_write(path, &s), ERR_ARG);
     assert_false(file_exists(tmpdir_path("bad.json")));
     assert_int_equal(symlink("/dev/full", tmpdir_path("full.json")), 0);
     s = make();
