@@ -41,14 +41,15 @@ field() { # name, of the answer
     sed "s/.*\"$1\":\"\\([^\"]*\\)\".*/\\1/" <<<"$answer"
 }
 
-# The value of an expression in the page.
+# The value of an expression in the page, also one that it promises.
 value() {
-    call Runtime.evaluate "{\"expression\":\"String($1)\",\"awaitPromise\":true}"
+    call Runtime.evaluate "{\"expression\":\"Promise.resolve($1).then(String)\",
+        \"awaitPromise\":true}"
     field value
 }
 
 wait_for() { # expression value
-    for _ in $(seq 100); do
+    for _ in $(seq 300); do
         [ "$(value "$1")" = "$2" ] && return
         sleep 0.1
     done

@@ -1,0 +1,297 @@
+#!/usr/bin/env bash
+# The page of a scene in a browser that draws in software: its pictures are those of hdrig render,
+# it asks nobody for anything, its controls do what they say.
+. tests/e2e/common.bash
+. tests/e2e/browser.bash
+ANGLE="--use-angle=swiftshader --enable-unsafe-swiftshader"
+
+# What every page of this script has: a list of what went wrong, and pictures as base64.
+read -r -d '' HELP <<'END'
+window.errors = [];
+for (const kind of ['error', 'unhandledrejection', 'securitypolicyviolation'])
+  addEventListener(kind, (e) => errors.push(e.message || e.reason || e.blockedURI));
+console.error = console.warn = (...what) => errors.push(what.join(' '));
+async function display(view, ev) {
+  const c = document.getElementById('view');
+  c.style.width = c.style.height = viewer.info.size + 'px';
+  viewer.go(view);
+  viewer.setExposure(ev);
+  await viewer.settled();
+  viewer.draw();
+  return c.toDataURL().split(',')[1];
+}
+function numbers() {
+  const c = document.getElementById('view');
+  const bytes = new Uint8Array(viewer.radiance(0, 0, c.width, c.height).buffer);
+  return btoa(Array.from(bytes, (v) => String.fromCharCode(v)).join(''));
+}
+async function redrawn() {
+  const start = performance.now();
+  viewer.setCamera(viewer.state.cam);
+  await viewer.settled();
+  viewer.draw();
+  viewer.radiance(0, 0, 1, 1);
+  return performance.now() - start;
+}
+END
+
+open_page() { # address
+    call Page.navigate "{\"url\":\"$1\"}"
+    wait_for "window.viewer && viewer.firstPicture() > 0" true
+}
+
+# Nothing was complained about, nothing was loaded but the worker from within.
+quiet() { # page
+    [ "$(value "errors.join('; ')")" = "" ] || fail "$1: $(value "errors.join('; ')")"
+    [ "$(value "document.getElementById('message').hidden")" = true ] ||
+        fail "$1: $(value "document.getElementById('message').textContent")"
+    loaded=$(value "performance.getEntriesByType('resource').map((r) => r.name).filter((n) =>
+        !/^(blob|data):/.test(n)).join(' ')")
+    [ "$loaded" = "" ] || fail "$1: $loaded was loaded"
+    [ "$(value "document.getElementById('view').getContext('webgl2').getError()")" = 0 ] ||
+        fail "$1: an error of WebGL"
+}
+
+# PSNR at least, largest difference, median and 0.99 quantile of relative differences at most. Single
+# pixels differ by more: at the rim of a bright splat, alpha is just above 1/255 or just below.
+same_picture() { # scene view ev psnr codes median most
+    local ref=$OUT/$1/ev$3/frame_000$2 psnr codes median most rest
+    value "display($2, $3)" | base64 -d >"$OUT/page.png"
+    value "numbers()" | base64 -d >"$OUT/page.f32"
+    read -r psnr codes rest < <("$BIN/compare" display "$ref.png" "$OUT/page.png")
+    at_least "$1, view $2, EV $3: PSNR" "$psnr" "$4"
+    at_least "$1, view $2, EV $3: minus largest difference" "-$codes" "-$5"
+    read -r median most rest < <("$BIN/compare" radiance "$ref.exr" "$OUT/page.f32")
+    at_least "$1, view $2, EV $3: minus median of relative differences" "-$median" "-$6"
+    at_least "$1, view $2, EV $3: minus 0.99 quantile" "-$most" "-$7"
+    printf '%-10s view %d EV %3d: %5.1f dB, at most %2d; radiance to %.5f, 99 %% to %.5f\n' \
+        "$1" "$2" "$3" "$psnr" "$codes" "$median" "$most"
+}
+
+scene() { # name kind number ev...
+    local name=$1 ev
+    "$BIN/make_view" "$OUT/$1" "$2" "$3" || exit 1
+    shift 3
+    for ev; do
+        succeed render --scene "$OUT/$name" --path inputs --ev "$ev" --hdr --out "$OUT/$name/ev$ev"
+    done
+}
+
+SOURCE=$(sed 's/\\/\\\\/g; s/"/\\"/g' <<<"$HELP" | tr '\n' ' ')
+browser_open 800 600 $ANGLE
+call Page.enable '{}'
+call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+FILE=file://$(realpath "$OUT")
+
+# every degree, the lamp, 1e-4 to 1e5: within half precision, which is 2^-11
+for degree in 0 1 2 3 4; do
+    scene "degree$degree" thin $degree 0
+    open_page "$FILE/degree$degree/view.html"
+    same_picture "degree$degree" $((degree % 3)) 0 70 8 0.00025 0.0005
+    quiet "degree$degree"
+done
+scene thin thin 1 -12 6
+open_page "$FILE/thin/view.html"
+for ev in -12 6; do
+    for view in 0 1 2; do
+        same_picture thin $view $ev 70 8 0.00025 0.0005
+    done
+done
+
+# opaque: raster.c ends where less than 1e-4 passes, the page does not
+scene walls walls 3000 -6 0
+open_page "$FILE/walls/view.html"
+for ev in -6 0; do
+    same_picture walls 1 $ev 60 16 0.00025 0.0025
+done
+
+# the other colours
+value "viewer.setTone(1)" >/dev/null
+value "display(1, -6)" | base64 -d >"$OUT/page.png"
+srgb=$(value "viewer.info.srgb_ev - 6")
+read -r psnr rest < <("$BIN/compare" srgb "$srgb" "$OUT/walls/ev-6/frame_0001.exr" "$OUT/page.png")
+at_least "sRGB: PSNR" "$psnr" 60
+value "viewer.setTone(2)" >/dev/null
+value "display(1, -6)" | base64 -d >"$OUT/page.png"
+log2t=$(value "viewer.info.middle - 6")
+read -r psnr rest < <("$BIN/compare" false "$log2t" "$OUT/walls/ev-6/frame_0001.exr" "$OUT/page.png")
+at_least "false colours: PSNR" "$psnr" 50
+quiet "other colours"
+
+# the extremes
+for what in "one 0" "dark 0" "near 0" "shapes 0" "scale 1e-5" "scale 1e5"; do
+    read -r kind number <<<"$what"
+    scene "$kind$number" "$kind" "$number" 0
+    open_page "$FILE/$kind$number/view.html"
+    case $kind in
+    scale) same_picture "$kind$number" 2 0 60 16 0.00025 0.0025 ;;
+    *) same_picture "$kind$number" 2 0 60 4 0.0005 0.0025 ;;
+    esac
+    quiet "$what"
+done
+
+# half floats alone, as on many telephones
+call Page.addScriptToEvaluateOnNewDocument '{"source":"
+    const own = WebGL2RenderingContext.prototype.getExtension;
+    window.hidden = window.hidden || /float_blend/;
+    WebGL2RenderingContext.prototype.getExtension = function (name) {
+      return window.hidden.test(name) ? null : own.call(this, name);
+    };"}'
+open_page "$FILE/thin/view.html"
+same_picture thin 1 6 55 12 0.001 0.005
+quiet "half floats"
+call Page.addScriptToEvaluateOnNewDocument '{"source":"window.hidden = /float/;"}'
+call Page.navigate "{\"url\":\"$FILE/thin/view.html\"}"
+wait_for "document.getElementById('message').hidden" false
+grep -q EXT_color_buffer_float <<<"$(value "document.getElementById('message').textContent")" ||
+    fail "no sentence about what the driver lacks"
+browser_close
+
+# ---- what hands do ----
+
+browser_open 800 600 $ANGLE
+call Page.enable '{}'
+call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+open_page "$FILE/walls/view.html"
+
+is() { # expression value
+    local got
+    got=$(value "$1")
+    [ "$got" = "$2" ] || fail "$1 is \"$got\", not \"$2\""
+}
+
+mouse() { # type x y buttons [more]
+    call Input.dispatchMouseEvent \
+        "{\"type\":\"$1\",\"x\":$2,\"y\":$3,\"buttons\":$4,\"button\":\"${6:-left}\"${5:-}}"
+}
+
+drag() { # x y x y [button number]
+    mouse mousePressed "$1" "$2" "${6:-1}" ',"clickCount":1' "${5:-left}"
+    mouse mouseMoved "$3" "$4" "${6:-1}" "" "${5:-left}"
+    mouse mouseReleased "$3" "$4" 0 ',"clickCount":1' "${5:-left}"
+}
+
+press() { # key
+    call Input.dispatchKeyEvent "{\"type\":\"keyDown\",\"key\":\"$1\",\"text\":\"$1\"}"
+    call Input.dispatchKeyEvent "{\"type\":\"keyUp\",\"key\":\"$1\"}"
+}
+
+touch() { # type points
+    call Input.dispatchTouchEvent "{\"type\":\"$1\",\"touchPoints\":[$2]}"
+}
+
+is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" '</title><b>scene</b> & *view*'
+is "document.getElementById('cameras').options[2].text.replace(/\\\\x22/g, '*')" \
+    'view <script> *1*.png'
+is "viewer.state.at" 0
+value "window.before = viewer.state.cam.R.join()" >/dev/null
+drag 400 200 460 200
+is "viewer.state.at" -1
+is "viewer.state.cam.R.join() === before" false
+value "window.before = viewer.state.cam.R.join(), window.t = viewer.state.cam.t.join()" >/dev/null
+drag 400 200 460 230 right 2
+is "viewer.state.cam.R.join() === before" true
+is "viewer.state.cam.t.join() === t" false
+value "window.focus0 = viewer.state.focus" >/dev/null
+mouse mouseWheel 400 200 0 ',"deltaX":0,"deltaY":-240'
+wait_for "viewer.state.focus < 0.9 * focus0" true
+value "viewer.settled()" >/dev/null
+mouse mouseMoved 300 200 0 "" none
+wait_for "/stops|light/.test(document.getElementById('probe').textContent)" true
+press .
+is "viewer.state.at" 1
+press ,
+press ,
+is "viewer.state.at" 2
+press ]
+is "viewer.state.ev" 0.5
+press 3
+is "viewer.state.tone" 2
+is "document.getElementById('legend').hidden" false
+press 1
+is "document.querySelectorAll('#ticks button').length" 3
+value "document.querySelectorAll('#ticks button')[0].click()" >/dev/null
+is "viewer.state.ev" -3
+is "document.getElementById('stops').textContent.slice(1)" "3.0 EV"
+
+# the photograph, at its exposure
+is "document.getElementById('photo').hidden" true
+value "document.getElementById('compare').click()" >/dev/null
+wait_for "document.getElementById('photo').hidden" false
+is "viewer.state.ev" 3
+wait_for "document.getElementById('photo').naturalWidth" 112
+read -r x y < <(value "(() => { const r = document.getElementById('divider').getBoundingClientRect();
+    return [r.left + r.width / 2, r.top + 20].map(Math.round).join(' '); })()" | tr -d '\n')
+drag "$x" "$y" $((x - 60)) "$y"
+is "viewer.state.split < 45" true
+is "viewer.state.at" 2
+drag 400 200 430 200
+wait_for "document.getElementById('photo').hidden" true
+quiet "by hand"
+
+# a telephone
+call Emulation.setDeviceMetricsOverride \
+    '{"width":360,"height":740,"deviceScaleFactor":2,"mobile":true}'
+call Emulation.setTouchEmulationEnabled '{"enabled":true,"maxTouchPoints":5}'
+open_page "$FILE/walls/view.html"
+is "document.documentElement.scrollWidth <= innerWidth" true
+is "document.getElementById('view').clientHeight > 0.6 * innerHeight" true
+is "Array.from(document.querySelectorAll('.row button, header button')).every((b) =>
+    b.clientHeight >= 36)" true
+touch touchStart '{"x":180,"y":300,"id":1}'
+touch touchMove '{"x":220,"y":300,"id":1}'
+touch touchEnd ''
+wait_for "viewer.state.at" -1
+value "window.focus0 = viewer.state.focus" >/dev/null
+touch touchStart '{"x":150,"y":300,"id":1},{"x":210,"y":300,"id":2}'
+touch touchMove '{"x":100,"y":300,"id":1},{"x":260,"y":300,"id":2}'
+touch touchEnd ''
+wait_for "viewer.state.focus < 0.6 * focus0" true
+value "viewer.settled()" >/dev/null
+screenshot "$OUT/telephone.png"
+quiet "telephone"
+browser_close
+
+# ---- hdrig view ----
+
+mkdir "$OUT/bin" "$OUT/empty"
+printf '#!/bin/sh\necho "$1" >"%s/opened"\n' "$(realpath "$OUT")" >"$OUT/bin/xdg-open"
+chmod +x "$OUT/bin/xdg-open"
+unset DISPLAY WAYLAND_DISPLAY BROWSER
+expect 1 "open this file in one: $(realpath "$OUT")/one0/view.html" view "$OUT/one0"
+expect 1 'empty has no view.html: make one with hdrig convert-scene' view "$OUT/empty"
+expect 1 'scene.hdrig is no page: make one with' view "$OUT/one0/scene.hdrig"
+expect 1 'nowhere: no such folder' view "$OUT/nowhere"
+expect 2 'folder of a result is needed' view
+expect 2 'serve needs the folder' view "$OUT/one0/view.html" --serve
+DISPLAY=:99 PATH=$(realpath "$OUT/bin"):$PATH succeed view "$OUT/one0"
+[ "$(cat "$OUT/opened")" = "$(realpath "$OUT")/one0/view.html" ] || fail "the wrong file was opened"
+"$HDRIG" view "$OUT/one0" --serve >"$OUT/serve.txt" 2>"$ERR" &
+server=$!
+browser_open 800 600 $ANGLE
+call Page.enable '{}'
+call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
+for _ in $(seq 50); do
+    [ -s "$OUT/serve.txt" ] && break
+    sleep 0.1
+done
+open_page "$(cat "$OUT/serve.txt")"
+is "errors.join()" ""
+same_picture one0 2 0 60 4 0.0005 0.0025
+kill -INT $server
+wait $server || fail "hdrig view --serve ends with $?"
+
+# ---- speed ----
+
+"$BIN/make_view" "$OUT/many" walls 200000 || exit 1
+open_page "$FILE/many/view.html"
+first=$(value "viewer.firstPicture()")
+value "redrawn()" >/dev/null
+printf '200,000 splats: first picture after %.2f s, whole frame of %s px in %.2f s\n' \
+    "$(awk "BEGIN { print $first / 1000 }")" \
+    "$(value "['width', 'height'].map((k) => document.getElementById('view')[k]).join(' x ')")" \
+    "$(awk "BEGIN { print $(value "redrawn()") / 1000 }")"
+quiet "200,000 splats"
+rm -rf "$OUT/many"
+browser_close
+finish
