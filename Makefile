@@ -1,5 +1,6 @@
 # make            build/hdrig and its libraries     make check   everything that needs no hardware
 # make demo       first scene, in out/latest        make test    without sanitizers and lints
+# make picture    the picture of README.md
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
 # make fuzz       SECONDS= for each target (clang)
@@ -92,7 +93,7 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install deb clean fuzz bench \
-	tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel deps-qemu
+	picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel deps-qemu
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -197,6 +198,27 @@ demo: all
 	@echo
 	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.html"
 	@echo "look at it: open out/latest/view.html in a browser, or build/hdrig view out/latest"
+
+# The picture of README.md: 17 places (a: inputs, b: held out), of each one exposure of five.
+PICTURE := out/picture
+PHOTOS := a_000_0 b_000_1 a_001_2 b_001_3 a_002_4 b_002_1 a_003_0 b_003_3 a_004_2 b_004_1 \
+	a_005_4 b_005_3 a_006_0 b_006_1 a_007_2 b_007_3 a_008_4
+SHOWN := inputs/a_000_0 inputs/b_002_1 inputs/b_005_3 inputs/a_008_4 \
+	$(addsuffix /frame_0005,ev-3 ev0 ev2 false)
+LOOK := build/hdrig render --scene $(PICTURE)/scene --path orbit --frames 8
+picture: all $(B)/tests/e2e/picture
+	build/hdrig simulate --kind room --seed 5 --views 9 --size 448 --samples 4 --spread 0.2 \
+	    --out $(PICTURE)/world
+	rm -rf $(PICTURE)/inputs && mkdir $(PICTURE)/inputs
+	for p in $(PHOTOS); do \
+	    name=$$(echo $$p | sed 's/a_/train_ldr_/; s/b_/test_ldr_/'); \
+	    cp $(PICTURE)/world/images/$$name.png $(PICTURE)/inputs/$$p.png || exit; done
+	sed 's/train_ldr_/a_/; s/test_ldr_/b_/' $(PICTURE)/world/exposure.json \
+	    >$(PICTURE)/inputs/exposure.json
+	build/hdrig reconstruct --images $(PICTURE)/inputs --rig none --out $(PICTURE)/scene
+	for ev in -3 0 2; do $(LOOK) --ev $$ev --out $(PICTURE)/ev$$ev || exit; done
+	$(LOOK) --false-colour --out $(PICTURE)/false
+	$(B)/tests/e2e/picture tests/data/readme.png 1008 4 $(SHOWN:%=$(PICTURE)/%.png)
 
 bench: all
 	build/hdrig bench --what all
