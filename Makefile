@@ -106,7 +106,7 @@ build/hdrig build/hdrigd: build/%: build/$(V)/%
 
 # The model that comes with the program, from the weights that training can go on from.
 MODEL := sim/train/small.safetensors
-build/small.hdrig: $(MODEL) | $(B)/hdrig
+build/small.hdrig: $(MODEL) core/net/pack.c core/net/table.c | $(B)/hdrig
 	$(B)/hdrig convert $< --config $(MODEL:.safetensors=.json) --precision int8 --out $@ \
 	    2>build/small.log || { cat build/small.log; exit 1; }
 

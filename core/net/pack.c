@@ -69,15 +69,22 @@ static void rotate(float *row, size_t k, int edge)
     c.hadamard(row, (int)k, edge);
 }
 
-static float quantise(const float *row, size_t k, int8_t *out)
+/* step: from a weight to the next one of the same input channel, k if there is none. What rounding
+ * took from the one is given to the other: neighbouring pixels are alike, and where the weights of
+ * a kernel nearly cancel, independent errors would outweigh their sum. */
+static float quantise(float *row, size_t k, size_t step, int8_t *out)
 {
     float top = 0;
     for (size_t i = 0; i < k; i++)
         top = fmaxf(top, fminf(fabsf(row[i]), FLT_MAX));
     float inv = top < FLT_MIN ? 0 : 127.0f / top;
+    for (size_t i = 0; i < k; i++)
+        row[i] = isnan(row[i] * inv) ? 0 : row[i] * inv;
     for (size_t i = 0; i < k; i++) {
-        float v = row[i] * inv;
-        out[i / 4 * 4 * PANEL + i % 4] = isnan(v) ? 0 : to_s8(v);
+        int8_t q = to_s8(row[i]);
+        if (i + step < k)
+            row[i + step] += row[i] - (float)q;
+        out[i / 4 * 4 * PANEL + i % 4] = q;
     }
     return top < FLT_MIN ? 0 : top / 127.0f;
 }
@@ -86,14 +93,14 @@ void pack_panel(const struct tensor_spec *t, enum precision type, int p, const f
                 const struct pack *to)
 {
     int n = table_product(t).n, edge = model_rotation(t, type);
-    size_t k = inputs(t);
+    size_t k = inputs(t), step = t->role == ROLE_CONV ? (size_t)t->shape[1] : k;
     memset(to->out, 0, pack_panel_bytes(t, type));
     for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
         gather(t, p * PANEL + j, in, to->row);
         if (type == PRECISION_S8) {
             if (edge)
                 rotate(to->row, k, edge);
-            to->scale[j] = quantise(to->row, k, (int8_t *)to->out + 4 * j);
+            to->scale[j] = quantise(to->row, k, step, (int8_t *)to->out + 4 * j);
         } else if (type == PRECISION_BF16) {
             for (size_t i = 0; i < k; i++)
                 ((uint16_t *)to->out)[i * PANEL + (size_t)j] = to_bf16(to->row[i]);

@@ -110,7 +110,8 @@ static void check_product(const struct model *m, const struct tensor_spec *t, co
     assert_true((uintptr_t)w.panels % 64 == 0 && !w.scale == (w.type != PRECISION_S8));
     for (int o = 0; o < w.n; o++) {
         static float row[20000]; // more than any k
-        float bound = 0, step = w.type == PRECISION_F32 ? 0 : 0x1p-8f;
+        /* kernels hand what rounding took on, so up to twice of it is missing */
+        float bound = 0, step = w.type == PRECISION_F32 ? 0 : w.segs > 1 ? 0x1p-7f : 0x1p-8f;
         for (int i = 0; i < weight_k(&w); i++)
             row[i] = want[table_source(t, o, i)];
         if (w.rotate)
@@ -377,10 +378,12 @@ static void numbers_are_checked(void **state)
     assert_int_equal(parse_value("encoder.hdr_conv.2.bias", 83, NAN), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "encoder.hdr_conv.2.bias: element 83 is not finite"));
     assert_int_equal(parse_value("encoder.hdr_conv.2.weight", 3, INFINITY), ERR_FORMAT);
-    assert_int_equal(parse_value("encoder.hdr_conv.0.weight_scale", 1, NAN), ERR_FORMAT);
-    assert_int_equal(parse_value("encoder.hdr_conv.0.weight_scale", 1, -1), ERR_FORMAT);
+    assert_int_equal(parse_value("encoder.generate_tonemapper.enc.0.weight_scale", 1, NAN),
+                     ERR_FORMAT);
+    assert_int_equal(parse_value("encoder.generate_tonemapper.enc.0.weight_scale", 1, -1),
+                     ERR_FORMAT);
     assert_non_null(strstr(err_text(), "weight_scale: element 1 is -1, must be >= 0"));
-    assert_int_equal(parse_value("encoder.hdr_conv.0.weight_scale", 1, 0), OK);
+    assert_int_equal(parse_value("encoder.generate_tonemapper.enc.0.weight_scale", 1, 0), OK);
 }
 
 static void damage_is_found_anywhere(void **state)
