@@ -15,8 +15,6 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-extern char **environ;
-
 static const struct video_format formats[] = {
     {"H.264", "libx264", "-crf", "18"},
     {"H.264", "libopenh264", "-b:v", "8M"},
