@@ -23,6 +23,11 @@ struct codes { // display values at another exposure
     uint8_t z[3][256];
 };
 
+static int photographs(const struct views *v)
+{
+    return v->n + v->n_more;
+}
+
 static bool seen_well(int brightest)
 {
     return brightest >= FIGURES_DARK && brightest < FIGURES_CLIPPED;
@@ -48,7 +53,7 @@ static bool seen_elsewhere(const uint8_t *rgb, const struct codes *other, int n)
 static double next_exposure(const struct views *v, double last)
 {
     double next = INFINITY;
-    for (int i = 0; i < v->n; i++)
+    for (int i = 0; i < photographs(v); i++)
         if ((double)v->log2t[i] > last + MERGE && (double)v->log2t[i] < next)
             next = (double)v->log2t[i];
     return next;
@@ -151,6 +156,7 @@ static void report_input(const struct job_result *j, int i, const struct figures
 {
     static const char *const colour[3] = {"red", "green", "blue"};
     const struct views *v = &j->views;
+    const struct camera *cams = j->measured_only ? v->cams : j->scene.cams; // refined, if they were
     double row[FIGURES_BINS];
     report_open(rep, NULL, '{');
     report_text(rep, "name", v->names[i]);
@@ -160,8 +166,7 @@ static void report_input(const struct job_result *j, int i, const struct figures
     report_number(rep, "dark", in->dark);
     report_number(rep, "alone", in->alone);
     report_number(rep, "psnr", j->input_db ? (double)j->input_db[i] : NAN);
-    if (v->cams || i < j->scene.n_views)
-        report_camera(v->cams ? &v->cams[i] : &j->scene.cams[i], rep);
+    report_camera(&cams[i < v->n ? i : v->place[i - v->n]], rep);
     report_open(rep, "histogram", '{');
     for (int c = 0; c < 3; c++) {
         for (int k = 0; k < FIGURES_BINS; k++)
@@ -196,7 +201,7 @@ static void report_photographs(const struct job_result *j, struct report *rep)
     struct figures_input in;
     figures_init(&f, &j->views, &j->scene.tone);
     report_open(rep, "inputs", '[');
-    for (int i = 0; i < j->views.n; i++) {
+    for (int i = 0; i < photographs(&j->views); i++) {
         figures_input(&f, i, &in);
         report_input(j, i, &in, rep);
     }
@@ -340,13 +345,13 @@ static void warn_exposures(const struct figures *f, struct job_result *j)
 static void warn_views(struct job_result *j)
 {
     double median;
-    if (!j->input_db || j->views.n < 3 ||
-        metrics_quantile(j->input_db, (size_t)j->views.n, 0.5, &median) != OK)
+    int n = photographs(&j->views);
+    if (!j->input_db || n < 3 || metrics_quantile(j->input_db, (size_t)n, 0.5, &median) != OK)
         return;
-    for (int i = 0; i < j->views.n; i++)
+    for (int i = 0; i < n; i++)
         if ((double)j->input_db[i] < median - 8 && j->input_db[i] < 22)
             job_warn(j,
-                     "%s fits the scene %.0f dB worse than the other views: look whether its "
+                     "%s fits the scene %.0f dB worse than the others: look whether its "
                      "camera or something in the scene moved, or its exposure is wrong; take it "
                      "again or leave it away",
                      j->views.names[i], median - (double)j->input_db[i]);
@@ -359,7 +364,7 @@ void figures_warn(struct job_result *j)
     if (j->views.n == 0)
         return;
     figures_init(&f, &j->views, &j->scene.tone);
-    for (int i = 0; i < j->views.n; i++)
+    for (int i = 0; i < photographs(&j->views); i++)
         figures_input(&f, i, &in);
     warn_exposures(&f, j);
     warn_views(j);

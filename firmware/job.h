@@ -64,7 +64,7 @@ struct job_result {
     double start_s, lap_s; // of the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
-    float *input_db;            // (views.n) dB of each, in keep, NAN until then; NULL: not rendered
+    float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
     bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
     const char *precision;      // of the network; NULL: none was used

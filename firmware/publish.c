@@ -36,7 +36,7 @@ static uint64_t result_bytes(const struct job_result *j, const struct outdir *o)
     uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
     return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
-           sheet_bytes(s->n_views) + viewer_bytes(&viewer);
+           sheet_bytes(j->views.n + j->views.n_more) + viewer_bytes(&viewer);
 }
 
 /* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
@@ -62,23 +62,32 @@ struct pictures {
     double psnr;    // sum over the views
 };
 
-static err_t write_view(struct pictures *p, int i)
+/* Photograph i beside what was drawn last, which stays in draw.display. */
+static err_t compare(struct pictures *p, int i)
 {
-    const struct scene *s = &p->j->scene;
-    const size_t values = 3 * (size_t)s->size * (size_t)s->size;
-    char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
-    size_t clipped = 0;
-    err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
-    if (e)
-        return e;
-    draw_display(&p->draw, s->log2t[i]);
-    const uint8_t *photograph = p->j->views.rgb + values * (size_t)i;
+    const struct views *v = &p->j->views;
+    const size_t values = 3 * (size_t)v->size * (size_t)v->size;
+    const uint8_t *photograph = v->rgb + values * (size_t)i;
+    draw_display(&p->draw, v->log2t[i]);
     double mse = squared_error(&p->draw.display, photograph) / (double)values;
     double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
     p->psnr += psnr;
     p->j->input_db[i] = (float)psnr;
+    return sheet_picture(p->sheet, i, v->size, photograph, &p->draw.display);
+}
+
+static err_t write_view(struct pictures *p, int i)
+{
+    const struct scene *s = &p->j->scene;
+    const struct views *v = &p->j->views;
+    char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
+    size_t clipped = 0;
+    err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
+    for (int k = views_next(v, i, i); k >= 0 && !e; k = views_next(v, i, k))
+        e = compare(p, k);
+    if (!e)
+        e = compare(p, i); // the one whose exposure is written
     job_lap(p->j, JOB_RENDER);
-    e = sheet_picture(p->sheet, i, s->size, photograph, &p->draw.display);
     draw_name("ldr", s->names[i], "png", name);
     if (!e)
         e = outdir_path(p->o, name, path);
@@ -107,7 +116,7 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
             r->progress(r->progress_ctx, "write", i + 1, s->n_views, NULL);
     }
     arena_reset(r->tmp, mark);
-    j->input_psnr = p.psnr / s->n_views;
+    j->input_psnr = p.psnr / (j->views.n + j->views.n_more);
     if (p.clipped)
         job_warn(
             j,

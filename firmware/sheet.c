@@ -200,7 +200,7 @@ err_t sheet_write(const char *path, const struct job_result *j, const char *json
     const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
     struct sheet s;
     err_t e = sheet_open(path, &s);
-    for (int i = 0; i < v->n && !e; i++)
+    for (int i = 0; i < v->n + v->n_more && !e; i++)
         e = sheet_picture(&s, i, v->size, v->rgb + bytes * (size_t)i, NULL);
     if (!e)
         return sheet_close(&s, json);

@@ -74,7 +74,8 @@ function head() {
   document.getElementById("summary").append(
     `${plural(report.views, "view")} of ${report.size[0]} x ${report.size[1]} px`,
     exposures.length ? ` at ${plural(exposures.length, "exposure")}` : "",
-    `, modelled by ${plural(report.gaussians, "splat")}`);
+    `, modelled by ${plural(report.gaussians, "splat")}. `,
+    "test_views" in report ? "" : element("a", { href: "view.html" }, "Look at the scene"));
   const range = Math.max(...exposures.map((e) => e.radiance_stops[1])) -
     Math.min(...exposures.map((e) => e.radiance_stops[0]));
   const tiles = [
@@ -240,11 +241,11 @@ function plan(cameras, across, upward, caption) {
     const corner = (a, b) => [x + reach * (f[0] + half * (a * s[0] + b * u[0])),
       y + reach * (f[1] + half * (a * s[1] + b * u[1]))];
     const cone = [corner(-1, -1), corner(1, -1), corner(1, 1), corner(-1, 1)];
-    return element("g", {}, element("title", {}, `${i + 1}  ${inputs[i].name}`),
+    return element("g", {}, element("title", {}, c.name),
       polyline([...cone, cone[0]], { class: "view" }),
       ...cone.map((p) => line(x, y, p[0], p[1], "view")),
       element("circle", { class: "dot", cx: x, cy: y, r: 2.5 }),
-      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, String(i + 1)) : null);
+      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, String(c.number)) : null);
   };
   const drawing = svg(size, size, ...cameras.map(draw));
   drawing.setAttribute("aria-label", caption);
@@ -268,8 +269,9 @@ function cameraWords() {
 }
 
 function cameras() {
-  const all = inputs.map((v) => v.camera).filter(Boolean);
-  if (!all.length || all.length < inputs.length) return;
+  const seen = new Set(); // exposures of one place have one camera
+  const all = inputs.map((v, i) => ({ ...v.camera, name: `${i + 1}  ${v.name}`, number: i + 1 }))
+    .filter((c) => !seen.has(String(c.centre)) && seen.add(String(c.centre)));
   const { right, up, ahead } = frame(all);
   const focal = all.map((c) => c.focal_px), angle = all.map((c) => c.fov_deg);
   const span = (list, digits) => {

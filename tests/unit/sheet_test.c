@@ -131,6 +131,27 @@ static void equal_and_many_exposures(void **state)
     assert_int_equal(f.exposure[f.n - 1].n, 1 + MOST - FIGURES_EXPOSURES);
 }
 
+/* Photographs of one place count like any others. */
+static void brackets(void **state)
+{
+    (void)state;
+    struct figures_input in;
+    int place[2] = {0, 0};
+    memset(rgb[2], 240, sizeof rgb[2]); // x = 2.77, six stops below -3.23: still seen well
+    views.n_more = 2;
+    views.place = place;
+    views.n = 1;
+    memcpy(log2t, (const float[]){0, -6, 6}, 3 * sizeof *log2t);
+    figures_init(&f, &views, &tone);
+    assert_int_equal(f.n, 3);
+    figures_input(&f, 2, &in);
+    near(in.alone, 0);
+    memset(rgb[1], 128, sizeof rgb[1]);
+    figures_input(&f, 1, &in);
+    near(in.alone, 1); // clipped at the others
+    views.n_more = 0;
+}
+
 /* ---- warnings ---- */
 
 static struct small_job job;
@@ -483,19 +504,13 @@ static void trouble_leaves_no_file(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(shares_of_a_picture),
-        TEST(what_one_exposure_sees_alone),
-        TEST(equal_and_many_exposures),
-        JOB_TEST(every_warning),
-        JOB_TEST(the_view_that_does_not_fit),
-        JOB_TEST(cameras_in_the_report),
-        JOB_TEST(the_nearest_family),
-        JOB_TEST(no_curve_at_all),
-        JOB_TEST(names_cannot_end_the_data),
-        JOB_TEST(small_and_alone),
-        JOB_TEST(photograph_scene_and_distance),
-        JOB_TEST(a_photograph_alone),
-        JOB_TEST(trouble_leaves_no_file),
+        TEST(shares_of_a_picture),       TEST(what_one_exposure_sees_alone),
+        TEST(equal_and_many_exposures),  TEST(brackets),
+        JOB_TEST(every_warning),         JOB_TEST(the_view_that_does_not_fit),
+        JOB_TEST(cameras_in_the_report), JOB_TEST(the_nearest_family),
+        JOB_TEST(no_curve_at_all),       JOB_TEST(names_cannot_end_the_data),
+        JOB_TEST(small_and_alone),       JOB_TEST(photograph_scene_and_distance),
+        JOB_TEST(a_photograph_alone),    JOB_TEST(trouble_leaves_no_file),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
