@@ -708,13 +708,13 @@ const upward = (() => { // of the mean view
   return length > 0.1 ? sum.map((v) => v / length) : null;
 })();
 
-/* Angles, rad, around the focus. */
+/* Around the focus, rad: what is before it goes right and down. */
 function orbit(yaw, pitch) {
   const cam = state.cam, up = upward || row(cam.R, 1).map((v) => -v);
   const pivot = centreOf(cam).map((v, k) => v + state.focus * cam.R[6 + k]);
   const now = Math.acos(Math.max(-1, Math.min(1, dot(row(cam.R, 2), up))));
   const goal = Math.max(0.1, Math.min(Math.PI - 0.1, now + pitch));
-  cam.R = turned(cam.R, up, yaw);
+  cam.R = turned(cam.R, up, -yaw);
   cam.R = turned(cam.R, row(cam.R, 0), now - goal);
   place(cam, pivot.map((v, k) => v - state.focus * cam.R[6 + k]));
   moved();
@@ -813,7 +813,7 @@ function openKeys() {
 const signed = (v) => (v < 0 ? "\u2212" : v > 0 ? "+" : "") + Math.abs(v).toFixed(1);
 
 function digits(v) {
-  return v === 0 ? "0" : v < 1e-3 || v >= 1e4 ? v.toExponential(1) : v.toPrecision(3);
+  return v === 0 ? "0" : v < 1e-3 || v >= 1e4 ? v.toExponential(1) : v.toPrecision(v < 0.1 ? 2 : 3);
 }
 
 function showProbe() {
@@ -824,8 +824,8 @@ function showProbe() {
   if (x < 0 || y < 0 || x >= gpu.pw || y >= gpu.ph) return;
   const [r, g, b] = radiance(x, y, 1, 1);
   const light = 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  byId("probe").textContent = [r, g, b].map(digits).join("  ") + "\n" +
-    (light > 0 ? `${signed(Math.log2(light) + info.middle)} stops` : "no light");
+  byId("probe").textContent = [r, g, b].map(digits).join(" ") +
+    (light > 0 ? `  ${signed(Math.log2(light) + info.middle)} stops` : "  no light");
 }
 
 function showCamera() {

@@ -184,10 +184,12 @@ is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" '</title>
 is "document.getElementById('cameras').options[2].text.replace(/\\\\x22/g, '*')" \
     'view <script> *1*.png'
 is "viewer.state.at" 0
-value "window.before = viewer.state.cam.R.join()" >/dev/null
-drag 400 200 460 200
+value "window.from = centreOf(viewer.state.cam), window.axes = viewer.state.cam.R" >/dev/null
+drag 400 200 460 230
 is "viewer.state.at" -1
-is "viewer.state.cam.R.join() === before" false
+# what is before the middle follows the pointer: the camera goes the other way
+value "window.way = centreOf(viewer.state.cam).map((v, k) => v - from[k])" >/dev/null
+is "dot(way, row(axes, 0)) < 0 && dot(way, row(axes, 1)) < 0" true
 value "window.before = viewer.state.cam.R.join(), window.t = viewer.state.cam.t.join()" >/dev/null
 drag 400 200 460 230 right 2
 is "viewer.state.cam.R.join() === before" true
