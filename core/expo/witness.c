@@ -23,6 +23,7 @@ enum { BLOCK = 8, WRONG = WITNESS_PLACES / 50 };
 
 #define LOG2E 1.44269504f
 #define DARK_DISPLAY 8    // codes: capture notes 4.2
+#define ABOVE_BLACK 4.0f  // of the exposure of code 1: curves recovered from noise end too high
 #define DARK_LINEAR 8     // codes above black
 #define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG
 #define STEP_LINEAR 0.29f // rounding
@@ -65,7 +66,8 @@ static void scale_init(const struct raw *px, const struct crf *crf, struct scale
     for (int c = 0; c < 3; c++) {
         for (int i = 0; i < 256 && !px->linear; i++)
             s->table[c][i] = exp2f(crf->log2x[c][i]);
-        s->dark[c] = px->linear ? DARK_LINEAR * s->unit : s->table[c][DARK_DISPLAY];
+        s->dark[c] = px->linear ? DARK_LINEAR * s->unit
+                                : fmaxf(s->table[c][DARK_DISPLAY], ABOVE_BLACK * s->table[c][1]);
     }
 }
 

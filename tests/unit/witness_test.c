@@ -198,6 +198,28 @@ static void test_log_curves_in_the_dark(void **state)
     assert_true(told >= 24);
 }
 
+/* A curve that was recovered from noise makes light of black. */
+static void test_black_that_is_light(void **state)
+{
+    struct witness a, b;
+    struct witness_ratio r;
+    struct curve c;
+    struct crf crf;
+    (void)state;
+    make_scene(2.0f, 41);
+    curve_make(CURVE_LOG, 8.0f, 0, &c);
+    crf_of(&c, &crf);
+    for (int i = 0; i < 3 * 24; i++) // as a calibration had it
+        crf.log2x[i / 24][i % 24] = fmaxf(crf.log2x[i / 24][i % 24], -10.5f + 0.085f * (i % 24));
+    take_display(0.06, 1, &c, &crf, &b);
+    for (int stops = 4; stops <= 7; stops++) {
+        take_display(0.06 * exp2(-stops), 2, &c, &crf, &a);
+        witness_compare(&a, &b, &r);
+        if (!(r.places >= 10 && fabsf(r.log2 - (float)stops) <= 0.1f))
+            fail_msg("%.2f instead of %d stops by %d places", (double)r.log2, stops, r.places);
+    }
+}
+
 /* sRGB is assumed: so far off may a ratio be, per stop. */
 static void test_curves_that_are_not(void **state)
 {
@@ -400,6 +422,7 @@ int main(void)
         cmocka_unit_test(test_mosaics),
         cmocka_unit_test(test_curves_that_are_known),
         cmocka_unit_test(test_log_curves_in_the_dark),
+        cmocka_unit_test(test_black_that_is_light),
         cmocka_unit_test(test_curves_that_are_not),
         cmocka_unit_test(test_states),
         cmocka_unit_test(test_one_clipped_pixel),
