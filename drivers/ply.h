@@ -5,7 +5,8 @@
  * display.h at display_ev of the tone curve: unclamped sRGB, up to degree 3.
  * Radiance is in the extra properties "ushort ihdr_log_0..3K-1": half floats of the natural-log
  * radiance harmonics, K per colour, all of red first: radiance of 1e-7 to 1e7 to within 0.5 % at
- * degree 0. scene.hdrig keeps all bits.
+ * degree 0. scene.hdrig keeps all bits. Programs that turn splats turn f_rest, but know nothing of
+ * ihdr_log_*: take these out of a turned file of degree > 0.
  * Comments "ihdr ev X", "ihdr mid_exposure_log2 X", "ihdr background R G B" say what a program
  * needs that has only this file; the tone curve and the cameras are in sidecar.h.
  * thread: any. */
