@@ -43,7 +43,7 @@ field() { # name, of the answer
 
 # The value of an expression in the page, also one that it promises.
 value() {
-    call Runtime.evaluate "{\"expression\":\"Promise.resolve($1).then(String)\",
+    call Runtime.evaluate "{\"expression\":\"Promise.resolve(($1)).then(String)\",
         \"awaitPromise\":true}"
     field value
 }

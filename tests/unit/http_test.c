@@ -158,6 +158,40 @@ static void only_files_of_results_are_served(void **state)
             fail_msg("%s: %s", no[i], reply);
 }
 
+static void put_result(void)
+{
+    mkdir(results, 0755);
+    mkdir(tmpdir_path("results/b-1"), 0755);
+    tmpdir_text("results/b-1/view.html", "<!doctype html>");
+}
+
+/* Pages of results have their scripts inside; these may ask nobody, not even the daemon. */
+static void pages_of_results(void **state)
+{
+    (void)state;
+    put_result();
+    open_page("");
+    assert_int_equal(ask("GET", "/results/b-1/view.html", ""), 200);
+    assert_true(says("text/html") && says("script-src 'unsafe-inline'") &&
+                says("default-src 'none'"));
+    assert_false(says("connect-src") || says("default-src 'self'"));
+    assert_int_equal(ask("GET", "/", ""), 200);
+    assert_false(says("unsafe-inline"));
+}
+
+static void results_alone(void **state)
+{
+    (void)state;
+    struct http_config c = {.address = "127.0.0.1", .token = "", .results = results};
+    put_result();
+    assert_int_equal(http_open(&c, &h), OK);
+    assert_int_equal(ask("GET", "/results/b-1/view.html", ""), 200);
+    assert_int_equal(ask("GET", "/", ""), 404);
+    assert_int_equal(ask("GET", "/status.json", ""), 404);
+    assert_int_equal(ask("GET", "/captures/b-1/manifest.json", ""), 404);
+    assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 405);
+}
+
 static void commands_need_the_header(void **state)
 {
     (void)state;
@@ -259,6 +293,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(the_page_and_the_state, set_up, tear_down),
         cmocka_unit_test_setup_teardown(only_files_of_results_are_served, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(pages_of_results, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(results_alone, set_up, tear_down),
         cmocka_unit_test_setup_teardown(commands_need_the_header, set_up, tear_down),
         cmocka_unit_test_setup_teardown(other_names_are_refused, set_up, tear_down),
         cmocka_unit_test_setup_teardown(a_token_guards_everything, set_up, tear_down),
