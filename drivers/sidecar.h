@@ -23,9 +23,9 @@ MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
 MUST_USE err_t sidecar_check_place(const char *splats);
 
 /* Write everything of s but its splats.
- * err:  ERR_ARG (a number that is not finite, a size below 1; NAME.json is somebody else's), ERR_FORMAT (a camera that
- *       cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is
- *       removed. */
+ * err:  ERR_ARG (a number that is not finite, a size below 1; as sidecar_check_place), ERR_FORMAT
+ *       (a camera that cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial
+ *       file is removed. */
 MUST_USE err_t sidecar_write(const char *splats, const struct scene *s);
 
 /* Views of the sidecar of `splats`; 0 and *need 0 if there is no such file.
