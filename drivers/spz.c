@@ -3,9 +3,9 @@
  * batches straight into the planes of struct gaussians: once to see which records there are, for
  * version 3 has them at its very end, and once more to keep the numbers.
  * Source: load-spz.cc of the reference; that reads 4 as 3 reads, with other packing.
- * What is checked: magic, version, number of splats against GAUSSIANS_MAX and the bytes of the file
- * (as the reference does), degree, fractional bits; of version 4 the table: sizes that the header
- * gives, nothing missing or left over; of records: length within the stream, ours in all fields. */
+ * What is checked: magic, version, number of splats against GAUSSIANS_MAX and what gzip can do,
+ * degree, fractional bits; of version 4 the table: sizes that the header gives, nothing missing or
+ * left over; of records: length within the stream, ours in all fields. */
 #include "drivers/spz.h"
 
 #include "core/base/bytes.h"
@@ -23,7 +23,7 @@
 enum {
     FRACTIONAL_MAX = 30,
     RECORD_AXES = (int)0xadbe0003, // "SPZ_ADOBE_coordinate_system"
-    UNPACKING_MAX = 1024           // no stream of splats shrinks as much
+    GZIP_RATIO_MAX = 1032          // nothing shrinks more
 };
 
 static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
@@ -87,7 +87,8 @@ static err_t take_header(const struct spz_bytes *f, const uint8_t *h, struct lay
     if (version < 2 || version > 4)
         return err_fail(ERR_UNSUPPORTED, "%s: version %u of SPZ, 2 to 4 are read", f->what,
                         version);
-    if (n > GAUSSIANS_MAX || (uint64_t)n * 9 > (uint64_t)f->n * UNPACKING_MAX)
+    bool impossible = version < 4 && (uint64_t)n * 9 > (uint64_t)f->n * GZIP_RATIO_MAX;
+    if (n > GAUSSIANS_MAX || impossible)
         return err_fail(ERR_FORMAT, "%s: %u splats in %zu bytes, at most %d are read", f->what, n,
                         f->n, GAUSSIANS_MAX);
     if (l->degree > SH_DEGREE_MAX)

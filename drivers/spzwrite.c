@@ -105,7 +105,8 @@ static void put_position(const struct plan *p, int i, uint8_t *b)
 {
     for (int k = 0; k < 3; k++, b += 3) {
         double x = (double)p->g->plane[G_MU + k][i] * splats_sign(G_MU + k, SPLATS_RUB);
-        int32_t v = (int32_t)lrint(ldexp(x * (double)p->unit, p->fractional));
+        double step = ldexp(x * (double)p->unit, p->fractional);
+        int32_t v = (int32_t)lrint(fmin(fmax(step, -SPZ_POSITION_MAX), SPZ_POSITION_MAX));
         b[0] = (uint8_t)v;
         b[1] = (uint8_t)(v >> 8);
         b[2] = (uint8_t)(v >> 16);
