@@ -205,6 +205,8 @@ static void every_warning(void **state)
     assert_int_equal(job.result.n_warnings, 1);
     warn((const float[]){2, -2}, 255, 190); // the shortest is not clipped
     assert_int_equal(job.result.n_warnings, 0);
+    warn((const float[]){-2, 2}, 0, 190); // the longest is not dark
+    assert_int_equal(job.result.n_warnings, 0);
 }
 
 static void the_view_that_does_not_fit(void **state)
