@@ -139,7 +139,9 @@ static void sum_up(const struct bundle_result *b, struct job_result *out)
                                         .sightings = b->sightings,
                                         .placed = b->n_placed};
     if (b->confidence < LOCATE_SURE)
-        job_warn(out, "cameras are a guess: the views have too few points in common (%d)",
+        job_warn(out,
+                 "cameras are a guess: the views have too few points in common (%d); photograph so "
+                 "that neighbours overlap by more than half, or give the cameras with --rig PATH",
                  b->inliers);
 }
 
@@ -161,7 +163,10 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
         if (keep[i])
             out->scene.cams[n++] = out->scene.cams[i];
         else
-            job_warn(out, "%s is left out: too little in common with the other views", v->names[i]);
+            job_warn(out,
+                     "%s is left out: too little in common with the other views; take it nearer to "
+                     "one of them",
+                     v->names[i]);
     }
     stack_drop(v, keep);
     out->scene.n_views = n;
@@ -330,7 +335,10 @@ static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
     s->tone = found.tone;
     gaussians_sanitize(&s->g, &report);
     if (report.dropped)
-        job_warn(out, "%d Gaussians of the network were not finite", report.dropped);
+        job_warn(out,
+                 "%d Gaussians of the network were not finite and are left out; if the scene has "
+                 "holes, take --precision fp32 or another model",
+                 report.dropped);
     for (int c = 0; c < 3 && job_forward(cfg); c++)
         s->background[c] = 1; // model-spec 2.13
     return OK;
@@ -405,7 +413,7 @@ err_t start_run(const struct run *r, const struct job_config *cfg, struct job_re
         return with_network(r, &mine, out);
     if (mine.network)
         job_warn(out, "the network was not needed: cameras are known, and refinement starts from "
-                      "stereo (start.stereo)");
+                      "stereo; to start from the network all the same: --set start.stereo=0");
     return without_network(r, &mine, out);
 }
 

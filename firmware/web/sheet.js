@@ -281,6 +281,7 @@ function cameras() {
   section("cameras", "Cameras", cameraWords(),
     element("p", {}, `Focal length ${span(focal, 1)} px at ${report.size[0]} px, ` +
       `${span(angle, 1)} degrees across.`),
+    ...report.warnings.filter((w) => w.includes(" is left out")).map((w) => element("p", {}, w)),
     element("div", { class: "plans" },
       plan(all, right, ahead, "from above, looking up the page"),
       plan(all, ahead, up, "from the side, looking to the right")));

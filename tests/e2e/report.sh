@@ -114,8 +114,8 @@ is "strips" "document.querySelectorAll('#residuals img').length" 9
 is "bars of exposures" "document.querySelectorAll('#exposures .bar').length" 3
 is "cameras drawn" "document.querySelectorAll('#cameras .dot').length" 18
 is "curves" "document.querySelectorAll('#tone .curve, #tone .family').length" 9
-is "the worst first" "(() => { const v = [...document.querySelectorAll('#residuals [data-key]')]
-    .map((e) => parseFloat(e.textContent)); return v.every((x, i) => !i || v[i - 1] <= x); })()" true
+is "the worst first" "[...document.querySelectorAll('#residuals [data-key]')]
+    .map((e) => parseFloat(e.textContent)).every((x, i, v) => !i || v[i - 1] <= x)" true
 is "how the cameras were found" \
     "document.getElementById('cameras').textContent.includes('sightings agree')" true
 is "warnings of a good scene" "document.querySelectorAll('.warnings li').length" \
