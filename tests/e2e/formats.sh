@@ -1,0 +1,72 @@
+#!/usr/bin/env bash
+# A scene goes through every kind of file; what that loses is below its bounds, and what is no scene
+# is refused by name.
+. tests/e2e/common.bash
+make_set set 112 4 1
+
+figure() { # file member
+    sed -n "s/.*\"$2\": \\([-0-9.e+]*\\).*/\\1/p" "$1" | head -n 1
+}
+
+# converted IN OUT dB [arguments]: display and radiance both keep at least so many dB
+converted() {
+    local in=$1 out=$2 least=$3
+    shift 3
+    succeed convert-scene "$in" --out "$out" --json "$OUT/loss.json" "$@"
+    at_least "$out: display" "$(figure "$OUT/loss.json" display_psnr_least)" "$least"
+    at_least "$out: radiance" "$(figure "$OUT/loss.json" radiance_psnr_least)" "$least"
+}
+
+# usage
+expect 2 'a scene and --out are needed' convert-scene
+expect 2 'a scene and --out are needed' convert-scene x.ply
+expect 2 'y.obj: scenes are files' convert-scene x.ply --out y.obj
+expect 2 '--spz' convert-scene x.ply --out y.spz --spz 2
+succeed convert-scene --help
+grep -q 'usage: hdrig convert-scene IN' "$OUT/stdout.txt" || fail "no help"
+
+# degree 0: the sizes that were promised
+succeed reconstruct --images "$OUT/set" --size 112 --refine 100 --degree-max 0 --out "$OUT/flat"
+for version in 3 4; do
+    converted "$OUT/flat" "$OUT/flat.spz" 40 --spz $version
+    at_least "room in 12 bytes a splat of SPZ $version" \
+        "$(awk -v b="$(figure "$OUT/loss.json" bytes_per_gaussian)" 'BEGIN { print 12 - b }')" 0
+done
+
+# higher degrees, there and back through every kind
+succeed reconstruct --images "$OUT/set" --size 112 --refine 100 --degree-max 2 --out "$OUT/scene"
+converted "$OUT/scene" "$OUT/a.ply" 60
+grep -q 'display 100.0 dB' "$OUT/stdout.txt" && fail "half floats that lose nothing"
+converted "$OUT/a.ply" "$OUT/b.glb" 90
+converted "$OUT/b.glb" "$OUT/c.hdrig" 100
+converted "$OUT/c.hdrig" "$OUT/d.spz" 40
+converted "$OUT/d.spz" "$OUT/e.ply" 60
+succeed convert-scene "$OUT/e.ply" --out "$OUT/f.html"
+[ -s "$OUT/f.html" ] || fail "no page"
+[ -z "$(find "$OUT" -name '.tmp-*')" ] || fail "temporary files are left"
+for kind in a.ply b.glb c.hdrig d.spz; do
+    succeed render --scene "$OUT/$kind" --path inputs --size 56 --out "$OUT/render"
+    [ "$(ls "$OUT/render"/*.png | wc -l)" -eq 4 ] || fail "$kind: not 4 pictures"
+done
+
+# without radiance
+rm "$OUT/b.json"
+sed 's/HDRIG_gaussian_splatting_radiance/XDRIG_gaussian_splatting_radiance/g' <"$OUT/b.glb" \
+    >"$OUT/ldr.glb"
+succeed convert-scene "$OUT/ldr.glb" --out "$OUT/ldr.ply"
+grep -q 'ldr.glb holds display colours only' "$ERR" || fail "no word about lost radiance"
+
+# what is no scene, and places that do not do
+for name in a.ply b.glb c.hdrig d.spz; do
+    head -c 1000 "$OUT/$name" >"$OUT/cut.${name#*.}"
+    expect 1 "cut.${name#*.}: " convert-scene "$OUT/cut.${name#*.}" --out "$OUT/none.ply"
+    head -c 1000 /dev/urandom >"$OUT/noise.${name#*.}"
+    expect 1 "noise.${name#*.}: " convert-scene "$OUT/noise.${name#*.}" --out "$OUT/none.ply"
+done
+expect 1 'nowhere.ply' convert-scene "$OUT/nowhere.ply" --out "$OUT/none.ply"
+expect 1 'set/scene.hdrig' convert-scene "$OUT/set" --out "$OUT/none.ply"
+expect 1 'no/.*such' convert-scene "$OUT/scene" --out "$OUT/no/such.ply"
+echo '{"mine": 1}' >"$OUT/none.json"
+expect 2 'none.json is not a sidecar' convert-scene "$OUT/scene" --out "$OUT/none.ply"
+[ ! -e "$OUT/none.ply" ] || fail "a refused conversion left a file"
+finish
