@@ -6,7 +6,7 @@
  *   one 0      a single splat
  *   dark 0     nothing that can be seen
  *   near 0     a splat on each camera, others just before it
- *   shapes 0   needles, points, plates, quaternions of any length and none
+ *   shapes 0   needles, points, plates, what reaches in from the side, quaternions of any length
  * Three views of SIZE px. The same arguments give the same bytes. */
 #include "core/net/tonemap.h"
 #include "core/splat/gaussians.h"
@@ -78,6 +78,11 @@ static void put_shapes(struct gaussians *g)
             g->plane[G_LOG_SCALE + k][i] = scales[i % 5][k];
         for (int k = 0; k < 4; k++)
             g->plane[G_QUAT + k][i] *= i % 3 ? (float)pow(10, i % 7) : 1;
+    }
+    for (int side = -1; side < 2; side += 2) {
+        put_splat(g, 1, 1.5);
+        g->plane[G_MU][g->n - 1] = 2.5f * (float)side;
+        g->plane[G_MU + 2][g->n - 1] = 1.1f;
     }
 }
 
