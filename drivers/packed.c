@@ -47,8 +47,8 @@ err_t packed_open(struct packed_in *in, const char *what, enum packed_kind kind,
     return OK;
 }
 
-/* Bytes consumed and made; *end: the stream is complete. NULL, or what is wrong. */
-static const char *inflate_some(struct packed_in *in, uint8_t *out, size_t *n, bool *end)
+/* Up to *n bytes; *n becomes how many they are. NULL, or what is wrong. */
+static const char *inflate_some(struct packed_in *in, uint8_t *out, size_t *n)
 {
     z_stream *z = in->state;
     size_t take = least(in->left, ONCE), room = least(*n, ONCE);
@@ -61,13 +61,13 @@ static const char *inflate_some(struct packed_in *in, uint8_t *out, size_t *n, b
     in->p += used;
     in->left -= used;
     *n = room - z->avail_out;
-    *end = code == Z_STREAM_END;
+    in->ended = code == Z_STREAM_END;
     if (code == Z_OK || code == Z_STREAM_END || (code == Z_BUF_ERROR && in->left == 0))
         return NULL;
     return z->msg ? z->msg : "not a gzip stream";
 }
 
-static const char *zstd_some(struct packed_in *in, uint8_t *out, size_t *n, bool *end)
+static const char *zstd_some(struct packed_in *in, uint8_t *out, size_t *n)
 {
     ZSTD_inBuffer from = {in->p, in->left, 0};
     ZSTD_outBuffer to = {out, *n, 0};
@@ -75,18 +75,18 @@ static const char *zstd_some(struct packed_in *in, uint8_t *out, size_t *n, bool
     in->p += from.pos;
     in->left -= from.pos;
     *n = to.pos;
-    *end = code == 0;
+    in->ended = code == 0;
     return ZSTD_isError(code) ? ZSTD_getErrorName(code) : NULL;
 }
 
-static const char *plain_some(struct packed_in *in, uint8_t *out, size_t *n, bool *end)
+static const char *plain_some(struct packed_in *in, uint8_t *out, size_t *n)
 {
     *n = least(*n, in->left);
     if (*n > 0)
         memcpy(out, in->p, *n);
     in->p += *n;
     in->left -= *n;
-    *end = in->left == 0;
+    in->ended = in->left == 0;
     return NULL;
 }
 
@@ -95,9 +95,9 @@ err_t packed_some(struct packed_in *in, const char *part, void *out, size_t n, s
     uint8_t *to = out;
     for (*got = 0; *got < n && !in->ended;) {
         size_t made = n - *got, left = in->left;
-        const char *wrong = in->kind == PACKED_GZIP   ? inflate_some(in, to + *got, &made, &in->ended)
-                            : in->kind == PACKED_ZSTD ? zstd_some(in, to + *got, &made, &in->ended)
-                                                      : plain_some(in, to + *got, &made, &in->ended);
+        const char *wrong = in->kind == PACKED_GZIP   ? inflate_some(in, to + *got, &made)
+                            : in->kind == PACKED_ZSTD ? zstd_some(in, to + *got, &made)
+                                                      : plain_some(in, to + *got, &made);
         if (wrong)
             return err_fail(ERR_FORMAT, "%s: %s: damaged (%s)", in->what, part, wrong);
         *got += made;
@@ -129,7 +129,8 @@ void packed_close(struct packed_in *in)
 
 /* ---- out ---- */
 
-err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind kind, FILE *f)
+err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind kind, FILE *f,
+                   uint64_t size)
 {
     *out = (struct packed_out){.what = what, .kind = kind, .f = f};
     if (kind == PACKED_GZIP) {
@@ -145,6 +146,8 @@ err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind ki
         ZSTD_CCtx *z = ZSTD_createCCtx();
         if (z)
             ZSTD_CCtx_setParameter(z, ZSTD_c_compressionLevel, ZSTD_LEVEL);
+        if (z)
+            ZSTD_CCtx_setPledgedSrcSize(z, size); // little memory for little data
         out->state = z;
     }
     if (kind != PACKED_PLAIN && !out->state)

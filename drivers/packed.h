@@ -47,11 +47,11 @@ struct packed_out {
     void *state;
 };
 
-/* Write a stream into f, well packed rather than fast.
+/* Write a stream of `size` bytes into f, well packed rather than fast.
  * own:  packed_end.
  * err:  ERR_NOMEM. */
 MUST_USE err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind kind,
-                            FILE *f);
+                            FILE *f, uint64_t size);
 
 /* err:  ERR_NOMEM. */
 MUST_USE err_t packed_put(struct packed_out *out, const void *p, size_t n);

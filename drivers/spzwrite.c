@@ -249,7 +249,7 @@ static err_t write_3(const struct plan *p, FILE *f)
     size_t planes = 6 * (size_t)coefs(p->g->degree) * (size_t)p->g->n;
     file_head(p, 3, b);
     record_head(p, 0, (uint32_t)(SPZ_RADIANCE_HEAD + planes), b + SPZ_HEADER_3);
-    err_t e = packed_begin(&out, p->path, PACKED_GZIP, f), end;
+    err_t e = packed_begin(&out, p->path, PACKED_GZIP, f, 0), end;
     if (!e)
         e = packed_put(&out, b, SPZ_HEADER_3);
     for (int a = 0; a < SPZ_ARRAYS && !e; a++)
@@ -267,7 +267,8 @@ static err_t put_stream(const struct plan *p, int a, FILE *f, long *bytes)
 {
     struct packed_out out;
     long from = ftell(f);
-    err_t e = packed_begin(&out, p->path, PACKED_ZSTD, f), end;
+    size_t each = a < SPZ_ARRAYS ? p->width[a] : 6 * (size_t)coefs(p->g->degree);
+    err_t e = packed_begin(&out, p->path, PACKED_ZSTD, f, each * (size_t)p->g->n), end;
     if (!e)
         e = a < SPZ_ARRAYS ? put_array(p, &out, a, p->width[a]) : put_planes(p, &out);
     end = packed_end(&out);

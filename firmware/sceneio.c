@@ -249,7 +249,13 @@ err_t sceneio_write(const char *path, const struct scene *s, int spz)
     return show(tmp, path, kind);
 }
 
+/* Colours as .spz has them, and what zstd takes. */
 size_t sceneio_write_plan(int n)
 {
-    return (size_t)n * 3 * (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1);
+    enum {
+        SHOWN = 3 * (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1),
+        PACKING_MAX = 96 << 20
+    };
+    size_t packing = (size_t)n * 256;
+    return (size_t)n * SHOWN + (packing < PACKING_MAX ? packing : PACKING_MAX);
 }

@@ -225,7 +225,7 @@ static const char *packed(const char *name)
     struct packed_out out;
     FILE *f;
     assert_int_equal(file_create(path, &f), OK);
-    assert_int_equal(packed_begin(&out, path, PACKED_GZIP, f), OK);
+    assert_int_equal(packed_begin(&out, path, PACKED_GZIP, f, n_raw), OK);
     assert_int_equal(packed_put(&out, raw, n_raw), OK);
     assert_int_equal(packed_end(&out), OK);
     assert_int_equal(file_finish(f, path), OK);
