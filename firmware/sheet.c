@@ -19,7 +19,7 @@ EMBED_FILE(sheet_html, "firmware/web/sheet.html");
 EMBED_FILE(sheet_css, "firmware/web/sheet.css");
 EMBED_FILE(sheet_js, "firmware/web/sheet.js");
 
-enum { THUMB = 192, QUALITY = 80 }; // px, of a square
+enum { THUMB = 192, QUALITY = 70 }; // px, of a square
 static const double ERROR_WHITE = 0.25;
 
 uint64_t sheet_bytes(int n_pictures)

@@ -124,7 +124,11 @@ function picture(i, name, what) {
   return element("img", { class: name, src: pictures[i], alt: `${inputs[i].name}: ${what}` });
 }
 
-const title = (i) => element("h3", {}, element("small", {}, String(i + 1)), inputs[i].name);
+// Photographs of one place have one camera and one number.
+const cameraOf = (v) => String(v.camera.centre) + v.camera.forward;
+const places = [...new Set(inputs.map(cameraOf))];
+const number = (v) => String(places.indexOf(cameraOf(v)) + 1);
+const title = (v) => element("h3", {}, element("small", {}, number(v)), v.name);
 
 // Share per colour of what lies in `bins` of the histogram.
 function perColour(h, bins) {
@@ -136,9 +140,10 @@ function perColour(h, bins) {
 }
 
 function photographs() {
-  const card = (v, i) => element("article", { class: "card" },
+  const order = inputs.map((v, i) => [v, i]).sort(([a], [b]) => a.name < b.name ? -1 : 1);
+  const card = ([v, i]) => element("article", { class: "card" },
     picture(i, "thumb", "photograph"),
-    title(i),
+    title(v),
     element("p", { class: "small" }, figure(`inputs.${i}.stops`, stops(v.stops)), ", ",
       exposureTime(v.exposure_log2)),
     histogram(v.histogram),
@@ -151,8 +156,8 @@ function photographs() {
   section("photographs", "Photographs",
     element("p", { class: "small soft" }, "Exposure in stops to the middle one, and as given. " +
       "A pixel counts as clipped or dark by its brightest colour: display values from 252 on, " +
-      "and below 8; in brackets each colour by itself."),
-    element("div", { class: "cards" }, ...inputs.map(card)));
+      "and below 8; in parentheses each colour by itself."),
+    element("div", { class: "cards" }, ...order.map(card)));
 }
 
 function exposureChart() {
@@ -245,7 +250,7 @@ function plan(cameras, across, upward, caption) {
       polyline([...cone, cone[0]], { class: "view" }),
       ...cone.map((p) => line(x, y, p[0], p[1], "view")),
       element("circle", { class: "dot", cx: x, cy: y, r: 2.5 }),
-      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, String(c.number)) : null);
+      cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, c.number) : null);
   };
   const drawing = svg(size, size, ...cameras.map(draw));
   drawing.setAttribute("aria-label", caption);
@@ -269,9 +274,8 @@ function cameraWords() {
 }
 
 function cameras() {
-  const seen = new Set(); // exposures of one place have one camera
-  const all = inputs.map((v, i) => ({ ...v.camera, name: `${i + 1}  ${v.name}`, number: i + 1 }))
-    .filter((c) => !seen.has(String(c.centre)) && seen.add(String(c.centre)));
+  const all = places.map((p) => inputs.find((v) => cameraOf(v) === p))
+    .map((v) => ({ ...v.camera, name: v.name, number: number(v) }));
   const { right, up, ahead } = frame(all);
   const focal = all.map((c) => c.focal_px), angle = all.map((c) => c.fov_deg);
   const span = (list, digits) => {
@@ -342,7 +346,7 @@ function residuals() {
     picture(i, "strip", "photograph, scene, distance"),
     element("div", { class: "three soft" }, ...["photograph", "scene", "distance"]
       .map((t) => element("span", {}, t))),
-    title(i),
+    title(inputs[i]),
     element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
       stops(inputs[i].stops)));
   const cards = (list) => element("div", { class: "cards wide" }, ...list.map(card));
