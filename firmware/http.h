@@ -5,8 +5,8 @@
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie
  *   GET  /captures/...  /results/...  files, never beyond these folders, never through links
- * Without `status` there is no daemon, and only results are served. Their pages carry scripts inside
- * them, which may not ask anybody for anything.
+ * Without `status` there is no daemon, and only results are served. Their pages carry scripts
+ * inside them, which may not ask anybody for anything.
  * With a token every request needs it: as a cookie, or "Authorization: Bearer TOKEN". Without one,
  * Host must be an address, localhost or this machine's name, so that no other site can reach the
  * page by a name of its own. */

@@ -1,4 +1,5 @@
-/* The page is firmware/web/view.html with @css@, @js@, @title@, @info@ and @scene@ replaced.
+/* The page is firmware/web/view.html with @css@, @splats@ and @js@ (the files beside it), @title@,
+ * @info@ and @scene@ replaced.
  * @info@ is JSON: ranges and sizes below, tone curve, background, cameras, photographs as JPEG.
  * @scene@ is base64 of little-endian data. First 32 bytes for each splat:
  *   float x, y, z
@@ -33,6 +34,7 @@
 
 EMBED_FILE(viewer_html, "firmware/web/view.html");
 EMBED_FILE(viewer_css, "firmware/web/view.css");
+EMBED_FILE(viewer_splats, "firmware/web/splats.js");
 EMBED_FILE(viewer_js, "firmware/web/view.js");
 
 enum { SPLAT_BYTES = 32, TEXEL_BYTES = 16, INFO_BYTES = 1 << 15, VIEW_BYTES = 2048, QUALITY = 90 };
@@ -350,6 +352,8 @@ static err_t put_part(const struct page *p, const char *name, size_t n)
 {
     if (strncmp(name, "css", n) == 0)
         fwrite(viewer_css, 1, viewer_css_size, p->f);
+    else if (strncmp(name, "splats", n) == 0)
+        fwrite(viewer_splats, 1, viewer_splats_size, p->f);
     else if (strncmp(name, "js", n) == 0)
         fwrite(viewer_js, 1, viewer_js_size, p->f);
     else if (strncmp(name, "title", n) == 0)
@@ -382,7 +386,7 @@ uint64_t viewer_bytes(const struct viewer_input *in)
     uint64_t splat = SPLAT_BYTES + (uint64_t)sh_bytes(page_degree(s->g.n, s->g.degree));
     uint64_t photo = in->photos ? 3 * (uint64_t)s->size * (uint64_t)s->size + 4096 : 0;
     uint64_t bytes = (uint64_t)s->g.n * splat + (uint64_t)s->n_views * photo;
-    return viewer_html_size + viewer_css_size + viewer_js_size + INFO_BYTES +
+    return viewer_html_size + viewer_css_size + viewer_splats_size + viewer_js_size + INFO_BYTES +
            (uint64_t)s->n_views * VIEW_BYTES + 12 * strlen(in->title) + bytes / 3 * 4 + 64;
 }
 

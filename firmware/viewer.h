@@ -1,5 +1,5 @@
 /* viewer.h - view.html: a scene in one page that opens from the disk, without network or server.
- * firmware/web/view.{html,css,js} with the scene in base64 behind them.
+ * firmware/web/view.{html,css,js} and splats.js, with the scene in base64 behind them.
  * thread: any. */
 #ifndef FIRMWARE_VIEWER_H
 #define FIRMWARE_VIEWER_H

@@ -2,9 +2,9 @@
  *   compare display A.png B.png        PSNR, dB, and the largest difference
  *   compare srgb EV A.exr B.png        the same; A is radiance, shown as sRGB at 2^EV
  *   compare false LOG2T A.exr B.png    the same; A is radiance, in false colours at exposure LOG2T
- *   compare radiance A.exr B.f32       median, 0.99 quantile and largest of the relative differences;
- *                                      B has w x h x 4 little-endian floats R, G, B, any; what the
- *                                      half floats of A cannot hold counts as their largest */
+ *   compare radiance A.exr B.f32       median, 0.99 quantile and largest relative difference; B has
+ *                                      w x h x 4 little-endian floats R, G, B, any; what the half
+ *                                      floats of A cannot hold counts as their largest */
 #include "core/base/half.h"
 #include "core/falsecolour.h"
 #include "core/metrics.h"

@@ -52,8 +52,8 @@ quiet() { # page
         fail "$1: an error of WebGL"
 }
 
-# PSNR at least, largest difference, median and 0.99 quantile of relative differences at most. Single
-# pixels differ by more: at the rim of a bright splat, alpha is just above 1/255 or just below.
+# PSNR at least; largest difference, median and 0.99 quantile of relative differences at most.
+# Single pixels differ by more: at the rim of a bright splat, alpha is just above 1/255 or below.
 same_picture() { # scene view ev psnr codes median most
     local ref=$OUT/$1/ev$3/frame_000$2 psnr codes median most rest
     value "display($2, $3)" | base64 -d >"$OUT/page.png"
@@ -114,7 +114,8 @@ at_least "sRGB: PSNR" "$psnr" 60
 value "viewer.setTone(2)" >/dev/null
 value "display(1, -6)" | base64 -d >"$OUT/page.png"
 log2t=$(value "viewer.info.middle - 6")
-read -r psnr rest < <("$BIN/compare" false "$log2t" "$OUT/walls/ev-6/frame_0001.exr" "$OUT/page.png")
+read -r psnr rest < \
+    <("$BIN/compare" false "$log2t" "$OUT/walls/ev-6/frame_0001.exr" "$OUT/page.png")
 at_least "false colours: PSNR" "$psnr" 50
 quiet "other colours"
 
@@ -180,7 +181,8 @@ touch() { # type points
     call Input.dispatchTouchEvent "{\"type\":\"$1\",\"touchPoints\":[$2]}"
 }
 
-is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" '</title><b>scene</b> & *view*'
+is "document.querySelector('h1').textContent.replace(/\\\\x22/g, '*')" \
+    '</title><b>scene</b> & *view*'
 is "document.getElementById('cameras').options[2].text.replace(/\\\\x22/g, '*')" \
     'view <script> *1*.png'
 is "viewer.state.at" 0
@@ -222,8 +224,8 @@ value "document.getElementById('compare').click()" >/dev/null
 wait_for "document.getElementById('photo').hidden" false
 is "viewer.state.ev" 3
 wait_for "document.getElementById('photo').naturalWidth" 112
-read -r x y < <(value "(() => { const r = document.getElementById('divider').getBoundingClientRect();
-    return [r.left + r.width / 2, r.top + 20].map(Math.round).join(' '); })()" | tr -d '\n')
+value "window.box = document.getElementById('divider').getBoundingClientRect()" >/dev/null
+read -r x y <<<"$(value "[box.left + box.width / 2, box.top + 20].map(Math.round).join(' ')")"
 drag "$x" "$y" $((x - 60)) "$y"
 is "viewer.state.split < 45" true
 is "viewer.state.at" 2
