@@ -1,5 +1,5 @@
 /* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
- * of each block of splats goes straight into Adam while it is in the cache. All exposures of a view
+ * of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
  * share the rendering: its loss is their mean, and what is black or saturated has next to no slope
  * on the curve.
  *
@@ -21,12 +21,20 @@
 #include "core/opt/pose.h"
 #include "core/splat/raster.h"
 
+#include <limits.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
-enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+enum {
+    HELD_PX = 32,
+    HELD_ONE_IN = 24,
+    ROUND_MIN = 50,
+    GROUPS = 6,
+    PATIENCE = 4,
+    PHOTOS = 3 // of a view in one step: all of them gain less than more steps in the same time
+};
 
 static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
 static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
@@ -61,9 +69,9 @@ struct refine {
     uint8_t *full, *half; // (photographs, 3, size, size), and at half size
     uint8_t *held;        // (n, squares, squares)
     int squares;
-    double *view_sse; // (n) held-out squared error at the last visit
-    long *view_n;     // (n) values in it
-    int *deck, dealt; // (n) order of the views in this round
+    double *photo_sse; // (photographs) held-out squared error when last compared
+    long *photo_n;     // (photographs) values in it
+    int *deck, dealt;  // (n) order of the views in this round
     uint64_t rng;
     float extent;           // scene units
     int step, steps, scale; // scale: 2 = half size
@@ -99,8 +107,8 @@ static size_t small_need(const struct views *views)
     const size_t need[][2] = {{all * h * h * 3, 1},
                               {all * size * size * 3, 1},
                               {v * q * q, 1},
-                              {v, 8},
-                              {v, 8},
+                              {all, 8},
+                              {all, 8},
                               {v, 4},
                               {v * 12, 4},
                               {v, 4},
@@ -128,8 +136,8 @@ static err_t alloc_all(struct refine *f)
     err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
     e = e ? e : arena_alloc(a, all * px * 3, 1, &f->full);
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
-    e = e ? e : arena_zalloc(a, n, 8, &f->view_sse);
-    e = e ? e : arena_zalloc(a, n, 8, &f->view_n);
+    e = e ? e : arena_zalloc(a, all, 8, &f->photo_sse);
+    e = e ? e : arena_zalloc(a, all, 8, &f->photo_n);
     e = e ? e : arena_alloc(a, n, 4, &f->deck);
     e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
     e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
@@ -243,49 +251,53 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
-/* The loss of the rendered picture of view i against photograph k, with this share, added to *out
- * and, but for the first, to the gradients. */
-static err_t compare(struct refine *f, int i, int k, float share, const float behind[3],
+/* The loss of the rendered picture of view i against photograph k; added to the gradients of those
+ * before, of which *out has the sum. */
+static err_t compare(struct refine *f, int i, int k, const struct loss_input *as,
                      struct loss_output *out)
 {
     const size_t side = (size_t)f->pic.w, squares = (size_t)f->squares * (size_t)f->squares;
-    struct loss_input li = {.pic = &f->pic,
-                            .tone = &f->s->tone,
-                            .shift = f->v->log2t[k] - f->s->tone.mid_log2t,
-                            .photo =
-                                (f->scale == 1 ? f->full : f->half) + (size_t)k * side * side * 3,
-                            .behind = {behind[0], behind[1], behind[2]},
-                            .w_l1 = 0.8f * share,
-                            .w_ssim = 0.2f * share,
-                            .held = f->held + (size_t)i * squares,
-                            .held_px = HELD_PX / f->scale,
-                            .more = k != i};
+    struct loss_input li = *as;
+    li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
+    li.photo = (f->scale == 1 ? f->full : f->half) + (size_t)k * side * side * 3;
+    li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
     if (e)
         return e;
+    f->photo_sse[k] = one.held_sse;
+    f->photo_n[k] = one.held_n;
     out->loss += one.loss;
-    out->held_sse += one.held_sse;
-    out->held_n += one.held_n;
     for (int p = 0; p < TONE_PARAMS; p++)
         out->tone[p] += one.tone[p];
     return OK;
 }
 
-/* Render view i at the current size and compare with its photographs. */
+/* Render view i at the current size and compare with `most` of its photographs, drawn by chance
+ * (selection sampling: Knuth, The Art of Computer Programming 2, 3.4.2). */
 static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
-                  struct loss_output *out)
+                  int most, struct loss_output *out)
 {
     struct raster_input in = view_input(f, cam);
-    int n = 0;
+    int left = 0, want;
     memset(out, 0, sizeof *out);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
     for (int k = i; k >= 0; k = views_next(f->v, i, k))
-        n++;
-    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k))
-        e = compare(f, i, k, 1 / (float)n, behind, out);
-    f->view_sse[i] = out->held_sse;
-    f->view_n[i] = out->held_n;
+        left++;
+    want = left < most ? left : most;
+    struct loss_input as = {.pic = &f->pic,
+                            .tone = &f->s->tone,
+                            .behind = {behind[0], behind[1], behind[2]},
+                            .w_l1 = 0.8f / (float)want,
+                            .w_ssim = 0.2f / (float)want,
+                            .held_px = HELD_PX / f->scale};
+    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k), left--) {
+        if (want < left && next_random(&f->rng) % (uint64_t)left >= (uint64_t)want)
+            continue;
+        e = compare(f, i, k, &as, out);
+        as.more = true;
+        want--;
+    }
     return e;
 }
 
@@ -311,7 +323,7 @@ static err_t take_step(struct refine *f)
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
         behind[c] = uniform(f);
-    err_t e = look(f, i, &cam, behind, &out);
+    err_t e = look(f, i, &cam, behind, PHOTOS, &out);
     if (e)
         return e;
     f->loss += (float)out.loss;
@@ -353,9 +365,9 @@ static float decibel(double mean_square)
 static float held_db(const struct refine *f)
 {
     double sse = 0, n = 0;
-    for (int i = 0; i < f->v->n; i++) {
-        sse += f->view_sse[i];
-        n += (double)f->view_n[i];
+    for (int i = 0; i < f->v->n + f->v->n_more; i++) {
+        sse += f->photo_sse[i];
+        n += (double)f->photo_n[i];
     }
     return n > 0 ? decibel(sse / n) : 0.0f;
 }
@@ -368,7 +380,7 @@ static err_t measure(struct refine *f, float *db)
         struct camera cam =
             pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
         struct loss_output out;
-        err_t e = look(f, i, &cam, black, &out);
+        err_t e = look(f, i, &cam, black, INT_MAX, &out);
         if (e)
             return e;
     }

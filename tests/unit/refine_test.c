@@ -12,11 +12,12 @@
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include <cmocka.h>
 
-enum { S = 96, V = 6, SIDE = 24, CAP = 2 * SIDE * SIDE, PX = S * S };
+enum { S = 96, V = 6, BRACKET = 5, SIDE = 24, CAP = 2 * SIDE * SIDE, PX = S * S };
 
 struct world {
     struct arena keep, tmp;
@@ -25,9 +26,10 @@ struct world {
     struct scene truth, start;
     struct views v;
     struct camera cams[V];
-    float log2t[V];
+    float log2t[BRACKET * V];
     char names[V][NAME_CAP];
-    uint8_t rgb[V * PX * 3];
+    uint8_t rgb[BRACKET * V * PX * 3];
+    int place[(BRACKET - 1) * V];
 };
 
 static struct world W;
@@ -59,24 +61,30 @@ static void make_wall(struct gaussians *g, int degree)
     g->n = SIDE * SIDE;
 }
 
-static void photograph(void)
+static void render(const struct gaussians *g, const struct camera *cam, float radiance[3 * PX])
 {
-    static float radiance[3 * PX], alpha[PX], ldr[3 * PX];
+    static float alpha[PX];
     struct raster rs;
-    struct tonemap_table table;
     size_t mark = arena_mark(&W.tmp);
+    struct raster_input in = {g, cam, {0, 0, 0}};
+    struct render out = {0, 0, radiance, NULL, alpha};
     assert_int_equal(raster_init(&rs, &W.tmp, CAP, S, S, false), OK);
+    assert_int_equal(raster_run(&W.r, &rs, &in, &out), OK);
+    arena_reset(&W.tmp, mark);
+}
+
+static void photograph(int n)
+{
+    static float radiance[3 * PX], ldr[3 * PX];
+    struct tonemap_table table;
     tonemap_table_init(&table, &W.truth.tone);
-    for (int i = 0; i < V; i++) {
-        struct raster_input in = {&W.truth.g, &W.cams[i], {0, 0, 0}};
-        struct render out = {0, 0, radiance, NULL, alpha};
-        assert_int_equal(raster_run(&W.r, &rs, &in, &out), OK);
+    for (int i = 0; i < n; i++) {
+        render(&W.truth.g, &W.cams[i < V ? i : W.place[i - V]], radiance);
         for (int c = 0; c < 3; c++)
             tonemap_run(&table.c[c], radiance + c * PX, W.log2t[i], PX, ldr + c * PX);
         for (int p = 0; p < 3 * PX; p++)
             W.rgb[i * 3 * PX + p % PX * 3 + p / PX] = (uint8_t)(ldr[p] * 255 + 0.5f);
     }
-    arena_reset(&W.tmp, mark);
 }
 
 /* The truth, its photographs, and a start with displaced splats and flat colours. */
@@ -98,7 +106,7 @@ static void open_world(int threads, int degree)
             0, 0.1f * (float)(i - 3), 0, 0.25f * (float)(i - 3), 0.1f * (float)(i % 2), 0};
         pose_move(&W.cams[i], away);
     }
-    photograph();
+    photograph(V);
     W.v = (struct views){
         .n = V, .size = S, .names = W.names, .rgb = W.rgb, .log2t = W.log2t, .cams = W.cams};
     W.start = (struct scene){.tone = W.truth.tone,
@@ -114,6 +122,21 @@ static void open_world(int threads, int degree)
             W.start.g.plane[G_SH + k][i] = W.truth.g.plane[G_SH + k][i] * 0.5f;
         }
     }
+}
+
+/* Photographs at 5 stops too much, and four shorter exposures of the first n places. */
+static void take_brackets(int n)
+{
+    static const float more[BRACKET - 1] = {2, 0, -2, -5};
+    for (int i = 0; i < V; i++)
+        W.log2t[i] = 5;
+    for (int i = 0; i < n * (BRACKET - 1); i++) {
+        W.place[i] = i / (BRACKET - 1);
+        W.log2t[V + i] = more[i % (BRACKET - 1)];
+    }
+    W.v.n_more = n * (BRACKET - 1);
+    W.v.place = W.place;
+    photograph(V + W.v.n_more);
 }
 
 static void close_world(void)
@@ -154,6 +177,40 @@ static void test_learns(void **state)
     close_world();
 }
 
+/* Mean error of ln radiance in the inner half of view 3. */
+static double radiance_error(void)
+{
+    static float got[3 * PX], want[3 * PX];
+    double sum = 0;
+    int n = 0;
+    render(&W.start.g, &W.cams[3], got);
+    render(&W.truth.g, &W.cams[3], want);
+    for (int i = 0; i < 3 * PX; i++)
+        if (abs(i % S - S / 2) < S / 4 && abs(i % PX / S - S / 2) < S / 4) {
+            sum += fabs(log((double)got[i] / (double)want[i]));
+            n++;
+        }
+    return sum / n;
+}
+
+/* What one exposure cannot show is learned from the others, and they share its camera. */
+static void test_brackets(void **state)
+{
+    (void)state;
+    double error[2];
+    for (int all = 0; all < 2; all++) {
+        open_world(2, 0);
+        take_brackets(all ? V : 0);
+        refine(150, 0, false);
+        error[all] = radiance_error();
+        assert_scene_finite();
+        close_world();
+    }
+    print_message("  error of ln radiance: %.3f of one exposure, %.3f of five\n", error[0],
+                  error[1]);
+    assert_true(error[1] < error[0] / 2);
+}
+
 static void test_no_steps(void **state)
 {
     (void)state;
@@ -172,6 +229,7 @@ static void test_same_bytes(void **state)
     int n = 0;
     for (int threads = 1; threads <= 3; threads++) {
         open_world(threads, 0);
+        take_brackets(2);
         refine(60, 1, true);
         if (threads == 1) {
             n = W.start.g.n;
@@ -300,6 +358,7 @@ static void test_plan(void **state)
 {
     (void)state;
     open_world(2, 0);
+    take_brackets(V);
     struct refine_config cfg = {20, 2, CAP, 5, false};
     struct refine_report rep;
     struct arena exact;
@@ -318,9 +377,10 @@ static void test_plan(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),     cmocka_unit_test(test_no_steps),
-        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
-        cmocka_unit_test(test_align),      cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_cancel),     cmocka_unit_test(test_plan)};
+        cmocka_unit_test(test_learns),   cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_no_steps), cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_bands),    cmocka_unit_test(test_align),
+        cmocka_unit_test(test_extremes), cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_plan)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
