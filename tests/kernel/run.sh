@@ -37,7 +37,7 @@ boot_qemu() {
 }
 
 boot() { # bench script
-    "boot_$1" quiet loglevel=3 TEST="$2" BIN="$bin" MODULES="$made" </dev/null 2>&1 | tr -d '\r'
+    "boot_$1" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" </dev/null 2>&1 | tr -d '\r'
 }
 
 # Whether that bench is here and boots.
