@@ -34,6 +34,7 @@ precision highp float;
 precision highp int;
 precision highp sampler2D;
 precision highp usampler2D;
+#define WIDTH ${width}
 #define AT(i) ivec2((i) & ${width - 1}, (i) >> ${Math.log2(width)})
 `;
 
@@ -360,8 +361,8 @@ function openGpu(scene) {
   const names = { UNIT: info.unit, SRGB_EV: info.srgb_ev, MIDDLE: info.middle,
     SCALE_LO: info.scale[0], SCALE_STEP: info.scale[1], LOGIT_LO: info.logit[0],
     LOGIT_STEP: info.logit[1], LIGHT_LO: info.light[0], LIGHT_STEP: info.light[1] };
-  const head = COMMON(gpu.width) + `#define WIDTH ${gpu.width}\n` + Object.entries(names)
-    .map(([k, v]) => `#define ${k} ${k === "WIDTH" ? v : `(${number(v)})`}\n`).join("");
+  const head = COMMON(gpu.width) +
+    Object.entries(names).map(([k, v]) => `#define ${k} (${number(v)})\n`).join("");
   gpu.project = compile(head + FULL, head + PROJECT);
   gpu.blend = compile(head + QUADS, head + BLEND);
   gpu.tone = compile(head + FULL, head + TONE);
@@ -496,7 +497,7 @@ function fit(cam, w, h) {
 /* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
  * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms. */
 const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
-  moving: true, coarse: 2, moved: 0, probe: null };
+  moving: true, coarse: 2, moved: -1e9, probe: null };
 let scheduled = false, stale = true, firstPicture = 0;
 
 function invalidate(geometry) {
@@ -612,22 +613,23 @@ function frame(now) {
   }
 }
 
-/* The first picture, and those while the camera moves, have fewer pixels where they come too slowly;
- * all of them at rest. */
+/* The first picture, and those while the camera moves, have fewer pixels where they come too
+ * slowly; all of them at rest. */
 const pace = { last: 0, timer: 0 };
 function choosePace(now) {
-  if (!firstPicture || now - state.moved < 200) {
-    const ms = now - pace.last;
-    if (state.moving && ms > 70 && ms < 1000) state.coarse = Math.min(state.coarse * 1.5, 5);
-    if (state.moving && ms < 24) state.coarse = Math.max(state.coarse / 1.1, 1);
-    state.moving = true;
-    pace.last = now;
+  const moves = now - state.moved < 200, ms = now - pace.last;
+  pace.last = now;
+  if (moves && state.moving) { // not the first one: pictures in a row
+    if (ms > 70) state.coarse = Math.min(state.coarse * 1.5, 5);
+    if (ms < 24) state.coarse = Math.max(state.coarse / 1.1, 1);
+  }
+  if (moves) {
     clearTimeout(pace.timer);
     pace.timer = setTimeout(() => invalidate(false), 250);
-  } else if (state.moving) {
-    state.moving = false;
-    stale = true;
   }
+  const moving = moves || !firstPicture;
+  if (state.moving && !moving) stale = true;
+  state.moving = moving;
 }
 
 /* Linear R, G, B, and coverage 0..1, of w x h pixels of the picture. */

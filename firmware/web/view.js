@@ -185,7 +185,7 @@ function digits(v) {
 
 function showProbe() {
   const box = canvas.getBoundingClientRect(), at = state.probe;
-  if (!at || !gpu.picture || stale || pointers.size) return;
+  if (!at || !gpu.picture || stale || state.moving || pointers.size) return;
   const x = Math.floor((at[0] - box.left) / box.width * gpu.pw);
   const y = Math.floor((at[1] - box.top) / box.height * gpu.ph);
   if (x < 0 || y < 0 || x >= gpu.pw || y >= gpu.ph) return;

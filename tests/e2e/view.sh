@@ -233,6 +233,19 @@ drag 400 200 430 200
 wait_for "document.getElementById('photo').hidden" true
 quiet "by hand"
 
+# a graphics driver that starts again
+value "display(0, 0)" >"$OUT/before.txt"
+value "window.lose = gl.getExtension('WEBGL_lose_context'), lose.loseContext()" >/dev/null
+wait_for "gl.isContextLost()" true
+value "lose.restoreContext()" >/dev/null
+wait_for "gl.isContextLost()" false
+value "display(0, 0)" >"$OUT/after.txt"
+cmp -s "$OUT/before.txt" "$OUT/after.txt" || fail "another picture after the driver's restart"
+quiet "a driver that starts again"
+
+# whoever gets a script into the page still reaches nobody
+is "fetch('data:,x').then(() => 'allowed', () => 'refused')" refused
+
 # a telephone
 call Emulation.setDeviceMetricsOverride \
     '{"width":360,"height":740,"deviceScaleFactor":2,"mobile":true}'
