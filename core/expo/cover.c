@@ -2,7 +2,7 @@
  * Count: exposure t covers the bins from x_hi / t down to x_lo / t. The least cover that may leave
  * a share is a recurrence from dark to bright over (bins, exposures left): leave the brightest bin,
  * or begin an exposure at it. The first begins where `clip` allows. Where even the most exposures
- * leave too much, the fewest after which one more gains less than `clip`.
+ * leave too much, the fewest after which one more gains less than half of `clip`.
  * Times: legal ones, rounded down; then coordinates are searched. A bin counts as it would be
  * merged, at its worse edge; as many members as possible are probes; then the mean log2 of signal
  * to noise counts, against the sum of times. If rounding has opened a gap that
@@ -21,6 +21,8 @@ enum {
 };
 #define TIME_COST 0.25  // mean log2 SNR that a doubling of the sum of times must bring
 #define TIME_FREE_S 0.1 // sums of times below do not count
+#define DARK_AIM 0.85   // of the share that may be dark: probes count it with their noise
+#define GAIN_LEAST 0.5  // of `clip`, that one more exposure must gain beyond the device
 #define SLIGHT 1e-9     // rounding of shares
 
 double cover_legal(const struct meter_config *c, double t)
@@ -201,7 +203,8 @@ static void judge(const struct task *t, const double *times, int n, struct worth
         total += times[i];
     }
     out->dark = fmax(dark[0], dark[1]);
-    out->bad = fmax(out->clipped - c->clip - SLIGHT, 0.0) + fmax(out->dark - c->dark - SLIGHT, 0.0);
+    out->bad = fmax(out->clipped - c->clip - SLIGHT, 0.0) +
+               fmax(out->dark - DARK_AIM * c->dark - SLIGHT, 0.0);
     if (out->bad <= SLIGHT) // what cannot be covered is worth any time
         out->quality -= TIME_COST * log2(total + TIME_FREE_S);
 }
@@ -293,6 +296,25 @@ static int round_down(const struct task *t, double *times, int n)
     return kept;
 }
 
+/* One more in the widest gap, which rounding may have opened. */
+static int one_more(const struct task *t, double *times, int n)
+{
+    double next[MOST];
+    int at = 1;
+    for (int i = 2; i < n; i++)
+        if (times[i] / times[i - 1] > times[at] / times[at - 1])
+            at = i;
+    at = n > 1 ? at : 0;
+    double middle_s = n > 1 ? sqrt(times[at - 1] * times[at]) : 0.5 * times[0];
+    memcpy(next, times, (size_t)at * sizeof *next);
+    next[at] = cover_legal(&t->m->cfg, middle_s);
+    memcpy(next + at + 1, times + at, (size_t)(n - at) * sizeof *next);
+    if (!allowed(t, next, n + 1))
+        return n;
+    memcpy(times, next, (size_t)(n + 1) * sizeof *times);
+    return n + 1;
+}
+
 /* The best k exposures with shorter and shorter longest times, until they fit the budget. */
 static int fit(struct task *t, int k, bool hold_top, double *times)
 {
@@ -312,7 +334,7 @@ static int fit(struct task *t, int k, bool hold_top, double *times)
     }
 }
 
-/* The fewest exposures within the bounds; where more of them gain less than `clip`, no more. */
+/* The fewest exposures within the bounds; where more of them gain too little, no more. */
 static int choose(struct task *t, double *times, struct worth *best)
 {
     const struct meter_config *c = &t->m->cfg;
@@ -322,8 +344,10 @@ static int choose(struct task *t, double *times, struct worth *best)
     *best = (struct worth){.bad = INFINITY};
     for (int k = 1; k <= c->exposures_max && best->bad > SLIGHT; k++) {
         int got = fit(t, k, true, next);
+        bool spare = got < k; // the cover wants no more
+        got = spare ? one_more(t, next, got) : got;
         search(t, got, next, &w);
-        if (w.bad > SLIGHT && w.bad > best->bad - c->clip - SLIGHT)
+        if (w.bad > SLIGHT && (spare || w.bad > best->bad - GAIN_LEAST * c->clip - SLIGHT))
             continue;
         n = got;
         memcpy(times, next, sizeof next);
@@ -332,7 +356,7 @@ static int choose(struct task *t, double *times, struct worth *best)
     if (best->bad > SLIGHT) { // the bright end may have to go
         int got = fit(t, c->exposures_max, false, next);
         search(t, got, next, &w);
-        if (w.bad < best->bad - c->clip - SLIGHT) {
+        if (w.bad < best->bad - GAIN_LEAST * c->clip - SLIGHT) {
             n = got;
             memcpy(times, next, sizeof next);
             *best = w;
