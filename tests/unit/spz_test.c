@@ -121,7 +121,7 @@ static void every_degree_comes_back_in_both_versions(void **state)
 static void scenes_of_any_size_keep_their_precision(void **state)
 {
     (void)state;
-    for (int e = -5; e <= 4; e++) {
+    for (int e = -5; e <= 6; e++) {
         float side = powf(10, (float)e);
         struct scene s = make(200, 1, side);
         assert_int_equal(spzwrite_scene(tmpdir_path("sized.spz"), &s, 3), OK);
@@ -154,8 +154,52 @@ static void odd_scenes_are_written(void **state)
         s.g.plane[G_LOGIT][0] = 1e30f;
         s.g.plane[G_SH][1] = -1e30f;
         s.g.plane[G_SH + 5][1] = 1e30f;
+        s.g.plane[G_SH + 1][2] = (float)(55 / C0);
         assert_int_equal(spzwrite_scene(path, &s, version), OK);
-        read_back(path, &s);
+        g = read_back(path, &s);
+        assert_true(g.plane[G_MU][2] < -1e25f);
+        assert_true(fabs((double)g.plane[G_SH + 1][2] * C0 - 55) < 0.04);
+        s = make(300, 0, 1); // the longer a splat, the finer its angle
+        s.g.plane[G_LOG_SCALE][7] = 0;
+        assert_int_equal(spzwrite_scene(path, &s, version), OK);
+        g = read_back(path, &s);
+        assert_true(turn(&s.g, &g, 7) < 0.01);
+    }
+}
+
+/* Version 4 with the flag cleared that announces the record. */
+static void viewers_see_the_display_colours(void **state)
+{
+    (void)state;
+    for (int degree = 0; degree <= SH_DEGREE_MAX; degree++) {
+        struct scene s = make(60, degree, 1);
+        for (int p = G_SH; p < gaussians_planes(degree); p++)
+            for (int i = 0; i < 60; i++) // between black and 1.4 of the display
+                s.g.plane[p][i] = p < G_SH + 3 ? -3 + noise() : 0.2f * noise();
+        const char *path = tmpdir_path("seen.spz");
+        assert_int_equal(spzwrite_scene(path, &s, 4), OK);
+        FILE *f = fopen(path, "r+b");
+        float unit = 0; // in the record, which lies behind the header
+        assert_true(f && fseek(f, 48, SEEK_SET) == 0 && fread(&unit, 4, 1, f) == 1 && unit == 1);
+        assert_true(fseek(f, 14, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
+        struct spz_info info;
+        struct gaussians g;
+        struct gaussians_report report;
+        float ev = display_ev(&s.tone);
+        assert_int_equal(spz_peek(path, &info), OK);
+        assert_true(!info.has_hdr && info.degree == (degree < 3 ? degree : 3));
+        assert_int_equal(spz_read(path, ev, &arena, &g, &report), OK);
+        for (int i = 0; i < 60; i++) {
+            float a[75], b[75], want[48], seen[48];
+            for (int j = 0; j < gaussians_planes(degree) - G_SH; j++)
+                a[j] = s.g.plane[G_SH + j][i];
+            for (int j = 0; j < gaussians_planes(g.degree) - G_SH; j++)
+                b[j] = g.plane[G_SH + j][i];
+            display_from_radiance(a, degree, ev, want);
+            display_from_radiance(b, g.degree, ev, seen);
+            for (int j = 0; j < gaussians_planes(g.degree) - G_SH; j++)
+                assert_true(fabsf(want[j] - seen[j]) < (j < 3 ? 0.03f : j < 12 ? 0.05f : 0.09f));
+        }
     }
 }
 
@@ -322,6 +366,7 @@ static void records_of_others_are_skipped_and_axes_obeyed(void **state)
     put_u32(4);
     put_u32(6); // right, down, forward
     struct gaussians g = read_file(0);
+    assert_near(g.plane[G_MU][0], 1);
     assert_near(g.plane[G_MU + 1][0], -1);
     assert_near(g.plane[G_MU + 2][0], 1 / 4096.0);
 }
@@ -371,6 +416,19 @@ static void headers_that_lie_are_named(void **state)
         raw[cases[i].at] = cases[i].value;
         expect(cases[i].code, cases[i].word);
     }
+}
+
+static void a_wrong_checksum_is_noticed(void **state)
+{
+    (void)state;
+    put_file(3, 0, 0);
+    FILE *f = fopen(packed("bad.spz"), "r+b");
+    assert_true(f && fseek(f, -6, SEEK_END) == 0);
+    int c = fgetc(f);
+    assert_true(fseek(f, -6, SEEK_END) == 0 && fputc(c ^ 1, f) != EOF && fclose(f) == 0);
+    struct spz_info info;
+    assert_int_equal(spz_peek(tmpdir_path("bad.spz"), &info), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "incorrect data check"));
 }
 
 static void records_that_lie_are_named(void **state)
@@ -505,11 +563,13 @@ int main(void)
         cmocka_unit_test(every_degree_comes_back_in_both_versions),
         cmocka_unit_test(scenes_of_any_size_keep_their_precision),
         cmocka_unit_test(odd_scenes_are_written),
+        cmocka_unit_test(viewers_see_the_display_colours),
         cmocka_unit_test(what_cannot_be_written_says_why),
         cmocka_unit_test(the_numbers_of_others_are_understood),
         cmocka_unit_test(harmonics_change_their_axes),
         cmocka_unit_test(records_of_others_are_skipped_and_axes_obeyed),
         cmocka_unit_test(headers_that_lie_are_named),
+        cmocka_unit_test(a_wrong_checksum_is_noticed),
         cmocka_unit_test(records_that_lie_are_named),
         cmocka_unit_test(tables_that_lie_are_named),
         cmocka_unit_test(damaged_files_are_refused_or_read),
