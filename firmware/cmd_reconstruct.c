@@ -5,6 +5,7 @@
 #include "firmware/publish.h"
 
 #include "core/base/log.h"
+#include "core/prep.h"
 #include "drivers/imageset.h"
 #include "drivers/npy.h"
 
@@ -118,13 +119,13 @@ static err_t reserve(const struct request *rq, struct state *st, const struct jo
     err_t e = engine_reserve(&st->engine, arena_add(m.pictures, m.weights), m.keep, m.tmp, limit);
     if (e != ERR_LIMIT)
         return e;
-    while (--fewer.n >= 2) {
+    while (--fewer.n, prep_places(&fewer) >= 2) {
         e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
         if (e)
             return e;
         if ((double)arena_add(arena_add(m.pictures, m.weights), arena_add(m.keep, m.tmp)) <=
             limit * 1e6)
-            return err_fail(ERR_LIMIT, "%s; %d of %d views would fit", err_text(), fewer.n,
+            return err_fail(ERR_LIMIT, "%s; %d of %d photographs would fit", err_text(), fewer.n,
                             st->set.capture.n);
     }
     return ERR_LIMIT;

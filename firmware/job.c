@@ -160,6 +160,7 @@ void job_lap(struct job_result *j, enum job_stage stage)
     double now = engine_seconds();
     j->seconds[stage] += now - j->lap_s;
     j->lap_s = now;
+    j->peak_rss_mb = engine_peak_rss_mb();
 }
 
 void job_warn(struct job_result *j, const char *fmt, ...)
@@ -248,7 +249,7 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     report_cameras(&j->cameras, rep);
     figures_report(j, rep);
     report_seconds(j, rep);
-    report_number(rep, "peak_rss_mb", engine_peak_rss_mb());
+    report_number(rep, "peak_rss_mb", j->peak_rss_mb);
     report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);
     report_number(rep, "tmp_peak_mb", (double)j->tmp_peak * 1e-6);
     report_words(rep, "warnings", j->n_warnings, j->warnings[0], sizeof j->warnings[0]);

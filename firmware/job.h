@@ -67,6 +67,7 @@ struct job_result {
     float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
     bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
+    double peak_rss_mb;         // at the end of the last stage
     const char *precision;      // of the network; NULL: none was used
     int n_warnings;
     char warnings[JOB_WARNINGS][240];

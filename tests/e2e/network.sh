@@ -51,7 +51,7 @@ refused 3 'needs [0-9]+ MB, --max-memory is 64 MB$' "${images[@]}" --model "$OUT
     --max-memory 64
 mb=$("$HDRIG" reconstruct "${images[@]}" --out "$OUT/result" --model "$OUT/hdr.hdrig" --refine 0 \
     --max-memory 64 2>&1 | sed -n 's/.*needs \([0-9]*\) MB.*/\1/p')
-refused 3 '2 of 3 views would fit' "${images[@]}" --model "$OUT/hdr.hdrig" --refine 0 \
+refused 3 '2 of 3 photographs would fit' "${images[@]}" --model "$OUT/hdr.hdrig" --refine 0 \
     --max-memory $((mb - 1))
 
 # cameras and exposures that nobody knows

@@ -41,9 +41,10 @@ succeed render --scene "$OUT/scene" --path orbit --frames 5 --size 64 --ev -2 --
 [ "$(ls "$OUT/orbit" | wc -l)" -eq 11 ] || fail "not 5 frames twice and a report"
 
 # a result measured later gives the figures of eval, with the inputs that it was made from
-succeed reconstruct --images "$OUT/set" --size 56 --refine 30 --seed 3 --out "$OUT/eight"
-succeed eval --data "$OUT/set" --size 56 --refine 30 --seed 3 --json "$OUT/now.json"
-succeed eval --data "$OUT/set" --scene "$OUT/eight" --json "$OUT/later.json"
+"$BIN/make_set" "$OUT/staggered" 56 8 4 one || exit 1
+succeed reconstruct --images "$OUT/staggered" --size 56 --refine 30 --seed 3 --out "$OUT/eight"
+succeed eval --data "$OUT/staggered" --size 56 --refine 30 --seed 3 --json "$OUT/now.json"
+succeed eval --data "$OUT/staggered" --scene "$OUT/eight" --json "$OUT/later.json"
 for object in ldr hdr baseline_nearest; do
     now=$(number "$OUT/now.json" $object psnr)
     [ -n "$now" ] && [ "$now" = "$(number "$OUT/later.json" $object psnr)" ] ||
