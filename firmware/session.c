@@ -57,10 +57,9 @@ struct session {
     struct session_order order;
     struct bracket_plan plan[BRACKET_CAMERAS_MAX];
     int turn; // of stagger mode
-    int64_t begun_ns;
     struct clocks trigger;
     int frames_used, rejected;
-    char status[TAKE_TEXT], reason[TAKE_TEXT], note[TAKE_TEXT];
+    char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
 /* ---- opening ---- */
@@ -407,13 +406,13 @@ static err_t find_lost(struct session *s, int64_t now)
 
 /* ---- a take ---- */
 
-static void begin_plan(struct session *s, enum phase phase, int64_t now, err_t *e)
+static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_BEGIN, .now_ns = now, .plan = s->plan};
     s->phase = phase;
     for (int i = 0; i < s->n; i++)
         s->cam[i].n_before = s->cam[i].roll.n;
-    *e = tell(s, &ev, NULL);
+    return tell(s, &ev, NULL);
 }
 
 static int planned(const struct session *s)
@@ -544,8 +543,7 @@ static err_t advance(struct session *s, int64_t now)
         s->phase = next;
         return advance(s, now);
     }
-    begin_plan(s, next, now, &e);
-    return e;
+    return begin_plan(s, next, now);
 }
 
 static void fail(struct session *s, const char *why)
@@ -603,9 +601,7 @@ static err_t start_plans(struct session *s, int64_t now)
         plan_probes(s);
     else if (!e)
         e = plan_shots(s);
-    if (!e)
-        begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now, &e);
-    return e;
+    return e ? e : begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now);
 }
 
 static err_t check_order(const struct session *s, const struct session_order *o)
@@ -630,7 +626,6 @@ err_t session_begin(struct session *s, const struct session_order *o)
     s->cancelled = s->relit = s->again = false;
     s->reason[0] = s->note[0] = 0;
     s->frames_used = s->rejected = 0;
-    s->begun_ns = now;
     s->trigger = clocks_at(o->trigger_ns ? o->trigger_ns : now);
     e = start_plans(s, now);
     if (e)

@@ -23,7 +23,7 @@ struct session_config {
     int w, h;
     enum camera_format format;
     const char *calibration; // folder of calib.h; NULL: none
-    size_t memory;           // most bytes of kept frames
+    size_t memory;           // most bytes of kept frames; one more aborts the take
 };
 
 struct session_order {
@@ -50,7 +50,7 @@ struct session;
 
 /* Opens every camera; one that is not there is an error only here.
  * own:  session_close.
- * err:  as camera_ops.open, naming the camera; ERR_ARG, ERR_NOMEM, ERR_LIMIT (memory) */
+ * err:  as camera_ops.open, naming the camera; ERR_ARG, ERR_NOMEM, ERR_UNSUPPORTED (pictures) */
 MUST_USE err_t session_open(const struct session_config *cfg, struct session **out);
 void session_close(struct session *s); // accepts NULL
 
@@ -79,8 +79,7 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 MUST_USE err_t session_step(struct session *s);
 
 /* Begin a take.
- * err:  ERR_BUSY (one runs or waits), ERR_LOST (names the camera), ERR_ARG (order), ERR_NOMEM,
- *       ERR_LIMIT (its frames exceed `memory`). */
+ * err:  ERR_BUSY (one runs or waits), ERR_LOST (names the camera), ERR_ARG (order), ERR_NOMEM */
 MUST_USE err_t session_begin(struct session *s, const struct session_order *o);
 
 /* End the running take as aborted: `reason` goes into it. */
