@@ -258,9 +258,25 @@ function openTicks() {
     tick.style.left = `${50 + 50 * v / reach}%`;
     tick.title = "exposure of " + info.views.filter((w) => Math.abs(w.stops - v) <= 0.05)
       .map((w) => w.name).join(", ");
-    tick.addEventListener("click", () => setExposure(v));
     return tick;
   }));
+  byId("ticks").addEventListener("click", (e) => { // a thumb covers several: the nearest
+    const box = byId("ticks").getBoundingClientRect();
+    const at = e.detail ? (2 * (e.clientX - box.left) / box.width - 1) * reach
+                        : +e.target.dataset.stops; // by the keyboard
+    const away = (v) => Math.abs(v - at);
+    if (at === at) setExposure(ticks.reduce((a, b) => away(b) < away(a) ? b : a));
+  });
+}
+
+/* Labels that would run into the one before are left out. */
+function layTicks() {
+  let free = -Infinity;
+  for (const tick of byId("ticks").children) {
+    const crowded = tick.offsetLeft < free;
+    tick.classList.toggle("bare", crowded);
+    if (!crowded) free = tick.offsetLeft + 36;
+  }
 }
 
 function openDivider() {
@@ -313,8 +329,11 @@ function openControls() {
   byId("close").addEventListener("click", () => byId("guide").close());
   byId("report").hidden = !info.report;
   if (info.report) byId("report").href = info.report;
-  new ResizeObserver(() => invalidate(false)).observe(byId("stage"));
   openTicks();
+  new ResizeObserver(() => {
+    layTicks();
+    invalidate(false);
+  }).observe(byId("stage"));
   openDivider();
   openLegend();
   openPointers();

@@ -70,6 +70,7 @@ static void everything_is_there_and_can_be_read(void **state)
     exrfile_free(&hdr);
     assert_int_equal(json_read(tmpdir_path("out/tone.json"), &doc), OK);
     json_free(doc);
+    assert_true(file_is_regular(tmpdir_path("out/view.html")));
     assert_int_equal(json_read(tmpdir_path("out/report.json"), &doc), OK);
     assert_true(json_number(json_member(doc, "gaussians"), &v) && (int)v == SPLATS);
     assert_int_equal(json_count(json_member(doc, "warnings")), 0);
