@@ -144,6 +144,14 @@ static void measure(struct page *p)
 
 /* ---- base64 ---- */
 
+/* n <= PIECE */
+static void put_base64(FILE *f, const uint8_t *bytes, size_t n)
+{
+    char text[PIECE / 3 * 4];
+    const char *end = base64_put(text, bytes, n);
+    fwrite(text, 1, (size_t)(end - text), f);
+}
+
 struct encoder {
     FILE *f;
     size_t n;
@@ -152,8 +160,7 @@ struct encoder {
 
 static void encoder_flush(struct encoder *e)
 {
-    char text[PIECE / 3 * 4];
-    fwrite(text, 1, (size_t)(base64_put(text, e->piece, e->n) - text), e->f);
+    put_base64(e->f, e->piece, e->n);
     e->n = 0;
 }
 
@@ -263,11 +270,8 @@ static err_t put_photo(const struct page *p, int i, FILE *f)
     if (e)
         return e;
     fputs(",\"photo\":\"data:image/jpeg;base64,", f);
-    for (size_t at = 0; at < n; at += PIECE) {
-        char text[PIECE / 3 * 4];
-        size_t part = n - at < PIECE ? n - at : PIECE;
-        fwrite(text, 1, (size_t)(base64_put(text, (uint8_t *)jpeg + at, part) - text), f);
-    }
+    for (size_t at = 0; at < n; at += PIECE)
+        put_base64(f, (uint8_t *)jpeg + at, n - at < PIECE ? n - at : PIECE);
     fputc('"', f);
     free(jpeg);
     return OK;
