@@ -2,9 +2,9 @@
  * as second chips. A line is looked up by asking for the names of all. Then one request: an input
  * with both edges and the kernel's debouncing, or an output that is off.
  * Both edges: the numbers that the kernel gives them count every change of the line, so that a gap
- * tells of each one that its buffer of 64 could not keep. It drops the oldest. Bounce has no numbers
- * (Linux drivers/gpio/gpiolib-cdev.c counts edges after debouncing), so nobody can say how much of
- * it was swallowed.
+ * tells of each one that its buffer of 64 could not keep. It drops the oldest. Bounce has no
+ * numbers (Linux drivers/gpio/gpiolib-cdev.c counts edges after debouncing), so nobody can say how
+ * much of it was swallowed.
  * Source: Linux Documentation/userspace-api/gpio/chardev.rst, include/uapi/linux/gpio.h. */
 #include "drivers/gpio.h"
 

@@ -2,9 +2,9 @@
  * from probes, least cover of its occupied bins, choice of shift, coverage afterwards.
  * A pixel is covered if one frame has it below `headroom` and the frames that have it so merge to
  * at least `snr`.
- * Gain stays 1. In the dark, light is what is wanting: where a pixel has the asked ratio of 10, gain
- * 8 is worth 0.2 % with a converter of 12 bits, 3 % with 10, nothing with display values; and what
- * noise a device has at which gain, nobody tells.
+ * Gain stays 1. In the dark, light is what is wanting: where a pixel has the asked ratio of 10,
+ * gain 8 is worth 0.2 % with a converter of 12 bits, 3 % with 10, nothing with display values; and
+ * what noise a device has at which gain, nobody tells.
  * Radiance is relative: 1 saturates the sensor in 1 s at gain 1.
  * Pure; any thread. */
 #ifndef EXPO_METER_H
