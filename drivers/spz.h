@@ -11,7 +11,7 @@
  *    2  u8   steps: how fine, per natural logarithm of radiance
  *    3  u8   0: what follows is plain; 1: one zstd frame
  *    4  f32  ev: the display colours are sRGB of 2^ev radiance
- *    8  f32  unit: lengths in the file = unit times lengths in the scene; a power of two
+ *    8  f32  unit: lengths in the file = unit times lengths in the scene
  *   12  3K pairs of arrays, pair 3k + colour: u8 low[N], then i8 high[N]
  * and r = low - 128 + 256 high. Harmonic k > 0 of the logarithm of radiance is r / steps. Harmonic
  * 0 is (r / steps + ln(max(S(c), 1e-4)) - ev ln 2) / Y0: the record only corrects what the colour

@@ -18,6 +18,7 @@
 
 #define Y0 0.28209479177387814
 #define SQRT1_2 0.70710678118654752
+#define POSITION_BITS 1.75 // of the sigma of the middle splat; one more is 4 dB and 0.6 bytes
 
 enum {
     FRACTIONAL_MAX = 23, // a 24-bit number between -1 and 1
@@ -68,9 +69,8 @@ static void show(struct plan *p)
     }
 }
 
-/* Unit: 1, or what brings the sizes of splats into the range that the format has. Positions keep
- * half a sigma of the middle splat, measured: one bit more is 4 dB and 0.6 bytes a splat, one less
- * is under 40 dB. All of them fit. */
+/* Unit: 1, or what brings the sizes of splats into the range that the format has. Positions get as
+ * many bits as the size of the middle splat asks for, and all of them fit. */
 static err_t choose_lengths(struct plan *p)
 {
     const struct gaussians *g = p->g;
@@ -89,13 +89,16 @@ static err_t choose_lengths(struct plan *p)
         for (int i = 0; i < g->n; i++)
             far = fmax(far, fabs((double)g->plane[G_MU + k][i]));
     }
+    double room = log2(SPZ_POSITION_MAX / fmax(far, 1e-30)),
+           most = (SPZ_LOG_SCALE_MAX - high) / log(2);
     double shift = low < SPZ_LOG_SCALE_MIN ? ceil((SPZ_LOG_SCALE_MIN - low) / log(2)) : 0;
-    shift = fmin(shift, floor((SPZ_LOG_SCALE_MAX - high) / log(2)));
-    shift = fmax(fmin(shift, floor(log2(SPZ_POSITION_MAX / fmax(far, 1e-30)))), -SPZ_UNIT_LOG2_MAX);
-    double bits =
-        fmin(1 - floor(middle / log(2) + shift), log2(SPZ_POSITION_MAX / fmax(far, 1e-30)) - shift);
+    shift = fmax(fmin(fmin(shift, floor(most)), floor(room)), -SPZ_UNIT_LOG2_MAX);
+    double want = POSITION_BITS - middle / log(2) - shift;
+    if (shift > 0 && shift + 1 <= most) // no length means anything: exactly as fine as wanted
+        shift += want - floor(want);
+    double bits = fmin(ceil(POSITION_BITS - middle / log(2) - shift - 1e-6), floor(room - shift));
     p->fractional = (int)fmax(fmin(bits, FRACTIONAL_MAX), 0);
-    p->unit = ldexpf(1, (int)fmin(shift, SPZ_UNIT_LOG2_MAX));
+    p->unit = (float)exp2(fmin(shift, SPZ_UNIT_LOG2_MAX));
     return OK;
 }
 
@@ -123,12 +126,60 @@ static void put_colour(const struct plan *p, int i, uint8_t *b)
     memcpy(b, p->shown + (size_t)i * 3 * (size_t)coefs(p->degree), 3);
 }
 
+/* The same splat with its axes in another order or direction. */
+struct pose {
+    double q[4]; // w, x, y, z, of unit length and nearest to no rotation at all
+    int axis[3]; // which axis of the splat is the first one, ...
+};
+
+/* Of the 24 ways to name the axes, the one with the largest w: numbers that vary less pack better.
+ * R S S R' stays as it is if R becomes R G and S becomes G' S G, for a G that permutes axes. */
+static struct pose pose_of(const struct gaussians *g, int i)
+{
+    static const signed char turns[24][4] = {
+        {1, 0, 0, 0},  {0, 1, 0, 0},   {0, 0, 1, 0},   {0, 0, 0, 1},   {1, 1, 0, 0},
+        {1, -1, 0, 0}, {1, 0, 1, 0},   {1, 0, -1, 0},  {1, 0, 0, 1},   {1, 0, 0, -1},
+        {0, 1, 1, 0},  {0, 1, -1, 0},  {0, 1, 0, 1},   {0, 1, 0, -1},  {0, 0, 1, 1},
+        {0, 0, 1, -1}, {1, 1, 1, 1},   {1, 1, 1, -1},  {1, 1, -1, 1},  {1, 1, -1, -1},
+        {1, -1, 1, 1}, {1, -1, 1, -1}, {1, -1, -1, 1}, {1, -1, -1, -1}};
+    double q[4], length = 0, most = -1;
+    const signed char *t = turns[0];
+    for (int k = 0; k < 4; k++) {
+        q[k] = (double)g->plane[G_QUAT + k][i] * splats_sign(G_QUAT + k, SPLATS_RUB);
+        length += q[k] * q[k];
+    }
+    for (int j = 0; j < 24; j++) {
+        const signed char *c = turns[j];
+        double w = fabs(q[0] * c[0] - q[1] * c[1] - q[2] * c[2] - q[3] * c[3]) /
+                   sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2] + c[3] * c[3]);
+        if (w > most * (1 + 1e-9)) { // the first of those that are equal
+            most = w;
+            t = c;
+        }
+    }
+    int w = t[0], x = t[1], y = t[2], z = t[3], square = w * w + x * x + y * y + z * z;
+    length = sqrt(length * square);
+    const int turned[3][3] = {
+        {w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)},
+        {2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)},
+        {2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z}};
+    struct pose out = {{(q[0] * w - q[1] * x - q[2] * y - q[3] * z) / length,
+                        (q[0] * x + q[1] * w + q[2] * z - q[3] * y) / length,
+                        (q[0] * y - q[1] * z + q[2] * w + q[3] * x) / length,
+                        (q[0] * z + q[1] * y - q[2] * x + q[3] * w) / length},
+                       {0, 0, 0}};
+    for (int k = 0; k < 3; k++)
+        out.axis[k] = turned[k][0] ? 0 : turned[k][1] ? 1 : 2;
+    return out;
+}
+
 static void put_scale(const struct plan *p, int i, uint8_t *b)
 {
-    for (int k = 0; k < 3; k++)
-        b[k] = to_byte(
-            ((double)p->g->plane[G_LOG_SCALE + k][i] + log((double)p->unit) - SPZ_LOG_SCALE_MIN) /
-            SPZ_LOG_SCALE_STEP);
+    struct pose pose = pose_of(p->g, i);
+    for (int k = 0; k < 3; k++) {
+        double v = (double)p->g->plane[G_LOG_SCALE + pose.axis[k]][i] + log((double)p->unit);
+        b[k] = to_byte((v - SPZ_LOG_SCALE_MIN) / SPZ_LOG_SCALE_STEP);
+    }
 }
 
 /* Step of the magnitudes in a quaternion, a power of two, that moves the ends of a splat no more
@@ -144,24 +195,16 @@ static int coarseness(const struct plan *p, int i)
     return step >= COARSEST ? COARSEST : step >= 2 ? 1 << ilogb(step) : 1;
 }
 
+/* The largest component is w, 3; sign and magnitude of x, y, z follow. */
 static void put_rotation(const struct plan *p, int i, uint8_t *b)
 {
-    double q[4], sum = 0; // x, y, z, w
-    int largest = 0, drop = coarseness(p, i);
-    for (int k = 0; k < 4; k++) {
-        int plane = G_QUAT + (k + 1) % 4;
-        q[k] = (double)p->g->plane[plane][i] * splats_sign(plane, SPLATS_RUB);
-        sum += q[k] * q[k];
-        largest = fabs(q[k]) > fabs(q[largest]) ? k : largest;
-    }
-    uint32_t v = (uint32_t)largest;
-    for (int k = 0; k < 4; k++) {
-        if (k == largest)
-            continue;
-        double m = fabs(q[k]) / sqrt(sum) / SQRT1_2 * SPZ_MAGNITUDE_MAX;
-        uint32_t magnitude = (uint32_t)lrint(m / drop) * (uint32_t)drop;
-        v = v << 10 | (uint32_t)(q[k] * q[largest] < 0) << 9 |
-            (magnitude < SPZ_MAGNITUDE_MAX ? magnitude : SPZ_MAGNITUDE_MAX);
+    struct pose pose = pose_of(p->g, i);
+    int step = coarseness(p, i);
+    uint32_t v = 3;
+    for (int k = 1; k < 4; k++) {
+        double m = fabs(pose.q[k]) / SQRT1_2 * SPZ_MAGNITUDE_MAX;
+        v = v << 10 | (uint32_t)(pose.q[k] * pose.q[0] < 0) << 9 |
+            (uint32_t)lrint(m / step) * (uint32_t)step;
     }
     bytes_put_u32(b, v);
 }

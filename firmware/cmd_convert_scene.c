@@ -200,11 +200,11 @@ static err_t tell(const struct request *rq, const struct state *st)
         report_close(&rep);
         e = cmd_json_close(f, rq->json);
     }
-    bool free = !rq->json || strcmp(rq->json, "-") != 0; // stdout holds no JSON
-    if (!e && free)
+    bool lines = !rq->json || strcmp(rq->json, "-") != 0; // stdout holds no JSON
+    if (!e && lines)
         printf("%s: %d splats of degree %d, %.3f MB, %.2f bytes a splat\n", rq->out, n,
                st->scene.g.degree, st->bytes / 1e6, each);
-    if (!e && free && l->views > 0)
+    if (!e && lines && l->views > 0)
         printf("read back, against the original at the middle exposure: display %.1f dB (worst of "
                "%d views %.1f), radiance %.1f dB (%.1f)\n",
                l->display, l->views, l->display_least, l->radiance, l->radiance_least);
