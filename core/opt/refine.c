@@ -21,20 +21,12 @@
 #include "core/opt/pose.h"
 #include "core/splat/raster.h"
 
-#include <limits.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
-enum {
-    HELD_PX = 32,
-    HELD_ONE_IN = 24,
-    ROUND_MIN = 50,
-    GROUPS = 6,
-    PATIENCE = 4,
-    PHOTOS = 3 // of a view in one step: all of them gain less than more steps in the same time
-};
+enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
 
 static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
 static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
@@ -273,30 +265,25 @@ static err_t compare(struct refine *f, int i, int k, const struct loss_input *as
     return OK;
 }
 
-/* Render view i at the current size and compare with `most` of its photographs, drawn by chance
- * (selection sampling: Knuth, The Art of Computer Programming 2, 3.4.2). */
+/* Render view i at the current size and compare with its photographs. */
 static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
-                  int most, struct loss_output *out)
+                  struct loss_output *out)
 {
     struct raster_input in = view_input(f, cam);
-    int left = 0, want;
+    int n = 0;
     memset(out, 0, sizeof *out);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
     for (int k = i; k >= 0; k = views_next(f->v, i, k))
-        left++;
-    want = left < most ? left : most;
+        n++;
     struct loss_input as = {.pic = &f->pic,
                             .tone = &f->s->tone,
                             .behind = {behind[0], behind[1], behind[2]},
-                            .w_l1 = 0.8f / (float)want,
-                            .w_ssim = 0.2f / (float)want,
+                            .w_l1 = 0.8f / (float)n,
+                            .w_ssim = 0.2f / (float)n,
                             .held_px = HELD_PX / f->scale};
-    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k), left--) {
-        if (want < left && next_random(&f->rng) % (uint64_t)left >= (uint64_t)want)
-            continue;
+    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
         e = compare(f, i, k, &as, out);
         as.more = true;
-        want--;
     }
     return e;
 }
@@ -323,7 +310,7 @@ static err_t take_step(struct refine *f)
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
         behind[c] = uniform(f);
-    err_t e = look(f, i, &cam, behind, PHOTOS, &out);
+    err_t e = look(f, i, &cam, behind, &out);
     if (e)
         return e;
     f->loss += (float)out.loss;
@@ -380,7 +367,7 @@ static err_t measure(struct refine *f, float *db)
         struct camera cam =
             pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
         struct loss_output out;
-        err_t e = look(f, i, &cam, black, INT_MAX, &out);
+        err_t e = look(f, i, &cam, black, &out);
         if (e)
             return e;
     }

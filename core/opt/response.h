@@ -44,8 +44,8 @@ float response_display(const struct tonemap *tone, int colour, float x);
  * stops from x = 0. */
 float response_radiance_log(const struct tonemap *tone, int colour, float display, float log2t);
 
-/* The curve of a picture that would be the mean over all exposures lo .. hi stops from the middle one:
- * steep nowhere, flat nowhere between them.
+/* The curve of a picture that would be the mean over all exposures lo .. hi stops from the middle
+ * one: steep nowhere, flat nowhere between them.
  * out:  *out may be *tone. *log2t: the exposure that such a picture counts as. */
 void response_spread(const struct tonemap *tone, float lo, float hi, struct tonemap *out,
                      float *log2t);

@@ -14,8 +14,8 @@
 MUST_USE err_t stack_choose(const struct run *r, const struct tonemap *tone, bool staggered,
                             struct views *io);
 
-/* One picture of each place from all of its photographs, 8 bits under a curve that is steep wherever
- * one of them is.
+/* One picture of each place from all of its photographs: 8 bits under a curve that is steep
+ * wherever one of them is.
  * out:  *out as *v without further photographs, with pixels in r->tmp; *curve is its response.
  *       Without further photographs *v and *tone themselves.
  * err:  ERR_NOMEM, ERR_CANCELLED. */
