@@ -19,9 +19,11 @@ const TURBO = [ // red, green, blue of the powers 0..5: core/falsecolour.c
 const FALSE_STOPS = 8;
 const CURVE_CELLS = 2048;
 
+/* There will be no picture, and nothing to control. */
 function fail(sentence) {
   byId("message").textContent = sentence;
   byId("message").hidden = false;
+  document.querySelector("footer").hidden = true;
 }
 
 /* ---- GPU ---- */

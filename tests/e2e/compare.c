@@ -100,7 +100,7 @@ static err_t compare_radiance(const char *exr, const char *raw)
     if (!e && b.n != (size_t)a.w * (size_t)a.h * 4 * sizeof(float))
         e = err_fail(ERR_FORMAT, "%s: %zu bytes for %d x %d px", raw, b.n, a.w, a.h);
     if (!e)
-        e = print_differences(&a, (const float *)b.p);
+        e = print_differences(&a, (const float *)(const void *)b.p);
     file_unmap(&b);
     exrfile_free(&a);
     return e;

@@ -146,6 +146,7 @@ call Page.navigate "{\"url\":\"$FILE/thin/view.html\"}"
 wait_for "document.getElementById('message').hidden" false
 grep -q EXT_color_buffer_float <<<"$(value "document.getElementById('message').textContent")" ||
     fail "no sentence about what the driver lacks"
+[ "$(value "document.querySelector('footer').hidden")" = true ] || fail "controls of nothing"
 browser_close
 
 # ---- what hands do ----
