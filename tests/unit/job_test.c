@@ -39,6 +39,10 @@ static void refusals(void **state)
     assert_non_null(strstr(err_text(), "1 view"));
     c = capture(0, 100);
     assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    c = capture(2, 100); // two exposures of one place
+    shots[1].again = true;
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_non_null(strstr(err_text(), "1 view"));
     c = capture(3, 100);
     shots[1].has_camera = false;
     assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
@@ -69,6 +73,22 @@ static void memory_grows_with_the_work(void **state)
     assert_true(total(4, 1000, config(224, 20000), 2) > base);
     assert_true(total(4, 1000, config(112, 40000), 2) > base);
     assert_true(total(4, 1000, cfg, 8) > base);
+}
+
+/* Brackets cost what their pixels take, not what places cost. */
+static void exposures_are_cheaper_than_places(void **state)
+{
+    (void)state;
+    struct job_memory m;
+    struct job_config cfg = config(112, 20000);
+    struct capture c = capture(12, 200);
+    size_t few = total(4, 200, cfg, 2), many = total(12, 200, cfg, 2), photo = 112 * 112 * 3;
+    for (int i = 0; i < 12; i++)
+        shots[i].again = i % 3 > 0;
+    assert_int_equal(job_plan(&c, &cfg, 2, false, &m), OK);
+    size_t brackets = arena_add(m.pictures, arena_add(m.keep, m.tmp));
+    assert_true(brackets > few + 8 * (200 * 200 * 3 + photo));
+    assert_true(brackets < few + 8 * (200 * 200 * 3 + 4 * photo) && brackets < many);
 }
 
 /* There are never more splats than pixels, whatever the settings allow. */
@@ -131,6 +151,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(refusals),
         cmocka_unit_test(memory_grows_with_the_work),
+        cmocka_unit_test(exposures_are_cheaper_than_places),
         cmocka_unit_test(room_for_no_more_splats_than_pixels),
         cmocka_unit_test(warnings_are_bounded),
         cmocka_unit_test(report_has_every_member),

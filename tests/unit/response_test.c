@@ -49,10 +49,25 @@ static uint32_t random_bits(uint32_t *state)
     return *state >> 8;
 }
 
+/* View i of a scene that is cut differently in each view `cut`, `away` stops from middle. */
+static void draw(struct world *w, curve_fn *curve, int i, int cut, float away)
+{
+    uint32_t seed = (uint32_t)i;
+    for (int k = 0; k < SIZE * SIZE; k++) {
+        float x = (float)(k % SIZE + 3 * cut), y = (float)(k / SIZE - 2 * cut);
+        for (int c = 0; c < 3; c++) {
+            float l = 2.5f * sinf(0.11f * x + (float)c) + 2.0f * cosf(0.07f * y + 0.05f * x) +
+                      0.5f * (float)c;
+            float noise = (float)random_bits(&seed) / (float)(1 << 24) - 0.5f;
+            float z = 255.0f * curve(l + away) + 3.0f * noise;
+            w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] = (uint8_t)fminf(fmaxf(z + 0.5f, 0.0f), 255.0f);
+        }
+    }
+}
+
 /* The same scene, differently cut in each view, at exposures 0, step, 2 step, ... in turn. */
 static void make_world(struct world *w, curve_fn *curve, int exposures, float step)
 {
-    uint32_t seed = 7;
     memset(w, 0, sizeof *w);
     w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t};
     w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
@@ -60,17 +75,7 @@ static void make_world(struct world *w, curve_fn *curve, int exposures, float st
     w->v.mid_log2t = 0.5f * step * (float)(exposures - 1) - 3.0f;
     for (int i = 0; i < VIEWS; i++) {
         w->log2t[i] = step * (float)(i % exposures) - 3.0f;
-        for (int k = 0; k < SIZE * SIZE; k++) {
-            float x = (float)(k % SIZE + 3 * i), y = (float)(k / SIZE - 2 * i);
-            for (int c = 0; c < 3; c++) {
-                float l = 2.5f * sinf(0.11f * x + (float)c) + 2.0f * cosf(0.07f * y + 0.05f * x) +
-                          0.5f * (float)c;
-                float noise = (float)random_bits(&seed) / (float)(1 << 24) - 0.5f;
-                float z = 255.0f * curve(l + w->log2t[i] - w->v.mid_log2t) + 3.0f * noise;
-                w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] =
-                    (uint8_t)fminf(fmaxf(z + 0.5f, 0.0f), 255.0f);
-            }
-        }
+        draw(w, curve, i, i, w->log2t[i] - w->v.mid_log2t);
     }
     assert_int_equal(arena_init(&w->tmp, "tmp", response_plan(&w->v)), OK);
     w->run = (struct run){.tmp = &w->tmp, .keep = &w->tmp};
@@ -138,6 +143,57 @@ static void test_known_curves(void **state)
     recover(film_curve, 3, 4.0f, 0.1f);
     recover(film_curve, 6, 1.0f,
             0.25f); // every view alone with its exposure and its part of the scene
+}
+
+/* Three places, each with two exposures of its own and another light: only the two of one place can
+ * be compared. */
+static void test_brackets(void **state)
+{
+    (void)state;
+    static const float t[VIEWS] = {-4, -1, 2.5f, -1.2f, 1.4f, 5};
+    static const float light[VIEWS / 2] = {3, 0, -3};
+    int place[VIEWS / 2] = {0, 1, 2};
+    struct world w;
+    struct tonemap tone;
+    make_world(&w, film_curve, 1, 0.0f);
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] = t[i];
+        draw(&w, film_curve, i, i % 3, t[i] + light[i % 3]);
+    }
+    w.v.n = w.v.n_more = VIEWS / 2;
+    w.v.place = place;
+    assert_true(response_plan(&w.v) < w.tmp.size);
+    assert_int_equal(response_run(&w.run, &w.v, &tone), OK);
+    check_rising(&tone);
+    float within = curve_error(&tone, film_curve);
+    w.v.n = VIEWS;
+    w.v.n_more = 0;
+    assert_int_equal(response_run(&w.run, &w.v, &tone), OK);
+    float across = curve_error(&tone, film_curve);
+    print_message("  %.3f stops within places, %.3f across\n", (double)within, (double)across);
+    assert_true(within < 0.15f && across > 0.2f);
+    free_world(&w);
+}
+
+/* The mean over exposures, and the curve itself if they are one. */
+static void test_spread(void **state)
+{
+    (void)state;
+    struct tonemap tone, out;
+    float log2t;
+    response_fit(NULL, 0, 2.0f, &tone);
+    for (int wide = 0; wide < 2; wide++) {
+        const float lo = wide ? -3 : 0, hi = wide ? 6 : 0;
+        response_spread(&tone, lo, hi, &out, &log2t);
+        for (float x = -9; x < 6; x += 0.5f) {
+            float mean = 0;
+            for (int i = 0; i <= 90; i++)
+                mean += response_display(&tone, 1, x + lo + (hi - lo) * (float)i / 90) / 91;
+            float shown = response_display(&out, 1, x + log2t - out.mid_log2t);
+            assert_true(fabsf(shown - mean) < 0.01f);
+        }
+        assert_true(fabsf(response_display(&out, 0, 0) - 0.5f) < 0.01f);
+    }
 }
 
 static void test_single_exposure_is_near_srgb(void **state)
@@ -212,7 +268,8 @@ static void test_refusals(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_known_curves), cmocka_unit_test(test_single_exposure_is_near_srgb),
+        cmocka_unit_test(test_known_curves), cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_spread),       cmocka_unit_test(test_single_exposure_is_near_srgb),
         cmocka_unit_test(test_without_grey), cmocka_unit_test(test_wrong_pairs),
         cmocka_unit_test(test_inverse),      cmocka_unit_test(test_refusals),
     };
