@@ -11,7 +11,8 @@ differ. Fixed sets lie around the middle exposure of the world, 18 % grey, 2 sto
 staggered one each place has one exposure, in turn.
 
 A pixel is clipped if it is in all pictures of its place, and dark if its weakest channel, merged,
-is below 20 dB, by the noise of the simulated sensor. Needs numpy and Pillow."""
+is below 20 dB, by the noise of the simulated sensor; SNR is the median of these channels. Needs
+numpy and Pillow."""
 
 import argparse
 import json
@@ -79,7 +80,7 @@ def shoot(q, world, view, stops, middle, out):
 
 
 def coverage(pictures):
-    """Shares of pixels clipped in all pictures, and dark in all together."""
+    """Shares of pixels clipped in all pictures, and dark in all together; their median SNR, dB."""
     clipped, snr2 = True, 0.0
     for path, _ in pictures:
         code, x = linear(path)
@@ -87,7 +88,9 @@ def coverage(pictures):
         e = x * ELECTRONS
         usable = (code >= CODE_LO) & (code.max(2, keepdims=True) <= CODE_HI)
         snr2 = snr2 + np.where(usable, e * e / (e + READ_NOISE**2), 0)
-    return np.mean(clipped), np.mean(~clipped & (snr2.min(2) < 10**2))
+    weakest = snr2.min(2)
+    snr = 10 * np.log10(max(np.median(weakest[~clipped]), 1)) if not clipped.all() else np.nan
+    return np.mean(clipped), np.mean(~clipped & (weakest < 10**2)), snr
 
 
 def unit_of(pictures, truth):
@@ -171,16 +174,18 @@ def row(q, data, takes, pictures, unit, work):
     for key in ("frames", "seconds", "unverified"):
         figures[key] = np.mean([t[key] for t in takes]) if takes else np.nan
     return figures | {"clipped": 100 * cover[0], "dark": 100 * cover[1],
-                      "ldr": j["ldr"]["psnr"], "ssim": j["ldr"]["ssim"],
+                      "snr": cover[2], "ldr": j["ldr"]["psnr"], "ssim": j["ldr"]["ssim"],
                       "hdr": j["hdr"]["psnr"], "hdr_ssim": j["hdr"]["ssim"]}
 
 
 def table(title, rows):
     print(f"\n{title}\n\n| set | exposures a place | frames | seconds | not proven | clipped % | "
-          "dark % | LDR dB | SSIM | HDR dB | SSIM |\n|---|---|---|---|---|---|---|---|---|---|---|")
+          "dark % | SNR dB | LDR dB | SSIM | HDR dB | SSIM |\n"
+          "|---|---|---|---|---|---|---|---|---|---|---|---|")
     for name, r in rows.items():
         print(f"| {name} | {r['exposures']:.1f} | {r['frames']:.0f} | {r['seconds']:.2f} | "
-              f"{r['unverified']:.1f} | {r['clipped']:.2f} | {r['dark']:.2f} | {r['ldr']:.2f} | "
+              f"{r['unverified']:.1f} | {r['clipped']:.2f} | {r['dark']:.2f} | {r['snr']:.1f} | "
+              f"{r['ldr']:.2f} | "
               f"{r['ssim']:.3f} | {r['hdr']:.2f} | {r['hdr_ssim']:.3f} |", flush=True)
 
 
