@@ -22,6 +22,8 @@ static struct viewer_input viewer_of(const struct job_result *j, const struct ou
     const char *slash = strrchr(o->path, '/');
     return (struct viewer_input){.scene = &j->scene,
                                  .photos = j->views.n > 0 ? j->views.rgb : NULL,
+                                 .log2t = j->views.n > 0 ? j->views.log2t : NULL,
+                                 .n_log2t = j->views.n + j->views.n_more,
                                  .title = slash ? slash + 1 : o->path,
                                  .report = SHEET_NAME};
 }

@@ -314,7 +314,12 @@ static err_t put_info(const struct page *p, FILE *f)
         json_put_string(f, p->in->report);
     else
         fputs("null", f);
-    fputs(",\"views\":[", f);
+    const float *taken = p->in->log2t ? p->in->log2t : s->log2t;
+    int n_taken = p->in->log2t ? p->in->n_log2t : s->n_views;
+    fputs(",\"taken\":[", f);
+    for (int i = 0; i < n_taken; i++)
+        fprintf(f, "%s%.9g", i ? "," : "", (double)(taken[i] - s->tone.mid_log2t));
+    fputs("],\"views\":[", f);
     for (int i = 0; i < s->n_views && !e; i++)
         e = put_view(p, i, f);
     fputs("]}", f);
@@ -391,7 +396,8 @@ uint64_t viewer_bytes(const struct viewer_input *in)
     uint64_t photo = in->photos ? 3 * (uint64_t)s->size * (uint64_t)s->size + 4096 : 0;
     uint64_t bytes = (uint64_t)s->g.n * splat + (uint64_t)s->n_views * photo;
     return viewer_html_size + viewer_css_size + viewer_splats_size + viewer_js_size + INFO_BYTES +
-           (uint64_t)s->n_views * VIEW_BYTES + 12 * strlen(in->title) + bytes / 3 * 4 + 64;
+           (uint64_t)s->n_views * VIEW_BYTES + 16 * (uint64_t)in->n_log2t + 12 * strlen(in->title) +
+           bytes / 3 * 4 + 64;
 }
 
 err_t viewer_write(const char *path, const struct viewer_input *in)

@@ -245,7 +245,7 @@ function setTone(mode) {
 }
 
 function openTicks() {
-  const all = info.views.map((v) => v.stops).sort((a, b) => a - b);
+  const all = info.taken.sort((a, b) => a - b);
   const ticks = all.filter((v, k) => k === 0 || v - all[k - 1] > 0.05);
   const reach = Math.max(10, ...ticks.map((v) => Math.abs(v) + 4));
   byId("ev").min = -reach;
@@ -256,8 +256,7 @@ function openTicks() {
     tick.textContent = signed(v);
     tick.dataset.stops = v;
     tick.style.left = `${50 + 50 * v / reach}%`;
-    tick.title = "exposure of " + info.views.filter((w) => Math.abs(w.stops - v) <= 0.05)
-      .map((w) => w.name).join(", ");
+    tick.title = `exposure of ${all.filter((w) => Math.abs(w - v) <= 0.05).length} photographs`;
     return tick;
   }));
   byId("ticks").addEventListener("click", (e) => { // a thumb covers several: the nearest

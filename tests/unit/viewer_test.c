@@ -79,7 +79,8 @@ static int setup(void **state)
     scene.names = names;
     scene.log2t = log2t;
     scene.cams = cams;
-    input = (struct viewer_input){&scene, photos, "a scene", "report.html"};
+    input = (struct viewer_input){
+        .scene = &scene, .photos = photos, .title = "a scene", .report = "report.html"};
     page = NULL;
     blob = NULL;
     info = NULL;
@@ -226,6 +227,9 @@ static void what_stands_around_it(void **state)
     assert_true(k[0] == 20 && k[1] == 21 && k[2] == 12 && k[3] == 13);
     double stops = NAN;
     assert_true(json_number(json_member(view, "stops"), &stops) && stops == -1);
+    const struct cJSON *taken = json_member(info, "taken");
+    assert_int_equal(json_count(taken), VIEWS);
+    assert_true(json_number(json_first(taken), &stops) && stops == -1);
     assert_true(number("middle") == -3);
     assert_string_equal(json_string(json_member(info, "report")), "report.html");
     /* the photograph */
@@ -241,9 +245,13 @@ static void what_stands_around_it(void **state)
     /* the promise of the issue, and that of viewer_bytes */
     assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
     assert_true(page_bytes <= viewer_bytes(&input));
+    const float more[] = {1, 2, -3.5f};
     input.photos = NULL;
     input.report = NULL;
+    input.log2t = more;
+    input.n_log2t = 3;
     make_page();
+    assert_int_equal(json_count(json_member(info, "taken")), 3);
     assert_null(json_member(json_first(json_member(info, "views")), "photo"));
     assert_true(page_bytes <= viewer_bytes(&input));
 }
