@@ -153,9 +153,9 @@ static void resize(const struct image8 *in, int size, struct scratch *s, uint8_t
         row_down(&s->y, s->mid, n, y, out + (size_t)y * n);
 }
 
-static err_t check_image(const char *name, const struct image8 *im)
+static err_t check_image(const char *name, const struct image8 *im, bool has_pixels)
 {
-    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX ||
+    if (!has_pixels || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX ||
         im->h > SIDE_MAX)
         return err_fail(ERR_ARG, "%s: no RGB picture of 1 to %d px a side (%d x %d, %d channels)",
                         name, SIDE_MAX, im->w, im->h, im->channels);
@@ -174,7 +174,7 @@ err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t 
 {
     err_t e = check_size(size);
     if (!e)
-        e = check_image("prep", in);
+        e = check_image("prep", in, in->px != NULL);
     if (e)
         return e;
     size_t mark = arena_mark(tmp);
@@ -218,9 +218,9 @@ void prep_plan(const struct capture *c, int size, int threads, size_t *keep, siz
         *tmp = arena_add(*tmp, scratch_need(w, h, size));
 }
 
-static err_t check_shot(const struct shot *s)
+static err_t check_shot(const struct shot *s, const struct prep_source *from)
 {
-    err_t e = check_image(s->name, &s->image);
+    err_t e = check_image(s->name, &s->image, from || s->image.px);
     if (e)
         return e;
     if (s->exposure == 0.0)
@@ -234,13 +234,13 @@ static err_t check_shot(const struct shot *s)
     return OK;
 }
 
-static err_t check_capture(const struct capture *c, int size)
+static err_t check_capture(const struct capture *c, const struct prep_source *from, int size)
 {
     err_t e = check_size(size);
     if (!e && c->n < 1)
         e = err_fail(ERR_ARG, "prep: the capture has no photograph");
     for (int i = 0; i < c->n && !e; i++)
-        e = check_shot(&c->shots[i]);
+        e = check_shot(&c->shots[i], from);
     return e;
 }
 
@@ -307,8 +307,9 @@ static void fill_small(const struct capture *c, struct views *v, int *slot)
 struct job {
     const struct run *r;
     const struct capture *c;
+    const struct prep_source *from;
     struct views *v;
-    const int *slot;
+    int *slot;
     struct scratch *scratch; // one per worker
 };
 
@@ -316,39 +317,43 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
     size_t view = 3 * (size_t)j->v->size * (size_t)j->v->size;
-    if (j->r->cancel && atomic_load(j->r->cancel))
-        return err_fail(ERR_CANCELLED, "prep: cancelled");
-    resize(&j->c->shots[chunk].image, j->v->size, &j->scratch[worker],
-           j->v->rgb + (size_t)j->slot[chunk] * view);
+    struct image8 im = j->c->shots[chunk].image;
+    err_t e = run_check(j->r, "prep");
+    if (!e && j->from)
+        e = j->from->decode(j->from->ctx, chunk, &im);
+    if (e)
+        return e;
+    resize(&im, j->v->size, &j->scratch[worker], j->v->rgb + (size_t)j->slot[chunk] * view);
+    if (j->from)
+        j->from->release(&im);
     return OK;
 }
 
-static err_t resize_all(const struct run *r, const struct capture *c, const int *slot,
-                        struct views *v)
+static err_t resize_all(struct job *j)
 {
-    int w, h, workers = pool_size(r->pool);
-    largest(c, &w, &h);
-    struct job j = {r, c, v, slot, NULL};
-    err_t e = arena_alloc(r->tmp, (size_t)workers, sizeof *j.scratch, &j.scratch);
+    int w, h, workers = pool_size(j->r->pool);
+    largest(j->c, &w, &h);
+    err_t e = arena_alloc(j->r->tmp, (size_t)workers, sizeof *j->scratch, &j->scratch);
     for (int i = 0; i < workers && !e; i++)
-        e = scratch_alloc(&j.scratch[i], w, h, v->size, r->tmp);
-    return e ? e : pool_for(r->pool, c->n, resize_shot, &j);
+        e = scratch_alloc(&j->scratch[i], w, h, j->v->size, j->r->tmp);
+    return e ? e : pool_for(j->r->pool, j->c->n, resize_shot, j);
 }
 
-err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out)
+err_t prep_read(const struct run *r, const struct capture *c, const struct prep_source *from,
+                int size, struct views *out)
 {
     memset(out, 0, sizeof *out);
-    err_t e = check_capture(c, size);
+    err_t e = check_capture(c, from, size);
     if (e)
         return e;
     struct views v = {0};
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
-    int *slot;
+    struct job j = {.r = r, .c = c, .from = from, .v = &v};
     e = views_alloc(r, c, size, &v);
-    e = e ? e : arena_alloc(r->tmp, (size_t)c->n, sizeof *slot, &slot);
+    e = e ? e : arena_alloc(r->tmp, (size_t)c->n, sizeof *j.slot, &j.slot);
     if (!e) {
-        fill_small(c, &v, slot);
-        e = resize_all(r, c, slot, &v);
+        fill_small(c, &v, j.slot);
+        e = resize_all(&j);
     }
     arena_reset(r->tmp, tmp);
     if (e) {
@@ -357,6 +362,11 @@ err_t prep_run(const struct run *r, const struct capture *c, int size, struct vi
     }
     *out = v;
     return OK;
+}
+
+err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out)
+{
+    return prep_read(r, c, NULL, size, out);
 }
 
 void prep_to_float(const uint8_t *rgb, int size, float *out)

@@ -29,6 +29,20 @@ int prep_places(const struct capture *c);
  *       ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
 
+/* Where pixels come from that are not in the capture; each is released before the next is decoded by
+ * the same worker. decode gives shot i with the size that the capture says. thread: any. */
+struct prep_source {
+    err_t (*decode)(void *ctx, int i, struct image8 *out);
+    void (*release)(struct image8 *im);
+    void *ctx;
+};
+
+/* As prep_run.
+ * from: NULL = the capture itself.
+ * err:  those of prep_run and of decode. */
+MUST_USE err_t prep_read(const struct run *r, const struct capture *c,
+                         const struct prep_source *from, int size, struct views *out);
+
 /* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float
  * as the reference does (model-spec 1.1, point 4).
  * rgb:  (size, size, 3).

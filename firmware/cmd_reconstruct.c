@@ -7,6 +7,7 @@
 #include "core/base/log.h"
 #include "core/prep.h"
 #include "drivers/imageset.h"
+#include "drivers/img.h"
 #include "drivers/npy.h"
 
 #include <math.h>
@@ -25,6 +26,7 @@ struct state {
     struct engine engine;
     struct network network;
     struct imageset set;
+    struct prep_source source;
     struct outdir out, dump;
     struct npy_dir tensors;
     struct job_result result;
@@ -131,6 +133,12 @@ static err_t reserve(const struct request *rq, struct state *st, const struct jo
     return ERR_LIMIT;
 }
 
+/* Pixels are read when they are resized, so that few are in memory at a time. */
+static err_t decode(void *ctx, int i, struct image8 *out)
+{
+    return imageset_decode(ctx, i, out);
+}
+
 /* Everything that can be refused before the work. */
 static err_t prepare(struct request *rq, struct state *st, struct job_config *job)
 {
@@ -141,6 +149,8 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
         return e;
     cmd_imageset(network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
+    st->source = (struct prep_source){decode, img_free, &st->set};
+    job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !job_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
     if (!e)
@@ -166,8 +176,6 @@ static err_t reconstruct(struct request *rq, struct state *st)
         e = outdir_open(rq->out, &st->out);
     if (!e)
         e = begin_dump(rq, st);
-    if (!e)
-        e = imageset_load(&st->set);
     if (!e)
         e = job_run(r, &st->set.capture, &job, &st->result);
     if (!e)

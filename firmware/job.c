@@ -61,7 +61,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     if (cfg.network)
         out->precision = modelfile_precision(cfg.network->file.model.precision);
     announce(r, JOB_PREPROCESS);
-    err_t e = prep_run(r, c, cfg.size, &out->views);
+    err_t e = prep_read(r, c, cfg.source, cfg.size, &out->views);
     if (!e)
         e = arena_alloc(r->keep, (size_t)c->n, sizeof *out->input_db, &out->input_db);
     for (int i = 0; i < c->n && !e; i++)
@@ -123,6 +123,18 @@ int job_most(const struct job_config *asked, int n_views)
     return cfg.refine.gaussians_max;
 }
 
+/* Of n at a time: all, or as many of the largest. */
+static size_t plan_pictures(const struct capture *c, int n)
+{
+    size_t sum = 0, most = 0;
+    for (int i = 0; i < c->n; i++) {
+        size_t one = arena_need((size_t)c->shots[i].image.w, (size_t)c->shots[i].image.h * 3);
+        most = num_max_size(most, one);
+        sum = arena_add(sum, one);
+    }
+    return n < c->n ? most * (size_t)n : sum;
+}
+
 err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
                struct job_memory *out)
 {
@@ -138,9 +150,7 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
                             .cams = c->shots[0].has_camera ? &known : NULL};
     size_t keep, tmp;
     *out = start_plan(&cfg, &v, threads, tapped);
-    for (int i = 0; i < c->n; i++)
-        out->pictures = arena_add(out->pictures, arena_need((size_t)c->shots[i].image.w,
-                                                            (size_t)c->shots[i].image.h * 3));
+    out->pictures = plan_pictures(c, cfg.source ? threads : c->n);
     prep_plan(c, cfg.size, threads, &keep, &tmp);
     out->keep = arena_add(out->keep, keep);
     out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db

@@ -8,6 +8,7 @@
 #include "firmware/report.h"
 
 #include "core/opt/refine.h"
+#include "core/prep.h"
 #include "core/types.h"
 
 enum job_stage {
@@ -34,14 +35,15 @@ struct job_config {
     struct refine_config refine;
     const struct network *network; // NULL: none
     bool cameras_only;             // the network is only asked for cameras
-    bool polish;         // bundle adjustment of the network's cameras; always without a network
-    bool stereo;         // refinement starts from stereo also if a network gave Gaussians
-    float fov_deg;       // of cameras that are not known, horizontal; 0: to be found
-    float dump_log2t[3]; // exposures of the dumped picture, if run.tap is set
+    bool polish;   // bundle adjustment of the network's cameras; always without a network
+    bool stereo;   // refinement starts from stereo also if a network gave Gaussians
+    float fov_deg; // of cameras that are not known, horizontal; 0: to be found
+    const struct prep_source *source; // of the pixels; NULL: they are in the capture
+    float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set
 };
 
 struct job_memory {
-    size_t pictures, weights; // bytes: decoded photographs (malloc'd by imageset), mapped file
+    size_t pictures, weights; // bytes: decoded photographs at a time (malloc'd), mapped file
     size_t keep, tmp;         // arenas
 };
 

@@ -91,6 +91,23 @@ static void exposures_are_cheaper_than_places(void **state)
     assert_true(brackets < few + 8 * (200 * 200 * 3 + 4 * photo) && brackets < many);
 }
 
+/* Pixels that are read when they are needed are few at a time. */
+static void pixels_read_later_take_less(void **state)
+{
+    (void)state;
+    const struct prep_source from = {NULL, NULL, NULL};
+    struct job_memory all, two;
+    struct job_config cfg = config(112, 20000);
+    struct capture c = capture(6, 1000);
+    assert_int_equal(job_plan(&c, &cfg, 2, false, &all), OK);
+    cfg.source = &from;
+    assert_int_equal(job_plan(&c, &cfg, 2, false, &two), OK);
+    assert_true(two.pictures >= 2 * 3000000 && 3 * two.pictures == all.pictures);
+    assert_true(two.keep == all.keep && two.tmp == all.tmp);
+    assert_int_equal(job_plan(&c, &cfg, 7, false, &two), OK);
+    assert_int_equal(two.pictures, all.pictures);
+}
+
 /* There are never more splats than pixels, whatever the settings allow. */
 static void room_for_no_more_splats_than_pixels(void **state)
 {
@@ -152,6 +169,7 @@ int main(void)
         cmocka_unit_test(refusals),
         cmocka_unit_test(memory_grows_with_the_work),
         cmocka_unit_test(exposures_are_cheaper_than_places),
+        cmocka_unit_test(pixels_read_later_take_less),
         cmocka_unit_test(room_for_no_more_splats_than_pixels),
         cmocka_unit_test(warnings_are_bounded),
         cmocka_unit_test(report_has_every_member),

@@ -222,6 +222,60 @@ static void exposures_go_behind_places(void **state)
     capture_close(&c);
 }
 
+static const struct capture *stored;
+static int decoded, released, broken;
+
+static err_t decode(void *ctx, int i, struct image8 *out)
+{
+    assert_ptr_equal(ctx, &decoded);
+    if (i == broken)
+        return err_fail(ERR_IO, "%s: torn", stored->shots[i].name);
+    *out = stored->shots[i].image;
+    decoded++;
+    return OK;
+}
+
+static void release(struct image8 *im)
+{
+    assert_non_null(im->px);
+    released++;
+    assert_int_equal(decoded, released); // one at a time with one thread
+}
+
+/* Pixels that are read shot by shot give the same views. */
+static void pixels_may_come_later(void **state)
+{
+    (void)state;
+    struct shot shots[3], bare[3];
+    struct capture c, later = {3, bare};
+    struct views now, v;
+    struct arena keep, more, tmp;
+    struct run r = {.keep = &more, .tmp = &tmp};
+    const struct prep_source from = {decode, release, &decoded};
+    size_t keep_bytes, tmp_bytes;
+    capture_open(&c, shots);
+    memcpy(bare, shots, sizeof bare);
+    for (int i = 0; i < 3; i++)
+        bare[i].image.px = NULL;
+    stored = &c;
+    assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
+    prep_plan(&later, 56, 1, &keep_bytes, &tmp_bytes);
+    assert_int_equal(arena_init(&more, "keep", keep_bytes), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", tmp_bytes), OK);
+    assert_int_equal(prep_run(&r, &later, 56, &v), ERR_ARG); // no pixels
+    broken = 2;
+    assert_int_equal(prep_read(&r, &later, &from, 56, &v), ERR_IO);
+    assert_true(more.used == 0 && tmp.used == 0 && decoded == released);
+    broken = -1;
+    assert_int_equal(prep_read(&r, &later, &from, 56, &v), OK);
+    assert_true(decoded == 5 && released == 5);
+    assert_memory_equal(v.rgb, now.rgb, 3 * 3 * 56 * 56);
+    arena_free(&keep);
+    arena_free(&more);
+    arena_free(&tmp);
+    capture_close(&c);
+}
+
 static void refused(struct capture *c, const char *words)
 {
     struct arena keep;
@@ -288,6 +342,7 @@ int main(void)
         cmocka_unit_test(resize_equals_pillow_on_odd_shapes),
         cmocka_unit_test(run_fills_views),
         cmocka_unit_test(exposures_go_behind_places),
+        cmocka_unit_test(pixels_may_come_later),
         cmocka_unit_test(run_refuses),
         cmocka_unit_test(run_can_be_cancelled),
     };
