@@ -14,7 +14,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
 	ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
-DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa xz-utils
+DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
 
 VERSION := 0.5.0

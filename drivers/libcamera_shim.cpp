@@ -7,7 +7,8 @@
  * from release to release (ExposureTimeMode from 0.5 on, without which an exposure is ignored).
  * open waits for the first frame: only that one tells whether this camera reports its exposures.
  * Once the camera is gone or a request cannot be queued, no request is touched again (reuse of one
- * ends in a crash); stop, buffers and release are left to close, in this order.
+ * ends in a crash); stop, buffers and release are left to close, in this order. Until 0.7.2 at least
+ * libcamera aborts when it stops a USB camera that has gone before udev says so: close waits for it.
  * Compiles with 0.0.3 to 0.7.2. */
 #include "drivers/libcamera_shim.h"
 
@@ -23,8 +24,11 @@
 #include <cmath>
 #include <cstdarg>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
+#include <dirent.h>
 #include <linux/dma-buf.h>
+#include <linux/videodev2.h>
 #include <memory>
 #include <mutex>
 #include <poll.h>
@@ -32,6 +36,8 @@
 #include <sys/eventfd.h>
 #include <sys/ioctl.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
+#include <sys/sysmacros.h>
 #include <time.h>
 #include <unistd.h>
 #include <vector>
@@ -40,6 +46,7 @@ namespace
 {
 
 constexpr int FIRST_FRAME_MS = 5000;
+constexpr int NEWS_MS = 2000;         // until libcamera is told of an unplugging, at most
 constexpr int PERIOD_FRAMES = 3;      // after which the period is taken from the stamps
 constexpr double START_S = 0.01;      // exposure before anything is asked for
 constexpr double UVC_STEP_US = 100.0; // to which the UVC handler cuts exposure times
@@ -130,6 +137,26 @@ std::shared_ptr<lc::CameraManager> manager_get(err_t *e)
     return manager;
 }
 
+/* ---- unplugging ---- */
+
+/* Whether a video node that this process holds open, as libcamera does, is there no more. */
+bool node_gone()
+{
+    constexpr unsigned VIDEO_MAJOR = 81;
+    bool gone = false;
+    DIR *const all = opendir("/proc/self/fd");
+    for (const dirent *e; all && !gone && (e = readdir(all));) {
+        const int fd = atoi(e->d_name);
+        struct stat is;
+        v4l2_capability what;
+        gone = fstat(fd, &is) == 0 && S_ISCHR(is.st_mode) && major(is.st_rdev) == VIDEO_MAJOR &&
+               ioctl(fd, VIDIOC_QUERYCAP, &what) != 0 && errno == ENODEV;
+    }
+    if (all)
+        closedir(all);
+    return gone;
+}
+
 } // namespace
 
 /* ---- a camera ---- */
@@ -158,7 +185,7 @@ struct libcamera_shim_camera {
     /* One writer, libcamera's thread, and one reader. */
     std::array<lc::Request *, 2 * CAMERA_BUFFERS_MAX> ring{};
     std::atomic<unsigned> written{0}, read{0};
-    std::atomic<bool> lost{false};
+    std::atomic<bool> lost{false}, unplugged{false}; // unplugged: says libcamera
 
     void wake()
     {
@@ -178,6 +205,7 @@ struct libcamera_shim_camera {
 
     void disconnected()
     {
+        unplugged = true;
         lost = true;
         wake();
     }
@@ -194,6 +222,8 @@ struct libcamera_shim_camera {
 
     ~libcamera_shim_camera()
     {
+        for (int ms = 0; started && !unplugged && ms < NEWS_MS && node_gone(); ms += 10)
+            poll(nullptr, 0, 10);
         if (started)
             camera->stop(); // cancels what is queued; fails when the camera is gone
         if (event >= 0) {

@@ -6,7 +6,7 @@ out=$1 bin=$2 modules=$3 guest=$(cd "$(dirname "$0")" && pwd)/guest
 root=$out.root
 rm -rf "$root"
 trap 'rm -rf "$root"' EXIT
-mkdir -p "$root"/usr/{bin,sbin,lib,lib64} "$root"/{dev,etc,proc,run,sys,tmp}
+mkdir -p "$root"/usr/{bin,sbin,lib/systemd,lib64} "$root"/{dev,etc,proc,run,sys,tmp}
 for d in bin sbin lib lib64; do
     ln -s usr/$d "$root/$d"
 done
@@ -21,7 +21,8 @@ add() { # file...
 PATH=/usr/sbin:/usr/bin
 programs=()
 for f in awk bash cat cmp cp cut date dd dmsetup grep head ln ls mkdir mkfifo mkfs.ext4 modprobe \
-    mount mv readlink realpath rm rmdir sed sleep sort tail timeout touch tr truncate umount wc; do
+    mount mv readlink realpath rm rmdir sed sleep sort sync tail timeout touch tr truncate \
+    udevadm umount wc; do
     programs+=("$(command -v $f)")
 done
 ours=$(cd "$bin/../.." && pwd)
@@ -29,6 +30,7 @@ for f in "$bin"/* "$ours"/hdrig "$ours"/hdrigd; do
     [ -d "$f" ] || [ ! -x "$f" ] || programs+=("$f")
 done
 programs+=("$ours/hdrig-libcamera.so" /usr/lib/*/libcamera/*.so)
+ln -s ../../bin/udevadm "$root/usr/lib/systemd/systemd-udevd"
 add "${programs[@]}" /usr/lib/*/libcamera/*.sign "$guest"/*
 strip "$root$bin"/* "$root$ours"/hdrig*
 libraries=$(ldd "${programs[@]}" | awk '$2 == "=>" { print $3 } /^\t\// { print $1 }' | sort -u)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # run.sh FOLDER [TEST...] - runs tests/kernel/guest/TEST.sh, by default all, each in a kernel of its
-# own, whose time is virtual: User Mode Linux, or, where that cannot be built or does not run,
+# own, whose time is virtual (but for "# Real time" in TEST.sh): User Mode Linux, or, where that cannot be built or does not run,
 # Debian's kernel under QEMU, whose clock counts instructions. BENCH=uml or BENCH=qemu leaves no
 # choice. FOLDER has the programs built from tests/kernel/*.c.
 # One line per test: seconds of the machine, and of one processor. Its log is
@@ -21,14 +21,17 @@ memory=$root/build/kernel
 [ "$(df -Pm /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')" -gt 600 ] 2>/dev/null &&
     memory=/dev/shm
 
-boot_uml() { # parameters of the kernel
-    TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=512M time-travel=inf-cpu \
-        time-travel-start=1700000000000000000 rootfstype=hostfs rootflags=/ ro init="$guest/init.sh" \
-        con=null con0=null,fd:1 "$@"
+boot_uml() { # script parameters-of-the-kernel
+    local time="time-travel=inf-cpu time-travel-start=1700000000000000000"
+    ! grep -q '^# Real time' "$1" || time=
+    shift
+    TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=512M $time rootfstype=hostfs \
+        rootflags=/ ro init="$guest/init.sh" con=null con0=null,fd:1 "$@"
 }
 
 # An instruction takes 1 ns, a wait nothing.
-boot_qemu() {
+boot_qemu() { # script parameters-of-the-kernel
+    shift
     timeout -k 5 "$limit" qemu-system-x86_64 -M q35 -accel tcg,thread=single -cpu Nehalem -m 1G \
         -icount shift=0,sleep=off -rtc base=2023-11-14,clock=vm -nodefaults -no-user-config \
         -display none -serial stdio -monitor none -no-reboot \
@@ -37,7 +40,8 @@ boot_qemu() {
 }
 
 boot() { # bench script
-    "boot_$1" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" </dev/null 2>&1 | tr -d '\r'
+    "boot_$1" "$2" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" </dev/null 2>&1 |
+        tr -d '\r'
 }
 
 # Whether that bench is here and boots.
