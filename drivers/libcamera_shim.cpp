@@ -7,8 +7,9 @@
  * from release to release (ExposureTimeMode from 0.5 on, without which an exposure is ignored).
  * open waits for the first frame: only that one tells whether this camera reports its exposures.
  * Once the camera is gone or a request cannot be queued, no request is touched again (reuse of one
- * ends in a crash); stop, buffers and release are left to close, in this order. Until 0.7.2 at least
- * libcamera aborts when it stops a USB camera that has gone before udev says so: close waits for it.
+ * ends in a crash); stop, buffers and release are left to close, in this order. Until 0.7.2 at
+ * least, libcamera aborts when it stops a USB camera that has gone before udev says so: close waits
+ * for that.
  * Compiles with 0.0.3 to 0.7.2. */
 #include "drivers/libcamera_shim.h"
 

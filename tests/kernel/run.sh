@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # run.sh FOLDER [TEST...] - runs tests/kernel/guest/TEST.sh, by default all, each in a kernel of its
-# own, whose time is virtual (but for "# Real time" in TEST.sh): User Mode Linux, or, where that cannot be built or does not run,
-# Debian's kernel under QEMU, whose clock counts instructions. BENCH=uml or BENCH=qemu leaves no
-# choice. FOLDER has the programs built from tests/kernel/*.c.
+# own, whose time is virtual unless the script says otherwise ("# Real time"): User Mode Linux, or,
+# where that cannot be built or does not run, Debian's kernel under QEMU, whose clock counts
+# instructions. BENCH=uml or BENCH=qemu leaves no choice. FOLDER has the programs built from
+# tests/kernel/*.c.
 # One line per test: seconds of the machine, and of one processor. Its log is
 # build/log/kernel_TEST.log, whose end is shown when the test fails.
 set -u
@@ -40,8 +41,8 @@ boot_qemu() { # script parameters-of-the-kernel
 }
 
 boot() { # bench script
-    "boot_$1" "$2" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" </dev/null 2>&1 |
-        tr -d '\r'
+    "boot_$1" "$2" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" \
+        </dev/null 2>&1 | tr -d '\r'
 }
 
 # Whether that bench is here and boots.
@@ -76,6 +77,7 @@ for test in "$@"; do
     if grep -qx 'TEST_EXIT 0' "$log"; then
         passed=$((passed + 1))
         printf 'ok %5d s %5.0f s\n' $((SECONDS - start)) "$cpu"
+        sed -n 's/^skipped: /    &/p' "$log"
     else
         failed=$((failed + 1))
         printf 'FAILED\n'

@@ -15,8 +15,8 @@ await_node() { # path
     udevadm settle
 }
 
-# libcamera names a USB camera by the firmware's node of its controller; vhci_hcd has none. A folder in
-# memory over the controller's, with everything bound back and such a node added.
+# libcamera names a USB camera by the firmware's node of its controller; vhci_hcd has none. A folder
+# in memory over the controller's, with everything bound back and such a node added.
 name_controller() {
     local d=/sys/devices/platform/vhci_hcd.0 e to
     mkdir -p /run/controller

@@ -1,5 +1,5 @@
-# A USB camera is pulled out and closed before udevd says so, where libcamera's own stop would abort.
-# Real time: until then libcamera polls without rest, for which virtual time need not pass.
+# A USB camera is pulled out and closed before udevd says so, where libcamera's stop would abort.
+# Real time: libcamera polls without rest meanwhile, and virtual time would not pass.
 . "${0%/*}/libcamera.bash"
 
 load vhci-hcd
