@@ -29,8 +29,8 @@ int prep_places(const struct capture *c);
  *       ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
 
-/* Where pixels come from that are not in the capture; each is released before the next is decoded by
- * the same worker. decode gives shot i with the size that the capture says. thread: any. */
+/* Where pixels come from that are not in the capture; a worker releases one picture before it
+ * decodes the next. decode gives shot i with the size that the capture says. thread: any. */
 struct prep_source {
     err_t (*decode)(void *ctx, int i, struct image8 *out);
     void (*release)(struct image8 *im);

@@ -9,10 +9,10 @@
  * train_ldr_000. In any other folder every picture is a view of its own and an input.
  *
  * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
- * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the middle, the
- * shortest and the longest of that view (t3, t1, t5 of five: the paper's set, interleaved), and of
- * the views n_views that are evenly spread. exposure_set limits this choice to some of the times
- * that the folder's pictures have, sorted; protocol.json is not read then.
+ * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the
+ * middle, the shortest and the longest of that view (t3, t1, t5 of five: the paper's set,
+ * interleaved), and of the views n_views that are evenly spread. exposure_set limits this choice to
+ * some of the times that the folder's pictures have, sorted; protocol.json is not read then.
  * thread: any. */
 #ifndef DRIVERS_IMAGESET_H
 #define DRIVERS_IMAGESET_H

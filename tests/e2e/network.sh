@@ -3,7 +3,7 @@
 # bytes with any number of threads, interruption. Weights are hashed, so pictures show nothing.
 . tests/e2e/common.bash
 golden=tests/data/golden/mini
-make_set good 56 3 1
+"$BIN/make_set" "$OUT/good" 56 3 1 one || exit 1
 "$BIN/golden" prepare $golden "$OUT/inputs" >"$OUT/settings.txt" || fail "no inputs"
 settings=$(tr -d '\n' <$golden/index.json | sed 's/.*"model": {\([^}]*\)}.*/\1/')
 
