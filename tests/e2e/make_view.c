@@ -143,7 +143,8 @@ static void put_scene(struct scene *s, double unit)
 static err_t write_files(const char *out, const struct scene *s, const uint8_t *photos)
 {
     char path[FILE_PATH_CAP];
-    struct viewer_input page = {s, photos, "</title><b>scene</b> & \"view\"", NULL};
+    struct viewer_input page = {
+        .scene = s, .photos = photos, .title = "</title><b>scene</b> & \"view\""};
     err_t e = file_join(out, "scene.hdrig", path);
     if (!e)
         e = scenefile_write(path, s);
