@@ -1,7 +1,7 @@
 #!/bin/bash
 # First process of the guest. Its root is that of the machine, read-only, or a copy of what it
-# needs; what tests write goes to memory. TEST, BIN, MODULES and BENCH come from the kernel's command
-# line.
+# needs; what tests write goes to memory. TEST, BIN, MODULES and BENCH are words of the command line
+# of the kernel.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin LC_ALL=C TMPDIR=/run/tmp HOME=/run/tmp
 mount -t proc proc /proc
 mount -t sysfs sys /sys
