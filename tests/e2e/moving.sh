@@ -123,7 +123,8 @@ fi
 
 entries=codec_name,width,height,pix_fmt,color_range,color_space,r_frame_rate,duration,nb_read_frames
 probe() { # file: these
-    ffprobe -v error -select_streams v -count_frames -of csv=p=0 -show_entries "stream=$entries" "$1"
+    ffprobe -v error -select_streams v -count_frames -of csv=p=0 \
+        -show_entries "stream=$entries" "$1"
 }
 
 # videos: whole, of even sides, with the same frames beside them
