@@ -160,6 +160,7 @@ static err_t deflate_some(struct packed_out *out, const void *p, size_t n, bool 
     z_stream *z = out->state;
     uint8_t block[BLOCK];
     int code;
+    block[0] = 0; // cppcheck does not know that what follows fills it; below too
     z->next_in = (Bytef *)(uintptr_t)p;
     z->avail_in = (uInt)n;
     do {
@@ -178,6 +179,7 @@ static err_t zstd_put(struct packed_out *out, const void *p, size_t n, bool end)
     uint8_t block[BLOCK];
     ZSTD_inBuffer from = {p, n, 0};
     size_t left;
+    block[0] = 0;
     do {
         ZSTD_outBuffer to = {block, BLOCK, 0};
         left = ZSTD_compressStream2(out->state, &to, &from, end ? ZSTD_e_end : ZSTD_e_continue);

@@ -123,8 +123,8 @@ err_t ply_write(const char *path, const struct scene *s)
     if (e)
         return e;
     put_header(f, s, ev);
+    uint8_t row[ROW_MAX] = {0};
     for (int i = 0; i < s->g.n; i++) {
-        uint8_t row[ROW_MAX];
         e = check_splat(path, &s->g, i);
         if (e) {
             file_discard(f, path);
@@ -425,7 +425,7 @@ static float half_at(const uint8_t *row, size_t offset)
 static void take_row(const struct sources *s, const uint8_t *row, float ev, int i,
                      struct gaussians *g)
 {
-    float sh[3 * SH_COEFS_MAX], log_sh[3 * SH_COEFS_MAX];
+    float sh[3 * SH_COEFS_MAX], log_sh[3 * SH_COEFS_MAX] = {0};
     int n_sh = 3 * coefs_of(s->info.degree);
     for (int p = 0; p < G_SH; p++)
         g->plane[p][i] = float_at(row, s->offset[p]);
