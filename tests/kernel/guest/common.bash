@@ -53,6 +53,17 @@ probe_camera() {
     [ $rc = "$wanted" ] || fail "the probe ended with $rc, not $wanted"
 }
 
+# The fewest that a process has open within a second: some come and go.
+descriptors() { # process
+    local i files fewest=1000
+    for ((i = 0; i < 50; i++)); do
+        files=("/proc/$1/fd"/*)
+        [ ${#files[@]} -ge $fewest ] || fewest=${#files[@]}
+        nap 0.02
+    done
+    echo $fewest
+}
+
 # Lines of `seen` with a pattern.
 count() {
     grep -c -- "$1" seen || true

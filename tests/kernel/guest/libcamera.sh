@@ -63,14 +63,14 @@ nap 4
 for ((i = 1; i <= 10; i++)); do
     kill -USR1 $cam
     nap 5.$i
-    files=(/proc/$daemon/fd/*)
-    [ $i != 2 ] || before=${#files[@]}
+    [ $i != 2 ] || before=$(descriptors $daemon)
 done
+after=$(descriptors $daemon)
 kill $daemon
 wait $daemon || fail "hdrigd ended with $?"
 tail -n 12 log
 expect "pulled out" "$(grep -c 'the camera has gone' log)" 10
 expect "taken up again" "$(grep -c 'there again' log)" 10
 between "complete takes" "$(grep -c '^[0-9a-f]*-[0-9]*: 3 frames' log)" 10 100
-expect "descriptors" ${#files[@]} "$before"
+expect "descriptors" "$after" "$before"
 kill $cam $udev

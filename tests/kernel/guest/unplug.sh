@@ -40,8 +40,8 @@ figure() { # kB of a file in /proc
 }
 
 figures() {
-    files=(/proc/$daemon/fd/*)
-    now=(${#files[@]} "$(figure VmRSS /proc/$daemon/status)" "$(figure VmData /proc/$daemon/status)"
+    local status=/proc/$daemon/status
+    now=("$(descriptors $daemon)" "$(figure VmRSS $status)" "$(figure VmData $status)"
         "$(figure MemAvailable /proc/meminfo)")
     echo "$1 cycles: ${now[0]} descriptors, ${now[1]} kB resident, ${now[2]} kB of data;" \
         "${now[3]} kB free in the machine"
