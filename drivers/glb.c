@@ -39,8 +39,6 @@ enum {
     ATTRIBUTES_MAX = 5 + (DISPLAY_DEGREE_MAX + 1) * (DISPLAY_DEGREE_MAX + 1) + SH_COEFS_MAX
 };
 
-static const uint64_t FILE_BYTES_MAX = UINT32_MAX;
-
 enum source { POSITION, COLOUR_0, ROTATION, SCALE, OPACITY, DISPLAY, LOG_RADIANCE };
 
 struct attribute {
@@ -351,7 +349,7 @@ struct layout {
     struct cJSON *json;
     const uint8_t *bin;
     size_t bin_bytes;
-    struct glb_info info;
+    struct splats_info info;
     struct list list;
 };
 
@@ -380,7 +378,7 @@ static const struct cJSON *element(const struct cJSON *array, size_t i)
     return node;
 }
 
-static err_t open_chunks(const struct glb_bytes *f, struct layout *l)
+static err_t open_chunks(const struct splats_bytes *f, struct layout *l)
 {
     struct bytes b = bytes_of(f->p, f->n);
     uint32_t magic = bytes_u32(&b), version = bytes_u32(&b), length = bytes_u32(&b);
@@ -608,7 +606,7 @@ static err_t check_views(const struct layout *l)
 }
 
 /* own:  json_free(l->json). */
-static err_t open_layout(const struct glb_bytes *f, struct layout *l)
+static err_t open_layout(const struct splats_bytes *f, struct layout *l)
 {
     const struct cJSON *primitive = NULL;
     memset(l, 0, sizeof *l);
@@ -693,7 +691,7 @@ static err_t read_attribute(const struct layout *l, const struct attribute *a, s
     return OK;
 }
 
-err_t glb_peek_bytes(const struct glb_bytes *file, struct glb_info *out)
+static err_t peek(const struct splats_bytes *file, struct splats_info *out)
 {
     struct layout l;
     memset(out, 0, sizeof *out);
@@ -704,8 +702,8 @@ err_t glb_peek_bytes(const struct glb_bytes *file, struct glb_info *out)
     return e;
 }
 
-err_t glb_parse(const struct glb_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                struct gaussians_report *report)
+static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
+                   struct gaussians_report *report)
 {
     struct layout l;
     size_t mark = arena_mark(a);
@@ -729,27 +727,4 @@ err_t glb_parse(const struct glb_bytes *file, float ev, struct arena *a, struct 
     return OK;
 }
 
-err_t glb_peek(const char *path, struct glb_info *out)
-{
-    struct file_map m;
-    memset(out, 0, sizeof *out);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = glb_peek_bytes(&(struct glb_bytes){path, m.p, m.n}, out);
-    file_unmap(&m);
-    return e;
-}
-
-err_t glb_read(const char *path, float ev, struct arena *a, struct gaussians *g,
-               struct gaussians_report *report)
-{
-    struct file_map m;
-    memset(g, 0, sizeof *g);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = glb_parse(&(struct glb_bytes){path, m.p, m.n}, ev, a, g, report);
-    file_unmap(&m);
-    return e;
-}
+const struct splats_format glb_format = {UINT32_MAX, peek, parse};

@@ -23,23 +23,8 @@ enum {
 };
 
 #define EV_MAX 200 // stops; two floats are never further apart
-static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
 
 /* ---- writing ---- */
-
-static err_t check_splat(const char *path, const struct gaussians *g, int i)
-{
-    double length = 0;
-    for (int p = 0; p < gaussians_planes(g->degree); p++)
-        if (!isfinite(g->plane[p][i]))
-            return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
-                            g->n, p, (double)g->plane[p][i]);
-    for (int k = 0; k < 4; k++)
-        length += (double)g->plane[G_QUAT + k][i] * g->plane[G_QUAT + k][i];
-    if (!(length > 0))
-        return err_fail(ERR_ARG, "%s: splat %d of %d: quaternion of length 0", path, i, g->n);
-    return OK;
-}
 
 static int coefs_of(int degree)
 {
@@ -119,19 +104,15 @@ err_t ply_write(const char *path, const struct scene *s)
 {
     FILE *f;
     float ev = display_ev(&s->tone);
-    err_t e = file_create(path, &f);
+    uint8_t row[ROW_MAX] = {0};
+    err_t e = splats_check(path, &s->g);
+    if (!e)
+        e = file_create(path, &f);
     if (e)
         return e;
     put_header(f, s, ev);
-    uint8_t row[ROW_MAX] = {0};
-    for (int i = 0; i < s->g.n; i++) {
-        e = check_splat(path, &s->g, i);
-        if (e) {
-            file_discard(f, path);
-            return e;
-        }
+    for (int i = 0; i < s->g.n; i++)
         fwrite(row, 1, (size_t)(put_row(&s->g, ev, i, row) - row), f);
-    }
     return file_finish(f, path);
 }
 
@@ -283,7 +264,7 @@ static bool is_comment(const char *line, size_t n)
            (n >= 8 && memcmp(line, "obj_info", 8) == 0);
 }
 
-static err_t take_lines(const struct ply_bytes *file, struct header *h)
+static err_t take_lines(const struct splats_bytes *file, struct header *h)
 {
     const char *text = file->p;
     size_t at = 0, limit = file->n < HEADER_MAX ? file->n : HEADER_MAX;
@@ -317,7 +298,7 @@ static err_t take_lines(const struct ply_bytes *file, struct header *h)
     return OK;
 }
 
-static err_t read_header(const struct ply_bytes *file, struct header *h)
+static err_t read_header(const struct splats_bytes *file, struct header *h)
 {
     memset(h, 0, sizeof *h);
     err_t e = take_lines(file, h);
@@ -337,7 +318,7 @@ static err_t read_header(const struct ply_bytes *file, struct header *h)
 /* ---- sources of the planes ---- */
 
 struct sources {
-    struct ply_info info;
+    struct splats_info info;
     size_t offset[G_PLANES_MAX]; // in a row, of plane p; of f_dc and f_rest for SH if not has_hdr
 };
 
@@ -364,7 +345,7 @@ static int count_numbered(const struct header *h, const char *prefix)
     }
 }
 
-static err_t find_degree(const char *what, const struct header *h, struct ply_info *out)
+static err_t find_degree(const char *what, const struct header *h, struct splats_info *out)
 {
     int n_log = count_numbered(h, "ihdr_log_"), n_rest = count_numbered(h, "f_rest_");
     out->has_hdr = n_log > 0;
@@ -380,7 +361,7 @@ static err_t find_degree(const char *what, const struct header *h, struct ply_in
 }
 
 /* Name of the property of an SH plane: the coefficients of one colour follow each other. */
-static void sh_name(const struct ply_info *info, int k, int c, char name[WORD_CAP])
+static void sh_name(const struct splats_info *info, int k, int c, char name[WORD_CAP])
 {
     int coefs = coefs_of(info->degree);
     if (info->has_hdr)
@@ -438,7 +419,7 @@ static void take_row(const struct sources *s, const uint8_t *row, float ev, int 
         g->plane[G_SH + j][i] = s->info.has_hdr ? sh[j] : log_sh[j];
 }
 
-err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out)
+static err_t peek(const struct splats_bytes *file, struct splats_info *out)
 {
     struct header h;
     struct sources s;
@@ -451,8 +432,8 @@ err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out)
     return e;
 }
 
-err_t ply_parse(const struct ply_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                struct gaussians_report *report)
+static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
+                   struct gaussians_report *report)
 {
     struct header h;
     struct sources s;
@@ -472,27 +453,4 @@ err_t ply_parse(const struct ply_bytes *file, float ev, struct arena *a, struct 
     return OK;
 }
 
-err_t ply_peek(const char *path, struct ply_info *out)
-{
-    struct file_map m;
-    memset(out, 0, sizeof *out);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = ply_peek_bytes(&(struct ply_bytes){path, m.p, m.n}, out);
-    file_unmap(&m);
-    return e;
-}
-
-err_t ply_read(const char *path, float ev, struct arena *a, struct gaussians *g,
-               struct gaussians_report *report)
-{
-    struct file_map m;
-    memset(g, 0, sizeof *g);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = ply_parse(&(struct ply_bytes){path, m.p, m.n}, ev, a, g, report);
-    file_unmap(&m);
-    return e;
-}
+const struct splats_format ply_format = {(uint64_t)64 << 30, peek, parse};

@@ -13,42 +13,18 @@
 #ifndef DRIVERS_PLY_H
 #define DRIVERS_PLY_H
 
-#include "core/splat/gaussians.h"
+#include "drivers/splats.h"
 
 /* Write the splats of s; log scales are raised to GAUSSIANS_LOG_SCALE_MIN.
  * err:  ERR_ARG (a value is not finite or a quaternion has no length: the splat and plane are
  *       named), ERR_IO, ERR_LIMIT (no space). The partial file is removed. */
 MUST_USE err_t ply_write(const char *path, const struct scene *s);
 
-struct ply_info {
-    int n, degree; // what gaussians_need asks for
-    bool has_hdr;  // radiance from ihdr_log_*; else from f_dc and f_rest
-    float ev;      // of the comment, stops; 0 without
-};
-
-/* What ply_read would read, from the header.
- * err:  as ply_read. */
-MUST_USE err_t ply_peek(const char *path, struct ply_info *out);
-
-/* Read a binary little-endian 3DGS file: properties of the vertex element in any order, unknown
- * ones skipped, later elements ignored; SH of degree 0 to 4. Without ihdr_log_* the colours go
- * through display_to_radiance at `ev`: that of the tone curve if it is known, else of ply_info.
- * Then gaussians_sanitize.
- * out:  *g in a (gaussians_need of ply_peek), *report.
- * err:  ERR_IO, ERR_FORMAT (the property is named), ERR_UNSUPPORTED (ascii, big-endian, lists, SH
- *       degree), ERR_NOMEM. On error *g is zeroed. */
-MUST_USE err_t ply_read(const char *path, float ev, struct arena *a, struct gaussians *g,
-                        struct gaussians_report *report);
-
-struct ply_bytes {
-    const char *what; // begins the sentence
-    const void *p;
-    size_t n;
-};
-
-/* The same from memory. */
-MUST_USE err_t ply_peek_bytes(const struct ply_bytes *file, struct ply_info *out);
-MUST_USE err_t ply_parse(const struct ply_bytes *file, float ev, struct arena *a,
-                         struct gaussians *g, struct gaussians_report *report);
+/* Reads binary little-endian 3DGS files: properties of the vertex element in any order, unknown
+ * ones skipped, later elements ignored; SH of degree 0 to 4. Radiance is in ihdr_log_*, display colours
+ * in f_dc and f_rest; ev is that of the comment.
+ * err:  ERR_FORMAT (the property is named), ERR_UNSUPPORTED (ascii, big-endian, lists, SH degree),
+ *       ERR_NOMEM. */
+extern const struct splats_format ply_format;
 
 #endif

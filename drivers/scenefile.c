@@ -10,6 +10,7 @@
 #include "drivers/json.h"
 #include "drivers/name.h"
 #include "drivers/safetensors.h"
+#include "drivers/splats.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -85,16 +86,6 @@ static struct camera unpack_camera(const float v[CAMERA_FLOATS], int size)
 
 /* ---- writing ---- */
 
-static err_t check_finite(const char *path, const struct gaussians *g)
-{
-    for (int p = 0; p < gaussians_planes(g->degree); p++)
-        for (int i = 0; i < g->n; i++)
-            if (!isfinite(g->plane[p][i]))
-                return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
-                                g->n, p, (double)g->plane[p][i]);
-    return OK;
-}
-
 /* The list of names as JSON inside a JSON string; own: free. NULL if there is no memory. */
 static char *names_text(const struct scene *s)
 {
@@ -168,7 +159,7 @@ err_t scenefile_write(const char *path, const struct scene *s)
     struct scenefile_info info = {.n = s->g.n, .degree = s->g.degree, .n_views = s->n_views};
     struct spec specs[N_TENSORS];
     FILE *f;
-    err_t e = check_finite(path, &s->g);
+    err_t e = splats_check_finite(path, &s->g);
     if (e)
         return e;
     make_specs(&info, specs);

@@ -4,24 +4,57 @@
 #include "drivers/splats.h"
 
 #include "core/splat/display.h"
+#include "drivers/file.h"
 
 #include <math.h>
+#include <string.h>
 
-err_t splats_check(const char *path, const struct gaussians *g)
+err_t splats_peek(const struct splats_format *f, const char *path, struct splats_info *out)
+{
+    struct file_map m;
+    memset(out, 0, sizeof *out);
+    err_t e = file_map(path, f->bytes_max, &m);
+    if (e)
+        return e;
+    e = f->peek(&(struct splats_bytes){path, m.p, m.n}, out);
+    file_unmap(&m);
+    return e;
+}
+
+err_t splats_read(const struct splats_format *f, const char *path, float ev, struct arena *a,
+                  struct gaussians *g, struct gaussians_report *report)
+{
+    struct file_map m;
+    memset(g, 0, sizeof *g);
+    err_t e = file_map(path, f->bytes_max, &m);
+    if (e)
+        return e;
+    e = f->parse(&(struct splats_bytes){path, m.p, m.n}, ev, a, g, report);
+    file_unmap(&m);
+    return e;
+}
+
+err_t splats_check_finite(const char *path, const struct gaussians *g)
 {
     for (int p = 0; p < gaussians_planes(g->degree); p++)
         for (int i = 0; i < g->n; i++)
             if (!isfinite(g->plane[p][i]))
                 return err_fail(ERR_ARG, "%s: splat %d of %d: plane %d is %g, not finite", path, i,
                                 g->n, p, (double)g->plane[p][i]);
-    for (int i = 0; i < g->n; i++) {
+    return OK;
+}
+
+err_t splats_check(const char *path, const struct gaussians *g)
+{
+    err_t e = splats_check_finite(path, g);
+    for (int i = 0; i < g->n && !e; i++) {
         float longest = 0;
         for (int k = 0; k < 4; k++)
             longest = fmaxf(longest, fabsf(g->plane[G_QUAT + k][i]));
         if (!(longest > 0))
-            return err_fail(ERR_ARG, "%s: splat %d of %d: quaternion of length 0", path, i, g->n);
+            e = err_fail(ERR_ARG, "%s: splat %d of %d: quaternion of length 0", path, i, g->n);
     }
-    return OK;
+    return e;
 }
 
 int splats_sign(int plane, unsigned axes)

@@ -26,8 +26,6 @@ enum {
     GZIP_RATIO_MAX = 1032          // nothing shrinks more
 };
 
-static const uint64_t FILE_BYTES_MAX = (uint64_t)64 << 30;
-
 static const char *const array_names[SPZ_ARRAYS] = {"positions", "alphas",    "colors",
                                                     "scales",    "rotations", "harmonics"};
 
@@ -38,12 +36,12 @@ struct record {
 };
 
 struct layout {
-    const struct spz_bytes *file;
-    struct spz_info info;
+    const struct splats_bytes *file;
+    struct splats_info info;
     int version, fractional, flags;
-    int degree;                                   // of the display colours
-    size_t width[SPZ_ARRAYS];                     // bytes of a splat
-    struct spz_bytes stream[SPZ_ARRAYS], records; // of version 4
+    int degree;                                      // of the display colours
+    size_t width[SPZ_ARRAYS];                        // bytes of a splat
+    struct splats_bytes stream[SPZ_ARRAYS], records; // of version 4
     unsigned axes;
     struct record record;
     float colour[256]; // first harmonic, by byte
@@ -74,7 +72,7 @@ double spz_log(int byte, float ev)
 
 /* ---- the header ---- */
 
-static err_t take_header(const struct spz_bytes *f, const uint8_t *h, struct layout *l)
+static err_t take_header(const struct splats_bytes *f, const uint8_t *h, struct layout *l)
 {
     struct bytes b = bytes_of(h, SPZ_HEADER_3);
     uint32_t magic = bytes_u32(&b), version = bytes_u32(&b), n = bytes_u32(&b);
@@ -104,7 +102,7 @@ static err_t take_header(const struct spz_bytes *f, const uint8_t *h, struct lay
 }
 
 /* Table of version 4: where the arrays and the records are. */
-static err_t take_table(const struct spz_bytes *f, struct layout *l)
+static err_t take_table(const struct splats_bytes *f, struct layout *l)
 {
     const uint8_t *p = f->p;
     struct bytes b = bytes_of(p + SPZ_HEADER_3 - 1, SPZ_HEADER_4 - SPZ_HEADER_3 + 1);
@@ -117,7 +115,7 @@ static err_t take_table(const struct spz_bytes *f, struct layout *l)
     if (at < SPZ_HEADER_4 || end > f->n)
         return err_fail(ERR_FORMAT, "%s: table of %d streams at byte %zu of %zu", f->what, streams,
                         at, f->n);
-    l->records = (struct spz_bytes){f->what, p + SPZ_HEADER_4, at - SPZ_HEADER_4};
+    l->records = (struct splats_bytes){f->what, p + SPZ_HEADER_4, at - SPZ_HEADER_4};
     b = bytes_of(p + at, end - at);
     for (int a = 0; a < SPZ_ARRAYS && streams > 0; a++) {
         size_t size = (size_t)l->info.n * l->width[a];
@@ -130,7 +128,7 @@ static err_t take_table(const struct spz_bytes *f, struct layout *l)
                             "unpack to %zu",
                             f->what, array_names[a], (unsigned long long)packed,
                             (unsigned long long)plain, f->n - end, size);
-        l->stream[a] = (struct spz_bytes){f->what, p + end, (size_t)packed};
+        l->stream[a] = (struct splats_bytes){f->what, p + end, (size_t)packed};
         end += (size_t)packed;
     }
     if (end != f->n)
@@ -392,7 +390,7 @@ static err_t read_streams(struct layout *l, struct gaussians *g)
     return e ? e : read_records(l, &in, g);
 }
 
-static err_t look(const struct spz_bytes *f, struct layout *l)
+static err_t look(const struct splats_bytes *f, struct layout *l)
 {
     const uint8_t *p = f->p;
     err_t e;
@@ -434,7 +432,7 @@ static void to_scene(const struct layout *l, struct gaussians *g)
     }
 }
 
-err_t spz_peek_bytes(const struct spz_bytes *file, struct spz_info *out)
+static err_t peek(const struct splats_bytes *file, struct splats_info *out)
 {
     struct layout l;
     memset(out, 0, sizeof *out);
@@ -444,8 +442,8 @@ err_t spz_peek_bytes(const struct spz_bytes *file, struct spz_info *out)
     return e;
 }
 
-err_t spz_parse(const struct spz_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                struct gaussians_report *report)
+static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
+                   struct gaussians_report *report)
 {
     struct layout l;
     size_t mark = arena_mark(a);
@@ -471,27 +469,4 @@ err_t spz_parse(const struct spz_bytes *file, float ev, struct arena *a, struct 
     return OK;
 }
 
-err_t spz_peek(const char *path, struct spz_info *out)
-{
-    struct file_map m;
-    memset(out, 0, sizeof *out);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = spz_peek_bytes(&(struct spz_bytes){path, m.p, m.n}, out);
-    file_unmap(&m);
-    return e;
-}
-
-err_t spz_read(const char *path, float ev, struct arena *a, struct gaussians *g,
-               struct gaussians_report *report)
-{
-    struct file_map m;
-    memset(g, 0, sizeof *g);
-    err_t e = file_map(path, FILE_BYTES_MAX, &m);
-    if (e)
-        return e;
-    e = spz_parse(&(struct spz_bytes){path, m.p, m.n}, ev, a, g, report);
-    file_unmap(&m);
-    return e;
-}
+const struct splats_format spz_format = {(uint64_t)64 << 30, peek, parse};

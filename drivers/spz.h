@@ -22,7 +22,7 @@
 #ifndef DRIVERS_SPZ_H
 #define DRIVERS_SPZ_H
 
-#include "core/splat/gaussians.h"
+#include "drivers/splats.h"
 
 /* The arrays of a file in their order. */
 enum {
@@ -62,33 +62,9 @@ void spz_widths(int version, int degree, size_t out[SPZ_ARRAYS]);
 /* Natural logarithm of the radiance that the byte of a colour tells. */
 double spz_log(int byte, float ev);
 
-struct spz_info {
-    int n, degree;  // what gaussians_need asks for
-    bool has_hdr;   // radiance from the record; else from the display colours
-    bool band_lost; // display colours of degree 4, of which 3 are read
-    float ev;       // of the record, stops; 0 without
-};
-
-/* What spz_read would read. err: as spz_read. */
-MUST_USE err_t spz_peek(const char *path, struct spz_info *out);
-
-/* Read a file. Without the record, colours go through display_to_radiance at `ev`, and their band 4
- * is left out. Then gaussians_sanitize.
- * out:  *g in a (gaussians_need of spz_peek), *report.
- * err:  ERR_IO, ERR_FORMAT (the part is named), ERR_UNSUPPORTED (version, axes that are turned),
- *       ERR_NOMEM. On error *g is zeroed. */
-MUST_USE err_t spz_read(const char *path, float ev, struct arena *a, struct gaussians *g,
-                        struct gaussians_report *report);
-
-struct spz_bytes {
-    const char *what; // begins the sentence
-    const void *p;
-    size_t n;
-};
-
-/* The same from memory. */
-MUST_USE err_t spz_peek_bytes(const struct spz_bytes *file, struct spz_info *out);
-MUST_USE err_t spz_parse(const struct spz_bytes *file, float ev, struct arena *a,
-                         struct gaussians *g, struct gaussians_report *report);
+/* Reads versions 2 to 4. Radiance and ev are in the record; band 4 of display colours is left out.
+ * err:  ERR_FORMAT (the part is named), ERR_UNSUPPORTED (version, axes that are turned),
+ *       ERR_NOMEM. */
+extern const struct splats_format spz_format;
 
 #endif

@@ -18,9 +18,12 @@
 enum kind { HDRIG, PLY, SPZ, GLB, HTML, KINDS };
 static const char *const ends[KINDS] = {".hdrig", ".ply", ".spz", ".glb", ".html"};
 
+static const struct splats_format *const formats[KINDS] = {
+    [PLY] = &ply_format, [SPZ] = &spz_format, [GLB] = &glb_format};
+
 static bool has_sidecar(enum kind kind)
 {
-    return kind == PLY || kind == SPZ || kind == GLB;
+    return formats[kind] != NULL;
 }
 
 static err_t kind_of(const char *path, enum kind *out)
@@ -55,35 +58,6 @@ static err_t find(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
     return e;
 }
 
-struct splats {
-    int n, degree;
-    bool has_hdr, band_lost;
-    float ev;
-};
-
-static err_t peek_splats(const char *path, enum kind kind, struct splats *out)
-{
-    struct ply_info ply;
-    struct spz_info spz;
-    struct glb_info glb;
-    err_t e;
-    *out = (struct splats){0};
-    if (kind == PLY) {
-        e = ply_peek(path, &ply);
-        if (!e)
-            *out = (struct splats){ply.n, ply.degree, ply.has_hdr, false, ply.ev};
-    } else if (kind == SPZ) {
-        e = spz_peek(path, &spz);
-        if (!e)
-            *out = (struct splats){spz.n, spz.degree, spz.has_hdr, spz.band_lost, spz.ev};
-    } else {
-        e = glb_peek(path, &glb);
-        if (!e)
-            *out = (struct splats){glb.n, glb.degree, glb.has_hdr, false, glb.ev};
-    }
-    return e;
-}
-
 static err_t peek_scenefile(const char *path, struct sceneio_info *out)
 {
     struct scenefile_info info;
@@ -102,12 +76,12 @@ err_t sceneio_peek(const char *path, struct sceneio_info *out)
 {
     char file[FILE_PATH_CAP];
     enum kind kind;
-    struct splats splats;
+    struct splats_info splats;
     memset(out, 0, sizeof *out);
     err_t e = find(path, file, &kind);
     if (e || kind == HDRIG)
         return e ? e : peek_scenefile(file, out);
-    e = peek_splats(file, kind, &splats);
+    e = splats_peek(formats[kind], file, &splats);
     if (!e)
         e = sidecar_peek(file, &out->n_views, &out->need);
     if (e)
@@ -124,10 +98,10 @@ err_t sceneio_peek(const char *path, struct sceneio_info *out)
 static err_t read_splats(const char *path, enum kind kind, struct arena *a, struct scene *s,
                          struct gaussians_report *report)
 {
-    struct splats splats;
+    struct splats_info splats;
     int n_views;
     size_t need;
-    err_t e = peek_splats(path, kind, &splats);
+    err_t e = splats_peek(formats[kind], path, &splats);
     if (!e)
         e = sidecar_peek(path, &n_views, &need);
     if (!e)
@@ -135,10 +109,7 @@ static err_t read_splats(const char *path, enum kind kind, struct arena *a, stru
     if (e)
         return e;
     float ev = need > 0 ? display_ev(&s->tone) : splats.ev;
-    if (kind == PLY)
-        return ply_read(path, ev, a, &s->g, report);
-    return kind == SPZ ? spz_read(path, ev, a, &s->g, report)
-                       : glb_read(path, ev, a, &s->g, report);
+    return splats_read(formats[kind], path, ev, a, &s->g, report);
 }
 
 err_t sceneio_read(const char *path, struct arena *a, struct scene *s,

@@ -91,14 +91,14 @@ static err_t write_scene(const struct scene *s)
 
 static err_t read_scene(struct arena *a)
 {
-    struct ply_info info;
+    struct splats_info info;
     struct scenefile_info full;
     struct gaussians g;
     struct gaussians_report report;
     struct scene back;
-    err_t e = ply_peek(tmpdir_path("scene.ply"), &info);
+    err_t e = splats_peek(&ply_format, tmpdir_path("scene.ply"), &info);
     if (!e)
-        e = ply_read(tmpdir_path("scene.ply"), info.ev, a, &g, &report);
+        e = splats_read(&ply_format, tmpdir_path("scene.ply"), info.ev, a, &g, &report);
     if (!e)
         e = sidecar_read(tmpdir_path("scene.ply"), info.ev, a, &back);
     if (!e)

@@ -7,16 +7,16 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    struct glb_bytes file = {"input", data, size};
-    struct glb_info info;
+    struct splats_bytes file = {"input", data, size};
+    struct splats_info info;
     struct arena a;
-    if (glb_peek_bytes(&file, &info) || info.n > 4096)
+    if (glb_format.peek(&file, &info) || info.n > 4096)
         return 0;
     if (arena_init(&a, "fuzz", gaussians_need(info.n, info.degree)))
         return 0;
     struct gaussians g;
     struct gaussians_report report;
-    if (glb_parse(&file, 0, &a, &g, &report) == OK && g.n + report.dropped != info.n)
+    if (glb_format.parse(&file, 0, &a, &g, &report) == OK && g.n + report.dropped != info.n)
         abort();
     arena_free(&a);
     return 0;

@@ -8,16 +8,16 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    struct ply_bytes file = {"input", data, size};
-    struct ply_info info;
+    struct splats_bytes file = {"input", data, size};
+    struct splats_info info;
     struct arena a;
-    if (ply_peek_bytes(&file, &info) || info.n > 4096)
+    if (ply_format.peek(&file, &info) || info.n > 4096)
         return 0;
     if (arena_init(&a, "fuzz", gaussians_need(info.n, info.degree)))
         return 0;
     struct gaussians g;
     struct gaussians_report report;
-    if (ply_parse(&file, info.ev, &a, &g, &report) || g.n + report.dropped != info.n)
+    if (ply_format.parse(&file, info.ev, &a, &g, &report) || g.n + report.dropped != info.n)
         abort(); // what was peeked must be read
     for (int i = 0; i < g.n; i++)
         for (int p = 0; p < gaussians_planes(g.degree); p++)

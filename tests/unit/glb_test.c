@@ -51,12 +51,12 @@ static void what_is_written_is_read(void **state)
         struct scene s = make(2100, degree); // more than one batch
         struct gaussians g;
         struct gaussians_report report;
-        struct glb_info info;
+        struct splats_info info;
         assert_int_equal(glb_write(path, &s), OK);
-        assert_int_equal(glb_peek(path, &info), OK);
+        assert_int_equal(splats_peek(&glb_format, path, &info), OK);
         assert_true(info.n == 2100 && info.degree == degree && info.has_hdr);
         assert_true(info.ev == display_ev(&s.tone));
-        assert_int_equal(glb_read(path, 9, &arena, &g, &report), OK);
+        assert_int_equal(splats_read(&glb_format, path, 9, &arena, &g, &report), OK);
         assert_true(g.n == 2100 && g.degree == degree && !report.dropped && !report.repaired);
         for (int p = 0; p < gaussians_planes(degree); p++) {
             bool rounded = (p >= G_LOG_SCALE && p < G_QUAT) || p == G_LOGIT;
@@ -71,7 +71,7 @@ static void what_is_written_is_read(void **state)
 static uint8_t file[8192];
 
 /* A GLB of this JSON and binary chunk. */
-static struct glb_bytes build(const char *json, const void *bin, size_t n)
+static struct splats_bytes build(const char *json, const void *bin, size_t n)
 {
     size_t m = strlen(json);
     uint8_t *b = bytes_put_u32(file, 0x46546c67);
@@ -85,7 +85,7 @@ static struct glb_bytes build(const char *json, const void *bin, size_t n)
     b = bytes_put_u32(b, 0x004e4942);
     if (n > 0)
         memcpy(b, bin, n);
-    return (struct glb_bytes){"built.glb", file, 28 + m + n};
+    return (struct splats_bytes){"built.glb", file, 28 + m + n};
 }
 
 /* Two splats in one interleaved view of small numbers, positions and colours in others. */
@@ -129,13 +129,13 @@ static void numbers_of_any_type_are_understood(void **state)
     (void)state;
     struct gaussians g;
     struct gaussians_report report;
-    struct glb_info info;
+    struct splats_info info;
     fill_small();
     make(1, 0);
-    struct glb_bytes f = build(small, small_bin, sizeof small_bin);
-    assert_int_equal(glb_peek_bytes(&f, &info), OK);
+    struct splats_bytes f = build(small, small_bin, sizeof small_bin);
+    assert_int_equal(glb_format.peek(&f, &info), OK);
     assert_true(info.n == 2 && info.degree == 0 && !info.has_hdr && info.ev == 0);
-    assert_int_equal(glb_parse(&f, 0.5f, &arena, &g, &report), OK);
+    assert_int_equal(glb_format.parse(&f, 0.5f, &arena, &g, &report), OK);
     assert_int_equal(g.n, 2);
     assert_near(g.plane[G_MU][0], -1); // left is right, up is down
     assert_near(g.plane[G_MU + 1][1], -5);
@@ -216,9 +216,9 @@ static void documents_that_lie_are_named(void **state)
     fill_small();
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         const char *json = changed(cases[i].after, cases[i].old, cases[i].new);
-        struct glb_bytes f = build(json, small_bin, sizeof small_bin);
-        struct glb_info info;
-        err_t e = glb_peek_bytes(&f, &info);
+        struct splats_bytes f = build(json, small_bin, sizeof small_bin);
+        struct splats_info info;
+        err_t e = glb_format.peek(&f, &info);
         if (e != cases[i].code || !strstr(err_text(), cases[i].word))
             fail_msg("case %zu: %d, \"%s\", not %d with \"%s\"", i, e, err_text(), cases[i].code,
                      cases[i].word);
@@ -233,13 +233,13 @@ static void numbers_that_are_none_do_not_come_in(void **state)
     fill_small();
     bytes_put_f32(small_bin + 4, NAN);
     make(1, 0);
-    struct glb_bytes f = build(small, small_bin, sizeof small_bin);
-    assert_int_equal(glb_parse(&f, 0, &arena, &g, &report), OK);
+    struct splats_bytes f = build(small, small_bin, sizeof small_bin);
+    assert_int_equal(glb_format.parse(&f, 0, &arena, &g, &report), OK);
     assert_true(g.n == 1 && report.dropped == 1);
     const char *json = changed("\"byteOffset\":4,", "5121", "5120"); // scales as signed bytes
     fill_small();
     f = build(json, small_bin, sizeof small_bin);
-    assert_int_equal(glb_parse(&f, 0, &arena, &g, &report), ERR_FORMAT);
+    assert_int_equal(glb_format.parse(&f, 0, &arena, &g, &report), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "SCALE of splat 1 is -1: negative"));
     assert_true(g.n == 0 && g.plane[0] == NULL);
 }
@@ -256,17 +256,17 @@ static void chunks_that_lie_are_named(void **state)
                  {8, 19, ERR_FORMAT, "tells 19 bytes"},   {8, 8000, ERR_FORMAT, "tells 8000"},
                  {12, 8000, ERR_FORMAT, "of 8000 bytes"}, {16, 0x004e4942, ERR_FORMAT, "no JSON"},
                  {12, 3, ERR_FORMAT, "binary chunk"}};
-    struct glb_info info;
+    struct splats_info info;
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-        struct glb_bytes f = build(small, small_bin, sizeof small_bin);
+        struct splats_bytes f = build(small, small_bin, sizeof small_bin);
         bytes_put_u32(file + cases[i].at, cases[i].value);
-        assert_int_equal(glb_peek_bytes(&f, &info), cases[i].code);
+        assert_int_equal(glb_format.peek(&f, &info), cases[i].code);
         if (!strstr(err_text(), cases[i].word))
             fail_msg("\"%s\" without \"%s\"", err_text(), cases[i].word);
     }
-    struct glb_bytes f = build(small, small_bin, sizeof small_bin);
+    struct splats_bytes f = build(small, small_bin, sizeof small_bin);
     for (f.n = 0; f.n < sizeof small - 1 + sizeof small_bin + 28; f.n += 7)
-        assert_int_equal(glb_peek_bytes(&f, &info), ERR_FORMAT);
+        assert_int_equal(glb_format.peek(&f, &info), ERR_FORMAT);
 }
 
 static void what_cannot_be_written_says_why(void **state)

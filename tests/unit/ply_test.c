@@ -55,7 +55,7 @@ static struct gaussians read_back(const char *path, float ev)
 {
     struct gaussians g;
     struct gaussians_report report;
-    assert_int_equal(ply_read(path, ev, &arena, &g, &report), OK);
+    assert_int_equal(splats_read(&ply_format, path, ev, &arena, &g, &report), OK);
     assert_int_equal(report.dropped, 0);
     return g;
 }
@@ -65,10 +65,10 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     (void)state;
     for (int degree = 0; degree <= SH_DEGREE_MAX; degree++) {
         struct scene in = make(21, degree);
-        struct ply_info info;
+        struct splats_info info;
         const char *path = tmpdir_path("scene.ply");
         assert_int_equal(ply_write(path, &in), OK);
-        assert_int_equal(ply_peek(path, &info), OK);
+        assert_int_equal(splats_peek(&ply_format, path, &info), OK);
         assert_true(info.n == 21 && info.degree == degree && info.has_hdr);
         assert_true(info.ev == display_ev(&in.tone));
         struct gaussians out = read_back(path, 0);
@@ -172,7 +172,7 @@ static void extremes_come_back(void **state)
 {
     (void)state;
     struct scene in = make(SPLATS, 0);
-    struct ply_info info;
+    struct splats_info info;
     for (int i = 0; i < SPLATS; i++)
         for (int c = 0; c < 3; c++)
             in.g.plane[G_SH + c][i] = (float)(log(1e-4 * pow(1e9, i / (SPLATS - 1.0))) / C0);
@@ -183,7 +183,7 @@ static void extremes_come_back(void **state)
     assert_int_equal(ply_write(path, &in), OK);
     struct gaussians half = read_back(path, 0);
     const char *colours = without_radiance(path);
-    assert_int_equal(ply_peek(colours, &info), OK);
+    assert_int_equal(splats_peek(&ply_format, colours, &info), OK);
     assert_true(!info.has_hdr && info.degree == 0);
     struct gaussians full = read_back(colours, info.ev);
     for (int i = 0; i < SPLATS; i++) {
@@ -388,7 +388,7 @@ static void foreign_files_are_taken_as_srgb(void **state)
         int degree = files[i].degree, coefs = (degree + 1) * (degree + 1);
         struct gaussians g;
         struct gaussians_report report;
-        struct ply_bytes b = {"f", file, make_foreign(&files[i], file)};
+        struct splats_bytes b = {"f", file, make_foreign(&files[i], file)};
         float sh[3 * SH_COEFS_MAX], want[3 * SH_COEFS_MAX];
         for (int c = 0; c < 3; c++) {
             sh[c] = value_of('D', c);
@@ -397,7 +397,7 @@ static void foreign_files_are_taken_as_srgb(void **state)
         }
         make(1, 0);
         display_to_radiance(sh, degree, 2, want);
-        assert_int_equal(ply_parse(&b, 2, &arena, &g, &report), OK);
+        assert_int_equal(ply_format.parse(&b, 2, &arena, &g, &report), OK);
         assert_true(g.n == 1 && g.degree == degree);
         assert_true(g.plane[G_MU][0] == 1 && g.plane[G_MU + 2][0] == 3);
         assert_true(g.plane[G_LOG_SCALE + 2][0] == -3 && g.plane[G_LOGIT][0] == 0.5f);
@@ -411,10 +411,10 @@ static err_t parse_text(const char *text)
 {
     struct gaussians g;
     struct gaussians_report report;
-    struct ply_info info;
-    struct ply_bytes b = {"f", text, strlen(text)};
-    err_t e = ply_parse(&b, 0, &arena, &g, &report);
-    assert_int_equal(ply_peek_bytes(&b, &info), e);
+    struct splats_info info;
+    struct splats_bytes b = {"f", text, strlen(text)};
+    err_t e = ply_format.parse(&b, 0, &arena, &g, &report);
+    assert_int_equal(ply_format.peek(&b, &info), e);
     assert_true(e == OK || g.plane[0] == NULL);
     return e;
 }
@@ -468,8 +468,9 @@ static void every_cut_is_refused(void **state)
     for (size_t n = 0; n < m.n; n++) {
         char *copy = malloc(n + 1);
         memcpy(copy + 1, m.p, n);
-        assert_int_equal(ply_parse(&(struct ply_bytes){"f", copy + 1, n}, 0, &arena, &g, &report),
-                         ERR_FORMAT);
+        assert_int_equal(
+            ply_format.parse(&(struct splats_bytes){"f", copy + 1, n}, 0, &arena, &g, &report),
+            ERR_FORMAT);
         free(copy);
     }
     file_unmap(&m);

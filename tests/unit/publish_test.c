@@ -45,7 +45,7 @@ static void everything_is_there_and_can_be_read(void **state)
     (void)state;
     struct cJSON *doc;
     struct scenefile_info scene;
-    struct ply_info ply;
+    struct splats_info ply;
     int n_views;
     size_t need;
     struct rig rig;
@@ -55,7 +55,7 @@ static void everything_is_there_and_can_be_read(void **state)
     assert_int_equal(publish_run(&job.run, &job.result, &out), OK);
     assert_int_equal(scenefile_peek(tmpdir_path("out/scene.hdrig"), &scene), OK);
     assert_int_equal(scene.n, SPLATS);
-    assert_int_equal(ply_peek(tmpdir_path("out/scene.ply"), &ply), OK);
+    assert_int_equal(splats_peek(&ply_format, tmpdir_path("out/scene.ply"), &ply), OK);
     assert_int_equal(ply.n, SPLATS);
     assert_int_equal(sidecar_peek(tmpdir_path("out/scene.ply"), &n_views, &need), OK);
     assert_int_equal(n_views, SMALL_VIEWS);

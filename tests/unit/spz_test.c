@@ -55,13 +55,13 @@ static struct scene make(int n, int degree, float side)
 
 static struct gaussians read_back(const char *path, const struct scene *s)
 {
-    struct spz_info info;
+    struct splats_info info;
     struct gaussians g;
     struct gaussians_report report;
-    assert_int_equal(spz_peek(path, &info), OK);
+    assert_int_equal(splats_peek(&spz_format, path, &info), OK);
     assert_true(info.n == s->g.n && info.degree == s->g.degree && info.has_hdr && !info.band_lost);
     assert_true(info.ev == display_ev(&s->tone));
-    assert_int_equal(spz_read(path, 9, &arena, &g, &report), OK);
+    assert_int_equal(splats_read(&spz_format, path, 9, &arena, &g, &report), OK);
     assert_true(g.n == info.n && g.degree == info.degree && !report.dropped);
     return g;
 }
@@ -203,13 +203,13 @@ static void viewers_see_the_display_colours(void **state)
         float unit = 0; // in the record, which lies behind the header
         assert_true(f && fseek(f, 48, SEEK_SET) == 0 && fread(&unit, 4, 1, f) == 1 && unit == 1);
         assert_true(fseek(f, 14, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
-        struct spz_info info;
+        struct splats_info info;
         struct gaussians g;
         struct gaussians_report report;
         float ev = display_ev(&s.tone);
-        assert_int_equal(spz_peek(path, &info), OK);
+        assert_int_equal(splats_peek(&spz_format, path, &info), OK);
         assert_true(!info.has_hdr && info.degree == (degree < 3 ? degree : 3));
-        assert_int_equal(spz_read(path, ev, &arena, &g, &report), OK);
+        assert_int_equal(splats_read(&spz_format, path, ev, &arena, &g, &report), OK);
         for (int i = 0; i < 60; i++) {
             float a[75], b[75], want[48], seen[48];
             for (int j = 0; j < gaussians_planes(degree) - G_SH; j++)
@@ -303,7 +303,7 @@ static struct gaussians read_file(float ev)
     struct gaussians_report report;
     arena_free(&arena);
     assert_int_equal(arena_init(&arena, "test", 1 << 20), OK);
-    assert_int_equal(spz_read(packed("foreign.spz"), ev, &arena, &g, &report), OK);
+    assert_int_equal(splats_read(&spz_format, packed("foreign.spz"), ev, &arena, &g, &report), OK);
     assert_true(g.n == 2 && report.dropped == 0);
     return g;
 }
@@ -370,8 +370,8 @@ static void harmonics_change_their_axes(void **state)
         display_to_radiance(f, read, 0.75f, want);
         for (int j = 0; j < n; j++)
             assert_near(g.plane[G_SH + j][0], (double)want[j]);
-        struct spz_info info;
-        assert_int_equal(spz_peek(tmpdir_path("foreign.spz"), &info), OK);
+        struct splats_info info;
+        assert_int_equal(splats_peek(&spz_format, tmpdir_path("foreign.spz"), &info), OK);
         assert_true(!info.has_hdr && info.band_lost == (degree == 4) && info.ev == 0);
     }
 }
@@ -394,8 +394,8 @@ static void records_of_others_are_skipped_and_axes_obeyed(void **state)
 
 static void expect(err_t code, const char *word)
 {
-    struct spz_info info;
-    err_t e = spz_peek(packed("bad.spz"), &info);
+    struct splats_info info;
+    err_t e = splats_peek(&spz_format, packed("bad.spz"), &info);
     if (e != code || !strstr(err_text(), word) || !strstr(err_text(), "bad.spz"))
         fail_msg("%d, \"%s\", not %d with \"%s\"", e, err_text(), code, word);
 }
@@ -447,8 +447,8 @@ static void a_wrong_checksum_is_noticed(void **state)
     assert_true(f && fseek(f, -6, SEEK_END) == 0);
     int c = fgetc(f);
     assert_true(fseek(f, -6, SEEK_END) == 0 && fputc(c ^ 1, f) != EOF && fclose(f) == 0);
-    struct spz_info info;
-    assert_int_equal(spz_peek(tmpdir_path("bad.spz"), &info), ERR_FORMAT);
+    struct splats_info info;
+    assert_int_equal(splats_peek(&spz_format, tmpdir_path("bad.spz"), &info), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "incorrect data check"));
 }
 
@@ -505,17 +505,17 @@ static void damaged_files_are_refused_or_read(void **state)
         arena_free(&arena);
         assert_int_equal(arena_init(&arena, "test", 1 << 20), OK);
         for (size_t i = 0; i < 2 * m.n; i++) {
-            struct spz_bytes file = {"damaged", copy, i < m.n ? i : m.n};
-            struct spz_info info;
+            struct splats_bytes file = {"damaged", copy, i < m.n ? i : m.n};
+            struct splats_info info;
             struct gaussians g;
             struct gaussians_report report;
             memcpy(copy, m.p, m.n);
             if (i >= m.n)
                 copy[i - m.n] ^= (uint8_t)(1 + i % 255);
             size_t mark = arena_mark(&arena);
-            err_t peek = spz_peek_bytes(&file, &info), e = ERR_FORMAT;
+            err_t peek = spz_format.peek(&file, &info), e = ERR_FORMAT;
             if (!peek && gaussians_need(info.n, info.degree) < 1 << 19)
-                e = spz_parse(&file, 0, &arena, &g, &report);
+                e = spz_format.parse(&file, 0, &arena, &g, &report);
             assert_true(i >= m.n || e == ERR_FORMAT); // what is cut off is noticed
             assert_true(e == OK || g.n == 0 || peek || info.n > 5);
             arena_reset(&arena, mark);
@@ -546,19 +546,19 @@ static void tables_that_lie_are_named(void **state)
     struct bytes b = bytes_of(m.p + 16, 4);
     size_t table = bytes_u32(&b);
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
-        struct spz_bytes file = {"four", copy, m.n};
-        struct spz_info info;
+        struct splats_bytes file = {"four", copy, m.n};
+        struct splats_info info;
         memcpy(copy, m.p, m.n);
         int at = cases[i].at;
         copy[at < 0 ? at + 32 : (int)table + at] = cases[i].value;
-        assert_int_equal(spz_peek_bytes(&file, &info), ERR_FORMAT);
+        assert_int_equal(spz_format.peek(&file, &info), ERR_FORMAT);
         if (!strstr(err_text(), cases[i].word))
             fail_msg("\"%s\" without \"%s\"", err_text(), cases[i].word);
     }
-    struct spz_bytes longer = {"four", copy, m.n + 1};
-    struct spz_info info;
+    struct splats_bytes longer = {"four", copy, m.n + 1};
+    struct splats_info info;
     memcpy(copy, m.p, m.n);
-    assert_int_equal(spz_peek_bytes(&longer, &info), ERR_FORMAT);
+    assert_int_equal(spz_format.peek(&longer, &info), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "1 bytes behind the last stream"));
     file_unmap(&m);
 }
