@@ -121,7 +121,7 @@ static err_t reserve(const struct request *rq, struct state *st, const struct jo
     err_t e = engine_reserve(&st->engine, arena_add(m.pictures, m.weights), m.keep, m.tmp, limit);
     if (e != ERR_LIMIT)
         return e;
-    while (--fewer.n, prep_places(&fewer) >= 2) {
+    for (fewer.n--; prep_places(&fewer) >= 2; fewer.n--) {
         e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
         if (e)
             return e;

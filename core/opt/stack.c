@@ -166,14 +166,13 @@ void stack_drop(struct views *v, const bool *keep)
     v->n_more = n - places;
 }
 
-static float middle(const float *log2t, int n)
+static void span(const float *log2t, int n, float *lo, float *hi)
 {
-    float lo = log2t[0], hi = log2t[0];
+    *lo = *hi = log2t[0];
     for (int i = 1; i < n; i++) {
-        lo = fminf(lo, log2t[i]);
-        hi = fmaxf(hi, log2t[i]);
+        *lo = fminf(*lo, log2t[i]);
+        *hi = fmaxf(*hi, log2t[i]);
     }
-    return (lo + hi) / 2;
 }
 
 err_t stack_choose(const struct run *r, const struct tonemap *tone, bool staggered,
@@ -199,8 +198,10 @@ err_t stack_choose(const struct run *r, const struct tonemap *tone, bool stagger
         s.keep[i] = true;
     }
     if (!e) {
+        float lo, hi;
         stack_drop(io, s.keep);
-        io->mid_log2t = middle(io->log2t, staggered ? io->n : io->n + io->n_more);
+        span(io->log2t, staggered ? io->n : io->n + io->n_more, &lo, &hi);
+        io->mid_log2t = (lo + hi) / 2;
     }
     arena_reset(r->tmp, mark);
     return e;
@@ -266,15 +267,12 @@ err_t stack_merge(const struct run *r, const struct views *v, const struct tonem
                   struct views *out, struct tonemap *curve)
 {
     struct stack s = {.r = r, .v = v};
-    float lo = v->log2t[0], hi = lo, counts_as;
+    float lo, hi, counts_as;
     *out = *v;
     *curve = *tone;
     if (v->n_more == 0)
         return OK;
-    for (int i = 0; i < v->n + v->n_more; i++) {
-        lo = fminf(lo, v->log2t[i]);
-        hi = fmaxf(hi, v->log2t[i]);
-    }
+    span(v->log2t, v->n + v->n_more, &lo, &hi);
     response_spread(tone, lo - tone->mid_log2t, hi - tone->mid_log2t, curve, &counts_as);
     err_t e = arena_alloc(r->tmp, (size_t)v->n, 3 * pixels(v), &s.out);
     if (!e)

@@ -23,22 +23,12 @@ await camera test -e /dev/video0
 "$BIN/usbcam" -p 1 "$sim,delay=3,views=2,view=1,skew=9000" &
 await "second camera" test -e /dev/video2
 
-cat >hdrig.conf <<END
+write_settings <<END
 camera.1 = v4l2:/dev/video0
 camera.2 = v4l2:/dev/video2
 trigger.1 = gpio:rigchip/shutter
 trigger.lockout_ms = 50
 lamp = gpio:rigchip/lamp
-bracket.mode = list
-bracket.ev = -2 0 2
-bracket.middle_us = 3000
-store.path = $PWD/store
-store.reserve_mb = 1
-calibration.path = $PWD/calibration
-results.path = $PWD/results
-job.run = 0
-control.socket = $PWD/control
-http.port = 0
 END
 
 press() { # with bounce

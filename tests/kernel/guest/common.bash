@@ -64,6 +64,15 @@ descriptors() { # process
     echo $fewest
 }
 
+# Settings of a daemon that takes brackets of three here and makes no scenes, and more on stdin: in
+# the file hdrig.conf.
+write_settings() {
+    cat - >hdrig.conf <(printf '%s\n' "bracket.mode = list" "bracket.ev = -2 0 2" \
+        "bracket.middle_us = 3000" "store.path = $PWD/store" "store.reserve_mb = 1" \
+        "calibration.path = $PWD/calibration" "results.path = $PWD/results" "job.run = 0" \
+        "control.socket = $PWD/control" "http.port = 0")
+}
+
 # Lines of `seen` with a pattern.
 count() {
     grep -c -- "$1" seen || true

@@ -109,19 +109,9 @@ for ((i = 0; i < 10; i++)); do
 done
 
 echo "== the daemon lives on without it, and takes it up again"
-cat >hdrig.conf <<END
+write_settings <<END
 camera.1 = sim:kind=room,seed=5,size=112,samples=1,shadow=1,views=1
 trigger.1 = evdev:$PWD/key,key=$enter
-bracket.mode = list
-bracket.ev = -2 0 2
-bracket.middle_us = 3000
-store.path = $PWD/store
-store.reserve_mb = 1
-calibration.path = $PWD/calibration
-results.path = $PWD/results
-job.run = 0
-control.socket = $PWD/control
-http.port = 0
 END
 mkdir store
 

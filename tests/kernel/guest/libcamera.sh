@@ -41,20 +41,10 @@ for _ in 1 2 3; do
 done
 
 echo "== the daemon lives on without it, and takes it up again"
-cat >hdrig.conf <<END
+write_settings <<END
 camera.1 = libcamera:,module=$module
 trigger.1 = timer:0.7
-bracket.mode = list
-bracket.ev = -2 0 2
-bracket.middle_us = 3000
-store.path = $PWD/store
-store.reserve_mb = 1
 store.keep = 3
-calibration.path = $PWD/calibration
-results.path = $PWD/results
-job.run = 0
-control.socket = $PWD/control
-http.port = 0
 END
 mkdir store
 "$BIN/../../hdrigd" --config hdrig.conf >log 2>&1 &

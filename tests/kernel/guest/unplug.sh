@@ -15,20 +15,10 @@ sim=sim:kind=room,seed=5,size=56,samples=1,shadow=1,length=limit,quantum=100,lon
 cam=$!
 await camera test -e /dev/video0
 
-cat >hdrig.conf <<END
+write_settings <<END
 camera.1 = v4l2:/dev/video0
 trigger.1 = timer:0.7
-bracket.mode = list
-bracket.ev = -2 0 2
-bracket.middle_us = 3000
-store.path = $PWD/store
-store.reserve_mb = 1
 store.keep = 3
-calibration.path = $PWD/calibration
-results.path = $PWD/results
-job.run = 0
-control.socket = $PWD/control
-http.port = 0
 END
 mkdir store
 "$BIN/../../hdrigd" --config hdrig.conf >log 2>&1 &
