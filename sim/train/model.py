@@ -573,14 +573,16 @@ class Net(nn.Module):
 
 
 def dct_filters(n: int) -> Tensor:
-    """(n, 3, PATCH, PATCH): cosines of rising frequency, four fifths of them for brightness, the
-    rest for two colour differences. Amplitude grows with frequency as that of pictures falls."""
+    """(n, 3, PATCH, PATCH), or as many as there are: cosines of rising frequency, four fifths of
+    them for brightness while there are some, the rest for two colour differences. Amplitude grows
+    with frequency as that of pictures falls."""
     i = torch.arange(PATCH, dtype=torch.float32)
     base = torch.cos(math.pi * (i[None] + 0.5) * i[:, None] / PATCH)
     order = sorted(((a * a + b * b, a, b) for a in range(PATCH) for b in range(PATCH)))
     colour = torch.tensor([[1.0, 1, 1], [1, 0, -1], [-0.5, 1, -0.5]])
     colour = colour / colour.norm(dim=1, keepdim=True)
-    count = (n - 2 * (n // 10), n // 10, n // 10)
+    tint = max(n // 10, (n - len(order)) // 2)
+    count = (n - 2 * tint, tint, tint)
     out = []
     for c, many in enumerate(count):
         for f2, a, b in order[:many]:
@@ -618,7 +620,8 @@ def init_block(b: Block, tie: bool, gamma: float = 1.0) -> None:
 def init_geometry(net: Net) -> None:
     a, d = net.encoder.aggregator, net.d
     dino = a.patch_embed
-    dino.patch_embed.proj.weight.copy_(dct_filters(d.embed))
+    filters = dct_filters(d.embed)
+    dino.patch_embed.proj.weight[: len(filters)] = filters
     dino.patch_embed.proj.bias.zero_()
     dino.pos_embed[0, 1:] = 0.3 * sincos_grid(d.embed)
     for t in (dino.cls_token, dino.register_tokens, a.camera_token, a.register_token):
