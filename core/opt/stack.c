@@ -3,9 +3,10 @@
  * - Choice: first the photograph with the largest sum of weights, then the one that raises the
  *   best weight of every pixel most, until none raises the mean by GAIN (Hasinoff et al. 2010
  *   choose exposures by such a gain).
- * - Picture: the mean of log radiance, each photograph by its inverse variance; where all are
- *   saturated the shortest counts, where all are black the longest. It is written as the mean
- *   display value over all exposures between the shortest and the longest. */
+ * - Picture: the mean of log radiance, each photograph by its inverse variance. Where none says
+ *   anything, a saturated one tells the least that it can be, a black one the most: the nearest of
+ *   these counts, or the middle between both. It is written as the mean display value over all
+ *   exposures between the shortest and the longest. */
 #include "core/opt/stack.h"
 
 #include "core/base/num.h"
@@ -209,39 +210,33 @@ err_t stack_choose(const struct run *r, const struct tonemap *tone, bool stagger
 
 /* ---- one picture ---- */
 
-/* Shortest and longest photograph of a place. */
-static void find_ends(const struct views *v, int place, int end[2])
-{
-    end[0] = end[1] = place;
-    for (int i = place; i >= 0; i = views_next(v, place, i)) {
-        end[0] = v->log2t[i] < v->log2t[end[0]] ? i : end[0];
-        end[1] = v->log2t[i] > v->log2t[end[1]] ? i : end[1];
-    }
-}
-
 /* log2 of the radiance of one value, from all photographs of its place. */
-static float radiance(const struct stack *s, int place, const int end[2], size_t at)
+static float radiance(const struct stack *s, int place, size_t at)
 {
     const size_t c = at % 3;
-    float sum = 0, weight = 0;
+    float sum = 0, weight = 0, least = -INFINITY, most = INFINITY;
     for (int i = place; i >= 0; i = views_next(s->v, place, i)) {
         const uint8_t z = photo(s->v, i)[at];
-        float w = s->w[c][z] + (i == end[z < 128] ? 1e-4f : 0.0f);
-        sum += w * (s->x[c][z] - s->v->log2t[i]);
-        weight += w;
+        const float says = s->x[c][z] - s->v->log2t[i];
+        sum += s->w[c][z] * says;
+        weight += s->w[c][z];
+        if (z < 128)
+            most = fminf(most, says);
+        else
+            least = fmaxf(least, says);
     }
-    return sum / weight;
+    if (weight > 0)
+        return sum / weight;
+    return isinf(least) ? most : isinf(most) ? least : (least + most) / 2;
 }
 
 static err_t merge_place(void *ctx, int place, int worker)
 {
     const struct stack *s = ctx;
     uint8_t *out = s->out + 3 * pixels(s->v) * (size_t)place;
-    int end[2];
     (void)worker;
-    find_ends(s->v, place, end);
     for (size_t at = 0; at < 3 * pixels(s->v); at++) {
-        float x = (radiance(s, place, end, at) + REACH) * CELLS;
+        float x = (radiance(s, place, at) + REACH) * CELLS;
         int cell = !(x > 0) ? 0 : x < ENTRIES - 1 ? (int)x : ENTRIES - 1;
         out[at] = s->code[cell][at % 3];
     }

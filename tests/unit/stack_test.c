@@ -170,6 +170,34 @@ static void test_beyond(void **state)
     arena_free(&tmp);
 }
 
+/* Black in the shorter photographs, white in the longest: between what the nearest two tell. */
+static void test_gap(void **state)
+{
+    (void)state;
+    struct views m;
+    struct tonemap curve;
+    int between = 0;
+    begin(13);
+    memset(place, 0, sizeof place);
+    v.n = 1;
+    v.n_more = 2;
+    shoot(0, 3 - 12, 13);
+    shoot(1, 3 + 12, 13);
+    shoot(2, 3 - 10, 13);
+    assert_int_equal(stack_merge(&run, &v, &tone, &m, &curve), OK);
+    for (int k = 3; k < 3 * PX; k++) {
+        const float x = told(&m, &curve, 0, k);
+        assert_true(m.rgb[k] + 1 >= m.rgb[k - 3]);
+        if (rgb[k] > 0 || rgb[2 * 3 * PX + k] > 0 || rgb[3 * PX + k] < 255)
+            continue;
+        assert_true(x > -9.5f && x < 3.5f);
+        between++;
+    }
+    assert_true(between > PX / 2);
+    arena_reset(&tmp, 0);
+    arena_free(&tmp);
+}
+
 static void test_single(void **state)
 {
     (void)state;
@@ -191,6 +219,6 @@ int main(void)
         cmocka_unit_test(test_choice),  cmocka_unit_test(test_staggered),
         cmocka_unit_test(test_blind),   cmocka_unit_test(test_drop),
         cmocka_unit_test(test_picture), cmocka_unit_test(test_beyond),
-        cmocka_unit_test(test_single)};
+        cmocka_unit_test(test_gap),     cmocka_unit_test(test_single)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
