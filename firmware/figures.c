@@ -15,7 +15,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double MERGE = 0.1; // stops
+static const double MERGE = 0.1; // stops, at least
 
 /* ---- photographs ---- */
 
@@ -49,14 +49,26 @@ static bool seen_elsewhere(const uint8_t *rgb, const struct codes *other, int n)
     return false;
 }
 
-/* The smallest exposure of the set above `last`; infinite if there is none. */
-static double next_exposure(const struct views *v, double last)
+/* The smallest exposure of the set that is more than `apart` above `last`; infinite if there is
+ * none. */
+static double next_exposure(const struct views *v, double last, double apart)
 {
     double next = INFINITY;
     for (int i = 0; i < photographs(v); i++)
-        if ((double)v->log2t[i] > last + MERGE && (double)v->log2t[i] < next)
+        if ((double)v->log2t[i] > last + apart && (double)v->log2t[i] < next)
             next = (double)v->log2t[i];
     return next;
+}
+
+/* Stops within which exposures are one, so that all find room. */
+static double apart(const struct views *v)
+{
+    double lo = INFINITY, hi = -INFINITY;
+    for (int i = 0; i < photographs(v); i++) {
+        lo = fmin(lo, (double)v->log2t[i]);
+        hi = fmax(hi, (double)v->log2t[i]);
+    }
+    return fmax(MERGE, (hi - lo) / (FIGURES_EXPOSURES - 1));
 }
 
 void figures_init(struct figures *f, const struct views *v, const struct tonemap *tone)
@@ -65,8 +77,9 @@ void figures_init(struct figures *f, const struct views *v, const struct tonemap
     f->tone = tone;
     f->n = 0;
     response_tabulate(tone, &f->table);
-    for (double t = next_exposure(v, -INFINITY); f->n < FIGURES_EXPOSURES && isfinite(t);
-         t = next_exposure(v, t)) {
+    const double merge = apart(v);
+    for (double t = next_exposure(v, -INFINITY, merge); f->n < FIGURES_EXPOSURES && isfinite(t);
+         t = next_exposure(v, t, merge)) {
         double stops = t - (double)tone->mid_log2t;
         struct figures_exposure *e = &f->exposure[f->n++];
         *e = (struct figures_exposure){.log2t = t, .stops = stops, .from = -stops, .to = -stops};
@@ -77,7 +90,7 @@ void figures_init(struct figures *f, const struct views *v, const struct tonemap
     }
 }
 
-/* Of view i; beyond the room for exposures the nearest one. */
+/* The nearest one to that of photograph i. */
 static int exposure_of(const struct figures *f, int i)
 {
     int best = 0;
@@ -160,6 +173,7 @@ static void report_input(const struct job_result *j, int i, const struct figures
     double row[FIGURES_BINS];
     report_open(rep, NULL, '{');
     report_text(rep, "name", v->names[i]);
+    report_int(rep, "place", i < v->n ? i : v->place[i - v->n]);
     report_number(rep, "exposure_log2", (double)v->log2t[i]);
     report_number(rep, "stops", (double)(v->log2t[i] - j->scene.tone.mid_log2t));
     report_number(rep, "clipped", in->clipped);
@@ -351,9 +365,8 @@ static void warn_views(struct job_result *j)
     for (int i = 0; i < n; i++)
         if ((double)j->input_db[i] < median - 8 && j->input_db[i] < 22)
             job_warn(j,
-                     "%s fits the scene %.0f dB worse than the others: look whether its "
-                     "camera or something in the scene moved, or its exposure is wrong; take it "
-                     "again or leave it away",
+                     "%s fits the scene %.0f dB worse than the others: something moved, or its "
+                     "exposure is wrong; take it again",
                      j->views.names[i], median - (double)j->input_db[i]);
 }
 

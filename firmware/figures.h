@@ -35,7 +35,7 @@ struct figures {
     const struct views *v;
     const struct tonemap *tone; // of the scene
     struct response_table table;
-    int n; // exposures, ascending; less than a tenth of a stop apart they are one
+    int n; // exposures, ascending; less than a tenth of a stop apart they are one, of many more
     struct figures_exposure exposure[FIGURES_EXPOSURES];
 };
 
