@@ -159,19 +159,6 @@ static int coefs_of(int degree)
     return (degree + 1) * (degree + 1);
 }
 
-/* One colour of planes: every third number. */
-static void take_colour(const float *planes, int degree, float sh[SH_COEFS_MAX])
-{
-    for (int k = 0; k < coefs_of(degree); k++)
-        sh[k] = planes[3 * k];
-}
-
-static void put_colour(const float *sh, int degree, float *planes)
-{
-    for (int k = 0; k < coefs_of(degree); k++)
-        planes[3 * k] = sh[k];
-}
-
 static void fit_display(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX])
 {
     const float knee = logf((float)knee_linear);
@@ -237,58 +224,59 @@ static void fit_log(const struct sphere *s, int degree, float shift, float sh[SH
     }
 }
 
-/* NaN for a colour of which some coefficient is not finite. */
-static void spread_nan(const float *in, int degree_in, int degree_out, float *out)
+/* Degree 0, both ways. shift: natural logarithm. */
+static double shown_of(double log_radiance, double shift)
 {
+    return (encode(exp(clamp_log(sh_c0 * log_radiance) + shift)) - 0.5) / sh_c0;
+}
+
+static double log_of(double shown, double shift)
+{
+    double linear = fmax(decode_log(0.5 + sh_c0 * shown), log((double)DISPLAY_FLOOR));
+    return clamp_log(linear - shift) / sh_c0;
+}
+
+/* Of degree 0, and of any other. */
+struct conversion {
+    double (*flat)(double sh, double shift);
+    void (*fit)(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX]);
+};
+
+/* top: degree of out. A colour of which some coefficient is not finite becomes NaN. */
+static void convert(const struct conversion *how, const float *in, int degree, int top, float ev,
+                    float *out)
+{
+    const double shift = (double)ev * ln2;
+    struct sphere s;
+    if (degree > 0)
+        sphere_init(&s);
     for (int c = 0; c < 3; c++) {
+        float sh[SH_COEFS_MAX];
         bool finite = true;
-        for (int k = 0; k < (degree_in + 1) * (degree_in + 1); k++)
-            finite &= isfinite(in[3 * k + c]) != 0;
-        for (int k = 0; k < (degree_out + 1) * (degree_out + 1) && !finite; k++)
-            out[3 * k + c] = NAN;
+        for (int k = 0; k < coefs_of(degree); k++) {
+            sh[k] = in[3 * k + c];
+            finite &= isfinite(sh[k]) != 0;
+        }
+        if (degree > 0)
+            how->fit(&s, degree, (float)shift, sh);
+        else
+            sh[0] = (float)how->flat((double)sh[0], shift);
+        for (int k = 0; k < coefs_of(top); k++)
+            out[3 * k + c] = finite ? sh[k] : NAN;
     }
 }
 
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out)
 {
-    double shift = (double)ev * ln2;
-    int top = degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX;
-    struct sphere s;
-    if (degree > 0)
-        sphere_init(&s);
-    for (int c = 0; c < 3; c++) {
-        float sh[SH_COEFS_MAX];
-        if (degree > 0) {
-            take_colour(log_sh + c, degree, sh);
-            fit_display(&s, degree, (float)shift, sh);
-        } else {
-            double shown = encode(exp(clamp_log(sh_c0 * (double)log_sh[c]) + shift));
-            sh[0] = (float)((shown - 0.5) / sh_c0);
-        }
-        put_colour(sh, top, out + c);
-    }
-    spread_nan(log_sh, degree, top, out);
+    static const struct conversion how = {shown_of, fit_display};
+    convert(&how, log_sh, degree, degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX, ev,
+            out);
 }
 
 void display_to_radiance(const float *f, int degree, float ev, float *out)
 {
-    double shift = (double)ev * ln2;
-    struct sphere s;
-    if (degree > 0)
-        sphere_init(&s);
-    for (int c = 0; c < 3; c++) {
-        float sh[SH_COEFS_MAX];
-        if (degree > 0) {
-            take_colour(f + c, degree, sh);
-            fit_log(&s, degree, (float)shift, sh);
-        } else {
-            double linear =
-                fmax(decode_log(0.5 + sh_c0 * (double)f[c]), log((double)DISPLAY_FLOOR));
-            sh[0] = (float)(clamp_log(linear - shift) / sh_c0);
-        }
-        put_colour(sh, degree, out + c);
-    }
-    spread_nan(f, degree, degree, out);
+    static const struct conversion how = {log_of, fit_log};
+    convert(&how, f, degree, degree, ev, out);
 }
 
 /* ---- tone curves ---- */
