@@ -5,6 +5,7 @@
 #include <string.h>
 #include <zlib.h>
 #include <zstd.h>
+#include <zstd_errors.h>
 
 enum {
     BLOCK = 1 << 16,
@@ -47,6 +48,8 @@ err_t packed_open(struct packed_in *in, const char *what, enum packed_kind kind,
     return OK;
 }
 
+static const char no_memory[] = "no memory";
+
 /* Up to *n bytes; *n becomes how many they are. NULL, or what is wrong. */
 static const char *inflate_some(struct packed_in *in, uint8_t *out, size_t *n)
 {
@@ -64,7 +67,7 @@ static const char *inflate_some(struct packed_in *in, uint8_t *out, size_t *n)
     in->ended = code == Z_STREAM_END;
     if (code == Z_OK || code == Z_STREAM_END || (code == Z_BUF_ERROR && in->left == 0))
         return NULL;
-    return z->msg ? z->msg : "not a gzip stream";
+    return code == Z_MEM_ERROR ? no_memory : z->msg ? z->msg : "not a gzip stream";
 }
 
 static const char *zstd_some(struct packed_in *in, uint8_t *out, size_t *n)
@@ -76,7 +79,10 @@ static const char *zstd_some(struct packed_in *in, uint8_t *out, size_t *n)
     in->left -= from.pos;
     *n = to.pos;
     in->ended = code == 0;
-    return ZSTD_isError(code) ? ZSTD_getErrorName(code) : NULL;
+    if (!ZSTD_isError(code))
+        return NULL;
+    return ZSTD_getErrorCode(code) == ZSTD_error_memory_allocation ? no_memory
+                                                                   : ZSTD_getErrorName(code);
 }
 
 static const char *plain_some(struct packed_in *in, uint8_t *out, size_t *n)
@@ -98,6 +104,8 @@ err_t packed_some(struct packed_in *in, const char *part, void *out, size_t n, s
         const char *wrong = in->kind == PACKED_GZIP   ? inflate_some(in, to + *got, &made)
                             : in->kind == PACKED_ZSTD ? zstd_some(in, to + *got, &made)
                                                       : plain_some(in, to + *got, &made);
+        if (wrong == no_memory)
+            return err_fail(ERR_NOMEM, "%s: %s: no memory to unpack it", in->what, part);
         if (wrong)
             return err_fail(ERR_FORMAT, "%s: %s: damaged (%s)", in->what, part, wrong);
         *got += made;
