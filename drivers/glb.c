@@ -12,6 +12,7 @@
 #include "drivers/json.h"
 #include "drivers/splats.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -273,7 +274,7 @@ static char *make_json(const struct scene *s, const struct list *l, size_t *byte
     if (!f)
         return NULL;
     put_json(f, s, l);
-    while (ftell(f) % 4 != 0)
+    while (!ferror(f) && ftell(f) % 4 != 0)
         putc(' ', f);
     bool bad = ferror(f);
     if (fclose(f) == 0 && !bad)
@@ -303,7 +304,7 @@ static err_t write_file(const char *path, const struct scene *s, const struct li
         fwrite(json, 1, json_bytes, f);
         fwrite(chunk, 1, sizeof chunk, f);
         if (!put_splats(f, (long)(sizeof head + json_bytes + CHUNK), l, s, room)) {
-            e = err_fail(ERR_IO, "%s: cannot seek in it", path);
+            e = err_fail(file_code(errno), "%s: writing failed: %s", path, strerror(errno));
             file_discard(f, path);
         } else {
             e = file_finish(f, path);
@@ -481,9 +482,10 @@ static err_t take_extension(struct layout *l, const struct cJSON *primitive)
         e = get_index(l->what, primitive, "mode", &points, &mode);
     if (!e && mode != 0)
         e = err_fail(ERR_FORMAT, "%s: mode %zu, splats are points, 0", l->what, mode);
-    for (int d = 1; d <= DISPLAY_DEGREE_MAX; d++) {
+    for (int d = 1; d <= SH_DEGREE_MAX; d++) {
         snprintf(name, sizeof name, SPLATTING ":SH_DEGREE_%d_COEF_0", d);
-        display = json_member(attributes, name) ? d : display;
+        l->info.band_lost = d > DISPLAY_DEGREE_MAX && !radiance && json_member(attributes, name);
+        display = d <= DISPLAY_DEGREE_MAX && json_member(attributes, name) ? d : display;
     }
     if (e || !radiance) {
         make_list(&l->list, display, -1);

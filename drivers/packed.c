@@ -1,6 +1,9 @@
 /* The one file that knows zlib (RFC 1952) and libzstd (RFC 8878). */
 #include "drivers/packed.h"
 
+#include "drivers/file.h"
+
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <zlib.h>
@@ -115,6 +118,16 @@ err_t packed_some(struct packed_in *in, const char *part, void *out, size_t n, s
     return OK;
 }
 
+err_t packed_finish(struct packed_in *in, const char *part)
+{
+    uint8_t more;
+    size_t got;
+    err_t e = packed_some(in, part, &more, 1, &got);
+    if (!e && got > 0)
+        e = err_fail(ERR_FORMAT, "%s: %s: more than its header tells", in->what, part);
+    return e;
+}
+
 err_t packed_read(struct packed_in *in, const char *part, void *out, size_t n)
 {
     size_t got;
@@ -163,11 +176,20 @@ err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind ki
     return OK;
 }
 
+static err_t put_bytes(const struct packed_out *out, const void *p, size_t n)
+{
+    if (fwrite(p, 1, n, out->f) == n)
+        return OK;
+    int why = errno;
+    return err_fail(file_code(why), "%s: writing failed: %s", out->what, strerror(why));
+}
+
 static err_t deflate_some(struct packed_out *out, const void *p, size_t n, bool end)
 {
     z_stream *z = out->state;
     uint8_t block[BLOCK];
     int code;
+    err_t e;
     block[0] = 0; // cppcheck does not know that what follows fills it; below too
     z->next_in = (Bytef *)(uintptr_t)p;
     z->avail_in = (uInt)n;
@@ -175,11 +197,11 @@ static err_t deflate_some(struct packed_out *out, const void *p, size_t n, bool 
         z->next_out = block;
         z->avail_out = BLOCK;
         code = deflate(z, end ? Z_FINISH : Z_NO_FLUSH);
-        fwrite(block, 1, BLOCK - z->avail_out, out->f);
-    } while (code == Z_OK && (z->avail_out == 0 || end));
-    if (code != Z_OK && code != Z_STREAM_END && code != Z_BUF_ERROR)
+        e = put_bytes(out, block, BLOCK - z->avail_out);
+    } while (!e && code == Z_OK && (z->avail_out == 0 || end));
+    if (!e && code != Z_OK && code != Z_STREAM_END && code != Z_BUF_ERROR)
         return err_fail(ERR_NOMEM, "%s: gzip: error %d", out->what, code);
-    return OK;
+    return e;
 }
 
 static err_t zstd_put(struct packed_out *out, const void *p, size_t n, bool end)
@@ -187,22 +209,23 @@ static err_t zstd_put(struct packed_out *out, const void *p, size_t n, bool end)
     uint8_t block[BLOCK];
     ZSTD_inBuffer from = {p, n, 0};
     size_t left;
+    err_t e;
     block[0] = 0;
     do {
         ZSTD_outBuffer to = {block, BLOCK, 0};
         left = ZSTD_compressStream2(out->state, &to, &from, end ? ZSTD_e_end : ZSTD_e_continue);
         if (ZSTD_isError(left))
             return err_fail(ERR_NOMEM, "%s: zstd: %s", out->what, ZSTD_getErrorName(left));
-        fwrite(block, 1, to.pos, out->f);
-    } while (end ? left > 0 : from.pos < from.size);
-    return OK;
+        e = put_bytes(out, block, to.pos);
+    } while (!e && (end ? left > 0 : from.pos < from.size));
+    return e;
 }
 
 err_t packed_put(struct packed_out *out, const void *p, size_t n)
 {
     err_t e = OK;
     if (out->kind == PACKED_PLAIN)
-        fwrite(p, 1, n, out->f);
+        return put_bytes(out, p, n);
     if (out->kind == PACKED_ZSTD)
         return zstd_put(out, p, n, false);
     for (size_t at = 0; out->kind == PACKED_GZIP && at < n && !e; at += ONCE)

@@ -37,13 +37,17 @@ MUST_USE err_t packed_some(struct packed_in *in, const char *part, void *out, si
 /* As packed_some, and fewer bytes are an error. */
 MUST_USE err_t packed_read(struct packed_in *in, const char *part, void *out, size_t n);
 
+/* The stream ends here, and its checksum, if it has one, is right.
+ * err:  as packed_some; ERR_FORMAT (it goes on). */
+MUST_USE err_t packed_finish(struct packed_in *in, const char *part);
+
 /* Accepts a zeroed stream. */
 void packed_close(struct packed_in *in);
 
 struct packed_out {
     const char *what;
     enum packed_kind kind;
-    FILE *f; // not owned; errors of writing are found by file_finish
+    FILE *f; // not owned
     void *state;
 };
 
@@ -53,11 +57,11 @@ struct packed_out {
 MUST_USE err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind kind,
                             FILE *f, uint64_t size);
 
-/* err:  ERR_NOMEM. */
+/* err:  ERR_NOMEM, ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t packed_put(struct packed_out *out, const void *p, size_t n);
 
 /* Complete the stream and release what belongs to it. Accepts a zeroed one.
- * err:  ERR_NOMEM. */
+ * err:  as packed_put. */
 MUST_USE err_t packed_end(struct packed_out *out);
 
 #endif

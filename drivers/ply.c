@@ -111,7 +111,7 @@ err_t ply_write(const char *path, const struct scene *s)
     if (e)
         return e;
     put_header(f, s, ev);
-    for (int i = 0; i < s->g.n; i++)
+    for (int i = 0; i < s->g.n && !ferror(f); i++)
         fwrite(row, 1, (size_t)(put_row(&s->g, ev, i, row) - row), f);
     return file_finish(f, path);
 }

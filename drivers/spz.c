@@ -23,7 +23,8 @@
 enum {
     FRACTIONAL_MAX = 30,
     RECORD_AXES = (int)0xadbe0003, // "SPZ_ADOBE_coordinate_system"
-    GZIP_RATIO_MAX = 1032          // nothing shrinks more
+    GZIP_RATIO_MAX = 1032,         // nothing shrinks more
+    ZSTD_RATIO_MAX = 32768         // blocks of at most 128 kB, at least 4 bytes each
 };
 
 static const char *const array_names[SPZ_ARRAYS] = {"positions", "alphas",    "colors",
@@ -101,6 +102,15 @@ static err_t take_header(const struct splats_bytes *f, const uint8_t *h, struct 
     return OK;
 }
 
+/* Before memory is taken for what a few bytes promise. */
+static err_t check_ratio(const char *what, const char *part, size_t packed, size_t plain)
+{
+    if (packed >= plain / ZSTD_RATIO_MAX)
+        return OK;
+    return err_fail(ERR_FORMAT, "%s: %s: %zu bytes cannot unpack to %zu", what, part, packed,
+                    plain);
+}
+
 /* Table of version 4: where the arrays and the records are. */
 static err_t take_table(const struct splats_bytes *f, struct layout *l)
 {
@@ -128,6 +138,9 @@ static err_t take_table(const struct splats_bytes *f, struct layout *l)
                             "unpack to %zu",
                             f->what, array_names[a], (unsigned long long)packed,
                             (unsigned long long)plain, f->n - end, size);
+        err_t e = check_ratio(f->what, array_names[a], (size_t)packed, size);
+        if (e)
+            return e;
         l->stream[a] = (struct splats_bytes){f->what, p + end, (size_t)packed};
         end += (size_t)packed;
     }
@@ -263,9 +276,15 @@ static err_t read_packed_planes(const struct layout *l, struct packed_in *in, si
     if (in->kind != PACKED_PLAIN || n > in->left)
         return err_fail(ERR_FORMAT, "%s: radiance record of %zu packed bytes, %zu are left",
                         l->file->what, n, in->left);
-    err_t e = packed_open(&planes, l->file->what, PACKED_ZSTD, in->p, n);
-    if (!e && g)
+    size_t size = 6 * (size_t)coefs(l->record.degree) * (size_t)l->info.n;
+    err_t e = check_ratio(l->file->what, "radiance", n, size);
+    if (e || !g)
+        return e ? e : skip(in, n);
+    e = packed_open(&planes, l->file->what, PACKED_ZSTD, in->p, n);
+    if (!e)
         e = read_planes(l, &planes, g);
+    if (!e)
+        e = packed_finish(&planes, "radiance");
     packed_close(&planes);
     return e ? e : skip(in, n);
 }
@@ -308,12 +327,14 @@ static err_t read_axes(struct layout *l, struct packed_in *in, size_t n)
     if (n != sizeof b)
         return err_fail(ERR_FORMAT, "%s: record of axes of %zu bytes", l->file->what, n);
     err_t e = packed_read(in, "record of axes", b, sizeof b);
+    if (e)
+        return e;
     struct bytes at = bytes_of(b, sizeof b);
     uint32_t v = bytes_u32(&at);
-    if (!e && (v < 1 || v > 8))
-        e = err_fail(ERR_UNSUPPORTED, "%s: axes %u, 1 to 8 are read", l->file->what, v);
+    if (v < 1 || v > 8)
+        return err_fail(ERR_UNSUPPORTED, "%s: axes %u, 1 to 8 are read", l->file->what, v);
     l->axes = (v - 1) ^ 5;
-    return e;
+    return OK;
 }
 
 static err_t read_records(struct layout *l, struct packed_in *in, struct gaussians *g)
@@ -382,6 +403,8 @@ static err_t read_streams(struct layout *l, struct gaussians *g)
         e = packed_open(&in, l->file->what, PACKED_ZSTD, l->stream[a].p, l->stream[a].n);
         if (!e)
             e = read_array(l, &in, a, g);
+        if (!e)
+            e = packed_finish(&in, array_names[a]);
         packed_close(&in);
     }
     if (e || !(l->flags & SPZ_HAS_RECORDS))

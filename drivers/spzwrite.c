@@ -12,6 +12,7 @@
 #include "drivers/splats.h"
 #include "drivers/spz.h"
 
+#include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -343,11 +344,16 @@ static err_t write_4(const struct plan *p, FILE *f)
         t = bytes_put_u64(t, (uint64_t)bytes);
         t = bytes_put_u64(t, (uint64_t)p->g->n * p->width[a]);
     }
-    if (fseek(f, 0, SEEK_SET) == 0)
+    if (e)
+        return e;
+    if (fseek(f, 0, SEEK_SET) == 0) {
         fwrite(head, 1, sizeof head, f);
-    if (fseek(f, toc, SEEK_SET) == 0)
-        fwrite(table, SPZ_TOC_ENTRY, (size_t)streams, f);
-    return e;
+        if (fseek(f, toc, SEEK_SET) == 0) {
+            fwrite(table, SPZ_TOC_ENTRY, (size_t)streams, f);
+            return OK;
+        }
+    }
+    return err_fail(file_code(errno), "%s: writing failed: %s", p->path, strerror(errno));
 }
 
 err_t spzwrite_scene(const char *path, const struct scene *s, int version)

@@ -6,10 +6,13 @@
 
 #include "tests/unit/tmpdir.h"
 
+#include <fcntl.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <cmocka.h>
 
@@ -225,6 +228,21 @@ static void documents_that_lie_are_named(void **state)
     }
 }
 
+static void a_band_that_is_not_read_is_told(void **state)
+{
+    (void)state;
+    struct splats_info info;
+    fill_small();
+    struct splats_bytes f = build(small, small_bin, sizeof small_bin);
+    assert_int_equal(glb_format.peek(&f, &info), OK);
+    assert_false(info.band_lost);
+    const char *json =
+        changed("OPACITY", ":3", ":3,\"KHR_gaussian_splatting:SH_DEGREE_4_COEF_0\":4");
+    f = build(json, small_bin, sizeof small_bin);
+    assert_int_equal(glb_format.peek(&f, &info), OK);
+    assert_true(info.band_lost && info.degree == 0);
+}
+
 static void numbers_that_are_none_do_not_come_in(void **state)
 {
     (void)state;
@@ -278,9 +296,25 @@ static void what_cannot_be_written_says_why(void **state)
     assert_int_equal(glb_write(path, &s), ERR_ARG);
     assert_non_null(strstr(err_text(), "splat 2 of 3: plane 12"));
     s = make(3, 0);
+    assert_int_equal(glb_write("/dev/full", &s), ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "No space left"));
     s.g.n = 0;
     assert_int_equal(glb_write(path, &s), ERR_ARG);
     assert_false(file_is_regular(path));
+}
+
+/* A pipe takes no second look at what was written. */
+static void a_place_without_seeking_is_refused(void **state)
+{
+    (void)state;
+    const char *path = tmpdir_path("pipe.glb");
+    struct scene s = make(3, 0);
+    assert_int_equal(mkfifo(path, 0600), 0);
+    int fd = open(path, O_RDONLY | O_NONBLOCK);
+    assert_true(fd >= 0);
+    assert_int_equal(glb_write(path, &s), ERR_IO);
+    assert_non_null(strstr(err_text(), "pipe.glb: writing failed: Illegal seek"));
+    close(fd);
 }
 
 /* Straight to the text that other programs see. */
@@ -325,10 +359,12 @@ int main(void)
         cmocka_unit_test(what_is_written_is_read),
         cmocka_unit_test(numbers_of_any_type_are_understood),
         cmocka_unit_test(documents_that_lie_are_named),
+        cmocka_unit_test(a_band_that_is_not_read_is_told),
         cmocka_unit_test(numbers_that_are_none_do_not_come_in),
         cmocka_unit_test(chunks_that_lie_are_named),
         cmocka_unit_test(points_have_linear_colours_and_bounds),
         cmocka_unit_test(what_cannot_be_written_says_why),
+        cmocka_unit_test(a_place_without_seeking_is_refused),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }

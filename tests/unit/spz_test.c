@@ -9,10 +9,13 @@
 
 #include "tests/unit/tmpdir.h"
 
+#include <fcntl.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <cmocka.h>
 
@@ -232,6 +235,13 @@ static void what_cannot_be_written_says_why(void **state)
     assert_int_equal(spzwrite_scene(path, &s, 2), ERR_ARG);
     for (int version = 3; version <= 4; version++)
         assert_int_equal(spzwrite_scene("/dev/full", &s, version), ERR_LIMIT);
+    const char *pipe = tmpdir_path("pipe.spz"); // takes no second look at what was written
+    assert_int_equal(mkfifo(pipe, 0600), 0);
+    int fd = open(pipe, O_RDONLY | O_NONBLOCK);
+    assert_int_equal(spzwrite_scene(pipe, &s, 3), OK);
+    assert_int_equal(spzwrite_scene(pipe, &s, 4), ERR_IO);
+    assert_non_null(strstr(err_text(), "pipe.spz: writing failed: Illegal seek"));
+    close(fd);
     s.g.plane[G_SH + 1][2] = NAN;
     assert_int_equal(spzwrite_scene(path, &s, 3), ERR_ARG);
     assert_non_null(strstr(err_text(), "splat 2 of 3: plane 12"));
@@ -563,6 +573,47 @@ static void tables_that_lie_are_named(void **state)
     file_unmap(&m);
 }
 
+/* A file of version 4 whose header and table agree on another number of splats. */
+static struct splats_bytes recounted(int degree, uint32_t n, uint8_t copy[2048])
+{
+    struct scene s = make(5, degree, 1);
+    struct file_map m;
+    size_t width[SPZ_ARRAYS];
+    assert_int_equal(spzwrite_scene(tmpdir_path("five.spz"), &s, 4), OK);
+    assert_int_equal(file_map(tmpdir_path("five.spz"), 2048, &m), OK);
+    struct splats_bytes file = {"five", copy, m.n};
+    memcpy(copy, m.p, m.n);
+    file_unmap(&m);
+    bytes_put_u32(copy + 8, n);
+    struct bytes b = bytes_of(copy + 16, 4);
+    uint8_t *entry = copy + bytes_u32(&b);
+    spz_widths(4, degree, width);
+    for (int a = 0; a < SPZ_ARRAYS && width[a] > 0; a++, entry += SPZ_TOC_ENTRY)
+        bytes_put_u64(entry + 8, (uint64_t)n * width[a]);
+    return file;
+}
+
+static void counts_that_lie_are_named(void **state)
+{
+    (void)state;
+    uint8_t copy[2048];
+    struct splats_info info;
+    struct gaussians g;
+    struct gaussians_report report;
+    struct splats_bytes file = recounted(0, GAUSSIANS_MAX, copy);
+    assert_int_equal(spz_format.peek(&file, &info), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "positions: 5"));
+    assert_non_null(strstr(err_text(), " bytes cannot unpack to 150994944"));
+    file = recounted(0, 4, copy);
+    assert_int_equal(spz_format.peek(&file, &info), OK);
+    assert_int_equal(spz_format.parse(&file, 0, &arena, &g, &report), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "five: positions: more than its header tells"));
+    assert_true(g.n == 0 && g.plane[0] == NULL);
+    file = recounted(0, 6, copy);
+    assert_int_equal(spz_format.parse(&file, 0, &arena, &g, &report), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "five: positions: cut off"));
+}
+
 static int make_folder(void **state)
 {
     (void)state;
@@ -593,6 +644,7 @@ int main(void)
         cmocka_unit_test(a_wrong_checksum_is_noticed),
         cmocka_unit_test(records_that_lie_are_named),
         cmocka_unit_test(tables_that_lie_are_named),
+        cmocka_unit_test(counts_that_lie_are_named),
         cmocka_unit_test(damaged_files_are_refused_or_read),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
