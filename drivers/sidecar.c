@@ -41,6 +41,11 @@ static bool is_ours(const struct cJSON *doc)
     return format && strcmp(format, FORMAT_NAME) == 0;
 }
 
+static int count_views(const struct cJSON *doc)
+{
+    return json_count(json_member(doc, "cameras"));
+}
+
 /* The document; *out is NULL if it is somebody else's.
  * own:  json_free. */
 static err_t open_document(const struct sidecar_bytes *file, struct cJSON **out)
@@ -59,14 +64,14 @@ static err_t open_document(const struct sidecar_bytes *file, struct cJSON **out)
                      file->what, version, VERSION);
     else if (!json_is_array(json_member(*out, "cameras")))
         e = err_fail(ERR_FORMAT, "%s: no array \"cameras\"", file->what);
-    if (e)
-        json_free(*out);
+    else if (count_views(*out) > CAMERAS_MAX)
+        e = err_fail(ERR_FORMAT, "%s: %d cameras, at most %d are read", file->what,
+                     count_views(*out), CAMERAS_MAX);
+    if (!e)
+        return OK;
+    json_free(*out);
+    *out = NULL;
     return e;
-}
-
-static int count_views(const struct cJSON *doc)
-{
-    return json_count(json_member(doc, "cameras"));
 }
 
 static size_t views_need(int n_views)
@@ -164,16 +169,15 @@ static void fill_defaults(float ev, struct scene *s)
     display_tonemap(ev, &s->tone);
 }
 
-err_t sidecar_peek_bytes(const struct sidecar_bytes *file, int *n_views, size_t *need)
+err_t sidecar_peek_bytes(const struct sidecar_bytes *file, struct sidecar_info *out)
 {
     struct cJSON *doc;
-    *n_views = 0;
-    *need = 0;
+    *out = (struct sidecar_info){0};
     err_t e = open_document(file, &doc);
     if (e || !doc)
         return e;
-    *n_views = count_views(doc);
-    *need = views_need(*n_views);
+    int n = count_views(doc);
+    *out = (struct sidecar_info){true, n, views_need(n)};
     json_free(doc);
     return OK;
 }
@@ -208,17 +212,16 @@ static err_t map_sidecar(const char *splats, char path[FILE_PATH_CAP], bool *fou
     return *found ? file_map(path, JSON_BYTES_MAX, m) : e;
 }
 
-err_t sidecar_peek(const char *splats, int *n_views, size_t *need)
+err_t sidecar_peek(const char *splats, struct sidecar_info *out)
 {
     char path[FILE_PATH_CAP];
     struct file_map m;
     bool found;
-    *n_views = 0;
-    *need = 0;
+    *out = (struct sidecar_info){0};
     err_t e = map_sidecar(splats, path, &found, &m);
     if (e || !found)
         return e;
-    e = sidecar_peek_bytes(&(struct sidecar_bytes){path, m.p, m.n}, n_views, need);
+    e = sidecar_peek_bytes(&(struct sidecar_bytes){path, m.p, m.n}, out);
     file_unmap(&m);
     return e;
 }
@@ -261,11 +264,20 @@ static err_t check_scene(const char *path, const struct scene *s)
         e = check_floats(path, "mid_exposure_log2", &s->tone.mid_log2t, 1);
     if (!e)
         e = check_floats(path, "background", s->background, 3);
+    for (int c = 0; c < 3 && !e; c++)
+        if (s->background[c] < 0)
+            e = err_fail(ERR_ARG, "%s: \"background\" %d is %g, must be >= 0", path, c,
+                         (double)s->background[c]);
+    if (!e && s->n_views > CAMERAS_MAX)
+        e = err_fail(ERR_ARG, "%s: %d cameras, allowed are %d", path, s->n_views, CAMERAS_MAX);
     if (!e)
         e = check_floats(path, "exposure_log2", s->log2t, s->n_views);
     for (int i = 0; i < s->n_views && !e; i++) {
         struct camera cam = s->cams[i];
         e = cameras_check(path, s->names[i], &cam);
+        if (!e && (cam.w != s->size || cam.h != s->size))
+            e = err_fail(ERR_ARG, "%s: camera %d (%s) is for %d x %d px, \"size\" is %d", path, i,
+                         s->names[i], cam.w, cam.h, s->size);
     }
     return e;
 }

@@ -23,15 +23,20 @@ MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
 MUST_USE err_t sidecar_check_place(const char *splats);
 
 /* Write everything of s but its splats.
- * err:  ERR_ARG (a number that is not finite, a size below 1; as sidecar_check_place), ERR_FORMAT
- *       (a camera that cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial
- *       file is removed. */
+ * err:  ERR_ARG (what sidecar_read would refuse: a number that is not finite, a background below 0,
+ *       a size below 1, cameras of another size or more than CAMERAS_MAX; as sidecar_check_place),
+ *       ERR_FORMAT (a camera that cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM.
+ *       The partial file is removed. */
 MUST_USE err_t sidecar_write(const char *splats, const struct scene *s);
 
-/* Views of the sidecar of `splats`; 0 and *need 0 if there is no such file.
- * out:  *need = bytes that sidecar_read takes from its arena.
- * err:  as sidecar_read. */
-MUST_USE err_t sidecar_peek(const char *splats, int *n_views, size_t *need);
+struct sidecar_info {
+    bool found; // and ours
+    int n_views;
+    size_t need; // bytes that sidecar_read takes from its arena
+};
+
+/* err:  as sidecar_read. */
+MUST_USE err_t sidecar_peek(const char *splats, struct sidecar_info *out);
 
 /* Fill all of *s but its splats. Without a sidecar: sRGB at ev (display_tonemap), a black
  * background, no views, SIDECAR_SIZE.
@@ -46,7 +51,7 @@ struct sidecar_bytes {
 };
 
 /* The same from memory. */
-MUST_USE err_t sidecar_peek_bytes(const struct sidecar_bytes *file, int *n_views, size_t *need);
+MUST_USE err_t sidecar_peek_bytes(const struct sidecar_bytes *file, struct sidecar_info *out);
 MUST_USE err_t sidecar_parse(const struct sidecar_bytes *file, float ev, struct arena *a,
                              struct scene *s);
 

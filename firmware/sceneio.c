@@ -77,21 +77,23 @@ err_t sceneio_peek(const char *path, struct sceneio_info *out)
     char file[FILE_PATH_CAP];
     enum kind kind;
     struct splats_info splats;
+    struct sidecar_info side;
     memset(out, 0, sizeof *out);
     err_t e = find(path, file, &kind);
     if (e || kind == HDRIG)
         return e ? e : peek_scenefile(file, out);
     e = splats_peek(formats[kind], file, &splats);
     if (!e)
-        e = sidecar_peek(file, &out->n_views, &out->need);
+        e = sidecar_peek(file, &side);
     if (e)
         return e;
+    out->n_views = side.n_views;
     out->n = splats.n;
     out->degree = splats.degree;
     out->size = SIDECAR_SIZE;
     out->has_hdr = splats.has_hdr;
     out->band_lost = splats.band_lost;
-    out->need = arena_add(out->need, gaussians_need(splats.n, splats.degree));
+    out->need = arena_add(side.need, gaussians_need(splats.n, splats.degree));
     return OK;
 }
 
@@ -99,16 +101,15 @@ static err_t read_splats(const char *path, enum kind kind, struct arena *a, stru
                          struct gaussians_report *report)
 {
     struct splats_info splats;
-    int n_views;
-    size_t need;
+    struct sidecar_info side;
     err_t e = splats_peek(formats[kind], path, &splats);
     if (!e)
-        e = sidecar_peek(path, &n_views, &need);
+        e = sidecar_peek(path, &side);
     if (!e)
         e = sidecar_read(path, splats.ev, a, s);
     if (e)
         return e;
-    float ev = need > 0 ? display_ev(&s->tone) : splats.ev;
+    float ev = side.found ? display_ev(&s->tone) : splats.ev;
     return splats_read(formats[kind], path, ev, a, &s->g, report);
 }
 

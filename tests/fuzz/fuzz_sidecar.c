@@ -11,19 +11,18 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     struct sidecar_bytes file = {"input", data, size};
     struct scene s = {0};
     struct arena a;
-    int n_views;
-    size_t need;
-    if (sidecar_peek_bytes(&file, &n_views, &need) || need > 1 << 24)
+    struct sidecar_info info;
+    if (sidecar_peek_bytes(&file, &info) || info.need > 1 << 24)
         return 0;
-    if (arena_init(&a, "fuzz", need))
+    if (arena_init(&a, "fuzz", info.need))
         return 0;
     err_t e = sidecar_parse(&file, 0, &a, &s);
-    if (e == ERR_NOMEM || (e == OK && (s.n_views != n_views || a.used != need)))
+    if (e == ERR_NOMEM || (e == OK && (s.n_views != info.n_views || a.used != info.need)))
         abort();
     for (int i = 0; e == OK && i < TONE_PARAMS; i++)
         if (!isfinite(s.tone.p[i]))
             abort();
-    for (int i = 0; e == OK && i < n_views; i++)
+    for (int i = 0; e == OK && i < info.n_views; i++)
         if (!isfinite(s.log2t[i]) || s.cams[i].w != s.size)
             abort();
     arena_free(&a);

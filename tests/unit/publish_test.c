@@ -46,8 +46,7 @@ static void everything_is_there_and_can_be_read(void **state)
     struct cJSON *doc;
     struct scenefile_info scene;
     struct splats_info ply;
-    int n_views;
-    size_t need;
+    struct sidecar_info side;
     struct rig rig;
     struct image8 ldr;
     struct image hdr;
@@ -57,8 +56,8 @@ static void everything_is_there_and_can_be_read(void **state)
     assert_int_equal(scene.n, SPLATS);
     assert_int_equal(splats_peek(&ply_format, tmpdir_path("out/scene.ply"), &ply), OK);
     assert_int_equal(ply.n, SPLATS);
-    assert_int_equal(sidecar_peek(tmpdir_path("out/scene.ply"), &n_views, &need), OK);
-    assert_int_equal(n_views, SMALL_VIEWS);
+    assert_int_equal(sidecar_peek(tmpdir_path("out/scene.ply"), &side), OK);
+    assert_int_equal(side.n_views, SMALL_VIEWS);
     assert_int_equal(cameras_read(tmpdir_path("out/cameras.json"), &rig), OK);
     assert_int_equal(rig.n, SMALL_VIEWS);
     assert_true(rig.views[1].has_exposure && rig.views[1].exposure_log2 == 1.0f);

@@ -10,8 +10,10 @@
 #include <dirent.h>
 #include <math.h>
 #include <setjmp.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stddef.h>
+#include <sys/resource.h>
 
 #include <cmocka.h>
 
@@ -103,15 +105,57 @@ static void a_failure_leaves_what_was_there(void **state)
     }
 }
 
-static void a_sidecar_tells_what_display_colours_mean(void **state)
+/* Files of any kind may grow to `bytes` and no further. */
+static void limit_files(rlim_t bytes)
+{
+    struct rlimit l;
+    assert_int_equal(getrlimit(RLIMIT_FSIZE, &l), 0);
+    l.rlim_cur = bytes;
+    assert_int_equal(setrlimit(RLIMIT_FSIZE, &l), 0);
+}
+
+static void a_disk_that_ends_leaves_what_was_there(void **state)
 {
     (void)state;
-    struct scene s = make(3, 0), back;
+    static const rlim_t ends[] = {0, 1, 4097, 40000};
+    struct scene s = make(1200, 3), back;
     struct gaussians_report report;
+    signal(SIGXFSZ, SIG_IGN); // write says it
+    for (int k = 0; k < N_KINDS; k++) {
+        const char *path = tmpdir_path(kinds[k]);
+        s.g.n = 5;
+        assert_int_equal(sceneio_write(path, &s, 4), OK);
+        s.g.n = 1200;
+        int files = count_files();
+        for (size_t i = 0; i < sizeof ends / sizeof ends[0]; i++)
+            for (int spz = 3; spz <= 4; spz++) {
+                limit_files(ends[i]);
+                err_t e = sceneio_write(path, &s, spz);
+                limit_files(RLIM_INFINITY);
+                assert_int_equal(e, ERR_IO);
+                assert_non_null(strstr(err_text(), "File too large"));
+                assert_int_equal(count_files(), files);
+            }
+        s.g.n = 1; // now it is the sidecar that does not fit
+        s.g.degree = 0;
+        limit_files(5000);
+        assert_int_equal(sceneio_write(path, &s, 3), k == 0 ? OK : ERR_IO);
+        limit_files(RLIM_INFINITY);
+        assert_true(k == 0 || strstr(err_text(), ".json: writing failed: File too large"));
+        assert_int_equal(count_files(), files);
+        s.g.degree = 3;
+        size_t mark = arena_mark(&arena);
+        assert_int_equal(sceneio_read(path, &arena, &back, &report), OK);
+        assert_int_equal(back.g.n, k == 0 ? 1 : 5);
+        arena_reset(&arena, mark);
+    }
+}
+
+/* The file without its radiance and what goes with it, as if a tool had dropped them. */
+static void strip(const char *name)
+{
     struct file_map m;
-    assert_int_equal(sceneio_write(tmpdir_path("ldr.ply"), &s, 3), OK);
-    // the radiance goes under another name, as if a tool had dropped it
-    assert_int_equal(file_map(tmpdir_path("ldr.ply"), 1 << 20, &m), OK);
+    assert_int_equal(file_map(tmpdir_path(name), 1 << 20, &m), OK);
     uint8_t *copy = malloc(m.n);
     size_t n = m.n;
     assert_non_null(copy);
@@ -119,19 +163,31 @@ static void a_sidecar_tells_what_display_colours_mean(void **state)
     file_unmap(&m);
     for (uint8_t *p; (p = memmem(copy, n, "ihdr_log", 8)) || (p = memmem(copy, n, "ihdr ev", 7));)
         p[0] = 'X';
-    tmpdir_write("ldr.ply", copy, n);
+    tmpdir_write(name, copy, n);
     free(copy);
-    struct sceneio_info info;
-    assert_int_equal(sceneio_peek(tmpdir_path("ldr.ply"), &info), OK);
-    assert_false(info.has_hdr);
-    assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
-    for (int i = 0; i < 3; i++)
-        assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) < 1e-3f);
-    assert_int_equal(remove(tmpdir_path("ldr.json")), 0); // and now sRGB is all there is
-    assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
-    assert_true(back.n_views == 0 && back.size == SIDECAR_SIZE);
-    for (int i = 0; i < 3; i++)
-        assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) > 1);
+}
+
+static void a_sidecar_tells_what_display_colours_mean(void **state)
+{
+    (void)state;
+    for (int n_views = 0; n_views < 2; n_views++) { // even without cameras
+        struct scene s = make(3, 0), back;
+        struct gaussians_report report;
+        struct sceneio_info info;
+        s.n_views = n_views;
+        assert_int_equal(sceneio_write(tmpdir_path("ldr.ply"), &s, 3), OK);
+        strip("ldr.ply");
+        assert_int_equal(sceneio_peek(tmpdir_path("ldr.ply"), &info), OK);
+        assert_false(info.has_hdr);
+        assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
+        for (int i = 0; i < 3; i++)
+            assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) < 1e-3f);
+        assert_int_equal(remove(tmpdir_path("ldr.json")), 0); // and now sRGB is all there is
+        assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
+        assert_true(back.n_views == 0 && back.size == SIDECAR_SIZE);
+        for (int i = 0; i < 3; i++)
+            assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) > 1);
+    }
 }
 
 static void expect(err_t e, err_t code, const char *word)
@@ -189,6 +245,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(every_kind_keeps_the_scene),
         cmocka_unit_test(a_failure_leaves_what_was_there),
+        cmocka_unit_test(a_disk_that_ends_leaves_what_was_there),
         cmocka_unit_test(a_sidecar_tells_what_display_colours_mean),
         cmocka_unit_test(places_that_do_not_do_are_refused),
     };

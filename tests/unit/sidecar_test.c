@@ -2,6 +2,7 @@
 
 #include "core/net/tonemap.h"
 #include "core/splat/display.h"
+#include "drivers/cameras.h"
 #include "drivers/file.h"
 
 #include "tests/unit/tmpdir.h"
@@ -40,14 +41,13 @@ static struct scene make(void)
 
 static void read_scene(const char *splats, float ev, struct scene *s)
 {
-    int n_views;
-    size_t need;
+    struct sidecar_info info;
     arena_free(&arena);
-    assert_int_equal(sidecar_peek(splats, &n_views, &need), OK);
-    assert_int_equal(arena_init(&arena, "test", need), OK);
+    assert_int_equal(sidecar_peek(splats, &info), OK);
+    assert_int_equal(arena_init(&arena, "test", info.need), OK);
     assert_int_equal(sidecar_read(splats, ev, &arena, s), OK);
-    assert_int_equal(s->n_views, n_views);
-    assert_int_equal(arena.used, need);
+    assert_int_equal(s->n_views, info.n_views);
+    assert_int_equal(arena.used, info.need);
 }
 
 static void what_is_written_is_read_bit_for_bit(void **state)
@@ -132,6 +132,18 @@ static void what_cannot_be_read_is_not_written(void **state)
     s.background[2] = NAN;
     assert_int_equal(sidecar_write(path, &s), ERR_ARG);
     s = make();
+    s.background[1] = -1e-9f;
+    assert_int_equal(sidecar_write(path, &s), ERR_ARG);
+    assert_non_null(strstr(err_text(), "\"background\" 1 is -1e-09, must be >= 0"));
+    s = make();
+    cams[2].h++;
+    assert_int_equal(sidecar_write(path, &s), ERR_ARG);
+    assert_non_null(strstr(err_text(), "is for 112 x 113 px, \"size\" is 112"));
+    s = make();
+    s.n_views = CAMERAS_MAX + 1;
+    assert_int_equal(sidecar_write(path, &s), ERR_ARG);
+    assert_non_null(strstr(err_text(), "4097 cameras, allowed are 4096"));
+    s = make();
     s.size = 0;
     assert_int_equal(sidecar_write(path, &s), ERR_ARG);
     assert_false(file_exists(tmpdir_path("bad.json")));
@@ -198,6 +210,23 @@ static void hostile_files_are_refused(void **state)
     }
 }
 
+static void cameras_are_counted_before_memory_is_asked_for(void **state)
+{
+    (void)state;
+    static char text[TEXT_CAP];
+    int n = snprintf(text, sizeof text,
+                     "{\"format\": \"hdrig-sidecar\", \"version\": 1, "
+                     "\"cameras\": [0");
+    for (int i = 0; i < CAMERAS_MAX; i++)
+        n += snprintf(text + n, sizeof text - (size_t)n, ",0");
+    n += snprintf(text + n, sizeof text - (size_t)n, "]}");
+    struct sidecar_bytes file = {"f", text, (size_t)n};
+    struct sidecar_info info;
+    assert_int_equal(sidecar_peek_bytes(&file, &info), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "f: 4097 cameras, at most 4096 are read"));
+    assert_true(!info.found && info.need == 0);
+}
+
 static void every_cut_is_refused(void **state)
 {
     (void)state;
@@ -227,6 +256,7 @@ int main(void)
         cmocka_unit_test(the_path_is_that_of_the_splats),
         cmocka_unit_test(what_cannot_be_read_is_not_written),
         cmocka_unit_test(hostile_files_are_refused),
+        cmocka_unit_test(cameras_are_counted_before_memory_is_asked_for),
         cmocka_unit_test(every_cut_is_refused),
     };
     tmpdir_make();
