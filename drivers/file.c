@@ -83,6 +83,25 @@ err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP])
     return OK;
 }
 
+const char *file_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
+
+err_t file_parent(const char *path, char out[FILE_PATH_CAP])
+{
+    size_t n = (size_t)(file_name(path) - path);
+    while (n > 1 && path[n - 1] == '/')
+        n--;
+    if (n >= FILE_PATH_CAP)
+        return err_fail(ERR_ARG, "%.64s...: folder of %zu bytes, allowed are %d", path, n,
+                        FILE_PATH_CAP - 1);
+    memcpy(out, n ? path : ".", n ? n : 1);
+    out[n ? n : 1] = 0;
+    return OK;
+}
+
 err_t file_code(int why)
 {
     return why == ENOSPC || why == EDQUOT ? ERR_LIMIT : ERR_IO;
@@ -128,6 +147,18 @@ void file_discard(FILE *f, const char *path)
 {
     if (f)
         close_and_remove(f, path);
+}
+
+err_t file_sync(const char *path)
+{
+    int fd = open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC), why = fd < 0 ? errno : 0;
+    if (fd >= 0 && fsync(fd) != 0 && errno != EINVAL) // EINVAL: a file system without it
+        why = errno;
+    if (fd >= 0)
+        close(fd);
+    return why ? err_fail(file_code(why), "%s: cannot be brought to the disk: %s", path,
+                          strerror(why))
+               : OK;
 }
 
 err_t file_replace(const char *from, const char *to)

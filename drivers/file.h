@@ -39,6 +39,13 @@ bool file_is_regular(const char *path);
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP]);
 
+/* The folder that `path` lies in.
+ * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
+MUST_USE err_t file_parent(const char *path, char out[FILE_PATH_CAP]);
+
+/* What stands behind the last slash of `path`. */
+const char *file_name(const char *path);
+
 /* Code of a failed write with this errno: ERR_LIMIT if there is no space, else ERR_IO. */
 MUST_USE err_t file_code(int why);
 
@@ -50,6 +57,10 @@ MUST_USE err_t file_create(const char *path, FILE **out);
 /* Flush, sync to the medium and close. If any write since file_create failed, the file is removed.
  * err:  ERR_LIMIT (no space), ERR_IO. f is closed in any case. */
 MUST_USE err_t file_finish(FILE *f, const char *path);
+
+/* The bytes of a file, or the names in a folder, become durable.
+ * err:  ERR_IO, ERR_LIMIT (no space). */
+MUST_USE err_t file_sync(const char *path);
 
 /* Rename a finished file; what is at `to` is replaced in one step. `from` is removed on error.
  * err:  ERR_IO, ERR_LIMIT (no space). */
