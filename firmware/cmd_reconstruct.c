@@ -86,7 +86,7 @@ static err_t begin_dump(const struct request *rq, struct state *st)
         return OK;
     err_t e = outdir_open(rq->dump, &st->dump);
     if (!e)
-        e = npy_open(&st->tensors, st->dump.tmp);
+        e = npy_open(&st->tensors, st->dump.partial.dir);
     st->engine.run.tap = &st->tensors.tap;
     return e;
 }
@@ -94,19 +94,16 @@ static err_t begin_dump(const struct request *rq, struct state *st)
 /* With the report, which marks it as a result. */
 static err_t end_dump(const struct request *rq, struct state *st)
 {
-    char path[FILE_PATH_CAP];
-    FILE *f;
+    struct report rep;
     if (!rq->dump)
         return OK;
     err_t e = npy_close(&st->tensors);
     if (!e)
-        e = outdir_path(&st->dump, OUTDIR_REPORT, path);
-    if (!e)
-        e = file_create(path, &f);
+        e = outdir_report_open(&st->dump, &rep);
     if (e)
         return e;
-    publish_report(&st->result, pool_size(st->engine.pool), f);
-    e = file_finish(f, path);
+    job_report(&st->result, pool_size(st->engine.pool), &rep);
+    e = outdir_report_close(&st->dump, &rep);
     return e ? e : outdir_commit(&st->dump);
 }
 

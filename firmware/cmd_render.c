@@ -283,16 +283,10 @@ static err_t write_frames(const struct request *rq, struct state *st)
 
 static err_t write_report(const struct request *rq, const struct state *st)
 {
-    char path[FILE_PATH_CAP];
     struct report rep;
-    FILE *f;
-    err_t e = outdir_path(&st->out, OUTDIR_REPORT, path);
-    if (!e)
-        e = file_create(path, &f);
+    err_t e = outdir_report_open(&st->out, &rep);
     if (e)
         return e;
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
     report_int(&rep, "frames", st->rig.n);
     report_int(&rep, "gaussians", st->scene.g.n);
     report_number(&rep, "ev", rq->ev[0]);
@@ -307,8 +301,7 @@ static err_t write_report(const struct request *rq, const struct state *st)
     report_number(&rep, "write", st->seconds[1]);
     report_close(&rep);
     report_number(&rep, "peak_rss_mb", engine_peak_rss_mb());
-    report_close(&rep);
-    return file_finish(f, path);
+    return outdir_report_close(&st->out, &rep);
 }
 
 /* ---- command ---- */
@@ -360,7 +353,7 @@ static err_t render(const struct request *rq, struct state *st)
     if (!e)
         e = write_report(rq, st);
     if (e)
-        return st->out.tmp[0] ? outdir_reason(&st->out, e) : e;
+        return st->out.partial.dir[0] ? outdir_reason(&st->out, e) : e;
     e = outdir_commit(&st->out);
     if (!e)
         printf("%s: %d frames, %.1f s\n", rq->out, st->rig.n, st->seconds[0] + st->seconds[1]);

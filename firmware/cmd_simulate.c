@@ -27,7 +27,7 @@ static err_t find_word(const char *option, const char *word, const char *words, 
     const size_t n = strlen(word);
     const char *at = words;
     for (int i = 0; at; i++) {
-        if (strncmp(at, word, n) == 0 && (at[n] == '|' || at[n] == 0)) {
+        if (strcspn(at, "|") == n && strncmp(at, word, n) == 0) {
             *out = i;
             return OK;
         }
@@ -104,16 +104,10 @@ static err_t read_ask(const struct request *rq, struct dataset_ask *a)
 /* Marks the folder as a result, and tells how it was made. */
 static err_t write_report(const struct request *rq, const struct dataset_ask *a, struct outdir *o)
 {
-    char path[FILE_PATH_CAP];
     struct report rep;
-    FILE *f;
-    err_t e = outdir_path(o, OUTDIR_REPORT, path);
-    if (!e)
-        e = file_create(path, &f);
+    err_t e = outdir_report_open(o, &rep);
     if (e)
         return e;
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
     report_int(&rep, "seed", (long long)a->sample.seed);
     report_text(&rep, "kind", rq->kind ? rq->kind : "any");
     report_int(&rep, "views", a->sample.n_views);
@@ -124,8 +118,7 @@ static err_t write_report(const struct request *rq, const struct dataset_ask *a,
     report_int(&rep, "samples", a->sample.quality.samples);
     report_bool(&rep, "noise", a->noise);
     report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
-    report_close(&rep);
-    return file_finish(f, path);
+    return outdir_report_close(o, &rep);
 }
 
 static err_t simulate(const struct request *rq, const struct dataset_ask *a, struct state *st)
@@ -141,9 +134,11 @@ static err_t simulate(const struct request *rq, const struct dataset_ask *a, str
     if (!e)
         e = outdir_reserve(&st->out, dataset_bytes(a));
     if (!e)
-        e = outdir_reason(&st->out, dataset_write(&st->engine.run, a, st->out.tmp));
+        e = dataset_write(&st->engine.run, a, st->out.partial.dir);
     if (!e)
         e = write_report(rq, a, &st->out);
+    if (e && st->out.partial.dir[0])
+        e = outdir_reason(&st->out, e);
     if (!e)
         e = outdir_commit(&st->out);
     progress_end(&st->engine.progress);

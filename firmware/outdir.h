@@ -1,14 +1,15 @@
 /* outdir.h - a folder of results that appears under its name only when complete.
- * Files are written into .tmp-NAME-PID beside it, synced and renamed. A former result of that name
- * is exchanged in one step and then removed. A crash leaves the old or the new folder whole, and at
- * worst a .tmp folder, which the next outdir_open of the same name removes: its owner is told alive
- * or dead by a lock on the folder. Every result holds report.json: that file tells a folder that
- * may be replaced from one that may not.
+ * Files are written into the folder of partial.h, synced and renamed with it. A former result of
+ * that name is exchanged in one step and then removed. A crash leaves the old or the new folder
+ * whole, and at worst a .tmp folder, which the next outdir_open of the same name removes. Every
+ * result holds report.json: that file tells a folder that may be replaced from one that may not.
  * thread: any. */
 #ifndef FIRMWARE_OUTDIR_H
 #define FIRMWARE_OUTDIR_H
 
-#include "drivers/file.h"
+#include "firmware/report.h"
+
+#include "drivers/partial.h"
 
 #include <stdint.h>
 
@@ -16,15 +17,14 @@
 
 struct outdir {
     char path[FILE_PATH_CAP]; // final name
-    char tmp[FILE_PATH_CAP];  // where files are written now; "" if there is none
+    struct partial partial;   // its folder is where files are written now
     uint64_t need;            // bytes, of the last outdir_reserve
-    int fd;                   // of tmp, locked
 };
 
 /* Begin a result; its parents are created.
  * own:  outdir_close.
  * err:  ERR_ARG (path too long or names no folder of its own, or something there is not a former
- *       result and not empty), ERR_IO, ERR_BUSY. On error *o is zeroed. */
+ *       result and not empty), ERR_IO, ERR_LIMIT (no space), ERR_BUSY. On error *o is zeroed. */
 MUST_USE err_t outdir_open(const char *path, struct outdir *o);
 
 /* Refuse to start writing `bytes` if the file system has less room.
@@ -39,12 +39,17 @@ MUST_USE err_t outdir_mkdir(struct outdir *o, const char *name);
  * err:  ERR_ARG (too long). */
 MUST_USE err_t outdir_path(const struct outdir *o, const char *name, char path[FILE_PATH_CAP]);
 
+/* Begin report.json with an object that is left open, and end both.
+ * err:  ERR_IO, ERR_LIMIT (no space). */
+MUST_USE err_t outdir_report_open(const struct outdir *o, struct report *rep);
+MUST_USE err_t outdir_report_close(const struct outdir *o, struct report *rep);
+
 /* What a failed write means: ERR_IO becomes ERR_LIMIT, with the bytes added to its sentence, if
  * there is less room than outdir_reserve asked for; anything else is returned as it is. */
 MUST_USE err_t outdir_reason(const struct outdir *o, err_t e);
 
 /* Sync folders and make the result visible.
- * err:  ERR_IO; then the former result, if any, is untouched. */
+ * err:  ERR_IO, ERR_LIMIT (no space); then the former result, if any, is untouched. */
 MUST_USE err_t outdir_commit(struct outdir *o);
 
 /* Remove what was not committed. Accepts a zeroed struct. */

@@ -17,6 +17,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+static const char VIEWER_NAME[] = "view.html";
+
 static struct viewer_input viewer_of(const struct job_result *j, const struct outdir *o)
 {
     const char *slash = strrchr(o->path, '/');
@@ -180,15 +182,20 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
     return e ? e : write_cameras(s, path);
 }
 
+static bool has_viewer(const struct job_result *j)
+{
+    return j->scene.g.n <= VIEWER_SPLATS_MAX;
+}
+
 static err_t write_viewer(struct job_result *j, const struct outdir *o)
 {
     char path[FILE_PATH_CAP];
     struct viewer_input viewer = viewer_of(j, o);
-    if (j->scene.g.n > VIEWER_SPLATS_MAX) {
+    if (!has_viewer(j)) {
         job_warn(j, "no view.html: %d splats are more than a page can hold", j->scene.g.n);
         return OK;
     }
-    err_t e = outdir_path(o, "view.html", path);
+    err_t e = outdir_path(o, VIEWER_NAME, path);
     return e ? e : viewer_write(path, &viewer);
 }
 
@@ -197,14 +204,15 @@ static err_t write_report(const struct job_result *j, int threads, const struct 
                           struct sheet *sheet)
 {
     char path[FILE_PATH_CAP];
-    FILE *f;
+    struct report rep;
     err_t e = outdir_path(o, OUTDIR_REPORT, path);
     if (!e)
-        e = file_create(path, &f);
+        e = outdir_report_open(o, &rep);
     if (e)
         return e;
-    publish_report(j, threads, f);
-    e = file_finish(f, path);
+    job_report(j, threads, &rep);
+    report_text(&rep, "viewer", has_viewer(j) ? VIEWER_NAME : NULL);
+    e = outdir_report_close(o, &rep);
     return e ? e : sheet_close(sheet, path);
 }
 

@@ -171,6 +171,25 @@ static void removes_only_what_the_dead_left(void **state)
     assert_int_equal(entries(tmpdir_path(".")), 2);
 }
 
+static void report_of_the_folder(void **state)
+{
+    (void)state;
+    struct outdir o;
+    struct report rep;
+    char text[32] = "";
+    assert_int_equal(outdir_open(tmpdir_path("out"), &o), OK);
+    assert_int_equal(outdir_report_open(&o, &rep), OK);
+    report_int(&rep, "n", 1);
+    assert_int_equal(outdir_report_close(&o, &rep), OK);
+    assert_int_equal(outdir_commit(&o), OK);
+    outdir_close(&o);
+    FILE *f = fopen(tmpdir_path("out/report.json"), "r");
+    assert_non_null(f);
+    assert_int_equal(fread(text, 1, sizeof text - 1, f), 13);
+    fclose(f);
+    assert_string_equal(text, "{\n  \"n\": 1\n}\n");
+}
+
 static void tells_missing_space(void **state)
 {
     (void)state;
@@ -198,6 +217,7 @@ int main(void)
         TEST(keeps_what_is_not_ours),
         TEST(looks_again_before_it_replaces),
         TEST(removes_only_what_the_dead_left),
+        TEST(report_of_the_folder),
         TEST(tells_missing_space),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -73,6 +73,7 @@ static void everything_is_there_and_can_be_read(void **state)
     assert_int_equal(json_read(tmpdir_path("out/report.json"), &doc), OK);
     assert_true(json_number(json_member(doc, "gaussians"), &v) && (int)v == SPLATS);
     assert_int_equal(json_count(json_member(doc, "warnings")), 0);
+    assert_string_equal(json_string(json_member(doc, "viewer")), "view.html");
     assert_true(json_number(json_member(json_member(doc, "seconds"), "total"), &v));
     assert_true(json_number(json_member(json_member(doc, "quality"), "ldr_input_psnr"), &v));
     assert_true(v > 5 && v < 60);
