@@ -6,11 +6,11 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <signal.h>
 #include <spawn.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -21,7 +21,12 @@ static const struct video_format formats[] = {
     {"MPEG-4 part 2, which browsers do not play", "mpeg4", "-q:v", "3"},
 };
 
-enum { FORMATS = sizeof formats / sizeof formats[0], TEXT_CAP = 65536, LINE_CAP = 200 };
+enum {
+    FORMATS = sizeof formats / sizeof formats[0],
+    TEXT_CAP = 65536,
+    LINE_CAP = 200,
+    WAIT_MS = 20
+};
 
 /* ---- the child ---- */
 
@@ -60,15 +65,38 @@ static bool cancelled(void)
     return atomic_load(&engine_cancel);
 }
 
-/* Its status; it is killed if the user wants to stop. */
+/* Its status; it is killed if the user wants to stop. A signal may come just before any call that
+ * would wait for good, so none does. */
 static int wait_for(pid_t *pid)
 {
     int status = 0;
-    while (waitpid(*pid, &status, 0) < 0 && errno == EINTR)
+    for (pid_t ended = 0; ended == 0 || (ended < 0 && errno == EINTR);) {
         if (cancelled())
             kill(*pid, SIGKILL);
+        ended = waitpid(*pid, &status, WNOHANG);
+        if (ended == 0)
+            poll(NULL, 0, WAIT_MS);
+    }
     *pid = 0;
     return status;
+}
+
+/* False if ffmpeg takes no more, or the user wants to stop. */
+static bool send(int pipe, const uint8_t *p, size_t n)
+{
+    struct pollfd room = {.fd = pipe, .events = POLLOUT};
+    while (n > 0 && !cancelled()) {
+        ssize_t put = write(pipe, p, n);
+        if (put > 0) {
+            p += put;
+            n -= (size_t)put;
+        } else if (put < 0 && errno == EAGAIN) {
+            poll(&room, 1, WAIT_MS);
+        } else if (put == 0 || errno != EINTR) {
+            break;
+        }
+    }
+    return n == 0;
 }
 
 /* What the child wrote to a memory file. */
@@ -136,34 +164,16 @@ static err_t find_format(struct video *v)
 
 /* ---- the film ---- */
 
-static err_t open_tmp(struct video *v)
-{
-    const char *slash = strrchr(v->path, '/'), *name = slash ? slash + 1 : v->path;
-    if (file_is_dir(v->path))
-        return err_fail(ERR_ARG, "%s: is a folder", v->path);
-    int n = snprintf(v->tmp, sizeof v->tmp, "%.*s.tmp-%s", (int)(name - v->path), v->path, name);
-    if (n >= (int)sizeof v->tmp) {
-        v->tmp[0] = 0;
-        return err_fail(ERR_ARG, "%.64s...: path too long", v->path);
-    }
-    int fd = open(v->tmp, O_RDWR | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
-    if (fd < 0)
-        return err_fail(file_code(errno), "%s: cannot create: %s", v->path, strerror(errno));
-    if (flock(fd, LOCK_EX | LOCK_NB) != 0) {
-        close(fd);
-        return err_fail(ERR_BUSY, "%s: another process is writing it", v->path);
-    }
-    v->file = fd;
-    return OK;
-}
-
 static err_t start(struct video *v, double fps)
 {
-    char size[32], rate[32], out[FILE_PATH_CAP + 8];
+    char size[32], rate[32], file[FILE_PATH_CAP], out[FILE_PATH_CAP + 8];
     int ends[2];
+    err_t e = partial_path(&v->partial, v->path, file);
+    if (e)
+        return e;
     snprintf(size, sizeof size, "%dx%d", v->w + v->w % 2, v->h + v->h % 2);
     snprintf(rate, sizeof rate, "%g", fps);
-    snprintf(out, sizeof out, "file:%s", v->tmp); // a name with a colon is no address
+    snprintf(out, sizeof out, "file:%s", file); // a name with a colon is no address
     char *argv[] = {"ffmpeg", "-hide_banner", "-loglevel", "error", "-xerror", "-y",
                     /* in */
                     "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", rate, "-i", "pipe:0",
@@ -174,12 +184,11 @@ static err_t start(struct video *v, double fps)
                     (char *)v->format->value, "-movflags", "+faststart", "-f", "mp4", out, NULL};
     if (pipe2(ends, O_CLOEXEC) != 0)
         return err_fail(ERR_IO, "video: %s", strerror(errno));
-    err_t e = spawn(argv, ends[0], -1, v->messages, &v->pid);
+    v->pipe = ends[1];
+    e = fcntl(ends[1], F_SETFL, O_NONBLOCK) == 0 ? spawn(argv, ends[0], -1, v->messages, &v->pid)
+                                                 : err_fail(ERR_IO, "video: %s", strerror(errno));
     close(ends[0]);
-    v->pipe = e ? NULL : fdopen(ends[1], "wb");
-    if (!v->pipe)
-        close(ends[1]);
-    return e || v->pipe ? e : err_fail(ERR_NOMEM, "video: no memory");
+    return e;
 }
 
 err_t video_open(const char *path, int w, int h, double fps, struct video *v)
@@ -194,8 +203,10 @@ err_t video_open(const char *path, int w, int h, double fps, struct video *v)
         e = err_fail(ERR_ARG, "%.64s...: path too long", path);
     if (!e)
         e = find_format(v);
+    if (!e && file_is_dir(path))
+        e = err_fail(ERR_ARG, "%s: is a folder", path);
     if (!e)
-        e = open_tmp(v);
+        e = partial_open(path, &v->partial);
     if (!e)
         e = start(v, fps);
     if (e)
@@ -217,28 +228,20 @@ err_t video_put(struct video *v, const struct image8 *picture)
     bool ok = true;
     for (int y = 0; y < v->h + v->h % 2 && ok; y++) {
         const uint8_t *px = picture->px + (size_t)(y < v->h ? y : v->h - 1) * row;
-        ok = fwrite(px, 1, row, v->pipe) == row;
-        if (ok && v->w % 2)
-            ok = fwrite(px + row - 3, 1, 3, v->pipe) == 3;
+        ok = send(v->pipe, px, row) && (v->w % 2 == 0 || send(v->pipe, px + row - 3, 3));
     }
-    if (ok && !cancelled())
-        return OK;
-    return cancelled() ? ERR_CANCELLED : lost(v);
+    return cancelled() ? ERR_CANCELLED : ok ? OK : lost(v);
 }
 
 err_t video_finish(struct video *v)
 {
-    bool whole = fclose(v->pipe) == 0;
-    v->pipe = NULL;
-    if (!whole && !cancelled())
-        return lost(v);
+    close(v->pipe);
+    v->pipe = 0;
     err_t e = judge(v->path, v->messages, wait_for(&v->pid));
-    if (!e && fsync(v->file) != 0)
-        e = err_fail(file_code(errno), "%s: %s", v->path, strerror(errno));
     if (!e)
-        e = file_replace(v->tmp, v->path);
+        e = partial_show(&v->partial, v->path);
     if (!e)
-        v->tmp[0] = 0;
+        partial_close(&v->partial);
     return e;
 }
 
@@ -248,13 +251,9 @@ void video_close(struct video *v)
         kill(v->pid, SIGKILL);
         wait_for(&v->pid);
     }
-    if (v->pipe)
-        fclose(v->pipe);
-    if (v->file > 0) {
-        if (v->tmp[0])
-            unlink(v->tmp);
-        close(v->file);
-    }
+    if (v->pipe > 0)
+        close(v->pipe);
+    partial_close(&v->partial);
     if (v->messages > 0)
         close(v->messages);
     memset(v, 0, sizeof *v);

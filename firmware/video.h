@@ -1,13 +1,12 @@
 /* video.h - a film from pictures, by ffmpeg as a child process: raw pictures go through a pipe,
  * MP4 comes out, 4:2:0 in Rec. 709. H.264, which phones and browsers play, where that ffmpeg can;
- * else what it has. Written as .tmp-NAME beside its final name, which it gets when it is complete;
- * what a killed process left there is overwritten by the next one.
- * SIGPIPE must be ignored. Waiting ends early when engine_cancel is set by a signal.
+ * else what it has. It gets its name when it is complete (partial.h).
+ * SIGPIPE must be ignored. Waiting ends early when engine_cancel is set.
  * thread: any. */
 #ifndef FIRMWARE_VIDEO_H
 #define FIRMWARE_VIDEO_H
 
-#include "drivers/file.h"
+#include "drivers/partial.h"
 
 #include "core/types.h"
 
@@ -21,19 +20,19 @@ struct video_format {
 };
 
 struct video {
-    char path[FILE_PATH_CAP], tmp[FILE_PATH_CAP];
+    char path[FILE_PATH_CAP];
+    struct partial partial;
     const struct video_format *format;
     int w, h;     // px
-    FILE *pipe;   // to ffmpeg
-    int file;     // tmp, locked; 0 if there is none
+    int pipe;     // to ffmpeg; 0 if there is none
     int messages; // of ffmpeg
     pid_t pid;    // 0 when it has ended
 };
 
 /* Begin a film of pictures of w x h px.
  * own:  video_close.
- * err:  ERR_UNSUPPORTED (no ffmpeg, or none of the formats), ERR_BUSY (somebody else writes there),
- *       ERR_ARG (path), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. On error *v is zeroed and the file
+ * err:  ERR_UNSUPPORTED (no ffmpeg, or none of the formats), ERR_ARG (path), ERR_IO, ERR_LIMIT (no
+ *       space), ERR_NOMEM, ERR_BUSY (partial.h), ERR_CANCELLED. On error *v is zeroed and the file
  *       removed. */
 MUST_USE err_t video_open(const char *path, int w, int h, double fps, struct video *v);
 
@@ -41,7 +40,7 @@ MUST_USE err_t video_open(const char *path, int w, int h, double fps, struct vid
  * err:  ERR_IO, ERR_LIMIT (no space) with what ffmpeg says, ERR_CANCELLED. */
 MUST_USE err_t video_put(struct video *v, const struct image8 *picture);
 
-/* Wait for ffmpeg, sync and rename.
+/* Wait for ffmpeg and show the film.
  * err:  as video_put. */
 MUST_USE err_t video_finish(struct video *v);
 

@@ -158,19 +158,27 @@ else
     echo "no right to mount a small file system: left out"
 fi
 
-# Ctrl-C in the middle
-: >"$ERR"
-"$HDRIG" "${render[@]}" --path orbit --frames 9999 --video "$OUT/films/a.mp4" \
-    --out "$OUT/long" >"$OUT/stdout.txt" 2>"$ERR" &
-pid=$!
-for ((i = 0; i < 600; i++)); do
-    [ -s "$OUT/films/.tmp-a.mp4" ] && break
-    sleep 0.1
-done
-kill -INT $pid
-wait $pid
-same "exit code of Ctrl-C" $? 130
+# Ctrl-C in the middle, and a kill after which the next run tidies up
+stop_by() { # signal code
+    : >"$ERR"
+    "$HDRIG" "${render[@]}" --path orbit --frames 9999 --video "$OUT/films/a.mp4" \
+        --out "$OUT/long" >"$OUT/stdout.txt" 2>"$ERR" &
+    pid=$!
+    for ((i = 0; i < 600; i++)); do
+        [ -s "$OUT/films/.tmp-a.mp4-$pid/a.mp4" ] && break
+        sleep 0.1
+    done
+    kill -"$1" $pid
+    wait $pid
+    same "exit code of $1" $? "$2"
+}
+stop_by INT 130
 nothing_at "$OUT/long"
 same "left of a video by Ctrl-C" "$(ls -A "$OUT/films")" ""
 ! pgrep -f "file:$OUT/films/.tmp-a.mp4" >/dev/null || fail "ffmpeg still runs"
+stop_by KILL 137 2>/dev/null
+same "left by a kill" "$(ls -A "$OUT/films")" ".tmp-a.mp4-$pid"
+succeed "${render[@]}" --path orbit --frames 2 --video "$OUT/films/a.mp4" --out "$OUT/long"
+same "after a kill" "$(ls -A "$OUT/films")" a.mp4
+same "left of frames" "$(find "$OUT" -maxdepth 1 -name '.tmp-*')" ""
 finish

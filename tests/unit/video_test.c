@@ -239,6 +239,26 @@ static void cancelled(void **state)
     }
 }
 
+/* The signal came before, and no other will. */
+static void cancelled_before(void **state)
+{
+    (void)state;
+    const struct image8 picture = {SIDE_MAX, SIDE_MAX, 3, px};
+    play(x264, "exec sleep 100");
+    assert_int_equal(video_open(tmpdir_path("films/a.mp4"), SIDE_MAX, SIDE_MAX, 30, &v), OK);
+    atomic_store(&engine_cancel, true);
+    for (int i = 0; i < 40; i++) // more than a pipe holds
+        assert_int_equal(video_put(&v, &picture), ERR_CANCELLED);
+    assert_int_equal(video_finish(&v), ERR_CANCELLED);
+    video_close(&v);
+    assert_int_equal(files(), 0);
+    atomic_store(&engine_cancel, false);
+    assert_int_equal(video_open(tmpdir_path("films/a.mp4"), SIDE_MAX, SIDE_MAX, 30, &v), OK);
+    assert_int_equal(video_put(&v, &picture), OK);
+    atomic_store(&engine_cancel, true);
+    assert_int_equal(video_finish(&v), ERR_CANCELLED);
+}
+
 /* ---- the real one ---- */
 
 /* Four flat colours come back within what 8 bits of Rec. 709 can. */
@@ -286,6 +306,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(bad_paths, setup, teardown),
         cmocka_unit_test_setup_teardown(former_film_stays, setup, teardown),
         cmocka_unit_test_setup_teardown(cancelled, setup, teardown),
+        cmocka_unit_test_setup_teardown(cancelled_before, setup, teardown),
         cmocka_unit_test_setup_teardown(colours_come_back, setup, teardown),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
