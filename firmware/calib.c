@@ -6,7 +6,7 @@
 #include "firmware/calib.h"
 
 #include "core/base/num.h"
-#include "drivers/file.h"
+#include "drivers/partial.h"
 #include "firmware/take.h"
 
 #include <errno.h>
@@ -327,25 +327,35 @@ static err_t check(const char *path, const struct camera_info *info, const struc
     return e == ERR_FORMAT ? ERR_ARG : e;
 }
 
-err_t calib_save(const char *dir, const struct camera_info *info, const struct calib *c)
+static err_t write_file(const struct camera_info *info, const struct calib *c, const char *path)
 {
-    char path[FILE_PATH_CAP], tmp[FILE_PATH_CAP], name[32];
     FILE *f;
-    err_t e = file_of(dir, info, path);
-    if (!e)
-        e = check(path, info, c);
-    snprintf(name, sizeof name, ".tmp-%ld", (long)getpid());
-    if (!e)
-        e = file_join(dir, name, tmp);
-    if (e)
-        return e;
-    (void)mkdir(dir, 0777); // file_create says what is wrong
-    e = file_create(tmp, &f);
+    err_t e = file_create(path, &f);
     if (e)
         return e;
     put(f, info, c);
-    e = file_finish(f, tmp);
-    return e ? e : file_replace(tmp, path);
+    return file_finish(f, path);
+}
+
+err_t calib_save(const char *dir, const struct camera_info *info, const struct calib *c)
+{
+    char path[FILE_PATH_CAP], now[FILE_PATH_CAP];
+    struct partial p;
+    err_t e = file_of(dir, info, path);
+    if (!e)
+        e = check(path, info, c);
+    if (e)
+        return e;
+    (void)mkdir(dir, 0777); // partial_open says what is wrong
+    e = partial_open(path, &p);
+    if (!e)
+        e = partial_path(&p, path, now);
+    if (!e)
+        e = write_file(info, c, now);
+    if (!e)
+        e = partial_show(&p, path);
+    partial_close(&p);
+    return e;
 }
 
 /* ---- use ---- */

@@ -164,6 +164,17 @@ err_t cmd_number(const char *name, const char *text, double min, double max, dou
     return OK;
 }
 
+err_t cmd_whole(const char *name, const char *text, int min, int max, int *out)
+{
+    double v;
+    err_t e = cmd_number(name, text, min, max, &v);
+    if (!e && v != floor(v))
+        e = err_fail(ERR_ARG, "%s: %g is not a whole number", name, v);
+    if (!e)
+        *out = (int)v;
+    return e;
+}
+
 err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_list *out)
 {
     char *end;

@@ -64,6 +64,9 @@ int cmd_finish(const char *name, err_t e);
  * err:  ERR_ARG. */
 MUST_USE err_t cmd_number(const char *name, const char *text, double min, double max, double *out);
 
+/* The same for a whole number. */
+MUST_USE err_t cmd_whole(const char *name, const char *text, int min, int max, int *out);
+
 enum { CMD_LIST_MAX = 8 };
 
 struct cmd_list {

@@ -382,17 +382,15 @@ static err_t evaluate(struct state *st, struct request *rq)
 
 static err_t read_numbers(struct request *rq)
 {
-    double views = 0;
     struct cmd_list list = {0};
     err_t e = OK;
     if (rq->scene && (rq->views || rq->exposures))
         e = err_fail(ERR_ARG, "--scene has its input views; --views and --exposure-set choose some "
                               "for a reconstruction");
     if (!e && rq->views)
-        e = cmd_number("--views", rq->views, 1, 4096, &views);
+        e = cmd_whole("--views", rq->views, 1, 4096, &rq->set.n_views);
     if (!e && rq->exposures)
         e = cmd_list("--exposure-set", rq->exposures, 1, 32, &list);
-    rq->set.n_views = (int)views;
     for (int i = 0; i < list.n; i++)
         rq->set.exposure_set |= UINT32_C(1) << (list.v[i] - 1);
     return e;

@@ -25,8 +25,8 @@ enum { FRAMES_MAX = 9999, FRAMES_DEFAULT = 60, FPS_DEFAULT = 30 };
 struct request {
     const char *scene, *cameras, *path, *video, *out;
     const char *ev_text, *frames_text, *size_text, *fps_text;
-    double ev[2], frames, size,
-        fps; // ev: of the first frame, the last; size 0: that of the cameras
+    double ev[2], fps; // ev: of the first frame, the last
+    int frames, size;  // size 0: that of the cameras
     bool hdr, false_colour;
     struct config cfg;
 };
@@ -101,7 +101,7 @@ static err_t make_path(const struct request *rq, struct state *st)
     if (s->n_views == 0)
         return err_fail(ERR_ARG, "%s: the scene has no views to go by: give --cameras FILE",
                         rq->scene);
-    st->rig.n = moves ? (int)rq->frames : s->n_views;
+    st->rig.n = moves ? rq->frames : s->n_views;
     st->rig.views = calloc((size_t)st->rig.n, sizeof *st->rig.views);
     if (!st->rig.views)
         return err_fail(ERR_NOMEM, "no memory for %d cameras", st->rig.n);
@@ -122,7 +122,7 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 {
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
-        scale(&st->rig.views[i].cam, (int)rq->size);
+        scale(&st->rig.views[i].cam, rq->size);
     const struct camera *first = e ? NULL : &st->rig.views[0].cam;
     for (int i = 1; i < st->rig.n && !e && rq->video; i++) {
         const struct camera *cam = &st->rig.views[i].cam;
@@ -209,20 +209,29 @@ static err_t write_legend(const struct state *st)
     return e ? e : img_write_png(path, &legend);
 }
 
+static bool is_same(const char *a, const char *b)
+{
+    struct stat x, y;
+    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+}
+
+/* Also if it does not exist yet. */
+static bool is_place(const char *a, const char *b)
+{
+    char above_a[FILE_PATH_CAP], above_b[FILE_PATH_CAP];
+    return is_same(a, b) ||
+           (strcmp(file_name(a), file_name(b)) == 0 && file_parent(a, above_a) == OK &&
+            file_parent(b, above_b) == OK && is_same(above_a, above_b));
+}
+
 /* A video in the folder of the frames appears with them: that folder is yet to get its name. */
 static err_t video_path(const struct request *rq, const struct state *st, char path[FILE_PATH_CAP])
 {
     char folder[FILE_PATH_CAP];
-    struct stat a, b;
-    const char *slash = strrchr(rq->video, '/'), *name = slash ? slash + 1 : rq->video;
-    int n = snprintf(folder, sizeof folder, "%.*s", slash ? (int)(slash - rq->video) : 1,
-                     slash ? rq->video : ".");
-    bool same = n < (int)sizeof folder && strcmp(folder, st->out.path) == 0;
-    if (!same && stat(folder, &a) == 0 && stat(st->out.path, &b) == 0)
-        same = a.st_dev == b.st_dev && a.st_ino == b.st_ino;
-    if (same)
-        return outdir_path(&st->out, name, path);
-    n = snprintf(path, FILE_PATH_CAP, "%s", rq->video);
+    err_t e = file_parent(rq->video, folder);
+    if (e || is_place(folder, st->out.path))
+        return e ? e : outdir_path(&st->out, file_name(rq->video), path);
+    int n = snprintf(path, FILE_PATH_CAP, "%s", rq->video);
     return n < FILE_PATH_CAP ? OK : err_fail(ERR_ARG, "%.64s...: path too long", rq->video);
 }
 
@@ -393,9 +402,9 @@ static err_t read_numbers(struct request *rq)
     if (rq->ev_text)
         e = read_ev(rq->ev_text, rq->ev);
     if (!e && rq->frames_text)
-        e = cmd_number("--frames", rq->frames_text, 1, FRAMES_MAX, &rq->frames);
+        e = cmd_whole("--frames", rq->frames_text, 1, FRAMES_MAX, &rq->frames);
     if (!e && rq->size_text)
-        e = cmd_number("--size", rq->size_text, 1, RASTER_SIDE_MAX, &rq->size);
+        e = cmd_whole("--size", rq->size_text, 1, RASTER_SIDE_MAX, &rq->size);
     if (!e && rq->fps_text)
         e = cmd_number("--fps", rq->fps_text, 1, VIDEO_FPS_MAX, &rq->fps);
     if (!e && rq->fps_text && !rq->video)
@@ -404,6 +413,8 @@ static err_t read_numbers(struct request *rq)
         e = err_fail(ERR_ARG, "--video: \"%.64s\" is not called NAME.mp4", rq->video);
     if (!e && !rq->cameras == !rq->path)
         e = err_fail(ERR_ARG, "give either --cameras or --path");
+    if (!e && rq->frames_text && rq->cameras)
+        e = err_fail(ERR_ARG, "--frames is for --path: --cameras has one for each");
     if (!e && rq->path && strcmp(rq->path, "orbit") != 0 && strcmp(rq->path, "inputs") != 0)
         e = err_fail(ERR_ARG, "--path: \"%.64s\" is neither orbit nor inputs", rq->path);
     return e;

@@ -42,6 +42,11 @@ static err_t read_number(const char *name, const char *text, double min, double 
     return text ? cmd_number(name, text, min, max, out) : OK;
 }
 
+static err_t read_whole(const char *name, const char *text, int min, int max, int *out)
+{
+    return text ? cmd_whole(name, text, min, max, out) : OK;
+}
+
 /* Exposure times relative to the metered one, ascending. */
 static err_t read_exposures(const char *text, struct dataset_ask *a)
 {
@@ -63,24 +68,25 @@ static err_t read_exposures(const char *text, struct dataset_ask *a)
 
 static err_t read_scene(const struct request *rq, struct dataset_ask *a)
 {
-    double views = 9, spread = 0.3, fov = 60, samples = 6;
-    err_t e = read_number("--views", rq->views, 2, 32, &views);
+    double spread = 0.3, fov = 60;
+    int views = 9, samples = 6;
+    err_t e = read_whole("--views", rq->views, 2, 32, &views);
     if (!e)
         e = read_number("--spread", rq->spread, 0, 1, &spread);
     if (!e)
         e = read_number("--fov", rq->fov, 20, 120, &fov);
     if (!e)
-        e = read_number("--samples", rq->samples, 1, 8, &samples);
+        e = read_whole("--samples", rq->samples, 1, 8, &samples);
     a->sample = (struct sample_ask){.seed = (uint64_t)rq->cfg.seed,
                                     .kind = WORLD_ANY,
-                                    .n_views = 2 * (int)views - 1,
+                                    .n_views = 2 * views - 1,
                                     .size = rq->cfg.size ? rq->cfg.size : 448,
                                     .spread = (float)spread,
                                     .fov_deg = (float)fov,
                                     .jitter = rq->free_hand,
-                                    .quality = {.samples = (int)samples}};
+                                    .quality = {.samples = samples}};
     /* rays through other points of the pixel serve its edges and its shadows */
-    a->sample.quality.shadow = samples < 4 ? 4 / (int)samples : 1;
+    a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
     if (!e && rq->kind)
         e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     return e;

@@ -26,6 +26,10 @@ done
 expect 2 '--fps is for --video' "${render[@]}" --path orbit --out "$OUT/no" --fps 10
 expect 2 '--fps: 0 is not in 1..240' "${render[@]}" --path orbit --out "$OUT/no" --fps 0 \
     --video a.mp4
+expect 2 '--frames: 2.5 is not a whole number' "${render[@]}" --path orbit --frames 2.5 \
+    --out "$OUT/no"
+expect 2 '--frames is for --path' "${render[@]}" --cameras "$scene/cameras.json" --frames 2 \
+    --out "$OUT/no"
 for bad in a.avi .mp4 "$OUT/.mp4" mp4; do
     expect 2 "--video: .* is not called NAME.mp4" "${render[@]}" --path orbit --out "$OUT/no" \
         --video "$bad"
@@ -146,6 +150,10 @@ tool=$(readlink -f "$HDRIG")
     --frames 2 --video b.mp4 --out ../both >/dev/null 2>&1) || fail "a video in this folder"
 same "this folder" "$(ls "$OUT/both" | xargs)" "b.mp4 frame_0000.png frame_0001.png report.json"
 rm "$OUT/films/a.mp4"
+
+succeed "${render[@]}" --path inputs --frames 2 --video "$OUT/./fresh/b.mp4" --out "$OUT/fresh"
+same "a new folder by two names" "$(ls "$OUT/fresh" | xargs)" \
+    "b.mp4 frame_0000.png frame_0001.png report.json"
 
 # where there is no place, or no space
 without 1 'nowhere/a.mp4: cannot create: No such file' --video "$OUT/nowhere/a.mp4"

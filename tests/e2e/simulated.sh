@@ -12,6 +12,8 @@ simulate() { # name arguments...
 # bad requests
 expect 2 '--out is needed' simulate
 expect 2 '--kind: "moon" is none of room.yard' simulate --out "$OUT/no" --kind moon
+expect 2 '--kind: "room.yard" is none of' simulate --out "$OUT/no" --kind 'room|yard'
+expect 2 '--views: 2.5 is not a whole number' simulate --out "$OUT/no" --views 2.5
 expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
 expect 2 '--exposures: 1 does not come after' simulate --out "$OUT/no" --exposures 4,1
