@@ -4,8 +4,8 @@
 #include "firmware/viewer.h"
 
 #include "core/splat/display.h"
-#include "drivers/file.h"
 #include "drivers/glb.h"
+#include "drivers/partial.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
 #include "drivers/sidecar.h"
@@ -13,7 +13,6 @@
 #include "drivers/spzwrite.h"
 
 #include <string.h>
-#include <unistd.h>
 
 enum kind { HDRIG, PLY, SPZ, GLB, HTML, KINDS };
 static const char *const ends[KINDS] = {".hdrig", ".ply", ".spz", ".glb", ".html"};
@@ -146,23 +145,6 @@ err_t sceneio_check_place(const char *path, bool *readable)
     return e;
 }
 
-static const char *name_of(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
-
-/* Name of the file while it is written, in the same folder. */
-static err_t temporary(const char *path, char out[FILE_PATH_CAP])
-{
-    const char *name = name_of(path);
-    int n = snprintf(out, FILE_PATH_CAP, "%.*s.tmp-%d-%s", (int)(name - path), path, (int)getpid(),
-                     name);
-    if (n >= FILE_PATH_CAP)
-        return err_fail(ERR_ARG, "%.64s...: a path of more than %d bytes", path, FILE_PATH_CAP - 1);
-    return OK;
-}
-
 static err_t write_kind(const char *path, enum kind kind, const struct scene *s, int spz)
 {
     struct viewer_input page = {.scene = s, .title = "hdrig"};
@@ -181,44 +163,36 @@ static err_t write_kind(const char *path, enum kind kind, const struct scene *s,
 }
 
 /* The splats come last: who sees them finds what belongs to them. */
-static err_t show(const char *tmp, const char *path, enum kind kind)
+static err_t write_parts(const struct partial *p, const char *path, enum kind kind,
+                         const struct scene *s, int spz)
 {
-    char from[FILE_PATH_CAP], to[FILE_PATH_CAP];
-    err_t e = OK;
-    if (has_sidecar(kind)) {
-        e = sidecar_path(tmp, from, sizeof from);
-        if (!e)
-            e = sidecar_path(path, to, sizeof to);
-        if (!e)
-            e = file_replace(from, to);
-    }
+    char file[FILE_PATH_CAP], sidecar[FILE_PATH_CAP];
+    err_t e = partial_path(p, path, file);
     if (!e)
-        return file_replace(tmp, path);
-    unlink(tmp);
-    return e;
+        e = write_kind(file, kind, s, spz);
+    if (!e && has_sidecar(kind))
+        e = sidecar_write(file, s);
+    if (!e && has_sidecar(kind))
+        e = sidecar_path(path, sidecar, sizeof sidecar);
+    if (!e && has_sidecar(kind))
+        e = partial_show(p, sidecar);
+    return e ? e : partial_show(p, path);
 }
 
 err_t sceneio_write(const char *path, const struct scene *s, int spz)
 {
-    char tmp[FILE_PATH_CAP];
+    struct partial p = {0};
     enum kind kind;
     bool readable;
     err_t e = sceneio_check_place(path, &readable);
     if (!e)
         e = kind_of(path, &kind);
     if (!e)
-        e = temporary(path, tmp);
+        e = partial_open(path, &p);
     if (!e)
-        e = write_kind(tmp, kind, s, spz);
-    if (e)
-        return e;
-    if (has_sidecar(kind))
-        e = sidecar_write(tmp, s);
-    if (e) {
-        unlink(tmp);
-        return e;
-    }
-    return show(tmp, path, kind);
+        e = write_parts(&p, path, kind, s, spz);
+    partial_close(&p);
+    return e;
 }
 
 /* Colours as .spz has them, and what zstd takes. */
