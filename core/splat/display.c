@@ -19,6 +19,7 @@
 enum {
     RINGS = 8,
     STEPS = 16,
+    HALF = STEPS / 2,
     DIRECTIONS = RINGS * STEPS,
     WAVES = SH_DEGREE_MAX + 1,
     ITERATIONS = 4,                 // more gain less than 1 dB
@@ -68,11 +69,55 @@ static double clamp_log(double v)
     return fmin(fmax(v, -(double)RASTER_LOG_MAX), (double)RASTER_LOG_MAX);
 }
 
+/* ---- lanes ---- */
+
+typedef float lanes __attribute__((vector_size(16))); // red, green, blue and one that is 0
+typedef int32_t truths __attribute__((vector_size(16)));
+typedef uint32_t words __attribute__((vector_size(16)));
+
+static lanes all(float v)
+{
+    return (lanes){v, v, v, v};
+}
+
+static lanes pick(truths which, lanes yes, lanes no)
+{
+    return (lanes)((which & (truths)yes) | (~which & (truths)no));
+}
+
+/* `lo` for NaN. */
+static lanes at_least(lanes v, float lo)
+{
+    return pick(v > lo, v, all(lo));
+}
+
+static lanes clamp(lanes v, float lo, float hi)
+{
+    v = at_least(v, lo);
+    return pick(v < hi, v, all(hi));
+}
+
+/* Natural logarithm of v > 0 that is not denormal: v = 2^e (1 + t), sqrt(1/2) <= 1 + t < sqrt(2).
+ * Polynomial: Cephes, logf.c. */
+static lanes lanes_log(lanes v)
+{
+    static const float poly[] = {7.0376836292e-2f,  -1.1514610310e-1f, 1.1676998740e-1f,
+                                 -1.2420140846e-1f, 1.4249322787e-1f,  -1.6668057665e-1f,
+                                 2.0000714765e-1f,  -2.4999993993e-1f, 3.3333331174e-1f};
+    const uint32_t root = 0x3f3504f3, one = 0x3f800000, mantissa = 0x7fffff;
+    truths bits = (truths)((words)v + (one - root)), e = (bits >> 23) - 127;
+    lanes t = (lanes)(((words)bits & mantissa) + root) - 1, p = {0};
+    for (size_t k = 0; k < sizeof poly / sizeof poly[0]; k++)
+        p = p * t + poly[k];
+    lanes n = __builtin_convertvector(e, lanes), tt = t * t;
+    return t + (t * tt * p + n * -2.12194440e-4f - 0.5f * tt) + n * 0.693359375f;
+}
+
 /* ---- the sphere ---- */
 
 struct sphere {
-    float p[RINGS][TERMS], weight[RINGS]; // weights of a direction
-    float cosine[WAVES][STEPS], sine[WAVES][STEPS];
+    lanes p[RINGS][TERMS], weighted[RINGS][TERMS]; // by the weight of a direction
+    lanes cosine[HALF][WAVES], sine[HALF][WAVES];
 };
 
 /* p_lm(z) with the factor sqrt 2 of m > 0. */
@@ -107,49 +152,70 @@ static void sphere_init(struct sphere *s)
         turn[j] = k <= STEPS / 4 ? quarter[k] : -quarter[STEPS / 2 - k];
     }
     for (int m = 0; m < WAVES; m++)
-        for (int j = 0; j < STEPS; j++) {
-            s->cosine[m][j] = turn[m * j % STEPS];
-            s->sine[m][j] = turn[(m * j + 3 * STEPS / 4) % STEPS];
+        for (int j = 0; j < HALF; j++) {
+            s->cosine[j][m] = all(turn[m * j % STEPS]);
+            s->sine[j][m] = all(turn[(m * j + 3 * STEPS / 4) % STEPS]);
         }
     for (int r = 0; r < RINGS; r++) {
-        ring_terms(r % 2 ? -ring_z[r / 2] : ring_z[r / 2], s->p[r]);
-        s->weight[r] = (float)(ring_weight[r / 2] * 2 * pi / STEPS);
+        float p[TERMS], weight = (float)(ring_weight[r / 2] * 2 * pi / STEPS);
+        ring_terms(r % 2 ? -ring_z[r / 2] : ring_z[r / 2], p);
+        for (int t = 0; t < TERMS; t++) {
+            s->p[r][t] = all(p[t]);
+            s->weighted[r][t] = all(weight * p[t]);
+        }
     }
 }
 
 /* v = sum_k sh_k Y_k. */
-static void sample(const struct sphere *s, const float *sh, int degree, float v[DIRECTIONS])
+static void sample(const struct sphere *s, const lanes *sh, int degree, lanes v[DIRECTIONS])
 {
-    memset(v, 0, DIRECTIONS * sizeof *v);
-    for (int r = 0; r < RINGS; r++, v += STEPS)
+    for (int r = 0; r < RINGS; r++, v += STEPS) {
+        lanes a[WAVES] = {0}, b[WAVES] = {0};
         for (int m = 0; m <= degree; m++) {
-            float a = 0, b = 0;
+            lanes x = {0}, y = {0};
             for (int l = m; l <= degree; l++) {
-                a += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l + m];
-                b += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l - m];
+                x += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l + m];
+                y += s->p[r][l * (l + 1) / 2 + m] * sh[l * l + l - m];
             }
-            for (int j = 0; j < STEPS; j++)
-                v[j] += a * s->cosine[m][j] + b * s->sine[m][j]; // the sine of m = 0 is 0
+            a[m] = x;
+            b[m] = y;
         }
+        for (int j = 0; j < HALF; j++) {
+            const lanes *c = s->cosine[j], *d = s->sine[j];
+            lanes even = a[0] + a[2] * c[2] + b[2] * d[2] + a[4] * c[4] + b[4] * d[4];
+            lanes odd = a[1] * c[1] + b[1] * d[1] + a[3] * c[3] + b[3] * d[3];
+            v[j] = even + odd;
+            v[j + HALF] = even - odd;
+        }
+    }
 }
 
 /* sh_k = sum of weight v Y_k. */
-static void project(const struct sphere *s, const float v[DIRECTIONS], int degree, float *sh)
+static void project(const struct sphere *s, const lanes v[DIRECTIONS], int degree, lanes *sh)
 {
     memset(sh, 0, SH_COEFS_MAX * sizeof *sh);
-    for (int r = 0; r < RINGS; r++, v += STEPS)
-        for (int m = 0; m <= degree; m++) {
-            float a = 0, b = 0;
-            for (int j = 0; j < STEPS; j++) {
-                a += v[j] * s->cosine[m][j];
-                b += v[j] * s->sine[m][j];
-            }
-            for (int l = m; l <= degree; l++) {
-                float term = s->weight[r] * s->p[r][l * (l + 1) / 2 + m];
-                sh[l * l + l + m] += term * a;
-                sh[l * l + l - m] += term * b; // of m = 0: 0
-            }
+    for (int r = 0; r < RINGS; r++, v += STEPS) {
+        lanes a[WAVES] = {0}, b[WAVES] = {0};
+        for (int j = 0; j < HALF; j++) {
+            const lanes *c = s->cosine[j], *d = s->sine[j];
+            lanes even = v[j] + v[j + HALF], odd = v[j] - v[j + HALF];
+            a[0] += even;
+            a[1] += odd * c[1];
+            b[1] += odd * d[1];
+            a[2] += even * c[2];
+            b[2] += even * d[2];
+            a[3] += odd * c[3];
+            b[3] += odd * d[3];
+            a[4] += even * c[4];
+            b[4] += even * d[4];
         }
+        for (int l = 0; l <= degree; l++)
+            for (int m = 0; m <= l; m++) {
+                lanes term = s->weighted[r][l * (l + 1) / 2 + m];
+                sh[l * l + l + m] += term * a[m];
+                sh[l * l + l - m] += term * b[m]; // of m = 0: 0
+            }
+    }
 }
 
 /* ---- the fits ---- */
@@ -159,68 +225,72 @@ static int coefs_of(int degree)
     return (degree + 1) * (degree + 1);
 }
 
-static void fit_display(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX])
+static void fit_display(const struct sphere *s, int degree, float shift, lanes sh[SH_COEFS_MAX])
 {
     const float knee = logf((float)knee_linear);
-    float v[DIRECTIONS];
+    lanes v[DIRECTIONS];
     sample(s, sh, degree, v);
     for (int i = 0; i < DIRECTIONS; i++) {
-        float u = fminf(fmaxf(v[i], -RASTER_LOG_MAX), RASTER_LOG_MAX) + shift;
-        v[i] = (u > knee ? 1.055f * expf(u / 2.4f) - 0.055f : 12.92f * expf(u)) - 0.5f;
+        lanes u = clamp(v[i], -RASTER_LOG_MAX, RASTER_LOG_MAX) + shift;
+        for (int c = 0; c < 3; c++)
+            u[c] = u[c] > knee ? 1.055f * expf(u[c] / 2.4f) - 0.055f : 12.92f * expf(u[c]);
+        v[i] = u - 0.5f;
     }
     project(s, v, degree, sh);
 }
 
-static float dot(const float *a, const float *b, int n)
+static lanes dot(const lanes *a, const lanes *b, int n)
 {
-    float sum = 0;
+    lanes sum = {0};
     for (int k = 0; k < n; k++)
         sum += a[k] * b[k];
     return sum;
 }
 
-/* out = projection of weighted values of sh. */
-static void apply(const struct sphere *s, const float seen[DIRECTIONS], int degree, const float *sh,
-                  float *out)
+/* Display values less 0.5 become logarithms of radiance. out: seen, weights of the fit. */
+static void to_logarithms(float shift, lanes v[DIRECTIONS], lanes seen[DIRECTIONS])
 {
-    float v[DIRECTIONS];
-    sample(s, sh, degree, v);
-    for (int i = 0; i < DIRECTIONS; i++)
-        v[i] *= seen[i];
-    project(s, v, degree, out);
+    for (int i = 0; i < DIRECTIONS; i++) {
+        lanes shown = v[i] + 0.5f, slope = clamp(shown, 0, 1) + 0.055f;
+        truths curved = shown > (float)knee_value;
+        lanes linear = at_least(shown * (1 / 12.92f), DISPLAY_FLOOR_FIT);
+        lanes logs = lanes_log(pick(curved, (shown + 0.055f) * (1 / 1.055f), linear));
+        v[i] = clamp(pick(curved, 2.4f * logs, logs) - shift, -RASTER_LOG_MAX, RASTER_LOG_MAX);
+        seen[i] = slope * slope;
+    }
 }
 
-static void fit_log(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX])
+/* A colour that is fitted well enough is left alone: it would be divided by its error. */
+static void fit_log(const struct sphere *s, int degree, float shift, lanes sh[SH_COEFS_MAX])
 {
-    float v[DIRECTIONS], seen[DIRECTIONS], weighted[DIRECTIONS];
-    float residual[SH_COEFS_MAX], step[SH_COEFS_MAX], image[SH_COEFS_MAX];
-    int n = coefs_of(degree);
+    const lanes none = {0};
+    const int n = coefs_of(degree);
+    lanes v[DIRECTIONS], seen[DIRECTIONS], w[DIRECTIONS];
+    lanes residual[SH_COEFS_MAX], step[SH_COEFS_MAX], image[SH_COEFS_MAX];
     sample(s, sh, degree, v);
-    for (int i = 0; i < DIRECTIONS; i++) {
-        float shown = v[i] + 0.5f, slope = fminf(fmaxf(shown, 0), 1) + 0.055f;
-        seen[i] = slope * slope;
-        float log_linear = shown > (float)knee_value
-                               ? 2.4f * logf((shown + 0.055f) / 1.055f)
-                               : logf(fmaxf(shown / 12.92f, DISPLAY_FLOOR_FIT));
-        v[i] = fminf(fmaxf(log_linear - shift, -RASTER_LOG_MAX), RASTER_LOG_MAX);
-        weighted[i] = seen[i] * v[i];
-    }
+    to_logarithms(shift, v, seen);
     project(s, v, degree, sh);
-    apply(s, seen, degree, sh, image);
-    project(s, weighted, degree, residual);
-    for (int k = 0; k < n; k++)
-        step[k] = residual[k] -= image[k];
-    float length = dot(residual, residual, n), enough = 1e-10f * length;
-    for (int i = 0; i < ITERATIONS && length > enough; i++) {
-        apply(s, seen, degree, step, image);
-        float go = length / dot(step, image, n), before = length;
+    sample(s, sh, degree, w);
+    for (int i = 0; i < DIRECTIONS; i++)
+        w[i] = seen[i] * (v[i] - w[i]);
+    project(s, w, degree, residual);
+    memcpy(step, residual, sizeof step);
+    lanes length = dot(residual, residual, n), enough = 1e-10f * length;
+    for (int i = 0; i < ITERATIONS; i++) {
+        sample(s, step, degree, w);
+        for (int j = 0; j < DIRECTIONS; j++)
+            w[j] *= seen[j];
+        project(s, w, degree, image);
+        truths on = length > enough;
+        lanes go = pick(on, length / dot(step, image, n), none), before = length;
         for (int k = 0; k < n; k++) {
             sh[k] += go * step[k];
             residual[k] -= go * image[k];
         }
         length = dot(residual, residual, n);
+        lanes keep = pick(on, length / before, none);
         for (int k = 0; k < n; k++)
-            step[k] = residual[k] + length / before * step[k];
+            step[k] = residual[k] + keep * step[k];
     }
 }
 
@@ -239,7 +309,7 @@ static double log_of(double shown, double shift)
 /* Of degree 0, and of any other. */
 struct conversion {
     double (*flat)(double sh, double shift);
-    void (*fit)(const struct sphere *s, int degree, float shift, float sh[SH_COEFS_MAX]);
+    void (*fit)(const struct sphere *s, int degree, float shift, lanes sh[SH_COEFS_MAX]);
 };
 
 /* top: degree of out. A colour of which some coefficient is not finite becomes NaN. */
@@ -247,23 +317,21 @@ static void convert(const struct conversion *how, const float *in, int degree, i
                     float *out)
 {
     const double shift = (double)ev * ln2;
-    struct sphere s;
-    if (degree > 0)
-        sphere_init(&s);
-    for (int c = 0; c < 3; c++) {
-        float sh[SH_COEFS_MAX];
-        bool finite = true;
-        for (int k = 0; k < coefs_of(degree); k++) {
-            sh[k] = in[3 * k + c];
-            finite &= isfinite(sh[k]) != 0;
-        }
-        if (degree > 0)
-            how->fit(&s, degree, (float)shift, sh);
-        else
-            sh[0] = (float)how->flat((double)sh[0], shift);
-        for (int k = 0; k < coefs_of(top); k++)
-            out[3 * k + c] = finite ? sh[k] : NAN;
+    lanes sh[SH_COEFS_MAX] = {0};
+    bool finite[3] = {true, true, true};
+    for (int j = 0; j < 3 * coefs_of(degree); j++) {
+        sh[j / 3][j % 3] = in[j];
+        finite[j % 3] &= isfinite(in[j]) != 0;
     }
+    if (degree > 0) {
+        struct sphere s;
+        sphere_init(&s);
+        how->fit(&s, degree, (float)shift, sh);
+    }
+    for (int c = 0; c < 3 && degree == 0; c++)
+        sh[0][c] = (float)how->flat((double)in[c], shift);
+    for (int j = 0; j < 3 * coefs_of(top); j++)
+        out[j] = finite[j % 3] ? sh[j / 3][j % 3] : NAN;
 }
 
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out)
