@@ -21,15 +21,18 @@ function element(name, attributes = {}, ...children) {
 const known = (v) => typeof v === "number";
 const fixed = (v, digits) => known(v) ? v.toFixed(digits).replace("-", "\u2212") : "not known";
 const db = (v) => known(v) ? fixed(v, 2) + " dB" : "not known";
-const share = (v) => v > 0 && v < 0.0005 ? "< 0.1 %" : fixed(100 * v, 1) + " %";
+const share = (v) => !known(v) ? "not known"
+  : v > 0 && v < 0.0005 ? "< 0.1 %" : fixed(100 * v, 1) + " %";
 const count = (v) => v.toLocaleString("en");
 const seconds = (v) => v < 0.1 ? fixed(1000 * v, 0) + " ms" : fixed(v, v < 100 ? 1 : 0) + " s";
-const stops = (v) => (v > 0 ? "+" : "") + fixed(v, 1).replace(/^\u22120\.0$/, "0.0") + " stops";
+const signed = (v) => v >= 0.05 ? "+" + fixed(v, 1) : v > -0.05 ? "0.0" : fixed(v, 1);
+const stops = (v) => signed(v) + " stops";
 const plural = (n, word) => `${count(n)} ${word}${n === 1 ? "" : "s"}`;
 
+// in the unit of who gave it
 function exposureTime(log2) {
   const t = 2 ** log2;
-  return t > 0.3 ? `${Number(t.toPrecision(3))} s` : `1/${Math.round(1 / t)} s`;
+  return t > 0.3 ? String(Number(t.toPrecision(3))) : `1/${Math.round(1 / t)}`;
 }
 
 // A figure of report.json under its path, so that scripts find it.
@@ -75,22 +78,26 @@ function head() {
     `${plural(report.views, "view")} of ${report.size[0]} x ${report.size[1]} px`,
     exposures.length ? ` at ${plural(exposures.length, "exposure")}` : "",
     `, modelled by ${plural(report.gaussians, "splat")}. `,
-    "test_views" in report ? "" : element("a", { href: "view.html" }, "Look at the scene"));
+    report.viewer ? element("a", { href: report.viewer }, "Look at the scene") : "");
   const range = Math.max(...exposures.map((e) => e.radiance_stops[1])) -
     Math.min(...exposures.map((e) => e.radiance_stops[0]));
   const tiles = [
     known(quality.ldr_input_psnr) &&
-      tile(figure("quality.ldr_input_psnr", db(quality.ldr_input_psnr)), "against its photographs"),
+      tile(figure("quality.ldr_input_psnr", db(quality.ldr_input_psnr)),
+        "likeness to its photographs"),
     known(quality.held_out_psnr) &&
-      tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)), "where it did not learn"),
-    report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "on views not seen"),
-    exposures.length && tile(`${fixed(range, 1)} stops`, "of radiance seen well"),
+      tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)),
+        "likeness where it did not learn"),
+    report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "likeness on views not seen"),
+    exposures.length && tile(fixed(range, 1), "stops of radiance seen well"),
     tile(figure("gaussians", count(report.gaussians)), "splats"),
-    tile(figure("sh_degree", String(report.sh_degree)), "degree of the harmonics"),
     tile(figure("seconds.total", seconds(report.seconds.total)), "in all"),
     tile(figure("peak_rss_mb", `${fixed(report.peak_rss_mb, 0)} MB`), "of memory at most"),
   ];
   document.getElementById("figures").append(...tiles.filter(Boolean));
+  if (known(quality.ldr_input_psnr) || report.ldr)
+    document.getElementById("hint").append("Likeness in dB: 20 is rough, 30 good, at 40 the eye " +
+      "hardly tells scene from photograph.");
 }
 
 function warnings() {
@@ -125,9 +132,7 @@ function picture(i, name, what) {
 }
 
 // Photographs of one place have one camera and one number.
-const cameraOf = (v) => String(v.camera.centre) + v.camera.forward;
-const places = [...new Set(inputs.map(cameraOf))];
-const number = (v) => String(places.indexOf(cameraOf(v)) + 1);
+const number = (v) => String(v.place + 1);
 const title = (v) => element("h3", {}, element("small", {}, number(v)), v.name);
 
 // Share per colour of what lies in `bins` of the histogram.
@@ -136,7 +141,16 @@ function perColour(h, bins) {
     const all = counts.reduce((a, b) => a + b, 0), some = counts.slice(...bins);
     return fixed(100 * some.reduce((a, b) => a + b, 0) / all, 1);
   };
-  return `R ${of(h.red)}, G ${of(h.green)}, B ${of(h.blue)}`;
+  return ["red", "green", "blue"].map((c) =>
+    element("span", { class: `text-${c}`, title: c }, of(h[c])));
+}
+
+// The first cards, the rest behind a click.
+function cards(list, first, name = "cards") {
+  const some = (part) => element("div", { class: name }, ...part);
+  const rest = list.slice(first);
+  return rest.length < 4 ? [some(list)] : [some(list.slice(0, first)),
+    element("details", {}, element("summary", {}, `${rest.length} more`), some(rest))];
 }
 
 function photographs() {
@@ -147,17 +161,19 @@ function photographs() {
     element("p", { class: "small" }, figure(`inputs.${i}.stops`, stops(v.stops)), ", ",
       exposureTime(v.exposure_log2)),
     histogram(v.histogram),
-    element("div", { class: "small soft" },
-      element("p", {}, "clipped ", figure(`inputs.${i}.clipped`, share(v.clipped)),
-        ` (${perColour(v.histogram, [-1])})`),
-      element("p", {}, "dark ", figure(`inputs.${i}.dark`, share(v.dark)),
-        ` (${perColour(v.histogram, [0, 2])})`),
-      element("p", {}, "seen well only here ", figure(`inputs.${i}.alone`, share(v.alone)))));
+    element("div", { class: "shares" },
+      "clipped", figure(`inputs.${i}.clipped`, share(v.clipped)),
+      element("small", {}, ...perColour(v.histogram, [-1])),
+      "dark", figure(`inputs.${i}.dark`, share(v.dark)),
+      element("small", {}, ...perColour(v.histogram, [0, 2])),
+      "only here", figure(`inputs.${i}.alone`, share(v.alone))));
   section("photographs", "Photographs",
-    element("p", { class: "small soft" }, "Exposure in stops to the middle one, and as given. " +
-      "A pixel counts as clipped or dark by its brightest colour: display values from 252 on, " +
-      "and below 8; in parentheses each colour by itself."),
-    element("div", { class: "cards" }, ...order.map(card)));
+    element("p", { class: "small soft" }, "The number before a name is that of its camera below. " +
+      "Exposure: stops to the middle one, then as given. Clipped and dark: pixels whose " +
+      "brightest colour has a display value from 252 on, below 8; under them percent of red, " +
+      "green and blue by themselves. Only here: pixels seen well that would be clipped or dark " +
+      "at every other exposure."),
+    ...cards(order.map(card), 24));
 }
 
 function exposureChart() {
@@ -173,7 +189,7 @@ function exposureChart() {
     return element("g", {},
       element("rect",
         { class: "bar", x: x(a), y: i * row + 5, width: x(b) - x(a), height: row - 10, rx: 3 }),
-      label(left - 8, i * row + 16, stops(e.stops).replace(" stops", ""), "end"));
+      label(left - 8, i * row + 16, signed(e.stops), "end"));
   });
   const chart = svg(width, bottom + 20, ...marks, ...bars);
   chart.setAttribute("class", "chart");
@@ -189,12 +205,12 @@ function overlap() {
   const worst = Math.max(...steps);
   return worst > 0
     ? `Between two neighbours ${fixed(worst, 1)} stops are seen well by neither.`
-    : `Neighbours overlap by ${fixed(-worst, 1)} stops or more, so that each scales the next.`;
+    : `Neighbours have ${fixed(-worst, 1)} stops or more in common, which ties them together.`;
 }
 
 function contributions() {
   const rows = exposures.map((e, i) => [
-    stops(e.stops), String(e.views),
+    signed(e.stops), String(e.views),
     figure(`exposures.${i}.clipped`, share(e.clipped)),
     figure(`exposures.${i}.dark`, share(e.dark)),
     figure(`exposures.${i}.alone`, share(e.alone)),
@@ -203,9 +219,8 @@ function contributions() {
     element("p", {}, overlap()),
     exposureChart(),
     element("p", { class: "small soft" }, "Bars: radiance that an exposure sees well, in stops " +
-      "to what is half of full scale at the middle exposure. Only here: of its pixels, those " +
-      "seen well that would be clipped or dark at every other exposure."),
-    table(["exposure", "views", "clipped", "dark", "only here", "radiance, stops"], rows));
+      "to what is half of full scale at the middle exposure."),
+    table(["stops", "photos", "clipped", "dark", "only here", "radiance"], rows));
 }
 
 // ---- cameras ----
@@ -231,14 +246,15 @@ function frame(cameras) {
   return { right: cross(ahead, up), up, ahead };
 }
 
-function plan(cameras, across, upward, caption) {
+// extent: that is drawn as wide as possible
+function plan(cameras, extent, across, upward, caption) {
   const size = 300, edge = 36;
   const place = cameras.map((c) => [dot(c.centre, across), -dot(c.centre, upward)]);
   const low = [0, 1].map((k) => Math.min(...place.map((p) => p[k])));
   const high = [0, 1].map((k) => Math.max(...place.map((p) => p[k])));
-  const extent = Math.max(high[0] - low[0], high[1] - low[1], 1e-9);
-  const at = (p) => [0, 1].map((k) =>
-    size / 2 + (p[k] - (low[k] + high[k]) / 2) / extent * (size - 2 * edge));
+  const scale = (size - 2 * edge) / extent, height = (high[1] - low[1]) * scale + 2 * edge;
+  const at = (p) => [size, height].map((side, k) =>
+    side / 2 + (p[k] - (low[k] + high[k]) / 2) * scale);
   const draw = (c, i) => {
     const [x, y] = at(place[i]), reach = 30, half = Math.tan(c.fov_deg * Math.PI / 360);
     const flat = (v) => [dot(v, across), -dot(v, upward)];
@@ -252,7 +268,7 @@ function plan(cameras, across, upward, caption) {
       element("circle", { class: "dot", cx: x, cy: y, r: 2.5 }),
       cameras.length <= 30 ? label(x - 7 * f[0], y - 7 * f[1] + 4, c.number) : null);
   };
-  const drawing = svg(size, size, ...cameras.map(draw));
+  const drawing = svg(size, height, ...cameras.map(draw));
   drawing.setAttribute("aria-label", caption);
   return element("figure", { class: "card" }, drawing, element("figcaption", {}, caption));
 }
@@ -260,8 +276,8 @@ function plan(cameras, across, upward, caption) {
 function cameraWords() {
   const c = report.cameras;
   if (!c)
-    return element("p", {}, "Where they stood was given with the photographs, or is the " +
-      "network's own answer.");
+    return element("p", {}, report.network ? "Given with the photographs, or the network's answer."
+      : "test_views" in report ? "As the scene has them." : "Given with the photographs.");
   const start = c.start_was_network ? "the network's cameras"
     : "points that the photographs have in common";
   return element("p", {}, `Found from ${start}: `,
@@ -274,9 +290,13 @@ function cameraWords() {
 }
 
 function cameras() {
-  const all = places.map((p) => inputs.find((v) => cameraOf(v) === p))
+  const all = [...new Map(inputs.map((v) => [v.place, v])).values()]
     .map((v) => ({ ...v.camera, name: v.name, number: number(v) }));
   const { right, up, ahead } = frame(all);
+  const extent = Math.max(1e-9, ...[right, up, ahead].map((axis) => {
+    const along = all.map((c) => dot(c.centre, axis));
+    return Math.max(...along) - Math.min(...along);
+  }));
   const focal = all.map((c) => c.focal_px), angle = all.map((c) => c.fov_deg);
   const span = (list, digits) => {
     const [a, b] = [Math.min(...list), Math.max(...list)].map((v) => fixed(v, digits));
@@ -287,8 +307,8 @@ function cameras() {
       `${span(angle, 1)} degrees across.`),
     ...report.warnings.filter((w) => w.includes(" is left out")).map((w) => element("p", {}, w)),
     element("div", { class: "plans" },
-      plan(all, right, ahead, "from above, looking up the page"),
-      plan(all, ahead, up, "from the side, looking to the right")));
+      plan(all, extent, right, ahead, "from above: they look up the page"),
+      plan(all, extent, ahead, up, "from the side: they look to the right")));
 }
 
 // ---- tone curve ----
@@ -322,8 +342,10 @@ function toneChart(tone) {
 
 function toneCurve() {
   const tone = report.tone, near = tone.families.find((f) => f.name === tone.nearest);
-  const rows = tone.families.map((f, i) => [familyName(f),
-    figure(`tone.families.${i}.rms`, known(f.rms) ? `${fixed(100 * f.rms, 1)} %` : "not known")]);
+  const order = tone.families.map((f, i) => i)
+    .sort((a, b) => tone.families[a].rms - tone.families[b].rms);
+  const rows = order.map((i) => [familyName(tone.families[i]), figure(`tone.families.${i}.rms`,
+    known(tone.families[i].rms) ? `${fixed(100 * tone.families[i].rms, 1)} %` : "not known")]);
   section("tone", "Tone curve",
     element("p", {}, near
       ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale ` +
@@ -349,8 +371,7 @@ function residuals() {
     title(inputs[i]),
     element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
       stops(inputs[i].stops)));
-  const cards = (list) => element("div", { class: "cards wide" }, ...list.map(card));
-  const quality = report.quality, first = 12;
+  const quality = report.quality;
   section("residuals", "Scene against photographs, worst first",
     element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
       ? "On squares that refinement did not learn from: " + db(quality.held_out_psnr_start) +
@@ -358,10 +379,7 @@ function residuals() {
       : "Nothing was held out: there was no refinement."),
     element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
       "none, white a quarter of full scale or more."),
-    cards(order.slice(0, first)),
-    order.length > first
-      ? element("details", {}, element("summary", {}, `${order.length - first} more`),
-        cards(order.slice(first))) : null);
+    ...cards(order.map(card), 12, "cards wide"));
 }
 
 function measured() {
@@ -377,7 +395,7 @@ function measured() {
   section("measured", "Measured on views that it has not seen",
     table(["against", "PSNR", "SSIM", "pictures"], rows.filter(Boolean)),
     p ? element("p", {}, `Cameras: median error ${fixed(p.rot_deg_median, 2)} degrees, ` +
-      `${fixed(100 * p.trans_rel_median, 1)} % of their spread.`) : null);
+      `${share(p.trans_rel_median)} of their spread.`) : null);
 }
 
 function modelled() {

@@ -45,6 +45,8 @@ cp "$OUT/measured-scene/report.html" "$OUT/measured.html"
 sed 's|<main|<img src="http://localhost:9/x.png"><script>document.title = "bad"</script><main|' \
     "$OUT/room.html" >"$OUT/bad.html"
 
+sed 's|"viewer": "view.html"|"viewer": null|' "$OUT/room.html" >"$OUT/unseen.html"
+
 mobile=true browser_open 360 740 --disable-gpu
 call Page.enable '{}'
 call Page.addScriptToEvaluateOnNewDocument '{"source":"window.problems = [];
@@ -113,6 +115,8 @@ is "photographs" "document.querySelectorAll('#photographs .card').length" 9
 is "strips" "document.querySelectorAll('#residuals img').length" 9
 is "bars of exposures" "document.querySelectorAll('#exposures .bar').length" 3
 is "cameras drawn" "document.querySelectorAll('#cameras .dot').length" 18
+is "numbers of cameras" "[...new Set([...document.querySelectorAll('#photographs h3 small')]
+    .map((e) => e.textContent))].sort().join('')" 123456789
 is "curves" "document.querySelectorAll('#tone .curve, #tone .family').length" 9
 is "the worst first" "[...document.querySelectorAll('#residuals [data-key]')]
     .map((e) => parseFloat(e.textContent)).every((x, i, v) => !i || v[i - 1] <= x)" true
@@ -120,7 +124,10 @@ is "how the cameras were found" \
     "document.getElementById('cameras').textContent.includes('sightings agree')" true
 is "warnings of a good scene" "document.querySelectorAll('.warnings li').length" \
     "$(sed -n '/"warnings": \[/,/\]/p' "$OUT/room-scene/report.json" | grep -c '^    "')"
+is "address of the scene" "document.querySelector('#summary a').getAttribute('href')" view.html
 screenshot "$OUT/page.png"
+show unseen
+is "address of a scene that is not there" "document.querySelector('#summary a')" null
 
 check forward "$before residuals $after"
 is "a forward pass" "document.getElementById('modelled').textContent.includes('single pass')" true
@@ -128,6 +135,7 @@ check measured "$before measured $after"
 is "what was measured" "document.querySelectorAll('#measured tr').length > 3" true
 check many "$before residuals $after"
 is "photographs" "document.querySelectorAll('#photographs .card').length" 16
+is "photographs behind a click" "document.querySelectorAll('#photographs details').length" 0
 is "those behind a click" "document.querySelectorAll('#residuals details img').length" 4
 check brackets "$before residuals $after"
 is "photographs of brackets" "document.querySelectorAll('#photographs .card').length" \
