@@ -729,4 +729,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format glb_format = {UINT32_MAX, peek, parse};
+const struct splats_format glb_format = {UINT32_MAX, INFINITY, peek, parse};

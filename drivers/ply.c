@@ -1,6 +1,6 @@
 /* Reading: the header becomes a table of properties with their offset in a row; that table becomes
  * one source (offset and kind) per plane of struct gaussians; then every row is read through the
- * sources. */
+ * sources. Where there are two kinds of colours, some splats tell whether they still agree. */
 #include "drivers/ply.h"
 
 #include "core/base/bytes.h"
@@ -22,7 +22,12 @@ enum {
     ROW_MAX = 4 * FLOATS_MAX + 2 * 3 * SH_COEFS_MAX
 };
 
-#define EV_MAX 200 // stops; two floats are never further apart
+#define EV_MAX 200         // stops; two floats are never further apart
+#define EV_FOUND_MAX 64.0f // of scenes whose ev is not told
+#define STALE_RATIO 0.03   // ten times what half floats do
+#define STALE_LEAST 1e-3
+#define BLACK 4e-4                      // of f_dc: too near to black to tell an ev
+#define SHOWN_MIDDLE 1.7724538509055159 // 0.5 / Y0, which f_dc lacks
 
 /* ---- writing ---- */
 
@@ -137,6 +142,7 @@ struct header {
     size_t row;   // bytes
     int n_rows, n;
     bool has_format, in_vertex, past_vertex;
+    bool has_ev;
     float ev; // of the comment
     struct property v[PROPERTIES_MAX];
 };
@@ -255,6 +261,7 @@ static err_t take_comment(const char *what, const char *line, size_t n, struct h
     if (*end || !(fabsf(h->ev) <= EV_MAX))
         return err_fail(ERR_FORMAT, "%s: comment ihdr ev \"%s\", allowed are -%d to %d stops", what,
                         w.v[3], EV_MAX, EV_MAX);
+    h->has_ev = true;
     return OK;
 }
 
@@ -345,9 +352,10 @@ static int count_numbered(const struct header *h, const char *prefix)
     }
 }
 
-static err_t find_degree(const char *what, const struct header *h, struct splats_info *out)
+static err_t find_degree(const char *what, const struct header *h, int n_log,
+                         struct splats_info *out)
 {
-    int n_log = count_numbered(h, "ihdr_log_"), n_rest = count_numbered(h, "f_rest_");
+    int n_rest = count_numbered(h, "f_rest_");
     out->has_hdr = n_log > 0;
     out->n = h->n_rows;
     out->ev = h->ev;
@@ -372,12 +380,14 @@ static void sh_name(const struct splats_info *info, int k, int c, char name[WORD
         snprintf(name, WORD_CAP, "f_rest_%d", c * (coefs - 1) + k - 1);
 }
 
-static err_t find_sources(const char *what, const struct header *h, struct sources *out)
+/* n_log: properties of radiance; 0: of the display colours. */
+static err_t find_sources(const char *what, const struct header *h, int n_log, struct sources *out)
 {
     static const char *const names[G_SH] = {"x",       "y",       "z",      "scale_0",
                                             "scale_1", "scale_2", "rot_0",  "rot_1",
                                             "rot_2",   "rot_3",   "opacity"};
-    err_t e = find_degree(what, h, &out->info);
+    memset(out, 0, sizeof *out);
+    err_t e = find_degree(what, h, n_log, &out->info);
     for (int p = 0; p < G_SH && !e; p++)
         e = find_source(what, h, names[p], TYPE_FLOAT, &out->offset[p]);
     for (int j = 0; !e && j < 3 * coefs_of(out->info.degree); j++) {
@@ -403,20 +413,114 @@ static float half_at(const uint8_t *row, size_t offset)
     return half_to_float(bytes_u16(&b));
 }
 
+static void take_colours(const struct sources *s, const uint8_t *row, float sh[3 * SH_COEFS_MAX])
+{
+    for (int j = 0; j < 3 * coefs_of(s->info.degree); j++)
+        sh[j] = s->info.has_hdr ? half_at(row, s->offset[G_SH + j])
+                                : float_at(row, s->offset[G_SH + j]);
+}
+
 static void take_row(const struct sources *s, const uint8_t *row, float ev, int i,
                      struct gaussians *g)
 {
     float sh[3 * SH_COEFS_MAX], log_sh[3 * SH_COEFS_MAX] = {0};
-    int n_sh = 3 * coefs_of(s->info.degree);
     for (int p = 0; p < G_SH; p++)
         g->plane[p][i] = float_at(row, s->offset[p]);
-    for (int j = 0; j < n_sh; j++)
-        sh[j] = s->info.has_hdr ? half_at(row, s->offset[G_SH + j])
-                                : float_at(row, s->offset[G_SH + j]);
+    take_colours(s, row, sh);
     if (!s->info.has_hdr)
         display_to_radiance(sh, s->info.degree, ev, log_sh);
-    for (int j = 0; j < n_sh; j++)
+    for (int j = 0; j < 3 * coefs_of(s->info.degree); j++)
         g->plane[G_SH + j][i] = s->info.has_hdr ? sh[j] : log_sh[j];
+}
+
+/* ---- radiance that a program left behind ---- */
+
+/* Programs turn or recolour what they know, f_dc and f_rest, and leave ihdr_log_* as it was. Both
+ * are there, and what was written is the same to within half floats: some splats tell. */
+struct both {
+    const struct sources *radiance, *shown;
+    const uint8_t *rows;
+    size_t row; // bytes
+    int n;
+};
+
+/* Display harmonics of the radiance of splat i at ev, and those that the file has. */
+static void compare(const struct both *b, int i, float ev, float made[3 * SH_COEFS_MAX],
+                    float shown[3 * SH_COEFS_MAX])
+{
+    const uint8_t *row = b->rows + (size_t)i * b->row;
+    float log_sh[3 * SH_COEFS_MAX];
+    take_colours(b->radiance, row, log_sh);
+    take_colours(b->shown, row, shown);
+    display_from_radiance(log_sh, b->radiance->info.degree, ev, made);
+}
+
+/* The ev of a file that has lost the comment: what shows the mean green of a splat as it is shown,
+ * middle of some splats; false if all of these are black. */
+static bool find_ev(const struct both *b, float *out)
+{
+    enum { TRIED = 15, HALVINGS = 22 };
+    float ev[TRIED], made[3 * SH_COEFS_MAX], shown[3 * SH_COEFS_MAX];
+    int n = 0;
+    for (int t = 0; t < TRIED; t++) {
+        float low = -EV_FOUND_MAX, high = EV_FOUND_MAX, v = 0;
+        for (int k = 0; k < HALVINGS; k++, v = (low + high) / 2) {
+            compare(b, (int)((int64_t)t * b->n / TRIED), v, made, shown);
+            low = made[1] < shown[1] ? v : low;
+            high = made[1] < shown[1] ? high : v;
+        }
+        if (!((double)shown[1] + SHOWN_MIDDLE > BLACK))
+            continue;
+        int at = n++; // in order
+        for (; at > 0 && ev[at - 1] > v; at--)
+            ev[at] = ev[at - 1];
+        ev[at] = v;
+    }
+    *out = n > 0 ? ev[n / 2] : 0;
+    return n > 0;
+}
+
+/* Whether a tenth of the splats that are looked at are shown as other than they are, by more than
+ * RATIO of their own size. */
+static bool is_stale(const struct both *b, float ev)
+{
+    enum { LOOKED_AT = 100 };
+    int n = b->n < LOOKED_AT ? b->n : LOOKED_AT, wrong = 0;
+    int degree = shown_degree(b->radiance->info.degree);
+    if (b->shown->info.degree < degree)
+        degree = b->shown->info.degree;
+    for (int t = 0; t < n; t++) {
+        float made[3 * SH_COEFS_MAX], shown[3 * SH_COEFS_MAX];
+        double off = 0, size = 0;
+        compare(b, (int)((int64_t)t * b->n / n), ev, made, shown);
+        for (int j = 0; j < 3 * coefs_of(degree); j++) {
+            double v = (double)made[j] + (j < 3 ? SHOWN_MIDDLE : 0);
+            off += pow((double)made[j] - (double)shown[j], 2);
+            size += v * v;
+        }
+        wrong += sqrt(off) > STALE_RATIO * sqrt(size) + STALE_LEAST; // not if it is no number
+    }
+    return 10 * wrong > n;
+}
+
+/* ---- the file ---- */
+
+static err_t open_file(const struct splats_bytes *file, struct header *h, struct sources *out)
+{
+    struct sources shown;
+    err_t e = read_header(file, h);
+    if (!e)
+        e = find_sources(file->what, h, count_numbered(h, "ihdr_log_"), out);
+    if (e || !out->info.has_hdr || h->n_rows == 0 || find_sources(file->what, h, 0, &shown) != OK)
+        return e;
+    const struct both both = {out, &shown, (const uint8_t *)file->p + h->bytes, h->row, h->n_rows};
+    float ev = h->ev;
+    if ((h->has_ev || find_ev(&both, &ev)) && is_stale(&both, ev)) {
+        *out = shown;
+        out->info.hdr_stale = true;
+    }
+    out->info.ev = ev;
+    return OK;
 }
 
 static err_t peek(const struct splats_bytes *file, struct splats_info *out)
@@ -424,9 +528,7 @@ static err_t peek(const struct splats_bytes *file, struct splats_info *out)
     struct header h;
     struct sources s;
     memset(out, 0, sizeof *out);
-    err_t e = read_header(file, &h);
-    if (!e)
-        e = find_sources(file->what, &h, &s);
+    err_t e = open_file(file, &h, &s);
     if (!e)
         *out = s.info;
     return e;
@@ -438,9 +540,7 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     struct header h;
     struct sources s;
     memset(g, 0, sizeof *g);
-    err_t e = read_header(file, &h);
-    if (!e)
-        e = find_sources(file->what, &h, &s);
+    err_t e = open_file(file, &h, &s);
     if (!e)
         e = gaussians_init(g, a, s.info.n, s.info.degree);
     if (e)
@@ -453,4 +553,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format ply_format = {(uint64_t)64 << 30, peek, parse};
+const struct splats_format ply_format = {(uint64_t)64 << 30, INFINITY, peek, parse};

@@ -15,6 +15,7 @@ struct splats_bytes {
 struct splats_info {
     int n, degree;  // what gaussians_need asks for
     bool has_hdr;   // radiance of its own; else from the display colours
+    bool hdr_stale; // it has radiance, but not that of its display colours
     bool band_lost; // display colours of a degree of which less is read
     float ev;       // that goes with its colours, stops; 0 if it tells none
 };
@@ -22,6 +23,7 @@ struct splats_info {
 /* A kind of file; ply.h, spz.h and glb.h say what theirs refuse. */
 struct splats_format {
     uint64_t bytes_max;
+    float headroom; // stops above white where its display colours end
 
     /* What parse would read. */
     err_t (*peek)(const struct splats_bytes *file, struct splats_info *out);

@@ -492,4 +492,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format spz_format = {(uint64_t)64 << 30, peek, parse};
+const struct splats_format spz_format = {(uint64_t)64 << 30, SPZ_HEADROOM, peek, parse};

@@ -55,6 +55,7 @@ enum {
 #define SPZ_LOG_SCALE_MAX 5.9375
 #define SPZ_LOG_SCALE_STEP 0.0625
 #define SPZ_COLOUR_SCALE 0.15
+#define SPZ_HEADROOM 1.21f // stops above white: the linear light of 0.5 + Y0 0.5 / SPZ_COLOUR_SCALE
 
 /* Bytes of a splat in each array; degree: of the display colours. */
 void spz_widths(int version, int degree, size_t out[SPZ_ARRAYS]);

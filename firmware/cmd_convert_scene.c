@@ -8,6 +8,7 @@
 
 #include "core/base/log.h"
 #include "core/metrics.h"
+#include "core/splat/display.h"
 #include "drivers/cameras.h"
 #include "drivers/file.h"
 #include "drivers/spzwrite.h"
@@ -17,6 +18,8 @@
 #include <sys/stat.h>
 
 enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // of the comparison
+
+#define BRIGHT 0.01 // natural logarithm: more than rounding above white
 
 struct request {
     const char *in, *out, *spz_text, *json;
@@ -157,13 +160,49 @@ static err_t compare(struct state *st)
 
 /* ---- words ---- */
 
+/* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
+static int count_bright(const struct scene *s)
+{
+    const double y0 = 0.28209479177387814, shift = log(2) * (double)display_ev(&s->tone);
+    int n = 0;
+    for (int i = 0; i < s->g.n; i++) {
+        float most = -INFINITY;
+        for (int c = 0; c < 3; c++)
+            most = fmaxf(most, s->g.plane[G_SH + c][i]);
+        n += y0 * (double)most + shift > BRIGHT;
+    }
+    return n;
+}
+
+/* What display colours told, and what they cannot. */
+static void warn_display(const struct request *rq, const struct state *st)
+{
+    const struct sceneio_info *info = &st->info;
+    int bright = count_bright(&st->scene), n = st->scene.g.n;
+    if (info->has_sidecar)
+        log_warn("%s: display colours, taken as sRGB at the middle exposure of its sidecar",
+                 rq->in);
+    else if (info->ev != 0)
+        log_warn("%s: display colours, taken as sRGB at the %.2f stops that it tells", rq->in,
+                 (double)info->ev);
+    else
+        log_warn("%s: display colours, taken as sRGB; nothing tells their exposure", rq->in);
+    if (bright == 0)
+        log_warn("%s: no splat is brighter than white: if the scene had brighter light, it is lost",
+                 rq->in);
+    else if (isfinite(info->headroom))
+        log_warn("%s: %d of %d splats are brighter than white: what was more than %.1f stops above "
+                 "it is lost",
+                 rq->in, bright, n, (double)info->headroom);
+    else
+        log_warn("%s: %d of %d splats are brighter than white and stay so", rq->in, bright, n);
+}
+
 static void warn(const struct request *rq, const struct state *st)
 {
     const struct gaussians_report *r = &st->report;
     if (!st->info.has_hdr)
-        log_warn("%s holds display colours only: they are taken as sRGB, and what was brighter "
-                 "than a display stays as bright as that",
-                 rq->in);
+        warn_display(rq, st);
     if (st->info.band_lost)
         log_warn("%s: display colours of degree 4: the highest band is left out", rq->in);
     if (r->dropped > 0)

@@ -3,6 +3,7 @@
 
 #include "firmware/viewer.h"
 
+#include "core/base/log.h"
 #include "core/splat/display.h"
 #include "drivers/glb.h"
 #include "drivers/partial.h"
@@ -91,6 +92,9 @@ err_t sceneio_peek(const char *path, struct sceneio_info *out)
     out->degree = splats.degree;
     out->size = SIDECAR_SIZE;
     out->has_hdr = splats.has_hdr;
+    out->has_sidecar = side.found;
+    out->ev = splats.ev;
+    out->headroom = formats[kind]->headroom;
     out->band_lost = splats.band_lost;
     out->need = arena_add(side.need, gaussians_need(splats.n, splats.degree));
     return OK;
@@ -108,6 +112,10 @@ static err_t read_splats(const char *path, enum kind kind, struct arena *a, stru
         e = sidecar_read(path, splats.ev, a, s);
     if (e)
         return e;
+    if (splats.hdr_stale)
+        log_warn("%s: its radiance is not that of its display colours, as behind a program that "
+                 "turns or recolours splats: it is not read",
+                 path);
     float ev = side.found ? display_ev(&s->tone) : splats.ev;
     return splats_read(formats[kind], path, ev, a, &s->g, report);
 }

@@ -9,9 +9,12 @@
 
 struct sceneio_info {
     int n, degree, n_views, size;
-    bool has_hdr;   // radiance; else display colours, taken as sRGB
-    bool band_lost; // some harmonics of the file are not read
-    size_t need;    // bytes that sceneio_read takes from its arena
+    bool has_hdr;     // radiance; else display colours, taken as sRGB
+    bool band_lost;   // some harmonics of the file are not read
+    bool has_sidecar; // which tells at what exposure display colours are
+    float ev;         // else: what the file tells, 0 if nothing
+    float headroom;   // stops above white where display colours of its kind end
+    size_t need;      // bytes that sceneio_read takes from its arena
 };
 
 /* err:  as sceneio_read. */
@@ -19,7 +22,8 @@ MUST_USE err_t sceneio_peek(const char *path, struct sceneio_info *out);
 
 /* out:  *s in a; *report of gaussians_sanitize.
  * err:  ERR_ARG (no such kind), ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED, ERR_NOMEM: the sentence names
- *       file and field. On error *s is zeroed. */
+ *       file and field. On error *s is zeroed. What is not read because it contradicts the rest is
+ *       told in the log. */
 MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
                             struct gaussians_report *report);
 

@@ -49,12 +49,42 @@ for kind in a.ply b.glb c.hdrig d.spz; do
     [ "$(ls "$OUT/render"/*.png | wc -l)" -eq 4 ] || fail "$kind: not 4 pictures"
 done
 
-# without radiance
-rm "$OUT/b.json"
-sed 's/HDRIG_gaussian_splatting_radiance/XDRIG_gaussian_splatting_radiance/g' <"$OUT/b.glb" \
-    >"$OUT/ldr.glb"
-succeed convert-scene "$OUT/ldr.glb" --out "$OUT/ldr.ply"
-grep -q 'ldr.glb holds display colours only' "$ERR" || fail "no word about lost radiance"
+# without radiance: what is said is what happens
+says() { # words of the last command
+    for word; do grep -q "$word" "$ERR" || fail "no \"$word\": $(cat "$ERR")"; done
+}
+hide() { # FROM TO WORD...: other programs know none of these words
+    cp "$1" "$2"
+    for word in "${@:3}"; do LC_ALL=C sed -i "s/$word/X${word#?}/g" "$2"; done
+}
+hide "$OUT/b.glb" "$OUT/ldr.glb" HDRIG_gaussian_splatting_radiance
+hide "$OUT/a.ply" "$OUT/ldr.ply" ihdr_log_ 'ihdr ev'
+hide "$OUT/a.ply" "$OUT/ev.ply" ihdr_log_
+succeed convert-scene "$OUT/d.spz" --out "$OUT/ldr.spz" --spz 4
+printf '\0' | dd of="$OUT/ldr.spz" bs=1 seek=14 conv=notrunc status=none # the flag of records
+mv "$OUT/ldr.json" "$OUT/kept"
+for kind in ply glb spz; do
+    succeed convert-scene "$OUT/ldr.$kind" --out "$OUT/out.hdrig"
+    says "ldr.$kind: display colours, taken as sRGB; nothing tells their exposure"
+done
+says 'splats are brighter than white: what was more than 1.2 stops above it is lost'
+succeed convert-scene "$OUT/ev.ply" --out "$OUT/out.hdrig"
+says 'ev.ply: display colours, taken as sRGB at the .* stops that it tells'
+says 'splats are brighter than white and stay so'
+mv "$OUT/kept" "$OUT/ldr.json"
+for kind in ply glb spz; do
+    succeed convert-scene "$OUT/ldr.$kind" --out "$OUT/back.hdrig"
+    says "ldr.$kind: .* at the middle exposure of its sidecar"
+done
+head=$(printf 'property float %s\n' x y z f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 \
+    rot_0 rot_1 rot_2 rot_3)
+printf 'ply\nformat binary_little_endian 1.0\nelement vertex 1\n%s\nend_header\n' "$head" \
+    >"$OUT/grey.ply"
+head -c 56 /dev/zero >>"$OUT/grey.ply"
+succeed convert-scene "$OUT/grey.ply" --out "$OUT/out.hdrig"
+says 'no splat is brighter than white: if the scene had brighter light, it is lost'
+converted "$OUT/scene" "$OUT/same.ply" 60
+grep -q 'display colours' "$ERR" && fail "a word about display colours where there is radiance"
 
 # what is no scene, and places that do not do
 for name in a.ply b.glb c.hdrig d.spz; do

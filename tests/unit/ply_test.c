@@ -1,5 +1,6 @@
 #include "drivers/ply.h"
 
+#include "core/base/bytes.h"
 #include "core/base/half.h"
 #include "core/kernels/kernels.h"
 #include "core/metrics.h"
@@ -407,6 +408,144 @@ static void foreign_files_are_taken_as_srgb(void **state)
     }
 }
 
+/* ---- radiance and display colours that differ ---- */
+
+/* A written file, to be changed as other programs change it. */
+static struct splats_bytes written(const struct scene *s, uint8_t **copy)
+{
+    struct file_map m;
+    assert_int_equal(ply_write(tmpdir_path("both.ply"), s), OK);
+    assert_int_equal(file_map(tmpdir_path("both.ply"), 1 << 24, &m), OK);
+    *copy = malloc(m.n);
+    assert_non_null(*copy);
+    memcpy(*copy, m.p, m.n);
+    struct splats_bytes file = {"both", *copy, m.n};
+    file_unmap(&m);
+    return file;
+}
+
+/* Harmonics about `middle`, those of view dependence about 0. */
+static struct scene make_colours(int n, int degree, float ev, float middle, const float spread[2])
+{
+    struct scene s = make(n, degree);
+    display_tonemap(ev, &s.tone);
+    for (int p = G_SH; p < gaussians_planes(degree); p++)
+        for (int i = 0; i < n; i++)
+            s.g.plane[p][i] =
+                (p < G_SH + 3 ? middle : 0) + spread[p >= G_SH + 3] * sinf((float)(31 * i + 7 * p));
+    return s;
+}
+
+/* Number k of every `nth` row. */
+static void change(const struct splats_bytes *file, uint8_t *copy, int k, int nth,
+                   float (*how)(float))
+{
+    uint8_t *at = memmem(copy, file->n, "end_header\n", 11);
+    const char *count = memmem(copy, file->n, "element vertex ", 15);
+    assert_true(at && count);
+    size_t rows = (size_t)atoi(count + 15), row = (file->n - (size_t)(at + 11 - copy)) / rows;
+    for (size_t i = 0; i < rows; i += (size_t)nth) {
+        struct bytes b = bytes_of(at + 11 + i * row + 4 * (size_t)k, 4);
+        bytes_put_f32(at + 11 + i * row + 4 * (size_t)k, how(bytes_f32(&b)));
+    }
+}
+
+static float minus(float v)
+{
+    return -v;
+}
+
+static float brighter(float v)
+{
+    return v + 0.3f;
+}
+
+static void drop_ev(const struct splats_bytes *file, uint8_t *copy)
+{
+    uint8_t *at = memmem(copy, file->n, "ihdr ev", 7);
+    assert_non_null(at);
+    *at = 'X';
+}
+
+enum change { UNTOUCHED, TURNED, RECOLOURED, CHANGES };
+
+/* Half a turn about z, or half of the splats get brighter. */
+static void touch(enum change what, int degree, const struct splats_bytes *file, uint8_t *copy)
+{
+    int bands = (degree + 1) * (degree + 1);
+    for (int k = 1; what == TURNED && k < bands; k++)
+        for (int c = 0; c < 3 && splats_sign(G_SH + 3 * k, 1 | 2) < 0; c++)
+            change(file, copy, 8 + c * (bands - 1) + k, 1, minus);
+    if (what == RECOLOURED)
+        change(file, copy, 7, 2, brighter);
+}
+
+static void check_touched(enum change what, int degree, int n, bool told)
+{
+    static const float glossy[2] = {16, 1.2f}; // of a hundredth to a hundred
+    struct scene s = make_colours(n, degree, 2.5f, 0, glossy);
+    int shown = degree < 3 ? degree : 3;
+    bool stale = what == RECOLOURED || (what == TURNED && degree > 0);
+    uint8_t *copy;
+    struct splats_info info;
+    struct gaussians g;
+    struct gaussians_report report;
+    struct splats_bytes file = written(&s, &copy);
+    if (!told)
+        drop_ev(&file, copy);
+    touch(what, shown, &file, copy);
+    assert_int_equal(ply_format.peek(&file, &info), OK);
+    assert_true(fabsf(info.ev - 2.5f) < 0.1f); // recoloured ones count for it too
+    if (info.hdr_stale != stale || info.has_hdr == stale)
+        fail_msg("degree %d, change %d, ev told %d: stale %d", degree, (int)what, told, !stale);
+    assert_int_equal(info.degree, stale ? shown : degree);
+    assert_int_equal(ply_format.parse(&file, info.ev, &arena, &g, &report), OK);
+    assert_true(g.n == n && g.degree == info.degree);
+    free(copy);
+}
+
+static void colours_that_were_turned_are_believed(void **state)
+{
+    (void)state;
+    for (int degree = 0; degree <= 4; degree++)
+        for (int what = UNTOUCHED; what < CHANGES; what++) {
+            check_touched((enum change)what, degree, 300, true);
+            check_touched((enum change)what, degree, 300, false);
+        }
+    for (int degree = 0; degree <= 4; degree++)
+        check_touched(UNTOUCHED, degree, 1, false);
+}
+
+/* However extreme, with and without its ev, and if two thirds are blacker than black. */
+static void check_untouched(int degree, float middle, int ev)
+{
+    static const float spread[2] = {3, 3};
+    struct scene s = make_colours(200, degree, (float)ev, middle, spread);
+    struct splats_info info;
+    uint8_t *copy;
+    for (int p = G_SH; p < gaussians_planes(degree) && ev % 3 == 0; p++)
+        for (int i = 0; i < s.g.n; i++)
+            s.g.plane[p][i] = i % 3 == 0 ? s.g.plane[p][i] : p < G_SH + 3 ? -300 : 0;
+    struct splats_bytes file = written(&s, &copy);
+    if (ev % 2)
+        drop_ev(&file, copy);
+    assert_int_equal(ply_format.peek(&file, &info), OK);
+    if (!info.has_hdr || info.hdr_stale)
+        fail_msg("degree %d, harmonic %g, ev %d", degree, (double)middle, ev);
+    free(copy);
+}
+
+static void nothing_else_is_taken_for_turned(void **state)
+{
+    (void)state;
+    static const float middle[] = {-200, -60, -30, 0, 40, 57, 200};
+    static const int evs[] = {-9, -4, 3, 6};
+    for (int degree = 0; degree <= 4; degree++)
+        for (size_t m = 0; m < sizeof middle / sizeof middle[0]; m++)
+            for (size_t i = 0; i < sizeof evs / sizeof evs[0]; i++)
+                check_untouched(degree, middle[m], evs[i]);
+}
+
 static err_t parse_text(const char *text)
 {
     struct gaussians g;
@@ -486,6 +625,8 @@ int main(void)
         cmocka_unit_test(pictures_of_the_file_are_those_of_the_scene),
         cmocka_unit_test(bad_splats_are_not_written),
         cmocka_unit_test(foreign_files_are_taken_as_srgb),
+        cmocka_unit_test(colours_that_were_turned_are_believed),
+        cmocka_unit_test(nothing_else_is_taken_for_turned),
         cmocka_unit_test(hostile_headers_are_refused),
         cmocka_unit_test(every_cut_is_refused),
     };

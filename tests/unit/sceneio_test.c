@@ -178,13 +178,15 @@ static void a_sidecar_tells_what_display_colours_mean(void **state)
         assert_int_equal(sceneio_write(tmpdir_path("ldr.ply"), &s, 3), OK);
         strip("ldr.ply");
         assert_int_equal(sceneio_peek(tmpdir_path("ldr.ply"), &info), OK);
-        assert_false(info.has_hdr);
+        assert_true(!info.has_hdr && info.has_sidecar && info.ev == 0 && isinf(info.headroom));
         assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
         for (int i = 0; i < 3; i++)
             assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) < 1e-3f);
         assert_int_equal(remove(tmpdir_path("ldr.json")), 0); // and now sRGB is all there is
         assert_int_equal(sceneio_read(tmpdir_path("ldr.ply"), &arena, &back, &report), OK);
         assert_true(back.n_views == 0 && back.size == SIDECAR_SIZE);
+        assert_int_equal(sceneio_peek(tmpdir_path("ldr.ply"), &info), OK);
+        assert_false(info.has_sidecar);
         for (int i = 0; i < 3; i++)
             assert_true(fabsf(back.g.plane[G_SH][i] - s.g.plane[G_SH][i]) > 1);
     }

@@ -227,6 +227,23 @@ static void viewers_see_the_display_colours(void **state)
     }
 }
 
+/* A scene of which every colour is too bright. */
+static void display_colours_end_at_the_headroom(void **state)
+{
+    (void)state;
+    struct scene s = make(1, 0, 1);
+    struct gaussians g;
+    struct gaussians_report report;
+    const char *path = tmpdir_path("bright.spz");
+    for (int c = 0; c < 3; c++)
+        s.g.plane[G_SH + c][0] = 20;
+    assert_int_equal(spzwrite_scene(path, &s, 4), OK);
+    FILE *f = fopen(path, "r+b"); // the flag that announces the record
+    assert_true(f && fseek(f, 14, SEEK_SET) == 0 && fputc(0, f) == 0 && fclose(f) == 0);
+    assert_int_equal(splats_read(&spz_format, path, 0, &arena, &g, &report), OK);
+    assert_true(fabs((double)g.plane[G_SH][0] * C0 / log(2) - (double)spz_format.headroom) < 0.01);
+}
+
 static void what_cannot_be_written_says_why(void **state)
 {
     (void)state;
@@ -636,6 +653,7 @@ int main(void)
         cmocka_unit_test(scenes_of_any_size_keep_their_precision),
         cmocka_unit_test(odd_scenes_are_written),
         cmocka_unit_test(viewers_see_the_display_colours),
+        cmocka_unit_test(display_colours_end_at_the_headroom),
         cmocka_unit_test(what_cannot_be_written_says_why),
         cmocka_unit_test(the_numbers_of_others_are_understood),
         cmocka_unit_test(harmonics_change_their_axes),
