@@ -95,7 +95,7 @@ function pan(dx, dy) {
 }
 
 function zoom(factor) {
-  const cam = state.cam, next = Math.max(state.focus * factor, 1e-9);
+  const cam = state.cam, next = Math.max(1e-9, Math.min(1e10, state.focus * factor));
   place(cam, centreOf(cam).map((c, k) => c + (state.focus - next) * cam.R[6 + k]));
   state.focus = next;
   moved();
@@ -189,7 +189,7 @@ function showProbe() {
   const x = Math.floor((at[0] - box.left) / box.width * gpu.pw);
   const y = Math.floor((at[1] - box.top) / box.height * gpu.ph);
   if (x < 0 || y < 0 || x >= gpu.pw || y >= gpu.ph) return;
-  const [r, g, b] = radiance(x, y, 1, 1);
+  const [r, g, b] = exact(x, y);
   const light = 0.2126 * r + 0.7152 * g + 0.0722 * b;
   byId("probe").textContent = [r, g, b].map(digits).join(" ") +
     (light > 0 ? `  ${signed(Math.log2(light) + info.middle)} stops` : "  no light");
@@ -345,27 +345,44 @@ async function settled() {
     await new Promise((done) => setTimeout(done, 5));
 }
 
-function start() {
+function attempt(step) {
   try {
-    const scene = decode();
-    openGpu(scene);
-    if (!sorting.worker) {
-      openSample(scene);
-      openControls();
-      openSorter(scene);
-      setExposure(0);
-      go(0);
-    }
-    sorting.row = null;
-    requestSort();
+    step();
   } catch (e) {
-    fail(e.message);
+    if (!gl || !gl.isContextLost()) fail(e.message);
     throw e;
   }
 }
 
-canvas.addEventListener("webglcontextlost", (e) => e.preventDefault());
-canvas.addEventListener("webglcontextrestored", start);
-window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, draw, radiance,
+function start() {
+  const scene = decode();
+  if (!sorting.worker) {
+    openSample(scene);
+    openControls();
+    openSorter(scene);
+    setExposure(0);
+    go(0); // the worker sorts meanwhile
+  }
+  fillGpu(scene);
+  sorting.row = null;
+  requestSort();
+}
+
+canvas.addEventListener("webglcontextlost", (e) => {
+  e.preventDefault();
+  tell("the graphics driver has stopped; the picture comes back with it");
+});
+canvas.addEventListener("webglcontextrestored", () => attempt(() => {
+  tell("");
+  openGpu();
+  if (document.readyState !== "loading") start();
+}));
+document.addEventListener("DOMContentLoaded", () => {
+  if (gpu) attempt(start);
+});
+window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, draw, radiance, exact,
   settled, firstPicture: () => firstPicture };
-start();
+attempt(() => {
+  openGpu();
+  warmUp();
+});

@@ -25,6 +25,12 @@ function numbers() {
   const bytes = new Uint8Array(viewer.radiance(0, 0, c.width, c.height).buffer);
   return btoa(Array.from(bytes, (v) => String.fromCharCode(v)).join(''));
 }
+function exactly() {
+  const c = document.getElementById('view'), out = new Float32Array(4 * c.width * c.height);
+  for (let i = 0; i < c.width * c.height; i++)
+    out.set(viewer.exact(i % c.width, Math.floor(i / c.width)), 4 * i);
+  return btoa(Array.from(new Uint8Array(out.buffer), (v) => String.fromCharCode(v)).join(''));
+}
 async function redrawn() {
   const start = performance.now();
   viewer.setCamera(viewer.state.cam);
@@ -40,6 +46,11 @@ open_page() { # address
     wait_for "window.viewer && viewer.firstPicture() > 0" true
 }
 
+told() { # regex: the sentence in the page
+    grep -Eq "$1" <<<"$(value "document.getElementById('message').textContent")" ||
+        fail "\"$(value "document.getElementById('message').textContent")\" does not match $1"
+}
+
 # Nothing was complained about, nothing was loaded but the worker from within.
 quiet() { # page
     [ "$(value "errors.join('; ')")" = "" ] || fail "$1: $(value "errors.join('; ')")"
@@ -50,6 +61,12 @@ quiet() { # page
     [ "$loaded" = "" ] || fail "$1: $loaded was loaded"
     [ "$(value "document.getElementById('view').getContext('webgl2').getError()")" = 0 ] ||
         fail "$1: an error of WebGL"
+}
+
+is() { # expression value
+    local got
+    got=$(value "$1")
+    [ "$got" = "$2" ] || fail "$1 is \"$got\", not \"$2\""
 }
 
 # PSNR at least; largest difference, median and 0.99 quantile of relative differences at most.
@@ -98,12 +115,18 @@ for ev in -12 6; do
     done
 done
 
-# opaque: raster.c ends where less than 1e-4 passes, the page does not
+# opaque: raster.c ends where less than 1e-4 passes, the picture does not, its numbers do
 scene walls walls 3000 -6 0
 open_page "$FILE/walls/view.html"
 for ev in -6 0; do
     same_picture walls 1 $ev 60 16 0.00025 0.0025
 done
+value "exactly()" | base64 -d >"$OUT/page.f32"
+read -r median most worst < <("$BIN/compare" radiance "$OUT/walls/ev0/frame_0001.exr" \
+    "$OUT/page.f32")
+at_least "walls: minus 0.99 quantile of differences of single pixels" "-$most" -0.0005
+at_least "walls: minus largest difference of single pixels" "-$worst" -0.01
+printf 'walls, as the pointer reads them: 99 %% to %.5f, all to %.4f\n' "$most" "$worst"
 
 # the other colours
 value "viewer.setTone(1)" >/dev/null
@@ -131,10 +154,44 @@ for what in "one 0" "dark 0" "near 0" "shapes 0" "scale 1e-5" "scale 1e5"; do
     quiet "$what"
 done
 
-# half floats alone, as on many telephones
+# What a page says without a picture; a script that makes it so runs before it, once.
+refused() { # page regex script
+    local script
+    call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$3\"}"
+    script=$(field identifier)
+    call Page.navigate "{\"url\":\"$1\"}"
+    wait_for "document.getElementById('message').hidden" false
+    told "$2"
+    is "document.querySelector('footer').hidden" true
+    call Page.removeScriptToEvaluateOnNewDocument "{\"identifier\":\"$script\"}"
+}
+refused "$FILE/one0/view.html" 'does not offer WebGL 2' \
+    "HTMLCanvasElement.prototype.getContext = () => null;"
+refused "$FILE/one0/view.html" 'driver refuses a program: .*ERROR' \
+    "const own = WebGL2RenderingContext.prototype.shaderSource;
+    WebGL2RenderingContext.prototype.shaderSource = function (s, text) {
+      own.call(this, s, text + '!');
+    };"
+refused "$FILE/one0/view.html" 'the scene has 1 splats, too many for the memory' \
+    "WebGL2RenderingContext.prototype.getError = () => WebGL2RenderingContext.OUT_OF_MEMORY;"
+refused "$FILE/one0/view.html" 'cannot sort the splats in a worker: Uncaught .' \
+    "const Own = Worker;
+    window.Worker = function (url) {
+      const worker = new Own(url), post = worker.postMessage;
+      worker.postMessage = function (data) {
+        if (data.mu) data.mu = { length: -3 };
+        post.call(worker, data);
+      };
+      return worker;
+    };"
+head -c -5000 "$OUT/thin/view.html" >"$OUT/cut.html"
+refused "$FILE/cut.html" 'cut off: [0-9]+ of [0-9]+ characters of its scene' ""
+
+# half floats alone, as on many telephones, and without a decoder of base64
 call Page.addScriptToEvaluateOnNewDocument '{"source":"
     const own = WebGL2RenderingContext.prototype.getExtension;
     window.hidden = window.hidden || /float_blend/;
+    delete Uint8Array.prototype.setFromBase64;
     WebGL2RenderingContext.prototype.getExtension = function (name) {
       return window.hidden.test(name) ? null : own.call(this, name);
     };"}'
@@ -144,9 +201,8 @@ quiet "half floats"
 call Page.addScriptToEvaluateOnNewDocument '{"source":"window.hidden = /float/;"}'
 call Page.navigate "{\"url\":\"$FILE/thin/view.html\"}"
 wait_for "document.getElementById('message').hidden" false
-grep -q EXT_color_buffer_float <<<"$(value "document.getElementById('message').textContent")" ||
-    fail "no sentence about what the driver lacks"
-[ "$(value "document.querySelector('footer').hidden")" = true ] || fail "controls of nothing"
+told EXT_color_buffer_float
+is "document.querySelector('footer').hidden" true
 browser_close
 
 # ---- what hands do ----
@@ -155,12 +211,6 @@ browser_open 800 600 $ANGLE
 call Page.enable '{}'
 call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
 open_page "$FILE/walls/view.html"
-
-is() { # expression value
-    local got
-    got=$(value "$1")
-    [ "$got" = "$2" ] || fail "$1 is \"$got\", not \"$2\""
-}
 
 mouse() { # type x y buttons [more]
     call Input.dispatchMouseEvent \
@@ -238,6 +288,8 @@ quiet "by hand"
 value "display(0, 0)" >"$OUT/before.txt"
 value "window.lose = gl.getExtension('WEBGL_lose_context'), lose.loseContext()" >/dev/null
 wait_for "gl.isContextLost()" true
+wait_for "document.getElementById('message').hidden" false
+told 'the graphics driver has stopped'
 value "lose.restoreContext()" >/dev/null
 wait_for "gl.isContextLost()" false
 value "display(0, 0)" >"$OUT/after.txt"
@@ -311,5 +363,16 @@ printf '200,000 splats: first picture after %.2f s, whole frame of %s px in %.2f
     "$(awk "BEGIN { print $(value "redrawn()") / 1000 }")"
 quiet "200,000 splats"
 rm -rf "$OUT/many"
+
+"$BIN/make_view" "$OUT/million" walls 1000000 || exit 1
+call Emulation.setDeviceMetricsOverride \
+    '{"width":360,"height":400,"deviceScaleFactor":1,"mobile":false}'
+open_page "$FILE/million/view.html"
+printf '1,000,000 splats: a page of %d MB, first picture after %.1f s\n' \
+    "$(($(stat -c %s "$OUT/million/view.html") / 1000000))" \
+    "$(awk "BEGIN { print $(value "viewer.firstPicture()") / 1000 }")"
+is "sorting.seen" 1000000
+quiet "1,000,000 splats"
+rm -rf "$OUT/million"
 browser_close
 finish
