@@ -2,8 +2,9 @@
  * takes 64 inputs: 16 rows of activations as they lie, and 64 inputs of a panel, which are a tile
  * of weights as they are packed. Two by two tiles of sums share what is loaded and hide the latency
  * of a product. What is left of a run passes through tiles of its own width, so that tiles are
- * configured once a call. The last tiles overlap others, or are others once more, where there are
- * not enough rows or panels: they only store the same sums again. */
+ * configured once a call; where nothing is left, as in most layers, these are like the others, and
+ * a step loads nothing twice. The last tiles overlap others, or are others once more, where there
+ * are not enough rows or panels: they only store the same sums again. */
 #if !defined(__AMX_INT8__) && !defined(__AMXINT8__) // gcc; clang 14
 #error "compile this file with -mamx-tile -mamx-int8"
 #endif
@@ -41,7 +42,7 @@ static void configure(const struct gemm_s8 *g)
     _tile_loadconfig(&t);
 }
 
-/* One step of two by two tiles, with the given tiles for what is loaded. */
+/* One step of two by two tiles, with two tiles for what is loaded. */
 #define TILE_STEP(a_tile, w_tile, a0, a1, w0, w1)                                                  \
     _tile_loadd(a_tile, a0, g->lda);                                                               \
     _tile_loadd(w_tile, w0, 4 * PANEL);                                                            \
@@ -53,12 +54,24 @@ static void configure(const struct gemm_s8 *g)
     _tile_loadd(a_tile, a0, g->lda);                                                               \
     _tile_dpbssd(SUM01, a_tile, w_tile)
 
+/* The same with four. */
+#define TILE_STEP_OF_FOUR(a0, a1, w0, w1)                                                          \
+    _tile_loadd(FULL_A, a0, g->lda);                                                               \
+    _tile_loadd(FULL_W, w0, 4 * PANEL);                                                            \
+    _tile_dpbssd(SUM00, FULL_A, FULL_W);                                                           \
+    _tile_loadd(REST_W, w1, 4 * PANEL);                                                            \
+    _tile_dpbssd(SUM01, FULL_A, REST_W);                                                           \
+    _tile_loadd(REST_A, a1, g->lda);                                                               \
+    _tile_dpbssd(SUM10, REST_A, FULL_W);                                                           \
+    _tile_dpbssd(SUM11, REST_A, REST_W)
+
 /* Rows from i0 and from i1 of panels p0 and p1. */
 static void tiles(const struct gemm_s8 *g, int i0, int i1, int p0, int p1)
 {
     const int8_t *w0 = g->w + (size_t)p0 * g->ldw, *w1 = g->w + (size_t)p1 * g->ldw;
     int32_t *c0 = g->c + (size_t)i0 * g->ldc, *c1 = g->c + (size_t)i1 * g->ldc;
     size_t ldc_bytes = g->ldc * sizeof *g->c;
+    int rest = g->seg % STEP;
     _tile_zero(SUM00);
     _tile_zero(SUM01);
     _tile_zero(SUM10);
@@ -68,9 +81,12 @@ static void tiles(const struct gemm_s8 *g, int i0, int i1, int p0, int p1)
         const int8_t *a1 = g->a + (size_t)i1 * g->lda + (size_t)s * g->seg_stride;
         int l = 0;
         for (; l <= g->seg - STEP; l += STEP, w0 += STEP * PANEL, w1 += STEP * PANEL) {
-            TILE_STEP(FULL_A, FULL_W, a0 + l, a1 + l, w0, w1);
+            if (rest) {
+                TILE_STEP(FULL_A, FULL_W, a0 + l, a1 + l, w0, w1);
+            } else {
+                TILE_STEP_OF_FOUR(a0 + l, a1 + l, w0, w1);
+            }
         }
-        int rest = g->seg - l;
         if (rest) {
             TILE_STEP(REST_A, REST_W, a0 + l, a1 + l, w0, w1);
         }
