@@ -400,15 +400,43 @@ uint64_t viewer_bytes(const struct viewer_input *in)
            bytes / 3 * 4 + 64;
 }
 
+/* JSON has no other numbers. */
+static err_t check_finite(const char *path, const char *what, const float *v, int n)
+{
+    for (int i = 0; i < n; i++)
+        if (!isfinite(v[i]))
+            return err_fail(ERR_ARG, "%s: number %d of %s is not finite", path, i, what);
+    return OK;
+}
+
+static err_t check(const char *path, const struct viewer_input *in)
+{
+    const struct scene *s = in->scene;
+    err_t e = OK;
+    if (s->g.n > VIEWER_SPLATS_MAX)
+        return err_fail(ERR_ARG, "%s: %d splats, a page can hold %d", path, s->g.n,
+                        VIEWER_SPLATS_MAX);
+    for (int i = 0; i < s->n_views && !e; i++) {
+        const struct camera *c = &s->cams[i];
+        const float v[] = {c->fx,   c->fy,   c->cx,   c->cy,   c->q[0], c->q[1],
+                           c->q[2], c->q[3], c->t[0], c->t[1], c->t[2], s->log2t[i]};
+        e = check_finite(path, s->names[i], v, sizeof v / sizeof *v);
+    }
+    e = e ? e : check_finite(path, "the background", s->background, 3);
+    e = e ? e : check_finite(path, "the tone curve", s->tone.p, TONE_PARAMS);
+    e = e ? e : check_finite(path, "the middle exposure", &s->tone.mid_log2t, 1);
+    return e || !in->log2t ? e : check_finite(path, "the exposures", in->log2t, in->n_log2t);
+}
+
 err_t viewer_write(const char *path, const struct viewer_input *in)
 {
     const struct scene *s = in->scene;
     struct page p = {.in = in, .degree = page_degree(s->g.n, s->g.degree)};
-    if (s->g.n > VIEWER_SPLATS_MAX)
-        return err_fail(ERR_ARG, "%s: %d splats, a page can hold %d", path, s->g.n,
-                        VIEWER_SPLATS_MAX);
+    err_t e = check(path, in);
+    if (e)
+        return e;
     measure(&p);
-    err_t e = file_create(path, &p.f);
+    e = file_create(path, &p.f);
     if (e)
         return e;
     e = put_page(&p);

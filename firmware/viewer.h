@@ -24,8 +24,8 @@ struct viewer_input {
 uint64_t viewer_bytes(const struct viewer_input *in);
 
 /* Splats that are never drawn (a number that is not finite, opacity below 1/255) are left out.
- * err:  ERR_ARG (more than VIEWER_SPLATS_MAX), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial
- *       file is removed. */
+ * err:  ERR_ARG (more than VIEWER_SPLATS_MAX; a camera, exposure or tone curve that is not finite),
+ *       ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
 MUST_USE err_t viewer_write(const char *path, const struct viewer_input *in);
 
 #endif

@@ -346,6 +346,16 @@ static void what_cannot_be_written(void **state)
     setrlimit(RLIMIT_FSIZE, &was);
     assert_int_equal(e, ERR_IO);
     assert_false(file_exists(tmpdir_path("view.html")));
+    float *const numbers[] = {&cams[1].t[2], &log2t[0], &scene.background[1], &scene.tone.p[7],
+                              &scene.tone.mid_log2t};
+    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++) {
+        float kept = *numbers[k];
+        *numbers[k] = k % 2 ? INFINITY : NAN;
+        assert_int_equal(viewer_write(tmpdir_path("view.html"), &input), ERR_ARG);
+        assert_non_null(strstr(err_text(), "is not finite"));
+        assert_false(file_exists(tmpdir_path("view.html")));
+        *numbers[k] = kept;
+    }
     /* as many as fit lose bands, more are refused before anything is looked at */
     scene.g.n = VIEWER_SPLATS_MAX;
     input.photos = NULL;
