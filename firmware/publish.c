@@ -21,12 +21,11 @@ static const char VIEWER_NAME[] = "view.html";
 
 static struct viewer_input viewer_of(const struct job_result *j, const struct outdir *o)
 {
-    const char *slash = strrchr(o->path, '/');
     return (struct viewer_input){.scene = &j->scene,
                                  .photos = j->views.n > 0 ? j->views.rgb : NULL,
                                  .log2t = j->views.n > 0 ? j->views.log2t : NULL,
                                  .n_log2t = j->views.n + j->views.n_more,
-                                 .title = slash ? slash + 1 : o->path,
+                                 .title = file_name(o->path),
                                  .report = SHEET_NAME};
 }
 

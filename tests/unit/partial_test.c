@@ -96,6 +96,22 @@ static void in_this_folder(void **state)
     assert_int_equal(entries(), 1);
 }
 
+static void folders_of_paths(void **state)
+{
+    (void)state;
+    static const char *const cases[][3] = {
+        {"a", ".", "a"},     {"/a", "/", "a"},    {"//a", "/", "a"}, {"a/b", "a", "b"},
+        {"a//b", "a", "b"},  {"/a/b", "/a", "b"}, {"a/", "a", ""},   {"./a", ".", "a"},
+        {"../a", "..", "a"}, {"", ".", ""},
+    };
+    char parent[FILE_PATH_CAP];
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        assert_int_equal(file_parent(cases[i][0], parent), OK);
+        assert_string_equal(parent, cases[i][1]);
+        assert_string_equal(file_name(cases[i][0]), cases[i][2]);
+    }
+}
+
 static void bad_names(void **state)
 {
     (void)state;
@@ -184,11 +200,8 @@ static void removes_only_what_the_dead_left(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(appears_when_shown),
-        TEST(in_this_folder),
-        TEST(bad_names),
-        TEST(longest_name),
-        TEST(removes_only_what_the_dead_left),
+        TEST(appears_when_shown), TEST(in_this_folder), TEST(folders_of_paths),
+        TEST(bad_names),          TEST(longest_name),   TEST(removes_only_what_the_dead_left),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
