@@ -371,9 +371,11 @@ function start() {
 canvas.addEventListener("webglcontextlost", (e) => {
   e.preventDefault();
   tell("the graphics driver has stopped; the picture comes back with it");
+  canvas.style.visibility = "hidden"; // white else
 });
 canvas.addEventListener("webglcontextrestored", () => attempt(() => {
   tell("");
+  canvas.style.visibility = "";
   openGpu();
   if (document.readyState !== "loading") start();
 }));

@@ -319,6 +319,12 @@ touch touchEnd ''
 wait_for "viewer.state.focus < 0.6 * focus0" true
 value "viewer.settled()" >/dev/null
 screenshot "$OUT/telephone.png"
+call Emulation.setDeviceMetricsOverride \
+    '{"width":740,"height":360,"deviceScaleFactor":2,"mobile":true}'
+wait_for "document.getElementById('view').clientHeight > 0.6 * innerHeight" true
+is "document.documentElement.scrollWidth <= innerWidth" true
+is "document.getElementById('ev').clientWidth > 200" true
+screenshot "$OUT/across.png"
 quiet "telephone"
 browser_close
 
