@@ -170,20 +170,58 @@ static err_t write_kind(const char *path, enum kind kind, const struct scene *s,
     }
 }
 
+static bool same_bytes(const char *a, const char *b)
+{
+    struct file_map m = {0}, n = {0};
+    bool same = file_map(a, SIZE_MAX, &m) == OK && file_map(b, SIZE_MAX, &n) == OK && m.n == n.n &&
+                memcmp(m.p, n.p, m.n) == 0;
+    file_unmap(&m);
+    file_unmap(&n);
+    return same;
+}
+
+/* NAME.ply, NAME.spz and NAME.glb have one sidecar, `now`, which `next` would replace. */
+static err_t check_siblings(const char *next, const char *now, const char *path, enum kind kind)
+{
+    char other[FILE_PATH_CAP];
+    if (!file_exists(now) || same_bytes(next, now))
+        return OK;
+    for (int k = 0; k < KINDS; k++) {
+        int n = snprintf(other, sizeof other, "%.*s%s", (int)(strlen(path) - strlen(ends[kind])),
+                         path, ends[k]);
+        if (k != (int)kind && has_sidecar((enum kind)k) && n < FILE_PATH_CAP && file_exists(other))
+            return err_fail(ERR_ARG,
+                            "%s belongs to %s too and would change: choose another name or remove "
+                            "that file",
+                            now, other);
+    }
+    return OK;
+}
+
+static err_t write_sidecar(const struct partial *p, const char *file, const char *path,
+                           enum kind kind, const struct scene *s)
+{
+    char next[FILE_PATH_CAP], now[FILE_PATH_CAP];
+    err_t e = sidecar_write(file, s);
+    if (!e)
+        e = sidecar_path(file, next, sizeof next);
+    if (!e)
+        e = sidecar_path(path, now, sizeof now);
+    if (!e)
+        e = check_siblings(next, now, path, kind);
+    return e ? e : partial_show(p, now);
+}
+
 /* The splats come last: who sees them finds what belongs to them. */
 static err_t write_parts(const struct partial *p, const char *path, enum kind kind,
                          const struct scene *s, int spz)
 {
-    char file[FILE_PATH_CAP], sidecar[FILE_PATH_CAP];
+    char file[FILE_PATH_CAP];
     err_t e = partial_path(p, path, file);
     if (!e)
         e = write_kind(file, kind, s, spz);
     if (!e && has_sidecar(kind))
-        e = sidecar_write(file, s);
-    if (!e && has_sidecar(kind))
-        e = sidecar_path(path, sidecar, sizeof sidecar);
-    if (!e && has_sidecar(kind))
-        e = partial_show(p, sidecar);
+        e = write_sidecar(p, file, path, kind, s);
     return e ? e : partial_show(p, path);
 }
 

@@ -34,7 +34,8 @@ MUST_USE err_t sceneio_check_place(const char *path, bool *readable);
 
 /* Write the file, and its sidecar where the kind needs one: they appear under their names when
  * complete. spz: version of .spz, 3 or 4.
- * err:  those of sceneio_check_place; ERR_ARG, ERR_IO, ERR_LIMIT, ERR_NOMEM. */
+ * err:  those of sceneio_check_place; ERR_ARG (also: another kind of file of this name has the same
+ *       sidecar, which would change), ERR_IO, ERR_LIMIT, ERR_NOMEM. */
 MUST_USE err_t sceneio_write(const char *path, const struct scene *s, int spz);
 
 /* Bytes that sceneio_write takes beside the scene. */

@@ -227,6 +227,25 @@ static void places_that_do_not_do_are_refused(void **state)
     expect(sceneio_write(longer, &s, 3), ERR_ARG, "");
 }
 
+static void one_scene_does_not_take_the_sidecar_of_another(void **state)
+{
+    (void)state;
+    struct scene s = make(3, 0), back;
+    struct gaussians_report report;
+    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, 3), OK);
+    assert_int_equal(sceneio_write(tmpdir_path("one.spz"), &s, 3), OK); // the same scene
+    int files = count_files();
+    s.background[0] = 0.5f;
+    expect(sceneio_write(tmpdir_path("one.ply"), &s, 3), ERR_ARG, "one.json belongs to ");
+    assert_non_null(strstr(err_text(), "one.spz too and would change"));
+    expect(sceneio_write(tmpdir_path("one.glb"), &s, 3), ERR_ARG, "one.ply too");
+    assert_int_equal(count_files(), files);
+    assert_int_equal(sceneio_read(tmpdir_path("one.ply"), &arena, &back, &report), OK);
+    assert_true(back.background[0] == 0);
+    assert_int_equal(remove(tmpdir_path("one.spz")), 0);
+    assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, 3), OK); // its own
+}
+
 static int make_folder(void **state)
 {
     (void)state;
@@ -250,6 +269,7 @@ int main(void)
         cmocka_unit_test(a_disk_that_ends_leaves_what_was_there),
         cmocka_unit_test(a_sidecar_tells_what_display_colours_mean),
         cmocka_unit_test(places_that_do_not_do_are_refused),
+        cmocka_unit_test(one_scene_does_not_take_the_sidecar_of_another),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }
