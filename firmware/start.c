@@ -96,8 +96,7 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg, cons
                          const struct depthmaps *depth, struct job_result *out)
 {
     struct gaussians seeds, *g = &out->scene.g;
-    const struct seed_input in = {
-        .views = &seen->views, .depth = depth, .tone = &seen->tone, .guess = cfg->refine.steps > 0};
+    const struct seed_input in = {.views = &seen->views, .depth = depth, .tone = &seen->tone};
     announce(r, "seed");
     /* half of the room: the refiner splits where the photographs hold more than noise */
     err_t e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);

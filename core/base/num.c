@@ -8,10 +8,11 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-float num_median(float *v, size_t n)
+float num_quantile(float *v, size_t n, float share)
 {
+    const size_t i = (size_t)((double)share * (double)n);
     if (n == 0)
         return 0;
     qsort(v, n, sizeof *v, ascending);
-    return v[n / 2];
+    return v[i < n ? i : n - 1];
 }

