@@ -1,7 +1,7 @@
 /* The products of the network on every instruction set of this machine against plain C: shapes
  * around every tile, extreme values, arrays that end or start at inaccessible pages. Tile
  * instructions that this machine lacks are emulated.
- * gemm_test [--seed N] [--bench]
+ * gemm_test [--seed N] [--bench] [--only LEVEL]
  * Integers must be equal. Floats are compared twice: where all products and sums are small
  * integers, which are exact in any order, they must be equal, else within 1e-6 of the sum of the
  * magnitudes. */
@@ -407,12 +407,15 @@ static int check_f32(const struct gemm_kernels *k, const char *name)
     return report(name, "f32", 2 * N_GAPS * n, bad);
 }
 
-static int check_all(void)
+static int check_all(const char *only)
 {
-    int bad = 0;
+    int bad = 0, chosen = 0;
     for (int l = 0; l < LEVELS; l++) {
         struct gemm_kernels k;
         trial_rng = trial_seed * 1000003;
+        if (only && strcmp(only, levels[l].name) != 0)
+            continue;
+        chosen++;
         if (level_kernels(&levels[l], &k))
             bad += check_s8(&k, levels[l].name) + check_f32(&k, levels[l].name) +
                    report(levels[l].name, "unpack", 280, check_unpack(&k, levels[l].name));
@@ -420,14 +423,14 @@ static int check_all(void)
             printf("-- this machine has no %s\n", levels[l].name);
     }
 #if defined(__x86_64__)
-    if (!(cpu_detect() & CPU_AMX)) {
+    if (!(cpu_detect() & CPU_AMX) && (!only || strcmp(only, "amx") == 0)) {
         struct gemm_kernels k;
         emu_start();
         gemm_amx(&k);
         bad += check_s8(&k, "emulated amx");
     }
 #endif
-    return bad;
+    return bad + (chosen == 0);
 }
 
 /* --- times --------------------------------------------------------------------------------- */
@@ -643,13 +646,16 @@ static void bench_all(void)
 int main(int argc, char **argv)
 {
     bool timing = false;
+    const char *only = NULL;
     for (int i = 1; i < argc; i++) {
         if (strcmp(argv[i], "--seed") == 0 && i + 1 < argc)
             trial_seed = strtoull(argv[++i], NULL, 10);
         else if (strcmp(argv[i], "--bench") == 0)
             timing = true;
+        else if (strcmp(argv[i], "--only") == 0 && i + 1 < argc)
+            only = argv[++i];
         else
-            return fprintf(stderr, "usage: %s [--seed N] [--bench]\n", argv[0]), 2;
+            return fprintf(stderr, "usage: %s [--seed N] [--bench] [--only LEVEL]\n", argv[0]), 2;
     }
     printf("seed %llu\n", (unsigned long long)trial_seed);
     if (timing) {
@@ -658,5 +664,5 @@ int main(int argc, char **argv)
     }
     guard_open();
     guard_trap();
-    return check_all() != 0;
+    return check_all(only) != 0;
 }
