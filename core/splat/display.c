@@ -101,14 +101,14 @@ static lanes clamp(lanes v, float lo, float hi)
  * Polynomial: Cephes, logf.c. */
 static lanes lanes_log(lanes v)
 {
-    static const float poly[] = {7.0376836292e-2f,  -1.1514610310e-1f, 1.1676998740e-1f,
-                                 -1.2420140846e-1f, 1.4249322787e-1f,  -1.6668057665e-1f,
-                                 2.0000714765e-1f,  -2.4999993993e-1f, 3.3333331174e-1f};
     const uint32_t root = 0x3f3504f3, one = 0x3f800000, mantissa = 0x7fffff;
     truths bits = (truths)((words)v + (one - root)), e = (bits >> 23) - 127;
-    lanes t = (lanes)(((words)bits & mantissa) + root) - 1, p = {0};
-    for (size_t k = 0; k < sizeof poly / sizeof poly[0]; k++)
-        p = p * t + poly[k];
+    lanes t = (lanes)(((words)bits & mantissa) + root) - 1;
+    lanes p = 7.0376836292e-2f * t - 1.1514610310e-1f;
+    p = (p * t + 1.1676998740e-1f) * t - 1.2420140846e-1f;
+    p = (p * t + 1.4249322787e-1f) * t - 1.6668057665e-1f;
+    p = (p * t + 2.0000714765e-1f) * t - 2.4999993993e-1f;
+    p = p * t + 3.3333331174e-1f;
     lanes n = __builtin_convertvector(e, lanes), tt = t * t;
     return t + (t * tt * p + n * -2.12194440e-4f - 0.5f * tt) + n * 0.693359375f;
 }
