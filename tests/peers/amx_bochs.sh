@@ -3,8 +3,8 @@
 # Bochs emulates: detection, permission by the kernel, products against plain C, the tiny network
 # for 1, 2 and 7 threads. Building Bochs takes some minutes, a run three. SOURCE is a checkout of
 # github.com/bochs-emu/Bochs at 783b58fd6, of which a mended copy (amx_bochs.diff) is built once in
-# build/bochs; FOLDER has the programs, build/x86_64 if not given. KERNEL=FILE is Linux 5.16 or later
-# with a serial console and an initramfs; not given: Debian's, by apt. Packages: g++ cpio patch
+# build/bochs; FOLDER has the programs, default build/x86_64. KERNEL=FILE is Linux 5.16 or later
+# with a serial console and an initramfs; default Debian's, by apt. Packages: g++ cpio patch
 # isolinux syslinux-common xorriso.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
