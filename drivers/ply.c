@@ -5,6 +5,7 @@
 
 #include "core/base/bytes.h"
 #include "core/base/half.h"
+#include "core/base/num.h"
 #include "core/splat/display.h"
 #include "drivers/file.h"
 
@@ -469,14 +470,10 @@ static bool find_ev(const struct both *b, float *out)
             low = made[1] < shown[1] ? v : low;
             high = made[1] < shown[1] ? high : v;
         }
-        if (!((double)shown[1] + SHOWN_MIDDLE > BLACK))
-            continue;
-        int at = n++; // in order
-        for (; at > 0 && ev[at - 1] > v; at--)
-            ev[at] = ev[at - 1];
-        ev[at] = v;
+        if ((double)shown[1] + SHOWN_MIDDLE > BLACK)
+            ev[n++] = v;
     }
-    *out = n > 0 ? ev[n / 2] : 0;
+    *out = num_median(ev, (size_t)n);
     return n > 0;
 }
 

@@ -4,7 +4,7 @@
  * splat is projected into all views: where it explains a pixel, that pixel gets no splat of its
  * own, and its radiance counts. A second round fills pixels that nothing explains, as far away as
  * the farthest surfaces that the view is sure of: there they fill holes and stand before nothing
- * (at the depth of the surfaces around they cost 0.1 to 2.4 dB in five scenes without refinement). */
+ * (at the depth of the surfaces around they cost 0.1 to 2.4 dB in five scenes, not refined). */
 #include "core/splat/seed.h"
 
 #include "core/base/num.h"
