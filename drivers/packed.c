@@ -14,7 +14,7 @@ enum {
     BLOCK = 1 << 16,
     GZIP_ONLY = 16 + MAX_WBITS,
     GZIP_LEVEL = 9,
-    GZIP_MEMORY = 9,
+    GZIP_MEMORY = 6, // short blocks: the arrays of a file have little in common
     ZSTD_LEVEL = 19,
     ZSTD_WINDOW_LOG_MAX = 27 // 128 MB, what readers accept without asking
 };

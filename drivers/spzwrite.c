@@ -24,6 +24,7 @@
 enum {
     FRACTIONAL_MAX = 23, // a 24-bit number between -1 and 1
     COARSEST = 32,       // of SPZ_MAGNITUDE_MAX
+    THINNEST = 8,        // of SPZ_LOG_SCALE_STEP
     STEPS = 16           // per natural logarithm of radiance
 };
 
@@ -174,12 +175,26 @@ static struct pose pose_of(const struct gaussians *g, int i)
     return out;
 }
 
+/* Step of the length of an axis, a power of two: what is thin beside the middle axis shows by its
+ * square. */
+static int thinness(const double length[3], int k)
+{
+    double lo = fmin(length[0], length[1]), hi = fmax(length[0], length[1]);
+    double middle = fmax(lo, fmin(hi, length[2]));
+    double step = exp(fmin(2 * (middle - length[k]), 20));
+    return step >= THINNEST ? THINNEST : step >= 2 ? 1 << ilogb(step) : 1;
+}
+
 static void put_scale(const struct plan *p, int i, uint8_t *b)
 {
     struct pose pose = pose_of(p->g, i);
+    double length[3];
+    for (int k = 0; k < 3; k++)
+        length[k] = (double)p->g->plane[G_LOG_SCALE + pose.axis[k]][i] + log((double)p->unit);
     for (int k = 0; k < 3; k++) {
-        double v = (double)p->g->plane[G_LOG_SCALE + pose.axis[k]][i] + log((double)p->unit);
-        b[k] = to_byte((v - SPZ_LOG_SCALE_MIN) / SPZ_LOG_SCALE_STEP);
+        int step = thinness(length, k);
+        double v = (length[k] - SPZ_LOG_SCALE_MIN) / SPZ_LOG_SCALE_STEP;
+        b[k] = to_byte(fmin(rint(v / step) * step, 255));
     }
 }
 

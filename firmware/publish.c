@@ -198,6 +198,12 @@ static err_t write_viewer(struct job_result *j, const struct outdir *o)
     return e ? e : viewer_write(path, &viewer);
 }
 
+static void tell(const struct job_result *j, int threads, struct report *rep)
+{
+    job_report(j, threads, rep);
+    report_text(rep, "viewer", has_viewer(j) ? VIEWER_NAME : NULL);
+}
+
 /* report.json, and with it the end of the page. */
 static err_t write_report(const struct job_result *j, int threads, const struct outdir *o,
                           struct sheet *sheet)
@@ -209,8 +215,7 @@ static err_t write_report(const struct job_result *j, int threads, const struct 
         e = outdir_report_open(o, &rep);
     if (e)
         return e;
-    job_report(j, threads, &rep);
-    report_text(&rep, "viewer", has_viewer(j) ? VIEWER_NAME : NULL);
+    tell(j, threads, &rep);
     e = outdir_report_close(o, &rep);
     return e ? e : sheet_close(sheet, path);
 }
@@ -257,6 +262,6 @@ void publish_report(const struct job_result *j, int threads, FILE *f)
     struct report rep;
     report_init(&rep, f);
     report_open(&rep, NULL, '{');
-    job_report(j, threads, &rep);
+    tell(j, threads, &rep);
     report_close(&rep);
 }
