@@ -258,13 +258,6 @@ static int make_set(void **state)
     return 0;
 }
 
-static int remove_set(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -272,5 +265,5 @@ int main(void)
         cmocka_unit_test(sets_survive),          cmocka_unit_test(scenes_survive),
         cmocka_unit_test(packed_splats_survive),
     };
-    return cmocka_run_group_tests(tests, make_set, remove_set);
+    return cmocka_run_group_tests(tests, make_set, tmpdir_teardown);
 }

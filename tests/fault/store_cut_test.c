@@ -377,16 +377,9 @@ static int setup(void **state)
     return 0;
 }
 
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 int main(void)
 {
-#define EACH(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+#define EACH(f) cmocka_unit_test_setup_teardown(f, setup, tmpdir_teardown)
     const struct CMUnitTest tests[] = {EACH(power_cut_at_any_change),
                                        EACH(power_cut_after_failure),
                                        EACH(power_cut_after_taking_back),

@@ -88,13 +88,6 @@ static int set_up(void **state)
     return 0;
 }
 
-static int tear_down(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 static err_t try_open(const struct backend *b, const char *options, void **st)
 {
     char uri[1024];
@@ -421,5 +414,5 @@ int main(void)
         cmocka_unit_test(test_rate_each),
         cmocka_unit_test(test_refused_wishes_each),
     };
-    return cmocka_run_group_tests(tests, set_up, tear_down);
+    return cmocka_run_group_tests(tests, set_up, tmpdir_teardown);
 }

@@ -397,20 +397,6 @@ static void writing_fails_cleanly(void **state)
     says(exrfile_write(path, &im, &extra, NULL), ERR_ARG, "2 channels");
 }
 
-static int setup(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -425,5 +411,5 @@ int main(void)
         cmocka_unit_test(several_parts),
         cmocka_unit_test(writing_fails_cleanly),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
 }

@@ -338,13 +338,6 @@ static void points_have_linear_colours_and_bounds(void **state)
     file_unmap(&m);
 }
 
-static int make_folder(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
 static int remove_folder(void **state)
 {
     (void)state;
@@ -366,5 +359,5 @@ int main(void)
         cmocka_unit_test(what_cannot_be_written_says_why),
         cmocka_unit_test(a_place_without_seeking_is_refused),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, tmpdir_setup, remove_folder);
 }

@@ -11,20 +11,6 @@
 
 #include <cmocka.h>
 
-static int make_folder(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 static void put_picture(const char *name, int w, int h)
 {
     static uint8_t px[64 * 64 * 3];
@@ -328,7 +314,7 @@ static void sizes_are_read_from_headers(void **state)
     assert_true(w == 0x304 && h == 0x102);
 }
 
-#define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, make_folder, remove_folder)
+#define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, tmpdir_teardown)
 
 int main(void)
 {

@@ -302,20 +302,6 @@ static void writing_fails_cleanly(void **state)
     img_free(&im);
 }
 
-static int setup(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -330,5 +316,5 @@ int main(void)
         cmocka_unit_test(ldr_values),
         cmocka_unit_test(writing_fails_cleanly),
     };
-    return cmocka_run_group_tests(tests, setup, teardown);
+    return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
 }

@@ -12,20 +12,6 @@
 
 #include <cmocka.h>
 
-static int setup(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 static int entries(const char *path)
 {
     DIR *d = opendir(path);
@@ -206,7 +192,7 @@ static void tells_missing_space(void **state)
     outdir_close(&o);
 }
 
-#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+#define TEST(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, tmpdir_teardown)
 
 int main(void)
 {

@@ -15,13 +15,6 @@
 
 static struct partial p;
 
-static int setup(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
 static int teardown(void **state)
 {
     (void)state;
@@ -195,7 +188,7 @@ static void removes_only_what_the_dead_left(void **state)
     assert_true(file_is_regular(tmpdir_path("precious/x")));
 }
 
-#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+#define TEST(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, teardown)
 
 int main(void)
 {

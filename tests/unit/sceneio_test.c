@@ -246,13 +246,6 @@ static void one_scene_does_not_take_the_sidecar_of_another(void **state)
     assert_int_equal(sceneio_write(tmpdir_path("one.ply"), &s, 3), OK); // its own
 }
 
-static int make_folder(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
 static int remove_folder(void **state)
 {
     (void)state;
@@ -271,5 +264,5 @@ int main(void)
         cmocka_unit_test(places_that_do_not_do_are_refused),
         cmocka_unit_test(one_scene_does_not_take_the_sidecar_of_another),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, tmpdir_setup, remove_folder);
 }

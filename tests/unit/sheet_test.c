@@ -36,13 +36,6 @@ static int setup(void **state)
     return 0;
 }
 
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 static void expose(int n, const float *t)
 {
     views.n = n;
@@ -170,7 +163,7 @@ static int setup_job(void **state)
 static int teardown_job(void **state)
 {
     small_job_free(&job);
-    return teardown(state);
+    return tmpdir_teardown(state);
 }
 
 static bool warned(const char *words)
@@ -522,7 +515,7 @@ static void trouble_leaves_no_file(void **state)
     assert_int_not_equal(access(tmpdir_path("r.html"), F_OK), 0);
 }
 
-#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, tmpdir_teardown)
 #define JOB_TEST(f) cmocka_unit_test_setup_teardown(f, setup_job, teardown_job)
 
 int main(void)

@@ -631,13 +631,6 @@ static void counts_that_lie_are_named(void **state)
     assert_non_null(strstr(err_text(), "five: positions: cut off"));
 }
 
-static int make_folder(void **state)
-{
-    (void)state;
-    tmpdir_make();
-    return 0;
-}
-
 static int remove_folder(void **state)
 {
     (void)state;
@@ -665,5 +658,5 @@ int main(void)
         cmocka_unit_test(counts_that_lie_are_named),
         cmocka_unit_test(damaged_files_are_refused_or_read),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, tmpdir_setup, remove_folder);
 }

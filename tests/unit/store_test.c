@@ -33,13 +33,6 @@ static int setup(void **state)
     return 0;
 }
 
-static int teardown(void **state)
-{
-    (void)state;
-    tmpdir_remove();
-    return 0;
-}
-
 static void says(err_t got, err_t want, const char *words)
 {
     if (got != want || !strstr(err_text(), words))
@@ -706,7 +699,7 @@ static void hostile_manifests(void **state)
 
 int main(void)
 {
-#define EACH(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+#define EACH(f) cmocka_unit_test_setup_teardown(f, setup, tmpdir_teardown)
     const struct CMUnitTest tests[] = {EACH(a_set_to_reconstruct),
                                        EACH(keeps_what_the_driver_gave),
                                        EACH(merges_radiance),

@@ -31,6 +31,21 @@ static inline void tmpdir_remove(void)
     nftw(tmpdir_root, tmpdir_forget, 8, FTW_DEPTH | FTW_PHYS);
 }
 
+/* For cmocka's groups. */
+static inline int tmpdir_setup(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    return 0;
+}
+
+static inline int tmpdir_teardown(void **state)
+{
+    (void)state;
+    tmpdir_remove();
+    return 0;
+}
+
 /* Path of a name in the folder; one of eight buffers in turn. */
 static inline const char *tmpdir_path(const char *name)
 {
