@@ -116,6 +116,13 @@ class Batch:
     def to(self, device: str) -> "Batch":
         return Batch(*(t.to(device) for t in vars(self).values()))
 
+    def first(self, v: int) -> "Batch":
+        """The first v views of every scene."""
+        return Batch(*(t[:, :v] for k, t in vars(self).items() if k != "curve"), self.curve)
+
+    def scene(self, i: int) -> "Batch":
+        return Batch(*(t[i : i + 1] for t in vars(self).values()))
+
 
 KNOTS, LOW, HIGH = 256, -13.0, 4.0  # a curve over log2 of exposure / full scale
 

@@ -157,22 +157,26 @@ def mid_stops(stops: Tensor) -> Tensor:
     return (stops.amax(1, keepdim=True) + stops.amin(1, keepdim=True)) / 2
 
 
-def shape_loss(raw: Tensor, log_depth: Tensor, fov: Tensor, truth: Tensor) -> tuple:
+def shape_loss(raw: Tensor, log_depth: Tensor, fov: Tensor, truth: Tensor,
+               opacity: bool = True) -> tuple:
     """Gaussians as large as pixels of the predicted depth, opaque but at edges, without colours
-    that depend on direction."""
+    that depend on direction. Without `opacity`, opacity and the weight in a cell are free."""
     size = raw.shape[-1]
     pixel = 2 * torch.tan(fov.clamp(0.2, 2.5) / 2) / size
     want = torch.log(FOOTPRINT * pixel[..., None, None]) + log_depth
     have = torch.log(1e-3 * F.softplus(raw[:, :, 1:4]) + 1e-7)
     scale = (have - want[:, :, None]).abs().mean()
+    unit = raw.new_tensor([0.0, 0, 0, 1]).view(4, 1, 1)
+    turn = (raw[:, :, 4:8] - unit).square().mean()
+    bands = [c for k in (8, 33, 58) for c in range(k + 1, k + 25)]
+    rest = raw[:, :, bands].square().mean()
+    if not opacity:
+        return 0.1 * scale + 0.02 * turn + 0.02 * rest, {"scale": scale.detach()}
     step = torch.zeros_like(truth)
     d = torch.log(truth.clamp_min(1e-4))
     step[..., 1:] = (d[..., 1:] - d[..., :-1]).abs()
     step[..., 1:, :] = torch.maximum(step[..., 1:, :], (d[..., 1:, :] - d[..., :-1, :]).abs())
     target = torch.where((step > 0.08) & (truth > 0), EDGE, SURE)
     opaque = F.binary_cross_entropy_with_logits(raw[:, :, 0], target)
-    unit = raw.new_tensor([0.0, 0, 0, 1]).view(4, 1, 1)
-    turn = (raw[:, :, 4:8] - unit).square().mean()
-    bands = [c for k in (8, 33, 58) for c in range(k + 1, k + 25)]
-    rest = raw[:, :, bands].square().mean() + raw[:, :, 83].square().mean()
+    rest = rest + raw[:, :, 83].square().mean()
     return 0.1 * scale + 0.05 * opaque + 0.02 * turn + 0.02 * rest, {"scale": scale.detach()}

@@ -3,8 +3,8 @@
     python3 sim/train/parity.py [CKPT] [--images DIR] [--size N] [--hdrig build/hdrig]
 
 Exports the weights (CKPT, or random ones with every bias disturbed), converts them, reconstructs
-the pictures with --refine 0 --dump and compares poses, depth, raw Gaussians and curves. The bar is
-1e-4 of the largest value."""
+the pictures with --refine 0 --dump and compares poses, depth, raw Gaussians, curves and the fused
+Gaussians that redraw.py makes of them. The bar is 1e-4 of the largest value."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ import torch
 
 import export
 import model
+import redraw
 
 BAR = 1e-4
 
@@ -67,6 +68,20 @@ def reconstruct(net: model.Net, q: argparse.Namespace, d: str) -> dict:
     return {n: np.load(p) for n, p in files.items()}
 
 
+def fused(dump: dict, cell: float) -> dict:
+    """From the raw Gaussians and points of the dump, so that all cells are the same."""
+    raw, xyz = torch.from_numpy(dump["gs.raw88"]), torch.from_numpy(dump["points.world"][0])
+    planes = redraw.fuse(raw.transpose(0, 1).flatten(1), xyz.flatten(0, 2), cell)
+    q = torch.nn.functional.normalize(planes[6:10], dim=0)
+    dump["vox.harmonics"] = dump["vox.harmonics"][..., 0]
+    pose, depth = dump["camera.pose_enc_iter3"][0], dump["depth.depth"][0, ..., 0]
+    pose[:, 7:] = 2 * np.arctan(np.tan(np.maximum(pose[:, 7:], 0) / 2) + 1e-3)  # model-spec 2.4
+    return {"points.world": redraw.points(torch.from_numpy(depth), torch.from_numpy(pose)),
+            "vox.means": planes[:3].T, "vox.scales": planes[3:6].exp().T,
+            "vox.rotations": q[[1, 2, 3, 0]].T, "vox.opacities": planes[10].sigmoid(),
+            "vox.harmonics": planes[11:].T}
+
+
 def compare(net: model.Net, dump: dict) -> int:
     images = torch.from_numpy(dump["input.image"])
     stops = torch.from_numpy(dump["hdr.rel_logt"])
@@ -80,6 +95,7 @@ def compare(net: model.Net, dump: dict) -> int:
     for k, i in enumerate(net.d.keep):
         got[f"agg.keep{i}"] = o["keep"][k]
     got["camera.pose_enc_iter3"] = o["pose"][-1]
+    got.update(fused(dump, net.d.voxel))
     bad = 0
     for name, t in got.items():
         want, have = dump[name].ravel(), t.numpy().ravel()

@@ -1,7 +1,8 @@
-"""Training in two stages; README.md in this folder tells how.
+"""Training in stages; README.md in this folder tells how.
 
     python3 sim/train/train.py geometry   --out DIR --scenes DIR --minutes 60
     python3 sim/train/train.py appearance --out DIR --scenes DIR --minutes 20
+    python3 sim/train/train.py render     --out DIR --scenes DIR --minutes 20
 
 A run continues from DIR/STAGE.ckpt if there is one."""
 
@@ -23,6 +24,7 @@ import data
 import export
 import losses
 import model
+import redraw
 
 CLIP = 1.0  # norm of the gradient
 
@@ -59,7 +61,7 @@ def draw_shape(r: np.random.Generator, share: float, q: argparse.Namespace) -> t
         size = sizes[int(min(max(place, 0), len(sizes) - 1))]
     else:
         size = sizes[0]
-    v = int(r.integers(2, 9))
+    v = int(r.integers(3 if q.stage == "render" else 2, 9))  # one of them is only drawn
     patches = (size // model.PATCH) ** 2
     return max(1, int(q.tokens / (v * patches))), v, size
 
@@ -70,6 +72,7 @@ class Trainer:
         self.net = model.make(dims, q.seed).to(q.device)
         self.rng = np.random.default_rng(q.seed)
         self.step, self.views, self.spent = 0, 0, 0.0
+        self.raster = redraw.Raster(q.lib, q.threads) if q.stage == "render" else None
         self.log: list[dict] = []
         self.stage_params()
         self.average = copy.deepcopy(self.net).eval()
@@ -119,6 +122,10 @@ class Trainer:
         elif self.q.init:
             self.net.load_state_dict(export.read_tensors(self.q.init))
             self.average.load_state_dict(self.net.state_dict())
+        elif self.q.stage == "render":
+            c = torch.load(self.path("appearance"), map_location=self.q.device, weights_only=False)
+            self.net.load_state_dict(c["average"])
+            self.average.load_state_dict(c["average"])
         elif self.q.stage == "appearance":
             c = torch.load(self.path("geometry"), map_location=self.q.device, weights_only=False)
             geometry = {k: v for k, v in c["average"].items() if ".".join(k.split(".")[:2]) in
@@ -151,18 +158,43 @@ class Trainer:
 
     def appearance(self, net: model.Net, b: data.Batch, r: np.random.Generator) -> tuple:
         size, (n, v) = b.images.shape[-1], b.stops.shape
+        seen = b.first(v - 1) if self.raster else b  # the last view is new to the network
         with torch.no_grad():
-            keep, qk = net.backbone(b.images)
+            keep, qk = net.backbone(seen.images)
             fov = net.encoder.camera_head(keep[-1])[-1][..., 8].float()
-            depth, _ = net.encoder.depth_head([k.flatten(0, 1) for k in keep], size)
-        raw, theta = net.gaussians(b.images, keep, qk, b.stops - losses.mid_stops(b.stops))
-        lo, hi = b.stops.amin(1, keepdim=True), b.stops.amax(1, keepdim=True)
-        other = [lo + (hi - lo) * torch.from_numpy(r.random((n, v))).to(lo)
-                 + torch.from_numpy(r.normal(size=(n, v)) * 0.7).to(lo) for _ in range(2)]
+            depth, conf = net.encoder.depth_head([k.flatten(0, 1) for k in keep], size)
+            depth, conf = (t.float().unflatten(0, seen.stops.shape) for t in (depth, conf))
+        raw, theta = net.gaussians(seen.images, keep, qk,
+                                   seen.stops - losses.mid_stops(seen.stops))
         with torch.autocast(self.q.device, enabled=False):
-            picture, f = losses.appearance_loss(raw, theta, b, other)
-            shape, g = losses.shape_loss(raw, depth.unflatten(0, (n, v)), fov, b.depth)
-        return picture + shape, {**f, **g}
+            picture, f = losses.appearance_loss(raw, theta, seen, self.other_stops(seen, r))
+            shape, g = losses.shape_loss(raw, depth, fov, seen.depth, not self.raster)
+            if not self.raster:
+                return picture + shape, {**f, **g}
+            drawn, h = self.redrawn(net, raw, theta, depth, conf, b)
+        return drawn + self.q.pixels * picture + shape, {**f, **g, **h}
+
+    def other_stops(self, b: data.Batch, r: np.random.Generator) -> list[Tensor]:
+        """Two more exposures of every picture, within the bracket and a little beyond."""
+        lo, hi = b.stops.amin(1, keepdim=True), b.stops.amax(1, keepdim=True)
+        return [lo + (hi - lo) * torch.from_numpy(r.random(b.stops.shape)).to(lo)
+                + torch.from_numpy(r.normal(size=b.stops.shape) * 0.7).to(lo) for _ in range(2)]
+
+    def redrawn(self, net: model.Net, raw: Tensor, theta: Tensor, depth: Tensor, conf: Tensor,
+                b: data.Batch) -> tuple[Tensor, dict]:
+        """The photographs from the fused Gaussians; the true cameras, one scale for the depth."""
+        total, figures = 0.0, {}
+        for i in range(len(b.stops)):
+            one = b.scene(i)
+            truth = one.depth[0, : depth.shape[1]]
+            gap = torch.where(truth > 0, truth.clamp_min(1e-4).log() - depth[i], torch.nan)
+            z = torch.exp(depth[i] + gap.nanmedian().nan_to_num())
+            loss, f = redraw.scene_loss(self.raster, raw[i], theta[i], z, conf[i], one,
+                                        net.d.voxel)
+            total = total + loss / len(b.stops)
+            for k, x in f.items():
+                figures[k] = figures.get(k, 0) + x / len(b.stops)
+        return total, figures
 
     def forward(self, net: model.Net, b: data.Batch, share: float) -> tuple[Tensor, dict]:
         with torch.autocast(self.q.device, dtype=torch.bfloat16, enabled=self.q.bf16):
@@ -178,7 +210,7 @@ class Trainer:
     def validate_appearance(self, scenes: data.Replay) -> dict:
         r, total = np.random.default_rng(5), {}
         for name in sorted(scenes.scenes)[: self.q.val]:
-            b = scenes.collect([name], r, 4, self.q.val_size).to(self.q.device)
+            b = scenes.collect([name], r, 4 + bool(self.raster), self.q.val_size).to(self.q.device)
             with torch.autocast(self.q.device, dtype=torch.bfloat16, enabled=self.q.bf16):
                 _, f = self.appearance(self.average, b, r)
             for k, x in f.items():
@@ -274,7 +306,7 @@ def show(f: dict) -> str:
 
 def options() -> argparse.Namespace:
     p = argparse.ArgumentParser()
-    p.add_argument("stage", choices=["geometry", "appearance"])
+    p.add_argument("stage", choices=["geometry", "appearance", "render"])
     p.add_argument("--out", default="/tmp/train")
     p.add_argument("--scenes", default="/tmp/train/scenes")
     p.add_argument("--init", help=".safetensors to start from, without a checkpoint")
@@ -290,6 +322,8 @@ def options() -> argparse.Namespace:
     p.add_argument("--dense", type=float, default=0.5, help="share of views with depth")
     p.add_argument("--match", type=float, default=1.0, help="weight of the correspondences")
     p.add_argument("--camera", type=float, default=1.0, help="weight of the cameras")
+    p.add_argument("--pixels", type=float, default=0.3, help="weight of single pixels in render")
+    p.add_argument("--lib", default=redraw.LIB, help="built by make libsim, for render")
     p.add_argument("--slow", type=float, default=0.1, help="rate of all but the hypernetwork")
     p.add_argument("--val", type=int, default=16)
     p.add_argument("--val-size", type=int, default=168)
