@@ -1,6 +1,8 @@
 /* Products of int8 by VNNI, which multiplies unsigned with signed: a weight w becomes the unsigned
  * w + 128 by one exclusive or per vector, so that sums start at -128 times those of the
- * activations. Sums in between wrap; the results are exact. */
+ * activations. Sums in between wrap; the results are exact.
+ * While a panel meets the rows, the next one is asked for, step by step: most weights come from
+ * beyond the second cache. */
 #if !defined(__AVX512VNNI__) || !defined(__AVX512BW__)
 #error "compile this file with the AVX-512 flags"
 #endif
@@ -72,11 +74,18 @@ add_quads(__m512i sum[][2], const int8_t *a, size_t lda, __m512i w0, __m512i w1,
     }
 }
 
+/* What is asked for ahead: `step` bytes further each step. */
+struct ahead_s8 {
+    const int8_t *at;
+    size_t step;
+};
+
 static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, int i, int panel,
-                                                       const int32_t *start, int rows, int vecs)
+                                                       const int32_t *start, struct ahead_s8 *ahead,
+                                                       const int shape[2])
 {
+    const int rows = shape[0], vecs = shape[1];
     __m512i sum[ROWS][2];
-    const int shape[] = {rows, vecs};
     const __m512i flip = _mm512_set1_epi8(-128);
     const int8_t *w0 = g->w + (size_t)panel * g->ldw, *w1 = vecs == 2 ? w0 + g->ldw : w0;
     int32_t *c = g->c + (size_t)i * g->ldc + PANEL * panel;
@@ -84,9 +93,12 @@ static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, 
         sum[r][0] = sum[r][1] = _mm512_set1_epi32(start[r]);
     for (int s = 0; s < g->segs; s++) {
         const int8_t *a = g->a + (size_t)i * g->lda + (size_t)s * g->seg_stride;
-        for (int l = 0; l < g->seg; l += 4, w0 += 4 * PANEL, w1 += 4 * PANEL)
+        for (int l = 0; l < g->seg; l += 4, w0 += 4 * PANEL, w1 += 4 * PANEL) {
+            __builtin_prefetch(ahead->at, 0, 2);
+            ahead->at += ahead->step;
             add_quads(sum, a + l, g->lda, _mm512_xor_si512(_mm512_loadu_si512(w0), flip),
                       _mm512_xor_si512(_mm512_loadu_si512(w1), flip), shape);
+        }
     }
     for (int r = 0; r < rows; r++, c += g->ldc)
         for (int v = 0; v < vecs; v++)
@@ -97,31 +109,34 @@ static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, 
 static inline __attribute__((always_inline)) void panels(const struct gemm_s8 *g, int i, int end,
                                                          int panel, const int32_t *start, int vecs)
 {
+    const unsigned tiles = (unsigned)(end - i + ROWS - 1) / ROWS;
+    struct ahead_s8 ahead = {g->w + (size_t)(panel + vecs) * g->ldw,
+                             4u * PANEL * (unsigned)vecs / tiles};
     for (; i < end; i += ROWS, start += ROWS)
         switch (end - i) {
         case 1:
-            tile(g, i, panel, start, 1, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){1, vecs});
             break;
         case 2:
-            tile(g, i, panel, start, 2, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){2, vecs});
             break;
         case 3:
-            tile(g, i, panel, start, 3, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){3, vecs});
             break;
         case 4:
-            tile(g, i, panel, start, 4, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){4, vecs});
             break;
         case 5:
-            tile(g, i, panel, start, 5, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){5, vecs});
             break;
         case 6:
-            tile(g, i, panel, start, 6, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){6, vecs});
             break;
         case 7:
-            tile(g, i, panel, start, 7, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){7, vecs});
             break;
         default:
-            tile(g, i, panel, start, ROWS, vecs);
+            tile(g, i, panel, start, &ahead, (const int[]){ROWS, vecs});
         }
 }
 

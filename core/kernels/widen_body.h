@@ -54,6 +54,17 @@ static inline __attribute__((always_inline)) void tile(const int16_t *a, const i
     }
 }
 
+/* Rows [i, i + ROWS) ask for their share of the panel that comes `panels` later, inputs [k, k + n):
+ * most weights come from beyond the second cache. */
+static void ask_ahead(const struct gemm_s8 *g, int i, int panel, int k, int n)
+{
+    const size_t m = (size_t)g->m, bytes = (size_t)n * PANEL, at = (size_t)i;
+    const size_t end = at + ROWS < m ? at + ROWS : m;
+    const int8_t *w = g->w + (size_t)(panel + g->panels) * g->ldw + (size_t)k * PANEL;
+    for (size_t x = bytes * at / m; x < bytes * end / m; x += 64)
+        __builtin_prefetch(w + x, 0, 2);
+}
+
 /* All columns of up to ROWS rows. */
 static void columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int n)
 {
@@ -61,6 +72,8 @@ static void columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int
         const int8_t *w =
             g->w + (size_t)(col / PANEL) * g->ldw + (size_t)k * PANEL + 4 * (col % PANEL);
         int32_t *c = g->c + (size_t)i * g->ldc + col;
+        if (col % PANEL == 0)
+            ask_ahead(g, i, col / PANEL, k, n);
         switch (g->m - i) {
         case 1:
             tile(a, w, n, c, g->ldc, 1, k > 0);
