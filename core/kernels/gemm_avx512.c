@@ -6,10 +6,8 @@
 #if !defined(__AVX512VNNI__) || !defined(__AVX512BW__)
 #error "compile this file with the AVX-512 flags"
 #endif
-#include "core/kernels/kernels.h"
-
-#include <immintrin.h>
-#include <string.h>
+#define SIMD_AVX512
+#include "core/kernels/gemm_body.h"
 
 /* Rows of a tile, whose activations are added up at a time, that have their sums ready. */
 enum { ROWS = 8, QUAD = 4, BLOCK = 64 };
@@ -74,7 +72,7 @@ add_quads(__m512i sum[][2], const int8_t *a, size_t lda, __m512i w0, __m512i w1,
     }
 }
 
-/* What is asked for ahead: `step` bytes further each step. */
+/* As struct ahead, in bytes. */
 struct ahead_s8 {
     const int8_t *at;
     size_t step;
@@ -155,6 +153,7 @@ static void gemm_s8(const struct gemm_s8 *g)
 
 void gemm_avx512(struct gemm_kernels *k)
 {
+    gemm_fill(k, "avx512");
     k->s8_name = "avx512";
     k->s8 = gemm_s8;
 }

@@ -1,62 +1,99 @@
 /* gemm_body.h - products of floats and unpacking of weights, compiled once per instruction set.
  * Included by gemm_<isa>.c after one SIMD_ macro.
  * A tile keeps the sums of F32_ROWS rows and two vectors of columns in registers, enough to hide
- * the latency of an FMA; each step loads two vectors of weights and one value of each row.
- * There is none for AVX-512: measured on Zen 4 it gains less than a tenth over AVX2. */
+ * the latency of an FMA; each step loads two vectors of weights and one value of each row, and asks
+ * for a share of the weights that the next tiles of columns will read. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
 
-enum { F32_ROWS = 6, AHEAD = 32 * PANEL }; // AHEAD: weights asked for before they are needed
+/* Two vectors are a panel or, where a vector is one already, two panels. */
+enum { F32_ROWS = LANES == PANEL ? 8 : 6, F32_COLS = 2 * LANES };
+
+/* Weights that are asked for: `step` floats further each step. */
+struct ahead {
+    const float *at;
+    size_t step;
+};
+
+/* One input of each row times those of one or two vectors of columns. */
+static inline __attribute__((always_inline)) void f32_add(vf sum[][2], const float *a, size_t lda,
+                                                          vf w0, vf w1, const int shape[2])
+{
+    for (int r = 0; r < shape[0]; r++) {
+        vf x = v_set(a[(size_t)r * lda]);
+        sum[r][0] = v_fma(w0, x, sum[r][0]);
+        if (shape[1] == 2)
+            sum[r][1] = v_fma(w1, x, sum[r][1]);
+    }
+}
 
 static inline __attribute__((always_inline)) void f32_tile(const struct gemm_f32 *g, int i, int col,
-                                                           int rows)
+                                                           struct ahead *ahead, const int shape[2])
 {
+    const int rows = shape[0], vecs = shape[1];
+    const size_t next = LANES == PANEL ? g->ldw : LANES;
     vf sum[F32_ROWS][2];
     const float *w = g->w + (size_t)(col / PANEL) * g->ldw + col % PANEL;
     float *c = g->c + (size_t)i * g->ldc + col;
     for (int r = 0; r < rows; r++)
-        for (int v = 0; v < 2; v++)
+        for (int v = 0; v < vecs; v++)
             sum[r][v] = g->add ? v_load(c + (size_t)r * g->ldc + LANES * v) : v_set(0);
     for (int s = 0; s < g->segs; s++) {
         const float *a = g->a + (size_t)i * g->lda + (size_t)s * g->seg_stride;
         for (int l = 0; l < g->seg; l++, w += PANEL) {
-            vf w0 = v_load(w), w1 = v_load(w + LANES);
-            __builtin_prefetch(w + AHEAD);
-            for (int r = 0; r < rows; r++) {
-                vf x = v_set(a[(size_t)r * g->lda + (size_t)l]);
-                sum[r][0] = v_fma(w0, x, sum[r][0]);
-                sum[r][1] = v_fma(w1, x, sum[r][1]);
-            }
+            __builtin_prefetch(ahead->at, 0, 2);
+            ahead->at += ahead->step;
+            f32_add(sum, a + l, g->lda, v_load(w), v_load(vecs == 2 ? w + next : w), shape);
         }
     }
     for (int r = 0; r < rows; r++)
-        for (int v = 0; v < 2; v++)
+        for (int v = 0; v < vecs; v++)
             v_store(c + (size_t)r * g->ldc + LANES * v, sum[r][v]);
+}
+
+/* One or two vectors of columns. */
+static inline __attribute__((always_inline)) void f32_columns(const struct gemm_f32 *g, int col,
+                                                              int vecs)
+{
+    const int tiles = (g->m + F32_ROWS - 1) / F32_ROWS, after = col + LANES * vecs;
+    struct ahead ahead = {g->w + (size_t)(after / PANEL) * g->ldw + after % PANEL,
+                          (size_t)(PANEL * (LANES == PANEL ? vecs : 1) + tiles - 1) /
+                              (size_t)(tiles > 0 ? tiles : 1)};
+    for (int i = 0; i < g->m; i += F32_ROWS)
+        switch (g->m - i) {
+        case 1:
+            f32_tile(g, i, col, &ahead, (const int[]){1, vecs});
+            break;
+        case 2:
+            f32_tile(g, i, col, &ahead, (const int[]){2, vecs});
+            break;
+        case 3:
+            f32_tile(g, i, col, &ahead, (const int[]){3, vecs});
+            break;
+        case 4:
+            f32_tile(g, i, col, &ahead, (const int[]){4, vecs});
+            break;
+        case 5:
+            f32_tile(g, i, col, &ahead, (const int[]){5, vecs});
+            break;
+        case 6:
+            f32_tile(g, i, col, &ahead, (const int[]){6, vecs});
+            break;
+        case 7:
+            f32_tile(g, i, col, &ahead, (const int[]){F32_ROWS < 7 ? F32_ROWS : 7, vecs});
+            break;
+        default:
+            f32_tile(g, i, col, &ahead, (const int[]){F32_ROWS, vecs});
+        }
 }
 
 static void gemm_f32(const struct gemm_f32 *g)
 {
-    for (int col = 0; col < PANEL * g->panels; col += 2 * LANES)
-        for (int i = 0; i < g->m; i += F32_ROWS)
-            switch (g->m - i) {
-            case 1:
-                f32_tile(g, i, col, 1);
-                break;
-            case 2:
-                f32_tile(g, i, col, 2);
-                break;
-            case 3:
-                f32_tile(g, i, col, 3);
-                break;
-            case 4:
-                f32_tile(g, i, col, 4);
-                break;
-            case 5:
-                f32_tile(g, i, col, 5);
-                break;
-            default:
-                f32_tile(g, i, col, F32_ROWS);
-            }
+    int col = 0;
+    for (; col + F32_COLS <= PANEL * g->panels; col += F32_COLS)
+        f32_columns(g, col, 2);
+    if (col < PANEL * g->panels)
+        f32_columns(g, col, 1);
 }
 
 typedef int32_t vi __attribute__((vector_size(4 * LANES)));
