@@ -75,20 +75,27 @@ static float absmax(const float *x, size_t n)
     return fminf(v_top(top[0]), FLT_MAX);
 }
 
-MAP void quant_lanes(const float *x, vf inv, int8_t *out, int lanes)
+MAP vint quant_lanes(const float *x, vf inv, int lanes)
 {
     vf v = load(x, lanes) * inv;
     v = v_sel(v_le(v, v), v, v_set(0.0f)); // not NaN
-    i_store8(out, i_round(v_clamp(v, -127.0f, 127.0f)), lanes);
+    return i_round(v_clamp(v, -127.0f, 127.0f));
 }
 
 static void quant(const float *x, size_t n, float inv, int8_t *out)
 {
+    const vf unit = v_set(inv);
     size_t i = 0;
-    for (; i + LANES <= n; i += LANES)
-        quant_lanes(x + i, v_set(inv), out + i, LANES);
-    if (i < n)
-        quant_lanes(x + i, v_set(inv), out + i, (int)(n - i));
+    for (; i + 4 * LANES <= n; i += 4 * LANES) {
+        vint q[4];
+        for (int k = 0; k < 4; k++)
+            q[k] = quant_lanes(x + i + (size_t)k * LANES, unit, LANES);
+        i_store8x4(out + i, q);
+    }
+    for (; i < n; i += LANES) {
+        int lanes = n - i < LANES ? (int)(n - i) : LANES;
+        i_store8(out + i, quant_lanes(x + i, unit, lanes), lanes);
+    }
 }
 
 /* --- rotation ------------------------------------------------------------------------------ */
@@ -346,16 +353,15 @@ static void head_turn(const struct head_turn *t, float *x)
         }
 }
 
-/* 254 2^x - 127 for x <= 0, at most 0.022 from it, and 127 exactly for 0. Polynomial of least
- * relative error (9e-5) for 2^f on [0, 1) among those that are 1 at 0. */
+/* 254 2^x for x < 1, within 0.022, and 254 exactly for 0. Polynomial of least relative error (9e-5)
+ * for 2^f on [0, 1) among those that are 1 at 0. */
 MAP vf weight254(vf x)
 {
-    vf n = v_floor(x), f = x - n;
-    vf p = v_set(254 * 7.706704e-02f);
+    vf f = x - v_floor(x), p = v_set(254 * 7.706704e-02f);
     p = v_fma(p, f, v_set(254 * 2.2764499e-01f));
     p = v_fma(p, f, v_set(254 * 6.9511679e-01f));
     p = v_fma(p, f, v_set(254.0f));
-    return v_shrink2(p, n) - v_set(127.0f);
+    return v_shrink2(p, x);
 }
 
 /* s key_scale of I8, logits of F32. */
@@ -380,8 +386,8 @@ MAP float largest(const struct attend_block *b, struct row key, bool ints, int i
     return v_top(top);
 }
 
-/* Logits are limited to +-2^16, in steps of log2: a fused product may exceed the largest one by its
- * rounding, and 2^x of that must stay next to 1. */
+/* Logits are limited to +-2^16, in steps of log2: with their fused product and difference that of
+ * the largest one is 0 within 2^-9, a third of a step of its weight. */
 MAP float weigh_unit(const struct attend_block *b, int i)
 {
     float unit = b->row_scale[i] * 1.44269504089f, top = fabsf(b->weigh[i]);
@@ -391,22 +397,28 @@ MAP float weigh_unit(const struct attend_block *b, int i)
 /* Weights of one row; returns their sum. weigh holds the largest of what `logits` gives. */
 MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
 {
-    const vf unit = v_set(weigh_unit(b, i)), top = v_set(b->weigh[i]);
+    const float scale = weigh_unit(b, i);
+    const vf unit = v_set(scale), base = v_set(-scale * b->weigh[i]);
+    const vint half = i_set(-127);
     int8_t *out = b->pi + (size_t)i * b->ldp;
-    vint sum = i_zero();
+    vint sum = i_set(0);
     int j = 0;
-    for (; j + LANES <= b->n; j += LANES) {
-        vf x = logits(b, key, true, i, j, LANES) - top;
-        vint p = i_round(weight254(x * unit));
-        sum = i_add(sum, p);
-        i_store8(out + j, p, LANES);
+    for (; j + 4 * LANES <= b->n; j += 4 * LANES) {
+        vint p[4];
+        for (int k = 0; k < 4; k++) {
+            vf x = logits(b, key, true, i, j + k * LANES, LANES);
+            p[k] = i_add(i_round(weight254(v_fma(x, unit, base))), half);
+            sum = i_add(sum, p[k]);
+        }
+        i_store8x4(out + j, p);
     }
-    if (j < b->n) {
-        vf x = logits(b, key, true, i, j, b->n - j) - top;
-        vf w = v_sel(m_first(b->n - j), weight254(x * unit), v_set(0.0f));
-        vint p = i_round(w);
+    for (; j < b->n; j += LANES) {
+        int lanes = b->n - j < LANES ? b->n - j : LANES;
+        vf x = logits(b, key, true, i, j, lanes);
+        vf w = v_sel(m_first(lanes), weight254(v_fma(x, unit, base)), v_set(127.0f));
+        vint p = i_add(i_round(w), half);
         sum = i_add(sum, p);
-        i_store8(out + j, p, (b->n - j + 3) / 4 * 4);
+        i_store8(out + j, p, (lanes + 3) / 4 * 4);
     }
     return (float)(i_sum(sum) + 127 * b->n);
 }

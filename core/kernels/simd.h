@@ -6,8 +6,8 @@
  * Not with SIMD_C:
  * _n: only the first n lanes, 1 <= n <= LANES; loads set the others to 0.
  * v_swap(a, d): lanes i and i ^ d change places, d a power of two below LANES. v_top: largest lane.
- * vint: LANES int32. i_round: to nearest, half to even. i_store8: the first
- * n lanes as int8, saturated. */
+ * vint: LANES int32. i_round: to nearest, half to even. i_store8: the first n lanes as int8,
+ * saturated; i_store8x4 all lanes of four vectors. */
 #ifndef KERNELS_SIMD_H
 #define KERNELS_SIMD_H
 
@@ -56,7 +56,7 @@ static inline vf v_exp2i(vf n) /* 2^n, n integral in [-126, 127] */
     return _mm512_castsi512_ps(_mm512_slli_epi32(biased, 23));
 }
 static inline vf v_scale2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* a 2^n */
-static inline vf v_shrink2(vf a, vf n) { return _mm512_scalef_ps(a, n); } /* any n <= 0 */
+static inline vf v_shrink2(vf a, vf x) { return _mm512_scalef_ps(a, x); } /* a 2^floor(x), x < 1 */
 static inline vf v_exponent(vf a) /* biased exponent bits as float, a > 0 */
 {
     return _mm512_cvtepi32_ps(_mm512_srli_epi32(_mm512_castps_si512(a), 23));
@@ -84,7 +84,7 @@ static inline vint i_load_n(const int32_t *p, int n)
 {
     return _mm512_maskz_loadu_epi32(m_first(n), p);
 }
-static inline vint i_zero(void) { return _mm512_setzero_si512(); }
+static inline vint i_set(int x) { return _mm512_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm512_add_epi32(a, b); }
 static inline int32_t i_sum(vint a) { return _mm512_reduce_add_epi32(a); }
 static inline vf i_float(vint a) { return _mm512_cvtepi32_ps(a); }
@@ -96,6 +96,12 @@ static inline void i_store8(int8_t *p, vint a, int n)
         _mm_storeu_si128((__m128i *)p, bytes);
     else
         _mm_mask_storeu_epi8(p, m_first(n), bytes);
+}
+static inline void i_store8x4(int8_t *p, const vint a[4])
+{
+    const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+    __m512i b = _mm512_packs_epi32(a[0], a[1]), c = _mm512_packs_epi32(a[2], a[3]);
+    _mm512_storeu_si512(p, _mm512_permutexvar_epi32(order, _mm512_packs_epi16(b, c)));
 }
 
 #elif defined(SIMD_AVX2)
@@ -172,7 +178,7 @@ static inline vint i_load_n(const int32_t *p, int n)
 {
     return _mm256_maskload_epi32(p, i_first(n));
 }
-static inline vint i_zero(void) { return _mm256_setzero_si256(); }
+static inline vint i_set(int x) { return _mm256_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm256_add_epi32(a, b); }
 static inline int32_t i_sum(vint a)
 {
@@ -187,6 +193,13 @@ static inline void i_store8(int8_t *p, vint a, int n)
     __m128i b = _mm_packs_epi32(_mm256_castsi256_si128(a), _mm256_extracti128_si256(a, 1));
     int64_t bytes = _mm_cvtsi128_si64(_mm_packs_epi16(b, b));
     memcpy(p, &bytes, (size_t)n);
+}
+static inline void i_store8x4(int8_t *p, const vint a[4])
+{
+    const __m256i order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+    __m256i b = _mm256_packs_epi32(a[0], a[1]), c = _mm256_packs_epi32(a[2], a[3]);
+    b = _mm256_permutevar8x32_epi32(_mm256_packs_epi16(b, c), order);
+    _mm256_storeu_si256((__m256i *)p, b);
 }
 
 #elif defined(SIMD_SSE41)
@@ -251,7 +264,7 @@ static inline vf v_swap(vf a, int d)
     return d == 1 ? _mm_shuffle_ps(a, a, 0xb1) : _mm_shuffle_ps(a, a, 0x4e);
 }
 static inline vint i_load(const int32_t *p) { return _mm_loadu_si128((const __m128i *)p); }
-static inline vint i_zero(void) { return _mm_setzero_si128(); }
+static inline vint i_set(int x) { return _mm_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm_add_epi32(a, b); }
 static inline int32_t i_sum(vint a)
 {
@@ -265,6 +278,11 @@ static inline void i_store8(int8_t *p, vint a, int n)
     a = _mm_packs_epi32(a, a);
     int32_t bytes = _mm_cvtsi128_si32(_mm_packs_epi16(a, a));
     memcpy(p, &bytes, (size_t)n);
+}
+static inline void i_store8x4(int8_t *p, const vint a[4])
+{
+    __m128i b = _mm_packs_epi32(a[0], a[1]), c = _mm_packs_epi32(a[2], a[3]);
+    _mm_storeu_si128((__m128i *)p, _mm_packs_epi16(b, c));
 }
 
 #elif defined(SIMD_NEON)
@@ -319,7 +337,7 @@ static inline vm m_first(int n)
 }
 static inline vf v_swap(vf a, int d) { return d == 1 ? vrev64q_f32(a) : vextq_f32(a, a, 2); }
 static inline vint i_load(const int32_t *p) { return vld1q_s32(p); }
-static inline vint i_zero(void) { return vdupq_n_s32(0); }
+static inline vint i_set(int x) { return vdupq_n_s32(x); }
 static inline vint i_add(vint a, vint b) { return vaddq_s32(a, b); }
 static inline int32_t i_sum(vint a) { return vaddvq_s32(a); }
 static inline vf i_float(vint a) { return vcvtq_f32_s32(a); }
@@ -330,6 +348,12 @@ static inline void i_store8(int8_t *p, vint a, int n)
     int8x8_t c = vqmovn_s16(vcombine_s16(b, b));
     uint32_t bytes = vget_lane_u32(vreinterpret_u32_s8(c), 0);
     memcpy(p, &bytes, (size_t)n);
+}
+static inline void i_store8x4(int8_t *p, const vint a[4])
+{
+    int16x8_t b = vqmovn_high_s32(vqmovn_s32(a[0]), a[1]);
+    int16x8_t c = vqmovn_high_s32(vqmovn_s32(a[2]), a[3]);
+    vst1q_s8(p, vqmovn_high_s16(vqmovn_s16(b), c));
 }
 
 #else
@@ -407,9 +431,9 @@ static inline vf v_scale2(vf a, vf n)
 {
     return a * v_exp2i(n);
 }
-static inline vf v_shrink2(vf a, vf n)
+static inline vf v_shrink2(vf a, vf x)
 {
-    return a * v_exp2i(v_max(n, v_set(-126.0f)));
+    return a * v_exp2i(v_max(v_floor(x), v_set(-126.0f)));
 }
 #endif
 
