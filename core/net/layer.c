@@ -475,34 +475,6 @@ static struct place place_of(int i, int n_in, int n_out, bool align)
     return (struct place){i0, num_min(i0 + 1, n_in - 1), at - (float)i0};
 }
 
-typedef float quad __attribute__((vector_size(16)));
-
-static inline quad load_quad(const float *p)
-{
-    quad q;
-    memcpy(&q, p, sizeof q);
-    return q;
-}
-
-/* n channels of a pixel between a, b (above) and d, e (below); four at a time, because compilers do
- * not see that it pays. */
-static void blend(const float *const corner[4], float u, float v, size_t n, float *restrict out)
-{
-    const float *a = corner[0], *b = corner[1], *d = corner[2], *e = corner[3];
-    size_t k = 0;
-    for (; k + 4 <= n; k += 4) {
-        quad top = load_quad(a + k), low = load_quad(d + k);
-        top += u * (load_quad(b + k) - top);
-        low += u * (load_quad(e + k) - low);
-        top += v * (low - top);
-        memcpy(out + k, &top, sizeof top);
-    }
-    for (; k < n; k++) {
-        float top = a[k] + u * (b[k] - a[k]), low = d[k] + u * (e[k] - d[k]);
-        out[k] = top + v * (low - top);
-    }
-}
-
 void layer_resize_fetch(const void *ctx, int y, int x, int n, float *restrict out)
 {
     const struct layer_resize *m = ctx;
@@ -511,8 +483,11 @@ void layer_resize_fetch(const void *ctx, int y, int x, int n, float *restrict ou
     const float *upper = m->px + (size_t)v.i0 * pitch, *lower = m->px + (size_t)v.i1 * pitch;
     for (int i = 0; i < n; i++, out += c) {
         struct place u = place_of(x + i, m->w, m->out_w, m->align);
-        size_t left = (size_t)u.i0 * c, right = (size_t)u.i1 * c;
-        const float *const corner[] = {upper + left, upper + right, lower + left, lower + right};
-        blend(corner, u.t, v.t, c, out);
+        const float *a = upper + (size_t)u.i0 * c, *b = upper + (size_t)u.i1 * c;
+        const float *d = lower + (size_t)u.i0 * c, *e = lower + (size_t)u.i1 * c;
+        for (size_t k = 0; k < c; k++) {
+            float top = a[k] + u.t * (b[k] - a[k]), low = d[k] + u.t * (e[k] - d[k]);
+            out[k] = top + v.t * (low - top);
+        }
     }
 }
