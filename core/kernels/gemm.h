@@ -111,7 +111,7 @@ typedef void head_turn_fn(const struct head_turn *t, float *x);
  * sum of exp(x - top).
  * I8 (si not NULL): p = round(254 exp(x - max of this block's row) - 127), so that a byte carries
  * 254 steps; attend_add puts the 127 back. The sum adds the rounded values, so that rounding does
- * not change the total weight. p is within 0.525 of the exact number, so variants differ by at most
+ * not change the total weight. p is within 0.55 of the exact number, so variants differ by at most
  * 1. Logits must be finite; beyond 4e4 only the largest ones count.
  * F32: p = exp(x - new top).
  * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of

@@ -119,7 +119,7 @@ static void stream_block(const struct kernels *k, int first, int n, bool ints)
 }
 
 /* Largest error of a row of values, and the most that is allowed. Rounding moves a weight by at
- * most 0.525 / 254 of the largest of its block, and a small one by itself, to 0; that moves the
+ * most 0.55 / 254 of the largest of its block, and a small one by itself, to 0; that moves the
  * mean by its distance from the value, at most 2. */
 static double stream_error(int i, bool ints, double *limit)
 {
@@ -136,7 +136,7 @@ static double stream_error(int i, bool ints, double *limit)
             most = fmax(most, w[j]);
         }
         for (int j = first; j < first + n; j++)
-            moved += fmin(w[j], most * 0.525 / 254);
+            moved += fmin(w[j], most * 0.55 / 254);
     }
     for (int c = 0; c < WIDTH; c++) {
         double mean = 0;

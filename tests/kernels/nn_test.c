@@ -498,7 +498,7 @@ static void block_weights(struct outcome *o, float *out)
 }
 
 /* Logits of size L are rounded to 1.2e-7 L, and so are weights relative to themselves; integers
- * are within 0.525 of 254 times the weight besides. The sum is that of the kernel's own weights. */
+ * are within 0.55 of 254 times the weight besides. The sum is that of the kernel's own weights. */
 static void block_keep(struct outcome *o)
 {
     static float p[CAP], sum[64];
@@ -517,7 +517,7 @@ static void block_keep(struct outcome *o)
         sum[i] = (float)((double)b->sum[i] / all);
     }
     trial_put(o, "weights", p, (const int[3]){b->m, b->n, b->n},
-              b->si ? (0.525 + 254 * blur) * 1e-6 : blur);
+              b->si ? (0.55 + 254 * blur) * 1e-6 : blur);
     trial_scale(o, b->si ? 1e6 : 1e-30);
     trial_put_row(o, "sum", sum, b->m, 1e-6);
     trial_put_row(o, "top", b->top, b->m, 2e-7);
