@@ -34,6 +34,7 @@ static const float COST_BLIND = 0.5f;    // where no pixel carries information
 static const float COST_OUTSIDE = 0.75f; // outside the neighbour: worse than blind, not as wrong
 static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
 static const float NOISE_VAR = 0.012f;   // stops^2 added: noise alone does not correlate
+static const float FAINT_VAR = 0.002f;   // stops^2: a fainter window agrees with any other
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
 struct plate {
@@ -464,7 +465,8 @@ static float inverse_contrast(const struct plate *p, int x, int y)
 
 /* ---- one view ---- */
 
-/* Best plane with a parabola through its neighbours; `sure` from the matching cost there. */
+/* Best plane with a parabola through its neighbours; `sure` from the matching cost there and from
+ * what the window has to match. */
 static void pick_planes(const struct task *t, float *rho, float *sure)
 {
     const int w = t->w, planes = t->planes;
@@ -481,8 +483,10 @@ static void pick_planes(const struct task *t, float *rho, float *sure)
             shift = bend > 0.0f ? 0.5f * (lo - hi) / bend : 0.0f;
         }
         float cost = (float)t->m->sgm.cost[at + (size_t)(best * w)] / COST_UNIT;
+        float var = fmaxf(0.5f / t->m->contrast[i] - NOISE_VAR, 0.0f);
+        float match = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
         rho[i] = t->rho0 + t->step * ((float)best + shift);
-        sure[i] = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
+        sure[i] = match * var / (var + FAINT_VAR);
     }
 }
 

@@ -212,6 +212,32 @@ static void test_unsure_pixels_are_filled_from_behind(void **state)
     free_world(&w);
 }
 
+/* A hole in a near surface is filled near it, not as far away as the farthest surface of the view.
+ */
+static void test_hole_is_filled_near_its_surface(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    int guesses = 0;
+    make_world(&w);
+    for (int k = 0; k < VIEWS * MAP * MAP; k++)
+        if (k % MAP > 2 && k % MAP < 20 && k / MAP % MAP > 15 && k / MAP % MAP < 30)
+            w.depth.conf[k] = 0.0f;
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    assert_true(coverage(&w, &g) > 0.98f);
+    for (int i = 0; i < g.n; i++) {
+        float x = g.plane[G_MU][i], z = g.plane[G_MU + 2][i], surface = 4.0f + SLOPE * x;
+        if (g.plane[G_LOGIT][i] > 1.0f || x > -1.0f || fabsf(g.plane[G_MU + 1][i]) > 0.6f)
+            continue;
+        guesses++;
+        if (z < 0.99f * surface || z > 1.25f * surface)
+            fail_msg("a guess at depth %g where the surface is at %g", (double)z, (double)surface);
+    }
+    assert_true(guesses > 3);
+    free_world(&w);
+}
+
 /* Views in which next to nothing is sure are filled, too. */
 static void test_blind_views_are_filled(void **state)
 {
@@ -262,6 +288,7 @@ int main(void)
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
         cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
+        cmocka_unit_test(test_hole_is_filled_near_its_surface),
         cmocka_unit_test(test_blind_views_are_filled),
         cmocka_unit_test(test_extremes),
     };

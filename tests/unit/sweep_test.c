@@ -208,6 +208,19 @@ static void test_nothing_to_match(void **state)
     free_world(&w);
 }
 
+/* Grey walls agree at every depth: that is no knowledge. */
+static void test_blank_wall(void **state)
+{
+    (void)state;
+    struct world w;
+    make_world(&w, 1);
+    for (int i = 0; i < VIEWS; i++)
+        w.log2t[i] = w.v.mid_log2t;
+    memset(w.v.rgb, 128, (size_t)VIEWS * SIZE * SIZE * 3);
+    expect_guess(&w);
+    free_world(&w);
+}
+
 static void test_two_views(void **state)
 {
     (void)state;
@@ -251,6 +264,7 @@ int main(void)
         cmocka_unit_test(test_depth),
         cmocka_unit_test(test_same_for_any_number_of_threads),
         cmocka_unit_test(test_nothing_to_match),
+        cmocka_unit_test(test_blank_wall),
         cmocka_unit_test(test_two_views),
         cmocka_unit_test(test_refusals),
     };
