@@ -83,24 +83,15 @@ enum kind {
     TURN,
     SOFTMAX,
     FOURIER,
-    LERP,
     KINDS
 };
 
-static const char *const kind_names[KINDS] = {"s8 linear",
-                                              "s8 convolution",
-                                              "s8 attention",
-                                              "f32 linear",
-                                              "f32 convolution",
-                                              "f32 attention and Fourier products",
-                                              "quantise",
-                                              "unpack weights",
-                                              "norm",
-                                              "epilogue",
-                                              "head norm and rotation",
-                                              "softmax",
-                                              "Fourier transform",
-                                              "bilinear"};
+static const char *const kind_names[KINDS] = {
+    "s8 linear",        "s8 convolution",         "s8 attention",
+    "f32 linear",       "f32 convolution",        "f32 attention and Fourier products",
+    "quantise",         "unpack weights",         "norm",
+    "epilogue",         "head norm and rotation", "softmax",
+    "Fourier transform"};
 
 static struct gemm_kernels inner; // what is called
 static _Atomic int64_t spent_ns[KINDS], macs[KINDS];
@@ -155,8 +146,6 @@ NOTED(epilogue, EPILOGUE, (const struct epilogue *e), (e))
 NOTED(head_turn, TURN, (const struct head_turn *t, float *x), (t, x))
 NOTED(attend_block, SOFTMAX, (const struct attend_block *b), (b))
 NOTED(attend_add, SOFTMAX, (const struct attend_add *a), (a))
-NOTED(lerp, LERP, (const float *a, const float *b, float t, size_t n, float *out),
-      (a, b, t, n, out))
 NOTED(fft_forward, FOURIER, (const struct fft_tile *t), (t))
 NOTED(fft_inverse, FOURIER, (const struct fft_tile *t), (t))
 
@@ -185,7 +174,6 @@ static void note_all(struct gemm_kernels *k)
     k->head_turn = noted_head_turn;
     k->attend_block = noted_attend_block;
     k->attend_add = noted_attend_add;
-    k->lerp = noted_lerp;
     k->fft_forward = noted_fft_forward;
     k->fft_inverse = noted_fft_inverse;
 }

@@ -145,9 +145,6 @@ struct attend_add {
 };
 typedef void attend_add_fn(const struct attend_add *a);
 
-/* out = a + t (b - a), n values: one row of a bilinear resize from two. */
-typedef void lerp_fn(const float *a, const float *b, float t, size_t n, float *out);
-
 /* Fourier transform of 16 x 16 tiles, one per channel, for convolutions (core/net/fftconv.h).
  * A real tile has FFT_BINS complex frequencies and FFT_REALS real ones. In `planes` frequency b is
  * at plane 3 b + {0, 1, 2} and real one r at plane 3 FFT_BINS + r. */
@@ -181,7 +178,6 @@ struct gemm_kernels {
     head_turn_fn *head_turn;
     attend_block_fn *attend_block;
     attend_add_fn *attend_add;
-    lerp_fn *lerp;
     bool s8_beats_fft; // products in s8 are over ten times as fast as in floats (fftconv.h)
     fft_forward_fn *fft_forward;
     fft_inverse_fn *fft_inverse;

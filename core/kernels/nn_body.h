@@ -555,17 +555,6 @@ static void attend_add(const struct attend_add *a)
         add_rows(&copy, false);
 }
 
-/* --- resizing ------------------------------------------------------------------------------ */
-
-static void lerp(const float *a, const float *b, float t, size_t n, float *out)
-{
-    for (size_t i = 0; i < n; i += LANES) {
-        int lanes = n - i < LANES ? (int)(n - i) : LANES;
-        vf x = load(a + i, lanes);
-        store(out + i, v_fma(v_set(t), load(b + i, lanes) - x, x), lanes);
-    }
-}
-
 static void nn_fill(struct gemm_kernels *k)
 {
     k->absmax = absmax;
@@ -576,5 +565,4 @@ static void nn_fill(struct gemm_kernels *k)
     k->head_turn = head_turn;
     k->attend_block = attend_block;
     k->attend_add = attend_add;
-    k->lerp = lerp;
 }

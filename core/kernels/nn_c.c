@@ -153,12 +153,6 @@ static void attend_add(const struct attend_add *a)
         }
 }
 
-static void lerp(const float *a, const float *b, float t, size_t n, float *out)
-{
-    for (size_t i = 0; i < n; i++)
-        out[i] = a[i] + t * (b[i] - a[i]);
-}
-
 void nn_c(struct gemm_kernels *k)
 {
     k->absmax = absmax;
@@ -169,5 +163,4 @@ void nn_c(struct gemm_kernels *k)
     k->head_turn = head_turn;
     k->attend_block = attend_block;
     k->attend_add = attend_add;
-    k->lerp = lerp;
 }

@@ -553,7 +553,7 @@ static void block_truth(struct outcome *o)
     put_want(o, "weigh", 1, b->m);
 }
 
-/* --- attend_add, lerp ---------------------------------------------------------------------- */
+/* --- attend_add ---------------------------------------------------------------------------- */
 
 /* variant: integers, value scales */
 static void add_make(int size, enum pattern pattern)
@@ -600,37 +600,6 @@ static void add_truth(struct outcome *o)
     put_want(o, "values", M, in.n);
 }
 
-static void lerp_make(int size, enum pattern pattern)
-{
-    in.n = size;
-    in.x = trial_random((size_t)size, -1, 1);
-    float *b = trial_random((size_t)size, -1, 1);
-    if (pattern == EXTREME)
-        trial_spoil(b, (size_t)size, (const float[]){0, 1, 1e-40f}, 3);
-    memcpy(in.before, b, (size_t)size * sizeof *b);
-    in.q = (int8_t *)b;
-    in.t = pattern == EXTREME ? (float)(size % 2) : (float)trial_uniform(0, 1);
-    in.y = trial_floats((size_t)size);
-}
-
-static void lerp_call(const struct kernels *k)
-{
-    k->net.lerp(in.x, (const float *)in.q, in.t, (size_t)in.n, in.y);
-}
-
-static void lerp_keep(struct outcome *o)
-{
-    trial_put_row(o, "between", in.y, in.n, 2e-7);
-    trial_scale(o, 1);
-}
-
-static void lerp_truth(struct outcome *o)
-{
-    for (int i = 0; i < in.n; i++)
-        want[i] = (double)in.x[i] + (double)in.t * ((double)in.before[i] - (double)in.x[i]);
-    put_want(o, "between", 1, in.n);
-}
-
 /* --- all of them --------------------------------------------------------------------------- */
 
 static const struct slot slots[] = {
@@ -645,7 +614,6 @@ static const struct slot slots[] = {
     {{"head_turn", turn_make, turn_call, turn_keep, 1, 8, 4}, turn_truth, 8, false},
     {{"attend_block", block_make, block_call, block_keep, 1, 128, 128}, block_truth, 64, false},
     {{"attend_add", add_make, add_call, add_keep, 0, 1024, 64}, add_truth, 4, false},
-    {{"lerp", lerp_make, lerp_call, lerp_keep, 0, 1024, 1024}, lerp_truth, 1, false},
 };
 
 enum { N_SLOTS = sizeof slots / sizeof *slots };
@@ -729,7 +697,7 @@ static void bench_all(void)
         {"rotate 4096", 2, 10, 1},   {"norm 1024", 3, 1, 1024},   {"bias 3x64", 4, 0x18, 64},
         {"relu 3x64", 4, 0x19, 64},  {"GELU 3x64", 4, 0x1a, 64},  {"add 3x64", 4, 0x3c, 64},
         {"head turn 64", 5, 7, 4},   {"p8 64x128", 6, 0x37, 128}, {"p32 64x128", 6, 0x34, 128},
-        {"o8 3x64", 7, 3, 64},       {"lerp 1024", 8, 0, 1024}};
+        {"o8 3x64", 7, 3, 64}};
     for (size_t i = 0; i < sizeof forms / sizeof *forms; i++) {
         struct item item = slots[forms[i].slot].item;
         item.name = forms[i].name;
