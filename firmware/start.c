@@ -98,8 +98,8 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg, cons
     struct gaussians seeds, *g = &out->scene.g;
     const struct seed_input in = {.views = &seen->views, .depth = depth, .tone = &seen->tone};
     announce(r, "seed");
-    /* half of the room: the refiner splits where the photographs hold more than noise */
-    err_t e = seed_run(r, &in, (cfg->refine.gaussians_max + 1) / 2, &seeds);
+    /* the refiner splits where the photographs hold more than noise */
+    err_t e = seed_run(r, &in, refine_begin(&cfg->refine, seen->views.n), &seeds);
     set_background(&seen->views, &seen->tone, out->scene.background);
     g->degree = 0; // refinement adds bands where the photographs ask for them
     for (int p = 0; !e && p < gaussians_planes(0); p++)

@@ -29,6 +29,7 @@
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
 
 static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
+static const float SPLIT_END = 0.7f;      // share of the steps after which nothing is split
 static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
 static const float BAND_GAIN_DB =
     0.05f; // a band must gain this: pulling any trained band out costs a little
@@ -110,6 +111,21 @@ static size_t small_need(const struct views *views)
     for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
         total = arena_add(total, arena_need(need[i][0], need[i][1]));
     return total;
+}
+
+static int round_of(int places)
+{
+    return places > ROUND_MIN ? places : ROUND_MIN;
+}
+
+int refine_begin(const struct refine_config *cfg, int places)
+{
+    float most = (float)cfg->gaussians_max, n = most;
+    const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
+    for (int step = round; step <= end && n > most / 2; step += round)
+        if (3 * (step - 1) >= cfg->steps) // half-size pictures come first, without splits
+            n /= 1 + SPLIT_SHARE;
+    return (int)fmaxf(n, most / 2);
 }
 
 size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads)
@@ -432,7 +448,7 @@ static void splits(struct refine *f)
     int most = f->v->size * f->v->size; // one a pixel: denser starts gained nothing by it
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
     bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
-    f->splits_done = progress_of(f) > 0.7f || noise || all;
+    f->splits_done = progress_of(f) > SPLIT_END || noise || all;
     if (f->splits_done) {
         note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
              all     ? "as many as pixels or as allowed"
@@ -476,7 +492,7 @@ static err_t end_round(struct refine *f, int round)
 
 static err_t run_steps(struct refine *f)
 {
-    int round = f->v->n > ROUND_MIN ? f->v->n : ROUND_MIN;
+    int round = round_of(f->v->n);
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     e = e ? e : measure(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;

@@ -33,6 +33,10 @@ struct refine_report {
 /* Bytes that refine_run takes from r->tmp; of v only its numbers are looked at. */
 size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
 
+/* How many Gaussians to begin with for `places` views: so many that the rounds of splitting that
+ * cfg->steps leave can still reach cfg->gaussians_max, at least half of it, all without steps. */
+int refine_begin(const struct refine_config *cfg, int places);
+
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
  * views.
  * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, as far as it came). */

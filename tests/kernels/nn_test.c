@@ -28,7 +28,7 @@ enum { CAP = 1 << 14 };
 static struct {
     int n, block;
     size_t ld;
-    float *x, *y, t;
+    float *x, *y;
     float before[CAP]; // of what is overwritten
     int8_t *q;
     float inv;

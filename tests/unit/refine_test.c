@@ -374,6 +374,20 @@ static void test_plan(void **state)
     close_world();
 }
 
+/* Rounds of 50 steps; splits between a third and 70 %, each a fifth more. */
+static void test_begin(void **state)
+{
+    (void)state;
+    static const struct {
+        int steps, places, most, begin;
+    } cases[] = {{0, 9, 40000, 40000},     {100, 9, 40000, 33333},  {300, 9, 40000, 27777},
+                 {300, 200, 40000, 33333}, {1000, 9, 40000, 20000}, {300, 9, 1, 0}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct refine_config cfg = {.steps = cases[i].steps, .gaussians_max = cases[i].most};
+        assert_in_range(refine_begin(&cfg, cases[i].places), cases[i].begin, cases[i].begin + 1);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -381,6 +395,6 @@ int main(void)
         cmocka_unit_test(test_no_steps), cmocka_unit_test(test_same_bytes),
         cmocka_unit_test(test_bands),    cmocka_unit_test(test_align),
         cmocka_unit_test(test_extremes), cmocka_unit_test(test_cancel),
-        cmocka_unit_test(test_plan)};
+        cmocka_unit_test(test_plan),     cmocka_unit_test(test_begin)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
