@@ -9,12 +9,12 @@
 #include "drivers/json.h"
 #include "drivers/modelfile.h"
 #include "drivers/netdims.h"
+#include "drivers/partial.h"
 
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 struct writing {
     const struct run *r;
@@ -243,30 +243,37 @@ static err_t write_all(struct writing *x)
 
 /* ---- the file ---- */
 
-/* Write to `path`, which is removed if that fails. */
-static err_t write_file(struct writing *x, const char *path)
+/* Write what will be at `path` to `at`, which is removed if that fails. */
+static err_t write_file(struct writing *x, const char *at, const char *path)
 {
-    err_t e = file_create(path, &x->f);
+    err_t e = file_create(at, &x->f);
     if (e)
         return e;
     e = write_all(x);
     if (!e)
-        return file_finish(x->f, path);
-    file_discard(x->f, path);
+        return file_finish(x->f, at);
+    file_discard(x->f, at);
     return e == ERR_CANCELLED ? e : err_fail(e, "%s: %s", path, err_text());
 }
 
-/* The finished file must be one that can be read. */
-static err_t publish(const char *part, const char *path)
+/* The finished file must be one that can be read before it has its name. */
+static err_t publish(struct writing *x, const char *path)
 {
-    struct modelfile m;
-    err_t e = modelfile_open(part, &m);
-    if (e) {
-        unlink(part);
-        return e;
-    }
+    char at[FILE_PATH_CAP];
+    struct partial p;
+    struct modelfile m = {0};
+    err_t e = partial_open(path, &p);
+    if (!e)
+        e = partial_path(&p, path, at);
+    if (!e)
+        e = write_file(x, at, path);
+    if (!e)
+        e = modelfile_open(at, &m);
     modelfile_close(&m);
-    return file_replace(part, path);
+    if (!e)
+        e = partial_show(&p, path);
+    partial_close(&p);
+    return e;
 }
 
 err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char *path)
@@ -274,9 +281,6 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
     struct sizes s = sizes_of(w);
     struct writing x = {.r = r, .w = w, .total = s.tensors};
     size_t workers = r->pool ? (size_t)pool_size(r->pool) : 1, mark = arena_mark(r->tmp);
-    char part[FILE_PATH_CAP];
-    if (snprintf(part, sizeof part, "%s.part", path) >= FILE_PATH_CAP)
-        return err_fail(ERR_ARG, "%.64s...: path too long", path);
     err_t e = arena_alloc(r->tmp, s.values, sizeof *x.in, &x.in);
     if (!e)
         e = arena_alloc(r->tmp, s.packed, 1, &x.out);
@@ -284,11 +288,10 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
         e = arena_alloc(r->tmp, s.k * workers, sizeof *x.row, &x.row);
     if (!e)
         e = arena_alloc(r->tmp, s.scales, sizeof *x.scale, &x.scale);
-    bool replace = file_is_regular(path) || !file_exists(path);
-    if (!e)
-        e = write_file(&x, replace ? part : path);
-    if (!e && replace)
-        e = publish(part, path);
+    if (!e && (file_is_regular(path) || !file_exists(path)))
+        e = publish(&x, path);
+    else if (!e) // a device
+        e = write_file(&x, path, path);
     arena_reset(r->tmp, mark);
     return e;
 }

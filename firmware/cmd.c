@@ -262,26 +262,48 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                                           .poses = poses}};
 }
 
-err_t cmd_json_open(const char *path, FILE **out)
+err_t cmd_json_open(const char *path, struct cmd_json *out)
 {
-    *out = NULL;
+    *out = (struct cmd_json){.path = path};
     if (!path)
         return OK;
     if (strcmp(path, "-") == 0) {
-        *out = stdout;
+        out->f = stdout;
         return OK;
     }
-    return file_create(path, out);
+    bool device = file_exists(path) && !file_is_regular(path);
+    err_t e = device ? OK : partial_open(path, &out->partial);
+    if (!e && device)
+        snprintf(out->at, sizeof out->at, "%s", path);
+    else if (!e)
+        e = partial_path(&out->partial, path, out->at);
+    if (!e)
+        e = file_create(out->at, &out->f);
+    if (e)
+        partial_close(&out->partial);
+    return e;
 }
 
-err_t cmd_json_close(FILE *f, const char *path)
+err_t cmd_json_close(struct cmd_json *j)
 {
-    if (!f)
+    if (!j->f)
         return OK;
-    if (f == stdout)
-        return fflush(f) || ferror(f) ? err_fail(file_code(errno), "stdout: %s", strerror(errno))
-                                      : OK;
-    return file_finish(f, path);
+    if (j->f == stdout)
+        return fflush(stdout) || ferror(stdout)
+                   ? err_fail(file_code(errno), "stdout: %s", strerror(errno))
+                   : OK;
+    err_t e = file_finish(j->f, j->at);
+    if (!e && j->partial.dir[0])
+        e = partial_show(&j->partial, j->path);
+    partial_close(&j->partial);
+    return e;
+}
+
+void cmd_json_discard(struct cmd_json *j)
+{
+    if (j->f && j->f != stdout)
+        fclose(j->f);
+    partial_close(&j->partial);
 }
 
 int cmd_ask(const char *name, const struct config *cfg, const char *line)

@@ -7,6 +7,7 @@
 #include "firmware/job.h"
 
 #include "drivers/imageset.h"
+#include "drivers/partial.h"
 
 #include "core/base/err.h"
 
@@ -107,10 +108,24 @@ bool cmd_fill_exposures(struct capture *c);
 /* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
 
-/* Open the file of --json, "-" for stdout, NULL for none (*out is NULL then), and close it.
- * err:  those of file_create and file_finish. */
-MUST_USE err_t cmd_json_open(const char *path, FILE **out);
-MUST_USE err_t cmd_json_close(FILE *f, const char *path);
+/* What --json names: a file that appears when it is complete, a device, or "-" for stdout. */
+struct cmd_json {
+    FILE *f; // NULL without --json
+    const char *path;
+    char at[FILE_PATH_CAP]; // where it is written
+    struct partial partial;
+};
+
+/* Begin it; path: or NULL.
+ * own:  cmd_json_close or cmd_json_discard.
+ * err:  those of partial_open and file_create. */
+MUST_USE err_t cmd_json_open(const char *path, struct cmd_json *out);
+
+/* err:  those of file_finish and partial_show. */
+MUST_USE err_t cmd_json_close(struct cmd_json *j);
+
+/* Nothing appears. */
+void cmd_json_discard(struct cmd_json *j);
 
 /* Send a line to the daemon (ctl.h); prints the take that it names. Returns an exit code. */
 int cmd_ask(const char *name, const struct config *cfg, const char *line);

@@ -36,9 +36,9 @@ struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;
     const char *images, *cameras_text;
     bool splat, network, kernels, trade, capture;
-    double cameras;
+    int cameras;
     struct cmd_list gaussians, sizes, views;
-    double degree;
+    int degree;
     struct config cfg;
 };
 
@@ -287,7 +287,7 @@ static int largest(const struct cmd_list *l)
 static err_t reserve(const struct request *rq, struct state *st)
 {
     const int cap = largest(&rq->gaussians), size = largest(&rq->sizes);
-    const int degree = (int)rq->degree, workers = pool_size(st->engine.pool);
+    const int degree = rq->degree, workers = pool_size(st->engine.pool);
     const size_t pixels = (size_t)size * (size_t)size,
                  moments = (size_t)gaussians_planes(degree) * ((size_t)cap + 15);
     size_t tmp = arena_add(raster_plan(cap + 15, size, size, true), loss_plan(size, size, workers));
@@ -362,7 +362,7 @@ static err_t bench(const struct request *rq, struct state *st)
     if (!e && rq->network)
         e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
     if (!e && rq->capture)
-        e = bench_capture_run((int)rq->cameras, &rq->cfg, &st->capture);
+        e = bench_capture_run(rq->cameras, &rq->cfg, &st->capture);
     if (!e && rq->trade)
         e = trade(rq, st);
     return e;
@@ -401,7 +401,7 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
     report_init(&rep, f);
     report_open(&rep, NULL, '{');
     if (rq->splat) {
-        report_number(&rep, "sh_degree", rq->degree);
+        report_int(&rep, "sh_degree", rq->degree);
         report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);
         report_number(&rep, "bandwidth_gb_per_s", st->bandwidth[1] * 1e-9);
         report_figure(&rep, &st->levels[0]); // the best level on all threads
@@ -445,19 +445,19 @@ static void print_tables(const struct state *st)
 
 static err_t write_results(const struct request *rq, const struct state *st)
 {
-    FILE *f;
-    err_t e = cmd_json_open(rq->json, &f);
+    struct cmd_json json;
+    err_t e = cmd_json_open(rq->json, &json);
     if (e)
         return e;
-    if (f)
-        write_report(rq, st, f);
-    if (f != stdout && rq->splat)
+    if (json.f)
+        write_report(rq, st, json.f);
+    if (json.f != stdout && rq->splat)
         print_tables(st);
-    if (f != stdout)
+    if (json.f != stdout)
         bench_net_print(&st->net);
-    if (f != stdout && rq->capture)
+    if (json.f != stdout && rq->capture)
         bench_capture_print(&st->capture);
-    return cmd_json_close(f, rq->json);
+    return cmd_json_close(&json);
 }
 
 static err_t read_what(struct request *rq)
@@ -481,8 +481,8 @@ static err_t read_what(struct request *rq)
 
 static err_t read_numbers(struct request *rq)
 {
-    double degree = 1;
     rq->cameras = BRACKET_CAMERAS_MAX;
+    rq->degree = 1;
     const char *sizes = rq->size_text ? rq->size_text : "224,448";
     err_t e = read_what(rq);
     if (!e)
@@ -490,12 +490,11 @@ static err_t read_numbers(struct request *rq)
     if (!e)
         e = cmd_list("--size", sizes, LOSS_WINDOW, RASTER_SIDE_MAX, &rq->sizes);
     if (!e && rq->degree_text)
-        e = cmd_number("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &degree);
+        e = cmd_whole("--degree", rq->degree_text, 0, SH_DEGREE_MAX, &rq->degree);
     if (!e && rq->cameras_text)
-        e = cmd_number("--cameras", rq->cameras_text, 1, BRACKET_CAMERAS_MAX, &rq->cameras);
+        e = cmd_whole("--cameras", rq->cameras_text, 1, BRACKET_CAMERAS_MAX, &rq->cameras);
     if (!e)
         e = cmd_list("--views", rq->views_text, 2, 1000, &rq->views);
-    rq->degree = floor(degree);
     return e;
 }
 

@@ -23,7 +23,7 @@ enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // of the comparison
 
 struct request {
     const char *in, *out, *spz_text, *json;
-    double spz;
+    int spz;
     bool readable; // out can be read back
     struct config cfg;
 };
@@ -218,12 +218,12 @@ static err_t tell(const struct request *rq, const struct state *st)
     int n = st->scene.g.n;
     double each = n > 0 ? st->bytes / n : 0;
     struct report rep;
-    FILE *f;
-    err_t e = cmd_json_open(rq->json, &f);
+    struct cmd_json json;
+    err_t e = cmd_json_open(rq->json, &json);
     if (e)
         return e;
-    if (f) {
-        report_init(&rep, f);
+    if (json.f) {
+        report_init(&rep, json.f);
         report_open(&rep, NULL, '{');
         report_int(&rep, "gaussians", n);
         report_int(&rep, "sh_degree", st->scene.g.degree);
@@ -237,7 +237,7 @@ static err_t tell(const struct request *rq, const struct state *st)
             report_number(&rep, "radiance_psnr_least", l->radiance_least);
         }
         report_close(&rep);
-        e = cmd_json_close(f, rq->json);
+        e = cmd_json_close(&json);
     }
     bool lines = !rq->json || strcmp(rq->json, "-") != 0; // stdout holds no JSON
     if (!e && lines)
@@ -287,7 +287,7 @@ static err_t convert(const struct request *rq, struct state *st)
     if (!e)
         e = step(st, "write", 0);
     if (!e)
-        e = sceneio_write(rq->out, &st->scene, (int)rq->spz);
+        e = sceneio_write(rq->out, &st->scene, rq->spz);
     if (!e)
         e = step(st, "write", 1);
     if (!e && rq->readable)
@@ -308,9 +308,7 @@ static err_t check(struct request *rq)
     rq->spz = SPZWRITE_VERSION;
     err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
     if (!e && rq->spz_text)
-        e = cmd_number("--spz", rq->spz_text, 3, 4, &rq->spz);
-    if (!e && rq->spz != floor(rq->spz))
-        e = err_fail(ERR_ARG, "--spz: 3 or 4");
+        e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->spz);
     return e ? e : sceneio_check_place(rq->out, &rq->readable);
 }
 

@@ -116,12 +116,12 @@ static void print_table(const struct state *st)
 
 static err_t write_file(const struct state *st, const char *path)
 {
-    FILE *f;
-    err_t e = cmd_json_open(path, &f);
-    if (e || !f)
+    struct cmd_json json;
+    err_t e = cmd_json_open(path, &json);
+    if (e || !json.f)
         return e;
-    write_report(st, f);
-    return cmd_json_close(f, path);
+    write_report(st, json.f);
+    return cmd_json_close(&json);
 }
 
 /* report.json and the page of it, next to the pictures. */

@@ -35,20 +35,20 @@ struct state {
 static err_t print_result(const struct request *rq, const struct state *st)
 {
     const struct job_result *j = &st->result;
-    FILE *json;
+    struct cmd_json json;
     err_t e = cmd_json_open(rq->json, &json);
     if (e)
         return e;
-    if (json)
-        publish_report(j, pool_size(st->engine.pool), json);
-    if (json != stdout) {
+    if (json.f)
+        publish_report(j, pool_size(st->engine.pool), json.f);
+    if (json.f != stdout) {
         printf("%s: %d views, %d Gaussians of SH degree %d, input views %.2f dB", rq->out,
                j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr);
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
         printf(", %.1f s\n", j->lap_s - j->start_s);
     }
-    return cmd_json_close(json, rq->json);
+    return cmd_json_close(&json);
 }
 
 /* ---- dump ---- */

@@ -57,26 +57,25 @@ static err_t selftest(const struct request *q, const char *json, bool *passed)
 {
     static struct selftest t;
     struct progress p;
-    FILE *f;
+    struct cmd_json out;
     struct camera_cfg camera = {q->camera, q->cfg.camera_w, q->cfg.camera_h,
                                 (enum camera_format)q->cfg.camera_format, 0};
     struct selftest_order o = {camera, q->cfg.calibration_path, q->longest_s, &p};
-    err_t e = cmd_json_open(json, &f);
+    err_t e = cmd_json_open(json, &out);
     if (e)
         return e;
     progress_init(&p, stderr);
     e = selftest_run(&o, &t);
     progress_end(&p);
     if (e) {
-        if (f && f != stdout)
-            file_discard(f, json);
+        cmd_json_discard(&out);
         return e;
     }
-    print_findings(&t, f == stdout ? stderr : stdout);
-    if (f)
-        write_report(q, &t, f);
+    print_findings(&t, out.f == stdout ? stderr : stdout);
+    if (out.f)
+        write_report(q, &t, out.f);
     *passed = selftest_passed(&t);
-    return cmd_json_close(f, json);
+    return cmd_json_close(&out);
 }
 
 int cmd_selftest_run(int argc, char **argv)

@@ -96,7 +96,7 @@ int cmd_view_run(int argc, char **argv)
     char page[FILE_PATH_CAP];
     struct config cfg;
     bool serves = false;
-    double port;
+    int port;
     int code;
     const struct cmd_option options[] = {
         {"serve", NULL, "for browsers that refuse local files: on this machine, until Ctrl-C", NULL,
@@ -115,12 +115,12 @@ int cmd_view_run(int argc, char **argv)
         return code;
     if (!what)
         return cmd_misuse(&usage, "the folder of a result is needed");
-    if (cmd_number("--port", port_text, 0, 65535, &port) != OK)
+    if (cmd_whole("--port", port_text, 0, 65535, &port) != OK)
         return cmd_misuse(&usage, err_text());
     if (serves && !file_is_dir(what))
         return cmd_misuse(&usage, "--serve needs the folder of a result");
     err_t e = find_page(what, page);
     if (!e)
-        e = serves ? serve(what, (int)port) : open_page(page);
+        e = serves ? serve(what, port) : open_page(page);
     return cmd_finish(usage.name, e);
 }

@@ -96,8 +96,8 @@ static unsigned level_bit(const char *word, size_t len)
 err_t cpu_parse_mask(const char *text, unsigned *mask)
 {
     static const char gaps[] = " ,";
-    *mask = text ? 0 : CPU_ALL;
-    if (!text)
+    *mask = text && *text ? 0 : CPU_ALL;
+    if (*mask)
         return OK;
     for (const char *p = text + strspn(text, gaps); *p; p += strspn(p, gaps)) {
         size_t len = strcspn(p, gaps);

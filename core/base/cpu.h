@@ -25,7 +25,7 @@ enum { CPU_NAMES_CAP = 64 }; // bytes that hold every list of names
 unsigned cpu_detect(void);
 
 /* Read a list of levels to allow, separated by blanks or commas: "sse41,avx2". "c" names no level;
- * NULL is CPU_ALL.
+ * NULL and "" are CPU_ALL.
  * err:  ERR_ARG names the unknown word. */
 MUST_USE err_t cpu_parse_mask(const char *text, unsigned *mask);
 

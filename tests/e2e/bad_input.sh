@@ -30,6 +30,9 @@ expect 1 'no-such.conf' reconstruct --config "$OUT/no-such.conf"
 expect 2 'give either --cameras or --path' render --scene x --out y
 expect 2 '--path: "moon"' render --scene x --out y --path moon
 expect 2 '--what: "coffee"' bench --what coffee
+expect 2 '--degree: 1.5 is not a whole number' bench --degree 1.5
+expect 2 '--cameras: 2.5 is not a whole number' bench --what capture --cameras 2.5
+expect 2 '--port: 80.5 is not a whole number' view "$OUT" --port 80.5
 for command in reconstruct render eval bench doctor config; do
     succeed $command --help
     grep -q "^usage: hdrig $command" "$OUT/stdout.txt" || fail "no help of $command"
@@ -105,6 +108,13 @@ if [ -c /dev/full ]; then
     "$HDRIG" bench --what splat --gaussians 1000 --size 56 --json - >/dev/full 2>"$ERR"
     [ $? -eq 3 ] || fail "full stdout: not exit 3"
 fi
+
+# a report that does not come to be leaves the former one
+echo former >"$OUT/former.json"
+expect 1 '/dev/no-camera' selftest --camera v4l2:/dev/no-camera --json "$OUT/former.json"
+expect 1 'no/folder.json' bench --what splat --gaussians 1000 --size 56 --json "$OUT/no/folder.json"
+grep -qx former "$OUT/former.json" || fail "the former report is lost"
+[ -z "$(find "$OUT" -maxdepth 1 -name '.tmp-*')" ] || fail "something unfinished is left"
 
 # scenes
 expect 1 'nowhere: No such file' render --scene "$OUT/nowhere" --path orbit --out "$OUT/frames"
