@@ -3,6 +3,7 @@
 # make picture    the picture of README.md
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
+# make check-train   the training of the small network: PYTHON= with PyTorch
 # make fuzz       SECONDS= for each target (clang)
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
@@ -93,7 +94,8 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install deb clean fuzz bench \
-	picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel deps-kernel deps-qemu
+	picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel check-train \
+	deps-kernel deps-qemu
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -235,6 +237,10 @@ lint: deps-check
 
 check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(KERNEL))
 	@tests/kernel/run.sh $(B)/tests/kernel $(TEST)
+
+check-train: all libsim
+	@rm -rf build/train && mkdir -p build/train
+	@HDRIG=build/hdrig OUT=build/train tests/train.sh
 
 tests: $(call programs,$(TESTS) $(E2E))
 tsan-tests: $(TSAN_PROGRAMS)

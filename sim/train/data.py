@@ -277,6 +277,10 @@ class Replay:
             del self.scenes[next(iter(self.scenes))]
 
     def wait(self, count: int) -> None:
+        if len(self.scenes) < count:
+            kind = "validation" if self.validation else "training"
+            print(f"{self.folder}: {len(self.scenes)} scenes for {kind}, waiting for {count}",
+                  flush=True)
         while len(self.scenes) < count:
             time.sleep(2)
             self.refresh()
