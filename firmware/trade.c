@@ -20,7 +20,9 @@ struct state {
     char model[TRADE_LIST_MAX][FILE_PATH_CAP];
     unsigned floats[TRADE_FLOATS_MAX];
     int n_floats;
-    bool exposures, dry; // pictures must have them; nothing is computed yet
+    bool exposures; // pictures must have them
+    bool dry;       // nothing is computed yet
+    bool first;     // size and number of views: there parts are tried in floats
     struct arena base;   // views, and what stays of the reference
     struct views views;
     struct differ_look ref;
@@ -207,7 +209,7 @@ static err_t run_model(struct state *st, int model, int size, int n)
 {
     bool s8 = true;
     err_t e = OK;
-    for (int i = 0; i < st->n_floats && s8 && !e; i++) {
+    for (int i = 0; i < (st->first ? st->n_floats : 1) && s8 && !e; i++) {
         struct trade_row row = {.model = model, .size = size, .views = n};
         for (int k = 0; k < DIFFER_FIGURES; k++)
             row.error[k] = NAN;
@@ -241,8 +243,10 @@ static err_t run_all(struct state *st, bool dry)
     err_t e = OK;
     st->dry = dry;
     for (int s = 0; s < rq->n_sizes; s++)
-        for (int v = 0; v < rq->n_views && !e; v++)
+        for (int v = 0; v < rq->n_views && !e; v++) {
+            st->first = s == 0 && v == 0;
             e = run_group(st, rq->sizes[s], rq->views[v]);
+        }
     return e;
 }
 

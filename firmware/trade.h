@@ -29,11 +29,11 @@ struct trade_row {
 
 struct trade {
     int n;
-    struct trade_row rows[TRADE_LIST_MAX * TRADE_LIST_MAX * TRADE_LIST_MAX * TRADE_FLOATS_MAX];
+    struct trade_row rows[TRADE_LIST_MAX * (TRADE_LIST_MAX * TRADE_LIST_MAX + TRADE_FLOATS_MAX)];
 };
 
-/* For every size and number of views each file; an int8 file also with one part after the other in
- * floats, and with those of net.float_parts. The first file is the reference. Whether all of it
+/* For every size and number of views each file; at the first of both an int8 file also with one part
+ * after the other in floats, and with those of net.float_parts. The first file is the reference. Whether all of it
  * fits into memory is looked at before the first pass.
  * err:  ERR_ARG (lists, sizes), ERR_LIMIT (memory), those of network_open, modelfile_verify,
  *       imageset_load and net_run. */
