@@ -167,6 +167,11 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
                      "one of them",
                      v->names[i]);
     }
+    if (2 * n < v->n)
+        job_warn(out,
+                 "only %d of %d photographs could be placed: cameras and scene are a guess; light "
+                 "the others, or photograph so that neighbours overlap by more than half",
+                 n, v->n);
     stack_drop(v, keep);
     out->scene.n_views = n;
     arena_reset(r->tmp, mark);

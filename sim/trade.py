@@ -2,9 +2,9 @@
 """Quality against seconds: one table (stdout, markdown) and one plot (--plot FILE.svg).
 
     sim/trade.py --data DIR... --views 4,8,18 --size 224,448 --refine 0,100,300,1000 \
-        [--model FILE,...|none] [--rig none] [--plot trade.svg]
+        [--model own,none,FILE,...] [--rig none] [--plot trade.svg]
 
-Runs `hdrig eval` once for every combination and data set; a figure is the mean over the sets."""
+own: what hdrig does by itself, the model that comes with it finding cameras; none: without it. Runs `hdrig eval` once for every combination and data set; a figure is the mean over the sets."""
 
 import argparse
 import itertools
@@ -19,7 +19,9 @@ COLOURS = ["#1b6ca8", "#d1495b", "#2a9d5c", "#8e5aa8", "#c77f1a", "#4d4d4d"]
 def evaluate(q, data, views, size, refine, model):
     """Figures of one reconstruction; None and a line on stderr if it was refused."""
     command = [q.hdrig, "eval", "--data", data, "--views", views, "--size", size]
-    command += ["--refine", refine, "--model", model, "--json", "-"]
+    command += ["--refine", refine, "--json", "-"]
+    if model != "own":
+        command += ["--model", model]
     if q.rig:
         command += ["--rig", q.rig]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -37,7 +39,7 @@ def evaluate(q, data, views, size, refine, model):
         - j["seconds"].get("render", 0),
         "mb": j["peak_rss_mb"],
         "splats": j["gaussians"],
-        "precision": j["precision"] if j["network"] else "none",
+        "start": model if model in ("own", "none") else j["precision"],
     }
 
 
@@ -73,14 +75,14 @@ def plot(rows, path):
                f'<text x="{left}" y="14">LDR PSNR, dB</text>')
     lines = {}
     for r in rows:
-        lines.setdefault((r["views"], r["size"], r["model"]), []).append(r)
+        lines.setdefault((r["views"], r["size"], r["start"]), []).append(r)
     for i, (key, line) in enumerate(lines.items()):
         colour = COLOURS[i % len(COLOURS)]
         points = [at(r) for r in sorted(line, key=lambda r: r["seconds"])]
         out.append(f'<path d="M{" L".join(f"{x:.1f} {y:.1f}" for x, y in points)}" fill="none" '
                    f'stroke="{colour}" stroke-width="2"/>')
         out += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3" fill="{colour}"/>' for x, y in points]
-        name = f"{key[0]} views, {key[1]} px" + (f", {key[2]}" if key[2] != "none" else "")
+        name = f"{key[0]} views, {key[1]} px" + (f", {key[2]}" if key[2] != "own" else "")
         out.append(f'<text x="{w - 160}" y="{30 + 18 * i}" fill="{colour}">{name}</text>')
     with open(path, "w", encoding="ascii") as f:
         f.write("\n".join(out) + "\n</svg>\n")
@@ -93,13 +95,13 @@ def main():
     p.add_argument("--views", default="4,8,18")
     p.add_argument("--size", default="448")
     p.add_argument("--refine", default="0,100,300,1000")
-    p.add_argument("--model", default="none")
+    p.add_argument("--model", default="own")
     p.add_argument("--rig")
     p.add_argument("--plot")
     p.add_argument("--hdrig", default="build/hdrig")
     q = p.parse_args()
     rows = []
-    print("| model | px | views | steps | seconds | MB | splats | LDR dB | SSIM | HDR dB | "
+    print("| start | px | views | steps | seconds | MB | splats | LDR dB | SSIM | HDR dB | "
           "over nearest | rotation deg |\n|---|---|---|---|---|---|---|---|---|---|---|---|")
     for model, size, views, refine in itertools.product(
             q.model.split(","), q.size.split(","), q.views.split(","), q.refine.split(",")):
@@ -107,10 +109,10 @@ def main():
         found = [f for f in found if f]
         if not found:
             continue
-        r = {k: mean(found, k) for k in found[0] if k != "precision"}
-        r |= {"model": found[0]["precision"], "size": size, "views": views}
+        r = {k: mean(found, k) for k in found[0] if k != "start"}
+        r |= {"start": found[0]["start"], "size": size, "views": views}
         rows.append(r)
-        print(f"| {r['model']} | {size} | {views} | {refine} | {r['seconds']:.1f} | "
+        print(f"| {r['start']} | {size} | {views} | {refine} | {r['seconds']:.1f} | "
               f"{r['mb']:.0f} | "
               f"{r['splats']:.0f} | {r['ldr']:.2f} | {r['ssim']:.3f} | {r['hdr']:.2f} | "
               f"{r['ldr'] - r['nearest']:+.1f} | {r['rotation']:.3f} |", flush=True)
