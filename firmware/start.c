@@ -169,7 +169,7 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
     }
     if (2 * n < v->n)
         job_warn(out,
-                 "only %d of %d photographs could be placed: cameras and scene are a guess; light "
+                 "only %d of %d photographs could be placed: cameras and scene may be wrong; light "
                  "the others, or photograph so that neighbours overlap by more than half",
                  n, v->n);
     stack_drop(v, keep);
