@@ -32,9 +32,9 @@ struct trade {
     struct trade_row rows[TRADE_LIST_MAX * (TRADE_LIST_MAX * TRADE_LIST_MAX + TRADE_FLOATS_MAX)];
 };
 
-/* For every size and number of views each file; at the first of both an int8 file also with one part
- * after the other in floats, and with those of net.float_parts. The first file is the reference. Whether all of it
- * fits into memory is looked at before the first pass.
+/* For every size and number of views each file; at the first of both an int8 file also with one
+ * part after the other in floats, and with those of net.float_parts. The first file is the
+ * reference. Whether all of it fits into memory is looked at before the first pass.
  * err:  ERR_ARG (lists, sizes), ERR_LIMIT (memory), those of network_open, modelfile_verify,
  *       imageset_load and net_run. */
 MUST_USE err_t trade_run(const struct trade_request *rq, const struct config *cfg,

@@ -4,7 +4,8 @@
     sim/trade.py --data DIR... --views 4,8,18 --size 224,448 --refine 0,100,300,1000 \
         [--model own,none,FILE,...] [--rig none] [--plot trade.svg]
 
-own: what hdrig does by itself, the model that comes with it finding cameras; none: without it. Runs `hdrig eval` once for every combination and data set; a figure is the mean over the sets."""
+own: what hdrig does by itself, the model that comes with it finding cameras; none: without it.
+Runs `hdrig eval` once for every combination and data set; a figure is the mean over the sets."""
 
 import argparse
 import itertools
@@ -59,7 +60,7 @@ def plot(rows, path):
         x = left + (math.log10(r["seconds"]) - x0) / (x1 - x0) * (w - left - 170)
         return x, h - bottom - (r["ldr"] - y0) / (y1 - y0) * (h - bottom - 20)
 
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}" '
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{w}" height="{h}"',
            'font-family="sans-serif" font-size="12">',
            f'<rect width="{w}" height="{h}" fill="white"/>']
     for y in range(y0, y1 + 1, 2):

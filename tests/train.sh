@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # The training of the small network: the same graph in PyTorch as in C, every stage learns, goes on
-# from its checkpoint and gives the same weights again, and what it exports is a model. Needs PyTorch
-# 2.2 or newer for $PYTHON (python3) and what `make all libsim` builds.
+# from its checkpoint and gives the same weights again, and what it exports is a model. Needs
+# PyTorch 2.2 or newer for $PYTHON (python3) and what `make all libsim` builds.
 . tests/e2e/common.bash
 export PYTHONDONTWRITEBYTECODE=1 # the folder of the sources stays clean
 python=${PYTHON:-python3} small=tests/data/room
 "$python" -c 'import numpy, torch' 2>"$OUT/torch.txt" || {
-    echo "$python: $(tail -n 1 "$OUT/torch.txt"); make check-train PYTHON=... names one with PyTorch" >&2
+    echo "$python: $(tail -n 1 "$OUT/torch.txt"); PYTHON=... names one with PyTorch" >&2
     exit 1
 }
 
@@ -20,7 +20,8 @@ quick=(--scenes "$OUT/scenes" --tokens 200 --sizes 112 --val 2 --val-size 112 --
 
 train() { # folder stage steps
     script train "$2" --out "$OUT/$1" --steps "$3" "${quick[@]}"
-    grep -Eq 'loss (nan|inf)|norm (nan|inf)' "$OUT/stdout.txt" && fail "$2: $(cat "$OUT/stdout.txt")"
+    grep -Eq 'loss (nan|inf)|norm (nan|inf)' "$OUT/stdout.txt" &&
+        fail "$2: $(cat "$OUT/stdout.txt")"
 }
 
 script parity
@@ -36,7 +37,8 @@ train other geometry 2
 cp "$OUT/other/geometry.safetensors" "$OUT/first.safetensors"
 rm -r "$OUT/other"
 train other geometry 2
-cmp "$OUT/first.safetensors" "$OUT/other/geometry.safetensors" || fail "other weights the second time"
+cmp "$OUT/first.safetensors" "$OUT/other/geometry.safetensors" ||
+    fail "other weights the second time"
 
 # stopped by a signal: the step in hand is kept
 "$python" sim/train/train.py geometry --out "$OUT/one" --steps 100000 "${quick[@]}" \
@@ -49,5 +51,6 @@ step=$(sed -n 's/continues at step //p' "$OUT/stdout.txt")
 
 script export "$OUT/one/render.ckpt" "$OUT/model.safetensors"
 succeed convert "$OUT/model.safetensors" --config "$OUT/model.json" --out "$OUT/model.hdrig"
-succeed reconstruct --images $small --size 112 --model "$OUT/model.hdrig" --refine 0 --out "$OUT/scene"
+succeed reconstruct --images $small --size 112 --model "$OUT/model.hdrig" --refine 0 \
+    --out "$OUT/scene"
 finish

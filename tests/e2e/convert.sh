@@ -9,7 +9,7 @@ refused() { # code regex arguments of convert...
     local code=$1 regex=$2
     shift 2
     expect "$code" "$regex" convert "$@" --out "$to"
-    [ ! -e "$to" ] && [ -z "$(ls -A "$OUT" | grep '^\.tmp-')" ] || fail "hdrig convert $*: left a file"
+    nothing_at "$to"
 }
 
 copy() { # name: a safetensors file to spoil, in $bad
