@@ -240,7 +240,7 @@ check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(KERNEL))
 
 check-train: all libsim
 	@rm -rf build/train && mkdir -p build/train
-	@HDRIG=build/hdrig OUT=build/train tests/train.sh
+	@HDRIG=build/hdrig OUT=build/train timeout 900 tests/train.sh
 
 tests: $(call programs,$(TESTS) $(E2E))
 tsan-tests: $(TSAN_PROGRAMS)

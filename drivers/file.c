@@ -71,6 +71,11 @@ bool file_is_regular(const char *path)
     return stat(path, &st) == 0 && S_ISREG(st.st_mode);
 }
 
+bool file_is_special(const char *path)
+{
+    return file_exists(path) && !file_is_regular(path);
+}
+
 err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP])
 {
     size_t a = strlen(dir), b = strlen(name);

@@ -34,6 +34,8 @@ void file_drop(const struct file_map *m);
 
 bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
+/* Something that a finished file must not be put in the place of, like a device or a pipe. */
+bool file_is_special(const char *path);
 
 /* out = "dir/name".
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */

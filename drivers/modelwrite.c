@@ -288,10 +288,8 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
         e = arena_alloc(r->tmp, s.k * workers, sizeof *x.row, &x.row);
     if (!e)
         e = arena_alloc(r->tmp, s.scales, sizeof *x.scale, &x.scale);
-    if (!e && (file_is_regular(path) || !file_exists(path)))
-        e = publish(&x, path);
-    else if (!e) // a device
-        e = write_file(&x, path, path);
+    if (!e)
+        e = file_is_special(path) ? write_file(&x, path, path) : publish(&x, path);
     arena_reset(r->tmp, mark);
     return e;
 }

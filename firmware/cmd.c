@@ -271,9 +271,9 @@ err_t cmd_json_open(const char *path, struct cmd_json *out)
         out->f = stdout;
         return OK;
     }
-    bool device = file_exists(path) && !file_is_regular(path);
-    err_t e = device ? OK : partial_open(path, &out->partial);
-    if (!e && device)
+    bool special = file_is_special(path);
+    err_t e = special ? OK : partial_open(path, &out->partial);
+    if (!e && special)
         snprintf(out->at, sizeof out->at, "%s", path);
     else if (!e)
         e = partial_path(&out->partial, path, out->at);

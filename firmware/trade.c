@@ -20,10 +20,10 @@ struct state {
     char model[TRADE_LIST_MAX][FILE_PATH_CAP];
     unsigned floats[TRADE_FLOATS_MAX];
     int n_floats;
-    bool exposures; // pictures must have them
-    bool dry;       // nothing is computed yet
-    bool first;     // size and number of views: there parts are tried in floats
-    struct arena base;   // views, and what stays of the reference
+    bool exposures;    // pictures must have them
+    bool dry;          // nothing is computed yet
+    bool first;        // size and number of views: there parts are tried in floats
+    struct arena base; // views, and what stays of the reference
     struct views views;
     struct differ_look ref;
     struct trade *out;

@@ -19,6 +19,9 @@ static inline size_t num_max_size(size_t a, size_t b)
  * none. */
 float num_quantile(float *v, size_t n, float share);
 
+/* The same of numbers that are sorted already, for another share of them. */
+float num_of_sorted(const float *v, size_t n, float share);
+
 /* Upper median. */
 static inline float num_median(float *v, size_t n)
 {

@@ -118,12 +118,18 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
+/* Half-size pictures come first, without splits. */
+static bool begins(int step, int steps)
+{
+    return 3 * step < steps;
+}
+
 int refine_begin(const struct refine_config *cfg, int places)
 {
     float most = (float)cfg->gaussians_max, n = most;
     const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
     for (int step = round; step <= end && n > most / 2; step += round)
-        if (3 * (step - 1) >= cfg->steps) // half-size pictures come first, without splits
+        if (!begins(step - 1, cfg->steps))
             n /= 1 + SPLIT_SHARE;
     return (int)fmaxf(n, most / 2);
 }
@@ -497,7 +503,7 @@ static err_t run_steps(struct refine *f)
     e = e ? e : measure(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     for (f->step = 0; f->step < f->steps && !e;) {
-        f->scale = small && f->step * 3 < f->steps ? 2 : 1;
+        f->scale = small && begins(f->step, f->steps) ? 2 : 1;
         e = take_step(f);
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
