@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 static const float DARKEST = 1.0f / 512; // display value
+static const float SURE = 0.6f;          // confidence of stereo from which it overrules the network
 
 err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
 {
@@ -270,6 +271,54 @@ err_t network_place(const struct run *r, const struct camera *cams, const float 
     }
     arena_reset(r->tmp, mark);
     return e;
+}
+
+/* ---- depth that is known better ---- */
+
+struct sharpen {
+    const struct depthmaps *from;
+    float scale;
+    struct prediction *p;
+};
+
+/* The input of softplus whose output is `factor` times as large. */
+static float stretched(float x, float factor)
+{
+    const double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
+    return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
+}
+
+static err_t sharpen_view(void *ctx, int view, int worker)
+{
+    const struct sharpen *s = ctx;
+    const struct depthmaps *from = s->from;
+    const size_t w = (size_t)s->p->geom.size, small = (size_t)from->size,
+                 first = (size_t)view * w * w;
+    float *scales = s->p->features + (size_t)VOXEL_SCALE * (size_t)s->p->n;
+    (void)worker;
+    for (size_t i = 0; i < w * w; i++) {
+        const size_t y = i / w / (size_t)from->scale, x = i % w / (size_t)from->scale;
+        const size_t at = (size_t)view * small * small + (y < small ? y : small - 1) * small +
+                          (x < small ? x : small - 1);
+        float *depth = &s->p->geom.depth[first + i];
+        if (from->conf[at] < SURE)
+            continue;
+        const float sharp = from->depth[at] / s->scale, factor = sharp / *depth;
+        *depth = sharp;
+        for (size_t k = 0; k < 3; k++) {
+            float *raw = scales + k * (size_t)s->p->n + first + i;
+            *raw = stretched(*raw, factor);
+        }
+    }
+    depth_unproject(&s->p->geom, view, s->p->points + 3 * first);
+    return OK;
+}
+
+err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
+                      struct prediction *p)
+{
+    struct sharpen s = {depth, scale, p};
+    return pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
 }
 
 /* ---- Gaussians ---- */

@@ -4,6 +4,7 @@
 #define FIRMWARE_NETWORK_H
 
 #include "core/net/net.h"
+#include "core/splat/sweep.h"
 #include "core/splat/voxel.h"
 #include "drivers/file.h"
 #include "drivers/modelfile.h"
@@ -82,6 +83,13 @@ void network_look_plan(const struct network *n, const struct views *v, int threa
 MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
                              const float *depth_scale, struct prediction *p, float *scale);
 size_t network_place_plan(int n_views);
+
+/* Where `depth` is sure, p's depth becomes it: pixels are unprojected anew and Gaussians grow as their
+ * distance does, so that they cover as many pixels as before.
+ * depth: of p's views and cameras.
+ * scale: of network_place. */
+MUST_USE err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
+                               struct prediction *p);
 
 /* Gaussians of a prediction, merged (voxel.h). max: most of them, 0 = any number; the cell grows
  * from `cell` until they fit.

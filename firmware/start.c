@@ -1,5 +1,5 @@
-/* By the network: one forward pass; where cameras are known, its geometry is brought to them; then
- * one Gaussian per cell. A network without Gaussian head gives cameras and depth, from which seeds
+/* By the network: one forward pass; where cameras are known or polished, its geometry is brought to
+ * them and its depth to that of stereo; then one Gaussian per cell. A network without Gaussian head gives cameras and depth, from which seeds
  * are made as from stereo.
  * Memory: first what stays, then what the network needs, which is given back if it can be: without
  * refinement the planes of the scene are the network's own. */
@@ -110,16 +110,24 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg, cons
     return e;
 }
 
+/* *seen: in r->tmp. */
+static err_t sweep(const struct run *r, struct job_result *out, struct seen *seen,
+                   struct depthmaps *depth)
+{
+    announce(r, "sweep");
+    err_t e = stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
+    if (!e)
+        e = sweep_run(r, &seen->views, &seen->tone, depth);
+    job_lap(out, JOB_SWEEP);
+    return e;
+}
+
 static err_t by_stereo(const struct run *r, const struct job_config *cfg, struct job_result *out)
 {
     struct depthmaps depth;
     struct seen seen;
     const size_t mark = arena_mark(r->tmp);
-    announce(r, "sweep");
-    err_t e = stack_merge(r, &out->views, &out->response, &seen.views, &seen.tone);
-    if (!e)
-        e = sweep_run(r, &seen.views, &seen.tone, &depth);
-    job_lap(out, JOB_SWEEP);
+    err_t e = sweep(r, out, &seen, &depth);
     if (!e)
         e = place_seeds(r, cfg, &seen, &depth, out);
     arena_reset(r->tmp, mark);
@@ -321,6 +329,25 @@ static void copy_gaussians(const struct gaussians *from, int degree_max, struct 
         memcpy(to->plane[p], from->plane[p], (size_t)from->n * sizeof(float));
 }
 
+/* Whether stereo corrects the depth of the network's Gaussians: it needs cameras that are right. */
+static bool sharpens(const struct run *r, const struct job_config *cfg)
+{
+    return takes_gaussians(cfg) && cfg->polish && !r->tap;
+}
+
+static err_t sharpen(const struct run *r, float scale, struct prediction *p, struct job_result *out)
+{
+    struct depthmaps depth;
+    struct seen seen;
+    const size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
+    err_t e = sweep(r, out, &seen, &depth);
+    if (!e)
+        e = network_sharpen(r, &depth, scale, p);
+    arena_reset(r->keep, keep);
+    arena_reset(r->tmp, tmp);
+    return e;
+}
+
 static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
                             const struct prediction *p, struct job_result *out)
 {
@@ -383,6 +410,8 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
     if (!e)
         e = take_cameras(r, cfg, out, &p, &scale);
     out->views.cams = out->scene.cams;
+    if (!e && sharpens(r, cfg))
+        e = sharpen(r, scale, &p, out);
     if (!e && p.features) {
         e = take_gaussians(r, cfg, &p, out);
         if (!e)
@@ -454,6 +483,10 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
     if (cfg->polish)
         plan_cameras(v, threads, m);
     m->tmp = num_max_size(m->tmp, network_place_plan(v->n));
+    if (net.d.gauss && cfg->polish) {
+        m->keep = arena_add(m->keep, sweep_keep(v));
+        m->tmp = num_max_size(m->tmp, sweep_plan(v, threads));
+    }
     if (net.d.gauss) {
         m->keep = arena_add(m->keep, voxel_keep(all));
         m->tmp = num_max_size(m->tmp, voxel_plan(all));

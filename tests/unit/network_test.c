@@ -208,6 +208,48 @@ static void known_cameras_see_what_the_network_saw(void **state)
     }
 }
 
+static double softplus(float x)
+{
+    return x > 30 ? (double)x : log1p(exp((double)x));
+}
+
+/* A map of half the size, sure in its upper half, in a world 3 times as large. */
+static void sure_depth_moves_pixels_along_their_rays(void **state)
+{
+    (void)state;
+    enum { SMALL = SIZE / 2 };
+    static float depth[VIEWS * SMALL * SMALL], conf[VIEWS * SMALL * SMALL], was[N], points[3 * N],
+        scales[3 * N], want[3 * PX];
+    struct depthmaps map = {VIEWS, SMALL, 2, depth, conf};
+    float *size = w.p.features + VOXEL_SCALE * N;
+    for (int k = 0; k < VIEWS * SMALL * SMALL; k++) {
+        depth[k] = 3 * (1.5f + 0.4f * wave(k, 3));
+        conf[k] = k % (SMALL * SMALL) < SMALL * SMALL / 2 ? 0.7f : 0.5f;
+    }
+    for (int i = 0; i < 3 * N; i++)
+        size[i] -= 22 + (float)(i % 40); // down to where softplus is all but 0
+    size[5] = 1000;
+    memcpy(was, w.p.geom.depth, sizeof was);
+    memcpy(points, w.p.points, sizeof points);
+    memcpy(scales, size, sizeof scales);
+    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    for (int i = 0; i < N; i++) {
+        const int y = i % PX / SIZE, k = i / PX * SMALL * SMALL + y / 2 * SMALL + i % SIZE / 2;
+        const bool sure = y < SIZE / 2;
+        const double factor = (double)(sure ? depth[k] / 3 / was[i] : 1);
+        assert_float_equal(w.p.geom.depth[i], (double)was[i] * factor, 1e-6);
+        for (int c = 0; c < 3; c++) {
+            double now = softplus(size[c * N + i]), then = softplus(scales[c * N + i]);
+            assert_true(isfinite(size[c * N + i]) && fabs(now - then * factor) <= 1e-5 * then);
+            assert_true(sure || w.p.points[3 * i + c] == points[3 * i + c]);
+        }
+    }
+    for (int v = 0; v < VIEWS; v++) {
+        depth_unproject(&w.p.geom, v, want);
+        assert_memory_equal(w.p.points + (size_t)v * 3 * PX, want, sizeof want);
+    }
+}
+
 static void cells_grow_until_they_fit(void **state)
 {
     (void)state;
@@ -318,6 +360,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(time_belongs_to_the_stage_that_passed_it),
         cmocka_unit_test_setup_teardown(known_cameras_see_what_the_network_saw, setup, teardown),
+        cmocka_unit_test_setup_teardown(sure_depth_moves_pixels_along_their_rays, setup, teardown),
         cmocka_unit_test_setup_teardown(cells_grow_until_they_fit, setup, teardown),
         cmocka_unit_test(radiance_is_shown_as_it_is),
         cmocka_unit_test(correspondences_are_sought_if_asked),
