@@ -16,6 +16,7 @@
 
 static const float DARKEST = 1.0f / 512; // display value
 static const float SURE = 0.6f;          // confidence of stereo from which it overrules the network
+static const float NEARER = 0.95f;       // share of its depth before which nothing can stand
 
 err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
 {
@@ -279,7 +280,30 @@ struct sharpen {
     const struct depthmaps *from;
     float scale;
     struct prediction *p;
+    float (*turn)[9]; // (n_views) rotations of the cameras
 };
+
+/* Place in the map of pixel (x, y) of the view. */
+static size_t map_place(const struct depthmaps *m, int view, int x, int y)
+{
+    const int u = num_min(x / m->scale, m->size - 1), v = num_min(y / m->scale, m->size - 1);
+    return ((size_t)view * (size_t)m->size + (size_t)v) * (size_t)m->size + (size_t)u;
+}
+
+/* Whether view j is sure of something behind this point. */
+static bool looks_through(const struct sharpen *s, int j, const float point[3])
+{
+    const struct camera *c = &s->p->geom.cams[j];
+    const float *r = s->turn[j];
+    float x[3];
+    for (int k = 0; k < 3; k++)
+        x[k] = r[3 * k] * point[0] + r[3 * k + 1] * point[1] + r[3 * k + 2] * point[2] + c->t[k];
+    const float u = c->fx * x[0] / x[2] + c->cx, v = c->fy * x[1] / x[2] + c->cy;
+    if (!(x[2] > 0 && u >= 0 && v >= 0 && u < (float)c->w && v < (float)c->h))
+        return false;
+    const size_t at = map_place(s->from, j, (int)u, (int)v);
+    return s->from->conf[at] >= SURE && s->from->depth[at] * NEARER > x[2] * s->scale;
+}
 
 /* The input of softplus whose output is `factor` times as large. */
 static float stretched(float x, float factor)
@@ -288,37 +312,56 @@ static float stretched(float x, float factor)
     return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
 }
 
+static void move_pixel(const struct sharpen *s, size_t i, float depth)
+{
+    const size_t n = (size_t)s->p->n;
+    float *scales = s->p->features + VOXEL_SCALE * n + i, *mine = &s->p->geom.depth[i];
+    for (size_t k = 0; k < 3; k++)
+        scales[k * n] = stretched(scales[k * n], depth / *mine);
+    *mine = depth;
+}
+
 static err_t sharpen_view(void *ctx, int view, int worker)
 {
     const struct sharpen *s = ctx;
     const struct depthmaps *from = s->from;
-    const size_t w = (size_t)s->p->geom.size, small = (size_t)from->size,
-                 first = (size_t)view * w * w;
-    float *scales = s->p->features + (size_t)VOXEL_SCALE * (size_t)s->p->n;
+    const int w = s->p->geom.size;
+    const size_t first = (size_t)view * (size_t)w * (size_t)w;
+    float *points = s->p->points + 3 * first;
     (void)worker;
-    for (size_t i = 0; i < w * w; i++) {
-        const size_t y = i / w / (size_t)from->scale, x = i % w / (size_t)from->scale;
-        const size_t at = (size_t)view * small * small + (y < small ? y : small - 1) * small +
-                          (x < small ? x : small - 1);
-        float *depth = &s->p->geom.depth[first + i];
-        if (from->conf[at] < SURE)
-            continue;
-        const float sharp = from->depth[at] / s->scale, factor = sharp / *depth;
-        *depth = sharp;
-        for (size_t k = 0; k < 3; k++) {
-            float *raw = scales + k * (size_t)s->p->n + first + i;
-            *raw = stretched(*raw, factor);
-        }
+    for (int i = 0; i < w * w; i++) {
+        const size_t at = map_place(from, view, i % w, i / w);
+        if (from->conf[at] >= SURE)
+            move_pixel(s, first + (size_t)i, from->depth[at] / s->scale);
     }
-    depth_unproject(&s->p->geom, view, s->p->points + 3 * first);
+    depth_unproject(&s->p->geom, view, points);
+    for (int i = 0; i < w * w; i++) {
+        bool through = false;
+        for (int j = 0; j < from->n && !through; j++)
+            through = j != view && looks_through(s, j, points + 3 * (size_t)i);
+        if (through && from->conf[map_place(from, view, i % w, i / w)] < SURE)
+            s->p->confidence[first + (size_t)i] = NAN; // voxel_merge leaves it out
+    }
     return OK;
+}
+
+size_t network_sharpen_plan(int n_views)
+{
+    return arena_need((size_t)n_views, 9 * sizeof(float));
 }
 
 err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
                       struct prediction *p)
 {
-    struct sharpen s = {depth, scale, p};
-    return pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
+    struct sharpen s = {depth, scale, p, NULL};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = arena_alloc(r->tmp, (size_t)p->geom.n_views, sizeof *s.turn, &s.turn);
+    for (int i = 0; i < p->geom.n_views && !e; i++)
+        raster_rotation(p->geom.cams[i].q, s.turn[i]);
+    if (!e)
+        e = pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
+    arena_reset(r->tmp, mark);
+    return e;
 }
 
 /* ---- Gaussians ---- */

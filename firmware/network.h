@@ -84,12 +84,15 @@ MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
                              const float *depth_scale, struct prediction *p, float *scale);
 size_t network_place_plan(int n_views);
 
-/* Where `depth` is sure, p's depth becomes it: pixels are unprojected anew and Gaussians grow as their
- * distance does, so that they cover as many pixels as before.
+/* Where `depth` is sure, p's depth becomes it: pixels are unprojected anew and Gaussians grow as
+ * their distance does, so that they cover as many pixels as before. Other pixels that a view looks
+ * through to what it is sure of are left out (their confidence is no number, see voxel_merge).
  * depth: of p's views and cameras.
- * scale: of network_place. */
+ * scale: of network_place.
+ * err:  ERR_NOMEM (r->tmp, see network_sharpen_plan). */
 MUST_USE err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
                                struct prediction *p);
+size_t network_sharpen_plan(int n_views);
 
 /* Gaussians of a prediction, merged (voxel.h). max: most of them, 0 = any number; the cell grows
  * from `cell` until they fit.

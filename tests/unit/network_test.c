@@ -250,6 +250,39 @@ static void sure_depth_moves_pixels_along_their_rays(void **state)
     }
 }
 
+/* View 0 is sure of a wall at 4; what others guess before it is wrong. */
+static void guesses_that_a_view_looks_through_are_left_out(void **state)
+{
+    (void)state;
+    static float depth[N], conf[N];
+    struct depthmaps map = {VIEWS, SIZE, 1, depth, conf};
+    const struct camera *c = &w.own[0];
+    int out = 0;
+    for (int k = 0; k < N; k++) {
+        depth[k] = 12;
+        conf[k] = k < PX ? 1 : 0;
+    }
+    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    for (int i = 0; i < N; i++) { // the camera of view 0 is not turned
+        const float *at = w.p.points + 3 * i;
+        double z = (double)(at[2] + c->t[2]), u = 30 * (double)(at[0] + c->t[0]) / z + 14,
+               v = 30 * (double)(at[1] + c->t[1]) / z + 14;
+        if (fmin(fabs(u), fabs(u - SIZE)) < 1e-3 || fmin(fabs(v), fabs(v - SIZE)) < 1e-3)
+            continue; // on the edge
+        const bool seen = i >= PX && u > 0 && u < SIZE && v > 0 && v < SIZE;
+        assert_int_equal(isnan(w.p.confidence[i]), seen);
+        out += seen;
+    }
+    print_message("  %d of %d left out\n", out, 3 * PX);
+    assert_true(out > PX / 2 && out < 3 * PX);
+    for (int k = 0; k < PX; k++)
+        depth[k] = 3 * 1.0f; // before all of them
+    memset(w.p.confidence, 0, N * sizeof(float));
+    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    for (int i = 0; i < N; i++)
+        assert_false(isnan(w.p.confidence[i]));
+}
+
 static void cells_grow_until_they_fit(void **state)
 {
     (void)state;
@@ -361,6 +394,8 @@ int main(void)
         cmocka_unit_test(time_belongs_to_the_stage_that_passed_it),
         cmocka_unit_test_setup_teardown(known_cameras_see_what_the_network_saw, setup, teardown),
         cmocka_unit_test_setup_teardown(sure_depth_moves_pixels_along_their_rays, setup, teardown),
+        cmocka_unit_test_setup_teardown(guesses_that_a_view_looks_through_are_left_out, setup,
+                                        teardown),
         cmocka_unit_test_setup_teardown(cells_grow_until_they_fit, setup, teardown),
         cmocka_unit_test(radiance_is_shown_as_it_is),
         cmocka_unit_test(correspondences_are_sought_if_asked),
