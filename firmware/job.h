@@ -35,7 +35,8 @@ struct job_config {
     struct refine_config refine;
     const struct network *network; // NULL: none
     bool cameras_only;             // the network is only asked for cameras
-    bool polish;   // bundle adjustment of the network's cameras; always without a network
+    bool polish;   // the network's cameras by bundle adjustment, always without a network; its
+                   // depth by stereo
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
     float fov_deg; // of cameras that are not known, horizontal; 0: to be found
     const struct prep_source *source; // of the pixels; NULL: they are in the capture

@@ -127,30 +127,48 @@ class Batch:
 KNOTS, LOW, HIGH = 256, -13.0, 4.0  # a curve over log2 of exposure / full scale
 
 
+def film(x: np.ndarray, white: float) -> np.ndarray:
+    e = white * np.exp2(np.minimum(x, 0))
+    y = lambda e: (e * (2.51 * e + 0.03)) / (e * (2.43 * e + 0.59) + 0.14)
+    return (y(e) / y(white)) ** (1 / 2.2)
+
+
+def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
+    """A sigmoid over stops, as core/expo/family.c has it."""
+    def bend(v, end):
+        return v / np.sqrt(1 + (1 - end**-2) * v * v)
+    grey = 0.42
+    slope, toe = 1.25 * (1 - grey) / -pivot, stops + pivot
+    steep = max(slope * toe / grey, 1.01)
+    up = grey + (1 - grey) * bend((np.clip(x, pivot, 0) - pivot) * slope / (1 - grey), 1.25)
+    down = grey * (1 - bend(np.clip((pivot - x) / toe, 0, 1) * steep, steep))
+    return np.where(x >= pivot, up, down)
+
+
 def random_curve(r: np.random.Generator) -> Tensor:
-    """A rising display curve: sRGB, power, rational film, sigmoid in stops or camera log, bent by a
-    smooth random change."""
+    """A rising display curve, 1 where the sensor is full: sRGB, power, film, sigmoid in stops or
+    camera log (core/expo/family.h), bent by a smooth random change. Film and sigmoid hold more
+    light than fits into the others at the same exposure."""
     x = np.linspace(LOW, HIGH, KNOTS)
-    e = np.exp2(x)
+    e = np.minimum(np.exp2(x), 1)
     kind = r.integers(5)
     if kind == 0:
-        y = np.where(e <= 0.0031308, 12.92 * e, 1.055 * np.minimum(e, 1) ** (1 / 2.4) - 0.055)
+        y = np.where(e <= 0.0031308, 12.92 * e, 1.055 * e ** (1 / 2.4) - 0.055)
     elif kind == 1:
-        y = np.minimum(e, 1) ** (1 / r.uniform(1.6, 3))
+        y = e ** (1 / r.uniform(1.6, 3))
     elif kind == 2:
-        e = e * r.uniform(0.8, 2.5)
-        y = (e * (2.51 * e + 0.03)) / (e * (2.43 * e + 0.59) + 0.14)
-        y = np.clip(y, 0, 1) ** (1 / 2.2)
+        stops = r.uniform(0, 4)  # of white over that of sRGB
+        y = film(x - stops, 2**stops * r.uniform(0.8, 2.5))
     elif kind == 3:
-        s = r.uniform(5, 9)
-        y = 1 / (1 + np.exp(-(x + r.uniform(1.2, 2.8)) * 8 / s))
+        pivot, under = r.uniform(-6.5, -2.5), r.uniform(6, 10)
+        y = agx(x - (-2.5 - pivot), pivot, under - pivot)
     else:
         a = r.uniform(3, 8)
-        y = np.log2(1 + 2**a * np.minimum(e, 1)) / np.log2(1 + 2**a)
+        y = np.log2(1 + 2**a * e) / np.log2(1 + 2**a)
     steep = np.diff(y, prepend=0).clip(0)
     bend = np.interp(x, np.linspace(LOW, HIGH, 7), r.normal(size=7) * 0.35 * r.random())
     y = np.cumsum(steep * np.exp(bend))
-    y = y / y[-1] if kind == 3 or y[-1] > 1 or r.random() < 0.7 else y
+    y = y / y[-1] if y[-1] > 1 or r.random() < 0.8 else y
     return torch.from_numpy(np.clip(y, 0, 1).astype(np.float32))
 
 
@@ -167,10 +185,11 @@ def develop(exposure: Tensor, curve: Tensor) -> Tensor:
 
 
 def sensor_noise(e: Tensor, g: torch.Generator, well: float = 10000.0, read: float = 2.5) -> Tensor:
-    """Shot and read noise of a sensor whose full scale is `well` electrons, and its clipping."""
-    n = e.clamp(0, 4) * well
+    """Shot and read noise of a sensor that holds `well` electrons at exposure 1; it is full where
+    the curve says."""
+    n = e.clamp(0, 2**HIGH) * well
     n = n + torch.randn(n.shape, generator=g) * torch.sqrt(n + read * read)
-    return (n / well).clamp(0, 1)
+    return (n / well).clamp(0, 2**HIGH)
 
 
 def draw_stops(r: np.random.Generator, v: int) -> np.ndarray:

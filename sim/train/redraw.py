@@ -1,7 +1,7 @@
 """Pictures of the predicted Gaussians by the rasteriser of core/splat (sim/redraw.h, ctypes),
 with gradients, and what the stage `render` minimises (paper 3.4): photographs drawn again from the
 fused Gaussians of all views, their own and those of a place that the network has not seen, and the
-depth of the frozen head where it is surest."""
+depth where the frozen head is surest of it."""
 
 from __future__ import annotations
 
@@ -94,6 +94,12 @@ def points(depth: Tensor, pose: Tensor) -> Tensor:
     return torch.einsum("vji,vhwj->vhwi", data.rotation(pose[:, [6, 3, 4, 5]]), p)
 
 
+def resized(raw: Tensor, factor: Tensor) -> Tensor:
+    """raw (V, 88, S, S) with Gaussians `factor` (V, S, S) times as large (network_sharpen)."""
+    y = (F.softplus(raw[:, 1:4]) * factor[:, None]).clamp_min(1e-12)
+    return torch.cat([raw[:, :1], y + torch.log(-torch.expm1(-y)), raw[:, 4:]], 1)
+
+
 def fuse(raw: Tensor, xyz: Tensor, cell: float) -> Tensor:
     """Planes (14, cells) of struct gaussians, degree 0, from raw (88, N) and points (N, 3):
     model-spec 2.11 and 2.12."""
@@ -121,7 +127,7 @@ def likeness(a: Tensor, b: Tensor) -> Tensor:
 
 def scene_loss(raster: Raster, raw: Tensor, theta: Tensor, depth: Tensor, conf: Tensor,
                b: data.Batch, cell: float) -> tuple[Tensor, dict]:
-    """One scene: raw (V, 88, S, S), theta (THETA), depth (V, S, S) in scene units and its
+    """One scene: raw (V, 88, S, S), theta (THETA), depth (V, S, S) in scene units and the head's
     confidence for the first V views of b; all views of b are drawn, the others are new to it."""
     v, size = depth.shape[0], depth.shape[-1]
     xyz = points(depth, b.pose[0, :v]).flatten(0, 2)

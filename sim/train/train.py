@@ -182,15 +182,17 @@ class Trainer:
 
     def redrawn(self, net: model.Net, raw: Tensor, theta: Tensor, depth: Tensor, conf: Tensor,
                 b: data.Batch) -> tuple[Tensor, dict]:
-        """The photographs from the fused Gaussians; the true cameras, one scale for the depth."""
+        """The photographs from the fused Gaussians at true cameras and depth, which the program
+        finds by polishing and stereo; where there is none, the predicted depth at one scale."""
         total, figures = 0.0, {}
         for i in range(len(b.stops)):
             one = b.scene(i)
             truth = one.depth[0, : depth.shape[1]]
             gap = torch.where(truth > 0, truth.clamp_min(1e-4).log() - depth[i], torch.nan)
-            z = torch.exp(depth[i] + gap.nanmedian().nan_to_num())
-            loss, f = redraw.scene_loss(self.raster, raw[i], theta[i], z, conf[i], one,
-                                        net.d.voxel)
+            guess = torch.exp(depth[i] + gap.nanmedian().nan_to_num())
+            z = torch.where(truth > 0, truth, guess)
+            loss, f = redraw.scene_loss(self.raster, redraw.resized(raw[i], z / guess), theta[i],
+                                        z, conf[i], one, net.d.voxel)
             total = total + loss / len(b.stops)
             for k, x in f.items():
                 figures[k] = figures.get(k, 0) + x / len(b.stops)
