@@ -43,7 +43,7 @@ static const struct key keys[] = {
     {"refine.gaussians_max", FIELD(refine_gaussians_max), 1000, 4000000, 1, 200000,
      "most Gaussians in a refined scene", WHOLE, NULL, 0},
     {"cameras.polish", FIELD(cameras_polish), 0, 1, 1, 1,
-     "cameras by bundle adjustment, the network's depth by stereo; 0 = as the network says", WHOLE, NULL, 0},
+     "cameras by bundle adjustment, depth by stereo; 0 = as the network says", WHOLE, NULL, 0},
     {"cameras.fov_deg", FIELD(cameras_fov_deg), 0, 150, 1, 0,
      "horizontal field of view of cameras that are not known; 0 = to be found", WHOLE, NULL, 0},
     {"start.stereo", FIELD(start_stereo), 0, 1, 1, 1,
