@@ -61,7 +61,7 @@ def main() -> None:
     p = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     p.add_argument("weights")
     p.add_argument("dims")
-    p.add_argument("--data", nargs="+", required=True)
+    p.add_argument("--data", nargs="+", action="extend", required=True)
     p.add_argument("--views", type=int, default=8)
     p.add_argument("--hdrig", default="build/hdrig")
     a = p.parse_args()
