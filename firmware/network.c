@@ -305,11 +305,20 @@ static bool looks_through(const struct sharpen *s, int j, const float point[3])
     return s->from->conf[at] >= SURE && s->from->depth[at] * NEARER > x[2] * s->scale;
 }
 
-/* The input of softplus whose output is `factor` times as large. */
+static bool anyone_looks_through(const struct sharpen *s, int but, const float point[3])
+{
+    for (int j = 0; j < s->from->n; j++)
+        if (j != but && looks_through(s, j, point))
+            return true;
+    return false;
+}
+
+/* The input of softplus whose output is `factor` times as large. A comparison, not fmax: NaN stays
+ * NaN. */
 static float stretched(float x, float factor)
 {
     const double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
-    return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
+    return y > 20 ? (float)y : (float)log(expm1(y < 1e-30 ? 1e-30 : y));
 }
 
 static void move_pixel(const struct sharpen *s, size_t i, float depth)
@@ -336,10 +345,8 @@ static err_t sharpen_view(void *ctx, int view, int worker)
     }
     depth_unproject(&s->p->geom, view, points);
     for (int i = 0; i < w * w; i++) {
-        bool through = false;
-        for (int j = 0; j < from->n && !through; j++)
-            through = j != view && looks_through(s, j, points + 3 * (size_t)i);
-        if (through && from->conf[map_place(from, view, i % w, i / w)] < SURE)
+        const bool sure = from->conf[map_place(from, view, i % w, i / w)] >= SURE;
+        if (!sure && anyone_looks_through(s, view, points + 3 * (size_t)i))
             s->p->confidence[first + (size_t)i] = NAN; // voxel_merge leaves it out
     }
     return OK;
