@@ -329,12 +329,7 @@ static void copy_gaussians(const struct gaussians *from, int degree_max, struct 
         memcpy(to->plane[p], from->plane[p], (size_t)from->n * sizeof(float));
 }
 
-/* Whether stereo corrects the depth of the network's Gaussians: it needs cameras that are right. */
-static bool sharpens(const struct run *r, const struct job_config *cfg)
-{
-    return takes_gaussians(cfg) && cfg->polish && !r->tap;
-}
-
+/* Stereo corrects the depth of the network's Gaussians; the cameras are right by now. */
 static err_t sharpen(const struct run *r, float scale, struct prediction *p, struct job_result *out)
 {
     struct depthmaps depth;
@@ -410,7 +405,7 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
     if (!e)
         e = take_cameras(r, cfg, out, &p, &scale);
     out->views.cams = out->scene.cams;
-    if (!e && sharpens(r, cfg))
+    if (!e && p.features && locates(r, cfg, out))
         e = sharpen(r, scale, &p, out);
     if (!e && p.features) {
         e = take_gaussians(r, cfg, &p, out);

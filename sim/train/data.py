@@ -128,9 +128,9 @@ KNOTS, LOW, HIGH = 256, -13.0, 4.0  # a curve over log2 of exposure / full scale
 
 
 def film(x: np.ndarray, white: float) -> np.ndarray:
-    e = white * np.exp2(np.minimum(x, 0))
-    y = lambda e: (e * (2.51 * e + 0.03)) / (e * (2.43 * e + 0.59) + 0.14)
-    return (y(e) / y(white)) ** (1 / 2.2)
+    def aces(e):
+        return (e * (2.51 * e + 0.03)) / (e * (2.43 * e + 0.59) + 0.14)
+    return (aces(white * np.exp2(np.minimum(x, 0))) / aces(white)) ** (1 / 2.2)
 
 
 def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
