@@ -5,9 +5,10 @@
 #include "core/base/num.h"
 #include "core/net/depth.h"
 #include "core/opt/pose.h"
+#include "core/opt/response.h"
 #include "core/prep.h"
 #include "core/splat/gaussians.h"
-#include "core/splat/raster.h"
+#include "core/splat/sight.h"
 #include "core/splat/turn.h"
 
 #include <math.h>
@@ -15,8 +16,12 @@
 #include <unistd.h>
 
 static const float DARKEST = 1.0f / 512; // display value
-static const float SURE = 0.6f;          // confidence of stereo from which it overrules the network
-static const float NEARER = 0.95f;       // share of its depth before which nothing can stand
+static const float BETTER = 2; // times as much that another photograph must say
+static const float LN2 = 0.69314718f;
+static const float BASIS0 = 0.2820947917738781f; // model-spec 2.13
+
+enum { CELLS = 1536 };
+static const float END = 24, CELL = 48.0f / CELLS; // stops
 
 err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
 {
@@ -274,44 +279,16 @@ err_t network_place(const struct run *r, const struct camera *cams, const float 
     return e;
 }
 
-/* ---- depth that is known better ---- */
+/* ---- what the photographs know better ---- */
 
 struct sharpen {
-    const struct depthmaps *from;
+    const struct network_known *known;
     float scale;
     struct prediction *p;
-    float (*turn)[9]; // (n_views) rotations of the cameras
+    struct sight sight;
+    struct response_table table; // of the photographs
+    float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
 };
-
-/* Place in the map of pixel (x, y) of the view. */
-static size_t map_place(const struct depthmaps *m, int view, int x, int y)
-{
-    const int u = num_min(x / m->scale, m->size - 1), v = num_min(y / m->scale, m->size - 1);
-    return ((size_t)view * (size_t)m->size + (size_t)v) * (size_t)m->size + (size_t)u;
-}
-
-/* Whether view j is sure of something behind this point. */
-static bool looks_through(const struct sharpen *s, int j, const float point[3])
-{
-    const struct camera *c = &s->p->geom.cams[j];
-    const float *r = s->turn[j];
-    float x[3];
-    for (int k = 0; k < 3; k++)
-        x[k] = r[3 * k] * point[0] + r[3 * k + 1] * point[1] + r[3 * k + 2] * point[2] + c->t[k];
-    const float u = c->fx * x[0] / x[2] + c->cx, v = c->fy * x[1] / x[2] + c->cy;
-    if (!(x[2] > 0 && u >= 0 && v >= 0 && u < (float)c->w && v < (float)c->h))
-        return false;
-    const size_t at = map_place(s->from, j, (int)u, (int)v);
-    return s->from->conf[at] >= SURE && s->from->depth[at] * NEARER > x[2] * s->scale;
-}
-
-static bool anyone_looks_through(const struct sharpen *s, int but, const float point[3])
-{
-    for (int j = 0; j < s->from->n; j++)
-        if (j != but && looks_through(s, j, point))
-            return true;
-    return false;
-}
 
 /* The input of softplus whose output is `factor` times as large. A comparison, not fmax: NaN stays
  * NaN. */
@@ -330,43 +307,128 @@ static void move_pixel(const struct sharpen *s, size_t i, float depth)
     *mine = depth;
 }
 
+/* Where pixel i of the view is in the maps. */
+static size_t map_place(const struct sharpen *s, int view, int i)
+{
+    const int w = s->p->geom.size;
+    return sight_at(&s->sight, view, (float)(i % w), (float)(i / w));
+}
+
+static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
+{
+    const struct views *v = s->known->seen.views;
+    return v->rgb + 3 * (((size_t)view * (size_t)v->size + (size_t)y) * (size_t)v->size + (size_t)x);
+}
+
+/* How much a pixel says about radiance, 0..1. */
+static float worth(const struct sharpen *s, const uint8_t *rgb)
+{
+    const struct response_table *t = &s->table;
+    return (t->weight[0][rgb[0]] + t->weight[1][rgb[1]] + t->weight[2][rgb[2]]) / 3;
+}
+
+/* Whether another view shows what pixel i of this one does, and knows it better; one whose depth is
+ * a guess may be anywhere before what others are sure of, and behind anything else. */
+static bool better_elsewhere(const struct sharpen *s, int view, int i)
+{
+    const int w = s->p->geom.size;
+    const bool sure = sight_sure(&s->sight, map_place(s, view, i));
+    const float enough = BETTER * worth(s, photograph(s, view, i % w, i / w));
+    const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
+    const float point[3] = {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale};
+    for (int j = 0; j < s->p->geom.n_views; j++) {
+        struct sighting there;
+        if (j == view || !sight_look(&s->sight, j, point, &there))
+            continue;
+        const bool shows = !sure || sight_same(&s->sight, &there);
+        if ((shows && worth(s, photograph(s, j, (int)there.u, (int)there.v)) > enough) ||
+            (!sure && sight_through(&s->sight, &there)))
+            return true;
+    }
+    return false;
+}
+
+/* The network's colour under the known curve, at the exposure of its photograph. */
+static float moved(const float *table, float x, float *slope)
+{
+    const float at = fminf(fmaxf((x + END) / CELL, 0), CELLS - 0.01f);
+    const int i = (int)at;
+    *slope = (table[i + 1] - table[i]) / CELL;
+    return table[i] + (at - (float)i) * (table[i + 1] - table[i]);
+}
+
+/* The photograph's own radiance, or, where it is black or saturated, the network's. */
+static void colour_pixel(const struct sharpen *s, int view, int i)
+{
+    const struct views *net = s->known->views, *seen = s->known->seen.views;
+    const size_t n = (size_t)s->p->n, w = (size_t)net->size;
+    const uint8_t *rgb = photograph(s, view, i % net->size, i / net->size);
+    const float at_net = net->log2t[view] - net->mid_log2t;
+    const float at_seen = seen->log2t[view] - seen->mid_log2t;
+    for (size_t c = 0; c < 3; c++) {
+        float *sh = s->p->features + (VOXEL_SH + SH_COEFS_MAX * c) * n + (size_t)view * w * w + (size_t)i;
+        float slope = 0, x;
+        if (s->table.weight[c][rgb[c]] > 0)
+            x = s->table.x[c][rgb[c]] - at_seen;
+        else
+            x = moved(s->moved[c], *sh * BASIS0 / LN2 + at_net, &slope) - at_net;
+        *sh = x * LN2 / BASIS0;
+        for (size_t k = 1; k < SH_COEFS_MAX; k++)
+            sh[k * n] *= slope;
+    }
+}
+
 static err_t sharpen_view(void *ctx, int view, int worker)
 {
     const struct sharpen *s = ctx;
-    const struct depthmaps *from = s->from;
-    const int w = s->p->geom.size;
-    const size_t first = (size_t)view * (size_t)w * (size_t)w;
-    float *points = s->p->points + 3 * first;
+    const int pixels = s->p->geom.size * s->p->geom.size;
+    const size_t first = (size_t)view * (size_t)pixels;
     (void)worker;
-    for (int i = 0; i < w * w; i++) {
-        const size_t at = map_place(from, view, i % w, i / w);
-        if (from->conf[at] >= SURE)
-            move_pixel(s, first + (size_t)i, from->depth[at] / s->scale);
+    for (int i = 0; i < pixels; i++) {
+        const size_t at = map_place(s, view, i);
+        if (sight_sure(&s->sight, at))
+            move_pixel(s, first + (size_t)i, s->known->seen.depth->depth[at] / s->scale);
     }
-    depth_unproject(&s->p->geom, view, points);
-    for (int i = 0; i < w * w; i++) {
-        const bool sure = from->conf[map_place(from, view, i % w, i / w)] >= SURE;
-        if (!sure && anyone_looks_through(s, view, points + 3 * (size_t)i))
+    depth_unproject(&s->p->geom, view, s->p->points + 3 * first);
+    for (int i = 0; i < pixels; i++) {
+        if (better_elsewhere(s, view, i))
             s->p->confidence[first + (size_t)i] = NAN; // voxel_merge leaves it out
+        if (!s->p->linear)
+            colour_pixel(s, view, i);
     }
     return OK;
 }
 
-size_t network_sharpen_plan(int n_views)
+static void tabulate(struct sharpen *s)
 {
-    return arena_need((size_t)n_views, 9 * sizeof(float));
+    const struct tonemap *to = s->known->tone;
+    response_tabulate(s->known->seen.tone, &s->table);
+    for (int c = 0; c < 3; c++)
+        for (int i = 0; i <= CELLS; i++) {
+            const float shown = response_display(&s->p->tone, c, (float)i * CELL - END);
+            s->moved[c][i] = response_radiance_log(to, c, shown, to->mid_log2t) / LN2;
+        }
 }
 
-err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
+size_t network_sharpen_plan(int n_views)
+{
+    return arena_add(sight_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
+}
+
+err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
                       struct prediction *p)
 {
-    struct sharpen s = {depth, scale, p, NULL};
+    struct sharpen s = {.known = known, .scale = scale, .p = p};
     const size_t mark = arena_mark(r->tmp);
-    err_t e = arena_alloc(r->tmp, (size_t)p->geom.n_views, sizeof *s.turn, &s.turn);
-    for (int i = 0; i < p->geom.n_views && !e; i++)
-        raster_rotation(p->geom.cams[i].q, s.turn[i]);
+    err_t e = sight_init(r, known->seen.depth, known->seen.views->cams, &s.sight);
+    if (!e)
+        e = arena_alloc(r->tmp, 3, sizeof *s.moved, &s.moved);
+    if (!e)
+        tabulate(&s);
     if (!e)
         e = pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
+    if (!e && !p->linear)
+        p->tone = *known->tone;
     arena_reset(r->tmp, mark);
     return e;
 }
@@ -401,12 +463,11 @@ void network_scale(struct gaussians *g, float scale)
 
 void network_from_display(struct gaussians *g)
 {
-    const float basis0 = 0.2820947917738781f; // model-spec 2.13
     for (int c = 0; c < 3; c++)
         for (int i = 0; i < g->n; i++) {
-            float mean = g->plane[G_SH + c][i] * basis0 + 0.5f;
+            float mean = g->plane[G_SH + c][i] * BASIS0 + 0.5f;
             float gain = mean > DARKEST ? 1 / mean : 0; // of d ln v = d v / v
-            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / basis0;
+            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / BASIS0;
             for (int p = G_SH + 3 + c; p < gaussians_planes(g->degree); p += 3)
                 g->plane[p][i] *= gain;
         }

@@ -4,7 +4,7 @@
 #define FIRMWARE_NETWORK_H
 
 #include "core/net/net.h"
-#include "core/splat/sweep.h"
+#include "core/splat/seed.h"
 #include "core/splat/voxel.h"
 #include "drivers/file.h"
 #include "drivers/modelfile.h"
@@ -84,13 +84,24 @@ MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
                              const float *depth_scale, struct prediction *p, float *scale);
 size_t network_place_plan(int n_views);
 
-/* Where `depth` is sure, p's depth becomes it: pixels are unprojected anew and Gaussians grow as
- * their distance does, so that they cover as many pixels as before. Other pixels that a view looks
- * through to what it is sure of are left out (their confidence is no number, see voxel_merge).
- * depth: of p's views and cameras.
+/* What is known by the time the cameras are. */
+struct network_known {
+    struct seed_input seen;     // one picture of each place with all that its exposures show, p's
+                                // cameras, depth
+    const struct views *views;  // what the network saw
+    const struct tonemap *tone; // response of the camera
+};
+
+/* Where the photographs are sure, they overrule the network. Pixels of sure depth move there and
+ * are unprojected anew; Gaussians grow as their distance does, so that they cover as many pixels as
+ * before. A pixel that is neither black nor saturated has the photograph's radiance; others keep
+ * the network's, under the known curve, which becomes p's. Pixels are left out (their confidence is
+ * no number, see voxel_merge) where another view sees the same surface and says more than twice as
+ * much; those of unsure depth also where a view looks through them to what it is sure of, or says
+ * more at all. Display colours (p->linear) stay as they are.
  * scale: of network_place.
  * err:  ERR_NOMEM (r->tmp, see network_sharpen_plan). */
-MUST_USE err_t network_sharpen(const struct run *r, const struct depthmaps *depth, float scale,
+MUST_USE err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
                                struct prediction *p);
 size_t network_sharpen_plan(int n_views);
 

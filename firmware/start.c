@@ -10,6 +10,7 @@
 #include "firmware/locate.h"
 
 #include "core/base/num.h"
+#include "core/opt/refit.h"
 #include "core/opt/response.h"
 #include "core/opt/stack.h"
 #include "core/splat/gaussians.h"
@@ -54,6 +55,8 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
                         .size = v->size,
                         .names = v->names,
                         .log2t = v->log2t};
+    for (int c = 0; c < 3 && job_forward(cfg); c++)
+        s->background[c] = 1; // model-spec 2.13
     err_t e = arena_alloc(r->keep, n, sizeof *s->cams, &s->cams);
     if (!e && !job_forward(cfg))
         e = gaussians_init(&s->g, r->keep, cfg->refine.gaussians_max, cfg->refine.degree_max);
@@ -110,7 +113,7 @@ static err_t place_seeds(const struct run *r, const struct job_config *cfg, cons
     return e;
 }
 
-/* *seen: in r->tmp. */
+/* Depth, and with it a better curve. *seen: in r->tmp. */
 static err_t sweep(const struct run *r, struct job_result *out, struct seen *seen,
                    struct depthmaps *depth)
 {
@@ -118,6 +121,10 @@ static err_t sweep(const struct run *r, struct job_result *out, struct seen *see
     err_t e = stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
     if (!e)
         e = sweep_run(r, &seen->views, &seen->tone, depth);
+    if (!e && out->views.n_more == 0) {
+        e = refit_run(r, &out->views, depth, &out->response);
+        seen->tone = out->scene.tone = out->response;
+    }
     job_lap(out, JOB_SWEEP);
     return e;
 }
@@ -329,15 +336,19 @@ static void copy_gaussians(const struct gaussians *from, int degree_max, struct 
         memcpy(to->plane[p], from->plane[p], (size_t)from->n * sizeof(float));
 }
 
-/* Stereo corrects the depth of the network's Gaussians; the cameras are right by now. */
+/* Stereo and photographs correct the network's Gaussians; the cameras are right by now. */
 static err_t sharpen(const struct run *r, float scale, struct prediction *p, struct job_result *out)
 {
     struct depthmaps depth;
     struct seen seen;
     const size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     err_t e = sweep(r, out, &seen, &depth);
+    const struct network_known known = {
+        {&seen.views, &depth, &seen.tone}, &out->views, &out->response};
     if (!e)
-        e = network_sharpen(r, &depth, scale, p);
+        e = network_sharpen(r, &known, scale, p);
+    if (!e && !p->linear)
+        set_background(&seen.views, &seen.tone, out->scene.background);
     arena_reset(r->keep, keep);
     arena_reset(r->tmp, tmp);
     return e;
@@ -365,8 +376,6 @@ static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
                  "%d Gaussians of the network were not finite and are left out; if the scene has "
                  "holes, take --precision fp32 or another model",
                  report.dropped);
-    for (int c = 0; c < 3 && job_forward(cfg); c++)
-        s->background[c] = 1; // model-spec 2.13
     return OK;
 }
 
@@ -404,8 +413,9 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
         e = dump_prediction(r, &p);
     if (!e)
         e = take_cameras(r, cfg, out, &p, &scale);
+    const bool known = locates(r, cfg, out) && (out->views.cams || out->cameras.confidence >= LOCATE_SURE);
     out->views.cams = out->scene.cams;
-    if (!e && p.features && locates(r, cfg, out))
+    if (!e && p.features && known)
         e = sharpen(r, scale, &p, out);
     if (!e && p.features) {
         e = take_gaussians(r, cfg, &p, out);

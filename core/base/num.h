@@ -10,6 +10,11 @@ static inline int num_min(int a, int b)
     return a < b ? a : b;
 }
 
+static inline int num_max(int a, int b)
+{
+    return a > b ? a : b;
+}
+
 static inline size_t num_max_size(size_t a, size_t b)
 {
     return a > b ? a : b;
