@@ -16,7 +16,8 @@
 #include <unistd.h>
 
 static const float DARKEST = 1.0f / 512; // display value
-static const float BETTER = 2; // times as much that another photograph must say
+static const float BETTER = 2;           // times as much that another photograph must say
+static const float WIDEST = 1;           // px, standard deviation of a Gaussian in its own view
 static const float LN2 = 0.69314718f;
 static const float BASIS0 = 0.2820947917738781f; // model-spec 2.13
 
@@ -290,20 +291,22 @@ struct sharpen {
     float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
 };
 
-/* The input of softplus whose output is `factor` times as large. A comparison, not fmax: NaN stays
- * NaN. */
-static float stretched(float x, float factor)
+/* The input of softplus whose output is `factor` times as large, `most` at most. Comparisons, not
+ * fmin: NaN stays NaN. */
+static float stretched(float x, float factor, double most)
 {
-    const double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
+    double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
+    y = y > most ? most : y;
     return y > 20 ? (float)y : (float)log(expm1(y < 1e-30 ? 1e-30 : y));
 }
 
-static void move_pixel(const struct sharpen *s, size_t i, float depth)
+static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
 {
     const size_t n = (size_t)s->p->n;
     float *scales = s->p->features + VOXEL_SCALE * n + i, *mine = &s->p->geom.depth[i];
+    const float pixel = depth / s->p->geom.cams[view].fx / VOXEL_SCALE_UNIT;
     for (size_t k = 0; k < 3; k++)
-        scales[k * n] = stretched(scales[k * n], depth / *mine);
+        scales[k * n] = stretched(scales[k * n], depth / *mine, (double)(WIDEST * pixel));
     *mine = depth;
 }
 
@@ -317,7 +320,8 @@ static size_t map_place(const struct sharpen *s, int view, int i)
 static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
 {
     const struct views *v = s->known->seen.views;
-    return v->rgb + 3 * (((size_t)view * (size_t)v->size + (size_t)y) * (size_t)v->size + (size_t)x);
+    return v->rgb +
+           3 * (((size_t)view * (size_t)v->size + (size_t)y) * (size_t)v->size + (size_t)x);
 }
 
 /* How much a pixel says about radiance, 0..1. */
@@ -366,7 +370,8 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
     const float at_net = net->log2t[view] - net->mid_log2t;
     const float at_seen = seen->log2t[view] - seen->mid_log2t;
     for (size_t c = 0; c < 3; c++) {
-        float *sh = s->p->features + (VOXEL_SH + SH_COEFS_MAX * c) * n + (size_t)view * w * w + (size_t)i;
+        float *sh =
+            s->p->features + (VOXEL_SH + SH_COEFS_MAX * c) * n + (size_t)view * w * w + (size_t)i;
         float slope = 0, x;
         if (s->table.weight[c][rgb[c]] > 0)
             x = s->table.x[c][rgb[c]] - at_seen;
@@ -385,9 +390,10 @@ static err_t sharpen_view(void *ctx, int view, int worker)
     const size_t first = (size_t)view * (size_t)pixels;
     (void)worker;
     for (int i = 0; i < pixels; i++) {
-        const size_t at = map_place(s, view, i);
-        if (sight_sure(&s->sight, at))
-            move_pixel(s, first + (size_t)i, s->known->seen.depth->depth[at] / s->scale);
+        const size_t at = map_place(s, view, i), k = first + (size_t)i;
+        const bool sure = sight_sure(&s->sight, at);
+        move_pixel(s, view, k,
+                   sure ? s->known->seen.depth->depth[at] / s->scale : s->p->geom.depth[k]);
     }
     depth_unproject(&s->p->geom, view, s->p->points + 3 * first);
     for (int i = 0; i < pixels; i++) {

@@ -94,7 +94,7 @@ struct network_known {
 
 /* Where the photographs are sure, they overrule the network. Pixels of sure depth move there and
  * are unprojected anew; Gaussians grow as their distance does, so that they cover as many pixels as
- * before. A pixel that is neither black nor saturated has the photograph's radiance; others keep
+ * before, but with a standard deviation of one pixel at most. A pixel that is neither black nor saturated has the photograph's radiance; others keep
  * the network's, under the known curve, which becomes p's. Pixels are left out (their confidence is
  * no number, see voxel_merge) where another view sees the same surface and says more than twice as
  * much; those of unsure depth also where a view looks through them to what it is sure of, or says

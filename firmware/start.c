@@ -413,7 +413,8 @@ static err_t with_network(const struct run *r, const struct job_config *cfg, str
         e = dump_prediction(r, &p);
     if (!e)
         e = take_cameras(r, cfg, out, &p, &scale);
-    const bool known = locates(r, cfg, out) && (out->views.cams || out->cameras.confidence >= LOCATE_SURE);
+    const bool known =
+        locates(r, cfg, out) && (out->views.cams || out->cameras.confidence >= LOCATE_SURE);
     out->views.cams = out->scene.cams;
     if (!e && p.features && known)
         e = sharpen(r, scale, &p, out);

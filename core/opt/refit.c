@@ -12,7 +12,7 @@ enum {
     MEAN = 2          // px, least edge of the square whose mean is compared
 };
 
-static const float APART = 0.25f;                       // stops from which exposures differ
+static const float APART = 0.25f;                            // stops from which exposures differ
 static const float BLACK = 3.0f / 255, WHITE = 251.0f / 255; // nothing is known beyond
 
 struct refit {
@@ -58,8 +58,8 @@ static void compare(struct refit *f, int i, int j, int at)
     for (int c = 0; c < 3; c++) {
         const float lo = fminf(a[c], b[c]), hi = fmaxf(a[c], b[c]);
         if (lo >= BLACK && hi <= WHITE) // weight as in response.c
-            f->pairs[f->n++] = (struct response_pair){
-                a[c], b[c], f->v->log2t[j] - f->v->log2t[i], sqrtf(lo * (1 - hi))};
+            f->pairs[f->n++] = (struct response_pair){a[c], b[c], f->v->log2t[j] - f->v->log2t[i],
+                                                      sqrtf(lo * (1 - hi))};
     }
 }
 

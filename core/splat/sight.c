@@ -5,8 +5,8 @@
 
 #include <math.h>
 
-static const float SURE = 0.6f;   // confidence
-static const float AGREE = 0.02f; // relative difference of depths that are one surface
+static const float SURE = 0.6f;    // confidence
+static const float AGREE = 0.02f;  // relative difference of depths that are one surface
 static const float NEARER = 0.95f; // share of its depth before which nothing can stand
 
 size_t sight_plan(int n_views)
@@ -27,7 +27,8 @@ err_t sight_init(const struct run *r, const struct depthmaps *depth, const struc
 size_t sight_at(const struct sight *s, int view, float u, float v)
 {
     const struct depthmaps *m = s->depth;
-    const int x = num_min((int)u / m->scale, m->size - 1), y = num_min((int)v / m->scale, m->size - 1);
+    const int x = num_min((int)u / m->scale, m->size - 1),
+              y = num_min((int)v / m->scale, m->size - 1);
     return ((size_t)view * (size_t)m->size + (size_t)y) * (size_t)m->size + (size_t)x;
 }
 

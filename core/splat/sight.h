@@ -13,9 +13,9 @@ struct sight {
 
 /* Where a view has a point. */
 struct sighting {
-    float u, v;  // px of the view
-    float z;     // depth of the point
-    size_t at;   // index into the maps of the pixel there
+    float u, v; // px of the view
+    float z;    // depth of the point
+    size_t at;  // index into the maps of the pixel there
 };
 
 /* out:  *out with memory in r->tmp.

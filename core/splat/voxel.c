@@ -12,11 +12,11 @@
 
 enum { DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS, BLOCK = 1024 };
 
-static const float KEY_MAX = 2147483520.0f;               // largest float that fits int32_t
-static const double WEIGHT_EPS = 1e-6, QUAT_EPS = 1e-8;   // model-spec 2.11, 2.12
-static const float SCALE_UNIT = 0.001f, SCALE_MAX = 0.3f; // model-spec 2.12
-static const float SCALE_MIN = 1e-12f;                    // ln must stay finite
-static const float SOFTPLUS_LINEAR = 20.0f;               // beyond, softplus(x) = x in float
+static const float KEY_MAX = 2147483520.0f;             // largest float that fits int32_t
+static const double WEIGHT_EPS = 1e-6, QUAT_EPS = 1e-8; // model-spec 2.11, 2.12
+static const float SCALE_MAX = 0.3f;                    // model-spec 2.12
+static const float SCALE_MIN = 1e-12f;                  // ln must stay finite
+static const float SOFTPLUS_LINEAR = 20.0f;             // beyond, softplus(x) = x in float
 
 struct merge {
     const struct run *r;
@@ -233,7 +233,7 @@ err_t voxel_merge(const struct run *r, const struct voxel_input *in, float cell,
 /* ln(min(0.3, 0.001 softplus(x))). Comparisons, not fminf: NaN stays NaN. */
 static float log_scale(float x)
 {
-    float s = SCALE_UNIT * (x > SOFTPLUS_LINEAR ? x : log1pf(expf(x)));
+    float s = VOXEL_SCALE_UNIT * (x > SOFTPLUS_LINEAR ? x : log1pf(expf(x)));
     s = s > SCALE_MAX ? SCALE_MAX : s;
     return logf(s < SCALE_MIN ? SCALE_MIN : s);
 }

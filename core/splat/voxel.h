@@ -17,6 +17,8 @@ enum {
     VOXEL_FEATURES = 87
 };
 
+#define VOXEL_SCALE_UNIT 0.001f // scene units of one unit of softplus(VOXEL_SCALE), model-spec 2.12
+
 struct voxel_input {
     int n;                   // pixels of all views, 0..GAUSSIANS_MAX
     const float *points;     // (n, 3) scene units

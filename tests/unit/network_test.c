@@ -3,6 +3,7 @@
 #include "core/kernels/kernels.h"
 #include "core/net/depth.h"
 #include "core/net/tonemap.h"
+#include "core/opt/response.h"
 #include "core/splat/gaussians.h"
 #include "core/splat/raster.h"
 #include "firmware/engine.h"
@@ -77,6 +78,8 @@ struct world {
     struct run r;
     struct prediction p;
     struct camera own[VIEWS], known[VIEWS];
+    uint8_t rgb[3 * N];
+    float log2t[VIEWS];
 };
 
 static struct world w;
@@ -123,6 +126,7 @@ static int setup(void **state)
     (void)state;
     memset(&w, 0, sizeof w);
     make_cameras();
+    memset(w.rgb, 128, sizeof w.rgb);
     if (arena_init(&w.keep, "keep", voxel_keep(N) + (4 << 20)) != OK ||
         arena_init(&w.tmp, "tmp", voxel_plan(N) + raster_plan(N, SIZE, SIZE, false) + (4 << 20)) !=
             OK)
@@ -213,6 +217,30 @@ static double softplus(float x)
     return x > 30 ? (double)x : log1p(exp((double)x));
 }
 
+/* Maps and photographs (grey unless said) of a world 3 times as large. */
+static void sharpen(const struct depthmaps *map, const struct tonemap *tone)
+{
+    static struct camera cams[VIEWS];
+    const struct views v = {
+        .n = VIEWS, .size = SIZE, .rgb = w.rgb, .log2t = w.log2t, .mid_log2t = 1, .cams = cams};
+    const struct network_known known = {{&v, map, tone}, &v, tone};
+    memcpy(cams, w.own, sizeof cams);
+    for (int i = 0; i < VIEWS; i++) {
+        w.log2t[i] = (float)(i % 3);
+        for (int k = 0; k < 3; k++)
+            cams[i].t[k] *= 3;
+    }
+    assert_int_equal(network_sharpen(&w.r, &known, 3, &w.p), OK);
+    assert_int_equal(arena_mark(&w.tmp), 0);
+}
+
+static struct tonemap plain_tone(void)
+{
+    struct tonemap t;
+    response_fit(NULL, 0, 1, &t);
+    return t;
+}
+
 /* A map of half the size, sure in its upper half, in a world 3 times as large. */
 static void sure_depth_moves_pixels_along_their_rays(void **state)
 {
@@ -221,6 +249,7 @@ static void sure_depth_moves_pixels_along_their_rays(void **state)
     static float depth[VIEWS * SMALL * SMALL], conf[VIEWS * SMALL * SMALL], was[N], points[3 * N],
         scales[3 * N], want[3 * PX];
     struct depthmaps map = {VIEWS, SMALL, 2, depth, conf};
+    const struct tonemap tone = plain_tone();
     float *size = w.p.features + VOXEL_SCALE * N;
     for (int k = 0; k < VIEWS * SMALL * SMALL; k++) {
         depth[k] = 3 * (1.5f + 0.4f * wave(k, 3));
@@ -233,19 +262,21 @@ static void sure_depth_moves_pixels_along_their_rays(void **state)
     memcpy(was, w.p.geom.depth, sizeof was);
     memcpy(points, w.p.points, sizeof points);
     memcpy(scales, size, sizeof scales);
-    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    sharpen(&map, &tone);
     for (int i = 0; i < N; i++) {
         const int y = i % PX / SIZE, k = i / PX * SMALL * SMALL + y / 2 * SMALL + i % SIZE / 2;
         const bool sure = y < SIZE / 2;
         const double factor = (double)(sure ? depth[k] / 3 / was[i] : 1);
         assert_float_equal(w.p.geom.depth[i], (double)was[i] * factor, 1e-6);
         for (int c = 0; c < 3; c++) {
-            double now = softplus(size[c * N + i]), then = softplus(scales[c * N + i]);
+            const double pixel = (double)w.p.geom.depth[i] / 30 / (double)VOXEL_SCALE_UNIT;
+            double now = softplus(size[c * N + i]);
+            double then = fmin(softplus(scales[c * N + i]) * factor, pixel);
             if (c == 0 && i == 6) {
                 assert_true(isnan(size[6]));
                 continue;
             }
-            assert_true(isfinite(size[c * N + i]) && fabs(now - then * factor) <= 1e-5 * then);
+            assert_true(isfinite(size[c * N + i]) && fabs(now - then) <= 1e-5 * then);
             assert_true(sure || w.p.points[3 * i + c] == points[3 * i + c]);
         }
     }
@@ -261,13 +292,14 @@ static void guesses_that_a_view_looks_through_are_left_out(void **state)
     (void)state;
     static float depth[N], conf[N];
     struct depthmaps map = {VIEWS, SIZE, 1, depth, conf};
+    const struct tonemap tone = plain_tone();
     const struct camera *c = &w.own[0];
     int out = 0;
     for (int k = 0; k < N; k++) {
         depth[k] = 12;
         conf[k] = k < PX ? 1 : 0;
     }
-    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    sharpen(&map, &tone);
     for (int i = 0; i < N; i++) { // the camera of view 0 is not turned
         const float *at = w.p.points + 3 * i;
         double z = (double)(at[2] + c->t[2]), u = 30 * (double)(at[0] + c->t[0]) / z + 14,
@@ -283,9 +315,131 @@ static void guesses_that_a_view_looks_through_are_left_out(void **state)
     for (int k = 0; k < PX; k++)
         depth[k] = 3 * 1.0f; // before all of them
     memset(w.p.confidence, 0, N * sizeof(float));
-    assert_int_equal(network_sharpen(&w.r, &map, 3, &w.p), OK);
+    sharpen(&map, &tone);
     for (int i = 0; i < N; i++)
         assert_false(isnan(w.p.confidence[i]));
+}
+
+/* Depth of the plane z = 2 in the world of view 0, in units of the maps. */
+static void plane(float depth[N])
+{
+    for (int i = 0; i < N; i++) {
+        const struct camera *c = &w.own[i / PX];
+        const float ray[3] = {((float)(i % SIZE) + 0.5f - c->cx) / c->fx,
+                              ((float)(i % PX / SIZE) + 0.5f - c->cy) / c->fy, 1};
+        float r[9], at = 2, along = 0;
+        raster_rotation(c->q, r);
+        for (int k = 0; k < 3; k++) {
+            at += r[3 * k + 2] * c->t[k];
+            along += r[3 * k + 2] * ray[k];
+        }
+        depth[i] = 3 * at / along;
+    }
+}
+
+static bool inside_another(const float *point, int view, float margin)
+{
+    for (int j = 0; j < VIEWS; j++) {
+        float r[9], x[3];
+        const struct camera *c = &w.own[j];
+        raster_rotation(c->q, r);
+        for (int k = 0; k < 3; k++)
+            x[k] =
+                r[3 * k] * point[0] + r[3 * k + 1] * point[1] + r[3 * k + 2] * point[2] + c->t[k];
+        const float u = 30 * x[0] / x[2] + 14, v = 30 * x[1] / x[2] + 14;
+        if (j != view && fminf(fminf(u, v), SIZE - fmaxf(u, v)) > margin)
+            return true;
+    }
+    return false;
+}
+
+/* View 1 is all but black, the others are grey. */
+static void who_knows_a_surface_better_shows_it(void **state)
+{
+    (void)state;
+    static float depth[N], conf[N], before[N];
+    struct depthmaps map = {VIEWS, SIZE, 1, depth, conf};
+    const struct tonemap tone = plain_tone();
+    int out = 0;
+    plane(depth);
+    memset(w.rgb + 3 * PX, 3, 3 * PX);
+    memcpy(before, w.p.confidence, sizeof before);
+    for (int k = 0; k < N; k++)
+        conf[k] = 1;
+    sharpen(&map, &tone);
+    for (int i = 0; i < N; i++) {
+        const float *at = w.p.points + 3 * i;
+        const bool dark = i / PX == 1;
+        if (!dark || !inside_another(at, 1, -0.01f))
+            assert_float_equal(w.p.confidence[i], before[i], 0);
+        else if (inside_another(at, 1, 0.01f))
+            assert_true(isnan(w.p.confidence[i]));
+        out += isnan(w.p.confidence[i]);
+    }
+    print_message("  %d of %d left out\n", out, PX);
+    assert_true(out > PX / 2 && out < PX);
+
+    for (int k = 0; k < N; k++) // the others stand before something else
+        depth[k] *= k / PX == 1 ? 1 : 0.5f;
+    memcpy(w.p.confidence, before, sizeof before);
+    sharpen(&map, &tone);
+    assert_memory_equal(w.p.confidence, before, sizeof before);
+
+    for (int k = 0; k < PX; k++) // a guess is not needed where another knows anything
+        conf[PX + k] = 0;
+    sharpen(&map, &tone);
+    for (int i = PX; i < 2 * PX; i++)
+        if (inside_another(w.p.points + 3 * i, 1, 0.01f))
+            assert_true(isnan(w.p.confidence[i]));
+}
+
+static float x_of(int i, int c, int view)
+{
+    return w.p.features[(VOXEL_SH + 25 * c) * N + i] * 0.2820948f / 0.6931472f + w.log2t[view] - 1;
+}
+
+/* Odd pixels are saturated in red and black in blue. */
+static void colours_are_those_of_the_photographs(void **state)
+{
+    (void)state;
+    static float depth[N], conf[N], was[VOXEL_FEATURES * N];
+    struct depthmaps map = {VIEWS, SIZE, 1, depth, conf};
+    const struct tonemap tone = plain_tone();
+    struct tonemap own;
+    double worst = 0;
+    tonemap_linear(&own, 0.5f, -12, 12, 1);
+    w.p.tone = own;
+    plane(depth);
+    for (int i = 0; i < N; i++) {
+        w.rgb[3 * i] = i % 2 ? 255 : (uint8_t)(20 + i % 200);
+        w.rgb[3 * i + 2] = i % 2 ? 0 : 77;
+    }
+    memcpy(was, w.p.features, sizeof was);
+    sharpen(&map, &tone);
+    assert_memory_equal(&w.p.tone, &tone, sizeof tone);
+    for (int k = 0; k < 3 * N; k++) {
+        const int i = k / 3, c = k % 3, view = i / PX;
+        const float x = x_of(i, c, view), *sh = w.p.features + (VOXEL_SH + 25 * c) * N + i;
+        const float shown = response_display(&tone, c, x);
+        if (w.rgb[k] > 1 && w.rgb[k] < 253) {
+            assert_float_equal(shown, (float)w.rgb[k] / 255, 2e-4);
+            assert_float_equal(sh[N], 0, 0);
+            continue;
+        }
+        const float before =
+            was[(VOXEL_SH + 25 * c) * N + i] * 0.2820948f / 0.6931472f + w.log2t[view] - 1;
+        worst = fmax(worst, fabs((double)(shown - response_display(&own, c, before))));
+        assert_true(isfinite(sh[N]) && sh[N] != 0);
+    }
+    print_message("  black or saturated: display values within %.1e\n", worst);
+    assert_true(worst < 1e-3);
+
+    w.p.linear = true;
+    w.p.tone = own;
+    memcpy(w.p.features + VOXEL_SH * N, was + VOXEL_SH * N, 75 * N * sizeof(float));
+    sharpen(&map, &tone);
+    assert_memory_equal(w.p.features + VOXEL_SH * N, was + VOXEL_SH * N, 75 * N * sizeof(float));
+    assert_memory_equal(&w.p.tone, &own, sizeof own);
 }
 
 static void cells_grow_until_they_fit(void **state)
@@ -401,6 +555,8 @@ int main(void)
         cmocka_unit_test_setup_teardown(sure_depth_moves_pixels_along_their_rays, setup, teardown),
         cmocka_unit_test_setup_teardown(guesses_that_a_view_looks_through_are_left_out, setup,
                                         teardown),
+        cmocka_unit_test_setup_teardown(who_knows_a_surface_better_shows_it, setup, teardown),
+        cmocka_unit_test_setup_teardown(colours_are_those_of_the_photographs, setup, teardown),
         cmocka_unit_test_setup_teardown(cells_grow_until_they_fit, setup, teardown),
         cmocka_unit_test(radiance_is_shown_as_it_is),
         cmocka_unit_test(correspondences_are_sought_if_asked),
