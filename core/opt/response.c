@@ -10,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { BINS = 45, LEVELS = 64, ROUNDS = 6, GROUPS_MAX = 16, SPREAD = 33 };
+enum { BINS = 45, LEVELS = RESPONSE_QUANTILES, ROUNDS = 6, GROUPS_MAX = 16, SPREAD = 33 };
 
 static const double U_END = 6.6;      // the curve lives on [-U_END, U_END]; logit of 1/512 is -6.24
 static const double SMOOTH = 5.0;     // weight of a bend, with data normalised to one per knot
@@ -364,14 +364,14 @@ static float quantile(const uint32_t *hist, double q)
     return 1.0f;
 }
 
-static int add_group_pair(const struct group *a, const struct group *b, struct response_pair *out)
+int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
+                       struct response_pair out[3 * RESPONSE_QUANTILES])
 {
     int n = 0;
     for (int c = 0; c < 3; c++) {
         for (int k = 0; k < LEVELS; k++) {
             double q = (k + 0.5) / LEVELS;
-            struct response_pair p = {quantile(a->hist[c], q), quantile(b->hist[c], q),
-                                      (float)(b->log2t - a->log2t), 0.0f};
+            struct response_pair p = {quantile(a[c], q), quantile(b[c], q), d, 0.0f};
             float lo = fminf(p.za, p.zb), hi = fmaxf(p.za, p.zb);
             if (lo < 3.0f / 255.0f || hi > 251.0f / 255.0f)
                 continue;
@@ -381,6 +381,11 @@ static int add_group_pair(const struct group *a, const struct group *b, struct r
         }
     }
     return n;
+}
+
+static int add_group_pair(struct group *a, struct group *b, struct response_pair *out)
+{
+    return response_quantiles(a->hist, b->hist, (float)(b->log2t - a->log2t), out);
 }
 
 /* Quantiles of one place are those of the same pixels, so its exposures are compared with the next

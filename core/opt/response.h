@@ -23,6 +23,14 @@ struct response_pair {
     float za, zb, d, weight; // display 0..1; stops; > 0
 };
 
+enum { RESPONSE_QUANTILES = 64 };
+
+/* Pairs from the histograms by display value of what the same surfaces show at two exposures d stops
+ * apart: display values of the same quantile, where neither is black or saturated.
+ * Returns how many of *out are set. */
+int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
+                       struct response_pair out[3 * RESPONSE_QUANTILES]);
+
 /* Curve from the histograms of `v`: of the exposures of each place if there are several, else of
  * views at different exposures. With one exposure, or pictures without grey values, it is close
  * to sRGB.
