@@ -25,8 +25,8 @@ struct response_pair {
 
 enum { RESPONSE_QUANTILES = 64 };
 
-/* Pairs from the histograms by display value of what the same surfaces show at two exposures d stops
- * apart: display values of the same quantile, where neither is black or saturated.
+/* Pairs from the histograms by display value of what the same surfaces show at two exposures d
+ * stops apart: display values of the same quantile, where neither is black or saturated.
  * Returns how many of *out are set. */
 int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
                        struct response_pair out[3 * RESPONSE_QUANTILES]);
