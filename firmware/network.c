@@ -352,9 +352,13 @@ static bool better_elsewhere(const struct sharpen *s, int view, int i)
     return false;
 }
 
-/* The network's colour under the known curve, at the exposure of its photograph. */
+/* The network's colour under the known curve, at the exposure of its photograph. What is not finite
+ * stays for gaussians_sanitize to report. */
 static float moved(const float *table, float x, float *slope)
 {
+    *slope = 1;
+    if (!isfinite(x))
+        return x;
     const float at = fminf(fmaxf((x + END) / CELL, 0), CELLS - 0.01f);
     const int i = (int)at;
     *slope = (table[i + 1] - table[i]) / CELL;
@@ -405,6 +409,7 @@ static err_t sharpen_view(void *ctx, int view, int worker)
     return OK;
 }
 
+/* Beyond what both curves show (response_radiance_log) radiance is not guessed. */
 static void tabulate(struct sharpen *s)
 {
     const struct tonemap *to = s->known->tone;

@@ -414,6 +414,9 @@ static void colours_are_those_of_the_photographs(void **state)
         w.rgb[3 * i] = i % 2 ? 255 : (uint8_t)(20 + i % 200);
         w.rgb[3 * i + 2] = i % 2 ? 0 : 77;
     }
+    for (int i = 3; i < N; i += 8) // brighter than the photograph can show
+        w.p.features[VOXEL_SH * N + i] = 20;
+    w.p.features[VOXEL_SH * N + 1] = NAN;
     memcpy(was, w.p.features, sizeof was);
     sharpen(&map, &tone);
     assert_memory_equal(&w.p.tone, &tone, sizeof tone);
@@ -428,8 +431,13 @@ static void colours_are_those_of_the_photographs(void **state)
         }
         const float before =
             was[(VOXEL_SH + 25 * c) * N + i] * 0.2820948f / 0.6931472f + w.log2t[view] - 1;
-        worst = fmax(worst, fabs((double)(shown - response_display(&own, c, before))));
-        assert_true(isfinite(sh[N]) && sh[N] != 0);
+        const float meant = response_display(&own, c, before);
+        if (k == 3) { // for gaussians_sanitize to report
+            assert_true(isnan(x));
+            continue;
+        }
+        worst = fmax(worst, fabs((double)(shown - meant)));
+        assert_true(isfinite(x) && isfinite(sh[N]));
     }
     print_message("  black or saturated: display values within %.1e\n", worst);
     assert_true(worst < 1e-3);
