@@ -96,11 +96,11 @@ struct network_known {
  * are unprojected anew; Gaussians grow as their distance does, so that they cover as many pixels as
  * before, but with a standard deviation of one pixel at most. A pixel that is neither black nor
  * saturated has the photograph's radiance; others keep the network's, under the known curve, which
- * becomes p's, as far as this curve reaches. Pixels are left out (their confidence is no
- * number, see voxel_merge) where another view shows the same surface and says more than twice as much about its radiance. Of a pixel whose
- * depth is not sure, every view may be that other one that has its point in the picture; it is also
- * left out where a view looks through it to what it is sure of. Display colours (p->linear) stay as
- * they are.
+ * becomes p's, as far as this curve reaches. Pixels are left out (their confidence is no number,
+ * see voxel_merge) where another view shows the same surface and says more than twice as much about
+ * its radiance. Of a pixel whose depth is not sure, every view may be that other one that has its
+ * point in the picture; it is also left out where a view looks through it to what it is sure of.
+ * Display colours (p->linear) stay as they are.
  * scale: of network_place.
  * err:  ERR_NOMEM (r->tmp, see network_sharpen_plan). */
 MUST_USE err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
