@@ -59,7 +59,7 @@ struct job_cameras {
 
 struct job_result {
     struct views views;      // in keep; n is 0 if the photographs are not at hand
-    struct tonemap response; // before refinement
+    struct tonemap response; // from histograms: the nearest view is shown under it
     int taken;               // photographs of brackets, before those that show nothing more went
     struct scene scene;      // in keep
     struct refine_report refine;

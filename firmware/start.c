@@ -122,8 +122,8 @@ static err_t sweep(const struct run *r, struct job_result *out, struct seen *see
     if (!e)
         e = sweep_run(r, &seen->views, &seen->tone, depth);
     if (!e && out->views.n_more == 0) {
-        e = refit_run(r, &out->views, depth, &out->response);
-        seen->tone = out->scene.tone = out->response;
+        e = refit_run(r, &out->views, depth, &seen->tone);
+        out->scene.tone = seen->tone;
     }
     job_lap(out, JOB_SWEEP);
     return e;
@@ -344,7 +344,7 @@ static err_t sharpen(const struct run *r, float scale, struct prediction *p, str
     const size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     err_t e = sweep(r, out, &seen, &depth);
     const struct network_known known = {
-        {&seen.views, &depth, &seen.tone}, &out->views, &out->response};
+        {&seen.views, &depth, &seen.tone}, &out->views, &out->scene.tone};
     if (!e)
         e = network_sharpen(r, &known, scale, p);
     if (!e && !p->linear)
