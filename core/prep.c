@@ -6,6 +6,8 @@
  * exactly (0, 1, 0, 0), so the copy that Pillow makes needs no case of its own. */
 #include "core/prep.h"
 
+#include "core/base/num.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -31,11 +33,6 @@ static int taps_of(int n_in, int n_out)
 {
     double scale = (double)n_in / n_out;
     return (int)ceil(2.0 * (scale > 1.0 ? scale : 1.0)) * 2 + 1;
-}
-
-static int max_int(int a, int b)
-{
-    return a > b ? a : b;
 }
 
 /* Bytes for the scratch of one picture up to w x h. */
@@ -67,7 +64,7 @@ static err_t scratch_alloc(struct scratch *s, int w, int h, int size, struct are
     if (!e)
         e = axis_alloc(&s->y, h, size, tmp);
     if (!e)
-        e = arena_alloc(tmp, (size_t)max_int(s->x.taps, s->y.taps), sizeof *s->row, &s->row);
+        e = arena_alloc(tmp, (size_t)num_max(s->x.taps, s->y.taps), sizeof *s->row, &s->row);
     if (!e)
         e = arena_alloc(tmp, (size_t)h * (size_t)size, 3, &s->mid);
     return e;
@@ -92,7 +89,7 @@ static void axis_fill(struct axis *a, int n_in, int n_out, double *row)
     a->taps = taps_of(n_in, n_out);
     for (int i = 0; i < n_out; i++) {
         double c = (i + 0.5) * scale, sum = 0.0;
-        int lo = max_int((int)(c - support + 0.5), 0), hi = (int)(c + support + 0.5);
+        int lo = num_max((int)(c - support + 0.5), 0), hi = (int)(c + support + 0.5);
         hi = hi < n_in ? hi : n_in;
         a->first[i] = lo;
         a->count[i] = hi - lo;
@@ -198,8 +195,8 @@ static void largest(const struct capture *c, int *w, int *h)
 {
     *w = *h = 1;
     for (int i = 0; i < c->n; i++) {
-        *w = max_int(*w, c->shots[i].image.w);
-        *h = max_int(*h, c->shots[i].image.h);
+        *w = num_max(*w, c->shots[i].image.w);
+        *h = num_max(*h, c->shots[i].image.h);
     }
 }
 

@@ -1,6 +1,7 @@
 /* By the network: one forward pass; where cameras are known or polished, its geometry is brought to
- * them, and to stereo where that is sure; then one Gaussian per cell. A network without Gaussian
- * head gives cameras and depth, from which seeds are made as from stereo.
+ * them, and its depth and colours to the photographs where these are sure; then one Gaussian per
+ * cell. A network without Gaussian head gives cameras and depth, from which seeds are made as from
+ * stereo.
  * Memory: first what stays, then what the network needs, which is given back if it can be: without
  * refinement the planes of the scene are the network's own. */
 #include "firmware/start.h"

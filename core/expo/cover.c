@@ -11,6 +11,8 @@
  * (noise over the histogram, a share ignored). */
 #include "core/expo/cover.h"
 
+#include "core/base/num.h"
+
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -83,15 +85,10 @@ static void reach(const struct meter *m, double most_s, struct task *t)
     t->dim = cover_top(m, most_s) - 1;
 }
 
-static int larger(int a, int b)
-{
-    return a > b ? a : b;
-}
-
 /* Bins that stay when an exposure begins at bin b, or as near as it can. */
 static int below(const struct task *t, int b)
 {
-    return larger((b > t->dim ? b : t->dim) - t->length + 1, 0);
+    return num_max((b > t->dim ? b : t->dim) - t->length + 1, 0);
 }
 
 /* left[k][n]: of the n darkest bins, the least share that k exposures leave uncovered. */
@@ -130,7 +127,7 @@ static int first_bin(const struct task *t)
     while (b > 0 && above + t->top[b] <= t->m->cfg.clip + SLIGHT)
         above += t->top[b--];
     b = b < t->bright ? b : t->bright;
-    return larger(b, t->dim);
+    return num_max(b, t->dim);
 }
 
 /* Times of the best k exposures; the first begins at bin `first`, -1: where it is best. Rising. */
@@ -146,7 +143,7 @@ static int trace(const struct task *t, int k, int first, double *times)
             bins--; // leave it
             continue;
         }
-        int start = larger(bins - 1, t->dim);
+        int start = num_max(bins - 1, t->dim);
         times[n++] = exp2(t->m->hi) / t->low[start] * exp2(-1.0 / METER_PER_STOP);
         bins = rest < bins ? rest : bins;
         k--;
