@@ -7,8 +7,8 @@
 #include "core/opt/pose.h"
 #include "core/opt/response.h"
 #include "core/prep.h"
+#include "core/splat/consensus.h"
 #include "core/splat/gaussians.h"
-#include "core/splat/sight.h"
 #include "core/splat/turn.h"
 
 #include <math.h>
@@ -16,7 +16,8 @@
 #include <unistd.h>
 
 static const float DARKEST = 1.0f / 512; // display value
-static const float BETTER = 2;           // times as much that another photograph must say
+static const float TIMES = 2;            // as much that another photograph must say
+static const float LIKE = 1;             // stops between what may be one thing
 static const float WIDEST = 1;           // px, standard deviation of a Gaussian in its own view
 static const float LN2 = 0.69314718f;
 static const float BASIS0 = 0.2820947917738781f; // model-spec 2.13
@@ -289,6 +290,7 @@ struct sharpen {
     struct sight sight;
     struct response_table table; // of the photographs
     float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
+    float *depth;                // (n) in units of the maps
 };
 
 /* The input of softplus whose output is `factor` times as large, `most` at most. Comparisons, not
@@ -331,25 +333,74 @@ static float worth(const struct sharpen *s, const uint8_t *rgb)
     return (t->weight[0][rgb[0]] + t->weight[1][rgb[1]] + t->weight[2][rgb[2]]) / 3;
 }
 
-/* Whether another view shows what pixel i of this one does, and knows it better; one whose depth is
- * a guess may be anywhere before what others are sure of, and behind anything else. */
-static bool better_elsewhere(const struct sharpen *s, int view, int i)
+/* log2 radiance that a display value stands for, from and to. */
+static void range(const struct sharpen *s, int view, int c, int shown, float out[2])
 {
-    const int w = s->p->geom.size;
-    const bool sure = sight_sure(&s->sight, map_place(s, view, i));
-    const float enough = BETTER * worth(s, photograph(s, view, i % w, i / w));
-    const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
-    const float point[3] = {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale};
-    for (int j = 0; j < s->p->geom.n_views; j++) {
-        struct sighting there;
-        if (j == view || !sight_look(&s->sight, j, point, &there))
-            continue;
-        const bool shows = !sure || sight_same(&s->sight, &there);
-        if ((shows && worth(s, photograph(s, j, (int)there.u, (int)there.v)) > enough) ||
-            (!sure && sight_through(&s->sight, &there)))
+    const struct views *v = s->known->seen.views;
+    const struct response_table *t = &s->table;
+    const float at = v->log2t[view] - v->mid_log2t;
+    out[0] = out[1] = t->x[c][shown] - at;
+    if (t->weight[c][shown] == 0)
+        out[shown > 127] = shown > 127 ? INFINITY : -INFINITY;
+}
+
+struct pixel {
+    int view;
+    bool sure;
+    const uint8_t *rgb;
+    float point[3]; // units of the maps
+};
+
+/* Whether the two cannot show one thing. */
+static bool differ(const struct sharpen *s, const struct pixel *p, int view, const uint8_t *rgb)
+{
+    for (int c = 0; c < 3; c++) {
+        float a[2], b[2];
+        range(s, p->view, c, p->rgb[c], a);
+        range(s, view, c, rgb[c], b);
+        if (a[0] > b[1] + LIKE || b[0] > a[1] + LIKE)
             return true;
     }
     return false;
+}
+
+enum verdict { SILENT, AGREES, DIFFERS, BETTER };
+
+/* What view j says about the pixel. One whose depth is a guess may be anywhere before what others
+ * are sure of, and behind anything else. */
+static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
+{
+    struct sighting there;
+    if (!sight_look(&s->sight, j, p->point, &there))
+        return SILENT;
+    const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
+    const bool knows = worth(s, rgb) > TIMES * worth(s, p->rgb);
+    if (p->sure)
+        return knows && sight_same(&s->sight, &there) ? BETTER : SILENT;
+    if (knows || sight_through(&s->sight, &there))
+        return BETTER;
+    if (sight_behind(&s->sight, &there))
+        return SILENT;
+    return differ(s, p, j, rgb) ? DIFFERS : AGREES;
+}
+
+/* Whether others know pixel i better, or more of them show something else there than the same. */
+static bool refuted(const struct sharpen *s, int view, int i)
+{
+    const int w = s->p->geom.size;
+    const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
+    const struct pixel p = {view,
+                            sight_sure(&s->sight, map_place(s, view, i)),
+                            photograph(s, view, i % w, i / w),
+                            {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
+    int against = 0;
+    for (int j = 0; j < s->p->geom.n_views; j++) {
+        const enum verdict said = j == view ? SILENT : ask(s, &p, j);
+        if (said == BETTER)
+            return true;
+        against += (said == DIFFERS) - (said == AGREES);
+    }
+    return against > 0;
 }
 
 /* The network's colour under the known curve, at the exposure of its photograph. What is not finite
@@ -387,6 +438,16 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
     }
 }
 
+/* Unlike depth_unproject, at the middle of the pixel, whose colour the photograph tells. */
+static void place_pixel(const struct sharpen *s, int view, int i, size_t k)
+{
+    const int w = s->p->geom.size;
+    const float uvz[3] = {(float)(i % w) + 0.5f, (float)(i / w) + 0.5f, s->depth[k]};
+    sight_point(&s->sight, view, uvz, s->p->points + 3 * k);
+    for (size_t c = 0; c < 3; c++)
+        s->p->points[3 * k + c] /= s->scale;
+}
+
 static err_t sharpen_view(void *ctx, int view, int worker)
 {
     const struct sharpen *s = ctx;
@@ -394,15 +455,11 @@ static err_t sharpen_view(void *ctx, int view, int worker)
     const size_t first = (size_t)view * (size_t)pixels;
     (void)worker;
     for (int i = 0; i < pixels; i++) {
-        const size_t at = map_place(s, view, i), k = first + (size_t)i;
-        const bool sure = sight_sure(&s->sight, at);
-        move_pixel(s, view, k,
-                   sure ? s->known->seen.depth->depth[at] / s->scale : s->p->geom.depth[k]);
-    }
-    depth_unproject(&s->p->geom, view, s->p->points + 3 * first);
-    for (int i = 0; i < pixels; i++) {
-        if (better_elsewhere(s, view, i))
-            s->p->confidence[first + (size_t)i] = NAN; // voxel_merge leaves it out
+        const size_t k = first + (size_t)i;
+        move_pixel(s, view, k, s->depth[k] / s->scale);
+        place_pixel(s, view, i, k);
+        if (refuted(s, view, i))
+            s->p->confidence[k] = NAN; // voxel_merge leaves it out
         if (!s->p->linear)
             colour_pixel(s, view, i);
     }
@@ -421,9 +478,12 @@ static void tabulate(struct sharpen *s)
         }
 }
 
-size_t network_sharpen_plan(int n_views)
+size_t network_sharpen_plan(int n_views, int size, int threads)
 {
-    return arena_add(sight_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
+    const size_t n = (size_t)n_views * (size_t)size * (size_t)size;
+    size_t need = arena_add(sight_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
+    need = arena_add(need, arena_need(n, sizeof(float)));
+    return arena_add(need, consensus_plan(n_views, size, threads));
 }
 
 err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
@@ -435,7 +495,13 @@ err_t network_sharpen(const struct run *r, const struct network_known *known, fl
     if (!e)
         e = arena_alloc(r->tmp, 3, sizeof *s.moved, &s.moved);
     if (!e)
+        e = arena_alloc(r->tmp, (size_t)p->n, sizeof *s.depth, &s.depth);
+    if (!e) {
         tabulate(&s);
+        for (int k = 0; k < p->n; k++)
+            s.depth[k] = p->geom.depth[k] * scale;
+        e = consensus_run(r, &s.sight, s.depth);
+    }
     if (!e)
         e = pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
     if (!e && !p->linear)

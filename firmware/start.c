@@ -493,7 +493,7 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
     if (net.d.gauss && cfg->polish) {
         m->keep = arena_add(m->keep, sweep_keep(v));
         m->tmp = num_max_size(m->tmp, sweep_plan(v, threads));
-        m->tmp = num_max_size(m->tmp, network_sharpen_plan(v->n));
+        m->tmp = num_max_size(m->tmp, network_sharpen_plan(v->n, v->size, threads));
     }
     if (net.d.gauss) {
         m->keep = arena_add(m->keep, voxel_keep(all));

@@ -70,3 +70,8 @@ bool sight_through(const struct sight *s, const struct sighting *p)
 {
     return sight_sure(s, p->at) && s->depth->depth[p->at] * NEARER > p->z;
 }
+
+bool sight_behind(const struct sight *s, const struct sighting *p)
+{
+    return sight_sure(s, p->at) && s->depth->depth[p->at] < NEARER * p->z;
+}

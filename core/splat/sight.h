@@ -36,8 +36,9 @@ bool sight_look(const struct sight *s, int view, const float point[3], struct si
 /* Whether several views agree on the depth there (confidence of 0.6 and more). */
 bool sight_sure(const struct sight *s, size_t at);
 
-/* Whether the view is sure that the point is on what it sees, or well before that. */
+/* Whether the view is sure that the point is on what it sees, well before that, or well behind. */
 bool sight_same(const struct sight *s, const struct sighting *p);
 bool sight_through(const struct sight *s, const struct sighting *p);
+bool sight_behind(const struct sight *s, const struct sighting *p);
 
 #endif
