@@ -95,14 +95,14 @@ struct network_known {
 /* Where the photographs are sure, they overrule the network. Pixels of sure depth move there, the
  * others to where the views agree (consensus.h), all at the middle of the pixel and not at its
  * corner, as the network has it (model-spec 2.11); Gaussians grow as their distance does, so that
- * they cover as many pixels as before, but with a standard deviation of one pixel at most. A pixel that is
- * neither black nor saturated has the photograph's radiance; others keep the network's, under the
- * known curve, which becomes p's, as far as this curve reaches. Pixels are left out (their
- * confidence is no number, see voxel_merge) where another view shows the same surface and says more
- * than twice as much about its radiance. Of a pixel whose depth is not sure, every view may be that
- * other one that has its point in the picture; it is also left out where a view looks through it to
- * what it is sure of, and where more views show another radiance (by more than a stop) than the
- * same.
+ * they cover as many pixels as before, but with a standard deviation of one pixel at most. A pixel
+ * that is neither black nor saturated has the photograph's radiance; others keep the network's,
+ * under the known curve, which becomes p's, as far as this curve reaches.
+ * Pixels are left out (their confidence is no number, see voxel_merge) where another view shows the
+ * same surface and says more than twice as much about its radiance. Of a pixel whose depth is not
+ * sure, every view may be that other one that has its point in the picture; it is also left out
+ * where a view looks through it to what it is sure of, and where more views show another radiance
+ * (by more than a stop) than the same.
  * Display colours (p->linear) stay as they are.
  * scale: of network_place.
  * err:  ERR_NOMEM (r->tmp, see network_sharpen_plan). */
