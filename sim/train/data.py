@@ -70,7 +70,7 @@ class Worlds:
 
 def make_scene(seed: int, size: int, worlds: Worlds | None, easy: boxes.Boxes, share: float):
     r = np.random.default_rng(seed + 77)
-    n = int(r.integers(8, 11))
+    n = int(r.integers(9, 12))
     spread = float(np.exp(r.uniform(math.log(0.06), math.log(0.8))))
     fov = float(r.uniform(40, 85))
     kind = int(r.choice([ANY, DARK, PLAIN, MIRROR], p=[0.92, 0.03, 0.02, 0.03]))
@@ -231,11 +231,12 @@ class Scene:
             self.radiance = torch.from_numpy(z["radiance"])
             self.depth = torch.from_numpy(z["depth"])
             self.cams = torch.from_numpy(z["cams"])
+        self.views, self.size = len(self.cams), self.depth.shape[-1]
 
     def sample(self, r: np.random.Generator, v: int, size: int) -> tuple:
         """Parts of one sample: images, stops, depth, pose, radiance, curve."""
         pick = torch.from_numpy(r.permutation(len(self.cams))[:v])
-        full = self.depth.shape[-1]
+        full = self.size
         radiance = self.radiance[pick].float()
         depth = self.depth[pick].float()
         if size != full:
@@ -305,8 +306,12 @@ class Replay:
             self.refresh()
 
     def batch(self, r: np.random.Generator, b: int, v: int, size: int) -> Batch:
-        names = list(self.scenes)
-        return self.collect([names[i] for i in r.integers(len(names), size=b)], r, v, size)
+        """Of scenes with so many views, rendered at least as large, if there are any; else of the
+        rest, with as many views as the least of them has."""
+        fit = [n for n, s in self.scenes.items() if s.views >= v and s.size >= size]
+        names = fit or list(self.scenes)
+        names = [names[i] for i in r.integers(len(names), size=b)]
+        return self.collect(names, r, min(v, *(self.scenes[n].views for n in names)), size)
 
     def collect(self, names: list[str], r: np.random.Generator, v: int, size: int) -> Batch:
         parts = [self.scenes[n].sample(r, v, size) for n in names]

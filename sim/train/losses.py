@@ -10,6 +10,7 @@ import data
 import model
 
 AGREE = 0.03  # relative depth within which a point is seen, not hidden
+QUERIES = 2048  # tokens of a scene that are asked where they are in other views
 
 
 # ---- correspondences ----
@@ -47,11 +48,17 @@ def token_targets(batch: data.Batch) -> tuple[Tensor, Tensor]:
 
 def match_loss(qk: tuple, views: int, at: Tensor, seen: Tensor) -> tuple[Tensor, dict]:
     """Cross-entropy of the attention (mean over heads, model-spec 2.7), renormalised over the
-    tokens of the other view, against the four tokens around the true place."""
+    tokens of the other view, against the four tokens around the true place. Of many tokens, some
+    are asked."""
     q, k = qk
     b, h, n, e = q.shape
-    cut = lambda t: t.view(b, h, views, -1, e)[:, :, :, model.SPECIAL:].flatten(2, 3).float()
-    a = model.head_mean(cut(q), cut(k)).view(b, views, -1, views, n // views - model.SPECIAL)
+    m = n // views - model.SPECIAL
+    ask = torch.arange(m) if m * views <= QUERIES else torch.randperm(m)[: QUERIES // views]
+    ask = ask.to(q.device)
+    cut = lambda t: t.view(b, h, views, -1, e)[:, :, :, model.SPECIAL:].float()
+    a = model.head_mean(cut(q)[:, :, :, ask].flatten(2, 3), cut(k).flatten(2, 3))
+    a = a.view(b, views, -1, views, m)
+    at, seen = at[:, :, ask], seen[:, :, ask]
     g = int(round(a.shape[-1] ** 0.5))
     log = torch.log(a / a.sum(-1, keepdim=True).clamp_min(1e-12) + 1e-7)
     top = at.floor()

@@ -22,6 +22,8 @@ COLOUR = (8, 33, 58)  # constant band of the three colours among the raw channel
 SURE = 83  # weight of a pixel in its cell, before the exponential
 CELL_EPS, SCALE_UNIT, SCALE_MAX = 1e-6, 1e-3, 0.3  # model-spec 2.11, 2.12
 TOP = 0.3  # share of pixels whose depth is trusted, paper 3.4
+TEXTURE, WINDOW = 0.02, 7  # deviation of display values in a window that stereo can match
+AGREE, NEARER = 0.03, 0.95  # of depth: the same point; well before what is there
 
 
 class Redraw(c.Structure):
@@ -83,15 +85,57 @@ def camera_row(pose: Tensor, size: int) -> list[float]:
     return [f[1], f[0], size / 2, size / 2, q[3], *q[:3], *t]
 
 
-def points(depth: Tensor, pose: Tensor) -> Tensor:
-    """(V, S, S, 3) of whole pixels without the half, as model-spec 2.11 has it."""
+def points(depth: Tensor, pose: Tensor, middle: float = 0.5) -> Tensor:
+    """(V, S, S, 3), at the middle of pixels, as network_sharpen places them; with 0 at their
+    corners, as model-spec 2.11 has it."""
     size = depth.shape[-1]
-    u = torch.arange(size, device=depth.device) * 2 / size - 1
+    u = (torch.arange(size, device=depth.device) + middle) * 2 / size - 1
     k = torch.tan(pose[:, 7:] / 2)
     x = u * k[:, 1, None, None] * depth
     y = u[:, None] * k[:, 0, None, None] * depth
     p = torch.stack([x, y, depth], -1) - pose[:, None, None, :3]
     return torch.einsum("vji,vhwj->vhwi", data.rotation(pose[:, [6, 3, 4, 5]]), p)
+
+
+def sightings(xyz: Tensor, depth: Tensor, pose: Tensor):
+    """Each view: where points (N, 3) are in it, as (index, depth of the point, depth there), and
+    which of them it has in its picture."""
+    size = depth.shape[-1]
+    for d, p in zip(depth, pose):
+        at = xyz @ data.rotation(p[[6, 3, 4, 5]]).T + p[:3]
+        z = at[:, 2].clamp_min(1e-4)
+        k = torch.tan(p[7:] / 2)
+        col, row = ((at[:, i] / z / k[1 - i] + 1) * size / 2 for i in (0, 1))
+        inside = (at[:, 2] > 1e-4) & (col >= 0) & (col < size) & (row >= 0) & (row < size)
+        i = row.clamp(0, size - 1).long() * size + col.clamp(0, size - 1).long()
+        yield i, z, d.flatten()[i], inside
+
+
+@torch.no_grad()
+def stereo(images: Tensor, truth: Tensor, pose: Tensor) -> Tensor:
+    """(V, S, S): where the program would be sure of its depth from stereo: texture that another
+    view sees too."""
+    v, _, size, _ = images.shape
+    grey = images.mean(1, keepdim=True)
+    mean = lambda x: F.avg_pool2d(x, WINDOW, 1, WINDOW // 2, count_include_pad=False)
+    rough = (mean(grey * grey) - mean(grey) ** 2)[:, 0] > TEXTURE**2
+    xyz = points(truth, pose).reshape(-1, 3)
+    shared = torch.zeros(v * size * size, dtype=torch.bool, device=truth.device)
+    own = torch.arange(v, device=truth.device).repeat_interleave(size * size)
+    for j, (_, z, there, inside) in enumerate(sightings(xyz, truth, pose)):
+        shared |= inside & ((there - z).abs() < AGREE * z) & (own != j)
+    return rough & shared.view_as(rough) & (truth > 0)
+
+
+@torch.no_grad()
+def in_the_way(z: Tensor, sure: Tensor, pose: Tensor) -> Tensor:
+    """(V, S, S): pixels of unsure depth through which another view is sure to look
+    (network_sharpen leaves them out)."""
+    gone = torch.zeros(z.numel(), dtype=torch.bool, device=z.device)
+    seen = torch.where(sure, z, 0)
+    for _, near, there, inside in sightings(points(z, pose).reshape(-1, 3), seen, pose):
+        gone |= inside & (near < NEARER * there)
+    return gone.view_as(sure) & ~sure
 
 
 def resized(raw: Tensor, factor: Tensor) -> Tensor:
@@ -125,13 +169,22 @@ def likeness(a: Tensor, b: Tensor) -> Tensor:
             / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))).mean()
 
 
-def scene_loss(raster: Raster, raw: Tensor, theta: Tensor, depth: Tensor, conf: Tensor,
+def scene_loss(raster: Raster, raw: Tensor, theta: Tensor, log_depth: Tensor, conf: Tensor,
                b: data.Batch, cell: float) -> tuple[Tensor, dict]:
-    """One scene: raw (V, 88, S, S), theta (THETA), depth (V, S, S) in scene units and the head's
-    confidence for the first V views of b; all views of b are drawn, the others are new to it."""
-    v, size = depth.shape[0], depth.shape[-1]
-    xyz = points(depth, b.pose[0, :v]).flatten(0, 2)
-    planes = fuse(raw.transpose(0, 1).flatten(1), xyz, cell).cpu()
+    """One scene: raw (V, 88, S, S), theta (THETA), the head's depth (V, S, S) and confidence for
+    the first V views of b; all views of b are drawn, the others are new to it. Depth is what the
+    program would have: true where stereo is sure, the head's at one scale per view elsewhere."""
+    v, size = log_depth.shape[0], log_depth.shape[-1]
+    pose, truth = b.pose[0, :v], b.depth[0, :v]
+    sure = stereo(b.images[0, :v], truth, pose)
+    gap = torch.where(truth > 0, truth.clamp_min(1e-4).log() - log_depth, torch.nan)
+    gap = gap.flatten(1).nanmedian(1).values.nan_to_num()
+    guess = torch.exp(log_depth + gap[:, None, None])
+    depth = torch.where(sure, truth, guess)
+    keep = ~in_the_way(depth, sure, pose).flatten()
+    xyz = points(depth, pose).flatten(0, 2)[keep]
+    raw = resized(raw, depth / guess).transpose(0, 1).flatten(1)[:, keep]
+    planes = fuse(raw, xyz, cell).cpu()
     middle = losses.mid_stops(b.stops[:, :v])[0]
     total, figures = 0.0, {"seen": [], "new": []}
     for i in range(b.images.shape[1]):
@@ -142,7 +195,7 @@ def scene_loss(raster: Raster, raw: Tensor, theta: Tensor, depth: Tensor, conf: 
         total = total + 0.8 * error + 0.2 * (1 - likeness(shown, want))
         figures["seen" if i < v else "new"].append((shown - want).square().mean().detach())
         if i < v:
-            trust = conf[i] >= torch.quantile(conf[i].flatten(), 1 - TOP)
+            trust = (conf[i] >= torch.quantile(conf[i].flatten(), 1 - TOP)) & sure[i]
             total = total + 0.1 * ((deep.to(depth) - depth[i]).square() * trust).mean() / TOP
     db = {k: -10 * torch.log10(torch.stack(x).mean()) for k, x in figures.items() if x}
     return total / b.images.shape[1], db

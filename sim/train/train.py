@@ -54,16 +54,13 @@ def rate(step: int, share: float, q: argparse.Namespace) -> float:
 
 
 def draw_shape(r: np.random.Generator, share: float, q: argparse.Namespace) -> tuple:
-    """Scenes, views and size of a batch: small pictures first."""
-    sizes = q.sizes
-    if len(sizes) > 1:
-        place = share * len(sizes) + r.normal() * 0.45
-        size = sizes[int(min(max(place, 0), len(sizes) - 1))]
-    else:
-        size = sizes[0]
-    v = int(r.integers(3 if q.stage == "render" else 2, 9))  # one of them is only drawn
+    """Scenes, views and size of a batch: small pictures more often, and, where nothing is known
+    yet, first."""
+    reach = 1 if q.init else min(1, 0.25 + 1.5 * share)
+    size = q.sizes[int(len(q.sizes) * reach * r.random() ** 2)]
+    v = int(r.integers(2, 11))
     patches = (size // model.PATCH) ** 2
-    return max(1, int(q.tokens / (v * patches))), v, size
+    return max(1, int(q.tokens / (v * patches))), v + (q.stage == "render"), size
 
 
 class Trainer:
@@ -182,17 +179,12 @@ class Trainer:
 
     def redrawn(self, net: model.Net, raw: Tensor, theta: Tensor, depth: Tensor, conf: Tensor,
                 b: data.Batch) -> tuple[Tensor, dict]:
-        """The photographs from the fused Gaussians at true cameras and depth, which the program
-        finds by polishing and stereo; where there is none, the predicted depth at one scale."""
+        """The photographs from the fused Gaussians at true cameras, which the program finds by
+        polishing."""
         total, figures = 0.0, {}
         for i in range(len(b.stops)):
-            one = b.scene(i)
-            truth = one.depth[0, : depth.shape[1]]
-            gap = torch.where(truth > 0, truth.clamp_min(1e-4).log() - depth[i], torch.nan)
-            guess = torch.exp(depth[i] + gap.nanmedian().nan_to_num())
-            z = torch.where(truth > 0, truth, guess)
-            loss, f = redraw.scene_loss(self.raster, redraw.resized(raw[i], z / guess), theta[i],
-                                        z, conf[i], one, net.d.voxel)
+            loss, f = redraw.scene_loss(self.raster, raw[i], theta[i], depth[i], conf[i],
+                                        b.scene(i), net.d.voxel)
             total = total + loss / len(b.stops)
             for k, x in f.items():
                 figures[k] = figures.get(k, 0) + x / len(b.stops)
@@ -320,7 +312,7 @@ def options() -> argparse.Namespace:
     p.add_argument("--warm", type=int, default=150)
     p.add_argument("--decay", type=float, default=0.995, help="of the average of the weights")
     p.add_argument("--tokens", type=int, default=1152, help="patches of a batch")
-    p.add_argument("--sizes", type=int, nargs="+", default=[112, 168, 224])
+    p.add_argument("--sizes", type=int, nargs="+", default=[112, 168, 224, 336, 448])
     p.add_argument("--dense", type=float, default=0.5, help="share of views with depth")
     p.add_argument("--match", type=float, default=1.0, help="weight of the correspondences")
     p.add_argument("--camera", type=float, default=1.0, help="weight of the cameras")
