@@ -87,6 +87,8 @@ enum {
     G_PLANES_MAX = G_SH + 3 * SH_COEFS_MAX
 };
 
+#define SH_BASIS0 0.28209479177387814 // the constant band everywhere, model-spec 2.13
+
 /* Gaussians, structure of arrays: plane p of splat i is p[plane][i]. Planes above the degree are
  * NULL or unused. */
 struct gaussians {

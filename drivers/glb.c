@@ -17,7 +17,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define Y0 0.28209479177387814
 #define SPLATTING "KHR_gaussian_splatting"
 #define RADIANCE "HDRIG_gaussian_splatting_radiance"
 
@@ -174,7 +173,7 @@ static void put_json(FILE *f, const struct scene *s, const struct list *l)
 
 static float shown(const float *display, int c)
 {
-    return fminf(fmaxf((float)(0.5 + Y0 * (double)display[c]), 0), 1);
+    return fminf(fmaxf((float)(0.5 + SH_BASIS0 * (double)display[c]), 0), 1);
 }
 
 static double opacity(const struct gaussians *g, int i)

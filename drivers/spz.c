@@ -17,7 +17,6 @@
 #include <math.h>
 #include <string.h>
 
-#define Y0 0.28209479177387814
 #define SQRT1_2 0.70710678118654752
 
 enum {
@@ -67,7 +66,7 @@ static double display_of(int byte)
 
 double spz_log(int byte, float ev)
 {
-    double linear = (double)display_decode((float)(0.5 + Y0 * display_of(byte)));
+    double linear = (double)display_decode((float)(0.5 + SH_BASIS0 * display_of(byte)));
     return log(fmax(linear, (double)DISPLAY_FLOOR)) - (double)ev * log(2);
 }
 
@@ -263,7 +262,7 @@ static err_t read_planes(const struct layout *l, struct packed_in *in, struct ga
     err_t e = OK;
     for (int j = 0; j < 6 * coefs(l->record.degree) && !e; j++) {
         double step = 1.0 / l->record.steps;
-        e = read_plane(in, l->info.n, (float)(j < 6 ? step / Y0 : step), j & 1,
+        e = read_plane(in, l->info.n, (float)(j < 6 ? step / SH_BASIS0 : step), j & 1,
                        g->plane[G_SH + j / 2]);
     }
     return e;
@@ -477,7 +476,7 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     if (e)
         return e;
     for (int b = 0; b < 256; b++)
-        l.colour[b] = (float)(l.record.found ? spz_log(b, l.record.ev) / Y0 : display_of(b));
+        l.colour[b] = (float)(l.record.found ? spz_log(b, l.record.ev) / SH_BASIS0 : display_of(b));
     e = l.version < 4 ? read_stream(&l, g) : read_streams(&l, g);
     if (e) {
         arena_reset(a, mark);

@@ -15,7 +15,7 @@
  *   12  3K pairs of arrays, pair 3k + colour: u8 low[N], then i8 high[N]
  * and r = low - 128 + 256 high. Harmonic k > 0 of the logarithm of radiance is r / steps. Harmonic
  * 0 is (r / steps + ln(max(S(c), 1e-4)) - ev ln 2) / Y0: the record only corrects what the colour
- * c = 0.5 + Y0 (byte / 255 - 0.5) / 0.15 already tells; S is sRGB to linear, Y0 = 0.2820947918.
+ * c = 0.5 + Y0 (byte / 255 - 0.5) / 0.15 already tells; S is sRGB to linear, Y0 is SH_BASIS0.
  *
  * Scenes are brought to lengths that SPZ can hold: ln sigma is -10 to 5.9375 there.
  * thread: any. */

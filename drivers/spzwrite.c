@@ -17,7 +17,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define Y0 0.28209479177387814
 #define SQRT1_2 0.70710678118654752
 #define POSITION_BITS 1.75 // of the sigma of the middle splat; one more is 4 dB and 0.6 bytes
 
@@ -250,7 +249,7 @@ static err_t put_array(const struct plan *p, struct packed_out *out, int a, size
 static err_t put_plane(const struct plan *p, struct packed_out *out, int j, bool high)
 {
     int shown = 3 * coefs(p->degree);
-    double scale = (j < 3 ? Y0 : splats_sign(G_SH + j, SPLATS_RUB)) * STEPS, told[256];
+    double scale = (j < 3 ? SH_BASIS0 : splats_sign(G_SH + j, SPLATS_RUB)) * STEPS, told[256];
     uint8_t b[SPZ_BATCH];
     err_t e = OK;
     for (int v = 0; v < 256; v++)

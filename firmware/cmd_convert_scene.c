@@ -163,13 +163,13 @@ static err_t compare(struct state *st)
 /* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
 static int count_bright(const struct scene *s)
 {
-    const double y0 = 0.28209479177387814, shift = log(2) * (double)display_ev(&s->tone);
+    const double shift = log(2) * (double)display_ev(&s->tone);
     int n = 0;
     for (int i = 0; i < s->g.n; i++) {
         float most = -INFINITY;
         for (int c = 0; c < 3; c++)
             most = fmaxf(most, s->g.plane[G_SH + c][i]);
-        n += y0 * (double)most + shift > BRIGHT;
+        n += SH_BASIS0 * (double)most + shift > BRIGHT;
     }
     return n;
 }

@@ -9,8 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double BASIS0 = 0.2820947917738781, // model-spec 2.13
-    DEGREE = 3.14159265358979323846 / 180;
+static const double DEGREE = 3.14159265358979323846 / 180;
 
 static size_t pixels(const struct differ_look *l)
 {
@@ -146,7 +145,7 @@ static void show(const struct differ_look *l, const struct tonemap_table *table,
 {
     const size_t n = pixels(l) / (size_t)l->n_views;
     for (size_t i = 0; i < n; i++) {
-        float x = (float)BASIS0 * l->dc[colour][at + i];
+        float x = (float)SH_BASIS0 * l->dc[colour][at + i];
         out[i] = l->linear ? fminf(fmaxf(x + 0.5f, 0), 1) : fminf(expf(x), FLT_MAX);
     }
     if (!l->linear)
@@ -181,7 +180,7 @@ static void compare_gaussians(const struct differ_look *ref, const struct differ
                               double *out)
 {
     const size_t n = pixels(ref);
-    const double stops = BASIS0 / log(2);
+    const double stops = SH_BASIS0 / log(2);
     double sum = 0;
     for (size_t i = 0; i < n; i++)
         sum += pow(sigmoid(p->logit[i]) - sigmoid(ref->logit[i]), 2);

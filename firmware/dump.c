@@ -13,8 +13,7 @@
 
 enum { EXTRA = 4, COLOURS = 3 };
 
-static const float BASIS0 = 0.2820947917738781f; // of SH degree 0, model-spec 2.13
-static const float MU = 5000;                    // model-spec 2.14
+static const float MU = 5000; // model-spec 2.14
 
 static size_t room(size_t n)
 {
@@ -264,7 +263,7 @@ static err_t draw_extra(const struct run *r, const struct dump_picture *p, struc
         for (size_t k = 0; k < COLOURS * cap; k++) {
             size_t part = first + k / cap, i = k % cap;
             float v = part < 2 * EXTRA && i < (size_t)p->g->n ? p->extra[part / 2 * cap + i] : 0;
-            colour[k] = logf(fmaxf(part % 2 ? -v : v, 1e-30f)) / BASIS0;
+            colour[k] = logf(fmaxf(part % 2 ? -v : v, 1e-30f)) / (float)SH_BASIS0;
         }
         e = draw_run(r, d, &s, p->cam);
         for (size_t i = 0; i < COLOURS * pixels && !e && first + i / pixels < 2 * EXTRA; i++) {

@@ -20,7 +20,6 @@ static const float TIMES = 2;            // as much that another photograph must
 static const float LIKE = 1;             // stops between what may be one thing
 static const float WIDEST = 1;           // px, standard deviation of a Gaussian in its own view
 static const float LN2 = 0.69314718f;
-static const float BASIS0 = 0.2820947917738781f; // model-spec 2.13
 
 enum { CELLS = 1536 };
 static const float END = 24, CELL = 48.0f / CELLS; // stops
@@ -431,8 +430,8 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
         if (s->table.weight[c][rgb[c]] > 0)
             x = s->table.x[c][rgb[c]] - at_seen;
         else
-            x = moved(s->moved[c], *sh * BASIS0 / LN2 + at_net, &slope) - at_net;
-        *sh = x * LN2 / BASIS0;
+            x = moved(s->moved[c], *sh * (float)SH_BASIS0 / LN2 + at_net, &slope) - at_net;
+        *sh = x * LN2 / (float)SH_BASIS0;
         for (size_t k = 1; k < SH_COEFS_MAX; k++)
             sh[k * n] *= slope;
     }
@@ -542,9 +541,9 @@ void network_from_display(struct gaussians *g)
 {
     for (int c = 0; c < 3; c++)
         for (int i = 0; i < g->n; i++) {
-            float mean = g->plane[G_SH + c][i] * BASIS0 + 0.5f;
+            float mean = g->plane[G_SH + c][i] * (float)SH_BASIS0 + 0.5f;
             float gain = mean > DARKEST ? 1 / mean : 0; // of d ln v = d v / v
-            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / BASIS0;
+            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / (float)SH_BASIS0;
             for (int p = G_SH + 3 + c; p < gaussians_planes(g->degree); p += 3)
                 g->plane[p][i] *= gain;
         }

@@ -42,7 +42,6 @@ enum { PIECE = 3 * 1024 }; // bytes encoded at once
 enum { LOG_SCALE, LOGIT, LIGHT, N_RANGES };
 
 #define UNIT_STOPS 24.0
-#define SH_C0 0.28209479177387814
 
 /* Numbers stored in 16 bits. */
 struct range {
@@ -92,12 +91,12 @@ static double brightest(const struct gaussians *g, int i, int degree)
 {
     double top = -INFINITY;
     for (int c = 0; c < 3; c++) {
-        double sum = SH_C0 * (double)g->plane[G_SH + c][i];
+        double sum = SH_BASIS0 * (double)g->plane[G_SH + c][i];
         for (int l = 1; l <= degree; l++) {
             double squares = 0;
             for (int k = l * l; k < (l + 1) * (l + 1); k++)
                 squares += pow((double)g->plane[G_SH + 3 * k + c][i], 2);
-            sum += sqrt(squares * (2 * l + 1)) * SH_C0;
+            sum += sqrt(squares * (2 * l + 1)) * SH_BASIS0;
         }
         top = fmax(top, sum);
     }
@@ -111,7 +110,7 @@ static double stored_logit(const struct gaussians *g, int i)
 
 static double stored_light(const struct gaussians *g, int colour, int i)
 {
-    double v = SH_C0 * (double)g->plane[G_SH + colour][i];
+    double v = SH_BASIS0 * (double)g->plane[G_SH + colour][i];
     return fmin(fmax(v, -(double)RASTER_LOG_MAX), (double)RASTER_LOG_MAX);
 }
 

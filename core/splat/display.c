@@ -31,7 +31,6 @@ static const double ring_z[RINGS / 2] = {0.1834346424956498, 0.5255324099163290,
 static const double ring_weight[RINGS / 2] = {0.3626837833783620, 0.3137066458778873,
                                               0.2223810344533745, 0.1012285362903763};
 
-static const double sh_c0 = 0.2820947917738781;
 static const double pi = 3.141592653589793, ln2 = 0.6931471805599453;
 static const double knee_linear = 0.0031308, knee_value = 0.04045;
 
@@ -126,7 +125,7 @@ static void ring_terms(double z, float p[TERMS])
     double zz = z * z, s = sqrt(1 - zz), s2 = s * s, s3 = s2 * s;
     double p3 = 0.9461746957575601 * zz - 0.3153915652525201;
     double p6 = z * (1.865881662950577 * zz - 1.119528997770346);
-    p[0] = (float)sh_c0;
+    p[0] = (float)SH_BASIS0;
     p[1] = (float)(0.48860251190292 * z);
     p[2] = (float)(-0.48860251190292 * s);
     p[3] = (float)p3;
@@ -297,13 +296,13 @@ static void fit_log(const struct sphere *s, int degree, float shift, lanes sh[SH
 /* Degree 0, both ways. shift: natural logarithm. */
 static double shown_of(double log_radiance, double shift)
 {
-    return (encode(exp(clamp_log(sh_c0 * log_radiance) + shift)) - 0.5) / sh_c0;
+    return (encode(exp(clamp_log(SH_BASIS0 * log_radiance) + shift)) - 0.5) / SH_BASIS0;
 }
 
 static double log_of(double shown, double shift)
 {
-    double linear = fmax(decode_log(0.5 + sh_c0 * shown), log((double)DISPLAY_FLOOR));
-    return clamp_log(linear - shift) / sh_c0;
+    double linear = fmax(decode_log(0.5 + SH_BASIS0 * shown), log((double)DISPLAY_FLOOR));
+    return clamp_log(linear - shift) / SH_BASIS0;
 }
 
 /* Of degree 0, and of any other. */

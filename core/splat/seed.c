@@ -40,7 +40,6 @@ static const float RETREAT = 0.94f;   // factor on inverse depth of one step
 static const float WIDTH = 0.55f;     // standard deviation per spacing
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
-static const float SH0 = 0.28209479177387814f;
 
 struct frame {
     float r[9], t[3]; // world to camera
@@ -342,7 +341,7 @@ static void emit(struct seed *s, struct patch *p)
     for (int k = 0; k < 3; k++) {
         g->plane[G_MU + k][i] = x[k];
         g->plane[G_LOG_SCALE + k][i] = logf(scale[k]);
-        g->plane[G_SH + k][i] = sum[k][0] / sum[k][1] / SH0;
+        g->plane[G_SH + k][i] = sum[k][0] / sum[k][1] / (float)SH_BASIS0;
     }
     for (int k = 0; k < 4; k++)
         g->plane[G_QUAT + k][i] = q[k];

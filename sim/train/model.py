@@ -51,6 +51,7 @@ class Dims:
         """As `hdrig convert --config` reads it."""
         with open(path, "w") as f:
             json.dump({"voxel_size": self.voxel, "model": asdict(self)}, f, indent=1)
+            f.write("\n")
 
 
 # ---- positions ----

@@ -58,8 +58,8 @@ def draw_shape(r: np.random.Generator, share: float, q: argparse.Namespace) -> t
     yet, first."""
     reach = 1 if q.init else min(1, 0.25 + 1.5 * share)
     size = q.sizes[int(len(q.sizes) * reach * r.random() ** 2)]
-    v = int(r.integers(2, 11))
     patches = (size // model.PATCH) ** 2
+    v = max(2, min(int(r.integers(2, 11)), q.most // patches))
     return max(1, int(q.tokens / (v * patches))), v + (q.stage == "render"), size
 
 
@@ -312,6 +312,7 @@ def options() -> argparse.Namespace:
     p.add_argument("--warm", type=int, default=150)
     p.add_argument("--decay", type=float, default=0.995, help="of the average of the weights")
     p.add_argument("--tokens", type=int, default=1152, help="patches of a batch")
+    p.add_argument("--most", type=int, default=10240, help="patches of a scene")
     p.add_argument("--sizes", type=int, nargs="+", default=[112, 168, 224, 336, 448])
     p.add_argument("--dense", type=float, default=0.5, help="share of views with depth")
     p.add_argument("--match", type=float, default=1.0, help="weight of the correspondences")
