@@ -21,6 +21,7 @@ static const float LIKE = 1;             // stops between what may be one thing
 static const float WIDEST = 1;           // px, standard deviation of a Gaussian in its own view
 static const float LN2 = 0.69314718f;
 
+enum { DIMMEST = 2, BRIGHTEST = 252 }; // of the display values that response_tabulate gives weight
 enum { CELLS = 1536 };
 static const float END = 24, CELL = 48.0f / CELLS; // stops
 
@@ -338,7 +339,7 @@ static void range(const struct sharpen *s, int view, int c, int shown, float out
     const struct views *v = s->known->seen.views;
     const struct response_table *t = &s->table;
     const float at = v->log2t[view] - v->mid_log2t;
-    out[0] = out[1] = t->x[c][shown] - at;
+    out[0] = out[1] = t->x[c][num_min(num_max(shown, DIMMEST), BRIGHTEST)] - at;
     if (t->weight[c][shown] == 0)
         out[shown > 127] = shown > 127 ? INFINITY : -INFINITY;
 }
@@ -347,6 +348,7 @@ struct pixel {
     int view;
     bool sure;
     const uint8_t *rgb;
+    float worth;
     float point[3]; // units of the maps
 };
 
@@ -373,7 +375,7 @@ static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
     if (!sight_look(&s->sight, j, p->point, &there))
         return SILENT;
     const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
-    const bool knows = worth(s, rgb) > TIMES * worth(s, p->rgb);
+    const bool knows = worth(s, rgb) > TIMES * p->worth;
     if (p->sure)
         return knows && sight_same(&s->sight, &there) ? BETTER : SILENT;
     if (knows || sight_through(&s->sight, &there))
@@ -388,9 +390,11 @@ static bool refuted(const struct sharpen *s, int view, int i)
 {
     const int w = s->p->geom.size;
     const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
+    const uint8_t *rgb = photograph(s, view, i % w, i / w);
     const struct pixel p = {view,
                             sight_sure(&s->sight, map_place(s, view, i)),
-                            photograph(s, view, i % w, i / w),
+                            rgb,
+                            worth(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
     int against = 0;
     for (int j = 0; j < s->p->geom.n_views; j++) {

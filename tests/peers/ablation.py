@@ -3,8 +3,10 @@
 A part is taken out by setting the tensors that bring it in to zero; nothing is trained again, so a
 part that the rest has learned to lean on counts in full.
 
-usage: ablation.py WEIGHTS.safetensors DIMS.json --data DIR... [--views N] [--hdrig PATH]
-DIMS.json is what `hdrig convert --config` takes. Cameras are those of the data sets.
+usage: ablation.py WEIGHTS.safetensors DIMS.json --data DIR... [--views N] [--size PX]
+       [--set KEY=VALUE]... [--hdrig PATH]
+DIMS.json is what `hdrig convert --config` takes. Cameras are those of the data sets. With `--set
+cameras.polish=0` photographs do not correct what the network says.
 """
 import argparse
 import json
@@ -50,8 +52,9 @@ def measure(a, names: list, folder: str) -> list:
     call(a.hdrig, "convert", weights, "--config", a.dims, "--out", model)
     sums = []
     for data in a.data:
-        call(a.hdrig, "eval", "--data", data, "--views", str(a.views), "--model", model,
-             "--refine", "0", "--json", figures)
+        call(a.hdrig, "eval", "--data", data, "--views", str(a.views), "--size", str(a.size),
+             "--model", model, "--refine", "0", "--json", figures,
+             *(word for setting in a.set for word in ("--set", setting)))
         j = json.load(open(figures))
         sums.append([j["ldr"]["psnr"], j["ldr"]["ssim"], j["hdr"]["psnr"]])
     return [sum(column) / len(sums) for column in zip(*sums)]
@@ -63,6 +66,8 @@ def main() -> None:
     p.add_argument("dims")
     p.add_argument("--data", nargs="+", action="extend", required=True)
     p.add_argument("--views", type=int, default=8)
+    p.add_argument("--size", type=int, default=448)
+    p.add_argument("--set", action="append", default=[])
     p.add_argument("--hdrig", default="build/hdrig")
     a = p.parse_args()
     print("| | LDR dB | LDR SSIM | HDR dB |\n|---|---|---|---|")

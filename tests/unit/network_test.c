@@ -129,10 +129,10 @@ static struct tonemap plain_tone(void)
 }
 
 /* A photograph of a grey whose log2 radiance this is. */
-static void paint(int view, float radiance)
+static void paint(int view, float radiance, float log2t)
 {
     const struct tonemap tone = plain_tone();
-    w.log2t[view] = (float)(view % 3);
+    w.log2t[view] = log2t;
     const float shown = response_display(&tone, 0, radiance + w.log2t[view] - tone.mid_log2t);
     memset(w.rgb + 3 * PX * view, (int)(255 * shown + 0.5f), 3 * PX);
 }
@@ -143,7 +143,7 @@ static int setup(void **state)
     memset(&w, 0, sizeof w);
     make_cameras();
     for (int i = 0; i < VIEWS; i++)
-        paint(i, 0);
+        paint(i, 0, (float)(i % 3));
     if (arena_init(&w.keep, "keep", voxel_keep(N) + (4 << 20)) != OK ||
         arena_init(&w.tmp, "tmp", voxel_plan(N) + raster_plan(N, SIZE, SIZE, false) + (4 << 20)) !=
             OK)
@@ -416,13 +416,15 @@ static void more_views_than_one_decide_what_a_guess_shows(void **state)
     const struct tonemap tone = plain_tone();
     const struct {
         float mine, others; // log2 radiance
+        float longer;       // stops that view 2 exposed longer
         bool out;
-    } cases[] = {{0, 0, false}, {0.5f, 0, false}, {-2, 0, true}, {6, -12, true}, {6, 9, false}};
+    } cases[] = {{0, 0, 1, false}, {0.5f, 0, 1, false},  {-2, 0, 1, true}, {6, -12, 1, true},
+                 {6, 9, 1, false}, {-11.5f, -11.5f, 17, false}}; // saturated; saturated and black
     for (size_t n = 0; n < sizeof cases / sizeof *cases; n++) {
         int seen = 0, out[VIEWS] = {0};
         plane(depth);
         for (int i = 0; i < VIEWS; i++)
-            paint(i, i == 2 ? cases[n].mine : cases[n].others);
+            paint(i, i == 2 ? cases[n].mine : cases[n].others, i == 2 ? cases[n].longer : 0);
         for (int i = 0; i < N; i++)
             w.p.geom.depth[i] = depth[i] / 3;
         memset(w.p.confidence, 0, N * sizeof(float));
