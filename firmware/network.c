@@ -281,6 +281,37 @@ err_t network_place(const struct run *r, const struct camera *cams, const float 
     return e;
 }
 
+/* Of `planes` arrays of `from` views, one after another, those views that are kept. */
+static void keep_views(const bool *keep, int from, int planes, size_t bytes, void *data)
+{
+    char *to = data;
+    for (int k = 0; k < planes; k++)
+        for (int i = 0; i < from; i++)
+            if (keep[i]) {
+                memmove(to, (char *)data + bytes * ((size_t)k * (size_t)from + (size_t)i), bytes);
+                to += bytes;
+            }
+}
+
+void network_drop(const bool *keep, float *depth_scale, struct prediction *p)
+{
+    struct geometry *g = &p->geom;
+    const int n = g->n_views, pixels = g->size * g->size;
+    const size_t bytes = (size_t)pixels * sizeof(float);
+    keep_views(keep, n, 1, sizeof *depth_scale, depth_scale);
+    keep_views(keep, n, 1, sizeof *g->cams, g->cams);
+    keep_views(keep, n, 1, bytes, g->depth);
+    if (p->points)
+        keep_views(keep, n, 1, 3 * bytes, p->points);
+    if (p->features) {
+        keep_views(keep, n, VOXEL_FEATURES, bytes, p->features);
+        keep_views(keep, n, 1, bytes, p->confidence);
+    }
+    for (int i = 0; i < n; i++)
+        g->n_views -= !keep[i];
+    p->n = g->n_views * pixels;
+}
+
 /* ---- what the photographs know better ---- */
 
 struct sharpen {

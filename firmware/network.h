@@ -84,6 +84,10 @@ MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
                              const float *depth_scale, struct prediction *p, float *scale);
 size_t network_place_plan(int n_views);
 
+/* Leave views out: cameras, depth, points, Gaussians and depth_scale (n_views) of the others move
+ * up; pose and matches do not. */
+void network_drop(const bool *keep, float *depth_scale, struct prediction *p);
+
 /* What is known by the time the cameras are. */
 struct network_known {
     struct seed_input seen;     // one picture of each place with all that its exposures show, p's

@@ -160,8 +160,9 @@ static void sum_up(const struct bundle_result *b, struct job_result *out)
                  b->inliers);
 }
 
-/* A view that is not tied to the others would only spoil the scene. */
-static err_t leave_out(const struct run *r, const struct bundle_result *b, struct job_result *out)
+/* A view that is not tied to the others would only spoil the scene. p: of these views, or NULL. */
+static err_t leave_out(const struct run *r, const struct bundle_result *b, struct prediction *p,
+                       struct job_result *out)
 {
     struct views *v = &out->views;
     const size_t mark = arena_mark(r->tmp);
@@ -188,6 +189,8 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
                  "only %d of %d photographs could be placed: cameras and scene may be wrong; light "
                  "the others, or photograph so that neighbours overlap by more than half",
                  n, v->n);
+    if (p)
+        network_drop(b->placed, b->depth_scale, p);
     stack_drop(v, keep);
     out->scene.n_views = n;
     arena_reset(r->tmp, mark);
@@ -240,7 +243,7 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
     if (!e && !out->views.cams && b.n_placed < 2)
         e = refuse_cameras();
     if (!e && !out->views.cams)
-        e = leave_out(r, &b, out);
+        e = leave_out(r, &b, NULL, out);
     out->views.cams = out->scene.cams;
     if (!e)
         e = by_stereo(r, cfg, out);
@@ -289,9 +292,9 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
     err_t e = find_cameras(r, cfg, p, out, &b);
     if (!e && cfg->cameras_only && b.n_placed < 2)
         e = refuse_cameras();
-    if (!e && looks(cfg))
-        e = leave_out(r, &b, out);
-    else if (!e)
+    if (!e && !out->views.cams)
+        e = leave_out(r, &b, looks(cfg) ? NULL : p, out);
+    if (!e && !looks(cfg))
         e = network_place(r, s->cams, b.depth_scale, p, scale);
     return e;
 }

@@ -234,6 +234,34 @@ static double softplus(float x)
     return x > 30 ? (double)x : log1p(exp((double)x));
 }
 
+static void views_that_are_left_out_leave_no_gap(void **state)
+{
+    (void)state;
+    const bool keep[VIEWS] = {true, false, true, false};
+    const int from[2] = {0, 2}, n = 2 * PX;
+    float scale[VIEWS] = {1, 2, 3, 4};
+    static float features[VOXEL_FEATURES * N];
+    for (int i = 0; i < N; i++)
+        w.p.confidence[i] = w.p.geom.depth[i] = w.p.points[3 * i + 2] = (float)i;
+    for (int i = 0; i < VOXEL_FEATURES * N; i++)
+        features[i] = w.p.features[i] = (float)i;
+    network_drop(keep, scale, &w.p);
+    assert_int_equal(w.p.n, n);
+    assert_int_equal(w.p.geom.n_views, 2);
+    for (int v = 0; v < 2; v++) {
+        assert_float_equal(scale[v], (float)from[v] + 1, 0);
+        assert_memory_equal(&w.p.geom.cams[v], &w.own[from[v]], sizeof w.own[0]);
+        for (int i = 0; i < PX; i++) {
+            const int now = v * PX + i, was = from[v] * PX + i;
+            assert_float_equal(w.p.confidence[now], (float)was, 0);
+            assert_float_equal(w.p.geom.depth[now], (float)was, 0);
+            assert_float_equal(w.p.points[3 * now + 2], (float)was, 0);
+            for (int k = 0; k < VOXEL_FEATURES; k++)
+                assert_float_equal(w.p.features[k * n + now], features[k * N + was], 0);
+        }
+    }
+}
+
 /* Maps and photographs (grey unless said) of a world 3 times as large. */
 static void sharpen(const struct depthmaps *map, const struct tonemap *tone)
 {
@@ -418,7 +446,7 @@ static void more_views_than_one_decide_what_a_guess_shows(void **state)
         float mine, others; // log2 radiance
         float longer;       // stops that view 2 exposed longer
         bool out;
-    } cases[] = {{0, 0, 1, false}, {0.5f, 0, 1, false},  {-2, 0, 1, true}, {6, -12, 1, true},
+    } cases[] = {{0, 0, 1, false}, {0.5f, 0, 1, false},        {-2, 0, 1, true}, {6, -12, 1, true},
                  {6, 9, 1, false}, {-11.5f, -11.5f, 17, false}}; // saturated; saturated and black
     for (size_t n = 0; n < sizeof cases / sizeof *cases; n++) {
         int seen = 0, out[VIEWS] = {0};
@@ -611,6 +639,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(sure_depth_moves_pixels_along_their_rays, setup, teardown),
         cmocka_unit_test_setup_teardown(guesses_give_way_to_what_a_view_is_sure_of, setup,
                                         teardown),
+        cmocka_unit_test_setup_teardown(views_that_are_left_out_leave_no_gap, setup, teardown),
         cmocka_unit_test_setup_teardown(who_knows_a_surface_better_shows_it, setup, teardown),
         cmocka_unit_test_setup_teardown(more_views_than_one_decide_what_a_guess_shows, setup,
                                         teardown),
