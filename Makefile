@@ -76,7 +76,7 @@ KERNEL := $(filter-out tests/kernel/uvc.c,$(wildcard tests/kernel/*.c))
 TSAN_TESTS := pool prep response seed appearance attend consensus depth gausshead modelfile \
 	sample camera_libcamera writer
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := $(addprefix unit/,appearance arena attend bytes consensus cpu depth err gausshead \
+ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead \
 	gaussians half layer loss metrics pack pool raster sha256) \
 	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
