@@ -30,16 +30,88 @@ static bool has_suffix(const char *name, const char *suffix)
     return n > k && strcasecmp(name + n - k, suffix) == 0;
 }
 
+static bool has_one_of(const char *name, const char *const *suffix)
+{
+    while (*suffix && !has_suffix(name, *suffix))
+        suffix++;
+    return name[0] != '.' && *suffix;
+}
+
 static bool is_picture(const char *name)
 {
-    return name[0] != '.' &&
-           (has_suffix(name, ".png") || has_suffix(name, ".jpg") || has_suffix(name, ".jpeg"));
+    static const char *const suffix[] = {".png", ".jpg", ".jpeg", NULL};
+    return has_one_of(name, suffix);
+}
+
+/* Of other kinds of picture, which somebody may believe to be read. */
+static bool is_other_picture(const char *name)
+{
+    static const char *const suffix[] = {
+        ".heic", ".heif", ".avif", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".jxl", ".jp2", ".ppm",
+        ".pnm",  ".exr",  ".hdr",  ".dng", ".raw",  ".arw",  ".cr2", ".cr3", ".crw", ".nef", ".orf",
+        ".pef",  ".raf",  ".rw2",  ".srw", ".x3f",  ".mp4",  ".mov", ".avi", ".mkv", NULL};
+    return has_one_of(name, suffix);
 }
 
 static bool begins(const char *name, const char *prefix)
 {
     return strncmp(name, prefix, strlen(prefix)) == 0;
 }
+
+/* Names for a sentence: how many, and the first of them in order. */
+struct names {
+    int n, n_first;
+    char first[3][NAME_CAP];
+};
+
+static void names_add(const char *name, struct names *l)
+{
+    char plain[NAME_CAP];
+    const int cap = (int)(sizeof l->first / sizeof l->first[0]);
+    l->n++;
+    if (name_copy("", name, strlen(name), plain) != OK)
+        return; // counted
+    int i = l->n_first;
+    while (i > 0 && strcmp(plain, l->first[i - 1]) < 0)
+        i--;
+    if (i == cap)
+        return;
+    l->n_first += l->n_first < cap;
+    memmove(l->first[i + 1], l->first[i], (size_t)(l->n_first - 1 - i) * sizeof plain);
+    memcpy(l->first[i], plain, sizeof plain);
+}
+
+/* "a.heic, b.heic and 7 others" */
+static const char *names_text(const struct names *l, char *text, size_t cap)
+{
+    size_t n = 0;
+    text[0] = 0;
+    for (int i = 0; i < l->n_first && n < cap; i++) {
+        const char *between = i == 0 ? "" : i + 1 < l->n ? ", " : " and ";
+        n += (size_t)snprintf(text + n, cap - n, "%s%.32s", between, l->first[i]);
+    }
+    if (l->n > l->n_first && n < cap)
+        snprintf(text + n, cap - n, "%s%d other%s", n ? " and " : "", l->n - l->n_first,
+                 l->n - l->n_first > 1 ? "s" : "");
+    return text;
+}
+
+/* Sentence "N files are not read (names): why", once. */
+static void add_note(const struct names *l, const char *why, struct imageset *set)
+{
+    char text[128];
+    if (l->n == 0 || set->n_notes == IMAGESET_NOTES)
+        return;
+    char *note = set->notes[set->n_notes];
+    snprintf(note, sizeof set->notes[0], "%d file%s not read (%s): %s", l->n,
+             l->n > 1 ? "s are" : " is", names_text(l, text, sizeof text), why);
+    for (int i = 0; i < set->n_notes; i++)
+        if (strcmp(note, set->notes[i]) == 0)
+            return;
+    set->n_notes++;
+}
+
+static const char only_png_jpeg[] = "pictures must be PNG or JPEG, save them as one of these";
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
@@ -68,10 +140,12 @@ static err_t find_companion(const char *dir, const char *name, bool *found,
     return e;
 }
 
-static err_t add_picture(const char *dir, const char *name, struct capture *c)
+static err_t add_picture(const char *dir, const char *name, struct names *odd, struct capture *c)
 {
     char path[FILE_PATH_CAP];
     err_t e = file_join(dir, name, path);
+    if (!e && !file_is_regular(path) && !file_is_dir(path))
+        names_add(name, odd);
     if (e || !file_is_regular(path))
         return e;
     if (c->n == CAMERAS_MAX)
@@ -96,14 +170,34 @@ static err_t scan(struct imageset *set)
     DIR *d = opendir(set->dir);
     if (!d)
         return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
+    struct names other = {0}, odd = {0};
     err_t e = OK;
-    for (struct dirent *entry; !e && (entry = readdir(d));)
+    for (struct dirent *entry; !e && (entry = readdir(d));) {
         if (is_picture(entry->d_name))
-            e = add_picture(set->dir, entry->d_name, c);
+            e = add_picture(set->dir, entry->d_name, &odd, c);
+        else if (is_other_picture(entry->d_name))
+            names_add(entry->d_name, &other);
+    }
     closedir(d);
+    add_note(&other, only_png_jpeg, set);
+    add_note(&odd, "no regular files, or links to nothing", set);
     if (!e && c->n > 0)
         qsort(c->shots, (size_t)c->n, sizeof *c->shots, by_name);
     return e;
+}
+
+/* Pictures in the folder that holds images/. */
+static void note_beside(const char *images, struct imageset *set)
+{
+    struct names beside = {0};
+    DIR *d = strcmp(images, set->dir) != 0 ? opendir(images) : NULL;
+    if (!d)
+        return;
+    for (struct dirent *entry; (entry = readdir(d));)
+        if (is_picture(entry->d_name))
+            names_add(entry->d_name, &beside);
+    closedir(d);
+    add_note(&beside, "they lie beside the folder images, which alone is looked into", set);
 }
 
 static bool is_released(const struct capture *c)
@@ -128,62 +222,130 @@ static err_t filter(const struct imageset_request *rq, bool released, struct ima
 {
     static const char *const prefix[] = {"train", "test", ""};
     struct capture *c = &set->capture;
+    struct names neither = {0};
     int all = c->n, n = 0;
-    for (int i = 0; i < all; i++)
-        if (released ? begins(c->shots[i].name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
+    for (int i = 0; i < all; i++) {
+        const char *name = c->shots[i].name;
+        if (released && !begins(name, prefix[IMAGESET_TRAIN]) &&
+            !begins(name, prefix[IMAGESET_TEST]))
+            names_add(name, &neither);
+        if (released ? begins(name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
             c->shots[n++] = c->shots[i];
+    }
     c->n = n;
+    if (rq->which != IMAGESET_ALL)
+        add_note(&neither, "beside pictures called train..., only train... and test... count", set);
     if (n > 0)
         return OK;
     if (all == 0)
-        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg) in it", set->dir);
+        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg) in it%s%s", set->dir,
+                        set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
     return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
                     prefix[rq->which]);
 }
 
 /* ---- exposures ---- */
 
-static err_t times_from_file(const char *path, struct capture *c)
+/* Files with a time and a name that says nothing of a picture. */
+static void note_timed(const struct exposures *x, struct imageset *set)
+{
+    char path[FILE_PATH_CAP];
+    struct names other = {0};
+    for (int i = 0; i < x->n; i++) {
+        const char *name = x->v[i].name;
+        if (!is_picture(name) && !is_other_picture(name) && file_join(set->dir, name, path) == OK &&
+            file_is_regular(path))
+            names_add(name, &other);
+    }
+    add_note(&other, only_png_jpeg, set);
+}
+
+static err_t times_from_file(const char *path, struct imageset *set)
 {
     struct exposures x;
     err_t e = exposures_read(path, &x);
     if (e)
         return e;
-    for (int i = 0; i < c->n; i++)
-        c->shots[i].exposure = exposures_find(&x, c->shots[i].name);
+    for (int i = 0; i < set->capture.n; i++)
+        set->capture.shots[i].exposure = exposures_find(&x, set->capture.shots[i].name);
+    note_timed(&x, set);
     exposures_free(&x);
     return OK;
 }
 
-static err_t times_from_exif(struct imageset *set)
+#define WRITE_TIMES                                                                                \
+    "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...}"
+
+/* A tag that some files have and others lack makes their exposures differ by what it says. */
+static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
 {
-    for (int i = 0; i < set->capture.n; i++) {
-        struct shot *s = &set->capture.shots[i];
+    char with_text[100], without_text[100];
+    struct names with = {0}, without = {0};
+    for (int i = 0; i < c->n; i++)
+        if (c->shots[i].exposure > 0)
+            names_add(c->shots[i].name, has[i] ? &with : &without);
+    if (with.n == 0 || without.n == 0)
+        return OK;
+    for (int i = 0; i < c->n && may_lack; i++)
+        if (!has[i])
+            c->shots[i].exposure = 0;
+    if (may_lack)
+        return OK;
+    return err_fail(
+        ERR_FORMAT,
+        "EXIF of %s lacks %s, that of %s has it: their exposures cannot be compared; " WRITE_TIMES,
+        names_text(&without, without_text, sizeof without_text), tag,
+        names_text(&with, with_text, sizeof with_text));
+}
+
+/* has_iso, has_f: scratch for all pictures. */
+static err_t read_exif(const struct imageset_request *rq, bool *has_iso, bool *has_f,
+                       struct imageset *set)
+{
+    struct capture *c = &set->capture;
+    for (int i = 0; i < c->n; i++) {
+        struct shot *s = &c->shots[i];
+        struct img_exif x;
         char path[FILE_PATH_CAP];
         err_t e = file_join(set->dir, s->name, path);
         if (!e)
-            e = img_exif_exposure(path, &s->exposure);
-        if (e == ERR_FORMAT || e == ERR_UNSUPPORTED) // no such data: counted with the others below
-            s->exposure = 0;
-        else if (e)
+            e = img_exif(path, &x);
+        if (e && e != ERR_FORMAT && e != ERR_UNSUPPORTED)
             return e;
+        s->exposure = e ? 0 : img_exif_exposure(&x); // no such data: counted by check_times
+        has_iso[i] = !e && x.iso > 0;
+        has_f[i] = !e && x.f_number > 0;
     }
-    return OK;
+    err_t e = check_tag("the f-number", rq->may_lack_times, has_f, c);
+    return e ? e : check_tag("the ISO value", rq->may_lack_times, has_iso, c);
+}
+
+static err_t times_from_exif(const struct imageset_request *rq, struct imageset *set)
+{
+    const size_t n = (size_t)set->capture.n;
+    bool *has = calloc(n + 1, 2 * sizeof *has);
+    if (!has)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
+    err_t e = read_exif(rq, has, has + n, set);
+    free(has);
+    return e;
 }
 
 static err_t check_times(const char *source, const struct capture *c)
 {
-    int lacking = 0, first = 0;
-    for (int i = c->n - 1; i >= 0; i--) {
-        if (c->shots[i].exposure > 0)
-            continue;
-        lacking++;
-        first = i;
-    }
-    if (lacking == 0)
+    char text[128];
+    struct names lacking = {0};
+    for (int i = 0; i < c->n; i++)
+        if (!(c->shots[i].exposure > 0))
+            names_add(c->shots[i].name, &lacking);
+    if (lacking.n == 0)
         return OK;
-    return err_fail(ERR_FORMAT, "%s: no exposure for %s and %d others of %d pictures", source,
-                    c->shots[first].name, lacking - 1, c->n);
+    names_text(&lacking, text, sizeof text);
+    if (!source)
+        return err_fail(ERR_FORMAT, "EXIF tells no exposure of %s, of %d pictures: " WRITE_TIMES,
+                        text, c->n);
+    return err_fail(ERR_FORMAT, "%s: no exposure for %s, of %d pictures: add one for each", source,
+                    text, c->n);
 }
 
 static err_t get_times(const struct imageset_request *rq, struct imageset *set)
@@ -198,12 +360,12 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
             return e;
         source = found ? path : NULL;
     }
-    e = source ? times_from_file(source, &set->capture) : times_from_exif(set);
+    e = source ? times_from_file(source, set) : times_from_exif(rq, set);
     if (e)
         return e;
     if (rq->may_lack_times)
         return OK;
-    return check_times(source ? source : "EXIF (no exposure.json found)", &set->capture);
+    return check_times(source, &set->capture);
 }
 
 static int by_time(const void *a, const void *b)
@@ -448,6 +610,7 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
     if (!e)
         e = scan(out);
     if (!e) {
+        note_beside(rq->images, out);
         released = is_released(&out->capture);
         e = choose_times(rq, out);
     }

@@ -4,9 +4,10 @@
  * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
  * hidden), in the order of their names. exposure.json, protocol.json and sparse/0 are looked for
  * beside the pictures, then one folder up; with no exposure.json the exposures come from the
- * pictures' EXIF. A folder with names that begin with "train" has the released layout: "train"
- * pictures are inputs, "test" pictures are held out, and train_ldr_000_2.png is exposure 2 of view
- * train_ldr_000. In any other folder every picture is a view of its own and an input.
+ * pictures' EXIF, where all must tell the same tags. A folder with names that begin with "train"
+ * has the released layout: "train" pictures are inputs, "test" pictures are held out, and
+ * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
+ * view of its own and an input.
  *
  * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
  * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the
@@ -36,15 +37,20 @@ struct imageset_request {
     bool no_cameras;           // neither rig nor sparse/0 are read
 };
 
+enum { IMAGESET_NOTES = 4 };
+
 struct imageset {
     char dir[FILE_PATH_CAP]; // of the pictures
     struct capture capture;  // shots malloc'd; image.px is NULL until imageset_load
+    int n_notes;
+    char notes[IMAGESET_NOTES][240]; // sentences: what there looks like a picture and is not read
 };
 
 /* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'
  * headers (channels 3), so that memory can be planned before anything is decoded. Contradictions
- * are refused: a picture without exposure, pictures of different sizes, a rig that lacks a view or
- * has another aspect (cameras_find), a protocol that names a missing file.
+ * are refused: a picture without exposure, EXIF with f-number or ISO in some files only, pictures
+ * of different sizes, a rig that lacks a view or has another aspect (cameras_find), a protocol that
+ * names a missing file.
  * own:  imageset_free.
  * err:  ERR_ARG (request, too few views), ERR_IO, ERR_FORMAT (also: above CAMERAS_MAX pictures),
  *       ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */

@@ -361,51 +361,54 @@ static double exif_number(ExifData *data, ExifTag tag)
     }
 }
 
-static err_t exposure_of(const unsigned char *bytes, size_t n, const char *name, double *out)
+static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
+                        struct img_exif *out)
 {
     ExifData *data = exif_data_new();
     if (!data)
         return err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
     exif_data_load_data(data, bytes, (unsigned)n);
-    double seconds = exif_number(data, EXIF_TAG_EXPOSURE_TIME);
-    double iso = exif_number(data, EXIF_TAG_ISO_SPEED_RATINGS);
-    double f_number = exif_number(data, EXIF_TAG_FNUMBER);
+    const struct img_exif x = {exif_number(data, EXIF_TAG_EXPOSURE_TIME),
+                               exif_number(data, EXIF_TAG_ISO_SPEED_RATINGS),
+                               exif_number(data, EXIF_TAG_FNUMBER)};
     exif_data_unref(data);
-    if (!(seconds > 0.0))
+    if (!(x.seconds > 0.0))
         return err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
-    if (!(iso > 0.0))
-        iso = 100.0;
-    if (!(f_number > 0.0))
-        f_number = 1.0;
-    *out = seconds * (iso / 100.0) / (f_number * f_number);
+    *out = x;
     return OK;
 }
 
-err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, double *out)
+err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out)
 {
-    *out = 0.0;
+    *out = (struct img_exif){0};
     if (n > IMG_FILE_MAX)
         return err_fail(ERR_FORMAT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
     if (is_jpeg(bytes, n))
-        return exposure_of(bytes, n, name, out);
+        return parse_exif(bytes, n, name, out);
     if (!is_png(bytes, n))
         return err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
     unsigned char *exif;
     size_t n_exif;
     err_t e = exif_of_png(bytes, n, name, &exif, &n_exif);
     if (!e)
-        e = exposure_of(exif, n_exif, name, out);
+        e = parse_exif(exif, n_exif, name, out);
     free(exif);
     return e;
 }
 
-err_t img_exif_exposure(const char *path, double *out)
+err_t img_exif(const char *path, struct img_exif *out)
 {
     struct file_map m;
-    *out = 0.0;
+    *out = (struct img_exif){0};
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (!e)
-        e = img_exif_exposure_mem(m.p, m.n, path, out);
+        e = img_exif_mem(m.p, m.n, path, out);
     file_unmap(&m);
     return e;
+}
+
+double img_exif_exposure(const struct img_exif *x)
+{
+    double iso = x->iso > 0 ? x->iso : 100.0, f_number = x->f_number > 0 ? x->f_number : 1.0;
+    return x->seconds * (iso / 100.0) / (f_number * f_number);
 }

@@ -52,13 +52,19 @@ MUST_USE err_t img_encode_jpeg(const struct image8 *im, int quality, const char 
  * as 0. */
 MUST_USE err_t img_write_ldr(const char *path, const struct image *im);
 
-/* Relative exposure from EXIF (JPEG, or the eXIf chunk of PNG): ExposureTime * (ISO / 100) /
- * FNumber^2, seconds at ISO 100 and f/1. A missing ISO counts as 100, a missing FNumber as 1, so
- * that files compare only if all of them carry the same tags.
- * out:  > 0.
- * err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, no ExposureTime, or a value that is not
- *       finite and > 0). */
-MUST_USE err_t img_exif_exposure(const char *path, double *out);
-MUST_USE err_t img_exif_exposure_mem(const void *bytes, size_t n, const char *name, double *out);
+/* What EXIF says about the exposure of a file (JPEG, or the eXIf chunk of PNG). */
+struct img_exif {
+    double seconds;       // ExposureTime, > 0
+    double iso, f_number; // 0 = the file does not tell
+};
+
+/* err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, or no ExposureTime that is finite and > 0). On
+ *       error *out is zeroed. */
+MUST_USE err_t img_exif(const char *path, struct img_exif *out);
+MUST_USE err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out);
+
+/* Relative exposure seconds * (iso / 100) / f_number^2, > 0. What is not told counts as ISO 100 and
+ * f/1: values compare only between files that tell the same. */
+double img_exif_exposure(const struct img_exif *x);
 
 #endif

@@ -1,6 +1,7 @@
 #include "firmware/cmd.h"
 #include "firmware/ctl.h"
 
+#include "core/base/log.h"
 #include "drivers/file.h"
 #include "drivers/json.h"
 
@@ -243,6 +244,18 @@ bool cmd_fill_exposures(struct capture *c)
     for (int i = 0; i < c->n && lacking; i++)
         c->shots[i].exposure = 1;
     return lacking;
+}
+
+void cmd_log_unread(const struct imageset *set)
+{
+    for (int i = 0; i < set->n_notes; i++)
+        log_warn("%s: %s", set->dir, set->notes[i]);
+}
+
+void cmd_report_unread(const struct imageset *set, struct job_result *j)
+{
+    for (int i = 0; i < set->n_notes; i++)
+        job_warn(j, "%s", set->notes[i]);
 }
 
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses)

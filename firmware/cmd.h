@@ -105,6 +105,10 @@ void cmd_imageset(const struct network *network, struct imageset_request *reques
 /* A set that may lack exposures gets 1 for all if some do; true then. */
 bool cmd_fill_exposures(struct capture *c);
 
+/* What the folder holds and is not read: in the log before the work, in the job's report after. */
+void cmd_log_unread(const struct imageset *set);
+void cmd_report_unread(const struct imageset *set, struct job_result *j);
+
 /* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
 

@@ -180,6 +180,7 @@ static bool cameras_unknown(const struct state *st)
 static err_t list(struct state *st, const struct request *rq)
 {
     err_t e = list_both(rq->set, &st->train, &st->test);
+    cmd_log_unread(&st->train);
     if (e || !rq->set.no_cameras)
         return e;
     struct imageset_request with = rq->set;
@@ -372,6 +373,7 @@ static err_t evaluate(struct state *st, struct request *rq)
         e = rq->scene ? read_scene(st, rq) : reconstruct(st, rq);
     if (!e)
         e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
+    cmd_report_unread(&st->train, &st->job);
     st->job.keep_peak = st->engine.keep.peak;
     st->job.tmp_peak = st->engine.tmp.peak;
     progress_end(&st->engine.progress);

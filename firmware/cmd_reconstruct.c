@@ -150,6 +150,7 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !job_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
+    cmd_log_unread(&st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
     job->cameras_only = !network;
@@ -175,6 +176,7 @@ static err_t reconstruct(struct request *rq, struct state *st)
         e = begin_dump(rq, st);
     if (!e)
         e = job_run(r, &st->set.capture, &job, &st->result);
+    cmd_report_unread(&st->set, &st->result);
     if (!e)
         e = end_dump(rq, st);
     if (!e)

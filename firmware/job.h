@@ -28,7 +28,7 @@ enum job_stage {
     JOB_STAGES
 };
 
-enum { JOB_WARNINGS = 72 }; // one for each view that may be left out, and some
+enum { JOB_WARNINGS = 76 }; // one for each view that may be left out, and some
 
 struct job_config {
     int size; // px, edge of the square views

@@ -56,10 +56,23 @@ make_set other 70 1 0
 cp "$OUT/other/images/train_ldr_000_0.png" "$set/images/train_ldr_001_0.png"
 refused 1 'train_ldr_001_0.png has 70 x 70 but|but train_ldr_001_0.png has 70 x 70' --images "$set"
 
+# what is not read is told before the work, and in the report
+copy mixed
+: >"$set/images/IMG_0001.HEIC"
+succeed reconstruct --images "$set" --size 56 --refine 0 --out "$OUT/mixed_scene"
+grep -q 'mixed/images: 1 file is not read (IMG_0001.HEIC): pictures must be PNG' "$ERR" ||
+    fail "nobody says that a HEIC file is not read"
+grep -q 'IMG_0001.HEIC' "$OUT/mixed_scene/report.json" || fail "the report says nothing of it"
+
 # exposures
+mkdir -p "$OUT/phone/images"
+cp tests/data/img/rgb.jpg "$OUT/phone/images/a.jpg"
+cp tests/data/img/progressive.jpg "$OUT/phone/images/b.jpg"
+refused 1 'EXIF of b.jpg lacks the f-number, that of a.jpg has it: .*write exposure.json' \
+    --images "$OUT/phone"
 copy unexposed
 rm "$set/exposure.json"
-refused 1 'EXIF.*train_ldr_000_0.png and 8 others' --images "$set"
+refused 1 "EXIF tells no exposure of train_ldr_000_0.png, .* and 6 others, of 9" --images "$set"
 copy gap
 sed -i '/train_ldr_001_0/d' "$set/exposure.json"
 refused 1 'train_ldr_001_0.png' --images "$set"

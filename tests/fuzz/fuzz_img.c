@@ -6,11 +6,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n);
 int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n)
 {
     struct image8 im;
-    double exposure;
+    struct img_exif exif;
     if (img_read_mem(p, n, "fuzz", &im) == OK && (im.w < 1 || im.h < 1 || im.channels != 3))
         __builtin_trap();
     img_free(&im);
-    if (img_exif_exposure_mem(p, n, "fuzz", &exposure) == OK && !(exposure > 0.0))
+    if (img_exif_mem(p, n, "fuzz", &exif) == OK && !(img_exif_exposure(&exif) > 0.0))
         __builtin_trap();
     return 0;
 }

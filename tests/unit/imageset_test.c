@@ -8,6 +8,7 @@
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
+#include <unistd.h>
 
 #include <cmocka.h>
 
@@ -248,10 +249,10 @@ static void contradictions_are_named(void **state)
     put_picture("b.png", 6, 8);
     put_picture("c.png", 8, 6);
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "no exposure for a.png and 2 others of 3"));
+    assert_non_null(strstr(err_text(), "no exposure of a.png, b.png and c.png, of 3"));
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"c.png\": 1}");
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "no exposure for b.png and 0 others of 3"));
+    assert_non_null(strstr(err_text(), "no exposure for b.png, of 3 pictures"));
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1, \"c.png\": 1}");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "a.png has 8 x 6 px but b.png has 6 x 8"));
@@ -270,6 +271,97 @@ static void contradictions_are_named(void **state)
     tmpdir_text(name, "");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "132 bytes"));
+}
+
+static void copy(const char *from, const char *name)
+{
+    static char bytes[1 << 16];
+    FILE *f = fopen(from, "rb"), *to = fopen(tmpdir_path(name), "wb");
+    assert_true(f && to);
+    size_t n = fread(bytes, 1, sizeof bytes, f);
+    assert_true(n > 0 && n < sizeof bytes && fwrite(bytes, 1, n, to) == n);
+    fclose(f);
+    assert_int_equal(fclose(to), 0);
+}
+
+/* rgb.jpg tells f-number and ISO, progressive.jpg neither. */
+static void exposures_of_exif_must_be_made_of_the_same(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct imageset_request rq = {.images = tmpdir_root};
+    copy("tests/data/img/rgb.jpg", "a.jpg");
+    copy("tests/data/img/rgb.jpg", "c.jpg");
+    assert_int_equal(list(&rq), OK);
+    copy("tests/data/img/progressive.jpg", "b.jpg");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "EXIF of b.jpg lacks the f-number, that of a.jpg and c.jpg "
+                                       "has it"));
+    assert_non_null(strstr(err_text(), "write exposure.json"));
+    rq.may_lack_times = true; // none is used then
+    put_picture("d.png", 8, 6);
+    err_t e = imageset_list(&rq, &set);
+    assert_true(e == OK || strstr(err_text(), " px but ")); // of sizes nothing is said here
+    imageset_free(&set);
+    rq.may_lack_times = false;
+    assert_int_equal(list(&rq), ERR_FORMAT); // what lacks the rest is not mixed in
+    assert_non_null(strstr(err_text(), "lacks the f-number"));
+    tmpdir_text("exposure.json", "{\"a.jpg\":1,\"b.jpg\":1,\"c.jpg\":1,\"d.png\":1}");
+    e = imageset_list(&rq, &set);
+    assert_true(e == OK || strstr(err_text(), " px but "));
+    imageset_free(&set);
+}
+
+/* A sentence for each reason, with the first names in order. */
+static void what_is_not_read_is_told(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct imageset_request rq = {.images = tmpdir_root};
+    tmpdir_text("IMG_2.HEIC", "");
+    tmpdir_text("IMG_1.dng", "");
+    tmpdir_text(".hidden.heic", "");
+    tmpdir_text("notes.txt", "");
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(),
+                           "no pictures (*.png, *.jpg, *.jpeg) in it; 2 files are not "
+                           "read (IMG_1.dng and IMG_2.HEIC): pictures must be PNG or JPEG"));
+    put_picture("a.png", 8, 6);
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.HEIC\": 1, \"b.scan\": 1, \"gone.x\": 1}");
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.n_notes, 1);
+    imageset_free(&set);
+    tmpdir_text("IMG_3.tif", "");
+    tmpdir_text("IMG_4.tif", "");
+    tmpdir_text("b.scan", "");
+    assert_int_equal(symlink("nowhere", tmpdir_path("z.jpg")), 0);
+    rq.exposure_set = 1; // reads the times twice
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.n_notes, 3);
+    assert_non_null(strstr(set.notes[0],
+                           "4 files are not read (IMG_1.dng, IMG_2.HEIC, IMG_3.tif and 1 other)"));
+    assert_non_null(strstr(set.notes[1], "1 file is not read (z.jpg): no regular files"));
+    assert_non_null(strstr(set.notes[2], "1 file is not read (b.scan): pictures must be PNG"));
+    imageset_free(&set);
+}
+
+/* Pictures that the layout hides. */
+static void pictures_that_do_not_count_are_told(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct imageset_request rq = {.images = tmpdir_root};
+    make_released(2);
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.n_notes, 0);
+    imageset_free(&set);
+    put_picture("beside.png", 8, 6);
+    put_picture("images/bridge.png", 8, 6);
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_int_equal(set.n_notes, 2);
+    assert_non_null(strstr(set.notes[0], "(beside.png): they lie beside the folder images"));
+    assert_non_null(strstr(set.notes[1], "(bridge.png): beside pictures called train"));
+    imageset_free(&set);
 }
 
 static void rigs_come_from_three_places(void **state)
@@ -327,6 +419,9 @@ int main(void)
         IN_FOLDER(a_plain_folder_is_all_input),
         IN_FOLDER(pixels_come_when_asked),
         IN_FOLDER(contradictions_are_named),
+        IN_FOLDER(exposures_of_exif_must_be_made_of_the_same),
+        IN_FOLDER(what_is_not_read_is_told),
+        IN_FOLDER(pictures_that_do_not_count_are_told),
         IN_FOLDER(rigs_come_from_three_places),
         IN_FOLDER(sizes_are_read_from_headers),
     };

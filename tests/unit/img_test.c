@@ -115,21 +115,21 @@ static void survives_damage(void **state)
     for (size_t k = 0; k < sizeof names / sizeof names[0]; k++) {
         size_t n;
         struct image8 im;
-        double exposure;
+        struct img_exif exif;
         uint8_t *p = slurp(data(names[k]), &n);
         size_t needed = k < 2 ? n - 16 : n; // a PNG may lose its last checksum and IEND
         for (size_t cut = 0; cut < needed; cut++) {
             assert_int_not_equal(img_read_mem(p, cut, "cut", &im), OK);
             assert_null(im.px);
-            if (img_exif_exposure_mem(p, cut, "cut", &exposure) == OK)
-                assert_true(exposure > 0.0);
+            if (img_exif_mem(p, cut, "cut", &exif) == OK)
+                assert_true(img_exif_exposure(&exif) > 0.0);
         }
         for (size_t i = 0; i < n; i++) {
             p[i] ^= 0xff;
             if (img_read_mem(p, n, "wrong", &im) == OK)
                 img_free(&im);
-            if (img_exif_exposure_mem(p, n, "wrong", &exposure) == OK)
-                assert_true(exposure > 0.0);
+            if (img_exif_mem(p, n, "wrong", &exif) == OK)
+                assert_true(img_exif_exposure(&exif) > 0.0);
             p[i] ^= 0xff;
         }
         free(p);
@@ -199,20 +199,19 @@ static void exposures(void **state)
 {
     (void)state;
     const double full = 0.02 * 4.0 / (2.8 * 2.8);
-    double v;
-    assert_int_equal(img_exif_exposure(data("rgb.jpg"), &v), OK);
-    assert_true(fabs(v - full) < 1e-9);
-    assert_int_equal(img_exif_exposure(data("exif.png"), &v), OK);
-    assert_true(fabs(v - full) < 1e-9);
-    assert_int_equal(img_exif_exposure(data("progressive.jpg"), &v),
-                     OK); // 1/8 s, no ISO, no f-number
-    assert_true(v == 0.125);
-    says(img_exif_exposure(data("no_time.jpg"), &v), ERR_FORMAT, "no ExposureTime");
-    says(img_exif_exposure(data("zero_time.jpg"), &v), ERR_FORMAT, "no ExposureTime");
-    says(img_exif_exposure(data("grey.jpg"), &v), ERR_FORMAT, "no ExposureTime");
-    says(img_exif_exposure(data("rgb8.png"), &v), ERR_FORMAT, "no EXIF data");
-    says(img_exif_exposure("tests/unit/img_test.c", &v), ERR_FORMAT, "neither PNG nor JPEG");
-    assert_true(v == 0.0);
+    struct img_exif x;
+    assert_int_equal(img_exif(data("rgb.jpg"), &x), OK);
+    assert_true(fabs(img_exif_exposure(&x) - full) < 1e-9 && x.iso == 400);
+    assert_int_equal(img_exif(data("exif.png"), &x), OK);
+    assert_true(fabs(img_exif_exposure(&x) - full) < 1e-9);
+    assert_int_equal(img_exif(data("progressive.jpg"), &x), OK); // 1/8 s, nothing else
+    assert_true(img_exif_exposure(&x) == 0.125 && x.iso == 0 && x.f_number == 0);
+    says(img_exif(data("no_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    says(img_exif(data("zero_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    says(img_exif(data("grey.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    says(img_exif(data("rgb8.png"), &x), ERR_FORMAT, "no EXIF data");
+    says(img_exif("tests/unit/img_test.c", &x), ERR_FORMAT, "neither PNG nor JPEG");
+    assert_true(x.seconds == 0.0);
 }
 
 static void png_round_trip(void **state)
