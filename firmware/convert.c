@@ -14,6 +14,7 @@
 
 #include <errno.h>
 #include <inttypes.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -232,8 +233,17 @@ static err_t hash_file(const struct run *r, const char *path, char hex[SHA256_HE
 static err_t fetch_tensor(void *ctx, const struct run *r, const struct tensor_spec *t, float *out)
 {
     const struct checkpoint *c = ctx;
+    const size_t n = table_count(t);
     (void)r;
-    return checkpoint_read(c, checkpoint_find(c, t->name), out);
+    err_t e = checkpoint_read(c, checkpoint_find(c, t->name), out);
+    for (size_t i = 0; i < n && !e; i++)
+        if (!(fabsf(out[i]) <= CONVERT_WEIGHT_MAX))
+            e = err_fail(ERR_FORMAT,
+                         "tensor %s: element %zu is %g, weights are within -%g and %g: the "
+                         "checkpoint is damaged or no trained network",
+                         t->name, i, (double)out[i], (double)CONVERT_WEIGHT_MAX,
+                         (double)CONVERT_WEIGHT_MAX);
+    return e;
 }
 
 static err_t convert_open(struct engine *en, const struct convert_request *q, struct checkpoint *c)

@@ -324,13 +324,12 @@ struct sharpen {
     float *depth;                // (n) in units of the maps
 };
 
-/* The input of softplus whose output is `factor` times as large, `most` at most. Comparisons, not
- * fmin: NaN stays NaN. */
+/* The input of softplus whose output is `factor` times as large, `most` at most. */
 static float stretched(float x, float factor, double most)
 {
     double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
-    y = y > most ? most : y;
-    return y > 20 ? (float)y : (float)log(expm1(y < 1e-30 ? 1e-30 : y));
+    y = fmin(y, most);
+    return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
 }
 
 static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
@@ -437,13 +436,9 @@ static bool refuted(const struct sharpen *s, int view, int i)
     return against > 0;
 }
 
-/* The network's colour under the known curve, at the exposure of its photograph. What is not finite
- * stays for gaussians_sanitize to report. */
+/* The network's colour under the known curve, at the exposure of its photograph. */
 static float moved(const float *table, float x, float *slope)
 {
-    *slope = 1;
-    if (!isfinite(x))
-        return x;
     const float at = fminf(fmaxf((x + END) / CELL, 0), CELLS - 0.01f);
     const int i = (int)at;
     *slope = (table[i + 1] - table[i]) / CELL;

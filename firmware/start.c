@@ -376,10 +376,11 @@ static err_t take_gaussians(const struct run *r, const struct job_config *cfg,
     s->tone = found.tone;
     gaussians_sanitize(&s->g, &report);
     if (report.dropped)
-        job_warn(out,
-                 "%d Gaussians of the network were not finite and are left out; if the scene has "
-                 "holes, take --precision fp32 or another model",
-                 report.dropped);
+        return err_fail(ERR_FORMAT,
+                        "the network overflows: %d of its %d Gaussians are not finite; its weights "
+                        "are damaged or of another network: convert them again, or take another "
+                        "model",
+                        report.dropped, report.dropped + s->g.n);
     return OK;
 }
 

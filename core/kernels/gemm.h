@@ -5,9 +5,10 @@
  * in the order of sums only.
  *
  * Quantisation, defined here once: symmetric, scale = max|x| / 127, integer = round half to even of
- * x * (127 / max|x|), in -127..127; NaN becomes 0, infinities count as FLT_MAX; where max|x| is
- * below FLT_MIN all integers and the scale are 0. Where it is so small that 127 / max|x| is
- * infinite, signs are left. */
+ * x * (127 / max|x|), in -127..127, 0 for NaN; where max|x| is below FLT_MIN all integers and the
+ * scale are 0. Where it is so small that 127 / max|x| is infinite, signs are left. Where a value is
+ * not finite neither is the scale, and so nothing that comes of the row: what overflowed is not
+ * lost on its way (activations keep it too), core/net/finite.h finds it. */
 #ifndef KERNELS_GEMM_H
 #define KERNELS_GEMM_H
 
@@ -50,7 +51,7 @@ typedef void gemm_f32_fn(const struct gemm_f32 *g);
 typedef void unpack_s8_fn(const int8_t *w, int k, float *out);
 typedef void unpack_bf16_fn(const uint16_t *w, int k, float *out);
 
-/* max |x| over n floats, NaN ignored, infinities as FLT_MAX; 0 for n = 0. */
+/* max |x| over n floats, 0 for n = 0; NaN if one of them is. */
 typedef float absmax_fn(const float *x, size_t n);
 
 /* n floats to integers with inverse scale inv = 127 / max, 0 for a zero row (see above). */

@@ -53,26 +53,23 @@ MAP vf load_sums(const int32_t *ci, const float *cf, bool ints, size_t at, int l
 
 /* --- quantisation -------------------------------------------------------------------------- */
 
+/* Bits without the sign order floats as integers do, infinities and NaN last. */
 static float absmax(const float *x, size_t n)
 {
-    vf top[4], low[4];
+    vint top[4];
     size_t i = 0;
     for (int k = 0; k < 4; k++)
-        top[k] = low[k] = v_set(0.0f);
+        top[k] = i_set(0);
     for (; i + 4 * LANES <= n; i += 4 * LANES)
-        for (int k = 0; k < 4; k++) {
-            vf a = v_load(x + i + (size_t)k * LANES);
-            top[k] = v_max(a, top[k]);
-            low[k] = v_min(a, low[k]);
-        }
-    for (; i < n; i += LANES) {
-        vf a = v_load_n(x + i, n - i < LANES ? (int)(n - i) : LANES);
-        top[0] = v_max(a, top[0]);
-        low[0] = v_min(a, low[0]);
-    }
-    for (int k = 0; k < 4; k++)
-        top[0] = v_max(v_max(top[k], v_set(0.0f) - low[k]), top[0]);
-    return fminf(v_top(top[0]), FLT_MAX);
+        for (int k = 0; k < 4; k++)
+            top[k] = i_max(top[k], i_magnitude(v_load(x + i + (size_t)k * LANES)));
+    for (; i < n; i += LANES)
+        top[0] = i_max(top[0],
+                       i_magnitude(v_load_n(x + i, n - i < LANES ? (int)(n - i) : LANES)));
+    int32_t bits = i_top(i_max(i_max(top[0], top[1]), i_max(top[2], top[3])));
+    float largest;
+    memcpy(&largest, &bits, sizeof largest);
+    return largest;
 }
 
 MAP vint quant_lanes(const float *x, vf inv, int lanes)
@@ -265,7 +262,7 @@ MAP vf gelu(vf v)
 MAP vf activate(enum activation act, vf v)
 {
     if (act == ACT_RELU)
-        return v_max(v, v_set(0.0f));
+        return v_max(v_set(0.0f), v); // NaN stays
     if (act == ACT_GELU)
         return gelu(v);
     if (act == ACT_SILU)

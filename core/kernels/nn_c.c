@@ -5,17 +5,11 @@
 #include <math.h>
 #include <string.h>
 
-static float magnitude(float x)
-{
-    float a = fabsf(x);
-    return isnan(a) ? 0 : fminf(a, FLT_MAX);
-}
-
 static float absmax(const float *x, size_t n)
 {
     float top = 0;
     for (size_t i = 0; i < n; i++)
-        top = fmaxf(top, magnitude(x[i]));
+        top = fabsf(x[i]) <= top || isnan(top) ? top : fabsf(x[i]);
     return top;
 }
 
@@ -64,7 +58,7 @@ static float activate(enum activation act, float v)
 {
     switch (act) {
     case ACT_RELU:
-        return v > 0 ? v : 0;
+        return v < 0 ? 0 : v;
     case ACT_GELU:
         return 0.5f * v * (1 + erff(v * 0.70710678118654752f));
     case ACT_SILU:

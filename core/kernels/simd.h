@@ -6,8 +6,8 @@
  * Not with SIMD_C:
  * _n: only the first n lanes, 1 <= n <= LANES; loads set the others to 0.
  * v_swap(a, d): lanes i and i ^ d change places, d a power of two below LANES. v_top: largest lane.
- * vint: LANES int32. i_round: to nearest, half to even. i_store8: the first n lanes as int8,
- * saturated; i_store8x4 all lanes of four vectors. */
+ * vint: LANES int32. i_magnitude: bits of |a|. i_top: largest lane. i_round: to nearest, half to
+ * even. i_store8: the first n lanes as int8, saturated; i_store8x4 all lanes of four vectors. */
 #ifndef KERNELS_SIMD_H
 #define KERNELS_SIMD_H
 
@@ -86,6 +86,12 @@ static inline vint i_load_n(const int32_t *p, int n)
 }
 static inline vint i_set(int x) { return _mm512_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm512_add_epi32(a, b); }
+static inline vint i_max(vint a, vint b) { return _mm512_max_epi32(a, b); }
+static inline vint i_magnitude(vf a)
+{
+    return _mm512_and_si512(_mm512_castps_si512(a), _mm512_set1_epi32(0x7fffffff));
+}
+static inline int32_t i_top(vint a) { return _mm512_reduce_max_epi32(a); }
 static inline int32_t i_sum(vint a) { return _mm512_reduce_add_epi32(a); }
 static inline vf i_float(vint a) { return _mm512_cvtepi32_ps(a); }
 static inline vint i_round(vf a) { return _mm512_cvtps_epi32(a); }
@@ -180,6 +186,17 @@ static inline vint i_load_n(const int32_t *p, int n)
 }
 static inline vint i_set(int x) { return _mm256_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm256_add_epi32(a, b); }
+static inline vint i_max(vint a, vint b) { return _mm256_max_epi32(a, b); }
+static inline vint i_magnitude(vf a)
+{
+    return _mm256_and_si256(_mm256_castps_si256(a), _mm256_set1_epi32(0x7fffffff));
+}
+static inline int32_t i_top(vint a)
+{
+    __m128i s = _mm_max_epi32(_mm256_castsi256_si128(a), _mm256_extracti128_si256(a, 1));
+    s = _mm_max_epi32(s, _mm_shuffle_epi32(s, 0x4e));
+    return _mm_cvtsi128_si32(_mm_max_epi32(s, _mm_shuffle_epi32(s, 0xb1)));
+}
 static inline int32_t i_sum(vint a)
 {
     __m128i s = _mm_add_epi32(_mm256_castsi256_si128(a), _mm256_extracti128_si256(a, 1));
@@ -266,6 +283,16 @@ static inline vf v_swap(vf a, int d)
 static inline vint i_load(const int32_t *p) { return _mm_loadu_si128((const __m128i *)p); }
 static inline vint i_set(int x) { return _mm_set1_epi32(x); }
 static inline vint i_add(vint a, vint b) { return _mm_add_epi32(a, b); }
+static inline vint i_max(vint a, vint b) { return _mm_max_epi32(a, b); }
+static inline vint i_magnitude(vf a)
+{
+    return _mm_and_si128(_mm_castps_si128(a), _mm_set1_epi32(0x7fffffff));
+}
+static inline int32_t i_top(vint a)
+{
+    a = _mm_max_epi32(a, _mm_shuffle_epi32(a, 0x4e));
+    return _mm_cvtsi128_si32(_mm_max_epi32(a, _mm_shuffle_epi32(a, 0xb1)));
+}
 static inline int32_t i_sum(vint a)
 {
     a = _mm_add_epi32(a, _mm_shuffle_epi32(a, 0x4e));
@@ -339,6 +366,9 @@ static inline vf v_swap(vf a, int d) { return d == 1 ? vrev64q_f32(a) : vextq_f3
 static inline vint i_load(const int32_t *p) { return vld1q_s32(p); }
 static inline vint i_set(int x) { return vdupq_n_s32(x); }
 static inline vint i_add(vint a, vint b) { return vaddq_s32(a, b); }
+static inline vint i_max(vint a, vint b) { return vmaxq_s32(a, b); }
+static inline vint i_magnitude(vf a) { return vreinterpretq_s32_f32(vabsq_f32(a)); }
+static inline int32_t i_top(vint a) { return vmaxvq_s32(a); }
 static inline int32_t i_sum(vint a) { return vaddvq_s32(a); }
 static inline vf i_float(vint a) { return vcvtq_f32_s32(a); }
 static inline vint i_round(vf a) { return vcvtnq_s32_f32(a); }

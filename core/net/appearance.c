@@ -6,6 +6,7 @@
 #include "core/net/appearance.h"
 
 #include "core/net/attend.h"
+#include "core/net/finite.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 #include "core/prep.h"
@@ -93,10 +94,14 @@ static void tap_exposures(const struct fusion *f)
                 .name = "hdr.mid_log2t", .rank = 2, .shape = {1, 1}, .data = &f->v->mid_log2t});
 }
 
-static void tap_tokens(const struct fusion *f, const char *name, const float *px)
+/* Checked, then tapped. */
+static err_t give_tokens(const struct fusion *f, const char *name, const float *px)
 {
-    tap_put(f->r,
-            &(struct tap_tensor){.name = name, .rank = 3, .shape = {1, f->n, f->d}, .data = px});
+    err_t e = finite_check(f->r, name, FINITE_MAX, px, (size_t)f->n * (size_t)f->d);
+    if (!e)
+        tap_put(f->r, &(struct tap_tensor){
+                          .name = name, .rank = 3, .shape = {1, f->n, f->d}, .data = px});
+    return e;
 }
 
 /* ---- tokens ---- */
@@ -140,9 +145,7 @@ static err_t embed(const struct fusion *f)
         e = layer_conv_run(f->r, &c, &(struct layer_out){.out = out, .ldo = (size_t)f->d});
     }
     arena_reset(f->r->tmp, mark);
-    if (!e)
-        tap_tokens(f, "hdr.patch_tokens", f->out->scene);
-    return e;
+    return e ? e : give_tokens(f, "hdr.patch_tokens", f->out->scene);
 }
 
 static void norm_rows(const struct fusion *f, const float *in, const float *g, const float *b,
@@ -367,20 +370,21 @@ static err_t finish(const struct fusion *f)
     const struct appearance_weights *w = f->w;
     tap_put(f->r, &(struct tap_tensor){
                       .name = "hdr.vis_w", .rank = 3, .shape = {1, f->n, f->v->n}, .data = f->vis});
-    tap_tokens(f, "hdr.weighted_mean", f->mean);
-    tap_tokens(f, "hdr.weighted_var", f->var);
+    err_t e = give_tokens(f, "hdr.weighted_mean", f->mean);
+    if (!e)
+        e = give_tokens(f, "hdr.weighted_var", f->var);
+    if (e)
+        return e;
     norm_rows(f, f->mean, w->mean_g, w->mean_b, f->mean);
     norm_rows(f, f->var, w->var_g, w->var_b, f->var);
-    err_t e = mlp(f, &w->mean_out, &(struct layer_in){f->mean, d, f->n, true}, f->norm,
-                  &(struct layer_out){.out = f->out->scene, .ldo = d, .add = true});
+    e = mlp(f, &w->mean_out, &(struct layer_in){f->mean, d, f->n, true}, f->norm,
+            &(struct layer_out){.out = f->out->scene, .ldo = d, .add = true});
     if (!e)
         e = mlp(f, &w->var_out, &(struct layer_in){f->var, d, f->n, true}, f->norm,
                 &(struct layer_out){.out = f->out->sens, .ldo = d});
-    if (e)
-        return e;
-    tap_tokens(f, "hdr.scene_tokens", f->out->scene);
-    tap_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
-    return OK;
+    if (!e)
+        e = give_tokens(f, "hdr.scene_tokens", f->out->scene);
+    return e ? e : give_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
 }
 
 static err_t alloc_all(struct fusion *f)

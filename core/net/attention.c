@@ -98,11 +98,11 @@ err_t attention_room_init(struct attention_room *room, int width, struct arena *
 
 /* ---- storing ---- */
 
-/* The part of a token that belongs to one head, quantised; returns its scale. Larger values are cut
- * off, so that logits are always finite. */
-static float quantise(const struct gemm_kernels *k, const float *x, int n, int8_t *out)
+/* The part of a token that belongs to one head, quantised; returns its scale. Values beyond `most`
+ * are cut off: LARGEST where logits come of it, so that they are always finite. */
+static float quantise(const struct gemm_kernels *k, const float *x, int n, float most, int8_t *out)
 {
-    float top = fminf(k->absmax(x, (size_t)n), LARGEST);
+    float top = fminf(k->absmax(x, (size_t)n), most);
     k->quant(x, (size_t)n, top < FLT_MIN ? 0 : 127 / top, out);
     return top < FLT_MIN ? 0 : top / 127;
 }
@@ -130,7 +130,7 @@ static void store_queries(const struct block *b)
         if (a->floats)
             memcpy((float *)a->q + at, q, (size_t)a->width * sizeof *q);
         else
-            scale[i] *= quantise(a->k, q, a->width, (int8_t *)a->q + at);
+            scale[i] *= quantise(a->k, q, a->width, LARGEST, (int8_t *)a->q + at);
     }
 }
 
@@ -152,7 +152,7 @@ static void store_keys(const struct block *b, struct attention_room *room)
         }
         int8_t *to = (int8_t *)a->key + panel + 4 * (i % PANEL);
         if (i < b->n)
-            a->key_scale[key + (size_t)i] = quantise(a->k, k, w, room->q);
+            a->key_scale[key + (size_t)i] = quantise(a->k, k, w, LARGEST, room->q);
         else
             memset(room->q, 0, (size_t)w);
         for (int c = 0; c < w; c += 4)
@@ -186,7 +186,7 @@ static void store_values(const struct block *b, struct attention_room *room)
     memset(room->q, 0, ATTENTION_KEYS);
     for (int c = 0; c < a->width; c++) {
         int8_t *panel = to + c / PANEL * PANEL * ATTENTION_KEYS + 4 * (c % PANEL);
-        scale[c] = quantise(a->k, room->turned + c * ATTENTION_KEYS, b->n, room->q);
+        scale[c] = quantise(a->k, room->turned + c * ATTENTION_KEYS, b->n, INFINITY, room->q);
         for (int i = 0; i < b->n; i += 4)
             memcpy(panel + i * PANEL, room->q + i, 4);
     }

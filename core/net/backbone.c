@@ -5,6 +5,7 @@
 
 #include "core/base/num.h"
 #include "core/net/block.h"
+#include "core/net/finite.h"
 #include "core/net/layer.h"
 #include "core/net/tap.h"
 
@@ -156,18 +157,25 @@ static void set_special(const struct stage *s, int view, const float *first, con
     memcpy(to + c, registers, (NET_SPECIAL - 1) * c * sizeof *to);
 }
 
-/* ---- taps ---- */
+/* ---- what comes of each step: checked, then tapped ---- */
 
 /* The patches of all views. */
-static void tap_patches(const struct stage *s, const char *name)
+static err_t give_patches(const struct stage *s, const char *name)
 {
     const struct tokens *t = s->t;
     size_t c = (size_t)t->embed;
+    err_t e = OK;
+    for (int v = 0; v < t->n_views && !e; v++)
+        e = finite_check(s->r, name, FINITE_MAX, view_tokens(s, v) + NET_SPECIAL * c,
+                         (size_t)t->grid * (size_t)t->grid * c);
+    if (e)
+        return e;
     tap_put(s->r, &(struct tap_tensor){.name = name,
                                        .rank = 3,
                                        .shape = {t->n_views, t->grid * t->grid, t->embed},
                                        .data = s->x + NET_SPECIAL * c,
                                        .stride = {(size_t)t->n_tokens * c, c, 1}});
+    return OK;
 }
 
 static void tap_positions(const struct stage *s, const float *table)
@@ -178,16 +186,21 @@ static void tap_positions(const struct stage *s, const float *table)
                                        .data = table});
 }
 
-static void tap_stream(const struct stage *s, const char *stem, int i, bool global)
+static err_t give_stream(const struct stage *s, const char *stem, int i, bool global)
 {
     const struct tokens *t = s->t;
     char name[TAP_NAME];
     struct tap_tensor whole = {.name = name, .rank = 3, .data = s->x};
     snprintf(name, sizeof name, "%s%02d", stem, i);
+    err_t e = finite_check(s->r, name, FINITE_MAX, s->x,
+                           (size_t)t->n_views * (size_t)t->n_tokens * (size_t)t->embed);
+    if (e)
+        return e;
     whole.shape[0] = global ? 1 : t->n_views;
     whole.shape[1] = global ? t->n_views * t->n_tokens : t->n_tokens;
     whole.shape[2] = t->embed;
     tap_put(s->r, &whole);
+    return OK;
 }
 
 static void tap_keep(const struct stage *s, int layer, const float *keep)
@@ -255,10 +268,11 @@ static err_t embed_patches(struct stage *s)
         px.rgb = s->v->rgb + 3 * (size_t)v * (size_t)s->v->size * (size_t)s->v->size;
         e = layer_conv_run(s->r, &conv, &out);
     }
+    if (!e)
+        e = give_patches(s, "dino.patch_embed");
     if (!e) {
         memcpy(table, net->pos_embed, c * sizeof *table);
         backbone_positions(net->pos_embed + c, t->embed, t->grid, table + c);
-        tap_patches(s, "dino.patch_embed");
         tap_positions(s, table);
     }
     for (int v = 0; v < t->n_views && !e; v++) {
@@ -295,13 +309,11 @@ static err_t run_dino(struct stage *s)
         b.x = s->x;
         e = run_block(s, &b);
         if (!e)
-            tap_stream(s, "dino.block", i, false);
+            e = give_stream(s, "dino.block", i, false);
     }
     if (!e)
         e = pool_for(s->r->pool, s->t->n_views, norm_chunk, s);
-    if (!e)
-        tap_patches(s, "dino.patch_tokens");
-    return e;
+    return e ? e : give_patches(s, "dino.patch_tokens");
 }
 
 /* Frame and global block i. */
@@ -321,18 +333,20 @@ static err_t run_pair(struct stage *s, int i)
     b.copy = keep;
     b.w = net->frame + i;
     err_t e = run_block(s, &b);
+    if (!e)
+        e = give_stream(s, "agg.frame", i, false);
     if (e)
         return e;
-    tap_stream(s, "agg.frame", i, false);
     b.copy = keep ? keep + t->embed : NULL;
     b.w = net->global + i;
     b.global = true;
     b.q = i == net->d.qk_layer ? t->q : NULL;
     b.k = i == net->d.qk_layer ? t->k : NULL;
     e = run_block(s, &b);
+    if (!e)
+        e = give_stream(s, "agg.global", i, true);
     if (e)
         return e;
-    tap_stream(s, "agg.global", i, true);
     if (keep)
         tap_keep(s, i, keep);
     if (b.q)

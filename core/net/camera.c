@@ -2,6 +2,7 @@
  * of a product, not rows. */
 #include "core/net/camera.h"
 
+#include "core/net/finite.h"
 #include "core/net/layer.h"
 #include "core/net/tap.h"
 
@@ -73,6 +74,11 @@ static err_t product(const struct trunk *t, const struct weight *w, const float 
     return pool_for(t->r->pool, (w->n + SLICE * PANEL - 1) / (SLICE * PANEL), product_chunk, &p);
 }
 
+static err_t check(const struct trunk *t, const float *x, size_t each)
+{
+    return finite_check(t->r, "camera head", FINITE_MAX, x, (size_t)t->n * each);
+}
+
 static void normalise(const struct trunk *t, const struct norm *s, const float *x, float *y)
 {
     for (size_t i = 0; i < (size_t)t->n; i++)
@@ -127,7 +133,7 @@ static err_t run_block(const struct trunk *t, const struct block_weights *w)
     if (!e)
         e = product(t, &w->fc2, t->wide,
                     (struct layer_out){.out = t->x, .add = true, .gamma = w->gamma2});
-    return e;
+    return e ? e : check(t, t->x, (size_t)t->width);
 }
 
 /* ---- rounds ---- */
@@ -151,7 +157,7 @@ static err_t modulate(const struct trunk *t, bool first)
         const float *m = t->shift + i / d * 3 * d + i % d;
         t->x[i] = t->token[i] + m[2 * d] * (t->y[i] * (1 + m[d]) + m[0]);
     }
-    return OK;
+    return check(t, t->x, d);
 }
 
 static err_t run_round(const struct trunk *t, bool first)
@@ -167,7 +173,7 @@ static err_t run_round(const struct trunk *t, bool first)
     e = product(t, &w->fc1, t->y, (struct layer_out){.out = t->wide, .act = ACT_GELU});
     if (!e)
         e = product(t, &w->fc2, t->wide, (struct layer_out){.out = t->raw, .add = !first});
-    return e;
+    return e ? e : check(t, t->raw, NET_POSE);
 }
 
 /* Translation and quaternion as they are, fields of view above 0. */

@@ -4,6 +4,7 @@
 #include "core/net/depth.h"
 
 #include "core/net/dpt.h"
+#include "core/net/finite.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 
@@ -102,6 +103,9 @@ static err_t run_view(const struct tail *s, int view, float *depth)
     err_t e = dpt_run(s->r, &j, s->trunk);
     if (!e)
         e = run_tail(s);
+    if (!e)
+        e = finite_check(s->r, "depth.raw", FINITE_MAX, s->raw,
+                         pixels(s->size) * (size_t)s->outputs);
     if (e)
         return e;
     for (size_t i = 0; i < pixels(s->size); i++)

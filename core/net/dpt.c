@@ -305,7 +305,7 @@ static err_t blend_row(void *ctx, int y, int worker)
     (void)worker;
     dpt_blend_fetch(s->blend, y, 0, m->out_w, out);
     for (size_t i = 0; s->relu && i < n; i++)
-        out[i] = out[i] > 0 ? out[i] : 0;
+        out[i] = out[i] < 0 ? 0 : out[i]; // NaN stays
     return run_check(s->r, "network");
 }
 

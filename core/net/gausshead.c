@@ -9,6 +9,7 @@
 
 #include "core/net/appearance.h"
 #include "core/net/dpt.h"
+#include "core/net/finite.h"
 #include "core/net/metanet.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
@@ -343,7 +344,9 @@ err_t gausshead_run(const struct run *r, const struct net *net, const struct gau
             r->progress(r->progress_ctx, "gaussians", h.view + 1, in->views->n, NULL);
     }
     arena_reset(r->tmp, mark);
-    return e;
+    if (!e)
+        e = finite_check(r, "gs.raw88", FINITE_MAX, io->features, (size_t)io->n * (RAW - 1));
+    return e ? e : finite_check(r, "gs.raw88", FINITE_MAX, io->confidence, (size_t)io->n);
 }
 
 /* ---- plan ---- */

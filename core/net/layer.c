@@ -455,7 +455,7 @@ void layer_map_fetch(const void *ctx, int y, int x, int n, float *out)
         return;
     }
     for (size_t i = 0; i < count; i++)
-        out[i] = px[i] > 0 ? px[i] : 0;
+        out[i] = px[i] < 0 ? 0 : px[i]; // NaN stays
 }
 
 struct place { // between two samples

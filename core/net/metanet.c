@@ -3,6 +3,7 @@
  * out tap by tap. The code is constant over the view: its weights are summed over the kernel. */
 #include "core/net/metanet.h"
 
+#include "core/net/finite.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 
@@ -288,6 +289,8 @@ err_t metanet_run(const struct run *r, const struct net *net, const float *summa
         e = layer_run(r, &last, &(struct layer_in){hidden, n, 1, true},
                       &(struct layer_out){.out = io->theta, .ldo = NET_THETA});
     arena_reset(r->tmp, mark);
+    if (!e)
+        e = finite_check(r, "tone.params", FINITE_MAX, io->theta, (size_t)last.n);
     if (e)
         return e;
     tap_put(r, &(struct tap_tensor){

@@ -5,11 +5,13 @@
 #include "core/net/backbone.h"
 #include "core/net/camera.h"
 #include "core/net/depth.h"
+#include "core/net/finite.h"
 #include "core/net/gausshead.h"
 #include "core/net/metanet.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
 
+#include <float.h>
 #include <limits.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -282,6 +284,8 @@ static err_t find_points(const struct run *r, struct prediction *io)
     struct points_job j = {g, io->points};
     if (!e)
         e = pool_for(r->pool, g->n_views, points_chunk, &j);
+    if (!e)
+        e = finite_check(r, "points.world", FLT_MAX, io->points, (size_t)io->n * 3);
     if (!e)
         tap_put(r, &(struct tap_tensor){.name = "points.world",
                                         .rank = 5,

@@ -138,7 +138,8 @@ void net_plan(const struct net *net, int n_views, int size, int threads, size_t 
  * ignored.
  * out:  arrays in r->keep; features, points and confidence are NULL without a Gaussian head.
  * err:  ERR_ARG (fewer than 2 views, size, more than INT_MAX pixels), ERR_NOMEM (see net_plan),
- *       ERR_CANCELLED. On error *out is zeroed. */
+ *       ERR_CANCELLED, ERR_FORMAT (what a stage gives is beyond finite.h's bound). On error *out is
+ *       zeroed. */
 MUST_USE err_t net_run(const struct run *r, const struct net *net, const struct views *v,
                        struct prediction *out);
 

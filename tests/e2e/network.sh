@@ -54,6 +54,20 @@ mb=$("$HDRIG" reconstruct "${images[@]}" --out "$OUT/result" --model "$OUT/hdr.h
 refused 3 '2 of 3 photographs would fit' "${images[@]}" --model "$OUT/hdr.hdrig" --refine 0 \
     --max-memory $((mb - 1))
 
+# a network that overflows says where; conversion would not have let this weight through
+cp "$OUT/exact.hdrig" "$OUT/huge.hdrig"
+read -r header < <(od -A n -t u8 -N 8 "$OUT/huge.hdrig")
+at=$(head -c $((8 + header)) "$OUT/huge.hdrig" | tr '}' '\n' |
+    sed -n 's/.*"encoder.aggregator.camera_token":.*"data_offsets":\[\([0-9]*\),.*/\1/p')
+printf '\377\377\177\177' | dd of="$OUT/huge.hdrig" bs=1 conv=notrunc status=none \
+    seek=$((8 + header + at)) || fail "no camera_token"
+overflows='the network overflows: element [0-9]+ of its agg.frame00 is .*, allowed are '
+refused 1 "$overflows" "${images[@]}" --model "$OUT/huge.hdrig"
+refused 1 "$overflows" "${images[@]}" --model "$OUT/huge.hdrig" --refine 5
+refused 1 "$overflows" "${images[@]}" --model "$OUT/huge.hdrig" --refine 5 --set start.stereo=0
+expect 1 "$overflows" eval --data "$OUT/good" --model "$OUT/huge.hdrig" --size 56 --refine 5 \
+    --rig none
+
 # cameras and exposures that nobody knows
 for kind in hdr ldr geometry; do
     succeed reconstruct "${images[@]}" --model "$OUT/$kind.hdrig" --refine 0 --json - \

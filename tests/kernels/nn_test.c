@@ -89,8 +89,7 @@ static double largest(void)
 {
     double top = 0;
     for (int i = 0; i < in.n; i++)
-        if (!isnan(in.x[i]))
-            top = fmax(top, fmin(fabs((double)in.x[i]), FLT_MAX));
+        top = isnan(in.x[i]) || isnan(top) ? NAN : fmax(top, fabs((double)in.x[i]));
     return top;
 }
 

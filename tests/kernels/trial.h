@@ -186,7 +186,8 @@ static inline double trial_row(const struct part *q, const float *want, const fl
     for (int i = 0; i < q->n && q->scale == 0; i++)
         scale += fabs((double)want[i]) / q->n;
     for (int i = 0; i < q->n; i++) {
-        if (want[i] == got[i] || (isinf(q->bound) && isfinite(got[i])))
+        if (want[i] == got[i] || (isnan(want[i]) && isnan(got[i])) ||
+            (isinf(q->bound) && isfinite(got[i])))
             continue;
         double size = fabs((double)want[i]) + scale;
         double d = fabs((double)got[i] - (double)want[i]) / (q->bound * size);

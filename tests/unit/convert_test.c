@@ -21,7 +21,8 @@
 static struct {
     const char *strip;                      // prefix taken off the names
     const char *without, *extra, *reshaped; // tensors
-    const char *nan;
+    const char *odd;                        // its last value is
+    float value;
 } change;
 
 static float values[400000];
@@ -64,8 +65,8 @@ static const char *write_safetensors(void)
             continue;
         assert_true(n <= sizeof values / sizeof values[0]);
         assert_int_equal(checkpoint_read(&c, t, values), OK);
-        if (change.nan && strcmp(t->name, change.nan) == 0)
-            values[n - 1] = NAN;
+        if (change.odd && strcmp(t->name, change.odd) == 0)
+            values[n - 1] = change.value;
         fwrite(values, sizeof *values, n, f);
     }
     checkpoint_close(&c);
@@ -159,10 +160,39 @@ static void what_does_not_fit_is_named(void **state)
     change.reshaped = "encoder.hdr_conv.0.weight";
     refused(ERR_FORMAT, "tensors have another shape (1): encoder.hdr_conv.0.weight [16,1,3,3], not "
                         "[4,4,3,3]");
-    change.nan = "encoder.aggregator.frame_blocks.1.mlp.fc2.weight";
-    refused(ERR_FORMAT, "frame_blocks.1.mlp.fc2.weight: element 4095 is not finite");
     change.extra = "encoder.camera_head.token_norm.bias";
     refused(ERR_FORMAT, "token_norm.bias is there twice");
+}
+
+/* Products, exact ones and plain tensors, in every precision, also those that int8 smooths. */
+static void weights_out_of_range_are_named(void **state)
+{
+    static const char *const names[] = {
+        "encoder.aggregator.frame_blocks.1.mlp.fc2.weight",
+        "encoder.aggregator.global_blocks.3.norm1.weight", "encoder.hdr_conv.2.weight",
+        "encoder.aggregator.camera_token", "encoder.depth_head.resize_layers.0.bias"};
+    static const float odd[] = {NAN, -INFINITY, 3e38f, -1048577};
+    (void)state;
+    for (int i = 0; i < 20; i++) {
+        char text[160];
+        for (int p = PRECISION_F32; p <= PRECISION_S8; p++) {
+            change.odd = names[i % 5];
+            change.value = odd[i / 5];
+            const char *path = write_safetensors(), *out = tmpdir_path("refused");
+            snprintf(text, sizeof text, "tensor %s: element ", names[i % 5]);
+            assert_int_equal(convert(path, out, (enum precision)p, config), ERR_FORMAT);
+            if (!strstr(err_text(), text))
+                fail_msg("%s: %s", text, err_text());
+            snprintf(text, sizeof text, " is %g, weights are within -1.04858e+06 and 1.04858e+06",
+                     (double)odd[i / 5]);
+            if (!strstr(err_text(), text))
+                fail_msg("%s: %s", text, err_text());
+            assert_false(file_exists(out));
+        }
+    }
+    change.odd = names[0];
+    change.value = 1048576;
+    assert_int_equal(convert(write_safetensors(), tmpdir_path("fine"), PRECISION_S8, config), OK);
 }
 
 /* Unused ones may be missing or be anything, and strangers are left out. */
@@ -177,7 +207,8 @@ static void what_is_not_read_does_not_matter(void **state)
         change.extra = k == 0 ? "point_head.norm.weight" : NULL;
         assert_int_equal(convert(write_safetensors(), out, PRECISION_S8, config), OK);
     }
-    change.nan = "encoder.gaussian_param_head.input_merger.0.weight";
+    change.odd = "encoder.gaussian_param_head.input_merger.0.weight";
+    change.value = NAN;
     assert_int_equal(convert(write_safetensors(), out, PRECISION_S8, config), OK);
 }
 
@@ -207,6 +238,7 @@ int main(void)
         cmocka_unit_test(all_sources_give_the_same_data),
         cmocka_unit_test(rounded_angles_are_as_the_dimensions_say),
         cmocka_unit_test(what_does_not_fit_is_named),
+        cmocka_unit_test(weights_out_of_range_are_named),
         cmocka_unit_test(what_is_not_read_does_not_matter),
         cmocka_unit_test(requests_are_checked),
     };
