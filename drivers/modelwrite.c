@@ -12,9 +12,12 @@
 #include "drivers/partial.h"
 
 #include <errno.h>
+#include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/statvfs.h>
+#include <unistd.h>
 
 struct writing {
     const struct run *r;
@@ -29,10 +32,11 @@ struct writing {
     int done, total; // tensors
 };
 
-/* What the largest tensor takes. */
+/* What the largest tensor takes, and all of them in the file. */
 struct sizes {
     enum precision precision;
     size_t values, packed, k, scales;
+    uint64_t file; // bytes, without header and scales
     int tensors;
 };
 
@@ -43,11 +47,15 @@ static err_t measure(void *ctx, const struct tensor_spec *t)
         return OK;
     s->tensors++;
     s->values = num_max_size(s->values, table_count(t));
-    if (t->role == ROLE_PLAIN)
+    if (t->role == ROLE_PLAIN) {
+        s->file += table_count(t) * (size_t)t->repeat * sizeof(float);
         return OK;
+    }
     enum precision type = model_type(t, s->precision);
     struct product_shape p = table_product(t);
-    s->packed = num_max_size(s->packed, (size_t)pack_panels(t) * pack_panel_bytes(t, type));
+    const size_t packed = (size_t)pack_panels(t) * pack_panel_bytes(t, type);
+    s->file += packed;
+    s->packed = num_max_size(s->packed, packed);
     s->k = num_max_size(s->k, (size_t)p.segs * (size_t)p.seg);
     s->scales += type == PRECISION_S8 ? (size_t)p.n : 0;
     return OK;
@@ -67,6 +75,27 @@ size_t modelwrite_need(const struct modelwrite *w, int threads)
     size_t need = arena_add(arena_need(s.values, sizeof(float)), arena_need(s.packed, 1));
     need = arena_add(need, arena_need(s.k * (size_t)threads, sizeof(float)));
     return arena_add(need, arena_need(s.scales, sizeof(float)));
+}
+
+err_t modelwrite_check(const struct modelwrite *w, const char *path)
+{
+    char folder[FILE_PATH_CAP];
+    struct statvfs v;
+    const struct sizes s = sizes_of(w);
+    const uint64_t need = s.file + s.scales * sizeof(float);
+    if (file_is_special(path))
+        return OK;
+    err_t e = file_parent(path, folder);
+    if (e)
+        return e;
+    if (access(folder, W_OK | X_OK) != 0 || statvfs(folder, &v) != 0)
+        return err_fail(ERR_IO, "%s: nothing can be written to folder %s: %s", path, folder,
+                        strerror(errno));
+    if ((uint64_t)v.f_bavail * v.f_frsize < need)
+        return err_fail(ERR_LIMIT,
+                        "%s: the weights take %" PRIu64 " bytes, there is room for %" PRIu64, path,
+                        need, (uint64_t)v.f_bavail * v.f_frsize);
+    return OK;
 }
 
 /* ---- header ---- */

@@ -337,6 +337,15 @@ static err_t write_file(const struct camera_info *info, const struct calib *c, c
     return file_finish(f, path);
 }
 
+err_t calib_check_place(const char *dir)
+{
+    (void)mkdir(dir, 0777);
+    if (access(dir, W_OK | X_OK) == 0 && file_is_dir(dir))
+        return OK;
+    return err_fail(ERR_IO, "calibrations cannot be written to %s: %s", dir,
+                    errno ? strerror(errno) : "not a folder");
+}
+
 err_t calib_save(const char *dir, const struct camera_info *info, const struct calib *c)
 {
     char path[FILE_PATH_CAP], now[FILE_PATH_CAP];

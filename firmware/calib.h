@@ -26,6 +26,10 @@ MUST_USE err_t calib_load(const char *dir, const struct camera_info *info, struc
 MUST_USE err_t calib_parse(const char *what, const char *text, size_t n,
                            const struct camera_info *info, struct calib *out);
 
+/* Refuse before the measurement a folder that calib_save could not write to; it is created.
+ * err:  ERR_IO. */
+MUST_USE err_t calib_check_place(const char *dir);
+
 /* Replaces the file atomically; an assumed curve is not written.
  * err:  ERR_IO, ERR_LIMIT (no space), ERR_ARG (path too long, values that calib_load would refuse)
  */

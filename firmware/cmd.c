@@ -308,6 +308,7 @@ err_t cmd_json_close(struct cmd_json *j)
     err_t e = file_finish(j->f, j->at);
     if (!e && j->partial.dir[0])
         e = partial_show(&j->partial, j->path);
+    j->f = NULL;
     partial_close(&j->partial);
     return e;
 }
@@ -316,6 +317,7 @@ void cmd_json_discard(struct cmd_json *j)
 {
     if (j->f && j->f != stdout)
         fclose(j->f);
+    j->f = NULL;
     partial_close(&j->partial);
 }
 

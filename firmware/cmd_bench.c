@@ -355,12 +355,14 @@ static err_t trade(const struct request *rq, struct state *st)
 static err_t bench(const struct request *rq, struct state *st)
 {
     const int size = rq->size_text ? rq->sizes.v[0] : 0;
-    err_t e = rq->splat ? bench_splat(rq, st) : OK;
+    err_t e = OK;
+    if (rq->network) // first: it may be refused
+        e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
+    if (!e && rq->splat)
+        e = bench_splat(rq, st);
     engine_close(&st->engine);
     if (!e && rq->kernels)
         e = bench_net_kernels(&rq->cfg, &st->net);
-    if (!e && rq->network)
-        e = bench_net_run(rq->model, rq->views.v[0], size, &rq->cfg, &st->net);
     if (!e && rq->capture)
         e = bench_capture_run(rq->cameras, &rq->cfg, &st->capture);
     if (!e && rq->trade)
@@ -443,21 +445,17 @@ static void print_tables(const struct state *st)
     print_figures(st->table, st->n_table);
 }
 
-static err_t write_results(const struct request *rq, const struct state *st)
+static err_t write_results(const struct request *rq, const struct state *st, struct cmd_json *json)
 {
-    struct cmd_json json;
-    err_t e = cmd_json_open(rq->json, &json);
-    if (e)
-        return e;
-    if (json.f)
-        write_report(rq, st, json.f);
-    if (json.f != stdout && rq->splat)
+    if (json->f)
+        write_report(rq, st, json->f);
+    if (json->f != stdout && rq->splat)
         print_tables(st);
-    if (json.f != stdout)
+    if (json->f != stdout)
         bench_net_print(&st->net);
-    if (json.f != stdout && rq->capture)
+    if (json->f != stdout && rq->capture)
         bench_capture_print(&st->capture);
-    return cmd_json_close(&json);
+    return cmd_json_close(json);
 }
 
 static err_t read_what(struct request *rq)
@@ -501,6 +499,7 @@ static err_t read_numbers(struct request *rq)
 int cmd_bench_run(int argc, char **argv)
 {
     static struct state st;
+    struct cmd_json json;
     struct request rq = {
         .what = "all", .gaussians_text = "25000,50000,100000,200000", .views_text = "4"};
     const struct cmd_option options[] = {
@@ -530,9 +529,12 @@ int cmd_bench_run(int argc, char **argv)
         return code;
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
-    err_t e = bench(&rq, &st);
+    err_t e = cmd_json_open(rq.json, &json);
     if (!e)
-        e = write_results(&rq, &st);
+        e = bench(&rq, &st);
+    if (!e)
+        e = write_results(&rq, &st, &json);
+    cmd_json_discard(&json);
     code = cmd_finish(usage.name, e);
     engine_close(&st.engine);
     return code;

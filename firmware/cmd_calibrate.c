@@ -128,7 +128,9 @@ static err_t calibrate(const struct request *q)
     struct calib known;
     bool found = false;
     progress_init(&p, stderr);
-    err_t e = watch_open(&cfg, &w);
+    err_t e = calib_check_place(q->dir);
+    if (!e)
+        e = watch_open(&cfg, &w);
     if (e)
         return e;
     w->progress = &p;

@@ -42,6 +42,7 @@ struct state {
     struct gaussians_report report;
     double bytes;
     struct loss loss;
+    struct cmd_json json;
 };
 
 /* ---- where to look from ---- */
@@ -212,18 +213,15 @@ static void warn(const struct request *rq, const struct state *st)
                  r->repaired);
 }
 
-static err_t tell(const struct request *rq, const struct state *st)
+static err_t tell(const struct request *rq, struct state *st)
 {
     const struct loss *l = &st->loss;
     int n = st->scene.g.n;
     double each = n > 0 ? st->bytes / n : 0;
     struct report rep;
-    struct cmd_json json;
-    err_t e = cmd_json_open(rq->json, &json);
-    if (e)
-        return e;
-    if (json.f) {
-        report_init(&rep, json.f);
+    err_t e = OK;
+    if (st->json.f) {
+        report_init(&rep, st->json.f);
         report_open(&rep, NULL, '{');
         report_int(&rep, "gaussians", n);
         report_int(&rep, "sh_degree", st->scene.g.degree);
@@ -237,7 +235,7 @@ static err_t tell(const struct request *rq, const struct state *st)
             report_number(&rep, "radiance_psnr_least", l->radiance_least);
         }
         report_close(&rep);
-        e = cmd_json_close(&json);
+        e = cmd_json_close(&st->json);
     }
     bool lines = !rq->json || strcmp(rq->json, "-") != 0; // stdout holds no JSON
     if (!e && lines)
@@ -280,6 +278,8 @@ static err_t convert(const struct request *rq, struct state *st)
     err_t e = sceneio_peek(rq->in, &st->info);
     if (!e)
         e = reserve(rq, st);
+    if (!e)
+        e = cmd_json_open(rq->json, &st->json);
     if (!e)
         e = step(st, "read", 0);
     if (!e)
@@ -347,6 +347,7 @@ int cmd_convert_scene_run(int argc, char **argv)
     err_t e = engine_open(&st.engine, rq.cfg.threads);
     if (!e)
         e = convert(&rq, &st);
+    cmd_json_discard(&st.json);
     code = cmd_finish(usage.name, e);
     engine_close(&st.engine);
     return code;

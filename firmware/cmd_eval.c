@@ -26,6 +26,7 @@ struct state {
     struct imageset train, test;
     struct imageset true_train, true_test; // with cameras, if the network had to find them
     struct outdir out;
+    struct cmd_json json;
     struct job_result job;
     struct evaluate_result figures;
     struct testcams_error pose;
@@ -144,8 +145,10 @@ static err_t publish(struct state *st, const struct request *rq)
         if (!e)
             e = outdir_commit(&st->out);
     }
-    if (!e)
-        e = write_file(st, rq->json);
+    if (!e && st->json.f) {
+        write_report(st, st->json.f);
+        e = cmd_json_close(&st->json);
+    }
     if (!e && !(rq->json && strcmp(rq->json, "-") == 0))
         print_table(st);
     return e;
@@ -192,11 +195,14 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
                      const struct scenefile_info *scene)
 {
     size_t keep, tmp;
+    err_t e = evaluate_check(&st->test.capture);
+    if (e)
+        return e;
     evaluate_plan(&st->test.capture, scene->size, scene->n, pool_size(st->engine.pool), &keep,
                   &tmp);
-    err_t e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
-                             arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
-                             rq->cfg.max_memory_mb);
+    e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
+                       arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
+                       rq->cfg.max_memory_mb);
     if (!e && rq->out)
         e = outdir_open(rq->out, &st->out);
     return e || !rq->out ? e
@@ -245,9 +251,12 @@ static err_t reconstruct(struct state *st, struct request *rq)
         return e;
     const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
     bool unknown = cameras_unknown(st);
-    if (unknown)
+    if (unknown) {
         add_testcams(st, &job, &need);
-    e = reserve(st, rq, need, &most);
+        e = testcams_check(&job, &st->train.capture, &st->test.capture);
+    }
+    if (!e)
+        e = reserve(st, rq, need, &most);
     if (!e)
         e = imageset_load(&st->train);
     if (!e)
@@ -353,9 +362,12 @@ static err_t read_scene(struct state *st, struct request *rq)
         return e;
     job.size = info.size;
     plan_scene(st, &info, &need);
-    if (rq->set.no_cameras)
+    if (rq->set.no_cameras) {
         add_testcams(st, &job, &need);
-    e = reserve(st, rq, need, &info);
+        e = testcams_check(&job, &st->train.capture, &st->test.capture);
+    }
+    if (!e)
+        e = reserve(st, rq, need, &info);
     if (!e)
         e = scenefile_read(path, &st->engine.keep, &st->job.scene);
     if (!e)
@@ -368,7 +380,9 @@ static err_t read_scene(struct state *st, struct request *rq)
 static err_t evaluate(struct state *st, struct request *rq)
 {
     struct outdir *out = rq->out ? &st->out : NULL;
-    err_t e = engine_open(&st->engine, rq->cfg.threads);
+    err_t e = cmd_json_open(rq->json, &st->json);
+    if (!e)
+        e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
         e = rq->scene ? read_scene(st, rq) : reconstruct(st, rq);
     if (!e)
@@ -443,6 +457,7 @@ int cmd_eval_run(int argc, char **argv)
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     code = cmd_finish(usage.name, evaluate(&st, &rq));
+    cmd_json_discard(&st.json);
     outdir_close(&st.out);
     imageset_free(&st.train);
     imageset_free(&st.test);

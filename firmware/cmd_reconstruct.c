@@ -28,27 +28,24 @@ struct state {
     struct imageset set;
     struct prep_source source;
     struct outdir out, dump;
+    struct cmd_json json;
     struct npy_dir tensors;
     struct job_result result;
 };
 
-static err_t print_result(const struct request *rq, const struct state *st)
+static err_t print_result(const struct request *rq, struct state *st)
 {
     const struct job_result *j = &st->result;
-    struct cmd_json json;
-    err_t e = cmd_json_open(rq->json, &json);
-    if (e)
-        return e;
-    if (json.f)
-        publish_report(j, pool_size(st->engine.pool), json.f);
-    if (json.f != stdout) {
+    if (st->json.f)
+        publish_report(j, pool_size(st->engine.pool), st->json.f);
+    if (st->json.f != stdout) {
         printf("%s: %d views, %d Gaussians of SH degree %d, input views %.2f dB", rq->out,
                j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr);
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
         printf(", %.1f s\n", j->lap_s - j->start_s);
     }
-    return cmd_json_close(&json);
+    return cmd_json_close(&st->json);
 }
 
 /* ---- dump ---- */
@@ -173,6 +170,10 @@ static err_t reconstruct(struct request *rq, struct state *st)
     if (!e)
         e = outdir_open(rq->out, &st->out);
     if (!e)
+        e = publish_check(&st->set.capture, &job, &st->out);
+    if (!e)
+        e = cmd_json_open(rq->json, &st->json);
+    if (!e)
         e = begin_dump(rq, st);
     if (!e)
         e = job_run(r, &st->set.capture, &job, &st->result);
@@ -240,6 +241,7 @@ int cmd_reconstruct_run(int argc, char **argv)
     code = cmd_finish(usage.name, reconstruct(&rq, &st));
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was told
+    cmd_json_discard(&st.json);
     outdir_close(&st.dump);
     outdir_close(&st.out);
     imageset_free(&st.set);

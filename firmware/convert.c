@@ -253,8 +253,11 @@ static err_t convert_open(struct engine *en, const struct convert_request *q, st
     struct modelwrite w = {
         .source = source, .licence = "that of the source", .fetch = fetch_tensor, .ctx = c};
     err_t e = q->config ? read_config(q->config, &w.dims) : infer_run(c, &w.dims);
+    w.precision = q->precision;
     if (!e)
         e = match_all(c, &w.dims);
+    if (!e)
+        e = modelwrite_check(&w, q->out);
     if (!e)
         e = hash_file(&en->run, c->what, hex);
     if (e)

@@ -105,6 +105,16 @@ static err_t find_exposure(struct evaluate_result *out, double exposure,
     return OK;
 }
 
+err_t evaluate_check(const struct capture *test)
+{
+    struct evaluate_result seen = {0};
+    struct evaluate_score *score;
+    err_t e = OK;
+    for (int i = 0; i < test->n && !e; i++)
+        e = find_exposure(&seen, test->shots[i].exposure, &score);
+    return e;
+}
+
 static err_t measure_ldr(struct bench *b, const struct shot *s, const struct views *v)
 {
     struct evaluate_score *score = NULL;

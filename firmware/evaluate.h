@@ -30,13 +30,16 @@ struct evaluate_result {
     struct evaluate_exposure exposures[EVALUATE_EXPOSURES]; // ascending
 };
 
+/* err:  ERR_FORMAT (more than EVALUATE_EXPOSURES different exposures). */
+MUST_USE err_t evaluate_check(const struct capture *test);
+
 /* Memory of evaluate_run, beside that of the job. */
 void evaluate_plan(const struct capture *test, int size, int cap, int threads, size_t *keep,
                    size_t *tmp);
 
 /* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
- * err:  ERR_ARG (a test view without camera), ERR_FORMAT (exposures), those of reading, drawing and
+ * err:  ERR_ARG (a test view without camera), those of evaluate_check, of reading, drawing and
  *       writing, ERR_CANCELLED. */
 MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
                             struct outdir *o, struct evaluate_result *out);

@@ -149,6 +149,9 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
                             .size = cfg.size,
                             .cams = c->shots[0].has_camera ? &known : NULL};
     size_t keep, tmp;
+    e = start_check(&cfg, &v, tapped);
+    if (e)
+        return e;
     *out = start_plan(&cfg, &v, threads, tapped);
     out->pictures = plan_pictures(c, cfg.source ? threads : c->n);
     prep_plan(c, cfg.size, threads, &keep, &tmp);

@@ -77,8 +77,8 @@ struct job_result {
 };
 
 /* Memory of a job, before a pixel is decoded; the capture needs only names, sizes and cameras.
- * `c` is refused here if it cannot become a scene: fewer than two views, without a network a view
- * without camera. tapped: run.tap will be set.
+ * `c` is refused here if it cannot become a scene: fewer than two views, some cameras known and
+ * some not, more views or smaller ones than cameras can be found for. tapped: run.tap will be set.
  * err:  ERR_ARG. */
 MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
                         bool tapped, struct job_memory *out);

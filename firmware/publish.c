@@ -6,6 +6,7 @@
 #include "firmware/viewer.h"
 
 #include "core/metrics.h"
+#include "core/prep.h"
 #include "core/splat/gaussians.h"
 #include "drivers/cameras.h"
 #include "drivers/img.h"
@@ -30,16 +31,48 @@ static struct viewer_input viewer_of(const struct job_result *j, const struct ou
 }
 
 /* Upper bound of the folder: pictures as if they could not be compressed. */
-static uint64_t result_bytes(const struct job_result *j, const struct outdir *o)
+static uint64_t result_bytes(const struct viewer_input *viewer, int n_photographs)
 {
-    const struct scene *s = &j->scene;
-    struct viewer_input viewer = viewer_of(j, o);
+    const struct scene *s = viewer->scene;
     uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
     uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
     uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
     return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
-           sheet_bytes(j->views.n + j->views.n_more) + viewer_bytes(&viewer);
+           sheet_bytes(n_photographs) + viewer_bytes(viewer);
+}
+
+/* Two photographs that differ only in their extension. */
+static err_t check_names(const struct capture *c)
+{
+    char a[DRAW_NAME_CAP], b[DRAW_NAME_CAP];
+    for (int i = 0; i < c->n; i++) {
+        draw_name("ldr", c->shots[i].name, "png", a);
+        for (int k = 0; k < i; k++) {
+            const char *other = c->shots[k].name;
+            if (strncmp(a + 4, other, strcspn(other, ".")) != 0)
+                continue;
+            draw_name("ldr", other, "png", b);
+            if (strcmp(a, b) == 0)
+                return err_fail(ERR_ARG, "%s and %s would both be written as %s: rename one", other,
+                                c->shots[i].name, a);
+        }
+    }
+    return OK;
+}
+
+err_t publish_check(const struct capture *c, const struct job_config *cfg, struct outdir *o)
+{
+    const int places = prep_places(c);
+    const int degree = job_forward(cfg) ? SH_DEGREE_MAX : cfg->refine.degree_max;
+    const struct scene most = {
+        .g = {.n = job_most(cfg, places), .degree = degree}, .n_views = places, .size = cfg->size};
+    const struct viewer_input viewer = {.scene = &most,
+                                        .photos = (const uint8_t *)"", // whether, not which
+                                        .n_log2t = c->n,
+                                        .title = file_name(o->path)};
+    err_t e = check_names(c);
+    return e ? e : outdir_reserve(o, result_bytes(&viewer, c->n));
 }
 
 /* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
@@ -129,20 +162,6 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     return e;
 }
 
-static err_t check_names(const struct scene *s)
-{
-    char a[DRAW_NAME_CAP], b[DRAW_NAME_CAP];
-    for (int i = 0; i < s->n_views; i++)
-        for (int k = 0; k < i; k++) {
-            draw_name("ldr", s->names[i], "png", a);
-            draw_name("ldr", s->names[k], "png", b);
-            if (strcmp(a, b) == 0)
-                return err_fail(ERR_ARG, "%s and %s would both be written as %s: rename one",
-                                s->names[k], s->names[i], a);
-        }
-    return OK;
-}
-
 static err_t write_cameras(const struct scene *s, const char *path)
 {
     struct rig rig = {.n = s->n_views, .views = calloc((size_t)s->n_views, sizeof *rig.views)};
@@ -229,10 +248,9 @@ static err_t open_sheet(const struct outdir *o, struct sheet *sheet)
 
 err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
 {
+    const struct viewer_input viewer = viewer_of(j, o);
     struct sheet sheet = {0};
-    err_t e = check_names(&j->scene);
-    if (!e)
-        e = outdir_reserve(o, result_bytes(j, o));
+    err_t e = outdir_reserve(o, result_bytes(&viewer, j->views.n + j->views.n_more));
     if (!e)
         e = outdir_mkdir(o, "ldr");
     if (!e)

@@ -6,6 +6,12 @@
 #include "firmware/job.h"
 #include "firmware/outdir.h"
 
+/* Refuse before the work what publish_run could not write: photographs whose files would have one
+ * name, and a folder that may not fit. cfg: of the job that will run on c.
+ * err:  ERR_ARG, ERR_LIMIT (no space), ERR_IO. */
+MUST_USE err_t publish_check(const struct capture *c, const struct job_config *cfg,
+                             struct outdir *o);
+
 /* Render the input views, write everything and make it visible under the name of `o`. Warnings and
  * times are added to *j, and how near the input views came to their photographs.
  * err:  ERR_ARG (two names that differ only in their extension), ERR_LIMIT (no space), ERR_IO,

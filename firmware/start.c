@@ -11,6 +11,7 @@
 #include "firmware/locate.h"
 
 #include "core/base/num.h"
+#include "core/opt/corner.h"
 #include "core/opt/refit.h"
 #include "core/opt/response.h"
 #include "core/opt/stack.h"
@@ -34,9 +35,20 @@ static bool looks(const struct job_config *cfg)
 }
 
 /* Whether bundle adjustment follows the network. What is dumped is the network's own. */
+static bool adjusts(const struct job_config *cfg, bool known, bool tapped)
+{
+    return cfg->polish && !tapped && (!known || takes_gaussians(cfg));
+}
+
 static bool locates(const struct run *r, const struct job_config *cfg, const struct job_result *out)
 {
-    return cfg->polish && !r->tap && (!out->views.cams || takes_gaussians(cfg));
+    return adjusts(cfg, out->views.cams != NULL, r->tap != NULL);
+}
+
+/* A network that is only asked for cameras has nothing to say about known ones. */
+static bool asks_network(const struct job_config *cfg, bool known)
+{
+    return cfg->network && !(looks(cfg) && known);
 }
 
 static void announce(const struct run *r, const char *stage)
@@ -453,7 +465,7 @@ err_t start_run(const struct run *r, const struct job_config *cfg, struct job_re
     err_t e = begin_scene(r, &mine, out);
     if (e)
         return e;
-    if (mine.network && !(looks(&mine) && out->views.cams))
+    if (asks_network(&mine, out->views.cams != NULL))
         return with_network(r, &mine, out);
     if (mine.network)
         job_warn(out, "the network was not needed: cameras are known, and refinement starts from "
@@ -507,6 +519,26 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
         m->keep = arena_add(m->keep, seed_keep(cfg->refine.gaussians_max));
         m->tmp = num_max_size(m->tmp, seed_plan(v));
     }
+}
+
+err_t start_check(const struct job_config *asked, const struct views *v, bool tapped)
+{
+    const struct job_config cfg = within(asked, tapped);
+    const bool known = v->cams != NULL;
+    const bool bundle = asks_network(&cfg, known) ? adjusts(&cfg, known, tapped) : !known;
+    if (bundle && v->n > BUNDLE_VIEWS_MAX)
+        return err_fail(ERR_ARG,
+                        "%d views, cameras can be found for at most %d: keep those that show the "
+                        "most, each overlapping its neighbours%s",
+                        v->n, BUNDLE_VIEWS_MAX,
+                        known ? "; or take --set cameras.polish=0"
+                              : "; or give the cameras with --rig PATH");
+    if (!known && (!cfg.network || cfg.cameras_only) && v->size < CORNER_SIZE_MIN)
+        return err_fail(ERR_ARG,
+                        "views of %d px are too small to find cameras, take at least --size %d, or "
+                        "give the cameras with --rig PATH",
+                        v->size, (CORNER_SIZE_MIN + 13) / 14 * 14);
+    return OK;
 }
 
 struct job_memory start_plan(const struct job_config *asked, const struct views *v, int threads,

@@ -10,6 +10,11 @@
 struct job_memory start_plan(const struct job_config *asked, const struct views *v, int threads,
                              bool tapped);
 
+/* Refuse before the work what start_run could not do: more views than cameras can be found for, or
+ * views too small for that. Of v as start_plan.
+ * err:  ERR_ARG. */
+MUST_USE err_t start_check(const struct job_config *asked, const struct views *v, bool tapped);
+
 /* From out->views and out->response to out->scene, ready for refinement; its Gaussians have room
  * for cfg->refine.gaussians_max unless there is no refinement. Cameras that
  * were not known become out->views.cams too. Times go to *out.

@@ -36,6 +36,23 @@ static int count_views(const struct capture *c)
     return n;
 }
 
+static bool locates(const struct job_config *cfg)
+{
+    return cfg->polish || !cfg->network;
+}
+
+err_t testcams_check(const struct job_config *cfg, const struct capture *train,
+                     const struct capture *test)
+{
+    const int inputs = prep_places(train), held_out = count_views(test);
+    if (!locates(cfg) || inputs + held_out <= BUNDLE_VIEWS_MAX)
+        return OK;
+    return err_fail(ERR_ARG,
+                    "%d input and %d test views, cameras can be found for at most %d together: "
+                    "take fewer --views, or give the cameras with --rig PATH",
+                    inputs, held_out, BUNDLE_VIEWS_MAX);
+}
+
 static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
 {
     const struct views v = {.n = all, .size = cfg->size};
@@ -45,7 +62,7 @@ static void plan_look(const struct job_config *cfg, int all, int threads, struct
         m->tmp = num_max_size(m->tmp, tmp);
         m->keep = arena_add(m->keep, keep);
     }
-    if (cfg->polish || !cfg->network) {
+    if (locates(cfg)) {
         locate_plan(all, cfg->size, threads, &keep, &tmp);
         m->keep = arena_add(m->keep, keep);
         m->tmp = num_max_size(m->tmp, tmp);

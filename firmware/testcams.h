@@ -12,6 +12,11 @@
 struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
                                 const struct capture *test, int most, int threads);
 
+/* Refuse before the work more views than cameras can be found for.
+ * err:  ERR_ARG. */
+MUST_USE err_t testcams_check(const struct job_config *cfg, const struct capture *train,
+                              const struct capture *test);
+
 /* Find the cameras of test->capture, one per view, from the middle one of its pictures. j is
  * finished.
  * err:  those of reading, of the network, of locate_run and of align_run. */

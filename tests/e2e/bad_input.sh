@@ -92,7 +92,19 @@ for i in 1 2 3; do
     "$BIN/make_flat" "$OUT/blank/$i.png" 56 $((60 * i))
 done
 echo '{"1.png": 1, "2.png": 2, "3.png": 4}' >"$OUT/blank/exposure.json"
-refused 1 'the cameras cannot be found: .*give --rig' --images "$OUT/blank"
+refused 1 'the cameras cannot be found: .*give --rig' --images "$OUT/blank" --size 70
+refused 1 'views of 56 px are too small' --images "$OUT/blank"
+mkdir "$OUT/many"
+for ((i = 0; i < 65; i++)); do
+    cp "$OUT/blank/1.png" "$OUT/many/$i.png"
+    echo "$([ $i = 0 ] && echo '{' || echo ,) \"$i.png\": 1" >>"$OUT/many/exposure.json"
+done
+echo '}' >>"$OUT/many/exposure.json"
+refused 1 '65 views, cameras can be found for at most 64' --images "$OUT/many" --size 448
+make_set halves 56 33 32
+expect 1 '33 input and 32 test views, cameras can be found for at most 64 together' \
+    eval --data "$OUT/halves" --rig none --size 70 --out "$OUT/result"
+nothing_at "$OUT/result"
 refused 1 "$OUT/nowhere" --images "$OUT/good" --rig "$OUT/nowhere"
 copy lacking
 sed -i '/train_ldr_001/d' "$set/sparse/0/images.txt"
@@ -125,7 +137,15 @@ fi
 # a report that does not come to be leaves the former one
 echo former >"$OUT/former.json"
 expect 1 '/dev/no-camera' selftest --camera v4l2:/dev/no-camera --json "$OUT/former.json"
+# ... and a place where none can be is refused before the work
 expect 1 'no/folder.json' bench --what splat --gaussians 1000 --size 56 --json "$OUT/no/folder.json"
+refused 1 'no/folder.json' --images "$OUT/good" --json "$OUT/no/folder.json"
+expect 1 'no/folder.json' eval --data "$OUT/good" --size 56 --json "$OUT/no/folder.json"
+grep -q ' step ' "$ERR" && fail "eval works before it looks where its figures go"
+expect 1 'no/weights.hdrig: .*no' convert --hashed 1 --config mini --out "$OUT/no/weights.hdrig"
+expect 1 "written to $OUT/precious/thesis.txt" calibrate --camera v4l2:/dev/no-camera \
+    --out "$OUT/precious/thesis.txt"
+expect 1 'no-such.hdrig' bench --what all --model "$OUT/no-such.hdrig"
 grep -qx former "$OUT/former.json" || fail "the former report is lost"
 [ -z "$(find "$OUT" -maxdepth 1 -name '.tmp-*')" ] || fail "something unfinished is left"
 

@@ -77,7 +77,8 @@ mkdir "$OUT/small"
 if mount -t tmpfs -o size=200k tmpfs "$OUT/small" 2>/dev/null; then
     trap 'umount "$OUT/small"' EXIT
     expect 3 'small/scene: the result takes up to [0-9]+ bytes, there is room for' \
-        "${job[@]}" --refine 0 --out "$OUT/small/scene"
+        "${job[@]}" --refine 100000 --out "$OUT/small/scene"
+    ! grep -q ' step ' "$ERR" || fail "no space is told after work: $(head -n 1 "$ERR")"
     nothing_at "$OUT/small/scene"
 else
     echo "no right to mount a small file system: left out"

@@ -12,7 +12,7 @@
 
 #include <cmocka.h>
 
-static struct shot shots[64];
+static struct shot shots[300];
 
 static struct capture capture(int n, int side)
 {
@@ -48,6 +48,29 @@ static void refusals(void **state)
     assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "view1.png"));
     assert_non_null(strstr(err_text(), "--rig"));
+}
+
+/* Cameras are found for as many views as bundle adjustment takes, if they are not too small. */
+static void what_cameras_cannot_be_found_for(void **state)
+{
+    (void)state;
+    struct job_memory m;
+    struct job_config cfg = config(70, 1000);
+    struct capture c = capture(300, 100);
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), OK);
+    for (int i = 0; i < 300; i++)
+        shots[i].has_camera = false;
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_non_null(strstr(err_text(), "300 views, cameras can be found for at most 64"));
+    assert_non_null(strstr(err_text(), "--rig"));
+    c.n = 65;
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    c.n = 64;
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), OK);
+    cfg.size = 56;
+    assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
+    assert_non_null(strstr(err_text(), "views of 56 px are too small"));
+    assert_non_null(strstr(err_text(), "--size 70"));
 }
 
 static size_t total(int n, int side, struct job_config cfg, int threads)
@@ -167,6 +190,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(refusals),
+        cmocka_unit_test(what_cameras_cannot_be_found_for),
         cmocka_unit_test(memory_grows_with_the_work),
         cmocka_unit_test(exposures_are_cheaper_than_places),
         cmocka_unit_test(pixels_read_later_take_less),

@@ -94,14 +94,43 @@ static void pictures_show_the_scene(void **state)
     img_free(&bright);
 }
 
-static void names_that_would_collide(void **state)
+/* Before the work: of a capture and what is to become of it. */
+static err_t check(const char *second, int size)
+{
+    struct shot shots[3] = {{.name = "a.b.png"}, {.name = "a.png"}};
+    const struct capture c = {3, shots};
+    const struct job_config cfg = {.size = size,
+                                   .refine = {.gaussians_max = 300000, .degree_max = 2}};
+    snprintf(shots[2].name, NAME_CAP, "%s", second);
+    return publish_check(&c, &cfg, &out);
+}
+
+static void names_that_would_collide_are_refused(void **state)
 {
     (void)state;
-    snprintf(job.names[1], NAME_CAP, "a.jpg");
-    assert_int_equal(publish_run(&job.run, &job.result, &out), ERR_ARG);
-    assert_non_null(strstr(err_text(), "a.png and a.jpg"));
-    outdir_close(&out);
-    assert_false(file_is_dir(tmpdir_path("out")));
+    assert_int_equal(check("a.jpg", 56), ERR_ARG);
+    assert_non_null(strstr(err_text(), "a.png and a.jpg would both be written as ldr/a.png"));
+    assert_int_equal(check("b.jpg", 56), OK);
+    assert_int_equal(check("a.b.c.jpg", 56), OK);
+}
+
+/* What is asked for before the work is never less than what is asked for after it. */
+static void room_is_asked_for_before_the_work(void **state)
+{
+    (void)state;
+    assert_int_equal(check("b.jpg", 448), OK);
+    const uint64_t larger = out.need;
+    assert_int_equal(check("b.jpg", 112), OK);
+    assert_true(larger > 300000 * 56 && out.need < larger); // of 300000 splats, each in the .ply
+    struct shot shots[SMALL_VIEWS] = {{.name = "a.png"}, {.name = "b.png"}};
+    const struct capture c = {SMALL_VIEWS, shots};
+    const struct job_config cfg = {
+        .size = SMALL_SIZE,
+        .refine = {.gaussians_max = SPLATS, .degree_max = job.result.scene.g.degree}};
+    assert_int_equal(publish_check(&c, &cfg, &out), OK);
+    const uint64_t before = out.need;
+    assert_int_equal(publish_run(&job.run, &job.result, &out), OK);
+    assert_true(before >= out.need);
 }
 
 static void highlights_beyond_half_are_told(void **state)
@@ -149,7 +178,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         TEST(everything_is_there_and_can_be_read),
         TEST(pictures_show_the_scene),
-        TEST(names_that_would_collide),
+        TEST(names_that_would_collide_are_refused),
+        TEST(room_is_asked_for_before_the_work),
         TEST(highlights_beyond_half_are_told),
         TEST(cancelled),
         TEST(full_disk),
