@@ -145,6 +145,33 @@ void figures_input(struct figures *f, int i, struct figures_input *out)
     add(&f->exposure[own], out);
 }
 
+#define BLACK_BRIGHT 1e-4    // most pixels of a black photograph that are not dark
+#define SATURATED_BELOW 1e-2 // most pixels of a saturated one that are not clipped
+
+const char *figures_blank(const struct views *v, int i)
+{
+    const size_t n = (size_t)v->size * (size_t)v->size;
+    const uint8_t *rgb = v->rgb + 3 * n * (size_t)i;
+    size_t clipped = 0, dark = 0;
+    for (size_t p = 0; p < n; p++, rgb += 3) {
+        int m = brightest(rgb);
+        clipped += m >= FIGURES_CLIPPED;
+        dark += m < FIGURES_DARK;
+    }
+    return (double)(n - dark) <= BLACK_BRIGHT * (double)n         ? "black"
+           : (double)(n - clipped) <= SATURATED_BELOW * (double)n ? "saturated"
+                                                                  : NULL;
+}
+
+int figures_copied(const struct views *v, int i)
+{
+    const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
+    for (int k = 0; k < i; k++)
+        if (memcmp(v->rgb + bytes * (size_t)k, v->rgb + bytes * (size_t)i, bytes) == 0)
+            return figures_blank(v, i) ? -1 : k;
+    return -1;
+}
+
 /* ---- report ---- */
 
 static void report_camera(const struct camera *cam, struct report *rep)
@@ -355,6 +382,30 @@ static void warn_exposures(const struct figures *f, struct job_result *j)
                  100 * last->dark);
 }
 
+/* Photographs that show nothing, or nothing new. */
+static void warn_empty(struct job_result *j)
+{
+    const struct views *v = &j->views;
+    int copies = 0, copy = 0;
+    for (int i = 0; i < photographs(v); i++) {
+        const char *blank = figures_blank(v, i);
+        if (blank)
+            job_warn(
+                j, "%s is %s all over and shows nothing: take it at a %s exposure, or leave it out",
+                v->names[i], blank, *blank == 'b' ? "longer" : "shorter");
+        if (figures_copied(v, i) < 0)
+            continue;
+        copy = i;
+        copies++;
+    }
+    if (copies)
+        job_warn(
+            j,
+            "%d of %d photographs are copies of others (%s is %s): they show nothing new; take "
+            "each from another place or at another exposure",
+            copies, photographs(v), v->names[copy], v->names[figures_copied(v, copy)]);
+}
+
 /* A view that fits far worse than usual. */
 static void warn_views(struct job_result *j)
 {
@@ -363,7 +414,8 @@ static void warn_views(struct job_result *j)
     if (!j->input_db || n < 3 || metrics_quantile(j->input_db, (size_t)n, 0.5, &median) != OK)
         return;
     for (int i = 0; i < n; i++)
-        if ((double)j->input_db[i] < median - 8 && j->input_db[i] < 22)
+        if ((double)j->input_db[i] < median - 8 && j->input_db[i] < 22 &&
+            !figures_blank(&j->views, i))
             job_warn(j,
                      "%s fits the scene %.0f dB worse than the others: something moved, or its "
                      "exposure is wrong; take it again",
@@ -380,5 +432,6 @@ void figures_warn(struct job_result *j)
     for (int i = 0; i < photographs(&j->views); i++)
         figures_input(&f, i, &in);
     warn_exposures(&f, j);
+    warn_empty(j);
     warn_views(j);
 }

@@ -44,6 +44,13 @@ void figures_init(struct figures *f, const struct views *v, const struct tonemap
 /* Look at view i, once. */
 void figures_input(struct figures *f, int i, struct figures_input *out);
 
+/* "black" or "saturated" if photograph i is so all over, else NULL. A few bright pixels may be a
+ * lamp that only so short an exposure shows: black has none. */
+const char *figures_blank(const struct views *v, int i);
+
+/* The first photograph before i with the same pixels that shows anything; -1: none. */
+int figures_copied(const struct views *v, int i);
+
 /* Members "inputs", "exposures", "tone" into an open object; the first two only if the photographs
  * are at hand. */
 void figures_report(const struct job_result *j, struct report *rep);

@@ -8,6 +8,7 @@
 
 #include "firmware/dump.h"
 #include "firmware/engine.h"
+#include "firmware/figures.h"
 #include "firmware/locate.h"
 
 #include "core/base/num.h"
@@ -156,8 +157,42 @@ static err_t by_stereo(const struct run *r, const struct job_config *cfg, struct
 
 /* ---- cameras ---- */
 
+/* Why cameras are not known, and what mends it. */
+static const char *cause(const struct views *v, const struct bundle_result *b, char text[240])
+{
+    int blanks = 0, blank = 0, copies = 0, copy = 0;
+    for (int i = 0; i < v->n; i++) {
+        if (figures_blank(v, i))
+            blank = blanks++ ? blank : i;
+        if (figures_copied(v, i) >= 0)
+            copy = copies++ ? copy : i;
+    }
+    if (2 * blanks >= v->n)
+        snprintf(text, 240,
+                 "%d of %d photographs are black or saturated all over (%.64s); take them at other "
+                 "exposures",
+                 blanks, v->n, v->names[blank]);
+    else if (2 * (copies + 1) > v->n && copies)
+        snprintf(text, 240,
+                 "no parallax, %d of %d photographs are copies (%.64s is %.64s); take each from "
+                 "another place",
+                 copies, v->n, v->names[copy], v->names[figures_copied(v, copy)]);
+    else if (b->agreement >= LOCATE_SURE)
+        snprintf(
+            text, 240,
+            "no parallax, the camera turned or stood still; step aside between photographs, by "
+            "a tenth of the distance or more");
+    else
+        snprintf(text, 240,
+                 "the views have too few points in common (%d); photograph so that neighbours "
+                 "overlap by more than half",
+                 b->inliers);
+    return text;
+}
+
 static void sum_up(const struct bundle_result *b, struct job_result *out)
 {
+    char text[240];
     out->cameras = (struct job_cameras){.found = true,
                                         .from_tracks = b->from_tracks,
                                         .confidence = b->confidence,
@@ -166,10 +201,8 @@ static void sum_up(const struct bundle_result *b, struct job_result *out)
                                         .sightings = b->sightings,
                                         .placed = b->n_placed};
     if (b->confidence < LOCATE_SURE)
-        job_warn(out,
-                 "cameras are a guess: the views have too few points in common (%d); photograph so "
-                 "that neighbours overlap by more than half, or give the cameras with --rig PATH",
-                 b->inliers);
+        job_warn(out, "cameras are a guess: %s, or give the cameras with --rig PATH",
+                 cause(&out->views, b, text));
 }
 
 /* A view that is not tied to the others would only spoil the scene. p: of these views, or NULL. */
@@ -188,8 +221,12 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
     for (int i = 0; i < v->n + v->n_more; i++)
         keep[i] = i >= v->n || b->placed[i];
     for (int i = 0; i < v->n; i++) {
+        const char *blank = keep[i] ? NULL : figures_blank(v, i);
         if (keep[i])
             out->scene.cams[n++] = out->scene.cams[i];
+        else if (blank)
+            job_warn(out, "%s is left out: it is %s all over; take it at a %s exposure",
+                     v->names[i], blank, *blank == 'b' ? "longer" : "shorter");
         else
             job_warn(out,
                      "%s is left out: too little in common with the other views; take it nearer to "
@@ -239,11 +276,11 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
     return e;
 }
 
-static err_t refuse_cameras(void)
+static err_t refuse_cameras(const struct bundle_result *b, const struct views *v)
 {
-    return err_fail(ERR_ARG,
-                    "the cameras cannot be found: the views have too few points in common; give "
-                    "--rig PATH, or put a sparse/0 folder beside the pictures");
+    char text[240];
+    return err_fail(ERR_ARG, "the cameras cannot be found: %s, or give --rig PATH",
+                    cause(v, b, text));
 }
 
 static err_t without_network(const struct run *r, const struct job_config *cfg,
@@ -253,7 +290,7 @@ static err_t without_network(const struct run *r, const struct job_config *cfg,
     const size_t mark = arena_mark(r->keep);
     err_t e = out->views.cams ? OK : find_cameras(r, cfg, NULL, out, &b);
     if (!e && !out->views.cams && b.n_placed < 2)
-        e = refuse_cameras();
+        e = refuse_cameras(&b, &out->views);
     if (!e && !out->views.cams)
         e = leave_out(r, &b, NULL, out);
     out->views.cams = out->scene.cams;
@@ -303,7 +340,7 @@ static err_t take_cameras(const struct run *r, const struct job_config *cfg, str
     }
     err_t e = find_cameras(r, cfg, p, out, &b);
     if (!e && cfg->cameras_only && b.n_placed < 2)
-        e = refuse_cameras();
+        e = refuse_cameras(&b, &out->views);
     if (!e && !out->views.cams)
         e = leave_out(r, &b, looks(cfg) ? NULL : p, out);
     if (!e && !looks(cfg))

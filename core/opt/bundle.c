@@ -560,18 +560,19 @@ static double parallax_px(struct bundle *b)
     return median(b->sorted, n);
 }
 
-/* Share of the redundancy beyond chance, of the views, and parallax against the errors. */
-static float confidence(struct bundle *b, const struct bundle_result *out)
+/* Share of the redundancy beyond chance and of the views; then parallax against the errors. */
+static void judge(struct bundle *b, struct bundle_result *out)
 {
     const double wanted = 4 * fmax(0.5, (double)out->rms_px);
     double all, in;
     memcpy(b->a.in, b->best.in, (size_t)b->tracks->n * sizeof *b->a.in);
     in = redundancy(b, false, &all);
     if (all < 1)
-        return 0;
+        return;
     double share = fmax(0, (in / all - CHANCE) / (1 - CHANCE));
     double parallax = pow(parallax_px(b) / wanted, 4);
-    return (float)(share * out->n_placed / b->n_views * parallax / (1 + parallax));
+    out->agreement = (float)(share * out->n_placed / b->n_views);
+    out->confidence = (float)(share * out->n_placed / b->n_views * parallax / (1 + parallax));
 }
 
 static err_t give(struct bundle *b, struct bundle_result *out)
@@ -587,7 +588,7 @@ static err_t give(struct bundle *b, struct bundle_result *out)
     give_cameras(b, &w, out);
     give_points(b, &w, out);
     give_scales(b, &w, out);
-    out->confidence = confidence(b, out);
+    judge(b, out);
     return OK;
 }
 

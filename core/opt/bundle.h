@@ -33,10 +33,13 @@ struct bundle_result {
                         // not known
     float rms_px;       // of the inliers
     int inliers, sightings;
-    int n_placed;     // views that are tied to the others by enough inliers
-    bool *placed;     // (n_views); the cameras of others are those of `start`, moved along, or
-                      // copies of the nearest placed one
-    float confidence; // 0 nothing is known .. 1: share of inliers x placed views x parallax
+    int n_placed;    // views that are tied to the others by enough inliers
+    bool *placed;    // (n_views); the cameras of others are those of `start`, moved along, or
+                     // copies of the nearest placed one
+    float agreement; // 0..1: share of inliers beyond chance x share of placed views
+    float
+        confidence; // 0 nothing is known .. 1: agreement x parallax; agreement without confidence:
+                    // the camera turned or stood still
     bool from_tracks; // which start won
 };
 

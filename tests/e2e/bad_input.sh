@@ -94,6 +94,31 @@ done
 echo '{"1.png": 1, "2.png": 2, "3.png": 4}' >"$OUT/blank/exposure.json"
 refused 1 'the cameras cannot be found: .*give --rig' --images "$OUT/blank" --size 70
 refused 1 'views of 56 px are too small' --images "$OUT/blank"
+
+# the cause is named: nothing to see, no parallax
+mkdir "$OUT/black" "$OUT/same"
+for i in 1 2 3; do
+    "$BIN/make_flat" "$OUT/black/$i.png" 70 0
+    cp tests/data/room/images/train_ldr_003_2.png "$OUT/same/$i.png"
+    cp "$OUT/blank/exposure.json" "$OUT/black"
+    echo '{"1.png": 1, "2.png": 1, "3.png": 1}' >"$OUT/same/exposure.json"
+done
+refused 1 'cannot be found: 3 of 3 photographs are black or saturated all over \(1.png\)' \
+    --images "$OUT/black" --size 70
+succeed reconstruct --images "$OUT/same" --size 224 --refine 0 --out "$OUT/same_scene"
+grep -q 'guess: no parallax, 2 of 3 photographs are copies (2.png is 1.png)' \
+    "$OUT/same_scene/report.json" || fail "nobody says that photographs are copies"
+cp -r tests/data/room "$OUT/lost"
+"$BIN/make_flat" "$OUT/lost/images/train_ldr_003_2.png" 224 0
+"$BIN/make_flat" "$OUT/lost/images/train_ldr_005_4.png" 224 255
+succeed reconstruct --images "$OUT/lost" --size 112 --refine 0 --out "$OUT/lost_scene"
+succeed reconstruct --images "$OUT/lost" --rig none --size 112 --refine 0 --out "$OUT/found_scene"
+for words in lost:'train_ldr_003_2.png is black all over and shows nothing' \
+    lost:'train_ldr_005_4.png is saturated all over and shows nothing' \
+    found:'train_ldr_003_2.png is left out: it is black all over'; do
+    grep -q "${words#*:}" "$OUT/${words%%:*}_scene/report.json" || fail "not told: $words"
+done
+
 mkdir "$OUT/many"
 for ((i = 0; i < 65; i++)); do
     cp "$OUT/blank/1.png" "$OUT/many/$i.png"

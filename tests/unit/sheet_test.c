@@ -180,6 +180,7 @@ static void warn(const float t[2], int dark, int bright)
     memcpy(job.log2t, t, sizeof job.log2t);
     memset(job.rgb, dark, sizeof job.rgb / 2);
     memset(job.rgb + sizeof job.rgb / 2, bright, sizeof job.rgb / 2);
+    job.rgb[sizeof job.rgb / 2] ^= 1; // no copy
     figures_warn(&job.result);
 }
 
@@ -195,14 +196,42 @@ static void every_warning(void **state)
     assert_int_equal(job.result.n_warnings, 1);
     warn((const float[]){-2, 2}, 255, 255);
     assert_true(warned("100 % of the pixels are clipped even at the shortest"));
-    assert_int_equal(job.result.n_warnings, 1);
+    assert_true(warned("a.png is saturated all over and shows nothing: take it at a shorter"));
+    assert_int_equal(job.result.n_warnings, 3);
     warn((const float[]){-2, 2}, 0, 0);
     assert_true(warned("100 % of the pixels are dark even at the longest"));
-    assert_int_equal(job.result.n_warnings, 1);
+    assert_true(warned("b.png is black all over and shows nothing: take it at a longer"));
+    assert_int_equal(job.result.n_warnings, 3);
     warn((const float[]){2, -2}, 255, 190); // the shortest is not clipped
-    assert_int_equal(job.result.n_warnings, 0);
+    assert_true(warned("a.png is saturated"));
+    assert_int_equal(job.result.n_warnings, 1);
     warn((const float[]){-2, 2}, 0, 190); // the longest is not dark
-    assert_int_equal(job.result.n_warnings, 0);
+    assert_true(warned("a.png is black"));
+    assert_int_equal(job.result.n_warnings, 1);
+}
+
+/* A lamp in the dark is something; copies of nothing are none. */
+static void photographs_that_show_nothing_or_nothing_new(void **state)
+{
+    (void)state;
+    memset(rgb, 0, sizeof rgb);
+    expose(3, (const float[]){0, 0, 0});
+    assert_string_equal(figures_blank(&views, 0), "black");
+    assert_int_equal(figures_copied(&views, 1), -1);
+    rgb[0][5][1] = 200;
+    assert_null(figures_blank(&views, 0));
+    memset(rgb, 255, sizeof rgb);
+    assert_string_equal(figures_blank(&views, 0), "saturated");
+    memset(rgb[0], 100, sizeof rgb[0] / 4);
+    assert_null(figures_blank(&views, 0));
+    memset(rgb, 100, sizeof rgb);
+    assert_null(figures_blank(&views, 0));
+    assert_int_equal(figures_copied(&views, 0), -1);
+    assert_int_equal(figures_copied(&views, 2), 0);
+    rgb[0][5][1]++;
+    assert_int_equal(figures_copied(&views, 2), 1);
+    rgb[2][5][2]++;
+    assert_int_equal(figures_copied(&views, 2), -1);
 }
 
 static void the_view_that_does_not_fit(void **state)
@@ -213,6 +242,8 @@ static void the_view_that_does_not_fit(void **state)
     float db[5] = {30, 29, 12, 31, 28};
     memset(rgb, 128, sizeof rgb);
     expose(5, (const float[]){-1, 0, 1, 0, 1});
+    for (int i = 0; i < 5; i++)
+        rgb[i][0][0] = (uint8_t)(120 + i);
     job.result.views = views;
     job.result.views.names = names;
     job.result.input_db = db;
@@ -223,6 +254,11 @@ static void the_view_that_does_not_fit(void **state)
     job.result.n_warnings = 0;
     figures_warn(&job.result);
     assert_string_equal(strstr(job.result.warnings[0], tail), tail);
+    job.result.n_warnings = 0;
+    memset(rgb[2], 255, sizeof rgb[2]);
+    figures_warn(&job.result);
+    assert_true(warned("is saturated all over and shows nothing") && !warned("fits the scene"));
+    memset(rgb[2], 129, sizeof rgb[2]);
     job.result.n_warnings = 0;
     db[2] = 23;
     figures_warn(&job.result);
@@ -526,6 +562,7 @@ int main(void)
         TEST(equal_and_many_exposures),
         TEST(brackets),
         JOB_TEST(every_warning),
+        TEST(photographs_that_show_nothing_or_nothing_new),
         JOB_TEST(the_view_that_does_not_fit),
         JOB_TEST(cameras_in_the_report),
         JOB_TEST(the_nearest_family),
