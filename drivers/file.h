@@ -34,6 +34,7 @@ void file_drop(const struct file_map *m);
 
 bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
+bool file_is_same(const char *a, const char *b); // one file or folder, by whichever names
 /* Something that a finished file must not be put in the place of, like a device or a pipe. */
 bool file_is_special(const char *path);
 

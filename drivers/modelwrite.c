@@ -9,6 +9,7 @@
 #include "drivers/json.h"
 #include "drivers/modelfile.h"
 #include "drivers/netdims.h"
+#include "drivers/origin.h"
 #include "drivers/partial.h"
 
 #include <errno.h>
@@ -310,7 +311,9 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
     struct sizes s = sizes_of(w);
     struct writing x = {.r = r, .w = w, .total = s.tensors};
     size_t workers = r->pool ? (size_t)pool_size(r->pool) : 1, mark = arena_mark(r->tmp);
-    err_t e = arena_alloc(r->tmp, s.values, sizeof *x.in, &x.in);
+    err_t e = file_is_special(path) ? OK : origin_check_place(path);
+    if (!e)
+        e = arena_alloc(r->tmp, s.values, sizeof *x.in, &x.in);
     if (!e)
         e = arena_alloc(r->tmp, s.packed, 1, &x.out);
     if (!e)

@@ -2,6 +2,7 @@
 #include "drivers/packed.h"
 
 #include "drivers/file.h"
+#include "drivers/origin.h"
 
 #include <errno.h>
 #include <stdlib.h>
@@ -150,14 +151,18 @@ void packed_close(struct packed_in *in)
 
 /* ---- out ---- */
 
+/* Only read, by deflate: OS 255 is "unknown" (RFC 1952, 2.3.1). */
+static gz_header gzip_head = {.os = 255, .comment = (Bytef *)(uintptr_t)ORIGIN_COMMENT};
+
 err_t packed_begin(struct packed_out *out, const char *what, enum packed_kind kind, FILE *f,
                    uint64_t size)
 {
     *out = (struct packed_out){.what = what, .kind = kind, .f = f};
     if (kind == PACKED_GZIP) {
         z_stream *z = calloc(1, sizeof *z);
-        if (z && deflateInit2(z, GZIP_LEVEL, Z_DEFLATED, GZIP_ONLY, GZIP_MEMORY,
-                              Z_DEFAULT_STRATEGY) != Z_OK) {
+        if (z && (deflateInit2(z, GZIP_LEVEL, Z_DEFLATED, GZIP_ONLY, GZIP_MEMORY,
+                               Z_DEFAULT_STRATEGY) != Z_OK ||
+                  deflateSetHeader(z, &gzip_head) != Z_OK)) {
             free(z);
             z = NULL;
         }

@@ -1,5 +1,6 @@
 /* packed.h - streams of bytes, plain or compressed with gzip or zstd, out of memory and into a
- * file. Nothing is unpacked that was not asked for, so a file decides neither memory nor time.
+ * file. A gzip stream that is written says whose it is (origin.h). Nothing is unpacked that was
+ * not asked for, so a file decides neither memory nor time.
  * thread: one per stream. */
 #ifndef DRIVERS_PACKED_H
 #define DRIVERS_PACKED_H

@@ -1,5 +1,8 @@
 #include "drivers/partial.h"
 
+#include "drivers/filelist.h"
+#include "drivers/origin.h"
+
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -15,19 +18,34 @@ static int remove_entry(const char *path, const struct stat *st, int kind, struc
 {
     (void)st;
     (void)kind;
-    (void)where;
-    return remove(path);
+    if (where->level > 0 && !(where->level == 1 && strcmp(path + where->base, PARTIAL_MARK) == 0))
+        (void)remove(path);
+    return 0;
 }
 
+/* The mark goes last: what stays is known by it and found by the next run. */
 static void remove_tree(const char *path)
 {
-    (void)nftw(path, remove_entry, TREE_FDS,
-               FTW_DEPTH | FTW_PHYS); // what stays is found by the next run
+    char mark[FILE_PATH_CAP];
+    (void)nftw(path, remove_entry, TREE_FDS, FTW_DEPTH | FTW_PHYS);
+    if (rmdir(path) != 0 && file_join(path, PARTIAL_MARK, mark) == OK && unlink(mark) == 0)
+        (void)rmdir(path);
 }
 
 static bool lock(int fd)
 {
     return flock(fd, LOCK_EX | LOCK_NB) == 0;
+}
+
+/* What a process left that died: before it was done, after the result of that name was exchanged
+ * for a new one, or between its first two steps. */
+static void remove_ours(const char *path)
+{
+    char mark[FILE_PATH_CAP];
+    if (file_join(path, PARTIAL_MARK, mark) == OK && file_is_regular(mark))
+        remove_tree(path);
+    else if (rmdir(path) != 0 && filelist_check(path, false) == OK && filelist_remove(path) != OK)
+        return; // what stays is found by the next run
 }
 
 static void remove_unlocked(const char *path)
@@ -36,7 +54,7 @@ static void remove_unlocked(const char *path)
     if (fd < 0)
         return;
     if (lock(fd))
-        remove_tree(path);
+        remove_ours(path);
     close(fd);
 }
 
@@ -56,6 +74,28 @@ static void remove_leftovers(const char *parent, const char *prefix)
             remove_unlocked(path);
     if (d)
         closedir(d);
+}
+
+static err_t put_mark(const struct partial *p)
+{
+    char path[FILE_PATH_CAP];
+    FILE *f;
+    err_t e = file_join(p->dir, PARTIAL_MARK, path);
+    if (!e)
+        e = file_create(path, &f);
+    if (e)
+        return e;
+    fclose(f); // nothing to write, nothing to lose
+    return OK;
+}
+
+err_t partial_unmark(const struct partial *p)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(p->dir, PARTIAL_MARK, path);
+    if (!e && unlink(path) != 0)
+        e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
+    return e;
 }
 
 /* The lock of the new folder; somebody who took it for a leftover may have it, or have removed what
@@ -92,6 +132,8 @@ err_t partial_open(const char *path, struct partial *p)
                    : err_fail(file_code(errno), "%s: cannot create: %s", path, strerror(errno));
     memcpy(p->dir, dir, sizeof dir);
     e = hold(p, path);
+    if (!e)
+        e = put_mark(p);
     if (e)
         partial_close(p);
     return e;
@@ -108,6 +150,8 @@ err_t partial_show(const struct partial *p, const char *path)
     err_t e = partial_path(p, path, from);
     if (!e)
         e = file_parent(path, parent);
+    if (!e)
+        e = origin_check_place(path);
     if (!e)
         e = file_sync(from);
     if (!e)

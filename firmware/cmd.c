@@ -4,6 +4,7 @@
 #include "core/base/log.h"
 #include "drivers/file.h"
 #include "drivers/json.h"
+#include "drivers/origin.h"
 
 #include <errno.h>
 #include <getopt.h>
@@ -124,6 +125,18 @@ static err_t scan(const struct cmd_usage *u, int argc, char **argv, struct confi
     return e;
 }
 
+/* --json, before the work whose figures it is for. */
+static err_t check_json(const struct cmd_usage *u)
+{
+    for (int i = 0; i < u->n_options; i++) {
+        const struct cmd_option *o = &u->options[i];
+        const char *path = strcmp(o->name, "json") == 0 ? *o->text : NULL;
+        if (path && strcmp(path, "-") != 0 && !file_is_special(path))
+            return origin_check_place(path);
+    }
+    return OK;
+}
+
 bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg, int *code)
 {
     const char *file = NULL;
@@ -150,7 +163,10 @@ bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *
         *code = cmd_misuse(u, err_text());
         return false;
     }
-    return true;
+    e = check_json(u);
+    if (e)
+        *code = cmd_finish(u->name, e);
+    return !e;
 }
 
 err_t cmd_number(const char *name, const char *text, double min, double max, double *out)

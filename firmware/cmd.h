@@ -35,6 +35,11 @@ struct cmd_option {
     }
 #define CMD_THREADS CMD_KEY("threads", "N", "threads", "worker threads, 0 = one per core")
 #define CMD_MEMORY CMD_KEY("max-memory", "MB", "max_memory_mb", "refuse jobs that need more")
+#define CMD_FORCE(rules)                                                                           \
+    {                                                                                              \
+        "force", NULL, "replace a former result whose files were changed since, too", NULL, NULL,  \
+            &(rules).force                                                                         \
+    }
 #define CMD_SIZE CMD_KEY("size", "N", "size", "working size, px, a multiple of 14")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
 #define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
@@ -50,8 +55,8 @@ struct cmd_usage {
 };
 
 /* Read the options of argv[1..argc-1] after config_load; every command also has --help, --config
- * and --set. Returns true if the command shall run. Else help or a sentence has been printed and
- * *code is the exit code. */
+ * and --set. What --json may not replace (origin.h) is refused. Returns true if the command shall
+ * run. Else help or a sentence has been printed and *code is the exit code. */
 MUST_USE bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
                         int *code);
 

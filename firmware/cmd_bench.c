@@ -400,8 +400,7 @@ static void report_figures(struct report *rep, const char *key, const struct fig
 static void write_report(const struct request *rq, const struct state *st, FILE *f)
 {
     struct report rep;
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, f);
     if (rq->splat) {
         report_int(&rep, "sh_degree", rq->degree);
         report_number(&rep, "bandwidth_gb_per_s_one_thread", st->bandwidth[0] * 1e-9);

@@ -221,8 +221,7 @@ static err_t tell(const struct request *rq, struct state *st)
     struct report rep;
     err_t e = OK;
     if (st->json.f) {
-        report_init(&rep, st->json.f);
-        report_open(&rep, NULL, '{');
+        report_begin(&rep, st->json.f);
         report_int(&rep, "gaussians", n);
         report_int(&rep, "sh_degree", st->scene.g.degree);
         report_number(&rep, "bytes", st->bytes);
@@ -307,6 +306,9 @@ static err_t check(struct request *rq)
 {
     rq->spz = SPZWRITE_VERSION;
     err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
+    if (!e && file_is_same(rq->in, rq->out))
+        e = err_fail(ERR_ARG, "%s would be replaced by what is made of it: give another --out",
+                     rq->in);
     if (!e && rq->spz_text)
         e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->spz);
     return e ? e : sceneio_check_place(rq->out, &rq->readable);

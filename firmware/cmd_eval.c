@@ -17,6 +17,7 @@ struct request {
     struct imageset_request set;
     struct cmd_model model;
     const char *scene, *views, *exposures, *out, *json;
+    struct outdir_rules rules;
     struct config cfg;
 };
 
@@ -66,8 +67,7 @@ static void write_report(const struct state *st, FILE *f)
 {
     struct report rep;
     const struct evaluate_result *fig = &st->figures;
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, f);
     report_int(&rep, "test_views", fig->views);
     report_score(&rep, "ldr", &fig->ldr);
     report_score(&rep, "hdr", &fig->hdr);
@@ -204,7 +204,7 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
                        arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
                        rq->cfg.max_memory_mb);
     if (!e && rq->out)
-        e = outdir_open(rq->out, &st->out);
+        e = outdir_open(rq->out, &rq->rules, &st->out);
     return e || !rq->out ? e
                          : outdir_reserve(&st->out, result_bytes(&st->test.capture,
                                                                  st->train.capture.n, scene->size));
@@ -430,6 +430,7 @@ int cmd_eval_run(int argc, char **argv)
          &rq.model.precision, NULL},
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"out", "DIR", "keep the rendered test views there", NULL, &rq.out, NULL},
+        CMD_FORCE(rq.rules),
         CMD_REFINE,
         CMD_DEGREE,
         CMD_GAUSSIANS,
@@ -456,6 +457,8 @@ int cmd_eval_run(int argc, char **argv)
         return cmd_misuse(&usage, reason);
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
+    const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
+    memcpy(rq.rules.inputs, inputs, sizeof inputs);
     code = cmd_finish(usage.name, evaluate(&st, &rq));
     cmd_json_discard(&st.json);
     outdir_close(&st.out);

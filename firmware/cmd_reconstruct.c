@@ -18,6 +18,7 @@ struct request {
     struct imageset_request set;
     struct cmd_model model;
     const char *out, *json, *dump, *dump_exposures;
+    struct outdir_rules rules;
     bool poses;
     struct config cfg;
 };
@@ -81,7 +82,7 @@ static err_t begin_dump(const struct request *rq, struct state *st)
 {
     if (!rq->dump)
         return OK;
-    err_t e = outdir_open(rq->dump, &st->dump);
+    err_t e = outdir_open(rq->dump, &rq->rules, &st->dump);
     if (!e)
         e = npy_open(&st->tensors, st->dump.partial.dir);
     st->engine.run.tap = &st->tensors.tap;
@@ -166,9 +167,11 @@ static err_t reconstruct(struct request *rq, struct state *st)
 {
     const struct run *r = &st->engine.run;
     struct job_config job;
+    const char *const inputs[] = {rq->set.images, rq->set.exposures, rq->set.rig, rq->model.path};
+    memcpy(rq->rules.inputs, inputs, sizeof inputs);
     err_t e = prepare(rq, st, &job);
     if (!e)
-        e = outdir_open(rq->out, &st->out);
+        e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)
         e = publish_check(&st->set.capture, &job, &st->out);
     if (!e)
@@ -220,6 +223,7 @@ int cmd_reconstruct_run(int argc, char **argv)
         {"dump-exposures", "LIST", "three, of the picture there; else those of the inputs", NULL,
          &rq.dump_exposures, NULL},
         {"json", "FILE", "the report once more, - for stdout", NULL, &rq.json, NULL},
+        CMD_FORCE(rq.rules),
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},
         CMD_REFINE,
         CMD_DEGREE,

@@ -18,7 +18,6 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 
 enum { FRAMES_MAX = 9999, FRAMES_DEFAULT = 60, FPS_DEFAULT = 30 };
 
@@ -28,6 +27,7 @@ struct request {
     double ev[2], fps; // ev: of the first frame, the last
     int frames, size;  // size 0: that of the cameras
     bool hdr, false_colour;
+    struct outdir_rules rules;
     struct config cfg;
 };
 
@@ -209,19 +209,13 @@ static err_t write_legend(const struct state *st)
     return e ? e : img_write_png(path, &legend);
 }
 
-static bool is_same(const char *a, const char *b)
-{
-    struct stat x, y;
-    return stat(a, &x) == 0 && stat(b, &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
-}
-
 /* Also if it does not exist yet. */
 static bool is_place(const char *a, const char *b)
 {
     char above_a[FILE_PATH_CAP], above_b[FILE_PATH_CAP];
-    return is_same(a, b) ||
+    return file_is_same(a, b) ||
            (strcmp(file_name(a), file_name(b)) == 0 && file_parent(a, above_a) == OK &&
-            file_parent(b, above_b) == OK && is_same(above_a, above_b));
+            file_parent(b, above_b) == OK && file_is_same(above_a, above_b));
 }
 
 /* A video in the folder of the frames appears with them: that folder is yet to get its name. */
@@ -263,7 +257,7 @@ static err_t prepare(const struct request *rq, struct state *st)
     int w, h;
     largest(&st->rig, &w, &h);
     uint64_t pixels = (uint64_t)w * (uint64_t)h, each = pixels * (rq->hdr ? 11 : 3);
-    err_t e = outdir_open(rq->out, &st->out);
+    err_t e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)
         e = outdir_reserve(&st->out, (uint64_t)st->rig.n * (each + each / 64 + 4096));
     if (!e)
@@ -442,6 +436,7 @@ int cmd_render_run(int argc, char **argv)
         {"size", "N", "px, square; else the size of the cameras", NULL, &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},
         {"out", "DIR", "where the frames go; a former result is replaced", NULL, &rq.out, NULL},
+        CMD_FORCE(rq.rules),
         CMD_THREADS,
         CMD_MEMORY,
     };
@@ -455,6 +450,8 @@ int cmd_render_run(int argc, char **argv)
         return cmd_misuse(&usage, "--scene and --out are needed");
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
+    rq.rules.inputs[0] = rq.scene;
+    rq.rules.inputs[1] = rq.cameras;
     code = cmd_finish(usage.name, render(&rq, &st));
     video_close(&st.video);
     outdir_close(&st.out);

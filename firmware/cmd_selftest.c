@@ -30,8 +30,7 @@ static void print_findings(const struct selftest *t, FILE *f)
 static void write_report(const struct request *q, const struct selftest *t, FILE *f)
 {
     struct report r;
-    report_init(&r, f);
-    report_open(&r, NULL, '{');
+    report_begin(&r, f);
     report_text(&r, "camera", q->camera);
     report_text(&r, "unit", t->info.unit);
     report_text(&r, "format", take_format(t->info.format));

@@ -13,6 +13,7 @@
 struct request {
     const char *out, *views, *kind, *spread, *fov, *exposures, *curve, *samples;
     bool noise_free, free_hand;
+    struct outdir_rules rules;
     struct config cfg;
 };
 
@@ -136,7 +137,7 @@ static err_t simulate(const struct request *rq, const struct dataset_ask *a, str
     if (!e)
         e = engine_reserve(&st->engine, 0, keep, tmp, rq->cfg.max_memory_mb);
     if (!e)
-        e = outdir_open(rq->out, &st->out);
+        e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)
         e = outdir_reserve(&st->out, dataset_bytes(a));
     if (!e)
@@ -162,6 +163,7 @@ int cmd_simulate_run(int argc, char **argv)
     struct request rq = {0};
     const struct cmd_option options[] = {
         {"out", "DIR", "where the data set goes; a former one is replaced", NULL, &rq.out, NULL},
+        CMD_FORCE(rq.rules),
         CMD_KEY("seed", "N", "seed", "which world"),
         {"views", "N", "input views, 2..32; one is held out between two (9)", NULL, &rq.views,
          NULL},

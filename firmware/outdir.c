@@ -1,5 +1,8 @@
 #include "firmware/outdir.h"
 
+#include "core/base/log.h"
+#include "drivers/filelist.h"
+
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -58,35 +61,57 @@ static bool is_empty(const char *path)
     return d && n <= 2; // . and ..
 }
 
-static err_t check_replaceable(const char *path)
+/* Inputs that lie in `real`, an absolute path. */
+static err_t check_inputs(const char *path, const char *real, const struct outdir_rules *rules)
+{
+    size_t n = strlen(real);
+    for (int i = 0; rules && i < OUTDIR_INPUTS; i++) {
+        char *in = rules->inputs[i] ? realpath(rules->inputs[i], NULL) : NULL;
+        bool inside = in && strncmp(in, real, n) == 0 && (in[n] == 0 || in[n] == '/');
+        free(in);
+        if (inside)
+            return err_fail(ERR_ARG,
+                            "%s would be replaced, and %s is read from it: give the result a "
+                            "folder of its own",
+                            path, rules->inputs[i]);
+    }
+    return OK;
+}
+
+static err_t check_replaceable(const char *path, bool force)
 {
     struct stat st;
-    char report[FILE_PATH_CAP];
     if (lstat(path, &st) != 0)
         return errno == ENOENT ? OK : err_fail(ERR_IO, "%s: %s", path, strerror(errno));
     if (!S_ISDIR(st.st_mode))
         return err_fail(ERR_ARG, "%s: exists and is not a folder", path);
-    err_t e = file_join(path, OUTDIR_REPORT, report);
-    if (e || file_is_regular(report) || is_empty(path))
-        return e;
-    return err_fail(ERR_ARG, "%s: exists and is no former result (no %s in it): not replaced", path,
-                    OUTDIR_REPORT);
+    return is_empty(path) ? OK : filelist_check(path, !force);
+}
+
+static err_t check_place(const char *path, const struct outdir_rules *rules)
+{
+    char *real = realpath(path, NULL); // NULL: nothing is there
+    err_t e = real ? check_inputs(path, real, rules) : OK;
+    free(real);
+    return e ? e : check_replaceable(path, rules && rules->force);
 }
 
 /* ---- the folder ---- */
 
-err_t outdir_open(const char *path, struct outdir *o)
+err_t outdir_open(const char *path, const struct outdir_rules *rules, struct outdir *o)
 {
     memset(o, 0, sizeof *o);
     err_t e = normalize(path, o->path);
     if (!e)
-        e = check_replaceable(o->path);
+        e = check_place(o->path, rules);
     if (!e)
         e = make_parents(o->path);
     if (!e)
         e = partial_open(o->path, &o->partial);
     if (e)
         memset(o, 0, sizeof *o);
+    else
+        o->force = rules && rules->force;
     return e;
 }
 
@@ -153,8 +178,7 @@ err_t outdir_report_open(const struct outdir *o, struct report *rep)
         e = file_create(path, &f);
     if (e)
         return e;
-    report_init(rep, f);
-    report_open(rep, NULL, '{');
+    report_begin(rep, f);
     return OK;
 }
 
@@ -180,20 +204,33 @@ static err_t sync_tree(const char *path)
     return e == -1 ? err_fail(ERR_IO, "%s: %s", path, strerror(errno)) : (err_t)e;
 }
 
-err_t outdir_commit(struct outdir *o)
+static int exchange(const struct outdir *o)
 {
-    char parent[FILE_PATH_CAP];
-    const char *dir = o->partial.dir;
-    err_t e = file_parent(o->path, parent);
-    if (!e)
-        e = sync_tree(dir);
-    if (!e)
-        e = check_replaceable(o->path); // it may have changed while we worked
-    if (e)
+    return renameat2(AT_FDCWD, o->partial.dir, AT_FDCWD, o->path, RENAME_EXCHANGE);
+}
+
+/* The former result has the name of the partial folder now. If it gained a file in the last moment,
+ * everything goes back. */
+static err_t remove_former(struct outdir *o)
+{
+    err_t e = filelist_check(o->partial.dir, false);
+    if (e && exchange(o) == 0)
         return e;
+    if (!e)
+        e = filelist_remove(o->partial.dir);
+    if (e) {
+        log_warn("%s: what is left of the former result stays there: %s", o->partial.dir,
+                 err_text());
+        o->partial.dir[0] = 0;
+    }
+    return OK;
+}
+
+static err_t show(struct outdir *o)
+{
+    const char *dir = o->partial.dir;
     bool replace = file_is_dir(o->path) && !is_empty(o->path);
-    int failed = replace ? renameat2(AT_FDCWD, dir, AT_FDCWD, o->path, RENAME_EXCHANGE)
-                         : rename(dir, o->path);
+    int failed = replace ? exchange(o) : rename(dir, o->path);
     if (failed && errno == EINVAL && replace)
         return err_fail(
             ERR_IO, "%s: this file system cannot exchange folders; remove the former result first",
@@ -201,7 +238,28 @@ err_t outdir_commit(struct outdir *o)
     if (failed)
         return err_fail(file_code(errno), "%s: cannot make the result visible: %s", o->path,
                         strerror(errno));
-    partial_close(&o->partial); // holds the former result now, or nothing
+    if (!replace)
+        o->partial.dir[0] = 0;
+    return replace ? remove_former(o) : OK;
+}
+
+err_t outdir_commit(struct outdir *o)
+{
+    char parent[FILE_PATH_CAP];
+    err_t e = file_parent(o->path, parent);
+    if (!e)
+        e = filelist_write(o->partial.dir);
+    if (!e)
+        e = sync_tree(o->partial.dir);
+    if (!e)
+        e = check_replaceable(o->path, o->force); // it may have changed while we worked
+    if (!e)
+        e = partial_unmark(&o->partial);
+    if (!e)
+        e = show(o);
+    if (e)
+        return e;
+    partial_close(&o->partial);
     return file_sync(parent);
 }
 

@@ -278,8 +278,7 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
 void publish_report(const struct job_result *j, int threads, FILE *f)
 {
     struct report rep;
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, f);
     tell(j, threads, &rep);
     report_close(&rep);
 }

@@ -1,6 +1,7 @@
 #include "firmware/report.h"
 
 #include "drivers/json.h"
+#include "drivers/origin.h"
 
 #include <assert.h>
 #include <math.h>
@@ -8,6 +9,13 @@
 void report_init(struct report *r, FILE *f)
 {
     *r = (struct report){.f = f, .empty = true};
+}
+
+void report_begin(struct report *r, FILE *f)
+{
+    report_init(r, f);
+    report_open(r, NULL, '{');
+    report_text(r, "generator", ORIGIN_GENERATOR);
 }
 
 static void line(struct report *r)

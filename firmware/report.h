@@ -18,6 +18,10 @@ struct report {
 
 void report_init(struct report *r, FILE *f);
 
+/* The outermost object of a file, with the member that says whose it is (origin.h). report_close
+ * ends it. */
+void report_begin(struct report *r, FILE *f);
+
 /* Begin an object '{' or an array '['. key: NULL inside an array and for the outermost bracket; the
  * same below. */
 void report_open(struct report *r, const char *key, char bracket);

@@ -6,6 +6,7 @@
 #include "core/base/log.h"
 #include "core/splat/display.h"
 #include "drivers/glb.h"
+#include "drivers/origin.h"
 #include "drivers/partial.h"
 #include "drivers/ply.h"
 #include "drivers/scenefile.h"
@@ -147,6 +148,8 @@ err_t sceneio_check_place(const char *path, bool *readable)
     err_t e = kind_of(path, &kind);
     if (!e && file_is_dir(path))
         e = err_fail(ERR_ARG, "%s: a folder", path);
+    if (!e)
+        e = origin_check_place(path);
     if (!e && has_sidecar(kind))
         e = sidecar_check_place(path);
     *readable = !e && kind != HTML;

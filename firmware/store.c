@@ -36,7 +36,7 @@ struct store {
     struct store_config cfg;
     int fd; // of the folder, locked
     char boot[MANIFEST_BOOT_CAP];
-    uint64_t next;
+    uint64_t next, kept;      // kept: the newest take that was found not to be removable
     struct manifest manifest; // of the take that is written or checked
 };
 
@@ -56,6 +56,36 @@ static uint64_t number_of(const char *name, bool *is_aborted)
     char again[16];
     snprintf(again, sizeof again, "%06" PRIu64, v);
     return strcmp(again, name) == 0 ? v : 0;
+}
+
+bool store_is_id(const char *name)
+{
+    bool is_aborted;
+    return strlen(name) < STORE_ID_CAP && number_of(name, &is_aborted) != 0;
+}
+
+/* Whether a take may have a file or folder of that name: everything else is somebody else's. Digits
+ * stand for those of camera and exposure. */
+static bool is_take_name(const char *name)
+{
+    static const char *const names[] = {MANIFEST_FILE,
+                                        "exposure.json",
+                                        "raw",
+                                        "images",
+                                        "merged",
+                                        "raw/00_00.bin",
+                                        "raw/00_00.jpg",
+                                        "merged/00.exr",
+                                        "images/train_00_00.png",
+                                        "images/train_00_00.jpg"};
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+        const char *a = names[i], *b = name;
+        for (; *a && (*a == *b || (*a == '0' && *b >= '0' && *b <= '9')); a++, b++)
+            ;
+        if (!*a && !*b)
+            return true;
+    }
+    return false;
 }
 
 /* One of the takes of a folder. */
@@ -256,6 +286,13 @@ static err_t read_boot(struct store *s)
     return e;
 }
 
+static bool is_tmp_name(const char *name)
+{
+    const size_t n = sizeof tmp_prefix - 1;
+    return strncmp(name, tmp_prefix, n) == 0 &&
+           (strcmp(name + n, counter_name) == 0 || store_is_id(name + n));
+}
+
 /* What a crash left. Not before the disk, too, knows it by these names: what it calls a take must
  * stay whole. */
 static void clean(struct store *s)
@@ -267,9 +304,8 @@ static void clean(struct store *s)
     }
     DIR *d = opendir(s->path);
     for (struct dirent *entry; d && (entry = readdir(d));)
-        if (strncmp(entry->d_name, tmp_prefix, sizeof tmp_prefix - 1) == 0 &&
-            file_join(s->path, entry->d_name, path) == OK)
-            store_fs_remove(s->fs, path);
+        if (is_tmp_name(entry->d_name) && file_join(s->path, entry->d_name, path) == OK)
+            store_fs_remove(s->fs, path, is_take_name);
     if (d)
         closedir(d);
 }
@@ -389,15 +425,18 @@ err_t store_room(const struct store *s, uint64_t bytes)
 
 /* ---- keeping the newest ---- */
 
-/* The oldest of its kind, and how many there are. */
-static int oldest(const struct store *s, bool is_aborted, struct entry *out)
+/* The oldest of its kind that is newer than `than` (number 0: of all), and how many of them there
+ * are. */
+static int oldest(const struct store *s, bool is_aborted, const struct entry *than,
+                  struct entry *out)
 {
     struct entry x;
     int n = 0;
     DIR *d = opendir(s->path);
     *out = (struct entry){0};
     while (d && next_entry(d, &x))
-        if (x.is_aborted == is_aborted && (n++ == 0 || comes_before(out, &x)))
+        if (x.is_aborted == is_aborted && (!than->number || comes_before(&x, than)) &&
+            (n++ == 0 || comes_before(out, &x)))
             *out = x;
     if (d)
         closedir(d);
@@ -416,16 +455,40 @@ static err_t remove_take(struct store *s, const char *id)
     if (!e)
         e = store_fs_sync_dir(s->fs, s->path);
     if (!e)
-        store_fs_remove(s->fs, tmp);
+        store_fs_remove(s->fs, tmp, is_take_name);
     return e;
 }
 
+/* Whether it is a take of ours, and nothing else is in it. */
+static err_t check_removable(struct store *s, const char *id)
+{
+    static const char *const folders[] = {"", "images", "raw", "merged"};
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(s->path, id, path);
+    if (!e)
+        e = read_manifest(s->fs, path, &s->manifest);
+    if (!e && strcmp(s->manifest.id, id) != 0)
+        e = err_fail(ERR_FORMAT, "%s: its manifest is that of %s", path, s->manifest.id);
+    for (int i = 0; i < 4 && !e; i++)
+        e = check_listed(&s->manifest, path, folders[i]);
+    return e;
+}
+
+/* A take to which somebody added something is not removed, which is said when it is first met. */
 static void keep_newest(struct store *s, bool is_aborted)
 {
-    struct entry x;
+    struct entry x, than = {0};
     err_t e = OK;
-    while (s->cfg.keep > 0 && !e && oldest(s, is_aborted, &x) > s->cfg.keep)
-        e = remove_take(s, x.id);
+    int surplus = s->cfg.keep > 0 ? oldest(s, is_aborted, &than, &x) - s->cfg.keep : 0;
+    for (; surplus > 0 && !e; surplus--, than = x) {
+        oldest(s, is_aborted, &than, &x);
+        if (check_removable(s, x.id) == OK)
+            e = remove_take(s, x.id);
+        else if (x.number > s->kept) {
+            log_warn("%s; this take stays beyond store.keep", err_text());
+            s->kept = x.number;
+        }
+    }
     if (e)
         log_warn("%s", err_text());
 }
@@ -643,7 +706,7 @@ static void take_back(const struct commit *c)
     if (!e && c->shown)
         e = store_fs_sync_dir(fs, c->s->path);
     if (!e)
-        store_fs_remove(fs, c->tmp);
+        store_fs_remove(fs, c->tmp, is_take_name);
     else
         log_warn("%s", err_text());
 }

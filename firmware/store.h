@@ -11,7 +11,8 @@
  *   STORE/damaged-.../              takes that store_open found to differ from their manifest
  *
  * Written as .tmp-..., every file synced, then renamed with RENAME_NOREPLACE and the parent synced.
- * Removed the other way round. Numbers rise and are never used again, whatever happens to takes.
+ * Removed the other way round: only what a take consists of, and only a take to which nobody added
+ * anything. Numbers rise and are never used again, whatever happens to takes.
  * thread: one; store_room and store_list from another one too. */
 #ifndef FIRMWARE_STORE_H
 #define FIRMWARE_STORE_H
@@ -57,6 +58,9 @@ MUST_USE err_t store_commit(struct store *s, const struct take *t, char id[STORE
 
 /* Names of takes, aborted ones too, newest first; returns their number, at most cap. */
 int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap);
+
+/* Whether a take may have that name. */
+bool store_is_id(const char *name);
 
 /* Compare a take with its manifest: every file, size and hash.
  * err:  ERR_FORMAT names the file: missing, different, not listed; ERR_IO (cannot be read),

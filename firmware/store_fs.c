@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { STREAM_BYTES = 1 << 18, READ_BYTES = 1 << 16, DEPTH_MAX = 8 };
+enum { STREAM_BYTES = 1 << 18, READ_BYTES = 1 << 16, DEPTH_MAX = 2 };
 
 static int system_open(const char *path, int flags, mode_t mode)
 {
@@ -217,9 +217,17 @@ err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to)
     return failed ? refused(to, "cannot be put there", errno) : OK;
 }
 
-static int remove_deep(const struct store_fs *fs, const char *path, int depth);
+/* What is removed of a folder, and how far that went. */
+struct removal {
+    const struct store_fs *fs;
+    const char *root;
+    bool (*own)(const char *name);
+    char stays[FILE_PATH_CAP]; // the first that is not ours, "" for none
+};
 
-static int remove_entries(const struct store_fs *fs, const char *path, int depth)
+static int remove_deep(struct removal *r, const char *name, int depth);
+
+static int remove_entries(struct removal *r, const char *path, const char *name, int depth)
 {
     char sub[FILE_PATH_CAP];
     DIR *d = opendir(path);
@@ -227,8 +235,8 @@ static int remove_entries(const struct store_fs *fs, const char *path, int depth
     for (struct dirent *entry; d && (entry = readdir(d));) {
         if (strcmp(entry->d_name, ".") == 0 || strcmp(entry->d_name, "..") == 0)
             continue;
-        int n = snprintf(sub, sizeof sub, "%s/%s", path, entry->d_name);
-        int bad = n < (int)sizeof sub ? remove_deep(fs, sub, depth) : ENAMETOOLONG;
+        int n = snprintf(sub, sizeof sub, "%s%s%s", name, *name ? "/" : "", entry->d_name);
+        int bad = n < (int)sizeof sub ? remove_deep(r, sub, depth) : ENAMETOOLONG;
         why = why ? why : bad;
     }
     if (d)
@@ -236,21 +244,34 @@ static int remove_entries(const struct store_fs *fs, const char *path, int depth
     return why;
 }
 
-/* errno of what could not be removed, or 0. */
-static int remove_deep(const struct store_fs *fs, const char *path, int depth)
+/* errno of what could not be removed, or 0. name: below the root, "" for itself. */
+static int remove_deep(struct removal *r, const char *name, int depth)
 {
+    char path[FILE_PATH_CAP];
     struct stat st;
+    int n = snprintf(path, sizeof path, "%s%s%s", r->root, *name ? "/" : "", name);
+    if (n >= (int)sizeof path)
+        return ENAMETOOLONG;
     if (lstat(path, &st) != 0)
         return errno == ENOENT ? 0 : errno;
-    if (!S_ISDIR(st.st_mode))
-        return fs->unlink(path) == 0 ? 0 : errno;
-    int why = depth < DEPTH_MAX ? remove_entries(fs, path, depth + 1) : ELOOP;
-    return why ? why : fs->rmdir(path) == 0 ? 0 : errno;
+    bool folder = S_ISDIR(st.st_mode);
+    if ((!folder && !S_ISREG(st.st_mode)) || (*name && !r->own(name)) || depth > DEPTH_MAX) {
+        if (!r->stays[0])
+            memcpy(r->stays, path, (size_t)n + 1);
+        return 0;
+    }
+    if (!folder)
+        return r->fs->unlink(path) == 0 ? 0 : errno;
+    int why = remove_entries(r, path, name, depth + 1);
+    return why || r->stays[0] ? why : r->fs->rmdir(path) == 0 ? 0 : errno;
 }
 
-void store_fs_remove(const struct store_fs *fs, const char *path)
+void store_fs_remove(const struct store_fs *fs, const char *path, bool (*own)(const char *name))
 {
-    int why = remove_deep(fs, path, 0);
+    struct removal r = {.fs = fs, .root = path, .own = own};
+    int why = remove_deep(&r, "", 0);
     if (why)
         log_warn("%s: cannot be removed: %s", path, strerror(why));
+    else if (r.stays[0])
+        log_warn("%s: was not written by hdrig and stays", r.stays);
 }

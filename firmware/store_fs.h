@@ -8,6 +8,7 @@
 #include "core/base/err.h"
 #include "core/base/sha256.h"
 
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <sys/statvfs.h>
@@ -75,8 +76,9 @@ MUST_USE err_t store_fs_mkdir(const struct store_fs *fs, const char *path);
  * err:  ERR_IO (also: the name is taken), ERR_LIMIT. */
 MUST_USE err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to);
 
-/* Remove a file or a folder with all in it. What cannot be removed stays, with a line in the log:
- * the next store_open comes back to it. */
-void store_fs_remove(const struct store_fs *fs, const char *path);
+/* Remove a file, or a folder with those of its files and folders whose names, relative to it, are
+ * `own`. What is somebody else's or cannot be removed stays, with a line in the log: the next
+ * store_open comes back to it. */
+void store_fs_remove(const struct store_fs *fs, const char *path, bool (*own)(const char *name));
 
 #endif

@@ -4,6 +4,8 @@
 
 #include "firmware/engine.h"
 
+#include "drivers/origin.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
@@ -181,7 +183,8 @@ static err_t start(struct video *v, double fps)
                     "-vf", "scale=out_color_matrix=bt709:out_range=tv", "-pix_fmt", "yuv420p",
                     "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709",
                     "-c:v", (char *)v->format->encoder, (char *)v->format->option,
-                    (char *)v->format->value, "-movflags", "+faststart", "-f", "mp4", out, NULL};
+                    (char *)v->format->value, "-metadata", "comment=" ORIGIN_COMMENT, "-movflags",
+                    "+faststart", "-f", "mp4", out, NULL};
     if (pipe2(ends, O_CLOEXEC) != 0)
         return err_fail(ERR_IO, "video: %s", strerror(errno));
     v->pipe = ends[1];
@@ -205,6 +208,8 @@ err_t video_open(const char *path, int w, int h, double fps, struct video *v)
         e = find_format(v);
     if (!e && file_is_dir(path))
         e = err_fail(ERR_ARG, "%s: is a folder", path);
+    if (!e)
+        e = origin_check_place(path);
     if (!e)
         e = partial_open(path, &v->partial);
     if (!e)

@@ -25,7 +25,7 @@ static err_t publish(int n)
 {
     struct outdir out;
     job.result.scene.g.n = n;
-    err_t e = outdir_open(tmpdir_path("out"), &out);
+    err_t e = outdir_open(tmpdir_path("out"), NULL, &out);
     if (!e)
         e = publish_run(&job.run, &job.result, &out);
     outdir_close(&out);

@@ -169,8 +169,7 @@ static void report_has_every_member(void **state)
         job.result.seconds[i] = 1;
     job_warn(&job.result, "one \"warning\"");
     FILE *f = open_memstream(&text, &size);
-    report_init(&rep, f);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, f);
     job_report(&job.result, 3, &rep);
     report_close(&rep);
     fclose(f);

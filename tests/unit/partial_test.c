@@ -1,4 +1,5 @@
 /* Files that appear when they are complete, and what processes that died left of theirs. */
+#include "drivers/origin.h"
 #include "drivers/partial.h"
 #include "tests/unit/tmpdir.h"
 
@@ -53,15 +54,17 @@ static void assert_holds(const char *name, const char *text)
     assert_string_equal(got, text);
 }
 
+static const char former[] = "{\n  \"generator\": \"" ORIGIN_GENERATOR "\"}\n";
+
 static void appears_when_shown(void **state)
 {
     (void)state;
-    const char *a = tmpdir_text("a.x", "former"), *b = tmpdir_path("b.x");
+    const char *a = tmpdir_text("a.x", former), *b = tmpdir_path("b.x");
     assert_int_equal(partial_open(a, &p), OK);
     put(a, "new");
     put(b, "beside");
     put(tmpdir_path("c.x"), "never");
-    assert_holds("a.x", "former");
+    assert_holds("a.x", "{\n");
     assert_false(file_exists(b));
     assert_int_equal(partial_show(&p, b), OK);
     assert_int_equal(partial_show(&p, a), OK);
@@ -70,6 +73,22 @@ static void appears_when_shown(void **state)
     assert_holds("a.x", "new");
     assert_holds("b.x", "beside");
     assert_int_equal(entries(), 2);
+    partial_close(&p);
+}
+
+/* What was not written by us stays, also if it came while we wrote. */
+static void keeps_somebody_elses_file(void **state)
+{
+    (void)state;
+    const char *a = tmpdir_path("a.json");
+    assert_int_equal(partial_open(a, &p), OK);
+    put(a, former);
+    tmpdir_text("a.json", "{\"generator\": \"somebody\"}");
+    assert_int_equal(partial_show(&p, a), ERR_ARG);
+    assert_non_null(strstr(err_text(), "a.json: is there already"));
+    assert_holds("a.json", "{\"generator\": \"somebody\"}");
+    tmpdir_text("a.json", ""); // of mktemp
+    assert_int_equal(partial_show(&p, a), OK);
     partial_close(&p);
 }
 
@@ -169,6 +188,10 @@ static void removes_only_what_the_dead_left(void **state)
     pid_t child = child_of(path);
     tmpdir_mkdir(".tmp-a-999999999"); // nobody holds it
     tmpdir_text(".tmp-a-999999999/x", "");
+    tmpdir_text(".tmp-a-999999999/" PARTIAL_MARK, "");
+    tmpdir_mkdir(".tmp-a-999999998"); // died before its mark
+    tmpdir_mkdir(".tmp-a-1999");      // somebody's
+    tmpdir_text(".tmp-a-1999/diary", "");
     for (size_t i = 0; i < sizeof kept / sizeof kept[0]; i++)
         tmpdir_mkdir(kept[i]);
     tmpdir_text(".tmp-a-1", "a file");
@@ -181,10 +204,11 @@ static void removes_only_what_the_dead_left(void **state)
     kill(child, SIGKILL);
     waitpid(child, NULL, 0);
     assert_int_equal(e, OK);
-    assert_int_equal(alive, 4 + 3 + 2); // these, the child's and ours
+    assert_int_equal(alive, 5 + 3 + 2); // these, the child's and ours
     assert_int_equal(partial_open(path, &p), OK);
     partial_close(&p);
-    assert_int_equal(entries(), 4 + 3);
+    assert_int_equal(entries(), 5 + 3);
+    assert_true(file_is_regular(tmpdir_path(".tmp-a-1999/diary")));
     assert_true(file_is_regular(tmpdir_path("precious/x")));
 }
 
@@ -193,8 +217,13 @@ static void removes_only_what_the_dead_left(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(appears_when_shown), TEST(in_this_folder), TEST(folders_of_paths),
-        TEST(bad_names),          TEST(longest_name),   TEST(removes_only_what_the_dead_left),
+        TEST(appears_when_shown),
+        TEST(keeps_somebody_elses_file),
+        TEST(in_this_folder),
+        TEST(folders_of_paths),
+        TEST(bad_names),
+        TEST(longest_name),
+        TEST(removes_only_what_the_dead_left),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

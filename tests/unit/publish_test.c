@@ -28,7 +28,7 @@ static int setup(void **state)
     (void)state;
     tmpdir_make();
     small_job_init(&job, SPLATS);
-    return outdir_open(tmpdir_path("out"), &out) == OK ? 0 : -1;
+    return outdir_open(tmpdir_path("out"), NULL, &out) == OK ? 0 : -1;
 }
 
 static int teardown(void **state)

@@ -276,8 +276,7 @@ static struct cJSON *report(void)
     char *text;
     size_t n;
     FILE *file = open_memstream(&text, &n);
-    report_init(&rep, file);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, file);
     figures_report(&job.result, &rep);
     report_close(&rep);
     fclose(file);
@@ -418,8 +417,7 @@ static void names_cannot_end_the_data(void **state)
     const char *json = tmpdir_path("report.json");
     FILE *file = fopen(json, "w");
     struct report rep;
-    report_init(&rep, file);
-    report_open(&rep, NULL, '{');
+    report_begin(&rep, file);
     report_text(&rep, "name", name);
     report_close(&rep);
     fclose(file);

@@ -396,19 +396,45 @@ static void keeps_the_newest(void **state)
     store_close(s);
 }
 
+/* A take that holds something of the user's, and a folder that only has the name of a take. */
+static void keeps_what_was_added(void **state)
+{
+    (void)state;
+    char id[4][STORE_ID_CAP];
+    struct store *s = open_keep(1);
+    commit(s, small_take(1, 1, CAMERA_GREY16), id[0]);
+    put_text(in(id[0], "images/notes.txt"), "the user's");
+    assert_int_equal(mkdir(in("00000000-000000001", ""), 0777), 0);
+    assert_int_equal(mkdir(in("abcdef01-000001", ""), 0777), 0);
+    put_text(in("abcdef01-000001", "manifest.json"), "{}");
+    for (int i = 1; i < 4; i++)
+        commit(s, small_take(1, 1, CAMERA_GREY16), id[i]);
+    assert_true(file_is_regular(in(id[0], "images/notes.txt")));
+    assert_true(file_is_regular(in(id[0], "manifest.json")));
+    assert_true(file_is_regular(in("abcdef01-000001", "manifest.json")));
+    assert_false(file_exists(in(id[1], "")));
+    assert_false(file_exists(in(id[2], "")));
+    store_close(s);
+}
+
 /* ---- opening ---- */
 
 static void cleans_up(void **state)
 {
     (void)state;
+    static const char dead[] = ".tmp-0123abcd-000007", mixed[] = ".tmp-aborted-0123abcd-000008";
     char id[2][STORE_ID_CAP], ids[8][STORE_ID_CAP], aside[64];
     struct store *s = open_keep(0);
     for (int i = 0; i < 2; i++)
         commit(s, small_take(1, 1, CAMERA_GREY16), id[i]);
     store_close(s);
-    assert_int_equal(mkdir(in(".tmp-x", ""), 0777), 0);
-    assert_int_equal(mkdir(in(".tmp-x", "raw"), 0777), 0);
-    put_text(in(".tmp-x", "raw/a"), "half");
+    assert_int_equal(mkdir(in(dead, ""), 0777), 0);
+    assert_int_equal(mkdir(in(dead, "raw"), 0777), 0);
+    put_text(in(dead, "raw/00_03.bin"), "half");
+    assert_int_equal(mkdir(in(mixed, ""), 0777), 0);
+    put_text(in(mixed, "manifest.json"), "half");
+    put_text(in(mixed, "diary"), "the user's");
+    put_text(in(".tmp-diary", ""), "the user's");
     put_text(in(".tmp-counter", ""), "7");
     assert_int_equal(symlink("/etc", in(".tmp-link", "")), 0);
     put_text(in("notes.txt", ""), "the user's");
@@ -418,7 +444,11 @@ static void cleans_up(void **state)
     assert_string_equal(ids[0], id[0]);
     snprintf(aside, sizeof aside, "damaged-%s", id[1]);
     assert_true(file_is_dir(in(aside, "")));
-    assert_int_equal(entries(folder), 4); // with counter and notes.txt
+    assert_false(file_exists(in(dead, "")));
+    assert_false(file_exists(in(mixed, "manifest.json")));
+    assert_true(file_is_regular(in(mixed, "diary")));
+    assert_true(file_is_regular(in(".tmp-diary", "")));
+    assert_int_equal(entries(folder), 7); // with counter, notes.txt and .tmp-link
     assert_true(file_is_dir("/etc"));
     store_close(s);
 }
@@ -709,6 +739,7 @@ int main(void)
                                        EACH(numbers_rise),
                                        EACH(lists_only_takes),
                                        EACH(keeps_the_newest),
+                                       EACH(keeps_what_was_added),
                                        EACH(cleans_up),
                                        EACH(refuses_to_open),
                                        EACH(relative_paths),

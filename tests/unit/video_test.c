@@ -1,4 +1,5 @@
 /* ffmpeg is played by shell scripts; the last test takes the real one where it is installed. */
+#include "drivers/origin.h"
 #include "firmware/engine.h"
 #include "firmware/video.h"
 #include "tests/unit/tmpdir.h"
@@ -131,10 +132,12 @@ static void takes_what_there_is(void **state)
     assert_int_equal(film(2, 2, 1), OK);
     assert_string_equal(v.format->encoder, "libopenh264");
     video_close(&v);
+    assert_int_equal(remove(tmpdir_path("films/a.mp4")), 0);
     play(" V....D libx264rgb   RGB\n V.S... mpeg4    MPEG-4\n", "cat >\"$out\"");
     assert_int_equal(film(2, 2, 1), OK);
     assert_string_equal(v.format->encoder, "mpeg4");
     video_close(&v);
+    assert_int_equal(remove(tmpdir_path("films/a.mp4")), 0);
     play(" V....D libx264rgb   RGB\n", "cat >\"$out\"");
     assert_int_equal(film(2, 2, 1), ERR_UNSUPPORTED);
     assert_says("libx264");
@@ -201,8 +204,10 @@ static void bad_paths(void **state)
 static void former_film_stays(void **state)
 {
     (void)state;
-    char text[8] = "";
-    tmpdir_text("films/a.mp4", "former");
+    static const char former[] = "size"
+                                 "ftyp" ORIGIN_COMMENT;
+    char text[64] = "";
+    tmpdir_text("films/a.mp4", former);
     play(x264, "head -c 20000 >\"$out\"; exit 3");
     assert_int_equal(film(SIDE_MAX, SIDE_MAX, 40), ERR_IO);
     video_close(&v);
@@ -210,7 +215,20 @@ static void former_film_stays(void **state)
     assert_non_null(f);
     assert_non_null(fgets(text, sizeof text, f));
     fclose(f);
-    assert_string_equal(text, "former");
+    assert_string_equal(text, former);
+    assert_int_equal(files(), 1);
+}
+
+/* Somebody else's film is refused before a picture is drawn. */
+static void keeps_somebody_elses_film(void **state)
+{
+    (void)state;
+    tmpdir_text("films/a.mp4", "size"
+                               "ftyp"
+                               "isom, a wedding");
+    play(x264, "cat >\"$out\"");
+    assert_int_equal(film(2, 2, 0), ERR_ARG);
+    assert_says("films/a.mp4: is there already");
     assert_int_equal(files(), 1);
 }
 
@@ -305,6 +323,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(ffmpeg_fails, setup, teardown),
         cmocka_unit_test_setup_teardown(bad_paths, setup, teardown),
         cmocka_unit_test_setup_teardown(former_film_stays, setup, teardown),
+        cmocka_unit_test_setup_teardown(keeps_somebody_elses_film, setup, teardown),
         cmocka_unit_test_setup_teardown(cancelled, setup, teardown),
         cmocka_unit_test_setup_teardown(cancelled_before, setup, teardown),
         cmocka_unit_test_setup_teardown(colours_come_back, setup, teardown),
