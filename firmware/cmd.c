@@ -51,6 +51,25 @@ int cmd_finish(const char *name, err_t e)
     return e == ERR_LIMIT || e == ERR_NOMEM ? CMD_REFUSED : CMD_FAILURE;
 }
 
+const char *cmd_count_warnings(const struct job_result *j, char text[CMD_COUNT_CAP])
+{
+    *text = 0;
+    if (j->n_warnings > 0)
+        snprintf(text, CMD_COUNT_CAP, ", %d warning%s", j->n_warnings,
+                 j->n_warnings == 1 ? "" : "s");
+    return text;
+}
+
+int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool strict)
+{
+    for (int i = 0; i < j->n_warnings; i++)
+        fprintf(stderr, "hdrig %s: " CMD_WARNING "%s\n", name, j->warnings[i]);
+    if (!e && strict && j->n_warnings > 0)
+        e = err_fail(ERR_ARG, "%d warning%s, and --strict was given; the result is there",
+                     j->n_warnings, j->n_warnings == 1 ? "" : "s");
+    return cmd_finish(name, e);
+}
+
 static void fill_table(const struct cmd_usage *u, struct option *table)
 {
     for (int i = 0; i < u->n_options; i++) {
@@ -130,7 +149,7 @@ static err_t check_json(const struct cmd_usage *u)
 {
     for (int i = 0; i < u->n_options; i++) {
         const struct cmd_option *o = &u->options[i];
-        const char *path = strcmp(o->name, "json") == 0 ? *o->text : NULL;
+        const char *path = o->text && strcmp(o->name, "json") == 0 ? *o->text : NULL;
         if (path && strcmp(path, "-") != 0 && !file_is_special(path))
             return origin_check_place(path);
     }

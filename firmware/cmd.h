@@ -16,7 +16,7 @@
 
 enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUPTED = 130 };
 
-enum { CMD_TEXTS_MAX = 16 };
+enum { CMD_TEXTS_MAX = 16, CMD_COUNT_CAP = 32 };
 
 /* One option of a command line. Exactly one of key, text and flag says where it goes. */
 struct cmd_option {
@@ -39,6 +39,10 @@ struct cmd_option {
     {                                                                                              \
         "force", NULL, "replace a former result whose files were changed since, too", NULL, NULL,  \
             &(rules).force                                                                         \
+    }
+#define CMD_STRICT(to)                                                                             \
+    {                                                                                              \
+        "strict", NULL, "exit with 1 if there are warnings", NULL, NULL, &(to)                     \
     }
 #define CMD_SIZE CMD_KEY("size", "N", "size", "working size, px, a multiple of 14")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
@@ -65,6 +69,14 @@ int cmd_misuse(const struct cmd_usage *u, const char *reason);
 
 /* Exit code of e; its sentence is printed if it is an error. */
 int cmd_finish(const char *name, err_t e);
+
+/* The same at the end of a job, after its warnings, each in a line that begins with "hdrig NAME: "
+ * and CMD_WARNING. strict: they are failures. */
+#define CMD_WARNING "warning: "
+int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool strict);
+
+/* ", N warnings" for a summary line; "" without. */
+const char *cmd_count_warnings(const struct job_result *j, char text[CMD_COUNT_CAP]);
 
 /* Number in min..max of option `name`.
  * err:  ERR_ARG. */

@@ -18,6 +18,7 @@ struct request {
     struct cmd_model model;
     const char *scene, *views, *exposures, *out, *json;
     struct outdir_rules rules;
+    bool strict;
     struct config cfg;
 };
 
@@ -95,11 +96,12 @@ static void print_score(const char *what, const struct evaluate_score *s)
 static void print_table(const struct state *st)
 {
     const struct evaluate_result *fig = &st->figures;
+    char count[CMD_COUNT_CAP];
     printf("%d input views, %d Gaussians of SH degree %d", st->job.scene.n_views, st->job.scene.g.n,
            st->job.scene.g.degree);
     if (!st->job.measured_only)
         printf(", %d steps", st->job.refine.steps);
-    printf(", %.1f s\n\n", st->job.lap_s - st->job.start_s);
+    printf(", %.1f s%s\n\n", st->job.lap_s - st->job.start_s, cmd_count_warnings(&st->job, count));
     printf("%-18s %9s %9s %7s\n", "", "PSNR dB", "SSIM", "images");
     print_score("LDR", &fig->ldr);
     for (int i = 0; i < fig->n_exposures; i++) {
@@ -431,6 +433,7 @@ int cmd_eval_run(int argc, char **argv)
         {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
         {"out", "DIR", "keep the rendered test views there", NULL, &rq.out, NULL},
         CMD_FORCE(rq.rules),
+        CMD_STRICT(rq.strict),
         CMD_REFINE,
         CMD_DEGREE,
         CMD_GAUSSIANS,
@@ -459,7 +462,7 @@ int cmd_eval_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
     memcpy(rq.rules.inputs, inputs, sizeof inputs);
-    code = cmd_finish(usage.name, evaluate(&st, &rq));
+    code = cmd_finish_job(usage.name, evaluate(&st, &rq), &st.job, rq.strict);
     cmd_json_discard(&st.json);
     outdir_close(&st.out);
     imageset_free(&st.train);

@@ -19,7 +19,7 @@ struct request {
     struct cmd_model model;
     const char *out, *json, *dump, *dump_exposures;
     struct outdir_rules rules;
-    bool poses;
+    bool poses, strict;
     struct config cfg;
 };
 
@@ -37,6 +37,7 @@ struct state {
 static err_t print_result(const struct request *rq, struct state *st)
 {
     const struct job_result *j = &st->result;
+    char count[CMD_COUNT_CAP];
     if (st->json.f)
         publish_report(j, pool_size(st->engine.pool), st->json.f);
     if (st->json.f != stdout) {
@@ -44,7 +45,7 @@ static err_t print_result(const struct request *rq, struct state *st)
                j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr);
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
-        printf(", %.1f s\n", j->lap_s - j->start_s);
+        printf(", %.1f s%s\n", j->lap_s - j->start_s, cmd_count_warnings(j, count));
     }
     return cmd_json_close(&st->json);
 }
@@ -224,6 +225,7 @@ int cmd_reconstruct_run(int argc, char **argv)
          &rq.dump_exposures, NULL},
         {"json", "FILE", "the report once more, - for stdout", NULL, &rq.json, NULL},
         CMD_FORCE(rq.rules),
+        CMD_STRICT(rq.strict),
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},
         CMD_REFINE,
         CMD_DEGREE,
@@ -242,7 +244,7 @@ int cmd_reconstruct_run(int argc, char **argv)
         return code;
     if (misuse(&rq))
         return cmd_misuse(&usage, misuse(&rq));
-    code = cmd_finish(usage.name, reconstruct(&rq, &st));
+    code = cmd_finish_job(usage.name, reconstruct(&rq, &st), &st.result, rq.strict);
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was told
     cmd_json_discard(&st.json);

@@ -26,12 +26,17 @@ static void print_status(const struct cJSON *doc)
         printf("job      %s: %s\n", id ? id : "?", line ? line : "");
     }
     for (const struct cJSON *t = json_first(takes); t; t = json_next(t)) {
-        double frames = 0;
+        double frames = 0, warnings = 0;
         const char *id = json_string(json_member(t, "id"));
         const char *reason = json_string(json_member(t, "reason"));
-        if (json_number(json_member(t, "frames"), &frames))
-            printf("capture  %s: %.0f frames%s%s\n", id ? id : "?", frames,
-                   reason && *reason ? ", " : "", reason ? reason : "");
+        if (!json_number(json_member(t, "frames"), &frames))
+            continue;
+        printf("capture  %s: %.0f frames%s%s", id ? id : "?", frames, reason && *reason ? ", " : "",
+               reason ? reason : "");
+        if (json_number(json_member(t, "warnings"), &warnings))
+            printf(warnings > 0 ? ", scene with %.0f warning%s" : ", scene", warnings,
+                   warnings == 1 ? "" : "s");
+        putchar('\n');
     }
 }
 

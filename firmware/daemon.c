@@ -142,7 +142,7 @@ static void write_job(const struct daemon *d, FILE *f)
             ", \"waiting\": %d, \"last\": \"%s\", \"last_id\": \"%s\", \"last_line\": ", j.waiting,
             ends[j.last], j.last_id);
     json_put_string(f, j.last_line);
-    fputs("}", f);
+    fprintf(f, ", \"last_warnings\": %d}", j.last_warnings);
 }
 
 static void write_counters(const struct counters *c, FILE *f)
@@ -155,15 +155,9 @@ static void write_counters(const struct counters *c, FILE *f)
             c->refused, c->lost_edges, c->clock_steps);
 }
 
-static bool has_result(const struct daemon *d, const char *id)
-{
-    char dir[FILE_PATH_CAP];
-    return file_join(d->set->results_path, id, dir) == OK && file_is_dir(dir);
-}
-
 static void write_status(void *ctx, FILE *f)
 {
-    const struct daemon *d = ctx;
+    struct daemon *d = ctx;
     struct bracket_progress p = {0};
     struct statvfs v;
     if (d->session)
@@ -186,7 +180,7 @@ static void write_status(void *ctx, FILE *f)
     for (int i = 0; i < d->n_recent; i++) {
         if (i)
             fputs(", ", f);
-        summary_write(&d->recent[i], has_result(d, d->recent[i].id), f);
+        summary_write(&d->recent[i], summary_warnings(d->set->results_path, &d->recent[i]), f);
     }
     fputs("]}", f);
 }

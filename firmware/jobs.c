@@ -1,7 +1,11 @@
 /* The child's messages come through a pipe, its end through a pidfd. */
 #include "firmware/jobs.h"
 
+#include "firmware/cmd.h"
+
+#include "core/base/log.h"
 #include "drivers/file.h"
+#include "drivers/origin.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -19,9 +23,9 @@
 
 extern char **environ;
 
-enum { NICE = 10, GRACE_MS = 5000, INTERRUPTED = 130, ARGS_MAX = 12 };
+enum { NICE = 10, GRACE_MS = 5000, INTERRUPTED = 130, ARGS_MAX = 12, JOBS_LINE = 512 };
 
-static const char suffix[] = ".pending";
+static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
 
 struct jobs {
     char program[FILE_PATH_CAP], captures[FILE_PATH_CAP], results[FILE_PATH_CAP];
@@ -31,7 +35,8 @@ struct jobs {
     pid_t pid;                          // 0: none runs
     int pidfd, pipe;
     bool cancelled;
-    char part[JOBS_TEXT]; // of a line
+    int warnings;         // of the running one
+    char part[JOBS_LINE]; // of a line
     size_t n_part;
     struct jobs_state state;
 };
@@ -41,6 +46,18 @@ static err_t pending_path(const struct jobs *j, const char *id, char path[FILE_P
     char name[STORE_ID_CAP + sizeof suffix];
     snprintf(name, sizeof name, "%s%s", id, suffix);
     return file_join(j->results, name, path);
+}
+
+/* A file of that name that somebody else put there is no job, and stays. */
+static bool is_pending(const struct jobs *j, const char *id)
+{
+    char path[FILE_PATH_CAP];
+    struct file_map m;
+    if (pending_path(j, id, path) != OK || file_map(path, sizeof pending, &m) != OK)
+        return false;
+    bool ours = m.n == sizeof pending - 1 && memcmp(m.p, pending, m.n) == 0;
+    file_unmap(&m);
+    return ours;
 }
 
 static int by_name(const void *a, const void *b)
@@ -55,10 +72,12 @@ static err_t find_pending(struct jobs *j)
         return err_fail(ERR_IO, "results.path %s: %s", j->results, strerror(errno));
     for (struct dirent *f; (f = readdir(d)) && j->n < JOBS_MAX;) {
         size_t n = strlen(f->d_name), tail = sizeof suffix - 1;
+        char id[STORE_ID_CAP];
         if (n <= tail || n - tail >= STORE_ID_CAP || strcmp(f->d_name + n - tail, suffix) != 0)
             continue;
-        memcpy(j->queue[j->n], f->d_name, n - tail);
-        j->queue[j->n++][n - tail] = 0;
+        snprintf(id, sizeof id, "%.*s", (int)(n - tail), f->d_name);
+        if (is_pending(j, id))
+            memcpy(j->queue[j->n++], id, sizeof id);
     }
     closedir(d);
     qsort(j->queue, (size_t)j->n, sizeof j->queue[0], by_name);
@@ -113,9 +132,11 @@ err_t jobs_add(struct jobs *j, const char *id)
     if (j->n == JOBS_MAX)
         return err_fail(ERR_LIMIT, "%s: %d reconstructions wait already", id, JOBS_MAX);
     err_t e = pending_path(j, id, path);
+    if (!e && file_exists(path) && !is_pending(j, id))
+        e = err_fail(ERR_ARG, "%s: is there already and was not written by hdrig", path);
     if (!e)
         e = file_create(path, &f);
-    if (!e)
+    if (!e && fputs(pending, f) >= 0) // file_finish asks whether it worked
         e = file_finish(f, path);
     if (e)
         return e;
@@ -134,11 +155,17 @@ static void say(struct jobs *j, const char *text)
 static void end(struct jobs *j, enum jobs_end how)
 {
     char path[FILE_PATH_CAP];
-    if (pending_path(j, j->queue[0], path) == OK)
+    if (is_pending(j, j->queue[0]) && pending_path(j, j->queue[0], path) == OK)
         unlink(path);
     j->state.last = how;
     snprintf(j->state.last_id, sizeof j->state.last_id, "%s", j->queue[0]);
     snprintf(j->state.last_line, sizeof j->state.last_line, "%s", j->state.line);
+    j->state.last_warnings = j->warnings;
+    if (how == JOBS_FAILED)
+        log_warn("%s: no scene: %s", j->queue[0], j->state.line);
+    else
+        log_info("%s: reconstruction %s, %d warning%s", j->queue[0],
+                 how == JOBS_DONE ? "done" : "cancelled", j->warnings, j->warnings == 1 ? "" : "s");
     j->n--;
     memmove(j->queue[0], j->queue[1], (size_t)j->n * sizeof j->queue[0]);
     j->cancelled = false;
@@ -214,6 +241,7 @@ static err_t start(struct jobs *j)
         return e;
     }
     j->n_part = 0;
+    j->warnings = 0;
     say(j, "");
     return OK;
 }
@@ -226,8 +254,13 @@ static void hear(struct jobs *j, char c)
         return;
     }
     j->part[j->n_part] = 0;
-    if (j->n_part)
+    const char *warning = strstr(j->part, ": " CMD_WARNING);
+    if (warning) {
+        log_warn("%s%s", j->queue[0], warning);
+        j->warnings++;
+    } else if (j->n_part) {
         say(j, j->part);
+    }
     j->n_part = 0;
 }
 

@@ -28,7 +28,8 @@ struct jobs_state {
     int waiting;           // behind it
     enum jobs_end last;    // how the one before ended
     char last_id[STORE_ID_CAP], last_line[JOBS_TEXT];
-    bool changed; // since the last look
+    int last_warnings; // that it gave; they are in the log
+    bool changed;      // since the last look
 };
 
 struct jobs;

@@ -7,6 +7,7 @@
 
 #include <math.h>
 #include <string.h>
+#include <sys/stat.h>
 
 static void copy(char *out, size_t cap, const char *text)
 {
@@ -62,12 +63,32 @@ err_t summary_read(const char *store, const char *id, struct summary *out)
     return OK;
 }
 
-void summary_write(const struct summary *s, bool result, FILE *out)
+int summary_warnings(const char *results, struct summary *s)
+{
+    char dir[FILE_PATH_CAP], path[FILE_PATH_CAP];
+    struct stat st;
+    struct cJSON *doc = NULL;
+    if (file_join(results, s->id, dir) != OK || file_join(dir, "report.json", path) != OK ||
+        stat(path, &st) != 0)
+        return -1;
+    int64_t ns = (int64_t)st.st_mtim.tv_sec * 1000000000 + st.st_mtim.tv_nsec;
+    if (ns == s->report_ns)
+        return s->warnings;
+    s->report_ns = ns;
+    s->warnings = json_read(path, &doc) == OK ? json_count(json_member(doc, "warnings")) : -1;
+    json_free(doc);
+    return s->warnings;
+}
+
+void summary_write(const struct summary *s, int warnings, FILE *out)
 {
     fputs("{\"id\": ", out);
     json_put_string(out, s->id);
     fprintf(out, ", \"complete\": %s, \"frames\": %d, \"cameras\": %d, \"result\": %s",
-            s->complete ? "true" : "false", s->frames, s->cameras, result ? "true" : "false");
+            s->complete ? "true" : "false", s->frames, s->cameras,
+            warnings >= 0 ? "true" : "false");
+    if (warnings >= 0)
+        fprintf(out, ", \"warnings\": %d", warnings);
     if (s->stops > 0)
         fprintf(out, ", \"stops\": %.1f", s->stops);
     if (s->clipped >= 0)

@@ -19,12 +19,18 @@ struct summary {
     char reason[TAKE_TEXT];
     int n_images;
     char image[SUMMARY_IMAGES][32]; // of the first camera: names in images/
+    int64_t report_ns;              // mtime of the report that was read last, and
+    int warnings;                   // those in it
 };
 
 /* err: ERR_IO, ERR_FORMAT */
 MUST_USE err_t summary_read(const char *store, const char *id, struct summary *out);
 
-/* As a JSON object; `result`: there is a scene. */
-void summary_write(const struct summary *s, bool result, FILE *out);
+/* Warnings in the report of the scene of that take, -1 if there is no scene. They are read when the
+ * report is another one than that of the last call, which *s remembers. */
+int summary_warnings(const char *results, struct summary *s);
+
+/* As a JSON object; warnings: as summary_warnings returned them. */
+void summary_write(const struct summary *s, int warnings, FILE *out);
 
 #endif

@@ -64,6 +64,11 @@ function captureCard(c) {
     link("scene", `/results/${c.id}/view.html`);
     link("report", `/results/${c.id}/report.html`);
     link("scene.ply", `/results/${c.id}/scene.ply`);
+    if (c.warnings) {
+      const n = element("a", `${c.warnings} warning${c.warnings === 1 ? "" : "s"}`, "warnings");
+      n.href = `/results/${c.id}/report.html`;
+      links.append(n);
+    }
   }
   card.append(links);
   for (const name of c.images || []) {

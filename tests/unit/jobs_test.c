@@ -113,6 +113,39 @@ static void failures_do_not_stop_the_queue(void **state)
     assert_non_null(strstr(s.last_line, "No such file"));
 }
 
+/* The warnings of a scene are counted, and are not its last line. */
+static void warnings_are_counted(void **state)
+{
+    (void)state;
+    open_with(
+        "#!/bin/sh\necho working >&2\ncase $5 in *two) "
+        "echo 'hdrig reconstruct: warning: a' >&2; echo 'hdrig reconstruct: warning: b' >&2;; "
+        "esac\n");
+    assert_int_equal(jobs_add(j, "two"), OK);
+    run_until(NULL);
+    assert_int_equal(s.last_warnings, 2);
+    assert_string_equal(s.last_line, "working");
+    assert_int_equal(jobs_add(j, "none"), OK);
+    run_until(NULL);
+    assert_int_equal(s.last_warnings, 0);
+}
+
+/* A file that only has the name of a pending one is neither run nor removed nor written. */
+static void somebody_elses_pending_file(void **state)
+{
+    (void)state;
+    char results[300];
+    snprintf(results, sizeof results, "%s", tmpdir_path("results"));
+    assert_int_equal(mkdir(results, 0777), 0);
+    tmpdir_text("results/diary.pending", "mine\n");
+    open_with("#!/bin/sh\necho ran >&2\n");
+    run_until(NULL);
+    assert_int_equal(s.last, JOBS_NONE);
+    assert_int_equal(jobs_add(j, "diary"), ERR_ARG);
+    run_until(NULL);
+    assert_true(pending("diary"));
+}
+
 static const char sleeper[] = "#!/bin/sh\ntrap 'exit 130' TERM\necho asleep >&2\n"
                               "while :; do sleep 0.02; done\n";
 
@@ -171,6 +204,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(one_after_the_other, set_up, tear_down),
         cmocka_unit_test_setup_teardown(failures_do_not_stop_the_queue, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(warnings_are_counted, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(somebody_elses_pending_file, set_up, tear_down),
         cmocka_unit_test_setup_teardown(cancelling, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_waits_survives_the_daemon, set_up, tear_down),
         cmocka_unit_test_setup_teardown(the_queue_is_bounded, set_up, tear_down),
