@@ -3,6 +3,7 @@
 #include "drivers/filelist.h"
 
 #include "core/base/sha256.h"
+#include "drivers/partial.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -133,6 +134,8 @@ static err_t list_file(struct walk *w, const char *path, const char *name, const
 {
     struct entry *x;
     (void)st;
+    if (strcmp(name, PARTIAL_MARK) == 0) // goes before the folder is seen
+        return OK;
     err_t e = list_add(w->list, name, strlen(name), &x);
     return e ? e : hash_file(path, x->hex);
 }

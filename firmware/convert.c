@@ -268,7 +268,7 @@ static err_t convert_open(struct engine *en, const struct convert_request *q, st
 
 err_t convert_file(struct engine *en, const struct convert_request *q, const char *path)
 {
-    struct checkpoint c;
+    struct checkpoint c = {0};
     err_t e = file_is_same(path, q->out)
                   ? err_fail(ERR_ARG,
                              "%s would be replaced by what is made of it: give another --out", path)
