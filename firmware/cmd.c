@@ -144,18 +144,6 @@ static err_t scan(const struct cmd_usage *u, int argc, char **argv, struct confi
     return e;
 }
 
-/* --json, before the work whose figures it is for. */
-static err_t check_json(const struct cmd_usage *u)
-{
-    for (int i = 0; i < u->n_options; i++) {
-        const struct cmd_option *o = &u->options[i];
-        const char *path = o->text && strcmp(o->name, "json") == 0 ? *o->text : NULL;
-        if (path && strcmp(path, "-") != 0 && !file_is_special(path))
-            return origin_check_place(path);
-    }
-    return OK;
-}
-
 bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg, int *code)
 {
     const char *file = NULL;
@@ -182,10 +170,7 @@ bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *
         *code = cmd_misuse(u, err_text());
         return false;
     }
-    e = check_json(u);
-    if (e)
-        *code = cmd_finish(u->name, e);
-    return !e;
+    return true;
 }
 
 err_t cmd_number(const char *name, const char *text, double min, double max, double *out)
@@ -320,7 +305,9 @@ err_t cmd_json_open(const char *path, struct cmd_json *out)
         return OK;
     }
     bool special = file_is_special(path);
-    err_t e = special ? OK : partial_open(path, &out->partial);
+    err_t e = special ? OK : origin_check_place(path);
+    if (!e && !special)
+        e = partial_open(path, &out->partial);
     if (!e && special)
         snprintf(out->at, sizeof out->at, "%s", path);
     else if (!e)

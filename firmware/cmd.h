@@ -59,8 +59,8 @@ struct cmd_usage {
 };
 
 /* Read the options of argv[1..argc-1] after config_load; every command also has --help, --config
- * and --set. What --json may not replace (origin.h) is refused. Returns true if the command shall
- * run. Else help or a sentence has been printed and *code is the exit code. */
+ * and --set. Returns true if the command shall run. Else help or a sentence has been printed and
+ * *code is the exit code. */
 MUST_USE bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
                         int *code);
 
@@ -139,7 +139,7 @@ struct cmd_json {
 
 /* Begin it; path: or NULL.
  * own:  cmd_json_close or cmd_json_discard.
- * err:  those of partial_open and file_create. */
+ * err:  those of origin_check_place, partial_open and file_create. */
 MUST_USE err_t cmd_json_open(const char *path, struct cmd_json *out);
 
 /* err:  those of file_finish and partial_show. */

@@ -48,7 +48,7 @@ lost 'thesis: is there already and is no result' reconstruct --images world --ou
 lost 'noted/notes.txt: was not written by hdrig' reconstruct --images world --out noted --force
 lost 'edited/scene.ply: was changed' reconstruct --images world --out edited
 lost 'photos is read from it' reconstruct --images photos --exposures world/exposure.json \
-    --rig none --out photos
+    --rig world/sparse/0 --out photos
 lost 'world: is there already|is read from it' reconstruct --images world --out world --force
 lost 'made is read from it' render --scene made --path inputs --out made --force
 lost 'made/scene.ply is read from it' render --scene made/scene.ply --path inputs --out made
@@ -73,6 +73,6 @@ grep -q '^hdrig reconstruct: warning: .*one exposure' "$ERR" || fail "a warning 
 expect 1 'warnings?, and --strict was given' "${one[@]}" --out "$OUT/warned" --strict
 [ -f "$OUT/warned/scene.ply" ] || fail "--strict: no scene"
 
-"$BIN/random_calls" "$HDRIG" "$tree" "$OUT/work" "${SEED:-1}" "${CALLS:-300}" ||
+"$BIN/random_calls" "$hdrig" "$tree" "$OUT/work" "${SEED:-1}" "${CALLS:-300}" ||
     fail "a random call did harm"
 finish

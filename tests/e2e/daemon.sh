@@ -116,7 +116,7 @@ wait_for armed
 stop 3
 [ "$(find "$OUT/store" -maxdepth 1 -name '*-00000[12]' | wc -l)" -eq 2 ] ||
     fail "two takes are not there"
-"$HDRIG" reconstruct --images "$take" --size 56 --refine 0 --out "$OUT/scene" 2>"$ERR" ||
+"$HDRIG" reconstruct --images "$take" --size 70 --refine 0 --out "$OUT/scene" 2>"$ERR" ||
     grep -q 'cameras cannot be found' "$ERR" || fail "a take cannot be read: $(tail -n 1 "$ERR")"
 
 # a hundred presses a second: every one is counted

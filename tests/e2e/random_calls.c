@@ -33,72 +33,73 @@ static unsigned below(unsigned n)
 #define PICK(list) (list)[below(sizeof(list) / sizeof(list)[0])]
 
 /* In WORK, or beside it. */
+static const char *const places[] = {"photos",
+                                     "photos/",
+                                     "photos/a.png",
+                                     "photos/new",
+                                     "thesis",
+                                     "thesis/new",
+                                     "thesis/thesis.txt",
+                                     "thesis/report.json",
+                                     "listed",
+                                     "made",
+                                     "made/",
+                                     "./made/.",
+                                     "made/scene.ply",
+                                     "made/ldr",
+                                     "made/cameras.json",
+                                     "made/notes.txt",
+                                     "noted",
+                                     "noted/scene.ply",
+                                     "noted/notes.txt",
+                                     "edited",
+                                     "edited/scene.ply",
+                                     "world",
+                                     "world/images",
+                                     "world/exposure.json",
+                                     "world/sparse/0",
+                                     "link",
+                                     "linked.ply",
+                                     "own.ply",
+                                     "own.hdrig",
+                                     "own.spz",
+                                     "own.json",
+                                     "foreign.ply",
+                                     "foreign.json",
+                                     "foreign.mp4",
+                                     "foreign.hdrig",
+                                     "foreign.spz",
+                                     "foreign.glb",
+                                     "foreign.html",
+                                     ".tmp-new-99999999",
+                                     "take",
+                                     "take/images",
+                                     "take/new",
+                                     "new",
+                                     "new/deeper",
+                                     "new.ply",
+                                     "new.hdrig",
+                                     "new.json",
+                                     "new.html",
+                                     "new.spz",
+                                     "new.glb",
+                                     "new.mp4",
+                                     "empty",
+                                     "none/at/all",
+                                     ".",
+                                     "..",
+                                     "",
+                                     "/dev/null",
+                                     "-",
+                                     "../work/thesis",
+                                     "photos/../made",
+                                     "own.conf",
+                                     "store",
+                                     "a\nb",
+                                     "\xff\xfe"};
+
 static const char *place(void)
 {
-    static const char *const places[] = {"photos",
-                                         "photos/",
-                                         "photos/a.png",
-                                         "photos/new",
-                                         "thesis",
-                                         "thesis/new",
-                                         "thesis/thesis.txt",
-                                         "thesis/report.json",
-                                         "listed",
-                                         "made",
-                                         "made/",
-                                         "./made/.",
-                                         "made/scene.ply",
-                                         "made/ldr",
-                                         "made/cameras.json",
-                                         "made/notes.txt",
-                                         "noted",
-                                         "noted/scene.ply",
-                                         "noted/notes.txt",
-                                         "edited",
-                                         "edited/scene.ply",
-                                         "world",
-                                         "world/images",
-                                         "world/exposure.json",
-                                         "world/sparse/0",
-                                         "link",
-                                         "linked.ply",
-                                         "own.ply",
-                                         "own.hdrig",
-                                         "own.spz",
-                                         "own.json",
-                                         "foreign.ply",
-                                         "foreign.json",
-                                         "foreign.mp4",
-                                         "foreign.hdrig",
-                                         "foreign.spz",
-                                         "foreign.glb",
-                                         "foreign.html",
-                                         ".tmp-new-99999999",
-                                         "take",
-                                         "take/images",
-                                         "take/new",
-                                         "new",
-                                         "new/deeper",
-                                         "new.ply",
-                                         "new.hdrig",
-                                         "new.json",
-                                         "new.html",
-                                         "new.spz",
-                                         "new.glb",
-                                         "new.mp4",
-                                         "empty",
-                                         "none/at/all",
-                                         ".",
-                                         "..",
-                                         "",
-                                         "/dev/null",
-                                         "-",
-                                         "../work/thesis",
-                                         "photos/../made",
-                                         "own.conf",
-                                         "store",
-                                         "a\nb",
-                                         "\xff\xfe"};
     return PICK(places);
 }
 
@@ -328,22 +329,42 @@ static bool read_list(void)
     return n_files > 0 && n_files < FILES;
 }
 
+/* Faults of a call and of what it left of the files. */
+static int judge(char *argv[], int code, off_t said)
+{
+    int bad = 0;
+    if (code > 3) {
+        printf("code %d: ", code);
+        tell("unknown end", argv);
+        bad++;
+    } else if (code && !said) {
+        tell("fails without a word", argv);
+        bad++;
+    }
+    for (int k = 0; k < n_files; k++)
+        if (!same(name[k])) {
+            printf("%s changed or gone: ", name[k]);
+            tell("by", argv);
+            bad++;
+        }
+    return bad;
+}
+
 int main(int argc, char **argv)
 {
     int bad = 0, codes[5] = {0};
     if (argc != 6)
         return 2;
-    char *program = realpath(argv[1], NULL);
-    hdrig = program;
+    hdrig = argv[1]; // an absolute path
     template = argv[2];
     work = argv[3];
     rng = strtoull(argv[4], NULL, 10);
     int n = atoi(argv[5]);
-    if (!hdrig || !read_list()) {
-        fprintf(stderr, "no tool, or no list of files\n");
+    if (!read_list()) {
+        fprintf(stderr, "%s.list: no list of files\n", template);
         return 2;
     }
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < n && !bad; i++) {
         char *args[ARGS + 1];
         off_t said = 0;
         if (i % RENEW == 0 && !renew())
@@ -351,30 +372,12 @@ int main(int argc, char **argv)
         make_call(args);
         int code = call(args, &said);
         codes[code < 4 ? code : 4]++;
-        if (code > 3) {
-            printf("code %d: ", code);
-            tell("unknown end", args);
-            bad++;
-        } else if (code && !said) {
-            tell("fails without a word", args);
-            bad++;
-        }
-        for (int k = 0; k < n_files; k++)
-            if (!same(name[k])) {
-                printf("%s changed or gone: ", name[k]);
-                tell("by", args);
-                bad++;
-                if (!renew())
-                    return 2;
-            }
+        bad += judge(args, code, said);
         for (int k = 0; args[k]; k++)
             free(args[k]);
-        if (bad > 10)
-            break;
     }
     printf("%d calls: %d succeeded, %d failed, %d misused, %d refused, %d otherwise; %d files of "
            "others looked at after each\n",
            n, codes[0], codes[1], codes[2], codes[3], codes[4], n_files);
-    free(program);
     return bad > 0;
 }
