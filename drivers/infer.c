@@ -13,6 +13,9 @@ static err_t extent(const struct checkpoint *c, const char *name, int rank, int 
     if (!t)
         return err_fail(ERR_FORMAT, "%s: has no %s: no weights of InstantHDR, AnySplat or VGGT",
                         c->what, name);
+    if (t->type == CHECKPOINT_OTHER)
+        return err_fail(ERR_FORMAT, "%s: tensor %s is %s; float32, bfloat16 and float16 are read",
+                        c->what, name, t->kind);
     if (t->rank != rank || t->shape[k] < 1 || t->shape[k] > EXTENT_MAX)
         return err_fail(ERR_FORMAT, "%s: tensor %s has not %d extents of 1 to %d", c->what, name,
                         rank, EXTENT_MAX);

@@ -207,6 +207,12 @@ static err_t extend_mark(struct machine *m, enum pickle_kind kind)
 
 /* ---- globals and calls ---- */
 
+static bool starts(struct bytes text, const char *with)
+{
+    size_t n = strlen(with);
+    return text.left >= n && memcmp(text.p, with, n) == 0;
+}
+
 static err_t push_global(struct machine *m, struct bytes module, struct bytes name)
 {
     static const struct {
@@ -216,11 +222,19 @@ static err_t push_global(struct machine *m, struct bytes module, struct bytes na
         {"collections", "OrderedDict", PICKLE_ORDERED_DICT},
         {"torch._utils", "_rebuild_tensor_v2", PICKLE_REBUILD_TENSOR},
         {"torch._utils", "_rebuild_parameter", PICKLE_REBUILD_PARAMETER},
+        {"torch._utils", "_rebuild_parameter_with_state", PICKLE_REBUILD_PARAMETER},
+        {"torch._tensor", "_rebuild_from_type_v2", PICKLE_REBUILD_FROM_TYPE},
+        {"torch", "Tensor", PICKLE_TENSOR_CLASS},
         {"torch", "FloatStorage", PICKLE_FLOAT_STORAGE},
         {"torch", "BFloat16Storage", PICKLE_BFLOAT16_STORAGE},
         {"torch", "HalfStorage", PICKLE_HALF_STORAGE},
     };
+    static const char torch[] = "torch.", rebuild[] = "_rebuild_";
     struct pickle_value v = empty(PICKLE_GLOBAL);
+    v.text = (const char *)name.p;
+    v.n_text = name.left;
+    if (starts(module, torch) && starts(name, rebuild))
+        v.global = PICKLE_REBUILD_OTHER;
     for (size_t k = 0; k < sizeof known / sizeof known[0]; k++)
         if (strlen(known[k].module) == module.left && strlen(known[k].name) == name.left &&
             memcmp(known[k].module, module.p, module.left) == 0 &&
@@ -259,6 +273,36 @@ static err_t global_of_stack(struct machine *m)
     return push_global(m, bytes_of(a->text, a->n_text), bytes_of(b->text, b->n_text));
 }
 
+/* A tensor that is made in the way `by` says, which is not read. */
+static err_t push_foreign(struct machine *m, const struct pickle_value *by)
+{
+    struct pickle_value v = empty(PICKLE_FOREIGN);
+    v.text = by->text;
+    v.n_text = by->n_text;
+    return push_new(m, v);
+}
+
+static err_t push_tensor(struct machine *m, struct pickle_value args)
+{
+    args.kind = PICKLE_TENSOR;
+    return push_new(m, args);
+}
+
+/* Arguments: function, class, the function's arguments, attributes. */
+static err_t from_type(struct machine *m, const struct pickle_value *args)
+{
+    const struct pickle_value *function = pickle_item(m->out, args, 0),
+                              *class = pickle_item(m->out, args, 1),
+                              *inner = pickle_item(m->out, args, 2);
+    if (!inner || function->kind != PICKLE_GLOBAL || class->kind != PICKLE_GLOBAL ||
+        inner->kind != PICKLE_TUPLE)
+        return push_kind(m, PICKLE_OPAQUE);
+    if (class->global != PICKLE_TENSOR_CLASS)
+        return push_foreign(m, class);
+    return function->global == PICKLE_REBUILD_TENSOR ? push_tensor(m, *inner)
+                                                     : push_foreign(m, function);
+}
+
 /* The call of what lies below its arguments. */
 static err_t reduce(struct machine *m)
 {
@@ -268,21 +312,21 @@ static err_t reduce(struct machine *m)
         e = pop(m, &function);
     if (e)
         return e;
-    struct pickle_value tensor = *value(m, args);
-    enum pickle_kind kind = value(m, function)->kind;
-    enum pickle_global global = value(m, function)->global;
-    if (tensor.kind != PICKLE_TUPLE)
+    const struct pickle_value given = *value(m, args), called = *value(m, function);
+    if (given.kind != PICKLE_TUPLE)
         return wrong(m, "arguments that are no tuple");
-    if (kind != PICKLE_GLOBAL || global == PICKLE_UNKNOWN)
+    if (called.kind != PICKLE_GLOBAL)
         return push_kind(m, PICKLE_OPAQUE);
-    if (global == PICKLE_ORDERED_DICT && tensor.count == 0)
+    if (called.global == PICKLE_ORDERED_DICT && given.count == 0)
         return push_kind(m, PICKLE_DICT);
-    if (global == PICKLE_REBUILD_PARAMETER && tensor.count > 0)
-        return push(m, m->out->items[tensor.first].value);
-    if (global == PICKLE_REBUILD_TENSOR) {
-        tensor.kind = PICKLE_TENSOR;
-        return push_new(m, tensor);
-    }
+    if (called.global == PICKLE_REBUILD_PARAMETER && given.count > 0)
+        return push(m, m->out->items[given.first].value);
+    if (called.global == PICKLE_REBUILD_TENSOR)
+        return push_tensor(m, given);
+    if (called.global == PICKLE_REBUILD_FROM_TYPE)
+        return from_type(m, &given);
+    if (called.global == PICKLE_REBUILD_OTHER)
+        return push_foreign(m, &called);
     return push_kind(m, PICKLE_OPAQUE);
 }
 

@@ -30,7 +30,8 @@ enum pickle_kind {
     PICKLE_DICT, // items are key, value, key, value, ...
     PICKLE_GLOBAL,
     PICKLE_STORAGE, // items of its persistent id: 'storage', class, key, device, elements
-    PICKLE_TENSOR   // arguments of _rebuild_tensor_v2: storage, offset, shape, strides, ...
+    PICKLE_TENSOR,  // arguments of _rebuild_tensor_v2: storage, offset, shape, strides, ...
+    PICKLE_FOREIGN  // a tensor that PyTorch makes in another way; text: the function or class
 };
 
 enum pickle_global {
@@ -38,6 +39,9 @@ enum pickle_global {
     PICKLE_ORDERED_DICT,
     PICKLE_REBUILD_TENSOR,
     PICKLE_REBUILD_PARAMETER,
+    PICKLE_REBUILD_FROM_TYPE,
+    PICKLE_REBUILD_OTHER, // other functions of PyTorch that make tensors
+    PICKLE_TENSOR_CLASS,
     PICKLE_FLOAT_STORAGE,
     PICKLE_BFLOAT16_STORAGE,
     PICKLE_HALF_STORAGE
@@ -47,7 +51,7 @@ struct pickle_value {
     enum pickle_kind kind;
     enum pickle_global global; // GLOBAL
     int64_t number;            // INT
-    const char *text;          // TEXT: bytes of the pickle, not terminated
+    const char *text;          // TEXT, GLOBAL (its name), FOREIGN: of the pickle, not terminated
     size_t n_text;
     int first, last, count; // items; -1, -1, 0: none
 };

@@ -57,8 +57,8 @@ int cmd_convert_run(int argc, char **argv)
         .name = "convert",
         .synopsis = "FILE --out FILE ",
         .what =
-            "Weights of InstantHDR, AnySplat or VGGT (PyTorch's .ckpt or .pt, or .safetensors)\n"
-            "become a weights file of this program.",
+            "Weights of InstantHDR, AnySplat or VGGT (PyTorch's .ckpt, .pt or .bin, .safetensors,\n"
+            "or the .index.json of several such files) become a weights file of this program.",
         .options = options,
         .n_options = sizeof options / sizeof options[0],
     };

@@ -133,7 +133,7 @@ static const char *list_more(const struct list *l)
 struct match {
     const struct checkpoint *c;
     bool *known; // (c->n) whether the table has it, read or not
-    struct list missing, wrong;
+    struct list missing, wrong, unread;
 };
 
 static bool same_shape(const struct checkpoint_tensor *a, const struct tensor_spec *b)
@@ -156,6 +156,10 @@ static err_t match_tensor(void *ctx, const struct tensor_spec *t)
         return OK;
     if (!have) {
         list_add(&m->missing, t->name, "");
+    } else if (have->type == CHECKPOINT_OTHER) {
+        char note[CHECKPOINT_KIND_CAP + 8];
+        snprintf(note, sizeof note, " is %s", have->kind);
+        list_add(&m->unread, t->name, note);
     } else if (!same_shape(have, t)) {
         char note[96] = " [";
         size_t n = 2;
@@ -190,6 +194,10 @@ static err_t match_all(const struct checkpoint *c, const struct net_dims *d)
     if (!e && m.missing.n > 0)
         e = err_fail(ERR_FORMAT, "%s: tensors are missing (%d): %s%s", c->what, m.missing.n,
                      m.missing.text, list_more(&m.missing));
+    if (!e && m.unread.n > 0)
+        e = err_fail(ERR_FORMAT,
+                     "%s: tensors are not float32, bfloat16 or float16 (%d): %s%s; save them so",
+                     c->what, m.unread.n, m.unread.text, list_more(&m.unread));
     if (!e && m.wrong.n > 0)
         e = err_fail(ERR_FORMAT, "%s: tensors have another shape (%d): %s%s", c->what, m.wrong.n,
                      m.wrong.text, list_more(&m.wrong));
@@ -199,22 +207,17 @@ static err_t match_all(const struct checkpoint *c, const struct net_dims *d)
     return e;
 }
 
-/* Hash of the file's bytes. */
-static err_t hash_file(const struct run *r, const char *path, char hex[SHA256_HEX_CAP])
+/* Adds the bytes of a file. */
+static err_t hash_file(const struct run *r, const char *path, uint8_t *block, struct sha256 *s)
 {
-    struct sha256 s;
     struct stat st;
     FILE *f = fopen(path, "rbe");
-    uint8_t *block = malloc(HASH_BYTES);
     err_t e = OK;
-    sha256_init(&s);
     if (!f || fstat(fileno(f), &st) != 0)
         e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    else if (!block)
-        e = err_fail(ERR_NOMEM, "no memory to read %s", path);
-    for (int i = 0, total = e ? 0 : (int)(st.st_size / HASH_BYTES) + 1; !e && block; i++) {
+    for (int i = 0, total = e ? 0 : (int)(st.st_size / HASH_BYTES) + 1; !e; i++) {
         size_t n = fread(block, 1, HASH_BYTES, f);
-        sha256_add(&s, block, n);
+        sha256_add(s, block, n);
         r->progress(r->progress_ctx, "hash", i < total ? i + 1 : total, total, "");
         if (atomic_load(r->cancel))
             e = err_fail(ERR_CANCELLED, "cancelled");
@@ -225,6 +228,18 @@ static err_t hash_file(const struct run *r, const char *path, char hex[SHA256_HE
         e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
     if (f)
         fclose(f);
+    return e;
+}
+
+/* Hash of the bytes of all files of a checkpoint, in the order of their names. */
+static err_t hash_all(const struct run *r, const struct checkpoint *c, char hex[SHA256_HEX_CAP])
+{
+    struct sha256 s;
+    uint8_t *block = malloc(HASH_BYTES);
+    err_t e = block ? OK : err_fail(ERR_NOMEM, "no memory to read %s", c->what);
+    sha256_init(&s);
+    for (int i = 0; i < c->n_parts && !e; i++)
+        e = hash_file(r, c->parts[i].path, block, &s);
     free(block);
     sha256_hex(&s, hex);
     return e;
@@ -259,7 +274,7 @@ static err_t convert_open(struct engine *en, const struct convert_request *q, st
     if (!e)
         e = modelwrite_check(&w, q->out);
     if (!e)
-        e = hash_file(&en->run, c->what, hex);
+        e = hash_all(&en->run, c, hex);
     if (e)
         return e;
     snprintf(source, sizeof source, "%.200s sha256:%s", slash ? slash + 1 : c->what, hex);

@@ -54,6 +54,12 @@ succeed convert "$tiny/tiny.ckpt" --config "$tiny/tiny.json" --out "$OUT/again.h
 cmp -s "$OUT/fp32.hdrig" "$OUT/again.hdrig" || fail "not the same bytes again"
 "$BIN/make_tensors" "$tiny/tiny.ckpt" "$OUT/tiny.safetensors" || exit 1
 succeed convert "$OUT/tiny.safetensors" --config "$tiny/tiny.json" --out "$OUT/again.hdrig"
+tiny_json='{"weight_map": {"encoder.camera_head.token_norm.bias": "tiny.safetensors"}}'
+echo "$tiny_json" >"$OUT/tiny.safetensors.index.json"
+succeed convert "$OUT/tiny.safetensors.index.json" --config "$tiny/tiny.json" \
+    --out "$OUT/sharded.hdrig"
+cmp -s <(tail -c 1000000 "$OUT/sharded.hdrig") <(tail -c 1000000 "$OUT/again.hdrig") ||
+    fail "an index gives other weights"
 
 # inputs
 config=(--config "$tiny/tiny.json")
@@ -80,7 +86,7 @@ refused 1 'shape.safetensors: .*another shape \(1\): encoder.*\[4,1926\], not \[
     "${config[@]}"
 copy type.safetensors
 replace 'F32' 'I32'
-refused 1 'is not float32, bfloat16 or float16' "$bad" "${config[@]}"
+refused 1 'not float32, bfloat16 or float16 \(1\): encoder\..* is I32; save' "$bad" "${config[@]}"
 copy nan.safetensors
 printf '\377\377\377\177' | dd of="$bad" bs=1 conv=notrunc status=none \
     seek=$(($(stat -c %s "$bad") - 4))

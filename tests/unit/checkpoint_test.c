@@ -85,7 +85,7 @@ static void a_checkpoint_of_pytorch_is_read(void **state)
     assert_true(spare->storage == fc1->storage && spare->offset == checkpoint_count(fc1));
     assert_int_equal(count->type, CHECKPOINT_OTHER);
     assert_int_equal(checkpoint_read(&c, count, v), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "encoder.losses.count is not float32"));
+    assert_non_null(strstr(err_text(), "encoder.losses.count is LongStorage; float32"));
     assert_null(checkpoint_find(&c, "encoder.optimizer"));
     assert_null(checkpoint_find(&c, ""));
     checkpoint_close(&c);
@@ -104,7 +104,7 @@ static void every_cut_is_refused(void **state)
     for (size_t n = 0; n < m.n; n += n < 200 ? 1 : 40009) {
         const char *path = tmpdir_write("cut", m.p, n);
         assert_true(checkpoint_open(path, &c) == ERR_FORMAT);
-        assert_true(c.tensors == NULL && c.zip == NULL && c.file == NULL);
+        assert_true(c.tensors == NULL && c.parts == NULL);
     }
     file_unmap(&m);
 }
@@ -238,6 +238,9 @@ static void the_right_dictionary_counts(void **state)
     assert_string_equal(c.tensors[0].name, "encoder.z");
     assert_int_equal(c.tensors[0].type, CHECKPOINT_F16);
     checkpoint_close(&c);
+    assert_int_equal(OPEN("\x80\x02}q\0(U\005modelh\0u.", &c), OK); // itself
+    assert_int_equal(c.n, 0);
+    checkpoint_close(&c);
     assert_int_equal(OPEN("\x80\x02}.", &c), OK);
     assert_int_equal(c.n, 0);
     assert_null(checkpoint_find(&c, "encoder.w"));
@@ -250,7 +253,7 @@ static void refused(const char *pickle, size_t n, err_t code, const char *senten
     err_t e = open_made(pickle, n, &c);
     if (e != code || !strstr(err_text(), sentence))
         fail_msg("%d, not %d (%s): %s", e, code, sentence, err_text());
-    assert_true(c.zip == NULL && c.tensors == NULL);
+    assert_true(c.parts == NULL && c.tensors == NULL);
 }
 
 #define REFUSED(text, sentence) refused(text, sizeof text - 1, ERR_FORMAT, sentence)
@@ -405,6 +408,154 @@ static void safetensors_are_read(void **state)
     assert_non_null(strstr(err_text(), "encoder.x is there twice"));
 }
 
+/* ---- what PyTorch saves ---- */
+
+/* make.py's function kinds: the wrappers' names are gone, values are as PyTorch reads them, and
+ * what is not read says what it is. */
+static void kinds_of_tensors(void **state)
+{
+    static const char *const plain[] = {"aggregator.plain",  "aggregator.parameter",
+                                        "aggregator.buffer", "aggregator.tagged",
+                                        "negative",          "half_negative"};
+    static const char *const others[][2] = {{"conjugate", "ComplexFloatStorage"},
+                                            {"quantised", "_rebuild_qtensor"},
+                                            {"sparse", "_rebuild_sparse_tensor"},
+                                            {"byte", "_rebuild_tensor_v3"},
+                                            {"subclass", "Own"},
+                                            {"nowhere", "_rebuild_meta_tensor_no_storage"},
+                                            {"long", "LongStorage"}};
+    struct checkpoint c;
+    char name[64];
+    (void)state;
+    assert_int_equal(checkpoint_open("tests/data/ckpt/kinds.pt", &c), OK);
+    assert_int_equal(c.n, 13);
+    for (int i = 0; i < 6; i++) {
+        float v[3];
+        snprintf(name, sizeof name, "encoder.%s", plain[i]);
+        const struct checkpoint_tensor *t = checkpoint_find(&c, name);
+        if (!t)
+            fail_msg("no %s", name);
+        assert_true(t->rank == 1 && t->shape[0] == 3);
+        assert_int_equal(checkpoint_read(&c, t, v), OK);
+        if (v[0] != 1 || v[1] != 2 || v[2] != -3)
+            fail_msg("%s: %g %g %g", name, (double)v[0], (double)v[1], (double)v[2]);
+    }
+    for (int i = 0; i < 7; i++) {
+        float v[4];
+        snprintf(name, sizeof name, "encoder.%s", others[i][0]);
+        const struct checkpoint_tensor *t = checkpoint_find(&c, name);
+        assert_non_null(t);
+        assert_int_equal(t->type, CHECKPOINT_OTHER);
+        assert_string_equal(t->kind, others[i][1]);
+        assert_int_equal(checkpoint_read(&c, t, v), ERR_FORMAT);
+        snprintf(name, sizeof name, " is %s; float32, bfloat16", others[i][1]);
+        assert_non_null(strstr(err_text(), name));
+    }
+    checkpoint_close(&c);
+    assert_int_equal(checkpoint_open("tests/data/ckpt/object.pt", &c), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "\"model\" holds an object of Python"));
+}
+
+/* A mark that nobody knows yet. */
+static void marks_are_not_passed_over(void **state)
+{
+    struct checkpoint c;
+    (void)state;
+#define MARKED(mark)                                                                               \
+    DICT("U\001wctorch._utils\n_rebuild_tensor_v2\n((" FLOATS "tQK\000(t(t\x89}}" mark "stR")
+    assert_int_equal(OPEN(MARKED("U\003neg\x88"), &c), OK);
+    assert_true(c.tensors[0].negative && c.tensors[0].type == CHECKPOINT_F32);
+    checkpoint_close(&c);
+    assert_int_equal(OPEN(MARKED("U\003neg\x89"), &c), OK);
+    assert_true(!c.tensors[0].negative && c.tensors[0].type == CHECKPOINT_F32);
+    checkpoint_close(&c);
+    assert_int_equal(OPEN(MARKED("U\003new\x88"), &c), OK);
+    assert_int_equal(c.tensors[0].type, CHECKPOINT_OTHER);
+    assert_string_equal(c.tensors[0].kind, "new");
+    checkpoint_close(&c);
+}
+
+/* ---- several files ---- */
+
+/* w of an archive (4, 5, .. at its end) and two of a .safetensors file. */
+static void write_shards(void)
+{
+    const struct safetensors_tensor t[] = {
+        {.name = "model.b", .type = "F16", .rank = 1, .shape = {2}},
+        {.name = "model.c", .type = "F16", .rank = 1, .shape = {2}},
+    };
+    struct checkpoint c;
+    const char *path = write_safetensors(t, 2, 8);
+    char to[FILE_PATH_CAP];
+    snprintf(to, sizeof to, "%s", tmpdir_path("2.safetensors"));
+    assert_int_equal(rename(path, to), 0);
+    assert_int_equal(OPEN(DICT(GOOD), &c), OK);
+    checkpoint_close(&c);
+    snprintf(to, sizeof to, "%s", tmpdir_path("1.bin"));
+    assert_int_equal(rename(tmpdir_path("made.ckpt"), to), 0);
+}
+
+static err_t open_map(const char *map, struct checkpoint *c)
+{
+    char text[512];
+    snprintf(text, sizeof text, "{\"metadata\": {\"total_size\": 1}, \"weight_map\": %s}\n", map);
+    return checkpoint_open(tmpdir_text("model.safetensors.index.json", text), c);
+}
+
+static void map_refused(const char *map, err_t code, const char *sentence)
+{
+    struct checkpoint c;
+    err_t e = open_map(map, &c);
+    if (e != code || !strstr(err_text(), sentence))
+        fail_msg("%d, not %d (%s): %s", e, code, sentence, err_text());
+    assert_true(c.parts == NULL && c.tensors == NULL);
+}
+
+static void an_index_joins_files(void **state)
+{
+    struct checkpoint c;
+    float v[6];
+    (void)state;
+    write_shards();
+    assert_int_equal(open_map("{\"module.model.b\": \"2.safetensors\", \"w\": \"1.bin\"}", &c), OK);
+    assert_int_equal(c.n_parts, 2);
+    assert_int_equal(c.n, 3); // c, too
+    assert_non_null(strstr(c.parts[0].path, "/1.bin"));
+    assert_int_equal(checkpoint_read(&c, checkpoint_find(&c, "encoder.w"), v), OK);
+    assert_true(v[0] == 4 && v[1] == 7);
+    assert_int_equal(checkpoint_read(&c, checkpoint_find(&c, "encoder.c"), v), OK);
+    assert_true(v[0] == 1 + 4.0f / 1024 && v[1] == 1 + 6.0f / 1024);
+    checkpoint_close(&c);
+    map_refused("[]", ERR_FORMAT, "no object \"weight_map\"");
+    map_refused("{}", ERR_FORMAT, "no object \"weight_map\"");
+    map_refused("{\"w\": 1}", ERR_FORMAT, "\"w\" of \"weight_map\" names no file");
+    map_refused("{\"w\": \"../1.bin\"}", ERR_FORMAT, "slashes");
+    map_refused("{\"w\": \"/etc/passwd\"}", ERR_FORMAT, "slashes");
+    map_refused("{\"w\": \"3.bin\"}", ERR_IO, "/3.bin: No such file");
+    map_refused("{\"w\": \"2.safetensors\"}", ERR_FORMAT, "tensor encoder.w is not in ");
+    map_refused("{\"w\": \"2.safetensors\", \"b\": \"1.bin\"}", ERR_FORMAT, " is not in ");
+    map_refused("{\"w\": \"model.safetensors.index.json\"}", ERR_FORMAT,
+                "neither PyTorch's nor safetensors");
+    assert_int_equal(checkpoint_open(tmpdir_text("bare.json", "{\"w\": 1}       "), &c),
+                     ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no index of weights"));
+    assert_int_equal(checkpoint_open(tmpdir_text("cut.json", "{\"weight_map\": "), &c), ERR_FORMAT);
+}
+
+static void files_of_an_index_are_bounded(void **state)
+{
+    static char map[32 * 300];
+    struct checkpoint c;
+    size_t n = 0;
+    (void)state;
+    for (int i = 0; i < CHECKPOINT_PARTS_MAX + 1; i++)
+        n += (size_t)snprintf(map + n, sizeof map - n, "%s\"t%d\": \"f%d\"",
+                              i ? ", " : "{\"weight_map\": {", i, i);
+    snprintf(map + n, sizeof map - n, "}}");
+    assert_int_equal(checkpoint_open(tmpdir_text("many.json", map), &c), ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "more than 256 files"));
+}
+
 /* ---- dimensions ---- */
 
 struct listing {
@@ -482,6 +633,10 @@ int main(void)
         cmocka_unit_test(hostile_archives_are_refused),
         cmocka_unit_test(lies_of_the_directory_are_refused),
         cmocka_unit_test(safetensors_are_read),
+        cmocka_unit_test(kinds_of_tensors),
+        cmocka_unit_test(marks_are_not_passed_over),
+        cmocka_unit_test(an_index_joins_files),
+        cmocka_unit_test(files_of_an_index_are_bounded),
         cmocka_unit_test(dimensions_follow_from_shapes),
     };
     tmpdir_make();

@@ -19,10 +19,11 @@
 
 /* How a .safetensors file differs from tiny.ckpt. */
 static struct {
-    const char *strip;                      // prefix taken off the names
+    const char *strip, *add;                // prefix taken off the names, put before them
     const char *without, *extra, *reshaped; // tensors
     const char *odd;                        // its last value is
     float value;
+    const char *type; // this one is of I32
 } change;
 
 static float values[400000];
@@ -39,6 +40,13 @@ static void put_header(FILE *f, const struct checkpoint *c)
             continue;
         if (change.strip && strncmp(s.name, change.strip, strlen(change.strip)) == 0)
             s.name += strlen(change.strip);
+        char longer[CHECKPOINT_NAME_CAP + 32];
+        if (change.add) {
+            snprintf(longer, sizeof longer, "%s%s", change.add, s.name);
+            s.name = longer;
+        }
+        if (change.type && strcmp(t->name, change.type) == 0)
+            s.type = "I32";
         if (change.reshaped && strcmp(t->name, change.reshaped) == 0) {
             s.shape[0] *= s.shape[1];
             s.shape[1] = 1;
@@ -90,11 +98,13 @@ static const char *const config = "tests/data/ckpt/tiny.json";
 static void all_sources_give_the_same_data(void **state)
 {
     (void)state;
-    static const char *const strips[] = {NULL, "encoder."};
+    static const char *const strips[] = {NULL, "encoder.", NULL, NULL},
+                             *adds[] = {NULL, NULL, "module._orig_mod.", "_orig_mod.module.model."};
     for (int p = PRECISION_F32; p <= PRECISION_S8; p++)
-        for (int k = 0; k < 2; k++) {
+        for (int k = 0; k < 4; k++) {
             struct modelfile a, b;
             change.strip = strips[k];
+            change.add = adds[k];
             const char *path = write_safetensors();
             assert_int_equal(convert(TINY, tmpdir_path("a"), (enum precision)p, config), OK);
             assert_int_equal(convert(path, tmpdir_path("b"), (enum precision)p, config), OK);
@@ -160,6 +170,9 @@ static void what_does_not_fit_is_named(void **state)
     change.reshaped = "encoder.hdr_conv.0.weight";
     refused(ERR_FORMAT, "tensors have another shape (1): encoder.hdr_conv.0.weight [16,1,3,3], not "
                         "[4,4,3,3]");
+    change.type = "encoder.camera_head.token_norm.weight";
+    refused(ERR_FORMAT, "tensors are not float32, bfloat16 or float16 (1): "
+                        "encoder.camera_head.token_norm.weight is I32; save them so");
     change.extra = "encoder.camera_head.token_norm.bias";
     refused(ERR_FORMAT, "token_norm.bias is there twice");
 }

@@ -120,6 +120,23 @@ static void tensors_are_recognised(void **state)
                      OK);
     assert_int_equal(root(&p)->kind, PICKLE_TENSOR);
     pickle_free(&p);
+    /* with attributes: of a parameter, of a tensor */
+    assert_int_equal(PARSE("\x80\x02"
+                           "ctorch._utils\n_rebuild_parameter_with_state\n("
+                           "ctorch._utils\n_rebuild_tensor_v2\n" TENSOR_ARGS "R\x88}}tR.",
+                           &p),
+                     OK);
+    assert_int_equal(root(&p)->kind, PICKLE_TENSOR);
+    pickle_free(&p);
+#define FROM_TYPE(function, class, args)                                                           \
+    "\x80\x02"                                                                                     \
+    "ctorch._tensor\n_rebuild_from_type_v2\n(c" function "c" class args "}tR."
+    assert_int_equal(
+        PARSE(FROM_TYPE("torch._utils\n_rebuild_tensor_v2\n", "torch\nTensor\n", TENSOR_ARGS), &p),
+        OK);
+    assert_int_equal(root(&p)->kind, PICKLE_TENSOR);
+    assert_int_equal(pickle_item(&p, root(&p), 0)->kind, PICKLE_STORAGE);
+    pickle_free(&p);
     /* protocol 4: names from the stack, frames, memoize */
     assert_int_equal(PARSE("\x80\x04\x95\x20\0\0\0\0\0\0\0\x8c\x0b"
                            "collections\x94\x8c\x0b"
@@ -128,6 +145,44 @@ static void tensors_are_recognised(void **state)
                      OK);
     assert_int_equal(root(&p)->kind, PICKLE_DICT);
     pickle_free(&p);
+}
+
+/* Tensors that are made in other ways carry what says so. */
+static void foreign_tensors_are_told(void **state)
+{
+    static const struct {
+        const char *text;
+        size_t n;
+        const char *by;
+        enum pickle_kind kind;
+    } cases[] = {
+#define CASE(text, by, kind) {text, sizeof text - 1, by, kind}
+        CASE("\x80\x02"
+             "ctorch._utils\n_rebuild_qtensor\n)R.",
+             "_rebuild_qtensor", PICKLE_FOREIGN),
+        CASE(FROM_TYPE("torch._utils\n_rebuild_tensor_v2\n", "__main__\nOwn\n", TENSOR_ARGS), "Own",
+             PICKLE_FOREIGN),
+        CASE(FROM_TYPE("torch._utils\n_rebuild_qtensor\n", "torch\nTensor\n", ")"),
+             "_rebuild_qtensor", PICKLE_FOREIGN),
+        CASE(FROM_TYPE("os\nsystem\n", "torch\nTensor\n", ")"), "system", PICKLE_FOREIGN),
+        CASE(FROM_TYPE("os\nsystem\n", "torch\nTensor\n", "K\1"), "", PICKLE_OPAQUE),
+        CASE("\x80\x02"
+             "ctorch._tensor\n_rebuild_from_type_v2\n)R.",
+             "", PICKLE_OPAQUE),
+        CASE("\x80\x02"
+             "cmine\n_rebuild_\n)R.",
+             "", PICKLE_OPAQUE),
+    };
+    (void)state;
+    for (size_t k = 0; k < sizeof cases / sizeof cases[0]; k++) {
+        struct pickle p;
+        assert_int_equal(parse(cases[k].text, cases[k].n, &p), OK);
+        assert_int_equal(root(&p)->kind, cases[k].kind);
+        assert_int_equal(root(&p)->n_text, strlen(cases[k].by));
+        if (*cases[k].by)
+            assert_memory_equal(root(&p)->text, cases[k].by, strlen(cases[k].by));
+        pickle_free(&p);
+    }
 }
 
 static void nothing_is_called(void **state)
@@ -142,7 +197,7 @@ static void nothing_is_called(void **state)
         "cbuiltins\neval\nU\x01"
         "1\x85R.",
         "\x80\x02"
-        "ctorch._utils\n_rebuild_tensor\n)R.",
+        "ctorch._utils\n_import_dotted_name\n)R.",
         "\x80\x02"
         "ctorch\nLongStorage\n.",
         "\x80\x02"
@@ -271,6 +326,7 @@ int main(void)
         cmocka_unit_test(numbers_and_texts),
         cmocka_unit_test(containers_keep_order_and_may_hold_themselves),
         cmocka_unit_test(tensors_are_recognised),
+        cmocka_unit_test(foreign_tensors_are_told),
         cmocka_unit_test(nothing_is_called),
         cmocka_unit_test(malformed_pickles_are_refused),
         cmocka_unit_test(numbers_of_values_are_bounded),

@@ -231,6 +231,35 @@ def awkward(state):
     return state
 
 
+class Own(torch.Tensor):
+    """A class of its own."""
+
+
+def kinds():
+    """A tensor of each kind that torch.save knows, behind the names of wrappers; the plain ones
+    hold 1, 2, -3."""
+    values = torch.tensor([1.0, 2.0, -3.0])
+    state = collections.OrderedDict()
+    state["module._orig_mod.aggregator.plain"] = values.clone()
+    parameter = torch.nn.Parameter(values.clone())
+    parameter.tag = "attribute"
+    state["module._orig_mod.aggregator.parameter"] = parameter
+    state["module.aggregator._orig_mod.buffer"] = torch.nn.Buffer(values.clone())
+    tagged = values.clone()
+    tagged.tag = 1
+    state["aggregator._fsdp_wrapped_module._checkpoint_wrapped_module.tagged"] = tagged
+    state["negative"] = torch.complex(values, -values).conj().imag
+    state["half_negative"] = torch.complex(values, -values).to(torch.complex32).conj().imag
+    state["conjugate"] = torch.complex(values, values).conj()
+    state["quantised"] = torch.quantize_per_tensor(values, 0.5, 0, torch.qint8)
+    state["sparse"] = values.to_sparse()
+    state["byte"] = values.to(torch.float8_e4m3fn)
+    state["subclass"] = values.as_subclass(Own)
+    state["nowhere"] = torch.ones(3, device="meta")
+    state["long"] = torch.tensor([1, 2])
+    return {"epoch": 3, "optimizer": {"state": {}}, "model": {"module": state}}
+
+
 def write_safetensors(path, state):
     """All F32, the container written by hand."""
     header, at, data = {}, 0, []
@@ -251,6 +280,8 @@ def main():
         torch.save(lightning(tensors(d, "model.")), sys.argv[1])
         return
     torch.save(lightning(awkward(tensors(TINY, "model."))), os.path.join(HERE, "tiny.ckpt"))
+    torch.save(kinds(), os.path.join(HERE, "kinds.pt"))
+    torch.save({"epoch": 1, "model": torch.nn.Linear(1, 1)}, os.path.join(HERE, "object.pt"))
     with open(os.path.join(HERE, "tiny.json"), "w") as f:
         json.dump({"model": TINY, "voxel_size": 0.25, "image_size": 56}, f, indent=1)
         f.write("\n")
