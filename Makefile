@@ -112,7 +112,7 @@ build/small.hdrig: $(MODEL) core/net/pack.c core/net/table.c | $(B)/hdrig
 	$(B)/hdrig convert $< --config $(MODEL:.safetensors=.json) --precision int8 --out $@ \
 	    2>build/small.log || { cat build/small.log; exit 1; }
 
-$(B)/%.o: %.c Makefile
+$(B)/%.o: %.c Makefile | build/deps
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) $(isa) -c $< -o $@
 
@@ -126,6 +126,7 @@ $(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/config.o: MORE = -Wconversion
+$(MAINS:%.c=$(B)/%.o): MORE = -DHDRIG_VERSION='"$(VERSION)"'
 $(B)/firmware/http.o $(B)/firmware/viewer.o $(B)/firmware/sheet.o: $(wildcard firmware/web/*)
 
 $(B)/libcore.a: $(call objects,$(CORE))
@@ -148,7 +149,7 @@ $(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
 # libcamera, for those who have it: loaded by drivers/camera_libcamera.c.
-$(B)/hdrig-libcamera.so: $(MODULE_NEEDS)
+$(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	@mkdir -p $(@D)
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
 
@@ -189,7 +190,10 @@ deb: all
 	    board/debian/control >build/deb/root/DEBIAN/control
 	dpkg-deb --root-owner-group -b build/deb/root build/hdrig_$(VERSION)_$(DEB_ARCH).deb
 
-demo: all
+# On all cores, unless make was told otherwise.
+PARALLEL = $(if $(findstring -j,$(MAKEFLAGS)),,-j$(shell nproc))
+demo:
+	@$(MAKE) -s $(PARALLEL) all
 	@echo "a simulated room, photographed by a rig of 9 cameras at three exposures"
 	@build/hdrig simulate --kind room --seed $(DEMO) --views 9 --size 336 --samples 4 \
 	    --out out/rig

@@ -172,17 +172,12 @@ static float exposure(const struct request *rq, const struct state *st, int i)
     return st->scene.tone.mid_log2t + (float)ev;
 }
 
-static err_t write_frame(const struct request *rq, struct state *st, int i)
+/* Files of the frame drawn last. */
+static err_t write_frame(const struct request *rq, struct state *st, int i, float log2t)
 {
     char name[32], path[FILE_PATH_CAP];
     size_t clipped = 0;
-    float log2t = exposure(rq, st, i);
-    double start = engine_seconds();
-    err_t e = draw_run(&st->engine.run, &st->draw, &st->scene, &st->rig.views[i].cam);
-    if (e)
-        return e;
-    develop(rq, st, log2t);
-    double drawn = engine_seconds();
+    err_t e;
     snprintf(name, sizeof name, "frame_%04d.png", i);
     e = outdir_path(&st->out, name, path);
     if (!e)
@@ -193,6 +188,20 @@ static err_t write_frame(const struct request *rq, struct state *st, int i)
     if (!e && rq->hdr)
         e = draw_write_exr(&st->draw, &st->rig.views[i].cam, log2t, path, &clipped);
     st->clipped += clipped;
+    return e;
+}
+
+static err_t make_frame(const struct request *rq, struct state *st, int i)
+{
+    float log2t = exposure(rq, st, i);
+    double start = engine_seconds();
+    err_t e = draw_run(&st->engine.run, &st->draw, &st->scene, &st->rig.views[i].cam);
+    if (e)
+        return e;
+    develop(rq, st, log2t);
+    double drawn = engine_seconds();
+    if (rq->out)
+        e = write_frame(rq, st, i, log2t);
     st->seconds[0] += drawn - start;
     st->seconds[1] += engine_seconds() - drawn;
     return e;
@@ -223,16 +232,16 @@ static err_t video_path(const struct request *rq, const struct state *st, char p
 {
     char folder[FILE_PATH_CAP];
     err_t e = file_parent(rq->video, folder);
-    if (e || is_place(folder, st->out.path))
+    if (e || (rq->out && is_place(folder, st->out.path)))
         return e ? e : outdir_path(&st->out, file_name(rq->video), path);
     int n = snprintf(path, FILE_PATH_CAP, "%s", rq->video);
     return n < FILE_PATH_CAP ? OK : err_fail(ERR_ARG, "%.64s...: path too long", rq->video);
 }
 
 /* Frames go on without a video, which is told now and when they are ready. */
-static err_t without_video(struct state *st, err_t e)
+static err_t without_video(const struct request *rq, struct state *st, err_t e)
 {
-    if (!e || e == ERR_CANCELLED)
+    if (!e || e == ERR_CANCELLED || !rq->out)
         return e;
     st->video_error = e;
     snprintf(st->video_text, sizeof st->video_text, "%s", err_text());
@@ -249,39 +258,44 @@ static err_t open_video(const struct request *rq, struct state *st)
     err_t e = video_path(rq, st, path);
     if (!e)
         e = video_open(path, cam->w, cam->h, rq->fps, &st->video);
-    return without_video(st, e);
+    return e == ERR_UNSUPPORTED ? e : without_video(rq, st, e);
+}
+
+static err_t open_folder(const struct request *rq, uint64_t pixels, struct state *st)
+{
+    uint64_t each = pixels * (rq->hdr ? 11 : 3);
+    err_t e = outdir_open(rq->out, &rq->rules, &st->out);
+    if (!e)
+        e = outdir_reserve(&st->out, (uint64_t)st->rig.n * (each + each / 64 + 4096));
+    return e || !rq->false_colour ? e : write_legend(st);
 }
 
 static err_t prepare(const struct request *rq, struct state *st)
 {
     int w, h;
     largest(&st->rig, &w, &h);
-    uint64_t pixels = (uint64_t)w * (uint64_t)h, each = pixels * (rq->hdr ? 11 : 3);
-    err_t e = outdir_open(rq->out, &rq->rules, &st->out);
-    if (!e)
-        e = outdir_reserve(&st->out, (uint64_t)st->rig.n * (each + each / 64 + 4096));
+    uint64_t pixels = (uint64_t)w * (uint64_t)h;
+    err_t e = rq->out ? open_folder(rq, pixels, st) : OK;
     if (!e)
         e = draw_init(&st->draw, &st->engine.tmp, st->scene.g.cap, w, h);
     if (!e)
         e = arena_alloc(&st->engine.tmp, pixels, 3, &st->picture.px);
     st->picture.channels = 3;
-    if (!e && rq->false_colour)
-        e = write_legend(st);
     return e || !rq->video ? e : open_video(rq, st);
 }
 
-static err_t write_frames(const struct request *rq, struct state *st)
+static err_t make_frames(const struct request *rq, struct state *st)
 {
     err_t e = prepare(rq, st);
     for (int i = 0; i < st->rig.n && !e; i++) {
-        e = write_frame(rq, st, i);
+        e = make_frame(rq, st, i);
         if (!e && st->video.pipe)
-            e = without_video(st, video_put(&st->video, &st->picture));
+            e = without_video(rq, st, video_put(&st->video, &st->picture));
         progress_step(&st->engine.progress, "render", i + 1, st->rig.n, NULL);
         if (!e && atomic_load(&engine_cancel))
             e = ERR_CANCELLED;
     }
-    return e || !st->video.pipe ? e : without_video(st, video_finish(&st->video));
+    return e || !st->video.pipe ? e : without_video(rq, st, video_finish(&st->video));
 }
 
 static err_t write_report(const struct request *rq, const struct state *st)
@@ -351,14 +365,15 @@ static err_t render(const struct request *rq, struct state *st)
     if (!e)
         e = make_room(rq, st);
     if (!e)
-        e = write_frames(rq, st);
+        e = make_frames(rq, st);
     progress_end(&st->engine.progress);
-    if (!e)
+    if (!e && rq->out)
         e = write_report(rq, st);
     if (e)
         return st->out.partial.dir[0] ? outdir_reason(&st->out, e) : e;
-    e = outdir_commit(&st->out);
-    if (!e)
+    if (rq->out)
+        e = outdir_commit(&st->out);
+    if (!e && rq->out)
         printf("%s: %d frames, %.1f s\n", rq->out, st->rig.n, st->seconds[0] + st->seconds[1]);
     if (!e && st->video_error)
         return err_fail(st->video_error, "%s (the frames are in %s)", st->video_text, rq->out);
@@ -403,6 +418,8 @@ static err_t read_numbers(struct request *rq)
         e = cmd_number("--fps", rq->fps_text, 1, VIDEO_FPS_MAX, &rq->fps);
     if (!e && rq->fps_text && !rq->video)
         e = err_fail(ERR_ARG, "--fps is for --video");
+    if (!e && rq->hdr && !rq->out)
+        e = err_fail(ERR_ARG, "--hdr writes frames: give --out DIR");
     if (!e && rq->video && !is_mp4(rq->video))
         e = err_fail(ERR_ARG, "--video: \"%.64s\" is not called NAME.mp4", rq->video);
     if (!e && !rq->cameras == !rq->path)
@@ -427,7 +444,7 @@ int cmd_render_run(int argc, char **argv)
          NULL, &rq.path, NULL},
         {"frames", "N", "of an orbit, or of a way through the inputs (with --video: 60)", NULL,
          &rq.frames_text, NULL},
-        {"video", "FILE.mp4", "the frames as a film too, by ffmpeg", NULL, &rq.video, NULL},
+        {"video", "FILE.mp4", "the frames as a film, by ffmpeg", NULL, &rq.video, NULL},
         {"fps", "N", "its frames a second, default 30", NULL, &rq.fps_text, NULL},
         {"ev", "X", "exposure in stops, 0 = the middle one of the photographs; A..B: from A to B",
          NULL, &rq.ev_text, NULL},
@@ -435,19 +452,20 @@ int cmd_render_run(int argc, char **argv)
          NULL, NULL, &rq.false_colour},
         {"size", "N", "px, square; else the size of the cameras", NULL, &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},
-        {"out", "DIR", "where the frames go; a former result is replaced", NULL, &rq.out, NULL},
+        {"out", "DIR", "where the frames go, if they are wanted; a former result is replaced", NULL,
+         &rq.out, NULL},
         CMD_FORCE(rq.rules),
         CMD_THREADS,
         CMD_MEMORY,
     };
     const struct cmd_usage usage = {
-        "render", "--scene PATH --cameras FILE|--path orbit|inputs --out DIR ",
+        "render", "--scene PATH --cameras FILE|--path orbit|inputs --out DIR|--video FILE ",
         "Pictures of a scene as PNG, EXR and video.", options, sizeof options / sizeof options[0]};
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    if (!rq.scene || !rq.out)
-        return cmd_misuse(&usage, "--scene and --out are needed");
+    if (!rq.scene || (!rq.out && !rq.video))
+        return cmd_misuse(&usage, "--scene is needed, and --out or --video");
     if (read_numbers(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     rq.rules.inputs[0] = rq.scene;

@@ -5,6 +5,7 @@
 
 #include "drivers/file.h"
 
+#include <errno.h>
 #include <limits.h>
 #include <poll.h>
 #include <spawn.h>
@@ -41,13 +42,17 @@ static err_t find_page(const char *what, char page[FILE_PATH_CAP])
     return e;
 }
 
-/* What the desktop opens pages with; without a desktop it might be anything. */
-static bool start_browser(const char *address, pid_t *child)
+/* What the desktop opens pages with; without a desktop it might be anything. Returns why not. */
+static const char *start_browser(const char *address, pid_t *child)
 {
     char *const argv[] = {"xdg-open", (char *)(uintptr_t)address, NULL};
     extern char **environ;
-    bool desktop = getenv("DISPLAY") || getenv("WAYLAND_DISPLAY") || getenv("BROWSER");
-    return desktop && posix_spawnp(child, argv[0], NULL, NULL, argv, environ) == 0;
+    if (!getenv("DISPLAY") && !getenv("WAYLAND_DISPLAY") && !getenv("BROWSER"))
+        return "there is no desktop here";
+    int why = posix_spawnp(child, argv[0], NULL, NULL, argv, environ);
+    return why == 0        ? NULL
+           : why == ENOENT ? "xdg-open is not installed: apt-get install xdg-utils"
+                           : strerror(why);
 }
 
 static err_t open_page(const char *page)
@@ -57,9 +62,12 @@ static err_t open_page(const char *page)
     int status = 0;
     if (!realpath(page, whole))
         return err_fail(ERR_IO, "%s: cannot be found", page);
-    if (!start_browser(whole, &child) || waitpid(child, &status, 0) != child || status != 0)
-        return err_fail(ERR_UNSUPPORTED, "no browser could be started; open this file in one: %s",
-                        whole);
+    const char *why = start_browser(whole, &child);
+    if (!why && (waitpid(child, &status, 0) != child || status != 0))
+        why = "xdg-open found none";
+    if (why)
+        return err_fail(ERR_UNSUPPORTED,
+                        "no browser could be started (%s); open this file in one: %s", why, whole);
     printf("%s\n", whole);
     return OK;
 }
@@ -79,7 +87,9 @@ static err_t serve(const char *dir, int port)
     printf("%s\n", address);
     fflush(stdout);
     fputs("Ctrl-C ends it\n", stderr);
-    start_browser(address, &child);
+    const char *why = start_browser(address, &child);
+    if (why)
+        fprintf(stderr, "no browser could be started (%s); open that address in one\n", why);
     while (!atomic_load(&engine_cancel)) {
         int64_t now = (int64_t)(engine_seconds() * 1e9), deadline = now + STEP_MS * 1000000;
         struct pollfd p = http_poll(http, now, &deadline);

@@ -289,8 +289,10 @@ static err_t connect_to(const char *path, int *fd)
     close(*fd);
     if (why == EACCES)
         return err_fail(ERR_IO, "%s: no permission: users of the rig are in group hdrig", path);
-    return err_fail(ERR_LOST, "%s: no daemon answers (%s); start it: systemctl start hdrigd", path,
-                    strerror(why));
+    return err_fail(ERR_LOST,
+                    "%s: no daemon answers (%s); start it: systemctl start hdrigd, or give the "
+                    "--config FILE that yours was started with",
+                    path, strerror(why));
 }
 
 static err_t receive(int fd, const char *path, int64_t end_ms, char *out)

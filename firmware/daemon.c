@@ -717,6 +717,27 @@ static err_t open_all(struct daemon *d)
     return e;
 }
 
+/* What is served, and where. */
+static void tell_start(const struct daemon *d)
+{
+    const struct config *c = d->set;
+    const char *config = d->cfg->config_path;
+    bool v6 = strchr(c->http_address, ':') != NULL;
+    for (int i = 0; i < CONFIG_CAMERAS; i++)
+        if (c->camera[i][0])
+            log_info("camera.%d: %s", i + 1, c->camera[i]);
+    for (int i = 0; i < CONFIG_TRIGGERS; i++)
+        if (c->trigger[i][0])
+            log_info("trigger.%d: %s", i + 1, c->trigger[i]);
+    log_info("captures: %s, scenes: %s", c->store_path,
+             d->jobs ? c->results_path : "none are made");
+    if (d->http)
+        log_info("page: http://%s%s%s:%d", v6 ? "[" : "", c->http_address, v6 ? "]" : "",
+                 http_port(d->http));
+    log_info("commands: hdrig capture|status|cancel%s%s, at %s", config ? " --config " : "",
+             config ? config : "", c->control_socket);
+}
+
 static void close_all(struct daemon *d)
 {
     collect(d);
@@ -749,6 +770,8 @@ err_t daemon_run(const struct daemon_config *cfg)
     d->start_ns = now_ns();
     d->press_ns = INT64_MIN / 2;
     err_t e = open_all(d);
+    if (!e)
+        tell_start(d);
     if (!e)
         e = loop(d);
     close_all(d);

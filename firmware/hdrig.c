@@ -35,7 +35,8 @@ static void print_help(FILE *f)
     fputs("usage: hdrig COMMAND [options]\n\n", f);
     for (int i = 0; i < N_COMMANDS; i++)
         fprintf(f, "  %-13s %s\n", commands[i].name, commands[i].help);
-    fputs("\nhdrig COMMAND --help tells the options of a command.\n", f);
+    fputs("\nhdrig COMMAND --help tells the options of a command, hdrig --version the version.\n",
+          f);
 }
 
 /* The first signal asks the job to stop, the second ends at once. */
@@ -60,6 +61,10 @@ int main(int argc, char **argv)
     const char *name = argc > 1 ? argv[1] : "";
     if (strcmp(name, "--help") == 0 || strcmp(name, "-h") == 0) {
         print_help(stdout);
+        return CMD_OK;
+    }
+    if (strcmp(name, "--version") == 0) {
+        puts("hdrig " HDRIG_VERSION);
         return CMD_OK;
     }
     catch_signals();

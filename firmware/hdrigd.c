@@ -18,19 +18,19 @@ static const char help[] =
     "  --config FILE      settings to read after those of " CONFIG_DIR "\n"
     "  --set KEY=VALUE    one setting, see hdrig config --print\n"
     "  --check            read the settings, say what is wrong with them, and end\n"
+    "  --version          of this program\n"
     "  --help             this text\n\n"
     "hdrig status, hdrig capture and hdrig cancel talk to it. SIGTERM ends it cleanly.\n";
 
 struct request {
     const char *config_path;
-    bool check, help;
+    bool check, version, help;
 };
 
-static const struct option table[] = {{"config", required_argument, NULL, 'c'},
-                                      {"set", required_argument, NULL, OPT_SET},
-                                      {"check", no_argument, NULL, 'k'},
-                                      {"help", no_argument, NULL, 'h'},
-                                      {0}};
+static const struct option table[] = {
+    {"config", required_argument, NULL, 'c'}, {"set", required_argument, NULL, OPT_SET},
+    {"check", no_argument, NULL, 'k'},        {"version", no_argument, NULL, 'v'},
+    {"help", no_argument, NULL, 'h'},         {0}};
 
 /* First pass (c NULL): all but --set. Second pass: --set alone, after the files. */
 static err_t scan(int argc, char **argv, struct request *q, struct config *c)
@@ -43,6 +43,7 @@ static err_t scan(int argc, char **argv, struct request *q, struct config *c)
             e = err_fail(ERR_ARG, o == ':' ? "%s needs an argument" : "unknown option %s",
                          argv[optind - 1]);
         q->check = q->check || o == 'k';
+        q->version = q->version || o == 'v';
         q->help = q->help || o == 'h';
         if (o == 'c')
             q->config_path = optarg;
@@ -92,6 +93,10 @@ int main(int argc, char **argv)
         return say(e, CMD_USAGE);
     if (q.help) {
         fputs(help, stdout);
+        return CMD_OK;
+    }
+    if (q.version) {
+        puts("hdrigd " HDRIG_VERSION);
         return CMD_OK;
     }
     e = load(argc, argv, &q, &c);

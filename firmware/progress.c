@@ -22,7 +22,7 @@ const char *progress_line(const char *stage, int done, int total, double seconds
                           const char *note, char buf[160])
 {
     char left[32] = "";
-    if (seconds_left >= 0)
+    if (seconds_left >= 0.5)
         snprintf(left, sizeof left, ", %.0f s left", seconds_left);
     int percent = total > 0 ? (int)(100LL * done / total) : 100;
     bool has_note = note && *note;
@@ -47,6 +47,7 @@ void progress_step(void *ctx, const char *stage, int done, int total, const char
         progress_end(p);
         snprintf(p->stage, sizeof p->stage, "%s", stage);
         p->start_ns = now;
+        p->first = done;
         p->tenth = -1;
     }
     bool last = done >= total;
@@ -55,7 +56,7 @@ void progress_step(void *ctx, const char *stage, int done, int total, const char
     if (!due)
         return;
     double seconds = (double)(now - p->start_ns) * 1e-9;
-    double left = done > 0 && !last ? seconds / done * (total - done) : -1;
+    double left = done > p->first ? seconds / (done - p->first) * (total - done) : -1;
     char buf[160];
     progress_line(stage, done, total, left, note, buf);
     fprintf(p->f, p->terminal ? "\r%s\033[K" : "%s\n", buf);

@@ -14,6 +14,7 @@ struct progress {
     bool terminal, open; // open: the line on the terminal has no newline yet
     char stage[32];
     int tenth; // last tenth shown
+    int first; // steps that were done when the stage was first heard of, at start_ns
     int64_t start_ns, shown_ns;
 };
 
@@ -26,8 +27,8 @@ void progress_step(void *ctx, const char *stage, int done, int total, const char
 /* End an open line, before something else is written to the terminal. */
 void progress_end(struct progress *p);
 
-/* One line: "refine 43 % step 430/1000, 12 s left, loss 0.031". seconds_left < 0: not known.
- * Returns buf. */
+/* One line: "refine 43 % step 430/1000, 12 s left, loss 0.031". seconds_left: told if it
+ * rounds to a second or more; < 0: not known. Returns buf. */
 const char *progress_line(const char *stage, int done, int total, double seconds_left,
                           const char *note, char buf[160]);
 

@@ -5,6 +5,7 @@
 
 #include "sim/vec.h"
 
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -32,6 +33,7 @@ struct sample {
     double median[SAMPLE_VIEWS];
     struct arena tmp[WORKERS_MAX];
     bool by_view; // one worker a view
+    atomic_int drawn;
 };
 
 static err_t check_ask(const struct sample_ask *a)
@@ -154,17 +156,34 @@ static err_t sub_arena(struct arena *from, size_t size, const char *name, struct
     return e;
 }
 
+/* The thread that runs the job tells of all. */
+static err_t draw_told(void *ctx, int view, int worker)
+{
+    struct sample *s = ctx;
+    err_t e = draw_view(s, view, worker);
+    int drawn = atomic_fetch_add(&s->drawn, 1) + 1;
+    if (!e && worker == 0 && s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", drawn, s->a->n_views, NULL);
+    return e;
+}
+
 static err_t draw_all(struct sample *s)
 {
     int workers = pool_size(s->r->pool), n = s->a->n_views;
     err_t e = OK;
     s->by_view = n >= workers;
+    if (s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", 0, n, NULL);
     for (int i = 0; i < (s->by_view ? workers : 1) && !e; i++)
         e = sub_arena(s->r->tmp, view_plan(s->a->size), "sample", &s->tmp[i]);
+    if (s->by_view && !e)
+        e = pool_for(s->r->pool, n, draw_told, s);
+    if (s->by_view && !e && s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", n, n, NULL);
     if (s->by_view)
-        return e ? e : pool_for(s->r->pool, n, draw_view, s);
+        return e;
     for (int view = 0; view < n && !e; view++)
-        e = draw_view(s, view, 0);
+        e = draw_told(s, view, 0);
     return e;
 }
 

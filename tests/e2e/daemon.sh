@@ -93,12 +93,18 @@ refused 78 'camera webcam:0: begins with none of .*v4l2:' --config "$OUT/hdrig.c
 settings "trigger.1 = timer:0"
 refused 78 'timer' --config "$OUT/hdrig.conf"
 settings
-expect 1 'no daemon answers.*systemctl start hdrigd' capture --config "$OUT/hdrig.conf"
+expect 1 'no daemon answers.*systemctl start hdrigd, or give the --config FILE' \
+    capture --config "$OUT/hdrig.conf"
 
 # a capture on command
 settings "camera.2 = $(camera 1)"
 start
 wait_for armed
+for words in "camera.1: $(camera 0)" "captures: $OUT/store, scenes: none are made" \
+    "page: http://127.0.0.1:$PORT" \
+    "commands: hdrig capture|status|cancel --config $OUT/hdrig.conf, at $SOCKET"; do
+    grep -qF "$words" "$LOG" || fail "hdrigd does not say what it serves: $words"
+done
 take=$(ask capture 2>"$ERR") || fail "capture: $(cat "$ERR")"
 [ -f "$take/manifest.json" ] && [ -f "$take/exposure.json" ] || fail "no take at \"$take\""
 [ "$(ls "$take"/merged/*.exr | wc -l)" -eq 2 ] || fail "not every camera's bracket is merged"

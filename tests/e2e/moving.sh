@@ -106,8 +106,11 @@ without() { # code regex arguments...: frames, no video
     grep -q '"video": null' "$OUT/frames/report.json" || fail "report.json claims a video"
     same "left of a video" "$(ls -A "$OUT/films")" ""
 }
-PATH=$OUT/bin without 1 'ffmpeg is not installed.*apt-get install ffmpeg.*frames are in' \
-    --video "$OUT/films/a.mp4"
+rm -rf "$OUT/frames"
+PATH=$OUT/bin expect 1 'ffmpeg is not installed.*apt-get install ffmpeg$' "${render[@]}" \
+    --path orbit --out "$OUT/frames" --video "$OUT/films/a.mp4"
+! grep -q ' step ' "$ERR" || fail "no ffmpeg: told after work"
+nothing_at "$OUT/frames"
 cat >"$OUT/bin/ffmpeg" <<'EOF'
 #!/bin/sh
 case "$*" in *-encoders*) echo ' V....D libx264  H.264'; exit;; esac
@@ -118,6 +121,10 @@ EOF
 chmod +x "$OUT/bin/ffmpeg"
 PATH=$OUT/bin:$PATH without 1 'films/a.mp4: ffmpeg ended with exit code 7' \
     --video "$OUT/films/a.mp4"
+
+PATH=$OUT/bin:$PATH expect 1 'films/a.mp4: ffmpeg ended with exit code 7$' "${render[@]}" \
+    --path orbit --frames 60 --video "$OUT/films/a.mp4"
+same "left of a video alone" "$(ls -A "$OUT/films")" ""
 
 if ! command -v ffmpeg >/dev/null; then
     echo "no ffmpeg: videos are left out"
@@ -138,6 +145,12 @@ same "orbit" "$(probe "$OUT/films/a.mp4")" h264,58,58,yuv420p,tv,bt709,30/1,0.40
 succeed "${render[@]}" --path orbit --frames 12 --size 57 --out "$OUT/plain"
 same "frames beside a video" "$(cd "$OUT/frames" && sha256sum frame_*)" \
     "$(cd "$OUT/plain" && sha256sum frame_*)"
+rm "$OUT/films/a.mp4"
+succeed "${render[@]}" --path orbit --frames 12 --size 57 --video "$OUT/films/a.mp4"
+same "a video alone" "$(probe "$OUT/films/a.mp4")" h264,58,58,yuv420p,tv,bt709,30/1,0.400000,12
+same "beside a video alone" "$(ls -A "$OUT/films")" a.mp4
+expect 2 'hdr writes frames: give --out' "${render[@]}" --path orbit --hdr \
+    --video "$OUT/films/b.mp4"
 succeed "${render[@]}" --path inputs --frames 10 --fps 25 --ev -2..2 --false-colour \
     --video "$OUT/films/a.mp4" --out "$OUT/frames"
 same "inputs" "$(probe "$OUT/films/a.mp4")" h264,56,56,yuv420p,tv,bt709,25/1,0.400000,10

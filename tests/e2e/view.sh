@@ -334,7 +334,12 @@ mkdir "$OUT/bin" "$OUT/empty"
 printf '#!/bin/sh\necho "$1" >"%s/opened"\n' "$(realpath "$OUT")" >"$OUT/bin/xdg-open"
 chmod +x "$OUT/bin/xdg-open"
 unset DISPLAY WAYLAND_DISPLAY BROWSER
-expect 1 "open this file in one: $(realpath "$OUT")/one0/view.html" view "$OUT/one0"
+expect 1 "no desktop here.; open this file in one: $(realpath "$OUT")/one0/view.html" \
+    view "$OUT/one0"
+mkdir "$OUT/none"
+ln -s "$(command -v grep)" "$(command -v tail)" "$OUT/none"
+DISPLAY=:99 PATH=$OUT/none expect 1 'xdg-open is not installed: apt-get install xdg-utils' \
+    view "$OUT/one0"
 expect 1 'empty has no view.html: make one with hdrig convert-scene' view "$OUT/empty"
 expect 1 'scene.hdrig is no page: make one with' view "$OUT/one0/scene.hdrig"
 expect 1 'nowhere: no such folder' view "$OUT/nowhere"

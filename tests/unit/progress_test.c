@@ -24,6 +24,7 @@ static void lines(void **state)
     assert_string_equal(progress_line("refine", 430, 1000, 12.2, "loss 0.031, 61200 splats", b),
                         "refine 43 % step 430/1000, 12 s left, loss 0.031, 61200 splats");
     assert_string_equal(progress_line("refine", 0, 10, -1, NULL, b), "refine 0 % step 0/10");
+    assert_string_equal(progress_line("refine", 1, 10, 0.4, NULL, b), "refine 10 % step 1/10");
     assert_string_equal(progress_line("sweep", 3, 3, -1, "", b), "sweep 100 % step 3/3");
     assert_string_equal(progress_line("none", 0, 0, -1, NULL, b), "none 100 % step 0/0");
     char note[400];
@@ -65,6 +66,30 @@ static void plain(void **state)
     fclose(f);
 }
 
+/* The time of the first step is not known where it is over when the stage is first heard of. */
+static void times_left(void **state)
+{
+    (void)state;
+    char *text = NULL;
+    size_t size = 0;
+    FILE *f = open_memstream(&text, &size);
+    struct progress p = {.f = f};
+    progress_step(&p, "write", 1, 8, NULL);
+    assert_int_equal(fflush(f), 0);
+    assert_int_equal(count(text, "left"), 0);
+    p.start_ns -= 10000000000; // as if 10 s had gone by
+    progress_step(&p, "write", 2, 8, NULL);
+    assert_int_equal(fflush(f), 0);
+    assert_int_equal(count(text, "write 25 % step 2/8, 60 s left\n"), 1);
+    p.start_ns -= 110000000000;
+    progress_step(&p, "write", 7, 8, NULL);
+    progress_step(&p, "write", 8, 8, NULL);
+    assert_int_equal(fclose(f), 0);
+    assert_int_equal(count(text, "write 87 % step 7/8, 20 s left\n"), 1);
+    assert_int_equal(count(text, "write 100 % step 8/8\n"), 1);
+    free(text);
+}
+
 /* A terminal: one line, written again; the end of a stage is always shown. */
 static void terminal(void **state)
 {
@@ -91,6 +116,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(lines),
         cmocka_unit_test(plain),
+        cmocka_unit_test(times_left),
         cmocka_unit_test(terminal),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
