@@ -145,7 +145,8 @@ err_t file_finish(FILE *f, const char *path)
         if (fclose(f) == 0)
             return OK;
         int why = errno;
-        unlink(path);
+        if (file_is_regular(path)) // never remove /dev/stdout and its like
+            unlink(path);
         return err_fail(file_code(why), "%s: closing failed: %s", path, strerror(why));
     }
     int why = errno;
