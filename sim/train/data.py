@@ -81,9 +81,10 @@ def make_scene(seed: int, size: int, worlds: Worlds | None, easy: boxes.Boxes, s
 
 def save_scene(path: str, radiance, depth, cams, key) -> None:
     half = np.clip(radiance * key, 0, 6e4).astype(np.float16)
-    with open(path + ".part", "wb") as f:
+    part = f"{path}.{os.getpid()}.part"
+    with open(part, "xb") as f:  # never somebody else's
         np.savez(f, radiance=half, depth=depth.astype(np.float16), cams=cams)
-    os.replace(path + ".part", path)
+    os.replace(part, path)
 
 
 def work(a: argparse.Namespace) -> None:

@@ -26,12 +26,13 @@ def write_tensors(path: str, tensors: dict[str, torch.Tensor], bf16: bool = Fals
         at += a.nbytes
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)
-    with open(path + ".part", "wb") as f:
+    part = f"{path}.{os.getpid()}.part"
+    with open(part, "xb") as f:  # never somebody else's
         f.write(struct.pack("<Q", len(text)))
         f.write(text)
         for a in blobs:
             f.write(a.tobytes())
-    os.replace(path + ".part", path)
+    os.replace(part, path)
 
 
 def read_tensors(path: str) -> dict[str, torch.Tensor]:

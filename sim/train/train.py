@@ -135,8 +135,10 @@ class Trainer:
              "average": self.average.state_dict(), "opt": self.opt.state_dict(),
              "rng": self.rng.bit_generator.state, "step": self.step, "views": self.views,
              "spent": self.schedule.seconds(), "log": self.log}
-        torch.save(c, self.path() + ".part")
-        os.replace(self.path() + ".part", self.path())
+        part = f"{self.path()}.{os.getpid()}.part"
+        with open(part, "xb") as f:  # never somebody else's
+            torch.save(c, f)
+        os.replace(part, self.path())
 
     # ---- losses ----
 

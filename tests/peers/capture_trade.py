@@ -142,8 +142,10 @@ def trial(q, world):
     kind, seed = world.split(":")
     base = f"{q.work}/{kind}{seed}"
     data, rows = f"{base}/data", {}
-    shutil.rmtree(base, ignore_errors=True)
-    os.makedirs(base)
+    try:
+        os.makedirs(base)
+    except FileExistsError:
+        sys.exit(f"{base}: is there already: give another --work, or remove it")
     run(q.hdrig, "simulate", "--out", data, "--kind", kind, "--seed", seed, "--views", VIEWS,
         "--size", q.size, "--curve", "srgb", "--noise-free", "--exposures",
         "0.00390625,0.015625,0.0625,0.25,1,4,16")
