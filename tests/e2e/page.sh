@@ -34,6 +34,14 @@ wait_for "document.querySelector('#captures img').complete" true
     fail "the page complains: $(value "document.getElementById('message').textContent")"
 screenshot "$OUT/page.png"
 
+# a scene with warnings says so
+take=$(basename "$(find "$OUT/store" -maxdepth 1 -name '*-000001')")
+mkdir -p "$OUT/results/$take"
+echo '{"warnings": ["a", "b"]}' >"$OUT/results/$take/report.json"
+wait_for "document.querySelector('#captures a.warnings').textContent" "2 warnings"
+succeed status --set "control.socket=$SOCKET"
+grep -q "$take: .*scene with 2 warnings" "$OUT/stdout.txt" || fail "status: $(cat "$OUT/stdout.txt")"
+
 # nobody there any more
 kill -TERM $daemon
 wait $daemon || fail "the daemon ends with $?"
