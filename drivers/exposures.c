@@ -30,8 +30,11 @@ static err_t get_entries(const char *what, const struct cJSON *doc, struct expos
         if (e)
             return e;
         if (!json_number(m, &x->time) || !(x->time > 0))
-            return err_fail(ERR_FORMAT, "%s: exposure of %s is not a finite number > 0", what,
-                            x->name);
+            return err_fail(
+                ERR_FORMAT,
+                "%s: exposure of %s is not a finite number > 0, such as seconds x ISO / "
+                "f-number^2",
+                what, x->name);
     }
     qsort(out->v, (size_t)out->n, sizeof *out->v, by_name);
     for (int i = 1; i < out->n; i++)

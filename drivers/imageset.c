@@ -119,7 +119,8 @@ static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
     if (e || file_is_dir(dir))
         return e;
     if (!file_is_dir(images))
-        return err_fail(ERR_IO, "%s: not a folder", images);
+        return err_fail(ERR_IO, "%s: %s", images,
+                        file_exists(images) ? "not a folder" : "no such folder");
     memcpy(dir, images, strlen(images) + 1); // file_join has checked the length
     return OK;
 }
@@ -537,6 +538,15 @@ static err_t choose(const struct imageset_request *rq, bool released, struct ima
 
 /* ---- sizes and cameras ---- */
 
+static err_t refuse_size(const char *dir, const struct shot *a, const struct shot *b)
+{
+    bool turned = a->image.w == b->image.h && a->image.h == b->image.w;
+    return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d: %s", dir, a->name,
+                    a->image.w, a->image.h, b->name, b->image.w, b->image.h,
+                    turned ? "turn one of them, or leave out those that lie across"
+                           : "scale all photographs to one size, or leave out the odd ones");
+}
+
 static err_t get_sizes(struct imageset *set)
 {
     struct shot *s = set->capture.shots;
@@ -549,9 +559,7 @@ static err_t get_sizes(struct imageset *set)
             return e;
         s[i].image.channels = 3;
         if (s[i].image.w != s[0].image.w || s[i].image.h != s[0].image.h)
-            return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d", set->dir,
-                            s[0].name, s[0].image.w, s[0].image.h, s[i].name, s[i].image.w,
-                            s[i].image.h);
+            return refuse_size(set->dir, &s[0], &s[i]);
     }
     return OK;
 }

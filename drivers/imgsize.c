@@ -52,6 +52,20 @@ static bool jpeg_size(struct bytes b, uint32_t *w, uint32_t *h)
     return false;
 }
 
+/* What else a picture may be, whatever it is called; NULL: nobody knows. */
+static const char *other_kind(const char *p, size_t n)
+{
+    if (n < 12)
+        return NULL;
+    return memcmp(p + 4, "ftyphei", 7) == 0 || memcmp(p + 4, "ftypmif", 7) == 0 ? "HEIC"
+           : memcmp(p + 4, "ftypavif", 8) == 0                                  ? "AVIF"
+           : memcmp(p, "II*", 4) == 0 || memcmp(p, "MM\0*", 4) == 0             ? "TIFF or raw"
+           : memcmp(p, "RIFF", 4) == 0 && memcmp(p + 8, "WEBP", 4) == 0         ? "WebP"
+           : memcmp(p, "GIF8", 4) == 0                                          ? "GIF"
+           : memcmp(p, "BM", 2) == 0                                            ? "BMP"
+                                                                                : NULL;
+}
+
 err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
 {
     struct bytes b = bytes_of(p, n);
@@ -62,6 +76,9 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
         found = png_size(b, &width, &height);
     else if (n >= 2 && memcmp(p, "\xff\xd8", 2) == 0)
         found = jpeg_size(b, &width, &height);
+    const char *kind = found ? NULL : other_kind(p, n);
+    if (kind)
+        return err_fail(ERR_FORMAT, "%s: its bytes are %s: save it as PNG or JPEG", what, kind);
     if (!found || width == 0 || height == 0)
         return err_fail(ERR_FORMAT, "%s: no PNG or JPEG header with a size", what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)

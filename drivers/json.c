@@ -7,6 +7,34 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
+
+/* What is wrong at `at` of a text. */
+static err_t refuse(const char *what, const char *text, const char *at)
+{
+    static const char *const no_number[] = {"nan", "-nan", "inf", "-inf"};
+    const char *hint = *at == '/' ? ": a fraction is written as a decimal number" : "";
+    int line = 1;
+    if (at[strspn(at, " \t\r\n")] == 0) {
+        const char *last = at;
+        while (last > text && strchr(" \t\r\n", last[-1]))
+            last--;
+        if (last == text || !strchr("}]", last[-1]))
+            return err_fail(ERR_FORMAT, "%s: not JSON, or cut short: ends after %td bytes", what,
+                            last - text);
+        at = last - 1;
+    }
+    for (const char *p = text; p < at; p++)
+        line += *p == '\n';
+    for (size_t i = 0; i < sizeof no_number / sizeof no_number[0]; i++)
+        if (strncasecmp(at, no_number[i], strlen(no_number[i])) == 0)
+            hint = ": JSON has finite numbers only";
+    int n = 0;
+    while (n < 24 && at[n] >= ' ' && at[n] < 0x7f) // what a terminal and JSON can show
+        n++;
+    return err_fail(ERR_FORMAT, "%s: line %d: not JSON from \"%.*s\" on%s", what, line, n, at,
+                    hint);
+}
 
 err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **out)
 {
@@ -22,10 +50,11 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
         memcpy(copy, text, n);
     copy[n] = 0;
     const char *end = copy;
-    struct cJSON *doc = memchr(copy, 0, n) ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
-    err_t e = doc ? OK
-                  : err_fail(ERR_FORMAT, "%s: not JSON, or cut short, near byte %td of %zu", what,
-                             end - copy, n);
+    const char *zero = memchr(copy, 0, n);
+    struct cJSON *doc = zero ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
+    err_t e = doc    ? OK
+              : zero ? err_fail(ERR_FORMAT, "%s: not JSON: byte %td is 0", what, zero - copy)
+                     : refuse(what, copy, end >= copy && end <= copy + n ? end : copy + n);
     free(copy);
     *out = doc;
     return e;

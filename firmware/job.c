@@ -103,7 +103,10 @@ static struct job_config within(const struct job_config *cfg, int n_views)
 static err_t check_capture(const struct capture *c)
 {
     if (prep_places(c) < 2)
-        return err_fail(ERR_ARG, "%d view, a scene needs at least 2", prep_places(c));
+        return err_fail(ERR_ARG,
+                        "%d view, a scene needs at least 2, from different places; 8 to 20 "
+                        "are good",
+                        prep_places(c));
     for (int i = 1; i < c->n; i++)
         if (c->shots[i].has_camera != c->shots[0].has_camera)
             return err_fail(ERR_ARG,

@@ -39,7 +39,7 @@ for command in reconstruct render eval bench doctor config; do
 done
 
 # pictures
-refused 1 "$OUT/nowhere: not a folder" --images "$OUT/nowhere"
+refused 1 "$OUT/nowhere: no such folder" --images "$OUT/nowhere"
 mkdir "$OUT/empty"
 refused 1 "$OUT/empty: no pictures" --images "$OUT/empty"
 copy one
@@ -54,7 +54,7 @@ refused 1 'text/images/train_ldr_001_0.png' --images "$set"
 copy sizes
 make_set other 70 1 0
 cp "$OUT/other/images/train_ldr_000_0.png" "$set/images/train_ldr_001_0.png"
-refused 1 'train_ldr_001_0.png has 70 x 70 but|but train_ldr_001_0.png has 70 x 70' --images "$set"
+refused 1 'but train_ldr_001_0.png has 70 x 70: scale all photographs to one size' --images "$set"
 
 # what is not read is told before the work, and in the report
 copy mixed
@@ -84,7 +84,14 @@ sed -i 's/"train_ldr_001_0.png": .*/"train_ldr_001_0.png": -1,/' "$set/exposure.
 refused 1 'exposure.json.*train_ldr_001_0.png' --images "$set"
 copy garbled
 echo '{"a": ' >"$set/exposure.json"
-refused 1 'garbled.*exposure.json' --images "$set"
+refused 1 'garbled.*exposure.json: not JSON, or cut short: ends after 5 bytes' --images "$set"
+copy not_a_number
+sed -i 's/"train_ldr_001_0.png": .*/"train_ldr_001_0.png": NaN,/' "$set/exposure.json"
+refused 1 'exposure.json: line [0-9]+: not JSON from "NaN," on: JSON has finite numbers only' \
+    --images "$set"
+sed -i 's|NaN|1/30|' "$set/exposure.json"
+refused 1 'exposure.json: line [0-9]+: not JSON from "/30," on: a fraction is written' \
+    --images "$set"
 
 # cameras
 mkdir "$OUT/blank"

@@ -154,19 +154,20 @@ expect 2 'hdr writes frames: give --out' "${render[@]}" --path orbit --hdr \
 succeed "${render[@]}" --path inputs --frames 10 --fps 25 --ev -2..2 --false-colour \
     --video "$OUT/films/a.mp4" --out "$OUT/frames"
 same "inputs" "$(probe "$OUT/films/a.mp4")" h264,56,56,yuv420p,tv,bt709,25/1,0.400000,10
+both="b.mp4 files.sha256 frame_0000.png frame_0001.png report.json"
 for round in first again; do # in the folder of the frames, which is replaced
     succeed "${render[@]}" --path inputs --frames 2 --video "$OUT/both/b.mp4" --out "$OUT/both/"
-    same "$round" "$(ls "$OUT/both" | xargs)" "b.mp4 frame_0000.png frame_0001.png report.json"
+    same "$round" "$(ls "$OUT/both" | xargs)" "$both"
 done
 tool=$(readlink -f "$HDRIG")
 (cd "$OUT/both" && "$tool" render --scene ../scene --path inputs \
     --frames 2 --video b.mp4 --out ../both >/dev/null 2>&1) || fail "a video in this folder"
-same "this folder" "$(ls "$OUT/both" | xargs)" "b.mp4 frame_0000.png frame_0001.png report.json"
+same "this folder" "$(ls "$OUT/both" | xargs)" "$both"
 rm "$OUT/films/a.mp4"
 
 succeed "${render[@]}" --path inputs --frames 2 --video "$OUT/./fresh/b.mp4" --out "$OUT/fresh"
 same "a new folder by two names" "$(ls "$OUT/fresh" | xargs)" \
-    "b.mp4 frame_0000.png frame_0001.png report.json"
+    "$both"
 
 # where there is no place, or no space
 without 1 'nowhere/a.mp4: cannot create: No such file' --video "$OUT/nowhere/a.mp4"

@@ -255,9 +255,10 @@ static void contradictions_are_named(void **state)
     assert_non_null(strstr(err_text(), "no exposure for b.png, of 3 pictures"));
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1, \"c.png\": 1}");
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "a.png has 8 x 6 px but b.png has 6 x 8"));
+    assert_non_null(strstr(err_text(), "a.png has 8 x 6 px but b.png has 6 x 8: turn one"));
     put_picture("b.png", 7, 6);
     assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "scale all photographs to one size"));
     put_picture("b.png", 8, 5);
     assert_int_equal(list(&rq), ERR_FORMAT);
     put_picture("b.png", 8, 6);
@@ -402,6 +403,14 @@ static void sizes_are_read_from_headers(void **state)
     assert_true(w == 8 && h == 6);
     for (size_t n = 0; n < sizeof jpeg - 1; n++)
         assert_int_equal(imgsize_parse("j", jpeg, n, &w, &h), ERR_FORMAT);
+    static const char *const others[] = {"\0\0\0\x18"
+                                         "ftypheic",
+                                         "II*\0\x08\0\0\0....", "RIFF....WEBP"};
+    static const char *const kinds[] = {"HEIC", "TIFF or raw", "WebP"};
+    for (int i = 0; i < 3; i++) {
+        assert_int_equal(imgsize_parse("a.jpg", others[i], 12, &w, &h), ERR_FORMAT);
+        assert_non_null(strstr(err_text(), kinds[i]));
+    }
     assert_int_equal(imgsize_parse("j", jpeg, sizeof jpeg, &w, &h), OK);
     assert_true(w == 0x304 && h == 0x102);
 }
