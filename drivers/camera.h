@@ -135,6 +135,11 @@ struct camera_ops {
 
     /* Give a frame back and zero it. Accepts a zeroed frame. */
     void (*release)(void *st, struct frame *f);
+
+    /* The present, ns, for a camera with a clock of its own, which its time stamps are of: waits
+     * and ages are measured by it, so that a simulation does not depend on the speed of the
+     * machine. NULL, or 0: CLOCK_MONOTONIC. */
+    int64_t (*now)(const void *st);
 };
 
 extern const struct camera_ops camera_v4l2, camera_libcamera;

@@ -1,5 +1,7 @@
 #include "firmware/backends.h"
 
+#include "firmware/clocks.h"
+
 #include <stdbool.h>
 #include <string.h>
 
@@ -47,4 +49,10 @@ err_t backends_trigger(const char *uri, const struct trigger_ops **out)
     }
     *out = NULL;
     return err_fail(ERR_ARG, "trigger %.100s: begins with none of%s", uri, list);
+}
+
+int64_t backends_now(const struct camera_ops *ops, const void *st)
+{
+    int64_t own = ops->now ? ops->now(st) : 0;
+    return own ? own : clocks_now();
 }

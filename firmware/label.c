@@ -241,24 +241,15 @@ void label_narrow(struct label *l, const struct label_look *k)
 
 /* ---- pixels ---- */
 
-/* Rms of the ratio at a place by noise alone, stops. */
-static double noise_of(const struct witness *a, const struct witness *b)
-{
-    double sum = 0.0;
-    int n = 0;
-    for (int i = 0; i < WITNESS_PLACES; i++)
-        if (a->state[i] == WITNESS_GOOD && b->state[i] == WITNESS_GOOD) {
-            sum += (double)a->sd[i] * a->sd[i] + (double)b->sd[i] * b->sd[i];
-            n++;
-        }
-    return n > 0 ? sqrt(sum / n) : 0.0;
-}
-
-static bool changed(const struct label *l, const struct witness_ratio *r, const struct witness *a,
-                    const struct witness *b)
+static bool changed(const struct label *l, const struct witness_ratio *r)
 {
     return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance &&
-           r->spread > 2.0 * noise_of(a, b);
+           (double)r->spread > 2.0 * (double)r->noise;
+}
+
+static bool torn(const struct label *l, const struct witness_ratio *r)
+{
+    return r->places >= PLACES_MIN && r->band > 2.0 * l->cfg.tolerance;
 }
 
 static void compare(const struct label *l, int by, const struct witness *w, struct label_look *k)
@@ -268,7 +259,8 @@ static void compare(const struct label *l, int by, const struct witness *w, stru
     witness_compare(&a->seen, w, &r);
     k->lo = fmax(k->lo, a->stops + r.lo);
     k->hi = fmin(k->hi, a->stops + r.hi);
-    k->changed = k->changed || changed(l, &r, &a->seen, w);
+    k->changed = k->changed || changed(l, &r);
+    k->torn = k->torn || torn(l, &r);
     double error = hypot(a->error, MEDIAN_ERROR * r.spread / sqrt(fmax(r.places, 1.0)));
     if (r.places < PLACES_MIN || 4.0 * error > l->cfg.tolerance ||
         (k->measured && error >= k->error))
@@ -345,8 +337,8 @@ err_t label_settle(struct label *l, const struct frame *f, const struct witness 
     }
     if (a->held) {
         witness_compare(&a->seen, w, &r);
-        double noise = 2.5 * noise_of(&a->seen, w) / sqrt(fmax(r.places, 1.0));
-        *same = !changed(l, &r, &a->seen, w) &&
+        double noise = 2.5 * r.noise / sqrt(fmax(r.places, 1.0));
+        *same = !changed(l, &r) && !torn(l, &r) &&
                 (r.places < PLACES_MIN || fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + noise);
     }
     a->recorded = a->stops = label_stops(f->exposure_known ? &f->exposure : x);
@@ -376,13 +368,13 @@ static void weigh(const struct label *l, int i, const struct frame *f, const str
                               .agree = agree || !f->exposure_known,
                               .exposure = agree ? f->exposure : r->expect};
     double s = out->stops = label_stops(&out->exposure), most = l->cfg.tolerance;
+    out->off = fmax(fmax(k->lo - s, s - k->hi), 0.0);
+    bool allowed = out->off <= most;
     if (k->measured) {
         out->off = fabs(s - k->stops);
         most -= 2.0 * k->error;
-    } else {
-        out->off = fmax(fmax(k->lo - s, s - k->hi), 0.0);
     }
-    out->fits = !k->changed && out->off <= most;
+    out->fits = !k->changed && !k->torn && allowed && out->off <= most;
 }
 
 /* The nearest that fits, the oldest of equals; NULL: none. */

@@ -62,6 +62,7 @@ struct label_look {
     struct exposure exposure; // to be recorded: as reported, else expected
     bool disagrees;           // pixels and requests fit, the report does not
     bool measured, changed;   // by pixels; the light of parts changed
+    bool torn;                // rows side by side had another exposure than the rest
     double stops, error;      // if measured: log2 of exposure, s
     double lo, hi;            // bounds of it in any case
     int by, places;           // anchor

@@ -62,6 +62,22 @@ struct session {
     char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
+static int64_t now_of(const struct cam *c)
+{
+    return c->open ? backends_now(c->ops, c->st) : clocks_now();
+}
+
+/* The earliest present of all: no camera is late by it. */
+static int64_t now_of_all(const struct session *s)
+{
+    int64_t now = INT64_MAX;
+    for (int i = 0; i < s->n; i++) {
+        int64_t t = s->cam[i].open ? now_of(&s->cam[i]) : INT64_MAX;
+        now = t < now ? t : now;
+    }
+    return now < INT64_MAX ? now : clocks_now();
+}
+
 /* ---- opening ---- */
 
 static err_t name_camera(const struct cam *c, err_t e)
@@ -296,7 +312,7 @@ static err_t drain(struct session *s, int i)
     err_t e = OK;
     for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
         struct frame f;
-        int64_t now = clocks_now(); // looking at a frame takes time
+        int64_t now = now_of(c); // looking at a frame takes time
         struct bracket_event ev = {.now_ns = now, .camera = i};
         err_t got = c->ops->next(c->st, &f);
         if (got == ERR_AGAIN)
@@ -334,11 +350,11 @@ static err_t arm_one(struct session *s, int i, double base_s)
             e = c->ops->request(c->st, &ask, &c->set);
         if (e) {
             e = name_camera(c, e);
-            lose(s, i, clocks_now());
+            lose(s, i, now_of(c));
             return e;
         }
     }
-    ev.now_ns = clocks_now();
+    ev.now_ns = now_of(c);
     ev.set = c->set;
     c->looked = false;
     c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
@@ -618,7 +634,7 @@ static err_t check_order(const struct session *s, const struct session_order *o)
 
 err_t session_begin(struct session *s, const struct session_order *o)
 {
-    int64_t now = clocks_now();
+    int64_t now = now_of_all(s);
     err_t e = check_order(s, o);
     if (e)
         return e;
@@ -635,7 +651,7 @@ err_t session_begin(struct session *s, const struct session_order *o)
 
 void session_cancel(struct session *s, const char *reason)
 {
-    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = clocks_now()};
+    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = now_of_all(s)};
     if (s->phase == PHASE_NONE)
         return;
     s->cancelled = true;
@@ -762,14 +778,14 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 err_t session_step(struct session *s)
 {
     // only what had not come by now is late: looking at the others takes time
-    int64_t now = clocks_now();
+    int64_t now = now_of_all(s);
     struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
         e = drain(s, i);
     if (!e && now >= bracket_deadline(s->machine))
         e = tell(s, &tick, NULL);
-    now = clocks_now();
+    now = now_of_all(s);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());
         e = OK;

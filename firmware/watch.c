@@ -6,7 +6,6 @@
 
 #include "firmware/backends.h"
 #include "firmware/calib.h"
-#include "firmware/clocks.h"
 #include "firmware/engine.h"
 
 #include "drivers/thin.h"
@@ -99,6 +98,11 @@ void watch_tell(struct watch *w, const char *stage, int done, int total)
         progress_step(w->progress, stage, done, total, NULL);
 }
 
+static int64_t now_of(const struct watch *w)
+{
+    return backends_now(w->ops, w->st);
+}
+
 /* ---- counting ---- */
 
 static void count_sequence(struct watch *w, const struct frame *f)
@@ -148,7 +152,7 @@ static void count_frame(struct watch *w, const struct frame *f, int64_t now)
 
 static err_t next_within(struct watch *w, double limit_s, struct frame *f)
 {
-    int64_t end = clocks_now() + (int64_t)(limit_s * 1e9);
+    int64_t end = now_of(w) + (int64_t)(limit_s * 1e9);
     struct timespec tick = {.tv_nsec = SECOND / 10};
     for (;;) {
         if (atomic_load(&engine_cancel))
@@ -157,7 +161,7 @@ static err_t next_within(struct watch *w, double limit_s, struct frame *f)
         w->count.failed += e == ERR_IO;
         if (e != ERR_AGAIN && e != ERR_IO)
             return e;
-        if (clocks_now() >= end)
+        if (now_of(w) >= end)
             return err_fail(ERR_TIMEOUT, "no frame came for %.3g s", limit_s);
         struct pollfd p = {.fd = w->ops->fd(w->st), .events = POLLIN | POLLPRI};
         ppoll(&p, 1, &tick, NULL);
@@ -172,7 +176,7 @@ static err_t fetch(struct watch *w, struct frame *f, struct sight *out)
         err_t e = next_within(w, limit_s, f);
         if (e)
             return e;
-        int64_t now = clocks_now();
+        int64_t now = now_of(w);
         bool again = label_duplicate(&w->label, f);
         count_frame(w, f, now);
         if (again) {
@@ -199,12 +203,14 @@ static void doubt_dark(const struct watch *w, struct witness *s)
     struct crf srgb;
     crf_srgb(&srgb);
     float floor = exp2f((w->has_crf ? &w->crf : &srgb)->log2x[1][FLOOR]);
-    for (int i = 0; i < WITNESS_PLACES; i++)
+    for (int i = 0; i < WITNESS_PLACES; i++) {
+        s->floor[i] = fmaxf(s->floor[i], floor);
         if (s->state[i] == WITNESS_GOOD && s->x[i] < floor) {
             s->state[i] = WITNESS_DARK;
             s->good--;
             s->dark++;
         }
+    }
 }
 
 static err_t look_at(struct watch *w, const struct frame *f, struct sight *out)
@@ -340,7 +346,7 @@ err_t watch_ask(struct watch *w, double time_s, int index)
     struct sight s;
     err_t e = ERR_BUSY;
     for (int i = 0; i < BUSY_FRAMES && e == ERR_BUSY; i++) {
-        r.asked_ns = clocks_now();
+        r.asked_ns = now_of(w);
         e = w->ops->request(w->st, &r.ask, &r.set);
         w->count.requests++;
         w->count.refused += e != OK;
@@ -351,7 +357,7 @@ err_t watch_ask(struct watch *w, double time_s, int index)
     if (e)
         return e == ERR_LOST ? e : err_fail(e, "exposure of %g s: %s", time_s, err_text());
     w->count.misread += !is_rounded(&w->info, time_s, r.set.time_s);
-    r.answered_ns = clocks_now();
+    r.answered_ns = now_of(w);
     label_asked(&w->label, &r);
     return OK;
 }

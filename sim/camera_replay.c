@@ -220,4 +220,5 @@ const struct camera_ops camera_replay = {.name = "replay",
                                          .fd = feed_fd,
                                          .request = feed_request,
                                          .next = feed_next,
-                                         .release = feed_release};
+                                         .release = feed_release,
+                                         .now = feed_own_now};

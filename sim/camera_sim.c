@@ -224,4 +224,5 @@ const struct camera_ops camera_sim = {.name = "sim",
                                       .fd = feed_fd,
                                       .request = feed_request,
                                       .next = feed_next,
-                                      .release = feed_release};
+                                      .release = feed_release,
+                                      .now = feed_own_now};

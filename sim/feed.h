@@ -1,11 +1,11 @@
 /* feed.h - what all simulated cameras share: clock, control timing, buffers, faults, truth. A
  * backend adds the pixels.
- * The state of a backend begins with struct feed; feed_fd, feed_request, feed_next, feed_release
- * and feed_info are entries of its camera_ops.
+ * The state of a backend begins with struct feed; feed_fd, feed_request, feed_next, feed_release,
+ * feed_info and feed_own_now are entries of its camera_ops.
  * Clocks. Real: frames end when CLOCK_MONOTONIC says so; those that find no buffer are lost with a
  * gap in the sequence. Virtual: time stands still but in `next`, which, when no frame waits, goes
  * on to the end of the frame that runs; a frame of 1 s takes no time. The file descriptor is always
- * readable then.
+ * readable then. All cameras of a rig have the same kind of clock.
  * thread: as camera.h. */
 #ifndef SIM_FEED_H
 #define SIM_FEED_H
@@ -121,8 +121,11 @@ MUST_USE err_t feed_request(void *st, const struct exposure *ask, struct exposur
 MUST_USE err_t feed_next(void *st, struct frame *out);
 void feed_release(void *st, struct frame *f);
 
-/* The present of the camera's clock, CLOCK_MONOTONIC ns. */
+/* The present of the camera's clock, ns. */
 int64_t feed_now(const void *st);
+
+/* The same if it is virtual, else 0: an entry of camera_ops. */
+int64_t feed_own_now(const void *st);
 
 /* Truth of a frame that is held. */
 struct feed_truth feed_truth(const void *st, const struct frame *f);

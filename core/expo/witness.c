@@ -1,7 +1,9 @@
 /* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; only these are
- * touched. Per colour the block's codes become relative exposure (display values by a table, linear
- * ones less black) and are averaged; the strongest of red, green and blue counts. Of a mosaic only
- * sites of one colour are averaged, green over both of its kinds.
+ * touched; blocks of small pictures overlap, so that each has neighbours to learn its noise from.
+ * Per colour the block's codes become relative exposure (display values by a table, linear ones
+ * less black) and are averaged; the mean of the colours counts: the strongest of three would be the
+ * luckiest where all are noise. Of a mosaic only sites of one colour are averaged, green over both
+ * of its kinds.
  * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
  * colour says nothing safe by the others once a device has mixed them.
  * Display values that are noise, cut off at black, are DARK whatever code they have: curves like
@@ -9,9 +11,14 @@
  * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
  * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
  * of linear numbers, a black level that is wrong by half a code.
- * A ratio is the median of log2 x_b / x_a over places good in both, 4.5 of the capture notes. A
- * place that is dark or clipped in one bounds it from one side; of the bounds sorted, the one with
- * 2 % of all places beyond it is taken. */
+ * A ratio is the median of log2 x_b / x_a, 4.5 of the capture notes. Which places count must not
+ * depend on the noise that the ratio sees, or near the dark limit the lucky ones are chosen: at
+ * ratio R a place has the light m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors have
+ * nothing to do with x_b / x_a; it counts if both are above its floor, even if x_b itself is not.
+ * R begins as the median over places that are not dark in either.
+ * A band of rows has its own median; bounds of clipped places count as far as they say more.
+ * A place that is dark or clipped in one bounds the ratio from one side; of the bounds sorted, the
+ * one with 2 % of all places beyond it is taken. */
 #include "core/expo/witness.h"
 
 #include "core/base/num.h"
@@ -19,7 +26,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { BLOCK = 8, WRONG = WITNESS_PLACES / 50 };
+enum { BLOCK_LEAST = 4, BLOCK = 8, WRONG = WITNESS_PLACES / 50, ROUNDS = 4, BAND_PLACES = 4 };
 
 #define LOG2E 1.44269504f
 #define DARK_DISPLAY 8    // codes: capture notes 4.2
@@ -32,6 +39,11 @@ enum { BLOCK = 8, WRONG = WITNESS_PLACES / 50 };
 #define SD_MAX 0.15f      // stops: noisier places are dark
 #define FAINT 0x1p-7f     // relative exposure: below, a display's noise may be cut off at black,
 #define STAND_OUT 4.0f    // and looks like light unless a pixel is so many times above it
+#define SURE 3.0f         // standard errors that a bound allows for
+#define BAND_SURE 4.0f    // and a band
+#define MEDIAN 1.25f      // standard error of a median, of that of a mean
+#define QUARTILE 0.674f   // of a normal distribution, standard deviations
+#define CONVERGED 1e-3f   // stops
 
 struct scale {
     const struct raw *px;
@@ -49,7 +61,8 @@ struct sum {
 };
 
 struct mean {
-    float x, sd, noise; // relative exposure; its error; noise of a pixel, linear
+    float x, noise;  // relative exposure; noise of a pixel, linear
+    float var, step; // squared error by noise; error by steps of codes
 };
 
 static void scale_init(const struct raw *px, const struct crf *crf, struct scale *s)
@@ -93,11 +106,11 @@ static void add_row(const struct scale *s, int colour, const uint16_t *p, int n,
     to->pairs += n - 1;
 }
 
-/* Edge of the blocks along a side of n px: no longer than a cell, even. */
+/* Edge of the blocks along a side of n px: even, no longer than a cell if that is long enough. */
 static int edge_of(int n)
 {
     int cell = n / WITNESS_EDGE / 2 * 2;
-    return num_min(n, cell < 2 ? 2 : num_min(cell, BLOCK));
+    return num_min(n, num_min(num_max(cell, BLOCK_LEAST), BLOCK));
 }
 
 /* Sums of a block per colour, which begins at an even site of a mosaic. */
@@ -122,49 +135,49 @@ static void add_block(const struct scale *s, int y0, int x0, struct sum to[3])
 
 static struct mean mean_of(const struct scale *s, int colour, const struct sum *m)
 {
-    float n = (float)m->n, step = STEP_LINEAR * s->unit, black = BLACK_ERROR * s->unit;
+    float n = (float)m->n, step = STEP_LINEAR * s->unit;
     if (!s->px->linear) {
         int code = num_min((int)(m->codes / m->n), 254), below = code > 0 ? code - 1 : 0;
         step = STEP_DISPLAY * 0.5f * (s->table[colour][code + 1] - s->table[colour][below]);
-        black = 0.0f;
     }
     float noise2 = m->pairs > 0 ? 0.5f * m->diff2 / (float)m->pairs : 0.0f;
-    return (struct mean){m->x / n, sqrtf(noise2 / n + step * step + black * black), sqrtf(noise2)};
+    return (struct mean){m->x / n, sqrtf(noise2), noise2 / n, step};
 }
 
-static enum witness_state judge(const struct scale *s, int y0, int x0, float *x, float *sd)
+static void judge(const struct scale *s, int y0, int x0, int at, struct witness *to)
 {
     struct sum sums[3] = {{0}};
-    struct mean best = {-INFINITY, 0.0f, 0.0f};
+    struct mean all = {0};
+    float dark = 0.0f, n = 0.0f;
     bool clipped = false;
-    int colour = 1;
     add_block(s, y0, x0, sums);
     for (int c = 0; c < 3; c++) {
         if (sums[c].n == 0)
             continue;
         struct mean m = mean_of(s, c, &sums[c]);
         clipped |= sums[c].clipped > 0;
-        colour = m.x > best.x ? c : colour;
-        best = m.x > best.x ? m : best;
+        all.x += m.x;
+        all.noise += m.noise;
+        all.var += m.var + m.step * m.step;
+        dark += s->dark[c];
+        n += 1.0f;
     }
-    *x = fmaxf(best.x, LEAST);
-    *sd = LOG2E * best.sd / *x;
-    if (clipped)
-        return WITNESS_CLIPPED;
-    float noise = s->px->linear ? 0.0f : best.noise; // linear numbers have a black level
-    bool drowned = best.x < FAINT && best.x < STAND_OUT * noise;
-    if (best.x >= s->dark[colour] && *sd <= SD_MAX && !drowned)
-        return WITNESS_GOOD;
-    *x = fmaxf(fmaxf(best.x + 2.0f * best.sd + noise, s->dark[colour]), LEAST);
-    *sd = 0.0f;
-    return WITNESS_DARK;
+    float black = s->px->linear ? BLACK_ERROR * s->unit : 0.0f;
+    float x = all.x / n, sd = sqrtf(all.var / (n * n) + black * black);
+    float floor = fmaxf(dark / n, LOG2E / SD_MAX * sd);
+    if (!s->px->linear) // linear numbers have a black level
+        floor = fmaxf(floor, fminf(FAINT, STAND_OUT * all.noise / n));
+    to->x[at] = x;
+    to->sd[at] = sd;
+    to->floor[at] = floor;
+    to->state[at] = (uint8_t)(clipped ? WITNESS_CLIPPED : x < floor ? WITNESS_DARK : WITNESS_GOOD);
 }
 
 /* First pixel of the block of cell i, of n pixels. */
 static int begin_of(const struct raw *px, int i, int n)
 {
     int edge = edge_of(n), at = (int)((2 * i + 1) * (int64_t)n / (2 * WITNESS_EDGE)) - edge / 2;
-    at = at < 0 ? 0 : at;
+    at = num_max(num_min(at, n - edge), 0);
     return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
 }
 
@@ -175,7 +188,7 @@ void witness_take(const struct raw *px, const struct crf *crf, struct witness *o
     scale_init(px, crf, &s);
     for (int i = 0; i < WITNESS_PLACES; i++) {
         int y = begin_of(px, i / WITNESS_EDGE, px->h), x = begin_of(px, i % WITNESS_EDGE, px->w);
-        out->state[i] = (uint8_t)judge(&s, y, x, &out->x[i], &out->sd[i]);
+        judge(&s, y, x, i, out);
         count[out->state[i]]++;
     }
     out->good = count[WITNESS_GOOD];
@@ -186,27 +199,49 @@ void witness_take(const struct raw *px, const struct crf *crf, struct witness *o
 /* ---- comparison ---- */
 
 struct lists {
-    int n, n_lo, n_hi;
-    float ratio[WITNESS_PLACES], lo[WITNESS_PLACES], hi[WITNESS_PLACES];
+    int n_seen, n_lo, n_hi;
+    struct {
+        int place;
+        float log2;
+    } seen[WITNESS_PLACES]; // good in one at least, clipped in none
+    float lo[WITNESS_PLACES], hi[WITNESS_PLACES];
 };
 
-static void add_place(const struct witness *a, const struct witness *b, int i, struct lists *to)
+struct pair {
+    const struct witness *a, *b;
+    struct lists l;
+    float r, ratio;                // estimate so far: log2, linear
+    float value[WITNESS_PLACES];   // room for medians
+};
+
+static float log_ratio(float b, float a)
 {
-    int sa = a->state[i], sb = b->state[i];
-    bool lo = sa != WITNESS_CLIPPED && sb != WITNESS_DARK;
-    bool hi = sa != WITNESS_DARK && sb != WITNESS_CLIPPED;
-    if (!lo && !hi)
-        return; // most of a dark picture, so before the logarithm
-    float r = log2f(b->x[i] / a->x[i]);
-    if (lo && hi) {
-        to->ratio[to->n++] = r;
-        return;
-    }
-    float error = 2.0f * sqrtf(a->sd[i] * a->sd[i] + b->sd[i] * b->sd[i]);
+    return log2f(fmaxf(b, LEAST) / fmaxf(a, LEAST));
+}
+
+static void add_bound(const struct witness *a, const struct witness *b, int i, struct lists *to)
+{
+    bool lo = a->state[i] == WITNESS_DARK || b->state[i] == WITNESS_CLIPPED;
+    float xa = a->state[i] == WITNESS_DARK ? a->floor[i] : fmaxf(a->x[i], LEAST);
+    float xb = b->state[i] == WITNESS_DARK ? b->floor[i] : fmaxf(b->x[i], LEAST);
+    float error = SURE * LOG2E * hypotf(a->sd[i] / xa, b->sd[i] / xb), r = log2f(xb / xa);
     if (lo)
         to->lo[to->n_lo++] = r - error;
     else
         to->hi[to->n_hi++] = r + error;
+}
+
+static void add_place(const struct witness *a, const struct witness *b, int i, struct lists *to)
+{
+    int sa = a->state[i], sb = b->state[i];
+    if (sa == sb && sa != WITNESS_GOOD)
+        return; // most of a dark picture, so before the logarithm
+    if (sa != WITNESS_CLIPPED && sb != WITNESS_CLIPPED) {
+        to->seen[to->n_seen].place = i;
+        to->seen[to->n_seen++].log2 = log_ratio(b->x[i], a->x[i]);
+    }
+    if (sa != WITNESS_GOOD || sb != WITNESS_GOOD)
+        add_bound(a, b, i, to);
 }
 
 /* What would be at place k of n numbers in order (Hoare's FIND); reorders them. */
@@ -232,21 +267,123 @@ static float ranked(float *v, int n, int k)
     return v[k];
 }
 
+/* Light of a place in a, by both frames; 0 if either should not see it well. */
+static float light(const struct pair *p, int i)
+{
+    float m = (p->a->x[i] + p->b->x[i]) / (1.0f + p->ratio);
+    return m >= p->a->floor[i] && m * p->ratio >= p->b->floor[i] ? m : 0.0f;
+}
+
+static void set_ratio(struct pair *p, float r)
+{
+    p->r = r;
+    p->ratio = exp2f(r);
+}
+
+static int good_in_both(struct pair *p)
+{
+    int n = 0;
+    for (int k = 0; k < p->l.n_seen; k++) {
+        int i = p->l.seen[k].place;
+        if (p->a->state[i] == WITNESS_GOOD && p->b->state[i] == WITNESS_GOOD)
+            p->value[n++] = p->l.seen[k].log2;
+    }
+    return n;
+}
+
+/* Ratios of the places that count; the sum of their squared errors. */
+static int that_count(struct pair *p, float *var)
+{
+    int n = 0;
+    *var = 0.0f;
+    for (int k = 0; k < p->l.n_seen; k++) {
+        int i = p->l.seen[k].place;
+        float m = light(p, i);
+        if (m <= 0.0f)
+            continue;
+        float sa = p->a->sd[i] / m, sb = p->b->sd[i] / (m * p->ratio);
+        *var += LOG2E * LOG2E * (sa * sa + sb * sb);
+        p->value[n++] = p->l.seen[k].log2;
+    }
+    return n;
+}
+
+static void measure(struct pair *p, struct witness_ratio *out)
+{
+    float var = 0.0f, step = INFINITY;
+    int n = good_in_both(p);
+    if (n > 0)
+        set_ratio(p, ranked(p->value, n, n / 2));
+    for (int k = 0; n > 0 && k < ROUNDS && step > CONVERGED; k++) {
+        n = that_count(p, &var);
+        float r = n > 0 ? ranked(p->value, n, n / 2) : p->r;
+        step = fabsf(r - p->r);
+        set_ratio(p, r);
+    }
+    if (n == 0)
+        return;
+    int quarter = n / 4;
+    out->places = n;
+    out->log2 = p->r;
+    out->spread = 0.5f * (ranked(p->value, n, n - 1 - quarter) - ranked(p->value, n, quarter));
+    out->noise = sqrtf(var / (float)n);
+}
+
+/* How far the ratio of place i is from that of all, stops, and its squared error; false: it says
+ * nothing. */
+static bool deviation(const struct pair *p, int i, float *off, float *var)
+{
+    const struct witness *a = p->a, *b = p->b;
+    bool over_a = a->state[i] == WITNESS_CLIPPED, over_b = b->state[i] == WITNESS_CLIPPED;
+    float m = over_a || over_b ? fmaxf(a->x[i], LEAST) : light(p, i);
+    if (m <= 0.0f || (over_a && b->state[i] != WITNESS_GOOD) ||
+        (over_b && a->state[i] != WITNESS_GOOD))
+        return false;
+    float d = log_ratio(b->x[i], a->x[i]) - p->r;
+    float sa = a->sd[i] / m, sb = b->sd[i] / (over_b ? b->x[i] : m * p->ratio);
+    *off = over_b ? fmaxf(d, 0.0f) : over_a ? fminf(d, 0.0f) : d;
+    *var = LOG2E * LOG2E * (sa * sa + sb * sb);
+    return true;
+}
+
+/* By how much n rows of the grid are off for sure, stops. */
+static float band_off(struct pair *p, int row, int rows, float spread)
+{
+    float sum = 0.0f, var;
+    int n = 0;
+    for (int i = row * WITNESS_EDGE; i < (row + rows) * WITNESS_EDGE; i++)
+        if (deviation(p, i, &p->value[n], &var)) {
+            sum += var;
+            n++;
+        }
+    if (n < BAND_PLACES)
+        return 0.0f;
+    float noise = fmaxf(sqrtf(sum / (float)n), spread / QUARTILE);
+    float off = fabsf(ranked(p->value, n, n / 2));
+    return fmaxf(off - BAND_SURE * MEDIAN * noise / sqrtf((float)n), 0.0f);
+}
+
+static float widest_band(struct pair *p, float spread)
+{
+    float most = 0.0f;
+    for (int rows = 1; rows < WITNESS_EDGE; rows *= 2)
+        for (int row = 0; row < WITNESS_EDGE; row += rows)
+            most = fmaxf(most, band_off(p, row, rows, spread));
+    return most;
+}
+
 void witness_compare(const struct witness *a, const struct witness *b, struct witness_ratio *out)
 {
-    struct lists l;
-    l.n = l.n_lo = l.n_hi = 0;
+    struct pair p = {.a = a, .b = b};
+    struct lists *l = &p.l;
     for (int i = 0; i < WITNESS_PLACES; i++)
-        add_place(a, b, i, &l);
-    *out = (struct witness_ratio){.places = l.n, .lo = -INFINITY, .hi = INFINITY};
-    if (l.n > 0) {
-        int quarter = l.n / 4;
-        out->log2 = ranked(l.ratio, l.n, l.n / 2);
-        out->spread =
-            0.5f * (ranked(l.ratio, l.n, l.n - 1 - quarter) - ranked(l.ratio, l.n, quarter));
-    }
-    if (l.n_lo > WRONG)
-        out->lo = ranked(l.lo, l.n_lo, l.n_lo - 1 - WRONG);
-    if (l.n_hi > WRONG)
-        out->hi = ranked(l.hi, l.n_hi, WRONG);
+        add_place(a, b, i, l);
+    *out = (struct witness_ratio){.lo = -INFINITY, .hi = INFINITY};
+    if (l->n_lo > WRONG)
+        out->lo = ranked(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
+    if (l->n_hi > WRONG)
+        out->hi = ranked(l->hi, l->n_hi, WRONG);
+    measure(&p, out);
+    if (out->places > 0)
+        out->band = widest_band(&p, out->spread);
 }

@@ -11,14 +11,15 @@ enum { WITNESS_EDGE = 32, WITNESS_PLACES = WITNESS_EDGE * WITNESS_EDGE };
 
 enum witness_state {
     WITNESS_GOOD,
-    WITNESS_DARK,   // below what noise and code steps allow to trust: exposure is at most x
+    WITNESS_DARK,   // below `floor`, whatever x says
     WITNESS_CLIPPED // some pixel of the place is saturated: exposure is at least x
 };
 
-/* Mean of a block of pixels of the strongest channel at each place of an even grid. */
+/* Mean of a block of pixels, all colours alike, at each place of an even grid. */
 struct witness {
-    float x[WITNESS_PLACES];  // relative exposure, 1 = saturation; > 0
-    float sd[WITNESS_PLACES]; // of log2 x
+    float x[WITNESS_PLACES];     // relative exposure, 1 = saturation; of a dark place any number
+    float sd[WITNESS_PLACES];    // its standard error
+    float floor[WITNESS_PLACES]; // > 0: below, noise and code steps do not allow to trust x
     uint8_t state[WITNESS_PLACES];
     int good, dark, clipped; // places
 };
@@ -28,10 +29,12 @@ struct witness {
 void witness_take(const struct raw *px, const struct crf *crf, struct witness *out);
 
 struct witness_ratio {
-    int places;   // good in both
+    int places;   // that both should see well, by what they see together and `log2`
     float log2;   // exposure of b over that of a: median over the places; 0 if there are none
     float spread; // half of the range between the quartiles: large if the scene or the light of
                   // parts of it changed
+    float noise;  // rms of the ratio of a place by noise alone, stops
+    float band;   // stops, >= 0: by how much rows side by side have another ratio, for sure
     float lo, hi; // what dark and clipped places allow, with 2 % of all places wrong; -/+ INFINITY
 };
 

@@ -66,8 +66,9 @@ static void witness(struct input *in, double e, struct witness *w)
         double x = i < PLACES ? e * exp2(0.1 * i) * exp2(light / 32.0) : 0.0;
         if (part < 8 && i % 8 < (int)part)
             x *= 4.0;
-        w->x[i] = (float)fmin(fmax(x, 1e-3), 1.0);
-        w->sd[i] = 0.01f;
+        w->x[i] = (float)fmin(x, 1.0);
+        w->sd[i] = (float)(0.007 * fmin(x, 1.0));
+        w->floor[i] = 1e-3f;
         w->state[i] = x >= 1.0 ? WITNESS_CLIPPED : x >= 1e-3 ? WITNESS_GOOD : WITNESS_DARK;
         w->good += w->state[i] == WITNESS_GOOD;
         w->dark += w->state[i] == WITNESS_DARK;

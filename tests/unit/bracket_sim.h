@@ -111,16 +111,17 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
         x *= 1.0f + sd * sim_noise[at + i];
         if (garbled)
             x *= exp2f(3.0f * sim_noise[at + i]);
-        w->sd[i] = 1.4427f * sd;
-        w->x[i] = fminf(fmaxf(x, c->floor), 1.0f); // dark: at most that
+        w->sd[i] = sd * fminf(x, 1.0f);
+        w->x[i] = fminf(x, 1.0f);
+        w->floor[i] = c->floor;
         w->state[i] = x >= 0.95f ? WITNESS_CLIPPED : x < c->floor ? WITNESS_DARK : WITNESS_GOOD;
-        w->sd[i] = w->state[i] == WITNESS_DARK ? 0.0f : w->sd[i]; // x is a bound
         w->clipped += w->state[i] == WITNESS_CLIPPED;
         w->dark += w->state[i] == WITNESS_DARK;
     }
     w->good = SIM_PLACES - w->dark - w->clipped;
     for (int i = SIM_PLACES; i < WITNESS_PLACES; i++) {
-        w->x[i] = c->bright ? 1.0f : c->floor;
+        w->x[i] = c->bright ? 1.0f : 0.0f;
+        w->floor[i] = c->floor;
         w->state[i] = c->bright ? WITNESS_CLIPPED : WITNESS_DARK;
     }
     *(c->bright ? &w->clipped : &w->dark) += WITNESS_PLACES - SIM_PLACES;

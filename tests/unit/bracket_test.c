@@ -578,7 +578,8 @@ static void backlog(bool stamps)
     struct bracket_progress p;
     for (int i = 0; i < WITNESS_PLACES; i++) {
         w.x[i] = 0.1f;
-        w.sd[i] = 0.01f;
+        w.sd[i] = 0.001f;
+        w.floor[i] = 0.01f;
     }
     w.good = WITNESS_PLACES;
     rig_open(1, 2, 1, 0.0);

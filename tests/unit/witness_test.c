@@ -195,7 +195,7 @@ static void test_log_curves_in_the_dark(void **state)
             told += r.places >= 10;
         }
     }
-    assert_true(told >= 24);
+    assert_true(told >= 21);
 }
 
 /* A curve that was recovered from noise makes light of black. */
@@ -212,7 +212,7 @@ static void test_black_that_is_light(void **state)
     for (int i = 0; i < 3 * 24; i++) // as a calibration had it
         crf.log2x[i / 24][i % 24] = fmaxf(crf.log2x[i / 24][i % 24], -10.5f + 0.085f * (i % 24));
     take_display(0.06, 1, &c, &crf, &b);
-    for (int stops = 4; stops <= 7; stops++) {
+    for (int stops = 4; stops <= 6; stops++) {
         take_display(0.06 * exp2(-stops), 2, &c, &crf, &a);
         witness_compare(&a, &b, &r);
         if (!(r.places >= 10 && fabsf(r.log2 - (float)stops) <= 0.1f))
@@ -245,13 +245,15 @@ static void test_curves_that_are_not(void **state)
 
 /* ---- single places ---- */
 
-static uint16_t flat_px[3 * 64 * 64];
+enum { FLAT = 128, FLATS = 3 * FLAT * FLAT };
+
+static uint16_t flat_px[FLATS];
 
 static struct raw flat(enum raw_cfa cfa, bool linear, int code)
 {
-    for (int i = 0; i < 3 * 64 * 64; i++)
+    for (int i = 0; i < FLATS; i++)
         flat_px[i] = (uint16_t)code;
-    return (struct raw){64, 64, cfa, linear ? 10 : 8, linear ? 64 : 0, linear, flat_px};
+    return (struct raw){FLAT, FLAT, cfa, linear ? 10 : 8, linear ? 64 : 0, linear, flat_px};
 }
 
 static void test_states(void **state)
@@ -278,7 +280,7 @@ static void test_states(void **state)
         assert_int_equal(count[cases[i].want], WITNESS_PLACES);
         for (int k = 0; k < WITNESS_PLACES; k++) {
             assert_int_equal(w.state[k], cases[i].want);
-            assert_true(w.x[k] > 0.0f && w.x[k] <= 1.0f && w.sd[k] >= 0.0f && w.sd[k] < 1.0f);
+            assert_true(w.x[k] <= 1.0f && w.sd[k] >= 0.0f && w.sd[k] < 1.0f && w.floor[k] > 0.0f);
         }
     }
     struct raw r = flat(RAW_RGGB, true, 64 + 96);
@@ -294,32 +296,32 @@ static void test_one_clipped_pixel(void **state)
 {
     struct witness w;
     (void)state;
-    for (int k = 0; k < 3 * 64 * 64; k += 577) {
+    for (int k = 0; k < FLATS; k += 577) {
         struct raw r = flat(RAW_RGB, false, 40);
         r.px[k] = 255;
         witness_take(&r, NULL, &w);
         assert_int_equal(w.clipped, 1);
     }
     struct raw r = flat(RAW_BGGR, true, 200);
-    r.px[33 * 64 + 32] = 1023;
+    r.px[65 * FLAT + 64] = 1023;
     witness_take(&r, NULL, &w);
     assert_int_equal(w.clipped, 1);
 }
 
-/* The strongest colour counts, at its own sites. */
-static void test_strongest(void **state)
+/* Every colour counts the same, by its own sites. */
+static void test_colours(void **state)
 {
     struct witness w;
     (void)state;
     for (enum raw_cfa cfa = RAW_RGGB; cfa <= RAW_GBRG; cfa++)
         for (int strong = 0; strong < 3; strong++) {
-            struct raw r = flat(cfa, true, 100);
-            r.w = 62; // blocks would begin at odd sites
-            for (int i = 0; i < 62 * 64; i++)
-                r.px[i] = raw_colour(cfa, i / 62, i % 62) == strong ? 64 + 480 : 100;
+            struct raw r = flat(cfa, true, 64 + 90);
+            r.w = FLAT - 2; // blocks would begin at odd sites
+            for (int i = 0; i < r.w * FLAT; i++)
+                r.px[i] = raw_colour(cfa, i / r.w, i % r.w) == strong ? 64 + 480 : 64 + 90;
             witness_take(&r, NULL, &w);
             for (int i = 0; i < WITNESS_PLACES; i++)
-                assert_true(fabsf(w.x[i] - 480.0f / 959.0f) < 1e-6f);
+                assert_true(fabsf(w.x[i] - 660.0f / 3.0f / 959.0f) < 1e-6f);
         }
     const enum raw_cfa first[4] = {RAW_RGGB, RAW_GRBG, RAW_GBRG, RAW_BGGR};
     for (int k = 0; k < 4; k++) // red is where the order says
@@ -407,7 +409,8 @@ static void test_wrong_places(void **state)
     for (int wrong = 0; wrong <= 60; wrong += 20) {
         struct witness x = a;
         for (int i = 0; i < wrong; i++) {
-            x.x[17 * i] = 1e-6f;
+            x.floor[17 * i] = 1e-6f;
+            x.sd[17 * i] = 0.0f;
             x.state[17 * i] = WITNESS_DARK;
             b.state[17 * i] = WITNESS_CLIPPED;
         }
@@ -426,7 +429,7 @@ int main(void)
         cmocka_unit_test(test_curves_that_are_not),
         cmocka_unit_test(test_states),
         cmocka_unit_test(test_one_clipped_pixel),
-        cmocka_unit_test(test_strongest),
+        cmocka_unit_test(test_colours),
         cmocka_unit_test(test_small_pictures),
         cmocka_unit_test(test_nothing_to_see),
         cmocka_unit_test(test_lamp),
