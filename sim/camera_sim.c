@@ -12,7 +12,7 @@
 
 struct options {
     int64_t seed, views, view, size, samples, shadow;
-    double spread, fov, param, full_us, flicker, hz, line_us;
+    double spread, fov, param, full_us, well, flicker, hz, line_us;
     int kind, free_hand, format, curve;
 };
 
@@ -42,6 +42,7 @@ static const struct uri_key keys[] = {
     {"curve", AT(curve), URI_WORD, 0, 0, CURVE_WORDS},
     {"param", AT(param), URI_REAL, 0, 16, NULL},
     {"full", AT(full_us), URI_REAL, 10, 1e8, NULL},
+    {"well", AT(well), URI_REAL, 100, 1e6, NULL},
     {"flicker", AT(flicker), URI_REAL, 0, 1, NULL},
     {"hz", AT(hz), URI_REAL, 0, 1e6, NULL},
     {"line", AT(line_us), URI_REAL, 0, 1e5, NULL},
@@ -57,6 +58,7 @@ static const struct options defaults = {
     .param = NAN, // the usual one
     .curve = CURVE_SRGB,
     .full_us = 20000.0,
+    .well = 10000.0,
     .hz = 100.0,
 };
 
@@ -65,6 +67,19 @@ static const struct options defaults = {
 static float limit_balance(double v)
 {
     return (float)fmin(fmax(v, 0.01), 1.0); // as sensor_check asks
+}
+
+/* Raw numbers of a camera that multiplies even those. */
+static void multiply(struct state *s, const struct feed_shot *f)
+{
+    const double factor[3] = {f->red * f->digital, f->digital, f->blue * f->digital};
+    const int black = s->sensor.black, top = (1 << s->sensor.bits) - 1;
+    for (int i = 0; i < s->size * s->size; i++) {
+        int y = i / s->size, x = i % s->size, c = y % 2 + x % 2; // of RGGB
+        c = s->sensor.cfa == SENSOR_BGGR ? 2 - c : c;
+        double v = black + factor[c] * (s->raw[i] - black);
+        s->raw[i] = (uint16_t)fmin(fmax(v + 0.5, 0.0), top);
+    }
 }
 
 static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
@@ -85,6 +100,8 @@ static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
     if (e)
         return e;
     if (s->sensor.cfa != SENSOR_RGB) {
+        if (f->red != 1.0 || f->digital != 1.0)
+            multiply(s, f);
         memcpy(px, s->raw, sizeof *s->raw * (size_t)s->size * (size_t)s->size);
         return OK;
     }
@@ -141,6 +158,8 @@ static void prepare(const struct options *o, struct state *s)
     s->seed = (uint64_t)o->seed;
     s->sensor = sensor_default;
     s->sensor.cfa = (enum sensor_cfa)o->format;
+    s->sensor.gain *= s->sensor.full_well / (float)o->well;
+    s->sensor.full_well = (float)o->well;
     s->sensor.electrons = (float)(s->sensor.full_well / (o->full_us * 1e-6));
     s->sensor.flicker = (float)o->flicker;
     s->sensor.flicker_hz = (float)o->hz;

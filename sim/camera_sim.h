@@ -7,6 +7,7 @@
  *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits
  *   curve=srgb|gamma|filmic|agx|log|random|linear param=X
  *   full=US                                          exposure that radiance 1 saturates with
+ *   well=E                                           electrons at saturation (10000): noise
  *   flicker=X hz=X line=US                           of the light; us per row, rolling shutter
  *
  * and the keys of sim/feed.c: clock, timing, metadata, faults (sim/fault.h), truth.

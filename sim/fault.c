@@ -23,6 +23,7 @@ static const struct {
     [FAULT_ERROR] = {.verb = "error"},
     [FAULT_SHORT] = {"short", NULL, true, 1, 1e9, true},
     [FAULT_CORRUPT] = {"corrupt", NULL, true, 1, 1e9, true},
+    [FAULT_TEAR] = {"tear", NULL, true, 0, 1, false},
     [FAULT_LATE] = {"late", NULL, true, 0, 3600, false},
     [FAULT_STALL] = {"stall", NULL, true, 0, 1e6, true},
     [FAULT_EIO] = {.verb = "eio"},

@@ -13,6 +13,8 @@
  *   error                 flagged as bad, with torn pixels
  *   short B               B of its bytes are missing, and it says so by its length
  *   corrupt B             its last B bytes are noise, and nobody says so
+ *   tear P                from now on, with probability P, 3 to 45 % of a frame's rows, at its top
+ *                         or bottom, are those of the frame before, and nobody says so
  *   late S                handed over S seconds later
  *   stall K               no frames for K periods, the sequence does not tell; 0: for ever
  *   eio                   handing over fails once, the frame is lost
@@ -48,6 +50,7 @@ enum fault_verb {
     FAULT_ERROR,
     FAULT_SHORT,
     FAULT_CORRUPT,
+    FAULT_TEAR,
     FAULT_LATE,
     FAULT_STALL,
     FAULT_EIO,

@@ -17,6 +17,8 @@
 
 #define VIRTUAL_START 1000000000 // ns
 #define UNSETTLED 0.3            // of the exposure, in frames before `startup`
+#define TORN_LEAST 0.03          // of the rows
+#define TORN_MOST 0.45
 
 #define AT(field) offsetof(struct feed_options, field)
 const struct uri_key feed_keys[] = {
@@ -144,6 +146,10 @@ static err_t make_slots(struct feed *f, int n)
             return err_fail(ERR_NOMEM, "simulated camera: no memory for %d buffers of %zu bytes", n,
                             picture_bytes(&f->source));
     }
+    for (int i = 0; i < f->script.n && !f->former; i++)
+        if (f->script.v[i].verb == FAULT_TEAR &&
+            !(f->former = calloc(1, picture_bytes(&f->source))))
+            return err_fail(ERR_NOMEM, "simulated camera: no memory for a torn picture");
     return OK;
 }
 
@@ -189,6 +195,7 @@ void feed_close(struct feed *f)
 {
     for (int i = 0; i < f->n_slots; i++)
         free(f->slot[i].px);
+    free(f->former);
     if (f->truth)
         fclose(f->truth);
     if (f->has_fd)
@@ -243,6 +250,9 @@ static void strike(struct feed *f, const struct fault *x)
         break;
     case FAULT_LOSE:
         fx->loss = x->number;
+        break;
+    case FAULT_TEAR:
+        fx->tear = x->number;
         break;
     case FAULT_SEQUENCE_STUCK:
         fx->stuck = true;
@@ -418,6 +428,17 @@ static bool put_off(struct feed *f)
     return false;
 }
 
+/* Rows of the frame before, as `tear` has it; none where nobody could tell. */
+static void tear(struct feed *f, struct feed_item *item)
+{
+    uint64_t key = ~1u, n = (uint64_t)item->shot.number;
+    if (!(f->fx.tear > 0.0) || n == 0 || sensor_uniform(key, 2 * n) >= f->fx.tear)
+        return;
+    double share = 2.0 * sensor_uniform(key, 2 * n + 1) - 1.0;
+    item->former = f->last_shot;
+    item->torn = copysign(TORN_LEAST + (TORN_MOST - TORN_LEAST) * fabs(share), share);
+}
+
 /* The frame that runs ends. */
 static void finish(struct feed *f)
 {
@@ -436,6 +457,7 @@ static void finish(struct feed *f)
     struct feed_item item = describe(f, &t);
     for (int i = 0; i < n_due; i++)
         mark(f, &f->script.v[due[i]], &item, &copies);
+    tear(f, &item);
     f->last_shot = item.shot;
     bool drop = fx->drop > 0;
     fx->drop -= drop;
@@ -518,8 +540,8 @@ static void write_truth(const struct feed *f, const struct frame *out, const str
 {
     if (!f->truth)
         return;
-    fprintf(f->truth, "%u %lld %lld %.9g %.9g\n", out->sequence, (long long)out->timestamp_ns,
-            (long long)t->number, t->exposure.time_s, t->exposure.gain);
+    fprintf(f->truth, "%u %lld %lld %.9g %.9g %.3g\n", out->sequence, (long long)out->timestamp_ns,
+            (long long)t->number, t->exposure.time_s, t->exposure.gain, t->torn);
     fflush(f->truth);
 }
 
@@ -548,9 +570,27 @@ static void fill(struct feed *f, const struct feed_item *item, int i, struct fra
     }
     slot->held = true;
     f->n_held++;
-    slot->truth = (struct feed_truth){item->shot.number, item->shot.exposure};
+    bool same = item->former.exposure.time_s == item->shot.exposure.time_s &&
+                item->former.exposure.gain == item->shot.exposure.gain;
+    slot->truth =
+        (struct feed_truth){item->shot.number, item->shot.exposure, same ? 0.0 : fabs(item->torn)};
     slot->truth.exposure.gain *= item->shot.digital;
     write_truth(f, out, &slot->truth);
+}
+
+/* Put the rows of the frame before where the frame is torn. */
+static err_t mix_rows(const struct feed *f, const struct feed_item *item, uint8_t *px)
+{
+    const struct feed_source *s = &f->source;
+    size_t row = (size_t)s->w * (size_t)s->bytes_per_px;
+    size_t rows = (size_t)llround(fabs(item->torn) * s->h),
+           at = item->torn < 0.0 ? (size_t)s->h - rows : 0;
+    if (rows == 0)
+        return OK;
+    err_t e = s->expose(s->ctx, &item->former, f->former);
+    if (!e)
+        memcpy(px + at * row, f->former + at * row, rows * row);
+    return e;
 }
 
 static err_t deliver(struct feed *f, struct frame *out)
@@ -566,6 +606,9 @@ static err_t deliver(struct feed *f, struct frame *out)
     while (f->slot[i].held) // push saw that one is free
         i++;
     err_t e = f->source.expose(f->source.ctx, &item.shot, f->slot[i].px);
+    if (e)
+        return e;
+    e = mix_rows(f, &item, f->slot[i].px);
     if (e)
         return e;
     damage(f, &item, f->slot[i].px);

@@ -62,10 +62,12 @@ struct feed_source {
 struct feed_truth {
     int64_t number;           // of the sensor's frame that the pixels are from
     struct exposure exposure; // with digital gain and drift in `gain`
+    double torn;              // share of its rows that had another exposure
 };
 
-struct feed_item { // a frame that waits
-    struct feed_shot shot;
+struct feed_item {                 // a frame that waits
+    struct feed_shot shot, former; // former: of the frame before
+    double torn;                   // share of its rows that are of `former`: < 0 at the bottom
     struct exposure reported;
     int64_t due_ns, stamp_ns;
     uint32_t sequence;
@@ -84,7 +86,7 @@ struct feed_effects {
     int64_t drop, ignore, refuse_left, rollover;
     enum fault_verb refuse;
     bool drop_hidden, stalled, stuck, half, stamp_zero, stamp_real;
-    double loss, quantum_s, gain, gain_step, balance, balance_step, digital;
+    double loss, tear, quantum_s, gain, gain_step, balance, balance_step, digital;
     int64_t stamp_add_ns;
     uint32_t sequence_add;
 };
@@ -99,6 +101,7 @@ struct feed { // fields are the feed's own
     int fd, n_slots, n_items, n_held, n_leaked;
     struct feed_item item[CAMERA_BUFFERS_MAX]; // in order
     struct feed_slot slot[CAMERA_BUFFERS_MAX];
+    uint8_t *former;           // picture that torn rows are from; NULL: none ever is
     int64_t base_ns, clock_ns; // CLOCK_MONOTONIC of open; of the present, if virtual
     uint32_t sequence;         // of the last frame
     struct exposure last_true, last_programmed, last_set;

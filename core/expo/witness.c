@@ -210,8 +210,8 @@ struct lists {
 struct pair {
     const struct witness *a, *b;
     struct lists l;
-    float r, ratio;                // estimate so far: log2, linear
-    float value[WITNESS_PLACES];   // room for medians
+    float r, ratio;              // estimate so far: log2, linear
+    float value[WITNESS_PLACES]; // room for medians
 };
 
 static float log_ratio(float b, float a)

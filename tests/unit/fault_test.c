@@ -19,15 +19,17 @@ static err_t parse(const char *text)
 static void test_every_verb(void **state)
 {
     static const char *const line[FAULT_VERBS] = {
-        "drop 3 nogap",   "lose 0.05",      "duplicate",      "repeat",        "error",
-        "short 10",       "corrupt 99",     "late 0.25",      "stall 0",       "eio",
-        "index",          "unplug",         "sequence stuck", "sequence wrap", "stamp zero",
-        "stamp realtime", "stamp back 2",   "stamp jump -3",  "ignore 0",      "rollover 656",
-        "quantum 0.0001", "gain 1.01",      "balance 0.99",   "digital 1.5",   "refuse access 2",
-        "refuse busy 1",  "refuse range 0", "format"};
-    static const double number[FAULT_VERBS] = {3, 0.05, 0,    0,    0,    10,  99, 0.25, 0,
-                                               0, 0,    0,    0,    0,    0,   0,  2,    -3,
-                                               0, 656,  1e-4, 1.01, 0.99, 1.5, 2,  1};
+        "drop 3 nogap",   "lose 0.05",       "duplicate",     "repeat",
+        "error",          "short 10",        "corrupt 99",    "tear 0.5",
+        "late 0.25",      "stall 0",         "eio",           "index",
+        "unplug",         "sequence stuck",  "sequence wrap", "stamp zero",
+        "stamp realtime", "stamp back 2",    "stamp jump -3", "ignore 0",
+        "rollover 656",   "quantum 0.0001",  "gain 1.01",     "balance 0.99",
+        "digital 1.5",    "refuse access 2", "refuse busy 1", "refuse range 0",
+        "format"};
+    static const double number[FAULT_VERBS] = {3,  0.05, 0,   0,    0,    10,   99,  0.5, 0.25,
+                                               0,  0,    0,   0,    0,    0,    0,   0,   2,
+                                               -3, 0,    656, 1e-4, 1.01, 0.99, 1.5, 2,   1};
     (void)state;
     for (int v = 0; v < FAULT_VERBS; v++) {
         char text[128];

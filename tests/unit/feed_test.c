@@ -195,13 +195,14 @@ static void test_truth_file(void **state)
     for (int i = 0; i < 5; i++) {
         unsigned sequence;
         long long stamp, number;
-        double time_s, gain;
+        double time_s, gain, torn;
         if (ev[i].code)
             continue;
-        assert_int_equal(
-            fscanf(f, "%u %lld %lld %lf %lf", &sequence, &stamp, &number, &time_s, &gain), 5);
+        assert_int_equal(fscanf(f, "%u %lld %lld %lf %lf %lf", &sequence, &stamp, &number, &time_s,
+                                &gain, &torn),
+                         6);
         assert_true(sequence == ev[i].f.sequence && stamp == ev[i].f.timestamp_ns);
-        assert_true(number == ev[i].truth.number && gain == 1.0);
+        assert_true(number == ev[i].truth.number && gain == 1.0 && torn == 0.0);
         assert_true(near(time_s, ev[i].truth.exposure.time_s, 1e-9));
     }
     assert_int_equal(fgetc(f), '\n');
@@ -302,6 +303,25 @@ static void test_damage(void **state)
     assert_true(ev[4].f.bytes == 0 && ev[4].f.flags == FRAME_SHORT);
     assert_memory_not_equal(ev[5].px, other[5].px, 96);
     assert_memory_equal(ev[6].px, other[6].px, sizeof ev[6].px); // once
+}
+
+/* Rows of the frame before, at one end, where the two have another exposure. */
+static void test_torn(void **state)
+{
+    struct exposure set;
+    (void)state;
+    void *st = open_fake("clock=virtual,delay=1,first=1000,faults=at frame 0 tear 1");
+    take(st, &ev[0]);
+    assert_true(ev[0].truth.torn == 0.0);
+    for (int i = 1; i < 40; i++) {
+        assert_int_equal(ask(st, i % 2 ? 0.016 : 0.001, 1.0, &set), OK);
+        take(st, &ev[1 - i % 2]);
+    }
+    assert_true(ev[0].truth.torn >= 0.03 && ev[0].truth.torn <= 0.45);
+    close_fake(st);
+    play("faults=at frame 0 tear 1", 7, ev); // one exposure: nobody can tell
+    for (int i = 0; i < 7; i++)
+        assert_true(ev[i].truth.torn == 0.0);
 }
 
 static void test_late(void **state)
@@ -449,6 +469,7 @@ int main(void)
         cmocka_unit_test(test_twice),
         cmocka_unit_test(test_repeat_lies),
         cmocka_unit_test(test_damage),
+        cmocka_unit_test(test_torn),
         cmocka_unit_test(test_late),
         cmocka_unit_test(test_index),
         cmocka_unit_test(test_sequence),
