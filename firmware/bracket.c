@@ -20,6 +20,7 @@ enum {
     TRIES_MAX = 3,     // requests for one exposure, pipelined
     JUDGED_MAX = 2,    // frames at rest that say the same
     BAD_MAX = 12,      // unusable frames in a row
+    TORN_MAX = 3,      // torn ones in a row; more, and the scene is to blame
     REFUSALS_MAX = 8,  // requests in a row
     FRAMES_MAX = 20    // per exposure and frame of doubt
 };
@@ -45,14 +46,14 @@ struct seat { // a camera
     double slow_s; // longest frame before a restart: it may run on
     int since;     // frames since BEGIN, as ages of requests
     int frames, rejected, lost;
-    int settled;                     // frames that make the reference
-    int conflicts, judged, bad;      // in a row, or since the phase began
-    int refusals, forgets, restarts; // in a row; per set
-    int target, suspect;             // index, -1: none
-    double still;                    // stops that the last frames had, NAN: not known
-    int still_since;                 // as `since`
-    enum bracket_reason cause;       // why the last frame was refused
-    int w, h;                        // of the reference
+    int settled;                      // frames that make the reference
+    int conflicts, judged, bad, torn; // in a row, or since the phase began
+    int refusals, forgets, restarts;  // in a row; per set
+    int target, suspect;              // index, -1: none
+    double still;                     // stops that the last frames had, NAN: not known
+    int still_since;                  // as `since`
+    enum bracket_reason cause;        // why the last frame was refused
+    int w, h;                         // of the reference
     enum camera_format format;
     bool gains_known;
     double red, blue;
@@ -396,6 +397,13 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
         c->still = k.measured ? k.stops : NAN;
         c->still_since = c->since;
     }
+    c->torn = k.torn ? c->torn + 1 : 0;
+    if (k.torn && c->torn <= TORN_MAX) {
+        c->rejected++;
+        c->cause = BRACKET_BAD_FRAMES;
+        give_up_passed(c);
+        return;
+    }
     if (k.verdict == LABEL_SHIFTED)
         shifted(c);
     if (k.verdict == LABEL_PROVEN && c->phase == RUN)
@@ -554,7 +562,7 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
                 c->label.log[k].index = LABEL_OTHER;
         c->begin_ns = c->alive_ns = ev->now_ns;
         c->since = c->suspect = -1;
-        c->frames = c->rejected = c->lost = c->bad = 0;
+        c->frames = c->rejected = c->lost = c->bad = c->torn = 0;
         c->refusals = c->forgets = c->restarts = 0;
         c->slow_s = 0.0;
         c->still = NAN;

@@ -32,7 +32,8 @@
  * log of requests follow the exposures that can be in force in it. The pixels, compared with the
  * reference and with frames kept since, pick one of them; what the device reports must agree.
  * Exposures that cannot be told apart by the pixels are only accepted from rest, and marked.
- * N + delay + 1 frames when nothing fails.
+ * A frame whose rows do not all have one exposure is taken again. N + delay + 1 frames when nothing
+ * fails.
  *
  * Invariant: no frame is kept whose recorded exposure differs from the true one by more than
  * `tolerance` (stops), unless its evidence says `unverified`; a factor common to the reference and

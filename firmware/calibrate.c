@@ -43,7 +43,6 @@ enum {
 #define STEP 0.9           // stops of the sweep
 #define CURVE_ERROR 0.12   // stops rms: a curve that is worse does not count
 #define CURVE_STOPS 2.0    // least range of pictures
-#define MEDIAN_ERROR 1.855 // firmware/label.c
 #define STILL 0.15         // stops that the same exposure may differ by
 
 static const double tolerance_good = 0.10, tolerance_loose = 0.30; // stops, capture notes 2, 6
@@ -357,7 +356,7 @@ static void judge(const struct watch *w, const struct witness *a, const struct w
     bool loose = !w->linear && !w->has_crf; // only what no curve could do is wrong
     double least = loose ? 0.25 * s->asked : s->asked - slack;
     double most = loose ? 2.5 * s->asked : s->asked + slack;
-    double error = MEDIAN_ERROR * r.spread / sqrt(fmax(r.places, 1.0));
+    double error = r.error;
     bool seen = r.places >= LEAST_PLACES && 4.0 * error <= slack;
     double lo = seen ? r.log2 : r.lo, hi = seen ? r.log2 : r.hi;
     s->measured = seen ? r.log2 : NAN;

@@ -8,8 +8,8 @@
  * Pixels. The exposure is that of an anchor times the median ratio at the same places. Anchors
  * chain outward from the reference; errors add up. An uncalibrated response stretches all ratios,
  * so there a kept frame counts with its recorded exposure instead of the measured one.
- * Standard error of a median of normal variables: 1.25 sigma / sqrt(n), and a quartile is at
- * 0.674 sigma.
+ * A reference errs once for all frames, so what is measured must be so accurate that SURE of its
+ * standard errors fit into what the tolerance leaves after DOUBTED of them.
  * Label. Strict candidates within the tolerance of the measured exposure: exactly one must be. */
 #include "firmware/label.h"
 
@@ -25,11 +25,15 @@ enum {
     GAP_MAX = 64,                          // frames lost in one go; more is nonsense
     AGE_MAX = 1 << 20
 };
-#define LOOSE 0.2          // stops: from this tolerance on, the curve is not calibrated
-#define MEDIAN_ERROR 1.855 // 1.25 / 0.674
-#define REPORT 0.005       // W1: 0.5 %
-#define SAME 0.005         // stops
-#define LATE_S 1.0         // stamps older than this and two frames are of another clock
+#define LOOSE 0.2   // stops: from this tolerance on, the curve is not calibrated
+#define SURE 4.0    // standard errors that do not happen
+#define DOUBTED 2.0 // that a label is right in spite of
+#define ACCURATE (SURE + DOUBTED)
+#define TORN 0.1     // stops, beyond errors
+#define BENT 0.2     // stops per stop
+#define REPORT 0.005 // W1: 0.5 %
+#define SAME 0.005   // stops
+#define LATE_S 1.0   // stamps older than this and two frames are of another clock
 
 double label_stops(const struct exposure *e)
 {
@@ -130,7 +134,7 @@ static bool in_force(const struct label *l, int i, int lo, int hi)
 
 bool label_alone(const struct label *l)
 {
-    return l->n > 0 && l->log[l->n - 1].age_lo >= l->hi;
+    return l->n > 0 && l->log[l->n - 1].age_lo > l->hi;
 }
 
 bool label_passed(const struct label *l, int entry)
@@ -247,9 +251,11 @@ static bool changed(const struct label *l, const struct witness_ratio *r)
            (double)r->spread > 2.0 * (double)r->noise;
 }
 
+/* A curve that is not calibrated bends ratios, by where in the picture it is how bright. */
 static bool torn(const struct label *l, const struct witness_ratio *r)
 {
-    return r->places >= PLACES_MIN && r->band > 2.0 * l->cfg.tolerance;
+    double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs((double)r->log2);
+    return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance);
 }
 
 static void compare(const struct label *l, int by, const struct witness *w, struct label_look *k)
@@ -261,8 +267,8 @@ static void compare(const struct label *l, int by, const struct witness *w, stru
     k->hi = fmin(k->hi, a->stops + r.hi);
     k->changed = k->changed || changed(l, &r);
     k->torn = k->torn || torn(l, &r);
-    double error = hypot(a->error, MEDIAN_ERROR * r.spread / sqrt(fmax(r.places, 1.0)));
-    if (r.places < PLACES_MIN || 4.0 * error > l->cfg.tolerance ||
+    double error = hypot(a->error, (double)r.error);
+    if (r.places < PLACES_MIN || ACCURATE * error > l->cfg.tolerance ||
         (k->measured && error >= k->error))
         return;
     k->measured = true;
@@ -337,9 +343,9 @@ err_t label_settle(struct label *l, const struct frame *f, const struct witness 
     }
     if (a->held) {
         witness_compare(&a->seen, w, &r);
-        double noise = 2.5 * r.noise / sqrt(fmax(r.places, 1.0));
         *same = !changed(l, &r) && !torn(l, &r) &&
-                (r.places < PLACES_MIN || fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + noise);
+                (r.places < PLACES_MIN ||
+                 fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + SURE * (double)r.error);
     }
     a->recorded = a->stops = label_stops(f->exposure_known ? &f->exposure : x);
     a->error = 0.0;
@@ -372,7 +378,7 @@ static void weigh(const struct label *l, int i, const struct frame *f, const str
     bool allowed = out->off <= most;
     if (k->measured) {
         out->off = fabs(s - k->stops);
-        most -= 2.0 * k->error;
+        most -= DOUBTED * k->error;
     }
     out->fits = !k->changed && !k->torn && allowed && out->off <= most;
 }

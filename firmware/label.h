@@ -93,7 +93,8 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns);
 /* The last request is in force for so long that nobody can doubt it. */
 bool label_rested(const struct label *l);
 
-/* It is in force, and alone, if the delay is right. */
+/* It is in force, and alone, if the delay is right, and was so in the frame before: the rows of a
+ * frame that is torn have the same exposure. */
 bool label_alone(const struct label *l);
 
 /* Nothing asked for so long ago can be in force. */

@@ -62,17 +62,12 @@ struct session {
     char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
-static int64_t now_of(const struct cam *c)
-{
-    return c->open ? backends_now(c->ops, c->st) : clocks_now();
-}
-
 /* The earliest present of all: no camera is late by it. */
 static int64_t now_of_all(const struct session *s)
 {
     int64_t now = INT64_MAX;
     for (int i = 0; i < s->n; i++) {
-        int64_t t = s->cam[i].open ? now_of(&s->cam[i]) : INT64_MAX;
+        int64_t t = s->cam[i].open ? backends_now(s->cam[i].ops, s->cam[i].st) : INT64_MAX;
         now = t < now ? t : now;
     }
     return now < INT64_MAX ? now : clocks_now();
@@ -229,12 +224,12 @@ static err_t request(struct session *s, const struct bracket_action *a, int64_t 
     return bracket_event(s->machine, &answer);
 }
 
-static void lose(struct session *s, int i, int64_t now)
+static void lose(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     log_warn("%s: %s", c->about.uri, err_text());
     close_camera(c);
-    c->retry_ns = now + RETRY_S * SECOND;
+    c->retry_ns = clocks_now() + RETRY_S * SECOND; // it may have no clock any more
     s->lost = true;
 }
 
@@ -244,7 +239,7 @@ static err_t restart(struct session *s, int i, int64_t now)
     log_warn("%s: no frames come, starting it again", s->cam[i].about.uri);
     close_camera(&s->cam[i]);
     if (open_camera(s, i) != OK) {
-        lose(s, i, now);
+        lose(s, i);
         ev.kind = BRACKET_LOST;
     }
     return bracket_event(s->machine, &ev);
@@ -312,7 +307,7 @@ static err_t drain(struct session *s, int i)
     err_t e = OK;
     for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
         struct frame f;
-        int64_t now = now_of(c); // looking at a frame takes time
+        int64_t now = backends_now(c->ops, c->st); // looking at a frame takes time
         struct bracket_event ev = {.now_ns = now, .camera = i};
         err_t got = c->ops->next(c->st, &f);
         if (got == ERR_AGAIN)
@@ -322,7 +317,7 @@ static err_t drain(struct session *s, int i)
             continue;
         }
         if (got == ERR_LOST)
-            lose(s, i, now);
+            lose(s, i);
         ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
         e = tell(s, &ev, NULL);
     }
@@ -350,11 +345,11 @@ static err_t arm_one(struct session *s, int i, double base_s)
             e = c->ops->request(c->st, &ask, &c->set);
         if (e) {
             e = name_camera(c, e);
-            lose(s, i, now_of(c));
+            lose(s, i);
             return e;
         }
     }
-    ev.now_ns = now_of(c);
+    ev.now_ns = backends_now(c->ops, c->st);
     ev.set = c->set;
     c->looked = false;
     c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
@@ -394,8 +389,9 @@ bool session_settled(const struct session *s)
     return true;
 }
 
-static err_t find_lost(struct session *s, int64_t now)
+static err_t find_lost(struct session *s)
 {
+    int64_t now = clocks_now();
     bool lost = false;
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
@@ -795,6 +791,6 @@ err_t session_step(struct session *s)
     for (int i = 0; !e && i < s->n; i++)
         e = adapt(s, i);
     if (!e && s->lost && s->phase == PHASE_NONE)
-        e = find_lost(s, now);
+        e = find_lost(s);
     return e == ERR_NOMEM ? e : OK;
 }

@@ -19,6 +19,7 @@
 #define UNSETTLED 0.3            // of the exposure, in frames before `startup`
 #define TORN_LEAST 0.03          // of the rows
 #define TORN_MOST 0.45
+#define TORN_CODES 2.0 // mean difference of what is torn: less is black level and rounding
 
 #define AT(field) offsetof(struct feed_options, field)
 const struct uri_key feed_keys[] = {
@@ -570,27 +571,42 @@ static void fill(struct feed *f, const struct feed_item *item, int i, struct fra
     }
     slot->held = true;
     f->n_held++;
-    bool same = item->former.exposure.time_s == item->shot.exposure.time_s &&
-                item->former.exposure.gain == item->shot.exposure.gain;
-    slot->truth =
-        (struct feed_truth){item->shot.number, item->shot.exposure, same ? 0.0 : fabs(item->torn)};
+    slot->truth = (struct feed_truth){item->shot.number, item->shot.exposure, fabs(item->torn)};
     slot->truth.exposure.gain *= item->shot.digital;
     write_truth(f, out, &slot->truth);
 }
 
-/* Put the rows of the frame before where the frame is torn. */
-static err_t mix_rows(const struct feed *f, const struct feed_item *item, uint8_t *px)
+/* Mean difference of n numbers of two pictures, codes. */
+static double difference(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t n)
+{
+    double sum = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        int x = a[i], y = b[i];
+        if (s->bytes_per_px == 2) {
+            x = a[2 * i] | a[2 * i + 1] << 8;
+            y = b[2 * i] | b[2 * i + 1] << 8;
+        }
+        sum += x - y;
+    }
+    return fabs(sum) / (double)n;
+}
+
+/* Put the rows of the frame before where the frame is torn; it is not where nobody could tell. */
+static err_t mix_rows(const struct feed *f, struct feed_item *item, uint8_t *px)
 {
     const struct feed_source *s = &f->source;
-    size_t row = (size_t)s->w * (size_t)s->bytes_per_px;
-    size_t rows = (size_t)llround(fabs(item->torn) * s->h),
-           at = item->torn < 0.0 ? (size_t)s->h - rows : 0;
+    size_t row = (size_t)s->w * (size_t)s->bytes_per_px, h = (size_t)s->h;
+    size_t rows = (size_t)llround(fabs(item->torn) * s->h), at = item->torn < 0.0 ? h - rows : 0;
     if (rows == 0)
         return OK;
     err_t e = s->expose(s->ctx, &item->former, f->former);
-    if (!e)
-        memcpy(px + at * row, f->former + at * row, rows * row);
-    return e;
+    if (e)
+        return e;
+    size_t n = rows * row / (s->bytes_per_px == 2 ? 2 : 1);
+    if (difference(s, px + at * row, f->former + at * row, n) < TORN_CODES)
+        item->torn = 0.0;
+    memcpy(px + at * row, f->former + at * row, rows * row);
+    return OK;
 }
 
 static err_t deliver(struct feed *f, struct frame *out)

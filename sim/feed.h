@@ -62,7 +62,7 @@ struct feed_source {
 struct feed_truth {
     int64_t number;           // of the sensor's frame that the pixels are from
     struct exposure exposure; // with digital gain and drift in `gain`
-    double torn;              // share of its rows that had another exposure
+    double torn;              // share of its rows that had another exposure and show it
 };
 
 struct feed_item {                 // a frame that waits

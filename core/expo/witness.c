@@ -16,7 +16,8 @@
  * ratio R a place has the light m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors have
  * nothing to do with x_b / x_a; it counts if both are above its floor, even if x_b itself is not.
  * R begins as the median over places that are not dark in either.
- * A band of rows has its own median; bounds of clipped places count as far as they say more.
+ * A band of rows has its own median of how far places are off; those that are dark or clipped in
+ * one count as far as their bound is beyond the ratio.
  * A place that is dark or clipped in one bounds the ratio from one side; of the bounds sorted, the
  * one with 2 % of all places beyond it is taken. */
 #include "core/expo/witness.h"
@@ -26,7 +27,14 @@
 #include <math.h>
 #include <string.h>
 
-enum { BLOCK_LEAST = 4, BLOCK = 8, WRONG = WITNESS_PLACES / 50, ROUNDS = 4, BAND_PLACES = 4 };
+enum {
+    BLOCK_LEAST = 4,
+    BLOCK = 8,
+    WRONG = WITNESS_PLACES / 50,
+    ROUNDS = 4,
+    LEAST_PLACES = 6,
+    BAND_PLACES = 6
+};
 
 #define LOG2E 1.44269504f
 #define DARK_DISPLAY 8    // codes: capture notes 4.2
@@ -191,6 +199,8 @@ void witness_take(const struct raw *px, const struct crf *crf, struct witness *o
         judge(&s, y, x, i, out);
         count[out->state[i]]++;
     }
+    float share = (float)(edge_of(px->w) * edge_of(px->h)) / ((float)px->w * (float)px->h);
+    out->overlap = fmaxf(share * WITNESS_PLACES, 1.0f);
     out->good = count[WITNESS_GOOD];
     out->dark = count[WITNESS_DARK];
     out->clipped = count[WITNESS_CLIPPED];
@@ -308,6 +318,19 @@ static int that_count(struct pair *p, float *var)
     return n;
 }
 
+/* Standard error of the median of n places with errors of sd. */
+static float median_error(const struct pair *p, float sd, int n)
+{
+    return MEDIAN * sd * sqrtf(fmaxf(p->a->overlap, p->b->overlap) / (float)n);
+}
+
+/* Half of the range between the quartiles. */
+static float spread_of(float *v, int n)
+{
+    int quarter = n / 4;
+    return 0.5f * (ranked(v, n, n - 1 - quarter) - ranked(v, n, quarter));
+}
+
 static void measure(struct pair *p, struct witness_ratio *out)
 {
     float var = 0.0f, step = INFINITY;
@@ -320,47 +343,48 @@ static void measure(struct pair *p, struct witness_ratio *out)
         step = fabsf(r - p->r);
         set_ratio(p, r);
     }
-    if (n == 0)
+    if (n < LEAST_PLACES * fmaxf(p->a->overlap, p->b->overlap))
         return;
-    int quarter = n / 4;
     out->places = n;
     out->log2 = p->r;
-    out->spread = 0.5f * (ranked(p->value, n, n - 1 - quarter) - ranked(p->value, n, quarter));
+    out->spread = spread_of(p->value, n);
     out->noise = sqrtf(var / (float)n);
+    out->error = median_error(p, out->spread / QUARTILE, n);
 }
 
-/* How far the ratio of place i is from that of all, stops, and its squared error; false: it says
- * nothing. */
-static bool deviation(const struct pair *p, int i, float *off, float *var)
+/* Bounds of log2 x of a place. */
+static void bounds(const struct witness *w, int i, float *lo, float *hi)
 {
-    const struct witness *a = p->a, *b = p->b;
-    bool over_a = a->state[i] == WITNESS_CLIPPED, over_b = b->state[i] == WITNESS_CLIPPED;
-    float m = over_a || over_b ? fmaxf(a->x[i], LEAST) : light(p, i);
-    if (m <= 0.0f || (over_a && b->state[i] != WITNESS_GOOD) ||
-        (over_b && a->state[i] != WITNESS_GOOD))
-        return false;
-    float d = log_ratio(b->x[i], a->x[i]) - p->r;
-    float sa = a->sd[i] / m, sb = b->sd[i] / (over_b ? b->x[i] : m * p->ratio);
-    *off = over_b ? fmaxf(d, 0.0f) : over_a ? fminf(d, 0.0f) : d;
-    *var = LOG2E * LOG2E * (sa * sa + sb * sb);
-    return true;
+    float l = log2f(fmaxf(w->x[i], w->floor[i]));
+    *lo = w->state[i] == WITNESS_DARK ? -INFINITY : l;
+    *hi = w->state[i] == WITNESS_CLIPPED ? INFINITY : l;
 }
 
-/* By how much n rows of the grid are off for sure, stops. */
+/* How far the ratio of place i surely is from that of all, stops; false: it can say nothing. Dark
+ * places that are as dark as expected count, or those that noise makes good would be the most. */
+static bool deviation(const struct pair *p, int i, float *off)
+{
+    float lo_a, hi_a, lo_b, hi_b;
+    int sa = p->a->state[i], sb = p->b->state[i];
+    if (sa == sb && sa != WITNESS_GOOD)
+        return false;
+    bounds(p->a, i, &lo_a, &hi_a);
+    bounds(p->b, i, &lo_b, &hi_b);
+    *off = fmaxf(lo_b - hi_a - p->r, 0.0f) + fminf(hi_b - lo_a - p->r, 0.0f);
+    return *off != 0.0f || (sa != WITNESS_CLIPPED && sb != WITNESS_CLIPPED);
+}
+
+/* By how much n rows of the grid are off for sure, stops; spread: of all. */
 static float band_off(struct pair *p, int row, int rows, float spread)
 {
-    float sum = 0.0f, var;
     int n = 0;
     for (int i = row * WITNESS_EDGE; i < (row + rows) * WITNESS_EDGE; i++)
-        if (deviation(p, i, &p->value[n], &var)) {
-            sum += var;
-            n++;
-        }
+        n += deviation(p, i, &p->value[n]);
     if (n < BAND_PLACES)
         return 0.0f;
-    float noise = fmaxf(sqrtf(sum / (float)n), spread / QUARTILE);
+    float noise = fmaxf(spread_of(p->value, n), spread) / QUARTILE;
     float off = fabsf(ranked(p->value, n, n / 2));
-    return fmaxf(off - BAND_SURE * MEDIAN * noise / sqrtf((float)n), 0.0f);
+    return fmaxf(off - BAND_SURE * median_error(p, noise, n), 0.0f);
 }
 
 static float widest_band(struct pair *p, float spread)

@@ -22,6 +22,7 @@ struct witness {
     float floor[WITNESS_PLACES]; // > 0: below, noise and code steps do not allow to trust x
     uint8_t state[WITNESS_PLACES];
     int good, dark, clipped; // places
+    float overlap;           // >= 1: places that share a pixel, where a picture is small
 };
 
 /* `crf` is for display values; NULL: sRGB is assumed, which callers must allow for: under another
@@ -29,8 +30,9 @@ struct witness {
 void witness_take(const struct raw *px, const struct crf *crf, struct witness *out);
 
 struct witness_ratio {
-    int places;   // that both should see well, by what they see together and `log2`
+    int places;   // that both should see well, by what they see together and `log2`; 0: too few
     float log2;   // exposure of b over that of a: median over the places; 0 if there are none
+    float error;  // its standard error
     float spread; // half of the range between the quartiles: large if the scene or the light of
                   // parts of it changed
     float noise;  // rms of the ratio of a place by noise alone, stops

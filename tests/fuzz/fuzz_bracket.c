@@ -62,6 +62,7 @@ static void witness(struct input *in, double e, struct witness *w)
 {
     unsigned light = byte(in), part = byte(in);
     memset(w, 0, sizeof *w);
+    w->overlap = 1.0f;
     for (int i = 0; i < WITNESS_PLACES; i++) {
         double x = i < PLACES ? e * exp2(0.1 * i) * exp2(light / 32.0) : 0.0;
         if (part < 8 && i % 8 < (int)part)

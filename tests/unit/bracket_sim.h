@@ -119,6 +119,7 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
         w->dark += w->state[i] == WITNESS_DARK;
     }
     w->good = SIM_PLACES - w->dark - w->clipped;
+    w->overlap = 1.0f;
     for (int i = SIM_PLACES; i < WITNESS_PLACES; i++) {
         w->x[i] = c->bright ? 1.0f : 0.0f;
         w->floor[i] = c->floor;

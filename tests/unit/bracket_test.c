@@ -312,7 +312,7 @@ static void test_reasons(void **state)
     c->ignore_from = 0; // from base on
     c->ignore_frames = -1;
     rig_shoot();
-    assert_fault(BRACKET_INEFFECTIVE, 20);
+    assert_fault(BRACKET_INEFFECTIVE, 21);
     c = rig_plain(); // in the middle of the set: then base is ignored as well
     c->ignore_from = 19;
     c->ignore_frames = -1;
@@ -322,7 +322,7 @@ static void test_reasons(void **state)
     c = rig_plain(); // 9 ms instead of 10 and 2.5
     c->quantum_s = 0.0015;
     rig_shoot();
-    assert_fault(BRACKET_INEFFECTIVE, 35);
+    assert_fault(BRACKET_INEFFECTIVE, 38);
     c = rig_plain(); // on and off again
     c->lamp_at = 18;
     c->lamp_frames = 17;
@@ -582,6 +582,7 @@ static void backlog(bool stamps)
         w.floor[i] = 0.01f;
     }
     w.good = WITNESS_PLACES;
+    w.overlap = 1.0f;
     rig_open(1, 2, 1, 0.0);
     assert_int_equal(bracket_new(rig.cfg, 1, &rig.sim.b), OK);
     rig_arm(10000000000);

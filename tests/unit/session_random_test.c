@@ -4,6 +4,8 @@
  * of them, as a failure names it. */
 #include "tests/unit/session_rig.h"
 
+#include "core/base/log.h"
+
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -200,7 +202,10 @@ static void run_trial(int i, bool faulty, struct tally *out)
     if (faulty)
         some_faults(&t);
     remove(tmpdir_path("truth0"));
-    if (run_take(&t, &k) != OK)
+    err_t e = run_take(&t, &k);
+    if (faulty && e == ERR_LOST) // a request refused while it waits
+        return;
+    if (e)
         fail_msg("take %d: %s: %s", i, t.uri, err_text());
     out->takes++;
     out->complete += k->status == TAKE_COMPLETE;
@@ -259,6 +264,7 @@ static int tear_down(void **state)
 
 int main(void)
 {
+    log_set_level(LOG_ERROR);
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(healthy_takes_are_completed, set_up, tear_down),
         cmocka_unit_test_setup_teardown(faulty_takes_are_never_wrong, set_up, tear_down),
