@@ -1,7 +1,6 @@
 #include "firmware/cmd.h"
 #include "firmware/ctl.h"
 
-#include "core/base/log.h"
 #include "drivers/file.h"
 #include "drivers/json.h"
 #include "drivers/origin.h"
@@ -264,12 +263,6 @@ bool cmd_fill_exposures(struct capture *c)
     for (int i = 0; i < c->n && lacking; i++)
         c->shots[i].exposure = 1;
     return lacking;
-}
-
-void cmd_log_unread(const struct imageset *set)
-{
-    for (int i = 0; i < set->n_notes; i++)
-        log_warn("%s: %s", set->dir, set->notes[i]);
 }
 
 void cmd_report_unread(const struct imageset *set, struct job_result *j)

@@ -122,8 +122,7 @@ void cmd_imageset(const struct network *network, struct imageset_request *reques
 /* A set that may lack exposures gets 1 for all if some do; true then. */
 bool cmd_fill_exposures(struct capture *c);
 
-/* What the folder holds and is not read: in the log before the work, in the job's report after. */
-void cmd_log_unread(const struct imageset *set);
+/* What the folder holds and is not read: warnings of the job. */
 void cmd_report_unread(const struct imageset *set, struct job_result *j);
 
 /* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */

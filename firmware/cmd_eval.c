@@ -185,7 +185,6 @@ static bool cameras_unknown(const struct state *st)
 static err_t list(struct state *st, const struct request *rq)
 {
     err_t e = list_both(rq->set, &st->train, &st->test);
-    cmd_log_unread(&st->train);
     if (e || !rq->set.no_cameras)
         return e;
     struct imageset_request with = rq->set;

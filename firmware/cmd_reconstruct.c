@@ -41,8 +41,11 @@ static err_t print_result(const struct request *rq, struct state *st)
     if (st->json.f)
         publish_report(j, pool_size(st->engine.pool), st->json.f);
     if (st->json.f != stdout) {
-        printf("%s: %d views, %d Gaussians of SH degree %d, input views %.2f dB", rq->out,
-               j->views.n, j->scene.g.n, j->scene.g.degree, j->input_psnr);
+        printf("%s: %d", rq->out, j->views.n);
+        if (j->views.n < prep_places(&st->set.capture))
+            printf(" of %d", prep_places(&st->set.capture));
+        printf(" views, %d Gaussians of SH degree %d, input views %.2f dB", j->scene.g.n,
+               j->scene.g.degree, j->input_psnr);
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
         printf(", %.1f s%s\n", j->lap_s - j->start_s, cmd_count_warnings(j, count));
@@ -149,7 +152,6 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !job_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
-    cmd_log_unread(&st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
     job->cameras_only = !network;

@@ -56,11 +56,11 @@ make_set other 70 1 0
 cp "$OUT/other/images/train_ldr_000_0.png" "$set/images/train_ldr_001_0.png"
 refused 1 'but train_ldr_001_0.png has 70 x 70: scale all photographs to one size' --images "$set"
 
-# what is not read is told before the work, and in the report
+# what is not read is told at the end, and in the report
 copy mixed
 : >"$set/images/IMG_0001.HEIC"
 succeed reconstruct --images "$set" --size 56 --refine 0 --out "$OUT/mixed_scene"
-grep -q 'mixed/images: 1 file is not read (IMG_0001.HEIC): pictures must be PNG' "$ERR" ||
+grep -q 'warning: 1 file is not read (IMG_0001.HEIC): pictures must be PNG' "$ERR" ||
     fail "nobody says that a HEIC file is not read"
 grep -q 'IMG_0001.HEIC' "$OUT/mixed_scene/report.json" || fail "the report says nothing of it"
 

@@ -38,7 +38,7 @@ for i in 0 7; do
 done
 succeed render --scene "$OUT/scene" --path orbit --frames 5 --size 64 --ev -2 --hdr \
     --out "$OUT/orbit"
-[ "$(ls "$OUT/orbit" | wc -l)" -eq 11 ] || fail "not 5 frames twice and a report"
+[ "$(ls "$OUT/orbit" | wc -l)" -eq 12 ] || fail "not 5 frames twice, a report and a list"
 
 # a result measured later gives the figures of eval, with the inputs that it was made from
 "$BIN/make_set" "$OUT/staggered" 56 8 4 one || exit 1
