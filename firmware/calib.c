@@ -339,11 +339,20 @@ static err_t write_file(const struct camera_info *info, const struct calib *c, c
 
 err_t calib_check_place(const char *dir)
 {
-    (void)mkdir(dir, 0777);
-    if (access(dir, W_OK | X_OK) == 0 && file_is_dir(dir))
-        return OK;
-    return err_fail(ERR_IO, "calibrations cannot be written to %s: %s", dir,
-                    errno ? strerror(errno) : "not a folder");
+    char parent[FILE_PATH_CAP];
+    const char *at = dir; // or where it will be made
+    if (!file_exists(dir)) {
+        err_t e = file_parent(dir, parent);
+        if (e)
+            return e;
+        at = parent;
+    }
+    if (!file_is_dir(at))
+        return err_fail(ERR_IO, "calibrations cannot be written to %s: %s is not a folder", dir,
+                        at);
+    if (access(at, W_OK | X_OK) != 0)
+        return err_fail(ERR_IO, "calibrations cannot be written to %s: %s", dir, strerror(errno));
+    return OK;
 }
 
 err_t calib_save(const char *dir, const struct camera_info *info, const struct calib *c)

@@ -26,7 +26,7 @@ MUST_USE err_t calib_load(const char *dir, const struct camera_info *info, struc
 MUST_USE err_t calib_parse(const char *what, const char *text, size_t n,
                            const struct camera_info *info, struct calib *out);
 
-/* Refuse before the measurement a folder that calib_save could not write to; it is created.
+/* Refuse before the measurement a folder that calib_save could not write to.
  * err:  ERR_IO. */
 MUST_USE err_t calib_check_place(const char *dir);
 

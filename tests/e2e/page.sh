@@ -40,7 +40,8 @@ mkdir -p "$OUT/results/$take"
 echo '{"warnings": ["a", "b"]}' >"$OUT/results/$take/report.json"
 wait_for "document.querySelector('#captures a.warnings').textContent" "2 warnings"
 succeed status --set "control.socket=$SOCKET"
-grep -q "$take: .*scene with 2 warnings" "$OUT/stdout.txt" || fail "status: $(cat "$OUT/stdout.txt")"
+grep -q "$take: .*scene with 2 warnings" "$OUT/stdout.txt" ||
+    fail "status: $(cat "$OUT/stdout.txt")"
 
 # nobody there any more
 kill -TERM $daemon
