@@ -134,7 +134,7 @@ static bool in_force(const struct label *l, int i, int lo, int hi)
 
 bool label_alone(const struct label *l)
 {
-    return l->n > 0 && l->log[l->n - 1].age_lo > l->hi;
+    return l->n > 0 && l->log[l->n - 1].age_lo >= l->hi;
 }
 
 bool label_passed(const struct label *l, int entry)

@@ -93,8 +93,7 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns);
 /* The last request is in force for so long that nobody can doubt it. */
 bool label_rested(const struct label *l);
 
-/* It is in force, and alone, if the delay is right, and was so in the frame before: the rows of a
- * frame that is torn have the same exposure. */
+/* It is in force, and alone, if the delay is right. */
 bool label_alone(const struct label *l);
 
 /* Nothing asked for so long ago can be in force. */

@@ -576,6 +576,11 @@ static void fill(struct feed *f, const struct feed_item *item, int i, struct fra
     write_truth(f, out, &slot->truth);
 }
 
+static bool same_exposure(const struct exposure *a, const struct exposure *b)
+{
+    return a->time_s == b->time_s && a->gain == b->gain;
+}
+
 /* Mean difference of n numbers of two pictures, codes. */
 static double difference(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t n)
 {
@@ -603,7 +608,8 @@ static err_t mix_rows(const struct feed *f, struct feed_item *item, uint8_t *px)
     if (e)
         return e;
     size_t n = rows * row / (s->bytes_per_px == 2 ? 2 : 1);
-    if (difference(s, px + at * row, f->former + at * row, n) < TORN_CODES)
+    if (same_exposure(&item->former.exposure, &item->shot.exposure) ||
+        difference(s, px + at * row, f->former + at * row, n) < TORN_CODES)
         item->torn = 0.0;
     memcpy(px + at * row, f->former + at * row, rows * row);
     return OK;

@@ -312,7 +312,7 @@ static void test_reasons(void **state)
     c->ignore_from = 0; // from base on
     c->ignore_frames = -1;
     rig_shoot();
-    assert_fault(BRACKET_INEFFECTIVE, 21);
+    assert_fault(BRACKET_INEFFECTIVE, 20);
     c = rig_plain(); // in the middle of the set: then base is ignored as well
     c->ignore_from = 19;
     c->ignore_frames = -1;

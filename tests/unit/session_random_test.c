@@ -166,8 +166,8 @@ static void check_frames(const struct trial *t, const struct take *k, struct tal
         if (wrong)
             print_message("  %g s, was %g s\n", take_exposure_s(f), truth.exposure_s);
         if (truth.torn > 0.0)
-            print_message("  %g s: torn, %.0f %% of the rows\n", take_exposure_s(f),
-                          100.0 * truth.torn);
+            print_message("  frame %u, %g s: torn, %.0f %% of the rows\n", f->evidence.sequence,
+                          take_exposure_s(f), 100.0 * truth.torn);
         out->wrong += wrong;
         out->torn += truth.torn > 0.0;
     }
