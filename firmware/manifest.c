@@ -249,6 +249,7 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
     fprintf(f, "\"counter\": %llu,\n  ", m->counter);
     put_text(f, "status", t->status == TAKE_COMPLETE ? "complete" : "aborted");
     put_text(f, "reason", t->reason);
+    put_text(f, "not_merged", m->not_merged);
     fputs("\n  ", f);
     put_truth(f, "clock_synced", t->clock_synced);
     put_clocks(f, "trigger", &t->trigger);
@@ -366,10 +367,10 @@ static err_t get_files(const char *what, const struct cJSON *doc, struct manifes
 static err_t get_head(const char *what, const struct cJSON *doc, struct manifest *out)
 {
     static const char *const keys[] = {
-        "format",   "version",         "id",         "boot_id",      "counter",
-        "status",   "reason",          "trigger",    "clock_synced", "stagger",
-        "metered",  "tolerance_stops", "skew_s",     "cameras",      "frames_used",
-        "rejected", "white_red",       "white_blue", "frames",       "files"};
+        "format",          "version",    "id",      "boot_id",      "counter",  "status",
+        "reason",          "not_merged", "trigger", "clock_synced", "stagger",  "metered",
+        "tolerance_stops", "skew_s",     "cameras", "frames_used",  "rejected", "white_red",
+        "white_blue",      "frames",     "files"};
     uint64_t version, counter;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: not an object", what);

@@ -31,7 +31,8 @@ struct manifest_file {
 struct manifest {
     char id[MANIFEST_ID_CAP], boot[MANIFEST_BOOT_CAP];
     unsigned long long counter;
-    struct develop how; // of the display pictures; zeroed: none were developed
+    char not_merged[TAKE_TEXT]; // why there is no merged/ although there should be; ""
+    struct develop how;         // of the display pictures; zeroed: none were developed
     int n;
     struct manifest_file file[MANIFEST_FILES_MAX];
 };

@@ -617,6 +617,24 @@ static err_t put_merged(struct commit *c)
     return e;
 }
 
+static bool is_merged_name(const char *name)
+{
+    return strlen(name) == 6 && strspn(name, "0123456789") == 2 && !strcmp(name + 2, ".exr");
+}
+
+/* The frames are worth more than what can be made of them again: a full disk must not take them. */
+static void give_up_merging(struct commit *c)
+{
+    struct manifest *m = &c->s->manifest;
+    char path[FILE_PATH_CAP];
+    snprintf(m->not_merged, sizeof m->not_merged, "%s", err_text());
+    log_warn("%s: not merged, the frames are kept: %s", m->id, m->not_merged);
+    while (m->n > 0 && strncmp(m->file[m->n - 1].name, "merged/", 7) == 0)
+        m->n--;
+    if (file_join(c->tmp, "merged", path) == OK)
+        store_fs_remove(c->s->fs, path, is_merged_name);
+}
+
 /* What `hdrig reconstruct --images` reads. */
 static err_t put_exposures(struct commit *c)
 {
@@ -681,8 +699,10 @@ static err_t write_take(struct commit *c)
         e = put_frame(c, &t->frame[i]);
     if (!e && t->status == TAKE_COMPLETE)
         e = put_exposures(c);
-    if (!e && t->status == TAKE_COMPLETE && merge)
-        e = put_merged(c);
+    if (!e && t->status == TAKE_COMPLETE && merge && put_merged(c) != OK) {
+        give_up_merging(c);
+        merge = false;
+    }
     if (!e)
         e = put_manifest(c);
     if (!e)

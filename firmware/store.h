@@ -5,7 +5,8 @@
  *     images/train_CC_EE.png|jpg    display pictures: camera CC, exposure EE; JPEG as it came
  *     exposure.json                 name to exposure: what `hdrig reconstruct --images` reads
  *     raw/CC_EE.bin                 bytes of the driver, unless the JPEG is them
- *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes
+ *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes;
+ *                                   not there if that failed, which the manifest and the log say
  *     manifest.json                 everything known, sizes and SHA-256 of all files; written last
  *   STORE/aborted-BOOT8-NNNNNN/     the same for takes that were given up: raw/ and manifest only
  *   STORE/damaged-.../              takes that store_open found to differ from their manifest

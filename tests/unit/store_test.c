@@ -608,6 +608,39 @@ static int close_fails(int fd)
     return written ? -1 : got;
 }
 
+/* The disk is full as soon as merges are written. */
+static int open_unless_merged(const char *path, int flags, mode_t mode)
+{
+    if (strstr(path, "/merged/") && (flags & O_CREAT)) {
+        errno = ENOSPC;
+        return -1;
+    }
+    return open(path, flags, mode);
+}
+
+static void frames_outlive_a_failed_merge(void **state)
+{
+    (void)state;
+    struct store_fs fs = store_fs_system;
+    struct store_config cfg = {.path = folder, .merge = true};
+    struct store *s;
+    struct cJSON *doc;
+    char id[STORE_ID_CAP];
+    fs.open = open_unless_merged;
+    ok(store_open_on(&fs, &cfg, &s));
+    struct take *t = small_take(2, EXPOSURES, CAMERA_GREY16);
+    ok(store_commit(s, t, id));
+    take_free(t);
+    assert_int_equal(entries(in(id, "raw")), 2 * EXPOSURES);
+    assert_int_equal(entries(in(id, "images")), 2 * EXPOSURES);
+    assert_int_equal(entries(in(id, "merged")), -1);
+    ok(store_verify(in(id, "")));
+    ok(json_read(in(id, MANIFEST_FILE), &doc));
+    assert_non_null(strstr(json_string(json_member(doc, "not_merged")), "merged/00.exr"));
+    json_free(doc);
+    store_close(s);
+}
+
 static void closing_can_fail(void **state)
 {
     (void)state;
@@ -745,6 +778,7 @@ int main(void)
                                        EACH(relative_paths),
                                        EACH(needs_room),
                                        EACH(refuses_contradictions),
+                                       EACH(frames_outlive_a_failed_merge),
                                        EACH(closing_can_fail),
                                        EACH(verifies),
                                        EACH(hostile_manifests)};
