@@ -51,15 +51,15 @@ LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lz -lzstd -lmicrohttpd 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
 ISA_sse41 := -msse4.1
 ISA_avx2 := -mavx2 -mfma -mf16c
-ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mavx512vnni \
-	-mprefer-vector-width=512
+ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mprefer-vector-width=512
+ISA_avx512vnni := $(ISA_avx512) -mavx512vnni
 ISA_amx := -mamx-tile -mamx-int8
 ISA_neondot := -march=armv8.2-a+dotprod -mtune=cortex-a76
 ISA_i8mm := -march=armv8.2-a+i8mm
 isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 
 # --- sources --------------------------------------------------------------------------------------
-OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_amx.c)
+OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_avx512vnni.c %_amx.c)
 OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
 CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
 DRIVERS := $(wildcard drivers/*.c)

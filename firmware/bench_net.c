@@ -417,7 +417,7 @@ static err_t measure_level(struct engine *en, struct pool *pool, const struct ge
 
 err_t bench_net_kernels(const struct config *cfg, struct bench_net *out)
 {
-    static const unsigned levels[] = {0,       CPU_SSE41, CPU_AVX2,    CPU_AVX512,
+    static const unsigned levels[] = {0,       CPU_SSE41, CPU_AVX2,    CPU_AVX512, CPU_AVX512VNNI,
                                       CPU_AMX, CPU_NEON,  CPU_NEONDOT, CPU_I8MM};
     static struct engine en;
     struct kernels k[2];

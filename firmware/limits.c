@@ -80,7 +80,10 @@ S8(s8_sse41, __attribute__((target("sse4.1"))), __m128i, "x",
    "movdqa %2, %1\n\tpmaddwd %3, %1\n\tpaddd %1, %0")
 S8(s8_avx2, __attribute__((target("avx2"))), __m256i, "x",
    "vpmaddwd %2, %3, %1\n\tvpaddd %1, %0, %0")
-S8(s8_avx512, __attribute__((target("avx512f,avx512vnni"))), __m512i, "v", "vpdpbusd %2, %3, %0")
+S8(s8_avx512, __attribute__((target("avx512bw"))), __m512i, "v",
+   "vpmaddwd %2, %3, %1\n\tvpaddd %1, %0, %0")
+S8(s8_avx512vnni, __attribute__((target("avx512f,avx512vnni"))), __m512i, "v",
+   "vpdpbusd %2, %3, %0")
 
 struct tiles { // Intel SDM vol. 1, 18.2
     uint8_t palette, start_row, reserved[14];
@@ -114,11 +117,9 @@ __attribute__((target("amx-tile,amx-int8"))) static void s8_amx(int rounds)
 }
 
 static const struct s8_level s8_levels[] = {
-    {"amx", 16 * 16 * 64, s8_amx},
-    {"avx512", 64, s8_avx512},
-    {"avx2", 16, s8_avx2},
-    {"sse41", 8, s8_sse41},
-    {"c", 8, s8_sse41}}; // what a compiler can make of plain loops
+    {"amx", 16 * 16 * 64, s8_amx}, {"avx512vnni", 64, s8_avx512vnni},
+    {"avx512", 32, s8_avx512},     {"avx2", 16, s8_avx2},
+    {"sse41", 8, s8_sse41},        {"c", 8, s8_sse41}}; // what a compiler can make of plain loops
 #elif defined(__aarch64__)
 
 static float flops_neon(int rounds)

@@ -15,9 +15,9 @@
 static const struct {
     const char *name;
     unsigned bit;
-} levels[] = {{"sse41", CPU_SSE41}, {"avx2", CPU_AVX2}, {"avx512", CPU_AVX512},
-              {"amx", CPU_AMX},     {"neon", CPU_NEON}, {"neondot", CPU_NEONDOT},
-              {"i8mm", CPU_I8MM}};
+} levels[] = {{"sse41", CPU_SSE41},           {"avx2", CPU_AVX2}, {"avx512", CPU_AVX512},
+              {"avx512vnni", CPU_AVX512VNNI}, {"amx", CPU_AMX},   {"neon", CPU_NEON},
+              {"neondot", CPU_NEONDOT},       {"i8mm", CPU_I8MM}};
 
 enum { N_LEVELS = sizeof levels / sizeof levels[0] };
 
@@ -54,9 +54,12 @@ unsigned cpu_detect(void)
         return found;
     found |= CPU_AVX2;
     unsigned need7 = bit_AVX512F | bit_AVX512BW | bit_AVX512VL | bit_AVX512DQ;
-    if (!has_all(saved, XCR0_AVX512) || !has_all(b7, need7) || !(c7 & bit_AVX512VNNI))
+    if (!has_all(saved, XCR0_AVX512) || !has_all(b7, need7))
         return found;
     found |= CPU_AVX512;
+    if (!(c7 & bit_AVX512VNNI))
+        return found;
+    found |= CPU_AVX512VNNI;
     if (has_all(saved, XCR0_AMX) && has_all(d7, BIT_AMX) &&
         syscall(SYS_arch_prctl, REQ_XCOMP_PERM, XTILEDATA) == 0)
         found |= CPU_AMX;

@@ -10,12 +10,13 @@
 enum {
     CPU_SSE41 = 1,
     CPU_AVX2 = 2,   // with FMA and F16C
-    CPU_AVX512 = 4, // F, BW, VL, DQ and VNNI
+    CPU_AVX512 = 4, // F, BW, VL and DQ
     CPU_NEON = 8,
-    CPU_NEONDOT = 16, // int8 dot product
-    CPU_I8MM = 32,    // int8 matrix product
-    CPU_AMX = 64,     // tiles and their int8 product
-    CPU_ALL = 127
+    CPU_NEONDOT = 16,     // int8 dot product
+    CPU_I8MM = 32,        // int8 matrix product
+    CPU_AMX = 64,         // tiles and their int8 product
+    CPU_AVX512VNNI = 128, // int8 dot product
+    CPU_ALL = 255
 };
 
 enum { CPU_NAMES_CAP = 64 }; // bytes that hold every list of names

@@ -5,6 +5,7 @@
 #include "core/kernels/gemm_body.h"
 
 #define VEC 8
+#define V_REGISTER "x"
 typedef __m128i vec;
 
 static inline vec v_widen(const int8_t *p)

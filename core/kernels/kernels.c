@@ -31,6 +31,8 @@ void kernels_init(struct kernels *k, unsigned cpu)
         nn_avx512(&k->net);
         fft_avx512(&k->net);
     }
+    if (cpu & CPU_AVX512VNNI)
+        gemm_avx512vnni(&k->net);
     if (cpu & CPU_AMX) {
         gemm_amx(&k->net);
         k->net.s8_beats_fft = true;

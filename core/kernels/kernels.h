@@ -185,6 +185,7 @@ void gemm_c(struct gemm_kernels *k);
 void gemm_sse41(struct gemm_kernels *k);
 void gemm_avx2(struct gemm_kernels *k);
 void gemm_avx512(struct gemm_kernels *k);
+void gemm_avx512vnni(struct gemm_kernels *k);
 void gemm_amx(struct gemm_kernels *k);
 void gemm_neon(struct gemm_kernels *k);
 void gemm_neondot(struct gemm_kernels *k);

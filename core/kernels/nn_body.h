@@ -64,8 +64,7 @@ static float absmax(const float *x, size_t n)
         for (int k = 0; k < 4; k++)
             top[k] = i_max(top[k], i_magnitude(v_load(x + i + (size_t)k * LANES)));
     for (; i < n; i += LANES)
-        top[0] = i_max(top[0],
-                       i_magnitude(v_load_n(x + i, n - i < LANES ? (int)(n - i) : LANES)));
+        top[0] = i_max(top[0], i_magnitude(v_load_n(x + i, n - i < LANES ? (int)(n - i) : LANES)));
     int32_t bits = i_top(i_max(i_max(top[0], top[1]), i_max(top[2], top[3])));
     float largest;
     memcpy(&largest, &bits, sizeof largest);
@@ -420,9 +419,9 @@ MAP vint weigh_block(const vf x[4], int8_t *out, vint sum)
         w[k] = _mm512_mulhi_epu16(rest, _mm512_set1_epi16(256));
     }
     __m512i p = _mm512_permutexvar_epi32(order, _mm512_packus_epi16(w[0], w[1]));
-    p = _mm512_sub_epi8(p, _mm512_set1_epi8(127));
-    _mm512_storeu_si512(out, p);
-    return _mm512_dpbusd_epi32(sum, _mm512_set1_epi8(1), p);
+    sum = i_add(sum, _mm512_sad_epu8(p, i_set(0)));
+    _mm512_storeu_si512(out, _mm512_sub_epi8(p, _mm512_set1_epi8(127)));
+    return i_add(sum, i_set(-127 * 64 / LANES));
 }
 #else
 #define STEPS 1.0f

@@ -1,15 +1,31 @@
 /* widen_body.h - products of int8 where nothing multiplies them directly: both sides become int16,
- * and pairs of products are summed to int32. Exact for all values. Compiled once per instruction
- * set; included by gemm_<isa>.c after these functions on vectors of VEC int16:
- * v_widen (VEC int8 from memory), v_quad (four int16 from memory, repeated), v_madd, v_plus, and
- * v_fold(x, y), the sums of neighbouring int32 of x, then of y.
+ * and pairs of products are summed to int32. Exact for all values: a pair is at most 2 127 128, and
+ * all of them fit (gemm.h). Compiled once per instruction set; included by gemm_<isa>.c after these
+ * functions on vectors of VEC int16:
+ * V_REGISTER (the constraint of vec in assembly), v_widen (VEC int8 from memory), v_quad (four
+ * int16 from memory, repeated), v_madd, v_plus, and v_fold(x, y), the sums of neighbouring int32 of
+ * x, then of y.
  * A vector of weights is VEC / 4 columns of 4 inputs; a tile keeps the sums of ROWS rows and two
- * such vectors. Rows of activations are widened once, CHUNK inputs at a time. */
+ * such vectors. Rows of activations are widened once, CHUNK inputs at a time. While columns meet
+ * the rows, those of the panel that comes g->panels later are asked for, step by step: most weights
+ * come from beyond the second cache. */
 #include "core/kernels/kernels.h"
 
 #include <string.h>
 
-enum { ROWS = 6, CHUNK = 1024, COLS = VEC / 2 };
+enum { ROWS = VEC == 32 ? 12 : 6, CHUNK = 1024, COLS = VEC / 2 };
+
+/* n int8 to int16. */
+static inline void widen_run(const int8_t *a, int n, int16_t *out)
+{
+    int x = 0;
+    for (; x + VEC <= n; x += VEC) {
+        const vec wide = v_widen(a + x);
+        memcpy(out + x, &wide, sizeof wide);
+    }
+    for (; x < n; x++)
+        out[x] = a[x];
+}
 
 /* Rows of CHUNK int16 from an array without gaps at input k on. */
 static int widen_rows(const struct gemm_s8 *g, int i, int rows, int k, int16_t *out)
@@ -19,80 +35,109 @@ static int widen_rows(const struct gemm_s8 *g, int i, int rows, int k, int16_t *
         const int8_t *row = g->a + (size_t)(i + r) * g->lda;
         for (int done = 0, run; done < n; done += run) {
             int s = (k + done) / g->seg, l = (k + done) % g->seg;
-            const int8_t *a = row + (size_t)s * g->seg_stride + l;
             run = g->seg - l < n - done ? g->seg - l : n - done;
-            for (int x = 0; x < run; x++)
-                out[done + x] = a[x];
+            widen_run(row + (size_t)s * g->seg_stride + l, run, out + done);
         }
     }
     return n;
 }
 
-/* c of `rows` rows and COLS columns, first = 0, else +=, over n inputs. */
-static inline __attribute__((always_inline)) void tile(const int16_t *a, const int8_t *w, int n,
-                                                       int32_t *c, size_t ldc, int rows, bool add)
+/* Weights that are asked for: `step` bytes further each step. */
+struct ahead_s8 {
+    const int8_t *at;
+    size_t step;
+};
+
+/* What rows and columns of a chunk share. */
+struct strip {
+    const int16_t *a; // widened rows
+    const int8_t *w;
+    int n; // inputs
+    int32_t *c;
+    size_t ldc;
+    bool add; // c += instead of c =
+    struct ahead_s8 ahead;
+};
+
+/* Sums of `rows` rows and COLS columns. */
+static inline __attribute__((always_inline)) void tile(const struct strip *s, int rows, vec *out)
 {
+    const int8_t *w = s->w, *ahead = s->ahead.at;
     vec sum[ROWS][2];
     for (int r = 0; r < rows; r++)
         sum[r][0] = sum[r][1] = (vec){0};
-    for (int l = 0; l < n; l += 4, w += 4 * PANEL) {
+    for (int l = 0; l < s->n; l += 4, w += 4 * PANEL, ahead += s->ahead.step) {
+        __builtin_prefetch(ahead, 0, 2);
         vec w0 = v_widen(w), w1 = v_widen(w + VEC);
         for (int r = 0; r < rows; r++) {
-            vec x = v_quad(a + r * CHUNK + l);
+            vec x = v_quad(s->a + r * CHUNK + l);
             sum[r][0] = v_plus(sum[r][0], v_madd(w0, x));
             sum[r][1] = v_plus(sum[r][1], v_madd(w1, x));
             /* One row after the other: gcc would run out of registers. */
-            __asm__ volatile("" : "+x"(sum[r][0]), "+x"(sum[r][1]));
+            __asm__ volatile("" : "+" V_REGISTER(sum[r][0]), "+" V_REGISTER(sum[r][1]));
         }
     }
-    for (int r = 0; r < rows; r++, c += ldc) {
-        vec total = v_fold(sum[r][0], sum[r][1]), before = {0};
-        if (add)
+    for (int r = 0; r < rows; r++)
+        out[r] = v_fold(sum[r][0], sum[r][1]);
+}
+
+/* Rows of the tile that up to ROWS rows take. */
+static int tile_rows(int rows)
+{
+    const int even = rows > 1 ? (rows + 1) / 2 * 2 : 1;
+    return even > 8 ? ROWS : even;
+}
+
+/* COLS columns of `rows` rows; what is computed of rows beyond them is not kept. */
+static void few_columns(const struct strip *s, int rows)
+{
+    vec sum[ROWS];
+    switch (tile_rows(rows)) {
+    case 1:
+        tile(s, 1, sum);
+        break;
+    case 2:
+        tile(s, 2, sum);
+        break;
+    case 4:
+        tile(s, 4, sum);
+        break;
+    case 8:
+        tile(s, ROWS < 8 ? ROWS : 8, sum);
+        break;
+    case ROWS:
+        tile(s, ROWS, sum);
+        break;
+    default:
+        tile(s, 6, sum);
+    }
+    for (int r = 0; r < rows; r++) {
+        int32_t *c = s->c + (size_t)r * s->ldc;
+        vec before = {0};
+        if (s->add)
             memcpy(&before, c, sizeof before);
-        total = v_plus(total, before);
-        memcpy(c, &total, sizeof total);
+        before = v_plus(before, sum[r]);
+        memcpy(c, &before, sizeof before);
     }
 }
 
-/* Rows [i, i + ROWS) ask for their share of the panel that comes `panels` later, inputs [k, k + n):
- * most weights come from beyond the second cache. */
-static void ask_ahead(const struct gemm_s8 *g, int i, int panel, int k, int n)
-{
-    const size_t m = (size_t)g->m, bytes = (size_t)n * PANEL, at = (size_t)i;
-    const size_t end = at + ROWS < m ? at + ROWS : m;
-    const int8_t *w = g->w + (size_t)(panel + g->panels) * g->ldw + (size_t)k * PANEL;
-    for (size_t x = bytes * at / m; x < bytes * end / m; x += 64)
-        __builtin_prefetch(w + x, 0, 2);
-}
-
-/* All columns of up to ROWS rows. */
+/* All columns of up to ROWS rows from row i on, n inputs from k on. */
 static void columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int n)
 {
+    const int tiles = (g->m + ROWS - 1) / ROWS * (PANEL / COLS); // that meet a panel
+    const size_t step = (size_t)(4 * PANEL + tiles - 1) / (size_t)tiles;
     for (int col = 0; col < PANEL * g->panels; col += COLS) {
-        const int8_t *w =
-            g->w + (size_t)(col / PANEL) * g->ldw + (size_t)k * PANEL + 4 * (col % PANEL);
-        int32_t *c = g->c + (size_t)i * g->ldc + col;
-        if (col % PANEL == 0)
-            ask_ahead(g, i, col / PANEL, k, n);
-        switch (g->m - i) {
-        case 1:
-            tile(a, w, n, c, g->ldc, 1, k > 0);
-            break;
-        case 2:
-            tile(a, w, n, c, g->ldc, 2, k > 0);
-            break;
-        case 3:
-            tile(a, w, n, c, g->ldc, 3, k > 0);
-            break;
-        case 4:
-            tile(a, w, n, c, g->ldc, 4, k > 0);
-            break;
-        case 5:
-            tile(a, w, n, c, g->ldc, 5, k > 0);
-            break;
-        default:
-            tile(a, w, n, c, g->ldc, ROWS, k > 0);
-        }
+        const int8_t *panel = g->w + (size_t)(col / PANEL) * g->ldw + (size_t)k * PANEL;
+        const int place = i / ROWS * (PANEL / COLS) + col % PANEL / COLS;
+        const struct strip s = {
+            .a = a,
+            .w = panel + 4 * (col % PANEL),
+            .n = n,
+            .c = g->c + (size_t)i * g->ldc + col,
+            .ldc = g->ldc,
+            .add = k > 0,
+            .ahead = {panel + (size_t)g->panels * g->ldw + (size_t)(place * n / 4) * step, step}};
+        few_columns(&s, g->m - i < ROWS ? g->m - i : ROWS);
     }
 }
 
@@ -101,7 +146,9 @@ static void gemm_s8(const struct gemm_s8 *g)
     int16_t a[ROWS * CHUNK];
     for (int i = 0; i < g->m; i += ROWS)
         for (int k = 0; k < g->segs * g->seg; k += CHUNK) {
-            int n = widen_rows(g, i, g->m - i < ROWS ? g->m - i : ROWS, k, a);
+            const int rows = g->m - i < ROWS ? g->m - i : ROWS;
+            int n = widen_rows(g, i, rows, k, a);
+            memset(a + rows * CHUNK, 0, (size_t)(tile_rows(rows) - rows) * CHUNK * sizeof *a);
             columns(g, i, k, a, n);
         }
 }

@@ -22,7 +22,8 @@ static const struct level {
     {"sse41", CPU_SSE41},
     {"avx2", CPU_SSE41 | CPU_AVX2},
     {"avx512", CPU_SSE41 | CPU_AVX2 | CPU_AVX512},
-    {"amx", CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AMX},
+    {"avx512vnni", CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AVX512VNNI},
+    {"amx", CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AVX512VNNI | CPU_AMX},
     {"neon", CPU_NEON},
     {"neondot", CPU_NEON | CPU_NEONDOT},
     {"i8mm", CPU_NEON | CPU_NEONDOT | CPU_I8MM},
@@ -478,7 +479,8 @@ struct peak {
 
 #define S8_SSE41(k) "movdqa %%xmm15, %%xmm13\npmaddwd %%xmm14, %%xmm13\npaddd %%xmm13, %%xmm" k "\n"
 #define S8_AVX2(k) "vpmaddwd %%ymm14, %%ymm15, %%ymm13\nvpaddd %%ymm13, %%ymm" k ", %%ymm" k "\n"
-#define S8_AVX512(k) "vpdpbusd %%zmm14, %%zmm15, %%zmm" k "\n"
+#define S8_AVX512(k) "vpmaddwd %%zmm14, %%zmm15, %%zmm13\nvpaddd %%zmm13, %%zmm" k ", %%zmm" k "\n"
+#define S8_AVX512VNNI(k) "vpdpbusd %%zmm14, %%zmm15, %%zmm" k "\n"
 #define F32_SSE41(k) "movaps %%xmm15, %%xmm13\nmulps %%xmm14, %%xmm13\naddps %%xmm13, %%xmm" k "\n"
 #define F32_AVX2(k) "vfmadd231ps %%ymm14, %%ymm15, %%ymm" k "\n"
 #define F32_AVX512(k) "vfmadd231ps %%zmm14, %%zmm15, %%zmm" k "\n"
@@ -486,11 +488,13 @@ struct peak {
 PEAK(peak_s8_sse41, CLEAR, S8_SSE41)
 PEAK(peak_s8_avx2, "vzeroall\n", S8_AVX2)
 PEAK(peak_s8_avx512, "vzeroall\n", S8_AVX512)
+PEAK(peak_s8_avx512vnni, "vzeroall\n", S8_AVX512VNNI)
 PEAK(peak_f32_sse41, CLEAR, F32_SSE41)
 PEAK(peak_f32_avx2, "vzeroall\n", F32_AVX2)
 PEAK(peak_f32_avx512, "vzeroall\n", F32_AVX512)
 
-static const struct peak peaks_s8[] = {{CPU_AVX512, 64, peak_s8_avx512},
+static const struct peak peaks_s8[] = {{CPU_AVX512VNNI, 64, peak_s8_avx512vnni},
+                                       {CPU_AVX512, 32, peak_s8_avx512},
                                        {CPU_AVX2, 16, peak_s8_avx2},
                                        {CPU_SSE41, 8, peak_s8_sse41},
                                        {0, 0, NULL}};

@@ -9,7 +9,7 @@ done | awk '
     file = part[n - 1] != "" ? part[n - 1] : part[n]
     sub(/\.o$/, "", file)
     prefix = file
-    sub(/_(c|sse41|avx2|avx512|amx|neon|neondot|i8mm)$/, "", prefix)
+    sub(/_(c|sse41|avx2|avx512|avx512vnni|amx|neon|neondot|i8mm)$/, "", prefix)
     sub(/gpiod[12]$/, "gpiod", prefix)
     seen++
     if ($NF != prefix && index($NF, prefix "_") != 1) {

@@ -18,16 +18,20 @@ static void detection_is_sane(void **state)
     assert_int_equal(found & (CPU_NEON | CPU_NEONDOT | CPU_I8MM), 0);
     assert_true(!(found & CPU_AVX2) || (found & CPU_SSE41));
     assert_true(!(found & CPU_AVX512) || (found & CPU_AVX2));
-    assert_true(!(found & CPU_AMX) || (found & CPU_AVX512));
+    assert_true(!(found & CPU_AVX512VNNI) || (found & CPU_AVX512));
+    assert_true(!(found & CPU_AMX) || (found & CPU_AVX512VNNI));
     /* gcc's own detection asks the system too */
     assert_int_equal((found & CPU_SSE41) != 0, __builtin_cpu_supports("sse4.1") != 0);
     assert_int_equal((found & CPU_AVX2) != 0,
                      __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma"));
-    assert_true(!(found & CPU_AVX512) || __builtin_cpu_supports("avx512vnni"));
-    assert_true((found & CPU_AVX512) || !__builtin_cpu_supports("avx512vnni"));
+    assert_int_equal((found & CPU_AVX512) != 0, __builtin_cpu_supports("avx512bw") &&
+                                                    __builtin_cpu_supports("avx512vl") &&
+                                                    __builtin_cpu_supports("avx512dq"));
+    assert_int_equal((found & CPU_AVX512VNNI) != 0,
+                     (found & CPU_AVX512) && __builtin_cpu_supports("avx512vnni"));
 #elif defined(__aarch64__)
     assert_true(found & CPU_NEON);
-    assert_int_equal(found & (CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AMX), 0);
+    assert_int_equal(found & (CPU_SSE41 | CPU_AVX2 | CPU_AVX512 | CPU_AVX512VNNI | CPU_AMX), 0);
 #endif
 }
 
@@ -43,6 +47,8 @@ static void masks_are_lists_of_names(void **state)
     assert_int_equal(m, 0);
     assert_int_equal(cpu_parse_mask(" sse41, avx2 ", &m), OK);
     assert_int_equal(m, CPU_SSE41 | CPU_AVX2);
+    assert_int_equal(cpu_parse_mask("avx512 avx512vnni", &m), OK);
+    assert_int_equal(m, CPU_AVX512 | CPU_AVX512VNNI);
     assert_int_equal(cpu_parse_mask("neon neondot,i8mm,avx512 amx", &m), OK);
     assert_int_equal(m, CPU_NEON | CPU_NEONDOT | CPU_I8MM | CPU_AVX512 | CPU_AMX);
 }
