@@ -245,10 +245,12 @@ void label_narrow(struct label *l, const struct label_look *k)
 
 /* ---- pixels ---- */
 
+/* The spread of few places is often large, and noise is known by few pixels only. */
 static bool changed(const struct label *l, const struct witness_ratio *r)
 {
+    double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
     return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance &&
-           (double)r->spread > 2.0 * (double)r->noise;
+           (double)r->spread > lucky;
 }
 
 /* A curve that is not calibrated bends ratios, by where in the picture it is how bright. */
