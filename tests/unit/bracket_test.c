@@ -432,6 +432,44 @@ static void test_lamp(void **state)
         }
 }
 
+/* A flash in the first frame that may be the reference: a second one that looks like it is
+ * wanted. */
+static void test_flash_in_the_reference(void **state)
+{
+    (void)state;
+    for (int at = 0; at < 24; at++) {
+        rig_open(1, 2, 3, 2.0);
+        assert_int_equal(bracket_new(rig.cfg, 1, &rig.sim.b), OK);
+        rig_arm(1000000000);
+        struct sim_camera *c = &rig.camera[0];
+        c->lamp_at = at;
+        c->lamp_frames = 1;
+        c->lamp = 3.0;
+        c->lamp_share = 1.0;
+        assert_int_equal(rig_shoot(), BRACKET_NONE);
+        assert_complete(BRACKET_REPORTED);
+        assert_true(c->forgotten == 0);
+        rig_close();
+    }
+}
+
+/* Frames that were multiplied are no reference for others that are not. */
+static void test_digital_gain_before(void **state)
+{
+    (void)state;
+    struct bracket_progress p;
+    rig_open(1, 2, 3, 2.0);
+    struct sim_camera *c = &rig.camera[0];
+    c->digital = 2.0;
+    rig_ready();
+    c->digital = 1.0;
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    assert_complete(BRACKET_REPORTED);
+    bracket_progress(rig.sim.b, &p);
+    assert_true(c->forgotten == 0 && p.rejected == 0);
+    rig_close();
+}
+
 static void test_stall(void **state)
 {
     struct sim_camera *c;
@@ -715,15 +753,26 @@ static int make_noise(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_frames_used), cmocka_unit_test(test_states),
-        cmocka_unit_test(test_cancel),      cmocka_unit_test(test_bad_arguments),
-        cmocka_unit_test(test_reasons),     cmocka_unit_test(test_reasons_of_devices),
-        cmocka_unit_test(test_odd_frames),  cmocka_unit_test(test_lamp),
-        cmocka_unit_test(test_stall),       cmocka_unit_test(test_long),
-        cmocka_unit_test(test_blind),       cmocka_unit_test(test_hearsay),
-        cmocka_unit_test(test_flash),       cmocka_unit_test(test_backlog),
-        cmocka_unit_test(test_late_host),   cmocka_unit_test(test_many_cameras),
-        cmocka_unit_test(test_clock),       cmocka_unit_test(test_repeats),
+        cmocka_unit_test(test_frames_used),
+        cmocka_unit_test(test_states),
+        cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_bad_arguments),
+        cmocka_unit_test(test_reasons),
+        cmocka_unit_test(test_reasons_of_devices),
+        cmocka_unit_test(test_odd_frames),
+        cmocka_unit_test(test_lamp),
+        cmocka_unit_test(test_flash_in_the_reference),
+        cmocka_unit_test(test_digital_gain_before),
+        cmocka_unit_test(test_stall),
+        cmocka_unit_test(test_long),
+        cmocka_unit_test(test_blind),
+        cmocka_unit_test(test_hearsay),
+        cmocka_unit_test(test_flash),
+        cmocka_unit_test(test_backlog),
+        cmocka_unit_test(test_late_host),
+        cmocka_unit_test(test_many_cameras),
+        cmocka_unit_test(test_clock),
+        cmocka_unit_test(test_repeats),
     };
     return cmocka_run_group_tests(tests, make_noise, NULL);
 }
