@@ -1,6 +1,7 @@
 #include "drivers/json.h"
 
 #include "drivers/file.h"
+#include "drivers/name.h"
 
 #include <cjson/cJSON.h>
 
@@ -158,17 +159,23 @@ err_t json_floats(const char *what, const struct cJSON *object, const char *key,
     return OK;
 }
 
+/* What is not UTF-8 becomes U+FFFD, byte by byte: a reader would refuse the whole document. */
 void json_put_string(FILE *f, const char *s)
 {
     putc('"', f);
-    for (; *s; s++) {
+    for (size_t left = strlen(s), n; left > 0; s += n, left -= n) {
         unsigned char c = (unsigned char)*s;
-        if (c == '"' || c == '\\')
+        n = name_utf8(s, left);
+        if (n == 0) {
+            fputs("\\ufffd", f);
+            n = 1;
+        } else if (c == '"' || c == '\\') {
             fprintf(f, "\\%c", c);
-        else if (c < 0x20)
+        } else if (c < 0x20) {
             fprintf(f, "\\u%04x", c);
-        else
-            putc(c, f);
+        } else {
+            fwrite(s, 1, n, f);
+        }
     }
     putc('"', f);
 }

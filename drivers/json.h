@@ -58,7 +58,7 @@ MUST_USE err_t json_float(const char *what, const struct cJSON *object, const ch
 MUST_USE err_t json_floats(const char *what, const struct cJSON *object, const char *key, int n,
                            float *out);
 
-/* Write s in quotes, escaped; s is valid UTF-8. */
+/* Write s in quotes, escaped; what is not UTF-8 in it becomes U+FFFD. */
 void json_put_string(FILE *f, const char *s);
 
 #endif

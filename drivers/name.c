@@ -2,13 +2,12 @@
 
 #include <string.h>
 
-/* Bytes of the UTF-8 character at s, 0 if it is malformed (RFC 3629: no surrogates, nothing above
- * 10FFFF, shortest form) or a control character. */
-static size_t utf8_length(const unsigned char *s, size_t left)
+size_t name_utf8(const char *text, size_t left)
 {
     static const uint32_t least[] = {0, 0, 0x80, 0x800, 0x10000};
+    const unsigned char *s = (const unsigned char *)text;
     if (s[0] < 0x80)
-        return s[0] >= 0x20 && s[0] != 0x7f ? 1 : 0;
+        return 1;
     size_t n = s[0] >= 0xf0 ? 4 : s[0] >= 0xe0 ? 3 : 2;
     if (s[0] < 0xc2 || s[0] > 0xf4 || n > left)
         return 0;
@@ -28,12 +27,13 @@ err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]
         return err_fail(ERR_FORMAT, "%s: a name of %zu bytes (%.40s), allowed are 1 to %d", what, n,
                         n ? text : "", NAME_CAP - 1);
     for (size_t i = 0, step; i < n; i += step) {
-        step = utf8_length((const unsigned char *)text + i, n - i);
-        if (step == 0 || text[i] == '/')
+        step = name_utf8(text + i, n - i);
+        unsigned char c = (unsigned char)text[i];
+        if (step == 0 || c == '/' || c < 0x20 || c == 0x7f)
             return err_fail(ERR_FORMAT,
                             "%s: byte %zu of a name is 0x%02x: slashes, control characters and "
                             "broken UTF-8 are refused",
-                            what, i, (unsigned char)text[i]);
+                            what, i, c);
     }
     if ((n == 1 && text[0] == '.') || (n == 2 && text[0] == '.' && text[1] == '.'))
         return err_fail(ERR_FORMAT, "%s: \"%.*s\" is a folder, not a name", what, (int)n, text);

@@ -12,6 +12,10 @@
  * err:  ERR_FORMAT. */
 MUST_USE err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]);
 
+/* Bytes of the UTF-8 character at `text`, of which `left` > 0 bytes are there; 0 if it is malformed
+ * (RFC 3629: no surrogates, nothing above 10FFFF, shortest form). */
+size_t name_utf8(const char *text, size_t left);
+
 /* Bytes of `name` that name its view: without the extension, and without the exposure number of
  * names like train_ldr_000_2.png. A number is taken off only if another one stands before it:
  * IMG_0001.jpg stays whole. */

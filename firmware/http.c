@@ -1,7 +1,10 @@
 /* Requests are small and answered at once; files are sent by the library. */
 #include "firmware/http.h"
 
+#include "firmware/connections.h"
 #include "firmware/embed.h"
+
+#include "drivers/json.h"
 
 #include <arpa/inet.h>
 #include <errno.h>
@@ -11,9 +14,10 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <time.h>
 #include <unistd.h>
 
-enum { CONNECTIONS = 16, TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
+enum { TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
 
 /* The files of the page, in the binary, each with its size. */
 EMBED_FILE(http_page_html, "firmware/web/page.html");
@@ -25,6 +29,8 @@ struct http {
     struct MHD_Daemon *mhd;
     int fd; // epoll
     char host[256];
+    struct connections connections;
+    int64_t look_ns; // at them
 };
 
 struct request { // of one that has a body
@@ -78,14 +84,19 @@ static enum MHD_Result send_text(struct MHD_Connection *c, unsigned status, cons
 
 static enum MHD_Result send_error(struct MHD_Connection *c, unsigned status, const char *sentence)
 {
-    char text[600];
+    char *text = NULL;
     size_t n = 0;
-    n += (size_t)snprintf(text, sizeof text, "{\"ok\": false, \"error\": \"");
-    for (; *sentence && n + 8 < sizeof text; sentence++)
-        if (*sentence != '"' && *sentence != '\\' && (unsigned char)*sentence >= ' ')
-            text[n++] = *sentence;
-    n += (size_t)snprintf(text + n, sizeof text - n, "\"}\n");
-    return send_text(c, status, "application/json", text, n);
+    enum MHD_Result r = MHD_NO;
+    FILE *f = open_memstream(&text, &n);
+    if (!f)
+        return MHD_NO;
+    fputs("{\"ok\": false, \"error\": ", f);
+    json_put_string(f, sentence);
+    fputs("}\n", f);
+    if (fclose(f) == 0)
+        r = send_text(c, status, "application/json", text, n);
+    free(text);
+    return r;
 }
 
 /* ---- who may ask ---- */
@@ -273,6 +284,32 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
     return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, or POST of a command");
 }
 
+static int64_t now_ns(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static struct connection *connection_of(struct MHD_Connection *c)
+{
+    return MHD_get_connection_info(c, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
+}
+
+static void on_connection(void *ctx, struct MHD_Connection *c, void **socket,
+                          enum MHD_ConnectionNotificationCode code)
+{
+    struct http *h = ctx;
+    if (code == MHD_CONNECTION_NOTIFY_CLOSED) {
+        connections_remove(*socket);
+        return;
+    }
+    const struct sockaddr *from =
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
+    int fd = MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+    *socket = connections_add(&h->connections, fd, from, now_ns());
+}
+
 /* Called when the header is complete, for each piece of the body, and at its end. */
 static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const char *url,
                                   const char *method, const char *version, const char *body,
@@ -292,6 +329,7 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
         *n = 0;
         return MHD_YES;
     }
+    connections_begin(connection_of(c));
     return answer(ctx, c, method, url, q);
 }
 
@@ -299,8 +337,8 @@ static void on_end(void *ctx, struct MHD_Connection *c, void **state,
                    enum MHD_RequestTerminationCode code)
 {
     (void)ctx;
-    (void)c;
     (void)code;
+    connections_end(connection_of(c), now_ns());
     free(*state);
     *state = NULL;
 }
@@ -351,12 +389,14 @@ err_t http_open(const struct http_config *cfg, struct http **out)
     if (!h)
         return err_fail(ERR_NOMEM, "status page: no memory");
     h->cfg = *cfg;
+    connections_init(&h->connections);
     if (gethostname(h->host, sizeof h->host - 1) != 0)
         h->host[0] = 0;
     unsigned flags = MHD_USE_EPOLL | (a.any.sa_family == AF_INET6 ? MHD_USE_IPv6 : 0);
     errno = 0;
     h->mhd = MHD_start_daemon(flags, 0, NULL, NULL, on_request, h, MHD_OPTION_SOCK_ADDR, &a.any,
-                              MHD_OPTION_CONNECTION_LIMIT, (unsigned)CONNECTIONS,
+                              MHD_OPTION_CONNECTION_LIMIT, (unsigned)CONNECTIONS_MAX,
+                              MHD_OPTION_NOTIFY_CONNECTION, on_connection, h,
                               MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)TIMEOUT_S,
                               MHD_OPTION_NOTIFY_COMPLETED, on_end, NULL, MHD_OPTION_END);
     if (!h->mhd) {
@@ -383,15 +423,18 @@ int http_port(const struct http *h)
     return MHD_get_daemon_info(h->mhd, MHD_DAEMON_INFO_BIND_PORT)->port;
 }
 
-struct pollfd http_poll(const struct http *h, int64_t now_ns, int64_t *deadline_ns)
+struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns)
 {
     MHD_UNSIGNED_LONG_LONG ms;
-    if (MHD_get_timeout(h->mhd, &ms) == MHD_YES && now_ns + (int64_t)ms * 1000000 < *deadline_ns)
-        *deadline_ns = now_ns + (int64_t)ms * 1000000;
+    if (MHD_get_timeout(h->mhd, &ms) == MHD_YES && now + (int64_t)ms * 1000000 < *deadline_ns)
+        *deadline_ns = now + (int64_t)ms * 1000000;
+    if (h->look_ns < *deadline_ns)
+        *deadline_ns = h->look_ns;
     return (struct pollfd){.fd = h->fd, .events = POLLIN};
 }
 
 void http_step(struct http *h)
 {
     MHD_run(h->mhd);
+    h->look_ns = connections_expire(&h->connections, now_ns());
 }

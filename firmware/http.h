@@ -39,7 +39,7 @@ void http_close(struct http *h); // accepts NULL
 int http_port(const struct http *h);
 
 /* The descriptor to wait for, and until when at most, CLOCK_MONOTONIC ns. */
-struct pollfd http_poll(const struct http *h, int64_t now_ns, int64_t *deadline_ns);
+struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns);
 void http_step(struct http *h);
 
 #endif

@@ -38,7 +38,7 @@ void report_row(struct report *r, const char *key, const double *v, int n);
 void report_int(struct report *r, const char *key, long long v);
 void report_bool(struct report *r, const char *key, bool v);
 
-/* text: valid UTF-8, or NULL for null. */
+/* text: NULL for null; what is not UTF-8 in it becomes U+FFFD. */
 void report_text(struct report *r, const char *key, const char *text);
 
 #endif

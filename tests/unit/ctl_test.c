@@ -179,6 +179,23 @@ static void one_daemon_per_socket(void **state)
     ctl_close(other);
     assert_int_equal(access(stale, F_OK), -1);
 
+    /* a daemon whose queue is full is no crash: connecting to it says EAGAIN */
+    int waiting[8], n = 0;
+    snprintf(stale, sizeof stale, "%s", tmpdir_path("busy"));
+    strcpy(a.sun_path, stale);
+    fd = socket(AF_UNIX, SOCK_STREAM, 0);
+    assert_int_equal(bind(fd, (struct sockaddr *)&a, sizeof a), 0);
+    assert_int_equal(listen(fd, 0), 0);
+    do
+        waiting[n] = socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0);
+    while (connect(waiting[n++], (struct sockaddr *)&a, sizeof a) == 0 && n < 8);
+    assert_int_equal(errno, EAGAIN);
+    assert_int_equal(ctl_open(stale, on_line, NULL, &other), ERR_BUSY);
+    assert_int_equal(access(stale, F_OK), 0);
+    while (n > 0)
+        close(waiting[--n]);
+    close(fd);
+
     tmpdir_text("file", "not ours");
     snprintf(stale, sizeof stale, "%s", tmpdir_path("file"));
     assert_int_equal(ctl_open(stale, on_line, NULL, &other), ERR_IO);

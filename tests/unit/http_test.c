@@ -204,7 +204,15 @@ static void commands_need_the_header(void **state)
     command_err = ERR_BUSY;
     assert_int_equal(ask("POST", "/cancel", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 409);
     assert_string_equal(commanded, "cancel");
-    assert_true(says("\"error\": \"a capture runs\""));
+    assert_true(says("\"error\": \"a \\\"capture\\\" runs\""));
+    commanded[0] = 0;
+    static const char *const values[] = {"", "0", "2", "11", "yes", "1, 1"};
+    for (size_t i = 0; i < sizeof values / sizeof values[0]; i++) {
+        char header[64];
+        snprintf(header, sizeof header, "X-Hdrig: %s\r\nContent-Length: 0\r\n", values[i]);
+        assert_int_equal(ask("POST", "/capture", header), 403);
+    }
+    assert_string_equal(commanded, "");
 }
 
 static void other_names_are_refused(void **state)
@@ -220,6 +228,7 @@ static void other_names_are_refused(void **state)
         snprintf(text, sizeof text, request, hosts[i]);
         assert_int_equal(ask_raw(text), 403);
     }
+    assert_int_equal(ask_raw("GET /status.json HTTP/1.0\r\n\r\n"), 403); // names no host at all
     static const char *const own[] = {"127.0.0.1:8080", "192.168.1.7", "[::1]:8080", "LOCALHOST"};
     for (size_t i = 0; i < sizeof own / sizeof own[0]; i++) {
         snprintf(text, sizeof text, request, own[i]);
@@ -245,6 +254,48 @@ static void a_token_guards_everything(void **state)
     assert_int_equal(ask("POST", "/login", "Content-Length: 9\r\n\r\ntoken=foo"), 401);
     assert_int_equal(ask("POST", "/login", "Content-Length: 17\r\n\r\ntoken=open-sesame"), 303);
     assert_true(says("Set-Cookie: hdrig=open-sesame; HttpOnly; SameSite=Strict"));
+
+    /* the longest body, and one byte more: it would lack its final 0 */
+    char text[700];
+    patience_ns = 300000000;
+    for (int n = 511; n <= 512; n++) {
+        snprintf(text, sizeof text, "Content-Length: %d\r\n\r\ntoken=%0*d", n, n - 6, 0);
+        assert_int_equal(ask("POST", "/login", text), n == 511 ? 401 : 0);
+    }
+}
+
+/* ---- many at once ---- */
+
+static int connection(void)
+{
+    struct sockaddr_in a = {.sin_family = AF_INET, .sin_port = htons((uint16_t)http_port(h))};
+    inet_pton(AF_INET, "127.0.0.1", &a.sin_addr);
+    int fd = socket(AF_INET, SOCK_STREAM, 0);
+    assert_int_equal(connect(fd, (struct sockaddr *)&a, sizeof a), 0);
+    return fd;
+}
+
+/* Whoever connects and says little or nothing does not lock others out. */
+static void slow_and_idle_connections(void **state)
+{
+    (void)state;
+    enum { N = 200 };
+    int fd[N];
+    static const char part[] = "GET / HTTP/1.1\r\nHost: local";
+    open_page("");
+    for (int i = 0; i < N; i++) {
+        fd[i] = connection();
+        if (i % 2)
+            assert_true(send(fd[i], part, sizeof part - 1, MSG_NOSIGNAL) > 0);
+        if (i % 16 == 0) // else the queue of the socket is full, and connect waits for us
+            http_step(h);
+    }
+    int64_t start = now_ns();
+    assert_int_equal(ask("GET", "/status.json", ""), 200);
+    assert_true(now_ns() - start < 2000000000);
+    for (int i = 0; i < N; i++)
+        close(fd[i]);
+    assert_int_equal(ask("GET", "/status.json", ""), 200);
 }
 
 static void hostile_requests(void **state)
@@ -298,6 +349,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(commands_need_the_header, set_up, tear_down),
         cmocka_unit_test_setup_teardown(other_names_are_refused, set_up, tear_down),
         cmocka_unit_test_setup_teardown(a_token_guards_everything, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(slow_and_idle_connections, set_up, tear_down),
         cmocka_unit_test_setup_teardown(hostile_requests, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_cannot_be_opened, set_up, tear_down),
     };
