@@ -62,6 +62,7 @@ static void hostile_values_stay_json(void **state)
     report_number(&rep, "inf", -INFINITY);
     report_number(&rep, "tiny", 1e-300);
     report_int(&rep, "big", INT64_MAX);
+    report_text(&rep, "bytes", "a\xff\xc3\xa4\xed\xa0\x80\xc3"); // broken, ä, a surrogate, cut
     report_text(&rep, "text", "quote \" backslash \\ newline \n");
     report_close(&rep);
     end();
@@ -71,6 +72,9 @@ static void hostile_values_stay_json(void **state)
     assert_true(json_number(json_member(doc, "tiny"), &v));
     assert_true(v > 0);
     assert_string_equal(json_string(json_member(doc, "text")), "quote \" backslash \\ newline \n");
+    assert_string_equal(json_string(json_member(doc, "bytes")),
+                        "a\xef\xbf\xbd\xc3\xa4\xef\xbf\xbd\xef\xbf\xbd\xef\xbf\xbd"
+                        "\xef\xbf\xbd");
     json_free(doc);
     free(text);
 }

@@ -453,6 +453,32 @@ static void cleans_up(void **state)
     store_close(s);
 }
 
+static ssize_t read_fails(int fd, void *p, size_t n)
+{
+    (void)fd;
+    (void)p;
+    (void)n;
+    errno = EIO;
+    return -1;
+}
+
+/* A disk that cannot be read now says nothing about the takes on it. */
+static void unreadable_takes_stay(void **state)
+{
+    (void)state;
+    struct store_fs fs = store_fs_system;
+    struct store_config cfg = {.path = folder, .merge = true};
+    char id[STORE_ID_CAP], ids[8][STORE_ID_CAP];
+    struct store *s = open_keep(0);
+    commit(s, small_take(1, 1, CAMERA_GREY16), id);
+    store_close(s);
+    fs.read = read_fails;
+    ok(store_open_on(&fs, &cfg, &s));
+    assert_int_equal(store_list(s, ids, 8), 1);
+    assert_string_equal(ids[0], id);
+    store_close(s);
+}
+
 static int access_says;
 
 static int refused_access(const char *path, int mode)
@@ -774,6 +800,7 @@ int main(void)
                                        EACH(keeps_the_newest),
                                        EACH(keeps_what_was_added),
                                        EACH(cleans_up),
+                                       EACH(unreadable_takes_stay),
                                        EACH(refuses_to_open),
                                        EACH(relative_paths),
                                        EACH(needs_room),

@@ -400,6 +400,13 @@ static void test_jpeg_cut(void **state)
         says(run(&file, true), ERR_FORMAT, "no end of the picture");
     }
     struct file file;
+    load("rgb.jpg", &file); // headers and an end, nothing between them
+    size_t scan = 2;
+    while (file.p[scan + 1] != 0xDA)
+        scan += 2 + (size_t)(file.p[scan + 2] << 8 | file.p[scan + 3]);
+    file.p[scan + 1] = 0xD9;
+    file.n = scan + 2;
+    says(run(&file, true), ERR_FORMAT, "no picture");
     load("rgb.jpg", &file);
     memmove(file.p + file.n - 60, file.p + file.n - 2, 2); // a hole in the scan
     file.n -= 58;
