@@ -299,6 +299,7 @@ static void fill_small(const struct capture *c, struct views *v, int *slot)
         high = fmaxf(high, v->log2t[slot[i]]);
     }
     v->mid_log2t = (low + high) / 2;
+    v->aspect = (float)c->shots[0].image.h / (float)c->shots[0].image.w;
 }
 
 struct job {

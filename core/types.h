@@ -57,6 +57,7 @@ struct capture {
  * n .. n + n_more - 1 are other exposures of these places. */
 struct views {
     int n, size;             // places; px
+    float aspect;            // height over width of the photographs, squeezed to squares; 0: 1
     char (*names)[NAME_CAP]; // (n + n_more)
     uint8_t *rgb;            // (n + n_more, size, size, 3)
     float *log2t;            // (n + n_more) log2(max(t, 1e-8))

@@ -95,7 +95,8 @@ struct job_memory testcams_plan(const struct job_config *cfg, const struct captu
 static err_t begin_views(struct arena *keep, const struct views *train, int n, struct views *all)
 {
     const size_t bytes = 3 * (size_t)train->size * (size_t)train->size;
-    *all = (struct views){.n = n, .size = train->size, .mid_log2t = train->mid_log2t};
+    *all = (struct views){
+        .n = n, .size = train->size, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
     err_t e = arena_alloc(keep, bytes, (size_t)n, &all->rgb);
     if (!e)
         e = arena_alloc(keep, (size_t)n, sizeof(float), &all->log2t);

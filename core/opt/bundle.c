@@ -87,6 +87,12 @@ static double median(float *v, int n)
     return (double)num_median(v, (size_t)n);
 }
 
+/* Adjustment sees square pixels: rows as far apart as columns are. */
+static float aspect(const struct bundle *b)
+{
+    return b->cfg->aspect > 0 ? b->cfg->aspect : 1;
+}
+
 static double start_focal(const struct bundle *b)
 {
     float f[BUNDLE_VIEWS_MAX];
@@ -95,7 +101,7 @@ static double start_focal(const struct bundle *b)
     if (!b->cfg->start)
         return FOV60 * b->size;
     for (int i = 0; i < b->n_views; i++)
-        f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy);
+        f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * aspect(b));
     return median(f, b->n_views);
 }
 
@@ -129,8 +135,9 @@ static err_t load(struct bundle *b)
         return e;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *s = &t->seen[i];
-        seen[i] = (struct adjust_seen){s->u - 0.5f * (float)b->size, s->v - 0.5f * (float)b->size,
-                                       1 / s->sigma, s->view};
+        seen[i] =
+            (struct adjust_seen){s->u - 0.5f * (float)b->size,
+                                 (s->v - 0.5f * (float)b->size) * aspect(b), 1 / s->sigma, s->view};
         first[s->track + 1]++;
         b->trusted[i] = true;
     }
@@ -411,7 +418,7 @@ static struct camera camera_of(const struct bundle *b, int v)
 {
     const float f = (float)b->best.focal, c = 0.5f * (float)b->size;
     const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
-    struct camera cam = {b->size, b->size, f, f, c, c, {0}, {0}};
+    struct camera cam = {b->size, b->size, f, f / aspect(b), c, c, {0}, {0}};
     double q[4];
     lin_quat(p, q);
     for (int k = 0; k < 4; k++)

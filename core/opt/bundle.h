@@ -18,15 +18,16 @@ struct bundle_config {
     const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used
     float focal;                // px, 0: from `start`, else that of 60 degrees
     bool focal_known;           // keep it
-    bool rig_known;             // rotations and centres of `start` relative to each other are
-                                // calibrated: only focal (if not known) and points move
+    float aspect;   // height over width of what the views were before they were squeezed
+                    // to squares, with square pixels; 0: 1
+    bool rig_known; // rotations and centres of `start` relative to each other are
+                    // calibrated: only focal (if not known) and points move
 };
 
 struct bundle_result {
-    struct camera
-        *cams;          // (n_views), one shared fx = fy, principal point at the centre; world: that
-                        // of `start` (best similarity) or the first placed camera's, where a
-                        // typical point lies at distance 1 from the middle of the rig
+    struct camera *cams; // (n_views), one shared fx = fy x aspect, principal point at the centre;
+        // world: that of `start` (best similarity) or the first placed camera's, where a
+        // typical point lies at distance 1 from the middle of the rig
     float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
                         // where rays are parallel
     float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if

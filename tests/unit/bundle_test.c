@@ -540,6 +540,45 @@ static void view_that_hangs_on_one(void **unused)
     }
 }
 
+/* Photographs of another shape, squeezed to squares: from the tracks alone, and from cameras that
+ * look so, with depth. */
+static void squeezed_views(void **unused)
+{
+    (void)unused;
+    static const float aspects[] = {1.5f, 0.75f};
+    static float depth[8 * SCENE_SIZE * SCENE_SIZE];
+    for (size_t i = 0; i < sizeof depth / sizeof *depth; i++)
+        depth[i] = 1;
+    for (int k = 0; k < 4; k++) {
+        const float aspect = aspects[k / 2];
+        struct job j = {.rig = room(600, 381, 0.2, 15)};
+        struct camera start[SCENE_VIEWS];
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        for (int i = 0; i < j.tracks.t.n; i++)
+            j.tracks.t.seen[i].v =
+                SCENE_SIZE / 2 + (j.tracks.t.seen[i].v - SCENE_SIZE / 2) / aspect;
+        memcpy(start, j.rig.cams, sizeof start);
+        for (int v = 0; v < j.rig.n_views; v++)
+            start[v].fy /= aspect;
+        struct bundle_config cfg = {.aspect = aspect};
+        if (k % 2) {
+            cfg.start = start;
+            cfg.start_depth = depth;
+        }
+        assert_int_equal(run_on(&j, &cfg, 2), OK);
+        double turn, centre;
+        compare(&j, &turn, &centre);
+        assert_true(turn < 0.2 && centre < 0.01 && j.out.confidence > 0.5f);
+        for (int v = 0; v < j.rig.n_views; v++) {
+            assert_float_equal(j.out.cams[v].fx, 381, 0.02 * 381);
+            assert_float_equal(j.out.cams[v].fy * aspect, j.out.cams[v].fx, 1e-3);
+            assert_true(j.out.cams[v].cy == SCENE_SIZE / 2);
+        }
+        done(&j);
+    }
+}
+
 /* ---- little or nothing to go by ---- */
 
 static void no_tracks(void **unused)
@@ -723,25 +762,16 @@ static void wrong_requests(void **unused)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(slopes_are_differences),
-        cmocka_unit_test(far_points_have_no_end),
-        cmocka_unit_test(narrow_grid_from_tracks),
-        cmocka_unit_test(wide_arc_from_tracks),
-        cmocka_unit_test(start_that_is_off),
-        cmocka_unit_test(start_without_pairs),
-        cmocka_unit_test(world_of_the_start),
-        cmocka_unit_test(what_is_known_stays),
-        cmocka_unit_test(threads_change_nothing),
-        cmocka_unit_test(view_that_fits_nowhere),
-        cmocka_unit_test(view_in_two_places),
-        cmocka_unit_test(view_that_hangs_on_one),
-        cmocka_unit_test(no_tracks),
-        cmocka_unit_test(views_in_one_place),
-        cmocka_unit_test(two_and_three_views),
-        cmocka_unit_test(centres_in_a_row),
-        cmocka_unit_test(a_wall),
-        cmocka_unit_test(every_match_wrong),
-        cmocka_unit_test(start_that_is_no_number),
+        cmocka_unit_test(slopes_are_differences),  cmocka_unit_test(far_points_have_no_end),
+        cmocka_unit_test(narrow_grid_from_tracks), cmocka_unit_test(wide_arc_from_tracks),
+        cmocka_unit_test(start_that_is_off),       cmocka_unit_test(start_without_pairs),
+        cmocka_unit_test(world_of_the_start),      cmocka_unit_test(what_is_known_stays),
+        cmocka_unit_test(threads_change_nothing),  cmocka_unit_test(view_that_fits_nowhere),
+        cmocka_unit_test(view_in_two_places),      cmocka_unit_test(view_that_hangs_on_one),
+        cmocka_unit_test(squeezed_views),          cmocka_unit_test(no_tracks),
+        cmocka_unit_test(views_in_one_place),      cmocka_unit_test(two_and_three_views),
+        cmocka_unit_test(centres_in_a_row),        cmocka_unit_test(a_wall),
+        cmocka_unit_test(every_match_wrong),       cmocka_unit_test(start_that_is_no_number),
         cmocka_unit_test(wrong_requests),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

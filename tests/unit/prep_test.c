@@ -212,6 +212,7 @@ static void exposures_go_behind_places(void **state)
     assert_string_equal(v.names[1], "shot_2.png");
     assert_string_equal(v.names[2], "shot_1.png");
     assert_true(v.log2t[1] == 5 && v.log2t[2] == -3 && v.mid_log2t == 1);
+    assert_float_equal(v.aspect, (float)c.shots[0].image.h / (float)c.shots[0].image.w, 1e-6f);
     assert_true(v.cams[0].t[0] == 7 && v.cams[1].t[0] == 8);
     assert_memory_equal(v.rgb + bytes, each.rgb + 2 * bytes, bytes);
     assert_memory_equal(v.rgb + 2 * bytes, each.rgb + bytes, bytes);
