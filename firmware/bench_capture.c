@@ -170,7 +170,8 @@ static err_t measure(struct session *s, struct store *store, struct bench_captur
 static err_t run_in(const char *dir, const struct config *cfg, struct bench_capture *out)
 {
     char(*uri)[URI_CAP] = calloc((size_t)out->cameras, URI_CAP);
-    struct session_config c = {.n = out->cameras, .memory = (size_t)cfg->max_memory_mb * 1000000};
+    struct session_config c = {.n = out->cameras,
+                               .memory = (size_t)config_memory_mb(cfg) * 1000000};
     char captures[FILE_PATH_CAP];
     struct session *s = NULL;
     struct store *store = NULL;

@@ -318,7 +318,7 @@ err_t bench_net_run(const char *model, int views, int size, const struct config 
     e = engine_open(&st.engine, cfg->threads);
     if (!e) {
         out->threads = pool_size(st.engine.pool);
-        e = reserve(&st, views, out->size, cfg->max_memory_mb);
+        e = reserve(&st, views, out->size, config_memory_mb(cfg));
     }
     if (!e)
         e = both_passes(&st, out);
@@ -425,7 +425,7 @@ err_t bench_net_kernels(const struct config *cfg, struct bench_net *out)
     unsigned cpu = 0;
     err_t e = engine_open(&en, cfg->threads);
     if (!e)
-        e = engine_reserve(&en, 0, 0, (size_t)pool_size(en.pool) << 22, cfg->max_memory_mb);
+        e = engine_reserve(&en, 0, 0, (size_t)pool_size(en.pool) << 22, config_memory_mb(cfg));
     if (!e)
         e = pool_open(&one, 1);
     for (size_t i = 0; i < sizeof levels / sizeof levels[0] && !e; i++) {

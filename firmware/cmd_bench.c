@@ -295,7 +295,7 @@ static err_t reserve(const struct request *rq, struct state *st)
     tmp = arena_add(tmp,
                     arena_add(gaussians_need(cap, degree), arena_need(moments, 2 * sizeof(float))));
     size_t triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
-    err_t e = engine_reserve(&st->engine, 0, triad, tmp, rq->cfg.max_memory_mb);
+    err_t e = engine_reserve(&st->engine, 0, triad, tmp, config_memory_mb(&rq->cfg));
     struct arena *a = &st->engine.tmp;
     float *px = NULL;
     if (!e)

@@ -56,7 +56,7 @@ static err_t open_cameras(const struct request *q, struct session **out)
                                .h = q->cfg.camera_h,
                                .format = (enum camera_format)q->cfg.camera_format,
                                .calibration = q->cfg.calibration_path,
-                               .memory = (size_t)q->cfg.max_memory_mb * 1000000};
+                               .memory = (size_t)config_memory_mb(&q->cfg) * 1000000};
     while (s.n < CMD_TEXTS_MAX && q->camera[s.n]) {
         s.uri[s.n] = q->camera[s.n];
         s.n++;

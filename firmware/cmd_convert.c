@@ -76,7 +76,7 @@ int cmd_convert_run(int argc, char **argv)
         e = read_seed(o.hashed, &seed);
     if (e)
         return cmd_misuse(&usage, err_text());
-    o.q.max_mb = cfg.max_memory_mb;
+    o.q.max_mb = config_memory_mb(&cfg);
     e = engine_open(&engine, cfg.threads);
     if (!e)
         e = convert(&engine, &o, seed);

@@ -261,7 +261,7 @@ static err_t reserve(const struct request *rq, struct state *st)
         tmp = arena_add(draw_plan(info->n, SIDE_MAX, SIDE_MAX), 4 * pictures);
     }
     return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep, tmp,
-                          rq->cfg.max_memory_mb);
+                          config_memory_mb(&rq->cfg));
 }
 
 static err_t step(struct state *st, const char *stage, int done)

@@ -31,12 +31,13 @@ static void print_processor(void)
     printf("processor      %s\n", *name ? name : "unknown");
 }
 
-static void print_memory(void)
+static void print_memory(const struct config *cfg)
 {
     double page = (double)sysconf(_SC_PAGESIZE) * 1e-6;
     printf("cores          %ld\n", sysconf(_SC_NPROCESSORS_ONLN));
-    printf("memory         %.0f MB, %.0f MB free\n", page * (double)sysconf(_SC_PHYS_PAGES),
-           page * (double)sysconf(_SC_AVPHYS_PAGES));
+    printf("memory         %.0f MB, %.0f MB free; jobs take up to %d MB\n",
+           page * (double)sysconf(_SC_PHYS_PAGES), page * (double)sysconf(_SC_AVPHYS_PAGES),
+           config_memory_mb(cfg));
 }
 
 /* The file behind a shared library carries its version: libspng.so.0 is libspng.so.0.7.3. */
@@ -133,7 +134,7 @@ int cmd_doctor_run(int argc, char **argv)
         printf("used           %s\n", cpu_names(engine.cpu, used));
         printf("kernels        splat: %s, network: int8 %s, floats %s\n", engine.kernels.name,
                engine.kernels.net.s8_name, engine.kernels.net.f32_name);
-        print_memory();
+        print_memory(&cfg);
         printf("threads        %d\n", pool_size(engine.pool));
         printf("settings       %s, %s\n", CONFIG_DIR,
                file_is_dir(CONFIG_DIR) ? "read" : "not there: built-in values");

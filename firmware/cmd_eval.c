@@ -203,7 +203,7 @@ static err_t reserve(struct state *st, const struct request *rq, struct job_memo
                   &tmp);
     e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
                        arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
-                       rq->cfg.max_memory_mb);
+                       config_memory_mb(&rq->cfg));
     if (!e && rq->out)
         e = outdir_open(rq->out, &rq->rules, &st->out);
     return e || !rq->out ? e

@@ -114,7 +114,7 @@ static err_t end_dump(const struct request *rq, struct state *st)
 static err_t reserve(const struct request *rq, struct state *st, const struct job_config *job,
                      const struct job_memory *need)
 {
-    const int limit = rq->cfg.max_memory_mb;
+    const int limit = config_memory_mb(&rq->cfg);
     struct capture fewer = st->set.capture;
     struct job_memory m = *need;
     err_t e = engine_reserve(&st->engine, arena_add(m.pictures, m.weights), m.keep, m.tmp, limit);

@@ -334,7 +334,7 @@ static err_t load(const struct request *rq, struct state *st)
         e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
         e = engine_reserve(&st->engine, 0, info.need, arena_need((size_t)info.n, sizeof(float)),
-                           rq->cfg.max_memory_mb);
+                           config_memory_mb(&rq->cfg));
     if (!e)
         e = sceneio_read(rq->scene, &st->engine.keep, &st->scene, &report);
     if (e)
@@ -356,7 +356,7 @@ static err_t make_room(const struct request *rq, struct state *st)
     arena_free(&st->engine.tmp);
     size_t draw = draw_plan(st->scene.g.cap, w, h), picture = arena_need((size_t)w * (size_t)h, 3);
     return engine_reserve(&st->engine, st->own.size, 0, arena_add(draw, picture),
-                          rq->cfg.max_memory_mb);
+                          config_memory_mb(&rq->cfg));
 }
 
 static err_t render(const struct request *rq, struct state *st)

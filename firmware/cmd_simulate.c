@@ -135,7 +135,7 @@ static err_t simulate(const struct request *rq, const struct dataset_ask *a, str
     if (!e)
         dataset_plan(a, pool_size(st->engine.pool), &keep, &tmp);
     if (!e)
-        e = engine_reserve(&st->engine, 0, keep, tmp, rq->cfg.max_memory_mb);
+        e = engine_reserve(&st->engine, 0, keep, tmp, config_memory_mb(&rq->cfg));
     if (!e)
         e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)

@@ -2,6 +2,8 @@
  * what inih would cut without a word: long lines and zero bytes. */
 #include "firmware/config.h"
 
+#include "drivers/memory.h"
+
 #include <errno.h>
 #include <ini.h>
 #include <math.h>
@@ -9,6 +11,8 @@
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
+
+enum { MEMORY_MAX_MB = 1048576 };
 
 enum kind { WHOLE, WORD, TEXT };
 
@@ -31,8 +35,8 @@ static const char formats[] =
 
 static const struct key keys[] = {
     {"threads", FIELD(threads), 0, 64, 1, 0, "worker threads, 0 = one per core", WHOLE, NULL, 0},
-    {"max_memory_mb", FIELD(max_memory_mb), 64, 1048576, 1, 4000, "refuse jobs that need more, MB",
-     WHOLE, NULL, 0},
+    {"max_memory_mb", FIELD(max_memory_mb), 64, MEMORY_MAX_MB, 1, 0,
+     "refuse jobs that need more, MB; 0 = 3/4 of the machine's", WHOLE, NULL, 0},
     {"size", FIELD(size), 56, 1792, 14, 0,
      "edge of the square working pictures, px; 0 = that of the model, else 448", WHOLE, NULL, 0},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers", WHOLE, NULL, 0},
@@ -214,6 +218,14 @@ err_t config_assign(struct config *c, const char *text)
     memcpy(key, text, len);
     key[len] = 0;
     return config_set(c, "--set", key, equal + 1);
+}
+
+int config_memory_mb(const struct config *c)
+{
+    const uint64_t share = memory_total("") / 4 * 3 / 1000000;
+    if (c->max_memory_mb)
+        return c->max_memory_mb;
+    return share < MEMORY_MAX_MB ? (int)share : MEMORY_MAX_MB;
 }
 
 struct source {

@@ -24,7 +24,7 @@ enum config_busy { CONFIG_REJECT, CONFIG_QUEUE, CONFIG_COALESCE };
 
 struct config {
     int threads;       // 0 = one per core
-    int max_memory_mb; // MB (10^6 bytes)
+    int max_memory_mb; // MB (10^6 bytes); 0 = by the machine, see config_memory_mb
     int size;          // px, edge of the square pictures, multiple of 14; 0 = by the model
     int seed;
     int refine_steps;
@@ -78,6 +78,10 @@ MUST_USE err_t config_assign(struct config *c, const char *text);
 /* Stops of bracket.ev into ev, which has room for cap; the number, 0 if there are none.
  * err:  ERR_ARG names the word and the range, or that there are too many. */
 MUST_USE err_t config_stops(const char *where, const char *text, double *ev, int cap, int *n);
+
+/* What a job may take, MB (10^6 bytes): max_memory_mb, or three quarters of memory_total: the rest
+ * is for the system and for what plans do not count. */
+int config_memory_mb(const struct config *c);
 
 /* What single keys cannot show: settings of the rig and the daemon that contradict each other.
  * err:  ERR_ARG names both keys. */

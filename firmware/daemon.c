@@ -460,7 +460,7 @@ static void open_cameras(struct daemon *d, int64_t now, err_t *fatal)
                                .h = c->camera_h,
                                .format = (enum camera_format)c->camera_format,
                                .calibration = c->calibration_path,
-                               .memory = (size_t)c->max_memory_mb * 1000000};
+                               .memory = (size_t)config_memory_mb(c) * 1000000};
     while (s.n < CONFIG_CAMERAS && c->camera[s.n][0]) {
         s.uri[s.n] = c->camera[s.n];
         s.n++;

@@ -292,7 +292,7 @@ err_t trade_run(const struct trade_request *rq, const struct config *cfg, struct
 {
     static struct state st;
     st = (struct state){.rq = rq,
-                        .max_mb = cfg->max_memory_mb,
+                        .max_mb = config_memory_mb(cfg),
                         .floats = {0, NET_FLOAT_ATTENTION, NET_FLOAT_SPECIAL, NET_FLOAT_HEADS,
                                    NET_FLOAT_BLOCKS, (unsigned)cfg->net_float_parts},
                         .n_floats = cfg->net_float_parts ? 6 : 5,

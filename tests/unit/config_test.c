@@ -1,6 +1,7 @@
 #include "firmware/config.h"
 
 #include "drivers/camera.h"
+#include "drivers/memory.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
@@ -52,7 +53,10 @@ static void later_values_win(void **state)
     assert_int_equal(c.threads, 3);
     assert_int_equal(c.size, 56);
     assert_int_equal(c.refine_steps, 20);
-    assert_int_equal(c.max_memory_mb, 4000);
+    assert_int_equal(c.max_memory_mb, 0);
+    assert_int_equal(config_memory_mb(&c), memory_total("") / 4 * 3 / 1000000);
+    assert_int_equal(config_assign(&c, "max_memory_mb = 64"), OK);
+    assert_int_equal(config_memory_mb(&c), 64);
     assert_int_equal(config_assign(&c, "refine.gaussians_max = 1000"), OK);
     assert_int_equal(c.refine_gaussians_max, 1000);
     assert_int_equal(config_set(&c, "--seed", "seed", "2147483647"), OK);
