@@ -451,7 +451,13 @@ static const struct workload {
     {"1 row", 1, 1, 2048, 2048, 0, 4},
 };
 
-enum { WORKLOADS = sizeof workloads / sizeof *workloads, PEAK_ROUNDS = 20000, SUMS = 12 };
+enum {
+    WORKLOADS = sizeof workloads / sizeof *workloads,
+    PEAK_ROUNDS = 50000,
+    SUMS = 12,
+    TURNS_MIN = 5,
+    TURNS_MAX = 400
+};
 
 /* What a loop without memory can do; NULL fn: not known. */
 struct peak {
@@ -467,10 +473,11 @@ struct peak {
         step("9") step("10") step("11")
 #define ZERO(k) "pxor %%xmm" k ", %%xmm" k "\n"
 #define CLEAR TWELVE(ZERO) ZERO("13") ZERO("14") ZERO("15")
-#define PEAK(name, clear, step)                                                                    \
+/* after: without it the upper halves of registers slow down what follows with SSE's own code. */
+#define PEAK(name, clear, step, after)                                                             \
     static void name(int rounds)                                                                   \
     {                                                                                              \
-        __asm__ volatile(clear "1:\n" TWELVE(step) "dec %0\njnz 1b\n"                              \
+        __asm__ volatile(clear "1:\n" TWELVE(step) "dec %0\njnz 1b\n" after                        \
                          : "+r"(rounds)                                                            \
                          :                                                                         \
                          : "cc", "xmm0", "xmm1", "xmm2", "xmm3", "xmm4", "xmm5", "xmm6", "xmm7",   \
@@ -485,13 +492,13 @@ struct peak {
 #define F32_AVX2(k) "vfmadd231ps %%ymm14, %%ymm15, %%ymm" k "\n"
 #define F32_AVX512(k) "vfmadd231ps %%zmm14, %%zmm15, %%zmm" k "\n"
 
-PEAK(peak_s8_sse41, CLEAR, S8_SSE41)
-PEAK(peak_s8_avx2, "vzeroall\n", S8_AVX2)
-PEAK(peak_s8_avx512, "vzeroall\n", S8_AVX512)
-PEAK(peak_s8_avx512vnni, "vzeroall\n", S8_AVX512VNNI)
-PEAK(peak_f32_sse41, CLEAR, F32_SSE41)
-PEAK(peak_f32_avx2, "vzeroall\n", F32_AVX2)
-PEAK(peak_f32_avx512, "vzeroall\n", F32_AVX512)
+PEAK(peak_s8_sse41, CLEAR, S8_SSE41, "")
+PEAK(peak_s8_avx2, "vzeroall\n", S8_AVX2, "vzeroupper\n")
+PEAK(peak_s8_avx512, "vzeroall\n", S8_AVX512, "vzeroupper\n")
+PEAK(peak_s8_avx512vnni, "vzeroall\n", S8_AVX512VNNI, "vzeroupper\n")
+PEAK(peak_f32_sse41, CLEAR, F32_SSE41, "")
+PEAK(peak_f32_avx2, "vzeroall\n", F32_AVX2, "vzeroupper\n")
+PEAK(peak_f32_avx512, "vzeroall\n", F32_AVX512, "vzeroupper\n")
 
 static const struct peak peaks_s8[] = {{CPU_AVX512VNNI, 64, peak_s8_avx512vnni},
                                        {CPU_AVX512, 32, peak_s8_avx512},
@@ -505,20 +512,6 @@ static const struct peak peaks_f32[] = {{CPU_AVX512, 16, peak_f32_avx512},
 #else
 static const struct peak peaks_s8[] = {{0, 0, NULL}}, peaks_f32[] = {{0, 0, NULL}};
 #endif
-
-/* Multiplications per second; 0 = not known. */
-static double peak_rate(const struct peak *p, unsigned cpu)
-{
-    double best = 0;
-    while ((cpu & p->cpu) != p->cpu)
-        p++;
-    for (int i = 0; i < 200 && p->fn; i++) {
-        double start = trial_seconds();
-        p->fn(PEAK_ROUNDS);
-        best = fmax(best, (double)p->width * SUMS * PEAK_ROUNDS / (trial_seconds() - start));
-    }
-    return best;
-}
 
 static void s8_workload(const struct workload *l, const struct gemm_kernels *k)
 {
@@ -547,16 +540,66 @@ static void *workload_room(size_t bytes)
     return p;
 }
 
-/* Best time of one workload, s. */
-static double best_time(const struct workload *l, const struct gemm_kernels *k, bool floats)
+/* Processor time of this thread, s: other programs do not count. */
+static double busy_seconds(void)
 {
-    double best = INFINITY, end = trial_seconds() + 0.2;
-    for (int i = 0; i < 3 || trial_seconds() < end; i++) {
-        double start = trial_seconds();
+    struct timespec t;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static const struct peak *peak_of(bool floats, unsigned cpu)
+{
+    const struct peak *p = floats ? peaks_f32 : peaks_s8;
+    while ((cpu & p->cpu) != p->cpu)
+        p++;
+    return p;
+}
+
+/* What a workload takes, and the share of what the multipliers could do at the same moment: the two
+ * take turns, as the clock of a processor changes. */
+struct timing {
+    double best;             // s
+    int n;                   // turns
+    double share[TURNS_MAX]; // ascending; 0: not known
+};
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+#define TURN_S 2e-4 // the clock itself takes about 1e-6
+
+/* Processor time of `times` runs of a workload, s. */
+static double run_workload(const struct workload *l, const struct gemm_kernels *k, bool floats,
+                           int times)
+{
+    const double start = busy_seconds();
+    for (int i = 0; i < times; i++)
         (floats ? f32_workload : s8_workload)(l, k);
-        best = fmin(best, trial_seconds() - start);
+    return busy_seconds() - start;
+}
+
+static struct timing take_turns(const struct workload *l, const struct gemm_kernels *k,
+                                const struct peak *p, bool floats)
+{
+    const double macs = (double)l->m * l->k_segs * l->seg * l->n;
+    struct timing t = {.best = INFINITY};
+    const int times = 1 + (int)(TURN_S / run_workload(l, k, floats, 1));
+    double end = busy_seconds() + 0.2;
+    while (t.n < TURNS_MIN || (t.n < TURNS_MAX && busy_seconds() < end)) {
+        double start = busy_seconds();
+        if (p->fn)
+            p->fn(PEAK_ROUNDS);
+        double limit = (double)p->width * SUMS * PEAK_ROUNDS / (busy_seconds() - start);
+        double took = run_workload(l, k, floats, times) / times;
+        t.best = fmin(t.best, took);
+        t.share[t.n++] = p->fn ? macs / took / limit : 0;
     }
-    return best;
+    qsort(t.share, (size_t)t.n, sizeof t.share[0], ascending);
+    return t;
 }
 
 /* Inputs and weights of a workload, in ordinary memory. */
@@ -603,8 +646,9 @@ static void workload_free(void)
 }
 
 /* One line: a workload on all levels. C is timed on its first rows. */
-static void bench(const struct workload *l, bool floats, const double *peaks)
+static void bench(const struct workload *l, bool floats)
 {
+    static const struct peak unknown = {0, 0, NULL};
     struct workload few = *l;
     struct kernels c;
     double macs = (double)l->k_segs * l->seg * l->n;
@@ -612,7 +656,7 @@ static void bench(const struct workload *l, bool floats, const double *peaks)
     workload_make(l);
     int m = s8.m;
     few.m = s8.m = f32.m = m < 4 ? m : 4;
-    double c_rate = macs * few.m / best_time(&few, &c.net, floats);
+    double c_rate = macs * few.m / take_turns(&few, &c.net, &unknown, floats).best;
     s8.m = f32.m = m;
     printf("%s %-13s %2d x %4d x %4d  c %.1f", floats ? "f32" : "s8 ", l->name, m,
            l->k_segs * l->seg, l->n, c_rate * 1e-9);
@@ -621,10 +665,12 @@ static void bench(const struct workload *l, bool floats, const double *peaks)
         if (!level_kernels(&levels[i], &k) ||
             strcmp(floats ? k.f32_name : k.s8_name, levels[i].name) != 0)
             continue;
-        double took = best_time(l, &k, floats), rate = macs * m / took;
-        printf("  %s %.0f ns %.1f %.0fx", levels[i].name, took * 1e9, rate * 1e-9, rate / c_rate);
-        if (peaks[i] > 0)
-            printf(" %.0f%%", 100 * rate / peaks[i]);
+        struct timing t = take_turns(l, &k, peak_of(floats, levels[i].cpu), floats);
+        double rate = macs * m / t.best;
+        printf("  %s %.0f ns %.1f %.0fx", levels[i].name, t.best * 1e9, rate * 1e-9, rate / c_rate);
+        if (t.share[0] > 0)
+            printf(" %.0f%% (%.0f-%.0f)", 100 * t.share[t.n / 2], 100 * t.share[t.n / 4],
+                   100 * t.share[t.n * 3 / 4]);
     }
     printf("\n");
     workload_free();
@@ -632,19 +678,10 @@ static void bench(const struct workload *l, bool floats, const double *peaks)
 
 static void bench_all(void)
 {
-    double peaks[2][LEVELS];
-    printf("GMAC/s, ratio to C, share of what the multipliers could do:\n");
-    for (int i = 0; i < 2 * LEVELS; i++) {
-        const struct level *l = &levels[i % LEVELS];
-        bool here = (cpu_detect() & l->cpu) == l->cpu;
-        peaks[i / LEVELS][i % LEVELS] =
-            here ? peak_rate(i / LEVELS ? peaks_f32 : peaks_s8, l->cpu) : 0;
-        if (here)
-            printf("%s %s at most %.1f\n", l->name, i / LEVELS ? "f32" : "s8",
-                   1e-9 * peaks[i / LEVELS][i % LEVELS]);
-    }
+    printf("GMAC/s at best, ratio to C, share of what the multipliers could do: median "
+           "(quartiles)\n");
     for (int i = 0; i < 2 * WORKLOADS; i++)
-        bench(&workloads[i / 2], i % 2, peaks[i % 2]);
+        bench(&workloads[i / 2], i % 2);
 }
 
 int main(int argc, char **argv)
