@@ -48,14 +48,27 @@ struct state {
 
 /* ---- where to stand ---- */
 
-static void scale(struct camera *c, int size)
+static void scale(struct camera *c, int w, int h)
 {
-    float sx = (float)size / (float)c->w, sy = (float)size / (float)c->h;
+    float sx = (float)w / (float)c->w, sy = (float)h / (float)c->h;
     c->fx *= sx;
     c->cx *= sx;
     c->fy *= sy;
     c->cy *= sy;
-    c->w = c->h = size;
+    c->w = w;
+    c->h = h;
+}
+
+/* Rows for one column of a frame with the shape of the photographs, which were squeezed to squares:
+ * pixels are square again. What a network or noise makes of a square one is left as it is. */
+static float shape(const struct scene *s)
+{
+    float fx = 0, fy = 0;
+    for (int i = 0; i < s->n_views; i++) {
+        fx += s->cams[i].fx;
+        fy += s->cams[i].fy;
+    }
+    return fabsf(fx / fy - 1) < 0.03f ? 1 : fx / fy;
 }
 
 /* Median distance of the splats before camera 0: what an orbit looks at if the cameras do not agree
@@ -114,6 +127,8 @@ static err_t make_path(const struct request *rq, struct state *st)
             path_through(s->cams, s->n_views, far, share(st, i), cam);
         else
             *cam = s->cams[i];
+        if (!e)
+            scale(cam, cam->w, (int)lrintf((float)cam->h * shape(s)));
     }
     return e;
 }
@@ -122,7 +137,7 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 {
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
-        scale(&st->rig.views[i].cam, rq->size);
+        scale(&st->rig.views[i].cam, rq->size, rq->size);
     const struct camera *first = e ? NULL : &st->rig.views[0].cam;
     for (int i = 1; i < st->rig.n && !e && rq->video; i++) {
         const struct camera *cam = &st->rig.views[i].cam;
@@ -450,7 +465,7 @@ int cmd_render_run(int argc, char **argv)
          NULL, &rq.ev_text, NULL},
         {"false-colour", NULL, "radiance in colours, 8 stops around that exposure; legend.png",
          NULL, NULL, &rq.false_colour},
-        {"size", "N", "px, square; else the size of the cameras", NULL, &rq.size_text, NULL},
+        {"size", "N", "px, square; else the shape of the photographs", NULL, &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},
         {"out", "DIR", "where the frames go, if they are wanted; a former result is replaced", NULL,
          &rq.out, NULL},

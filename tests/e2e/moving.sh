@@ -138,6 +138,20 @@ probe() { # file: these
         -show_entries "stream=$entries" "$1"
 }
 
+# frames have the shape of the photographs, which the scene squeezes to squares
+cp -r "$OUT/set" "$OUT/wide"
+for photo in "$OUT"/set/images/*.png; do
+    ffmpeg -v error -y -i "$photo" -vf crop=56:42 "$OUT/wide/images/${photo##*/}"
+done
+sed -i 's/PINHOLE 56 56 \([^ ]*\) \([^ ]*\) 28 28/PINHOLE 56 42 \1 \2 28 21/' \
+    "$OUT/wide/sparse/0/cameras.txt"
+succeed reconstruct --images "$OUT/wide" --size 56 --refine 0 --out "$OUT/squeezed"
+for path in orbit inputs; do
+    succeed render --scene "$OUT/squeezed" --path $path --out "$OUT/wide-$path"
+    same "$path" "$(ffprobe -v error -show_entries stream=width,height -of csv=p=0 \
+        "$OUT/wide-$path/frame_0001.png")" 56,42
+done
+
 # videos: whole, of even sides, with the same frames beside them
 succeed "${render[@]}" --path orbit --frames 12 --size 57 --video "$OUT/films/a.mp4" \
     --out "$OUT/frames"
