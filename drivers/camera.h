@@ -96,6 +96,7 @@ struct frame {
     bool exposure_known; // the device says what this frame was exposed with:
     struct exposure exposure;
     bool gains_known; // the device says what it multiplied the pixels with:
+    bool gains_later; // ... or will, behind these: they are raw
     double digital_gain, red_gain, blue_gain;
     int index; // of the buffer, the backend's affair
 };

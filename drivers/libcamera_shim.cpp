@@ -538,7 +538,8 @@ void fill_metadata(const session &s, const lc::ControlList &m, frame *out)
     out->exposure_known = time && *time > 0;
     if (out->exposure_known)
         out->exposure = {*time * 1e-6, gain ? std::max(double{*gain}, 1.0) : 1.0};
-    out->gains_known = (digital || colour) && !is_raw(s.info.format);
+    out->gains_known = digital || colour;
+    out->gains_later = is_raw(s.info.format);
     if (!out->gains_known)
         return;
     out->digital_gain = digital ? *digital : 1.0;

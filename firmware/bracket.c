@@ -264,6 +264,12 @@ static bool close_to(double a, double b)
     return fabs(a - b) <= GAINS * fabs(b);
 }
 
+/* Gains that are in the pixels. */
+static bool has_gains(const struct frame *f)
+{
+    return f->gains_known && !f->gains_later;
+}
+
 /* Whether a frame can be looked at. */
 static enum bracket_reason refusal(const struct seat *c, const struct bracket_event *ev)
 {
@@ -272,9 +278,9 @@ static enum bracket_reason refusal(const struct seat *c, const struct bracket_ev
         return BRACKET_BAD_FRAMES;
     if (c->settled > 0 && (f->w != c->w || f->h != c->h || f->format != c->format))
         return BRACKET_BAD_FRAMES;
-    if (f->gains_known && !close_to(f->digital_gain, 1.0))
+    if (has_gains(f) && !close_to(f->digital_gain, 1.0))
         return BRACKET_GAINS;
-    bool moved = c->gains_known && f->gains_known && c->phase != WAIT && c->phase != OVER &&
+    bool moved = c->gains_known && has_gains(f) && c->phase != WAIT && c->phase != OVER &&
                  !(close_to(f->red_gain, c->red) && close_to(f->blue_gain, c->blue));
     return moved ? BRACKET_GAINS : BRACKET_NONE;
 }
@@ -297,7 +303,7 @@ static void settle(struct seat *c, const struct bracket_event *ev)
     c->w = f->w;
     c->h = f->h;
     c->format = f->format;
-    c->gains_known = f->gains_known;
+    c->gains_known = has_gains(f);
     c->red = f->red_gain;
     c->blue = f->blue_gain;
 }

@@ -224,6 +224,9 @@ static void put_frame(FILE *f, const struct take *t, int i)
     }
     put_number(f, "exposure_s", take_exposure_s(x));
     put_evidence(f, &x->evidence);
+    put_number(f, "digital_gain", x->gains_known ? x->digital_gain : NAN);
+    put_number(f, "red_gain", x->gains_known ? x->red_gain : NAN);
+    put_number(f, "blue_gain", x->gains_known ? x->blue_gain : NAN);
     put_clocks(f, "start", &x->start);
     fputs("}", f);
 }

@@ -14,9 +14,14 @@ err_t roll_add(struct roll *r, const struct take_frame *t, const struct frame *f
         return err_fail(ERR_NOMEM, "camera %d: no memory for a frame of %zu bytes", t->camera,
                         f->bytes);
     memcpy(copy, f->data, f->bytes);
-    r->kept[r->n].frame = *t;
-    r->kept[r->n].frame.data = copy;
-    r->kept[r->n].frame.bytes = f->bytes;
+    struct take_frame *kept = &r->kept[r->n].frame;
+    *kept = *t;
+    kept->data = copy;
+    kept->bytes = f->bytes;
+    kept->gains_known = f->gains_known;
+    kept->digital_gain = f->digital_gain;
+    kept->red_gain = f->red_gain;
+    kept->blue_gain = f->blue_gain;
     r->kept[r->n++].used = used;
     return OK;
 }

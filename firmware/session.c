@@ -253,7 +253,7 @@ static err_t tell(struct session *s, const struct bracket_event *ev, const struc
     while (!e && bracket_action(s->machine, &a)) {
         if (a.kind == BRACKET_REQUEST)
             e = request(s, &a, ev->now_ns);
-        else if (a.kind == BRACKET_KEEP)
+        else if (a.kind == BRACKET_KEEP && f) // nothing else is kept
             e = keep(s, &a, f);
         else if (a.kind == BRACKET_FORGET)
             forget(s, &a);

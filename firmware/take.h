@@ -16,6 +16,8 @@ struct take_frame {
     size_t bytes;
     struct bracket_evidence evidence;
     struct clocks start; // of its exposure
+    bool gains_known;    // as in struct frame
+    double digital_gain, red_gain, blue_gain;
 };
 
 struct take_camera {

@@ -138,7 +138,7 @@ static void count_frame(struct watch *w, const struct frame *f, int64_t now)
         c->stamp_early_s = fmin(c->stamp_early_s, late);
         c->stamp_late_s = fmax(c->stamp_late_s, late);
     }
-    if (!f->gains_known)
+    if (!f->gains_known || f->gains_later)
         return;
     w->red = c->gains_known ? w->red : f->red_gain;
     w->blue = c->gains_known ? w->blue : f->blue_gain;

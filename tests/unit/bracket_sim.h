@@ -32,6 +32,7 @@ struct sim_camera {
     int64_t ignore_from, ignore_frames; // -1 for ever
     double quantum_s, rollover_s, gain_step, digital, balance_step;
     bool tell_gains;
+    bool gains_later;
     int64_t stall_at, stall_frames; // -1 for ever
     int refuse;                     // requests, -1 for ever
     err_t refuse_with;
@@ -245,7 +246,7 @@ static inline void sim_shoot(struct sim_camera *c, const struct timing_frame *t,
     c->balance *= struck ? c->balance_step : 1.0;
     memset(out, 0, sizeof *out);
     out->number = t->number;
-    out->truth = e.time_s * e.gain * c->drift * (struck ? c->digital : 1.0);
+    out->truth = e.time_s * e.gain * c->drift * (struck && !c->gains_later ? c->digital : 1.0);
     out->pixels = out->truth;
     struct frame *f = &out->f;
     f->w = f->h = 64;
@@ -263,6 +264,7 @@ static inline void sim_shoot(struct sim_camera *c, const struct timing_frame *t,
     if (c->report == SIM_HALF)
         f->exposure.time_s *= 0.5;
     f->gains_known = c->tell_gains;
+    f->gains_later = c->gains_later;
     f->digital_gain = struck ? c->digital : 1.0;
     f->red_gain = 1.7 * c->balance;
     f->blue_gain = 1.4 / c->balance;

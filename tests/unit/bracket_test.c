@@ -470,6 +470,20 @@ static void test_digital_gain_before(void **state)
     rig_close();
 }
 
+/* Gains behind raw pixels are not in them: they may be anything and move. */
+static void test_gains_behind_raw_pixels(void **state)
+{
+    (void)state;
+    rig_open(1, 2, 3, 2.0);
+    rig.camera[0].gains_later = true;
+    rig.camera[0].digital = 2.0;
+    rig_ready();
+    rig.camera[0].balance = 1.3;
+    assert_int_equal(rig_shoot(), BRACKET_NONE);
+    assert_complete(BRACKET_REPORTED);
+    rig_close();
+}
+
 static void test_stall(void **state)
 {
     struct sim_camera *c;
@@ -763,6 +777,7 @@ int main(void)
         cmocka_unit_test(test_lamp),
         cmocka_unit_test(test_flash_in_the_reference),
         cmocka_unit_test(test_digital_gain_before),
+        cmocka_unit_test(test_gains_behind_raw_pixels),
         cmocka_unit_test(test_stall),
         cmocka_unit_test(test_long),
         cmocka_unit_test(test_blind),
