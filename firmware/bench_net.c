@@ -5,7 +5,6 @@
 #include "firmware/bench_net.h"
 
 #include "firmware/engine.h"
-#include "firmware/limits.h"
 #include "firmware/network.h"
 
 #include "core/base/cpu.h"
@@ -185,7 +184,9 @@ struct state {
     struct network network;
     struct views views;
     struct prediction prediction;
-    double s8, f32; // limits, multiply-accumulates per second
+    struct limits_loop loop[2];   // of integers, of floats
+    struct limits_turns turns[2]; // taken between the steps of a pass
+    struct network_clock clock;
 };
 
 size_t bench_net_views_plan(int n, int size)
@@ -220,87 +221,113 @@ static err_t reserve(struct state *st, int n, int size, int max_mb)
     return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);
 }
 
-static err_t pass(struct state *st, struct network_clock *clock, double *seconds)
+/* Between the steps of a pass the limits are measured; that does not count. */
+static void take_turn(void *ctx, const char *stage, int done, int total, const char *note)
 {
-    struct run timed = network_timed(&st->engine.run, clock);
+    struct state *st = ctx;
+    const double start = engine_seconds(), busy = engine_busy_seconds();
+    for (int i = 0; i < 2; i++)
+        limits_add(&st->turns[i], limits_now(st->engine.pool, &st->loop[i]), 0);
+    progress_step(&st->engine.progress, stage, done, total, note);
+    network_clock_skip(&st->clock, engine_seconds() - start, engine_busy_seconds() - busy);
+}
+
+static err_t pass(struct state *st)
+{
+    struct run r = st->engine.run;
     const size_t mark = arena_mark(&st->engine.keep);
-    double start = engine_seconds();
+    r.progress = take_turn;
+    r.progress_ctx = st;
+    st->turns[0].n = st->turns[1].n = 0;
+    const struct run timed = network_timed(&r, &st->clock);
     err_t e = net_run(&timed, &st->network.net, &st->views, &st->prediction);
-    network_clock_stop(clock);
-    *seconds = engine_seconds() - start;
+    network_clock_stop(&st->clock);
     arena_reset(&st->engine.keep, mark);
     return e;
 }
 
-/* Measured again and again: another program may be in the way. */
-static void look_for_limits(struct state *st)
+static struct bench_net_figure stage_figure(const struct state *st, const char *name, double done,
+                                            const char *const *stages, struct bench_net *out)
 {
+    const bool floats = st->network.file.model.precision != PRECISION_S8;
     const struct gemm_kernels *k = &st->engine.kernels.net;
-    const double s8 = limits_s8(st->engine.pool, k->s8_name),
-                 f32 = limits_f32(st->engine.pool, k->f32_name);
-    st->s8 = s8 > st->s8 ? s8 : st->s8;
-    st->f32 = f32 > st->f32 ? f32 : st->f32;
+    const double busy = network_busy(&st->clock, stages) / out->threads;
+    return (struct bench_net_figure){.name = name,
+                                     .isa = floats ? k->f32_name : k->s8_name,
+                                     .threads = out->threads,
+                                     .seconds = network_seconds(&st->clock, stages),
+                                     .macs = done,
+                                     .share = limits_share_of(&st->turns[floats], done / busy)};
 }
 
-static void stage_figures(struct state *st, const struct network_clock *clock,
-                          struct bench_net *out)
+static void stage_figures(const struct state *st, struct bench_net *out)
 {
     static const char *const backbone[] = {"backbone", NULL}, *const heads[] = {"camera", "depth",
                                                                                 NULL};
-    const bool s8 = st->network.file.model.precision == PRECISION_S8;
-    const struct gemm_kernels *k = &st->engine.kernels.net;
-    const char *isa = s8 ? k->s8_name : k->f32_name;
-    const double limit = s8 ? st->s8 : st->f32;
+    const char *all[NETWORK_STAGES + 1] = {NULL}, *rest[NETWORK_STAGES + 1] = {NULL};
     const struct work w = work_of(&st->network.net.d, out->views, out->size);
-    double b = network_seconds(clock, backbone), h = network_seconds(clock, heads);
-    const struct bench_net_figure f[BENCH_NET_STAGES] = {
-        {"backbone", isa, out->threads, b, w.backbone, limit},
-        {"heads", isa, out->threads, h, w.camera + w.depth, limit},
-        {"appearance", isa, out->threads, out->seconds - b - h, w.appearance, limit},
-        {"all", isa, out->threads, out->seconds, w.backbone + w.camera + w.depth + w.appearance,
-         limit}};
-    memcpy(out->stages, f, sizeof f);
+    for (int i = 0, n = 0; i < st->clock.n; i++) {
+        const char *name = all[i] = st->clock.stage[i].name;
+        if (strcmp(name, "backbone") != 0 && strcmp(name, "camera") != 0 &&
+            strcmp(name, "depth") != 0)
+            rest[n++] = name;
+    }
+    out->stages[0] = stage_figure(st, "backbone", w.backbone, backbone, out);
+    out->stages[1] = stage_figure(st, "heads", w.camera + w.depth, heads, out);
+    out->stages[2] = stage_figure(st, "appearance", w.appearance, rest, out);
+    out->stages[3] =
+        stage_figure(st, "all", w.backbone + w.camera + w.depth + w.appearance, all, out);
     out->n_stages = BENCH_NET_STAGES;
+    out->seconds = out->stages[3].seconds;
 }
 
-static void kind_figures(struct state *st, double seconds, struct bench_net *out)
+/* Kernels note their time by the clock: a call is short. */
+static void kind_figures(const struct state *st, double seconds, struct bench_net *out)
 {
     double rest = seconds;
     for (int i = 0; i < KINDS; i++) {
-        bool integers = i <= S8_ATTENTION, product = i <= F32_ATTENTION;
-        double s = 1e-9 * (double)spent_ns[i] / out->threads;
+        const bool floats = i > S8_ATTENTION, product = i <= F32_ATTENTION;
+        const double s = 1e-9 * (double)spent_ns[i] / out->threads;
+        struct bench_net_figure f = {
+            .name = kind_names[i], .threads = out->threads, .seconds = s, .macs = (double)macs[i]};
         rest -= s;
         if (spent_ns[i] == 0)
             continue;
-        out->kinds[out->n_kinds++] = (struct bench_net_figure){
-            kind_names[i],   product ? (integers ? inner.s8_name : inner.f32_name) : NULL,
-            out->threads,    s,
-            (double)macs[i], product ? (integers ? st->s8 : st->f32) : 0};
+        if (product) {
+            f.isa = floats ? inner.f32_name : inner.s8_name;
+            f.share = limits_share_of(&st->turns[floats], f.macs / s);
+        }
+        out->kinds[out->n_kinds++] = f;
     }
-    out->kinds[out->n_kinds++] =
-        (struct bench_net_figure){"copies, waiting, other", NULL, out->threads, rest, 0, 0};
+    out->kinds[out->n_kinds++] = (struct bench_net_figure){
+        .name = "copies, waiting, other", .threads = out->threads, .seconds = rest};
+}
+
+static double passed(const struct network_clock *c)
+{
+    double sum = 0;
+    for (int i = 0; i < c->n; i++)
+        sum += c->stage[i].seconds;
+    return sum;
 }
 
 static err_t both_passes(struct state *st, struct bench_net *out)
 {
-    struct network_clock clock, noted;
-    double seconds;
-    look_for_limits(st);
-    err_t e = pass(st, &clock, &seconds); // brings the weights into memory
-    look_for_limits(st);
+    st->loop[0] = limits_s8(st->engine.kernels.net.s8_name);
+    st->loop[1] = limits_f32(st->engine.kernels.net.f32_name);
+    err_t e = pass(st); // brings the weights into memory
     if (!e)
-        e = pass(st, &clock, &out->seconds);
+        e = pass(st);
     if (e)
         return e;
     out->keep_mb = (double)st->engine.keep.peak * 1e-6;
     out->tmp_mb = (double)st->engine.tmp.peak * 1e-6;
     out->rss_mb = engine_peak_rss_mb();
-    look_for_limits(st);
-    stage_figures(st, &clock, out);
+    stage_figures(st, out);
     note_all(&st->engine.kernels.net);
-    e = pass(st, &noted, &seconds);
+    e = pass(st);
     if (!e)
-        kind_figures(st, seconds, out);
+        kind_figures(st, passed(&st->clock), out);
     return e;
 }
 
@@ -370,16 +397,22 @@ static err_t product_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
+/* The product and its limit take turns. */
 static err_t measure(struct pool *pool, struct product *p, struct bench_net_figure *out)
 {
     const int threads = pool_size(pool), chunks = 4 * threads;
     const int k = p->shape->segs * p->shape->seg;
     const double done = (double)(CALLS / k) * chunks * ROWS * N_PANELS * PANEL * k;
+    const char *isa = p->s8 ? p->k->s8_name : p->k->f32_name;
+    const struct limits_loop loop = p->s8 ? limits_s8(isa) : limits_f32(isa);
+    struct limits_turns turns = {.n = 0};
     double best = 1e30, total = 0;
     while (total < 0.1) {
-        double start = engine_seconds();
+        const double limit = limits_now(pool, &loop);
+        double start = engine_seconds(), busy = engine_busy_seconds();
         err_t e = pool_for(pool, chunks, product_chunk, p);
         double s = engine_seconds() - start;
+        limits_add(&turns, limit, done * threads / (engine_busy_seconds() - busy));
         if (e)
             return e;
         if (atomic_load(&engine_cancel))
@@ -387,13 +420,12 @@ static err_t measure(struct pool *pool, struct product *p, struct bench_net_figu
         best = s < best ? s : best;
         total += s;
     }
-    const char *isa = p->s8 ? p->k->s8_name : p->k->f32_name;
-    *out = (struct bench_net_figure){p->s8 ? p->shape->s8 : p->shape->f32,
-                                     isa,
-                                     threads,
-                                     best,
-                                     done,
-                                     p->s8 ? limits_s8(pool, isa) : limits_f32(pool, isa)};
+    *out = (struct bench_net_figure){.name = p->s8 ? p->shape->s8 : p->shape->f32,
+                                     .isa = isa,
+                                     .threads = threads,
+                                     .seconds = best,
+                                     .macs = done,
+                                     .share = limits_sum_up(&turns)};
     return OK;
 }
 
@@ -456,12 +488,14 @@ static void report_list(struct report *rep, const char *key, const struct bench_
         report_text(rep, "name", f[i].name);
         report_int(rep, "threads", f[i].threads);
         report_number(rep, "seconds", f[i].seconds);
-        if (f[i].macs > 0 && f[i].limit > 0) {
+        if (f[i].macs > 0 && f[i].share.limit > 0) {
             report_text(rep, "kernels", f[i].isa);
             report_number(rep, "gmac", f[i].macs * 1e-9);
             report_number(rep, "gmac_per_s", f[i].macs * 1e-9 / f[i].seconds);
-            report_number(rep, "limit_gmac_per_s", f[i].limit * 1e-9);
-            report_number(rep, "share_of_limit", f[i].macs / f[i].seconds / f[i].limit);
+            report_number(rep, "limit_gmac_per_s", f[i].share.limit * 1e-9);
+            report_number(rep, "share_of_limit", f[i].share.share);
+            report_number(rep, "share_low", f[i].share.low);
+            report_number(rep, "share_high", f[i].share.high);
         }
         report_close(rep);
     }
@@ -489,14 +523,15 @@ static void print_list(const char *what, const struct bench_net_figure *f, int n
 {
     if (n == 0)
         return;
-    printf("\n%-36s %-8s %7s %9s %10s %9s %9s %6s\n", what, "kernels", "threads", "seconds", "GMAC",
-           "GMAC/s", "limit", "share");
+    printf("\n%-36s %-10s %7s %9s %10s %9s %9s %6s  %s\n", what, "kernels", "threads", "seconds",
+           "GMAC", "GMAC/s", "limit", "share", "quartiles");
     for (int i = 0; i < n; i++) {
-        printf("%-36s %-8s %7d %9.4f", f[i].name, f[i].isa ? f[i].isa : "", f[i].threads,
+        printf("%-36s %-10s %7d %9.4f", f[i].name, f[i].isa ? f[i].isa : "", f[i].threads,
                f[i].seconds);
-        if (f[i].macs > 0 && f[i].limit > 0)
-            printf(" %10.2f %9.1f %9.1f %6.3f", f[i].macs * 1e-9, f[i].macs * 1e-9 / f[i].seconds,
-                   f[i].limit * 1e-9, f[i].macs / f[i].seconds / f[i].limit);
+        if (f[i].macs > 0 && f[i].share.limit > 0)
+            printf(" %10.2f %9.1f %9.1f %6.3f  %.3f-%.3f", f[i].macs * 1e-9,
+                   f[i].macs * 1e-9 / f[i].seconds, f[i].share.limit * 1e-9, f[i].share.share,
+                   f[i].share.low, f[i].share.high);
         putchar('\n');
     }
 }

@@ -4,6 +4,7 @@
 #define FIRMWARE_BENCH_NET_H
 
 #include "firmware/config.h"
+#include "firmware/limits.h"
 #include "firmware/report.h"
 
 #include "core/types.h"
@@ -14,8 +15,8 @@ struct bench_net_figure {
     const char *name, *isa; // isa: of the instruction set that limits it, or NULL
     int threads;
     double seconds;
-    double macs;  // multiply-accumulates; 0: it is something else
-    double limit; // of them per second, measured; 0: none
+    double macs;               // multiply-accumulates; 0: it is something else
+    struct limits_share share; // of their limit, at the same time and in processor time; 0: none
 };
 
 struct bench_net {

@@ -46,8 +46,8 @@ struct figure {
     const char *kernels;
     int threads, gaussians, pixels;
     double forward_s, backward_s, step_s;
-    double pairs;        // splats that each pixel looks at, summed
-    double limit, share; // flop/s, of it in forward and backward together
+    double pairs;              // splats that each pixel looks at, summed
+    struct limits_share share; // flop/s, in forward and backward together
 };
 
 struct state {
@@ -168,18 +168,30 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
+/* A limit and runs that take turns: its rate, their processor time per thread, s. */
+struct turns {
+    const struct limits_loop *limit;
+    int n;
+    double rate[REPEATS], busy[REPEATS];
+};
+
 /* Median of a few runs after one to warm up. */
-static err_t measure(struct state *st, err_t (*fn)(struct state *), double *median)
+static err_t measure(struct state *st, err_t (*fn)(struct state *), struct turns *turns,
+                     double *median)
 {
+    struct pool *pool = st->engine.run.pool;
     double t[REPEATS], total = 0;
     int n = 0;
     err_t e = fn(st);
     while (!e && n < REPEATS && (n < 1 || total < BENCH_MAX_S)) {
-        double start = engine_seconds();
+        turns->rate[n] = limits_now(pool, turns->limit);
+        double start = engine_seconds(), busy = engine_busy_seconds();
         e = fn(st);
         t[n] = engine_seconds() - start;
+        turns->busy[n] = (engine_busy_seconds() - busy) / pool_size(pool);
         total += t[n++];
     }
+    turns->n = n;
     if (e)
         return e;
     qsort(t, (size_t)n, sizeof t[0], ascending);
@@ -229,17 +241,23 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     f->threads = pool_size(st->engine.run.pool);
     f->gaussians = st->g.n;
     f->pixels = st->cam.w * st->cam.h;
-    err_t e = measure(st, forward, &f->forward_s);
+    const struct limits_loop limit = limits_flops(cpu);
+    struct turns forwards = {&limit, .n = 0}, backwards = forwards, steps = forwards;
+    struct limits_turns shares = {.n = 0};
+    err_t e = measure(st, forward, &forwards, &f->forward_s);
     if (!e)
         e = count_pairs(st, &f->pairs);
     if (!e)
         e = loss(st);
     if (!e)
-        e = measure(st, backward, &f->backward_s);
+        e = measure(st, backward, &backwards, &f->backward_s);
     if (!e)
-        e = measure(st, step, &f->step_s);
-    f->limit = limits_flops(st->engine.run.pool, cpu);
-    f->share = f->pairs * (FORWARD_OPS + BACKWARD_OPS) / (f->forward_s + f->backward_s) / f->limit;
+        e = measure(st, step, &steps, &f->step_s);
+    for (int i = 0; !e && i < forwards.n && i < backwards.n; i++)
+        limits_add(&shares, (forwards.rate[i] + backwards.rate[i]) / 2,
+                   f->pairs * (FORWARD_OPS + BACKWARD_OPS) /
+                       (forwards.busy[i] + backwards.busy[i]));
+    f->share = limits_sum_up(&shares);
     return e;
 }
 
@@ -382,8 +400,10 @@ static void report_figure(struct report *rep, const struct figure *f)
     report_number(rep, "seconds_backward", f->backward_s);
     report_number(rep, "seconds_step", f->step_s);
     report_number(rep, "pixel_splat_pairs", f->pairs);
-    report_number(rep, "limit_gflop_per_s", f->limit * 1e-9);
-    report_number(rep, "share_of_limit", f->share);
+    report_number(rep, "limit_gflop_per_s", f->share.limit * 1e-9);
+    report_number(rep, "share_of_limit", f->share.share);
+    report_number(rep, "share_low", f->share.low);
+    report_number(rep, "share_high", f->share.high);
 }
 
 static void report_figures(struct report *rep, const char *key, const struct figure *f, int n)
@@ -426,19 +446,20 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
 
 static void print_figures(const struct figure *f, int n)
 {
-    printf("\n%8s %8s %-8s %7s %9s %10s %9s %8s %6s\n", "splats", "pixels", "kernels", "threads",
-           "forward s", "backward s", "step s", "GFlop/s", "share");
+    printf("\n%8s %8s %-8s %7s %9s %10s %9s %8s %6s  %s\n", "splats", "pixels", "kernels",
+           "threads", "forward s", "backward s", "step s", "GFlop/s", "share", "quartiles");
     for (int i = 0; i < n; i++)
-        printf("%8d %8d %-8s %7d %9.4f %10.4f %9.4f %8.1f %6.3f\n", f[i].gaussians, f[i].pixels,
-               f[i].kernels, f[i].threads, f[i].forward_s, f[i].backward_s, f[i].step_s,
-               f[i].limit * 1e-9, f[i].share);
+        printf("%8d %8d %-8s %7d %9.4f %10.4f %9.4f %8.1f %6.3f  %.3f-%.3f\n", f[i].gaussians,
+               f[i].pixels, f[i].kernels, f[i].threads, f[i].forward_s, f[i].backward_s,
+               f[i].step_s, f[i].share.limit * 1e-9, f[i].share.share, f[i].share.low,
+               f[i].share.high);
 }
 
 static void print_tables(const struct state *st)
 {
     printf(
         "memory %.1f GB/s, one thread %.1f GB/s\nGFlop/s: measured limit of the instruction set; "
-        "share: of it in forward and backward\n",
+        "share: of it in forward and backward, in processor time; median and quartiles of turns\n",
         st->bandwidth[1] * 1e-9, st->bandwidth[0] * 1e-9);
     print_figures(st->levels, st->n_levels);
     print_figures(st->table, st->n_table);

@@ -57,9 +57,19 @@ double engine_peak_rss_mb(void)
                                            : 0.0; // Linux counts in KiB
 }
 
-double engine_seconds(void)
+static double seconds(clockid_t clock)
 {
     struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
+    clock_gettime(clock, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+double engine_seconds(void)
+{
+    return seconds(CLOCK_MONOTONIC);
+}
+
+double engine_busy_seconds(void)
+{
+    return seconds(CLOCK_PROCESS_CPUTIME_ID);
 }

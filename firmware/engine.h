@@ -40,4 +40,7 @@ double engine_peak_rss_mb(void);
 /* Monotonic clock, seconds. */
 double engine_seconds(void);
 
+/* Processor time of all threads of this process, seconds: other programs do not count. */
+double engine_busy_seconds(void);
+
 #endif

@@ -8,6 +8,7 @@
 #include "core/base/cpu.h"
 
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #if defined(__x86_64__)
@@ -16,7 +17,7 @@
 #include <arm_neon.h>
 #endif
 
-enum { SUMS = 12, ROUNDS = 1 << 20, TRIES = 5, TRIAD_CHUNK = 1 << 18 };
+enum { SUMS = 12, ROUNDS = 1 << 19, TRIES = 5, TRIAD_CHUNK = 1 << 18 };
 
 typedef float flops_fn(int rounds); // returns what it computed, so that it is computed
 
@@ -179,8 +180,7 @@ enum {
 };
 
 struct peak {
-    flops_fn *flops;
-    s8_fn *s8;      // or this
+    const struct limits_loop *loop;
     float sums[64]; // one per worker
 };
 
@@ -188,50 +188,78 @@ static err_t peak_chunk(void *ctx, int chunk, int worker)
 {
     struct peak *p = ctx;
     (void)worker;
-    if (p->s8)
-        p->s8(ROUNDS);
+    if (p->loop->ints)
+        p->loop->ints(ROUNDS);
     else
-        p->sums[chunk] = p->flops(ROUNDS);
+        p->sums[chunk] = p->loop->floats(ROUNDS);
     return OK;
 }
 
-/* Best of a few runs of all threads, in steps per second. */
-static double measure(struct pool *pool, struct peak p)
+double limits_now(struct pool *pool, const struct limits_loop *loop)
 {
     const int n = pool_size(pool);
-    double best = 0;
-    for (int i = 0; i < TRIES; i++) {
-        double start = engine_seconds();
-        if (pool_for(pool, n, peak_chunk, &p) != OK)
-            return 0;
-        double rate = (double)SUMS * ROUNDS * n / (engine_seconds() - start);
-        best = rate > best ? rate : best;
-    }
-    return best;
+    struct peak p = {.loop = loop};
+    const double start = engine_busy_seconds();
+    if (loop->per_step == 0 || pool_for(pool, n, peak_chunk, &p) != OK)
+        return 0;
+    return loop->per_step * SUMS * ROUNDS * n * n / (engine_busy_seconds() - start);
 }
 
-double limits_flops(struct pool *pool, unsigned cpu)
+struct limits_loop limits_flops(unsigned cpu)
 {
     const struct level *l = levels;
     while ((l->cpu & cpu) != l->cpu)
         l++;
-    return 2.0 * l->width * measure(pool, (struct peak){.flops = l->fn});
+    return (struct limits_loop){.per_step = 2.0 * l->width, .floats = l->fn};
 }
 
-double limits_f32(struct pool *pool, const char *isa)
+struct limits_loop limits_f32(const char *isa)
 {
     for (int i = 0; i < N_LEVELS; i++)
         if (strcmp(levels[i].isa, isa) == 0)
-            return levels[i].width * measure(pool, (struct peak){.flops = levels[i].fn});
-    return 0;
+            return (struct limits_loop){.per_step = levels[i].width, .floats = levels[i].fn};
+    return (struct limits_loop){.per_step = 0};
 }
 
-double limits_s8(struct pool *pool, const char *isa)
+struct limits_loop limits_s8(const char *isa)
 {
     for (int i = 0; i < N_S8_LEVELS; i++)
         if (strcmp(s8_levels[i].isa, isa) == 0)
-            return s8_levels[i].macs * measure(pool, (struct peak){.s8 = s8_levels[i].fn});
-    return 0;
+            return (struct limits_loop){.per_step = s8_levels[i].macs, .ints = s8_levels[i].fn};
+    return (struct limits_loop){.per_step = 0};
+}
+
+void limits_add(struct limits_turns *t, double limit, double rate)
+{
+    if (t->n == LIMITS_TURNS)
+        return;
+    t->limit[t->n] = limit;
+    t->share[t->n++] = limit > 0 ? rate / limit : 0;
+}
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+struct limits_share limits_sum_up(struct limits_turns *t)
+{
+    const int n = t->n;
+    if (n == 0)
+        return (struct limits_share){.limit = 0};
+    qsort(t->limit, (size_t)n, sizeof t->limit[0], ascending);
+    qsort(t->share, (size_t)n, sizeof t->share[0], ascending);
+    return (struct limits_share){t->limit[n / 2], t->share[n / 2], t->share[n / 4],
+                                 t->share[n * 3 / 4]};
+}
+
+struct limits_share limits_share_of(const struct limits_turns *t, double rate)
+{
+    struct limits_turns of = *t;
+    for (int i = 0; i < of.n; i++)
+        of.share[i] = of.limit[i] > 0 ? rate / of.limit[i] : 0;
+    return limits_sum_up(&of);
 }
 
 static err_t triad_chunk(void *ctx, int chunk, int worker)

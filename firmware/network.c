@@ -59,10 +59,19 @@ bool network_needs_exposures(const struct network *n)
 
 void network_clock_stop(struct network_clock *c)
 {
-    double now = engine_seconds();
-    if (c->n > 0)
+    const double now = engine_seconds(), busy = engine_busy_seconds();
+    if (c->n > 0) {
         c->stage[c->n - 1].seconds += now - c->last;
+        c->stage[c->n - 1].busy += busy - c->last_busy;
+    }
     c->last = now;
+    c->last_busy = busy;
+}
+
+void network_clock_skip(struct network_clock *c, double seconds, double busy)
+{
+    c->last += seconds;
+    c->last_busy += busy;
 }
 
 /* Stages follow one another; one that comes again is moved to the end of the list. */
@@ -75,7 +84,7 @@ static void enter(struct network_clock *c, const char *name)
         return;
     if (i == c->n) {
         snprintf(c->stage[i].name, sizeof c->stage[i].name, "%s", name);
-        c->stage[i].seconds = 0;
+        c->stage[i].seconds = c->stage[i].busy = 0;
         c->n++;
         return;
     }
@@ -103,21 +112,35 @@ static void timed_step(void *ctx, const char *stage, int done, int total, const 
 struct run network_timed(const struct run *r, struct network_clock *clock)
 {
     struct run out = *r;
-    *clock = (struct network_clock){
-        .next = r->progress, .next_ctx = r->progress_ctx, .last = engine_seconds()};
+    *clock = (struct network_clock){.next = r->progress,
+                                    .next_ctx = r->progress_ctx,
+                                    .last = engine_seconds(),
+                                    .last_busy = engine_busy_seconds()};
     out.progress = timed_step;
     out.progress_ctx = clock;
     return out;
 }
 
-double network_seconds(const struct network_clock *c, const char *const *names)
+static struct network_stage sum_of(const struct network_clock *c, const char *const *names)
 {
-    double sum = 0;
+    struct network_stage sum = {.seconds = 0};
     for (; *names; names++)
         for (int i = 0; i < c->n; i++)
-            if (strcmp(c->stage[i].name, *names) == 0)
-                sum += c->stage[i].seconds;
+            if (strcmp(c->stage[i].name, *names) == 0) {
+                sum.seconds += c->stage[i].seconds;
+                sum.busy += c->stage[i].busy;
+            }
     return sum;
+}
+
+double network_seconds(const struct network_clock *c, const char *const *names)
+{
+    return sum_of(c, names).seconds;
+}
+
+double network_busy(const struct network_clock *c, const char *const *names)
+{
+    return sum_of(c, names).busy;
 }
 
 bool network_shipped(char path[FILE_PATH_CAP])

@@ -36,7 +36,7 @@ enum { NETWORK_STAGES = 16 };
 
 struct network_stage {
     char name[24];
-    double seconds;
+    double seconds, busy; // busy: processor time of all threads
 };
 
 /* Seconds of each stage that a progress_fn hears of. The time before a step belongs to the stage of
@@ -44,7 +44,7 @@ struct network_stage {
 struct network_clock {
     progress_fn *next; // or NULL
     void *next_ctx;
-    double last; // of the clock
+    double last, last_busy; // of the clocks
     int n;
     struct network_stage stage[NETWORK_STAGES]; // the present one is the last
 };
@@ -55,8 +55,12 @@ struct run network_timed(const struct run *r, struct network_clock *clock);
 /* The time since the last step goes to its stage. */
 void network_clock_stop(struct network_clock *clock);
 
-/* Seconds of the stages whose name is in the list `names`, NULL at its end. */
+/* What has passed since then does not count. */
+void network_clock_skip(struct network_clock *clock, double seconds, double busy);
+
+/* Seconds of the stages whose name is in the list `names`, NULL at its end; processor time. */
 double network_seconds(const struct network_clock *clock, const char *const *names);
+double network_busy(const struct network_clock *clock, const char *const *names);
 
 /* ---- cameras alone ---- */
 
