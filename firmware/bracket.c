@@ -737,6 +737,11 @@ bool bracket_action(struct bracket *b, struct bracket_action *out)
     return false;
 }
 
+void bracket_light(struct bracket *b, int camera, const struct flicker_light *light)
+{
+    b->seat[camera].label.light = *light;
+}
+
 /* ---- what it says ---- */
 
 enum bracket_state bracket_state(const struct bracket *b)

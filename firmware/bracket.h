@@ -46,7 +46,7 @@
 
 #include "drivers/camera.h"
 
-#include "core/expo/witness.h"
+#include "core/expo/flicker.h"
 
 enum { BRACKET_CAMERAS_MAX = 16, BRACKET_EXPOSURES_MAX = 9 };
 
@@ -66,9 +66,12 @@ struct bracket_plan {
     struct exposure ask[BRACKET_EXPOSURES_MAX];
 };
 
-enum bracket_proof {         // in falling strength
-    BRACKET_REPORTED,        // device, requests and pixels agree
-    BRACKET_PIXELS,          // requests and pixels agree; the device says nothing
+enum bracket_proof {    // in falling strength
+    BRACKET_REPORTED,   // device, requests and pixels agree
+    BRACKET_PIXELS,     // requests and pixels agree; the device says nothing
+    BRACKET_UNVERIFIED, // from here on
+    BRACKET_UNVERIFIED_FLICKER =
+        BRACKET_UNVERIFIED,  // as far as pixels can tell in light that flickers
     BRACKET_UNVERIFIED_DARK, // from rest, device and requests agree; too dark for the pixels
     BRACKET_UNVERIFIED_BRIGHT
 };
@@ -153,6 +156,9 @@ void bracket_free(struct bracket *b);
  * err:  ERR_ARG (a plan out of range, an event that cannot be now; nothing is changed). */
 MUST_USE err_t bracket_event(struct bracket *b, const struct bracket_event *ev);
 bool bracket_action(struct bracket *b, struct bracket_action *out);
+
+/* The light of a camera from now on; steady at first. */
+void bracket_light(struct bracket *b, int camera, const struct flicker_light *light);
 
 enum bracket_state bracket_state(const struct bracket *b);
 enum bracket_reason bracket_reason(const struct bracket *b, int *camera);

@@ -180,7 +180,7 @@ static void tell(const struct take *t, const char *dir)
     for (int i = 0; i < t->n; i++) {
         const struct take_frame *f = &t->frame[i];
         fprintf(stderr, "  camera %d: %.6g s%s\n", f->camera, take_exposure_s(f),
-                f->evidence.proof >= BRACKET_UNVERIFIED_DARK ? ", not proven by its pixels" : "");
+                f->evidence.proof >= BRACKET_UNVERIFIED ? ", not proven by its pixels" : "");
     }
     printf("%s\n", dir);
 }

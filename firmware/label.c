@@ -246,18 +246,28 @@ void label_narrow(struct label *l, const struct label_look *k)
 /* ---- pixels ---- */
 
 /* The spread of few places is often large, and noise is known by few pixels only. */
-static bool changed(const struct label *l, const struct witness_ratio *r)
+static bool changed(const struct label *l, const struct witness_ratio *r, double slack)
 {
     double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
-    return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance &&
+    return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance + slack &&
            (double)r->spread > lucky;
 }
 
 /* A curve that is not calibrated bends ratios, by where in the picture it is how bright. */
-static bool torn(const struct label *l, const struct witness_ratio *r)
+static bool torn(const struct label *l, const struct witness_ratio *r, double slack)
 {
     double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs((double)r->log2);
-    return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance);
+    return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance) + slack;
+}
+
+/* The shortest exposure that may be in force, s. */
+static double shortest_s(const struct label *l)
+{
+    double t = INFINITY;
+    for (int i = 0; i < l->n; i++)
+        if (in_force(l, i, 0, l->doubt))
+            t = fmin(t, l->log[i].expect.time_s);
+    return t;
 }
 
 static void compare(const struct label *l, int by, const struct witness *w, struct label_look *k)
@@ -265,15 +275,18 @@ static void compare(const struct label *l, int by, const struct witness *w, stru
     const struct label_anchor *a = &l->anchor[by];
     struct witness_ratio r;
     witness_compare(&a->seen, w, &r);
-    k->lo = fmax(k->lo, a->stops + r.lo);
-    k->hi = fmin(k->hi, a->stops + r.hi);
-    k->changed = k->changed || changed(l, &r);
-    k->torn = k->torn || torn(l, &r);
+    k->lo = fmax(k->lo, a->stops + r.lo - a->slack);
+    k->hi = fmin(k->hi, a->stops + r.hi + a->slack);
+    // rows of both may differ, each by its slack; that of the frame is as of the darkest candidate
+    double slack = 2.0 * (a->slack + flicker_stops(&l->light, shortest_s(l)));
+    k->changed = k->changed || changed(l, &r, slack);
+    k->torn = k->torn || torn(l, &r, slack);
     double error = hypot(a->error, (double)r.error);
     if (r.places < PLACES_MIN || ACCURATE * error > l->cfg.tolerance ||
-        (k->measured && error >= k->error))
+        (k->measured && error + a->slack >= k->error + k->slack))
         return;
     k->measured = true;
+    k->slack = a->slack;
     k->stops = a->stops + r.log2;
     k->error = error;
     k->by = by;
@@ -298,10 +311,11 @@ void label_hold(struct label *l, int index, const struct witness *w, const struc
 {
     struct label_anchor *a = &l->anchor[index];
     a->recorded = label_stops(&k->exposure);
-    bool measured = k->measured && l->cfg.tolerance < LOOSE;
+    a->slack = flicker_stops(&l->light, k->exposure.time_s);
+    bool measured = k->measured && l->cfg.tolerance < LOOSE && k->slack + a->slack <= SAME;
     a->stops = measured ? k->stops : a->recorded;
     a->error = measured ? k->error : 0.0;
-    a->proven = k->measured && l->anchor[k->by].proven;
+    a->proven = k->measured && l->anchor[k->by].proven && k->slack <= l->cfg.tolerance;
     a->seen = *w;
     a->held = true;
 }
@@ -345,12 +359,14 @@ err_t label_settle(struct label *l, const struct frame *f, const struct witness 
     }
     if (a->held) {
         witness_compare(&a->seen, w, &r);
-        *same = !changed(l, &r) && !torn(l, &r) &&
+        double slack = 2.0 * flicker_stops(&l->light, x->time_s);
+        *same = !changed(l, &r, slack) && !torn(l, &r, slack) &&
                 (r.places < PLACES_MIN ||
-                 fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + SURE * (double)r.error);
+                 fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + SURE * (double)r.error + slack);
     }
     a->recorded = a->stops = label_stops(f->exposure_known ? &f->exposure : x);
     a->error = 0.0;
+    a->slack = flicker_stops(&l->light, x->time_s);
     a->held = a->proven = true;
     a->seen = *w;
     return OK;
@@ -375,7 +391,9 @@ static void weigh(const struct label *l, int i, const struct frame *f, const str
                               .strict = in_force(l, i, l->lo, l->hi),
                               .agree = agree || !f->exposure_known,
                               .exposure = agree ? f->exposure : r->expect};
-    double s = out->stops = label_stops(&out->exposure), most = l->cfg.tolerance;
+    double s = out->stops = label_stops(&out->exposure);
+    double slack = k->slack + flicker_stops(&l->light, out->exposure.time_s);
+    double most = l->cfg.tolerance + slack;
     out->off = fmax(fmax(k->lo - s, s - k->hi), 0.0);
     bool allowed = out->off <= most;
     if (k->measured) {
@@ -421,6 +439,7 @@ void label_look(const struct label *l, const struct frame *f, const struct witne
         return;
     out->entry = pick->entry;
     out->exposure = pick->exposure;
+    out->slack += flicker_stops(&l->light, pick->exposure.time_s);
     if (best && has_rival(l, c, n, best))
         out->verdict = LABEL_UNDECIDED;
     else if (!pick->agree)
@@ -435,6 +454,8 @@ static enum bracket_proof proof_of(const struct label *l, const struct label_loo
 {
     if (!k->measured || !l->anchor[k->by].proven)
         return k->dark >= k->clipped ? BRACKET_UNVERIFIED_DARK : BRACKET_UNVERIFIED_BRIGHT;
+    if (k->slack > l->cfg.tolerance)
+        return BRACKET_UNVERIFIED_FLICKER;
     return reported ? BRACKET_REPORTED : BRACKET_PIXELS;
 }
 

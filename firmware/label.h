@@ -31,6 +31,7 @@ struct label_request {
 struct label_anchor {
     struct witness seen;
     double stops, error; // log2 of exposure for comparisons, s; its standard error
+    double slack;        // stops: flicker may have made it look so much brighter or darker
     double recorded;     // log2 of the exposure that is written down
     bool held, proven;
 };
@@ -39,6 +40,7 @@ struct label {
     struct bracket_camera cfg;
     int lo, hi, doubt; // frames
     bool guess;        // lo..hi is not known, but a guess
+    struct flicker_light light;
     struct label_request log[LABEL_LOG];
     int n; // oldest first
     struct label_anchor anchor[LABEL_ANCHORS];
@@ -64,6 +66,7 @@ struct label_look {
     bool measured, changed;   // by pixels; the light of parts changed
     bool torn;                // rows side by side had another exposure than the rest
     double stops, error;      // if measured: log2 of exposure, s
+    double slack;             // stops: flicker of the anchor, and after the verdict of the frame
     double lo, hi;            // bounds of it in any case
     int by, places;           // anchor
     float ratio;              // stops, to it

@@ -40,8 +40,8 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
 
 const char *manifest_proof(enum bracket_proof p)
 {
-    static const char *const words[] = {"reported", "pixels", "unverified-dark",
-                                        "unverified-bright"};
+    static const char *const words[] = {"reported", "pixels", "unverified-flicker",
+                                        "unverified-dark", "unverified-bright"};
     return (unsigned)p < sizeof words / sizeof words[0] ? words[p] : "none";
 }
 
@@ -185,6 +185,8 @@ static void put_camera(FILE *f, const struct take *t, int i)
     put_number(f, "gain_delay", d->gain_delay < 0 ? NAN : d->gain_delay);
     put_text(f, "stamp", d->stamp == CAMERA_STAMP_START ? "start" : "end");
     put_truth(f, "reports", d->reports);
+    put_number(f, "flicker_hz", c->light.hz > 0.0 ? c->light.hz : NAN);
+    put_number(f, "flicker_depth", c->light.hz > 0.0 ? c->light.depth : NAN);
     put_meter(f, t->metered ? &t->meter[i] : NULL);
     put_crf(f, c->has_crf ? &c->crf : NULL);
     fputs("}", f);

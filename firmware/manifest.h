@@ -46,7 +46,8 @@ void manifest_picture_name(const struct take *t, const struct take_frame *f,
 /* Whether the driver's bytes are the display picture as well. */
 bool manifest_is_jpeg(const struct take *t, const struct take_frame *f);
 
-/* Word of a proof: "reported", "pixels", "unverified-dark", "unverified-bright". */
+/* Word of a proof: "reported", "pixels", "unverified-flicker", "unverified-dark",
+ * "unverified-bright". */
 const char *manifest_proof(enum bracket_proof p);
 
 /* Errors are those of the stream. */

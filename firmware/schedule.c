@@ -2,8 +2,10 @@
 
 #include <math.h>
 
-#define LIMIT 0.01 // beyond the range of the device: the rounding of whoever asks
-#define LINK 5.0   // stops between frames that are sure to show the same places
+#define LIMIT 0.01       // beyond the range of the device: the rounding of whoever asks
+#define STEADY_LIST 0.25 // stops
+#define STEADY_AUTO 0.5
+#define LINK 5.0 // stops between frames that are sure to show the same places
 
 bool schedule_is_metered(const struct session_order *o)
 {
@@ -69,8 +71,7 @@ const char *schedule_limit(const struct session_order *o, const struct camera_in
 /* A probe that only rest speaks for is taken again, in the company of others. */
 static bool is_proven(const struct roll *r, int probe)
 {
-    return probe >= 0 && probe < r->n &&
-           r->kept[probe].frame.evidence.proof < BRACKET_UNVERIFIED_DARK;
+    return probe >= 0 && probe < r->n && r->kept[probe].frame.evidence.proof < BRACKET_UNVERIFIED;
 }
 
 void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
@@ -89,5 +90,17 @@ void schedule_shots(const struct session_order *o, int turn, const struct camera
     if (o->stagger && out->n > 1) {
         out->ask[0] = out->ask[turn % out->n];
         out->n = 1;
+    }
+}
+
+void schedule_steady(const struct session_order *o, const struct take_camera *c,
+                     struct bracket_plan *io)
+{
+    double most = o->mode == SESSION_LIST ? STEADY_LIST : STEADY_AUTO;
+    for (int k = 0; k < io->n; k++) {
+        double t = flicker_steady_s(&c->light, io->ask[k].time_s);
+        bool possible = t >= c->info.time_min_s && t <= c->info.time_max_s;
+        if (possible && fabs(log2(t / io->ask[k].time_s)) <= most)
+            io->ask[k].time_s = t;
     }
 }

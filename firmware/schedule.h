@@ -28,4 +28,9 @@ const char *schedule_limit(const struct session_order *o, const struct camera_in
 void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
                     const struct meter_result *r, struct roll *roll, struct bracket_plan *out);
 
+/* Exposures that hold whole periods of a light that flickers, if they are near: at most a quarter
+ * stop from what a list asks for, half a stop from what was metered. */
+void schedule_steady(const struct session_order *o, const struct take_camera *c,
+                     struct bracket_plan *io);
+
 #endif

@@ -6,8 +6,8 @@
 
 #include "firmware/backends.h"
 #include "firmware/clocks.h"
-#include "firmware/roll.h"
 #include "firmware/schedule.h"
+#include "firmware/session_inner.h"
 #include "firmware/view.h"
 
 #include "core/base/log.h"
@@ -25,45 +25,7 @@ enum { RETRY_S = 1, SETTLE = 12 }; // s; frames until a request is surely in for
 #define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
 #define BASE_S 0.01          // exposure while armed, to begin with
 
-enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND };
-
-struct cam {
-    const struct camera_ops *ops;
-    void *st;
-    bool open;
-    struct take_camera about;
-    struct calib calib;
-    bool calibrated;
-    struct exposure set;       // last request, as read back
-    int64_t retry_ns, look_ns; // when to look for it, and at what it sees
-    bool looked;               // since it was armed
-    struct session_view view;
-    struct meter meter;
-    struct meter_result plan;
-    struct roll roll;
-    int n_before; // frames of former plans of this take
-};
-
-struct session {
-    struct session_config cfg;
-    int n;
-    struct cam cam[BRACKET_CAMERAS_MAX];
-    struct bracket *machine;
-    struct raw sample; // of the frame in hand
-    struct witness witness;
-    enum phase phase;
-    bool lost, cancelled, ready, complete;
-    bool relit, again; // the light changed after probes; metered anew once
-    struct session_order order;
-    struct bracket_plan plan[BRACKET_CAMERAS_MAX];
-    int turn; // of stagger mode
-    struct clocks trigger;
-    int frames_used, rejected;
-    char reason[TAKE_TEXT], note[TAKE_TEXT];
-};
-
-/* The earliest present of all: no camera is late by it. */
-static int64_t now_of_all(const struct session *s)
+int64_t session_now(const struct session *s)
 {
     int64_t now = INT64_MAX;
     for (int i = 0; i < s->n; i++) {
@@ -285,7 +247,8 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     struct cam *c = &s->cam[i];
     struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
     bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
-    if (!bad && (shooting(s) || view)) {
+    bool trouble = s->phase == PHASE_TROUBLE;
+    if (!bad && (shooting(s) || view || trouble)) {
         bad = thin_run(&c->about.info, f, &s->sample) != OK;
         if (!bad && view)
             look(s, c, now);
@@ -296,6 +259,8 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     if (bad)
         ev.kind = BRACKET_UNUSABLE;
     err_t e = tell(s, &ev, f);
+    if (!e && trouble && ev.witness)
+        e = session_trouble_see(s, i, f, ev.witness);
     c->ops->release(c->st, f);
     return e;
 }
@@ -331,9 +296,9 @@ static bool same_device(const struct camera_info *a, const struct camera_info *b
     return strcmp(a->unit, b->unit) == 0 && a->w == b->w && a->h == b->h && a->format == b->format;
 }
 
-/* Ask for the exposure of waiting, and tell the machine which it is. A camera that does not take it
- * is as good as lost. Returns the first error; the others are armed. */
-static err_t arm_one(struct session *s, int i, double base_s)
+/* A camera that does not take it is as good as lost. Returns the first error; the others are
+ * armed. */
+err_t session_arm(struct session *s, int i, double base_s)
 {
     struct cam *c = &s->cam[i];
     const struct camera_info *info = &c->about.info;
@@ -362,7 +327,7 @@ static err_t arm(struct session *s)
     for (int i = 0; i < s->n; i++) {
         if (!s->cam[i].open)
             continue;
-        err_t e = arm_one(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
+        err_t e = session_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
         first = first ? first : e;
     }
     return first;
@@ -378,7 +343,7 @@ static err_t adapt(struct session *s, int i)
     const struct cam *c = &s->cam[i];
     bool waits = c->open && c->looked && s->phase == PHASE_NONE && !s->ready;
     double t = waits ? better_base(c) : 0;
-    return t > 0 ? arm_one(s, i, t) : OK;
+    return t > 0 ? session_arm(s, i, t) : OK;
 }
 
 bool session_settled(const struct session *s)
@@ -422,6 +387,8 @@ static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_BEGIN, .now_ns = now, .plan = s->plan};
     s->phase = phase;
+    for (int i = 0; i < s->n; i++)
+        schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
     for (int i = 0; i < s->n; i++)
         s->cam[i].n_before = s->cam[i].roll.n;
     return tell(s, &ev, NULL);
@@ -564,36 +531,43 @@ static void fail(struct session *s, const char *why)
     finish(s, false);
 }
 
-/* An unusual curve looks like an exposure that is not obeyed. */
-static const char *advice(const struct session *s, int i, enum bracket_reason r)
+static err_t faulted(struct session *s)
 {
-    const struct take_camera *c = &s->cam[i].about;
-    bool known = c->has_crf || thin_kind(&c->info).linear;
-    return r == BRACKET_INEFFECTIVE && !known
-               ? "; unless its response curve is an unusual one, which hdrig calibrate --camera "
-                 "URI measures"
-               : "";
+    int i = 0;
+    enum bracket_reason r = bracket_reason(s->machine, &i);
+    if (!s->cancelled)
+        session_trouble_sentence(s, i, r);
+    if (!s->cancelled && session_trouble_is_light(s, r))
+        return session_trouble_begin(s);
+    finish(s, false);
+    return OK;
+}
+
+/* While the light is looked at: again, if it is the reason. */
+static err_t follow_trouble(struct session *s, int64_t now)
+{
+    enum session_outcome what = SESSION_STEADY;
+    err_t e = s->cancelled || s->lost ? OK : session_trouble_end(s, &what);
+    if (!e && what == SESSION_FLICKERS)
+        return start_plans(s, now);
+    if (e || what == SESSION_STEADY)
+        finish(s, false);
+    return OK;
 }
 
 /* Where the machine has come to. */
 static err_t follow(struct session *s, int64_t now)
 {
     struct bracket_progress p;
-    err_t e = OK;
-    while (s->phase != PHASE_NONE && !e && !shooting(s)) {
+    err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now) : OK;
+    while (s->phase != PHASE_NONE && s->phase != PHASE_TROUBLE && !e && !shooting(s)) {
         bracket_progress(s->machine, &p);
         s->frames_used += p.frames;
         s->rejected += p.rejected;
         if (bracket_state(s->machine) == BRACKET_DONE)
             e = advance(s, now);
-        else {
-            int i = 0;
-            enum bracket_reason r = bracket_reason(s->machine, &i);
-            if (!s->cancelled)
-                snprintf(s->reason, sizeof s->reason, "camera %d: %s%s", i + 1, bracket_sentence(r),
-                         advice(s, i, r));
-            finish(s, false);
-        }
+        else
+            e = faulted(s);
     }
     if (e && s->phase != PHASE_NONE) {
         fail(s, err_text());
@@ -606,6 +580,7 @@ static err_t follow(struct session *s, int64_t now)
 static err_t start_plans(struct session *s, int64_t now)
 {
     bool metered = schedule_is_metered(&s->order);
+    s->reason[0] = 0;
     for (int i = 0; i < s->n; i++)
         roll_cut(&s->cam[i].roll, 0);
     err_t e = begin_meters(s);
@@ -630,12 +605,12 @@ static err_t check_order(const struct session *s, const struct session_order *o)
 
 err_t session_begin(struct session *s, const struct session_order *o)
 {
-    int64_t now = now_of_all(s);
+    int64_t now = session_now(s);
     err_t e = check_order(s, o);
     if (e)
         return e;
     s->order = *o;
-    s->cancelled = s->relit = s->again = false;
+    s->cancelled = s->relit = s->again = s->tried = false;
     s->reason[0] = s->note[0] = 0;
     s->frames_used = s->rejected = 0;
     s->trigger = clocks_at(o->trigger_ns ? o->trigger_ns : now);
@@ -647,7 +622,7 @@ err_t session_begin(struct session *s, const struct session_order *o)
 
 void session_cancel(struct session *s, const char *reason)
 {
-    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = now_of_all(s)};
+    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = session_now(s)};
     if (s->phase == PHASE_NONE)
         return;
     s->cancelled = true;
@@ -674,9 +649,12 @@ static void describe(struct session *s, struct take *t)
         snprintf(s->reason, sizeof s->reason, "cameras were %.3g s apart, bracket.skew_ms is %.3g",
                  t->skew_s, s->order.skew_s * 1e3);
     }
+    bool flickers = false;
+    for (int i = 0; i < t->n; i++)
+        flickers = flickers || t->frame[i].evidence.proof == BRACKET_UNVERIFIED_FLICKER;
     if (t->status == TAKE_COMPLETE && take_unverified(t))
-        snprintf(s->reason, sizeof s->reason,
-                 "too dark or too bright to prove every exposure by its pixels");
+        snprintf(s->reason, sizeof s->reason, "%s to prove every exposure by its pixels",
+                 flickers ? "the light flickers too much" : "too dark or too bright");
     bool both = s->reason[0] && s->note[0];
     snprintf(t->reason, sizeof t->reason, "%.180s%s%.70s", s->reason, both ? "; " : "", s->note);
 }
@@ -760,7 +738,7 @@ void session_view(const struct session *s, int camera, struct session_view *out)
 int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *deadline_ns)
 {
     int n = 0;
-    *deadline_ns = bracket_deadline(s->machine);
+    *deadline_ns = s->phase == PHASE_TROUBLE ? s->until_ns : bracket_deadline(s->machine);
     for (int i = 0; i < s->n; i++) {
         const struct cam *c = &s->cam[i];
         if (c->open && n < cap)
@@ -774,14 +752,14 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 err_t session_step(struct session *s)
 {
     // only what had not come by now is late: looking at the others takes time
-    int64_t now = now_of_all(s);
+    int64_t now = session_now(s);
     struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
         e = drain(s, i);
     if (!e && now >= bracket_deadline(s->machine))
         e = tell(s, &tick, NULL);
-    now = now_of_all(s);
+    now = session_now(s);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());
         e = OK;

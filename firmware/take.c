@@ -44,7 +44,7 @@ double take_skew_s(const struct take *t)
 bool take_unverified(const struct take *t)
 {
     for (int k = 0; k < t->n; k++)
-        if (t->frame[k].evidence.proof >= BRACKET_UNVERIFIED_DARK)
+        if (t->frame[k].evidence.proof >= BRACKET_UNVERIFIED)
             return true;
     return false;
 }

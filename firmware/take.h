@@ -25,6 +25,7 @@ struct take_camera {
     struct camera_info info;
     bool has_crf;
     struct crf crf;
+    struct flicker_light light; // as far as it was measured
 };
 
 enum take_status { TAKE_COMPLETE, TAKE_ABORTED };

@@ -1,8 +1,8 @@
-/* Sums of rows of the short frames, over those of the long ones, are c (1 + depth m sin(phase +
- * 2 pi hz t)) with m = sinc(hz time) and t in the middle of the row's exposure. For both
- * frequencies and for readouts from 0 to a whole period c, and the two amplitudes of sine and
- * cosine follow by least squares; the fit that explains most counts, if it explains enough: noise,
- * passers-by and disobeyed exposures have no frequency. */
+/* Sums of rows of the short frames, over those of the long ones and the ratio of times, are
+ * 1 + depth m sin(phase + 2 pi hz t) with m = sinc(hz time) and t in the middle of the row's
+ * exposure. For both frequencies and for readouts from 0 to a whole period the amplitudes of sine
+ * and cosine follow by least squares; the fit that explains most counts, if it explains enough and
+ * is no more than all of the light: noise, passers-by and disobeyed exposures are not like that. */
 #include "core/expo/flicker.h"
 
 #include <math.h>
@@ -14,12 +14,14 @@ enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
 
 #define DARKEST 8.0f     // of the floor, in a long frame: a short one still sees it
 #define BRIGHTEST 0.7f   // of saturation
-#define EXPLAINED 0.6    // share of the variance
+#define EXPLAINED 0.8    // share of the squares
 #define LEAST_DEPTH 0.02 // what is less is within any tolerance
-#define DEPTH_MAX 0.95
+#define DEPTH_MOST 1.05  // with errors
+#define DEPTH_MAX 0.95   // logarithms are finite
 
-void flicker_add_long(struct flicker *f, const struct witness *w)
+void flicker_add_long(struct flicker *f, const struct witness *w, double time_s)
 {
+    f->long_s = time_s;
     for (int i = 0; i < WITNESS_PLACES; i++) {
         if (f->n_long == 0) {
             f->counts[i] = w->state[i] == WITNESS_GOOD && w->x[i] >= DARKEST * w->floor[i] &&
@@ -31,7 +33,7 @@ void flicker_add_long(struct flicker *f, const struct witness *w)
     f->n_long++;
 }
 
-void flicker_add_short(struct flicker *f, const struct witness *w, double start_s)
+void flicker_add_short(struct flicker *f, const struct witness *w, double start_s, double time_s)
 {
     if (f->n_short == FLICKER_FRAMES)
         return;
@@ -39,6 +41,7 @@ void flicker_add_short(struct flicker *f, const struct witness *w, double start_
     memset(row, 0, sizeof f->row[0]);
     for (int i = 0; i < WITNESS_PLACES; i++)
         row[i / WITNESS_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
+    f->time_s[f->n_short] = time_s;
     f->start_s[f->n_short++] = start_s;
 }
 
@@ -47,44 +50,36 @@ static double sinc(double x)
     return fabs(x) < 1e-9 ? 1.0 : sin(PI * x) / (PI * x);
 }
 
-/* Normal equations of 1, sine and cosine. */
+/* Normal equations of sine and cosine. */
 struct fit {
-    double n, s[2], ss[3], y, ys[2], yy;
+    double n, uu, uv, vv, yu, yv, yy;
 };
 
-static void add(struct fit *t, double y, double angle)
+static void add(struct fit *t, double y, double angle, double m)
 {
-    double u = sin(angle), v = cos(angle);
+    double u = m * sin(angle), v = m * cos(angle);
     t->n += 1.0;
-    t->s[0] += u;
-    t->s[1] += v;
-    t->ss[0] += u * u;
-    t->ss[1] += u * v;
-    t->ss[2] += v * v;
-    t->y += y;
-    t->ys[0] += y * u;
-    t->ys[1] += y * v;
+    t->uu += u * u;
+    t->uv += u * v;
+    t->vv += v * v;
+    t->yu += y * u;
+    t->yv += y * v;
     t->yy += y * y;
 }
 
-/* Share of the variance that is explained; amplitude over the mean. */
+/* Share of the squares that is explained. */
 static double solve(const struct fit *t, double *amplitude)
 {
-    double a = t->ss[0] - t->s[0] * t->s[0] / t->n, b = t->ss[1] - t->s[0] * t->s[1] / t->n;
-    double c = t->ss[2] - t->s[1] * t->s[1] / t->n;
-    double p = t->ys[0] - t->y * t->s[0] / t->n, q = t->ys[1] - t->y * t->s[1] / t->n;
-    double var = t->yy - t->y * t->y / t->n, det = a * c - b * b;
+    double det = t->uu * t->vv - t->uv * t->uv;
     *amplitude = 0.0;
-    if (!(det > 1e-4 * t->n * t->n) || !(var > 0.0))
+    if (!(det > 1e-4 * t->n * t->n) || !(t->yy > 0.0))
         return 0.0; // all of one phase
-    double u = (c * p - b * q) / det, v = (a * q - b * p) / det;
-    double mean = (t->y - u * t->s[0] - v * t->s[1]) / t->n;
-    *amplitude = mean > 0.0 ? hypot(u, v) / mean : 0.0;
-    return (u * p + v * q) / var;
+    double u = (t->vv * t->yu - t->uv * t->yv) / det, v = (t->uu * t->yv - t->uv * t->yu) / det;
+    *amplitude = hypot(u, v);
+    return (u * t->yu + v * t->yv) / t->yy;
 }
 
-static double explained(const struct flicker *f, double hz, double readout_s, double time_s,
-                        double *amplitude)
+static double explained(const struct flicker *f, double hz, double readout_s, double *amplitude)
 {
     struct fit t = {0};
     for (int k = 0; k < f->n_short; k++)
@@ -92,27 +87,26 @@ static double explained(const struct flicker *f, double hz, double readout_s, do
             if (f->places[j] < ROW_PLACES)
                 continue;
             double at = f->start_s[k] - f->start_s[0] + readout_s * j / WITNESS_EDGE;
-            add(&t, f->row[k][j] / f->even[j] * f->n_long, 2.0 * PI * hz * (at + 0.5 * time_s));
+            double time = f->time_s[k], m = sinc(hz * time);
+            double even = f->even[j] / f->n_long * time / f->long_s;
+            add(&t, f->row[k][j] / even - 1.0, 2.0 * PI * hz * (at + 0.5 * time), m);
         }
     *amplitude = 0.0;
     return t.n < FIGURES_MIN ? 0.0 : solve(&t, amplitude);
 }
 
-void flicker_find(const struct flicker *f, double time_s, double period_s,
-                  struct flicker_light *out)
+void flicker_find(const struct flicker *f, double period_s, struct flicker_light *out)
 {
     static const double frequency[] = {100.0, 120.0};
     double best = EXPLAINED;
     *out = (struct flicker_light){0};
     for (int i = 0; i < 2 && f->n_long > 0; i++)
         for (int r = 0; r <= READOUTS; r++) {
-            double amplitude;
-            double share = explained(f, frequency[i], period_s * r / READOUTS, time_s, &amplitude);
-            double depth = fmin(amplitude / fabs(sinc(frequency[i] * time_s)), DEPTH_MAX);
-            if (share <= best || !(depth >= LEAST_DEPTH))
+            double depth, share = explained(f, frequency[i], period_s * r / READOUTS, &depth);
+            if (share <= best || !(depth >= LEAST_DEPTH && depth <= DEPTH_MOST))
                 continue;
             best = share;
-            *out = (struct flicker_light){frequency[i], depth};
+            *out = (struct flicker_light){frequency[i], fmin(depth, DEPTH_MAX)};
         }
 }
 

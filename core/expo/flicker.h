@@ -14,25 +14,27 @@ struct flicker {
     int n_long, n_short;
     double even[WITNESS_EDGE];                // sums of rows over the long frames
     double row[FLICKER_FRAMES][WITNESS_EDGE]; // of each short one
-    double start_s[FLICKER_FRAMES];
+    double start_s[FLICKER_FRAMES], time_s[FLICKER_FRAMES];
     int places[WITNESS_EDGE]; // that count
+    double long_s;            // the longer exposure
     bool counts[WITNESS_PLACES];
 };
 
 /* A frame of the longer exposure, some of them first. */
-void flicker_add_long(struct flicker *f, const struct witness *w);
+void flicker_add_long(struct flicker *f, const struct witness *w, double time_s);
 
-/* A frame of the shorter one, at most FLICKER_FRAMES. start_s: of the exposure of its first row. */
-void flicker_add_short(struct flicker *f, const struct witness *w, double start_s);
+/* A frame of a shorter one, at most FLICKER_FRAMES. start_s: when the exposure of its first row
+ * began. Several exposures tell more: lamp and frames may be in step, so that all frames of one
+ * exposure see the same. */
+void flicker_add_short(struct flicker *f, const struct witness *w, double start_s, double time_s);
 
 struct flicker_light {
     double hz;    // 100 or 120; 0: it is steady, or nothing can be said
     double depth; // 0..1: the light is mean (1 + depth sin(2 pi hz t))
 };
 
-/* What fits best. time_s: the shorter exposure; period_s: of frames: none takes longer to read. */
-void flicker_find(const struct flicker *f, double time_s, double period_s,
-                  struct flicker_light *out);
+/* What fits best. period_s: of frames: none takes longer to read. */
+void flicker_find(const struct flicker *f, double period_s, struct flicker_light *out);
 
 /* By how much an exposure may look brighter or darker than steady light makes it, stops. */
 double flicker_stops(const struct flicker_light *l, double time_s);

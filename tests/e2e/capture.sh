@@ -202,7 +202,7 @@ at_least "seconds left after Ctrl-C" \
 # ---- a rig of four, as the reconstruction reads it
 rig=()
 for view in 0 1 2 3; do
-    rig+=(--camera "sim:kind=room,seed=5,size=112,samples=1,clock=virtual,fps=50,views=4,view=$view")
+    rig+=(--camera "sim:$FAST,seed=5,samples=1,views=4,view=$view")
 done
 succeed capture "${rig[@]}" --bracket -4,0,4 --middle 0.004 --out "$TAKES/rig"
 [ "$(ls "$TAKES/rig/images" | wc -l)" -eq 12 ] || fail "rig: not twelve pictures"

@@ -329,7 +329,7 @@ static void compare(struct trial *t, struct tally *out)
             continue;
         double e = log2(c->truth[i] / (c->recorded[i].time_s * c->recorded[i].gain)) - factor;
         out->kept++;
-        if (v->proof >= BRACKET_UNVERIFIED_DARK) {
+        if (v->proof >= BRACKET_UNVERIFIED) {
             out->unverified++;
             out->wrong_unverified += !t->common && !(fabs(e) <= TOLERANCE);
             continue;

@@ -156,7 +156,7 @@ static void check_frames(const struct trial *t, const struct take *k, struct tal
         struct rig_truth truth = rig_truth(0, f);
         double off = truth.found ? log2(take_exposure_s(f) / truth.exposure_s) : INFINITY;
         out->kept++;
-        if (f->evidence.proof >= BRACKET_UNVERIFIED_DARK) {
+        if (f->evidence.proof >= BRACKET_UNVERIFIED) {
             out->unverified++;
             continue;
         }

@@ -37,10 +37,10 @@ static err_t open_rig(int n, const char *options)
 {
     struct session_config c = {.n = n};
     for (int i = 0; i < n; i++) {
-        snprintf(
-            uri[i], sizeof uri[i],
-            "sim:kind=room,seed=5,size=56,samples=1,fps=100,views=4,view=%d,truth=%s/truth%d%s%s",
-            i, tmpdir_root, i, *options ? "," : "", options);
+        snprintf(uri[i], sizeof uri[i],
+                 "sim:kind=room,seed=5,size=56,samples=1%s,views=4,view=%d,truth=%s/truth%d%s%s",
+                 strstr(options, "fps=") ? "" : ",fps=100", i, tmpdir_root, i, *options ? "," : "",
+                 options);
         c.uri[i] = uri[i];
     }
     return session_open(&c, &s);
@@ -231,6 +231,68 @@ static void lies_are_not_believed(void **state)
     take_free(t);
 }
 
+/* Half of the light comes and goes with the mains, also in step with the frames. */
+static void lamps_that_flicker(void **state)
+{
+    static const struct {
+        const char *options;
+        double hz;
+    } rigs[] = {{"fps=30,hz=100", 100}, {"fps=25,hz=100", 100}, {"fps=30,hz=120,line=20", 120}};
+    (void)state;
+    for (int k = 0; k < 6; k++) {
+        char options[128];
+        struct session_order o = {.mode = SESSION_AUTO, .verify = true};
+        if (k % 2)
+            o = (struct session_order){
+                .mode = SESSION_LIST, .n = 3, .ev = {-4, 0, 4}, .middle_s = 0.004};
+        snprintf(options, sizeof options, VIRTUAL ",flicker=0.5,%s", rigs[k / 2].options);
+        assert_int_equal(open_rig(1, options), OK);
+        struct take *t = run_take(&o);
+        if (t->status != TAKE_COMPLETE)
+            fail_msg("%s: %s", options, t->reason);
+        const struct flicker_light *l = &t->camera[0].light;
+        print_message("%s: %.0f Hz, %.2f\n", options, l->hz, l->depth);
+        assert_true(k > 3 || l->hz > 0); // then it may not have mattered
+        assert_true(l->hz == 0 || (l->hz == rigs[k / 2].hz && fabs(l->depth - 0.5) < 0.15));
+        check_labels(t);
+        for (int i = 0; i < t->n; i++) { // in whole periods where the light allows
+            double periods = take_exposure_s(&t->frame[i]) * rigs[k / 2].hz;
+            bool proven = t->frame[i].evidence.proof < BRACKET_UNVERIFIED;
+            assert_true(periods < 0.8 || fabs(periods - floor(periods + 0.5)) < 0.05 || l->hz == 0);
+            assert_true(!proven || periods > 0.8 || l->hz == 0);
+        }
+        take_free(t);
+        session_close(s);
+        s = NULL;
+    }
+}
+
+/* Each trouble has its own sentence. */
+static void the_reason_is_said(void **state)
+{
+    static const struct {
+        const char *options, *says;
+    } troubles[] = {
+        {"faults=at frame 0 ignore 0", "pictures do not show it"},
+        {"faults=at frame 13 lose 0.7;at frame 18 ignore 0", "this machine is too slow"},
+        {"flicker=0.5,fps=30,faults=at frame 120 ignore 0", "flickers at 100 Hz"},
+    };
+    (void)state;
+    for (size_t k = 0; k < sizeof troubles / sizeof troubles[0]; k++) {
+        char options[128];
+        struct session_order o = {.mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}};
+        o.middle_s = 0.004;
+        snprintf(options, sizeof options, VIRTUAL ",%s", troubles[k].options);
+        assert_int_equal(open_rig(1, options), OK);
+        struct take *t = run_take(&o);
+        print_message("%s: %s\n", options, t->reason);
+        assert_non_null(strstr(t->reason, troubles[k].says));
+        take_free(t);
+        session_close(s);
+        s = NULL;
+    }
+}
+
 static void what_cannot_be_opened(void **state)
 {
     (void)state;
@@ -256,6 +318,8 @@ int main(void)
         cmocka_unit_test_setup_teardown(lost_in_the_middle_and_found_again, set_up, tear_down),
         cmocka_unit_test_setup_teardown(cancelled, set_up, tear_down),
         cmocka_unit_test_setup_teardown(lies_are_not_believed, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(lamps_that_flicker, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(the_reason_is_said, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_cannot_be_opened, set_up, tear_down),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
