@@ -300,11 +300,16 @@ err_t gpio_read(const struct device_sys *sys, int fd, const struct gpio_ask *ask
 bool gpio_count_edge(struct gpio_count *c, const struct gpio_ask *ask, const struct gpio_edge *edge,
                      struct trigger_event *out)
 {
-    c->lost += edge->seqno - c->seqno - 1;
+    uint32_t lost = edge->seqno - c->seqno - 1;
+    bool down = edge->rising == (ask->rising != 0);
+    int64_t since_ns = lost ? 0 : c->down_ns;
+    c->lost += lost;
     c->seqno = edge->seqno;
-    if (edge->rising != (ask->rising != 0))
+    c->down_ns = down ? edge->time_ns : 0;
+    if (c->lengths ? down || !since_ns : !down)
         return false;
-    *out = (struct trigger_event){edge->time_ns, ++c->count, c->lost};
+    *out = (struct trigger_event){edge->time_ns, ++c->count, c->lost,
+                                  c->lengths ? edge->time_ns - since_ns : 0};
     c->lost = 0;
     return true;
 }

@@ -69,6 +69,8 @@ MUST_USE err_t gpio_fail_line(const struct gpio_ask *ask, uint32_t n_lines);
 /* Edges that count, and what the kernel lost before them. Begin with zeros. */
 struct gpio_count {
     uint32_t seqno, count, lost;
+    bool lengths;    // presses count when they end (trigger.h)
+    int64_t down_ns; // begin of the present press; 0: none, or not known
 };
 
 /* True: this edge is a trigger, *out is filled in. */

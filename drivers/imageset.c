@@ -19,6 +19,7 @@ void imageset_free(struct imageset *set)
     for (int i = 0; i < set->capture.n; i++)
         img_free(&set->capture.shots[i].image);
     free(set->capture.shots);
+    free(set->part);
     memset(set, 0, sizeof *set);
 }
 
@@ -610,7 +611,7 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
 
 /* ---- all together ---- */
 
-err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
+static err_t list_folder(const struct imageset_request *rq, struct imageset *out)
 {
     memset(out, 0, sizeof *out);
     bool released = false;
@@ -637,12 +638,120 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
     return e;
 }
 
+/* ---- several folders ---- */
+
+/* Last part of a path, without slashes behind it. */
+static err_t folder_name(const char *path, char out[NAME_CAP])
+{
+    size_t n = strlen(path);
+    while (n > 1 && path[n - 1] == '/')
+        n--;
+    const char *slash = memrchr(path, '/', n), *from = slash ? slash + 1 : path;
+    return name_copy(path, from, n - (size_t)(from - path), out);
+}
+
+static err_t check_folder(const char *images)
+{
+    char dir[FILE_PATH_CAP], path[FILE_PATH_CAP];
+    bool found;
+    err_t e = find_pictures(images, dir);
+    if (!e)
+        e = find_companion(dir, "exposure.json", &found, path);
+    if (!e && !found)
+        e = err_fail(ERR_ARG, "%s: has no exposure.json, which each of several folders needs",
+                     images);
+    return e;
+}
+
+/* The shots of one more folder, with its name before theirs. */
+static err_t append(const char *images, const struct imageset *one, struct imageset *all)
+{
+    char folder[NAME_CAP], name[2 * NAME_CAP];
+    struct capture *c = &all->capture;
+    struct imageset_part *part = &all->part[all->n_parts];
+    err_t e = folder_name(images, folder);
+    memcpy(part->dir, one->dir, sizeof part->dir);
+    part->first = c->n;
+    part->skip = strlen(folder) + 1;
+    for (int i = 0; i < one->capture.n && !e; i++) {
+        if (c->n == CAMERAS_MAX)
+            return err_fail(ERR_FORMAT, "%s: more than %d pictures with those before", images,
+                            CAMERAS_MAX);
+        struct shot *s = &c->shots[c->n++];
+        *s = one->capture.shots[i];
+        int n = snprintf(name, sizeof name, "%s_%s", folder, one->capture.shots[i].name);
+        e = name_copy(images, name, (size_t)n, s->name);
+        if (!e && (s->image.w != c->shots[0].image.w || s->image.h != c->shots[0].image.h))
+            e = err_fail(ERR_FORMAT, "%s has %d x %d px but %s has %d x %d", c->shots[0].name,
+                         c->shots[0].image.w, c->shots[0].image.h, s->name, s->image.w, s->image.h);
+    }
+    for (int i = 0; i < part->first && !e; i++)
+        for (int k = part->first; k < c->n && !e; k++)
+            if (strcmp(c->shots[i].name, c->shots[k].name) == 0)
+                e = err_fail(ERR_ARG, "%s: another folder has its name and a picture %s", images,
+                             c->shots[k].name + part->skip);
+    all->n_parts++;
+    return e;
+}
+
+static err_t add_folder(const struct imageset_request *rq, struct imageset *all)
+{
+    struct imageset one;
+    err_t e = check_folder(rq->images);
+    if (!e)
+        e = list_folder(rq, &one);
+    if (e)
+        return e;
+    e = append(rq->images, &one, all);
+    if (!all->dir[0])
+        memcpy(all->dir, one.dir, sizeof all->dir);
+    for (int i = 0; i < one.n_notes && all->n_notes < IMAGESET_NOTES; i++)
+        memcpy(all->notes[all->n_notes++], one.notes[i], sizeof one.notes[i]);
+    imageset_free(&one);
+    return e;
+}
+
+static err_t list_folders(const struct imageset_request *rq, struct imageset *out)
+{
+    struct imageset_request each = *rq;
+    size_t n = 1;
+    memset(out, 0, sizeof *out);
+    if (rq->rig || rq->exposures || rq->n_views || rq->exposure_set)
+        return err_fail(ERR_ARG, "a rig, a file of exposures and a choice of pictures go with one "
+                                 "folder, not with several");
+    while (rq->more[n - 1])
+        n++;
+    each.no_cameras = true;
+    out->part = calloc(n, sizeof *out->part);
+    out->capture.shots = calloc(CAMERAS_MAX, sizeof *out->capture.shots);
+    err_t e = out->part && out->capture.shots
+                  ? OK
+                  : err_fail(ERR_NOMEM, "%s: no memory for the list of pictures", rq->images);
+    for (size_t i = 0; i < n && !e; i++) {
+        each.images = i ? rq->more[i - 1] : rq->images;
+        e = add_folder(&each, out);
+    }
+    if (e)
+        imageset_free(out);
+    return e;
+}
+
+err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
+{
+    return rq->more && rq->more[0] ? list_folders(rq, out) : list_folder(rq, out);
+}
+
 err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
 {
     const struct shot *s = &set->capture.shots[i];
+    const char *dir = set->dir, *name = s->name;
     char path[FILE_PATH_CAP];
     memset(out, 0, sizeof *out);
-    err_t e = file_join(set->dir, s->name, path);
+    for (int k = 0; k < set->n_parts && set->part[k].first <= i; k++) {
+        dir = set->part[k].dir;
+        name = s->name + set->part[k].skip;
+    }
+    err_t e = file_join(dir, name, path);
     if (!e)
         e = img_read(path, out);
     if (e || (out->w == s->image.w && out->h == s->image.h))

@@ -14,6 +14,10 @@
  * middle, the shortest and the longest of that view (t3, t1, t5 of five: the paper's set,
  * interleaved), and of the views n_views that are evenly spread. exposure_set limits this choice to
  * some of the times that the folder's pictures have, sorted; protocol.json is not read then.
+ *
+ * Several folders (`more`) are places of one scene, like the takes of one session: each has its
+ * exposure.json, in one unit for all, and cameras are not read. The name of a shot then is that of
+ * its folder and its own, FOLDER_NAME.
  * thread: any. */
 #ifndef DRIVERS_IMAGESET_H
 #define DRIVERS_IMAGESET_H
@@ -26,6 +30,7 @@ enum imageset_which { IMAGESET_TRAIN, IMAGESET_TEST, IMAGESET_ALL };
 
 struct imageset_request {
     const char *images;        // folder
+    const char *const *more;   // further folders and a NULL; NULL: none
     const char *exposures;     // file, NULL = exposure.json or EXIF
     const char *rig;           // COLMAP folder or cameras.json, NULL = sparse/0 if it is there
     enum imageset_which which; // of the released layout
@@ -39,8 +44,16 @@ struct imageset_request {
 
 enum { IMAGESET_NOTES = 4 };
 
+struct imageset_part {
+    char dir[FILE_PATH_CAP];
+    int first;   // its shots begin here
+    size_t skip; // bytes of a shot's name before that of its file
+};
+
 struct imageset {
-    char dir[FILE_PATH_CAP]; // of the pictures
+    char dir[FILE_PATH_CAP];    // of the pictures, the first of several
+    int n_parts;                // 0: one folder
+    struct imageset_part *part; // malloc'd
     struct capture capture;  // shots malloc'd; image.px is NULL until imageset_load
     int n_notes;
     char notes[IMAGESET_NOTES][240]; // sentences: what there looks like a picture and is not read
@@ -52,8 +65,8 @@ struct imageset {
  * of different sizes, a rig that lacks a view or has another aspect (cameras_find), a protocol that
  * names a missing file.
  * own:  imageset_free.
- * err:  ERR_ARG (request, too few views), ERR_IO, ERR_FORMAT (also: above CAMERAS_MAX pictures),
- *       ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
+ * err:  ERR_ARG (request, too few views, two folders of one name), ERR_IO, ERR_FORMAT (also: above
+ *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t imageset_list(const struct imageset_request *request, struct imageset *out);
 
 /* Pixels of shot i; the set itself stays without.

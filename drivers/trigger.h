@@ -25,6 +25,7 @@ struct trigger_event {
     uint32_t count;  // of events of this device, from 1 on
     uint32_t lost;   // before this one, as far as the kernel says: edges of either direction,
                      // gaps in a key's events, expiries of a timer
+    int64_t held_ns; // how long it was down, after `lengths`; else 0
 };
 
 struct trigger_ops {
@@ -37,6 +38,10 @@ struct trigger_ops {
     MUST_USE err_t (*open)(void *st, const char *uri);
     void (*close)(void *st);
     int (*fd)(const void *st); // readable when next has something to say. Constant.
+
+    /* From now on the event of a press comes when it ends, with its length. A press of which
+     * something was lost is none then: nobody knows how long it was. NULL: it has no length. */
+    void (*lengths)(void *st);
 
     /* err:  ERR_AGAIN (none), ERR_IO (one read failed), ERR_LOST (device gone: close) */
     MUST_USE err_t (*next)(void *st, struct trigger_event *out);

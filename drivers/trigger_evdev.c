@@ -1,6 +1,6 @@
-/* A key of a keyboard, a foot switch, a remote control: EV_KEY with value 1. Repeats (2) and
- * releases (0) are passed over. After SYN_DROPPED, which says that the kernel's queue ran over,
- * nothing counts up to the next report.
+/* A key of a keyboard, a foot switch, a remote control: EV_KEY with value 1, or, where lengths are
+ * asked for, the 0 of the key that went down last. Repeats (2) are passed over. After SYN_DROPPED,
+ * which says that the kernel's queue ran over, nothing counts up to the next report.
  * Source: Linux Documentation/input/event-codes.rst. */
 #include "drivers/trigger.h"
 
@@ -22,8 +22,10 @@ struct state {
     char path[256];
     int64_t key; // -1: any
     int fd;
-    bool dropped;
+    bool dropped, lengths;
     uint32_t count, lost;
+    int down;        // code of the key that went down last; 0: it is up again
+    int64_t down_ns; // when
 };
 
 static const struct uri_key keys[] = {
@@ -108,17 +110,34 @@ static int key_fd(const void *st)
     return ((const struct state *)st)->fd;
 }
 
-/* True: this event is a trigger. */
-static bool judge(struct state *s, const struct input_event *ev)
+/* True: this event is a trigger; *held_ns: see trigger.h. */
+static bool is_trigger(struct state *s, const struct input_event *ev, int64_t at, int64_t *held_ns)
 {
+    *held_ns = 0;
     if (ev->type == EV_SYN && ev->code == SYN_DROPPED) {
         s->dropped = true;
+        s->down = 0;
         s->lost++;
     } else if (ev->type == EV_SYN && ev->code == SYN_REPORT) {
         s->dropped = false;
     }
-    return !s->dropped && ev->type == EV_KEY && ev->value == 1 &&
-           (s->key < 0 || ev->code == s->key);
+    if (s->dropped || ev->type != EV_KEY || (s->key >= 0 && ev->code != s->key))
+        return false;
+    if (ev->value == 1) {
+        s->down = ev->code;
+        s->down_ns = at;
+        return !s->lengths;
+    }
+    if (ev->value != 0 || ev->code != s->down || !s->lengths)
+        return false;
+    s->down = 0;
+    *held_ns = at - s->down_ns;
+    return true;
+}
+
+static void key_lengths(void *st)
+{
+    ((struct state *)st)->lengths = true;
 }
 
 static err_t key_next(void *st, struct trigger_event *out)
@@ -135,10 +154,11 @@ static err_t key_next(void *st, struct trigger_event *out)
             return n == 0 ? fail(s, ENODEV)
                           : err_fail(ERR_IO, "%s: an event of %zd bytes, not %zu", s->path, n,
                                      sizeof ev);
-        if (!judge(s, &ev))
+        int64_t held_ns,
+            at = (int64_t)ev.input_event_sec * 1000000000 + (int64_t)ev.input_event_usec * 1000;
+        if (!is_trigger(s, &ev, at, &held_ns))
             continue;
-        int64_t at = (int64_t)ev.input_event_sec * 1000000000 + (int64_t)ev.input_event_usec * 1000;
-        *out = (struct trigger_event){at, ++s->count, s->lost};
+        *out = (struct trigger_event){at, ++s->count, s->lost, held_ns};
         s->lost = 0;
         return OK;
     }
@@ -150,4 +170,5 @@ const struct trigger_ops trigger_evdev = {.name = "evdev",
                                           .open = key_open,
                                           .close = key_close,
                                           .fd = key_fd,
+                                          .lengths = key_lengths,
                                           .next = key_next};

@@ -39,6 +39,11 @@ static int button_fd(const void *st)
     return ((const struct state *)st)->fd;
 }
 
+static void button_lengths(void *st)
+{
+    ((struct state *)st)->count.lengths = true;
+}
+
 static err_t button_next(void *st, struct trigger_event *out)
 {
     struct state *s = st;
@@ -58,4 +63,5 @@ const struct trigger_ops trigger_gpio = {.name = "gpio",
                                          .open = button_open,
                                          .close = button_close,
                                          .fd = button_fd,
+                                         .lengths = button_lengths,
                                          .next = button_next};

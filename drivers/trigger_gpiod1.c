@@ -89,6 +89,11 @@ static int64_t stamp(const struct timespec *t)
     return ns_of(t) > ns_of(&now) + 1000000000 ? ns_of(&now) : ns_of(t);
 }
 
+static void button_lengths(void *st)
+{
+    ((struct state *)st)->count.lengths = true;
+}
+
 static err_t button_next(void *st, struct trigger_event *out)
 {
     struct state *s = st;
@@ -111,6 +116,7 @@ const struct trigger_ops trigger_gpiod = {.name = "gpiod",
                                           .open = button_open,
                                           .close = button_close,
                                           .fd = button_fd,
+                                          .lengths = button_lengths,
                                           .next = button_next};
 
 #endif

@@ -127,6 +127,11 @@ static int button_fd(const void *st)
     return gpiod_line_request_get_fd(((const struct state *)st)->line);
 }
 
+static void button_lengths(void *st)
+{
+    ((struct state *)st)->count.lengths = true;
+}
+
 static err_t button_next(void *st, struct trigger_event *out)
 {
     struct state *s = st;
@@ -149,6 +154,7 @@ const struct trigger_ops trigger_gpiod = {.name = "gpiod",
                                           .open = button_open,
                                           .close = button_close,
                                           .fd = button_fd,
+                                          .lengths = button_lengths,
                                           .next = button_next};
 
 #endif

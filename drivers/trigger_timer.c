@@ -73,7 +73,7 @@ static err_t timer_next(void *st, struct trigger_event *out)
         return errno == EAGAIN || errno == EINTR ? ERR_AGAIN
                                                  : err_fail(ERR_IO, "timer: %s", strerror(errno));
     int64_t at = s->next_ns + (int64_t)(n - 1) * s->period_ns;
-    *out = (struct trigger_event){at, ++s->count, (uint32_t)(n - 1)};
+    *out = (struct trigger_event){at, ++s->count, (uint32_t)(n - 1), 0};
     s->next_ns = at + s->period_ns;
     return OK;
 }

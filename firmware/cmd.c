@@ -351,6 +351,9 @@ int cmd_ask(const char *name, const struct config *cfg, const char *line)
     const char *id = json_string(json_member(doc, "id"));
     if (!e && id)
         printf("%s/%s\n", cfg->store_path, id);
+    const char *session = json_string(json_member(json_member(doc, "session"), "line"));
+    if (!e && session) // stdout is the take's
+        fprintf(id ? stderr : stdout, "%s\n", session);
     json_free(doc);
     return cmd_finish(name, e);
 }

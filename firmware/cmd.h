@@ -16,7 +16,7 @@
 
 enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUPTED = 130 };
 
-enum { CMD_TEXTS_MAX = 16, CMD_COUNT_CAP = 32 };
+enum { CMD_TEXTS_MAX = 64, CMD_COUNT_CAP = 32 };
 
 /* One option of a command line. Exactly one of key, text and flag says where it goes. */
 struct cmd_option {
@@ -147,7 +147,8 @@ MUST_USE err_t cmd_json_close(struct cmd_json *j);
 /* Nothing appears. */
 void cmd_json_discard(struct cmd_json *j);
 
-/* Send a line to the daemon (ctl.h); prints the take that it names. Returns an exit code. */
+/* Send a line to the daemon (ctl.h); prints the take that it names, and how the session stands.
+ * Returns an exit code. */
 int cmd_ask(const char *name, const struct config *cfg, const char *line);
 
 /* The commands: argv[0] is the command's name; they return an exit code. */
@@ -160,6 +161,7 @@ int cmd_convert_scene_run(int argc, char **argv);
 int cmd_simulate_run(int argc, char **argv);
 int cmd_capture_run(int argc, char **argv);
 int cmd_status_run(int argc, char **argv);
+int cmd_session_run(int argc, char **argv);
 int cmd_cancel_run(int argc, char **argv);
 int cmd_calibrate_run(int argc, char **argv);
 int cmd_selftest_run(int argc, char **argv);

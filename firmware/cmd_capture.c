@@ -57,10 +57,12 @@ static err_t open_cameras(const struct request *q, struct session **out)
                                .format = (enum camera_format)q->cfg.camera_format,
                                .calibration = q->cfg.calibration_path,
                                .memory = (size_t)config_memory_mb(&q->cfg) * 1000000};
-    while (s.n < CMD_TEXTS_MAX && q->camera[s.n]) {
+    while (s.n < BRACKET_CAMERAS_MAX && q->camera[s.n]) {
         s.uri[s.n] = q->camera[s.n];
         s.n++;
     }
+    if (q->camera[s.n])
+        return err_fail(ERR_ARG, "--camera: more than %d", BRACKET_CAMERAS_MAX);
     return session_open(&s, out);
 }
 

@@ -15,6 +15,7 @@
 #include <string.h>
 
 struct request {
+    const char *images[CMD_TEXTS_MAX + 1]; // and a NULL
     struct imageset_request set;
     struct cmd_model model;
     const char *out, *json, *dump, *dump_exposures;
@@ -170,8 +171,11 @@ static err_t reconstruct(struct request *rq, struct state *st)
 {
     const struct run *r = &st->engine.run;
     struct job_config job;
-    const char *const inputs[] = {rq->set.images, rq->set.exposures, rq->set.rig, rq->model.path};
+    const char *const inputs[] = {rq->set.exposures, rq->set.rig, rq->model.path};
+    enum { FILES = sizeof inputs / sizeof inputs[0] };
+    _Static_assert(FILES + CMD_TEXTS_MAX <= OUTDIR_INPUTS, "every input is protected");
     memcpy(rq->rules.inputs, inputs, sizeof inputs);
+    memcpy(rq->rules.inputs + FILES, rq->images, CMD_TEXTS_MAX * sizeof rq->images[0]);
     err_t e = prepare(rq, st, &job);
     if (!e)
         e = outdir_open(rq->out, &rq->rules, &st->out);
@@ -198,7 +202,7 @@ static const char *misuse(const struct request *rq)
     float log2t[DUMP_EXPOSURES];
     const char *reason;
     bool network = cmd_has_network(&rq->model, &reason);
-    if (!rq->set.images || !rq->out)
+    if (!rq->images[0] || !rq->out)
         return "--images and --out are needed";
     if (rq->dump && !network)
         return "--dump writes the tensors of a network, give --model FILE";
@@ -212,8 +216,8 @@ int cmd_reconstruct_run(int argc, char **argv)
     static struct state st;
     struct request rq = {0};
     const struct cmd_option options[] = {
-        {"images", "DIR", "photographs, or a data set whose train pictures are used", NULL,
-         &rq.set.images, NULL},
+        {"images", "DIR...", "photographs, or a data set; several: takes of one session", NULL,
+         rq.images, NULL},
         {"out", "DIR", "where the result goes; a former result is replaced", NULL, &rq.out, NULL},
         {"exposures", "FILE", "JSON of file name to exposure; else exposure.json or EXIF", NULL,
          &rq.set.exposures, NULL},
@@ -246,6 +250,8 @@ int cmd_reconstruct_run(int argc, char **argv)
         return code;
     if (misuse(&rq))
         return cmd_misuse(&usage, misuse(&rq));
+    rq.set.images = rq.images[0];
+    rq.set.more = rq.images + 1;
     code = cmd_finish_job(usage.name, reconstruct(&rq, &st), &st.result, rq.strict);
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was told

@@ -6,6 +6,17 @@
 
 #include <string.h>
 
+/* Of a rig that collects places, or while one is open. */
+static void print_session(const struct cJSON *session)
+{
+    double places = 0;
+    bool collects = false;
+    const char *line = json_string(json_member(session, "line"));
+    if (json_truth(json_member(session, "collect"), &collects) && line &&
+        json_number(json_member(session, "places"), &places) && (collects || places > 0))
+        printf("session  %s\n", line);
+}
+
 static void print_status(const struct cJSON *doc)
 {
     const char *state = json_string(json_member(doc, "state"));
@@ -25,6 +36,7 @@ static void print_status(const struct cJSON *doc)
         const char *line = json_string(json_member(job, "line"));
         printf("job      %s: %s\n", id ? id : "?", line ? line : "");
     }
+    print_session(json_member(doc, "session"));
     for (const struct cJSON *t = json_first(takes); t; t = json_next(t)) {
         double frames = 0, warnings = 0;
         const char *id = json_string(json_member(t, "id"));
@@ -33,6 +45,9 @@ static void print_status(const struct cJSON *doc)
             continue;
         printf("capture  %s: %.0f frames%s%s", id ? id : "?", frames, reason && *reason ? ", " : "",
                reason ? reason : "");
+        const char *session = json_string(json_member(t, "session"));
+        if (session)
+            printf(", a place of session %s", session);
         if (json_number(json_member(t, "warnings"), &warnings))
             printf(warnings > 0 ? ", scene with %.0f warning%s" : ", scene", warnings,
                    warnings == 1 ? "" : "s");

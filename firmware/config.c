@@ -69,6 +69,11 @@ static const struct key keys[] = {
     {"trigger.busy", FIELD(trigger_busy), 0, 0, 1, 0, "a press while a capture runs", WORD,
      "reject|queue|coalesce", 0},
     {"trigger.queue", FIELD(trigger_queue), 1, 16, 1, 4, "places of the queue", WHOLE, NULL, 0},
+    {"session.collect", FIELD(session_collect), 0, 0, 1, 0,
+     "1 = captures are places of one scene, 0 = each is a scene, auto = 1 with one camera",
+     WORD, "auto|0|1", 0},
+    {"session.hold_ms", FIELD(session_hold_ms), 500, 60000, 1, 2000,
+     "a button held that long ends the session, ms", WHOLE, NULL, 0},
     {"lamp", FIELD(lamp), 0, 0, 1, 0, "lamp for the eye: gpio:CHIP/LINE", TEXT, "", 0},
     {"bracket.mode", FIELD(bracket_mode), 0, 0, 1, 0,
      "the fewest exposures that cover the scene, or those of bracket.ev", WORD, "auto|list", 0},
@@ -94,7 +99,8 @@ static const struct key keys[] = {
      "/var/lib/hdrig/calibration", 0},
     {"results.path", FIELD(results_path), 0, 0, 1, 0, "folder of the scenes", TEXT,
      "/var/lib/hdrig/results", 0},
-    {"job.run", FIELD(job_run), 0, 1, 1, 1, "1 = reconstruct every capture", WHOLE, NULL, 0},
+    {"job.run", FIELD(job_run), 0, 1, 1, 1,
+     "1 = reconstruct every capture, or every session that has ended", WHOLE, NULL, 0},
     {"control.socket", FIELD(control_socket), 0, 0, 1, 0, "where hdrig asks the daemon", TEXT,
      "/run/hdrig/control", 0},
     {"http.port", FIELD(http_port), 0, 65535, 1, 8080, "of the status page; 0 = none", WHOLE, NULL,
@@ -347,6 +353,13 @@ err_t config_stops(const char *where, const char *text, double *ev, int cap, int
         text += len;
     }
     return OK;
+}
+
+bool config_collects(const struct config *c)
+{
+    bool one = c->camera[0][0] && !c->camera[1][0];
+    return c->session_collect == CONFIG_COLLECT_YES ||
+           (c->session_collect == CONFIG_COLLECT_AUTO && one);
 }
 
 static bool is_loopback(const char *address)

@@ -9,6 +9,7 @@
 
 #include "core/base/err.h"
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdio.h>
 
@@ -20,6 +21,7 @@ enum { CONFIG_FILE_MAX = 16384 }; // bytes
 enum { CONFIG_TEXT = 200, CONFIG_CAMERAS = 16, CONFIG_TRIGGERS = 4, CONFIG_STOPS_MAX = 16 };
 
 enum config_bracket { CONFIG_AUTO, CONFIG_LIST };
+enum config_collect { CONFIG_COLLECT_AUTO, CONFIG_COLLECT_NO, CONFIG_COLLECT_YES };
 enum config_busy { CONFIG_REJECT, CONFIG_QUEUE, CONFIG_COALESCE };
 
 struct config {
@@ -40,6 +42,7 @@ struct config {
     int camera_format;                        // enum camera_format
     char trigger[CONFIG_TRIGGERS][CONFIG_TEXT];
     int trigger_lockout_ms, trigger_busy, trigger_queue; // enum config_busy; places
+    int session_collect, session_hold_ms;                // enum config_collect
     char lamp[CONFIG_TEXT];
     int bracket_mode; // enum config_bracket
     char bracket_ev[CONFIG_TEXT];
@@ -52,6 +55,9 @@ struct config {
     int http_port;
     char http_address[CONFIG_TEXT], http_token[CONFIG_TEXT];
 };
+
+/* Whether captures are collected as places of one scene (firmware/places.h). */
+bool config_collects(const struct config *c);
 
 /* The built-in values, the same as board/common/defaults.conf. */
 void config_defaults(struct config *c);

@@ -1,6 +1,9 @@
 /* ctl.h - the control socket: lines of text in, one line of JSON out for each.
  *   status            what the daemon does
  *   capture [wait]    a take now; with wait the answer comes when it is stored or given up
+ *   session           places of the open session (places.h)
+ *   session end       end it, and reconstruct it
+ *   session scene     reconstruct its places now; it goes on
  *   cancel            end the running take or reconstruction
  * Lines end with a newline, CTL_LINE_MAX bytes at most. Whoever may open the socket may command;
  * its folder says who that is.

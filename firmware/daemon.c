@@ -4,6 +4,7 @@
 #include "firmware/daemon.h"
 
 #include "firmware/backends.h"
+#include "firmware/collect.h"
 #include "firmware/ctl.h"
 #include "firmware/http.h"
 #include "firmware/jobs.h"
@@ -11,13 +12,13 @@
 #include "firmware/session.h"
 #include "firmware/store.h"
 #include "firmware/summary.h"
+#include "firmware/triggers.h"
 #include "firmware/writer.h"
 
 #include "core/base/log.h"
 #include "drivers/file.h"
 #include "drivers/json.h"
 #include "drivers/lamp.h"
-#include "drivers/trigger.h"
 
 #include <errno.h>
 #include <math.h>
@@ -39,17 +40,8 @@ enum {
     STOP_MARGIN_MS = 1500 // beyond the longest exposure
 };
 
-struct source {
-    const struct trigger_ops *ops; // NULL: not set
-    const char *uri;
-    void *st;
-    bool open, told; // told: its absence is in the log
-    int64_t retry_ns;
-};
-
 struct counters {
-    long presses, takes, aborted, locked_out, rejected, queued, coalesced, refused, lost_edges,
-        clock_steps;
+    long presses, takes, aborted, rejected, queued, coalesced, refused, clock_steps;
 };
 
 struct daemon {
@@ -62,10 +54,12 @@ struct daemon {
     struct ctl *ctl;
     struct http *http; // NULL: no page
     struct lamp *lamp; // NULL: none
-    struct source source[CONFIG_TRIGGERS];
+    struct triggers *triggers;
+    struct collect collect;
+    int n_written; // takes that the writer has
     int signals, clock;
     bool stopping;
-    int64_t start_ns, retry_ns, press_ns, pet_ns, pet_every_ns, stop_ns;
+    int64_t start_ns, retry_ns, pet_ns, pet_every_ns, stop_ns;
     int n_waiting; // presses in the queue
     int64_t waiting[16];
     int n_asking; // clients that wait for a take
@@ -145,14 +139,17 @@ static void write_job(const struct daemon *d, FILE *f)
     fprintf(f, ", \"last_warnings\": %d}", j.last_warnings);
 }
 
-static void write_counters(const struct counters *c, FILE *f)
+static void write_counters(const struct daemon *d, FILE *f)
 {
+    const struct counters *c = &d->count;
+    struct triggers_count t;
+    triggers_look(d->triggers, &t);
     fprintf(f,
             "\"counters\": {\"presses\": %ld, \"takes\": %ld, \"aborted\": %ld, "
             "\"locked_out\": %ld, \"rejected\": %ld, \"queued\": %ld, \"coalesced\": %ld, "
             "\"refused\": %ld, \"lost_edges\": %ld, \"clock_steps\": %ld}",
-            c->presses, c->takes, c->aborted, c->locked_out, c->rejected, c->queued, c->coalesced,
-            c->refused, c->lost_edges, c->clock_steps);
+            c->presses + t.locked_out, c->takes, c->aborted, t.locked_out, c->rejected, c->queued,
+            c->coalesced, c->refused, t.lost_edges, c->clock_steps);
 }
 
 static void write_status(void *ctx, FILE *f)
@@ -175,7 +172,10 @@ static void write_status(void *ctx, FILE *f)
     fputs(", ", f);
     write_job(d, f);
     fputs(", ", f);
-    write_counters(&d->count, f);
+    fputs("\"session\": ", f);
+    collect_write(&d->collect, f);
+    fputs(", ", f);
+    write_counters(d, f);
     fputs(", \"captures\": [", f);
     for (int i = 0; i < d->n_recent; i++) {
         if (i)
@@ -249,6 +249,8 @@ static err_t begin(struct daemon *d, int64_t press_ns)
         need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));
     err_t e = store_room(d->store, need);
     if (!e)
+        e = collect_room(&d->collect);
+    if (!e)
         e = session_begin(d->session, &o);
     snprintf(d->trouble, sizeof d->trouble, "%s", e ? err_text() : "");
     if (e) {
@@ -309,15 +311,38 @@ static void begin_waiting(struct daemon *d)
     }
 }
 
+/* A place is handed to the writer when the one before is stored, which tells its session. */
 static void collect(struct daemon *d)
 {
     struct take *t;
-    if (!d->session || session_state(d->session) != SESSION_READY || !writer_free(d->writer))
+    if (!d->session || session_state(d->session) != SESSION_READY || !writer_free(d->writer) ||
+        (d->collect.on && d->n_written > 0))
         return;
     if (session_collect(d->session, &t) != OK)
         return;
-    if (writer_put(d->writer, t) != OK)
+    collect_take(&d->collect, t);
+    if (writer_put(d->writer, t) == OK)
+        d->n_written++;
+    else
         take_free(t);
+}
+
+static void tell_take(struct daemon *d, const char *id)
+{
+    char *json = NULL;
+    size_t n;
+    FILE *f = open_memstream(&json, &n);
+    if (!f)
+        return;
+    fprintf(f, "{\"ok\": true, \"id\": \"%s\"", id);
+    if (d->collect.on) {
+        fputs(", \"session\": ", f);
+        collect_write(&d->collect, f);
+    }
+    fputs("}", f);
+    if (fclose(f) == 0)
+        tell_asking(d, json);
+    free(json);
 }
 
 static void finish_take(struct daemon *d, const struct writer_outcome *o)
@@ -330,18 +355,19 @@ static void finish_take(struct daemon *d, const struct writer_outcome *o)
         d->count.aborted++;
         return;
     }
-    log_info("%s: %d frames%s%s", o->id, o->take->n, o->take->reason[0] ? ", " : "",
-             o->take->reason);
+    bool is_place = complete && o->take->is_place;
+    if (complete && collect_look(&d->collect) != OK)
+        log_warn("%s", err_text());
+    log_info("%s: %d frames%s%s%s%s", o->id, o->take->n, o->take->reason[0] ? ", " : "",
+             o->take->reason, is_place ? ", " : "", is_place ? d->collect.line : "");
     remember(d, o->id);
     d->count.takes += complete;
     d->count.aborted += !complete;
-    char json[128];
-    snprintf(json, sizeof json, "{\"ok\": true, \"id\": \"%s\"}", o->id);
     if (complete)
-        tell_asking(d, json);
+        tell_take(d, o->id);
     else
         tell_error(d, 0, o->take->reason);
-    if (complete && d->jobs && jobs_add(d->jobs, o->id) != OK)
+    if (complete && !is_place && d->jobs && jobs_add(d->jobs, o->id) != OK)
         log_warn("%s", err_text());
 }
 
@@ -349,6 +375,7 @@ static void finish_takes(struct daemon *d)
 {
     struct writer_outcome o;
     while (writer_outcome(d->writer, &o) == OK) {
+        d->n_written--;
         finish_take(d, &o);
         take_free(o.take);
     }
@@ -366,6 +393,19 @@ static void cancel(struct daemon *d)
     d->n_waiting = 0;
 }
 
+static err_t end_session(struct daemon *d)
+{
+    bool idle = !is_busy(d) || session_state(d->session) == SESSION_ARMED;
+    return collect_end(&d->collect, d->n_written > 0 || d->n_waiting > 0 || !idle);
+}
+
+static void on_press(void *ctx, int64_t press_ns, bool is_long)
+{
+    struct daemon *d = ctx;
+    if ((is_long ? end_session(d) : press(d, press_ns)) != OK)
+        log_info("press not answered: %s", err_text());
+}
+
 static err_t run_command(void *ctx, const char *line)
 {
     struct daemon *d = ctx;
@@ -375,78 +415,53 @@ static err_t run_command(void *ctx, const char *line)
         cancel(d);
         return OK;
     }
-    return err_fail(ERR_ARG, "unknown command \"%.40s\": status, capture [wait], cancel", line);
+    if (strcmp(line, "session") == 0)
+        return OK;
+    if (strcmp(line, "session end") == 0)
+        return end_session(d);
+    if (strcmp(line, "session scene") == 0)
+        return collect_scene(&d->collect);
+    return err_fail(ERR_ARG,
+                    "unknown command \"%.40s\": status, capture [wait], session [end|scene], "
+                    "cancel",
+                    line);
+}
+
+static void write_session(void *ctx, FILE *f)
+{
+    const struct daemon *d = ctx;
+    fputs("{\"ok\": true, \"session\": ", f);
+    collect_write(&d->collect, f);
+    fputs("}", f);
+}
+
+static void tell(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f))
+{
+    char *json = NULL;
+    size_t n;
+    FILE *f = open_memstream(&json, &n);
+    if (!f)
+        return;
+    write(d, f);
+    if (fclose(f) == 0)
+        ctl_answer(d->ctl, id, json);
+    free(json);
 }
 
 static void on_line(void *ctx, uint64_t id, const char *line)
 {
     struct daemon *d = ctx;
     bool wait = strcmp(line, "capture wait") == 0;
-    if (strcmp(line, "status") == 0) {
-        char *json = NULL;
-        size_t n;
-        FILE *f = open_memstream(&json, &n);
-        if (f) {
-            write_status(d, f);
-            if (fclose(f) == 0)
-                ctl_answer(d->ctl, id, json);
-        }
-        free(json);
-        return;
-    }
-    if (run_command(d, wait ? "capture" : line) != OK)
+    if (strcmp(line, "status") == 0)
+        tell(d, id, write_status);
+    else if (run_command(d, wait ? "capture" : line) != OK)
         tell_error(d, id, err_text());
+    else if (strncmp(line, "session", 7) == 0)
+        tell(d, id, write_session);
     else if (wait && d->n_asking < CTL_CLIENTS_MAX)
         d->asking[d->n_asking++] = id;
     else
         ctl_answer(d->ctl, id, "{\"ok\": true}");
-}
-
-/* ---- triggers ---- */
-
-/* err: ERR_ARG: no retry will mend it. */
-static err_t open_source(struct source *s, int64_t now)
-{
-    if (!s->ops || s->open || now < s->retry_ns)
-        return OK;
-    s->retry_ns = now + RETRY_S * INT64_C(1000000000);
-    err_t e = s->ops->open(s->st, s->uri);
-    s->open = e == OK;
-    if (e == ERR_ARG)
-        return e;
-    if (e && !s->told)
-        log_warn("trigger %s: %s; trying again", s->uri, err_text());
-    if (!e && s->told)
-        log_info("trigger %s: there again", s->uri);
-    s->told = !s->open;
-    return OK;
-}
-
-static void read_source(struct daemon *d, struct source *s)
-{
-    struct trigger_event ev;
-    err_t e = OK;
-    while (s->open && (e = s->ops->next(s->st, &ev)) == OK) {
-        d->count.lost_edges += ev.lost;
-        if (ev.lost)
-            log_warn("trigger %s: the kernel lost %u edges", s->uri, ev.lost);
-        if (ev.time_ns - d->press_ns < d->set->trigger_lockout_ms * INT64_C(1000000)) {
-            d->count.presses++;
-            d->count.locked_out++;
-            continue;
-        }
-        d->press_ns = ev.time_ns;
-        if (press(d, ev.time_ns) != OK)
-            log_info("press not answered: %s", err_text());
-    }
-    if (e == ERR_IO)
-        log_warn("trigger %s: %s", s->uri, err_text());
-    if (e == ERR_LOST) {
-        log_warn("trigger %s: %s", s->uri, err_text());
-        s->ops->close(s->st);
-        s->open = false;
-        s->told = true;
-    }
 }
 
 /* ---- the loop ---- */
@@ -548,10 +563,7 @@ static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
     fds[n++] = (struct pollfd){.fd = writer_fd(d->writer), .events = POLLIN};
     if (d->http)
         fds[n++] = http_poll(d->http, now, deadline);
-    for (int i = 0; i < CONFIG_TRIGGERS; i++)
-        if (d->source[i].open)
-            fds[n++] =
-                (struct pollfd){.fd = d->source[i].ops->fd(d->source[i].st), .events = POLLIN};
+    n += triggers_poll(d->triggers, fds + n, FDS_MAX - n);
     n += ctl_poll(d->ctl, fds + n, FDS_MAX - n);
     if (d->jobs)
         n += jobs_poll(d->jobs, fds + n, FDS_MAX - n);
@@ -579,10 +591,8 @@ static err_t turn(struct daemon *d)
         e = session_step(d->session);
     if (e)
         return e;
-    for (int i = 0; !e && i < CONFIG_TRIGGERS && !d->stopping; i++) {
-        e = open_source(&d->source[i], now);
-        read_source(d, &d->source[i]);
-    }
+    if (!d->stopping)
+        e = triggers_step(d->triggers, now);
     if (e)
         return e;
     ctl_step(d->ctl);
@@ -591,6 +601,8 @@ static err_t turn(struct daemon *d)
     collect(d);
     finish_takes(d);
     begin_waiting(d);
+    if (d->collect.ending && end_session(d) != OK)
+        log_warn("the session does not end: %s", err_text());
     if (d->jobs && !d->stopping)
         jobs_step(d->jobs);
     show_lamp(d, now);
@@ -641,21 +653,15 @@ static err_t open_signals(struct daemon *d)
     return OK;
 }
 
-static err_t open_sources(struct daemon *d)
+static err_t open_triggers(struct daemon *d)
 {
-    for (int i = 0; i < CONFIG_TRIGGERS; i++) {
-        struct source *s = &d->source[i];
-        s->uri = d->set->trigger[i];
-        if (!*s->uri)
-            continue;
-        err_t e = backends_trigger(s->uri, &s->ops);
-        if (e)
-            return e;
-        s->st = malloc(s->ops->state_bytes);
-        if (!s->st)
-            return err_fail(ERR_NOMEM, "trigger.%d: no memory", i + 1);
-    }
-    return OK;
+    const struct triggers_config t = {.uri = d->set->trigger,
+                                      .lockout_ms = d->set->trigger_lockout_ms,
+                                      .hold_ms = d->collect.on ? d->set->session_hold_ms : 0,
+                                      .find = backends_trigger,
+                                      .press = on_press,
+                                      .ctx = d};
+    return triggers_open(&t, &d->triggers);
 }
 
 static err_t open_store(struct daemon *d)
@@ -695,6 +701,10 @@ static err_t open_all(struct daemon *d)
                                d->cfg->config_path};
     if (!e && c->job_run)
         e = jobs_open(&jobs, &d->jobs);
+    d->collect =
+        (struct collect){.store = c->store_path, .jobs = d->jobs, .on = config_collects(c)};
+    if (!e)
+        e = collect_look(&d->collect);
     if (!e)
         e = ctl_open(c->control_socket, on_line, d, &d->ctl);
     struct http_config http = {.address = c->http_address,
@@ -708,7 +718,7 @@ static err_t open_all(struct daemon *d)
     if (!e && c->http_port)
         e = http_open(&http, &d->http);
     if (!e)
-        e = open_sources(d);
+        e = open_triggers(d);
     if (!e)
         e = open_lamp(d);
     uint64_t us = 0;
@@ -731,22 +741,25 @@ static void tell_start(const struct daemon *d)
             log_info("trigger.%d: %s", i + 1, c->trigger[i]);
     log_info("captures: %s, scenes: %s", c->store_path,
              d->jobs ? c->results_path : "none are made");
+    if (d->collect.on)
+        log_info("session: %s; hdrig session end makes one scene of its places", d->collect.line);
     if (d->http)
         log_info("page: http://%s%s%s:%d", v6 ? "[" : "", c->http_address, v6 ? "]" : "",
                  http_port(d->http));
-    log_info("commands: hdrig capture|status|cancel%s%s, at %s", config ? " --config " : "",
+    log_info("commands: hdrig capture|session|status|cancel%s%s, at %s", config ? " --config " : "",
              config ? config : "", c->control_socket);
 }
 
 static void close_all(struct daemon *d)
 {
+    while (d->n_written > 0) { // a place that waits needs to know the session of those before
+        struct pollfd p = {.fd = writer_fd(d->writer), .events = POLLIN};
+        poll(&p, 1, -1);
+        finish_takes(d);
+    }
     collect(d);
     session_close(d->session);
-    for (int i = 0; i < CONFIG_TRIGGERS; i++) {
-        if (d->source[i].open)
-            d->source[i].ops->close(d->source[i].st);
-        free(d->source[i].st);
-    }
+    triggers_close(d->triggers);
     lamp_close(d->lamp);
     writer_close(d->writer);
     store_close(d->store);
@@ -768,7 +781,6 @@ err_t daemon_run(const struct daemon_config *cfg)
     d->set = cfg->settings;
     d->signals = d->clock = -1;
     d->start_ns = now_ns();
-    d->press_ns = INT64_MIN / 2;
     err_t e = open_all(d);
     if (!e)
         tell_start(d);

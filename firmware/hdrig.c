@@ -12,6 +12,7 @@ static const struct {
 } commands[] = {
     {"capture", "one capture, by the daemon or with cameras of this machine", cmd_capture_run},
     {"status", "what the daemon does", cmd_status_run},
+    {"session", "places so far; ends the session, and they become a scene", cmd_session_run},
     {"cancel", "ends what the daemon does", cmd_cancel_run},
     {"calibrate", "what a camera really does, measured and kept", cmd_calibrate_run},
     {"selftest", "whether a camera does what captures need", cmd_selftest_run},

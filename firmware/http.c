@@ -226,6 +226,19 @@ static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const
     return send_error(c, MHD_HTTP_NOT_FOUND, "no such page");
 }
 
+/* The line of ctl.h for a URL; NULL: it is no command. */
+static const char *command_of(const char *url)
+{
+    static const char *const commands[][2] = {{"/capture", "capture"},
+                                              {"/cancel", "cancel"},
+                                              {"/session/end", "session end"},
+                                              {"/session/scene", "session scene"}};
+    for (size_t i = 0; i < sizeof commands / sizeof commands[0]; i++)
+        if (strcmp(url, commands[i][0]) == 0)
+            return commands[i][1];
+    return NULL;
+}
+
 static enum MHD_Result command(const struct http *h, struct MHD_Connection *c, const char *line)
 {
     static const char ok[] = "{\"ok\": true}\n";
@@ -277,8 +290,8 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
         return login(h, c, q);
     if (h->cfg.token[0] && !has_token(h, c))
         return ask_token(c, method, url);
-    if (post && h->cfg.command && (strcmp(url, "/capture") == 0 || strcmp(url, "/cancel") == 0))
-        return command(h, c, url + 1);
+    if (post && h->cfg.command && command_of(url))
+        return command(h, c, command_of(url));
     if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0)
         return get(h, c, url);
     return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, or POST of a command");

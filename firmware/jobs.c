@@ -2,6 +2,7 @@
 #include "firmware/jobs.h"
 
 #include "firmware/cmd.h"
+#include "firmware/places.h"
 
 #include "core/base/log.h"
 #include "drivers/file.h"
@@ -23,9 +24,15 @@
 
 extern char **environ;
 
-enum { NICE = 10, GRACE_MS = 5000, INTERRUPTED = 130, ARGS_MAX = 12, JOBS_LINE = 512 };
+enum { NICE = 10, GRACE_MS = 5000, INTERRUPTED = 130, JOBS_LINE = 512 };
 
 static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
+
+/* What a child is told. */
+struct order {
+    char in[PLACES_MAX][FILE_PATH_CAP], out[FILE_PATH_CAP];
+    char *argv[2 * PLACES_MAX + 8];
+};
 
 struct jobs {
     char program[FILE_PATH_CAP], captures[FILE_PATH_CAP], results[FILE_PATH_CAP];
@@ -39,6 +46,7 @@ struct jobs {
     char part[JOBS_LINE]; // of a line
     size_t n_part;
     struct jobs_state state;
+    struct order order;
 };
 
 static err_t pending_path(const struct jobs *j, const char *id, char path[FILE_PATH_CAP])
@@ -125,10 +133,21 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
     return OK;
 }
 
+/* It waits from place `from` of the queue on. */
+static bool waits(const struct jobs *j, int from, const char *id)
+{
+    for (int i = from; i < j->n; i++)
+        if (strcmp(j->queue[i], id) == 0)
+            return true;
+    return false;
+}
+
 err_t jobs_add(struct jobs *j, const char *id)
 {
     char path[FILE_PATH_CAP];
     FILE *f;
+    if (waits(j, j->pid != 0, id))
+        return OK;
     if (j->n == JOBS_MAX)
         return err_fail(ERR_LIMIT, "%s: %d reconstructions wait already", id, JOBS_MAX);
     err_t e = pending_path(j, id, path);
@@ -155,7 +174,8 @@ static void say(struct jobs *j, const char *text)
 static void end(struct jobs *j, enum jobs_end how)
 {
     char path[FILE_PATH_CAP];
-    if (is_pending(j, j->queue[0]) && pending_path(j, j->queue[0], path) == OK)
+    if (!waits(j, 1, j->queue[0]) && is_pending(j, j->queue[0]) &&
+        pending_path(j, j->queue[0], path) == OK)
         unlink(path);
     j->state.last = how;
     snprintf(j->state.last_id, sizeof j->state.last_id, "%s", j->queue[0]);
@@ -206,22 +226,44 @@ static err_t spawn(struct jobs *j, char *const argv[], int out)
     return err_fail(ERR_IO, "%s: %s", argv[0], strerror(why));
 }
 
+/* The takes of the session of that name, else the take of that name. */
+static err_t make_order(struct jobs *j)
+{
+    static char images[] = "--images", out[] = "--out", config[] = "--config";
+    static char reconstruct[] = "reconstruct";
+    struct order *o = &j->order;
+    struct places p;
+    char **arg = o->argv;
+    err_t e = places_of(j->captures, j->queue[0], &p);
+    if (!e && p.n == 0)
+        memcpy(p.take[p.n++], j->queue[0], sizeof p.take[0]);
+    *arg++ = j->program;
+    *arg++ = reconstruct;
+    for (int i = 0; i < p.n && !e; i++) {
+        e = file_join(j->captures, p.take[i], o->in[i]);
+        *arg++ = images;
+        *arg++ = o->in[i];
+    }
+    if (!e)
+        e = file_join(j->results, j->queue[0], o->out);
+    *arg++ = out;
+    *arg++ = o->out;
+    *arg++ = j->config[0] ? config : NULL;
+    *arg++ = j->config;
+    *arg = NULL;
+    return e;
+}
+
 static err_t start(struct jobs *j)
 {
-    char in[FILE_PATH_CAP], out[FILE_PATH_CAP];
     int ends[2];
-    err_t e = file_join(j->captures, j->queue[0], in);
-    if (!e)
-        e = file_join(j->results, j->queue[0], out);
+    err_t e = make_order(j);
     if (e)
         return e;
-    char *argv[ARGS_MAX] = {
-        j->program, "reconstruct", "--images", in, "--out", out, j->config[0] ? "--config" : NULL,
-        j->config};
     if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0)
         return err_fail(ERR_IO, "jobs: %s", strerror(errno));
     fcntl(ends[1], F_SETFL, 0); // the child may wait
-    e = spawn(j, argv, ends[1]);
+    e = spawn(j, j->order.argv, ends[1]);
     close(ends[1]);
     if (e) {
         close(ends[0]);

@@ -1,5 +1,6 @@
 /* jobs.h - reconstructions in the background: `hdrig reconstruct` as a child process, one at a
  * time, the oldest take first. A child that crashes or runs out of memory takes nothing with it.
+ * The id of a session stands for all its places (places.h), those there are when it begins.
  * What waits survives the daemon: RESULTS/ID.pending stands until its reconstruction has ended.
  * thread: one. Nothing blocks but jobs_close. */
 #ifndef FIRMWARE_JOBS_H
@@ -42,7 +43,8 @@ MUST_USE err_t jobs_open(const struct jobs_config *cfg, struct jobs **out);
 /* Asks the child to stop, waits 5 s at most, then kills; what waits stays pending. */
 void jobs_close(struct jobs *j);
 
-/* err:  ERR_LIMIT (JOBS_MAX wait), ERR_IO (pending file) */
+/* One that waits already is not added again.
+ * err:  ERR_LIMIT (JOBS_MAX wait), ERR_IO (pending file) */
 MUST_USE err_t jobs_add(struct jobs *j, const char *id);
 
 /* End the running one. */

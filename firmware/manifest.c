@@ -251,6 +251,8 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
     fprintf(f, "{\n  \"format\": \"%s\", \"version\": %d,\n  ", format, VERSION);
     put_text(f, "id", m->id);
     put_text(f, "boot_id", m->boot);
+    if (m->session[0])
+        put_text(f, "session", m->session);
     fprintf(f, "\"counter\": %llu,\n  ", m->counter);
     put_text(f, "status", t->status == TAKE_COMPLETE ? "complete" : "aborted");
     put_text(f, "reason", t->reason);
@@ -279,21 +281,22 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
 
 /* ---- reading ---- */
 
+/* The first `needed` of the n keys are there, each of them once at most, and no other one. */
 static err_t check_keys(const char *what, const struct cJSON *object, const char *const *keys,
-                        int n)
+                        int needed, int n)
 {
     uint64_t seen = 0;
     for (const struct cJSON *m = json_first(object); m; m = json_next(m)) {
         int k = 0;
         while (k < n && strcmp(json_key(m), keys[k]) != 0)
             k++;
-        if (k == n || (seen & 1u << k))
+        if (k == n || (seen & UINT64_C(1) << k))
             return err_fail(ERR_FORMAT, "%s: key \"%.40s\" is %s", what, json_key(m),
                             k == n ? "not known" : "there twice");
-        seen |= 1u << k;
+        seen |= UINT64_C(1) << k;
     }
-    for (int k = 0; k < n; k++)
-        if (!(seen & 1u << k))
+    for (int k = 0; k < needed; k++)
+        if (!(seen & UINT64_C(1) << k))
             return err_fail(ERR_FORMAT, "%s: has no key \"%s\"", what, keys[k]);
     return OK;
 }
@@ -340,7 +343,7 @@ static err_t get_file(const char *what, const struct cJSON *node, struct manifes
     static const char *const keys[] = {"name", "bytes", "sha256"};
     struct manifest_file *f = &out->file[out->n];
     const char *name = json_string(json_member(node, "name"));
-    err_t e = json_is_object(node) ? check_keys(what, node, keys, 3)
+    err_t e = json_is_object(node) ? check_keys(what, node, keys, 3, 3)
                                    : err_fail(ERR_FORMAT, "%s: a file is no object", what);
     if (e)
         return e;
@@ -375,11 +378,12 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
         "format",          "version",    "id",      "boot_id",      "counter",  "status",
         "reason",          "not_merged", "trigger", "clock_synced", "stagger",  "metered",
         "tolerance_stops", "skew_s",     "cameras", "frames_used",  "rejected", "white_red",
-        "white_blue",      "frames",     "files"};
+        "white_blue",      "frames",     "files",   "session"}; // the last only of places
+    const int n_keys = sizeof keys / sizeof keys[0];
     uint64_t version, counter;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: not an object", what);
-    err_t e = check_keys(what, doc, keys, sizeof keys / sizeof keys[0]);
+    err_t e = check_keys(what, doc, keys, n_keys - 1, n_keys);
     if (e)
         return e;
     const char *kind = json_string(json_member(doc, "format"));
@@ -393,6 +397,9 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
         !get_text(doc, "boot_id", "0123456789abcdef-", sizeof out->boot, out->boot) ||
         !get_count(doc, "counter", &counter))
         return err_fail(ERR_FORMAT, "%s: id, boot_id or counter is not one", what);
+    if (json_member(doc, "session") &&
+        !get_text(doc, "session", "0123456789abcdef-", sizeof out->session, out->session))
+        return err_fail(ERR_FORMAT, "%s: session is no id", what);
     out->counter = counter;
     return OK;
 }

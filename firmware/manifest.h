@@ -30,6 +30,7 @@ struct manifest_file {
 /* What is not in struct take. */
 struct manifest {
     char id[MANIFEST_ID_CAP], boot[MANIFEST_BOOT_CAP];
+    char session[MANIFEST_ID_CAP]; // id of the first take of its session; "": no place of one
     unsigned long long counter;
     char not_merged[TAKE_TEXT]; // why there is no merged/ although there should be; ""
     struct develop how;         // of the display pictures; zeroed: none were developed
@@ -55,7 +56,7 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t);
 
 /* Read back from n bytes of text; `what` begins the sentence. Known keys, each once; files lie in
  * images/, raw/, merged/ or beside, no name twice.
- * out:  id, boot, counter and files.
+ * out:  id, boot, session, counter and files.
  * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t manifest_parse(const char *what, const char *text, size_t n, struct manifest *out);
 

@@ -17,7 +17,7 @@
 
 #define OUTDIR_REPORT "report.json"
 
-enum { OUTDIR_INPUTS = 6 };
+enum { OUTDIR_INPUTS = 72 };
 
 /* What may be replaced. */
 struct outdir_rules {

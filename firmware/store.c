@@ -7,6 +7,7 @@
 #include "firmware/store.h"
 
 #include "firmware/manifest.h"
+#include "firmware/places.h"
 #include "firmware/store_fs.h"
 #include "firmware/store_media.h"
 
@@ -118,9 +119,14 @@ static bool comes_before(const struct entry *a, const struct entry *b)
 
 int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap)
 {
+    return store_list_in(s->path, ids, cap);
+}
+
+int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
+{
     struct entry x, other;
     int n = 0;
-    DIR *d = opendir(s->path);
+    DIR *d = opendir(path);
     while (d && next_entry(d, &x)) {
         int at = n;
         for (; at > 0; at--) {
@@ -290,7 +296,8 @@ static bool is_tmp_name(const char *name)
 {
     const size_t n = sizeof tmp_prefix - 1;
     return strncmp(name, tmp_prefix, n) == 0 &&
-           (strcmp(name + n, counter_name) == 0 || store_is_id(name + n));
+           (strcmp(name + n, counter_name) == 0 || strcmp(name + n, PLACES_ENDED) == 0 ||
+            store_is_id(name + n));
 }
 
 /* What a crash left. Not before the disk, too, knows it by these names: what it calls a take must
@@ -474,19 +481,23 @@ static err_t check_removable(struct store *s, const char *id)
     return e;
 }
 
-/* A take to which somebody added something is not removed, which is said when it is first met. */
+/* A take to which somebody added something is not removed, which is said when it is first met; nor
+ * are the places of the session that the newest take belongs to. */
 static void keep_newest(struct store *s, bool is_aborted)
 {
     struct entry x, than = {0};
+    char session[MANIFEST_ID_CAP];
     err_t e = OK;
+    memcpy(session, s->manifest.session, sizeof session);
     int surplus = s->cfg.keep > 0 ? oldest(s, is_aborted, &than, &x) - s->cfg.keep : 0;
     for (; surplus > 0 && !e; surplus--, than = x) {
         oldest(s, is_aborted, &than, &x);
-        if (check_removable(s, x.id) == OK)
+        if (check_removable(s, x.id) != OK) {
+            if (x.number > s->kept)
+                log_warn("%s; this take stays beyond store.keep", err_text());
+            s->kept = x.number > s->kept ? x.number : s->kept;
+        } else if (!session[0] || strcmp(s->manifest.session, session) != 0) {
             e = remove_take(s, x.id);
-        else if (x.number > s->kept) {
-            log_warn("%s; this take stays beyond store.keep", err_text());
-            s->kept = x.number;
         }
     }
     if (e)
@@ -693,8 +704,10 @@ static err_t write_take(struct commit *c)
     err_t e = store_fs_mkdir(c->s->fs, c->tmp);
     if (!e)
         e = each_folder(c, merge, store_fs_mkdir);
-    if (!e && t->status == TAKE_COMPLETE)
-        e = store_media_balance(t, &c->s->manifest.how);
+    if (!e && t->status == TAKE_COMPLETE) {
+        c->s->manifest.how = t->balance;
+        e = t->balance.red > 0.0f ? OK : store_media_balance(t, &c->s->manifest.how);
+    }
     for (int i = 0; i < t->n && !e; i++)
         e = put_frame(c, &t->frame[i]);
     if (!e && t->status == TAKE_COMPLETE)
@@ -740,6 +753,9 @@ static err_t name_take(struct commit *c)
     s->manifest.counter = s->next - 1;
     snprintf(s->manifest.id, sizeof s->manifest.id, "%s%.*s-%06" PRIu64,
              c->t->status == TAKE_COMPLETE ? "" : aborted, BOOT_DIGITS, s->boot, s->next - 1);
+    if (c->t->is_place && c->t->status == TAKE_COMPLETE)
+        snprintf(s->manifest.session, sizeof s->manifest.session, "%s",
+                 c->t->session[0] ? c->t->session : s->manifest.id);
     snprintf(name, sizeof name, "%s%s", tmp_prefix, s->manifest.id);
     err_t e = file_join(s->path, s->manifest.id, c->path);
     return e ? e : file_join(s->path, name, c->tmp);

@@ -9,6 +9,7 @@
  *                                   not there if that failed, which the manifest and the log say
  *     manifest.json                 everything known, sizes and SHA-256 of all files; written last
  *   STORE/aborted-BOOT8-NNNNNN/     the same for takes that were given up: raw/ and manifest only
+ *   STORE/session-ended           the session that was ended last (places.h)
  *   STORE/damaged-.../              takes that store_open found to differ from their manifest
  *
  * Written as .tmp-..., every file synced, then renamed with RENAME_NOREPLACE and the parent synced.
@@ -20,14 +21,14 @@
 
 #include "firmware/take.h"
 
-enum { STORE_ID_CAP = 32 };
+enum { STORE_ID_CAP = TAKE_ID_CAP };
 
 struct store_config {
     const char *path;
     uint64_t reserve; // bytes of the file system that stay free
     bool merge;       // write merged/
     int keep;         // takes; the oldest complete ones beyond that are removed, and as many
-                      // aborted ones are kept; 0: all
+                      // aborted ones are kept; those of the newest session stay; 0: all
 };
 
 struct store;
@@ -59,6 +60,9 @@ MUST_USE err_t store_commit(struct store *s, const struct take *t, char id[STORE
 
 /* Names of takes, aborted ones too, newest first; returns their number, at most cap. */
 int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap);
+
+/* The same for the folder of a store. thread: any, other processes too. */
+int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap);
 
 /* Whether a take may have that name. */
 bool store_is_id(const char *name);

@@ -9,6 +9,12 @@
 #include <string.h>
 #include <sys/stat.h>
 
+/* Folder of its scene. */
+static const char *scene_of(const struct summary *s)
+{
+    return s->session[0] ? s->session : s->id;
+}
+
 static void copy(char *out, size_t cap, const char *text)
 {
     snprintf(out, cap, "%s", text ? text : "");
@@ -50,7 +56,9 @@ err_t summary_read(const char *store, const char *id, struct summary *out)
         return e;
     const struct cJSON *cameras = json_member(doc, "cameras");
     const char *status = json_string(json_member(doc, "status"));
+    const char *session = json_string(json_member(doc, "session"));
     copy(out->id, sizeof out->id, id);
+    copy(out->session, sizeof out->session, session && store_is_id(session) ? session : "");
     copy(out->reason, sizeof out->reason, json_string(json_member(doc, "reason")));
     out->complete = status && strcmp(status, "complete") == 0;
     out->cameras = json_count(cameras);
@@ -68,7 +76,7 @@ int summary_warnings(const char *results, struct summary *s)
     char dir[FILE_PATH_CAP], path[FILE_PATH_CAP];
     struct stat st;
     struct cJSON *doc = NULL;
-    if (file_join(results, s->id, dir) != OK || file_join(dir, "report.json", path) != OK ||
+    if (file_join(results, scene_of(s), dir) != OK || file_join(dir, "report.json", path) != OK ||
         stat(path, &st) != 0)
         return -1;
     int64_t ns = (int64_t)st.st_mtim.tv_sec * 1000000000 + st.st_mtim.tv_nsec;
@@ -87,6 +95,8 @@ void summary_write(const struct summary *s, int warnings, FILE *out)
     fprintf(out, ", \"complete\": %s, \"frames\": %d, \"cameras\": %d, \"result\": %s",
             s->complete ? "true" : "false", s->frames, s->cameras,
             warnings >= 0 ? "true" : "false");
+    if (s->session[0])
+        fprintf(out, ", \"session\": \"%s\"", s->session);
     if (warnings >= 0)
         fprintf(out, ", \"warnings\": %d", warnings);
     if (s->stops > 0)

@@ -6,9 +6,14 @@
 #include "firmware/bracket.h"
 #include "firmware/clocks.h"
 
+#include "core/expo/develop.h"
 #include "core/expo/meter.h"
 
-enum { TAKE_FRAMES_MAX = BRACKET_CAMERAS_MAX * BRACKET_EXPOSURES_MAX, TAKE_TEXT = 256 };
+enum {
+    TAKE_FRAMES_MAX = BRACKET_CAMERAS_MAX * BRACKET_EXPOSURES_MAX,
+    TAKE_TEXT = 256,
+    TAKE_ID_CAP = 32
+};
 
 struct take_frame {
     int camera, index; // of the plan
@@ -43,6 +48,9 @@ struct take {
     double tolerance;                               // stops, the worst of the cameras
     double skew_s;                                  // largest between exposures of the same index
     int frames_used, rejected;
+    bool is_place;             // of a session, which becomes one scene (places.h)
+    char session[TAKE_ID_CAP]; // of a place: id of the session's first take, "" if this is it
+    struct develop balance;    // of the session's display pictures; zeroed: measured
 };
 
 /* The exposure that is recorded for a frame, and as time x gain, s. */

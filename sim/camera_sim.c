@@ -1,6 +1,7 @@
-/* The view is rendered once, at open, in linear radiance; every frame is that radiance through the
- * sensor at the frame's true exposure, with noise by the frame's number.
- * The unit is what makes a sensor and its curve: seed, view, family and parameter of the curve. */
+/* The view is rendered at open, and again where the file of `at` names another one: the camera has
+ * moved. Every frame is that linear radiance through the sensor at the frame's true exposure, with
+ * noise by the frame's number. The unit is what makes a sensor and its curve: seed, view at open,
+ * family and parameter of the curve. */
 #include "sim/camera_sim.h"
 
 #include "sim/render.h"
@@ -14,12 +15,14 @@ struct options {
     int64_t seed, views, view, size, samples, shadow;
     double spread, fov, param, full_us, well, flicker, hz, line_us;
     int kind, free_hand, format, curve;
+    char at[URI_TEXT];
 };
 
 struct state {
     struct feed feed; // first: see sim/feed.h
     struct sensor sensor;
     struct curve curve;
+    struct options opt;
     int size;
     uint64_t seed;
     float *radiance; // (3, size, size)
@@ -32,6 +35,7 @@ static const struct uri_key keys[] = {
     {"kind", AT(kind), URI_WORD, 0, 0, "any|" WORLD_WORDS},
     {"views", AT(views), URI_WHOLE, 1, 64, NULL},
     {"view", AT(view), URI_WHOLE, 0, 63, NULL},
+    {"at", AT(at), URI_STRING, 0, 0, NULL}, // file with the number of the view that is seen now
     {"spread", AT(spread), URI_REAL, 0, 1, NULL},
     {"fov", AT(fov), URI_REAL, 20, 120, NULL},
     {"freehand", AT(free_hand), URI_WORD, 0, 0, "no|yes"},
@@ -62,56 +66,7 @@ static const struct options defaults = {
     .hz = 100.0,
 };
 
-/* ---- a frame ---- */
-
-static float limit_balance(double v)
-{
-    return (float)fmin(fmax(v, 0.01), 1.0); // as sensor_check asks
-}
-
-/* Raw numbers of a camera that multiplies even those. */
-static void multiply(struct state *s, const struct feed_shot *f)
-{
-    const double factor[3] = {f->red * f->digital, f->digital, f->blue * f->digital};
-    const int black = s->sensor.black, top = (1 << s->sensor.bits) - 1;
-    for (int i = 0; i < s->size * s->size; i++) {
-        int y = i / s->size, x = i % s->size, c = y % 2 + x % 2; // of RGGB
-        c = s->sensor.cfa == SENSOR_BGGR ? 2 - c : c;
-        double v = black + factor[c] * (s->raw[i] - black);
-        s->raw[i] = (uint16_t)fmin(fmax(v + 0.5, 0.0), top);
-    }
-}
-
-static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
-{
-    struct state *s = ctx;
-    struct sensor_shot shot = {.exposure_s = f->exposure.time_s,
-                               .gain = (float)fmin(fmax(f->exposure.gain, 1.0), 1e3),
-                               .start_s = f->start_s,
-                               .seed = s->seed,
-                               .frame = (uint64_t)f->number};
-    struct image radiance = {s->size, s->size, 3, s->radiance};
-    struct sensor_raw raw = {s->size, s->size, s->raw};
-    struct sensor dim = s->sensor, shown = s->sensor;
-    struct run r = {0};
-    if (f->exposure.gain < 1.0) // drift below what the amplifier knows
-        dim.gain *= (float)f->exposure.gain;
-    err_t e = sensor_expose(&r, &dim, &shot, &radiance, &raw);
-    if (e)
-        return e;
-    if (s->sensor.cfa != SENSOR_RGB) {
-        if (f->red != 1.0 || f->digital != 1.0)
-            multiply(s, f);
-        memcpy(px, s->raw, sizeof *s->raw * (size_t)s->size * (size_t)s->size);
-        return OK;
-    }
-    const double factor[3] = {f->red, 1.0, f->blue};
-    for (int c = 0; c < 3; c++)
-        shown.balance[c] = limit_balance(shown.balance[c] / (factor[c] * f->digital));
-    return sensor_develop(&r, &shown, &shot, &s->curve, &raw, px);
-}
-
-/* ---- open and close ---- */
+/* ---- what is seen ---- */
 
 static err_t render_in(const struct run *r, const struct options *o, struct state *s)
 {
@@ -152,8 +107,80 @@ static err_t render(const struct options *o, struct state *s)
     return e;
 }
 
+/* Where the camera stands now. A file that is just being written says nothing. */
+static err_t move(struct state *s)
+{
+    char text[16];
+    FILE *f = s->opt.at[0] ? fopen(s->opt.at, "r") : NULL;
+    if (!f)
+        return OK;
+    size_t n = fread(text, 1, sizeof text - 1, f);
+    fclose(f);
+    text[n] = 0;
+    long view = strtol(text, NULL, 10);
+    if (n == 0 || text[n - 1] != '\n' || view < 0 || view >= s->opt.views || view == s->opt.view)
+        return OK;
+    s->opt.view = view;
+    return render(&s->opt, s);
+}
+
+/* ---- a frame ---- */
+
+static float limit_balance(double v)
+{
+    return (float)fmin(fmax(v, 0.01), 1.0); // as sensor_check asks
+}
+
+/* Raw numbers of a camera that multiplies even those. */
+static void multiply(struct state *s, const struct feed_shot *f)
+{
+    const double factor[3] = {f->red * f->digital, f->digital, f->blue * f->digital};
+    const int black = s->sensor.black, top = (1 << s->sensor.bits) - 1;
+    for (int i = 0; i < s->size * s->size; i++) {
+        int y = i / s->size, x = i % s->size, c = y % 2 + x % 2; // of RGGB
+        c = s->sensor.cfa == SENSOR_BGGR ? 2 - c : c;
+        double v = black + factor[c] * (s->raw[i] - black);
+        s->raw[i] = (uint16_t)fmin(fmax(v + 0.5, 0.0), top);
+    }
+}
+
+static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
+{
+    struct state *s = ctx;
+    struct sensor_shot shot = {.exposure_s = f->exposure.time_s,
+                               .gain = (float)fmin(fmax(f->exposure.gain, 1.0), 1e3),
+                               .start_s = f->start_s,
+                               .seed = s->seed,
+                               .frame = (uint64_t)f->number};
+    struct image radiance = {s->size, s->size, 3, s->radiance};
+    struct sensor_raw raw = {s->size, s->size, s->raw};
+    struct sensor dim = s->sensor, shown = s->sensor;
+    struct run r = {0};
+    err_t e = move(s);
+    if (e)
+        return e;
+    if (f->exposure.gain < 1.0) // drift below what the amplifier knows
+        dim.gain *= (float)f->exposure.gain;
+    e = sensor_expose(&r, &dim, &shot, &radiance, &raw);
+    if (e)
+        return e;
+    if (s->sensor.cfa != SENSOR_RGB) {
+        if (f->red != 1.0 || f->digital != 1.0)
+            multiply(s, f);
+        memcpy(px, s->raw, sizeof *s->raw * (size_t)s->size * (size_t)s->size);
+        return OK;
+    }
+    const double factor[3] = {f->red, 1.0, f->blue};
+    for (int c = 0; c < 3; c++)
+        shown.balance[c] = limit_balance(shown.balance[c] / (factor[c] * f->digital));
+    return sensor_develop(&r, &shown, &shot, &s->curve, &raw, px);
+}
+
+/* ---- open and close ---- */
+
 static void prepare(const struct options *o, struct state *s)
 {
+    s->opt = *o;
     s->size = (int)o->size;
     s->seed = (uint64_t)o->seed;
     s->sensor = sensor_default;

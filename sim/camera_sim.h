@@ -1,6 +1,8 @@
 /* camera_sim.h - the camera `sim:KEY=VALUE,...`: photographs a procedural world. The same URI gives
- * the same frames; opening renders the view once, which takes a second or so.
+ * the same frames; opening renders the view, which takes a second or so.
  *
+ *   at=FILE                                          file with the view that is seen now, a line:
+ *                                                    the camera moves when it changes
  *   seed=N kind=any|room|yard|dark|plain|mirror      the world
  *   views=N view=I spread=X fov=DEG freehand=no|yes  one of the rig's N places, I from 0
  *   size=PX samples=N shadow=N                       square pictures; quality of the rendering

@@ -52,6 +52,7 @@ function captureCard(c) {
   if (c.clipped !== undefined)
     card.append(element("p", `clipped in all ${percent(c.clipped)}, dark in all ${percent(c.dark)}`,
       "small"));
+  if (c.session) card.append(element("p", `a place of session ${c.session}`, "small"));
   if (c.reason) card.append(element("p", c.reason, "small"));
   const links = element("p", undefined, "small");
   const link = (text, href) => {
@@ -61,12 +62,12 @@ function captureCard(c) {
   };
   link("manifest", `/captures/${c.id}/manifest.json`);
   if (c.result) {
-    link("scene", `/results/${c.id}/view.html`);
-    link("report", `/results/${c.id}/report.html`);
-    link("scene.ply", `/results/${c.id}/scene.ply`);
+    link("scene", `/results/${c.session || c.id}/view.html`);
+    link("report", `/results/${c.session || c.id}/report.html`);
+    link("scene.ply", `/results/${c.session || c.id}/scene.ply`);
     if (c.warnings) {
       const n = element("a", `${c.warnings} warning${c.warnings === 1 ? "" : "s"}`, "warnings");
-      n.href = `/results/${c.id}/report.html`;
+      n.href = `/results/${c.session || c.id}/report.html`;
       links.append(n);
     }
   }
@@ -90,6 +91,9 @@ function show(s) {
   const busy = s.state === "metering" || s.state === "shooting" || s.state === "ready";
   byId("capture").disabled = s.state !== "armed";
   byId("cancel").hidden = !busy && !s.job.running;
+  byId("session").hidden = !s.session.collect && !s.session.places;
+  byId("places").textContent = s.session.line;
+  byId("session-scene").disabled = byId("session-end").disabled = !s.session.places;
   byId("progress").hidden = !busy;
   byId("progress").value = s.progress.wanted ? s.progress.kept / s.progress.wanted : 0;
   byId("cameras").replaceChildren(...s.cameras.map(cameraCard));
@@ -134,5 +138,7 @@ async function post(path) {
 
 byId("capture").addEventListener("click", () => post("/capture"));
 byId("cancel").addEventListener("click", () => post("/cancel"));
+byId("session-end").addEventListener("click", () => post("/session/end"));
+byId("session-scene").addEventListener("click", () => post("/session/scene"));
 refresh();
 setInterval(refresh, 1000);

@@ -102,7 +102,7 @@ start
 wait_for armed
 for words in "camera.1: $(camera 0)" "captures: $OUT/store, scenes: none are made" \
     "page: http://127.0.0.1:$PORT" \
-    "commands: hdrig capture|status|cancel --config $OUT/hdrig.conf, at $SOCKET"; do
+    "commands: hdrig capture|session|status|cancel --config $OUT/hdrig.conf, at $SOCKET"; do
     grep -qF "$words" "$LOG" || fail "hdrigd does not say what it serves: $words"
 done
 take=$(ask capture 2>"$ERR") || fail "capture: $(cat "$ERR")"
@@ -201,7 +201,7 @@ ask capture >/dev/null 2>"$ERR" || fail "after replugging: $(cat "$ERR")"
 stop 3
 
 # reconstructed in the background
-settings "job.run = 1" "size = 56" "refine.steps = 0"
+settings "job.run = 1" "session.collect = 0" "size = 56" "refine.steps = 0"
 start
 wait_for armed
 take=$(ask capture 2>"$ERR")

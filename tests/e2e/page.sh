@@ -32,7 +32,20 @@ wait_for "document.querySelector('#captures img').complete" true
 [ "$(value "document.querySelector('#captures a').textContent")" = manifest ] || fail "no link"
 [ "$(value "document.getElementById('message').textContent")" = "" ] ||
     fail "the page complains: $(value "document.getElementById('message').textContent")"
+
+# a rig of one camera collects places
+text="document.getElementById('places').textContent"
+wait_for "$text" "1 place so far"
+[ "$(value "/a place of session/.test(document.querySelector('#captures .card').textContent)")" = \
+    true ] || fail "the capture's card does not tell its session"
+[ "$(value "document.getElementById('session').hidden")" = false ] || fail "the session is hidden"
 screenshot "$OUT/page.png"
+value "document.getElementById('session-scene').click()" >/dev/null
+wait_for "document.getElementById('message').textContent" \
+    "1 place so far, a scene needs at least 2"
+value "document.getElementById('session-end').click()" >/dev/null
+wait_for "$text" "ended with 1 place: no scene, which needs at least 2"
+wait_for "document.getElementById('session-end').disabled" true
 
 # a scene with warnings says so
 take=$(basename "$(find "$OUT/store" -maxdepth 1 -name '*-000001')")

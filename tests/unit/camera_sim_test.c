@@ -2,6 +2,8 @@
  * pixels. */
 #include "sim/camera_sim.h"
 
+#include "tests/unit/tmpdir.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -94,6 +96,44 @@ static double ratio(const struct event *a, const struct event *b, int c)
         }
     assert_true(x > 1000.0);
     return y / x;
+}
+
+static bool same_picture(const struct event *a, const struct event *b)
+{
+    double sum = 0.0;
+    for (int i = 0; i < 3 * PX; i++)
+        sum += abs(a->px[i] - b->px[i]);
+    return sum < 3.0 * PX * 3.0; // noise
+}
+
+/* The file says where the camera stands; what is no view of the rig says nothing. */
+static void test_moves(void **state)
+{
+    char text[400], path[200];
+    (void)state;
+    tmpdir_make();
+    snprintf(path, sizeof path, "%s", tmpdir_path("at"));
+    snprintf(text, sizeof text, "clock=virtual,views=3,spread=1,first=8000,at=%s", path);
+    void *st = open_sim(text);
+    take(st, &ev[0]);
+    tmpdir_text("at", "2\n");
+    take(st, &ev[1]);
+    tmpdir_text("at", "0\n");
+    take(st, &ev[2]);
+    tmpdir_text("at", "3\n");
+    take(st, &ev[3]);
+    tmpdir_text("at", "2"); // not written to its end
+    take(st, &ev[4]);
+    assert_false(same_picture(&ev[0], &ev[1]));
+    for (int i = 2; i < 5; i++)
+        assert_true(same_picture(&ev[0], &ev[i]));
+    close_sim(st);
+    snprintf(text, sizeof text, "clock=virtual,views=3,view=2,spread=1,first=8000");
+    st = open_sim(text);
+    take(st, &ev[5]);
+    assert_true(same_picture(&ev[1], &ev[5]));
+    close_sim(st);
+    tmpdir_remove();
 }
 
 /* Twice the time, twice the number, to a linear curve. */
@@ -209,7 +249,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_light),        cmocka_unit_test(test_same_uri_same_frames),
         cmocka_unit_test(test_mosaic),       cmocka_unit_test(test_drifts),
-        cmocka_unit_test(test_refused_uris),
+        cmocka_unit_test(test_refused_uris), cmocka_unit_test(test_moves),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

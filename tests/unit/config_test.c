@@ -184,6 +184,24 @@ static void printed_settings_read_back(void **state)
     fclose(full);
 }
 
+/* One camera is carried from place to place, several stand around the scene. */
+static void one_camera_collects(void **state)
+{
+    (void)state;
+    struct config c;
+    config_defaults(&c);
+    assert_false(config_collects(&c)); // no rig
+    assert_int_equal(config_assign(&c, "camera.1=sim:seed=1"), OK);
+    assert_true(config_collects(&c));
+    assert_int_equal(config_assign(&c, "session.collect=0"), OK);
+    assert_false(config_collects(&c));
+    assert_int_equal(config_assign(&c, "session.collect=auto"), OK);
+    assert_int_equal(config_assign(&c, "camera.2=sim:seed=2"), OK);
+    assert_false(config_collects(&c));
+    assert_int_equal(config_assign(&c, "session.collect=1"), OK);
+    assert_true(config_collects(&c));
+}
+
 static void words_texts_and_numbered_keys(void **state)
 {
     (void)state;
@@ -240,6 +258,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(shipped_file_equals_the_table),
         cmocka_unit_test(words_texts_and_numbered_keys),
+        cmocka_unit_test(one_camera_collects),
         cmocka_unit_test(contradictions_name_both_keys),
         cmocka_unit_test(later_values_win),
         cmocka_unit_test(sentences_name_file_line_and_bound),

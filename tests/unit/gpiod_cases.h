@@ -136,6 +136,8 @@ static void test_no_memory(void **state)
     assert_true(i > 1);
 }
 
+static bool lib_lengths; // lib_run asks for them
+
 /* Events that come from those edges. */
 static inline int lib_run(const char *uri, const struct gpiod_case_edge *edges, int n,
                           struct trigger_event *out)
@@ -146,6 +148,8 @@ static inline int lib_run(const char *uri, const struct gpiod_case_edge *edges, 
     lib.edge = edges;
     lib.n_edges = n;
     assert_int_equal(lib_open(uri, &st), OK);
+    if (lib_lengths)
+        trigger_gpiod.lengths(st);
     err_t e;
     while ((e = trigger_gpiod.next(st, &out[got])) == OK)
         got++;

@@ -201,6 +201,11 @@ static void commands_need_the_header(void **state)
     assert_int_equal(ask("GET", "/capture", "X-Hdrig: 1\r\n"), 404);
     assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
     assert_string_equal(commanded, "capture");
+    assert_int_equal(ask("POST", "/session/end", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
+    assert_string_equal(commanded, "session end");
+    assert_int_equal(ask("POST", "/session/scene", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
+    assert_string_equal(commanded, "session scene");
+    assert_int_equal(ask("POST", "/session", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 405);
     command_err = ERR_BUSY;
     assert_int_equal(ask("POST", "/cancel", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 409);
     assert_string_equal(commanded, "cancel");

@@ -415,6 +415,62 @@ static void sizes_are_read_from_headers(void **state)
     assert_true(w == 0x304 && h == 0x102);
 }
 
+/* A place of two exposures, the first of which has this time. */
+static void make_place(const char *folder, int w, double time)
+{
+    char name[64], json[128];
+    if (!file_is_dir(tmpdir_path(folder))) {
+        tmpdir_mkdir(folder);
+        snprintf(name, sizeof name, "%s/images", folder);
+        tmpdir_mkdir(name);
+    }
+    for (int k = 0; k < 2; k++) {
+        snprintf(name, sizeof name, "%s/images/train_00_%02d.png", folder, k);
+        put_picture(name, w, 6);
+    }
+    snprintf(name, sizeof name, "%s/exposure.json", folder);
+    snprintf(json, sizeof json, "{\"train_00_00.png\": %g, \"train_00_01.png\": 8}", time);
+    tmpdir_text(name, json);
+}
+
+static void several_folders_are_places(void **state)
+{
+    (void)state;
+    char path[3][600];
+    const char *more[] = {path[1], path[2], NULL};
+    struct imageset set;
+    struct image8 im;
+    for (int i = 0; i < 3; i++) {
+        snprintf(path[i], sizeof path[i], "%s/p%d%s", tmpdir_root, i, i == 1 ? "//" : "");
+        make_place((const char *const[]){"p0", "p1", "p2"}[i], 8, i + 1);
+    }
+    struct imageset_request rq = {.images = path[0], .more = more, .brackets = true};
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    check_names(&set, 6,
+                (const char *const[]){"p0_train_00_00.png", "p0_train_00_01.png",
+                                      "p1_train_00_00.png", "p1_train_00_01.png",
+                                      "p2_train_00_00.png", "p2_train_00_01.png"});
+    for (int i = 0; i < 6; i++) {
+        assert_int_equal(set.capture.shots[i].again, i % 2);
+        assert_true(set.capture.shots[i].exposure == (i % 2 ? 8 : i / 2 + 1));
+        assert_int_equal(imageset_decode(&set, i, &im), OK);
+        img_free(&im);
+    }
+    imageset_free(&set);
+    make_place("p2", 10, 1);
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "p0_train_00_00.png has 8 x 6 px but p2_train_00_00.png"));
+    assert_int_equal(unlink(tmpdir_path("p2/exposure.json")), 0);
+    assert_int_equal(imageset_list(&rq, &set), ERR_ARG); // it is looked for before EXIF
+    assert_non_null(strstr(err_text(), "p2: has no exposure.json"));
+    snprintf(path[2], sizeof path[2], "%s/p1/../p1", tmpdir_root);
+    assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
+    assert_non_null(
+        strstr(err_text(), "another folder has its name and a picture train_00_00.png"));
+    rq.rig = "cameras.json";
+    assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
+}
+
 #define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, tmpdir_teardown)
 
 int main(void)
@@ -433,6 +489,7 @@ int main(void)
         IN_FOLDER(pictures_that_do_not_count_are_told),
         IN_FOLDER(rigs_come_from_three_places),
         IN_FOLDER(sizes_are_read_from_headers),
+        IN_FOLDER(several_folders_are_places),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

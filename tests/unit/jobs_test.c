@@ -91,6 +91,49 @@ static void one_after_the_other(void **state)
     fclose(f);
 }
 
+static void put_place(const char *id, const char *session)
+{
+    char name[80], text[80];
+    snprintf(name, sizeof name, "captures/%s", id);
+    tmpdir_mkdir(name);
+    snprintf(name, sizeof name, "captures/%s/manifest.json", id);
+    snprintf(text, sizeof text, "{\"session\": \"%s\"}", session);
+    tmpdir_text(name, text);
+}
+
+/* All places of the session that are there when its reconstruction begins. A session that goes on
+ * can wait once behind itself. */
+static void a_session_is_one_scene(void **state)
+{
+    (void)state;
+    open_with("#!/bin/sh\nfor x; do last=$x; done\necho \"$@\" | sed 's|/[^ ]*/||g' "
+              ">>$last.log\necho begun >&2\nwhile [ ! -e $last.go ]; do sleep 0.02; done\n");
+    tmpdir_mkdir("captures");
+    put_place("00000001-000004", "00000001-000004"); // another session
+    put_place("00000001-000005", "00000001-000005");
+    put_place("00000002-000007", "00000001-000005"); // after a reboot
+    assert_int_equal(jobs_add(j, "00000001-000005"), OK);
+    run_until("begun");
+    put_place("00000002-000008", "00000001-000005");
+    assert_int_equal(jobs_add(j, "00000001-000005"), OK);
+    assert_int_equal(jobs_add(j, "00000001-000005"), OK);
+    jobs_look(j, &s);
+    assert_int_equal(s.waiting, 1);
+    tmpdir_text("results/00000001-000005.go", "");
+    run_until(NULL);
+    assert_int_equal(s.last, JOBS_DONE);
+    assert_false(pending("00000001-000005"));
+    struct file_map m;
+    static const char want[] =
+        "reconstruct --images 00000001-000005 --images 00000002-000007 --out 00000001-000005\n"
+        "reconstruct --images 00000001-000005 --images 00000002-000007 --images 00000002-000008 "
+        "--out 00000001-000005\n";
+    assert_int_equal(file_map(tmpdir_path("results/00000001-000005.log"), 4096, &m), OK);
+    assert_int_equal(m.n, sizeof want - 1);
+    assert_memory_equal(m.p, want, m.n);
+    file_unmap(&m);
+}
+
 static void failures_do_not_stop_the_queue(void **state)
 {
     (void)state;
@@ -203,6 +246,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(one_after_the_other, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(a_session_is_one_scene, set_up, tear_down),
         cmocka_unit_test_setup_teardown(failures_do_not_stop_the_queue, set_up, tear_down),
         cmocka_unit_test_setup_teardown(warnings_are_counted, set_up, tear_down),
         cmocka_unit_test_setup_teardown(somebody_elses_pending_file, set_up, tear_down),

@@ -101,6 +101,20 @@ static void test_bounce(void **state)
     assert_int_equal(lib_run("gpiod:/dev/gpiochip0/3,edge=rising", edge, 11, ev), 2);
 }
 
+static void test_lengths(void **state)
+{
+    static const struct gpiod_case_edge edge[] = {
+        {50000000, true, 0},   {100000000, false, 0}, {101000000, true, 0},
+        {102000000, false, 0}, {400000000, true, 0},  {500000000, false, 0},
+    };
+    struct trigger_event ev[8];
+    (void)state;
+    lib_lengths = true;
+    assert_int_equal(lib_run("gpiod:/dev/gpiochip0/3", edge, 6, ev), 1);
+    assert_true(ev[0].time_ns == 400000000 && ev[0].held_ns == 300000000);
+    lib_lengths = false;
+}
+
 /* A kernel before 5.7 stamps with the time of day. */
 static void test_other_clock(void **state)
 {
@@ -117,9 +131,8 @@ static void test_other_clock(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_open),
-        cmocka_unit_test(test_no_memory),
-        cmocka_unit_test(test_bounce),
+        cmocka_unit_test(test_open),        cmocka_unit_test(test_no_memory),
+        cmocka_unit_test(test_bounce),      cmocka_unit_test(test_lengths),
         cmocka_unit_test(test_other_clock),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -228,6 +228,10 @@ static void test_edges(void **state)
     assert_int_equal(lib_run("gpiod:/dev/gpiochip0/3,edge=rising", edge, 5, ev), 2);
     assert_int_equal(lib.debounce_us, 5000);
     assert_true(ev[1].time_ns == 300 && ev[1].lost == 3);
+    lib_lengths = true;
+    assert_int_equal(lib_run("gpiod:/dev/gpiochip0/3", edge, 5, ev), 1);
+    assert_true(ev[0].time_ns == 200 && ev[0].held_ns == 100 && ev[0].count == 1);
+    lib_lengths = false;
 }
 
 int main(void)

@@ -281,6 +281,53 @@ static void test_lost_before_release(void **state)
     gpio_fake_stop();
 }
 
+/* Where lengths are asked for, a press counts when it ends, unless its begin is not known. */
+static void test_lengths(void **state)
+{
+    struct trigger_event ev = {0};
+    uint32_t lost = 0;
+    (void)state;
+    gpio_fake_start();
+    button()->level = false; // down at open
+    void *st = open_gpio("rigchip/shutter");
+    trigger_gpio.lengths(st);
+    gpio_fake_drive(button(), 100 * ms, true);
+    gpio_fake_wait(button(), 200 * ms);
+    assert_int_equal(drain(st, &ev, &lost), 0);
+    gpio_fake_drive(button(), 300 * ms, false);
+    gpio_fake_wait(button(), 400 * ms);
+    assert_int_equal(drain(st, &ev, &lost), 0);
+    gpio_fake_drive(button(), 450 * ms, true);
+    gpio_fake_drive(button(), 452 * ms, false); // bounces
+    gpio_fake_drive(button(), 454 * ms, true);
+    gpio_fake_wait(button(), 500 * ms);
+    assert_int_equal(drain(st, &ev, &lost), 1);
+    assert_true(ev.time_ns == 459 * ms && ev.held_ns == 154 * ms && ev.count == 1);
+    gpio_fake_drive(button(), 600 * ms, false);
+    gpio_fake_wait(button(), 3600 * ms);
+    assert_int_equal(drain(st, &ev, &lost), 0);
+    gpio_fake_drive(button(), 3700 * ms, true);
+    gpio_fake_wait(button(), 3800 * ms);
+    assert_int_equal(drain(st, &ev, &lost), 1);
+    assert_true(ev.held_ns == 3100 * ms && ev.count == 2);
+    close_gpio(st);
+    button()->level = true;
+    st = open_gpio("rigchip/shutter,debounce_ms=0");
+    trigger_gpio.lengths(st);
+    for (int i = 1; i < 7; i++)
+        gpio_fake_drive(button(), 5000 * i * ms, i % 2 == 0);
+    button()->edge[1] = button()->edge[3]; // end of the first press and begin of the second lost
+    button()->edge[2] = button()->edge[4];
+    button()->edge[3] = button()->edge[5];
+    button()->n = 4;
+    assert_int_equal(trigger_gpio.next(st, &ev), OK);
+    assert_true(ev.held_ns == 5000 * ms && ev.time_ns == 30000 * ms);
+    assert_true(ev.count == 1 && ev.lost == 2);
+    assert_int_equal(trigger_gpio.next(st, &ev), ERR_AGAIN);
+    close_gpio(st);
+    gpio_fake_stop();
+}
+
 static void test_refused_lines(void **state)
 {
     (void)state;
@@ -409,6 +456,33 @@ static err_t key_event(void *st, int64_t time_ns, uint32_t count, uint32_t lost)
     return OK;
 }
 
+static void test_lengths_of_keys(void **state)
+{
+    struct trigger_event ev;
+    void *st = malloc(trigger_evdev.state_bytes);
+    (void)state;
+    assert_non_null(st);
+    memset(&input, 0, sizeof input);
+    assert_int_equal(trigger_evdev_open_with(st, "evdev:/dev/input/event0", &input_sys), OK);
+    trigger_evdev.lengths(st);
+    type(1, EV_KEY, KEY_ENTER, 0); // was down at open
+    type(2, EV_KEY, KEY_ENTER, 1);
+    type(3, EV_KEY, KEY_ENTER, 2);
+    assert_int_equal(trigger_evdev.next(st, &ev), ERR_AGAIN);
+    type(5, EV_KEY, KEY_A, 0); // another one
+    type(6, EV_KEY, KEY_ENTER, 0);
+    assert_int_equal(trigger_evdev.next(st, &ev), OK);
+    assert_true(ev.time_ns == 6000250000 && ev.held_ns == 4000000000 && ev.count == 1);
+    type(7, EV_KEY, KEY_ENTER, 1);
+    type(8, EV_SYN, SYN_DROPPED, 0);
+    type(8, EV_SYN, SYN_REPORT, 0);
+    type(9, EV_KEY, KEY_ENTER, 0); // of which press?
+    assert_int_equal(trigger_evdev.next(st, &ev), ERR_AGAIN);
+    trigger_evdev.close(st);
+    free(st);
+    assert_null(trigger_timer.lengths);
+}
+
 static void test_keys(void **state)
 {
     void *st = malloc(trigger_evdev.state_bytes);
@@ -529,10 +603,12 @@ int main(void)
         cmocka_unit_test(test_bounce),
         cmocka_unit_test(test_burst),
         cmocka_unit_test(test_lost_before_release),
+        cmocka_unit_test(test_lengths),
         cmocka_unit_test(test_refused_lines),
         cmocka_unit_test(test_chip_removed),
         cmocka_unit_test(test_every_failure),
         cmocka_unit_test(test_keys),
+        cmocka_unit_test(test_lengths_of_keys),
         cmocka_unit_test(test_refused_keys),
         cmocka_unit_test(test_timer),
     };
