@@ -157,6 +157,8 @@ err_t jobs_add(struct jobs *j, const char *id)
         e = file_create(path, &f);
     if (!e && fputs(pending, f) >= 0) // file_finish asks whether it worked
         e = file_finish(f, path);
+    if (!e)
+        e = file_sync(j->results); // the job of a session that has ended waits after a power cut too
     if (e)
         return e;
     snprintf(j->queue[j->n++], STORE_ID_CAP, "%s", id);

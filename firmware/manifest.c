@@ -375,15 +375,15 @@ static err_t get_files(const char *what, const struct cJSON *doc, struct manifes
 static err_t get_head(const char *what, const struct cJSON *doc, struct manifest *out)
 {
     static const char *const keys[] = {
-        "format",          "version",    "id",      "boot_id",      "counter",  "status",
-        "reason",          "not_merged", "trigger", "clock_synced", "stagger",  "metered",
-        "tolerance_stops", "skew_s",     "cameras", "frames_used",  "rejected", "white_red",
-        "white_blue",      "frames",     "files",   "session"}; // the last only of places
-    const int n_keys = sizeof keys / sizeof keys[0];
+        "format", "version", "id",           "boot_id",   "counter",   "status",
+        "reason", "trigger", "clock_synced", "stagger",   "metered",   "tolerance_stops",
+        "skew_s", "cameras", "frames_used",  "rejected",  "white_red", "white_blue",
+        "frames", "files",   "session",      "not_merged"};
+    const int n_keys = sizeof keys / sizeof keys[0], optional = 2; // not of all takes and versions
     uint64_t version, counter;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: not an object", what);
-    err_t e = check_keys(what, doc, keys, n_keys - 1, n_keys);
+    err_t e = check_keys(what, doc, keys, n_keys - optional, n_keys);
     if (e)
         return e;
     const char *kind = json_string(json_member(doc, "format"));
