@@ -34,9 +34,10 @@ err_t collect_look(struct collect *c)
 
 err_t collect_room(const struct collect *c)
 {
-    if (!c->on || c->places.n < PLACES_MAX)
+    if (!c->on || (c->places.n + 1) * c->cameras <= PLACES_MAX)
         return OK;
-    return err_fail(ERR_LIMIT, "%d places: a scene takes no more; end the session", PLACES_MAX);
+    return err_fail(ERR_LIMIT, "%d places: a scene takes no more than %d views; end the session",
+                    c->places.n, PLACES_MAX);
 }
 
 void collect_take(const struct collect *c, struct take *t)
@@ -55,37 +56,44 @@ static err_t check_open(const struct collect *c)
                                                "camera begins one (session.collect)");
 }
 
+static bool is_too_few(const struct collect *c)
+{
+    return c->places.n * c->cameras < PLACES_MIN;
+}
+
 err_t collect_scene(struct collect *c)
 {
     const int n = c->places.n;
     err_t e = check_open(c);
-    if (!e && n < PLACES_MIN)
+    if (!e && is_too_few(c))
         e = err_fail(ERR_ARG, "%d place so far, a scene needs at least %d", n, PLACES_MIN);
     if (!e && !c->jobs)
-        e = err_fail(ERR_ARG, "%d places so far; job.run is 0: nothing is reconstructed", n);
+        e = err_fail(ERR_ARG, "%d place%s so far; job.run is 0: nothing is reconstructed", n,
+                     plural(n));
     return e ? e : jobs_add(c->jobs, c->places.id);
 }
 
 err_t collect_end(struct collect *c, bool later)
 {
     const struct places p = c->places;
+    const bool too_few = is_too_few(c);
     c->ending = later;
     if (later) {
         say(c, "ends when the running capture is stored");
         return OK;
     }
     err_t e = check_open(c);
-    if (!e && c->jobs && p.n >= PLACES_MIN) // before the end: a power cut between leaves both
+    if (!e && c->jobs && !too_few) // before the end: a power cut between leaves both
         e = jobs_add(c->jobs, p.id);
     if (!e)
         e = places_end(c->store, p.id);
     if (e)
         return e;
     c->places = (struct places){0};
-    if (p.n < PLACES_MIN)
+    if (too_few)
         say(c, "ended with %d place: no scene, which needs at least %d", p.n, PLACES_MIN);
     else
-        say(c, "ended with %d places: %s", p.n,
+        say(c, "ended with %d place%s: %s", p.n, plural(p.n),
             c->jobs ? "being reconstructed" : "job.run is 0, nothing is reconstructed");
     log_info("session %s %s", p.id, c->line);
     return OK;

@@ -13,6 +13,7 @@
 struct collect {
     const char *store;    // folder of the takes
     struct jobs *jobs;    // NULL: none are run
+    int cameras;          // of the rig: views of a place
     bool on;              // takes are places; else only a session that is open is served
     bool ending;          // collect_end is to be called again
     struct places places; // of the open session

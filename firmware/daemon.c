@@ -703,6 +703,8 @@ static err_t open_all(struct daemon *d)
         e = jobs_open(&jobs, &d->jobs);
     d->collect =
         (struct collect){.store = c->store_path, .jobs = d->jobs, .on = config_collects(c)};
+    while (d->collect.cameras < CONFIG_CAMERAS && c->camera[d->collect.cameras][0])
+        d->collect.cameras++;
     if (!e)
         e = collect_look(&d->collect);
     if (!e)

@@ -158,7 +158,7 @@ err_t jobs_add(struct jobs *j, const char *id)
     if (!e && fputs(pending, f) >= 0) // file_finish asks whether it worked
         e = file_finish(f, path);
     if (!e)
-        e = file_sync(j->results); // the job of a session that has ended waits after a power cut too
+        e = file_sync(j->results); // a power cut leaves the job of a session that has ended
     if (e)
         return e;
     snprintf(j->queue[j->n++], STORE_ID_CAP, "%s", id);

@@ -27,7 +27,7 @@ static int set_up(void **state)
     snprintf(results, sizeof results, "%s", tmpdir_path("results"));
     snprintf(store, sizeof store, "%s", tmpdir_mkdir("store"));
     struct jobs_config j = {program, store, results, NULL};
-    c = (struct collect){.store = store, .on = true};
+    c = (struct collect){.store = store, .cameras = 1, .on = true};
     return chmod(program, 0755) != 0 || jobs_open(&j, &jobs) != OK || collect_look(&c) != OK;
 }
 
@@ -110,6 +110,22 @@ static void too_few_places(void **state)
     says(OK, OK, "no place yet");
 }
 
+/* A place of several cameras has as many views. */
+static void several_cameras(void **state)
+{
+    (void)state;
+    c.jobs = jobs;
+    c.cameras = 30;
+    capture(1);
+    assert_int_equal(collect_room(&c), OK);
+    capture(2);
+    says(collect_room(&c), ERR_LIMIT, "2 places: a scene takes no more than 64 views");
+    says(collect_end(&c, false), OK, "ended with 2 places: being reconstructed");
+    capture(3);
+    says(collect_end(&c, false), OK, "ended with 1 place: being reconstructed");
+    assert_int_equal(waiting(), 2);
+}
+
 static void without_reconstructions(void **state)
 {
     (void)state;
@@ -127,7 +143,8 @@ static void a_scene_takes_so_many(void **state)
         assert_int_equal(collect_room(&c), OK);
         capture(i);
     }
-    says(collect_room(&c), ERR_LIMIT, "64 places: a scene takes no more; end the session");
+    says(collect_room(&c), ERR_LIMIT,
+         "64 places: a scene takes no more than 64 views; end the session");
     c.on = false; // now each is a scene
     assert_int_equal(collect_room(&c), OK);
     assert_non_null(t);
@@ -174,9 +191,13 @@ int main(void)
 {
 #define EACH(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
     const struct CMUnitTest tests[] = {
-        EACH(from_the_first_place_to_the_scene), EACH(too_few_places),
-        EACH(without_reconstructions),           EACH(a_scene_takes_so_many),
-        EACH(an_end_that_fails_leaves_it_open),  EACH(as_json),
+        EACH(from_the_first_place_to_the_scene),
+        EACH(too_few_places),
+        EACH(several_cameras),
+        EACH(without_reconstructions),
+        EACH(a_scene_takes_so_many),
+        EACH(an_end_that_fails_leaves_it_open),
+        EACH(as_json),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
