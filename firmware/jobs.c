@@ -1,6 +1,7 @@
-/* The child's messages come through a pipe, its end through a pidfd. */
+/* The first of the queue is a child process (firmware/child.h). */
 #include "firmware/jobs.h"
 
+#include "firmware/child.h"
 #include "firmware/cmd.h"
 #include "firmware/places.h"
 
@@ -10,21 +11,15 @@
 
 #include <dirent.h>
 #include <errno.h>
-#include <fcntl.h>
-#include <signal.h>
-#include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/pidfd.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-extern char **environ;
-
-enum { NICE = 10, GRACE_MS = 5000, INTERRUPTED = 130, JOBS_LINE = 512 };
+enum { NICE = 10, INTERRUPTED = 130 };
 
 static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
 
@@ -39,12 +34,9 @@ struct jobs {
     char config[FILE_PATH_CAP]; // "" for none
     int n;
     char queue[JOBS_MAX][STORE_ID_CAP]; // [0] is the running one
-    pid_t pid;                          // 0: none runs
-    int pidfd, pipe;
+    struct child child;
     bool cancelled;
-    int warnings;         // of the running one
-    char part[JOBS_LINE]; // of a line
-    size_t n_part;
+    int warnings; // of the running one
     struct jobs_state state;
     struct order order;
 };
@@ -113,7 +105,6 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
     *out = NULL;
     if (!j)
         return err_fail(ERR_NOMEM, "jobs: no memory");
-    j->pidfd = j->pipe = -1;
     err_t e = copy_path("program", cfg->program, j->program);
     if (!e)
         e = copy_path("store.path", cfg->captures, j->captures);
@@ -146,7 +137,7 @@ err_t jobs_add(struct jobs *j, const char *id)
 {
     char path[FILE_PATH_CAP];
     FILE *f;
-    if (waits(j, j->pid != 0, id))
+    if (waits(j, j->child.pid != 0, id))
         return OK;
     if (j->n == JOBS_MAX)
         return err_fail(ERR_LIMIT, "%s: %d reconstructions wait already", id, JOBS_MAX);
@@ -194,40 +185,6 @@ static void end(struct jobs *j, enum jobs_end how)
     j->state.changed = true;
 }
 
-static err_t spawn(struct jobs *j, char *const argv[], int out)
-{
-    posix_spawn_file_actions_t files;
-    posix_spawnattr_t attr;
-    sigset_t none, defaults;
-    sigemptyset(&none);
-    sigemptyset(&defaults);
-    sigaddset(&defaults, SIGTERM);
-    sigaddset(&defaults, SIGINT);
-    sigaddset(&defaults, SIGPIPE);
-    if (posix_spawn_file_actions_init(&files) != 0)
-        return err_fail(ERR_NOMEM, "jobs: no memory");
-    if (posix_spawnattr_init(&attr) != 0) {
-        posix_spawn_file_actions_destroy(&files);
-        return err_fail(ERR_NOMEM, "jobs: no memory");
-    }
-    posix_spawnattr_setflags(&attr, POSIX_SPAWN_SETSIGMASK | POSIX_SPAWN_SETSIGDEF);
-    posix_spawnattr_setsigmask(&attr, &none);
-    posix_spawnattr_setsigdefault(&attr, &defaults);
-    int why = posix_spawn_file_actions_addopen(&files, 0, "/dev/null", O_RDONLY, 0);
-    if (!why)
-        why = posix_spawn_file_actions_addopen(&files, 1, "/dev/null", O_WRONLY, 0);
-    if (!why)
-        why = posix_spawn_file_actions_adddup2(&files, out, 2);
-    if (!why)
-        why = posix_spawn(&j->pid, argv[0], &files, &attr, argv, environ);
-    posix_spawnattr_destroy(&attr);
-    posix_spawn_file_actions_destroy(&files);
-    if (!why)
-        return OK;
-    j->pid = 0;
-    return err_fail(ERR_IO, "%s: %s", argv[0], strerror(why));
-}
-
 /* The takes of the session of that name, else the take of that name. */
 static err_t make_order(struct jobs *j)
 {
@@ -258,83 +215,35 @@ static err_t make_order(struct jobs *j)
 
 static err_t start(struct jobs *j)
 {
-    int ends[2];
     err_t e = make_order(j);
+    if (!e)
+        e = child_start(&j->child, j->order.argv, false);
     if (e)
         return e;
-    if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0)
-        return err_fail(ERR_IO, "jobs: %s", strerror(errno));
-    fcntl(ends[1], F_SETFL, 0); // the child may wait
-    e = spawn(j, j->order.argv, ends[1]);
-    close(ends[1]);
-    if (e) {
-        close(ends[0]);
-        return e;
-    }
-    setpriority(PRIO_PROCESS, (id_t)j->pid, NICE); // cameras come first
-    j->pipe = ends[0];
-    j->pidfd = pidfd_open(j->pid, 0);
-    if (j->pidfd < 0) {
-        e = err_fail(ERR_IO, "jobs: process %d cannot be watched: %s", (int)j->pid,
-                     strerror(errno));
-        kill(j->pid, SIGKILL);
-        waitpid(j->pid, NULL, 0);
-        close(j->pipe);
-        j->pid = 0;
-        j->pipe = -1;
-        return e;
-    }
-    j->n_part = 0;
+    setpriority(PRIO_PROCESS, (id_t)j->child.pid, NICE); // cameras come first
     j->warnings = 0;
     say(j, "");
     return OK;
 }
 
-static void hear(struct jobs *j, char c)
+/* A line of the child; the last one is kept. */
+static void hear(void *ctx, const char *line)
 {
-    if (c != '\n' && c != '\r') {
-        if (j->n_part + 1 < sizeof j->part)
-            j->part[j->n_part++] = c;
-        return;
-    }
-    j->part[j->n_part] = 0;
-    const char *warning = strstr(j->part, ": " CMD_WARNING);
+    struct jobs *j = ctx;
+    const char *warning = strstr(line, ": " CMD_WARNING);
     if (warning) {
         log_warn("%s%s", j->queue[0], warning);
         j->warnings++;
-    } else if (j->n_part) {
-        say(j, j->part);
-    }
-    j->n_part = 0;
-}
-
-/* Lines of the child; the last one is kept. A pipe at its end would wake poll for ever. */
-static void listen_to(struct jobs *j)
-{
-    char text[1024];
-    ssize_t n = 1;
-    while (j->pipe >= 0 && (n > 0 || (n < 0 && errno == EINTR))) {
-        n = read(j->pipe, text, sizeof text);
-        for (ssize_t i = 0; i < n; i++)
-            hear(j, text[i]);
-    }
-    if (n == 0) {
-        close(j->pipe);
-        j->pipe = -1;
+    } else {
+        say(j, line);
     }
 }
 
 static void reap(struct jobs *j)
 {
     int status;
-    if (waitpid(j->pid, &status, WNOHANG) != j->pid)
+    if (!child_ended(&j->child, hear, j, &status))
         return;
-    listen_to(j);
-    if (j->pipe >= 0) // a grandchild may hold the other end
-        close(j->pipe);
-    close(j->pidfd);
-    j->pid = 0;
-    j->pipe = j->pidfd = -1;
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
         end(j, JOBS_DONE);
     else if (j->cancelled || (WIFEXITED(status) && WEXITSTATUS(status) == INTERRUPTED))
@@ -351,11 +260,9 @@ static void reap(struct jobs *j)
 
 void jobs_step(struct jobs *j)
 {
-    if (j->pid) {
-        listen_to(j);
-        reap(j);
-    }
-    while (!j->pid && j->n > 0) {
+    child_listen(&j->child, hear, j);
+    reap(j);
+    while (!j->child.pid && j->n > 0) {
         if (start(j) == OK)
             return;
         say(j, err_text());
@@ -365,43 +272,28 @@ void jobs_step(struct jobs *j)
 
 void jobs_cancel(struct jobs *j)
 {
-    if (!j->pid)
-        return;
-    j->cancelled = true;
-    kill(j->pid, SIGTERM);
+    j->cancelled = j->child.pid != 0;
+    child_cancel(&j->child);
 }
 
 void jobs_close(struct jobs *j)
 {
     if (!j)
         return;
-    if (j->pid) {
-        struct pollfd p = {.fd = j->pidfd, .events = POLLIN};
-        kill(j->pid, SIGTERM);
-        if (poll(&p, 1, GRACE_MS) <= 0)
-            kill(j->pid, SIGKILL);
-        waitpid(j->pid, NULL, 0);
-        if (j->pipe >= 0)
-            close(j->pipe);
-        close(j->pidfd);
-    }
+    child_stop(&j->child);
     free(j);
 }
 
 int jobs_poll(const struct jobs *j, struct pollfd *fds, int cap)
 {
-    if (!j->pid || cap < JOBS_FDS)
-        return 0;
-    fds[0] = (struct pollfd){.fd = j->pidfd, .events = POLLIN};
-    fds[1] = (struct pollfd){.fd = j->pipe, .events = POLLIN};
-    return j->pipe >= 0 ? 2 : 1;
+    return child_poll(&j->child, fds, cap);
 }
 
 void jobs_look(struct jobs *j, struct jobs_state *out)
 {
-    j->state.running = j->pid != 0;
-    j->state.waiting = j->n - (j->pid != 0);
-    snprintf(j->state.id, sizeof j->state.id, "%s", j->pid ? j->queue[0] : "");
+    j->state.running = j->child.pid != 0;
+    j->state.waiting = j->n - (j->child.pid != 0);
+    snprintf(j->state.id, sizeof j->state.id, "%s", j->child.pid ? j->queue[0] : "");
     *out = j->state;
     j->state.changed = false;
 }

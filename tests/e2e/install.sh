@@ -32,6 +32,7 @@ level=$(systemd-analyze security --offline=true "$unit" 2>/dev/null |
     sed -n 's/.*Overall exposure level for [^:]*: \([0-9.]*\).*/\1/p')
 at_least "2.0 less the exposure level" "$(awk -v l="${level:-10}" 'BEGIN { print 2.0 - l }')" 0
 echo "systemd-analyze security: $level"
+grep -q '^DeviceAllow=char-dma_heap rw$' "$unit" || fail "libcamera may not open the DMA heaps"
 
 # the package
 if [ "$build" = "$(uname -m)-werror" ] || [ "$build" = "$(uname -m)" ]; then
