@@ -2,6 +2,7 @@
 # make demo       first scene, in out/latest        make test    without sanitizers and lints
 # make picture    the picture of README.md
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
+# make uninstall  DESTDIR= PREFIX=                  what install has put there
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
 # make check-train   the training of the small network: PYTHON= with PyTorch
 # make fuzz       SECONDS= for each target (clang)
@@ -13,7 +14,7 @@
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev lintian \
 	ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
@@ -93,7 +94,7 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 	Makefile
 
 # --- build ----------------------------------------------------------------------------------------
-.PHONY: all demo libsim check test lint format deps deps-check install deb clean fuzz bench \
+.PHONY: all demo libsim check test lint format deps deps-check install uninstall deb clean fuzz bench \
 	picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel check-train \
 	deps-kernel deps-qemu
 .DELETE_ON_ERROR:
@@ -154,6 +155,15 @@ $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
 
 LIB = $(DESTDIR)$(PREFIX)/lib
+SHARE = $(DESTDIR)$(PREFIX)/share/hdrig
+ETC = $(DESTDIR)/etc/hdrig
+
+# Settings that somebody changed stay; share/hdrig has those of the last installation to tell.
+put_settings = f=$(ETC)/$(notdir $1); last=$(SHARE)/$(notdir $1); \
+	if [ -e $$f ] && ! cmp -s $$f $1 && ! cmp -s $$f $$last; then \
+	    install -m 644 $1 $$f.new; echo "$$f was changed and stays; ours is $$f.new"; \
+	else install -m 644 $1 $$f; fi && install -m 644 $1 $$last
+
 install: all
 	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
 	    { echo "no board/$(BOARD)/board.conf: $(filter-out common debian, \
@@ -162,8 +172,8 @@ install: all
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
 	$(if $(MODULE),install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE)))
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
-	install -m 644 board/common/defaults.conf $(DESTDIR)/etc/hdrig
-	$(if $(BOARD),install -m 644 board/$(BOARD)/board.conf $(DESTDIR)/etc/hdrig)
+	@$(call put_settings,board/common/defaults.conf)
+	$(if $(BOARD),@$(call put_settings,board/$(BOARD)/board.conf))
 	install -D -m 644 board/common/60-hdrig.rules $(LIB)/udev/rules.d/60-hdrig.rules
 	install -D -m 644 board/common/hdrig.sysusers $(LIB)/sysusers.d/hdrig.conf
 	install -d $(LIB)/systemd/system
@@ -172,19 +182,36 @@ install: all
 	    systemd-sysusers $(LIB)/sysusers.d/hdrig.conf; udevadm control --reload; \
 	    udevadm trigger --subsystem-match=gpio; systemctl daemon-reload; fi)
 
+# What install has put there, but no settings that somebody changed, and nothing of the user's.
+uninstall:
+	$(if $(DESTDIR),,if [ -d /run/systemd/system ]; then systemctl disable --now hdrigd || true; fi)
+	@for f in defaults.conf board.conf; do \
+	    if cmp -s $(ETC)/$$f $(SHARE)/$$f; then rm $(ETC)/$$f; \
+	    elif [ -e $(ETC)/$$f ]; then echo "$(ETC)/$$f was changed and stays"; fi; \
+	    if cmp -s $(ETC)/$$f.new $(SHARE)/$$f; then rm $(ETC)/$$f.new; fi; done
+	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,hdrig hdrigd) $(LIB)/hdrig/hdrig-libcamera.so \
+	    $(addprefix $(SHARE)/,small.hdrig defaults.conf board.conf) \
+	    $(LIB)/udev/rules.d/60-hdrig.rules $(LIB)/sysusers.d/hdrig.conf \
+	    $(LIB)/systemd/system/hdrigd.service
+	-@rmdir --ignore-fail-on-non-empty $(wildcard $(LIB)/hdrig $(SHARE) $(ETC))
+	@echo "captures, scenes and calibrations stay in /var/lib/hdrig, group hdrig stays"
+
 # BOARD=rpi5 for a package that is ready for that board.
 DEB_ARCH := $(if $(filter aarch64,$(ARCH)),arm64,amd64)
 deb: all
 	rm -rf build/deb
 	mkdir -p build/deb/root/DEBIAN build/deb/debian
 	@$(MAKE) -s install DESTDIR=$(CURDIR)/build/deb/root PREFIX=/usr
-	strip --strip-unneeded build/deb/root/usr/bin/*
+	strip --strip-unneeded build/deb/root/usr/bin/* $(MODULE:%=build/deb/root/usr/lib/hdrig/*.so)
 	install -D -m 644 README.md build/deb/root/usr/share/doc/hdrig/README.md
 	install -D -m 644 LICENSE build/deb/root/usr/share/doc/hdrig/copyright
 	install -m 755 board/debian/postinst board/debian/prerm build/deb/root/DEBIAN
 	cd build/deb/root && find etc -type f | sed 's|^|/|' >DEBIAN/conffiles
 	echo "Source: hdrig" >build/deb/debian/control
-	cd build/deb && dpkg-shlibdeps -O root/usr/bin/hdrig root/usr/bin/hdrigd >depends
+	sed "s/@VERSION@/$(VERSION)/; s/@DATE@/$$(date -R)/" board/debian/changelog | gzip -9n \
+	    >build/deb/root/usr/share/doc/hdrig/changelog.gz
+	cd build/deb && dpkg-shlibdeps -O root/usr/bin/hdrig root/usr/bin/hdrigd \
+	    $(MODULE:%=root/usr/lib/hdrig/*.so) >depends
 	sed -e "s/@VERSION@/$(VERSION)/; s/@ARCH@/$(DEB_ARCH)/" \
 	    -e "s/@DEPENDS@/$$(sed 's/^shlibs:Depends=//' build/deb/depends)/" \
 	    board/debian/control >build/deb/root/DEBIAN/control

@@ -34,6 +34,21 @@ at_least "2.0 less the exposure level" "$(awk -v l="${level:-10}" 'BEGIN { print
 echo "systemd-analyze security: $level"
 grep -q '^DeviceAllow=char-dma_heap rw$' "$unit" || fail "libcamera may not open the DMA heaps"
 
+# a second time: settings that were changed stay; and away again
+echo '# mine' >>"$root/etc/hdrig/board.conf"
+echo '# mine' >"$root/etc/hdrig/hdrig.conf"
+# shellcheck disable=SC2086
+make -s install $variant BOARD=x86 DESTDIR="$root" PREFIX=/usr >"$OUT/make.txt" 2>&1 ||
+    fail "make install again: $(tail -n 1 "$OUT/make.txt")"
+grep -q 'board.conf was changed and stays; ours is .*board.conf.new' "$OUT/make.txt" ||
+    fail "nobody says that board.conf was changed"
+grep -q '^# mine' "$root/etc/hdrig/board.conf" || fail "board.conf was written over"
+cmp -s "$root/etc/hdrig/board.conf.new" board/x86/board.conf || fail "no board.conf.new"
+make -s uninstall DESTDIR="$root" PREFIX=/usr >"$OUT/make.txt" 2>&1 || fail "make uninstall"
+left=$(cd "$root" && find . -type f | sort | xargs)
+[ "$left" = "./etc/hdrig/board.conf ./etc/hdrig/hdrig.conf" ] || fail "uninstall leaves: $left"
+grep -q 'board.conf was changed and stays' "$OUT/make.txt" || fail "uninstall says nothing"
+
 # the package
 if [ "$build" = "$(uname -m)-werror" ] || [ "$build" = "$(uname -m)" ]; then
     # shellcheck disable=SC2086
@@ -41,6 +56,9 @@ if [ "$build" = "$(uname -m)-werror" ] || [ "$build" = "$(uname -m)" ]; then
         fail "make deb: $(tail -n 1 "$OUT/make.txt")"
     deb=$(ls build/hdrig_*.deb)
     dpkg-deb -f "$deb" Depends | grep -q 'libmicrohttpd' || fail "the package's needs are missing"
+    dpkg-deb -f "$deb" Depends | grep -q 'libcamera' || fail "the package needs no libcamera"
+    lintian "$deb" >"$OUT/lintian.txt" 2>&1
+    grep '^E:' "$OUT/lintian.txt" && fail "lintian finds errors"
     dpkg-deb -I "$deb" conffiles | grep -q '^/etc/hdrig/board.conf$' || fail "no conffiles"
     dpkg-deb -x "$deb" "$OUT/deb"
     "$OUT/deb/usr/bin/hdrig" --help >/dev/null || fail "the package's program does not run"
