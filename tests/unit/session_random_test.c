@@ -21,7 +21,7 @@ struct trial {
     uint64_t random;
     char uri[URI], faults[URI];
     struct session_order order;
-    bool common; // truth is known but for a factor
+    bool common; // truth is known but for a factor, which the reference has as well
 };
 
 static double uniform(struct trial *t)
@@ -111,7 +111,7 @@ static void some_faults(struct trial *t)
         {"repeat", 0, 0, false},
         {"error", 0, 0, false},
         {"ignore %.0f", 1, 9, false},
-        {"rollover %.0f", 50, 2000, false},
+        {"rollover %.0f", 50, 2000, true},
         {"quantum %.4f", 1e-3, 1e-2, true},
         {"gain %.4f", 0.98, 1.02, true},
         {"digital %.2f", 1.1, 4, true},
