@@ -336,12 +336,28 @@ void cmd_json_discard(struct cmd_json *j)
     partial_close(&j->partial);
 }
 
+/* What the daemon says while it works. */
+static bool print_line(void *ctx, const char *json)
+{
+    struct cJSON *doc = NULL;
+    const char *line = NULL;
+    (void)ctx;
+    if (json_parse("answer of the daemon", json, strlen(json), &doc) == OK)
+        line = json_string(json_member(doc, "line"));
+    if (line) {
+        puts(line);
+        fflush(stdout);
+    }
+    json_free(doc);
+    return line != NULL;
+}
+
 int cmd_ask(const char *name, const struct config *cfg, const char *line)
 {
     static char answer[CTL_ANSWER_MAX];
     struct cJSON *doc = NULL;
     bool ok = false;
-    err_t e = ctl_ask(cfg->control_socket, line, 0, answer);
+    err_t e = ctl_follow(cfg->control_socket, line, print_line, NULL, answer);
     if (!e)
         e = json_parse("answer of the daemon", answer, strlen(answer), &doc);
     if (!e && (!json_truth(json_member(doc, "ok"), &ok) || !ok)) {

@@ -1,6 +1,7 @@
 /* hdrig calibrate: measures a camera and writes its calibration. */
 #include "firmware/calibrate.h"
 #include "firmware/cmd.h"
+#include "firmware/ctl.h"
 #include "firmware/take.h"
 
 #include "core/base/log.h"
@@ -152,26 +153,42 @@ static err_t calibrate(const struct request *q)
     return e;
 }
 
+/* The daemon owns its cameras. Who interrupts the command ends the calibration as well. */
+static int ask_daemon(const struct request *q)
+{
+    static char answer[CTL_ANSWER_MAX];
+    char order[CTL_LINE_MAX];
+    snprintf(order, sizeof order, "calibrate %s %g", q->what ? q->what : "all", q->longest_s);
+    int code = cmd_ask("calibrate", &q->cfg, order);
+    if (code == CMD_INTERRUPTED && ctl_ask(q->cfg.control_socket, "cancel", 10, answer) != OK)
+        log_warn("%s", err_text());
+    return code;
+}
+
 int cmd_calibrate_run(int argc, char **argv)
 {
     struct request q = {0};
     int code;
     const struct cmd_option options[] = {
-        {"camera", "URI", "which one", NULL, &q.camera, NULL},
+        {"camera", "URI", "measure it here; else the daemon measures its cameras", NULL, &q.camera,
+         NULL},
         {"what", "W", "latency, range, response or all (all)", NULL, &q.what, NULL},
         {"longest", "S", "end of the range that is tried, s (2)", NULL, &q.longest, NULL},
-        {"out", "DIR", "where calibrations are (calibration.path)", NULL, &q.dir, NULL},
+        {"out", "DIR", "with --camera: where calibrations are (calibration.path)", NULL, &q.dir,
+         NULL},
     };
     const struct cmd_usage usage = {
-        "calibrate", "--camera URI ",
+        "calibrate", "",
         "Measures a camera that looks at a scene which stays as it is: after how many frames\n"
         "exposure shows, in which range it obeys, the response curve.",
         options, sizeof options / sizeof options[0]};
     if (!cmd_parse(&usage, argc, argv, &q.cfg, &code))
         return code;
-    if (!q.camera)
-        return cmd_misuse(&usage, "--camera is needed");
+    if (!q.camera && q.dir)
+        return cmd_misuse(&usage, "--out goes with --camera: the daemon has calibration.path");
     if (read_request(&q) != OK)
         return cmd_misuse(&usage, err_text());
+    if (!q.camera)
+        return ask_daemon(&q);
     return cmd_finish("calibrate", calibrate(&q));
 }

@@ -6,8 +6,8 @@ int cmd_cancel_run(int argc, char **argv)
     struct config cfg;
     int code;
     const struct cmd_usage usage = {"cancel", "",
-                                    "Ends the running capture of the daemon, else its running "
-                                    "reconstruction.",
+                                    "Ends the daemon's running calibration or capture, else its "
+                                    "running reconstruction.",
                                     NULL, 0};
     if (!cmd_parse(&usage, argc, argv, &cfg, &code))
         return code;

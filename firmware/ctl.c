@@ -295,42 +295,73 @@ static err_t connect_to(const char *path, int *fd)
                     path, strerror(why));
 }
 
-static err_t receive(int fd, const char *path, int64_t end_ms, char *out)
+/* more: NULL, or what says whether a line is not yet the answer. */
+struct listener {
+    int fd;
+    const char *path;
+    int64_t end_ms; // INT64_MAX: none
+    ctl_more_fn *more;
+    void *ctx;
+};
+
+/* Whether the answer is at the start of out; lines before it are handed on and removed. */
+static bool take_answer(const struct listener *l, char *out, size_t *n)
+{
+    for (char *end; (end = memchr(out, '\n', *n));) {
+        *end = 0;
+        if (!l->more || !l->more(l->ctx, out))
+            return true;
+        *n -= (size_t)(end + 1 - out);
+        memmove(out, end + 1, *n);
+    }
+    return false;
+}
+
+static err_t receive(const struct listener *l, char *out)
 {
     for (size_t n = 0; n < CTL_ANSWER_MAX;) {
-        struct pollfd p = {.fd = fd, .events = POLLIN};
-        int64_t left = end_ms - now_ms();
-        int ready = poll(&p, 1, end_ms == INT64_MAX ? -1 : left > 0 ? (int)left : 0);
+        struct pollfd p = {.fd = l->fd, .events = POLLIN};
+        int64_t left = l->end_ms - now_ms();
+        int ready = poll(&p, 1, l->end_ms == INT64_MAX ? -1 : left > 0 ? (int)left : 0);
         if (ready < 0 && errno == EINTR)
             return err_fail(ERR_CANCELLED, "interrupted");
         if (ready == 0)
-            return err_fail(ERR_TIMEOUT, "%s: the daemon does not answer", path);
-        ssize_t got = recv(fd, out + n, CTL_ANSWER_MAX - n, 0);
+            return err_fail(ERR_TIMEOUT, "%s: the daemon does not answer", l->path);
+        ssize_t got = recv(l->fd, out + n, CTL_ANSWER_MAX - n, 0);
         if (got <= 0)
-            return err_fail(ERR_IO, "%s: the daemon closed the connection", path);
-        char *end = memchr(out + n, '\n', (size_t)got);
+            return err_fail(ERR_IO, "%s: the daemon closed the connection", l->path);
         n += (size_t)got;
-        if (end) {
-            *end = 0;
+        if (take_answer(l, out, &n))
             return OK;
-        }
     }
-    return err_fail(ERR_IO, "%s: answer longer than %d bytes", path, CTL_ANSWER_MAX);
+    return err_fail(ERR_IO, "%s: answer longer than %d bytes", l->path, CTL_ANSWER_MAX);
+}
+
+static err_t ask(struct listener *l, const char *line, char *out)
+{
+    char text[CTL_LINE_MAX + 2];
+    err_t e = connect_to(l->path, &l->fd);
+    if (e)
+        return e;
+    int n = snprintf(text, sizeof text, "%.*s\n", CTL_LINE_MAX, line);
+    if (send(l->fd, text, (size_t)n, MSG_NOSIGNAL) != n)
+        e = err_fail(ERR_IO, "%s: %s", l->path, strerror(errno));
+    else
+        e = receive(l, out);
+    close(l->fd);
+    return e;
 }
 
 err_t ctl_ask(const char *path, const char *line, double timeout_s, char *out)
 {
-    int fd;
-    err_t e = connect_to(path, &fd);
-    if (e)
-        return e;
-    char text[CTL_LINE_MAX + 2];
-    int n = snprintf(text, sizeof text, "%.*s\n", CTL_LINE_MAX, line);
-    if (send(fd, text, (size_t)n, MSG_NOSIGNAL) != n)
-        e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
-    else
-        e = receive(fd, path, timeout_s > 0 ? now_ms() + (int64_t)(timeout_s * 1e3) : INT64_MAX,
-                    out);
-    close(fd);
-    return e;
+    struct listener l = {.path = path, .end_ms = INT64_MAX};
+    if (timeout_s > 0)
+        l.end_ms = now_ms() + (int64_t)(timeout_s * 1e3);
+    return ask(&l, line, out);
+}
+
+err_t ctl_follow(const char *path, const char *line, ctl_more_fn *more, void *ctx, char *out)
+{
+    struct listener l = {.path = path, .end_ms = INT64_MAX, .more = more, .ctx = ctx};
+    return ask(&l, line, out);
 }

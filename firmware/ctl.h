@@ -4,7 +4,8 @@
  *   session           places of the open session (places.h)
  *   session end       end it, and reconstruct it
  *   session scene     reconstruct its places now; it goes on
- *   cancel            end the running take or reconstruction
+ *   calibrate [WHAT SECONDS]  all cameras; lines {"line": TEXT} come before the answer
+ *   cancel            end the running take, calibration or reconstruction
  * Lines end with a newline, CTL_LINE_MAX bytes at most. Whoever may open the socket may command;
  * its folder says who that is.
  * thread: one. Nothing blocks but ctl_ask. */
@@ -14,6 +15,7 @@
 #include "core/base/err.h"
 
 #include <poll.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -45,5 +47,11 @@ void ctl_answer(struct ctl *c, uint64_t id, const char *json);
  * err:  ERR_LOST (no daemon there; says how to start it), ERR_IO (no permission: names the group;
  *       connection broke), ERR_TIMEOUT, ERR_ARG (path too long) */
 MUST_USE err_t ctl_ask(const char *path, const char *line, double timeout_s, char *out);
+
+/* As ctl_ask without a limit; more() gets every line, and says of the answer that it is none.
+ * err:  also ERR_CANCELLED, by a signal. */
+typedef bool ctl_more_fn(void *ctx, const char *json);
+MUST_USE err_t ctl_follow(const char *path, const char *line, ctl_more_fn *more, void *ctx,
+                          char *out);
 
 #endif

@@ -4,6 +4,7 @@
 #include "firmware/daemon.h"
 
 #include "firmware/backends.h"
+#include "firmware/calibrator.h"
 #include "firmware/collect.h"
 #include "firmware/ctl.h"
 #include "firmware/http.h"
@@ -21,7 +22,6 @@
 #include "drivers/lamp.h"
 
 #include <errno.h>
-#include <math.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
@@ -56,6 +56,7 @@ struct daemon {
     struct lamp *lamp; // NULL: none
     struct triggers *triggers;
     struct collect collect;
+    struct calibrator calibrator;
     int n_written; // takes that the writer has
     int signals, clock;
     bool stopping;
@@ -88,11 +89,15 @@ static const char *state_word(const struct daemon *d)
                                         [SESSION_READY] = "ready"};
     if (d->stopping)
         return "stopping";
+    if (d->calibrator.on)
+        return "calibrating";
     return d->session ? words[session_state(d->session)] : "lost";
 }
 
-static const char *sentence(const struct daemon *d)
+static const char *sentence(struct daemon *d)
 {
+    if (d->calibrator.on)
+        return calibrator_sentence(&d->calibrator);
     if (d->trouble[0])
         return d->trouble;
     return d->session ? session_status(d->session) : "waits for the cameras";
@@ -120,23 +125,6 @@ static void write_cameras(const struct daemon *d, FILE *f)
         fputs("]}", f);
     }
     fputs("]", f);
-}
-
-static void write_job(const struct daemon *d, FILE *f)
-{
-    static const char *const ends[] = {"", "done", "failed", "cancelled"};
-    struct jobs_state j = {0};
-    if (d->jobs)
-        jobs_look(d->jobs, &j);
-    fprintf(f,
-            "\"job\": {\"running\": %s, \"id\": \"%s\", \"line\": ", j.running ? "true" : "false",
-            j.id);
-    json_put_string(f, j.line);
-    fprintf(f,
-            ", \"waiting\": %d, \"last\": \"%s\", \"last_id\": \"%s\", \"last_line\": ", j.waiting,
-            ends[j.last], j.last_id);
-    json_put_string(f, j.last_line);
-    fprintf(f, ", \"last_warnings\": %d}", j.last_warnings);
 }
 
 static void write_counters(const struct daemon *d, FILE *f)
@@ -170,7 +158,7 @@ static void write_status(void *ctx, FILE *f)
             d->n_waiting, free_mb);
     write_cameras(d, f);
     fputs(", ", f);
-    write_job(d, f);
+    jobs_write(d->jobs, f);
     fputs(", ", f);
     fputs("\"session\": ", f);
     collect_write(&d->collect, f);
@@ -224,26 +212,10 @@ static void tell_error(struct daemon *d, uint64_t id, const char *text)
     free(json);
 }
 
-static void make_order(const struct daemon *d, int64_t press_ns, struct session_order *o)
-{
-    const struct config *c = d->set;
-    *o = (struct session_order){
-        .mode = c->bracket_mode == CONFIG_AUTO ? SESSION_AUTO : SESSION_LIST,
-        .middle_s = c->bracket_middle_us * 1e-6,
-        .stagger = c->bracket_stagger != 0,
-        .verify = true,
-        .snr = pow(10, c->bracket_snr_db / 20.0),
-        .skew_s = c->bracket_skew_ms * 1e-3,
-        .trigger_ns = press_ns,
-    };
-    err_t e = config_stops("bracket.ev", c->bracket_ev, o->ev, BRACKET_EXPOSURES_MAX, &o->n);
-    (void)e; // config_check_rig has read it before
-}
-
 static err_t begin(struct daemon *d, int64_t press_ns)
 {
     struct session_order o;
-    make_order(d, press_ns, &o);
+    schedule_order(d->set, press_ns, &o);
     uint64_t need = 0;
     for (int i = 0; i < session_cameras(d->session); i++)
         need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));
@@ -385,8 +357,10 @@ static void finish_takes(struct daemon *d)
 
 static void cancel(struct daemon *d)
 {
-    if (d->session && (session_state(d->session) == SESSION_SHOOTING ||
-                       session_state(d->session) == SESSION_METERING))
+    if (d->calibrator.on)
+        calibrator_cancel(&d->calibrator);
+    else if (d->session && (session_state(d->session) == SESSION_SHOOTING ||
+                            session_state(d->session) == SESSION_METERING))
         session_cancel(d->session, "cancelled");
     else if (d->jobs)
         jobs_cancel(d->jobs);
@@ -423,7 +397,7 @@ static err_t run_command(void *ctx, const char *line)
         return collect_scene(&d->collect);
     return err_fail(ERR_ARG,
                     "unknown command \"%.40s\": status, capture [wait], session [end|scene], "
-                    "cancel",
+                    "calibrate [WHAT SECONDS], cancel",
                     line);
 }
 
@@ -448,13 +422,29 @@ static void tell(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f
     free(json);
 }
 
+/* The cameras are closed for it; open_cameras opens them afterwards. */
+static err_t calibrate(struct daemon *d, uint64_t id, const char *line)
+{
+    if (d->stopping || (is_busy(d) && !can_begin(d)))
+        return err_fail(ERR_BUSY, "a capture runs: cameras are calibrated between captures");
+    err_t e = calibrator_begin(&d->calibrator, id, line);
+    if (e)
+        return e;
+    session_close(d->session);
+    d->session = NULL;
+    return OK;
+}
+
 static void on_line(void *ctx, uint64_t id, const char *line)
 {
     struct daemon *d = ctx;
     bool wait = strcmp(line, "capture wait") == 0;
+    bool is_order = strncmp(line, "calibrate", 9) == 0;
     if (strcmp(line, "status") == 0)
         tell(d, id, write_status);
-    else if (run_command(d, wait ? "capture" : line) != OK)
+    else if (is_order && calibrate(d, id, line) == OK)
+        return; // the calibrator answers
+    else if (is_order || run_command(d, wait ? "capture" : line) != OK)
         tell_error(d, id, err_text());
     else if (strncmp(line, "session", 7) == 0)
         tell(d, id, write_session);
@@ -469,7 +459,7 @@ static void on_line(void *ctx, uint64_t id, const char *line)
 static void open_cameras(struct daemon *d, int64_t now, err_t *fatal)
 {
     const struct config *c = d->set;
-    if (d->session || now < d->retry_ns || !c->camera[0][0])
+    if (d->session || d->calibrator.on || now < d->retry_ns || !c->camera[0][0])
         return;
     struct session_config s = {.w = c->camera_w,
                                .h = c->camera_h,
@@ -527,7 +517,9 @@ static void show_lamp(struct daemon *d, int64_t now)
     if (!d->lamp)
         return;
     enum lamp_state s = LAMP_BUSY;
-    if (!d->session || session_state(d->session) == SESSION_LOST || d->trouble[0])
+    if (d->calibrator.on)
+        s = LAMP_BUSY;
+    else if (!d->session || session_state(d->session) == SESSION_LOST || d->trouble[0])
         s = LAMP_FAULT;
     else if (can_begin(d))
         s = LAMP_ARMED;
@@ -565,6 +557,7 @@ static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
         fds[n++] = http_poll(d->http, now, deadline);
     n += triggers_poll(d->triggers, fds + n, FDS_MAX - n);
     n += ctl_poll(d->ctl, fds + n, FDS_MAX - n);
+    n += calibrator_poll(&d->calibrator, fds + n, FDS_MAX - n);
     if (d->jobs)
         n += jobs_poll(d->jobs, fds + n, FDS_MAX - n);
     if (d->session) {
@@ -596,6 +589,7 @@ static err_t turn(struct daemon *d)
     if (e)
         return e;
     ctl_step(d->ctl);
+    calibrator_step(&d->calibrator);
     if (d->http)
         http_step(d->http);
     collect(d);
@@ -709,6 +703,8 @@ static err_t open_all(struct daemon *d)
         e = collect_look(&d->collect);
     if (!e)
         e = ctl_open(c->control_socket, on_line, d, &d->ctl);
+    d->calibrator = (struct calibrator){
+        .set = c, .config_path = d->cfg->config_path, .program = d->cfg->program, .ctl = d->ctl};
     struct http_config http = {.address = c->http_address,
                                .port = c->http_port,
                                .token = c->http_token,
@@ -762,6 +758,7 @@ static void close_all(struct daemon *d)
     collect(d);
     session_close(d->session);
     triggers_close(d->triggers);
+    calibrator_close(&d->calibrator);
     lamp_close(d->lamp);
     writer_close(d->writer);
     store_close(d->store);

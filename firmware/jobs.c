@@ -7,6 +7,7 @@
 
 #include "core/base/log.h"
 #include "drivers/file.h"
+#include "drivers/json.h"
 #include "drivers/origin.h"
 
 #include <dirent.h>
@@ -296,4 +297,21 @@ void jobs_look(struct jobs *j, struct jobs_state *out)
     snprintf(j->state.id, sizeof j->state.id, "%s", j->child.pid ? j->queue[0] : "");
     *out = j->state;
     j->state.changed = false;
+}
+
+void jobs_write(struct jobs *jobs, FILE *f)
+{
+    static const char *const ends[] = {"", "done", "failed", "cancelled"};
+    struct jobs_state j = {0};
+    if (jobs)
+        jobs_look(jobs, &j);
+    fprintf(f,
+            "\"job\": {\"running\": %s, \"id\": \"%s\", \"line\": ", j.running ? "true" : "false",
+            j.id);
+    json_put_string(f, j.line);
+    fprintf(f,
+            ", \"waiting\": %d, \"last\": \"%s\", \"last_id\": \"%s\", \"last_line\": ", j.waiting,
+            ends[j.last], j.last_id);
+    json_put_string(f, j.last_line);
+    fprintf(f, ", \"last_warnings\": %d}", j.last_warnings);
 }

@@ -10,6 +10,7 @@
 
 #include <poll.h>
 #include <stdbool.h>
+#include <stdio.h>
 
 enum { JOBS_MAX = 64, JOBS_TEXT = 200, JOBS_FDS = 2 };
 
@@ -53,5 +54,8 @@ void jobs_cancel(struct jobs *j);
 int jobs_poll(const struct jobs *j, struct pollfd *fds, int cap); // at most JOBS_FDS
 void jobs_step(struct jobs *j);                                   // start, listen, reap
 void jobs_look(struct jobs *j, struct jobs_state *out);
+
+/* The same as "job": {...} of the status; NULL: none are run. */
+void jobs_write(struct jobs *j, FILE *f);
 
 #endif

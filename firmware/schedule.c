@@ -7,6 +7,21 @@
 #define STEADY_AUTO 0.5
 #define LINK 5.0 // stops between frames that are sure to show the same places
 
+void schedule_order(const struct config *c, int64_t press_ns, struct session_order *o)
+{
+    *o = (struct session_order){
+        .mode = c->bracket_mode == CONFIG_AUTO ? SESSION_AUTO : SESSION_LIST,
+        .middle_s = c->bracket_middle_us * 1e-6,
+        .stagger = c->bracket_stagger != 0,
+        .verify = true,
+        .snr = pow(10, c->bracket_snr_db / 20.0),
+        .skew_s = c->bracket_skew_ms * 1e-3,
+        .trigger_ns = press_ns,
+    };
+    err_t e = config_stops("bracket.ev", c->bracket_ev, o->ev, BRACKET_EXPOSURES_MAX, &o->n);
+    (void)e; // config_check_rig has read it before
+}
+
 bool schedule_is_metered(const struct session_order *o)
 {
     return o->mode == SESSION_AUTO || !(o->middle_s > 0);

@@ -3,8 +3,12 @@
 #ifndef FIRMWARE_SCHEDULE_H
 #define FIRMWARE_SCHEDULE_H
 
+#include "firmware/config.h"
 #include "firmware/roll.h"
 #include "firmware/session.h"
+
+/* The order for a press, by settings that config_check_rig has read. */
+void schedule_order(const struct config *c, int64_t press_ns, struct session_order *o);
 
 /* Whether probes are needed: for the exposures, or for the middle one of a list. */
 bool schedule_is_metered(const struct session_order *o);

@@ -110,6 +110,22 @@ take=$(ask capture 2>"$ERR") || fail "capture: $(cat "$ERR")"
 [ "$(ls "$take"/merged/*.exr | wc -l)" -eq 2 ] || fail "not every camera's bracket is merged"
 refused 1 'another (hdrigd|process)' --config "$OUT/hdrig.conf"
 
+# calibrated by the daemon, which has the cameras; captures wait for it
+ask calibrate --what latency >"$OUT/calibrate.txt" 2>"$ERR" || fail "calibrate: $(cat "$ERR")"
+[ "$(grep -c '^delay ' "$OUT/calibrate.txt")" -eq 2 ] && grep -q '^camera.2: sim:' \
+    "$OUT/calibrate.txt" || fail "calibrate says: $(cat "$OUT/calibrate.txt")"
+[ "$(find "$OUT/calibration" -type f | wc -l)" -eq 2 ] || fail "no calibration of each camera"
+wait_for armed
+ask calibrate >/dev/null 2>"$ERR" &
+asking=$!
+wait_for calibrating
+ask capture 2>"$OUT/refused.txt" && fail "a capture during a calibration"
+grep -q 'calibrates camera.1' "$OUT/refused.txt" || fail "refused: $(cat "$OUT/refused.txt")"
+ask cancel || fail "cancel"
+wait $asking && fail "a cancelled calibration counts as done"
+grep -q 'camera.1 is not calibrated: cancelled' "$ERR" || fail "calibrate says: $(cat "$ERR")"
+wait_for armed
+
 # over HTTP
 http GET / '' | grep -q '<title>hdrig</title>' || fail "no page"
 http GET /status.json '' | grep -q "\"id\": \"${take##*/}\"" ||

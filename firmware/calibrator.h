@@ -1,0 +1,37 @@
+/* calibrator.h - the daemon's cameras calibrated on command: `hdrig calibrate` as a child process
+ * for one camera after the other, because the daemon alone may open them. The cameras must be
+ * closed meanwhile.
+ * thread: one. Nothing blocks but calibrator_close. */
+#ifndef FIRMWARE_CALIBRATOR_H
+#define FIRMWARE_CALIBRATOR_H
+
+#include "firmware/child.h"
+#include "firmware/config.h"
+#include "firmware/ctl.h"
+
+struct calibrator {
+    const struct config *set; // cameras and calibration.path; given
+    const char *config_path;  // for the child; NULL: none; given
+    const char *program;      // hdrig; given
+    struct ctl *ctl;          // given
+    bool on, cancelled;
+    uint64_t id; // of the client that asked
+    int i;       // camera that is measured
+    char what[16], longest[32];
+    char line[CHILD_LINE]; // what the child said last
+    char text[CHILD_LINE + 64];
+    struct child child;
+};
+
+/* Take the order "calibrate [WHAT SECONDS]" (the options --what and --longest of hdrig calibrate)
+ * of a client, who gets {"line": TEXT} for every line that the child says, then the answer.
+ * err:  ERR_ARG (words, no cameras), ERR_BUSY (another one runs) */
+MUST_USE err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *order);
+
+void calibrator_cancel(struct calibrator *c);
+int calibrator_poll(const struct calibrator *c, struct pollfd *fds, int cap); // at most CHILD_FDS
+void calibrator_step(struct calibrator *c);                                   // start, listen, reap
+const char *calibrator_sentence(struct calibrator *c);                        // what it does
+void calibrator_close(struct calibrator *c);                                  // ends the child
+
+#endif
