@@ -342,8 +342,7 @@ static void known(struct bracket *b, struct seat *c, const struct bracket_event 
                  (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
-    // the frame before is what a torn one has rows of
-    bool still = !k->measured || c->still_since < c->since;
+    bool still = !k->measured || c->still_since < c->since; // a torn frame has rows of the last
     bool at_rest = c->phase == REST && label_alone(&c->label) && still;
     if (i >= 0 && !early && (c->phase == RUN || at_rest))
         keep(c, i, ev, k);
