@@ -1,5 +1,4 @@
 /* Each camera has a phase (bracket.h) and goes its own way; the machine is over when all are.
- *
  * Every frame: ages of requests grow (label_advance); a frame that is flagged, cut or oddly sized,
  * or whose gains moved, is refused; label_look says what the others are. A proven one is kept if
  * it is missing, whatever it was asked for; requests that can no longer come are asked for again,
@@ -37,25 +36,23 @@ struct seat { // a camera
     struct bracket_plan plan;
     struct exposure base;
     double stops[BRACKET_EXPOSURES_MAX], base_stops; // log2 of what the device makes of them
-    bool armed, restarting;
+    bool armed, restarting, gains_known;
     enum phase phase;
     enum wish wish[BRACKET_EXPOSURES_MAX];
     int tries[BRACKET_EXPOSURES_MAX];
     struct bracket_evidence evidence[BRACKET_EXPOSURES_MAX];
     int64_t begin_ns, alive_ns;
-    double slow_s; // longest frame before a restart: it may run on
-    int since;     // frames since BEGIN, as ages of requests
-    int frames, rejected, lost;
-    int settled;                      // frames that make the reference
-    int conflicts, judged, bad, torn; // in a row, or since the phase began
-    int refusals, forgets, restarts;  // in a row; per set
-    int target, suspect;              // index, -1: none
-    double still;                     // stops that the last frames had, NAN: not known
-    int still_since;                  // as `since`
-    enum bracket_reason cause;        // why the last frame was refused
-    int w, h;                         // of the reference
+    double slow_s;                     // longest frame before a restart: it may run on
+    int since, frames, rejected, lost; // since BEGIN; the first as ages of requests
+    int settled;                       // frames that make the reference
+    int conflicts, judged, bad, torn;  // in a row, or since the phase began
+    int refusals, forgets, restarts;   // in a row; per set
+    int target, suspect;               // index, -1: none
+    double still;                      // stops that the last frames had, NAN: not known
+    int still_since;                   // as `since`
+    enum bracket_reason cause;         // why the last frame was refused
+    int w, h;                          // of the reference
     enum camera_format format;
-    bool gains_known;
     double red, blue;
     // actions that wait
     bool forget, relit, restart, request, asking;
@@ -270,7 +267,6 @@ static bool has_gains(const struct frame *f)
     return f->gains_known && !f->gains_later;
 }
 
-/* Whether a frame can be looked at. */
 static enum bracket_reason refusal(const struct seat *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
