@@ -22,18 +22,20 @@ struct state {
 struct options {
     char camera[URI_TEXT], module[URI_TEXT];
     int stamp;
+    double focus; // 1/m; < 0: as it stands
 };
 
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"stamp", AT(stamp), URI_WORD, 0, 0, "start|end"},
+    {"focus", AT(focus), URI_REAL, 0, 1000, NULL},
     {"module", AT(module), URI_STRING, 0, 0, NULL},
 };
 
 static err_t parse(const char *uri, struct options *o)
 {
     size_t skip = sizeof scheme - 1;
-    *o = (struct options){.stamp = CAMERA_STAMP_END};
+    *o = (struct options){.stamp = CAMERA_STAMP_END, .focus = -1.0};
     if (strncmp(uri, scheme, skip) != 0)
         return err_fail(ERR_ARG, "%.64s: does not begin with \"%s\"", uri, scheme);
     size_t n = strcspn(uri + skip, ",");
@@ -106,7 +108,7 @@ static err_t lib_open(void *st, const struct camera_cfg *cfg)
         e = load(&o, &s->shim);
     if (e)
         return e;
-    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp};
+    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, o.focus};
     return told(s, s->shim->open(&how, &s->camera));
 }
 

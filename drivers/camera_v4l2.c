@@ -23,13 +23,14 @@ enum { EVENTS_MAX = 16, NAME_MAX_BYTES = 64 };
 
 struct options {
     char subdev[URI_TEXT];
-    double longest_ms;
+    double longest_ms, focus; // focus < 0: as it stands
 };
 
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"subdev", AT(subdev), URI_STRING, 0, 0, NULL},
     {"longest_ms", AT(longest_ms), URI_REAL, 0.1, 60000, NULL},
+    {"focus", AT(focus), URI_REAL, 0, 1e6, NULL},
 };
 
 struct state {
@@ -59,6 +60,7 @@ static err_t read_uri(struct state *s, const char *uri)
                         sizeof s->path - 1);
     memcpy(s->path, uri + skip, n);
     s->opt.longest_ms = 33.0;
+    s->opt.focus = -1.0;
     return uri_parse("v4l2", uri + skip + n + (uri[skip + n] == ','), &table, 1);
 }
 
@@ -166,6 +168,8 @@ static err_t set_controls(struct state *s)
     err_t e = v4l2_shutter_freeze(&s->video);
     if (!e && s->opt.subdev[0])
         e = v4l2_shutter_freeze(&s->sub);
+    if (!e && s->opt.focus >= 0.0)
+        e = v4l2_shutter_focus(&s->video, s->opt.focus);
     if (!e)
         e = v4l2_format_pace(&s->video, &s->layout, s->opt.longest_ms * 1e-3, &period_s);
     return e ? e : v4l2_shutter_open(&s->shutter, &s->layout, s->opt.longest_ms * 1e-3, period_s);

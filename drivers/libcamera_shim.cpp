@@ -176,10 +176,9 @@ struct libcamera_shim_camera {
     };
     std::vector<mapping> maps; // by cookie
     camera_info info{};
-    double time_us = 0.0, gain = 1.0, step_us = 1.0;
-    int64_t frame_us[2] = {0, 0}; // shortest, longest
-    int cancelled = 0;            // in a row
-    int event = -1;
+    double time_us = 0.0, gain = 1.0, step_us = 1.0, focus = -1.0; // see the shim's cfg
+    int64_t frame_us[2] = {0, 0};                                  // shortest, longest
+    int cancelled = 0, event = -1;                                 // cancelled: in a row
     bool acquired = false, started = false;
     std::string lost_why;
 
@@ -464,6 +463,8 @@ void put_controls(const session &s, lc::ControlList &list)
             set_number(list, *id, s.time_us);
         else if (id->name() == "AnalogueGain" && s.info.gain_max > 1.0)
             set_number(list, *id, s.gain);
+        else if (id->name() == "LensPosition" && s.focus >= 0.0)
+            set_number(list, *id, s.focus);
     }
 }
 
@@ -683,6 +684,21 @@ err_t first_frame(session &s)
     }
 }
 
+err_t set_focus(session &s, double focus)
+{
+    s.focus = focus;
+    const auto *lens = find_control(*s.camera, "LensPosition");
+    if (s.focus < 0.0)
+        return OK;
+    if (!lens)
+        return say(ERR_UNSUPPORTED, "libcamera: %s: its focus cannot be set", s.name.c_str());
+    const double lo = number(lens->second.min(), 0.0), hi = number(lens->second.max(), 0.0);
+    return s.focus >= lo && s.focus <= hi
+               ? OK
+               : say(ERR_ARG, "libcamera: %s: focus=%g is outside of its %g..%g (1/m)",
+                     s.name.c_str(), s.focus, lo, hi);
+}
+
 err_t open_session(session &s, const libcamera_shim_cfg &cfg)
 {
     err_t e = OK;
@@ -691,6 +707,8 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
         e = choose(s, cfg.camera);
     if (!e)
         e = acquire(s);
+    if (!e)
+        e = set_focus(s, cfg.focus);
     if (!e)
         e = configure(s, cfg.wish);
     if (!e)

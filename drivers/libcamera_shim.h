@@ -9,7 +9,7 @@
 
 /* Program and module were built from the same structs; count up when the meaning changes. */
 #define LIBCAMERA_SHIM_STAMP                                                                       \
-    (1u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
+    (2u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
 
 #define LIBCAMERA_SHIM_TABLE "libcamera_shim_table" // symbol of the module
 
@@ -17,6 +17,7 @@ struct libcamera_shim_cfg {
     const char *camera;     // id, or a part of one camera's id or model; "" if there is only one
     struct camera_cfg wish; // without uri
     enum camera_stamp stamp;
+    double focus; // LensPosition, 1/m, 0: far away; < 0: where the lens stands
 };
 
 struct libcamera_shim_camera;

@@ -160,6 +160,29 @@ err_t v4l2_shutter_freeze(const struct v4l2_node *n)
     return e;
 }
 
+err_t v4l2_shutter_focus(const struct v4l2_node *n, double position)
+{
+    struct range r;
+    err_t e = query(n, V4L2_CID_FOCUS_ABSOLUTE, &r);
+    if (e)
+        return e;
+    if (!there(&r) || r.fixed)
+        return err_fail(ERR_UNSUPPORTED, "%s: focus=%g is asked for, but its focus cannot be set",
+                        n->path, position);
+    if (position < (double)r.lo || position > (double)r.hi)
+        return err_fail(ERR_ARG, "%s: focus=%g is outside of its %lld..%lld", n->path, position,
+                        (long long)r.lo, (long long)r.hi);
+    int64_t now, want = fit((int64_t)position, r.lo, r.hi, r.step);
+    int number = set(n, V4L2_CID_FOCUS_ABSOLUTE, want);
+    if (!number)
+        number = get(n, V4L2_CID_FOCUS_ABSOLUTE, &now);
+    if (number)
+        return v4l2_sys_fail(n, number, "set its focus");
+    return now == want ? OK
+                       : err_fail(ERR_IO, "%s: focus was set to %lld, but it reads %lld", n->path,
+                                  (long long)want, (long long)now);
+}
+
 /* ---- exposure and gain ---- */
 
 static uint32_t exposure_id(const struct v4l2_shutter *c)

@@ -395,6 +395,24 @@ static void test_refusals(int release)
            "plane 1 of a buffer lies apart");
 }
 
+static void test_focus(int release)
+{
+    static const struct camera_cfg any = {0};
+    struct fakecamera how = usual;
+    play(release, &how);
+    refuse(release, "imx477,focus=2", &any, ERR_UNSUPPORTED, "imx477@1a: its focus cannot be set");
+    how.lens = true;
+    play(release, &how);
+    refuse(release, "imx477,focus=10.5", &any, ERR_ARG, "focus=10.5 is outside of its 0..10");
+    void *st = open_camera(release, "imx477,focus=2.5", CAMERA_ANY);
+    assert_true(fake->focus == 2.5);
+    close_camera(st);
+    st = open_camera(release, "imx477", CAMERA_ANY); // stays where it stands
+    assert_true(fake->focus < 0.0);
+    close_camera(st);
+    check_clean();
+}
+
 /* Each step of an opening fails. */
 static void test_failures(int release)
 {
@@ -552,6 +570,7 @@ BOTH(test_unplug)
 BOTH(test_all_held)
 BOTH(test_rig)
 BOTH(test_refusals)
+BOTH(test_focus)
 BOTH(test_failures)
 BOTH(test_clock)
 BOTH(test_no_leak)
@@ -564,8 +583,9 @@ int main(void)
         cmocka_unit_test(test_unplug_both),   cmocka_unit_test(test_all_held_both),
         cmocka_unit_test(test_rig_both),      cmocka_unit_test(test_refusals_both),
         cmocka_unit_test(test_failures_both), cmocka_unit_test(test_clock_both),
-        cmocka_unit_test(test_no_leak_both),  cmocka_unit_test(test_startup),
-        cmocka_unit_test(test_silent),        cmocka_unit_test(test_module),
+        cmocka_unit_test(test_focus_both),    cmocka_unit_test(test_no_leak_both),
+        cmocka_unit_test(test_startup),       cmocka_unit_test(test_silent),
+        cmocka_unit_test(test_module),
     };
     return cmocka_run_group_tests(tests, find_modules, NULL);
 }

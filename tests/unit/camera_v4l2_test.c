@@ -277,6 +277,25 @@ static void test_gain_codes(void **st)
 
 /* ---- automatic modes ---- */
 
+static void test_focus(void **st)
+{
+    (void)st;
+    fake_uvc(&fake);
+    open_ok("v4l2:/dev/fake,focus=120");
+    assert_int_equal(control(V4L2_CID_FOCUS_AUTO), 0);
+    assert_int_equal(control(V4L2_CID_FOCUS_ABSOLUTE), 120);
+    close_all();
+    open_refused("v4l2:/dev/fake,focus=251", ERR_ARG, "focus=251 is outside of its 0..250");
+    open_refused("v4l2:/dev/fake,focus=near", ERR_ARG, "focus");
+    fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->refuse = EIO;
+    open_refused("v4l2:/dev/fake,focus=120", ERR_IO, "set its focus");
+    fake_uvc(&fake);
+    fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->flags = V4L2_CTRL_FLAG_DISABLED;
+    open_ok(webcam); // nobody asked
+    close_all();
+    open_refused("v4l2:/dev/fake,focus=120", ERR_UNSUPPORTED, "its focus cannot be set");
+}
+
 static void test_automatic(void **st)
 {
     (void)st;
@@ -571,15 +590,15 @@ static void test_other_nodes(void **st)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_webcam),           cmocka_unit_test(test_pace),
-        cmocka_unit_test(test_exposure),         cmocka_unit_test(test_frames),
-        cmocka_unit_test(test_mplane),           cmocka_unit_test(test_sensor),
-        cmocka_unit_test(test_half_written),     cmocka_unit_test(test_other_sensors),
-        cmocka_unit_test(test_gain_codes),       cmocka_unit_test(test_automatic),
-        cmocka_unit_test(test_refused_requests), cmocka_unit_test(test_formats),
-        cmocka_unit_test(test_refused_formats),  cmocka_unit_test(test_hostile),
-        cmocka_unit_test(test_odd_values),       cmocka_unit_test(test_refused_open),
-        cmocka_unit_test(test_other_nodes),
+        cmocka_unit_test(test_webcam),       cmocka_unit_test(test_pace),
+        cmocka_unit_test(test_exposure),     cmocka_unit_test(test_frames),
+        cmocka_unit_test(test_mplane),       cmocka_unit_test(test_sensor),
+        cmocka_unit_test(test_half_written), cmocka_unit_test(test_other_sensors),
+        cmocka_unit_test(test_gain_codes),   cmocka_unit_test(test_focus),
+        cmocka_unit_test(test_automatic),    cmocka_unit_test(test_refused_requests),
+        cmocka_unit_test(test_formats),      cmocka_unit_test(test_refused_formats),
+        cmocka_unit_test(test_hostile),      cmocka_unit_test(test_odd_values),
+        cmocka_unit_test(test_refused_open), cmocka_unit_test(test_other_nodes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -188,6 +188,8 @@ Camera::Camera(int i) : d(std::make_unique<device>())
         c.emplace(&controls::AnalogueGainMode, ControlInfo(int32_t{0}, int32_t{1}));
 #endif
     }
+    if (fakecamera.lens)
+        c.emplace(&controls::LensPosition, ControlInfo(0.0f, 10.0f));
     if (!fakecamera.usb) {
         c.emplace(&controls::AwbEnable, ControlInfo(false, true));
         c.emplace(&controls::AfMode, ControlInfo(int32_t{1}, int32_t{2})); // no manual one
@@ -409,6 +411,8 @@ int Camera::start(const ControlList *list)
     if (fakecamera.fail_start)
         return -fakecamera.fail_start;
     fakecamera.frozen = 0;
+    const auto lens = list->get(controls::LensPosition);
+    fakecamera.focus = lens ? double{*lens} : -1.0;
     for (const auto &[id, value] : list->all())
         fakecamera.frozen += id == controls::AeEnable.id() || id == controls::AwbEnable.id() ||
                              id == controls::AfMode.id() || id == 12 || id == 13;

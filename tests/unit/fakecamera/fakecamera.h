@@ -19,6 +19,7 @@ struct fakecamera {
     bool smaller;      // gives another size than was asked for
     bool unknown_format;
     bool silent;   // no frames
+    bool lens;     // that can be moved, up to 10 dioptres
     bool boottime; // stamps by the book; the machine has slept for 1000 s
     int delay;     // frames from a request's controls to the first frame that shows them
     int startup;   // frames at the start that are not to be used, where that can be told
@@ -36,6 +37,7 @@ struct fakecamera {
     char what[128];                           // the last of them
     int frozen;                               // automatic controls switched off at the start
     int64_t frame_us[2];                      // FrameDurationLimits at the start
+    double focus;                             // LensPosition as last set; < 0: never
     unsigned frames;
 };
 
