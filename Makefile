@@ -14,8 +14,8 @@
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev lintian \
-	ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
+	lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
 
@@ -94,8 +94,8 @@ MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) dr
 	Makefile
 
 # --- build ----------------------------------------------------------------------------------------
-.PHONY: all demo libsim check test lint format deps deps-check install uninstall deb clean fuzz bench \
-	picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel check-train \
+.PHONY: all demo libsim check test lint format deps deps-check install uninstall deb clean fuzz \
+	bench picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel check-train \
 	deps-kernel deps-qemu
 .DELETE_ON_ERROR:
 .SECONDARY:
