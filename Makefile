@@ -160,9 +160,11 @@ ETC = $(DESTDIR)/etc/hdrig
 
 # Settings that somebody changed stay; share/hdrig has those of the last installation to tell.
 put_settings = f=$(ETC)/$(notdir $1); last=$(SHARE)/$(notdir $1); \
-	if [ -e $$f ] && ! cmp -s $$f $1 && ! cmp -s $$f $$last; then \
-	    install -m 644 $1 $$f.new; echo "$$f was changed and stays; ours is $$f.new"; \
-	else install -m 644 $1 $$f; fi && install -m 644 $1 $$last
+	mine() { [ -e $$1 ] && ! cmp -s $$1 $1 && ! cmp -s $$1 $$last; }; \
+	if ! mine $$f; then install -m 644 $1 $$f; \
+	elif mine $$f.new; then echo "$$f and $$f.new were changed and stay; ours is $$last"; \
+	else install -m 644 $1 $$f.new; echo "$$f was changed and stays; ours is $$f.new"; fi && \
+	install -m 644 $1 $$last
 
 install: all
 	$(if $(BOARD),@test -f board/$(BOARD)/board.conf || \
@@ -188,7 +190,8 @@ uninstall:
 	@for f in defaults.conf board.conf; do \
 	    if cmp -s $(ETC)/$$f $(SHARE)/$$f; then rm $(ETC)/$$f; \
 	    elif [ -e $(ETC)/$$f ]; then echo "$(ETC)/$$f was changed and stays"; fi; \
-	    if cmp -s $(ETC)/$$f.new $(SHARE)/$$f; then rm $(ETC)/$$f.new; fi; done
+	    if cmp -s $(ETC)/$$f.new $(SHARE)/$$f; then rm $(ETC)/$$f.new; \
+	    elif [ -e $(ETC)/$$f.new ]; then echo "$(ETC)/$$f.new was changed and stays"; fi; done
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,hdrig hdrigd) $(LIB)/hdrig/hdrig-libcamera.so \
 	    $(addprefix $(SHARE)/,small.hdrig defaults.conf board.conf) \
 	    $(LIB)/udev/rules.d/60-hdrig.rules $(LIB)/sysusers.d/hdrig.conf \
