@@ -744,8 +744,8 @@ static void tell_start(const struct daemon *d)
     if (d->http)
         log_info("page: http://%s%s%s:%d", v6 ? "[" : "", c->http_address, v6 ? "]" : "",
                  http_port(d->http));
-    log_info("commands: hdrig capture|session|status|cancel%s%s, at %s", config ? " --config " : "",
-             config ? config : "", c->control_socket);
+    log_info("commands: hdrig capture|session|calibrate|status|cancel%s%s, at %s",
+             config ? " --config " : "", config ? config : "", c->control_socket);
 }
 
 static void close_all(struct daemon *d)
