@@ -38,7 +38,7 @@ err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *order)
 {
     char what[sizeof c->what] = "all", longest[sizeof c->longest] = "2";
     int end = 0;
-    if (c->on)
+    if (c->on || c->done)
         return err_fail(ERR_BUSY, "cameras are being calibrated already");
     if (strcmp(order, "calibrate") != 0 &&
         (sscanf(order, "calibrate %15[a-z] %31[0-9.e+-]%n", what, longest, &end) != 2 ||
@@ -61,7 +61,8 @@ static void end(struct calibrator *c, const char *why)
     c->on = false;
     if (!why) {
         log_info("cameras are calibrated");
-        ctl_answer(c->ctl, c->id, "{\"ok\": true}");
+        c->done = true;
+        c->done_ns = 0;
         return;
     }
     snprintf(c->text, sizeof c->text, "camera.%d is not calibrated: %.*s", c->i + 1, CHILD_LINE - 1,
@@ -133,6 +134,17 @@ void calibrator_step(struct calibrator *c)
     }
     if (c->on && !c->child.pid && (c->cancelled || start(c) != OK))
         end(c, c->cancelled ? "cancelled" : err_text());
+}
+
+void calibrator_answer(struct calibrator *c, bool armed, int64_t now_ns)
+{
+    if (!c->done)
+        return;
+    c->done_ns = c->done_ns ? c->done_ns : now_ns;
+    if (!armed && now_ns - c->done_ns < CALIBRATOR_WAIT_S * INT64_C(1000000000))
+        return;
+    c->done = false;
+    ctl_answer(c->ctl, c->id, "{\"ok\": true}");
 }
 
 void calibrator_cancel(struct calibrator *c)

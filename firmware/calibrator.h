@@ -9,12 +9,16 @@
 #include "firmware/config.h"
 #include "firmware/ctl.h"
 
+enum { CALIBRATOR_WAIT_S = 5 };
+
 struct calibrator {
     const struct config *set; // cameras and calibration.path; given
     const char *config_path;  // for the child; NULL: none; given
     const char *program;      // hdrig; given
     struct ctl *ctl;          // given
     bool on, cancelled;
+    bool done; // all are calibrated, which is answered when they are open again
+    int64_t done_ns;
     uint64_t id; // of the client that asked
     int i;       // camera that is measured
     char what[16], longest[32];
@@ -31,7 +35,10 @@ MUST_USE err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *o
 void calibrator_cancel(struct calibrator *c);
 int calibrator_poll(const struct calibrator *c, struct pollfd *fds, int cap); // at most CHILD_FDS
 void calibrator_step(struct calibrator *c);                                   // start, listen, reap
-const char *calibrator_sentence(struct calibrator *c);                        // what it does
-void calibrator_close(struct calibrator *c);                                  // ends the child
+/* Answer a client whose cameras are calibrated, once these are `armed`, or did not get so in
+ * CALIBRATOR_WAIT_S; who asked may take a capture then. now_ns: CLOCK_MONOTONIC. */
+void calibrator_answer(struct calibrator *c, bool armed, int64_t now_ns);
+const char *calibrator_sentence(struct calibrator *c); // what it does
+void calibrator_close(struct calibrator *c);           // ends the child
 
 #endif

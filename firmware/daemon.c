@@ -590,6 +590,7 @@ static err_t turn(struct daemon *d)
         return e;
     ctl_step(d->ctl);
     calibrator_step(&d->calibrator);
+    calibrator_answer(&d->calibrator, can_begin(d), now);
     if (d->http)
         http_step(d->http);
     collect(d);

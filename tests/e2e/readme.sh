@@ -59,7 +59,8 @@ exec "$(command -v make)" -C "$root" -n "\$@"
 END
 stand_in "$bin/xdg-open" <<<'[ -f "$1" ]'
 cat >"$sandbox/FILE" <<END
-camera.1 = sim:kind=room,seed=5,size=56,samples=1,fps=100
+camera.1 = sim:kind=room,seed=5,size=56,samples=1,fps=100,clock=virtual
+calibration.path = $sandbox/calibration
 store.path = $sandbox/captures
 results.path = $sandbox/results
 store.reserve_mb = 1

@@ -7,7 +7,7 @@ mkdir "$TMPDIR"
 real=sim:kind=room,seed=5,size=56,samples=1,fps=100
 
 # bad requests
-expect 2 '--camera is needed' calibrate
+expect 1 'no daemon answers' calibrate --set control.socket="$OUT/none.socket"
 expect 2 '--camera is needed' selftest
 expect 2 '--what: "focus" is none of latency, range' calibrate --camera $sim --what focus
 expect 2 '--longest: 0 is not in' calibrate --camera $sim --longest 0

@@ -90,7 +90,8 @@ scene() { # name kind number ev...
     "$BIN/make_view" "$OUT/$1" "$2" "$3" || exit 1
     shift 3
     for ev; do
-        succeed render --scene "$OUT/$name" --path inputs --ev "$ev" --hdr --out "$OUT/$name/ev$ev"
+        succeed render --scene "$OUT/$name" --path inputs --size 112 --ev "$ev" --hdr \
+            --out "$OUT/$name/ev$ev"
     done
 }
 
