@@ -102,7 +102,7 @@ start
 wait_for armed
 for words in "camera.1: $(camera 0)" "captures: $OUT/store, scenes: none are made" \
     "page: http://127.0.0.1:$PORT" \
-    "commands: hdrig capture|session|calibrate|status|cancel --config $OUT/hdrig.conf, at $SOCKET"; do
+    "commands: hdrig capture|session|calibrate|status|cancel --config $OUT/hdrig.conf, at"; do
     grep -qF "$words" "$LOG" || fail "hdrigd does not say what it serves: $words"
 done
 take=$(ask capture 2>"$ERR") || fail "capture: $(cat "$ERR")"
