@@ -403,8 +403,8 @@ static void sizes_are_read_from_headers(void **state)
     assert_true(w == 8 && h == 6);
     for (size_t n = 0; n < sizeof jpeg - 1; n++)
         assert_int_equal(imgsize_parse("j", jpeg, n, &w, &h), ERR_FORMAT);
-    static const char *const others[] = {"\0\0\0\x18"
-                                         "ftypheic",
+    static const char *const others[] = {("\0\0\0\x18"
+                                          "ftypheic"),
                                          "II*\0\x08\0\0\0....", "RIFF....WEBP"};
     static const char *const kinds[] = {"HEIC", "TIFF or raw", "WebP"};
     for (int i = 0; i < 3; i++) {
