@@ -129,7 +129,7 @@ answers() {
 daemon=$!
 await "answer of the daemon" answers
 for i in 1 2 3; do
-    plug nap 4000 press $enter 2000 nap 5000
+    plug nap 4000 press $enter 1000 nap 5000
     await "take $i" stored "$i"
     pulled
     answers || fail "the daemon has gone with the keypad"
