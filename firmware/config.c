@@ -70,7 +70,8 @@ static const struct key keys[] = {
      "reject|queue|coalesce", 0},
     {"trigger.queue", FIELD(trigger_queue), 1, 16, 1, 4, "places of the queue", WHOLE, NULL, 0},
     {"session.collect", FIELD(session_collect), 0, 0, 1, 0,
-     "1 = captures are places of one scene, 0 = each is a scene, auto = 1 with one camera",
+     "1 = captures are places of one scene, 0 = each is a scene, auto = 1 with one camera and "
+     "without a timer",
      WORD, "auto|0|1", 0},
     {"session.hold_ms", FIELD(session_hold_ms), 500, 60000, 1, 2000,
      "a button held that long ends the session, ms", WHOLE, NULL, 0},
@@ -358,6 +359,8 @@ err_t config_stops(const char *where, const char *text, double *ev, int cap, int
 bool config_collects(const struct config *c)
 {
     bool one = c->camera[0][0] && !c->camera[1][0];
+    for (int i = 0; i < CONFIG_TRIGGERS; i++)
+        one = one && strncmp(c->trigger[i], "timer:", 6) != 0; // nobody carries the camera around
     return c->session_collect == CONFIG_COLLECT_YES ||
            (c->session_collect == CONFIG_COLLECT_AUTO && one);
 }

@@ -196,6 +196,9 @@ static void one_camera_collects(void **state)
     assert_int_equal(config_assign(&c, "session.collect=0"), OK);
     assert_false(config_collects(&c));
     assert_int_equal(config_assign(&c, "session.collect=auto"), OK);
+    assert_int_equal(config_assign(&c, "trigger.2=timer:60"), OK);
+    assert_false(config_collects(&c));
+    assert_int_equal(config_assign(&c, "trigger.2="), OK);
     assert_int_equal(config_assign(&c, "camera.2=sim:seed=2"), OK);
     assert_false(config_collects(&c));
     assert_int_equal(config_assign(&c, "session.collect=1"), OK);
