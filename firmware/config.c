@@ -70,8 +70,7 @@ static const struct key keys[] = {
      "reject|queue|coalesce", 0},
     {"trigger.queue", FIELD(trigger_queue), 1, 16, 1, 4, "places of the queue", WHOLE, NULL, 0},
     {"session.collect", FIELD(session_collect), 0, 0, 1, 0,
-     "1 = captures are places of one scene, 0 = each is a scene, auto = 1 with one camera and "
-     "without a timer",
+     "1 = captures are places of one scene, 0 = each is one; auto = 1 with one camera, no timer",
      WORD, "auto|0|1", 0},
     {"session.hold_ms", FIELD(session_hold_ms), 500, 60000, 1, 2000,
      "a button held that long ends the session, ms", WHOLE, NULL, 0},
