@@ -192,8 +192,8 @@ err_t filelist_write(const char *dir)
 
 /* ---- reading ---- */
 
-/* Undo put_line in place; returns the length. */
-static size_t unescape(char *name)
+/* Undo put_line in place. */
+static void unescape(char *name)
 {
     char *to = name;
     for (const char *c = name; *c; c++) {
@@ -206,7 +206,6 @@ static size_t unescape(char *name)
         *to++ = (char)(*c == 'n' ? '\n' : *c == 'r' ? '\r' : *c);
     }
     *to = 0;
-    return (size_t)(to - name);
 }
 
 static err_t read_line(struct list *l, const char *path, const char *line, size_t n)

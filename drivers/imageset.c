@@ -682,8 +682,7 @@ static err_t append(const char *images, const struct imageset *one, struct image
         int n = snprintf(name, sizeof name, "%s_%s", folder, one->capture.shots[i].name);
         e = name_copy(images, name, (size_t)n, s->name);
         if (!e && (s->image.w != c->shots[0].image.w || s->image.h != c->shots[0].image.h))
-            e = err_fail(ERR_FORMAT, "%s has %d x %d px but %s has %d x %d", c->shots[0].name,
-                         c->shots[0].image.w, c->shots[0].image.h, s->name, s->image.w, s->image.h);
+            e = refuse_size(images, &c->shots[0], s);
     }
     for (int i = 0; i < part->first && !e; i++)
         for (int k = part->first; k < c->n && !e; k++)

@@ -5,6 +5,7 @@
 
 #include "firmware/backends.h"
 #include "firmware/calibrator.h"
+#include "firmware/clocks.h"
 #include "firmware/collect.h"
 #include "firmware/ctl.h"
 #include "firmware/http.h"
@@ -70,13 +71,6 @@ struct daemon {
     int n_recent;
     struct summary recent[RECENT]; // newest first
 };
-
-static int64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
 
 /* ---- state ---- */
 
@@ -154,8 +148,8 @@ static void write_status(void *ctx, FILE *f)
     fprintf(f,
             ", \"uptime_s\": %.1f, \"progress\": {\"kept\": %d, \"wanted\": %d, \"frames\": %d, "
             "\"rejected\": %d, \"lost\": %d}, \"waiting\": %d, \"free_mb\": %.0f, ",
-            (double)(now_ns() - d->start_ns) / 1e9, p.kept, p.wanted, p.frames, p.rejected, p.lost,
-            d->n_waiting, free_mb);
+            (double)(clocks_now() - d->start_ns) / 1e9, p.kept, p.wanted, p.frames, p.rejected,
+            p.lost, d->n_waiting, free_mb);
     write_cameras(d, f);
     fputs(", ", f);
     jobs_write(d->jobs, f);
@@ -384,7 +378,7 @@ static err_t run_command(void *ctx, const char *line)
 {
     struct daemon *d = ctx;
     if (strcmp(line, "capture") == 0)
-        return press(d, now_ns());
+        return press(d, clocks_now());
     if (strcmp(line, "cancel") == 0) {
         cancel(d);
         return OK;
@@ -488,7 +482,7 @@ static void read_signals(struct daemon *d)
         double longest = d->session ? session_longest_s(d->session) : 0;
         log_info("%s: stopping", strsignal((int)s.ssi_signo));
         d->stopping = true;
-        d->stop_ns = now_ns() + (int64_t)(longest * 1e9) + STOP_MARGIN_MS * INT64_C(1000000);
+        d->stop_ns = clocks_now() + (int64_t)(longest * 1e9) + STOP_MARGIN_MS * INT64_C(1000000);
         sd_notifyf(0, "STOPPING=1\nEXTEND_TIMEOUT_USEC=%.0f", (longest + 10) * 1e6);
         if (d->session)
             session_cancel(d->session, "shutdown");
@@ -547,7 +541,7 @@ static int64_t earlier(int64_t a, int64_t b)
 
 static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
 {
-    int64_t now = now_ns();
+    int64_t now = clocks_now();
     int n = 0;
     *deadline = now + RETRY_S * INT64_C(1000000000);
     fds[n++] = (struct pollfd){.fd = d->signals, .events = POLLIN};
@@ -574,7 +568,7 @@ static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
 
 static err_t turn(struct daemon *d)
 {
-    int64_t now = now_ns();
+    int64_t now = clocks_now();
     err_t e = OK;
     read_signals(d);
     read_clock(d);
@@ -610,7 +604,7 @@ static bool finished(struct daemon *d)
     if (!d->stopping)
         return false;
     enum session_state s = d->session ? session_state(d->session) : SESSION_LOST;
-    return s == SESSION_ARMED || s == SESSION_LOST || now_ns() >= d->stop_ns;
+    return s == SESSION_ARMED || s == SESSION_LOST || clocks_now() >= d->stop_ns;
 }
 
 static err_t loop(struct daemon *d)
@@ -621,7 +615,7 @@ static err_t loop(struct daemon *d)
         struct pollfd fds[FDS_MAX];
         int64_t deadline;
         int n = gather(d, fds, &deadline);
-        int64_t left = deadline - now_ns();
+        int64_t left = deadline - clocks_now();
         struct timespec wait = {.tv_sec = left > 0 ? left / 1000000000 : 0,
                                 .tv_nsec = left > 0 ? left % 1000000000 : 0};
         if (ppoll(fds, (nfds_t)n, &wait, NULL) < 0 && errno != EINTR)
@@ -780,7 +774,7 @@ err_t daemon_run(const struct daemon_config *cfg)
     d->cfg = cfg;
     d->set = cfg->settings;
     d->signals = d->clock = -1;
-    d->start_ns = now_ns();
+    d->start_ns = clocks_now();
     err_t e = open_all(d);
     if (!e)
         tell_start(d);

@@ -1,6 +1,7 @@
 /* Requests are small and answered at once; files are sent by the library. */
 #include "firmware/http.h"
 
+#include "firmware/clocks.h"
 #include "firmware/connections.h"
 #include "firmware/embed.h"
 
@@ -14,7 +15,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
-#include <time.h>
 #include <unistd.h>
 
 enum { TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
@@ -297,13 +297,6 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
     return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, or POST of a command");
 }
 
-static int64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
-
 static struct connection *connection_of(struct MHD_Connection *c)
 {
     return MHD_get_connection_info(c, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
@@ -320,7 +313,7 @@ static void on_connection(void *ctx, struct MHD_Connection *c, void **socket,
     const struct sockaddr *from =
         MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
     int fd = MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
-    *socket = connections_add(&h->connections, fd, from, now_ns());
+    *socket = connections_add(&h->connections, fd, from, clocks_now());
 }
 
 /* Called when the header is complete, for each piece of the body, and at its end. */
@@ -351,7 +344,7 @@ static void on_end(void *ctx, struct MHD_Connection *c, void **state,
 {
     (void)ctx;
     (void)code;
-    connections_end(connection_of(c), now_ns());
+    connections_end(connection_of(c), clocks_now());
     free(*state);
     *state = NULL;
 }
@@ -449,5 +442,5 @@ struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns)
 void http_step(struct http *h)
 {
     MHD_run(h->mhd);
-    h->look_ns = connections_expire(&h->connections, now_ns());
+    h->look_ns = connections_expire(&h->connections, clocks_now());
 }

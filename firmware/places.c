@@ -45,12 +45,6 @@ static bool read_ended(const char *path, char session[STORE_ID_CAP])
     return store_is_id(session);
 }
 
-static uint64_t number_of(const char *id)
-{
-    const char *dash = strrchr(id, '-');
-    return dash ? strtoull(dash + 1, NULL, 10) : 0;
-}
-
 static void reverse(struct places *p)
 {
     for (int i = 0, j = p->n - 1; i < j; i++, j--) {
@@ -66,14 +60,15 @@ static void look(const char *store, const char *session, char (*ids)[STORE_ID_CA
                  struct places *out)
 {
     char of[STORE_ID_CAP];
+    bool is_aborted, of_aborted;
     struct develop balance;
     int n = store_list_in(store, ids, LIST_MAX);
     snprintf(out->id, sizeof out->id, "%s", session);
     for (int i = 0; i < n && out->n < PLACES_MAX; i++) {
-        if (out->id[0] && number_of(ids[i]) < number_of(out->id)) // older than the session
+        uint64_t number = store_number(ids[i], &is_aborted);
+        if (out->id[0] && number < store_number(out->id, &of_aborted)) // older than the session
             break;
-        if (strchr(ids[i], '-') != strrchr(ids[i], '-') || // aborted
-            !read_session(store, ids[i], of, &balance))
+        if (is_aborted || !read_session(store, ids[i], of, &balance))
             continue;
         if (!out->id[0] && !of[0])
             break;

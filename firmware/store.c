@@ -43,8 +43,7 @@ struct store {
 
 /* ---- names ---- */
 
-/* Number of a take; 0 if it is no name of one: [aborted-]BOOT8-NNNNNN. */
-static uint64_t number_of(const char *name, bool *is_aborted)
+uint64_t store_number(const char *name, bool *is_aborted)
 {
     size_t skip = sizeof aborted - 1;
     *is_aborted = strncmp(name, aborted, skip) == 0;
@@ -62,7 +61,7 @@ static uint64_t number_of(const char *name, bool *is_aborted)
 bool store_is_id(const char *name)
 {
     bool is_aborted;
-    return strlen(name) < STORE_ID_CAP && number_of(name, &is_aborted) != 0;
+    return strlen(name) < STORE_ID_CAP && store_number(name, &is_aborted) != 0;
 }
 
 /* Whether a take may have a file or folder of that name: everything else is somebody else's. Digits
@@ -100,7 +99,7 @@ struct entry {
 static bool next_entry(DIR *d, struct entry *out)
 {
     for (struct dirent *entry; (entry = readdir(d));) {
-        out->number = number_of(entry->d_name, &out->is_aborted);
+        out->number = store_number(entry->d_name, &out->is_aborted);
         struct stat st;
         if (!out->number || fstatat(dirfd(d), entry->d_name, &st, AT_SYMLINK_NOFOLLOW) != 0 ||
             !S_ISDIR(st.st_mode))
@@ -131,7 +130,7 @@ int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
         int at = n;
         for (; at > 0; at--) {
             memcpy(other.id, ids[at - 1], STORE_ID_CAP);
-            other.number = number_of(other.id, &other.is_aborted);
+            other.number = store_number(other.id, &other.is_aborted);
             if (comes_before(&other, &x))
                 break;
             if (at < cap)

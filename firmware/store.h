@@ -64,6 +64,9 @@ int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap);
 /* The same for the folder of a store. thread: any, other processes too. */
 int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap);
 
+/* Number of a take by its name, [aborted-]BOOT8-NNNNNN; 0 if it is no name of one. */
+uint64_t store_number(const char *name, bool *is_aborted);
+
 /* Whether a take may have that name. */
 bool store_is_id(const char *name);
 

@@ -73,6 +73,6 @@ grep -q '^hdrig reconstruct: warning: .*one exposure' "$ERR" || fail "a warning 
 expect 1 'warnings?, and --strict was given' "${one[@]}" --out "$OUT/warned" --strict
 [ -f "$OUT/warned/scene.ply" ] || fail "--strict: no scene"
 
-"$BIN/random_calls" "$hdrig" "$tree" "$OUT/work" "${SEED:-1}" "${CALLS:-300}" ||
+"$BIN/random_calls" "$hdrig" "$tree" "$OUT/stage" "${SEED:-1}" "${CALLS:-300}" ||
     fail "a random call did harm"
 finish
