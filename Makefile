@@ -62,36 +62,37 @@ isa = $(ISA_$(lastword $(subst _, ,$(notdir $*))))
 # --- sources --------------------------------------------------------------------------------------
 OTHER_ISA := $(if $(filter x86_64,$(ARCH)),,%_sse41.c %_avx2.c %_avx512.c %_avx512vnni.c %_amx.c)
 OTHER_ISA += $(if $(filter aarch64,$(ARCH)),,%_neon.c %_neondot.c %_i8mm.c)
-CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*.c core/*/*.c))
-DRIVERS := $(wildcard drivers/*.c)
-SIM := $(wildcard sim/*.c)
-MAINS := $(wildcard firmware/hdrig.c firmware/hdrigd.c)
-FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*.c))
-TESTS := $(wildcard tests/unit/*_test.c tests/kernels/*_test.c tests/golden/*_test.c)
+CORE := $(filter-out $(OTHER_ISA),$(wildcard core/*/*.c))
+DRIVERS := $(wildcard drivers/*/*.c)
+SIM := $(wildcard sim/*/*.c)
+MAINS := firmware/cmd/hdrig.c firmware/daemon/hdrigd.c
+FIRMWARE := $(filter-out $(MAINS),$(wildcard firmware/*/*.c))
+TESTS := $(wildcard tests/unit/*/*/*_test.c tests/kernels/*_test.c tests/golden/*_test.c)
 FAULT := $(wildcard tests/fault/*_test.c)
 E2E := $(wildcard tests/e2e/*.c)
 FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
-KERNEL := $(filter-out tests/kernel/uvc.c,$(wildcard tests/kernel/*.c))
+LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance attend consensus depth gausshead modelfile \
 	sample camera_libcamera writer
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
-ARM_TESTS := $(addprefix unit/,appearance arena attend bytes cpu depth err gausshead \
-	gaussians half layer loss metrics pack pool raster sha256) \
+ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base/gaussians \
+	base/half base/pool base/sha256 net/appearance net/attend net/depth net/gausshead net/layer \
+	net/pack photo/metrics refine/loss splat/raster) \
 	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
-TSAN_SOURCES := $(filter %_tsan_test.c $(TSAN_TESTS:%=tests/unit/%_test.c),$(TESTS))
+TSAN_SOURCES := $(filter %_tsan_test.c $(addprefix %/,$(addsuffix _test.c,$(TSAN_TESTS))),\
+	$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
 ARM_PROGRAMS = $(ARM_TESTS:%=$(B)/tests/arm/%_test)
 
 objects = $(1:%.c=$(B)/%.o)
 programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
-TOOLS := $(MAINS:firmware/%.c=$(B)/%)
+TOOLS := $(addprefix $(B)/,$(basename $(notdir $(MAINS))))
 MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
-MODULE_NEEDS := drivers/libcamera_shim.cpp $(wildcard drivers/libcamera_*.h*) drivers/camera.h \
-	Makefile
+MODULE_NEEDS := $(wildcard drivers/device/libcamera_*) drivers/device/camera.h Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check test lint format deps deps-check install uninstall deb clean fuzz \
@@ -123,12 +124,12 @@ $(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstr
 	clang,$(CC)),,-fno-schedule-insns -frename-registers))
 # Plain loops that gcc 12 vectorises only here: half the time.
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
-$(B)/core/splat/s%.o: OPT := -O3 -ffp-contract=off
+$(B)/core/stereo/%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
-$(B)/firmware/config.o: MORE = -Wconversion
+$(B)/firmware/base/config.o: MORE = -Wconversion
 $(MAINS:%.c=$(B)/%.o): MORE = -DHDRIG_VERSION='"$(VERSION)"'
-$(B)/firmware/http.o $(B)/firmware/viewer.o $(B)/firmware/sheet.o: $(wildcard firmware/web/*)
+$(addprefix $(B)/firmware/,daemon/http.o result/viewer.o result/sheet.o): $(wildcard firmware/web/*)
 
 $(B)/libcore.a: $(call objects,$(CORE))
 $(B)/libdrivers.a: $(call objects,$(DRIVERS))
@@ -140,16 +141,19 @@ $(LIBS):
 	$(AR) qcs $@ $^
 
 # Worlds, sensor and renderer for Python: make libsim. Without what needs drivers.
-SIM_ALONE := $(filter-out $(shell grep -l '"drivers/' $(SIM)) sim/camera_% sim/feed.c,$(SIM))
+SIM_ALONE := $(filter-out $(shell grep -l '"drivers/' $(SIM)) \
+	sim/device/camera_% sim/device/feed.c,$(SIM))
 libsim:
 	@$(MAKE) -s PIC=1 build/$(V)-pic/libsim.so
 $(B)/libsim.so: $(call objects,$(SIM_ALONE) $(CORE))
 	$(CC) $(FLAGS) -shared -Wl,-z,defs $^ -lm -o $@
 
-$(TOOLS): $(B)/%: $(B)/firmware/%.o $(LIBS)
+$(B)/hdrig: $(B)/firmware/cmd/hdrig.o $(LIBS)
+$(B)/hdrigd: $(B)/firmware/daemon/hdrigd.o $(LIBS)
+$(TOOLS):
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
-# libcamera, for those who have it: loaded by drivers/camera_libcamera.c.
+# libcamera, for those who have it: loaded by drivers/device/camera_libcamera.c.
 $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	@mkdir -p $(@D)
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
@@ -269,8 +273,8 @@ test: deps-check
 lint: deps-check
 	@tests/check.sh lint
 
-check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(KERNEL))
-	@tests/kernel/run.sh $(B)/tests/kernel $(TEST)
+check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(LINUX))
+	@tests/linux/run.sh $(B)/tests/linux $(TEST)
 
 check-train: all libsim
 	@rm -rf build/train && mkdir -p build/train
@@ -286,24 +290,25 @@ $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
 
 # The module over a libcamera that is played: what 0.0.3 has, what 0.7.2 has.
-FAKECAMERAS := $(B)/tests/unit/fakecamera_3.so $(B)/tests/unit/fakecamera_72.so
-$(B)/tests/unit/camera_libcamera_test: | $(FAKECAMERAS)
-$(FAKECAMERAS): $(B)/tests/unit/fakecamera_%.so: $(MODULE_NEEDS) \
-		$(wildcard tests/unit/fakecamera/*.* tests/unit/fakecamera/libcamera/*)
+FAKE := $(B)/tests/unit/drivers/device
+FAKECAMERAS := $(FAKE)/fakecamera_3.so $(FAKE)/fakecamera_72.so
+$(FAKE)/camera_libcamera_test: | $(FAKECAMERAS)
+$(FAKECAMERAS): $(FAKE)/fakecamera_%.so: $(MODULE_NEEDS) \
+		$(wildcard $(addprefix tests/unit/drivers/device/fakecamera/,*.* libcamera/*))
 	@mkdir -p $(@D)
-	$(CXX) $(CXXFLAGS_MODULE) -Itests/unit/fakecamera -DFAKE_RELEASE=$* \
+	$(CXX) $(CXXFLAGS_MODULE) -Itests/unit/drivers/device/fakecamera -DFAKE_RELEASE=$* \
 	    -Dclock_gettime=fakecamera_clock -o $@ $(filter %.cpp,$^)
 
 # Each plays one version of the library.
-$(B)/tests/unit/trigger_gpiod1_test.o: MORE = -Itests/unit/fakegpiod1
-$(B)/tests/unit/trigger_gpiod2_test.o: MORE = -Itests/unit/fakegpiod2
+$(FAKE)/trigger_gpiod1_test.o: MORE = -Itests/unit/drivers/device/fakegpiod1
+$(FAKE)/trigger_gpiod2_test.o: MORE = -Itests/unit/drivers/device/fakegpiod2
 
 # What the scripts there call.
 $(B)/tests/e2e/%: $(B)/tests/e2e/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
-$(B)/tests/kernel/usbcam: $(B)/tests/kernel/uvc.o
-$(B)/tests/kernel/%: $(B)/tests/kernel/%.o $(LIBS)
+$(B)/tests/linux/usbcam: $(B)/tests/linux/uvc.o
+$(B)/tests/linux/%: $(B)/tests/linux/%.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
 # malloc of the whole program, so not together with a sanitizer.
@@ -325,8 +330,8 @@ fuzz: deps-check
 	@tests/fuzz.sh $(SECONDS)
 
 format:
-	clang-format -i $(wildcard core/*.[ch] core/*/*.[ch] drivers/*.[ch] firmware/*.[ch] sim/*.[ch]) \
-	    $(wildcard tests/*/*.[ch] drivers/*.?pp tests/unit/fakecamera/*.*)
+	clang-format -i $(wildcard $(addsuffix /*/*.[ch],core drivers firmware sim tests) drivers/*/*.?pp \
+	    tests/unit/*/*/*.[ch] tests/unit/drivers/device/fakecamera/*.*)
 
 # A value for scripts: make -s print-B
 print-%: ; @echo $($*)

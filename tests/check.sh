@@ -46,7 +46,7 @@ run() { # variant program [arguments]...
 run_tests() { # variant folder-of-the-build source-folder...
     local variant=$1 dir=$2 source
     shift 2
-    for source in $(for d in "$@"; do ls "tests/$d"/*_test.c 2>/dev/null; done); do
+    for source in $(for d in "$@"; do find "tests/$d" -name "*_test.c" | sort 2>/dev/null; done); do
         run "$variant" "$dir/${source%.c}"
     done
 }

@@ -6,8 +6,8 @@
 #ifndef KERNELS_KERNELS_H
 #define KERNELS_KERNELS_H
 
+#include "core/base/types.h"
 #include "core/kernels/gemm.h"
-#include "core/types.h"
 
 struct tonemap_curve;
 

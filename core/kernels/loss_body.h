@@ -2,7 +2,7 @@
  * Included by loss_<isa>.c after one SIMD_ macro. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
-#include "core/net/tonemap.h"
+#include "core/photo/tonemap.h"
 
 enum { TAPS = 11 };
 

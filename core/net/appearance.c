@@ -9,7 +9,7 @@
 #include "core/net/finite.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
-#include "core/prep.h"
+#include "core/photo/prep.h"
 
 #include <math.h>
 #include <string.h>

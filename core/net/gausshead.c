@@ -13,7 +13,7 @@
 #include "core/net/metanet.h"
 #include "core/net/plan.h"
 #include "core/net/tap.h"
-#include "core/prep.h"
+#include "core/photo/prep.h"
 
 #include <string.h>
 

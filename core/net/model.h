@@ -1,7 +1,7 @@
 /* model.h - the weights of a network as they lie in a mapped weights file, ready to use.
  *
- * A weights file is a safetensors file; drivers/modelfile.h describes and checks it. Products are
- * stored packed, so that nothing is copied when a network starts:
+ * A weights file is a safetensors file; drivers/format/modelfile.h describes and checks it.
+ * Products are stored packed, so that nothing is copied when a network starts:
  *   F32, BF16  [panels, k, 16]       panel p, input i, output 16 p + j; outputs >= n are 0
  *   I8         [panels, k/4, 16, 4]  panel p, input 4 i + l, output 16 p + j; with NAME_scale F32
  *                                    [n]: weight = scale * integer. k is a multiple of 4.

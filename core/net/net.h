@@ -107,17 +107,6 @@ struct irradiance {
     float *scene, *sens; // (n_views grid^2, hdr)
 };
 
-enum { CORRESPONDENCE_BEST = 4 };
-
-/* Where the network finds the patches of one view in another (attend.h). */
-struct correspondence {
-    int n_views, grid;
-    int16_t
-        *token;   // (n_views, grid^2, n_views, CORRESPONDENCE_BEST) of the other view, best first;
-                  // -1: none
-    float *share; // same shape: share of the attention to that view, 0..1
-};
-
 /* One raw Gaussian per pixel, as voxel_merge takes them. */
 struct prediction {
     struct geometry geom;

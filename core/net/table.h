@@ -5,15 +5,16 @@
 #ifndef NET_TABLE_H
 #define NET_TABLE_H
 
+#include "core/base/types.h"
 #include "core/base/err.h"
 
 #include <stdbool.h>
 #include <stddef.h>
 
 enum {
-    NET_KEEP = 4,       // kept layers, inputs of the DPT trunks
-    NET_SPECIAL = 5,    // camera token and 4 registers before the patches of a view
-    NET_PATCH = 14,     // px, edge of a patch
+    NET_KEEP = 4,    // kept layers, inputs of the DPT trunks
+    NET_SPECIAL = 5, // camera token and 4 registers before the patches of a view
+    NET_PATCH = CORRESPONDENCE_PATCH,
     NET_POS_GRID = 37,  // edge of the position grid of DINOv2
     NET_DEPTH_MAX = 64, // blocks of one kind
     NET_NAME_CAP = 96,  // bytes of a tensor name with its terminating 0

@@ -3,7 +3,7 @@
 #ifndef NET_TAP_H
 #define NET_TAP_H
 
-#include "core/types.h"
+#include "core/base/types.h"
 
 static inline bool tap_on(const struct run *r)
 {

@@ -11,7 +11,7 @@
 #include "core/splat/display.h"
 
 #include "core/kernels/kernels.h"
-#include "core/net/tonemap.h"
+#include "core/photo/tonemap.h"
 
 #include <math.h>
 #include <string.h>

@@ -8,7 +8,7 @@
 #ifndef SPLAT_DISPLAY_H
 #define SPLAT_DISPLAY_H
 
-#include "core/types.h"
+#include "core/base/types.h"
 
 enum { DISPLAY_DEGREE_MAX = 3 };
 

@@ -9,6 +9,8 @@
  * No step depends on how chunks are shared out among threads. */
 #include "core/splat/raster.h"
 
+#include "core/base/rotation.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -107,23 +109,9 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
     return e ? e : arena_alloc(a, (n / CHUNK + 1) * POSE_GRAD, 4, &rs->partial);
 }
 
-void raster_rotation(const float q[4], float r[9])
-{
-    float w = q[0], x = q[1], y = q[2], z = q[3];
-    r[0] = 1 - 2 * (y * y + z * z);
-    r[1] = 2 * (x * y - w * z);
-    r[2] = 2 * (x * z + w * y);
-    r[3] = 2 * (x * y + w * z);
-    r[4] = 1 - 2 * (x * x + z * z);
-    r[5] = 2 * (y * z - w * x);
-    r[6] = 2 * (x * z - w * y);
-    r[7] = 2 * (y * z + w * x);
-    r[8] = 1 - 2 * (x * x + y * y);
-}
-
 static void view_from_camera(const struct camera *c, struct view_geom *v)
 {
-    raster_rotation(c->q, v->r);
+    rotation_from_quat(c->q, v->r);
     for (int k = 0; k < 3; k++) {
         v->t[k] = c->t[k];
         v->centre[k] = -(v->r[k] * c->t[0] + v->r[3 + k] * c->t[1] + v->r[6 + k] * c->t[2]);

@@ -12,8 +12,8 @@
 #ifndef SPLAT_RASTER_H
 #define SPLAT_RASTER_H
 
+#include "core/base/types.h"
 #include "core/kernels/kernels.h"
-#include "core/types.h"
 
 enum {
     RASTER_SIDE_MAX = 4080, // px; tile numbers are stored in 8 bits
@@ -106,8 +106,5 @@ MUST_USE err_t raster_load_group(const struct run *r, struct raster *rs, int i);
 
 /* The tile number k of the loaded group, ready for tile kernels (for raster_grad.c). */
 struct tile raster_tile(const struct raster *rs, const struct raster_input *in, int k);
-
-/* Rotation matrix, row-major, of a unit quaternion w,x,y,z. */
-void raster_rotation(const float q[4], float r[9]);
 
 #endif

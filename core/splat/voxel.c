@@ -5,7 +5,7 @@
  * Formulas: model-spec 2.11 and 2.12; guards: hazards 17-22. Sums are taken in double. */
 #include "core/splat/voxel.h"
 
-#include "core/splat/gaussians.h"
+#include "core/base/gaussians.h"
 
 #include <math.h>
 #include <string.h>

@@ -5,7 +5,7 @@
 #ifndef SPLAT_VOXEL_H
 #define SPLAT_VOXEL_H
 
-#include "core/types.h"
+#include "core/base/types.h"
 
 /* Raw features are the 88 channels of the network without channel 83, the confidence. */
 enum {

@@ -13,7 +13,7 @@ const info = JSON.parse(byId("info").textContent);
 const BATCH = 4096; // splats of one instance: many small instances are slow
 const HALF_MAX = 65504;
 const LOG2_ALPHA_MIN = -7.99435344, ALPHA_MAX = 0.999, STOP = 1e-4; // core/kernels/kernels.h
-const TURBO = [ // red, green, blue of the powers 0..5: core/falsecolour.c
+const TURBO = [ // red, green, blue of the powers 0..5: core/photo/falsecolour.c
   [0.13572138, 0.0914026, 0.1066733], [4.6153926, 2.19418839, 12.64194608],
   [-42.66032258, 4.84296658, -60.58204836], [132.13108234, -14.18503333, 110.36276771],
   [-152.94239396, 4.27729857, -89.90310912], [59.28637943, 2.82956604, 27.34824973]];

@@ -1,6 +1,6 @@
 """A simple generator: textured boxes in a textured room with lamps, without shadows. Stands in
 where libsim.so is not built, and mixes easy scenes into the training set. Same conventions as
-sim/sample.h: x right, y down, z forward; world z up; depth along z at pixel centres."""
+sim/train/sample.h: x right, y down, z forward; world z up; depth along z at pixel centres."""
 
 from __future__ import annotations
 

@@ -41,14 +41,14 @@ class Ask(c.Structure):
 
 
 class Request(c.Structure):
-    """struct sample_request of sim/sample.h."""
+    """struct sample_request of sim/train/sample.h."""
 
     _fields_ = [("ask", Ask), ("noise", c.c_int), ("curve_family", c.c_int),
                 ("curve_param", c.c_float), ("curve_seed", c.c_uint64), ("noise_seed", c.c_uint64)]
 
 
 class Worlds:
-    """sim/sample.h through ctypes."""
+    """sim/train/sample.h through ctypes."""
 
     def __init__(self, path: str):
         self.lib = c.CDLL(path)
@@ -135,7 +135,7 @@ def film(x: np.ndarray, white: float) -> np.ndarray:
 
 
 def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
-    """A sigmoid over stops, as core/expo/family.c has it."""
+    """A sigmoid over stops, as core/photo/family.c has it."""
     def bend(v, end):
         return v / np.sqrt(1 + (1 - end**-2) * v * v)
     grey = 0.42
@@ -148,7 +148,7 @@ def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
 
 def random_curve(r: np.random.Generator) -> Tensor:
     """A rising display curve, 1 where the sensor is full: sRGB, power, film, sigmoid in stops or
-    camera log (core/expo/family.h), bent by a smooth random change. Film and sigmoid hold more
+    camera log (core/photo/family.h), bent by a smooth random change. Film and sigmoid hold more
     light than fits into the others at the same exposure."""
     x = np.linspace(LOW, HIGH, KNOTS)
     e = np.minimum(np.exp2(x), 1)

@@ -653,7 +653,7 @@ def init_geometry(net: Net) -> None:
 
 def start_curve() -> Tensor:
     """(CURVE): logit of sRGB over log2 exposure as 64 ReLU units; half of them face left. Display
-    0.5 is x = 0 (compare core/opt/response.c)."""
+    0.5 is x = 0 (compare core/photo/response.c)."""
     x = torch.linspace(-12, 5, 4000, dtype=torch.float64)
     mid = math.log2(((0.5 + 0.055) / 1.055) ** 2.4)
     lin = torch.exp2(x + mid)

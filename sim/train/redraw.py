@@ -1,4 +1,4 @@
-"""Pictures of the predicted Gaussians by the rasteriser of core/splat (sim/redraw.h, ctypes),
+"""Pictures of the predicted Gaussians by the rasteriser of core/splat (sim/train/redraw.h, ctypes),
 with gradients, and what the stage `render` minimises (paper 3.4): photographs drawn again from the
 fused Gaussians of all views, their own and those of a place that the network has not seen, and the
 depth where the frozen head is surest of it."""
@@ -27,7 +27,7 @@ AGREE, NEARER = 0.03, 0.95  # of depth: the same point; well before what is ther
 
 
 class Redraw(c.Structure):
-    """struct redraw of sim/redraw.h."""
+    """struct redraw of sim/train/redraw.h."""
 
     _fields_ = [("n", c.c_int), ("degree", c.c_int), ("w", c.c_int), ("h", c.c_int),
                 ("threads", c.c_int), ("background", c.c_float * 3), ("camera", c.c_float * 11),
@@ -80,7 +80,7 @@ class Picture(torch.autograd.Function):
 
 
 def camera_row(pose: Tensor, size: int) -> list[float]:
-    """fx fy cx cy, q wxyz, t of sim/redraw.h from a pose of data.Batch."""
+    """fx fy cx cy, q wxyz, t of sim/train/redraw.h from a pose of data.Batch."""
     t, q, f = pose[:3].tolist(), pose[3:7].tolist(), (size / 2 / torch.tan(pose[7:] / 2)).tolist()
     return [f[1], f[0], size / 2, size / 2, q[3], *q[:3], *t]
 

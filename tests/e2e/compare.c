@@ -6,12 +6,12 @@
  *                                      w x h x 4 little-endian floats R, G, B, any; what the half
  *                                      floats of A cannot hold counts as their largest */
 #include "core/base/half.h"
-#include "core/falsecolour.h"
-#include "core/metrics.h"
+#include "core/photo/falsecolour.h"
+#include "core/photo/metrics.h"
 #include "core/splat/display.h"
-#include "drivers/exrfile.h"
-#include "drivers/file.h"
-#include "drivers/img.h"
+#include "drivers/format/exrfile.h"
+#include "drivers/format/file.h"
+#include "drivers/format/img.h"
 
 #include <math.h>
 #include <stdio.h>

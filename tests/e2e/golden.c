@@ -5,8 +5,8 @@
  *   Of lists of voxels the cells are compared that both have with as many points; pictures pixel by
  *   pixel, where a few may differ because a Gaussian stands at a threshold. Exit code 1 if a bar is
  *   exceeded. */
-#include "drivers/file.h"
-#include "drivers/json.h"
+#include "drivers/format/file.h"
+#include "drivers/format/json.h"
 #include "tests/golden/npy.h"
 
 #include <math.h>

@@ -1,9 +1,9 @@
 /* look mean FILE.png...: its mean, 0..255, on a line each.
  * look false FILE.exr FILE.png LUMINANCE: the largest difference, 0..255, between the second and
  * the first in false colours that show 0 stops at LUMINANCE. */
-#include "core/falsecolour.h"
-#include "drivers/exrfile.h"
-#include "drivers/img.h"
+#include "core/photo/falsecolour.h"
+#include "drivers/format/exrfile.h"
+#include "drivers/format/img.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -1,5 +1,5 @@
 /* make_flat FILE SIZE VALUE [HOT] - a square PNG of one grey; HOT: value of its middle pixel. */
-#include "drivers/img.h"
+#include "drivers/format/img.h"
 
 #include <stdio.h>
 #include <stdlib.h>

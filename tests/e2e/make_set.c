@@ -5,9 +5,9 @@
  * units. Photographs: filmic response (a fit of ACES by K. Narkowicz), shot and read noise, 8 bits.
  * Train views get the 1st, 3rd and 5th exposure, or with `one` one of them in turn; test views get
  * all five and their radiance. The same arguments give the same bytes. */
-#include "drivers/exrfile.h"
-#include "drivers/file.h"
-#include "drivers/img.h"
+#include "drivers/format/exrfile.h"
+#include "drivers/format/file.h"
+#include "drivers/format/img.h"
 
 #include <errno.h>
 #include <math.h>

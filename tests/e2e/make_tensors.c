@@ -1,8 +1,8 @@
 /* make_tensors CHECKPOINT FILE - the tensors of a checkpoint as a .safetensors file, all F32. The
  * last one, in the order of names, belongs to the network. */
-#include "drivers/checkpoint.h"
-#include "drivers/file.h"
-#include "drivers/safetensors.h"
+#include "drivers/format/checkpoint.h"
+#include "drivers/format/file.h"
+#include "drivers/format/safetensors.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -8,11 +8,11 @@
  *   near 0     a splat on each camera, others just before it
  *   shapes 0   needles, points, plates, what reaches in from the side, quaternions of any length
  * Three views of SIZE px. The same arguments give the same bytes. */
-#include "core/net/tonemap.h"
-#include "core/splat/gaussians.h"
-#include "drivers/file.h"
-#include "drivers/scenefile.h"
-#include "firmware/viewer.h"
+#include "core/base/gaussians.h"
+#include "core/photo/tonemap.h"
+#include "drivers/format/file.h"
+#include "drivers/format/scenefile.h"
+#include "firmware/result/viewer.h"
 
 #include <math.h>
 #include <stdio.h>

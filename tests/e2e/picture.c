@@ -1,7 +1,7 @@
 /* picture OUT WIDTH COLUMNS FILE.png... - tiles of equal size, square, in rows; the last has the
  * legend of false colours at its edge. */
-#include "core/falsecolour.h"
-#include "drivers/img.h"
+#include "core/photo/falsecolour.h"
+#include "drivers/format/img.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -3,7 +3,7 @@
  * names the files of it that are somebody else's, one a line: after every call they must be there,
  * as they were. A call that ends by a signal, takes longer than SECONDS, ends with an unknown code
  * or fails without a sentence is told, and the exit code is 1. */
-#include "drivers/file.h"
+#include "drivers/format/file.h"
 
 #include <errno.h>
 #include <fcntl.h>

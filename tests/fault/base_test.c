@@ -1,7 +1,7 @@
 /* Arenas, pools and settings when memory runs out. */
 #include "core/base/arena.h"
 #include "core/base/pool.h"
-#include "firmware/config.h"
+#include "firmware/base/config.h"
 #include "tests/fault/alloc_fail.h"
 
 #include <setjmp.h>

@@ -9,7 +9,7 @@
 #ifndef FAULT_DISK_MODEL_H
 #define FAULT_DISK_MODEL_H
 
-#include "firmware/store_fs.h"
+#include "firmware/store/store_fs.h"
 
 #include <errno.h>
 #include <fcntl.h>

@@ -1,8 +1,8 @@
 /* kill -9 at random moments while results are published: what is there is always one whole result,
  * and a later run removes what the dead one left. */
-#include "drivers/json.h"
-#include "drivers/scenefile.h"
-#include "firmware/publish.h"
+#include "drivers/format/json.h"
+#include "drivers/format/scenefile.h"
+#include "firmware/result/publish.h"
 #include "tests/unit/small_job.h"
 #include "tests/unit/tmpdir.h"
 

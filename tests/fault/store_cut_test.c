@@ -1,7 +1,7 @@
 /* The store when the disk fails, the process is killed or the power is cut: every take that can be
  * seen is whole, those that were there stay, and numbers are not used again. */
 #include "core/base/log.h"
-#include "firmware/store.h"
+#include "firmware/store/store.h"
 #include "tests/fault/alloc_fail.h"
 #include "tests/fault/disk_model.h"
 #include "tests/unit/small_take.h"

@@ -1,12 +1,12 @@
 /* Weights when memory runs out anywhere, libraries included. */
 #include "core/net/hashed.h"
-#include "drivers/checkpoint.h"
-#include "drivers/modelfile.h"
-#include "drivers/modelwrite.h"
-#include "drivers/netdims.h"
-#include "drivers/pickle.h"
+#include "drivers/format/checkpoint.h"
+#include "drivers/format/modelfile.h"
+#include "drivers/format/modelwrite.h"
+#include "drivers/format/netdims.h"
+#include "drivers/format/pickle.h"
 #include "tests/fault/alloc_fail.h"
-#include "tests/unit/tiny_net.h"
+#include "tests/unit/core/net/tiny_net.h"
 #include "tests/unit/tmpdir.h"
 
 #include <setjmp.h>

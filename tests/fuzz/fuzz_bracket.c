@@ -1,6 +1,6 @@
 /* Any sequence of events: actions are few and in range, states change only as documented, evidence
  * is there for exactly the frames that were said to be kept, and is sound; a set ends. */
-#include "firmware/bracket.h"
+#include "firmware/capture/bracket.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -1,6 +1,6 @@
 /* Any bytes as a calibration file: what was read is within its bounds, and the bracket machine can
  * be told so. */
-#include "firmware/calib.h"
+#include "firmware/capture/calib.h"
 
 #include <stdlib.h>
 

@@ -1,6 +1,6 @@
 /* First byte: 0 a whole file; 1 the pickle in an archive that is sound, with a storage of 64 bytes:
  * checksums keep the first kind from getting far. */
-#include "drivers/checkpoint.h"
+#include "drivers/format/checkpoint.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,6 +1,6 @@
 /* First byte: bit 0 text or binary, bit 1 points. Then, for cameras and images, two bytes with the
  * length of the first file; the rest is the second. */
-#include "drivers/colmap.h"
+#include "drivers/format/colmap.h"
 
 #include <stdlib.h>
 

@@ -1,5 +1,5 @@
 /* Any bytes as a configuration file: refused with a sentence or accepted within the ranges. */
-#include "firmware/config.h"
+#include "firmware/base/config.h"
 
 #include <stdbool.h>
 #include <stdint.h>

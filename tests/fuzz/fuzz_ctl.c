@@ -1,7 +1,7 @@
 /* Any bytes of a client at the control socket, cut into pieces as their first byte says: every line
  * handed over is text below the bound, each gets one answer, and another client is served after
  * it. */
-#include "firmware/ctl.h"
+#include "firmware/daemon/ctl.h"
 
 #include <stdbool.h>
 #include <stdio.h>

@@ -1,6 +1,6 @@
 /* First byte: exposure.json or cameras.json; the rest is its text. */
-#include "drivers/cameras.h"
-#include "drivers/exposures.h"
+#include "drivers/format/cameras.h"
+#include "drivers/format/exposures.h"
 
 #include <stdlib.h>
 

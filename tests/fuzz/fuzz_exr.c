@@ -1,5 +1,5 @@
 /* Any bytes as an EXR file. */
-#include "drivers/exrfile.h"
+#include "drivers/format/exrfile.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n);
 

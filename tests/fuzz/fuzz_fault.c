@@ -1,6 +1,6 @@
 /* Any bytes as a fault script of a simulated camera: refused with a sentence, or at most FAULT_MAX
  * faults. */
-#include "sim/fault.h"
+#include "sim/device/fault.h"
 
 #include <stdint.h>
 #include <stdlib.h>

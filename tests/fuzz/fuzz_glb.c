@@ -1,5 +1,5 @@
 /* A glTF file from anyone: every attribute lies inside it, whatever its JSON says. */
-#include "drivers/glb.h"
+#include "drivers/format/glb.h"
 
 #include <stdlib.h>
 

@@ -1,5 +1,5 @@
 /* Any bytes as a picture: decoded, and asked for the exposure of its EXIF data. */
-#include "drivers/img.h"
+#include "drivers/format/img.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n);
 

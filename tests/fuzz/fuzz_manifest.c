@@ -1,6 +1,6 @@
 /* Any bytes as manifest.json of a take: refused and nothing is read, or every name of a file stays
  * within the take. */
-#include "firmware/manifest.h"
+#include "firmware/store/manifest.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* The header of a weights file; the first four bytes say how many zeros follow as its data. */
-#include "drivers/modelfile.h"
+#include "drivers/format/modelfile.h"
 
 #include "core/base/bytes.h"
 

@@ -1,5 +1,5 @@
 /* Any bytes as a pickle: what is understood hangs together. */
-#include "drivers/pickle.h"
+#include "drivers/format/pickle.h"
 
 #include <stdlib.h>
 

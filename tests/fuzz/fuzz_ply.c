@@ -1,5 +1,5 @@
 /* A PLY file from anyone: the header says how much memory is taken, then come rows. */
-#include "drivers/ply.h"
+#include "drivers/format/ply.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -1,6 +1,6 @@
 /* A scene from anyone: the header says how much memory is taken and where every tensor lies. */
-#include "core/splat/gaussians.h"
-#include "drivers/scenefile.h"
+#include "core/base/gaussians.h"
+#include "drivers/format/scenefile.h"
 
 #include <math.h>
 #include <stdlib.h>

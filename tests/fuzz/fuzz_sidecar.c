@@ -1,5 +1,5 @@
 /* A sidecar from anyone: what was peeked must suffice, and all that is read is finite. */
-#include "drivers/sidecar.h"
+#include "drivers/format/sidecar.h"
 
 #include <math.h>
 #include <stdlib.h>

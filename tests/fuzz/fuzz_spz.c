@@ -1,5 +1,5 @@
 /* An SPZ file from anyone: what its header promises is unpacked and no more. */
-#include "drivers/spz.h"
+#include "drivers/format/spz.h"
 
 #include <stdlib.h>
 

@@ -1,7 +1,7 @@
 /* Any bytes as a camera's promise and a frame: what unpack accepts lies within its bits, what the
  * check accepts can be unpacked unless the decoder or the words say no. The frame's bytes are a
  * block of their own, so that reading one byte more is seen. */
-#include "drivers/unpack.h"
+#include "drivers/device/unpack.h"
 
 #include "core/base/bytes.h"
 

@@ -1,7 +1,7 @@
 /* First byte: a button, a lamp, or options of a table with every kind of value; the rest is the
  * URI. What is accepted is within its table. */
-#include "drivers/gpio.h"
-#include "drivers/uri.h"
+#include "drivers/device/gpio.h"
+#include "drivers/device/uri.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* The rasteriser and the tone curve against the golden sets unit_render and unit_tonemap (gsplat
  * 1.4.0 and the released tone mapper, see model-spec 2.13 and 2.14). */
 #include "core/base/cpu.h"
-#include "core/net/tonemap.h"
+#include "core/photo/tonemap.h"
 #include "core/splat/raster.h"
 #include "tests/golden/npy.h"
 

@@ -4,7 +4,7 @@
 # NAME_body.h is no interface but the text of functions, compiled once per instruction set.
 bad=0
 headers=$(find core drivers firmware sim tests -name '*.h' ! -name '*_body.h' \
-    ! -path 'tests/unit/fakecamera/libcamera/*' 2>/dev/null | sort)
+    ! -path 'tests/unit/drivers/device/fakecamera/libcamera/*' 2>/dev/null | sort)
 for h in $headers; do
     guard=$(basename "$(dirname "$h")")_$(basename "$h" .h)_H
     guard=$(echo "$guard" | tr 'a-z-' 'A-Z_')

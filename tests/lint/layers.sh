@@ -6,31 +6,41 @@ BEGIN {
     allowed["core"] = " core "
     allowed["drivers"] = " core drivers "
     allowed["firmware"] = " core drivers firmware "
+    # folders of core: a folder includes itself and those of a lower rank
+    n = split("base=0 photo=1 kernels=2 sfm=3 stereo=3 splat=3 net=3 refine=4", pairs, " ")
+    for (i = 1; i <= n; i++) {
+        split(pairs[i], pair, "=")
+        rank[pair[1]] = pair[2]
+    }
     # what makes a world, or offers one as a camera
-    simulates = "^firmware/(cmd_simulate|backends)\\.c$"
+    simulates = "^firmware/(cmd/cmd_simulate|base/backends)\\.c$"
     allowed["sim"] = " core drivers sim "
     allowed["tests"] = " core drivers firmware sim tests "
     # header pattern -> files that may include it; tests may include what they like
-    wrapper["^(spng|turbojpeg|jpeglib)\\.h$"] = "^drivers/img\\.c$"
-    wrapper["^libexif/"] = "^drivers/img\\.c$"
-    wrapper["^(OpenEXR/)?openexr"] = "^drivers/exrfile\\.c$"
-    wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/json\\.c$"
-    wrapper["^libcamera/"] = "^drivers/libcamera_shim\\.cpp$"
-    wrapper["^gpiod\\.h$"] = "^drivers/trigger_gpiod[12]\\.c$"
-    wrapper["^linux/gpio\\.h$"] = "^drivers/gpio\\.c$"
-    wrapper["^linux/input\\.h$"] = "^drivers/trigger_evdev\\.c$"
-    wrapper["^(zlib|zstd)\\.h$"] = "^drivers/packed\\.c$"
-    wrapper["^zip\\.h$"] = "^drivers/checkpoint\\.c$"
-    wrapper["^microhttpd\\.h$"] = "^firmware/http\\.c$"
-    wrapper["^systemd/"] = "^firmware/daemon\\.c$"
-    wrapper["^ini\\.h$"] = "^firmware/config\\.c$"
-    wrapper["^linux/(videodev2|v4l2-|media)"] = "^drivers/(camera_v4l2|v4l2_[a-z]+)\\.c$"
+    wrapper["^(spng|turbojpeg|jpeglib)\\.h$"] = "^drivers/format/img\\.c$"
+    wrapper["^libexif/"] = "^drivers/format/img\\.c$"
+    wrapper["^(OpenEXR/)?openexr"] = "^drivers/format/exrfile\\.c$"
+    wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/format/json\\.c$"
+    wrapper["^libcamera/"] = "^drivers/device/libcamera_shim\\.cpp$"
+    wrapper["^gpiod\\.h$"] = "^drivers/device/trigger_gpiod[12]\\.c$"
+    wrapper["^linux/gpio\\.h$"] = "^drivers/device/gpio\\.c$"
+    wrapper["^linux/input\\.h$"] = "^drivers/device/trigger_evdev\\.c$"
+    wrapper["^(zlib|zstd)\\.h$"] = "^drivers/format/packed\\.c$"
+    wrapper["^zip\\.h$"] = "^drivers/format/checkpoint\\.c$"
+    wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
+    wrapper["^systemd/"] = "^firmware/daemon/daemon\\.c$"
+    wrapper["^ini\\.h$"] = "^firmware/base/config\\.c$"
+    wrapper["^linux/(videodev2|v4l2-|media)"] = "^drivers/device/(camera_v4l2|v4l2_[a-z]+)\\.c$"
     wrapper["^cmocka\\.h$"] = "^$"
 }
 FNR == 1 {
     own = layer = FILENAME
     sub(/\.c$/, ".h", own)
     sub(/\/.*/, "", layer)
+    split(FILENAME, part, "/")
+    room = part[2]
+    if (layer == "core" && !(room in rank))
+        complain("no folder of core with a rank")
     first = 1
 }
 !/^[ \t]*#[ \t]*include/ { next }
@@ -48,6 +58,9 @@ FNR == 1 {
         complain("no file \"" header "\" under the root")
     else
         close(header)
+    split(header, part, "/")
+    if (layer == "core" && part[2] != room && rank[part[2]] >= rank[room])
+        complain(layer "/" room " may not include \"" header "\"")
     if (first && FILENAME ~ /\.c$/ && layer != "tests" && header != own && has(own))
         complain("its own header \"" own "\" comes first")
 }

@@ -36,7 +36,7 @@ kernel=${KERNEL:-$(echo $work/linux/boot/vmlinuz-*)}
 iso=$work/iso root=$work/root
 rm -rf $iso $root
 mkdir -p $iso $root/{bin,dev}
-for f in /bin/sh "$from"/tests/unit/{cpu,net}_test "$from"/tests/kernels/gemm_test; do
+for f in /bin/sh "$from"/tests/unit/core/{base/cpu,net/net}_test "$from"/tests/kernels/gemm_test; do
     cp -L "$f" $root/bin
     for lib in $(ldd "$f" | awk '$2 == "=>" { print $3 } /^\t\// { print $1 }'); do
         mkdir -p "$root${lib%/*}"

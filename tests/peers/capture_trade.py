@@ -27,7 +27,7 @@ from PIL import Image
 
 VIEWS = 9
 FULL_S = 0.01  # radiance 1 saturates the well then, as in `hdrig simulate`
-ELECTRONS, READ_NOISE = 9597.5, 2.5  # at full scale, as sim/sensor.c has it
+ELECTRONS, READ_NOISE = 9597.5, 2.5  # at full scale, as sim/sensor/sensor.c has it
 CODE_LO, CODE_HI = 8, 245  # usable display values
 SETS = {
     "metered": None,

@@ -3,11 +3,11 @@
 #ifndef UNIT_SMALL_JOB_H
 #define UNIT_SMALL_JOB_H
 
+#include "core/base/gaussians.h"
 #include "core/kernels/kernels.h"
-#include "core/net/tonemap.h"
-#include "core/splat/gaussians.h"
-#include "firmware/draw.h"
-#include "firmware/job.h"
+#include "core/photo/tonemap.h"
+#include "firmware/recon/job.h"
+#include "firmware/result/draw.h"
 
 #include <stdlib.h>
 #include <string.h>

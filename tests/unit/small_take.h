@@ -4,8 +4,8 @@
 #ifndef UNIT_SMALL_TAKE_H
 #define UNIT_SMALL_TAKE_H
 
-#include "drivers/file.h"
-#include "firmware/take.h"
+#include "drivers/format/file.h"
+#include "firmware/capture/take.h"
 
 #include <math.h>
 #include <stdlib.h>

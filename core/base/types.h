@@ -1,0 +1,183 @@
+/* types.h - the plain structs that cross borders between modules.
+ * All fields are visible; each has its shape, unit and range. Arrays live in an arena of the caller
+ * unless said. */
+#ifndef BASE_TYPES_H
+#define BASE_TYPES_H
+
+#include "core/base/arena.h"
+#include "core/base/err.h"
+#include "core/base/pool.h"
+
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/* Decoded picture, 8 bits per channel. */
+struct image8 {
+    int w, h, channels; // px; channels is 3 (R,G,B) unless said
+    uint8_t *px;        // (h, w, channels), row 0 on top
+};
+
+/* Linear radiance or any float map. */
+struct image {
+    int w, h, channels; // px; channels in the order R,G,B[,A]
+    float *px;          // (channels, h, w), row 0 on top
+};
+
+/* Pinhole camera, x right, y down, z forward. X_cam = R(q) X_world + t; u = fx x/z + cx; pixel
+ * (i, j) has its centre at u = i + 0.5, v = j + 0.5 (COLMAP's and gsplat's convention). */
+struct camera {
+    int w, h;             // px, of the image that fx, fy, cx, cy belong to
+    float fx, fy, cx, cy; // px
+    float q[4];           // world to camera, w,x,y,z, unit length
+    float t[3];           // scene units
+};
+
+enum { NAME_CAP = 128 }; // bytes of an image name with its terminating 0
+
+/* One photograph as it came from a file or a device. */
+struct shot {
+    char name[NAME_CAP]; // file name without folder
+    struct image8 image;
+    double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
+    bool has_camera;
+    struct camera cam; // for image.w x image.h
+    bool again;        // from the same place as the shot before it, at another exposure
+};
+
+/* A set of photographs of one static scene. */
+struct capture {
+    int n;
+    struct shot *shots; // (n)
+};
+
+/* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
+ * (model-spec 1). Photographs 0 .. n - 1 show one place each, and most steps look at these only;
+ * n .. n + n_more - 1 are other exposures of these places. */
+struct views {
+    int n, size;             // places; px
+    float aspect;            // height over width of the photographs, squeezed to squares; 0: 1
+    char (*names)[NAME_CAP]; // (n + n_more)
+    uint8_t *rgb;            // (n + n_more, size, size, 3)
+    float *log2t;            // (n + n_more) log2(max(t, 1e-8))
+    float mid_log2t;         // (min + max) / 2 of log2t of all photographs (model-spec 1.2)
+    struct camera *cams;     // (n) for size x size; NULL if not known
+    int n_more;
+    int *place; // (n_more) of photograph n + i, ascending
+};
+
+/* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */
+static inline int views_next(const struct views *v, int place, int last)
+{
+    for (int i = last < v->n ? 0 : last - v->n + 1; i < v->n_more; i++)
+        if (v->place[i] == place)
+            return v->n + i;
+    return -1;
+}
+
+enum {
+    SH_DEGREE_MAX = 4,
+    SH_COEFS_MAX = 25,
+    /* planes of struct gaussians */
+    G_MU = 0,        // 3: centre, scene units
+    G_LOG_SCALE = 3, // 3: ln of the standard deviations, scene units
+    G_QUAT = 6,      // 4: w,x,y,z, any length > 0 (normalised where used)
+    G_LOGIT = 10,    // 1: logit of the opacity
+    G_SH = 11,       // 3 (degree+1)^2: natural-log radiance, plane G_SH + 3*k + colour
+    G_PLANES_MAX = G_SH + 3 * SH_COEFS_MAX
+};
+
+#define SH_BASIS0 0.28209479177387814 // the constant band everywhere, model-spec 2.13
+
+/* Gaussians, structure of arrays: plane p of splat i is p[plane][i]. Planes above the degree are
+ * NULL or unused. */
+struct gaussians {
+    int n, cap;                 // used; room in each plane
+    int degree;                 // of the spherical harmonics, 0..4
+    float *plane[G_PLANES_MAX]; // (cap) each, 64-byte aligned, cap a multiple of 16
+};
+
+static inline int gaussians_planes(int degree)
+{
+    return G_SH + 3 * (degree + 1) * (degree + 1);
+}
+
+enum { TONE_HIDDEN = 64, TONE_PER_COLOUR = 3 * TONE_HIDDEN + 1, TONE_PARAMS = 3 * TONE_PER_COLOUR };
+
+/* Response from radiance to display value (model-spec 2.14): per colour
+ * sigmoid(b2 + sum_k w2_k relu(w1_k x + b1_k)), x = log2(radiance + 1e-6) + log2 t - mid_log2t. */
+struct tonemap {
+    float p[TONE_PARAMS]; // per colour w1[64] b1[64] w2[64] b2
+    float mid_log2t;
+};
+
+/* Everything that rendering needs later. */
+struct scene {
+    struct gaussians g;
+    struct tonemap tone;
+    float background[3];     // linear radiance behind everything, >= 0
+    int n_views, size;       // input views; px
+    char (*names)[NAME_CAP]; // (n_views)
+    float *log2t;            // (n_views)
+    struct camera *cams;     // (n_views) for size x size
+};
+
+/* Called between steps by the thread that runs the job; done <= total. */
+typedef void progress_fn(void *ctx, const char *stage, int done, int total, const char *note);
+
+struct kernels;
+
+enum { TAP_RANK_MAX = 5 };
+
+/* One intermediate tensor, or one of `parts` equal pieces of it in C order. */
+struct tap_tensor {
+    const char *name;              // as in the reference's golden data
+    int rank, shape[TAP_RANK_MAX]; // of the whole tensor
+    int part, parts;
+    const float *data;           // first element of this piece, or NULL:
+    const int32_t *ints;         // the same as integers
+    size_t stride[TAP_RANK_MAX]; // elements, from index to index of each axis
+};
+
+/* Receives intermediate tensors. thread: any, also several at once. */
+struct tap {
+    void (*put)(void *ctx, const struct tap_tensor *t);
+    void *ctx;
+};
+
+enum {
+    CORRESPONDENCE_PATCH = 14, // px, edge of a patch (model-spec 2.1)
+    CORRESPONDENCE_BEST = 4
+};
+
+/* Where the network finds the patches of one view in another (core/net/attend.h). */
+struct correspondence {
+    int n_views, grid;
+    int16_t
+        *token;   // (n_views, grid^2, n_views, CORRESPONDENCE_BEST) of the other view, best first;
+                  // -1: none
+    float *share; // same shape: share of the attention to that view, 0..1
+};
+
+/* What every heavy function receives. */
+struct run {
+    const struct kernels *k;
+    struct pool *pool;        // NULL = single thread
+    struct arena *keep, *tmp; // results; scratch, reset to its mark before the function returns
+    atomic_bool *cancel;      // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
+    progress_fn *progress;    // NULL = none
+    void *progress_ctx;
+    const struct tap *tap; // NULL = none: what is only looked at is not computed
+};
+
+/* Whether the job is to stop; `stage` begins the sentence.
+ * err:  ERR_CANCELLED. */
+static inline MUST_USE err_t run_check(const struct run *r, const char *stage)
+{
+    if (r->cancel && atomic_load(r->cancel))
+        return err_fail(ERR_CANCELLED, "%s: cancelled", stage);
+    return OK;
+}
+
+#endif

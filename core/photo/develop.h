@@ -1,0 +1,34 @@
+/* develop.h - camera numbers to a displayable picture, in one fixed recorded way for all frames of
+ * a set: black level, white balance, demosaicing, the curve of sRGB.
+ * Pure; any thread. */
+#ifndef PHOTO_DEVELOP_H
+#define PHOTO_DEVELOP_H
+
+#include "core/photo/raw.h"
+
+struct develop {
+    float red, blue; // white balance, gains over green; 1 where the device has done it
+};
+
+/* White balance by the mean of unclipped pixels of all frames (grey world), limited to 1/4..4. */
+void develop_balance(const struct raw *frames, int n, struct develop *out);
+
+/* px: (h, w, 3). Display values pass as they are; a mosaic is demosaiced (Malvar, He & Cutler,
+ * ICASSP 2004), grey is repeated. What the sensor clips in all colours is white. */
+void develop_run(const struct raw *in, const struct develop *how, uint8_t *px);
+
+/* Demosaicing of numbers that are made when they are needed. */
+struct develop_mosaic {
+    enum raw_cfa cfa;
+    int w, h;
+    const void *ctx;
+    /* v: numbers of the n sites from x on in row y. */
+    void (*fill)(const void *ctx, int y, int x, int n, float *v);
+    /* rgb: three times n, for the pixels from x on in row y. */
+    void (*put)(const void *ctx, int y, int x, int n, float *const rgb[3]);
+};
+
+/* Rows begin..end-1; of a row the pixels come in pieces. */
+void develop_rows(const struct develop_mosaic *m, int begin, int end);
+
+#endif

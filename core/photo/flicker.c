@@ -1,0 +1,123 @@
+/* Sums of rows of the short frames, over those of the long ones and the ratio of times, are
+ * 1 + depth m sin(phase + 2 pi hz t) with m = sinc(hz time) and t in the middle of the row's
+ * exposure. For both frequencies and for readouts from 0 to a whole period the amplitudes of sine
+ * and cosine follow by least squares; the fit that explains most counts, if it explains enough and
+ * is no more than all of the light: noise, passers-by and disobeyed exposures are not like that. */
+#include "core/photo/flicker.h"
+
+#include <math.h>
+#include <string.h>
+
+#define PI 3.14159265358979323846
+
+enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
+
+#define DARKEST 8.0f     // of the floor, in a long frame: a short one still sees it
+#define BRIGHTEST 0.7f   // of saturation
+#define EXPLAINED 0.8    // share of the squares
+#define LEAST_DEPTH 0.02 // what is less is within any tolerance
+#define DEPTH_MOST 1.05  // with errors
+#define DEPTH_MAX 0.95   // logarithms are finite
+
+void flicker_add_long(struct flicker *f, const struct witness *w, double time_s)
+{
+    f->long_s = time_s;
+    for (int i = 0; i < WITNESS_PLACES; i++) {
+        if (f->n_long == 0) {
+            f->counts[i] = w->state[i] == WITNESS_GOOD && w->x[i] >= DARKEST * w->floor[i] &&
+                           w->x[i] <= BRIGHTEST;
+            f->places[i / WITNESS_EDGE] += f->counts[i];
+        }
+        f->even[i / WITNESS_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
+    }
+    f->n_long++;
+}
+
+void flicker_add_short(struct flicker *f, const struct witness *w, double start_s, double time_s)
+{
+    if (f->n_short == FLICKER_FRAMES)
+        return;
+    double *row = f->row[f->n_short];
+    memset(row, 0, sizeof f->row[0]);
+    for (int i = 0; i < WITNESS_PLACES; i++)
+        row[i / WITNESS_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
+    f->time_s[f->n_short] = time_s;
+    f->start_s[f->n_short++] = start_s;
+}
+
+static double sinc(double x)
+{
+    return fabs(x) < 1e-9 ? 1.0 : sin(PI * x) / (PI * x);
+}
+
+/* Normal equations of sine and cosine. */
+struct fit {
+    double n, uu, uv, vv, yu, yv, yy;
+};
+
+static void add(struct fit *t, double y, double angle, double m)
+{
+    double u = m * sin(angle), v = m * cos(angle);
+    t->n += 1.0;
+    t->uu += u * u;
+    t->uv += u * v;
+    t->vv += v * v;
+    t->yu += y * u;
+    t->yv += y * v;
+    t->yy += y * y;
+}
+
+/* Share of the squares that is explained. */
+static double solve(const struct fit *t, double *amplitude)
+{
+    double det = t->uu * t->vv - t->uv * t->uv;
+    *amplitude = 0.0;
+    if (!(det > 1e-4 * t->n * t->n) || !(t->yy > 0.0))
+        return 0.0; // all of one phase
+    double u = (t->vv * t->yu - t->uv * t->yv) / det, v = (t->uu * t->yv - t->uv * t->yu) / det;
+    *amplitude = hypot(u, v);
+    return (u * t->yu + v * t->yv) / t->yy;
+}
+
+static double explained(const struct flicker *f, double hz, double readout_s, double *amplitude)
+{
+    struct fit t = {0};
+    for (int k = 0; k < f->n_short; k++)
+        for (int j = 0; j < WITNESS_EDGE; j++) {
+            if (f->places[j] < ROW_PLACES)
+                continue;
+            double at = f->start_s[k] - f->start_s[0] + readout_s * j / WITNESS_EDGE;
+            double time = f->time_s[k], m = sinc(hz * time);
+            double even = f->even[j] / f->n_long * time / f->long_s;
+            add(&t, f->row[k][j] / even - 1.0, 2.0 * PI * hz * (at + 0.5 * time), m);
+        }
+    *amplitude = 0.0;
+    return t.n < FIGURES_MIN ? 0.0 : solve(&t, amplitude);
+}
+
+void flicker_find(const struct flicker *f, double period_s, struct flicker_light *out)
+{
+    static const double frequency[] = {100.0, 120.0};
+    double best = EXPLAINED;
+    *out = (struct flicker_light){0};
+    for (int i = 0; i < 2 && f->n_long > 0; i++)
+        for (int r = 0; r <= READOUTS; r++) {
+            double depth, share = explained(f, frequency[i], period_s * r / READOUTS, &depth);
+            if (share <= best || !(depth >= LEAST_DEPTH && depth <= DEPTH_MOST))
+                continue;
+            best = share;
+            *out = (struct flicker_light){frequency[i], fmin(depth, DEPTH_MAX)};
+        }
+}
+
+double flicker_stops(const struct flicker_light *l, double time_s)
+{
+    return l->hz > 0.0 ? -log2(1.0 - l->depth * fabs(sinc(l->hz * time_s))) : 0.0;
+}
+
+double flicker_steady_s(const struct flicker_light *l, double time_s)
+{
+    if (!(l->hz > 0.0) || time_s * l->hz < 0.5)
+        return time_s;
+    return fmax(floor(time_s * l->hz + 0.5), 1.0) / l->hz;
+}

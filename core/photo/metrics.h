@@ -1,0 +1,37 @@
+/* metrics.h - how near one image is to another.
+ * Images are planar floats, nominally in [0, 1] (values outside are taken as they are). Two images
+ * that are compared must have the same shape and only finite values. All sums are in double and in
+ * a fixed order. */
+#ifndef PHOTO_METRICS_H
+#define PHOTO_METRICS_H
+
+#include "core/base/types.h"
+
+#define METRICS_PSNR_MAX 100.0 // dB; identical images and all that differ less
+
+enum { METRICS_SSIM_TAPS = 11 };
+
+/* 10 log10(1 / mean squared difference), at most METRICS_PSNR_MAX.
+ * err:  ERR_ARG (shapes, a value that is not finite). */
+MUST_USE err_t metrics_psnr(const struct image *a, const struct image *b, double *out);
+
+/* Structural similarity as torchmetrics' StructuralSimilarityIndexMeasure(data_range=1): Gaussian
+ * window of 11 x 11 px with sigma 1.5, K1 = 0.01, K2 = 0.03, mean over the (h-10) x (w-10) windows
+ * inside the image and over the channels.
+ * tmp:  back at its mark on return; takes metrics_ssim_plan(w) bytes.
+ * err:  ERR_ARG (shapes, a side below 11 px, a value that is not finite), ERR_NOMEM. */
+MUST_USE err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *tmp,
+                            double *out);
+size_t metrics_ssim_plan(int w);
+
+/* Quantile q of n values with linear interpolation, as numpy.quantile. Needs no memory.
+ * err:  ERR_ARG (n = 0, q outside [0, 1], a value that is not finite). */
+MUST_USE err_t metrics_quantile(const float *values, size_t n, double q, double *out);
+
+/* ln(1 + 5000 clip(x / scale, 0, 1)) / ln 5001 for every value (model-spec 5.3). NaN becomes 0. A
+ * scale below 1e-6 counts as 1e-6.
+ * out:  px has room for the shape of `hdr`, w, h and channels are set; px may be hdr->px.
+ * err:  ERR_ARG (a scale that is not finite). */
+MUST_USE err_t metrics_mu_law(const struct image *hdr, double scale, struct image *out);
+
+#endif

@@ -1,0 +1,58 @@
+#include "core/photo/noise.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+enum { LEVELS = 16 * 256 }; // largest response of the mask, plus one
+
+struct noise {
+    const struct views *v;
+    double *square; // (photographs) variance, display units
+};
+
+static double channel_deviation(const uint8_t *rgb, int size, int channel)
+{
+    long count[LEVELS] = {0}, n = 0, below = 0;
+    size_t row = (size_t)size * 3;
+    for (int y = 1; y + 1 < size; y++)
+        for (int x = 1; x + 1 < size; x++) {
+            const uint8_t *p = rgb + (size_t)y * row + 3 * x + channel, *a = p - row, *b = p + row;
+            if (p[0] < 3 || p[0] > 252)
+                continue;
+            int sides = p[-3] + p[3] + a[0] + b[0], corners = a[-3] + a[3] + b[-3] + b[3];
+            count[abs(4 * p[0] - 2 * sides + corners)]++;
+            n++;
+        }
+    int median = 0;
+    while (median < LEVELS - 1 && (below += count[median]) * 2 < n)
+        median++;
+    return median / (0.6745 * 6 * 255); // 0.6745: median of |x| of a unit normal
+}
+
+static err_t noise_view(void *ctx, int i, int worker)
+{
+    struct noise *j = ctx;
+    const uint8_t *rgb = j->v->rgb + (size_t)i * (size_t)j->v->size * (size_t)j->v->size * 3;
+    (void)worker;
+    j->square[i] = 0;
+    for (int c = 0; c < 3; c++) {
+        double d = channel_deviation(rgb, j->v->size, c);
+        j->square[i] += d * d / 3;
+    }
+    return OK;
+}
+
+err_t noise_run(const struct run *r, const struct views *v, float *db)
+{
+    struct noise j = {v, NULL};
+    const int n = v->n + v->n_more;
+    size_t mark = arena_mark(r->tmp);
+    double sum = 0;
+    err_t e = arena_alloc(r->tmp, (size_t)n, sizeof *j.square, &j.square);
+    e = e ? e : pool_for(r->pool, n, noise_view, &j);
+    for (int i = 0; i < n && !e; i++)
+        sum += j.square[i] / n;
+    arena_reset(r->tmp, mark);
+    *db = e ? 0 : (float)(-10 * log10(fmax(sum, 1e-10)));
+    return e;
+}

@@ -1,0 +1,15 @@
+/* noise.h - how noisy photographs are: the floor under every error that a scene can reach on
+ * them. */
+#ifndef PHOTO_NOISE_H
+#define PHOTO_NOISE_H
+
+#include "core/base/types.h"
+
+/* out: *db, PSNR that the noise of the photographs alone leaves, dB (100 = none seen). Median of
+ *       the absolute Laplacian of Laplacians, whose response to white noise is 6 times its
+ * deviation (Immerkaer 1996); saturated pixels and flat texture do not count. Takes 8 bytes per
+ * photograph from r->tmp.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t noise_run(const struct run *r, const struct views *v, float *db);
+
+#endif

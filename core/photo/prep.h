@@ -1,0 +1,52 @@
+/* prep.h - photographs to the square 8-bit views that network and refiner see. The resize is
+ * Pillow's antialiased bicubic, bit for bit (model-spec 1.1); exposures become log2 (model-spec
+ * 1.2). Pure computation, no files. */
+#ifndef PHOTO_PREP_H
+#define PHOTO_PREP_H
+
+#include "core/base/types.h"
+
+enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
+
+/* Resize `in` (3 channels, any shape) to a square of `size` px; the aspect ratio is not kept.
+ * tmp:  back at its mark on return; peak as prep_plan says for one shot and one thread.
+ * out:  (size, size, 3).
+ * err:  ERR_ARG (size, shape or channels), ERR_NOMEM. */
+MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out);
+
+/* Bytes that prep_run takes from r->keep and, with a pool of `threads`, from r->tmp; SIZE_MAX where
+ * that overflows. */
+void prep_plan(const struct capture *c, int size, int threads, size_t *keep, size_t *tmp);
+
+/* Places that the shots were taken from. */
+int prep_places(const struct capture *c);
+
+/* Resize all shots, take their exposures to log2, scale their cameras to size x size. The first
+ * shot of a place stands for it, others of the place follow behind all places.
+ * out:  arrays live in r->keep; cams is NULL unless every shot has a camera.
+ * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite
+ *       and > 0, a camera for another image size; the sentence names the file), ERR_NOMEM,
+ *       ERR_CANCELLED. On error *out is zeroed. */
+MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
+
+/* Where pixels come from that are not in the capture; a worker releases one picture before it
+ * decodes the next. decode gives shot i with the size that the capture says. thread: any. */
+struct prep_source {
+    err_t (*decode)(void *ctx, int i, struct image8 *out);
+    void (*release)(struct image8 *im);
+    void *ctx;
+};
+
+/* As prep_run.
+ * from: NULL = the capture itself.
+ * err:  those of prep_run and of decode. */
+MUST_USE err_t prep_read(const struct run *r, const struct capture *c,
+                         const struct prep_source *from, int size, struct views *out);
+
+/* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float
+ * as the reference does (model-spec 1.1, point 4).
+ * rgb:  (size, size, 3).
+ * out:  (3, size, size), in [0, 1]. */
+void prep_to_float(const uint8_t *rgb, int size, float *out);
+
+#endif

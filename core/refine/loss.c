@@ -1,0 +1,292 @@
+/* Three passes over chunks of rows:
+ * 1. tone mapping of every colour: display value, position x on the curve and its segment;
+ * 2. window means of x, y, xx, yy, xy (separable blur, a ring of 11 blurred rows), SSIM and its
+ *    derivatives by three of the means, written to maps with a zero border;
+ * 3. the same blur of these maps is the transposed one, so d SSIM / d x = blur(m0) + 2 x blur(m1) +
+ *    y blur(m2); L1, held-out squares, then the chain rule of the tone curve.
+ * Sums per chunk are added in chunk order. */
+#include "core/refine/loss.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    ROWS = 16, // of a chunk
+    EDGE = LOSS_WINDOW - 1,
+    MEANS = 5,
+    SEGMENTS = TONE_HIDDEN + 1
+};
+
+enum { // partial sums of one chunk
+    P_L1,
+    P_SSIM,
+    P_SSE,
+    P_HELD,
+    P_G0,
+    P_G1 = P_G0 + 3 * SEGMENTS,
+    P_ALL = P_G1 + 3 * SEGMENTS
+};
+
+static int chunks_of(int rows)
+{
+    return (rows + ROWS - 1) / ROWS;
+}
+
+static size_t stride_of(int w)
+{
+    return ((size_t)w + EDGE + 15) / 16 * 16;
+}
+
+static size_t scratch_of(int w)
+{
+    return stride_of(w) * (MEANS * (LOSS_WINDOW + 1) + MEANS + 4);
+}
+
+size_t loss_plan(int w, int h, int workers)
+{
+    size_t px = (size_t)w * (size_t)h, s = stride_of(w);
+    const size_t need[][2] = {{3 * px, 4},
+                              {3 * px, 4},
+                              {3 * px, 4},
+                              {3 * px, 1},
+                              {9 * ((size_t)h + EDGE) * s, 4},
+                              {scratch_of(w) * (size_t)workers, 4},
+                              {(size_t)chunks_of(h) * P_ALL, 8},
+                              {3 * px, 4},
+                              {px, 4}};
+    size_t total = 0;
+    for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
+        total = arena_add(total, arena_need(need[i][0], need[i][1]));
+    return total;
+}
+
+err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
+{
+    memset(l, 0, sizeof *l);
+    if (w < LOSS_WINDOW || h < LOSS_WINDOW || w > RASTER_SIDE_MAX || h > RASTER_SIDE_MAX)
+        return err_fail(ERR_ARG, "loss: picture of %d x %d px, a side must be in [%d, %d]", w, h,
+                        LOSS_WINDOW, RASTER_SIDE_MAX);
+    l->w = w;
+    l->h = h;
+    size_t px = (size_t)w * (size_t)h, s = stride_of(w);
+    double sum = 0;
+    for (int k = 0; k < LOSS_WINDOW; k++)
+        sum += exp(-0.5 * (k - 5) * (k - 5) / 2.25);
+    for (int k = 0; k < LOSS_WINDOW; k++)
+        l->taps[k] = (float)(exp(-0.5 * (k - 5) * (k - 5) / 2.25) / sum);
+    l->scratch_floats = scratch_of(w);
+    err_t e = arena_alloc(a, 3 * px, 4, &l->ldr);
+    e = e ? e : arena_alloc(a, 3 * px, 4, &l->x);
+    e = e ? e : arena_alloc(a, 3 * px, 4, &l->slope);
+    e = e ? e : arena_alloc(a, 3 * px, 1, &l->segment);
+    e = e ? e : arena_alloc(a, 9 * ((size_t)h + EDGE) * s, 4, &l->maps);
+    e = e ? e : arena_alloc(a, l->scratch_floats * (size_t)workers, 4, &l->scratch);
+    e = e ? e : arena_alloc(a, (size_t)chunks_of(h) * P_ALL, 8, &l->partial);
+    e = e ? e : arena_alloc(a, 3 * px, 4, &l->d_radiance);
+    return e ? e : arena_alloc(a, px, 4, &l->d_alpha);
+}
+
+struct job {
+    const struct run *r;
+    struct loss *l;
+    const struct loss_input *in;
+    struct tonemap_table table;
+    int w, h;
+    size_t px;
+};
+
+static struct tone_row tone_row_of(const struct job *j, int colour, int y)
+{
+    size_t row = (size_t)y * (size_t)j->w, at = (size_t)colour * j->px + row;
+    return (struct tone_row){.curve = &j->table.c[colour],
+                             .radiance = j->in->pic->radiance + at,
+                             .alpha = j->in->pic->alpha + row,
+                             .shift = j->in->shift,
+                             .behind = j->in->behind[colour],
+                             .x = j->l->x + at,
+                             .slope = j->l->slope + at,
+                             .ldr = j->l->ldr + at,
+                             .segment = j->l->segment + at,
+                             .n = j->w};
+}
+
+static err_t tone_chunk(void *ctx, int chunk, int worker)
+{
+    struct job *j = ctx;
+    (void)worker;
+    int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
+    for (int y = chunk * ROWS; y < end; y++)
+        for (int c = 0; c < 3; c++) {
+            struct tone_row row = tone_row_of(j, c, y);
+            j->r->k->tone_row(&row);
+        }
+    return OK;
+}
+
+static float *map_row(const struct job *j, int colour, int k, int row)
+{
+    size_t s = (size_t)j->l->stride;
+    return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
+}
+
+static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,
+                      double *sum)
+{
+    size_t s = (size_t)j->l->stride;
+    int n = j->w - EDGE;
+    float *ring = scratch, *means = scratch + s * MEANS * LOSS_WINDOW, *line = means + s * MEANS;
+    float *d = line + 2 * s;
+    for (int y = row0; y < row1 + EDGE; y++) {
+        size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+        j->r->k->moments_row(j->l->taps, j->l->ldr + at, j->in->photo + at, j->w, s, line,
+                             ring + (size_t)(y % LOSS_WINDOW) * MEANS * s);
+        int row = y - EDGE;
+        if (row < row0)
+            continue;
+        for (size_t k = 0; k < MEANS; k++) {
+            const float *rows[LOSS_WINDOW];
+            for (int i = 0; i < LOSS_WINDOW; i++)
+                rows[i] = ring + ((size_t)((row + i) % LOSS_WINDOW) * MEANS + k) * s;
+            j->r->k->blur_col(j->l->taps, rows, n, means + k * s);
+        }
+        *sum += j->r->k->ssim_row(means, s, n, d);
+        for (int k = 0; k < 3; k++) {
+            float *to = map_row(j, colour, k, row + EDGE);
+            memset(to, 0, EDGE * sizeof *to);
+            memcpy(to + EDGE, d + (size_t)k * s, (size_t)n * sizeof *to);
+            memset(to + EDGE + n, 0, (s - EDGE - (size_t)n) * sizeof *to);
+        }
+    }
+}
+
+static err_t ssim_chunk(void *ctx, int chunk, int worker)
+{
+    struct job *j = ctx;
+    struct loss *l = j->l;
+    double *p = l->partial + (size_t)chunk * P_ALL;
+    int windows = j->h - EDGE, row0 = chunk * ROWS,
+        row1 = row0 + ROWS < windows ? row0 + ROWS : windows;
+    p[P_SSIM] = 0;
+    for (int c = 0; c < 3 && row0 < row1; c++)
+        ssim_rows(j, c, row0, row1, l->scratch + l->scratch_floats * (size_t)worker, &p[P_SSIM]);
+    return OK;
+}
+
+static void hold_out(const struct job *j, int colour, int y, float *d, double *p)
+{
+    const struct loss_input *in = j->in;
+    int px = in->held_px, squares = (j->w + px - 1) / px;
+    const uint8_t *held = in->held + (size_t)(y / px) * (size_t)squares;
+    size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    for (int s = 0; s < squares; s++) {
+        int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
+        for (int i = s * px; i < end && held[s]; i++) {
+            double diff =
+                (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
+            p[P_SSE] += diff * diff;
+            p[P_HELD] += 1;
+            d[i] = 0;
+        }
+    }
+}
+
+/* d loss / d display of one row and colour: SSIM through the blurred maps, L1, held-out squares. */
+static void display_grad(const struct job *j, int colour, int y, float *line, float *d, double *p)
+{
+    const struct loss_input *in = j->in;
+    size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
+    float *mixed = line + 3 * s;
+    for (int k = 0; k < 3; k++) {
+        const float *rows[LOSS_WINDOW];
+        for (int i = 0; i < LOSS_WINDOW; i++)
+            rows[i] = map_row(j, colour, k, y + i);
+        j->r->k->blur_col(j->l->taps, rows, j->w + EDGE, mixed);
+        j->r->k->blur_row(j->l->taps, mixed, j->w + EDGE, line + (size_t)k * s);
+    }
+    struct display_row row = {.x = j->l->ldr + at,
+                              .g = line,
+                              .photo = in->photo + at,
+                              .stride = s,
+                              .l1 = in->w_l1 / (float)(3 * j->px),
+                              .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
+                              .n = j->w};
+    p[P_L1] += j->r->k->display_row(&row, d);
+    if (in->held)
+        hold_out(j, colour, y, d, p);
+}
+
+/* From d loss / d display to radiance, alpha and the segments of the curve. */
+static void tone_grad(const struct job *j, int colour, int y, float *line, float *d, double *p)
+{
+    struct tone_row row = tone_row_of(j, colour, y);
+    float *d_alpha = j->l->d_alpha + (size_t)y * (size_t)j->w;
+    if (colour == 0 && !j->in->more)
+        memset(d_alpha, 0, (size_t)j->w * sizeof *d_alpha);
+    j->r->k->tone_row_grad(&row, d, line, d_alpha);
+    double *g0 = p + P_G0 + colour * SEGMENTS, *g1 = p + P_G1 + colour * SEGMENTS;
+    for (int i = 0; i < j->w; i++) {
+        g0[row.segment[i]] += (double)line[i];
+        g1[row.segment[i]] += (double)(line[i] * row.x[i]);
+    }
+}
+
+static err_t grad_chunk(void *ctx, int chunk, int worker)
+{
+    struct job *j = ctx;
+    struct loss *l = j->l;
+    double *p = l->partial + (size_t)chunk * P_ALL, ssim = p[P_SSIM];
+    memset(p, 0, P_ALL * sizeof *p);
+    p[P_SSIM] = ssim;
+    int end = (chunk + 1) * ROWS < j->h ? (chunk + 1) * ROWS : j->h;
+    for (int y = chunk * ROWS; y < end; y++)
+        for (int c = 0; c < 3; c++) {
+            float *line = l->scratch + l->scratch_floats * (size_t)worker;
+            float *to = l->d_radiance + (size_t)c * j->px + (size_t)y * (size_t)j->w;
+            float *d = j->in->more ? line + 4 * (size_t)l->stride : to;
+            display_grad(j, c, y, line, d, p);
+            tone_grad(j, c, y, line, d, p);
+            for (int i = 0; j->in->more && i < j->w; i++)
+                to[i] += d[i];
+        }
+    return OK;
+}
+
+static void add_up(const struct job *j, struct loss_output *out)
+{
+    double total[P_ALL] = {0};
+    for (int c = 0; c < chunks_of(j->h); c++)
+        for (int i = 0; i < P_ALL; i++)
+            total[i] += j->l->partial[(size_t)c * P_ALL + (size_t)i];
+    double windows = 3.0 * (j->h - EDGE) * (j->w - EDGE);
+    out->loss = (double)j->in->w_l1 * total[P_L1] / (3.0 * (double)j->px) +
+                (double)j->in->w_ssim * (1 - total[P_SSIM] / windows);
+    out->held_sse = total[P_SSE];
+    out->held_n = (long)total[P_HELD];
+    memset(out->tone, 0, sizeof out->tone);
+    for (int c = 0; c < 3; c++)
+        tonemap_grad(j->in->tone->p + c * TONE_PER_COLOUR, &j->table.c[c],
+                     total + P_G0 + c * SEGMENTS, total + P_G1 + c * SEGMENTS,
+                     out->tone + c * TONE_PER_COLOUR);
+}
+
+err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
+               struct loss_output *out)
+{
+    struct job j = {.r = r, .l = l, .in = in, .w = in->pic->w, .h = in->pic->h};
+    if (j.w < LOSS_WINDOW || j.h < LOSS_WINDOW || j.w > l->w || j.h > l->h)
+        return err_fail(ERR_ARG, "loss: picture of %d x %d px, planned for %d x %d", j.w, j.h, l->w,
+                        l->h);
+    j.px = (size_t)j.w * (size_t)j.h;
+    l->stride = (int)stride_of(j.w);
+    tonemap_table_init(&j.table, in->tone);
+    for (int m = 0; m < 9; m++) { // zero border above and below the windows
+        memset(map_row(&j, m / 3, m % 3, 0), 0, (size_t)l->stride * EDGE * 4);
+        memset(map_row(&j, m / 3, m % 3, j.h), 0, (size_t)l->stride * EDGE * 4);
+    }
+    err_t e = pool_for(r->pool, chunks_of(j.h), tone_chunk, &j);
+    e = e ? e : pool_for(r->pool, chunks_of(j.h), ssim_chunk, &j);
+    e = e ? e : pool_for(r->pool, chunks_of(j.h), grad_chunk, &j);
+    if (!e)
+        add_up(&j, out);
+    return e;
+}

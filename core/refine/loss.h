@@ -1,0 +1,61 @@
+/* loss.h - how far a rendered picture is from a photograph, and the gradient of that.
+ * loss = w_l1 mean |d| + w_ssim (1 - SSIM), on display values: tone curve of the radiance, plus a
+ * colour behind what the splats leave open (model-spec 5.2 E). SSIM: 11-tap Gaussian, sigma 1.5,
+ * valid windows only (as torchmetrics). Squares marked as held out give no gradient; their squared
+ * error is returned apart.
+ * Invariant: the result does not depend on the number of threads. */
+#ifndef REFINE_LOSS_H
+#define REFINE_LOSS_H
+
+#include "core/base/types.h"
+#include "core/photo/tonemap.h"
+#include "core/splat/raster.h"
+
+enum { LOSS_WINDOW = 11 };
+
+/* Workspace; fields belong to loss.c. */
+struct loss {
+    int w, h, stride; // stride of the derivative maps, w + 10 rounded up
+    float taps[LOSS_WINDOW];
+    float *ldr, *x, *slope; // (3, h, w)
+    uint8_t *segment;       // (3, h, w)
+    float *maps;            // (3 colours, 3, h + 10, stride), zero border of 10
+    float *scratch;         // per worker
+    size_t scratch_floats;
+    double *partial;   // per chunk
+    float *d_radiance; // (3, h, w) result
+    float *d_alpha;    // (h, w) result
+};
+
+struct loss_input {
+    const struct render *pic;
+    const struct tonemap *tone;
+    float shift;          // log2 t - mid_log2t
+    const uint8_t *photo; // (3, h, w)
+    float behind[3];      // display value added times (1 - alpha)
+    float w_l1, w_ssim;
+    const uint8_t *held; // (ceil(h / held_px), ceil(w / held_px)) 1 = held out; NULL = nothing
+    int held_px;         // edge of a square
+    bool more; // add to the gradients of the call before: another photograph, same picture
+};
+
+struct loss_output {
+    double loss;
+    double held_sse;         // sum of squared differences in held-out squares
+    long held_n;             // values in it
+    float tone[TONE_PARAMS]; // gradient of the curves
+};
+
+/* Bytes that loss_init takes. */
+size_t loss_plan(int w, int h, int workers);
+
+/* err: ERR_ARG (a side below 11 px or above RASTER_SIDE_MAX), ERR_NOMEM. */
+MUST_USE err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers);
+
+/* Value and gradient; the picture has the planned size or a smaller one (same workspace, other step
+ * of a pyramid).
+ * out: *out, l->d_radiance and l->d_alpha (as render_grad wants them). */
+MUST_USE err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
+                        struct loss_output *out);
+
+#endif

@@ -1,0 +1,545 @@
+/* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
+ * of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
+ * share the rendering: its loss is their mean, and what is black or saturated has next to no slope
+ * on the curve.
+ *
+ * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
+ * px per view, other squares in other views, so that every surface is still learned from most
+ * photographs):
+ * - Gaussians: between 33 % and 70 % of the steps, once a round, the splats that pull hardest are
+ * split, unless
+ *   the held-out error is close to the noise of the photographs (then more splats would only learn
+ * noise);
+ * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
+ * held-out error;
+ * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
+#include "core/refine/refine.h"
+
+#include "core/photo/noise.h"
+#include "core/refine/density.h"
+#include "core/refine/loss.h"
+#include "core/sfm/pose.h"
+#include "core/splat/raster.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+
+static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
+static const float SPLIT_END = 0.7f;      // share of the steps after which nothing is split
+static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
+static const float BAND_GAIN_DB =
+    0.05f; // a band must gain this: pulling any trained band out costs a little
+static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
+
+/* Adam: betas and eps of model-spec 5.2. */
+static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
+
+struct rates {
+    float mean, scale, quat, logit, sh0, sh, tone, pose;
+};
+
+/* model-spec 5.2 refines a scene that a network has placed well; ours starts from stereo and has
+ * fewer steps, so positions move 12 times, shapes 6 and 12 times, colours 16 and 40 times as fast
+ * (chosen on held-out squares: faster than 8, 3, 6, 8 by 0.35 dB in 500 steps), and every rate
+ * falls, to 1 % for positions and 10 % for the rest. `mean` is per unit of extent. */
+static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
+                                   16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
+
+struct refine {
+    const struct run *r;
+    const struct views *v;
+    const struct refine_config *cfg;
+    struct scene *s;
+    struct refine_report *rep;
+    struct density d;
+    struct raster raster;
+    struct loss loss_work;
+    struct render pic;
+    uint8_t *full, *half; // (photographs, 3, size, size), and at half size
+    uint8_t *held;        // (n, squares, squares)
+    int squares;
+    double *photo_sse; // (photographs) held-out squared error when last compared
+    long *photo_n;     // (photographs) values in it
+    int *deck, dealt;  // (n) order of the views in this round
+    uint64_t rng;
+    float extent;           // scene units
+    int step, steps, scale; // scale: 2 = half size
+    float loss;             // sum since the start of the round
+    int band_from;          // step at which the highest band was added, 0 = none on trial
+    bool bands_done, splits_done;
+    float noise_db; // of the photographs, as a PSNR
+    float best_db;  // held-out, at full size
+    int stalled;    // rounds without progress
+    float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
+    float *pose_m; // (n, 12) moments of the twists
+    int *pose_t;   // (n) steps of each camera
+    struct adam_step group[GROUPS];
+};
+
+static uint64_t next_random(uint64_t *s)
+{
+    uint64_t z = *s += 0x9e3779b97f4a7c15ull; // splitmix64
+    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9ull;
+    z = (z ^ z >> 27) * 0x94d049bb133111ebull;
+    return z ^ z >> 31;
+}
+
+static float uniform(struct refine *f)
+{
+    return (float)(next_random(&f->rng) >> 40) * 0x1p-24f;
+}
+
+static size_t small_need(const struct views *views)
+{
+    size_t v = (size_t)views->n, all = v + (size_t)views->n_more, size = (size_t)views->size;
+    size_t h = size / 2, q = (size + HELD_PX - 1) / HELD_PX;
+    const size_t need[][2] = {{all * h * h * 3, 1},
+                              {all * size * size * 3, 1},
+                              {v * q * q, 1},
+                              {all, 8},
+                              {all, 8},
+                              {v, 4},
+                              {v * 12, 4},
+                              {v, 4},
+                              {3 * size * size, 4},
+                              {size * size, 4}};
+    size_t total = 0;
+    for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
+        total = arena_add(total, arena_need(need[i][0], need[i][1]));
+    return total;
+}
+
+static int round_of(int places)
+{
+    return places > ROUND_MIN ? places : ROUND_MIN;
+}
+
+/* Half-size pictures come first, without splits. */
+static bool begins(int step, int steps)
+{
+    return 3 * step < steps;
+}
+
+int refine_begin(const struct refine_config *cfg, int places)
+{
+    float most = (float)cfg->gaussians_max, n = most;
+    const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
+    for (int step = round; step <= end && n > most / 2; step += round)
+        if (!begins(step - 1, cfg->steps))
+            n /= 1 + SPLIT_SHARE;
+    return (int)fmaxf(n, most / 2);
+}
+
+size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads)
+{
+    size_t total = arena_add(small_need(v), arena_need((size_t)(v->n + v->n_more), 8)); // noise
+    total = arena_add(total, raster_plan(cfg->gaussians_max, v->size, v->size, true));
+    total = arena_add(total, loss_plan(v->size, v->size, threads));
+    return arena_add(total, density_plan(cfg->gaussians_max, cfg->degree_max));
+}
+
+static err_t alloc_all(struct refine *f)
+{
+    struct arena *a = f->r->tmp;
+    size_t n = (size_t)f->v->n, size = (size_t)f->v->size, q = (size_t)f->squares, px = size * size;
+    size_t all = n + (size_t)f->v->n_more;
+    err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
+    e = e ? e : arena_alloc(a, all * px * 3, 1, &f->full);
+    e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
+    e = e ? e : arena_zalloc(a, all, 8, &f->photo_sse);
+    e = e ? e : arena_zalloc(a, all, 8, &f->photo_n);
+    e = e ? e : arena_alloc(a, n, 4, &f->deck);
+    e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
+    e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
+    e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
+    e = e ? e : arena_alloc(a, px, 4, &f->pic.alpha);
+    e = e ? e : raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
+    e = e ? e : loss_init(&f->loss_work, a, f->v->size, f->v->size, pool_size(f->r->pool));
+    return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
+}
+
+/* One photograph as planes, and at half size. */
+static err_t planes_chunk(void *ctx, int i, int worker)
+{
+    struct refine *f = ctx;
+    (void)worker;
+    size_t s = (size_t)f->v->size, h = s / 2;
+    const uint8_t *in = f->v->rgb + (size_t)i * s * s * 3;
+    uint8_t *full = f->full + (size_t)i * s * s * 3, *half = f->half + (size_t)i * h * h * 3;
+    for (size_t c = 0; c < 3; c++) {
+        for (size_t at = 0; at < s * s; at++)
+            full[c * s * s + at] = in[at * 3 + c];
+        for (size_t at = 0; at < h * h; at++) {
+            const uint8_t *p = in + (2 * (at / h) * s + 2 * (at % h)) * 3 + c;
+            half[c * h * h + at] = (uint8_t)((p[0] + p[3] + p[3 * s] + p[3 * s + 3] + 2) / 4);
+        }
+    }
+    return OK;
+}
+
+static void choose_held(struct refine *f)
+{
+    uint64_t s = f->cfg->seed ^ 0x68656c64;
+    for (int i = 0; i < f->v->n * f->squares * f->squares; i++)
+        f->held[i] = next_random(&s) % HELD_ONE_IN == 0;
+}
+
+static void set_rate(struct adam_step *a, float lr, int t)
+{
+    *a = (struct adam_step){lr,
+                            BETA1,
+                            BETA2,
+                            EPS,
+                            (float)(1 / (1 - pow((double)BETA1, t))),
+                            (float)(1 / (1 - pow((double)BETA2, t)))};
+}
+
+/* Which rate a plane has. */
+static int group_of(int plane)
+{
+    return plane < G_LOG_SCALE ? 0
+           : plane < G_QUAT    ? 1
+           : plane < G_LOGIT   ? 2
+           : plane < G_SH      ? 3
+           : plane < G_SH + 3  ? 4
+                               : 5;
+}
+
+static float progress_of(const struct refine *f)
+{
+    return (float)f->step / (float)f->steps;
+}
+
+static void set_rates(struct refine *f)
+{
+    float slow = powf(0.1f, progress_of(f)), fast = slow * slow;
+    const float lr[GROUPS] = {RATES.mean * f->extent * fast,
+                              RATES.scale * slow,
+                              RATES.quat * slow,
+                              RATES.logit * slow,
+                              RATES.sh0 * slow,
+                              RATES.sh * slow};
+    for (int i = 0; i < GROUPS; i++)
+        set_rate(&f->group[i], lr[i], f->step + 1);
+}
+
+/* The sink of the backward pass: Adam on one block. */
+static void apply(void *ctx, int first, int count, const float *grad, const float *seen)
+{
+    struct refine *f = ctx;
+    const struct gaussians *g = &f->s->g;
+    if (!f->splits_done)
+        for (int i = 0; i < count; i++) {
+            float gx = grad[i], gy = grad[SPLAT_BLOCK + i], gz = grad[2 * SPLAT_BLOCK + i],
+                  big = -100;
+            for (int k = 0; k < 3; k++)
+                big = fmaxf(big, g->plane[G_LOG_SCALE + k][first + i]);
+            f->d.score[first + i] += sqrtf(gx * gx + gy * gy + gz * gz) * expf(fminf(big, 80.0f));
+        }
+    for (int p = 0; p < gaussians_planes(g->degree); p++)
+        f->r->k->adam(&f->group[group_of(p)], count, seen, grad + p * SPLAT_BLOCK,
+                      g->plane[p] + first, f->d.m1[p] + first, f->d.m2[p] + first);
+}
+
+static int next_view(struct refine *f)
+{
+    int n = f->v->n;
+    if (f->dealt == n)
+        f->dealt = 0;
+    if (f->dealt == 0)
+        for (int i = 0; i < n; i++) { // inside-out shuffle
+            int j = (int)(next_random(&f->rng) % (uint64_t)(i + 1));
+            f->deck[i] = f->deck[j];
+            f->deck[j] = i;
+        }
+    return f->deck[f->dealt++];
+}
+
+static struct raster_input view_input(const struct refine *f, const struct camera *cam)
+{
+    const float *b = f->s->background;
+    return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
+}
+
+/* The loss of the rendered picture of view i against photograph k; added to the gradients of those
+ * before, of which *out has the sum. */
+static err_t compare(struct refine *f, int i, int k, const struct loss_input *as,
+                     struct loss_output *out)
+{
+    const size_t side = (size_t)f->pic.w, squares = (size_t)f->squares * (size_t)f->squares;
+    struct loss_input li = *as;
+    li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
+    li.photo = (f->scale == 1 ? f->full : f->half) + (size_t)k * side * side * 3;
+    li.held = f->held + (size_t)i * squares;
+    struct loss_output one;
+    err_t e = loss_run(f->r, &f->loss_work, &li, &one);
+    if (e)
+        return e;
+    f->photo_sse[k] = one.held_sse;
+    f->photo_n[k] = one.held_n;
+    out->loss += one.loss;
+    for (int p = 0; p < TONE_PARAMS; p++)
+        out->tone[p] += one.tone[p];
+    return OK;
+}
+
+/* Render view i at the current size and compare with its photographs. */
+static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
+                  struct loss_output *out)
+{
+    struct raster_input in = view_input(f, cam);
+    int n = 0;
+    memset(out, 0, sizeof *out);
+    err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
+    for (int k = i; k >= 0; k = views_next(f->v, i, k))
+        n++;
+    struct loss_input as = {.pic = &f->pic,
+                            .tone = &f->s->tone,
+                            .behind = {behind[0], behind[1], behind[2]},
+                            .w_l1 = 0.8f / (float)n,
+                            .w_ssim = 0.2f / (float)n,
+                            .held_px = HELD_PX / f->scale};
+    for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
+        e = compare(f, i, k, &as, out);
+        as.more = true;
+    }
+    return e;
+}
+
+static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
+{
+    float g[6], twist[6] = {0}, ones[6] = {1, 1, 1, 1, 1, 1}, *m = f->pose_m + 12 * i;
+    struct adam_step a;
+    pose_twist_grad(&f->s->cams[i], pose, g);
+    set_rate(&a, RATES.pose * powf(0.01f, progress_of(f)), ++f->pose_t[i]);
+    for (int k = 0; k < 2; k++) { // translations in units of the extent
+        struct adam_step b = a;
+        b.lr *= k ? f->extent : 1.0f;
+        f->r->k->adam(&b, 3, ones, g + 3 * k, twist + 3 * k, m + 3 * k, m + 6 + 3 * k);
+    }
+    pose_move(&f->s->cams[i], twist);
+}
+
+static err_t take_step(struct refine *f)
+{
+    int i = next_view(f), side = f->v->size / f->scale;
+    struct camera cam = pose_scaled(&f->s->cams[i], side, side);
+    struct loss_output out;
+    float pose[POSE_GRAD], behind[3];
+    for (int c = 0; c < 3; c++)
+        behind[c] = uniform(f);
+    err_t e = look(f, i, &cam, behind, &out);
+    if (e)
+        return e;
+    f->loss += (float)out.loss;
+    set_rates(f);
+    struct raster_input in = view_input(f, &cam);
+    struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
+    struct raster_sink sink = {apply, f, f->cfg->poses ? pose : NULL, NULL};
+    e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
+    if (e)
+        return e;
+    struct adam_step tone;
+    float ones[TONE_PARAMS];
+    for (int k = 0; k < TONE_PARAMS; k++)
+        ones[k] = 1;
+    set_rate(&tone, RATES.tone, f->step + 1);
+    f->r->k->adam(&tone, TONE_PARAMS, ones, out.tone, f->s->tone.p, f->tone_m1, f->tone_m2);
+    if (f->cfg->poses)
+        move_camera(f, i, pose);
+    return OK;
+}
+
+static void note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
+
+static void note(struct refine *f, const char *fmt, ...)
+{
+    va_list ap;
+    if (f->rep->n_notes == REFINE_NOTES)
+        return;
+    va_start(ap, fmt);
+    vsnprintf(f->rep->notes[f->rep->n_notes++], sizeof f->rep->notes[0], fmt, ap);
+    va_end(ap);
+}
+
+static float decibel(double mean_square)
+{
+    return (float)(-10 * log10(fmax(mean_square, 1e-10)));
+}
+
+static float held_db(const struct refine *f)
+{
+    double sse = 0, n = 0;
+    for (int i = 0; i < f->v->n + f->v->n_more; i++) {
+        sse += f->photo_sse[i];
+        n += (double)f->photo_n[i];
+    }
+    return n > 0 ? decibel(sse / n) : 0.0f;
+}
+
+/* Held-out error of every view, now. */
+static err_t measure(struct refine *f, float *db)
+{
+    const float black[3] = {0, 0, 0};
+    for (int i = 0; i < f->v->n; i++) {
+        struct camera cam =
+            pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
+        struct loss_output out;
+        err_t e = look(f, i, &cam, black, &out);
+        if (e)
+            return e;
+    }
+    *db = held_db(f);
+    return OK;
+}
+
+static void add_band(struct refine *f)
+{
+    struct gaussians *g = &f->s->g;
+    int from = gaussians_planes(g->degree);
+    g->degree++;
+    for (int p = from; p < gaussians_planes(g->degree); p++) {
+        memset(g->plane[p], 0, (size_t)g->cap * sizeof(float));
+        memset(f->d.m1[p], 0, (size_t)g->cap * sizeof(float));
+        memset(f->d.m2[p], 0, (size_t)g->cap * sizeof(float));
+    }
+    f->band_from = f->step;
+}
+
+/* Keep the band on trial only if the held-out squares are worse without it. */
+static err_t judge_band(struct refine *f)
+{
+    float with, without;
+    int degree = f->s->g.degree;
+    err_t e = measure(f, &with);
+    f->s->g.degree = degree - 1;
+    e = e ? e : measure(f, &without);
+    f->s->g.degree = degree;
+    if (e)
+        return e;
+    bool keep = with - without >= BAND_GAIN_DB;
+    if (!keep)
+        f->s->g.degree--;
+    f->bands_done = !keep;
+    f->band_from = 0;
+    note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with,
+         (double)without, keep ? "kept" : "not needed");
+    return OK;
+}
+
+static err_t bands(struct refine *f)
+{
+    int trial = f->steps * 15 / 100;
+    if (f->band_from > 0 && f->step - f->band_from >= trial) {
+        err_t e = judge_band(f);
+        if (e)
+            return e;
+    }
+    if (f->band_from == 0 && !f->bands_done && f->scale == 1 && f->step + trial < f->steps &&
+        trial >= f->v->n && progress_of(f) >= 0.5f && f->s->g.degree < f->cfg->degree_max)
+        add_band(f);
+    return OK;
+}
+
+static void splits(struct refine *f)
+{
+    struct gaussians *g = &f->s->g;
+    if (f->splits_done || f->scale > 1)
+        return;
+    float db = held_db(f);
+    int most = f->v->size * f->v->size; // one a pixel: denser starts gained nothing by it
+    most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
+    bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
+    f->splits_done = progress_of(f) > SPLIT_END || noise || all;
+    if (f->splits_done) {
+        note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
+             all     ? "as many as pixels or as allowed"
+             : noise ? "more would learn noise"
+                     : "time to settle",
+             (double)db, (double)f->noise_db);
+        return;
+    }
+    density_prune(&f->d, 0.01f);
+    int room = most - g->n, want = (int)(SPLIT_SHARE * (float)g->n);
+    density_split(&f->d, want < room ? want : room);
+    density_sort(&f->d);
+}
+
+/* Once a round: report, and decide what the scene needs. */
+static err_t end_round(struct refine *f, int round)
+{
+    float db = held_db(f);
+    f->rep->loss = f->loss / (float)round;
+    f->loss = 0;
+    if (f->r->progress) {
+        char text[96];
+        snprintf(text, sizeof text, "held-out %.2f dB, %d Gaussians", (double)db, f->s->g.n);
+        f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
+    }
+    splits(f);
+    if (f->scale > 1 || f->band_from > 0)
+        return OK;
+    bool better = db > f->best_db + STALL_DB;
+    f->stalled = better ? 0 : f->stalled + 1;
+    f->best_db = fmaxf(f->best_db, db);
+    int rest = f->steps / 20 > round ? f->steps / 20 : round;
+    if (f->stalled >= PATIENCE && !f->rep->stopped_early && f->steps - f->step > rest) {
+        f->rep->stopped_early = true;
+        note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error",
+             f->step + rest, f->steps, PATIENCE);
+        f->steps = f->step + rest;
+    }
+    return OK;
+}
+
+static err_t run_steps(struct refine *f)
+{
+    int round = round_of(f->v->n);
+    err_t e = noise_run(f->r, f->v, &f->noise_db);
+    e = e ? e : measure(f, &f->rep->held_out_db[0]);
+    bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
+    for (f->step = 0; f->step < f->steps && !e;) {
+        f->scale = small && begins(f->step, f->steps) ? 2 : 1;
+        e = take_step(f);
+        f->rep->steps = ++f->step;
+        if (!e && f->step % round == 0)
+            e = end_round(f, round);
+        e = e ? e : bands(f);
+    }
+    if (!e && f->band_from > 0)
+        e = judge_band(f);
+    return e ? e : measure(f, &f->rep->held_out_db[1]);
+}
+
+err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,
+                 struct scene *io, struct refine_report *out)
+{
+    memset(out, 0, sizeof *out);
+    size_t mark = arena_mark(r->tmp);
+    struct refine f = {.r = r,
+                       .v = v,
+                       .cfg = cfg,
+                       .s = io,
+                       .rep = out,
+                       .rng = cfg->seed,
+                       .steps = cfg->steps,
+                       .scale = 1};
+    f.squares = (v->size + HELD_PX - 1) / HELD_PX;
+    err_t e = alloc_all(&f);
+    e = e ? e : pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
+    if (!e) {
+        choose_held(&f);
+        f.extent = pose_extent(&io->g, io->cams, io->n_views);
+        density_prune(&f.d, 0.01f); // model-spec 5.2 D
+        density_sort(&f.d);
+        e = run_steps(&f);
+    }
+    out->gaussians = io->g.n;
+    out->degree = io->g.degree;
+    arena_reset(r->tmp, mark);
+    return e;
+}

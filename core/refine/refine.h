@@ -1,0 +1,47 @@
+/* refine.h - optimise a scene against its photographs (model-spec 5.2, paper's post-optimisation).
+ * Each step draws one input view, renders it, compares the tone-mapped picture with its photograph,
+ * or all photographs of its bracket (0.8 L1 + 0.2 (1 - SSIM)), and moves every parameter by Adam.
+ * Squares of every input view are held out: their pixels give no gradient, and their error decides
+ * when to stop, how many SH bands and how many Gaussians the scene needs.
+ * Invariant: the result depends on the input, the configuration and the seed, never on the number
+ *       of threads. */
+#ifndef REFINE_REFINE_H
+#define REFINE_REFINE_H
+
+#include "core/base/types.h"
+
+struct refine_config {
+    int steps;         // 0..100000; 0 leaves the scene as it is
+    int degree_max;    // highest SH degree that may be added, 0..4
+    int gaussians_max; // the scene never has more; <= scene.g.cap
+    uint64_t seed;
+    bool poses; // move the cameras of the input views too
+};
+
+enum { REFINE_NOTES = 8 };
+
+struct refine_report {
+    int steps;          // done
+    bool stopped_early; // held-out error no longer fell
+    int gaussians, degree;
+    float loss;           // mean of the last round through the views
+    float held_out_db[2]; // PSNR of the held-out squares at the start and at the end, dB
+    int n_notes;
+    char notes[REFINE_NOTES][128]; // decisions in words, for the report
+};
+
+/* Bytes that refine_run takes from r->tmp; of v only its numbers are looked at. */
+size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
+
+/* How many Gaussians to begin with for `places` views: so many that the rounds of splitting that
+ * cfg->steps leave can still reach cfg->gaussians_max, at least half of it, all without steps. */
+int refine_begin(const struct refine_config *cfg, int places);
+
+/* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
+ * views.
+ * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, as far as it came). */
+MUST_USE err_t refine_run(const struct run *r, const struct views *v,
+                          const struct refine_config *cfg, struct scene *io,
+                          struct refine_report *out);
+
+#endif

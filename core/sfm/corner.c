@@ -1,0 +1,481 @@
+/* The grey value is the mean over the channels of the logarithm of the display value with a toe:
+ * where a channel saturates or sinks into black it ceases to change by itself, and what follows
+ * looks at directions of gradients and at contrast relative to the surroundings only, so that the
+ * response and the exposure hardly matter.
+ *
+ * Noise is the lower quartile of |Laplacian of Laplacians| by brightness (Immerkaer 1996). Corners
+ * are maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994) that noise does
+ * not explain, the strongest of each level first, spread by a count per cell of a grid. A
+ * descriptor is that of SIFT (Lowe 2004) without rotation, on the corner's level and on the one
+ * twice as coarse: gradients by direction in 4 x 4 cells, normalised, large parts cut,
+ * normalised. */
+#include "core/sfm/corner.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    TAPS = 3,  // of a Gauss kernel, to one side
+    CELLS = 4, // of a descriptor, across
+    TURNS = 8, // directions
+    HALF = CELLS * CELLS * TURNS,
+    SPREAD = 12,    // cells of the grid that corners are spread over, across
+    MARGIN = 6,     // px of a level without corners
+    WORD_NORM = 256 // length of a descriptor
+};
+
+#define SMOOTH 0.9f       // px, Gauss of the finest level and before each halving of the area
+#define WINDOW 1.5f       // px, Gauss of the structure tensor
+#define TOE 0.03f         // display value, below which the logarithm is straight
+#define NOISE_FLOOR 8e-4f // 0.2 of 255: rounding, averaged over the channels
+#define CELL 4.0f         // px, a cell of a descriptor
+#define SNR 6.0f          // of the eigenvalue to what noise adds to it
+#define COARSE 0.7f       // length of the coarse half of a descriptor, in that of the fine one
+#define CUT 0.2f          // largest part of a descriptor (Lowe 2004, 6.1)
+
+int corner_cap(int size)
+{
+    int n = size * 14 / 5;
+    return n < CORNER_MAX ? n : CORNER_MAX;
+}
+
+/* ---- memory ---- */
+
+static int level_size(int size, int level)
+{
+    return (int)lround(size / exp2(0.5 * level));
+}
+
+err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
+{
+    size_t cap = (size_t)corner_cap(size);
+    memset(out, 0, sizeof *out);
+    err_t e = arena_alloc(keep, cap, sizeof *out->at, &out->at);
+    if (!e)
+        e = arena_alloc(keep, cap, CORNER_WORD, &out->word);
+    if (!e)
+        e = arena_alloc(keep, cap, sizeof *out->square, &out->square);
+    for (int i = 0; i < CORNER_LEVELS && !e; i++) {
+        struct corner_level *l = out->level + i;
+        l->size = level_size(size, i);
+        l->scale = (float)size / (float)l->size;
+        size_t px = (size_t)l->size * (size_t)l->size;
+        e = arena_alloc(keep, px, sizeof *l->light, &l->light);
+        if (!e)
+            e = arena_alloc(keep, px, sizeof *l->weight, &l->weight);
+    }
+    return e;
+}
+
+size_t corner_keep(int size)
+{
+    size_t cap = (size_t)corner_cap(size), sum = arena_need(cap, sizeof(struct corner));
+    sum = arena_add(sum, arena_need(cap, CORNER_WORD));
+    sum = arena_add(sum, arena_need(cap, sizeof(int32_t)));
+    for (int i = 0; i < CORNER_LEVELS; i++) {
+        size_t px = (size_t)level_size(size, i) * (size_t)level_size(size, i);
+        sum = arena_add(sum, arena_need(px, 2 * sizeof(float)));
+        sum = arena_add(sum, ARENA_ALIGN);
+    }
+    return sum;
+}
+
+size_t corner_scratch(int size)
+{
+    return 5 * (size_t)size * (size_t)size;
+}
+
+/* ---- pyramid ---- */
+
+static void gauss_taps(float sigma, float tap[TAPS + 1])
+{
+    float sum = 0;
+    for (int i = 0; i <= TAPS; i++) {
+        tap[i] = expf(-0.5f * (float)(i * i) / (sigma * sigma));
+        sum += i ? 2 * tap[i] : tap[i];
+    }
+    for (int i = 0; i <= TAPS; i++)
+        tap[i] /= sum;
+}
+
+static void smooth_row(const float *row, int n, const float tap[TAPS + 1], float *restrict to)
+{
+    for (int x = 0; x < n; x++) {
+        to[x] = tap[0] * row[x];
+        for (int i = 1; i <= TAPS; i++)
+            to[x] += tap[i] * (row[x >= i ? x - i : 0] + row[x + i < n ? x + i : n - 1]);
+    }
+}
+
+/* Gauss filter of a square picture, in place; the border repeats. room: (n, n). */
+static void smooth(float *px, int n, float sigma, float *restrict room)
+{
+    float tap[TAPS + 1];
+    size_t w = (size_t)n;
+    gauss_taps(sigma, tap);
+    for (int y = 0; y < n; y++) {
+        float *restrict to = room + (size_t)y * w;
+        const float *row = px + (size_t)y * w;
+        for (size_t x = 0; x < w; x++)
+            to[x] = tap[0] * row[x];
+        for (int i = 1; i <= TAPS; i++) {
+            const float *up = px + (size_t)(y >= i ? y - i : 0) * w;
+            const float *down = px + (size_t)num_min(y + i, n - 1) * w;
+            for (size_t x = 0; x < w; x++)
+                to[x] += tap[i] * (up[x] + down[x]);
+        }
+    }
+    for (int y = 0; y < n; y++)
+        smooth_row(room + (size_t)y * w, n, tap, px + (size_t)y * w);
+}
+
+static void shrink(const float *from, int m, float *restrict to, int n)
+{
+    float step = (float)m / (float)n;
+    for (int y = 0; y < n; y++) {
+        float v = fmaxf(((float)y + 0.5f) * step - 0.5f, 0.0f);
+        int j = num_min((int)v, m - 2);
+        float fv = v - (float)j;
+        const float *a = from + (size_t)j * (size_t)m, *b = a + m;
+        for (int x = 0; x < n; x++) {
+            float u = fmaxf(((float)x + 0.5f) * step - 0.5f, 0.0f);
+            int i = num_min((int)u, m - 2);
+            float fu = u - (float)i;
+            float top = a[i] + fu * (a[i + 1] - a[i]), low = b[i] + fu * (b[i + 1] - b[i]);
+            to[(size_t)y * (size_t)n + (size_t)x] = top + fv * (low - top);
+        }
+    }
+}
+
+/* How much a display value says: 0 at both ends. */
+static void trust_table(float trust[256])
+{
+    for (int z = 0; z < 256; z++) {
+        float end = (float)(num_min(z - 1, 254 - z));
+        trust[z] = fminf(fmaxf(end / 6.0f, 0.0f), 1.0f);
+    }
+}
+
+static void grey(const uint8_t *rgb, struct corner_level *l)
+{
+    float trust[256], tone[256];
+    trust_table(trust);
+    for (int z = 0; z < 256; z++)
+        tone[z] = logf((float)z / (255 * TOE) + 1) / logf(1 / TOE + 1);
+    size_t px = (size_t)l->size * (size_t)l->size;
+    for (size_t i = 0; i < px; i++, rgb += 3) {
+        l->light[i] = (tone[rgb[0]] + tone[rgb[1]] + tone[rgb[2]]) / 3;
+        l->weight[i] = fmaxf(fmaxf(trust[rgb[0]], trust[rgb[1]]), trust[rgb[2]]);
+    }
+}
+
+static void pyramid(struct corner_view *c, float *room)
+{
+    size_t px = (size_t)c->level[0].size * (size_t)c->level[0].size;
+    for (int i = 0; i < CORNER_LEVELS; i++) {
+        struct corner_level *l = c->level + i;
+        if (!i) {
+            smooth(l->light, l->size, SMOOTH, room);
+            smooth(l->weight, l->size, SMOOTH, room);
+            continue;
+        }
+        const struct corner_level *from = l - 1;
+        size_t n = (size_t)from->size * (size_t)from->size;
+        for (int k = 0; k < 2; k++) {
+            memcpy(room, k ? from->weight : from->light, n * sizeof *room);
+            smooth(room, from->size, SMOOTH, room + px);
+            shrink(room, from->size, k ? l->weight : l->light, l->size);
+        }
+    }
+}
+
+/* ---- noise ---- */
+
+static int bin_of(float light)
+{
+    int i = (int)(light * CORNER_BINS);
+    return i < 0 ? 0 : num_min(i, CORNER_BINS - 1);
+}
+
+/* Lower quartile from a histogram of |response| with steps of 1/4 of a display step. */
+static float quartile(const int *hist, int bins, int total)
+{
+    int sum = 0;
+    for (int i = 0; i < bins; i++) {
+        if (4 * (sum + hist[i]) >= total) {
+            float inside = hist[i] ? (0.25f * (float)total - (float)sum) / (float)hist[i] : 0.0f;
+            return ((float)i + inside) / (4 * 255.0f);
+        }
+        sum += hist[i];
+    }
+    return (float)bins / (4 * 255.0f);
+}
+
+/* Before the smoothing. Bins with few pixels take the noise of all. */
+static void measure_noise(const struct corner_level *l, float noise[CORNER_BINS])
+{
+    enum { STEPS = 512, FEW = 200 };
+    int hist[CORNER_BINS + 1][STEPS], n[CORNER_BINS + 1] = {0};
+    memset(hist, 0, sizeof hist);
+    size_t w = (size_t)l->size;
+    for (size_t y = 1; y + 1 < w; y++) {
+        for (size_t x = 1; x + 1 < w; x++) {
+            const float *p = l->light + y * w + x, *a = p - w, *b = p + w;
+            if (l->weight[y * w + x] < 1)
+                continue;
+            float r = 4 * p[0] - 2 * (p[-1] + p[1] + a[0] + b[0]) + a[-1] + a[1] + b[-1] + b[1];
+            int k = num_min((int)(fabsf(r) * 4 * 255.0f), STEPS - 1), bin = bin_of(*p);
+            hist[bin][k]++;
+            hist[CORNER_BINS][k]++;
+            n[bin]++;
+            n[CORNER_BINS]++;
+        }
+    }
+    for (int i = 0; i < CORNER_BINS; i++) {
+        int from = n[i] < FEW ? CORNER_BINS : i;
+        float q = n[from] ? quartile(hist[from], STEPS, n[from]) : 0;
+        noise[i] = fmaxf(q / (6 * 0.3186f), NOISE_FLOOR); // P(|x| < 0.3186 sigma) = 1/4
+    }
+}
+
+float corner_noise(const struct corner_view *c, int level, float light)
+{
+    float sigma = c->noise[bin_of(light)], scale = c->level[level].scale;
+    return sigma * sigma / (25.1f * scale * scale); // 8 pi, for a Gauss of 1 px
+}
+
+/* ---- corners ---- */
+
+struct peak {
+    float strength;
+    int at; // pixel
+};
+
+static int by_strength(const void *a, const void *b)
+{
+    const struct peak *p = a, *q = b;
+    if (p->strength != q->strength)
+        return p->strength > q->strength ? -1 : 1;
+    return p->at < q->at ? -1 : p->at > q->at;
+}
+
+/* Smaller eigenvalue of the structure tensor at each pixel of level i. room: 4 (n, n), the first of
+ * which is the result. */
+static void eigenvalues(const struct corner_view *c, int i, float *room)
+{
+    const struct corner_level *l = c->level + i;
+    int n = l->size;
+    size_t w = (size_t)n, px = w * w;
+    float *xx = room, *xy = room + px, *yy = room + 2 * px;
+    memset(room, 0, 3 * px * sizeof *room);
+    for (size_t y = 1; y + 1 < w; y++) {
+        for (size_t k = y * w + 1; k + 1 < (y + 1) * w; k++) {
+            float gx = 0.5f * (l->light[k + 1] - l->light[k - 1]);
+            float gy = 0.5f * (l->light[k + w] - l->light[k - w]);
+            float trust = l->weight[k] * l->weight[k];
+            xx[k] = trust * gx * gx;
+            xy[k] = trust * gx * gy;
+            yy[k] = trust * gy * gy;
+        }
+    }
+    for (int k = 0; k < 3; k++)
+        smooth(room + (size_t)k * px, n, WINDOW, room + 3 * px);
+    for (size_t k = 0; k < px; k++) {
+        float half = 0.5f * (xx[k] + yy[k]), d = 0.5f * (xx[k] - yy[k]);
+        xx[k] = half - sqrtf(d * d + xy[k] * xy[k]);
+    }
+}
+
+/* Whether pixel k is the largest of its 5 x 5; of equals, the first. */
+static bool is_peak(const float *px, size_t w, size_t k)
+{
+    for (size_t dy = 0; dy < 5; dy++) {
+        for (size_t dx = 0; dx < 5; dx++) {
+            size_t j = k + dy * w + dx - 2 * w - 2;
+            if (px[j] > px[k] || (px[j] == px[k] && j < k))
+                return false;
+        }
+    }
+    return true;
+}
+
+static int find_peaks(const struct corner_view *c, int i, const float *px, struct peak *out)
+{
+    const struct corner_level *l = c->level + i;
+    size_t w = (size_t)l->size;
+    int n = 0;
+    for (size_t y = MARGIN; y + MARGIN < w; y++) {
+        for (size_t x = MARGIN; x + MARGIN < w; x++) {
+            size_t k = y * w + x;
+            if (px[k] > SNR * corner_noise(c, i, l->light[k]) && is_peak(px, w, k))
+                out[n++] = (struct peak){px[k], (int)k};
+        }
+    }
+    qsort(out, (size_t)n, sizeof *out, by_strength);
+    return n;
+}
+
+/* Offset of the maximum of a parabola through three values. */
+static float vertex(float a, float b, float c)
+{
+    float bend = a - 2 * b + c;
+    return bend < 0 ? fminf(fmaxf(0.5f * (a - c) / bend, -0.5f), 0.5f) : 0.0f;
+}
+
+static void add_corner(struct corner_view *c, int i, const float *px, int at)
+{
+    const struct corner_level *l = c->level + i;
+    const float *p = px + at;
+    float x = (float)(at % l->size) + vertex(p[-1], p[0], p[1]);
+    float y = (float)(at / l->size) + vertex(p[-l->size], p[0], p[l->size]);
+    c->at[c->n++] = (struct corner){.u = (x + 0.5f) * l->scale,
+                                    .v = (y + 0.5f) * l->scale,
+                                    .strength = *p / corner_noise(c, i, l->light[at]),
+                                    .level = i};
+}
+
+/* The strongest `want` corners of level i, at first at most `crowd` in a cell, then three times as
+ * many. */
+static void find_corners(struct corner_view *c, int i, int want, float *room)
+{
+    const struct corner_level *l = c->level + i;
+    int count[SPREAD * SPREAD] = {0}, left = want;
+    int crowd = (3 * want / 2 + SPREAD * SPREAD - 1) / (SPREAD * SPREAD);
+    eigenvalues(c, i, room);
+    struct peak *peak = (struct peak *)(room + (size_t)l->size * (size_t)l->size);
+    int n = find_peaks(c, i, room, peak);
+    for (int turn = 0; turn < 2; turn++, crowd *= 3) {
+        for (int k = 0; k < n && left > 0; k++) {
+            if (peak[k].at < 0)
+                continue;
+            int x = peak[k].at % l->size * SPREAD / l->size;
+            int y = peak[k].at / l->size * SPREAD / l->size;
+            if (count[y * SPREAD + x] >= crowd)
+                continue;
+            count[y * SPREAD + x]++;
+            add_corner(c, i, room, peak[k].at);
+            peak[k].at = -1;
+            left--;
+        }
+    }
+}
+
+/* ---- descriptors ---- */
+
+/* Direction of a gradient in parts of TURNS to a full turn, 0 <= result <= TURNS, within 0.01. */
+static float direction(float gx, float gy)
+{
+    float ax = fabsf(gx), ay = fabsf(gy), top = ax > ay ? ax : ay, low = ax > ay ? ay : ax;
+    float r = low / (top + 1e-20f);
+    float turn = r * (1.345f - 0.345f * r) * (TURNS / 8.0f); // atan(r) within 0.004
+    turn = ay > ax ? TURNS / 4.0f - turn : turn;
+    turn = gx < 0 ? TURNS / 2.0f - turn : turn;
+    return gy < 0 ? TURNS - turn : turn;
+}
+
+/* Where one row or column of pixels goes: a cell, its part in the next one, and its weight. */
+struct lane {
+    int px, cell; // cell 0 is outside, and so is CELLS + 1
+    float next, weight;
+};
+
+enum { LANES_MAX = 32 };
+
+/* Pixels within reach of `centre` in 1 .. n - 2; returns their number. */
+static int make_lanes(float centre, float cell, int n, struct lane out[LANES_MAX])
+{
+    float reach = 0.5f * (CELLS + 1) * cell;
+    int count = 0, first = (int)ceilf(centre - reach);
+    for (int i = first > 1 ? first : 1; i <= n - 2 && (float)i < centre + reach; i++) {
+        float d = ((float)i - centre) / cell, at = d + 0.5f * (CELLS + 1);
+        out[count++] = (struct lane){i, (int)at, at - (float)(int)at, expf(-0.125f * d * d)};
+    }
+    return count;
+}
+
+static void vote(float *cell, float part, int turn, float beyond)
+{
+    cell[turn] += part * (1 - beyond);
+    cell[turn + 1] += part * beyond;
+}
+
+/* The descriptor's half on one level: hist (CELLS, CELLS, TURNS). */
+static void gather(const struct corner_level *l, float u, float v, float *hist)
+{
+    enum { DEPTH = TURNS + 2, WIDTH = (CELLS + 2) * DEPTH };
+    float sum[(CELLS + 2) * WIDTH] = {0};
+    struct lane column[LANES_MAX], row[LANES_MAX];
+    int n = l->size, columns = make_lanes(u / l->scale - 0.5f, CELL, n, column);
+    int rows = make_lanes(v / l->scale - 0.5f, CELL, n, row);
+    for (int j = 0; j < rows; j++) {
+        const struct lane *y = row + j;
+        for (int i = 0; i < columns; i++) {
+            const struct lane *x = column + i;
+            size_t at = (size_t)y->px * (size_t)n + (size_t)x->px;
+            const float *p = l->light + at;
+            float gx = p[1] - p[-1], gy = p[n] - p[-n], turn = direction(gx, gy);
+            float size = sqrtf(gx * gx + gy * gy) * l->weight[at] * x->weight * y->weight;
+            int t = (int)turn;
+            float *to = sum + y->cell * WIDTH + x->cell * DEPTH, beyond = turn - (float)t;
+            vote(to, size * (1 - x->next) * (1 - y->next), t, beyond);
+            vote(to + DEPTH, size * x->next * (1 - y->next), t, beyond);
+            vote(to + WIDTH, size * (1 - x->next) * y->next, t, beyond);
+            vote(to + WIDTH + DEPTH, size * x->next * y->next, t, beyond);
+        }
+    }
+    for (int k = 0; k < CELLS * CELLS; k++) {
+        const float *from = sum + (k / CELLS + 1) * WIDTH + (k % CELLS + 1) * DEPTH;
+        memcpy(hist + k * TURNS, from, TURNS * sizeof *hist);
+        hist[k * TURNS] += from[TURNS]; // a full turn is none
+        hist[k * TURNS + 1] += from[TURNS + 1];
+    }
+}
+
+static void normalise(float *x, int n, float length)
+{
+    float sum = 1e-12f;
+    for (int i = 0; i < n; i++)
+        sum += x[i] * x[i];
+    for (int i = 0; i < n; i++)
+        x[i] *= length / sqrtf(sum);
+}
+
+static void describe(struct corner_view *c, int k)
+{
+    float hist[2 * HALF];
+    int32_t square = 0;
+    const struct corner *at = c->at + k;
+    int8_t *word = c->word + (size_t)k * CORNER_WORD;
+    for (int s = 0; s < 2; s++) {
+        float *part = hist + s * HALF;
+        gather(c->level + at->level + 2 * s, at->u, at->v, part);
+        normalise(part, HALF, 1);
+        for (int i = 0; i < HALF; i++)
+            part[i] = fminf(part[i], CUT);
+        normalise(part, HALF, s ? COARSE : 1.0f);
+    }
+    normalise(hist, 2 * HALF, WORD_NORM);
+    for (int i = 0; i < 2 * HALF; i++) {
+        word[i] = (int8_t)lrintf(fminf(hist[i], 127));
+        square += word[i] * word[i];
+    }
+    c->square[k] = square;
+}
+
+/* ---- the whole ---- */
+
+void corner_run(const uint8_t *rgb, int size, float *room, struct corner_view *out)
+{
+    static const float share[CORNER_FOUND] = {0.40f, 0.27f, 0.19f, 0.14f};
+    out->n = 0;
+    grey(rgb, out->level);
+    measure_noise(out->level, out->noise);
+    pyramid(out, room);
+    for (int i = 0; i < CORNER_FOUND; i++)
+        find_corners(out, i, (int)(share[i] * (float)corner_cap(size)), room);
+    for (int k = 0; k < out->n; k++)
+        describe(out, k);
+}

@@ -1,0 +1,59 @@
+/* corner.h - what a photograph can be recognised by, whatever its exposure: a pyramid of smoothed
+ * grey values, corners spread over it, and a descriptor of the surroundings of each corner.
+ * Pure computation; any thread. */
+#ifndef SFM_CORNER_H
+#define SFM_CORNER_H
+
+#include "core/base/types.h"
+
+enum {
+    CORNER_LEVELS = 6,    // of the pyramid, each smaller by sqrt(2)
+    CORNER_FOUND = 4,     // levels, from the finest on, that corners are looked for on
+    CORNER_WORD = 256,    // numbers of a descriptor: two surroundings of 4 x 4 cells x 8 directions
+    CORNER_MAX = 1536,    // corners of a view
+    CORNER_SIZE_MIN = 64, // px, of a view
+    CORNER_BINS = 8       // of brightness, for the noise
+};
+
+/* One size of a view. Pixel (i, j) of the level lies at scale (i + 0.5, j + 0.5) px of the view. */
+struct corner_level {
+    int size;      // px
+    float scale;   // px of the view in a pixel of the level
+    float *light;  // (size, size) logarithm of the grey value, 0..1, smoothed
+    float *weight; // (size, size) 0 black or saturated .. 1
+};
+
+struct corner {
+    float u, v;     // px of the view
+    float strength; // smaller eigenvalue of the structure tensor over what noise explains
+    int level;
+};
+
+/* All that matching needs of one view. */
+struct corner_view {
+    struct corner_level level[CORNER_LEVELS];
+    float noise[CORNER_BINS]; // deviation of light before smoothing, by light from 0 to 1
+    int n;
+    struct corner *at; // (corner_cap)
+    int8_t *word;      // (corner_cap, CORNER_WORD) descriptors
+    int32_t *square;   // (corner_cap) sum of the squares of a descriptor
+};
+
+/* Most corners of a view of `size` px. */
+int corner_cap(int size);
+
+/* Room of a view, and its bytes.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t corner_alloc(struct arena *keep, int size, struct corner_view *out);
+size_t corner_keep(int size);
+
+/* Scratch of corner_run: floats. */
+size_t corner_scratch(int size);
+
+/* Pyramid, corners and descriptors. rgb: (size, size, 3). room: (corner_scratch). */
+void corner_run(const uint8_t *rgb, int size, float *room, struct corner_view *out);
+
+/* Variance that noise adds to a derivative on a level, where light is `light`. */
+float corner_noise(const struct corner_view *c, int level, float light);
+
+#endif

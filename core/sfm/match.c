@@ -1,0 +1,538 @@
+/* Each view becomes corners with descriptors (corner.h), each pair of views a list of matches that
+ * one epipolar geometry explains (pair.h). Corners joined by matches, the surest first, are one
+ * track, unless two of them lie in one view. The strongest sighting of a track is cut out and found
+ * to a fraction of a pixel in the others (patch.h). The epipolar geometry of the refined points
+ * then drops what slid away or never belonged. Long tracks come first, and tracks that add to a
+ * crowd in all of their views are left out. */
+#include "core/sfm/match.h"
+
+#include "core/base/num.h"
+#include "core/sfm/pair.h"
+#include "core/sfm/patch.h"
+
+#include <limits.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    TRACKS_MAX = 4000,
+    SPREAD = 20, // cells of the grid that tracks are spread over, across
+    REFINE = 32  // tracks of a chunk
+};
+
+#define SIGMA_MIN 0.05f  // px of a level
+#define SAME 0.7f        // px of a level, corners of one place
+#define LIKE_MIN 0.85f   // correlation of a patch that is found again
+#define STRETCH_MAX 0.5f // log2 of areas, up to which no other level is tried
+#define SLIDE_MAX 3.0f   // px of a level, from the corner to the patch
+#define EXACT 0.8f       // px, Sampson distance of refined sightings
+
+struct room {       // of a worker
+    float *picture; // (corner_scratch)
+    struct pair_room pair;
+};
+
+struct matcher {
+    const struct run *r;
+    const struct views *v;
+    struct pair_views p;
+    int cap, n_couples;  // of p; of views
+    struct pair *couple; // (n_couples)
+    struct room *rooms;
+    int *parent;    // (n cap) of union and find
+    int *first;     // (n cap) node of a corner's place
+    int *next;      // (n cap) members of a track, a ring
+    uint64_t *mask; // (n cap) views of a track, modulo 64
+    int n_tracks;
+    struct track *track;     // (n cap / 2)
+    struct match_seen *seen; // (n cap)
+};
+
+struct track {
+    int root, at, n; // node; first sighting; sightings
+    float like;      // mean
+};
+
+/* ---- sizes ---- */
+
+static size_t seen_cap(int n_views, int size)
+{
+    size_t n = (size_t)n_views * (size_t)corner_cap(size);
+    return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
+}
+
+/* Place of a pair of views, a < b, among all of n. */
+static int couple_of(int n, int a, int b)
+{
+    return a * (2 * n - a - 1) / 2 + b - a - 1;
+}
+
+/* ---- pairs ---- */
+
+static err_t prepare_view(void *ctx, int i, int worker)
+{
+    struct matcher *m = ctx;
+    size_t size = (size_t)m->p.size;
+    err_t e = run_check(m->r, "matching");
+    if (e)
+        return e;
+    corner_run(m->v->rgb + (size_t)i * size * size * 3, m->p.size, m->rooms[worker].picture,
+               m->p.view + i);
+    pair_prepare(&m->p, i);
+    return OK;
+}
+
+static err_t match_couple(void *ctx, int i_couple, int worker)
+{
+    struct matcher *m = ctx;
+    err_t e = run_check(m->r, "matching");
+    if (!e)
+        pair_run(&m->p, &m->rooms[worker].pair, m->couple + i_couple);
+    return e;
+}
+
+/* ---- tracks ---- */
+
+static int root_of(int *parent, int i)
+{
+    while (parent[i] != i) {
+        parent[i] = parent[parent[i]];
+        i = parent[i];
+    }
+    return i;
+}
+
+/* Make one track of those of nodes i and j, unless they share a view. */
+static void join(struct matcher *m, int i, int j)
+{
+    int a = root_of(m->parent, i), b = root_of(m->parent, j);
+    if (a == b || (m->mask[a] & m->mask[b]))
+        return;
+    m->parent[b] = a;
+    m->mask[a] |= m->mask[b];
+    int t = m->next[a];
+    m->next[a] = m->next[b];
+    m->next[b] = t;
+}
+
+/* The first corner of a view at the place of corner k: on several levels it is one point. */
+static int place_of(const struct corner_view *c, const int *parent, int at, int k)
+{
+    for (int i = 0; i < k; i++) {
+        float reach = SAME * c->level[c->at[i].level].scale;
+        float du = c->at[i].u - c->at[k].u, dv = c->at[i].v - c->at[k].v;
+        if (parent[at + i] == at + i && du * du + dv * dv < reach * reach)
+            return i;
+    }
+    return k;
+}
+
+static void start_nodes(struct matcher *m)
+{
+    for (int i = 0; i < m->v->n; i++) {
+        for (int k = 0; k < m->p.view[i].n; k++) {
+            int at = i * m->cap, node = at + k;
+            m->parent[node] = m->first[node] = at + place_of(m->p.view + i, m->parent, at, k);
+            m->next[node] = node;
+            m->mask[node] = (uint64_t)1 << (i % 64);
+        }
+    }
+}
+
+struct edge {
+    float doubt;
+    int a, b;
+};
+
+static int by_edge(const void *x, const void *y)
+{
+    const struct edge *p = x, *q = y;
+    if (p->doubt != q->doubt)
+        return p->doubt < q->doubt ? -1 : 1;
+    return p->a != q->a ? (p->a < q->a ? -1 : 1) : p->b - q->b;
+}
+
+static err_t join_all(struct matcher *m)
+{
+    size_t n = 0, mark = arena_mark(m->r->tmp);
+    struct edge *edge;
+    for (int i = 0; i < m->n_couples; i++)
+        n += (size_t)m->couple[i].n;
+    err_t e = arena_alloc(m->r->tmp, n + 1, sizeof *edge, &edge);
+    if (e)
+        return e;
+    n = 0;
+    for (int i = 0; i < m->n_couples; i++) {
+        const struct pair *c = m->couple + i;
+        for (int k = 0; k < c->n; k++)
+            edge[n++] = (struct edge){c->link[k].doubt, m->first[c->a * m->cap + c->link[k].a],
+                                      m->first[c->b * m->cap + c->link[k].b]};
+    }
+    qsort(edge, n, sizeof *edge, by_edge);
+    for (size_t i = 0; i < n; i++)
+        join(m, edge[i].a, edge[i].b);
+    arena_reset(m->r->tmp, mark);
+    return OK;
+}
+
+/* ---- refinement ---- */
+
+/* What the reference shows, from two levels that follow each other. */
+struct view_of {
+    int level;
+    bool cut[2];
+    struct patch patch[2];
+};
+
+/* How far from 1 a patch's magnification is, where it is found. */
+static float stretch(const struct patch_place *at)
+{
+    return fabsf(log2f(fmaxf(fabsf(at->m[0] * at->m[3] - at->m[1] * at->m[2]), 1e-3f)));
+}
+
+/* Find the reference at a node's place, between levels where it is as large and as smooth: else
+ * corners seem to move. */
+static bool find_member(const struct matcher *m, const struct view_of *o, int node,
+                        struct match_seen *out, float *like)
+{
+    const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
+    const struct corner_view *c = m->p.view + node / m->cap;
+    const struct corner *at = c->at + node % m->cap;
+    float least = INFINITY;
+    for (int i = 0; i < 3 && least > STRETCH_MAX; i++) {
+        const struct corner_level *l = c->level + o->level + to[i];
+        float u = at->u / l->scale, v = at->v / l->scale;
+        struct patch_place place = {.u = u, .v = v, .m = {1, 0, 0, 1}};
+        if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &place) ||
+            place.like < LIKE_MIN || stretch(&place) >= least ||
+            hypotf(place.u - u, place.v - v) > SLIDE_MAX)
+            continue;
+        least = stretch(&place);
+        *like = place.like;
+        *out = (struct match_seen){.view = node / m->cap,
+                                   .u = place.u * l->scale,
+                                   .v = place.v * l->scale,
+                                   .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
+    }
+    return least < INFINITY;
+}
+
+/* Member of a track that shows it best. */
+static int best_member(const struct matcher *m, int root)
+{
+    int best = root;
+    float top = 0;
+    for (int i = m->next[root], k = 0; i != root || !k; i = m->next[i], k++) {
+        float strength = m->p.view[i / m->cap].at[i % m->cap].strength;
+        if (strength > top) {
+            top = strength;
+            best = i;
+        }
+    }
+    return best;
+}
+
+static int by_view(const void *a, const void *b)
+{
+    return ((const struct match_seen *)a)->view - ((const struct match_seen *)b)->view;
+}
+
+/* Sightings of a track where it is found again. */
+static void refine_track(const struct matcher *m, struct track *t)
+{
+    int best = best_member(m, t->root);
+    struct match_seen *out = m->seen + t->at;
+    const struct corner_view *c = m->p.view + best / m->cap;
+    const struct corner *at = c->at + best % m->cap;
+    struct view_of reference = {.level = at->level};
+    float sum = 0, least = INFINITY;
+    for (int k = 0; k < 2; k++) {
+        const struct corner_level *l = c->level + at->level + k;
+        reference.cut[k] = patch_make(l, at->u / l->scale, at->v / l->scale, reference.patch + k);
+    }
+    t->n = 0;
+    out[t->n++] = (struct match_seen){.view = best / m->cap, .u = at->u, .v = at->v};
+    for (int i = m->next[best]; i != best; i = m->next[i]) {
+        float like = 0;
+        if (!find_member(m, &reference, i, out + t->n, &like))
+            continue;
+        least = fminf(least, out[t->n++].sigma);
+        sum += like;
+    }
+    out->sigma = least;
+    t->like = t->n > 1 ? sum / (float)(t->n - 1) : 0;
+    qsort(out, (size_t)t->n, sizeof *out, by_view);
+}
+
+static err_t refine_chunk(void *ctx, int chunk, int worker)
+{
+    struct matcher *m = ctx;
+    (void)worker;
+    for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++)
+        refine_track(m, m->track + i);
+    return run_check(m->r, "matching");
+}
+
+static void list_tracks(struct matcher *m)
+{
+    int at = 0;
+    m->n_tracks = 0;
+    for (int i = 0; i < m->v->n; i++) {
+        for (int node = i * m->cap; node < i * m->cap + m->p.view[i].n; node++) {
+            int n = 1;
+            if (m->parent[node] != node || m->next[node] == node)
+                continue;
+            for (int k = m->next[node]; k != node; k = m->next[k])
+                n++;
+            m->track[m->n_tracks++] = (struct track){.root = node, .at = at, .n = n};
+            at += n;
+        }
+    }
+}
+
+/* ---- a last look ---- */
+
+/* Sighting of a track in a view, or NULL. */
+static const struct match_seen *seen_in(const struct matcher *m, const struct track *t, int view)
+{
+    for (int k = t->at; k < t->at + t->n; k++)
+        if (m->seen[k].view == view)
+            return m->seen + k;
+    return NULL;
+}
+
+/* Epipolar geometry of the refined sightings of two views. */
+static err_t look_again(void *ctx, int i_couple, int worker)
+{
+    struct matcher *m = ctx;
+    struct pair *c = m->couple + i_couple;
+    struct epipolar_match *match = m->rooms[worker].pair.match;
+    int n = 0;
+    for (int i = 0; i < m->n_tracks && n < m->cap; i++) {
+        const struct match_seen *a = seen_in(m, m->track + i, c->a);
+        const struct match_seen *b = a ? seen_in(m, m->track + i, c->b) : NULL;
+        if (b)
+            match[n++] = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
+    }
+    int agree = epipolar_run(match, n, (float)m->v->size, EXACT, c->f);
+    c->known = agree >= PAIR_LEAST && agree * 2 > n;
+    return run_check(m->r, "matching");
+}
+
+/* Views that speak against sighting k of a track, less those that speak for it. */
+static int against(const struct matcher *m, const struct track *t, int k)
+{
+    int sum = 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct match_seen *a = m->seen + t->at + (i < k ? i : k);
+        const struct match_seen *b = m->seen + t->at + (i < k ? k : i);
+        if (i == k)
+            continue;
+        const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
+        const struct epipolar_match match = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
+        if (c->known)
+            sum += epipolar_distance(c->f, &match) > (double)(EXACT * EXACT) ? 1 : -1;
+    }
+    return sum;
+}
+
+/* Take away the sighting that most views speak against, until all have more for them. */
+static void settle_track(const struct matcher *m, struct track *t)
+{
+    struct match_seen *at = m->seen + t->at;
+    while (t->n >= 2) {
+        int worst = 0, most = INT_MIN;
+        for (int k = 0; k < t->n; k++) {
+            int sum = against(m, t, k);
+            worst = sum > most ? k : worst;
+            most = sum > most ? sum : most;
+        }
+        if (most < 0)
+            break;
+        memmove(at + worst, at + worst + 1, (size_t)(--t->n - worst) * sizeof *at);
+    }
+}
+
+static err_t settle_chunk(void *ctx, int chunk, int worker)
+{
+    struct matcher *m = ctx;
+    (void)worker;
+    for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++)
+        settle_track(m, m->track + i);
+    return run_check(m->r, "matching");
+}
+
+/* ---- result ---- */
+
+static int by_length(const void *a, const void *b)
+{
+    const struct track *p = a, *q = b;
+    if (p->n != q->n)
+        return q->n - p->n;
+    if (p->like != q->like)
+        return p->like > q->like ? -1 : 1;
+    return p->root - q->root;
+}
+
+/* Whether some view of the track still lacks tracks where this one is; counts it. */
+static bool wanted(const struct matcher *m, const struct track *t, int crowd, uint16_t *count)
+{
+    bool room = false;
+    for (int turn = 0; turn < 2; turn++) {
+        for (int k = t->at; k < t->at + t->n; k++) {
+            const struct match_seen *s = m->seen + k;
+            float cell = SPREAD / (float)m->v->size;
+            int x = num_min((int)fmaxf(s->u * cell, 0), SPREAD - 1);
+            int y = num_min((int)fmaxf(s->v * cell, 0), SPREAD - 1);
+            uint16_t *here = count + (s->view * SPREAD + y) * SPREAD + x;
+            room = room || *here < crowd;
+            *here = (uint16_t)(*here + turn);
+        }
+        if (!room)
+            return false;
+    }
+    return true;
+}
+
+static err_t collect(struct matcher *m, struct match_tracks *out)
+{
+    size_t mark = arena_mark(m->r->tmp), keep = arena_mark(m->r->keep);
+    int n = 0, crowd = 2 * TRACKS_MAX / (SPREAD * SPREAD);
+    uint16_t *count;
+    err_t e = arena_zalloc(m->r->tmp, (size_t)m->v->n * SPREAD * SPREAD, sizeof *count, &count);
+    if (!e)
+        e = arena_alloc(m->r->keep, seen_cap(m->v->n, m->v->size), sizeof *out->seen, &out->seen);
+    if (e) {
+        arena_reset(m->r->keep, keep);
+        arena_reset(m->r->tmp, mark);
+        return e;
+    }
+    qsort(m->track, (size_t)m->n_tracks, sizeof *m->track, by_length);
+    for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < TRACKS_MAX; i++) {
+        const struct track *t = m->track + i;
+        if (n + t->n > (int)seen_cap(m->v->n, m->v->size) || !wanted(m, t, crowd, count))
+            continue;
+        for (int k = 0; k < t->n; k++) {
+            out->seen[n] = m->seen[t->at + k];
+            out->seen[n++].track = out->n_tracks;
+        }
+        out->n_tracks++;
+    }
+    out->n = n;
+    arena_reset(m->r->tmp, mark);
+    return OK;
+}
+
+/* ---- the whole ---- */
+
+static err_t alloc_rooms(struct matcher *m)
+{
+    struct arena *tmp = m->r->tmp;
+    int workers = pool_size(m->r->pool);
+    err_t e = arena_alloc(tmp, (size_t)workers, sizeof *m->rooms, &m->rooms);
+    for (int i = 0; i < workers && !e; i++) {
+        struct room *w = m->rooms + i;
+        e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w->picture, &w->picture);
+        if (!e)
+            e = pair_room_init(tmp, &m->p, &w->pair);
+    }
+    return e;
+}
+
+static err_t alloc_pairs(struct matcher *m)
+{
+    struct arena *tmp = m->r->tmp;
+    size_t cap = (size_t)m->cap, nodes = (size_t)m->v->n * cap;
+    err_t e = arena_alloc(tmp, (size_t)m->n_couples, sizeof *m->couple, &m->couple);
+    for (int a = 0, k = 0; a < m->v->n; a++) {
+        for (int b = a + 1; b < m->v->n && !e; b++, k++) {
+            m->couple[k] = (struct pair){.a = a, .b = b};
+            e = arena_alloc(tmp, cap, sizeof(struct pair_link), &m->couple[k].link);
+        }
+    }
+    if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->parent, &m->parent);
+    if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->first, &m->first);
+    if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->next, &m->next);
+    if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->mask, &m->mask);
+    if (!e)
+        e = arena_alloc(tmp, nodes / 2 + 1, sizeof *m->track, &m->track);
+    if (!e)
+        e = arena_alloc(tmp, nodes, sizeof *m->seen, &m->seen);
+    return e;
+}
+
+size_t match_plan(int n_views, int size, int threads)
+{
+    size_t n = (size_t)n_views, w = (size_t)threads, cap = (size_t)corner_cap(size);
+    size_t couples = n * (n - 1) / 2, nodes = n * cap;
+    size_t room = arena_add(arena_need(corner_scratch(size), sizeof(float)), pair_room_need(size));
+    size_t sum = pair_views_need(n_views, size);
+    sum = arena_add(sum, arena_need(w, sizeof(struct room)));
+    sum = arena_add(sum, arena_need(w, room));
+    sum = arena_add(sum, arena_need(couples, sizeof(struct pair)));
+    sum = arena_add(sum, arena_need(couples, arena_need(cap, sizeof(struct pair_link))));
+    for (int i = 0; i < 3; i++)
+        sum = arena_add(sum, arena_need(nodes, sizeof(int)));
+    sum = arena_add(sum, arena_need(nodes, sizeof(uint64_t)));
+    sum = arena_add(sum, arena_need(nodes / 2 + 1, sizeof(struct track)));
+    sum = arena_add(sum, arena_need(nodes, sizeof(struct match_seen)));
+    return arena_add(sum, num_max_size(arena_need(couples * cap + 1, sizeof(struct edge)),
+                                       arena_need(n * SPREAD * SPREAD, sizeof(uint16_t))));
+}
+
+size_t match_keep(int n_views, int size)
+{
+    return arena_need(seen_cap(n_views, size), sizeof(struct match_seen));
+}
+
+/* Corners, pairs, tracks, refinement, choice. */
+static err_t find_tracks(struct matcher *m, struct match_tracks *out)
+{
+    err_t e = pair_views_init(m->r->tmp, m->v->n, m->v->size, &m->p);
+    if (!e)
+        e = alloc_rooms(m);
+    if (!e)
+        e = alloc_pairs(m);
+    if (!e)
+        e = pool_for(m->r->pool, m->v->n, prepare_view, m);
+    if (!e)
+        e = pool_for(m->r->pool, m->n_couples, match_couple, m);
+    if (e)
+        return e;
+    start_nodes(m);
+    e = join_all(m);
+    if (e)
+        return e;
+    list_tracks(m);
+    e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, refine_chunk, m);
+    if (!e)
+        e = pool_for(m->r->pool, m->n_couples, look_again, m);
+    if (!e)
+        e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, settle_chunk, m);
+    return e ? e : collect(m, out);
+}
+
+err_t match_run(const struct run *r, const struct views *v, const struct correspondence *prior,
+                struct match_tracks *out)
+{
+    struct matcher m = {
+        .r = r,
+        .v = v,
+        .p = {.k = r->k, .prior = prior && prior->token && prior->n_views == v->n ? prior : NULL},
+        .cap = corner_cap(v->size),
+        .n_couples = v->n * (v->n - 1) / 2};
+    size_t mark = arena_mark(r->tmp);
+    memset(out, 0, sizeof *out);
+    if (v->n < 2 || v->size < CORNER_SIZE_MIN)
+        return OK;
+    err_t e = find_tracks(&m, out);
+    arena_reset(r->tmp, mark);
+    if (e)
+        memset(out, 0, sizeof *out);
+    return e;
+}

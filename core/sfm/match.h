@@ -1,0 +1,34 @@
+/* match.h - the same points in several photographs of mixed exposure: corners, descriptors that do
+ * not see the exposure, matches that agree both ways and with one epipolar geometry, sub-pixel
+ * positions, tracks over views. The network's attention narrows the search where there is one
+ * (model-spec 2.7).
+ * Pure computation on the pool; the result does not depend on the number of threads. */
+#ifndef SFM_MATCH_H
+#define SFM_MATCH_H
+
+#include "core/base/types.h"
+
+/* One point seen in one view. */
+struct match_seen {
+    int track, view; // sorted by track, then view; a track has a view at most once
+    float u, v;      // px of v->size, pixel centres at + 0.5
+    float sigma;     // px, expected error, > 0
+};
+
+struct match_tracks {
+    int n_tracks, n;         // tracks of 2 or more views; sightings
+    struct match_seen *seen; // (n)
+};
+
+/* Find tracks. prior: of net_run for these views (core/net/attend.c), or NULL: places where the
+ * network does not look are less likely; where its attention is flat it is not asked.
+ * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees, and for
+ *       one view or views below 64 px.
+ * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */
+enum { MATCH_SEEN_MAX = 1 << 16 };
+MUST_USE err_t match_run(const struct run *r, const struct views *v,
+                         const struct correspondence *prior, struct match_tracks *out);
+size_t match_plan(int n_views, int size, int threads);
+size_t match_keep(int n_views, int size);
+
+#endif

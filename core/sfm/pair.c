@@ -1,0 +1,309 @@
+/* All descriptors of one view are multiplied with all of the other in integers (gemm_s8). A match
+ * is the best of both views for each other and clearly better than the next one at another place
+ * (Lowe 2004, 7.1); places that the network does not look at count as farther, unless its attention
+ * is flat. When one epipolar geometry explains enough matches, corners are compared once more, now
+ * along the epipolar lines only: there fewer are alike, which finds half as many again. */
+#include "core/sfm/pair.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    ROWS = 32,      // corners of a block of products
+    UNLIKE = 50000, // squared distance of descriptors that have nothing in common
+    FAR = 1 << 28,  // no distance between descriptors
+    NONE = -1
+};
+
+#define RATIO 0.8f      // of distances to the nearest corner and another (Lowe 2004)
+#define RATIO_LINE 0.7f // the same on an epipolar line
+#define APART 5.0f      // px, corners that are not the same place
+#define ELSEWHERE 1.5f  // how much farther descriptors count where the network does not look
+#define SHARE_MIN 0.1f  // of the attention that the best tokens need to be believed
+#define BOUND 1.5f      // px, Sampson distance of corners that agree
+#define BAND 2.0f       // px, from the epipolar line
+
+/* ---- memory ---- */
+
+static size_t pitch_of(int cap)
+{
+    return (size_t)(cap + PANEL - 1) / PANEL * PANEL;
+}
+
+err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out)
+{
+    size_t views = (size_t)n, cap = (size_t)corner_cap(size);
+    out->n = n;
+    out->size = size;
+    out->cap = (int)cap;
+    err_t e = arena_alloc(tmp, views, sizeof *out->view, &out->view);
+    if (!e)
+        e = arena_alloc(tmp, views, sizeof *out->panels, &out->panels);
+    if (!e)
+        e = arena_alloc(tmp, views * cap, sizeof *out->token, &out->token);
+    for (size_t i = 0; i < views && !e; i++) {
+        e = corner_alloc(tmp, size, out->view + i);
+        if (!e)
+            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_WORD, out->panels + i);
+    }
+    return e;
+}
+
+size_t pair_views_need(int n, int size)
+{
+    size_t views = (size_t)n, cap = (size_t)corner_cap(size);
+    size_t each = arena_add(corner_keep(size), arena_need(pitch_of((int)cap), CORNER_WORD));
+    size_t sum = arena_add(arena_need(views, sizeof(struct corner_view)),
+                           arena_need(views, sizeof(int8_t *)));
+    sum = arena_add(sum, arena_need(views * cap, sizeof(int)));
+    return arena_add(sum, arena_need(views, each));
+}
+
+err_t pair_room_init(struct arena *tmp, const struct pair_views *v, struct pair_room *w)
+{
+    size_t cap = (size_t)v->cap, grid = v->prior ? (size_t)v->prior->grid : 0;
+    w->pitch = pitch_of(v->cap);
+    err_t e = arena_alloc(tmp, ROWS * w->pitch, sizeof *w->product, &w->product);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->column, &w->column);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->from, &w->from);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->to, &w->to);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->doubt, &w->doubt);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->near, &w->near);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *w->match, &w->match);
+    if (!e)
+        e = arena_alloc(tmp, grid * grid, sizeof *w->look, &w->look);
+    return e;
+}
+
+size_t pair_room_need(int size)
+{
+    size_t cap = (size_t)corner_cap(size), grid = (size_t)size / CORRESPONDENCE_PATCH + 1;
+    size_t sum = arena_need(ROWS * pitch_of((int)cap), sizeof(int32_t));
+    sum = arena_add(sum, arena_need(cap, sizeof(int32_t)));
+    for (int i = 0; i < 3; i++)
+        sum = arena_add(sum, arena_need(cap, sizeof(int16_t)));
+    sum = arena_add(sum, arena_need(cap, sizeof(float)));
+    sum = arena_add(sum, arena_need(cap, sizeof(struct epipolar_match)));
+    return arena_add(sum, arena_need(grid * grid, 1));
+}
+
+/* ---- views ---- */
+
+static int token_of(const struct pair_views *m, const struct corner *c)
+{
+    int g = m->prior->grid;
+    int x = num_min((int)(c->u * (float)g / (float)m->size), g - 1);
+    int y = num_min((int)(c->v * (float)g / (float)m->size), g - 1);
+    return y * g + x;
+}
+
+void pair_prepare(const struct pair_views *m, int i)
+{
+    const struct corner_view *c = m->view + i;
+    memset(m->panels[i], 0, pitch_of(m->cap) * CORNER_WORD);
+    for (int k = 0; k < c->n; k++) {
+        int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_WORD + k % PANEL * 4;
+        for (int q = 0; q < CORNER_WORD; q += 4)
+            memcpy(to + q * PANEL, c->word + (size_t)k * CORNER_WORD + q, 4);
+        if (m->prior)
+            m->token[i * m->cap + k] = token_of(m, c->at + k);
+    }
+}
+
+/* ---- search ---- */
+
+/* Mark the tokens of view b around those where the network finds token t of view a. False if it
+ * does not know. */
+static bool look_for(const struct pair_views *m, const struct pair *c, int t, uint8_t *look)
+{
+    const struct correspondence *p = m->prior;
+    int g = p->grid;
+    size_t at = (((size_t)c->a * (size_t)(g * g) + (size_t)t) * (size_t)p->n_views + (size_t)c->b) *
+                CORRESPONDENCE_BEST;
+    float sum = 0;
+    for (int k = 0; k < CORRESPONDENCE_BEST; k++)
+        sum += p->token[at + k] >= 0 ? p->share[at + k] : 0;
+    if (sum < SHARE_MIN)
+        return false;
+    memset(look, 0, (size_t)(g * g));
+    for (int k = 0; k < CORRESPONDENCE_BEST; k++) {
+        int x = p->token[at + k] % g, y = p->token[at + k] / g;
+        if (p->token[at + k] < 0 || p->share[at + k] < 0.25f * sum / CORRESPONDENCE_BEST)
+            continue;
+        for (int j = y > 0 ? y - 1 : 0; j <= num_min(y + 1, g - 1); j++)
+            for (int i = x > 0 ? x - 1 : 0; i <= num_min(x + 1, g - 1); i++)
+                look[j * g + i] = 1;
+    }
+    return true;
+}
+
+static bool near_by(const struct corner *a, const struct corner *b)
+{
+    return fabsf(a->u - b->u) < APART && fabsf(a->v - b->v) < APART;
+}
+
+/* What corner i of a may be compared with: corners of b and squared distances. */
+struct trial {
+    int i, n;
+    const int16_t *at; // (n) corners of b; NULL: all, in order
+    int32_t *square;   // (n)
+};
+
+/* Places that the network does not look at count as farther. */
+static void narrow(const struct pair_views *m, const struct pair *c, const struct trial *t,
+                   uint8_t *look)
+{
+    const int *token = m->token + c->b * m->cap;
+    if (!m->prior || !look_for(m, c, m->token[c->a * m->cap + t->i], look))
+        return;
+    for (int k = 0; k < t->n; k++)
+        if (!look[token[t->at ? t->at[k] : k]])
+            t->square[k] = (int32_t)(ELSEWHERE * (float)t->square[k]);
+}
+
+/* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
+ * whether this one is the nearest so far. */
+static void nearest(const struct pair_views *m, const struct pair *c, const struct trial *t,
+                    struct pair_room *w)
+{
+    const struct corner *b = m->view[c->b].at;
+    int32_t best = FAR, next = UNLIKE;
+    int to = NONE;
+    narrow(m, c, t, w->look);
+    for (int k = 0; k < t->n; k++) {
+        int j = t->at ? t->at[k] : k;
+        if (t->square[k] < best) {
+            best = t->square[k];
+            to = j;
+        }
+        if (t->square[k] < w->column[j]) {
+            w->column[j] = t->square[k];
+            w->from[j] = (int16_t)t->i;
+        }
+    }
+    for (int k = 0; k < t->n; k++)
+        if (t->square[k] < next && !near_by(b + to, b + (t->at ? t->at[k] : k)))
+            next = t->square[k];
+    w->to[t->i] = (int16_t)to;
+    w->doubt[t->i] = ((float)best + 1) / ((float)next + 1);
+}
+
+/* Compare all with all. */
+static void search(const struct pair_views *m, const struct pair *c, struct pair_room *w)
+{
+    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
+    for (int i = 0; i < a->n; i++) {
+        int32_t *row = w->product + (size_t)(i % ROWS) * w->pitch;
+        if (i % ROWS == 0)
+            m->k->net.s8(&(struct gemm_s8){.m = num_min(ROWS, a->n - i),
+                                           .panels = (b->n + PANEL - 1) / PANEL,
+                                           .segs = 1,
+                                           .seg = CORNER_WORD,
+                                           .a = a->word + (size_t)i * CORNER_WORD,
+                                           .lda = CORNER_WORD,
+                                           .w = m->panels[c->b],
+                                           .ldw = PANEL * CORNER_WORD,
+                                           .c = w->product,
+                                           .ldc = w->pitch});
+        for (int j = 0; j < b->n; j++)
+            row[j] = a->square[i] + b->square[j] - 2 * row[j];
+        nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
+    }
+}
+
+/* Compare with what lies along the epipolar line only. */
+static void search_lines(const struct pair_views *m, const struct pair *c, struct pair_room *w)
+{
+    const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
+    const float middle = 0.5f * (float)m->size;
+    for (int i = 0; i < a->n; i++) {
+        float x = a->at[i].u - middle, y = a->at[i].v - middle, line[3];
+        for (int k = 0; k < 3; k++)
+            line[k] = (float)(c->f[3 * k] * x + c->f[3 * k + 1] * y + c->f[3 * k + 2]);
+        float reach = BAND * sqrtf(line[0] * line[0] + line[1] * line[1]);
+        struct trial t = {i, 0, w->near, w->product};
+        line[2] -= middle * (line[0] + line[1]);
+        for (int j = 0; j < b->n; j++)
+            if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
+                w->near[t.n++] = (int16_t)j;
+        for (int k = 0; k < t.n; k++) {
+            const int8_t *p = a->word + (size_t)i * CORNER_WORD;
+            const int8_t *q = b->word + (size_t)w->near[k] * CORNER_WORD;
+            int32_t sum = 0;
+            for (int n = 0; n < CORNER_WORD; n++)
+                sum += p[n] * q[n];
+            t.square[k] = a->square[i] + b->square[w->near[k]] - 2 * sum;
+        }
+        nearest(m, c, &t, w);
+    }
+}
+
+static int by_doubt(const void *a, const void *b)
+{
+    const struct pair_link *p = a, *q = b;
+    if (p->doubt != q->doubt)
+        return p->doubt < q->doubt ? -1 : 1;
+    return p->a - q->a;
+}
+
+/* Links of corners that are each other's nearest, the surest first. */
+static void link_up(const struct pair_views *m, struct pair *c, const struct pair_room *w,
+                    float ratio)
+{
+    c->n = 0;
+    for (int i = 0; i < m->view[c->a].n; i++)
+        if (w->to[i] != NONE && w->from[w->to[i]] == i && w->doubt[i] < ratio * ratio)
+            c->link[c->n++] = (struct pair_link){w->doubt[i], (int16_t)i, w->to[i]};
+    qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
+}
+
+struct epipolar_match pair_meeting(const struct pair_views *m, float au, float av, float bu,
+                                   float bv)
+{
+    const float middle = 0.5f * (float)m->size;
+    return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
+}
+
+/* The epipolar geometry that most links agree with. */
+static void find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
+{
+    for (int k = 0; k < c->n; k++) {
+        const struct corner *a = m->view[c->a].at + c->link[k].a;
+        const struct corner *b = m->view[c->b].at + c->link[k].b;
+        match[k] = pair_meeting(m, a->u, a->v, b->u, b->v);
+    }
+    int agree = epipolar_run(match, c->n, (float)m->size, BOUND, c->f);
+    c->known = agree >= PAIR_LEAST + c->n / 16;
+}
+
+void pair_run(const struct pair_views *m, struct pair_room *w, struct pair *c)
+{
+    c->n = 0;
+    c->known = false;
+    if (m->view[c->a].n < PAIR_LEAST || m->view[c->b].n < PAIR_LEAST)
+        return;
+    for (int turn = 0; turn < 2; turn++) {
+        for (int j = 0; j < m->view[c->b].n; j++)
+            w->column[j] = FAR;
+        if (turn)
+            search_lines(m, c, w);
+        else
+            search(m, c, w);
+        link_up(m, c, w, turn ? RATIO_LINE : RATIO);
+        if (!turn)
+            find_geometry(m, c, w->match);
+        if (!c->known)
+            break;
+    }
+    if (!c->known)
+        c->n = 0;
+}

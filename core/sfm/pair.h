@@ -1,0 +1,68 @@
+/* pair.h - which corners of two views are the same point.
+ * Pure computation; views are shared, a pair and a room belong to one worker at a time. */
+#ifndef SFM_PAIR_H
+#define SFM_PAIR_H
+
+#include "core/base/types.h"
+#include "core/kernels/kernels.h"
+#include "core/sfm/corner.h"
+#include "core/sfm/epipolar.h"
+
+enum { PAIR_LEAST = 12 }; // matches that one epipolar geometry must explain
+
+/* One match. */
+struct pair_link {
+    float doubt;  // squared distance over that of the next best, 0..1
+    int16_t a, b; // corners
+};
+
+/* Two views, a < b. */
+struct pair {
+    int a, b, n;
+    struct pair_link *link; // (corner_cap) the surest first
+    double f[9];            // epipolar geometry, see epipolar.h
+    bool known;             // f
+};
+
+/* All views. */
+struct pair_views {
+    const struct kernels *k;
+    const struct correspondence *prior; // NULL: none
+    int n, size, cap;                   // cap: corner_cap
+    struct corner_view *view;           // (n)
+    int8_t **panels;                    // (n) descriptors as gemm_s8 wants them
+    int *token;                         // (n, cap) patch of the network that a corner lies in
+};
+
+/* Scratch of a worker. */
+struct pair_room {
+    size_t pitch;                 // of product
+    int32_t *product;             // (rows, pitch)
+    int32_t *column;              // (cap) smallest distance to each corner of b
+    int16_t *from;                // (cap) where it is
+    int16_t *to;                  // (cap) nearest in b of each corner of a
+    float *doubt;                 // (cap)
+    int16_t *near;                // (cap) corners of b on a line
+    struct epipolar_match *match; // (cap)
+    uint8_t *look;                // (grid^2) whether the network looks at this token
+};
+
+/* Room of n views, a worker; bytes of them. out->k and out->prior are the caller's.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out);
+size_t pair_views_need(int n, int size);
+MUST_USE err_t pair_room_init(struct arena *tmp, const struct pair_views *v, struct pair_room *w);
+size_t pair_room_need(int size);
+
+/* After corner_run of view i. */
+void pair_prepare(const struct pair_views *m, int i);
+
+/* Fill c, whose a, b and link are set; without a geometry that enough matches agree with, n is 0.
+ */
+void pair_run(const struct pair_views *m, struct pair_room *w, struct pair *c);
+
+/* Two points, px of the views, for epipolar_distance with a pair's f. */
+struct epipolar_match pair_meeting(const struct pair_views *m, float au, float av, float bu,
+                                   float bv);
+
+#endif

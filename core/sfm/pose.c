@@ -1,0 +1,84 @@
+/* With A = dL/dR R^T + dL/dt t^T, a rotation by w changes the loss by sum_ij A_ij [w]x_ij, so dL/dw
+ * is twice the axial vector of A's antisymmetric part; dL/dv = dL/dt. */
+#include "core/sfm/pose.h"
+
+#include "core/base/rotation.h"
+
+#include <math.h>
+
+void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float out[6])
+{
+    float r[9], a[9];
+    rotation_from_quat(c->q, r);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            a[3 * i + j] = grad[9 + i] * c->t[j];
+            for (int k = 0; k < 3; k++)
+                a[3 * i + j] += grad[3 * i + k] * r[3 * j + k];
+        }
+    out[0] = a[7] - a[5];
+    out[1] = a[2] - a[6];
+    out[2] = a[3] - a[1];
+    for (int i = 0; i < 3; i++)
+        out[3 + i] = grad[9 + i];
+}
+
+void pose_move(struct camera *c, const float twist[6])
+{
+    float sum = 0;
+    for (int i = 0; i < 6; i++)
+        sum += twist[i];
+    if (!isfinite(sum))
+        return;
+    double angle = sqrt((double)twist[0] * twist[0] + (double)twist[1] * twist[1] +
+                        (double)twist[2] * twist[2]);
+    double s = angle > 1e-9 ? sin(angle / 2) / angle : 0.5, w = cos(angle / 2);
+    double x = s * twist[0], y = s * twist[1], z = s * twist[2];
+    const double b[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
+    const double q[4] = {
+        w * b[0] - x * b[1] - y * b[2] - z * b[3], w * b[1] + x * b[0] + y * b[3] - z * b[2],
+        w * b[2] - x * b[3] + y * b[0] + z * b[1], w * b[3] + x * b[2] - y * b[1] + z * b[0]};
+    double len = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+    const float d[4] = {(float)w, (float)x, (float)y, (float)z};
+    float r[9], t[3];
+    rotation_from_quat(d, r);
+    for (int i = 0; i < 3; i++)
+        t[i] = r[3 * i] * c->t[0] + r[3 * i + 1] * c->t[1] + r[3 * i + 2] * c->t[2] + twist[3 + i];
+    for (int i = 0; i < 3; i++)
+        c->t[i] = t[i];
+    for (int i = 0; i < 4; i++)
+        c->q[i] = (float)(q[i] / len);
+}
+
+float pose_extent(const struct gaussians *g, const struct camera *cams, int n)
+{
+    double c[3] = {0}, sum = 0;
+    for (int i = 0; i < g->n; i++)
+        for (int k = 0; k < 3; k++)
+            c[k] += (double)g->plane[G_MU + k][i] / g->n;
+    for (int i = 0; i < n; i++) {
+        float r[9];
+        double d2 = 0;
+        rotation_from_quat(cams[i].q, r);
+        for (int k = 0; k < 3; k++) {
+            const float *t = cams[i].t;
+            double o = -(double)(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]);
+            d2 += (o - c[k]) * (o - c[k]);
+        }
+        sum += sqrt(d2) / n;
+    }
+    return sum > 0 && isfinite(sum) ? (float)sum : 1.0f;
+}
+
+struct camera pose_scaled(const struct camera *c, int w, int h)
+{
+    struct camera s = *c;
+    float ax = (float)w / (float)c->w, ay = (float)h / (float)c->h;
+    s.w = w;
+    s.h = h;
+    s.fx *= ax;
+    s.cx *= ax;
+    s.fy *= ay;
+    s.cy *= ay;
+    return s;
+}

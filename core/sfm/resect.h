@@ -1,0 +1,16 @@
+/* resect.h - place one more view from points that other views have placed.
+ * Pure functions, random draws from a fixed seed; any thread. */
+#ifndef SFM_RESECT_H
+#define SFM_RESECT_H
+
+#include "core/sfm/adjust.h"
+#include "core/sfm/viewgraph.h"
+
+/* Pose of a view that is not placed, from the points of its tracks. The rotation comes from a
+ * placed neighbour's edge, also one that was not believed, or from the pose that is there; the
+ * translation from pairs of points; both are polished on the points within the gate (expected
+ * errors). Returns the number of these, 0 if they are less than half of all points; the pose is
+ * the old one then. */
+int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate);
+
+#endif

@@ -1,0 +1,146 @@
+#include "core/sfm/similarity.h"
+
+#include "core/base/num.h"
+#include "core/base/rotation.h"
+
+#include <math.h>
+
+/* ---- scale ---- */
+
+static size_t pairs(int n)
+{
+    return (size_t)n * (size_t)(n > 0 ? n - 1 : 0) / 2;
+}
+
+size_t similarity_plan(int n_views)
+{
+    return arena_need(pairs(n_views), sizeof(float));
+}
+
+void similarity_centre(const struct camera *c, double out[3])
+{
+    float r[9];
+    rotation_from_quat(c->q, r);
+    for (int k = 0; k < 3; k++)
+        out[k] = -((double)r[k] * (double)c->t[0] + (double)r[3 + k] * (double)c->t[1] +
+                   (double)r[6 + k] * (double)c->t[2]);
+}
+
+static double distance(const struct camera *a, const struct camera *b)
+{
+    double p[3], q[3];
+    similarity_centre(a, p);
+    similarity_centre(b, q);
+    return sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) +
+                (p[2] - q[2]) * (p[2] - q[2]));
+}
+
+err_t similarity_scale(const struct run *r, const struct camera *from, const struct camera *to,
+                       int n_views, float *out)
+{
+    size_t mark = arena_mark(r->tmp), n = 0;
+    float *ratio;
+    *out = 1.0f;
+    err_t e = arena_alloc(r->tmp, pairs(n_views), sizeof *ratio, &ratio);
+    if (e)
+        return e;
+    for (int i = 0; i < n_views; i++)
+        for (int j = 0; j < i; j++) {
+            double a = distance(&from[i], &from[j]), b = distance(&to[i], &to[j]);
+            if (a > 0 && b > 0 && isnormal((float)(b / a)))
+                ratio[n++] = (float)(b / a);
+        }
+    if (n > 0)
+        *out = num_median(ratio, n);
+    arena_reset(r->tmp, mark);
+    return OK;
+}
+
+/* ---- similarity ---- */
+
+/* out = a b, or a conj(b). */
+static void multiply(const double a[4], const double b[4], bool conjugate, double out[4])
+{
+    double s = conjugate ? -1 : 1;
+    out[0] = a[0] * b[0] - s * (a[1] * b[1] + a[2] * b[2] + a[3] * b[3]);
+    out[1] = s * a[0] * b[1] + a[1] * b[0] + s * (a[2] * b[3] - a[3] * b[2]);
+    out[2] = s * a[0] * b[2] + a[2] * b[0] + s * (a[3] * b[1] - a[1] * b[3]);
+    out[3] = s * a[0] * b[3] + a[3] * b[0] + s * (a[1] * b[2] - a[2] * b[1]);
+}
+
+static void rotate(const double q[4], const double x[3], double out[3])
+{
+    const double v[4] = {0, x[0], x[1], x[2]};
+    double half[4], full[4];
+    multiply(q, v, false, half);
+    multiply(half, q, true, full);
+    for (int k = 0; k < 3; k++)
+        out[k] = full[k + 1];
+}
+
+/* Add the rotation from one world to the other that camera i shows, on the side of the sum. */
+static void add_rotation(const struct camera *from, const struct camera *to, double sum[4])
+{
+    const double a[4] = {(double)to->q[0], -(double)to->q[1], -(double)to->q[2], -(double)to->q[3]};
+    const double b[4] = {(double)from->q[0], (double)from->q[1], (double)from->q[2],
+                         (double)from->q[3]};
+    double q[4], side = 0;
+    multiply(a, b, false, q);
+    for (int k = 0; k < 4; k++)
+        side += q[k] * sum[k];
+    for (int k = 0; k < 4; k++)
+        sum[k] += side < 0 ? -q[k] : q[k];
+}
+
+err_t similarity_fit(const struct run *r, const struct camera *from, const struct camera *to,
+                     int n_views, struct similarity *out)
+{
+    float scale;
+    double length = 0;
+    err_t e = similarity_scale(r, from, to, n_views, &scale);
+    *out = (struct similarity){.scale = (double)scale};
+    for (int i = 0; i < n_views; i++)
+        add_rotation(&from[i], &to[i], out->q);
+    for (int k = 0; k < 4; k++)
+        length += out->q[k] * out->q[k];
+    for (int k = 0; k < 4; k++)
+        out->q[k] = length > 0 ? out->q[k] / sqrt(length) : k == 0;
+    for (int i = 0; i < n_views; i++) {
+        double a[3], b[3], turned[3];
+        similarity_centre(&from[i], a);
+        similarity_centre(&to[i], b);
+        rotate(out->q, a, turned);
+        for (int k = 0; k < 3; k++)
+            out->t[k] += (b[k] - out->scale * turned[k]) / n_views;
+    }
+    return e;
+}
+
+struct camera similarity_apply(const struct similarity *w, const struct camera *cam)
+{
+    struct camera out = *cam;
+    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
+                         (double)cam->q[3]};
+    double turned[4], centre[3], moved[3], back[3];
+    multiply(q, w->q, true, turned);
+    similarity_centre(cam, centre);
+    rotate(w->q, centre, moved);
+    for (int k = 0; k < 3; k++)
+        moved[k] = w->scale * moved[k] + w->t[k];
+    rotate(turned, moved, back);
+    for (int k = 0; k < 4; k++)
+        out.q[k] = (float)turned[k];
+    for (int k = 0; k < 3; k++)
+        out.t[k] = (float)-back[k];
+    return out;
+}
+
+void similarity_rotation(const struct camera *from, const struct camera *to, float out[9])
+{
+    float a[9], b[9];
+    rotation_from_quat(from->q, a);
+    rotation_from_quat(to->q, b);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++)
+            out[3 * i + j] = b[i] * a[j] + b[3 + i] * a[3 + j] + b[6 + i] * a[6 + j];
+}

@@ -1,0 +1,599 @@
+/* 1. Every pair of views with enough common tracks: twoview_run.
+ * 2. Rotations: spanning tree over the edges with most inliers and fewest contradictions in
+ *    triplets; then all edges, in the tangent space, weights of L1, later Geman-McClure (Chatterjee
+ *    and Govindu, "Efficient and robust large-scale rotation averaging", 2013). Edges that are off
+ *    by some degrees are wrong.
+ * 3. Sightings that fit the epipolar geometry to less than half of the others of their track go.
+ * 4. Centres C and points X for known rotations: sum of w |(I - d d^T)(X - C)|^2 over sightings
+ *    with rays d is quadratic. Points are eliminated; the eigenvector of the smallest eigenvalue,
+ *    across common translations, is the solution up to scale and sign. Weights w bring residuals
+ *    to angles (1 / depth^2) and make them robust (Cauchy); a few rounds. */
+#include "core/sfm/viewgraph.h"
+
+#include "core/base/lin.h"
+#include "core/base/num.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    MATCHES_MOST = 400,
+    COMMON_LEAST = 12,
+    ROUNDS_L1 = 10,
+    ROUNDS_GM = 10,
+    BLOCK = 256,
+    CENTRE_ROUNDS = 8,
+    POWER_STEPS = 20,
+    PRODUCTS_MOST = 200000 // pairs of sightings that centres are taken from
+};
+static const double DEGREE = 3.14159265358979323846 / 180;
+
+static struct viewgraph_edge *edge_of(const struct viewgraph *g, int a, int b)
+{
+    return &g->edge[b * (b - 1) / 2 + a];
+}
+
+static double *pose_of(const struct adjust *a, int view)
+{
+    return a->pose + (size_t)ADJUST_POSE * (size_t)view;
+}
+
+/* ---- pairs ---- */
+
+struct place {
+    int track, at; // at: index of the sighting
+};
+
+struct pairs_job {
+    const struct run *r;
+    const struct adjust *a;
+    struct viewgraph *g;
+    struct place *list;                 // sightings by view, then track
+    int first[VIEWGRAPH_VIEWS_MAX + 1]; // of each view in list
+};
+
+static struct twoview_match match_of(const struct adjust *a, int i, int j)
+{
+    const struct adjust_seen *s = &a->seen[i], *t = &a->seen[j];
+    return (struct twoview_match){.a = {(double)s->u / a->focal, (double)s->v / a->focal},
+                                  .b = {(double)t->u / a->focal, (double)t->v / a->focal},
+                                  .sigma_a = 1 / ((double)s->weight * a->focal),
+                                  .sigma_b = 1 / ((double)t->weight * a->focal)};
+}
+
+/* Matches of two views, every stride-th of them; returns how many there are. */
+static int gather(const struct pairs_job *job, int a, int b, int stride, struct twoview_match *out)
+{
+    const struct place *p = job->list + job->first[a], *q = job->list + job->first[b];
+    const struct place *p_end = job->list + job->first[a + 1];
+    const struct place *q_end = job->list + job->first[b + 1];
+    int n = 0;
+    while (p < p_end && q < q_end) {
+        if (p->track == q->track) {
+            if (out && n % stride == 0)
+                out[n / stride] = match_of(job->a, p->at, q->at);
+            n++;
+        }
+        int step = p->track - q->track;
+        p += step <= 0;
+        q += step >= 0;
+    }
+    return n;
+}
+
+static err_t pair_chunk(void *ctx, int chunk, int worker)
+{
+    struct pairs_job *job = ctx;
+    struct twoview_match m[MATCHES_MOST];
+    struct viewgraph_edge *e = &job->g->edge[chunk];
+    int b = 1;
+    (void)worker;
+    while (b * (b + 1) / 2 <= chunk)
+        b++;
+    const int a = chunk - b * (b - 1) / 2;
+    *e = (struct viewgraph_edge){.n = gather(job, a, b, 1, NULL)};
+    if (e->n < COMMON_LEAST)
+        return OK;
+    const int stride = (e->n + MATCHES_MOST - 1) / MATCHES_MOST;
+    const int n = (e->n + stride - 1) / stride;
+    gather(job, a, b, stride, m);
+    twoview_run(m, n, 1u + (uint32_t)chunk, &e->pose);
+    e->ok = e->pose.inliers >= 10 + n / 5;
+    return run_check(job->r, "relative poses");
+}
+
+err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g)
+{
+    struct pairs_job job = {.r = r, .a = a, .g = g};
+    const size_t mark = arena_mark(r->tmp);
+    int fill[VIEWGRAPH_VIEWS_MAX];
+    g->n_views = a->n_views;
+    err_t e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof *job.list, &job.list);
+    if (!e) {
+        for (int i = 0; i < a->first[a->n_tracks]; i++)
+            job.first[a->seen[i].view + 1]++;
+        for (int v = 0; v < a->n_views; v++) {
+            fill[v] = job.first[v];
+            job.first[v + 1] += job.first[v];
+        }
+        for (int t = 0; t < a->n_tracks; t++)
+            for (int i = a->first[t]; i < a->first[t + 1]; i++)
+                job.list[fill[a->seen[i].view]++] = (struct place){t, i};
+        e = pool_for(r->pool, viewgraph_edges(a->n_views), pair_chunk, &job);
+    }
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* ---- rotations ---- */
+
+/* Rotation from view i to view j along their edge. */
+static void relative(const struct viewgraph *g, int i, int j, double r[9])
+{
+    if (i < j) {
+        memcpy(r, edge_of(g, i, j)->pose.r, 9 * sizeof *r);
+        return;
+    }
+    const double *s = edge_of(g, j, i)->pose.r;
+    for (int k = 0; k < 9; k++)
+        r[k] = s[3 * (k % 3) + k / 3];
+}
+
+static bool linked(const struct viewgraph *g, int i, int j)
+{
+    return i < j ? edge_of(g, i, j)->ok : i > j && edge_of(g, j, i)->ok;
+}
+
+/* How far the way around three views is from no turn at all, radians. */
+static double loop_error(const struct viewgraph *g, int i, int j, int k)
+{
+    double ij[9], jk[9], ki[9], two[9], all[9], w[3];
+    relative(g, i, j, ij);
+    relative(g, j, k, jk);
+    relative(g, k, i, ki);
+    lin_product(jk, ij, two);
+    lin_product(ki, two, all);
+    lin_log(all, w);
+    return sqrt(lin_dot(w, w));
+}
+
+/* Inliers times the share of triplets that close. */
+static double trust(const struct viewgraph *g, int i, int j)
+{
+    int good = 0, bad = 0;
+    if (!linked(g, i, j))
+        return 0;
+    for (int k = 0; k < g->n_views; k++)
+        if (linked(g, i, k) && linked(g, j, k)) {
+            bool closes = loop_error(g, i, j, k) < 3 * DEGREE;
+            good += closes;
+            bad += !closes;
+        }
+    const struct viewgraph_edge *e = i < j ? edge_of(g, i, j) : edge_of(g, j, i);
+    return e->pose.inliers * (good + 0.5) / (good + bad + 0.5);
+}
+
+/* Views that can be reached from the root, along the most trusted edges; sets their rotations. */
+static int spread(const struct viewgraph *g, const double *weight, int root, struct adjust *a)
+{
+    const int n = g->n_views;
+    int count = 1;
+    for (int v = 0; v < n; v++) {
+        a->placed[v] = v == root;
+        memset(pose_of(a, v), 0, ADJUST_POSE * sizeof *a->pose);
+        for (int k = 0; k < 3; k++)
+            pose_of(a, v)[4 * k] = 1;
+    }
+    for (;;) {
+        int from = -1, to = -1;
+        double most = 0, r[9];
+        for (int i = 0; i < n * n; i++)
+            if (a->placed[i / n] && !a->placed[i % n] && weight[i] > most) {
+                most = weight[i];
+                from = i / n;
+                to = i % n;
+            }
+        if (to < 0)
+            return count;
+        relative(g, from, to, r);
+        lin_product(r, pose_of(a, from), pose_of(a, to));
+        a->placed[to] = true;
+        count++;
+    }
+}
+
+/* Error of an edge in the world's axes: what view j should turn more than view i. */
+static double edge_error(const struct viewgraph *g, const struct adjust *a, int i, int j,
+                         double out[3])
+{
+    double r[9], expected[9], all[9];
+    relative(g, i, j, r);
+    lin_product(r, pose_of(a, i), expected);
+    for (int p = 0; p < 3; p++)
+        for (int q = 0; q < 3; q++)
+            all[3 * p + q] = pose_of(a, j)[p] * expected[q] +
+                             pose_of(a, j)[3 + p] * expected[3 + q] +
+                             pose_of(a, j)[6 + p] * expected[6 + q];
+    lin_log(all, out);
+    return sqrt(lin_dot(out, out));
+}
+
+/* One weighted round: Laplacian of the graph, three right-hand sides. */
+static void average(const struct viewgraph *g, const double *weight, bool l1, struct adjust *a)
+{
+    double h[VIEWGRAPH_VIEWS_MAX * VIEWGRAPH_VIEWS_MAX] = {0}, x[3][VIEWGRAPH_VIEWS_MAX] = {{0}};
+    const int n = g->n_views;
+    const double width = 1 * DEGREE;
+    for (int j = 0; j < n; j++)
+        for (int i = 0; i < j; i++) {
+            double e[3], w = weight[i * n + j];
+            if (!(w > 0) || !a->placed[i] || !a->placed[j])
+                continue;
+            double size = edge_error(g, a, i, j, e);
+            double soft = width * width / (width * width + size * size);
+            w *= l1 ? width / fmax(size, 0.1 * width) : soft * soft;
+            h[j * n + i] -= w;
+            h[i * n + i] += w;
+            h[j * n + j] += w;
+            for (int k = 0; k < 3; k++) {
+                x[k][j] += w * e[k];
+                x[k][i] -= w * e[k];
+            }
+        }
+    for (int i = 0; i < n; i++)
+        h[i * n + i] += h[i * n + i] > 0 ? 1e-9 * h[i * n + i] : 1;
+    if (!lin_cholesky(h, n))
+        return;
+    for (int k = 0; k < 3; k++)
+        lin_solve(h, n, x[k]);
+    for (int v = 0; v < n; v++) {
+        const double w[3] = {x[0][v], x[1][v], x[2][v]};
+        double turn[9], old[9];
+        lin_exp(w, turn);
+        memcpy(old, pose_of(a, v), sizeof old);
+        lin_product(old, turn, pose_of(a, v));
+    }
+}
+
+int viewgraph_rotations(struct viewgraph *g, struct adjust *a)
+{
+    double weight[VIEWGRAPH_VIEWS_MAX * VIEWGRAPH_VIEWS_MAX], e[3];
+    const int n = g->n_views;
+    int most = 0, root = 0;
+    for (int i = 0; i < n * n; i++)
+        weight[i] = trust(g, i / n, i % n);
+    for (int v = 0; v < n; v++) {
+        int count = spread(g, weight, v, a);
+        if (count > most) {
+            most = count;
+            root = v;
+        }
+    }
+    spread(g, weight, root, a);
+    for (int k = 0; k < ROUNDS_L1 + ROUNDS_GM; k++)
+        average(g, weight, k < ROUNDS_L1, a);
+    for (int j = 0; j < n; j++)
+        for (int i = 0; i < j; i++)
+            if (a->placed[i] && a->placed[j] && edge_error(g, a, i, j, e) > 4 * DEGREE)
+                edge_of(g, i, j)->ok = false;
+    for (int i = 0; i < n; i++) { // views whose every edge was wrong
+        bool any = false;
+        for (int j = 0; j < n; j++)
+            any |= a->placed[j] && linked(g, i, j);
+        if (a->placed[i] && !any) {
+            a->placed[i] = false;
+            most--;
+        }
+    }
+    return most > 1 ? most : 0;
+}
+
+/* ---- votes ---- */
+
+struct vote_job {
+    const struct run *r;
+    const struct viewgraph *g;
+    struct adjust *a;
+};
+
+static bool agree(const struct viewgraph *g, const struct adjust *a, int i, int j)
+{
+    const struct twoview_match m = match_of(a, i, j);
+    const struct viewgraph_edge *e = edge_of(g, a->seen[i].view, a->seen[j].view);
+    return twoview_distance(&e->pose, &m) < 4.0 * TWOVIEW_GATE * TWOVIEW_GATE;
+}
+
+/* Take away the sighting that agrees with the smallest share of the others, until all agree with
+ * six of ten. */
+static void vote(const struct viewgraph *g, struct adjust *a, int track)
+{
+    const int from = a->first[track], n = a->first[track + 1] - from;
+    uint64_t good[VIEWGRAPH_VIEWS_MAX] = {0}, known[VIEWGRAPH_VIEWS_MAX] = {0}, left = 0;
+    for (int j = 0; j < n; j++) {
+        a->in[from + j] = false;
+        left |= a->placed[a->seen[from + j].view] ? (uint64_t)1 << j : 0;
+        for (int i = 0; i < j; i++) {
+            if (!linked(g, a->seen[from + i].view, a->seen[from + j].view))
+                continue;
+            uint64_t yes = agree(g, a, from + i, from + j);
+            known[i] |= (uint64_t)1 << j;
+            known[j] |= (uint64_t)1 << i;
+            good[i] |= yes << j;
+            good[j] |= yes << i;
+        }
+    }
+    for (;;) {
+        int worst = -1;
+        double least = 0.6;
+        for (int i = 0; i < n; i++) {
+            if (!(left >> i & 1))
+                continue;
+            int total = __builtin_popcountll(known[i] & left);
+            double share = total ? __builtin_popcountll(good[i] & left) / (double)total : 0;
+            if (share < least) {
+                least = share;
+                worst = i;
+            }
+        }
+        if (worst < 0)
+            break;
+        left &= ~((uint64_t)1 << worst);
+    }
+    for (int i = 0; i < n; i++)
+        a->in[from + i] = left >> i & 1;
+}
+
+static err_t vote_block(void *ctx, int chunk, int worker)
+{
+    struct vote_job *job = ctx;
+    (void)worker;
+    for (int t = chunk * BLOCK; t < num_min((chunk + 1) * BLOCK, job->a->n_tracks); t++)
+        vote(job->g, job->a, t);
+    return run_check(job->r, "votes of tracks");
+}
+
+err_t viewgraph_vote(const struct run *r, const struct viewgraph *g, struct adjust *a)
+{
+    struct vote_job job = {r, g, a};
+    return pool_for(r->pool, (a->n_tracks + BLOCK - 1) / BLOCK, vote_block, &job);
+}
+
+/* ---- centres ---- */
+
+struct centres {
+    struct adjust *a;
+    int n;           // 3 V
+    double *sum;     // (n, n)
+    double *x;       // (n) centres
+    double *weight;  // (sightings)
+    double *sighted; // (n) sums of weights, three times each
+    int stride;      // of the tracks that are used
+};
+
+static void direction(const struct adjust *a, int at, double d[3])
+{
+    const struct adjust_seen *s = &a->seen[at];
+    const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
+    lin_apply_t(pose_of(a, s->view), x, d);
+    lin_unit(d);
+}
+
+/* w (I - d d^T) */
+static void across(const double d[3], double w, double p[9])
+{
+    for (int k = 0; k < 9; k++)
+        p[k] = w * ((k % 4 == 0) - d[k / 3] * d[k % 3]);
+}
+
+/* Inverse of the sum of the track's projections; false if it is seen only once. */
+static bool track_inverse(const struct centres *c, int track, double inverse[9])
+{
+    double sum[9] = {0}, p[9], d[3];
+    int n = 0;
+    for (int i = c->a->first[track]; i < c->a->first[track + 1]; i++) {
+        if (!c->a->in[i])
+            continue;
+        direction(c->a, i, d);
+        across(d, c->weight[i], p);
+        for (int k = 0; k < 9; k++)
+            sum[k] += p[k];
+        n++;
+    }
+    double trace = sum[0] + sum[4] + sum[8];
+    for (int k = 0; k < 3; k++)
+        sum[4 * k] += 1e-9 * trace;
+    return n > 1 && lin_inverse3(sum, inverse);
+}
+
+static void add_track(struct centres *c, int track)
+{
+    const struct adjust *a = c->a;
+    double inverse[9], p[9], q[9], d[3], half[9], block[9];
+    if (!track_inverse(c, track, inverse))
+        return;
+    for (int i = a->first[track]; i < a->first[track + 1]; i++) {
+        if (!a->in[i])
+            continue;
+        direction(a, i, d);
+        across(d, c->weight[i], p);
+        lin_product(p, inverse, half);
+        const int vi = 3 * a->seen[i].view;
+        for (int k = 0; k < 3; k++)
+            c->sighted[vi + k] += c->weight[i];
+        for (int j = a->first[track]; j <= i; j++) {
+            if (!a->in[j])
+                continue;
+            const int vj = 3 * a->seen[j].view;
+            direction(a, j, d);
+            across(d, c->weight[j], q);
+            lin_product(half, q, block);
+            for (int k = 0; k < 9; k++)
+                c->sum[(size_t)(vi + k / 3) * (size_t)c->n + (size_t)(vj + k % 3)] +=
+                    (i == j ? p[k] : 0) - block[k];
+        }
+    }
+}
+
+/* Take the common translation out of the centres x. */
+static void remove_mean(const struct centres *c, double *x)
+{
+    double mean[3] = {0}, total = 0;
+    for (int i = 0; i < c->n; i += 3) {
+        for (int k = 0; k < 3; k++)
+            mean[k] += c->sighted[i] * x[i + k];
+        total += c->sighted[i];
+    }
+    for (int i = 0; i < c->n; i++)
+        x[i] -= total > 0 ? mean[i % 3] / total : 0;
+}
+
+/* Smallest eigenvector of the scaled form D^-1/2 S D^-1/2 by inverse iteration. */
+static bool smallest(struct centres *c)
+{
+    const int n = c->n;
+    uint32_t state = 7;
+    for (int i = 0; i < n; i++) {
+        double si = c->sighted[i] > 0 ? sqrt(c->sighted[i]) : 1;
+        for (int j = 0; j <= i; j++) {
+            double sj = c->sighted[j] > 0 ? sqrt(c->sighted[j]) : 1;
+            c->sum[(size_t)i * (size_t)n + (size_t)j] /= si * sj;
+        }
+        c->sum[(size_t)i * (size_t)n + (size_t)i] += c->sighted[i] > 0 ? 1e-9 : 1;
+        state = state * 1664525u + 1013904223u;
+        c->x[i] = c->sighted[i] > 0 ? (state >> 8) * 0x1p-23 - 1 : 0;
+    }
+    if (!lin_cholesky(c->sum, n))
+        return false;
+    for (int k = 0; k < POWER_STEPS; k++) {
+        double len = 0;
+        for (int pass = 0; pass < 2; pass++) { // scaled to centres and back
+            for (int i = 0; i < n; i++)
+                c->x[i] *= c->sighted[i] > 0 ? pow(c->sighted[i], pass ? 0.5 : -0.5) : 0;
+            if (pass == 0)
+                remove_mean(c, c->x);
+        }
+        lin_solve(c->sum, n, c->x);
+        for (int i = 0; i < n; i++)
+            len += c->x[i] * c->x[i];
+        if (!(len > 0) || !isfinite(len))
+            return false;
+        for (int i = 0; i < n; i++)
+            c->x[i] /= sqrt(len);
+    }
+    for (int i = 0; i < n; i++)
+        c->x[i] = c->sighted[i] > 0 ? c->x[i] / sqrt(c->sighted[i]) : 0;
+    remove_mean(c, c->x);
+    return true;
+}
+
+/* New weights of a track's sightings; returns in front minus behind. */
+static int reweigh(struct centres *c, int track, double kernel, double nearest)
+{
+    const struct adjust *a = c->a;
+    double inverse[9], sum[3] = {0}, x[3], d[3], p[9], px[3];
+    int side = 0;
+    if (!track_inverse(c, track, inverse))
+        return 0;
+    for (int i = a->first[track]; i < a->first[track + 1]; i++) {
+        if (!a->in[i])
+            continue;
+        direction(a, i, d);
+        across(d, c->weight[i], p);
+        lin_apply(p, c->x + 3 * a->seen[i].view, px);
+        for (int k = 0; k < 3; k++)
+            sum[k] += px[k];
+    }
+    lin_apply(inverse, sum, x);
+    for (int i = a->first[track]; i < a->first[track + 1]; i++) {
+        if (!a->in[i])
+            continue;
+        const double *centre = c->x + 3 * a->seen[i].view;
+        const double to[3] = {x[0] - centre[0], x[1] - centre[1], x[2] - centre[2]};
+        direction(a, i, d);
+        double depth = lin_dot(d, to), off2 = lin_dot(to, to) - depth * depth;
+        double far = fmax(fabs(depth), nearest), s = (double)a->seen[i].weight * a->focal;
+        side += depth > 0 ? 1 : -1;
+        c->weight[i] =
+            1 / (far * far) / (1 + fmax(off2, 0) * s * s / (far * far) / kernel / kernel);
+    }
+    return side;
+}
+
+static bool solve_centres(struct centres *c)
+{
+    const int seen = c->a->first[c->a->n_tracks];
+    double kernel = 30, nearest = 1;
+    for (int i = 0; i < seen; i++)
+        c->weight[i] = 1;
+    for (int round = 0; round < CENTRE_ROUNDS; round++) {
+        int side = 0;
+        double size = 0;
+        memset(c->sum, 0, (size_t)c->n * (size_t)c->n * sizeof *c->sum);
+        memset(c->sighted, 0, (size_t)c->n * sizeof *c->sighted);
+        for (int t = 0; t < c->a->n_tracks; t += c->stride)
+            add_track(c, t);
+        if (!smallest(c))
+            return false;
+        for (int i = 0; i < c->n; i++)
+            size += c->x[i] * c->x[i] / c->n;
+        nearest = sqrt(size);
+        for (int t = 0; t < c->a->n_tracks; t += c->stride)
+            side += reweigh(c, t, kernel, nearest);
+        for (int i = 0; i < c->n; i++)
+            c->x[i] /= side < 0 ? -nearest : nearest;
+        for (int i = 0; i < seen; i++)
+            c->weight[i] *= size;
+        kernel = fmax(kernel * 0.7, 4);
+    }
+    return true;
+}
+
+static bool any_parallax(const struct viewgraph *g, const struct adjust *a)
+{
+    for (int j = 0; j < g->n_views; j++)
+        for (int i = 0; i < j; i++)
+            if (a->placed[i] && a->placed[j] && edge_of(g, i, j)->ok &&
+                edge_of(g, i, j)->pose.parallax)
+                return true;
+    return false;
+}
+
+err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct adjust *a,
+                        bool *found)
+{
+    const size_t mark = arena_mark(r->tmp), n = 3 * (size_t)a->n_views;
+    struct centres c = {.a = a, .n = (int)n};
+    size_t products = 0;
+    *found = false;
+    if (!any_parallax(g, a))
+        return OK;
+    for (int t = 0; t < a->n_tracks; t++)
+        products +=
+            (size_t)(a->first[t + 1] - a->first[t]) * (size_t)(a->first[t + 1] - a->first[t]);
+    c.stride = 1 + (int)(products / PRODUCTS_MOST);
+    err_t e = arena_alloc(r->tmp, n * n, sizeof(double), &c.sum);
+    if (!e)
+        e = arena_zalloc(r->tmp, n, sizeof(double), &c.x);
+    if (!e)
+        e = arena_alloc(r->tmp, n, sizeof(double), &c.sighted);
+    if (!e)
+        e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof(double), &c.weight);
+    if (!e)
+        *found = solve_centres(&c);
+    for (int v = 0; v < a->n_views && *found; v++) {
+        double t[3];
+        lin_apply(pose_of(a, v), c.x + 3 * v, t);
+        for (int k = 0; k < 3; k++)
+            pose_of(a, v)[9 + k] = -t[k];
+    }
+    arena_reset(r->tmp, mark);
+    return e ? e : run_check(r, "centres of cameras");
+}
+
+size_t viewgraph_plan(int n_views, int n_seen)
+{
+    const size_t n = 3 * (size_t)n_views;
+    size_t sum = arena_add(arena_need(n * n, sizeof(double)), 2 * arena_need(n, sizeof(double)));
+    sum = arena_add(sum, arena_need((size_t)n_seen, sizeof(double)));
+    return num_max_size(sum, arena_need((size_t)n_seen, sizeof(struct place)));
+}

@@ -1,0 +1,50 @@
+/* viewgraph.h - cameras from tracks alone: relative poses of all pairs of views, rotations that
+ * agree with most of them, then centres and points together.
+ * Pure computation on the pool; the result does not depend on the number of threads. */
+#ifndef SFM_VIEWGRAPH_H
+#define SFM_VIEWGRAPH_H
+
+#include "core/sfm/adjust.h"
+#include "core/sfm/twoview.h"
+
+enum { VIEWGRAPH_VIEWS_MAX = 64 };
+
+struct viewgraph_edge {
+    struct twoview pose; // of view b as seen from a, a < b
+    int n;               // common tracks
+    bool ok;             // enough of them fit, and the rotation agrees with the others
+};
+
+struct viewgraph {
+    int n_views;
+    struct viewgraph_edge *edge; // pairs a < b at b (b - 1) / 2 + a
+};
+
+static inline int viewgraph_edges(int n_views)
+{
+    return n_views * (n_views - 1) / 2;
+}
+
+/* Relative poses of all pairs, for a->focal.
+ * out:  g->edge, room for viewgraph_edges(a->n_views)
+ * err:  ERR_NOMEM (see viewgraph_plan), ERR_CANCELLED. */
+MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g);
+
+/* Rotations of the largest set of views that hang together; the others are not placed, all centres
+ * are 0. Edges that contradict the others lose `ok`. Returns the number of views that are placed,
+ * 0 if no pair is known. */
+int viewgraph_rotations(struct viewgraph *g, struct adjust *a);
+
+/* in <- sightings that agree with most of the other sightings of their track.
+ * err:  ERR_CANCELLED. */
+MUST_USE err_t viewgraph_vote(const struct run *r, const struct viewgraph *g, struct adjust *a);
+
+/* Centres of the placed views from their rotations and the sightings that are in; all 0 if no pair
+ * has parallax or the equations have no solution.
+ * err:  ERR_NOMEM, ERR_CANCELLED. */
+MUST_USE err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct adjust *a,
+                                 bool *found);
+
+size_t viewgraph_plan(int n_views, int n_seen); // r->tmp, of the one that takes most
+
+#endif

@@ -1,0 +1,28 @@
+/* seed.h - first Gaussians from depth maps: few where the pictures are flat, many at edges, none
+ * twice. Pure computation, single thread, so the result depends only on the input. thread: any. */
+#ifndef STEREO_SEED_H
+#define STEREO_SEED_H
+
+#include "core/base/types.h"
+#include "core/stereo/sweep.h"
+
+struct seed_input {
+    const struct views *views;     // with cameras
+    const struct depthmaps *depth; // of sweep_run for these views
+    const struct tonemap *tone;    // response of the pictures
+};
+
+/* Place Gaussians on the surfaces that the depth maps show: flat along the surface, as wide as
+ * the pixels they stand for, with the mean radiance of all views that see them. Pixels without a
+ * sure depth get weak ones behind them.
+ * max:  1 or more. Detail is given up until at most this many are needed.
+ * out:  degree 0, out->n <= max, memory in r->keep.
+ * err:  ERR_ARG, ERR_NOMEM (see seed_plan, seed_keep), ERR_CANCELLED. On error *out is zeroed. */
+MUST_USE err_t seed_run(const struct run *r, const struct seed_input *in, int max,
+                        struct gaussians *out);
+
+/* Bytes of r->tmp and of r->keep; SIZE_MAX on overflow. */
+size_t seed_plan(const struct views *v);
+size_t seed_keep(int max);
+
+#endif

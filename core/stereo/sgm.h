@@ -1,0 +1,28 @@
+/* sgm.h - semi-global smoothing of a matching cost volume over eight paths (Hirschmueller, PAMI
+ * 2008). Pure computation on the workspace; thread: one per workspace. */
+#ifndef STEREO_SGM_H
+#define STEREO_SGM_H
+
+#include "core/base/types.h"
+
+/* Workspace. For a run with fewer pixels or planes than planned, set w and planes. */
+struct sgm {
+    int w, planes;      // px of the square picture; planes
+    const float *light; // (w, w, 2) log2 luminance and its reliability 0..1, for the edges
+    uint8_t *cost;      // (y, plane, x) matching cost, the caller's input
+    int16_t *total;     // (y, plane, x) smoothed cost, the result
+    int16_t *path;      // (2, 3, planes + 2, w + 2) rows of the paths that run down or up
+    int16_t *least;     // (2, 3, w + 2) their minima over the planes
+    int16_t *turn;      // (2, w, planes) a row with the planes innermost, and one path
+};
+
+/* Bytes that sgm_init takes; SIZE_MAX on overflow. */
+size_t sgm_need(int w, int planes);
+
+/* err:  ERR_NOMEM. */
+MUST_USE err_t sgm_init(struct sgm *m, struct arena *a, int w, int planes);
+
+/* Fill m->total from m->cost. */
+void sgm_run(struct sgm *m);
+
+#endif

@@ -1,0 +1,44 @@
+/* sight.h - what a view knows of a point, once there are depth maps.
+ * Pure functions; any thread. */
+#ifndef STEREO_SIGHT_H
+#define STEREO_SIGHT_H
+
+#include "core/stereo/sweep.h"
+
+struct sight {
+    const struct depthmaps *depth;
+    const struct camera *cams; // (n) for depth->size * depth->scale px, units of the depth
+    float (*turn)[9];          // (n) their rotations, row by row
+};
+
+/* Where a view has a point. */
+struct sighting {
+    float u, v; // px of the view
+    float z;    // depth of the point
+    size_t at;  // index into the maps of the pixel there
+};
+
+/* out:  *out with memory in r->tmp.
+ * err:  ERR_NOMEM (see sight_plan). */
+MUST_USE err_t sight_init(const struct run *r, const struct depthmaps *depth,
+                          const struct camera *cams, struct sight *out);
+size_t sight_plan(int n_views);
+
+/* Index into the maps of px (u, v) of the view, which is inside. */
+size_t sight_at(const struct sight *s, int view, float u, float v);
+
+/* The point at depth z behind px (u, v). */
+void sight_point(const struct sight *s, int view, const float uvz[3], float out[3]);
+
+/* False if the view does not have the point in its picture; then *out is not defined. */
+bool sight_look(const struct sight *s, int view, const float point[3], struct sighting *out);
+
+/* Whether several views agree on the depth there (confidence of 0.6 and more). */
+bool sight_sure(const struct sight *s, size_t at);
+
+/* Whether the view is sure that the point is on what it sees, well before that, or well behind. */
+bool sight_same(const struct sight *s, const struct sighting *p);
+bool sight_through(const struct sight *s, const struct sighting *p);
+bool sight_behind(const struct sight *s, const struct sighting *p);
+
+#endif

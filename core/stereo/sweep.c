@@ -1,0 +1,750 @@
+/* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth
+ * rho, one step being at most about one pixel in the widest neighbour; compare 5 x 5 windows of
+ * log2 luminance by the variance of their difference relative to the contrast of the view (blind to
+ * exposure, a correlation that also wants equal contrast) and by the mean difference (tells one
+ * repetition of a pattern from the next); keep the best half of the neighbours
+ * (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by a
+ * parabola. A first sweep on quarter size narrows the range of rho. Then points that other views
+ * confirm get confidence and the mean of the confirming depths. */
+#include "core/stereo/sweep.h"
+
+#include "core/base/num.h"
+#include "core/photo/response.h"
+#include "core/stereo/sgm.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    WORK_SIZE = 256,  // px; the work is done at this size or below
+    NEAR_MAX = 4,     // neighbours used for a view
+    CHECK_MAX = 10,   // neighbours asked to confirm
+    PLANES_MAX = 144, // multiple of 16
+    COARSE = 4,       // the first sweep is this much smaller
+    RADIUS = 2,       // px, of the matching window
+    TAPS = 2 * RADIUS + 1,
+    SUMS = 3,        // weighted moments of a window, D = I - J: w, wD, wDD
+    COST_UNIT = 100, // of sgm: cost of 1.0
+    FINE = 3200,     // cost of 1.0 of one neighbour
+    COST_TOP = 16000 // above every cost of a neighbour, in FINE
+};
+
+static const double STEP_PX = 1.2;       // way of the fastest pixel per plane
+static const float COST_BLIND = 0.5f;    // where no pixel carries information
+static const float COST_OUTSIDE = 0.75f; // outside the neighbour: worse than blind, not as wrong
+static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
+static const float NOISE_VAR = 0.012f;   // stops^2 added: noise alone does not correlate
+static const float FAINT_VAR = 0.002f;   // stops^2: a fainter window agrees with any other
+
+/* Log2 luminance and its reliability, interleaved: both are sampled together. */
+struct plate {
+    int size;
+    float *px; // (size, size, 2)
+};
+
+struct pose {
+    double r[9], t[3], centre[3];
+    double f[2], c[2]; // as a share of the picture's side
+};
+
+struct sweep {
+    const struct run *run;
+    const struct views *v;
+    struct depthmaps *out;
+    struct response_table table;
+    float linear[3][256];    // 2^table.x
+    struct pose *pose;       // (n)
+    struct plate *plate[2];  // (n) fine, coarse
+    int (*near)[CHECK_MAX];  // (n) other views, best first
+    int *n_near;             // (n)
+    float *rho;              // (n, size, size) inverse depth before the check
+    float *sure;             // (n, size, size) 0..1 of the sweep alone
+    float (*range)[2];       // (n) inverse depth of the first and last plane
+    struct scratch *scratch; // (workers)
+    atomic_int done;         // views
+};
+
+/* Of one worker, for the largest picture and number of planes. */
+struct scratch {
+    struct sgm sgm;
+    float *contrast; // (y, x)
+    float *place;    // (2, x) mapped places of one row
+    float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
+    float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) their sums
+    int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row, and one to merge
+};
+
+/* One sweep of one view. */
+struct task {
+    struct sweep *s;
+    struct scratch *m;
+    int i_view, level, w, planes, n_near;
+    float rho0, step;
+    double h[NEAR_MAX][12]; // to each neighbour: pixel, 1, rho -> pixel, homogeneous
+};
+
+/* ---- geometry ---- */
+
+static void set_pose(const struct camera *c, struct pose *p)
+{
+    double w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3],
+           n = 2.0 / (w * w + x * x + y * y + z * z);
+    const double r[9] = {1 - n * (y * y + z * z), n * (x * y - w * z),     n * (x * z + w * y),
+                         n * (x * y + w * z),     1 - n * (x * x + z * z), n * (y * z - w * x),
+                         n * (x * z - w * y),     n * (y * z + w * x),     1 - n * (x * x + y * y)};
+    memcpy(p->r, r, sizeof r);
+    for (int i = 0; i < 3; i++)
+        p->t[i] = (double)c->t[i];
+    for (int i = 0; i < 3; i++)
+        p->centre[i] = -(r[i] * p->t[0] + r[3 + i] * p->t[1] + r[6 + i] * p->t[2]);
+    p->f[0] = (double)c->fx / c->w;
+    p->f[1] = (double)c->fy / c->h;
+    p->c[0] = (double)c->cx / c->w;
+    p->c[1] = (double)c->cy / c->h;
+}
+
+/* Rows of h: (u, v, 1, rho) of `a` -> homogeneous pixel of `b`; pictures of `size` px. */
+static void map_between(const struct pose *a, const struct pose *b, double size, double *h)
+{
+    double fa[2] = {a->f[0] * size, a->f[1] * size}, ca[2] = {a->c[0] * size, a->c[1] * size};
+    double m[12];
+    for (int i = 0; i < 3; i++) {
+        double r[3], t = b->t[i];
+        for (int j = 0; j < 3; j++) {
+            r[j] = b->r[3 * i] * a->r[3 * j] + b->r[3 * i + 1] * a->r[3 * j + 1] +
+                   b->r[3 * i + 2] * a->r[3 * j + 2];
+            t -= r[j] * a->t[j];
+        }
+        m[4 * i] = r[0] / fa[0];
+        m[4 * i + 1] = r[1] / fa[1];
+        m[4 * i + 2] = r[2] - r[0] * ca[0] / fa[0] - r[1] * ca[1] / fa[1];
+        m[4 * i + 3] = t;
+    }
+    for (int j = 0; j < 4; j++) {
+        h[j] = size * (b->f[0] * m[j] + b->c[0] * m[8 + j]);
+        h[4 + j] = size * (b->f[1] * m[4 + j] + b->c[1] * m[8 + j]);
+        h[8 + j] = m[8 + j];
+    }
+}
+
+/* Place in the other picture; false if behind it. z is depth there times rho here. */
+static bool apply_map(const double *h, double u, double v, double rho, double *out)
+{
+    double z = h[8] * u + h[9] * v + h[10] + h[11] * rho;
+    if (z < 1e-6)
+        return false;
+    out[0] = (h[0] * u + h[1] * v + h[2] + h[3] * rho) / z;
+    out[1] = (h[4] * u + h[5] * v + h[6] + h[7] * rho) / z;
+    out[2] = z;
+    return true;
+}
+
+static double distance(const struct pose *a, const struct pose *b)
+{
+    double s = 0.0;
+    for (int i = 0; i < 3; i++)
+        s += (a->centre[i] - b->centre[i]) * (a->centre[i] - b->centre[i]);
+    return sqrt(s);
+}
+
+enum { GRID = 5, TRIES = 64 };
+
+/* Share of a grid of pixels of view a at rho that falls into view b. */
+static double overlap(const double *h, double rho)
+{
+    int n = 0;
+    for (int i = 0; i < GRID * GRID; i++) {
+        double p[3], u = (i % GRID + 0.5) / GRID, v = (i / GRID + 0.5) / GRID;
+        n += apply_map(h, u, v, rho, p) && p[0] > 0 && p[0] < 1 && p[1] > 0 && p[1] < 1;
+    }
+    return (double)n / (GRID * GRID);
+}
+
+/* Candidate inverse depths for a baseline b: 0, then from 1/(300 b) to 1/(0.5 b). */
+static double try_rho(int k, double baseline)
+{
+    return k == 0 ? 0.0 : pow(600.0, (k - 1) / (double)(TRIES - 2)) / (300.0 * baseline);
+}
+
+/* ---- neighbours and range ---- */
+
+/* Other views that can see the same things, near ones and like exposures first. */
+static void choose_near(struct sweep *s, int i)
+{
+    double score[CHECK_MAX];
+    const struct pose *a = &s->pose[i];
+    double scale = 0.0;
+    for (int j = 0; j < s->v->n; j++)
+        scale = fmax(scale, distance(a, &s->pose[j]));
+    s->n_near[i] = 0;
+    for (int j = 0; j < s->v->n; j++) {
+        double h[12], seen = 0.0, d = distance(a, &s->pose[j]);
+        if (j == i || d <= 1e-4 * scale)
+            continue;
+        map_between(a, &s->pose[j], 1.0, h);
+        for (int k = 0; k < TRIES; k++)
+            seen = fmax(seen, overlap(h, try_rho(k, d)));
+        if (seen < 0.25)
+            continue;
+        double cost = d * (1.0 + 0.1 * fabs((double)(s->v->log2t[i] - s->v->log2t[j]))) / seen;
+        int k = s->n_near[i] < CHECK_MAX ? s->n_near[i]++ : CHECK_MAX;
+        if (k == CHECK_MAX && score[--k] <= cost)
+            continue;
+        for (; k > 0 && score[k - 1] > cost; k--) {
+            score[k] = score[k - 1];
+            s->near[i][k] = s->near[i][k - 1];
+        }
+        score[k] = cost;
+        s->near[i][k] = j;
+    }
+}
+
+/* Inverse depths at which the neighbours still share a good part of the picture. */
+static void choose_range(struct sweep *s, int i)
+{
+    int n = num_min(s->n_near[i], NEAR_MAX);
+    double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
+    s->range[i][0] = s->range[i][1] = 0.0f;
+    for (int k = 0; k < n; k++)
+        baseline += distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
+    for (int k = 0; k < n; k++) {
+        double h[12];
+        map_between(&s->pose[i], &s->pose[s->near[i][k]], 1.0, h);
+        for (int t = 0; t < TRIES; t++)
+            seen[t] += overlap(h, try_rho(t, baseline));
+    }
+    for (int t = 0; t < TRIES; t++)
+        top = fmax(top, seen[t]);
+    int first = TRIES, last = 0;
+    for (int t = 0; t < TRIES; t++) {
+        if (seen[t] >= 0.4 * top) {
+            first = num_min(first, t);
+            last = t;
+        }
+    }
+    if (n > 0) {
+        s->range[i][0] = (float)try_rho(first, baseline);
+        s->range[i][1] = (float)try_rho(last, baseline);
+    }
+}
+
+/* Way in px that a pixel runs through a neighbour over a range of inverse depth; 0 if it gets
+ * behind it. */
+static double way_px(const double *h, double u, double v, const float *range)
+{
+    double p[3], q[3], way = 0.0;
+    if (!apply_map(h, u, v, (double)range[0], p))
+        return 0.0;
+    for (int j = 1; j <= 8; j++) {
+        if (!apply_map(h, u, v, (double)range[0] + (double)(range[1] - range[0]) * j / 8, q))
+            return 0.0;
+        way += hypot(q[0] - p[0], q[1] - p[1]);
+        memcpy(p, q, sizeof p);
+    }
+    return way;
+}
+
+/* Planes so that one step is STEP_PX where pixels run fastest; a multiple of 16. */
+static int count_planes(const struct task *t, const float *range)
+{
+    double longest = 0.0;
+    for (int k = 0; k < t->n_near; k++) {
+        for (int i = 0; i < 9; i++) {
+            double way = way_px(t->h[k], t->w * (i % 3) / 2.0, t->w * (i / 3) / 2.0, range);
+            longest = fmax(longest, way);
+        }
+    }
+    return num_min(PLANES_MAX, ((int)fmin(longest / STEP_PX, 1e4) + 16) / 16 * 16);
+}
+
+/* ---- pictures ---- */
+
+/* Log2 luminance and reliability of scale x scale pixels of a picture from their mean radiance. */
+static void mean_light(const struct sweep *s, const uint8_t *rgb, float shift, float *out)
+{
+    const int scale = s->out->scale;
+    float sum = 0.0f, known = 0.0f;
+    for (int k = 0; k < scale * scale; k++) {
+        const uint8_t *p =
+            rgb + 3 * ((size_t)(k / scale) * (size_t)s->v->size + (size_t)(k % scale));
+        for (int c = 0; c < 3; c++) {
+            sum += s->linear[c][p[c]];
+            known += s->linear[c][p[c]] * s->table.weight[c][p[c]];
+        }
+    }
+    out[0] = log2f(sum / (float)(3 * scale * scale) + 1e-9f) - shift;
+    out[1] = known / (sum + 1e-12f);
+}
+
+static void shrink_plate(const struct plate *fine, const struct plate *coarse)
+{
+    for (int k = 0; k < coarse->size * coarse->size; k++) {
+        int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
+        float value = 0.0f, known = 0.0f;
+        for (int j = 0; j < COARSE * COARSE; j++) {
+            const float *px = fine->px + 2 * ((y0 + j / COARSE) * fine->size + x0 + j % COARSE);
+            value += px[0] * (px[1] + 1e-6f); // the mean of all if none is known
+            known += px[1] + 1e-6f;
+        }
+        coarse->px[2 * k] = value / known;
+        coarse->px[2 * k + 1] = known / (COARSE * COARSE);
+    }
+}
+
+static err_t make_plate(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    (void)worker;
+    const int w = s->out->size;
+    const size_t size = (size_t)s->v->size, scale = (size_t)s->out->scale;
+    const float shift = s->v->log2t[i] - s->v->mid_log2t;
+    for (int k = 0; k < w * w; k++) {
+        size_t at = ((size_t)i * size + (size_t)(k / w) * scale) * size + (size_t)(k % w) * scale;
+        mean_light(s, s->v->rgb + 3 * at, shift, s->plate[0][i].px + 2 * (size_t)k);
+    }
+    shrink_plate(&s->plate[0][i], &s->plate[1][i]);
+    return OK;
+}
+
+/* ---- matching cost ---- */
+
+/* Places of one row of the view at rho in the neighbour, in px; -1 outside its pixel centres. */
+static void place_row(const double *h, int y, int w, double rho, float *u, float *v)
+{
+    const float du[3] = {(float)h[0], (float)h[4], (float)h[8]}, end = (float)w - 1.0f;
+    float base[3];
+    for (int i = 0; i < 3; i++)
+        base[i] =
+            (float)(h[4 * i] * 0.5 + h[4 * i + 1] * (y + 0.5) + h[4 * i + 2] + h[4 * i + 3] * rho);
+    for (int x = 0; x < w; x++) {
+        float z = base[2] + du[2] * (float)x, inv = 1.0f / z;
+        u[x] = (base[0] + du[0] * (float)x) * inv - 0.5f;
+        v[x] = (base[1] + du[1] * (float)x) * inv - 0.5f;
+        bool in = (z > 1e-6f) & (u[x] >= 0.0f) & (v[x] >= 0.0f) & (u[x] < end) & (v[x] < end);
+        u[x] = in ? u[x] : -1.0f;
+    }
+}
+
+/* One row of moments at rho: weight, and the difference to the neighbour at the mapped places. */
+static void moment_row(const struct task *t, int k, int y, float rho, float *row)
+{
+    const int w = t->w;
+    const float *p = t->s->plate[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
+    const float *other = t->s->plate[t->level][t->s->near[t->i_view][k]].px;
+    float *u = t->m->place, *v = u + w;
+    place_row(t->h[k], y, w, (double)rho, u, v);
+    for (int x = 0; x < w; x++) {
+        if (u[x] < 0.0f) {
+            row[x] = row[w + x] = row[2 * w + x] = 0.0f;
+            continue;
+        }
+        int iu = (int)u[x], iv = (int)v[x];
+        float fu = u[x] - (float)iu, fv = v[x] - (float)iv;
+        const float *q = other + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *below = q + 2 * w;
+        float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) +
+                      (below[0] + fu * (below[2] - below[0])) * fv;
+        float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) +
+                      (below[1] + fu * (below[3] - below[1])) * fv;
+        float weight = known * p[2 * x + 1] + INSIDE, diff = p[2 * x] - value;
+        row[x] = weight;
+        row[w + x] = weight * diff;
+        row[2 * w + x] = weight * diff * diff;
+    }
+}
+
+/* The smaller of two floats without a comparison, which would keep GCC from making vectors. */
+static inline float lesser(float a, float b)
+{
+    return 0.5f * (a + b - fabsf(a - b));
+}
+
+/* Cost of one row, in FINE per 1.0, from the column sums (padded by RADIUS on both sides), the
+ * weights of the row itself and the contrast of the view: 1 - correlation = half the variance of
+ * the difference over the variance of the view. */
+static void cost_row(const float *column, const float *centre, const float *contrast, int w,
+                     int16_t *restrict out)
+{
+    const float *c0 = column, *c1 = c0 + w + 2 * RADIUS, *c2 = c1 + w + 2 * RADIUS;
+    for (int x = 0; x < w; x++) {
+        float m0 = c0[x] + c0[x + 1] + c0[x + 2] + c0[x + 3] + c0[x + 4];
+        float m1 = c1[x] + c1[x + 1] + c1[x + 2] + c1[x + 3] + c1[x + 4];
+        float m2 = c2[x] + c2[x + 1] + c2[x + 2] + c2[x + 3] + c2[x + 4];
+        float inv = 1.0f / (m0 + INSIDE), mean = m1 * inv;
+        float unlike = lesser((m2 * inv - mean * mean) * contrast[x], 2.0f);
+        float cost = 0.35f * unlike + 0.4f * lesser(fabsf(mean), 1.0f) - COST_BLIND;
+        float known = m0 / (m0 + 0.06f * TAPS * TAPS),
+              in = lesser(centre[x] * (1.0f / INSIDE), 1.0f);
+        cost = COST_OUTSIDE + in * (COST_BLIND + known * cost - COST_OUTSIDE);
+        out[x] = (int16_t)(int)(cost * FINE);
+    }
+}
+
+/* The smaller costs go to `low`, the larger stay in `cost`. */
+static void keep_lesser(int16_t *restrict low, int16_t *restrict cost, int w)
+{
+    for (int x = 0; x < w; x++) {
+        int16_t a = low[x], b = cost[x];
+        int16_t least = a < b ? a : b;
+        cost[x] = (int16_t)(a + b - least);
+        low[x] = least;
+    }
+}
+
+/* Move the window of neighbour k down to row y: add the row that enters, subtract the one that
+ * leaves. */
+static void move_window(const struct task *t, int k, int y, float rho)
+{
+    const int w = t->w, enter = y + RADIUS;
+    float *ring = t->m->ring + (size_t)((k * TAPS + (enter + TAPS) % TAPS) * SUMS) * (size_t)w;
+    float *column = t->m->column + (size_t)(k * SUMS) * (size_t)(w + 2 * RADIUS) + RADIUS;
+    for (int q = 0; q < SUMS && enter >= TAPS; q++) {
+        float *restrict c = column + q * (w + 2 * RADIUS);
+        for (int x = 0; x < w; x++)
+            c[x] -= ring[q * w + x];
+    }
+    if (enter >= w) {
+        memset(ring, 0, (size_t)(SUMS * w) * sizeof *ring);
+        return;
+    }
+    moment_row(t, k, enter, rho, ring);
+    for (int q = 0; q < SUMS; q++) {
+        float *restrict c = column + q * (w + 2 * RADIUS);
+        for (int x = 0; x < w; x++)
+            c[x] += ring[q * w + x];
+    }
+}
+
+static void cost_plane(const struct task *t, int d)
+{
+    const int w = t->w, kept = (t->n_near + 1) / 2;
+    const float rho = t->rho0 + t->step * (float)d;
+    struct scratch *m = t->m;
+    memset(m->column, 0, (size_t)(NEAR_MAX * SUMS * (w + 2 * RADIUS)) * sizeof(float));
+    for (int y = -RADIUS; y < w; y++) {
+        for (int i = 0; i < kept * w; i++)
+            m->best[i] = COST_TOP;
+        for (int k = 0; k < t->n_near; k++) {
+            move_window(t, k, y, rho);
+            if (y < 0)
+                continue;
+            const float *centre = m->ring + (size_t)((k * TAPS + y % TAPS) * SUMS) * (size_t)w;
+            int16_t *cost = m->best + kept * w;
+            cost_row(m->column + k * SUMS * (w + 2 * RADIUS), centre,
+                     m->contrast + (size_t)y * (size_t)w, w, cost);
+            for (int j = 0; j < kept; j++)
+                keep_lesser(m->best + j * w, cost, w);
+        }
+        uint8_t *c = m->sgm.cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
+        for (int x = 0; x < w && y >= 0; x++) {
+            int sum = 0;
+            for (int k = 0; k < kept; k++)
+                sum += m->best[k * w + x];
+            sum = sum * COST_UNIT / (kept * FINE);
+            c[x] = (uint8_t)(sum < 0 ? 0 : num_min(sum, 255));
+        }
+    }
+}
+
+/* Half the inverse variance of the window around one pixel of a plate, the noise included. */
+static float inverse_contrast(const struct plate *p, int x, int y)
+{
+    const float centre = p->px[2 * (y * p->size + x)];
+    float weight = 1e-6f, sum = 0.0f, square = 0.0f;
+    for (int k = 0; k < TAPS * TAPS; k++) {
+        int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
+        if (u < 0 || v < 0 || u >= p->size || v >= p->size)
+            continue;
+        const float *px = p->px + 2 * (v * p->size + u);
+        weight += px[1];
+        sum += px[1] * (px[0] - centre);
+        square += px[1] * (px[0] - centre) * (px[0] - centre);
+    }
+    float var = (square - sum * sum / weight) / weight;
+    return 0.5f / ((var > 0.0f ? var : 0.0f) + NOISE_VAR);
+}
+
+/* ---- one view ---- */
+
+/* Best plane with a parabola through its neighbours; `sure` from the matching cost there and from
+ * what the window has to match. */
+static void pick_planes(const struct task *t, float *rho, float *sure)
+{
+    const int w = t->w, planes = t->planes;
+    for (int i = 0; i < w * w; i++) {
+        size_t at = (size_t)(i / w) * (size_t)planes * (size_t)w + (size_t)(i % w);
+        const int16_t *s = t->m->sgm.total + at;
+        int best = 0;
+        for (int d = 1; d < planes; d++)
+            best = s[d * w] < s[best * w] ? d : best;
+        float shift = 0.0f;
+        if (best > 0 && best < planes - 1) {
+            float lo = s[(best - 1) * w], mid = s[best * w], hi = s[(best + 1) * w];
+            float bend = lo + hi - 2.0f * mid;
+            shift = bend > 0.0f ? 0.5f * (lo - hi) / bend : 0.0f;
+        }
+        float cost = (float)t->m->sgm.cost[at + (size_t)(best * w)] / COST_UNIT;
+        float var = fmaxf(0.5f / t->m->contrast[i] - NOISE_VAR, 0.0f);
+        float match = fminf(fmaxf((COST_BLIND - 0.02f - cost) / (0.5f * COST_BLIND), 0.0f), 1.0f);
+        rho[i] = t->rho0 + t->step * ((float)best + shift);
+        sure[i] = match * var / (var + FAINT_VAR);
+    }
+}
+
+static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
+{
+    struct sweep *s = t->s;
+    const float *range = s->range[t->i_view];
+    t->level = level;
+    t->w = s->plate[level][t->i_view].size;
+    t->n_near = num_min(s->n_near[t->i_view], NEAR_MAX);
+    for (int k = 0; k < t->n_near; k++)
+        map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
+    t->planes = count_planes(t, range);
+    t->rho0 = range[0];
+    t->step = (range[1] - range[0]) / (float)(t->planes - 1);
+    for (int k = 0; k < t->w * t->w; k++)
+        t->m->contrast[k] = inverse_contrast(&s->plate[level][t->i_view], k % t->w, k / t->w);
+    for (int d = 0; d < t->planes; d++)
+        cost_plane(t, d);
+    t->m->sgm.w = t->w;
+    t->m->sgm.planes = t->planes;
+    t->m->sgm.light = s->plate[level][t->i_view].px;
+    sgm_run(&t->m->sgm);
+    pick_planes(t, rho, sure);
+    if (s->run->cancel && atomic_load(s->run->cancel))
+        return err_fail(ERR_CANCELLED, "sweep: cancelled at view %d", t->i_view);
+    return OK;
+}
+
+/* Range that holds the sure pixels of the coarse sweep, with a margin. */
+static void narrow_range(const struct task *t, const float *rho, const float *sure)
+{
+    int hist[PLANES_MAX] = {0}, total = 0, lo = 0, hi = t->planes - 1;
+    for (int i = 0; i < t->w * t->w; i++) {
+        int d = (int)((rho[i] - t->rho0) / fmaxf(t->step, 1e-30f) + 0.5f);
+        if (sure[i] > 0.4f && d >= 0 && d < t->planes) {
+            hist[d]++;
+            total++;
+        }
+    }
+    if (total < t->w)
+        return;
+    for (int sum = hist[0]; sum * 500 < total; sum += hist[++lo])
+        ;
+    for (int sum = hist[hi]; sum * 500 < total; sum += hist[--hi])
+        ;
+    float *range = t->s->range[t->i_view], low = range[0];
+    range[0] = fmaxf(t->rho0 + t->step * ((float)lo - 2.0f), low);
+    range[1] = fminf(t->rho0 + t->step * ((float)hi + 2.0f), range[1]);
+}
+
+static err_t match_view(struct sweep *s, int i, int worker)
+{
+    struct task t = {.s = s, .m = &s->scratch[worker], .i_view = i};
+    const size_t plane = (size_t)s->out->size * (size_t)s->out->size;
+    float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    choose_near(s, i);
+    choose_range(s, i);
+    if (s->range[i][1] <= s->range[i][0]) {
+        for (size_t k = 0; k < plane; k++) {
+            rho[k] = s->range[i][1] > 0.0f ? s->range[i][1] : 1.0f;
+            sure[k] = 0.0f;
+        }
+        return OK;
+    }
+    if (s->plate[1][i].size >= 16) {
+        err_t e = sweep_level(&t, 1, rho, sure);
+        if (e)
+            return e;
+        narrow_range(&t, rho, sure);
+    }
+    return sweep_level(&t, 0, rho, sure);
+}
+
+/* Progress is told by the thread that runs the job, worker 0, for all. */
+static err_t sweep_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    const struct run *r = s->run;
+    err_t e = match_view(s, i, worker);
+    int done = atomic_fetch_add(&s->done, 1) + 1;
+    if (!e && worker == 0 && r->progress)
+        r->progress(r->progress_ctx, "sweep", done, s->v->n, NULL);
+    return e;
+}
+
+/* ---- agreement between the views ---- */
+
+/* Points of view i that other views see at the same depth take the mean of all and their number as
+ * confidence. */
+static err_t confirm_view(void *ctx, int i, int worker)
+{
+    struct sweep *s = ctx;
+    (void)worker;
+    const int w = s->out->size, n = s->n_near[i];
+    const size_t plane = (size_t)w * (size_t)w;
+    const float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    const float floor = 0.02f * s->range[i][1] + 1e-9f,
+                step = (s->range[i][1] - s->range[i][0]) / 64.0f;
+    double h[CHECK_MAX][12];
+    for (int k = 0; k < n; k++)
+        map_between(&s->pose[i], &s->pose[s->near[i][k]], w, h[k]);
+    for (int at = 0; at < w * w; at++) {
+        float sum = rho[at] * (sure[at] + 0.05f), weight = sure[at] + 0.05f, votes = 0.0f;
+        for (int k = 0; k < n; k++) {
+            double p[3];
+            if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 ||
+                p[1] < 0 || p[0] >= w || p[1] >= w)
+                continue;
+            size_t j = (size_t)s->near[i][k] * plane + (size_t)p[1] * (size_t)w + (size_t)p[0];
+            float seen = s->rho[j] * (float)p[2];
+            if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]))
+                continue;
+            sum += seen * s->sure[j];
+            weight += s->sure[j];
+            votes += s->sure[j];
+        }
+        s->out->depth[(size_t)i * plane + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
+        s->out->conf[(size_t)i * plane + (size_t)at] =
+            fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
+    }
+    return OK;
+}
+
+/* ---- memory and entry ---- */
+
+static int work_scale(int size)
+{
+    return (size + WORK_SIZE - 1) / WORK_SIZE;
+}
+
+size_t sweep_keep(const struct views *v)
+{
+    size_t w = (size_t)(v->size / work_scale(v->size)), n = (size_t)v->n * w * w;
+    return 2 * arena_need(n, sizeof(float));
+}
+
+/* The same list for planning (a NULL) and for carving. */
+static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *out)
+{
+    *bytes = arena_add(*bytes, arena_need(n, elem));
+    return a ? arena_alloc(a, n, elem, out) : OK;
+}
+
+static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scratch *m)
+{
+    *bytes = arena_add(*bytes, sgm_need((int)w, PLANES_MAX));
+    err_t e = a ? sgm_init(&m->sgm, a, (int)w, PLANES_MAX) : OK;
+    if (!e)
+        e = carve(a, bytes, w * w, sizeof *m->contrast, &m->contrast);
+    if (!e)
+        e = carve(a, bytes, 2 * w, sizeof *m->place, &m->place);
+    if (!e)
+        e = carve(a, bytes, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
+    if (!e)
+        e = carve(a, bytes, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+    if (!e)
+        e = carve(a, bytes, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
+    return e;
+}
+
+static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, int workers,
+                       struct sweep *s)
+{
+    const size_t n = (size_t)v->n, w = (size_t)(v->size / work_scale(v->size)), c = w / COARSE;
+    err_t e = carve(a, bytes, n, sizeof *s->pose, &s->pose);
+    for (int level = 0; level < 2 && !e; level++)
+        e = carve(a, bytes, n, sizeof *s->plate[0], &s->plate[level]);
+    for (int i = 0; i < v->n && !e; i++) {
+        struct plate fine = {(int)w, NULL}, coarse = {(int)c, NULL};
+        e = carve(a, bytes, 2 * w * w, sizeof(float), &fine.px);
+        if (!e)
+            e = carve(a, bytes, 2 * c * c, sizeof(float), &coarse.px);
+        if (a && !e) {
+            s->plate[0][i] = fine;
+            s->plate[1][i] = coarse;
+        }
+    }
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->near, &s->near);
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->n_near, &s->n_near);
+    if (!e)
+        e = carve(a, bytes, n, sizeof *s->range, &s->range);
+    if (!e)
+        e = carve(a, bytes, n * w * w, sizeof *s->rho, &s->rho);
+    if (!e)
+        e = carve(a, bytes, n * w * w, sizeof *s->sure, &s->sure);
+    if (!e)
+        e = carve(a, bytes, (size_t)workers, sizeof *s->scratch, &s->scratch);
+    for (int k = 0; k < workers && !e; k++)
+        e = carve_scratch(a, bytes, w, a ? &s->scratch[k] : &(struct scratch){0});
+    return e;
+}
+
+size_t sweep_plan(const struct views *v, int threads)
+{
+    size_t bytes = 0;
+    struct sweep s = {0};
+    err_t e = carve_all(NULL, &bytes, v, threads, &s);
+    return e ? SIZE_MAX : bytes;
+}
+
+static err_t check_input(const struct views *v)
+{
+    if (v->n < 1 || v->size < 16 || !v->cams)
+        return err_fail(
+            ERR_ARG, "sweep: %d views of %d px %s cameras, needed are views of 16 px with cameras",
+            v->n, v->size, v->cams ? "with" : "without");
+    for (int i = 0; i < v->n; i++) {
+        const struct camera *c = &v->cams[i];
+        float sum = v->log2t[i] + c->fx + c->fy + c->cx + c->cy;
+        float q = c->q[0] * c->q[0] + c->q[1] * c->q[1] + c->q[2] * c->q[2] + c->q[3] * c->q[3];
+        if (!isfinite(sum + q + c->t[0] + c->t[1] + c->t[2]) || c->w < 1 || c->h < 1)
+            return err_fail(ERR_ARG, "sweep: camera or exposure of view %d is not finite", i);
+        if (c->fx <= 0.0f || c->fy <= 0.0f || q < 1e-12f)
+            return err_fail(ERR_ARG,
+                            "sweep: view %d has focal lengths %g, %g px and rotation of length %g, "
+                            "all must be above 0",
+                            i, (double)c->fx, (double)c->fy, sqrt((double)q));
+    }
+    return OK;
+}
+
+err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone,
+                struct depthmaps *out)
+{
+    struct sweep s = {.run = r, .v = v, .out = out};
+    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep), bytes = 0;
+    memset(out, 0, sizeof *out);
+    err_t e = check_input(v);
+    if (e)
+        return e;
+    out->n = v->n;
+    out->scale = work_scale(v->size);
+    out->size = v->size / out->scale;
+    const size_t pixels = (size_t)v->n * (size_t)out->size * (size_t)out->size;
+    e = arena_alloc(r->keep, pixels, sizeof(float), &out->depth);
+    if (!e)
+        e = arena_alloc(r->keep, pixels, sizeof(float), &out->conf);
+    if (!e)
+        e = carve_all(r->tmp, &bytes, v, pool_size(r->pool), &s);
+    if (!e) {
+        response_tabulate(tone, &s.table);
+        for (int k = 0; k < 3 * 256; k++)
+            s.linear[k / 256][k % 256] = exp2f(s.table.x[k / 256][k % 256]);
+        for (int i = 0; i < v->n; i++)
+            set_pose(&v->cams[i], &s.pose[i]);
+        e = pool_for(r->pool, v->n, make_plate, &s);
+    }
+    if (!e)
+        e = pool_for(r->pool, v->n, sweep_view, &s);
+    if (!e)
+        e = pool_for(r->pool, v->n, confirm_view, &s);
+    arena_reset(r->tmp, mark);
+    if (e) {
+        arena_reset(r->keep, keep);
+        memset(out, 0, sizeof *out);
+    }
+    return e;
+}

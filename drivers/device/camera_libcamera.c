@@ -1,0 +1,160 @@
+/* Cameras of libcamera: finds the module, checks that it was built from the same structs, and
+ * passes on. The module is kept once it is loaded: threads of libcamera may be in it. */
+#include "drivers/device/camera.h"
+
+#include "drivers/device/libcamera_shim.h"
+#include "drivers/device/uri.h"
+#include "drivers/format/file.h"
+
+#include <dlfcn.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+static const char scheme[] = "libcamera:";
+static const char module[] = "hdrig-libcamera.so";
+
+struct state {
+    const struct libcamera_shim *shim;
+    struct libcamera_shim_camera *camera;
+};
+
+struct options {
+    char camera[URI_TEXT], module[URI_TEXT];
+    int stamp;
+    double focus; // 1/m; < 0: as it stands
+};
+
+#define AT(field) offsetof(struct options, field)
+static const struct uri_key keys[] = {
+    {"stamp", AT(stamp), URI_WORD, 0, 0, "start|end"},
+    {"focus", AT(focus), URI_REAL, 0, 1000, NULL},
+    {"module", AT(module), URI_STRING, 0, 0, NULL},
+};
+
+static err_t parse(const char *uri, struct options *o)
+{
+    size_t skip = sizeof scheme - 1;
+    *o = (struct options){.stamp = CAMERA_STAMP_END, .focus = -1.0};
+    if (strncmp(uri, scheme, skip) != 0)
+        return err_fail(ERR_ARG, "%.64s: does not begin with \"%s\"", uri, scheme);
+    size_t n = strcspn(uri + skip, ",");
+    if (n >= sizeof o->camera)
+        return err_fail(ERR_ARG, "libcamera: the name of a camera has %zu bytes, at most %zu", n,
+                        sizeof o->camera - 1);
+    memcpy(o->camera, uri + skip, n);
+    const char *rest = uri + skip + n;
+    return uri_parse("libcamera", rest + (*rest == ','),
+                     &(struct uri_table){keys, sizeof keys / sizeof keys[0], o}, 1);
+}
+
+/* Beside the program, or where `make install` puts it. */
+static err_t find_module(char path[FILE_PATH_CAP])
+{
+    static const char *const places[] = {"", "../lib/hdrig/"};
+    char self[FILE_PATH_CAP];
+    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
+    while (n > 0 && self[n - 1] != '/')
+        n--;
+    self[n > 0 ? n : 0] = '\0';
+    for (int i = 0; i < 2; i++) {
+        int len = snprintf(path, FILE_PATH_CAP, "%s%s%s", self, places[i], module);
+        if (len < FILE_PATH_CAP && file_is_regular(path))
+            return OK;
+    }
+    return err_fail(ERR_UNSUPPORTED,
+                    "libcamera: there is no %s in %s or %s%s; it is built where the package "
+                    "libcamera-dev is",
+                    module, self, self, places[1]);
+}
+
+static err_t load(const struct options *o, const struct libcamera_shim **out)
+{
+    char path[FILE_PATH_CAP];
+    memcpy(path, o->module, sizeof o->module);
+    err_t e = path[0] ? OK : find_module(path);
+    if (e)
+        return e;
+    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would greet on stderr
+    void *lib = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    if (!lib)
+        return err_fail(ERR_UNSUPPORTED,
+                        "libcamera: %s; without the package of that library (libcamera0.0.3 on "
+                        "Debian 12, and libcamera-ipa) there are no cameras of libcamera",
+                        dlerror());
+    const struct libcamera_shim *shim = dlsym(lib, LIBCAMERA_SHIM_TABLE);
+    if (!shim || shim->stamp != LIBCAMERA_SHIM_STAMP)
+        return err_fail(ERR_UNSUPPORTED, "libcamera: %s is of another version of this program (%x)",
+                        path, shim ? shim->stamp : 0);
+    *out = shim;
+    return OK;
+}
+
+/* The module has its own last sentence. */
+static err_t told(const struct state *s, err_t e)
+{
+    return e == OK || e == ERR_AGAIN ? e : err_fail(e, "%s", s->shim->text());
+}
+
+static err_t lib_open(void *st, const struct camera_cfg *cfg)
+{
+    struct state *s = st;
+    struct options o;
+    memset(s, 0, sizeof *s);
+    err_t e = parse(cfg->uri, &o);
+    if (!e && (cfg->buffers < 0 || cfg->buffers > CAMERA_BUFFERS_MAX))
+        e = err_fail(ERR_ARG, "libcamera: %d buffers, not 0..%d", cfg->buffers, CAMERA_BUFFERS_MAX);
+    if (!e)
+        e = load(&o, &s->shim);
+    if (e)
+        return e;
+    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, o.focus};
+    return told(s, s->shim->open(&how, &s->camera));
+}
+
+static void lib_close(void *st)
+{
+    struct state *s = st;
+    s->shim->close(s->camera);
+    s->camera = NULL;
+}
+
+static void lib_info(const void *st, struct camera_info *out)
+{
+    const struct state *s = st;
+    s->shim->info(s->camera, out);
+}
+
+static int lib_fd(const void *st)
+{
+    const struct state *s = st;
+    return s->shim->fd(s->camera);
+}
+
+static err_t lib_request(void *st, const struct exposure *ask, struct exposure *set)
+{
+    struct state *s = st;
+    return told(s, s->shim->request(s->camera, ask, set));
+}
+
+static err_t lib_next(void *st, struct frame *out)
+{
+    struct state *s = st;
+    return told(s, s->shim->next(s->camera, out));
+}
+
+static void lib_release(void *st, struct frame *f)
+{
+    struct state *s = st;
+    s->shim->release(s->camera, f);
+}
+
+const struct camera_ops camera_libcamera = {.name = "libcamera",
+                                            .state_bytes = sizeof(struct state),
+                                            .open = lib_open,
+                                            .close = lib_close,
+                                            .info = lib_info,
+                                            .fd = lib_fd,
+                                            .request = lib_request,
+                                            .next = lib_next,
+                                            .release = lib_release};

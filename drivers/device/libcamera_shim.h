@@ -1,0 +1,39 @@
+/* libcamera_shim.h - what the module hdrig-libcamera.so offers. libcamera is C++ and changes its
+ * library's name with every release, so it is behind a table that is loaded when a camera needs it;
+ * the program runs without.
+ * thread: one per camera; cameras of several threads do not disturb each other. */
+#ifndef DEVICE_LIBCAMERA_SHIM_H
+#define DEVICE_LIBCAMERA_SHIM_H
+
+#include "drivers/device/camera.h"
+
+/* Program and module were built from the same structs; count up when the meaning changes. */
+#define LIBCAMERA_SHIM_STAMP                                                                       \
+    (2u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
+
+#define LIBCAMERA_SHIM_TABLE "libcamera_shim_table" // symbol of the module
+
+struct libcamera_shim_cfg {
+    const char *camera;     // id, or a part of one camera's id or model; "" if there is only one
+    struct camera_cfg wish; // without uri
+    enum camera_stamp stamp;
+    double focus; // LensPosition, 1/m, 0: far away; < 0: where the lens stands
+};
+
+struct libcamera_shim_camera;
+
+/* As camera_ops; sentences of errors are in text(). */
+struct libcamera_shim {
+    unsigned stamp;
+    const char *(*text)(void); // what the last error of this thread was about
+    err_t (*open)(const struct libcamera_shim_cfg *cfg, struct libcamera_shim_camera **out);
+    void (*close)(struct libcamera_shim_camera *c);
+    void (*info)(const struct libcamera_shim_camera *c, struct camera_info *out);
+    int (*fd)(const struct libcamera_shim_camera *c);
+    err_t (*request)(struct libcamera_shim_camera *c, const struct exposure *ask,
+                     struct exposure *set);
+    err_t (*next)(struct libcamera_shim_camera *c, struct frame *out);
+    void (*release)(struct libcamera_shim_camera *c, struct frame *f);
+};
+
+#endif

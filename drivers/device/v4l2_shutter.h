@@ -1,0 +1,52 @@
+/* v4l2_shutter.h - exposure and gain of a V4L2 device in seconds and factors; all that would change
+ * pictures by itself is switched off.
+ * thread: as camera.h. */
+#ifndef DEVICE_V4L2_SHUTTER_H
+#define DEVICE_V4L2_SHUTTER_H
+
+#include "drivers/device/camera.h"
+#include "drivers/device/v4l2_format.h"
+#include "drivers/device/v4l2_sensor.h"
+
+enum v4l2_shutter_kind {
+    V4L2_SHUTTER_FIXED, // no exposure control whose unit is known
+    V4L2_SHUTTER_TICKS, // EXPOSURE_ABSOLUTE: 100 us, within the frame interval
+    V4L2_SHUTTER_LINES  // EXPOSURE: lines of the sensor, within a frame that VBLANK stretches
+};
+
+struct v4l2_shutter {
+    struct v4l2_node node; // that has the controls; not owned
+    const struct v4l2_sensor *sensor;
+    enum v4l2_shutter_kind kind;
+    double unit_s;             // of an exposure code: 100 us, or the time of a line
+    int64_t least, most, step; // exposure codes
+    int64_t vblank, vblank_base, vblank_lo, vblank_hi, vblank_step; // lo == hi: cannot be changed
+    int64_t gain_lo, gain_hi; // codes; lo == hi: cannot be changed, or nobody knows the factor
+    int64_t code, gain;       // in force, as read back
+    int h;                    // lines of the picture
+    double period_s;          // of frames; for TICKS and FIXED as given to open
+};
+
+/* Automatic exposure, gain, white balance and focus off, what shapes the response to its default.
+ * Missing controls are skipped.
+ * err:  ERR_UNSUPPORTED (an automatic mode stays on: names it), ERR_LOST, ERR_IO */
+MUST_USE err_t v4l2_shutter_freeze(const struct v4l2_node *n);
+
+/* Move the lens to a position of V4L2_CID_FOCUS_ABSOLUTE, in the device's own units, of which most
+ * count from far to near. After v4l2_shutter_freeze; nothing moves it afterwards.
+ * err:  ERR_UNSUPPORTED (no such control), ERR_ARG (names the range), ERR_LOST, ERR_IO */
+MUST_USE err_t v4l2_shutter_focus(const struct v4l2_node *n, double position);
+
+/* Find the controls and set a first exposure. Before the stream starts, after v4l2_shutter_freeze.
+ * longest_s: exposures up to this are to fit into frames of the usual length. period_s: as
+ * v4l2_format_pace.
+ * err:  ERR_UNSUPPORTED (values that make no sense), ERR_BUSY, ERR_LOST, ERR_IO */
+MUST_USE err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l,
+                                 double longest_s, double period_s);
+
+/* See camera_ops.request, camera_info. */
+MUST_USE err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
+                                    struct exposure *set);
+void v4l2_shutter_info(const struct v4l2_shutter *c, struct camera_info *out);
+
+#endif

@@ -1,0 +1,252 @@
+#include "drivers/format/cameras.h"
+
+#include "drivers/format/file.h"
+#include "drivers/format/json.h"
+#include "drivers/format/name.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { SIZE_MAX_PX = 65536 };
+
+void cameras_free(struct rig *rig)
+{
+    free(rig->views);
+    *rig = (struct rig){0};
+}
+
+static err_t check_quat(const char *what, const char *name, float q[4])
+{
+    double sum = 0;
+    for (int k = 0; k < 4; k++)
+        sum += (double)q[k] * q[k];
+    double length = sqrt(sum);
+    if (!(fabs(length - 1) <= 1e-3))
+        return err_fail(ERR_FORMAT, "%s: %s: quaternion of length %.6g, allowed is 1 within 0.001",
+                        what, name, length);
+    if (fabs(length - 1) > 1e-6) // else leave the bits: written and read back they must not creep
+        for (int k = 0; k < 4; k++)
+            q[k] = (float)(q[k] / length);
+    return OK;
+}
+
+err_t cameras_check(const char *what, const char *name, struct camera *cam)
+{
+    if (cam->w < 1 || cam->h < 1 || cam->w > SIZE_MAX_PX || cam->h > SIZE_MAX_PX)
+        return err_fail(ERR_FORMAT, "%s: %s: %d x %d px, allowed are 1 to %d", what, name, cam->w,
+                        cam->h, SIZE_MAX_PX);
+    if (!(cam->fx > 0) || !(cam->fy > 0) || !isfinite(cam->fx) || !isfinite(cam->fy))
+        return err_fail(ERR_FORMAT, "%s: %s: focal lengths %g and %g px, both must be > 0", what,
+                        name, (double)cam->fx, (double)cam->fy);
+    if (!isfinite(cam->cx) || !isfinite(cam->cy))
+        return err_fail(ERR_FORMAT, "%s: %s: principal point %g, %g is not finite", what, name,
+                        (double)cam->cx, (double)cam->cy);
+    for (int k = 0; k < 3; k++)
+        if (!isfinite(cam->t[k]))
+            return err_fail(ERR_FORMAT, "%s: %s: translation %d is %g, not finite", what, name, k,
+                            (double)cam->t[k]);
+    return check_quat(what, name, cam->q);
+}
+
+static int by_name(const void *a, const void *b)
+{
+    return strcmp(*(const char *const *)a, *(const char *const *)b);
+}
+
+err_t cameras_check_names(const char *what, const struct rig *rig)
+{
+    const char **names = malloc((size_t)(rig->n ? rig->n : 1) * sizeof *names);
+    if (!names)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d names", what, rig->n);
+    for (int i = 0; i < rig->n; i++)
+        names[i] = rig->views[i].name;
+    qsort(names, (size_t)rig->n, sizeof *names, by_name);
+    err_t e = OK;
+    for (int i = 1; i < rig->n && !e; i++)
+        if (strcmp(names[i - 1], names[i]) == 0)
+            e = err_fail(ERR_FORMAT, "%s: %s is named twice", what, names[i]);
+    free(names);
+    return e;
+}
+
+static err_t get_size(const char *what, const struct cJSON *object, const char *key, int *out)
+{
+    double v;
+    if (!json_number(json_member(object, key), &v) || v != floor(v) || v < 1 || v > SIZE_MAX_PX)
+        return err_fail(ERR_FORMAT, "%s: \"%s\" is not a whole number from 1 to %d", what, key,
+                        SIZE_MAX_PX);
+    *out = (int)v;
+    return OK;
+}
+
+static err_t get_intrinsics(const char *what, const struct cJSON *object, struct camera *cam)
+{
+    static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
+    float *const places[4] = {&cam->fx, &cam->fy, &cam->cx, &cam->cy};
+    err_t e = get_size(what, object, "w", &cam->w);
+    if (!e)
+        e = get_size(what, object, "h", &cam->h);
+    for (int k = 0; k < 4 && !e; k++)
+        e = json_float(what, object, keys[k], places[k]);
+    return e;
+}
+
+static err_t get_view(const char *file, const struct cJSON *object, int i, struct rig_view *out)
+{
+    char what[256];
+    snprintf(what, sizeof what, "%.160s: camera %d", file, i);
+    const char *name = json_string(json_member(object, "name"));
+    if (!name)
+        return err_fail(ERR_FORMAT, "%s: \"name\" is absent or not a string", what);
+    err_t e = name_copy(what, name, strlen(name), out->name);
+    if (!e)
+        e = get_intrinsics(what, object, &out->cam);
+    if (!e)
+        e = json_floats(what, object, "q", 4, out->cam.q);
+    if (!e)
+        e = json_floats(what, object, "t", 3, out->cam.t);
+    if (e)
+        return e;
+    out->has_exposure = json_member(object, "exposure_log2") != NULL;
+    if (out->has_exposure && (e = json_float(what, object, "exposure_log2", &out->exposure_log2)))
+        return e;
+    return cameras_check(file, out->name, &out->cam);
+}
+
+static err_t get_rig(const char *what, const struct cJSON *doc, struct rig *out)
+{
+    const struct cJSON *array = json_member(doc, "cameras");
+    if (!json_is_array(array))
+        return err_fail(ERR_FORMAT, "%s: no array \"cameras\"", what);
+    int n = json_count(array);
+    if (n < 1 || n > CAMERAS_MAX)
+        return err_fail(ERR_FORMAT, "%s: %d cameras, allowed are 1 to %d", what, n, CAMERAS_MAX);
+    out->views = calloc((size_t)n, sizeof *out->views);
+    if (!out->views)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", what, n);
+    for (const struct cJSON *v = json_first(array); v; v = json_next(v)) {
+        err_t e = get_view(what, v, out->n, &out->views[out->n]);
+        if (e)
+            return e;
+        out->n++;
+    }
+    return cameras_check_names(what, out);
+}
+
+static err_t take_document(const char *what, struct cJSON *doc, struct rig *out)
+{
+    err_t e = get_rig(what, doc, out);
+    json_free(doc);
+    if (e)
+        cameras_free(out);
+    return e;
+}
+
+err_t cameras_parse(const char *what, const void *text, size_t n, struct rig *out)
+{
+    struct cJSON *doc;
+    *out = (struct rig){0};
+    err_t e = json_parse(what, text, n, &doc);
+    return e ? e : take_document(what, doc, out);
+}
+
+err_t cameras_read(const char *path, struct rig *out)
+{
+    struct cJSON *doc;
+    *out = (struct rig){0};
+    err_t e = json_read(path, &doc);
+    return e ? e : take_document(path, doc, out);
+}
+
+void cameras_put(FILE *f, const struct rig_view *v)
+{
+    const struct camera *c = &v->cam;
+    fputs("    {\"name\": ", f);
+    json_put_string(f, v->name);
+    fprintf(f, ", \"w\": %d, \"h\": %d, \"fx\": %.9g, \"fy\": %.9g, \"cx\": %.9g, \"cy\": %.9g,\n",
+            c->w, c->h, (double)c->fx, (double)c->fy, (double)c->cx, (double)c->cy);
+    fprintf(f, "     \"q\": [%.9g, %.9g, %.9g, %.9g], \"t\": [%.9g, %.9g, %.9g]", (double)c->q[0],
+            (double)c->q[1], (double)c->q[2], (double)c->q[3], (double)c->t[0], (double)c->t[1],
+            (double)c->t[2]);
+    if (v->has_exposure)
+        fprintf(f, ", \"exposure_log2\": %.9g", (double)v->exposure_log2);
+    putc('}', f);
+}
+
+err_t cameras_write(const char *path, const struct rig *rig)
+{
+    FILE *f;
+    err_t e = file_create(path, &f);
+    if (e)
+        return e;
+    fputs(
+        "{\n  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
+        "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n",
+        f);
+    for (int i = 0; i < rig->n; i++) {
+        cameras_put(f, &rig->views[i]);
+        fputs(i + 1 < rig->n ? ",\n" : "\n", f);
+    }
+    fputs("  ]\n}\n", f);
+    return file_finish(f, path);
+}
+
+static bool same_camera(const struct camera *a, const struct camera *b)
+{
+    return a->w == b->w && a->h == b->h && a->fx == b->fx && a->fy == b->fy && a->cx == b->cx &&
+           a->cy == b->cy && memcmp(a->q, b->q, sizeof a->q) == 0 &&
+           memcmp(a->t, b->t, sizeof a->t) == 0;
+}
+
+static err_t look_up(const char *what, const struct rig *rig, const char *name,
+                     const struct rig_view **out)
+{
+    const struct rig_view *found = NULL;
+    *out = NULL;
+    for (int i = 0; i < rig->n; i++) {
+        const struct rig_view *v = &rig->views[i];
+        if (strcmp(v->name, name) == 0) {
+            *out = v;
+            return OK;
+        }
+    }
+    for (int i = 0; i < rig->n; i++) {
+        const struct rig_view *v = &rig->views[i];
+        if (!name_same_view(v->name, name))
+            continue;
+        if (found && !same_camera(&found->cam, &v->cam))
+            return err_fail(ERR_FORMAT, "%s: cameras %s and %s both fit image %s but differ", what,
+                            found->name, v->name, name);
+        found = v;
+    }
+    if (!found)
+        return err_fail(ERR_FORMAT, "%s: no camera for image %s among %d", what, name, rig->n);
+    *out = found;
+    return OK;
+}
+
+err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
+                   struct camera *out)
+{
+    const struct rig_view *v;
+    err_t e = look_up(what, rig, name, &v);
+    if (e)
+        return e;
+    *out = v->cam;
+    if (out->w == w && out->h == h)
+        return OK;
+    double sx = (double)w / out->w, sy = (double)h / out->h;
+    if (fabs(sx * out->h - h) > 1 &&
+        fabs(h / sx - out->h) > 1) // one of the sizes is rounded to whole pixels
+        return err_fail(ERR_FORMAT,
+                        "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",
+                        what, v->name, out->w, out->h, name, w, h);
+    out->fx = (float)(out->fx * sx);
+    out->cx = (float)(out->cx * sx);
+    out->fy = (float)(out->fy * sy);
+    out->cy = (float)(out->cy * sy);
+    out->w = w;
+    out->h = h;
+    return OK;
+}

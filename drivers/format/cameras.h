@@ -1,0 +1,66 @@
+/* cameras.h - known cameras by image name, and their file cameras.json:
+ *   {"convention": "...",
+ *    "cameras": [{"name": "a.png", "w": 448, "h": 448, "fx": ..., "fy": ..., "cx": ..., "cy": ...,
+ *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...}, ...]}
+ * Units and axes are those of struct camera. Numbers have nine digits: written and read back they
+ * are the same floats.
+ * thread: any. */
+#ifndef FORMAT_CAMERAS_H
+#define FORMAT_CAMERAS_H
+
+#include "core/base/types.h"
+
+#include <stdio.h>
+
+enum { CAMERAS_MAX = 4096 }; // views of one set
+
+struct rig_view {
+    char name[NAME_CAP];
+    struct camera cam;
+    bool has_exposure;
+    float exposure_log2; // log2 of the linear exposure
+};
+
+/* Known cameras; no two have the same name. */
+struct rig {
+    int n;
+    struct rig_view *views; // (n), malloc'd
+};
+
+/* Read cameras.json. Unknown members are ignored, "exposure_log2" may be absent.
+ * Checked: sizes 1 to 65536, everything finite, focal lengths > 0, |q| within 1e-3 of 1 (then
+ * normalised), names by name_copy and distinct, at most CAMERAS_MAX.
+ * own:  cameras_free.
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
+MUST_USE err_t cameras_read(const char *path, struct rig *out);
+
+/* As cameras_read, from n bytes of text; `what` begins the sentence. */
+MUST_USE err_t cameras_parse(const char *what, const void *text, size_t n, struct rig *out);
+
+/* Write cameras.json; the partial file is removed on error.
+ * err:  ERR_IO, ERR_LIMIT (no space). */
+MUST_USE err_t cameras_write(const char *path, const struct rig *rig);
+
+/* Write one element of the list "cameras", without the comma behind it. */
+void cameras_put(FILE *f, const struct rig_view *v);
+
+/* Accepts a zeroed rig. */
+void cameras_free(struct rig *rig);
+
+/* Refuse a camera that the struct's comment does not allow, and normalise q; `what` and `name`
+ * begin the sentence.
+ * err:  ERR_FORMAT. */
+MUST_USE err_t cameras_check(const char *what, const char *name, struct camera *cam);
+
+/* Refuse two views of one name.
+ * err:  ERR_FORMAT naming it, ERR_NOMEM. */
+MUST_USE err_t cameras_check_names(const char *what, const struct rig *rig);
+
+/* Camera of an image of w x h px: the view of exactly this name, else the one of the same view
+ * (name_same_view), scaled to the image if it was made for another size of the same aspect.
+ * err:  ERR_FORMAT: no such view, several that differ, or another aspect. `what` begins the
+ *       sentence. */
+MUST_USE err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
+                            struct camera *out);
+
+#endif

@@ -1,0 +1,540 @@
+/* Two formats, one meaning: each reader fills the same records (struct lens, struct rig_view,
+ * struct colmap_point) and the checks are made on those. Text is taken line by line as COLMAP
+ * itself does: in images.txt every image line is followed by one line of image points, which may be
+ * empty. */
+#include "drivers/format/colmap.h"
+
+#include "core/base/bytes.h"
+#include "drivers/format/file.h"
+#include "drivers/format/name.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    LINE_CAP = 1024, // bytes of a text line that are looked at
+    PARAMS_MAX = 8,  // of the models we read
+    POINTS_MAX = 1 << 26,
+    POINT_BYTES_BINARY = 51, // of a point without track
+    IMAGE_POINT_BYTES = 24,  // x, y, point id
+    TRACK_BYTES = 8,         // image id, index
+    POINT_BYTES_TEXT = 14    // "1 0 0 0 0 0 0\n"
+};
+
+static const size_t FILE_BYTES_MAX = (size_t)4
+                                     << 30; // image points of large reconstructions take gigabytes
+
+/* colmap/src/colmap/sensor/models.h: ids 0 to 10 in this order. */
+static const struct model {
+    const char *name;
+    int n_focal, n_distortion; // 0, 0: not read
+} models[] = {
+    {"SIMPLE_PINHOLE", 1, 0},
+    {"PINHOLE", 2, 0},
+    {"SIMPLE_RADIAL", 1, 1},
+    {"RADIAL", 1, 2},
+    {"OPENCV", 2, 4},
+    {"OPENCV_FISHEYE", 0, 0},
+    {"FULL_OPENCV", 0, 0},
+    {"FOV", 0, 0},
+    {"SIMPLE_RADIAL_FISHEYE", 0, 0},
+    {"RADIAL_FISHEYE", 0, 0},
+    {"THIN_PRISM_FISHEYE", 0, 0},
+};
+enum { N_MODELS = sizeof models / sizeof models[0] };
+
+struct lens {
+    uint32_t id;
+    int w, h;
+    float fx, fy, cx, cy;
+};
+
+struct lenses {
+    const char *what;
+    int n;
+    struct lens *v; // (n)
+};
+
+/* ---- checks common to both formats ---- */
+
+static err_t find_model(const char *what, int id, const char *name, const struct model **out)
+{
+    *out = NULL;
+    for (int i = 0; i < N_MODELS; i++)
+        if (name ? strcmp(models[i].name, name) == 0 : i == id)
+            *out = &models[i];
+    if (*out && (*out)->n_focal > 0)
+        return OK;
+    const char *said = *out ? (*out)->name : name;
+    if (said)
+        return err_fail(ERR_UNSUPPORTED,
+                        "%s: camera model %s is not read; undistort the images to PINHOLE", what,
+                        said);
+    return err_fail(ERR_UNSUPPORTED, "%s: camera model %d is not known", what, id);
+}
+
+static err_t add_lens(struct lenses *out, const struct lens *head, const struct model *m,
+                      const double *params)
+{
+    const char *what = out->what;
+    const double *centre = params + m->n_focal, *distortion = centre + 2;
+    for (int i = 0; i < m->n_distortion; i++)
+        if (distortion[i] != 0)
+            return err_fail(
+                ERR_UNSUPPORTED,
+                "%s: camera %u is %s with distortion %g; undistort the images to PINHOLE", what,
+                head->id, m->name, distortion[i]);
+    for (int i = 0; i < out->n; i++)
+        if (out->v[i].id == head->id)
+            return err_fail(ERR_FORMAT, "%s: camera %u is there twice", what, head->id);
+    struct lens *l = &out->v[out->n++];
+    *l = *head;
+    l->fx = (float)params[0];
+    l->fy = (float)params[m->n_focal - 1];
+    l->cx = (float)centre[0];
+    l->cy = (float)centre[1];
+    return OK;
+}
+
+static err_t add_view(const char *what, const struct lenses *lenses, uint32_t lens_id,
+                      struct rig_view *v)
+{
+    const struct lens *l = NULL;
+    for (int i = 0; i < lenses->n; i++)
+        if (lenses->v[i].id == lens_id)
+            l = &lenses->v[i];
+    if (!l)
+        return err_fail(ERR_FORMAT, "%s: image %s is of camera %u, which %s lacks", what, v->name,
+                        lens_id, lenses->what);
+    v->cam.w = l->w;
+    v->cam.h = l->h;
+    v->cam.fx = l->fx;
+    v->cam.fy = l->fy;
+    v->cam.cx = l->cx;
+    v->cam.cy = l->cy;
+    return cameras_check(what, v->name, &v->cam);
+}
+
+static err_t set_size(const char *what, uint64_t w, uint64_t h, struct lens *out)
+{
+    if (w > INT32_MAX || h > INT32_MAX)
+        return err_fail(ERR_FORMAT, "%s: camera %u has %ju x %ju px", what, out->id, (uintmax_t)w,
+                        (uintmax_t)h);
+    out->w = (int)w;
+    out->h = (int)h;
+    return OK;
+}
+
+static err_t view_name(const char *what, const char *path, size_t n, char out[NAME_CAP])
+{
+    const char *slash = memrchr(path, '/', n);
+    size_t skip = slash ? (size_t)(slash + 1 - path) : 0;
+    return name_copy(what, path + skip, n - skip, out);
+}
+
+static void set_pose(const double pose[7], struct camera *cam)
+{
+    for (int k = 0; k < 4; k++)
+        cam->q[k] = (float)pose[k];
+    for (int k = 0; k < 3; k++)
+        cam->t[k] = (float)pose[4 + k];
+}
+
+static void add_point(const double xyz[3], const uint8_t rgb[3], struct colmap_points *out)
+{
+    struct colmap_point *p = &out->p[out->n];
+    for (int k = 0; k < 3; k++) {
+        p->xyz[k] = (float)xyz[k];
+        p->rgb[k] = rgb[k];
+    }
+    out->n += isfinite(p->xyz[0]) && isfinite(p->xyz[1]) && isfinite(p->xyz[2]);
+}
+
+static err_t cut_short(const struct colmap_text *t, const char *object, uint64_t i, uint64_t n)
+{
+    return err_fail(ERR_FORMAT, "%s: ends inside %s %ju of %ju", t->what, object, (uintmax_t)i,
+                    (uintmax_t)n);
+}
+
+/* ---- binary ---- */
+
+/* The number of objects at the head of a file, at most max. */
+static err_t binary_count(const struct colmap_text *t, struct bytes *b, const char *objects,
+                          uint64_t max, uint64_t *out)
+{
+    *out = bytes_u64(b);
+    if (b->bad)
+        return err_fail(ERR_FORMAT, "%s: %zu bytes hold no number of %s", t->what, t->n, objects);
+    if (*out > max)
+        return err_fail(ERR_FORMAT, "%s: %ju %s, at most %ju are read", t->what, (uintmax_t)*out,
+                        objects, (uintmax_t)max);
+    return OK;
+}
+
+static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
+{
+    struct bytes b = bytes_of(t->p, t->n);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "cameras", CAMERAS_MAX, &n);
+    if (e)
+        return e;
+    for (uint64_t i = 0; i < n; i++) {
+        struct lens head = {.id = bytes_u32(&b)};
+        int model_id = (int)bytes_u32(&b);
+        uint64_t w = bytes_u64(&b), h = bytes_u64(&b);
+        if (b.bad)
+            return cut_short(t, "camera", i, n);
+        const struct model *m;
+        e = find_model(t->what, model_id, NULL, &m);
+        if (!e)
+            e = set_size(t->what, w, h, &head);
+        if (e)
+            return e;
+        double params[PARAMS_MAX];
+        for (int k = 0; k < m->n_focal + 2 + m->n_distortion; k++)
+            params[k] = bytes_f64(&b);
+        if (b.bad)
+            return cut_short(t, "camera", i, n);
+        e = add_lens(out, &head, m, params);
+        if (e)
+            return e;
+    }
+    return OK;
+}
+
+static err_t binary_view(const struct colmap_text *t, struct bytes *b, const struct lenses *lenses,
+                         struct rig *out)
+{
+    struct rig_view *v = &out->views[out->n];
+    double pose[7];
+    bytes_skip(b, 4, 1); // image id
+    for (int k = 0; k < 7; k++)
+        pose[k] = bytes_f64(b);
+    uint32_t lens_id = bytes_u32(b);
+    const char *path = (const char *)b->p;
+    const char *end = b->left > 0 ? memchr(path, 0, b->left) : NULL;
+    bytes_skip(b, end ? (size_t)(end - path) + 1 : SIZE_MAX, 1);
+    bytes_skip(b, bytes_u64(b), IMAGE_POINT_BYTES);
+    if (b->bad)
+        return OK; // the caller, who knows the number of the image, speaks
+    err_t e = view_name(t->what, path, (size_t)(end - path), v->name);
+    if (e)
+        return e;
+    set_pose(pose, &v->cam);
+    out->n++;
+    return add_view(t->what, lenses, lens_id, v);
+}
+
+static err_t binary_views(const struct colmap_text *t, const struct lenses *lenses, struct rig *out)
+{
+    struct bytes b = bytes_of(t->p, t->n);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "images", CAMERAS_MAX, &n);
+    if (e)
+        return e;
+    for (uint64_t i = 0; i < n; i++) {
+        e = binary_view(t, &b, lenses, out);
+        if (e)
+            return e;
+        if (b.bad)
+            return cut_short(t, "image", i, n);
+    }
+    return OK;
+}
+
+static err_t binary_points(const struct colmap_text *t, struct colmap_points *out)
+{
+    struct bytes b = bytes_of(t->p, t->n);
+    uint64_t n;
+    err_t e = binary_count(t, &b, "points", POINTS_MAX, &n);
+    if (e)
+        return e;
+    for (uint64_t i = 0; i < n; i++) {
+        double xyz[3];
+        uint8_t rgb[3];
+        bytes_skip(&b, 8, 1); // point id
+        for (int k = 0; k < 3; k++)
+            xyz[k] = bytes_f64(&b);
+        for (int k = 0; k < 3; k++)
+            rgb[k] = bytes_u8(&b);
+        bytes_skip(&b, 8, 1); // reprojection error
+        bytes_skip(&b, bytes_u64(&b), TRACK_BYTES);
+        if (b.bad)
+            return cut_short(t, "point", i, n);
+        add_point(xyz, rgb, out);
+    }
+    return OK;
+}
+
+/* ---- text ---- */
+
+struct line_reader {
+    const char *what;
+    const char *p, *end;
+    int number;
+    char line[LINE_CAP]; // the current line without blanks at both ends; longer lines are cut
+};
+
+static struct line_reader lines_of(const struct colmap_text *t)
+{
+    return (struct line_reader){
+        .what = t->what, .p = t->p, .end = t->n ? (const char *)t->p + t->n : t->p};
+}
+
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t' || c == '\r';
+}
+
+static bool next_line(struct line_reader *r)
+{
+    if (r->p == r->end)
+        return false;
+    const char *stop = memchr(r->p, '\n', (size_t)(r->end - r->p));
+    const char *from = r->p, *to = stop ? stop : r->end;
+    r->p = stop ? stop + 1 : r->end;
+    r->number++;
+    while (from < to && is_blank(*from))
+        from++;
+    while (to > from && is_blank(to[-1]))
+        to--;
+    size_t n = (size_t)(to - from) < LINE_CAP ? (size_t)(to - from) : LINE_CAP - 1;
+    memcpy(r->line, from, n);
+    r->line[n] = 0;
+    return true;
+}
+
+/* Next line that is neither empty nor a comment. */
+static bool next_record(struct line_reader *r)
+{
+    while (next_line(r))
+        if (r->line[0] && r->line[0] != '#')
+            return true;
+    return false;
+}
+
+static err_t get_numbers(const struct line_reader *r, const char **at, int n, double *out)
+{
+    for (int i = 0; i < n; i++) {
+        char *end;
+        out[i] = strtod(*at, &end);
+        if (end == *at || (*end && !is_blank(*end)))
+            return err_fail(ERR_FORMAT, "%s: line %d: \"%.24s\" where a number belongs", r->what,
+                            r->number, *at);
+        *at = end + strspn(end, " \t\r");
+    }
+    return OK;
+}
+
+/* Numbers that must be whole and fit 32 bits. */
+static err_t get_whole(const struct line_reader *r, const char **at, int n, uint32_t *out)
+{
+    for (int i = 0; i < n; i++) {
+        double v;
+        err_t e = get_numbers(r, at, 1, &v);
+        if (e)
+            return e;
+        if (!(v >= 0 && v <= UINT32_MAX && v == floor(v)))
+            return err_fail(ERR_FORMAT, "%s: line %d: %g where a whole number belongs", r->what,
+                            r->number, v);
+        out[i] = (uint32_t)v;
+    }
+    return OK;
+}
+
+static err_t text_lens(const struct line_reader *r, struct lenses *out)
+{
+    const char *at = r->line;
+    struct lens head = {0};
+    err_t e = get_whole(r, &at, 1, &head.id);
+    if (e)
+        return e;
+    char name[32] = "";
+    size_t n = strcspn(at, " \t\r");
+    memcpy(name, at, n < sizeof name ? n : sizeof name - 1);
+    at += n;
+    const struct model *m;
+    uint32_t size[2];
+    double params[PARAMS_MAX];
+    e = find_model(r->what, -1, name, &m);
+    if (!e)
+        e = get_whole(r, &at, 2, size);
+    if (!e)
+        e = set_size(r->what, size[0], size[1], &head);
+    if (!e)
+        e = get_numbers(r, &at, m->n_focal + 2 + m->n_distortion, params);
+    if (!e && *at)
+        e = err_fail(ERR_FORMAT, "%s: line %d: more parameters than %s has", r->what, r->number,
+                     m->name);
+    return e ? e : add_lens(out, &head, m, params);
+}
+
+static err_t text_lenses(const struct colmap_text *t, struct lenses *out)
+{
+    struct line_reader r = lines_of(t);
+    while (next_record(&r)) {
+        if (out->n == CAMERAS_MAX)
+            return err_fail(ERR_FORMAT, "%s: more than %d cameras", t->what, CAMERAS_MAX);
+        err_t e = text_lens(&r, out);
+        if (e)
+            return e;
+    }
+    return OK;
+}
+
+static err_t text_view(const struct line_reader *r, const struct lenses *lenses, struct rig *out)
+{
+    const char *at = r->line;
+    uint32_t image_id, lens_id = 0;
+    double pose[7];
+    struct rig_view *v = &out->views[out->n];
+    err_t e = get_whole(r, &at, 1, &image_id);
+    if (!e)
+        e = get_numbers(r, &at, 7, pose);
+    if (!e)
+        e = get_whole(r, &at, 1, &lens_id);
+    if (!e)
+        e = view_name(r->what, at, strlen(at), v->name);
+    if (e)
+        return e;
+    set_pose(pose, &v->cam);
+    out->n++;
+    return add_view(r->what, lenses, lens_id, v);
+}
+
+static err_t text_views(const struct colmap_text *t, const struct lenses *lenses, struct rig *out)
+{
+    struct line_reader r = lines_of(t);
+    while (next_record(&r)) {
+        if (out->n == CAMERAS_MAX)
+            return err_fail(ERR_FORMAT, "%s: more than %d images", t->what, CAMERAS_MAX);
+        err_t e = text_view(&r, lenses, out);
+        if (e)
+            return e;
+        (void)next_line(&r); // the image's points; the last image may lack the line
+    }
+    return OK;
+}
+
+static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
+{
+    struct line_reader r = lines_of(t);
+    while (next_record(&r)) {
+        const char *at = r.line;
+        double v[7]; // id, x, y, z, r, g, b
+        err_t e = get_numbers(&r, &at, 7, v);
+        if (e)
+            return e;
+        uint8_t rgb[3];
+        for (int k = 0; k < 3; k++) {
+            if (!(v[4 + k] >= 0 && v[4 + k] <= 255))
+                return err_fail(ERR_FORMAT, "%s: line %d: colour %g, allowed is 0 to 255", t->what,
+                                r.number, v[4 + k]);
+            rgb[k] = (uint8_t)v[4 + k];
+        }
+        add_point(v + 1, rgb, out);
+    }
+    return OK;
+}
+
+/* ---- both ---- */
+
+err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct colmap_text *images,
+                   struct rig *out)
+{
+    struct lenses lenses = {.what = cameras->what};
+    *out = (struct rig){0};
+    lenses.v = calloc(CAMERAS_MAX, sizeof *lenses.v);
+    out->views = calloc(CAMERAS_MAX, sizeof *out->views);
+    err_t e = OK;
+    if (!lenses.v || !out->views)
+        e = err_fail(ERR_NOMEM, "%s: no memory for %d cameras", cameras->what, CAMERAS_MAX);
+    if (!e)
+        e = binary ? binary_lenses(cameras, &lenses) : text_lenses(cameras, &lenses);
+    if (!e)
+        e = binary ? binary_views(images, &lenses, out) : text_views(images, &lenses, out);
+    if (!e && out->n == 0)
+        e = err_fail(ERR_FORMAT, "%s: no images in it", images->what);
+    if (!e)
+        e = cameras_check_names(images->what, out);
+    free(lenses.v);
+    if (e)
+        cameras_free(out);
+    return e;
+}
+
+err_t colmap_parse_points(bool binary, const struct colmap_text *points, struct colmap_points *out)
+{
+    *out = (struct colmap_points){0};
+    size_t room = points->n / (binary ? POINT_BYTES_BINARY : POINT_BYTES_TEXT) + 1;
+    if (room > POINTS_MAX)
+        return err_fail(ERR_FORMAT, "%s: room for %zu points, at most %d are read", points->what,
+                        room, POINTS_MAX);
+    out->p = calloc(room, sizeof *out->p);
+    if (!out->p)
+        return err_fail(ERR_NOMEM, "%s: no memory for %zu points", points->what, room);
+    err_t e = binary ? binary_points(points, out) : text_points(points, out);
+    if (e)
+        colmap_free_points(out);
+    return e;
+}
+
+void colmap_free_points(struct colmap_points *points)
+{
+    free(points->p);
+    *points = (struct colmap_points){0};
+}
+
+/* Path of dir/stem.bin or, if that is not there, dir/stem.txt. */
+static err_t choose_file(const char *dir, const char *stem, bool *binary, char path[FILE_PATH_CAP])
+{
+    char name[32];
+    snprintf(name, sizeof name, "%s.bin", stem);
+    err_t e = file_join(dir, name, path);
+    *binary = !e && file_is_regular(path);
+    if (e || *binary)
+        return e;
+    snprintf(name, sizeof name, "%s.txt", stem);
+    return file_join(dir, name, path);
+}
+
+err_t colmap_read(const char *dir, struct rig *out)
+{
+    char cameras[FILE_PATH_CAP], images[FILE_PATH_CAP];
+    struct file_map c = {0}, i = {0};
+    bool binary, images_binary;
+    *out = (struct rig){0};
+    err_t e = choose_file(dir, "cameras", &binary, cameras);
+    if (!e)
+        e = choose_file(dir, "images", &images_binary, images);
+    if (!e && binary != images_binary)
+        e = err_fail(ERR_FORMAT, "%s: cameras and images must both be .bin or both .txt", dir);
+    if (!e)
+        e = file_map(cameras, FILE_BYTES_MAX, &c);
+    if (!e)
+        e = file_map(images, FILE_BYTES_MAX, &i);
+    if (!e)
+        e = colmap_parse(binary, &(struct colmap_text){cameras, c.p, c.n},
+                         &(struct colmap_text){images, i.p, i.n}, out);
+    file_unmap(&c);
+    file_unmap(&i);
+    return e;
+}
+
+err_t colmap_read_points(const char *dir, struct colmap_points *out)
+{
+    char path[FILE_PATH_CAP];
+    struct file_map m;
+    bool binary;
+    *out = (struct colmap_points){0};
+    err_t e = choose_file(dir, "points3D", &binary, path);
+    if (e || !file_is_regular(path))
+        return e;
+    e = file_map(path, FILE_BYTES_MAX, &m);
+    if (e)
+        return e;
+    e = colmap_parse_points(binary, &(struct colmap_text){path, m.p, m.n}, out);
+    file_unmap(&m);
+    return e;
+}

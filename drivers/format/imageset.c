@@ -1,0 +1,775 @@
+#include "drivers/format/imageset.h"
+
+#include "drivers/format/cameras.h"
+#include "drivers/format/colmap.h"
+#include "drivers/format/exposures.h"
+#include "drivers/format/img.h"
+#include "drivers/format/imgsize.h"
+#include "drivers/format/json.h"
+#include "drivers/format/name.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+void imageset_free(struct imageset *set)
+{
+    for (int i = 0; i < set->capture.n; i++)
+        img_free(&set->capture.shots[i].image);
+    free(set->capture.shots);
+    free(set->part);
+    memset(set, 0, sizeof *set);
+}
+
+/* ---- the folder ---- */
+
+static bool has_suffix(const char *name, const char *suffix)
+{
+    size_t n = strlen(name), k = strlen(suffix);
+    return n > k && strcasecmp(name + n - k, suffix) == 0;
+}
+
+static bool has_one_of(const char *name, const char *const *suffix)
+{
+    while (*suffix && !has_suffix(name, *suffix))
+        suffix++;
+    return name[0] != '.' && *suffix;
+}
+
+static bool is_picture(const char *name)
+{
+    static const char *const suffix[] = {".png", ".jpg", ".jpeg", NULL};
+    return has_one_of(name, suffix);
+}
+
+/* Of other kinds of picture, which somebody may believe to be read. */
+static bool is_other_picture(const char *name)
+{
+    static const char *const suffix[] = {
+        ".heic", ".heif", ".avif", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".jxl", ".jp2", ".ppm",
+        ".pnm",  ".exr",  ".hdr",  ".dng", ".raw",  ".arw",  ".cr2", ".cr3", ".crw", ".nef", ".orf",
+        ".pef",  ".raf",  ".rw2",  ".srw", ".x3f",  ".mp4",  ".mov", ".avi", ".mkv", NULL};
+    return has_one_of(name, suffix);
+}
+
+static bool begins(const char *name, const char *prefix)
+{
+    return strncmp(name, prefix, strlen(prefix)) == 0;
+}
+
+/* Names for a sentence: how many, and the first of them in order. */
+struct names {
+    int n, n_first;
+    char first[3][NAME_CAP];
+};
+
+static void names_add(const char *name, struct names *l)
+{
+    char plain[NAME_CAP];
+    const int cap = (int)(sizeof l->first / sizeof l->first[0]);
+    l->n++;
+    if (name_copy("", name, strlen(name), plain) != OK)
+        return; // counted
+    int i = l->n_first;
+    while (i > 0 && strcmp(plain, l->first[i - 1]) < 0)
+        i--;
+    if (i == cap)
+        return;
+    l->n_first += l->n_first < cap;
+    memmove(l->first[i + 1], l->first[i], (size_t)(l->n_first - 1 - i) * sizeof plain);
+    memcpy(l->first[i], plain, sizeof plain);
+}
+
+/* "a.heic, b.heic and 7 others" */
+static const char *names_text(const struct names *l, char *text, size_t cap)
+{
+    size_t n = 0;
+    text[0] = 0;
+    for (int i = 0; i < l->n_first && n < cap; i++) {
+        const char *between = i == 0 ? "" : i + 1 < l->n ? ", " : " and ";
+        n += (size_t)snprintf(text + n, cap - n, "%s%.32s", between, l->first[i]);
+    }
+    if (l->n > l->n_first && n < cap)
+        snprintf(text + n, cap - n, "%s%d other%s", n ? " and " : "", l->n - l->n_first,
+                 l->n - l->n_first > 1 ? "s" : "");
+    return text;
+}
+
+/* Sentence "N files are not read (names): why", once. */
+static void add_note(const struct names *l, const char *why, struct imageset *set)
+{
+    char text[128];
+    if (l->n == 0 || set->n_notes == IMAGESET_NOTES)
+        return;
+    char *note = set->notes[set->n_notes];
+    snprintf(note, sizeof set->notes[0], "%d file%s not read (%s): %s", l->n,
+             l->n > 1 ? "s are" : " is", names_text(l, text, sizeof text), why);
+    for (int i = 0; i < set->n_notes; i++)
+        if (strcmp(note, set->notes[i]) == 0)
+            return;
+    set->n_notes++;
+}
+
+static const char only_png_jpeg[] = "pictures must be PNG or JPEG, save them as one of these";
+
+static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
+{
+    err_t e = file_join(images, "images", dir);
+    if (e || file_is_dir(dir))
+        return e;
+    if (!file_is_dir(images))
+        return err_fail(ERR_IO, "%s: %s", images,
+                        file_exists(images) ? "not a folder" : "no such folder");
+    memcpy(dir, images, strlen(images) + 1); // file_join has checked the length
+    return OK;
+}
+
+/* Path of a companion beside the pictures or one folder up; *found is false if it is in neither. */
+static err_t find_companion(const char *dir, const char *name, bool *found,
+                            char path[FILE_PATH_CAP])
+{
+    char up[FILE_PATH_CAP];
+    err_t e = file_join(dir, name, path);
+    *found = !e && (file_is_regular(path) || file_is_dir(path));
+    if (e || *found)
+        return e;
+    e = file_join(dir, "..", up);
+    if (!e)
+        e = file_join(up, name, path);
+    *found = !e && (file_is_regular(path) || file_is_dir(path));
+    return e;
+}
+
+static err_t add_picture(const char *dir, const char *name, struct names *odd, struct capture *c)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(dir, name, path);
+    if (!e && !file_is_regular(path) && !file_is_dir(path))
+        names_add(name, odd);
+    if (e || !file_is_regular(path))
+        return e;
+    if (c->n == CAMERAS_MAX)
+        return err_fail(ERR_FORMAT, "%s: more than %d pictures", dir, CAMERAS_MAX);
+    struct shot *s = &c->shots[c->n];
+    e = name_copy(dir, name, strlen(name), s->name);
+    c->n += !e;
+    return e;
+}
+
+static int by_name(const void *a, const void *b)
+{
+    return strcmp(((const struct shot *)a)->name, ((const struct shot *)b)->name);
+}
+
+static err_t scan(struct imageset *set)
+{
+    struct capture *c = &set->capture;
+    c->shots = calloc(CAMERAS_MAX, sizeof *c->shots);
+    if (!c->shots)
+        return err_fail(ERR_NOMEM, "%s: no memory for the list of pictures", set->dir);
+    DIR *d = opendir(set->dir);
+    if (!d)
+        return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
+    struct names other = {0}, odd = {0};
+    err_t e = OK;
+    for (struct dirent *entry; !e && (entry = readdir(d));) {
+        if (is_picture(entry->d_name))
+            e = add_picture(set->dir, entry->d_name, &odd, c);
+        else if (is_other_picture(entry->d_name))
+            names_add(entry->d_name, &other);
+    }
+    closedir(d);
+    add_note(&other, only_png_jpeg, set);
+    add_note(&odd, "no regular files, or links to nothing", set);
+    if (!e && c->n > 0)
+        qsort(c->shots, (size_t)c->n, sizeof *c->shots, by_name);
+    return e;
+}
+
+/* Pictures in the folder that holds images/. */
+static void note_beside(const char *images, struct imageset *set)
+{
+    struct names beside = {0};
+    DIR *d = strcmp(images, set->dir) != 0 ? opendir(images) : NULL;
+    if (!d)
+        return;
+    for (struct dirent *entry; (entry = readdir(d));)
+        if (is_picture(entry->d_name))
+            names_add(entry->d_name, &beside);
+    closedir(d);
+    add_note(&beside, "they lie beside the folder images, which alone is looked into", set);
+}
+
+static bool is_released(const struct capture *c)
+{
+    for (int i = 0; i < c->n; i++)
+        if (begins(c->shots[i].name, "train"))
+            return true;
+    return false;
+}
+
+/* Keep the shots with keep[i] set, in order. */
+static void compact(struct capture *c, const bool *keep)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        if (keep[i])
+            c->shots[n++] = c->shots[i];
+    c->n = n;
+}
+
+static err_t filter(const struct imageset_request *rq, bool released, struct imageset *set)
+{
+    static const char *const prefix[] = {"train", "test", ""};
+    struct capture *c = &set->capture;
+    struct names neither = {0};
+    int all = c->n, n = 0;
+    for (int i = 0; i < all; i++) {
+        const char *name = c->shots[i].name;
+        if (released && !begins(name, prefix[IMAGESET_TRAIN]) &&
+            !begins(name, prefix[IMAGESET_TEST]))
+            names_add(name, &neither);
+        if (released ? begins(name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
+            c->shots[n++] = c->shots[i];
+    }
+    c->n = n;
+    if (rq->which != IMAGESET_ALL)
+        add_note(&neither, "beside pictures called train..., only train... and test... count", set);
+    if (n > 0)
+        return OK;
+    if (all == 0)
+        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg) in it%s%s", set->dir,
+                        set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
+    return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
+                    prefix[rq->which]);
+}
+
+/* ---- exposures ---- */
+
+/* Files with a time and a name that says nothing of a picture. */
+static void note_timed(const struct exposures *x, struct imageset *set)
+{
+    char path[FILE_PATH_CAP];
+    struct names other = {0};
+    for (int i = 0; i < x->n; i++) {
+        const char *name = x->v[i].name;
+        if (!is_picture(name) && !is_other_picture(name) && file_join(set->dir, name, path) == OK &&
+            file_is_regular(path))
+            names_add(name, &other);
+    }
+    add_note(&other, only_png_jpeg, set);
+}
+
+static err_t times_from_file(const char *path, struct imageset *set)
+{
+    struct exposures x;
+    err_t e = exposures_read(path, &x);
+    if (e)
+        return e;
+    for (int i = 0; i < set->capture.n; i++)
+        set->capture.shots[i].exposure = exposures_find(&x, set->capture.shots[i].name);
+    note_timed(&x, set);
+    exposures_free(&x);
+    return OK;
+}
+
+#define WRITE_TIMES                                                                                \
+    "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...}"
+
+/* A tag that some files have and others lack makes their exposures differ by what it says. */
+static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
+{
+    char with_text[100], without_text[100];
+    struct names with = {0}, without = {0};
+    for (int i = 0; i < c->n; i++)
+        if (c->shots[i].exposure > 0)
+            names_add(c->shots[i].name, has[i] ? &with : &without);
+    if (with.n == 0 || without.n == 0)
+        return OK;
+    for (int i = 0; i < c->n && may_lack; i++)
+        if (!has[i])
+            c->shots[i].exposure = 0;
+    if (may_lack)
+        return OK;
+    return err_fail(
+        ERR_FORMAT,
+        "EXIF of %s lacks %s, that of %s has it: their exposures cannot be compared; " WRITE_TIMES,
+        names_text(&without, without_text, sizeof without_text), tag,
+        names_text(&with, with_text, sizeof with_text));
+}
+
+/* has_iso, has_f: scratch for all pictures. */
+static err_t read_exif(const struct imageset_request *rq, bool *has_iso, bool *has_f,
+                       struct imageset *set)
+{
+    struct capture *c = &set->capture;
+    for (int i = 0; i < c->n; i++) {
+        struct shot *s = &c->shots[i];
+        struct img_exif x;
+        char path[FILE_PATH_CAP];
+        err_t e = file_join(set->dir, s->name, path);
+        if (!e)
+            e = img_exif(path, &x);
+        if (e && e != ERR_FORMAT && e != ERR_UNSUPPORTED)
+            return e;
+        s->exposure = e ? 0 : img_exif_exposure(&x); // no such data: counted by check_times
+        has_iso[i] = !e && x.iso > 0;
+        has_f[i] = !e && x.f_number > 0;
+    }
+    err_t e = check_tag("the f-number", rq->may_lack_times, has_f, c);
+    return e ? e : check_tag("the ISO value", rq->may_lack_times, has_iso, c);
+}
+
+static err_t times_from_exif(const struct imageset_request *rq, struct imageset *set)
+{
+    const size_t n = (size_t)set->capture.n;
+    bool *has = calloc(n + 1, 2 * sizeof *has);
+    if (!has)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
+    err_t e = read_exif(rq, has, has + n, set);
+    free(has);
+    return e;
+}
+
+static err_t check_times(const char *source, const struct capture *c)
+{
+    char text[128];
+    struct names lacking = {0};
+    for (int i = 0; i < c->n; i++)
+        if (!(c->shots[i].exposure > 0))
+            names_add(c->shots[i].name, &lacking);
+    if (lacking.n == 0)
+        return OK;
+    names_text(&lacking, text, sizeof text);
+    if (!source)
+        return err_fail(ERR_FORMAT, "EXIF tells no exposure of %s, of %d pictures: " WRITE_TIMES,
+                        text, c->n);
+    return err_fail(ERR_FORMAT, "%s: no exposure for %s, of %d pictures: add one for each", source,
+                    text, c->n);
+}
+
+static err_t get_times(const struct imageset_request *rq, struct imageset *set)
+{
+    char path[FILE_PATH_CAP];
+    bool found;
+    const char *source = rq->exposures;
+    err_t e = OK;
+    if (!source) {
+        e = find_companion(set->dir, "exposure.json", &found, path);
+        if (e)
+            return e;
+        source = found ? path : NULL;
+    }
+    e = source ? times_from_file(source, set) : times_from_exif(rq, set);
+    if (e)
+        return e;
+    if (rq->may_lack_times)
+        return OK;
+    return check_times(source, &set->capture);
+}
+
+static int by_time(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Keep the pictures whose time is in `mask`; `time` is scratch for all of them. */
+static err_t keep_times(const char *dir, uint32_t mask, double *time, struct capture *c)
+{
+    int n = 0, all = c->n, highest = 31 - __builtin_clz(mask);
+    for (int i = 0; i < all; i++)
+        time[i] = c->shots[i].exposure;
+    qsort(time, (size_t)all, sizeof *time, by_time);
+    for (int i = 0; i < all; i++)
+        if (n == 0 || time[i] > time[n - 1])
+            time[n++] = time[i];
+    if (highest >= n)
+        return err_fail(ERR_ARG, "%s: exposure %d asked, its pictures have %d different ones", dir,
+                        highest + 1, n);
+    c->n = 0;
+    for (int i = 0; i < all; i++) {
+        const double *rank = bsearch(&c->shots[i].exposure, time, (size_t)n, sizeof *time, by_time);
+        if (rank - time < 32 && mask >> (rank - time) & 1)
+            c->shots[c->n++] = c->shots[i];
+    }
+    return OK;
+}
+
+/* The ranks count all pictures of the folder, so that they mean the same for train and test. */
+static err_t choose_times(const struct imageset_request *rq, struct imageset *set)
+{
+    if (!rq->exposure_set || set->capture.n == 0)
+        return OK;
+    err_t e = get_times(rq, set);
+    if (e)
+        return e;
+    double *time = malloc((size_t)set->capture.n * sizeof *time);
+    if (!time)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d times", set->dir, set->capture.n);
+    e = keep_times(set->dir, rq->exposure_set, time, &set->capture);
+    free(time);
+    return e;
+}
+
+/* ---- which pictures ---- */
+
+/* Shots [from, *to) are the exposures of one view. */
+static int end_of_view(const struct capture *c, bool released, int from)
+{
+    int to = from + 1;
+    while (released && to < c->n && name_same_view(c->shots[from].name, c->shots[to].name))
+        to++;
+    return to;
+}
+
+static int count_views(const struct capture *c, bool released)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i = end_of_view(c, released, i))
+        n++;
+    return n;
+}
+
+/* Index of the shot with the `rank`th shortest exposure of [from, to); equal times by name. */
+static int shot_of_rank(const struct shot *s, int from, int to, int rank)
+{
+    for (int i = from; i < to; i++) {
+        int shorter = 0;
+        for (int j = from; j < to; j++)
+            shorter += s[j].exposure < s[i].exposure || (s[j].exposure == s[i].exposure && j < i);
+        if (shorter == rank)
+            return i;
+    }
+    return from;
+}
+
+static bool is_spread_choice(int i_view, int n_views, int n)
+{
+    if (n >= n_views)
+        return true;
+    if (n == 1)
+        return i_view == n_views / 2;
+    for (int k = 0; k < n; k++)
+        if ((2 * k * (n_views - 1) + n - 1) / (2 * (n - 1)) == i_view)
+            return true;
+    return false;
+}
+
+static void choose_spread(const struct imageset_request *rq, bool released, int n_views,
+                          struct capture *c, bool *keep)
+{
+    int i_view = 0, turn = 0, n = rq->n_views ? rq->n_views : n_views;
+    for (int from = 0, to; from < c->n; from = to, i_view++) {
+        to = end_of_view(c, released, from);
+        if (!is_spread_choice(i_view, n_views, n))
+            continue;
+        int m = to - from;
+        int ranks[3] = {m / 2, 0, m - 1};
+        int chosen = shot_of_rank(c->shots, from, to, ranks[turn++ % 3]);
+        for (int i = from; i < to; i++)
+            keep[i] = rq->every_exposure || rq->brackets || i == chosen;
+    }
+}
+
+static err_t choose_named(const char *path, const struct cJSON *names, const struct capture *c,
+                          bool *keep)
+{
+    for (const struct cJSON *v = json_first(names); v; v = json_next(v)) {
+        const char *name = json_string(v);
+        if (!name)
+            return err_fail(ERR_FORMAT, "%s: \"inputs\" must be lists of file names", path);
+        int i = 0;
+        while (i < c->n && strcmp(c->shots[i].name, name) != 0)
+            i++;
+        if (i == c->n)
+            return err_fail(ERR_FORMAT, "%s: input %.127s is not among the %d pictures", path, name,
+                            c->n);
+        if (keep[i])
+            return err_fail(ERR_FORMAT, "%s: input %.127s is listed twice", path, name);
+        keep[i] = true;
+    }
+    return OK;
+}
+
+/* *listed is false if there is no protocol.json or it says nothing about n views. */
+static err_t choose_by_protocol(const struct imageset *set, int n, bool *keep, bool *listed)
+{
+    char path[FILE_PATH_CAP], key[16];
+    struct cJSON *doc;
+    err_t e = find_companion(set->dir, "protocol.json", listed, path);
+    if (e || !*listed)
+        return e;
+    e = json_read(path, &doc);
+    if (e)
+        return e;
+    snprintf(key, sizeof key, "%d", n);
+    const struct cJSON *names = json_member(json_member(doc, "inputs"), key);
+    *listed = json_is_array(names) && json_count(names) > 0;
+    if (*listed)
+        e = choose_named(path, names, &set->capture, keep);
+    json_free(doc);
+    return e;
+}
+
+static err_t choose(const struct imageset_request *rq, bool released, struct imageset *set)
+{
+    int n_views = count_views(&set->capture, released), n = rq->n_views ? rq->n_views : n_views;
+    if (n < 1 || n > n_views)
+        return err_fail(ERR_ARG, "%s: %d views asked, there are %d", set->dir, rq->n_views,
+                        n_views);
+    bool *keep = calloc((size_t)set->capture.n, sizeof *keep), listed = false;
+    if (!keep)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", set->dir, set->capture.n);
+    err_t e = OK;
+    if (released && rq->which == IMAGESET_TRAIN && !rq->every_exposure && !rq->exposure_set)
+        e = choose_by_protocol(set, n, keep, &listed);
+    if (!e && !listed)
+        choose_spread(rq, released, n_views, &set->capture, keep);
+    if (!e)
+        compact(&set->capture, keep);
+    for (int i = 1; i < set->capture.n && released && rq->brackets && !e; i++)
+        set->capture.shots[i].again =
+            name_same_view(set->capture.shots[i - 1].name, set->capture.shots[i].name);
+    free(keep);
+    return e;
+}
+
+/* ---- sizes and cameras ---- */
+
+static err_t refuse_size(const char *dir, const struct shot *a, const struct shot *b)
+{
+    bool turned = a->image.w == b->image.h && a->image.h == b->image.w;
+    return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d: %s", dir, a->name,
+                    a->image.w, a->image.h, b->name, b->image.w, b->image.h,
+                    turned ? "turn one of them, or leave out those that lie across"
+                           : "scale all photographs to one size, or leave out the odd ones");
+}
+
+static err_t get_sizes(struct imageset *set)
+{
+    struct shot *s = set->capture.shots;
+    for (int i = 0; i < set->capture.n; i++) {
+        char path[FILE_PATH_CAP];
+        err_t e = file_join(set->dir, s[i].name, path);
+        if (!e)
+            e = imgsize_read(path, &s[i].image.w, &s[i].image.h);
+        if (e)
+            return e;
+        s[i].image.channels = 3;
+        if (s[i].image.w != s[0].image.w || s[i].image.h != s[0].image.h)
+            return refuse_size(set->dir, &s[0], &s[i]);
+    }
+    return OK;
+}
+
+/* A COLMAP folder, or one that holds sparse/0. */
+static err_t read_folder(const char *path, struct rig *out)
+{
+    char inner[FILE_PATH_CAP];
+    err_t e = file_join(path, "sparse/0", inner);
+    if (e)
+        return e;
+    return colmap_read(file_is_dir(inner) ? inner : path, out);
+}
+
+static err_t read_rig(const char *path, struct rig *out)
+{
+    *out = (struct rig){0};
+    if (file_is_dir(path))
+        return read_folder(path, out);
+    if (has_suffix(path, ".json"))
+        return cameras_read(path, out);
+    return err_fail(ERR_UNSUPPORTED, "%s: a rig is a COLMAP folder or a cameras.json", path);
+}
+
+static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
+{
+    char path[FILE_PATH_CAP];
+    bool found = true;
+    const char *source = rq->rig;
+    if (rq->no_cameras)
+        return OK;
+    if (!source) {
+        err_t e = find_companion(set->dir, "sparse/0", &found, path);
+        if (e || !found)
+            return e;
+        source = path;
+    }
+    struct rig rig;
+    err_t e = read_rig(source, &rig);
+    for (int i = 0; i < set->capture.n && !e; i++) {
+        struct shot *s = &set->capture.shots[i];
+        e = cameras_find(source, &rig, s->name, s->image.w, s->image.h, &s->cam);
+        s->has_camera = !e;
+    }
+    cameras_free(&rig);
+    return e;
+}
+
+/* ---- all together ---- */
+
+static err_t list_folder(const struct imageset_request *rq, struct imageset *out)
+{
+    memset(out, 0, sizeof *out);
+    bool released = false;
+    err_t e = find_pictures(rq->images, out->dir);
+    if (!e)
+        e = scan(out);
+    if (!e) {
+        note_beside(rq->images, out);
+        released = is_released(&out->capture);
+        e = choose_times(rq, out);
+    }
+    if (!e)
+        e = filter(rq, released, out);
+    if (!e)
+        e = get_times(rq, out);
+    if (!e)
+        e = choose(rq, released, out);
+    if (!e)
+        e = get_sizes(out);
+    if (!e)
+        e = get_cameras(rq, out);
+    if (e)
+        imageset_free(out);
+    return e;
+}
+
+/* ---- several folders ---- */
+
+/* Last part of a path, without slashes behind it. */
+static err_t folder_name(const char *path, char out[NAME_CAP])
+{
+    size_t n = strlen(path);
+    while (n > 1 && path[n - 1] == '/')
+        n--;
+    const char *slash = memrchr(path, '/', n), *from = slash ? slash + 1 : path;
+    return name_copy(path, from, n - (size_t)(from - path), out);
+}
+
+static err_t check_folder(const char *images)
+{
+    char dir[FILE_PATH_CAP], path[FILE_PATH_CAP];
+    bool found;
+    err_t e = find_pictures(images, dir);
+    if (!e)
+        e = find_companion(dir, "exposure.json", &found, path);
+    if (!e && !found)
+        e = err_fail(ERR_ARG, "%s: has no exposure.json, which each of several folders needs",
+                     images);
+    return e;
+}
+
+/* The shots of one more folder, with its name before theirs. */
+static err_t append(const char *images, const struct imageset *one, struct imageset *all)
+{
+    char folder[NAME_CAP], name[2 * NAME_CAP];
+    struct capture *c = &all->capture;
+    struct imageset_part *part = &all->part[all->n_parts];
+    err_t e = folder_name(images, folder);
+    memcpy(part->dir, one->dir, sizeof part->dir);
+    part->first = c->n;
+    part->skip = strlen(folder) + 1;
+    for (int i = 0; i < one->capture.n && !e; i++) {
+        if (c->n == CAMERAS_MAX)
+            return err_fail(ERR_FORMAT, "%s: more than %d pictures with those before", images,
+                            CAMERAS_MAX);
+        struct shot *s = &c->shots[c->n++];
+        *s = one->capture.shots[i];
+        int n = snprintf(name, sizeof name, "%s_%s", folder, one->capture.shots[i].name);
+        e = name_copy(images, name, (size_t)n, s->name);
+        if (!e && (s->image.w != c->shots[0].image.w || s->image.h != c->shots[0].image.h))
+            e = refuse_size(images, &c->shots[0], s);
+    }
+    for (int i = 0; i < part->first && !e; i++)
+        for (int k = part->first; k < c->n && !e; k++)
+            if (strcmp(c->shots[i].name, c->shots[k].name) == 0)
+                e = err_fail(ERR_ARG, "%s: another folder has its name and a picture %s", images,
+                             c->shots[k].name + part->skip);
+    all->n_parts++;
+    return e;
+}
+
+static err_t add_folder(const struct imageset_request *rq, struct imageset *all)
+{
+    struct imageset one;
+    err_t e = check_folder(rq->images);
+    if (!e)
+        e = list_folder(rq, &one);
+    if (e)
+        return e;
+    e = append(rq->images, &one, all);
+    if (!all->dir[0])
+        memcpy(all->dir, one.dir, sizeof all->dir);
+    for (int i = 0; i < one.n_notes && all->n_notes < IMAGESET_NOTES; i++)
+        memcpy(all->notes[all->n_notes++], one.notes[i], sizeof one.notes[i]);
+    imageset_free(&one);
+    return e;
+}
+
+static err_t list_folders(const struct imageset_request *rq, struct imageset *out)
+{
+    struct imageset_request each = *rq;
+    size_t n = 1;
+    memset(out, 0, sizeof *out);
+    if (rq->rig || rq->exposures || rq->n_views || rq->exposure_set)
+        return err_fail(ERR_ARG, "a rig, a file of exposures and a choice of pictures go with one "
+                                 "folder, not with several");
+    while (rq->more[n - 1])
+        n++;
+    each.no_cameras = true;
+    out->part = calloc(n, sizeof *out->part);
+    out->capture.shots = calloc(CAMERAS_MAX, sizeof *out->capture.shots);
+    err_t e = out->part && out->capture.shots
+                  ? OK
+                  : err_fail(ERR_NOMEM, "%s: no memory for the list of pictures", rq->images);
+    for (size_t i = 0; i < n && !e; i++) {
+        each.images = i ? rq->more[i - 1] : rq->images;
+        e = add_folder(&each, out);
+    }
+    if (e)
+        imageset_free(out);
+    return e;
+}
+
+err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
+{
+    return rq->more && rq->more[0] ? list_folders(rq, out) : list_folder(rq, out);
+}
+
+err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
+{
+    const struct shot *s = &set->capture.shots[i];
+    const char *dir = set->dir, *name = s->name;
+    char path[FILE_PATH_CAP];
+    memset(out, 0, sizeof *out);
+    for (int k = 0; k < set->n_parts && set->part[k].first <= i; k++) {
+        dir = set->part[k].dir;
+        name = s->name + set->part[k].skip;
+    }
+    err_t e = file_join(dir, name, path);
+    if (!e)
+        e = img_read(path, out);
+    if (e || (out->w == s->image.w && out->h == s->image.h))
+        return e;
+    int w = out->w, h = out->h;
+    img_free(out);
+    return err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, w, h,
+                    s->image.w, s->image.h);
+}
+
+err_t imageset_load(struct imageset *set)
+{
+    for (int i = 0; i < set->capture.n; i++) {
+        struct image8 image;
+        err_t e = imageset_decode(set, i, &image);
+        if (e)
+            return e;
+        img_free(&set->capture.shots[i].image);
+        set->capture.shots[i].image = image;
+    }
+    return OK;
+}

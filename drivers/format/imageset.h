@@ -1,0 +1,84 @@
+/* imageset.h - a folder of photographs becomes a capture: names, exposures, cameras, then pixels.
+ *
+ * Layouts. `images` may be a folder that contains images/, the folder images/ itself, or a plain
+ * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
+ * hidden), in the order of their names. exposure.json, protocol.json and sparse/0 are looked for
+ * beside the pictures, then one folder up; with no exposure.json the exposures come from the
+ * pictures' EXIF, where all must tell the same tags. A folder with names that begin with "train"
+ * has the released layout: "train" pictures are inputs, "test" pictures are held out, and
+ * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
+ * view of its own and an input.
+ *
+ * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
+ * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the
+ * middle, the shortest and the longest of that view (t3, t1, t5 of five: the paper's set,
+ * interleaved), and of the views n_views that are evenly spread. exposure_set limits this choice to
+ * some of the times that the folder's pictures have, sorted; protocol.json is not read then.
+ *
+ * Several folders (`more`) are places of one scene, like the takes of one session: each has its
+ * exposure.json, in one unit for all, and cameras are not read. The name of a shot then is that of
+ * its folder and its own, FOLDER_NAME.
+ * thread: any. */
+#ifndef FORMAT_IMAGESET_H
+#define FORMAT_IMAGESET_H
+
+#include "drivers/format/file.h"
+
+#include "core/base/types.h"
+
+enum imageset_which { IMAGESET_TRAIN, IMAGESET_TEST, IMAGESET_ALL };
+
+struct imageset_request {
+    const char *images;        // folder
+    const char *const *more;   // further folders and a NULL; NULL: none
+    const char *exposures;     // file, NULL = exposure.json or EXIF
+    const char *rig;           // COLMAP folder or cameras.json, NULL = sparse/0 if it is there
+    enum imageset_which which; // of the released layout
+    int n_views;               // 0 = all
+    bool every_exposure;       // all exposures of the chosen views, without protocol.json
+    bool brackets;             // all exposures of each view, unless protocol.json names pictures
+    uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
+    bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
+    bool no_cameras;           // neither rig nor sparse/0 are read
+};
+
+enum { IMAGESET_NOTES = 4 };
+
+struct imageset_part {
+    char dir[FILE_PATH_CAP];
+    int first;   // its shots begin here
+    size_t skip; // bytes of a shot's name before that of its file
+};
+
+struct imageset {
+    char dir[FILE_PATH_CAP];    // of the pictures, the first of several
+    int n_parts;                // 0: one folder
+    struct imageset_part *part; // malloc'd
+    struct capture capture;     // shots malloc'd; image.px is NULL until imageset_load
+    int n_notes;
+    char notes[IMAGESET_NOTES][240]; // sentences: what there looks like a picture and is not read
+};
+
+/* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'
+ * headers (channels 3), so that memory can be planned before anything is decoded. Contradictions
+ * are refused: a picture without exposure, EXIF with f-number or ISO in some files only, pictures
+ * of different sizes, a rig that lacks a view or has another aspect (cameras_find), a protocol that
+ * names a missing file.
+ * own:  imageset_free.
+ * err:  ERR_ARG (request, too few views, two folders of one name), ERR_IO, ERR_FORMAT (also: above
+ *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
+MUST_USE err_t imageset_list(const struct imageset_request *request, struct imageset *out);
+
+/* Pixels of shot i; the set itself stays without.
+ * own:  img_free.
+ * err:  those of img_read; ERR_FORMAT if the file changed its size since imageset_list. */
+MUST_USE err_t imageset_decode(const struct imageset *set, int i, struct image8 *out);
+
+/* Decode every shot into the set.
+ * err:  as imageset_decode; the set can still be freed. */
+MUST_USE err_t imageset_load(struct imageset *set);
+
+/* Accepts a zeroed set. */
+void imageset_free(struct imageset *set);
+
+#endif

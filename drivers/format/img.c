@@ -1,0 +1,414 @@
+/* Decoders work on the whole file in memory. Before a picture is allocated its size is held against
+ * the bytes that are there: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit
+ * on each 8 x 8 block of its largest component, so a short file cannot ask for a gigabyte. */
+#include "drivers/format/img.h"
+
+#include "drivers/format/file.h"
+
+#include <libexif/exif-data.h>
+#include <spng.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <turbojpeg.h>
+
+enum {
+    DEFLATE_RATIO_MAX = 1032, // RFC 1951: 258 bytes from two 1-bit codes
+    JPEG_PX_PER_BYTE_MAX = 8 * 64,
+    PNG_CHUNK_MAX = 16 << 20,  // bytes of one text, profile or EXIF chunk, unpacked
+    PNG_CHUNKS_MAX = 64 << 20, // bytes of all of them
+    EXIF_MAX = 1 << 16         // bytes of EXIF data: a JPEG segment holds no more
+};
+
+static err_t check_size(const char *name, uint32_t w, uint32_t h)
+{
+    if (w < 1 || h < 1 || w > IMG_SIDE_MAX || h > IMG_SIDE_MAX || (uint64_t)w * h > IMG_PX_MAX)
+        return err_fail(ERR_FORMAT, "%s: %u x %u px, allowed are 1 to %d a side and %d in all",
+                        name, w, h, IMG_SIDE_MAX, IMG_PX_MAX);
+    return OK;
+}
+
+static err_t alloc_px(const char *name, uint32_t w, uint32_t h, struct image8 *out)
+{
+    out->px = malloc((size_t)w * h * 3);
+    if (!out->px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %u x %u px", name, w, h);
+    out->w = (int)w;
+    out->h = (int)h;
+    out->channels = 3;
+    return OK;
+}
+
+static bool is_png(const void *bytes, size_t n)
+{
+    return n >= 8 && memcmp(bytes, "\x89PNG\r\n\x1a\n", 8) == 0;
+}
+
+static bool is_jpeg(const void *bytes, size_t n)
+{
+    return n >= 3 && memcmp(bytes, "\xff\xd8\xff", 3) == 0;
+}
+
+static err_t png_error(const char *name, int code)
+{
+    return err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_FORMAT, "%s: PNG: %s", name,
+                    spng_strerror(code));
+}
+
+/* A decoder on the bytes, with limits set. own: spng_ctx_free, also on error. */
+static err_t png_open(const void *bytes, size_t n, const char *name, spng_ctx **out)
+{
+    *out = spng_ctx_new(0);
+    if (!*out)
+        return err_fail(ERR_NOMEM, "%s: no memory for the PNG decoder", name);
+    int code = spng_set_chunk_limits(*out, PNG_CHUNK_MAX, PNG_CHUNKS_MAX);
+    if (!code)
+        code = spng_set_png_buffer(*out, bytes, n);
+    return code ? png_error(name, code) : OK;
+}
+
+static err_t png_decode(spng_ctx *ctx, size_t n, const char *name, struct image8 *out)
+{
+    struct spng_ihdr head;
+    int code = spng_get_ihdr(ctx, &head);
+    if (code)
+        return png_error(name, code);
+    err_t e = check_size(name, head.width, head.height);
+    if (e)
+        return e;
+    uint64_t bits = (uint64_t)head.width * head.height * head.bit_depth;
+    if (bits / 8 / DEFLATE_RATIO_MAX > n)
+        return err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n,
+                        head.width, head.height);
+    e = alloc_px(name, head.width, head.height, out);
+    if (e)
+        return e;
+    code = spng_decode_image(ctx, out->px, (size_t)head.width * head.height * 3, SPNG_FMT_RGB8, 0);
+    return code ? png_error(name, code) : OK;
+}
+
+static err_t read_png(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    spng_ctx *ctx;
+    err_t e = png_open(bytes, n, name, &ctx);
+    if (!e)
+        e = png_decode(ctx, n, name, out);
+    spng_ctx_free(ctx);
+    return e;
+}
+
+static err_t jpeg_error(tjhandle tj, const char *name)
+{
+    return err_fail(ERR_FORMAT, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
+}
+
+/* Size of a picture that may be decoded. */
+static err_t jpeg_head(tjhandle tj, const void *bytes, size_t n, const char *name,
+                       struct image8 *out)
+{
+    int sampling, colours;
+    if (tjDecompressHeader3(tj, bytes, n, &out->w, &out->h, &sampling, &colours) != 0)
+        return jpeg_error(tj, name);
+    err_t e = check_size(name, (uint32_t)out->w, (uint32_t)out->h);
+    if (e)
+        return e;
+    if (colours == TJCS_CMYK || colours == TJCS_YCCK)
+        return err_fail(ERR_UNSUPPORTED,
+                        "%s: JPEG: CMYK pictures are not supported, convert it to RGB", name);
+    if ((uint64_t)out->w * (uint64_t)out->h / JPEG_PX_PER_BYTE_MAX > n)
+        return err_fail(ERR_FORMAT, "%s: JPEG: %zu bytes cannot hold %d x %d px", name, n, out->w,
+                        out->h);
+    return OK;
+}
+
+static err_t jpeg_pixels(tjhandle tj, const void *bytes, size_t n, const char *name,
+                         const struct image8 *out)
+{
+    const int flags = TJFLAG_STOPONWARNING | TJFLAG_LIMITSCANS | TJFLAG_ACCURATEDCT;
+    if (tjDecompress2(tj, bytes, n, out->px, out->w, 0, out->h, TJPF_RGB, flags) != 0)
+        return jpeg_error(tj, name);
+    return OK;
+}
+
+/* out->px NULL: allocated; else for a picture of out's size. */
+static err_t read_jpeg(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    struct image8 head = {0};
+    tjhandle tj = tjInitDecompress();
+    if (!tj)
+        return err_fail(ERR_NOMEM, "%s: no memory for the JPEG decoder", name);
+    err_t e = jpeg_head(tj, bytes, n, name, &head);
+    if (!e && out->px && (head.w != out->w || head.h != out->h))
+        e = err_fail(ERR_FORMAT, "%s: JPEG of %d x %d px, not %d x %d", name, head.w, head.h,
+                     out->w, out->h);
+    if (!e && !out->px)
+        e = alloc_px(name, (uint32_t)head.w, (uint32_t)head.h, out);
+    if (!e)
+        e = jpeg_pixels(tj, bytes, n, name, out);
+    tjDestroy(tj);
+    return e;
+}
+
+err_t img_decode_jpeg(const void *bytes, size_t n, const char *name, const struct image8 *out)
+{
+    struct image8 to = *out;
+    if (!is_jpeg(bytes, n))
+        return err_fail(ERR_FORMAT, "%s: does not begin as a JPEG does", name);
+    return read_jpeg(bytes, n, name, &to);
+}
+
+err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out)
+{
+    err_t e;
+    memset(out, 0, sizeof *out);
+    if (is_png(bytes, n))
+        e = read_png(bytes, n, name, out);
+    else if (is_jpeg(bytes, n))
+        e = read_jpeg(bytes, n, name, out);
+    else
+        e = err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
+    if (e)
+        img_free(out);
+    return e;
+}
+
+err_t img_read(const char *path, struct image8 *out)
+{
+    struct file_map m;
+    memset(out, 0, sizeof *out);
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
+    if (!e)
+        e = img_read_mem(m.p, m.n, path, out);
+    file_unmap(&m);
+    return e;
+}
+
+void img_free(struct image8 *im)
+{
+    free(im->px);
+    memset(im, 0, sizeof *im);
+}
+
+static err_t write_file(const char *path, const void *bytes, size_t n)
+{
+    FILE *f;
+    err_t e = file_create(path, &f);
+    if (e)
+        return e;
+    fwrite(bytes, 1, n, f); // file_finish asks whether it worked
+    return file_finish(f, path);
+}
+
+static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
+{
+    struct spng_ihdr head = {.width = (uint32_t)im->w,
+                             .height = (uint32_t)im->h,
+                             .bit_depth = 8,
+                             .color_type = SPNG_COLOR_TYPE_TRUECOLOR};
+    int code = spng_set_option(ctx, SPNG_ENCODE_TO_BUFFER, 1);
+    if (!code && fast)
+        code = spng_set_option(ctx, SPNG_IMG_COMPRESSION_LEVEL, 1);
+    if (!code && fast) // of the filters that help, the one that costs least: by measurement
+        code = spng_set_option(ctx, SPNG_FILTER_CHOICE, SPNG_FILTER_CHOICE_UP);
+    if (!code)
+        code = spng_set_ihdr(ctx, &head);
+    if (!code)
+        code = spng_encode_image(ctx, im->px, (size_t)im->w * (size_t)im->h * 3, SPNG_FMT_PNG,
+                                 SPNG_ENCODE_FINALIZE);
+    return code;
+}
+
+static err_t check_picture(const struct image8 *im, const char *name)
+{
+    if (!im->px || im->channels != 3 || im->w < 1 || im->h < 1)
+        return err_fail(ERR_ARG, "%s: no RGB picture to write (%d x %d, %d channels)", name, im->w,
+                        im->h, im->channels);
+    return OK;
+}
+
+/* own: free(*bytes). */
+static err_t encode_png(const struct image8 *im, const char *name, bool fast, void **bytes,
+                        size_t *n)
+{
+    *bytes = NULL;
+    err_t e = check_picture(im, name);
+    if (e)
+        return e;
+    spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
+    if (!ctx)
+        return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", name);
+    int code = png_encode(ctx, im, fast);
+    if (!code)
+        *bytes = spng_get_png_buffer(ctx, n, &code);
+    spng_ctx_free(ctx);
+    return *bytes ? OK
+                  : err_fail(code == SPNG_EMEM ? ERR_NOMEM : ERR_ARG, "%s: PNG: %s", name,
+                             spng_strerror(code));
+}
+
+err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes, size_t *n)
+{
+    return encode_png(im, name, true, bytes, n);
+}
+
+err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, void **bytes,
+                      size_t *n)
+{
+    *bytes = NULL;
+    err_t e = check_picture(im, name);
+    if (e)
+        return e;
+    unsigned char *out = malloc(tjBufSize(im->w, im->h, TJSAMP_444));
+    tjhandle tj = tjInitCompress();
+    unsigned long used = 0;
+    if (!out || !tj)
+        e = err_fail(ERR_NOMEM, "%s: no memory for the JPEG encoder", name);
+    else if (tjCompress2(tj, im->px, im->w, 0, im->h, TJPF_RGB, &out, &used, TJSAMP_444, quality,
+                         TJFLAG_NOREALLOC) != 0)
+        e = err_fail(ERR_ARG, "%s: JPEG: %s", name, tjGetErrorStr2(tj));
+    if (tj)
+        tjDestroy(tj);
+    if (e) {
+        free(out);
+        return e;
+    }
+    *bytes = out;
+    *n = used;
+    return OK;
+}
+
+err_t img_write_png(const char *path, const struct image8 *im)
+{
+    void *bytes;
+    size_t n;
+    err_t e = encode_png(im, path, false, &bytes, &n);
+    if (e)
+        return e;
+    e = write_file(path, bytes, n);
+    free(bytes);
+    return e;
+}
+
+err_t img_write_ldr(const char *path, const struct image *im)
+{
+    if (!im->px || im->channels < 3 || im->w < 1 || im->h < 1)
+        return err_fail(ERR_ARG, "%s: no RGB image to write (%d x %d, %d channels)", path, im->w,
+                        im->h, im->channels);
+    struct image8 out = {0};
+    err_t e = alloc_px(path, (uint32_t)im->w, (uint32_t)im->h, &out);
+    if (e)
+        return e;
+    size_t n = (size_t)im->w * (size_t)im->h;
+    for (size_t i = 0; i < 3 * n; i++) {
+        float v = im->px[i % 3 * n + i / 3];
+        out.px[i] = (uint8_t)(v >= 1.0f  ? 255.0f
+                              : v > 0.0f ? v * 255.0f + 0.5f
+                                         : 0.0f); // a NaN fails both
+    }
+    e = img_write_png(path, &out);
+    img_free(&out);
+    return e;
+}
+
+/* The EXIF block of a PNG behind the six bytes that JPEG puts before it. own: free(*exif). */
+static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned char **exif,
+                         size_t *n_exif)
+{
+    static const char head[6] = "Exif\0";
+    spng_ctx *ctx;
+    struct spng_exif chunk = {0};
+    *exif = NULL;
+    err_t e = png_open(bytes, n, name, &ctx);
+    int code = e ? 0 : spng_get_exif(ctx, &chunk);
+    if (code == SPNG_ECHUNKAVAIL || (!e && !code && chunk.length > EXIF_MAX))
+        e = err_fail(ERR_FORMAT, "%s: no EXIF data", name);
+    else if (code)
+        e = png_error(name, code);
+    if (!e) {
+        *n_exif = sizeof head + chunk.length;
+        *exif = malloc(*n_exif);
+        if (!*exif)
+            e = err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    }
+    if (!e) {
+        memcpy(*exif, head, sizeof head);
+        memcpy(*exif + sizeof head, chunk.data, chunk.length);
+    }
+    spng_ctx_free(ctx);
+    return e;
+}
+
+/* A positive rational or integer of the EXIF directory; 0 if the tag is absent or something
+ * else. */
+static double exif_number(ExifData *data, ExifTag tag)
+{
+    ExifEntry *entry = exif_content_get_entry(data->ifd[EXIF_IFD_EXIF], tag);
+    ExifByteOrder order = exif_data_get_byte_order(data);
+    if (!entry || !entry->data || entry->components < 1 ||
+        entry->size < exif_format_get_size(entry->format) * entry->components)
+        return 0.0;
+    switch (entry->format) {
+    case EXIF_FORMAT_RATIONAL: {
+        ExifRational r = exif_get_rational(entry->data, order);
+        return r.denominator ? (double)r.numerator / r.denominator : 0.0;
+    }
+    case EXIF_FORMAT_SHORT:
+        return exif_get_short(entry->data, order);
+    case EXIF_FORMAT_LONG:
+        return exif_get_long(entry->data, order);
+    default:
+        return 0.0;
+    }
+}
+
+static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
+                        struct img_exif *out)
+{
+    ExifData *data = exif_data_new();
+    if (!data)
+        return err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    exif_data_load_data(data, bytes, (unsigned)n);
+    const struct img_exif x = {exif_number(data, EXIF_TAG_EXPOSURE_TIME),
+                               exif_number(data, EXIF_TAG_ISO_SPEED_RATINGS),
+                               exif_number(data, EXIF_TAG_FNUMBER)};
+    exif_data_unref(data);
+    if (!(x.seconds > 0.0))
+        return err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
+    *out = x;
+    return OK;
+}
+
+err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out)
+{
+    *out = (struct img_exif){0};
+    if (n > IMG_FILE_MAX)
+        return err_fail(ERR_FORMAT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
+    if (is_jpeg(bytes, n))
+        return parse_exif(bytes, n, name, out);
+    if (!is_png(bytes, n))
+        return err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
+    unsigned char *exif;
+    size_t n_exif;
+    err_t e = exif_of_png(bytes, n, name, &exif, &n_exif);
+    if (!e)
+        e = parse_exif(exif, n_exif, name, out);
+    free(exif);
+    return e;
+}
+
+err_t img_exif(const char *path, struct img_exif *out)
+{
+    struct file_map m;
+    *out = (struct img_exif){0};
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
+    if (!e)
+        e = img_exif_mem(m.p, m.n, path, out);
+    file_unmap(&m);
+    return e;
+}
+
+double img_exif_exposure(const struct img_exif *x)
+{
+    double iso = x->iso > 0 ? x->iso : 100.0, f_number = x->f_number > 0 ? x->f_number : 1.0;
+    return x->seconds * (iso / 100.0) / (f_number * f_number);
+}

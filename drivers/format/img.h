@@ -1,0 +1,70 @@
+/* img.h - PNG and JPEG through libspng and libjpeg-turbo, exposure from EXIF through libexif. The
+ * kind of a file is told from its first bytes, never from its name. Files are hostile until
+ * checked: at most IMG_SIDE_MAX px a side, IMG_PX_MAX px, IMG_FILE_MAX bytes, and never more pixels
+ * than so few bytes can hold. A file whose decoder warns (cut off, corrupt) is refused as a
+ * whole. */
+#ifndef FORMAT_IMG_H
+#define FORMAT_IMG_H
+
+#include "core/base/types.h"
+
+enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
+
+/* Decode to 8-bit R,G,B. PNG: any colour type and depth, alpha and transparency dropped without
+ * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF
+ * orientation, gamma and profiles are ignored (model-spec 1.1).
+ * own:  img_free.
+ * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
+ *       zeroed. */
+MUST_USE err_t img_read(const char *path, struct image8 *out);
+
+/* As img_read, from `n` bytes in memory; `name` is for sentences. */
+MUST_USE err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out);
+
+/* Decode a JPEG of out->w x out->h px into out->px. Huffman tables that the file lacks are those of
+ * the standard, as motion JPEG wants it.
+ * err:  as img_read_mem, ERR_FORMAT also for another size */
+MUST_USE err_t img_decode_jpeg(const void *bytes, size_t n, const char *name,
+                               const struct image8 *out);
+
+/* Accepts a zeroed image. */
+void img_free(struct image8 *im);
+
+/* Write an RGB picture as PNG, synced to the disk; a file that could not be completed is removed.
+ * err:  ERR_ARG (channels or shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
+MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
+
+/* Encode as PNG into memory in a tenth of the time of img_write_png, for a fifth more bytes; `name`
+ * is for sentences.
+ * own:  free(*bytes).
+ * err:  ERR_ARG (channels or shape), ERR_NOMEM. On error *bytes is NULL. */
+MUST_USE err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes,
+                                   size_t *n);
+
+/* Encode as JPEG into memory, every colour at full resolution. quality: 1..100; `name` is for
+ * sentences.
+ * own:  free(*bytes).
+ * err:  ERR_ARG (channels or shape), ERR_NOMEM. On error *bytes is NULL. */
+MUST_USE err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, void **bytes,
+                               size_t *n);
+
+/* As img_write_png, from the first three channels of a float image: round(255 clip(v, 0, 1)), NaN
+ * as 0. */
+MUST_USE err_t img_write_ldr(const char *path, const struct image *im);
+
+/* What EXIF says about the exposure of a file (JPEG, or the eXIf chunk of PNG). */
+struct img_exif {
+    double seconds;       // ExposureTime, > 0
+    double iso, f_number; // 0 = the file does not tell
+};
+
+/* err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, or no ExposureTime that is finite and > 0). On
+ *       error *out is zeroed. */
+MUST_USE err_t img_exif(const char *path, struct img_exif *out);
+MUST_USE err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out);
+
+/* Relative exposure seconds * (iso / 100) / f_number^2, > 0. What is not told counts as ISO 100 and
+ * f/1: values compare only between files that tell the same. */
+double img_exif_exposure(const struct img_exif *x);
+
+#endif

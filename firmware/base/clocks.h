@@ -1,0 +1,21 @@
+/* clocks.h - the same moment on the clocks of the system.
+ * thread: any. */
+#ifndef BASE_CLOCKS_H
+#define BASE_CLOCKS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+struct clocks { // ns
+    int64_t monotonic_ns, boottime_ns, realtime_ns;
+};
+
+int64_t clocks_now(void); // CLOCK_MONOTONIC, ns
+
+/* A moment of CLOCK_MONOTONIC on all clocks, as they stand to each other now. */
+struct clocks clocks_at(int64_t monotonic_ns);
+
+/* Whether something keeps CLOCK_REALTIME right: the kernel knows, else systemd-timesyncd. */
+bool clocks_synced(void);
+
+#endif

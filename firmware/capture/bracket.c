@@ -1,0 +1,800 @@
+/* Each camera has a phase (bracket.h) and goes its own way; the machine is over when all are.
+ * Every frame: ages of requests grow (label_advance); a frame that is flagged, cut or oddly sized,
+ * or whose gains moved, is refused; label_look says what the others are. A proven one is kept if
+ * it is missing, whatever it was asked for; requests that can no longer come are asked for again,
+ * in the end of the queue. Two conflicts, or three requests in vain, end pipelining.
+ * At rest a verdict against the exposure counts when it is repeated. Whether the light or the
+ * exposure is to blame, base tells: if it looks as before, the light is innocent.
+ * Nothing goes on for ever: frames, refusals, restarts and changes of light are counted. */
+#include "firmware/capture/bracket.h"
+
+#include "firmware/capture/label.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum {
+    CONFLICTS_MAX = 2, // pipelined
+    TRIES_MAX = 3,     // requests for one exposure, pipelined
+    JUDGED_MAX = 2,    // frames at rest that say the same
+    BAD_MAX = 12,      // unusable frames in a row
+    TORN_MAX = 3,      // torn ones in a row; more, and the scene is to blame
+    REFUSALS_MAX = 8,  // requests in a row
+    FRAMES_MAX = 20    // per exposure and frame of doubt
+};
+#define GAINS 0.005    // W5: 0.5 %
+#define WAITS 3.0      // longest frames
+#define PATIENCE_S 1.0 // beyond them
+#define RANGE 1e-6     // of exposure times, relative: rounding of whoever made the plan
+
+enum phase { OVER, WAIT, RUN, CHECK, REST };
+enum wish { MISSING, ASKED, KEPT };
+
+struct seat { // a camera
+    struct label label;
+    struct bracket_plan plan;
+    struct exposure base;
+    double stops[BRACKET_EXPOSURES_MAX], base_stops; // log2 of what the device makes of them
+    bool armed, restarting, gains_known;
+    enum phase phase;
+    enum wish wish[BRACKET_EXPOSURES_MAX];
+    int tries[BRACKET_EXPOSURES_MAX];
+    struct bracket_evidence evidence[BRACKET_EXPOSURES_MAX];
+    int64_t begin_ns, alive_ns;
+    double slow_s;                     // longest frame before a restart: it may run on
+    int since, frames, rejected, lost; // since BEGIN; the first as ages of requests
+    int settled;                       // frames that make the reference
+    int conflicts, judged, bad, torn;  // in a row, or since the phase began
+    int refusals, forgets, restarts;   // in a row; per set
+    int target, suspect;               // index, -1: none
+    double still;                      // stops that the last frames had, NAN: not known
+    int still_since;                   // as `since`
+    enum bracket_reason cause;         // why the last frame was refused
+    int w, h;                          // of the reference
+    enum camera_format format;
+    double red, blue;
+    // actions that wait
+    bool forget, relit, restart, request, asking;
+    int keep; // index, -1: none
+    struct label_request next;
+};
+
+struct bracket {
+    enum bracket_state state;
+    enum bracket_reason reason;
+    int culprit, n;
+    struct seat seat[];
+};
+
+/* ---- life ---- */
+
+err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out)
+{
+    *out = NULL;
+    if (n < 1 || n > BRACKET_CAMERAS_MAX)
+        return err_fail(ERR_ARG, "bracket: %d cameras, not 1..%d", n, BRACKET_CAMERAS_MAX);
+    for (int i = 0; i < n; i++) {
+        err_t e = label_check(i, &cameras[i]);
+        if (e)
+            return e;
+    }
+    struct bracket *b = calloc(1, sizeof *b + (size_t)n * sizeof b->seat[0]);
+    if (!b)
+        return err_fail(ERR_NOMEM, "bracket: no memory for %d cameras", n);
+    b->n = n;
+    for (int i = 0; i < n; i++) {
+        label_init(&b->seat[i].label, &cameras[i]);
+        b->seat[i].keep = -1;
+    }
+    *out = b;
+    return OK;
+}
+
+void bracket_free(struct bracket *b)
+{
+    free(b);
+}
+
+/* ---- requests ---- */
+
+static double rounded_stops(const struct seat *c, const struct exposure *e)
+{
+    struct exposure x = label_rounded(&c->label, e);
+    return label_stops(&x);
+}
+
+static bool is_base(const struct seat *c, const struct label_request *r)
+{
+    return r && (r->index == LABEL_BASE || label_same(r->stops, c->base_stops));
+}
+
+static void request(struct seat *c, int index, int64_t now_ns)
+{
+    if (c->request || c->asking)
+        return;
+    c->request = true;
+    c->next = (struct label_request){.index = index, .asked_ns = now_ns};
+    c->next.ask = index == LABEL_BASE ? c->base : c->plan.ask[index];
+    if (index == LABEL_BASE)
+        return;
+    c->wish[index] = ASKED;
+    c->tries[index]++;
+}
+
+static bool complete(const struct seat *c)
+{
+    for (int i = 0; i < c->plan.n; i++)
+        if (c->wish[i] != KEPT)
+            return false;
+    return true;
+}
+
+/* How far it is from a frame to compare with, stops. */
+static double distance(const struct seat *c, int index)
+{
+    double best = INFINITY;
+    for (int i = 0; i < LABEL_ANCHORS; i++)
+        if (c->label.anchor[i].held)
+            best = fmin(best, fabs(c->stops[index] - c->label.anchor[i].recorded));
+    return best;
+}
+
+/* The first in the order of the plan; of those that were tried, or at rest, what is nearest to a
+ * frame to compare with: -1 none. */
+static int pick(const struct seat *c)
+{
+    int best = -1;
+    for (int i = 0; i < c->plan.n; i++) {
+        if (c->wish[i] == KEPT || (c->wish[i] == ASKED && c->phase == RUN))
+            continue;
+        if (c->tries[i] == 0 && c->phase == RUN)
+            return i;
+        if (best < 0 || distance(c, i) < distance(c, best))
+            best = i;
+    }
+    return best;
+}
+
+static void request_next(struct seat *c, int64_t now_ns)
+{
+    const struct label_request *newest = label_newest(&c->label);
+    int i = -1;
+    if (c->phase == OVER || c->restarting)
+        return;
+    if (c->phase == RUN)
+        i = pick(c);
+    if (c->phase == REST && (c->target < 0 || c->wish[c->target] == KEPT))
+        c->target = pick(c);
+    if (c->phase == REST)
+        i = c->target;
+    if (i >= 0 && (c->phase == RUN || !newest || newest->index != i))
+        request(c, i, now_ns);
+    else if (i < 0 && !is_base(c, newest))
+        request(c, LABEL_BASE, now_ns);
+}
+
+/* Asked, but cannot come any more. */
+static void give_up_passed(struct seat *c)
+{
+    bool comes[LABEL_OTHER + 1] = {false};
+    for (int i = 0; i < c->label.n; i++)
+        comes[c->label.log[i].index] |= !label_passed(&c->label, i);
+    if (c->request || c->asking)
+        comes[c->next.index] = true;
+    for (int i = 0; i < c->plan.n; i++)
+        if (c->wish[i] == ASKED && !comes[i])
+            c->wish[i] = MISSING;
+}
+
+/* ---- ends ---- */
+
+static void forget(struct seat *c)
+{
+    for (int i = 0; i < c->plan.n; i++) {
+        c->forget |= c->wish[i] == KEPT;
+        c->wish[i] = MISSING;
+        c->tries[i] = 0;
+    }
+    label_forget(&c->label, false);
+}
+
+static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason why, int64_t now_ns)
+{
+    b->state = BRACKET_FAULT;
+    b->reason = why;
+    b->culprit = culprit ? (int)(culprit - b->seat) : -1;
+    for (int i = 0; i < b->n; i++) {
+        struct seat *c = &b->seat[i];
+        c->forget = c->relit = c->restart = c->request = false;
+        if (i == b->culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
+                                why == BRACKET_DISAGREES))
+            forget(c); // whatever they were compared with is in doubt
+        label_trust(&c->label);
+        if (c->armed && !c->restarting && c->plan.n > 0 && !is_base(c, label_newest(&c->label)))
+            request(c, LABEL_BASE, now_ns);
+    }
+}
+
+static void enter(struct seat *c, enum phase p)
+{
+    c->phase = p;
+    c->conflicts = c->judged = 0;
+    c->target = -1;
+}
+
+static enum phase first_phase(const struct seat *c)
+{
+    return label_unsteady(&c->label) ? REST : RUN;
+}
+
+static void over(struct bracket *b, struct seat *c)
+{
+    enter(c, OVER);
+    for (int i = 0; i < b->n; i++)
+        if (b->seat[i].phase != OVER)
+            return;
+    b->state = BRACKET_DONE;
+}
+
+static void light_changed(struct bracket *b, struct seat *c, const struct label_look *k,
+                          int64_t now_ns)
+{
+    // once; and not into a darkness or glare where nothing could be compared
+    if (c->forgets++ || !(k->measured || k->changed)) {
+        fault(b, c, BRACKET_SCENE_CHANGED, now_ns);
+        return;
+    }
+    forget(c);
+    c->relit = true;
+    label_forget(&c->label, true);
+    label_trust(&c->label);
+    c->settled = 0;
+    c->suspect = -1;
+    enter(c, WAIT);
+}
+
+/* ---- frames ---- */
+
+static bool close_to(double a, double b)
+{
+    return fabs(a - b) <= GAINS * fabs(b);
+}
+
+/* Gains that are in the pixels. */
+static bool has_gains(const struct frame *f)
+{
+    return f->gains_known && !f->gains_later;
+}
+
+static enum bracket_reason refusal(const struct seat *c, const struct bracket_event *ev)
+{
+    const struct frame *f = ev->frame;
+    if (ev->kind == BRACKET_UNUSABLE || !ev->witness || (f->flags & (FRAME_ERROR | FRAME_SHORT)))
+        return BRACKET_BAD_FRAMES;
+    if (c->settled > 0 && (f->w != c->w || f->h != c->h || f->format != c->format))
+        return BRACKET_BAD_FRAMES;
+    if (has_gains(f) && !close_to(f->digital_gain, 1.0))
+        return BRACKET_GAINS;
+    bool moved = c->gains_known && has_gains(f) && c->phase != WAIT && c->phase != OVER &&
+                 !(close_to(f->red_gain, c->red) && close_to(f->blue_gain, c->blue));
+    return moved ? BRACKET_GAINS : BRACKET_NONE;
+}
+
+/* A frame at base while nothing runs, or in WAIT. */
+static void settle(struct seat *c, const struct bracket_event *ev)
+{
+    const struct frame *f = ev->frame;
+    bool same;
+    if (!label_rested(&c->label) || !is_base(c, label_newest(&c->label)))
+        return;
+    if (label_settle(&c->label, f, ev->witness, &same)) {
+        c->cause = BRACKET_DISAGREES;
+        c->settled = 0;
+        c->judged++;
+        return;
+    }
+    c->judged = 0;
+    c->settled = same && c->settled > 0 ? 2 : 1;
+    c->w = f->w;
+    c->h = f->h;
+    c->format = f->format;
+    c->gains_known = has_gains(f);
+    c->red = f->red_gain;
+    c->blue = f->blue_gain;
+}
+
+/* The missing exposure that entry `e` of the log stands for: -1 none. */
+static int missing_index(const struct seat *c, const struct label_request *e)
+{
+    if (e->index < c->plan.n && c->wish[e->index] != KEPT)
+        return e->index;
+    for (int i = 0; i < c->plan.n; i++)
+        if (c->wish[i] != KEPT && label_same(c->stops[i], e->stops))
+            return i;
+    return -1;
+}
+
+static void keep(struct seat *c, int i, const struct bracket_event *ev, const struct label_look *k)
+{
+    struct bracket_evidence *v = &c->evidence[i];
+    label_evidence(&c->label, ev->frame, k, v);
+    v->asked = c->plan.ask[i];
+    v->attempts = c->tries[i];
+    v->rested = c->phase != RUN;
+    label_hold(&c->label, i, ev->witness, k);
+    c->wish[i] = KEPT;
+    c->keep = i;
+}
+
+/* The exposure of the frame is known. */
+static void known(struct bracket *b, struct seat *c, const struct bracket_event *ev,
+                  const struct label_look *k)
+{
+    const struct label_request *e = &c->label.log[k->entry];
+    bool base = is_base(c, e), at_base = is_base(c, label_newest(&c->label));
+    // an exposure of before the trigger: so may the frame be
+    bool early = e->asked_ns < c->begin_ns &&
+                 (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
+    int i = missing_index(c, e);
+    c->judged = 0;
+    bool still = !k->measured || c->still_since < c->since; // a torn frame has rows of the last
+    bool at_rest = c->phase == REST && label_alone(&c->label) && still;
+    if (i >= 0 && !early && (c->phase == RUN || at_rest))
+        keep(c, i, ev, k);
+    if (!base || !at_base)
+        return;
+    if (complete(c))
+        over(b, c);
+    else if (c->phase == CHECK && label_alone(&c->label) && c->suspect >= 0)
+        fault(b, c, BRACKET_INEFFECTIVE, ev->now_ns);
+    else if (c->phase == CHECK && label_alone(&c->label))
+        enter(c, REST);
+}
+
+/* At rest, and still not what was asked for. */
+static void judge(struct bracket *b, struct seat *c, const struct label_look *k, int64_t now_ns)
+{
+    const struct label_request *e = label_newest(&c->label);
+    double tolerance = c->label.cfg.tolerance;
+    if (++c->judged < JUDGED_MAX)
+        return;
+    // nothing has moved since before the request
+    bool still = c->since - c->still_since > e->age_hi - c->label.lo + 1 && !isnan(c->still) &&
+                 fabs(e->stops - e->from) > 2.0 * tolerance;
+    if (k->disagrees)
+        fault(b, c, BRACKET_DISAGREES, now_ns);
+    else if (still)
+        fault(b, c, BRACKET_INEFFECTIVE, now_ns);
+    else if (c->phase == CHECK)
+        light_changed(b, c, k, now_ns);
+    else {
+        c->suspect = c->target;
+        enter(c, CHECK);
+    }
+}
+
+/* The delay is another one, or a flash of light made a frame look like its neighbour; then others
+ * may have been mistaken too. */
+static void shifted(struct seat *c)
+{
+    label_doubt(&c->label);
+    forget(c);
+    if (c->phase == RUN)
+        enter(c, CHECK);
+}
+
+static bool tried_in_vain(const struct seat *c)
+{
+    for (int i = 0; i < c->plan.n; i++)
+        if (c->wish[i] == MISSING && c->tries[i] >= TRIES_MAX)
+            return true;
+    return false;
+}
+
+static void look_at(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    struct label_look k;
+    label_look(&c->label, ev->frame, ev->witness, &k);
+    bool rested = label_rested(&c->label);
+    if (!k.measured || !(fabs(k.stops - c->still) <= 0.5 * c->label.cfg.tolerance)) {
+        c->still = k.measured ? k.stops : NAN;
+        c->still_since = c->since;
+    }
+    c->torn = k.torn ? c->torn + 1 : 0;
+    if (k.torn && c->torn <= TORN_MAX) {
+        c->rejected++;
+        c->cause = BRACKET_BAD_FRAMES;
+        give_up_passed(c);
+        return;
+    }
+    if (k.verdict == LABEL_SHIFTED)
+        shifted(c);
+    if (k.verdict == LABEL_PROVEN && c->phase == RUN)
+        label_narrow(&c->label, &k);
+    if (k.verdict == LABEL_PROVEN || (k.verdict == LABEL_BLIND && rested && c->phase != RUN))
+        known(b, c, ev, &k);
+    if (k.verdict == LABEL_CONFLICT) {
+        c->rejected++;
+        c->conflicts++;
+        c->cause = k.disagrees ? BRACKET_DISAGREES
+                   : k.changed ? BRACKET_SCENE_CHANGED
+                               : BRACKET_INEFFECTIVE;
+        if (rested && c->phase != RUN)
+            judge(b, c, &k, ev->now_ns);
+    }
+    give_up_passed(c);
+    if (c->phase == RUN && (c->conflicts >= CONFLICTS_MAX || tried_in_vain(c) ||
+                            (rested && is_base(c, label_newest(&c->label)))))
+        enter(c, CHECK);
+}
+
+static void refuse(struct bracket *b, struct seat *c, enum bracket_reason why, int64_t now_ns)
+{
+    c->rejected++;
+    c->cause = why;
+    if (++c->bad >= BAD_MAX)
+        fault(b, c, why, now_ns);
+}
+
+static void wait_at_base(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    settle(c, ev);
+    if (c->judged >= BAD_MAX)
+        fault(b, c, BRACKET_DISAGREES, ev->now_ns);
+    else if (c->settled >= 2)
+        enter(c, first_phase(c));
+}
+
+static void shoot(struct bracket *b, struct seat *c, const struct bracket_event *ev,
+                  enum bracket_reason why)
+{
+    if (why)
+        refuse(b, c, why, ev->now_ns);
+    else if (c->restarting)
+        return;
+    else {
+        c->bad = 0;
+        if (c->phase == WAIT)
+            wait_at_base(b, c, ev);
+        else
+            look_at(b, c, ev);
+    }
+    if (b->state != BRACKET_SHOOTING)
+        return;
+    if (c->frames >= FRAMES_MAX * (c->plan.n + c->label.doubt))
+        fault(b, c, c->cause, ev->now_ns);
+    else
+        request_next(c, ev->now_ns);
+}
+
+static void on_frame(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    const struct frame *f = ev->frame;
+    bool shooting = b->state == BRACKET_SHOOTING && c->phase != OVER;
+    bool repeated = f && label_duplicate(&c->label, f);
+    if (shooting) {
+        c->frames++;
+        c->alive_ns = ev->now_ns;
+    }
+    if (!f || repeated) {
+        if (shooting)
+            refuse(b, c, BRACKET_BAD_FRAMES, ev->now_ns);
+        return;
+    }
+    int gap = label_advance(&c->label, f, ev->now_ns);
+    c->since += gap;
+    c->lost += gap - 1;
+    enum bracket_reason why = refusal(c, ev);
+    if (shooting)
+        shoot(b, c, ev, why);
+    else if (c->armed && !why)
+        settle(c, ev);
+}
+
+/* ---- other events ---- */
+
+static void arm(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    if (b->state == BRACKET_DONE || b->state == BRACKET_FAULT)
+        for (int i = 0; i < b->n; i++)
+            b->seat[i].armed = false;
+    c->armed = true;
+    c->base = ev->set;
+    c->base_stops = rounded_stops(c, &ev->set);
+    c->restarting = c->asking = c->request = false;
+    c->phase = OVER;
+    c->plan.n = 0;
+    c->settled = c->judged = 0;
+    label_forget(&c->label, true);
+    label_restart(&c->label, &ev->set, ev->now_ns);
+    b->state = BRACKET_ARMED;
+    b->reason = BRACKET_NONE;
+    for (int i = 0; i < b->n; i++)
+        if (!b->seat[i].armed)
+            b->state = BRACKET_IDLE;
+}
+
+static bool valid(const struct exposure *e)
+{
+    return e->time_s > 0.0 && e->time_s < 1e6 && e->gain >= 1.0 && e->gain < 1e6;
+}
+
+static err_t check_plan(const struct bracket *b, const struct bracket_plan *plan)
+{
+    int wanted = 0;
+    for (int c = 0; c < b->n; c++) {
+        const struct bracket_camera *cfg = &b->seat[c].label.cfg;
+        if (plan[c].n < 0 || plan[c].n > BRACKET_EXPOSURES_MAX)
+            return err_fail(ERR_ARG, "camera %d: a plan of %d exposures, not 0..%d", c, plan[c].n,
+                            BRACKET_EXPOSURES_MAX);
+        for (int i = 0; i < plan[c].n; i++) {
+            const struct exposure *e = &plan[c].ask[i];
+            if (!valid(e) || e->time_s < cfg->time_min_s * (1.0 - RANGE) ||
+                e->time_s > cfg->time_max_s * (1.0 + RANGE))
+                return err_fail(ERR_ARG,
+                                "camera %d: exposure %d of the plan is %g s at gain %g, not "
+                                "%g..%g s at a gain of at least 1",
+                                c, i, e->time_s, e->gain, cfg->time_min_s, cfg->time_max_s);
+        }
+        wanted += plan[c].n;
+    }
+    return wanted > 0 ? OK : err_fail(ERR_ARG, "a plan without exposures");
+}
+
+static err_t begin(struct bracket *b, const struct bracket_event *ev)
+{
+    bool ready = b->state == BRACKET_ARMED || b->state == BRACKET_DONE;
+    for (int i = 0; i < b->n; i++)
+        ready = ready && b->seat[i].armed;
+    if (!ready || !ev->plan)
+        return err_fail(ERR_ARG, "a bracket begins with a plan and when every camera streams");
+    err_t e = check_plan(b, ev->plan);
+    if (e)
+        return e;
+    b->state = BRACKET_SHOOTING;
+    for (int i = 0; i < b->n; i++) {
+        struct seat *c = &b->seat[i];
+        c->plan = ev->plan[i];
+        for (int k = 0; k < c->plan.n; k++)
+            c->stops[k] = rounded_stops(c, &c->plan.ask[k]);
+        memset(c->wish, 0, sizeof c->wish);
+        memset(c->tries, 0, sizeof c->tries);
+        label_forget(&c->label, false);
+        for (int k = 0; k < c->label.n; k++) // of the plan before
+            if (c->label.log[k].index != LABEL_BASE)
+                c->label.log[k].index = LABEL_OTHER;
+        c->begin_ns = c->alive_ns = ev->now_ns;
+        c->since = c->suspect = -1;
+        c->frames = c->rejected = c->lost = c->bad = c->torn = 0;
+        c->refusals = c->forgets = c->restarts = 0;
+        c->slow_s = 0.0;
+        c->still = NAN;
+        c->cause = BRACKET_BAD_FRAMES;
+        enter(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? first_phase(c) : WAIT);
+        request_next(c, ev->now_ns);
+    }
+    return OK;
+}
+
+static void answered(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    if (!c->asking)
+        return;
+    c->asking = false;
+    if (!ev->err) {
+        c->refusals = 0;
+        c->next.set = ev->set;
+        c->next.answered_ns = ev->now_ns;
+        label_asked(&c->label, &c->next);
+        return;
+    }
+    if (b->state != BRACKET_SHOOTING || c->phase == OVER)
+        return;
+    if (c->next.index != LABEL_BASE && c->wish[c->next.index] == ASKED)
+        c->wish[c->next.index] = MISSING;
+    if (ev->err == ERR_LOST)
+        fault(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+    else if (++c->refusals >= REFUSALS_MAX)
+        fault(b, c, BRACKET_REFUSED, ev->now_ns);
+}
+
+static void lost(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    c->armed = c->asking = c->restarting = c->request = false;
+    c->settled = 0;
+    if (b->state == BRACKET_SHOOTING && c->plan.n > 0)
+        fault(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+    else if (b->state == BRACKET_ARMED)
+        b->state = BRACKET_IDLE;
+}
+
+static void opened(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+{
+    if (!c->restarting)
+        return;
+    c->restarting = c->asking = c->request = false;
+    c->alive_ns = ev->now_ns;
+    c->slow_s = label_longest_s(&c->label);
+    label_restart(&c->label, NULL, ev->now_ns);
+    give_up_passed(c);
+    enter(c, c->settled >= 2 ? CHECK : WAIT);
+    if (b->state == BRACKET_SHOOTING)
+        request_next(c, ev->now_ns);
+}
+
+static int64_t deadline(const struct seat *c)
+{
+    double wait_s = WAITS * fmax(label_longest_s(&c->label), c->slow_s) + PATIENCE_S;
+    int64_t ns = (int64_t)fmin(wait_s * 1e9, 9e18);
+    return c->alive_ns > INT64_MAX - ns ? INT64_MAX : c->alive_ns + ns;
+}
+
+static void tick(struct bracket *b, int64_t now_ns)
+{
+    for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++) {
+        struct seat *c = &b->seat[i];
+        if (c->phase == OVER || now_ns < deadline(c))
+            continue;
+        if (c->restarts++) {
+            fault(b, c, BRACKET_STALLED, now_ns);
+            return;
+        }
+        c->restarting = c->restart = true;
+        c->request = false;
+        c->alive_ns = now_ns;
+    }
+}
+
+static err_t check_event(const struct bracket *b, const struct bracket_event *ev)
+{
+    bool of_camera =
+        ev->kind != BRACKET_BEGIN && ev->kind != BRACKET_TICK && ev->kind != BRACKET_CANCEL;
+    if (of_camera && (ev->camera < 0 || ev->camera >= b->n))
+        return err_fail(ERR_ARG, "an event of camera %d, not 0..%d", ev->camera, b->n - 1);
+    if (ev->kind == BRACKET_ARM && (b->state == BRACKET_SHOOTING || !valid(&ev->set)))
+        return err_fail(ERR_ARG, "camera %d: cannot be armed at %g s and gain %g%s", ev->camera,
+                        ev->set.time_s, ev->set.gain,
+                        b->state == BRACKET_SHOOTING ? " while a bracket runs" : "");
+    if (ev->kind == BRACKET_FRAME && !ev->frame)
+        return err_fail(ERR_ARG, "camera %d: a frame is told, but not given", ev->camera);
+    if (ev->kind == BRACKET_ANSWER && !ev->err && !valid(&ev->set))
+        return err_fail(ERR_ARG, "camera %d: has set %g s at gain %g, which is no exposure",
+                        ev->camera, ev->set.time_s, ev->set.gain);
+    return OK;
+}
+
+err_t bracket_event(struct bracket *b, const struct bracket_event *ev)
+{
+    err_t e = check_event(b, ev);
+    if (e)
+        return e;
+    struct seat *c = &b->seat[ev->camera >= 0 && ev->camera < b->n ? ev->camera : 0];
+    switch (ev->kind) {
+    case BRACKET_ARM:
+        arm(b, c, ev);
+        break;
+    case BRACKET_BEGIN:
+        return begin(b, ev);
+    case BRACKET_ANSWER:
+        answered(b, c, ev);
+        break;
+    case BRACKET_FRAME:
+    case BRACKET_UNUSABLE:
+        on_frame(b, c, ev);
+        break;
+    case BRACKET_LOST:
+        lost(b, c, ev);
+        break;
+    case BRACKET_OPENED:
+        opened(b, c, ev);
+        break;
+    case BRACKET_TICK:
+        tick(b, ev->now_ns);
+        break;
+    case BRACKET_CANCEL:
+        if (b->state == BRACKET_SHOOTING)
+            fault(b, NULL, BRACKET_CANCELLED, ev->now_ns);
+        break;
+    }
+    return OK;
+}
+
+bool bracket_action(struct bracket *b, struct bracket_action *out)
+{
+    for (int i = 0; i < b->n; i++) {
+        struct seat *c = &b->seat[i];
+        *out = (struct bracket_action){.camera = i};
+        if (c->forget || c->relit) {
+            out->kind = BRACKET_FORGET;
+            out->index = c->relit;
+            c->relit = false;
+            c->forget = false;
+        } else if (c->keep >= 0) {
+            out->kind = BRACKET_KEEP;
+            out->index = c->keep;
+            out->exposure = c->evidence[c->keep].exposure;
+            c->keep = -1;
+        } else if (c->restart) {
+            out->kind = BRACKET_RESTART;
+            c->restart = false;
+        } else if (c->request) {
+            out->kind = BRACKET_REQUEST;
+            out->index = c->next.index;
+            out->exposure = c->next.ask;
+            c->request = false;
+            c->asking = true;
+        } else {
+            continue;
+        }
+        return true;
+    }
+    return false;
+}
+
+void bracket_light(struct bracket *b, int camera, const struct flicker_light *light)
+{
+    b->seat[camera].label.light = *light;
+}
+
+/* ---- what it says ---- */
+
+enum bracket_state bracket_state(const struct bracket *b)
+{
+    return b->state;
+}
+
+enum bracket_reason bracket_reason(const struct bracket *b, int *camera)
+{
+    *camera = b->state == BRACKET_FAULT ? b->culprit : -1;
+    return b->state == BRACKET_FAULT ? b->reason : BRACKET_NONE;
+}
+
+const char *bracket_sentence(enum bracket_reason r)
+{
+    static const char *const say[BRACKET_REASONS] = {
+        [BRACKET_NONE] = "nothing is wrong",
+        [BRACKET_DEVICE_LOST] = "the camera was unplugged",
+        [BRACKET_STALLED] = "the camera sends no frames, also after a restart",
+        [BRACKET_INEFFECTIVE] = "the camera takes the exposure, but the pictures do not show it",
+        [BRACKET_SCENE_CHANGED] = "the light or the scene changed twice during the bracket",
+        [BRACKET_DISAGREES] = "the camera reports an exposure that the pictures do not have",
+        [BRACKET_GAINS] = "the camera changes its digital gain or white balance by itself",
+        [BRACKET_BAD_FRAMES] = "too many frames are lost or damaged",
+        [BRACKET_REFUSED] = "the camera does not take the exposure",
+        [BRACKET_CANCELLED] = "cancelled",
+    };
+    return r >= 0 && r < BRACKET_REASONS ? say[r] : "unknown";
+}
+
+const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index)
+{
+    if (camera < 0 || camera >= b->n || index < 0 || index >= b->seat[camera].plan.n)
+        return NULL;
+    const struct seat *c = &b->seat[camera];
+    return c->wish[index] == KEPT ? &c->evidence[index] : NULL;
+}
+
+void bracket_progress(const struct bracket *b, struct bracket_progress *out)
+{
+    *out = (struct bracket_progress){0};
+    for (int i = 0; i < b->n; i++) {
+        const struct seat *c = &b->seat[i];
+        for (int k = 0; k < c->plan.n; k++)
+            out->kept += c->wish[k] == KEPT;
+        out->wanted += c->plan.n;
+        out->frames = c->frames > out->frames ? c->frames : out->frames;
+        out->rejected += c->rejected;
+        out->lost += c->lost;
+        out->resting |= c->phase == CHECK || c->phase == REST || c->phase == WAIT;
+    }
+}
+
+int64_t bracket_deadline(const struct bracket *b)
+{
+    int64_t first = INT64_MAX;
+    for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++)
+        if (b->seat[i].phase != OVER && deadline(&b->seat[i]) < first)
+            first = deadline(&b->seat[i]);
+    return first;
+}

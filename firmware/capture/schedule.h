@@ -1,0 +1,40 @@
+/* schedule.h - which exposures a camera is asked for.
+ * Pure; any thread. */
+#ifndef CAPTURE_SCHEDULE_H
+#define CAPTURE_SCHEDULE_H
+
+#include "firmware/base/config.h"
+#include "firmware/capture/roll.h"
+#include "firmware/capture/session.h"
+
+/* The order for a press, by settings that config_check_rig has read. */
+void schedule_order(const struct config *c, int64_t press_ns, struct session_order *o);
+
+/* Whether probes are needed: for the exposures, or for the middle one of a list. */
+bool schedule_is_metered(const struct session_order *o);
+
+/* The most frames that a take of that order keeps of one camera. */
+int schedule_frames(const struct session_order *o);
+
+/* The plan for a probe, which is its last exposure, from a reference at base_s: links between them,
+ * if they are so far apart that pixels could not tell one from the other. Time 0: no plan. */
+void schedule_probe(double time_s, double base_s, const struct camera_info *info,
+                    struct bracket_plan *out);
+
+/* What the device cannot do of that; NULL: nothing. */
+const char *schedule_limit(const struct session_order *o, const struct camera_info *info,
+                           const struct meter_result *r);
+
+/* The plan of one camera. In an automatic bracket, probes that serve as exposures are marked as
+ * used and not asked for again. In stagger mode the camera takes one exposure, number `turn` of
+ * those of a full bracket, round and round; probes do not count then.
+ * r: what the meter says, if it was asked. */
+void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
+                    const struct meter_result *r, struct roll *roll, struct bracket_plan *out);
+
+/* Exposures that hold whole periods of a light that flickers, if they are near: at most a quarter
+ * stop from what a list asks for, half a stop from what was metered. */
+void schedule_steady(const struct session_order *o, const struct take_camera *c,
+                     struct bracket_plan *io);
+
+#endif

@@ -1,0 +1,774 @@
+/* One machine for the rig (bracket.h) and a meter for each camera. A take is a row of plans for the
+ * machine: probes until every meter knows enough, the exposures that probes do not already give,
+ * and at most one more where the pictures show that something is not covered. Kept frames of all
+ * plans are pooled and sorted by exposure at the end. */
+#include "firmware/capture/session.h"
+
+#include "firmware/base/backends.h"
+#include "firmware/base/clocks.h"
+#include "firmware/capture/schedule.h"
+#include "firmware/capture/session_inner.h"
+#include "firmware/capture/view.h"
+
+#include "core/base/log.h"
+#include "drivers/format/thin.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define SECOND INT64_C(1000000000)
+
+enum { RETRY_S = 1, SETTLE = 12 }; // s; frames until a request is surely in force
+
+#define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
+#define BASE_S 0.01          // exposure while armed, to begin with
+
+int64_t session_now(const struct session *s)
+{
+    int64_t now = INT64_MAX;
+    for (int i = 0; i < s->n; i++) {
+        int64_t t = s->cam[i].open ? backends_now(s->cam[i].ops, s->cam[i].st) : INT64_MAX;
+        now = t < now ? t : now;
+    }
+    return now < INT64_MAX ? now : clocks_now();
+}
+
+/* ---- opening ---- */
+
+static err_t name_camera(const struct cam *c, err_t e)
+{
+    return err_fail(e, "%s: %s", c->about.uri, err_text());
+}
+
+static err_t open_camera(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    struct camera_cfg cfg = {c->about.uri, s->cfg.w, s->cfg.h, s->cfg.format, 0};
+    struct camera_info info;
+    err_t e = c->ops->open(c->st, &cfg);
+    if (e)
+        return name_camera(c, e);
+    c->ops->info(c->st, &info);
+    c->open = true;
+    c->view = (struct session_view){.present = true};
+    c->about.info = info;
+    return OK;
+}
+
+static void close_camera(struct cam *c)
+{
+    if (c->open)
+        c->ops->close(c->st);
+    c->open = false;
+    c->view.present = false;
+}
+
+static err_t prepare_camera(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    if (strlen(s->cfg.uri[i]) >= sizeof c->about.uri)
+        return err_fail(ERR_ARG, "camera %d: URI longer than %zu bytes", i + 1,
+                        sizeof c->about.uri - 1);
+    strcpy(c->about.uri, s->cfg.uri[i]);
+    err_t e = backends_camera(c->about.uri, &c->ops);
+    if (e)
+        return e;
+    c->st = calloc(1, c->ops->state_bytes);
+    if (!c->st)
+        return err_fail(ERR_NOMEM, "%s: no memory", c->about.uri);
+    e = open_camera(s, i);
+    if (!e && s->cfg.calibration && c->about.info.unit[0])
+        e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
+    c->about.has_crf = c->calibrated && c->calib.has_crf;
+    c->about.crf = c->calib.crf;
+    return e;
+}
+
+static err_t make_machine(struct session *s)
+{
+    struct bracket_camera about[BRACKET_CAMERAS_MAX];
+    size_t most = 0;
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        size_t count = thin_count(&c->about.info);
+        if (!count)
+            return err_fail(ERR_UNSUPPORTED, "%s: pictures of %dx%d px cannot be read",
+                            c->about.uri, c->about.info.w, c->about.info.h);
+        most = count > most ? count : most;
+        calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about[i]);
+    }
+    s->sample.px = malloc(most * sizeof *s->sample.px);
+    if (!s->sample.px)
+        return err_fail(ERR_NOMEM, "cameras: no memory for a picture");
+    return bracket_new(about, s->n, &s->machine);
+}
+
+static err_t arm(struct session *s);
+
+err_t session_open(const struct session_config *cfg, struct session **out)
+{
+    *out = NULL;
+    if (cfg->n < 1 || cfg->n > BRACKET_CAMERAS_MAX)
+        return err_fail(ERR_ARG, "%d cameras, 1..%d are possible", cfg->n, BRACKET_CAMERAS_MAX);
+    struct session *s = calloc(1, sizeof *s);
+    if (!s)
+        return err_fail(ERR_NOMEM, "cameras: no memory");
+    s->cfg = *cfg;
+    err_t e = OK;
+    for (s->n = 0; !e && s->n < cfg->n; s->n++)
+        e = prepare_camera(s, s->n);
+    if (!e)
+        e = make_machine(s);
+    if (!e)
+        e = arm(s);
+    if (e) {
+        session_close(s);
+        return e;
+    }
+    *out = s;
+    return OK;
+}
+
+void session_close(struct session *s)
+{
+    if (!s)
+        return;
+    for (int i = 0; i < s->n; i++) {
+        roll_cut(&s->cam[i].roll, 0);
+        close_camera(&s->cam[i]);
+        free(s->cam[i].st);
+    }
+    bracket_free(s->machine);
+    free(s->sample.px);
+    free(s);
+}
+
+/* ---- the machine's wishes ---- */
+
+static err_t keep(struct session *s, const struct bracket_action *a, const struct frame *f)
+{
+    struct cam *c = &s->cam[a->camera];
+    struct take_frame t = {.camera = a->camera,
+                           .index = a->index,
+                           .evidence = *bracket_evidence(s->machine, a->camera, a->index)};
+    size_t held = f->bytes;
+    for (int i = 0; i < s->n; i++)
+        held += roll_bytes(&s->cam[i].roll);
+    if (s->cfg.memory && held > s->cfg.memory)
+        return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
+                        held / 1000000, s->cfg.memory / 1000000);
+    if (s->phase == PHASE_PROBE && a->index + 1 < s->plan[a->camera].n)
+        return OK; // a link
+    t.start = clocks_at(t.evidence.start_ns);
+    return roll_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
+}
+
+/* Frames of this plan; what was seen in another light serves no more, probes neither. */
+static void forget(struct session *s, const struct bracket_action *a)
+{
+    struct cam *c = &s->cam[a->camera];
+    bool relit = a->index == 1;
+    s->relit = s->relit || (relit && c->n_before > 0);
+    roll_cut(&c->roll, relit ? 0 : c->n_before);
+}
+
+static err_t request(struct session *s, const struct bracket_action *a, int64_t now)
+{
+    struct cam *c = &s->cam[a->camera];
+    struct bracket_event answer = {
+        .kind = BRACKET_ANSWER, .now_ns = now, .camera = a->camera, .err = ERR_LOST};
+    if (c->open)
+        answer.err = c->ops->request(c->st, &a->exposure, &answer.set);
+    if (!answer.err)
+        c->set = answer.set;
+    return bracket_event(s->machine, &answer);
+}
+
+static void lose(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    log_warn("%s: %s", c->about.uri, err_text());
+    close_camera(c);
+    c->retry_ns = clocks_now() + RETRY_S * SECOND; // it may have no clock any more
+    s->lost = true;
+}
+
+static err_t restart(struct session *s, int i, int64_t now)
+{
+    struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
+    log_warn("%s: no frames come, starting it again", s->cam[i].about.uri);
+    close_camera(&s->cam[i]);
+    if (open_camera(s, i) != OK) {
+        lose(s, i);
+        ev.kind = BRACKET_LOST;
+    }
+    return bracket_event(s->machine, &ev);
+}
+
+/* Tell the machine, and do what it wants. f: the frame of the event. */
+static err_t tell(struct session *s, const struct bracket_event *ev, const struct frame *f)
+{
+    struct bracket_action a;
+    err_t e = bracket_event(s->machine, ev);
+    while (!e && bracket_action(s->machine, &a)) {
+        if (a.kind == BRACKET_REQUEST)
+            e = request(s, &a, ev->now_ns);
+        else if (a.kind == BRACKET_KEEP && f) // nothing else is kept
+            e = keep(s, &a, f);
+        else if (a.kind == BRACKET_FORGET)
+            forget(s, &a);
+        else if (a.kind == BRACKET_RESTART)
+            e = restart(s, a.camera, ev->now_ns);
+    }
+    return e;
+}
+
+/* ---- frames ---- */
+
+/* What the status page shows. */
+static void look(const struct session *s, struct cam *c, int64_t now)
+{
+    c->look_ns = now + LOOK_NS;
+    c->looked = true;
+    c->view.exposure = c->set;
+    view_look(&s->sample, &c->view);
+}
+
+static bool shooting(const struct session *s)
+{
+    return bracket_state(s->machine) == BRACKET_SHOOTING;
+}
+
+/* While nothing runs, most frames only count; their pixels are looked at now and then. */
+static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
+{
+    struct cam *c = &s->cam[i];
+    struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
+    bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
+    bool trouble = s->phase == PHASE_TROUBLE;
+    if (!bad && (shooting(s) || view || trouble)) {
+        bad = thin_run(&c->about.info, f, &s->sample) != OK;
+        if (!bad && view)
+            look(s, c, now);
+        if (!bad)
+            witness_take(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->witness);
+        ev.witness = bad ? NULL : &s->witness;
+    }
+    if (bad)
+        ev.kind = BRACKET_UNUSABLE;
+    err_t e = tell(s, &ev, f);
+    if (!e && trouble && ev.witness)
+        e = session_trouble_see(s, i, f, ev.witness);
+    c->ops->release(c->st, f);
+    return e;
+}
+
+/* At most what its buffers hold, so that others get their turn. */
+static err_t drain(struct session *s, int i)
+{
+    struct cam *c = &s->cam[i];
+    err_t e = OK;
+    for (int n = c->about.info.buffers; n > 0 && c->open && !e; n--) {
+        struct frame f;
+        int64_t now = backends_now(c->ops, c->st); // looking at a frame takes time
+        struct bracket_event ev = {.now_ns = now, .camera = i};
+        err_t got = c->ops->next(c->st, &f);
+        if (got == ERR_AGAIN)
+            return OK;
+        if (got == OK) {
+            e = take_frame(s, i, &f, now);
+            continue;
+        }
+        if (got == ERR_LOST)
+            lose(s, i);
+        ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
+        e = tell(s, &ev, NULL);
+    }
+    return e;
+}
+
+/* ---- lost and found ---- */
+
+static bool same_device(const struct camera_info *a, const struct camera_info *b)
+{
+    return strcmp(a->unit, b->unit) == 0 && a->w == b->w && a->h == b->h && a->format == b->format;
+}
+
+/* A camera that does not take it is as good as lost. Returns the first error; the others are
+ * armed. */
+err_t session_arm(struct session *s, int i, double base_s)
+{
+    struct cam *c = &s->cam[i];
+    const struct camera_info *info = &c->about.info;
+    struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i};
+    struct exposure ask = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
+    if (base_s > 0) {
+        err_t e = c->ops->request(c->st, &ask, &c->set);
+        if (!e && fabs(log2(c->set.time_s / ask.time_s)) > 0.1) // reads back what was before?
+            e = c->ops->request(c->st, &ask, &c->set);
+        if (e) {
+            e = name_camera(c, e);
+            lose(s, i);
+            return e;
+        }
+    }
+    ev.now_ns = backends_now(c->ops, c->st);
+    ev.set = c->set;
+    c->looked = false;
+    c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
+    return tell(s, &ev, NULL);
+}
+
+static err_t arm(struct session *s)
+{
+    err_t first = OK;
+    for (int i = 0; i < s->n; i++) {
+        if (!s->cam[i].open)
+            continue;
+        err_t e = session_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
+        first = first ? first : e;
+    }
+    return first;
+}
+
+static double better_base(const struct cam *c)
+{
+    return view_base(&c->view, &c->about.info, c->set.time_s);
+}
+
+static err_t adapt(struct session *s, int i)
+{
+    const struct cam *c = &s->cam[i];
+    bool waits = c->open && c->looked && s->phase == PHASE_NONE && !s->ready;
+    double t = waits ? better_base(c) : 0;
+    return t > 0 ? session_arm(s, i, t) : OK;
+}
+
+bool session_settled(const struct session *s)
+{
+    for (int i = 0; i < s->n; i++)
+        if (!s->cam[i].looked || better_base(&s->cam[i]) > 0)
+            return false;
+    return true;
+}
+
+static err_t find_lost(struct session *s)
+{
+    int64_t now = clocks_now();
+    bool lost = false;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct camera_info before = c->about.info;
+        if (!c->open && now >= c->retry_ns) {
+            c->retry_ns = now + RETRY_S * SECOND;
+            c->set.time_s = 0;
+            if (open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
+                log_warn("%s: came back as %s %dx%d, was %s %dx%d", c->about.uri,
+                         c->about.info.unit, c->about.info.w, c->about.info.h, before.unit,
+                         before.w, before.h);
+                close_camera(c);
+                c->about.info = before;
+            } else if (c->open)
+                log_info("%s: there again", c->about.uri);
+        }
+        lost = lost || !c->open;
+    }
+    bool found = s->lost && !lost;
+    s->lost = lost;
+    err_t e = found ? arm(s) : OK;
+    return e == ERR_NOMEM ? e : OK;
+}
+
+/* ---- a take ---- */
+
+static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
+{
+    struct bracket_event ev = {.kind = BRACKET_BEGIN, .now_ns = now, .plan = s->plan};
+    s->phase = phase;
+    for (int i = 0; i < s->n; i++)
+        schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
+    for (int i = 0; i < s->n; i++)
+        s->cam[i].n_before = s->cam[i].roll.n;
+    return tell(s, &ev, NULL);
+}
+
+static int planned(const struct session *s)
+{
+    int n = 0;
+    for (int i = 0; i < s->n; i++)
+        n += s->plan[i].n;
+    return n;
+}
+
+/* Only now: a kept frame may still be forgotten while its plan runs. */
+static err_t meter_probes(struct session *s)
+{
+    err_t e = OK;
+    for (int i = 0; i < s->n && !e; i++) {
+        struct cam *c = &s->cam[i];
+        e = roll_meter(&c->roll, c->n_before, &c->about, &s->sample, &c->meter);
+    }
+    return e;
+}
+
+static void plan_probes(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        schedule_probe(meter_probe(&c->meter), c->set.time_s, &c->about.info, &s->plan[i]);
+    }
+}
+
+static err_t begin_meters(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        const struct camera_info *info = &c->about.info;
+        struct raw kind = thin_kind(info);
+        struct meter_config m;
+        bool known = c->calibrated && c->calib.time_max_s > 0;
+        meter_defaults(&kind, known ? c->calib.time_min_s : info->time_min_s,
+                       known ? c->calib.time_max_s : info->time_max_s, info->time_step_s, &m);
+        if (s->order.snr > 0)
+            m.snr = s->order.snr;
+        m.exposures_max = BRACKET_EXPOSURES_MAX;
+        err_t e = meter_begin(&m, &c->meter);
+        if (e)
+            return name_camera(c, e);
+    }
+    return OK;
+}
+
+static err_t plan_shots(struct session *s)
+{
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        if (schedule_is_metered(&s->order) && meter_plan(&c->meter, &c->plan) != OK)
+            return name_camera(c, ERR_ARG);
+        schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
+    }
+    s->turn += s->order.stagger;
+    return OK;
+}
+
+/* Note what is covered; plan one more exposure where it helps; false: nothing to do. */
+static bool plan_extension(struct session *s)
+{
+    bool any = false;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct meter_cover cover;
+        s->plan[i].n = 0;
+        roll_cover(&c->roll, &c->about, &c->meter.cfg, &cover);
+        c->plan.clipped = cover.clipped;
+        c->plan.dark = cover.dark;
+        if (!(cover.extend_s > 0) || roll_used(&c->roll) >= BRACKET_EXPOSURES_MAX)
+            continue;
+        s->plan[i] = (struct bracket_plan){.n = 1, .ask = {{cover.extend_s, 1}}};
+        any = true;
+    }
+    return any;
+}
+
+static void finish(struct session *s, bool complete)
+{
+    s->complete = complete;
+    s->ready = true;
+    s->phase = PHASE_NONE;
+}
+
+static void note_limits(struct session *s)
+{
+    for (int i = 0; i < s->n && s->complete && !s->note[0]; i++) {
+        const char *limit = schedule_limit(&s->order, &s->cam[i].about.info, &s->cam[i].plan);
+        if (limit)
+            snprintf(s->note, sizeof s->note, "camera %d: %s", i + 1, limit);
+    }
+}
+
+static err_t start_plans(struct session *s, int64_t now);
+
+/* The plan that ran is done: the next one, or the end. */
+static err_t advance(struct session *s, int64_t now)
+{
+    err_t e = OK;
+    enum phase next = s->phase;
+    if (s->relit && s->again)
+        return err_fail(ERR_CANCELLED, "%s", bracket_sentence(BRACKET_SCENE_CHANGED));
+    if (s->relit) {
+        s->relit = false;
+        s->again = true;
+        return start_plans(s, now);
+    }
+    if (s->phase == PHASE_PROBE) {
+        e = meter_probes(s);
+        plan_probes(s);
+        if (!e && planned(s) == 0) {
+            e = plan_shots(s);
+            next = PHASE_SHOOT;
+        }
+    } else if (s->order.mode == SESSION_AUTO && !s->order.stagger && s->order.verify &&
+               plan_extension(s) && s->phase == PHASE_SHOOT)
+        next = PHASE_EXTEND;
+    else {
+        finish(s, true);
+        return OK;
+    }
+    if (e)
+        return e;
+    if (planned(s) == 0) { // probes were enough
+        s->phase = next;
+        return advance(s, now);
+    }
+    return begin_plan(s, next, now);
+}
+
+static void fail(struct session *s, const char *why)
+{
+    snprintf(s->reason, sizeof s->reason, "%s", why);
+    finish(s, false);
+}
+
+static err_t faulted(struct session *s)
+{
+    int i = 0;
+    enum bracket_reason r = bracket_reason(s->machine, &i);
+    if (!s->cancelled)
+        session_trouble_sentence(s, i, r);
+    if (!s->cancelled && session_trouble_is_light(s, r))
+        return session_trouble_begin(s);
+    finish(s, false);
+    return OK;
+}
+
+/* While the light is looked at: again, if it is the reason. */
+static err_t follow_trouble(struct session *s, int64_t now)
+{
+    enum session_outcome what = SESSION_STEADY;
+    err_t e = s->cancelled || s->lost ? OK : session_trouble_end(s, &what);
+    if (!e && what == SESSION_FLICKERS)
+        return start_plans(s, now);
+    if (e || what == SESSION_STEADY)
+        finish(s, false);
+    return OK;
+}
+
+/* Where the machine has come to. */
+static err_t follow(struct session *s, int64_t now)
+{
+    struct bracket_progress p;
+    err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now) : OK;
+    while (s->phase != PHASE_NONE && s->phase != PHASE_TROUBLE && !e && !shooting(s)) {
+        bracket_progress(s->machine, &p);
+        s->frames_used += p.frames;
+        s->rejected += p.rejected;
+        if (bracket_state(s->machine) == BRACKET_DONE)
+            e = advance(s, now);
+        else
+            e = faulted(s);
+    }
+    if (e && s->phase != PHASE_NONE) {
+        fail(s, err_text());
+        e = OK;
+    }
+    return e;
+}
+
+/* From the beginning: meters know nothing, no frame is kept. */
+static err_t start_plans(struct session *s, int64_t now)
+{
+    bool metered = schedule_is_metered(&s->order);
+    s->reason[0] = 0;
+    for (int i = 0; i < s->n; i++)
+        roll_cut(&s->cam[i].roll, 0);
+    err_t e = begin_meters(s);
+    if (!e && metered)
+        plan_probes(s);
+    else if (!e)
+        e = plan_shots(s);
+    return e ? e : begin_plan(s, metered ? PHASE_PROBE : PHASE_SHOOT, now);
+}
+
+static err_t check_order(const struct session *s, const struct session_order *o)
+{
+    if (o->mode == SESSION_LIST && (o->n < 1 || o->n > BRACKET_EXPOSURES_MAX))
+        return err_fail(ERR_ARG, "%d exposures, 1..%d are possible", o->n, BRACKET_EXPOSURES_MAX);
+    if (s->ready || s->phase != PHASE_NONE)
+        return err_fail(ERR_BUSY, "a capture runs");
+    for (int i = 0; i < s->n; i++)
+        if (!s->cam[i].open)
+            return err_fail(ERR_LOST, "%s is not there", s->cam[i].about.uri);
+    return OK;
+}
+
+err_t session_begin(struct session *s, const struct session_order *o)
+{
+    int64_t now = session_now(s);
+    err_t e = check_order(s, o);
+    if (e)
+        return e;
+    s->order = *o;
+    s->cancelled = s->relit = s->again = s->tried = false;
+    s->reason[0] = s->note[0] = 0;
+    s->frames_used = s->rejected = 0;
+    s->trigger = clocks_at(o->trigger_ns ? o->trigger_ns : now);
+    e = start_plans(s, now);
+    if (e)
+        s->phase = PHASE_NONE;
+    return e ? e : follow(s, now);
+}
+
+void session_cancel(struct session *s, const char *reason)
+{
+    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = session_now(s)};
+    if (s->phase == PHASE_NONE)
+        return;
+    s->cancelled = true;
+    snprintf(s->reason, sizeof s->reason, "%s", reason);
+    if (tell(s, &ev, NULL) != OK || follow(s, ev.now_ns) != OK)
+        fail(s, reason);
+}
+
+/* ---- the finished take ---- */
+
+static void describe(struct session *s, struct take *t)
+{
+    t->status = s->complete ? TAKE_COMPLETE : TAKE_ABORTED;
+    t->trigger = s->trigger;
+    t->clock_synced = clocks_synced();
+    t->stagger = s->order.stagger;
+    t->metered = schedule_is_metered(&s->order);
+    t->frames_used = s->frames_used;
+    t->rejected = s->rejected;
+    t->skew_s = take_skew_s(t);
+    note_limits(s);
+    if (s->complete && s->order.skew_s > 0 && t->skew_s > s->order.skew_s) {
+        t->status = TAKE_ABORTED;
+        snprintf(s->reason, sizeof s->reason, "cameras were %.3g s apart, bracket.skew_ms is %.3g",
+                 t->skew_s, s->order.skew_s * 1e3);
+    }
+    bool flickers = false;
+    for (int i = 0; i < t->n; i++)
+        flickers = flickers || t->frame[i].evidence.proof == BRACKET_UNVERIFIED_FLICKER;
+    if (t->status == TAKE_COMPLETE && take_unverified(t))
+        snprintf(s->reason, sizeof s->reason, "%s to prove every exposure by its pixels",
+                 flickers ? "the light flickers too much" : "too dark or too bright");
+    bool both = s->reason[0] && s->note[0];
+    snprintf(t->reason, sizeof t->reason, "%.180s%s%.70s", s->reason, both ? "; " : "", s->note);
+}
+
+err_t session_collect(struct session *s, struct take **out)
+{
+    *out = NULL;
+    if (!s->ready)
+        return err_fail(ERR_AGAIN, "no take is ready");
+    struct take *t = calloc(1, sizeof *t);
+    if (!t)
+        return err_fail(ERR_NOMEM, "take: no memory");
+    t->n_cameras = s->n;
+    for (int i = 0; i < s->n; i++) {
+        struct cam *c = &s->cam[i];
+        struct bracket_camera about;
+        calib_camera(&c->about.info, c->calibrated ? &c->calib : NULL, &about);
+        t->tolerance = fmax(t->tolerance, about.tolerance);
+        t->camera[i] = c->about;
+        t->meter[i] = c->plan;
+        roll_move(&c->roll, t);
+    }
+    describe(s, t);
+    s->ready = false;
+    *out = t;
+    err_t e = arm(s);
+    return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
+}
+
+/* ---- state ---- */
+
+enum session_state session_state(const struct session *s)
+{
+    if (s->ready)
+        return SESSION_READY;
+    if (s->phase != PHASE_NONE)
+        return s->phase == PHASE_PROBE ? SESSION_METERING : SESSION_SHOOTING;
+    return s->lost ? SESSION_LOST : SESSION_ARMED;
+}
+
+const char *session_status(const struct session *s)
+{
+    static const char *const words[] = {[SESSION_LOST] = "waits for a camera",
+                                        [SESSION_ARMED] = "ready to capture",
+                                        [SESSION_METERING] = "meters the light",
+                                        [SESSION_SHOOTING] = "takes the exposures",
+                                        [SESSION_READY] = "hands over a capture"};
+    return words[session_state(s)];
+}
+
+double session_longest_s(const struct session *s)
+{
+    double longest = 0;
+    for (int i = 0; i < s->n; i++)
+        longest = fmax(longest, s->cam[i].set.time_s);
+    return longest;
+}
+
+int session_cameras(const struct session *s)
+{
+    return s->n;
+}
+
+const struct take_camera *session_camera(const struct session *s, int i)
+{
+    return &s->cam[i].about;
+}
+
+void session_progress(const struct session *s, struct bracket_progress *out)
+{
+    bracket_progress(s->machine, out);
+}
+
+void session_view(const struct session *s, int camera, struct session_view *out)
+{
+    *out = s->cam[camera].view;
+}
+
+/* ---- the loop ---- */
+
+int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *deadline_ns)
+{
+    int n = 0;
+    *deadline_ns = s->phase == PHASE_TROUBLE ? s->until_ns : bracket_deadline(s->machine);
+    for (int i = 0; i < s->n; i++) {
+        const struct cam *c = &s->cam[i];
+        if (c->open && n < cap)
+            fds[n++] = (struct pollfd){.fd = c->ops->fd(c->st), .events = POLLIN | POLLPRI};
+        if (!c->open && c->retry_ns < *deadline_ns)
+            *deadline_ns = c->retry_ns;
+    }
+    return n;
+}
+
+err_t session_step(struct session *s)
+{
+    // only what had not come by now is late: looking at the others takes time
+    int64_t now = session_now(s);
+    struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
+    err_t e = OK;
+    for (int i = 0; !e && i < s->n; i++)
+        e = drain(s, i);
+    if (!e && now >= bracket_deadline(s->machine))
+        e = tell(s, &tick, NULL);
+    now = session_now(s);
+    if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
+        session_cancel(s, err_text());
+        e = OK;
+    }
+    if (!e)
+        e = follow(s, now);
+    for (int i = 0; !e && i < s->n; i++)
+        e = adapt(s, i);
+    if (!e && s->lost && s->phase == PHASE_NONE)
+        e = find_lost(s);
+    return e == ERR_NOMEM ? e : OK;
+}

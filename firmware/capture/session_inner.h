@@ -1,0 +1,80 @@
+/* session_inner.h - what session.c and session_trouble.c share: no part of the interface. */
+#ifndef CAPTURE_SESSION_INNER_H
+#define CAPTURE_SESSION_INNER_H
+
+#include "firmware/capture/roll.h"
+#include "firmware/capture/session.h"
+
+enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
+
+/* What a camera sees of its light, when something went wrong. */
+struct trouble {
+    double base_s, time_s; // to go back to; asked for now
+    int wait;              // frames until it is in force
+    bool is_short, over;
+    struct flicker seen;
+};
+
+struct cam {
+    const struct camera_ops *ops;
+    void *st;
+    bool open;
+    struct take_camera about;
+    struct calib calib;
+    bool calibrated;
+    struct exposure set;       // last request, as read back
+    int64_t retry_ns, look_ns; // when to look for it, and at what it sees
+    bool looked;               // since it was armed
+    struct session_view view;
+    struct meter meter;
+    struct meter_result plan;
+    struct roll roll;
+    int n_before; // frames of former plans of this take
+    struct trouble trouble;
+};
+
+struct session {
+    struct session_config cfg;
+    int n;
+    struct cam cam[BRACKET_CAMERAS_MAX];
+    struct bracket *machine;
+    struct raw sample; // of the frame in hand
+    struct witness witness;
+    enum phase phase;
+    bool lost, cancelled, ready, complete;
+    bool relit, again; // the light changed after probes; metered anew once
+    struct session_order order;
+    struct bracket_plan plan[BRACKET_CAMERAS_MAX];
+    int turn; // of stagger mode
+    struct clocks trigger;
+    int frames_used, rejected;
+    bool tried;       // why it failed was looked for, once per take
+    int64_t until_ns; // and so long
+    char reason[TAKE_TEXT], note[TAKE_TEXT];
+};
+
+/* Ask for the exposure of waiting (0: it is as it is) and tell the machine.
+ * err:  as camera_ops.request; the camera is lost then. */
+MUST_USE err_t session_arm(struct session *s, int camera, double base_s);
+
+/* The earliest present of all cameras, ns: no camera is late by it. */
+int64_t session_now(const struct session *s);
+
+/* Whether it is worth a look at the light why a bracket failed.
+ * err:  as session_arm */
+bool session_trouble_is_light(const struct session *s, enum bracket_reason r);
+MUST_USE err_t session_trouble_begin(struct session *s);
+
+/* A frame while PHASE_TROUBLE lasts. */
+MUST_USE err_t session_trouble_see(struct session *s, int camera, const struct frame *f,
+                                   const struct witness *w);
+
+enum session_outcome { SESSION_LOOKING, SESSION_STEADY, SESSION_FLICKERS };
+
+/* What came out; once it flickers the machine knows and every camera is armed again. */
+MUST_USE err_t session_trouble_end(struct session *s, enum session_outcome *out);
+
+/* Why camera i failed, and what mends it. */
+void session_trouble_sentence(struct session *s, int i, enum bracket_reason r);
+
+#endif

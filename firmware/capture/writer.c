@@ -1,0 +1,156 @@
+/* Two places: the take that is written or whose outcome waits, and the one behind it. */
+#include "firmware/capture/writer.h"
+
+#include "core/base/log.h"
+
+#include <errno.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/eventfd.h>
+#include <time.h>
+#include <unistd.h>
+
+enum { PLACES = 2 };
+
+struct writer {
+    struct store *store;
+    pthread_t thread;
+    pthread_mutex_t lock;
+    pthread_cond_t work;
+    bool stop, done; // done: place[0] is an outcome
+    int n, fd;
+    int64_t since_ns;
+    struct writer_outcome place[PLACES];
+};
+
+static int64_t now_ns(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+static void *run(void *ctx)
+{
+    struct writer *w = ctx;
+    pthread_mutex_lock(&w->lock);
+    for (;;) {
+        while (!w->stop && (w->n == 0 || w->done))
+            pthread_cond_wait(&w->work, &w->lock);
+        if (w->n == 0 || w->done)
+            break;
+        struct writer_outcome o = w->place[0];
+        w->since_ns = now_ns();
+        pthread_mutex_unlock(&w->lock);
+        o.err = store_commit(w->store, o.take, o.id);
+        snprintf(o.text, sizeof o.text, "%s", o.err ? err_text() : "");
+        pthread_mutex_lock(&w->lock);
+        w->place[0] = o;
+        w->done = true;
+        w->since_ns = 0;
+        eventfd_write(w->fd, 1);
+    }
+    pthread_mutex_unlock(&w->lock);
+    return NULL;
+}
+
+err_t writer_open(struct store *s, struct writer **out)
+{
+    struct writer *w = calloc(1, sizeof *w);
+    *out = NULL;
+    if (!w)
+        return err_fail(ERR_NOMEM, "writer: no memory");
+    w->store = s;
+    w->fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+    if (w->fd < 0) {
+        free(w);
+        return err_fail(ERR_IO, "writer: eventfd: %s", strerror(errno));
+    }
+    pthread_mutex_init(&w->lock, NULL);
+    pthread_cond_init(&w->work, NULL);
+    int why = pthread_create(&w->thread, NULL, run, w);
+    if (why) {
+        close(w->fd);
+        free(w);
+        return err_fail(ERR_NOMEM, "writer: no thread: %s", strerror(why));
+    }
+    pthread_setname_np(w->thread, "writer");
+    *out = w;
+    return OK;
+}
+
+void writer_close(struct writer *w)
+{
+    struct writer_outcome o;
+    if (!w)
+        return;
+    pthread_mutex_lock(&w->lock);
+    w->stop = true;
+    pthread_cond_signal(&w->work);
+    pthread_mutex_unlock(&w->lock);
+    pthread_join(w->thread, NULL);
+    while (w->n > 0) { // outcomes that nobody asked for; and one that an outcome kept waiting
+        if (!w->done && store_commit(w->store, w->place[0].take, o.id) != OK)
+            log_error("%s", err_text());
+        take_free(w->place[0].take);
+        w->place[0] = w->place[1];
+        w->done = false;
+        w->n--;
+    }
+    pthread_cond_destroy(&w->work);
+    pthread_mutex_destroy(&w->lock);
+    close(w->fd);
+    free(w);
+}
+
+bool writer_free(struct writer *w)
+{
+    pthread_mutex_lock(&w->lock);
+    bool room = w->n < PLACES;
+    pthread_mutex_unlock(&w->lock);
+    return room;
+}
+
+err_t writer_put(struct writer *w, struct take *t)
+{
+    pthread_mutex_lock(&w->lock);
+    bool room = w->n < PLACES;
+    if (room) {
+        w->place[w->n++] = (struct writer_outcome){.take = t};
+        pthread_cond_signal(&w->work);
+    }
+    pthread_mutex_unlock(&w->lock);
+    return room ? OK : err_fail(ERR_BUSY, "two captures are still being written");
+}
+
+int writer_fd(struct writer *w)
+{
+    return w->fd;
+}
+
+err_t writer_outcome(struct writer *w, struct writer_outcome *out)
+{
+    eventfd_t count;
+    pthread_mutex_lock(&w->lock);
+    bool ready = w->done;
+    if (ready) {
+        *out = w->place[0];
+        w->place[0] = w->place[1];
+        w->n--;
+        w->done = false;
+        eventfd_read(w->fd, &count);
+        pthread_cond_signal(&w->work);
+    }
+    pthread_mutex_unlock(&w->lock);
+    return ready ? OK : ERR_AGAIN;
+}
+
+int64_t writer_since_ns(struct writer *w)
+{
+    pthread_mutex_lock(&w->lock);
+    int64_t since = w->since_ns;
+    pthread_mutex_unlock(&w->lock);
+    return since;
+}

@@ -1,0 +1,172 @@
+/* cmd.h - the sub-commands of the tool, and what they share: options and exit codes.
+ * Results go to stdout, everything else to stderr. */
+#ifndef CMD_CMD_H
+#define CMD_CMD_H
+
+#include "firmware/base/config.h"
+#include "firmware/recon/job.h"
+
+#include "drivers/format/imageset.h"
+#include "drivers/format/partial.h"
+
+#include "core/base/err.h"
+
+#include <stdbool.h>
+#include <stdio.h>
+
+enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUPTED = 130 };
+
+enum { CMD_TEXTS_MAX = 64, CMD_COUNT_CAP = 32 };
+
+/* One option of a command line. Exactly one of key, text and flag says where it goes. */
+struct cmd_option {
+    const char *name, *arg; // arg: its word in the help, NULL for a switch; "URI...": may come
+                            // CMD_TEXTS_MAX times, and `text` is an array of so many, NULL at first
+    const char *help;
+    const char *key;   // setting of config.h
+    const char **text; // receives the argument
+    bool *flag;        // receives true
+};
+
+/* Options that set a key and mean the same everywhere. */
+#define CMD_KEY(name, arg, key, help)                                                              \
+    {                                                                                              \
+        name, arg, help, key, NULL, NULL                                                           \
+    }
+#define CMD_THREADS CMD_KEY("threads", "N", "threads", "worker threads, 0 = one per core")
+#define CMD_MEMORY CMD_KEY("max-memory", "MB", "max_memory_mb", "refuse jobs that need more")
+#define CMD_FORCE(rules)                                                                           \
+    {                                                                                              \
+        "force", NULL, "replace a former result whose files were changed since, too", NULL, NULL,  \
+            &(rules).force                                                                         \
+    }
+#define CMD_STRICT(to)                                                                             \
+    {                                                                                              \
+        "strict", NULL, "exit with 1 if there are warnings", NULL, NULL, &(to)                     \
+    }
+#define CMD_SIZE CMD_KEY("size", "N", "size", "working size, px, a multiple of 14")
+#define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
+#define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
+#define CMD_DEGREE CMD_KEY("degree-max", "D", "refine.sh_degree_max", "highest SH degree, 0..4")
+#define CMD_GAUSSIANS CMD_KEY("gaussians-max", "N", "refine.gaussians_max", "most Gaussians")
+
+struct cmd_usage {
+    const char *name;     // of the command
+    const char *synopsis; // its required options
+    const char *what;     // what it does
+    const struct cmd_option *options;
+    int n_options;
+};
+
+/* Read the options of argv[1..argc-1] after config_load; every command also has --help, --config
+ * and --set. Returns true if the command shall run. Else help or a sentence has been printed and
+ * *code is the exit code. */
+MUST_USE bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
+                        int *code);
+
+/* Print "hdrig NAME: reason, see --help" and return CMD_USAGE. */
+int cmd_misuse(const struct cmd_usage *u, const char *reason);
+
+/* Exit code of e; its sentence is printed if it is an error. */
+int cmd_finish(const char *name, err_t e);
+
+/* The same at the end of a job, after its warnings, each in a line that begins with "hdrig NAME: "
+ * and CMD_WARNING. strict: they are failures. */
+#define CMD_WARNING "warning: "
+int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool strict);
+
+/* ", N warnings" for a summary line; "" without. */
+const char *cmd_count_warnings(const struct job_result *j, char text[CMD_COUNT_CAP]);
+
+/* Number in min..max of option `name`.
+ * err:  ERR_ARG. */
+MUST_USE err_t cmd_number(const char *name, const char *text, double min, double max, double *out);
+
+/* The same for a whole number. */
+MUST_USE err_t cmd_whole(const char *name, const char *text, int min, int max, int *out);
+
+enum { CMD_LIST_MAX = 8 };
+
+struct cmd_list {
+    int n, v[CMD_LIST_MAX];
+};
+
+/* Whole numbers in min..max, separated by commas, for option `name`.
+ * err:  ERR_ARG. */
+MUST_USE err_t cmd_list(const char *name, const char *text, int min, int max, struct cmd_list *out);
+
+/* Options of commands that can use a network. */
+struct cmd_model {
+    const char *path, *precision; // path: NULL or "none": no network
+};
+
+/* Whether there is one; *reason is what cmd_misuse says if they contradict each other, or NULL. */
+bool cmd_has_network(const struct cmd_model *m, const char **reason);
+
+/* Open it: *out is NULL without a network, else *own.
+ * own:  network_close of *own, which accepts that it was not opened.
+ * err:  those of network_open. */
+MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
+                           const struct network **out);
+
+/* Without --model, and if nobody knows the cameras of c, the model that comes with this program
+ * finds them: *out, with *own behind it. Unchanged if there is a network, or no such model.
+ * own, err: as cmd_network. */
+MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
+                           const struct network **out);
+
+/* What the cameras and the network mean for the choice of photographs: "none" as rig, and exposures
+ * that may lack. */
+void cmd_imageset(const struct network *network, struct imageset_request *request);
+
+/* A set that may lack exposures gets 1 for all if some do; true then. */
+bool cmd_fill_exposures(struct capture *c);
+
+/* What the folder holds and is not read: warnings of the job. */
+void cmd_report_unread(const struct imageset *set, struct job_result *j);
+
+/* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
+struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
+
+/* What --json names: a file that appears when it is complete, a device, or "-" for stdout. */
+struct cmd_json {
+    FILE *f; // NULL without --json
+    const char *path;
+    char at[FILE_PATH_CAP]; // where it is written
+    struct partial partial;
+};
+
+/* Begin it; path: or NULL.
+ * own:  cmd_json_close or cmd_json_discard.
+ * err:  those of origin_check_place, partial_open and file_create. */
+MUST_USE err_t cmd_json_open(const char *path, struct cmd_json *out);
+
+/* err:  those of file_finish and partial_show. */
+MUST_USE err_t cmd_json_close(struct cmd_json *j);
+
+/* Nothing appears. */
+void cmd_json_discard(struct cmd_json *j);
+
+/* Send a line to the daemon (ctl.h); prints the take that it names, and how the session stands.
+ * Returns an exit code. */
+int cmd_ask(const char *name, const struct config *cfg, const char *line);
+
+/* The commands: argv[0] is the command's name; they return an exit code. */
+int cmd_reconstruct_run(int argc, char **argv);
+int cmd_render_run(int argc, char **argv);
+int cmd_view_run(int argc, char **argv);
+int cmd_eval_run(int argc, char **argv);
+int cmd_convert_run(int argc, char **argv);
+int cmd_convert_scene_run(int argc, char **argv);
+int cmd_simulate_run(int argc, char **argv);
+int cmd_capture_run(int argc, char **argv);
+int cmd_status_run(int argc, char **argv);
+int cmd_session_run(int argc, char **argv);
+int cmd_cancel_run(int argc, char **argv);
+int cmd_calibrate_run(int argc, char **argv);
+int cmd_selftest_run(int argc, char **argv);
+int cmd_bench_run(int argc, char **argv);
+int cmd_doctor_run(int argc, char **argv);
+int cmd_config_run(int argc, char **argv);
+
+#endif

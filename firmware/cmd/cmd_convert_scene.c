@@ -1,0 +1,356 @@
+/* hdrig convert-scene: a scene in another kind of file, and what that lost. */
+#include "firmware/base/engine.h"
+#include "firmware/cmd/cmd.h"
+#include "firmware/result/draw.h"
+#include "firmware/result/path.h"
+#include "firmware/result/report.h"
+#include "firmware/result/sceneio.h"
+
+#include "core/base/log.h"
+#include "core/photo/metrics.h"
+#include "core/splat/display.h"
+#include "drivers/format/cameras.h"
+#include "drivers/format/file.h"
+#include "drivers/format/spzwrite.h"
+
+#include <math.h>
+#include <string.h>
+#include <sys/stat.h>
+
+enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // of the comparison
+
+#define BRIGHT 0.01 // natural logarithm: more than rounding above white
+
+struct request {
+    const char *in, *out, *spz_text, *json;
+    int spz;
+    bool readable; // out can be read back
+    struct config cfg;
+};
+
+struct loss {
+    int views;
+    double display, display_least, radiance, radiance_least; // dB: mean, of the worst view
+};
+
+struct state {
+    struct engine engine;
+    struct sceneio_info info;
+    struct scene scene, back; // back: as the file has it
+    struct draw draw;
+    struct image before[2], after[2]; // display values, radiance
+    struct gaussians_report report;
+    double bytes;
+    struct loss loss;
+    struct cmd_json json;
+};
+
+/* ---- where to look from ---- */
+
+static int side_of(const struct scene *s)
+{
+    return s->n_views == 0 || s->size > SIDE_MAX ? SIDE_MAX : s->size;
+}
+
+/* Camera i of n around a scene that has none: on a circle through the side of its middle splats. */
+static err_t around(const struct gaussians *g, int i, int n, struct camera *out)
+{
+    double middle[3], spread = 0, q;
+    for (int k = 0; k < 3; k++) {
+        err_t e = metrics_quantile(g->plane[G_MU + k], (size_t)g->n, 0.5, &middle[k]);
+        for (int end = 0; end < 2 && !e; end++) {
+            e = metrics_quantile(g->plane[G_MU + k], (size_t)g->n, end ? 0.9 : 0.1, &q);
+            spread = fmax(spread, fabs(q - middle[k]));
+        }
+        if (e)
+            return e;
+    }
+    double turn = 2 * 3.141592653589793 * i / n, c = cos(turn), s = sin(turn), t[3];
+    for (int k = 0; k < 3; k++) // R = rotation about y; t puts the middle before the camera
+        t[k] = -(k == 0   ? c * middle[0] + s * middle[2]
+                 : k == 1 ? middle[1]
+                          : c * middle[2] - s * middle[0]);
+    t[2] += 3 * spread;
+    *out = (struct camera){.w = SIDE_MAX,
+                           .h = SIDE_MAX,
+                           .fx = SIDE_MAX,
+                           .fy = SIDE_MAX,
+                           .cx = SIDE_MAX / 2,
+                           .cy = SIDE_MAX / 2,
+                           .q = {(float)cos(turn / 2), 0, (float)sin(turn / 2), 0},
+                           .t = {(float)t[0], (float)t[1], (float)t[2]}};
+    return OK;
+}
+
+static err_t place(const struct scene *s, int i, int n, struct camera *out)
+{
+    if (s->n_views == 0)
+        return around(&s->g, i, n, out);
+    float scale = (float)side_of(s) / (float)s->size;
+    *out = s->cams[(size_t)i * (size_t)s->n_views / (size_t)n];
+    out->fx *= scale;
+    out->fy *= scale;
+    out->cx *= scale;
+    out->cy *= scale;
+    out->w = out->h = side_of(s);
+    return OK;
+}
+
+/* ---- what was lost ---- */
+
+static err_t picture(struct state *st, const struct scene *s, const struct camera *cam,
+                     struct image out[2])
+{
+    err_t e = draw_run(&st->engine.run, &st->draw, s, cam);
+    if (e)
+        return e;
+    size_t bytes = 3 * (size_t)cam->w * (size_t)cam->h * sizeof(float);
+    draw_display(&st->draw, s->tone.mid_log2t);
+    out[0].w = out[1].w = cam->w;
+    out[0].h = out[1].h = cam->h;
+    memcpy(out[0].px, st->draw.display.px, bytes);
+    memcpy(out[1].px, st->draw.maps.radiance, bytes);
+    return OK;
+}
+
+/* PSNR of one view: of display values, and of radiance through the mu-law at its 0.99 quantile. */
+static err_t compare_view(struct state *st, const struct camera *cam, double db[2])
+{
+    double scale;
+    err_t e = picture(st, &st->scene, cam, st->before);
+    if (!e)
+        e = picture(st, &st->back, cam, st->after);
+    if (!e)
+        e = metrics_psnr(&st->before[0], &st->after[0], &db[0]);
+    if (!e)
+        e = metrics_quantile(st->before[1].px, 3 * (size_t)cam->w * (size_t)cam->h, 0.99, &scale);
+    if (!e)
+        e = metrics_mu_law(&st->before[1], scale, &st->before[1]);
+    if (!e)
+        e = metrics_mu_law(&st->after[1], scale, &st->after[1]);
+    return e ? e : metrics_psnr(&st->before[1], &st->after[1], &db[1]);
+}
+
+static err_t compare(struct state *st)
+{
+    struct loss *l = &st->loss;
+    struct arena *tmp = &st->engine.tmp;
+    int n = st->scene.n_views > 0 && st->scene.n_views < VIEWS_MAX ? st->scene.n_views : VIEWS_MAX;
+    int cap = st->scene.g.cap > st->back.g.cap ? st->scene.g.cap : st->back.g.cap;
+    err_t e = draw_init(&st->draw, tmp, cap, side_of(&st->scene), side_of(&st->scene));
+    for (int k = 0; k < 4 && !e; k++) {
+        struct image *im = k < 2 ? &st->before[k] : &st->after[k - 2];
+        im->channels = 3;
+        e = arena_alloc(tmp, 3 * SIDE_MAX * SIDE_MAX, sizeof *im->px, &im->px);
+    }
+    *l = (struct loss){.views = n, .display_least = INFINITY, .radiance_least = INFINITY};
+    for (int i = 0; i < n && !e; i++) {
+        struct camera cam;
+        double db[2] = {0};
+        e = place(&st->scene, i, n, &cam);
+        if (!e)
+            e = compare_view(st, &cam, db);
+        l->display += db[0] / n;
+        l->radiance += db[1] / n;
+        l->display_least = fmin(l->display_least, db[0]);
+        l->radiance_least = fmin(l->radiance_least, db[1]);
+        progress_step(&st->engine.progress, "compare", i + 1, n, NULL);
+    }
+    return e;
+}
+
+/* ---- words ---- */
+
+/* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
+static int count_bright(const struct scene *s)
+{
+    const double shift = log(2) * (double)display_ev(&s->tone);
+    int n = 0;
+    for (int i = 0; i < s->g.n; i++) {
+        float most = -INFINITY;
+        for (int c = 0; c < 3; c++)
+            most = fmaxf(most, s->g.plane[G_SH + c][i]);
+        n += SH_BASIS0 * (double)most + shift > BRIGHT;
+    }
+    return n;
+}
+
+/* What display colours told, and what they cannot. */
+static void warn_display(const struct request *rq, const struct state *st)
+{
+    const struct sceneio_info *info = &st->info;
+    int bright = count_bright(&st->scene), n = st->scene.g.n;
+    if (info->has_sidecar)
+        log_warn("%s: display colours, taken as sRGB at the middle exposure of its sidecar",
+                 rq->in);
+    else if (info->ev != 0)
+        log_warn("%s: display colours, taken as sRGB at the %.2f stops that it tells", rq->in,
+                 (double)info->ev);
+    else
+        log_warn("%s: display colours, taken as sRGB; nothing tells their exposure", rq->in);
+    if (bright == 0)
+        log_warn("%s: no splat is brighter than white: if the scene had brighter light, it is lost",
+                 rq->in);
+    else if (isfinite(info->headroom))
+        log_warn("%s: %d of %d splats are brighter than white: what was more than %.1f stops above "
+                 "it is lost",
+                 rq->in, bright, n, (double)info->headroom);
+    else
+        log_warn("%s: %d of %d splats are brighter than white and stay so", rq->in, bright, n);
+}
+
+static void warn(const struct request *rq, const struct state *st)
+{
+    const struct gaussians_report *r = &st->report;
+    if (!st->info.has_hdr)
+        warn_display(rq, st);
+    if (st->info.band_lost)
+        log_warn("%s: display colours of degree 4: the highest band is left out", rq->in);
+    if (r->dropped > 0)
+        log_warn("%s: %d splats were not finite and are left out", rq->in, r->dropped);
+    if (r->repaired > 0)
+        log_warn("%s: %d splats had values out of range, which were brought back", rq->in,
+                 r->repaired);
+}
+
+static err_t tell(const struct request *rq, struct state *st)
+{
+    const struct loss *l = &st->loss;
+    int n = st->scene.g.n;
+    double each = n > 0 ? st->bytes / n : 0;
+    struct report rep;
+    err_t e = OK;
+    if (st->json.f) {
+        report_begin(&rep, st->json.f);
+        report_int(&rep, "gaussians", n);
+        report_int(&rep, "sh_degree", st->scene.g.degree);
+        report_number(&rep, "bytes", st->bytes);
+        report_number(&rep, "bytes_per_gaussian", each);
+        report_int(&rep, "views", l->views);
+        if (l->views > 0) {
+            report_number(&rep, "display_psnr", l->display);
+            report_number(&rep, "display_psnr_least", l->display_least);
+            report_number(&rep, "radiance_psnr", l->radiance);
+            report_number(&rep, "radiance_psnr_least", l->radiance_least);
+        }
+        report_close(&rep);
+        e = cmd_json_close(&st->json);
+    }
+    bool lines = !rq->json || strcmp(rq->json, "-") != 0; // stdout holds no JSON
+    if (!e && lines)
+        printf("%s: %d splats of degree %d, %.3f MB, %.2f bytes a splat\n", rq->out, n,
+               st->scene.g.degree, st->bytes / 1e6, each);
+    if (!e && lines && l->views > 0)
+        printf("read back, against the original at the middle exposure: display %.1f dB (worst of "
+               "%d views %.1f), radiance %.1f dB (%.1f)\n",
+               l->display, l->views, l->display_least, l->radiance, l->radiance_least);
+    return e;
+}
+
+/* ---- command ---- */
+
+static err_t reserve(const struct request *rq, struct state *st)
+{
+    const struct sceneio_info *info = &st->info;
+    size_t pictures = arena_need(3 * SIDE_MAX * SIDE_MAX, sizeof(float));
+    size_t keep = info->need, tmp = 0;
+    if (rq->readable) {
+        size_t view = NAME_CAP + sizeof(float) + sizeof(struct camera);
+        keep = arena_add(keep, gaussians_need(info->n, info->degree));
+        keep = arena_add(keep, (size_t)info->n_views * view + (size_t)3 * ARENA_ALIGN);
+        tmp = arena_add(draw_plan(info->n, SIDE_MAX, SIDE_MAX), 4 * pictures);
+    }
+    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep, tmp,
+                          config_memory_mb(&rq->cfg));
+}
+
+static err_t step(struct state *st, const char *stage, int done)
+{
+    progress_step(&st->engine.progress, stage, done, 1, NULL);
+    return run_check(&st->engine.run, stage);
+}
+
+static err_t convert(const struct request *rq, struct state *st)
+{
+    struct gaussians_report report;
+    struct stat file;
+    err_t e = sceneio_peek(rq->in, &st->info);
+    if (!e)
+        e = reserve(rq, st);
+    if (!e)
+        e = cmd_json_open(rq->json, &st->json);
+    if (!e)
+        e = step(st, "read", 0);
+    if (!e)
+        e = sceneio_read(rq->in, &st->engine.keep, &st->scene, &st->report);
+    if (!e)
+        e = step(st, "write", 0);
+    if (!e)
+        e = sceneio_write(rq->out, &st->scene, rq->spz);
+    if (!e)
+        e = step(st, "write", 1);
+    if (!e && rq->readable)
+        e = sceneio_read(rq->out, &st->engine.keep, &st->back, &report);
+    if (!e && rq->readable && st->scene.g.n > 0)
+        e = compare(st);
+    progress_end(&st->engine.progress);
+    if (e)
+        return e;
+    if (stat(rq->out, &file) == 0)
+        st->bytes = (double)file.st_size;
+    warn(rq, st);
+    return tell(rq, st);
+}
+
+static err_t check(struct request *rq)
+{
+    rq->spz = SPZWRITE_VERSION;
+    err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
+    if (!e && file_is_same(rq->in, rq->out))
+        e = err_fail(ERR_ARG, "%s would be replaced by what is made of it: give another --out",
+                     rq->in);
+    if (!e && rq->spz_text)
+        e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->spz);
+    return e ? e : sceneio_check_place(rq->out, &rq->readable);
+}
+
+int cmd_convert_scene_run(int argc, char **argv)
+{
+    static struct state st;
+    struct request rq = {0};
+    int code;
+    const struct cmd_option options[] = {
+        {"out", "FILE", "file to write, by its end .hdrig, .ply, .spz, .glb or .html", NULL,
+         &rq.out, NULL},
+        {"spz", "V", "version of .spz: 3, which viewers know, or 4, smaller; 3", NULL, &rq.spz_text,
+         NULL},
+        {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
+        CMD_THREADS,
+        CMD_MEMORY,
+    };
+    const struct cmd_usage usage = {
+        .name = "convert-scene",
+        .synopsis = "IN --out FILE ",
+        .what = "A scene (result folder, .hdrig, .ply, .spz, .glb) becomes another kind of file.\n"
+                "Tone curve and cameras go into FILE.json beside .ply, .spz and .glb. Tells what\n"
+                "the file lost: it is read back and drawn at the cameras of the scene.",
+        .options = options,
+        .n_options = sizeof options / sizeof options[0],
+    };
+    if (argc > 1 && argv[1][0] != '-') { // the scene comes before the options
+        rq.in = *++argv;
+        *argv = argv[-1];
+        argc--;
+    }
+    if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
+        return code;
+    if (check(&rq) != OK)
+        return cmd_misuse(&usage, err_text());
+    err_t e = engine_open(&st.engine, rq.cfg.threads);
+    if (!e)
+        e = convert(&rq, &st);
+    cmd_json_discard(&st.json);
+    code = cmd_finish(usage.name, e);
+    engine_close(&st.engine);
+    return code;
+}

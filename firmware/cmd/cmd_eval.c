@@ -1,0 +1,474 @@
+/* hdrig eval: reconstruct a data set, or take a result of it, and measure it on its held-out views.
+ */
+#include "firmware/base/engine.h"
+#include "firmware/cmd/cmd.h"
+#include "firmware/recon/evaluate.h"
+#include "firmware/recon/testcams.h"
+#include "firmware/result/sheet.h"
+
+#include "core/photo/prep.h"
+#include "core/photo/response.h"
+#include "drivers/format/cameras.h"
+#include "drivers/format/scenefile.h"
+
+#include <string.h>
+
+struct request {
+    struct imageset_request set;
+    struct cmd_model model;
+    const char *scene, *views, *exposures, *out, *json;
+    struct outdir_rules rules;
+    bool strict;
+    struct config cfg;
+};
+
+struct state {
+    struct engine engine;
+    struct network network;
+    struct imageset train, test;
+    struct imageset true_train, true_test; // with cameras, if the network had to find them
+    struct outdir out;
+    struct cmd_json json;
+    struct job_result job;
+    struct evaluate_result figures;
+    struct testcams_error pose;
+};
+
+static void report_score(struct report *rep, const char *key, const struct evaluate_score *s)
+{
+    if (s->n == 0) {
+        report_text(rep, key, NULL);
+        return;
+    }
+    report_open(rep, key, '{');
+    report_number(rep, "psnr", s->psnr);
+    report_number(rep, "ssim", s->ssim);
+    if (strcmp(key, "ldr") == 0)
+        report_text(rep, "lpips", NULL); // needs a trained network, which the tool has not
+    report_int(rep, "images", s->n);
+    report_close(rep);
+}
+
+/* null if cameras were given, or nobody knows better ones. */
+static void report_pose(struct report *rep, const struct testcams_error *p)
+{
+    if (p->n == 0) {
+        report_text(rep, "pose", NULL);
+        return;
+    }
+    report_open(rep, "pose", '{');
+    report_number(rep, "rot_deg_median", p->rot_deg);
+    report_number(rep, "trans_rel_median", p->trans);
+    report_number(rep, "focal_rel", p->focal);
+    report_int(rep, "cameras", p->n);
+    report_close(rep);
+}
+
+static void write_report(const struct state *st, FILE *f)
+{
+    struct report rep;
+    const struct evaluate_result *fig = &st->figures;
+    report_begin(&rep, f);
+    report_int(&rep, "test_views", fig->views);
+    report_score(&rep, "ldr", &fig->ldr);
+    report_score(&rep, "hdr", &fig->hdr);
+    report_score(&rep, "baseline_nearest", &fig->nearest);
+    report_pose(&rep, &st->pose);
+    report_open(&rep, "per_exposure", '[');
+    for (int i = 0; i < fig->n_exposures; i++) {
+        report_open(&rep, NULL, '{');
+        report_number(&rep, "exposure", fig->exposures[i].exposure);
+        report_number(&rep, "psnr", fig->exposures[i].score.psnr);
+        report_number(&rep, "ssim", fig->exposures[i].score.ssim);
+        report_close(&rep);
+    }
+    report_close(&rep);
+    job_report(&st->job, pool_size(st->engine.pool), &rep);
+    report_close(&rep);
+}
+
+static void print_score(const char *what, const struct evaluate_score *s)
+{
+    if (s->n > 0)
+        printf("%-18s %9.3f %9.4f %7d\n", what, s->psnr, s->ssim, s->n);
+}
+
+static void print_table(const struct state *st)
+{
+    const struct evaluate_result *fig = &st->figures;
+    char count[CMD_COUNT_CAP];
+    printf("%d input views, %d Gaussians of SH degree %d", st->job.scene.n_views, st->job.scene.g.n,
+           st->job.scene.g.degree);
+    if (!st->job.measured_only)
+        printf(", %d steps", st->job.refine.steps);
+    printf(", %.1f s%s\n\n", st->job.lap_s - st->job.start_s, cmd_count_warnings(&st->job, count));
+    printf("%-18s %9s %9s %7s\n", "", "PSNR dB", "SSIM", "images");
+    print_score("LDR", &fig->ldr);
+    for (int i = 0; i < fig->n_exposures; i++) {
+        char what[32];
+        snprintf(what, sizeof what, "  exposure %g", fig->exposures[i].exposure);
+        print_score(what, &fig->exposures[i].score);
+    }
+    print_score("HDR mu-law", &fig->hdr);
+    print_score("nearest input view", &fig->nearest);
+    if (st->pose.n > 0)
+        printf("%d cameras found: median error %.3g degrees, %.3g of their spread, focal length "
+               "%.3g\n",
+               st->pose.n, st->pose.rot_deg, st->pose.trans, st->pose.focal);
+}
+
+static err_t write_file(const struct state *st, const char *path)
+{
+    struct cmd_json json;
+    err_t e = cmd_json_open(path, &json);
+    if (e || !json.f)
+        return e;
+    write_report(st, json.f);
+    return cmd_json_close(&json);
+}
+
+/* report.json and the page of it, next to the pictures. */
+static err_t write_folder(const struct state *st)
+{
+    char json[FILE_PATH_CAP], page[FILE_PATH_CAP];
+    err_t e = outdir_path(&st->out, OUTDIR_REPORT, json);
+    if (!e)
+        e = outdir_path(&st->out, SHEET_NAME, page);
+    if (!e)
+        e = write_file(st, json);
+    return e ? e : sheet_write(page, &st->job, json);
+}
+
+static err_t publish(struct state *st, const struct request *rq)
+{
+    err_t e = OK;
+    if (rq->out) {
+        e = outdir_reason(&st->out, write_folder(st));
+        if (!e)
+            e = outdir_commit(&st->out);
+    }
+    if (!e && st->json.f) {
+        write_report(st, st->json.f);
+        e = cmd_json_close(&st->json);
+    }
+    if (!e && !(rq->json && strcmp(rq->json, "-") == 0))
+        print_table(st);
+    return e;
+}
+
+static uint64_t result_bytes(const struct capture *test, int n_train, int size)
+{
+    uint64_t pixels = (uint64_t)size * (uint64_t)size;
+    return (uint64_t)test->n * (pixels * (4 * 2 + 3) + pixels / 4 + 4096) + // as if incompressible
+           sheet_bytes(n_train);
+}
+
+/* ---- from photographs to the scene ---- */
+
+static err_t list_both(struct imageset_request rq, struct imageset *train, struct imageset *test)
+{
+    err_t e = imageset_list(&rq, train);
+    rq.which = IMAGESET_TEST;
+    rq.n_views = 0;
+    rq.every_exposure = true;
+    rq.exposure_set = 0;
+    return e ? e : imageset_list(&rq, test);
+}
+
+/* Whether the cameras have to be found; then those of the data set, if it has some, are only
+ * compared. */
+static bool cameras_unknown(const struct state *st)
+{
+    return !st->train.capture.shots[0].has_camera;
+}
+
+static err_t list(struct state *st, const struct request *rq)
+{
+    err_t e = list_both(rq->set, &st->train, &st->test);
+    if (e || !rq->set.no_cameras)
+        return e;
+    struct imageset_request with = rq->set;
+    with.no_cameras = false;
+    return list_both(with, &st->true_train, &st->true_test);
+}
+
+static err_t reserve(struct state *st, const struct request *rq, struct job_memory need,
+                     const struct scenefile_info *scene)
+{
+    size_t keep, tmp;
+    err_t e = evaluate_check(&st->test.capture);
+    if (e)
+        return e;
+    evaluate_plan(&st->test.capture, scene->size, scene->n, pool_size(st->engine.pool), &keep,
+                  &tmp);
+    e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
+                       arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
+                       config_memory_mb(&rq->cfg));
+    if (!e && rq->out)
+        e = outdir_open(rq->out, &rq->rules, &st->out);
+    return e || !rq->out ? e
+                         : outdir_reserve(&st->out, result_bytes(&st->test.capture,
+                                                                 st->train.capture.n, scene->size));
+}
+
+static void add_testcams(const struct state *st, const struct job_config *job,
+                         struct job_memory *need)
+{
+    const struct capture *train = &st->train.capture;
+    struct job_memory m = testcams_plan(job, train, &st->test.capture, job_most(job, train->n),
+                                        pool_size(st->engine.pool));
+    need->keep = arena_add(need->keep, m.keep);
+    need->tmp = m.tmp > need->tmp ? m.tmp : need->tmp;
+}
+
+static err_t find_test_cameras(struct state *st, const struct job_config *job)
+{
+    const struct capture *real = &st->true_train.capture;
+    const struct run *r = &st->engine.run;
+    err_t e = testcams_run(r, job, &st->job, &st->test);
+    job_lap(&st->job, JOB_MEASURE);
+    if (e || real->n == 0 || !real->shots[0].has_camera)
+        return e;
+    return testcams_measure(r, &st->job, real, &st->true_test.capture, &st->test.capture,
+                            &st->pose);
+}
+
+static err_t reconstruct(struct state *st, struct request *rq)
+{
+    const struct network *network;
+    struct job_memory need;
+    err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
+    if (e)
+        return e;
+    cmd_imageset(network, &rq->set);
+    struct job_config job = cmd_job(&rq->cfg, network, false);
+    e = list(st, rq);
+    if (!e)
+        e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
+    job.cameras_only = !network;
+    if (!e)
+        e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
+    if (e)
+        return e;
+    const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
+    bool unknown = cameras_unknown(st);
+    if (unknown) {
+        add_testcams(st, &job, &need);
+        e = testcams_check(&job, &st->train.capture, &st->test.capture);
+    }
+    if (!e)
+        e = reserve(st, rq, need, &most);
+    if (!e)
+        e = imageset_load(&st->train);
+    if (!e)
+        e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+    return e || !unknown ? e : find_test_cameras(st, &job);
+}
+
+/* ---- from a result to its scene ---- */
+
+/* Of the train pictures keep those that the scene was made from. */
+static err_t keep_inputs(const char *scene, struct capture *c)
+{
+    char path[FILE_PATH_CAP];
+    struct rig rig;
+    int n = 0;
+    err_t e = file_join(scene, "cameras.json", path);
+    if (!e)
+        e = cameras_read(path, &rig);
+    if (e)
+        return e;
+    for (int i = 0; i < c->n; i++)
+        for (int k = 0; k < rig.n; k++)
+            if (strcmp(c->shots[i].name, rig.views[k].name) == 0)
+                c->shots[n++] = c->shots[i];
+    c->n = n;
+    cameras_free(&rig);
+    return OK;
+}
+
+static void plan_scene(const struct state *st, const struct scenefile_info *info,
+                       struct job_memory *need)
+{
+    const struct capture *c = &st->train.capture;
+    const struct views v = {.n = c->n, .size = info->size};
+    size_t keep = 0, response;
+    *need = (struct job_memory){.keep = info->need};
+    if (c->n == 0)
+        return;
+    prep_plan(c, info->size, pool_size(st->engine.pool), &keep, &need->tmp);
+    response = response_plan(&v);
+    need->tmp = response > need->tmp ? response : need->tmp;
+    need->keep = arena_add(need->keep, keep);
+    need->pictures =
+        arena_need((size_t)c->n * 3, (size_t)c->shots[0].image.w * (size_t)c->shots[0].image.h);
+}
+
+/* Without known cameras the scene tells where its photographs were taken. */
+static err_t take_cameras(struct state *st)
+{
+    struct views *v = &st->job.views;
+    const struct scene *s = &st->job.scene;
+    if (v->cams)
+        return OK;
+    if (v->n != s->n_views)
+        return err_fail(ERR_ARG, "%s: %d of the scene's %d input views are there", st->train.dir,
+                        v->n, s->n_views);
+    for (int i = 0; i < v->n; i++)
+        if (strcmp(v->names[i], s->names[i]) != 0)
+            return err_fail(ERR_ARG, "%s: %s is no input view of the scene", st->train.dir,
+                            v->names[i]);
+    v->cams = s->cams;
+    return OK;
+}
+
+/* The photographs that the scene was made from, if the data set has them. */
+static err_t read_inputs(struct state *st, int size)
+{
+    const struct run *r = &st->engine.run;
+    if (st->train.capture.n == 0)
+        return OK;
+    err_t e = imageset_load(&st->train);
+    if (!e)
+        e = prep_run(r, &st->train.capture, size, &st->job.views);
+    job_lap(&st->job, JOB_PREPROCESS);
+    if (!e)
+        e = take_cameras(st);
+    if (!e)
+        e = response_run(r, &st->job.views, &st->job.response);
+    job_lap(&st->job, JOB_RESPONSE);
+    return e;
+}
+
+static err_t read_scene(struct state *st, struct request *rq)
+{
+    char path[FILE_PATH_CAP];
+    struct scenefile_info info;
+    struct job_memory need;
+    struct job_config job = cmd_job(&rq->cfg, NULL, false);
+    st->job.measured_only = true;
+    st->job.start_s = st->job.lap_s = engine_seconds();
+    cmd_imageset(NULL, &rq->set);
+    rq->set.every_exposure = true;
+    err_t e = file_join(rq->scene, "scene.hdrig", path);
+    if (!e)
+        e = scenefile_peek(path, &info);
+    if (!e)
+        e = list(st, rq);
+    if (!e)
+        e = keep_inputs(rq->scene, &st->train.capture);
+    if (!e)
+        e = keep_inputs(rq->scene, &st->true_train.capture);
+    if (e)
+        return e;
+    job.size = info.size;
+    plan_scene(st, &info, &need);
+    if (rq->set.no_cameras) {
+        add_testcams(st, &job, &need);
+        e = testcams_check(&job, &st->train.capture, &st->test.capture);
+    }
+    if (!e)
+        e = reserve(st, rq, need, &info);
+    if (!e)
+        e = scenefile_read(path, &st->engine.keep, &st->job.scene);
+    if (!e)
+        e = read_inputs(st, info.size);
+    return e || !rq->set.no_cameras ? e : find_test_cameras(st, &job);
+}
+
+/* ---- command ---- */
+
+static err_t evaluate(struct state *st, struct request *rq)
+{
+    struct outdir *out = rq->out ? &st->out : NULL;
+    err_t e = cmd_json_open(rq->json, &st->json);
+    if (!e)
+        e = engine_open(&st->engine, rq->cfg.threads);
+    if (!e)
+        e = rq->scene ? read_scene(st, rq) : reconstruct(st, rq);
+    if (!e)
+        e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
+    cmd_report_unread(&st->train, &st->job);
+    st->job.keep_peak = st->engine.keep.peak;
+    st->job.tmp_peak = st->engine.tmp.peak;
+    progress_end(&st->engine.progress);
+    if (e)
+        return out ? outdir_reason(out, e) : e;
+    return publish(st, rq);
+}
+
+static err_t read_numbers(struct request *rq)
+{
+    struct cmd_list list = {0};
+    err_t e = OK;
+    if (rq->scene && (rq->views || rq->exposures))
+        e = err_fail(ERR_ARG, "--scene has its input views; --views and --exposure-set choose some "
+                              "for a reconstruction");
+    if (!e && rq->views)
+        e = cmd_whole("--views", rq->views, 1, 4096, &rq->set.n_views);
+    if (!e && rq->exposures)
+        e = cmd_list("--exposure-set", rq->exposures, 1, 32, &list);
+    for (int i = 0; i < list.n; i++)
+        rq->set.exposure_set |= UINT32_C(1) << (list.v[i] - 1);
+    return e;
+}
+
+int cmd_eval_run(int argc, char **argv)
+{
+    static struct state st;
+    struct request rq = {0};
+    const struct cmd_option options[] = {
+        {"data", "DIR", "data set with train and test pictures", NULL, &rq.set.images, NULL},
+        {"scene", "DIR", "measure this result of hdrig reconstruct, at its own size", NULL,
+         &rq.scene, NULL},
+        {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
+        {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
+         &rq.exposures, NULL},
+        {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0; none", NULL,
+         &rq.set.rig, NULL},
+        {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},
+        {"precision", "P", "that these weights must have: fp32, bf16 or int8", NULL,
+         &rq.model.precision, NULL},
+        {"json", "FILE", "figures as JSON, - for stdout", NULL, &rq.json, NULL},
+        {"out", "DIR", "keep the rendered test views there", NULL, &rq.out, NULL},
+        CMD_FORCE(rq.rules),
+        CMD_STRICT(rq.strict),
+        CMD_REFINE,
+        CMD_DEGREE,
+        CMD_GAUSSIANS,
+        CMD_SIZE,
+        CMD_SEED,
+        CMD_THREADS,
+        CMD_MEMORY,
+    };
+    const struct cmd_usage usage = {
+        "eval", "--data DIR ",
+        "Reconstruct a data set from its train pictures, or take --scene; measure it on its test\n"
+        "pictures. Inputs have one exposure per view: as protocol.json says, or interleaved.",
+        options, sizeof options / sizeof options[0]};
+    int code;
+    if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
+        return code;
+    const char *reason;
+    bool network = cmd_has_network(&rq.model, &reason);
+    if (!rq.set.images)
+        return cmd_misuse(&usage, "--data is needed");
+    if (network && rq.scene)
+        return cmd_misuse(&usage, "--scene is finished, --model makes one");
+    if (reason)
+        return cmd_misuse(&usage, reason);
+    if (read_numbers(&rq) != OK)
+        return cmd_misuse(&usage, err_text());
+    const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
+    memcpy(rq.rules.inputs, inputs, sizeof inputs);
+    code = cmd_finish_job(usage.name, evaluate(&st, &rq), &st.job, rq.strict);
+    cmd_json_discard(&st.json);
+    outdir_close(&st.out);
+    imageset_free(&st.train);
+    imageset_free(&st.test);
+    imageset_free(&st.true_train);
+    imageset_free(&st.true_test);
+    engine_close(&st.engine);
+    network_close(&st.network);
+    return code;
+}

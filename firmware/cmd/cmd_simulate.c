@@ -1,0 +1,201 @@
+/* hdrig simulate: a simulated scene, photographed by a rig, as a data set with the truth beside it.
+ */
+#include "firmware/base/engine.h"
+#include "firmware/cmd/cmd.h"
+#include "firmware/result/outdir.h"
+
+#include "sim/train/dataset.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+struct request {
+    const char *out, *views, *kind, *spread, *fov, *exposures, *curve, *samples;
+    bool noise_free, free_hand;
+    struct outdir_rules rules;
+    struct config cfg;
+};
+
+struct state {
+    struct engine engine;
+    struct outdir out;
+};
+
+/* words: "first|second|..." */
+static err_t find_word(const char *option, const char *word, const char *words, int *out)
+{
+    const size_t n = strlen(word);
+    const char *at = words;
+    for (int i = 0; at; i++) {
+        if (strcspn(at, "|") == n && strncmp(at, word, n) == 0) {
+            *out = i;
+            return OK;
+        }
+        at = strchr(at, '|');
+        at += at ? 1 : 0;
+    }
+    return err_fail(ERR_ARG, "%s: \"%.64s\" is none of %s", option, word, words);
+}
+
+static err_t read_number(const char *name, const char *text, double min, double max, double *out)
+{
+    return text ? cmd_number(name, text, min, max, out) : OK;
+}
+
+static err_t read_whole(const char *name, const char *text, int min, int max, int *out)
+{
+    return text ? cmd_whole(name, text, min, max, out) : OK;
+}
+
+/* Exposure times relative to the metered one, ascending. */
+static err_t read_exposures(const char *text, struct dataset_ask *a)
+{
+    char *end = NULL;
+    a->n_exposures = 0;
+    for (const char *at = text;; at = end + 1) {
+        double t = strtod(at, &end);
+        if (end == at || (*end && *end != ',') || !(t >= 1e-12 && t <= 1e12))
+            return err_fail(ERR_ARG, "--exposures: \"%.64s\" is not a list like 0.125,1,8", text);
+        if (a->n_exposures == DATASET_EXPOSURES)
+            return err_fail(ERR_ARG, "--exposures: more than %d", DATASET_EXPOSURES);
+        a->stops[a->n_exposures++] = (float)log2(t);
+        if (a->n_exposures > 1 && !(a->stops[a->n_exposures - 1] > a->stops[a->n_exposures - 2]))
+            return err_fail(ERR_ARG, "--exposures: %g does not come after a smaller one", t);
+        if (!*end)
+            return OK;
+    }
+}
+
+static err_t read_scene(const struct request *rq, struct dataset_ask *a)
+{
+    double spread = 0.3, fov = 60;
+    int views = 9, samples = 6;
+    err_t e = read_whole("--views", rq->views, 2, 32, &views);
+    if (!e)
+        e = read_number("--spread", rq->spread, 0, 1, &spread);
+    if (!e)
+        e = read_number("--fov", rq->fov, 20, 120, &fov);
+    if (!e)
+        e = read_whole("--samples", rq->samples, 1, 8, &samples);
+    a->sample = (struct sample_ask){.seed = (uint64_t)rq->cfg.seed,
+                                    .kind = WORLD_ANY,
+                                    .n_views = 2 * views - 1,
+                                    .size = rq->cfg.size ? rq->cfg.size : 448,
+                                    .spread = (float)spread,
+                                    .fov_deg = (float)fov,
+                                    .jitter = rq->free_hand,
+                                    .quality = {.samples = samples}};
+    /* rays through other points of the pixel serve its edges and its shadows */
+    a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
+    if (!e && rq->kind)
+        e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
+    return e;
+}
+
+static err_t read_ask(const struct request *rq, struct dataset_ask *a)
+{
+    int family = CURVE_FILMIC;
+    err_t e = read_scene(rq, a);
+    if (!e)
+        e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
+    if (!e && rq->curve)
+        e = find_word("--curve", rq->curve, CURVE_WORDS, &family);
+    if (e)
+        return e;
+    a->noise = !rq->noise_free;
+    curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
+    return OK;
+}
+
+/* Marks the folder as a result, and tells how it was made. */
+static err_t write_report(const struct request *rq, const struct dataset_ask *a, struct outdir *o)
+{
+    struct report rep;
+    err_t e = outdir_report_open(o, &rep);
+    if (e)
+        return e;
+    report_int(&rep, "seed", (long long)a->sample.seed);
+    report_text(&rep, "kind", rq->kind ? rq->kind : "any");
+    report_int(&rep, "views", a->sample.n_views);
+    report_int(&rep, "size", a->sample.size);
+    report_number(&rep, "spread", (double)a->sample.spread);
+    report_number(&rep, "fov_deg", (double)a->sample.fov_deg);
+    report_bool(&rep, "free_hand", a->sample.jitter != 0);
+    report_int(&rep, "samples", a->sample.quality.samples);
+    report_bool(&rep, "noise", a->noise);
+    report_text(&rep, "curve", rq->curve ? rq->curve : "filmic");
+    return outdir_report_close(o, &rep);
+}
+
+static err_t simulate(const struct request *rq, const struct dataset_ask *a, struct state *st)
+{
+    size_t keep, tmp;
+    err_t e = engine_open(&st->engine, rq->cfg.threads);
+    if (!e)
+        dataset_plan(a, pool_size(st->engine.pool), &keep, &tmp);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, keep, tmp, config_memory_mb(&rq->cfg));
+    if (!e)
+        e = outdir_open(rq->out, &rq->rules, &st->out);
+    if (!e)
+        e = outdir_reserve(&st->out, dataset_bytes(a));
+    if (!e)
+        e = dataset_write(&st->engine.run, a, st->out.partial.dir);
+    if (!e)
+        e = write_report(rq, a, &st->out);
+    if (e && st->out.partial.dir[0])
+        e = outdir_reason(&st->out, e);
+    if (!e)
+        e = outdir_commit(&st->out);
+    progress_end(&st->engine.progress);
+    if (!e)
+        printf("%s: %d input views at %d exposures, %d held out at %d\n", rq->out,
+               a->sample.n_views / 2 + 1, a->n_exposures < 3 ? a->n_exposures : 3,
+               a->sample.n_views / 2, a->n_exposures);
+    return e;
+}
+
+int cmd_simulate_run(int argc, char **argv)
+{
+    static struct state st;
+    static struct dataset_ask ask;
+    struct request rq = {0};
+    const struct cmd_option options[] = {
+        {"out", "DIR", "where the data set goes; a former one is replaced", NULL, &rq.out, NULL},
+        CMD_FORCE(rq.rules),
+        CMD_KEY("seed", "N", "seed", "which world"),
+        {"views", "N", "input views, 2..32; one is held out between two (9)", NULL, &rq.views,
+         NULL},
+        {"kind", "K", "room, yard, dark, plain or mirror (room or yard by the seed)", NULL,
+         &rq.kind, NULL},
+        {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL,
+         &rq.spread, NULL},
+        {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
+        {"free-hand", NULL, "heights, targets and rolls differ", NULL, NULL, &rq.free_hand},
+        {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL, &rq.exposures,
+         NULL},
+        {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
+         NULL},
+        {"noise-free", NULL, "an ideal sensor", NULL, NULL, &rq.noise_free},
+        {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
+        CMD_SIZE,
+        CMD_THREADS,
+        CMD_MEMORY,
+    };
+    const struct cmd_usage usage = {
+        "simulate", "--out DIR ",
+        "A procedural world, photographed by a simulated rig, in the released data layout.",
+        options, sizeof options / sizeof options[0]};
+    int code;
+    if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
+        return code;
+    if (!rq.out)
+        return cmd_misuse(&usage, "--out is needed");
+    if (read_ask(&rq, &ask) != OK)
+        return cmd_misuse(&usage, err_text());
+    code = cmd_finish(usage.name, simulate(&rq, &ask, &st));
+    outdir_close(&st.out);
+    engine_close(&st.engine);
+    return code;
+}

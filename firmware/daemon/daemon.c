@@ -1,0 +1,786 @@
+/* Every turn of the loop collects descriptors and the nearest deadline, waits, and lets each part
+ * do what it can; no part blocks. A press becomes a take when the session is armed and the writer
+ * has room; what a press in between becomes is the policy trigger.busy. */
+#include "firmware/daemon/daemon.h"
+
+#include "firmware/base/backends.h"
+#include "firmware/base/clocks.h"
+#include "firmware/capture/schedule.h"
+#include "firmware/capture/session.h"
+#include "firmware/capture/writer.h"
+#include "firmware/daemon/calibrator.h"
+#include "firmware/daemon/collect.h"
+#include "firmware/daemon/ctl.h"
+#include "firmware/daemon/http.h"
+#include "firmware/daemon/jobs.h"
+#include "firmware/daemon/summary.h"
+#include "firmware/daemon/triggers.h"
+#include "firmware/store/store.h"
+
+#include "core/base/log.h"
+#include "drivers/device/lamp.h"
+#include "drivers/format/file.h"
+#include "drivers/format/json.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/signalfd.h>
+#include <sys/statvfs.h>
+#include <sys/timerfd.h>
+#include <systemd/sd-daemon.h>
+#include <time.h>
+#include <unistd.h>
+
+enum {
+    FDS_MAX = 64,
+    RECENT = 12,          // takes in the status
+    RETRY_S = 2,          // for what is not there
+    WRITER_LIMIT_S = 120, // a take that is written for longer hangs
+    STOP_MARGIN_MS = 1500 // beyond the longest exposure
+};
+
+struct counters {
+    long presses, takes, aborted, rejected, queued, coalesced, refused, clock_steps;
+};
+
+struct daemon {
+    const struct daemon_config *cfg;
+    const struct config *set;
+    struct session *session; // NULL: not open yet
+    struct store *store;
+    struct writer *writer;
+    struct jobs *jobs; // NULL: none are run
+    struct ctl *ctl;
+    struct http *http; // NULL: no page
+    struct lamp *lamp; // NULL: none
+    struct triggers *triggers;
+    struct collect collect;
+    struct calibrator calibrator;
+    int n_written; // takes that the writer has
+    int signals, clock;
+    bool stopping;
+    int64_t start_ns, retry_ns, pet_ns, pet_every_ns, stop_ns;
+    int n_waiting; // presses in the queue
+    int64_t waiting[16];
+    int n_asking; // clients that wait for a take
+    uint64_t asking[CTL_CLIENTS_MAX];
+    struct counters count;
+    char trouble[TAKE_TEXT]; // of the store or of the last press; "" for none
+    int n_recent;
+    struct summary recent[RECENT]; // newest first
+};
+
+/* ---- state ---- */
+
+static const char *state_word(const struct daemon *d)
+{
+    static const char *const words[] = {[SESSION_LOST] = "lost",
+                                        [SESSION_ARMED] = "armed",
+                                        [SESSION_METERING] = "metering",
+                                        [SESSION_SHOOTING] = "shooting",
+                                        [SESSION_READY] = "ready"};
+    if (d->stopping)
+        return "stopping";
+    if (d->calibrator.on)
+        return "calibrating";
+    return d->session ? words[session_state(d->session)] : "lost";
+}
+
+static const char *sentence(struct daemon *d)
+{
+    if (d->calibrator.on)
+        return calibrator_sentence(&d->calibrator);
+    if (d->trouble[0])
+        return d->trouble;
+    return d->session ? session_status(d->session) : "waits for the cameras";
+}
+
+static void write_cameras(const struct daemon *d, FILE *f)
+{
+    int n = d->session ? session_cameras(d->session) : 0;
+    fputs("\"cameras\": [", f);
+    for (int i = 0; i < n; i++) {
+        const struct take_camera *c = session_camera(d->session, i);
+        struct session_view v;
+        session_view(d->session, i, &v);
+        fprintf(f, "%s{\"uri\": ", i ? ", " : "");
+        json_put_string(f, c->uri);
+        fputs(", \"unit\": ", f);
+        json_put_string(f, c->info.unit);
+        fprintf(f,
+                ", \"present\": %s, \"width\": %d, \"height\": %d, \"format\": \"%s\", "
+                "\"exposure_s\": %.9g, \"clipped\": %.4g, \"dark\": %.4g, \"histogram\": [",
+                v.present ? "true" : "false", c->info.w, c->info.h, take_format(c->info.format),
+                v.exposure.time_s, v.clipped, v.dark);
+        for (int k = 0; k < SESSION_BINS; k++)
+            fprintf(f, "%s%u", k ? "," : "", v.histogram[k]);
+        fputs("]}", f);
+    }
+    fputs("]", f);
+}
+
+static void write_counters(const struct daemon *d, FILE *f)
+{
+    const struct counters *c = &d->count;
+    struct triggers_count t;
+    triggers_look(d->triggers, &t);
+    fprintf(f,
+            "\"counters\": {\"presses\": %ld, \"takes\": %ld, \"aborted\": %ld, "
+            "\"locked_out\": %ld, \"rejected\": %ld, \"queued\": %ld, \"coalesced\": %ld, "
+            "\"refused\": %ld, \"lost_edges\": %ld, \"clock_steps\": %ld}",
+            c->presses + t.locked_out, c->takes, c->aborted, t.locked_out, c->rejected, c->queued,
+            c->coalesced, c->refused, t.lost_edges, c->clock_steps);
+}
+
+static void write_status(void *ctx, FILE *f)
+{
+    struct daemon *d = ctx;
+    struct bracket_progress p = {0};
+    struct statvfs v;
+    if (d->session)
+        session_progress(d->session, &p);
+    double free_mb =
+        statvfs(d->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
+    fprintf(f, "{\"ok\": true, \"state\": \"%s\", \"sentence\": ", state_word(d));
+    json_put_string(f, sentence(d));
+    fprintf(f,
+            ", \"uptime_s\": %.1f, \"progress\": {\"kept\": %d, \"wanted\": %d, \"frames\": %d, "
+            "\"rejected\": %d, \"lost\": %d}, \"waiting\": %d, \"free_mb\": %.0f, ",
+            (double)(clocks_now() - d->start_ns) / 1e9, p.kept, p.wanted, p.frames, p.rejected,
+            p.lost, d->n_waiting, free_mb);
+    write_cameras(d, f);
+    fputs(", ", f);
+    jobs_write(d->jobs, f);
+    fputs(", ", f);
+    fputs("\"session\": ", f);
+    collect_write(&d->collect, f);
+    fputs(", ", f);
+    write_counters(d, f);
+    fputs(", \"captures\": [", f);
+    for (int i = 0; i < d->n_recent; i++) {
+        if (i)
+            fputs(", ", f);
+        summary_write(&d->recent[i], summary_warnings(d->set->results_path, &d->recent[i]), f);
+    }
+    fputs("]}", f);
+}
+
+static void remember(struct daemon *d, const char *id)
+{
+    struct summary s;
+    if (summary_read(d->set->store_path, id, &s) != OK) {
+        log_warn("%s", err_text());
+        return;
+    }
+    memmove(&d->recent[1], &d->recent[0], (RECENT - 1) * sizeof d->recent[0]);
+    d->recent[0] = s;
+    d->n_recent += d->n_recent < RECENT;
+}
+
+/* ---- takes ---- */
+
+static void tell_asking(struct daemon *d, const char *json)
+{
+    for (int i = 0; i < d->n_asking; i++)
+        ctl_answer(d->ctl, d->asking[i], json);
+    d->n_asking = 0;
+}
+
+/* {"ok": false, "error": sentence}, or with the name of a take. */
+static void tell_error(struct daemon *d, uint64_t id, const char *text)
+{
+    char *json = NULL;
+    size_t n;
+    FILE *f = open_memstream(&json, &n);
+    if (!f)
+        return;
+    fputs("{\"ok\": false, \"error\": ", f);
+    json_put_string(f, text);
+    fputs("}", f);
+    if (fclose(f) == 0 && id)
+        ctl_answer(d->ctl, id, json);
+    else if (json)
+        tell_asking(d, json);
+    free(json);
+}
+
+static err_t begin(struct daemon *d, int64_t press_ns)
+{
+    struct session_order o;
+    schedule_order(d->set, press_ns, &o);
+    uint64_t need = 0;
+    for (int i = 0; i < session_cameras(d->session); i++)
+        need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));
+    err_t e = store_room(d->store, need);
+    if (!e)
+        e = collect_room(&d->collect);
+    if (!e)
+        e = session_begin(d->session, &o);
+    snprintf(d->trouble, sizeof d->trouble, "%s", e ? err_text() : "");
+    if (e) {
+        d->count.refused++;
+        log_warn("no capture: %s", err_text());
+    }
+    return e;
+}
+
+static bool can_begin(struct daemon *d)
+{
+    return d->session && session_state(d->session) == SESSION_ARMED && writer_free(d->writer) &&
+           !d->stopping;
+}
+
+static bool is_busy(const struct daemon *d)
+{
+    return d->session && session_state(d->session) != SESSION_LOST;
+}
+
+static err_t queue(struct daemon *d, int64_t press_ns)
+{
+    int places = d->set->trigger_busy == CONFIG_QUEUE ? d->set->trigger_queue : 1;
+    if (d->set->trigger_busy == CONFIG_REJECT || d->n_waiting == places) {
+        if (d->set->trigger_busy == CONFIG_COALESCE) {
+            d->count.coalesced++;
+            return OK;
+        }
+        d->count.rejected++;
+        return err_fail(ERR_BUSY, d->set->trigger_busy == CONFIG_REJECT
+                                      ? "a capture runs"
+                                      : "a capture runs and the queue is full");
+    }
+    d->waiting[d->n_waiting++] = press_ns;
+    d->count.queued++;
+    return OK;
+}
+
+static err_t press(struct daemon *d, int64_t press_ns)
+{
+    d->count.presses++;
+    if (can_begin(d))
+        return begin(d, press_ns);
+    if (is_busy(d))
+        return queue(d, press_ns);
+    d->count.refused++;
+    return err_fail(ERR_LOST, "%s", sentence(d));
+}
+
+static void begin_waiting(struct daemon *d)
+{
+    while (d->n_waiting > 0 && can_begin(d)) {
+        int64_t press_ns = d->waiting[0];
+        d->n_waiting--;
+        memmove(d->waiting, d->waiting + 1, (size_t)d->n_waiting * sizeof d->waiting[0]);
+        if (begin(d, press_ns) == OK)
+            return;
+    }
+}
+
+/* A place is handed to the writer when the one before is stored, which tells its session. */
+static void collect(struct daemon *d)
+{
+    struct take *t;
+    if (!d->session || session_state(d->session) != SESSION_READY || !writer_free(d->writer) ||
+        (d->collect.on && d->n_written > 0))
+        return;
+    if (session_collect(d->session, &t) != OK)
+        return;
+    collect_take(&d->collect, t);
+    if (writer_put(d->writer, t) == OK)
+        d->n_written++;
+    else
+        take_free(t);
+}
+
+static void tell_take(struct daemon *d, const char *id)
+{
+    char *json = NULL;
+    size_t n;
+    FILE *f = open_memstream(&json, &n);
+    if (!f)
+        return;
+    fprintf(f, "{\"ok\": true, \"id\": \"%s\"", id);
+    if (d->collect.on) {
+        fputs(", \"session\": ", f);
+        collect_write(&d->collect, f);
+    }
+    fputs("}", f);
+    if (fclose(f) == 0)
+        tell_asking(d, json);
+    free(json);
+}
+
+static void finish_take(struct daemon *d, const struct writer_outcome *o)
+{
+    bool complete = o->take->status == TAKE_COMPLETE;
+    if (o->err) {
+        log_error("capture not stored: %s", o->text);
+        snprintf(d->trouble, sizeof d->trouble, "%.*s", TAKE_TEXT - 1, o->text);
+        tell_error(d, 0, o->text);
+        d->count.aborted++;
+        return;
+    }
+    bool is_place = complete && o->take->is_place;
+    if (complete && collect_look(&d->collect) != OK)
+        log_warn("%s", err_text());
+    log_info("%s: %d frames%s%s%s%s", o->id, o->take->n, o->take->reason[0] ? ", " : "",
+             o->take->reason, is_place ? ", " : "", is_place ? d->collect.line : "");
+    remember(d, o->id);
+    d->count.takes += complete;
+    d->count.aborted += !complete;
+    if (complete)
+        tell_take(d, o->id);
+    else
+        tell_error(d, 0, o->take->reason);
+    if (complete && !is_place && d->jobs && jobs_add(d->jobs, o->id) != OK)
+        log_warn("%s", err_text());
+}
+
+static void finish_takes(struct daemon *d)
+{
+    struct writer_outcome o;
+    while (writer_outcome(d->writer, &o) == OK) {
+        d->n_written--;
+        finish_take(d, &o);
+        take_free(o.take);
+    }
+}
+
+/* ---- commands ---- */
+
+static void cancel(struct daemon *d)
+{
+    if (d->calibrator.on)
+        calibrator_cancel(&d->calibrator);
+    else if (d->session && (session_state(d->session) == SESSION_SHOOTING ||
+                            session_state(d->session) == SESSION_METERING))
+        session_cancel(d->session, "cancelled");
+    else if (d->jobs)
+        jobs_cancel(d->jobs);
+    d->n_waiting = 0;
+}
+
+static err_t end_session(struct daemon *d)
+{
+    bool idle = !is_busy(d) || session_state(d->session) == SESSION_ARMED;
+    return collect_end(&d->collect, d->n_written > 0 || d->n_waiting > 0 || !idle);
+}
+
+static void on_press(void *ctx, int64_t press_ns, bool is_long)
+{
+    struct daemon *d = ctx;
+    if ((is_long ? end_session(d) : press(d, press_ns)) != OK)
+        log_info("press not answered: %s", err_text());
+}
+
+static err_t run_command(void *ctx, const char *line)
+{
+    struct daemon *d = ctx;
+    if (strcmp(line, "capture") == 0)
+        return press(d, clocks_now());
+    if (strcmp(line, "cancel") == 0) {
+        cancel(d);
+        return OK;
+    }
+    if (strcmp(line, "session") == 0)
+        return OK;
+    if (strcmp(line, "session end") == 0)
+        return end_session(d);
+    if (strcmp(line, "session scene") == 0)
+        return collect_scene(&d->collect);
+    return err_fail(ERR_ARG,
+                    "unknown command \"%.40s\": status, capture [wait], session [end|scene], "
+                    "calibrate [WHAT SECONDS], cancel",
+                    line);
+}
+
+static void write_session(void *ctx, FILE *f)
+{
+    const struct daemon *d = ctx;
+    fputs("{\"ok\": true, \"session\": ", f);
+    collect_write(&d->collect, f);
+    fputs("}", f);
+}
+
+static void tell(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f))
+{
+    char *json = NULL;
+    size_t n;
+    FILE *f = open_memstream(&json, &n);
+    if (!f)
+        return;
+    write(d, f);
+    if (fclose(f) == 0)
+        ctl_answer(d->ctl, id, json);
+    free(json);
+}
+
+/* The cameras are closed for it; open_cameras opens them afterwards. */
+static err_t calibrate(struct daemon *d, uint64_t id, const char *line)
+{
+    if (d->stopping || (is_busy(d) && !can_begin(d)))
+        return err_fail(ERR_BUSY, "a capture runs: cameras are calibrated between captures");
+    err_t e = calibrator_begin(&d->calibrator, id, line);
+    if (e)
+        return e;
+    session_close(d->session);
+    d->session = NULL;
+    return OK;
+}
+
+static void on_line(void *ctx, uint64_t id, const char *line)
+{
+    struct daemon *d = ctx;
+    bool wait = strcmp(line, "capture wait") == 0;
+    bool is_order = strncmp(line, "calibrate", 9) == 0;
+    if (strcmp(line, "status") == 0)
+        tell(d, id, write_status);
+    else if (is_order && calibrate(d, id, line) == OK)
+        return; // the calibrator answers
+    else if (is_order || run_command(d, wait ? "capture" : line) != OK)
+        tell_error(d, id, err_text());
+    else if (strncmp(line, "session", 7) == 0)
+        tell(d, id, write_session);
+    else if (wait && d->n_asking < CTL_CLIENTS_MAX)
+        d->asking[d->n_asking++] = id;
+    else
+        ctl_answer(d->ctl, id, "{\"ok\": true}");
+}
+
+/* ---- the loop ---- */
+
+static void open_cameras(struct daemon *d, int64_t now, err_t *fatal)
+{
+    const struct config *c = d->set;
+    if (d->session || d->calibrator.on || now < d->retry_ns || !c->camera[0][0])
+        return;
+    struct session_config s = {.w = c->camera_w,
+                               .h = c->camera_h,
+                               .format = (enum camera_format)c->camera_format,
+                               .calibration = c->calibration_path,
+                               .memory = (size_t)config_memory_mb(c) * 1000000};
+    while (s.n < CONFIG_CAMERAS && c->camera[s.n][0]) {
+        s.uri[s.n] = c->camera[s.n];
+        s.n++;
+    }
+    err_t e = session_open(&s, &d->session);
+    if (e == ERR_ARG || e == ERR_UNSUPPORTED || e == ERR_NOMEM)
+        *fatal = e;
+    else if (e && strcmp(d->trouble, err_text()) != 0)
+        log_warn("%s; trying again", err_text());
+    snprintf(d->trouble, sizeof d->trouble, "%s", e ? err_text() : "");
+    d->retry_ns = now + RETRY_S * INT64_C(1000000000);
+}
+
+static void read_signals(struct daemon *d)
+{
+    struct signalfd_siginfo s;
+    while (read(d->signals, &s, sizeof s) == sizeof s) {
+        if (d->stopping)
+            continue;
+        double longest = d->session ? session_longest_s(d->session) : 0;
+        log_info("%s: stopping", strsignal((int)s.ssi_signo));
+        d->stopping = true;
+        d->stop_ns = clocks_now() + (int64_t)(longest * 1e9) + STOP_MARGIN_MS * INT64_C(1000000);
+        sd_notifyf(0, "STOPPING=1\nEXTEND_TIMEOUT_USEC=%.0f", (longest + 10) * 1e6);
+        if (d->session)
+            session_cancel(d->session, "shutdown");
+    }
+}
+
+static bool set_clock(int fd)
+{
+    struct itimerspec far = {.it_value = {.tv_sec = INT32_MAX}};
+    return timerfd_settime(fd, TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET, &far, NULL) == 0;
+}
+
+/* CLOCK_REALTIME was set: names do not depend on it, manifests tell both clocks. */
+static void read_clock(struct daemon *d)
+{
+    uint64_t n;
+    if (read(d->clock, &n, sizeof n) >= 0 || errno != ECANCELED)
+        return;
+    d->count.clock_steps++;
+    log_info("the wall clock was set");
+    set_clock(d->clock);
+}
+
+static void show_lamp(struct daemon *d, int64_t now)
+{
+    if (!d->lamp)
+        return;
+    enum lamp_state s = LAMP_BUSY;
+    if (d->calibrator.on)
+        s = LAMP_BUSY;
+    else if (!d->session || session_state(d->session) == SESSION_LOST || d->trouble[0])
+        s = LAMP_FAULT;
+    else if (can_begin(d))
+        s = LAMP_ARMED;
+    lamp_show(d->lamp, s, now);
+    if (now >= lamp_next_ns(d->lamp) && lamp_tick(d->lamp, now) != OK)
+        log_warn("lamp: %s", err_text());
+}
+
+/* Only a loop that turns, and a writer that gets on, keep the watchdog quiet. */
+static void pet(struct daemon *d, int64_t now)
+{
+    int64_t since = writer_since_ns(d->writer);
+    if (!d->pet_every_ns || now < d->pet_ns)
+        return;
+    if (since && now - since > WRITER_LIMIT_S * INT64_C(1000000000))
+        return;
+    d->pet_ns = now + d->pet_every_ns;
+    sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", sentence(d));
+}
+
+static int64_t earlier(int64_t a, int64_t b)
+{
+    return a < b ? a : b;
+}
+
+static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
+{
+    int64_t now = clocks_now();
+    int n = 0;
+    *deadline = now + RETRY_S * INT64_C(1000000000);
+    fds[n++] = (struct pollfd){.fd = d->signals, .events = POLLIN};
+    fds[n++] = (struct pollfd){.fd = d->clock, .events = POLLIN};
+    fds[n++] = (struct pollfd){.fd = writer_fd(d->writer), .events = POLLIN};
+    if (d->http)
+        fds[n++] = http_poll(d->http, now, deadline);
+    n += triggers_poll(d->triggers, fds + n, FDS_MAX - n);
+    n += ctl_poll(d->ctl, fds + n, FDS_MAX - n);
+    n += calibrator_poll(&d->calibrator, fds + n, FDS_MAX - n);
+    if (d->jobs)
+        n += jobs_poll(d->jobs, fds + n, FDS_MAX - n);
+    if (d->session) {
+        int64_t due = INT64_MAX;
+        n += session_poll(d->session, fds + n, FDS_MAX - n, &due);
+        *deadline = earlier(*deadline, due);
+    }
+    if (d->lamp)
+        *deadline = earlier(*deadline, lamp_next_ns(d->lamp));
+    if (d->pet_every_ns)
+        *deadline = earlier(*deadline, d->pet_ns);
+    return n;
+}
+
+static err_t turn(struct daemon *d)
+{
+    int64_t now = clocks_now();
+    err_t e = OK;
+    read_signals(d);
+    read_clock(d);
+    if (!d->stopping)
+        open_cameras(d, now, &e);
+    if (!e && d->session)
+        e = session_step(d->session);
+    if (e)
+        return e;
+    if (!d->stopping)
+        e = triggers_step(d->triggers, now);
+    if (e)
+        return e;
+    ctl_step(d->ctl);
+    calibrator_step(&d->calibrator);
+    calibrator_answer(&d->calibrator, can_begin(d), now);
+    if (d->http)
+        http_step(d->http);
+    collect(d);
+    finish_takes(d);
+    begin_waiting(d);
+    if (d->collect.ending && end_session(d) != OK)
+        log_warn("the session does not end: %s", err_text());
+    if (d->jobs && !d->stopping)
+        jobs_step(d->jobs);
+    show_lamp(d, now);
+    pet(d, now);
+    return OK;
+}
+
+static bool finished(struct daemon *d)
+{
+    if (!d->stopping)
+        return false;
+    enum session_state s = d->session ? session_state(d->session) : SESSION_LOST;
+    return s == SESSION_ARMED || s == SESSION_LOST || clocks_now() >= d->stop_ns;
+}
+
+static err_t loop(struct daemon *d)
+{
+    err_t e = turn(d);
+    sd_notify(0, "READY=1");
+    while (!e && !finished(d)) {
+        struct pollfd fds[FDS_MAX];
+        int64_t deadline;
+        int n = gather(d, fds, &deadline);
+        int64_t left = deadline - clocks_now();
+        struct timespec wait = {.tv_sec = left > 0 ? left / 1000000000 : 0,
+                                .tv_nsec = left > 0 ? left % 1000000000 : 0};
+        if (ppoll(fds, (nfds_t)n, &wait, NULL) < 0 && errno != EINTR)
+            return err_fail(ERR_IO, "poll: %s", strerror(errno));
+        e = turn(d);
+    }
+    return e;
+}
+
+/* ---- start and end ---- */
+
+static err_t open_signals(struct daemon *d)
+{
+    sigset_t set;
+    sigemptyset(&set);
+    sigaddset(&set, SIGTERM);
+    sigaddset(&set, SIGINT);
+    signal(SIGPIPE, SIG_IGN);
+    sigprocmask(SIG_BLOCK, &set, NULL);
+    d->signals = signalfd(-1, &set, SFD_NONBLOCK | SFD_CLOEXEC);
+    d->clock = timerfd_create(CLOCK_REALTIME, TFD_NONBLOCK | TFD_CLOEXEC);
+    if (d->signals < 0 || d->clock < 0 || !set_clock(d->clock))
+        return err_fail(ERR_IO, "signalfd or timerfd: %s", strerror(errno));
+    return OK;
+}
+
+static err_t open_triggers(struct daemon *d)
+{
+    const struct triggers_config t = {.uri = d->set->trigger,
+                                      .lockout_ms = d->set->trigger_lockout_ms,
+                                      .hold_ms = d->collect.on ? d->set->session_hold_ms : 0,
+                                      .find = backends_trigger,
+                                      .press = on_press,
+                                      .ctx = d};
+    return triggers_open(&t, &d->triggers);
+}
+
+static err_t open_store(struct daemon *d)
+{
+    char ids[RECENT][STORE_ID_CAP];
+    struct store_config s = {d->set->store_path, (uint64_t)d->set->store_reserve_mb * 1000000,
+                             d->set->store_merge != 0, d->set->store_keep};
+    err_t e = store_open(&s, &d->store);
+    if (!e)
+        e = writer_open(d->store, &d->writer);
+    if (e)
+        return e;
+    for (int i = store_list(d->store, ids, RECENT) - 1; i >= 0; i--)
+        remember(d, ids[i]);
+    return OK;
+}
+
+static err_t open_lamp(struct daemon *d)
+{
+    if (!d->set->lamp[0])
+        return OK;
+    err_t e = lamp_open(d->set->lamp, &d->lamp);
+    if (e == ERR_ARG || e == ERR_NOMEM)
+        return e;
+    if (e)
+        log_warn("lamp: %s", err_text());
+    return OK;
+}
+
+static err_t open_all(struct daemon *d)
+{
+    const struct config *c = d->set;
+    err_t e = open_signals(d);
+    if (!e)
+        e = open_store(d);
+    struct jobs_config jobs = {d->cfg->program, c->store_path, c->results_path,
+                               d->cfg->config_path};
+    if (!e && c->job_run)
+        e = jobs_open(&jobs, &d->jobs);
+    d->collect =
+        (struct collect){.store = c->store_path, .jobs = d->jobs, .on = config_collects(c)};
+    while (d->collect.cameras < CONFIG_CAMERAS && c->camera[d->collect.cameras][0])
+        d->collect.cameras++;
+    if (!e)
+        e = collect_look(&d->collect);
+    if (!e)
+        e = ctl_open(c->control_socket, on_line, d, &d->ctl);
+    d->calibrator = (struct calibrator){
+        .set = c, .config_path = d->cfg->config_path, .program = d->cfg->program, .ctl = d->ctl};
+    struct http_config http = {.address = c->http_address,
+                               .port = c->http_port,
+                               .token = c->http_token,
+                               .captures = c->store_path,
+                               .results = c->results_path,
+                               .ctx = d,
+                               .status = write_status,
+                               .command = run_command};
+    if (!e && c->http_port)
+        e = http_open(&http, &d->http);
+    if (!e)
+        e = open_triggers(d);
+    if (!e)
+        e = open_lamp(d);
+    uint64_t us = 0;
+    if (!e && sd_watchdog_enabled(0, &us) > 0)
+        d->pet_every_ns = (int64_t)us * 1000 / 3;
+    return e;
+}
+
+/* What is served, and where. */
+static void tell_start(const struct daemon *d)
+{
+    const struct config *c = d->set;
+    const char *config = d->cfg->config_path;
+    bool v6 = strchr(c->http_address, ':') != NULL;
+    for (int i = 0; i < CONFIG_CAMERAS; i++)
+        if (c->camera[i][0])
+            log_info("camera.%d: %s", i + 1, c->camera[i]);
+    for (int i = 0; i < CONFIG_TRIGGERS; i++)
+        if (c->trigger[i][0])
+            log_info("trigger.%d: %s", i + 1, c->trigger[i]);
+    log_info("captures: %s, scenes: %s", c->store_path,
+             d->jobs ? c->results_path : "none are made");
+    if (d->collect.on)
+        log_info("session: %s; hdrig session end makes one scene of its places", d->collect.line);
+    if (d->http)
+        log_info("page: http://%s%s%s:%d", v6 ? "[" : "", c->http_address, v6 ? "]" : "",
+                 http_port(d->http));
+    log_info("commands: hdrig capture|session|calibrate|status|cancel%s%s, at %s",
+             config ? " --config " : "", config ? config : "", c->control_socket);
+}
+
+static void close_all(struct daemon *d)
+{
+    while (d->n_written > 0) { // a place that waits needs to know the session of those before
+        struct pollfd p = {.fd = writer_fd(d->writer), .events = POLLIN};
+        poll(&p, 1, -1);
+        finish_takes(d);
+    }
+    collect(d);
+    session_close(d->session);
+    triggers_close(d->triggers);
+    calibrator_close(&d->calibrator);
+    lamp_close(d->lamp);
+    writer_close(d->writer);
+    store_close(d->store);
+    jobs_close(d->jobs);
+    http_close(d->http);
+    ctl_close(d->ctl);
+    if (d->signals >= 0)
+        close(d->signals);
+    if (d->clock >= 0)
+        close(d->clock);
+}
+
+err_t daemon_run(const struct daemon_config *cfg)
+{
+    struct daemon *d = calloc(1, sizeof *d);
+    if (!d)
+        return err_fail(ERR_NOMEM, "daemon: no memory");
+    d->cfg = cfg;
+    d->set = cfg->settings;
+    d->signals = d->clock = -1;
+    d->start_ns = clocks_now();
+    err_t e = open_all(d);
+    if (!e)
+        tell_start(d);
+    if (!e)
+        e = loop(d);
+    close_all(d);
+    free(d);
+    return e;
+}

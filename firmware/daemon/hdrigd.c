@@ -1,0 +1,114 @@
+/* hdrigd.c - the daemon: reads its settings and runs. */
+#include "firmware/cmd/cmd.h"
+#include "firmware/daemon/daemon.h"
+
+#include "drivers/format/file.h"
+
+#include <getopt.h>
+#include <libgen.h>
+#include <stdio.h>
+#include <string.h>
+#include <unistd.h>
+
+enum { BAD_CONFIG = 78, OPT_SET = 256 }; // EX_CONFIG of sysexits.h: systemd does not restart then
+
+static const char help[] =
+    "usage: hdrigd [--config FILE] [--set KEY=VALUE]... [--check]\n\n"
+    "Takes captures on a trigger, a command or a click, stores and reconstructs them.\n\n"
+    "  --config FILE      settings to read after those of " CONFIG_DIR "\n"
+    "  --set KEY=VALUE    one setting, see hdrig config --print\n"
+    "  --check            read the settings, say what is wrong with them, and end\n"
+    "  --version          of this program\n"
+    "  --help             this text\n\n"
+    "hdrig status, hdrig capture and hdrig cancel talk to it. SIGTERM ends it cleanly.\n";
+
+struct request {
+    const char *config_path;
+    bool check, version, help;
+};
+
+static const struct option table[] = {
+    {"config", required_argument, NULL, 'c'}, {"set", required_argument, NULL, OPT_SET},
+    {"check", no_argument, NULL, 'k'},        {"version", no_argument, NULL, 'v'},
+    {"help", no_argument, NULL, 'h'},         {0}};
+
+/* First pass (c NULL): all but --set. Second pass: --set alone, after the files. */
+static err_t scan(int argc, char **argv, struct request *q, struct config *c)
+{
+    err_t e = OK;
+    opterr = 0;
+    optind = 0;
+    for (int o; !e && (o = getopt_long(argc, argv, "+:h", table, NULL)) != -1;) {
+        if (o == '?' || o == ':')
+            e = err_fail(ERR_ARG, o == ':' ? "%s needs an argument" : "unknown option %s",
+                         argv[optind - 1]);
+        q->check = q->check || o == 'k';
+        q->version = q->version || o == 'v';
+        q->help = q->help || o == 'h';
+        if (o == 'c')
+            q->config_path = optarg;
+        if (o == OPT_SET && c)
+            e = config_assign(c, optarg);
+    }
+    if (!e && optind < argc)
+        e = err_fail(ERR_ARG, "unexpected argument \"%s\"", argv[optind]);
+    return e;
+}
+
+static err_t load(int argc, char **argv, struct request *q, struct config *c)
+{
+    config_defaults(c);
+    err_t e = config_load(c, CONFIG_DIR);
+    if (!e && q->config_path)
+        e = config_read(c, q->config_path);
+    if (!e)
+        e = scan(argc, argv, q, c);
+    return e ? e : config_check_rig(c);
+}
+
+/* hdrig, which stands beside this program. */
+static err_t find_program(char path[FILE_PATH_CAP])
+{
+    char self[FILE_PATH_CAP];
+    ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
+    if (n <= 0)
+        return err_fail(ERR_IO, "/proc/self/exe cannot be read");
+    self[n] = 0;
+    return file_join(dirname(self), "hdrig", path);
+}
+
+static int say(err_t e, int code)
+{
+    fprintf(stderr, "hdrigd: %s\n", err_text());
+    return e ? code : CMD_OK;
+}
+
+int main(int argc, char **argv)
+{
+    static struct config c;
+    struct request q = {0};
+    char program[FILE_PATH_CAP];
+    err_t e = scan(argc, argv, &q, NULL);
+    if (e)
+        return say(e, CMD_USAGE);
+    if (q.help) {
+        fputs(help, stdout);
+        return CMD_OK;
+    }
+    if (q.version) {
+        puts("hdrigd " HDRIG_VERSION);
+        return CMD_OK;
+    }
+    e = load(argc, argv, &q, &c);
+    if (e)
+        return say(e, BAD_CONFIG);
+    if (q.check) {
+        puts("the settings are good");
+        return CMD_OK;
+    }
+    e = find_program(program);
+    struct daemon_config d = {&c, q.config_path, program};
+    if (!e)
+        e = daemon_run(&d);
+    return e ? say(e, e == ERR_ARG || e == ERR_UNSUPPORTED ? BAD_CONFIG : CMD_FAILURE) : CMD_OK;
+}

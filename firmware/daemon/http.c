@@ -1,0 +1,446 @@
+/* Requests are small and answered at once; files are sent by the library. */
+#include "firmware/daemon/http.h"
+
+#include "firmware/base/clocks.h"
+#include "firmware/daemon/connections.h"
+#include "firmware/result/embed.h"
+
+#include "drivers/format/json.h"
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <microhttpd.h>
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum { TIMEOUT_S = 15, BODY_MAX = 512, NAME_MAX_BYTES = 128, DEPTH = 4 };
+
+/* The files of the page, in the binary, each with its size. */
+EMBED_FILE(http_page_html, "firmware/web/page.html");
+EMBED_FILE(http_page_css, "firmware/web/page.css");
+EMBED_FILE(http_page_js, "firmware/web/page.js");
+
+struct http {
+    struct http_config cfg;
+    struct MHD_Daemon *mhd;
+    int fd; // epoll
+    char host[256];
+    struct connections connections;
+    int64_t look_ns; // at them
+};
+
+struct request { // of one that has a body
+    char body[BODY_MAX];
+    size_t n;
+};
+
+/* The status page, and pages of results, which have everything inside them and ask nobody. */
+static const char page_policy[] =
+    "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'";
+static const char result_policy[] =
+    "default-src 'none'; script-src 'unsafe-inline' blob:; worker-src blob:; "
+    "style-src 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'";
+
+static const char *type_of(const char *name)
+{
+    static const char *const types[][2] = {
+        {".json", "application/json"}, {".png", "image/png"},   {".jpg", "image/jpeg"},
+        {".html", "text/html"},        {".exr", "image/x-exr"},
+    };
+    const char *dot = strrchr(name, '.');
+    for (size_t i = 0; dot && i < sizeof types / sizeof types[0]; i++)
+        if (strcmp(dot, types[i][0]) == 0)
+            return types[i][1];
+    return "application/octet-stream";
+}
+
+static enum MHD_Result send_response(struct MHD_Connection *c, unsigned status, const char *type,
+                                     const char *policy, struct MHD_Response *r)
+{
+    if (!r)
+        return MHD_NO;
+    MHD_add_response_header(r, "Content-Type", type);
+    MHD_add_response_header(r, "Content-Security-Policy", policy);
+    MHD_add_response_header(r, "X-Content-Type-Options", "nosniff");
+    MHD_add_response_header(r, "Referrer-Policy", "no-referrer");
+    MHD_add_response_header(r, "Cache-Control", "no-store");
+    enum MHD_Result ok = MHD_queue_response(c, status, r);
+    MHD_destroy_response(r);
+    return ok;
+}
+
+static enum MHD_Result send_text(struct MHD_Connection *c, unsigned status, const char *type,
+                                 const char *text, size_t n)
+{
+    struct MHD_Response *r =
+        MHD_create_response_from_buffer(n, (void *)(uintptr_t)text, MHD_RESPMEM_MUST_COPY);
+    return send_response(c, status, type, page_policy, r);
+}
+
+static enum MHD_Result send_error(struct MHD_Connection *c, unsigned status, const char *sentence)
+{
+    char *text = NULL;
+    size_t n = 0;
+    enum MHD_Result r = MHD_NO;
+    FILE *f = open_memstream(&text, &n);
+    if (!f)
+        return MHD_NO;
+    fputs("{\"ok\": false, \"error\": ", f);
+    json_put_string(f, sentence);
+    fputs("}\n", f);
+    if (fclose(f) == 0)
+        r = send_text(c, status, "application/json", text, n);
+    free(text);
+    return r;
+}
+
+/* ---- who may ask ---- */
+
+static bool same_secret(const char *a, const char *b)
+{
+    size_t n = strlen(a), m = strlen(b);
+    unsigned char differ = n != m;
+    for (size_t i = 0; i < n && m > 0; i++)
+        differ |= (unsigned char)(a[i] ^ b[i % m]);
+    return !differ;
+}
+
+static bool has_token(const struct http *h, struct MHD_Connection *c)
+{
+    const char *cookie = MHD_lookup_connection_value(c, MHD_COOKIE_KIND, "hdrig");
+    const char *auth = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Authorization");
+    if (auth && strncmp(auth, "Bearer ", 7) == 0 && same_secret(auth + 7, h->cfg.token))
+        return true;
+    return cookie && same_secret(cookie, h->cfg.token);
+}
+
+/* Name of a Host header without its port. */
+static bool is_own_name(const struct http *h, const char *host)
+{
+    char name[256];
+    struct in6_addr a;
+    const char *bracket = host[0] == '[' ? strchr(host, ']') : NULL;
+    size_t n = bracket ? (size_t)(bracket - host) - 1 : strcspn(host, ":");
+    if (n >= sizeof name)
+        return false;
+    memcpy(name, host + (bracket != NULL), n);
+    name[n] = 0;
+    if (inet_pton(bracket ? AF_INET6 : AF_INET, name, &a) == 1)
+        return true;
+    size_t own = strlen(h->host);
+    return strcasecmp(name, "localhost") == 0 || strcasecmp(name, h->host) == 0 ||
+           (own && strncasecmp(name, h->host, own) == 0 && strcasecmp(name + own, ".local") == 0);
+}
+
+/* ---- files ---- */
+
+static bool plain_name(const char *p, size_t n)
+{
+    static const char allowed[] = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
+                                  "_-.";
+    return n > 0 && n < NAME_MAX_BYTES && p[0] != '.' && strspn(p, allowed) >= n;
+}
+
+/* A regular file below `dir`: plain names only, no links. -1 if there is none. */
+static int open_below(const char *dir, const char *path)
+{
+    int fd = open(dir, O_PATH | O_DIRECTORY | O_CLOEXEC);
+    for (int depth = 0; fd >= 0 && depth < DEPTH; depth++) {
+        char name[NAME_MAX_BYTES];
+        size_t n = strcspn(path, "/");
+        bool last = !path[n];
+        int next = -1;
+        if (plain_name(path, n)) {
+            memcpy(name, path, n);
+            name[n] = 0;
+            next =
+                openat(fd, name, O_NOFOLLOW | O_CLOEXEC | (last ? O_RDONLY | O_NONBLOCK : O_PATH));
+        }
+        close(fd);
+        if (last || next < 0)
+            return next;
+        fd = next;
+        path += n + 1;
+    }
+    if (fd >= 0)
+        close(fd);
+    return -1;
+}
+
+static enum MHD_Result send_file(struct MHD_Connection *c, const char *dir, const char *path)
+{
+    struct stat st;
+    int fd = open_below(dir, path);
+    if (fd < 0 || fstat(fd, &st) != 0 || !S_ISREG(st.st_mode)) {
+        if (fd >= 0)
+            close(fd);
+        return send_error(c, MHD_HTTP_NOT_FOUND, "no such file");
+    }
+    struct MHD_Response *r = MHD_create_response_from_fd64((uint64_t)st.st_size, fd);
+    if (!r)
+        close(fd);
+    return send_response(c, MHD_HTTP_OK, type_of(path), result_policy, r);
+}
+
+/* ---- requests ---- */
+
+static enum MHD_Result send_status(const struct http *h, struct MHD_Connection *c)
+{
+    char *text = NULL;
+    size_t n = 0;
+    FILE *f = open_memstream(&text, &n);
+    if (!f)
+        return MHD_NO;
+    h->cfg.status(h->cfg.ctx, f);
+    if (fclose(f) != 0) {
+        free(text);
+        return MHD_NO;
+    }
+    enum MHD_Result r = send_text(c, MHD_HTTP_OK, "application/json", text, n);
+    free(text);
+    return r;
+}
+
+static enum MHD_Result get(const struct http *h, struct MHD_Connection *c, const char *url)
+{
+    if (strncmp(url, "/results/", 9) == 0)
+        return send_file(c, h->cfg.results, url + 9);
+    if (!h->cfg.status)
+        return send_error(c, MHD_HTTP_NOT_FOUND, "only files below /results");
+    if (strcmp(url, "/") == 0)
+        return send_text(c, MHD_HTTP_OK, "text/html; charset=utf-8", http_page_html,
+                         http_page_html_size);
+    if (strcmp(url, "/page.css") == 0)
+        return send_text(c, MHD_HTTP_OK, "text/css", http_page_css, http_page_css_size);
+    if (strcmp(url, "/page.js") == 0)
+        return send_text(c, MHD_HTTP_OK, "text/javascript", http_page_js, http_page_js_size);
+    if (strcmp(url, "/status.json") == 0)
+        return send_status(h, c);
+    if (strncmp(url, "/captures/", 10) == 0)
+        return send_file(c, h->cfg.captures, url + 10);
+    return send_error(c, MHD_HTTP_NOT_FOUND, "no such page");
+}
+
+/* The line of ctl.h for a URL; NULL: it is no command. */
+static const char *command_of(const char *url)
+{
+    static const char *const commands[][2] = {{"/capture", "capture"},
+                                              {"/cancel", "cancel"},
+                                              {"/session/end", "session end"},
+                                              {"/session/scene", "session scene"}};
+    for (size_t i = 0; i < sizeof commands / sizeof commands[0]; i++)
+        if (strcmp(url, commands[i][0]) == 0)
+            return commands[i][1];
+    return NULL;
+}
+
+static enum MHD_Result command(const struct http *h, struct MHD_Connection *c, const char *line)
+{
+    static const char ok[] = "{\"ok\": true}\n";
+    const char *own = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "X-Hdrig");
+    if (!own || strcmp(own, "1") != 0)
+        return send_error(c, MHD_HTTP_FORBIDDEN, "header X-Hdrig: 1 is missing");
+    if (h->cfg.command(h->cfg.ctx, line) != OK)
+        return send_error(c, MHD_HTTP_CONFLICT, err_text());
+    return send_text(c, MHD_HTTP_OK, "application/json", ok, sizeof ok - 1);
+}
+
+/* The form of the page sends token=..., which has no characters that need coding. */
+static enum MHD_Result login(const struct http *h, struct MHD_Connection *c,
+                             const struct request *q)
+{
+    char cookie[400];
+    if (strncmp(q->body, "token=", 6) != 0 || !same_secret(q->body + 6, h->cfg.token))
+        return send_error(c, MHD_HTTP_UNAUTHORIZED, "wrong token");
+    struct MHD_Response *r =
+        MHD_create_response_from_buffer(0, (void *)(uintptr_t) "", MHD_RESPMEM_PERSISTENT);
+    if (!r)
+        return MHD_NO;
+    snprintf(cookie, sizeof cookie, "hdrig=%s; HttpOnly; SameSite=Strict; Path=/", h->cfg.token);
+    MHD_add_response_header(r, "Set-Cookie", cookie);
+    MHD_add_response_header(r, "Location", "/");
+    return send_response(c, MHD_HTTP_SEE_OTHER, "text/plain", page_policy, r);
+}
+
+static enum MHD_Result ask_token(struct MHD_Connection *c, const char *method, const char *url)
+{
+    static const char form[] =
+        "<!doctype html><meta name=viewport content=\"width=device-width\"><title>hdrig</title>"
+        "<form method=post action=/login><label>token <input name=token type=password autofocus>"
+        "</label> <button>open</button></form>";
+    if (strcmp(method, "GET") == 0 && strcmp(url, "/") == 0)
+        return send_text(c, MHD_HTTP_UNAUTHORIZED, "text/html; charset=utf-8", form,
+                         sizeof form - 1);
+    return send_error(c, MHD_HTTP_UNAUTHORIZED, "a token is needed");
+}
+
+static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, const char *method,
+                              const char *url, const struct request *q)
+{
+    const char *host = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Host");
+    bool post = strcmp(method, "POST") == 0;
+    if (!h->cfg.token[0] && (!host || !is_own_name(h, host)))
+        return send_error(c, MHD_HTTP_FORBIDDEN, "the name of this machine is another one");
+    if (h->cfg.token[0] && post && strcmp(url, "/login") == 0)
+        return login(h, c, q);
+    if (h->cfg.token[0] && !has_token(h, c))
+        return ask_token(c, method, url);
+    if (post && h->cfg.command && command_of(url))
+        return command(h, c, command_of(url));
+    if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0)
+        return get(h, c, url);
+    return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, or POST of a command");
+}
+
+static struct connection *connection_of(struct MHD_Connection *c)
+{
+    return MHD_get_connection_info(c, MHD_CONNECTION_INFO_SOCKET_CONTEXT)->socket_context;
+}
+
+static void on_connection(void *ctx, struct MHD_Connection *c, void **socket,
+                          enum MHD_ConnectionNotificationCode code)
+{
+    struct http *h = ctx;
+    if (code == MHD_CONNECTION_NOTIFY_CLOSED) {
+        connections_remove(*socket);
+        return;
+    }
+    const struct sockaddr *from =
+        MHD_get_connection_info(c, MHD_CONNECTION_INFO_CLIENT_ADDRESS)->client_addr;
+    int fd = MHD_get_connection_info(c, MHD_CONNECTION_INFO_CONNECTION_FD)->connect_fd;
+    *socket = connections_add(&h->connections, fd, from, clocks_now());
+}
+
+/* Called when the header is complete, for each piece of the body, and at its end. */
+static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const char *url,
+                                  const char *method, const char *version, const char *body,
+                                  size_t *n, void **state)
+{
+    struct request *q = *state;
+    (void)version;
+    if (!q) {
+        q = *state = calloc(1, sizeof *q);
+        return q ? MHD_YES : MHD_NO;
+    }
+    if (*n) {
+        if (*n >= sizeof q->body - q->n)
+            return MHD_NO; // nobody needs so much: close
+        memcpy(q->body + q->n, body, *n);
+        q->n += *n;
+        *n = 0;
+        return MHD_YES;
+    }
+    connections_begin(connection_of(c));
+    return answer(ctx, c, method, url, q);
+}
+
+static void on_end(void *ctx, struct MHD_Connection *c, void **state,
+                   enum MHD_RequestTerminationCode code)
+{
+    (void)ctx;
+    (void)code;
+    connections_end(connection_of(c), clocks_now());
+    free(*state);
+    *state = NULL;
+}
+
+/* ---- life ---- */
+
+union address {
+    struct sockaddr any;
+    struct sockaddr_in v4;
+    struct sockaddr_in6 v6;
+};
+
+static err_t parse_address(const struct http_config *cfg, union address *a)
+{
+    memset(a, 0, sizeof *a);
+    if (inet_pton(AF_INET, cfg->address, &a->v4.sin_addr) == 1) {
+        a->v4.sin_family = AF_INET;
+        a->v4.sin_port = htons((uint16_t)cfg->port);
+        return OK;
+    }
+    if (inet_pton(AF_INET6, cfg->address, &a->v6.sin6_addr) == 1) {
+        a->v6.sin6_family = AF_INET6;
+        a->v6.sin6_port = htons((uint16_t)cfg->port);
+        return OK;
+    }
+    return err_fail(ERR_ARG, "http.address: \"%s\" is no IPv4 or IPv6 address", cfg->address);
+}
+
+static err_t check_token(const char *token)
+{
+    return plain_name(token, strlen(token)) || !*token
+               ? OK
+               : err_fail(ERR_ARG,
+                          "http.token: letters, digits, - _ and . only, not . first, fewer than %d",
+                          NAME_MAX_BYTES);
+}
+
+err_t http_open(const struct http_config *cfg, struct http **out)
+{
+    union address a;
+    *out = NULL;
+    err_t e = parse_address(cfg, &a);
+    if (!e)
+        e = check_token(cfg->token);
+    if (e)
+        return e;
+    struct http *h = calloc(1, sizeof *h);
+    if (!h)
+        return err_fail(ERR_NOMEM, "status page: no memory");
+    h->cfg = *cfg;
+    connections_init(&h->connections);
+    if (gethostname(h->host, sizeof h->host - 1) != 0)
+        h->host[0] = 0;
+    unsigned flags = MHD_USE_EPOLL | (a.any.sa_family == AF_INET6 ? MHD_USE_IPv6 : 0);
+    errno = 0;
+    h->mhd = MHD_start_daemon(flags, 0, NULL, NULL, on_request, h, MHD_OPTION_SOCK_ADDR, &a.any,
+                              MHD_OPTION_CONNECTION_LIMIT, (unsigned)CONNECTIONS_MAX,
+                              MHD_OPTION_NOTIFY_CONNECTION, on_connection, h,
+                              MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)TIMEOUT_S,
+                              MHD_OPTION_NOTIFY_COMPLETED, on_end, NULL, MHD_OPTION_END);
+    if (!h->mhd) {
+        int why = errno;
+        free(h);
+        return err_fail(why == EADDRINUSE ? ERR_BUSY : ERR_IO, "status page: %s port %d: %s",
+                        cfg->address, cfg->port, why ? strerror(why) : "cannot be opened");
+    }
+    h->fd = MHD_get_daemon_info(h->mhd, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
+    *out = h;
+    return OK;
+}
+
+void http_close(struct http *h)
+{
+    if (!h)
+        return;
+    MHD_stop_daemon(h->mhd);
+    free(h);
+}
+
+int http_port(const struct http *h)
+{
+    return MHD_get_daemon_info(h->mhd, MHD_DAEMON_INFO_BIND_PORT)->port;
+}
+
+struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns)
+{
+    MHD_UNSIGNED_LONG_LONG ms;
+    if (MHD_get_timeout(h->mhd, &ms) == MHD_YES && now + (int64_t)ms * 1000000 < *deadline_ns)
+        *deadline_ns = now + (int64_t)ms * 1000000;
+    if (h->look_ns < *deadline_ns)
+        *deadline_ns = h->look_ns;
+    return (struct pollfd){.fd = h->fd, .events = POLLIN};
+}
+
+void http_step(struct http *h)
+{
+    MHD_run(h->mhd);
+    h->look_ns = connections_expire(&h->connections, clocks_now());
+}

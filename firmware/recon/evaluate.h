@@ -1,0 +1,47 @@
+/* evaluate.h - a reconstructed scene against photographs and radiance that it has not seen
+ * (model-spec 5.3). LDR: the tone-mapped float picture against the 8-bit photograph / 255. HDR:
+ * both divided by their own 99 % quantile, clipped, mu-law. Per image, then the mean over all.
+ * Beside it, what a lookup would score: the nearest input view, brought to the exposure of the test
+ * picture by the recovered response; without input views (j->views) there is none. */
+#ifndef RECON_EVALUATE_H
+#define RECON_EVALUATE_H
+
+#include "firmware/recon/job.h"
+#include "firmware/result/outdir.h"
+
+#include "drivers/format/imageset.h"
+
+enum { EVALUATE_EXPOSURES = 64 };
+
+struct evaluate_score {
+    int n;             // images
+    double psnr, ssim; // means, dB and 1
+};
+
+struct evaluate_exposure {
+    double exposure; // linear, unit of the data set
+    struct evaluate_score score;
+};
+
+struct evaluate_result {
+    int views;                               // rendered
+    struct evaluate_score ldr, hdr, nearest; // n is 0 for hdr if the set has no radiance
+    int n_exposures;
+    struct evaluate_exposure exposures[EVALUATE_EXPOSURES]; // ascending
+};
+
+/* err:  ERR_FORMAT (more than EVALUATE_EXPOSURES different exposures). */
+MUST_USE err_t evaluate_check(const struct capture *test);
+
+/* Memory of evaluate_run, beside that of the job. */
+void evaluate_plan(const struct capture *test, int size, int cap, int threads, size_t *keep,
+                   size_t *tmp);
+
+/* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
+ * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.
+ * err:  ERR_ARG (a test view without camera), those of evaluate_check, of reading, drawing and
+ *       writing, ERR_CANCELLED. */
+MUST_USE err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
+                            struct outdir *o, struct evaluate_result *out);
+
+#endif

@@ -1,0 +1,272 @@
+#include "firmware/recon/job.h"
+
+#include "firmware/base/engine.h"
+#include "firmware/recon/figures.h"
+#include "firmware/recon/start.h"
+#include "firmware/result/draw.h"
+
+#include "core/base/gaussians.h"
+#include "core/base/num.h"
+#include "core/photo/prep.h"
+#include "core/photo/response.h"
+#include "core/photo/stack.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <string.h>
+
+static const char *const stage_names[JOB_STAGES] = {
+    "preprocess", "response", "cameras", "sweep",  "seed",  "backbone", "heads",
+    "appearance", "voxel",    "refine",  "render", "write", "measure"};
+
+static void announce(const struct run *r, enum job_stage stage)
+{
+    if (r->progress)
+        r->progress(r->progress_ctx, stage_names[stage], 0, 1, NULL);
+}
+
+/* ---- the map ---- */
+
+static struct job_config within(const struct job_config *cfg, int n_views);
+
+/* Without steps the refiner still takes out what is transparent, which a network's scene keeps. */
+static bool refines(const struct job_config *cfg)
+{
+    return cfg->refine.steps > 0 || !job_forward(cfg);
+}
+
+bool job_forward(const struct job_config *cfg)
+{
+    return cfg->network && !cfg->cameras_only && cfg->network->net.d.gauss &&
+           cfg->refine.steps == 0;
+}
+
+/* What is left of full brackets, and its response. */
+static err_t choose_exposures(const struct run *r, const struct job_config *cfg,
+                              struct job_result *out)
+{
+    const bool gaussians = cfg->network && !cfg->cameras_only && !cfg->stereo;
+    out->taken = out->views.n + out->views.n_more;
+    err_t e = stack_choose(r, &out->response, gaussians, &out->views);
+    return e ? e : response_run(r, &out->views, &out->response);
+}
+
+err_t job_run(const struct run *r, const struct capture *c, const struct job_config *asked,
+              struct job_result *out)
+{
+    struct job_config cfg = within(asked, prep_places(c));
+    memset(out, 0, sizeof *out);
+    out->input_psnr = NAN;
+    out->start_s = out->lap_s = engine_seconds();
+    if (cfg.network)
+        out->precision = modelfile_precision(cfg.network->file.model.precision);
+    announce(r, JOB_PREPROCESS);
+    err_t e = prep_read(r, c, cfg.source, cfg.size, &out->views);
+    if (!e)
+        e = arena_alloc(r->keep, (size_t)c->n, sizeof *out->input_db, &out->input_db);
+    for (int i = 0; i < c->n && !e; i++)
+        out->input_db[i] = NAN;
+    job_lap(out, JOB_PREPROCESS);
+    if (!e)
+        e = response_run(r, &out->views, &out->response);
+    if (!e && out->views.n_more)
+        e = choose_exposures(r, &cfg, out);
+    job_lap(out, JOB_RESPONSE);
+    if (!e)
+        e = start_run(r, &cfg, out);
+    cfg.refine.poses = cfg.refine.poses || out->cameras.found;
+    if (!e && refines(&cfg))
+        e = refine_run(r, &out->views, &cfg.refine, &out->scene, &out->refine);
+    job_lap(out, JOB_REFINE);
+    if (!e && out->scene.g.n == 0)
+        job_warn(out,
+                 "the scene is empty, no splat was found or kept: take sharp photographs of one "
+                 "place that overlap by more than half");
+    out->keep_peak = r->keep->peak;
+    out->tmp_peak = r->tmp->peak;
+    return e;
+}
+
+/* ---- planning ---- */
+
+/* More splats than pixels serve nothing. */
+static struct job_config within(const struct job_config *cfg, int n_views)
+{
+    struct job_config out = *cfg;
+    long long pixels = (long long)n_views * cfg->size * cfg->size;
+    if (out.refine.gaussians_max > pixels)
+        out.refine.gaussians_max = (int)pixels;
+    return out;
+}
+
+/* All cameras are known, or none. */
+static err_t check_capture(const struct capture *c)
+{
+    if (prep_places(c) < 2)
+        return err_fail(ERR_ARG,
+                        "%d view, a scene needs at least 2, from different places; 8 to 20 "
+                        "are good",
+                        prep_places(c));
+    for (int i = 1; i < c->n; i++)
+        if (c->shots[i].has_camera != c->shots[0].has_camera)
+            return err_fail(ERR_ARG,
+                            "%s: its camera is not known, that of %s is; give all of them with "
+                            "--rig PATH, or none: --rig none",
+                            c->shots[c->shots[i].has_camera ? 0 : i].name,
+                            c->shots[c->shots[i].has_camera ? i : 0].name);
+    return OK;
+}
+
+int job_most(const struct job_config *asked, int n_views)
+{
+    struct job_config cfg = within(asked, n_views);
+    long long pixels = (long long)n_views * cfg.size * cfg.size;
+    if (job_forward(&cfg))
+        return pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
+    return cfg.refine.gaussians_max;
+}
+
+/* Of n at a time: all, or as many of the largest. */
+static size_t plan_pictures(const struct capture *c, int n)
+{
+    size_t sum = 0, most = 0;
+    for (int i = 0; i < c->n; i++) {
+        size_t one = arena_need((size_t)c->shots[i].image.w, (size_t)c->shots[i].image.h * 3);
+        most = num_max_size(most, one);
+        sum = arena_add(sum, one);
+    }
+    return n < c->n ? most * (size_t)n : sum;
+}
+
+err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
+               struct job_memory *out)
+{
+    struct camera known = {0};
+    err_t e = check_capture(c);
+    if (e)
+        return e;
+    const int places = prep_places(c);
+    struct job_config cfg = within(asked, places);
+    const struct views v = {.n = places, // all that plans look at
+                            .n_more = c->n - places,
+                            .size = cfg.size,
+                            .cams = c->shots[0].has_camera ? &known : NULL};
+    size_t keep, tmp;
+    e = start_check(&cfg, &v, tapped);
+    if (e)
+        return e;
+    *out = start_plan(&cfg, &v, threads, tapped);
+    out->pictures = plan_pictures(c, cfg.source ? threads : c->n);
+    prep_plan(c, cfg.size, threads, &keep, &tmp);
+    out->keep = arena_add(out->keep, keep);
+    out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
+    out->tmp = num_max_size(out->tmp, tmp);
+    out->tmp = num_max_size(out->tmp, response_plan(&v));
+    out->tmp = num_max_size(out->tmp, stack_plan(&v, threads));
+    if (refines(&cfg))
+        out->tmp = num_max_size(out->tmp, refine_plan(&v, &cfg.refine, threads));
+    out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, places), cfg.size, cfg.size));
+    return OK;
+}
+
+/* ---- times and words ---- */
+
+void job_lap(struct job_result *j, enum job_stage stage)
+{
+    double now = engine_seconds();
+    j->seconds[stage] += now - j->lap_s;
+    j->lap_s = now;
+    j->peak_rss_mb = engine_peak_rss_mb();
+}
+
+void job_warn(struct job_result *j, const char *fmt, ...)
+{
+    if (j->n_warnings == JOB_WARNINGS)
+        return;
+    va_list ap;
+    va_start(ap, fmt);
+    vsnprintf(j->warnings[j->n_warnings++], sizeof j->warnings[0], fmt, ap);
+    va_end(ap);
+}
+
+static void report_cameras(const struct job_cameras *c, struct report *rep)
+{
+    if (!c->found)
+        return;
+    report_open(rep, "cameras", '{');
+    report_number(rep, "confidence", (double)c->confidence);
+    report_number(rep, "rms_px", (double)c->rms_px);
+    report_int(rep, "points_seen", c->sightings);
+    report_int(rep, "points_agree", c->inliers);
+    report_int(rep, "views_placed", c->placed);
+    report_bool(rep, "start_was_network", !c->from_tracks);
+    report_close(rep);
+}
+
+static void report_words(struct report *rep, const char *key, int n, const char *first,
+                         size_t stride)
+{
+    report_open(rep, key, '[');
+    for (int i = 0; i < n; i++)
+        report_text(rep, NULL, first + (size_t)i * stride);
+    report_close(rep);
+}
+
+static void report_seconds(const struct job_result *j, struct report *rep)
+{
+    report_open(rep, "seconds", '{');
+    for (int i = 0; i < JOB_STAGES; i++)
+        if (j->seconds[i] > 0)
+            report_number(rep, stage_names[i], j->seconds[i]);
+    report_number(rep, "total", j->lap_s - j->start_s);
+    report_close(rep);
+}
+
+/* What refinement decided and reached, on squares of the input views that it did not learn from. */
+static void report_making(const struct job_result *j, struct report *rep)
+{
+    bool held_out = j->refine.steps > 0;
+    report_int(rep, "refine_steps", j->refine.steps);
+    report_bool(rep, "refine_stopped_early", j->refine.stopped_early);
+    report_open(rep, "quality", '{');
+    report_number(rep, "ldr_input_psnr", j->input_psnr);
+    report_number(rep, "held_out_psnr_start", held_out ? (double)j->refine.held_out_db[0] : NAN);
+    report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
+    report_close(rep);
+    report_open(rep, "modelled", '[');
+    if (j->taken > j->views.n + j->views.n_more) {
+        char text[128];
+        snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",
+                 j->views.n + j->views.n_more, j->taken);
+        report_text(rep, NULL, text);
+    }
+    for (int i = 0; i < j->refine.n_notes; i++)
+        report_text(rep, NULL, j->refine.notes[i]);
+    report_close(rep);
+}
+
+void job_report(const struct job_result *j, int threads, struct report *rep)
+{
+    report_int(rep, "views", j->scene.n_views);
+    if (j->views.n > 0)
+        report_int(rep, "photographs", j->views.n + j->views.n_more);
+    report_open(rep, "size", '[');
+    report_int(rep, NULL, j->scene.size);
+    report_int(rep, NULL, j->scene.size);
+    report_close(rep);
+    report_text(rep, "precision", j->precision ? j->precision : "fp32");
+    report_bool(rep, "network", j->precision != NULL);
+    report_int(rep, "threads", threads);
+    report_int(rep, "gaussians", j->scene.g.n);
+    report_int(rep, "sh_degree", j->scene.g.degree);
+    report_number(rep, "mid_exposure_log2", (double)j->scene.tone.mid_log2t);
+    if (!j->measured_only)
+        report_making(j, rep);
+    report_cameras(&j->cameras, rep);
+    figures_report(j, rep);
+    report_seconds(j, rep);
+    report_number(rep, "peak_rss_mb", j->peak_rss_mb);
+    report_number(rep, "keep_peak_mb", (double)j->keep_peak * 1e-6);
+    report_number(rep, "tmp_peak_mb", (double)j->tmp_peak * 1e-6);
+    report_words(rep, "warnings", j->n_warnings, j->warnings[0], sizeof j->warnings[0]);
+}

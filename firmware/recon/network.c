@@ -1,0 +1,639 @@
+#include "firmware/recon/network.h"
+
+#include "firmware/base/engine.h"
+
+#include "core/base/gaussians.h"
+#include "core/base/num.h"
+#include "core/net/depth.h"
+#include "core/photo/prep.h"
+#include "core/photo/response.h"
+#include "core/sfm/pose.h"
+#include "core/sfm/similarity.h"
+#include "core/splat/rotate.h"
+#include "core/stereo/consensus.h"
+
+#include <math.h>
+#include <string.h>
+#include <unistd.h>
+
+static const float DARKEST = 1.0f / 512; // display value
+static const float TIMES = 2;            // as much that another photograph must say
+static const float LIKE = 1;             // stops between what may be one thing
+static const float WIDEST = 1;           // px, standard deviation of a Gaussian in its own view
+static const float LN2 = 0.69314718f;
+
+enum { DIMMEST = 2, BRIGHTEST = 252 }; // of the display values that response_tabulate gives weight
+enum { CELLS = 1536 };
+static const float END = 24, CELL = 48.0f / CELLS; // stops
+
+err_t network_open(const char *path, const char *precision, unsigned floats, struct network *out)
+{
+    memset(out, 0, sizeof *out);
+    err_t e = modelfile_open(path, &out->file);
+    if (e)
+        return e;
+    const char *have = modelfile_precision(out->file.model.precision);
+    if (precision && strcmp(precision, have) != 0)
+        e = err_fail(ERR_ARG,
+                     "%s holds %s weights, --precision %.16s was asked; hdrig convert --precision "
+                     "%.16s makes a file of them",
+                     path, have, precision, precision);
+    if (!e)
+        e = net_bind(&out->file.model, floats, &out->net);
+    if (e)
+        network_close(out);
+    return e;
+}
+
+void network_close(struct network *n)
+{
+    modelfile_close(&n->file);
+    memset(n, 0, sizeof *n);
+}
+
+bool network_needs_exposures(const struct network *n)
+{
+    return n->net.d.appearance;
+}
+
+/* ---- time ---- */
+
+void network_clock_stop(struct network_clock *c)
+{
+    const double now = engine_seconds(), busy = engine_busy_seconds();
+    if (c->n > 0) {
+        c->stage[c->n - 1].seconds += now - c->last;
+        c->stage[c->n - 1].busy += busy - c->last_busy;
+    }
+    c->last = now;
+    c->last_busy = busy;
+}
+
+void network_clock_skip(struct network_clock *c, double seconds, double busy)
+{
+    c->last += seconds;
+    c->last_busy += busy;
+}
+
+/* Stages follow one another; one that comes again is moved to the end of the list. */
+static void enter(struct network_clock *c, const char *name)
+{
+    int i = 0;
+    while (i < c->n && strcmp(c->stage[i].name, name) != 0)
+        i++;
+    if (i == NETWORK_STAGES)
+        return;
+    if (i == c->n) {
+        snprintf(c->stage[i].name, sizeof c->stage[i].name, "%s", name);
+        c->stage[i].seconds = c->stage[i].busy = 0;
+        c->n++;
+        return;
+    }
+    for (; i + 1 < c->n; i++) {
+        struct network_stage swap = c->stage[i];
+        c->stage[i] = c->stage[i + 1];
+        c->stage[i + 1] = swap;
+    }
+}
+
+static void timed_step(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    struct network_clock *c = ctx;
+    if (done == 0) { // it begins: the time before was another's
+        network_clock_stop(c);
+        enter(c, stage);
+    } else { // it has done something
+        enter(c, stage);
+        network_clock_stop(c);
+    }
+    if (c->next)
+        c->next(c->next_ctx, stage, done, total, note);
+}
+
+struct run network_timed(const struct run *r, struct network_clock *clock)
+{
+    struct run out = *r;
+    *clock = (struct network_clock){.next = r->progress,
+                                    .next_ctx = r->progress_ctx,
+                                    .last = engine_seconds(),
+                                    .last_busy = engine_busy_seconds()};
+    out.progress = timed_step;
+    out.progress_ctx = clock;
+    return out;
+}
+
+static struct network_stage sum_of(const struct network_clock *c, const char *const *names)
+{
+    struct network_stage sum = {.seconds = 0};
+    for (; *names; names++)
+        for (int i = 0; i < c->n; i++)
+            if (strcmp(c->stage[i].name, *names) == 0) {
+                sum.seconds += c->stage[i].seconds;
+                sum.busy += c->stage[i].busy;
+            }
+    return sum;
+}
+
+double network_seconds(const struct network_clock *c, const char *const *names)
+{
+    return sum_of(c, names).seconds;
+}
+
+double network_busy(const struct network_clock *c, const char *const *names)
+{
+    return sum_of(c, names).busy;
+}
+
+bool network_shipped(char path[FILE_PATH_CAP])
+{
+    static const char *const places[] = {"../share/hdrig/small.hdrig", "../small.hdrig"};
+    char self[FILE_PATH_CAP];
+    const ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
+    if (n <= 0)
+        return false;
+    self[n] = 0;
+    *strrchr(self, '/') = 0;
+    for (int i = 0; i < 2; i++)
+        if (file_join(self, places[i], path) == OK && file_is_regular(path))
+            return true;
+    return false;
+}
+
+/* ---- cameras alone ---- */
+
+static struct net geometry_of(const struct network *n, bool attend)
+{
+    struct net net = n->net;
+    net.d.gauss = false;
+    net.attend = attend;
+    return net;
+}
+
+static int look_size(const struct network *n, int size)
+{
+    return size < n->net.d.size ? size : n->net.d.size;
+}
+
+/* The views as photographs, to be resized. */
+static struct shot shot_of(const struct views *v, int i)
+{
+    struct shot s = {.image = {v->size, v->size, 3, NULL}, .exposure = 1};
+    s.image.px = v->rgb ? v->rgb + 3 * (size_t)i * (size_t)v->size * (size_t)v->size : NULL;
+    memcpy(s.name, v->names ? v->names[i] : "", v->names ? NAME_CAP : 1);
+    return s;
+}
+
+static err_t reduce(const struct run *r, const struct views *v, int size, struct views *out)
+{
+    struct capture c = {.n = v->n};
+    err_t e = arena_alloc(r->keep, (size_t)v->n, sizeof *c.shots, &c.shots);
+    for (int i = 0; i < v->n && !e; i++)
+        c.shots[i] = shot_of(v, i);
+    if (!e)
+        e = prep_run(r, &c, size, out);
+    if (!e) {
+        out->log2t = v->log2t;
+        out->mid_log2t = v->mid_log2t;
+    }
+    return e;
+}
+
+err_t network_look(const struct run *r, const struct network *n, bool attend, const struct views *v,
+                   struct prediction *out)
+{
+    const int size = look_size(n, v->size);
+    const struct net net = geometry_of(n, attend);
+    struct views small = *v;
+    err_t e = size == v->size ? OK : reduce(r, v, size, &small);
+    if (!e)
+        e = net_run(r, &net, &small, out);
+    for (int i = 0; i < v->n && !e; i++)
+        out->geom.cams[i] = pose_scaled(&out->geom.cams[i], v->size, v->size);
+    return e;
+}
+
+void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
+                       size_t *tmp)
+{
+    const int size = look_size(n, v->size);
+    const struct net net = geometry_of(n, true);
+    const struct shot one = shot_of(v, 0);
+    const struct capture c = {1, (struct shot *)(uintptr_t)&one};
+    size_t more, work;
+    net_plan(&net, v->n, size, threads, keep, tmp);
+    prep_plan(&c, size, threads, &more, &work);
+    *keep = arena_add(*keep, (size_t)v->n * more);
+    *keep = arena_add(*keep, arena_need((size_t)v->n, sizeof(struct shot)));
+    *tmp = num_max_size(*tmp, (size_t)threads * work);
+}
+
+/* ---- known cameras ---- */
+
+size_t network_place_plan(int n_views)
+{
+    return arena_add(
+        arena_add(similarity_plan(n_views), arena_need((size_t)n_views, sizeof(float))),
+        arena_need((size_t)n_views, sizeof(struct camera)));
+}
+
+struct place {
+    struct prediction *p;
+    const struct camera *own; // the network's cameras
+    const struct run *r;
+};
+
+static err_t unproject_chunk(void *ctx, int view, int worker)
+{
+    const struct place *pl = ctx;
+    const size_t pixels = (size_t)pl->p->geom.size * (size_t)pl->p->geom.size;
+    (void)worker;
+    depth_unproject(&pl->p->geom, view, pl->p->points + 3 * pixels * (size_t)view);
+    return OK;
+}
+
+static err_t move(const struct place *pl)
+{
+    const struct geometry *g = &pl->p->geom;
+    const int pixels = g->size * g->size;
+    err_t e = OK;
+    for (int i = 0; i < g->n_views && !e && pl->p->features; i++) {
+        float turn[9];
+        similarity_rotation(&pl->own[i], &g->cams[i], turn);
+        e = rotate_features(pl->r, turn, pl->p->features, (size_t)pl->p->n,
+                            (int[2]){i * pixels, pixels});
+    }
+    return e || !pl->p->points
+               ? e
+               : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
+}
+
+/* Each view's depth at its own scale over the median one. */
+static err_t scale_depth(const struct run *r, const float *factor, struct geometry *g,
+                         float *median)
+{
+    const size_t n = (size_t)g->n_views, pixels = (size_t)g->size * (size_t)g->size;
+    float *sorted;
+    err_t e = arena_alloc(r->tmp, n, sizeof *sorted, &sorted);
+    if (e)
+        return e;
+    memcpy(sorted, factor, n * sizeof *sorted);
+    *median = num_median(sorted, n);
+    for (size_t i = 0; i < n; i++)
+        for (size_t k = 0; k < pixels; k++)
+            g->depth[i * pixels + k] *= factor[i] / *median;
+    return OK;
+}
+
+err_t network_place(const struct run *r, const struct camera *cams, const float *depth_scale,
+                    struct prediction *p, float *scale)
+{
+    struct geometry *g = &p->geom;
+    const size_t n = (size_t)g->n_views, mark = arena_mark(r->tmp);
+    struct camera *own;
+    err_t e = depth_scale ? scale_depth(r, depth_scale, g, scale)
+                          : similarity_scale(r, g->cams, cams, g->n_views, scale);
+    if (!e)
+        e = arena_alloc(r->tmp, n, sizeof *own, &own);
+    if (!e) {
+        memcpy(own, g->cams, n * sizeof *own);
+        memcpy(g->cams, cams, n * sizeof *own);
+        for (size_t i = 0; i < n; i++)
+            for (int k = 0; k < 3; k++)
+                g->cams[i].t[k] /= *scale;
+        e = move(&(struct place){p, own, r});
+    }
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* Of `planes` arrays of `from` views, one after another, those views that are kept. */
+static void keep_views(const bool *keep, int from, int planes, size_t bytes, void *data)
+{
+    char *to = data;
+    for (int k = 0; k < planes; k++)
+        for (int i = 0; i < from; i++)
+            if (keep[i]) {
+                memmove(to, (char *)data + bytes * ((size_t)k * (size_t)from + (size_t)i), bytes);
+                to += bytes;
+            }
+}
+
+void network_drop(const bool *keep, float *depth_scale, struct prediction *p)
+{
+    struct geometry *g = &p->geom;
+    const int n = g->n_views, pixels = g->size * g->size;
+    const size_t bytes = (size_t)pixels * sizeof(float);
+    keep_views(keep, n, 1, sizeof *depth_scale, depth_scale);
+    keep_views(keep, n, 1, sizeof *g->cams, g->cams);
+    keep_views(keep, n, 1, bytes, g->depth);
+    if (p->points)
+        keep_views(keep, n, 1, 3 * bytes, p->points);
+    if (p->features) {
+        keep_views(keep, n, VOXEL_FEATURES, bytes, p->features);
+        keep_views(keep, n, 1, bytes, p->confidence);
+    }
+    for (int i = 0; i < n; i++)
+        g->n_views -= !keep[i];
+    p->n = g->n_views * pixels;
+}
+
+/* ---- what the photographs know better ---- */
+
+struct sharpen {
+    const struct network_known *known;
+    float scale;
+    struct prediction *p;
+    struct sight sight;
+    struct response_table table; // of the photographs
+    float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
+    float *depth;                // (n) in units of the maps
+};
+
+/* The input of softplus whose output is `factor` times as large, `most` at most. */
+static float stretched(float x, float factor, double most)
+{
+    double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
+    y = fmin(y, most);
+    return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
+}
+
+static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
+{
+    const size_t n = (size_t)s->p->n;
+    float *scales = s->p->features + VOXEL_SCALE * n + i, *mine = &s->p->geom.depth[i];
+    const float pixel = depth / s->p->geom.cams[view].fx / VOXEL_SCALE_UNIT;
+    for (size_t k = 0; k < 3; k++)
+        scales[k * n] = stretched(scales[k * n], depth / *mine, (double)(WIDEST * pixel));
+    *mine = depth;
+}
+
+/* Where pixel i of the view is in the maps. */
+static size_t map_place(const struct sharpen *s, int view, int i)
+{
+    const int w = s->p->geom.size;
+    return sight_at(&s->sight, view, (float)(i % w), (float)(i / w));
+}
+
+static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
+{
+    const struct views *v = s->known->seen.views;
+    return v->rgb +
+           3 * (((size_t)view * (size_t)v->size + (size_t)y) * (size_t)v->size + (size_t)x);
+}
+
+/* How much a pixel says about radiance, 0..1. */
+static float worth(const struct sharpen *s, const uint8_t *rgb)
+{
+    const struct response_table *t = &s->table;
+    return (t->weight[0][rgb[0]] + t->weight[1][rgb[1]] + t->weight[2][rgb[2]]) / 3;
+}
+
+/* log2 radiance that a display value stands for, from and to. */
+static void range(const struct sharpen *s, int view, int c, int shown, float out[2])
+{
+    const struct views *v = s->known->seen.views;
+    const struct response_table *t = &s->table;
+    const float at = v->log2t[view] - v->mid_log2t;
+    out[0] = out[1] = t->x[c][num_min(num_max(shown, DIMMEST), BRIGHTEST)] - at;
+    if (t->weight[c][shown] == 0)
+        out[shown > 127] = shown > 127 ? INFINITY : -INFINITY;
+}
+
+struct pixel {
+    int view;
+    bool sure;
+    const uint8_t *rgb;
+    float worth;
+    float point[3]; // units of the maps
+};
+
+/* Whether the two cannot show one thing. */
+static bool differ(const struct sharpen *s, const struct pixel *p, int view, const uint8_t *rgb)
+{
+    for (int c = 0; c < 3; c++) {
+        float a[2], b[2];
+        range(s, p->view, c, p->rgb[c], a);
+        range(s, view, c, rgb[c], b);
+        if (a[0] > b[1] + LIKE || b[0] > a[1] + LIKE)
+            return true;
+    }
+    return false;
+}
+
+enum verdict { SILENT, AGREES, DIFFERS, BETTER };
+
+/* What view j says about the pixel. One whose depth is a guess may be anywhere before what others
+ * are sure of, and behind anything else. */
+static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
+{
+    struct sighting there;
+    if (!sight_look(&s->sight, j, p->point, &there))
+        return SILENT;
+    const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
+    const bool knows = worth(s, rgb) > TIMES * p->worth;
+    if (p->sure)
+        return knows && sight_same(&s->sight, &there) ? BETTER : SILENT;
+    if (knows || sight_through(&s->sight, &there))
+        return BETTER;
+    if (sight_behind(&s->sight, &there))
+        return SILENT;
+    return differ(s, p, j, rgb) ? DIFFERS : AGREES;
+}
+
+/* Whether others know pixel i better, or more of them show something else there than the same. */
+static bool refuted(const struct sharpen *s, int view, int i)
+{
+    const int w = s->p->geom.size;
+    const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
+    const uint8_t *rgb = photograph(s, view, i % w, i / w);
+    const struct pixel p = {view,
+                            sight_sure(&s->sight, map_place(s, view, i)),
+                            rgb,
+                            worth(s, rgb),
+                            {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
+    int against = 0;
+    for (int j = 0; j < s->p->geom.n_views; j++) {
+        const enum verdict said = j == view ? SILENT : ask(s, &p, j);
+        if (said == BETTER)
+            return true;
+        against += (said == DIFFERS) - (said == AGREES);
+    }
+    return against > 0;
+}
+
+/* The network's colour under the known curve, at the exposure of its photograph. */
+static float moved(const float *table, float x, float *slope)
+{
+    const float at = fminf(fmaxf((x + END) / CELL, 0), CELLS - 0.01f);
+    const int i = (int)at;
+    *slope = (table[i + 1] - table[i]) / CELL;
+    return table[i] + (at - (float)i) * (table[i + 1] - table[i]);
+}
+
+/* The photograph's own radiance, or, where it is black or saturated, the network's. */
+static void colour_pixel(const struct sharpen *s, int view, int i)
+{
+    const struct views *net = s->known->views, *seen = s->known->seen.views;
+    const size_t n = (size_t)s->p->n, w = (size_t)net->size;
+    const uint8_t *rgb = photograph(s, view, i % net->size, i / net->size);
+    const float at_net = net->log2t[view] - net->mid_log2t;
+    const float at_seen = seen->log2t[view] - seen->mid_log2t;
+    for (size_t c = 0; c < 3; c++) {
+        float *sh =
+            s->p->features + (VOXEL_SH + SH_COEFS_MAX * c) * n + (size_t)view * w * w + (size_t)i;
+        float slope = 0, x;
+        if (s->table.weight[c][rgb[c]] > 0)
+            x = s->table.x[c][rgb[c]] - at_seen;
+        else
+            x = moved(s->moved[c], *sh * (float)SH_BASIS0 / LN2 + at_net, &slope) - at_net;
+        *sh = x * LN2 / (float)SH_BASIS0;
+        for (size_t k = 1; k < SH_COEFS_MAX; k++)
+            sh[k * n] *= slope;
+    }
+}
+
+/* Unlike depth_unproject, at the middle of the pixel, whose colour the photograph tells. */
+static void place_pixel(const struct sharpen *s, int view, int i, size_t k)
+{
+    const int w = s->p->geom.size;
+    const float uvz[3] = {(float)(i % w) + 0.5f, (float)(i / w) + 0.5f, s->depth[k]};
+    sight_point(&s->sight, view, uvz, s->p->points + 3 * k);
+    for (size_t c = 0; c < 3; c++)
+        s->p->points[3 * k + c] /= s->scale;
+}
+
+static err_t sharpen_view(void *ctx, int view, int worker)
+{
+    const struct sharpen *s = ctx;
+    const int pixels = s->p->geom.size * s->p->geom.size;
+    const size_t first = (size_t)view * (size_t)pixels;
+    (void)worker;
+    for (int i = 0; i < pixels; i++) {
+        const size_t k = first + (size_t)i;
+        move_pixel(s, view, k, s->depth[k] / s->scale);
+        place_pixel(s, view, i, k);
+        if (refuted(s, view, i))
+            s->p->confidence[k] = NAN; // voxel_merge leaves it out
+        if (!s->p->linear)
+            colour_pixel(s, view, i);
+    }
+    return OK;
+}
+
+/* Beyond what both curves show (response_radiance_log) radiance is not guessed. */
+static void tabulate(struct sharpen *s)
+{
+    const struct tonemap *to = s->known->tone;
+    response_tabulate(s->known->seen.tone, &s->table);
+    for (int c = 0; c < 3; c++)
+        for (int i = 0; i <= CELLS; i++) {
+            const float shown = response_display(&s->p->tone, c, (float)i * CELL - END);
+            s->moved[c][i] = response_radiance_log(to, c, shown, to->mid_log2t) / LN2;
+        }
+}
+
+size_t network_sharpen_plan(int n_views, int size, int threads)
+{
+    const size_t n = (size_t)n_views * (size_t)size * (size_t)size;
+    size_t need = arena_add(sight_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
+    need = arena_add(need, arena_need(n, sizeof(float)));
+    return arena_add(need, consensus_plan(n_views, size, threads));
+}
+
+err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
+                      struct prediction *p)
+{
+    struct sharpen s = {.known = known, .scale = scale, .p = p};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = sight_init(r, known->seen.depth, known->seen.views->cams, &s.sight);
+    if (!e)
+        e = arena_alloc(r->tmp, 3, sizeof *s.moved, &s.moved);
+    if (!e)
+        e = arena_alloc(r->tmp, (size_t)p->n, sizeof *s.depth, &s.depth);
+    if (!e) {
+        tabulate(&s);
+        for (int k = 0; k < p->n; k++)
+            s.depth[k] = p->geom.depth[k] * scale;
+        e = consensus_run(r, &s.sight, s.depth);
+    }
+    if (!e)
+        e = pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
+    if (!e && !p->linear)
+        p->tone = *known->tone;
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* ---- Gaussians ---- */
+
+err_t network_merge(const struct run *r, const struct prediction *p, float cell, int max,
+                    struct voxels *out, float *used)
+{
+    const struct voxel_input in = {p->n, p->points, p->features, p->confidence};
+    const size_t mark = arena_mark(r->keep);
+    for (*used = cell;;) {
+        err_t e = voxel_merge(r, &in, *used, out);
+        if (e || max == 0 || out->n <= max)
+            return e;
+        arena_reset(r->keep, mark);
+        *used *= fmaxf(1.05f, sqrtf((float)out->n / (float)max)); // surfaces: n ~ 1 / cell^2
+    }
+}
+
+void network_scale(struct gaussians *g, float scale)
+{
+    const float add = logf(scale);
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < g->n; i++) {
+            g->plane[G_MU + k][i] *= scale;
+            g->plane[G_LOG_SCALE + k][i] += add;
+        }
+}
+
+/* ---- plain AnySplat ---- */
+
+void network_from_display(struct gaussians *g)
+{
+    for (int c = 0; c < 3; c++)
+        for (int i = 0; i < g->n; i++) {
+            float mean = g->plane[G_SH + c][i] * (float)SH_BASIS0 + 0.5f;
+            float gain = mean > DARKEST ? 1 / mean : 0; // of d ln v = d v / v
+            g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / (float)SH_BASIS0;
+            for (int p = G_SH + 3 + c; p < gaussians_planes(g->degree); p += 3)
+                g->plane[p][i] *= gain;
+        }
+}
+
+static double logit(double v)
+{
+    return log(v / (1 - v));
+}
+
+/* log2 of the display value v at knot k. The error of a line between knots is as large everywhere
+ * if they are equally far apart in sqrt(1 - v); here from v = 0.001 to 0.999. */
+static double knot(int k)
+{
+    const double first = 0.9995, last = 1.0 / 32;
+    double s = first + (last - first) * k / (TONE_HIDDEN - 1);
+    return log2(1 - s * s);
+}
+
+void network_display_curve(float mid_log2t, struct tonemap *out)
+{
+    memset(out, 0, sizeof *out);
+    out->mid_log2t = mid_log2t;
+    for (int c = 0; c < 3; c++) {
+        float *p = out->p + c * TONE_PER_COLOUR;
+        double before = 0;
+        for (int k = 0; k < TONE_HIDDEN; k++) {
+            double x = knot(k), next = knot(k + 1);
+            double slope = k + 1 < TONE_HIDDEN ? (logit(exp2(next)) - logit(exp2(x))) / (next - x)
+                                               : before; // beyond the last knot: on as before
+            p[k] = 1;
+            p[TONE_HIDDEN + k] = (float)-x;
+            p[2 * TONE_HIDDEN + k] = (float)(slope - before);
+            before = slope;
+        }
+        p[3 * TONE_HIDDEN] = (float)logit(exp2(knot(0)));
+    }
+}

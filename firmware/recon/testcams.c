@@ -1,0 +1,310 @@
+#include "firmware/recon/testcams.h"
+
+#include "firmware/recon/locate.h"
+
+#include "core/base/num.h"
+#include "core/photo/prep.h"
+#include "core/refine/align.h"
+#include "core/sfm/pose.h"
+#include "core/sfm/similarity.h"
+#include "drivers/format/img.h"
+#include "drivers/format/name.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+static bool begins_view(const struct capture *c, int i)
+{
+    return i == 0 || !name_same_view(c->shots[i].name, c->shots[i - 1].name);
+}
+
+/* Of the view that begins with picture i; its pictures are in the order of their exposures. */
+static int middle_picture(const struct capture *c, int i)
+{
+    int n = 1;
+    while (i + n < c->n && !begins_view(c, i + n))
+        n++;
+    return i + n / 2;
+}
+
+static int count_views(const struct capture *c)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        n += begins_view(c, i);
+    return n;
+}
+
+static bool locates(const struct job_config *cfg)
+{
+    return cfg->polish || !cfg->network;
+}
+
+err_t testcams_check(const struct job_config *cfg, const struct capture *train,
+                     const struct capture *test)
+{
+    const int inputs = prep_places(train), held_out = count_views(test);
+    if (!locates(cfg) || inputs + held_out <= BUNDLE_VIEWS_MAX)
+        return OK;
+    return err_fail(ERR_ARG,
+                    "%d input and %d test views, cameras can be found for at most %d together: "
+                    "take fewer --views, or give the cameras with --rig PATH",
+                    inputs, held_out, BUNDLE_VIEWS_MAX);
+}
+
+static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
+{
+    const struct views v = {.n = all, .size = cfg->size};
+    size_t keep, tmp;
+    if (cfg->network) {
+        network_look_plan(cfg->network, &v, threads, &keep, &tmp);
+        m->tmp = num_max_size(m->tmp, tmp);
+        m->keep = arena_add(m->keep, keep);
+    }
+    if (locates(cfg)) {
+        locate_plan(all, cfg->size, threads, &keep, &tmp);
+        m->keep = arena_add(m->keep, keep);
+        m->tmp = num_max_size(m->tmp, tmp);
+    }
+}
+
+struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
+                                const struct capture *test, int most, int threads)
+{
+    const int extra = count_views(test), all = train->n + extra;
+    const size_t pixels = (size_t)cfg->size * (size_t)cfg->size;
+    struct capture one = {1, test->shots};
+    struct job_memory m = {0};
+    size_t keep, tmp, work;
+    prep_plan(&one, cfg->size, threads, &keep, &tmp);
+    m.keep = arena_add(arena_need((size_t)all * pixels, 3), keep);
+    m.keep = arena_add(m.keep, arena_need((size_t)all, sizeof(struct camera) + sizeof(float)));
+    plan_look(cfg, all, threads, &m);
+    m.keep = arena_add(m.keep, arena_need((size_t)all, NAME_CAP));
+    work = align_plan(most, cfg->size, threads);
+    work = work > similarity_plan(train->n) ? work : similarity_plan(train->n);
+    m.tmp = m.tmp > work ? m.tmp : work;
+    m.tmp = m.tmp > tmp ? m.tmp : tmp;
+    return m;
+}
+
+/* ---- pictures ---- */
+
+/* Views of the scene, then one picture of each test view. */
+static err_t begin_views(struct arena *keep, const struct views *train, int n, struct views *all)
+{
+    const size_t bytes = 3 * (size_t)train->size * (size_t)train->size;
+    *all = (struct views){
+        .n = n, .size = train->size, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
+    err_t e = arena_alloc(keep, bytes, (size_t)n, &all->rgb);
+    if (!e)
+        e = arena_alloc(keep, (size_t)n, sizeof(float), &all->log2t);
+    if (e)
+        return e;
+    memcpy(all->rgb, train->rgb, bytes * (size_t)train->n);
+    memcpy(all->log2t, train->log2t, (size_t)train->n * sizeof(float));
+    return OK;
+}
+
+static err_t add_view(const struct run *r, const struct imageset *test, int i, int at,
+                      struct views *all)
+{
+    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, mark = arena_mark(r->keep);
+    struct shot s = test->capture.shots[i];
+    struct capture one = {1, &s};
+    struct views v;
+    err_t e = imageset_decode(test, i, &s.image);
+    if (!e)
+        e = prep_run(r, &one, all->size, &v);
+    if (!e) {
+        memcpy(all->rgb + bytes * (size_t)at, v.rgb, bytes);
+        all->log2t[at] = v.log2t[0];
+    }
+    img_free(&s.image);
+    arena_reset(r->keep, mark);
+    return e;
+}
+
+/* ---- cameras ---- */
+
+/* Cameras of all views in a world of their own. The focal length is that of the scene, if bundle
+ * adjustment found it. */
+static err_t locate(const struct run *r, const struct job_config *cfg, const struct scene *s,
+                    const struct views *all, struct camera **out)
+{
+    struct prediction p = {.geom = {.cams = NULL}};
+    struct bundle_result b;
+    const bool polish = cfg->polish || !cfg->network;
+    err_t e = cfg->network ? network_look(r, cfg->network, polish, all, &p) : OK;
+    *out = p.geom.cams;
+    if (e || !polish)
+        return e;
+    const struct bundle_config want = {
+        .start = p.geom.cams, .focal = s->cams[0].fx, .focal_known = true};
+    e = locate_run(r, all, p.matches.token ? &p.matches : NULL, &want, &b);
+    *out = b.cams;
+    return e;
+}
+
+/* The test views among them, in the world of the scene, with the mean focal length of its views. */
+static err_t place(const struct run *r, const struct scene *s, int n, struct camera *cams)
+{
+    struct similarity w;
+    float fx = 0, fy = 0;
+    err_t e = similarity_fit(r, cams, s->cams, s->n_views, &w);
+    for (int i = 0; i < s->n_views; i++) {
+        fx += s->cams[i].fx / (float)s->n_views;
+        fy += s->cams[i].fy / (float)s->n_views;
+    }
+    for (int i = s->n_views; i < n; i++) {
+        cams[i] = similarity_apply(&w, &cams[i]);
+        cams[i].fx = fx;
+        cams[i].fy = fy;
+    }
+    return e;
+}
+
+static err_t align(const struct run *r, const struct scene *s, const struct views *all,
+                   struct camera *cams)
+{
+    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, first = (size_t)s->n_views;
+    struct views v = {.n = all->n - s->n_views,
+                      .size = all->size,
+                      .rgb = all->rgb + bytes * first,
+                      .log2t = all->log2t + first,
+                      .cams = cams + first};
+    err_t e = place(r, s, all->n, cams);
+    return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
+}
+
+static void give_cameras(const struct camera *cams, struct capture *test)
+{
+    for (int i = 0, view = -1; i < test->n; i++) {
+        struct shot *s = &test->shots[i];
+        view += begins_view(test, i);
+        s->cam = pose_scaled(&cams[view], s->image.w, s->image.h);
+        s->has_camera = true;
+    }
+}
+
+err_t testcams_run(const struct run *r, const struct job_config *cfg, const struct job_result *j,
+                   struct imageset *test)
+{
+    const int n = j->scene.n_views;
+    const size_t mark = arena_mark(r->keep);
+    struct camera *cams = NULL;
+    struct views all;
+    err_t e = begin_views(r->keep, &j->views, n + count_views(&test->capture), &all);
+    for (int i = 0, at = n; i < test->capture.n && !e; i++)
+        if (begins_view(&test->capture, i))
+            e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
+    if (!e)
+        e = locate(r, cfg, &j->scene, &all, &cams);
+    if (!e)
+        e = align(r, &j->scene, &all, cams);
+    if (!e)
+        give_cameras(cams + n, &test->capture);
+    arena_reset(r->keep, mark);
+    return e;
+}
+
+/* ---- figures ---- */
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double median(double *v, int n)
+{
+    qsort(v, (size_t)n, sizeof *v, ascending);
+    return v[n / 2];
+}
+
+/* From the distance of the quaternions, which says more about small angles than their product. */
+static double angle_deg(const struct camera *a, const struct camera *b)
+{
+    double minus = 0, plus = 0;
+    for (int k = 0; k < 4; k++) {
+        double x = (double)a->q[k], y = (double)b->q[k];
+        minus += (x - y) * (x - y);
+        plus += (x + y) * (x + y);
+    }
+    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / 3.14159265358979323846;
+}
+
+/* Root of the mean squared distance of the cameras from their mean. */
+static double spread(const struct camera *c, int n)
+{
+    double sum[3] = {0}, square = 0, x[3];
+    for (int i = 0; i < n; i++) {
+        similarity_centre(&c[i], x);
+        for (int k = 0; k < 3; k++) {
+            sum[k] += x[k] / n;
+            square += x[k] * x[k] / n;
+        }
+    }
+    return sqrt(fmax(square - sum[0] * sum[0] - sum[1] * sum[1] - sum[2] * sum[2], 1e-30));
+}
+
+/* figure: (3, n) scratch. */
+static err_t measure(const struct run *r, const struct camera *found, const struct camera *real,
+                     double *figure, struct testcams_error *out)
+{
+    const int n = out->n;
+    const double size = spread(real, n);
+    struct similarity w;
+    err_t e = similarity_fit(r, found, real, n, &w);
+    for (int i = 0; i < n; i++) {
+        struct camera c = similarity_apply(&w, &found[i]);
+        double a[3], b[3];
+        similarity_centre(&c, a);
+        similarity_centre(&real[i], b);
+        figure[i] = angle_deg(&c, &real[i]);
+        figure[n + i] = hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]) / size;
+        figure[2 * n + i] = fabs((double)c.fx / (double)real[i].fx - 1);
+    }
+    out->rot_deg = median(figure, n);
+    out->trans = median(figure + n, n);
+    out->focal = median(figure + 2 * n, n);
+    return e;
+}
+
+/* Of the photograph `name`, which is there. */
+static const struct shot *shot_of(const struct capture *c, const char *name)
+{
+    const struct shot *s = c->shots;
+    while (strcmp(s->name, name) != 0)
+        s++;
+    return s;
+}
+
+err_t testcams_measure(const struct run *r, const struct job_result *j, const struct capture *train,
+                       const struct capture *true_test, const struct capture *test,
+                       struct testcams_error *out)
+{
+    const int side = j->scene.size, views = j->scene.n_views, n = views + count_views(test);
+    struct camera *found = calloc((size_t)n, sizeof *found),
+                  *real = calloc((size_t)n, sizeof *real);
+    double *figure = calloc((size_t)n, 3 * sizeof *figure);
+    err_t e = found && real && figure ? OK : err_fail(ERR_NOMEM, "no memory for %d cameras", n);
+    *out = (struct testcams_error){.n = n};
+    for (int i = 0; i < views && !e; i++) {
+        const struct shot *s = shot_of(train, j->scene.names[i]);
+        found[i] = j->scene.cams[i];
+        real[i] = pose_scaled(&s->cam, side, side);
+    }
+    for (int i = 0, at = views; i < test->n && !e; i++)
+        if (begins_view(test, i)) {
+            found[at] = pose_scaled(&test->shots[i].cam, side, side);
+            real[at++] = pose_scaled(&true_test->shots[i].cam, side, side);
+        }
+    if (!e)
+        e = measure(r, found, real, figure, out);
+    free(found);
+    free(real);
+    free(figure);
+    return e;
+}

@@ -1,0 +1,40 @@
+/* testcams.h - where the test photographs of a data set were taken, if no rig tells: they are
+ * located together with the input views, by the network if there is one and by bundle adjustment,
+ * then aligned to the finished scene (model-spec 5.2, B and C). */
+#ifndef RECON_TESTCAMS_H
+#define RECON_TESTCAMS_H
+
+#include "firmware/recon/job.h"
+
+#include "drivers/format/imageset.h"
+
+/* Memory beside that of the job. most: Gaussians of the scene. */
+struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
+                                const struct capture *test, int most, int threads);
+
+/* Refuse before the work more views than cameras can be found for.
+ * err:  ERR_ARG. */
+MUST_USE err_t testcams_check(const struct job_config *cfg, const struct capture *train,
+                              const struct capture *test);
+
+/* Find the cameras of test->capture, one per view, from the middle one of its pictures. j is
+ * finished.
+ * err:  those of reading, of the network, of locate_run and of align_run. */
+MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg,
+                            const struct job_result *j, struct imageset *test);
+
+/* Estimated cameras against true ones, after the similarity that fits best. */
+struct testcams_error {
+    int n;          // views, 0: nothing is known
+    double rot_deg; // median angle
+    double trans;   // median distance over the spread of the true cameras
+    double focal;   // median of |f / f_true - 1|
+};
+
+/* All cameras of the scene and of the test views. Shots have the true ones.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t testcams_measure(const struct run *r, const struct job_result *j,
+                                const struct capture *train, const struct capture *true_test,
+                                const struct capture *test, struct testcams_error *out);
+
+#endif

@@ -1,0 +1,69 @@
+#include "firmware/result/draw.h"
+
+#include "drivers/format/exrfile.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { MAPS = 5, DISPLAY = 3 }; // planes: radiance 3, depth, alpha
+
+size_t draw_plan(int cap, int w, int h)
+{
+    size_t pixels = (size_t)w * (size_t)h;
+    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
+    return arena_add(raster_plan(cap, w, h, false),
+                     arena_need(pixels, (MAPS + DISPLAY) * sizeof(float)));
+}
+
+err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h)
+{
+    float *px;
+    size_t pixels = (size_t)w * (size_t)h;
+    memset(d, 0, sizeof *d);
+    err_t e = raster_init(&d->raster, a, cap, w, h, false);
+    if (!e)
+        e = arena_alloc(a, pixels, (MAPS + DISPLAY) * sizeof *px, &px);
+    if (e)
+        return e;
+    d->maps = (struct render){.radiance = px, .depth = px + 3 * pixels, .alpha = px + 4 * pixels};
+    d->display = (struct image){.channels = 3, .px = px + MAPS * pixels};
+    return OK;
+}
+
+err_t draw_run(const struct run *r, struct draw *d, const struct scene *s, const struct camera *cam)
+{
+    struct raster_input in = {&s->g, cam, {s->background[0], s->background[1], s->background[2]}};
+    tonemap_table_init(&d->table, &s->tone);
+    d->mid_log2t = s->tone.mid_log2t;
+    return raster_run(r, &d->raster, &in, &d->maps);
+}
+
+void draw_display(struct draw *d, float log2t)
+{
+    size_t pixels = (size_t)d->maps.w * (size_t)d->maps.h;
+    d->display.w = d->maps.w;
+    d->display.h = d->maps.h;
+    for (int c = 0; c < 3; c++)
+        tonemap_run(&d->table.c[c], d->maps.radiance + (size_t)c * pixels, log2t - d->mid_log2t,
+                    pixels, d->display.px + (size_t)c * pixels);
+}
+
+err_t draw_write_exr(const struct draw *d, const struct camera *cam, float log2t, const char *path,
+                     size_t *clipped)
+{
+    struct image rgb = {d->maps.w, d->maps.h, 3, d->maps.radiance};
+    struct exrfile_extra extra = {.half = true,
+                                  .alpha = d->maps.alpha,
+                                  .exposure_s = exp2f(log2t),
+                                  .log2t = &log2t,
+                                  .cam = cam};
+    return exrfile_write(path, &rgb, &extra, clipped);
+}
+
+void draw_name(const char *folder, const char *name, const char *extension, char out[DRAW_NAME_CAP])
+{
+    const char *dot = strrchr(name, '.');
+    int stem = dot && dot != name ? (int)(dot - name) : (int)strlen(name);
+    snprintf(out, DRAW_NAME_CAP, "%s/%.*s.%s", folder, stem, name, extension);
+}

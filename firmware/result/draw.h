@@ -1,0 +1,44 @@
+/* draw.h - pictures of a scene: radiance, what a photograph of it would show, and both as files. */
+#ifndef RESULT_DRAW_H
+#define RESULT_DRAW_H
+
+#include "core/base/types.h"
+#include "core/photo/tonemap.h"
+#include "core/splat/raster.h"
+
+struct draw {
+    struct raster raster;
+    struct render maps;   // of the picture drawn last
+    struct image display; // (3, h, w) in 0..1, of the last draw_display
+    struct tonemap_table table;
+    float mid_log2t;
+};
+
+/* Bytes that draw_init takes for pictures up to w x h px of gaussians made for `cap` splats. */
+size_t draw_plan(int cap, int w, int h);
+
+/* err:  ERR_ARG (size), ERR_NOMEM. */
+MUST_USE err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h);
+
+/* Radiance, depth and alpha of the scene as `cam` sees it, into d->maps.
+ * err:  as raster_run. */
+MUST_USE err_t draw_run(const struct run *r, struct draw *d, const struct scene *s,
+                        const struct camera *cam);
+
+/* The photograph of d->maps at exposure log2t, into d->display. */
+void draw_display(struct draw *d, float log2t);
+
+/* d->maps as EXR: radiance and alpha in half floats, with the camera; log2t becomes expTime.
+ * out:  *clipped = values beyond the largest half, stored as that.
+ * err:  ERR_IO, ERR_NOMEM. */
+MUST_USE err_t draw_write_exr(const struct draw *d, const struct camera *cam, float log2t,
+                              const char *path, size_t *clipped);
+
+enum { DRAW_NAME_CAP = NAME_CAP + 16 };
+
+/* "FOLDER/NAME.EXTENSION": the file of a view in a result; NAME is that of its photograph without
+ * extension. folder and extension: at most 7 bytes each. */
+void draw_name(const char *folder, const char *name, const char *extension,
+               char out[DRAW_NAME_CAP]);
+
+#endif

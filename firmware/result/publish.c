@@ -1,0 +1,284 @@
+#include "firmware/result/publish.h"
+
+#include "firmware/recon/figures.h"
+#include "firmware/result/draw.h"
+#include "firmware/result/sheet.h"
+#include "firmware/result/viewer.h"
+
+#include "core/base/gaussians.h"
+#include "core/photo/metrics.h"
+#include "core/photo/prep.h"
+#include "drivers/format/cameras.h"
+#include "drivers/format/img.h"
+#include "drivers/format/ply.h"
+#include "drivers/format/scenefile.h"
+#include "drivers/format/sidecar.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+static const char VIEWER_NAME[] = "view.html";
+
+static struct viewer_input viewer_of(const struct job_result *j, const struct outdir *o)
+{
+    return (struct viewer_input){.scene = &j->scene,
+                                 .photos = j->views.n > 0 ? j->views.rgb : NULL,
+                                 .log2t = j->views.n > 0 ? j->views.log2t : NULL,
+                                 .n_log2t = j->views.n + j->views.n_more,
+                                 .title = file_name(o->path),
+                                 .report = SHEET_NAME};
+}
+
+/* Upper bound of the folder: pictures as if they could not be compressed. */
+static uint64_t result_bytes(const struct viewer_input *viewer, int n_photographs)
+{
+    const struct scene *s = viewer->scene;
+    uint64_t n = (uint64_t)s->g.n, planes = (uint64_t)gaussians_planes(s->g.degree);
+    uint64_t pixels = (uint64_t)s->size * (uint64_t)s->size, views = (uint64_t)s->n_views;
+    uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
+    uint64_t pictures = views * pixels * (4 * 2 + 3);
+    return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
+           sheet_bytes(n_photographs) + viewer_bytes(viewer);
+}
+
+/* Two photographs that differ only in their extension. */
+static err_t check_names(const struct capture *c)
+{
+    char a[DRAW_NAME_CAP], b[DRAW_NAME_CAP];
+    for (int i = 0; i < c->n; i++) {
+        draw_name("ldr", c->shots[i].name, "png", a);
+        for (int k = 0; k < i; k++) {
+            const char *other = c->shots[k].name;
+            if (strncmp(a + 4, other, strcspn(other, ".")) != 0)
+                continue;
+            draw_name("ldr", other, "png", b);
+            if (strcmp(a, b) == 0)
+                return err_fail(ERR_ARG, "%s and %s would both be written as %s: rename one", other,
+                                c->shots[i].name, a);
+        }
+    }
+    return OK;
+}
+
+err_t publish_check(const struct capture *c, const struct job_config *cfg, struct outdir *o)
+{
+    const int places = prep_places(c);
+    const int degree = job_forward(cfg) ? SH_DEGREE_MAX : cfg->refine.degree_max;
+    const struct scene most = {
+        .g = {.n = job_most(cfg, places), .degree = degree}, .n_views = places, .size = cfg->size};
+    const struct viewer_input viewer = {.scene = &most,
+                                        .photos = (const uint8_t *)"", // whether, not which
+                                        .n_log2t = c->n,
+                                        .title = file_name(o->path)};
+    err_t e = check_names(c);
+    return e ? e : outdir_reserve(o, result_bytes(&viewer, c->n));
+}
+
+/* Sum of squares of the errors of the view drawn last against its photograph, 0..1 per value. */
+static double squared_error(const struct image *display, const uint8_t *rgb)
+{
+    size_t pixels = (size_t)display->w * (size_t)display->h;
+    double sum = 0;
+    for (int c = 0; c < 3; c++)
+        for (size_t i = 0; i < pixels; i++) {
+            double d = display->px[(size_t)c * pixels + i] - rgb[3 * i + (size_t)c] / 255.0;
+            sum += d * d;
+        }
+    return sum;
+}
+
+struct pictures {
+    const struct run *r;
+    struct job_result *j;
+    struct outdir *o;
+    struct sheet *sheet;
+    struct draw draw;
+    size_t clipped; // values above the largest half
+    double psnr;    // sum over the views
+};
+
+/* Photograph i beside what was drawn last, which stays in draw.display. */
+static err_t compare(struct pictures *p, int i)
+{
+    const struct views *v = &p->j->views;
+    const size_t values = 3 * (size_t)v->size * (size_t)v->size;
+    const uint8_t *photograph = v->rgb + values * (size_t)i;
+    draw_display(&p->draw, v->log2t[i]);
+    double mse = squared_error(&p->draw.display, photograph) / (double)values;
+    double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
+    p->psnr += psnr;
+    p->j->input_db[i] = (float)psnr;
+    return sheet_picture(p->sheet, i, v->size, photograph, &p->draw.display);
+}
+
+static err_t write_view(struct pictures *p, int i)
+{
+    const struct scene *s = &p->j->scene;
+    const struct views *v = &p->j->views;
+    char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
+    size_t clipped = 0;
+    err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
+    for (int k = views_next(v, i, i); k >= 0 && !e; k = views_next(v, i, k))
+        e = compare(p, k);
+    if (!e)
+        e = compare(p, i); // the one whose exposure is written
+    job_lap(p->j, JOB_RENDER);
+    draw_name("ldr", s->names[i], "png", name);
+    if (!e)
+        e = outdir_path(p->o, name, path);
+    if (!e)
+        e = img_write_ldr(path, &p->draw.display);
+    draw_name("hdr", s->names[i], "exr", name);
+    if (!e)
+        e = outdir_path(p->o, name, path);
+    if (!e)
+        e = draw_write_exr(&p->draw, &s->cams[i], s->log2t[i], path, &clipped);
+    p->clipped += clipped;
+    job_lap(p->j, JOB_WRITE);
+    return e;
+}
+
+static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o,
+                         struct sheet *sheet)
+{
+    struct pictures p = {.r = r, .j = j, .o = o, .sheet = sheet};
+    const struct scene *s = &j->scene;
+    size_t mark = arena_mark(r->tmp);
+    err_t e = draw_init(&p.draw, r->tmp, s->g.cap, s->size, s->size);
+    for (int i = 0; i < s->n_views && !e; i++) {
+        e = write_view(&p, i);
+        if (!e && r->progress)
+            r->progress(r->progress_ctx, "write", i + 1, s->n_views, NULL);
+    }
+    arena_reset(r->tmp, mark);
+    j->input_psnr = p.psnr / (j->views.n + j->views.n_more);
+    if (p.clipped)
+        job_warn(
+            j,
+            "%zu values of the EXR files are above the largest half float and stored as 65504; "
+            "scene.hdrig has them whole",
+            p.clipped);
+    return e;
+}
+
+static err_t write_cameras(const struct scene *s, const char *path)
+{
+    struct rig rig = {.n = s->n_views, .views = calloc((size_t)s->n_views, sizeof *rig.views)};
+    if (!rig.views)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", path, s->n_views);
+    for (int i = 0; i < s->n_views; i++) {
+        struct rig_view *v = &rig.views[i];
+        memcpy(v->name, s->names[i], NAME_CAP);
+        v->cam = s->cams[i];
+        v->has_exposure = true;
+        v->exposure_log2 = s->log2t[i];
+    }
+    err_t e = cameras_write(path, &rig);
+    cameras_free(&rig);
+    return e;
+}
+
+static err_t write_scene(const struct scene *s, const struct outdir *o)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = outdir_path(o, "scene.ply", path);
+    if (!e)
+        e = ply_write(path, s);
+    if (!e)
+        e = sidecar_write(path, s);
+    if (!e)
+        e = outdir_path(o, "scene.hdrig", path);
+    if (!e)
+        e = scenefile_write(path, s);
+    if (!e)
+        e = outdir_path(o, "tone.json", path);
+    if (!e)
+        e = scenefile_write_tone(path, &s->tone);
+    if (!e)
+        e = outdir_path(o, "cameras.json", path);
+    return e ? e : write_cameras(s, path);
+}
+
+static bool has_viewer(const struct job_result *j)
+{
+    return j->scene.g.n <= VIEWER_SPLATS_MAX;
+}
+
+static err_t write_viewer(struct job_result *j, const struct outdir *o)
+{
+    char path[FILE_PATH_CAP];
+    struct viewer_input viewer = viewer_of(j, o);
+    if (!has_viewer(j)) {
+        job_warn(j, "no view.html: %d splats are more than a page can hold", j->scene.g.n);
+        return OK;
+    }
+    err_t e = outdir_path(o, VIEWER_NAME, path);
+    return e ? e : viewer_write(path, &viewer);
+}
+
+static void tell(const struct job_result *j, int threads, struct report *rep)
+{
+    job_report(j, threads, rep);
+    report_text(rep, "viewer", has_viewer(j) ? VIEWER_NAME : NULL);
+}
+
+/* report.json, and with it the end of the page. */
+static err_t write_report(const struct job_result *j, int threads, const struct outdir *o,
+                          struct sheet *sheet)
+{
+    char path[FILE_PATH_CAP];
+    struct report rep;
+    err_t e = outdir_path(o, OUTDIR_REPORT, path);
+    if (!e)
+        e = outdir_report_open(o, &rep);
+    if (e)
+        return e;
+    tell(j, threads, &rep);
+    e = outdir_report_close(o, &rep);
+    return e ? e : sheet_close(sheet, path);
+}
+
+static err_t open_sheet(const struct outdir *o, struct sheet *sheet)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = outdir_path(o, SHEET_NAME, path);
+    return e ? e : sheet_open(path, sheet);
+}
+
+err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
+{
+    const struct viewer_input viewer = viewer_of(j, o);
+    struct sheet sheet = {0};
+    err_t e = outdir_reserve(o, result_bytes(&viewer, j->views.n + j->views.n_more));
+    if (!e)
+        e = outdir_mkdir(o, "ldr");
+    if (!e)
+        e = outdir_mkdir(o, "hdr");
+    if (!e)
+        e = open_sheet(o, &sheet);
+    if (!e)
+        e = write_views(r, j, o, &sheet);
+    if (!e)
+        e = write_scene(&j->scene, o);
+    if (!e)
+        e = write_viewer(j, o);
+    job_lap(j, JOB_WRITE);
+    if (!e) {
+        figures_warn(j);
+        e = write_report(j, pool_size(r->pool), o, &sheet);
+    }
+    sheet_discard(&sheet);
+    e = outdir_reason(o, e);
+    if (!e && atomic_load(r->cancel))
+        return ERR_CANCELLED;
+    return e ? e : outdir_commit(o);
+}
+
+void publish_report(const struct job_result *j, int threads, FILE *f)
+{
+    struct report rep;
+    report_begin(&rep, f);
+    tell(j, threads, &rep);
+    report_close(&rep);
+}

@@ -1,0 +1,31 @@
+/* viewer.h - view.html: a scene in one page that opens from the disk, without network or server.
+ * firmware/web/view.{html,css,js} and splats.js, with the scene in base64 behind them.
+ * thread: any. */
+#ifndef RESULT_VIEWER_H
+#define RESULT_VIEWER_H
+
+#include "core/base/types.h"
+
+enum {
+    VIEWER_SPLATS_MAX = 1 << 22,  // that a page may hold
+    VIEWER_SCENE_MAX = 256 << 20, // bytes; SH bands beyond that are left out, the highest first
+};
+
+struct viewer_input {
+    const struct scene *scene;
+    const uint8_t *photos; // (n_views, size, size, 3) 8 bit, as taken; NULL: none to compare with
+    const float *log2t;    // (n_log2t) exposures of all photographs, in scale of scene->log2t, for
+    int n_log2t;           // marks; NULL: those of the views
+    const char *title;     // UTF-8
+    const char *report;    // address of the report, relative; NULL: none
+};
+
+/* Upper bound of the file. */
+uint64_t viewer_bytes(const struct viewer_input *in);
+
+/* Splats that are never drawn (a number that is not finite, opacity below 1/255) are left out.
+ * err:  ERR_ARG (more than VIEWER_SPLATS_MAX; a camera, exposure or tone curve that is not finite),
+ *       ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. The partial file is removed. */
+MUST_USE err_t viewer_write(const char *path, const struct viewer_input *in);
+
+#endif

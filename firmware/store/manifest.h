@@ -1,0 +1,63 @@
+/* manifest.h - manifest.json of a take: everything that is known about it, with size and SHA-256 of
+ * all its other files. 64-bit times are strings of nanoseconds: JSON numbers lose them. What is not
+ * known is null.
+ * thread: any. */
+#ifndef STORE_MANIFEST_H
+#define STORE_MANIFEST_H
+
+#include "firmware/capture/take.h"
+
+#include "core/base/sha256.h"
+#include "core/photo/develop.h"
+
+#include <stdio.h>
+
+#define MANIFEST_FILE "manifest.json"
+
+enum {
+    MANIFEST_NAME_CAP = 64,
+    MANIFEST_FILES_MAX = 2 * TAKE_FRAMES_MAX + BRACKET_CAMERAS_MAX + 1,
+    MANIFEST_ID_CAP = 32,
+    MANIFEST_BOOT_CAP = 37 // a boot id of the kernel
+};
+
+struct manifest_file {
+    char name[MANIFEST_NAME_CAP]; // from the folder of the take
+    uint64_t bytes;
+    char sha256[SHA256_HEX_CAP];
+};
+
+/* What is not in struct take. */
+struct manifest {
+    char id[MANIFEST_ID_CAP], boot[MANIFEST_BOOT_CAP];
+    char session[MANIFEST_ID_CAP]; // id of the first take of its session; "": no place of one
+    unsigned long long counter;
+    char not_merged[TAKE_TEXT]; // why there is no merged/ although there should be; ""
+    struct develop how;         // of the display pictures; zeroed: none were developed
+    int n;
+    struct manifest_file file[MANIFEST_FILES_MAX];
+};
+
+/* Names of a frame's files. */
+void manifest_raw_name(const struct take *t, const struct take_frame *f,
+                       char out[MANIFEST_NAME_CAP]);
+void manifest_picture_name(const struct take *t, const struct take_frame *f,
+                           char out[MANIFEST_NAME_CAP]);
+
+/* Whether the driver's bytes are the display picture as well. */
+bool manifest_is_jpeg(const struct take *t, const struct take_frame *f);
+
+/* Word of a proof: "reported", "pixels", "unverified-flicker", "unverified-dark",
+ * "unverified-bright". */
+const char *manifest_proof(enum bracket_proof p);
+
+/* Errors are those of the stream. */
+void manifest_write(FILE *f, const struct manifest *m, const struct take *t);
+
+/* Read back from n bytes of text; `what` begins the sentence. Known keys, each once; files lie in
+ * images/, raw/, merged/ or beside, no name twice.
+ * out:  id, boot, session, counter and files.
+ * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
+MUST_USE err_t manifest_parse(const char *what, const char *text, size_t n, struct manifest *out);
+
+#endif

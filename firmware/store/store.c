@@ -1,0 +1,788 @@
+/* A take becomes visible by one rename, after every byte of it and every name in it is on the disk;
+ * that rename is brought to the disk before store_commit returns. The counter is replaced before,
+ * and the sync that makes the take durable makes the counter so too; should a crash keep only one
+ * of both, the next number is beyond the larger one. A take that is removed gets a .tmp- name
+ * first, which is synced before the first file goes.
+ * One process at a time: it holds a lock on the folder. Protocol: capture notes 3.9. */
+#include "firmware/store/store.h"
+
+#include "firmware/store/manifest.h"
+#include "firmware/store/places.h"
+#include "firmware/store/store_fs.h"
+#include "firmware/store/store_media.h"
+
+#include "core/base/log.h"
+#include "drivers/format/file.h"
+#include "drivers/format/json.h"
+
+#include <dirent.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <inttypes.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/file.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open looks at
+
+static const char boot_path[] = "/proc/sys/kernel/random/boot_id";
+static const char counter_name[] = "counter", tmp_prefix[] = ".tmp-", aborted[] = "aborted-";
+static const uint64_t counter_max = 999999999;
+
+struct store {
+    const struct store_fs *fs;
+    char path[FILE_PATH_CAP];
+    struct store_config cfg;
+    int fd; // of the folder, locked
+    char boot[MANIFEST_BOOT_CAP];
+    uint64_t next, kept;      // kept: the newest take that was found not to be removable
+    struct manifest manifest; // of the take that is written or checked
+};
+
+/* ---- names ---- */
+
+uint64_t store_number(const char *name, bool *is_aborted)
+{
+    size_t skip = sizeof aborted - 1;
+    *is_aborted = strncmp(name, aborted, skip) == 0;
+    name += *is_aborted ? skip : 0;
+    if (strspn(name, "0123456789abcdef") != BOOT_DIGITS || name[BOOT_DIGITS] != '-')
+        return 0;
+    name += BOOT_DIGITS + 1;
+    size_t n = strspn(name, "0123456789");
+    uint64_t v = n >= 6 && n <= 9 && !name[n] ? strtoull(name, NULL, 10) : 0;
+    char again[16];
+    snprintf(again, sizeof again, "%06" PRIu64, v);
+    return strcmp(again, name) == 0 ? v : 0;
+}
+
+bool store_is_id(const char *name)
+{
+    bool is_aborted;
+    return strlen(name) < STORE_ID_CAP && store_number(name, &is_aborted) != 0;
+}
+
+/* Whether a take may have a file or folder of that name: everything else is somebody else's. Digits
+ * stand for those of camera and exposure. */
+static bool is_take_name(const char *name)
+{
+    static const char *const names[] = {MANIFEST_FILE,
+                                        "exposure.json",
+                                        "raw",
+                                        "images",
+                                        "merged",
+                                        "raw/00_00.bin",
+                                        "raw/00_00.jpg",
+                                        "merged/00.exr",
+                                        "images/train_00_00.png",
+                                        "images/train_00_00.jpg"};
+    for (size_t i = 0; i < sizeof names / sizeof names[0]; i++) {
+        const char *a = names[i], *b = name;
+        for (; *a && (*a == *b || (*a == '0' && *b >= '0' && *b <= '9')); a++, b++)
+            ;
+        if (!*a && !*b)
+            return true;
+    }
+    return false;
+}
+
+/* One of the takes of a folder. */
+struct entry {
+    uint64_t number;
+    bool is_aborted;
+    char id[STORE_ID_CAP];
+};
+
+/* The next take of a folder, in any order. */
+static bool next_entry(DIR *d, struct entry *out)
+{
+    for (struct dirent *entry; (entry = readdir(d));) {
+        out->number = store_number(entry->d_name, &out->is_aborted);
+        struct stat st;
+        if (!out->number || fstatat(dirfd(d), entry->d_name, &st, AT_SYMLINK_NOFOLLOW) != 0 ||
+            !S_ISDIR(st.st_mode))
+            continue;
+        snprintf(out->id, sizeof out->id, "%.*s", STORE_ID_CAP - 1, entry->d_name);
+        return true;
+    }
+    return false;
+}
+
+/* Newer first; of one number, which only a copied folder can have twice, by name. */
+static bool comes_before(const struct entry *a, const struct entry *b)
+{
+    return a->number != b->number ? a->number > b->number : strcmp(a->id, b->id) > 0;
+}
+
+int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap)
+{
+    return store_list_in(s->path, ids, cap);
+}
+
+int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
+{
+    struct entry x, other;
+    int n = 0;
+    DIR *d = opendir(path);
+    while (d && next_entry(d, &x)) {
+        int at = n;
+        for (; at > 0; at--) {
+            memcpy(other.id, ids[at - 1], STORE_ID_CAP);
+            other.number = store_number(other.id, &other.is_aborted);
+            if (comes_before(&other, &x))
+                break;
+            if (at < cap)
+                memcpy(ids[at], ids[at - 1], STORE_ID_CAP);
+        }
+        if (at < cap)
+            memcpy(ids[at], x.id, STORE_ID_CAP);
+        n += n < cap;
+    }
+    if (d)
+        closedir(d);
+    return n;
+}
+
+/* ---- checking ---- */
+
+/* The files of a folder are all listed. */
+static err_t check_listed(const struct manifest *m, const char *dir, const char *folder)
+{
+    static const char *const own[] = {MANIFEST_FILE, "images", "raw", "merged"};
+    char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP + 256];
+    err_t e = file_join(dir, folder, path);
+    DIR *d = e ? NULL : opendir(path);
+    for (struct dirent *entry; d && !e && (entry = readdir(d));) {
+        if (strcmp(entry->d_name, ".") == 0 || strcmp(entry->d_name, "..") == 0)
+            continue;
+        snprintf(name, sizeof name, "%s%s%s", folder, *folder ? "/" : "", entry->d_name);
+        bool known = false;
+        for (int i = 0; i < 4 && !*folder; i++)
+            known = known || strcmp(name, own[i]) == 0;
+        for (int i = 0; i < m->n && !known; i++)
+            known = strcmp(m->file[i].name, name) == 0;
+        if (!known)
+            e = err_fail(ERR_FORMAT, "%s/%s: is not in the manifest", dir, name);
+    }
+    if (d)
+        closedir(d);
+    return e;
+}
+
+static err_t check_file(const struct store_fs *fs, const char *dir, const struct manifest_file *f)
+{
+    char path[FILE_PATH_CAP], hex[SHA256_HEX_CAP];
+    uint64_t bytes;
+    err_t e = file_join(dir, f->name, path);
+    if (!e && !file_exists(path))
+        e = err_fail(ERR_FORMAT, "%s: is missing", path);
+    if (!e)
+        e = store_fs_hash(fs, path, &bytes, hex);
+    if (e)
+        return e;
+    if (bytes != f->bytes)
+        return err_fail(ERR_FORMAT, "%s: %" PRIu64 " bytes, the manifest says %" PRIu64, path,
+                        bytes, f->bytes);
+    if (strcmp(hex, f->sha256) != 0)
+        return err_fail(ERR_FORMAT, "%s: its bytes are not those of the manifest", path);
+    return OK;
+}
+
+static err_t read_manifest(const struct store_fs *fs, const char *dir, struct manifest *m)
+{
+    char path[FILE_PATH_CAP];
+    size_t n;
+    err_t e = file_join(dir, MANIFEST_FILE, path);
+    if (!e && !file_exists(path))
+        e = err_fail(ERR_FORMAT, "%s: is missing", path);
+    if (e)
+        return e;
+    char *text = malloc(JSON_BYTES_MAX + 1); // one more shows that it is too long
+    if (!text)
+        return err_fail(ERR_NOMEM, "%s: no memory", path);
+    e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
+    if (!e)
+        e = manifest_parse(path, text, n, m);
+    free(text);
+    return e;
+}
+
+static err_t verify(const struct store_fs *fs, const char *dir, struct manifest *m)
+{
+    static const char *const folders[] = {"", "images", "raw", "merged"};
+    err_t e = read_manifest(fs, dir, m);
+    for (int i = 0; i < 4 && !e; i++)
+        e = check_listed(m, dir, folders[i]);
+    for (int i = 0; i < m->n && !e; i++)
+        e = check_file(fs, dir, &m->file[i]);
+    return e;
+}
+
+err_t store_verify(const char *dir)
+{
+    struct manifest *m = malloc(sizeof *m);
+    if (!m)
+        return err_fail(ERR_NOMEM, "%s: no memory", dir);
+    err_t e = verify(&store_fs_system, dir, m);
+    free(m);
+    return e;
+}
+
+/* ---- opening ---- */
+
+static err_t sync_parent(const struct store *s, char *path)
+{
+    char *slash = strrchr(path, '/');
+    if (!slash)
+        return store_fs_sync_dir(s->fs, ".");
+    if (slash == path)
+        return store_fs_sync_dir(s->fs, "/");
+    *slash = 0;
+    err_t e = store_fs_sync_dir(s->fs, path);
+    *slash = '/';
+    return e;
+}
+
+/* The folder and those above it, so that a power cut finds them: also those that are there, which a
+ * former run may have made and not brought to the disk. Some of them may be closed to us. */
+static err_t make_folders(const struct store *s)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = OK;
+    for (size_t i = 1; !e && s->path[i - 1]; i++) {
+        if (s->path[i] && s->path[i] != '/')
+            continue;
+        memcpy(path, s->path, i);
+        path[i] = 0;
+        bool there = file_is_dir(path);
+        if (!there)
+            e = store_fs_mkdir(s->fs, path);
+        if (!e)
+            e = sync_parent(s, path);
+        if (there)
+            e = OK;
+    }
+    return e;
+}
+
+static err_t lock(struct store *s)
+{
+    s->fd = open(s->path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (s->fd < 0)
+        return err_fail(ERR_IO, "%s: %s", s->path, strerror(errno));
+    if (flock(s->fd, LOCK_EX | LOCK_NB) != 0)
+        return errno == EWOULDBLOCK
+                   ? err_fail(ERR_BUSY, "%s: another process stores its captures there", s->path)
+                   : err_fail(ERR_IO, "%s: cannot be locked: %s", s->path, strerror(errno));
+    if (s->fs->access(s->path, R_OK | W_OK | X_OK) != 0)
+        return err_fail(ERR_IO, "%s: captures cannot be stored there: %s", s->path,
+                        strerror(errno));
+    return OK;
+}
+
+static err_t read_boot(struct store *s)
+{
+    size_t n;
+    err_t e = store_fs_read(&store_fs_system, boot_path, s->boot, sizeof s->boot - 1, &n);
+    if (!e && strspn(s->boot, "0123456789abcdef-") != sizeof s->boot - 1)
+        e = err_fail(ERR_FORMAT, "%s: \"%.40s\" is no boot id", boot_path, s->boot);
+    return e;
+}
+
+static bool is_tmp_name(const char *name)
+{
+    const size_t n = sizeof tmp_prefix - 1;
+    return strncmp(name, tmp_prefix, n) == 0 &&
+           (strcmp(name + n, counter_name) == 0 || strcmp(name + n, PLACES_ENDED) == 0 ||
+            store_is_id(name + n));
+}
+
+/* What a crash left. Not before the disk, too, knows it by these names: what it calls a take must
+ * stay whole. */
+static void clean(struct store *s)
+{
+    char path[FILE_PATH_CAP];
+    if (store_fs_sync_dir(s->fs, s->path) != OK) {
+        log_warn("%s", err_text());
+        return;
+    }
+    DIR *d = opendir(s->path);
+    for (struct dirent *entry; d && (entry = readdir(d));)
+        if (is_tmp_name(entry->d_name) && file_join(s->path, entry->d_name, path) == OK)
+            store_fs_remove(s->fs, path, is_take_name);
+    if (d)
+        closedir(d);
+}
+
+/* The counter, or beyond all names if it lags behind or cannot be read. */
+static void read_counter(struct store *s)
+{
+    char path[FILE_PATH_CAP], text[32] = "";
+    size_t n = 0;
+    struct entry x;
+    bool ok = file_join(s->path, counter_name, path) == OK &&
+              store_fs_read(s->fs, path, text, sizeof text - 1, &n) == OK;
+    char *end = text;
+    uint64_t v = ok && text[0] >= '0' && text[0] <= '9' ? strtoull(text, &end, 10) : 0;
+    ok = ok && n > 1 && strcmp(end, "\n") == 0 && v >= 1 && v <= counter_max;
+    s->next = ok ? v : 1;
+    DIR *d = opendir(s->path);
+    while (d && next_entry(d, &x))
+        s->next = x.number >= s->next ? x.number + 1 : s->next;
+    if (d)
+        closedir(d);
+    if (!ok && n > 0)
+        log_warn("%s: is no number of 1 to %" PRIu64 ", going on with %" PRIu64, path, counter_max,
+                 s->next);
+}
+
+/* A take that is not whole is put aside: only a disk that lies, or somebody's hand, makes one. */
+static void check_take(struct store *s, const char *id)
+{
+    char path[FILE_PATH_CAP], name[STORE_ID_CAP + 16], aside[FILE_PATH_CAP];
+    err_t e = file_join(s->path, id, path);
+    if (!e)
+        e = verify(s->fs, path, &s->manifest);
+    if (!e)
+        return;
+    log_warn("%s", err_text());
+    snprintf(name, sizeof name, "damaged-%s", id);
+    if (e == ERR_FORMAT &&
+        (file_join(s->path, name, aside) != OK || store_fs_move(s->fs, path, aside) != OK))
+        log_warn("%s", err_text());
+}
+
+static err_t set_path(struct store *s, const char *path)
+{
+    size_t n = path ? strlen(path) : 0;
+    while (n > 1 && path[n - 1] == '/')
+        n--;
+    if (n == 0 || n >= FILE_PATH_CAP - 128)
+        return err_fail(ERR_ARG, "store: path of %zu bytes, allowed are 1 to %d", n,
+                        FILE_PATH_CAP - 129);
+    memcpy(s->path, path, n);
+    return OK;
+}
+
+err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg, struct store **out)
+{
+    char last[CHECKED][STORE_ID_CAP];
+    *out = NULL;
+    struct store *s = calloc(1, sizeof *s);
+    if (!s)
+        return err_fail(ERR_NOMEM, "store: no memory");
+    s->fs = fs;
+    s->cfg = *cfg;
+    s->fd = -1;
+    err_t e = cfg->keep >= 0 ? set_path(s, cfg->path)
+                             : err_fail(ERR_ARG, "store: keeps %d takes, least is 0", cfg->keep);
+    if (!e)
+        e = make_folders(s);
+    if (!e)
+        e = lock(s);
+    if (!e)
+        e = read_boot(s);
+    if (e) {
+        store_close(s);
+        return e;
+    }
+    clean(s);
+    read_counter(s);
+    for (int i = store_list(s, last, CHECKED) - 1; i >= 0; i--)
+        check_take(s, last[i]);
+    *out = s;
+    return OK;
+}
+
+err_t store_open(const struct store_config *cfg, struct store **out)
+{
+    return store_open_on(&store_fs_system, cfg, out);
+}
+
+void store_close(struct store *s)
+{
+    if (s && s->fd >= 0)
+        close(s->fd);
+    free(s);
+}
+
+/* ---- space ---- */
+
+uint64_t store_need(const struct store *s, const struct camera_info *info, int frames)
+{
+    return store_media_need(info, frames, s->cfg.merge);
+}
+
+err_t store_room(const struct store *s, uint64_t bytes)
+{
+    struct statvfs v;
+    if (s->fs->room(s->path, &v) != 0)
+        return err_fail(ERR_IO, "%s: %s", s->path, strerror(errno));
+    uint64_t have = (uint64_t)v.f_bavail * v.f_frsize;
+    if (bytes <= have && s->cfg.reserve <= have - bytes)
+        return OK;
+    return err_fail(ERR_LIMIT,
+                    "%s: a capture takes up to %" PRIu64 " bytes and %" PRIu64
+                    " are to stay free, there is room for %" PRIu64,
+                    s->path, bytes, s->cfg.reserve, have);
+}
+
+/* ---- keeping the newest ---- */
+
+/* The oldest of its kind that is newer than `than` (number 0: of all), and how many of them there
+ * are. */
+static int oldest(const struct store *s, bool is_aborted, const struct entry *than,
+                  struct entry *out)
+{
+    struct entry x;
+    int n = 0;
+    DIR *d = opendir(s->path);
+    *out = (struct entry){0};
+    while (d && next_entry(d, &x))
+        if (x.is_aborted == is_aborted && (!than->number || comes_before(&x, than)) &&
+            (n++ == 0 || comes_before(out, &x)))
+            *out = x;
+    if (d)
+        closedir(d);
+    return n;
+}
+
+static err_t remove_take(struct store *s, const char *id)
+{
+    char path[FILE_PATH_CAP], name[STORE_ID_CAP + 8], tmp[FILE_PATH_CAP];
+    snprintf(name, sizeof name, "%s%s", tmp_prefix, id);
+    err_t e = file_join(s->path, id, path);
+    if (!e)
+        e = file_join(s->path, name, tmp);
+    if (!e)
+        e = store_fs_move(s->fs, path, tmp);
+    if (!e)
+        e = store_fs_sync_dir(s->fs, s->path);
+    if (!e)
+        store_fs_remove(s->fs, tmp, is_take_name);
+    return e;
+}
+
+/* Whether it is a take of ours, and nothing else is in it. */
+static err_t check_removable(struct store *s, const char *id)
+{
+    static const char *const folders[] = {"", "images", "raw", "merged"};
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(s->path, id, path);
+    if (!e)
+        e = read_manifest(s->fs, path, &s->manifest);
+    if (!e && strcmp(s->manifest.id, id) != 0)
+        e = err_fail(ERR_FORMAT, "%s: its manifest is that of %s", path, s->manifest.id);
+    for (int i = 0; i < 4 && !e; i++)
+        e = check_listed(&s->manifest, path, folders[i]);
+    return e;
+}
+
+/* A take to which somebody added something is not removed, which is said when it is first met; nor
+ * are the places of the session that the newest take belongs to. */
+static void keep_newest(struct store *s, bool is_aborted)
+{
+    struct entry x, than = {0};
+    char session[MANIFEST_ID_CAP];
+    err_t e = OK;
+    memcpy(session, s->manifest.session, sizeof session);
+    int surplus = s->cfg.keep > 0 ? oldest(s, is_aborted, &than, &x) - s->cfg.keep : 0;
+    for (; surplus > 0 && !e; surplus--, than = x) {
+        oldest(s, is_aborted, &than, &x);
+        if (check_removable(s, x.id) != OK) {
+            if (x.number > s->kept)
+                log_warn("%s; this take stays beyond store.keep", err_text());
+            s->kept = x.number > s->kept ? x.number : s->kept;
+        } else if (!session[0] || strcmp(s->manifest.session, session) != 0) {
+            e = remove_take(s, x.id);
+        }
+    }
+    if (e)
+        log_warn("%s", err_text());
+}
+
+/* ---- committing ---- */
+
+/* A take while it is written. */
+struct commit {
+    struct store *s;
+    const struct take *t;
+    char tmp[FILE_PATH_CAP], path[FILE_PATH_CAP];
+    bool shown;
+};
+
+static bool camera_is_full(const struct take *t, int camera)
+{
+    int n = 0;
+    for (int i = 0; i < t->n; i++)
+        n += t->frame[i].camera == camera;
+    return n > 1;
+}
+
+static err_t check_frame(const struct take *t, int i)
+{
+    const struct take_frame *f = &t->frame[i], *last = i ? f - 1 : NULL;
+    double exposure_s = take_exposure_s(f);
+    if (f->camera < 0 || f->camera >= t->n_cameras || f->index < 0 ||
+        f->index >= BRACKET_EXPOSURES_MAX || !f->data || f->bytes == 0 ||
+        !(exposure_s > 0 && exposure_s < 1e6))
+        return err_fail(
+            ERR_ARG, "take: frame %d: camera %d of %d, exposure %d of %d, %zu bytes, %g s", i,
+            f->camera, t->n_cameras, f->index, BRACKET_EXPOSURES_MAX, f->bytes, exposure_s);
+    if (last &&
+        (last->camera > f->camera || (last->camera == f->camera && last->index >= f->index)))
+        return err_fail(ERR_ARG, "take: frame %d: not in order of camera and exposure", i);
+    return OK;
+}
+
+static err_t check(const struct take *t)
+{
+    int least = t->status == TAKE_COMPLETE ? 1 : 0;
+    if (t->n_cameras < 1 || t->n_cameras > BRACKET_CAMERAS_MAX || t->n > TAKE_FRAMES_MAX ||
+        t->n < least)
+        return err_fail(ERR_ARG, "take: %d cameras and %d frames, allowed are 1 to %d and %d to %d",
+                        t->n_cameras, t->n, BRACKET_CAMERAS_MAX, least, TAKE_FRAMES_MAX);
+    err_t e = OK;
+    for (int i = 0; i < t->n && !e; i++)
+        e = check_frame(t, i);
+    return e;
+}
+
+static err_t check_room(const struct store *s, const struct take *t)
+{
+    uint64_t need = 1 << 20; // manifest and counter
+    for (int c = 0; c < t->n_cameras; c++) {
+        int frames = 0;
+        for (int i = 0; i < t->n; i++)
+            frames += t->frame[i].camera == c;
+        need += store_media_need(&t->camera[c].info, frames, s->cfg.merge);
+    }
+    return store_room(s, need);
+}
+
+/* The next number is on the disk before this one is used. */
+static err_t advance_counter(struct store *s)
+{
+    char path[FILE_PATH_CAP], tmp[FILE_PATH_CAP], text[32];
+    if (s->next > counter_max)
+        return err_fail(ERR_LIMIT, "%s: number %" PRIu64 " was the last", s->path, counter_max);
+    int n = snprintf(text, sizeof text, "%" PRIu64 "\n", s->next + 1);
+    err_t e = file_join(s->path, counter_name, path);
+    if (!e)
+        e = file_join(s->path, ".tmp-counter", tmp);
+    if (e)
+        return e;
+    s->fs->unlink(tmp); // of a number that was not put there
+    e = store_fs_write(s->fs, tmp, text, (size_t)n);
+    if (!e && s->fs->rename(tmp, path, 0) != 0)
+        e = err_fail(file_code(errno), "%s: cannot be put there: %s", path, strerror(errno));
+    s->next += !e;
+    return e;
+}
+
+static err_t add_file(struct commit *c, const char *name)
+{
+    struct manifest *m = &c->s->manifest;
+    struct manifest_file *f = &m->file[m->n++];
+    char path[FILE_PATH_CAP];
+    snprintf(f->name, sizeof f->name, "%s", name);
+    err_t e = file_join(c->tmp, name, path);
+    return e ? e : store_fs_hash(c->s->fs, path, &f->bytes, f->sha256);
+}
+
+static err_t put_frame(struct commit *c, const struct take_frame *f)
+{
+    char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
+    manifest_raw_name(c->t, f, name);
+    err_t e = file_join(c->tmp, name, path);
+    if (!e)
+        e = store_fs_write(c->s->fs, path, f->data, f->bytes);
+    if (!e)
+        e = add_file(c, name);
+    if (e || c->t->status != TAKE_COMPLETE || manifest_is_jpeg(c->t, f))
+        return e;
+    manifest_picture_name(c->t, f, name);
+    e = file_join(c->tmp, name, path);
+    if (!e)
+        e = store_media_picture(c->s->fs, c->t, f, &c->s->manifest.how, path);
+    return e ? e : add_file(c, name);
+}
+
+static err_t put_merged(struct commit *c)
+{
+    char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
+    err_t e = OK;
+    for (int i = 0; i < c->t->n_cameras && !e; i++) {
+        if (!camera_is_full(c->t, i))
+            continue;
+        snprintf(name, sizeof name, "merged/%02d.exr", i);
+        e = file_join(c->tmp, name, path);
+        if (!e)
+            e = store_media_merge(c->s->fs, c->t, i, &c->s->manifest.how, path);
+        if (!e)
+            e = add_file(c, name);
+    }
+    return e;
+}
+
+static bool is_merged_name(const char *name)
+{
+    return strlen(name) == 6 && strspn(name, "0123456789") == 2 && !strcmp(name + 2, ".exr");
+}
+
+/* The frames are worth more than what can be made of them again: a full disk must not take them. */
+static void give_up_merging(struct commit *c)
+{
+    struct manifest *m = &c->s->manifest;
+    char path[FILE_PATH_CAP];
+    snprintf(m->not_merged, sizeof m->not_merged, "%s", err_text());
+    log_warn("%s: not merged, the frames are kept: %s", m->id, m->not_merged);
+    while (m->n > 0 && strncmp(m->file[m->n - 1].name, "merged/", 7) == 0)
+        m->n--;
+    if (file_join(c->tmp, "merged", path) == OK)
+        store_fs_remove(c->s->fs, path, is_merged_name);
+}
+
+/* What `hdrig reconstruct --images` reads. */
+static err_t put_exposures(struct commit *c)
+{
+    char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP];
+    struct store_fs_file f;
+    err_t e = file_join(c->tmp, "exposure.json", path);
+    if (!e)
+        e = store_fs_create(c->s->fs, path, &f);
+    if (e)
+        return e;
+    for (int i = 0; i < c->t->n; i++) {
+        manifest_picture_name(c->t, &c->t->frame[i], name);
+        fprintf(f.stream, "%s\n  \"%s\": %.9g", i ? "," : "{", name + strlen("images/"),
+                take_exposure_s(&c->t->frame[i]));
+    }
+    fputs("\n}\n", f.stream);
+    e = store_fs_finish(&f);
+    return e ? e : add_file(c, "exposure.json");
+}
+
+static err_t put_manifest(struct commit *c)
+{
+    char path[FILE_PATH_CAP];
+    struct store_fs_file f;
+    err_t e = file_join(c->tmp, MANIFEST_FILE, path);
+    if (!e)
+        e = store_fs_create(c->s->fs, path, &f);
+    if (e)
+        return e;
+    manifest_write(f.stream, &c->s->manifest, c->t);
+    return store_fs_finish(&f);
+}
+
+/* The folders of the take: made before its files, synced after them. */
+static err_t each_folder(const struct commit *c, bool merge,
+                         err_t (*act)(const struct store_fs *, const char *))
+{
+    const char *const folders[] = {"raw", "images", "merged"};
+    char path[FILE_PATH_CAP];
+    int n = c->t->status != TAKE_COMPLETE ? 1 : merge ? 3 : 2;
+    err_t e = OK;
+    for (int i = 0; i < n && !e; i++) {
+        e = file_join(c->tmp, folders[i], path);
+        if (!e)
+            e = act(c->s->fs, path);
+    }
+    return e;
+}
+
+static err_t write_take(struct commit *c)
+{
+    const struct take *t = c->t;
+    bool merge = false;
+    for (int i = 0; i < t->n_cameras; i++)
+        merge = merge || (c->s->cfg.merge && camera_is_full(t, i));
+    err_t e = store_fs_mkdir(c->s->fs, c->tmp);
+    if (!e)
+        e = each_folder(c, merge, store_fs_mkdir);
+    if (!e && t->status == TAKE_COMPLETE) {
+        c->s->manifest.how = t->balance;
+        e = t->balance.red > 0.0f ? OK : store_media_balance(t, &c->s->manifest.how);
+    }
+    for (int i = 0; i < t->n && !e; i++)
+        e = put_frame(c, &t->frame[i]);
+    if (!e && t->status == TAKE_COMPLETE)
+        e = put_exposures(c);
+    if (!e && t->status == TAKE_COMPLETE && merge && put_merged(c) != OK) {
+        give_up_merging(c);
+        merge = false;
+    }
+    if (!e)
+        e = put_manifest(c);
+    if (!e)
+        e = each_folder(c, merge, store_fs_sync_dir);
+    return e ? e : store_fs_sync_dir(c->s->fs, c->tmp);
+}
+
+static err_t show(struct commit *c)
+{
+    err_t e = store_fs_move(c->s->fs, c->tmp, c->path);
+    c->shown = !e;
+    return e ? e : store_fs_sync_dir(c->s->fs, c->s->path);
+}
+
+/* Nothing of a failed take stays. If it was visible, its files go only when the disk knows it by
+ * its other name; else store_open tries again. */
+static void take_back(const struct commit *c)
+{
+    const struct store_fs *fs = c->s->fs;
+    err_t e = c->shown ? store_fs_move(fs, c->path, c->tmp) : OK;
+    if (!e && c->shown)
+        e = store_fs_sync_dir(fs, c->s->path);
+    if (!e)
+        store_fs_remove(fs, c->tmp, is_take_name);
+    else
+        log_warn("%s", err_text());
+}
+
+static err_t name_take(struct commit *c)
+{
+    struct store *s = c->s;
+    char name[STORE_ID_CAP + 8];
+    memset(&s->manifest, 0, sizeof s->manifest);
+    memcpy(s->manifest.boot, s->boot, sizeof s->boot);
+    s->manifest.counter = s->next - 1;
+    snprintf(s->manifest.id, sizeof s->manifest.id, "%s%.*s-%06" PRIu64,
+             c->t->status == TAKE_COMPLETE ? "" : aborted, BOOT_DIGITS, s->boot, s->next - 1);
+    if (c->t->is_place && c->t->status == TAKE_COMPLETE)
+        snprintf(s->manifest.session, sizeof s->manifest.session, "%s",
+                 c->t->session[0] ? c->t->session : s->manifest.id);
+    snprintf(name, sizeof name, "%s%s", tmp_prefix, s->manifest.id);
+    err_t e = file_join(s->path, s->manifest.id, c->path);
+    return e ? e : file_join(s->path, name, c->tmp);
+}
+
+err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
+{
+    struct commit c = {.s = s, .t = t};
+    char why[512];
+    id[0] = 0;
+    err_t e = check(t);
+    if (!e)
+        e = check_room(s, t);
+    if (!e)
+        e = advance_counter(s);
+    if (!e)
+        e = name_take(&c);
+    if (e)
+        return e;
+    e = write_take(&c);
+    if (!e)
+        e = show(&c);
+    if (e) {
+        snprintf(why, sizeof why, "%s", err_text());
+        take_back(&c);
+        return err_fail(e, "%s", why);
+    }
+    snprintf(id, STORE_ID_CAP, "%s", s->manifest.id);
+    keep_newest(s, t->status != TAKE_COMPLETE);
+    return OK;
+}

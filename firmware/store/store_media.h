@@ -1,0 +1,32 @@
+/* store_media.h - what is computed from the frames of a take before it is stored: display pictures
+ * and merged radiance.
+ * thread: any. */
+#ifndef STORE_STORE_MEDIA_H
+#define STORE_STORE_MEDIA_H
+
+#include "firmware/capture/take.h"
+#include "firmware/store/store_fs.h"
+
+#include "core/photo/develop.h"
+
+/* One white balance for all mosaics of a take; 1 if there are none.
+ * err:  ERR_FORMAT (a frame is not what its camera promised), ERR_NOMEM. */
+MUST_USE err_t store_media_balance(const struct take *t, struct develop *out);
+
+/* Develop a frame and write it as PNG.
+ * err:  those of unpack_run and of writing. */
+MUST_USE err_t store_media_picture(const struct store_fs *fs, const struct take *t,
+                                   const struct take_frame *f, const struct develop *how,
+                                   const char *path);
+
+/* Merge the frames of a camera that has several: part `merged`, then e00.. for each exposure.
+ * Radiance is relative, 1 saturates in 1 s at gain 1; it is the value in the file times
+ * hdrigRadianceScale, a power of two that brings nearly all values of `merged` below 1.
+ * err:  those of unpack_run and of writing. */
+MUST_USE err_t store_media_merge(const struct store_fs *fs, const struct take *t, int camera,
+                                 const struct develop *how, const char *path);
+
+/* At most what `frames` exposures of that camera take on the disk. */
+uint64_t store_media_need(const struct camera_info *info, int frames, bool merge);
+
+#endif

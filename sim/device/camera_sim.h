@@ -1,0 +1,24 @@
+/* camera_sim.h - the camera `sim:KEY=VALUE,...`: photographs a procedural world. The same URI gives
+ * the same frames; opening renders the view, which takes a second or so.
+ *
+ *   at=FILE                                          file with the view that is seen now, a line:
+ *                                                    the camera moves when it changes
+ *   seed=N kind=any|room|yard|dark|plain|mirror      the world
+ *   views=N view=I spread=X fov=DEG freehand=no|yes  one of the rig's N places, I from 0
+ *   size=PX samples=N shadow=N                       square pictures; quality of the rendering
+ *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits
+ *   curve=srgb|gamma|filmic|agx|log|random|linear param=X
+ *   full=US                                          exposure that radiance 1 saturates with
+ *   well=E                                           electrons at saturation (10000): noise
+ *   flicker=X hz=X line=US                           of the light; us per row, rolling shutter
+ *
+ * and the keys of sim/device/feed.c: clock, timing, metadata, faults (sim/device/fault.h), truth.
+ * In a program, feed_truth and feed_now of sim/device/feed.h work with the state. */
+#ifndef DEVICE_CAMERA_SIM_H
+#define DEVICE_CAMERA_SIM_H
+
+#include "sim/device/feed.h"
+
+/* extern const struct camera_ops camera_sim; is in drivers/device/camera.h. */
+
+#endif

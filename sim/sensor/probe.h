@@ -1,0 +1,27 @@
+/* probe.h - light that comes to a point by way of other surfaces: gathered at the points of a
+ * grid in the six directions of its axes, and blended from there. Pure computation on the pool;
+ * the result does not depend on the number of threads. */
+#ifndef SENSOR_PROBE_H
+#define SENSOR_PROBE_H
+
+#include "sim/world/light.h"
+
+struct probe_cube;
+
+struct probes {
+    int n[3];               // along x, y, z
+    float lo[3], step[3];   // m, of the first point; between points
+    struct probe_cube *all; // (n[2], n[1], n[0])
+};
+
+/* Gather for the world of `lights`.
+ * out:  lives in r->keep
+ * err:  ERR_NOMEM (see probe_keep, probe_plan), ERR_CANCELLED */
+MUST_USE err_t probe_build(const struct run *r, const struct light_set *lights, struct probes *out);
+size_t probe_keep(void);
+size_t probe_plan(void);
+
+/* Irradiance at p, m, on a surface with normal n. */
+void probe_light(const struct probes *s, const float p[3], const float n[3], float out[3]);
+
+#endif

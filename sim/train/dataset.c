@@ -1,0 +1,243 @@
+/* All cameras are photographed first, because the exposure meter looks at all of them; then view by
+ * view: pictures at their exposures, radiance and depth. */
+#include "sim/train/dataset.h"
+
+#include "drivers/format/exrfile.h"
+#include "drivers/format/file.h"
+#include "drivers/format/img.h"
+
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+#include <sys/stat.h>
+
+static size_t pixels(const struct dataset_ask *a)
+{
+    return (size_t)a->sample.size * (size_t)a->sample.size;
+}
+
+static size_t all_pixels(const struct dataset_ask *a)
+{
+    return pixels(a) * (size_t)a->sample.n_views;
+}
+
+void dataset_plan(const struct dataset_ask *a, int threads, size_t *keep, size_t *tmp)
+{
+    *keep = arena_add(arena_need(all_pixels(a), 4 * sizeof(float)),
+                      arena_need((size_t)a->sample.n_views, sizeof(struct camera)));
+    *keep = arena_add(*keep, arena_need(pixels(a), 3 * DATASET_EXPOSURES));
+    *keep = arena_add(*keep, 4096);
+    *tmp = sample_plan(a->sample.size, threads);
+}
+
+uint64_t dataset_bytes(const struct dataset_ask *a)
+{
+    /* as if nothing could be compressed */
+    return (uint64_t)all_pixels(a) * (3 * (uint64_t)a->n_exposures + 8) + (1 << 20);
+}
+
+/* What lies in memory while files are written. */
+struct set {
+    const struct dataset_ask *a;
+    const char *dir;
+    float *radiance, *depth; // (n_views, 3, size, size), (n_views, size, size)
+    uint8_t *px;             // (DATASET_EXPOSURES, size, size, 3)
+    struct camera *cams;
+    double key;
+};
+
+static bool is_input(int view)
+{
+    return view % 2 == 0;
+}
+
+/* Inputs have the first, the middle and the last exposure. */
+static bool is_taken(const struct dataset_ask *a, int view, int k)
+{
+    return !is_input(view) || k == 0 || k == a->n_exposures / 2 || k == a->n_exposures - 1;
+}
+
+static void picture_name(int view, int k, char out[NAME_CAP])
+{
+    snprintf(out, NAME_CAP, "%s_ldr_%03d_%d.png", is_input(view) ? "train" : "test", view / 2, k);
+}
+
+/* ---- pictures ---- */
+
+static err_t write_pictures(const struct set *s, int view)
+{
+    const struct dataset_ask *a = s->a;
+    const int size = a->sample.size;
+    char name[NAME_CAP], path[FILE_PATH_CAP], folder[FILE_PATH_CAP];
+    err_t e = file_join(s->dir, "images", folder);
+    for (int k = 0; k < a->n_exposures && !e; k++) {
+        struct image8 im = {size, size, 3, s->px + 3 * pixels(a) * (size_t)k};
+        if (!is_taken(a, view, k))
+            continue;
+        picture_name(view, k, name);
+        e = file_join(folder, name, path);
+        if (!e)
+            e = img_write_png(path, &im);
+    }
+    return e;
+}
+
+static err_t write_radiance(const struct set *s, int view)
+{
+    const int size = s->a->sample.size;
+    const size_t first = pixels(s->a) * (size_t)view;
+    struct image im = {size, size, 3, s->radiance + 3 * first};
+    struct exrfile_extra extra = {.depth = s->depth + first, .cam = &s->cams[view]};
+    char name[NAME_CAP], path[FILE_PATH_CAP];
+    snprintf(name, sizeof name, "images_hdr/test_hdr_%03d.exr", view / 2);
+    err_t e = file_join(s->dir, name, path);
+    return e ? e : exrfile_write(path, &im, &extra, NULL);
+}
+
+static err_t write_view(const struct run *r, const struct set *s, int view)
+{
+    const struct dataset_ask *a = s->a;
+    const struct sample_camera cam = {.size = a->sample.size,
+                                      .key = s->key,
+                                      .sensor = a->noise ? &sensor_default : NULL,
+                                      .curve = &a->curve,
+                                      .seed = a->sample.seed * 1000 + (uint64_t)view};
+    err_t e = sample_expose(r, &cam, s->radiance + 3 * pixels(a) * (size_t)view, a->n_exposures,
+                            a->stops, s->px);
+    if (!e)
+        e = write_pictures(s, view);
+    return e || is_input(view) ? e : write_radiance(s, view);
+}
+
+/* ---- text ---- */
+
+static err_t open_text(const struct set *s, const char *name, char path[FILE_PATH_CAP], FILE **out)
+{
+    err_t e = file_join(s->dir, name, path);
+    return e ? e : file_create(path, out);
+}
+
+static err_t write_exposures(const struct set *s)
+{
+    const struct dataset_ask *a = s->a;
+    char path[FILE_PATH_CAP], name[NAME_CAP];
+    const char *before = "{\n";
+    FILE *f;
+    err_t e = open_text(s, "exposure.json", path, &f);
+    if (e)
+        return e;
+    for (int view = 0; view < a->sample.n_views; view++)
+        for (int k = 0; k < a->n_exposures; k++) {
+            if (!is_taken(a, view, k))
+                continue;
+            picture_name(view, k, name);
+            fprintf(f, "%s \"%s\": %.9g", before, name, exp2((double)a->stops[k]));
+            before = ",\n";
+        }
+    fputs("\n}\n", f);
+    return file_finish(f, path);
+}
+
+/* COLMAP's text model without points; each camera is written for one picture of its view, which
+ * stands for all of them. */
+static err_t write_images(const struct set *s)
+{
+    char path[FILE_PATH_CAP], name[NAME_CAP];
+    FILE *f;
+    err_t e = open_text(s, "sparse/0/images.txt", path, &f);
+    if (e)
+        return e;
+    for (int view = 0; view < s->a->sample.n_views; view++) {
+        const struct camera *c = &s->cams[view];
+        picture_name(view, s->a->n_exposures / 2, name);
+        fprintf(f, "%d", view + 1);
+        for (int i = 0; i < 4; i++)
+            fprintf(f, " %.9g", (double)c->q[i]);
+        for (int i = 0; i < 3; i++)
+            fprintf(f, " %.9g", (double)c->t[i]);
+        fprintf(f, " 1 %s\n\n", name);
+    }
+    return file_finish(f, path);
+}
+
+static err_t write_cameras(const struct set *s)
+{
+    const struct camera *c = &s->cams[0];
+    char path[FILE_PATH_CAP];
+    FILE *f;
+    err_t e = open_text(s, "sparse/0/cameras.txt", path, &f);
+    if (e)
+        return e;
+    fprintf(f, "1 PINHOLE %d %d %.9g %.9g %.9g %.9g\n", c->w, c->h, (double)c->fx, (double)c->fy,
+            (double)c->cx, (double)c->cy);
+    e = file_finish(f, path);
+    if (!e)
+        e = open_text(s, "sparse/0/points3D.txt", path, &f);
+    return e ? e : file_finish(f, path);
+}
+
+static err_t make_folders(const struct set *s)
+{
+    static const char *const names[] = {"images", "images_hdr", "sparse", "sparse/0"};
+    char path[FILE_PATH_CAP];
+    for (int i = 0; i < 4; i++) {
+        err_t e = file_join(s->dir, names[i], path);
+        if (e)
+            return e;
+        if (mkdir(path, 0777) != 0)
+            return err_fail(file_code(errno), "%s: %s", path, strerror(errno));
+    }
+    return OK;
+}
+
+/* ---- all ---- */
+
+static err_t check(const struct dataset_ask *a)
+{
+    if (a->n_exposures < 1 || a->n_exposures > DATASET_EXPOSURES)
+        return err_fail(ERR_ARG, "%d exposures, a data set has 1 to %d", a->n_exposures,
+                        DATASET_EXPOSURES);
+    for (int k = 0; k < a->n_exposures; k++)
+        if (!(fabsf(a->stops[k]) <= 40))
+            return err_fail(ERR_ARG, "exposure of 2^%g, data sets have 2^-40 to 2^40",
+                            (double)a->stops[k]);
+    return OK;
+}
+
+static err_t photograph(const struct run *r, const struct dataset_ask *a, struct set *s)
+{
+    err_t e = arena_alloc(r->keep, all_pixels(a) * 3, sizeof(float), &s->radiance);
+    if (!e)
+        e = arena_alloc(r->keep, all_pixels(a), sizeof(float), &s->depth);
+    if (!e)
+        e = arena_alloc(r->keep, pixels(a), 3 * DATASET_EXPOSURES, &s->px);
+    if (!e)
+        e = arena_alloc(r->keep, (size_t)a->sample.n_views, sizeof *s->cams, &s->cams);
+    return e ? e : sample_make(r, &a->sample, s->radiance, s->depth, s->cams, &s->key);
+}
+
+err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir)
+{
+    struct set s = {.a = a, .dir = dir};
+    const size_t mark = arena_mark(r->keep);
+    err_t e = check(a);
+    if (!e)
+        e = make_folders(&s);
+    if (!e)
+        e = photograph(r, a, &s);
+    for (int view = 0; view < a->sample.n_views && !e; view++) {
+        e = run_check(r, "data set");
+        if (!e)
+            e = write_view(r, &s, view);
+        if (!e && r->progress)
+            r->progress(r->progress_ctx, "write", view + 1, a->sample.n_views, NULL);
+    }
+    if (!e)
+        e = write_exposures(&s);
+    if (!e)
+        e = write_images(&s);
+    if (!e)
+        e = write_cameras(&s);
+    arena_reset(r->keep, mark);
+    return e;
+}

@@ -1,0 +1,33 @@
+/* dataset.h - a simulated scene in the released data layout: what a rig photographed, and the
+ * truth.
+ * thread: any. */
+#ifndef TRAIN_DATASET_H
+#define TRAIN_DATASET_H
+
+#include "sim/train/sample.h"
+
+enum { DATASET_EXPOSURES = 8 };
+
+struct dataset_ask {
+    struct sample_ask sample;       // its n_views is that of all cameras, 2 * inputs - 1
+    int n_exposures;                // 1..DATASET_EXPOSURES
+    float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
+    bool noise;                     // that of sensor_default
+    struct curve curve;
+};
+
+/* Photograph the world into the folder `dir`, which exists. Cameras of even number are inputs
+ * ("train"), at the first, middle and last exposure; those between are held out ("test"), at every
+ * exposure and as radiance:
+ *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth),
+ *   exposure.json (2^stops), sparse/0 (COLMAP text)
+ * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */
+MUST_USE err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir);
+
+/* Bytes of r->keep and r->tmp with a pool of `threads`; SIZE_MAX on overflow. */
+void dataset_plan(const struct dataset_ask *a, int threads, size_t *keep, size_t *tmp);
+
+/* Most bytes of the files. */
+uint64_t dataset_bytes(const struct dataset_ask *a);
+
+#endif

@@ -1,0 +1,339 @@
+/* A world is made and prepared once, then its views are drawn: each by one worker where there are
+ * enough of them, else one after the other by all. The exposure meter takes the median luminance of
+ * every view and the middle one of these. */
+#include "sim/train/sample.h"
+
+#include "sim/world/vec.h"
+
+#include <stdatomic.h>
+#include <stdlib.h>
+#include <string.h>
+
+enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40 };
+
+static const double KEY_LEVEL = 0.18;    // of full scale: a grey card
+static const double LIGHT_LEAST = 1e-4;  // radiance that the meter still follows
+static const double EXPOSURE_MAX = 3600; // s, of a sensor
+
+/* Electrons that stand for full scale: of the well or of the converter's last number. */
+static double full_scale(const struct sensor *s)
+{
+    double codes = ((1 << s->bits) - 1 - s->black) / (double)s->gain;
+    return codes < (double)s->full_well ? codes : (double)s->full_well;
+}
+
+/* ---- worlds ---- */
+
+struct sample {
+    const struct run *r;
+    const struct sample_ask *a;
+    const struct render_world *world;
+    float *radiance, *depth;
+    struct camera *cams;
+    double median[SAMPLE_VIEWS];
+    struct arena tmp[WORKERS_MAX];
+    bool by_view; // one worker a view
+    atomic_int drawn;
+};
+
+static err_t check_ask(const struct sample_ask *a)
+{
+    if (a->kind < WORLD_ANY || a->kind >= WORLD_KINDS)
+        return err_fail(ERR_ARG, "sample: kind %d, allowed are %d to %d", a->kind, WORLD_ANY,
+                        WORLD_KINDS - 1);
+    if (a->n_views < 1 || a->n_views > SAMPLE_VIEWS)
+        return err_fail(ERR_ARG, "sample: %d views, allowed are 1 to %d", a->n_views, SAMPLE_VIEWS);
+    if (a->size < SIZE_LEAST || a->size > SAMPLE_SIZE)
+        return err_fail(ERR_ARG, "sample: pictures of %d px, allowed are %d to %d", a->size,
+                        SIZE_LEAST, SAMPLE_SIZE);
+    if (a->n_views * a->size * a->size > SAMPLE_PX)
+        return err_fail(ERR_ARG, "sample: %d views of %d x %d px are more than %d px", a->n_views,
+                        a->size, a->size, SAMPLE_PX);
+    if (!(a->spread >= 0 && a->spread <= 1))
+        return err_fail(ERR_ARG, "sample: spread %g, allowed are 0 to 1", (double)a->spread);
+    if (a->fov_deg != 0 && !(a->fov_deg >= 20 && a->fov_deg <= 120))
+        return err_fail(ERR_ARG, "sample: field of view of %g degrees, allowed are 20 to 120, or 0",
+                        (double)a->fov_deg);
+    return OK;
+}
+
+/* The value in the middle; v is put into another order. Hoare's selection. */
+static float middle(float *v, int n)
+{
+    int lo = 0, hi = n - 1, k = n / 2;
+    while (lo < hi) {
+        float pivot = v[lo + (hi - lo) / 2];
+        int i = lo, j = hi;
+        while (i <= j) {
+            for (; v[i] < pivot; i++)
+                ;
+            for (; v[j] > pivot; j--)
+                ;
+            if (i <= j) {
+                float swap = v[i];
+                v[i++] = v[j];
+                v[j--] = swap;
+            }
+        }
+        if (k <= j)
+            hi = j;
+        else if (k >= i)
+            lo = i;
+        else
+            break;
+    }
+    return v[k];
+}
+
+static double meter(const float *radiance, int px, float *grey)
+{
+    for (int i = 0; i < px; i++) {
+        float c[3] = {radiance[i], radiance[px + i], radiance[2 * px + i]};
+        grey[i] = vec_grey(c);
+    }
+    return (double)middle(grey, px);
+}
+
+static err_t draw_view(void *ctx, int view, int worker)
+{
+    struct sample *s = ctx;
+    struct run r = *s->r;
+    size_t px = (size_t)s->a->size * (size_t)s->a->size;
+    float *grey, *own = NULL;
+    r.tmp = &s->tmp[s->by_view ? worker : 0];
+    r.pool = s->by_view ? NULL : s->r->pool;
+    size_t mark = arena_mark(r.tmp);
+    err_t e = arena_alloc(r.tmp, px, sizeof *grey, &grey);
+    if (!e)
+        e = arena_alloc(r.tmp, px, 3 * sizeof *own, &own);
+    struct render_maps maps = {.radiance = s->radiance ? s->radiance + 3 * px * (size_t)view : own,
+                               .depth = s->depth ? s->depth + px * (size_t)view : NULL};
+    if (!e)
+        e = render_run(&r, s->world, s->cams + view, &s->a->quality,
+                       s->a->seed * SAMPLE_VIEWS + (uint64_t)view, &maps);
+    if (!e)
+        s->median[view] = meter(maps.radiance, (int)px, grey);
+    arena_reset(r.tmp, mark);
+    return e;
+}
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+static double key_of(struct sample *s)
+{
+    qsort(s->median, (size_t)s->a->n_views, sizeof *s->median, by_value);
+    double light = s->median[s->a->n_views / 2];
+    light = light > LIGHT_LEAST ? light : LIGHT_LEAST;
+    return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
+}
+
+/* Scratch memory of one worker. */
+static size_t view_plan(int size)
+{
+    size_t px = (size_t)size * (size_t)size;
+    size_t need = arena_add(render_plan(size, size), arena_need(px, 4 * sizeof(float)));
+    return arena_add(need, 2 * arena_need(1, 1));
+}
+
+size_t sample_plan(int size, int threads)
+{
+    size_t need = arena_add(arena_need(world_keep(), 1), arena_need(render_keep(), 1));
+    need = arena_add(need, arena_need(render_plan(0, 0), 1));
+    for (int i = 0; i < threads; i++)
+        need = arena_add(need, arena_need(view_plan(size), 1));
+    return need;
+}
+
+static err_t sub_arena(struct arena *from, size_t size, const char *name, struct arena *out)
+{
+    *out = (struct arena){.name = name};
+    err_t e = arena_alloc(from, size, 1, &out->base);
+    out->size = e ? 0 : size / ARENA_ALIGN * ARENA_ALIGN;
+    return e;
+}
+
+/* The thread that runs the job tells of all. */
+static err_t draw_told(void *ctx, int view, int worker)
+{
+    struct sample *s = ctx;
+    err_t e = draw_view(s, view, worker);
+    int drawn = atomic_fetch_add(&s->drawn, 1) + 1;
+    if (!e && worker == 0 && s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", drawn, s->a->n_views, NULL);
+    return e;
+}
+
+static err_t draw_all(struct sample *s)
+{
+    int workers = pool_size(s->r->pool), n = s->a->n_views;
+    err_t e = OK;
+    s->by_view = n >= workers;
+    if (s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", 0, n, NULL);
+    for (int i = 0; i < (s->by_view ? workers : 1) && !e; i++)
+        e = sub_arena(s->r->tmp, view_plan(s->a->size), "sample", &s->tmp[i]);
+    if (s->by_view && !e)
+        e = pool_for(s->r->pool, n, draw_told, s);
+    if (s->by_view && !e && s->r->progress)
+        s->r->progress(s->r->progress_ctx, "draw", n, n, NULL);
+    if (s->by_view)
+        return e;
+    for (int view = 0; view < n && !e; view++)
+        e = draw_told(s, view, 0);
+    return e;
+}
+
+err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance, float *depth,
+                  struct camera *cams, double *key)
+{
+    struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
+    struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0};
+    struct arena place = {0}, scene = {0};
+    struct run prepare = *r;
+    struct render_world *world = NULL;
+    struct world w;
+    err_t e = check_ask(a);
+    if (e)
+        return e;
+    size_t mark = arena_mark(r->tmp);
+    e = sub_arena(r->tmp, world_keep(), "world", &place);
+    if (!e)
+        e = sub_arena(r->tmp, render_keep(), "prepared world", &scene);
+    if (!e)
+        e = world_make(&place, a->seed, (enum world_kind)a->kind, &w);
+    prepare.keep = &scene;
+    if (!e)
+        e = render_open(&prepare, &w, &world);
+    if (!e) {
+        world_cameras(&w, &path, a->seed, a->size, cams);
+        s.world = world;
+        e = draw_all(&s);
+    }
+    if (!e)
+        *key = key_of(&s);
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+/* ---- photographs ---- */
+
+static void develop_clean(const struct sample_camera *c, const float *radiance, double exposure,
+                          uint8_t *px)
+{
+    size_t n = (size_t)c->size * (size_t)c->size;
+    double scale = exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
+    for (size_t i = 0; i < 3 * n; i++) {
+        float x = (float)((double)radiance[i % 3 * n + i / 3] * scale);
+        px[i] = (uint8_t)(255 * curve_display(c->curve, x) + 0.5f);
+    }
+}
+
+static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
+                           const float *radiance, const struct sensor_shot *shot, uint8_t *px)
+{
+    struct sensor_raw raw = {.w = c->size, .h = c->size};
+    struct image picture = {c->size, c->size, 3, (float *)(uintptr_t)radiance};
+    size_t mark = arena_mark(r->tmp);
+    err_t e = arena_alloc(r->tmp, (size_t)c->size * (size_t)c->size, 3 * sizeof *raw.px, &raw.px);
+    if (!e)
+        e = sensor_expose(r, c->sensor, shot, &picture, &raw);
+    if (!e)
+        e = sensor_develop(r, c->sensor, shot, c->curve, &raw, px);
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+static err_t check_shots(const struct sample_camera *c, int n, const float *stops)
+{
+    if (c->size < SIZE_LEAST || c->size > SAMPLE_SIZE)
+        return err_fail(ERR_ARG, "photograph of %d px, allowed are %d to %d", c->size, SIZE_LEAST,
+                        SAMPLE_SIZE);
+    if (!(c->key > 0) || !(c->key < 1e12))
+        return err_fail(ERR_ARG, "photograph at the key %g s, it must be > 0 and < 1e12", c->key);
+    if (n < 1 || n > SAMPLE_SHOTS)
+        return err_fail(ERR_ARG, "%d photographs, allowed are 1 to %d", n, SAMPLE_SHOTS);
+    for (int i = 0; i < n; i++)
+        if (!(fabsf(stops[i]) <= STOPS_MAX))
+            return err_fail(ERR_ARG, "photograph %d at 2^%g, allowed are 2^-%d to 2^%d", i,
+                            (double)stops[i], STOPS_MAX, STOPS_MAX);
+    return OK;
+}
+
+err_t sample_expose(const struct run *r, const struct sample_camera *c, const float *radiance,
+                    int n, const float *stops, uint8_t *px)
+{
+    err_t e = check_shots(c, n, stops);
+    for (int i = 0; i < n && !e; i++) {
+        double exposure = c->key * exp2((double)stops[i]);
+        struct sensor_shot shot = {
+            .exposure_s = exposure, .gain = 1, .seed = c->seed, .frame = (uint64_t)i};
+        uint8_t *to = px + (size_t)i * 3 * (size_t)c->size * (size_t)c->size;
+        e = run_check(r, "photographs");
+        if (c->sensor && exposure > EXPOSURE_MAX)
+            shot.exposure_s = EXPOSURE_MAX;
+        if (!e && c->sensor)
+            e = develop_noisy(r, c, radiance, &shot, to);
+        else if (!e)
+            develop_clean(c, radiance, shot.exposure_s, to);
+    }
+    return e;
+}
+
+/* ---- for ctypes ---- */
+
+int sample_photograph(const struct sample_request *q, float *radiance, float *depth, float *cams,
+                      double *key)
+{
+    struct arena tmp = {0};
+    struct run r = {.tmp = &tmp};
+    struct camera views[SAMPLE_VIEWS];
+    err_t e = check_ask(&q->ask);
+    if (e)
+        return e;
+    e = arena_init(&tmp, "sample", sample_plan(q->ask.size, 1));
+    if (!e)
+        e = sample_make(&r, &q->ask, radiance, depth, views, key);
+    for (int i = 0; i < q->ask.n_views && !e; i++) {
+        const struct camera *c = views + i;
+        const float row[11] = {c->fx,   c->fy,   c->cx,   c->cy,   c->q[0], c->q[1],
+                               c->q[2], c->q[3], c->t[0], c->t[1], c->t[2]};
+        memcpy(cams + 11 * i, row, sizeof row);
+    }
+    arena_free(&tmp);
+    return e;
+}
+
+int sample_develop(const struct sample_request *q, double key, const float *radiance, int n,
+                   const float *stops, uint8_t *px)
+{
+    struct arena tmp = {0};
+    struct run r = {.tmp = &tmp};
+    struct curve curve;
+    struct sample_camera c = {q->ask.size, key, q->noise ? &sensor_default : NULL, &curve,
+                              q->noise_seed};
+    err_t e = check_shots(&c, n, stops);
+    if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
+        e = err_fail(ERR_ARG, "curve of family %d, allowed are -1 to %d", q->curve_family,
+                     CURVE_FAMILIES - 1);
+    if (e)
+        return e;
+    if (q->curve_family < 0)
+        curve_draw(q->curve_seed, &curve);
+    else
+        curve_make((enum curve_family)q->curve_family, q->curve_param, q->curve_seed, &curve);
+    size_t px_each = (size_t)c.size * (size_t)c.size;
+    e = arena_init(&tmp, "photograph", arena_need(px_each, 3 * sizeof(uint16_t)));
+    if (!e)
+        e = sample_expose(&r, &c, radiance, n, stops, px);
+    arena_free(&tmp);
+    return e;
+}
+
+const char *sample_error(void)
+{
+    return err_text();
+}

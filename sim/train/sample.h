@@ -1,0 +1,69 @@
+/* sample.h - one world photographed by a rig: what training and `hdrig simulate` take. Also
+ * built as build/ARCH/libsim.so, which sim/train calls through ctypes. Thread: any; calls with
+ * different arenas are independent. */
+#ifndef TRAIN_SAMPLE_H
+#define TRAIN_SAMPLE_H
+
+#include "sim/sensor/sensor.h"
+#include "sim/world/render.h"
+
+enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 1024, SAMPLE_PX = 1 << 24, SAMPLE_SHOTS = 64 };
+
+struct sample_ask {
+    uint64_t seed;
+    int kind;          // enum world_kind
+    int n_views, size; // 1..64; px, 14..1024; at most SAMPLE_PX px in all
+    float spread;      // as in struct world_path
+    float fov_deg;     // as in struct world_path
+    int jitter;        // bool
+    struct render_quality quality;
+};
+
+/* Radiance, depth and cameras of all views.
+ * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
+ *       radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance
+ *       of the view whose median is the middle one at 18 % of full scale of sensor_default: an
+ *       exposure of 2^0.
+ * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
+MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
+                           float *depth, struct camera *cams, double *key);
+
+/* Bytes that sample_make takes from r->tmp with a pool of `threads`; also enough for sample_expose
+ * of one such picture. */
+size_t sample_plan(int size, int threads);
+
+/* How a radiance image is photographed. */
+struct sample_camera {
+    int size;                    // px, edge of the picture
+    double key;                  // of sample_make
+    const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
+    const struct curve *curve;   // not NULL
+    uint64_t seed;               // of the noise
+};
+
+/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops
+ * in -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is
+ * exposed for an hour at most.
+ * out:  px (n, size, size, 3)
+ * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
+MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
+                             const float *radiance, int n, const float *stops, uint8_t *px);
+
+/* ---- for ctypes: one thread, own memory; 0 on success, else the err_t ---- */
+
+struct sample_request { // all that Python fills in
+    struct sample_ask ask;
+    int noise;        // 0 or 1: sensor_default or none
+    int curve_family; // enum curve_family, or -1: drawn by curve_seed
+    float curve_param;
+    uint64_t curve_seed, noise_seed;
+};
+
+/* cams (n_views, 11): fx fy cx cy, q wxyz, t. */
+int sample_photograph(const struct sample_request *q, float *radiance, float *depth, float *cams,
+                      double *key);
+int sample_develop(const struct sample_request *q, double key, const float *radiance, int n,
+                   const float *stops, uint8_t *px);
+const char *sample_error(void);
+
+#endif

@@ -1,0 +1,32 @@
+/* bvh.h - a hierarchy of boxes around the solids of a world: which one a ray meets first, and
+ * whether it meets any. Pure computation; any thread. */
+#ifndef WORLD_BVH_H
+#define WORLD_BVH_H
+
+#include "sim/world/solid.h"
+
+struct bvh_node;
+
+struct bvh {
+    int n; // solids
+    const struct world *w;
+    struct solid *solids;   // (n) as in w
+    struct bvh_node *nodes; // the root is the first
+};
+
+/* Build over the solids of w, which must outlive *out.
+ * out:  arrays live in `keep`
+ * err:  ERR_NOMEM (see bvh_keep) */
+MUST_USE err_t bvh_build(struct arena *keep, const struct world *w, struct bvh *out);
+size_t bvh_keep(void);
+
+/* The first solid along d from o nearer than `most`, or -1. *t: its distance in lengths of d, else
+ * `most`. */
+int bvh_first(const struct bvh *b, const float o[3], const float d[3], float most, float *t);
+
+/* Any solid but `skip` (-1: none to skip) between o and o + most d, or -1. `guess`: a solid to try
+ * first, or -1. */
+int bvh_any(const struct bvh *b, const float o[3], const float d[3], float most,
+            const int skip_guess[2]);
+
+#endif

@@ -1,0 +1,81 @@
+/* light.h - light that arrives at a point straight from lamps, openings, sky and sun: one random
+ * point of each of a few of them, chosen by what they would give without shadows, and a ray there.
+ * Pure computation; any thread. */
+#ifndef WORLD_LIGHT_H
+#define WORLD_LIGHT_H
+
+#include "sim/world/bvh.h"
+
+struct light {
+    int solid;                   // as in struct world_light
+    const struct world_light *w; // the opening
+    float radiance[3];           // of an opening: guessed, to choose by
+    float centre[3], radius;     // m, of a ball around it
+    float power;                 // luminance x mean area that is seen of it
+};
+
+struct light_set {
+    const struct bvh *bvh;
+    int n;
+    struct light l[WORLD_LIGHTS];
+    bool dome, sun; // light comes from the whole sky; there is a sun
+    float across[2][3];
+    bool *listed; // (solids) is in l
+};
+
+/* Collect the lights of bvh->w.
+ * out:  lives in `keep`
+ * err:  ERR_NOMEM (see light_keep) */
+MUST_USE err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *out);
+size_t light_keep(void);
+
+/* Random numbers of one sample of a pattern of 2^bits samples that share out the unit square. */
+struct light_dice {
+    uint32_t index; // of the sample
+    uint32_t seed;  // of the pattern
+    uint32_t noise; // of the sample, for what is finer than the pattern
+    int bits;
+};
+
+/* Point of the unit square for dimension `dim`, 0..63. */
+void light_throw(const struct light_dice *d, uint32_t dim, float u[2]);
+
+/* Where light falls. */
+struct light_spot {
+    float p[3], n[3];                // m, above the surface by light_lift; unit
+    float mirror[3];                 // unit, where the eye's ray is reflected to
+    float lobe;                      // exponent of the cosine around it
+    float shine[3];                  // share in the gloss of lamps, of the sun, of the sky; 0: none
+    uint32_t last[WORLD_LIGHTS + 2]; // 1 + solid that was last in the way, by light: a guess
+};
+
+/* What arrives. */
+struct light_sum {
+    float soft[3], sun[3]; // irradiance from lamps, openings and sky; from the sun
+    float gloss[3];        // radiance that the gloss sends to the eye
+};
+
+void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
+                  struct light_sum *out);
+
+/* Radiance of the sky in the unit direction d, with the disc of the sun or without. */
+void light_sky(const struct world *w, const float d[3], bool disc, float out[3]);
+
+/* How far above a surface rays start that come to it from t metres away. */
+float light_lift(float t);
+
+/* 32 bits out of two. */
+uint32_t light_hash(uint32_t a, uint32_t b);
+
+/* A solid's surface at p, m, of the world, as a ray of width `width`, m, with direction d sees
+ * it. */
+struct light_surface {
+    int solid;
+    const struct world_material *material;
+    float albedo[3], n[3]; // n: unit, on the side that the ray comes from
+    float facing;          // cosine between -d and n
+};
+void light_surface(const struct bvh *b, int solid, const float p[3], const float d[3], float width,
+                   struct light_surface *out);
+
+#endif

@@ -1,0 +1,317 @@
+/* world_make counts on room.c and yard.c to fill arrays of the largest size. Cameras: the arc
+ * around the focus at a seeded distance; its span grows with `spread`, and it is moved to where its
+ * directions meet the box to stand in. Along a direction the distance is clamped to the box. A
+ * regular rig takes the arc in one to three rows of heights. A camera in a solid is moved towards
+ * the middle of the box in steps; what lies inside a solid is told in its own frame, with a
+ * margin. */
+#include "sim/world/world.h"
+
+#include "sim/world/room.h"
+#include "sim/world/yard.h"
+
+#include <math.h>
+#include <string.h>
+
+static const float CLEAR = 0.12f; // m, between a camera and a surface
+static const float ARC = 2.6f;    // rad, span of the arc at spread 1
+static const float STEP = 0.5f;   // rad, largest step of the arc at spread 1
+static const float RADIAN = 0.01745329252f;
+
+enum { DIRECTIONS = 180, PULLS = 24 }; // to a side that are tried, 1 degree each; steps inwards
+
+size_t world_keep(void)
+{
+    size_t need = arena_need(WORLD_SOLIDS, sizeof(struct world_solid));
+    need = arena_add(need, arena_need(WORLD_MATERIALS, sizeof(struct world_material)));
+    return arena_add(need, arena_need(WORLD_LIGHTS, sizeof(struct world_light)));
+}
+
+static err_t take(struct arena *keep, struct world *w)
+{
+    err_t e = arena_alloc(keep, WORLD_SOLIDS, sizeof *w->solids, &w->solids);
+    if (e == OK)
+        e = arena_alloc(keep, WORLD_MATERIALS, sizeof *w->materials, &w->materials);
+    if (e == OK)
+        e = arena_alloc(keep, WORLD_LIGHTS, sizeof *w->lights, &w->lights);
+    return e;
+}
+
+err_t world_make(struct arena *keep, uint64_t seed, enum world_kind kind, struct world *out)
+{
+    memset(out, 0, sizeof *out);
+    if ((int)kind < WORLD_ANY || (int)kind >= WORLD_KINDS)
+        return err_fail(ERR_ARG, "world: kind is %d, must be %d..%d", (int)kind, WORLD_ANY,
+                        WORLD_KINDS - 1);
+    err_t e = take(keep, out);
+    if (e != OK) {
+        memset(out, 0, sizeof *out);
+        return e;
+    }
+    struct builder b = {.w = out, .state = seed};
+    bool yard = builder_chance(&b, 0.3f);
+    if (kind == WORLD_ANY)
+        kind = yard ? WORLD_YARD : WORLD_ROOM;
+    out->kind = kind;
+    b.plain = kind == WORLD_PLAIN;
+    b.mirrors = kind == WORLD_MIRROR;
+    b.timber = builder_material(&b, ROLE_TIMBER);
+    for (int i = 0; i < BUILDER_BOOKS; i++)
+        b.books[i] = builder_material(&b, ROLE_BOOK);
+    if (kind == WORLD_YARD)
+        yard_build(&b);
+    else
+        room_build(&b);
+    return OK;
+}
+
+/* ---- cameras ------------------------------------------------------------------------------- */
+
+static bool in_solid(const struct world_solid *s, const float p[3])
+{
+    float d[3], q[3];
+    for (int c = 0; c < 3; c++)
+        d[c] = p[c] - s->t[c];
+    for (int c = 0; c < 3; c++)
+        q[c] = s->r[c] * d[0] + s->r[3 + c] * d[1] + s->r[6 + c] * d[2];
+    float x = fabsf(q[0]), y = fabsf(q[1]), z = fabsf(q[2]);
+    const float *h = s->size;
+    switch (s->shape) {
+    case WORLD_BOX:
+        return x < h[0] + CLEAR && y < h[1] + CLEAR && z < h[2] + CLEAR;
+    case WORLD_RECT:
+        return x < h[0] + CLEAR && y < h[1] + CLEAR && z < CLEAR;
+    case WORLD_ELLIPSOID:
+        x /= h[0] + CLEAR;
+        y /= h[1] + CLEAR;
+        z /= h[2] + CLEAR;
+        return x * x + y * y + z * z < 1.0f;
+    case WORLD_FRUSTUM: {
+        float at = fminf(fmaxf(0.5f * (q[2] / h[2] + 1.0f), 0.0f), 1.0f);
+        float wide = 1.0f + (s->taper - 1.0f) * at;
+        x /= wide * h[0] + CLEAR;
+        y /= wide * h[1] + CLEAR;
+        return x * x + y * y < 1.0f && z < h[2] + CLEAR;
+    }
+    default: { // WORLD_TORUS
+        float away = sqrtf(x * x + y * y) - h[0];
+        return away * away + z * z < (h[1] + CLEAR) * (h[1] + CLEAR);
+    }
+    }
+}
+
+static bool blocked(const struct world *w, const float p[3])
+{
+    for (int i = 0; i < w->n_solids; i++)
+        if (in_solid(&w->solids[i], p))
+            return true;
+    return false;
+}
+
+static void pull(const struct world *w, float p[3])
+{
+    const float from[3] = {p[0], p[1], p[2]};
+    for (int i = 0; i <= PULLS && blocked(w, p); i++)
+        for (int c = 0; c < 3; c++) {
+            float middle = 0.5f * (w->stand[0][c] + w->stand[1][c]);
+            p[c] = from[c] + (middle - from[c]) * (float)i / (float)PULLS;
+        }
+}
+
+/* Distances from the focus at which the direction (c, s) is inside of the box to stand in. */
+static bool reach(const struct world *w, const float dir[2], float range[2])
+{
+    range[0] = 0.3f;
+    range[1] = 1e3f;
+    for (int k = 0; k < 2; k++) {
+        float a = w->stand[0][k] - w->focus[k], b = w->stand[1][k] - w->focus[k];
+        if (fabsf(dir[k]) < 1e-6f) {
+            if (a > 0.0f || b < 0.0f)
+                return false;
+            continue;
+        }
+        float t0 = a / dir[k], t1 = b / dir[k];
+        range[0] = fmaxf(range[0], fminf(t0, t1));
+        range[1] = fminf(range[1], fmaxf(t0, t1));
+    }
+    return range[1] - range[0] > 0.15f;
+}
+
+struct arc {
+    float from, to;    // rad, of the directions from the focus that are used
+    float radius;      // m
+    float low, height; // m
+    int rows;
+    float tilt; // share of the height that the arc climbs
+};
+
+/* Directions that meet the box, by degrees to both sides of `middle`. */
+static void limits(const struct world *w, float middle, float out[2])
+{
+    for (int side = 0; side < 2; side++) {
+        out[side] = middle;
+        for (int i = 1; i <= DIRECTIONS; i++) {
+            float angle = middle + (side ? 1.0f : -1.0f) * RADIAN * (float)i, dir[2], range[2];
+            builder_turn(angle, &dir[0], &dir[1]);
+            if (!reach(w, dir, range))
+                break;
+            out[side] = angle;
+        }
+    }
+}
+
+/* Angle of a direction, by whole degrees and then the small angle that is left; libm's arc tangent
+ * differs between machines. */
+static float angle_of(const float d[2])
+{
+    float best = 0.0f, most = -1.0f, left = 0.0f;
+    float len = sqrtf(d[0] * d[0] + d[1] * d[1]) + 1e-9f;
+    for (int i = 0; i < 2 * DIRECTIONS; i++) {
+        float c, s;
+        builder_turn(RADIAN * (float)i, &c, &s);
+        float along = (c * d[0] + s * d[1]) / len;
+        if (along > most) {
+            most = along;
+            best = RADIAN * (float)i;
+            left = (c * d[1] - s * d[0]) / len;
+        }
+    }
+    return best + left;
+}
+
+static void draw_arc(struct builder *b, const struct world_path *path, struct arc *a)
+{
+    const struct world *w = b->w;
+    float d[2], far = 0.0f;
+    for (int k = 0; k < 2; k++) {
+        float t = builder_draw(b, 0.25f, 0.75f);
+        d[k] = w->stand[0][k] + t * (w->stand[1][k] - w->stand[0][k]) - w->focus[k];
+        far += d[k] * d[k];
+    }
+    a->radius = sqrtf(far);
+    float spread = fminf(fmaxf(path->spread, 0.0f), 1.0f);
+    float middle = angle_of(d), side[2];
+    limits(w, middle, side);
+    a->rows = 1;
+    if (!path->jitter && path->n >= 6)
+        a->rows = 1 + builder_pick(b, path->n >= 12 ? 3 : 2);
+    int columns = (path->n + a->rows - 1) / a->rows;
+    float span = fminf(ARC * spread, STEP * spread * (float)(columns > 1 ? columns - 1 : 0));
+    span = fminf(span, side[1] - side[0]);
+    a->from = fminf(fmaxf(middle - 0.5f * span, side[0]), side[1] - span);
+    a->to = a->from + span;
+    float room = w->stand[1][2] - w->stand[0][2], t = builder_draw(b, 0.0f, 1.0f);
+    a->height = room * fminf(1.0f, 1.2f * spread) * 0.8f;
+    a->low = w->stand[0][2] + t * (room - a->height);
+    a->tilt = builder_draw(b, -0.8f, 0.8f);
+}
+
+/* Where camera i of the rig stands. */
+static void spot(struct builder *b, const struct world_path *path, const struct arc *a, int i,
+                 float p[3])
+{
+    const struct world *w = b->w;
+    float spread = fminf(fmaxf(path->spread, 0.0f), 1.0f);
+    int columns = (path->n + a->rows - 1) / a->rows, row = i / columns;
+    float along = columns > 1 ? (float)(i % columns) / (float)(columns - 1) : 0.5f;
+    float up = a->rows > 1 ? (float)row / (float)(a->rows - 1) : 0.5f + a->tilt * (along - 0.5f);
+    float radius = a->radius, dir[2], range[2];
+    if (path->jitter) {
+        along += builder_draw(b, -0.35f, 0.35f) / (float)(columns > 1 ? columns - 1 : 1);
+        along = fminf(fmaxf(along, 0.0f), 1.0f);
+        up = builder_draw(b, 0.0f, 1.0f);
+        radius *= 1.0f + spread * builder_draw(b, -0.25f, 0.25f);
+    }
+    builder_turn(a->from + (a->to - a->from) * along, &dir[0], &dir[1]);
+    if (!reach(w, dir, range))
+        range[0] = range[1] = radius;
+    radius = fminf(fmaxf(radius, range[0]), range[1]);
+    p[0] = w->focus[0] + radius * dir[0];
+    p[1] = w->focus[1] + radius * dir[1];
+    p[2] = a->low + up * a->height;
+    pull(w, p);
+}
+
+/* Rotation whose rows are right, down, forward; roll in rad. */
+static void look(const float from[3], const float at[3], float roll, float r[9])
+{
+    float f[3], len = 0.0f, c, s;
+    for (int k = 0; k < 3; k++) {
+        f[k] = at[k] - from[k];
+        len += f[k] * f[k];
+    }
+    len = sqrtf(len);
+    for (int k = 0; k < 3; k++)
+        f[k] = len > 1e-6f ? f[k] / len : (k == 0 ? 1.0f : 0.0f);
+    float flat = sqrtf(f[0] * f[0] + f[1] * f[1]);
+    const float right[3] = {flat > 1e-6f ? f[1] / flat : 1.0f, flat > 1e-6f ? -f[0] / flat : 0.0f,
+                            0.0f};
+    const float down[3] = {f[1] * right[2] - f[2] * right[1], f[2] * right[0] - f[0] * right[2],
+                           f[0] * right[1] - f[1] * right[0]};
+    builder_turn(roll, &c, &s);
+    for (int k = 0; k < 3; k++) {
+        r[k] = c * right[k] + s * down[k];
+        r[3 + k] = c * down[k] - s * right[k];
+        r[6 + k] = f[k];
+    }
+}
+
+/* Quaternion w,x,y,z of a rotation: the largest of the four by its diagonal, the others by sums. */
+static void quaternion(const float r[9], float q[4])
+{
+    const float d[4] = {1 + r[0] + r[4] + r[8], 1 + r[0] - r[4] - r[8], 1 - r[0] + r[4] - r[8],
+                        1 - r[0] - r[4] + r[8]};
+    int k = 0;
+    for (int i = 1; i < 4; i++)
+        if (d[i] > d[k])
+            k = i;
+    const float sum[4][4] = {
+        {d[0], r[7] - r[5], r[2] - r[6], r[3] - r[1]},
+        {r[7] - r[5], d[1], r[1] + r[3], r[2] + r[6]},
+        {r[2] - r[6], r[1] + r[3], d[2], r[5] + r[7]},
+        {r[3] - r[1], r[2] + r[6], r[5] + r[7], d[3]},
+    };
+    float len = 0.0f;
+    for (int i = 0; i < 4; i++)
+        len += sum[k][i] * sum[k][i];
+    len = 1.0f / sqrtf(len);
+    for (int i = 0; i < 4; i++)
+        q[i] = sum[k][i] * len;
+}
+
+static void aim(struct builder *b, const struct world_path *path, const float p[3],
+                struct camera *cam)
+{
+    float at[3], r[9], roll = 0.0f, loose = 0.25f * fminf(fmaxf(path->spread, 0.0f), 1.0f) + 0.05f;
+    for (int c = 0; c < 3; c++)
+        at[c] = b->w->focus[c];
+    if (path->jitter) {
+        for (int c = 0; c < 3; c++)
+            at[c] += builder_draw(b, -loose, loose);
+        roll = builder_draw(b, -0.09f, 0.09f);
+    }
+    look(p, at, roll, r);
+    quaternion(r, cam->q);
+    for (int k = 0; k < 3; k++)
+        cam->t[k] = -(r[3 * k] * p[0] + r[3 * k + 1] * p[1] + r[3 * k + 2] * p[2]);
+}
+
+void world_cameras(const struct world *w, const struct world_path *path, uint64_t seed, int size,
+                   struct camera *cams)
+{
+    struct world view = *w; // only read through the builder
+    struct builder b = {.w = &view, .state = seed ^ 0x5851f42d4c957f2dull};
+    struct arc a;
+    float fov = builder_draw(&b, 40.0f, 85.0f), c, s;
+    if (path->fov_deg > 0.0f)
+        fov = fminf(fmaxf(path->fov_deg, 20.0f), 120.0f);
+    builder_turn(0.5f * RADIAN * fov, &c, &s);
+    draw_arc(&b, path, &a);
+    for (int i = 0; i < path->n; i++) {
+        float p[3];
+        cams[i] = (struct camera){.w = size, .h = size};
+        cams[i].fx = cams[i].fy = 0.5f * (float)size * c / s;
+        cams[i].cx = cams[i].cy = 0.5f * (float)size;
+        spot(&b, path, &a, i, p);
+        aim(&b, path, p, &cams[i]);
+    }
+}

@@ -1,0 +1,88 @@
+#!/usr/bin/env bash
+# run.sh FOLDER [TEST...] - runs tests/linux/guest/TEST.sh, by default all, each in a kernel of its
+# own, whose time is virtual unless the script says otherwise ("# Real time"): User Mode Linux, or,
+# where that cannot be built or does not run, Debian's kernel under QEMU, whose clock counts
+# instructions. BENCH=uml or BENCH=qemu leaves no choice. FOLDER has the programs built from
+# tests/linux/*.c.
+# One line per test: seconds of the machine, and of one processor. Its log is
+# build/log/kernel_TEST.log, whose end is shown when the test fails.
+set -u
+cd "$(dirname "$0")/../.."
+root=$PWD
+bin=$root/$1
+shift
+limit=${LIMIT:-1200} # seconds of the machine, for one that hangs
+guest=$root/tests/linux/guest
+[ $# -gt 0 ] || set -- $(cd "$guest" && ls ./*.sh | sed 's/^\.\/\(.*\)\.sh$/\1/' | grep -vx init)
+passed=0 failed=0 TIMEFORMAT=%U
+mkdir -p build/log build/kernel
+
+# The guest's memory is a file; on a disk it would be written back all the time.
+memory=$root/build/kernel
+[ "$(df -Pm /dev/shm 2>/dev/null | awk 'NR == 2 { print $4 }')" -gt 600 ] 2>/dev/null &&
+    memory=/dev/shm
+
+boot_uml() { # script parameters-of-the-kernel
+    local time="time-travel=inf-cpu time-travel-start=1700000000000000000"
+    ! grep -q '^# Real time' "$1" || time=
+    shift
+    TMPDIR=$memory timeout -k 5 "$limit" "$made/linux" mem=512M $time rootfstype=hostfs \
+        rootflags=/ ro init="$guest/init.sh" con=null con0=null,fd:1 "$@"
+}
+
+# An instruction takes 1 ns, a wait nothing.
+boot_qemu() { # script parameters-of-the-kernel
+    shift
+    timeout -k 5 "$limit" qemu-system-x86_64 -M q35 -accel tcg,thread=single -cpu Nehalem -m 1G \
+        -icount shift=0,sleep=off -rtc base=2023-11-14,clock=vm -nodefaults -no-user-config \
+        -display none -serial stdio -monitor none -no-reboot \
+        -kernel "$made/vmlinux" -initrd build/kernel/initramfs \
+        -append "console=ttyS0 panic=-1 tsc=reliable nokaslr mitigations=off $*"
+}
+
+boot() { # bench script
+    "boot_$1" "$2" quiet loglevel=3 BENCH="$1" TEST="$2" BIN="$bin" MODULES="$made" \
+        </dev/null 2>&1 | tr -d '\r'
+}
+
+# Whether that bench is here and boots.
+try() { # bench
+    bench=$1
+    case $bench in
+    uml) made=$(tests/linux/uml.sh) || return ;;
+    qemu)
+        make -s deps-qemu >&2 && made=$(tests/linux/qemu.sh) &&
+            tests/linux/initramfs.sh build/kernel/initramfs "$bin" "$made" || return
+        ;;
+    *) echo "BENCH=$bench: neither uml nor qemu" >&2 && return 1 ;;
+    esac
+    boot "$bench" /dev/null >build/log/kernel_boot.log
+    grep -qx 'TEST_EXIT 0' build/log/kernel_boot.log && return
+    echo "kernel for the tests: $bench does not boot: build/log/kernel_boot.log" >&2
+    return 1
+}
+
+if [ -n "${BENCH:-}" ]; then
+    try "$BENCH" || exit
+elif ! try uml; then
+    echo "no User Mode Linux here, QEMU in its place"
+    try qemu || exit
+fi
+echo "kernels under $bench: ${made##*/}"
+
+for test in "$@"; do
+    log=build/log/kernel_$test.log start=$SECONDS
+    printf '%-52s' "kernel: $test"
+    cpu=$({ time boot "$bench" "$guest/$test.sh" >"$log"; } 2>&1)
+    if grep -qx 'TEST_EXIT 0' "$log"; then
+        passed=$((passed + 1))
+        printf 'ok %5d s %5.0f s\n' $((SECONDS - start)) "$cpu"
+        sed -n 's/^skipped: /    &/p' "$log"
+    else
+        failed=$((failed + 1))
+        printf 'FAILED\n'
+        tail -n 60 "$log" | sed 's/^/    /'
+    fi
+done
+echo "$passed passed, $failed failed"
+[ "$failed" -eq 0 ]

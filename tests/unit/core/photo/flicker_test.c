@@ -1,0 +1,117 @@
+/* Lamps of known depth, frequency and phase, seen by global and rolling shutters. */
+#include "core/photo/flicker.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#define PI 3.14159265358979323846
+#define LONG_S 0.01
+
+static uint64_t state;
+
+static double uniform(void)
+{
+    state = state * 6364136223846793005u + 1442695040888963407u;
+    return (double)(state >> 11) * 0x1p-53;
+}
+
+static double noise(void)
+{
+    double sum = -6.0;
+    for (int i = 0; i < 12; i++)
+        sum += uniform();
+    return sum;
+}
+
+struct lamp {
+    double hz, depth, phase, readout_s;
+};
+
+static void see(const struct lamp *l, double start_s, double time_s, struct witness *w)
+{
+    memset(w, 0, sizeof *w);
+    w->overlap = 1.0f;
+    for (int i = 0; i < WITNESS_PLACES; i++) {
+        double t = start_s + l->readout_s * (i / WITNESS_EDGE) / WITNESS_EDGE + 0.5 * time_s;
+        double h = PI * l->hz * time_s, m = h > 0.0 ? sin(h) / h : 1.0;
+        double x = 30.0 * time_s * exp2(i % 5 - 3.0) *
+                   (1.0 + l->depth * m * sin(2.0 * PI * l->hz * t + l->phase));
+        w->sd[i] = (float)sqrt(x * 1e-5 + 1e-8);
+        w->x[i] = (float)(x + (double)w->sd[i] * noise());
+        w->floor[i] = 0.002f;
+        w->state[i] = x > 0.9 ? WITNESS_CLIPPED : w->x[i] < 0.002f ? WITNESS_DARK : WITNESS_GOOD;
+    }
+}
+
+static struct flicker_light find(const struct lamp *l, double fps)
+{
+    struct flicker f = {0};
+    struct witness w;
+    struct flicker_light out;
+    int k = 0;
+    for (; k < 6; k++) {
+        see(l, k / fps, LONG_S, &w);
+        flicker_add_long(&f, &w, LONG_S);
+    }
+    for (; k < 6 + FLICKER_FRAMES; k++) {
+        double t = LONG_S / (2 + k % 4);
+        see(l, 12.0 + k / fps, t, &w);
+        flicker_add_short(&f, &w, 12.0 + k / fps, t);
+    }
+    flicker_find(&f, 1.0 / fps, &out);
+    return out;
+}
+
+static void test_lamps(void **unused)
+{
+    static const double fps[] = {15.0, 25.0, 29.97, 30.0, 60.0, 90.0};
+    (void)unused;
+    for (int k = 0; k < 240; k++) {
+        double hz = k % 2 ? 100.0 : 120.0, rate = fps[k / 2 % 6];
+        struct lamp l = {hz, 0.05 + 0.6 * uniform(), 2.0 * PI * uniform(), 0.0};
+        bool rolls = k % 3 > 0;
+        l.readout_s = rolls ? (0.3 + 0.6 * uniform()) / rate : 0.0;
+        struct flicker_light found = find(&l, rate);
+        if (found.hz != hz || fabs(found.depth / l.depth - 1.0) > 0.35)
+            fail_msg("%.0f Hz %.2f at %.2f fps, readout %.4f s: found %.0f Hz, %.2f", hz, l.depth,
+                     rate, l.readout_s, found.hz, found.depth);
+    }
+}
+
+static void test_steady(void **unused)
+{
+    (void)unused;
+    for (int k = 0; k < 50; k++) {
+        struct lamp l = {100.0, 0.0, 0.0, k % 2 ? 0.02 : 0.0};
+        struct flicker_light found = find(&l, 30.0);
+        assert_true(found.hz == 0.0 && found.depth == 0.0);
+    }
+    struct flicker_light none = {0};
+    assert_true(flicker_stops(&none, 0.001) == 0.0 && flicker_steady_s(&none, 0.012) == 0.012);
+}
+
+static void test_exposures(void **unused)
+{
+    struct flicker_light l = {100.0, 0.5};
+    (void)unused;
+    assert_true(fabs(flicker_steady_s(&l, 0.012) - 0.01) < 1e-12);
+    assert_true(fabs(flicker_steady_s(&l, 0.006) - 0.01) < 1e-12);
+    assert_true(fabs(flicker_steady_s(&l, 0.128) - 0.13) < 1e-12);
+    assert_true(flicker_steady_s(&l, 0.004) == 0.004); // the light does not allow
+    assert_true(flicker_stops(&l, 0.02) < 1e-9 && fabs(flicker_stops(&l, 1e-6) - 1.0) < 1e-3);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_lamps),
+        cmocka_unit_test(test_steady),
+        cmocka_unit_test(test_exposures),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,401 @@
+/* Refinement on a small scene that is known: a wall of coloured splats, photographed by the
+ * renderer itself. */
+#include "core/refine/refine.h"
+
+#include "core/base/cpu.h"
+#include "core/base/gaussians.h"
+#include "core/base/rotation.h"
+#include "core/photo/tonemap.h"
+#include "core/refine/align.h"
+#include "core/sfm/pose.h"
+#include "core/splat/raster.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { S = 96, V = 6, BRACKET = 5, SIDE = 24, CAP = 2 * SIDE * SIDE, PX = S * S };
+
+struct world {
+    struct arena keep, tmp;
+    struct kernels k;
+    struct run r;
+    struct scene truth, start;
+    struct views v;
+    struct camera cams[V];
+    float log2t[BRACKET * V];
+    char names[V][NAME_CAP];
+    uint8_t rgb[BRACKET * V * PX * 3];
+    int place[(BRACKET - 1) * V];
+};
+
+static struct world W;
+static uint32_t seed;
+
+static float uniform(float lo, float hi)
+{
+    seed = seed * 1664525u + 1013904223u;
+    return lo + (hi - lo) * (float)(seed >> 8) / 16777216.0f;
+}
+
+static void make_wall(struct gaussians *g, int degree)
+{
+    assert_int_equal(gaussians_init(g, &W.keep, CAP, 2), OK);
+    g->degree = degree;
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        g->plane[G_MU][i] = ((float)(i % SIDE) - SIDE / 2 + 0.5f) * 0.2f;
+        g->plane[G_MU + 1][i] = ((float)(i / SIDE) - SIDE / 2 + 0.5f) * 0.2f;
+        g->plane[G_MU + 2][i] = 3 + 0.3f * sinf((float)i * 0.05f);
+        for (int k = 0; k < 3; k++) {
+            g->plane[G_LOG_SCALE + k][i] = k < 2 ? -2.2f : -4.0f;
+            g->plane[G_SH + k][i] = uniform(-4, 4);
+            for (int b = 1; degree == 1 && b < 4; b++)
+                g->plane[G_SH + 3 * b + k][i] = uniform(-3, 3);
+        }
+        g->plane[G_QUAT][i] = 1;
+        g->plane[G_LOGIT][i] = 2.5f;
+    }
+    g->n = SIDE * SIDE;
+}
+
+static void render(const struct gaussians *g, const struct camera *cam, float radiance[3 * PX])
+{
+    static float alpha[PX];
+    struct raster rs;
+    size_t mark = arena_mark(&W.tmp);
+    struct raster_input in = {g, cam, {0, 0, 0}};
+    struct render out = {0, 0, radiance, NULL, alpha};
+    assert_int_equal(raster_init(&rs, &W.tmp, CAP, S, S, false), OK);
+    assert_int_equal(raster_run(&W.r, &rs, &in, &out), OK);
+    arena_reset(&W.tmp, mark);
+}
+
+static void photograph(int n)
+{
+    static float radiance[3 * PX], ldr[3 * PX];
+    struct tonemap_table table;
+    tonemap_table_init(&table, &W.truth.tone);
+    for (int i = 0; i < n; i++) {
+        render(&W.truth.g, &W.cams[i < V ? i : W.place[i - V]], radiance);
+        for (int c = 0; c < 3; c++)
+            tonemap_run(&table.c[c], radiance + c * PX, W.log2t[i], PX, ldr + c * PX);
+        for (int p = 0; p < 3 * PX; p++)
+            W.rgb[i * 3 * PX + p % PX * 3 + p / PX] = (uint8_t)(ldr[p] * 255 + 0.5f);
+    }
+}
+
+/* The truth, its photographs, and a start with displaced splats and flat colours. */
+static void open_world(int threads, int degree)
+{
+    memset(&W, 0, sizeof W);
+    seed = 77;
+    assert_int_equal(arena_init(&W.keep, "keep", (size_t)64 << 20), OK);
+    assert_int_equal(arena_init(&W.tmp, "tmp", (size_t)96 << 20), OK);
+    kernels_init(&W.k, cpu_detect());
+    W.r = (struct run){.k = &W.k, .keep = &W.keep, .tmp = &W.tmp};
+    assert_int_equal(pool_open(&W.r.pool, threads), OK);
+    tonemap_linear(&W.truth.tone, 0.7f, -8, 8, 0);
+    make_wall(&W.truth.g, degree);
+    for (int i = 0; i < V; i++) {
+        W.log2t[i] = (float)(i % 3 - 1) * 2;
+        W.cams[i] = (struct camera){S, S, 90, 90, S / 2, S / 2, {1, 0, 0, 0}, {0}};
+        const float away[6] = {
+            0, 0.1f * (float)(i - 3), 0, 0.25f * (float)(i - 3), 0.1f * (float)(i % 2), 0};
+        pose_move(&W.cams[i], away);
+    }
+    photograph(V);
+    W.v = (struct views){
+        .n = V, .size = S, .names = W.names, .rgb = W.rgb, .log2t = W.log2t, .cams = W.cams};
+    W.start = (struct scene){.tone = W.truth.tone,
+                             .n_views = V,
+                             .size = S,
+                             .names = W.names,
+                             .log2t = W.log2t,
+                             .cams = W.cams};
+    make_wall(&W.start.g, 0);
+    for (int i = 0; i < W.start.g.n; i++) {
+        for (int k = 0; k < 3; k++) {
+            W.start.g.plane[G_MU + k][i] = W.truth.g.plane[G_MU + k][i] + uniform(-.03f, .03f);
+            W.start.g.plane[G_SH + k][i] = W.truth.g.plane[G_SH + k][i] * 0.5f;
+        }
+    }
+}
+
+/* Photographs at 5 stops too much, and four shorter exposures of the first n places. */
+static void take_brackets(int n)
+{
+    static const float more[BRACKET - 1] = {2, 0, -2, -5};
+    for (int i = 0; i < V; i++)
+        W.log2t[i] = 5;
+    for (int i = 0; i < n * (BRACKET - 1); i++) {
+        W.place[i] = i / (BRACKET - 1);
+        W.log2t[V + i] = more[i % (BRACKET - 1)];
+    }
+    W.v.n_more = n * (BRACKET - 1);
+    W.v.place = W.place;
+    photograph(V + W.v.n_more);
+}
+
+static void close_world(void)
+{
+    pool_close(W.r.pool);
+    arena_free(&W.keep);
+    arena_free(&W.tmp);
+}
+
+static struct refine_report refine(int steps, int degree_max, bool poses)
+{
+    struct refine_config cfg = {steps, degree_max, CAP, 5, poses};
+    struct refine_report rep;
+    assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
+    assert_int_equal(arena_mark(&W.tmp), 0);
+    return rep;
+}
+
+static void assert_scene_finite(void)
+{
+    for (int p = 0; p < gaussians_planes(W.start.g.degree); p++)
+        for (int i = 0; i < W.start.g.n; i++)
+            assert_true(isfinite(W.start.g.plane[p][i]));
+    for (int i = 0; i < TONE_PARAMS; i++)
+        assert_true(isfinite(W.start.tone.p[i]));
+}
+
+static void test_learns(void **state)
+{
+    (void)state;
+    open_world(2, 0);
+    struct refine_report rep = refine(240, 0, false);
+    print_message("  held-out %.2f -> %.2f dB, %d Gaussians, %d steps\n",
+                  (double)rep.held_out_db[0], (double)rep.held_out_db[1], rep.gaussians, rep.steps);
+    assert_true(rep.held_out_db[1] > rep.held_out_db[0] + 4);
+    assert_true(rep.held_out_db[1] > 32);
+    assert_scene_finite();
+    close_world();
+}
+
+/* Mean error of ln radiance in the inner half of view 3. */
+static double radiance_error(void)
+{
+    static float got[3 * PX], want[3 * PX];
+    double sum = 0;
+    int n = 0;
+    render(&W.start.g, &W.cams[3], got);
+    render(&W.truth.g, &W.cams[3], want);
+    for (int i = 0; i < 3 * PX; i++)
+        if (abs(i % S - S / 2) < S / 4 && abs(i % PX / S - S / 2) < S / 4) {
+            sum += fabs(log((double)got[i] / (double)want[i]));
+            n++;
+        }
+    return sum / n;
+}
+
+/* What one exposure cannot show is learned from the others, and they share its camera. */
+static void test_brackets(void **state)
+{
+    (void)state;
+    double error[2];
+    for (int all = 0; all < 2; all++) {
+        open_world(2, 0);
+        take_brackets(all ? V : 0);
+        refine(150, 0, false);
+        error[all] = radiance_error();
+        assert_scene_finite();
+        close_world();
+    }
+    print_message("  error of ln radiance: %.3f of one exposure, %.3f of five\n", error[0],
+                  error[1]);
+    assert_true(error[1] < error[0] / 2);
+}
+
+static void test_no_steps(void **state)
+{
+    (void)state;
+    open_world(1, 0);
+    struct refine_report rep = refine(0, 0, false);
+    assert_int_equal(rep.steps, 0);
+    assert_float_equal(rep.held_out_db[0], rep.held_out_db[1], 0);
+    close_world();
+}
+
+static void test_same_bytes(void **state)
+{
+    (void)state;
+    static float once[G_PLANES_MAX][CAP];
+    static struct tonemap tone;
+    int n = 0;
+    for (int threads = 1; threads <= 3; threads++) {
+        open_world(threads, 0);
+        take_brackets(2);
+        refine(60, 1, true);
+        if (threads == 1) {
+            n = W.start.g.n;
+            tone = W.start.tone;
+            for (int p = 0; p < gaussians_planes(W.start.g.degree); p++)
+                memcpy(once[p], W.start.g.plane[p], (size_t)n * 4);
+        }
+        assert_int_equal(n, W.start.g.n);
+        assert_memory_equal(&tone, &W.start.tone, sizeof tone);
+        for (int p = 0; p < gaussians_planes(W.start.g.degree); p++)
+            assert_memory_equal(once[p], W.start.g.plane[p], (size_t)n * 4);
+        close_world();
+    }
+}
+
+/* Colours that change with the direction need a band; noise, which no band can foresee, must not
+ * get one. */
+static void test_bands(void **state)
+{
+    (void)state;
+    for (int noise = 0; noise < 2; noise++) {
+        open_world(2, !noise);
+        for (int i = 0; noise && i < V * PX * 3; i++)
+            W.rgb[i] = (uint8_t)uniform(0, 256);
+        struct refine_report rep = refine(300, 2, false);
+        print_message("  %s: degree %d, %s\n", noise ? "noise" : "glossy wall", rep.degree,
+                      rep.notes[0]);
+        assert_true(noise ? rep.degree == 0 : rep.degree >= 1);
+        close_world();
+    }
+}
+
+/* Mean distance in px between the splats' centres seen by two cameras. */
+static double pose_error(const struct camera *a, const struct camera *b)
+{
+    const struct camera *cams[2] = {a, b};
+    double sum = 0;
+    for (int i = 0; i < W.truth.g.n; i++) {
+        float uv[2][2];
+        for (int c = 0; c < 2; c++) {
+            float r[9], p[3];
+            rotation_from_quat(cams[c]->q, r);
+            for (int k = 0; k < 3; k++)
+                p[k] = r[3 * k] * W.truth.g.plane[0][i] + r[3 * k + 1] * W.truth.g.plane[1][i] +
+                       r[3 * k + 2] * W.truth.g.plane[2][i] + cams[c]->t[k];
+            uv[c][0] = cams[c]->fx * p[0] / p[2];
+            uv[c][1] = cams[c]->fy * p[1] / p[2];
+        }
+        sum += hypot((double)(uv[0][0] - uv[1][0]), (double)(uv[0][1] - uv[1][1])) / W.truth.g.n;
+    }
+    return sum;
+}
+
+static void test_align(void **state)
+{
+    (void)state;
+    open_world(2, 0);
+    struct camera moved[V];
+    double before = 0, after = 0;
+    memcpy(moved, W.cams, sizeof moved);
+    for (int i = 0; i < V; i++) {
+        const float off[6] = {0.004f, -0.006f, 0.003f, 0.02f, -0.01f, 0.015f};
+        pose_move(&moved[i], off);
+        before += pose_error(&moved[i], &W.cams[i]) / V;
+    }
+    struct views v = W.v;
+    v.cams = moved;
+    W.truth.cams = W.cams;
+    W.truth.n_views = V;
+    assert_int_equal(align_run(&W.r, &W.truth, ALIGN_ITERATIONS, &v), OK);
+    for (int i = 0; i < V; i++)
+        after += pose_error(&moved[i], &W.cams[i]) / V;
+    print_message("  reprojection error %.3f -> %.3f px\n", before, after);
+    assert_true(after < before / 4);
+    close_world();
+}
+
+static void test_extremes(void **state)
+{
+    (void)state;
+    for (int kind = 0; kind < 4; kind++) {
+        open_world(1, 0);
+        memset(W.rgb, kind == 0 ? 0 : kind == 1 ? 255 : 0, sizeof W.rgb);
+        W.rgb[PX + 33] = 255;
+        for (int i = 0; i < V; i++)
+            W.log2t[i] = kind == 2 ? (i & 1 ? 20.0f : -20.0f) : 0.0f;
+        for (int i = 0; kind == 3 && i < 40; i++) {
+            W.start.g.plane[i % 14][i] = i & 1 ? NAN : INFINITY;
+            W.start.g.plane[G_LOGIT][100 + i] = i & 1 ? 90.0f : -90.0f;
+            W.start.g.plane[G_LOG_SCALE + i % 3][200 + i] = i & 1 ? -18.4f : 6.9f;
+        }
+        refine(60, 1, true);
+        assert_true(W.start.g.n > 0);
+        assert_scene_finite();
+        for (int i = 0; i < V; i++)
+            assert_true(isfinite(W.cams[i].t[0] + W.cams[i].q[0]));
+        close_world();
+    }
+}
+
+static atomic_bool cancel;
+
+static void cancel_later(void *ctx, const char *stage, int done, int total, const char *note)
+{
+    (void)ctx, (void)stage, (void)done, (void)total, (void)note;
+    atomic_store(&cancel, true);
+}
+
+static void test_cancel(void **state)
+{
+    (void)state;
+    open_world(2, 0);
+    atomic_store(&cancel, false);
+    W.r.cancel = &cancel;
+    W.r.progress = cancel_later;
+    struct refine_config cfg = {500, 0, CAP, 5, false};
+    struct refine_report rep;
+    assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_CANCELLED);
+    assert_true(rep.steps > 0 && rep.steps < 500);
+    assert_int_equal(arena_mark(&W.tmp), 0);
+    assert_scene_finite();
+    close_world();
+}
+
+static void test_plan(void **state)
+{
+    (void)state;
+    open_world(2, 0);
+    take_brackets(V);
+    struct refine_config cfg = {20, 2, CAP, 5, false};
+    struct refine_report rep;
+    struct arena exact;
+    assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);
+    W.r.tmp = &exact;
+    assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
+    assert_true(exact.peak > exact.size * 9 / 10);
+    arena_free(&exact);
+    assert_int_equal(arena_init(&exact, "small", refine_plan(&W.v, &cfg, 2) / 2), OK);
+    W.r.tmp = &exact;
+    assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_NOMEM);
+    arena_free(&exact);
+    close_world();
+}
+
+/* Rounds of 50 steps; splits between a third and 70 %, each a fifth more. */
+static void test_begin(void **state)
+{
+    (void)state;
+    static const struct {
+        int steps, places, most, begin;
+    } cases[] = {{0, 9, 40000, 40000},     {100, 9, 40000, 33333},  {300, 9, 40000, 27777},
+                 {300, 200, 40000, 33333}, {1000, 9, 40000, 20000}, {300, 9, 1, 0}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        struct refine_config cfg = {.steps = cases[i].steps, .gaussians_max = cases[i].most};
+        assert_in_range(refine_begin(&cfg, cases[i].places), cases[i].begin, cases[i].begin + 1);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_learns),   cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_no_steps), cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_bands),    cmocka_unit_test(test_align),
+        cmocka_unit_test(test_extremes), cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_plan),     cmocka_unit_test(test_begin)};
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,778 @@
+/* Rigs in rooms against the cameras that made their tracks; derivatives against differences; and
+ * input that says little or nothing. */
+#include "core/sfm/adjust.h"
+#include "core/sfm/similarity.h"
+#include "tests/unit/core/sfm/bundle_scene.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+
+#include <cmocka.h>
+
+static const double DEGREE = 3.14159265358979323846 / 180;
+
+/* ---- one job with the room that the plan asks for ---- */
+
+struct job {
+    struct scene_rig rig;
+    struct scene_tracks tracks;
+    struct arena keep, tmp;
+    struct bundle_result out;
+};
+
+static err_t run_on(struct job *j, const struct bundle_config *cfg, int threads)
+{
+    struct pool *pool = NULL;
+    struct run r = {.keep = &j->keep, .tmp = &j->tmp};
+    arena_free(&j->keep);
+    arena_free(&j->tmp);
+    assert_int_equal(
+        arena_init(&j->keep, "keep", bundle_keep(j->rig.n_views, j->tracks.t.n_tracks)), OK);
+    assert_int_equal(arena_init(&j->tmp, "tmp", bundle_plan(j->rig.n_views, j->tracks.t.n)), OK);
+    if (threads > 1)
+        assert_int_equal(pool_open(&pool, threads), OK);
+    r.pool = pool;
+    err_t e = bundle_run(&r, j->rig.n_views, SCENE_SIZE, &j->tracks.t, cfg, &j->out);
+    pool_close(pool);
+    assert_int_equal(j->tmp.used, 0);
+    return e;
+}
+
+static void run_ok(struct job *j, const struct bundle_config *cfg)
+{
+    assert_int_equal(run_on(j, cfg, 2), OK);
+    for (int v = 0; v < j->rig.n_views; v++) {
+        const struct camera *c = &j->out.cams[v];
+        float length = 0;
+        for (int k = 0; k < 4; k++)
+            length += c->q[k] * c->q[k];
+        assert_float_equal(length, 1, 1e-4f);
+        assert_true(isfinite(c->t[0] + c->t[1] + c->t[2]) && c->fx > 0 && isfinite(c->fx));
+        assert_true(c->fx == c->fy && c->fx == j->out.cams[0].fx && c->w == SCENE_SIZE);
+        assert_true(c->cx == SCENE_SIZE / 2 && c->cy == SCENE_SIZE / 2);
+        assert_true(j->out.depth_scale[v] > 0 && isfinite(j->out.depth_scale[v]));
+    }
+    assert_true(j->out.confidence >= 0 && j->out.confidence <= 1);
+    assert_true(isfinite(j->out.rms_px));
+    assert_int_equal(j->out.sightings, j->tracks.t.n);
+}
+
+static void done(struct job *j)
+{
+    scene_free(&j->tracks);
+    arena_free(&j->keep);
+    arena_free(&j->tmp);
+}
+
+static struct scene_rig room(int n_points, double focal, double wrong, double reach)
+{
+    return (struct scene_rig){.n_points = n_points,
+                              .focal = focal,
+                              .noise = 0.5,
+                              .wrong = wrong,
+                              .reach = reach,
+                              .seed = 11};
+}
+
+static int ascending(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Medians after the best similarity: degrees, and distances over the spread of the centres. */
+static void compare(const struct job *j, double *turn, double *centre)
+{
+    const int n = j->rig.n_views;
+    double angle[SCENE_VIEWS], off[SCENE_VIEWS], at[SCENE_VIEWS][3], mean[3] = {0}, spread = 0;
+    struct similarity w;
+    struct arena tmp;
+    assert_int_equal(arena_init(&tmp, "tmp", similarity_plan(n)), OK);
+    struct run r = {.tmp = &tmp};
+    assert_int_equal(similarity_fit(&r, j->out.cams, j->rig.cams, n, &w), OK);
+    arena_free(&tmp);
+    for (int v = 0; v < n; v++) {
+        struct camera moved = similarity_apply(&w, &j->out.cams[v]);
+        double p[3];
+        angle[v] = scene_between(&moved, &j->rig.cams[v]);
+        similarity_centre(&moved, p);
+        similarity_centre(&j->rig.cams[v], at[v]);
+        off[v] = 0;
+        for (int k = 0; k < 3; k++) {
+            off[v] += (p[k] - at[v][k]) * (p[k] - at[v][k]);
+            mean[k] += at[v][k] / n;
+        }
+    }
+    for (int i = 0; i < 3 * n; i++)
+        spread += (at[i / 3][i % 3] - mean[i % 3]) * (at[i / 3][i % 3] - mean[i % 3]) / n;
+    qsort(angle, (size_t)n, sizeof *angle, ascending);
+    qsort(off, (size_t)n, sizeof *off, ascending);
+    *turn = angle[n / 2];
+    *centre = sqrt(off[n / 2] / fmax(spread, 1e-30));
+}
+
+static void assert_right(const struct job *j, double degrees, double centres, double focal)
+{
+    double turn, centre;
+    compare(j, &turn, &centre);
+    assert_int_equal(j->out.n_placed, j->rig.n_views);
+    assert_true(turn < degrees);
+    assert_true(centre < centres);
+    assert_true(fabs((double)j->out.cams[0].fx / j->rig.focal - 1) < focal);
+}
+
+/* The true cameras, each turned about an axis of its own and moved. */
+static void disturb(const struct scene_rig *s, double degrees, double focal, struct camera *out)
+{
+    scene_state = 77;
+    for (int v = 0; v < s->n_views; v++) {
+        const struct camera *c = &s->cams[v];
+        double w[3] = {scene_normal(), scene_normal(), scene_normal()}, turn[9], r[9], moved[9];
+        double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
+        double at[3], t[3];
+        lin_unit(w);
+        for (int k = 0; k < 3; k++)
+            w[k] *= degrees * DEGREE;
+        lin_exp(w, turn);
+        lin_rotation(q, r);
+        lin_product(turn, r, moved);
+        similarity_centre(c, at);
+        for (int k = 0; k < 3; k++)
+            at[k] += 0.02 * degrees * scene_normal();
+        lin_apply(moved, at, t);
+        lin_quat(moved, q);
+        out[v] = *c;
+        out[v].fx = out[v].fy = (float)focal;
+        for (int k = 0; k < 4; k++)
+            out[v].q[k] = (float)q[k];
+        for (int k = 0; k < 3; k++)
+            out[v].t[k] = (float)-t[k];
+    }
+}
+
+/* ---- least squares ---- */
+
+enum { SMALL = 4 };
+
+static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], bool *placed)
+{
+    *a = (struct adjust){.n_views = SMALL, .focal = 400, .pose = pose[0], .placed = placed};
+    for (int v = 0; v < SMALL; v++) {
+        const double w[3] = {scene_uniform(-1, 1), scene_uniform(-1, 1), scene_uniform(-1, 1)};
+        lin_exp(w, pose[v]);
+        for (int k = 0; k < 3; k++)
+            pose[v][9 + k] = scene_uniform(-0.5, 0.5);
+        placed[v] = true;
+    }
+}
+
+/* Errors after unknown i (6 of the pose, 3 of the point, ln focal) has moved by `by`. */
+static void moved_error(struct adjust *a, const double point[4], const struct adjust_seen *s, int i,
+                        double by, double out[2])
+{
+    double *pose = a->pose + ADJUST_POSE * (size_t)s->view, own[ADJUST_POSE], p[4], move[6] = {0};
+    const double focal = a->focal;
+    struct adjust_slope d;
+    memcpy(own, pose, sizeof own);
+    memcpy(p, point, sizeof p);
+    move[i < 6 ? i : i % 3] = by;
+    if (i < 6)
+        adjust_move_pose(pose, move);
+    else if (i < 9)
+        adjust_move_point(p, move);
+    else
+        a->focal = focal * exp(by);
+    assert_true(adjust_slope(a, p, s, &d));
+    memcpy(out, d.error, sizeof d.error);
+    memcpy(pose, own, sizeof own);
+    a->focal = focal;
+}
+
+static void slopes_are_differences(void **unused)
+{
+    (void)unused;
+    const double h = 1e-6;
+    double pose[SMALL][ADJUST_POSE], point[4], up[2], down[2];
+    bool placed[SMALL];
+    struct adjust a;
+    struct adjust_slope d;
+    int checked = 0;
+    scene_state = 4;
+    for (int trial = 0; trial < 500; trial++) {
+        struct adjust_seen s = {5, -7, 1.7f, trial % SMALL};
+        double length = 0;
+        small_problem(&a, pose, placed);
+        for (int k = 0; k < 4; k++) {
+            point[k] = k == 3 && trial % 5 == 0 ? 0 : scene_uniform(-1, 1);
+            length += point[k] * point[k];
+        }
+        for (int k = 0; k < 4; k++)
+            point[k] /= sqrt(length);
+        if (!adjust_slope(&a, point, &s, &d) ||
+            adjust_depth(&a, s.view, point) * fabs(point[3]) < 0.2)
+            continue;
+        double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
+        assert_float_equal(e2, adjust_error(&a, point, &s), 1e-6 * e2);
+        checked++;
+        for (int i = 0; i < 20; i++) {
+            const int u = i / 2, k = i % 2;
+            moved_error(&a, point, &s, u, h, up);
+            moved_error(&a, point, &s, u, -h, down);
+            double slope = u < 6 ? d.pose[k][u] : u < 9 ? d.point[k][u - 6] : d.focal[k];
+            double seen = (up[k] - down[k]) / (2 * h);
+            assert_float_equal(slope, seen, 1e-4 * (fabs(seen) + 100));
+        }
+    }
+    assert_true(checked > 40);
+}
+
+static void far_points_have_no_end(void **unused)
+{
+    (void)unused;
+    double pose[SMALL][ADJUST_POSE] = {{1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0},
+                                       {1, 0, 0, 0, 1, 0, 0, 0, 1, -1, 0, 0}};
+    bool placed[2] = {true, true}, in[4] = {false};
+    double point[8] = {0};
+    const struct adjust_seen seen[4] = {{100, 50, 1, 0},
+                                        {100, 50, 1, 1}, // parallel rays
+                                        {100, 50, 1, 0},
+                                        {100.5, 50, 1, 1}}; // rays that part
+    const int first[3] = {0, 2, 4};
+    struct adjust a = {.n_views = 2,
+                       .n_tracks = 2,
+                       .first = first,
+                       .seen = seen,
+                       .focal = 400,
+                       .pose = pose[0],
+                       .placed = placed,
+                       .point = point,
+                       .in = in};
+    struct run r = {.pool = NULL};
+    assert_int_equal(adjust_points(&r, &a, 3), OK);
+    for (int i = 0; i < 4; i++)
+        assert_true(in[i]);
+    assert_true(adjust_depth(&a, 0, point) > 1e6 || adjust_depth(&a, 0, point) < -1e6);
+    assert_true(adjust_error(&a, point, &seen[0]) < 1e-6);
+    assert_true(adjust_error(&a, point + 4, &seen[2]) < 0.1);
+    const double ahead[4] = {0, 0, 1, 0}, behind[4] = {0, 0, -1, 0};
+    assert_true(isinf(adjust_depth(&a, 0, ahead)) && adjust_depth(&a, 0, ahead) > 0);
+    assert_true(isinf(adjust_depth(&a, 0, behind)) && adjust_depth(&a, 0, behind) < 0);
+    assert_true(adjust_error(&a, behind, &seen[0]) > 1e20);
+}
+
+/* ---- rigs ---- */
+
+static void narrow_grid_from_tracks(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(1000, 381, 0.3, 15)};
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){0});
+    assert_right(&j, 0.1, 0.01, 0.02);
+    assert_true(j.out.from_tracks);
+    assert_true(j.out.confidence > 0.5f);
+    assert_true(j.out.rms_px > 0.4f && j.out.rms_px < 0.8f);
+    assert_true(j.out.cams[0].q[0] > 0.99999f); // world of the first camera
+    assert_true(fabsf(j.out.cams[0].t[0]) < 1e-5f);
+    done(&j);
+}
+
+static void wide_arc_from_tracks(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(1100, 520, 0.3, 25)};
+    scene_arc(&j.rig, 12, 110);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){0});
+    assert_right(&j, 0.2, 0.01, 0.02);
+    done(&j);
+}
+
+/* 15 degrees off and a focal length wrong by 15 %: world and scale are those of the start. */
+static void start_that_is_off(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(250, 381, 0.3, 15)};
+    struct camera start[SCENE_VIEWS];
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    disturb(&j.rig, 15, 1.15 * 381, start);
+    run_ok(&j, &(struct bundle_config){.start = start});
+    assert_right(&j, 0.1, 0.01, 0.02);
+    done(&j);
+}
+
+/* Too few common tracks for two views: cameras decide, and are adjusted. */
+static void start_without_pairs(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(22, 381, 0, 60)};
+    struct camera start[SCENE_VIEWS];
+    double turn, centre;
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    assert_true(j.tracks.t.n_tracks > 10 && j.tracks.t.n_tracks < 20);
+    disturb(&j.rig, 10, 381, start);
+    run_ok(&j, &(struct bundle_config){.start = start});
+    compare(&j, &turn, &centre);
+    assert_false(j.out.from_tracks);
+    assert_true(j.out.n_placed > 12);
+    assert_true(turn < 1.5);
+    done(&j);
+}
+
+static double median_of(double *v, int n)
+{
+    qsort(v, (size_t)n, sizeof *v, ascending);
+    return v[n / 2];
+}
+
+static void world_of_the_start(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(500, 381, 0.2, 15)};
+    struct scene_rig *s = &j.rig;
+    const size_t plane = (size_t)SCENE_SIZE * SCENE_SIZE;
+    scene_grid(s);
+    scene_make(s, &j.tracks);
+    float *depth = calloc((size_t)s->n_views * plane, sizeof *depth);
+    double *off = calloc((size_t)j.tracks.t.n_tracks, sizeof *off);
+    int n = 0;
+    for (int i = 0; i < j.tracks.t.n; i++) {
+        const struct match_seen *seen = &j.tracks.t.seen[i];
+        const struct camera *c = &s->cams[seen->view];
+        const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
+        double r[9];
+        lin_rotation(q, r);
+        double z = lin_dot(r + 6, j.tracks.point[seen->track]) + (double)c->t[2];
+        if (seen->u >= 0 && seen->v >= 0 && seen->u < SCENE_SIZE && seen->v < SCENE_SIZE)
+            depth[(size_t)seen->view * plane + (size_t)seen->v * SCENE_SIZE + (size_t)seen->u] =
+                (float)(seen->view == 3 ? 2 * z : z);
+    }
+    run_ok(&j, &(struct bundle_config){.start = s->cams, .start_depth = depth});
+    for (int v = 0; v < s->n_views; v++) {
+        double a[3], b[3];
+        similarity_centre(&j.out.cams[v], a);
+        similarity_centre(&s->cams[v], b);
+        for (int k = 0; k < 3; k++)
+            assert_float_equal(a[k], b[k], 0.03);
+        assert_float_equal(j.out.depth_scale[v], v == 3 ? 0.5f : 1, v == 3 ? 0.015f : 0.03f);
+    }
+    for (int t = 0; t < j.tracks.t.n_tracks; t++) {
+        const float *p = j.out.points + 3 * t;
+        double d[3];
+        for (int k = 0; k < 3; k++)
+            d[k] = (double)p[k] - j.tracks.point[t][k];
+        if (!isnan(p[0]))
+            off[n++] = sqrt(lin_dot(d, d));
+    }
+    assert_true(n > j.tracks.t.n_tracks / 2);
+    assert_true(median_of(off, n) < 0.05);
+    free(depth);
+    free(off);
+    done(&j);
+}
+
+static void what_is_known_stays(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(600, 381, 0.3, 15)};
+    struct camera start[SCENE_VIEWS];
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    disturb(&j.rig, 0, 381, start);
+    for (int v = 0; v < j.rig.n_views; v++)
+        start[v].fx = start[v].fy = 420;
+    run_ok(&j, &(struct bundle_config){.start = start, .rig_known = true});
+    assert_float_equal(j.out.cams[0].fx, 381, 4);
+    for (int v = 0; v < j.rig.n_views; v++) {
+        assert_memory_equal(j.out.cams[v].q, start[v].q, sizeof start[v].q);
+        assert_memory_equal(j.out.cams[v].t, start[v].t, sizeof start[v].t);
+    }
+    run_ok(&j, &(struct bundle_config){.focal = 390, .focal_known = true});
+    assert_true(j.out.cams[0].fx == 390);
+    done(&j);
+}
+
+static void threads_change_nothing(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(100, 381, 0.3, 15)};
+    struct camera start[SCENE_VIEWS], cams[SCENE_VIEWS];
+    scene_grid(&j.rig);
+    j.rig.n_views = 8;
+    scene_make(&j.rig, &j.tracks);
+    disturb(&j.rig, 5, 381, start);
+    const struct bundle_config cfg = {.start = start};
+    float *points = calloc((size_t)j.tracks.t.n_tracks, 3 * sizeof *points);
+    static const int threads[] = {1, 2, 7};
+    for (int k = 0; k < 3; k++) {
+        assert_int_equal(run_on(&j, &cfg, threads[k]), OK);
+        if (k == 0) {
+            memcpy(cams, j.out.cams, sizeof *cams * 8);
+            memcpy(points, j.out.points, 3 * (size_t)j.tracks.t.n_tracks * sizeof *points);
+        }
+        assert_memory_equal(cams, j.out.cams, sizeof *cams * 8);
+        assert_memory_equal(points, j.out.points, 3 * (size_t)j.tracks.t.n_tracks * sizeof *points);
+    }
+    free(points);
+    done(&j);
+}
+
+/* A view whose every sighting is wrong is not placed, and harms no other. */
+static void view_that_fits_nowhere(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(800, 381, 0.1, 15)};
+    scene_arc(&j.rig, 8, 40);
+    scene_make(&j.rig, &j.tracks);
+    for (int i = 0; i < j.tracks.t.n; i++)
+        if (j.tracks.t.seen[i].view == 3) {
+            j.tracks.t.seen[i].u = (float)scene_uniform(0, SCENE_SIZE);
+            j.tracks.t.seen[i].v = (float)scene_uniform(0, SCENE_SIZE);
+        }
+    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    assert_int_equal(j.out.n_placed, 7);
+    for (int v = 0; v < 8; v++)
+        assert_int_equal(j.out.placed[v], v != 3);
+    assert_memory_equal(j.out.cams[3].q, j.out.cams[2].q, sizeof j.out.cams[2].q);
+    j.out.cams[3] = j.out.cams[7]; // only the others are judged
+    j.rig.cams[3] = j.rig.cams[7];
+    j.out.n_placed = 8;
+    assert_right(&j, 0.2, 0.02, 0.05);
+    run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
+    assert_memory_equal(j.out.cams[3].q, j.rig.cams[3].q, sizeof j.out.cams[3].q);
+    done(&j);
+}
+
+/* Sightings of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the camera
+ * at `degrees` around would be; in the others it is not seen. */
+static void mislead(struct job *j, int right, int wrong, const double degrees[2])
+{
+    struct match_tracks *t = &j->tracks.t;
+    const int all = t->n;
+    int kept = 0;
+    for (int i = t->n = 0; i < all; i++) {
+        struct match_seen s = t->seen[i];
+        if (s.view == 3 && kept++ >= right + wrong)
+            continue;
+        if (s.view == 3 && (kept - 1) % (right + wrong) >= right) {
+            struct camera c = scene_dome(degrees[kept % 2], 4, j->rig.focal);
+            double u, v;
+            scene_see(&c, j->tracks.point[s.track], &u, &v);
+            s.u = (float)(u + 0.5 * scene_normal());
+            s.v = (float)(v + 0.5 * scene_normal());
+        }
+        t->seen[t->n++] = s;
+    }
+    assert_true(kept >= right + wrong);
+}
+
+/* The seven views besides view 3. */
+static void assert_others_right(struct job *j, double degrees)
+{
+    const struct camera cam = j->rig.cams[3];
+    const int placed = j->out.n_placed;
+    for (int v = 0; v < 8; v++)
+        assert_true(v == 3 || j->out.placed[v]);
+    j->out.cams[3] = j->out.cams[7];
+    j->rig.cams[3] = j->rig.cams[7];
+    j->out.n_placed = 8;
+    assert_right(j, degrees, 0.02, 0.02);
+    j->rig.cams[3] = cam;
+    j->out.n_placed = placed;
+}
+
+/* Matches of one view that tell of another place than its own, as repeats of a pattern do. */
+static void view_in_two_places(void **unused)
+{
+    (void)unused;
+    static const int right[] = {0, 90, 30}, wrong[] = {60, 45, 30};
+    static const double away[][2] = {{-25, 20}, {25, 25}, {-15, -15}};
+    for (int k = 0; k < 3; k++) {
+        struct job j = {.rig = room(500, 381, 0.1, 25)};
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        mislead(&j, right[k], wrong[k], away[k]);
+        run_ok(&j, &(struct bundle_config){.focal = 381});
+        assert_int_equal(j.out.placed[3], k == 1);
+        if (k == 1)
+            assert_right(&j, 0.1, 0.02, 0.02);
+        assert_others_right(&j, 0.1);
+        done(&j);
+    }
+}
+
+/* View 3 keeps only points that view 4 sees too, and these no other view sees; returns them. */
+static int keep_pairs(struct match_tracks *t)
+{
+    int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
+    for (int i = 0; i < t->n; i++)
+        in[t->seen[i].track] |= t->seen[i].view == 3 ? 1 : t->seen[i].view == 4 ? 2 : 0;
+    for (int i = 0; i < t->n; i++) {
+        const struct match_seen s = t->seen[i];
+        const bool pair = in[s.track] == 3;
+        pairs += pair && s.view == 3;
+        if (pair ? s.view == 3 || s.view == 4 : s.view != 3)
+            t->seen[n++] = s;
+    }
+    free(in);
+    t->n = n;
+    return pairs;
+}
+
+/* How far away such a view is, nobody knows. */
+static void view_that_hangs_on_one(void **unused)
+{
+    (void)unused;
+    for (uint32_t seed = 17; seed < 20; seed++) {
+        struct job j = {.rig = room(700, 381, 0.1, 25)};
+        j.rig.seed = seed;
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        assert_true(keep_pairs(&j.tracks.t) > 100);
+        run_ok(&j, &(struct bundle_config){.focal = 381});
+        assert_false(j.out.placed[3]);
+        assert_others_right(&j, 0.3);
+        done(&j);
+    }
+}
+
+/* Photographs of another shape, squeezed to squares: from the tracks alone, and from cameras that
+ * look so, with depth. */
+static void squeezed_views(void **unused)
+{
+    (void)unused;
+    static const float aspects[] = {1.5f, 0.75f};
+    static float depth[8 * SCENE_SIZE * SCENE_SIZE];
+    for (size_t i = 0; i < sizeof depth / sizeof *depth; i++)
+        depth[i] = 1;
+    for (int k = 0; k < 4; k++) {
+        const float aspect = aspects[k / 2];
+        struct job j = {.rig = room(600, 381, 0.2, 15)};
+        struct camera start[SCENE_VIEWS];
+        scene_arc(&j.rig, 8, 40);
+        scene_make(&j.rig, &j.tracks);
+        for (int i = 0; i < j.tracks.t.n; i++)
+            j.tracks.t.seen[i].v =
+                SCENE_SIZE / 2 + (j.tracks.t.seen[i].v - SCENE_SIZE / 2) / aspect;
+        memcpy(start, j.rig.cams, sizeof start);
+        for (int v = 0; v < j.rig.n_views; v++)
+            start[v].fy /= aspect;
+        struct bundle_config cfg = {.aspect = aspect};
+        if (k % 2) {
+            cfg.start = start;
+            cfg.start_depth = depth;
+        }
+        assert_int_equal(run_on(&j, &cfg, 2), OK);
+        double turn, centre;
+        compare(&j, &turn, &centre);
+        assert_true(turn < 0.2 && centre < 0.01 && j.out.confidence > 0.5f);
+        for (int v = 0; v < j.rig.n_views; v++) {
+            assert_float_equal(j.out.cams[v].fx, 381, 0.02 * 381);
+            assert_float_equal(j.out.cams[v].fy * aspect, j.out.cams[v].fx, 1e-3);
+            assert_true(j.out.cams[v].cy == SCENE_SIZE / 2);
+        }
+        done(&j);
+    }
+}
+
+/* ---- little or nothing to go by ---- */
+
+static void no_tracks(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(0, 381, 0, 15)};
+    scene_grid(&j.rig);
+    run_ok(&j, &(struct bundle_config){0});
+    assert_true(j.out.confidence == 0);
+    assert_int_equal(j.out.n_placed, 0);
+    assert_float_equal(j.out.cams[5].fx, 448 * sqrt(3) / 2, 0.01);
+    run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
+    assert_true(j.out.confidence == 0);
+    assert_memory_equal(j.out.cams[7].q, j.rig.cams[7].q, sizeof j.rig.cams[7].q);
+    assert_memory_equal(j.out.cams[7].t, j.rig.cams[7].t, sizeof j.rig.cams[7].t);
+    j.rig.n_views = 1;
+    run_ok(&j, &(struct bundle_config){0});
+    assert_true(j.out.confidence == 0);
+    done(&j);
+}
+
+static void views_in_one_place(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(600, 381, 0.2, 180)};
+    double turn, centre;
+    for (j.rig.n_views = 0; j.rig.n_views < 5; j.rig.n_views++) {
+        double from[3] = {0, 0, -3}, to[3] = {0.1 * j.rig.n_views, 0.05, 0};
+        j.rig.cams[j.rig.n_views] = scene_look(from, to, 381);
+    }
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){.focal = 381});
+    assert_true(j.out.confidence < 0.1f && j.out.agreement > 0.5f);
+    compare(&j, &turn, &centre);
+    assert_true(turn < 0.2);
+    for (int v = 1; v < 5; v++)
+        j.rig.cams[v] = j.rig.cams[0]; // the same picture five times
+    scene_free(&j.tracks);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){0});
+    assert_true(j.out.confidence < 0.1f && j.out.agreement > 0.5f);
+    compare(&j, &turn, &centre);
+    assert_true(turn < 0.2);
+    done(&j);
+}
+
+static void two_and_three_views(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(1000, 381, 0.3, 20)};
+    scene_arc(&j.rig, 2, 8);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    assert_right(&j, 0.5, 0.1, 0.001);
+    scene_free(&j.tracks);
+    scene_arc(&j.rig, 3, 10);
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){.focal = 381});
+    assert_right(&j, 0.5, 0.05, 0.06);
+    done(&j);
+}
+
+static void centres_in_a_row(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(800, 381, 0.3, 180)};
+    for (j.rig.n_views = 0; j.rig.n_views < 6; j.rig.n_views++) {
+        double x = 0.15 * j.rig.n_views, from[3] = {x, 0, -3}, to[3] = {x, 0, 0};
+        j.rig.cams[j.rig.n_views] = scene_look(from, to, 381);
+    }
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){.focal = 381});
+    assert_right(&j, 0.2, 0.02, 0.05);
+    scene_free(&j.tracks);
+    for (int v = 0; v < 6; v++) { // forwards
+        double from[3] = {0.05, 0, -3 + 0.2 * v}, to[3] = {0.05, 0, 1};
+        j.rig.cams[v] = scene_look(from, to, 381);
+    }
+    scene_make(&j.rig, &j.tracks);
+    run_ok(&j, &(struct bundle_config){.focal = 381});
+    assert_right(&j, 0.3, 0.05, 0.1);
+    done(&j);
+}
+
+/* All points on one slanted wall. */
+static void a_wall(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(600, 381, 0.2, 20)};
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    for (int i = 0; i < j.tracks.t.n; i++) {
+        struct match_seen *s = &j.tracks.t.seen[i];
+        double *x = j.tracks.point[s->track], u, v;
+        x[2] = 0.3 * x[0] + 0.2 * x[1];
+        scene_see(&j.rig.cams[s->view], x, &u, &v);
+        s->u = (float)(u + 0.5 * scene_normal());
+        s->v = (float)(v + 0.5 * scene_normal());
+    }
+    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    assert_right(&j, 1, 0.1, 0.001);
+    done(&j);
+}
+
+static void every_match_wrong(void **unused)
+{
+    (void)unused;
+    static const int views[] = {2, 3, 6};
+    for (int k = 0; k < 3; k++) {
+        struct job j = {.rig = room(250, 381, 0, 20)};
+        scene_arc(&j.rig, views[k], 2.0 * views[k]);
+        scene_make(&j.rig, &j.tracks);
+        for (int i = 0; i < j.tracks.t.n; i++) {
+            j.tracks.t.seen[i].u = (float)scene_uniform(0, SCENE_SIZE);
+            j.tracks.t.seen[i].v = (float)scene_uniform(0, SCENE_SIZE);
+        }
+        run_ok(&j, &(struct bundle_config){0});
+        assert_true(j.out.confidence < 0.1f && j.out.agreement < 0.1f);
+        run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
+        assert_true(j.out.confidence < 0.1f);
+        done(&j);
+    }
+}
+
+static void start_that_is_no_number(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(400, 381, 0.2, 20)};
+    struct camera start[SCENE_VIEWS];
+    scene_arc(&j.rig, 6, 30);
+    scene_make(&j.rig, &j.tracks);
+    for (int k = 0; k < 4; k++) {
+        disturb(&j.rig, 0, 381, start);
+        start[2].t[1] = k == 0 ? NAN : start[2].t[1];
+        start[3].q[0] = k == 1 ? INFINITY : start[3].q[0];
+        start[0].fx = k == 2 ? 0 : start[0].fx;
+        for (int i = 0; i < 4 && k == 3; i++)
+            start[1].q[i] = 0;
+        run_ok(&j, &(struct bundle_config){.start = start, .rig_known = k % 2});
+        assert_right(&j, 0.5, 0.05, 0.06);
+    }
+    done(&j);
+}
+
+static void wrong_requests(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = room(100, 381, 0, 30)};
+    struct bundle_config none = {0};
+    scene_arc(&j.rig, 4, 10);
+    scene_make(&j.rig, &j.tracks);
+    struct match_seen *s = &j.tracks.t.seen[5], good = *s;
+    for (int k = 0; k < 7; k++) {
+        *s = good;
+        s->view = k == 0 ? 4 : k == 1 ? -1 : s->view;
+        s->track = k == 2 ? j.tracks.t.n_tracks : k == 3 ? 0 : s->track;
+        s->u = k == 4 ? NAN : s->u;
+        s->sigma = k == 5 ? 0 : k == 6 ? -1 : s->sigma;
+        assert_int_equal(run_on(&j, &none, 1), ERR_ARG);
+        assert_null(j.out.cams);
+    }
+    *s = good;
+    struct run r = {.keep = &j.keep, .tmp = &j.tmp};
+    assert_int_equal(bundle_run(&r, 0, 448, &j.tracks.t, &none, &j.out), ERR_ARG);
+    assert_int_equal(bundle_run(&r, BUNDLE_VIEWS_MAX + 1, 448, &j.tracks.t, &none, &j.out),
+                     ERR_ARG);
+    assert_int_equal(bundle_run(&r, 4, 0, &j.tracks.t, &none, &j.out), ERR_ARG);
+    arena_free(&j.tmp);
+    assert_int_equal(arena_init(&j.tmp, "tmp", bundle_plan(4, j.tracks.t.n) / 2), OK);
+    assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_NOMEM);
+    assert_null(j.out.cams);
+    atomic_bool stop = true;
+    arena_reset(&j.keep, 0);
+    arena_free(&j.tmp);
+    assert_int_equal(arena_init(&j.tmp, "tmp", bundle_plan(4, j.tracks.t.n)), OK);
+    r.cancel = &stop;
+    assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_CANCELLED);
+    done(&j);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(slopes_are_differences),  cmocka_unit_test(far_points_have_no_end),
+        cmocka_unit_test(narrow_grid_from_tracks), cmocka_unit_test(wide_arc_from_tracks),
+        cmocka_unit_test(start_that_is_off),       cmocka_unit_test(start_without_pairs),
+        cmocka_unit_test(world_of_the_start),      cmocka_unit_test(what_is_known_stays),
+        cmocka_unit_test(threads_change_nothing),  cmocka_unit_test(view_that_fits_nowhere),
+        cmocka_unit_test(view_in_two_places),      cmocka_unit_test(view_that_hangs_on_one),
+        cmocka_unit_test(squeezed_views),          cmocka_unit_test(no_tracks),
+        cmocka_unit_test(views_in_one_place),      cmocka_unit_test(two_and_three_views),
+        cmocka_unit_test(centres_in_a_row),        cmocka_unit_test(a_wall),
+        cmocka_unit_test(every_match_wrong),       cmocka_unit_test(start_that_is_no_number),
+        cmocka_unit_test(wrong_requests),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

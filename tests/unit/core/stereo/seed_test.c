@@ -1,0 +1,296 @@
+/* Seeds on a slanted plane with exact depth maps: on the surface, everywhere, once, with the right
+ * radiance. */
+#include "core/stereo/seed.h"
+
+#include "core/photo/response.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { VIEWS = 4, SIZE = 96, MAP = SIZE / 2, MAX = 20000 };
+
+static const float SLOPE = 0.4f; // of the plane z = 4 + SLOPE x
+
+struct world {
+    struct views v;
+    struct camera cams[VIEWS];
+    float log2t[VIEWS];
+    struct depthmaps depth;
+    struct tonemap tone;
+    struct seed_input in;
+    struct arena keep, tmp;
+    struct run run;
+};
+
+static float plane_depth(const struct camera *c, float u, float *x)
+{
+    float ray = (u - c->cx) / c->fx, ox = -c->t[0], oz = -c->t[2];
+    float z = (4.0f + SLOPE * ox - oz) / (1.0f - SLOPE * ray);
+    *x = ox + z * ray;
+    return z;
+}
+
+/* Left half of the plane is flat in colour, right half striped; natural log of radiance. */
+static float plane_light(float x)
+{
+    return x < 0.0f ? -0.5f : 0.6f * sinf(9.0f * x);
+}
+
+static void make_world(struct world *w)
+{
+    memset(w, 0, sizeof *w);
+    w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t, .cams = w->cams};
+    w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
+    assert_non_null(w->v.rgb);
+    w->depth = (struct depthmaps){.n = VIEWS, .size = MAP, .scale = 2};
+    assert_int_equal(arena_init(&w->tmp, "tmp", seed_plan(&w->v)), OK);
+    assert_int_equal(arena_init(&w->keep, "keep", sweep_keep(&w->v) + seed_keep(MAX)), OK);
+    assert_int_equal(arena_alloc(&w->keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.depth), OK);
+    assert_int_equal(arena_alloc(&w->keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.conf), OK);
+    response_fit(NULL, 0, 0.0f, &w->tone);
+    for (int i = 0; i < VIEWS; i++) {
+        float x;
+        w->log2t[i] = (float)(i % 2) - 0.5f;
+        w->cams[i] =
+            (struct camera){.w = SIZE, .h = SIZE, .fx = 90, .fy = 90, .cx = 48, .cy = 48, .q = {1}};
+        w->cams[i].t[0] = 0.2f * (float)i - 0.3f;
+        for (int k = 0; k < SIZE * SIZE; k++) {
+            (void)plane_depth(&w->cams[i], (float)(k % SIZE) + 0.5f, &x);
+            for (int c = 0; c < 3; c++) {
+                float display =
+                    response_display(&w->tone, c, plane_light(x) / 0.69314718f + w->log2t[i]);
+                w->v.rgb[(i * SIZE * SIZE + k) * 3 + c] = (uint8_t)(255.0f * display + 0.5f);
+            }
+        }
+        for (int k = 0; k < MAP * MAP; k++) {
+            w->depth.depth[i * MAP * MAP + k] =
+                plane_depth(&w->cams[i], 2.0f * (float)(k % MAP) + 1.0f, &x);
+            w->depth.conf[i * MAP * MAP + k] = 1.0f;
+        }
+    }
+    w->in = (struct seed_input){&w->v, &w->depth, &w->tone};
+    w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp};
+}
+
+static void free_world(struct world *w)
+{
+    arena_free(&w->keep);
+    arena_free(&w->tmp);
+    free(w->v.rgb);
+}
+
+static void check_finite(const struct gaussians *g)
+{
+    for (int p = 0; p < gaussians_planes(0); p++) {
+        for (int i = 0; i < g->n; i++)
+            assert_true(isfinite(g->plane[p][i]));
+    }
+}
+
+/* Mark the pixels of view j's map within two standard deviations of splat i. */
+static void mark_hits(const struct world *w, const struct gaussians *g, int j, int i, uint8_t *hit)
+{
+    const float *t = w->cams[j].t;
+    float f = 45.0f / (g->plane[G_MU + 2][i] + t[2]);
+    float u = (g->plane[G_MU][i] + t[0]) * f + 23.5f,
+          v = (g->plane[G_MU + 1][i] + t[1]) * f + 23.5f;
+    float reach = 2.0f * expf(g->plane[G_LOG_SCALE + 1][i]) * f;
+    for (int k = 0; k < MAP * MAP; k++)
+        hit[k] |= fabsf((float)(k % MAP) - u) <= reach && fabsf((float)(k / MAP) - v) <= reach;
+}
+
+/* Share of the pixels of the maps that have a splat within two standard deviations. */
+static float coverage(const struct world *w, const struct gaussians *g)
+{
+    int sum = 0;
+    for (int j = 0; j < VIEWS; j++) {
+        uint8_t hit[MAP * MAP] = {0};
+        for (int i = 0; i < g->n; i++)
+            mark_hits(w, g, j, i, hit);
+        for (int k = 0; k < MAP * MAP; k++)
+            sum += hit[k];
+    }
+    return (float)sum / (VIEWS * MAP * MAP);
+}
+
+static void test_plane(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    int flat = 0, off = 0, behind = 0;
+    make_world(&w);
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    assert_int_equal(w.tmp.used, 0);
+    check_finite(&g);
+    assert_true(g.n > 500 && g.n < 3 * MAP * MAP);
+    for (int i = 0; i < g.n; i++) {
+        float x = g.plane[G_MU][i], z = g.plane[G_MU + 2][i],
+              light = g.plane[G_SH + 1][i] * 0.2820948f;
+        if (g.plane[G_LOGIT][i] < 1.0f) { // fills a crack at the rim of a view
+            assert_true(z - 4.0f - SLOPE * x > -0.01f * z);
+            behind++;
+            continue;
+        }
+        assert_true(fabsf(z - 4.0f - SLOPE * x) < 0.01f * z);
+        flat += x < -0.1f;
+        off += fabsf(light - plane_light(x)) > 0.15f;
+        /* The thin axis is the normal of the plane: third column of the rotation along (SLOPE, 0,
+         * -1). */
+        float q[4];
+        for (int k = 0; k < 4; k++)
+            q[k] = g.plane[G_QUAT + k][i];
+        float nx = 2.0f * (q[1] * q[3] + q[0] * q[2]),
+              nz = 1.0f - 2.0f * (q[1] * q[1] + q[2] * q[2]);
+        assert_true(fabsf(nx * SLOPE - nz) / sqrtf(1.0f + SLOPE * SLOPE) > 0.98f);
+    }
+    assert_true(behind < g.n / 50);
+    assert_true(flat < g.n / 6); // one large splat stands for many pixels
+    assert_true(off < g.n / 10);
+    assert_true(coverage(&w, &g) > 0.995f);
+    free_world(&w);
+}
+
+static void test_detail_is_given_up(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    for (int max = MAX; max >= 1; max /= 7) {
+        size_t mark = arena_mark(&w.keep);
+        assert_int_equal(seed_run(&w.run, &w.in, max, &g), OK);
+        assert_true(g.n >= 1 && g.n <= max);
+        check_finite(&g);
+        assert_true(max < 400 || coverage(&w, &g) > 0.98f);
+        arena_reset(&w.keep, mark);
+    }
+    free_world(&w);
+}
+
+static void test_floating_surface_is_dropped(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    for (int y = 10; y < 20; y++) {
+        for (int x = 20; x < 30; x++)
+            w.depth.depth[MAP * MAP + y * MAP + x] =
+                2.0f; // view 1 alone believes in something near
+    }
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    for (int i = 0; i < g.n; i++)
+        assert_true(g.plane[G_MU + 2][i] > 2.5f);
+    free_world(&w);
+}
+
+/* Where nothing is sure, holes are filled from behind: nothing new stands before the surface. */
+static void test_unsure_pixels_are_filled_from_behind(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+        if (k / MAP % MAP > 15 && k / MAP % MAP < 30) {
+            w.depth.conf[k] = 0.0f;
+            w.depth.depth[k] *= 0.5f;
+        }
+    }
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    check_finite(&g);
+    assert_true(coverage(&w, &g) > 0.98f);
+    for (int i = 0; i < g.n; i++)
+        assert_true(g.plane[G_MU + 2][i] > 2.5f);
+    free_world(&w);
+}
+
+/* A hole in a near surface is filled near it, not as far away as the farthest surface of the view.
+ */
+static void test_hole_is_filled_near_its_surface(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    int guesses = 0;
+    make_world(&w);
+    for (int k = 0; k < VIEWS * MAP * MAP; k++)
+        if (k % MAP > 2 && k % MAP < 20 && k / MAP % MAP > 15 && k / MAP % MAP < 30)
+            w.depth.conf[k] = 0.0f;
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    assert_true(coverage(&w, &g) > 0.98f);
+    for (int i = 0; i < g.n; i++) {
+        float x = g.plane[G_MU][i], z = g.plane[G_MU + 2][i], surface = 4.0f + SLOPE * x;
+        if (g.plane[G_LOGIT][i] > 1.0f || x > -1.0f || fabsf(g.plane[G_MU + 1][i]) > 0.6f)
+            continue;
+        guesses++;
+        if (z < 0.99f * surface || z > 1.25f * surface)
+            fail_msg("a guess at depth %g where the surface is at %g", (double)z, (double)surface);
+    }
+    assert_true(guesses > 3);
+    free_world(&w);
+}
+
+/* Views in which next to nothing is sure are filled, too. */
+static void test_blind_views_are_filled(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    memset(w.depth.conf, 0, VIEWS * MAP * MAP * sizeof(float));
+    for (int k = 0; k < MAP; k++)
+        w.depth.conf[k] = 1.0f; // 2 % of the first view
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    assert_true(coverage(&w, &g) > 0.98f);
+    free_world(&w);
+}
+
+static void test_extremes(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    size_t mark = arena_mark(&w.keep);
+    for (int value = 0; value <= 255; value += 255) {
+        memset(w.v.rgb, value, (size_t)VIEWS * SIZE * SIZE * 3);
+        memset(w.depth.conf, 0, VIEWS * MAP * MAP * sizeof(float));
+        assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+        assert_true(g.n > 0);
+        check_finite(&g);
+        arena_reset(&w.keep, mark);
+    }
+    atomic_bool cancel = true;
+    w.run.cancel = &cancel;
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), ERR_CANCELLED);
+    assert_true(g.n == 0 && w.keep.used == mark && w.tmp.used == 0);
+    w.run.cancel = NULL;
+    assert_int_equal(seed_run(&w.run, &w.in, 0, &g), ERR_ARG);
+    w.tmp.size = 1000;
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), ERR_NOMEM);
+    w.depth.n = 3;
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), ERR_ARG);
+    free_world(&w);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_plane),
+        cmocka_unit_test(test_detail_is_given_up),
+        cmocka_unit_test(test_floating_surface_is_dropped),
+        cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
+        cmocka_unit_test(test_hole_is_filled_near_its_surface),
+        cmocka_unit_test(test_blind_views_are_filled),
+        cmocka_unit_test(test_extremes),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,272 @@
+/* A slanted textured wall with a card before it, photographed at three exposures through a gamma
+ * curve. */
+#include "core/stereo/sweep.h"
+
+#include "core/photo/response.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { VIEWS = 6, SIZE = 128 };
+
+struct world {
+    struct views v;
+    struct camera cams[VIEWS];
+    float log2t[VIEWS];
+    struct tonemap tone;
+    struct pool *pool;
+    struct arena keep, tmp;
+    struct run run;
+};
+
+/* Log2 radiance of a surface point: waves and random cells. */
+static float texture(float x, float y, int salt)
+{
+    float sum = 0.6f * sinf(3.1f * x + 1.7f * y) + 0.8f * sinf(0.9f * y - 0.5f * x);
+    for (int level = 0; level < 3; level++) {
+        float cell = 0.35f / (float)(1 << level);
+        uint32_t h = (uint32_t)(int)floorf(x / cell) * 73856093u ^
+                     (uint32_t)(int)floorf(y / cell) * 19349663u ^
+                     (uint32_t)(salt + level) * 83492791u;
+        h = (h ^ (h >> 13)) * 1274126177u;
+        sum += 0.9f * ((float)((h >> 8) & 0xffff) / 65535.0f - 0.5f);
+    }
+    return sum;
+}
+
+/* Depth and log2 radiance along the ray of pixel (u, v). */
+static float cast(const struct camera *c, float u, float v, float *light)
+{
+    const float ray[3] = {(u - c->cx) / c->fx, (v - c->cy) / c->fy, 1.0f};
+    const float ox = -c->t[0], oy = -c->t[1], oz = -c->t[2]; // cameras without rotation
+    float z = (3.0f - oz) / ray[2];
+    float x = ox + z * ray[0], y = oy + z * ray[1];
+    if (fabsf(x) < 0.7f && fabsf(y) < 0.5f) {
+        *light = texture(x, y, 5);
+        return z;
+    }
+    z = (5.0f + 0.3f * ox + 0.1f * oy - oz) / (ray[2] - 0.3f * ray[0] - 0.1f * ray[1]);
+    *light = texture(ox + z * ray[0], oy + z * ray[1], 0);
+    return z;
+}
+
+static void paint(struct world *w, int i)
+{
+    for (int k = 0; k < SIZE * SIZE; k++) {
+        float sum = 0.0f;
+        for (int j = 0; j < 4; j++) {
+            float light;
+            (void)cast(&w->cams[i], (float)(k % SIZE) + 0.25f + 0.5f * (float)(j % 2),
+                       (float)(k / SIZE) + 0.25f + 0.5f * (float)(j / 2), &light);
+            sum += 0.25f * exp2f(light);
+        }
+        for (int c = 0; c < 3; c++) {
+            float lin =
+                0.25f * sum * exp2f(w->log2t[i] - w->v.mid_log2t) * (1.0f - 0.2f * (float)c);
+            w->v.rgb[((size_t)i * SIZE * SIZE + (size_t)k) * 3 + (size_t)c] =
+                (uint8_t)(255.0f * fminf(powf(lin, 1.0f / 2.2f), 1.0f) + 0.5f);
+        }
+    }
+}
+
+static void make_world(struct world *w, int threads)
+{
+    memset(w, 0, sizeof *w);
+    w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t, .cams = w->cams};
+    w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
+    assert_non_null(w->v.rgb);
+    for (int i = 0; i < VIEWS; i++) {
+        w->log2t[i] = 2.0f * (float)(i % 3) - 2.0f;
+        w->cams[i] = (struct camera){
+            .w = SIZE, .h = SIZE, .fx = 120, .fy = 120, .cx = 64, .cy = 64, .q = {1}};
+        w->cams[i].t[0] = 0.25f * (float)(i % 3 - 1);
+        w->cams[i].t[1] = 0.25f * ((float)(i / 3) - 0.5f);
+        w->cams[i].t[2] = 0.05f * (float)(i % 2);
+        paint(w, i);
+    }
+    assert_int_equal(pool_open(&w->pool, threads), OK);
+    size_t bytes = sweep_plan(&w->v, threads);
+    assert_int_equal(
+        arena_init(&w->tmp, "tmp", bytes > response_plan(&w->v) ? bytes : response_plan(&w->v)),
+        OK);
+    assert_int_equal(arena_init(&w->keep, "keep", sweep_keep(&w->v)), OK);
+    w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp, .pool = w->pool};
+    assert_int_equal(response_run(&w->run, &w->v, &w->tone), OK);
+}
+
+static void free_world(struct world *w)
+{
+    pool_close(w->pool);
+    arena_free(&w->keep);
+    arena_free(&w->tmp);
+    free(w->v.rgb);
+}
+
+static int by_value(const void *a, const void *b)
+{
+    float x = *(const float *)a, y = *(const float *)b;
+    return (x > y) - (x < y);
+}
+
+static void check_finite(const struct depthmaps *d)
+{
+    for (int k = 0; k < d->n * d->size * d->size; k++) {
+        assert_true(isfinite(d->depth[k]) && d->depth[k] > 0.0f);
+        assert_true(d->conf[k] >= 0.0f && d->conf[k] <= 1.0f);
+    }
+}
+
+static float mean_conf(const struct depthmaps *d)
+{
+    double sum = 0.0;
+    for (int k = 0; k < d->n * d->size * d->size; k++)
+        sum += (double)d->conf[k];
+    return (float)(sum / (d->n * d->size * d->size));
+}
+
+static void test_depth(void **state)
+{
+    (void)state;
+    static float error[VIEWS * SIZE * SIZE];
+    struct world w;
+    struct depthmaps d;
+    int n = 0, sure = 0, wrong = 0;
+    make_world(&w, 1);
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    assert_int_equal(d.size * d.scale, SIZE);
+    assert_int_equal(w.tmp.used, 0);
+    check_finite(&d);
+    for (int k = 0; k < VIEWS * SIZE * SIZE; k++) {
+        float light, z = cast(&w.cams[k / (SIZE * SIZE)], (float)(k % SIZE) + 0.5f,
+                              (float)(k / SIZE % SIZE) + 0.5f, &light);
+        error[n] = fabsf(d.depth[k] - z) / z;
+        if (d.conf[k] > 0.5f) {
+            sure++;
+            wrong += error[n] > 0.05f;
+        }
+        n++;
+    }
+    qsort(error, (size_t)n, sizeof *error, by_value);
+    if (error[n / 2] > 0.01f || sure < n / 2 || wrong > sure / 30)
+        fail_msg("median error %g, 90 %% %g, sure %d of %d, wrong among them %d",
+                 (double)error[n / 2], (double)error[n * 9 / 10], sure, n, wrong);
+    free_world(&w);
+}
+
+static void test_same_for_any_number_of_threads(void **state)
+{
+    (void)state;
+    struct world a, b;
+    struct depthmaps da, db;
+    make_world(&a, 1);
+    make_world(&b, 3);
+    assert_int_equal(sweep_run(&a.run, &a.v, &a.tone, &da), OK);
+    assert_int_equal(sweep_run(&b.run, &b.v, &b.tone, &db), OK);
+    assert_memory_equal(da.depth, db.depth, VIEWS * SIZE * SIZE * sizeof(float));
+    assert_memory_equal(da.conf, db.conf, VIEWS * SIZE * SIZE * sizeof(float));
+    free_world(&a);
+    free_world(&b);
+}
+
+/* Runs that find nothing to match must still answer. */
+static void expect_guess(struct world *w)
+{
+    struct depthmaps d;
+    assert_int_equal(sweep_run(&w->run, &w->v, &w->tone, &d), OK);
+    check_finite(&d);
+    assert_true(mean_conf(&d) < 0.05f);
+    arena_reset(&w->keep, 0);
+}
+
+static void test_nothing_to_match(void **state)
+{
+    (void)state;
+    struct world w;
+    make_world(&w, 1);
+    w.v.n = 1;
+    expect_guess(&w);
+    w.v.n = VIEWS;
+    for (int i = 0; i < VIEWS; i++)
+        memset(w.cams[i].t, 0, sizeof w.cams[i].t);
+    expect_guess(&w);
+    w.v.n = 2;
+    w.cams[1].t[0] = 1.0f;
+    memcpy(w.cams[1].q, (float[4]){0.7071068f, 0.0f, 0.7071068f, 0.0f}, sizeof w.cams[1].q);
+    expect_guess(&w);
+    memset(w.cams[1].q, 0, sizeof w.cams[1].q);
+    w.cams[1].q[0] = 1.0f;
+    memset(w.v.rgb, 0, 2 * SIZE * SIZE * 3);
+    expect_guess(&w);
+    memset(w.v.rgb, 255, 2 * SIZE * SIZE * 3);
+    expect_guess(&w);
+    free_world(&w);
+}
+
+/* Grey walls agree at every depth: that is no knowledge. */
+static void test_blank_wall(void **state)
+{
+    (void)state;
+    struct world w;
+    make_world(&w, 1);
+    for (int i = 0; i < VIEWS; i++)
+        w.log2t[i] = w.v.mid_log2t;
+    memset(w.v.rgb, 128, (size_t)VIEWS * SIZE * SIZE * 3);
+    expect_guess(&w);
+    free_world(&w);
+}
+
+static void test_two_views(void **state)
+{
+    (void)state;
+    struct world w;
+    struct depthmaps d;
+    make_world(&w, 1);
+    w.v.n = 2;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    check_finite(&d);
+    assert_true(mean_conf(&d) > 0.25f);
+    free_world(&w);
+}
+
+static void test_refusals(void **state)
+{
+    (void)state;
+    struct world w;
+    struct depthmaps d;
+    atomic_bool cancel = true;
+    make_world(&w, 1);
+    w.run.cancel = &cancel;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), ERR_CANCELLED);
+    assert_true(d.depth == NULL && w.keep.used == 0 && w.tmp.used == 0);
+    w.run.cancel = NULL;
+    w.tmp.size /= 2;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), ERR_NOMEM);
+    w.tmp.size *= 2;
+    w.cams[2].t[1] = NAN;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), ERR_ARG);
+    w.cams[2].t[1] = 0.0f;
+    w.cams[3].fx = 0.0f;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), ERR_ARG);
+    w.v.cams = NULL;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), ERR_ARG);
+    free_world(&w);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_depth),
+        cmocka_unit_test(test_same_for_any_number_of_threads),
+        cmocka_unit_test(test_nothing_to_match),
+        cmocka_unit_test(test_blank_wall),
+        cmocka_unit_test(test_two_views),
+        cmocka_unit_test(test_refusals),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,217 @@
+#include "drivers/format/cameras.h"
+#include "drivers/format/exposures.h"
+#include "drivers/format/name.h"
+
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+
+#include <cmocka.h>
+
+#define GOOD                                                                                       \
+    "{\"name\":\"a.png\",\"w\":8,\"h\":6,\"fx\":5,\"fy\":5,\"cx\":4,\"cy\":3,\"q\":[1,0,0,0],"     \
+    "\"t\":[0,0,0]}"
+#define RIG(view) "{\"cameras\":[" view "]}"
+
+static err_t parse(const char *text, struct rig *rig)
+{
+    return cameras_parse("c", text, strlen(text), rig);
+}
+
+static void what_is_written_is_read_bit_for_bit(void **state)
+{
+    (void)state;
+    struct rig_view v[2] = {{"a \"quoted\\\" \xc3\xa9.png",
+                             {640,
+                              480,
+                              127.481026f,
+                              0.0100531215f,
+                              119.711685f,
+                              -0.0103268465f,
+                              {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
+                              {1.f / 3, -3e8f, 1e-40f}},
+                             true,
+                             -3.1f},
+                            {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, false, 0}};
+    struct rig in = {2, v}, out;
+    const char *path = tmpdir_path("cameras.json");
+    assert_int_equal(cameras_write(path, &in), OK);
+    assert_int_equal(cameras_read(path, &out), OK);
+    assert_int_equal(out.n, 2);
+    for (int i = 0; i < 2; i++) {
+        assert_string_equal(out.views[i].name, v[i].name);
+        assert_memory_equal(&out.views[i].cam, &v[i].cam, sizeof v[i].cam);
+        assert_true(out.views[i].has_exposure == v[i].has_exposure);
+        assert_true(out.views[i].exposure_log2 == v[i].exposure_log2);
+    }
+    cameras_free(&out);
+}
+
+static void a_full_disk_is_noticed(void **state)
+{
+    (void)state;
+    struct rig none = {0};
+    assert_int_equal(cameras_write("/dev/full", &none), ERR_LIMIT);
+    assert_non_null(strstr(err_text(), "No space"));
+    assert_int_equal(cameras_write(tmpdir_path("no/such/folder"), &none), ERR_IO);
+}
+
+static void nonsense_is_refused_with_its_name(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *text, *sentence;
+        err_t code;
+    } wrong[] = {
+        {"", "not JSON", ERR_FORMAT},
+        {"{\"cameras\":[]}", "0 cameras", ERR_FORMAT},
+        {"[1]", "no array", ERR_FORMAT},
+        {RIG("7"), "name", ERR_FORMAT},
+        {RIG("{}"), "name", ERR_FORMAT},
+        {RIG("{\"name\":\"../a\"}"), "slashes", ERR_FORMAT},
+        {RIG("{\"name\":\"..\"}"), "folder", ERR_FORMAT},
+        {RIG("{\"name\":\"a\",\"w\":8.5}"), "\"w\"", ERR_FORMAT},
+        {RIG("{\"name\":\"a\",\"w\":8,\"h\":1e9}"), "\"h\"", ERR_FORMAT},
+        {RIG(GOOD "," GOOD), "a.png is named twice", ERR_FORMAT},
+        {RIG(GOOD) "x", "not JSON", ERR_FORMAT},
+    };
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        struct rig rig;
+        assert_int_equal(parse(wrong[i].text, &rig), wrong[i].code);
+        assert_non_null(strstr(err_text(), wrong[i].sentence));
+        assert_null(rig.views);
+    }
+}
+
+/* GOOD with the first `from` replaced by `to`. */
+static err_t parse_changed(const char *from, const char *to, struct rig *rig)
+{
+    char text[512];
+    const char *good = RIG(GOOD), *at = strstr(good, from);
+    assert_non_null(at);
+    snprintf(text, sizeof text, "%.*s%s%s", (int)(at - good), good, to, at + strlen(from));
+    return parse(text, rig);
+}
+
+static void numbers_are_checked(void **state)
+{
+    (void)state;
+    static const char *const wrong[][2] = {
+        {"\"fx\":5", "\"fx\":0"},     {"\"fy\":5", "\"fy\":-1"},
+        {"\"fx\":5", "\"fx\":1e99"},  {"\"cx\":4", "\"cx\":\"4\""},
+        {"[1,0,0,0]", "[1,0,0]"},     {"[1,0,0,0]", "[1.01,0,0,0]"},
+        {"[1,0,0,0]", "[0,0,0,0]"},   {"[1,0,0,0]", "[1,0,0,null]"},
+        {"\"t\":[0,0,0]", "\"t\":0"}, {"[0,0,0]}", "[0,1e400,0]}"},
+        {"\"w\":8", "\"w\":0"},       {"\"t\":", "\"exposure_log2\":[],\"t\":"}};
+    struct rig rig;
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
+        assert_int_equal(parse_changed(wrong[i][0], wrong[i][1], &rig), ERR_FORMAT);
+    assert_int_equal(parse_changed("[1,0,0,0]", "[1.0005,0,0,0]", &rig), OK);
+    assert_true(rig.views[0].cam.q[0] == 1); // normalised
+    cameras_free(&rig);
+}
+
+static void every_cut_is_refused(void **state)
+{
+    (void)state;
+    const char *good = RIG(GOOD);
+    struct rig rig;
+    for (size_t n = 0; n < strlen(good); n++) {
+        assert_int_equal(cameras_parse("c", good, n, &rig), ERR_FORMAT);
+        assert_null(rig.views);
+    }
+    assert_int_equal(cameras_parse("c", good, strlen(good), &rig), OK);
+    cameras_free(&rig);
+}
+
+static void a_view_is_found_for_each_of_its_exposures(void **state)
+{
+    (void)state;
+    struct rig_view v[3] = {
+        {.name = "train_ldr_000_2.png", .cam = {8, 6, 5, 5, 4, 3, {1, 0, 0, 0}, {0}}},
+        {.name = "train_ldr_001_2.png", .cam = {8, 6, 6, 6, 4, 3, {1, 0, 0, 0}, {0}}},
+        {.name = "IMG_0001.jpg", .cam = {8, 6, 7, 7, 4, 3, {1, 0, 0, 0}, {0}}}};
+    struct rig rig = {3, v};
+    struct camera c;
+    assert_int_equal(cameras_find("r", &rig, "train_ldr_001_4.png", 8, 6, &c), OK);
+    assert_true(c.fx == 6);
+    assert_int_equal(cameras_find("r", &rig, "IMG_0002.jpg", 8, 6, &c), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "IMG_0002.jpg"));
+    assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 12, &c), OK); // twice the size
+    assert_true(c.fx == 14 && c.cy == 6 && c.w == 16 && c.h == 12);
+    assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 8, &c), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "aspect"));
+    strcpy(v[1].name, "train_ldr_000_3.png"); // now two cameras claim view 000
+    assert_int_equal(cameras_find("r", &rig, "train_ldr_000_3.png", 8, 6, &c), OK);
+    assert_true(c.fx == 6);
+    assert_int_equal(cameras_find("r", &rig, "train_ldr_000_4.png", 8, 6, &c), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "differ"));
+}
+
+static void names_follow_one_rule(void **state)
+{
+    (void)state;
+    static const char *const wrong[] = {
+        "",         "a/b", "a\nb", "\xff", "\xc0\x80", "\xed\xa0\x80", "\xf4\x90\x80\x80",
+        "\xe2\x82", ".",   ".."};
+    char out[NAME_CAP], longest[NAME_CAP + 1];
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
+        assert_int_equal(name_copy("f", wrong[i], strlen(wrong[i]), out), ERR_FORMAT);
+    memset(longest, 'x', sizeof longest);
+    assert_int_equal(name_copy("f", longest, NAME_CAP, out), ERR_FORMAT);
+    assert_int_equal(name_copy("f", longest, NAME_CAP - 1, out), OK);
+    assert_int_equal(strlen(out), NAME_CAP - 1);
+    assert_int_equal(name_copy("f", "\xe2\x82\xac .. \xf0\x9f\x93\xb7", 11, out), OK);
+    assert_true(name_same_view("train_ldr_000_2.png", "train_ldr_000_10.jpg"));
+    assert_false(name_same_view("train_ldr_000_2.png", "train_ldr_001_2.png"));
+    assert_false(name_same_view("IMG_1.png", "IMG_2.png"));
+    assert_int_equal(name_view("7_2"), 1);
+    assert_int_equal(name_view("_2"), 2);
+}
+
+static void exposures_are_checked(void **state)
+{
+    (void)state;
+    static const char *const wrong[] = {"{}",
+                                        "[]",
+                                        "{\"a\":0}",
+                                        "{\"a\":-1}",
+                                        "{\"a\":1e999}",
+                                        "{\"a\":\"1\"}",
+                                        "{\"\":1}",
+                                        "{\"a\":1,\"b\":2,\"a\":1}",
+                                        "{\"a/b\":1}",
+                                        "{\"a\":1"};
+    struct exposures x;
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        assert_int_not_equal(exposures_parse("e", wrong[i], strlen(wrong[i]), &x), OK);
+        assert_null(x.v);
+    }
+    const char *good = " {\"b.png\": 0.125, \"a.png\": 32}\n";
+    assert_int_equal(exposures_parse("e", good, strlen(good), &x), OK);
+    assert_true(exposures_find(&x, "a.png") == 32 && exposures_find(&x, "b.png") == 0.125);
+    assert_true(exposures_find(&x, "c.png") == 0);
+    exposures_free(&x);
+    assert_true(exposures_find(&x, "a.png") == 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(what_is_written_is_read_bit_for_bit),
+        cmocka_unit_test(a_full_disk_is_noticed),
+        cmocka_unit_test(nonsense_is_refused_with_its_name),
+        cmocka_unit_test(numbers_are_checked),
+        cmocka_unit_test(every_cut_is_refused),
+        cmocka_unit_test(a_view_is_found_for_each_of_its_exposures),
+        cmocka_unit_test(names_follow_one_rule),
+        cmocka_unit_test(exposures_are_checked),
+    };
+    tmpdir_make();
+    int failed = cmocka_run_group_tests(tests, NULL, NULL);
+    tmpdir_remove();
+    return failed;
+}

@@ -1,0 +1,175 @@
+/* One frame at a time: what it may be by requests, pixels and report (firmware/capture/label.h).
+ * What a label does in a whole bracket is in bracket_test.c. */
+#include "firmware/capture/label.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#define PERIOD_S 0.01
+#define BASE_S 0.004
+
+static struct label l;
+static struct frame f;
+static struct witness w;
+static int64_t now;
+
+static void open_label(int delay_lo, int delay_hi, double tolerance)
+{
+    struct bracket_camera cfg = {.period_s = PERIOD_S,
+                                 .time_min_s = 1e-6,
+                                 .time_max_s = 1.0,
+                                 .delay_lo = delay_lo,
+                                 .delay_hi = delay_hi,
+                                 .tolerance = tolerance};
+    now = 1000000000;
+    memset(&f, 0, sizeof f);
+    label_init(&l, &cfg);
+    label_restart(&l, &(struct exposure){BASE_S, 1.0}, now);
+}
+
+static void ask(int index, double time_s)
+{
+    struct exposure e = {time_s, 1.0};
+    label_asked(&l, &(struct label_request){
+                        .index = index, .ask = e, .set = e, .asked_ns = now, .answered_ns = now});
+}
+
+/* A scene of ten stops, without noise. */
+static void see(double time_s)
+{
+    memset(&w, 0, sizeof w);
+    w.overlap = 1.0f;
+    for (int i = 0; i < WITNESS_PLACES; i++) {
+        float x = (float)(time_s * 10.0 * exp2(10.0 * i / WITNESS_PLACES - 5.0));
+        w.x[i] = fminf(x, 1.0f);
+        w.sd[i] = 0.01f * w.x[i];
+        w.floor[i] = 0.002f;
+        w.state[i] = x >= 1.0f ? WITNESS_CLIPPED : x < 0.002f ? WITNESS_DARK : WITNESS_GOOD;
+        w.good += w.state[i] == WITNESS_GOOD;
+        w.clipped += w.state[i] == WITNESS_CLIPPED;
+        w.dark += w.state[i] == WITNESS_DARK;
+    }
+}
+
+/* The next frame, a period later. */
+static void frame(double time_s)
+{
+    now += (int64_t)(PERIOD_S * 1e9);
+    f.sequence++;
+    f.timestamp_ns = now;
+    label_advance(&l, &f, now);
+    see(time_s);
+}
+
+static void settle(void)
+{
+    bool same;
+    for (int i = 0; i < 12; i++)
+        frame(BASE_S);
+    assert_int_equal(label_settle(&l, &f, &w, &same), OK);
+}
+
+static enum label_verdict look(struct label_look *k)
+{
+    label_look(&l, &f, &w, k);
+    return k->verdict;
+}
+
+/* Two exposures may be in force, and are so near to each other that the pixels fit both. */
+static void test_rivals(void **state)
+{
+    struct label_look k;
+    (void)state;
+    open_label(1, 2, 0.30);
+    settle();
+    ask(0, BASE_S * exp2(2.0));
+    frame(BASE_S);
+    ask(1, BASE_S * exp2(2.2));
+    frame(BASE_S * exp2(2.0)); // the first, or none yet
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    frame(BASE_S * exp2(2.2)); // the second, or the first for one frame more
+    assert_int_equal(look(&k), LABEL_UNDECIDED);
+    frame(BASE_S * exp2(2.2));
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    assert_int_equal(l.log[k.entry].index, 1);
+}
+
+/* Where neither sequence nor stamp count, a frame may have been lost before each. */
+static void test_hidden_frames(void **state)
+{
+    const struct label_request *r;
+    (void)state;
+    for (int told = 0; told < 3; told++) { // nothing, sequence, stamp
+        open_label(2, 2, 0.10);
+        settle();
+        ask(0, 0.001);
+        for (int i = 0; i < 3; i++) {
+            now += (int64_t)(PERIOD_S * 1e9);
+            f.sequence += told == 1;
+            f.timestamp_ns = told == 2 ? now : 0;
+            label_advance(&l, &f, now);
+        }
+        r = label_newest(&l);
+        assert_int_equal(r->age_lo, 2);
+        assert_int_equal(r->age_hi, told == 0 ? 5 : told == 1 ? 2 : r->age_hi);
+        assert_true(told != 2 || r->age_hi <= 3); // the first stamp after none at all
+    }
+}
+
+/* Gain is part of an exposure. */
+static void test_reported_gain(void **state)
+{
+    struct label_look k;
+    bool same;
+    (void)state;
+    open_label(1, 1, 0.10);
+    settle();
+    ask(0, 0.001);
+    for (int i = 0; i < 3; i++)
+        frame(0.001);
+    f.exposure_known = true;
+    f.exposure = (struct exposure){0.001, 1.0};
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    f.exposure.gain = 2.0;
+    assert_int_equal(look(&k), LABEL_CONFLICT);
+    assert_true(k.disagrees);
+    f.exposure = (struct exposure){0.001, 1.5};
+    assert_int_equal(label_settle(&l, &f, &w, &same), ERR_AGAIN);
+}
+
+/* What dark and clipped places allow binds, whatever the median says. */
+static void test_bounds(void **state)
+{
+    struct label_look k;
+    (void)state;
+    open_label(1, 1, 0.10);
+    settle();
+    ask(0, 0.008);
+    for (int i = 0; i < 3; i++)
+        frame(0.008);
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    assert_true(k.lo < k.stops && k.hi > k.stops);
+    for (int i = 0; i < WITNESS_PLACES; i++) // good before, and now so dark that it cannot be
+        if (i % 4 == 0 && w.state[i] == WITNESS_GOOD && w.x[i] > 0.05f) {
+            w.state[i] = WITNESS_DARK;
+            w.floor[i] = 0.01f;
+            w.x[i] = 0.005f;
+        }
+    assert_int_equal(look(&k), LABEL_CONFLICT);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_rivals),
+        cmocka_unit_test(test_hidden_frames),
+        cmocka_unit_test(test_reported_gain),
+        cmocka_unit_test(test_bounds),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

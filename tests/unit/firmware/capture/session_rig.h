@@ -1,0 +1,50 @@
+/* session_rig.h - simulated cameras for tests of sessions, and what the simulator says of every
+ * frame. Tests keep time by the cameras' own clock where they can (clock=virtual). */
+#ifndef CAPTURE_SESSION_RIG_H
+#define CAPTURE_SESSION_RIG_H
+
+#include "firmware/capture/session.h"
+
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+/* What the simulator gave to a frame. */
+struct rig_truth {
+    bool found;
+    double exposure_s, torn; // time x gain; share of its rows
+};
+
+static struct rig_truth rig_truth(int camera, const struct take_frame *frame)
+{
+    struct rig_truth out = {0};
+    char name[32], line[256];
+    snprintf(name, sizeof name, "truth%d", camera);
+    FILE *f = fopen(tmpdir_path(name), "r");
+    while (f && fgets(line, sizeof line, f)) {
+        unsigned sequence;
+        long long ns, number;
+        double time, gain, torn;
+        int n =
+            sscanf(line, "%u %lld %lld %lf %lf %lf", &sequence, &ns, &number, &time, &gain, &torn);
+        if (n == 6 && sequence == frame->evidence.sequence && ns == frame->evidence.timestamp_ns)
+            out = (struct rig_truth){true, time * gain, torn};
+    }
+    if (f)
+        fclose(f);
+    return out;
+}
+
+/* Whatever waits; a camera in real time has 20 ms. */
+static err_t rig_turn(struct session *s)
+{
+    struct pollfd p[BRACKET_CAMERAS_MAX];
+    int64_t deadline;
+    int n = session_poll(s, p, BRACKET_CAMERAS_MAX, &deadline);
+    poll(p, (nfds_t)n, 20);
+    return session_step(s);
+}
+
+#endif

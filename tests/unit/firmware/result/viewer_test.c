@@ -1,0 +1,382 @@
+/* The page of a scene, read back: what the browser gets is what the scene holds, within the bounds
+ * that viewer.c states. Its pictures are tested in tests/e2e/view.sh. */
+#include "core/base/gaussians.h"
+#include "core/base/half.h"
+#include "core/photo/tonemap.h"
+#include "core/splat/display.h"
+#include "drivers/format/file.h"
+#include "drivers/format/img.h"
+#include "drivers/format/json.h"
+#include "firmware/result/viewer.h"
+#include "tests/unit/tmpdir.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/resource.h>
+
+#include <cmocka.h>
+
+enum { SPLATS = 300, DEGREE = 4, SIZE = 24, VIEWS = 2, SPLAT_BYTES = 32, FRAME_MAX = 60000 };
+
+static const double sh_c0 = 0.28209479177387814;
+
+static struct arena arena;
+static struct scene scene;
+static char names[VIEWS][NAME_CAP];
+static float log2t[VIEWS];
+static struct camera cams[VIEWS];
+static uint8_t photos[VIEWS * SIZE * SIZE * 3];
+static struct viewer_input input;
+
+/* The page in memory and its parts. */
+static char *page;
+static size_t page_bytes;
+static struct cJSON *info;
+static uint8_t *blob;
+static size_t blob_bytes, info_chars, blob_chars;
+
+static double uniform(double lo, double hi)
+{
+    return lo + (hi - lo) * rand() / RAND_MAX;
+}
+
+static void random_splat(struct gaussians *g, int i)
+{
+    for (int p = 0; p < gaussians_planes(g->degree); p++)
+        g->plane[p][i] = (float)uniform(-1, 1);
+    for (int k = 0; k < 3; k++) {
+        g->plane[G_LOG_SCALE + k][i] = (float)uniform(-9, 0);
+        g->plane[G_SH + k][i] = (float)(uniform(log(1e-4), log(1e5)) / sh_c0);
+    }
+    g->plane[G_LOGIT][i] = (float)uniform(-5, 20);
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    tmpdir_make();
+    srand(1);
+    memset(&scene, 0, sizeof scene);
+    if (arena_init(&arena, "scene", gaussians_need(SPLATS, DEGREE)) != OK ||
+        gaussians_init(&scene.g, &arena, SPLATS, DEGREE) != OK)
+        return -1;
+    scene.g.n = SPLATS;
+    for (int i = 0; i < SPLATS; i++)
+        random_splat(&scene.g, i);
+    tonemap_linear(&scene.tone, 1, -10, 10, -3);
+    for (int i = 0; i < VIEWS; i++) {
+        snprintf(names[i], NAME_CAP, "view%d.jpg", i);
+        log2t[i] = (float)(2 * i - 4);
+        cams[i] = (struct camera){SIZE, SIZE, 20, 21, 12, 13, {0.8f, 0, 0.6f, 0}, {1, 2, 3}};
+    }
+    memset(photos, 100, sizeof photos);
+    scene.n_views = VIEWS;
+    scene.size = SIZE;
+    scene.names = names;
+    scene.log2t = log2t;
+    scene.cams = cams;
+    input = (struct viewer_input){
+        .scene = &scene, .photos = photos, .title = "a scene", .report = "report.html"};
+    page = NULL;
+    blob = NULL;
+    info = NULL;
+    return 0;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    json_free(info);
+    free(page);
+    free(blob);
+    arena_free(&arena);
+    tmpdir_remove();
+    return 0;
+}
+
+static size_t decode(const char *text, size_t n, uint8_t *out)
+{
+    static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    uint8_t *start = out;
+    for (size_t i = 0; i < n; i += 4) {
+        uint32_t v = 0;
+        int bytes = 3;
+        for (size_t k = 0; k < 4; k++) {
+            const char *at = strchr(digits, text[i + k]);
+            assert_true(at || text[i + k] == '=');
+            bytes -= !at;
+            v = v << 6 | (uint32_t)(at ? at - digits : 0);
+        }
+        for (int k = 0; k < bytes; k++)
+            *out++ = (uint8_t)(v >> (16 - 8 * k));
+    }
+    return (size_t)(out - start);
+}
+
+/* The text between `open` and the end of its script. */
+static const char *part(const char *open, size_t *n)
+{
+    const char *at = strstr(page, open);
+    assert_non_null(at);
+    at += strlen(open);
+    *n = (size_t)(strstr(at, "</script>") - at);
+    return at;
+}
+
+static void make_page(void)
+{
+    struct file_map map;
+    const char *path = tmpdir_path("view.html");
+    json_free(info);
+    free(page);
+    free(blob);
+    info = NULL;
+    assert_int_equal(viewer_write(path, &input), OK);
+    assert_int_equal(file_map(path, SIZE_MAX / 2, &map), OK);
+    page_bytes = map.n;
+    page = calloc(1, map.n + 1);
+    memcpy(page, map.p, map.n);
+    file_unmap(&map);
+    const char *text = part("<script id=\"info\" type=\"application/json\">", &info_chars);
+    assert_int_equal(json_parse("info", text, info_chars, &info), OK);
+    text = part("<script id=\"scene\" type=\"application/octet-stream\">", &blob_chars);
+    blob = malloc(blob_chars + 1);
+    blob_bytes = decode(text, blob_chars, blob);
+}
+
+static double number(const char *key)
+{
+    double v = NAN;
+    assert_true(json_number(json_member(info, key), &v));
+    return v;
+}
+
+static double stored(const char *range, int i, size_t at)
+{
+    const struct cJSON *lo = json_first(json_member(info, range)), *step = json_next(lo);
+    double a = NAN, b = NAN;
+    assert_true(json_number(lo, &a) && json_number(step, &b));
+    const uint8_t *p = blob + (size_t)i * SPLAT_BYTES + at;
+    return a + b * (p[0] | p[1] << 8);
+}
+
+/* The quaternion of splat i as the page's shader unpacks it. */
+static void unpack_quat(int i, double q[4])
+{
+    const uint8_t *p = blob + (size_t)i * SPLAT_BYTES + 20;
+    double sum = 0, v[3];
+    unsigned u[3];
+    for (int k = 0; k < 3; k++) {
+        u[k] = p[2 * k] | (unsigned)p[2 * k + 1] << 8;
+        v[k] = ((u[k] & 0x7fff) / 16383.0 - 1) * sqrt(0.5);
+        sum += v[k] * v[k];
+    }
+    int largest = (int)(u[0] >> 15 | u[1] >> 15 << 1), n = 0;
+    for (int k = 0; k < 4; k++)
+        q[k] = k == largest ? sqrt(1 - sum) : v[n++];
+}
+
+static void splats_come_back(void **state)
+{
+    (void)state;
+    const struct gaussians *g = &scene.g;
+    const size_t halves = 3 * ((DEGREE + 1) * (DEGREE + 1) - 1);
+    make_page();
+    assert_int_equal((int)number("n"), SPLATS);
+    assert_int_equal(blob_bytes, SPLATS * (SPLAT_BYTES + 2 * halves)); // 72 halves: 9 x 16 bytes
+    for (int i = 0; i < SPLATS; i++) {
+        const uint8_t *p = blob + (size_t)i * SPLAT_BYTES;
+        for (int k = 0; k < 3; k++) {
+            float mu;
+            memcpy(&mu, p + 4 * k, 4);
+            assert_true(mu == g->plane[G_MU + k][i]);
+            size_t at = 2 * (size_t)k;
+            double scale = stored("scale", i, 12 + at) - (double)g->plane[G_LOG_SCALE + k][i];
+            double light = stored("light", i, 26 + at) - sh_c0 * (double)g->plane[G_SH + k][i];
+            assert_true(fabs(scale) < 1e-4 && fabs(light) < 2e-4);
+        }
+        double logit = fmin((double)g->plane[G_LOGIT][i], 12), q[4], dot = 0, length = 0;
+        assert_true(fabs(stored("logit", i, 18) - logit) < 2e-4);
+        unpack_quat(i, q);
+        for (int k = 0; k < 4; k++) {
+            dot += q[k] * (double)g->plane[G_QUAT + k][i];
+            length += pow((double)g->plane[G_QUAT + k][i], 2);
+        }
+        assert_true(dot / sqrt(length) > 1 - 1e-8 || dot / sqrt(length) < -1 + 1e-8);
+        const uint8_t *sh = blob + SPLATS * SPLAT_BYTES + (size_t)i * 2 * halves;
+        for (size_t j = 0; j < halves; j++)
+            assert_int_equal(sh[2 * j] | sh[2 * j + 1] << 8,
+                             half_from_float(g->plane[(size_t)G_SH + 3 + j][i]));
+    }
+}
+
+static void what_stands_around_it(void **state)
+{
+    (void)state;
+    float tone[TONE_PARAMS], k[4];
+    make_page();
+    assert_true(json_floats("info", info, "tone", TONE_PARAMS, tone) == OK);
+    assert_memory_equal(tone, scene.tone.p, sizeof tone);
+    const struct cJSON *view = json_first(json_member(info, "views"));
+    assert_int_equal(json_count(json_member(info, "views")), VIEWS);
+    assert_true(json_floats("view", view, "k", 4, k) == OK);
+    assert_true(k[0] == 20 && k[1] == 21 && k[2] == 12 && k[3] == 13);
+    double stops = NAN;
+    assert_true(json_number(json_member(view, "stops"), &stops) && stops == -1);
+    const struct cJSON *taken = json_member(info, "taken");
+    assert_int_equal(json_count(taken), VIEWS);
+    assert_true(json_number(json_first(taken), &stops) && stops == -1);
+    assert_true(number("middle") == -3);
+    assert_string_equal(json_string(json_member(info, "report")), "report.html");
+    /* the photograph */
+    const char *photo = json_string(json_member(view, "photo")), *comma = strchr(photo, ',');
+    assert_true(strncmp(photo, "data:image/jpeg;base64,", 23) == 0);
+    uint8_t *jpeg = malloc(strlen(comma));
+    struct image8 im;
+    assert_int_equal(img_read_mem(jpeg, decode(comma + 1, strlen(comma + 1), jpeg), "photo", &im),
+                     OK);
+    assert_true(im.w == SIZE && im.h == SIZE && abs(im.px[700] - 100) <= 2);
+    img_free(&im);
+    free(jpeg);
+    /* the promise of the issue, and that of viewer_bytes */
+    assert_true(page_bytes - info_chars - blob_chars < FRAME_MAX);
+    assert_true(page_bytes <= viewer_bytes(&input));
+    const float more[] = {1, 2, -3.5f};
+    input.photos = NULL;
+    input.report = NULL;
+    input.log2t = more;
+    input.n_log2t = 3;
+    make_page();
+    assert_int_equal(json_count(json_member(info, "taken")), 3);
+    assert_null(json_member(json_first(json_member(info, "views")), "photo"));
+    assert_true(page_bytes <= viewer_bytes(&input));
+}
+
+/* Nothing that a user names may end a part of the page. */
+static void hostile_texts(void **state)
+{
+    (void)state;
+    int scripts = 0;
+    snprintf(names[0], NAME_CAP, "%s", "</script><script>alert(1)//\"\\\n\xc3\xa9");
+    input.title = "</title><script>alert(2)</script>&amp;\"";
+    input.report = "<report>";
+    make_page();
+    for (const char *at = page; (at = strstr(at, "<script")); at++)
+        scripts++;
+    assert_int_equal(scripts, 3); // info, scene and the page's own
+    assert_null(strstr(page, "alert(1)//\"\\\n"));
+    assert_null(strstr(page, "</title><script>"));
+    const struct cJSON *view = json_first(json_member(info, "views"));
+    assert_string_equal(json_string(json_member(view, "name")), names[0]);
+}
+
+static void what_is_never_drawn_is_left_out(void **state)
+{
+    (void)state;
+    struct gaussians *g = &scene.g;
+    g->n = 5;
+    g->plane[G_MU + 1][0] = NAN;
+    g->plane[G_SH + 40][1] = INFINITY;
+    g->plane[G_LOGIT][2] = -5.6f; // 1/271
+    g->plane[G_LOGIT][3] = -5.5f; // 1/246
+    for (int k = 0; k < 4; k++)
+        g->plane[G_QUAT + k][4] = 0;
+    double q[4];
+    make_page();
+    assert_int_equal((int)number("n"), 2);
+    assert_memory_equal(blob, &g->plane[G_MU][3], 4);
+    unpack_quat(1, q);
+    assert_true(q[0] == 1 && q[1] == 0 && q[2] == 0 && q[3] == 0);
+    g->n = 3;
+    make_page();
+    assert_int_equal((int)number("n"), 0);
+    assert_int_equal(blob_bytes, 0);
+    assert_true(number("unit") == 1);
+}
+
+/* The brightest thing lies in the upper octave of half floats, but never so high that nothing is
+ * left below the middle tones. */
+static void the_unit_suits_the_brightest(void **state)
+{
+    (void)state;
+    struct gaussians *g = &scene.g;
+    double middle = pow(0.5, (double)display_ev(&scene.tone));
+    g->n = 1;
+    for (int p = G_SH; p < gaussians_planes(DEGREE); p++)
+        g->plane[p][0] = 0;
+    for (double light = 1e-6; light < 1e6; light *= 10) {
+        g->plane[G_SH + 1][0] = (float)(log(light) / sh_c0);
+        g->plane[G_SH][0] = g->plane[G_SH + 2][0] = g->plane[G_SH + 1][0];
+        make_page();
+        double top = light / number("unit");
+        assert_true(top <= (double)HALF_MAX * 1.001 && top > (double)HALF_MAX / 2.001);
+    }
+    g->plane[G_SH][0] = 200;
+    make_page();
+    double top = middle * exp2(24) / number("unit");
+    assert_true(top <= (double)HALF_MAX * 1.001 && top > (double)HALF_MAX / 2.001);
+    /* the background counts, and what the bands above add in some direction */
+    g->plane[G_SH][0] = g->plane[G_SH + 1][0] = g->plane[G_SH + 2][0] = -50;
+    scene.background[2] = 500;
+    make_page();
+    top = 500 / number("unit");
+    assert_true(top <= (double)HALF_MAX * 1.001 && top > (double)HALF_MAX / 2.001);
+    scene.background[2] = 0;
+    make_page();
+    double plain = number("unit");
+    g->plane[G_SH + 3 * 2 + 1][0] = 10; // z: exp(10 * 0.4886) is 132
+    make_page();
+    assert_true(number("unit") >= 128 * plain && number("unit") <= 256 * plain);
+}
+
+static void what_cannot_be_written(void **state)
+{
+    (void)state;
+    struct rlimit was, small = {.rlim_cur = 100000};
+    assert_int_equal(viewer_write(tmpdir_path("no/view.html"), &input), ERR_IO);
+    getrlimit(RLIMIT_FSIZE, &was);
+    small.rlim_max = was.rlim_max;
+    signal(SIGXFSZ, SIG_IGN);
+    setrlimit(RLIMIT_FSIZE, &small);
+    err_t e = viewer_write(tmpdir_path("view.html"), &input);
+    setrlimit(RLIMIT_FSIZE, &was);
+    assert_int_equal(e, ERR_IO);
+    assert_false(file_exists(tmpdir_path("view.html")));
+    float *const numbers[] = {&cams[1].t[2], &log2t[0], &scene.background[1], &scene.tone.p[7],
+                              &scene.tone.mid_log2t};
+    for (size_t k = 0; k < sizeof numbers / sizeof *numbers; k++) {
+        float kept = *numbers[k];
+        *numbers[k] = k % 2 ? INFINITY : NAN;
+        assert_int_equal(viewer_write(tmpdir_path("view.html"), &input), ERR_ARG);
+        assert_non_null(strstr(err_text(), "is not finite"));
+        assert_false(file_exists(tmpdir_path("view.html")));
+        *numbers[k] = kept;
+    }
+    /* as many as fit lose bands, more are refused before anything is looked at */
+    scene.g.n = VIEWER_SPLATS_MAX;
+    input.photos = NULL;
+    assert_true(viewer_bytes(&input) < (uint64_t)VIEWER_SCENE_MAX / 3 * 4 + (1 << 20));
+    assert_true(viewer_bytes(&input) > (uint64_t)VIEWER_SPLATS_MAX * SPLAT_BYTES / 3 * 4);
+    scene.g.n++;
+    assert_int_equal(viewer_write(tmpdir_path("view.html"), &input), ERR_ARG);
+    assert_non_null(strstr(err_text(), "4194305 splats"));
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        TEST(splats_come_back),
+        TEST(what_stands_around_it),
+        TEST(hostile_texts),
+        TEST(what_is_never_drawn_is_left_out),
+        TEST(the_unit_suits_the_brightest),
+        TEST(what_cannot_be_written),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,129 @@
+/* The manifest of a take, read back, as it was written and spoiled. */
+#include "firmware/store/manifest.h"
+
+#include "drivers/format/file.h"
+#include "firmware/store/store.h"
+#include "tests/unit/small_take.h"
+#include "tests/unit/tmpdir.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+static void says(err_t got, err_t want, const char *words)
+{
+    if (got != want || !strstr(err_text(), words))
+        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
+                 words);
+}
+
+static void ok(err_t e)
+{
+    if (e)
+        fail_msg("%s: %s", err_name(e), err_text());
+}
+
+/* Text of the manifest of a take that is stored.
+ * own: free. */
+static char *manifest_of(struct take *t)
+{
+    struct store_config cfg = {.path = tmpdir_path("store"), .merge = true};
+    struct store *s;
+    struct file_map f;
+    char id[STORE_ID_CAP], name[64];
+    ok(store_open(&cfg, &s));
+    ok(store_commit(s, t, id));
+    take_free(t);
+    store_close(s);
+    snprintf(name, sizeof name, "store/%s/manifest.json", id);
+    ok(file_map(tmpdir_path(name), 1 << 20, &f));
+    char *text = strndup((const char *)f.p, f.n);
+    file_unmap(&f);
+    assert_non_null(text);
+    return text;
+}
+
+/* What the device says it multiplies the pixels with. */
+static void gains(void **state)
+{
+    (void)state;
+    struct take *t = small_take(1, 2, CAMERA_GREY16);
+    t->frame[1].gains_known = true;
+    t->frame[1].digital_gain = 1.25;
+    t->frame[1].red_gain = 2;
+    t->frame[1].blue_gain = 1.5;
+    char *text = manifest_of(t);
+    assert_non_null(strstr(text, "\"digital_gain\": null"));
+    assert_non_null(strstr(text, "\"digital_gain\": 1.25"));
+    assert_non_null(strstr(text, "\"red_gain\": 2"));
+    assert_non_null(strstr(text, "\"blue_gain\": 1.5"));
+    free(text);
+}
+
+/* Replace the first `from` in a manifest and parse it. */
+static void with(const char *text, const char *from, const char *to, const char *words)
+{
+    static struct manifest m;
+    const char *at = strstr(text, from);
+    char *changed = malloc(strlen(text) + strlen(to) + 1);
+    assert_non_null(at);
+    sprintf(changed, "%.*s%s%s", (int)(at - text), text, to, at + strlen(from));
+    says(manifest_parse("m", changed, strlen(changed), &m), ERR_FORMAT, words);
+    assert_true(m.n == 0 && !m.id[0]);
+    free(changed);
+}
+
+static void hostile_manifests(void **state)
+{
+    (void)state;
+    static struct manifest m;
+    char *text = manifest_of(small_take(1, 1, CAMERA_GREY16));
+    ok(manifest_parse("m", text, strlen(text), &m));
+    assert_int_equal(m.n, 3);
+    assert_string_equal(m.file[0].name, "raw/00_00.bin");
+    with(text, "hdrig-take", "hdrig", "not a manifest of version 1");
+    with(text, "\"version\": 1", "\"version\": 2", "not a manifest of version 1");
+    with(text, "\"version\": 1", "\"version\": 1, \"version\": 1", "\"version\" is there twice");
+    with(text, "\"version\"", "\"more\"", "\"more\" is not known");
+    with(text, "\"stagger\": false, ", "", "has no key \"stagger\"");
+    with(text, "complete", "finished", "status is neither");
+    with(text, "\"counter\": 1", "\"counter\": -1", "counter is not one");
+    with(text, "\"counter\": 1", "\"counter\": 1.5", "counter is not one");
+    with(text, "\"counter\": 1", "\"counter\": 1e17", "counter is not one");
+    with(text, "\"boot_id\": \"", "\"boot_id\": \"g", "counter is not one");
+    with(text, "\"boot_id\": \"", "\"boot_id\": \"0123456789", "counter is not one");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/../x\", \"bytes\"", "slashes");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/..\", \"bytes\"", "is a folder");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"/etc/passwd\", \"bytes\"", "slashes");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"\", \"bytes\"", "a name of 0 bytes");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/\", \"bytes\"", "a name of 0 bytes");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/.x\", \"bytes\"", "lists a file \"raw/.x\"");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"manifest.json\", \"bytes\"", "lists a file");
+    with(text, "\"raw/00_00.bin\", \"bytes\"", "\"exposure.json\", \"bytes\"", "listed twice");
+    with(text, "\"bytes\": 1024", "\"bytes\": \"1024\"", "no size");
+    with(text, "\"sha256\": \"", "\"sha256\": \"0", "SHA-256 of 64 digits");
+    with(text, "\"sha256\": \"", "\"sha256\": \"\", \"x\": \"", "\"x\" is not known");
+    with(text, "\"files\": [", "\"files\": [1, ", "a file is no object");
+    with(text, "\"files\": [", "\"files\": [[], ", "a file is no object");
+    with(text, "{", "[{", "not JSON");
+    says(manifest_parse("m", "[]", 2, &m), ERR_FORMAT, "not an object");
+    char many[32 * 1024] = "\"files\": [";
+    for (int i = 0; i <= MANIFEST_FILES_MAX; i++)
+        strcat(many, "{}, ");
+    with(text, "\"files\": [", many, "no list of at most 305");
+    for (size_t n = 0; n + 2 < strlen(text); n++) // cut short anywhere
+        if (manifest_parse("m", text, n, &m) != ERR_FORMAT)
+            fail_msg("%zu of %zu bytes are a manifest", n, strlen(text));
+    free(text);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(gains, tmpdir_setup, tmpdir_teardown),
+        cmocka_unit_test_setup_teardown(hostile_manifests, tmpdir_setup, tmpdir_teardown)};
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
