@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 [ $# = 2 ] || { echo "usage: $0 HDRIG_BEFORE HDRIG_AFTER" >&2; exit 2; }
 before=$(realpath "$1") after=$(realpath "$2")
 work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
+[ -n "${KEEP:-}" ] || trap 'rm -rf "$work"' EXIT
 virtual=samples=1,clock=virtual,fps=200,size=112
 
 results() { # hdrig: everything in the present folder
@@ -40,10 +40,13 @@ for side in before after; do
         tail -n 3 "$work/$side/stderr.txt" >&2
         exit 1
     }
-    # what a clock or a version writes
+    # what a clock writes, and the paths of sources in comments of pages
     find "$work/$side" -name files.sha256 -delete
     find "$work/$side" -type f \( -name '*.json' -o -name '*.html' -o -name 'std*.txt' \) -exec \
-        sed -i -E '/(seconds|_s|bytes|version|time|date|peak)"?:/d; s/[0-9.]+ (s|min)\b//g' {} +
+        sed -i -E -e '/"seconds": \{/,/\}/d; /_(s|mb)"/d; / [0-9]+ %/d; /: core\//d; /merged\/.*sha256/d' \
+        -e 's/"[a-z]+time_ns": "[0-9]+"//g; s/[0-9.]+ (s|min|MB)\b//g' {} +
+    find "$work/$side" -name '*.exr' -exec \
+        env LC_ALL=C sed -i -E 's/20[0-9:]{8} [0-9:]{8}//g; s/[0-9]{10,}//g' {} +
 done
 files=$(find "$work/before" -type f | wc -l)
 diff -rq "$work/before" "$work/after" || exit 1
