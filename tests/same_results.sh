@@ -43,7 +43,8 @@ for side in before after; do
     # what a clock writes, and the paths of sources in comments of pages
     find "$work/$side" -name files.sha256 -delete
     find "$work/$side" -type f \( -name '*.json' -o -name '*.html' -o -name 'std*.txt' \) -exec \
-        sed -i -E -e '/"seconds": \{/,/\}/d; /_(s|mb)"/d; / [0-9]+ %/d; /: core\//d; /merged\/.*sha256/d' \
+        sed -i -E -e '/"seconds": \{/,/\}/d' \
+        -e '/_(s|mb)"/d; / [0-9]+ %/d; /: core\//d; /merged\/.*sha256/d' \
         -e 's/"[a-z]+time_ns": "[0-9]+"//g; s/[0-9.]+ (s|min|MB)\b//g' {} +
     find "$work/$side" -name '*.exr' -exec \
         env LC_ALL=C sed -i -E 's/20[0-9:]{8} [0-9:]{8}//g; s/[0-9]{10,}//g' {} +
