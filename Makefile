@@ -74,12 +74,12 @@ FUZZ := $(wildcard tests/fuzz/fuzz_*.c)
 LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
-TSAN_TESTS := pool prep response seed appearance attend consensus depth gausshead modelfile \
-	sample camera_libcamera writer
+TSAN_TESTS := pool prep response seed appearance shared_attention consensus depth gausshead \
+	modelfile sample camera_libcamera writer
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base/gaussians \
-	base/half base/pool base/sha256 net/appearance net/attend net/depth net/gausshead net/layer \
-	net/pack photo/metrics refine/loss splat/raster) \
+	base/half base/pool base/sha256 net/appearance net/shared_attention net/depth net/gausshead \
+	net/layer net/pack photo/metrics refine/loss splat/raster) \
 	golden/render kernels/fft kernels/gemm kernels/kernels kernels/nn kernels/nn_range
 
 TSAN_SOURCES := $(filter %_tsan_test.c $(addprefix %/,$(addsuffix _test.c,$(TSAN_TESTS))),\
@@ -129,7 +129,8 @@ $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
 $(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
 $(B)/firmware/base/config.o: MORE = -Wconversion
 $(MAINS:%.c=$(B)/%.o): MORE = -DHDRIG_VERSION='"$(VERSION)"'
-$(addprefix $(B)/firmware/,daemon/http.o result/viewer.o result/sheet.o): $(wildcard firmware/web/*)
+$(addprefix $(B)/firmware/,daemon/http.o result/viewer.o result/report_page.o): \
+		$(wildcard firmware/web/*)
 
 $(B)/libcore.a: $(call objects,$(CORE))
 $(B)/libdrivers.a: $(call objects,$(DRIVERS))

@@ -151,7 +151,7 @@ enum {
     CORRESPONDENCE_BEST = 4
 };
 
-/* Where the network finds the patches of one view in another (core/net/attend.h). */
+/* Where the network finds the patches of one view in another (core/net/shared_attention.h). */
 struct correspondence {
     int n_views, grid;
     int16_t

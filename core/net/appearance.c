@@ -1,20 +1,20 @@
 /* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch.
  *
- * Attention (attend.h) comes in blocks of query rows; the columns of the special tokens are left
- * out and, view by view, the rest meets the values of that view, so that no (V M)^2 matrix exists.
- * Rows are divided by their sum after these products: sums are linear. */
+ * Attention (shared_attention.h) comes in blocks of query rows; the columns of the special tokens
+ * are left out and, view by view, the rest meets the values of that view, so that no (V M)^2 matrix
+ * exists. Rows are divided by their sum after these products: sums are linear. */
 #include "core/net/appearance.h"
 
-#include "core/net/attend.h"
 #include "core/net/finite.h"
 #include "core/net/plan.h"
+#include "core/net/shared_attention.h"
 #include "core/net/tap.h"
 #include "core/photo/prep.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { ROWS = ATTEND_ROWS }; // queries of a block
+enum { ROWS = SHARED_ATTENTION_ROWS }; // queries of a block
 
 #define NORM_EPS 1e-5f  // model-spec 2.6, 2.8
 #define SHARE_EPS 1e-6f // model-spec 2.7, 2.8
@@ -26,7 +26,7 @@ struct fusion {
     const struct appearance_weights *w;
     const struct views *v;
     const struct tokens *t;
-    struct attend a;
+    struct shared_attention a;
     int d;    // width of the branch
     int m, n; // M, V M
     int value_panels;
@@ -41,7 +41,7 @@ struct fusion {
 
 /* Scratch of one worker. */
 struct fusion_room {
-    struct attend_room attend;
+    struct shared_attention_workspace attend;
     float *part;  // per view (ROWS, value_panels PANEL)
     double *mass; // (V)
 };
@@ -318,9 +318,10 @@ static err_t fuse_block(void *ctx, int chunk, int worker)
     const struct fusion_room *room = f->rooms + worker;
     int view = chunk / blocks_of_view(f), first = chunk % blocks_of_view(f) * ROWS;
     int rows = f->m - first < ROWS ? f->m - first : ROWS;
-    size_t p = (size_t)f->m + NET_SPECIAL, pitch = attend_pitch(&f->a), values = value_pitch(f);
+    size_t p = (size_t)f->m + NET_SPECIAL, pitch = shared_attention_pitch(&f->a),
+           values = value_pitch(f);
     const float *sum = room->attend.sum;
-    err_t e = attend_rows(&f->a, view, first, rows, &room->attend);
+    err_t e = shared_attention_rows(&f->a, view, first, rows, &room->attend);
     if (e)
         return e;
     for (size_t v = 0; v < (size_t)f->v->n; v++)
@@ -347,14 +348,14 @@ static err_t fuse(struct fusion *f)
     err_t e = arena_alloc(f->r->tmp, (size_t)workers, sizeof *f->rooms, &f->rooms);
     for (int i = 0; i < workers && !e; i++) {
         struct fusion_room *o = f->rooms + i;
-        e = attend_room_init(&f->a, f->r->tmp, &o->attend);
+        e = shared_attention_workspace_init(&f->a, f->r->tmp, &o->attend);
         if (!e)
             e = arena_alloc(f->r->tmp, n_views * ROWS * value_pitch(f), sizeof(float), &o->part);
         if (!e)
             e = arena_alloc(f->r->tmp, n_views, sizeof(double), &o->mass);
     }
     if (!e)
-        e = attend_init(f->r, f->t, &f->a);
+        e = shared_attention_init(f->r, f->t, &f->a);
     if (!e)
         e = pool_for(f->r->pool, f->v->n * blocks_of_view(f), fuse_block, f);
     arena_reset(f->r->tmp, mark);
@@ -415,7 +416,7 @@ static struct fusion start(const struct net *net, int n_views, int grid)
 {
     int m = grid * grid, d = net->d.hdr;
     return (struct fusion){.w = &net->appearance,
-                           .a = attend_shape(&net->d, n_views, grid),
+                           .a = shared_attention_shape(&net->d, n_views, grid),
                            .d = d,
                            .m = m,
                            .n = n_views * m,
@@ -464,10 +465,10 @@ err_t appearance_run(const struct run *r, const struct net *net, const struct vi
 static void plan_fuse(struct plan *whole, const struct fusion *f, size_t n_views, int threads)
 {
     struct plan p = {0, 0};
-    p.held = arena_add(p.held, attend_need(&f->a));
+    p.held = arena_add(p.held, shared_attention_need(&f->a));
     plan_hold(&p, (size_t)threads, sizeof(struct fusion_room));
     for (int i = 0; i < threads; i++) {
-        p.held = arena_add(p.held, attend_room_need(&f->a));
+        p.held = arena_add(p.held, shared_attention_workspace_need(&f->a));
         plan_hold(&p, n_views * ROWS * value_pitch(f), sizeof(float));
         plan_hold(&p, n_views, sizeof(double));
     }

@@ -66,7 +66,7 @@ static size_t strip(int width)
     return (size_t)(width > ATTENTION_KEYS ? width : ATTENTION_KEYS);
 }
 
-size_t attention_room_need(int width)
+size_t attention_workspace_need(int width)
 {
     size_t w = (size_t)width;
     size_t need = arena_need(ATTENTION_ROWS * ATTENTION_KEYS, sizeof(int32_t));
@@ -78,7 +78,7 @@ size_t attention_room_need(int width)
     return arena_add(need, arena_need(strip(width), 1));
 }
 
-err_t attention_room_init(struct attention_room *room, int width, struct arena *arena)
+err_t attention_workspace_init(struct attention_workspace *room, int width, struct arena *arena)
 {
     float **row[] = {&room->top, &room->sum, &room->rescale, &room->weigh};
     size_t w = (size_t)width;
@@ -135,7 +135,7 @@ static void store_queries(const struct block *b)
 }
 
 /* Keys of the last panel that do not exist are zero: their products are defined, and not used. */
-static void store_keys(const struct block *b, struct attention_room *room)
+static void store_keys(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
     size_t key = b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)b->first;
@@ -169,7 +169,7 @@ static void store_float_values(const struct block *b, float *to)
 }
 
 /* Keys up to the next multiple of 4 that do not exist are zero. */
-static void store_values(const struct block *b, struct attention_room *room)
+static void store_values(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
     size_t block = b->head * count_blocks(a) + (size_t)(b->first / ATTENTION_KEYS);
@@ -204,7 +204,7 @@ static void store_values(const struct block *b, struct attention_room *room)
 }
 
 void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
-                     struct attention_room *room)
+                     struct attention_workspace *room)
 {
     size_t c = (size_t)a->heads * (size_t)a->width;
     for (int h = 0; h < a->heads; h++) {
@@ -229,7 +229,7 @@ void attention_store(const struct attention *a, const struct attention_span *s, 
 
 /* Logits of n keys from `first` on, a block. */
 static void logits(const struct attention *a, const struct block *b, int first, int n,
-                   struct attention_room *room)
+                   struct attention_workspace *room)
 {
     size_t token = (size_t)b->seq * (size_t)a->len + (size_t)b->first, w = (size_t)a->width;
     size_t at = (token * (size_t)a->heads + (size_t)b->in_seq) * w;
@@ -263,7 +263,7 @@ static void logits(const struct attention *a, const struct block *b, int first, 
 }
 
 static void weights(const struct attention *a, const struct block *b, int first, int n,
-                    struct attention_room *room)
+                    struct attention_workspace *room)
 {
     size_t key = b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)first;
     const struct attend_block t = {.m = b->n,
@@ -286,7 +286,7 @@ static void weights(const struct attention *a, const struct block *b, int first,
 
 /* Sums of weights times values of the block that begins with key `first`. */
 static void values(const struct attention *a, const struct block *b, int first, int n,
-                   struct attention_room *room)
+                   struct attention_workspace *room)
 {
     size_t block = b->head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS);
     size_t at = block * ATTENTION_KEYS * (size_t)a->width;
@@ -318,7 +318,7 @@ static void values(const struct attention *a, const struct block *b, int first, 
 }
 
 void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
-                    size_t ldo, struct attention_room *room)
+                    size_t ldo, struct attention_workspace *room)
 {
     const struct block b = {.head = (size_t)s->seq * (size_t)a->heads + (size_t)head,
                             .seq = s->seq,

@@ -31,7 +31,7 @@ struct attention {
 };
 
 /* Scratch of one worker. */
-struct attention_room {
+struct attention_workspace {
     union {
         int32_t *s; // (ROWS, KEYS) logits
         float *sf;  // of floats; become weights in place
@@ -53,20 +53,21 @@ struct attention_span {
 
 /* Bytes of everything above, for the shape in *a; SIZE_MAX on overflow. */
 size_t attention_need(const struct attention *a);
-size_t attention_room_need(int width);
+size_t attention_workspace_need(int width);
 
 /* Carve the arrays of *a, whose shape the caller has set. */
 MUST_USE err_t attention_init(struct attention *a, struct arena *arena);
-MUST_USE err_t attention_room_init(struct attention_room *room, int width, struct arena *arena);
+MUST_USE err_t attention_workspace_init(struct attention_workspace *room, int width,
+                                        struct arena *arena);
 
 /* Store tokens: first is a multiple of ATTENTION_KEYS, and n is ATTENTION_KEYS or the rest of the
  * sequence. qkv: (n, 3, heads, width). */
 void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
-                     struct attention_room *room);
+                     struct attention_workspace *room);
 
 /* What the tokens of s (at most ATTENTION_ROWS) take from their whole sequence through one head;
  * all of the sequence has been stored. out: (n, width) from row to row ldo. */
 void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
-                    size_t ldo, struct attention_room *room);
+                    size_t ldo, struct attention_workspace *room);
 
 #endif

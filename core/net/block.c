@@ -14,8 +14,8 @@ enum { BLOCK_ROWS = ATTENTION_ROWS, MLP = 4 };
 
 /* Scratch of one worker. */
 struct worker {
-    struct layer_room layer;
-    struct attention_room attention;
+    struct layer_workspace layer;
+    struct attention_workspace attention;
     float *rows; // (ATTENTION_KEYS, C) normalised rows, then what attention gives
     float *wide; // (ATTENTION_KEYS, 3 C) q, k, v, or (BLOCK_ROWS, 4 C) of the MLP
 };
@@ -45,8 +45,8 @@ static struct attention shape_of(const struct block *b)
 size_t block_need(const struct block *b, int threads)
 {
     const struct attention a = shape_of(b);
-    size_t one = layer_room_need(MLP * b->width);
-    one = arena_add(one, attention_room_need(a.width));
+    size_t one = layer_workspace_need(MLP * b->width);
+    one = arena_add(one, attention_workspace_need(a.width));
     one = arena_add(one, arena_need((size_t)ATTENTION_KEYS * (size_t)b->width, sizeof(float)));
     one = arena_add(one, arena_need(wide_floats(b), sizeof(float)));
     size_t need = arena_need((size_t)threads, sizeof(struct worker));
@@ -57,9 +57,9 @@ size_t block_need(const struct block *b, int threads)
 
 static err_t worker_init(struct worker *w, const struct block *b, struct arena *a)
 {
-    err_t e = layer_room_init(&w->layer, a, MLP * b->width);
+    err_t e = layer_workspace_init(&w->layer, a, MLP * b->width);
     if (!e)
-        e = attention_room_init(&w->attention, b->width / b->heads, a);
+        e = attention_workspace_init(&w->attention, b->width / b->heads, a);
     if (!e)
         e = arena_alloc(a, (size_t)ATTENTION_KEYS * (size_t)b->width, sizeof(float), &w->rows);
     if (!e)
@@ -86,7 +86,7 @@ static int run_of(const struct block *b, int token, int left, bool *special)
 
 /* A product for the m tokens of `in` from `first` on. The special ones may be kept in floats. */
 static void product(const struct pass *p, const struct weight *w, int first, struct layer_in in,
-                    struct layer_out out, struct layer_room *room)
+                    struct layer_out out, struct layer_workspace *room)
 {
     const struct gemm_kernels *k = &p->r->k->net;
     int end = first + in.m;

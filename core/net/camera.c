@@ -24,7 +24,7 @@ struct trunk {
     const struct run *r;
     const struct net *net;
     int n, width; // V, D
-    struct layer_room *rooms;
+    struct layer_workspace *rooms;
     float *token; // (V, D) normalised camera tokens
     float *shift; // (V, 3 D) shift, scale, gate
     float *x;     // (V, D) residual stream
@@ -269,9 +269,9 @@ void camera_plan(const struct net *net, int n_views, int threads, size_t *keep, 
     widths(net, w);
     *keep =
         arena_add(arena_need(n * NET_POSE, sizeof(float)), arena_need(n, sizeof(struct camera)));
-    *tmp = arena_need((size_t)threads, sizeof(struct layer_room));
+    *tmp = arena_need((size_t)threads, sizeof(struct layer_workspace));
     for (int i = 0; i < threads; i++)
-        *tmp = arena_add(*tmp, layer_room_need((int)room_inputs(net)));
+        *tmp = arena_add(*tmp, layer_workspace_need((int)room_inputs(net)));
     for (int i = 0; i < 7; i++)
         *tmp = arena_add(*tmp, arena_need(n * w[i], sizeof(float)));
 }
@@ -281,7 +281,7 @@ static err_t trunk_init(struct trunk *t)
     float **array[7] = {&t->token, &t->shift, &t->x, &t->y, &t->wide, &t->raw, &t->share};
     size_t w[7];
     widths(t->net, w);
-    err_t e = layer_rooms_init(t->r, (int)room_inputs(t->net), &t->rooms);
+    err_t e = layer_workspaces_init(t->r, (int)room_inputs(t->net), &t->rooms);
     for (int i = 0; i < 7 && !e; i++)
         e = arena_alloc(t->r->tmp, (size_t)t->n * w[i], sizeof(float), array[i]);
     return e;

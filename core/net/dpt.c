@@ -86,7 +86,7 @@ void dpt_blend_fetch(const void *ctx, int y, int x, int n, float *restrict out)
 struct project {
     const struct trunk *t;
     int k;
-    struct layer_room *rooms;
+    struct layer_workspace *rooms;
     float *rows; // per worker (LAYER_ROWS, width) after the norm
     float *out;  // (grid^2, oc)
 };
@@ -139,7 +139,7 @@ static err_t project(const struct trunk *t, int k, float *out)
     int m = t->grid * t->grid, n = t->j->w->project[k].n;
     size_t mark = arena_mark(t->r->tmp), width = (size_t)token_width(t);
     float *code;
-    err_t e = layer_rooms_init(t->r, (int)width, &p.rooms);
+    err_t e = layer_workspaces_init(t->r, (int)width, &p.rooms);
     if (!e)
         e = arena_alloc(t->r->tmp, (size_t)pool_size(t->r->pool) * LAYER_ROWS * width,
                         sizeof(float), &p.rows);
@@ -164,7 +164,7 @@ struct spread {
     int up, channels;
     const float *in; // (grid^2, channels)
     float *out;      // (up grid, up grid, channels)
-    struct layer_room *rooms;
+    struct layer_workspace *rooms;
     float *rows; // per worker (LAYER_ROWS, w.n)
 };
 
@@ -210,7 +210,7 @@ static err_t spread(const struct trunk *t, int k, const float *in, float *out)
                        .out = out};
     s.w.bias = NULL;
     size_t mark = arena_mark(t->r->tmp);
-    err_t e = layer_rooms_init(t->r, s.channels, &s.rooms);
+    err_t e = layer_workspaces_init(t->r, s.channels, &s.rooms);
     if (!e)
         e = arena_alloc(t->r->tmp, (size_t)pool_size(t->r->pool) * LAYER_ROWS * (size_t)s.w.n,
                         sizeof(float), &s.rows);

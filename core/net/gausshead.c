@@ -34,7 +34,7 @@ struct head {
     float *hidden, *sens; // (grid, grid, hidden), (grid, grid, NET_SENSITIVITY)
     float *sums;          // (grid, grid, d) of the hypernetwork
     float *rows;          // per worker (size, NET_RAW)
-    struct layer_room *rooms;
+    struct layer_workspace *rooms;
 };
 
 static size_t square(int edge)
@@ -247,7 +247,7 @@ static err_t combine(struct head *h)
     if (!e)
         e = arena_alloc(h->r->tmp, workers * (size_t)h->size * NET_RAW, sizeof(float), &h->rows);
     if (!e)
-        e = layer_rooms_init(h->r, h->d, &h->rooms);
+        e = layer_workspaces_init(h->r, h->d, &h->rooms);
     if (!e)
         e = pool_for(h->r->pool, h->size, last_row, h);
     if (!e)

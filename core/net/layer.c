@@ -58,7 +58,7 @@ static void unpack(const struct block *b, int p, int count, int at, int k, float
 }
 
 /* Float rows times weights that are no floats: chunk by chunk of the inputs. */
-static void product_unpacked(const struct block *b, int p, int count, struct layer_room *room)
+static void product_unpacked(const struct block *b, int p, int count, struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     struct gemm_f32 g = {.m = b->m,
@@ -80,7 +80,7 @@ static void product_unpacked(const struct block *b, int p, int count, struct lay
         }
 }
 
-static void product(const struct block *b, int p, int count, struct layer_room *room)
+static void product(const struct block *b, int p, int count, struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     size_t from = (size_t)p * panel_stride(w);
@@ -122,7 +122,7 @@ static const float *offset(const float *p, int n)
 
 /* Panels [p, p + count) of the block, all the way to the output. */
 static void finish(const struct block *b, int p, int count, const struct layer_out *out,
-                   struct layer_room *room)
+                   struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     int first = p * PANEL, left = w->n - first;
@@ -145,7 +145,7 @@ static void finish(const struct block *b, int p, int count, const struct layer_o
 
 /* ---- rooms ---- */
 
-size_t layer_room_need(int k)
+size_t layer_workspace_need(int k)
 {
     size_t need = arena_need((size_t)LAYER_ROWS * (size_t)k, 1);
     need = arena_add(need, arena_need(ROTATED * (size_t)k, sizeof(float)));
@@ -154,7 +154,7 @@ size_t layer_room_need(int k)
     return arena_add(need, arena_need(PANEL_K * GROUP * PANEL, sizeof(float)));
 }
 
-err_t layer_room_init(struct layer_room *room, struct arena *a, int k)
+err_t layer_workspace_init(struct layer_workspace *room, struct arena *a, int k)
 {
     err_t e = arena_alloc(a, (size_t)LAYER_ROWS * (size_t)k, 1, &room->q);
     if (!e)
@@ -168,19 +168,19 @@ err_t layer_room_init(struct layer_room *room, struct arena *a, int k)
     return e;
 }
 
-err_t layer_rooms_init(const struct run *r, int k, struct layer_room **out)
+err_t layer_workspaces_init(const struct run *r, int k, struct layer_workspace **out)
 {
     int n = pool_size(r->pool);
     err_t e = arena_alloc(r->tmp, (size_t)n, sizeof **out, out);
     for (int i = 0; !e && i < n; i++)
-        e = layer_room_init(*out + i, r->tmp, k);
+        e = layer_workspace_init(*out + i, r->tmp, k);
     return e;
 }
 
 /* ---- rows ---- */
 
 static void quantise_row(const struct gemm_kernels *k, const struct weight *w, const float *x,
-                         float *scale, struct layer_room *room, int8_t *q)
+                         float *scale, struct layer_workspace *room, int8_t *q)
 {
     size_t n = (size_t)weight_k(w);
     if (w->rotate) {
@@ -195,7 +195,7 @@ static void quantise_row(const struct gemm_kernels *k, const struct weight *w, c
 
 /* Rotated weights want rotated rows, also where they stay floats. */
 static void rows_rotated(const struct block *whole, const struct layer_out *out,
-                         struct layer_room *room)
+                         struct layer_workspace *room)
 {
     struct block b = *whole;
     size_t n = (size_t)weight_k(b.w);
@@ -218,7 +218,7 @@ static void rows_rotated(const struct block *whole, const struct layer_out *out,
 /* At most LAYER_ROWS rows. */
 static void rows_block(const struct gemm_kernels *k, const struct weight *w,
                        const struct layer_in *in, const struct layer_out *out,
-                       struct layer_room *room)
+                       struct layer_workspace *room)
 {
     struct block b = {.k = k, .w = w, .m = in->m, .x = in->x, .lda = in->ldx};
     size_t n = (size_t)weight_k(w);
@@ -239,7 +239,7 @@ static void rows_block(const struct gemm_kernels *k, const struct weight *w,
 }
 
 void layer_rows(const struct gemm_kernels *k, const struct weight *w, const struct layer_in *in,
-                const struct layer_out *out, struct layer_room *room)
+                const struct layer_out *out, struct layer_workspace *room)
 {
     for (int i = 0; i < in->m; i += LAYER_ROWS) {
         struct layer_in some = *in;
@@ -256,7 +256,7 @@ struct rows_job {
     const struct weight *w;
     const struct layer_in *in;
     const struct layer_out *out;
-    struct layer_room *rooms;
+    struct layer_workspace *rooms;
 };
 
 static err_t rows_chunk(void *ctx, int chunk, int worker)
@@ -277,7 +277,7 @@ err_t layer_run(const struct run *r, const struct weight *w, const struct layer_
 {
     struct rows_job j = {.r = r, .w = w, .in = in, .out = out};
     size_t mark = arena_mark(r->tmp);
-    err_t e = layer_rooms_init(r, weight_k(w), &j.rooms);
+    err_t e = layer_workspaces_init(r, weight_k(w), &j.rooms);
     if (!e)
         e = pool_for(r->pool, (in->m + LAYER_ROWS - 1) / LAYER_ROWS, rows_chunk, &j);
     arena_reset(r->tmp, mark);
@@ -329,8 +329,8 @@ static struct tiling plan_tiles(const struct layer_conv *c)
 }
 
 struct conv_room {
-    struct layer_room room; // its q is that of the tile
-    float *tile;            // (in_h, in_w, channels)
+    struct layer_workspace room; // its q is that of the tile
+    float *tile;                 // (in_h, in_w, channels)
 };
 
 struct conv_job {
@@ -345,7 +345,7 @@ size_t layer_conv_need(const struct layer_conv *c, int threads)
 {
     struct tiling t = plan_tiles(c);
     size_t n = tile_floats(&t, c), one = arena_add(arena_need(n, sizeof(float)), arena_need(n, 1));
-    one = arena_add(one, layer_room_need(1));
+    one = arena_add(one, layer_workspace_need(1));
     size_t all = arena_need((size_t)threads, sizeof(struct conv_room));
     for (int i = 0; i < threads; i++)
         all = arena_add(all, one);
@@ -360,7 +360,7 @@ static err_t init_rooms(struct conv_job *j)
     err_t e = arena_alloc(j->r->tmp, (size_t)threads, sizeof *j->rooms, &j->rooms);
     for (int i = 0; !e && i < threads; i++) {
         struct conv_room *o = j->rooms + i;
-        e = layer_room_init(&o->room, j->r->tmp, 1);
+        e = layer_workspace_init(&o->room, j->r->tmp, 1);
         if (!e)
             e = arena_alloc(j->r->tmp, n, sizeof(float), &o->tile);
         if (!e)

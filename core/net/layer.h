@@ -16,7 +16,7 @@ enum {
 };
 
 /* Scratch of one worker. */
-struct layer_room {
+struct layer_workspace {
     int8_t *q;      // (LAYER_ROWS, k) quantised rows, or a quantised tile
     float *rotated; // (k) a row on its way through the Hadamard transform
     float *scale;   // (LAYER_ROWS)
@@ -28,11 +28,11 @@ struct layer_room {
 };
 
 /* Bytes of a room for products of at most k inputs; SIZE_MAX on overflow. */
-size_t layer_room_need(int k);
-MUST_USE err_t layer_room_init(struct layer_room *room, struct arena *a, int k);
+size_t layer_workspace_need(int k);
+MUST_USE err_t layer_workspace_init(struct layer_workspace *room, struct arena *a, int k);
 
 /* Rooms for all workers of the pool, (pool_size(r->pool) or 1), in r->tmp. */
-MUST_USE err_t layer_rooms_init(const struct run *r, int k, struct layer_room **out);
+MUST_USE err_t layer_workspaces_init(const struct run *r, int k, struct layer_workspace **out);
 
 /* Rows of activations. */
 struct layer_in {
@@ -53,10 +53,10 @@ struct layer_out {
 
 /* One product on the calling thread. x and out must not overlap. */
 void layer_rows(const struct gemm_kernels *k, const struct weight *w, const struct layer_in *in,
-                const struct layer_out *out, struct layer_room *room);
+                const struct layer_out *out, struct layer_workspace *room);
 
 /* The same over the pool, LAYER_ROWS rows a chunk.
- * err:  ERR_NOMEM (r->tmp, see layer_room_need per worker), ERR_CANCELLED. */
+ * err:  ERR_NOMEM (r->tmp, see layer_workspace_need per worker), ERR_CANCELLED. */
 MUST_USE err_t layer_run(const struct run *r, const struct weight *w, const struct layer_in *in,
                          const struct layer_out *out);
 

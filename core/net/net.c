@@ -1,7 +1,6 @@
 #include "core/net/net.h"
 
 #include "core/net/appearance.h"
-#include "core/net/attend.h"
 #include "core/net/backbone.h"
 #include "core/net/camera.h"
 #include "core/net/depth.h"
@@ -9,6 +8,7 @@
 #include "core/net/gausshead.h"
 #include "core/net/metanet.h"
 #include "core/net/plan.h"
+#include "core/net/shared_attention.h"
 #include "core/net/tap.h"
 
 #include <float.h>
@@ -231,7 +231,7 @@ void net_plan(const struct net *net, int n_views, int size, int threads, size_t 
     depth_plan(net, n_views, size, threads, &kept, &taken);
     plan_stage(&k, &p, kept, taken);
     if (net->attend) {
-        attend_plan(&net->d, n_views, size, threads, &kept, &taken);
+        shared_attention_plan(&net->d, n_views, size, threads, &kept, &taken);
         plan_stage(&k, &p, kept, taken);
     }
     if (net->d.gauss && net->d.appearance) {
@@ -332,7 +332,7 @@ err_t net_run(const struct run *r, const struct net *net, const struct views *v,
     if (!e)
         e = depth_run(r, net, &t, &out->geom);
     if (!e && net->attend && t.q)
-        e = attend_run(r, &net->d, &t, &out->matches);
+        e = shared_attention_run(r, &net->d, &t, &out->matches);
     if (!e && net->d.gauss)
         e = run_gauss(r, net, v, &t, out);
     arena_reset(r->tmp, tmp);

@@ -23,12 +23,12 @@ static inline void plan_hold(struct plan *p, size_t n, size_t elem)
     plan_step(p, 0);
 }
 
-/* Bytes of layer_rooms_init, hence of layer_run too. */
+/* Bytes of layer_workspaces_init, hence of layer_run too. */
 static inline size_t plan_rooms(int k, int threads)
 {
-    size_t need = arena_need((size_t)threads, sizeof(struct layer_room));
+    size_t need = arena_need((size_t)threads, sizeof(struct layer_workspace));
     for (int i = 0; i < threads; i++)
-        need = arena_add(need, layer_room_need(k));
+        need = arena_add(need, layer_workspace_need(k));
     return need;
 }
 

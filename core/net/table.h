@@ -5,8 +5,8 @@
 #ifndef NET_TABLE_H
 #define NET_TABLE_H
 
-#include "core/base/types.h"
 #include "core/base/err.h"
+#include "core/base/types.h"
 
 #include <stdbool.h>
 #include <stddef.h>

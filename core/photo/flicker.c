@@ -19,28 +19,29 @@ enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
 #define DEPTH_MOST 1.05  // with errors
 #define DEPTH_MAX 0.95   // logarithms are finite
 
-void flicker_add_long(struct flicker *f, const struct witness *w, double time_s)
+void flicker_add_long(struct flicker *f, const struct exposure_probe *w, double time_s)
 {
     f->long_s = time_s;
-    for (int i = 0; i < WITNESS_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         if (f->n_long == 0) {
-            f->counts[i] = w->state[i] == WITNESS_GOOD && w->x[i] >= DARKEST * w->floor[i] &&
+            f->counts[i] = w->state[i] == EXPOSURE_PROBE_GOOD && w->x[i] >= DARKEST * w->floor[i] &&
                            w->x[i] <= BRIGHTEST;
-            f->places[i / WITNESS_EDGE] += f->counts[i];
+            f->places[i / EXPOSURE_PROBE_EDGE] += f->counts[i];
         }
-        f->even[i / WITNESS_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
+        f->even[i / EXPOSURE_PROBE_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
     }
     f->n_long++;
 }
 
-void flicker_add_short(struct flicker *f, const struct witness *w, double start_s, double time_s)
+void flicker_add_short(struct flicker *f, const struct exposure_probe *w, double start_s,
+                       double time_s)
 {
     if (f->n_short == FLICKER_FRAMES)
         return;
     double *row = f->row[f->n_short];
     memset(row, 0, sizeof f->row[0]);
-    for (int i = 0; i < WITNESS_PLACES; i++)
-        row[i / WITNESS_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        row[i / EXPOSURE_PROBE_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
     f->time_s[f->n_short] = time_s;
     f->start_s[f->n_short++] = start_s;
 }
@@ -83,10 +84,10 @@ static double explained(const struct flicker *f, double hz, double readout_s, do
 {
     struct fit t = {0};
     for (int k = 0; k < f->n_short; k++)
-        for (int j = 0; j < WITNESS_EDGE; j++) {
+        for (int j = 0; j < EXPOSURE_PROBE_EDGE; j++) {
             if (f->places[j] < ROW_PLACES)
                 continue;
-            double at = f->start_s[k] - f->start_s[0] + readout_s * j / WITNESS_EDGE;
+            double at = f->start_s[k] - f->start_s[0] + readout_s * j / EXPOSURE_PROBE_EDGE;
             double time = f->time_s[k], m = sinc(hz * time);
             double even = f->even[j] / f->n_long * time / f->long_s;
             add(&t, f->row[k][j] / even - 1.0, 2.0 * PI * hz * (at + 0.5 * time), m);

@@ -5,28 +5,29 @@
 #ifndef PHOTO_FLICKER_H
 #define PHOTO_FLICKER_H
 
-#include "core/photo/witness.h"
+#include "core/photo/exposure_probe.h"
 
 enum { FLICKER_FRAMES = 8 }; // short ones that are enough
 
 /* Frames of one scene at two exposures. Zero it first. */
 struct flicker {
     int n_long, n_short;
-    double even[WITNESS_EDGE];                // sums of rows over the long frames
-    double row[FLICKER_FRAMES][WITNESS_EDGE]; // of each short one
+    double even[EXPOSURE_PROBE_EDGE];                // sums of rows over the long frames
+    double row[FLICKER_FRAMES][EXPOSURE_PROBE_EDGE]; // of each short one
     double start_s[FLICKER_FRAMES], time_s[FLICKER_FRAMES];
-    int places[WITNESS_EDGE]; // that count
-    double long_s;            // the longer exposure
-    bool counts[WITNESS_PLACES];
+    int places[EXPOSURE_PROBE_EDGE]; // that count
+    double long_s;                   // the longer exposure
+    bool counts[EXPOSURE_PROBE_PLACES];
 };
 
 /* A frame of the longer exposure, some of them first. */
-void flicker_add_long(struct flicker *f, const struct witness *w, double time_s);
+void flicker_add_long(struct flicker *f, const struct exposure_probe *w, double time_s);
 
 /* A frame of a shorter one, at most FLICKER_FRAMES. start_s: when the exposure of its first row
  * began. Several exposures tell more: lamp and frames may be in step, so that all frames of one
  * exposure see the same. */
-void flicker_add_short(struct flicker *f, const struct witness *w, double start_s, double time_s);
+void flicker_add_short(struct flicker *f, const struct exposure_probe *w, double start_s,
+                       double time_s);
 
 struct flicker_light {
     double hz;    // 100 or 120; 0: it is steady, or nothing can be said

@@ -4,11 +4,11 @@
  * of them. What is clipped in the longer probe is what the shorter one shows above its border.
  * Noise may lift places over that border: there the brightest are meant.
  * Probes: the first in the middle of the range of times; shorter by what one probe sees while too
- * much is clipped, longer while too much is below what is seen. Then cover.c plans.
+ * much is clipped, longer while too much is below what is seen. Then coverage.c plans.
  * Source: EMVA 1288 release 4 (noise). */
 #include "core/photo/meter.h"
 
-#include "core/photo/cover.h"
+#include "core/photo/coverage.h"
 
 #include <math.h>
 #include <stddef.h>
@@ -255,7 +255,7 @@ static void combine(const struct meter *m, int end, double out[METER_BINS])
     by_length(m, order);
     memset(out, 0, METER_BINS * sizeof *out);
     const float *first = m->share[order[0]][end];
-    cut = cover_top(m, m->probe_s[order[0]]);
+    cut = coverage_top(m, m->probe_s[order[0]]);
     double rest = 1.0;
     for (int b = 0; b < cut; b++) {
         out[b] = first[b];
@@ -263,7 +263,7 @@ static void combine(const struct meter *m, int end, double out[METER_BINS])
     }
     for (int i = 1; i < m->probes; i++) {
         double t = m->probe_s[order[i]];
-        int to = cover_top(m, t), blind = seen_bin(m, t);
+        int to = coverage_top(m, t), blind = seen_bin(m, t);
         if (to <= cut)
             continue;
         blind = end == 0 ? (blind < to ? blind : to) - 1 : cut;
@@ -284,7 +284,7 @@ static void summarise(struct meter *m)
     const float *darkest = m->share[order[0]][1];
     double t_long = m->probe_s[order[0]];
     int usable = clamp_bin(floor((m->lo - log2(t_long) - m->bin_lo) * METER_PER_STOP));
-    m->clipped = sum(brightest, cover_top(m, m->probe_s[order[m->probes - 1]]), METER_BINS) >
+    m->clipped = sum(brightest, coverage_top(m, m->probe_s[order[m->probes - 1]]), METER_BINS) >
                  m->cfg.clip + SLIGHT;
     m->starved = sum(darkest, 0, usable) > m->cfg.dark + SLIGHT;
 }
@@ -338,21 +338,22 @@ static double shortest_probe(const struct meter *m)
 double meter_probe(const struct meter *m)
 {
     const struct meter_config *c = &m->cfg;
-    double most = cover_longest(c), t_long;
+    double most = coverage_longest(c), t_long;
     if (m->probes == 0)
-        return cover_legal(c, sqrt(c->time_min_s * fmax(fmin(most, FIRST_MAX_S), c->time_min_s)));
+        return coverage_legal(c,
+                              sqrt(c->time_min_s * fmax(fmin(most, FIRST_MAX_S), c->time_min_s)));
     double reach = exp2(m->hi - m->floor - 1.0), dark = unseen(m, &t_long);
     double t_short = shortest_probe(m);
     if (m->probes >= PROBES)
         return 0.0;
     if (m->clipped && t_short > c->time_min_s * (1.0 + 1e-6))
-        return cover_legal(c,
-                           t_short < 3.0 * reach * c->time_min_s ? c->time_min_s : t_short / reach);
+        return coverage_legal(c, t_short < 3.0 * reach * c->time_min_s ? c->time_min_s
+                                                                       : t_short / reach);
     if (dark <= c->dark + SLIGHT || t_long > most * (1.0 - 1e-6))
         return 0.0;
     /* A step of the usable range makes a likely member; the last probe sees as far as it can. */
     double step = m->probes + 1 < PROBES && dark < 0.5 ? exp2(m->hi - m->lo) : reach;
-    double t = cover_legal(c, fmin(t_long * step, most));
+    double t = coverage_legal(c, fmin(t_long * step, most));
     return t > t_long * (1.0 + 1e-6) ? t : 0.0;
 }
 
@@ -363,8 +364,8 @@ double meter_probe(const struct meter *m)
 static void place_unseen(const struct meter *m, double *top, double *bottom)
 {
     double t_long, dark = unseen(m, &t_long), a = top[0], b = bottom[0], dense = 0.0;
-    int last = seen_bin(m, t_long) - 1, length = cover_length(m);
-    int reach = last - (cover_top(m, cover_longest(&m->cfg)) - length) + 1;
+    int last = seen_bin(m, t_long) - 1, length = coverage_length(m);
+    int reach = last - (coverage_top(m, coverage_longest(&m->cfg)) - length) + 1;
     if (last < 1)
         return;
     for (int i = last + 1; i <= last + METER_PER_STOP && i < METER_BINS; i++)
@@ -388,7 +389,7 @@ err_t meter_plan(const struct meter *m, struct meter_result *out)
     memcpy(top, m->top, sizeof top);
     memcpy(bottom, m->bottom, sizeof bottom);
     place_unseen(m, top, bottom);
-    cover_run(m, top, bottom, out);
+    coverage_run(m, top, bottom, out);
     return OK;
 }
 
@@ -412,7 +413,7 @@ static double merged(const struct meter *m, const double *exposure, const float 
     *l = light > 0.0 ? log2(light / time) : -INFINITY;
     for (int i = 0; i < n && light > 0.0; i++)
         if (x[3 * i] <= hi)
-            s += cover_snr2(&m->cfg, light / time * exposure[i]);
+            s += coverage_snr2(&m->cfg, light / time * exposure[i]);
     return s;
 }
 
@@ -440,14 +441,15 @@ static void add_place(const struct meter *m, const double *exposure, const float
 /* The exposure of at most `left` that covers most of the dark places; 0: none. */
 static double brighten(const struct meter *m, const struct tally *t, double left, double longest_s)
 {
-    double most = fmin(cover_longest(&m->cfg), left), best = 0.0, found = 0.0;
+    double most = fmin(coverage_longest(&m->cfg), left), best = 0.0, found = 0.0;
     if (most < m->cfg.time_min_s)
         return 0.0;
-    most = cover_legal(&m->cfg, most);
+    most = coverage_legal(&m->cfg, most);
     for (int k = 0; k < METER_BINS; k++) {
-        double time = cover_legal(&m->cfg, most * exp2(-(double)k / METER_PER_STOP)), covered = 0.0;
+        double time = coverage_legal(&m->cfg, most * exp2(-(double)k / METER_PER_STOP)),
+               covered = 0.0;
         int from = clamp_bin(ceil((m->lo - log2(time) - m->bin_lo) * METER_PER_STOP - 1e-6));
-        for (int b = from; b < cover_top(m, time); b++)
+        for (int b = from; b < coverage_top(m, time); b++)
             covered += t->mass[b];
         if (covered > found) {
             found = covered;
@@ -456,7 +458,8 @@ static double brighten(const struct meter *m, const struct tally *t, double left
     }
     /* Nothing that is placed can be reached: what was not seen may be a step below. */
     if (found == 0.0 && most > longest_s * (1.0 + 1e-6))
-        best = cover_legal(&m->cfg, fmin(most, longest_s * exp2(m->hi - m->lo - m->cfg.overlap)));
+        best =
+            coverage_legal(&m->cfg, fmin(most, longest_s * exp2(m->hi - m->lo - m->cfg.overlap)));
     return best;
 }
 
@@ -490,7 +493,7 @@ void meter_check(const struct meter_config *cfg, const struct raw *frames, int n
     out->clipped = t.clipped / places;
     out->dark = t.dark / places;
     double left = m.cfg.budget_s > 0.0 ? m.cfg.budget_s - total : INFINITY;
-    double darker = cover_legal(&m.cfg, shortest * exp2(m.cfg.overlap - (m.hi - m.lo)));
+    double darker = coverage_legal(&m.cfg, shortest * exp2(m.cfg.overlap - (m.hi - m.lo)));
     double over[2] = {out->clipped / fmax(m.cfg.clip, SLIGHT),
                       out->dark / fmax(m.cfg.dark, SLIGHT)};
     if (over[0] > 1.0 && over[0] > over[1] && darker < shortest * (1.0 - 1e-6) && darker <= left)

@@ -10,9 +10,9 @@
 #include "core/base/lin.h"
 #include "core/base/num.h"
 #include "core/sfm/adjust.h"
+#include "core/sfm/connectivity.h"
 #include "core/sfm/resect.h"
 #include "core/sfm/similarity.h"
-#include "core/sfm/ties.h"
 #include "core/sfm/viewgraph.h"
 
 #include <math.h>
@@ -188,7 +188,7 @@ static err_t place_again(struct bundle *b, bool *any)
     struct adjust *a = &b->a;
     *any = false;
     for (int v = 0; v < b->n_views; v++)
-        if (!a->placed[v] && resect_view(&b->g, a, v, GATE * b->scale) >= TIES_VIEW)
+        if (!a->placed[v] && resect_view(&b->g, a, v, GATE * b->scale) >= CONNECTIVITY_VIEW)
             a->placed[v] = *any = true;
     return run_check(b->r, "placing views");
 }
@@ -202,7 +202,7 @@ static err_t finish(struct bundle *b)
     b->scale = error_scale(b);
     if (!e)
         e = rounds(b, last, 1);
-    ties_dismiss(&b->a);
+    connectivity_prune(&b->a);
     if (!e && !b->cfg->rig_known)
         e = place_again(b, &any);
     if (!e && any)
@@ -211,7 +211,7 @@ static err_t finish(struct bundle *b)
         e = rounds(b, last, 2);
     if (!e)
         e = adjust_points(b->r, &b->a, GATE * b->scale);
-    ties_dismiss(&b->a);
+    connectivity_prune(&b->a);
     if (!e)
         e = adjust_points(b->r, &b->a, GATE * b->scale);
     return e;
@@ -536,7 +536,7 @@ static void give_scales(struct bundle *b, const struct world *w, struct bundle_r
             if (ratio > 0 && isfinite(ratio))
                 b->sorted[n++] = ratio;
         }
-        if (n >= TIES_VIEW)
+        if (n >= CONNECTIVITY_VIEW)
             out->depth_scale[v] = (float)median(b->sorted, n);
     }
 }

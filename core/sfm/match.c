@@ -30,7 +30,7 @@ enum {
 
 struct room {       // of a worker
     float *picture; // (corner_scratch)
-    struct pair_room pair;
+    struct pair_workspace pair;
 };
 
 struct matcher {
@@ -435,7 +435,7 @@ static err_t alloc_rooms(struct matcher *m)
         struct room *w = m->rooms + i;
         e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w->picture, &w->picture);
         if (!e)
-            e = pair_room_init(tmp, &m->p, &w->pair);
+            e = pair_workspace_init(tmp, &m->p, &w->pair);
     }
     return e;
 }
@@ -470,7 +470,8 @@ size_t match_plan(int n_views, int size, int threads)
 {
     size_t n = (size_t)n_views, w = (size_t)threads, cap = (size_t)corner_cap(size);
     size_t couples = n * (n - 1) / 2, nodes = n * cap;
-    size_t room = arena_add(arena_need(corner_scratch(size), sizeof(float)), pair_room_need(size));
+    size_t room =
+        arena_add(arena_need(corner_scratch(size), sizeof(float)), pair_workspace_need(size));
     size_t sum = pair_views_need(n_views, size);
     sum = arena_add(sum, arena_need(w, sizeof(struct room)));
     sum = arena_add(sum, arena_need(w, room));

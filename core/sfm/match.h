@@ -20,8 +20,8 @@ struct match_tracks {
     struct match_seen *seen; // (n)
 };
 
-/* Find tracks. prior: of net_run for these views (core/net/attend.c), or NULL: places where the
- * network does not look are less likely; where its attention is flat it is not asked.
+/* Find tracks. prior: of net_run for these views (core/net/shared_attention.c), or NULL: places
+ * where the network does not look are less likely; where its attention is flat it is not asked.
  * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees, and for
  *       one view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */

@@ -62,7 +62,7 @@ size_t pair_views_need(int n, int size)
     return arena_add(sum, arena_need(views, each));
 }
 
-err_t pair_room_init(struct arena *tmp, const struct pair_views *v, struct pair_room *w)
+err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct pair_workspace *w)
 {
     size_t cap = (size_t)v->cap, grid = v->prior ? (size_t)v->prior->grid : 0;
     w->pitch = pitch_of(v->cap);
@@ -84,7 +84,7 @@ err_t pair_room_init(struct arena *tmp, const struct pair_views *v, struct pair_
     return e;
 }
 
-size_t pair_room_need(int size)
+size_t pair_workspace_need(int size)
 {
     size_t cap = (size_t)corner_cap(size), grid = (size_t)size / CORRESPONDENCE_PATCH + 1;
     size_t sum = arena_need(ROWS * pitch_of((int)cap), sizeof(int32_t));
@@ -173,7 +173,7 @@ static void narrow(const struct pair_views *m, const struct pair *c, const struc
 /* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
  * whether this one is the nearest so far. */
 static void nearest(const struct pair_views *m, const struct pair *c, const struct trial *t,
-                    struct pair_room *w)
+                    struct pair_workspace *w)
 {
     const struct corner *b = m->view[c->b].at;
     int32_t best = FAR, next = UNLIKE;
@@ -198,7 +198,7 @@ static void nearest(const struct pair_views *m, const struct pair *c, const stru
 }
 
 /* Compare all with all. */
-static void search(const struct pair_views *m, const struct pair *c, struct pair_room *w)
+static void search(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
     for (int i = 0; i < a->n; i++) {
@@ -221,7 +221,7 @@ static void search(const struct pair_views *m, const struct pair *c, struct pair
 }
 
 /* Compare with what lies along the epipolar line only. */
-static void search_lines(const struct pair_views *m, const struct pair *c, struct pair_room *w)
+static void search_lines(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
     const float middle = 0.5f * (float)m->size;
@@ -256,7 +256,7 @@ static int by_doubt(const void *a, const void *b)
 }
 
 /* Links of corners that are each other's nearest, the surest first. */
-static void link_up(const struct pair_views *m, struct pair *c, const struct pair_room *w,
+static void link_up(const struct pair_views *m, struct pair *c, const struct pair_workspace *w,
                     float ratio)
 {
     c->n = 0;
@@ -285,7 +285,7 @@ static void find_geometry(const struct pair_views *m, struct pair *c, struct epi
     c->known = agree >= PAIR_LEAST + c->n / 16;
 }
 
-void pair_run(const struct pair_views *m, struct pair_room *w, struct pair *c)
+void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
 {
     c->n = 0;
     c->known = false;

@@ -35,7 +35,7 @@ struct pair_views {
 };
 
 /* Scratch of a worker. */
-struct pair_room {
+struct pair_workspace {
     size_t pitch;                 // of product
     int32_t *product;             // (rows, pitch)
     int32_t *column;              // (cap) smallest distance to each corner of b
@@ -51,15 +51,16 @@ struct pair_room {
  * err:  ERR_NOMEM. */
 MUST_USE err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out);
 size_t pair_views_need(int n, int size);
-MUST_USE err_t pair_room_init(struct arena *tmp, const struct pair_views *v, struct pair_room *w);
-size_t pair_room_need(int size);
+MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v,
+                                   struct pair_workspace *w);
+size_t pair_workspace_need(int size);
 
 /* After corner_run of view i. */
 void pair_prepare(const struct pair_views *m, int i);
 
 /* Fill c, whose a, b and link are set; without a geometry that enough matches agree with, n is 0.
  */
-void pair_run(const struct pair_views *m, struct pair_room *w, struct pair *c);
+void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
 
 /* Two points, px of the views, for epipolar_distance with a pair's f. */
 struct epipolar_match pair_meeting(const struct pair_views *m, float au, float av, float bu,

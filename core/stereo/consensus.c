@@ -6,7 +6,7 @@
 #include <string.h>
 
 struct consensus {
-    const struct sight *s;
+    const struct visibility *s;
     int size; // px of a view
     size_t pixels;
     const float *guess; // (n, pixels)
@@ -26,15 +26,15 @@ static void project(const struct consensus *c, int j, int i, float *seen)
     for (size_t k = 0; k < c->pixels; k++) {
         const float u = (float)(k % (size_t)c->size) + 0.5f;
         const float v = (float)(k / (size_t)c->size) + 0.5f;
-        const size_t at = sight_at(c->s, j, u, v);
-        const bool sure = sight_sure(c->s, at);
+        const size_t at = visibility_at(c->s, j, u, v);
+        const bool sure = visibility_sure(c->s, at);
         const float z = sure ? c->s->depth->depth[at] : c->guess[(size_t)j * c->pixels + k];
         struct sighting there;
         float point[3];
         if (!usable(z))
             continue;
-        sight_point(c->s, j, (const float[3]){u, v, z}, point);
-        if (!sight_look(c->s, i, point, &there))
+        visibility_point(c->s, j, (const float[3]){u, v, z}, point);
+        if (!visibility_look(c->s, i, point, &there))
             continue;
         float *nearest = &seen[(size_t)there.v * (size_t)c->size + (size_t)there.u];
         if (*nearest == 0 || there.z < fabsf(*nearest))
@@ -70,9 +70,9 @@ static err_t elect_view(void *ctx, int view, int worker)
             project(c, j, view, seen + (size_t)j * c->pixels);
     for (size_t k = 0; k < c->pixels; k++) {
         const float own = c->guess[first + k];
-        const size_t at = sight_at(c->s, view, (float)(k % (size_t)c->size) + 0.5f,
-                                   (float)(k / (size_t)c->size) + 0.5f);
-        if (sight_sure(c->s, at))
+        const size_t at = visibility_at(c->s, view, (float)(k % (size_t)c->size) + 0.5f,
+                                        (float)(k / (size_t)c->size) + 0.5f);
+        if (visibility_sure(c->s, at))
             c->out[first + k] = c->s->depth->depth[at];
         else
             c->out[first + k] =
@@ -89,7 +89,7 @@ size_t consensus_plan(int n_views, int size, int threads)
     return arena_add(all, arena_need((size_t)threads * n, 2 * sizeof(float)));
 }
 
-err_t consensus_run(const struct run *r, const struct sight *s, float *depth)
+err_t consensus_run(const struct run *r, const struct visibility *s, float *depth)
 {
     const size_t n = (size_t)s->depth->n, mark = arena_mark(r->tmp);
     const size_t workers = (size_t)pool_size(r->pool);

@@ -2,7 +2,7 @@
 #ifndef STEREO_CONSENSUS_H
 #define STEREO_CONSENSUS_H
 
-#include "core/stereo/sight.h"
+#include "core/stereo/visibility.h"
 
 /* Where a view is not sure of its depth, its own guess and what the other views have at that pixel
  * (their points, the nearest of each view) are votes, and the median wins; votes of sure pixels
@@ -14,7 +14,7 @@
  *         the depth of the maps. A guess that is not finite and > 0 is no vote and stays.
  * err:    ERR_NOMEM (r->tmp, see consensus_plan), ERR_CANCELLED.
  * thread: runs r->pool. The result does not depend on their number. */
-MUST_USE err_t consensus_run(const struct run *r, const struct sight *s, float *depth);
+MUST_USE err_t consensus_run(const struct run *r, const struct visibility *s, float *depth);
 size_t consensus_plan(int n_views, int size, int threads);
 
 #endif

@@ -10,8 +10,8 @@
 
 #include "core/base/bytes.h"
 #include "core/splat/display.h"
+#include "drivers/format/compressed.h"
 #include "drivers/format/file.h"
-#include "drivers/format/packed.h"
 #include "drivers/format/splats.h"
 
 #include <math.h>
@@ -214,14 +214,15 @@ static void take_harmonics(const struct layout *l, const uint8_t *b, int i, stru
 }
 
 /* g: NULL to pass over it. */
-static err_t read_array(const struct layout *l, struct packed_in *in, int a, struct gaussians *g)
+static err_t read_array(const struct layout *l, struct compressed_in *in, int a,
+                        struct gaussians *g)
 {
     static take_fn *const take[SPZ_ARRAYS] = {take_position, take_opacity,  take_colour,
                                               take_scale,    take_rotation, take_harmonics};
     uint8_t b[SPZ_BATCH * SPZ_WIDTH_MAX];
     for (int i = 0, m; i < l->info.n; i += m) {
         m = l->info.n - i < SPZ_BATCH ? l->info.n - i : SPZ_BATCH;
-        err_t e = packed_read(in, array_names[a], b, (size_t)m * l->width[a]);
+        err_t e = compressed_read(in, array_names[a], b, (size_t)m * l->width[a]);
         if (e)
             return e;
         for (int j = 0; j < m && g; j++)
@@ -232,23 +233,23 @@ static err_t read_array(const struct layout *l, struct packed_in *in, int a, str
 
 /* ---- records ---- */
 
-static err_t skip(struct packed_in *in, size_t n)
+static err_t skip(struct compressed_in *in, size_t n)
 {
     uint8_t b[4096];
     err_t e = OK;
     for (size_t m; n > 0 && !e; n -= m) {
         m = n < sizeof b ? n : sizeof b;
-        e = packed_read(in, "extension record", b, m);
+        e = compressed_read(in, "extension record", b, m);
     }
     return e;
 }
 
-static err_t read_plane(struct packed_in *in, int n, float step, bool high, float *v)
+static err_t read_plane(struct compressed_in *in, int n, float step, bool high, float *v)
 {
     uint8_t b[SPZ_BATCH];
     for (int i = 0, m; i < n; i += m) {
         m = n - i < SPZ_BATCH ? n - i : SPZ_BATCH;
-        err_t e = packed_read(in, "radiance", b, (size_t)m);
+        err_t e = compressed_read(in, "radiance", b, (size_t)m);
         if (e)
             return e;
         for (int j = 0; j < m; j++)
@@ -257,7 +258,7 @@ static err_t read_plane(struct packed_in *in, int n, float step, bool high, floa
     return OK;
 }
 
-static err_t read_planes(const struct layout *l, struct packed_in *in, struct gaussians *g)
+static err_t read_planes(const struct layout *l, struct compressed_in *in, struct gaussians *g)
 {
     err_t e = OK;
     for (int j = 0; j < 6 * coefs(l->record.degree) && !e; j++) {
@@ -268,33 +269,34 @@ static err_t read_planes(const struct layout *l, struct packed_in *in, struct ga
     return e;
 }
 
-static err_t read_packed_planes(const struct layout *l, struct packed_in *in, size_t n,
+static err_t read_packed_planes(const struct layout *l, struct compressed_in *in, size_t n,
                                 struct gaussians *g)
 {
-    struct packed_in planes;
-    if (in->kind != PACKED_PLAIN || n > in->left)
+    struct compressed_in planes;
+    if (in->kind != COMPRESSED_PLAIN || n > in->left)
         return err_fail(ERR_FORMAT, "%s: radiance record of %zu packed bytes, %zu are left",
                         l->file->what, n, in->left);
     size_t size = 6 * (size_t)coefs(l->record.degree) * (size_t)l->info.n;
     err_t e = check_ratio(l->file->what, "radiance", n, size);
     if (e || !g)
         return e ? e : skip(in, n);
-    e = packed_open(&planes, l->file->what, PACKED_ZSTD, in->p, n);
+    e = compressed_open(&planes, l->file->what, COMPRESSED_ZSTD, in->p, n);
     if (!e)
         e = read_planes(l, &planes, g);
     if (!e)
-        e = packed_finish(&planes, "radiance");
-    packed_close(&planes);
+        e = compressed_finish(&planes, "radiance");
+    compressed_close(&planes);
     return e ? e : skip(in, n);
 }
 
-static err_t read_radiance(struct layout *l, struct packed_in *in, size_t n, struct gaussians *g)
+static err_t read_radiance(struct layout *l, struct compressed_in *in, size_t n,
+                           struct gaussians *g)
 {
     const char *what = l->file->what;
     uint8_t head[SPZ_RADIANCE_HEAD];
     if (n < SPZ_RADIANCE_HEAD)
         return err_fail(ERR_FORMAT, "%s: radiance record of %zu bytes", what, n);
-    err_t e = packed_read(in, "radiance record", head, SPZ_RADIANCE_HEAD);
+    err_t e = compressed_read(in, "radiance record", head, SPZ_RADIANCE_HEAD);
     if (e)
         return e;
     struct bytes b = bytes_of(head, SPZ_RADIANCE_HEAD);
@@ -320,12 +322,12 @@ static err_t read_radiance(struct layout *l, struct packed_in *in, size_t n, str
 }
 
 /* Names of axes in the reference: bits right, up, forward; 9 to 16 are turned by 90 degrees. */
-static err_t read_axes(struct layout *l, struct packed_in *in, size_t n)
+static err_t read_axes(struct layout *l, struct compressed_in *in, size_t n)
 {
     uint8_t b[4];
     if (n != sizeof b)
         return err_fail(ERR_FORMAT, "%s: record of axes of %zu bytes", l->file->what, n);
-    err_t e = packed_read(in, "record of axes", b, sizeof b);
+    err_t e = compressed_read(in, "record of axes", b, sizeof b);
     if (e)
         return e;
     struct bytes at = bytes_of(b, sizeof b);
@@ -336,13 +338,13 @@ static err_t read_axes(struct layout *l, struct packed_in *in, size_t n)
     return OK;
 }
 
-static err_t read_records(struct layout *l, struct packed_in *in, struct gaussians *g)
+static err_t read_records(struct layout *l, struct compressed_in *in, struct gaussians *g)
 {
     bool seen = false;
     for (;;) {
         uint8_t head[8];
         size_t got;
-        err_t e = packed_some(in, "extension record", head, sizeof head, &got);
+        err_t e = compressed_some(in, "extension record", head, sizeof head, &got);
         if (e || got == 0)
             return e;
         if (got < sizeof head)
@@ -371,12 +373,12 @@ static bool wanted(const struct layout *l, int a)
 /* Versions 2 and 3. */
 static err_t read_stream(struct layout *l, struct gaussians *g)
 {
-    struct packed_in in;
+    struct compressed_in in;
     uint8_t head[SPZ_HEADER_3], more;
     size_t got;
-    err_t e = packed_open(&in, l->file->what, PACKED_GZIP, l->file->p, l->file->n);
+    err_t e = compressed_open(&in, l->file->what, COMPRESSED_GZIP, l->file->p, l->file->n);
     if (!e)
-        e = packed_read(&in, "header", head, sizeof head);
+        e = compressed_read(&in, "header", head, sizeof head);
     if (!e && !g)
         e = take_header(l->file, head, l);
     if (!e && !g && l->version > 3)
@@ -386,29 +388,29 @@ static err_t read_stream(struct layout *l, struct gaussians *g)
     if (!e && l->flags & SPZ_HAS_RECORDS)
         e = read_records(l, &in, g);
     if (!e)
-        e = packed_some(&in, "end", &more, 1, &got); // its checksum
-    packed_close(&in);
+        e = compressed_some(&in, "end", &more, 1, &got); // its checksum
+    compressed_close(&in);
     return e;
 }
 
 /* Version 4. */
 static err_t read_streams(struct layout *l, struct gaussians *g)
 {
-    struct packed_in in;
+    struct compressed_in in;
     err_t e = OK;
     for (int a = 0; a < SPZ_ARRAYS && !e && g; a++) {
         if (!wanted(l, a) || l->stream[a].n == 0)
             continue;
-        e = packed_open(&in, l->file->what, PACKED_ZSTD, l->stream[a].p, l->stream[a].n);
+        e = compressed_open(&in, l->file->what, COMPRESSED_ZSTD, l->stream[a].p, l->stream[a].n);
         if (!e)
             e = read_array(l, &in, a, g);
         if (!e)
-            e = packed_finish(&in, array_names[a]);
-        packed_close(&in);
+            e = compressed_finish(&in, array_names[a]);
+        compressed_close(&in);
     }
     if (e || !(l->flags & SPZ_HAS_RECORDS))
         return e;
-    e = packed_open(&in, l->file->what, PACKED_PLAIN, l->records.p, l->records.n);
+    e = compressed_open(&in, l->file->what, COMPRESSED_PLAIN, l->records.p, l->records.n);
     return e ? e : read_records(l, &in, g);
 }
 

@@ -7,8 +7,8 @@
 #include "core/base/bytes.h"
 #include "core/photo/metrics.h"
 #include "core/splat/display.h"
+#include "drivers/format/compressed.h"
 #include "drivers/format/file.h"
-#include "drivers/format/packed.h"
 #include "drivers/format/splats.h"
 #include "drivers/format/spz.h"
 
@@ -230,7 +230,7 @@ static void put_harmonics(const struct plan *p, int i, uint8_t *b)
     memcpy(b, p->shown + (size_t)i * n + 3, n - 3);
 }
 
-static err_t put_array(const struct plan *p, struct packed_out *out, int a, size_t width)
+static err_t put_array(const struct plan *p, struct compressed_out *out, int a, size_t width)
 {
     static put_fn *const put[SPZ_ARRAYS] = {put_position, put_opacity,  put_colour,
                                             put_scale,    put_rotation, put_harmonics};
@@ -240,13 +240,13 @@ static err_t put_array(const struct plan *p, struct packed_out *out, int a, size
         m = p->g->n - i < SPZ_BATCH ? p->g->n - i : SPZ_BATCH;
         for (int j = 0; j < m; j++)
             put[a](p, i + j, b + (size_t)j * width);
-        e = packed_put(out, b, (size_t)m * width);
+        e = compressed_put(out, b, (size_t)m * width);
     }
     return e;
 }
 
 /* Corrections of plane j, in steps, for one of the two arrays. */
-static err_t put_plane(const struct plan *p, struct packed_out *out, int j, bool high)
+static err_t put_plane(const struct plan *p, struct compressed_out *out, int j, bool high)
 {
     int shown = 3 * coefs(p->degree);
     double scale = (j < 3 ? SH_BASIS0 : splats_sign(G_SH + j, SPLATS_RUB)) * STEPS, told[256];
@@ -262,12 +262,12 @@ static err_t put_plane(const struct plan *p, struct packed_out *out, int j, bool
             int v = (int)lrint(fmin(fmax(r, -32000), 32000)) + 128;
             b[k] = (uint8_t)(high ? v >> 8 : v);
         }
-        e = packed_put(out, b, (size_t)m);
+        e = compressed_put(out, b, (size_t)m);
     }
     return e;
 }
 
-static err_t put_planes(const struct plan *p, struct packed_out *out)
+static err_t put_planes(const struct plan *p, struct compressed_out *out)
 {
     err_t e = OK;
     for (int j = 0; j < 6 * coefs(p->g->degree) && !e; j++)
@@ -302,34 +302,34 @@ static uint8_t *file_head(const struct plan *p, int version, uint8_t *b)
 
 static err_t write_3(const struct plan *p, FILE *f)
 {
-    struct packed_out out;
+    struct compressed_out out;
     uint8_t b[SPZ_HEADER_3 + 8 + SPZ_RADIANCE_HEAD];
     size_t planes = 6 * (size_t)coefs(p->g->degree) * (size_t)p->g->n;
     file_head(p, 3, b);
     record_head(p, 0, (uint32_t)(SPZ_RADIANCE_HEAD + planes), b + SPZ_HEADER_3);
-    err_t e = packed_begin(&out, p->path, PACKED_GZIP, f, 0), end;
+    err_t e = compressed_begin(&out, p->path, COMPRESSED_GZIP, f, 0), end;
     if (!e)
-        e = packed_put(&out, b, SPZ_HEADER_3);
+        e = compressed_put(&out, b, SPZ_HEADER_3);
     for (int a = 0; a < SPZ_ARRAYS && !e; a++)
         e = put_array(p, &out, a, p->width[a]);
     if (!e)
-        e = packed_put(&out, b + SPZ_HEADER_3, 8 + SPZ_RADIANCE_HEAD);
+        e = compressed_put(&out, b + SPZ_HEADER_3, 8 + SPZ_RADIANCE_HEAD);
     if (!e)
         e = put_planes(p, &out);
-    end = packed_end(&out);
+    end = compressed_end(&out);
     return e ? e : end;
 }
 
 /* One zstd stream: array a, or for SPZ_ARRAYS the planes of the record. out: its bytes. */
 static err_t put_stream(const struct plan *p, int a, FILE *f, long *bytes)
 {
-    struct packed_out out;
+    struct compressed_out out;
     long from = ftell(f);
     size_t each = a < SPZ_ARRAYS ? p->width[a] : 6 * (size_t)coefs(p->g->degree);
-    err_t e = packed_begin(&out, p->path, PACKED_ZSTD, f, each * (size_t)p->g->n), end;
+    err_t e = compressed_begin(&out, p->path, COMPRESSED_ZSTD, f, each * (size_t)p->g->n), end;
     if (!e)
         e = a < SPZ_ARRAYS ? put_array(p, &out, a, p->width[a]) : put_planes(p, &out);
-    end = packed_end(&out);
+    end = compressed_end(&out);
     *bytes = ftell(f) - from;
     return e ? e : end;
 }

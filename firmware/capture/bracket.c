@@ -1,11 +1,10 @@
-/* Each camera has a phase (bracket.h) and goes its own way; the machine is over when all are.
+/* Each camera has a phase (bracket.h) of its own; the machine is over when all cameras are.
  * Every frame: ages of requests grow (label_advance); a frame that is flagged, cut or oddly sized,
- * or whose gains moved, is refused; label_look says what the others are. A proven one is kept if
- * it is missing, whatever it was asked for; requests that can no longer come are asked for again,
- * in the end of the queue. Two conflicts, or three requests in vain, end pipelining.
- * At rest a verdict against the exposure counts when it is repeated. Whether the light or the
- * exposure is to blame, base tells: if it looks as before, the light is innocent.
- * Nothing goes on for ever: frames, refusals, restarts and changes of light are counted. */
+ * or whose gains moved, is refused; label_look identifies the others. A proven frame is kept if it
+ * is missing, whatever was asked for; requests that can no longer come are asked for again.
+ * Two conflicts, or three requests in vain, end pipelining. At rest a verdict against the exposure
+ * counts when it is repeated. A frame at base then tells whether the light or the exposure changed.
+ * The machine always ends: frames, refusals, restarts and changes of light are counted. */
 #include "firmware/capture/bracket.h"
 
 #include "firmware/capture/label.h"
@@ -29,16 +28,16 @@ enum {
 #define RANGE 1e-6     // of exposure times, relative: rounding of whoever made the plan
 
 enum phase { OVER, WAIT, RUN, CHECK, REST };
-enum wish { MISSING, ASKED, KEPT };
+enum request_state { MISSING, ASKED, KEPT };
 
-struct seat { // a camera
+struct camera_state {
     struct label label;
     struct bracket_plan plan;
     struct exposure base;
     double stops[BRACKET_EXPOSURES_MAX], base_stops; // log2 of what the device makes of them
     bool armed, restarting, gains_known;
     enum phase phase;
-    enum wish wish[BRACKET_EXPOSURES_MAX];
+    enum request_state state[BRACKET_EXPOSURES_MAX];
     int tries[BRACKET_EXPOSURES_MAX];
     struct bracket_evidence evidence[BRACKET_EXPOSURES_MAX];
     int64_t begin_ns, alive_ns;
@@ -47,16 +46,14 @@ struct seat { // a camera
     int settled;                       // frames that make the reference
     int conflicts, judged, bad, torn;  // in a row, or since the phase began
     int refusals, forgets, restarts;   // in a row; per set
-    int target, suspect;               // index, -1: none
+    int target, suspect, keep;         // index, -1: none
     double still;                      // stops that the last frames had, NAN: not known
     int still_since;                   // as `since`
     enum bracket_reason cause;         // why the last frame was refused
     int w, h;                          // of the reference
     enum camera_format format;
     double red, blue;
-    // actions that wait
-    bool forget, relit, restart, request, asking;
-    int keep; // index, -1: none
+    bool forget, relit, restart, request, asking; // actions that wait
     struct label_request next;
 };
 
@@ -64,10 +61,8 @@ struct bracket {
     enum bracket_state state;
     enum bracket_reason reason;
     int culprit, n;
-    struct seat seat[];
+    struct camera_state cameras[];
 };
-
-/* ---- life ---- */
 
 err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out)
 {
@@ -79,13 +74,13 @@ err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **
         if (e)
             return e;
     }
-    struct bracket *b = calloc(1, sizeof *b + (size_t)n * sizeof b->seat[0]);
+    struct bracket *b = calloc(1, sizeof *b + (size_t)n * sizeof b->cameras[0]);
     if (!b)
         return err_fail(ERR_NOMEM, "bracket: no memory for %d cameras", n);
     b->n = n;
     for (int i = 0; i < n; i++) {
-        label_init(&b->seat[i].label, &cameras[i]);
-        b->seat[i].keep = -1;
+        label_init(&b->cameras[i].label, &cameras[i]);
+        b->cameras[i].keep = -1;
     }
     *out = b;
     return OK;
@@ -98,18 +93,18 @@ void bracket_free(struct bracket *b)
 
 /* ---- requests ---- */
 
-static double rounded_stops(const struct seat *c, const struct exposure *e)
+static double rounded_stops(const struct camera_state *c, const struct exposure *e)
 {
     struct exposure x = label_rounded(&c->label, e);
     return label_stops(&x);
 }
 
-static bool is_base(const struct seat *c, const struct label_request *r)
+static bool is_base(const struct camera_state *c, const struct label_request *r)
 {
     return r && (r->index == LABEL_BASE || label_same(r->stops, c->base_stops));
 }
 
-static void request(struct seat *c, int index, int64_t now_ns)
+static void request(struct camera_state *c, int index, int64_t now_ns)
 {
     if (c->request || c->asking)
         return;
@@ -118,20 +113,20 @@ static void request(struct seat *c, int index, int64_t now_ns)
     c->next.ask = index == LABEL_BASE ? c->base : c->plan.ask[index];
     if (index == LABEL_BASE)
         return;
-    c->wish[index] = ASKED;
+    c->state[index] = ASKED;
     c->tries[index]++;
 }
 
-static bool complete(const struct seat *c)
+static bool complete(const struct camera_state *c)
 {
     for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] != KEPT)
+        if (c->state[i] != KEPT)
             return false;
     return true;
 }
 
 /* How far it is from a frame to compare with, stops. */
-static double distance(const struct seat *c, int index)
+static double distance(const struct camera_state *c, int index)
 {
     double best = INFINITY;
     for (int i = 0; i < LABEL_ANCHORS; i++)
@@ -142,11 +137,11 @@ static double distance(const struct seat *c, int index)
 
 /* The first in the order of the plan; of those that were tried, or at rest, what is nearest to a
  * frame to compare with: -1 none. */
-static int pick(const struct seat *c)
+static int pick(const struct camera_state *c)
 {
     int best = -1;
     for (int i = 0; i < c->plan.n; i++) {
-        if (c->wish[i] == KEPT || (c->wish[i] == ASKED && c->phase == RUN))
+        if (c->state[i] == KEPT || (c->state[i] == ASKED && c->phase == RUN))
             continue;
         if (c->tries[i] == 0 && c->phase == RUN)
             return i;
@@ -156,7 +151,7 @@ static int pick(const struct seat *c)
     return best;
 }
 
-static void request_next(struct seat *c, int64_t now_ns)
+static void request_next(struct camera_state *c, int64_t now_ns)
 {
     const struct label_request *newest = label_newest(&c->label);
     int i = -1;
@@ -164,7 +159,7 @@ static void request_next(struct seat *c, int64_t now_ns)
         return;
     if (c->phase == RUN)
         i = pick(c);
-    if (c->phase == REST && (c->target < 0 || c->wish[c->target] == KEPT))
+    if (c->phase == REST && (c->target < 0 || c->state[c->target] == KEPT))
         c->target = pick(c);
     if (c->phase == REST)
         i = c->target;
@@ -175,7 +170,7 @@ static void request_next(struct seat *c, int64_t now_ns)
 }
 
 /* Asked, but cannot come any more. */
-static void give_up_passed(struct seat *c)
+static void give_up_passed(struct camera_state *c)
 {
     bool comes[LABEL_OTHER + 1] = {false};
     for (int i = 0; i < c->label.n; i++)
@@ -183,29 +178,30 @@ static void give_up_passed(struct seat *c)
     if (c->request || c->asking)
         comes[c->next.index] = true;
     for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] == ASKED && !comes[i])
-            c->wish[i] = MISSING;
+        if (c->state[i] == ASKED && !comes[i])
+            c->state[i] = MISSING;
 }
 
 /* ---- ends ---- */
 
-static void forget(struct seat *c)
+static void forget(struct camera_state *c)
 {
     for (int i = 0; i < c->plan.n; i++) {
-        c->forget |= c->wish[i] == KEPT;
-        c->wish[i] = MISSING;
+        c->forget |= c->state[i] == KEPT;
+        c->state[i] = MISSING;
         c->tries[i] = 0;
     }
     label_forget(&c->label, false);
 }
 
-static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason why, int64_t now_ns)
+static void fault(struct bracket *b, struct camera_state *culprit, enum bracket_reason why,
+                  int64_t now_ns)
 {
     b->state = BRACKET_FAULT;
     b->reason = why;
-    b->culprit = culprit ? (int)(culprit - b->seat) : -1;
+    b->culprit = culprit ? (int)(culprit - b->cameras) : -1;
     for (int i = 0; i < b->n; i++) {
-        struct seat *c = &b->seat[i];
+        struct camera_state *c = &b->cameras[i];
         c->forget = c->relit = c->restart = c->request = false;
         if (i == b->culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
                                 why == BRACKET_DISAGREES))
@@ -216,28 +212,28 @@ static void fault(struct bracket *b, struct seat *culprit, enum bracket_reason w
     }
 }
 
-static void enter(struct seat *c, enum phase p)
+static void enter(struct camera_state *c, enum phase p)
 {
     c->phase = p;
     c->conflicts = c->judged = 0;
     c->target = -1;
 }
 
-static enum phase first_phase(const struct seat *c)
+static enum phase first_phase(const struct camera_state *c)
 {
     return label_unsteady(&c->label) ? REST : RUN;
 }
 
-static void over(struct bracket *b, struct seat *c)
+static void over(struct bracket *b, struct camera_state *c)
 {
     enter(c, OVER);
     for (int i = 0; i < b->n; i++)
-        if (b->seat[i].phase != OVER)
+        if (b->cameras[i].phase != OVER)
             return;
     b->state = BRACKET_DONE;
 }
 
-static void light_changed(struct bracket *b, struct seat *c, const struct label_look *k,
+static void light_changed(struct bracket *b, struct camera_state *c, const struct label_look *k,
                           int64_t now_ns)
 {
     // once; and not into a darkness or glare where nothing could be compared
@@ -267,7 +263,7 @@ static bool has_gains(const struct frame *f)
     return f->gains_known && !f->gains_later;
 }
 
-static enum bracket_reason refusal(const struct seat *c, const struct bracket_event *ev)
+static enum bracket_reason refusal(const struct camera_state *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
     if (ev->kind == BRACKET_UNUSABLE || !ev->witness || (f->flags & (FRAME_ERROR | FRAME_SHORT)))
@@ -282,7 +278,7 @@ static enum bracket_reason refusal(const struct seat *c, const struct bracket_ev
 }
 
 /* A frame at base while nothing runs, or in WAIT. */
-static void settle(struct seat *c, const struct bracket_event *ev)
+static void settle(struct camera_state *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
     bool same;
@@ -305,17 +301,18 @@ static void settle(struct seat *c, const struct bracket_event *ev)
 }
 
 /* The missing exposure that entry `e` of the log stands for: -1 none. */
-static int missing_index(const struct seat *c, const struct label_request *e)
+static int missing_index(const struct camera_state *c, const struct label_request *e)
 {
-    if (e->index < c->plan.n && c->wish[e->index] != KEPT)
+    if (e->index < c->plan.n && c->state[e->index] != KEPT)
         return e->index;
     for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] != KEPT && label_same(c->stops[i], e->stops))
+        if (c->state[i] != KEPT && label_same(c->stops[i], e->stops))
             return i;
     return -1;
 }
 
-static void keep(struct seat *c, int i, const struct bracket_event *ev, const struct label_look *k)
+static void keep(struct camera_state *c, int i, const struct bracket_event *ev,
+                 const struct label_look *k)
 {
     struct bracket_evidence *v = &c->evidence[i];
     label_evidence(&c->label, ev->frame, k, v);
@@ -323,12 +320,12 @@ static void keep(struct seat *c, int i, const struct bracket_event *ev, const st
     v->attempts = c->tries[i];
     v->rested = c->phase != RUN;
     label_hold(&c->label, i, ev->witness, k);
-    c->wish[i] = KEPT;
+    c->state[i] = KEPT;
     c->keep = i;
 }
 
 /* The exposure of the frame is known. */
-static void known(struct bracket *b, struct seat *c, const struct bracket_event *ev,
+static void known(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
                   const struct label_look *k)
 {
     const struct label_request *e = &c->label.log[k->entry];
@@ -353,7 +350,8 @@ static void known(struct bracket *b, struct seat *c, const struct bracket_event 
 }
 
 /* At rest, and still not what was asked for. */
-static void judge(struct bracket *b, struct seat *c, const struct label_look *k, int64_t now_ns)
+static void judge(struct bracket *b, struct camera_state *c, const struct label_look *k,
+                  int64_t now_ns)
 {
     const struct label_request *e = label_newest(&c->label);
     double tolerance = c->label.cfg.tolerance;
@@ -376,7 +374,7 @@ static void judge(struct bracket *b, struct seat *c, const struct label_look *k,
 
 /* The delay is another one, or a flash of light made a frame look like its neighbour; then others
  * may have been mistaken too. */
-static void shifted(struct seat *c)
+static void shifted(struct camera_state *c)
 {
     label_doubt(&c->label);
     forget(c);
@@ -384,15 +382,15 @@ static void shifted(struct seat *c)
         enter(c, CHECK);
 }
 
-static bool tried_in_vain(const struct seat *c)
+static bool tried_in_vain(const struct camera_state *c)
 {
     for (int i = 0; i < c->plan.n; i++)
-        if (c->wish[i] == MISSING && c->tries[i] >= TRIES_MAX)
+        if (c->state[i] == MISSING && c->tries[i] >= TRIES_MAX)
             return true;
     return false;
 }
 
-static void look_at(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void look_at(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     struct label_look k;
     label_look(&c->label, ev->frame, ev->witness, &k);
@@ -429,7 +427,8 @@ static void look_at(struct bracket *b, struct seat *c, const struct bracket_even
         enter(c, CHECK);
 }
 
-static void refuse(struct bracket *b, struct seat *c, enum bracket_reason why, int64_t now_ns)
+static void refuse(struct bracket *b, struct camera_state *c, enum bracket_reason why,
+                   int64_t now_ns)
 {
     c->rejected++;
     c->cause = why;
@@ -437,7 +436,7 @@ static void refuse(struct bracket *b, struct seat *c, enum bracket_reason why, i
         fault(b, c, why, now_ns);
 }
 
-static void wait_at_base(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void wait_at_base(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     settle(c, ev);
     if (c->judged >= BAD_MAX)
@@ -446,7 +445,7 @@ static void wait_at_base(struct bracket *b, struct seat *c, const struct bracket
         enter(c, first_phase(c));
 }
 
-static void shoot(struct bracket *b, struct seat *c, const struct bracket_event *ev,
+static void shoot(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
                   enum bracket_reason why)
 {
     if (why)
@@ -468,7 +467,7 @@ static void shoot(struct bracket *b, struct seat *c, const struct bracket_event 
         request_next(c, ev->now_ns);
 }
 
-static void on_frame(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void on_frame(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
     bool shooting = b->state == BRACKET_SHOOTING && c->phase != OVER;
@@ -494,11 +493,11 @@ static void on_frame(struct bracket *b, struct seat *c, const struct bracket_eve
 
 /* ---- other events ---- */
 
-static void arm(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void arm(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (b->state == BRACKET_DONE || b->state == BRACKET_FAULT)
         for (int i = 0; i < b->n; i++)
-            b->seat[i].armed = false;
+            b->cameras[i].armed = false;
     c->armed = true;
     c->base = ev->set;
     c->base_stops = rounded_stops(c, &ev->set);
@@ -511,7 +510,7 @@ static void arm(struct bracket *b, struct seat *c, const struct bracket_event *e
     b->state = BRACKET_ARMED;
     b->reason = BRACKET_NONE;
     for (int i = 0; i < b->n; i++)
-        if (!b->seat[i].armed)
+        if (!b->cameras[i].armed)
             b->state = BRACKET_IDLE;
 }
 
@@ -524,7 +523,7 @@ static err_t check_plan(const struct bracket *b, const struct bracket_plan *plan
 {
     int wanted = 0;
     for (int c = 0; c < b->n; c++) {
-        const struct bracket_camera *cfg = &b->seat[c].label.cfg;
+        const struct bracket_camera *cfg = &b->cameras[c].label.cfg;
         if (plan[c].n < 0 || plan[c].n > BRACKET_EXPOSURES_MAX)
             return err_fail(ERR_ARG, "camera %d: a plan of %d exposures, not 0..%d", c, plan[c].n,
                             BRACKET_EXPOSURES_MAX);
@@ -546,7 +545,7 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
 {
     bool ready = b->state == BRACKET_ARMED || b->state == BRACKET_DONE;
     for (int i = 0; i < b->n; i++)
-        ready = ready && b->seat[i].armed;
+        ready = ready && b->cameras[i].armed;
     if (!ready || !ev->plan)
         return err_fail(ERR_ARG, "a bracket begins with a plan and when every camera streams");
     err_t e = check_plan(b, ev->plan);
@@ -554,11 +553,11 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         return e;
     b->state = BRACKET_SHOOTING;
     for (int i = 0; i < b->n; i++) {
-        struct seat *c = &b->seat[i];
+        struct camera_state *c = &b->cameras[i];
         c->plan = ev->plan[i];
         for (int k = 0; k < c->plan.n; k++)
             c->stops[k] = rounded_stops(c, &c->plan.ask[k]);
-        memset(c->wish, 0, sizeof c->wish);
+        memset(c->state, 0, sizeof c->state);
         memset(c->tries, 0, sizeof c->tries);
         label_forget(&c->label, false);
         for (int k = 0; k < c->label.n; k++) // of the plan before
@@ -577,7 +576,7 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
     return OK;
 }
 
-static void answered(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void answered(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (!c->asking)
         return;
@@ -591,15 +590,15 @@ static void answered(struct bracket *b, struct seat *c, const struct bracket_eve
     }
     if (b->state != BRACKET_SHOOTING || c->phase == OVER)
         return;
-    if (c->next.index != LABEL_BASE && c->wish[c->next.index] == ASKED)
-        c->wish[c->next.index] = MISSING;
+    if (c->next.index != LABEL_BASE && c->state[c->next.index] == ASKED)
+        c->state[c->next.index] = MISSING;
     if (ev->err == ERR_LOST)
         fault(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
     else if (++c->refusals >= REFUSALS_MAX)
         fault(b, c, BRACKET_REFUSED, ev->now_ns);
 }
 
-static void lost(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void lost(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     c->armed = c->asking = c->restarting = c->request = false;
     c->settled = 0;
@@ -609,7 +608,7 @@ static void lost(struct bracket *b, struct seat *c, const struct bracket_event *
         b->state = BRACKET_IDLE;
 }
 
-static void opened(struct bracket *b, struct seat *c, const struct bracket_event *ev)
+static void opened(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (!c->restarting)
         return;
@@ -623,7 +622,7 @@ static void opened(struct bracket *b, struct seat *c, const struct bracket_event
         request_next(c, ev->now_ns);
 }
 
-static int64_t deadline(const struct seat *c)
+static int64_t deadline(const struct camera_state *c)
 {
     double wait_s = WAITS * fmax(label_longest_s(&c->label), c->slow_s) + PATIENCE_S;
     int64_t ns = (int64_t)fmin(wait_s * 1e9, 9e18);
@@ -633,7 +632,7 @@ static int64_t deadline(const struct seat *c)
 static void tick(struct bracket *b, int64_t now_ns)
 {
     for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++) {
-        struct seat *c = &b->seat[i];
+        struct camera_state *c = &b->cameras[i];
         if (c->phase == OVER || now_ns < deadline(c))
             continue;
         if (c->restarts++) {
@@ -669,7 +668,7 @@ err_t bracket_event(struct bracket *b, const struct bracket_event *ev)
     err_t e = check_event(b, ev);
     if (e)
         return e;
-    struct seat *c = &b->seat[ev->camera >= 0 && ev->camera < b->n ? ev->camera : 0];
+    struct camera_state *c = &b->cameras[ev->camera >= 0 && ev->camera < b->n ? ev->camera : 0];
     switch (ev->kind) {
     case BRACKET_ARM:
         arm(b, c, ev);
@@ -703,7 +702,7 @@ err_t bracket_event(struct bracket *b, const struct bracket_event *ev)
 bool bracket_action(struct bracket *b, struct bracket_action *out)
 {
     for (int i = 0; i < b->n; i++) {
-        struct seat *c = &b->seat[i];
+        struct camera_state *c = &b->cameras[i];
         *out = (struct bracket_action){.camera = i};
         if (c->forget || c->relit) {
             out->kind = BRACKET_FORGET;
@@ -734,7 +733,7 @@ bool bracket_action(struct bracket *b, struct bracket_action *out)
 
 void bracket_light(struct bracket *b, int camera, const struct flicker_light *light)
 {
-    b->seat[camera].label.light = *light;
+    b->cameras[camera].label.light = *light;
 }
 
 /* ---- what it says ---- */
@@ -769,19 +768,19 @@ const char *bracket_sentence(enum bracket_reason r)
 
 const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index)
 {
-    if (camera < 0 || camera >= b->n || index < 0 || index >= b->seat[camera].plan.n)
+    if (camera < 0 || camera >= b->n || index < 0 || index >= b->cameras[camera].plan.n)
         return NULL;
-    const struct seat *c = &b->seat[camera];
-    return c->wish[index] == KEPT ? &c->evidence[index] : NULL;
+    const struct camera_state *c = &b->cameras[camera];
+    return c->state[index] == KEPT ? &c->evidence[index] : NULL;
 }
 
 void bracket_progress(const struct bracket *b, struct bracket_progress *out)
 {
     *out = (struct bracket_progress){0};
     for (int i = 0; i < b->n; i++) {
-        const struct seat *c = &b->seat[i];
+        const struct camera_state *c = &b->cameras[i];
         for (int k = 0; k < c->plan.n; k++)
-            out->kept += c->wish[k] == KEPT;
+            out->kept += c->state[k] == KEPT;
         out->wanted += c->plan.n;
         out->frames = c->frames > out->frames ? c->frames : out->frames;
         out->rejected += c->rejected;
@@ -794,7 +793,7 @@ int64_t bracket_deadline(const struct bracket *b)
 {
     int64_t first = INT64_MAX;
     for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++)
-        if (b->seat[i].phase != OVER && deadline(&b->seat[i]) < first)
-            first = deadline(&b->seat[i]);
+        if (b->cameras[i].phase != OVER && deadline(&b->cameras[i]) < first)
+            first = deadline(&b->cameras[i]);
     return first;
 }

@@ -126,7 +126,7 @@ struct bracket_event {
     int camera;
     const struct bracket_plan *plan; // [cameras], of BEGIN
     const struct frame *frame;       // pixels are not looked at
-    const struct witness *witness;
+    const struct exposure_probe *witness;
     err_t err; // of ANSWER; OK: `set` holds
     struct exposure set;
 };

@@ -26,10 +26,10 @@ enum {
     UNKNOWN = 8, // frames, delay of devices that say nothing
     IDLE_MAX = 3,
     SETTLE = 2, // frames beyond the delay
-    GOOD_PLACES = WITNESS_PLACES * 2 / 5,
-    FEW_PLACES = WITNESS_PLACES / 20,
-    LEAST_PLACES = WITNESS_PLACES / 200 + 1, // as firmware/capture/label.c
-    TRIALS = 14,                             // steps of the delay
+    GOOD_PLACES = EXPOSURE_PROBE_PLACES * 2 / 5,
+    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,
+    LEAST_PLACES = EXPOSURE_PROBE_PLACES / 200 + 1, // as firmware/capture/label.c
+    TRIALS = 14,                                    // steps of the delay
     ATTEMPTS = 3 * TRIALS,
     DELAY_MAX = 32, // frames
     TRACK = DELAY_MAX + 16,
@@ -48,12 +48,12 @@ enum {
 static const double tolerance_good = 0.10, tolerance_loose = 0.30; // stops, capture notes 2, 6
 static const double picture_stops[PICTURES] = {0.0, 1.4, 3.2, 5.4, 8.0};
 
-double calibrate_slack(const struct watch *w)
+double calibrate_slack(const struct device_probe *w)
 {
     return w->linear ? tolerance_good : 2.0 * tolerance_good;
 }
 
-static double limited(const struct watch *w, double t, double longest_s)
+static double limited(const struct device_probe *w, double t, double longest_s)
 {
     return fmax(fmin(t, fmin(w->info.time_max_s, longest_s)), w->info.time_min_s);
 }
@@ -64,32 +64,32 @@ static int patience(const struct calibrate *c)
     return (c->calib.delay_hi > UNKNOWN ? c->calib.delay_hi : UNKNOWN) + SETTLE;
 }
 
-static err_t hold(struct watch *w, double time_s, int frames, struct sight *out)
+static err_t hold(struct device_probe *w, double time_s, int frames, struct visibility *out)
 {
-    err_t e = watch_ask(w, time_s, 0);
-    return e ? e : watch_rest(w, frames, out);
+    err_t e = device_probe_ask(w, time_s, 0);
+    return e ? e : device_probe_rest(w, frames, out);
 }
 
 /* ---- base ---- */
 
-static err_t judge_base(const struct witness *best, double t)
+static err_t judge_base(const struct exposure_probe *best, double t)
 {
     if (best->good >= FEW_PLACES)
         return OK;
-    return err_fail(ERR_LIMIT,
-                    "too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
-                    best->dark > best->clipped ? "dark" : "bright", t,
-                    100 * best->good / WITNESS_PLACES, 100 * FEW_PLACES / WITNESS_PLACES);
+    return err_fail(
+        ERR_LIMIT, "too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
+        best->dark > best->clipped ? "dark" : "bright", t, 100 * best->good / EXPOSURE_PROBE_PLACES,
+        100 * FEW_PLACES / EXPOSURE_PROBE_PLACES);
 }
 
-err_t calibrate_base(struct watch *w, struct calibrate *c)
+err_t calibrate_base(struct device_probe *w, struct calibrate *c)
 {
     double t = limited(w, fmin(START_S, 0.5 * w->info.period_s), c->longest_s);
-    struct witness best = {.good = -1};
+    struct exposure_probe best = {.good = -1};
     int way = 0;
     for (int i = 0; i < 16; i++) {
-        struct sight s;
-        watch_tell(w, "exposure", i, 16);
+        struct visibility s;
+        device_probe_tell(w, "exposure", i, 16);
         err_t e = hold(w, t, patience(c), &s);
         if (e)
             return e;
@@ -104,7 +104,7 @@ err_t calibrate_base(struct watch *w, struct calibrate *c)
         way = to;
         t = next;
     }
-    watch_tell(w, "exposure", 16, 16);
+    device_probe_tell(w, "exposure", 16, 16);
     return judge_base(&best, c->base_s);
 }
 
@@ -116,7 +116,7 @@ struct trial {
     int lo[TRACK], hi[TRACK]; // frames since
 };
 
-static void wait_for_phase(const struct watch *w, int i)
+static void wait_for_phase(const struct device_probe *w, int i)
 {
     double s = fmod(0.618034 * i, 1.0) * w->info.period_s;
     struct timespec t = {.tv_sec = (time_t)s, .tv_nsec = (long)((s - floor(s)) * 1e9)};
@@ -124,21 +124,21 @@ static void wait_for_phase(const struct watch *w, int i)
 }
 
 /* Ask, and watch until some frames after the change. */
-static err_t step_to(struct watch *w, double time_s, const struct witness *from, struct trial *t,
-                     struct sight *last)
+static err_t step_to(struct device_probe *w, double time_s, const struct exposure_probe *from,
+                     struct trial *t, struct visibility *last)
 {
     int left = TRACK;
     t->n = 0;
-    err_t e = watch_ask(w, time_s, 0);
+    err_t e = device_probe_ask(w, time_s, 0);
     for (int age = 0; !e && left > 0 && t->n < TRACK && age <= DELAY_MAX + AFTER;) {
-        struct sight s;
-        struct witness_ratio r;
-        e = watch_next(w, true, &s);
+        struct visibility s;
+        struct exposure_probe_ratio r;
+        e = device_probe_next(w, true, &s);
         age = s.age_lo;
         if (e || !s.usable)
             continue;
         *last = s;
-        witness_compare(from, &s.seen, &r);
+        exposure_probe_compare(from, &s.seen, &r);
         t->stops[t->n] = r.log2;
         t->lo[t->n] = s.age_lo;
         t->hi[t->n++] = s.age_hi;
@@ -186,17 +186,17 @@ static bool learn(const struct trial *t, struct delays *exact, struct delays *wi
     return true;
 }
 
-static err_t no_effect(const struct watch *w, const struct trial *t, double from, double to)
+static err_t no_effect(const struct device_probe *w, const struct trial *t, double from, double to)
 {
     if (t->n == 0)
-        return watch_unusable(w, TRACK);
+        return device_probe_unusable(w, TRACK);
     return err_fail(ERR_UNSUPPORTED,
                     "exposure has no effect: from %.3g s to %.3g s, %d frames later the picture is "
                     "%.2f times as bright; an automatic mode may be on",
                     from, to, t->hi[t->n - 1], (double)exp2f(t->stops[t->n - 1]));
 }
 
-static err_t ends_of(const struct watch *w, double base_s, double end[2])
+static err_t ends_of(const struct device_probe *w, double base_s, double end[2])
 {
     end[0] = limited(w, 0.5 * base_s, INFINITY);
     end[1] = limited(w, 4.0 * end[0], INFINITY);
@@ -207,21 +207,21 @@ static err_t ends_of(const struct watch *w, double base_s, double end[2])
     return OK;
 }
 
-err_t calibrate_delay(struct watch *w, struct calibrate *c)
+err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
 {
     struct delays exact = {0}, wide = {0};
     struct trial t;
-    struct sight at;
+    struct visibility at;
     double end[2];
     int idle = 0; // steps in a row without a change
     err_t e = ends_of(w, c->base_s, end);
     if (!e)
         e = hold(w, end[0], DELAY_MAX + SETTLE, &at);
     for (int i = 0; !e && i < ATTEMPTS && exact.n < TRIALS; i++) {
-        watch_tell(w, "latency", exact.n, TRIALS);
+        device_probe_tell(w, "latency", exact.n, TRIALS);
         wait_for_phase(w, i);
-        e = watch_drain(w);
-        struct witness from = at.seen;
+        e = device_probe_drain(w);
+        struct exposure_probe from = at.seen;
         if (!e)
             e = step_to(w, end[(i + 1) % 2], &from, &t, &at);
         bool learnt = !e && learn(&t, &exact, &wide);
@@ -231,7 +231,7 @@ err_t calibrate_delay(struct watch *w, struct calibrate *c)
     }
     if (e)
         return e;
-    watch_tell(w, "latency", TRIALS, TRIALS);
+    device_probe_tell(w, "latency", TRIALS, TRIALS);
     const struct delays *d = exact.n >= TRIALS / 3 ? &exact : &wide;
     if (d->hi - d->lo > UNKNOWN)
         return err_fail(ERR_LIMIT,
@@ -255,7 +255,7 @@ struct pictures {
 };
 
 /* Exposures over a window of stops around the base. */
-static err_t take_pictures(struct watch *w, const double shortest_longest[2],
+static err_t take_pictures(struct device_probe *w, const double shortest_longest[2],
                            const struct calibrate *c, struct pictures *p)
 {
     double range = log2(shortest_longest[1] / shortest_longest[0]);
@@ -263,21 +263,21 @@ static err_t take_pictures(struct watch *w, const double shortest_longest[2],
     err_t e = OK;
     for (int i = 0; !e && i < PICTURES; i++) {
         double stops = picture_stops[i] * range / picture_stops[PICTURES - 1];
-        watch_tell(w, "response", i, PICTURES);
+        device_probe_tell(w, "response", i, PICTURES);
         p->px[i] = p->px[i] ? p->px[i] : malloc(n);
         if (!p->px[i])
             return err_fail(ERR_NOMEM, "%s: no memory for %d pictures", w->uri, PICTURES);
-        e = watch_ask(w, shortest_longest[1] * exp2(-stops), 0);
+        e = device_probe_ask(w, shortest_longest[1] * exp2(-stops), 0);
         if (!e)
-            e = watch_picture(w, c->calib.delay_hi + 1, p->px[i]);
-        p->exposure[i] = watch_expected(w);
+            e = device_probe_picture(w, c->calib.delay_hi + 1, p->px[i]);
+        p->exposure[i] = device_probe_expected(w);
     }
-    watch_tell(w, "response", PICTURES, PICTURES);
+    device_probe_tell(w, "response", PICTURES, PICTURES);
     return e;
 }
 
 /* The better of two methods; an error only for lack of memory. */
-static err_t recover(const struct watch *w, const struct pictures *p, struct calibrate *c)
+static err_t recover(const struct device_probe *w, const struct pictures *p, struct calibrate *c)
 {
     struct crf_stack s = {PICTURES, w->info.w, w->info.h, (const uint8_t *const *)p->px,
                           p->exposure};
@@ -301,7 +301,7 @@ static err_t recover(const struct watch *w, const struct pictures *p, struct cal
     return OK;
 }
 
-static void use_curve(struct watch *w, struct calibrate *c)
+static void use_curve(struct device_probe *w, struct calibrate *c)
 {
     w->has_crf = c->calib.has_crf;
     w->crf = c->calib.crf;
@@ -309,7 +309,7 @@ static void use_curve(struct watch *w, struct calibrate *c)
 }
 
 /* Pictures and curve of one window; *c tells whether there is one. */
-static err_t try_window(struct watch *w, const double stops[2], struct calibrate *c,
+static err_t try_window(struct device_probe *w, const double stops[2], struct calibrate *c,
                         struct pictures *p)
 {
     double ends[2];
@@ -323,10 +323,10 @@ static err_t try_window(struct watch *w, const double stops[2], struct calibrate
     err_t e = take_pictures(w, ends, c, p);
     if (!e)
         e = recover(w, p, c);
-    return e ? e : watch_resume(w);
+    return e ? e : device_probe_resume(w);
 }
 
-err_t calibrate_curve(struct watch *w, struct calibrate *c)
+err_t calibrate_curve(struct device_probe *w, struct calibrate *c)
 {
     static const double windows[][2] = {{-4.0, 4.0}, {0.0, 5.0}, {-6.0, 1.0}};
     enum { WINDOWS = sizeof windows / sizeof windows[0] };
@@ -347,11 +347,11 @@ err_t calibrate_curve(struct watch *w, struct calibrate *c)
 /* ---- range ---- */
 
 /* b against a, which was `asked` stops shorter. */
-static void judge(const struct watch *w, const struct witness *a, const struct witness *b,
-                  struct calibrate_step *s)
+static void judge(const struct device_probe *w, const struct exposure_probe *a,
+                  const struct exposure_probe *b, struct calibrate_step *s)
 {
-    struct witness_ratio r;
-    witness_compare(a, b, &r);
+    struct exposure_probe_ratio r;
+    exposure_probe_compare(a, b, &r);
     double slack = calibrate_slack(w) * (r.places < FEW_PLACES ? 2.0 : 1.0);
     bool loose = !w->linear && !w->has_crf; // only what no curve could do is wrong
     double least = loose ? 0.25 * s->asked : s->asked - slack;
@@ -367,16 +367,16 @@ static void judge(const struct watch *w, const struct witness *a, const struct w
 }
 
 struct sweep {
-    struct watch *w;
+    struct device_probe *w;
     struct calibrate *c;
-    struct witness last;
+    struct exposure_probe last;
     double last_s; // as asked
 };
 
 /* The pair of last_s and time_s, as often as it takes to be sure. */
 static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
 {
-    struct sight s;
+    struct visibility s;
     int frames = k->c->calib.delay_hi + 1;
     for (int i = 0; i < AGAIN; i++) {
         err_t e = i > 0 ? hold(k->w, k->last_s, frames, &s) : OK;
@@ -395,22 +395,22 @@ static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
     return OK;
 }
 
-static err_t sweep(struct watch *w, struct calibrate *c)
+static err_t sweep(struct device_probe *w, struct calibrate *c)
 {
     struct sweep k = {.w = w, .c = c, .last_s = w->info.time_min_s};
-    struct sight s;
+    struct visibility s;
     double longest = limited(w, INFINITY, c->longest_s), from = w->info.time_min_s;
     int most = num_min((int)ceil(log2(longest / from) / STEP), CALIBRATE_STEPS_MAX - 1);
     err_t e = hold(w, from, c->calib.delay_hi + 1, &s);
     k.last = s.seen;
     c->step[0] =
-        (struct calibrate_step){.time_s = watch_expected(w), .measured = NAN, .rises = true};
+        (struct calibrate_step){.time_s = device_probe_expected(w), .measured = NAN, .rises = true};
     c->n = 1;
     for (int i = 1; !e && i <= most; i++) {
         double t = fmin(from * exp2(STEP * i), longest);
         struct exposure ask = {t, 1.0}, x = label_rounded(&w->label, &ask);
         struct calibrate_step *to = &c->step[c->n];
-        watch_tell(w, "range", i, most);
+        device_probe_tell(w, "range", i, most);
         *to = (struct calibrate_step){.time_s = x.time_s};
         to->asked = log2(x.time_s / c->step[c->n - 1].time_s);
         if (!(to->asked > 0.5 * STEP) && i < most)
@@ -422,15 +422,15 @@ static err_t sweep(struct watch *w, struct calibrate *c)
 }
 
 /* The longest exposure that obeys, between one that does and one that does not. */
-static err_t narrow(struct watch *w, struct calibrate *c, double good_s, double wrong_s,
+static err_t narrow(struct device_probe *w, struct calibrate *c, double good_s, double wrong_s,
                     double *out)
 {
     for (int i = 0; i < HALVINGS; i++) {
         struct sweep k = {.w = w, .c = c, .last_s = good_s};
-        struct sight s;
+        struct visibility s;
         struct calibrate_step to = {.time_s = sqrt(good_s * wrong_s)};
         err_t e = hold(w, good_s, c->calib.delay_hi + 1, &s);
-        double from = watch_expected(w);
+        double from = device_probe_expected(w);
         k.last = s.seen;
         struct exposure ask = {to.time_s, 1.0}, x = label_rounded(&w->label, &ask);
         to.asked = log2(x.time_s / from);
@@ -448,7 +448,7 @@ static err_t narrow(struct watch *w, struct calibrate *c, double good_s, double 
 }
 
 /* A curve by which neighbours are wrong is not good enough to judge frames by. */
-static void judge_curve(struct watch *w, struct calibrate *c, int lo, int hi)
+static void judge_curve(struct device_probe *w, struct calibrate *c, int lo, int hi)
 {
     for (int i = lo + 1; i <= hi && !w->linear; i++)
         if (c->step[i].verdict == CALIBRATE_OBEYS &&
@@ -457,7 +457,7 @@ static void judge_curve(struct watch *w, struct calibrate *c, int lo, int hi)
 }
 
 /* The range around the base, to the first wrong pair either way. */
-static err_t find_range(struct watch *w, struct calibrate *c)
+static err_t find_range(struct device_probe *w, struct calibrate *c)
 {
     int at = 0, lo, hi;
     while (at + 1 < c->n && c->step[at].time_s < c->base_s * 0.99)
@@ -482,10 +482,10 @@ static err_t find_range(struct watch *w, struct calibrate *c)
     return e;
 }
 
-err_t calibrate_range(struct watch *w, struct calibrate *c)
+err_t calibrate_range(struct device_probe *w, struct calibrate *c)
 {
-    struct sight before, after;
-    struct witness_ratio r;
+    struct visibility before, after;
+    struct exposure_probe_ratio r;
     int frames = c->calib.delay_hi + 1;
     err_t e = hold(w, c->base_s, frames, &before);
     if (!e)
@@ -494,7 +494,7 @@ err_t calibrate_range(struct watch *w, struct calibrate *c)
         e = hold(w, c->base_s, frames, &after);
     if (e)
         return e;
-    witness_compare(&before.seen, &after.seen, &r);
+    exposure_probe_compare(&before.seen, &after.seen, &r);
     c->drift = r.log2;
     if (fabs(c->drift) > STILL || r.places < LEAST_PLACES)
         return err_fail(ERR_LIMIT,
@@ -509,8 +509,8 @@ err_t calibrate_range(struct watch *w, struct calibrate *c)
 
 /* ---- all of it ---- */
 
-err_t calibrate_run(struct watch *w, unsigned parts, double longest_s, const struct calib *known,
-                    struct calibrate *c)
+err_t calibrate_run(struct device_probe *w, unsigned parts, double longest_s,
+                    const struct calib *known, struct calibrate *c)
 {
     memset(c, 0, sizeof *c);
     c->longest_s = longest_s;

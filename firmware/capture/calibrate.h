@@ -5,7 +5,7 @@
 #define CAPTURE_CALIBRATE_H
 
 #include "firmware/capture/calib.h"
-#include "firmware/capture/watch.h"
+#include "firmware/capture/device_probe.h"
 
 enum calibrate_part { CALIBRATE_LATENCY = 1, CALIBRATE_RANGE = 2, CALIBRATE_RESPONSE = 4 };
 
@@ -39,28 +39,29 @@ struct calibrate {
 };
 
 /* An exposure at which much of the scene is neither dark nor clipped.
- * err:  those of watch_rest and watch_ask, as everywhere here; ERR_LIMIT: too dark, too bright. */
-MUST_USE err_t calibrate_base(struct watch *w, struct calibrate *c);
+ * err:  those of device_probe_rest and device_probe_ask, as everywhere here; ERR_LIMIT: too dark,
+ * too bright. */
+MUST_USE err_t calibrate_base(struct device_probe *w, struct calibrate *c);
 
 /* Frames from the one that runs during a request to the first that shows it. From here on base_s
  * must be set.
  * err:  ERR_UNSUPPORTED: exposure has no effect, or too late, or cannot be varied. */
-MUST_USE err_t calibrate_delay(struct watch *w, struct calibrate *c);
+MUST_USE err_t calibrate_delay(struct device_probe *w, struct calibrate *c);
 
 /* The response curve of a display format, also into w; without one curve_why tells. Nothing to do
  * for linear numbers. The delay must be known, here and below. */
-MUST_USE err_t calibrate_curve(struct watch *w, struct calibrate *c);
+MUST_USE err_t calibrate_curve(struct device_probe *w, struct calibrate *c);
 
 /* A sweep of exposures, 0.9 stops apart: multiples of one step would fall in with
  * those of a camera that has coarser steps than it says.
  * err:  ERR_LIMIT: the light or the scene changed. */
-MUST_USE err_t calibrate_range(struct watch *w, struct calibrate *c);
+MUST_USE err_t calibrate_range(struct device_probe *w, struct calibrate *c);
 
 /* Stops that the ratio of neighbours in the sweep may be off. */
-double calibrate_slack(const struct watch *w);
+double calibrate_slack(const struct device_probe *w);
 
 /* The parts that are wanted, and what they need; the others stay as in `known`, of calib_load. */
-MUST_USE err_t calibrate_run(struct watch *w, unsigned parts, double longest_s,
+MUST_USE err_t calibrate_run(struct device_probe *w, unsigned parts, double longest_s,
                              const struct calib *known, struct calibrate *c);
 
 #endif

@@ -17,12 +17,12 @@
 #include <string.h>
 
 enum {
-    PLACES_MIN = WITNESS_PLACES / 200 + 1, // 0.5 %: fewer say nothing
-    PLACES_MANY = WITNESS_PLACES / 8,      // no need for another anchor
-    DOUBT = 8,                             // frames: devices whose delay nobody knows
-    REST = 2,                              // frames beyond doubt
-    UNSURE = 2,                            // a wider range of delays is no jitter, but a guess
-    GAP_MAX = 64,                          // frames lost in one go; more is nonsense
+    PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1, // 0.5 %: fewer say nothing
+    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8,      // no need for another anchor
+    DOUBT = 8,                                    // frames: devices whose delay nobody knows
+    REST = 2,                                     // frames beyond doubt
+    UNSURE = 2,   // a wider range of delays is no jitter, but a guess
+    GAP_MAX = 64, // frames lost in one go; more is nonsense
     AGE_MAX = 1 << 20
 };
 #define LOOSE 0.2   // stops: from this tolerance on, the curve is not calibrated
@@ -246,7 +246,7 @@ void label_narrow(struct label *l, const struct label_look *k)
 /* ---- pixels ---- */
 
 /* The spread of few places is often large, and noise is known by few pixels only. */
-static bool changed(const struct label *l, const struct witness_ratio *r, double slack)
+static bool changed(const struct label *l, const struct exposure_probe_ratio *r, double slack)
 {
     double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
     return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance + slack &&
@@ -254,7 +254,7 @@ static bool changed(const struct label *l, const struct witness_ratio *r, double
 }
 
 /* A curve that is not calibrated bends ratios, by where in the picture it is how bright. */
-static bool torn(const struct label *l, const struct witness_ratio *r, double slack)
+static bool torn(const struct label *l, const struct exposure_probe_ratio *r, double slack)
 {
     double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs((double)r->log2);
     return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance) + slack;
@@ -270,11 +270,12 @@ static double shortest_s(const struct label *l)
     return t;
 }
 
-static void compare(const struct label *l, int by, const struct witness *w, struct label_look *k)
+static void compare(const struct label *l, int by, const struct exposure_probe *w,
+                    struct label_look *k)
 {
     const struct label_anchor *a = &l->anchor[by];
-    struct witness_ratio r;
-    witness_compare(&a->seen, w, &r);
+    struct exposure_probe_ratio r;
+    exposure_probe_compare(&a->seen, w, &r);
     k->lo = fmax(k->lo, a->stops + r.lo - a->slack);
     k->hi = fmin(k->hi, a->stops + r.hi + a->slack);
     // rows of both may differ, each by its slack; that of the frame is as of the darkest candidate
@@ -294,7 +295,7 @@ static void compare(const struct label *l, int by, const struct witness *w, stru
     k->ratio = r.log2;
 }
 
-static void read_pixels(const struct label *l, const struct witness *w, struct label_look *k)
+static void read_pixels(const struct label *l, const struct exposure_probe *w, struct label_look *k)
 {
     const struct label_anchor *ref = &l->anchor[LABEL_REFERENCE];
     k->lo = -INFINITY;
@@ -307,7 +308,8 @@ static void read_pixels(const struct label *l, const struct witness *w, struct l
             compare(l, i, w, k);
 }
 
-void label_hold(struct label *l, int index, const struct witness *w, const struct label_look *k)
+void label_hold(struct label *l, int index, const struct exposure_probe *w,
+                const struct label_look *k)
 {
     struct label_anchor *a = &l->anchor[index];
     a->recorded = label_stops(&k->exposure);
@@ -346,11 +348,12 @@ static bool agrees(const struct label *l, const struct exposure *said, const str
            fabs(log2(said->gain / x->gain)) <= 0.5 * c->tolerance;
 }
 
-err_t label_settle(struct label *l, const struct frame *f, const struct witness *w, bool *same)
+err_t label_settle(struct label *l, const struct frame *f, const struct exposure_probe *w,
+                   bool *same)
 {
     struct label_anchor *a = &l->anchor[LABEL_REFERENCE];
     const struct exposure *x = &label_newest(l)->expect;
-    struct witness_ratio r;
+    struct exposure_probe_ratio r;
     *same = false;
     if (f->exposure_known && !agrees(l, &f->exposure, x)) {
         a->held = false;
@@ -358,7 +361,7 @@ err_t label_settle(struct label *l, const struct frame *f, const struct witness 
                         f->exposure.time_s, f->exposure.gain, x->time_s, x->gain);
     }
     if (a->held) {
-        witness_compare(&a->seen, w, &r);
+        exposure_probe_compare(&a->seen, w, &r);
         double slack = 2.0 * flicker_stops(&l->light, x->time_s);
         *same = !changed(l, &r, slack) && !torn(l, &r, slack) &&
                 (r.places < PLACES_MIN ||
@@ -423,7 +426,7 @@ static bool has_rival(const struct label *l, const struct candidate *c, int n,
     return false;
 }
 
-void label_look(const struct label *l, const struct frame *f, const struct witness *w,
+void label_look(const struct label *l, const struct frame *f, const struct exposure_probe *w,
                 struct label_look *out)
 {
     struct candidate c[LABEL_LOG];

@@ -29,7 +29,7 @@ struct label_request {
 
 /* A frame whose exposure is known. */
 struct label_anchor {
-    struct witness seen;
+    struct exposure_probe seen;
     double stops, error; // log2 of exposure for comparisons, s; its standard error
     double slack;        // stops: flicker may have made it look so much brighter or darker
     double recorded;     // log2 of the exposure that is written down
@@ -105,7 +105,7 @@ bool label_passed(const struct label *l, int entry);
 /* The longest frame, s, by all that may be in force or comes. */
 double label_longest_s(const struct label *l);
 
-void label_look(const struct label *l, const struct frame *f, const struct witness *w,
+void label_look(const struct label *l, const struct frame *f, const struct exposure_probe *w,
                 struct label_look *out);
 
 /* The delay: unknown after all; narrowed, if it is unknown, to what a proven look shows; as it was
@@ -123,12 +123,13 @@ void label_evidence(const struct label *l, const struct frame *f, const struct l
                     struct bracket_evidence *out);
 
 /* Make a frame an anchor; k is its look. */
-void label_hold(struct label *l, int index, const struct witness *w, const struct label_look *k);
+void label_hold(struct label *l, int index, const struct exposure_probe *w,
+                const struct label_look *k);
 
 /* Make a rested frame of the base exposure the reference.
  * out: whether it looks like the reference before.
  * err:  ERR_AGAIN (the device reports another exposure; no reference then) */
-MUST_USE err_t label_settle(struct label *l, const struct frame *f, const struct witness *w,
+MUST_USE err_t label_settle(struct label *l, const struct frame *f, const struct exposure_probe *w,
                             bool *same);
 
 /* Forget kept frames, or all anchors. */

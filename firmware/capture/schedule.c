@@ -84,13 +84,14 @@ const char *schedule_limit(const struct session_order *o, const struct camera_in
 }
 
 /* A probe that only rest speaks for is taken again, in the company of others. */
-static bool is_proven(const struct roll *r, int probe)
+static bool is_proven(const struct frame_buffer *r, int probe)
 {
     return probe >= 0 && probe < r->n && r->kept[probe].frame.evidence.proof < BRACKET_UNVERIFIED;
 }
 
 void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
-                    const struct meter_result *r, struct roll *roll, struct bracket_plan *out)
+                    const struct meter_result *r, struct frame_buffer *roll,
+                    struct bracket_plan *out)
 {
     out->n = 0;
     if (o->mode == SESSION_LIST)

@@ -4,7 +4,7 @@
 #define CAPTURE_SCHEDULE_H
 
 #include "firmware/base/config.h"
-#include "firmware/capture/roll.h"
+#include "firmware/capture/frame_buffer.h"
 #include "firmware/capture/session.h"
 
 /* The order for a press, by settings that config_check_rig has read. */
@@ -30,7 +30,8 @@ const char *schedule_limit(const struct session_order *o, const struct camera_in
  * those of a full bracket, round and round; probes do not count then.
  * r: what the meter says, if it was asked. */
 void schedule_shots(const struct session_order *o, int turn, const struct camera_info *info,
-                    const struct meter_result *r, struct roll *roll, struct bracket_plan *out);
+                    const struct meter_result *r, struct frame_buffer *roll,
+                    struct bracket_plan *out);
 
 /* Exposures that hold whole periods of a light that flickers, if they are near: at most a quarter
  * stop from what a list asks for, half a stop from what was metered. */

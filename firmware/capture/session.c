@@ -6,12 +6,12 @@
 
 #include "firmware/base/backends.h"
 #include "firmware/base/clocks.h"
+#include "firmware/capture/idle_view.h"
 #include "firmware/capture/schedule.h"
 #include "firmware/capture/session_inner.h"
-#include "firmware/capture/view.h"
 
 #include "core/base/log.h"
-#include "drivers/format/thin.h"
+#include "drivers/format/subsample.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -92,7 +92,7 @@ static err_t make_machine(struct session *s)
     size_t most = 0;
     for (int i = 0; i < s->n; i++) {
         const struct cam *c = &s->cam[i];
-        size_t count = thin_count(&c->about.info);
+        size_t count = subsample_count(&c->about.info);
         if (!count)
             return err_fail(ERR_UNSUPPORTED, "%s: pictures of %dx%d px cannot be read",
                             c->about.uri, c->about.info.w, c->about.info.h);
@@ -136,7 +136,7 @@ void session_close(struct session *s)
     if (!s)
         return;
     for (int i = 0; i < s->n; i++) {
-        roll_cut(&s->cam[i].roll, 0);
+        frame_buffer_cut(&s->cam[i].roll, 0);
         close_camera(&s->cam[i]);
         free(s->cam[i].st);
     }
@@ -155,14 +155,14 @@ static err_t keep(struct session *s, const struct bracket_action *a, const struc
                            .evidence = *bracket_evidence(s->machine, a->camera, a->index)};
     size_t held = f->bytes;
     for (int i = 0; i < s->n; i++)
-        held += roll_bytes(&s->cam[i].roll);
+        held += frame_buffer_bytes(&s->cam[i].roll);
     if (s->cfg.memory && held > s->cfg.memory)
         return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
                         held / 1000000, s->cfg.memory / 1000000);
     if (s->phase == PHASE_PROBE && a->index + 1 < s->plan[a->camera].n)
         return OK; // a link
     t.start = clocks_at(t.evidence.start_ns);
-    return roll_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
+    return frame_buffer_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
 }
 
 /* Frames of this plan; what was seen in another light serves no more, probes neither. */
@@ -171,7 +171,7 @@ static void forget(struct session *s, const struct bracket_action *a)
     struct cam *c = &s->cam[a->camera];
     bool relit = a->index == 1;
     s->relit = s->relit || (relit && c->n_before > 0);
-    roll_cut(&c->roll, relit ? 0 : c->n_before);
+    frame_buffer_cut(&c->roll, relit ? 0 : c->n_before);
 }
 
 static err_t request(struct session *s, const struct bracket_action *a, int64_t now)
@@ -233,7 +233,7 @@ static void look(const struct session *s, struct cam *c, int64_t now)
     c->look_ns = now + LOOK_NS;
     c->looked = true;
     c->view.exposure = c->set;
-    view_look(&s->sample, &c->view);
+    idle_view_look(&s->sample, &c->view);
 }
 
 static bool shooting(const struct session *s)
@@ -249,11 +249,11 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
     bool trouble = s->phase == PHASE_TROUBLE;
     if (!bad && (shooting(s) || view || trouble)) {
-        bad = thin_run(&c->about.info, f, &s->sample) != OK;
+        bad = subsample_run(&c->about.info, f, &s->sample) != OK;
         if (!bad && view)
             look(s, c, now);
         if (!bad)
-            witness_take(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->witness);
+            exposure_probe_take(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->witness);
         ev.witness = bad ? NULL : &s->witness;
     }
     if (bad)
@@ -335,7 +335,7 @@ static err_t arm(struct session *s)
 
 static double better_base(const struct cam *c)
 {
-    return view_base(&c->view, &c->about.info, c->set.time_s);
+    return idle_view_base(&c->view, &c->about.info, c->set.time_s);
 }
 
 static err_t adapt(struct session *s, int i)
@@ -408,7 +408,7 @@ static err_t meter_probes(struct session *s)
     err_t e = OK;
     for (int i = 0; i < s->n && !e; i++) {
         struct cam *c = &s->cam[i];
-        e = roll_meter(&c->roll, c->n_before, &c->about, &s->sample, &c->meter);
+        e = frame_buffer_meter(&c->roll, c->n_before, &c->about, &s->sample, &c->meter);
     }
     return e;
 }
@@ -426,7 +426,7 @@ static err_t begin_meters(struct session *s)
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
         const struct camera_info *info = &c->about.info;
-        struct raw kind = thin_kind(info);
+        struct raw kind = subsample_kind(info);
         struct meter_config m;
         bool known = c->calibrated && c->calib.time_max_s > 0;
         meter_defaults(&kind, known ? c->calib.time_min_s : info->time_min_s,
@@ -461,10 +461,10 @@ static bool plan_extension(struct session *s)
         struct cam *c = &s->cam[i];
         struct meter_cover cover;
         s->plan[i].n = 0;
-        roll_cover(&c->roll, &c->about, &c->meter.cfg, &cover);
+        frame_buffer_cover(&c->roll, &c->about, &c->meter.cfg, &cover);
         c->plan.clipped = cover.clipped;
         c->plan.dark = cover.dark;
-        if (!(cover.extend_s > 0) || roll_used(&c->roll) >= BRACKET_EXPOSURES_MAX)
+        if (!(cover.extend_s > 0) || frame_buffer_used(&c->roll) >= BRACKET_EXPOSURES_MAX)
             continue;
         s->plan[i] = (struct bracket_plan){.n = 1, .ask = {{cover.extend_s, 1}}};
         any = true;
@@ -582,7 +582,7 @@ static err_t start_plans(struct session *s, int64_t now)
     bool metered = schedule_is_metered(&s->order);
     s->reason[0] = 0;
     for (int i = 0; i < s->n; i++)
-        roll_cut(&s->cam[i].roll, 0);
+        frame_buffer_cut(&s->cam[i].roll, 0);
     err_t e = begin_meters(s);
     if (!e && metered)
         plan_probes(s);
@@ -675,7 +675,7 @@ err_t session_collect(struct session *s, struct take **out)
         t->tolerance = fmax(t->tolerance, about.tolerance);
         t->camera[i] = c->about;
         t->meter[i] = c->plan;
-        roll_move(&c->roll, t);
+        frame_buffer_move(&c->roll, t);
     }
     describe(s, t);
     s->ready = false;

@@ -2,7 +2,7 @@
 #ifndef CAPTURE_SESSION_INNER_H
 #define CAPTURE_SESSION_INNER_H
 
-#include "firmware/capture/roll.h"
+#include "firmware/capture/frame_buffer.h"
 #include "firmware/capture/session.h"
 
 enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
@@ -28,7 +28,7 @@ struct cam {
     struct session_view view;
     struct meter meter;
     struct meter_result plan;
-    struct roll roll;
+    struct frame_buffer roll;
     int n_before; // frames of former plans of this take
     struct trouble trouble;
 };
@@ -39,7 +39,7 @@ struct session {
     struct cam cam[BRACKET_CAMERAS_MAX];
     struct bracket *machine;
     struct raw sample; // of the frame in hand
-    struct witness witness;
+    struct exposure_probe witness;
     enum phase phase;
     bool lost, cancelled, ready, complete;
     bool relit, again; // the light changed after probes; metered anew once
@@ -67,7 +67,7 @@ MUST_USE err_t session_trouble_begin(struct session *s);
 
 /* A frame while PHASE_TROUBLE lasts. */
 MUST_USE err_t session_trouble_see(struct session *s, int camera, const struct frame *f,
-                                   const struct witness *w);
+                                   const struct exposure_probe *w);
 
 enum session_outcome { SESSION_LOOKING, SESSION_STEADY, SESSION_FLICKERS };
 

@@ -5,7 +5,7 @@
 #include "firmware/capture/schedule.h"
 #include "firmware/capture/session_inner.h"
 
-#include "drivers/format/thin.h"
+#include "drivers/format/subsample.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -50,7 +50,8 @@ err_t session_trouble_begin(struct session *s)
     return e;
 }
 
-err_t session_trouble_see(struct session *s, int i, const struct frame *f, const struct witness *w)
+err_t session_trouble_see(struct session *s, int i, const struct frame *f,
+                          const struct exposure_probe *w)
 {
     struct cam *c = &s->cam[i];
     struct trouble *t = &c->trouble;
@@ -96,7 +97,7 @@ err_t session_trouble_end(struct session *s, enum session_outcome *out)
 /* An unusual curve looks like an exposure that is not obeyed. */
 static const char *advice(const struct cam *c, enum bracket_reason r)
 {
-    bool known = c->about.has_crf || thin_kind(&c->about.info).linear;
+    bool known = c->about.has_crf || subsample_kind(&c->about.info).linear;
     if (r == BRACKET_INEFFECTIVE && !known)
         return "; unless its response curve is an unusual one, which hdrig calibrate --camera URI "
                "measures";

@@ -4,13 +4,13 @@
  *        instruction set, on one thread and on all; then every number of splats at every size of
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
  *        table shows the cost of a splat and the other that of a pixel.
- * network, kernels: see bench_net.h. trade: see trade.h. capture: see bench_capture.h. */
+ * network, kernels: see bench_net.h. trade: see tradeoff.h. capture: see bench_capture.h. */
 #include "firmware/base/engine.h"
 #include "firmware/capture/bracket.h"
 #include "firmware/cmd/bench_capture.h"
 #include "firmware/cmd/bench_net.h"
 #include "firmware/cmd/cmd.h"
-#include "firmware/cmd/trade.h"
+#include "firmware/cmd/tradeoff.h"
 #include "firmware/recon/limits.h"
 #include "firmware/result/report.h"
 
@@ -65,7 +65,7 @@ struct state {
     struct figure levels[LEVELS_MAX], table[TABLE_MAX];
     struct bench_net net;
     struct bench_capture capture;
-    struct trade trade;
+    struct tradeoff trade;
 };
 
 /* ---- the scene ---- */
@@ -360,14 +360,14 @@ static err_t bench_splat(const struct request *rq, struct state *st)
 
 static err_t trade(const struct request *rq, struct state *st)
 {
-    const struct trade_request trade = {.models = rq->model,
-                                        .images = rq->images,
-                                        .n_views = rq->views.n,
-                                        .n_sizes = rq->sizes.n,
-                                        .views = rq->views.v,
-                                        .sizes = rq->sizes.v,
-                                        .print = !rq->json || strcmp(rq->json, "-") != 0};
-    return trade_run(&trade, &rq->cfg, &st->trade);
+    const struct tradeoff_request trade = {.models = rq->model,
+                                           .images = rq->images,
+                                           .n_views = rq->views.n,
+                                           .n_sizes = rq->sizes.n,
+                                           .views = rq->views.v,
+                                           .sizes = rq->sizes.v,
+                                           .print = !rq->json || strcmp(rq->json, "-") != 0};
+    return tradeoff_run(&trade, &rq->cfg, &st->trade);
 }
 
 static err_t bench(const struct request *rq, struct state *st)
@@ -440,7 +440,7 @@ static void write_report(const struct request *rq, const struct state *st, FILE 
         report_close(&rep);
     }
     if (rq->trade)
-        trade_report(&st->trade, &rep);
+        tradeoff_report(&st->trade, &rep);
     report_close(&rep);
 }
 

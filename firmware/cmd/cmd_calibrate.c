@@ -125,13 +125,13 @@ static err_t calibrate(const struct request *q)
     static struct calibrate c;
     struct camera_cfg cfg = camera_of(q);
     struct progress p;
-    struct watch *w;
+    struct device_probe *w;
     struct calib known;
     bool found = false;
     progress_init(&p, stderr);
     err_t e = calib_check_place(q->dir);
     if (!e)
-        e = watch_open(&cfg, &w);
+        e = device_probe_open(&cfg, &w);
     if (e)
         return e;
     w->progress = &p;
@@ -149,7 +149,7 @@ static err_t calibrate(const struct request *q)
         e = calib_save(q->dir, &w->info, &c.calib);
     if (!e)
         printf("saved in   %s\n", q->dir);
-    watch_close(w);
+    device_probe_close(w);
     return e;
 }
 

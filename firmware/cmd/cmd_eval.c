@@ -4,7 +4,7 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/evaluate.h"
 #include "firmware/recon/testcams.h"
-#include "firmware/result/sheet.h"
+#include "firmware/result/report_page.h"
 
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
@@ -133,10 +133,10 @@ static err_t write_folder(const struct state *st)
     char json[FILE_PATH_CAP], page[FILE_PATH_CAP];
     err_t e = outdir_path(&st->out, OUTDIR_REPORT, json);
     if (!e)
-        e = outdir_path(&st->out, SHEET_NAME, page);
+        e = outdir_path(&st->out, REPORT_PAGE_NAME, page);
     if (!e)
         e = write_file(st, json);
-    return e ? e : sheet_write(page, &st->job, json);
+    return e ? e : report_page_write(page, &st->job, json);
 }
 
 static err_t publish(struct state *st, const struct request *rq)
@@ -160,7 +160,7 @@ static uint64_t result_bytes(const struct capture *test, int n_train, int size)
 {
     uint64_t pixels = (uint64_t)size * (uint64_t)size;
     return (uint64_t)test->n * (pixels * (4 * 2 + 3) + pixels / 4 + 4096) + // as if incompressible
-           sheet_bytes(n_train);
+           report_page_bytes(n_train);
 }
 
 /* ---- from photographs to the scene ---- */

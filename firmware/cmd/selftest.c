@@ -1,5 +1,5 @@
-/* First the device alone, through firmware/capture/watch.h: rate, base exposure, delay, response
- * curve, latching (14 requests back to back), the sweep of exposures; then brackets by
+/* First the device alone, through firmware/capture/device_probe.h: rate, base exposure, delay,
+ * response curve, latching (14 requests back to back), the sweep of exposures; then brackets by
  * firmware/capture/session.h, as captures are made, with the calibration that there is, else with
  * what was just measured, in a folder of its own for so long. A stage that fails leaves those that
  * need it skipped; what counts over all frames is judged in any case. */
@@ -27,9 +27,9 @@ enum {
     REST_FRAMES = 10,
     RATE_FRAMES = 100,
     SHOTS = 14,
-    DROPS_PER = 500,                         // one lost frame of so many is forgiven
-    FEW_PLACES = WITNESS_PLACES / 20,        // of a picture that shows something
-    LEAST_PLACES = WITNESS_PLACES / 200 + 1, // as firmware/capture/label.c
+    DROPS_PER = 500,                                // one lost frame of so many is forgiven
+    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,        // of a picture that shows something
+    LEAST_PLACES = EXPOSURE_PROBE_PLACES / 200 + 1, // as firmware/capture/label.c
     SESSION_MB = 1000
 };
 #define RATE_OFF 0.02    // of the period
@@ -44,7 +44,7 @@ enum {
 struct stand {
     struct selftest *t;
     const struct selftest_order *o;
-    struct watch *w;
+    struct device_probe *w;
     bool simulated;     // time stamps run faster than time
     struct calib known; // before this run
     double middle_s;    // exposure with room for two stops either way; 0: there is none
@@ -99,8 +99,8 @@ static void add(struct rate *k, int by, double dt, double frames, double most)
     k->worst_s[by] = fmax(k->worst_s[by], dt / frames);
 }
 
-static void add_interval(const struct stand *r, const struct sight *a, const struct sight *b,
-                         struct rate *k)
+static void add_interval(const struct stand *r, const struct visibility *a,
+                         const struct visibility *b, struct rate *k)
 {
     uint32_t gap = b->sequence - a->sequence;
     double frames = gap >= 1 && gap <= 64 ? gap : 1.0, period = r->w->info.period_s;
@@ -116,14 +116,14 @@ static void add_interval(const struct stand *r, const struct sight *a, const str
 static err_t rate(struct stand *r)
 {
     struct rate k = {.n = {0}};
-    struct sight a, b;
+    struct visibility a, b;
     double period = r->w->info.period_s;
-    err_t e = watch_ask(r->w, fmax(0.5 * period, r->w->info.time_min_s), 0);
+    err_t e = device_probe_ask(r->w, fmax(0.5 * period, r->w->info.time_min_s), 0);
     for (int i = 0; !e && i < REST_FRAMES; i++)
-        e = watch_next(r->w, false, &a);
+        e = device_probe_next(r->w, false, &a);
     for (int i = 0; !e && i < RATE_FRAMES; i++) {
-        watch_tell(r->w, "rate", i, RATE_FRAMES);
-        e = watch_next(r->w, false, &b);
+        device_probe_tell(r->w, "rate", i, RATE_FRAMES);
+        e = device_probe_next(r->w, false, &b);
         if (!e)
             add_interval(r, &a, &b, &k);
         a = b;
@@ -166,7 +166,7 @@ static void judge_delay(struct stand *r)
 static const int pattern[SHOTS] = {0, 0, 1, 1, 0, 0, -1, 0, 1, 0, -1, 0, -1, -1}; // two stops each
 
 struct latching {
-    struct sight rest;
+    struct visibility rest;
     bool shown[SHOTS];
     int right, wrong, reports, lies;
     double lie; // stops, the worst
@@ -177,13 +177,13 @@ static int class_of(double stops)
     return stops > CLASS ? 1 : stops < -CLASS ? -1 : 0;
 }
 
-static void look_at_shot(const struct stand *r, const struct sight *s, struct latching *k)
+static void look_at_shot(const struct stand *r, const struct visibility *s, struct latching *k)
 {
-    int shot = watch_in_force(r->w, r->t->measured.calib.delay_lo) - 1;
-    struct witness_ratio ratio;
+    int shot = device_probe_in_force(r->w, r->t->measured.calib.delay_lo) - 1;
+    struct exposure_probe_ratio ratio;
     if (shot < 0 || !s->usable)
         return;
-    witness_compare(&k->rest.seen, &s->seen, &ratio);
+    exposure_probe_compare(&k->rest.seen, &s->seen, &ratio);
     if (ratio.places < LEAST_PLACES)
         return;
     bool right = class_of(ratio.log2) == pattern[shot];
@@ -203,20 +203,20 @@ static void look_at_shot(const struct stand *r, const struct sight *s, struct la
 static err_t shoot(struct stand *r, struct latching *k)
 {
     int hold = r->t->measured.calib.delay_hi + 1;
-    struct sight s = {0};
-    err_t e = watch_ask(r->w, r->middle_s, 0);
+    struct visibility s = {0};
+    err_t e = device_probe_ask(r->w, r->middle_s, 0);
     if (!e)
-        e = watch_rest(r->w, hold, &k->rest);
+        e = device_probe_rest(r->w, hold, &k->rest);
     for (int i = 0; !e && i < SHOTS; i++) {
-        watch_tell(r->w, "latching", i, SHOTS);
-        e = watch_ask(r->w, r->middle_s * pow(4.0, pattern[i]), i + 1);
+        device_probe_tell(r->w, "latching", i, SHOTS);
+        e = device_probe_ask(r->w, r->middle_s * pow(4.0, pattern[i]), i + 1);
         if (!e)
-            e = watch_next(r->w, true, &s);
+            e = device_probe_next(r->w, true, &s);
         if (!e)
             look_at_shot(r, &s, k);
     }
     while (!e && s.age_lo < hold) {
-        e = watch_next(r->w, true, &s);
+        e = device_probe_next(r->w, true, &s);
         if (!e)
             look_at_shot(r, &s, k);
     }
@@ -335,10 +335,10 @@ static err_t aim(struct stand *r)
     bool shows[3];
     r->middle_s = fmax(fmin(r->t->measured.base_s, 0.25 * hi), 4.0 * lo);
     for (int i = 0; i < 3; i++) {
-        struct sight s;
-        err_t e = watch_ask(r->w, fmin(r->middle_s * pow(4.0, i - 1), hi), 0);
+        struct visibility s;
+        err_t e = device_probe_ask(r->w, fmin(r->middle_s * pow(4.0, i - 1), hi), 0);
         if (!e)
-            e = watch_rest(r->w, m->delay_hi + 1, &s);
+            e = device_probe_rest(r->w, m->delay_hi + 1, &s);
         if (e)
             return e;
         shows[i] = s.seen.good >= FEW_PLACES;
@@ -356,7 +356,7 @@ static err_t aim(struct stand *r)
 
 static void judge_sequence(struct stand *r)
 {
-    const struct watch_count *n = &r->w->count;
+    const struct device_probe_count *n = &r->w->count;
     int lost = n->lost + n->hidden;
     say(r->t, SELFTEST_SEQUENCE, pass_if(n->repeated + n->backward == 0),
         "of %d frames %d have the number of the one before, %d a smaller one", n->frames,
@@ -373,7 +373,7 @@ static void judge_sequence(struct stand *r)
 
 static void judge_stamps(struct stand *r)
 {
-    const struct watch_count *n = &r->w->count;
+    const struct device_probe_count *n = &r->w->count;
     double most = STAMP_LATE_S + 3.0 * r->o->longest_s;
     bool timed = r->t->check[SELFTEST_RATE].result != SELFTEST_SKIPPED && !r->simulated;
     bool off = timed && (n->stamp_early_s < -1e-3 || n->stamp_late_s > most);
@@ -395,7 +395,7 @@ static void judge_stamps(struct stand *r)
 
 static void judge_counts(struct stand *r)
 {
-    const struct watch_count *n = &r->w->count;
+    const struct device_probe_count *n = &r->w->count;
     int bad = n->flagged + n->unreadable + n->failed;
     if (n->frames == 0)
         return;
@@ -639,14 +639,14 @@ err_t selftest_run(const struct selftest_order *o, struct selftest *out)
 {
     struct stand r = {.t = out, .o = o};
     memset(out, 0, sizeof *out);
-    err_t e = watch_open(&o->camera, &r.w);
+    err_t e = device_probe_open(&o->camera, &r.w);
     if (e)
         return e;
     begin(&r);
     e = judge_stream(&r, measure(&r));
     if (!e)
         judge_counts(&r);
-    watch_close(r.w);
+    device_probe_close(r.w);
     bool obeys = out->check[SELFTEST_STREAM].result == SELFTEST_PASS &&
                  out->check[SELFTEST_EFFECT].result == SELFTEST_PASS && r.middle_s > 0.0;
     return !e && obeys ? brackets(&r) : e;

@@ -59,7 +59,8 @@ struct selftest_order {
 /* Word of a check, as in a report. */
 const char *selftest_name(enum selftest_check c);
 
-/* err:  those of watch_open; ERR_CANCELLED, ERR_NOMEM, ERR_IO (a folder for the calibration of this
+/* err:  those of device_probe_open; ERR_CANCELLED, ERR_NOMEM, ERR_IO (a folder for the calibration
+ * of this
  *       run). Troubles of a camera that could be opened are findings. */
 MUST_USE err_t selftest_run(const struct selftest_order *o, struct selftest *out);
 

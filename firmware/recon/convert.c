@@ -7,10 +7,10 @@
 #include "core/net/hashed.h"
 #include "drivers/format/checkpoint.h"
 #include "drivers/format/file.h"
-#include "drivers/format/infer.h"
 #include "drivers/format/json.h"
 #include "drivers/format/modelwrite.h"
 #include "drivers/format/netdims.h"
+#include "drivers/format/netdims_infer.h"
 
 #include <errno.h>
 #include <inttypes.h>
@@ -267,7 +267,7 @@ static err_t convert_open(struct engine *en, const struct convert_request *q, st
     const char *slash = strrchr(c->what, '/');
     struct modelwrite w = {
         .source = source, .licence = "that of the source", .fetch = fetch_tensor, .ctx = c};
-    err_t e = q->config ? read_config(q->config, &w.dims) : infer_run(c, &w.dims);
+    err_t e = q->config ? read_config(q->config, &w.dims) : netdims_infer_run(c, &w.dims);
     w.precision = q->precision;
     if (!e)
         e = match_all(c, &w.dims);

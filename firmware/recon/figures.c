@@ -1,15 +1,15 @@
 /* Seen well means FIGURES_DARK <= brightest colour < FIGURES_CLIPPED. What another exposure would
  * show of a pixel that is seen well follows from the tone curve D: display value z becomes
  * D(D^-1(z) + d), d stops longer; a table per exposure and colour.
- * The tone curve is compared with families of core/photo/family.h. Radiance has no scale of its own
- * and the white balance lies in it, so each colour is moved along the exposure axis to where the
- * family fits best (search in steps of half a stop, then by golden section); the distance is the
- * rms of the display values over the exposures where the curve is between 2 and 98 %. */
+ * The tone curve is compared with families of core/photo/response_family.h. Radiance has no scale
+ * of its own and the white balance lies in it, so each colour is moved along the exposure axis to
+ * where the family fits best (search in steps of half a stop, then by golden section); the distance
+ * is the rms of the display values over the exposures where the curve is between 2 and 98 %. */
 #include "firmware/recon/figures.h"
 
-#include "core/photo/family.h"
 #include "core/photo/metrics.h"
 #include "core/photo/response.h"
+#include "core/photo/response_family.h"
 #include "core/sfm/similarity.h"
 
 #include <math.h>
@@ -261,7 +261,7 @@ static double sample(int k) // stops from the middle exposure
 
 struct fit {
     const double *curve; // (SAMPLES) of one colour
-    enum family family;
+    enum response_family family;
 };
 
 /* Mean square of the distance to the family, moved by `shift` stops; NAN if the curve has no part
@@ -274,7 +274,8 @@ static double distance(const struct fit *f, double shift)
         if (!(f->curve[k] > 0.02 && f->curve[k] < 0.98))
             continue;
         double d =
-            f->curve[k] - family_display(f->family, family_usual(f->family), sample(k) + shift);
+            f->curve[k] -
+            response_family_display(f->family, response_family_usual(f->family), sample(k) + shift);
         sum += d * d;
         n++;
     }
@@ -300,7 +301,8 @@ static double best_shift(const struct fit *f)
 }
 
 /* Member of "families"; returns the rms over the colours. */
-static double report_family(double curve[3][SAMPLES], enum family family, struct report *rep)
+static double report_family(double curve[3][SAMPLES], enum response_family family,
+                            struct report *rep)
 {
     double square = 0, shift = 0, row[SAMPLES];
     for (int c = 0; c < 3; c++) {
@@ -310,11 +312,11 @@ static double report_family(double curve[3][SAMPLES], enum family family, struct
         shift += s / 3;
     }
     for (int k = 0; k < SAMPLES; k++)
-        row[k] = family_display(family, family_usual(family), sample(k) + shift);
+        row[k] = response_family_display(family, response_family_usual(family), sample(k) + shift);
     report_open(rep, NULL, '{');
-    report_text(rep, "name", family_name(family));
-    if (family_usual(family) > 0)
-        report_number(rep, "parameter", family_usual(family));
+    report_text(rep, "name", response_family_name(family));
+    if (response_family_usual(family) > 0)
+        report_number(rep, "parameter", response_family_usual(family));
     report_number(rep, "rms", sqrt(square));
     report_row(rep, "display", row, SAMPLES);
     report_close(rep);
@@ -337,10 +339,10 @@ static void report_tone(const struct tonemap *tone, struct report *rep)
         report_row(rep, colour[c], curve[c], SAMPLES);
     report_open(rep, "families", '[');
     for (int f = 0; f < FAMILIES; f++) {
-        double rms = report_family(curve, (enum family)f, rep);
+        double rms = report_family(curve, (enum response_family)f, rep);
         if (rms < best) {
             best = rms;
-            name = family_name((enum family)f);
+            name = response_family_name((enum response_family)f);
         }
     }
     report_close(rep);

@@ -7,9 +7,9 @@
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
+#include "core/photo/exposure_stack.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
-#include "core/photo/stack.h"
 
 #include <math.h>
 #include <stdarg.h>
@@ -47,7 +47,7 @@ static err_t choose_exposures(const struct run *r, const struct job_config *cfg,
 {
     const bool gaussians = cfg->network && !cfg->cameras_only && !cfg->stereo;
     out->taken = out->views.n + out->views.n_more;
-    err_t e = stack_choose(r, &out->response, gaussians, &out->views);
+    err_t e = exposure_stack_choose(r, &out->response, gaussians, &out->views);
     return e ? e : response_run(r, &out->views, &out->response);
 }
 
@@ -162,7 +162,7 @@ err_t job_plan(const struct capture *c, const struct job_config *asked, int thre
     out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
     out->tmp = num_max_size(out->tmp, tmp);
     out->tmp = num_max_size(out->tmp, response_plan(&v));
-    out->tmp = num_max_size(out->tmp, stack_plan(&v, threads));
+    out->tmp = num_max_size(out->tmp, exposure_stack_plan(&v, threads));
     if (refines(&cfg))
         out->tmp = num_max_size(out->tmp, refine_plan(&v, &cfg.refine, threads));
     out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, places), cfg.size, cfg.size));

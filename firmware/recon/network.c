@@ -343,7 +343,7 @@ struct sharpen {
     const struct network_known *known;
     float scale;
     struct prediction *p;
-    struct sight sight;
+    struct visibility sight;
     struct response_table table; // of the photographs
     float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
     float *depth;                // (n) in units of the maps
@@ -371,7 +371,7 @@ static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
 static size_t map_place(const struct sharpen *s, int view, int i)
 {
     const int w = s->p->geom.size;
-    return sight_at(&s->sight, view, (float)(i % w), (float)(i / w));
+    return visibility_at(&s->sight, view, (float)(i % w), (float)(i / w));
 }
 
 static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
@@ -427,15 +427,15 @@ enum verdict { SILENT, AGREES, DIFFERS, BETTER };
 static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
 {
     struct sighting there;
-    if (!sight_look(&s->sight, j, p->point, &there))
+    if (!visibility_look(&s->sight, j, p->point, &there))
         return SILENT;
     const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
     const bool knows = worth(s, rgb) > TIMES * p->worth;
     if (p->sure)
-        return knows && sight_same(&s->sight, &there) ? BETTER : SILENT;
-    if (knows || sight_through(&s->sight, &there))
+        return knows && visibility_same(&s->sight, &there) ? BETTER : SILENT;
+    if (knows || visibility_through(&s->sight, &there))
         return BETTER;
-    if (sight_behind(&s->sight, &there))
+    if (visibility_behind(&s->sight, &there))
         return SILENT;
     return differ(s, p, j, rgb) ? DIFFERS : AGREES;
 }
@@ -447,7 +447,7 @@ static bool refuted(const struct sharpen *s, int view, int i)
     const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
     const uint8_t *rgb = photograph(s, view, i % w, i / w);
     const struct pixel p = {view,
-                            sight_sure(&s->sight, map_place(s, view, i)),
+                            visibility_sure(&s->sight, map_place(s, view, i)),
                             rgb,
                             worth(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
@@ -497,7 +497,7 @@ static void place_pixel(const struct sharpen *s, int view, int i, size_t k)
 {
     const int w = s->p->geom.size;
     const float uvz[3] = {(float)(i % w) + 0.5f, (float)(i / w) + 0.5f, s->depth[k]};
-    sight_point(&s->sight, view, uvz, s->p->points + 3 * k);
+    visibility_point(&s->sight, view, uvz, s->p->points + 3 * k);
     for (size_t c = 0; c < 3; c++)
         s->p->points[3 * k + c] /= s->scale;
 }
@@ -535,7 +535,7 @@ static void tabulate(struct sharpen *s)
 size_t network_sharpen_plan(int n_views, int size, int threads)
 {
     const size_t n = (size_t)n_views * (size_t)size * (size_t)size;
-    size_t need = arena_add(sight_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
+    size_t need = arena_add(visibility_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
     need = arena_add(need, arena_need(n, sizeof(float)));
     return arena_add(need, consensus_plan(n_views, size, threads));
 }
@@ -545,7 +545,7 @@ err_t network_sharpen(const struct run *r, const struct network_known *known, fl
 {
     struct sharpen s = {.known = known, .scale = scale, .p = p};
     const size_t mark = arena_mark(r->tmp);
-    err_t e = sight_init(r, known->seen.depth, known->seen.views->cams, &s.sight);
+    err_t e = visibility_init(r, known->seen.depth, known->seen.views->cams, &s.sight);
     if (!e)
         e = arena_alloc(r->tmp, 3, sizeof *s.moved, &s.moved);
     if (!e)

@@ -13,9 +13,9 @@
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
+#include "core/photo/exposure_stack.h"
 #include "core/photo/response.h"
-#include "core/photo/stack.h"
-#include "core/refine/refit.h"
+#include "core/refine/response_refit.h"
 #include "core/sfm/corner.h"
 #include "core/stereo/seed.h"
 #include "core/stereo/sweep.h"
@@ -132,11 +132,11 @@ static err_t sweep(const struct run *r, struct job_result *out, struct seen *see
                    struct depthmaps *depth)
 {
     announce(r, "sweep");
-    err_t e = stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
+    err_t e = exposure_stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
     if (!e)
         e = sweep_run(r, &seen->views, &seen->tone, depth);
     if (!e && out->views.n_more == 0) {
-        e = refit_run(r, &out->views, depth, &seen->tone);
+        e = response_refit_run(r, &out->views, depth, &seen->tone);
         out->scene.tone = seen->tone;
     }
     job_lap(out, JOB_SWEEP);
@@ -240,7 +240,7 @@ static err_t leave_out(const struct run *r, const struct bundle_result *b, struc
                  n, v->n);
     if (p)
         network_drop(b->placed, b->depth_scale, p);
-    stack_drop(v, keep);
+    exposure_stack_drop(v, keep);
     out->scene.n_views = n;
     arena_reset(r->tmp, mark);
     return OK;
@@ -264,7 +264,7 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
     const size_t mark = arena_mark(r->tmp);
     if (!known && cfg->fov_deg > 0)
         want.focal = (float)v->size / 2 / tanf(cfg->fov_deg * 3.14159265f / 360);
-    err_t e = stack_merge(r, v, &out->response, &seen.views, &seen.tone);
+    err_t e = exposure_stack_merge(r, v, &out->response, &seen.views, &seen.tone);
     if (!e)
         e = locate_run(r, &seen.views, p && p->matches.token ? &p->matches : NULL, &want, b);
     arena_reset(r->tmp, mark);
@@ -447,7 +447,7 @@ static err_t take_depth(const struct run *r, const struct job_config *cfg, float
         depth.depth[i] *= scale;
     }
     if (!e)
-        e = stack_merge(r, &out->views, &out->response, &seen.views, &seen.tone);
+        e = exposure_stack_merge(r, &out->views, &out->response, &seen.views, &seen.tone);
     if (!e)
         e = place_seeds(r, cfg, &seen, &depth, out);
     arena_reset(r->tmp, mark);
@@ -596,7 +596,7 @@ struct job_memory start_plan(const struct job_config *asked, const struct views 
     m.tmp = num_max_size(m.tmp, stereo.tmp);
     if (tapped)
         m.tmp = num_max_size(m.tmp, dump_plan(cfg->size, job_most(cfg, v->n)));
-    m.tmp = arena_add(m.tmp, stack_plan(v, threads));
+    m.tmp = arena_add(m.tmp, exposure_stack_plan(v, threads));
     m.keep = arena_add(m.keep, arena_need((size_t)v->n, sizeof(struct camera)));
     if (!job_forward(cfg))
         m.keep = arena_add(m.keep, gaussians_need(cap, cfg->refine.degree_max));

@@ -2,7 +2,7 @@
 
 #include "firmware/recon/figures.h"
 #include "firmware/result/draw.h"
-#include "firmware/result/sheet.h"
+#include "firmware/result/report_page.h"
 #include "firmware/result/viewer.h"
 
 #include "core/base/gaussians.h"
@@ -27,7 +27,7 @@ static struct viewer_input viewer_of(const struct job_result *j, const struct ou
                                  .log2t = j->views.n > 0 ? j->views.log2t : NULL,
                                  .n_log2t = j->views.n + j->views.n_more,
                                  .title = file_name(o->path),
-                                 .report = SHEET_NAME};
+                                 .report = REPORT_PAGE_NAME};
 }
 
 /* Upper bound of the folder: pictures as if they could not be compressed. */
@@ -39,7 +39,7 @@ static uint64_t result_bytes(const struct viewer_input *viewer, int n_photograph
     uint64_t ply = n * (14 * 4 + 6 * (planes - G_SH)), whole = n * planes * 4;
     uint64_t pictures = views * pixels * (4 * 2 + 3);
     return ply + whole + pictures + pictures / 64 + views * 4096 + (1 << 20) +
-           sheet_bytes(n_photographs) + viewer_bytes(viewer);
+           report_page_bytes(n_photographs) + viewer_bytes(viewer);
 }
 
 /* Two photographs that differ only in their extension. */
@@ -92,7 +92,7 @@ struct pictures {
     const struct run *r;
     struct job_result *j;
     struct outdir *o;
-    struct sheet *sheet;
+    struct report_page *sheet;
     struct draw draw;
     size_t clipped; // values above the largest half
     double psnr;    // sum over the views
@@ -109,7 +109,7 @@ static err_t compare(struct pictures *p, int i)
     double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
     p->psnr += psnr;
     p->j->input_db[i] = (float)psnr;
-    return sheet_picture(p->sheet, i, v->size, photograph, &p->draw.display);
+    return report_page_picture(p->sheet, i, v->size, photograph, &p->draw.display);
 }
 
 static err_t write_view(struct pictures *p, int i)
@@ -140,7 +140,7 @@ static err_t write_view(struct pictures *p, int i)
 }
 
 static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o,
-                         struct sheet *sheet)
+                         struct report_page *sheet)
 {
     struct pictures p = {.r = r, .j = j, .o = o, .sheet = sheet};
     const struct scene *s = &j->scene;
@@ -225,7 +225,7 @@ static void tell(const struct job_result *j, int threads, struct report *rep)
 
 /* report.json, and with it the end of the page. */
 static err_t write_report(const struct job_result *j, int threads, const struct outdir *o,
-                          struct sheet *sheet)
+                          struct report_page *sheet)
 {
     char path[FILE_PATH_CAP];
     struct report rep;
@@ -236,20 +236,20 @@ static err_t write_report(const struct job_result *j, int threads, const struct 
         return e;
     tell(j, threads, &rep);
     e = outdir_report_close(o, &rep);
-    return e ? e : sheet_close(sheet, path);
+    return e ? e : report_page_close(sheet, path);
 }
 
-static err_t open_sheet(const struct outdir *o, struct sheet *sheet)
+static err_t open_sheet(const struct outdir *o, struct report_page *sheet)
 {
     char path[FILE_PATH_CAP];
-    err_t e = outdir_path(o, SHEET_NAME, path);
-    return e ? e : sheet_open(path, sheet);
+    err_t e = outdir_path(o, REPORT_PAGE_NAME, path);
+    return e ? e : report_page_open(path, sheet);
 }
 
 err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
 {
     const struct viewer_input viewer = viewer_of(j, o);
-    struct sheet sheet = {0};
+    struct report_page sheet = {0};
     err_t e = outdir_reserve(o, result_bytes(&viewer, j->views.n + j->views.n_more));
     if (!e)
         e = outdir_mkdir(o, "ldr");
@@ -268,7 +268,7 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
         figures_warn(j);
         e = write_report(j, pool_size(r->pool), o, &sheet);
     }
-    sheet_discard(&sheet);
+    report_page_discard(&sheet);
     e = outdir_reason(o, e);
     if (!e && atomic_load(r->cancel))
         return ERR_CANCELLED;

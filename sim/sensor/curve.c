@@ -2,7 +2,7 @@
  * below the table the display value falls in proportion to the exposure, above it is the last one.
  * RANDOM is the integral over u of the slope of sRGB times exp(strength * s(u)), s a cubic B-spline
  * with normal coefficients every 2 stops: monotone whatever the numbers are. The other families are
- * those of core/photo/family.c. */
+ * those of core/photo/response_family.c. */
 #include "sim/sensor/curve.h"
 
 #include "sim/sensor/sensor.h"
@@ -41,7 +41,7 @@ static double at(const struct curve *c, int i)
 
 static double srgb(double u)
 {
-    return family_display(FAMILY_SRGB, 0, u);
+    return response_family_display(RESPONSE_FAMILY_SRGB, 0, u);
 }
 
 static void make_random(uint64_t seed, struct curve *c)
@@ -61,7 +61,8 @@ static void make_random(uint64_t seed, struct curve *c)
 void curve_make(enum curve_family family, float param, uint64_t seed, struct curve *out)
 {
     if (isnan(param))
-        param = family == CURVE_RANDOM ? RANDOM_USUAL : (float)family_usual((enum family)family);
+        param = family == CURVE_RANDOM ? RANDOM_USUAL
+                                       : (float)response_family_usual((enum response_family)family);
     out->family = family;
     out->param = fminf(fmaxf(param, params[family].lo), params[family].hi);
     out->lo = LOW;
@@ -72,7 +73,8 @@ void curve_make(enum curve_family family, float param, uint64_t seed, struct cur
     }
     float last = 0.0f;
     for (int i = 0; i <= CURVE_STEPS; i++) {
-        float y = (float)family_display((enum family)family, out->param, at(out, i));
+        float y =
+            (float)response_family_display((enum response_family)family, out->param, at(out, i));
         last = fminf(fmaxf(y, last), 1.0f);
         out->table[i] = last;
     }

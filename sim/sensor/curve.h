@@ -4,17 +4,17 @@
 #ifndef SENSOR_CURVE_H
 #define SENSOR_CURVE_H
 
-#include "core/photo/family.h"
+#include "core/photo/response_family.h"
 
 #include <stdint.h>
 
-enum curve_family { // those of family.h, and one more
-    CURVE_LINEAR = FAMILY_LINEAR,
-    CURVE_SRGB = FAMILY_SRGB,
-    CURVE_GAMMA = FAMILY_GAMMA,   // param 1.6..3
-    CURVE_FILMIC = FAMILY_FILMIC, // param 0..1
-    CURVE_AGX = FAMILY_AGX,       // param 8..16
-    CURVE_LOG = FAMILY_LOG,       // param 3..12
+enum curve_family { // those of response_family.h, and one more
+    CURVE_LINEAR = RESPONSE_FAMILY_LINEAR,
+    CURVE_SRGB = RESPONSE_FAMILY_SRGB,
+    CURVE_GAMMA = RESPONSE_FAMILY_GAMMA,   // param 1.6..3
+    CURVE_FILMIC = RESPONSE_FAMILY_FILMIC, // param 0..1
+    CURVE_AGX = RESPONSE_FAMILY_AGX,       // param 8..16
+    CURVE_LOG = RESPONSE_FAMILY_LOG,       // param 3..12
     CURVE_RANDOM, // random monotone spline in log exposure around sRGB, by seed; param: strength
     CURVE_FAMILIES
 };

@@ -135,7 +135,7 @@ def film(x: np.ndarray, white: float) -> np.ndarray:
 
 
 def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
-    """A sigmoid over stops, as core/photo/family.c has it."""
+    """A sigmoid over stops, as core/photo/response_family.c has it."""
     def bend(v, end):
         return v / np.sqrt(1 + (1 - end**-2) * v * v)
     grey = 0.42
@@ -148,8 +148,8 @@ def agx(x: np.ndarray, pivot: float, stops: float) -> np.ndarray:
 
 def random_curve(r: np.random.Generator) -> Tensor:
     """A rising display curve, 1 where the sensor is full: sRGB, power, film, sigmoid in stops or
-    camera log (core/photo/family.h), bent by a smooth random change. Film and sigmoid hold more
-    light than fits into the others at the same exposure."""
+    camera log (core/photo/response_family.h), bent by a smooth random change. Film and sigmoid hold
+    more light than fits into the others at the same exposure."""
     x = np.linspace(LOW, HIGH, KNOTS)
     e = np.minimum(np.exp2(x), 1)
     kind = r.integers(5)

@@ -58,22 +58,24 @@ static struct exposure exposure(struct input *in)
     return e;
 }
 
-static void witness(struct input *in, double e, struct witness *w)
+static void witness(struct input *in, double e, struct exposure_probe *w)
 {
     unsigned light = byte(in), part = byte(in);
     memset(w, 0, sizeof *w);
     w->overlap = 1.0f;
-    for (int i = 0; i < WITNESS_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         double x = i < PLACES ? e * exp2(0.1 * i) * exp2(light / 32.0) : 0.0;
         if (part < 8 && i % 8 < (int)part)
             x *= 4.0;
         w->x[i] = (float)fmin(x, 1.0);
         w->sd[i] = (float)(0.007 * fmin(x, 1.0));
         w->floor[i] = 1e-3f;
-        w->state[i] = x >= 1.0 ? WITNESS_CLIPPED : x >= 1e-3 ? WITNESS_GOOD : WITNESS_DARK;
-        w->good += w->state[i] == WITNESS_GOOD;
-        w->dark += w->state[i] == WITNESS_DARK;
-        w->clipped += w->state[i] == WITNESS_CLIPPED;
+        w->state[i] = x >= 1.0    ? EXPOSURE_PROBE_CLIPPED
+                      : x >= 1e-3 ? EXPOSURE_PROBE_GOOD
+                                  : EXPOSURE_PROBE_DARK;
+        w->good += w->state[i] == EXPOSURE_PROBE_GOOD;
+        w->dark += w->state[i] == EXPOSURE_PROBE_DARK;
+        w->clipped += w->state[i] == EXPOSURE_PROBE_CLIPPED;
     }
 }
 
@@ -159,7 +161,7 @@ static void tell(struct rig *r, struct bracket_event *ev, struct input *in)
 
 static void frame(struct rig *r, struct bracket_event *ev, struct input *in)
 {
-    static struct witness w;
+    static struct exposure_probe w;
     struct frame *f = &r->frame[ev->camera];
     unsigned how = byte(in);
     struct exposure shown = exposure(in);

@@ -25,7 +25,7 @@ BEGIN {
     wrapper["^gpiod\\.h$"] = "^drivers/device/trigger_gpiod[12]\\.c$"
     wrapper["^linux/gpio\\.h$"] = "^drivers/device/gpio\\.c$"
     wrapper["^linux/input\\.h$"] = "^drivers/device/trigger_evdev\\.c$"
-    wrapper["^(zlib|zstd)\\.h$"] = "^drivers/format/packed\\.c$"
+    wrapper["^(zlib|zstd)\\.h$"] = "^drivers/format/compressed\\.c$"
     wrapper["^zip\\.h$"] = "^drivers/format/checkpoint\\.c$"
     wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon/daemon\\.c$"

@@ -16,7 +16,7 @@ static struct {
     struct kernels kernels;
     struct arena arena;
     struct attention a;
-    struct attention_room room;
+    struct attention_workspace room;
     uint32_t rng;
     float *qkv; // (seqs, len, 3, heads, width)
     double *want;
@@ -44,10 +44,10 @@ static void open_world(struct attention shape, float reach)
     t.a = shape;
     t.a.k = &t.kernels.net;
     size_t c = (size_t)(t.a.heads * t.a.width), n = (size_t)t.a.seqs * (size_t)t.a.len * 3 * c;
-    size_t need = arena_add(attention_need(&t.a), attention_room_need(t.a.width));
+    size_t need = arena_add(attention_need(&t.a), attention_workspace_need(t.a.width));
     assert_int_equal(arena_init(&t.arena, "attention", need), OK);
     assert_int_equal(attention_init(&t.a, &t.arena), OK);
-    assert_int_equal(attention_room_init(&t.room, t.a.width, &t.arena), OK);
+    assert_int_equal(attention_workspace_init(&t.room, t.a.width, &t.arena), OK);
     assert_true(t.arena.peak == need);
     t.qkv = malloc(n * sizeof *t.qkv);
     t.want = malloc((size_t)t.a.width * sizeof *t.want);

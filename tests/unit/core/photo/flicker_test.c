@@ -32,26 +32,29 @@ struct lamp {
     double hz, depth, phase, readout_s;
 };
 
-static void see(const struct lamp *l, double start_s, double time_s, struct witness *w)
+static void see(const struct lamp *l, double start_s, double time_s, struct exposure_probe *w)
 {
     memset(w, 0, sizeof *w);
     w->overlap = 1.0f;
-    for (int i = 0; i < WITNESS_PLACES; i++) {
-        double t = start_s + l->readout_s * (i / WITNESS_EDGE) / WITNESS_EDGE + 0.5 * time_s;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+        double t =
+            start_s + l->readout_s * (i / EXPOSURE_PROBE_EDGE) / EXPOSURE_PROBE_EDGE + 0.5 * time_s;
         double h = PI * l->hz * time_s, m = h > 0.0 ? sin(h) / h : 1.0;
         double x = 30.0 * time_s * exp2(i % 5 - 3.0) *
                    (1.0 + l->depth * m * sin(2.0 * PI * l->hz * t + l->phase));
         w->sd[i] = (float)sqrt(x * 1e-5 + 1e-8);
         w->x[i] = (float)(x + (double)w->sd[i] * noise());
         w->floor[i] = 0.002f;
-        w->state[i] = x > 0.9 ? WITNESS_CLIPPED : w->x[i] < 0.002f ? WITNESS_DARK : WITNESS_GOOD;
+        w->state[i] = x > 0.9            ? EXPOSURE_PROBE_CLIPPED
+                      : w->x[i] < 0.002f ? EXPOSURE_PROBE_DARK
+                                         : EXPOSURE_PROBE_GOOD;
     }
 }
 
 static struct flicker_light find(const struct lamp *l, double fps)
 {
     struct flicker f = {0};
-    struct witness w;
+    struct exposure_probe w;
     struct flicker_light out;
     int k = 0;
     for (; k < 6; k++) {

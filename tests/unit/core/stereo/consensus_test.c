@@ -34,7 +34,7 @@ static int setup(void **state)
     for (int k = 0; k < VIEWS * MPX; k++)
         w.z[k] = 1;
     w.r = (struct run){.tmp = &w.tmp};
-    const size_t need = arena_add(sight_plan(VIEWS), consensus_plan(VIEWS, SIZE, 3));
+    const size_t need = arena_add(visibility_plan(VIEWS), consensus_plan(VIEWS, SIZE, 3));
     return pool_open(&w.r.pool, 3) == OK && arena_init(&w.tmp, "tmp", need) == OK ? 0 : -1;
 }
 
@@ -48,9 +48,9 @@ static int teardown(void **state)
 
 static void vote(int views)
 {
-    struct sight s;
+    struct visibility s;
     w.maps.n = views;
-    assert_int_equal(sight_init(&w.r, &w.maps, w.cams, &s), OK);
+    assert_int_equal(visibility_init(&w.r, &w.maps, w.cams, &s), OK);
     assert_int_equal(consensus_run(&w.r, &s, w.depth), OK);
     arena_reset(&w.tmp, 0);
 }
@@ -160,10 +160,10 @@ static void the_number_of_threads_changes_nothing(void **state)
 static void too_little_memory_is_said(void **state)
 {
     (void)state;
-    struct sight s;
+    struct visibility s;
     struct arena small = {0};
     struct run r = w.r;
-    assert_int_equal(sight_init(&w.r, &w.maps, w.cams, &s), OK);
+    assert_int_equal(visibility_init(&w.r, &w.maps, w.cams, &s), OK);
     assert_int_equal(arena_init(&small, "tmp", consensus_plan(VIEWS, SIZE, 3) / 2), OK);
     r.tmp = &small;
     assert_int_equal(consensus_run(&r, &s, w.depth), ERR_NOMEM);

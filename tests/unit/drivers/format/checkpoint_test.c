@@ -6,7 +6,7 @@
 #include "core/base/half.h"
 #include "core/net/hashed.h"
 #include "drivers/format/file.h"
-#include "drivers/format/infer.h"
+#include "drivers/format/netdims_infer.h"
 #include "drivers/format/safetensors.h"
 
 #include "tests/unit/core/net/tiny_net.h"
@@ -590,7 +590,7 @@ static err_t infer(const struct net_dims *d, const char *without, struct net_dim
     l.c.tensors = calloc(1500, sizeof *l.c.tensors);
     assert_int_equal(table_walk(d, list, &l), OK);
     qsort(l.c.tensors, (size_t)l.c.n, sizeof *l.c.tensors, by_name);
-    err_t e = infer_run(&l.c, out);
+    err_t e = netdims_infer_run(&l.c, out);
     checkpoint_close(&l.c);
     return e;
 }

@@ -4,8 +4,8 @@
 #include "core/base/bytes.h"
 #include "core/kernels/kernels.h"
 #include "core/splat/display.h"
+#include "drivers/format/compressed.h"
 #include "drivers/format/file.h"
-#include "drivers/format/packed.h"
 
 #include "tests/unit/tmpdir.h"
 
@@ -314,12 +314,12 @@ static void put_file(int version, int degree, int flags)
 static const char *packed(const char *name)
 {
     const char *path = tmpdir_path(name);
-    struct packed_out out;
+    struct compressed_out out;
     FILE *f;
     assert_int_equal(file_create(path, &f), OK);
-    assert_int_equal(packed_begin(&out, path, PACKED_GZIP, f, n_raw), OK);
-    assert_int_equal(packed_put(&out, raw, n_raw), OK);
-    assert_int_equal(packed_end(&out), OK);
+    assert_int_equal(compressed_begin(&out, path, COMPRESSED_GZIP, f, n_raw), OK);
+    assert_int_equal(compressed_put(&out, raw, n_raw), OK);
+    assert_int_equal(compressed_end(&out), OK);
     assert_int_equal(file_finish(f, path), OK);
     return path;
 }

@@ -99,7 +99,7 @@ static inline void sim_make_noise(struct sim *s)
 
 /* Blocks of 64 px with 10,000 electrons at saturation. */
 static inline void sim_witness(struct sim *s, const struct sim_camera *c,
-                               const struct sim_shot *shot, bool garbled, struct witness *w)
+                               const struct sim_shot *shot, bool garbled, struct exposure_probe *w)
 {
     int at = sim_below(s, SIM_NOISE - SIM_PLACES);
     bool lamp = shot->number >= c->lamp_at && shot->number < c->lamp_at + c->lamp_frames;
@@ -115,18 +115,20 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
         w->sd[i] = sd * fminf(x, 1.0f);
         w->x[i] = fminf(x, 1.0f);
         w->floor[i] = c->floor;
-        w->state[i] = x >= 0.95f ? WITNESS_CLIPPED : x < c->floor ? WITNESS_DARK : WITNESS_GOOD;
-        w->clipped += w->state[i] == WITNESS_CLIPPED;
-        w->dark += w->state[i] == WITNESS_DARK;
+        w->state[i] = x >= 0.95f     ? EXPOSURE_PROBE_CLIPPED
+                      : x < c->floor ? EXPOSURE_PROBE_DARK
+                                     : EXPOSURE_PROBE_GOOD;
+        w->clipped += w->state[i] == EXPOSURE_PROBE_CLIPPED;
+        w->dark += w->state[i] == EXPOSURE_PROBE_DARK;
     }
     w->good = SIM_PLACES - w->dark - w->clipped;
     w->overlap = 1.0f;
-    for (int i = SIM_PLACES; i < WITNESS_PLACES; i++) {
+    for (int i = SIM_PLACES; i < EXPOSURE_PROBE_PLACES; i++) {
         w->x[i] = c->bright ? 1.0f : 0.0f;
         w->floor[i] = c->floor;
-        w->state[i] = c->bright ? WITNESS_CLIPPED : WITNESS_DARK;
+        w->state[i] = c->bright ? EXPOSURE_PROBE_CLIPPED : EXPOSURE_PROBE_DARK;
     }
-    *(c->bright ? &w->clipped : &w->dark) += WITNESS_PLACES - SIM_PLACES;
+    *(c->bright ? &w->clipped : &w->dark) += EXPOSURE_PROBE_PLACES - SIM_PLACES;
 }
 
 /* Log radiance evenly over `stops`, its middle at `middle` of saturation in exposure e. */
@@ -209,7 +211,7 @@ static inline void sim_act(struct sim *s)
 
 static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot *shot)
 {
-    static struct witness w;
+    static struct exposure_probe w;
     struct sim_camera *c = &s->camera[camera];
     c->shot = *shot;
     bool garbled = sim_chance(s, c->garble);

@@ -241,7 +241,7 @@ static void test_bad_arguments(void **state)
 {
     struct bracket *b;
     struct bracket_camera c;
-    static const struct witness w;
+    static const struct exposure_probe w;
     (void)state;
     rig_open(2, 2, 3, 2.0);
     c = rig.cfg[0];
@@ -386,7 +386,7 @@ static void test_reasons_of_devices(void **state)
 /* A picture of another size, as after a change of format. */
 static void test_odd_frames(void **state)
 {
-    static struct witness w;
+    static struct exposure_probe w;
     (void)state;
     rig_plain();
     sim_begin(&rig.sim, rig.plan);
@@ -626,14 +626,14 @@ static void test_flash(void **state)
 /* Frames that waited in buffers since before ARM are no reference, however many. */
 static void backlog(bool stamps)
 {
-    static struct witness w;
+    static struct exposure_probe w;
     struct bracket_progress p;
-    for (int i = 0; i < WITNESS_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         w.x[i] = 0.1f;
         w.sd[i] = 0.001f;
         w.floor[i] = 0.01f;
     }
-    w.good = WITNESS_PLACES;
+    w.good = EXPOSURE_PROBE_PLACES;
     w.overlap = 1.0f;
     rig_open(1, 2, 1, 0.0);
     assert_int_equal(bracket_new(rig.cfg, 1, &rig.sim.b), OK);

@@ -24,7 +24,7 @@
 
 static struct calibrate c;
 static struct selftest t;
-static struct watch *w;
+static struct device_probe *w;
 static char uri[512];
 
 static int set_up(void **state)
@@ -39,7 +39,7 @@ static int set_up(void **state)
 static int tear_down(void **state)
 {
     (void)state;
-    watch_close(w);
+    device_probe_close(w);
     tmpdir_remove();
     return 0;
 }
@@ -63,8 +63,8 @@ static err_t calibrate_parts(unsigned parts)
 static void open_camera(const char *options)
 {
     struct camera_cfg cfg = {.uri = camera(options)};
-    watch_close(w);
-    if (watch_open(&cfg, &w) != OK)
+    device_probe_close(w);
+    if (device_probe_open(&cfg, &w) != OK)
         fail_msg("%s", err_text());
 }
 

@@ -15,7 +15,7 @@
 
 static struct label l;
 static struct frame f;
-static struct witness w;
+static struct exposure_probe w;
 static int64_t now;
 
 static void open_label(int delay_lo, int delay_hi, double tolerance)
@@ -44,15 +44,17 @@ static void see(double time_s)
 {
     memset(&w, 0, sizeof w);
     w.overlap = 1.0f;
-    for (int i = 0; i < WITNESS_PLACES; i++) {
-        float x = (float)(time_s * 10.0 * exp2(10.0 * i / WITNESS_PLACES - 5.0));
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+        float x = (float)(time_s * 10.0 * exp2(10.0 * i / EXPOSURE_PROBE_PLACES - 5.0));
         w.x[i] = fminf(x, 1.0f);
         w.sd[i] = 0.01f * w.x[i];
         w.floor[i] = 0.002f;
-        w.state[i] = x >= 1.0f ? WITNESS_CLIPPED : x < 0.002f ? WITNESS_DARK : WITNESS_GOOD;
-        w.good += w.state[i] == WITNESS_GOOD;
-        w.clipped += w.state[i] == WITNESS_CLIPPED;
-        w.dark += w.state[i] == WITNESS_DARK;
+        w.state[i] = x >= 1.0f    ? EXPOSURE_PROBE_CLIPPED
+                     : x < 0.002f ? EXPOSURE_PROBE_DARK
+                                  : EXPOSURE_PROBE_GOOD;
+        w.good += w.state[i] == EXPOSURE_PROBE_GOOD;
+        w.clipped += w.state[i] == EXPOSURE_PROBE_CLIPPED;
+        w.dark += w.state[i] == EXPOSURE_PROBE_DARK;
     }
 }
 
@@ -154,9 +156,10 @@ static void test_bounds(void **state)
         frame(0.008);
     assert_int_equal(look(&k), LABEL_PROVEN);
     assert_true(k.lo < k.stops && k.hi > k.stops);
-    for (int i = 0; i < WITNESS_PLACES; i++) // good before, and now so dark that it cannot be
-        if (i % 4 == 0 && w.state[i] == WITNESS_GOOD && w.x[i] > 0.05f) {
-            w.state[i] = WITNESS_DARK;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES;
+         i++) // good before, and now so dark that it cannot be
+        if (i % 4 == 0 && w.state[i] == EXPOSURE_PROBE_GOOD && w.x[i] > 0.05f) {
+            w.state[i] = EXPOSURE_PROBE_DARK;
             w.floor[i] = 0.01f;
             w.x[i] = 0.005f;
         }

@@ -28,7 +28,7 @@ static void a_list_around_its_middle(void **state)
     (void)state;
     struct session_order o = {.mode = SESSION_LIST, .n = 3, .ev = {0, -3, 2}, .middle_s = 0.004};
     struct bracket_plan p;
-    struct roll roll = {0};
+    struct frame_buffer roll = {0};
     schedule_shots(&o, 0, &device, &metered, &roll, &p);
     expect(&p, 3, (double[]){0.004, 0.0005, 0.016});
     assert_false(schedule_is_metered(&o));
@@ -49,7 +49,7 @@ static void proven_probes_are_not_taken_again(void **state)
     (void)state;
     struct session_order o = {.mode = SESSION_AUTO};
     struct bracket_plan p;
-    struct roll roll = {.n = 2};
+    struct frame_buffer roll = {.n = 2};
     schedule_shots(&o, 0, &device, &metered, &roll, &p);
     expect(&p, 1, (double[]){0.008});
     assert_true(roll.kept[0].used && roll.kept[1].used);
@@ -69,7 +69,7 @@ static void stagger_goes_round(void **state)
     (void)state;
     struct session_order o = {.mode = SESSION_AUTO, .stagger = true};
     struct bracket_plan p;
-    struct roll roll = {.n = 2};
+    struct frame_buffer roll = {.n = 2};
     assert_int_equal(schedule_frames(&o), 1);
     for (int turn = 0; turn < 7; turn++) {
         schedule_shots(&o, turn, &device, &metered, &roll, &p);

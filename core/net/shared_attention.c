@@ -1,0 +1,238 @@
+/* For each head all logits of a block of queries, their softmax over all keys, summed into the mean
+ * over heads. */
+#include "core/net/shared_attention.h"
+
+#include "core/net/plan.h"
+
+#include <math.h>
+#include <string.h>
+
+#define HEAD_SCALE 0.125f // whatever the width of a head (golden/QUIRKS 2)
+
+struct shared_attention shared_attention_shape(const struct net_dims *d, int n_views, int grid)
+{
+    const int m = grid * grid, keys = n_views * (m + NET_SPECIAL);
+    return (struct shared_attention){.heads = d->heads,
+                                     .head = d->embed / d->heads,
+                                     .m = m,
+                                     .keys = keys,
+                                     .key_panels = (keys + PANEL - 1) / PANEL};
+}
+
+size_t shared_attention_pitch(const struct shared_attention *a)
+{
+    return (size_t)a->key_panels * PANEL;
+}
+
+static size_t panel_floats(const struct shared_attention *a)
+{
+    return (size_t)a->heads * shared_attention_pitch(a) * (size_t)a->head;
+}
+
+size_t shared_attention_need(const struct shared_attention *a)
+{
+    return arena_need(panel_floats(a), sizeof(float));
+}
+
+size_t shared_attention_workspace_need(const struct shared_attention *a)
+{
+    const size_t one = arena_need(SHARED_ATTENTION_ROWS * shared_attention_pitch(a), sizeof(float));
+    return arena_add(one, one);
+}
+
+/* Keys of one head to panels; keys beyond the last are zero. */
+static err_t pack_keys(void *ctx, int head, int worker)
+{
+    const struct shared_attention *a = ctx;
+    const size_t width = (size_t)a->head, pitch = shared_attention_pitch(a);
+    const float *k = a->t->k + (size_t)head * (size_t)a->keys * width;
+    float *out = a->panels + (size_t)head * pitch * width;
+    (void)worker;
+    memset(out + (pitch - PANEL) * width, 0, PANEL * width * sizeof *out);
+    for (size_t j = 0; j < (size_t)a->keys; j++)
+        for (size_t i = 0; i < width; i++)
+            out[j / PANEL * PANEL * width + i * PANEL + j % PANEL] = k[j * width + i];
+    return OK;
+}
+
+err_t shared_attention_init(const struct run *r, const struct tokens *t, struct shared_attention *a)
+{
+    a->r = r;
+    a->t = t;
+    err_t e = arena_alloc(r->tmp, panel_floats(a), sizeof(float), &a->panels);
+    return e ? e : pool_for(r->pool, a->heads, pack_keys, a);
+}
+
+err_t shared_attention_workspace_init(const struct shared_attention *a, struct arena *arena,
+                                      struct shared_attention_workspace *out)
+{
+    const size_t n = SHARED_ATTENTION_ROWS * shared_attention_pitch(a);
+    err_t e = arena_alloc(arena, n, sizeof(float), &out->logits);
+    return e ? e : arena_alloc(arena, n, sizeof(float), &out->sum);
+}
+
+/* Softmax of one head for `rows` queries from token row `at` on, added to room->sum. */
+static void add_head(const struct shared_attention *a, int head, size_t at, int rows,
+                     const struct shared_attention_workspace *room)
+{
+    const struct gemm_kernels *k = &a->r->k->net;
+    float scale[SHARED_ATTENTION_ROWS], top[SHARED_ATTENTION_ROWS], sum[SHARED_ATTENTION_ROWS],
+        rescale[SHARED_ATTENTION_ROWS], weigh[SHARED_ATTENTION_ROWS];
+    const size_t width = (size_t)a->head, pitch = shared_attention_pitch(a);
+    for (int i = 0; i < rows; i++) {
+        scale[i] = HEAD_SCALE;
+        top[i] = -INFINITY;
+        sum[i] = 0;
+    }
+    const struct gemm_f32 g = {.m = rows,
+                               .panels = a->key_panels,
+                               .segs = 1,
+                               .seg = a->head,
+                               .a = a->t->q + ((size_t)head * (size_t)a->keys + at) * width,
+                               .lda = width,
+                               .w = a->panels + (size_t)head * pitch * width,
+                               .ldw = PANEL * width,
+                               .c = room->logits,
+                               .ldc = pitch};
+    const struct attend_block b = {.m = rows,
+                                   .n = a->keys,
+                                   .sf = room->logits,
+                                   .lds = pitch,
+                                   .row_scale = scale,
+                                   .top = top,
+                                   .sum = sum,
+                                   .pf = room->logits,
+                                   .ldp = pitch,
+                                   .rescale = rescale,
+                                   .weigh = weigh};
+    k->f32(&g);
+    k->attend_block(&b);
+    for (int i = 0; i < rows; i++) {
+        rescale[i] = 1;
+        weigh[i] = 1 / ((float)a->heads * sum[i]);
+    }
+    k->attend_add(&(struct attend_add){.m = rows,
+                                       .n = a->keys,
+                                       .cf = room->logits,
+                                       .ldc = pitch,
+                                       .rescale = rescale,
+                                       .weigh = weigh,
+                                       .o = room->sum,
+                                       .ldo = pitch});
+}
+
+err_t shared_attention_rows(const struct shared_attention *a, int view, int first, int rows,
+                            const struct shared_attention_workspace *room)
+{
+    const size_t at = (size_t)view * (size_t)(a->m + NET_SPECIAL) + NET_SPECIAL + (size_t)first;
+    memset(room->sum, 0, (size_t)rows * shared_attention_pitch(a) * sizeof(float));
+    for (int head = 0; head < a->heads; head++) {
+        err_t e = run_check(a->r, "network");
+        if (e)
+            return e;
+        add_head(a, head, at, rows, room);
+    }
+    return OK;
+}
+
+/* ---- best tokens ---- */
+
+struct search {
+    struct shared_attention a;
+    struct shared_attention_workspace *rooms;
+    struct correspondence *out;
+};
+
+static int blocks_of_view(const struct shared_attention *a)
+{
+    return (a->m + SHARED_ATTENTION_ROWS - 1) / SHARED_ATTENTION_ROWS;
+}
+
+/* The largest of n weights, in order, and their share of the sum; the first of equal ones. */
+static void pick(const float *weight, int n, int16_t *token, float *share)
+{
+    double all = 0;
+    int found = 0;
+    for (int i = 0; i < n; i++) {
+        int at = found;
+        all += (double)weight[i];
+        while (at > 0 && weight[i] > weight[token[at - 1]])
+            at--;
+        if (at == CORRESPONDENCE_BEST)
+            continue;
+        found += found < CORRESPONDENCE_BEST;
+        for (int k = found - 1; k > at; k--)
+            token[k] = token[k - 1];
+        token[at] = (int16_t)i;
+    }
+    for (int k = 0; k < CORRESPONDENCE_BEST; k++) {
+        share[k] = k < found && all > 0 ? (float)((double)weight[token[k]] / all) : 0;
+        if (k >= found)
+            token[k] = -1;
+    }
+}
+
+static err_t search_block(void *ctx, int chunk, int worker)
+{
+    const struct search *s = ctx;
+    const struct shared_attention *a = &s->a;
+    const struct shared_attention_workspace *room = s->rooms + worker;
+    const int view = chunk / blocks_of_view(a),
+              first = chunk % blocks_of_view(a) * SHARED_ATTENTION_ROWS;
+    const int rows = a->m - first < SHARED_ATTENTION_ROWS ? a->m - first : SHARED_ATTENTION_ROWS;
+    const int n_views = s->out->n_views;
+    err_t e = shared_attention_rows(a, view, first, rows, room);
+    for (int i = 0; i < rows && !e; i++)
+        for (int v = 0; v < n_views; v++) {
+            const size_t query = (size_t)view * (size_t)a->m + (size_t)(first + i);
+            const size_t at = (query * (size_t)n_views + (size_t)v) * CORRESPONDENCE_BEST;
+            const float *weight = room->sum + (size_t)i * shared_attention_pitch(a) +
+                                  (size_t)v * (size_t)(a->m + NET_SPECIAL) + NET_SPECIAL;
+            pick(weight, a->m, s->out->token + at, s->out->share + at);
+        }
+    return e;
+}
+
+static size_t pairs(int n_views, int m)
+{
+    return (size_t)n_views * (size_t)n_views * (size_t)m * CORRESPONDENCE_BEST;
+}
+
+err_t shared_attention_run(const struct run *r, const struct net_dims *d, const struct tokens *t,
+                           struct correspondence *out)
+{
+    const size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
+    const int workers = pool_size(r->pool);
+    struct search s = {.a = shared_attention_shape(d, t->n_views, t->grid), .out = out};
+    *out = (struct correspondence){.n_views = t->n_views, .grid = t->grid};
+    err_t e = arena_alloc(r->keep, pairs(t->n_views, s.a.m), sizeof *out->token, &out->token);
+    if (!e)
+        e = arena_alloc(r->keep, pairs(t->n_views, s.a.m), sizeof *out->share, &out->share);
+    if (!e)
+        e = arena_alloc(r->tmp, (size_t)workers, sizeof *s.rooms, &s.rooms);
+    for (int i = 0; i < workers && !e; i++)
+        e = shared_attention_workspace_init(&s.a, r->tmp, s.rooms + i);
+    if (!e)
+        e = shared_attention_init(r, t, &s.a);
+    if (!e)
+        e = pool_for(r->pool, t->n_views * blocks_of_view(&s.a), search_block, &s);
+    arena_reset(r->tmp, tmp);
+    if (e) {
+        arena_reset(r->keep, keep);
+        memset(out, 0, sizeof *out);
+    }
+    return e;
+}
+
+void shared_attention_plan(const struct net_dims *d, int n_views, int size, int threads,
+                           size_t *keep, size_t *tmp)
+{
+    const struct shared_attention a = shared_attention_shape(d, n_views, size / NET_PATCH);
+    struct plan p = {0, 0};
+    *keep = arena_add(arena_need(pairs(n_views, a.m), sizeof(int16_t)),
+                      arena_need(pairs(n_views, a.m), sizeof(float)));
+    plan_hold(&p, (size_t)threads, sizeof(struct shared_attention_workspace));
+    plan_step(&p, arena_add(shared_attention_need(&a),
+                            (size_t)threads * shared_attention_workspace_need(&a)));
+    *tmp = p.peak;
+}

@@ -1,0 +1,420 @@
+/* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; only these are
+ * touched; blocks of small pictures overlap, so that each has neighbours to learn its noise from.
+ * Per colour the block's codes become relative exposure (display values by a table, linear ones
+ * less black) and are averaged; the mean of the colours counts: the strongest of three would be the
+ * luckiest where all are noise. Of a mosaic only sites of one colour are averaged, green over both
+ * of its kinds.
+ * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
+ * colour says nothing safe by the others once a device has mixed them.
+ * Display values that are noise, cut off at black, are DARK whatever code they have: curves like
+ * logarithms show single electrons well above code 8.
+ * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
+ * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
+ * of linear numbers, a black level that is wrong by half a code.
+ * A ratio is the median of log2 x_b / x_a, 4.5 of the capture notes. Which places count must not
+ * depend on the noise that the ratio sees, or near the dark limit the lucky ones are chosen: at
+ * ratio R a place has the light m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors have
+ * nothing to do with x_b / x_a; it counts if both are above its floor, even if x_b itself is not.
+ * R begins as the median over places that are not dark in either.
+ * A band of rows has its own median of how far places are off; those that are dark or clipped in
+ * one count as far as their bound is beyond the ratio.
+ * A place that is dark or clipped in one bounds the ratio from one side; of the bounds sorted, the
+ * one with 2 % of all places beyond it is taken. */
+#include "core/photo/exposure_probe.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    BLOCK_LEAST = 4,
+    BLOCK = 8,
+    WRONG = EXPOSURE_PROBE_PLACES / 50,
+    ROUNDS = 4,
+    LEAST_PLACES = 6,
+    BAND_PLACES = 6
+};
+
+#define LOG2E 1.44269504f
+#define DARK_DISPLAY 8    // codes: capture notes 4.2
+#define ABOVE_BLACK 4.0f  // of the exposure of code 1: curves recovered from noise end too high
+#define DARK_LINEAR 8     // codes above black
+#define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG
+#define STEP_LINEAR 0.29f // rounding
+#define BLACK_ERROR 0.5f  // codes
+#define LEAST 1e-9f       // relative exposure: logarithms are finite
+#define SD_MAX 0.15f      // stops: noisier places are dark
+#define FAINT 0x1p-7f     // relative exposure: below, a display's noise may be cut off at black,
+#define STAND_OUT 4.0f    // and looks like light unless a pixel is so many times above it
+#define SURE 3.0f         // standard errors that a bound allows for
+#define BAND_SURE 4.0f    // and a band
+#define MEDIAN 1.25f      // standard error of a median, of that of a mean
+#define QUARTILE 0.674f   // of a normal distribution, standard deviations
+#define CONVERGED 1e-3f   // stops
+
+struct scale {
+    const struct raw *px;
+    int clip;            // first code that counts as clipped
+    float unit;          // relative exposure of a code of linear numbers
+    float table[3][256]; // of display values
+    float dark[3];       // relative exposure below which it is dark
+};
+
+/* Sums over one colour of a block. */
+struct sum {
+    int n, pairs, clipped;
+    float x, diff2; // sum of exposures; of squared differences of neighbours
+    int64_t codes;
+};
+
+struct mean {
+    float x, noise;  // relative exposure; noise of a pixel, linear
+    float var, step; // squared error by noise; error by steps of codes
+};
+
+static void scale_init(const struct raw *px, const struct crf *crf, struct scale *s)
+{
+    struct crf srgb;
+    s->px = px;
+    int top = (1 << px->bits) - 1 - px->black;
+    s->unit = 1.0f / (float)top;
+    s->clip = raw_clip(px);
+    if (!px->linear && !crf) {
+        crf_srgb(&srgb);
+        crf = &srgb;
+    }
+    for (int c = 0; c < 3; c++) {
+        for (int i = 0; i < 256 && !px->linear; i++)
+            s->table[c][i] = exp2f(crf->log2x[c][i]);
+        s->dark[c] = px->linear ? DARK_LINEAR * s->unit
+                                : fmaxf(s->table[c][DARK_DISPLAY], ABOVE_BLACK * s->table[c][1]);
+    }
+}
+
+static inline float exposure_of(const struct scale *s, int colour, int code)
+{
+    return s->px->linear ? (float)(code - s->px->black) * s->unit : s->table[colour][code & 255];
+}
+
+/* n sites of a colour in a row, `step` numbers apart. */
+static void add_row(const struct scale *s, int colour, const uint16_t *p, int n, int step,
+                    struct sum *to)
+{
+    float last = 0.0f;
+    for (int i = 0; i < n; i++, p += step) {
+        float x = exposure_of(s, colour, *p);
+        to->clipped += *p >= s->clip;
+        to->codes += *p;
+        to->x += x;
+        to->diff2 += i > 0 ? (x - last) * (x - last) : 0.0f;
+        last = x;
+    }
+    to->n += n;
+    to->pairs += n - 1;
+}
+
+/* Edge of the blocks along a side of n px: even, no longer than a cell if that is long enough. */
+static int edge_of(int n)
+{
+    int cell = n / EXPOSURE_PROBE_EDGE / 2 * 2;
+    return num_min(n, num_min(num_max(cell, BLOCK_LEAST), BLOCK));
+}
+
+/* Sums of a block per colour, which begins at an even site of a mosaic. */
+static void add_block(const struct scale *s, int y0, int x0, struct sum to[3])
+{
+    const struct raw *px = s->px;
+    int w = edge_of(px->w), h = edge_of(px->h);
+    size_t pitch = px->cfa == RAW_RGB ? 3 : 1;
+    for (int y = y0; y < y0 + h; y++) {
+        const uint16_t *p = px->px + ((size_t)y * (size_t)px->w + (size_t)x0) * pitch;
+        if (px->cfa == RAW_MONO)
+            add_row(s, 1, p, w, 1, &to[1]);
+        else if (px->cfa == RAW_RGB)
+            for (int c = 0; c < 3; c++)
+                add_row(s, c, p + c, w, 3, &to[c]);
+        else
+            for (int k = 0; k < 2; k++)
+                add_row(s, raw_colour(px->cfa, y, k), p + k, w / 2, 2,
+                        &to[raw_colour(px->cfa, y, k)]);
+    }
+}
+
+static struct mean mean_of(const struct scale *s, int colour, const struct sum *m)
+{
+    float n = (float)m->n, step = STEP_LINEAR * s->unit;
+    if (!s->px->linear) {
+        int code = num_min((int)(m->codes / m->n), 254), below = code > 0 ? code - 1 : 0;
+        step = STEP_DISPLAY * 0.5f * (s->table[colour][code + 1] - s->table[colour][below]);
+    }
+    float noise2 = m->pairs > 0 ? 0.5f * m->diff2 / (float)m->pairs : 0.0f;
+    return (struct mean){m->x / n, sqrtf(noise2), noise2 / n, step};
+}
+
+static void judge(const struct scale *s, int y0, int x0, int at, struct exposure_probe *to)
+{
+    struct sum sums[3] = {{0}};
+    struct mean all = {0};
+    float dark = 0.0f, n = 0.0f;
+    bool clipped = false;
+    add_block(s, y0, x0, sums);
+    for (int c = 0; c < 3; c++) {
+        if (sums[c].n == 0)
+            continue;
+        struct mean m = mean_of(s, c, &sums[c]);
+        clipped |= sums[c].clipped > 0;
+        all.x += m.x;
+        all.noise += m.noise;
+        all.var += m.var + m.step * m.step;
+        dark += s->dark[c];
+        n += 1.0f;
+    }
+    float black = s->px->linear ? BLACK_ERROR * s->unit : 0.0f;
+    float x = all.x / n, sd = sqrtf(all.var / (n * n) + black * black);
+    float floor = fmaxf(dark / n, LOG2E / SD_MAX * sd);
+    if (!s->px->linear) // linear numbers have a black level
+        floor = fmaxf(floor, fminf(FAINT, STAND_OUT * all.noise / n));
+    to->x[at] = x;
+    to->sd[at] = sd;
+    to->floor[at] = floor;
+    to->state[at] = (uint8_t)(clipped     ? EXPOSURE_PROBE_CLIPPED
+                              : x < floor ? EXPOSURE_PROBE_DARK
+                                          : EXPOSURE_PROBE_GOOD);
+}
+
+/* First pixel of the block of cell i, of n pixels. */
+static int begin_of(const struct raw *px, int i, int n)
+{
+    int edge = edge_of(n),
+        at = (int)((2 * i + 1) * (int64_t)n / (2 * EXPOSURE_PROBE_EDGE)) - edge / 2;
+    at = num_max(num_min(at, n - edge), 0);
+    return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
+}
+
+void exposure_probe_take(const struct raw *px, const struct crf *crf, struct exposure_probe *out)
+{
+    struct scale s;
+    int count[3] = {0};
+    scale_init(px, crf, &s);
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+        int y = begin_of(px, i / EXPOSURE_PROBE_EDGE, px->h),
+            x = begin_of(px, i % EXPOSURE_PROBE_EDGE, px->w);
+        judge(&s, y, x, i, out);
+        count[out->state[i]]++;
+    }
+    float share = (float)(edge_of(px->w) * edge_of(px->h)) / ((float)px->w * (float)px->h);
+    out->overlap = fmaxf(share * EXPOSURE_PROBE_PLACES, 1.0f);
+    out->good = count[EXPOSURE_PROBE_GOOD];
+    out->dark = count[EXPOSURE_PROBE_DARK];
+    out->clipped = count[EXPOSURE_PROBE_CLIPPED];
+}
+
+/* ---- comparison ---- */
+
+struct lists {
+    int n_seen, n_lo, n_hi;
+    struct {
+        int place;
+        float log2;
+    } seen[EXPOSURE_PROBE_PLACES]; // good in one at least, clipped in none
+    float lo[EXPOSURE_PROBE_PLACES], hi[EXPOSURE_PROBE_PLACES];
+};
+
+struct pair {
+    const struct exposure_probe *a, *b;
+    struct lists l;
+    float r, ratio;                     // estimate so far: log2, linear
+    float value[EXPOSURE_PROBE_PLACES]; // room for medians
+};
+
+static float log_ratio(float b, float a)
+{
+    return log2f(fmaxf(b, LEAST) / fmaxf(a, LEAST));
+}
+
+static void add_bound(const struct exposure_probe *a, const struct exposure_probe *b, int i,
+                      struct lists *to)
+{
+    bool lo = a->state[i] == EXPOSURE_PROBE_DARK || b->state[i] == EXPOSURE_PROBE_CLIPPED;
+    float xa = a->state[i] == EXPOSURE_PROBE_DARK ? a->floor[i] : fmaxf(a->x[i], LEAST);
+    float xb = b->state[i] == EXPOSURE_PROBE_DARK ? b->floor[i] : fmaxf(b->x[i], LEAST);
+    float error = SURE * LOG2E * hypotf(a->sd[i] / xa, b->sd[i] / xb), r = log2f(xb / xa);
+    if (lo)
+        to->lo[to->n_lo++] = r - error;
+    else
+        to->hi[to->n_hi++] = r + error;
+}
+
+static void add_place(const struct exposure_probe *a, const struct exposure_probe *b, int i,
+                      struct lists *to)
+{
+    int sa = a->state[i], sb = b->state[i];
+    if (sa == sb && sa != EXPOSURE_PROBE_GOOD)
+        return; // most of a dark picture, so before the logarithm
+    if (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED) {
+        to->seen[to->n_seen].place = i;
+        to->seen[to->n_seen++].log2 = log_ratio(b->x[i], a->x[i]);
+    }
+    if (sa != EXPOSURE_PROBE_GOOD || sb != EXPOSURE_PROBE_GOOD)
+        add_bound(a, b, i, to);
+}
+
+/* What would be at place k of n numbers in order (Hoare's FIND); reorders them. */
+static float ranked(float *v, int n, int k)
+{
+    for (int lo = 0, hi = n - 1; lo < hi;) {
+        float pivot = v[k];
+        int i = lo, j = hi;
+        while (i <= j) {
+            while (v[i] < pivot)
+                i++;
+            while (pivot < v[j])
+                j--;
+            if (i > j)
+                break;
+            float t = v[i];
+            v[i++] = v[j];
+            v[j--] = t;
+        }
+        lo = j < k ? i : lo;
+        hi = k < i ? j : hi;
+    }
+    return v[k];
+}
+
+/* Light of a place in a, by both frames; 0 if either should not see it well. */
+static float light(const struct pair *p, int i)
+{
+    float m = (p->a->x[i] + p->b->x[i]) / (1.0f + p->ratio);
+    return m >= p->a->floor[i] && m * p->ratio >= p->b->floor[i] ? m : 0.0f;
+}
+
+static void set_ratio(struct pair *p, float r)
+{
+    p->r = r;
+    p->ratio = exp2f(r);
+}
+
+static int good_in_both(struct pair *p)
+{
+    int n = 0;
+    for (int k = 0; k < p->l.n_seen; k++) {
+        int i = p->l.seen[k].place;
+        if (p->a->state[i] == EXPOSURE_PROBE_GOOD && p->b->state[i] == EXPOSURE_PROBE_GOOD)
+            p->value[n++] = p->l.seen[k].log2;
+    }
+    return n;
+}
+
+/* Ratios of the places that count; the sum of their squared errors. */
+static int that_count(struct pair *p, float *var)
+{
+    int n = 0;
+    *var = 0.0f;
+    for (int k = 0; k < p->l.n_seen; k++) {
+        int i = p->l.seen[k].place;
+        float m = light(p, i);
+        if (m <= 0.0f)
+            continue;
+        float sa = p->a->sd[i] / m, sb = p->b->sd[i] / (m * p->ratio);
+        *var += LOG2E * LOG2E * (sa * sa + sb * sb);
+        p->value[n++] = p->l.seen[k].log2;
+    }
+    return n;
+}
+
+/* Standard error of the median of n places with errors of sd. */
+static float median_error(const struct pair *p, float sd, int n)
+{
+    return MEDIAN * sd * sqrtf(fmaxf(p->a->overlap, p->b->overlap) / (float)n);
+}
+
+/* Half of the range between the quartiles. */
+static float spread_of(float *v, int n)
+{
+    int quarter = n / 4;
+    return 0.5f * (ranked(v, n, n - 1 - quarter) - ranked(v, n, quarter));
+}
+
+static void measure(struct pair *p, struct exposure_probe_ratio *out)
+{
+    float var = 0.0f, step = INFINITY;
+    int n = good_in_both(p);
+    if (n > 0)
+        set_ratio(p, ranked(p->value, n, n / 2));
+    for (int k = 0; n > 0 && k < ROUNDS && step > CONVERGED; k++) {
+        n = that_count(p, &var);
+        float r = n > 0 ? ranked(p->value, n, n / 2) : p->r;
+        step = fabsf(r - p->r);
+        set_ratio(p, r);
+    }
+    if (n < LEAST_PLACES * fmaxf(p->a->overlap, p->b->overlap))
+        return;
+    out->places = n;
+    out->log2 = p->r;
+    out->spread = spread_of(p->value, n);
+    out->noise = sqrtf(var / (float)n);
+    out->error = median_error(p, out->spread / QUARTILE, n);
+}
+
+/* Bounds of log2 x of a place. */
+static void bounds(const struct exposure_probe *w, int i, float *lo, float *hi)
+{
+    float l = log2f(fmaxf(w->x[i], w->floor[i]));
+    *lo = w->state[i] == EXPOSURE_PROBE_DARK ? -INFINITY : l;
+    *hi = w->state[i] == EXPOSURE_PROBE_CLIPPED ? INFINITY : l;
+}
+
+/* How far the ratio of place i surely is from that of all, stops; false: it can say nothing. Dark
+ * places that are as dark as expected count, or those that noise makes good would be the most. */
+static bool deviation(const struct pair *p, int i, float *off)
+{
+    float lo_a, hi_a, lo_b, hi_b;
+    int sa = p->a->state[i], sb = p->b->state[i];
+    if (sa == sb && sa != EXPOSURE_PROBE_GOOD)
+        return false;
+    bounds(p->a, i, &lo_a, &hi_a);
+    bounds(p->b, i, &lo_b, &hi_b);
+    *off = fmaxf(lo_b - hi_a - p->r, 0.0f) + fminf(hi_b - lo_a - p->r, 0.0f);
+    return *off != 0.0f || (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED);
+}
+
+/* By how much n rows of the grid are off for sure, stops; spread: of all. */
+static float band_off(struct pair *p, int row, int rows, float spread)
+{
+    int n = 0;
+    for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + rows) * EXPOSURE_PROBE_EDGE; i++)
+        n += deviation(p, i, &p->value[n]);
+    if (n < BAND_PLACES)
+        return 0.0f;
+    float noise = fmaxf(spread_of(p->value, n), spread) / QUARTILE;
+    float off = fabsf(ranked(p->value, n, n / 2));
+    return fmaxf(off - BAND_SURE * median_error(p, noise, n), 0.0f);
+}
+
+static float widest_band(struct pair *p, float spread)
+{
+    float most = 0.0f;
+    for (int rows = 1; rows < EXPOSURE_PROBE_EDGE; rows *= 2)
+        for (int row = 0; row < EXPOSURE_PROBE_EDGE; row += rows)
+            most = fmaxf(most, band_off(p, row, rows, spread));
+    return most;
+}
+
+void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
+                            struct exposure_probe_ratio *out)
+{
+    struct pair p = {.a = a, .b = b};
+    struct lists *l = &p.l;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        add_place(a, b, i, l);
+    *out = (struct exposure_probe_ratio){.lo = -INFINITY, .hi = INFINITY};
+    if (l->n_lo > WRONG)
+        out->lo = ranked(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
+    if (l->n_hi > WRONG)
+        out->hi = ranked(l->hi, l->n_hi, WRONG);
+    measure(&p, out);
+    if (out->places > 0)
+        out->band = widest_band(&p, out->spread);
+}

@@ -1,0 +1,50 @@
+/* exposure_probe.h - what the pixels of a frame say about its exposure: a small grid of places, and
+ * the ratio of exposures of two frames of one scene seen at the same places (capture notes 4.5,
+ * W4). Pure; any thread. */
+#ifndef PHOTO_EXPOSURE_PROBE_H
+#define PHOTO_EXPOSURE_PROBE_H
+
+#include "core/photo/crf.h"
+#include "core/photo/raw.h"
+
+enum {
+    EXPOSURE_PROBE_EDGE = 32,
+    EXPOSURE_PROBE_PLACES = EXPOSURE_PROBE_EDGE * EXPOSURE_PROBE_EDGE
+};
+
+enum exposure_probe_state {
+    EXPOSURE_PROBE_GOOD,
+    EXPOSURE_PROBE_DARK,   // below `floor`, whatever x says
+    EXPOSURE_PROBE_CLIPPED // some pixel of the place is saturated: exposure is at least x
+};
+
+/* Mean of a block of pixels, all colours alike, at each place of an even grid. */
+struct exposure_probe {
+    float x[EXPOSURE_PROBE_PLACES]; // relative exposure, 1 = saturation; of a dark place any number
+    float sd[EXPOSURE_PROBE_PLACES];    // its standard error
+    float floor[EXPOSURE_PROBE_PLACES]; // > 0: below, noise and code steps do not allow to trust x
+    uint8_t state[EXPOSURE_PROBE_PLACES];
+    int good, dark, clipped; // places
+    float overlap;           // >= 1: places that share a pixel, where a picture is small
+};
+
+/* `crf` is for display values; NULL: sRGB is assumed, which callers must allow for: under another
+ * curve ratios are wrong, by up to 0.1 stops per stop for gamma 2.2, 0.6 for filmic ones. */
+void exposure_probe_take(const struct raw *px, const struct crf *crf, struct exposure_probe *out);
+
+struct exposure_probe_ratio {
+    int places;   // that both should see well, by what they see together and `log2`; 0: too few
+    float log2;   // exposure of b over that of a: median over the places; 0 if there are none
+    float error;  // its standard error
+    float spread; // half of the range between the quartiles: large if the scene or the light of
+                  // parts of it changed
+    float noise;  // rms of the ratio of a place by noise alone, stops
+    float band;   // stops, >= 0: by how much rows side by side have another ratio, for sure
+    float lo, hi; // what dark and clipped places allow, with 2 % of all places wrong; -/+ INFINITY
+};
+
+/* Compare b with a. */
+void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
+                            struct exposure_probe_ratio *out);
+
+#endif

@@ -1,0 +1,124 @@
+/* Only surfaces that both of two views show are in their histograms. Histograms and not pairs of
+ * pixels: of all that shows the same dark value in one view, most is brighter and noisy. */
+#include "core/refine/response_refit.h"
+
+#include "core/base/num.h"
+#include "core/photo/response.h"
+#include "core/stereo/visibility.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    PAIRS = 240,      // pairs of views that are compared at most
+    SHARED_MIN = 500, // pixels that two views must have in common
+    EACH = 3 * RESPONSE_QUANTILES,
+    MEAN = 2 // px, least edge of the square whose mean is compared
+};
+
+static const float APART = 0.25f; // stops from which exposures differ
+
+struct refit {
+    const struct views *v;
+    struct visibility sight;
+    struct response_pair *pairs; // (PAIRS EACH)
+    int n;
+    uint32_t hist[2][3][256]; // of what two views have in common
+    int shared;
+};
+
+/* Count the mean of the pixels around px (u, v). */
+static void count(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
+{
+    const int size = f->v->size, n = num_max(f->sight.depth->scale, MEAN);
+    int first[2], sum[3] = {0};
+    for (int k = 0; k < 2; k++)
+        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size - n));
+    for (int i = 0; i < n * n; i++) {
+        const size_t y = (size_t)(first[1] + i / n), x = (size_t)(first[0] + i % n);
+        const uint8_t *p = f->v->rgb + 3 * (((size_t)view * (size_t)size + y) * (size_t)size + x);
+        for (int c = 0; c < 3; c++)
+            sum[c] += p[c];
+    }
+    for (int c = 0; c < 3; c++)
+        hist[c][(sum[c] + n * n / 2) / (n * n)]++;
+}
+
+/* What the pixels that view i is sure of show there and in view j. */
+static void share(struct refit *f, int i, int j, bool swap)
+{
+    const struct depthmaps *d = f->sight.depth;
+    const int pixels = d->size * d->size;
+    for (int at = 0; at < pixels; at++) {
+        const size_t k = (size_t)i * (size_t)pixels + (size_t)at;
+        const float uvz[3] = {((float)(at % d->size) + 0.5f) * (float)d->scale,
+                              ((float)(at / d->size) + 0.5f) * (float)d->scale, d->depth[k]};
+        struct sighting there;
+        float point[3];
+        if (!visibility_sure(&f->sight, k))
+            continue;
+        visibility_point(&f->sight, i, uvz, point);
+        if (!visibility_look(&f->sight, j, point, &there) || !visibility_same(&f->sight, &there))
+            continue;
+        count(f, i, uvz, f->hist[swap]);
+        count(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
+        f->shared++;
+    }
+}
+
+static void compare(struct refit *f, int i, int j)
+{
+    f->shared = 0;
+    memset(f->hist, 0, sizeof f->hist);
+    share(f, i, j, false);
+    share(f, j, i, true);
+    if (f->shared >= SHARED_MIN)
+        f->n += response_quantiles(f->hist[0], f->hist[1], f->v->log2t[j] - f->v->log2t[i],
+                                   f->pairs + f->n);
+}
+
+static bool differ(const struct views *v, int i, int j)
+{
+    return i < j && fabsf(v->log2t[i] - v->log2t[j]) > APART;
+}
+
+/* All pairs of views, or as many at equal steps. */
+static err_t compare_all(const struct run *r, struct refit *f)
+{
+    const int n = f->v->n;
+    int all = 0, pair = 0;
+    for (int k = 0; k < n * n; k++)
+        all += differ(f->v, k / n, k % n);
+    const int step = (all + PAIRS - 1) / PAIRS;
+    for (int k = 0; k < n * n; k++) {
+        if (!differ(f->v, k / n, k % n) || pair++ % step != 0)
+            continue;
+        err_t e = run_check(r, "refit");
+        if (e)
+            return e;
+        compare(f, k / n, k % n);
+    }
+    return OK;
+}
+
+size_t response_refit_plan(int n_views)
+{
+    return arena_add(visibility_plan(n_views),
+                     arena_need(PAIRS * EACH, sizeof(struct response_pair)));
+}
+
+err_t response_refit_run(const struct run *r, const struct views *v, const struct depthmaps *depth,
+                         struct tonemap *io)
+{
+    struct refit f = {.v = v};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = visibility_init(r, depth, v->cams, &f.sight);
+    if (!e)
+        e = arena_alloc(r->tmp, PAIRS * EACH, sizeof *f.pairs, &f.pairs);
+    if (!e)
+        e = compare_all(r, &f);
+    if (!e && f.n >= EACH / 2)
+        response_fit(f.pairs, f.n, v->mid_log2t, io);
+    arena_reset(r->tmp, mark);
+    return e;
+}

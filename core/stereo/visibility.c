@@ -1,0 +1,78 @@
+#include "core/stereo/visibility.h"
+
+#include "core/base/num.h"
+#include "core/base/rotation.h"
+
+#include <math.h>
+
+static const float SURE = 0.6f;    // confidence
+static const float AGREE = 0.02f;  // relative difference of depths that are one surface
+static const float NEARER = 0.95f; // share of its depth before which nothing can stand
+
+size_t visibility_plan(int n_views)
+{
+    return arena_need((size_t)n_views, 9 * sizeof(float));
+}
+
+err_t visibility_init(const struct run *r, const struct depthmaps *depth, const struct camera *cams,
+                      struct visibility *out)
+{
+    *out = (struct visibility){.depth = depth, .cams = cams};
+    err_t e = arena_alloc(r->tmp, (size_t)depth->n, sizeof *out->turn, &out->turn);
+    for (int i = 0; i < depth->n && !e; i++)
+        rotation_from_quat(cams[i].q, out->turn[i]);
+    return e;
+}
+
+size_t visibility_at(const struct visibility *s, int view, float u, float v)
+{
+    const struct depthmaps *m = s->depth;
+    const int x = num_min((int)u / m->scale, m->size - 1),
+              y = num_min((int)v / m->scale, m->size - 1);
+    return ((size_t)view * (size_t)m->size + (size_t)y) * (size_t)m->size + (size_t)x;
+}
+
+void visibility_point(const struct visibility *s, int view, const float uvz[3], float out[3])
+{
+    const struct camera *c = &s->cams[view];
+    const float *r = s->turn[view];
+    const float x[3] = {(uvz[0] - c->cx) / c->fx * uvz[2] - c->t[0],
+                        (uvz[1] - c->cy) / c->fy * uvz[2] - c->t[1], uvz[2] - c->t[2]};
+    for (int k = 0; k < 3; k++)
+        out[k] = r[k] * x[0] + r[3 + k] * x[1] + r[6 + k] * x[2];
+}
+
+bool visibility_look(const struct visibility *s, int view, const float point[3],
+                     struct sighting *out)
+{
+    const struct camera *c = &s->cams[view];
+    const float *r = s->turn[view];
+    float x[3];
+    for (int k = 0; k < 3; k++)
+        x[k] = r[3 * k] * point[0] + r[3 * k + 1] * point[1] + r[3 * k + 2] * point[2] + c->t[k];
+    *out = (struct sighting){c->fx * x[0] / x[2] + c->cx, c->fy * x[1] / x[2] + c->cy, x[2], 0};
+    if (!(out->z > 0 && out->u >= 0 && out->v >= 0 && out->u < (float)c->w && out->v < (float)c->h))
+        return false;
+    out->at = visibility_at(s, view, out->u, out->v);
+    return true;
+}
+
+bool visibility_sure(const struct visibility *s, size_t at)
+{
+    return s->depth->conf[at] >= SURE;
+}
+
+bool visibility_same(const struct visibility *s, const struct sighting *p)
+{
+    return visibility_sure(s, p->at) && fabsf(s->depth->depth[p->at] - p->z) <= AGREE * p->z;
+}
+
+bool visibility_through(const struct visibility *s, const struct sighting *p)
+{
+    return visibility_sure(s, p->at) && s->depth->depth[p->at] * NEARER > p->z;
+}
+
+bool visibility_behind(const struct visibility *s, const struct sighting *p)
+{
+    return visibility_sure(s, p->at) && s->depth->depth[p->at] < NEARER * p->z;
+}
