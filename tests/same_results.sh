@@ -50,5 +50,9 @@ for side in before after; do
         env LC_ALL=C sed -i -E 's/20[0-9:]{8} [0-9:]{8}//g; s/[0-9]{10,}//g' {} +
 done
 files=$(find "$work/before" -type f | wc -l)
-diff -rq "$work/before" "$work/after" || exit 1
+diff -rq "$work/before" "$work/after" >"$work/differ.txt" || {
+    head -n 20 "$work/differ.txt"
+    echo "$(wc -l <"$work/differ.txt") of $files files differ"
+    exit 1
+}
 echo "$files files and their folders are the same"

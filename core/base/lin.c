@@ -1,5 +1,4 @@
-/* Rotation vectors by Rodrigues' formula; quaternions of matrices from the largest component
- * (Shepperd 1978); Cholesky by rows. */
+/* Cholesky by rows. */
 #include "core/base/lin.h"
 
 #include <math.h>
@@ -35,58 +34,6 @@ void lin_product_t(const double a[9], const double b[9], double out[9])
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             out[3 * i + j] = lin_dot(a + 3 * i, b + 3 * j);
-}
-
-void lin_exp(const double w[3], double r[9])
-{
-    double angle = sqrt(lin_dot(w, w)), s = angle > 1e-9 ? sin(angle / 2) / angle : 0.5;
-    const double q[4] = {cos(angle / 2), s * w[0], s * w[1], s * w[2]};
-    lin_rotation(q, r);
-}
-
-void lin_log(const double r[9], double w[3])
-{
-    double q[4];
-    lin_quat(r, q);
-    double s = sqrt(lin_dot(q + 1, q + 1)), angle = 2 * atan2(s, q[0]);
-    for (int k = 0; k < 3; k++)
-        w[k] = s > 1e-12 ? q[1 + k] / s * angle : 2 * q[1 + k];
-}
-
-void lin_quat(const double r[9], double q[4])
-{
-    const double t[4] = {1 + r[0] + r[4] + r[8], 1 + r[0] - r[4] - r[8], 1 - r[0] + r[4] - r[8],
-                         1 - r[0] - r[4] + r[8]};
-    int k = 0;
-    for (int i = 1; i < 4; i++)
-        k = t[i] > t[k] ? i : k;
-    const double v[4][4] = {
-        {t[0], r[7] - r[5], r[2] - r[6], r[3] - r[1]},
-        {r[7] - r[5], t[1], r[1] + r[3], r[2] + r[6]},
-        {r[2] - r[6], r[1] + r[3], t[2], r[5] + r[7]},
-        {r[3] - r[1], r[2] + r[6], r[5] + r[7], t[3]},
-    };
-    double len = 0;
-    for (int i = 0; i < 4; i++)
-        len += v[k][i] * v[k][i];
-    len = v[k][0] < 0 ? -sqrt(len) : sqrt(len);
-    for (int i = 0; i < 4; i++)
-        q[i] = v[k][i] / len;
-}
-
-void lin_rotation(const double q[4], double r[9])
-{
-    const double n = 2 / (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-    const double w = q[0], x = q[1], y = q[2], z = q[3];
-    r[0] = 1 - n * (y * y + z * z);
-    r[1] = n * (x * y - w * z);
-    r[2] = n * (x * z + w * y);
-    r[3] = n * (x * y + w * z);
-    r[4] = 1 - n * (x * x + z * z);
-    r[5] = n * (y * z - w * x);
-    r[6] = n * (x * z - w * y);
-    r[7] = n * (y * z + w * x);
-    r[8] = 1 - n * (x * x + y * y);
 }
 
 void lin_add(double *h, double *g, int n, const double *row, double w, double error)

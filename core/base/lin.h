@@ -1,4 +1,4 @@
-/* lin.h - small dense algebra in double for the geometry of cameras: 3-vectors, 3 x 3 rotations
+/* lin.h - small dense algebra in double for the geometry of cameras: 3-vectors, 3 x 3 matrices
  * (row-major), symmetric systems.
  * Pure functions; any thread. */
 #ifndef BASE_LIN_H
@@ -40,14 +40,6 @@ void lin_across(const double t[3], double b1[3], double b2[3]);
 /* out = a b, and a b^T; out is neither. */
 void lin_product(const double a[9], const double b[9], double out[9]);
 void lin_product_t(const double a[9], const double b[9], double out[9]);
-
-/* Rotation by the vector w (axis times radians), and back: an angle of 0..pi. */
-void lin_exp(const double w[3], double r[9]);
-void lin_log(const double r[9], double w[3]);
-
-/* Unit quaternion w,x,y,z with w >= 0 of a matrix near a rotation, and back from any but 0. */
-void lin_quat(const double r[9], double q[4]);
-void lin_rotation(const double q[4], double r[9]);
 
 /* One equation row x + error = 0 of weight w: lower triangle of h (n x n) += w row row^T and
  * g -= w error row. */

@@ -1,9 +1,13 @@
-/* num.h - the smaller and the larger of two numbers, the middle or another rank of many.
+/* num.h - small mathematics that several rooms need: pi, the smaller and the larger of two numbers,
+ * the middle or another rank of many.
  * thread: any. */
 #ifndef BASE_NUM_H
 #define BASE_NUM_H
 
+#include <math.h>
 #include <stddef.h>
+
+#define NUM_PI 3.14159265358979323846
 
 static inline int num_min(int a, int b)
 {
@@ -31,6 +35,12 @@ float num_of_sorted(const float *v, size_t n, float share);
 static inline float num_median(float *v, size_t n)
 {
     return num_quantile(v, n, 0.5f);
+}
+
+/* The x whose logistic function is v, 0 < v < 1. */
+static inline double num_logit(double v)
+{
+    return log(v / (1 - v));
 }
 
 #endif

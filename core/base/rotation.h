@@ -1,12 +1,23 @@
-/* rotation.h - rotations as unit quaternions and as row-major 3 x 3 matrices.
+/* rotation.h - rotations as quaternions w,x,y,z, as row-major 3 x 3 matrices and as vectors (axis
+ * times radians).
  * Pure functions; any thread. */
 #ifndef BASE_ROTATION_H
 #define BASE_ROTATION_H
 
-/* Matrix of a unit quaternion w,x,y,z. */
-void rotation_from_quat(const float q[4], float r[9]);
+/* Matrix of a quaternion of any length; 0 is the identity. */
+void rotation_from_quat(const double q[4], double r[9]);
 
-/* Unit quaternion of a matrix, in the order x,y,z,w (Shepperd 1978: from its largest component). */
-void rotation_to_xyzw(const float r[9], float q[4]);
+/* The same of a unit quaternion, in float: what cameras and Gaussians are drawn with. */
+void rotation_from_unit(const float q[4], float r[9]);
+
+/* Unit quaternion with w >= 0 of a matrix near a rotation. */
+void rotation_to_quat(const double r[9], double q[4]);
+
+/* Matrix of a vector, and back: an angle of 0..pi. */
+void rotation_exp(const double w[3], double r[9]);
+void rotation_log(const double r[9], double w[3]);
+
+/* The quaternion a b: first b, then a. out is neither. */
+void rotation_multiply(const double a[4], const double b[4], double out[4]);
 
 #endif

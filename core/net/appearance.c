@@ -5,6 +5,7 @@
  * exists. Rows are divided by their sum after these products: sums are linear. */
 #include "core/net/appearance.h"
 
+#include "core/base/num.h"
 #include "core/net/finite.h"
 #include "core/net/plan.h"
 #include "core/net/shared_attention.h"
@@ -19,7 +20,6 @@ enum { ROWS = SHARED_ATTENTION_ROWS }; // queries of a block
 #define NORM_EPS 1e-5f  // model-spec 2.6, 2.8
 #define SHARE_EPS 1e-6f // model-spec 2.7, 2.8
 #define RANGE_MIN 0.5f  // log2, model-spec 1.2
-#define PI 3.14159265358979323846
 
 struct fusion {
     const struct run *r;
@@ -60,7 +60,7 @@ static int panels_of(int n)
 
 void appearance_code(float stops, int n, float *out)
 {
-    double a = (double)stops * PI / 8;
+    double a = (double)stops * NUM_PI / 8;
     for (int i = 0; i < n; i += 2) {
         double angle = a * exp2((double)i / n);
         out[i] = (float)sin(angle);

@@ -2,6 +2,7 @@
  * of a product, not rows. */
 #include "core/net/camera.h"
 
+#include "core/base/rotation.h"
 #include "core/net/finite.h"
 #include "core/net/layer.h"
 #include "core/net/tap.h"
@@ -234,11 +235,10 @@ static void tap_cameras(const struct run *r, const struct geometry *g)
                                 .parts = g->n_views};
     for (int i = 0; i < g->n_views; i++) {
         const struct camera *c = g->cams + i;
-        const float w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3];
-        const float m[12] = {
-            1 - 2 * (y * y + z * z), 2 * (x * y - z * w),     2 * (x * z + y * w),     c->t[0],
-            2 * (x * y + z * w),     1 - 2 * (x * x + z * z), 2 * (y * z - x * w),     c->t[1],
-            2 * (x * z - y * w),     2 * (y * z + x * w),     1 - 2 * (x * x + y * y), c->t[2]};
+        float rot[9];
+        rotation_from_unit(c->q, rot);
+        const float m[12] = {rot[0], rot[1],  rot[2], c->t[0], rot[3], rot[4],
+                             rot[5], c->t[1], rot[6], rot[7],  rot[8], c->t[2]};
         const float k[9] = {c->fx, 0, c->cx, 0, c->fy, c->cy, 0, 0, 1};
         matrix.part = pixels.part = i;
         matrix.data = m;

@@ -3,6 +3,7 @@
  * for a tap only: nothing reads it. */
 #include "core/net/depth.h"
 
+#include "core/base/rotation.h"
 #include "core/net/dpt.h"
 #include "core/net/finite.h"
 #include "core/net/plan.h"
@@ -168,12 +169,10 @@ void depth_unproject(const struct geometry *g, int view, float *points)
 {
     const struct camera *cam = g->cams + view;
     const float *depth = g->depth + (size_t)view * pixels(g->size);
-    double w = cam->q[0], x = cam->q[1], y = cam->q[2], z = cam->q[3];
-    const double r[9] = {
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z),     2 * (x * z + w * y),
-        2 * (x * y + w * z),     1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y),     2 * (y * z + w * x),     1 - 2 * (x * x + y * y),
-    };
+    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
+                         (double)cam->q[3]};
+    double r[9];
+    rotation_from_quat(q, r);
     for (int j = 0; j < g->size; j++)
         for (int i = 0; i < g->size; i++, depth++, points += 3) {
             double d = *depth;

@@ -2,10 +2,10 @@
  * opacities and tone curves of a plausible size. The first rule that fits a name counts. */
 #include "core/net/hashed.h"
 
+#include "core/base/splitmix.h"
+
 #include <math.h>
 #include <string.h>
-
-#define GOLDEN 0x9E3779B97F4A7C15u
 
 /* Scale and offset of the elements up to `end`. */
 struct span {
@@ -113,10 +113,7 @@ static struct span span_at(const struct tensor_spec *t, size_t i)
 
 static float unit(uint64_t z)
 {
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
-    z ^= z >> 31;
-    return (float)((int32_t)(z >> 40) - 8388608) / 8388608.0f;
+    return (float)((int32_t)(splitmix_mix(z) >> 40) - 8388608) / 8388608.0f;
 }
 
 void hashed_fill(const struct tensor_spec *t, uint64_t seed, size_t first, size_t n, float *out)
@@ -124,12 +121,12 @@ void hashed_fill(const struct tensor_spec *t, uint64_t seed, size_t first, size_
     uint64_t h = 0xCBF29CE484222325u;
     for (const char *c = t->name; *c; c++)
         h = (h ^ (uint8_t)*c) * 0x100000001B3u;
-    h += seed * GOLDEN;
+    h += seed * SPLITMIX_STEP;
     for (size_t i = first, end = first + n; i < end;) {
         struct span s = span_at(t, i);
         size_t stop = s.end < end ? s.end : end;
         for (; i < stop; i++) {
-            float scaled = s.scale * unit(h + (i + 1) * GOLDEN);
+            float scaled = s.scale * unit(h + (i + 1) * SPLITMIX_STEP);
             out[i - first] = s.offset + scaled;
         }
     }

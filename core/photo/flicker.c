@@ -5,10 +5,10 @@
  * is no more than all of the light: noise, passers-by and disobeyed exposures are not like that. */
 #include "core/photo/flicker.h"
 
+#include "core/base/num.h"
+
 #include <math.h>
 #include <string.h>
-
-#define PI 3.14159265358979323846
 
 enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
 
@@ -48,7 +48,7 @@ void flicker_add_short(struct flicker *f, const struct exposure_probe *w, double
 
 static double sinc(double x)
 {
-    return fabs(x) < 1e-9 ? 1.0 : sin(PI * x) / (PI * x);
+    return fabs(x) < 1e-9 ? 1.0 : sin(NUM_PI * x) / (NUM_PI * x);
 }
 
 /* Normal equations of sine and cosine. */
@@ -90,7 +90,7 @@ static double explained(const struct flicker *f, double hz, double readout_s, do
             double at = f->start_s[k] - f->start_s[0] + readout_s * j / EXPOSURE_PROBE_EDGE;
             double time = f->time_s[k], m = sinc(hz * time);
             double even = f->even[j] / f->n_long * time / f->long_s;
-            add(&t, f->row[k][j] / even - 1.0, 2.0 * PI * hz * (at + 0.5 * time), m);
+            add(&t, f->row[k][j] / even - 1.0, 2.0 * NUM_PI * hz * (at + 0.5 * time), m);
         }
     *amplitude = 0.0;
     return t.n < FIGURES_MIN ? 0.0 : solve(&t, amplitude);

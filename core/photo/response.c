@@ -7,6 +7,8 @@
  * 2.14): half of them face left, half right, from x = 0. */
 #include "core/photo/response.h"
 
+#include "core/base/num.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -36,7 +38,7 @@ static double knot_u(int k)
 static double logit(double z)
 {
     z = fmin(fmax(z, 1.0 / 1024), 1023.0 / 1024);
-    return log(z / (1.0 - z));
+    return num_logit(z);
 }
 
 /* log2 of sRGB's linear value, with a floor on the slope so that it can be inverted near white. */

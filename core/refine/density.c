@@ -4,6 +4,7 @@
 #include "core/refine/density.h"
 
 #include "core/base/gaussians.h"
+#include "core/base/rotation.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -118,16 +119,13 @@ static void split_one(struct density *d, int i, int j)
     for (int k = 1; k < 3; k++)
         if (g->plane[G_LOG_SCALE + k][i] > g->plane[G_LOG_SCALE + axis][i])
             axis = k;
-    float w = g->plane[G_QUAT][i], x = g->plane[G_QUAT + 1][i], y = g->plane[G_QUAT + 2][i],
-          z = g->plane[G_QUAT + 3][i];
-    float n2 = fmaxf(w * w + x * x + y * y + z * z, 1e-20f);
-    const float col[3][3] = {
-        {w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)},
-        {2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)},
-        {2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z}};
+    double q[4], r[9];
+    for (int k = 0; k < 4; k++)
+        q[k] = (double)g->plane[G_QUAT + k][i];
+    rotation_from_quat(q, r);
     float half = 0.5f * expf(g->plane[G_LOG_SCALE + axis][i]);
     for (int k = 0; k < 3; k++) {
-        float step = half * col[axis][k] / n2;
+        float step = half * (float)r[3 * k + axis];
         g->plane[G_MU + k][i] -= step;
         g->plane[G_MU + k][j] += step;
     }

@@ -15,6 +15,7 @@
  * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
 #include "core/refine/refine.h"
 
+#include "core/base/splitmix.h"
 #include "core/photo/noise.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
@@ -80,17 +81,9 @@ struct refine {
     struct adam_step group[GROUPS];
 };
 
-static uint64_t next_random(uint64_t *s)
-{
-    uint64_t z = *s += 0x9e3779b97f4a7c15ull; // splitmix64
-    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ z >> 27) * 0x94d049bb133111ebull;
-    return z ^ z >> 31;
-}
-
 static float uniform(struct refine *f)
 {
-    return (float)(next_random(&f->rng) >> 40) * 0x1p-24f;
+    return (float)(splitmix_next(&f->rng) >> 40) * 0x1p-24f;
 }
 
 static size_t small_need(const struct views *views)
@@ -185,7 +178,7 @@ static void choose_held(struct refine *f)
 {
     uint64_t s = f->cfg->seed ^ 0x68656c64;
     for (int i = 0; i < f->v->n * f->squares * f->squares; i++)
-        f->held[i] = next_random(&s) % HELD_ONE_IN == 0;
+        f->held[i] = splitmix_next(&s) % HELD_ONE_IN == 0;
 }
 
 static void set_rate(struct adam_step *a, float lr, int t)
@@ -252,7 +245,7 @@ static int next_view(struct refine *f)
         f->dealt = 0;
     if (f->dealt == 0)
         for (int i = 0; i < n; i++) { // inside-out shuffle
-            int j = (int)(next_random(&f->rng) % (uint64_t)(i + 1));
+            int j = (int)(splitmix_next(&f->rng) % (uint64_t)(i + 1));
             f->deck[i] = f->deck[j];
             f->deck[j] = i;
         }

@@ -12,6 +12,7 @@
 
 #include "core/base/lin.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 
 #include <float.h>
 #include <math.h>
@@ -90,7 +91,7 @@ void adjust_move_pose(double pose[ADJUST_POSE], const double twist[6])
 {
     double turn[9], old[ADJUST_POSE];
     memcpy(old, pose, sizeof old);
-    lin_exp(twist, turn);
+    rotation_exp(twist, turn);
     lin_product(turn, old, pose);
     lin_apply(turn, old + 9, pose + 9);
     for (int k = 0; k < 3; k++)

@@ -9,6 +9,7 @@
 
 #include "core/base/lin.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/sfm/adjust.h"
 #include "core/sfm/connectivity.h"
 #include "core/sfm/resect.h"
@@ -82,11 +83,6 @@ static bool usable(const struct camera *start, int n)
     return n > 0;
 }
 
-static double median(float *v, int n)
-{
-    return (double)num_median(v, (size_t)n);
-}
-
 /* Adjustment sees square pixels: rows as far apart as columns are. */
 static float aspect(const struct bundle *b)
 {
@@ -102,7 +98,7 @@ static double start_focal(const struct bundle *b)
         return FOV60 * b->size;
     for (int i = 0; i < b->n_views; i++)
         f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * aspect(b));
-    return median(f, b->n_views);
+    return (double)num_median(f, (size_t)b->n_views);
 }
 
 static err_t load(struct bundle *b)
@@ -179,7 +175,7 @@ static double error_scale(struct bundle *b)
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
             if (a->in[i] && a->first[t + 1] - a->first[t] > 2)
                 b->sorted[n++] = (float)adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]);
-    return fmax(1, fmin(4, sqrt(median(b->sorted, n)) / 1.1774));
+    return fmax(1, fmin(4, sqrt((double)num_median(b->sorted, (size_t)n)) / 1.1774));
 }
 
 /* Views that are not placed, from the points that the others have. */
@@ -293,7 +289,7 @@ static void load_cameras(struct bundle *b)
         const struct camera *c = &b->cfg->start[v];
         const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
         double *p = b->a.pose + (size_t)ADJUST_POSE * (size_t)v;
-        lin_rotation(q, p);
+        rotation_from_quat(q, p);
         for (int k = 0; k < 3; k++)
             p[9 + k] = (double)c->t[k];
         b->a.placed[v] = true;
@@ -321,7 +317,7 @@ static double typical_depth(struct bundle *b)
             b->sorted[n++] = d;
     }
     if (n > 0)
-        return median(b->sorted, n);
+        return (double)num_median(b->sorted, (size_t)n);
     for (int v = 0; v < b->n_views; v++) {
         const double *p = b->a.pose + (size_t)ADJUST_POSE * (size_t)v;
         double c[3];
@@ -420,7 +416,7 @@ static struct camera camera_of(const struct bundle *b, int v)
     const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
     struct camera cam = {b->size, b->size, f, f / aspect(b), c, c, {0}, {0}};
     double q[4];
-    lin_quat(p, q);
+    rotation_to_quat(p, q);
     for (int k = 0; k < 4; k++)
         cam.q[k] = (float)q[k];
     for (int k = 0; k < 3; k++)
@@ -453,7 +449,7 @@ static err_t find_world(const struct bundle *b, struct world *out)
     if (e || !(w.scale > 0) || !isfinite(w.scale + w.t[0] + w.t[1] + w.t[2]))
         return e;
     out->scale = w.scale;
-    lin_rotation(w.q, out->r);
+    rotation_from_quat(w.q, out->r);
     memcpy(out->t, w.t, sizeof out->t);
     return OK;
 }
@@ -461,7 +457,7 @@ static err_t find_world(const struct bundle *b, struct world *out)
 static struct camera moved(const struct world *w, const struct camera *cam)
 {
     struct similarity to = {.scale = w->scale};
-    lin_quat(w->r, to.q);
+    rotation_to_quat(w->r, to.q);
     memcpy(to.t, w->t, sizeof to.t);
     return similarity_apply(&to, cam);
 }
@@ -537,7 +533,7 @@ static void give_scales(struct bundle *b, const struct world *w, struct bundle_r
                 b->sorted[n++] = ratio;
         }
         if (n >= CONNECTIVITY_VIEW)
-            out->depth_scale[v] = (float)median(b->sorted, n);
+            out->depth_scale[v] = num_median(b->sorted, (size_t)n);
     }
 }
 
@@ -564,7 +560,7 @@ static double parallax_px(struct bundle *b)
         if (least <= 1.001)
             b->sorted[n++] = (float)(acos(fmax(-1, fmin(1, least))) * b->best.focal);
     }
-    return median(b->sorted, n);
+    return (double)num_median(b->sorted, (size_t)n);
 }
 
 /* Share of the redundancy beyond chance and of the views; then parallax against the errors. */

@@ -6,6 +6,7 @@
 #include "core/sfm/epipolar.h"
 
 #include "core/base/lin.h"
+#include "core/base/num.h"
 
 #include <math.h>
 #include <string.h>
@@ -102,7 +103,7 @@ static int cubic(const double c[4], double root[3])
     if (r * r < q * q * q) {
         double t = acos(fmin(fmax(r / sqrt(q * q * q), -1), 1)), s = -2 * sqrt(q);
         for (int i = 0; i < 3; i++)
-            root[i] = s * cos((t + 2 * 3.14159265358979 * (i - 1)) / 3) - a;
+            root[i] = s * cos((t + 2 * NUM_PI * (i - 1)) / 3) - a;
         return 3;
     }
     double s = -copysign(cbrt(fabs(r) + sqrt(r * r - q * q * q)), r);

@@ -9,7 +9,7 @@
 void pose_twist_grad(const struct camera *c, const float grad[POSE_GRAD], float out[6])
 {
     float r[9], a[9];
-    rotation_from_quat(c->q, r);
+    rotation_from_unit(c->q, r);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
             a[3 * i + j] = grad[9 + i] * c->t[j];
@@ -34,14 +34,14 @@ void pose_move(struct camera *c, const float twist[6])
                         (double)twist[2] * twist[2]);
     double s = angle > 1e-9 ? sin(angle / 2) / angle : 0.5, w = cos(angle / 2);
     double x = s * twist[0], y = s * twist[1], z = s * twist[2];
+    const double turn[4] = {w, x, y, z};
     const double b[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
-    const double q[4] = {
-        w * b[0] - x * b[1] - y * b[2] - z * b[3], w * b[1] + x * b[0] + y * b[3] - z * b[2],
-        w * b[2] - x * b[3] + y * b[0] + z * b[1], w * b[3] + x * b[2] - y * b[1] + z * b[0]};
+    double q[4];
+    rotation_multiply(turn, b, q);
     double len = sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     const float d[4] = {(float)w, (float)x, (float)y, (float)z};
     float r[9], t[3];
-    rotation_from_quat(d, r);
+    rotation_from_unit(d, r);
     for (int i = 0; i < 3; i++)
         t[i] = r[3 * i] * c->t[0] + r[3 * i + 1] * c->t[1] + r[3 * i + 2] * c->t[2] + twist[3 + i];
     for (int i = 0; i < 3; i++)
@@ -59,7 +59,7 @@ float pose_extent(const struct gaussians *g, const struct camera *cams, int n)
     for (int i = 0; i < n; i++) {
         float r[9];
         double d2 = 0;
-        rotation_from_quat(cams[i].q, r);
+        rotation_from_unit(cams[i].q, r);
         for (int k = 0; k < 3; k++) {
             const float *t = cams[i].t;
             double o = -(double)(r[k] * t[0] + r[3 + k] * t[1] + r[6 + k] * t[2]);

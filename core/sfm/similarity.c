@@ -20,7 +20,7 @@ size_t similarity_plan(int n_views)
 void similarity_centre(const struct camera *c, double out[3])
 {
     float r[9];
-    rotation_from_quat(c->q, r);
+    rotation_from_unit(c->q, r);
     for (int k = 0; k < 3; k++)
         out[k] = -((double)r[k] * (double)c->t[0] + (double)r[3 + k] * (double)c->t[1] +
                    (double)r[6 + k] * (double)c->t[2]);
@@ -58,22 +58,20 @@ err_t similarity_scale(const struct run *r, const struct camera *from, const str
 
 /* ---- similarity ---- */
 
-/* out = a b, or a conj(b). */
-static void multiply(const double a[4], const double b[4], bool conjugate, double out[4])
+static void conjugate(const double q[4], double out[4])
 {
-    double s = conjugate ? -1 : 1;
-    out[0] = a[0] * b[0] - s * (a[1] * b[1] + a[2] * b[2] + a[3] * b[3]);
-    out[1] = s * a[0] * b[1] + a[1] * b[0] + s * (a[2] * b[3] - a[3] * b[2]);
-    out[2] = s * a[0] * b[2] + a[2] * b[0] + s * (a[3] * b[1] - a[1] * b[3]);
-    out[3] = s * a[0] * b[3] + a[3] * b[0] + s * (a[1] * b[2] - a[2] * b[1]);
+    out[0] = q[0];
+    for (int k = 1; k < 4; k++)
+        out[k] = -q[k];
 }
 
 static void rotate(const double q[4], const double x[3], double out[3])
 {
     const double v[4] = {0, x[0], x[1], x[2]};
-    double half[4], full[4];
-    multiply(q, v, false, half);
-    multiply(half, q, true, full);
+    double back[4], half[4], full[4];
+    conjugate(q, back);
+    rotation_multiply(q, v, half);
+    rotation_multiply(half, back, full);
     for (int k = 0; k < 3; k++)
         out[k] = full[k + 1];
 }
@@ -85,7 +83,7 @@ static void add_rotation(const struct camera *from, const struct camera *to, dou
     const double b[4] = {(double)from->q[0], (double)from->q[1], (double)from->q[2],
                          (double)from->q[3]};
     double q[4], side = 0;
-    multiply(a, b, false, q);
+    rotation_multiply(a, b, q);
     for (int k = 0; k < 4; k++)
         side += q[k] * sum[k];
     for (int k = 0; k < 4; k++)
@@ -121,8 +119,9 @@ struct camera similarity_apply(const struct similarity *w, const struct camera *
     struct camera out = *cam;
     const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
                          (double)cam->q[3]};
-    double turned[4], centre[3], moved[3], back[3];
-    multiply(q, w->q, true, turned);
+    double away[4], turned[4], centre[3], moved[3], back[3];
+    conjugate(w->q, away);
+    rotation_multiply(q, away, turned);
     similarity_centre(cam, centre);
     rotate(w->q, centre, moved);
     for (int k = 0; k < 3; k++)
@@ -138,8 +137,8 @@ struct camera similarity_apply(const struct similarity *w, const struct camera *
 void similarity_rotation(const struct camera *from, const struct camera *to, float out[9])
 {
     float a[9], b[9];
-    rotation_from_quat(from->q, a);
-    rotation_from_quat(to->q, b);
+    rotation_from_unit(from->q, a);
+    rotation_from_unit(to->q, b);
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++)
             out[3 * i + j] = b[i] * a[j] + b[3 + i] * a[3 + j] + b[6 + i] * a[6 + j];

@@ -9,6 +9,7 @@
 #include "core/sfm/twoview.h"
 
 #include "core/base/lin.h"
+#include "core/base/rotation.h"
 
 #include <math.h>
 #include <stddef.h>
@@ -385,8 +386,8 @@ static void decompose(const struct sample *s, const double e[9], double r[9], do
             turn[i] = cof[i] + (c < 2 ? -1 : 1) * twist[i];
         for (int i = 0; i < 9; i++)
             turn[i] /= half;
-        lin_quat(turn, q);
-        lin_rotation(q, turn);
+        rotation_to_quat(turn, q);
+        rotation_from_quat(q, turn);
         for (int i = 0; i < s->n; i++)
             sum += in_front(turn, dir, &s->m[i]) &&
                    epipolar(e, &s->m[i]) < TWOVIEW_GATE * TWOVIEW_GATE;
@@ -436,7 +437,7 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
     lin_solve(h, 5, g);
     if (!(lin_dot(g, g) + g[3] * g[3] + g[4] * g[4] < 1))
         return;
-    lin_exp(g, turn);
+    rotation_exp(g, turn);
     memcpy(old, r, sizeof old);
     lin_product(turn, old, r);
     for (int k = 0; k < 3; k++)
@@ -493,7 +494,7 @@ static void rotate_step(const struct sample *s, double r[9])
     lin_solve(h, 3, g);
     if (!(lin_dot(g, g) < 1))
         return;
-    lin_exp(g, turn);
+    rotation_exp(g, turn);
     memcpy(old, r, sizeof old);
     lin_product(turn, old, r);
 }

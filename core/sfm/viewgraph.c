@@ -12,6 +12,7 @@
 
 #include "core/base/lin.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 
 #include <math.h>
 #include <string.h>
@@ -26,7 +27,7 @@ enum {
     POWER_STEPS = 20,
     PRODUCTS_MOST = 200000 // pairs of sightings that centres are taken from
 };
-static const double DEGREE = 3.14159265358979323846 / 180;
+static const double DEGREE = NUM_PI / 180;
 
 static struct viewgraph_edge *edge_of(const struct viewgraph *g, int a, int b)
 {
@@ -153,7 +154,7 @@ static double loop_error(const struct viewgraph *g, int i, int j, int k)
     relative(g, k, i, ki);
     lin_product(jk, ij, two);
     lin_product(ki, two, all);
-    lin_log(all, w);
+    rotation_log(all, w);
     return sqrt(lin_dot(w, w));
 }
 
@@ -214,7 +215,7 @@ static double edge_error(const struct viewgraph *g, const struct adjust *a, int 
             all[3 * p + q] = pose_of(a, j)[p] * expected[q] +
                              pose_of(a, j)[3 + p] * expected[3 + q] +
                              pose_of(a, j)[6 + p] * expected[6 + q];
-    lin_log(all, out);
+    rotation_log(all, out);
     return sqrt(lin_dot(out, out));
 }
 
@@ -249,7 +250,7 @@ static void average(const struct viewgraph *g, const double *weight, bool l1, st
     for (int v = 0; v < n; v++) {
         const double w[3] = {x[0][v], x[1][v], x[2][v]};
         double turn[9], old[9];
-        lin_exp(w, turn);
+        rotation_exp(w, turn);
         memcpy(old, pose_of(a, v), sizeof old);
         lin_product(old, turn, pose_of(a, v));
     }

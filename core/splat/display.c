@@ -10,6 +10,7 @@
  * Transfer: IEC 61966-2-1. */
 #include "core/splat/display.h"
 
+#include "core/base/num.h"
 #include "core/kernels/kernels.h"
 #include "core/photo/tonemap.h"
 
@@ -31,7 +32,7 @@ static const double ring_z[RINGS / 2] = {0.1834346424956498, 0.5255324099163290,
 static const double ring_weight[RINGS / 2] = {0.3626837833783620, 0.3137066458778873,
                                               0.2223810344533745, 0.1012285362903763};
 
-static const double pi = 3.141592653589793, ln2 = 0.6931471805599453;
+static const double ln2 = 0.6931471805599453;
 static const double knee_linear = 0.0031308, knee_value = 0.04045;
 
 /* ---- the transfer ---- */
@@ -156,7 +157,7 @@ static void sphere_init(struct sphere *s)
             s->sine[j][m] = all(turn[(m * j + 3 * STEPS / 4) % STEPS]);
         }
     for (int r = 0; r < RINGS; r++) {
-        float p[TERMS], weight = (float)(ring_weight[r / 2] * 2 * pi / STEPS);
+        float p[TERMS], weight = (float)(ring_weight[r / 2] * 2 * NUM_PI / STEPS);
         ring_terms(r % 2 ? -ring_z[r / 2] : ring_z[r / 2], p);
         for (int t = 0; t < TERMS; t++) {
             s->p[r][t] = all(p[t]);
@@ -400,7 +401,7 @@ void display_tonemap(float ev, struct tonemap *out)
     memset(out, 0, sizeof *out);
     p[3 * TONE_HIDDEN] = (float)y;
     for (int i = 0; i < TONE_HIDDEN; i++) {
-        double value = 0.5 - 0.5 * cos(pi * (i + 0.5) / knots); // at the next knot
+        double value = 0.5 - 0.5 * cos(NUM_PI * (i + 0.5) / knots); // at the next knot
         double next_x = decode_log(value) / ln2 - stops, next_y = log(value / (1 - value));
         double next_slope = i < knots ? (next_y - y) / (next_x - x) : 0;
         p[i] = 1;

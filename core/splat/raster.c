@@ -111,7 +111,7 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
 
 static void view_from_camera(const struct camera *c, struct view_geom *v)
 {
-    rotation_from_quat(c->q, v->r);
+    rotation_from_unit(c->q, v->r);
     for (int k = 0; k < 3; k++) {
         v->t[k] = c->t[k];
         v->centre[k] = -(v->r[k] * c->t[0] + v->r[3 + k] * c->t[1] + v->r[6 + k] * c->t[2]);

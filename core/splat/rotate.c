@@ -2,6 +2,7 @@
  * rule that is exact for polynomials of degree 9: Gauss-Legendre in z, equal steps around. */
 #include "core/splat/rotate.h"
 
+#include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/splat/voxel.h"
 
@@ -57,10 +58,9 @@ void rotate_bands(const float r[9], float m[SH_COEFS_MAX][SH_COEFS_MAX])
                                        0.5384693101056831, 0.9061798459386640};
     static const double weight[RINGS] = {0.2369268850561891, 0.4786286704993665, 0.5688888888888889,
                                          0.4786286704993665, 0.2369268850561891};
-    const double pi = 3.14159265358979323846;
     double sum[SH_COEFS_MAX][SH_COEFS_MAX] = {{0}}, to[SH_COEFS_MAX], from[SH_COEFS_MAX];
     for (int k = 0; k < RINGS * STEPS; k++) {
-        double z = node[k / STEPS], rho = sqrt(1 - z * z), phi = 2 * pi * (k % STEPS) / STEPS;
+        double z = node[k / STEPS], rho = sqrt(1 - z * z), phi = 2 * NUM_PI * (k % STEPS) / STEPS;
         double d[3] = {rho * cos(phi), rho * sin(phi), z}, back[3];
         for (int i = 0; i < 3; i++)
             back[i] = (double)r[i] * d[0] + (double)r[3 + i] * d[1] + (double)r[6 + i] * d[2];
@@ -68,7 +68,7 @@ void rotate_bands(const float r[9], float m[SH_COEFS_MAX][SH_COEFS_MAX])
         basis(back, from);
         for (int i = 0; i < SH_COEFS_MAX; i++)
             for (int j = 0; j < SH_COEFS_MAX; j++)
-                sum[i][j] += weight[k / STEPS] * (2 * pi / STEPS) * to[i] * from[j];
+                sum[i][j] += weight[k / STEPS] * (2 * NUM_PI / STEPS) * to[i] * from[j];
     }
     for (int i = 0; i < SH_COEFS_MAX; i++)
         for (int j = 0; j < SH_COEFS_MAX; j++)
@@ -135,7 +135,12 @@ err_t rotate_features(const struct run *r, const float rotation[9], float *featu
                       const int range[2])
 {
     struct rotate t = {.r = r, .features = features, .n = n, .first = range[0], .count = range[1]};
-    rotation_to_xyzw(rotation, t.q);
+    double m[9], q[4];
+    for (int i = 0; i < 9; i++)
+        m[i] = (double)rotation[i];
+    rotation_to_quat(m, q);
+    for (int i = 0; i < 4; i++)
+        t.q[i] = (float)q[(i + 1) % 4];
     rotate_bands(rotation, t.m);
     return pool_for(r->pool, (t.count + BLOCK - 1) / BLOCK, rotate_chunk, &t);
 }

@@ -10,6 +10,7 @@
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/photo/response.h"
 
 #include <math.h>
@@ -76,12 +77,12 @@ struct patch {
 
 static void set_frame(const struct camera *cam, int scale, struct frame *f)
 {
-    const float *q = cam->q;
-    float w = q[0], x = q[1], y = q[2], z = q[3], n = 2.0f / (w * w + x * x + y * y + z * z);
-    const float r[9] = {1 - n * (y * y + z * z), n * (x * y - w * z),     n * (x * z + w * y),
-                        n * (x * y + w * z),     1 - n * (x * x + z * z), n * (y * z - w * x),
-                        n * (x * z - w * y),     n * (y * z + w * x),     1 - n * (x * x + y * y)};
-    memcpy(f->r, r, sizeof r);
+    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
+                         (double)cam->q[3]};
+    double r[9];
+    rotation_from_quat(q, r);
+    for (int i = 0; i < 9; i++)
+        f->r[i] = (float)r[i];
     memcpy(f->t, cam->t, sizeof f->t);
     f->f[0] = cam->fx / (float)scale;
     f->f[1] = cam->fy / (float)scale;
@@ -291,23 +292,15 @@ static float surface(const struct frame *f, const struct patch *p, const float *
     return cosine;
 }
 
-/* Quaternion w,x,y,z of the rotation whose columns are the axes (Shepperd 1978: largest of the four
- * first). */
-static void axes_to_quat(float (*c)[3], float *q)
+/* Quaternion of the rotation whose columns are the axes. */
+static void axes_to_quat(float (*axis)[3], float q[4])
 {
-    float sum[4] = {c[0][0] + c[1][1] + c[2][2], c[0][0] - c[1][1] - c[2][2],
-                    c[1][1] - c[0][0] - c[2][2], c[2][2] - c[0][0] - c[1][1]};
-    int k = 0;
-    for (int i = 1; i < 4; i++)
-        k = sum[i] > sum[k] ? i : k;
-    float big = 0.5f * sqrtf(sum[k] + 1.0f), f = 0.25f / big;
-    float d[3] = {(c[1][2] - c[2][1]) * f, (c[2][0] - c[0][2]) * f, (c[0][1] - c[1][0]) * f};
-    float m[3] = {(c[1][2] + c[2][1]) * f, (c[2][0] + c[0][2]) * f, (c[0][1] + c[1][0]) * f};
-    const float all[4][4] = {{big, d[0], d[1], d[2]},
-                             {d[0], big, m[2], m[1]},
-                             {d[1], m[2], big, m[0]},
-                             {d[2], m[1], m[0], big}};
-    memcpy(q, all[k], sizeof all[k]);
+    double r[9], out[4];
+    for (int i = 0; i < 9; i++)
+        r[i] = (double)axis[i % 3][i / 3];
+    rotation_to_quat(r, out);
+    for (int i = 0; i < 4; i++)
+        q[i] = (float)out[i];
 }
 
 static void emit(struct seed *s, struct patch *p)

@@ -9,6 +9,7 @@
 #include "core/stereo/sweep.h"
 
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
 
@@ -87,16 +88,12 @@ struct task {
 
 static void set_pose(const struct camera *c, struct pose *p)
 {
-    double w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3],
-           n = 2.0 / (w * w + x * x + y * y + z * z);
-    const double r[9] = {1 - n * (y * y + z * z), n * (x * y - w * z),     n * (x * z + w * y),
-                         n * (x * y + w * z),     1 - n * (x * x + z * z), n * (y * z - w * x),
-                         n * (x * z - w * y),     n * (y * z + w * x),     1 - n * (x * x + y * y)};
-    memcpy(p->r, r, sizeof r);
+    const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
+    rotation_from_quat(q, p->r);
     for (int i = 0; i < 3; i++)
         p->t[i] = (double)c->t[i];
     for (int i = 0; i < 3; i++)
-        p->centre[i] = -(r[i] * p->t[0] + r[3 + i] * p->t[1] + r[6 + i] * p->t[2]);
+        p->centre[i] = -(p->r[i] * p->t[0] + p->r[3 + i] * p->t[1] + p->r[6 + i] * p->t[2]);
     p->f[0] = (double)c->fx / c->w;
     p->f[1] = (double)c->fy / c->h;
     p->c[0] = (double)c->cx / c->w;

@@ -20,7 +20,7 @@ err_t visibility_init(const struct run *r, const struct depthmaps *depth, const 
     *out = (struct visibility){.depth = depth, .cams = cams};
     err_t e = arena_alloc(r->tmp, (size_t)depth->n, sizeof *out->turn, &out->turn);
     for (int i = 0; i < depth->n && !e; i++)
-        rotation_from_quat(cams[i].q, out->turn[i]);
+        rotation_from_unit(cams[i].q, out->turn[i]);
     return e;
 }
 

@@ -7,6 +7,7 @@
 #include "drivers/format/glb.h"
 
 #include "core/base/bytes.h"
+#include "core/base/num.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
@@ -671,7 +672,7 @@ static float log_scale(float v)
 static float logit(float v)
 {
     double a = fmin(fmax((double)v, 1e-9), 1 - 1e-9);
-    return isfinite(v) ? (float)log(a / (1 - a)) : NAN;
+    return isfinite(v) ? (float)num_logit(a) : NAN;
 }
 
 static err_t read_attribute(const struct layout *l, const struct attribute *a, struct gaussians *g)

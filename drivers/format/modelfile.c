@@ -1,6 +1,7 @@
 #include "drivers/format/modelfile.h"
 
 #include "core/base/bytes.h"
+#include "core/base/splitmix.h"
 #include "core/kernels/gemm.h"
 #include "drivers/format/json.h"
 #include "drivers/format/netdims.h"
@@ -38,10 +39,7 @@ bool modelfile_parse_precision(const char *word, enum precision *out)
 
 static uint64_t mix(uint64_t word, uint64_t i)
 {
-    uint64_t z = word + (i + 1) * 0x9E3779B97F4A7C15u;
-    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
-    return z ^ z >> 31;
+    return splitmix_mix(word + (i + 1) * SPLITMIX_STEP);
 }
 
 static uint64_t word_at(const uint8_t *p)

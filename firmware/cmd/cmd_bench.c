@@ -5,6 +5,7 @@
  *        the picture with the best. Splats keep their size in pixels, so that one axis of that
  *        table shows the cost of a splat and the other that of a pixel.
  * network, kernels: see bench_net.h. trade: see tradeoff.h. capture: see bench_capture.h. */
+#include "core/base/splitmix.h"
 #include "firmware/base/engine.h"
 #include "firmware/capture/bracket.h"
 #include "firmware/cmd/bench_capture.h"
@@ -72,10 +73,7 @@ struct state {
 
 static float uniform(uint64_t *s)
 {
-    uint64_t z = *s += 0x9e3779b97f4a7c15ull; // splitmix64
-    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ z >> 27) * 0x94d049bb133111ebull;
-    return (float)((z ^ z >> 31) >> 40) * 0x1p-24f;
+    return (float)(splitmix_next(s) >> 40) * 0x1p-24f;
 }
 
 /* A slab between depths 3 and 5 that fills the picture; standard deviations 0.4 to 1 px, opacity

@@ -1,4 +1,5 @@
 /* hdrig convert-scene: a scene in another kind of file, and what that lost. */
+#include "core/base/num.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/draw.h"
@@ -65,7 +66,7 @@ static err_t around(const struct gaussians *g, int i, int n, struct camera *out)
         if (e)
             return e;
     }
-    double turn = 2 * 3.141592653589793 * i / n, c = cos(turn), s = sin(turn), t[3];
+    double turn = 2 * NUM_PI * i / n, c = cos(turn), s = sin(turn), t[3];
     for (int k = 0; k < 3; k++) // R = rotation about y; t puts the middle before the camera
         t[k] = -(k == 0   ? c * middle[0] + s * middle[2]
                  : k == 1 ? middle[1]

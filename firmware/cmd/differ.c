@@ -1,5 +1,6 @@
 #include "firmware/cmd/differ.h"
 
+#include "core/base/num.h"
 #include "core/photo/metrics.h"
 #include "core/photo/tonemap.h"
 #include "core/sfm/similarity.h"
@@ -9,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double DEGREE = 3.14159265358979323846 / 180;
+static const double DEGREE = NUM_PI / 180;
 
 static size_t pixels(const struct differ_look *l)
 {

@@ -123,7 +123,7 @@ static void put_cameras(const struct run *r, const struct geometry *g)
         const struct camera *c = &g->cams[i];
         float m[9], c2w[16] = {0};
         const float k[9] = {c->fx / side, 0, c->cx / side, 0, c->fy / side, c->cy / side, 0, 0, 1};
-        rotation_from_quat(c->q, m);
+        rotation_from_unit(c->q, m);
         for (int a = 0; a < 3; a++) {
             for (int b = 0; b < 3; b++) {
                 c2w[4 * a + b] = m[3 * b + a];

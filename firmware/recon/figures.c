@@ -7,6 +7,7 @@
  * is the rms of the display values over the exposures where the curve is between 2 and 98 %. */
 #include "firmware/recon/figures.h"
 
+#include "core/base/num.h"
 #include "core/photo/metrics.h"
 #include "core/photo/response.h"
 #include "core/photo/response_family.h"
@@ -186,8 +187,7 @@ static void report_camera(const struct camera *cam, struct report *rep)
     report_row(rep, "forward", forward, 3);
     report_row(rep, "up", up, 3);
     report_number(rep, "focal_px", (double)cam->fx);
-    report_number(rep, "fov_deg",
-                  2 * atan2(cam->w / 2.0, (double)cam->fx) * 180 / 3.14159265358979);
+    report_number(rep, "fov_deg", 2 * atan2(cam->w / 2.0, (double)cam->fx) * 180 / NUM_PI);
     report_close(rep);
 }
 

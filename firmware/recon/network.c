@@ -604,11 +604,6 @@ void network_from_display(struct gaussians *g)
         }
 }
 
-static double logit(double v)
-{
-    return log(v / (1 - v));
-}
-
 /* log2 of the display value v at knot k. The error of a line between knots is as large everywhere
  * if they are equally far apart in sqrt(1 - v); here from v = 0.001 to 0.999. */
 static double knot(int k)
@@ -627,13 +622,14 @@ void network_display_curve(float mid_log2t, struct tonemap *out)
         double before = 0;
         for (int k = 0; k < TONE_HIDDEN; k++) {
             double x = knot(k), next = knot(k + 1);
-            double slope = k + 1 < TONE_HIDDEN ? (logit(exp2(next)) - logit(exp2(x))) / (next - x)
-                                               : before; // beyond the last knot: on as before
+            double slope = k + 1 < TONE_HIDDEN
+                               ? (num_logit(exp2(next)) - num_logit(exp2(x))) / (next - x)
+                               : before; // beyond the last knot: on as before
             p[k] = 1;
             p[TONE_HIDDEN + k] = (float)-x;
             p[2 * TONE_HIDDEN + k] = (float)(slope - before);
             before = slope;
         }
-        p[3 * TONE_HIDDEN] = (float)logit(exp2(knot(0)));
+        p[3 * TONE_HIDDEN] = (float)num_logit(exp2(knot(0)));
     }
 }

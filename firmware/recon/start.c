@@ -263,7 +263,7 @@ static err_t find_cameras(const struct run *r, const struct job_config *cfg,
     struct seen seen;
     const size_t mark = arena_mark(r->tmp);
     if (!known && cfg->fov_deg > 0)
-        want.focal = (float)v->size / 2 / tanf(cfg->fov_deg * 3.14159265f / 360);
+        want.focal = (float)v->size / 2 / tanf(cfg->fov_deg * (float)NUM_PI / 360);
     err_t e = exposure_stack_merge(r, v, &out->response, &seen.views, &seen.tone);
     if (!e)
         e = locate_run(r, &seen.views, p && p->matches.token ? &p->matches : NULL, &want, b);

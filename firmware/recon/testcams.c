@@ -232,7 +232,7 @@ static double angle_deg(const struct camera *a, const struct camera *b)
         minus += (x - y) * (x - y);
         plus += (x + y) * (x + y);
     }
-    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / 3.14159265358979323846;
+    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / NUM_PI;
 }
 
 /* Root of the mean squared distance of the cameras from their mean. */

@@ -36,7 +36,7 @@ static bool normalise(double v[3])
 static void row(const struct camera *cam, int i, double out[3])
 {
     float r[9];
-    rotation_from_quat(cam->q, r);
+    rotation_from_unit(cam->q, r);
     for (int k = 0; k < 3; k++)
         out[k] = (double)r[3 * i + k];
 }

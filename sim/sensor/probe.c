@@ -8,6 +8,7 @@
  * Illumination with Ray-Traced Irradiance Fields, JCGT 8(2), 2019, section 5). */
 #include "sim/sensor/probe.h"
 
+#include "core/base/num.h"
 #include "sim/world/vec.h"
 
 #include <string.h>
@@ -21,7 +22,7 @@ enum {
     BOUNCES = 3
 };
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 static const float SPACING = 0.9f;   // m, wanted
 static const float FAR = 1000;       // m
 static const float SELDOM = 1e-3f;   // weight of a point that took the mean of its neighbours

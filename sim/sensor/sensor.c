@@ -9,6 +9,9 @@
  * Development: bilinear demosaicing, mirrored at the edges. */
 #include "sim/sensor/sensor.h"
 
+#include "core/base/num.h"
+#include "core/base/splitmix.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -37,16 +40,9 @@ static inline double smaller(double a, double b)
     return a < b ? a : b; // fmin would be a call
 }
 
-static inline uint64_t mix(uint64_t z)
-{
-    z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-    z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-    return z ^ (z >> 31);
-}
-
 static inline double uniform(uint64_t key, uint64_t counter)
 {
-    uint64_t h = mix(key + (counter + 1) * 0x9E3779B97F4A7C15u);
+    uint64_t h = splitmix_mix(key + (counter + 1) * SPLITMIX_STEP);
     return ((double)(h >> 12) + 0.5) * 0x1p-52; // inside 0..1
 }
 
@@ -143,17 +139,17 @@ static inline double poisson(uint64_t key, uint64_t counter, double mean)
 
 double sensor_uniform(uint64_t key, uint64_t counter)
 {
-    return uniform(mix(key), counter);
+    return uniform(splitmix_mix(key), counter);
 }
 
 double sensor_normal(uint64_t key, uint64_t counter)
 {
-    return normal(mix(key), counter);
+    return normal(splitmix_mix(key), counter);
 }
 
 double sensor_poisson(uint64_t key, uint64_t counter, double mean)
 {
-    return poisson(mix(key), counter, mean);
+    return poisson(splitmix_mix(key), counter, mean);
 }
 
 /* ---- checks ---- */
@@ -241,7 +237,7 @@ struct row {
 /* Mean of 1 + depth sin(2 pi f t) over the exposure of a row. */
 static double ripple(const struct sensor *s, const struct sensor_shot *shot, int row)
 {
-    double w = 2.0 * 3.14159265358979323846 * s->flicker_hz;
+    double w = 2.0 * NUM_PI * s->flicker_hz;
     double t = shot->start_s + row * (double)s->line_s, d = w * shot->exposure_s;
     if (s->flicker <= 0.0f || w <= 0.0)
         return 1.0;
@@ -255,8 +251,8 @@ static struct row row_begin(const struct expose *x, int plane, int y)
     const struct sensor *s = x->s;
     uint64_t where = (uint64_t)plane << 32 | (uint64_t)y;
     struct row w = {.dark = s->dark_per_s * x->shot->exposure_s};
-    w.noise = mix(mix(mix(x->shot->seed + 1) + x->shot->frame) + where);
-    w.unit = mix(mix(~s->unit) + where);
+    w.noise = splitmix_mix(splitmix_mix(splitmix_mix(x->shot->seed + 1) + x->shot->frame) + where);
+    w.unit = splitmix_mix(splitmix_mix(~s->unit) + where);
     double light = s->electrons * x->shot->exposure_s * ripple(s, x->shot, y);
     for (int c = 0; c < 3; c++)
         w.light[c] = light * s->balance[c];

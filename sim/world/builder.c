@@ -5,16 +5,14 @@
  * if it overlaps none. */
 #include "sim/world/builder.h"
 
+#include "core/base/splitmix.h"
+
 #include <math.h>
 #include <string.h>
 
 float builder_draw(struct builder *b, float lo, float hi)
 {
-    uint64_t z = b->state += 0x9e3779b97f4a7c15ull;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-    z ^= z >> 31;
-    return lo + (hi - lo) * ((float)(z >> 40) * (1.0f / 16777216.0f));
+    return lo + (hi - lo) * ((float)(splitmix_next(&b->state) >> 40) * (1.0f / 16777216.0f));
 }
 
 int builder_pick(struct builder *b, int n)

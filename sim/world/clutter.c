@@ -3,11 +3,12 @@
  * they do not meet. */
 #include "sim/world/clutter.h"
 
+#include "core/base/num.h"
 #include "sim/world/garden.h"
 
 #include <math.h>
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 
 /* Slices of a turned body: radius goes through random values from foot to rim. */
 static void vase(struct builder *b, const struct frame *f, float r)

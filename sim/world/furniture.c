@@ -2,10 +2,11 @@
  * order within an expression open. */
 #include "sim/world/furniture.h"
 
+#include "core/base/num.h"
 #include "sim/world/clutter.h"
 #include "sim/world/garden.h"
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 
 static void legs(struct builder *b, const struct frame *f, const float half[2], float height, int m)
 {

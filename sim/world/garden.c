@@ -2,9 +2,10 @@
  * statement: C leaves the order within an expression open. */
 #include "sim/world/garden.h"
 
+#include "core/base/num.h"
 #include "sim/world/clutter.h"
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 
 void garden_plant(struct builder *b, const struct frame *f, const float half[2], float height)
 {

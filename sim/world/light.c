@@ -11,13 +11,14 @@
  * 1994), (n + 1) / 2 pi cos^n. */
 #include "sim/world/light.h"
 
+#include "core/base/num.h"
 #include "sim/world/vec.h"
 
 #include <string.h>
 
 enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 static const float SLANT = 0.15f; // least cosine, for the width of a footprint
 static const float EVENLY = 0.4f; // share of the chances that all lights have alike
 static const float BEYOND = 1e4f; // m, how far rays to the sky go

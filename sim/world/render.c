@@ -11,6 +11,7 @@
  * averaged, not the colour, so that textures stay sharp. */
 #include "sim/world/render.h"
 
+#include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/splat/raster.h"
 #include "sim/sensor/probe.h"
@@ -34,7 +35,7 @@ enum {
     PLANES = 3 * (NORMAL + 1)
 };
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 static const float RADIANCE_MAX = 1e9f;
 static const float PLANE_WITHIN = 0.005f; // of 1 / z, how well a neighbour must lie in the plane
 static const float AMBIENT = 0.05f;       // F up to which a surface mirrors no picture
@@ -565,7 +566,7 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
         return e;
     size_t mark = arena_mark(r->tmp);
     int rays = q->samples * q->samples * q->shadow;
-    rotation_from_quat(cam->q, p.turn);
+    rotation_from_unit(cam->q, p.turn);
     vec_turn_back(p.turn, back, p.eye);
     p.spread = 1 / (sqrtf(cam->fx * cam->fy) * (float)q->samples);
     p.seed = light_hash((uint32_t)seed, (uint32_t)(seed >> 32));

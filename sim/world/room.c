@@ -8,13 +8,14 @@
  * so the sky is 3 to 14. */
 #include "sim/world/room.h"
 
+#include "core/base/num.h"
 #include "sim/world/clutter.h"
 #include "sim/world/furniture.h"
 #include "sim/world/garden.h"
 
 #include <math.h>
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 static const float THICK = 0.16f; // m, of walls
 
 enum { WALLS = 4, SPANS = 24, OPENINGS = 2, SOLIDS_FULL = 760 };

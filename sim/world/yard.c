@@ -3,13 +3,14 @@
  * square, with more of them and trees around. White in the sun has radiance 1. */
 #include "sim/world/yard.h"
 
+#include "core/base/num.h"
 #include "sim/world/furniture.h"
 #include "sim/world/garden.h"
 #include "sim/world/room.h"
 
 #include <math.h>
 
-static const float PI = 3.14159265f;
+static const float PI = (float)NUM_PI;
 
 struct yard {
     struct builder *b;

@@ -298,7 +298,7 @@ static void make_view(struct view_geom *v)
         q[k] /= len;
     *v = (struct view_geom){
         .t = {0.1f, -0.2f, 5}, .fx = 30, .fy = 33, .cx = 18, .cy = 15, .w = W, .h = H};
-    rotation_from_quat(q, v->r);
+    rotation_from_unit(q, v->r);
     for (int k = 0; k < 3; k++)
         v->centre[k] = -(v->r[k] * v->t[0] + v->r[3 + k] * v->t[1] + v->r[6 + k] * v->t[2]);
     v->lim_x0 = v->cx / v->fx + 0.15f * W / v->fx;

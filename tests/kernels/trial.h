@@ -5,6 +5,7 @@
 #define KERNELS_TRIAL_H
 
 #include "core/base/cpu.h"
+#include "core/base/splitmix.h"
 #include "core/kernels/kernels.h"
 #include "tests/kernels/guard.h"
 
@@ -34,10 +35,7 @@ static uint64_t trial_seed = 1, trial_rng;
 
 static inline double trial_uniform(double lo, double hi)
 {
-    uint64_t z = trial_rng += 0x9e3779b97f4a7c15ull; // splitmix64
-    z = (z ^ z >> 30) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ z >> 27) * 0x94d049bb133111ebull;
-    return lo + (hi - lo) * (double)((z ^ z >> 31) >> 11) * 0x1p-53;
+    return lo + (hi - lo) * (double)(splitmix_next(&trial_rng) >> 11) * 0x1p-53;
 }
 
 static inline float *trial_floats(size_t n)

@@ -272,7 +272,7 @@ static double pose_error(const struct camera *a, const struct camera *b)
         float uv[2][2];
         for (int c = 0; c < 2; c++) {
             float r[9], p[3];
-            rotation_from_quat(cams[c]->q, r);
+            rotation_from_unit(cams[c]->q, r);
             for (int k = 0; k < 3; k++)
                 p[k] = r[3 * k] * W.truth.g.plane[0][i] + r[3 * k + 1] * W.truth.g.plane[1][i] +
                        r[3 * k + 2] * W.truth.g.plane[2][i] + cams[c]->t[k];

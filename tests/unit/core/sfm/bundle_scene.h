@@ -4,6 +4,7 @@
 #define SFM_BUNDLE_SCENE_H
 
 #include "core/base/lin.h"
+#include "core/base/rotation.h"
 #include "core/sfm/bundle.h"
 
 #include <math.h>
@@ -54,7 +55,7 @@ static inline struct camera scene_look(const double from[3], const double to[3],
     lin_cross(down, z, r);
     lin_unit(r);
     lin_cross(z, r, r + 3);
-    lin_quat(r, q);
+    rotation_to_quat(r, q);
     lin_apply(r, from, t);
     for (int k = 0; k < 4; k++)
         c.q[k] = (float)q[k];
@@ -106,7 +107,7 @@ static inline bool scene_see(const struct camera *c, const double x[3], double *
 {
     const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
     double r[9], y[3];
-    lin_rotation(q, r);
+    rotation_from_quat(q, r);
     lin_apply(r, x, y);
     for (int k = 0; k < 3; k++)
         y[k] += (double)c->t[k];

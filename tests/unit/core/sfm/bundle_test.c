@@ -1,5 +1,6 @@
 /* Rigs in rooms against the cameras that made their tracks; derivatives against differences; and
  * input that says little or nothing. */
+#include "core/base/rotation.h"
 #include "core/sfm/adjust.h"
 #include "core/sfm/similarity.h"
 #include "tests/unit/core/sfm/bundle_scene.h"
@@ -134,14 +135,14 @@ static void disturb(const struct scene_rig *s, double degrees, double focal, str
         lin_unit(w);
         for (int k = 0; k < 3; k++)
             w[k] *= degrees * DEGREE;
-        lin_exp(w, turn);
-        lin_rotation(q, r);
+        rotation_exp(w, turn);
+        rotation_from_quat(q, r);
         lin_product(turn, r, moved);
         similarity_centre(c, at);
         for (int k = 0; k < 3; k++)
             at[k] += 0.02 * degrees * scene_normal();
         lin_apply(moved, at, t);
-        lin_quat(moved, q);
+        rotation_to_quat(moved, q);
         out[v] = *c;
         out[v].fx = out[v].fy = (float)focal;
         for (int k = 0; k < 4; k++)
@@ -160,7 +161,7 @@ static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], boo
     *a = (struct adjust){.n_views = SMALL, .focal = 400, .pose = pose[0], .placed = placed};
     for (int v = 0; v < SMALL; v++) {
         const double w[3] = {scene_uniform(-1, 1), scene_uniform(-1, 1), scene_uniform(-1, 1)};
-        lin_exp(w, pose[v]);
+        rotation_exp(w, pose[v]);
         for (int k = 0; k < 3; k++)
             pose[v][9 + k] = scene_uniform(-0.5, 0.5);
         placed[v] = true;
@@ -345,7 +346,7 @@ static void world_of_the_start(void **unused)
         const struct camera *c = &s->cams[seen->view];
         const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
         double r[9];
-        lin_rotation(q, r);
+        rotation_from_quat(q, r);
         double z = lin_dot(r + 6, j.tracks.point[seen->track]) + (double)c->t[2];
         if (seen->u >= 0 && seen->v >= 0 && seen->u < SCENE_SIZE && seen->v < SCENE_SIZE)
             depth[(size_t)seen->view * plane + (size_t)seen->v * SCENE_SIZE + (size_t)seen->u] =

@@ -97,8 +97,8 @@ static void a_world_is_found_again(void **state)
     for (int i = 0; i < 5; i++) {
         float p[9], q[9];
         c = similarity_apply(&found, &a[i]);
-        rotation_from_quat(c.q, p);
-        rotation_from_quat(b[i].q, q);
+        rotation_from_unit(c.q, p);
+        rotation_from_unit(b[i].q, q);
         for (int k = 0; k < 9; k++)
             assert_float_equal(p[k], q[k], 1e-5f);
         for (int k = 0; k < 3; k++)

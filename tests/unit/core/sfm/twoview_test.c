@@ -1,6 +1,7 @@
 /* Relative poses from exact, noisy and wrong matches against the poses that made them; the algebra
  * below at its edges. */
 #include "core/base/lin.h"
+#include "core/base/rotation.h"
 #include "core/sfm/twoview.h"
 
 #include <math.h>
@@ -60,7 +61,7 @@ static void make(struct pair *p, double degrees, double base, bool plane, double
         w[k] *= degrees * PI / 180;
         p->t[k] = base * dir[k];
     }
-    lin_exp(w, p->r);
+    rotation_exp(w, p->r);
     for (int i = 0; i < MATCHES; i++) {
         double u = uniform(-0.5, 0.5), v = uniform(-0.5, 0.5);
         double z = plane ? 3 / (1 - 0.4 * u - 0.3 * v) : uniform(2, 5);
@@ -75,7 +76,7 @@ static double turn_error(const double a[9], const double b[9])
 {
     double d[9], w[3];
     lin_product_t(a, b, d);
-    lin_log(d, w);
+    rotation_log(d, w);
     return sqrt(lin_dot(w, w)) * 180 / PI;
 }
 
@@ -263,12 +264,12 @@ static void rotations_and_back(void **unused)
         lin_unit(w);
         for (int k = 0; k < 3; k++)
             w[k] *= angles[i % 8];
-        lin_exp(w, r);
-        lin_log(r, back);
+        rotation_exp(w, r);
+        rotation_log(r, back);
         for (int k = 0; k < 3; k++)
             assert_float_equal(back[k], w[k], 1e-7);
-        lin_quat(r, q);
-        lin_rotation(q, s);
+        rotation_to_quat(r, q);
+        rotation_from_quat(q, s);
         assert_true(q[0] >= 0);
         for (int k = 0; k < 9; k++)
             assert_float_equal(r[k], s[k], 1e-12);

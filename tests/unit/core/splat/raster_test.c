@@ -75,7 +75,7 @@ static void rig_close(void)
 static void place(int i, double x, double y, double z)
 {
     float r[9], p[3] = {(float)(x * z), (float)(y * z), (float)z};
-    rotation_from_quat(R.cam.q, r);
+    rotation_from_unit(R.cam.q, r);
     for (int k = 0; k < 3; k++)
         R.g.plane[G_MU + k][i] = r[k] * (p[0] - R.cam.t[0]) + r[3 + k] * (p[1] - R.cam.t[1]) +
                                  r[6 + k] * (p[2] - R.cam.t[2]);

@@ -63,7 +63,7 @@ struct world {
 static void fill(struct world *w, const struct camera *cam)
 {
     float r[9], *f = w->features;
-    rotation_from_quat(cam->q, r);
+    rotation_from_unit(cam->q, r);
     for (int i = 0; i < N; i++) {
         float z = 3 + uniform(), x[3] = {uniform() * z * 0.4f, uniform() * z * 0.4f, z};
         for (int k = 0; k < 3; k++)
@@ -119,8 +119,8 @@ static void pictures_do_not_change(void **state)
         fill(&w, &a);
         draw(&w, &a, before);
         similarity_rotation(&a, &b, turn);
-        rotation_from_quat(a.q, ra);
-        rotation_from_quat(b.q, rb);
+        rotation_from_unit(a.q, ra);
+        rotation_from_unit(b.q, rb);
         for (int i = 0; i < N; i++) { // the same place before the other camera
             float x[3];
             for (int k = 0; k < 3; k++)

@@ -3,6 +3,7 @@
 #ifndef CAPTURE_BRACKET_SIM_H
 #define CAPTURE_BRACKET_SIM_H
 
+#include "core/base/splitmix.h"
 #include "firmware/capture/bracket.h"
 
 #include "sim/device/timing.h"
@@ -74,10 +75,7 @@ static float sim_noise[SIM_NOISE];
 
 static inline double sim_uniform(struct sim *s)
 {
-    uint64_t z = s->random += 0x9e3779b97f4a7c15ull;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
+    return (double)(splitmix_next(&s->random) >> 11) * 0x1p-53;
 }
 
 static inline int sim_below(struct sim *s, int n)

@@ -2,6 +2,7 @@
  * of whatever size, light and noise; of those with misfortunes no frame may be kept under another
  * exposure than its own, or torn. TAKES=2000 in the environment: so many of each; FIRST: the first
  * of them, as a failure names it. */
+#include "core/base/splitmix.h"
 #include "tests/unit/firmware/capture/session_rig.h"
 
 #include "core/base/log.h"
@@ -26,10 +27,7 @@ struct trial {
 
 static double uniform(struct trial *t)
 {
-    uint64_t z = t->random += 0x9e3779b97f4a7c15ull;
-    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
-    z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
-    return (double)((z ^ (z >> 31)) >> 11) * 0x1p-53;
+    return (double)(splitmix_next(&t->random) >> 11) * 0x1p-53;
 }
 
 static int below(struct trial *t, int n)

@@ -108,15 +108,15 @@ static void make_cameras(void)
         k->q[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2];
         k->q[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1];
         k->q[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0];
-        rotation_from_quat(c->q, r);
-        rotation_from_quat(turn, s);
+        rotation_from_unit(c->q, r);
+        rotation_from_unit(turn, s);
         for (int j = 0; j < 3; j++)
             centre[j] = -(r[j] * c->t[0] + r[3 + j] * c->t[1] + r[6 + j] * c->t[2]);
         for (int j = 0; j < 3; j++)
             moved[j] =
                 3 * (s[3 * j] * centre[0] + s[3 * j + 1] * centre[1] + s[3 * j + 2] * centre[2]) +
                 (float)(j + 1);
-        rotation_from_quat(k->q, r);
+        rotation_from_unit(k->q, r);
         for (int j = 0; j < 3; j++)
             k->t[j] = -(r[3 * j] * moved[0] + r[3 * j + 1] * moved[1] + r[3 * j + 2] * moved[2]);
     }
@@ -366,7 +366,7 @@ static void plane(float depth[N])
         const float ray[3] = {((float)(i % SIZE) + 0.5f - c->cx) / c->fx,
                               ((float)(i % PX / SIZE) + 0.5f - c->cy) / c->fy, 1};
         float r[9], at = 2, along = 0;
-        rotation_from_quat(c->q, r);
+        rotation_from_unit(c->q, r);
         for (int k = 0; k < 3; k++) {
             at += r[3 * k + 2] * c->t[k];
             along += r[3 * k + 2] * ray[k];
@@ -380,7 +380,7 @@ static bool inside_another(const float *point, int view, float margin)
     for (int j = 0; j < VIEWS; j++) {
         float r[9], x[3];
         const struct camera *c = &w.own[j];
-        rotation_from_quat(c->q, r);
+        rotation_from_unit(c->q, r);
         for (int k = 0; k < 3; k++)
             x[k] =
                 r[3 * k] * point[0] + r[3 * k + 1] * point[1] + r[3 * k + 2] * point[2] + c->t[k];

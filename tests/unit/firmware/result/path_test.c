@@ -86,7 +86,7 @@ static void orbit_looks_at_the_convergence(void **state)
         assert_true(miss(&frame, p) < 1e-4);
         path_centre(&frame, c);
         assert_true(fabs(c[0]) <= 1 && fabs(c[1]) < 1e-4);
-        rotation_from_quat(frame.q, r);
+        rotation_from_unit(frame.q, r);
         assert_true(r[4] > 0.99f); // upright as the cameras
         assert_true(frame.w == 100 && frame.fx == 80);
     }
