@@ -98,7 +98,9 @@ struct frame {
     bool gains_known; // the device says what it multiplied the pixels with:
     bool gains_later; // ... or will, behind these: they are raw
     double digital_gain, red_gain, blue_gain;
-    int index; // of the buffer, the backend's affair
+    bool lens_known; // the device says where its lens stands:
+    double lens;     // 1/m, or the device's units; see its option focus=
+    int index;       // of the buffer, the backend's affair
 };
 
 struct camera_ops {
@@ -136,6 +138,12 @@ struct camera_ops {
 
     /* Give a frame back and zero it. Accepts a zeroed frame. */
     void (*release)(void *st, struct frame *f);
+
+    /* The search of focus=once: begins one if `again`, or if none has found a focus since open, and
+     * is then called without `again` until it is over. Frames go on coming. After OK the lens stays
+     * until the next search. NULL, or OK at once: nothing is to be searched.
+     * err:  ERR_AGAIN (searches), ERR_TIMEOUT (found none), ERR_IO, ERR_BUSY, ERR_LOST */
+    MUST_USE err_t (*focus)(void *st, bool again);
 
     /* The present, ns, for a camera with a clock of its own, which its time stamps are of: waits
      * and ages are measured by it, so that a simulation does not depend on the speed of the

@@ -2,6 +2,7 @@
  * passes on. The module is kept once it is loaded: threads of libcamera may be in it. */
 #include "drivers/device/camera.h"
 
+#include "drivers/device/focus.h"
 #include "drivers/device/libcamera_shim.h"
 #include "drivers/device/uri.h"
 #include "drivers/format/file.h"
@@ -14,28 +15,29 @@
 static const char scheme[] = "libcamera:";
 static const char module[] = "hdrig-libcamera.so";
 
+#define LENS_MOST 1000.0 // 1/m
+
 struct state {
     const struct libcamera_shim *shim;
     struct libcamera_shim_camera *camera;
 };
 
 struct options {
-    char camera[URI_TEXT], module[URI_TEXT];
+    char camera[URI_TEXT], module[URI_TEXT], focus[URI_TEXT];
     int stamp;
-    double focus; // 1/m; < 0: as it stands
 };
 
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"stamp", AT(stamp), URI_WORD, 0, 0, "start|end"},
-    {"focus", AT(focus), URI_REAL, 0, 1000, NULL},
+    {"focus", AT(focus), URI_STRING, 0, 0, NULL},
     {"module", AT(module), URI_STRING, 0, 0, NULL},
 };
 
 static err_t parse(const char *uri, struct options *o)
 {
     size_t skip = sizeof scheme - 1;
-    *o = (struct options){.stamp = CAMERA_STAMP_END, .focus = -1.0};
+    *o = (struct options){.stamp = CAMERA_STAMP_END};
     if (strncmp(uri, scheme, skip) != 0)
         return err_fail(ERR_ARG, "%.64s: does not begin with \"%s\"", uri, scheme);
     size_t n = strcspn(uri + skip, ",");
@@ -100,15 +102,18 @@ static err_t lib_open(void *st, const struct camera_cfg *cfg)
 {
     struct state *s = st;
     struct options o;
+    struct focus focus;
     memset(s, 0, sizeof *s);
     err_t e = parse(cfg->uri, &o);
+    if (!e)
+        e = focus_parse("libcamera", o.focus, LENS_MOST, &focus);
     if (!e && (cfg->buffers < 0 || cfg->buffers > CAMERA_BUFFERS_MAX))
         e = err_fail(ERR_ARG, "libcamera: %d buffers, not 0..%d", cfg->buffers, CAMERA_BUFFERS_MAX);
     if (!e)
         e = load(&o, &s->shim);
     if (e)
         return e;
-    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, o.focus};
+    struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, focus};
     return told(s, s->shim->open(&how, &s->camera));
 }
 
@@ -149,6 +154,12 @@ static void lib_release(void *st, struct frame *f)
     s->shim->release(s->camera, f);
 }
 
+static err_t lib_focus(void *st, bool again)
+{
+    struct state *s = st;
+    return told(s, s->shim->focus(s->camera, again));
+}
+
 const struct camera_ops camera_libcamera = {.name = "libcamera",
                                             .state_bytes = sizeof(struct state),
                                             .open = lib_open,
@@ -157,4 +168,5 @@ const struct camera_ops camera_libcamera = {.name = "libcamera",
                                             .fd = lib_fd,
                                             .request = lib_request,
                                             .next = lib_next,
-                                            .release = lib_release};
+                                            .release = lib_release,
+                                            .focus = lib_focus};

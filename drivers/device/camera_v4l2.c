@@ -10,6 +10,7 @@
 #include "drivers/device/unpack.h"
 #include "drivers/device/uri.h"
 #include "drivers/device/v4l2_format.h"
+#include "drivers/device/v4l2_lens.h"
 #include "drivers/device/v4l2_queue.h"
 #include "drivers/device/v4l2_shutter.h"
 
@@ -22,24 +23,29 @@
 enum { EVENTS_MAX = 16, NAME_MAX_BYTES = 64 };
 
 struct options {
-    char subdev[URI_TEXT];
-    double longest_ms, focus; // focus < 0: as it stands
+    char subdev[URI_TEXT], lens[URI_TEXT], focus[URI_TEXT];
+    double longest_ms;
 };
 
 #define AT(field) offsetof(struct options, field)
 static const struct uri_key keys[] = {
     {"subdev", AT(subdev), URI_STRING, 0, 0, NULL},
     {"longest_ms", AT(longest_ms), URI_REAL, 0.1, 60000, NULL},
-    {"focus", AT(focus), URI_REAL, 0, 1e6, NULL},
+    {"focus", AT(focus), URI_STRING, 0, 0, NULL},
+    {"lens", AT(lens), URI_STRING, 0, 0, NULL},
 };
+
+#define LENS_MOST 1e6 // any device's units
 
 struct state {
     char path[URI_TEXT];
     struct options opt;
-    struct v4l2_node video, sub;
+    struct focus focus;
+    struct v4l2_node video, sub, motor; // motor: of the lens, if it is a device of its own
     struct v4l2_capability cap;
     struct v4l2_layout layout;
     struct v4l2_shutter shutter;
+    struct v4l2_lens lens;
     struct v4l2_queue queue;
     struct camera_info info;
     bool events;
@@ -60,8 +66,8 @@ static err_t read_uri(struct state *s, const char *uri)
                         sizeof s->path - 1);
     memcpy(s->path, uri + skip, n);
     s->opt.longest_ms = 33.0;
-    s->opt.focus = -1.0;
-    return uri_parse("v4l2", uri + skip + n + (uri[skip + n] == ','), &table, 1);
+    err_t e = uri_parse("v4l2", uri + skip + n + (uri[skip + n] == ','), &table, 1);
+    return e ? e : focus_parse("v4l2", s->opt.focus, LENS_MOST, &s->focus);
 }
 
 static err_t check_wish(const struct camera_cfg *cfg)
@@ -128,6 +134,7 @@ static void v4l2_close(void *st)
 {
     struct state *s = st;
     v4l2_queue_close(&s->queue);
+    v4l2_sys_close(&s->motor);
     v4l2_sys_close(&s->sub);
     v4l2_sys_close(&s->video);
 }
@@ -139,6 +146,8 @@ static err_t open_nodes(struct state *s)
         e = read_capabilities(s);
     if (!e && s->opt.subdev[0])
         e = v4l2_sys_open(&s->sub);
+    if (!e && s->opt.lens[0])
+        e = v4l2_sys_open(&s->motor);
     return e;
 }
 
@@ -168,8 +177,11 @@ static err_t set_controls(struct state *s)
     err_t e = v4l2_shutter_freeze(&s->video);
     if (!e && s->opt.subdev[0])
         e = v4l2_shutter_freeze(&s->sub);
-    if (!e && s->opt.focus >= 0.0)
-        e = v4l2_shutter_focus(&s->video, s->opt.focus);
+    s->lens.node = s->opt.lens[0] ? s->motor : s->video;
+    if (!e && s->opt.lens[0])
+        e = v4l2_shutter_freeze(&s->motor);
+    if (!e)
+        e = v4l2_lens_open(&s->lens, &s->focus);
     if (!e)
         e = v4l2_format_pace(&s->video, &s->layout, s->opt.longest_ms * 1e-3, &period_s);
     return e ? e : v4l2_shutter_open(&s->shutter, &s->layout, s->opt.longest_ms * 1e-3, period_s);
@@ -214,6 +226,7 @@ err_t camera_v4l2_open_with(void *st, const struct camera_cfg *cfg, const struct
     memset(s, 0, sizeof *s);
     s->video = (struct v4l2_node){sys, s->path, -1};
     s->sub = (struct v4l2_node){sys, s->opt.subdev, -1};
+    s->motor = (struct v4l2_node){sys, s->opt.lens, -1};
     err_t e = read_uri(s, cfg->uri);
     if (!e)
         e = check_wish(cfg);
@@ -264,14 +277,13 @@ static err_t v4l2_request(void *st, const struct exposure *ask, struct exposure 
 }
 
 /* Another source behind the node is another camera. */
-static err_t read_events(struct state *s)
+static err_t read_events(struct state *s, const struct v4l2_node *n)
 {
     struct v4l2_event ev = {0};
-    for (int i = 0; s->events && i < EVENTS_MAX; i++) {
-        if (v4l2_sys_ioctl(&s->video, VIDIOC_DQEVENT, &ev) != 0)
-            break;
+    for (int i = 0; i < EVENTS_MAX && v4l2_sys_ioctl(n, VIDIOC_DQEVENT, &ev) == 0; i++) {
         if (ev.type == V4L2_EVENT_SOURCE_CHANGE)
             return v4l2_queue_lose(&s->queue, "its source changed; open it again");
+        v4l2_lens_event(&s->lens, &ev);
     }
     return OK;
 }
@@ -282,7 +294,9 @@ static err_t v4l2_next(void *st, struct frame *out)
     const struct v4l2_layout *l = &s->layout;
     struct v4l2_queue_item item;
     memset(out, 0, sizeof *out);
-    err_t e = read_events(s);
+    err_t e = s->events ? read_events(s, &s->video) : OK;
+    if (!e && s->lens.events)
+        e = read_events(s, &s->lens.node);
     if (!e)
         e = v4l2_queue_take(&s->queue, &item);
     if (e)
@@ -297,6 +311,8 @@ static err_t v4l2_next(void *st, struct frame *out)
                           .sequence = item.sequence,
                           .timestamp_ns = item.timestamp_ns,
                           .flags = (item.error ? FRAME_ERROR : 0u) | (is_short ? FRAME_SHORT : 0u),
+                          .lens_known = s->lens.known,
+                          .lens = (double)s->lens.position,
                           .index = item.index};
     return OK;
 }
@@ -309,6 +325,17 @@ static void v4l2_release(void *st, struct frame *f)
     memset(f, 0, sizeof *f);
 }
 
+static err_t v4l2_focus(void *st, bool again)
+{
+    struct state *s = st;
+    if (s->queue.lost)
+        return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
+    err_t e = v4l2_lens_focus(&s->lens, again);
+    if (e == ERR_LOST)
+        s->queue.lost = true;
+    return e;
+}
+
 const struct camera_ops camera_v4l2 = {.name = "v4l2",
                                        .state_bytes = sizeof(struct state),
                                        .open = v4l2_open,
@@ -317,4 +344,5 @@ const struct camera_ops camera_v4l2 = {.name = "v4l2",
                                        .fd = v4l2_fd,
                                        .request = v4l2_request,
                                        .next = v4l2_next,
-                                       .release = v4l2_release};
+                                       .release = v4l2_release,
+                                       .focus = v4l2_focus};

@@ -1,10 +1,13 @@
-/* camera_v4l2.h - the camera `v4l2:NODE[,subdev=NODE][,longest_ms=X]`: a capture node of Linux.
+/* camera_v4l2.h - the camera `v4l2:NODE[,subdev=NODE][,longest_ms=X][,focus=X][,lens=NODE]`: a
+ * capture node of Linux.
  *
  *   NODE        /dev/v4l/by-path/...-video-index0, which stays the same when the camera comes back
  *   subdev      of the sensor that feeds it (/dev/v4l-subdevN), where that has the controls:
  *               Raspberry Pi up to 4 and others whose sensor leads straight to memory
  *   longest_ms  exposures up to this fit into frames of the usual length (33; 0.1 .. 60000). USB
  *               cameras cannot expose longer than a frame, sensors stretch single frames
+ *   focus       a position of the lens, in the device's units; or once: see camera_ops.focus
+ *   lens        of the lens, where it is a sub-device of its own (v4l2-ctl -L shows focus_absolute)
  *
  * Automatic modes are switched off at open, what shapes the response is put to its default.
  * gain_max is 1 where nobody knows the factors behind the codes (USB cameras).

@@ -14,6 +14,8 @@
 #include "drivers/device/libcamera_shim.h"
 
 #include "drivers/device/libcamera_controls.hpp"
+#include "drivers/device/libcamera_errors.hpp"
+#include "drivers/device/libcamera_focus.hpp"
 #include "drivers/device/libcamera_formats.hpp"
 
 #include <libcamera/libcamera.h>
@@ -23,8 +25,6 @@
 #include <atomic>
 #include <cerrno>
 #include <cmath>
-#include <cstdarg>
-#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <dirent.h>
@@ -51,39 +51,6 @@ constexpr int NEWS_MS = 2000;         // until libcamera is told of an unpluggin
 constexpr int PERIOD_FRAMES = 3;      // after which the period is taken from the stamps
 constexpr double START_S = 0.01;      // exposure before anything is asked for
 constexpr double UVC_STEP_US = 100.0; // to which the UVC handler cuts exposure times
-
-/* ---- errors ---- */
-
-thread_local char last_text[512];
-
-err_t say(err_t code, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
-err_t say(err_t code, const char *fmt, ...)
-{
-    va_list args;
-    va_start(args, fmt);
-    vsnprintf(last_text, sizeof last_text, fmt, args);
-    va_end(args);
-    return code;
-}
-
-/* No exception leaves the module. */
-template <class F> err_t guarded(F f)
-{
-    try {
-        return f();
-    } catch (const std::bad_alloc &) {
-        return say(ERR_NOMEM, "libcamera: no memory");
-    } catch (const std::exception &e) {
-        return say(ERR_IO, "libcamera: %s", e.what());
-    } catch (...) {
-        return say(ERR_IO, "libcamera: an exception without a name");
-    }
-}
-
-err_t code_of(int why)
-{
-    return why == -EBUSY ? ERR_BUSY : why == -ENODEV ? ERR_LOST : ERR_IO;
-}
 
 /* ---- what differs between releases and cameras ---- */
 
@@ -176,9 +143,10 @@ struct libcamera_shim_camera {
     };
     std::vector<mapping> maps; // by cookie
     camera_info info{};
-    double time_us = 0.0, gain = 1.0, step_us = 1.0, focus = -1.0; // see the shim's cfg
-    int64_t frame_us[2] = {0, 0};                                  // shortest, longest
-    int cancelled = 0, event = -1;                                 // cancelled: in a row
+    class lens lens;
+    double time_us = 0.0, gain = 1.0, step_us = 1.0;
+    int64_t frame_us[2] = {0, 0};  // shortest, longest
+    int cancelled = 0, event = -1; // cancelled: in a row
     bool acquired = false, started = false;
     std::string lost_why;
 
@@ -451,8 +419,8 @@ void describe_controls(session &s)
     s.time_us = std::clamp(START_S, i.time_min_s, i.time_max_s) * 1e6;
 }
 
-/* What a request carries. */
-void put_controls(const session &s, lc::ControlList &list)
+/* What a request carries; null: the start. */
+void put_controls(session &s, lc::ControlList &list, const lc::Request *request)
 {
     for (const auto &[id, range] : s.camera->controls()) {
         for (const frozen &f : frozen_controls)
@@ -463,14 +431,13 @@ void put_controls(const session &s, lc::ControlList &list)
             set_number(list, *id, s.time_us);
         else if (id->name() == "AnalogueGain" && s.info.gain_max > 1.0)
             set_number(list, *id, s.gain);
-        else if (id->name() == "LensPosition" && s.focus >= 0.0)
-            set_number(list, *id, s.focus);
     }
+    s.lens.put(list, request);
 }
 
 err_t queue(session &s, lc::Request *r)
 {
-    put_controls(s, r->controls());
+    put_controls(s, r->controls(), r);
     const int why = s.camera->queueRequest(r);
     return why == 0 ? OK : gone(s, why == -ENODEV ? "the camera has gone" : strerror(-why));
 }
@@ -487,7 +454,7 @@ err_t again(session &s, lc::Request *r)
 err_t start(session &s)
 {
     lc::ControlList list(s.camera->controls());
-    put_controls(s, list);
+    put_controls(s, list, nullptr);
     if (s.frame_us[1] > 0) {
         const std::array<int64_t, 2> limits = {s.frame_us[0], s.frame_us[1]};
         list.set(lc::controls::FrameDurationLimits, lc::Span<const int64_t, 2>(limits));
@@ -539,6 +506,9 @@ void fill_metadata(const session &s, const lc::ControlList &m, frame *out)
     out->exposure_known = time && *time > 0;
     if (out->exposure_known)
         out->exposure = {*time * 1e-6, gain ? std::max(double{*gain}, 1.0) : 1.0};
+    const auto lens = m.get(lc::controls::LensPosition);
+    out->lens_known = lens.has_value();
+    out->lens = lens ? double{*lens} : 0.0;
     out->gains_known = digital || colour;
     out->gains_later = is_raw(s.info.format);
     if (!out->gains_known)
@@ -598,8 +568,10 @@ err_t next(session &s, frame *out)
         if (!r)
             return ERR_AGAIN;
         const lc::FrameMetadata &m = r->buffers().begin()->second->metadata();
-        if (r->status() == lc::Request::RequestCancelled ||
-            m.status == lc::FrameMetadata::FrameCancelled)
+        const bool cancelled = r->status() == lc::Request::RequestCancelled ||
+                               m.status == lc::FrameMetadata::FrameCancelled;
+        s.lens.see(r, r->metadata(), cancelled);
+        if (cancelled)
             return was_cancelled(s, r);
         s.cancelled = 0;
         if (!is_startup(m, 0)) {
@@ -684,21 +656,6 @@ err_t first_frame(session &s)
     }
 }
 
-err_t set_focus(session &s, double focus)
-{
-    s.focus = focus;
-    const auto *lens = find_control(*s.camera, "LensPosition");
-    if (s.focus < 0.0)
-        return OK;
-    if (!lens)
-        return say(ERR_UNSUPPORTED, "libcamera: %s: its focus cannot be set", s.name.c_str());
-    const double lo = number(lens->second.min(), 0.0), hi = number(lens->second.max(), 0.0);
-    return s.focus >= lo && s.focus <= hi
-               ? OK
-               : say(ERR_ARG, "libcamera: %s: focus=%g is outside of its %g..%g (1/m)",
-                     s.name.c_str(), s.focus, lo, hi);
-}
-
 err_t open_session(session &s, const libcamera_shim_cfg &cfg)
 {
     err_t e = OK;
@@ -708,7 +665,7 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
     if (!e)
         e = acquire(s);
     if (!e)
-        e = set_focus(s, cfg.focus);
+        e = s.lens.open(*s.camera, cfg.focus);
     if (!e)
         e = configure(s, cfg.wish);
     if (!e)
@@ -788,6 +745,14 @@ void shim_release(libcamera_shim_camera *c, frame *f)
     (void)e;
 }
 
+err_t shim_focus(libcamera_shim_camera *c, bool again)
+{
+    return guarded([&] {
+        return c->lost ? gone(*c, "the camera has gone")
+                       : c->lens.focus(c->name.c_str(), again, now_ns(CLOCK_MONOTONIC));
+    });
+}
+
 const char *shim_text()
 {
     return last_text;
@@ -796,5 +761,5 @@ const char *shim_text()
 } // namespace
 
 extern "C" __attribute__((visibility("default"))) const libcamera_shim libcamera_shim_table = {
-    LIBCAMERA_SHIM_STAMP, shim_text, shim_open,   shim_close, shim_info, shim_fd,
-    shim_request,         shim_next, shim_release};
+    LIBCAMERA_SHIM_STAMP, shim_text, shim_open,    shim_close, shim_info, shim_fd,
+    shim_request,         shim_next, shim_release, shim_focus};

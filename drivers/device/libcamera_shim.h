@@ -6,10 +6,11 @@
 #define DEVICE_LIBCAMERA_SHIM_H
 
 #include "drivers/device/camera.h"
+#include "drivers/device/focus.h"
 
 /* Program and module were built from the same structs; count up when the meaning changes. */
 #define LIBCAMERA_SHIM_STAMP                                                                       \
-    (2u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
+    (3u << 24 | (unsigned)sizeof(struct camera_info) << 12 | (unsigned)sizeof(struct frame))
 
 #define LIBCAMERA_SHIM_TABLE "libcamera_shim_table" // symbol of the module
 
@@ -17,7 +18,7 @@ struct libcamera_shim_cfg {
     const char *camera;     // id, or a part of one camera's id or model; "" if there is only one
     struct camera_cfg wish; // without uri
     enum camera_stamp stamp;
-    double focus; // LensPosition, 1/m, 0: far away; < 0: where the lens stands
+    struct focus focus; // position: LensPosition, 1/m, 0: far away
 };
 
 struct libcamera_shim_camera;
@@ -34,6 +35,7 @@ struct libcamera_shim {
                      struct exposure *set);
     err_t (*next)(struct libcamera_shim_camera *c, struct frame *out);
     void (*release)(struct libcamera_shim_camera *c, struct frame *f);
+    err_t (*focus)(struct libcamera_shim_camera *c, bool again);
 };
 
 #endif

@@ -4,6 +4,7 @@
 #include "drivers/device/v4l2_shutter.h"
 
 #include "core/base/log.h"
+#include "drivers/device/v4l2_control.h"
 
 #include <errno.h>
 #include <linux/videodev2.h>
@@ -13,62 +14,6 @@
 #define TICK_S 1e-4         // V4L2_CID_EXPOSURE_ABSOLUTE
 #define PERIOD_S (1 / 30.0) // of devices that do not tell
 enum { LINES_MAX = 1 << 30 };
-
-/* ---- single controls ---- */
-
-struct range {
-    int64_t lo, hi, step, usual; // hi < lo: no such control
-    bool fixed;                  // read only
-};
-
-static int get(const struct v4l2_node *n, uint32_t id, int64_t *value)
-{
-    struct v4l2_ext_control c = {.id = id};
-    struct v4l2_ext_controls all = {.which = V4L2_CTRL_WHICH_CUR_VAL, .count = 1, .controls = &c};
-    int number = v4l2_sys_ioctl(n, VIDIOC_G_EXT_CTRLS, &all);
-    *value = number ? 0 : id == V4L2_CID_PIXEL_RATE ? c.value64 : c.value;
-    return number;
-}
-
-static int set(const struct v4l2_node *n, uint32_t id, int64_t value)
-{
-    struct v4l2_ext_control c = {.id = id, .value = (int32_t)value};
-    struct v4l2_ext_controls all = {.which = V4L2_CTRL_WHICH_CUR_VAL, .count = 1, .controls = &c};
-    return v4l2_sys_ioctl(n, VIDIOC_S_EXT_CTRLS, &all);
-}
-
-/* err: ERR_LOST; a control that the device does not describe is none. */
-static err_t query(const struct v4l2_node *n, uint32_t id, struct range *out)
-{
-    struct v4l2_query_ext_ctrl q = {.id = id};
-    *out = (struct range){.lo = 0, .hi = -1, .step = 1};
-    int number = v4l2_sys_ioctl(n, VIDIOC_QUERY_EXT_CTRL, &q);
-    if (number == ENODEV)
-        return v4l2_sys_fail(n, number, "describe its controls");
-    bool whole = id == V4L2_CID_PIXEL_RATE || (q.minimum >= INT32_MIN && q.maximum <= INT32_MAX);
-    if (number || (q.flags & V4L2_CTRL_FLAG_DISABLED) || !whole)
-        return OK;
-    out->lo = q.minimum;
-    out->hi = q.maximum;
-    out->step = q.step > 0 && q.step <= INT32_MAX ? (int64_t)q.step : 1;
-    out->usual = q.default_value < q.minimum   ? q.minimum
-                 : q.default_value > q.maximum ? q.maximum
-                                               : q.default_value;
-    out->fixed = (q.flags & V4L2_CTRL_FLAG_READ_ONLY) != 0;
-    return OK;
-}
-
-static bool there(const struct range *r)
-{
-    return r->lo <= r->hi;
-}
-
-/* Down to a value that the control can have. */
-static int64_t fit(int64_t v, int64_t lo, int64_t hi, int64_t step)
-{
-    v = v > hi ? hi : v;
-    return v < lo ? lo : lo + (v - lo) / step * step;
-}
 
 /* ---- what must not change by itself ---- */
 
@@ -121,7 +66,7 @@ static const struct freeze freezes[] = {
 static err_t check_frozen(const struct v4l2_node *n, const struct freeze *f, int written)
 {
     int64_t now;
-    int number = get(n, f->id, &now);
+    int number = v4l2_control_get(n, f->id, &now);
     if (number)
         return v4l2_sys_fail(n, number, "read its controls");
     if (now == f->value || now == f->or_value)
@@ -135,14 +80,14 @@ static err_t check_frozen(const struct v4l2_node *n, const struct freeze *f, int
 
 static err_t freeze(const struct v4l2_node *n, const struct freeze *f)
 {
-    struct range r;
-    err_t e = query(n, f->id, &r);
-    if (e || !there(&r))
+    struct v4l2_range r;
+    err_t e = v4l2_control_query(n, f->id, &r);
+    if (e || !v4l2_control_there(&r))
         return e;
     int64_t to = f->to == LOWEST ? r.lo : f->to == USUAL ? r.usual : f->value;
-    int number = r.fixed ? EACCES : set(n, f->id, to);
+    int number = r.fixed ? EACCES : v4l2_control_set(n, f->id, to);
     if ((number == EINVAL || number == ERANGE) && f->or_value != f->value)
-        number = set(n, f->id, f->or_value);
+        number = v4l2_control_set(n, f->id, f->or_value);
     if (number == ENODEV)
         return v4l2_sys_fail(n, number, "set its controls");
     if (f->must)
@@ -158,29 +103,6 @@ err_t v4l2_shutter_freeze(const struct v4l2_node *n)
     for (size_t i = 0; !e && i < sizeof freezes / sizeof freezes[0]; i++)
         e = freeze(n, &freezes[i]);
     return e;
-}
-
-err_t v4l2_shutter_focus(const struct v4l2_node *n, double position)
-{
-    struct range r;
-    err_t e = query(n, V4L2_CID_FOCUS_ABSOLUTE, &r);
-    if (e)
-        return e;
-    if (!there(&r) || r.fixed)
-        return err_fail(ERR_UNSUPPORTED, "%s: focus=%g is asked for, but its focus cannot be set",
-                        n->path, position);
-    if (position < (double)r.lo || position > (double)r.hi)
-        return err_fail(ERR_ARG, "%s: focus=%g is outside of its %lld..%lld", n->path, position,
-                        (long long)r.lo, (long long)r.hi);
-    int64_t now, want = fit((int64_t)position, r.lo, r.hi, r.step);
-    int number = set(n, V4L2_CID_FOCUS_ABSOLUTE, want);
-    if (!number)
-        number = get(n, V4L2_CID_FOCUS_ABSOLUTE, &now);
-    if (number)
-        return v4l2_sys_fail(n, number, "set its focus");
-    return now == want ? OK
-                       : err_fail(ERR_IO, "%s: focus was set to %lld, but it reads %lld", n->path,
-                                  (long long)want, (long long)now);
 }
 
 /* ---- exposure and gain ---- */
@@ -235,16 +157,16 @@ static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
         number = set_codes(c, code, gain, &written);
     }
     if (number && written > 0)
-        set(&c->node, exposure_id(c), c->code);
+        v4l2_control_set(&c->node, exposure_id(c), c->code);
     if (number)
         return refused(c, number, code);
     int64_t now;
-    number = get(&c->node, exposure_id(c), &now);
+    number = v4l2_control_get(&c->node, exposure_id(c), &now);
     if (number == ENODEV)
         return v4l2_sys_fail(&c->node, number, "read its exposure");
     c->code = number ? code : now;
     c->gain = gain;
-    if (c->gain_lo < c->gain_hi && get(&c->node, V4L2_CID_ANALOGUE_GAIN, &now) == 0)
+    if (c->gain_lo < c->gain_hi && v4l2_control_get(&c->node, V4L2_CID_ANALOGUE_GAIN, &now) == 0)
         c->gain = now;
     return OK;
 }
@@ -255,7 +177,7 @@ static err_t set_vblank(struct v4l2_shutter *c, int64_t to)
 {
     if (to == c->vblank)
         return OK;
-    int number = set(&c->node, V4L2_CID_VBLANK, to);
+    int number = v4l2_control_set(&c->node, V4L2_CID_VBLANK, to);
     if (number == EBUSY)
         return err_fail(ERR_BUSY, "%s: the length of frames cannot be set now", c->node.path);
     if (number)
@@ -271,15 +193,15 @@ static int64_t vblank_for(const struct v4l2_shutter *c, int64_t lines)
     if (need <= c->vblank_base)
         return c->vblank_base;
     need += c->vblank_step - 1;
-    return fit(need, c->vblank_lo, c->vblank_hi, c->vblank_step);
+    return v4l2_control_fit(need, c->vblank_lo, c->vblank_hi, c->vblank_step);
 }
 
 static err_t line_time(struct v4l2_shutter *c, const struct v4l2_layout *l)
 {
     int64_t rate = 0, hblank = 0;
-    int number = get(&c->node, V4L2_CID_PIXEL_RATE, &rate);
+    int number = v4l2_control_get(&c->node, V4L2_CID_PIXEL_RATE, &rate);
     if (!number)
-        number = get(&c->node, V4L2_CID_HBLANK, &hblank);
+        number = v4l2_control_get(&c->node, V4L2_CID_HBLANK, &hblank);
     if (number)
         return v4l2_sys_fail(&c->node, number, "tell its pixel rate and blanking");
     c->unit_s = ((double)l->w + (double)hblank) / (double)rate;
@@ -292,16 +214,16 @@ static err_t line_time(struct v4l2_shutter *c, const struct v4l2_layout *l)
 
 /* The longest exposure is what the driver allows in its longest frame: margins differ by sensor,
  * and some drivers count on in a slower mode of the sensor. */
-static err_t longest_lines(struct v4l2_shutter *c, const struct range *exposure)
+static err_t longest_lines(struct v4l2_shutter *c, const struct v4l2_range *exposure)
 {
-    struct range r;
+    struct v4l2_range r;
     c->most = exposure->hi;
     if (c->vblank_lo == c->vblank_hi)
         return OK;
     err_t e = set_vblank(c, c->vblank_hi);
     if (!e)
-        e = query(&c->node, V4L2_CID_EXPOSURE, &r);
-    if (!e && there(&r))
+        e = v4l2_control_query(&c->node, V4L2_CID_EXPOSURE, &r);
+    if (!e && v4l2_control_there(&r))
         c->most = r.hi;
     err_t back = set_vblank(c, c->vblank_base);
     if (c->most > c->h + c->vblank_hi - c->sensor->margin)
@@ -310,17 +232,17 @@ static err_t longest_lines(struct v4l2_shutter *c, const struct range *exposure)
 }
 
 static err_t open_lines(struct v4l2_shutter *c, const struct v4l2_layout *l,
-                        const struct range *exposure, double longest_s)
+                        const struct v4l2_range *exposure, double longest_s)
 {
-    struct range v;
+    struct v4l2_range v;
     err_t e = line_time(c, l);
     if (!e)
-        e = query(&c->node, V4L2_CID_VBLANK, &v);
+        e = v4l2_control_query(&c->node, V4L2_CID_VBLANK, &v);
     if (e)
         return e;
     c->h = l->h;
-    if (get(&c->node, V4L2_CID_VBLANK, &c->vblank) != 0 || !there(&v) || v.lo < 0 ||
-        v.hi > LINES_MAX) {
+    if (v4l2_control_get(&c->node, V4L2_CID_VBLANK, &c->vblank) != 0 || !v4l2_control_there(&v) ||
+        v.lo < 0 || v.hi > LINES_MAX) {
         c->most = exposure->hi; // a frame's length is not known
         return OK;
     }
@@ -338,9 +260,9 @@ static err_t open_lines(struct v4l2_shutter *c, const struct v4l2_layout *l,
 
 static err_t open_gain(struct v4l2_shutter *c)
 {
-    struct range r;
-    err_t e = query(&c->node, V4L2_CID_ANALOGUE_GAIN, &r);
-    if (e || !there(&r) || r.fixed)
+    struct v4l2_range r;
+    err_t e = v4l2_control_query(&c->node, V4L2_CID_ANALOGUE_GAIN, &r);
+    if (e || !v4l2_control_there(&r) || r.fixed)
         return e;
     bool factors = v4l2_sensor_gain(c->sensor, r.lo) > 0.0;
     c->gain_lo = factors ? v4l2_sensor_code(c->sensor, 1.0, r.lo, r.hi) : 0;
@@ -354,21 +276,21 @@ static err_t open_gain(struct v4l2_shutter *c)
 err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, double longest_s,
                         double period_s)
 {
-    struct range r, rate;
+    struct v4l2_range r, rate;
     c->kind = V4L2_SHUTTER_FIXED;
     c->period_s = period_s > 0.0 ? period_s : PERIOD_S;
     c->unit_s = TICK_S;
-    err_t e = query(&c->node, V4L2_CID_EXPOSURE_ABSOLUTE, &r);
+    err_t e = v4l2_control_query(&c->node, V4L2_CID_EXPOSURE_ABSOLUTE, &r);
     if (e)
         return e;
-    if (there(&r) && !r.fixed) {
+    if (v4l2_control_there(&r) && !r.fixed) {
         c->kind = V4L2_SHUTTER_TICKS;
         c->most = (int64_t)fmin(c->period_s / TICK_S * (1.0 + 1e-6), (double)r.hi);
     } else {
-        e = query(&c->node, V4L2_CID_EXPOSURE, &r);
+        e = v4l2_control_query(&c->node, V4L2_CID_EXPOSURE, &r);
         if (!e)
-            e = query(&c->node, V4L2_CID_PIXEL_RATE, &rate);
-        if (e || !there(&r) || r.fixed || !there(&rate))
+            e = v4l2_control_query(&c->node, V4L2_CID_PIXEL_RATE, &rate);
+        if (e || !v4l2_control_there(&r) || r.fixed || !v4l2_control_there(&rate))
             return e; // a unit that nobody knows
         c->kind = V4L2_SHUTTER_LINES;
         e = open_lines(c, l, &r, longest_s);
@@ -381,7 +303,7 @@ err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, dou
         e = err_fail(ERR_UNSUPPORTED, "%s: exposures of %lld..%lld times %.1f us make no range",
                      c->node.path, (long long)c->least, (long long)c->most, c->unit_s * 1e6);
     if (!e)
-        e = write_codes(c, fit(r.usual, c->least, c->most, c->step), c->gain);
+        e = write_codes(c, v4l2_control_fit(r.usual, c->least, c->most, c->step), c->gain);
     return e == ERR_ARG ? err_fail(ERR_UNSUPPORTED, "%s", err_text()) : e; // nobody asked for it
 }
 
@@ -410,7 +332,7 @@ err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
         return err_fail(ERR_UNSUPPORTED, "%s: has no exposure control with a known unit",
                         c->node.path);
     double codes = fmin(floor(ask->time_s / c->unit_s * (1.0 + 1e-9)), (double)c->most);
-    int64_t code = fit((int64_t)codes, c->least, c->most, c->step), gain = c->gain_lo;
+    int64_t code = v4l2_control_fit((int64_t)codes, c->least, c->most, c->step), gain = c->gain_lo;
     if (c->gain_lo < c->gain_hi)
         gain = v4l2_sensor_code(c->sensor, ask->gain, c->gain_lo, c->gain_hi);
     err_t e = stretch_and_write(c, code, gain);

@@ -32,11 +32,6 @@ struct v4l2_shutter {
  * err:  ERR_UNSUPPORTED (an automatic mode stays on: names it), ERR_LOST, ERR_IO */
 MUST_USE err_t v4l2_shutter_freeze(const struct v4l2_node *n);
 
-/* Move the lens to a position of V4L2_CID_FOCUS_ABSOLUTE, in the device's own units, of which most
- * count from far to near. After v4l2_shutter_freeze; nothing moves it afterwards.
- * err:  ERR_UNSUPPORTED (no such control), ERR_ARG (names the range), ERR_LOST, ERR_IO */
-MUST_USE err_t v4l2_shutter_focus(const struct v4l2_node *n, double position);
-
 /* Find the controls and set a first exposure. Before the stream starts, after v4l2_shutter_freeze.
  * longest_s: exposures up to this are to fit into frames of the usual length. period_s: as
  * v4l2_format_pace.

@@ -23,6 +23,8 @@ err_t frame_buffer_add(struct frame_buffer *r, const struct take_frame *t, const
     kept->digital_gain = f->digital_gain;
     kept->red_gain = f->red_gain;
     kept->blue_gain = f->blue_gain;
+    kept->lens_known = f->lens_known;
+    kept->lens = f->lens;
     r->kept[r->n++].used = used;
     return OK;
 }

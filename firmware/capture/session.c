@@ -555,12 +555,23 @@ static err_t follow_trouble(struct session *s, int64_t now)
     return OK;
 }
 
+/* While lenses are searched. */
+static err_t follow_focus(struct session *s, int64_t now)
+{
+    err_t e = s->cancelled ? ERR_CANCELLED : session_focus(s, false);
+    if (s->cancelled)
+        finish(s, false);
+    return e ? e : start_plans(s, now);
+}
+
 /* Where the machine has come to. */
 static err_t follow(struct session *s, int64_t now)
 {
     struct bracket_progress p;
-    err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now) : OK;
-    while (s->phase != PHASE_NONE && s->phase != PHASE_TROUBLE && !e && !shooting(s)) {
+    err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now)
+              : s->phase == PHASE_FOCUS ? follow_focus(s, now)
+                                        : OK;
+    while (s->phase > PHASE_FOCUS && s->phase != PHASE_TROUBLE && !e && !shooting(s)) {
         bracket_progress(s->machine, &p);
         s->frames_used += p.frames;
         s->rejected += p.rejected;
@@ -569,11 +580,9 @@ static err_t follow(struct session *s, int64_t now)
         else
             e = faulted(s);
     }
-    if (e && s->phase != PHASE_NONE) {
+    if (e && e != ERR_AGAIN && s->phase != PHASE_NONE)
         fail(s, err_text());
-        e = OK;
-    }
-    return e;
+    return OK;
 }
 
 /* From the beginning: meters know nothing, no frame is kept. */
@@ -614,7 +623,13 @@ err_t session_begin(struct session *s, const struct session_order *o)
     s->reason[0] = s->note[0] = 0;
     s->frames_used = s->rejected = 0;
     s->trigger = clocks_at(o->trigger_ns ? o->trigger_ns : now);
-    e = start_plans(s, now);
+    e = session_focus(s, o->refocus);
+    if (e == ERR_AGAIN) {
+        s->phase = PHASE_FOCUS;
+        return OK;
+    }
+    if (!e)
+        e = start_plans(s, now);
     if (e)
         s->phase = PHASE_NONE;
     return e ? e : follow(s, now);
@@ -655,6 +670,10 @@ static void describe(struct session *s, struct take *t)
     if (t->status == TAKE_COMPLETE && take_unverified(t))
         snprintf(s->reason, sizeof s->reason, "%s to prove every exposure by its pixels",
                  flickers ? "the light flickers too much" : "too dark or too bright");
+    int moved = take_lens_moved(t);
+    if (moved >= 0)
+        snprintf(s->note, sizeof s->note, "the lens of camera %d moved between its frames",
+                 moved + 1);
     bool both = s->reason[0] && s->note[0];
     snprintf(t->reason, sizeof t->reason, "%.180s%s%.70s", s->reason, both ? "; " : "", s->note);
 }
@@ -691,7 +710,7 @@ enum session_state session_state(const struct session *s)
     if (s->ready)
         return SESSION_READY;
     if (s->phase != PHASE_NONE)
-        return s->phase == PHASE_PROBE ? SESSION_METERING : SESSION_SHOOTING;
+        return s->phase <= PHASE_PROBE ? SESSION_METERING : SESSION_SHOOTING;
     return s->lost ? SESSION_LOST : SESSION_ARMED;
 }
 
@@ -702,7 +721,7 @@ const char *session_status(const struct session *s)
                                         [SESSION_METERING] = "meters the light",
                                         [SESSION_SHOOTING] = "takes the exposures",
                                         [SESSION_READY] = "hands over a capture"};
-    return words[session_state(s)];
+    return s->phase == PHASE_FOCUS ? "focuses" : words[session_state(s)];
 }
 
 double session_longest_s(const struct session *s)
@@ -738,7 +757,8 @@ void session_view(const struct session *s, int camera, struct session_view *out)
 int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *deadline_ns)
 {
     int n = 0;
-    *deadline_ns = s->phase == PHASE_TROUBLE ? s->until_ns : bracket_deadline(s->machine);
+    bool timed = s->phase == PHASE_TROUBLE || s->phase == PHASE_FOCUS;
+    *deadline_ns = timed ? s->until_ns : bracket_deadline(s->machine);
     for (int i = 0; i < s->n; i++) {
         const struct cam *c = &s->cam[i];
         if (c->open && n < cap)

@@ -35,13 +35,14 @@ struct session_order {
     bool verify;   // of AUTO: look at the coverage and extend once
     double snr;    // of AUTO, ratio; 0: default
     double skew_s; // larger spoils the take; 0: any
+    bool refocus; // cameras with focus=once search anew; else only what has not since it was opened
     int64_t trigger_ns; // CLOCK_MONOTONIC
 };
 
 enum session_state {
     SESSION_LOST, // some camera is not there
     SESSION_ARMED,
-    SESSION_METERING,
+    SESSION_METERING, // or focuses
     SESSION_SHOOTING,
     SESSION_READY // a take waits for session_collect
 };

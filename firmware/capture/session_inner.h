@@ -5,7 +5,7 @@
 #include "firmware/capture/frame_buffer.h"
 #include "firmware/capture/session.h"
 
-enum phase { PHASE_NONE, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
+enum phase { PHASE_NONE, PHASE_FOCUS, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
 
 /* What a camera sees of its light, when something went wrong. */
 struct trouble {
@@ -49,7 +49,7 @@ struct session {
     struct clocks trigger;
     int frames_used, rejected;
     bool tried;       // why it failed was looked for, once per take
-    int64_t until_ns; // and so long
+    int64_t until_ns; // and so long; of PHASE_FOCUS: when to look again
     char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
@@ -59,6 +59,10 @@ MUST_USE err_t session_arm(struct session *s, int camera, double base_s);
 
 /* The earliest present of all cameras, ns: no camera is late by it. */
 int64_t session_now(const struct session *s);
+
+/* Every camera's camera_ops.focus; they are armed again at the end of PHASE_FOCUS.
+ * err:  as that, ERR_LOST, as session_arm */
+MUST_USE err_t session_focus(struct session *s, bool again);
 
 /* Whether it is worth a look at the light why a bracket failed.
  * err:  as session_arm */

@@ -41,6 +41,18 @@ double take_skew_s(const struct take *t)
     return worst;
 }
 
+int take_lens_moved(const struct take *t)
+{
+    for (int a = 0; a < t->n; a++)
+        for (int b = 0; b < a; b++) {
+            const struct take_frame *x = &t->frame[a], *y = &t->frame[b];
+            if (x->camera == y->camera && x->lens_known && y->lens_known &&
+                fabs(x->lens - y->lens) >= TAKE_LENS_STEP)
+                return x->camera;
+        }
+    return -1;
+}
+
 bool take_unverified(const struct take *t)
 {
     for (int k = 0; k < t->n; k++)

@@ -23,6 +23,8 @@ struct take_frame {
     struct clocks start; // of its exposure
     bool gains_known;    // as in struct frame
     double digital_gain, red_gain, blue_gain;
+    bool lens_known;
+    double lens;
 };
 
 struct take_camera {
@@ -59,6 +61,12 @@ double take_exposure_s(const struct take_frame *f);
 
 /* Most time between the starts of the same exposure by two cameras, s. */
 double take_skew_s(const struct take *t);
+
+/* The first camera whose frames report more than one position of its lens, or -1. Less than
+ * TAKE_LENS_STEP, in 1/m or the device's units, does not count: it changes the size of pictures by
+ * 1/4000 behind a lens of 5 mm, half a pixel at the edge of 4000, and whole units are steps. */
+#define TAKE_LENS_STEP 0.05
+int take_lens_moved(const struct take *t);
 
 /* Whether the exposure of some frame could not be proven by its pixels. */
 bool take_unverified(const struct take *t);

@@ -210,6 +210,7 @@ static err_t begin(struct daemon *d, int64_t press_ns)
 {
     struct session_order o;
     schedule_order(d->set, press_ns, &o);
+    o.refocus = d->collect.places.n == 0; // the places of a scene have one focus
     uint64_t need = 0;
     for (int i = 0; i < session_cameras(d->session); i++)
         need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));

@@ -229,6 +229,7 @@ static void put_frame(FILE *f, const struct take *t, int i)
     put_number(f, "digital_gain", x->gains_known ? x->digital_gain : NAN);
     put_number(f, "red_gain", x->gains_known ? x->red_gain : NAN);
     put_number(f, "blue_gain", x->gains_known ? x->blue_gain : NAN);
+    put_number(f, "lens", x->lens_known ? x->lens : NAN);
     put_clocks(f, "start", &x->start);
     fputs("}", f);
 }

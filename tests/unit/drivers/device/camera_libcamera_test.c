@@ -400,15 +400,96 @@ static void test_focus(int release)
     static const struct camera_cfg any = {0};
     struct fakecamera how = usual;
     play(release, &how);
-    refuse(release, "imx477,focus=2", &any, ERR_UNSUPPORTED, "imx477@1a: its focus cannot be set");
+    refuse(release, "imx477,focus=2", &any, ERR_UNSUPPORTED, "imx477@1a: its focus is fixed");
+    refuse(release, "imx477,focus=once", &any, ERR_UNSUPPORTED, "imx477@1a: its focus is fixed");
+    refuse(release, "imx477,focus=auto", &any, ERR_ARG, "one geometry: use focus=once");
+    refuse(release, "imx477,focus=near", &any, ERR_ARG, "neither once nor a number in 0..1000");
     how.lens = true;
     play(release, &how);
+    refuse(release, "imx477,focus=once", &any, ERR_UNSUPPORTED,
+           "imx477@1a: cannot search its focus: give a position in 0..10");
     refuse(release, "imx477,focus=10.5", &any, ERR_ARG, "focus=10.5 is outside of its 0..10");
     void *st = open_camera(release, "imx477,focus=2.5", CAMERA_ANY);
     assert_true(fake->focus == 2.5);
+    assert_int_equal(camera_libcamera.focus(st, true), OK); // it stands
     close_camera(st);
     st = open_camera(release, "imx477", CAMERA_ANY); // stays where it stands
     assert_true(fake->focus < 0.0);
+    close_camera(st);
+    check_clean();
+}
+
+/* Searches to its end; frames come meanwhile. */
+static err_t search(void *st, bool again)
+{
+    struct frame f;
+    err_t e = camera_libcamera.focus(st, again);
+    while (e == ERR_AGAIN) {
+        if (wait_frame(st, &f) == OK)
+            camera_libcamera.release(st, &f);
+        e = camera_libcamera.focus(st, false);
+    }
+    return e;
+}
+
+static double lens_of_frames(void *st, int skip)
+{
+    struct frame f = {0};
+    for (int i = 0; i <= skip; i++) {
+        camera_libcamera.release(st, &f);
+        assert_int_equal(wait_frame(st, &f), OK);
+    }
+    double lens = f.lens_known ? f.lens : NAN;
+    camera_libcamera.release(st, &f);
+    return lens;
+}
+
+/* Searched when asked to, and then the lens is frozen. */
+static void test_focus_once(int release)
+{
+    struct fakecamera how = usual;
+    how.lens = true;
+    how.search = 12;
+    play(release, &how);
+    void *st = open_camera(release, "imx477,focus=once", CAMERA_ANY);
+    assert_true(fake->searches == 0 && fake->focus < 0.0 && lens_of_frames(st, 0) == 1.0);
+    assert_int_equal(search(st, false), OK);
+    assert_true(lens_of_frames(st, 9) == 3.25 && fake->focus == 3.25);
+    assert_int_equal(camera_libcamera.focus(st, false), OK);
+    assert_int_equal(fake->searches, 1);
+    put(&fake->nudge, -2);
+    assert_true(fabs(lens_of_frames(st, 9) - 3.05) < 1e-6); // what the device says
+    put(&fake->nudge, 0);
+    put(&fake->cancel, 3); // perhaps the frame of the trigger
+    assert_int_equal(search(st, true), OK);
+    assert_true(fake->searches >= 2 && lens_of_frames(st, 9) == 3.25);
+    close_camera(st);
+    how.in_vain = true;
+    play(release, &how);
+    st = open_camera(release, "imx477,focus=once", CAMERA_ANY);
+    for (int i = 1; i <= 2; i++) {
+        assert_int_equal(search(st, false), ERR_TIMEOUT);
+        assert_non_null(strstr(err_text(), "imx477@1a: found no focus"));
+        assert_int_equal(fake->searches, i); // each time anew
+    }
+    put(&fake->unplug, 1);
+    struct frame f;
+    while (wait_frame(st, &f) != ERR_LOST)
+        camera_libcamera.release(st, &f);
+    assert_int_equal(camera_libcamera.focus(st, true), ERR_LOST);
+    close_camera(st);
+    how = usual;
+    how.lens = true;
+    how.search = 1 << 30; // for ever
+    play(release, &how);
+    st = open_camera(release, "imx477,focus=once", CAMERA_ANY);
+    assert_int_equal(camera_libcamera.focus(st, false), ERR_AGAIN);
+    put(&fake->silent, 1);
+    err_t e = ERR_AGAIN;
+    for (int i = 0; i < 10 && e == ERR_AGAIN; i++)
+        e = camera_libcamera.focus(st, false);
+    assert_int_equal(e, ERR_TIMEOUT);
+    assert_non_null(strstr(err_text(), "found no focus in 5 s"));
     close_camera(st);
     check_clean();
 }
@@ -571,6 +652,7 @@ BOTH(test_all_held)
 BOTH(test_rig)
 BOTH(test_refusals)
 BOTH(test_focus)
+BOTH(test_focus_once)
 BOTH(test_failures)
 BOTH(test_clock)
 BOTH(test_no_leak)
@@ -585,7 +667,7 @@ int main(void)
         cmocka_unit_test(test_failures_both), cmocka_unit_test(test_clock_both),
         cmocka_unit_test(test_focus_both),    cmocka_unit_test(test_no_leak_both),
         cmocka_unit_test(test_startup),       cmocka_unit_test(test_silent),
-        cmocka_unit_test(test_module),
+        cmocka_unit_test(test_module),        cmocka_unit_test(test_focus_once_both),
     };
     return cmocka_run_group_tests(tests, find_modules, NULL);
 }

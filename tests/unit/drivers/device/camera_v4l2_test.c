@@ -293,7 +293,94 @@ static void test_focus(void **st)
     fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->flags = V4L2_CTRL_FLAG_DISABLED;
     open_ok(webcam); // nobody asked
     close_all();
-    open_refused("v4l2:/dev/fake,focus=120", ERR_UNSUPPORTED, "its focus cannot be set");
+    open_refused("v4l2:/dev/fake,focus=120", ERR_UNSUPPORTED, "its focus is fixed");
+    open_refused("v4l2:/dev/fake,focus=once", ERR_UNSUPPORTED, "its focus is fixed");
+}
+
+static double lens(void)
+{
+    fake_frame(&fake);
+    struct frame f = take();
+    double at = f.lens_known ? f.lens : NAN;
+    camera_v4l2.release(state, &f);
+    return at;
+}
+
+static err_t search(bool again)
+{
+    err_t e = camera_v4l2.focus(state, again);
+    for (int i = 0; i < 100 && e == ERR_AGAIN; i++)
+        e = camera_v4l2.focus(state, false);
+    return e;
+}
+
+/* Frames say where the lens stands: as read last, or as somebody else has put it since. */
+static void test_lens(void **st)
+{
+    (void)st;
+    fake_uvc(&fake);
+    open_ok(webcam);
+    assert_true(lens() == 250);
+    close_all();
+    open_ok("v4l2:/dev/fake,focus=120");
+    assert_true(lens() == 120);
+    assert_int_equal(camera_v4l2.focus(state, true), OK); // it stands
+    fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->value = 130;
+    fake.lens_changed = true;
+    assert_true(lens() == 130);
+    close_all();
+    fake_uvc(&fake);
+    fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->flags = V4L2_CTRL_FLAG_DISABLED;
+    open_ok(webcam);
+    assert_true(isnan(lens()));
+    close_all();
+}
+
+static void test_focus_once(void **st)
+{
+    (void)st;
+    fake_uvc(&fake);
+    open_refused("v4l2:/dev/fake,focus=auto", ERR_ARG, "use focus=once");
+    open_refused("v4l2:/dev/fake,focus=once", ERR_UNSUPPORTED,
+                 "auto_focus_start and _status): give a position in 0..250");
+    for (int own = 0; own < 2; own++) { // the lens is a device of its own
+        const char *uri = own ? "v4l2:/dev/fake,focus=once,subdev=/dev/fake-subdev0,lens=/dev/lens"
+                              : "v4l2:/dev/fake,focus=once";
+        own ? fake_raw(&fake) : fake_uvc(&fake);
+        fake.lens = own;
+        if (own)
+            fake_add(&fake, V4L2_CID_FOCUS_ABSOLUTE, 0, 250, 0);
+        fake_add(&fake, V4L2_CID_AUTO_FOCUS_START, 0, 0, 0);
+        fake_add(&fake, V4L2_CID_AUTO_FOCUS_STATUS, 0, 7, 0);
+        fake.search = 5;
+        open_ok(uri);
+        assert_true(fake.searches == 0 && lens() == 250);
+        assert_int_equal(search(false), OK);
+        assert_true(fake.searches == 1 && lens() == 77);
+        assert_int_equal(camera_v4l2.focus(state, false), OK);
+        assert_int_equal(fake.searches, 1);
+        fake_control(&fake, V4L2_CID_FOCUS_ABSOLUTE)->value = 99;
+        fake.lens_changed = true;
+        assert_true(lens() == 99);
+        assert_int_equal(search(true), OK);
+        assert_true(fake.searches == 2 && lens() == 77);
+        fake.in_vain = true;
+        refuses(search(true), ERR_TIMEOUT, "found no focus");
+        assert_true(lens() == 250); // where it ended
+        fake.search = 0;
+        assert_int_equal(camera_v4l2.focus(state, false), ERR_AGAIN); // anew
+        assert_int_equal(fake.searches, 4);
+        for (int i = 0; i < 4; i++)
+            assert_int_equal(camera_v4l2.focus(state, false), ERR_AGAIN);
+        fake.now_ns += INT64_C(5000000000);
+        refuses(camera_v4l2.focus(state, false), ERR_TIMEOUT, "found no focus in time");
+        fake_control(&fake, V4L2_CID_AUTO_FOCUS_START)->refuse = EIO;
+        refuses(camera_v4l2.focus(state, true), ERR_IO, "search its focus");
+        fake.lost = true;
+        refuses(camera_v4l2.focus(state, true), ERR_LOST, "");
+        refuses(camera_v4l2.focus(state, true), ERR_LOST, "open it again");
+        close_all();
+    }
 }
 
 static void test_automatic(void **st)
@@ -595,6 +682,7 @@ int main(void)
         cmocka_unit_test(test_mplane),       cmocka_unit_test(test_sensor),
         cmocka_unit_test(test_half_written), cmocka_unit_test(test_other_sensors),
         cmocka_unit_test(test_gain_codes),   cmocka_unit_test(test_focus),
+        cmocka_unit_test(test_lens),         cmocka_unit_test(test_focus_once),
         cmocka_unit_test(test_automatic),    cmocka_unit_test(test_refused_requests),
         cmocka_unit_test(test_formats),      cmocka_unit_test(test_refused_formats),
         cmocka_unit_test(test_hostile),      cmocka_unit_test(test_odd_values),

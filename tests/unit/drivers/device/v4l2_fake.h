@@ -58,6 +58,9 @@ struct fake {
     char driver[16], card[32], bus[32], sensor[64];
     uint32_t caps, stamp_flags, colours, matrix, range;
     bool mplane, sub; // the controls are on the sub-device
+    bool lens;        // ... and those of the focus on another one
+    int search;       // looks until a search ends, at 77; 0: never
+    bool in_vain;     // it finds nothing
     uint32_t fourcc[FAKE_LIST], bus_code;
     int w[FAKE_LIST], h[FAKE_LIST];
     struct v4l2_fract pace[FAKE_LIST]; // rising
@@ -87,11 +90,12 @@ struct fake {
     struct fake_buffer buf[FAKE_BUFFERS];
     int fifo[FAKE_BUFFERS], n_fifo; // queued, oldest first
     int ready[FAKE_BUFFERS], n_ready;
-    int n, fd, sub_fd, fds, maps;
-    bool streaming, lost, fatal, source_changed;
+    int n, fd, sub_fd, lens_fd, fds, maps;
+    bool streaming, lost, fatal, source_changed, lens_changed, on_lens; // on_lens: this call is
     uint32_t sequence;
     int64_t armed_ns, number, now_ns, history[FAKE_LATE];
-    int offs; // VIDIOC_STREAMOFF so far
+    int offs;           // VIDIOC_STREAMOFF so far
+    int left, searches; // looks of the one that runs; so far
     char breach[200];
 };
 
@@ -113,6 +117,18 @@ static inline struct fake_control *fake_control(struct fake *f, uint32_t id)
         if (f->control[i].id == id)
             return &f->control[i];
     return NULL;
+}
+
+static inline bool fake_is_lens(uint32_t id)
+{
+    return id == V4L2_CID_FOCUS_ABSOLUTE || id == V4L2_CID_FOCUS_AUTO ||
+           id == V4L2_CID_AUTO_FOCUS_START || id == V4L2_CID_AUTO_FOCUS_STATUS;
+}
+
+/* Of the node that is called. */
+static inline struct fake_control *fake_reach(struct fake *f, uint32_t id)
+{
+    return f->on_lens == (f->lens && fake_is_lens(id)) ? fake_control(f, id) : NULL;
 }
 
 static inline void fake_add(struct fake *f, uint32_t id, int64_t lo, int64_t hi, int64_t usual)
@@ -344,7 +360,7 @@ static inline int fake_pad(struct fake *f, unsigned long request, struct v4l2_su
 
 static inline int fake_query(struct fake *f, struct v4l2_query_ext_ctrl *q)
 {
-    struct fake_control *c = fake_control(f, q->id), *a;
+    struct fake_control *c = fake_reach(f, q->id), *a;
     if (!c)
         return EINVAL;
     q->minimum = c->lo;
@@ -401,11 +417,27 @@ static inline int fake_check(struct fake *f, const struct fake_control *c, int64
     return c->id == V4L2_CID_EXPOSURE_AUTO && (v < c->lo || v > c->hi) ? EINVAL : 0;
 }
 
+/* A search runs while its status is looked at. */
+static inline void fake_search(struct fake *f, unsigned long request, struct fake_control *c)
+{
+    struct fake_control *at = fake_control(f, V4L2_CID_FOCUS_ABSOLUTE);
+    struct fake_control *status = fake_control(f, V4L2_CID_AUTO_FOCUS_STATUS);
+    if (c->id == V4L2_CID_AUTO_FOCUS_START && request == VIDIOC_S_EXT_CTRLS) {
+        f->left = f->search;
+        f->searches++;
+        status->value = V4L2_AUTO_FOCUS_STATUS_BUSY;
+    }
+    if (c != status || f->left == 0 || --f->left > 0)
+        return;
+    status->value = f->in_vain ? V4L2_AUTO_FOCUS_STATUS_FAILED : V4L2_AUTO_FOCUS_STATUS_REACHED;
+    at->value = f->in_vain ? at->hi : 77;
+}
+
 static inline int fake_controls(struct fake *f, unsigned long request, struct v4l2_ext_controls *a)
 {
     a->error_idx = a->count;
     for (uint32_t i = 0; i < a->count; i++) { // nothing is written unless all may be
-        struct fake_control *c = fake_control(f, a->controls[i].id);
+        struct fake_control *c = fake_reach(f, a->controls[i].id);
         int number = !c                              ? EINVAL
                      : request == VIDIOC_S_EXT_CTRLS ? fake_check(f, c, a->controls[i].value)
                                                      : 0;
@@ -415,6 +447,7 @@ static inline int fake_controls(struct fake *f, unsigned long request, struct v4
     for (uint32_t i = 0; i < a->count; i++) {
         struct fake_control *c = fake_control(f, a->controls[i].id);
         int number = 0;
+        fake_search(f, request, c);
         if (request == VIDIOC_S_EXT_CTRLS)
             number = fake_set(f, c, a->controls[i].value);
         else if (c->id == V4L2_CID_PIXEL_RATE)
@@ -534,6 +567,19 @@ static inline int fake_refuses(struct fake *f, unsigned long request)
     return f->fail_errno;
 }
 
+static inline int fake_event(struct fake *f, struct v4l2_event *ev)
+{
+    if (f->lens_changed && f->on_lens == f->lens) {
+        f->lens_changed = false;
+        *ev = (struct v4l2_event){.type = V4L2_EVENT_CTRL, .id = V4L2_CID_FOCUS_ABSOLUTE};
+        ev->u.ctrl.changes = V4L2_EVENT_CTRL_CH_VALUE;
+        ev->u.ctrl.value = (int32_t)fake_control(f, V4L2_CID_FOCUS_ABSOLUTE)->value;
+        return 0;
+    }
+    ev->type = V4L2_EVENT_SOURCE_CHANGE;
+    return f->source_changed && !f->on_lens ? 0 : ENOENT;
+}
+
 static inline int fake_dispatch(struct fake *f, unsigned long request, void *arg)
 {
     switch (request) {
@@ -570,8 +616,7 @@ static inline int fake_dispatch(struct fake *f, unsigned long request, void *arg
     case VIDIOC_SUBSCRIBE_EVENT:
         return 0;
     case VIDIOC_DQEVENT:
-        ((struct v4l2_event *)arg)->type = V4L2_EVENT_SOURCE_CHANGE;
-        return f->source_changed ? 0 : ENOENT;
+        return fake_event(f, arg);
     default:
         return ENOTTY;
     }
@@ -608,8 +653,9 @@ static inline void fake_lie(struct fake *f, unsigned long request, void *arg)
 static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg)
 {
     struct fake *f = ctx;
-    bool sub = f->sub_fd >= 0 && fd == f->sub_fd, has_controls = sub == f->sub;
-    if (fd < 0 || (!sub && fd != f->fd))
+    f->on_lens = f->lens_fd >= 0 && fd == f->lens_fd;
+    bool sub = f->sub_fd >= 0 && fd == f->sub_fd, has_controls = f->on_lens || sub == f->sub;
+    if (fd < 0 || (!sub && !f->on_lens && fd != f->fd))
         fake_breach(f, "ioctl without device");
     int number = fake_refuses(f, request);
     fake_pass(f);
@@ -624,6 +670,8 @@ static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg
         number = has_controls ? fake_controls(f, request, arg) : EINVAL;
     else if (request == VIDIOC_SUBDEV_G_FMT || request == VIDIOC_SUBDEV_S_FMT)
         number = sub ? fake_pad(f, request, arg) : ENOTTY;
+    else if (f->on_lens && request != VIDIOC_SUBSCRIBE_EVENT && request != VIDIOC_DQEVENT)
+        number = ENOTTY;
     else
         number = sub ? ENOTTY : fake_dispatch(f, request, arg);
     fake_arm(f);
@@ -635,17 +683,18 @@ static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg
 static inline int fake_open(void *ctx, const char *path)
 {
     struct fake *f = ctx;
-    bool sub = strstr(path, "subdev") != NULL;
+    bool sub = strstr(path, "subdev") != NULL, lens = strstr(path, "lens") != NULL;
     int number = fake_refuses(f, 0);
     if (f->node[0] && access(f->node, F_OK) != 0)
         number = ENOENT;
     if (f->open_errno || number)
         return fake_errno(number ? number : f->open_errno);
-    if (sub ? f->sub_fd >= 0 : f->fd >= 0)
+    int *node = lens ? &f->lens_fd : sub ? &f->sub_fd : &f->fd;
+    if (*node >= 0)
         fake_breach(f, "opened twice");
     int fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
-    *(sub ? &f->sub_fd : &f->fd) = fd;
-    f->armed_ns = sub ? f->armed_ns : 0;
+    *node = fd;
+    f->armed_ns = node == &f->fd ? 0 : f->armed_ns;
     f->fds++;
     return fd;
 }
@@ -653,13 +702,14 @@ static inline int fake_open(void *ctx, const char *path)
 static inline int fake_close(void *ctx, int fd)
 {
     struct fake *f = ctx;
-    if (fd < 0 || (fd != f->fd && fd != f->sub_fd))
+    if (fd < 0 || (fd != f->fd && fd != f->sub_fd && fd != f->lens_fd))
         fake_breach(f, "close of what is not open");
     if (fd == f->fd && (f->maps > 0 || ((f->streaming || f->n) && !f->lost && !f->fail_at)))
         fake_breach(f, "closed with memory mapped, with buffers, or while it streams");
-    *(fd == f->fd ? &f->fd : &f->sub_fd) = -1;
+    bool video = fd == f->fd;
+    *(video ? &f->fd : fd == f->lens_fd ? &f->lens_fd : &f->sub_fd) = -1;
     f->fds--;
-    if (fd != f->sub_fd && f->fd < 0) { // the driver frees all
+    if (video) { // the driver frees all
         f->n = f->n_fifo = f->n_ready = 0;
         f->streaming = false;
     }
@@ -722,7 +772,7 @@ static inline void fake_basis(struct fake *f)
                                .munmap = fake_munmap,
                                .name = fake_name,
                                .clock_ns = fake_clock_ns};
-    f->fd = f->sub_fd = -1;
+    f->fd = f->sub_fd = f->lens_fd = -1;
     f->now_ns = 1000000000;
     f->late = 2;
     f->w[0] = 32;

@@ -2,10 +2,12 @@
 #include "firmware/store/manifest.h"
 
 #include "drivers/format/file.h"
+#include "drivers/format/json.h"
 #include "firmware/store/store.h"
 #include "tests/unit/small_take.h"
 #include "tests/unit/tmpdir.h"
 
+#include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -60,6 +62,37 @@ static void gains(void **state)
     assert_non_null(strstr(text, "\"digital_gain\": 1.25"));
     assert_non_null(strstr(text, "\"red_gain\": 2"));
     assert_non_null(strstr(text, "\"blue_gain\": 1.5"));
+    free(text);
+}
+
+/* Where the device says that its lens stands. */
+static void lens(void **state)
+{
+    (void)state;
+    struct take *t = small_take(1, 3, CAMERA_GREY16);
+    assert_int_equal(take_lens_moved(t), -1);
+    t->frame[0].lens_known = t->frame[1].lens_known = true;
+    t->frame[0].lens = 2.0;
+    t->frame[1].lens = 2.0 + 0.9 * TAKE_LENS_STEP;
+    assert_int_equal(take_lens_moved(t), -1);
+    t->frame[1].lens = 2.0 + 1.1 * TAKE_LENS_STEP;
+    assert_int_equal(take_lens_moved(t), 0);
+    t->frame[1].camera = 1; // two lenses
+    assert_int_equal(take_lens_moved(t), -1);
+    t->frame[1].camera = 0;
+    t->frame[1].lens = 2.5;
+    char *text = manifest_of(t);
+    struct cJSON *doc;
+    ok(json_parse("m", text, strlen(text), &doc));
+    const struct cJSON *frame = json_first(json_member(doc, "frames"));
+    static const double at[] = {2.0, 2.5};
+    for (int i = 0; i < 3; i++, frame = json_next(frame)) {
+        double v = NAN;
+        assert_non_null(json_member(frame, "lens"));
+        assert_int_equal(json_number(json_member(frame, "lens"), &v), i < 2);
+        assert_true(i == 2 || v == at[i]);
+    }
+    json_free(doc);
     free(text);
 }
 
@@ -124,6 +157,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(gains, tmpdir_setup, tmpdir_teardown),
+        cmocka_unit_test_setup_teardown(lens, tmpdir_setup, tmpdir_teardown),
         cmocka_unit_test_setup_teardown(hostile_manifests, tmpdir_setup, tmpdir_teardown)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -63,6 +63,8 @@ struct Camera::device {
     unsigned sequence = 0;
     double exposure_us = 33333.0, gain = 4.0; // of the automatic
     bool manual = false;
+    int af_mode = 0, af_state = 0, search_left = 0;
+    double lens_at = 1.0;
     std::deque<std::pair<double, double>> coming;
 };
 
@@ -190,9 +192,12 @@ Camera::Camera(int i) : d(std::make_unique<device>())
     }
     if (fakecamera.lens)
         c.emplace(&controls::LensPosition, ControlInfo(0.0f, 10.0f));
+    if (fakecamera.search)
+        c.emplace(&controls::AfTrigger, ControlInfo(int32_t{0}, int32_t{1}));
     if (!fakecamera.usb) {
         c.emplace(&controls::AwbEnable, ControlInfo(false, true));
-        c.emplace(&controls::AfMode, ControlInfo(int32_t{1}, int32_t{2})); // no manual one
+        c.emplace(&controls::AfMode, // no manual one without a lens
+                  ControlInfo(int32_t{!fakecamera.lens}, int32_t{2}));
         c.emplace(&controls::FrameDurationLimits, ControlInfo(int64_t{20000}, int64_t{1500000}));
     }
 }
@@ -284,6 +289,33 @@ int Camera::queueRequest(Request *r)
     return 0;
 }
 
+/* The lens, as the algorithm of the Raspberry Pi has it: manual, or a search after a trigger. */
+static void obey_lens(Camera::device *d, const ControlList &list)
+{
+    const auto mode = list.get(controls::AfMode);
+    const auto trigger = list.get(controls::AfTrigger);
+    const auto lens = list.get(controls::LensPosition);
+    if (mode && *mode != d->af_mode) {
+        d->af_mode = *mode;
+        d->af_state = d->search_left = 0;
+    }
+    if ((trigger && d->af_mode != 1) || (lens && d->af_mode != 0))
+        wrong("a control of the lens in another mode");
+    if (trigger) {
+        fakecamera.searches++;
+        d->af_state = 1;
+        d->search_left = fakecamera.search;
+    }
+    if (lens)
+        d->lens_at = *lens;
+    if (lens && fakecamera.focus != *lens)
+        fakecamera.focus = *lens;
+    if (d->search_left > 0 && --d->search_left == 0) {
+        d->af_state = fakecamera.in_vain ? 3 : 2;
+        d->lens_at = fakecamera.in_vain ? 10.0 : 3.25;
+    }
+}
+
 /* Controls that come with a request, or with the start. */
 static void obey(Camera::device *d, const ControlList &list)
 {
@@ -304,6 +336,7 @@ static void obey(Camera::device *d, const ControlList &list)
     if (d->manual && gain)
         last.second = *gain;
     d->coming.push_back(last);
+    obey_lens(d, list);
 }
 
 static void finish(Camera *c, Request *r, bool cancelled)
@@ -336,6 +369,10 @@ static void report(Camera::device *d, Request *r)
     m.set(controls::ColourGains, Span<const float, 2>(colours));
     m.set(controls::SensorBlackLevels, Span<const int32_t, 4>(black));
     m.set(controls::FrameDuration, int64_t{20000});
+    if (fakecamera.lens) {
+        m.set(controls::LensPosition, static_cast<float>(d->lens_at + 0.1 * fakecamera.nudge));
+        m.set(controls::AfState, static_cast<int32_t>(d->af_state));
+    }
 }
 
 /* One frame; called with the guard held. */
@@ -411,8 +448,7 @@ int Camera::start(const ControlList *list)
     if (fakecamera.fail_start)
         return -fakecamera.fail_start;
     fakecamera.frozen = 0;
-    const auto lens = list->get(controls::LensPosition);
-    fakecamera.focus = lens ? double{*lens} : -1.0;
+    fakecamera.focus = -1.0;
     for (const auto &[id, value] : list->all())
         fakecamera.frozen += id == controls::AeEnable.id() || id == controls::AwbEnable.id() ||
                              id == controls::AfMode.id() || id == 12 || id == 13;

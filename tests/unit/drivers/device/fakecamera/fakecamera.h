@@ -18,8 +18,9 @@ struct fakecamera {
     bool invalid;      // no configuration will do
     bool smaller;      // gives another size than was asked for
     bool unknown_format;
-    bool silent;   // no frames
     bool lens;     // that can be moved, up to 10 dioptres
+    int search;    // frames of a search, which ends at 3.25; 0: it cannot search
+    bool in_vain;  // it finds nothing
     bool boottime; // stamps by the book; the machine has slept for 1000 s
     int delay;     // frames from a request's controls to the first frame that shows them
     int startup;   // frames at the start that are not to be used, where that can be told
@@ -29,6 +30,8 @@ struct fakecamera {
     int cancel;     // so many of the next frames are cancelled
     int bad, cut;   // so many are bad, have fewer bytes
     int fail_queue; // errno
+    int nudge;      // of the lens, 0.1 1/m
+    int silent;     // no frames, and time flies
     int unplug;
 
     /* what was seen */
@@ -38,6 +41,7 @@ struct fakecamera {
     int frozen;                               // automatic controls switched off at the start
     int64_t frame_us[2];                      // FrameDurationLimits at the start
     double focus;                             // LensPosition as last set; < 0: never
+    int searches;
     unsigned frames;
 };
 

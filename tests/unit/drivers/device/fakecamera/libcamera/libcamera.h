@@ -199,6 +199,8 @@ inline const Control<Span<const int32_t, 4>> SensorBlackLevels(9, "SensorBlackLe
 inline const Control<int64_t> FrameDuration(10, "FrameDuration");
 inline const Control<int32_t> AfMode(11, "AfMode");
 inline const Control<float> LensPosition(14, "LensPosition");
+inline const Control<int32_t> AfTrigger(15, "AfTrigger");
+inline const Control<int32_t> AfState(16, "AfState");
 #if FAKE_RELEASE >= 50
 inline const Control<int32_t> ExposureTimeMode(12, "ExposureTimeMode");
 inline const Control<int32_t> AnalogueGainMode(13, "AnalogueGainMode");
