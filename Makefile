@@ -294,7 +294,7 @@ $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 # The module over a libcamera that is played: what 0.0.3 has, what 0.7.2 has.
 FAKE := $(B)/tests/unit/drivers/device
 FAKECAMERAS := $(FAKE)/fakecamera_3.so $(FAKE)/fakecamera_72.so
-$(FAKE)/camera_libcamera_test: | $(FAKECAMERAS)
+$(FAKE)/camera_libcamera_test $(B)/tests/unit/firmware/capture/session_focus_test: | $(FAKECAMERAS)
 $(FAKECAMERAS): $(FAKE)/fakecamera_%.so: $(MODULE_NEEDS) \
 		$(wildcard $(addprefix tests/unit/drivers/device/fakecamera/,*.* libcamera/*))
 	@mkdir -p $(@D)

@@ -68,6 +68,12 @@ err_t v4l2_lens_open(struct v4l2_lens *l, const struct focus *want)
     return OK;
 }
 
+static err_t search_fails(const struct v4l2_lens *l, int number)
+{
+    err_t e = v4l2_sys_fail(&l->node, number, "search its focus");
+    return e == ERR_LOST || e == ERR_BUSY ? e : err_fail(ERR_IO, "%s", err_text());
+}
+
 static err_t begin(struct v4l2_lens *l)
 {
     const struct v4l2_sys *sys = l->node.sys;
@@ -75,7 +81,7 @@ static err_t begin(struct v4l2_lens *l)
     l->until_ns = 0;
     l->found = false;
     if (number)
-        return v4l2_sys_fail(&l->node, number, "search its focus");
+        return search_fails(l, number);
     l->until_ns = sys->clock_ns(sys->ctx) + INT64_C(1000000000) * FOCUS_SEARCH_S;
     return ERR_AGAIN;
 }
@@ -98,7 +104,7 @@ err_t v4l2_lens_focus(struct v4l2_lens *l, bool again)
     l->until_ns = 0;
     read_position(l);
     if (number)
-        return v4l2_sys_fail(&l->node, number, "search its focus");
+        return search_fails(l, number);
     return l->found ? OK
                     : err_fail(ERR_TIMEOUT, "%s: found no focus%s", l->node.path,
                                status & V4L2_AUTO_FOCUS_STATUS_FAILED ? "" : " in time");

@@ -171,6 +171,15 @@ static double time_of(const struct backend *b, const struct frame *f)
     return b->kernel ? code * 1e-4 : f->exposure.time_s;
 }
 
+/* Without focus=once nothing is searched. */
+static void test_focus(const struct backend *b)
+{
+    void *st = open_camera(b, "");
+    for (int again = 0; again < 2; again++)
+        assert_true(!b->ops->focus || b->ops->focus(st, again) == OK);
+    close_camera(b, st);
+}
+
 /* Frames show a request from the promised one on, and say so. */
 static void test_request(const struct backend *b)
 {
@@ -390,6 +399,7 @@ static void test_refused_wishes(const struct backend *b)
             test(&backends[b]);                                                                    \
     }
 EACH(test_open_close_twice)
+EACH(test_focus)
 EACH(test_request)
 EACH(test_wrong_requests)
 EACH(test_timeout)
@@ -404,6 +414,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_open_close_twice_each),
+        cmocka_unit_test(test_focus_each),
         cmocka_unit_test(test_request_each),
         cmocka_unit_test(test_wrong_requests_each),
         cmocka_unit_test(test_timeout_each),

@@ -348,11 +348,7 @@ static void test_focus_once(void **st)
                               : "v4l2:/dev/fake,focus=once";
         own ? fake_raw(&fake) : fake_uvc(&fake);
         fake.lens = own;
-        if (own)
-            fake_add(&fake, V4L2_CID_FOCUS_ABSOLUTE, 0, 250, 0);
-        fake_add(&fake, V4L2_CID_AUTO_FOCUS_START, 0, 0, 0);
-        fake_add(&fake, V4L2_CID_AUTO_FOCUS_STATUS, 0, 7, 0);
-        fake.search = 5;
+        fake_add_search(&fake);
         open_ok(uri);
         assert_true(fake.searches == 0 && lens() == 250);
         assert_int_equal(search(false), OK);

@@ -207,14 +207,27 @@ static void test_stamps(void **st)
 
 /* ---- everything fails in turn ---- */
 
-static void (*const kinds[])(struct fake *) = {fake_uvc, fake_mplane, fake_raw};
+/* With a lens of its own that searches. */
+static void fake_search_raw(struct fake *f)
+{
+    fake_raw(f);
+    fake_add_search(f);
+    f->lens = true;
+}
+
+enum { KINDS = 4 };
+static void (*const kinds[KINDS])(struct fake *) = {fake_uvc, fake_mplane, fake_raw,
+                                                    fake_search_raw};
 
 static const char *uri_of(int kind)
 {
-    return kind == 2 ? sensor : webcam;
+    static const char *const uris[KINDS] = {
+        webcam, webcam, sensor,
+        "v4l2:/dev/fake,subdev=/dev/fake-subdev0,lens=/dev/lens,focus=once"};
+    return uris[kind];
 }
 
-/* Open, frames, requests, close. Every result must be one that the contract names. */
+/* Open, a search, frames, requests, close. Every result must be one that the contract names. */
 static err_t scenario(int kind)
 {
     err_t e = open_uri(uri_of(kind));
@@ -224,6 +237,10 @@ static err_t scenario(int kind)
         return e;
     }
     struct frame f, kept = {0};
+    do
+        e = camera_v4l2.focus(state, false);
+    while (e == ERR_AGAIN);
+    assert_true(e == OK || e == ERR_TIMEOUT || e == ERR_LOST || e == ERR_BUSY || e == ERR_IO);
     for (int i = 0; i < 6; i++) {
         struct exposure set = {7.0, 7.0};
         struct fake_control *vblank = fake_control(&fake, V4L2_CID_VBLANK);
@@ -269,7 +286,7 @@ static void test_every_call_fails(void **st)
     size_t n = sizeof numbers / sizeof numbers[0];
     int runs = 0, refused = 0;
     (void)st;
-    for (int kind = 0; kind < 3; kind++) {
+    for (int kind = 0; kind < KINDS; kind++) {
         kinds[kind](&fake);
         assert_int_equal(scenario(kind), OK);
         long calls = fake.calls;
@@ -289,13 +306,14 @@ static void test_lies(void **st)
     (void)st;
     for (int i = 0; i < runs; i++) {
         struct frame f = {0};
-        kinds[i % 3](&fake);
+        kinds[i % KINDS](&fake);
         fake.dice = (uint32_t)i;
         fake.liar = 2u << i % 9;
         fake.clock = FAKE_VIRTUAL;
-        if (open_uri(uri_of(i % 3)) == OK) {
+        if (open_uri(uri_of(i % KINDS)) == OK) {
             opened++;
             for (int k = 0; k < 8; k++) {
+                (void)!camera_v4l2.focus(state, false);
                 (void)!ask_err(0.001 * (k + 1));
                 err_t e = camera_v4l2.next(state, &f);
                 sum += !e && f.bytes > 0 ? f.data[0] + (uint32_t)f.data[f.bytes - 1] : 0;

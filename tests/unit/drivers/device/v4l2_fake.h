@@ -786,6 +786,16 @@ static inline void fake_basis(struct fake *f)
     snprintf(f->bus, sizeof f->bus, "usb-0000:00:14.0-1");
 }
 
+/* A lens that searches by itself. */
+static inline void fake_add_search(struct fake *f)
+{
+    if (!fake_control(f, V4L2_CID_FOCUS_ABSOLUTE))
+        fake_add(f, V4L2_CID_FOCUS_ABSOLUTE, 0, 250, 0);
+    fake_add(f, V4L2_CID_AUTO_FOCUS_START, 0, 0, 0);
+    fake_add(f, V4L2_CID_AUTO_FOCUS_STATUS, 0, 7, 0);
+    f->search = 5;
+}
+
 /* A webcam as uvcvideo shows it. */
 static inline void fake_uvc(struct fake *f)
 {

@@ -17,7 +17,7 @@ struct rig_truth {
     double exposure_s, torn; // time x gain; share of its rows
 };
 
-static struct rig_truth rig_truth(int camera, const struct take_frame *frame)
+static inline struct rig_truth rig_truth(int camera, const struct take_frame *frame)
 {
     struct rig_truth out = {0};
     char name[32], line[256];
@@ -38,7 +38,7 @@ static struct rig_truth rig_truth(int camera, const struct take_frame *frame)
 }
 
 /* Whatever waits; a camera in real time has 20 ms. */
-static err_t rig_turn(struct session *s)
+static inline err_t rig_turn(struct session *s)
 {
     struct pollfd p[BRACKET_CAMERAS_MAX];
     int64_t deadline;

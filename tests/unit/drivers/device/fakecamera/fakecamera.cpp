@@ -388,7 +388,7 @@ static void expose(Camera *c, Request *r)
     }
     if (d->exposure_us != 33333.0 && fakecamera.usb)
         d->exposure_us = 100.0 * static_cast<int>(d->exposure_us / 100.0); // as the handler does
-    const double light = d->exposure_us * d->gain;
+    const double light = fakecamera.dark ? 0.0 : d->exposure_us * d->gain;
     memcpy(b->memory_, &light, sizeof light);
     b->metadata_.sequence = d->sequence++;
     b->metadata_.timestamp = static_cast<uint64_t>(stamp());
@@ -465,7 +465,7 @@ int Camera::start(const ControlList *list)
     fakecamera.running++;
     d->thread = std::thread([this] {
         while (run_once(this))
-            usleep(1000);
+            usleep(fakecamera.dark ? 20000 : 1000);
     });
     return 0;
 }

@@ -22,6 +22,7 @@ struct fakecamera {
     int search;    // frames of a search, which ends at 3.25; 0: it cannot search
     bool in_vain;  // it finds nothing
     bool boottime; // stamps by the book; the machine has slept for 1000 s
+    bool dark;     // nothing in its pictures, which come every 20 ms as it says
     int delay;     // frames from a request's controls to the first frame that shows them
     int startup;   // frames at the start that are not to be used, where that can be told
     int fail_manager, fail_acquire, fail_configure, fail_allocate, fail_start; // errno
