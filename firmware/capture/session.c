@@ -558,10 +558,10 @@ static err_t follow_trouble(struct session *s, int64_t now)
 /* While lenses are searched. */
 static err_t follow_focus(struct session *s, int64_t now)
 {
-    err_t e = s->cancelled ? ERR_CANCELLED : session_focus(s, false);
+    err_t e = s->cancelled ? OK : session_focus(s, false);
     if (s->cancelled)
         finish(s, false);
-    return e ? e : start_plans(s, now);
+    return e == ERR_AGAIN || s->cancelled ? OK : e ? e : start_plans(s, now);
 }
 
 /* Where the machine has come to. */
@@ -580,9 +580,11 @@ static err_t follow(struct session *s, int64_t now)
         else
             e = faulted(s);
     }
-    if (e && e != ERR_AGAIN && s->phase != PHASE_NONE)
+    if (e && s->phase != PHASE_NONE) {
         fail(s, err_text());
-    return OK;
+        e = OK;
+    }
+    return e;
 }
 
 /* From the beginning: meters know nothing, no frame is kept. */
