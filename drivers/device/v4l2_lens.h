@@ -1,4 +1,4 @@
-/* v4l2_lens.h - the lens of a V4L2 device: put to a position, or searched once, and where it stands.
+/* v4l2_lens.h - the lens of a V4L2 device: put to a position, or searched; where it stands.
  * Positions are those of V4L2_CID_FOCUS_ABSOLUTE, of which most count from far to near.
  * thread: as camera.h. */
 #ifndef DEVICE_V4L2_LENS_H

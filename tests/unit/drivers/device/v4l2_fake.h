@@ -670,10 +670,10 @@ static inline int fake_ioctl(void *ctx, int fd, unsigned long request, void *arg
         number = has_controls ? fake_controls(f, request, arg) : EINVAL;
     else if (request == VIDIOC_SUBDEV_G_FMT || request == VIDIOC_SUBDEV_S_FMT)
         number = sub ? fake_pad(f, request, arg) : ENOTTY;
-    else if (f->on_lens && request != VIDIOC_SUBSCRIBE_EVENT && request != VIDIOC_DQEVENT)
-        number = ENOTTY;
-    else
+    else if (!f->on_lens || request == VIDIOC_SUBSCRIBE_EVENT || request == VIDIOC_DQEVENT)
         number = sub ? ENOTTY : fake_dispatch(f, request, arg);
+    else
+        number = ENOTTY;
     fake_arm(f);
     if (!number)
         fake_lie(f, request, arg);
@@ -706,10 +706,9 @@ static inline int fake_close(void *ctx, int fd)
         fake_breach(f, "close of what is not open");
     if (fd == f->fd && (f->maps > 0 || ((f->streaming || f->n) && !f->lost && !f->fail_at)))
         fake_breach(f, "closed with memory mapped, with buffers, or while it streams");
-    bool video = fd == f->fd;
-    *(video ? &f->fd : fd == f->lens_fd ? &f->lens_fd : &f->sub_fd) = -1;
+    *(fd == f->fd ? &f->fd : fd == f->lens_fd ? &f->lens_fd : &f->sub_fd) = -1;
     f->fds--;
-    if (video) { // the driver frees all
+    if (f->fd < 0) { // the driver frees all
         f->n = f->n_fifo = f->n_ready = 0;
         f->streaming = false;
     }
