@@ -2,7 +2,7 @@
 #include "drivers/device/camera_v4l2.h"
 
 #include "drivers/format/img.h"
-#include "tests/unit/drivers/device/v4l2_fake.h"
+#include "tests/unit/drivers/device/v4l2_fake_kinds.h"
 #include "tests/unit/tmpdir.h"
 
 #include <math.h>

@@ -4,7 +4,7 @@
 
 #include "drivers/device/camera_v4l2.h"
 
-#include "tests/unit/drivers/device/v4l2_fake.h"
+#include "tests/unit/drivers/device/v4l2_fake_kinds.h"
 
 #include <math.h>
 #include <setjmp.h>
