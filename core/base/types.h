@@ -53,15 +53,15 @@ struct capture {
 };
 
 /* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
- * (model-spec 1). Photographs 0 .. n - 1 show one place each, and most steps look at these only;
- * n .. n + n_more - 1 are other exposures of these places. */
+ * (core/photo/README.md 1.1 and 1.2). Photographs 0 .. n - 1 show one place each, and most steps
+ * look at these only; n .. n + n_more - 1 are other exposures of these places. */
 struct views {
     int n, size;             // places; px
     float aspect;            // height over width of the photographs, squeezed to squares; 0: 1
     char (*names)[NAME_CAP]; // (n + n_more)
     uint8_t *rgb;            // (n + n_more, size, size, 3)
     float *log2t;            // (n + n_more) log2(max(t, 1e-8))
-    float mid_log2t;         // (min + max) / 2 of log2t of all photographs (model-spec 1.2)
+    float mid_log2t;         // (min + max) / 2 of log2t of all photographs
     struct camera *cams;     // (n) for size x size; NULL if not known
     int n_more;
     int *place; // (n_more) of photograph n + i, ascending
@@ -88,7 +88,7 @@ enum {
     G_PLANES_MAX = G_SH + 3 * SH_COEFS_MAX
 };
 
-#define SH_BASIS0 0.28209479177387814 // the constant band everywhere, model-spec 2.13
+#define SH_BASIS0 0.28209479177387814 // the constant band everywhere, core/splat/README.md 4
 
 /* Gaussians, structure of arrays: plane p of splat i is p[plane][i]. Planes above the degree are
  * NULL or unused. */
@@ -105,7 +105,7 @@ static inline int gaussians_planes(int degree)
 
 enum { TONE_HIDDEN = 64, TONE_PER_COLOUR = 3 * TONE_HIDDEN + 1, TONE_PARAMS = 3 * TONE_PER_COLOUR };
 
-/* Response from radiance to display value (model-spec 2.14): per colour
+/* Response from radiance to display value (core/photo/README.md 2.1): per colour
  * sigmoid(b2 + sum_k w2_k relu(w1_k x + b1_k)), x = log2(radiance + 1e-6) + log2 t - mid_log2t. */
 struct tonemap {
     float p[TONE_PARAMS]; // per colour w1[64] b1[64] w2[64] b2
@@ -147,7 +147,7 @@ struct tap {
 };
 
 enum {
-    CORRESPONDENCE_PATCH = 14, // px, edge of a patch (model-spec 2.1)
+    CORRESPONDENCE_PATCH = 14, // px, edge of a patch (core/net/README.md 2.1)
     CORRESPONDENCE_BEST = 4
 };
 

@@ -74,7 +74,8 @@ struct norm {
 };
 typedef void norm_fn(const struct norm *s, const float *x, float *y);
 
-enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU }; // GELU with erf (model-spec 0)
+/* As in core/net/README.md 1.1. */
+enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU };
 
 /* What follows a product, on a block of its sums: v = act(sum * row_scale * scale + bias); then
  * out = v, or out += gamma v (gamma NULL: 1) when `add`. GELU of v is within 5e-7 |v|. */
@@ -97,7 +98,7 @@ typedef void epilogue_fn(const struct epilogue *e);
 /* q or k of one token and head, in place: layer norm over the n channels if gamma is not NULL
  * (eps 1e-5), copied to `before` unless NULL, then rotary embedding unless cosine is NULL: the
  * first half of the channels turns with the row position, the second with the column; inside each
- * half pairs (i, i + n/4) (model-spec 2.3).
+ * half pairs (i, i + n/4) (core/net/README.md 2.3).
  * cosine, sine: (n/2) row angles (n/4), then column angles (n/4). */
 struct head_turn {
     int n; // width of a head, a multiple of 16, at most 128

@@ -19,7 +19,7 @@ enum {
     POSE_GRAD = 16 // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
 };
 
-/* Constants of model-spec 2.13 (gsplat 1.4.0 as the release calls it). */
+/* Constants of core/splat/README.md 2 and 3. */
 #define RASTER_NEAR 1e-10f
 #define RASTER_FAR 1e10f
 #define RASTER_BLUR 0.3f // px^2 added to both diagonal entries
@@ -83,7 +83,7 @@ struct tile {
     int gx0, gx1, gy0; // tiles: rectangle of the current group (see raster.c)
 };
 
-/* Blend the list front to back (anchors: model-spec 2.13, per-pixel part). */
+/* Blend the list front to back (core/splat/README.md 3). */
 typedef void tile_fn(const struct tile *t);
 
 /* Sums over the tile's pixels, per splat: v x, v y, v xx, v xy, v yy, v (v = d loss / d sigma,

@@ -1,12 +1,12 @@
-/* sh_body.h - real spherical harmonics of degree 0 to 4 and their gradient (model-spec 2.13).
- * Included by splat_body.h, once per instruction set. */
+/* sh_body.h - real spherical harmonics of degree 0 to 4 and their gradient; formulas in
+ * core/splat/README.md 4. Included by splat_body.h, once per instruction set. */
 #include "core/kernels/simd.h"
 
 #define MAP static inline __attribute__((always_inline))
 
 static const float sh_c[] = {0.2820947917738781f, 0.48860251190292f};
 
-/* Real spherical harmonics of a unit direction up to `degree` (model-spec 2.13). */
+/* Real spherical harmonics of a unit direction up to `degree` (core/splat/README.md 4). */
 MAP void sh_basis(int degree, const vf d[3], vf *b)
 {
     vf x = d[0], y = d[1], z = d[2];

@@ -1,7 +1,7 @@
 /* splat_body.h - the splat kernels, written once and compiled once per instruction set.
- * Included by splat_<isa>.c after one SIMD_ macro. Formulas: model-spec 2.13; backward: derived by
- * the chain rule, with the 2x3 factor N = J R M of the 2-D covariance so that its determinant never
- * cancels (Lagrange's identity). */
+ * Included by splat_<isa>.c after one SIMD_ macro. Formulas: core/splat/README.md 2 to 5; backward:
+ * derived by the chain rule, with the 2x3 factor N = J R M of the 2-D covariance so that its
+ * determinant never cancels (Lagrange's identity). */
 #include "core/kernels/kernels.h"
 #include "core/kernels/sh_body.h"
 #include "core/kernels/simd.h"

@@ -17,9 +17,9 @@
 
 enum { ROWS = SHARED_ATTENTION_ROWS }; // queries of a block
 
-#define NORM_EPS 1e-5f  // model-spec 2.6, 2.8
-#define SHARE_EPS 1e-6f // model-spec 2.7, 2.8
-#define RANGE_MIN 0.5f  // log2, model-spec 1.2
+#define NORM_EPS 1e-5f  // core/net/README.md 2.6, 2.8
+#define SHARE_EPS 1e-6f // core/net/README.md 2.7, 2.8
+#define RANGE_MIN 0.5f  // log2, core/photo/README.md 1.2
 
 struct fusion {
     const struct run *r;
@@ -272,7 +272,7 @@ static void tap_attention(const struct fusion *f, int row, const float *sum, flo
                                        .data = line});
 }
 
-/* Mean and variance over the views of what they have to say to query `row` (model-spec 2.8).
+/* Mean and variance over the views of the values for query `row` (core/net/README.md 2.8).
  * sum: its attention; part: its products with the values of view 0, the next view `step` on. */
 static void combine(const struct fusion *f, int row, const float *sum, const float *part,
                     const struct fusion_room *room)

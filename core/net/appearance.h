@@ -1,6 +1,6 @@
 /* appearance.h - photographs of different exposures become one appearance per patch: tokens of the
  * pictures, told their exposures, are averaged over all views by the geometric attention that the
- * backbone already knows (model-spec 2.6 to 2.8).
+ * backbone already knows (core/net/README.md 2.6 to 2.8).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_APPEARANCE_H
@@ -24,7 +24,7 @@ MUST_USE err_t appearance_run(const struct run *r, const struct net *net, const 
  * out:  (n) sines and cosines in turn. */
 void appearance_code(float stops, int n, float *out);
 
-/* Log2 range of the exposures, at least half a stop (model-spec 1.2). */
+/* Log2 range of the exposures, at least half a stop (core/photo/README.md 1.2). */
 float appearance_range(const struct views *v);
 
 /* A picture as layer_conv_run takes it, 3 channels. */

@@ -15,9 +15,9 @@
 
 enum { TAP_NAME = 32 };
 
-static const float DINO_EPS = 1e-6f, AGG_EPS = 1e-5f; // model-spec 2.1, 2.3
-static const float ROPE_BASE = 100;                   // model-spec 2.3
-/* ImageNet, model-spec 1.1 */
+static const float DINO_EPS = 1e-6f, AGG_EPS = 1e-5f; // core/net/README.md 2.1, 2.3
+static const float ROPE_BASE = 100;                   // core/net/README.md 2.3
+/* ImageNet, core/net/README.md 2.1 */
 static const float PIXEL_MEAN[3] = {0.485f, 0.456f, 0.406f};
 static const float PIXEL_STD[3] = {0.229f, 0.224f, 0.225f};
 

@@ -1,5 +1,5 @@
 /* backbone.h - from views to tokens: DINOv2 on each view, then pairs of frame and global blocks
- * (model-spec 2.1 to 2.3).
+ * (core/net/README.md 2.1 to 2.3).
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_BACKBONE_H
 #define NET_BACKBONE_H
@@ -16,13 +16,13 @@ MUST_USE err_t backbone_run(const struct run *r, const struct net *net, const st
                             struct tokens *out);
 
 /* The position embedding of DINOv2 for a grid of n x n patches: bicubic with antialias, a = -0.5,
- * corners not aligned (model-spec 2.1, point 3).
+ * corners not aligned (core/net/README.md 2.1, point 3).
  * grid: (NET_POS_GRID, NET_POS_GRID, width).
  * out:  (n, n, width). */
 void backbone_positions(const float *grid, int width, int n, float *out);
 
-/* Angles of rotary embedding (model-spec 2.3) for a view of n x n patches and heads of `head`
- * channels. bf16: rounded as in the released training (model-spec 0.1).
+/* Angles of rotary embedding (core/net/README.md 2.3) for a view of n x n patches and heads of
+ * `head` channels. bf16: rounded as in the released training (core/net/README.md 1.2).
  * out:  cosine, sine (NET_SPECIAL + n n, head / 2), rows then columns; 1 and 0 for the special
  *       tokens. */
 void backbone_angles(int n, int head, bool bf16, float *cosine, float *sine);

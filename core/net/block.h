@@ -1,4 +1,4 @@
-/* block.h - one transformer block over the tokens of all views (model-spec 0, 2.1, 2.3):
+/* block.h - one transformer block over the tokens of all views (core/net/README.md 1.1, 2.1, 2.3):
  * x += gamma1 attention(norm1 x); x += gamma2 mlp(norm2 x).
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_BLOCK_H

@@ -12,13 +12,13 @@
 #include <string.h>
 
 enum {
-    ROUNDS = 4, // model-spec 2.4
+    ROUNDS = 4, // core/net/README.md 2.4
     MLP = 4,
     SLICE = 8 // panels of a product that a worker takes at a time
 };
 
-static const float EPS = 1e-5f, MODULATION_EPS = 1e-6f; // model-spec 2.4
-static const float FOV_FLOOR = 1e-3f;                   // added to the tangent, model-spec 2.4
+static const float EPS = 1e-5f, MODULATION_EPS = 1e-6f; // core/net/README.md 2.4
+static const float FOV_FLOOR = 1e-3f;                   // added to the tangent
 static const double FOV_MAX = 3.14059265358979323846;   // rad, pi - 1e-3
 
 struct trunk {

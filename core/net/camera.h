@@ -1,5 +1,5 @@
 /* camera.h - cameras of the views from their camera tokens: four rounds of refinement by a small
- * transformer across the views (model-spec 2.4). Activations are floats in every precision.
+ * transformer across the views (core/net/README.md 2.4). Activations are floats in every precision.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_CAMERA_H
 #define NET_CAMERA_H
@@ -16,7 +16,8 @@ MUST_USE err_t camera_run(const struct run *r, const struct net *net, const stru
 
 /* The camera of a pose after activation, for size x size. Where the formulas give none, the nearest
  * thing stands in: no rotation for a quaternion of length 0 or not finite, 0 for a translation that
- * is not finite, and a field of view counts as at most pi - 1e-3 (hazards 14, 15 of model-spec 7).
+ * is not finite, and a field of view counts as at most pi - 1e-3 (hazards 14, 15 of
+ * core/net/README.md 5).
  * thread: any. */
 void camera_decode(const float pose[NET_POSE], int size, struct camera *out);
 

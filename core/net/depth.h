@@ -1,5 +1,5 @@
 /* depth.h - the depth head: a depth for every pixel of every view, one view at a time, and the
- * points that follow from it (model-spec 2.5 and 2.11).
+ * points that follow from it (core/net/README.md 2.5 and 2.11).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_DEPTH_H
@@ -12,14 +12,15 @@ void depth_plan(const struct net *net, int n_views, int size, int threads, size_
                 size_t *tmp);
 
 /* Depths are exponents of the head's outputs, which are first clamped to +-80: then they are finite
- * and > 0 whatever the outputs, and no depth of a real scene comes near (model-spec 7, 12).
+ * and > 0 whatever the outputs, and no depth of a real scene comes near (core/net/README.md 5,
+ * hazard 12).
  * out:  io->depth, in r->keep; n_views and size of io must be set.
  * err:  ERR_NOMEM (see depth_plan), ERR_CANCELLED. */
 MUST_USE err_t depth_run(const struct run *r, const struct net *net, const struct tokens *t,
                          struct geometry *io);
 
 /* World points of a view. Pixel (i, j) lies at u = i, v = j, not at its centre as elsewhere: the
- * network was trained with it (model-spec 2.11).
+ * network was trained with it (core/net/README.md 2.11).
  * points:  (size, size, 3). */
 void depth_unproject(const struct geometry *g, int view, float *points);
 

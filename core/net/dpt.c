@@ -3,8 +3,9 @@
  * levels by residual units (Ranftl et al. 2021, "Vision Transformers for Dense Prediction").
  *
  * Two facts save memory and time. The residual unit adds relu(x), not x, because the reference's
- * ReLU works in place (model-spec 2.5): so maps are stored after their ReLU. The 1x1 convolution
- * after an upsampling is done before it, since weights of an interpolation sum to one. */
+ * ReLU works in place (core/net/README.md 2.5): so maps are stored after their ReLU. The 1x1
+ * convolution after an upsampling is done before it, since weights of an interpolation sum to
+ * one. */
 #include "core/net/dpt.h"
 
 #include "core/base/num.h"
@@ -17,7 +18,7 @@
 
 enum { FINEST = 0, COARSEST = NET_KEEP - 1, NAME = 32 };
 
-#define NORM_EPS 1e-5f // model-spec 2.5
+#define NORM_EPS 1e-5f // core/net/README.md 2.5
 
 struct trunk {
     const struct run *r;

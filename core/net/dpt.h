@@ -1,5 +1,5 @@
 /* dpt.h - the trunk of a dense prediction transformer that the depth and the Gaussian head share:
- * kept tokens of one view become a map of eight pixels per patch edge (model-spec 2.5).
+ * kept tokens of one view become a map of eight pixels per patch edge (core/net/README.md 2.5).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_DPT_H
@@ -26,7 +26,7 @@ static inline int dpt_edge(int grid)
 /* Bytes that dpt_run takes from r->tmp. */
 size_t dpt_plan(const struct dpt_weights *w, int grid, int threads);
 
-/* Steps 1 to 5 of model-spec 2.5.
+/* The trunk of core/net/README.md 2.5, before its map is brought to full size.
  * out:  (edge, edge, feat / 2), edge = dpt_edge.
  * err:  ERR_NOMEM (r->tmp, see dpt_plan), ERR_CANCELLED. */
 MUST_USE err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out);

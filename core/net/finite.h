@@ -1,7 +1,8 @@
 /* finite.h - what a stage of the network gives must be numbers that the next one can work with.
  * Where weights are within CONVERT_WEIGHT_MAX (firmware/recon/convert.c), nothing inside a
  * transformer block overflows as long as what goes in is within FINITE_MAX; maps of convolutions
- * keep what overflowed (kernels/gemm.h) until their stage ends. So it is seen here. thread: any. */
+ * keep what overflowed (core/kernels/gemm.h) until their stage ends. So it is seen here.
+ * thread: any. */
 #ifndef NET_FINITE_H
 #define NET_FINITE_H
 

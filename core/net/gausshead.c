@@ -1,4 +1,4 @@
-/* Per view, with two maps a and b at full size (model-spec 2.9):
+/* Per view, with two maps a and b at full size (core/net/README.md 2.9):
  *   a = G, the guide; its share of the hypernetwork; low = G at half the patch grid
  *   b = relu(proj_guide(G - low)), what is finer than patches
  *   a = relu(proj_out(Z + b)), Z = the fused appearance

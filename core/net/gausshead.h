@@ -1,6 +1,6 @@
 /* gausshead.h - the Gaussian head, one view at a time: a raw Gaussian for every pixel from the
  * trunk's map and from the fused appearance, which the picture's own fine structure brings to full
- * resolution (model-spec 2.9).
+ * resolution (core/net/README.md 2.9).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_GAUSSHEAD_H

@@ -96,7 +96,7 @@ struct layer_map {
 layer_fetch_fn layer_map_fetch;
 
 /* Bilinear resize of a (h, w, c) map seen as a map of (out_h, out_w); ctx of layer_resize_fetch.
- * align: corners fall on corners; else pixel centres are spread evenly (model-spec 0). */
+ * align: corners fall on corners; else pixel centres are spread evenly (core/net/README.md 1.1). */
 struct layer_resize {
     const float *px;
     int h, w, c, out_h, out_w;

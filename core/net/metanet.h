@@ -1,5 +1,5 @@
 /* metanet.h - the network that sees everything and writes the tone curve: a summary of each view,
- * pooled over views, becomes the parameters of the curve (model-spec 2.10).
+ * pooled over views, becomes the parameters of the curve (core/net/README.md 2.10).
  * Its first layer sees, per pixel, the guide map, the raw Gaussians and an exposure code that is
  * the same for the whole view. The three parts are computed apart, so that they need not be in
  * memory at once; the code becomes a bias.
@@ -51,7 +51,7 @@ size_t metanet_plan(const struct net *net, int threads);
 MUST_USE err_t metanet_run(const struct run *r, const struct net *net, const float *summary,
                            int n_views, float mid_log2t, struct prediction *io);
 
-/* Plane of raw channel c (0..87, model-spec 2.9) of one view, (size, size). */
+/* Plane of raw channel c (0..87, core/net/README.md 2.9) of one view, (size, size). */
 float *metanet_plane(const struct prediction *p, int c, int view, int size);
 
 #endif

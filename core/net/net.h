@@ -1,6 +1,6 @@
 /* net.h - the network: weights bound to the places where the graph uses them, and the graph itself
- * (model-spec 2). Files follow the paper's figure: backbone, camera, dpt, appearance, gausshead,
- * metanet; net_run in net.c calls them one after the other.
+ * (core/net/README.md 2). Files follow the paper's figure: backbone, camera, dpt, appearance,
+ * gausshead, metanet; net_run in net.c calls them one after the other.
  * Immutable after net_bind, free to share. Pure computation on the pool inside struct run. */
 #ifndef NET_NET_H
 #define NET_NET_H
@@ -17,7 +17,7 @@ enum {
     NET_FLOAT_ALL = 15
 };
 
-struct block_weights { // a transformer block (model-spec 0)
+struct block_weights { // a transformer block (core/net/README.md 1.1)
     const float *norm1_g, *norm1_b, *norm2_g, *norm2_b, *gamma1, *gamma2;
     const float *q_g, *q_b, *k_g, *k_b; // norms of a head; NULL: none
     struct weight qkv, proj, fc1, fc2;
@@ -27,7 +27,7 @@ struct rcu_weights { // residual unit
     struct weight conv1, conv2;
 };
 
-struct dpt_weights { // model-spec 2.5
+struct dpt_weights { // core/net/README.md 2.5
     int feat, oc[NET_KEEP];
     const float *norm_g, *norm_b;
     struct weight project[NET_KEEP], resize[NET_KEEP];   // resize[2] is unused
@@ -37,7 +37,7 @@ struct dpt_weights { // model-spec 2.5
     struct weight output_conv1;
 };
 
-struct camera_weights { // model-spec 2.4
+struct camera_weights { // core/net/README.md 2.4
     const float *empty_pose, *token_norm_g, *token_norm_b, *trunk_norm_g, *trunk_norm_b;
     struct weight embed_pose, modulation, fc1, fc2;
     struct block_weights trunk[NET_DEPTH_MAX];
@@ -47,14 +47,14 @@ struct mlp_weights { // linear, ReLU, linear
     struct weight a, b;
 };
 
-struct appearance_weights { // model-spec 2.6 to 2.9
+struct appearance_weights { // core/net/README.md 2.6 to 2.9
     struct weight patch_embed, v_mean, v_var;
     const float *ln_g, *ln_b, *mean_g, *mean_b, *var_g, *var_b;
     struct mlp_weights film, mean_out, var_out, sensitivity; // sensitivity: convolutions 3x3, 1x1
     struct weight guide, scene_conv, proj_guide, proj_out;
 };
 
-struct meta_weights { // model-spec 2.10
+struct meta_weights { // core/net/README.md 2.10
     struct weight exp_proj, enc0, enc2;
     struct mlp_weights out;
 };
@@ -101,7 +101,7 @@ struct geometry {
     float *depth;        // (n_views, size, size) > 0
 };
 
-/* Fused appearance, tokens of all views (model-spec 2.8). */
+/* Fused appearance, tokens of all views (core/net/README.md 2.8). */
 struct irradiance {
     float *code;         // (n_views, hdr) exposure code
     float *scene, *sens; // (n_views grid^2, hdr)

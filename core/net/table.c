@@ -202,8 +202,8 @@ static enum tensor_role role_of(const char *name, int rank)
 }
 
 /* First layers, which see pixels or times, and last ones, whose outputs are exponents, poses or
- * curves (hazards 1, 8, 9, 11, 12, 14, 15, 23, 29, 33 of model-spec 7). From fused tokens to
- * radiance differences of large maps count: with 8 bits the trained small model is 0.6 stops
+ * curves (hazards 1, 8, 9, 11, 12, 14, 15, 23, 29, 33 of core/net/README.md 5). From fused tokens
+ * to radiance differences of large maps count: with 8 bits the trained small model is 0.6 stops
  * off. */
 static const char *const exact_products[] = {
     "encoder.aggregator.patch_embed.patch_embed.proj.",

@@ -1,6 +1,6 @@
 /* table.h - every tensor of the network by name and shape, made from the dimensions that a weights
- * file carries; nothing about sizes is compiled in (model-spec 3). Names are those of the released
- * checkpoint after removal of the Lightning prefix "model.".
+ * file carries; nothing about sizes is compiled in (core/net/README.md 3). Names are those of the
+ * released checkpoint after removal of the Lightning prefix "model.".
  * Pure computation; thread: any. */
 #ifndef NET_TABLE_H
 #define NET_TABLE_H
@@ -39,10 +39,10 @@ struct net_dims {
     int size;    // px, edge of the views it was trained for; multiple of 14
     float voxel; // scene units, cell of the voxel fusion
     bool gauss, appearance; // has the Gaussian head; has the HDR modules (InstantHDR, not AnySplat)
-    bool rope_bf16;         // angles rounded to bf16 as in the released training (model-spec 0.1)
+    bool rope_bf16; // angles rounded to bf16 as in the released training (core/net/README.md 1.2)
 };
 
-/* Dimensions of the release (model-spec 0) and of golden/mini. */
+/* Dimensions of the release (core/net/README.md 3.1) and of golden/mini. */
 extern const struct net_dims table_full, table_mini;
 
 /* err:  ERR_FORMAT names the dimension, its value and its bound. */
@@ -60,7 +60,7 @@ enum tensor_role {
 struct tensor_spec {
     char name[NET_NAME_CAP];
     enum tensor_role role;
-    bool exact; // a product that stays F32 in every precision (model-spec 7)
+    bool exact; // a product that stays F32 in every precision (core/net/README.md 5)
     bool used;  // false: in the released checkpoint, never read; may be absent
     int rank;
     int shape[4]; // as in the checkpoint

@@ -1,6 +1,6 @@
 /* crf.h - response curve of a camera with 8-bit display values: recovery from a bracket, use.
- * Scale of exposure cannot be known: 1 is what the code 255 means (capture notes 4.6), which is
- * extrapolated from the codes below it, mostly within 0.1 stop.
+ * Scale of exposure cannot be known: 1 is what the code 255 means (core/photo/README.md 2.3), which
+ * is extrapolated from the codes below it, mostly within 0.1 stop.
  * Pure; any thread. */
 #ifndef PHOTO_CRF_H
 #define PHOTO_CRF_H

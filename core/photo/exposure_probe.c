@@ -11,7 +11,7 @@
  * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
  * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
  * of linear numbers, a black level that is wrong by half a code.
- * A ratio is the median of log2 x_b / x_a, 4.5 of the capture notes. Which places count must not
+ * A ratio is the median of log2 x_b / x_a (core/photo/README.md 5.1). Which places count must not
  * depend on the noise that the ratio sees, or near the dark limit the lucky ones are chosen: at
  * ratio R a place has the light m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors have
  * nothing to do with x_b / x_a; it counts if both are above its floor, even if x_b itself is not.
@@ -37,7 +37,7 @@ enum {
 };
 
 #define LOG2E 1.44269504f
-#define DARK_DISPLAY 8    // codes: capture notes 4.2
+#define DARK_DISPLAY 8    // codes: core/photo/README.md 4.2
 #define ABOVE_BLACK 4.0f  // of the exposure of code 1: curves recovered from noise end too high
 #define DARK_LINEAR 8     // codes above black
 #define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG

@@ -1,6 +1,6 @@
 /* exposure_probe.h - what the pixels of a frame say about its exposure: a small grid of places, and
- * the ratio of exposures of two frames of one scene seen at the same places (capture notes 4.5,
- * W4). Pure; any thread. */
+ * the ratio of exposures of two frames of one scene seen at the same places
+ * (core/photo/README.md 5.1). Pure; any thread. */
 #ifndef PHOTO_EXPOSURE_PROBE_H
 #define PHOTO_EXPOSURE_PROBE_H
 

@@ -18,7 +18,7 @@ enum {
     PROBES = 3,
     PLACES = 65536,         // looked at in a frame
     ABOVE = METER_PER_STOP, // bins kept for what the shortest exposure clips
-    CODE_LO = 8,            // usable display codes (capture notes 4.2)
+    CODE_LO = 8,            // usable display codes (core/photo/README.md 4.2)
     CODE_HI = 245,          //
     CODE_SEEN = 3,          // least display code that tells anything
     MOST = METER_EXPOSURES_MAX

@@ -1,5 +1,5 @@
-/* meter.h - the fewest exposures that cover a scene (capture notes 4): histogram of log2 radiance
- * from probes, least cover of its occupied bins, choice of shift, coverage afterwards.
+/* meter.h - the fewest exposures that cover a scene (core/photo/README.md 4): histogram of log2
+ * radiance from probes, least cover of its occupied bins, choice of shift, coverage afterwards.
  * A pixel is covered if one frame has it below `headroom` and the frames that have it so merge to
  * at least `snr`.
  * Gain stays 1. In the dark, light is what is wanting: where a pixel has the asked ratio of 10,

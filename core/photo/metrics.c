@@ -12,7 +12,7 @@
 enum { TAPS = METRICS_SSIM_TAPS, MOMENTS = 4 };
 
 static const double SSIM_SIGMA = 1.5, SSIM_C1 = 0.01 * 0.01, SSIM_C2 = 0.03 * 0.03;
-static const double MU = 5000.0, SCALE_MIN = 1e-6; // model-spec 5.3
+static const double MU = 5000.0, SCALE_MIN = 1e-6; // core/photo/README.md 6
 
 /* x, y, x^2 + y^2, x y as one vector: half the time of four scalars even with the SSE2 of the base
  * build. */

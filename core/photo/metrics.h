@@ -28,8 +28,8 @@ size_t metrics_ssim_plan(int w);
  * err:  ERR_ARG (n = 0, q outside [0, 1], a value that is not finite). */
 MUST_USE err_t metrics_quantile(const float *values, size_t n, double q, double *out);
 
-/* ln(1 + 5000 clip(x / scale, 0, 1)) / ln 5001 for every value (model-spec 5.3). NaN becomes 0. A
- * scale below 1e-6 counts as 1e-6.
+/* ln(1 + 5000 clip(x / scale, 0, 1)) / ln 5001 for every value (core/photo/README.md 6). NaN
+ * becomes 0. A scale below 1e-6 counts as 1e-6.
  * out:  px has room for the shape of `hdr`, w, h and channels are set; px may be hdr->px.
  * err:  ERR_ARG (a scale that is not finite). */
 MUST_USE err_t metrics_mu_law(const struct image *hdr, double scale, struct image *out);

@@ -1,9 +1,9 @@
-/* Pillow's resize (model-spec 1.1): a horizontal and then a vertical pass, with an 8-bit picture
- * between. Per axis, n_in -> n_out: scale = n_in / n_out, f = max(scale, 1), centre c = (i + 0.5)
- * scale, taps from trunc(c - 2f + 0.5) to trunc(c + 2f + 0.5) exclusive, clipped to the picture;
- * weights K((j - c + 0.5) / f) normalised in double and rounded half away from zero to 22-bit fixed
- * point. A sample is clamp((sum + 2^21) >> 22). On an axis that keeps its size the weights are
- * exactly (0, 1, 0, 0), so the copy that Pillow makes needs no case of its own. */
+/* Pillow's resize (core/photo/README.md 1.1): a horizontal and then a vertical pass, with an 8-bit
+ * picture between. Per axis, n_in -> n_out: scale = n_in / n_out, f = max(scale, 1), centre c = (i
+ * + 0.5) scale, taps from trunc(c - 2f + 0.5) to trunc(c + 2f + 0.5) exclusive, clipped to the
+ * picture; weights K((j - c + 0.5) / f) normalised in double and rounded half away from zero to
+ * 22-bit fixed point. A sample is clamp((sum + 2^21) >> 22). On an axis that keeps its size the
+ * weights are exactly (0, 1, 0, 0), so the copy that Pillow makes needs no case of its own. */
 #include "core/photo/prep.h"
 
 #include "core/base/num.h"
@@ -13,7 +13,7 @@
 
 enum { WEIGHT_BITS = 22, SIDE_MAX = 1 << 20 };
 
-static const double EXPOSURE_MIN = 1e-8; // model-spec 1.2
+static const double EXPOSURE_MIN = 1e-8; // core/photo/README.md 1.2
 
 /* Weights of one axis: output i reads inputs first[i] .. first[i] + count[i] - 1. */
 struct axis {

@@ -1,6 +1,6 @@
 /* prep.h - photographs to the square 8-bit views that network and refiner see. The resize is
- * Pillow's antialiased bicubic, bit for bit (model-spec 1.1); exposures become log2 (model-spec
- * 1.2). Pure computation, no files. */
+ * Pillow's antialiased bicubic, bit for bit; exposures become log2 (core/photo/README.md 1). Pure
+ * computation, no files. */
 #ifndef PHOTO_PREP_H
 #define PHOTO_PREP_H
 
@@ -44,7 +44,7 @@ MUST_USE err_t prep_read(const struct run *r, const struct capture *c,
                          const struct prep_source *from, int size, struct views *out);
 
 /* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float
- * as the reference does (model-spec 1.1, point 4).
+ * as the reference does (core/photo/README.md 1.1, point 4).
  * rgb:  (size, size, 3).
  * out:  (3, size, size), in [0, 1]. */
 void prep_to_float(const uint8_t *rgb, int size, float *out);

@@ -3,8 +3,8 @@
  *   sum_pairs w rho(g(u_b) - g(u_a) - d) + SMOOTH |g'' - p''|^2 + WEAK |g' - p'|^2,   g(0) = 0,
  * with p the inverse of sRGB, rho made robust by reweighting, and is then forced to rise. Over u a
  * filmic curve is nearly straight and sRGB bends only near white, so few pairs fix it and it
- * continues sanely where there are none. At last u(x) is written as 64 ReLU units (model-spec
- * 2.14): half of them face left, half right, from x = 0. */
+ * continues sanely where there are none. At last u(x) is written as 64 ReLU units
+ * (core/photo/README.md 2.1): half of them face left, half right, from x = 0. */
 #include "core/photo/response.h"
 
 #include "core/base/num.h"

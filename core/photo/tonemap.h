@@ -1,13 +1,13 @@
 /* tonemap.h - the response that turns radiance into what a camera or screen shows:
  * per colour sigmoid(b2 + sum_k w2_k relu(w1_k x + b1_k)), x = log2(radiance + 1e-6) + log2 t - mid
- * (model-spec 2.14). Before the sigmoid this is piecewise linear with at most 64 knots, so it is
- * evaluated exactly from a sorted table of segments. Pure functions; any thread. */
+ * (core/photo/README.md 2.1). Before the sigmoid this is piecewise linear with at most 64 knots, so
+ * it is evaluated exactly from a sorted table of segments. Pure functions; any thread. */
 #ifndef PHOTO_TONEMAP_H
 #define PHOTO_TONEMAP_H
 
 #include "core/base/types.h"
 
-#define TONEMAP_FLOOR 1e-6f // added to radiance before the logarithm (model-spec 2.14)
+#define TONEMAP_FLOOR 1e-6f // added to radiance before the logarithm (core/photo/README.md 2.1)
 
 enum { TONEMAP_CELLS = 512 };
 

@@ -7,7 +7,7 @@
 #include <math.h>
 #include <string.h>
 
-static const float RATE = 1e-3f; // model-spec 5.2 C
+static const float RATE = 1e-3f; // core/refine/README.md 1, C
 
 struct align {
     const struct run *r;

@@ -1,13 +1,13 @@
-/* align.h - put cameras where a finished scene says the photographs were taken (model-spec 5.2 C).
- * The scene is frozen; each camera moves by its 6 degrees of freedom (Adam, 1e-3 rad and 1e-3 of
- * the scene's extent falling to 1 %), loss 0.8 (1 - SSIM) + 0.2 L1. Cameras do not influence each
- * other. */
+/* align.h - put cameras where a finished scene says the photographs were taken
+ * (core/refine/README.md 1, C). The scene is frozen; each camera moves by its 6 degrees of freedom
+ * (Adam, 1e-3 rad and 1e-3 of the scene's extent falling to 1 %), loss 0.8 (1 - SSIM) + 0.2 L1.
+ * Cameras do not influence each other. */
 #ifndef REFINE_ALIGN_H
 #define REFINE_ALIGN_H
 
 #include "core/base/types.h"
 
-enum { ALIGN_ITERATIONS = 100 }; // model-spec 5.2 C
+enum { ALIGN_ITERATIONS = 100 }; // core/refine/README.md 1, C
 
 /* Bytes that align_run takes from r->tmp. */
 size_t align_plan(int splats, int size, int threads);

@@ -1,8 +1,8 @@
 /* loss.h - how far a rendered picture is from a photograph, and the gradient of that.
  * loss = w_l1 mean |d| + w_ssim (1 - SSIM), on display values: tone curve of the radiance, plus a
- * colour behind what the splats leave open (model-spec 5.2 E). SSIM: 11-tap Gaussian, sigma 1.5,
- * valid windows only (as torchmetrics). Squares marked as held out give no gradient; their squared
- * error is returned apart.
+ * colour behind what the splats leave open (core/refine/README.md 4). SSIM: 11-tap Gaussian, sigma
+ * 1.5, valid windows only (as torchmetrics). Squares marked as held out give no gradient; their
+ * squared error is returned apart.
  * Invariant: the result does not depend on the number of threads. */
 #ifndef REFINE_LOSS_H
 #define REFINE_LOSS_H

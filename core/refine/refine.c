@@ -36,17 +36,18 @@ static const float BAND_GAIN_DB =
     0.05f; // a band must gain this: pulling any trained band out costs a little
 static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
 
-/* Adam: betas and eps of model-spec 5.2. */
+/* Adam: betas and eps of core/refine/README.md 1. */
 static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
 
 struct rates {
     float mean, scale, quat, logit, sh0, sh, tone, pose;
 };
 
-/* model-spec 5.2 refines a scene that a network has placed well; ours starts from stereo and has
- * fewer steps, so positions move 12 times, shapes 6 and 12 times, colours 16 and 40 times as fast
- * (chosen on held-out squares: faster than 8, 3, 6, 8 by 0.35 dB in 500 steps), and every rate
- * falls, to 1 % for positions and 10 % for the rest. `mean` is per unit of extent. */
+/* The release (core/refine/README.md 1) refines a scene that a network has placed well; ours starts
+ * from stereo and has fewer steps, so positions move 12 times, shapes 6 and 12 times, colours 16
+ * and 40 times as fast (chosen on held-out squares: faster than 8, 3, 6, 8 by 0.35 dB in 500
+ * steps), and every rate falls, to 1 % for positions and 10 % for the rest. `mean` is per unit of
+ * extent. */
 static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
                                    16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
 
@@ -527,7 +528,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
     if (!e) {
         choose_held(&f);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);
-        density_prune(&f.d, 0.01f); // model-spec 5.2 D
+        density_prune(&f.d, 0.01f); // core/refine/README.md 1, D
         density_sort(&f.d);
         e = run_steps(&f);
     }

@@ -1,8 +1,9 @@
-/* refine.h - optimise a scene against its photographs (model-spec 5.2, paper's post-optimisation).
- * Each step draws one input view, renders it, compares the tone-mapped picture with its photograph,
- * or all photographs of its bracket (0.8 L1 + 0.2 (1 - SSIM)), and moves every parameter by Adam.
- * Squares of every input view are held out: their pixels give no gradient, and their error decides
- * when to stop, how many SH bands and how many Gaussians the scene needs.
+/* refine.h - optimise a scene against its photographs (the paper's post-optimisation;
+ * core/refine/README.md). Each step draws one input view, renders it, compares the tone-mapped
+ * picture with its photograph, or all photographs of its bracket (0.8 L1 + 0.2 (1 - SSIM)), and
+ * moves every parameter by Adam. Squares of every input view are held out: their pixels give no
+ * gradient, and their error decides when to stop, how many SH bands and how many Gaussians the
+ * scene needs.
  * Invariant: the result depends on the input, the configuration and the seed, never on the number
  *       of threads. */
 #ifndef REFINE_REFINE_H

@@ -1,7 +1,7 @@
 /* match.h - the same points in several photographs of mixed exposure: corners, descriptors that do
  * not see the exposure, matches that agree both ways and with one epipolar geometry, sub-pixel
  * positions, tracks over views. The network's attention narrows the search where there is one
- * (model-spec 2.7).
+ * (core/net/README.md 2.7).
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_MATCH_H
 #define SFM_MATCH_H

@@ -6,7 +6,7 @@
  * back is fitted in the logarithm, where an error at a display value v is seen (v + 0.055) / 2.4
  * times: least squares with the square of that as weights, by conjugate gradients that begin at
  * the projection.
- * Nodes and weights: Abramowitz and Stegun, table 25.4. Harmonics: sh_body.h (model-spec 2.13).
+ * Nodes and weights: Abramowitz and Stegun, table 25.4. Harmonics: core/splat/README.md 4.
  * Transfer: IEC 61966-2-1. */
 #include "core/splat/display.h"
 

@@ -122,7 +122,8 @@ static void view_from_camera(const struct camera *c, struct view_geom *v)
     v->cy = c->cy;
     v->w = c->w;
     v->h = c->h;
-    float mx = 0.15f * (float)c->w / c->fx, my = 0.15f * (float)c->h / c->fy; // model-spec 2.13
+    /* core/splat/README.md 2 */
+    float mx = 0.15f * (float)c->w / c->fx, my = 0.15f * (float)c->h / c->fy;
     v->lim_x0 = c->cx / c->fx + mx;
     v->lim_x1 = ((float)c->w - c->cx) / c->fx + mx;
     v->lim_y0 = c->cy / c->fy + my;

@@ -1,6 +1,6 @@
 /* raster.h - pictures of Gaussians: forward, and the gradient of a loss on the picture.
- * Equal to gsplat 1.4.0 as the release calls it (model-spec 2.13), up to float rounding near its
- * thresholds.
+ * Equal to gsplat 1.4.0 as the release calls it (core/splat/README.md 2 and 3), up to float
+ * rounding near its thresholds.
  * Invariant: the result depends only on the input, never on the number of threads.
  * Nothing is allocated after raster_init: when splats cover more tiles than planned, the picture
  * is made in several groups of tiles.

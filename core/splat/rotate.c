@@ -10,7 +10,7 @@
 
 enum { RINGS = 5, STEPS = 10, BLOCK = 1024 };
 
-/* Basis of model-spec 2.13. */
+/* Basis of core/splat/README.md 4. */
 static void basis(const double d[3], double b[SH_COEFS_MAX])
 {
     const double x = d[0], y = d[1], z = d[2], zz = z * z;

@@ -2,7 +2,8 @@
  * every sum has one fixed order. With c the confidence, the weight of a point in its cell is
  * exp(c - max c) / (sum exp(c - max c) + 1e-6); position and raw features are averaged with it.
  * Then one plane after the other is gathered and averaged, each by one thread.
- * Formulas: model-spec 2.11 and 2.12; guards: hazards 17-22. Sums are taken in double. */
+ * Formulas: core/splat/README.md 6; guards: hazards 17 to 22 of core/net/README.md 5. Sums are
+ * taken in double. */
 #include "core/splat/voxel.h"
 
 #include "core/base/gaussians.h"
@@ -13,8 +14,8 @@
 enum { DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS, BLOCK = 1024 };
 
 static const float KEY_MAX = 2147483520.0f;             // largest float that fits int32_t
-static const double WEIGHT_EPS = 1e-6, QUAT_EPS = 1e-8; // model-spec 2.11, 2.12
-static const float SCALE_MAX = 0.3f;                    // model-spec 2.12
+static const double WEIGHT_EPS = 1e-6, QUAT_EPS = 1e-8; // core/splat/README.md 6
+static const float SCALE_MAX = 0.3f;                    // core/splat/README.md 6
 static const float SCALE_MIN = 1e-12f;                  // ln must stay finite
 static const float SOFTPLUS_LINEAR = 20.0f;             // beyond, softplus(x) = x in float
 

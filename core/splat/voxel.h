@@ -1,5 +1,5 @@
 /* voxel.h - merge the network's raw Gaussians, one per pixel, that share a cell of a grid, and turn
- * the means into Gaussians (model-spec 2.11 and 2.12).
+ * the means into Gaussians (core/splat/README.md 6).
  * Pure computation; thread: any, the pool inside struct run does the work.
  * Invariant: the result depends only on the input, never on the number of threads. */
 #ifndef SPLAT_VOXEL_H
@@ -12,12 +12,12 @@ enum {
     VOXEL_LOGIT = 0,  // 1: logit of the opacity
     VOXEL_SCALE = 1,  // 3: before softplus
     VOXEL_QUAT = 4,   // 4: x,y,z,w, any length
-    VOXEL_SH = 8,     // 75: (3 colours, 25), before the mask of 2.12
+    VOXEL_SH = 8,     // 75: (3 colours, 25), before the mask of voxel_adapt
     VOXEL_EXTRA = 83, // 4: exposure sensitivity; merged, but it never reaches an image
     VOXEL_FEATURES = 87
 };
 
-#define VOXEL_SCALE_UNIT 0.001f // scene units of one unit of softplus(VOXEL_SCALE), model-spec 2.12
+#define VOXEL_SCALE_UNIT 0.001f // scene units of one unit of softplus(VOXEL_SCALE)
 
 struct voxel_input {
     int n;                   // pixels of all views, 0..GAUSSIANS_MAX

@@ -12,7 +12,7 @@ enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
 
 /* Decode to 8-bit R,G,B. PNG: any colour type and depth, alpha and transparency dropped without
  * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF
- * orientation, gamma and profiles are ignored (model-spec 1.1).
+ * orientation, gamma and profiles are ignored (core/photo/README.md 1.1).
  * own:  img_free.
  * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
  *       zeroed. */

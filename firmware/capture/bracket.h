@@ -28,7 +28,7 @@
  *   REST   one exposure at a time, until requests allow for no other
  *   OVER   everything kept, and a base frame afterwards that looks like the reference
  *
- * What a frame is, is decided by evidence (capture notes 3.2, W1..W5; firmware/capture/label.h).
+ * What a frame is, is decided by evidence (W1 to W5 of firmware/capture/README.md 2; label.h).
  * From the log of requests follow the exposures that can be in force in it. The pixels, compared
  * with the reference and with frames kept since, pick one of them; what the device reports must
  * agree. Exposures that cannot be told apart by the pixels are only accepted from rest, and marked.

@@ -24,7 +24,8 @@ enum {
     DELAY_UNKNOWN = 8, // the same
 };
 
-static const double tolerance_linear = 0.10, tolerance_display = 0.30; // stops, capture notes 2, 6
+/* Stops, firmware/capture/README.md 3. */
+static const double tolerance_linear = 0.10, tolerance_display = 0.30;
 
 enum kind { TEXT, WHOLE, NUMBER, CURVE };
 

@@ -45,7 +45,8 @@ enum {
 #define CURVE_STOPS 2.0  // least range of pictures
 #define STILL 0.15       // stops that the same exposure may differ by
 
-static const double tolerance_good = 0.10, tolerance_loose = 0.30; // stops, capture notes 2, 6
+/* Stops, firmware/capture/README.md 3. */
+static const double tolerance_good = 0.10, tolerance_loose = 0.30;
 static const double picture_stops[PICTURES] = {0.0, 1.4, 3.2, 5.4, 8.0};
 
 double calibrate_slack(const struct device_probe *w)

@@ -1,4 +1,4 @@
-/* What a frame is, from three witnesses (capture notes 3.2, 4.5).
+/* What a frame is, from three witnesses (firmware/capture/README.md 2).
  *
  * Requests. Each has an age, an interval in frames: at every frame it grows by the gap of sequence
  * numbers, if time stamps agree, else by all that either allows. Its lower end does not grow by

@@ -15,7 +15,7 @@
 
 enum { SHORT_RUN = 128 };
 
-/* ---- arithmetic of a forward pass: model-spec 3.1 ---- */
+/* ---- arithmetic of a forward pass: core/net/README.md 3.4 ---- */
 
 static double square(double x)
 {

@@ -29,8 +29,9 @@ struct bench_net {
 };
 
 /* A forward pass of the weights file `model` on `views` pictures of noise; size 0: that of the
- * model. Stages: multiply-accumulates by the formulas of model-spec 3.1, whatever way they are
- * computed, so that a stage may beat the limit. Kinds, in a second pass: as the kernels are called.
+ * model. Stages: multiply-accumulates by the formulas of core/net/README.md 3.4, whatever way they
+ * are computed, so that a stage may beat the limit. Kinds, in a second pass: as the kernels are
+ * called.
  * err:  those of network_open and net_run, ERR_LIMIT (memory). */
 MUST_USE err_t bench_net_run(const char *model, int views, int size, const struct config *cfg,
                              struct bench_net *out);

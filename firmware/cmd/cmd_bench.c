@@ -26,9 +26,9 @@
 
 enum { REPEATS = 5, LEVELS_MAX = 10, TABLE_MAX = CMD_LIST_MAX * CMD_LIST_MAX };
 
-/* Operations of the blending loops per pixel and splat, counted in model-spec 2.13: distance and
- * exponent 7, exp 12, alpha 2, weights and four channels 11; backward the same again, and the chain
- * rule 32. */
+/* Operations of the blending loops per pixel and splat, counted in core/splat/README.md 3: distance
+ * and exponent 7, exp 12, alpha 2, weights and four channels 11; backward the same again, and the
+ * chain rule 32. */
 enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 
 #define BENCH_MAX_S 2.0 // of repeats of one measurement

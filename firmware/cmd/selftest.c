@@ -33,7 +33,7 @@ enum {
     SESSION_MB = 1000
 };
 #define RATE_OFF 0.02    // of the period
-#define GAIN_OFF 0.005   // capture notes 2, row 8
+#define GAIN_OFF 0.005   // firmware/capture/README.md 3
 #define CLASS 0.5        // stops: halfway to a step that an unknown curve may make smaller
 #define REPORT_OFF 0.25  // stops, pixels against the report, if the curve is known
 #define STAMP_LATE_S 3.0 // as firmware/capture/label.c

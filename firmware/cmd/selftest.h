@@ -1,6 +1,6 @@
 /* selftest.h - what a capture needs from a camera, check by check, each with its figures; the
- * camera looks at a scene and a light that stay. The ITS of Android is the model (capture notes
- * 1.8): what pixels show counts, not what the device says.
+ * camera looks at a scene and a light that stay. The ITS of Android is the model
+ * (firmware/capture/README.md 5): what pixels show counts, not what the device says.
  * thread: one. Takes about a minute. */
 #ifndef CMD_SELFTEST_H
 #define CMD_SELFTEST_H

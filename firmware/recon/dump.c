@@ -14,7 +14,7 @@
 
 enum { EXTRA = 4, COLOURS = 3 };
 
-static const float MU = 5000; // model-spec 2.14
+static const float MU = 5000; // core/photo/README.md 6
 
 static size_t room(size_t n)
 {
@@ -196,7 +196,7 @@ void dump_cells(const struct run *r, const struct voxels *v)
     put(r, &(struct list){"vox", v->n, 0, 1, cap}, "extra", EXTRA, v->features + VOXEL_EXTRA * cap);
 }
 
-/* R diag(s^2) R^T of splat i, with s2 = 2 / (q q + 1e-8) (model-spec 2.12). */
+/* R diag(s^2) R^T of splat i, with s2 = 2 / (q q + 1e-8) (core/splat/README.md 6). */
 static void covariance(const struct gaussians *g, int i, float out[9])
 {
     const float w = g->plane[G_QUAT][i], x = g->plane[G_QUAT + 1][i], y = g->plane[G_QUAT + 2][i],

@@ -1,4 +1,4 @@
-/* job.h - one capture through all steps: the map of the project (house rules, section 3).
+/* job.h - one capture through all steps.
  * Response curve; cameras, if they are not known, by the network and bundle adjustment; first
  * Gaussians by the network or by stereo; refinement. */
 #ifndef RECON_JOB_H

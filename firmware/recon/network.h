@@ -102,8 +102,9 @@ struct network_known {
 
 /* Where the photographs are sure, they overrule the network. Pixels of sure depth move there, the
  * others to where the views agree (consensus.h), all at the middle of the pixel and not at its
- * corner, as the network has it (model-spec 2.11); Gaussians grow as their distance does, so that
- * they cover as many pixels as before, but with a standard deviation of one pixel at most. A pixel
+ * corner, as the network has it (core/net/README.md 2.11); Gaussians grow as their distance does,
+ * so that they cover as many pixels as before, but with a standard deviation of one pixel at most.
+ * A pixel
  * that is neither black nor saturated has the photograph's radiance; others keep the network's,
  * under the known curve, which becomes p's, as far as this curve reaches.
  * Pixels are left out (their confidence is no number, see voxel_merge) where another view shows the

@@ -70,7 +70,7 @@ static err_t begin_scene(const struct run *r, const struct job_config *cfg, stru
                         .names = v->names,
                         .log2t = v->log2t};
     for (int c = 0; c < 3 && job_forward(cfg); c++)
-        s->background[c] = 1; // model-spec 2.13
+        s->background[c] = 1; // core/splat/README.md 3
     err_t e = arena_alloc(r->keep, n, sizeof *s->cams, &s->cams);
     if (!e && !job_forward(cfg))
         e = gaussians_init(&s->g, r->keep, cfg->refine.gaussians_max, cfg->refine.degree_max);

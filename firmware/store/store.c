@@ -3,7 +3,7 @@
  * and the sync that makes the take durable makes the counter so too; should a crash keep only one
  * of both, the next number is beyond the larger one. A take that is removed gets a .tmp- name
  * first, which is synced before the first file goes.
- * One process at a time: it holds a lock on the folder. Protocol: capture notes 3.9. */
+ * One process at a time: it holds a lock on the folder. Protocol: firmware/store/README.md 1. */
 #include "firmware/store/store.h"
 
 #include "firmware/store/manifest.h"

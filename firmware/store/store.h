@@ -1,4 +1,4 @@
-/* store.h - takes on disk, each complete or not there (capture notes 3.9).
+/* store.h - takes on disk, each complete or not there (firmware/store/README.md).
  *
  *   STORE/counter                   the next number, replaced atomically
  *   STORE/BOOT8-NNNNNN/             BOOT8: first 8 digits of the boot id; NNNNNN: counter

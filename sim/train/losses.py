@@ -47,9 +47,9 @@ def token_targets(batch: data.Batch) -> tuple[Tensor, Tensor]:
 
 
 def match_loss(qk: tuple, views: int, at: Tensor, seen: Tensor) -> tuple[Tensor, dict]:
-    """Cross-entropy of the attention (mean over heads, model-spec 2.7), renormalised over the
-    tokens of the other view, against the four tokens around the true place. Of many tokens, some
-    are asked."""
+    """Cross-entropy of the attention (mean over heads, core/net/README.md 2.7), renormalised over
+    the tokens of the other view, against the four tokens around the true place. Of many tokens,
+    some are asked."""
     q, k = qk
     b, h, n, e = q.shape
     m = n // views - model.SPECIAL

@@ -94,7 +94,7 @@ def rope_angles(n: int, head: int, bf16: bool) -> Tensor:
 
 @lru_cache(maxsize=64)
 def position_map(d: int, n: int) -> Tensor:
-    """(d, n, n): 0.1 of the sinusoidal code of a square picture, model-spec 2.5."""
+    """(d, n, n): 0.1 of the sinusoidal code of a square picture, core/net/README.md 2.5."""
     u = (2 * torch.arange(n, dtype=torch.float64) - (n - 1)) / (n * math.sqrt(2))
     w = 100.0 ** (-torch.arange(d // 4, dtype=torch.float64) / (d / 4))
     a = w[:, None] * u
@@ -511,7 +511,8 @@ class ToneMapper(nn.Module):
 
 
 def tone(theta: Tensor, x: Tensor) -> Tensor:
-    """Display value of x = log2 exposure, model-spec 2.14. theta (B, THETA), x (B, 3, ...)."""
+    """Display value of x = log2 exposure: core/photo/README.md 2.1.
+    theta (B, THETA), x (B, 3, ...)."""
     t = theta[:, : 3 * CURVE].view(len(theta), 3, CURVE)
     s = x.flatten(2)
     w1, b1, w2, b2 = (t[..., i : i + n, None] for i, n in ((0, 64), (64, 64), (128, 64), (192, 1)))

@@ -75,7 +75,8 @@ def fused(dump: dict, cell: float) -> dict:
     q = torch.nn.functional.normalize(planes[6:10], dim=0)
     dump["vox.harmonics"] = dump["vox.harmonics"][..., 0]
     pose, depth = dump["camera.pose_enc_iter3"][0].copy(), dump["depth.depth"][0, ..., 0]
-    pose[:, 7:] = 2 * np.arctan(np.tan(np.maximum(pose[:, 7:], 0) / 2) + 1e-3)  # model-spec 2.4
+    # core/net/README.md 2.4
+    pose[:, 7:] = 2 * np.arctan(np.tan(np.maximum(pose[:, 7:], 0) / 2) + 1e-3)
     return {"points.world": redraw.points(torch.from_numpy(depth), torch.from_numpy(pose), 0),
             "vox.means": planes[:3].T, "vox.scales": planes[3:6].exp().T,
             "vox.rotations": q[[1, 2, 3, 0]].T, "vox.opacities": planes[10].sigmoid(),

@@ -20,7 +20,7 @@ import model
 LIB = "build/x86_64-pic/libsim.so"
 COLOUR = (8, 33, 58)  # constant band of the three colours among the raw channels
 SURE = 83  # weight of a pixel in its cell, before the exponential
-CELL_EPS, SCALE_UNIT, SCALE_MAX = 1e-6, 1e-3, 0.3  # model-spec 2.11, 2.12
+CELL_EPS, SCALE_UNIT, SCALE_MAX = 1e-6, 1e-3, 0.3  # core/splat/README.md 6
 TOP = 0.3  # share of pixels whose depth is trusted, paper 3.4
 TEXTURE, WINDOW = 0.02, 7  # deviation of display values in a window that stereo can match
 AGREE, NEARER = 0.03, 0.95  # of depth: the same point; well before what is there
@@ -87,7 +87,7 @@ def camera_row(pose: Tensor, size: int) -> list[float]:
 
 def points(depth: Tensor, pose: Tensor, middle: float = 0.5) -> Tensor:
     """(V, S, S, 3), at the middle of pixels, as network_sharpen places them; with 0 at their
-    corners, as model-spec 2.11 has it."""
+    corners, as core/net/README.md 2.11 has it."""
     size = depth.shape[-1]
     u = (torch.arange(size, device=depth.device) + middle) * 2 / size - 1
     k = torch.tan(pose[:, 7:] / 2)
@@ -146,7 +146,7 @@ def resized(raw: Tensor, factor: Tensor) -> Tensor:
 
 def fuse(raw: Tensor, xyz: Tensor, cell: float) -> Tensor:
     """Planes (14, cells) of struct gaussians, degree 0, from raw (88, N) and points (N, 3):
-    model-spec 2.11 and 2.12."""
+    core/splat/README.md 6."""
     key, of = torch.unique(torch.round(xyz / cell).long(), dim=0, return_inverse=True)
     n, sure = len(key), raw[SURE]
     top = torch.full((n,), -torch.inf, device=raw.device)

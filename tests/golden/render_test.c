@@ -1,5 +1,6 @@
 /* The rasteriser and the tone curve against the golden sets unit_render and unit_tonemap (gsplat
- * 1.4.0 and the released tone mapper, see model-spec 2.13 and 2.14). */
+ * 1.4.0 and the released tone mapper, see core/splat/README.md 2 and 3 and
+ * core/photo/README.md 2.1). */
 #include "core/base/cpu.h"
 #include "core/photo/tonemap.h"
 #include "core/splat/raster.h"

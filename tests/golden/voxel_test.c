@@ -1,5 +1,5 @@
 /* Voxel fusion and Gaussian adapter against the golden set unit_voxel (the released code in
- * float32; model-spec 2.11 and 2.12). No point of the set is nearer than 5e-5 cell to a border. */
+ * float32; core/splat/README.md 6). No point of the set is nearer than 5e-5 cell to a border. */
 #include "core/splat/voxel.h"
 #include "tests/golden/npy.h"
 

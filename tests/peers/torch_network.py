@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Seconds that PyTorch on the CPU needs for the matrix products of the released network.
 
-Every product of the graph (model-spec 3.1) is run once at its size, in the shapes that PyTorch
-likes best (contiguous, channels-last convolutions, fused attention), and counted as often as the
-graph has it; what lies between the products is left out, so that the sum is a lower bound for
-PyTorch. Compare with `hdrig bench --what network` of the same views, size and threads.
+Every product of the graph (core/net/README.md 3.4) is run once at its size, in the shapes that
+PyTorch likes best (contiguous, channels-last convolutions, fused attention), and counted as often
+as the graph has it; what lies between the products is left out, so that the sum is a lower bound
+for PyTorch. Compare with `hdrig bench --what network` of the same views, size and threads.
 
 usage: torch_network.py [--views 4] [--size 448] [--threads 2] [--dtype fp32,bf16] [--repeats 2]
 """

@@ -1,6 +1,6 @@
-/* Exposure codes; the fusion of appearances against model-spec 2.6 to 2.8 in double, also where all
- * attention goes to tokens that are dropped and where all views are the same; the same bytes for
- * any number of threads; memory as planned. */
+/* Exposure codes; the fusion of appearances against core/net/README.md 2.6 to 2.8 in double, also
+ * where all attention goes to tokens that are dropped and where all views are the same; the same
+ * bytes for any number of threads; memory as planned. */
 #include "core/net/appearance.h"
 
 #include "tests/unit/core/net/heads_ref.h"
@@ -21,7 +21,7 @@ static void check_values_of_the_code(void **state)
     float e[128];
     (void)state;
     appearance_code(-4, 128, e);
-    assert_float_equal(e[0], -1, 1e-6); // model-spec 2.15
+    assert_float_equal(e[0], -1, 1e-6); // core/net/README.md 2.6
     assert_float_equal(e[1], 0, 1e-6);
     assert_float_equal(e[126], -0.0338, 5e-5);
     assert_float_equal(e[127], -0.9994, 5e-5);

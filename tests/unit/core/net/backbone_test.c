@@ -1,6 +1,6 @@
-/* Positions and angles against the figures of model-spec; the backbone of a tiny network: memory as
- * planned, the same bytes for any number of threads, cancellation. Its values are compared in the
- * golden tests. */
+/* Positions and angles against the figures of core/net/README.md 2.1; the backbone of a tiny
+ * network: memory as planned, the same bytes for any number of threads, cancellation. Its values
+ * are compared in the golden tests. */
 #include "core/net/backbone.h"
 
 #include "core/base/cpu.h"
@@ -40,8 +40,8 @@ static const struct net_dims tiny = {
 
 /* ---- positions ---- */
 
-/* Weights of the rows of output 0 and 1 at 32 x 32 (model-spec 2.1, point 3): a grid that is 1 in
- * row j alone shows the weight of j. */
+/* Weights of the rows of output 0 and 1 at 32 x 32 (core/net/README.md 2.1, point 3): a grid that
+ * is 1 in row j alone shows the weight of j. */
 static void positions_of_448(void **state)
 {
     static const float want[2][4] = {{0.88127266f, 0.15239736f, -0.03367002f, 0},
@@ -105,7 +105,8 @@ static void exact_angles(void **state)
             }
 }
 
-/* model-spec 0.1: frequencies of bf16, and the largest error that rounding the products makes. */
+/* core/net/README.md 1.2: frequencies of bf16, and the largest error that rounding the products
+ * makes. */
 static void rounded_angles(void **state)
 {
     static const double want[16] = {1,

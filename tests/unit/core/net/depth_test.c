@@ -1,5 +1,5 @@
-/* Depth head and the trunk in it against model-spec 2.5 in double; position codes; extreme outputs;
- * unprojection; the same bytes for any number of threads; memory as planned. */
+/* Depth head and the trunk in it against core/net/README.md 2.5 in double; position codes; extreme
+ * outputs; unprojection; the same bytes for any number of threads; memory as planned. */
 #include "core/net/depth.h"
 
 #include "core/net/dpt.h"
@@ -16,7 +16,7 @@ static void check_values_of_the_code(void **state)
     static float code[448 * 64];
     (void)state;
     dpt_code(32, 128, code);
-    assert_float_equal(code[0], 0.1 * sin(-0.6850097), 1e-8); // model-spec 2.15
+    assert_float_equal(code[0], 0.1 * sin(-0.6850097), 1e-8); // core/net/README.md 2.5
     assert_float_equal(code[31 * 64], 0.1 * sin(0.6850097), 1e-8);
     dpt_code(448, 128, code);
     assert_float_equal(code[0], 0.1 * sin(-0.7055284), 1e-8);

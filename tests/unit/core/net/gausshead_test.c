@@ -1,6 +1,6 @@
-/* Gaussian head and hypernetwork against model-spec 2.9 and 2.10 in double, with and without the
- * appearance branch; planes as voxel_merge takes them; the same bytes for any number of threads;
- * memory as planned. */
+/* Gaussian head and hypernetwork against core/net/README.md 2.9 and 2.10 in double, with and
+ * without the appearance branch; planes as voxel_merge takes them; the same bytes for any number of
+ * threads; memory as planned. */
 #include "core/net/gausshead.h"
 
 #include "core/net/metanet.h"

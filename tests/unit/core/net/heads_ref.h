@@ -1,5 +1,5 @@
 /* heads_ref.h - a tiny network with random inputs for the tests of its heads, and the operators of
- * model-spec 0 in double precision, as plainly as they can be written. */
+ * core/net/README.md 1.1 in double precision, as plainly as they can be written. */
 #ifndef NET_HEADS_REF_H
 #define NET_HEADS_REF_H
 
@@ -285,7 +285,7 @@ static inline struct ref_map ref_norm(const struct ref_map *in, const char *head
     return out;
 }
 
-/* Position code of model-spec 2.5 on a square map. */
+/* Position code of core/net/README.md 2.5 on a square map. */
 static inline double ref_code(int n, int channels, int y, int x, int c)
 {
     int quarter = channels / 4, kind = c / quarter;
@@ -302,7 +302,7 @@ static inline void ref_add_code(struct ref_map *m)
                 ref_at(m, y, x)[c] += 0.1 * ref_code(m->w, m->c, y, x, c);
 }
 
-/* ---- the DPT trunk, as model-spec 2.5 tells it ---- */
+/* ---- the DPT trunk, as core/net/README.md 2.5 tells it ---- */
 
 static inline void ref_unit(struct ref_map *x, const char *head, int level, int unit)
 {

@@ -380,7 +380,7 @@ static void test_random(void **state)
     assert_true(n.beyond < 100 && n.timid <= 2 && n.over[1] <= 120);
 }
 
-/* --- figures of the capture notes --------------------------------------------------------- */
+/* --- figures of core/photo/README.md 4 ----------------------------------------------------- */
 
 static const struct device imx477 = {.bits = 12,
                                      .black = 256,

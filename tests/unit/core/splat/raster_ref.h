@@ -1,6 +1,6 @@
-/* raster_ref.h - the formulas of model-spec 2.13 in double precision, splat by splat and pixel by
- * pixel, with no thought of speed. The truth for tests of core/splat: values, and gradients by
- * finite differences. */
+/* raster_ref.h - the formulas of core/splat/README.md 2 to 4 in double precision, splat by splat
+ * and pixel by pixel, with no thought of speed. The truth for tests of core/splat: values, and
+ * gradients by finite differences. */
 #ifndef SPLAT_RASTER_REF_H
 #define SPLAT_RASTER_REF_H
 
