@@ -7,8 +7,8 @@ files=$(find . -name .git -prune -o -path ./build -prune -o -path ./out -prune -
 # Of other programs: Linux, libcamera, Pillow, Python, COLMAP, InstantHDR; system headers of ours.
 foreign='gpiolib-cdev.c irq_sim.c gpio-sim.c gpiolib.h uvc_video.c dm-log-writes.c user-offsets.c
     irq.h merge_config.sh prctl.h format.html delayed_controls.cpp camera_sensor_properties.cpp
-    Resample.c pickletools.py models.h simple_trainer_hdr.py videodev2.h gpio.h zip.h zstd_errors.h sysexits.h
-    encoder.c logf.c libcamera.h'
+    Resample.c pickletools.py models.h simple_trainer_hdr.py videodev2.h gpio.h zip.h
+    zstd_errors.h sysexits.h encoder.c logf.c libcamera.h'
 
 echo "$files" | awk -v foreign="$foreign" '
 BEGIN {
