@@ -38,6 +38,18 @@ err_t arena_init(struct arena *a, const char *name, size_t size)
     return OK;
 }
 
+struct arena arena_counter(void)
+{
+    return (struct arena){.size = SIZE_MAX, .name = "plan", .counts = true};
+}
+
+void arena_step(struct arena *a, size_t bytes)
+{
+    size_t top = arena_add(a->used, bytes);
+    if (top > a->peak)
+        a->peak = top;
+}
+
 void arena_free(struct arena *a)
 {
     if (a->base)
@@ -59,9 +71,21 @@ size_t arena_add(size_t a, size_t b)
     return a > SIZE_MAX - b ? SIZE_MAX : a + b;
 }
 
+/* Nothing is mapped in the middle of the address space. */
+static err_t count(struct arena *a, size_t need, void *out)
+{
+    uintptr_t nowhere = UINTPTR_MAX / 2 + 1;
+    memcpy(out, &nowhere, sizeof nowhere);
+    arena_step(a, need);
+    a->used = arena_add(a->used, need);
+    return OK;
+}
+
 err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out)
 {
     size_t need = arena_need(n, elem);
+    if (a->counts)
+        return count(a, need, out);
     memset(out, 0, sizeof(void *));
     if (need > a->size - a->used)
         return err_fail(ERR_NOMEM, "%s arena: %zu x %zu bytes asked, %zu of %zu free", a->name, n,
@@ -78,7 +102,7 @@ err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out)
 err_t arena_zalloc(struct arena *a, size_t n, size_t elem, void *out)
 {
     err_t e = arena_alloc(a, n, elem, out);
-    if (e)
+    if (e || a->counts)
         return e;
     void *p;
     memcpy(&p, out, sizeof p);
@@ -93,8 +117,9 @@ size_t arena_mark(const struct arena *a)
 
 void arena_reset(struct arena *a, size_t mark)
 {
-    if (mark < a->used) {
+    if (mark >= a->used)
+        return;
+    if (!a->counts)
         POISON(a->base + mark, a->used - mark);
-        a->used = mark;
-    }
+    a->used = mark;
 }

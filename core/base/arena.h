@@ -6,6 +6,7 @@
 
 #include "core/base/err.h"
 
+#include <stdbool.h>
 #include <stddef.h>
 
 #define ARENA_ALIGN 64 // bytes; every allocation starts on such a border
@@ -14,12 +15,21 @@ struct arena {
     unsigned char *base;
     size_t size, used, peak; // bytes
     const char *name;        // for sentences; not owned
+    bool counts;             // it has no block: allocations are only added up
 };
 
 /* Reserve `size` bytes.
  * own:  arena_free.
  * err:  ERR_NOMEM. */
 MUST_USE err_t arena_init(struct arena *a, const char *name, size_t size);
+
+/* An arena that counts, which plans: the code that will allocate from a real arena allocates from
+ * it, and its peak is what the real one must have; SIZE_MAX where that overflows. It is never full.
+ * Its pointers can be kept and added to, not followed. */
+struct arena arena_counter(void);
+
+/* Count a step that takes `bytes` above the present level and gives them back. */
+void arena_step(struct arena *a, size_t bytes);
 
 /* Accepts a zeroed arena. */
 void arena_free(struct arena *a);

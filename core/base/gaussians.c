@@ -13,14 +13,6 @@ static int rounded_cap(int cap)
     return cap == 0 ? 16 : (cap + 15) / 16 * 16;
 }
 
-size_t gaussians_need(int cap, int degree)
-{
-    if (!size_is_allowed(cap, degree))
-        return SIZE_MAX;
-    size_t plane = arena_need((size_t)rounded_cap(cap), sizeof(float));
-    return plane * (size_t)gaussians_planes(degree);
-}
-
 err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
 {
     memset(g, 0, sizeof *g);
@@ -41,6 +33,13 @@ err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
     g->cap = rounded_cap(cap);
     g->degree = degree;
     return OK;
+}
+
+size_t gaussians_need(int cap, int degree)
+{
+    struct arena a = arena_counter();
+    struct gaussians g;
+    return gaussians_init(&g, &a, cap, degree) ? SIZE_MAX : a.peak;
 }
 
 static bool is_finite(const struct gaussians *g, int n_planes, int i)

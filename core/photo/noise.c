@@ -42,13 +42,26 @@ static err_t noise_view(void *ctx, int i, int worker)
     return OK;
 }
 
+static err_t layout(struct noise *j, struct arena *tmp, const struct views *v)
+{
+    *j = (struct noise){.v = v};
+    return arena_alloc(tmp, (size_t)(v->n + v->n_more), sizeof *j->square, &j->square);
+}
+
+size_t noise_plan(const struct views *v)
+{
+    struct arena tmp = arena_counter();
+    struct noise j;
+    return layout(&j, &tmp, v) ? SIZE_MAX : tmp.peak;
+}
+
 err_t noise_run(const struct run *r, const struct views *v, float *db)
 {
-    struct noise j = {v, NULL};
+    struct noise j;
     const int n = v->n + v->n_more;
     size_t mark = arena_mark(r->tmp);
     double sum = 0;
-    err_t e = arena_alloc(r->tmp, (size_t)n, sizeof *j.square, &j.square);
+    err_t e = layout(&j, r->tmp, v);
     e = e ? e : pool_for(r->pool, n, noise_view, &j);
     for (int i = 0; i < n && !e; i++)
         sum += j.square[i] / n;

@@ -5,6 +5,9 @@
 
 #include "core/base/types.h"
 
+/* Bytes that noise_run takes from r->tmp; of v only its numbers are looked at. */
+size_t noise_plan(const struct views *v);
+
 /* out: *db, PSNR that the noise of the photographs alone leaves, dB (100 = none seen). Median of
  *       the absolute Laplacian of Laplacians, whose response to white noise is 6 times its
  * deviation (Immerkaer 1996); saturated pixels and flat texture do not count. Takes 8 bytes per

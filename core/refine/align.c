@@ -19,25 +19,21 @@ struct align {
     float extent;   // scene units
 };
 
-size_t align_plan(int splats, int size, int threads)
+static err_t layout(struct align *a, struct arena *tmp, int splats, int size, int threads)
 {
-    size_t px = (size_t)size * (size_t)size, total = raster_plan(splats, size, size, true);
-    total = arena_add(total, loss_plan(size, size, threads));
-    total = arena_add(total, arena_need(3 * px, 1));
-    total = arena_add(total, arena_need(3 * px, 4));
-    return arena_add(total, arena_need(px, 4));
-}
-
-static err_t open_work(struct align *a, int size)
-{
-    struct arena *tmp = a->r->tmp;
     size_t px = (size_t)size * (size_t)size;
-    int cap = a->s->g.n > 0 ? a->s->g.n : 1;
-    err_t e = raster_init(&a->raster, tmp, cap, size, size, true);
-    e = e ? e : loss_init(&a->loss, tmp, size, size, pool_size(a->r->pool));
+    err_t e = raster_init(&a->raster, tmp, splats > 0 ? splats : 1, size, size, true);
+    e = e ? e : loss_init(&a->loss, tmp, size, size, threads);
     e = e ? e : arena_alloc(tmp, 3 * px, 1, &a->photo);
     e = e ? e : arena_alloc(tmp, 3 * px, 4, &a->pic.radiance);
     return e ? e : arena_alloc(tmp, px, 4, &a->pic.alpha);
+}
+
+size_t align_plan(int splats, int size, int threads)
+{
+    struct arena tmp = arena_counter();
+    struct align a;
+    return layout(&a, &tmp, splats, size, threads) ? SIZE_MAX : tmp.peak;
 }
 
 /* The scene is frozen. */
@@ -106,7 +102,7 @@ err_t align_run(const struct run *r, const struct scene *s, int iterations, stru
         return err_fail(ERR_ARG, "align: %d iterations on views %s cameras", iterations,
                         v->cams ? "with" : "without");
     struct align a = {.r = r, .s = s};
-    err_t e = open_work(&a, v->size);
+    err_t e = layout(&a, r->tmp, s->g.n, v->size, pool_size(r->pool));
     a.extent = e ? 0 : pose_extent(&s->g, v->cams, v->n);
     for (int i = 0; i < v->n && !e; i++) {
         e = align_view(&a, v, i, iterations);

@@ -10,14 +10,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-size_t density_plan(int cap, int degree)
-{
-    size_t n = ((size_t)cap + 15) / 16 * 16, total = 0;
-    for (int i = 0; i < 2 * gaussians_planes(degree) + 3; i++)
-        total = arena_add(total, arena_need(n, 4));
-    return arena_add(total, arena_need(n, 8));
-}
-
 err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int degree)
 {
     memset(d, 0, sizeof *d);
@@ -34,6 +26,16 @@ err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int 
     e = e ? e : arena_alloc(a, n, 4, &d->order);
     e = e ? e : arena_alloc(a, n, 4, &d->tmp);
     return e ? e : arena_alloc(a, n, 8, &d->key);
+}
+
+size_t density_plan(int cap, int degree)
+{
+    struct arena planes = arena_counter(), a = arena_counter();
+    struct gaussians g;
+    struct density d;
+    if (gaussians_init(&g, &planes, cap, degree) || density_init(&d, &a, &g, degree))
+        return SIZE_MAX;
+    return a.peak;
 }
 
 /* Take splats order[0..n) in this order. */

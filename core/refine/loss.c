@@ -42,24 +42,6 @@ static size_t scratch_of(int w)
     return stride_of(w) * (MEANS * (LOSS_WINDOW + 1) + MEANS + 4);
 }
 
-size_t loss_plan(int w, int h, int workers)
-{
-    size_t px = (size_t)w * (size_t)h, s = stride_of(w);
-    const size_t need[][2] = {{3 * px, 4},
-                              {3 * px, 4},
-                              {3 * px, 4},
-                              {3 * px, 1},
-                              {9 * ((size_t)h + EDGE) * s, 4},
-                              {scratch_of(w) * (size_t)workers, 4},
-                              {(size_t)chunks_of(h) * P_ALL, 8},
-                              {3 * px, 4},
-                              {px, 4}};
-    size_t total = 0;
-    for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
-        total = arena_add(total, arena_need(need[i][0], need[i][1]));
-    return total;
-}
-
 err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
 {
     memset(l, 0, sizeof *l);
@@ -84,6 +66,13 @@ err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
     e = e ? e : arena_alloc(a, (size_t)chunks_of(h) * P_ALL, 8, &l->partial);
     e = e ? e : arena_alloc(a, 3 * px, 4, &l->d_radiance);
     return e ? e : arena_alloc(a, px, 4, &l->d_alpha);
+}
+
+size_t loss_plan(int w, int h, int workers)
+{
+    struct arena a = arena_counter();
+    struct loss l;
+    return loss_init(&l, &a, w, h, workers) ? SIZE_MAX : a.peak;
 }
 
 struct job {

@@ -15,6 +15,7 @@
  * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
 #include "core/refine/refine.h"
 
+#include "core/base/gaussians.h"
 #include "core/base/splitmix.h"
 #include "core/photo/noise.h"
 #include "core/refine/density.h"
@@ -87,26 +88,6 @@ static float uniform(struct refine *f)
     return (float)(splitmix_next(&f->rng) >> 40) * 0x1p-24f;
 }
 
-static size_t small_need(const struct views *views)
-{
-    size_t v = (size_t)views->n, all = v + (size_t)views->n_more, size = (size_t)views->size;
-    size_t h = size / 2, q = (size + HELD_PX - 1) / HELD_PX;
-    const size_t need[][2] = {{all * h * h * 3, 1},
-                              {all * size * size * 3, 1},
-                              {v * q * q, 1},
-                              {all, 8},
-                              {all, 8},
-                              {v, 4},
-                              {v * 12, 4},
-                              {v, 4},
-                              {3 * size * size, 4},
-                              {size * size, 4}};
-    size_t total = 0;
-    for (size_t i = 0; i < sizeof need / sizeof need[0]; i++)
-        total = arena_add(total, arena_need(need[i][0], need[i][1]));
-    return total;
-}
-
 static int round_of(int places)
 {
     return places > ROUND_MIN ? places : ROUND_MIN;
@@ -128,19 +109,11 @@ int refine_begin(const struct refine_config *cfg, int places)
     return (int)fmaxf(n, most / 2);
 }
 
-size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads)
+static err_t layout(struct refine *f, struct arena *a, int threads)
 {
-    size_t total = arena_add(small_need(v), arena_need((size_t)(v->n + v->n_more), 8)); // noise
-    total = arena_add(total, raster_plan(cfg->gaussians_max, v->size, v->size, true));
-    total = arena_add(total, loss_plan(v->size, v->size, threads));
-    return arena_add(total, density_plan(cfg->gaussians_max, cfg->degree_max));
-}
-
-static err_t alloc_all(struct refine *f)
-{
-    struct arena *a = f->r->tmp;
-    size_t n = (size_t)f->v->n, size = (size_t)f->v->size, q = (size_t)f->squares, px = size * size;
-    size_t all = n + (size_t)f->v->n_more;
+    size_t n = (size_t)f->v->n, size = (size_t)f->v->size, px = size * size;
+    f->squares = (f->v->size + HELD_PX - 1) / HELD_PX;
+    size_t q = (size_t)f->squares, all = n + (size_t)f->v->n_more;
     err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
     e = e ? e : arena_alloc(a, all * px * 3, 1, &f->full);
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
@@ -152,8 +125,20 @@ static err_t alloc_all(struct refine *f)
     e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
     e = e ? e : arena_alloc(a, px, 4, &f->pic.alpha);
     e = e ? e : raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
-    e = e ? e : loss_init(&f->loss_work, a, f->v->size, f->v->size, pool_size(f->r->pool));
+    e = e ? e : loss_init(&f->loss_work, a, f->v->size, f->v->size, threads);
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
+}
+
+size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads)
+{
+    struct arena planes = arena_counter(), a = arena_counter();
+    struct scene s;
+    struct refine f = {.v = v, .cfg = cfg, .s = &s};
+    if (gaussians_init(&s.g, &planes, cfg->gaussians_max, cfg->degree_max) ||
+        layout(&f, &a, threads))
+        return SIZE_MAX;
+    arena_step(&a, noise_plan(v));
+    return a.peak;
 }
 
 /* One photograph as planes, and at half size. */
@@ -522,8 +507,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .rng = cfg->seed,
                        .steps = cfg->steps,
                        .scale = 1};
-    f.squares = (v->size + HELD_PX - 1) / HELD_PX;
-    err_t e = alloc_all(&f);
+    err_t e = layout(&f, r->tmp, pool_size(r->pool));
     e = e ? e : pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
     if (!e) {
         choose_held(&f);

@@ -101,10 +101,17 @@ static err_t compare_all(const struct run *r, struct refit *f)
     return OK;
 }
 
+static err_t layout(struct refit *f, struct arena *tmp, int n_views)
+{
+    err_t e = visibility_layout(&f->sight, tmp, n_views);
+    return e ? e : arena_alloc(tmp, PAIRS * EACH, sizeof *f->pairs, &f->pairs);
+}
+
 size_t response_refit_plan(int n_views)
 {
-    return arena_add(visibility_plan(n_views),
-                     arena_need(PAIRS * EACH, sizeof(struct response_pair)));
+    struct arena tmp = arena_counter();
+    struct refit f;
+    return layout(&f, &tmp, n_views) ? SIZE_MAX : tmp.peak;
 }
 
 err_t response_refit_run(const struct run *r, const struct views *v, const struct depthmaps *depth,
@@ -112,11 +119,11 @@ err_t response_refit_run(const struct run *r, const struct views *v, const struc
 {
     struct refit f = {.v = v};
     const size_t mark = arena_mark(r->tmp);
-    err_t e = visibility_init(r, depth, v->cams, &f.sight);
-    if (!e)
-        e = arena_alloc(r->tmp, PAIRS * EACH, sizeof *f.pairs, &f.pairs);
-    if (!e)
+    err_t e = layout(&f, r->tmp, depth->n);
+    if (!e) {
+        visibility_set(&f.sight, depth, v->cams);
         e = compare_all(r, &f);
+    }
     if (!e && f.n >= EACH / 2)
         response_fit(f.pairs, f.n, v->mid_log2t, io);
     arena_reset(r->tmp, mark);

@@ -38,38 +38,6 @@ static size_t tiles_for(int w, int h)
     return (size_t)div_up(w, TILE) * (size_t)div_up(h, TILE);
 }
 
-static size_t need_sum(const size_t (*list)[2], int n)
-{
-    size_t total = 0;
-    for (int i = 0; i < n; i++)
-        total = arena_add(total, arena_need(list[i][0], list[i][1]));
-    return total;
-}
-
-size_t raster_plan(int cap, int w, int h, bool gradients)
-{
-    size_t n = (size_t)cap + SPLAT_BLOCK, places = places_for(cap), tiles = tiles_for(w, h);
-    size_t px = (size_t)w * (size_t)h, chunks = n / CHUNK + 1;
-    const size_t forward[][2] = {{n, sizeof(struct splat2d)},
-                                 {n / SPLAT_BLOCK + 2, 4},
-                                 {n, 4},
-                                 {n, 4},
-                                 {n, 4},
-                                 {n, 4},
-                                 {n, 8},
-                                 {tiles, 4},
-                                 {tiles + 1, 4},
-                                 {places, 4},
-                                 {tiles, sizeof(struct raster_group)},
-                                 {px, 4},
-                                 {px, 4}};
-    const size_t backward[][2] = {{places * SLOT, 4}, {n * SLOT, 4}, {chunks * POSE_GRAD, 4}};
-    size_t total = need_sum(forward, (int)(sizeof forward / sizeof forward[0]));
-    if (gradients)
-        total = arena_add(total, need_sum(backward, (int)(sizeof backward / sizeof backward[0])));
-    return total;
-}
-
 static err_t alloc_forward(struct raster *rs, struct arena *a)
 {
     size_t n = (size_t)rs->cap + SPLAT_BLOCK, tiles = tiles_for(rs->w, rs->h),
@@ -107,6 +75,13 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
     e = arena_alloc(a, rs->cap_places * SLOT, 4, &rs->slots);
     e = e ? e : arena_alloc(a, n * SLOT, 4, &rs->sums);
     return e ? e : arena_alloc(a, (n / CHUNK + 1) * POSE_GRAD, 4, &rs->partial);
+}
+
+size_t raster_plan(int cap, int w, int h, bool gradients)
+{
+    struct arena a = arena_counter();
+    struct raster rs;
+    return raster_init(&rs, &a, cap, w, h, gradients) ? SIZE_MAX : a.peak;
 }
 
 static void view_from_camera(const struct camera *c, struct view_geom *v)

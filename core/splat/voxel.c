@@ -36,31 +36,9 @@ static int room(int n)
     return n < 16 ? 16 : (n + 15) / 16 * 16;
 }
 
-size_t voxel_plan(int n)
+static err_t layout_scratch(struct merge *m, struct arena *a, int points)
 {
-    if (n < 0 || n > GAUSSIANS_MAX)
-        return SIZE_MAX;
-    size_t total = arena_need((size_t)n + 1, sizeof(uint32_t));
-    for (int i = 0; i < 6; i++)
-        total = arena_add(total, arena_need((size_t)n, sizeof(uint32_t)));
-    return total;
-}
-
-size_t voxel_keep(int n)
-{
-    if (n < 0 || n > GAUSSIANS_MAX)
-        return SIZE_MAX;
-    size_t cap = (size_t)room(n);
-    size_t total = arena_add(arena_need((size_t)n, 3 * sizeof(int32_t)),
-                             arena_need((size_t)n, sizeof(int32_t)));
-    total = arena_add(total, arena_need(cap, 3 * sizeof(float)));
-    return arena_add(total, arena_need(cap, VOXEL_FEATURES * sizeof(float)));
-}
-
-static err_t alloc_scratch(struct merge *m)
-{
-    struct arena *a = m->r->tmp;
-    size_t n = (size_t)m->in->n;
+    size_t n = (size_t)points;
     err_t e = OK;
     for (int k = 0; k < 3 && !e; k++)
         e = arena_alloc(a, n, sizeof *m->key[k], &m->key[k]);
@@ -68,6 +46,28 @@ static err_t alloc_scratch(struct merge *m)
     e = e ? e : arena_alloc(a, n, sizeof *m->spare, &m->spare);
     e = e ? e : arena_alloc(a, n, sizeof *m->weight, &m->weight);
     return e ? e : arena_alloc(a, n + 1, sizeof *m->start, &m->start);
+}
+
+/* There are no more cells than points; what cells do not need is never touched. */
+static err_t layout_cells(struct voxels *v, struct arena *a, int points)
+{
+    v->cap = room(points);
+    err_t e = arena_alloc(a, (size_t)points, 3 * sizeof *v->key, &v->key);
+    e = e ? e : arena_alloc(a, (size_t)points, sizeof *v->count, &v->count);
+    e = e ? e : arena_alloc(a, (size_t)v->cap, 3 * sizeof *v->points, &v->points);
+    return e ? e
+             : arena_alloc(a, (size_t)v->cap, VOXEL_FEATURES * sizeof *v->features, &v->features);
+}
+
+void voxel_plan(struct plan *p, int points)
+{
+    struct voxels v;
+    struct merge m;
+    size_t mark = arena_mark(&p->tmp);
+    if (points < 0 || points > GAUSSIANS_MAX || layout_scratch(&m, &p->tmp, points) ||
+        layout_cells(&v, &p->keep, points))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 static void make_keys(struct merge *m, float cell)
@@ -155,19 +155,6 @@ static void weigh_cell(struct merge *m, uint32_t from, uint32_t to)
         m->weight[j] = (float)((double)m->weight[j] / sum);
 }
 
-static err_t alloc_cells(struct merge *m, int cells)
-{
-    struct voxels *v = m->out;
-    struct arena *a = m->r->keep;
-    v->n = cells;
-    v->cap = room(cells);
-    err_t e = arena_alloc(a, (size_t)cells, 3 * sizeof *v->key, &v->key);
-    e = e ? e : arena_alloc(a, (size_t)cells, sizeof *v->count, &v->count);
-    e = e ? e : arena_alloc(a, (size_t)v->cap, 3 * sizeof *v->points, &v->points);
-    return e ? e
-             : arena_alloc(a, (size_t)v->cap, VOXEL_FEATURES * sizeof *v->features, &v->features);
-}
-
 /* One plane of coordinates (chunks 0..2) or features. */
 static err_t average_chunk(void *ctx, int chunk, int worker)
 {
@@ -187,22 +174,23 @@ static err_t average_chunk(void *ctx, int chunk, int worker)
             sum += (double)m->weight[j] * (double)in[step * m->order[j]];
         out[v] = (float)sum;
     }
-    for (size_t v = (size_t)m->out->n; v < cap; v++)
+    for (int v = m->out->n; v < room(m->out->n); v++)
         out[v] = 0.0f;
     return OK;
 }
 
 static err_t merge_points(struct merge *m, float cell)
 {
-    err_t e = alloc_scratch(m);
+    err_t e = layout_scratch(m, m->r->tmp, m->in->n);
+    e = e ? e : layout_cells(m->out, m->r->keep, m->in->n);
     if (e)
         return e;
     make_keys(m, cell);
     for (int k = 2; k >= 0 && !e; k--)
         e = sort_axis(m, m->key[k]);
-    e = e ? e : alloc_cells(m, find_cells(m));
     if (e)
         return e;
+    m->out->n = find_cells(m);
     for (int v = 0; v < m->out->n; v++) {
         uint32_t from = m->start[v], to = m->start[v + 1];
         weigh_cell(m, from, to);

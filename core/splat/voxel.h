@@ -5,6 +5,7 @@
 #ifndef SPLAT_VOXEL_H
 #define SPLAT_VOXEL_H
 
+#include "core/base/plan.h"
 #include "core/base/types.h"
 
 /* Raw features are the 88 channels of the network without channel 83, the confidence. */
@@ -28,22 +29,21 @@ struct voxel_input {
 
 /* Cells that hold at least one point, sorted by key: by x, then y, then z. */
 struct voxels {
-    int n, cap;      // cells; room in each plane, a multiple of 16, at least 16
+    int n, cap;      // cells; room in each plane for all points, a multiple of 16, at least 16
     int32_t *key;    // (n, 3) round(point / cell edge)
     int32_t *count;  // (n) points in it, > 0
     float *points;   // (3, cap) mean, scene units
     float *features; // (VOXEL_FEATURES, cap) mean of the raw features
 };
 
-/* Bytes that voxel_merge takes from r->tmp, and from r->keep at most; SIZE_MAX on overflow. */
-size_t voxel_plan(int n);
-size_t voxel_keep(int n);
+/* Count what voxel_merge takes. */
+void voxel_plan(struct plan *p, int points);
 
 /* Average the points of each cell of edge `cell` (scene units, > 0), weighted by the softmax of
  * their confidence. Points with a coordinate or confidence that is not finite are left out; keys
  * beyond 2^31 share the outermost cell.
  * out:  memory in r->keep.
- * err:  ERR_ARG (n, cell), ERR_NOMEM (see voxel_plan, voxel_keep), ERR_CANCELLED. On error *out is
+ * err:  ERR_ARG (n, cell), ERR_NOMEM (see voxel_plan), ERR_CANCELLED. On error *out is
  *       zeroed. */
 MUST_USE err_t voxel_merge(const struct run *r, const struct voxel_input *in, float cell,
                            struct voxels *out);

@@ -81,25 +81,29 @@ static err_t elect_view(void *ctx, int view, int worker)
     return OK;
 }
 
+static err_t layout(struct consensus *c, struct arena *tmp, int n_views, int size, int threads)
+{
+    const size_t n = (size_t)n_views, workers = (size_t)threads;
+    c->size = size;
+    c->pixels = (size_t)size * (size_t)size;
+    err_t e = arena_alloc(tmp, n * c->pixels, sizeof *c->out, &c->out);
+    if (!e)
+        e = arena_alloc(tmp, workers * n * c->pixels, sizeof *c->seen, &c->seen);
+    return e ? e : arena_alloc(tmp, workers * n, 2 * sizeof *c->vote, &c->vote);
+}
+
 size_t consensus_plan(int n_views, int size, int threads)
 {
-    const size_t pixels = (size_t)size * (size_t)size, n = (size_t)n_views;
-    const size_t all = arena_add(arena_need(n * pixels, sizeof(float)),
-                                 arena_need((size_t)threads * n * pixels, sizeof(float)));
-    return arena_add(all, arena_need((size_t)threads * n, 2 * sizeof(float)));
+    struct arena tmp = arena_counter();
+    struct consensus c;
+    return layout(&c, &tmp, n_views, size, threads) ? SIZE_MAX : tmp.peak;
 }
 
 err_t consensus_run(const struct run *r, const struct visibility *s, float *depth)
 {
     const size_t n = (size_t)s->depth->n, mark = arena_mark(r->tmp);
-    const size_t workers = (size_t)pool_size(r->pool);
-    struct consensus c = {.s = s, .size = s->cams[0].w, .guess = depth};
-    c.pixels = (size_t)c.size * (size_t)c.size;
-    err_t e = arena_alloc(r->tmp, n * c.pixels, sizeof *c.out, &c.out);
-    if (!e)
-        e = arena_alloc(r->tmp, workers * n * c.pixels, sizeof *c.seen, &c.seen);
-    if (!e)
-        e = arena_alloc(r->tmp, workers * n, 2 * sizeof *c.vote, &c.vote);
+    struct consensus c = {.s = s, .guess = depth};
+    err_t e = layout(&c, r->tmp, s->depth->n, s->cams[0].w, pool_size(r->pool));
     if (!e)
         e = pool_for(r->pool, (int)n, elect_view, &c);
     if (!e)

@@ -628,46 +628,33 @@ static size_t levels_floats(size_t w)
     return sum;
 }
 
-/* The same list for planning (a NULL) and for carving. */
-static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *out)
+static err_t layout(struct seed *s, struct arena *a, const struct depthmaps *d)
 {
-    *bytes = arena_add(*bytes, arena_need(n, elem));
-    return a ? arena_alloc(a, n, elem, out) : OK;
-}
-
-static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, size_t w,
-                       struct seed *s)
-{
-    const size_t n = (size_t)v->n;
-    err_t e = carve(a, bytes, n, sizeof *s->frame, &s->frame);
+    const size_t n = (size_t)d->n, w = (size_t)d->size;
+    err_t e = arena_alloc(a, n, sizeof *s->frame, &s->frame);
     if (!e)
-        e = carve(a, bytes, n, sizeof *s->order, &s->order);
+        e = arena_alloc(a, n, sizeof *s->order, &s->order);
     if (!e)
-        e = carve(a, bytes, n, sizeof *s->score, &s->score);
+        e = arena_alloc(a, n, sizeof *s->score, &s->score);
     if (!e)
-        e = carve(a, bytes, n * w * w, sizeof *s->mark, &s->mark);
+        e = arena_alloc(a, n * w * w, sizeof *s->mark, &s->mark);
     if (!e)
-        e = carve(a, bytes, levels_floats(w), sizeof *s->levels, &s->levels);
+        e = arena_alloc(a, levels_floats(w), sizeof *s->levels, &s->levels);
     if (!e)
-        e = carve(a, bytes, w * w, sizeof *s->rho, &s->rho);
+        e = arena_alloc(a, w * w, sizeof *s->rho, &s->rho);
     const size_t side = (size_t)blocks((int)w) + 1;
     if (!e)
-        e = carve(a, bytes, side * side * BINS, sizeof *s->sum, &s->sum);
+        e = arena_alloc(a, side * side * BINS, sizeof *s->sum, &s->sum);
     return e;
 }
 
-size_t seed_plan(const struct views *v)
+void seed_plan(struct plan *p, const struct depthmaps *d, int max, struct gaussians *out)
 {
     struct seed s = {0};
-    size_t bytes = 0;
-    err_t e =
-        carve_all(NULL, &bytes, v, (size_t)v->size, &s); // maps are never larger than the views
-    return e ? SIZE_MAX : bytes;
-}
-
-size_t seed_keep(int max)
-{
-    return gaussians_need(max, 0);
+    const size_t mark = arena_mark(&p->tmp);
+    if (gaussians_init(out, &p->keep, max, 0) || layout(&s, &p->tmp, d))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 static err_t check_input(const struct seed_input *in, int max)
@@ -700,14 +687,14 @@ static void begin(struct seed *s)
 err_t seed_run(const struct run *r, const struct seed_input *in, int max, struct gaussians *out)
 {
     struct seed s = {.run = r, .in = in, .out = out, .max = max, .loss = 1.0f};
-    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep), bytes = 0;
+    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep);
     memset(out, 0, sizeof *out);
     err_t e = check_input(in, max);
     if (e)
         return e;
     e = gaussians_init(out, r->keep, max, 0);
     if (!e)
-        e = carve_all(r->tmp, &bytes, in->views, (size_t)in->depth->size, &s);
+        e = layout(&s, r->tmp, in->depth);
     if (!e)
         begin(&s);
     for (int i = 0; i < TRIES && !e; i++, s.loss *= 1.4f) {

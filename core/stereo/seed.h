@@ -17,12 +17,12 @@ struct seed_input {
  * sure depth get weak ones behind them.
  * max:  1 or more. Detail is given up until at most this many are needed.
  * out:  degree 0, out->n <= max, memory in r->keep.
- * err:  ERR_ARG, ERR_NOMEM (see seed_plan, seed_keep), ERR_CANCELLED. On error *out is zeroed. */
+ * err:  ERR_ARG, ERR_NOMEM (see seed_plan), ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t seed_run(const struct run *r, const struct seed_input *in, int max,
                         struct gaussians *out);
 
-/* Bytes of r->tmp and of r->keep; SIZE_MAX on overflow. */
-size_t seed_plan(const struct views *v);
-size_t seed_keep(int max);
+/* Count what seed_run takes; of d only its numbers are looked at.
+ * out:  the room of the splats. */
+void seed_plan(struct plan *p, const struct depthmaps *d, int max, struct gaussians *out);
 
 #endif

@@ -149,41 +149,18 @@ static void sweep_row(struct sgm *m, int y)
     }
 }
 
-static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *out)
+err_t sgm_init(struct sgm *m, struct arena *a, int width, int planes_max)
 {
-    *bytes = arena_add(*bytes, arena_need(n, elem));
-    return a ? arena_alloc(a, n, elem, out) : OK;
-}
-
-/* The same list for planning (a NULL) and for carving. */
-static err_t carve_all(struct arena *a, size_t *bytes, struct sgm *m)
-{
-    const size_t w = (size_t)m->w, planes = (size_t)m->planes;
-    err_t e = carve(a, bytes, w * w * planes, sizeof *m->cost, &m->cost);
+    const size_t w = (size_t)width, planes = (size_t)planes_max;
+    *m = (struct sgm){.w = width, .planes = planes_max};
+    err_t e = arena_alloc(a, w * w * planes, sizeof *m->cost, &m->cost);
     if (!e)
-        e = carve(a, bytes, w * w * planes, sizeof *m->total, &m->total);
+        e = arena_alloc(a, w * w * planes, sizeof *m->total, &m->total);
     if (!e)
-        e = carve(a, bytes, 6 * (planes + 2) * (w + 2), sizeof *m->path, &m->path);
+        e = arena_alloc(a, 6 * (planes + 2) * (w + 2), sizeof *m->path, &m->path);
     if (!e)
-        e = carve(a, bytes, 6 * (w + 2), sizeof *m->least, &m->least);
-    if (!e)
-        e = carve(a, bytes, 2 * (w + 1) * (planes + 2), sizeof *m->turn, &m->turn);
-    return e;
-}
-
-size_t sgm_need(int w, int planes)
-{
-    struct sgm m = {.w = w, .planes = planes};
-    size_t bytes = 0;
-    err_t e = carve_all(NULL, &bytes, &m);
-    return e ? SIZE_MAX : bytes;
-}
-
-err_t sgm_init(struct sgm *m, struct arena *a, int w, int planes)
-{
-    size_t bytes = 0;
-    *m = (struct sgm){.w = w, .planes = planes};
-    return carve_all(a, &bytes, m);
+        e = arena_alloc(a, 6 * (w + 2), sizeof *m->least, &m->least);
+    return e ? e : arena_alloc(a, 2 * (w + 1) * (planes + 2), sizeof *m->turn, &m->turn);
 }
 
 void sgm_run(struct sgm *m)

@@ -16,9 +16,6 @@ struct sgm {
     int16_t *turn;      // (2, w, planes) a row with the planes innermost, and one path
 };
 
-/* Bytes that sgm_init takes; SIZE_MAX on overflow. */
-size_t sgm_need(int w, int planes);
-
 /* err:  ERR_NOMEM. */
 MUST_USE err_t sgm_init(struct sgm *m, struct arena *a, int w, int planes);
 

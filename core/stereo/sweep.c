@@ -615,76 +615,69 @@ static int work_scale(int size)
     return (size + WORK_SIZE - 1) / WORK_SIZE;
 }
 
-size_t sweep_keep(const struct views *v)
+static err_t layout_scratch(struct scratch *m, struct arena *a, size_t w)
 {
-    size_t w = (size_t)(v->size / work_scale(v->size)), n = (size_t)v->n * w * w;
-    return 2 * arena_need(n, sizeof(float));
-}
-
-/* The same list for planning (a NULL) and for carving. */
-static err_t carve(struct arena *a, size_t *bytes, size_t n, size_t elem, void *out)
-{
-    *bytes = arena_add(*bytes, arena_need(n, elem));
-    return a ? arena_alloc(a, n, elem, out) : OK;
-}
-
-static err_t carve_scratch(struct arena *a, size_t *bytes, size_t w, struct scratch *m)
-{
-    *bytes = arena_add(*bytes, sgm_need((int)w, PLANES_MAX));
-    err_t e = a ? sgm_init(&m->sgm, a, (int)w, PLANES_MAX) : OK;
+    err_t e = sgm_init(&m->sgm, a, (int)w, PLANES_MAX);
     if (!e)
-        e = carve(a, bytes, w * w, sizeof *m->contrast, &m->contrast);
+        e = arena_alloc(a, w * w, sizeof *m->contrast, &m->contrast);
     if (!e)
-        e = carve(a, bytes, 2 * w, sizeof *m->place, &m->place);
+        e = arena_alloc(a, 2 * w, sizeof *m->place, &m->place);
     if (!e)
-        e = carve(a, bytes, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
+        e = arena_alloc(a, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
     if (!e)
-        e = carve(a, bytes, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
+        e = arena_alloc(a, NEAR_MAX * SUMS * (w + 2 * RADIUS), sizeof *m->column, &m->column);
     if (!e)
-        e = carve(a, bytes, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
+        e = arena_alloc(a, ((NEAR_MAX + 1) / 2 + 1) * w, sizeof *m->best, &m->best);
     return e;
 }
 
-static err_t carve_all(struct arena *a, size_t *bytes, const struct views *v, int workers,
-                       struct sweep *s)
+static err_t layout_maps(struct depthmaps *m, struct arena *keep, const struct views *v)
 {
-    const size_t n = (size_t)v->n, w = (size_t)(v->size / work_scale(v->size)), c = w / COARSE;
-    err_t e = carve(a, bytes, n, sizeof *s->pose, &s->pose);
+    *m = (struct depthmaps){.n = v->n, .scale = work_scale(v->size)};
+    m->size = v->size / m->scale;
+    const size_t pixels = (size_t)m->n * (size_t)m->size * (size_t)m->size;
+    err_t e = arena_alloc(keep, pixels, sizeof *m->depth, &m->depth);
+    return e ? e : arena_alloc(keep, pixels, sizeof *m->conf, &m->conf);
+}
+
+/* What counts has no room for the lists themselves. */
+static err_t layout(struct sweep *s, struct arena *a, int workers)
+{
+    const size_t n = (size_t)s->out->n, w = (size_t)s->out->size;
+    err_t e = arena_alloc(a, n, sizeof *s->pose, &s->pose);
     for (int level = 0; level < 2 && !e; level++)
-        e = carve(a, bytes, n, sizeof *s->plate[0], &s->plate[level]);
-    for (int i = 0; i < v->n && !e; i++) {
-        struct plate fine = {(int)w, NULL}, coarse = {(int)c, NULL};
-        e = carve(a, bytes, 2 * w * w, sizeof(float), &fine.px);
-        if (!e)
-            e = carve(a, bytes, 2 * c * c, sizeof(float), &coarse.px);
-        if (a && !e) {
-            s->plate[0][i] = fine;
-            s->plate[1][i] = coarse;
-        }
+        e = arena_alloc(a, n, sizeof *s->plate[0], &s->plate[level]);
+    for (size_t i = 0; i < 2 * n && !e; i++) {
+        const size_t side = i % 2 ? w / COARSE : w;
+        struct plate plate = {.size = (int)side};
+        e = arena_alloc(a, 2 * side * side, sizeof *plate.px, &plate.px);
+        if (!e && !a->counts)
+            s->plate[i % 2][i / 2] = plate;
     }
     if (!e)
-        e = carve(a, bytes, n, sizeof *s->near, &s->near);
+        e = arena_alloc(a, n, sizeof *s->near, &s->near);
     if (!e)
-        e = carve(a, bytes, n, sizeof *s->n_near, &s->n_near);
+        e = arena_alloc(a, n, sizeof *s->n_near, &s->n_near);
     if (!e)
-        e = carve(a, bytes, n, sizeof *s->range, &s->range);
+        e = arena_alloc(a, n, sizeof *s->range, &s->range);
     if (!e)
-        e = carve(a, bytes, n * w * w, sizeof *s->rho, &s->rho);
+        e = arena_alloc(a, n * w * w, sizeof *s->rho, &s->rho);
     if (!e)
-        e = carve(a, bytes, n * w * w, sizeof *s->sure, &s->sure);
+        e = arena_alloc(a, n * w * w, sizeof *s->sure, &s->sure);
     if (!e)
-        e = carve(a, bytes, (size_t)workers, sizeof *s->scratch, &s->scratch);
+        e = arena_alloc(a, (size_t)workers, sizeof *s->scratch, &s->scratch);
     for (int k = 0; k < workers && !e; k++)
-        e = carve_scratch(a, bytes, w, a ? &s->scratch[k] : &(struct scratch){0});
+        e = layout_scratch(a->counts ? &(struct scratch){0} : &s->scratch[k], a, w);
     return e;
 }
 
-size_t sweep_plan(const struct views *v, int threads)
+void sweep_plan(struct plan *p, const struct views *v, struct depthmaps *out)
 {
-    size_t bytes = 0;
-    struct sweep s = {0};
-    err_t e = carve_all(NULL, &bytes, v, threads, &s);
-    return e ? SIZE_MAX : bytes;
+    struct sweep s = {.out = out};
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_maps(out, &p->keep, v) || layout(&s, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 static err_t check_input(const struct views *v)
@@ -712,20 +705,14 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
                 struct depthmaps *out)
 {
     struct sweep s = {.run = r, .v = v, .out = out};
-    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep), bytes = 0;
+    size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep);
     memset(out, 0, sizeof *out);
     err_t e = check_input(v);
     if (e)
         return e;
-    out->n = v->n;
-    out->scale = work_scale(v->size);
-    out->size = v->size / out->scale;
-    const size_t pixels = (size_t)v->n * (size_t)out->size * (size_t)out->size;
-    e = arena_alloc(r->keep, pixels, sizeof(float), &out->depth);
+    e = layout_maps(out, r->keep, v);
     if (!e)
-        e = arena_alloc(r->keep, pixels, sizeof(float), &out->conf);
-    if (!e)
-        e = carve_all(r->tmp, &bytes, v, pool_size(r->pool), &s);
+        e = layout(&s, r->tmp, pool_size(r->pool));
     if (!e) {
         response_tabulate(tone, &s.table);
         for (int k = 0; k < 3 * 256; k++)

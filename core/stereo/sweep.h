@@ -6,6 +6,7 @@
 #ifndef STEREO_SWEEP_H
 #define STEREO_SWEEP_H
 
+#include "core/base/plan.h"
 #include "core/base/types.h"
 
 /* Depth at 1/scale of the size of the views; every pixel has one, and `conf` says its worth. */
@@ -24,10 +25,8 @@ struct depthmaps {
 MUST_USE err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone,
                          struct depthmaps *out);
 
-/* Bytes of r->tmp that sweep_run takes with a pool of `threads`; SIZE_MAX on overflow. */
-size_t sweep_plan(const struct views *v, int threads);
-
-/* Bytes of r->keep that the result takes; SIZE_MAX on overflow. */
-size_t sweep_keep(const struct views *v);
+/* Count what sweep_run takes; of v only its numbers are looked at.
+ * out:  the numbers of the maps. */
+void sweep_plan(struct plan *p, const struct views *v, struct depthmaps *out);
 
 #endif

@@ -9,19 +9,17 @@ static const float SURE = 0.6f;    // confidence
 static const float AGREE = 0.02f;  // relative difference of depths that are one surface
 static const float NEARER = 0.95f; // share of its depth before which nothing can stand
 
-size_t visibility_plan(int n_views)
+err_t visibility_layout(struct visibility *s, struct arena *a, int n_views)
 {
-    return arena_need((size_t)n_views, 9 * sizeof(float));
+    return arena_alloc(a, (size_t)n_views, sizeof *s->turn, &s->turn);
 }
 
-err_t visibility_init(const struct run *r, const struct depthmaps *depth, const struct camera *cams,
-                      struct visibility *out)
+void visibility_set(struct visibility *s, const struct depthmaps *depth, const struct camera *cams)
 {
-    *out = (struct visibility){.depth = depth, .cams = cams};
-    err_t e = arena_alloc(r->tmp, (size_t)depth->n, sizeof *out->turn, &out->turn);
-    for (int i = 0; i < depth->n && !e; i++)
-        rotation_from_unit(cams[i].q, out->turn[i]);
-    return e;
+    s->depth = depth;
+    s->cams = cams;
+    for (int i = 0; i < depth->n; i++)
+        rotation_from_unit(cams[i].q, s->turn[i]);
 }
 
 size_t visibility_at(const struct visibility *s, int view, float u, float v)

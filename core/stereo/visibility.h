@@ -18,11 +18,11 @@ struct sighting {
     size_t at;  // index into the maps of the pixel there
 };
 
-/* out:  *out with memory in r->tmp.
- * err:  ERR_NOMEM (see visibility_plan). */
-MUST_USE err_t visibility_init(const struct run *r, const struct depthmaps *depth,
-                               const struct camera *cams, struct visibility *out);
-size_t visibility_plan(int n_views);
+/* Memory of *s, from `a`; then visibility_set. */
+MUST_USE err_t visibility_layout(struct visibility *s, struct arena *a, int n_views);
+
+/* Both must outlive *s; as many views as memory was made for. */
+void visibility_set(struct visibility *s, const struct depthmaps *depth, const struct camera *cams);
 
 /* Index into the maps of px (u, v) of the view, which is inside. */
 size_t visibility_at(const struct visibility *s, int view, float u, float v);

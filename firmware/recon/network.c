@@ -532,12 +532,23 @@ static void tabulate(struct sharpen *s)
         }
 }
 
-size_t network_sharpen_plan(int n_views, int size, int threads)
+static err_t layout(struct sharpen *s, struct arena *tmp, int n_views, int size)
 {
     const size_t n = (size_t)n_views * (size_t)size * (size_t)size;
-    size_t need = arena_add(visibility_plan(n_views), arena_need(3 * (CELLS + 1), sizeof(float)));
-    need = arena_add(need, arena_need(n, sizeof(float)));
-    return arena_add(need, consensus_plan(n_views, size, threads));
+    err_t e = visibility_layout(&s->sight, tmp, n_views);
+    if (!e)
+        e = arena_alloc(tmp, 3, sizeof *s->moved, &s->moved);
+    return e ? e : arena_alloc(tmp, n, sizeof *s->depth, &s->depth);
+}
+
+size_t network_sharpen_plan(int n_views, int size, int threads)
+{
+    struct arena tmp = arena_counter();
+    struct sharpen s;
+    if (layout(&s, &tmp, n_views, size))
+        return SIZE_MAX;
+    arena_step(&tmp, consensus_plan(n_views, size, threads));
+    return tmp.peak;
 }
 
 err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
@@ -545,12 +556,9 @@ err_t network_sharpen(const struct run *r, const struct network_known *known, fl
 {
     struct sharpen s = {.known = known, .scale = scale, .p = p};
     const size_t mark = arena_mark(r->tmp);
-    err_t e = visibility_init(r, known->seen.depth, known->seen.views->cams, &s.sight);
-    if (!e)
-        e = arena_alloc(r->tmp, 3, sizeof *s.moved, &s.moved);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)p->n, sizeof *s.depth, &s.depth);
+    err_t e = layout(&s, r->tmp, p->geom.n_views, p->geom.size);
     if (!e) {
+        visibility_set(&s.sight, known->seen.depth, known->seen.views->cams);
         tabulate(&s);
         for (int k = 0; k < p->n; k++)
             s.depth[k] = p->geom.depth[k] * scale;

@@ -522,9 +522,13 @@ static void plan_cameras(const struct views *v, int threads, struct job_memory *
 
 static void plan_stereo(const struct views *v, int cap, int threads, struct job_memory *m)
 {
-    m->keep = arena_add(m->keep, arena_add(sweep_keep(v), seed_keep(cap)));
-    m->tmp = num_max_size(m->tmp, sweep_plan(v, threads));
-    m->tmp = num_max_size(m->tmp, seed_plan(v));
+    struct plan p = plan_begin(threads);
+    struct depthmaps depth;
+    struct gaussians seeds;
+    sweep_plan(&p, v, &depth);
+    seed_plan(&p, &depth, cap, &seeds);
+    m->keep = arena_add(m->keep, p.keep.peak);
+    m->tmp = num_max_size(m->tmp, p.tmp.peak);
 }
 
 /* The forward pass and what is done with it before its memory is given back. */
@@ -544,17 +548,26 @@ static void plan_forward(const struct job_config *cfg, const struct views *v, in
         plan_cameras(v, threads, m);
     m->tmp = num_max_size(m->tmp, network_place_plan(v->n));
     if (net.d.gauss && cfg->polish) {
-        m->keep = arena_add(m->keep, sweep_keep(v));
-        m->tmp = num_max_size(m->tmp, sweep_plan(v, threads));
+        struct plan p = plan_begin(threads);
+        struct depthmaps depth;
+        sweep_plan(&p, v, &depth);
+        m->keep = arena_add(m->keep, p.keep.peak);
+        m->tmp = num_max_size(m->tmp, p.tmp.peak);
         m->tmp = num_max_size(m->tmp, network_sharpen_plan(v->n, v->size, threads));
     }
     if (net.d.gauss) {
-        m->keep = arena_add(m->keep, voxel_keep(all));
-        m->tmp = num_max_size(m->tmp, voxel_plan(all));
+        struct plan p = plan_begin(threads);
+        voxel_plan(&p, all);
+        m->keep = arena_add(m->keep, p.keep.peak);
+        m->tmp = num_max_size(m->tmp, p.tmp.peak);
     } else if (!cfg->stereo) {
         m->keep = arena_add(m->keep, arena_need(pixels, sizeof(float)));
-        m->keep = arena_add(m->keep, seed_keep(cfg->refine.gaussians_max));
-        m->tmp = num_max_size(m->tmp, seed_plan(v));
+        struct plan p = plan_begin(threads);
+        struct depthmaps depth = {.n = v->n, .size = v->size};
+        struct gaussians seeds;
+        seed_plan(&p, &depth, cfg->refine.gaussians_max, &seeds);
+        m->keep = arena_add(m->keep, p.keep.peak);
+        m->tmp = num_max_size(m->tmp, p.tmp.peak);
     }
 }
 

@@ -8,14 +8,6 @@
 
 enum { MAPS = 5, DISPLAY = 3 }; // planes: radiance 3, depth, alpha
 
-size_t draw_plan(int cap, int w, int h)
-{
-    size_t pixels = (size_t)w * (size_t)h;
-    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
-    return arena_add(raster_plan(cap, w, h, false),
-                     arena_need(pixels, (MAPS + DISPLAY) * sizeof(float)));
-}
-
 err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h)
 {
     float *px;
@@ -29,6 +21,14 @@ err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h)
     d->maps = (struct render){.radiance = px, .depth = px + 3 * pixels, .alpha = px + 4 * pixels};
     d->display = (struct image){.channels = 3, .px = px + MAPS * pixels};
     return OK;
+}
+
+size_t draw_plan(int cap, int w, int h)
+{
+    struct arena a = arena_counter();
+    struct draw d;
+    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
+    return draw_init(&d, &a, cap, w, h) ? SIZE_MAX : a.peak;
 }
 
 err_t draw_run(const struct run *r, struct draw *d, const struct scene *s, const struct camera *cam)

@@ -60,8 +60,10 @@ struct fixture {
 static void merge(struct fixture *f)
 {
     memset(f, 0, sizeof *f);
-    assert_int_equal(arena_init(&f->keep, "keep", voxel_keep(N)), OK);
-    assert_int_equal(arena_init(&f->tmp, "tmp", voxel_plan(N)), OK);
+    struct plan plan = plan_begin(1);
+    voxel_plan(&plan, N);
+    assert_int_equal(arena_init(&f->keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&f->tmp, "tmp", plan.tmp.peak), OK);
     f->r = (struct run){.keep = &f->keep, .tmp = &f->tmp};
     f->points = load("in.points", 3 * N);
     f->views = load("in.features87", VOXEL_FEATURES * N);

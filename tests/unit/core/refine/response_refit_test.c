@@ -176,7 +176,8 @@ static void views_know_points(void **state)
     struct visibility s;
     struct sighting p;
     float point[3];
-    assert_int_equal(visibility_init(&w.r, &w.depth, w.cams, &s), OK);
+    assert_int_equal(visibility_layout(&s, w.r.tmp, w.depth.n), OK);
+    visibility_set(&s, &w.depth, w.cams);
     visibility_point(&s, 0, (const float[3]){50.5f, 20.5f, 4}, point);
     assert_true(visibility_look(&s, 1, point, &p));
     assert_float_equal(p.u, 50.5f - 0.4f * 90 / 4, 1e-4);

@@ -103,9 +103,11 @@ static void pictures_do_not_change(void **state)
     (void)state;
     static struct world w;
     static float before[4 * SIZE * SIZE], after[4 * SIZE * SIZE];
-    assert_int_equal(arena_init(&w.keep, "keep", voxel_keep(N)), OK);
+    struct plan plan = plan_begin(1);
+    voxel_plan(&plan, N);
+    assert_int_equal(arena_init(&w.keep, "keep", plan.keep.peak), OK);
     assert_int_equal(
-        arena_init(&w.tmp, "tmp", voxel_plan(N) + raster_plan(N + 16, SIZE, SIZE, false)), OK);
+        arena_init(&w.tmp, "tmp", plan.tmp.peak + raster_plan(N + 16, SIZE, SIZE, false)), OK);
     kernels_init(&w.kernels, 0);
     w.r = (struct run){.k = &w.kernels, .keep = &w.keep, .tmp = &w.tmp};
     w.features = calloc(VOXEL_FEATURES * N, sizeof(float));

@@ -46,8 +46,10 @@ static float uniform(uint32_t *s)
 static void open_world(int n, const float at[3])
 {
     memset(&w, 0, sizeof w);
-    assert_int_equal(arena_init(&w.keep, "keep", voxel_keep(n)), OK);
-    assert_int_equal(arena_init(&w.tmp, "tmp", voxel_plan(n)), OK);
+    struct plan plan = plan_begin(1);
+    voxel_plan(&plan, n);
+    assert_int_equal(arena_init(&w.keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&w.tmp, "tmp", plan.tmp.peak), OK);
     w.r = (struct run){.keep = &w.keep, .tmp = &w.tmp, .cancel = &w.cancel};
     w.in = (struct voxel_input){n, w.points, w.features, w.confidence};
     for (int i = 0; i < n; i++) {
@@ -84,7 +86,7 @@ static void merge(float cell)
     assert_true(w.v.cap >= 16 && w.v.cap >= w.v.n);
     for (int i = 0; i < w.v.n; i++)
         assert_true(w.v.count[i] > 0);
-    for (int i = w.v.n; i < w.v.cap; i++) // vectors reach there
+    for (int i = w.v.n; i < 16 || i % 16 != 0; i++) // vectors reach there
         assert_true(w.v.points[2 * w.v.cap + i] == 0.0f && feature(7, i) == 0.0f);
 }
 
@@ -338,6 +340,7 @@ static void test_threads(void **state)
 {
     (void)state;
     static float first[VOXEL_FEATURES * MAX];
+    int n = 0;
     for (int threads = 1; threads <= 5; threads += 2) {
         open_world(MAX, (float[3]){0, 0, 0});
         random_points();
@@ -345,11 +348,15 @@ static void test_threads(void **state)
         merge(0.3f);
         assert_true(w.v.n > 1000 && w.v.n < MAX);
         assert_int_equal(voxel_adapt(&w.r, &w.v, &w.g), OK);
-        size_t bytes = (size_t)VOXEL_FEATURES * (size_t)w.v.cap * sizeof(float);
         if (threads == 1)
-            memcpy(first, w.v.features, bytes);
-        else
-            assert_memory_equal(first, w.v.features, bytes);
+            n = w.v.n;
+        assert_int_equal(w.v.n, n);
+        for (int k = 0; k < VOXEL_FEATURES; k++) {
+            float *one = first + k * n, *now = w.v.features + k * w.v.cap;
+            if (threads == 1)
+                memcpy(one, now, (size_t)n * sizeof *now);
+            assert_memory_equal(one, now, (size_t)n * sizeof *now);
+        }
         pool_close(w.r.pool);
         close_world();
     }
@@ -392,7 +399,9 @@ static void test_errors(void **state)
     w.in.n = 2;
     w.points[0] = 9; // two cells
     size_t size = w.keep.size;
-    w.keep.size = voxel_keep(2) - 1;
+    struct plan two = plan_begin(1), wrong = plan_begin(1);
+    voxel_plan(&two, 2);
+    w.keep.size = two.keep.peak - 1;
     check_refused(ERR_NOMEM, 1);
     w.keep.size = size;
     atomic_store(&w.cancel, true);
@@ -402,7 +411,8 @@ static void test_errors(void **state)
     atomic_store(&w.cancel, true);
     assert_int_equal(voxel_adapt(&w.r, &w.v, &w.g), ERR_CANCELLED);
     assert_int_equal(w.g.n, 0);
-    assert_true(voxel_plan(-1) == SIZE_MAX && voxel_keep(GAUSSIANS_MAX + 1) == SIZE_MAX);
+    voxel_plan(&wrong, -1);
+    assert_true(wrong.keep.peak == SIZE_MAX && wrong.tmp.peak == SIZE_MAX);
     close_world();
 }
 

@@ -34,8 +34,12 @@ static int setup(void **state)
     for (int k = 0; k < VIEWS * MPX; k++)
         w.z[k] = 1;
     w.r = (struct run){.tmp = &w.tmp};
-    const size_t need = arena_add(visibility_plan(VIEWS), consensus_plan(VIEWS, SIZE, 3));
-    return pool_open(&w.r.pool, 3) == OK && arena_init(&w.tmp, "tmp", need) == OK ? 0 : -1;
+    struct arena need = arena_counter();
+    struct visibility s;
+    if (visibility_layout(&s, &need, VIEWS) != OK)
+        return -1;
+    arena_step(&need, consensus_plan(VIEWS, SIZE, 3));
+    return pool_open(&w.r.pool, 3) == OK && arena_init(&w.tmp, "tmp", need.peak) == OK ? 0 : -1;
 }
 
 static int teardown(void **state)
@@ -50,7 +54,8 @@ static void vote(int views)
 {
     struct visibility s;
     w.maps.n = views;
-    assert_int_equal(visibility_init(&w.r, &w.maps, w.cams, &s), OK);
+    assert_int_equal(visibility_layout(&s, w.r.tmp, w.maps.n), OK);
+    visibility_set(&s, &w.maps, w.cams);
     assert_int_equal(consensus_run(&w.r, &s, w.depth), OK);
     arena_reset(&w.tmp, 0);
 }
@@ -163,7 +168,8 @@ static void too_little_memory_is_said(void **state)
     struct visibility s;
     struct arena small = {0};
     struct run r = w.r;
-    assert_int_equal(visibility_init(&w.r, &w.maps, w.cams, &s), OK);
+    assert_int_equal(visibility_layout(&s, w.r.tmp, w.maps.n), OK);
+    visibility_set(&s, &w.maps, w.cams);
     assert_int_equal(arena_init(&small, "tmp", consensus_plan(VIEWS, SIZE, 3) / 2), OK);
     r.tmp = &small;
     assert_int_equal(consensus_run(&r, &s, w.depth), ERR_NOMEM);

@@ -49,8 +49,14 @@ static void make_world(struct world *w)
     w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
     w->depth = (struct depthmaps){.n = VIEWS, .size = MAP, .scale = 2};
-    assert_int_equal(arena_init(&w->tmp, "tmp", seed_plan(&w->v)), OK);
-    assert_int_equal(arena_init(&w->keep, "keep", sweep_keep(&w->v) + seed_keep(MAX)), OK);
+    struct plan plan = plan_begin(1);
+    struct gaussians splats;
+    assert_int_equal(arena_alloc(&plan.keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.depth),
+                     OK);
+    assert_int_equal(arena_alloc(&plan.keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.conf), OK);
+    seed_plan(&plan, &w->depth, MAX, &splats);
+    assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
+    assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_alloc(&w->keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.depth), OK);
     assert_int_equal(arena_alloc(&w->keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.conf), OK);
     response_fit(NULL, 0, 0.0f, &w->tone);

@@ -91,11 +91,12 @@ static void make_world(struct world *w, int threads)
         paint(w, i);
     }
     assert_int_equal(pool_open(&w->pool, threads), OK);
-    size_t bytes = sweep_plan(&w->v, threads);
-    assert_int_equal(
-        arena_init(&w->tmp, "tmp", bytes > response_plan(&w->v) ? bytes : response_plan(&w->v)),
-        OK);
-    assert_int_equal(arena_init(&w->keep, "keep", sweep_keep(&w->v)), OK);
+    struct plan plan = plan_begin(threads);
+    struct depthmaps maps;
+    arena_step(&plan.tmp, response_plan(&w->v));
+    sweep_plan(&plan, &w->v, &maps);
+    assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
+    assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp, .pool = w->pool};
     assert_int_equal(response_run(&w->run, &w->v, &w->tone), OK);
 }

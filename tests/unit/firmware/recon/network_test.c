@@ -145,8 +145,10 @@ static int setup(void **state)
     make_cameras();
     for (int i = 0; i < VIEWS; i++)
         paint(i, 0, (float)(i % 3));
-    if (arena_init(&w.keep, "keep", voxel_keep(N) + (4 << 20)) != OK ||
-        arena_init(&w.tmp, "tmp", voxel_plan(N) + raster_plan(N, SIZE, SIZE, false) + (4 << 20)) !=
+    struct plan plan = plan_begin(1);
+    voxel_plan(&plan, N);
+    if (arena_init(&w.keep, "keep", plan.keep.peak + (4 << 20)) != OK ||
+        arena_init(&w.tmp, "tmp", plan.tmp.peak + raster_plan(N, SIZE, SIZE, false) + (4 << 20)) !=
             OK)
         return -1;
     kernels_init(&w.kernels, 0);
