@@ -33,6 +33,41 @@ static void planned_needs_fit_exactly(void **state)
     arena_free(&a);
 }
 
+static void counting_needs_what_allocating_takes(void **state)
+{
+    (void)state;
+    struct arena counts = arena_counter(), real, *both[] = {&counts, &real};
+    assert_int_equal(arena_init(&real, "real", 4096), OK);
+    for (int i = 0; i < 2; i++) {
+        float *p, *q;
+        assert_int_equal(arena_zalloc(both[i], 3, sizeof *p, &p), OK);
+        size_t mark = arena_mark(both[i]);
+        assert_int_equal(arena_alloc(both[i], 100, sizeof *q, &q), OK);
+        assert_int_equal((uintptr_t)q % ARENA_ALIGN, 0);
+        assert_non_null(q + 99); // can be added to
+        arena_step(both[i], 640);
+        arena_reset(both[i], mark);
+    }
+    assert_int_equal(counts.used, real.used);
+    assert_int_equal(counts.peak, real.peak);
+    arena_free(&counts);
+    arena_free(&real);
+}
+
+static void counting_stops_at_the_end_of_the_address_space(void **state)
+{
+    (void)state;
+    struct arena a = arena_counter();
+    char *p;
+    for (int i = 0; i < 3; i++)
+        assert_int_equal(arena_alloc(&a, SIZE_MAX / 2, 1, &p), OK);
+    arena_reset(&a, 0);
+    assert_true(a.used == 0 && a.peak == SIZE_MAX);
+    a = arena_counter();
+    assert_int_equal(arena_alloc(&a, SIZE_MAX / 2, 3, &p), OK);
+    assert_true(a.peak == SIZE_MAX);
+}
+
 static void full_arena_says_so(void **state)
 {
     (void)state;
@@ -116,6 +151,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(planned_needs_fit_exactly),
+        cmocka_unit_test(counting_needs_what_allocating_takes),
+        cmocka_unit_test(counting_stops_at_the_end_of_the_address_space),
         cmocka_unit_test(full_arena_says_so),
         cmocka_unit_test(overflow_is_refused),
         cmocka_unit_test(reset_releases_to_the_mark),
