@@ -21,12 +21,3 @@ const char *err_text(void)
 {
     return err_sentence;
 }
-
-const char *err_name(err_t code)
-{
-    static const char *const names[] = {"OK",          "NOMEM", "ARG",       "IO",
-                                        "FORMAT",      "LIMIT", "TIMEOUT",   "LOST",
-                                        "UNSUPPORTED", "BUSY",  "CANCELLED", "AGAIN"};
-    int i = -(int)code;
-    return i >= 0 && i < (int)(sizeof names / sizeof names[0]) ? names[i] : "?";
-}

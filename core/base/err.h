@@ -28,7 +28,4 @@ MUST_USE err_t err_fail(err_t code, const char *fmt, ...) __attribute__((format(
 /* The last sentence of this thread; "" if there was none. Valid until the next err_fail. */
 const char *err_text(void);
 
-/* A short name of the code, for logs: "NOMEM", "IO", ... */
-const char *err_name(err_t code);
-
 #endif

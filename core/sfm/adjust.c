@@ -508,12 +508,6 @@ static err_t total_cost(struct normal *m, double *out)
     return e;
 }
 
-err_t adjust_cost(const struct run *r, const struct adjust *a, double kernel, double *out)
-{
-    struct normal m = {.r = r, .a = a, .kernel2 = kernel * kernel};
-    return total_cost(&m, out);
-}
-
 static double prior_cost(const struct adjust *a)
 {
     double d = (log(a->focal) - a->prior_focal) * a->prior;

@@ -40,10 +40,6 @@ MUST_USE err_t adjust_points(const struct run *r, struct adjust *a, double gate)
 MUST_USE err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps);
 size_t adjust_plan(int n_views, int n_tracks);
 
-/* Cost of adjust_run without the prior.
- * err:  ERR_CANCELLED. */
-MUST_USE err_t adjust_cost(const struct run *r, const struct adjust *a, double kernel, double *out);
-
 /* Squared distance of a sighting from its point in expected errors; 1e30 behind the camera. */
 double adjust_error(const struct adjust *a, const double point[4], const struct adjust_seen *s);
 

@@ -241,7 +241,8 @@ static void measure_noise(const struct corner_level *l, float noise[CORNER_BINS]
     }
 }
 
-float corner_noise(const struct corner_view *c, int level, float light)
+/* Variance that noise adds to a derivative on a level, where light is `light`. */
+static float noise_variance(const struct corner_view *c, int level, float light)
 {
     float sigma = c->noise[bin_of(light)], scale = c->level[level].scale;
     return sigma * sigma / (25.1f * scale * scale); // 8 pi, for a Gauss of 1 px
@@ -310,7 +311,7 @@ static int find_peaks(const struct corner_view *c, int i, const float *px, struc
     for (size_t y = MARGIN; y + MARGIN < w; y++) {
         for (size_t x = MARGIN; x + MARGIN < w; x++) {
             size_t k = y * w + x;
-            if (px[k] > SNR * corner_noise(c, i, l->light[k]) && is_peak(px, w, k))
+            if (px[k] > SNR * noise_variance(c, i, l->light[k]) && is_peak(px, w, k))
                 out[n++] = (struct peak){px[k], (int)k};
         }
     }
@@ -333,7 +334,7 @@ static void add_corner(struct corner_view *c, int i, const float *px, int at)
     float y = (float)(at / l->size) + vertex(p[-l->size], p[0], p[l->size]);
     c->at[c->n++] = (struct corner){.u = (x + 0.5f) * l->scale,
                                     .v = (y + 0.5f) * l->scale,
-                                    .strength = *p / corner_noise(c, i, l->light[at]),
+                                    .strength = *p / noise_variance(c, i, l->light[at]),
                                     .level = i};
 }
 

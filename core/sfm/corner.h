@@ -53,7 +53,4 @@ size_t corner_scratch(int size);
 /* Pyramid, corners and descriptors. rgb: (size, size, 3). room: (corner_scratch). */
 void corner_run(const uint8_t *rgb, int size, float *room, struct corner_view *out);
 
-/* Variance that noise adds to a derivative on a level, where light is `light`. */
-float corner_noise(const struct corner_view *c, int level, float light);
-
 #endif

@@ -3,6 +3,7 @@
  * counts if no other came in the time before it. A glitch of a quiet line therefore counts, which
  * the kernel's debouncing (gpio:, libgpiod 2) would pass over.
  * Empty if the library is another version: trigger_gpiod2.c. */
+#include "drivers/device/clocks.h"
 #include "drivers/device/trigger.h"
 
 #include "drivers/device/gpio.h"
@@ -84,9 +85,8 @@ static int64_t ns_of(const struct timespec *t)
 /* Before Linux 5.7 stamps were of CLOCK_REALTIME: far ahead. */
 static int64_t stamp(const struct timespec *t)
 {
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return ns_of(t) > ns_of(&now) + 1000000000 ? ns_of(&now) : ns_of(t);
+    int64_t now = clocks_now();
+    return ns_of(t) > now + 1000000000 ? now : ns_of(t);
 }
 
 static void button_lengths(void *st)

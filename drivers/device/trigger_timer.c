@@ -1,4 +1,5 @@
 /* Times are those that were planned, start + k * period, whenever they are read. */
+#include "drivers/device/clocks.h"
 #include "drivers/device/trigger.h"
 
 #include <errno.h>
@@ -37,7 +38,6 @@ static struct timespec timespec_of(int64_t ns)
 static err_t timer_open(void *st, const char *uri)
 {
     struct state *s = st;
-    struct timespec now;
     memset(s, 0, sizeof *s);
     err_t e = parse(uri, &s->period_ns);
     if (e)
@@ -45,8 +45,7 @@ static err_t timer_open(void *st, const char *uri)
     s->fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
     if (s->fd < 0)
         return err_fail(ERR_IO, "%s: no timer: %s", uri, strerror(errno));
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    s->next_ns = (int64_t)now.tv_sec * 1000000000 + now.tv_nsec + s->period_ns;
+    s->next_ns = clocks_now() + s->period_ns;
     struct itimerspec t = {timespec_of(s->period_ns), timespec_of(s->next_ns)};
     if (timerfd_settime(s->fd, TFD_TIMER_ABSTIME, &t, NULL) == 0)
         return OK;

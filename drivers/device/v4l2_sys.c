@@ -1,5 +1,7 @@
 #include "drivers/device/v4l2_sys.h"
 
+#include "drivers/device/clocks.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <stdbool.h>
@@ -65,10 +67,8 @@ static int libc_name(void *ctx, int fd, char *out, size_t cap)
 
 static int64_t libc_clock(void *ctx)
 {
-    struct timespec t;
     (void)ctx;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+    return clocks_now();
 }
 
 const struct v4l2_sys v4l2_sys_libc = {.open = libc_open,

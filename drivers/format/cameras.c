@@ -114,8 +114,9 @@ static err_t get_view(const char *file, const struct cJSON *object, int i, struc
     return cameras_check(file, out->name, &out->cam);
 }
 
-static err_t get_rig(const char *what, const struct cJSON *doc, struct rig *out)
+static err_t get_rig(const char *what, const struct cJSON *doc, void *rig)
 {
+    struct rig *out = rig;
     const struct cJSON *array = json_member(doc, "cameras");
     if (!json_is_array(array))
         return err_fail(ERR_FORMAT, "%s: no array \"cameras\"", what);
@@ -134,29 +135,22 @@ static err_t get_rig(const char *what, const struct cJSON *doc, struct rig *out)
     return cameras_check_names(what, out);
 }
 
-static err_t take_document(const char *what, struct cJSON *doc, struct rig *out)
+err_t cameras_parse(const char *what, const void *text, size_t n, struct rig *out)
 {
-    err_t e = get_rig(what, doc, out);
-    json_free(doc);
+    *out = (struct rig){0};
+    err_t e = json_parse_with(what, text, n, get_rig, out);
     if (e)
         cameras_free(out);
     return e;
 }
 
-err_t cameras_parse(const char *what, const void *text, size_t n, struct rig *out)
-{
-    struct cJSON *doc;
-    *out = (struct rig){0};
-    err_t e = json_parse(what, text, n, &doc);
-    return e ? e : take_document(what, doc, out);
-}
-
 err_t cameras_read(const char *path, struct rig *out)
 {
-    struct cJSON *doc;
     *out = (struct rig){0};
-    err_t e = json_read(path, &doc);
-    return e ? e : take_document(path, doc, out);
+    err_t e = json_read_with(path, get_rig, out);
+    if (e)
+        cameras_free(out);
+    return e;
 }
 
 void cameras_put(FILE *f, const struct rig_view *v)

@@ -12,8 +12,9 @@ static int by_name(const void *a, const void *b)
                   ((const struct exposure_entry *)b)->name);
 }
 
-static err_t get_entries(const char *what, const struct cJSON *doc, struct exposures *out)
+static err_t get_entries(const char *what, const struct cJSON *doc, void *into)
 {
+    struct exposures *out = into;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: not an object of file names and times", what);
     int n = json_count(doc);
@@ -43,29 +44,22 @@ static err_t get_entries(const char *what, const struct cJSON *doc, struct expos
     return OK;
 }
 
-static err_t take_document(const char *what, struct cJSON *doc, struct exposures *out)
+err_t exposures_parse(const char *what, const void *text, size_t n, struct exposures *out)
 {
-    err_t e = get_entries(what, doc, out);
-    json_free(doc);
+    *out = (struct exposures){0};
+    err_t e = json_parse_with(what, text, n, get_entries, out);
     if (e)
         exposures_free(out);
     return e;
 }
 
-err_t exposures_parse(const char *what, const void *text, size_t n, struct exposures *out)
-{
-    struct cJSON *doc;
-    *out = (struct exposures){0};
-    err_t e = json_parse(what, text, n, &doc);
-    return e ? e : take_document(what, doc, out);
-}
-
 err_t exposures_read(const char *path, struct exposures *out)
 {
-    struct cJSON *doc;
     *out = (struct exposures){0};
-    err_t e = json_read(path, &doc);
-    return e ? e : take_document(path, doc, out);
+    err_t e = json_read_with(path, get_entries, out);
+    if (e)
+        exposures_free(out);
+    return e;
 }
 
 void exposures_free(struct exposures *e)

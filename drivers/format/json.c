@@ -73,6 +73,27 @@ err_t json_read(const char *path, struct cJSON **out)
     return e;
 }
 
+static err_t take_and_free(const char *what, struct cJSON *doc, json_take_fn *take, void *out)
+{
+    err_t e = take(what, doc, out);
+    json_free(doc);
+    return e;
+}
+
+err_t json_parse_with(const char *what, const void *text, size_t n, json_take_fn *take, void *out)
+{
+    struct cJSON *doc;
+    err_t e = json_parse(what, text, n, &doc);
+    return e ? e : take_and_free(what, doc, take, out);
+}
+
+err_t json_read_with(const char *path, json_take_fn *take, void *out)
+{
+    struct cJSON *doc;
+    err_t e = json_read(path, &doc);
+    return e ? e : take_and_free(path, doc, take, out);
+}
+
 void json_free(struct cJSON *doc)
 {
     cJSON_Delete(doc);

@@ -25,6 +25,14 @@ MUST_USE err_t json_parse(const char *what, const void *text, size_t n, struct c
 /* json_parse of a file. err: also those of file_map. */
 MUST_USE err_t json_read(const char *path, struct cJSON **out);
 
+/* Makes *out, zeroed before, of a document. */
+typedef err_t json_take_fn(const char *what, const struct cJSON *doc, void *out);
+
+/* Parse or read, take, free the document. */
+MUST_USE err_t json_parse_with(const char *what, const void *text, size_t n, json_take_fn *take,
+                               void *out);
+MUST_USE err_t json_read_with(const char *path, json_take_fn *take, void *out);
+
 /* Accepts NULL. */
 void json_free(struct cJSON *doc);
 

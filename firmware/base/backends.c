@@ -1,6 +1,6 @@
 #include "firmware/base/backends.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 
 #include <stdbool.h>
 #include <string.h>

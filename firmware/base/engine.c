@@ -1,6 +1,7 @@
 #include "firmware/base/engine.h"
 
 #include "core/base/cpu.h"
+#include "drivers/device/clocks.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -57,19 +58,14 @@ double engine_peak_rss_mb(void)
                                            : 0.0; // Linux counts in KiB
 }
 
-static double seconds(clockid_t clock)
-{
-    struct timespec t;
-    clock_gettime(clock, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
 double engine_seconds(void)
 {
-    return seconds(CLOCK_MONOTONIC);
+    return (double)clocks_now() * 1e-9;
 }
 
 double engine_busy_seconds(void)
 {
-    return seconds(CLOCK_PROCESS_CPUTIME_ID);
+    struct timespec t;
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }

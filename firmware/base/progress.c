@@ -1,17 +1,12 @@
 #include "firmware/base/progress.h"
 
+#include "drivers/device/clocks.h"
+
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
 
 #define REDRAW_NS 100000000 // ten lines a second are enough for the eye
-
-static int64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
 
 void progress_init(struct progress *p, FILE *f)
 {
@@ -41,7 +36,7 @@ void progress_end(struct progress *p)
 void progress_step(void *ctx, const char *stage, int done, int total, const char *note)
 {
     struct progress *p = ctx;
-    int64_t now = now_ns();
+    int64_t now = clocks_now();
     bool fresh = strncmp(p->stage, stage, sizeof p->stage - 1) != 0;
     if (fresh) {
         progress_end(p);

@@ -50,13 +50,18 @@
 
 enum { BRACKET_CAMERAS_MAX = 16, BRACKET_EXPOSURES_MAX = 9 };
 
+/* Stops by which an exposure may be wrong: of linear numbers or a recovered curve, and of display
+ * values whose curve is not known (firmware/capture/README.md 3). */
+#define BRACKET_TOLERANCE_LINEAR 0.10
+#define BRACKET_TOLERANCE_DISPLAY 0.30
+
 /* What is known about a camera: camera_info, overruled by calibration. */
 struct bracket_camera {
     double period_s, time_min_s, time_max_s, time_step_s;
     int delay_lo, delay_hi; // frames, 0..32; unknown: 0..8
     enum camera_stamp stamp;
     bool reports;
-    double tolerance; // stops: 0.10 for linear numbers or a recovered curve, else 0.30
+    double tolerance; // stops, BRACKET_TOLERANCE_*
 };
 
 /* The exposures of one camera, in the order of shooting; may repeat. n is 0 for a camera that takes

@@ -24,9 +24,6 @@ enum {
     DELAY_UNKNOWN = 8, // the same
 };
 
-/* Stops, firmware/capture/README.md 3. */
-static const double tolerance_linear = 0.10, tolerance_display = 0.30;
-
 enum kind { TEXT, WHOLE, NUMBER, CURVE };
 
 enum key {
@@ -250,7 +247,7 @@ static void promise(const struct camera_info *info, struct calib *out)
     out->delay_hi = info->exposure_delay < 0 ? DELAY_UNKNOWN : out->delay_lo;
     out->time_min_s = info->time_min_s;
     out->time_max_s = info->time_max_s;
-    out->tolerance = linear ? tolerance_linear : tolerance_display;
+    out->tolerance = linear ? BRACKET_TOLERANCE_LINEAR : BRACKET_TOLERANCE_DISPLAY;
 }
 
 err_t calib_parse(const char *what, const char *text, size_t n, const struct camera_info *info,

@@ -13,7 +13,7 @@
  * upper end is then narrowed by halving. Where pixels see nothing, the device is believed. */
 #include "firmware/capture/calibrate.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 
 #include "core/base/num.h"
 
@@ -45,13 +45,11 @@ enum {
 #define CURVE_STOPS 2.0  // least range of pictures
 #define STILL 0.15       // stops that the same exposure may differ by
 
-/* Stops, firmware/capture/README.md 3. */
-static const double tolerance_good = 0.10, tolerance_loose = 0.30;
 static const double picture_stops[PICTURES] = {0.0, 1.4, 3.2, 5.4, 8.0};
 
 double calibrate_slack(const struct device_probe *w)
 {
-    return w->linear ? tolerance_good : 2.0 * tolerance_good;
+    return w->linear ? BRACKET_TOLERANCE_LINEAR : 2.0 * BRACKET_TOLERANCE_LINEAR;
 }
 
 static double limited(const struct device_probe *w, double t, double longest_s)
@@ -306,7 +304,8 @@ static void use_curve(struct device_probe *w, struct calibrate *c)
 {
     w->has_crf = c->calib.has_crf;
     w->crf = c->calib.crf;
-    c->calib.tolerance = w->linear || w->has_crf ? tolerance_good : tolerance_loose;
+    c->calib.tolerance =
+        w->linear || w->has_crf ? BRACKET_TOLERANCE_LINEAR : BRACKET_TOLERANCE_DISPLAY;
 }
 
 /* Pictures and curve of one window; *c tells whether there is one. */
@@ -453,8 +452,8 @@ static void judge_curve(struct device_probe *w, struct calibrate *c, int lo, int
 {
     for (int i = lo + 1; i <= hi && !w->linear; i++)
         if (c->step[i].verdict == CALIBRATE_OBEYS &&
-            fabs(c->step[i].measured - c->step[i].asked) > tolerance_good)
-            c->calib.tolerance = tolerance_loose;
+            fabs(c->step[i].measured - c->step[i].asked) > BRACKET_TOLERANCE_LINEAR)
+            c->calib.tolerance = BRACKET_TOLERANCE_DISPLAY;
 }
 
 /* The range around the base, to the first wrong pair either way. */

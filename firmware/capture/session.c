@@ -4,8 +4,8 @@
  * plans are pooled and sorted by exposure at the end. */
 #include "firmware/capture/session.h"
 
+#include "drivers/device/clocks.h"
 #include "firmware/base/backends.h"
-#include "firmware/base/clocks.h"
 #include "firmware/capture/idle_view.h"
 #include "firmware/capture/schedule.h"
 #include "firmware/capture/session_inner.h"

@@ -3,7 +3,7 @@
 #ifndef CAPTURE_TAKE_H
 #define CAPTURE_TAKE_H
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 #include "firmware/capture/bracket.h"
 
 #include "core/photo/develop.h"

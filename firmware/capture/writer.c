@@ -2,6 +2,7 @@
 #include "firmware/capture/writer.h"
 
 #include "core/base/log.h"
+#include "drivers/device/clocks.h"
 
 #include <errno.h>
 #include <pthread.h>
@@ -25,13 +26,6 @@ struct writer {
     struct writer_outcome place[PLACES];
 };
 
-static int64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
-
 static void *run(void *ctx)
 {
     struct writer *w = ctx;
@@ -42,7 +36,7 @@ static void *run(void *ctx)
         if (w->n == 0 || w->done)
             break;
         struct writer_outcome o = w->place[0];
-        w->since_ns = now_ns();
+        w->since_ns = clocks_now();
         pthread_mutex_unlock(&w->lock);
         o.err = store_commit(w->store, o.take, o.id);
         snprintf(o.text, sizeof o.text, "%s", o.err ? err_text() : "");

@@ -2,7 +2,7 @@
  * costs nothing and what is measured is the watching, copying and proving. */
 #include "firmware/cmd/bench_capture.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/capture/session.h"
 #include "firmware/store/store.h"

@@ -4,6 +4,7 @@
  * runs to a convolution. */
 #include "firmware/cmd/bench_net.h"
 
+#include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/recon/network.h"
 
@@ -95,21 +96,16 @@ static const char *const kind_names[KINDS] = {
 static struct gemm_kernels inner; // what is called
 static _Atomic int64_t spent_ns[KINDS], macs[KINDS];
 
-static int64_t now_ns(void)
-{
-    return (int64_t)(engine_seconds() * 1e9);
-}
-
 static void note(enum kind kind, int64_t start, int64_t n)
 {
-    atomic_fetch_add_explicit(&spent_ns[kind], now_ns() - start, memory_order_relaxed);
+    atomic_fetch_add_explicit(&spent_ns[kind], clocks_now() - start, memory_order_relaxed);
     if (n)
         atomic_fetch_add_explicit(&macs[kind], n, memory_order_relaxed);
 }
 
 static void noted_s8(const struct gemm_s8 *g)
 {
-    int64_t start = now_ns();
+    int64_t start = clocks_now();
     inner.s8(g);
     note(g->segs > 1           ? S8_CONV
          : g->seg <= SHORT_RUN ? S8_ATTENTION
@@ -119,7 +115,7 @@ static void noted_s8(const struct gemm_s8 *g)
 
 static void noted_f32(const struct gemm_f32 *g)
 {
-    int64_t start = now_ns();
+    int64_t start = clocks_now();
     inner.f32(g);
     note(g->segs > 1           ? F32_CONV
          : g->seg <= SHORT_RUN ? F32_ATTENTION
@@ -131,7 +127,7 @@ static void noted_f32(const struct gemm_f32 *g)
 #define NOTED(name, kind, params, args)                                                            \
     static void noted_##name params                                                                \
     {                                                                                              \
-        int64_t start = now_ns();                                                                  \
+        int64_t start = clocks_now();                                                              \
         inner.name args;                                                                           \
         note(kind, start, 0);                                                                      \
     }
@@ -150,7 +146,7 @@ NOTED(fft_inverse, FOURIER, (const struct fft_tile *t), (t))
 
 static float noted_absmax(const float *x, size_t n)
 {
-    int64_t start = now_ns();
+    int64_t start = clocks_now();
     float most = inner.absmax(x, n);
     note(QUANTISE, start, 0);
     return most;

@@ -1,5 +1,5 @@
 /* hdrig capture: one take, by the daemon or, with --camera, by this program itself. */
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/base/progress.h"
 #include "firmware/capture/schedule.h"

@@ -1,4 +1,5 @@
 /* hdrig view: the page of a scene, in the browser of this machine. */
+#include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/daemon/http.h"
@@ -91,7 +92,7 @@ static err_t serve(const char *dir, int port)
     if (why)
         fprintf(stderr, "no browser could be started (%s); open that address in one\n", why);
     while (!atomic_load(&engine_cancel)) {
-        int64_t now = (int64_t)(engine_seconds() * 1e9), deadline = now + STEP_MS * 1000000;
+        int64_t now = clocks_now(), deadline = now + STEP_MS * 1000000;
         struct pollfd p = http_poll(http, now, &deadline);
         poll(&p, 1, (int)((deadline - now) / 1000000));
         http_step(http);

@@ -5,7 +5,7 @@
  * need it skipped; what counts over all frames is judged in any case. */
 #include "firmware/cmd/selftest.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/capture/session.h"
 

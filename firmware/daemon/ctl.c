@@ -2,6 +2,8 @@
  * buffer does not take at once is kept and sent when it is writable. */
 #include "firmware/daemon/ctl.h"
 
+#include "drivers/device/clocks.h"
+
 #include <errno.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -267,13 +269,6 @@ void ctl_step(struct ctl *c)
             serve(c, &c->client[i]);
 }
 
-static int64_t now_ms(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000 + t.tv_nsec / 1000000;
-}
-
 static err_t connect_to(const char *path, int *fd)
 {
     struct sockaddr_un a;
@@ -299,7 +294,7 @@ static err_t connect_to(const char *path, int *fd)
 struct listener {
     int fd;
     const char *path;
-    int64_t end_ms; // INT64_MAX: none
+    int64_t end_ns; // INT64_MAX: none
     ctl_more_fn *more;
     void *ctx;
 };
@@ -321,8 +316,8 @@ static err_t receive(const struct listener *l, char *out)
 {
     for (size_t n = 0; n < CTL_ANSWER_MAX;) {
         struct pollfd p = {.fd = l->fd, .events = POLLIN};
-        int64_t left = l->end_ms - now_ms();
-        int ready = poll(&p, 1, l->end_ms == INT64_MAX ? -1 : left > 0 ? (int)left : 0);
+        int64_t left = (l->end_ns - clocks_now()) / 1000000;
+        int ready = poll(&p, 1, l->end_ns == INT64_MAX ? -1 : left > 0 ? (int)left : 0);
         if (ready < 0 && errno == EINTR)
             return err_fail(ERR_CANCELLED, "interrupted");
         if (ready == 0)
@@ -354,14 +349,14 @@ static err_t ask(struct listener *l, const char *line, char *out)
 
 err_t ctl_ask(const char *path, const char *line, double timeout_s, char *out)
 {
-    struct listener l = {.path = path, .end_ms = INT64_MAX};
+    struct listener l = {.path = path, .end_ns = INT64_MAX};
     if (timeout_s > 0)
-        l.end_ms = now_ms() + (int64_t)(timeout_s * 1e3);
+        l.end_ns = clocks_now() + (int64_t)(timeout_s * 1e9);
     return ask(&l, line, out);
 }
 
 err_t ctl_follow(const char *path, const char *line, ctl_more_fn *more, void *ctx, char *out)
 {
-    struct listener l = {.path = path, .end_ms = INT64_MAX, .more = more, .ctx = ctx};
+    struct listener l = {.path = path, .end_ns = INT64_MAX, .more = more, .ctx = ctx};
     return ask(&l, line, out);
 }

@@ -3,8 +3,8 @@
  * has room; what a press in between becomes is the policy trigger.busy. */
 #include "firmware/daemon/daemon.h"
 
+#include "drivers/device/clocks.h"
 #include "firmware/base/backends.h"
-#include "firmware/base/clocks.h"
 #include "firmware/capture/schedule.h"
 #include "firmware/capture/session.h"
 #include "firmware/capture/writer.h"

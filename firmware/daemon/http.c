@@ -1,7 +1,7 @@
 /* Requests are small and answered at once; files are sent by the library. */
 #include "firmware/daemon/http.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 #include "firmware/daemon/connections.h"
 #include "firmware/result/embed.h"
 

@@ -5,6 +5,7 @@
  * only the truth, as in cameras that do not know about it. */
 #include "sim/device/feed.h"
 
+#include "drivers/device/clocks.h"
 #include "sim/sensor/sensor.h"
 
 #include <errno.h>
@@ -59,17 +60,10 @@ const struct feed_options feed_defaults = {
 
 /* ---- clock ---- */
 
-static int64_t clock_ns(clockid_t id)
-{
-    struct timespec t;
-    clock_gettime(id, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
-
 int64_t feed_now(const void *st)
 {
     const struct feed *f = st;
-    return f->opt.virtual ? f->clock_ns : clock_ns(CLOCK_MONOTONIC);
+    return f->opt.virtual ? f->clock_ns : clocks_now();
 }
 
 int64_t feed_own_now(const void *st)
@@ -184,7 +178,7 @@ err_t feed_open(struct feed *f, const struct camera_cfg *cfg, const struct feed_
 void feed_start(struct feed *f)
 {
     struct timing_cfg timing = timing_of(&f->opt);
-    f->base_ns = f->clock_ns = f->opt.virtual ? VIRTUAL_START : clock_ns(CLOCK_MONOTONIC);
+    f->base_ns = f->clock_ns = f->opt.virtual ? VIRTUAL_START : clocks_now();
     timing_open(&f->timing, &timing, f->base_ns + (int64_t)(f->opt.skew_us * 1e3),
                 f->opt.first_us * 1e-6);
     f->last_true = f->last_programmed = f->last_set =
@@ -377,7 +371,7 @@ static int64_t stamp_of(const struct feed *f, const struct timing_frame *t)
     if (f->opt.stamp == CAMERA_STAMP_END)
         at += (int64_t)fmin(t->time_s * 1e9, (double)(t->end_ns - t->start_ns));
     if (f->fx.stamp_real)
-        at += clock_ns(CLOCK_REALTIME) - clock_ns(CLOCK_MONOTONIC);
+        at += clocks_at(0).realtime_ns;
     return f->fx.stamp_zero ? 0 : at + f->fx.stamp_add_ns;
 }
 

@@ -102,8 +102,8 @@ static bool run_is_clean(alloc_fail_fn *fn, void *ctx, long n, err_t *e, bool *e
     bool silent = *e && !*err_text(), refused_for_nothing = *e && *ended;
     if (!silent && !refused_for_nothing && (left == 0 || n < 0))
         return true;
-    fprintf(stderr, "allocation %ld failed: %s \"%s\", %ld blocks left\n", n, err_name(*e),
-            err_text(), left);
+    fprintf(stderr, "allocation %ld failed: error %d \"%s\", %ld blocks left\n", n, *e, err_text(),
+            left);
     return false;
 }
 

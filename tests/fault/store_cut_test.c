@@ -286,7 +286,7 @@ static bool fails_at(struct store *s, const char *root, int k, int why, bool for
     } else {
         assert_true(reached);
         if (e != (why == ENOSPC || why == EDQUOT ? ERR_LIMIT : ERR_IO) && e != ERR_IO)
-            fail_msg("%s: %s", err_name(e), err_text());
+            fail_msg("error %d: %s", e, err_text());
         assert_true(*err_text());
         bool stuck = for_good && left == n + 1; // it is visible and cannot be taken back
         assert_true(left == n || stuck);

@@ -52,23 +52,13 @@ static void sentences_belong_to_threads(void **state)
     assert_string_equal(err_text(), "mine");
 }
 
-static void every_code_has_a_name(void **state)
-{
-    (void)state;
-    assert_string_equal(err_name(OK), "OK");
-    assert_string_equal(err_name(ERR_NOMEM), "NOMEM");
-    assert_string_equal(err_name(ERR_CANCELLED), "CANCELLED");
-    assert_string_equal(err_name(ERR_AGAIN), "AGAIN");
-    assert_string_equal(err_name((err_t)-12), "?");
-    assert_string_equal(err_name((err_t)1), "?");
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(code_and_sentence),     cmocka_unit_test(sentence_may_quote_itself),
-        cmocka_unit_test(long_sentence_is_cut),  cmocka_unit_test(sentences_belong_to_threads),
-        cmocka_unit_test(every_code_has_a_name),
+        cmocka_unit_test(code_and_sentence),
+        cmocka_unit_test(sentence_may_quote_itself),
+        cmocka_unit_test(long_sentence_is_cut),
+        cmocka_unit_test(sentences_belong_to_threads),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -3,6 +3,7 @@
 #include "drivers/device/unpack.h"
 
 #include "drivers/format/img.h"
+#include "tests/unit/expect.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -17,13 +18,6 @@
 enum { W = 10, H = 6, PAD = 5 };
 
 static uint16_t px[3 * 64 * 64];
-
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
-}
 
 /* ---- formats ---- */
 
@@ -133,20 +127,20 @@ static void test_bounds(void **state)
         uint8_t *data = packed(p, p->row, bytes);
         struct frame f = frame_of(&info, data, bytes - 1);
         struct raw out = {.px = px};
-        says(unpack_run(&info, &f, &out), ERR_FORMAT, "frame 77: ");
-        says(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
+        expect_err(unpack_run(&info, &f, &out), ERR_FORMAT, "frame 77: ");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
         f = frame_of(&info, NULL, bytes);
-        says(unpack_check(&info, &f), ERR_FORMAT, "0 bytes, its format needs");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "0 bytes, its format needs");
         f = frame_of(&info, data, bytes);
         f.stride += 2;
-        says(unpack_check(&info, &f), ERR_FORMAT, "bytes from row to row");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "bytes from row to row");
         const int strides[] = {p->row - 1, 0, -p->row, -1, INT32_MIN};
         for (int i = 0; i < 5; i++) {
             f.stride = info.stride = strides[i];
-            says(unpack_check(&info, &f), ERR_FORMAT, "bytes from row to row");
+            expect_err(unpack_check(&info, &f), ERR_FORMAT, "bytes from row to row");
         }
         f.stride = info.stride = INT32_MAX;
-        says(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
         assert_true(out.w == 0 && out.px == px);
         free(data);
     }
@@ -195,7 +189,8 @@ static void test_promises(void **state)
         if (cases[i].good == 1)
             assert_int_equal(unpack_check(&info, &f), OK);
         else
-            says(unpack_check(&info, &f), ERR_FORMAT, cases[i].good ? "bits" : "allowed are 1 to");
+            expect_err(unpack_check(&info, &f), ERR_FORMAT,
+                       cases[i].good ? "bits" : "allowed are 1 to");
     }
     struct camera_info info = info_of(CAMERA_GREY, 8, W);
     for (int k = 0; k < 3; k++) {
@@ -203,7 +198,7 @@ static void test_promises(void **state)
         f.w -= k == 0;
         f.h += k == 1;
         f.format += k == 2;
-        says(unpack_check(&info, &f), ERR_FORMAT, "the camera was opened for");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "the camera was opened for");
     }
 }
 
@@ -218,7 +213,7 @@ static void test_words_beyond_their_bits(void **state)
     assert_int_equal(unpack_run(&info, &f, &out), OK);
     words[W * H - 1] = 1024;
     assert_int_equal(unpack_check(&info, &f), OK);
-    says(unpack_run(&info, &f, &out), ERR_FORMAT, "words with bits 0x400, not 10 bits");
+    expect_err(unpack_run(&info, &f, &out), ERR_FORMAT, "words with bits 0x400, not 10 bits");
 }
 
 /* ---- YUV ---- */
@@ -289,7 +284,7 @@ static void test_yuv(void **state)
                 assert_true(fabs(px[3 * i + c] - rgb[c]) < 0.51);
         }
         f.bytes--;
-        says(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "its format needs");
         free(data);
     }
 }
@@ -394,10 +389,10 @@ static void test_jpeg_cut(void **state)
         struct file file;
         load(names[k], &file);
         while (file.n-- > 0) // the last byte is the end's second
-            says(run(&file, true), ERR_FORMAT, "frame 77: JPEG of");
+            expect_err(run(&file, true), ERR_FORMAT, "frame 77: JPEG of");
         load(names[k], &file);
         memset(file.p + file.n - 4, 0, 4); // zeros instead of the end
-        says(run(&file, true), ERR_FORMAT, "no end of the picture");
+        expect_err(run(&file, true), ERR_FORMAT, "no end of the picture");
     }
     struct file file;
     load("rgb.jpg", &file); // headers and an end, nothing between them
@@ -406,12 +401,12 @@ static void test_jpeg_cut(void **state)
         scan += 2 + (size_t)(file.p[scan + 2] << 8 | file.p[scan + 3]);
     file.p[scan + 1] = 0xD9;
     file.n = scan + 2;
-    says(run(&file, true), ERR_FORMAT, "no picture");
+    expect_err(run(&file, true), ERR_FORMAT, "no picture");
     load("rgb.jpg", &file);
     memmove(file.p + file.n - 60, file.p + file.n - 2, 2); // a hole in the scan
     file.n -= 58;
     assert_int_equal(run(&file, true), OK);
-    says(run(&file, false), ERR_FORMAT, "frame 77: JPEG:");
+    expect_err(run(&file, false), ERR_FORMAT, "frame 77: JPEG:");
 }
 
 static void test_jpeg_wrong(void **state)
@@ -425,19 +420,20 @@ static void test_jpeg_wrong(void **state)
         info.w += k == 0 ? 8 : 0;
         info.h -= k == 1 ? 8 : 0;
         struct frame f = frame_of(&info, file.p, file.n);
-        says(unpack_check(&info, &f), ERR_FORMAT, "JPEG of 24 x 16 px, not");
+        expect_err(unpack_check(&info, &f), ERR_FORMAT, "JPEG of 24 x 16 px, not");
     }
     for (int k = 0; k < 2; k++) {
         struct image8 small = {24 - k, 15 + k, 3, (uint8_t *)px};
-        says(img_decode_jpeg(file.p, file.n, "it", &small), ERR_FORMAT, "it: JPEG of 24 x 16 px");
+        expect_err(img_decode_jpeg(file.p, file.n, "it", &small), ERR_FORMAT,
+                   "it: JPEG of 24 x 16 px");
     }
     load("cmyk.jpg", &file);
     assert_int_not_equal(run(&file, false), OK);
     struct frame none = frame_of(&jpeg_info, NULL, 100);
-    says(unpack_run(&jpeg_info, &none, &out), ERR_FORMAT, "no start of a picture");
+    expect_err(unpack_run(&jpeg_info, &none, &out), ERR_FORMAT, "no start of a picture");
     load("rgb.jpg", &file);
     file.p[0] = 0xFE;
-    says(run(&file, true), ERR_FORMAT, "no start of a picture");
+    expect_err(run(&file, true), ERR_FORMAT, "no start of a picture");
     load("rgb.jpg", &file);
     for (size_t i = 0; i < file.n; i++) { // any single byte: refused or decoded, never worse
         uint8_t was = file.p[i];

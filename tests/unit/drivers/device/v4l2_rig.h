@@ -61,7 +61,7 @@ static inline void close_all(void)
 static inline void refuses(err_t e, err_t code, const char *says)
 {
     if (e != code || !strstr(err_text(), says))
-        print_message("%s: %s\n", err_name(e), err_text());
+        print_message("error %d: %s\n", e, err_text());
     assert_int_equal(e, code);
     assert_non_null(strstr(err_text(), says));
 }

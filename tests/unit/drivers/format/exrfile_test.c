@@ -2,6 +2,7 @@
  * half and float) or as the uint k; made with the OpenEXR Python module 3.5, one file per
  * compression, type and layout that the name says. */
 #include "drivers/format/exrfile.h"
+#include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
 #include <float.h>
@@ -24,13 +25,6 @@ enum { W = 21, H = 19, N = W * H };
 static float stored(int c, int i)
 {
     return (float)(i * (c + 1)) / 64.0f;
-}
-
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
 }
 
 static void reads_what_others_wrote(void **state)
@@ -65,12 +59,12 @@ static void refuses_what_it_cannot_read(void **state)
 {
     (void)state;
     struct image im;
-    says(exrfile_read("tests/data/exr/b44_half.exr", &im), ERR_UNSUPPORTED, "B44");
-    says(exrfile_read("tests/data/exr/dwaa_half.exr", &im), ERR_UNSUPPORTED, "DWA");
-    says(exrfile_read("tests/data/exr/window_cropped.exr", &im), ERR_UNSUPPORTED,
-         "display window (0 0 30 30)");
-    says(exrfile_read("tests/data/exr/zip_no_b.exr", &im), ERR_FORMAT, "no channel B");
-    says(exrfile_read("tests/data/exr/none.exr", &im), ERR_IO, "none.exr");
+    expect_err(exrfile_read("tests/data/exr/b44_half.exr", &im), ERR_UNSUPPORTED, "B44");
+    expect_err(exrfile_read("tests/data/exr/dwaa_half.exr", &im), ERR_UNSUPPORTED, "DWA");
+    expect_err(exrfile_read("tests/data/exr/window_cropped.exr", &im), ERR_UNSUPPORTED,
+               "display window (0 0 30 30)");
+    expect_err(exrfile_read("tests/data/exr/zip_no_b.exr", &im), ERR_FORMAT, "no channel B");
+    expect_err(exrfile_read("tests/data/exr/none.exr", &im), ERR_IO, "none.exr");
     assert_null(im.px);
 }
 
@@ -122,7 +116,8 @@ static void refuses_short_chunk(void **state)
     assert_int_equal(p[n - row - 8], H - 1);
     assert_int_equal(p[n - row - 4], row);
     p[n - row - 4] = 100;
-    says(exrfile_read_mem(p, n, "short", &im), ERR_FORMAT, "21 x 1 px in 100 bytes at (0, 18)");
+    expect_err(exrfile_read_mem(p, n, "short", &im), ERR_FORMAT,
+               "21 x 1 px in 100 bytes at (0, 18)");
     free(p);
 }
 
@@ -141,7 +136,7 @@ static void refuses_more_than_the_file_holds(void **state)
         assert_non_null(at);
         memcpy(at + strlen(names[i]) + 1 + sizeof "box2i" + 4, window, sizeof window);
     }
-    says(exrfile_read_mem(p, n, "big", &im), ERR_FORMAT, "cannot hold 4096 x 4096");
+    expect_err(exrfile_read_mem(p, n, "big", &im), ERR_FORMAT, "cannot hold 4096 x 4096");
     free(p);
 }
 
@@ -363,7 +358,7 @@ static void several_parts(void **state)
     p.w = W - 1;
     t.asked = 0;
     f = fopen(path, "wb");
-    says(exrfile_put_parts(f, path, &p), ERR_ARG, "part merged is 21 x 19");
+    expect_err(exrfile_put_parts(f, path, &p), ERR_ARG, "part merged is 21 x 19");
     fclose(f);
     f = fopen("/dev/full", "wb");
     p.w = W;
@@ -380,21 +375,22 @@ static void writing_fails_cleanly(void **state)
     const struct rlimit small = {1000, RLIM_INFINITY};
     struct rlimit old;
     fill(&im, W, H);
-    says(exrfile_write(tmpdir_path("no/such/folder.exr"), &im, &extra, NULL), ERR_IO, "folder.exr");
+    expect_err(exrfile_write(tmpdir_path("no/such/folder.exr"), &im, &extra, NULL), ERR_IO,
+               "folder.exr");
     assert_int_equal(getrlimit(RLIMIT_FSIZE, &old), 0);
     signal(SIGXFSZ, SIG_IGN);
     setrlimit(RLIMIT_FSIZE, &small);
     const char *path = tmpdir_path("full.exr");
     err_t e = exrfile_write(path, &im, &extra, NULL);
     setrlimit(RLIMIT_FSIZE, &old);
-    says(e, ERR_IO, "File too large");
+    expect_err(e, ERR_IO, "File too large");
     assert_int_not_equal(access(path, F_OK), 0);
     if (access("/dev/full", W_OK) == 0) {
         assert_int_equal(exrfile_write("/dev/full", &im, &extra, NULL), ERR_LIMIT);
         assert_int_equal(access("/dev/full", W_OK), 0);
     }
     im.channels = 2;
-    says(exrfile_write(path, &im, &extra, NULL), ERR_ARG, "2 channels");
+    expect_err(exrfile_write(path, &im, &extra, NULL), ERR_ARG, "2 channels");
 }
 
 int main(void)

@@ -3,6 +3,7 @@
  * written by Pillow; the hashes below are FNV-1a of what Pillow decodes from them. The EXIF blocks
  * hold 1/50 s, ISO 400, f/2.8 unless the name says other. */
 #include "drivers/format/img.h"
+#include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
 #include <math.h>
@@ -24,13 +25,6 @@ static const char *data(const char *name)
     static char path[128];
     snprintf(path, sizeof path, "tests/data/img/%s", name);
     return path;
-}
-
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
 }
 
 /* kind: 'c' colour, 'g' grey, 'b' one bit, 'p' palette */
@@ -169,17 +163,17 @@ static void refuses_too_large(void **state)
     assert_int_equal(img_read_mem(p, n, "same", &im), OK);
     img_free(&im);
     resize_header(p, 16385, 1);
-    says(img_read_mem(p, n, "wide", &im), ERR_FORMAT, "16385 x 1");
+    expect_err(img_read_mem(p, n, "wide", &im), ERR_FORMAT, "16385 x 1");
     resize_header(p, 16384, 16384);
-    says(img_read_mem(p, n, "bomb", &im), ERR_FORMAT, "cannot hold 16384 x 16384");
+    expect_err(img_read_mem(p, n, "bomb", &im), ERR_FORMAT, "cannot hold 16384 x 16384");
     free(p);
     p = slurp(data("grey.jpg"), &n);
     uint8_t *sof = memmem(p, n, "\xff\xc0", 2);
     assert_non_null(sof);
     sof[5] = sof[7] = 0x3f; // 16143 x 16152
-    says(img_read_mem(p, n, "bomb", &im), ERR_FORMAT, "cannot hold");
+    expect_err(img_read_mem(p, n, "bomb", &im), ERR_FORMAT, "cannot hold");
     sof[5] = 0x40; // 16400 rows
-    says(img_read_mem(p, n, "tall", &im), ERR_FORMAT, "x 16400");
+    expect_err(img_read_mem(p, n, "tall", &im), ERR_FORMAT, "x 16400");
     free(p);
 }
 
@@ -187,12 +181,13 @@ static void refuses_other_files(void **state)
 {
     (void)state;
     struct image8 im;
-    says(img_read(data("cmyk.jpg"), &im), ERR_UNSUPPORTED, "CMYK");
-    says(img_read("tests/unit/drivers/format/img_test.c", &im), ERR_FORMAT, "neither PNG nor JPEG");
-    says(img_read(data("none.png"), &im), ERR_IO, "none.png");
+    expect_err(img_read(data("cmyk.jpg"), &im), ERR_UNSUPPORTED, "CMYK");
+    expect_err(img_read("tests/unit/drivers/format/img_test.c", &im), ERR_FORMAT,
+               "neither PNG nor JPEG");
+    expect_err(img_read(data("none.png"), &im), ERR_IO, "none.png");
     assert_int_not_equal(img_read("tests/data/img", &im), OK);
     assert_null(im.px);
-    says(img_read_mem("", 0, "empty", &im), ERR_FORMAT, "empty");
+    expect_err(img_read_mem("", 0, "empty", &im), ERR_FORMAT, "empty");
 }
 
 static void exposures(void **state)
@@ -206,11 +201,12 @@ static void exposures(void **state)
     assert_true(fabs(img_exif_exposure(&x) - full) < 1e-9);
     assert_int_equal(img_exif(data("progressive.jpg"), &x), OK); // 1/8 s, nothing else
     assert_true(img_exif_exposure(&x) == 0.125 && x.iso == 0 && x.f_number == 0);
-    says(img_exif(data("no_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
-    says(img_exif(data("zero_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
-    says(img_exif(data("grey.jpg"), &x), ERR_FORMAT, "no ExposureTime");
-    says(img_exif(data("rgb8.png"), &x), ERR_FORMAT, "no EXIF data");
-    says(img_exif("tests/unit/drivers/format/img_test.c", &x), ERR_FORMAT, "neither PNG nor JPEG");
+    expect_err(img_exif(data("no_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    expect_err(img_exif(data("zero_time.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    expect_err(img_exif(data("grey.jpg"), &x), ERR_FORMAT, "no ExposureTime");
+    expect_err(img_exif(data("rgb8.png"), &x), ERR_FORMAT, "no EXIF data");
+    expect_err(img_exif("tests/unit/drivers/format/img_test.c", &x), ERR_FORMAT,
+               "neither PNG nor JPEG");
     assert_true(x.seconds == 0.0);
 }
 
@@ -233,8 +229,8 @@ static void png_round_trip(void **state)
     img_free(&back);
     free(bytes);
     im.channels = 4;
-    says(img_write_png(path, &im), ERR_ARG, "4 channels");
-    says(img_encode_png_fast(&im, "fast", &bytes, &n), ERR_ARG, "fast: no RGB picture");
+    expect_err(img_write_png(path, &im), ERR_ARG, "4 channels");
+    expect_err(img_encode_png_fast(&im, "fast", &bytes, &n), ERR_ARG, "fast: no RGB picture");
     img_free(&im);
 }
 
@@ -261,7 +257,7 @@ static void jpeg_round_trip(void **state)
     img_free(&back);
     free(bytes);
     im.w = 0;
-    says(img_encode_jpeg(&im, 95, "small", &bytes, &n), ERR_ARG, "small: no RGB picture");
+    expect_err(img_encode_jpeg(&im, 95, "small", &bytes, &n), ERR_ARG, "small: no RGB picture");
     assert_null(bytes);
 }
 
@@ -279,7 +275,7 @@ static void ldr_values(void **state)
     assert_memory_equal(back.px, want, 12);
     img_free(&back);
     im.channels = 1;
-    says(img_write_ldr(path, &im), ERR_ARG, "1 channels");
+    expect_err(img_write_ldr(path, &im), ERR_ARG, "1 channels");
 }
 
 static void writing_fails_cleanly(void **state)
@@ -289,14 +285,14 @@ static void writing_fails_cleanly(void **state)
     const struct rlimit small = {50, RLIM_INFINITY};
     struct rlimit old;
     assert_int_equal(img_read(data("rgb8.png"), &im), OK);
-    says(img_write_png(tmpdir_path("no/such/folder.png"), &im), ERR_IO, "folder.png");
+    expect_err(img_write_png(tmpdir_path("no/such/folder.png"), &im), ERR_IO, "folder.png");
     assert_int_equal(getrlimit(RLIMIT_FSIZE, &old), 0);
     signal(SIGXFSZ, SIG_IGN);
     setrlimit(RLIMIT_FSIZE, &small);
     const char *path = tmpdir_path("full.png");
     err_t e = img_write_png(path, &im);
     setrlimit(RLIMIT_FSIZE, &old);
-    says(e, ERR_IO, "File too large");
+    expect_err(e, ERR_IO, "File too large");
     assert_int_not_equal(access(path, F_OK), 0);
     img_free(&im);
 }

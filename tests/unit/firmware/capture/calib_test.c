@@ -1,5 +1,6 @@
 #include "firmware/capture/calib.h"
 #include "firmware/capture/take.h"
+#include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
 #include <dirent.h>
@@ -23,13 +24,6 @@ static const struct camera_info info = {.unit = "usb-0000:00:14.0/2%",
                                         .exposure_delay = 2,
                                         .stamp = CAMERA_STAMP_END,
                                         .reports = true};
-
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
-}
 
 /* Every bit pattern a float can round to on the way. */
 static struct calib example(void)
@@ -107,13 +101,13 @@ static void one_file_per_mode(void **state)
     assert_int_equal(calib_load(dir, &other, &back, &found), OK);
     assert_false(found);
     memset(other.unit, '/', CAMERA_UNIT_CAP - 1);
-    says(calib_save(dir, &other, &c), ERR_ARG, "allowed are 255");
+    expect_err(calib_save(dir, &other, &c), ERR_ARG, "allowed are 255");
     strcpy(other.unit, "..");
     assert_int_equal(calib_save(dir, &other, &c), OK);
     assert_int_equal(remove(tmpdir_path("modes/%2E._1280x720_yuyv.conf")), 0);
     other.unit[0] = 0;
-    says(calib_save(dir, &other, &c), ERR_ARG, "without a name");
-    says(calib_save("/proc/none", &info, &c), ERR_IO, "/proc/none/");
+    expect_err(calib_save(dir, &other, &c), ERR_ARG, "without a name");
+    expect_err(calib_save("/proc/none", &info, &c), ERR_IO, "/proc/none/");
 }
 
 #define HEAD "unit = usb-0000:00:14.0/2%\nsize=1280x720\n\t format =yuyv \r\n"
@@ -150,13 +144,13 @@ static void refuses(void **state)
     };
     struct calib out;
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
-        says(calib_parse("x", bad[i].text, strlen(bad[i].text), &info, &out), ERR_FORMAT,
-             bad[i].words);
+        expect_err(calib_parse("x", bad[i].text, strlen(bad[i].text), &info, &out), ERR_FORMAT,
+                   bad[i].words);
         assert_true(out.delay_hi == 2 && out.time_max_s == 0.5); // as if there were none
     }
-    says(calib_parse("x", "a\0b", 3, &info, &out), ERR_FORMAT, "a zero byte at 1");
+    expect_err(calib_parse("x", "a\0b", 3, &info, &out), ERR_FORMAT, "a zero byte at 1");
     static char large[1 << 17];
-    says(calib_parse("x", large, sizeof large, &info, &out), ERR_FORMAT, "131072 bytes");
+    expect_err(calib_parse("x", large, sizeof large, &info, &out), ERR_FORMAT, "131072 bytes");
     const char *good = HEAD REST "time_max_s = 1";
     assert_int_equal(calib_parse("x", good, strlen(good), &info, &out), OK);
     assert_true(out.delay_lo == 0 && out.delay_hi == 32 && out.when_s == 5 && !out.has_crf);
@@ -177,16 +171,17 @@ static void refuses_bad_curves(void **state)
     for (size_t i = 0; i < sizeof bad / sizeof bad[0]; i++) {
         c = example();
         c.crf.log2x[1][bad[i].code] = bad[i].value;
-        says(calib_save(tmpdir_path("bad"), &info, &c), ERR_ARG, bad[i].words);
+        expect_err(calib_save(tmpdir_path("bad"), &info, &c), ERR_ARG, bad[i].words);
     }
     c = example();
     c.delay_lo = 6;
-    says(calib_save(tmpdir_path("bad"), &info, &c), ERR_ARG, "delay 6..5 frames");
+    expect_err(calib_save(tmpdir_path("bad"), &info, &c), ERR_ARG, "delay 6..5 frames");
     char text[8192] = HEAD REST "time_max_s = 1\ncrf.red =";
     size_t n = strlen(text);
     for (int k = 0; k < 257; k++)
         n += (size_t)sprintf(text + n, " %g", k < 255 ? (k - 255) / 8.0 : 0.0);
-    says(calib_parse("x", text, n, &info, &out), ERR_FORMAT, "crf.red: more than 256 numbers");
+    expect_err(calib_parse("x", text, n, &info, &out), ERR_FORMAT,
+               "crf.red: more than 256 numbers");
 }
 
 static void merges(void **state)

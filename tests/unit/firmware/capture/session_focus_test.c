@@ -4,7 +4,7 @@
 #include "tests/unit/drivers/device/fakecamera/fakecamera.h"
 #include "tests/unit/firmware/capture/session_rig.h"
 
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 
 #include <dlfcn.h>
 #include <setjmp.h>

@@ -5,6 +5,7 @@
 #include "drivers/format/ply.h"
 #include "drivers/format/sidecar.h"
 
+#include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
 #include <dirent.h>
@@ -192,12 +193,6 @@ static void a_sidecar_tells_what_display_colours_mean(void **state)
     }
 }
 
-static void expect(err_t e, err_t code, const char *word)
-{
-    if (e != code || !strstr(err_text(), word))
-        fail_msg("%d, \"%s\", not %d with \"%s\"", e, err_text(), code, word);
-}
-
 static void places_that_do_not_do_are_refused(void **state)
 {
     (void)state;
@@ -206,25 +201,26 @@ static void places_that_do_not_do_are_refused(void **state)
     struct gaussians_report report;
     bool readable;
     tmpdir_text("taken.json", "{\"mine\": 1}");
-    expect(sceneio_check_place(tmpdir_path("taken.glb"), &readable), ERR_ARG, "taken.json");
-    expect(sceneio_write(tmpdir_path("taken.glb"), &s, 3), ERR_ARG, "taken.json");
+    expect_err(sceneio_check_place(tmpdir_path("taken.glb"), &readable), ERR_ARG, "taken.json");
+    expect_err(sceneio_write(tmpdir_path("taken.glb"), &s, 3), ERR_ARG, "taken.json");
     assert_false(file_exists(tmpdir_path("taken.glb")));
     assert_int_equal(sceneio_write(tmpdir_path("taken.hdrig"), &s, 3), OK); // needs none
-    expect(sceneio_write(tmpdir_path("x.obj"), &s, 3), ERR_ARG, "x.obj: scenes are files");
-    expect(sceneio_write(tmpdir_path(".ply/"), &s, 3), ERR_ARG, "scenes are files");
-    expect(sceneio_write(tmpdir_path("none/x.ply"), &s, 3), ERR_IO, "none/");
+    expect_err(sceneio_write(tmpdir_path("x.obj"), &s, 3), ERR_ARG, "x.obj: scenes are files");
+    expect_err(sceneio_write(tmpdir_path(".ply/"), &s, 3), ERR_ARG, "scenes are files");
+    expect_err(sceneio_write(tmpdir_path("none/x.ply"), &s, 3), ERR_IO, "none/");
     tmpdir_mkdir("folder.ply");
-    expect(sceneio_write(tmpdir_path("folder.ply"), &s, 3), ERR_ARG, "a folder");
-    expect(sceneio_read(tmpdir_path("folder.ply"), &arena, &back, &report), ERR_IO, "scene.hdrig");
-    expect(sceneio_peek(tmpdir_path("x.html"), &info), ERR_ARG, "written, not read");
-    expect(sceneio_peek(tmpdir_path("missing.spz"), &info), ERR_IO, "missing.spz");
+    expect_err(sceneio_write(tmpdir_path("folder.ply"), &s, 3), ERR_ARG, "a folder");
+    expect_err(sceneio_read(tmpdir_path("folder.ply"), &arena, &back, &report), ERR_IO,
+               "scene.hdrig");
+    expect_err(sceneio_peek(tmpdir_path("x.html"), &info), ERR_ARG, "written, not read");
+    expect_err(sceneio_peek(tmpdir_path("missing.spz"), &info), ERR_IO, "missing.spz");
     assert_int_equal(sceneio_check_place(tmpdir_path("x.html"), &readable), OK);
     assert_false(readable);
     static char longer[FILE_PATH_CAP + 8];
     memset(longer, 'a', sizeof longer - 5);
     memcpy(longer + sizeof longer - 5, ".ply", 5);
-    expect(sceneio_peek(longer, &info), ERR_ARG, "4095 bytes");
-    expect(sceneio_write(longer, &s, 3), ERR_ARG, "");
+    expect_err(sceneio_peek(longer, &info), ERR_ARG, "4095 bytes");
+    expect_err(sceneio_write(longer, &s, 3), ERR_ARG, "");
 }
 
 static void one_scene_does_not_take_the_sidecar_of_another(void **state)
@@ -236,9 +232,9 @@ static void one_scene_does_not_take_the_sidecar_of_another(void **state)
     assert_int_equal(sceneio_write(tmpdir_path("one.spz"), &s, 3), OK); // the same scene
     int files = count_files();
     s.background[0] = 0.5f;
-    expect(sceneio_write(tmpdir_path("one.ply"), &s, 3), ERR_ARG, "one.json belongs to ");
+    expect_err(sceneio_write(tmpdir_path("one.ply"), &s, 3), ERR_ARG, "one.json belongs to ");
     assert_non_null(strstr(err_text(), "one.spz too and would change"));
-    expect(sceneio_write(tmpdir_path("one.glb"), &s, 3), ERR_ARG, "one.ply too");
+    expect_err(sceneio_write(tmpdir_path("one.glb"), &s, 3), ERR_ARG, "one.ply too");
     assert_int_equal(count_files(), files);
     assert_int_equal(sceneio_read(tmpdir_path("one.ply"), &arena, &back, &report), OK);
     assert_true(back.background[0] == 0);

@@ -4,6 +4,7 @@
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 #include "firmware/store/store.h"
+#include "tests/unit/expect.h"
 #include "tests/unit/small_take.h"
 #include "tests/unit/tmpdir.h"
 
@@ -15,19 +16,6 @@
 
 #include <cmocka.h>
 
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
-}
-
-static void ok(err_t e)
-{
-    if (e)
-        fail_msg("%s: %s", err_name(e), err_text());
-}
-
 /* Text of the manifest of a take that is stored.
  * own: free. */
 static char *manifest_of(struct take *t)
@@ -36,12 +24,12 @@ static char *manifest_of(struct take *t)
     struct store *s;
     struct file_map f;
     char id[STORE_ID_CAP], name[64];
-    ok(store_open(&cfg, &s));
-    ok(store_commit(s, t, id));
+    expect_ok(store_open(&cfg, &s));
+    expect_ok(store_commit(s, t, id));
     take_free(t);
     store_close(s);
     snprintf(name, sizeof name, "store/%s/manifest.json", id);
-    ok(file_map(tmpdir_path(name), 1 << 20, &f));
+    expect_ok(file_map(tmpdir_path(name), 1 << 20, &f));
     char *text = strndup((const char *)f.p, f.n);
     file_unmap(&f);
     assert_non_null(text);
@@ -83,7 +71,7 @@ static void lens(void **state)
     t->frame[1].lens = 2.5;
     char *text = manifest_of(t);
     struct cJSON *doc;
-    ok(json_parse("m", text, strlen(text), &doc));
+    expect_ok(json_parse("m", text, strlen(text), &doc));
     const struct cJSON *frame = json_first(json_member(doc, "frames"));
     static const double at[] = {2.0, 2.5};
     for (int i = 0; i < 3; i++, frame = json_next(frame)) {
@@ -104,7 +92,7 @@ static void with(const char *text, const char *from, const char *to, const char 
     char *changed = malloc(strlen(text) + strlen(to) + 1);
     assert_non_null(at);
     sprintf(changed, "%.*s%s%s", (int)(at - text), text, to, at + strlen(from));
-    says(manifest_parse("m", changed, strlen(changed), &m), ERR_FORMAT, words);
+    expect_err(manifest_parse("m", changed, strlen(changed), &m), ERR_FORMAT, words);
     assert_true(m.n == 0 && !m.id[0]);
     free(changed);
 }
@@ -114,7 +102,7 @@ static void hostile_manifests(void **state)
     (void)state;
     static struct manifest m;
     char *text = manifest_of(small_take(1, 1, CAMERA_GREY16));
-    ok(manifest_parse("m", text, strlen(text), &m));
+    expect_ok(manifest_parse("m", text, strlen(text), &m));
     assert_int_equal(m.n, 3);
     assert_string_equal(m.file[0].name, "raw/00_00.bin");
     with(text, "hdrig-take", "hdrig", "not a manifest of version 1");
@@ -142,7 +130,7 @@ static void hostile_manifests(void **state)
     with(text, "\"files\": [", "\"files\": [1, ", "a file is no object");
     with(text, "\"files\": [", "\"files\": [[], ", "a file is no object");
     with(text, "{", "[{", "not JSON");
-    says(manifest_parse("m", "[]", 2, &m), ERR_FORMAT, "not an object");
+    expect_err(manifest_parse("m", "[]", 2, &m), ERR_FORMAT, "not an object");
     char many[32 * 1024] = "\"files\": [";
     for (int i = 0; i <= MANIFEST_FILES_MAX; i++)
         strcat(many, "{}, ");

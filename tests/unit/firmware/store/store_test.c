@@ -7,6 +7,7 @@
 #include "drivers/format/json.h"
 #include "firmware/store/manifest.h"
 #include "firmware/store/store_fs.h"
+#include "tests/unit/expect.h"
 #include "tests/unit/small_take.h"
 #include "tests/unit/tmpdir.h"
 
@@ -33,19 +34,6 @@ static int setup(void **state)
     return 0;
 }
 
-static void says(err_t got, err_t want, const char *words)
-{
-    if (got != want || !strstr(err_text(), words))
-        fail_msg("%s, \"%s\" instead of %s with \"%s\"", err_name(got), err_text(), err_name(want),
-                 words);
-}
-
-static void ok(err_t e)
-{
-    if (e)
-        fail_msg("%s: %s", err_name(e), err_text());
-}
-
 static int no_sync(int fd)
 {
     (void)fd;
@@ -60,13 +48,13 @@ static struct store *open_keep(int keep)
     struct store *s;
     fs = store_fs_system;
     fs.sync = no_sync;
-    ok(store_open_on(&fs, &cfg, &s));
+    expect_ok(store_open_on(&fs, &cfg, &s));
     return s;
 }
 
 static void commit(struct store *s, struct take *t, char id[STORE_ID_CAP])
 {
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     take_free(t);
 }
 
@@ -94,7 +82,7 @@ static int entries(const char *path)
 static bool same_bytes(const char *path, const uint8_t *p, size_t n)
 {
     struct file_map m;
-    ok(file_map(path, 1 << 24, &m));
+    expect_ok(file_map(path, 1 << 24, &m));
     bool same = m.n == n && memcmp(m.p, p, n) == 0;
     file_unmap(&m);
     return same;
@@ -119,7 +107,7 @@ static void a_set_to_reconstruct(void **state)
     struct exposures x;
     commit(s, small_take(CAMERAS, EXPOSURES, CAMERA_GREY16), id);
     struct imageset_request rq = {.images = in(id, ""), .every_exposure = true};
-    ok(imageset_list(&rq, &set));
+    expect_ok(imageset_list(&rq, &set));
     assert_int_equal(set.capture.n, CAMERAS * EXPOSURES);
     for (int i = 0; i < set.capture.n; i++) {
         snprintf(name, sizeof name, "train_%02d_%02d.png", i / EXPOSURES, i % EXPOSURES);
@@ -129,13 +117,13 @@ static void a_set_to_reconstruct(void **state)
     }
     imageset_free(&set);
     rq.every_exposure = false; // a bracket is one view
-    ok(imageset_list(&rq, &set));
+    expect_ok(imageset_list(&rq, &set));
     assert_int_equal(set.capture.n, CAMERAS);
     imageset_free(&set);
-    ok(exposures_read(in(id, "exposure.json"), &x));
+    expect_ok(exposures_read(in(id, "exposure.json"), &x));
     assert_int_equal(x.n, CAMERAS * EXPOSURES);
     exposures_free(&x);
-    ok(store_verify(in(id, "")));
+    expect_ok(store_verify(in(id, "")));
     store_close(s);
 }
 
@@ -145,18 +133,18 @@ static void keeps_what_the_driver_gave(void **state)
     char id[STORE_ID_CAP], name[64];
     struct store *s = open_keep(0);
     struct take *t = small_take(CAMERAS, EXPOSURES, CAMERA_RGGB16);
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     for (int i = 0; i < t->n; i++) {
         snprintf(name, sizeof name, "raw/%02d_%02d.bin", i / EXPOSURES, i % EXPOSURES);
         assert_true(same_bytes(in(id, name), t->frame[i].data, t->frame[i].bytes));
     }
     take_free(t);
     t = small_take(1, 2, CAMERA_MJPG);
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     assert_true(same_bytes(in(id, "images/train_00_01.jpg"), t->frame[1].data, t->frame[1].bytes));
     assert_int_equal(entries(in(id, "raw")), 0);
     assert_int_equal(entries(in(id, "images")), 2);
-    ok(store_verify(in(id, "")));
+    expect_ok(store_verify(in(id, "")));
     take_free(t);
     store_close(s);
 }
@@ -169,8 +157,8 @@ static void merges_radiance(void **state)
     struct file_map m;
     struct store *s = open_keep(0);
     commit(s, small_take(1, EXPOSURES, CAMERA_GREY16), id);
-    ok(exrfile_read(in(id, "merged/00.exr"), &im));
-    ok(file_map(in(id, "merged/00.exr"), 1 << 24, &m));
+    expect_ok(exrfile_read(in(id, "merged/00.exr"), &im));
+    expect_ok(file_map(in(id, "merged/00.exr"), 1 << 24, &m));
     static const char key[] = "hdrigRadianceScale\0float\0\4\0\0";
     const char *at = memmem(m.p, m.n, key, sizeof key);
     float scale;
@@ -217,7 +205,7 @@ static void manifest_says_everything(void **state)
     t->camera[1].has_crf = true;
     crf_srgb(&t->camera[1].crf);
     commit(s, t, id);
-    ok(json_read(in(id, "manifest.json"), &doc));
+    expect_ok(json_read(in(id, "manifest.json"), &doc));
     assert_string_equal(json_string(json_member(doc, "id")), id);
     assert_string_equal(json_string(json_member(doc, "status")), "complete");
     assert_int_equal(strncmp(json_string(json_member(doc, "boot_id")), id, 8), 0);
@@ -263,7 +251,7 @@ static void balances_large_mosaics(void **state)
     free(t->frame[0].data);
     small_words(&t->frame[0], info);
     commit(s, t, id);
-    ok(json_read(in(id, "manifest.json"), &doc));
+    expect_ok(json_read(in(id, "manifest.json"), &doc));
     assert_true(fabs(number_at(doc, "white_red") - 2.0) < 0.02);
     assert_true(fabs(number_at(doc, "white_blue") - 1.0) < 0.02);
     json_free(doc);
@@ -282,11 +270,11 @@ static void aborted_takes(void **state)
     assert_int_equal(strncmp(id, "aborted-", 8), 0);
     assert_int_equal(entries(in(id, "")), 2);
     assert_true(file_is_regular(in(id, "raw/01_01.jpg")));
-    ok(store_verify(in(id, "")));
+    expect_ok(store_verify(in(id, "")));
     t = small_take(1, 0, CAMERA_GREY16); // before its first frame
     t->status = TAKE_ABORTED;
     commit(s, t, id);
-    ok(store_verify(in(id, "")));
+    expect_ok(store_verify(in(id, "")));
     assert_int_equal(store_list(s, ids, 4), 2);
     assert_string_equal(ids[0], id);
     store_close(s);
@@ -328,7 +316,7 @@ static void numbers_rise(void **state)
     commit(s, small_take(1, 1, CAMERA_GREY16), id);
     assert_int_equal(number(id), 999999999);
     struct take *t = small_take(1, 1, CAMERA_GREY16);
-    says(store_commit(s, t, id), ERR_LIMIT, "999999999 was the last");
+    expect_err(store_commit(s, t, id), ERR_LIMIT, "999999999 was the last");
     take_free(t);
     assert_int_equal(store_list(s, ids, 4), 4);
     assert_int_equal(number(ids[0]), 999999999);
@@ -473,7 +461,7 @@ static void unreadable_takes_stay(void **state)
     commit(s, small_take(1, 1, CAMERA_GREY16), id);
     store_close(s);
     fs.read = read_fails;
-    ok(store_open_on(&fs, &cfg, &s));
+    expect_ok(store_open_on(&fs, &cfg, &s));
     assert_int_equal(store_list(s, ids, 8), 1);
     assert_string_equal(ids[0], id);
     store_close(s);
@@ -495,26 +483,26 @@ static void refuses_to_open(void **state)
     struct store *s = open_keep(0), *other;
     struct store_config cfg = {.path = folder};
     struct store_fs fs = store_fs_system;
-    says(store_open(&cfg, &other), ERR_BUSY, "another process");
+    expect_err(store_open(&cfg, &other), ERR_BUSY, "another process");
     assert_null(other);
     store_close(s);
     fs.access = refused_access;
     access_says = EROFS;
-    says(store_open_on(&fs, &cfg, &other), ERR_IO, "Read-only file system");
+    expect_err(store_open_on(&fs, &cfg, &other), ERR_IO, "Read-only file system");
     access_says = EACCES;
-    says(store_open_on(&fs, &cfg, &other), ERR_IO, "Permission denied");
-    ok(store_open(&cfg, &s)); // nothing stays locked
+    expect_err(store_open_on(&fs, &cfg, &other), ERR_IO, "Permission denied");
+    expect_ok(store_open(&cfg, &s)); // nothing stays locked
     store_close(s);
     cfg.keep = -1;
-    says(store_open(&cfg, &s), ERR_ARG, "keeps -1 takes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "keeps -1 takes");
     cfg = (struct store_config){.path = ""};
-    says(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
     cfg.path = NULL;
-    says(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
     cfg.path = tmpdir_text("file", "");
-    says(store_open(&cfg, &s), ERR_IO, "File exists");
+    expect_err(store_open(&cfg, &s), ERR_IO, "File exists");
     cfg.path = "/proc/none/store";
-    says(store_open(&cfg, &s), ERR_IO, "/proc/none: cannot create");
+    expect_err(store_open(&cfg, &s), ERR_IO, "/proc/none: cannot create");
     store_close(NULL);
 }
 
@@ -527,11 +515,11 @@ static void relative_paths(void **state)
     struct store_config cfg = {.path = "x//y///"};
     struct store *s;
     char id[STORE_ID_CAP];
-    ok(store_open(&cfg, &s));
+    expect_ok(store_open(&cfg, &s));
     commit(s, small_take(1, 1, CAMERA_GREY16), id);
     store_close(s);
     snprintf(path, sizeof path, "x/y/%s", id);
-    ok(store_verify(path));
+    expect_ok(store_verify(path));
     assert_int_equal(chdir(was), 0);
 }
 
@@ -555,23 +543,23 @@ static void needs_room(void **state)
     char id[STORE_ID_CAP];
     struct take *t = small_take(CAMERAS, EXPOSURES, CAMERA_GREY16);
     fs.room = fake_room;
-    ok(store_open_on(&fs, &cfg, &s));
+    expect_ok(store_open_on(&fs, &cfg, &s));
     room_says = 512000 + 51200;
-    ok(store_room(s, 51200));
-    says(store_room(s, 51201), ERR_LIMIT,
-         "takes up to 51201 bytes and 512000 are to stay free, there is room for 563200");
-    says(store_room(s, UINT64_MAX), ERR_LIMIT, "18446744073709551615");
+    expect_ok(store_room(s, 51200));
+    expect_err(store_room(s, 51201), ERR_LIMIT,
+               "takes up to 51201 bytes and 512000 are to stay free, there is room for 563200");
+    expect_err(store_room(s, UINT64_MAX), ERR_LIMIT, "18446744073709551615");
     room_says = 1024;
-    says(store_room(s, 0), ERR_LIMIT, "room for 1024");
-    says(store_commit(s, t, id), ERR_LIMIT, "to stay free");
+    expect_err(store_room(s, 0), ERR_LIMIT, "room for 1024");
+    expect_err(store_commit(s, t, id), ERR_LIMIT, "to stay free");
     assert_int_equal(entries(folder), 0);
     room_says = (uint64_t)1 << 40;
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     uint64_t used = 0;
     struct manifest *m = malloc(sizeof *m);
     struct file_map f;
-    ok(file_map(in(id, "manifest.json"), 1 << 20, &f));
-    ok(manifest_parse("manifest", (const char *)f.p, f.n, m));
+    expect_ok(file_map(in(id, "manifest.json"), 1 << 20, &f));
+    expect_ok(manifest_parse("manifest", (const char *)f.p, f.n, m));
     file_unmap(&f);
     for (int i = 0; i < m->n; i++)
         used += m->file[i].bytes;
@@ -594,32 +582,32 @@ static void refuses_contradictions(void **state)
     struct take *t = small_take(CAMERAS, EXPOSURES, CAMERA_GREY16);
     struct take was = *t;
     t->frame[1].index = 0;
-    says(store_commit(s, t, id), ERR_ARG, "frame 1: not in order");
+    expect_err(store_commit(s, t, id), ERR_ARG, "frame 1: not in order");
     assert_int_equal(id[0], 0);
     *t = was;
     t->frame[5].camera = 2;
-    says(store_commit(s, t, id), ERR_ARG, "frame 5: camera 2 of 2");
+    expect_err(store_commit(s, t, id), ERR_ARG, "frame 5: camera 2 of 2");
     *t = was;
     t->frame[2].evidence.exposure.time_s = NAN;
-    says(store_commit(s, t, id), ERR_ARG, "nan s");
+    expect_err(store_commit(s, t, id), ERR_ARG, "nan s");
     *t = was;
     t->frame[2].bytes = 0;
-    says(store_commit(s, t, id), ERR_ARG, "0 bytes");
+    expect_err(store_commit(s, t, id), ERR_ARG, "0 bytes");
     *t = was;
     t->n = 0;
-    says(store_commit(s, t, id), ERR_ARG, "2 cameras and 0 frames");
+    expect_err(store_commit(s, t, id), ERR_ARG, "2 cameras and 0 frames");
     *t = was;
     t->n = TAKE_FRAMES_MAX + 1;
-    says(store_commit(s, t, id), ERR_ARG, "145 frames");
+    expect_err(store_commit(s, t, id), ERR_ARG, "145 frames");
     *t = was;
     t->n_cameras = 17;
-    says(store_commit(s, t, id), ERR_ARG, "17 cameras");
+    expect_err(store_commit(s, t, id), ERR_ARG, "17 cameras");
     *t = was;
     t->frame[3].bytes /= 2; // less than the format needs: found when it is developed
-    says(store_commit(s, t, id), ERR_FORMAT, "");
+    expect_err(store_commit(s, t, id), ERR_FORMAT, "");
     assert_int_equal(entries(folder), 1); // the counter
     *t = was;
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     assert_int_equal(number(id), 2);
     take_free(t);
     store_close(s);
@@ -653,15 +641,15 @@ static void frames_outlive_a_failed_merge(void **state)
     struct cJSON *doc;
     char id[STORE_ID_CAP];
     fs.open = open_unless_merged;
-    ok(store_open_on(&fs, &cfg, &s));
+    expect_ok(store_open_on(&fs, &cfg, &s));
     struct take *t = small_take(2, EXPOSURES, CAMERA_GREY16);
-    ok(store_commit(s, t, id));
+    expect_ok(store_commit(s, t, id));
     take_free(t);
     assert_int_equal(entries(in(id, "raw")), 2 * EXPOSURES);
     assert_int_equal(entries(in(id, "images")), 2 * EXPOSURES);
     assert_int_equal(entries(in(id, "merged")), -1);
-    ok(store_verify(in(id, "")));
-    ok(json_read(in(id, MANIFEST_FILE), &doc));
+    expect_ok(store_verify(in(id, "")));
+    expect_ok(json_read(in(id, MANIFEST_FILE), &doc));
     assert_non_null(strstr(json_string(json_member(doc, "not_merged")), "merged/00.exr"));
     json_free(doc);
     store_close(s);
@@ -676,8 +664,8 @@ static void closing_can_fail(void **state)
     char id[STORE_ID_CAP];
     struct take *t = small_take(1, 1, CAMERA_GREY16);
     fs.close = close_fails;
-    ok(store_open_on(&fs, &cfg, &s));
-    says(store_commit(s, t, id), ERR_LIMIT, "closing failed");
+    expect_ok(store_open_on(&fs, &cfg, &s));
+    expect_err(store_commit(s, t, id), ERR_LIMIT, "closing failed");
     take_free(t);
     store_close(s);
 }
@@ -695,31 +683,31 @@ static void verifies(void **state)
     rewind(f);
     putc(c ^ 1, f);
     fclose(f);
-    says(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: its bytes are not those");
+    expect_err(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: its bytes are not those");
     f = fopen(in(id, "raw/00_01.bin"), "r+b");
     putc(c, f);
     fclose(f);
-    ok(store_verify(dir));
+    expect_ok(store_verify(dir));
     f = fopen(in(id, "raw/00_01.bin"), "ab");
     putc(0, f);
     fclose(f);
-    says(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: 1025 bytes, the manifest says 1024");
+    expect_err(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: 1025 bytes, the manifest says 1024");
     assert_int_equal(truncate(in(id, "raw/00_01.bin"), 1024), 0);
     put_text(in(id, "raw/.hidden"), "");
-    says(store_verify(dir), ERR_FORMAT, "/raw/.hidden: is not in the manifest");
+    expect_err(store_verify(dir), ERR_FORMAT, "/raw/.hidden: is not in the manifest");
     assert_int_equal(remove(in(id, "raw/.hidden")), 0);
     put_text(in(id, "more"), "");
-    says(store_verify(dir), ERR_FORMAT, "/more: is not in the manifest");
+    expect_err(store_verify(dir), ERR_FORMAT, "/more: is not in the manifest");
     assert_int_equal(remove(in(id, "more")), 0);
     assert_int_equal(rename(in(id, "exposure.json"), in(id, "merged/x")), 0);
-    says(store_verify(dir), ERR_FORMAT, "/merged/x: is not in the manifest");
+    expect_err(store_verify(dir), ERR_FORMAT, "/merged/x: is not in the manifest");
     assert_int_equal(remove(in(id, "merged/x")), 0);
-    says(store_verify(dir), ERR_FORMAT, "exposure.json: is missing");
+    expect_err(store_verify(dir), ERR_FORMAT, "exposure.json: is missing");
     assert_int_equal(symlink("/etc/passwd", in(id, "exposure.json")), 0);
-    says(store_verify(dir), ERR_IO, "exposure.json");
+    expect_err(store_verify(dir), ERR_IO, "exposure.json");
     assert_int_equal(remove(in(id, "manifest.json")), 0);
-    says(store_verify(dir), ERR_FORMAT, "manifest.json: is missing");
-    says(store_verify(tmpdir_path("none")), ERR_FORMAT, "is missing");
+    expect_err(store_verify(dir), ERR_FORMAT, "manifest.json: is missing");
+    expect_err(store_verify(tmpdir_path("none")), ERR_FORMAT, "is missing");
 }
 
 int main(void)

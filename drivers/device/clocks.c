@@ -1,4 +1,4 @@
-#include "firmware/base/clocks.h"
+#include "drivers/device/clocks.h"
 
 #include <sys/timex.h>
 #include <time.h>

@@ -1,7 +1,7 @@
 /* clocks.h - the same moment on the clocks of the system.
  * thread: any. */
-#ifndef BASE_CLOCKS_H
-#define BASE_CLOCKS_H
+#ifndef DEVICE_CLOCKS_H
+#define DEVICE_CLOCKS_H
 
 #include <stdbool.h>
 #include <stdint.h>

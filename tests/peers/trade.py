@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Quality against seconds: one table (stdout, markdown) and one plot (--plot FILE.svg).
 
-    sim/trade.py --data DIR... --views 4,8,18 --size 224,448 --refine 0,100,300,1000 \
+    tests/peers/trade.py --data DIR... --views 4,8,18 --size 224,448 --refine 0,100,300,1000 \
         [--model own,none,FILE,...] [--rig none] [--plot trade.svg]
 
 own: what hdrig does by itself, the model that comes with it finding cameras; none: without it.
