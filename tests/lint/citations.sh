@@ -2,8 +2,8 @@
 # Every file that a comment or a document cites is in the repository, under its path from the root,
 # and so is every section: `core/net/README.md 2.7` needs a heading "### 2.7 ..." there.
 # In comments and documents a name without folder is that of some file of ours.
-files=$(find . -name .git -prune -o -path ./build -prune -o -path ./out -prune -o -type f -print |
-    sed 's|^\./||' | sort)
+files=$(find core drivers firmware sim board tests .ci Makefile README.md -name __pycache__ -prune \
+    -o -type f -print | sort)
 # Of other programs: Linux, libcamera, Pillow, Python, COLMAP, InstantHDR; system headers of ours.
 foreign='gpiolib-cdev.c irq_sim.c gpio-sim.c gpiolib.h uvc_video.c dm-log-writes.c user-offsets.c
     irq.h merge_config.sh prctl.h format.html delayed_controls.cpp camera_sensor_properties.cpp
@@ -14,6 +14,8 @@ echo "$files" | awk -v foreign="$foreign" '
 BEGIN {
     path_pattern = "[A-Za-z0-9_./-]+[.](c|h|cpp|hpp|md|sh|bash|py|js|css|html)" \
         "([^A-Za-z0-9_./(*-]|[.][^A-Za-z]|[.]?$)"
+    folder_pattern = "(^|[^A-Za-z0-9_./-])(core|drivers|firmware|sim|board|tests)" \
+        "(/[a-z0-9_]+)+([^A-Za-z0-9_./*<-]|[.] |[.]?$)"
     n = split(foreign, list, /[ \n]+/)
     for (i = 1; i <= n; i++)
         other[list[i]] = 1
@@ -23,6 +25,11 @@ BEGIN {
         base = $0
         sub(/.*\//, "", base)
         named[base] = 1
+        for (base = $0; sub(/\/[^\/]*$/, "", base);)
+            known[base] = 1
+        base = $0
+        sub(/\.[a-z0-9]+$/, "", base)
+        known[base] = 1
     }
     for (i = 1; i <= files; i++)
         if (file[i] ~ /\.md$/)
@@ -64,17 +71,36 @@ function check_text(f, text, path, rest, before) {
     if (f != "tests/lint/citations.sh" && tolower(text) ~ /model-spec|capture notes|house rule/)
         complain("cites a document that is not in the repository")
     gsub(/https?:[^ )>]*/, "", text)
+    check_folders(text)
     while (match(text, path_pattern)) {
         path = substr(text, RSTART, RLENGTH)
         before = RSTART > 1 ? substr(text, RSTART - 1, 1) : ""
         text = substr(text, RSTART + RLENGTH)
         last = substr(path, length(path))
         sub(/[^A-Za-z0-9]+$/, "", path)
-        if (before ~ /[<*>]/ || path ~ /^[.\/]/ || path ~ /[A-Z][A-Z]/ && path !~ /README|MODEL/)
+        if (before ~ /[<*>]/ || path ~ /^[.\/]/ || is_pattern(path))
             continue
         check_path(f, path)
         if (path ~ /README\.md$/ && (path in known))
             check_sections(path, last text)
+    }
+}
+# As in NAME_test.c, GROUP_ISA.c, FOLDER/README.md.
+function is_pattern(path, part, n, i) {
+    n = split(path, part, /\//)
+    for (i = 1; i < n; i++)
+        if (part[i] ~ /[A-Z]/)
+            return 1
+    return part[n] ~ /[A-Z][A-Z]/ && part[n] !~ /^(README|MODEL)\.md$/
+}
+# Folders, and files without their ending.
+function check_folders(text, path) {
+    while (match(text, folder_pattern)) {
+        path = substr(text, RSTART, RLENGTH)
+        text = substr(text, RSTART + RLENGTH - 1)
+        gsub(/^[^a-z]|[^a-z0-9_]+$/, "", path)
+        if (!(path in known))
+            complain("no folder or file " path)
     }
 }
 function check_path(f, path, base, folder) {
