@@ -519,17 +519,6 @@ static size_t unknowns(int n_views)
     return 6 * (size_t)n_views + 1;
 }
 
-size_t adjust_plan(int n_views, int n_tracks)
-{
-    const size_t n = unknowns(n_views), v = (size_t)n_views;
-    size_t sum = arena_add(arena_need(GROUPS * n * n, sizeof(double)),
-                           arena_need(GROUPS * n, sizeof(double)));
-    sum = arena_add(sum, arena_need(GROUPS * 36 * v, sizeof(double)));
-    sum = arena_add(sum, arena_need(n, sizeof(double)));
-    sum = arena_add(sum, arena_need(ADJUST_POSE * v, sizeof(double)));
-    return arena_add(sum, arena_need(4 * (size_t)n_tracks, sizeof(double)));
-}
-
 /* Take the step: poses, focal length and points of m->trial. */
 static void move(struct normal *m, struct adjust *a, const double *pose)
 {
@@ -585,23 +574,35 @@ static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps
     return e;
 }
 
+static err_t layout(struct normal *m, double **pose, struct arena *tmp, int n_views, int n_tracks)
+{
+    const size_t n = unknowns(n_views), v = (size_t)n_views;
+    err_t e = arena_alloc(tmp, GROUPS * n * n, sizeof(double), &m->sum);
+    if (!e)
+        e = arena_alloc(tmp, GROUPS * n, sizeof(double), &m->rhs);
+    if (!e)
+        e = arena_alloc(tmp, GROUPS * 36 * v, sizeof(double), &m->cross);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof(double), &m->step);
+    if (!e)
+        e = arena_alloc(tmp, ADJUST_POSE * v, sizeof(double), pose);
+    return e ? e : arena_alloc(tmp, 4 * (size_t)n_tracks, sizeof(double), &m->trial);
+}
+
+size_t adjust_plan(int n_views, int n_tracks)
+{
+    struct arena tmp = arena_counter();
+    struct normal m;
+    double *pose;
+    return layout(&m, &pose, &tmp, n_views, n_tracks) ? SIZE_MAX : tmp.peak;
+}
+
 err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps)
 {
-    const size_t mark = arena_mark(r->tmp), v = (size_t)a->n_views;
-    const size_t n = unknowns(a->n_views), points = 4 * (size_t)a->n_tracks;
-    struct normal m = {.r = r, .a = a, .kernel2 = kernel * kernel, .n = (int)n};
+    const size_t mark = arena_mark(r->tmp), points = 4 * (size_t)a->n_tracks;
+    struct normal m = {.r = r, .a = a, .kernel2 = kernel * kernel, .n = (int)unknowns(a->n_views)};
     double *own = a->point, *pose;
-    err_t e = arena_alloc(r->tmp, GROUPS * n * n, sizeof(double), &m.sum);
-    if (!e)
-        e = arena_alloc(r->tmp, GROUPS * n, sizeof(double), &m.rhs);
-    if (!e)
-        e = arena_alloc(r->tmp, GROUPS * 36 * v, sizeof(double), &m.cross);
-    if (!e)
-        e = arena_alloc(r->tmp, n, sizeof(double), &m.step);
-    if (!e)
-        e = arena_alloc(r->tmp, ADJUST_POSE * v, sizeof(double), &pose);
-    if (!e)
-        e = arena_alloc(r->tmp, points, sizeof(double), &m.trial);
+    err_t e = layout(&m, &pose, r->tmp, a->n_views, a->n_tracks);
     if (!e)
         e = descend(&m, a, pose, steps);
     if (a->point != own) { // the arena's goes

@@ -101,16 +101,19 @@ static double start_focal(const struct bundle *b)
     return (double)num_median(f, (size_t)b->n_views);
 }
 
-static err_t load(struct bundle *b)
-{
-    const struct match_tracks *t = b->tracks;
-    const size_t n = (size_t)t->n, v = (size_t)b->n_views, points = 4 * (size_t)t->n_tracks;
-    struct arena *tmp = b->r->tmp;
+/* What adjust reads. */
+struct input {
     struct adjust_seen *seen;
     int *first;
-    err_t e = arena_alloc(tmp, n, sizeof *seen, &seen);
+};
+
+static err_t layout(struct bundle *b, struct input *x, struct arena *tmp, int n_views,
+                    const struct match_tracks *t)
+{
+    const size_t n = (size_t)t->n, v = (size_t)n_views, points = 4 * (size_t)t->n_tracks;
+    err_t e = arena_alloc(tmp, n, sizeof *x->seen, &x->seen);
     if (!e)
-        e = arena_zalloc(tmp, (size_t)t->n_tracks + 1, sizeof *first, &first);
+        e = arena_zalloc(tmp, (size_t)t->n_tracks + 1, sizeof *x->first, &x->first);
     for (int i = 0; i < 2 && !e; i++) {
         struct answer *w = &b->best;
         e = arena_zalloc(tmp, v * ADJUST_POSE, sizeof(double), i ? &w->pose : &b->a.pose);
@@ -126,21 +129,29 @@ static err_t load(struct bundle *b)
     if (!e)
         e = arena_alloc(tmp, n, sizeof *b->sorted, &b->sorted);
     if (!e)
-        e = arena_zalloc(tmp, (size_t)viewgraph_edges(b->n_views), sizeof *b->g.edge, &b->g.edge);
+        e = arena_zalloc(tmp, (size_t)viewgraph_edges(n_views), sizeof *b->g.edge, &b->g.edge);
+    return e;
+}
+
+static err_t load(struct bundle *b)
+{
+    const struct match_tracks *t = b->tracks;
+    struct input x;
+    err_t e = layout(b, &x, b->r->tmp, b->n_views, t);
     if (e)
         return e;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *s = &t->seen[i];
-        seen[i] =
+        x.seen[i] =
             (struct adjust_seen){s->u - 0.5f * (float)b->size,
                                  (s->v - 0.5f * (float)b->size) * aspect(b), 1 / s->sigma, s->view};
-        first[s->track + 1]++;
+        x.first[s->track + 1]++;
         b->trusted[i] = true;
     }
     for (int i = 0; i < t->n_tracks; i++)
-        first[i + 1] += first[i];
-    b->a.first = first;
-    b->a.seen = seen;
+        x.first[i + 1] += x.first[i];
+    b->a.first = x.first;
+    b->a.seen = x.seen;
     return OK;
 }
 
@@ -597,16 +608,30 @@ static err_t give(struct bundle *b, struct bundle_result *out)
 
 /* ---- run ---- */
 
-static err_t room_for(const struct run *r, int n_views, int n_tracks, struct bundle_result *out)
+static err_t layout_result(struct bundle_result *out, struct arena *keep, int n_views, int n_tracks)
 {
-    err_t e = arena_zalloc(r->keep, (size_t)n_views, sizeof *out->cams, &out->cams);
+    err_t e = arena_zalloc(keep, (size_t)n_views, sizeof *out->cams, &out->cams);
     if (!e)
-        e = arena_alloc(r->keep, 3 * (size_t)n_tracks, sizeof *out->points, &out->points);
+        e = arena_alloc(keep, 3 * (size_t)n_tracks, sizeof *out->points, &out->points);
     if (!e)
-        e = arena_alloc(r->keep, (size_t)n_views, sizeof *out->depth_scale, &out->depth_scale);
+        e = arena_alloc(keep, (size_t)n_views, sizeof *out->depth_scale, &out->depth_scale);
     if (!e)
-        e = arena_zalloc(r->keep, (size_t)n_views, sizeof *out->placed, &out->placed);
+        e = arena_zalloc(keep, (size_t)n_views, sizeof *out->placed, &out->placed);
     return e;
+}
+
+void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t)
+{
+    struct bundle_result out;
+    struct bundle b;
+    struct input x;
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_result(&out, &p->keep, n_views, t->n_tracks) || layout(&b, &x, &p->tmp, n_views, t))
+        plan_refuse(p);
+    arena_step(&p->tmp, adjust_plan(n_views, t->n_tracks));
+    arena_step(&p->tmp, viewgraph_plan(n_views, t->n));
+    arena_step(&p->tmp, similarity_plan(n_views));
+    arena_reset(&p->tmp, mark);
 }
 
 /* Relative poses for a wrong focal length are wrong, and adjustment then moves slowly: it starts
@@ -662,7 +687,7 @@ err_t bundle_run(const struct run *r, int n_views, int size, const struct match_
     b.a.n_views = n_views;
     b.a.n_tracks = tracks->n_tracks;
     b.scale = 1;
-    e = room_for(r, n_views, tracks->n_tracks, out);
+    e = layout_result(out, r->keep, n_views, tracks->n_tracks);
     if (!e)
         e = load(&b);
     if (!e && tracks->n > 0)
@@ -675,29 +700,4 @@ err_t bundle_run(const struct run *r, int n_views, int size, const struct match_
     if (e)
         *out = (struct bundle_result){0};
     return e;
-}
-
-size_t bundle_keep(int n_views, int n_tracks)
-{
-    const size_t v = (size_t)n_views;
-    size_t sum = arena_add(arena_need(v, sizeof(struct camera)), arena_need(v, sizeof(float)));
-    sum = arena_add(sum, arena_need(v, sizeof(bool)));
-    return arena_add(sum, arena_need(3 * (size_t)n_tracks, sizeof(float)));
-}
-
-size_t bundle_plan(int n_views, int n_seen)
-{
-    const size_t v = (size_t)n_views, n = (size_t)n_seen;
-    const int n_tracks = n_seen / 2;
-    size_t sum = arena_add(arena_need(n, sizeof(struct adjust_seen)),
-                           arena_need((size_t)n_tracks + 1, sizeof(int)));
-    size_t answer = arena_add(arena_need(v * ADJUST_POSE, sizeof(double)),
-                              arena_need(4 * (size_t)n_tracks, sizeof(double)));
-    answer = arena_add(answer, arena_add(arena_need(v, 1), arena_need(n, 1)));
-    sum = arena_add(sum, arena_add(answer, answer));
-    sum = arena_add(sum, arena_add(arena_need(n, 1), arena_need(n, sizeof(float))));
-    sum =
-        arena_add(sum, arena_need((size_t)viewgraph_edges(n_views), sizeof(struct viewgraph_edge)));
-    size_t most = num_max_size(adjust_plan(n_views, n_tracks), viewgraph_plan(n_views, n_seen));
-    return arena_add(sum, num_max_size(most, similarity_plan(n_views)));
 }

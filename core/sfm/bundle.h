@@ -46,12 +46,13 @@ struct bundle_result {
 
 /* out:  lives in r->keep
  * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that are not as match.h says), ERR_NOMEM (see
- *       bundle_plan, bundle_keep), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no
+ *       bundle_plan), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no
  *       error: confidence is 0 and cams those of `start`, or all in one place. */
 MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,
                           const struct match_tracks *tracks, const struct bundle_config *cfg,
                           struct bundle_result *out);
-size_t bundle_plan(int n_views, int n_seen);
-size_t bundle_keep(int n_views, int n_tracks);
+
+/* Count what bundle_run takes; of t only its numbers are looked at. */
+void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t);
 
 #endif

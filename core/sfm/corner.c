@@ -70,19 +70,6 @@ err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
     return e;
 }
 
-size_t corner_keep(int size)
-{
-    size_t cap = (size_t)corner_cap(size), sum = arena_need(cap, sizeof(struct corner));
-    sum = arena_add(sum, arena_need(cap, CORNER_WORD));
-    sum = arena_add(sum, arena_need(cap, sizeof(int32_t)));
-    for (int i = 0; i < CORNER_LEVELS; i++) {
-        size_t px = (size_t)level_size(size, i) * (size_t)level_size(size, i);
-        sum = arena_add(sum, arena_need(px, 2 * sizeof(float)));
-        sum = arena_add(sum, ARENA_ALIGN);
-    }
-    return sum;
-}
-
 size_t corner_scratch(int size)
 {
     return 5 * (size_t)size * (size_t)size;

@@ -42,10 +42,9 @@ struct corner_view {
 /* Most corners of a view of `size` px. */
 int corner_cap(int size);
 
-/* Room of a view, and its bytes.
+/* Room of a view.
  * err:  ERR_NOMEM. */
 MUST_USE err_t corner_alloc(struct arena *keep, int size, struct corner_view *out);
-size_t corner_keep(int size);
 
 /* Scratch of corner_run: floats. */
 size_t corner_scratch(int size);

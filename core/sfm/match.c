@@ -16,7 +16,6 @@
 #include <string.h>
 
 enum {
-    TRACKS_MAX = 4000,
     SPREAD = 20, // cells of the grid that tracks are spread over, across
     REFINE = 32  // tracks of a chunk
 };
@@ -153,16 +152,18 @@ static int by_edge(const void *x, const void *y)
     return p->a != q->a ? (p->a < q->a ? -1 : 1) : p->b - q->b;
 }
 
+static err_t layout_edges(struct edge **edge, struct arena *tmp, const struct matcher *m)
+{
+    return arena_alloc(tmp, (size_t)m->n_couples * (size_t)m->cap + 1, sizeof **edge, edge);
+}
+
 static err_t join_all(struct matcher *m)
 {
     size_t n = 0, mark = arena_mark(m->r->tmp);
     struct edge *edge;
-    for (int i = 0; i < m->n_couples; i++)
-        n += (size_t)m->couple[i].n;
-    err_t e = arena_alloc(m->r->tmp, n + 1, sizeof *edge, &edge);
+    err_t e = layout_edges(&edge, m->r->tmp, m);
     if (e)
         return e;
-    n = 0;
     for (int i = 0; i < m->n_couples; i++) {
         const struct pair *c = m->couple + i;
         for (int k = 0; k < c->n; k++)
@@ -395,21 +396,32 @@ static bool wanted(const struct matcher *m, const struct track *t, int crowd, ui
     return true;
 }
 
+static err_t layout_count(uint16_t **count, struct arena *tmp, int n_views)
+{
+    return arena_zalloc(tmp, (size_t)n_views * SPREAD * SPREAD, sizeof **count, count);
+}
+
+static err_t layout_tracks(struct match_tracks *t, struct arena *keep, int n_views, int size)
+{
+    return arena_alloc(keep, seen_cap(n_views, size), sizeof *t->seen, &t->seen);
+}
+
 static err_t collect(struct matcher *m, struct match_tracks *out)
 {
     size_t mark = arena_mark(m->r->tmp), keep = arena_mark(m->r->keep);
-    int n = 0, crowd = 2 * TRACKS_MAX / (SPREAD * SPREAD);
+    int n = 0, crowd = 2 * MATCH_TRACKS_MAX / (SPREAD * SPREAD);
     uint16_t *count;
-    err_t e = arena_zalloc(m->r->tmp, (size_t)m->v->n * SPREAD * SPREAD, sizeof *count, &count);
+    err_t e = layout_count(&count, m->r->tmp, m->v->n);
     if (!e)
-        e = arena_alloc(m->r->keep, seen_cap(m->v->n, m->v->size), sizeof *out->seen, &out->seen);
+        e = layout_tracks(out, m->r->keep, m->v->n, m->v->size);
     if (e) {
         arena_reset(m->r->keep, keep);
         arena_reset(m->r->tmp, mark);
         return e;
     }
     qsort(m->track, (size_t)m->n_tracks, sizeof *m->track, by_length);
-    for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < TRACKS_MAX; i++) {
+    for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < MATCH_TRACKS_MAX;
+         i++) {
         const struct track *t = m->track + i;
         if (n + t->n > (int)seen_cap(m->v->n, m->v->size) || !wanted(m, t, crowd, count))
             continue;
@@ -426,29 +438,30 @@ static err_t collect(struct matcher *m, struct match_tracks *out)
 
 /* ---- the whole ---- */
 
-static err_t alloc_rooms(struct matcher *m)
+static err_t layout_rooms(struct matcher *m, struct arena *tmp, int threads)
 {
-    struct arena *tmp = m->r->tmp;
-    int workers = pool_size(m->r->pool);
-    err_t e = arena_alloc(tmp, (size_t)workers, sizeof *m->rooms, &m->rooms);
-    for (int i = 0; i < workers && !e; i++) {
-        struct room *w = m->rooms + i;
-        e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w->picture, &w->picture);
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *m->rooms, &m->rooms);
+    for (int i = 0; i < threads && !e; i++) {
+        struct room w;
+        e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w.picture, &w.picture);
         if (!e)
-            e = pair_workspace_init(tmp, &m->p, &w->pair);
+            e = pair_workspace_init(tmp, &m->p, &w.pair);
+        if (!e && !tmp->counts)
+            m->rooms[i] = w;
     }
     return e;
 }
 
-static err_t alloc_pairs(struct matcher *m)
+static err_t layout_pairs(struct matcher *m, struct arena *tmp)
 {
-    struct arena *tmp = m->r->tmp;
-    size_t cap = (size_t)m->cap, nodes = (size_t)m->v->n * cap;
+    size_t cap = (size_t)m->cap, nodes = (size_t)m->p.n * cap;
     err_t e = arena_alloc(tmp, (size_t)m->n_couples, sizeof *m->couple, &m->couple);
-    for (int a = 0, k = 0; a < m->v->n; a++) {
-        for (int b = a + 1; b < m->v->n && !e; b++, k++) {
-            m->couple[k] = (struct pair){.a = a, .b = b};
-            e = arena_alloc(tmp, cap, sizeof(struct pair_link), &m->couple[k].link);
+    for (int a = 0, k = 0; a < m->p.n; a++) {
+        for (int b = a + 1; b < m->p.n && !e; b++, k++) {
+            struct pair pair = {.a = a, .b = b};
+            e = arena_alloc(tmp, cap, sizeof *pair.link, &pair.link);
+            if (!e && !tmp->counts)
+                m->couple[k] = pair;
         }
     }
     if (!e)
@@ -461,44 +474,43 @@ static err_t alloc_pairs(struct matcher *m)
         e = arena_alloc(tmp, nodes, sizeof *m->mask, &m->mask);
     if (!e)
         e = arena_alloc(tmp, nodes / 2 + 1, sizeof *m->track, &m->track);
+    return e ? e : arena_alloc(tmp, nodes, sizeof *m->seen, &m->seen);
+}
+
+static err_t layout(struct matcher *m, struct arena *tmp, const int views[2], int threads)
+{
+    m->cap = corner_cap(views[1]);
+    m->n_couples = views[0] * (views[0] - 1) / 2;
+    err_t e = pair_views_init(tmp, views[0], views[1], &m->p);
     if (!e)
-        e = arena_alloc(tmp, nodes, sizeof *m->seen, &m->seen);
-    return e;
+        e = layout_rooms(m, tmp, threads);
+    return e ? e : layout_pairs(m, tmp);
 }
 
-size_t match_plan(int n_views, int size, int threads)
+void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out)
 {
-    size_t n = (size_t)n_views, w = (size_t)threads, cap = (size_t)corner_cap(size);
-    size_t couples = n * (n - 1) / 2, nodes = n * cap;
-    size_t room =
-        arena_add(arena_need(corner_scratch(size), sizeof(float)), pair_workspace_need(size));
-    size_t sum = pair_views_need(n_views, size);
-    sum = arena_add(sum, arena_need(w, sizeof(struct room)));
-    sum = arena_add(sum, arena_need(w, room));
-    sum = arena_add(sum, arena_need(couples, sizeof(struct pair)));
-    sum = arena_add(sum, arena_need(couples, arena_need(cap, sizeof(struct pair_link))));
-    for (int i = 0; i < 3; i++)
-        sum = arena_add(sum, arena_need(nodes, sizeof(int)));
-    sum = arena_add(sum, arena_need(nodes, sizeof(uint64_t)));
-    sum = arena_add(sum, arena_need(nodes / 2 + 1, sizeof(struct track)));
-    sum = arena_add(sum, arena_need(nodes, sizeof(struct match_seen)));
-    return arena_add(sum, num_max_size(arena_need(couples * cap + 1, sizeof(struct edge)),
-                                       arena_need(n * SPREAD * SPREAD, sizeof(uint16_t))));
-}
-
-size_t match_keep(int n_views, int size)
-{
-    return arena_need(seen_cap(n_views, size), sizeof(struct match_seen));
+    const struct correspondence prior = {.grid = size / CORRESPONDENCE_PATCH + 1};
+    struct matcher m = {.p = {.prior = &prior}};
+    const size_t mark = arena_mark(&p->tmp);
+    struct edge *edge;
+    uint16_t *count;
+    err_t e = layout(&m, &p->tmp, (int[2]){n_views, size}, p->threads);
+    const size_t level = arena_mark(&p->tmp);
+    e = e ? e : layout_edges(&edge, &p->tmp, &m);
+    arena_reset(&p->tmp, level);
+    e = e ? e : layout_count(&count, &p->tmp, n_views);
+    e = e ? e : layout_tracks(out, &p->keep, n_views, size);
+    if (e)
+        plan_refuse(p);
+    out->n = (int)seen_cap(n_views, size);
+    out->n_tracks = num_min(out->n / 2, MATCH_TRACKS_MAX);
+    arena_reset(&p->tmp, mark);
 }
 
 /* Corners, pairs, tracks, refinement, choice. */
 static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 {
-    err_t e = pair_views_init(m->r->tmp, m->v->n, m->v->size, &m->p);
-    if (!e)
-        e = alloc_rooms(m);
-    if (!e)
-        e = alloc_pairs(m);
+    err_t e = layout(m, m->r->tmp, (int[2]){m->v->n, m->v->size}, pool_size(m->r->pool));
     if (!e)
         e = pool_for(m->r->pool, m->v->n, prepare_view, m);
     if (!e)
@@ -524,9 +536,7 @@ err_t match_run(const struct run *r, const struct views *v, const struct corresp
     struct matcher m = {
         .r = r,
         .v = v,
-        .p = {.k = r->k, .prior = prior && prior->token && prior->n_views == v->n ? prior : NULL},
-        .cap = corner_cap(v->size),
-        .n_couples = v->n * (v->n - 1) / 2};
+        .p = {.k = r->k, .prior = prior && prior->token && prior->n_views == v->n ? prior : NULL}};
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     if (v->n < 2 || v->size < CORNER_SIZE_MIN)

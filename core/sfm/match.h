@@ -6,6 +6,7 @@
 #ifndef SFM_MATCH_H
 #define SFM_MATCH_H
 
+#include "core/base/plan.h"
 #include "core/base/types.h"
 
 /* One point seen in one view. */
@@ -22,13 +23,14 @@ struct match_tracks {
 
 /* Find tracks. prior: of net_run for these views (core/net/shared_attention.c), or NULL: places
  * where the network does not look are less likely; where its attention is flat it is not asked.
- * out:  lives in r->keep, at most MATCH_SEEN_MAX sightings; 0 tracks if nothing agrees, and for
- *       one view or views below 64 px.
- * err:  ERR_NOMEM (see match_plan, match_keep), ERR_CANCELLED. On error *out is zeroed. */
-enum { MATCH_SEEN_MAX = 1 << 16 };
+ * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX sightings; 0 tracks if
+ *       nothing agrees, and for one view or views below 64 px.
+ * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */
+enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,
                          const struct correspondence *prior, struct match_tracks *out);
-size_t match_plan(int n_views, int size, int threads);
-size_t match_keep(int n_views, int size);
+
+/* Count what match_run takes. out: most tracks and sightings. */
+void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out);
 
 #endif

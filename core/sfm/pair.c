@@ -45,21 +45,17 @@ err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out
     if (!e)
         e = arena_alloc(tmp, views * cap, sizeof *out->token, &out->token);
     for (size_t i = 0; i < views && !e; i++) {
-        e = corner_alloc(tmp, size, out->view + i);
+        struct corner_view view;
+        int8_t *panels;
+        e = corner_alloc(tmp, size, &view);
         if (!e)
-            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_WORD, out->panels + i);
+            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_WORD, &panels);
+        if (!e && !tmp->counts) {
+            out->view[i] = view;
+            out->panels[i] = panels;
+        }
     }
     return e;
-}
-
-size_t pair_views_need(int n, int size)
-{
-    size_t views = (size_t)n, cap = (size_t)corner_cap(size);
-    size_t each = arena_add(corner_keep(size), arena_need(pitch_of((int)cap), CORNER_WORD));
-    size_t sum = arena_add(arena_need(views, sizeof(struct corner_view)),
-                           arena_need(views, sizeof(int8_t *)));
-    sum = arena_add(sum, arena_need(views * cap, sizeof(int)));
-    return arena_add(sum, arena_need(views, each));
 }
 
 err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct pair_workspace *w)
@@ -82,18 +78,6 @@ err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct 
     if (!e)
         e = arena_alloc(tmp, grid * grid, sizeof *w->look, &w->look);
     return e;
-}
-
-size_t pair_workspace_need(int size)
-{
-    size_t cap = (size_t)corner_cap(size), grid = (size_t)size / CORRESPONDENCE_PATCH + 1;
-    size_t sum = arena_need(ROWS * pitch_of((int)cap), sizeof(int32_t));
-    sum = arena_add(sum, arena_need(cap, sizeof(int32_t)));
-    for (int i = 0; i < 3; i++)
-        sum = arena_add(sum, arena_need(cap, sizeof(int16_t)));
-    sum = arena_add(sum, arena_need(cap, sizeof(float)));
-    sum = arena_add(sum, arena_need(cap, sizeof(struct epipolar_match)));
-    return arena_add(sum, arena_need(grid * grid, 1));
 }
 
 /* ---- views ---- */

@@ -47,13 +47,11 @@ struct pair_workspace {
     uint8_t *look;                // (grid^2) whether the network looks at this token
 };
 
-/* Room of n views, a worker; bytes of them. out->k and out->prior are the caller's.
+/* Room of n views, a worker. out->k and out->prior are the caller's.
  * err:  ERR_NOMEM. */
 MUST_USE err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out);
-size_t pair_views_need(int n, int size);
 MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v,
                                    struct pair_workspace *w);
-size_t pair_workspace_need(int size);
 
 /* After corner_run of view i. */
 void pair_prepare(const struct pair_views *m, int i);

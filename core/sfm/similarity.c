@@ -7,16 +7,6 @@
 
 /* ---- scale ---- */
 
-static size_t pairs(int n)
-{
-    return (size_t)n * (size_t)(n > 0 ? n - 1 : 0) / 2;
-}
-
-size_t similarity_plan(int n_views)
-{
-    return arena_need(pairs(n_views), sizeof(float));
-}
-
 void similarity_centre(const struct camera *c, double out[3])
 {
     float r[9];
@@ -35,13 +25,26 @@ static double distance(const struct camera *a, const struct camera *b)
                 (p[2] - q[2]) * (p[2] - q[2]));
 }
 
+static err_t layout(float **ratio, struct arena *tmp, int n_views)
+{
+    const size_t n = (size_t)n_views, pairs = n_views > 0 ? n * (n - 1) / 2 : 0;
+    return arena_alloc(tmp, pairs, sizeof **ratio, ratio);
+}
+
+size_t similarity_plan(int n_views)
+{
+    struct arena tmp = arena_counter();
+    float *ratio;
+    return layout(&ratio, &tmp, n_views) ? SIZE_MAX : tmp.peak;
+}
+
 err_t similarity_scale(const struct run *r, const struct camera *from, const struct camera *to,
                        int n_views, float *out)
 {
     size_t mark = arena_mark(r->tmp), n = 0;
     float *ratio;
     *out = 1.0f;
-    err_t e = arena_alloc(r->tmp, pairs(n_views), sizeof *ratio, &ratio);
+    err_t e = layout(&ratio, r->tmp, n_views);
     if (e)
         return e;
     for (int i = 0; i < n_views; i++)

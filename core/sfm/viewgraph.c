@@ -103,13 +103,18 @@ static err_t pair_chunk(void *ctx, int chunk, int worker)
     return run_check(job->r, "relative poses");
 }
 
+static err_t layout_list(struct pairs_job *j, struct arena *tmp, int n_seen)
+{
+    return arena_alloc(tmp, (size_t)n_seen, sizeof *j->list, &j->list);
+}
+
 err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g)
 {
     struct pairs_job job = {.r = r, .a = a, .g = g};
     const size_t mark = arena_mark(r->tmp);
     int fill[VIEWGRAPH_VIEWS_MAX];
     g->n_views = a->n_views;
-    err_t e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof *job.list, &job.list);
+    err_t e = layout_list(&job, r->tmp, a->first[a->n_tracks]);
     if (!e) {
         for (int i = 0; i < a->first[a->n_tracks]; i++)
             job.first[a->seen[i].view + 1]++;
@@ -559,11 +564,34 @@ static bool any_parallax(const struct viewgraph *g, const struct adjust *a)
     return false;
 }
 
+static err_t layout_centres(struct centres *c, struct arena *tmp, int n_views, int n_seen)
+{
+    const size_t n = 3 * (size_t)n_views;
+    c->n = (int)n;
+    err_t e = arena_alloc(tmp, n * n, sizeof(double), &c->sum);
+    if (!e)
+        e = arena_zalloc(tmp, n, sizeof(double), &c->x);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof(double), &c->sighted);
+    return e ? e : arena_alloc(tmp, (size_t)n_seen, sizeof(double), &c->weight);
+}
+
+size_t viewgraph_plan(int n_views, int n_seen)
+{
+    struct arena tmp = arena_counter();
+    struct pairs_job pairs;
+    struct centres c;
+    if (layout_list(&pairs, &tmp, n_seen))
+        return SIZE_MAX;
+    arena_reset(&tmp, 0);
+    return layout_centres(&c, &tmp, n_views, n_seen) ? SIZE_MAX : tmp.peak;
+}
+
 err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct adjust *a,
                         bool *found)
 {
-    const size_t mark = arena_mark(r->tmp), n = 3 * (size_t)a->n_views;
-    struct centres c = {.a = a, .n = (int)n};
+    const size_t mark = arena_mark(r->tmp);
+    struct centres c = {.a = a};
     size_t products = 0;
     *found = false;
     if (!any_parallax(g, a))
@@ -572,13 +600,7 @@ err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct a
         products +=
             (size_t)(a->first[t + 1] - a->first[t]) * (size_t)(a->first[t + 1] - a->first[t]);
     c.stride = 1 + (int)(products / PRODUCTS_MOST);
-    err_t e = arena_alloc(r->tmp, n * n, sizeof(double), &c.sum);
-    if (!e)
-        e = arena_zalloc(r->tmp, n, sizeof(double), &c.x);
-    if (!e)
-        e = arena_alloc(r->tmp, n, sizeof(double), &c.sighted);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)a->first[a->n_tracks], sizeof(double), &c.weight);
+    err_t e = layout_centres(&c, r->tmp, a->n_views, a->first[a->n_tracks]);
     if (!e)
         *found = solve_centres(&c);
     for (int v = 0; v < a->n_views && *found; v++) {
@@ -589,12 +611,4 @@ err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct a
     }
     arena_reset(r->tmp, mark);
     return e ? e : run_check(r, "centres of cameras");
-}
-
-size_t viewgraph_plan(int n_views, int n_seen)
-{
-    const size_t n = 3 * (size_t)n_views;
-    size_t sum = arena_add(arena_need(n * n, sizeof(double)), 2 * arena_need(n, sizeof(double)));
-    sum = arena_add(sum, arena_need((size_t)n_seen, sizeof(double)));
-    return num_max_size(sum, arena_need((size_t)n_seen, sizeof(struct place)));
 }

@@ -1,11 +1,10 @@
 #include "firmware/recon/locate.h"
 
-#include "core/base/num.h"
-
-void locate_plan(int n_views, int size, int threads, size_t *keep, size_t *tmp)
+void locate_plan(struct plan *p, int n_views, int size)
 {
-    *keep = arena_add(match_keep(n_views, size), bundle_keep(n_views, MATCH_SEEN_MAX / 2));
-    *tmp = num_max_size(match_plan(n_views, size, threads), bundle_plan(n_views, MATCH_SEEN_MAX));
+    struct match_tracks tracks;
+    match_plan(p, n_views, size, &tracks);
+    bundle_plan(p, n_views, &tracks);
 }
 
 err_t locate_run(const struct run *r, const struct views *v, const struct correspondence *prior,

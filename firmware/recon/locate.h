@@ -6,8 +6,8 @@
 #include "core/base/types.h"
 #include "core/sfm/bundle.h"
 
-/* Memory of locate_run. */
-void locate_plan(int n_views, int size, int threads, size_t *keep, size_t *tmp);
+/* Count what locate_run takes. */
+void locate_plan(struct plan *p, int n_views, int size);
 
 /* Cameras of all views. prior: where the network sees the patches of one view in another, or NULL.
  * out:  arrays live in r->keep.

@@ -514,10 +514,10 @@ err_t start_run(const struct run *r, const struct job_config *cfg, struct job_re
 
 static void plan_cameras(const struct views *v, int threads, struct job_memory *m)
 {
-    size_t keep, tmp;
-    locate_plan(v->n, v->size, threads, &keep, &tmp);
-    m->keep = arena_add(m->keep, keep);
-    m->tmp = num_max_size(m->tmp, tmp);
+    struct plan p = plan_begin(threads);
+    locate_plan(&p, v->n, v->size);
+    m->keep = arena_add(m->keep, p.keep.peak);
+    m->tmp = num_max_size(m->tmp, p.tmp.peak);
 }
 
 static void plan_stereo(const struct views *v, int cap, int threads, struct job_memory *m)

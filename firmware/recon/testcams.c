@@ -63,9 +63,10 @@ static void plan_look(const struct job_config *cfg, int all, int threads, struct
         m->keep = arena_add(m->keep, keep);
     }
     if (locates(cfg)) {
-        locate_plan(all, cfg->size, threads, &keep, &tmp);
-        m->keep = arena_add(m->keep, keep);
-        m->tmp = num_max_size(m->tmp, tmp);
+        struct plan p = plan_begin(threads);
+        locate_plan(&p, all, cfg->size);
+        m->keep = arena_add(m->keep, p.keep.peak);
+        m->tmp = num_max_size(m->tmp, p.tmp.peak);
     }
 }
 

@@ -28,9 +28,10 @@ static err_t run_on(struct job *j, const struct bundle_config *cfg, int threads)
     struct run r = {.keep = &j->keep, .tmp = &j->tmp};
     arena_free(&j->keep);
     arena_free(&j->tmp);
-    assert_int_equal(
-        arena_init(&j->keep, "keep", bundle_keep(j->rig.n_views, j->tracks.t.n_tracks)), OK);
-    assert_int_equal(arena_init(&j->tmp, "tmp", bundle_plan(j->rig.n_views, j->tracks.t.n)), OK);
+    struct plan plan = plan_begin(threads);
+    bundle_plan(&plan, j->rig.n_views, &j->tracks.t);
+    assert_int_equal(arena_init(&j->keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&j->tmp, "tmp", plan.tmp.peak), OK);
     if (threads > 1)
         assert_int_equal(pool_open(&pool, threads), OK);
     r.pool = pool;
@@ -743,18 +744,20 @@ static void wrong_requests(void **unused)
     }
     *s = good;
     struct run r = {.keep = &j.keep, .tmp = &j.tmp};
+    struct plan plan = plan_begin(1);
+    bundle_plan(&plan, 4, &j.tracks.t);
     assert_int_equal(bundle_run(&r, 0, 448, &j.tracks.t, &none, &j.out), ERR_ARG);
     assert_int_equal(bundle_run(&r, BUNDLE_VIEWS_MAX + 1, 448, &j.tracks.t, &none, &j.out),
                      ERR_ARG);
     assert_int_equal(bundle_run(&r, 4, 0, &j.tracks.t, &none, &j.out), ERR_ARG);
     arena_free(&j.tmp);
-    assert_int_equal(arena_init(&j.tmp, "tmp", bundle_plan(4, j.tracks.t.n) / 2), OK);
+    assert_int_equal(arena_init(&j.tmp, "tmp", plan.tmp.peak / 2), OK);
     assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_NOMEM);
     assert_null(j.out.cams);
     atomic_bool stop = true;
     arena_reset(&j.keep, 0);
     arena_free(&j.tmp);
-    assert_int_equal(arena_init(&j.tmp, "tmp", bundle_plan(4, j.tracks.t.n)), OK);
+    assert_int_equal(arena_init(&j.tmp, "tmp", plan.tmp.peak), OK);
     r.cancel = &stop;
     assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_CANCELLED);
     done(&j);

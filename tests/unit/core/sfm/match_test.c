@@ -126,8 +126,11 @@ static void open_world(struct world *w, int n, int threads)
     w->v.rgb = malloc((size_t)n * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
     kernels_init(&w->k, cpu_detect());
-    assert_int_equal(arena_init(&w->keep, "keep", match_keep(n, SIZE)), OK);
-    assert_int_equal(arena_init(&w->tmp, "tmp", match_plan(n, SIZE, threads)), OK);
+    struct plan plan = plan_begin(threads);
+    struct match_tracks most;
+    match_plan(&plan, n, SIZE, &most);
+    assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
     if (threads > 1)
         assert_int_equal(pool_open(&w->pool, threads), OK);
     w->run = (struct run){.k = &w->k, .pool = w->pool, .keep = &w->keep, .tmp = &w->tmp};
@@ -454,7 +457,9 @@ static void test_too_little_memory(void **state)
     w.tmp.size = full;
     w.keep.size = 64;
     assert_int_equal(match_run(&w.run, &w.v, NULL, &t), ERR_NOMEM);
-    w.keep.size = match_keep(2, SIZE);
+    struct plan plan = plan_begin(1);
+    match_plan(&plan, 2, SIZE, &t);
+    w.keep.size = plan.keep.peak;
     atomic_bool cancel = true;
     w.run.cancel = &cancel;
     assert_int_equal(match_run(&w.run, &w.v, NULL, &t), ERR_CANCELLED);
@@ -480,8 +485,10 @@ static void test_many_views(void **state)
         v.rgb[i] = (uint8_t)(40 + 160 * hash(x / 5, y / 5, 3));
     }
     kernels_init(&k, cpu_detect());
-    assert_int_equal(arena_init(&keep, "keep", match_keep(v.n, v.size)), OK);
-    assert_int_equal(arena_init(&tmp, "tmp", match_plan(v.n, v.size, 1)), OK);
+    struct plan plan = plan_begin(1);
+    match_plan(&plan, v.n, v.size, &t);
+    assert_int_equal(arena_init(&keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     const struct run r = {.k = &k, .keep = &keep, .tmp = &tmp};
     assert_int_equal(match_run(&r, &v, NULL, &t), OK);
     for (int i = 0; i < t.n; i++) {
