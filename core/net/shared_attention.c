@@ -7,7 +7,7 @@
 #include <math.h>
 #include <string.h>
 
-#define HEAD_SCALE 0.125f // whatever the width of a head (golden/QUIRKS 2)
+#define HEAD_SCALE 0.125f // whatever the width of a head, core/net/README.md 2.7
 
 struct shared_attention shared_attention_shape(const struct net_dims *d, int n_views, int grid)
 {

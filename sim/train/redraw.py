@@ -1,7 +1,7 @@
 """Pictures of the predicted Gaussians by the rasteriser of core/splat (sim/train/redraw.h, ctypes),
-with gradients, and what the stage `render` minimises (paper 3.4): photographs drawn again from the
-fused Gaussians of all views, their own and those of a place that the network has not seen, and the
-depth where the frozen head is surest of it."""
+with gradients, and what the stage `render` minimises (section 3.5 of the paper): photographs drawn
+again from the fused Gaussians of all views, their own and those of a place that the network has not
+seen, and the depth where the frozen head is surest of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIB = "build/x86_64-pic/libsim.so"
 COLOUR = (8, 33, 58)  # constant band of the three colours among the raw channels
 SURE = 83  # weight of a pixel in its cell, before the exponential
 CELL_EPS, SCALE_UNIT, SCALE_MAX = 1e-6, 1e-3, 0.3  # core/splat/README.md 6
-TOP = 0.3  # share of pixels whose depth is trusted, paper 3.4
+TOP = 0.3  # share of pixels whose depth is trusted, section 3.5 of the paper
 TEXTURE, WINDOW = 0.02, 7  # deviation of display values in a window that stereo can match
 AGREE, NEARER = 0.03, 0.95  # of depth: the same point; well before what is there
 

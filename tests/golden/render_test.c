@@ -86,7 +86,7 @@ static void open_fixture(struct fixture *f, unsigned cpu)
 
 /* Relative rms below 2e-5 and no pixel off by more than 2e-4 of the largest value, except pixels
  * that the golden set marks as near a threshold: there one splat at alpha 1/255 may be in or out
- * (golden ORACLE, "Comparing"). */
+ * (tests/golden/README.md 3). */
 static void compare(const char *what, const float *got, const float *want, const int32_t *mask,
                     int channels)
 {
