@@ -11,7 +11,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { OPTIONS_MAX = 32, SIZE_DEFAULT = 448, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
+enum { OPTIONS_MAX = 32, OPT_HELP = 'h', OPT_CONFIG = 256, OPT_SET, OPT_FIRST };
 
 static void print_option(const char *name, const char *arg, const char *help)
 {
@@ -268,24 +268,24 @@ bool cmd_fill_exposures(struct capture *c)
 void cmd_report_unread(const struct imageset *set, struct job_result *j)
 {
     for (int i = 0; i < set->n_notes; i++)
-        job_warn(j, "%s", set->notes[i]);
+        job_result_warn(j, "%s", set->notes[i]);
 }
 
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses)
 {
-    /* stereo looks at all there is to see */
-    const bool whole = network && (cfg->refine_steps == 0 || !cfg->start_stereo);
-    const int size = whole ? network->net.d.size : SIZE_DEFAULT;
-    return (struct job_config){.size = cfg->size ? cfg->size : size,
-                               .network = network,
-                               .polish = cfg->cameras_polish != 0,
-                               .stereo = cfg->start_stereo != 0,
-                               .fov_deg = (float)cfg->cameras_fov_deg,
-                               .refine = {.steps = cfg->refine_steps,
-                                          .degree_max = cfg->refine_sh_degree_max,
-                                          .gaussians_max = cfg->refine_gaussians_max,
-                                          .seed = (uint64_t)cfg->seed,
-                                          .poses = poses}};
+    struct job_config job = {.size = cfg->size,
+                             .network = network,
+                             .polish = cfg->cameras_polish != 0,
+                             .stereo = cfg->start_stereo != 0,
+                             .fov_deg = (float)cfg->cameras_fov_deg,
+                             .refine = {.steps = cfg->refine_steps,
+                                        .degree_max = cfg->refine_sh_degree_max,
+                                        .gaussians_max = cfg->refine_gaussians_max,
+                                        .seed = (uint64_t)cfg->seed,
+                                        .poses = poses}};
+    if (job.size == 0)
+        job.size = recipe_size(&job);
+    return job;
 }
 
 err_t cmd_json_open(const char *path, struct cmd_json *out)

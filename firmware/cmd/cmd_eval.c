@@ -215,8 +215,9 @@ static void add_testcams(const struct state *st, const struct job_config *job,
                          struct job_memory *need)
 {
     const struct capture *train = &st->train.capture;
-    struct job_memory m = testcams_plan(job, train, &st->test.capture, job_most(job, train->n),
-                                        pool_size(st->engine.pool));
+    struct job_memory m =
+        testcams_plan(job, train, &st->test.capture, recipe_choose(train, job, false).gaussians_max,
+                      pool_size(st->engine.pool));
     need->keep = arena_add(need->keep, m.keep);
     need->tmp = m.tmp > need->tmp ? m.tmp : need->tmp;
 }
@@ -226,7 +227,7 @@ static err_t find_test_cameras(struct state *st, const struct job_config *job)
     const struct capture *real = &st->true_train.capture;
     const struct run *r = &st->engine.run;
     err_t e = testcams_run(r, job, &st->job, &st->test);
-    job_lap(&st->job, JOB_MEASURE);
+    job_result_lap(&st->job, JOB_MEASURE);
     if (e || real->n == 0 || !real->shots[0].has_camera)
         return e;
     return testcams_measure(r, &st->job, real, &st->true_test.capture, &st->test.capture,
@@ -250,7 +251,8 @@ static err_t reconstruct(struct state *st, struct request *rq)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
     if (e)
         return e;
-    const struct scenefile_info most = {.n = job_most(&job, st->train.capture.n), .size = job.size};
+    const struct scenefile_info most = {
+        .n = recipe_choose(&st->train.capture, &job, false).gaussians_max, .size = job.size};
     bool unknown = cameras_unknown(st);
     if (unknown) {
         add_testcams(st, &job, &need);
@@ -331,12 +333,12 @@ static err_t read_inputs(struct state *st, int size)
     err_t e = imageset_load(&st->train);
     if (!e)
         e = prep_run(r, &st->train.capture, size, &st->job.views);
-    job_lap(&st->job, JOB_PREPROCESS);
+    job_result_lap(&st->job, JOB_PREPROCESS);
     if (!e)
         e = take_cameras(st);
     if (!e)
         e = response_run(r, &st->job.views, &st->job.response);
-    job_lap(&st->job, JOB_RESPONSE);
+    job_result_lap(&st->job, JOB_RESPONSE);
     return e;
 }
 

@@ -151,7 +151,7 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
     *job = cmd_job(&rq->cfg, network, rq->poses);
     st->source = (struct prep_source){decode, img_free, &st->set};
     job->source = &st->source;
-    rq->set.brackets = !rq->set.may_lack_times && !job_forward(job); // for refinement
+    rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);

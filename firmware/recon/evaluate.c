@@ -237,10 +237,10 @@ static err_t draw_view(struct bench *b, const struct shot *s, const struct views
     size_t clipped = 0;
     b->out->views++;
     err_t e = draw_run(b->r, &b->draw, &b->j->scene, &v->cams[0]);
-    job_lap(b->j, JOB_RENDER);
+    job_result_lap(b->j, JOB_RENDER);
     if (!e)
         e = measure_hdr(b, s);
-    job_lap(b->j, JOB_MEASURE);
+    job_result_lap(b->j, JOB_MEASURE);
     if (e || !b->o)
         return e;
     draw_name("hdr", s->name, "exr", name);
@@ -248,7 +248,7 @@ static err_t draw_view(struct bench *b, const struct shot *s, const struct views
     if (!e)
         e = draw_write_exr(&b->draw, &v->cams[0], v->log2t[0], path, &clipped);
     b->clipped += clipped;
-    job_lap(b->j, JOB_WRITE);
+    job_result_lap(b->j, JOB_WRITE);
     return e;
 }
 
@@ -258,7 +258,7 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
     struct views v;
     struct capture one = {1, (struct shot *)(uintptr_t)s};
     err_t e = prep_run(b->r, &one, b->j->scene.size, &v);
-    job_lap(b->j, JOB_PREPROCESS);
+    job_result_lap(b->j, JOB_PREPROCESS);
     if (!e && !v.cams)
         e = err_fail(ERR_ARG,
                      "%s: its camera is not known; eval needs the cameras of the test views",
@@ -268,16 +268,16 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
     if (e)
         return e;
     draw_display(&b->draw, v.log2t[0]);
-    job_lap(b->j, JOB_RENDER);
+    job_result_lap(b->j, JOB_RENDER);
     e = measure_ldr(b, s, &v);
-    job_lap(b->j, JOB_MEASURE);
+    job_result_lap(b->j, JOB_MEASURE);
     if (e || !b->o)
         return e;
     draw_name("ldr", s->name, "png", name);
     e = outdir_path(b->o, name, path);
     if (!e)
         e = img_write_ldr(path, &b->draw.display);
-    job_lap(b->j, JOB_WRITE);
+    job_result_lap(b->j, JOB_WRITE);
     return e;
 }
 
@@ -329,8 +329,8 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     }
     arena_reset(r->tmp, mark);
     if (b.clipped)
-        job_warn(j,
-                 "%zu values of the EXR files are above the largest half float and stored as 65504",
-                 b.clipped);
+        job_result_warn(
+            j, "%zu values of the EXR files are above the largest half float and stored as 65504",
+            b.clipped);
     return e;
 }

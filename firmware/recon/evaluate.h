@@ -7,7 +7,7 @@
 #ifndef RECON_EVALUATE_H
 #define RECON_EVALUATE_H
 
-#include "firmware/recon/job.h"
+#include "firmware/recon/job_result.h"
 #include "firmware/result/outdir.h"
 
 #include "drivers/format/imageset.h"

@@ -363,25 +363,28 @@ static void warn_exposures(const struct figures *f, struct job_result *j)
 {
     const struct figures_exposure *e = f->exposure, *last = &e[f->n - 1];
     if (f->n == 1)
-        job_warn(j, "all photographs have one exposure: the tone curve is a guess, and nothing is "
-                    "known of what is clipped or dark; take them at exposures 2 to 4 stops apart");
+        job_result_warn(
+            j, "all photographs have one exposure: the tone curve is a guess, and nothing is "
+               "known of what is clipped or dark; take them at exposures 2 to 4 stops apart");
     for (int k = 0; k + 1 < f->n; k++)
         if (e[k].from > e[k + 1].to)
-            job_warn(
+            job_result_warn(
                 j,
                 "exposures %+.1f and %+.1f stops lie too far apart: the %.1f stops of radiance "
                 "between them are seen well in neither; add one in between",
                 e[k].stops, e[k + 1].stops, e[k].from - e[k + 1].to);
     if (e[0].clipped > 0.01)
-        job_warn(j,
-                 "%.0f %% of the pixels are clipped even at the shortest exposure: lamps and "
-                 "highlights are brighter than the scene shows; add a shorter exposure",
-                 100 * e[0].clipped);
+        job_result_warn(
+            j,
+            "%.0f %% of the pixels are clipped even at the shortest exposure: lamps and "
+            "highlights are brighter than the scene shows; add a shorter exposure",
+            100 * e[0].clipped);
     if (last->dark > 0.05)
-        job_warn(j,
-                 "%.0f %% of the pixels are dark even at the longest exposure: little is known of "
-                 "the shadows; add a longer exposure or light",
-                 100 * last->dark);
+        job_result_warn(
+            j,
+            "%.0f %% of the pixels are dark even at the longest exposure: little is known of "
+            "the shadows; add a longer exposure or light",
+            100 * last->dark);
 }
 
 /* Photographs that show nothing, or nothing new. */
@@ -392,7 +395,7 @@ static void warn_empty(struct job_result *j)
     for (int i = 0; i < photographs(v); i++) {
         const char *blank = figures_blank(v, i);
         if (blank)
-            job_warn(
+            job_result_warn(
                 j, "%s is %s all over and shows nothing: take it at a %s exposure, or leave it out",
                 v->names[i], blank, *blank == 'b' ? "longer" : "shorter");
         if (figures_copied(v, i) < 0)
@@ -401,7 +404,7 @@ static void warn_empty(struct job_result *j)
         copies++;
     }
     if (copies)
-        job_warn(
+        job_result_warn(
             j,
             "%d of %d photographs are copies of others (%s is %s): they show nothing new; take "
             "each from another place or at another exposure",
@@ -418,10 +421,11 @@ static void warn_views(struct job_result *j)
     for (int i = 0; i < n; i++)
         if ((double)j->input_db[i] < median - 8 && j->input_db[i] < 22 &&
             !figures_blank(&j->views, i))
-            job_warn(j,
-                     "%s fits the scene %.0f dB worse than the others: something moved, or its "
-                     "exposure is wrong; take it again",
-                     j->views.names[i], median - (double)j->input_db[i]);
+            job_result_warn(
+                j,
+                "%s fits the scene %.0f dB worse than the others: something moved, or its "
+                "exposure is wrong; take it again",
+                j->views.names[i], median - (double)j->input_db[i]);
 }
 
 void figures_warn(struct job_result *j)

@@ -4,7 +4,8 @@
 #ifndef RECON_FIGURES_H
 #define RECON_FIGURES_H
 
-#include "firmware/recon/job.h"
+#include "firmware/recon/job_result.h"
+#include "firmware/result/report.h"
 
 #include "core/photo/response.h"
 

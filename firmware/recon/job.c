@@ -12,7 +12,6 @@
 #include "core/photo/response.h"
 
 #include <math.h>
-#include <stdarg.h>
 #include <string.h>
 
 static const char *const stage_names[JOB_STAGES] = {
@@ -27,77 +26,90 @@ static void announce(const struct run *r, enum job_stage stage)
 
 /* ---- the map ---- */
 
-static struct job_config within(const struct job_config *cfg, int n_views);
-
-/* Without steps the refiner still takes out what is transparent, which a network's scene keeps. */
-static bool refines(const struct job_config *cfg)
+/* Photographs become views; what their brackets show twice goes once there is a response. */
+static err_t read_photographs(const struct run *r, const struct capture *c,
+                              const struct job_config *cfg, struct job_result *out)
 {
-    return cfg->refine.steps > 0 || !job_forward(cfg);
-}
-
-bool job_forward(const struct job_config *cfg)
-{
-    return cfg->network && !cfg->cameras_only && cfg->network->net.d.gauss &&
-           cfg->refine.steps == 0;
-}
-
-/* What is left of full brackets, and its response. */
-static err_t choose_exposures(const struct run *r, const struct job_config *cfg,
-                              struct job_result *out)
-{
-    const bool gaussians = cfg->network && !cfg->cameras_only && !cfg->stereo;
-    out->taken = out->views.n + out->views.n_more;
-    err_t e = exposure_stack_choose(r, &out->response, gaussians, &out->views);
-    return e ? e : response_run(r, &out->views, &out->response);
-}
-
-err_t job_run(const struct run *r, const struct capture *c, const struct job_config *asked,
-              struct job_result *out)
-{
-    struct job_config cfg = within(asked, prep_places(c));
-    memset(out, 0, sizeof *out);
-    out->input_psnr = NAN;
-    out->start_s = out->lap_s = engine_seconds();
-    if (cfg.network)
-        out->precision = modelfile_precision(cfg.network->file.model.precision);
     announce(r, JOB_PREPROCESS);
-    err_t e = prep_read(r, c, cfg.source, cfg.size, &out->views);
+    err_t e = prep_read(r, c, cfg->source, cfg->size, &out->views);
     if (!e)
         e = arena_alloc(r->keep, (size_t)c->n, sizeof *out->input_db, &out->input_db);
     for (int i = 0; i < c->n && !e; i++)
         out->input_db[i] = NAN;
-    job_lap(out, JOB_PREPROCESS);
-    if (!e)
-        e = response_run(r, &out->views, &out->response);
-    if (!e && out->views.n_more)
-        e = choose_exposures(r, &cfg, out);
-    job_lap(out, JOB_RESPONSE);
-    if (!e)
-        e = start_run(r, &cfg, out);
-    cfg.refine.poses = cfg.refine.poses || out->cameras.found;
-    if (!e && refines(&cfg))
-        e = refine_run(r, &out->views, &cfg.refine, &out->scene, &out->refine);
-    job_lap(out, JOB_REFINE);
-    if (!e && out->scene.g.n == 0)
-        job_warn(out,
-                 "the scene is empty, no splat was found or kept: take sharp photographs of one "
-                 "place that overlap by more than half");
+    job_result_lap(out, JOB_PREPROCESS);
+    return e;
+}
+
+/* The response, and what is left of full brackets. */
+static err_t find_response(const struct run *r, const struct recipe *recipe, struct job_result *out)
+{
+    err_t e = response_run(r, &out->views, &out->response);
+    if (!e && out->views.n_more) {
+        out->taken = out->views.n + out->views.n_more;
+        e = exposure_stack_choose(r, &out->response, recipe->depth == RECIPE_NETWORK, &out->views);
+        if (!e)
+            e = response_run(r, &out->views, &out->response);
+    }
+    job_result_lap(out, JOB_RESPONSE);
+    return e;
+}
+
+static err_t refine(const struct run *r, const struct recipe *recipe, struct job_result *out)
+{
+    err_t e = refine_run(r, &out->views, &recipe->refinement, &out->scene, &out->refine);
+    job_result_lap(out, JOB_REFINE);
+    return e;
+}
+
+static void begin(const struct job_config *cfg, struct job_result *out)
+{
+    memset(out, 0, sizeof *out);
+    out->input_psnr = NAN;
+    out->start_s = out->lap_s = engine_seconds();
+    if (cfg->network)
+        out->precision = modelfile_precision(cfg->network->file.model.precision);
+}
+
+static void finish(const struct run *r, struct job_result *out)
+{
+    if (out->scene.g.n == 0)
+        job_result_warn(out, "the scene is empty, no splat was found or kept: take sharp "
+                             "photographs of one place that overlap by more than half");
     out->keep_peak = r->keep->peak;
     out->tmp_peak = r->tmp->peak;
+}
+
+err_t job_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
+              struct job_result *out)
+{
+    const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
+    struct start start = {.run = r, .cfg = cfg, .recipe = &recipe, .out = out};
+    begin(cfg, out);
+    err_t e = read_photographs(r, c, cfg, out);
+    if (!e)
+        e = find_response(r, &recipe, out);
+    if (!e)
+        e = start_scene(&start);
+    if (!e && recipe.network)
+        e = start_network(&start);
+    if (!e && recipe.bundle)
+        e = start_bundle(&start);
+    if (!e)
+        e = start_cameras(&start);
+    if (!e && (recipe.depth == RECIPE_STEREO || start_corrects(&start)))
+        e = start_stereo(&start);
+    if (!e && start_corrects(&start))
+        e = start_correct(&start);
+    if (!e)
+        e = start_gaussians(&start);
+    if (!e && recipe.refine)
+        e = refine(r, &recipe, out);
+    if (!e)
+        finish(r, out);
     return e;
 }
 
 /* ---- planning ---- */
-
-/* More splats than pixels serve nothing. */
-static struct job_config within(const struct job_config *cfg, int n_views)
-{
-    struct job_config out = *cfg;
-    long long pixels = (long long)n_views * cfg->size * cfg->size;
-    if (out.refine.gaussians_max > pixels)
-        out.refine.gaussians_max = (int)pixels;
-    return out;
-}
 
 /* All cameras are known, or none. */
 static err_t check_capture(const struct capture *c)
@@ -117,15 +129,6 @@ static err_t check_capture(const struct capture *c)
     return OK;
 }
 
-int job_most(const struct job_config *asked, int n_views)
-{
-    struct job_config cfg = within(asked, n_views);
-    long long pixels = (long long)n_views * cfg.size * cfg.size;
-    if (job_forward(&cfg))
-        return pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
-    return cfg.refine.gaussians_max;
-}
-
 /* Of n at a time: all, or as many of the largest. */
 static size_t plan_pictures(const struct capture *c, int n)
 {
@@ -138,56 +141,35 @@ static size_t plan_pictures(const struct capture *c, int n)
     return n < c->n ? most * (size_t)n : sum;
 }
 
-err_t job_plan(const struct capture *c, const struct job_config *asked, int threads, bool tapped,
+err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,
                struct job_memory *out)
 {
-    struct camera known = {0};
     err_t e = check_capture(c);
     if (e)
         return e;
-    const int places = prep_places(c);
-    struct job_config cfg = within(asked, places);
-    const struct views v = {.n = places, // all that plans look at
-                            .n_more = c->n - places,
-                            .size = cfg.size,
-                            .cams = c->shots[0].has_camera ? &known : NULL};
+    const struct recipe recipe = recipe_choose(c, cfg, tapped);
+    const struct views v = {.n = recipe.places, // all that plans look at
+                            .n_more = c->n - recipe.places,
+                            .size = cfg->size};
     size_t keep, tmp;
-    e = start_check(&cfg, &v, tapped);
+    e = recipe_check(&recipe, cfg->size);
     if (e)
         return e;
-    *out = start_plan(&cfg, &v, threads, tapped);
-    out->pictures = plan_pictures(c, cfg.source ? threads : c->n);
-    prep_plan(c, cfg.size, threads, &keep, &tmp);
+    *out = start_plan(cfg, &recipe, &v, threads);
+    out->pictures = plan_pictures(c, cfg->source ? threads : c->n);
+    prep_plan(c, cfg->size, threads, &keep, &tmp);
     out->keep = arena_add(out->keep, keep);
     out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
     out->tmp = num_max_size(out->tmp, tmp);
     out->tmp = num_max_size(out->tmp, response_plan(&v));
     out->tmp = num_max_size(out->tmp, exposure_stack_plan(&v, threads));
-    if (refines(&cfg))
-        out->tmp = num_max_size(out->tmp, refine_plan(&v, &cfg.refine, threads));
-    out->tmp = num_max_size(out->tmp, draw_plan(job_most(&cfg, places), cfg.size, cfg.size));
+    if (recipe.refine)
+        out->tmp = num_max_size(out->tmp, refine_plan(&v, &recipe.refinement, threads));
+    out->tmp = num_max_size(out->tmp, draw_plan(recipe.gaussians_max, cfg->size, cfg->size));
     return OK;
 }
 
-/* ---- times and words ---- */
-
-void job_lap(struct job_result *j, enum job_stage stage)
-{
-    double now = engine_seconds();
-    j->seconds[stage] += now - j->lap_s;
-    j->lap_s = now;
-    j->peak_rss_mb = engine_peak_rss_mb();
-}
-
-void job_warn(struct job_result *j, const char *fmt, ...)
-{
-    if (j->n_warnings == JOB_WARNINGS)
-        return;
-    va_list ap;
-    va_start(ap, fmt);
-    vsnprintf(j->warnings[j->n_warnings++], sizeof j->warnings[0], fmt, ap);
-    va_end(ap);
-}
+/* ---- words ---- */
 
 static void report_cameras(const struct job_cameras *c, struct report *rep)
 {

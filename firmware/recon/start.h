@@ -1,24 +1,65 @@
-/* start.h - cameras and the first Gaussians of a scene, by stereo or by the network. Steps of
- * job.c. */
+/* start.h - cameras and the first Gaussians of a scene, by stereo or by the network: the steps of
+ * job.c between the response curve and refinement. Each is called where the recipe asks for it, in
+ * this order.
+ * From one step to the next the network's prediction, the bundle and depth live in run.keep, what
+ * stereo sees in run.tmp; start_gaussians gives all of it back. */
 #ifndef RECON_START_H
 #define RECON_START_H
 
-#include "firmware/recon/job.h"
+#include "firmware/recon/job_result.h"
+#include "firmware/recon/recipe.h"
 
-/* Memory of start_run, with a pool of `threads`, and of drawing its result. Of v only its sizes are
- * looked at, and whether it has cameras. tapped: run.tap is set. */
-struct job_memory start_plan(const struct job_config *asked, const struct views *v, int threads,
-                             bool tapped);
+#include "core/sfm/bundle.h"
 
-/* Refuse before the work what start_run could not do: more views than cameras can be found for, or
- * views too small for that. Of v as start_plan.
- * err:  ERR_ARG. */
-MUST_USE err_t start_check(const struct job_config *asked, const struct views *v, bool tapped);
+/* Of each place one picture with all that its exposures show. */
+struct start_seen {
+    struct views views;
+    struct tonemap tone;
+};
 
-/* From out->views and out->response to out->scene, ready for refinement; its Gaussians have room
- * for cfg->refine.gaussians_max unless there is no refinement. Cameras that
- * were not known become out->views.cams too. Times go to *out.
- * err:  those of the steps. */
-MUST_USE err_t start_run(const struct run *r, const struct job_config *cfg, struct job_result *out);
+struct start {
+    const struct run *run;
+    const struct job_config *cfg;
+    const struct recipe *recipe;
+    struct job_result *out; // views and response are set; it becomes views.cams, scene, cameras
+    size_t keep, tmp;       // levels of the arenas at the beginning
+    struct prediction p;
+    struct bundle_result bundle;
+    float scale; // from the network's world to that of the cameras
+    struct start_seen seen;
+    struct depthmaps depth;
+    size_t before_depth; // level of run.keep
+};
+
+/* Memory of all steps with a pool of `threads`. Of v only its sizes are looked at. */
+struct job_memory start_plan(const struct job_config *cfg, const struct recipe *recipe,
+                             const struct views *v, int threads);
+
+/* The scene before its first splat, with room for all unless it becomes a single forward pass. */
+MUST_USE err_t start_scene(struct start *s);
+
+/* recipe.network: its prediction. */
+MUST_USE err_t start_network(struct start *s);
+
+/* recipe.bundle: cameras, or the scale of the network's depth; views that are not tied to the
+ * others are left out.
+ * err:  ERR_ARG (recipe.must_place, and fewer than two views can be placed). */
+MUST_USE err_t start_bundle(struct start *s);
+
+/* The scene's cameras; the network's geometry is moved there, at a scale that is left to
+ * start_gaussians. */
+MUST_USE err_t start_cameras(struct start *s);
+
+/* Whether photographs correct the network: as the recipe says, if the cameras are sure. */
+bool start_corrects(const struct start *s);
+
+/* Depth, and with it a better curve. */
+MUST_USE err_t start_stereo(struct start *s);
+
+/* Depth and photographs overrule the network. */
+MUST_USE err_t start_correct(struct start *s);
+
+/* The network's Gaussians, one per cell, or seeds from depth. */
+MUST_USE err_t start_gaussians(struct start *s);
 
 #endif

@@ -36,16 +36,11 @@ static int count_views(const struct capture *c)
     return n;
 }
 
-static bool locates(const struct job_config *cfg)
-{
-    return cfg->polish || !cfg->network;
-}
-
 err_t testcams_check(const struct job_config *cfg, const struct capture *train,
                      const struct capture *test)
 {
     const int inputs = prep_places(train), held_out = count_views(test);
-    if (!locates(cfg) || inputs + held_out <= BUNDLE_VIEWS_MAX)
+    if (!recipe_of_cameras(cfg).bundle || inputs + held_out <= BUNDLE_VIEWS_MAX)
         return OK;
     return err_fail(ERR_ARG,
                     "%d input and %d test views, cameras can be found for at most %d together: "
@@ -55,14 +50,15 @@ err_t testcams_check(const struct job_config *cfg, const struct capture *train,
 
 static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
 {
+    const struct recipe recipe = recipe_of_cameras(cfg);
     const struct views v = {.n = all, .size = cfg->size};
     size_t keep, tmp;
-    if (cfg->network) {
+    if (recipe.network) {
         network_look_plan(cfg->network, &v, threads, &keep, &tmp);
         m->tmp = num_max_size(m->tmp, tmp);
         m->keep = arena_add(m->keep, keep);
     }
-    if (locates(cfg)) {
+    if (recipe.bundle) {
         struct plan p = plan_begin(threads);
         locate_plan(&p, all, cfg->size);
         m->keep = arena_add(m->keep, p.keep.peak);
@@ -136,10 +132,10 @@ static err_t locate(const struct run *r, const struct job_config *cfg, const str
 {
     struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
-    const bool polish = cfg->polish || !cfg->network;
-    err_t e = cfg->network ? network_look(r, cfg->network, polish, all, &p) : OK;
+    const struct recipe recipe = recipe_of_cameras(cfg);
+    err_t e = recipe.network ? network_look(r, cfg->network, recipe.bundle, all, &p) : OK;
     *out = p.geom.cams;
-    if (e || !polish)
+    if (e || !recipe.bundle)
         return e;
     const struct bundle_config want = {
         .start = p.geom.cams, .focal = s->cams[0].fx, .focal_known = true};

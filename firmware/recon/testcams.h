@@ -4,7 +4,8 @@
 #ifndef RECON_TESTCAMS_H
 #define RECON_TESTCAMS_H
 
-#include "firmware/recon/job.h"
+#include "firmware/recon/job_result.h"
+#include "firmware/recon/recipe.h"
 
 #include "drivers/format/imageset.h"
 

@@ -63,10 +63,10 @@ static err_t check_names(const struct capture *c)
 
 err_t publish_check(const struct capture *c, const struct job_config *cfg, struct outdir *o)
 {
-    const int places = prep_places(c);
-    const int degree = job_forward(cfg) ? SH_DEGREE_MAX : cfg->refine.degree_max;
-    const struct scene most = {
-        .g = {.n = job_most(cfg, places), .degree = degree}, .n_views = places, .size = cfg->size};
+    const struct recipe recipe = recipe_choose(c, cfg, false);
+    const struct scene most = {.g = {.n = recipe.gaussians_max, .degree = recipe.degree_max},
+                               .n_views = recipe.places,
+                               .size = cfg->size};
     const struct viewer_input viewer = {.scene = &most,
                                         .photos = (const uint8_t *)"", // whether, not which
                                         .n_log2t = c->n,
@@ -123,7 +123,7 @@ static err_t write_view(struct pictures *p, int i)
         e = compare(p, k);
     if (!e)
         e = compare(p, i); // the one whose exposure is written
-    job_lap(p->j, JOB_RENDER);
+    job_result_lap(p->j, JOB_RENDER);
     draw_name("ldr", s->names[i], "png", name);
     if (!e)
         e = outdir_path(p->o, name, path);
@@ -135,7 +135,7 @@ static err_t write_view(struct pictures *p, int i)
     if (!e)
         e = draw_write_exr(&p->draw, &s->cams[i], s->log2t[i], path, &clipped);
     p->clipped += clipped;
-    job_lap(p->j, JOB_WRITE);
+    job_result_lap(p->j, JOB_WRITE);
     return e;
 }
 
@@ -154,7 +154,7 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     arena_reset(r->tmp, mark);
     j->input_psnr = p.psnr / (j->views.n + j->views.n_more);
     if (p.clipped)
-        job_warn(
+        job_result_warn(
             j,
             "%zu values of the EXR files are above the largest half float and stored as 65504; "
             "scene.hdrig has them whole",
@@ -210,7 +210,7 @@ static err_t write_viewer(struct job_result *j, const struct outdir *o)
     char path[FILE_PATH_CAP];
     struct viewer_input viewer = viewer_of(j, o);
     if (!has_viewer(j)) {
-        job_warn(j, "no view.html: %d splats are more than a page can hold", j->scene.g.n);
+        job_result_warn(j, "no view.html: %d splats are more than a page can hold", j->scene.g.n);
         return OK;
     }
     err_t e = outdir_path(o, VIEWER_NAME, path);
@@ -263,7 +263,7 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
         e = write_scene(&j->scene, o);
     if (!e)
         e = write_viewer(j, o);
-    job_lap(j, JOB_WRITE);
+    job_result_lap(j, JOB_WRITE);
     if (!e) {
         figures_warn(j);
         e = write_report(j, pool_size(r->pool), o, &sheet);

@@ -5,7 +5,7 @@
 #ifndef RESULT_REPORT_PAGE_H
 #define RESULT_REPORT_PAGE_H
 
-#include "firmware/recon/job.h"
+#include "firmware/recon/job_result.h"
 
 #include "drivers/format/file.h"
 

@@ -144,7 +144,7 @@ static void warnings_are_bounded(void **state)
     (void)state;
     static struct job_result j;
     for (int i = 0; i < JOB_WARNINGS + 3; i++)
-        job_warn(&j, "%0400d", i);
+        job_result_warn(&j, "%0400d", i);
     assert_int_equal(j.n_warnings, JOB_WARNINGS);
     assert_int_equal(strlen(j.warnings[0]), sizeof j.warnings[0] - 1);
 }
@@ -167,7 +167,7 @@ static void report_has_every_member(void **state)
     job.result.input_psnr = NAN;
     for (int i = 0; i <= JOB_WRITE; i++)
         job.result.seconds[i] = 1;
-    job_warn(&job.result, "one \"warning\"");
+    job_result_warn(&job.result, "one \"warning\"");
     FILE *f = open_memstream(&text, &size);
     report_begin(&rep, f);
     job_report(&job.result, 3, &rep);

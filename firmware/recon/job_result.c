@@ -1,0 +1,24 @@
+#include "firmware/recon/job_result.h"
+
+#include "firmware/base/engine.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+
+void job_result_lap(struct job_result *j, enum job_stage stage)
+{
+    double now = engine_seconds();
+    j->seconds[stage] += now - j->lap_s;
+    j->lap_s = now;
+    j->peak_rss_mb = engine_peak_rss_mb();
+}
+
+void job_result_warn(struct job_result *j, const char *fmt, ...)
+{
+    if (j->n_warnings == JOB_WARNINGS)
+        return;
+    va_list ap;
+    va_start(ap, fmt);
+    vsnprintf(j->warnings[j->n_warnings++], sizeof j->warnings[0], fmt, ap);
+    va_end(ap);
+}

@@ -1,0 +1,63 @@
+/* job_result.h - what a job comes to: its scene and what is to be told about it. The steps of a job
+ * (job.h) fill it in. */
+#ifndef RECON_JOB_RESULT_H
+#define RECON_JOB_RESULT_H
+
+#include "core/base/types.h"
+#include "core/refine/refine.h"
+
+enum job_stage {
+    JOB_PREPROCESS,
+    JOB_RESPONSE,
+    JOB_CAMERAS, // where they were not known, or a network needs a scale
+    JOB_SWEEP,
+    JOB_SEED,
+    JOB_BACKBONE,
+    JOB_HEADS,      // cameras and depth
+    JOB_APPEARANCE, // fusion, Gaussian head, tone curve
+    JOB_VOXEL,
+    JOB_REFINE,
+    JOB_RENDER, // this and the following by whoever publishes or evaluates
+    JOB_WRITE,
+    JOB_MEASURE,
+    JOB_STAGES
+};
+
+enum { JOB_WARNINGS = 76 }; // one for each view that may be left out, and some
+
+/* How cameras that were not known were found. */
+struct job_cameras {
+    bool found;       // false: they were known, or are the network's own
+    bool from_tracks; // bundle adjustment did better without the network's
+    float confidence; // bundle.h
+    float rms_px;
+    int inliers, sightings, placed; // points seen; views
+};
+
+struct job_result {
+    struct views views;      // in keep; n is 0 if the photographs are not at hand
+    struct tonemap response; // from histograms: the nearest view is shown under it
+    int taken;               // photographs of brackets, before those that show nothing more went
+    struct scene scene;      // in keep
+    struct refine_report refine;
+    struct job_cameras cameras;
+    double start_s, lap_s; // of the clock
+    double seconds[JOB_STAGES];
+    double input_psnr;          // dB, mean over the input views, NAN until publish_run
+    float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
+    bool measured_only;         // the scene is from a file: nothing to tell about its making
+    size_t keep_peak, tmp_peak; // bytes
+    double peak_rss_mb;         // at the end of the last stage
+    const char *precision;      // of the network; NULL: none was used
+    int n_warnings;
+    char warnings[JOB_WARNINGS][240];
+};
+
+/* The time since the last call (or the start) goes to `stage`. */
+void job_result_lap(struct job_result *j, enum job_stage stage);
+
+/* Add a sentence for the report; those beyond JOB_WARNINGS are dropped. */
+void job_result_warn(struct job_result *j, const char *fmt, ...)
+    __attribute__((format(printf, 2, 3)));
+
+#endif

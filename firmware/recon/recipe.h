@@ -1,0 +1,73 @@
+/* recipe.h - what a job is asked for, and how it is done: where cameras, depth and the first
+ * Gaussians come from. Decided once, before a pixel is decoded: planning and running both read it.
+ */
+#ifndef RECON_RECIPE_H
+#define RECON_RECIPE_H
+
+#include "firmware/recon/network.h"
+
+#include "core/base/types.h"
+#include "core/photo/prep.h"
+#include "core/refine/refine.h"
+
+struct job_config {
+    int size; // px, edge of the square views
+    struct refine_config refine;
+    const struct network *network; // NULL: none
+    bool cameras_only;             // the network is only asked for cameras
+    bool polish;   // the network's cameras by bundle adjustment, always without a network; its
+                   // depth by stereo
+    bool stereo;   // refinement starts from stereo also if a network gave Gaussians
+    float fov_deg; // of cameras that are not known, horizontal; 0: to be found
+    const struct prep_source *source; // of the pixels; NULL: they are in the capture
+    float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set
+};
+
+struct job_memory {
+    size_t pictures, weights; // bytes: decoded photographs at a time (malloc'd), mapped file
+    size_t keep, tmp;         // arenas
+};
+
+enum recipe_source {
+    RECIPE_GIVEN,   // cameras: they come with the photographs
+    RECIPE_BUNDLE,  // cameras: by bundle adjustment, which starts from the network's if it is asked
+    RECIPE_STEREO,  // depth: by plane sweep
+    RECIPE_SEEDS,   // Gaussians: from depth and photographs
+    RECIPE_NETWORK, // any of them: as the network predicts
+};
+
+struct recipe {
+    enum recipe_source cameras, depth, gaussians;
+    bool network;    // it is asked for cameras, and for what else is its own
+    bool bundle;     // bundle adjustment: for cameras, or, where they are given, for the scale of
+                     // the network's depth
+    bool must_place; // views that bundle adjustment cannot place have no other camera
+    bool correct;    // stereo and photographs correct the network's Gaussians
+    bool forward;    // the scene is the network's single forward pass
+    bool refine;     // its steps, or at least what is transparent is taken out
+    bool tapped;     // run.tap is set: tensors are dumped
+    int places;      // where photographs were taken
+    int gaussians_max, degree_max;   // of the scene
+    struct refine_config refinement; // as asked, within what so many pixels bear
+};
+
+/* c: only names, sizes and cameras are looked at. tapped: run.tap will be set; what is dumped is
+ * the network's own, the whole pass. */
+struct recipe recipe_choose(const struct capture *c, const struct job_config *cfg, bool tapped);
+
+/* The same for cameras alone, none of which are known: of it only cameras, network and bundle mean
+ * anything. */
+struct recipe recipe_of_cameras(const struct job_config *cfg);
+
+/* Whether the scene will be the network's single forward pass, which no capture changes. */
+bool recipe_forward(const struct job_config *cfg);
+
+/* Edge of the views in px if none is asked for: what the network was trained for if it sees the
+ * scene, else so much that stereo sees what there is. */
+int recipe_size(const struct job_config *cfg);
+
+/* Refuse what cannot be done: more views than cameras can be found for, or views too small.
+ * err:  ERR_ARG. */
+MUST_USE err_t recipe_check(const struct recipe *recipe, int size);
+
+#endif
