@@ -1,7 +1,6 @@
 /* evaluate.h - a reconstructed scene against photographs and radiance that it has not seen
  * (core/refine/README.md 5). LDR: the tone-mapped float picture against the 8-bit photograph / 255.
- * HDR:
- * both divided by their own 99 % quantile, clipped, mu-law. Per image, then the mean over all.
+ * HDR: both divided by their own 99 % quantile, clipped, mu-law. Per image, then the mean over all.
  * Beside it, what a lookup would score: the nearest input view, brought to the exposure of the test
  * picture by the recovered response; without input views (j->views) there is none. */
 #ifndef RECON_EVALUATE_H
