@@ -104,8 +104,8 @@ struct network_known {
  * others to where the views agree (consensus.h), all at the middle of the pixel and not at its
  * corner, as the network has it (core/net/README.md 2.11); Gaussians grow as their distance does,
  * so that they cover as many pixels as before, but with a standard deviation of one pixel at most.
- * A pixel that is neither black nor saturated has the photograph's radiance; others keep the network's,
- * under the known curve, which becomes p's, as far as this curve reaches.
+ * A pixel that is neither black nor saturated has the photograph's radiance; others keep the
+ * network's, under the known curve, which becomes p's, as far as this curve reaches.
  * Pixels are left out (their confidence is no number, see voxel_merge) where another view shows the
  * same surface and says more than twice as much about its radiance. Of a pixel whose depth is not
  * sure, every view may be that other one that has its point in the picture; it is also left out
