@@ -71,13 +71,18 @@ size_t arena_add(size_t a, size_t b)
     return a > SIZE_MAX - b ? SIZE_MAX : a + b;
 }
 
+void arena_hold(struct arena *a, size_t bytes)
+{
+    arena_step(a, bytes);
+    a->used = arena_add(a->used, bytes);
+}
+
 /* Nothing is mapped in the middle of the address space. */
 static err_t count(struct arena *a, size_t need, void *out)
 {
     uintptr_t nowhere = UINTPTR_MAX / 2 + 1;
     memcpy(out, &nowhere, sizeof nowhere);
-    arena_step(a, need);
-    a->used = arena_add(a->used, need);
+    arena_hold(a, need);
     return OK;
 }
 

@@ -28,7 +28,9 @@ MUST_USE err_t arena_init(struct arena *a, const char *name, size_t size);
  * Its pointers can be kept and added to, not followed. */
 struct arena arena_counter(void);
 
-/* Count a step that takes `bytes` above the present level and gives them back. */
+/* Count what was counted before: `bytes` that stay, or that a step takes above the present level
+ * and gives back. */
+void arena_hold(struct arena *a, size_t bytes);
 void arena_step(struct arena *a, size_t bytes);
 
 /* Accepts a zeroed arena. */

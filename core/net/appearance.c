@@ -7,7 +7,6 @@
 
 #include "core/base/num.h"
 #include "core/net/finite.h"
-#include "core/net/plan.h"
 #include "core/net/shared_attention.h"
 #include "core/net/tap.h"
 #include "core/photo/prep.h"
@@ -131,12 +130,17 @@ static struct layer_conv patch_conv(const struct weight *w, int size, const void
                                .floats = true};
 }
 
+static err_t layout_planes(float **planes, struct arena *tmp, int size)
+{
+    return arena_alloc(tmp, 3 * (size_t)size * (size_t)size, sizeof **planes, planes);
+}
+
 /* Appearance tokens of all views, into out->scene, where they stay as the residual. */
 static err_t embed(const struct fusion *f)
 {
     size_t px = (size_t)f->v->size * (size_t)f->v->size, mark = arena_mark(f->r->tmp);
     float *planes;
-    err_t e = arena_alloc(f->r->tmp, 3 * px, sizeof(float), &planes);
+    err_t e = layout_planes(&planes, f->r->tmp, f->v->size);
     for (int v = 0; v < f->v->n && !e; v++) {
         const struct appearance_picture picture = {planes, f->v->size};
         const struct layer_conv c = patch_conv(&f->w->patch_embed, f->v->size, &picture);
@@ -196,14 +200,18 @@ static err_t mlp(const struct fusion *f, const struct mlp_weights *w, const stru
     return e ? e : layer_run(f->r, &w->b, &(struct layer_in){hidden, n, in->m, true}, out);
 }
 
+static err_t layout_film(float **in, float **hidden, struct arena *tmp, size_t n_views, int d)
+{
+    err_t e = arena_alloc(tmp, n_views * 3 * (size_t)d, sizeof **in, in);
+    return e ? e : arena_alloc(tmp, n_views * (size_t)d, sizeof **hidden, hidden);
+}
+
 /* Gains and offsets of the values of each view. */
 static err_t modulation(const struct fusion *f)
 {
     size_t mark = arena_mark(f->r->tmp), d = (size_t)f->d, n = (size_t)f->v->n;
     float *in, *hidden;
-    err_t e = arena_alloc(f->r->tmp, n * 3 * d, sizeof(float), &in);
-    if (!e)
-        e = arena_alloc(f->r->tmp, n * d, sizeof(float), &hidden);
+    err_t e = layout_film(&in, &hidden, f->r->tmp, n, f->d);
     if (!e) {
         film_inputs(f, in);
         e = mlp(f, &f->w->film, &(struct layer_in){in, 3 * d, f->v->n, true}, hidden,
@@ -233,13 +241,18 @@ static void pack_values(const struct fusion *f, int view, const float *mean, con
     }
 }
 
+static err_t layout_values(float **mean, float **var, struct arena *tmp, const struct fusion *f)
+{
+    const size_t n = (size_t)f->m * (size_t)f->d;
+    err_t e = arena_alloc(tmp, n, sizeof **mean, mean);
+    return e ? e : arena_alloc(tmp, n, sizeof **var, var);
+}
+
 static err_t project_values(const struct fusion *f)
 {
     size_t d = (size_t)f->d, m = (size_t)f->m, mark = arena_mark(f->r->tmp);
     float *mean, *var;
-    err_t e = arena_alloc(f->r->tmp, m * d, sizeof(float), &mean);
-    if (!e)
-        e = arena_alloc(f->r->tmp, m * d, sizeof(float), &var);
+    err_t e = layout_values(&mean, &var, f->r->tmp, f);
     for (int v = 0; v < f->v->n && !e; v++) {
         const struct layer_in in = {f->norm + (size_t)v * m * d, d, f->m, true};
         e = layer_run(f->r, &f->w->v_mean, &in, &(struct layer_out){.out = mean, .ldo = d});
@@ -341,19 +354,27 @@ static err_t fuse_block(void *ctx, int chunk, int worker)
     return OK;
 }
 
+static err_t layout_fuse(struct fusion *f, struct arena *tmp, int views, int threads)
+{
+    const size_t n_views = (size_t)views;
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *f->rooms, &f->rooms);
+    for (int i = 0; i < threads && !e; i++) {
+        struct fusion_room o;
+        e = shared_attention_workspace_init(&f->a, tmp, &o.attend);
+        if (!e)
+            e = arena_alloc(tmp, n_views * ROWS * value_pitch(f), sizeof(float), &o.part);
+        if (!e)
+            e = arena_alloc(tmp, n_views, sizeof(double), &o.mass);
+        if (!e && !tmp->counts)
+            f->rooms[i] = o;
+    }
+    return e ? e : shared_attention_layout(&f->a, tmp);
+}
+
 static err_t fuse(struct fusion *f)
 {
-    size_t mark = arena_mark(f->r->tmp), n_views = (size_t)f->v->n;
-    int workers = pool_size(f->r->pool);
-    err_t e = arena_alloc(f->r->tmp, (size_t)workers, sizeof *f->rooms, &f->rooms);
-    for (int i = 0; i < workers && !e; i++) {
-        struct fusion_room *o = f->rooms + i;
-        e = shared_attention_workspace_init(&f->a, f->r->tmp, &o->attend);
-        if (!e)
-            e = arena_alloc(f->r->tmp, n_views * ROWS * value_pitch(f), sizeof(float), &o->part);
-        if (!e)
-            e = arena_alloc(f->r->tmp, n_views, sizeof(double), &o->mass);
-    }
+    size_t mark = arena_mark(f->r->tmp);
+    err_t e = layout_fuse(f, f->r->tmp, f->v->n, pool_size(f->r->pool));
     if (!e)
         e = shared_attention_init(f->r, f->t, &f->a);
     if (!e)
@@ -388,10 +409,9 @@ static err_t finish(const struct fusion *f)
     return e ? e : give_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
 }
 
-static err_t alloc_all(struct fusion *f)
+static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int views)
 {
-    struct arena *keep = f->r->keep, *tmp = f->r->tmp;
-    size_t n = (size_t)f->n, d = (size_t)f->d, n_views = (size_t)f->v->n;
+    size_t n = (size_t)f->n, d = (size_t)f->d, n_views = (size_t)views;
     err_t e = arena_alloc(keep, n_views * d, sizeof(float), &f->out->code);
     if (!e)
         e = arena_alloc(keep, n * d, sizeof(float), &f->out->scene);
@@ -423,6 +443,33 @@ static struct fusion start(const struct net *net, int n_views, int grid)
                            .value_panels = panels_of(2 * d)};
 }
 
+void appearance_plan(struct plan *p, const struct net *net, int n_views, int size)
+{
+    struct fusion f = start(net, n_views, size / NET_PATCH);
+    struct irradiance out;
+    const struct layer_conv conv = patch_conv(&f.w->patch_embed, size, NULL);
+    float *x, *y;
+    const size_t begin = arena_mark(&p->tmp);
+    f.out = &out;
+    err_t e = layout(&f, &p->keep, &p->tmp, n_views);
+    const size_t mark = arena_mark(&p->tmp);
+    e = e ? e : layout_planes(&x, &p->tmp, size);
+    layer_conv_plan(p, &conv);
+    arena_reset(&p->tmp, mark);
+    e = e ? e : layout_film(&x, &y, &p->tmp, (size_t)n_views, f.d);
+    layer_plan(p, 3 * f.d);
+    arena_reset(&p->tmp, mark);
+    e = e ? e : layout_values(&x, &y, &p->tmp, &f);
+    layer_plan(p, f.d);
+    arena_reset(&p->tmp, mark);
+    e = e ? e : layout_fuse(&f, &p->tmp, n_views, p->threads);
+    arena_reset(&p->tmp, mark);
+    layer_plan(p, f.d);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, begin);
+}
+
 err_t appearance_run(const struct run *r, const struct net *net, const struct views *v,
                      const struct tokens *t, struct irradiance *out)
 {
@@ -433,7 +480,7 @@ err_t appearance_run(const struct run *r, const struct net *net, const struct vi
     f.v = v;
     f.t = t;
     f.out = out;
-    err_t e = alloc_all(&f);
+    err_t e = layout(&f, r->keep, r->tmp, v->n);
     if (!e) {
         for (int i = 0; i < v->n; i++)
             appearance_code(v->log2t[i] - v->mid_log2t, f.d, out->code + (size_t)i * (size_t)f.d);
@@ -458,48 +505,4 @@ err_t appearance_run(const struct run *r, const struct net *net, const struct vi
         r->progress(r->progress_ctx, "fusion", 1, 1, NULL);
     }
     return e;
-}
-
-/* ---- plan ---- */
-
-static void plan_fuse(struct plan *whole, const struct fusion *f, size_t n_views, int threads)
-{
-    struct plan p = {0, 0};
-    p.held = arena_add(p.held, shared_attention_need(&f->a));
-    plan_hold(&p, (size_t)threads, sizeof(struct fusion_room));
-    for (int i = 0; i < threads; i++) {
-        p.held = arena_add(p.held, shared_attention_workspace_need(&f->a));
-        plan_hold(&p, n_views * ROWS * value_pitch(f), sizeof(float));
-        plan_hold(&p, n_views, sizeof(double));
-    }
-    plan_step(whole, p.peak);
-}
-
-void appearance_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                     size_t *tmp)
-{
-    const struct fusion f = start(net, n_views, size / NET_PATCH);
-    struct plan k = {0, 0}, p = {0, 0}, in;
-    size_t n = (size_t)f.n, d = (size_t)f.d, v = (size_t)n_views, m = (size_t)f.m;
-    const struct layer_conv conv = patch_conv(&f.w->patch_embed, size, NULL);
-    plan_hold(&k, v * d, sizeof(float));
-    plan_hold(&k, n * d, sizeof(float));
-    plan_hold(&k, n * d, sizeof(float));
-    plan_hold(&p, n * d, sizeof(float));
-    plan_hold(&p, v * 2 * d, sizeof(float));
-    plan_hold(&p, n * value_pitch(&f), sizeof(float));
-    plan_hold(&p, n * d, sizeof(float));
-    plan_hold(&p, n * d, sizeof(float));
-    plan_hold(&p, n * v, sizeof(float));
-    in = p;
-    plan_hold(&in, 3 * (size_t)size * (size_t)size, sizeof(float));
-    plan_step(&in, layer_conv_need(&conv, threads));
-    plan_step(&p, in.peak - p.held);
-    in = p;
-    plan_hold(&in, 4 * (v + m) * d, sizeof(float)); // inputs of the modulation, flat values
-    plan_step(&in, plan_rooms(3 * f.d, threads));
-    plan_step(&p, in.peak - p.held);
-    plan_fuse(&p, &f, v, threads);
-    *keep = k.held;
-    *tmp = p.peak;
 }

@@ -9,9 +9,8 @@
 #include "core/net/layer.h"
 #include "core/net/net.h"
 
-/* Bytes that appearance_run takes; SIZE_MAX on overflow. */
-void appearance_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                     size_t *tmp);
+/* Count what appearance_run takes. */
+void appearance_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* v->log2t and v->mid_log2t give the exposures, t->q and t->k the attention.
  * out:  arrays in r->keep.

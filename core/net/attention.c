@@ -26,20 +26,6 @@ static size_t elem_of(const struct attention *a)
 
 /* ---- memory ---- */
 
-size_t attention_need(const struct attention *a)
-{
-    size_t keys = count_keys(a), heads = (size_t)a->seqs * (size_t)a->heads, w = (size_t)a->width;
-    size_t need = arena_need(heads * (size_t)a->len * w, elem_of(a));
-    need = arena_add(need, arena_need(keys * w, elem_of(a)));
-    need = arena_add(need, arena_need(keys * w, elem_of(a)));
-    need = arena_add(need, arena_need(heads * (size_t)a->len, sizeof(float)));
-    if (a->floats)
-        return need;
-    need = arena_add(need, arena_need(keys, sizeof(float)));
-    need = arena_add(need, arena_need(keys / ATTENTION_KEYS * w, sizeof(float)));
-    return arena_add(need, arena_need(keys / ATTENTION_KEYS * w, sizeof(int32_t)));
-}
-
 err_t attention_init(struct attention *a, struct arena *arena)
 {
     size_t keys = count_keys(a), heads = (size_t)a->seqs * (size_t)a->heads, w = (size_t)a->width;
@@ -64,18 +50,6 @@ err_t attention_init(struct attention *a, struct arena *arena)
 static size_t strip(int width)
 {
     return (size_t)(width > ATTENTION_KEYS ? width : ATTENTION_KEYS);
-}
-
-size_t attention_workspace_need(int width)
-{
-    size_t w = (size_t)width;
-    size_t need = arena_need(ATTENTION_ROWS * ATTENTION_KEYS, sizeof(int32_t));
-    need = arena_add(need, arena_need(ATTENTION_ROWS * ATTENTION_KEYS, 1));
-    need = arena_add(need, arena_need(ATTENTION_ROWS * w, sizeof(int32_t)));
-    for (int i = 0; i < 4; i++)
-        need = arena_add(need, arena_need(ATTENTION_ROWS, sizeof(float)));
-    need = arena_add(need, arena_need(w * ATTENTION_KEYS, sizeof(float)));
-    return arena_add(need, arena_need(strip(width), 1));
 }
 
 err_t attention_workspace_init(struct attention_workspace *room, int width, struct arena *arena)

@@ -51,10 +51,6 @@ struct attention_span {
     int seq, first, n;
 };
 
-/* Bytes of everything above, for the shape in *a; SIZE_MAX on overflow. */
-size_t attention_need(const struct attention *a);
-size_t attention_workspace_need(int width);
-
 /* Carve the arrays of *a, whose shape the caller has set. */
 MUST_USE err_t attention_init(struct attention *a, struct arena *arena);
 MUST_USE err_t attention_workspace_init(struct attention_workspace *room, int width,

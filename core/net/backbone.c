@@ -250,6 +250,12 @@ static err_t run_block(struct stage *s, const struct block *b)
     return e;
 }
 
+static err_t layout_table(float **table, struct arena *tmp, const struct tokens *t)
+{
+    const size_t patches = (size_t)t->grid * (size_t)t->grid;
+    return arena_alloc(tmp, (1 + patches) * (size_t)t->embed, sizeof **table, table);
+}
+
 /* x = patches + positions, after the special tokens of DINOv2. */
 static err_t embed_patches(struct stage *s)
 {
@@ -262,7 +268,7 @@ static err_t embed_patches(struct stage *s)
     float *table;
     conv.ctx = &px;
     pixels_init(&px, s->v->size);
-    err_t e = arena_alloc(s->r->tmp, (1 + patches) * c, sizeof *table, &table);
+    err_t e = layout_table(&table, s->r->tmp, t);
     for (int v = 0; v < t->n_views && !e; v++) {
         const struct layer_out out = {.out = view_tokens(s, v) + NET_SPECIAL * c, .ldo = c};
         px.rgb = s->v->rgb + 3 * (size_t)v * (size_t)s->v->size * (size_t)s->v->size;
@@ -354,15 +360,20 @@ static err_t run_pair(struct stage *s, int i)
     return OK;
 }
 
+static err_t layout_angles(float **cosine, float **sine, struct arena *tmp, const struct net *net,
+                           int n_tokens)
+{
+    const size_t n = (size_t)n_tokens * (size_t)(net->d.embed / net->d.heads / 2);
+    err_t e = arena_alloc(tmp, n, sizeof **cosine, cosine);
+    return e ? e : arena_alloc(tmp, n, sizeof **sine, sine);
+}
+
 static err_t run_aggregator(struct stage *s)
 {
     const struct net *net = s->net;
     size_t c = (size_t)s->t->embed, head = c / (size_t)net->d.heads;
-    size_t angles = (size_t)s->t->n_tokens * (head / 2);
     float *cosine, *sine;
-    err_t e = arena_alloc(s->r->tmp, angles, sizeof *cosine, &cosine);
-    if (!e)
-        e = arena_alloc(s->r->tmp, angles, sizeof *sine, &sine);
+    err_t e = layout_angles(&cosine, &sine, s->r->tmp, net, s->t->n_tokens);
     if (e)
         return e;
     backbone_angles(s->t->grid, (int)head, net->d.rope_bf16, cosine, sine);
@@ -394,41 +405,48 @@ static size_t stream_floats(const struct tokens *t)
     return (size_t)t->n_views * (size_t)t->n_tokens * (size_t)t->embed;
 }
 
-void backbone_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                   size_t *tmp)
-{
-    const struct tokens t = tokens_of(net, n_views, size);
-    const struct layer_conv conv = patch_conv(net, size);
-    struct block dino = block_of(net, &t, true), agg = block_of(net, &t, false);
-    size_t n = stream_floats(&t), c = (size_t)t.embed, patches = (size_t)t.n_tokens - NET_SPECIAL;
-    size_t angles = (size_t)t.n_tokens * (c / (size_t)net->d.heads / 2);
-    size_t embed =
-        arena_add(arena_need((1 + patches) * c, sizeof(float)), layer_conv_need(&conv, threads));
-    size_t blocks = block_need(&agg, threads);
-    agg.global = true;
-    blocks = arena_add(num_max_size(blocks, block_need(&agg, threads)),
-                       arena_need(angles, sizeof(float)));
-    blocks = arena_add(blocks, arena_need(angles, sizeof(float)));
-    *keep = 0;
-    for (int k = 0; k < NET_KEEP; k++)
-        *keep = arena_add(*keep, arena_need(2 * n, sizeof(float)));
-    for (int i = 0; i < 2 && net->d.appearance; i++)
-        *keep = arena_add(*keep, arena_need(n, sizeof(float)));
-    *tmp = num_max_size(embed, num_max_size(block_need(&dino, threads), blocks));
-    *tmp = arena_add(*tmp, arena_need(n, sizeof(float)));
-}
-
-static err_t init_tokens(const struct run *r, const struct net *net, struct tokens *t)
+static err_t layout_tokens(struct tokens *t, struct arena *keep, const struct net *net)
 {
     size_t n = stream_floats(t);
     err_t e = OK;
     for (int k = 0; k < NET_KEEP && !e; k++)
-        e = arena_alloc(r->keep, 2 * n, sizeof(float), &t->keep[k]);
+        e = arena_alloc(keep, 2 * n, sizeof(float), &t->keep[k]);
     if (!e && net->d.appearance)
-        e = arena_alloc(r->keep, n, sizeof(float), &t->q);
+        e = arena_alloc(keep, n, sizeof(float), &t->q);
     if (!e && net->d.appearance)
-        e = arena_alloc(r->keep, n, sizeof(float), &t->k);
+        e = arena_alloc(keep, n, sizeof(float), &t->k);
     return e;
+}
+
+static err_t layout_stream(struct stage *s, struct arena *tmp, const struct tokens *t)
+{
+    return arena_alloc(tmp, stream_floats(t), sizeof *s->x, &s->x);
+}
+
+void backbone_plan(struct plan *p, const struct net *net, int n_views, int size)
+{
+    struct tokens t = tokens_of(net, n_views, size);
+    const struct layer_conv conv = patch_conv(net, size);
+    const struct block dino = block_of(net, &t, true);
+    struct block agg = block_of(net, &t, false);
+    struct stage s;
+    float *table, *cosine, *sine;
+    const size_t mark = arena_mark(&p->tmp);
+    err_t e = layout_tokens(&t, &p->keep, net);
+    e = e ? e : layout_stream(&s, &p->tmp, &t);
+    const size_t stream = arena_mark(&p->tmp);
+    e = e ? e : layout_table(&table, &p->tmp, &t);
+    layer_conv_plan(p, &conv);
+    arena_reset(&p->tmp, stream);
+    block_plan(p, &dino);
+    e = e ? e : layout_angles(&cosine, &sine, &p->tmp, net, t.n_tokens);
+    for (int i = 0; i < 2; i++) {
+        agg.global = i;
+        block_plan(p, &agg);
+    }
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 err_t backbone_run(const struct run *r, const struct net *net, const struct views *v,
@@ -436,11 +454,11 @@ err_t backbone_run(const struct run *r, const struct net *net, const struct view
 {
     *out = tokens_of(net, v->n, v->size);
     struct stage s = {.r = r, .net = net, .v = v, .t = out};
-    err_t e = init_tokens(r, net, out);
+    err_t e = layout_tokens(out, r->keep, net);
     size_t mark = arena_mark(r->tmp);
     s.total = net->d.dino_depth + 2 * net->d.depth;
     if (!e)
-        e = arena_alloc(r->tmp, stream_floats(out), sizeof(float), &s.x);
+        e = layout_stream(&s, r->tmp, out);
     if (!e)
         e = run_dino(&s);
     if (!e)

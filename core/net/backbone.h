@@ -6,9 +6,8 @@
 
 #include "core/net/net.h"
 
-/* Bytes of keep and, during the call, of tmp with a pool of `threads`; SIZE_MAX on overflow. */
-void backbone_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                   size_t *tmp);
+/* Count what backbone_run takes. */
+void backbone_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* out:  arrays in r->keep, which may be r->tmp.
  * err:  ERR_NOMEM (see backbone_plan), ERR_CANCELLED. */

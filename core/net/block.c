@@ -42,19 +42,6 @@ static struct attention shape_of(const struct block *b)
                               .floats = b->floats & NET_FLOAT_ATTENTION};
 }
 
-size_t block_need(const struct block *b, int threads)
-{
-    const struct attention a = shape_of(b);
-    size_t one = layer_workspace_need(MLP * b->width);
-    one = arena_add(one, attention_workspace_need(a.width));
-    one = arena_add(one, arena_need((size_t)ATTENTION_KEYS * (size_t)b->width, sizeof(float)));
-    one = arena_add(one, arena_need(wide_floats(b), sizeof(float)));
-    size_t need = arena_need((size_t)threads, sizeof(struct worker));
-    for (int i = 0; i < threads; i++)
-        need = arena_add(need, one);
-    return arena_add(need, attention_need(&a));
-}
-
 static err_t worker_init(struct worker *w, const struct block *b, struct arena *a)
 {
     err_t e = layer_workspace_init(&w->layer, a, MLP * b->width);
@@ -65,6 +52,28 @@ static err_t worker_init(struct worker *w, const struct block *b, struct arena *
     if (!e)
         e = arena_alloc(a, wide_floats(b), sizeof(float), &w->wide);
     return e;
+}
+
+static err_t layout(struct pass *p, struct arena *tmp, int threads)
+{
+    p->a = shape_of(p->b);
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *p->worker, &p->worker);
+    for (int i = 0; !e && i < threads; i++) {
+        struct worker w;
+        e = worker_init(&w, p->b, tmp);
+        if (!e && !tmp->counts)
+            p->worker[i] = w;
+    }
+    return e ? e : attention_init(&p->a, tmp);
+}
+
+void block_plan(struct plan *p, const struct block *b)
+{
+    struct pass pass = {.b = b};
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout(&pass, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 static void normalise(const struct pass *p, const float *gamma, const float *beta, int first, int n,
@@ -198,15 +207,11 @@ static err_t finish_chunk(void *ctx, int chunk, int worker)
 
 err_t block_run(const struct run *r, const struct block *b)
 {
-    struct pass p = {.r = r, .b = b, .a = shape_of(b)};
-    int threads = pool_size(r->pool), tokens = b->n_views * b->view_tokens;
-    int stores = p.a.seqs * ((p.a.len + ATTENTION_KEYS - 1) / ATTENTION_KEYS);
+    struct pass p = {.r = r, .b = b};
+    int tokens = b->n_views * b->view_tokens;
     size_t mark = arena_mark(r->tmp);
-    err_t e = arena_alloc(r->tmp, (size_t)threads, sizeof *p.worker, &p.worker);
-    for (int i = 0; !e && i < threads; i++)
-        e = worker_init(p.worker + i, b, r->tmp);
-    if (!e)
-        e = attention_init(&p.a, r->tmp);
+    err_t e = layout(&p, r->tmp, pool_size(r->pool));
+    int stores = p.a.seqs * ((p.a.len + ATTENTION_KEYS - 1) / ATTENTION_KEYS);
     p.a.k = &r->k->net;
     if (!e)
         e = pool_for(r->pool, stores, store_chunk, &p);

@@ -20,8 +20,8 @@ struct block {
     size_t ld_copy;
 };
 
-/* Bytes that block_run takes from r->tmp with a pool of `threads`; SIZE_MAX on overflow. */
-size_t block_need(const struct block *b, int threads);
+/* Count what block_run takes. */
+void block_plan(struct plan *p, const struct block *b);
 
 /* err:  ERR_NOMEM, ERR_CANCELLED. */
 MUST_USE err_t block_run(const struct run *r, const struct block *b);

@@ -263,28 +263,31 @@ static void widths(const struct net *net, size_t out[7])
     memcpy(out, w, sizeof w);
 }
 
-void camera_plan(const struct net *net, int n_views, int threads, size_t *keep, size_t *tmp)
+static err_t layout_result(struct geometry *g, struct arena *keep, int n_views)
 {
-    size_t n = (size_t)n_views, w[7];
-    widths(net, w);
-    *keep =
-        arena_add(arena_need(n * NET_POSE, sizeof(float)), arena_need(n, sizeof(struct camera)));
-    *tmp = arena_need((size_t)threads, sizeof(struct layer_workspace));
-    for (int i = 0; i < threads; i++)
-        *tmp = arena_add(*tmp, layer_workspace_need((int)room_inputs(net)));
-    for (int i = 0; i < 7; i++)
-        *tmp = arena_add(*tmp, arena_need(n * w[i], sizeof(float)));
+    err_t e = arena_alloc(keep, (size_t)n_views * NET_POSE, sizeof *g->pose, &g->pose);
+    return e ? e : arena_alloc(keep, (size_t)n_views, sizeof *g->cams, &g->cams);
 }
 
-static err_t trunk_init(struct trunk *t)
+static err_t layout(struct trunk *t, struct arena *tmp, int threads)
 {
     float **array[7] = {&t->token, &t->shift, &t->x, &t->y, &t->wide, &t->raw, &t->share};
     size_t w[7];
     widths(t->net, w);
-    err_t e = layer_workspaces_init(t->r, (int)room_inputs(t->net), &t->rooms);
+    err_t e = layer_workspaces_init(tmp, threads, (int)room_inputs(t->net), &t->rooms);
     for (int i = 0; i < 7 && !e; i++)
-        e = arena_alloc(t->r->tmp, (size_t)t->n * w[i], sizeof(float), array[i]);
+        e = arena_alloc(tmp, (size_t)t->n * w[i], sizeof(float), array[i]);
     return e;
+}
+
+void camera_plan(struct plan *p, const struct net *net, int n_views)
+{
+    struct trunk t = {.net = net, .n = n_views};
+    struct geometry g;
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_result(&g, &p->keep, n_views) || layout(&t, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 static err_t run_rounds(const struct trunk *t, float *pose)
@@ -307,11 +310,9 @@ err_t camera_run(const struct run *r, const struct net *net, const struct tokens
     struct trunk trunk = {.r = r, .net = net, .n = t->n_views, .width = 2 * t->embed};
     size_t mark = arena_mark(r->tmp), n = (size_t)t->n_views, d = 2 * (size_t)t->embed;
     *out = (struct geometry){.n_views = t->n_views, .size = size};
-    err_t e = arena_alloc(r->keep, n * NET_POSE, sizeof(float), &out->pose);
+    err_t e = layout_result(out, r->keep, t->n_views);
     if (!e)
-        e = arena_alloc(r->keep, n, sizeof *out->cams, &out->cams);
-    if (!e)
-        e = trunk_init(&trunk);
+        e = layout(&trunk, r->tmp, pool_size(r->pool));
     if (!e) {
         const struct norm s = {2 * t->embed, EPS, w->token_norm_g, w->token_norm_b};
         for (size_t v = 0; v < n; v++)

@@ -6,8 +6,8 @@
 
 #include "core/net/net.h"
 
-/* Bytes of keep and, during the call, of tmp with a pool of `threads`; SIZE_MAX on overflow. */
-void camera_plan(const struct net *net, int n_views, int threads, size_t *keep, size_t *tmp);
+/* Count what camera_run takes. */
+void camera_plan(struct plan *p, const struct net *net, int n_views);
 
 /* out:  n_views, size, pose and cams, in r->keep; depth is NULL.
  * err:  ERR_NOMEM (see camera_plan), ERR_CANCELLED. */

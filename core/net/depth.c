@@ -6,7 +6,6 @@
 #include "core/base/rotation.h"
 #include "core/net/dpt.h"
 #include "core/net/finite.h"
-#include "core/net/plan.h"
 #include "core/net/tap.h"
 
 #include <math.h>
@@ -45,6 +44,11 @@ static struct layer_conv tail_conv(const struct net *net, int size, const struct
                                .floats = net->floats & NET_FLOAT_HEADS};
 }
 
+static err_t layout_code(float **code, struct arena *tmp, const struct net *net, int size)
+{
+    return arena_alloc(tmp, (size_t)size * (size_t)(net->depth.feat / 2) / 2, sizeof **code, code);
+}
+
 /* Trunk to raw outputs. */
 static err_t run_tail(const struct tail *s)
 {
@@ -52,7 +56,7 @@ static err_t run_tail(const struct tail *s)
     struct dpt_blend b = {.map = {s->trunk, edge, edge, c, s->size, s->size, true}};
     size_t mark = arena_mark(s->r->tmp), hidden = (size_t)s->net->depth_out.a.n;
     float *code;
-    err_t e = arena_alloc(s->r->tmp, (size_t)s->size * (size_t)c / 2, sizeof(float), &code);
+    err_t e = layout_code(&code, s->r->tmp, s->net, s->size);
     if (!e) {
         dpt_code(s->size, c, code);
         b.code = code;
@@ -122,6 +126,39 @@ static int outputs_of(const struct run *r)
     return tap_on(r) ? 2 : 1;
 }
 
+static err_t layout(struct tail *s, struct arena *tmp, int grid)
+{
+    const size_t n = pixels(s->size), c = (size_t)s->net->depth.feat / 2;
+    err_t e = arena_alloc(tmp, pixels(dpt_edge(grid)) * c, sizeof(float), &s->trunk);
+    if (!e)
+        e = arena_alloc(tmp, n * (size_t)s->net->depth_out.a.n, sizeof(float), &s->hidden);
+    return e ? e : arena_alloc(tmp, n * (size_t)s->outputs, sizeof(float), &s->raw);
+}
+
+static err_t layout_result(struct geometry *g, struct arena *keep, int n_views, int size)
+{
+    return arena_alloc(keep, (size_t)n_views * pixels(size), sizeof *g->depth, &g->depth);
+}
+
+void depth_plan(struct plan *p, const struct net *net, int n_views, int size)
+{
+    const struct layer_conv conv = tail_conv(net, size, NULL);
+    struct tail s = {.net = net, .size = size, .outputs = 2};
+    struct geometry g;
+    float *code;
+    const int grid = size / NET_PATCH;
+    const size_t mark = arena_mark(&p->tmp);
+    err_t e = layout_result(&g, &p->keep, n_views, size);
+    e = e ? e : layout(&s, &p->tmp, grid);
+    dpt_plan(p, &net->depth, grid);
+    e = e ? e : layout_code(&code, &p->tmp, net, size);
+    layer_conv_plan(p, &conv);
+    layer_plan(p, net->depth_out.a.n);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
+}
+
 err_t depth_run(const struct run *r, const struct net *net, const struct tokens *t,
                 struct geometry *io)
 {
@@ -131,38 +168,15 @@ err_t depth_run(const struct run *r, const struct net *net, const struct tokens 
                      .size = io->size,
                      .outputs = outputs_of(r),
                      .last = net->depth_out.b};
-    size_t n = pixels(io->size), trunk = pixels(dpt_edge(t->grid)) * (size_t)net->depth.feat / 2;
-    size_t mark = arena_mark(r->tmp);
+    size_t n = pixels(io->size), mark = arena_mark(r->tmp);
     s.last.n = s.outputs;
-    err_t e = arena_alloc(r->keep, (size_t)t->n_views * n, sizeof(float), &io->depth);
+    err_t e = layout_result(io, r->keep, t->n_views, io->size);
     if (!e)
-        e = arena_alloc(r->tmp, trunk, sizeof(float), &s.trunk);
-    if (!e)
-        e = arena_alloc(r->tmp, n * (size_t)net->depth_out.a.n, sizeof(float), &s.hidden);
-    if (!e)
-        e = arena_alloc(r->tmp, n * (size_t)s.outputs, sizeof(float), &s.raw);
+        e = layout(&s, r->tmp, t->grid);
     for (int v = 0; v < t->n_views && !e; v++)
         e = run_view(&s, v, io->depth + (size_t)v * n);
     arena_reset(r->tmp, mark);
     return e;
-}
-
-void depth_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                size_t *tmp)
-{
-    struct plan p = {0, 0};
-    int grid = size / NET_PATCH;
-    const struct layer_conv conv = tail_conv(net, size, NULL);
-    size_t c = (size_t)net->depth.feat / 2, hidden = (size_t)net->depth_out.a.n;
-    plan_hold(&p, pixels(dpt_edge(grid)) * c, sizeof(float));
-    plan_hold(&p, pixels(size) * hidden, sizeof(float));
-    plan_hold(&p, pixels(size) * 2, sizeof(float));
-    plan_step(&p, dpt_plan(&net->depth, grid, threads));
-    plan_hold(&p, (size_t)size * c / 2, sizeof(float));
-    plan_step(&p, layer_conv_need(&conv, threads));
-    plan_step(&p, plan_rooms((int)hidden, threads));
-    *keep = arena_need((size_t)n_views * pixels(size), sizeof(float));
-    *tmp = p.peak;
 }
 
 void depth_unproject(const struct geometry *g, int view, float *points)

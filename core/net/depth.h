@@ -7,9 +7,8 @@
 
 #include "core/net/net.h"
 
-/* Bytes that depth_run takes; SIZE_MAX on overflow. */
-void depth_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                size_t *tmp);
+/* Count what depth_run takes. */
+void depth_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* Depths are exponents of the head's outputs, which are first clamped to +-80: then they are finite
  * and > 0 whatever the outputs, and no depth of a real scene comes near (core/net/README.md 5,

@@ -9,7 +9,6 @@
 #include "core/net/dpt.h"
 
 #include "core/base/num.h"
-#include "core/net/plan.h"
 #include "core/net/tap.h"
 
 #include <math.h>
@@ -133,19 +132,31 @@ static void tap(const struct trunk *t, const char *what, int k, const int hwc[3]
     tap_map(t->r, name, t->j->view, t->j->tokens->n_views, hwc, px);
 }
 
+static err_t layout_map(float **px, struct arena *tmp, int edge, int channels)
+{
+    return arena_alloc(tmp, square(edge) * (size_t)channels, sizeof **px, px);
+}
+
+static err_t layout_project(struct project *p, float **code, struct arena *tmp,
+                            const struct weight *w, const int grid_threads[2])
+{
+    const size_t width = (size_t)weight_k(w), threads = (size_t)grid_threads[1];
+    err_t e = layer_workspaces_init(tmp, grid_threads[1], (int)width, &p->rooms);
+    if (!e)
+        e = arena_alloc(tmp, threads * LAYER_ROWS * width, sizeof(float), &p->rows);
+    return e ? e
+             : arena_alloc(tmp, (size_t)grid_threads[0] * (size_t)w->n / 2, sizeof **code, code);
+}
+
 /* Projected tokens with their position code. out: (grid, grid, oc). */
 static err_t project(const struct trunk *t, int k, float *out)
 {
     struct project p = {.t = t, .k = k, .out = out};
     int m = t->grid * t->grid, n = t->j->w->project[k].n;
-    size_t mark = arena_mark(t->r->tmp), width = (size_t)token_width(t);
+    size_t mark = arena_mark(t->r->tmp);
     float *code;
-    err_t e = layer_workspaces_init(t->r, (int)width, &p.rooms);
-    if (!e)
-        e = arena_alloc(t->r->tmp, (size_t)pool_size(t->r->pool) * LAYER_ROWS * width,
-                        sizeof(float), &p.rows);
-    if (!e)
-        e = arena_alloc(t->r->tmp, (size_t)t->grid * (size_t)n / 2, sizeof(float), &code);
+    err_t e = layout_project(&p, &code, t->r->tmp, t->j->w->project + k,
+                             (int[2]){t->grid, pool_size(t->r->pool)});
     if (!e)
         e = pool_for(t->r->pool, chunks_of(m), project_chunk, &p);
     if (!e) {
@@ -198,6 +209,14 @@ static err_t spread_chunk(void *ctx, int chunk, int worker)
     return run_check(s->t->r, "network");
 }
 
+static err_t layout_spread(struct spread *s, struct arena *tmp, int threads)
+{
+    err_t e = layer_workspaces_init(tmp, threads, s->channels, &s->rooms);
+    return e ? e
+             : arena_alloc(tmp, (size_t)threads * LAYER_ROWS * (size_t)s->w.n, sizeof(float),
+                           &s->rows);
+}
+
 /* Transposed convolution with stride = kernel: a product per token. */
 static err_t spread(const struct trunk *t, int k, const float *in, float *out)
 {
@@ -211,10 +230,7 @@ static err_t spread(const struct trunk *t, int k, const float *in, float *out)
                        .out = out};
     s.w.bias = NULL;
     size_t mark = arena_mark(t->r->tmp);
-    err_t e = layer_workspaces_init(t->r, s.channels, &s.rooms);
-    if (!e)
-        e = arena_alloc(t->r->tmp, (size_t)pool_size(t->r->pool) * LAYER_ROWS * (size_t)s.w.n,
-                        sizeof(float), &s.rows);
+    err_t e = layout_spread(&s, t->r->tmp, pool_size(t->r->pool));
     if (!e)
         e = pool_for(t->r->pool, chunks_of(t->grid * t->grid), spread_chunk, &s);
     arena_reset(t->r->tmp, mark);
@@ -255,12 +271,12 @@ static err_t features(const struct trunk *t, int k, float *out)
     int edge = level_edge(t->grid, k), oc = w->oc[k];
     size_t mark = arena_mark(t->r->tmp);
     float *flat, *full;
-    err_t e = arena_alloc(t->r->tmp, square(t->grid) * (size_t)oc, sizeof(float), &flat);
+    err_t e = layout_map(&flat, t->r->tmp, t->grid, oc);
     if (!e)
         e = project(t, k, flat);
     full = flat;
     if (!e && edge != t->grid)
-        e = arena_alloc(t->r->tmp, square(edge) * (size_t)oc, sizeof(float), &full);
+        e = layout_map(&full, t->r->tmp, edge, oc);
     if (!e && k == COARSEST)
         e = convolve(t, w->resize + k, t->grid, 2, flat,
                      &(struct layer_out){.out = full, .ldo = (size_t)oc});
@@ -330,7 +346,7 @@ static err_t tap_refined(const struct trunk *t, int k, const float *px)
     float *full;
     if (!tap_on(t->r))
         return OK;
-    err_t e = arena_alloc(t->r->tmp, square(to) * (size_t)t->feat, sizeof(float), &full);
+    err_t e = layout_map(&full, t->r->tmp, to, t->feat);
     if (!e)
         e = dpt_blend_run(t->r, &b, false, full);
     if (!e)
@@ -345,13 +361,12 @@ static err_t level(const struct trunk *t, int k, const float *coarse, float **ou
 {
     const struct dpt_weights *w = t->j->w;
     int edge = level_edge(t->grid, k);
-    size_t n = square(edge) * (size_t)t->feat;
     float *x, *room;
-    err_t e = arena_alloc(t->r->tmp, n, sizeof(float), &x);
+    err_t e = layout_map(&x, t->r->tmp, edge, t->feat);
     if (!e)
         e = features(t, k, x);
     if (!e)
-        e = arena_alloc(t->r->tmp, n, sizeof(float), &room);
+        e = layout_map(&room, t->r->tmp, edge, t->feat);
     if (!e && coarse)
         e = unit(t, w->unit1 + k, edge, x, room);
     if (!e && coarse) {
@@ -402,50 +417,62 @@ err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out)
 
 /* ---- plan ---- */
 
-static void plan_conv(struct plan *p, const struct weight *w, int edge, int stride, int threads)
+static void plan_conv(struct plan *p, const struct weight *w, int edge, int stride)
 {
     const struct layer_conv c = conv3(w, edge, stride, NULL);
-    plan_step(p, layer_conv_need(&c, threads));
+    layer_conv_plan(p, &c);
 }
 
-/* As `features` does; what it holds is gone afterwards. */
-static void plan_features(struct plan *whole, const struct dpt_weights *w, int grid, int k,
-                          int threads)
+/* As `features` does. */
+static err_t plan_features(struct plan *p, const struct dpt_weights *w, int grid, int k)
 {
-    struct plan p = {0, 0}, in;
-    int edge = level_edge(grid, k);
-    size_t oc = (size_t)w->oc[k], rows = (size_t)threads * LAYER_ROWS;
-    plan_hold(&p, square(grid) * oc, sizeof(float));
-    in = p;
-    size_t width = (size_t)weight_k(w->project + k);
-    plan_hold(&in, rows * width, sizeof(float));
-    plan_hold(&in, (size_t)grid * oc / 2, sizeof(float));
-    plan_step(&in, plan_rooms((int)width, threads));
-    plan_step(&p, in.peak - p.held);
-    if (edge != grid)
-        plan_hold(&p, square(edge) * oc, sizeof(float));
+    const int edge = level_edge(grid, k);
+    struct spread s = {.w = w->resize[k], .channels = w->oc[k]};
+    struct project project;
+    float *px, *code;
+    const size_t mark = arena_mark(&p->tmp);
+    err_t e = layout_map(&px, &p->tmp, grid, w->oc[k]);
+    const size_t flat = arena_mark(&p->tmp);
+    e = e ? e
+          : layout_project(&project, &code, &p->tmp, w->project + k, (int[2]){grid, p->threads});
+    arena_reset(&p->tmp, flat);
+    if (!e && edge != grid)
+        e = layout_map(&px, &p->tmp, edge, w->oc[k]);
+    const size_t full = arena_mark(&p->tmp);
     if (k == COARSEST)
-        plan_conv(&p, w->resize + k, grid, 2, threads);
-    else if (level_up(k) > 1)
-        plan_step(&p, arena_add(arena_need(rows * (size_t)w->resize[k].n, sizeof(float)),
-                                plan_rooms(w->oc[k], threads)));
-    plan_conv(&p, w->rn + k, edge, 1, threads);
-    plan_step(whole, p.peak);
+        plan_conv(p, w->resize + k, grid, 2);
+    else if (!e && level_up(k) > 1)
+        e = layout_spread(&s, &p->tmp, p->threads);
+    arena_reset(&p->tmp, full);
+    plan_conv(p, w->rn + k, edge, 1);
+    arena_reset(&p->tmp, mark);
+    return e;
 }
 
-size_t dpt_plan(const struct dpt_weights *w, int grid, int threads)
+/* As `level` does. */
+static err_t plan_level(struct plan *p, const struct dpt_weights *w, int grid, int k)
 {
-    struct plan p = {0, 0};
-    size_t feat = (size_t)w->feat;
-    for (int k = COARSEST; k >= FINEST; k--) {
-        int edge = level_edge(grid, k), next = k == FINEST ? 2 * edge : level_edge(grid, k - 1);
-        plan_hold(&p, square(edge) * feat, sizeof(float));
-        plan_features(&p, w, grid, k, threads);
-        plan_hold(&p, square(edge) * feat, sizeof(float));
-        plan_conv(&p, &w->unit2[k].conv1, edge, 1, threads);
-        plan_step(&p, plan_rooms(w->feat, threads));
-        plan_step(&p, arena_need(square(next) * feat, sizeof(float)));
-    }
-    plan_conv(&p, &w->output_conv1, dpt_edge(grid), 1, threads);
-    return p.peak;
+    const int edge = level_edge(grid, k), next = k == FINEST ? 2 * edge : level_edge(grid, k - 1);
+    float *px;
+    err_t e = layout_map(&px, &p->tmp, edge, w->feat);
+    e = e ? e : plan_features(p, w, grid, k);
+    e = e ? e : layout_map(&px, &p->tmp, edge, w->feat);
+    plan_conv(p, &w->unit2[k].conv1, edge, 1);
+    layer_plan(p, w->feat);
+    const size_t mark = arena_mark(&p->tmp);
+    e = e ? e : layout_map(&px, &p->tmp, next, w->feat); // if it is tapped
+    arena_reset(&p->tmp, mark);
+    return e;
+}
+
+void dpt_plan(struct plan *p, const struct dpt_weights *w, int grid)
+{
+    const size_t mark = arena_mark(&p->tmp);
+    err_t e = OK;
+    for (int k = COARSEST; k >= FINEST && !e; k--)
+        e = plan_level(p, w, grid, k);
+    plan_conv(p, &w->output_conv1, dpt_edge(grid), 1);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }

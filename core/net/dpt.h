@@ -23,8 +23,8 @@ static inline int dpt_edge(int grid)
     return 8 * grid;
 }
 
-/* Bytes that dpt_run takes from r->tmp. */
-size_t dpt_plan(const struct dpt_weights *w, int grid, int threads);
+/* Count what dpt_run takes. */
+void dpt_plan(struct plan *p, const struct dpt_weights *w, int grid);
 
 /* The trunk of core/net/README.md 2.5, before its map is brought to full size.
  * out:  (edge, edge, feat / 2), edge = dpt_edge.

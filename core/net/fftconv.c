@@ -78,26 +78,8 @@ static size_t weight_floats(const struct job *j)
     return (size_t)FFT_PLANES * (size_t)j->n * (size_t)j->c->channels;
 }
 
-size_t fftconv_need(const struct layer_conv *c, int threads)
+static err_t layout_room(const struct job *j, struct arena *a, struct room *o, float **panels)
 {
-    struct job j = plan(c);
-    size_t one = arena_need(strip_floats(&j), sizeof(float));
-    one = arena_add(one, arena_need(row_floats(&j, c->channels), sizeof(float)));
-    one = arena_add(one, arena_need(row_floats(&j, j.n), sizeof(float)));
-    one = arena_add(one, arena_need((size_t)(j.edge * j.edge) * (size_t)j.n, sizeof(float)));
-    one = arena_add(one, arena_need(panel_floats(c) + WEIGHT_TILE, sizeof(float)));
-    size_t all = arena_need(weight_floats(&j), sizeof(float));
-    all = arena_add(all, arena_need((size_t)threads, sizeof(struct room)));
-    all = arena_add(all, arena_need((size_t)threads, sizeof(float *)));
-    for (int i = 0; i < threads; i++)
-        all = arena_add(all, one);
-    return all;
-}
-
-static err_t init_room(struct job *j, int i)
-{
-    struct arena *a = j->r->tmp;
-    struct room *o = j->rooms + i;
     err_t e = arena_alloc(a, strip_floats(j), sizeof(float), &o->strip);
     if (!e)
         e = arena_alloc(a, row_floats(j, j->c->channels), sizeof(float), &o->in);
@@ -105,22 +87,35 @@ static err_t init_room(struct job *j, int i)
         e = arena_alloc(a, row_floats(j, j->n), sizeof(float), &o->out);
     if (!e)
         e = arena_alloc(a, (size_t)(j->edge * j->edge) * (size_t)j->n, sizeof(float), &o->px);
+    return e ? e : arena_alloc(a, panel_floats(j->c) + WEIGHT_TILE, sizeof(float), panels);
+}
+
+static err_t layout(struct job *j, struct arena *tmp, int threads)
+{
+    err_t e = arena_alloc(tmp, weight_floats(j), sizeof(float), &j->weights);
     if (!e)
-        e = arena_alloc(a, panel_floats(j->c) + WEIGHT_TILE, sizeof(float), &j->panels[i]);
+        e = arena_alloc(tmp, (size_t)threads, sizeof *j->rooms, &j->rooms);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)threads, sizeof *j->panels, &j->panels);
+    for (int i = 0; !e && i < threads; i++) {
+        struct room o;
+        float *panels;
+        e = layout_room(j, tmp, &o, &panels);
+        if (!e && !tmp->counts) {
+            j->rooms[i] = o;
+            j->panels[i] = panels;
+        }
+    }
     return e;
 }
 
-static err_t init_memory(struct job *j)
+void fftconv_plan(struct plan *p, const struct layer_conv *c)
 {
-    int threads = pool_size(j->r->pool);
-    err_t e = arena_alloc(j->r->tmp, weight_floats(j), sizeof(float), &j->weights);
-    if (!e)
-        e = arena_alloc(j->r->tmp, (size_t)threads, sizeof *j->rooms, &j->rooms);
-    if (!e)
-        e = arena_alloc(j->r->tmp, (size_t)threads, sizeof *j->panels, &j->panels);
-    for (int i = 0; !e && i < threads; i++)
-        e = init_room(j, i);
-    return e;
+    struct job j = plan(c);
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout(&j, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 /* ---- weights ---- */
@@ -275,7 +270,7 @@ err_t fftconv_run(const struct run *r, const struct layer_conv *c, const struct 
     size_t mark = arena_mark(r->tmp);
     j.r = r;
     j.out = out;
-    err_t e = init_memory(&j);
+    err_t e = layout(&j, r->tmp, pool_size(r->pool));
     if (!e)
         e = pool_for(r->pool, j.n / PANEL, weights_chunk, &j);
     if (!e)

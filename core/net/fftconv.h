@@ -10,7 +10,8 @@
 /* Whether this form exists for c: kernels 5 to 9 px wide, outputs and channels multiples of 16. */
 bool fftconv_possible(const struct layer_conv *c);
 
-size_t fftconv_need(const struct layer_conv *c, int threads);
+/* Count what fftconv_run takes. */
+void fftconv_plan(struct plan *p, const struct layer_conv *c);
 
 MUST_USE err_t fftconv_run(const struct run *r, const struct layer_conv *c,
                            const struct layer_out *out);

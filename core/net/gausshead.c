@@ -11,7 +11,6 @@
 #include "core/net/dpt.h"
 #include "core/net/finite.h"
 #include "core/net/metanet.h"
-#include "core/net/plan.h"
 #include "core/net/tap.h"
 #include "core/photo/prep.h"
 
@@ -95,16 +94,20 @@ static err_t alloc_floats(struct arena *a, size_t n, float **out)
     return arena_alloc(a, n, sizeof(float), out);
 }
 
+static err_t layout_large(struct head *h, struct arena *tmp)
+{
+    const size_t n = square(h->size) * (size_t)h->d;
+    err_t e = alloc_floats(tmp, n, &h->a);
+    return e ? e : alloc_floats(tmp, n, &h->b);
+}
+
 /* The trunk's map, then room for the large ones. */
 static err_t run_trunk(struct head *h)
 {
     const struct dpt_job j = {h->net, &h->net->gauss, h->in->tokens, h->view, "gs"};
-    size_t n = square(h->size) * (size_t)h->d;
     err_t e = dpt_run(h->r, &j, h->trunk);
     if (!e)
-        e = alloc_floats(h->r->tmp, n, &h->a);
-    if (!e)
-        e = alloc_floats(h->r->tmp, n, &h->b);
+        e = layout_large(h, h->r->tmp);
     if (!e && tap_on(h->r) && h->in->irr) {
         const struct dpt_blend b = trunk_blend(h);
         e = dpt_blend_run(h->r, &b, false, h->a);
@@ -237,17 +240,21 @@ static void tap_raw(const struct head *h)
     }
 }
 
+static err_t layout_rows(struct head *h, struct arena *tmp, int threads)
+{
+    err_t e = alloc_floats(tmp, (size_t)threads * (size_t)h->size * NET_RAW, &h->rows);
+    return e ? e : layer_workspaces_init(tmp, threads, h->d, &h->rooms);
+}
+
 /* Trunk plus a, to raw Gaussians. */
 static err_t combine(struct head *h)
 {
     struct dpt_blend sum = trunk_blend(h);
-    size_t mark = arena_mark(h->r->tmp), workers = (size_t)pool_size(h->r->pool);
+    size_t mark = arena_mark(h->r->tmp);
     sum.plus = h->a;
     err_t e = convolve(h, &h->net->gauss_out.a, 3, &sum, h->b);
     if (!e)
-        e = arena_alloc(h->r->tmp, workers * (size_t)h->size * NET_RAW, sizeof(float), &h->rows);
-    if (!e)
-        e = layer_workspaces_init(h->r, h->d, &h->rooms);
+        e = layout_rows(h, h->r->tmp, pool_size(h->r->pool));
     if (!e)
         e = pool_for(h->r->pool, h->size, last_row, h);
     if (!e)
@@ -295,20 +302,22 @@ static err_t run_view(struct head *h, float *summary)
     arena_reset(h->r->tmp, mark);
     return e;
 }
-static err_t alloc_all(struct head *h)
+static err_t layout_result(struct prediction *out, struct arena *keep)
 {
-    struct arena *keep = h->r->keep, *tmp = h->r->tmp;
+    err_t e = alloc_floats(keep, (size_t)out->n * (RAW - 1), &out->features);
+    return e ? e : alloc_floats(keep, (size_t)out->n, &out->confidence);
+}
+
+/* hdr: there is an appearance branch. */
+static err_t layout(struct head *h, struct arena *tmp, bool hdr)
+{
     size_t px = square(h->size), d = (size_t)h->d, cells = square(h->grid);
-    err_t e = alloc_floats(keep, (size_t)h->io->n * (RAW - 1), &h->io->features);
-    if (!e)
-        e = alloc_floats(keep, (size_t)h->io->n, &h->io->confidence);
-    if (!e)
-        e = alloc_floats(tmp, square(dpt_edge(h->grid)) * d, &h->trunk);
+    err_t e = alloc_floats(tmp, square(dpt_edge(h->grid)) * d, &h->trunk);
     if (!e)
         e = alloc_floats(tmp, (size_t)h->size * d / 2, &h->code);
     if (!e)
         e = alloc_floats(tmp, px * 3, &h->planes);
-    if (e || !h->in->irr)
+    if (e || !hdr)
         return e;
     e = alloc_floats(tmp, cells * d, &h->scene);
     if (!e)
@@ -317,9 +326,46 @@ static err_t alloc_all(struct head *h)
         e = alloc_floats(tmp, cells * (size_t)h->net->appearance.sensitivity.a.n, &h->hidden);
     if (!e)
         e = alloc_floats(tmp, cells * NET_SENSITIVITY, &h->sens);
-    if (!e)
-        e = alloc_floats(tmp, cells * d, &h->sums);
-    return e ? e : metanet_init(h->r, h->net, &h->meta);
+    return e ? e : alloc_floats(tmp, cells * d, &h->sums);
+}
+
+static void plan_view(struct plan *p, const struct net *net, int size)
+{
+    const struct appearance_weights *w = &net->appearance;
+    bool floats = net->floats & NET_FLOAT_HEADS;
+    const struct layer_conv convs[] = {
+        conv(net->d.appearance ? &w->guide : &net->input_merger, 7, size, true),
+        conv(&net->gauss_out.a, 3, size, floats),
+        conv(&w->proj_guide, 7, size, floats),
+        conv(&w->proj_out, 7, size, floats),
+        conv(&w->scene_conv, 3, size / NET_PATCH, floats),
+        conv(&w->sensitivity.a, 3, size / NET_PATCH, floats),
+    };
+    int n = net->d.appearance ? 6 : 2;
+    for (int i = 0; i < n; i++)
+        layer_conv_plan(p, convs + i);
+    if (!net->d.appearance)
+        return;
+    layer_plan(p, w->sensitivity.a.n);
+    metanet_view_plan(p, net, size);
+}
+
+void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size)
+{
+    struct head h = {.net = net, .size = size, .grid = size / NET_PATCH, .d = net->d.hdr};
+    struct prediction out = {.n = n_views * size * size};
+    const size_t begin = arena_mark(&p->tmp);
+    err_t e = layout_result(&out, &p->keep);
+    e = e ? e : layout(&h, &p->tmp, net->d.appearance);
+    if (net->d.appearance)
+        metanet_init_plan(p, net);
+    dpt_plan(p, &net->gauss, h.grid);
+    e = e ? e : layout_large(&h, &p->tmp);
+    plan_view(p, net, size);
+    e = e ? e : layout_rows(&h, &p->tmp, p->threads);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, begin);
 }
 
 err_t gausshead_run(const struct run *r, const struct net *net, const struct gausshead_in *in,
@@ -335,7 +381,11 @@ err_t gausshead_run(const struct run *r, const struct net *net, const struct gau
     size_t mark = arena_mark(r->tmp);
     io->n = in->views->n * h.size * h.size;
     io->linear = !in->irr;
-    err_t e = alloc_all(&h);
+    err_t e = layout_result(io, r->keep);
+    if (!e)
+        e = layout(&h, r->tmp, in->irr != NULL);
+    if (!e && in->irr)
+        e = metanet_init(r, net, &h.meta);
     if (!e)
         dpt_code(h.size, h.d, h.code);
     for (h.view = 0; h.view < in->views->n && !e; h.view++) {
@@ -347,56 +397,4 @@ err_t gausshead_run(const struct run *r, const struct net *net, const struct gau
     if (!e)
         e = finite_check(r, "gs.raw88", FINITE_MAX, io->features, (size_t)io->n * (RAW - 1));
     return e ? e : finite_check(r, "gs.raw88", FINITE_MAX, io->confidence, (size_t)io->n);
-}
-
-/* ---- plan ---- */
-
-static void plan_view(struct plan *p, const struct net *net, int size, int threads)
-{
-    const struct appearance_weights *w = &net->appearance;
-    bool floats = net->floats & NET_FLOAT_HEADS;
-    const struct layer_conv convs[] = {
-        conv(net->d.appearance ? &w->guide : &net->input_merger, 7, size, true),
-        conv(&net->gauss_out.a, 3, size, floats),
-        conv(&w->proj_guide, 7, size, floats),
-        conv(&w->proj_out, 7, size, floats),
-        conv(&w->scene_conv, 3, size / NET_PATCH, floats),
-        conv(&w->sensitivity.a, 3, size / NET_PATCH, floats),
-    };
-    int n = net->d.appearance ? 6 : 2;
-    for (int i = 0; i < n; i++)
-        plan_step(p, layer_conv_need(convs + i, threads));
-    plan_step(p, arena_add(arena_need((size_t)threads * (size_t)size * NET_RAW, sizeof(float)),
-                           plan_rooms(net->d.hdr, threads)));
-    if (!net->d.appearance)
-        return;
-    plan_step(p, plan_rooms(w->sensitivity.a.n, threads));
-    plan_step(p, metanet_view_plan(net, size, threads));
-}
-
-void gausshead_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                    size_t *tmp)
-{
-    struct plan k = {0, 0}, p = {0, 0};
-    int grid = size / NET_PATCH;
-    size_t px = square(size), d = (size_t)net->d.hdr, cells = square(grid), v = (size_t)n_views;
-    plan_hold(&k, v * px * (RAW - 1), sizeof(float));
-    plan_hold(&k, v * px, sizeof(float));
-    plan_hold(&p, square(dpt_edge(grid)) * d, sizeof(float));
-    plan_hold(&p, (size_t)size * d / 2, sizeof(float));
-    plan_hold(&p, px * 3, sizeof(float));
-    if (net->d.appearance) {
-        plan_hold(&p, cells * d, sizeof(float));
-        plan_hold(&p, square(low_edge(grid)) * d, sizeof(float));
-        plan_hold(&p, cells * (size_t)net->appearance.sensitivity.a.n, sizeof(float));
-        plan_hold(&p, cells * NET_SENSITIVITY, sizeof(float));
-        plan_hold(&p, cells * d, sizeof(float));
-        p.held = arena_add(p.held, metanet_need(net));
-    }
-    plan_step(&p, dpt_plan(&net->gauss, grid, threads));
-    plan_hold(&p, px * d, sizeof(float));
-    plan_hold(&p, px * d, sizeof(float));
-    plan_view(&p, net, size, threads);
-    *keep = k.held;
-    *tmp = p.peak;
 }

@@ -8,10 +8,8 @@
 
 #include "core/net/net.h"
 
-/* Bytes that gausshead_run takes; SIZE_MAX on overflow. Of tmp, two maps of (size, size, hdr) and
- * one of the trunk are the most part. */
-void gausshead_plan(const struct net *net, int n_views, int size, int threads, size_t *keep,
-                    size_t *tmp);
+/* Count what gausshead_run takes. */
+void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* Inputs of the head. */
 struct gausshead_in {

@@ -145,15 +145,6 @@ static void finish(const struct block *b, int p, int count, const struct layer_o
 
 /* ---- rooms ---- */
 
-size_t layer_workspace_need(int k)
-{
-    size_t need = arena_need((size_t)LAYER_ROWS * (size_t)k, 1);
-    need = arena_add(need, arena_need(ROTATED * (size_t)k, sizeof(float)));
-    need = arena_add(need, arena_need(LAYER_ROWS, sizeof(float)));
-    need = arena_add(need, arena_need(LAYER_ROWS * GROUP * PANEL, sizeof(int32_t)));
-    return arena_add(need, arena_need(PANEL_K * GROUP * PANEL, sizeof(float)));
-}
-
 err_t layer_workspace_init(struct layer_workspace *room, struct arena *a, int k)
 {
     err_t e = arena_alloc(a, (size_t)LAYER_ROWS * (size_t)k, 1, &room->q);
@@ -168,12 +159,15 @@ err_t layer_workspace_init(struct layer_workspace *room, struct arena *a, int k)
     return e;
 }
 
-err_t layer_workspaces_init(const struct run *r, int k, struct layer_workspace **out)
+err_t layer_workspaces_init(struct arena *a, int threads, int k, struct layer_workspace **out)
 {
-    int n = pool_size(r->pool);
-    err_t e = arena_alloc(r->tmp, (size_t)n, sizeof **out, out);
-    for (int i = 0; !e && i < n; i++)
-        e = layer_workspace_init(*out + i, r->tmp, k);
+    err_t e = arena_alloc(a, (size_t)threads, sizeof **out, out);
+    for (int i = 0; !e && i < threads; i++) {
+        struct layer_workspace one;
+        e = layer_workspace_init(&one, a, k);
+        if (!e && !a->counts)
+            (*out)[i] = one;
+    }
     return e;
 }
 
@@ -277,11 +271,20 @@ err_t layer_run(const struct run *r, const struct weight *w, const struct layer_
 {
     struct rows_job j = {.r = r, .w = w, .in = in, .out = out};
     size_t mark = arena_mark(r->tmp);
-    err_t e = layer_workspaces_init(r, weight_k(w), &j.rooms);
+    err_t e = layer_workspaces_init(r->tmp, pool_size(r->pool), weight_k(w), &j.rooms);
     if (!e)
         e = pool_for(r->pool, (in->m + LAYER_ROWS - 1) / LAYER_ROWS, rows_chunk, &j);
     arena_reset(r->tmp, mark);
     return e;
+}
+
+void layer_plan(struct plan *p, int k)
+{
+    const size_t mark = arena_mark(&p->tmp);
+    struct layer_workspace *rooms;
+    if (layer_workspaces_init(&p->tmp, p->threads, k, &rooms))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 /* ---- convolutions ---- */
@@ -341,32 +344,33 @@ struct conv_job {
     struct conv_room *rooms;
 };
 
-size_t layer_conv_need(const struct layer_conv *c, int threads)
+static err_t layout_rooms(struct conv_job *j, struct arena *tmp, int threads)
 {
-    struct tiling t = plan_tiles(c);
-    size_t n = tile_floats(&t, c), one = arena_add(arena_need(n, sizeof(float)), arena_need(n, 1));
-    one = arena_add(one, layer_workspace_need(1));
-    size_t all = arena_need((size_t)threads, sizeof(struct conv_room));
-    for (int i = 0; i < threads; i++)
-        all = arena_add(all, one);
-    size_t fft = fftconv_possible(c) ? fftconv_need(c, threads) : 0;
-    return fft > all ? fft : all;
-}
-
-static err_t init_rooms(struct conv_job *j)
-{
-    int threads = pool_size(j->r->pool);
     size_t n = tile_floats(&j->t, j->c);
-    err_t e = arena_alloc(j->r->tmp, (size_t)threads, sizeof *j->rooms, &j->rooms);
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *j->rooms, &j->rooms);
     for (int i = 0; !e && i < threads; i++) {
-        struct conv_room *o = j->rooms + i;
-        e = layer_workspace_init(&o->room, j->r->tmp, 1);
+        struct conv_room o;
+        e = layer_workspace_init(&o.room, tmp, 1);
         if (!e)
-            e = arena_alloc(j->r->tmp, n, sizeof(float), &o->tile);
+            e = arena_alloc(tmp, n, sizeof(float), &o.tile);
         if (!e)
-            e = arena_alloc(j->r->tmp, n, 1, &o->room.q);
+            e = arena_alloc(tmp, n, 1, &o.room.q);
+        if (!e && !tmp->counts)
+            j->rooms[i] = o;
     }
     return e;
+}
+
+/* Which way is taken depends on the machine. */
+void layer_conv_plan(struct plan *p, const struct layer_conv *c)
+{
+    struct conv_job j = {.c = c, .t = plan_tiles(c)};
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_rooms(&j, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
+    if (fftconv_possible(c))
+        fftconv_plan(p, c);
 }
 
 /* The input of a tile of outputs from (y, x) on, zero beyond the map. */
@@ -436,7 +440,7 @@ err_t layer_conv_run(const struct run *r, const struct layer_conv *c, const stru
         return fftconv_run(r, c, out);
     struct conv_job j = {.r = r, .c = c, .out = out, .t = plan_tiles(c)};
     size_t mark = arena_mark(r->tmp);
-    err_t e = init_rooms(&j);
+    err_t e = layout_rooms(&j, r->tmp, pool_size(r->pool));
     if (!e)
         e = pool_for(r->pool, j.t.rows * j.t.columns, conv_chunk, &j);
     arena_reset(r->tmp, mark);

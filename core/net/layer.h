@@ -6,6 +6,7 @@
 #ifndef NET_LAYER_H
 #define NET_LAYER_H
 
+#include "core/base/plan.h"
 #include "core/kernels/kernels.h"
 #include "core/net/model.h"
 
@@ -27,12 +28,12 @@ struct layer_workspace {
     float *panel; // weights as floats, some panels and inputs at a time
 };
 
-/* Bytes of a room for products of at most k inputs; SIZE_MAX on overflow. */
-size_t layer_workspace_need(int k);
+/* A room for products of at most k inputs. */
 MUST_USE err_t layer_workspace_init(struct layer_workspace *room, struct arena *a, int k);
 
-/* Rooms for all workers of the pool, (pool_size(r->pool) or 1), in r->tmp. */
-MUST_USE err_t layer_workspaces_init(const struct run *r, int k, struct layer_workspace **out);
+/* Rooms for all workers of the pool. */
+MUST_USE err_t layer_workspaces_init(struct arena *a, int threads, int k,
+                                     struct layer_workspace **out);
 
 /* Rows of activations. */
 struct layer_in {
@@ -56,9 +57,12 @@ void layer_rows(const struct gemm_kernels *k, const struct weight *w, const stru
                 const struct layer_out *out, struct layer_workspace *room);
 
 /* The same over the pool, LAYER_ROWS rows a chunk.
- * err:  ERR_NOMEM (r->tmp, see layer_workspace_need per worker), ERR_CANCELLED. */
+ * err:  ERR_NOMEM (r->tmp, see layer_plan), ERR_CANCELLED. */
 MUST_USE err_t layer_run(const struct run *r, const struct weight *w, const struct layer_in *in,
                          const struct layer_out *out);
+
+/* Count what layer_run takes for products of k inputs. */
+void layer_plan(struct plan *p, int k);
 
 /* Writes n pixels of the input map from (y, x) on, (n, channels); always inside the map.
  * thread: any. */
@@ -80,12 +84,12 @@ struct layer_conv {
 int layer_conv_size(int in, int kernel, int stride, int pad);
 
 /* out->out: (out_h, out_w, n) with ldo from pixel to pixel; `add` as above.
- * err:  ERR_NOMEM (r->tmp, see layer_conv_need), ERR_CANCELLED. */
+ * err:  ERR_NOMEM (r->tmp, see layer_conv_plan), ERR_CANCELLED. */
 MUST_USE err_t layer_conv_run(const struct run *r, const struct layer_conv *c,
                               const struct layer_out *out);
 
-/* Bytes that layer_conv_run takes from r->tmp with a pool of `threads`. */
-size_t layer_conv_need(const struct layer_conv *c, int threads);
+/* Count what layer_conv_run takes. */
+void layer_conv_plan(struct plan *p, const struct layer_conv *c);
 
 /* A fetch for a plain map: ctx is a struct layer_map. */
 struct layer_map {

@@ -4,7 +4,7 @@
 #include "core/net/metanet.h"
 
 #include "core/net/finite.h"
-#include "core/net/plan.h"
+#include "core/net/layer.h"
 #include "core/net/tap.h"
 
 #include <math.h>
@@ -35,21 +35,24 @@ static int grid_of(int size)
 /* ---- the first layer in parts ---- */
 
 /* The part of w that sees channels [first, first + n). */
-static err_t part(const struct run *r, const struct net *net, int first, int n, struct weight *out)
+static void part(const struct net *net, int first, int n, void *room, struct weight *out)
 {
     const struct weight *w = &net->meta.enc0;
     size_t one = element(w) * PANEL, run = (size_t)n * one, from = (size_t)channels_of(net) * one;
-    unsigned char *to;
-    err_t e = arena_alloc(r->tmp, panels_of(w) * TAPS, run, &to);
-    if (e)
-        return e;
+    unsigned char *to = room;
     *out = *w;
     out->seg = NET_PATCH * n;
     out->bias = NULL;
     out->panels = to;
     for (size_t i = 0; i < panels_of(w) * TAPS; i++, to += run)
         memcpy(to, (const unsigned char *)w->panels + i * from + (size_t)first * one, run);
-    return OK;
+}
+
+static err_t layout_sum(float **one, double **sum, struct arena *tmp, const struct net *net)
+{
+    const size_t n = (size_t)net->d.hdr * PANEL;
+    err_t e = arena_alloc(tmp, n, sizeof **one, one);
+    return e ? e : arena_alloc(tmp, n, sizeof **sum, sum);
 }
 
 /* out: (panels, hdr, PANEL) weights of the exposure channels, summed over the kernel. */
@@ -60,9 +63,7 @@ static err_t sum_code(const struct run *r, const struct net *net, float *out)
     size_t mark = arena_mark(r->tmp);
     float *one;
     double *sum;
-    err_t e = arena_alloc(r->tmp, n, sizeof(float), &one);
-    if (!e)
-        e = arena_alloc(r->tmp, n, sizeof(double), &sum);
+    err_t e = layout_sum(&one, &sum, r->tmp, net);
     for (size_t p = 0; p < panels_of(w) && !e; p++) {
         memset(sum, 0, n * sizeof *sum);
         for (size_t i = 0; i < TAPS; i++) {
@@ -86,6 +87,21 @@ static err_t sum_code(const struct run *r, const struct net *net, float *out)
     return e;
 }
 
+struct parts {
+    void *guide, *raw; // panels
+};
+
+static err_t layout(struct metanet *m, struct parts *parts, struct arena *tmp,
+                    const struct net *net)
+{
+    const struct weight *w = &net->meta.enc0;
+    const size_t d = (size_t)net->d.hdr, panels = panels_of(w), one = element(w) * PANEL;
+    err_t e = arena_alloc(tmp, panels * d * PANEL, sizeof *m->code, &m->code);
+    if (!e)
+        e = arena_alloc(tmp, panels * TAPS, d * one, &parts->guide);
+    return e ? e : arena_alloc(tmp, panels * TAPS, RAW * one, &parts->raw);
+}
+
 err_t metanet_init(const struct run *r, const struct net *net, struct metanet *out)
 {
     const struct weight *w = &net->meta.enc0;
@@ -95,14 +111,29 @@ err_t metanet_init(const struct run *r, const struct net *net, struct metanet *o
         return err_fail(ERR_FORMAT,
                         "enc.0 is rotated by blocks of %d, which do not divide %d and %d",
                         w->rotate, d, RAW);
-    err_t e = arena_alloc(r->tmp, panels_of(w) * (size_t)d * PANEL, sizeof(float), &out->code);
+    struct parts parts;
+    err_t e = layout(out, &parts, r->tmp, net);
     if (!e)
         e = sum_code(r, net, out->code);
-    if (!e)
-        e = part(r, net, 0, d, &out->guide);
-    if (!e)
-        e = part(r, net, d, RAW, &out->raw);
-    return e;
+    if (e)
+        return e;
+    part(net, 0, d, parts.guide, &out->guide);
+    part(net, d, RAW, parts.raw, &out->raw);
+    return OK;
+}
+
+void metanet_init_plan(struct plan *p, const struct net *net)
+{
+    struct metanet m;
+    struct parts parts;
+    float *one;
+    double *sum;
+    err_t e = layout(&m, &parts, &p->tmp, net);
+    const size_t mark = arena_mark(&p->tmp);
+    e = e ? e : layout_sum(&one, &sum, &p->tmp, net);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 /* ---- one view ---- */
@@ -121,16 +152,20 @@ static struct layer_conv patch_conv(const struct net *net, const struct weight *
                                .floats = net->floats & NET_FLOAT_HEADS};
 }
 
-/* bias + weights times the projected code. */
-static err_t fold(const struct run *r, const struct metanet *m, const float *code, float *bias)
+static err_t layout_bias(float **bias, float **x, struct arena *tmp, const struct net *net)
+{
+    err_t e = arena_alloc(tmp, (size_t)net->meta.enc0.n, sizeof **bias, bias);
+    return e ? e : arena_alloc(tmp, (size_t)net->d.hdr, sizeof **x, x);
+}
+
+/* bias + weights times the projected code. x: (hdr) scratch. */
+static err_t fold(const struct run *r, const struct metanet *m, const float *code, float *x,
+                  float *bias)
 {
     const struct weight *w = &m->net->meta.enc0;
     size_t d = (size_t)m->net->d.hdr;
-    float *x;
-    err_t e = arena_alloc(r->tmp, d, sizeof(float), &x);
-    if (!e)
-        e = layer_run(r, &m->net->meta.exp_proj, &(struct layer_in){code, d, 1, true},
-                      &(struct layer_out){.out = x, .ldo = d});
+    err_t e = layer_run(r, &m->net->meta.exp_proj, &(struct layer_in){code, d, 1, true},
+                        &(struct layer_out){.out = x, .ldo = d});
     if (e)
         return e;
     if (w->rotate)
@@ -153,10 +188,10 @@ err_t metanet_guide(const struct run *r, const struct metanet_view *v, const flo
     struct weight w = v->m->guide;
     struct layer_conv c = patch_conv(net, &w, net->d.hdr, v->size, layer_map_fetch);
     size_t mark = arena_mark(r->tmp);
-    float *bias;
-    err_t e = arena_alloc(r->tmp, (size_t)w.n, sizeof(float), &bias);
+    float *bias, *x;
+    err_t e = layout_bias(&bias, &x, r->tmp, net);
     if (!e)
-        e = fold(r, v->m, code, bias);
+        e = fold(r, v->m, code, x, bias);
     if (!e) {
         w.bias = bias;
         c.ctx = &map;
@@ -220,6 +255,11 @@ static void pool_map(const float *px, int edge, int d, float *summary)
     }
 }
 
+static err_t layout_map(float **px, struct arena *tmp, const struct net *net, int edge)
+{
+    return arena_alloc(tmp, (size_t)(edge * edge * net->d.hdr), sizeof **px, px);
+}
+
 err_t metanet_summarise(const struct run *r, const struct metanet_view *v,
                         const struct prediction *p, float *summary)
 {
@@ -230,7 +270,7 @@ err_t metanet_summarise(const struct run *r, const struct metanet_view *v,
     c.ctx = &map;
     size_t mark = arena_mark(r->tmp);
     float *px;
-    err_t e = arena_alloc(r->tmp, (size_t)(edge * edge * d), sizeof(float), &px);
+    err_t e = layout_map(&px, r->tmp, net, edge);
     if (!e)
         e = layer_conv_run(r, &c,
                            &(struct layer_out){.out = v->sums, .ldo = (size_t)d, .add = true});
@@ -246,6 +286,26 @@ err_t metanet_summarise(const struct run *r, const struct metanet_view *v,
     }
     arena_reset(r->tmp, mark);
     return e;
+}
+
+void metanet_view_plan(struct plan *p, const struct net *net, int size)
+{
+    const int grid = grid_of(size), d = net->d.hdr;
+    const struct layer_conv guide = patch_conv(net, &net->meta.enc0, d, size, NULL);
+    const struct layer_conv raw = patch_conv(net, &net->meta.enc0, RAW, size, NULL);
+    const struct layer_conv second = second_conv(net, grid, NULL);
+    float *px, *x;
+    const size_t mark = arena_mark(&p->tmp);
+    err_t e = layout_bias(&px, &x, &p->tmp, net);
+    layer_plan(p, d);
+    layer_conv_plan(p, &guide);
+    arena_reset(&p->tmp, mark);
+    e = e ? e : layout_map(&px, &p->tmp, net, layer_conv_size(grid, 3, 2, 1));
+    layer_conv_plan(p, &raw);
+    layer_conv_plan(p, &second);
+    if (e)
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 /* ---- all views ---- */
@@ -265,6 +325,23 @@ static void pool_views(const float *summary, int n_views, size_t d, float *out)
     }
 }
 
+static err_t layout_pooled(float **pooled, float **hidden, struct arena *tmp, const struct net *net)
+{
+    err_t e = arena_alloc(tmp, 4 * (size_t)net->d.hdr, sizeof **pooled, pooled);
+    return e ? e : arena_alloc(tmp, (size_t)net->meta.out.a.n, sizeof **hidden, hidden);
+}
+
+void metanet_plan(struct plan *p, const struct net *net)
+{
+    float *pooled, *hidden;
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_pooled(&pooled, &hidden, &p->tmp, net))
+        plan_refuse(p);
+    layer_plan(p, 4 * net->d.hdr);
+    layer_plan(p, net->meta.out.a.n);
+    arena_reset(&p->tmp, mark);
+}
+
 err_t metanet_run(const struct run *r, const struct net *net, const float *summary, int n_views,
                   float mid_log2t, struct prediction *io)
 {
@@ -274,9 +351,7 @@ err_t metanet_run(const struct run *r, const struct net *net, const float *summa
     float *pooled, *hidden;
     last.n = tap_on(r) ? NET_THETA : TONE_PARAMS;
     memset(io->theta, 0, sizeof io->theta);
-    err_t e = arena_alloc(r->tmp, 4 * d, sizeof(float), &pooled);
-    if (!e)
-        e = arena_alloc(r->tmp, n, sizeof(float), &hidden);
+    err_t e = layout_pooled(&pooled, &hidden, r->tmp, net);
     if (!e) {
         pool_views(summary, n_views, d, pooled);
         tap_put(r,
@@ -298,45 +373,4 @@ err_t metanet_run(const struct run *r, const struct net *net, const float *summa
     memcpy(io->tone.p, io->theta, sizeof io->tone.p);
     io->tone.mid_log2t = mid_log2t;
     return OK;
-}
-
-/* ---- plans ---- */
-
-size_t metanet_need(const struct net *net)
-{
-    const struct weight *w = &net->meta.enc0;
-    size_t d = (size_t)net->d.hdr, panels = panels_of(w), one = element(w) * PANEL;
-    struct plan p = {0, 0};
-    plan_hold(&p, panels * d * PANEL, sizeof(float));
-    plan_hold(&p, panels * TAPS, d * one);
-    plan_hold(&p, panels * TAPS, RAW * one);
-    return p.held;
-}
-
-size_t metanet_view_plan(const struct net *net, int size, int threads)
-{
-    struct plan p = {0, 0};
-    int grid = grid_of(size), edge = layer_conv_size(grid, 3, 2, 1), d = net->d.hdr;
-    const struct layer_conv guide = patch_conv(net, &net->meta.enc0, d, size, NULL);
-    const struct layer_conv raw = patch_conv(net, &net->meta.enc0, RAW, size, NULL);
-    const struct layer_conv second = second_conv(net, grid, NULL);
-    size_t sums = (size_t)d * PANEL; // of metanet_init
-    plan_step(&p, arena_add(arena_need(sums, sizeof(float)), arena_need(sums, sizeof(double))));
-    plan_hold(&p, (size_t)d, sizeof(float));
-    plan_hold(&p, (size_t)d, sizeof(float));
-    plan_hold(&p, (size_t)(edge * edge * d), sizeof(float));
-    plan_step(&p, plan_rooms(d, threads));
-    plan_step(&p, layer_conv_need(&guide, threads));
-    plan_step(&p, layer_conv_need(&raw, threads));
-    plan_step(&p, layer_conv_need(&second, threads));
-    return p.peak;
-}
-
-size_t metanet_plan(const struct net *net, int threads)
-{
-    struct plan p = {0, 0};
-    plan_hold(&p, 4 * (size_t)net->d.hdr, sizeof(float));
-    plan_hold(&p, (size_t)net->meta.out.a.n, sizeof(float));
-    plan_step(&p, plan_rooms(4 * net->d.hdr, threads));
-    return p.peak;
 }

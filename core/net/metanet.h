@@ -17,12 +17,12 @@ struct metanet {
     float *code;              // (panels, hdr, PANEL) sums over the kernel
 };
 
-/* Bytes of r->tmp that metanet_init takes, and of those that the calls for a view give back. */
-size_t metanet_need(const struct net *net);
-size_t metanet_view_plan(const struct net *net, int size, int threads);
+/* Count what metanet_init takes and does not give back, and what the calls for a view take. */
+void metanet_init_plan(struct plan *p, const struct net *net);
+void metanet_view_plan(struct plan *p, const struct net *net, int size);
 
 /* out:  points into net; panels in r->tmp.
- * err:  ERR_NOMEM (see metanet_need), ERR_FORMAT (rotated weights that cannot be split). */
+ * err:  ERR_NOMEM (see metanet_init_plan), ERR_FORMAT (rotated weights that cannot be split). */
 MUST_USE err_t metanet_init(const struct run *r, const struct net *net, struct metanet *out);
 
 /* One view on its way. */
@@ -47,7 +47,7 @@ MUST_USE err_t metanet_summarise(const struct run *r, const struct metanet_view 
 /* summary: (n_views, 2 hdr).
  * out:  theta and tone of io; parameters that no image needs are 0 unless r->tap is set.
  * err:  ERR_NOMEM (r->tmp, see metanet_plan), ERR_CANCELLED. */
-size_t metanet_plan(const struct net *net, int threads);
+void metanet_plan(struct plan *p, const struct net *net);
 MUST_USE err_t metanet_run(const struct run *r, const struct net *net, const float *summary,
                            int n_views, float mid_log2t, struct prediction *io);
 

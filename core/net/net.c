@@ -7,7 +7,6 @@
 #include "core/net/finite.h"
 #include "core/net/gausshead.h"
 #include "core/net/metanet.h"
-#include "core/net/plan.h"
 #include "core/net/shared_attention.h"
 #include "core/net/tap.h"
 
@@ -209,46 +208,6 @@ static bool too_many(int n_views, int size)
     return n_views > INT_MAX / size / size;
 }
 
-/* A stage whose results stay in keep. */
-static void plan_stage(struct plan *keep, struct plan *tmp, size_t kept, size_t taken)
-{
-    keep->held = arena_add(keep->held, kept);
-    plan_step(tmp, taken);
-}
-
-void net_plan(const struct net *net, int n_views, int size, int threads, size_t *keep, size_t *tmp)
-{
-    struct plan k = {0, 0}, p = {0, 0};
-    size_t kept, taken, pixels = (size_t)n_views * (size_t)size * (size_t)size;
-    *keep = *tmp = SIZE_MAX;
-    if (too_many(n_views, size))
-        return;
-    backbone_plan(net, n_views, size, threads, &kept, &taken);
-    p.held = kept; // tokens are not needed in the end
-    plan_step(&p, taken);
-    camera_plan(net, n_views, threads, &kept, &taken);
-    plan_stage(&k, &p, kept, taken);
-    depth_plan(net, n_views, size, threads, &kept, &taken);
-    plan_stage(&k, &p, kept, taken);
-    if (net->attend) {
-        shared_attention_plan(&net->d, n_views, size, threads, &kept, &taken);
-        plan_stage(&k, &p, kept, taken);
-    }
-    if (net->d.gauss && net->d.appearance) {
-        appearance_plan(net, n_views, size, threads, &kept, &taken);
-        plan_stage(&k, &p, kept, taken);
-        plan_hold(&p, (size_t)n_views * 2 * (size_t)net->d.hdr, sizeof(float));
-        plan_step(&p, metanet_plan(net, threads));
-    }
-    if (net->d.gauss) {
-        gausshead_plan(net, n_views, size, threads, &kept, &taken);
-        plan_stage(&k, &p, kept, taken);
-        plan_hold(&k, pixels * 3, sizeof(float));
-    }
-    *keep = k.held;
-    *tmp = p.peak;
-}
-
 static err_t check_views(const struct views *v)
 {
     if (v->n < 2)
@@ -277,10 +236,15 @@ static err_t points_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
+static err_t layout_points(struct prediction *p, struct arena *keep)
+{
+    return arena_alloc(keep, (size_t)p->n * 3, sizeof *p->points, &p->points);
+}
+
 static err_t find_points(const struct run *r, struct prediction *io)
 {
     const struct geometry *g = &io->geom;
-    err_t e = arena_alloc(r->keep, (size_t)io->n * 3, sizeof(float), &io->points);
+    err_t e = layout_points(io, r->keep);
     struct points_job j = {g, io->points};
     if (!e)
         e = pool_for(r->pool, g->n_views, points_chunk, &j);
@@ -292,6 +256,11 @@ static err_t find_points(const struct run *r, struct prediction *io)
                                         .shape = {1, g->n_views, g->size, g->size, 3},
                                         .data = io->points});
     return e;
+}
+
+static err_t layout_summary(float **summary, struct arena *tmp, const struct net *net, int n_views)
+{
+    return arena_alloc(tmp, (size_t)n_views * 2 * (size_t)net->d.hdr, sizeof **summary, summary);
 }
 
 /* Everything that needs the tokens, after the geometry. */
@@ -306,13 +275,48 @@ static err_t run_gauss(const struct run *r, const struct net *net, const struct 
         e = appearance_run(r, net, v, t, &irr);
         in.irr = &irr;
         if (!e)
-            e = arena_alloc(r->tmp, (size_t)v->n * 2 * (size_t)net->d.hdr, sizeof(float), &summary);
+            e = layout_summary(&summary, r->tmp, net, v->n);
     }
     if (!e)
         e = gausshead_run(r, net, &in, out, summary);
     if (!e && net->d.appearance)
         e = metanet_run(r, net, summary, v->n, v->mid_log2t, out);
     return e ? e : find_points(r, out);
+}
+
+static err_t plan_gauss(struct plan *p, const struct net *net, int n_views, int size)
+{
+    struct prediction out = {.n = n_views * size * size};
+    float *summary;
+    err_t e = OK;
+    if (net->d.appearance) {
+        appearance_plan(p, net, n_views, size);
+        e = layout_summary(&summary, &p->tmp, net, n_views);
+    }
+    gausshead_plan(p, net, n_views, size);
+    if (net->d.appearance)
+        metanet_plan(p, net);
+    return e ? e : layout_points(&out, &p->keep);
+}
+
+void net_plan(struct plan *p, const struct net *net, int n_views, int size)
+{
+    struct plan backbone = plan_begin(p->threads);
+    const size_t mark = arena_mark(&p->tmp);
+    if (too_many(n_views, size)) {
+        plan_refuse(p);
+        return;
+    }
+    backbone_plan(&backbone, net, n_views, size);
+    arena_hold(&p->tmp, backbone.keep.peak); // tokens are not needed in the end
+    arena_step(&p->tmp, backbone.tmp.peak);
+    camera_plan(p, net, n_views);
+    depth_plan(p, net, n_views, size);
+    if (net->attend)
+        shared_attention_plan(p, &net->d, n_views, size);
+    if (net->d.gauss && plan_gauss(p, net, n_views, size))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 err_t net_run(const struct run *r, const struct net *net, const struct views *v,

@@ -5,6 +5,7 @@
 #ifndef NET_NET_H
 #define NET_NET_H
 
+#include "core/base/plan.h"
 #include "core/kernels/kernels.h"
 #include "core/net/model.h"
 
@@ -120,8 +121,8 @@ struct prediction {
     bool linear; // AnySplat: the SH give display colours minus 0.5, not log radiance
 };
 
-/* Bytes of keep and tmp for a forward pass, with a pool of `threads`; SIZE_MAX on overflow. */
-void net_plan(const struct net *net, int n_views, int size, int threads, size_t *keep, size_t *tmp);
+/* Count what a forward pass takes. */
+void net_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* The forward pass. v->size is a multiple of 14; without the appearance branch exposures are
  * ignored.

@@ -2,8 +2,6 @@
  * over heads. */
 #include "core/net/shared_attention.h"
 
-#include "core/net/plan.h"
-
 #include <math.h>
 #include <string.h>
 
@@ -29,15 +27,9 @@ static size_t panel_floats(const struct shared_attention *a)
     return (size_t)a->heads * shared_attention_pitch(a) * (size_t)a->head;
 }
 
-size_t shared_attention_need(const struct shared_attention *a)
+err_t shared_attention_layout(struct shared_attention *a, struct arena *arena)
 {
-    return arena_need(panel_floats(a), sizeof(float));
-}
-
-size_t shared_attention_workspace_need(const struct shared_attention *a)
-{
-    const size_t one = arena_need(SHARED_ATTENTION_ROWS * shared_attention_pitch(a), sizeof(float));
-    return arena_add(one, one);
+    return arena_alloc(arena, panel_floats(a), sizeof(float), &a->panels);
 }
 
 /* Keys of one head to panels; keys beyond the last are zero. */
@@ -59,8 +51,7 @@ err_t shared_attention_init(const struct run *r, const struct tokens *t, struct 
 {
     a->r = r;
     a->t = t;
-    err_t e = arena_alloc(r->tmp, panel_floats(a), sizeof(float), &a->panels);
-    return e ? e : pool_for(r->pool, a->heads, pack_keys, a);
+    return pool_for(r->pool, a->heads, pack_keys, a);
 }
 
 err_t shared_attention_workspace_init(const struct shared_attention *a, struct arena *arena,
@@ -198,20 +189,44 @@ static size_t pairs(int n_views, int m)
     return (size_t)n_views * (size_t)n_views * (size_t)m * CORRESPONDENCE_BEST;
 }
 
+static err_t layout_result(struct correspondence *out, struct arena *keep, int m)
+{
+    const size_t n = pairs(out->n_views, m);
+    err_t e = arena_alloc(keep, n, sizeof *out->token, &out->token);
+    return e ? e : arena_alloc(keep, n, sizeof *out->share, &out->share);
+}
+
+static err_t layout(struct search *s, struct arena *tmp, int threads)
+{
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *s->rooms, &s->rooms);
+    for (int i = 0; i < threads && !e; i++) {
+        struct shared_attention_workspace room;
+        e = shared_attention_workspace_init(&s->a, tmp, &room);
+        if (!e && !tmp->counts)
+            s->rooms[i] = room;
+    }
+    return e ? e : shared_attention_layout(&s->a, tmp);
+}
+
+void shared_attention_plan(struct plan *p, const struct net_dims *d, int n_views, int size)
+{
+    struct correspondence out = {.n_views = n_views};
+    struct search s = {.a = shared_attention_shape(d, n_views, size / NET_PATCH)};
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_result(&out, &p->keep, s.a.m) || layout(&s, &p->tmp, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
+}
+
 err_t shared_attention_run(const struct run *r, const struct net_dims *d, const struct tokens *t,
                            struct correspondence *out)
 {
     const size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
-    const int workers = pool_size(r->pool);
     struct search s = {.a = shared_attention_shape(d, t->n_views, t->grid), .out = out};
     *out = (struct correspondence){.n_views = t->n_views, .grid = t->grid};
-    err_t e = arena_alloc(r->keep, pairs(t->n_views, s.a.m), sizeof *out->token, &out->token);
+    err_t e = layout_result(out, r->keep, s.a.m);
     if (!e)
-        e = arena_alloc(r->keep, pairs(t->n_views, s.a.m), sizeof *out->share, &out->share);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)workers, sizeof *s.rooms, &s.rooms);
-    for (int i = 0; i < workers && !e; i++)
-        e = shared_attention_workspace_init(&s.a, r->tmp, s.rooms + i);
+        e = layout(&s, r->tmp, pool_size(r->pool));
     if (!e)
         e = shared_attention_init(r, t, &s.a);
     if (!e)
@@ -222,17 +237,4 @@ err_t shared_attention_run(const struct run *r, const struct net_dims *d, const 
         memset(out, 0, sizeof *out);
     }
     return e;
-}
-
-void shared_attention_plan(const struct net_dims *d, int n_views, int size, int threads,
-                           size_t *keep, size_t *tmp)
-{
-    const struct shared_attention a = shared_attention_shape(d, n_views, size / NET_PATCH);
-    struct plan p = {0, 0};
-    *keep = arena_add(arena_need(pairs(n_views, a.m), sizeof(int16_t)),
-                      arena_need(pairs(n_views, a.m), sizeof(float)));
-    plan_hold(&p, (size_t)threads, sizeof(struct shared_attention_workspace));
-    plan_step(&p, arena_add(shared_attention_need(&a),
-                            (size_t)threads * shared_attention_workspace_need(&a)));
-    *tmp = p.peak;
 }

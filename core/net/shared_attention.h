@@ -31,15 +31,14 @@ struct shared_attention shared_attention_shape(const struct net_dims *d, int n_v
 /* Floats from row to row of shared_attention_workspace. */
 size_t shared_attention_pitch(const struct shared_attention *a);
 
-/* Carve and fill the panels of an shared_attention_shape, a room; bytes of them.
+/* Carve the panels of a shared_attention_shape; fill them; carve a room.
  * err:  ERR_NOMEM, ERR_CANCELLED */
+MUST_USE err_t shared_attention_layout(struct shared_attention *a, struct arena *arena);
 MUST_USE err_t shared_attention_init(const struct run *r, const struct tokens *t,
                                      struct shared_attention *a);
 MUST_USE err_t shared_attention_workspace_init(const struct shared_attention *a,
                                                struct arena *arena,
                                                struct shared_attention_workspace *out);
-size_t shared_attention_need(const struct shared_attention *a);
-size_t shared_attention_workspace_need(const struct shared_attention *a);
 
 /* Attention of the queries [first, first + rows) of a view, into room->sum.
  * err:  ERR_CANCELLED. */
@@ -52,7 +51,6 @@ MUST_USE err_t shared_attention_rows(const struct shared_attention *a, int view,
  * err:  ERR_NOMEM (see shared_attention_plan), ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t shared_attention_run(const struct run *r, const struct net_dims *d,
                                     const struct tokens *t, struct correspondence *out);
-void shared_attention_plan(const struct net_dims *d, int n_views, int size, int threads,
-                           size_t *keep, size_t *tmp);
+void shared_attention_plan(struct plan *p, const struct net_dims *d, int n_views, int size);
 
 #endif

@@ -211,7 +211,10 @@ err_t bench_net_views(struct arena *a, int n, int size, struct views *v)
 static err_t reserve(struct state *st, int n, int size, int max_mb)
 {
     size_t keep, tmp;
-    net_plan(&st->network.net, n, size, pool_size(st->engine.pool), &keep, &tmp);
+    struct plan plan = plan_begin(pool_size(st->engine.pool));
+    net_plan(&plan, &st->network.net, n, size);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     keep = arena_add(keep, bench_net_views_plan(n, size));
     err_t e = engine_reserve(&st->engine, st->network.file.model.bytes, keep, tmp, max_mb);
     return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);

@@ -151,7 +151,10 @@ static err_t run_row(struct state *st, unsigned floats, struct tradeoff_row *row
     *s8 = m->precision == PRECISION_S8;
     name(&network, floats, row->what, sizeof row->what);
     row->memory_mb = (double)m->bytes * 1e-6;
-    net_plan(&network.net, row->views, row->size, pool_size(en->pool), &keep, &tmp);
+    struct plan plan = plan_begin(pool_size(en->pool));
+    net_plan(&plan, &network.net, row->views, row->size);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     tmp = tmp > compare ? tmp : compare;
     e = engine_reserve(en, arena_add(st->base.size, m->bytes), keep, tmp, st->max_mb);
     if (!e && !st->dry)

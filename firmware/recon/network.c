@@ -220,7 +220,10 @@ void network_look_plan(const struct network *n, const struct views *v, int threa
     const struct shot one = shot_of(v, 0);
     const struct capture c = {1, (struct shot *)(uintptr_t)&one};
     size_t more, work;
-    net_plan(&net, v->n, size, threads, keep, tmp);
+    struct plan p = plan_begin(threads);
+    net_plan(&p, &net, v->n, size);
+    *keep = p.keep.peak;
+    *tmp = p.tmp.peak;
     prep_plan(&c, size, threads, &more, &work);
     *keep = arena_add(*keep, (size_t)v->n * more);
     *keep = arena_add(*keep, arena_need((size_t)v->n, sizeof(struct shot)));

@@ -434,8 +434,12 @@ static void plan_network(const struct job_config *cfg, const struct recipe *reci
     net.attend = recipe->bundle;
     if (recipe->depth == RECIPE_STEREO)
         network_look_plan(cfg->network, v, threads, &keep, &tmp);
-    else
-        net_plan(&net, v->n, v->size, threads, &keep, &tmp);
+    else {
+        struct plan p = plan_begin(threads);
+        net_plan(&p, &net, v->n, v->size);
+        keep = p.keep.peak;
+        tmp = p.tmp.peak;
+    }
     add(m, keep, tmp);
     add(m, 0, network_place_plan(v->n));
     m->weights = cfg->network->file.model.bytes;

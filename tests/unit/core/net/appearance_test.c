@@ -200,7 +200,10 @@ static void run(const struct net_dims *d, int threads, void (*change)(void))
     ref_open(d, PRECISION_F32, threads);
     if (change)
         change();
-    appearance_plan(&ref.net, REF_VIEWS, REF_SIZE, threads, &keep, &tmp);
+    struct plan plan = plan_begin(threads);
+    appearance_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
     assert_int_equal(appearance_run(&ref.r, &ref.net, &ref.views, &ref.tokens, &irr), OK);
     assert_int_equal(ref.keep.used, keep);
@@ -317,7 +320,10 @@ static void cancelled(void **state)
     size_t keep, tmp;
     (void)state;
     ref_open(&ref_dims, PRECISION_F32, 2);
-    appearance_plan(&ref.net, REF_VIEWS, REF_SIZE, 2, &keep, &tmp);
+    struct plan plan = plan_begin(2);
+    appearance_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
     atomic_store(&ref.cancel, true);
     assert_int_equal(appearance_run(&ref.r, &ref.net, &ref.views, &ref.tokens, &irr),

@@ -44,11 +44,13 @@ static void open_world(struct attention shape, float reach)
     t.a = shape;
     t.a.k = &t.kernels.net;
     size_t c = (size_t)(t.a.heads * t.a.width), n = (size_t)t.a.seqs * (size_t)t.a.len * 3 * c;
-    size_t need = arena_add(attention_need(&t.a), attention_workspace_need(t.a.width));
-    assert_int_equal(arena_init(&t.arena, "attention", need), OK);
+    struct arena need = arena_counter();
+    assert_int_equal(attention_init(&t.a, &need), OK);
+    assert_int_equal(attention_workspace_init(&t.room, t.a.width, &need), OK);
+    assert_int_equal(arena_init(&t.arena, "attention", need.peak), OK);
     assert_int_equal(attention_init(&t.a, &t.arena), OK);
     assert_int_equal(attention_workspace_init(&t.room, t.a.width, &t.arena), OK);
-    assert_true(t.arena.peak == need);
+    assert_true(t.arena.peak == need.peak);
     t.qkv = malloc(n * sizeof *t.qkv);
     t.want = malloc((size_t)t.a.width * sizeof *t.want);
     t.got = malloc(ATTENTION_ROWS * (c + 3) * sizeof *t.got);

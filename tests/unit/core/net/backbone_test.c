@@ -186,7 +186,10 @@ static void open_world(enum precision precision, unsigned floats, int size, int 
     small_model_init(&t.model, &tiny, precision);
     assert_int_equal(net_bind(&t.model.model, floats, &t.net), OK);
     kernels_init(&t.kernels, cpu_detect());
-    backbone_plan(&t.net, VIEWS, size, threads, &t.keep_plan, &t.tmp_plan);
+    struct plan plan = plan_begin(threads);
+    backbone_plan(&plan, &t.net, VIEWS, size);
+    t.keep_plan = plan.keep.peak;
+    t.tmp_plan = plan.tmp.peak;
     assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
     assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
     assert_int_equal(pool_open(&t.pool, threads), OK);

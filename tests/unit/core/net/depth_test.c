@@ -63,7 +63,10 @@ static void run(enum precision precision, int threads, float *out)
     size_t keep, tmp;
     struct geometry g = {.n_views = REF_VIEWS, .size = REF_SIZE};
     ref_open(&ref_dims, precision, threads);
-    depth_plan(&ref.net, REF_VIEWS, REF_SIZE, threads, &keep, &tmp);
+    struct plan plan = plan_begin(threads);
+    depth_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
     assert_int_equal(depth_run(&ref.r, &ref.net, &ref.tokens, &g), OK);
     assert_int_equal(ref.keep.used, keep);
@@ -120,7 +123,10 @@ static void cancelled(void **state)
     struct geometry g = {.n_views = REF_VIEWS, .size = REF_SIZE};
     (void)state;
     ref_open(&ref_dims, PRECISION_F32, 2);
-    depth_plan(&ref.net, REF_VIEWS, REF_SIZE, 2, &keep, &tmp);
+    struct plan plan = plan_begin(2);
+    depth_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
     atomic_store(&ref.cancel, true);
     assert_int_equal(depth_run(&ref.r, &ref.net, &ref.tokens, &g), ERR_CANCELLED);
@@ -140,7 +146,10 @@ static void extreme_outputs(void **state)
         const float bias[2] = {biases[i], 0};
         ref_open(&ref_dims, PRECISION_F32, 2);
         ref.net.depth_out.b.bias = bias;
-        depth_plan(&ref.net, REF_VIEWS, REF_SIZE, 2, &keep, &tmp);
+        struct plan plan = plan_begin(2);
+        depth_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+        keep = plan.keep.peak;
+        tmp = plan.tmp.peak;
         ref_arenas(keep, tmp);
         assert_int_equal(depth_run(&ref.r, &ref.net, &ref.tokens, &g), i < 2 ? OK : ERR_FORMAT);
         if (i >= 2)

@@ -37,9 +37,14 @@ static void run(const struct net_dims *d, enum precision precision, int threads,
     t.irr = (struct irradiance){ref_random((size_t)(REF_VIEWS * d->hdr), 1), ref_random(n, 1),
                                 ref_random(n, 1)};
     const struct gausshead_in in = {&ref.views, &ref.tokens, d->appearance ? &t.irr : NULL};
-    gausshead_plan(&ref.net, REF_VIEWS, REF_SIZE, threads, &keep, &tmp);
-    size_t last = d->appearance ? metanet_plan(&ref.net, threads) : 0;
-    ref_arenas(keep, tmp > last ? tmp : last);
+    struct plan plan = plan_begin(threads);
+    gausshead_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
+    struct plan last = plan_begin(threads);
+    if (d->appearance)
+        metanet_plan(&last, &ref.net);
+    ref_arenas(keep, tmp > last.tmp.peak ? tmp : last.tmp.peak);
     assert_int_equal(gausshead_run(&ref.r, &ref.net, &in, &t.p, t.summary), OK);
     assert_int_equal(ref.keep.used, keep);
     assert_int_equal(ref.tmp.used, 0);
@@ -311,7 +316,10 @@ static void cancelled(void **state)
     (void)state;
     d.appearance = false;
     ref_open(&d, PRECISION_F32, 2);
-    gausshead_plan(&ref.net, REF_VIEWS, REF_SIZE, 2, &keep, &tmp);
+    struct plan plan = plan_begin(2);
+    gausshead_plan(&plan, &ref.net, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
     atomic_store(&ref.cancel, true);
     assert_int_equal(gausshead_run(&ref.r, &ref.net, &in, &t.p, NULL), ERR_CANCELLED);

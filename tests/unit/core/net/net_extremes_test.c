@@ -59,7 +59,10 @@ static void open_world(enum precision precision, int views, int size)
     small_model_make(&t.model, &small_model_tiny, precision, changed, NULL);
     assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
     kernels_init(&t.kernels, cpu_detect());
-    net_plan(&t.net, views, size, 1, &keep, &tmp);
+    struct plan plan = plan_begin(1);
+    net_plan(&plan, &t.net, views, size);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     assert_int_equal(arena_init(&t.keep, "keep", keep), OK);
     assert_int_equal(arena_init(&t.tmp, "tmp", tmp), OK);
     assert_int_equal(pool_open(&t.pool, 1), OK);

@@ -59,7 +59,10 @@ static void open_world(const struct net_dims *d, enum precision precision, int t
     small_model_init(&t.model, d, precision);
     assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
     kernels_init(&t.kernels, cpu_detect());
-    net_plan(&t.net, VIEWS, SIZE_PX, threads, &t.keep_plan, &t.tmp_plan);
+    struct plan plan = plan_begin(threads);
+    net_plan(&plan, &t.net, VIEWS, SIZE_PX);
+    t.keep_plan = plan.keep.peak;
+    t.tmp_plan = plan.tmp.peak;
     assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
     assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
     assert_int_equal(pool_open(&t.pool, threads), OK);
@@ -224,7 +227,10 @@ static void refused(void **state)
     t.v.n = INT_MAX / SIZE_PX / SIZE_PX + 1;
     assert_refused(ERR_ARG);
     size_t keep, tmp;
-    net_plan(&t.net, t.v.n, SIZE_PX, 1, &keep, &tmp);
+    struct plan plan = plan_begin(1);
+    net_plan(&plan, &t.net, t.v.n, SIZE_PX);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     assert_true(keep == SIZE_MAX && tmp == SIZE_MAX);
     t.v = good;
     size_t room = t.tmp.size;

@@ -17,7 +17,10 @@ static void search(int threads)
 {
     size_t keep, tmp;
     ref_open(&ref_dims, PRECISION_F32, threads);
-    shared_attention_plan(&ref.net.d, REF_VIEWS, REF_SIZE, threads, &keep, &tmp);
+    struct plan plan = plan_begin(threads);
+    shared_attention_plan(&plan, &ref.net.d, REF_VIEWS, REF_SIZE);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     ref_arenas(keep, tmp);
 }
 

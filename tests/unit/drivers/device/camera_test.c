@@ -131,7 +131,10 @@ static err_t run(enum precision precision, int views, int threads)
     small_model_init(&t.model, &tiny, precision);
     assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
     kernels_init(&t.kernels, cpu_detect());
-    camera_plan(&t.net, views, threads, &keep, &tmp);
+    struct plan plan = plan_begin(threads);
+    camera_plan(&plan, &t.net, views);
+    keep = plan.keep.peak;
+    tmp = plan.tmp.peak;
     assert_int_equal(arena_init(&t.keep, "keep", keep), OK);
     assert_int_equal(arena_init(&t.tmp, "tmp", tmp), OK);
     assert_int_equal(pool_open(&t.pool, threads), OK);

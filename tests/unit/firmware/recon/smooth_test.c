@@ -587,7 +587,10 @@ static void run_model(enum precision precision, bool with_smooth, struct outcome
     small_model_make(&model, &whole, precision, with_smooth ? smoothed : planted, &smooth);
     assert_int_equal(net_bind(&model.model, 0, &net), OK);
     kernels_init(&kernels, cpu_detect());
-    net_plan(&net, VIEWS, SIZE_PX, 1, &kept, &taken);
+    struct plan plan = plan_begin(1);
+    net_plan(&plan, &net, VIEWS, SIZE_PX);
+    kept = plan.keep.peak;
+    taken = plan.tmp.peak;
     assert_int_equal(arena_init(&keep, "keep", kept), OK);
     assert_int_equal(arena_init(&tmp, "tmp", taken), OK);
     assert_int_equal(pool_open(&pool, 1), OK);
