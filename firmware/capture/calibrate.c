@@ -63,7 +63,7 @@ static int patience(const struct calibrate *c)
     return (c->calib.delay_hi > UNKNOWN ? c->calib.delay_hi : UNKNOWN) + SETTLE;
 }
 
-static err_t hold(struct device_probe *w, double time_s, int frames, struct visibility *out)
+static err_t hold(struct device_probe *w, double time_s, int frames, struct device_probe_frame *out)
 {
     err_t e = device_probe_ask(w, time_s, 0);
     return e ? e : device_probe_rest(w, frames, out);
@@ -87,7 +87,7 @@ err_t calibrate_base(struct device_probe *w, struct calibrate *c)
     struct exposure_probe best = {.good = -1};
     int way = 0;
     for (int i = 0; i < 16; i++) {
-        struct visibility s;
+        struct device_probe_frame s;
         device_probe_tell(w, "exposure", i, 16);
         err_t e = hold(w, t, patience(c), &s);
         if (e)
@@ -124,13 +124,13 @@ static void wait_for_phase(const struct device_probe *w, int i)
 
 /* Ask, and watch until some frames after the change. */
 static err_t step_to(struct device_probe *w, double time_s, const struct exposure_probe *from,
-                     struct trial *t, struct visibility *last)
+                     struct trial *t, struct device_probe_frame *last)
 {
     int left = TRACK;
     t->n = 0;
     err_t e = device_probe_ask(w, time_s, 0);
     for (int age = 0; !e && left > 0 && t->n < TRACK && age <= DELAY_MAX + AFTER;) {
-        struct visibility s;
+        struct device_probe_frame s;
         struct exposure_probe_ratio r;
         e = device_probe_next(w, true, &s);
         age = s.age_lo;
@@ -210,7 +210,7 @@ err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
 {
     struct delays exact = {0}, wide = {0};
     struct trial t;
-    struct visibility at;
+    struct device_probe_frame at;
     double end[2];
     int idle = 0; // steps in a row without a change
     err_t e = ends_of(w, c->base_s, end);
@@ -376,7 +376,7 @@ struct sweep {
 /* The pair of last_s and time_s, as often as it takes to be sure. */
 static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
 {
-    struct visibility s;
+    struct device_probe_frame s;
     int frames = k->c->calib.delay_hi + 1;
     for (int i = 0; i < AGAIN; i++) {
         err_t e = i > 0 ? hold(k->w, k->last_s, frames, &s) : OK;
@@ -398,7 +398,7 @@ static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
 static err_t sweep(struct device_probe *w, struct calibrate *c)
 {
     struct sweep k = {.w = w, .c = c, .last_s = w->info.time_min_s};
-    struct visibility s;
+    struct device_probe_frame s;
     double longest = limited(w, INFINITY, c->longest_s), from = w->info.time_min_s;
     int most = num_min((int)ceil(log2(longest / from) / STEP), CALIBRATE_STEPS_MAX - 1);
     err_t e = hold(w, from, c->calib.delay_hi + 1, &s);
@@ -427,7 +427,7 @@ static err_t narrow(struct device_probe *w, struct calibrate *c, double good_s, 
 {
     for (int i = 0; i < HALVINGS; i++) {
         struct sweep k = {.w = w, .c = c, .last_s = good_s};
-        struct visibility s;
+        struct device_probe_frame s;
         struct calibrate_step to = {.time_s = sqrt(good_s * wrong_s)};
         err_t e = hold(w, good_s, c->calib.delay_hi + 1, &s);
         double from = device_probe_expected(w);
@@ -484,7 +484,7 @@ static err_t find_range(struct device_probe *w, struct calibrate *c)
 
 err_t calibrate_range(struct device_probe *w, struct calibrate *c)
 {
-    struct visibility before, after;
+    struct device_probe_frame before, after;
     struct exposure_probe_ratio r;
     int frames = c->calib.delay_hi + 1;
     err_t e = hold(w, c->base_s, frames, &before);

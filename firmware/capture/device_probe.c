@@ -169,7 +169,7 @@ static err_t next_within(struct device_probe *w, double limit_s, struct frame *f
 }
 
 /* A frame that is not the same once more. */
-static err_t fetch(struct device_probe *w, struct frame *f, struct visibility *out)
+static err_t fetch(struct device_probe *w, struct frame *f, struct device_probe_frame *out)
 {
     double limit_s = 3.0 * label_longest_s(&w->label) + 1.0;
     for (;;) {
@@ -213,7 +213,7 @@ static void doubt_dark(const struct device_probe *w, struct exposure_probe *s)
     }
 }
 
-static err_t look_at(struct device_probe *w, const struct frame *f, struct visibility *out)
+static err_t look_at(struct device_probe *w, const struct frame *f, struct device_probe_frame *out)
 {
     err_t e = out->usable ? subsample_run(&w->info, f, &w->sample) : OK;
     if (e == ERR_NOMEM)
@@ -227,7 +227,7 @@ static err_t look_at(struct device_probe *w, const struct frame *f, struct visib
     return OK;
 }
 
-err_t device_probe_next(struct device_probe *w, bool look, struct visibility *out)
+err_t device_probe_next(struct device_probe *w, bool look, struct device_probe_frame *out)
 {
     struct frame f;
     err_t e = fetch(w, &f, out);
@@ -245,7 +245,7 @@ err_t device_probe_unusable(const struct device_probe *w, int n)
                     w->count.unreadable ? err_text() : "the camera marks them as bad");
 }
 
-err_t device_probe_rest(struct device_probe *w, int frames, struct visibility *out)
+err_t device_probe_rest(struct device_probe *w, int frames, struct device_probe_frame *out)
 {
     int bad = 0;
     for (;;) {
@@ -284,7 +284,7 @@ static err_t unpack_all(const struct device_probe *w, const struct frame *f, uin
 
 err_t device_probe_picture(struct device_probe *w, int frames, uint8_t *rgb)
 {
-    struct visibility s;
+    struct device_probe_frame s;
     for (int bad = 0; bad < UNUSABLE_MAX;) {
         struct frame f;
         err_t e = fetch(w, &f, &s);
@@ -304,7 +304,7 @@ err_t device_probe_picture(struct device_probe *w, int frames, uint8_t *rgb)
 
 err_t device_probe_drain(struct device_probe *w)
 {
-    struct visibility s;
+    struct device_probe_frame s;
     for (int i = 0; i < w->info.buffers; i++) {
         struct pollfd p = {.fd = w->ops->fd(w->st), .events = POLLIN};
         if (poll(&p, 1, 0) <= 0)
@@ -318,7 +318,7 @@ err_t device_probe_drain(struct device_probe *w)
 
 err_t device_probe_resume(struct device_probe *w)
 {
-    struct visibility s;
+    struct device_probe_frame s;
     struct device_probe_count before = w->count;
     for (int i = 0; i <= w->info.buffers; i++) {
         err_t e = device_probe_next(w, false, &s);
@@ -343,7 +343,7 @@ static bool is_rounded(const struct camera_info *info, double ask, double set)
 err_t device_probe_ask(struct device_probe *w, double time_s, int index)
 {
     struct label_request r = {.index = index, .ask = {time_s, 1.0}};
-    struct visibility s;
+    struct device_probe_frame s;
     err_t e = ERR_BUSY;
     for (int i = 0; i < BUSY_FRAMES && e == ERR_BUSY; i++) {
         r.asked_ns = now_of(w);

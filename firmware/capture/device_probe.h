@@ -39,7 +39,7 @@ struct device_probe {
 };
 
 /* A frame. */
-struct visibility {
+struct device_probe_frame {
     bool usable; // else only ages and stamps hold
     struct exposure_probe seen;
     int age_lo, age_hi; // frames since the one that ran during the last request
@@ -64,11 +64,12 @@ double device_probe_expected(const struct device_probe *w);
 
 /* The next frame; pixels are only looked at if `look`.
  * err:  ERR_TIMEOUT (none for 3 of the longest and 1 s), ERR_LOST, ERR_CANCELLED */
-MUST_USE err_t device_probe_next(struct device_probe *w, bool look, struct visibility *out);
+MUST_USE err_t device_probe_next(struct device_probe *w, bool look, struct device_probe_frame *out);
 
 /* The first usable frame that is so many frames older than the last request.
  * err:  as device_probe_next; ERR_FORMAT (100 unusable frames in a row) */
-MUST_USE err_t device_probe_rest(struct device_probe *w, int frames, struct visibility *out);
+MUST_USE err_t device_probe_rest(struct device_probe *w, int frames,
+                                 struct device_probe_frame *out);
 
 /* ERR_FORMAT: n frames in a row, and why. */
 MUST_USE err_t device_probe_unusable(const struct device_probe *w, int n);

@@ -99,8 +99,8 @@ static void add(struct rate *k, int by, double dt, double frames, double most)
     k->worst_s[by] = fmax(k->worst_s[by], dt / frames);
 }
 
-static void add_interval(const struct stand *r, const struct visibility *a,
-                         const struct visibility *b, struct rate *k)
+static void add_interval(const struct stand *r, const struct device_probe_frame *a,
+                         const struct device_probe_frame *b, struct rate *k)
 {
     uint32_t gap = b->sequence - a->sequence;
     double frames = gap >= 1 && gap <= 64 ? gap : 1.0, period = r->w->info.period_s;
@@ -116,7 +116,7 @@ static void add_interval(const struct stand *r, const struct visibility *a,
 static err_t rate(struct stand *r)
 {
     struct rate k = {.n = {0}};
-    struct visibility a, b;
+    struct device_probe_frame a, b;
     double period = r->w->info.period_s;
     err_t e = device_probe_ask(r->w, fmax(0.5 * period, r->w->info.time_min_s), 0);
     for (int i = 0; !e && i < REST_FRAMES; i++)
@@ -166,7 +166,7 @@ static void judge_delay(struct stand *r)
 static const int pattern[SHOTS] = {0, 0, 1, 1, 0, 0, -1, 0, 1, 0, -1, 0, -1, -1}; // two stops each
 
 struct latching {
-    struct visibility rest;
+    struct device_probe_frame rest;
     bool shown[SHOTS];
     int right, wrong, reports, lies;
     double lie; // stops, the worst
@@ -177,7 +177,8 @@ static int class_of(double stops)
     return stops > CLASS ? 1 : stops < -CLASS ? -1 : 0;
 }
 
-static void look_at_shot(const struct stand *r, const struct visibility *s, struct latching *k)
+static void look_at_shot(const struct stand *r, const struct device_probe_frame *s,
+                         struct latching *k)
 {
     int shot = device_probe_in_force(r->w, r->t->measured.calib.delay_lo) - 1;
     struct exposure_probe_ratio ratio;
@@ -203,7 +204,7 @@ static void look_at_shot(const struct stand *r, const struct visibility *s, stru
 static err_t shoot(struct stand *r, struct latching *k)
 {
     int hold = r->t->measured.calib.delay_hi + 1;
-    struct visibility s = {0};
+    struct device_probe_frame s = {0};
     err_t e = device_probe_ask(r->w, r->middle_s, 0);
     if (!e)
         e = device_probe_rest(r->w, hold, &k->rest);
@@ -335,7 +336,7 @@ static err_t aim(struct stand *r)
     bool shows[3];
     r->middle_s = fmax(fmin(r->t->measured.base_s, 0.25 * hi), 4.0 * lo);
     for (int i = 0; i < 3; i++) {
-        struct visibility s;
+        struct device_probe_frame s;
         err_t e = device_probe_ask(r->w, fmin(r->middle_s * pow(4.0, i - 1), hi), 0);
         if (!e)
             e = device_probe_rest(r->w, m->delay_hi + 1, &s);
