@@ -6,8 +6,9 @@
 #ifndef NET_APPEARANCE_H
 #define NET_APPEARANCE_H
 
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 #include "core/net/layer.h"
-#include "core/net/net.h"
 
 /* Count what appearance_run takes. */
 void appearance_plan(struct plan *p, const struct net *net, int n_views, int size);

@@ -4,7 +4,8 @@
 #ifndef NET_BACKBONE_H
 #define NET_BACKBONE_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* Count what backbone_run takes. */
 void backbone_plan(struct plan *p, const struct net *net, int n_views, int size);

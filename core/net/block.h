@@ -4,7 +4,8 @@
 #ifndef NET_BLOCK_H
 #define NET_BLOCK_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* V = n_views, P = view_tokens, C = width; a head is C / heads wide. */
 struct block {

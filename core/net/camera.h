@@ -4,7 +4,8 @@
 #ifndef NET_CAMERA_H
 #define NET_CAMERA_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* Count what camera_run takes. */
 void camera_plan(struct plan *p, const struct net *net, int n_views);

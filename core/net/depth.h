@@ -5,7 +5,8 @@
 #ifndef NET_DEPTH_H
 #define NET_DEPTH_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* Count what depth_run takes. */
 void depth_plan(struct plan *p, const struct net *net, int n_views, int size);

@@ -5,8 +5,9 @@
 #ifndef NET_DPT_H
 #define NET_DPT_H
 
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 #include "core/net/layer.h"
-#include "core/net/net.h"
 
 /* One view of one head. */
 struct dpt_job {

@@ -35,8 +35,8 @@ struct job {
 static struct job plan(const struct layer_conv *c)
 {
     struct job j = {.c = c, .edge = FFT_EDGE + 1 - c->kh, .n = c->w->n};
-    j.out_h = layer_conv_size(c->h, c->kh, 1, c->pad);
-    j.out_w = layer_conv_size(c->w_px, c->kw, 1, c->pad);
+    j.out_h = conv_size(c->h, c->kh, 1, c->pad);
+    j.out_w = conv_size(c->w_px, c->kw, 1, c->pad);
     j.tiles = (j.out_w + j.edge - 1) / j.edge;
     j.width = (j.tiles - 1) * j.edge + FFT_EDGE;
     return j;

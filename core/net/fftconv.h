@@ -5,7 +5,8 @@
 #ifndef NET_FFTCONV_H
 #define NET_FFTCONV_H
 
-#include "core/net/layer.h"
+#include "core/base/plan.h"
+#include "core/net/conv.h"
 
 /* Whether this form exists for c: kernels 5 to 9 px wide, outputs and channels multiples of 16. */
 bool fftconv_possible(const struct layer_conv *c);

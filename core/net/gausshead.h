@@ -6,7 +6,8 @@
 #ifndef NET_GAUSSHEAD_H
 #define NET_GAUSSHEAD_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* Count what gausshead_run takes. */
 void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size);

@@ -296,11 +296,6 @@ struct tiling {
     int rows, columns;                // of tiles
 };
 
-int layer_conv_size(int in, int kernel, int stride, int pad)
-{
-    return (in + 2 * pad - kernel) / stride + 1;
-}
-
 static size_t tile_floats(const struct tiling *t, const struct layer_conv *c)
 {
     return (size_t)t->in_h * (size_t)t->in_w * (size_t)c->channels;
@@ -314,8 +309,8 @@ static void size_tile(struct tiling *t, const struct layer_conv *c)
 
 static struct tiling plan_tiles(const struct layer_conv *c)
 {
-    struct tiling t = {.out_h = layer_conv_size(c->h, c->kh, c->stride, c->pad),
-                       .out_w = layer_conv_size(c->w_px, c->kw, c->stride, c->pad)};
+    struct tiling t = {.out_h = conv_size(c->h, c->kh, c->stride, c->pad),
+                       .out_w = conv_size(c->w_px, c->kw, c->stride, c->pad)};
     t.tile_h = num_min(t.out_h, LAYER_TILE_H);
     t.tile_w = num_min(t.out_w, LAYER_TILE_W);
     for (size_tile(&t, c); tile_floats(&t, c) > TILE_FLOATS; size_tile(&t, c)) {

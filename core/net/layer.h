@@ -7,8 +7,7 @@
 #define NET_LAYER_H
 
 #include "core/base/plan.h"
-#include "core/kernels/kernels.h"
-#include "core/net/model.h"
+#include "core/net/conv.h"
 
 enum {
     LAYER_ROWS = 64,   // rows that a worker takes through a product at a time
@@ -43,15 +42,6 @@ struct layer_in {
     bool floats; // do not quantise, whatever the weights
 };
 
-/* Where results go: act(W x + b), stored, or with add: out += gamma act(W x + b). */
-struct layer_out {
-    float *out; // (m, n)
-    size_t ldo;
-    enum activation act;
-    bool add;
-    const float *gamma; // (n) or NULL: 1; only with add
-};
-
 /* One product on the calling thread. x and out must not overlap. */
 void layer_rows(const struct gemm_kernels *k, const struct weight *w, const struct layer_in *in,
                 const struct layer_out *out, struct layer_workspace *room);
@@ -63,25 +53,6 @@ MUST_USE err_t layer_run(const struct run *r, const struct weight *w, const stru
 
 /* Count what layer_run takes for products of k inputs. */
 void layer_plan(struct plan *p, int k);
-
-/* Writes n pixels of the input map from (y, x) on, (n, channels); always inside the map.
- * thread: any. */
-typedef void layer_fetch_fn(const void *ctx, int y, int x, int n, float *out);
-
-/* A convolution with zero padding. Output (y, x) sees inputs from (y stride - pad, x stride - pad).
- * The input is asked for tile by tile, so that what makes it (a resize, a sum, a ReLU) needs no map
- * of its own; pixels at tile borders are asked for more than once. */
-struct layer_conv {
-    const struct weight *w; // segs = kh, seg = kw channels
-    int kh, kw, stride, pad, channels;
-    int h, w_px; // of the input
-    layer_fetch_fn *fetch;
-    const void *ctx;
-    bool floats;
-};
-
-/* Size of its output: floor((in + 2 pad - kernel) / stride) + 1. */
-int layer_conv_size(int in, int kernel, int stride, int pad);
 
 /* out->out: (out_h, out_w, n) with ldo from pixel to pixel; `add` as above.
  * err:  ERR_NOMEM (r->tmp, see layer_conv_plan), ERR_CANCELLED. */

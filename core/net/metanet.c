@@ -265,7 +265,7 @@ err_t metanet_summarise(const struct run *r, const struct metanet_view *v,
 {
     const struct net *net = v->m->net;
     const struct raw_map map = {p, v->view, v->size};
-    int d = net->d.hdr, grid = grid_of(v->size), edge = layer_conv_size(grid, 3, 2, 1);
+    int d = net->d.hdr, grid = grid_of(v->size), edge = conv_size(grid, 3, 2, 1);
     struct layer_conv c = patch_conv(net, &v->m->raw, RAW, v->size, fetch_raw);
     c.ctx = &map;
     size_t mark = arena_mark(r->tmp);
@@ -300,7 +300,7 @@ void metanet_view_plan(struct plan *p, const struct net *net, int size)
     layer_plan(p, d);
     layer_conv_plan(p, &guide);
     arena_reset(&p->tmp, mark);
-    e = e ? e : layout_map(&px, &p->tmp, net, layer_conv_size(grid, 3, 2, 1));
+    e = e ? e : layout_map(&px, &p->tmp, net, conv_size(grid, 3, 2, 1));
     layer_conv_plan(p, &raw);
     layer_conv_plan(p, &second);
     if (e)

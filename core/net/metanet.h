@@ -8,7 +8,8 @@
 #ifndef NET_METANET_H
 #define NET_METANET_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 /* The first layer split by what it sees. */
 struct metanet {

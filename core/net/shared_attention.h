@@ -5,7 +5,8 @@
 #ifndef NET_SHARED_ATTENTION_H
 #define NET_SHARED_ATTENTION_H
 
-#include "core/net/net.h"
+#include "core/base/plan.h"
+#include "core/net/graph.h"
 
 enum { SHARED_ATTENTION_ROWS = 32 }; // queries at a time at most
 

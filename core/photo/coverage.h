@@ -3,7 +3,7 @@
 #ifndef PHOTO_COVERAGE_H
 #define PHOTO_COVERAGE_H
 
-#include "core/photo/meter.h"
+#include "core/photo/metering.h"
 
 /* The longest legal time of at most t; the shortest if there is none. */
 double coverage_legal(const struct meter_config *c, double t);

@@ -3,7 +3,6 @@
 #include "drivers/format/filelist.h"
 
 #include "core/base/sha256.h"
-#include "drivers/format/partial.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -134,7 +133,7 @@ static err_t list_file(struct walk *w, const char *path, const char *name, const
 {
     struct entry *x;
     (void)st;
-    if (strcmp(name, PARTIAL_MARK) == 0) // goes before the folder is seen
+    if (strcmp(name, FILELIST_PARTIAL) == 0) // goes before the folder is seen
         return OK;
     err_t e = list_add(w->list, name, strlen(name), &x);
     return e ? e : hash_file(path, x->hex);

@@ -8,6 +8,7 @@
 #include "drivers/format/file.h"
 
 #define FILELIST_NAME "files.sha256"
+#define FILELIST_PARTIAL ".hdrig-partial" // mark of a folder that is not complete (partial.h)
 
 /* Write the list of all that is in `dir`, which belongs to the caller alone.
  * err:  ERR_IO, ERR_LIMIT (no space), ERR_ARG (path too long, folders too deep), ERR_NOMEM. */

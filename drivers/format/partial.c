@@ -18,7 +18,8 @@ static int remove_entry(const char *path, const struct stat *st, int kind, struc
 {
     (void)st;
     (void)kind;
-    if (where->level > 0 && !(where->level == 1 && strcmp(path + where->base, PARTIAL_MARK) == 0))
+    if (where->level > 0 &&
+        !(where->level == 1 && strcmp(path + where->base, FILELIST_PARTIAL) == 0))
         (void)remove(path);
     return 0;
 }
@@ -28,7 +29,7 @@ static void remove_tree(const char *path)
 {
     char mark[FILE_PATH_CAP];
     (void)nftw(path, remove_entry, TREE_FDS, FTW_DEPTH | FTW_PHYS);
-    if (rmdir(path) != 0 && file_join(path, PARTIAL_MARK, mark) == OK && unlink(mark) == 0)
+    if (rmdir(path) != 0 && file_join(path, FILELIST_PARTIAL, mark) == OK && unlink(mark) == 0)
         (void)rmdir(path);
 }
 
@@ -42,7 +43,7 @@ static bool lock(int fd)
 static void remove_ours(const char *path)
 {
     char mark[FILE_PATH_CAP];
-    if (file_join(path, PARTIAL_MARK, mark) == OK && file_is_regular(mark))
+    if (file_join(path, FILELIST_PARTIAL, mark) == OK && file_is_regular(mark))
         remove_tree(path);
     else if (rmdir(path) != 0 && filelist_check(path, false) == OK && filelist_remove(path) != OK)
         return; // what stays is found by the next run
@@ -80,7 +81,7 @@ static err_t put_mark(const struct partial *p)
 {
     char path[FILE_PATH_CAP];
     FILE *f;
-    err_t e = file_join(p->dir, PARTIAL_MARK, path);
+    err_t e = file_join(p->dir, FILELIST_PARTIAL, path);
     if (!e)
         e = file_create(path, &f);
     if (e)
@@ -92,7 +93,7 @@ static err_t put_mark(const struct partial *p)
 err_t partial_unmark(const struct partial *p)
 {
     char path[FILE_PATH_CAP];
-    err_t e = file_join(p->dir, PARTIAL_MARK, path);
+    err_t e = file_join(p->dir, FILELIST_PARTIAL, path);
     if (!e && unlink(path) != 0)
         e = err_fail(ERR_IO, "%s: %s", path, strerror(errno));
     return e;

@@ -1,14 +1,12 @@
 /* partial.h - files that appear under their names only when complete. Until then they are in a
- * folder .tmp-NAME-PID beside NAME; a lock on that folder tells that its process lives,
- * PARTIAL_MARK in it that it is one of ours. What a dead one left for the same NAME is removed by
- * the next partial_open. Only files of ours are replaced (origin.h).
+ * folder .tmp-NAME-PID beside NAME; a lock on that folder tells that its process lives, the file
+ * FILELIST_PARTIAL in it that it is one of ours. What a dead one left for the same NAME is removed
+ * by the next partial_open. Only files of ours are replaced (origin.h).
  * thread: any. */
 #ifndef FORMAT_PARTIAL_H
 #define FORMAT_PARTIAL_H
 
 #include "drivers/format/file.h"
-
-#define PARTIAL_MARK ".hdrig-partial"
 
 struct partial {
     char dir[FILE_PATH_CAP]; // "" if there is none

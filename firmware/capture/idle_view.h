@@ -3,10 +3,18 @@
 #ifndef CAPTURE_IDLE_VIEW_H
 #define CAPTURE_IDLE_VIEW_H
 
-#include "firmware/capture/session.h"
-
 #include "core/photo/raw.h"
+#include "drivers/device/camera.h"
 
+enum { SESSION_BINS = 64 };
+
+/* For the status page: the newest frame, looked at once a second. */
+struct session_view {
+    bool present;
+    struct exposure exposure;         // as set
+    uint32_t histogram[SESSION_BINS]; // of display values
+    float clipped, dark;              // shares
+};
 /* Histogram and shares of a picture. */
 void idle_view_look(const struct raw *p, struct session_view *out);
 

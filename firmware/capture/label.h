@@ -9,7 +9,10 @@
 #ifndef CAPTURE_LABEL_H
 #define CAPTURE_LABEL_H
 
-#include "firmware/capture/bracket.h"
+#include "firmware/capture/evidence.h"
+
+#include "core/photo/exposure_probe.h"
+#include "core/photo/flicker.h"
 
 enum {
     LABEL_LOG = 64,

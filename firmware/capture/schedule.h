@@ -5,7 +5,25 @@
 
 #include "firmware/base/config.h"
 #include "firmware/capture/frame_buffer.h"
-#include "firmware/capture/session.h"
+#include "firmware/capture/take.h"
+
+enum session_mode {
+    SESSION_AUTO, // metered
+    SESSION_LIST, // the given stops around the middle exposure
+};
+
+struct session_order {
+    enum session_mode mode;
+    int n;
+    double ev[BRACKET_EXPOSURES_MAX]; // of LIST: stops, any order
+    double middle_s;                  // of LIST: exposure of EV 0; 0: metered
+    bool stagger;  // one exposure per camera, in turn; every camera's turn moves on with each take
+    bool verify;   // of AUTO: look at the coverage and extend once
+    double snr;    // of AUTO, ratio; 0: default
+    double skew_s; // larger spoils the take; 0: any
+    bool refocus; // cameras with focus=once search anew; else only what has not since it was opened
+    int64_t trigger_ns; // CLOCK_MONOTONIC
+};
 
 /* The order for a press, by settings that config_check_rig has read. */
 void schedule_order(const struct config *c, int64_t press_ns, struct session_order *o);

@@ -8,14 +8,11 @@
 #define CAPTURE_SESSION_H
 
 #include "firmware/capture/calib.h"
+#include "firmware/capture/idle_view.h"
+#include "firmware/capture/schedule.h"
 #include "firmware/capture/take.h"
 
 #include <poll.h>
-
-enum session_mode {
-    SESSION_AUTO, // metered
-    SESSION_LIST, // the given stops around the middle exposure
-};
 
 struct session_config {
     int n; // cameras, 1..BRACKET_CAMERAS_MAX
@@ -24,19 +21,6 @@ struct session_config {
     enum camera_format format;
     const char *calibration; // folder of calib.h; NULL: none
     size_t memory;           // most bytes of kept frames; one more aborts the take
-};
-
-struct session_order {
-    enum session_mode mode;
-    int n;
-    double ev[BRACKET_EXPOSURES_MAX]; // of LIST: stops, any order
-    double middle_s;                  // of LIST: exposure of EV 0; 0: metered
-    bool stagger;  // one exposure per camera, in turn; every camera's turn moves on with each take
-    bool verify;   // of AUTO: look at the coverage and extend once
-    double snr;    // of AUTO, ratio; 0: default
-    double skew_s; // larger spoils the take; 0: any
-    bool refocus; // cameras with focus=once search anew; else only what has not since it was opened
-    int64_t trigger_ns; // CLOCK_MONOTONIC
 };
 
 enum session_state {
@@ -90,15 +74,7 @@ void session_cancel(struct session *s, const char *reason);
  * own:  take_free. err: ERR_AGAIN */
 MUST_USE err_t session_collect(struct session *s, struct take **out);
 
-enum { SESSION_BINS = 64 };
-
-/* What a camera sees now, for the status page: the newest frame, looked at once a second. */
-struct session_view {
-    bool present;
-    struct exposure exposure;         // as set
-    uint32_t histogram[SESSION_BINS]; // of display values
-    float clipped, dark;              // shares
-};
+/* What a camera sees now. */
 void session_view(const struct session *s, int camera, struct session_view *out);
 
 #endif

@@ -97,7 +97,7 @@ err_t places_open(const char *store, struct places *out)
 {
     char path[FILE_PATH_CAP], ended[STORE_ID_CAP];
     err_t e = places_of(store, "", out);
-    if (!e && file_join(store, PLACES_ENDED, path) == OK && read_ended(path, ended) &&
+    if (!e && file_join(store, STORE_SESSION_ENDED, path) == OK && read_ended(path, ended) &&
         strcmp(out->id, ended) == 0)
         *out = (struct places){0};
     return e;
@@ -107,9 +107,9 @@ err_t places_end(const char *store, const char *session)
 {
     char path[FILE_PATH_CAP], tmp[FILE_PATH_CAP], text[STORE_ID_CAP + 1];
     const struct store_fs *fs = &store_fs_system;
-    err_t e = file_join(store, PLACES_ENDED, path);
+    err_t e = file_join(store, STORE_SESSION_ENDED, path);
     if (!e)
-        e = file_join(store, ".tmp-" PLACES_ENDED, tmp);
+        e = file_join(store, ".tmp-" STORE_SESSION_ENDED, tmp);
     if (!e && file_exists(path) && !read_ended(path, text))
         e = err_fail(ERR_ARG, "%s: is there already and was not written by hdrig", path);
     if (e)

@@ -11,8 +11,6 @@
 
 #include "core/sfm/viewgraph.h"
 
-#define PLACES_ENDED "session-ended"
-
 /* MIN: views that a scene needs. MAX: views whose cameras can be found. */
 enum { PLACES_MIN = 2, PLACES_MAX = VIEWGRAPH_VIEWS_MAX };
 

@@ -7,7 +7,6 @@
 #include "firmware/store/store.h"
 
 #include "firmware/store/manifest.h"
-#include "firmware/store/places.h"
 #include "firmware/store/store_fs.h"
 #include "firmware/store/store_media.h"
 
@@ -295,7 +294,7 @@ static bool is_tmp_name(const char *name)
 {
     const size_t n = sizeof tmp_prefix - 1;
     return strncmp(name, tmp_prefix, n) == 0 &&
-           (strcmp(name + n, counter_name) == 0 || strcmp(name + n, PLACES_ENDED) == 0 ||
+           (strcmp(name + n, counter_name) == 0 || strcmp(name + n, STORE_SESSION_ENDED) == 0 ||
             store_is_id(name + n));
 }
 

@@ -23,6 +23,8 @@
 
 enum { STORE_ID_CAP = TAKE_ID_CAP };
 
+#define STORE_SESSION_ENDED "session-ended"
+
 struct store_config {
     const char *path;
     uint64_t reserve; // bytes of the file system that stay free

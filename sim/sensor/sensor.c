@@ -11,6 +11,7 @@
 
 #include "core/base/num.h"
 #include "core/base/splitmix.h"
+#include "sim/sensor/chance.h"
 
 #include <math.h>
 #include <string.h>
@@ -40,27 +41,6 @@ static inline double smaller(double a, double b)
     return a < b ? a : b; // fmin would be a call
 }
 
-static inline double uniform(uint64_t key, uint64_t counter)
-{
-    uint64_t h = splitmix_mix(key + (counter + 1) * SPLITMIX_STEP);
-    return ((double)(h >> 12) + 0.5) * 0x1p-52; // inside 0..1
-}
-
-/* Natural logarithm of 0 < x < 1, to 3e-8. */
-static inline double ln(double x)
-{
-    uint64_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    bits -= 0x3FE6A09E667F3BCDu; // sqrt(1/2)
-    int64_t e = (int64_t)bits >> 52;
-    bits = (bits & 0xFFFFFFFFFFFFFu) + 0x3FE6A09E667F3BCDu;
-    double m;
-    memcpy(&m, &bits, sizeof m);
-    double s = (m - 1.0) / (m + 1.0), q = s * s;
-    double p = 1.0 + q * (1.0 / 3.0 + q * (1.0 / 5.0 + q * (1.0 / 7.0)));
-    return 0.6931471805599453 * (double)e + 2.0 * s * p;
-}
-
 /* exp(-x) for 0 <= x <= 30, to 1e-8 of itself. */
 static inline double exp_minus(double x)
 {
@@ -72,30 +52,6 @@ static inline double exp_minus(double x)
     double scale;
     memcpy(&scale, &bits, sizeof scale);
     return p * scale;
-}
-
-static inline double tail(double p)
-{
-    double r = sqrt(-ln(p));
-    if (r <= 5.0) {
-        r -= 1.6;
-        return (1.4234372777 + r * (2.7568153900 + r * (1.3067284816 + r * 0.17023821103))) /
-               (1.0 + r * (0.73700164250 + r * 0.12021132975));
-    }
-    r -= 5.0;
-    return (6.6579051150 + r * (3.0812263860 + r * (0.42868294337 + r * 0.017337203997))) /
-           (1.0 + r * (0.24197894225 + r * 0.012258202635));
-}
-
-static inline double normal(uint64_t key, uint64_t counter)
-{
-    double u = uniform(key, counter), q = u - 0.5;
-    if (q >= -0.425 && q <= 0.425) {
-        double r = 0.180625 - q * q;
-        return q * (3.3871327179 + r * (50.434271938 + r * (159.29113202 + r * 59.109374720))) /
-               (1.0 + r * (17.895169469 + r * (78.757757664 + r * 67.187563600)));
-    }
-    return q < 0.0 ? -tail(u) : tail(1.0 - u);
 }
 
 /* Of a mean below 30, P(X > 96) < 1e-20. */
@@ -130,21 +86,21 @@ static inline double poisson(uint64_t key, uint64_t counter, double mean)
     if (!(mean > 0.0))
         return 0.0;
     if (mean < 30.0)
-        return small_poisson(uniform(key, counter), mean);
+        return small_poisson(chance_uniform(key, counter), mean);
     if (!(mean < 1e12))
         mean = 1e12;
-    double v = mean + sqrt(mean) * normal(key, counter) + 0.5;
+    double v = mean + sqrt(mean) * chance_normal(key, counter) + 0.5;
     return v > 0.0 ? (double)(int64_t)v : 0.0;
 }
 
 double sensor_uniform(uint64_t key, uint64_t counter)
 {
-    return uniform(splitmix_mix(key), counter);
+    return chance_uniform(splitmix_mix(key), counter);
 }
 
 double sensor_normal(uint64_t key, uint64_t counter)
 {
-    return normal(splitmix_mix(key), counter);
+    return chance_normal(splitmix_mix(key), counter);
 }
 
 double sensor_poisson(uint64_t key, uint64_t counter, double mean)
@@ -257,7 +213,7 @@ static struct row row_begin(const struct expose *x, int plane, int y)
     for (int c = 0; c < 3; c++)
         w.light[c] = light * s->balance[c];
     if (s->row_noise > 0.0f)
-        w.offset = s->row_noise * normal(w.noise, UINT32_MAX);
+        w.offset = s->row_noise * chance_normal(w.noise, UINT32_MAX);
     return w;
 }
 
@@ -268,12 +224,12 @@ static inline double read_pixel(const struct sensor *s, const struct row *w, int
     uint64_t n = 2 * (uint64_t)i;
     double mean = radiance > 0.0f ? radiance * w->light[c] : 0.0; // NaN is dark
     if (s->prnu > 0.0f)
-        mean *= 1.0 - smaller(-s->prnu * normal(w->unit, n), 1.0);
+        mean *= 1.0 - smaller(-s->prnu * chance_normal(w->unit, n), 1.0);
     double e = smaller(poisson(w->noise, n, mean + w->dark), s->full_well) + w->offset;
     if (s->dsnu > 0.0f)
-        e += s->dsnu * normal(w->unit, n + 1);
+        e += s->dsnu * chance_normal(w->unit, n + 1);
     if (s->read_noise > 0.0f)
-        e += s->read_noise * normal(w->noise, n + 1);
+        e += s->read_noise * chance_normal(w->noise, n + 1);
     return e;
 }
 

@@ -4,7 +4,7 @@
 #ifndef WORLD_BUILDER_H
 #define WORLD_BUILDER_H
 
-#include "sim/world/world.h"
+#include "sim/world/solids.h"
 
 /* What a material is used for: decides over kinds and sizes of texture, colours and gloss. */
 enum builder_role {
@@ -61,6 +61,13 @@ struct part {
 /* Which piece of the texture it shows: its own at random, that of its place in the frame, or one
  * that begins at its lower corner. */
 enum builder_cut { CUT_RANDOM, CUT_JOINED, CUT_CORNER };
+
+/* A piece stands on z = 0 of its frame, its middle at the origin, its front towards y, within
+ * half[0] x half[1] and about `height`. */
+struct piece {
+    void (*make)(struct builder *b, const struct frame *f, const float half[2], float height);
+    float lo[3], hi[3]; // m, range of half width, half depth, height
+};
 
 float builder_draw(struct builder *b, float lo, float hi);
 int builder_pick(struct builder *b, int n); // 0 .. n-1

@@ -4,7 +4,7 @@
 #include "sim/world/clutter.h"
 
 #include "core/base/num.h"
-#include "sim/world/garden.h"
+#include "sim/world/plant.h"
 
 #include <math.h>
 
@@ -195,7 +195,7 @@ static void photo(struct builder *b, const struct frame *f, float r)
 static void pot_plant(struct builder *b, const struct frame *f, float r)
 {
     float tall = builder_draw(b, 2.0f, 3.5f);
-    garden_plant(b, f, (const float[]){r, r}, tall * r);
+    plant_pot(b, f, (const float[]){r, r}, tall * r);
 }
 
 static void laptop(struct builder *b, const struct frame *f, float r)

@@ -4,7 +4,7 @@
 
 #include "core/base/num.h"
 #include "sim/world/clutter.h"
-#include "sim/world/garden.h"
+#include "sim/world/plant.h"
 
 static const float PI = (float)NUM_PI;
 
@@ -375,7 +375,7 @@ const struct piece furniture_wall[FURNITURE_WALL] = {
     {cupboard, {0.35f, 0.25f, 1.6f}, {0.7f, 0.3f, 2.1f}},
     {table, {0.4f, 0.25f, 0.7f}, {0.8f, 0.36f, 0.8f}},
     {cartons, {0.22f, 0.2f, 0.4f}, {0.4f, 0.3f, 1.2f}},
-    {garden_plant, {0.2f, 0.2f, 0.6f}, {0.4f, 0.4f, 1.5f}},
+    {plant_pot, {0.2f, 0.2f, 0.6f}, {0.4f, 0.4f, 1.5f}},
 };
 
 const struct piece furniture_middle[FURNITURE_MIDDLE] = {

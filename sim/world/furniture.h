@@ -6,13 +6,6 @@
 
 #include "sim/world/builder.h"
 
-/* A piece stands on z = 0 of its frame, its middle at the origin, its front towards y, within
- * half[0] x half[1] and about `height`. */
-struct piece {
-    void (*make)(struct builder *b, const struct frame *f, const float half[2], float height);
-    float lo[3], hi[3]; // m, range of half width, half depth, height
-};
-
 enum { FURNITURE_WALL = 7, FURNITURE_MIDDLE = 5 };
 extern const struct piece furniture_wall[FURNITURE_WALL];     // stand with their back to a wall
 extern const struct piece furniture_middle[FURNITURE_MIDDLE]; // are looked at from all sides

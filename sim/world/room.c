@@ -11,7 +11,7 @@
 #include "core/base/num.h"
 #include "sim/world/clutter.h"
 #include "sim/world/furniture.h"
-#include "sim/world/garden.h"
+#include "sim/world/plant.h"
 
 #include <math.h>
 
@@ -468,7 +468,7 @@ void room_outside(struct builder *b, const struct frame *root, const struct room
             house(b, &f);
         } else {
             float wide = builder_draw(b, 1.2f, 2.6f), tall = builder_draw(b, 1.8f, 3.0f) * wide;
-            garden_tree(b, &f, (const float[]){wide, wide}, tall);
+            plant_tree(b, &f, (const float[]){wide, wide}, tall);
         }
     }
 }

@@ -1,6 +1,8 @@
 #!/bin/sh
 # Quoted includes start at the root and point the allowed way; third-party headers only in their
-# wrapper.
+# wrapper. Modules, the files of one name and of that name with _inner, do not include each other in
+# a circle.
+bad=0
 find core drivers firmware sim tests -name '*.[ch]' 2>/dev/null | sort | xargs awk '
 BEGIN {
     allowed["core"] = " core "
@@ -72,4 +74,18 @@ FNR == 1 {
 { first = 0 }
 function has(file, line, n) { n = getline line < file; close(file); return n >= 0 }
 function complain(what) { print FILENAME ":" FNR ": " what; bad = 1 }
-END { exit bad }'
+END { exit bad }' || bad=1
+circle=$(find core drivers firmware sim -name '*.[ch]' -o -name '*.cpp' | xargs awk '
+/^[ \t]*#[ \t]*include[ \t]*"/ {
+    split($0, part, "\"")
+    from = FILENAME
+    to = part[2]
+    sub(/(_inner)?\.[a-z]+$/, "", from)
+    sub(/(_inner)?\.[a-z]+$/, "", to)
+    print from, to
+}' | tsort 2>&1 >/dev/null | sed -n 's|^tsort: \([^-].*/\)|\1|p')
+if [ -n "$circle" ]; then
+    echo "a circle of includes:" $circle
+    bad=1
+fi
+exit $bad

@@ -2,6 +2,7 @@
  * network: memory as planned, the same bytes for any number of threads, cancellation. Its values
  * are compared in the golden tests. */
 #include "core/net/backbone.h"
+#include "core/net/net.h"
 
 #include "core/base/cpu.h"
 #include "core/net/block.h"

@@ -166,8 +166,8 @@ struct shape {
 
 static void naive_conv(const struct shape *s)
 {
-    int oh = layer_conv_size(s->h, s->k, s->stride, s->pad);
-    int ow = layer_conv_size(s->w, s->k, s->stride, s->pad);
+    int oh = conv_size(s->h, s->k, s->stride, s->pad);
+    int ow = conv_size(s->w, s->k, s->stride, s->pad);
     for (int i = 0; i < oh * ow * s->n; i++) {
         int o = i % s->n, y = i / s->n / ow * s->stride - s->pad;
         int x = i / s->n % ow * s->stride - s->pad;
@@ -197,8 +197,8 @@ static void conv_case(const struct shape *s, enum precision type)
                            .fetch = layer_map_fetch,
                            .ctx = &map};
     struct layer_out out = {.out = t.got, .ldo = (size_t)s->n, .act = ACT_RELU};
-    size_t n = (size_t)layer_conv_size(s->h, s->k, s->stride, s->pad) *
-               (size_t)layer_conv_size(s->w, s->k, s->stride, s->pad) * (size_t)s->n;
+    size_t n = (size_t)conv_size(s->h, s->k, s->stride, s->pad) *
+               (size_t)conv_size(s->w, s->k, s->stride, s->pad) * (size_t)s->n;
     naive_conv(s);
     t.tmp.peak = 0;
     assert_int_equal(layer_conv_run(&t.r, &c, &out), OK);

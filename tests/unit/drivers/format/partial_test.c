@@ -1,5 +1,6 @@
 /* Files that appear when they are complete, and what processes that died left of theirs. */
 #include "drivers/format/origin.h"
+#include "drivers/format/filelist.h"
 #include "drivers/format/partial.h"
 #include "tests/unit/tmpdir.h"
 
@@ -188,7 +189,7 @@ static void removes_only_what_the_dead_left(void **state)
     pid_t child = child_of(path);
     tmpdir_mkdir(".tmp-a-999999999"); // nobody holds it
     tmpdir_text(".tmp-a-999999999/x", "");
-    tmpdir_text(".tmp-a-999999999/" PARTIAL_MARK, "");
+    tmpdir_text(".tmp-a-999999999/" FILELIST_PARTIAL, "");
     tmpdir_mkdir(".tmp-a-999999998"); // died before its mark
     tmpdir_mkdir(".tmp-a-1999");      // somebody's
     tmpdir_text(".tmp-a-1999/diary", "");

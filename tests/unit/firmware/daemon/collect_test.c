@@ -161,7 +161,7 @@ static void an_end_that_fails_leaves_it_open(void **state)
     c.jobs = jobs;
     capture(1);
     capture(2);
-    tmpdir_text("store/" PLACES_ENDED, "mine");
+    tmpdir_text("store/" STORE_SESSION_ENDED, "mine");
     says(collect_end(&c, false), ERR_ARG, "was not written by hdrig");
     assert_int_equal(c.places.n, 2);
     says(OK, OK, "2 places so far");

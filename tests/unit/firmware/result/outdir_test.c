@@ -231,7 +231,7 @@ static void removes_only_what_the_dead_left(void **state)
     assert_int_equal(c, '1');
     tmpdir_mkdir(".tmp-out-999999999"); // nobody holds it
     tmpdir_text(".tmp-out-999999999/x", "");
-    tmpdir_text(".tmp-out-999999999/" PARTIAL_MARK, "");
+    tmpdir_text(".tmp-out-999999999/" FILELIST_PARTIAL, "");
     tmpdir_mkdir(".tmp-output-1"); // of another name
     tmpdir_mkdir(".tmp-out-mine");
     assert_int_equal(outdir_open(tmpdir_path("out"), NULL, &o), OK);

@@ -1,6 +1,7 @@
 /* Decoding of poses and its extremes; the camera head of a tiny network: memory as planned, the
  * same bytes for any number of threads. Its values are compared in the golden tests. */
 #include "core/net/camera.h"
+#include "core/net/net.h"
 
 #include "core/base/cpu.h"
 #include "tests/unit/small_model.h"
