@@ -37,7 +37,7 @@ static inline void dft4(vf *re, vf *im, int at, int step)
     im[d] = ti + vr;
 }
 
-/* In place; frequency k2 + 4 k1 comes to lie at 4 k1 + k2. */
+/* In place; frequency k2 + 4 k1 ends at 4 k1 + k2. */
 static inline __attribute__((always_inline)) void fft16(vf *re, vf *im)
 {
     for (int n = 0; n < 4; n++)
@@ -61,7 +61,7 @@ static inline __attribute__((always_inline)) void fft16(vf *re, vf *im)
 }
 
 /* z = a + i b with the spectra of real a and b: frequency k of both from those of z. */
-static inline void split(const vf *re, const vf *im, int k, vf out[4])
+static inline void split_pair(const vf *re, const vf *im, int k, vf out[4])
 {
     const vf half = v_set(0.5f);
     int m = (EDGE - k) % EDGE;
@@ -71,8 +71,8 @@ static inline void split(const vf *re, const vf *im, int k, vf out[4])
     out[3] = (re[m] - re[k]) * half;
 }
 
-/* The other way: a = in[0] + i in[1], b = in[2] + i in[3]. */
-static inline void join(vf *re, vf *im, int k, const vf in[4])
+/* The inverse of split_pair: a = in[0] + i in[1], b = in[2] + i in[3]. */
+static inline void join_pair(vf *re, vf *im, int k, const vf in[4])
 {
     int m = EDGE - k;
     re[k] = in[0] - in[3];
@@ -94,7 +94,7 @@ static void rows_forward(const struct fft_tile *t, int c, struct spectrum *s)
         }
         fft16(re, im);
         for (int k = 0; k <= HALF; k++) {
-            split(re, im, k, v);
+            split_pair(re, im, k, v);
             v_store(s->re[k][y], v[0]);
             v_store(s->im[k][y], v[1]);
             v_store(s->re[k][y + 1], v[2]);
@@ -103,7 +103,7 @@ static void rows_forward(const struct fft_tile *t, int c, struct spectrum *s)
     }
 }
 
-static inline void put(const struct fft_tile *t, int c, int bin, vf re, vf im)
+static inline void store_bin(const struct fft_tile *t, int c, int bin, vf re, vf im)
 {
     float *p = t->planes + (size_t)(3 * bin) * t->plane + c;
     v_store(p, re);
@@ -111,8 +111,8 @@ static inline void put(const struct fft_tile *t, int c, int bin, vf re, vf im)
     v_store(p + 2 * t->plane, re + im);
 }
 
-/* Columns 0 and 8 together. */
-static void ends_forward(const struct fft_tile *t, int c, const struct spectrum *s)
+/* The columns of frequencies 0 and 8 hold real numbers: both take one transform. */
+static void real_columns_forward(const struct fft_tile *t, int c, const struct spectrum *s)
 {
     vf re[EDGE], im[EDGE], v[4];
     float *real = t->planes + REAL * t->plane + c;
@@ -126,9 +126,9 @@ static void ends_forward(const struct fft_tile *t, int c, const struct spectrum 
     v_store(real + 2 * t->plane, im[0]);
     v_store(real + 3 * t->plane, im[HALF]);
     for (int k = 1; k < HALF; k++) {
-        split(re, im, k, v);
-        put(t, c, C0 + k - 1, v[0], v[1]);
-        put(t, c, C8 + k - 1, v[2], v[3]);
+        split_pair(re, im, k, v);
+        store_bin(t, c, C0 + k - 1, v[0], v[1]);
+        store_bin(t, c, C8 + k - 1, v[2], v[3]);
     }
 }
 
@@ -145,15 +145,15 @@ static void fft_forward(const struct fft_tile *t)
             }
             fft16(re, im);
             for (int y = 0; y < EDGE; y++)
-                put(t, c, (k - 1) * EDGE + y, re[y], im[y]);
+                store_bin(t, c, (k - 1) * EDGE + y, re[y], im[y]);
         }
-        ends_forward(t, c, &s);
+        real_columns_forward(t, c, &s);
     }
 }
 
 /* ---- inverse ---- */
 
-static inline void get(const struct fft_tile *t, int c, int bin, vf *re, vf *im)
+static inline void load_bin(const struct fft_tile *t, int c, int bin, vf *re, vf *im)
 {
     const float *p = t->planes + (size_t)(3 * bin) * t->plane + c;
     vf y2 = v_load(p + 2 * t->plane);
@@ -161,7 +161,7 @@ static inline void get(const struct fft_tile *t, int c, int bin, vf *re, vf *im)
     *im = y2 + v_load(p);
 }
 
-static void ends_inverse(const struct fft_tile *t, int c, struct spectrum *s)
+static void real_columns_inverse(const struct fft_tile *t, int c, struct spectrum *s)
 {
     vf re[EDGE], im[EDGE], v[4];
     const float *real = t->planes + REAL * t->plane + c;
@@ -170,9 +170,9 @@ static void ends_inverse(const struct fft_tile *t, int c, struct spectrum *s)
     im[0] = v_load(real + 2 * t->plane);
     im[HALF] = v_load(real + 3 * t->plane);
     for (int k = 1; k < HALF; k++) {
-        get(t, c, C0 + k - 1, v, v + 1);
-        get(t, c, C8 + k - 1, v + 2, v + 3);
-        join(re, im, k, v);
+        load_bin(t, c, C0 + k - 1, v, v + 1);
+        load_bin(t, c, C8 + k - 1, v + 2, v + 3);
+        join_pair(re, im, k, v);
     }
     fft16(im, re);
     for (int y = 0; y < EDGE; y++) {
@@ -193,7 +193,7 @@ static void rows_inverse(const struct fft_tile *t, int c, const struct spectrum 
             v[2] = v_load(s->re[k][y + 1]);
             v[3] = v_load(s->im[k][y + 1]);
             if (k % HALF)
-                join(re, im, k, v);
+                join_pair(re, im, k, v);
             else
                 re[k] = v[0], im[k] = v[2];
         }
@@ -214,14 +214,14 @@ static void fft_inverse(const struct fft_tile *t)
     for (int c = 0; c < t->n; c += LANES) {
         for (int k = 1; k < HALF; k++) {
             for (int y = 0; y < EDGE; y++)
-                get(t, c, (k - 1) * EDGE + y, re + y, im + y);
+                load_bin(t, c, (k - 1) * EDGE + y, re + y, im + y);
             fft16(im, re);
             for (int y = 0; y < EDGE; y++) {
                 v_store(s.re[k][y], re[y]);
                 v_store(s.im[k][y], im[y]);
             }
         }
-        ends_inverse(t, c, &s);
+        real_columns_inverse(t, c, &s);
         rows_inverse(t, c, &s);
     }
 }

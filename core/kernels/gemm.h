@@ -1,14 +1,14 @@
 /* gemm.h - the contract of the inner loops of the network; part of kernels.h.
  * Products: rows of activations times packed weights (core/net/model.h), one run of rows and a few
- * panels at a time; what surrounds them (blocking, threads, scratch) is in core/net/layer.c.
+ * panels at a time. Blocking, threads and scratch are in core/net/layer.c.
  * Integer kernels are exact: every variant gives the bits of the C reference. Float kernels differ
  * in the order of sums only.
  *
  * Quantisation, defined here once: symmetric, scale = max|x| / 127, integer = round half to even of
  * x * (127 / max|x|), in -127..127, 0 for NaN; where max|x| is below FLT_MIN all integers and the
- * scale are 0. Where it is so small that 127 / max|x| is infinite, signs are left. Where a value is
- * not finite neither is the scale, and so nothing that comes of the row: what overflowed is not
- * lost on its way (activations keep it too), core/net/finite.h finds it. */
+ * scale are 0. Where 127 / max|x| is infinite, only signs remain. A value that is not finite
+ * makes the scale and all results of its row not finite. Activations keep them so, and an overflow
+ * reaches the check in core/net/finite.h. */
 #ifndef KERNELS_GEMM_H
 #define KERNELS_GEMM_H
 
@@ -77,7 +77,7 @@ typedef void norm_fn(const struct norm *s, const float *x, float *y);
 /* As in core/net/README.md 1.1. */
 enum activation { ACT_NONE, ACT_RELU, ACT_GELU, ACT_SILU };
 
-/* What follows a product, on a block of its sums: v = act(sum * row_scale * scale + bias); then
+/* Applied to a block of a product's sums: v = act(sum * row_scale * scale + bias); then
  * out = v, or out += gamma v (gamma NULL: 1) when `add`. GELU of v is within 5e-7 |v|. */
 struct epilogue {
     int m, n;          // rows, columns that count
@@ -97,16 +97,16 @@ typedef void epilogue_fn(const struct epilogue *e);
 
 /* q or k of one token and head, in place: layer norm over the n channels if gamma is not NULL
  * (eps 1e-5), copied to `before` unless NULL, then rotary embedding unless cosine is NULL: the
- * first half of the channels turns with the row position, the second with the column; inside each
+ * first half of the channels rotates with the row position, the second with the column; inside each
  * half pairs (i, i + n/4) (core/net/README.md 2.3).
  * cosine, sine: (n/2) row angles (n/4), then column angles (n/4). */
-struct head_turn {
+struct head_rotary {
     int n; // width of a head, a multiple of 16, at most 128
     const float *gamma, *beta;
     const float *cosine, *sine;
     float *before;
 };
-typedef void head_turn_fn(const struct head_turn *t, float *x);
+typedef void head_rotary_fn(const struct head_rotary *t, float *x);
 
 /* One block of keys of streaming softmax attention (Milakov and Gimelshein 2018), rows independent.
  * Logits x_ij = s_ij row_scale_i key_scale_j. State per row: top = largest logit so far, sum =
@@ -116,7 +116,7 @@ typedef void head_turn_fn(const struct head_turn *t, float *x);
  * not change the total weight. p is within 0.55 of the exact number, so variants differ by at most
  * 1. Logits must be finite; beyond 4e4 only the largest ones count.
  * F32: p = exp(x - new top).
- * out: rescale_i multiplies what was accumulated before; weigh_i multiplies the sums of p and v of
+ * out: rescale_i multiplies the sums accumulated before; weigh_i multiplies the sums of p and v of
  *      this block (1 for F32). */
 struct attend_block {
     int m, n;          // rows; keys of this block, >= 1
@@ -156,7 +156,7 @@ struct fft_tile {
     int n;            // channels, a multiple of 16
     float *px;        // pixel (y, x), channel c at y row + x step + c
     size_t row, step; // elements
-    int edge;         // inverse: rows and columns that are wanted, from the first; <= FFT_EDGE
+    int edge;         // inverse: rows and columns to write, from the first; <= FFT_EDGE
     float *planes;    // plane p, channel c at p plane + c
     size_t plane;
 };
@@ -177,7 +177,7 @@ struct gemm_kernels {
     hadamard_fn *hadamard;
     norm_fn *norm;
     epilogue_fn *epilogue;
-    head_turn_fn *head_turn;
+    head_rotary_fn *head_rotary;
     attend_block_fn *attend_block;
     attend_add_fn *attend_add;
     bool s8_beats_fft; // products in s8 are over ten times as fast as in floats (fftconv.h)

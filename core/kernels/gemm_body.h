@@ -1,16 +1,16 @@
 /* gemm_body.h - products of floats and unpacking of weights, compiled once per instruction set.
  * Included by gemm_<isa>.c after one SIMD_ macro.
  * A tile keeps the sums of F32_ROWS rows and two vectors of columns in registers, enough to hide
- * the latency of an FMA; each step loads two vectors of weights and one value of each row, and asks
- * for a share of the weights that the next tiles of columns will read. */
+ * the latency of an FMA; each step loads two vectors of weights and one value of each row, and
+ * prefetches a share of the weights that the next tiles of columns will read. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
 
 /* Two vectors are a panel or, where a vector is one already, two panels. */
 enum { F32_ROWS = LANES == PANEL ? 8 : 6, F32_COLS = 2 * LANES };
 
-/* Weights that are asked for: `step` floats further each step. */
-struct ahead {
+/* The weights to prefetch, `step` floats further each step. */
+struct prefetch {
     const float *at;
     size_t step;
 };
@@ -27,8 +27,8 @@ static inline __attribute__((always_inline)) void f32_add(vf sum[][2], const flo
     }
 }
 
-static inline __attribute__((always_inline)) void f32_tile(const struct gemm_f32 *g, int i, int col,
-                                                           struct ahead *ahead, const int shape[2])
+static inline __attribute__((always_inline)) void
+f32_tile(const struct gemm_f32 *g, int i, int col, struct prefetch *prefetch, const int shape[2])
 {
     const int rows = shape[0], vecs = shape[1];
     const size_t next = LANES == PANEL ? g->ldw : LANES;
@@ -41,8 +41,8 @@ static inline __attribute__((always_inline)) void f32_tile(const struct gemm_f32
     for (int s = 0; s < g->segs; s++) {
         const float *a = g->a + (size_t)i * g->lda + (size_t)s * g->seg_stride;
         for (int l = 0; l < g->seg; l++, w += PANEL) {
-            __builtin_prefetch(ahead->at, 0, 2);
-            ahead->at += ahead->step;
+            __builtin_prefetch(prefetch->at, 0, 2);
+            prefetch->at += prefetch->step;
             f32_add(sum, a + l, g->lda, v_load(w), v_load(vecs == 2 ? w + next : w), shape);
         }
     }
@@ -51,39 +51,39 @@ static inline __attribute__((always_inline)) void f32_tile(const struct gemm_f32
             v_store(c + (size_t)r * g->ldc + LANES * v, sum[r][v]);
 }
 
-/* One or two vectors of columns. */
+/* All rows of one or two vectors of columns. */
 static inline __attribute__((always_inline)) void f32_columns(const struct gemm_f32 *g, int col,
                                                               int vecs)
 {
     const int tiles = (g->m + F32_ROWS - 1) / F32_ROWS, after = col + LANES * vecs;
-    struct ahead ahead = {g->w + (size_t)(after / PANEL) * g->ldw + after % PANEL,
-                          (size_t)(PANEL * (LANES == PANEL ? vecs : 1) + tiles - 1) /
-                              (size_t)(tiles > 0 ? tiles : 1)};
+    struct prefetch prefetch = {g->w + (size_t)(after / PANEL) * g->ldw + after % PANEL,
+                                (size_t)(PANEL * (LANES == PANEL ? vecs : 1) + tiles - 1) /
+                                    (size_t)(tiles > 0 ? tiles : 1)};
     for (int i = 0; i < g->m; i += F32_ROWS)
         switch (g->m - i) {
         case 1:
-            f32_tile(g, i, col, &ahead, (const int[]){1, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){1, vecs});
             break;
         case 2:
-            f32_tile(g, i, col, &ahead, (const int[]){2, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){2, vecs});
             break;
         case 3:
-            f32_tile(g, i, col, &ahead, (const int[]){3, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){3, vecs});
             break;
         case 4:
-            f32_tile(g, i, col, &ahead, (const int[]){4, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){4, vecs});
             break;
         case 5:
-            f32_tile(g, i, col, &ahead, (const int[]){5, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){5, vecs});
             break;
         case 6:
-            f32_tile(g, i, col, &ahead, (const int[]){6, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){6, vecs});
             break;
         case 7:
-            f32_tile(g, i, col, &ahead, (const int[]){F32_ROWS < 7 ? F32_ROWS : 7, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){F32_ROWS < 7 ? F32_ROWS : 7, vecs});
             break;
         default:
-            f32_tile(g, i, col, &ahead, (const int[]){F32_ROWS, vecs});
+            f32_tile(g, i, col, &prefetch, (const int[]){F32_ROWS, vecs});
         }
 }
 

@@ -30,8 +30,8 @@ static inline __attribute__((always_inline)) int8x16_t pair4(const int8_t *a, co
 }
 
 /* sum += the pairs of rows times the words at w and at w1. */
-static inline __attribute__((always_inline)) void add(pair_sums *sum, const int8x16_t *x,
-                                                      const int8_t *w, const int8_t *w1, int pairs)
+static inline __attribute__((always_inline)) void
+add_words(pair_sums *sum, const int8x16_t *x, const int8_t *w, const int8_t *w1, int pairs)
 {
     for (int j = 0; j < COLS; j++) {
         int32x4_t u = vreinterpretq_s32_s8(vld1q_s8(w + 16 * j));
@@ -52,8 +52,8 @@ static inline int32x4_t row_of(const int32x4_t *s, int odd)
 }
 
 /* rows <= 2 pairs; an odd last row is computed twice. */
-static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, const int8_t *a,
-                                                       const int8_t *w, int32_t *c, int rows)
+static inline __attribute__((always_inline)) void
+multiply_tile(const struct gemm_s8 *g, const int8_t *a, const int8_t *w, int32_t *c, int rows)
 {
     const int pairs = (rows + 1) / 2;
     pair_sums sum[PAIRS];
@@ -69,12 +69,12 @@ static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, 
         for (; l <= g->seg - 8; l += 8, w += 8 * PANEL) {
             for (int i = 0; i < pairs; i++)
                 x[i] = pair8(a + row[2 * i] + l, a + row[2 * i + 1] + l);
-            add(sum, x, w, w + 4 * PANEL, pairs);
+            add_words(sum, x, w, w + 4 * PANEL, pairs);
         }
         if (l < g->seg) {
             for (int i = 0; i < pairs; i++)
                 x[i] = pair4(a + row[2 * i] + l, a + row[2 * i + 1] + l);
-            add(sum, x, w, w, pairs);
+            add_words(sum, x, w, w, pairs);
             w += 4 * PANEL;
         }
     }
@@ -91,5 +91,5 @@ static inline __attribute__((always_inline)) void tile(const struct gemm_s8 *g, 
 void gemm_i8mm(struct gemm_kernels *k)
 {
     k->s8_name = "i8mm";
-    k->s8 = product;
+    k->s8 = gemm_by_tiles;
 }

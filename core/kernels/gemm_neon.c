@@ -71,8 +71,8 @@ static inline int8x16_t s8_word(const int8_t *p)
 }
 
 /* Add two words of each row at l and l + 4 times the panel at w. */
-static inline __attribute__((always_inline)) void s8_two(s8_sums *sum, const int8_t *a, size_t lda,
-                                                         const int8_t *w, int rows)
+static inline __attribute__((always_inline)) void
+s8_add_two_words(s8_sums *sum, const int8_t *a, size_t lda, const int8_t *w, int rows)
 {
     int8x16_t x[S8_ROWS], y[S8_ROWS];
     for (int i = 0; i < rows; i++) {
@@ -92,8 +92,8 @@ static inline __attribute__((always_inline)) void s8_two(s8_sums *sum, const int
     }
 }
 
-static inline __attribute__((always_inline)) void s8_one(s8_sums *sum, const int8_t *a, size_t lda,
-                                                         const int8_t *w, int rows)
+static inline __attribute__((always_inline)) void s8_add_word(s8_sums *sum, const int8_t *a,
+                                                              size_t lda, const int8_t *w, int rows)
 {
     for (int i = 0; i < rows; i++) {
         int8x16_t x = s8_word(a + (size_t)i * lda);
@@ -116,9 +116,9 @@ static inline __attribute__((always_inline)) void s8_tile(const struct gemm_s8 *
     for (int s = 0; s < g->segs; s++, a += g->seg_stride) {
         int l = 0;
         for (; l <= g->seg - 8; l += 8, w += 8 * PANEL)
-            s8_two(sum, a + l, g->lda, w, rows);
+            s8_add_two_words(sum, a + l, g->lda, w, rows);
         if (l < g->seg) {
-            s8_one(sum, a + l, g->lda, w, rows);
+            s8_add_word(sum, a + l, g->lda, w, rows);
             w += 4 * PANEL;
         }
     }
@@ -127,7 +127,7 @@ static inline __attribute__((always_inline)) void s8_tile(const struct gemm_s8 *
             vst1q_s32(c + (size_t)i * g->ldc + 4 * j, vpaddq_s32(sum[i][2 * j], sum[i][2 * j + 1]));
 }
 
-static void s8_product(const struct gemm_s8 *g)
+static void s8_gemm(const struct gemm_s8 *g)
 {
     for (int p = 0; p < g->panels; p++)
         for (int i = 0; i < g->m; i += S8_ROWS) {
@@ -169,8 +169,8 @@ static void unpack_bf16(const uint16_t *w, int k, float *out)
 void gemm_neon(struct gemm_kernels *k)
 {
     k->s8_name = k->f32_name = "neon";
-    k->s8 = s8_product;
-    k->f32 = product;
+    k->s8 = s8_gemm;
+    k->f32 = gemm_by_tiles;
     k->unpack_s8 = unpack_s8;
     k->unpack_bf16 = unpack_bf16;
 }

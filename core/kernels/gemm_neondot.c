@@ -57,5 +57,5 @@ static inline void v_store(int32_t *c, vsum sum)
 void gemm_neondot(struct gemm_kernels *k)
 {
     k->s8_name = "neondot";
-    k->s8 = product;
+    k->s8 = gemm_by_tiles;
 }

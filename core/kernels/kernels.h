@@ -13,7 +13,7 @@ struct tonemap_curve;
 
 enum {
     TILE = 16,        // px, edge of a raster tile (gsplat 1.4.0)
-    SPLAT_BLOCK = 64, // splats handed to the projection kernels at once at most
+    SPLAT_BLOCK = 64, // splats per call of the projection kernels, at most
     GRAD2D = 10,      // sums kept per splat and tile by tile_grad
     SLOT = 12,     // floats from one tile's sums to the next, GRAD2D rounded up to 16-byte pieces
     POSE_GRAD = 16 // d/dR (9, row-major), d/dt (3), d/d(fx fy cx cy)
@@ -75,7 +75,7 @@ struct tile {
     float *depth;    // (h, w) or NULL
     float *alpha;    // (h, w)
     float *trans;    // (h, w) final transmittance
-    int32_t *stop;   // (h, w) place in the list where the pixel was full; n if it never was
+    int32_t *stop;   // (h, w) place in the list where the pixel became full; n if it never did
     /* for tile_grad */
     const float *d_radiance, *d_depth,
         *d_alpha;      // (3, h, w), (h, w), (h, w): d loss / d map; the last two may be NULL
@@ -90,8 +90,7 @@ typedef void tile_fn(const struct tile *t);
  * x = u - pixel), d loss / d (r, g, b, z). Writes every slot of the list. */
 typedef void tile_grad_fn(const struct tile *t);
 
-/* Slot of splat s for tile (tx, ty) of the group: rows of the part of its rectangle that lies in
- * the group. */
+/* Slot of splat s for tile (tx, ty): its tiles inside the group are numbered row by row. */
 static inline uint32_t tile_slot(const struct splat2d *s, const struct tile *t, int tx, int ty)
 {
     int x0 = s->tx0 > t->gx0 ? s->tx0 : t->gx0, x1 = s->tx1 < t->gx1 ? s->tx1 : t->gx1;
@@ -100,12 +99,12 @@ static inline uint32_t tile_slot(const struct splat2d *s, const struct tile *t, 
 }
 
 struct adam_step {
-    float lr, beta1, beta2, eps; // lr is that of this step; bias corrections apart
+    float lr, beta1, beta2, eps; // lr: rate of this step, without the bias corrections
     float fix1, fix2;            // 1/(1-beta1^t), 1/(1-beta2^t)
 };
 
-/* Adam on n parameters; those with seen[i] == 0 are left alone, moments included (sparse Adam);
- * others have 1. */
+/* Adam on n parameters. Where seen[i] is 0 the parameter and its moments stay as they are (sparse
+ * Adam); elsewhere seen[i] is 1. */
 typedef void adam_fn(const struct adam_step *s, int n, const float *seen, const float *grad,
                      float *param, float *m1, float *m2);
 
@@ -164,7 +163,7 @@ struct kernels {
     display_row_fn *display_row;
     tone_row_fn *tone_row;
     tone_row_grad_fn *tone_row_grad;
-    struct gemm_kernels net; // of the network
+    struct gemm_kernels net; // the network's
 };
 
 /* The variants of the splat and loss kernels; kernels_init chooses. */
@@ -179,8 +178,8 @@ void loss_avx2(struct kernels *k);
 void loss_avx512(struct kernels *k);
 void loss_neon(struct kernels *k);
 
-/* The same for the products (gemm) and rows (nn) of the network; a variant fills the slots that it
- * improves. */
+/* The variants of the network's products (gemm), row operations (nn) and transforms (fft); each
+ * fills the slots that it improves. */
 void gemm_c(struct gemm_kernels *k);
 void gemm_sse41(struct gemm_kernels *k);
 void gemm_avx2(struct gemm_kernels *k);

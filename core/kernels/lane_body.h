@@ -10,8 +10,8 @@
 enum { ROWS = 6, COLS = PANEL / 4 };
 
 /* sum += one word of each row times the 16 words at w. */
-static inline __attribute__((always_inline)) void word(vsum sum[][COLS], const vin *a,
-                                                       const ELEM *w, int rows, int lane)
+static inline __attribute__((always_inline)) void add_word(vsum sum[][COLS], const vin *a,
+                                                           const ELEM *w, int rows, int lane)
 {
     for (int j = 0; j < COLS; j++) {
         vin b = v_load(w + 4 * WORD * j);
@@ -20,8 +20,8 @@ static inline __attribute__((always_inline)) void word(vsum sum[][COLS], const v
     }
 }
 
-static inline __attribute__((always_inline)) void tile(const struct PRODUCT *g, const ELEM *a,
-                                                       const ELEM *w, SUM *c, int rows)
+static inline __attribute__((always_inline)) void
+multiply_tile(const struct PRODUCT *g, const ELEM *a, const ELEM *w, SUM *c, int rows)
 {
     vsum sum[ROWS][COLS];
     vin x[ROWS];
@@ -33,15 +33,15 @@ static inline __attribute__((always_inline)) void tile(const struct PRODUCT *g, 
         for (; l <= g->seg - 4 * WORD; l += 4 * WORD, w += 4 * WORD * PANEL) {
             for (int i = 0; i < rows; i++)
                 x[i] = v_load(a + (size_t)i * g->lda + l);
-            word(sum, x, w, rows, 0);
-            word(sum, x, w + WORD * PANEL, rows, 1);
-            word(sum, x, w + 2 * WORD * PANEL, rows, 2);
-            word(sum, x, w + 3 * WORD * PANEL, rows, 3);
+            add_word(sum, x, w, rows, 0);
+            add_word(sum, x, w + WORD * PANEL, rows, 1);
+            add_word(sum, x, w + 2 * WORD * PANEL, rows, 2);
+            add_word(sum, x, w + 3 * WORD * PANEL, rows, 3);
         }
         for (; l < g->seg; l += WORD, w += WORD * PANEL) {
             for (int i = 0; i < rows; i++)
                 x[i] = v_word(a + (size_t)i * g->lda + l);
-            word(sum, x, w, rows, 0);
+            add_word(sum, x, w, rows, 0);
         }
     }
     for (int i = 0; i < rows; i++)

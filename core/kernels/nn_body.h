@@ -1,8 +1,9 @@
-/* nn_body.h - what surrounds the products of the network, compiled once per instruction set.
+/* nn_body.h - row operations of the network (quantisation, rotation, norm, epilogue, attention),
+ * compiled once per instruction set.
  * Included by nn_<isa>.c after one SIMD_ macro. Bounds: tests/kernels/nn_test.c.
  * The last lanes of a row go through the same arithmetic as the others, so that a value does not
- * depend on its place. Arguments are copied where the compiler has to fear that stores of vectors
- * change them. */
+ * depend on its place. Arguments are copied where the compiler must assume that vector stores
+ * alias them. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
 
@@ -13,7 +14,7 @@
 static const float ones[16] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
 static const float zeros[16] = {0};
 
-/* A row of factors or terms of which the contract allows NULL. */
+/* A row of factors or terms that the contract allows to be NULL. */
 struct row {
     const float *p;
     size_t step; // 0: the same vector everywhere
@@ -24,7 +25,7 @@ MAP struct row row_of(const float *p, const float *otherwise)
     return p ? (struct row){p, 1} : (struct row){otherwise, 0};
 }
 
-/* lanes is LANES, known when compiled, or what is left of a row. */
+/* lanes: LANES, a constant of the compiler, or the rest of a row. */
 MAP vf load(const float *p, int lanes)
 {
     return lanes == LANES ? v_load(p) : v_load_n(p, lanes);
@@ -53,7 +54,7 @@ MAP vf load_sums(const int32_t *ci, const float *cf, bool ints, size_t at, int l
 
 /* --- quantisation -------------------------------------------------------------------------- */
 
-/* Bits without the sign order floats as integers do, infinities and NaN last. */
+/* Without their sign, floats compare like their bits as integers; infinities and NaN are last. */
 static float absmax(const float *x, size_t n)
 {
     vint top[4];
@@ -110,7 +111,7 @@ MAP vf rotate_lanes(vf a, int edge)
     return a;
 }
 
-/* Stages of strides h and 2 h; below that those within a vector if `lanes`. Times the factor. */
+/* Stages of strides h and 2 h, times the factor; those within a vector come first if `lanes`. */
 MAP void rotate4(float *x, int n, int h, vf factor, bool lanes)
 {
     for (int i = 0; i < n; i += 4 * h)
@@ -141,7 +142,8 @@ MAP void rotate2(float *x, int n, int h, vf factor)
         }
 }
 
-/* The signs of places 16 a + b come from those of a and of b, and from their bits that meet. */
+/* The sign of place 16 a + b is that of a times that of b, negated where the last bit of a and the
+ * first of b are both set. */
 static void set_signs(float *x, int n, int block)
 {
     static const float sign[2][16] = {{1, 1, 1, -1, 1, 1, -1, 1, 1, 1, 1, -1, -1, -1, 1, -1},
@@ -178,7 +180,7 @@ static void hadamard(float *x, int n, int block)
 
 /* --- layer norm ---------------------------------------------------------------------------- */
 
-MAP float total(const float *x, int n)
+MAP float row_sum(const float *x, int n)
 {
     vf sum[4];
     int i = 0;
@@ -193,7 +195,7 @@ MAP float total(const float *x, int n)
 }
 
 /* Sums of the differences from `centre` and of their squares. */
-MAP void moments(const float *x, int n, float centre, float *first, float *second)
+MAP void row_moments(const float *x, int n, float centre, float *first, float *second)
 {
     vf sum[4], square[4];
     int i = 0;
@@ -215,13 +217,14 @@ MAP void moments(const float *x, int n, float centre, float *first, float *secon
     *second = v_sum((square[0] + square[1]) + (square[2] + square[3]));
 }
 
-/* A first guess of the mean takes away what would cancel; the differences correct it. */
+/* Subtracting a first guess of the mean avoids cancellation; the mean of the differences corrects
+ * the guess. */
 MAP void norm_row(const struct norm *s, const float *x, float *y)
 {
     const struct row gamma = row_of(s->gamma, ones), beta = row_of(s->beta, zeros);
-    const float n = (float)s->n, guess = total(x, s->n) / n;
+    const float n = (float)s->n, guess = row_sum(x, s->n) / n;
     float first, second;
-    moments(x, s->n, guess, &first, &second);
+    row_moments(x, s->n, guess, &first, &second);
     const float shift = first / n, var = fmaxf(second / n - shift * shift, 0);
     const float unit = 1 / sqrtf(var + s->eps);
     for (int i = 0; i < s->n; i += LANES) {
@@ -243,7 +246,7 @@ static void norm(const struct norm *s, const float *x, float *y)
  * it 0 and 1 within 8e-8. */
 MAP vf gelu(vf v)
 {
-    v = v_max(v_set(-5.25f), v); // also spares huge numbers times what is left of 0
+    v = v_max(v_set(-5.25f), v); // also avoids a huge number times a remainder
     vf x = v_min(v, v_set(5.25f)), s = x * x;
     vf p = v_set(6.044539987e-06f), q = v_set(5.152334666e-07f);
     p = v_fma(p, s, v_set(3.274888149e-04f));
@@ -273,8 +276,8 @@ struct columns {
     struct row scale, bias, gamma;
 };
 
-MAP void finish_lanes(const struct epilogue *e, const struct columns *c, enum activation act,
-                      bool ints, vf row_scale, int i, int j, int lanes)
+MAP void epilogue_lanes(const struct epilogue *e, const struct columns *c, enum activation act,
+                        bool ints, vf row_scale, int i, int j, int lanes)
 {
     vf v = load_sums(e->ci, e->cf, ints, (size_t)i * e->ldc + (size_t)j, lanes);
     vf scale = row_scale * load_row(c->scale, j, lanes);
@@ -285,7 +288,7 @@ MAP void finish_lanes(const struct epilogue *e, const struct columns *c, enum ac
     store(out, v, lanes);
 }
 
-MAP void finish(const struct epilogue *e, enum activation act, bool ints)
+MAP void epilogue_rows(const struct epilogue *e, enum activation act, bool ints)
 {
     const struct columns c = {row_of(e->scale, ones), row_of(e->bias, zeros),
                               row_of(e->gamma, ones)};
@@ -293,18 +296,18 @@ MAP void finish(const struct epilogue *e, enum activation act, bool ints)
         vf row_scale = v_set(e->row_scale ? e->row_scale[i] : 1.0f);
         int j = 0;
         for (; j + LANES <= e->n; j += LANES)
-            finish_lanes(e, &c, act, ints, row_scale, i, j, LANES);
+            epilogue_lanes(e, &c, act, ints, row_scale, i, j, LANES);
         if (j < e->n)
-            finish_lanes(e, &c, act, ints, row_scale, i, j, e->n - j);
+            epilogue_lanes(e, &c, act, ints, row_scale, i, j, e->n - j);
     }
 }
 
-MAP void finish_sums(const struct epilogue *e, enum activation act)
+MAP void epilogue_sums(const struct epilogue *e, enum activation act)
 {
     if (e->ci)
-        finish(e, act, true);
+        epilogue_rows(e, act, true);
     else
-        finish(e, act, false);
+        epilogue_rows(e, act, false);
 }
 
 static void epilogue(const struct epilogue *e)
@@ -312,22 +315,22 @@ static void epilogue(const struct epilogue *e)
     const struct epilogue copy = *e;
     switch (e->act) {
     case ACT_RELU:
-        finish_sums(&copy, ACT_RELU);
+        epilogue_sums(&copy, ACT_RELU);
         break;
     case ACT_GELU:
-        finish_sums(&copy, ACT_GELU);
+        epilogue_sums(&copy, ACT_GELU);
         break;
     case ACT_SILU:
-        finish_sums(&copy, ACT_SILU);
+        epilogue_sums(&copy, ACT_SILU);
         break;
     case ACT_NONE:
-        finish_sums(&copy, ACT_NONE);
+        epilogue_sums(&copy, ACT_NONE);
     }
 }
 
 /* --- attention ----------------------------------------------------------------------------- */
 
-static void head_turn(const struct head_turn *t, float *x)
+static void head_rotary(const struct head_rotary *t, float *x)
 {
     if (t->gamma) {
         const struct norm s = {t->n, 1e-5f, t->gamma, t->beta};
@@ -360,7 +363,7 @@ MAP vf weight254(vf x)
     return v_shrink2(p, x);
 }
 
-/* s key_scale of I8, logits of F32. */
+/* I8: s key_scale, still without row_scale. F32: the logits. */
 MAP vf logits(const struct attend_block *b, struct row key, bool ints, int i, int j, int lanes)
 {
     vf s = load_sums(b->si, b->sf, ints, (size_t)i * b->lds + (size_t)j, lanes);
@@ -369,7 +372,7 @@ MAP vf logits(const struct attend_block *b, struct row key, bool ints, int i, in
     return s * load_row(key, j, lanes);
 }
 
-MAP float largest(const struct attend_block *b, struct row key, bool ints, int i)
+MAP float largest_logit(const struct attend_block *b, struct row key, bool ints, int i)
 {
     vf top = v_set(-INFINITY);
     int j = 0;
@@ -394,8 +397,8 @@ MAP float weigh_unit(const struct attend_block *b, int i)
 #if defined(SIMD_AVX512)
 #define STEPS (-4096.0f)
 
-/* In 16 bits of fixed point: between 32 places of an octave linearly, which is 0.015 too much at
- * most, then shifted by octaves. */
+/* In 16-bit fixed point: linear between 32 points of an octave, which is at most 0.015 too much,
+ * then shifted by octaves. */
 MAP vint weigh_block(const vf x[4], int8_t *out, vint sum)
 {
     static const uint16_t place[32] = {65024, 63631, 62267, 60933, 59627, 58350, 57099, 55876,
@@ -438,7 +441,8 @@ MAP vint weigh_block(const vf x[4], int8_t *out, vint sum)
 }
 #endif
 
-/* Weights of one row; returns their sum. weigh holds the largest of what `logits` gives. */
+/* Weights of one row. On entry b->weigh holds the largest value of `logits`.
+ * returns: the sum of the weights. */
 MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
 {
     const float unit = weigh_unit(b, i), base = -unit * b->weigh[i];
@@ -462,7 +466,7 @@ MAP float weigh_ints(const struct attend_block *b, struct row key, int i)
     return (float)(i_sum(sum) + 127 * b->n);
 }
 
-/* weigh holds the new top. */
+/* On entry b->weigh holds the new top. */
 MAP float weigh_floats(const struct attend_block *b, struct row key, int i)
 {
     const vf top = v_set(b->weigh[i]);
@@ -482,8 +486,8 @@ MAP float weigh_floats(const struct attend_block *b, struct row key, int i)
     return v_sum(sum);
 }
 
-/* weigh holds the logit that the weights of a row are relative to, rescale their sum. */
-MAP void merge(const struct attend_block *b, float unit, int i, int lanes)
+/* On entry weigh holds the logit that the weights of a row are relative to, rescale their sum. */
+MAP void merge_state(const struct attend_block *b, float unit, int i, int lanes)
 {
     vf base = load(b->weigh + i, lanes), old = load(b->top + i, lanes), all = v_max(old, base);
     vf rescale = v_exp(old - all), weigh = v_exp(base - all) * v_set(unit);
@@ -494,12 +498,12 @@ MAP void merge(const struct attend_block *b, float unit, int i, int lanes)
     store(b->weigh + i, weigh, lanes);
 }
 
-/* One pass over all rows for each step, so that no row waits for the last lanes of its own. */
-MAP void attend(const struct attend_block *b, bool ints)
+/* One pass over all rows per step hides the latency of the sums across lanes. */
+MAP void attend_rows(const struct attend_block *b, bool ints)
 {
     const struct row key = row_of(b->key_scale, ones);
     for (int i = 0; i < b->m; i++) {
-        float top = largest(b, key, ints, i);
+        float top = largest_logit(b, key, ints, i);
         b->weigh[i] = ints ? top : fmaxf(top, b->top[i]);
     }
     for (int i = 0; i < b->m; i++)
@@ -507,16 +511,16 @@ MAP void attend(const struct attend_block *b, bool ints)
     for (int i = 0; ints && i < b->m; i++)
         b->weigh[i] *= b->row_scale[i];
     for (int i = 0; i < b->m; i += LANES)
-        merge(b, ints ? 1 / 254.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
+        merge_state(b, ints ? 1 / 254.0f : 1.0f, i, b->m - i < LANES ? b->m - i : LANES);
 }
 
 static void attend_block(const struct attend_block *b)
 {
     const struct attend_block copy = *b;
     if (b->si)
-        attend(&copy, true);
+        attend_rows(&copy, true);
     else
-        attend(&copy, false);
+        attend_rows(&copy, false);
 }
 
 MAP void add_lanes(const struct attend_add *a, struct row scale, bool ints, vf weigh, vf rescale,
@@ -558,7 +562,7 @@ static void nn_fill(struct gemm_kernels *k)
     k->hadamard = hadamard;
     k->norm = norm;
     k->epilogue = epilogue;
-    k->head_turn = head_turn;
+    k->head_rotary = head_rotary;
     k->attend_block = attend_block;
     k->attend_add = attend_add;
 }

@@ -16,7 +16,7 @@ static float absmax(const float *x, size_t n)
 static void quant(const float *x, size_t n, float inv, int8_t *out)
 {
     for (size_t i = 0; i < n; i++) {
-        float v = x[i] * inv; // NaN too for 0 or an infinity times each other
+        float v = x[i] * inv; // NaN also for 0 times infinity
         out[i] = isnan(v) ? 0 : (int8_t)rintf(fmaxf(fminf(v, 127), -127));
     }
 }
@@ -82,7 +82,7 @@ static void epilogue(const struct epilogue *e)
         }
 }
 
-static void head_turn(const struct head_turn *t, float *x)
+static void head_rotary(const struct head_rotary *t, float *x)
 {
     if (t->gamma) {
         const struct norm s = {t->n, 1e-5f, t->gamma, t->beta};
@@ -101,7 +101,7 @@ static void head_turn(const struct head_turn *t, float *x)
     }
 }
 
-/* Not inlined: fused with a difference it would not be the number that is the largest. */
+/* Not inlined: fused into a difference it would round differently from the largest logit. */
 static __attribute__((noinline)) float logit(const struct attend_block *b, int i, int j)
 {
     size_t at = (size_t)i * b->lds + (size_t)j;
@@ -154,7 +154,7 @@ void nn_c(struct gemm_kernels *k)
     k->hadamard = hadamard;
     k->norm = norm;
     k->epilogue = epilogue;
-    k->head_turn = head_turn;
+    k->head_rotary = head_rotary;
     k->attend_block = attend_block;
     k->attend_add = attend_add;
 }

@@ -86,7 +86,7 @@ MAP void sh_grad_4(const vf d[3], const vf *w, struct sh_grad *g, vf out[3])
     g->s2 = g->s2 - y * g_c3 + x * g_s3;
 }
 
-/* Degree 3 and what is above it. */
+/* Degrees 3 and 4. */
 MAP void sh_grad_3(int degree, const vf d[3], const vf *w, struct sh_grad *g, vf out[3])
 {
     vf x = d[0], y = d[1], z = d[2], zz = z * z, k = v_set(1.445305721320277f);

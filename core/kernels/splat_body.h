@@ -6,7 +6,7 @@
 #include "core/kernels/sh_body.h"
 #include "core/kernels/simd.h"
 
-/* What projection and its chain rule share, for LANES splats. */
+/* Intermediate values of projection and of its chain rule, for LANES splats. */
 struct proj {
     vf m[3], p[3], rz;  // centre in the world and in the camera; 1/z
     vm seen;            // between near and far
@@ -174,7 +174,7 @@ enum {
 
 static const float LOG2_E = 1.44269504f, LOG2_ALPHA_MIN = -7.99435344f; // log2(1/255)
 
-/* One-axis and common parts of the record of LANES splats. Returns which are drawn. */
+/* Fields of the records of LANES splats. returns: one bit per splat, set if it is drawn. */
 MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int i,
                       float f[N_FIELDS][LANES])
 {
@@ -191,7 +191,7 @@ MAP int project_lanes(const struct gaussians *g, const struct view_geom *v, int 
     r = v_set(0.0f) - v_floor(v_set(0.0f) - r);
     vf u = v_fma(v_set(v->fx), o.p[0] * o.rz, v_set(v->cx));
     vf w = v_fma(v_set(v->fy), o.p[1] * o.rz, v_set(v->cy));
-    /* a little slack: the per-pixel test decides */
+    /* slightly too large: the per-pixel test decides */
     vf ex = v_fma(v_sqrt(reach * o.xx), v_set(1.001f), v_set(0.01f));
     vf ey = v_fma(v_sqrt(reach * o.yy), v_set(1.001f), v_set(0.01f));
     axis_range(u, r, ex, v->w, &lo[0], &hi[0]);
@@ -260,7 +260,7 @@ MAP vf finite_or_0(vf a)
     return v_sel(v_lt(v_abs(a), v_set(1e30f)), a, v_set(0.0f));
 }
 
-/* Gradient of the colours: SH planes, and through the direction d_m += dL/d mu. */
+/* Gradient of the colours by the SH planes, and by the centre through the direction (d_m). */
 MAP void grad_colour(const struct gaussians *g, const struct view_geom *v, const struct proj *o,
                      int i, const vf d_rgb[3], float *grad, vf d_m[3])
 {
@@ -430,44 +430,45 @@ struct tile_state {
 };
 
 /* A splat as the row loops read it. */
-struct pen {
+struct tile_splat {
     float u, v, shear, along, top;
     vf across, rgb[3], z;
     int y0, y1, v0, v1; // rows and vectors of the tile that it can touch, inclusive
 };
 
-MAP struct pen pen_of(const struct splat2d *s, const struct tile *t)
+MAP struct tile_splat tile_splat_of(const struct splat2d *s, const struct tile *t)
 {
     int a = s->x0 - t->x0, b = s->x1 - t->x0, c = s->y0 - t->y0, d = s->y1 - t->y0;
-    return (struct pen){.u = s->u - ((float)t->x0 + 0.5f),
-                        .v = s->v - ((float)t->y0 + 0.5f),
-                        .shear = s->shear,
-                        .along = s->along,
-                        .top = s->top,
-                        .across = v_set(s->across),
-                        .rgb = {v_set(s->rgb[0]), v_set(s->rgb[1]), v_set(s->rgb[2])},
-                        .z = v_set(s->z),
-                        .y0 = c < 0 ? 0 : c,
-                        .y1 = d > TILE - 1 ? TILE - 1 : d,
-                        .v0 = a < 0 ? 0 : a / LANES,
-                        .v1 = b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
+    return (struct tile_splat){.u = s->u - ((float)t->x0 + 0.5f),
+                               .v = s->v - ((float)t->y0 + 0.5f),
+                               .shear = s->shear,
+                               .along = s->along,
+                               .top = s->top,
+                               .across = v_set(s->across),
+                               .rgb = {v_set(s->rgb[0]), v_set(s->rgb[1]), v_set(s->rgb[2])},
+                               .z = v_set(s->z),
+                               .y0 = c < 0 ? 0 : c,
+                               .y1 = d > TILE - 1 ? TILE - 1 : d,
+                               .v0 = a < 0 ? 0 : a / LANES,
+                               .v1 = b > TILE - 1 ? (TILE - 1) / LANES : b / LANES};
 }
 
 static const float lane_index[TILE] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
 
 /* log2 alpha of a row of pixels: a sum of two squares is never negative and does not cancel for
  * needles. Floored, because powers that are denormal numbers cost a hundred cycles. */
-MAP vf pen_log2(const struct pen *p, vf dx, float dy)
+MAP vf tile_log2_alpha(const struct tile_splat *p, vf dx, float dy)
 {
     vf d = dx - v_set(p->shear * dy);
     return v_max(v_fnma(p->across * d, d, v_set(p->top - p->along * dy * dy)), v_set(-64.0f));
 }
 
-/* No branch on the pixels: a wrong guess costs more than a row of nothing. Returns the pixels that
- * became full. */
-MAP vm tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int at, int depth)
+/* No branch on the pixels: a mispredicted one costs more than a row without hits.
+ * returns: the pixels that became full. */
+MAP vm tile_row(const struct tile_splat *p, vf dx, float dy, struct tile_state *st, int at,
+                int depth)
 {
-    vf log_alpha = pen_log2(p, dx, dy), t = v_load(st->t + at);
+    vf log_alpha = tile_log2_alpha(p, dx, dy), t = v_load(st->t + at);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(v_set(0.0f), t));
     vf alpha = v_sel(hit, v_min(v_exp2(log_alpha), v_set(RASTER_ALPHA_MAX)), v_set(0.0f));
     vf next = v_fnma(t, alpha, t);
@@ -481,8 +482,8 @@ MAP vm tile_row(const struct pen *p, vf dx, float dy, struct tile_state *st, int
     return stop;
 }
 
-/* Note the place of the splat that filled pixels; returns whether the tile has room left. */
-static int tile_stops(struct tile_state *st, int place, int n)
+/* Note the list place of the splat that filled pixels. returns: whether any pixel is still open. */
+static int tile_note_stops(struct tile_state *st, int place, int n)
 {
     vm room = m_none();
     for (int i = 0; i < TILE * TILE; i += LANES) {
@@ -526,20 +527,20 @@ static void tile_finish(const struct tile *t, const struct tile_state *st)
         }
 }
 
-MAP void tile_with(const struct tile *t, int depth)
+MAP void tile_blend(const struct tile *t, int depth)
 {
     struct tile_state st;
     tile_start(t, &st);
     for (int i = 0; i < t->n; i++) {
         if (i + 8 < t->n)
             __builtin_prefetch(&t->splats[t->list[i + 8]]);
-        struct pen p = pen_of(&t->splats[t->list[i]], t);
+        struct tile_splat p = tile_splat_of(&t->splats[t->list[i]], t);
         vm stopped = m_none();
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
                 stopped = m_or(stopped, tile_row(&p, v_set(p.u) - v_load(lane_index + k * LANES),
                                                  p.v - (float)y, &st, y * TILE + k * LANES, depth));
-        if (m_any(stopped) && !tile_stops(&st, i, t->n))
+        if (m_any(stopped) && !tile_note_stops(&st, i, t->n))
             break;
     }
     tile_finish(t, &st);
@@ -548,12 +549,12 @@ MAP void tile_with(const struct tile *t, int depth)
 static void tile(const struct tile *t)
 {
     if (t->depth)
-        tile_with(t, 1);
+        tile_blend(t, 1);
     else
-        tile_with(t, 0);
+        tile_blend(t, 0);
 }
 
-/* Backward state per pixel. rest = (what later splats and the background add to dL/dT) so far. */
+/* Backward state per pixel. rest: the part of dL/dT from later splats and the background. */
 struct grad_state {
     float t[TILE * TILE], stop[TILE * TILE], rest[TILE * TILE], d[4][TILE * TILE];
     int top; // highest `stop` of the tile
@@ -582,10 +583,10 @@ static void grad_start(const struct tile *t, struct grad_state *st)
         }
 }
 
-MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, int at, vf place,
-                  int depth, vf *acc)
+MAP void grad_row(const struct tile_splat *p, vf dx, float dy, struct grad_state *st, int at,
+                  vf place, int depth, vf *acc)
 {
-    vf log_alpha = pen_log2(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
+    vf log_alpha = tile_log2_alpha(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
     vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(place, v_load(st->stop + at)));
     vf raw = v_exp2(log_alpha);
     vf alpha = v_sel(hit, v_min(raw, v_set(RASTER_ALPHA_MAX)), zero);
@@ -612,7 +613,7 @@ MAP void grad_row(const struct pen *p, vf dx, float dy, struct grad_state *st, i
     acc[5] = acc[5] + d_sigma;
 }
 
-MAP void tile_grad_with(const struct tile *t, int depth)
+MAP void tile_blend_grad(const struct tile *t, int depth)
 {
     struct grad_state st;
     grad_start(t, &st);
@@ -629,7 +630,7 @@ MAP void tile_grad_with(const struct tile *t, int depth)
         vf acc[GRAD2D], place = v_set((float)i);
         for (int k = 0; k < GRAD2D; k++)
             acc[k] = v_set(0.0f);
-        struct pen p = pen_of(s, t);
+        struct tile_splat p = tile_splat_of(s, t);
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
                 grad_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
@@ -644,9 +645,9 @@ MAP void tile_grad_with(const struct tile *t, int depth)
 static void tile_grad(const struct tile *t)
 {
     if (t->d_depth)
-        tile_grad_with(t, 1);
+        tile_blend_grad(t, 1);
     else
-        tile_grad_with(t, 0);
+        tile_blend_grad(t, 0);
 }
 
 static void adam(const struct adam_step *s, int n, const float *seen, const float *grad,

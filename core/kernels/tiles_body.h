@@ -1,9 +1,9 @@
 /* tiles_body.h - a product as tiles of ROWS = 6 rows and one panel; the last tile has fewer rows,
  * each number compiled on its own so that sums stay in registers.
  * The including file defines PRODUCT (gemm_s8 or gemm_f32), ELEM and SUM (the element types), ROWS
- * and tile(g, a, w, c, rows). */
+ * and multiply_tile(g, a, w, c, rows). */
 
-static void product(const struct PRODUCT *g)
+static void gemm_by_tiles(const struct PRODUCT *g)
 {
     for (int p = 0; p < g->panels; p++)
         for (int i = 0; i < g->m; i += ROWS) {
@@ -11,22 +11,22 @@ static void product(const struct PRODUCT *g)
             SUM *c = g->c + (size_t)i * g->ldc + PANEL * p;
             switch (g->m - i) {
             case 1:
-                tile(g, a, w, c, 1);
+                multiply_tile(g, a, w, c, 1);
                 break;
             case 2:
-                tile(g, a, w, c, 2);
+                multiply_tile(g, a, w, c, 2);
                 break;
             case 3:
-                tile(g, a, w, c, 3);
+                multiply_tile(g, a, w, c, 3);
                 break;
             case 4:
-                tile(g, a, w, c, 4);
+                multiply_tile(g, a, w, c, 4);
                 break;
             case 5:
-                tile(g, a, w, c, 5);
+                multiply_tile(g, a, w, c, 5);
                 break;
             default:
-                tile(g, a, w, c, ROWS);
+                multiply_tile(g, a, w, c, ROWS);
             }
         }
 }

@@ -1,14 +1,14 @@
-/* widen_body.h - products of int8 where nothing multiplies them directly: both sides become int16,
- * and pairs of products are summed to int32. Exact for all values: a pair is at most 2 127 128, and
- * all of them fit (gemm.h). Compiled once per instruction set; included by gemm_<isa>.c after these
- * functions on vectors of VEC int16:
+/* widen_body.h - products of int8 where no instruction multiplies them directly: both sides become
+ * int16, and pairs of products are summed to int32. Exact for all values: a pair is at most 2 127
+ * 128, and all of them fit (gemm.h). Compiled once per instruction set; included by gemm_<isa>.c
+ * after these functions on vectors of VEC int16:
  * V_REGISTER (the constraint of vec in assembly), v_widen (VEC int8 from memory), v_quad (four
  * int16 from memory, repeated), v_madd, v_plus, and v_fold(x, y), the sums of neighbouring int32 of
  * x, then of y.
  * A vector of weights is VEC / 4 columns of 4 inputs; a tile keeps the sums of ROWS rows and two
- * such vectors. Rows of activations are widened once, CHUNK inputs at a time. While columns meet
- * the rows, those of the panel that comes g->panels later are asked for, step by step: most weights
- * come from beyond the second cache. */
+ * such vectors. Rows of activations are widened once, CHUNK inputs at a time. While the
+ * rows are multiplied by a panel, the one g->panels further on is prefetched step by step: most
+ * weights come from beyond the second-level cache. */
 #include "core/kernels/kernels.h"
 
 #include <string.h>
@@ -27,7 +27,8 @@ static inline void widen_run(const int8_t *a, int n, int16_t *out)
         out[x] = a[x];
 }
 
-/* Rows of CHUNK int16 from an array without gaps at input k on. */
+/* Widen the inputs of `rows` rows from k on, at most CHUNK, to rows of CHUNK int16 without gaps.
+ * returns: inputs per row. */
 static int widen_rows(const struct gemm_s8 *g, int i, int rows, int k, int16_t *out)
 {
     int n = g->segs * g->seg - k < CHUNK ? g->segs * g->seg - k : CHUNK;
@@ -42,13 +43,13 @@ static int widen_rows(const struct gemm_s8 *g, int i, int rows, int k, int16_t *
     return n;
 }
 
-/* Weights that are asked for: `step` bytes further each step. */
-struct ahead_s8 {
+/* The weights to prefetch, `step` bytes further each step. */
+struct prefetch_s8 {
     const int8_t *at;
     size_t step;
 };
 
-/* What rows and columns of a chunk share. */
+/* One chunk of widened rows and the COLS columns that multiply it. */
 struct strip {
     const int16_t *a; // widened rows
     const int8_t *w;
@@ -56,18 +57,19 @@ struct strip {
     int32_t *c;
     size_t ldc;
     bool add; // c += instead of c =
-    struct ahead_s8 ahead;
+    struct prefetch_s8 prefetch;
 };
 
 /* Sums of `rows` rows and COLS columns. */
-static inline __attribute__((always_inline)) void tile(const struct strip *s, int rows, vec *out)
+static inline __attribute__((always_inline)) void multiply_tile(const struct strip *s, int rows,
+                                                                vec *out)
 {
-    const int8_t *w = s->w, *ahead = s->ahead.at;
+    const int8_t *w = s->w, *prefetch = s->prefetch.at;
     vec sum[ROWS][2];
     for (int r = 0; r < rows; r++)
         sum[r][0] = sum[r][1] = (vec){0};
-    for (int l = 0; l < s->n; l += 4, w += 4 * PANEL, ahead += s->ahead.step) {
-        __builtin_prefetch(ahead, 0, 2);
+    for (int l = 0; l < s->n; l += 4, w += 4 * PANEL, prefetch += s->prefetch.step) {
+        __builtin_prefetch(prefetch, 0, 2);
         vec w0 = v_widen(w), w1 = v_widen(w + VEC);
         for (int r = 0; r < rows; r++) {
             vec x = v_quad(s->a + r * CHUNK + l);
@@ -81,35 +83,35 @@ static inline __attribute__((always_inline)) void tile(const struct strip *s, in
         out[r] = v_fold(sum[r][0], sum[r][1]);
 }
 
-/* Rows of the tile that up to ROWS rows take. */
+/* Height of the tile that computes `rows` rows, at most ROWS. */
 static int tile_rows(int rows)
 {
     const int even = rows > 1 ? (rows + 1) / 2 * 2 : 1;
     return even > 8 ? ROWS : even;
 }
 
-/* COLS columns of `rows` rows; what is computed of rows beyond them is not kept. */
-static void few_columns(const struct strip *s, int rows)
+/* COLS columns of `rows` rows; sums that the tile computes beyond them are dropped. */
+static void multiply_strip(const struct strip *s, int rows)
 {
     vec sum[ROWS];
     switch (tile_rows(rows)) {
     case 1:
-        tile(s, 1, sum);
+        multiply_tile(s, 1, sum);
         break;
     case 2:
-        tile(s, 2, sum);
+        multiply_tile(s, 2, sum);
         break;
     case 4:
-        tile(s, 4, sum);
+        multiply_tile(s, 4, sum);
         break;
     case 8:
-        tile(s, ROWS < 8 ? ROWS : 8, sum);
+        multiply_tile(s, ROWS < 8 ? ROWS : 8, sum);
         break;
     case ROWS:
-        tile(s, ROWS, sum);
+        multiply_tile(s, ROWS, sum);
         break;
     default:
-        tile(s, 6, sum);
+        multiply_tile(s, 6, sum);
     }
     for (int r = 0; r < rows; r++) {
         int32_t *c = s->c + (size_t)r * s->ldc;
@@ -122,9 +124,9 @@ static void few_columns(const struct strip *s, int rows)
 }
 
 /* All columns of up to ROWS rows from row i on, n inputs from k on. */
-static void columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int n)
+static void multiply_columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int n)
 {
-    const int tiles = (g->m + ROWS - 1) / ROWS * (PANEL / COLS); // that meet a panel
+    const int tiles = (g->m + ROWS - 1) / ROWS * (PANEL / COLS); // per panel
     const size_t step = (size_t)(4 * PANEL + tiles - 1) / (size_t)tiles;
     for (int col = 0; col < PANEL * g->panels; col += COLS) {
         const int8_t *panel = g->w + (size_t)(col / PANEL) * g->ldw + (size_t)k * PANEL;
@@ -136,8 +138,9 @@ static void columns(const struct gemm_s8 *g, int i, int k, const int16_t *a, int
             .c = g->c + (size_t)i * g->ldc + col,
             .ldc = g->ldc,
             .add = k > 0,
-            .ahead = {panel + (size_t)g->panels * g->ldw + (size_t)(place * n / 4) * step, step}};
-        few_columns(&s, g->m - i < ROWS ? g->m - i : ROWS);
+            .prefetch = {panel + (size_t)g->panels * g->ldw + (size_t)(place * n / 4) * step,
+                         step}};
+        multiply_strip(&s, g->m - i < ROWS ? g->m - i : ROWS);
     }
 }
 
@@ -149,6 +152,6 @@ static void gemm_s8(const struct gemm_s8 *g)
             const int rows = g->m - i < ROWS ? g->m - i : ROWS;
             int n = widen_rows(g, i, rows, k, a);
             memset(a + rows * CHUNK, 0, (size_t)(tile_rows(rows) - rows) * CHUNK * sizeof *a);
-            columns(g, i, k, a, n);
+            multiply_columns(g, i, k, a, n);
         }
 }

@@ -121,7 +121,7 @@ static void turn(const struct pass *p, int first, int n, float *qkv)
     const struct block *b = p->b;
     size_t c = (size_t)b->width, w = c / (size_t)b->heads;
     size_t tokens = (size_t)b->n_views * (size_t)b->view_tokens;
-    struct head_turn q = {.n = (int)w, .gamma = b->w->q_g, .beta = b->w->q_b}, k = q;
+    struct head_rotary q = {.n = (int)w, .gamma = b->w->q_g, .beta = b->w->q_b}, k = q;
     k.gamma = b->w->k_g;
     k.beta = b->w->k_b;
     for (int i = 0; i < n; i++) {
@@ -132,8 +132,8 @@ static void turn(const struct pass *p, int first, int n, float *qkv)
             float *at = qkv + (size_t)i * 3 * c + h * w;
             q.before = b->q ? b->q + (h * tokens + token) * w : NULL;
             k.before = b->k ? b->k + (h * tokens + token) * w : NULL;
-            p->r->k->net.head_turn(&q, at);
-            p->r->k->net.head_turn(&k, at + c);
+            p->r->k->net.head_rotary(&q, at);
+            p->r->k->net.head_rotary(&k, at + c);
         }
     }
 }

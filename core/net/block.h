@@ -14,7 +14,7 @@ struct block {
     bool global;                // all views are one sequence; else each view is its own
     unsigned floats;            // NET_FLOAT_ bits
     float eps;                  // of the two norms
-    const float *cosine, *sine; // (P, C / heads / 2) for head_turn; NULL: no rotary embedding
+    const float *cosine, *sine; // (P, C / heads / 2) for head_rotary; NULL: no rotary embedding
     float *x;                   // (V P, C), in place
     float *q, *k;               // out: (heads, V P, C / heads) after their norms; NULL: not wanted
     float *copy;                // out: the result again, from row to row ld_copy; NULL: not wanted

@@ -138,7 +138,7 @@ NOTED(quant, QUANTISE, (const float *x, size_t n, float inv, int8_t *out), (x, n
 NOTED(hadamard, QUANTISE, (float *x, int n, int block), (x, n, block))
 NOTED(norm, NORM, (const struct norm *s, const float *x, float *y), (s, x, y))
 NOTED(epilogue, EPILOGUE, (const struct epilogue *e), (e))
-NOTED(head_turn, TURN, (const struct head_turn *t, float *x), (t, x))
+NOTED(head_rotary, TURN, (const struct head_rotary *t, float *x), (t, x))
 NOTED(attend_block, SOFTMAX, (const struct attend_block *b), (b))
 NOTED(attend_add, SOFTMAX, (const struct attend_add *a), (a))
 NOTED(fft_forward, FOURIER, (const struct fft_tile *t), (t))
@@ -166,7 +166,7 @@ static void note_all(struct gemm_kernels *k)
     k->hadamard = noted_hadamard;
     k->norm = noted_norm;
     k->epilogue = noted_epilogue;
-    k->head_turn = noted_head_turn;
+    k->head_rotary = noted_head_rotary;
     k->attend_block = noted_attend_block;
     k->attend_add = noted_attend_add;
     k->fft_forward = noted_fft_forward;

@@ -34,7 +34,7 @@ static struct {
     float inv;
     struct norm norm;
     struct epilogue epilogue;
-    struct head_turn turn;
+    struct head_rotary turn;
     struct attend_block block_in;
     struct attend_add add;
     float old_top[CAP / 128], old_sum[CAP / 128];
@@ -342,7 +342,7 @@ static void epilogue_truth(struct outcome *o)
     put_want(o, "finished", M, in.n);
 }
 
-/* --- head_turn ----------------------------------------------------------------------------- */
+/* --- head_rotary ----------------------------------------------------------------------------- */
 
 /* size: sixteenths of the width; variant: layer norm, copy before the turn, turn */
 static void turn_make(int size, enum pattern pattern)
@@ -352,10 +352,10 @@ static void turn_make(int size, enum pattern pattern)
     for (int i = 0; pattern == EXTREME && i < n; i++)
         in.x[i] = size % 2 ? 5 : i == n / 3 ? 1000 : in.x[i];
     memcpy(in.before, in.x, (size_t)n * sizeof *in.x);
-    in.turn = (struct head_turn){.n = n,
-                                 .gamma = half_random(bit(0), n, -2, 2),
-                                 .beta = half_random(bit(0), n, -2, 2),
-                                 .before = bit(1) ? trial_floats((size_t)n) : NULL};
+    in.turn = (struct head_rotary){.n = n,
+                                   .gamma = half_random(bit(0), n, -2, 2),
+                                   .beta = half_random(bit(0), n, -2, 2),
+                                   .before = bit(1) ? trial_floats((size_t)n) : NULL};
     float *c = half_random(bit(2), n / 2, 0, 6.3), *s = half_random(bit(2), n / 2, 0, 1);
     for (int i = 0; bit(2) && i < n / 2; i++) {
         s[i] = sinf(c[i]);
@@ -367,7 +367,7 @@ static void turn_make(int size, enum pattern pattern)
 
 static void turn_call(const struct kernels *k)
 {
-    k->net.head_turn(&in.turn, in.x);
+    k->net.head_rotary(&in.turn, in.x);
 }
 
 static void turn_keep(struct outcome *o)
@@ -610,7 +610,7 @@ static const struct slot slots[] = {
      epilogue_truth,
      64,
      false},
-    {{"head_turn", turn_make, turn_call, turn_keep, 1, 8, 4}, turn_truth, 8, false},
+    {{"head_rotary", turn_make, turn_call, turn_keep, 1, 8, 4}, turn_truth, 8, false},
     {{"attend_block", block_make, block_call, block_keep, 1, 128, 128}, block_truth, 64, false},
     {{"attend_add", add_make, add_call, add_keep, 0, 1024, 64}, add_truth, 4, false},
 };
