@@ -77,8 +77,8 @@ void arena_hold(struct arena *a, size_t bytes)
     a->used = arena_add(a->used, bytes);
 }
 
-/* Nothing is mapped in the middle of the address space. */
-static err_t count(struct arena *a, size_t need, void *out)
+/* *out points to the middle of the address space, where nothing is mapped. */
+static err_t count_allocation(struct arena *a, size_t need, void *out)
 {
     uintptr_t nowhere = UINTPTR_MAX / 2 + 1;
     memcpy(out, &nowhere, sizeof nowhere);
@@ -90,7 +90,7 @@ err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out)
 {
     size_t need = arena_need(n, elem);
     if (a->counts)
-        return count(a, need, out);
+        return count_allocation(a, need, out);
     memset(out, 0, sizeof(void *));
     if (need > a->size - a->used)
         return err_fail(ERR_NOMEM, "%s arena: %zu x %zu bytes asked, %zu of %zu free", a->name, n,

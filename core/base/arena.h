@@ -9,13 +9,13 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#define ARENA_ALIGN 64 // bytes; every allocation starts on such a border
+#define ARENA_ALIGN 64 // bytes; alignment of every allocation
 
 struct arena {
     unsigned char *base;
     size_t size, used, peak; // bytes
     const char *name;        // for sentences; not owned
-    bool counts;             // it has no block: allocations are only added up
+    bool counts;             // has no block: allocations are only added up
 };
 
 /* Reserve `size` bytes.
@@ -23,9 +23,9 @@ struct arena {
  * err:  ERR_NOMEM. */
 MUST_USE err_t arena_init(struct arena *a, const char *name, size_t size);
 
-/* An arena that counts, which plans: the code that will allocate from a real arena allocates from
- * it, and its peak is what the real one must have; SIZE_MAX where that overflows. It is never full.
- * Its pointers can be kept and added to, not followed. */
+/* An arena that only counts, for planning: the code that will allocate from a real arena allocates
+ * from it, and its peak is the size that the real one needs; SIZE_MAX where that overflows. It is
+ * never full. Its pointers may be stored and offset, but not dereferenced. */
 struct arena arena_counter(void);
 
 /* Count what was counted before: `bytes` that stay, or that a step takes above the present level
@@ -39,13 +39,13 @@ void arena_free(struct arena *a);
 /* Carve n elements of `elem` bytes, not zeroed, aligned to ARENA_ALIGN.
  * out:  *out, valid until arena_reset below this point or arena_free; NULL on error.
  * err:  ERR_NOMEM if n*elem overflows or the arena is full (the sentence has name, request and
- *       room). */
+ *       free bytes). */
 MUST_USE err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out);
 
 /* As arena_alloc, zeroed. */
 MUST_USE err_t arena_zalloc(struct arena *a, size_t n, size_t elem, void *out);
 
-/* Bytes that arena_alloc(n, elem) takes, border included; SIZE_MAX if that overflows. */
+/* Bytes that arena_alloc(n, elem) takes, alignment included; SIZE_MAX if that overflows. */
 size_t arena_need(size_t n, size_t elem);
 
 /* Sum of two needs, SIZE_MAX on overflow. */

@@ -2,7 +2,7 @@
 
 #include <stdint.h>
 
-char *base64_put(char *out, const void *bytes, size_t n)
+char *base64_encode(char *out, const void *bytes, size_t n)
 {
     static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     const uint8_t *p = bytes;

@@ -29,7 +29,7 @@ void bytes_skip(struct bytes *b, size_t n, size_t elem)
         b->bad = true;
 }
 
-static uint64_t little(struct bytes *b, size_t n)
+static uint64_t read_little(struct bytes *b, size_t n)
 {
     const uint8_t *p = bytes_take(b, n);
     uint64_t v = 0;
@@ -40,22 +40,22 @@ static uint64_t little(struct bytes *b, size_t n)
 
 uint8_t bytes_u8(struct bytes *b)
 {
-    return (uint8_t)little(b, 1);
+    return (uint8_t)read_little(b, 1);
 }
 
 uint16_t bytes_u16(struct bytes *b)
 {
-    return (uint16_t)little(b, 2);
+    return (uint16_t)read_little(b, 2);
 }
 
 uint32_t bytes_u32(struct bytes *b)
 {
-    return (uint32_t)little(b, 4);
+    return (uint32_t)read_little(b, 4);
 }
 
 uint64_t bytes_u64(struct bytes *b)
 {
-    return little(b, 8);
+    return read_little(b, 8);
 }
 
 float bytes_f32(struct bytes *b)

@@ -1,6 +1,6 @@
 /* bytes.h - little-endian numbers out of and into bytes that came from outside.
  * A cursor never reads past its end: a read that does not fit returns 0, sets `bad` and leaves the
- * cursor bad, so a parser may read a whole record and ask once. Pure computation.
+ * cursor bad, so a parser may read a whole record and check once. Pure computation.
  * thread: any; a cursor belongs to one thread. */
 #ifndef BASE_BYTES_H
 #define BASE_BYTES_H
@@ -25,13 +25,13 @@ uint64_t bytes_u64(struct bytes *b);
 float bytes_f32(struct bytes *b);
 double bytes_f64(struct bytes *b);
 
-/* The next n bytes in place, and step over them; NULL and `bad` if fewer are left. */
+/* returns: the next n bytes in place, which the cursor skips; NULL and `bad` if fewer are left. */
 const uint8_t *bytes_take(struct bytes *b, size_t n);
 
 /* Step over n elements of `elem` bytes; `bad` if the product overflows or fewer are left. */
 void bytes_skip(struct bytes *b, size_t n, size_t elem);
 
-/* Store at p and return the place behind. */
+/* Store at p. returns: the place after it. */
 uint8_t *bytes_put_u16(uint8_t *p, uint16_t v);
 uint8_t *bytes_put_u32(uint8_t *p, uint32_t v);
 uint8_t *bytes_put_u64(uint8_t *p, uint64_t v);

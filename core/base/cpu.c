@@ -26,7 +26,7 @@ enum { N_LEVELS = sizeof levels / sizeof levels[0] };
 /* Bits of XCR0 (Intel SDM vol. 1, 13.3): the system saves these registers with a task. */
 enum { XCR0_AVX = 0x06, XCR0_AVX512 = 0xe6, XCR0_AMX = 0x60000 };
 
-/* CPUID 7.0 EDX: tiles, int8; and what Linux calls its permission (asm/prctl.h since 5.16). */
+/* CPUID 7.0 EDX: tiles, int8; Linux's constants for its permission (asm/prctl.h since 5.16). */
 enum { BIT_AMX = 1 << 24 | 1 << 25, REQ_XCOMP_PERM = 0x1023, XTILEDATA = 18 };
 
 static unsigned saved_state(void)

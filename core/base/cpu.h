@@ -1,4 +1,4 @@
-/* cpu.h - which vector instructions this processor has and the system allows.
+/* cpu.h - the vector instructions that processor and system support.
  * Levels are groups that are used together; a higher x86 level is reported only with the ones below
  * it.
  * thread: any. */
@@ -21,8 +21,8 @@ enum {
 
 enum { CPU_NAMES_CAP = 64 }; // bytes that hold every list of names
 
-/* What processor and operating system both support: a set of the bits above; 0 = plain C. Asks the
- * system for the state of tiles, which it gives to the whole process. */
+/* The levels that processor and operating system both support, as bits; 0 = plain C. Requests
+ * permission for AMX tiles, which the system grants to the whole process. */
 unsigned cpu_detect(void);
 
 /* Read a list of levels to allow, separated by blanks or commas: "sse41,avx2". "c" names no level;
@@ -30,7 +30,7 @@ unsigned cpu_detect(void);
  * err:  ERR_ARG names the unknown word. */
 MUST_USE err_t cpu_parse_mask(const char *text, unsigned *mask);
 
-/* The names in `mask`, separated by blanks, "c" if there are none. Returns buf. */
+/* The names in `mask`, separated by blanks, "c" if there are none. returns: buf. */
 const char *cpu_names(unsigned mask, char buf[CPU_NAMES_CAP]);
 
 #endif

@@ -1,6 +1,7 @@
 /* err.h - error codes and the sentence that goes with them.
  * The code says how to react; the sentence, kept per thread, says what happened to which object.
- * Who detects an error calls err_fail; who passes it on is silent; main prints err_text() once. */
+ * The function that detects an error calls err_fail; callers pass it on silently; main prints
+ * err_text() once. */
 #ifndef BASE_ERR_H
 #define BASE_ERR_H
 

@@ -73,7 +73,7 @@ static bool repair_quat(const struct gaussians *g, int i)
     return true;
 }
 
-static bool repair(const struct gaussians *g, int i)
+static bool repair_splat(const struct gaussians *g, int i)
 {
     bool changed = repair_quat(g, i);
     for (int k = 0; k < 3; k++)
@@ -93,7 +93,7 @@ void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report)
         if (kept != i)
             for (int p = 0; p < n_planes; p++)
                 g->plane[p][kept] = g->plane[p][i];
-        report->repaired += repair(g, kept);
+        report->repaired += repair_splat(g, kept);
         kept++;
     }
     report->dropped = g->n - kept;

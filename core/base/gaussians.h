@@ -1,4 +1,4 @@
-/* gaussians.h - memory and hygiene of struct gaussians (core/base/types.h).
+/* gaussians.h - memory and range checks of struct gaussians (core/base/types.h).
  * Pure computation. thread: any. */
 #ifndef BASE_GAUSSIANS_H
 #define BASE_GAUSSIANS_H

@@ -16,7 +16,7 @@ float half_to_float(uint16_t h);
  * NaN. */
 uint16_t half_from_float(float f);
 
-/* As half_from_float, but what would be infinite becomes +-HALF_MAX. */
+/* As half_from_float, but infinite results become +-HALF_MAX. */
 uint16_t half_from_float_sat(float f);
 
 /* n values each. The second one returns how many values it saturated. */

@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-double lin_unit(double x[3])
+double lin_normalise(double x[3])
 {
     double len = sqrt(lin_dot(x, x));
     if (len > 0 && isfinite(len))
@@ -12,13 +12,13 @@ double lin_unit(double x[3])
     return len;
 }
 
-void lin_across(const double t[3], double b1[3], double b2[3])
+void lin_tangents(const double t[3], double b1[3], double b2[3])
 {
     int small = fabs(t[0]) < fabs(t[1]) ? 0 : 1;
     small = fabs(t[2]) < fabs(t[small]) ? 2 : small;
     const double e[3] = {small == 0, small == 1, small == 2};
     lin_cross(t, e, b1);
-    lin_unit(b1);
+    lin_normalise(b1);
     lin_cross(t, b1, b2);
 }
 
@@ -36,7 +36,7 @@ void lin_product_t(const double a[9], const double b[9], double out[9])
             out[3 * i + j] = lin_dot(a + 3 * i, b + 3 * j);
 }
 
-void lin_add(double *h, double *g, int n, const double *row, double w, double error)
+void lin_add_equation(double *h, double *g, int n, const double *row, double w, double error)
 {
     for (int i = 0; i < n; i++) {
         g[i] -= w * row[i] * error;

@@ -31,11 +31,11 @@ static inline void lin_apply_t(const double r[9], const double x[3], double out[
         out[i] = r[i] * x[0] + r[3 + i] * x[1] + r[6 + i] * x[2];
 }
 
-/* Length; x becomes a unit vector unless it is 0 or not finite. */
-double lin_unit(double x[3]);
+/* Scale x to unit length unless it is 0 or not finite. returns: its length before. */
+double lin_normalise(double x[3]);
 
-/* Two unit vectors across the unit vector t and each other. */
-void lin_across(const double t[3], double b1[3], double b2[3]);
+/* Two unit vectors orthogonal to the unit vector t and to each other. */
+void lin_tangents(const double t[3], double b1[3], double b2[3]);
 
 /* out = a b, and a b^T; out is neither. */
 void lin_product(const double a[9], const double b[9], double out[9]);
@@ -43,7 +43,7 @@ void lin_product_t(const double a[9], const double b[9], double out[9]);
 
 /* One equation row x + error = 0 of weight w: lower triangle of h (n x n) += w row row^T and
  * g -= w error row. */
-void lin_add(double *h, double *g, int n, const double *row, double w, double error);
+void lin_add_equation(double *h, double *g, int n, const double *row, double w, double error);
 
 /* Lower Cholesky factor in place of the n x n matrix whose lower triangle is a (rows of n). False,
  * and a is spoilt, if a is not positive definite. */

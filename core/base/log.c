@@ -17,7 +17,7 @@ void log_set_level(enum log_level level)
     atomic_store(&max_level, (int)level);
 }
 
-/* Room for the end of the line is kept by the caller. */
+/* returns: bytes written. The caller keeps room for the end of the line. */
 static size_t write_prefix(char *line, size_t cap, enum log_level level)
 {
     int n = 0;

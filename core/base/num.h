@@ -1,5 +1,4 @@
-/* num.h - small mathematics that several rooms need: pi, the smaller and the larger of two numbers,
- * the middle or another rank of many.
+/* num.h - small mathematics for several rooms: pi, minimum and maximum, quantiles.
  * thread: any. */
 #ifndef BASE_NUM_H
 #define BASE_NUM_H
@@ -24,12 +23,11 @@ static inline size_t num_max_size(size_t a, size_t b)
     return a > b ? a : b;
 }
 
-/* The number that a share of 0..1 of n finite numbers lies below; they are sorted. 0 if there are
- * none. */
+/* Quantile `share` (0..1) of n finite numbers, which it sorts; 0 if there are none. */
 float num_quantile(float *v, size_t n, float share);
 
-/* The same of numbers that are sorted already, for another share of them. */
-float num_of_sorted(const float *v, size_t n, float share);
+/* The same of numbers that are sorted already. */
+float num_sorted_quantile(const float *v, size_t n, float share);
 
 /* Upper median. */
 static inline float num_median(float *v, size_t n)

@@ -1,6 +1,6 @@
 /* plan.h - memory of a chain of steps, counted by the code that will allocate it.
  * X_plan(&plan, sizes) counts what X_run(r, ...) takes from r->keep and r->tmp, so that the plan of
- * a chain reads as the chain does: what stays adds up, what is given back counts while it is held.
+ * a chain reads like the chain: kept memory adds up, scratch counts only while it is held.
  */
 #ifndef BASE_PLAN_H
 #define BASE_PLAN_H
@@ -14,7 +14,7 @@ struct plan {
 
 struct plan plan_begin(int threads);
 
-/* What is asked cannot be done: both peaks become SIZE_MAX. */
+/* The request cannot be planned: both peaks become SIZE_MAX. */
 void plan_refuse(struct plan *p);
 
 #endif

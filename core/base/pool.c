@@ -16,7 +16,7 @@ struct worker_arg {
 };
 
 /* A job is published by raising `epoch` under the lock; workers leave it by lowering `busy` under
- * the lock. Workers look at the epoch for a short while before they sleep: a refinement step is
+ * the lock. Workers poll the epoch for a short while before they sleep: a refinement step is
  * made of many jobs of under a millisecond. */
 struct pool {
     int size;
@@ -39,7 +39,7 @@ struct pool {
 
 enum { SPIN_TURNS = 4000 };
 
-/* The pool whose chunk this thread runs now, and as which worker. */
+/* The pool whose chunk this thread runs now, and its worker number there. */
 static _Thread_local const struct pool *inside;
 static _Thread_local int inside_worker;
 
@@ -106,8 +106,7 @@ static err_t start_worker(struct pool *p, int worker)
 {
     p->arg[worker] = (struct worker_arg){p, worker};
     if (pthread_create(&p->thread[p->n_started], NULL, worker_main, &p->arg[worker]) != 0)
-        return err_fail(ERR_LIMIT, "pool: the system gives no thread %d of %d", worker + 1,
-                        p->size);
+        return err_fail(ERR_LIMIT, "pool: the system refused thread %d of %d", worker + 1, p->size);
     p->n_started++;
     return OK;
 }

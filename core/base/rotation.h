@@ -7,7 +7,7 @@
 /* Matrix of a quaternion of any length; 0 is the identity. */
 void rotation_from_quat(const double q[4], double r[9]);
 
-/* The same of a unit quaternion, in float: what cameras and Gaussians are drawn with. */
+/* The same of a unit quaternion, in float, for drawing cameras and Gaussians. */
 void rotation_from_unit(const float q[4], float r[9]);
 
 /* Unit quaternion with w >= 0 of a matrix near a rotation. */

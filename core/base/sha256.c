@@ -23,7 +23,7 @@ void sha256_init(struct sha256 *s)
     s->bytes = 0;
 }
 
-static uint32_t turn(uint32_t x, int n)
+static uint32_t rotate_right(uint32_t x, int n)
 {
     return x >> n | x << (32 - n);
 }
@@ -33,37 +33,39 @@ static uint32_t read_be(const uint8_t *p)
     return (uint32_t)p[0] << 24 | (uint32_t)p[1] << 16 | (uint32_t)p[2] << 8 | p[3];
 }
 
-static void schedule(const uint8_t *p, uint32_t w[64])
+static void expand_message(const uint8_t *p, uint32_t w[64])
 {
     for (int i = 0; i < 16; i++)
         w[i] = read_be(p + 4 * i);
     for (int i = 16; i < 64; i++) {
         uint32_t a = w[i - 15], b = w[i - 2];
-        w[i] = w[i - 16] + (turn(a, 7) ^ turn(a, 18) ^ a >> 3) + w[i - 7] +
-               (turn(b, 17) ^ turn(b, 19) ^ b >> 10);
+        w[i] = w[i - 16] + (rotate_right(a, 7) ^ rotate_right(a, 18) ^ a >> 3) + w[i - 7] +
+               (rotate_right(b, 17) ^ rotate_right(b, 19) ^ b >> 10);
     }
 }
 
 /* One of the 64 steps; the names a..h of the standard move on by one each time, so that eight steps
  * unrolled leave everything in registers. */
-static inline void step(uint32_t v[8], int j, uint32_t add)
+static inline void round_step(uint32_t v[8], int j, uint32_t add)
 {
     uint32_t a = v[-j & 7], b = v[(1 - j) & 7], c = v[(2 - j) & 7], e = v[(4 - j) & 7],
              f = v[(5 - j) & 7], g = v[(6 - j) & 7], *h = &v[(7 - j) & 7];
-    uint32_t one = *h + (turn(e, 6) ^ turn(e, 11) ^ turn(e, 25)) + (g ^ (e & (f ^ g))) + add;
+    uint32_t one = *h + (rotate_right(e, 6) ^ rotate_right(e, 11) ^ rotate_right(e, 25)) +
+                   (g ^ (e & (f ^ g))) + add;
     v[(3 - j) & 7] += one;
-    *h = one + (turn(a, 2) ^ turn(a, 13) ^ turn(a, 22)) + ((a & b) | (c & (a | b)));
+    *h = one + (rotate_right(a, 2) ^ rotate_right(a, 13) ^ rotate_right(a, 22)) +
+         ((a & b) | (c & (a | b)));
 }
 
-static void compress(uint32_t h[8], const uint8_t *p)
+static void compress_block(uint32_t h[8], const uint8_t *p)
 {
     uint32_t w[64], v[8];
-    schedule(p, w);
+    expand_message(p, w);
     memcpy(v, h, sizeof v);
     for (int i = 0; i < 64; i += 8) {
 #pragma GCC unroll 8
         for (int j = 0; j < 8; j++)
-            step(v, j, K[i + j] + w[i + j]);
+            round_step(v, j, K[i + j] + w[i + j]);
     }
     for (int i = 0; i < 8; i++)
         h[i] += v[i];
@@ -76,11 +78,11 @@ void sha256_add(struct sha256 *s, const void *bytes, size_t n)
         size_t at = s->bytes % 64, take = n < 64 - at ? n : 64 - at;
         s->bytes += take;
         if (take == 64) {
-            compress(s->h, p);
+            compress_block(s->h, p);
         } else {
             memcpy(s->block + at, p, take);
             if (at + take == 64)
-                compress(s->h, s->block);
+                compress_block(s->h, s->block);
         }
         p += take;
         n -= take;

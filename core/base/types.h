@@ -1,4 +1,4 @@
-/* types.h - the plain structs that cross borders between modules.
+/* types.h - the plain structs that modules exchange.
  * All fields are visible; each has its shape, unit and range. Arrays live in an arena of the caller
  * unless said. */
 #ifndef BASE_TYPES_H
@@ -54,7 +54,7 @@ struct capture {
 
 /* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
  * (core/photo/README.md 1.1 and 1.2). Photographs 0 .. n - 1 show one place each, and most steps
- * look at these only; n .. n + n_more - 1 are other exposures of these places. */
+ * use only these; n .. n + n_more - 1 are other exposures of these places. */
 struct views {
     int n, size;             // places; px
     float aspect;            // height over width of the photographs, squeezed to squares; 0: 1
@@ -112,7 +112,7 @@ struct tonemap {
     float mid_log2t;
 };
 
-/* Everything that rendering needs later. */
+/* All data that rendering needs. */
 struct scene {
     struct gaussians g;
     struct tonemap tone;
@@ -151,7 +151,7 @@ enum {
     CORRESPONDENCE_BEST = 4
 };
 
-/* Where the network finds the patches of one view in another (core/net/shared_attention.h). */
+/* Matches of the patches of one view in another by the network (core/net/shared_attention.h). */
 struct correspondence {
     int n_views, grid;
     int16_t
@@ -160,7 +160,7 @@ struct correspondence {
     float *share; // same shape: share of the attention to that view, 0..1
 };
 
-/* What every heavy function receives. */
+/* Context of every heavy function. */
 struct run {
     const struct kernels *k;
     struct pool *pool;        // NULL = single thread
@@ -168,10 +168,10 @@ struct run {
     atomic_bool *cancel;      // NULL = never; checked at least every 0.5 s, then ERR_CANCELLED
     progress_fn *progress;    // NULL = none
     void *progress_ctx;
-    const struct tap *tap; // NULL = none: what is only looked at is not computed
+    const struct tap *tap; // NULL = none: tensors that are only inspected are not computed
 };
 
-/* Whether the job is to stop; `stage` begins the sentence.
+/* Check whether the job was cancelled; `stage` begins the sentence.
  * err:  ERR_CANCELLED. */
 static inline MUST_USE err_t run_check(const struct run *r, const char *stage)
 {

@@ -1,12 +1,13 @@
-/* A set of times is looked for that covers the bins of a histogram.
+/* Finds a set of times that covers the bins of a histogram.
  * Count: exposure t covers the bins from x_hi / t down to x_lo / t. The least cover that may leave
  * a share is a recurrence from dark to bright over (bins, exposures left): leave the brightest bin,
- * or begin an exposure at it. The first begins where `clip` allows. Where even the most exposures
- * leave too much, the fewest after which one more gains less than half of `clip`.
- * Times: legal ones, rounded down; then coordinates are searched. A bin counts as it would be
- * merged, at its worse edge; as many members as possible are probes; then the mean log2 of signal
- * to noise counts, against the sum of times. If rounding has opened a gap that
- * the search does not close, one exposure more.
+ * or begin an exposure at it. The first begins where `clip` allows. Where even the largest number
+ * of exposures leaves too much, it takes the fewest after which one more gains less than half of
+ * `clip`.
+ * Times are rounded down to legal ones and improved by coordinate search. The rating of a set
+ * compares first the shares above the bounds, with each bin merged at its worse edge; then the
+ * number of members that are probes; then the mean log2 signal to noise less the cost of time. If
+ * rounding opens a gap that the search does not close, the set gets one exposure more.
  * Sources: Barakat, Hone & Darcie, IEEE TIP 2008 (minimal sets); Gallo et al., Eurographics 2012
  * (noise over the histogram, a share ignored). */
 #include "core/photo/coverage.h"
@@ -23,11 +24,11 @@ enum {
 };
 #define TIME_COST 0.25  // mean log2 SNR that a doubling of the sum of times must bring
 #define TIME_FREE_S 0.1 // sums of times below do not count
-#define DARK_AIM 0.85   // of the share that may be dark: probes count it with their noise
-#define GAIN_LEAST 0.5  // of `clip`, that one more exposure must gain beyond the device
+#define DARK_AIM 0.85   // of the share that may be dark: noise of the probes adds to it
+#define GAIN_LEAST 0.5  // of `clip`: least gain of one more exposure beyond the device
 #define SLIGHT 1e-9     // rounding of shares
 
-double coverage_legal(const struct meter_config *c, double t)
+double coverage_legal_s(const struct meter_config *c, double t)
 {
     t = fmin(fmax(t, c->time_min_s), c->time_max_s);
     if (!(c->time_step_s > 0.0))
@@ -36,23 +37,23 @@ double coverage_legal(const struct meter_config *c, double t)
     return fmin(c->time_min_s + steps * c->time_step_s, c->time_max_s);
 }
 
-double coverage_longest(const struct meter_config *c)
+double coverage_longest_s(const struct meter_config *c)
 {
     double t = c->time_max_s;
     if (c->blur_s > 0.0)
         t = fmin(t, c->blur_s);
     if (c->budget_s > 0.0)
         t = fmin(t, c->budget_s);
-    return coverage_legal(c, t);
+    return coverage_legal_s(c, t);
 }
 
-int coverage_top(const struct meter *m, double t)
+int coverage_clip_bin(const struct meter *m, double t)
 {
     double b = floor((m->hi - log2(t) - m->bin_lo) * METER_PER_STOP + 1e-6);
     return (int)fmin(fmax(b, 0.0), METER_BINS - 1);
 }
 
-int coverage_length(const struct meter *m)
+int coverage_bins(const struct meter *m)
 {
     int n = (int)floor((m->hi - m->lo) * METER_PER_STOP + 1e-6);
     return n > 1 ? n : 1;
@@ -71,34 +72,34 @@ struct task {
     const struct meter *m;
     double most_s;              // longest time
     const double *top, *bottom; // [METER_BINS] shares
-    double mass[METER_BINS];    // of a bin, what must be covered
+    double mass[METER_BINS];    // share of a bin that must be covered
     double low[METER_BINS];     // radiance of the lower edge
     int length;                 // bins that an exposure covers
     int bright, dim;            // highest bin of the shortest, longest exposure
     double left[METER_EXPOSURES_MAX + 1][METER_BINS + 1]; // [exposures][bins] uncovered at best
 };
 
-static void reach(const struct meter *m, double most_s, struct task *t)
+static void set_reach(const struct meter *m, double most_s, struct task *t)
 {
     t->most_s = most_s;
-    t->bright = coverage_top(m, m->cfg.time_min_s) - 1;
-    t->dim = coverage_top(m, most_s) - 1;
+    t->bright = coverage_clip_bin(m, m->cfg.time_min_s) - 1;
+    t->dim = coverage_clip_bin(m, most_s) - 1;
 }
 
-/* Bins that stay when an exposure begins at bin b, or as near as it can. */
-static int below(const struct task *t, int b)
+/* Bins left below an exposure that begins at bin b, or as near to it as possible. */
+static int bins_below(const struct task *t, int b)
 {
     return num_max((b > t->dim ? b : t->dim) - t->length + 1, 0);
 }
 
-/* left[k][n]: of the n darkest bins, the least share that k exposures leave uncovered. */
-static void solve(struct task *t)
+/* left[k][n]: the least share of the n darkest bins that k exposures leave uncovered. */
+static void solve_cover(struct task *t)
 {
     for (int k = 0; k <= MOST; k++) {
         t->left[k][0] = 0.0;
         for (int n = 1; n <= METER_BINS; n++) {
             double leave = t->mass[n - 1] + t->left[k][n - 1], begin = DBL_MAX;
-            int rest = below(t, n - 1);
+            int rest = bins_below(t, n - 1);
             if (k > 0 && n - 1 <= t->bright)
                 begin = t->left[k - 1][rest < n ? rest : n];
             t->left[k][n] = fmin(leave, begin);
@@ -112,14 +113,14 @@ static void task_init(const struct meter *m, const double *top, const double *bo
     t->m = m;
     t->top = top;
     t->bottom = bottom;
-    t->length = coverage_length(m);
+    t->length = coverage_bins(m);
     for (int b = 0; b < METER_BINS; b++) {
         t->mass[b] = fmax(top[b], bottom[b]);
         t->low[b] = exp2(m->bin_lo + (double)b / METER_PER_STOP);
     }
 }
 
-/* Where the first exposure begins if only `clip` may be above. */
+/* Bin at which the first exposure begins so that a share of at most `clip` lies above it. */
 static int first_bin(const struct task *t)
 {
     double above = 0.0;
@@ -130,15 +131,16 @@ static int first_bin(const struct task *t)
     return num_max(b, t->dim);
 }
 
-/* Times of the best k exposures; the first begins at bin `first`, -1: where it is best. Rising. */
-static int trace(const struct task *t, int k, int first, double *times)
+/* Times of the best k exposures, rising; the first begins at bin `first`, -1: where it is best.
+ * returns: their number. */
+static int trace_times(const struct task *t, int k, int first, double *times)
 {
     int n = 0, bins = METER_BINS;
     while (k > 0 && bins > 0) {
         bool begin = first >= 0 && n == 0;
         if (begin)
             bins = first + 1;
-        int rest = below(t, bins - 1);
+        int rest = bins_below(t, bins - 1);
         if (!begin && t->left[k][bins] == t->mass[bins - 1] + t->left[k][bins - 1]) {
             bins--; // leave it
             continue;
@@ -153,14 +155,14 @@ static int trace(const struct task *t, int k, int first, double *times)
 
 /* --- a set of times ------------------------------------------------------------------------- */
 
-struct worth {
+struct rating {
     double bad;     // shares above the bounds
     int reused;     // members that are probes
     double quality; // mean log2 SNR less costs
     double clipped, dark;
 };
 
-/* Square of the merged ratio of a bin at its worse edges; 0: clipped in all. */
+/* Square of the merged signal to noise of a bin at its worse edges; 0: clipped in all. */
 static double bin_snr2(const struct task *t, int b, const double *times, int n)
 {
     double hi = exp2(t->m->hi) * (1.0 + 1e-6), high = t->low[b] * exp2(1.0 / METER_PER_STOP),
@@ -178,7 +180,7 @@ static int probe_of(const struct meter *m, double time)
     return -1;
 }
 
-static void judge(const struct task *t, const double *times, int n, struct worth *out)
+static void rate_times(const struct task *t, const double *times, int n, struct rating *out)
 {
     const struct meter_config *c = &t->m->cfg;
     double need = c->snr * c->snr, dark[2] = {0.0, 0.0}, total = 0.0;
@@ -202,11 +204,11 @@ static void judge(const struct task *t, const double *times, int n, struct worth
     out->dark = fmax(dark[0], dark[1]);
     out->bad = fmax(out->clipped - c->clip - SLIGHT, 0.0) +
                fmax(out->dark - DARK_AIM * c->dark - SLIGHT, 0.0);
-    if (out->bad <= SLIGHT) // what cannot be covered is worth any time
+    if (out->bad <= SLIGHT) // where something stays uncovered, time has no price
         out->quality -= TIME_COST * log2(total + TIME_FREE_S);
 }
 
-static bool better(const struct worth *a, const struct worth *b)
+static bool is_better(const struct rating *a, const struct rating *b)
 {
     if (fabs(a->bad - b->bad) > SLIGHT)
         return a->bad < b->bad;
@@ -216,7 +218,7 @@ static bool better(const struct worth *a, const struct worth *b)
 }
 
 /* Legal, rising, within the bounds of time. */
-static bool allowed(const struct task *t, const double *times, int n)
+static bool is_allowed(const struct task *t, const double *times, int n)
 {
     double total = 0.0;
     for (int i = 0; i < n; i++) {
@@ -230,22 +232,24 @@ static bool allowed(const struct task *t, const double *times, int n)
 }
 
 /* Keep `next` instead of `times` if it is allowed and better. */
-static bool try(const struct task *t, const double *next, int n, double *times, struct worth *w)
+static bool try_times(const struct task *t, const double *next, int n, double *times,
+                      struct rating *w)
 {
-    struct worth now;
-    if (!allowed(t, next, n))
+    struct rating now;
+    if (!is_allowed(t, next, n))
         return false;
-    judge(t, next, n, &now);
-    if (!better(&now, w))
+    rate_times(t, next, n, &now);
+    if (!is_better(&now, w))
         return false;
     memcpy(times, next, (size_t)n * sizeof *times);
     *w = now;
     return true;
 }
 
-/* Multiply the times i0..i1-1 by every step of the search, and by what makes one of them a probe.
- */
-static bool move(const struct task *t, const int range[2], int n, double *times, struct worth *w)
+/* Multiply times range[0]..range[1]-1 by every step of the search, and by the factors that make one
+ * of them a probe. Keeps what is better. returns: whether something was. */
+static bool scale_times(const struct task *t, const int range[2], int n, double *times,
+                        struct rating *w)
 {
     const struct meter *m = t->m;
     double from[MOST], next[MOST];
@@ -260,41 +264,41 @@ static bool move(const struct task *t, const int range[2], int n, double *times,
         }
         memcpy(next, from, (size_t)n * sizeof *next);
         for (int i = i0; i < i1; i++)
-            next[i] = coverage_legal(&m->cfg, from[i] * factor);
-        moved = try(t, next, n, times, w) || moved;
+            next[i] = coverage_legal_s(&m->cfg, from[i] * factor);
+        moved = try_times(t, next, n, times, w) || moved;
     }
     return moved;
 }
 
-static void search(const struct task *t, int n, double *times, struct worth *w)
+static void search_times(const struct task *t, int n, double *times, struct rating *w)
 {
     bool moved = true;
-    judge(t, times, n, w);
+    rate_times(t, times, n, w);
     for (int sweep = 0; sweep < 4 && moved; sweep++) {
-        moved = move(t, (int[2]){0, n}, n, times, w);
+        moved = scale_times(t, (int[2]){0, n}, n, times, w);
         for (int i = 0; i < n; i++)
-            moved = move(t, (int[2]){i, i + 1}, n, times, w) || moved;
+            moved = scale_times(t, (int[2]){i, i + 1}, n, times, w) || moved;
         for (int i = 1; i < n; i++)
-            moved = move(t, (int[2]){i, n}, n, times, w) || moved;
+            moved = scale_times(t, (int[2]){i, n}, n, times, w) || moved;
     }
 }
 
 /* --- plan ----------------------------------------------------------------------------------- */
 
-/* Legal times instead of those of the cover; equal ones become one. */
+/* Round the times of the cover down to legal ones; equal ones become one. */
 static int round_down(const struct task *t, double *times, int n)
 {
     int kept = 0;
     for (int i = 0; i < n; i++) {
-        double legal_s = coverage_legal(&t->m->cfg, fmin(times[i], t->most_s));
+        double legal_s = coverage_legal_s(&t->m->cfg, fmin(times[i], t->most_s));
         if (kept == 0 || legal_s > times[kept - 1] * (1.0 + 1e-9))
             times[kept++] = legal_s;
     }
     return kept;
 }
 
-/* One more in the widest gap, which rounding may have opened. */
-static int one_more(const struct task *t, double *times, int n)
+/* Add an exposure in the widest gap, which rounding may have opened. */
+static int add_exposure(const struct task *t, double *times, int n)
 {
     double next[MOST];
     int at = 1;
@@ -304,46 +308,46 @@ static int one_more(const struct task *t, double *times, int n)
     at = n > 1 ? at : 0;
     double middle_s = n > 1 ? sqrt(times[at - 1] * times[at]) : 0.5 * times[0];
     memcpy(next, times, (size_t)at * sizeof *next);
-    next[at] = coverage_legal(&t->m->cfg, middle_s);
+    next[at] = coverage_legal_s(&t->m->cfg, middle_s);
     memcpy(next + at + 1, times + at, (size_t)(n - at) * sizeof *next);
-    if (!allowed(t, next, n + 1))
+    if (!is_allowed(t, next, n + 1))
         return n;
     memcpy(times, next, (size_t)(n + 1) * sizeof *times);
     return n + 1;
 }
 
 /* The best k exposures with shorter and shorter longest times, until they fit the budget. */
-static int fit(struct task *t, int k, bool hold_top, double *times)
+static int fit_budget(struct task *t, int k, bool hold_top, double *times)
 {
     const struct meter_config *c = &t->m->cfg;
-    double most = coverage_longest(c);
+    double most = coverage_longest_s(c);
     for (;;) {
-        reach(t->m, most, t);
-        solve(t);
-        int n = round_down(t, times, trace(t, k, hold_top ? first_bin(t) : -1, times));
-        if (n > 0 && allowed(t, times, n))
+        set_reach(t->m, most, t);
+        solve_cover(t);
+        int n = round_down(t, times, trace_times(t, k, hold_top ? first_bin(t) : -1, times));
+        if (n > 0 && is_allowed(t, times, n))
             return n;
         if (most <= c->time_min_s || n == 0) {
-            times[0] = coverage_legal(c, most);
+            times[0] = coverage_legal_s(c, most);
             return 1;
         }
-        most = coverage_legal(c, most * exp2(-1.0 / METER_PER_STOP));
+        most = coverage_legal_s(c, most * exp2(-1.0 / METER_PER_STOP));
     }
 }
 
-/* The fewest exposures within the bounds; where more of them gain too little, no more. */
-static int choose(struct task *t, double *times, struct worth *best)
+/* The fewest exposures within the bounds; none is added that gains too little. */
+static int choose_count(struct task *t, double *times, struct rating *best)
 {
     const struct meter_config *c = &t->m->cfg;
     double next[MOST];
-    struct worth w;
+    struct rating w;
     int n = 0;
-    *best = (struct worth){.bad = INFINITY};
+    *best = (struct rating){.bad = INFINITY};
     for (int k = 1; k <= c->exposures_max && best->bad > SLIGHT; k++) {
-        int got = fit(t, k, true, next);
-        bool spare = got < k; // the cover wants no more
-        got = spare ? one_more(t, next, got) : got;
-        search(t, got, next, &w);
+        int got = fit_budget(t, k, true, next);
+        bool spare = got < k; // the cover needs no more
+        got = spare ? add_exposure(t, next, got) : got;
+        search_times(t, got, next, &w);
         if (w.bad > SLIGHT && (spare || w.bad > best->bad - GAIN_LEAST * c->clip - SLIGHT))
             continue;
         n = got;
@@ -351,8 +355,8 @@ static int choose(struct task *t, double *times, struct worth *best)
         *best = w;
     }
     if (best->bad > SLIGHT) { // the bright end may have to go
-        int got = fit(t, c->exposures_max, false, next);
-        search(t, got, next, &w);
+        int got = fit_budget(t, c->exposures_max, false, next);
+        search_times(t, got, next, &w);
         if (w.bad < best->bad - GAIN_LEAST * c->clip - SLIGHT) {
             n = got;
             memcpy(times, next, sizeof next);
@@ -373,7 +377,7 @@ static double scene_stops(const struct task *t)
     return (double)(hi + 1 - lo) / METER_PER_STOP;
 }
 
-/* Least ratio of unclipped bins when the share `dark` with the least is left out; 0: none. */
+/* Least signal to noise of unclipped bins, without the share `dark` that has the least; 0: none. */
 static double worst_snr(const struct task *t, const double *mass, const double *times, int n)
 {
     double s[METER_BINS], last = 0.0, left = t->m->cfg.dark + SLIGHT;
@@ -398,10 +402,10 @@ void coverage_run(const struct meter *m, const double *top, const double *bottom
                   struct meter_result *out)
 {
     struct task t;
-    struct worth w;
+    struct rating w;
     memset(out, 0, sizeof *out);
     task_init(m, top, bottom, &t);
-    out->n = choose(&t, out->time_s, &w);
+    out->n = choose_count(&t, out->time_s, &w);
     for (int i = 0; i < out->n; i++)
         out->probe[i] = probe_of(m, out->time_s[i]);
     out->stops = scene_stops(&t);

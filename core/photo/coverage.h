@@ -1,4 +1,4 @@
-/* coverage.h - exposures for a histogram: the arithmetic of meter.c.
+/* coverage.h - exposure times that cover a histogram, for meter.c.
  * Pure; any thread. */
 #ifndef PHOTO_COVERAGE_H
 #define PHOTO_COVERAGE_H
@@ -6,14 +6,16 @@
 #include "core/photo/metering.h"
 
 /* The longest legal time of at most t; the shortest if there is none. */
-double coverage_legal(const struct meter_config *c, double t);
+double coverage_legal_s(const struct meter_config *c, double t);
 
 /* The longest time that a plan may have. */
-double coverage_longest(const struct meter_config *c);
+double coverage_longest_s(const struct meter_config *c);
 
-/* First bin that is not wholly unclipped at that exposure; bins below it that are usable. */
-int coverage_top(const struct meter *m, double exposure_s);
-int coverage_length(const struct meter *m);
+/* First bin that may clip at that exposure; the bins below it are unclipped. */
+int coverage_clip_bin(const struct meter *m, double exposure_s);
+
+/* Number of usable bins of an exposure, below its coverage_clip_bin. */
+int coverage_bins(const struct meter *m);
 
 /* Square of signal to noise at relative exposure x. */
 double coverage_snr2(const struct meter_config *c, double x);

@@ -9,9 +9,10 @@
  * Robertson: E and x(z) in turn, each the weighted mean that the other implies, starting with the
  * family's curve: exposures in equal ratios leave open any periodic part of g, which only the start
  * determines.
- * Pixels: over all of the picture by a stride, a bounded number for each mean code, those in
+ * Pixels are taken all over the picture by a stride, a bounded number for each mean code, those in
  * flat surroundings first; every fourth is held out.
- * At the end: means of neighbours where a curve falls (pool adjacent violators), 0 at code 255.
+ * Where a recovered curve falls, neighbours get their mean (pool adjacent violators); code 255 is
+ * 0.
  * Pictures are ordered by exposure, then content, so that the order given does not matter. */
 #include "core/photo/crf.h"
 
@@ -25,21 +26,21 @@ enum {
     MOST = 9,      // pictures
     LIST = 32768,  // pixels of a channel
     STRATUM = 256, // pixels of one mean code
-    ROUGH = 8,     // up to so many, if there are not more in flat surroundings
+    ROUGH = 8,     // of one mean code, in surroundings that are not flat
     KNOTS = 7,     // intervals of the family's spline
     TERMS = KNOTS + 3,
-    HELD = 4,      // every HELD-th pixel is held out
-    FLAT = 16,     // codes that neighbours may differ by
-    DARK = 5,      // codes below and
-    BRIGHT = 250,  // above are not counted as seen
-    SPAN_LO = 48,  // codes that must be reached
-    SPAN_HI = 208, //
-    TURNS = 20     // of Robertson's iteration; more only drift where nothing holds the curve
+    HELD = 4,            // every HELD-th pixel is held out
+    FLAT = 16,           // codes that neighbours may differ by
+    DARK = 5,            // codes below and
+    BRIGHT = 250,        // above are not counted as seen
+    SPAN_LO = 48,        // codes that must be reached
+    SPAN_HI = 208,       //
+    ROBERTSON_STEPS = 20 // more only drift where no data hold the curve
 };
 #define SMOOTH 1e-3    // weight of second differences, of the sum of weights
 #define RIDGE 1e-9     // of the mean diagonal
-#define RATIO_MIN 1.1  // of the longest to the shortest exposure
-#define NOISE 0.01     // stops, of a pixel beside the rounding of its code
+#define RATIO_MIN 1.1  // least ratio of the longest to the shortest exposure
+#define NOISE 0.01     // stops, noise of a pixel besides the rounding of its code
 #define EDGE 30.0      // how much steeper than the hat the family's weights rise from the ends
 #define STEP_MIN 1e-4f // stops between codes
 
@@ -82,7 +83,7 @@ size_t crf_plan(const struct crf_stack *s)
 
 /* --- pictures and pixels -------------------------------------------------------------------- */
 
-static err_t check(const struct crf_stack *s)
+static err_t check_stack(const struct crf_stack *s)
 {
     double lo = INFINITY, hi = 0.0;
     if (s->n < 2 || s->n > MOST)
@@ -103,14 +104,14 @@ static err_t check(const struct crf_stack *s)
     return OK;
 }
 
-static bool before(const struct crf_stack *s, int a, int b)
+static bool is_before(const struct crf_stack *s, int a, int b)
 {
     if (s->exposure[a] != s->exposure[b])
         return s->exposure[a] < s->exposure[b];
     return memcmp(s->px[a], s->px[b], (size_t)s->w * (size_t)s->h * 3) < 0;
 }
 
-static void arrange(const struct crf_stack *s, struct work *k)
+static void sort_pictures(const struct crf_stack *s, struct work *k)
 {
     int order[MOST];
     k->n = s->n;
@@ -118,7 +119,7 @@ static void arrange(const struct crf_stack *s, struct work *k)
     k->h = s->h;
     for (int i = 0; i < s->n; i++) {
         int at = i;
-        for (; at > 0 && before(s, i, order[at - 1]); at--)
+        for (; at > 0 && is_before(s, i, order[at - 1]); at--)
             order[at] = order[at - 1];
         order[at] = i;
     }
@@ -129,32 +130,34 @@ static void arrange(const struct crf_stack *s, struct work *k)
     }
 }
 
-static int code(const struct work *k, int picture, size_t at)
+static int code_at(const struct work *k, int picture, size_t at)
 {
     return k->px[picture][3 * at + (size_t)k->channel];
 }
 
-static int difference(int a, int b)
+static int code_difference(int a, int b)
 {
     return a < b ? b - a : a - b;
 }
 
-/* Neighbours are alike in all pictures. */
-static bool flat(const struct work *k, size_t at)
+/* Whether the neighbours are alike in all pictures. */
+static bool is_flat(const struct work *k, size_t at)
 {
     size_t w = (size_t)k->w, x = at % w, y = at / w;
     size_t left = x > 0 ? at - 1 : at, right = x + 1 < w ? at + 1 : at;
     size_t up = y > 0 ? at - w : at, down = y + 1 < (size_t)k->h ? at + w : at;
     for (int j = 0; j < k->n; j++) {
-        int z = code(k, j, at);
-        if (difference(code(k, j, left), z) > FLAT || difference(code(k, j, right), z) > FLAT ||
-            difference(code(k, j, up), z) > FLAT || difference(code(k, j, down), z) > FLAT)
+        int z = code_at(k, j, at);
+        if (code_difference(code_at(k, j, left), z) > FLAT ||
+            code_difference(code_at(k, j, right), z) > FLAT ||
+            code_difference(code_at(k, j, up), z) > FLAT ||
+            code_difference(code_at(k, j, down), z) > FLAT)
             return false;
     }
     return true;
 }
 
-static size_t common(size_t a, size_t b)
+static size_t common_divisor(size_t a, size_t b)
 {
     while (b > 0) {
         size_t r = a % b;
@@ -165,23 +168,24 @@ static size_t common(size_t a, size_t b)
 }
 
 /* Pixels that are seen in two pictures at least; *links counts their further observations. */
-static void choose(struct work *k, int *links)
+static void choose_pixels(struct work *k, int *links)
 {
     size_t n = (size_t)k->w * (size_t)k->h, stride = (size_t)((double)n * 0.618034) | 1;
     int count[CODES] = {0};
-    while (common(stride, n) > 1)
+    while (common_divisor(stride, n) > 1)
         stride += 2;
     k->pixels = *links = 0;
     for (int rough = 0; rough < 2; rough++)
         for (size_t i = 0, at = 0; i < n && k->pixels < LIST; i++, at = (at + stride) % n) {
             int mean = 0, used = 0;
             for (int j = 0; j < k->n; j++) {
-                int z = code(k, j, at);
+                int z = code_at(k, j, at);
                 mean += z;
                 used += z >= DARK && z <= BRIGHT;
             }
             mean /= k->n;
-            if (used < 2 || count[mean] >= (rough ? ROUGH : STRATUM) || flat(k, at) == (rough == 1))
+            if (used < 2 || count[mean] >= (rough ? ROUGH : STRATUM) ||
+                is_flat(k, at) == (rough == 1))
                 continue;
             count[mean]++;
             k->list[k->pixels++] = (uint32_t)at;
@@ -189,14 +193,14 @@ static void choose(struct work *k, int *links)
         }
 }
 
-static err_t enough(struct work *k, enum crf_method method, int links)
+static err_t check_pixels(struct work *k, enum crf_method method, int links)
 {
     static const char *const name[] = {"red", "green", "blue"};
     int need = method == CRF_FAMILY ? 64 : 512, lo = CODES, hi = -1;
     memset(k->seen, 0, sizeof k->seen);
     for (int i = 0; i < k->pixels; i++)
         for (int j = 0; j < k->n; j++)
-            k->seen[code(k, j, k->list[i])]++;
+            k->seen[code_at(k, j, k->list[i])]++;
     if (links < need)
         return err_fail(ERR_LIMIT,
                         "response curve: %s has %d pairs of codes %d..%d of one pixel in two "
@@ -214,14 +218,14 @@ static err_t enough(struct work *k, enum crf_method method, int links)
     return OK;
 }
 
-static bool held(int i)
+static bool is_held_out(int i)
 {
     return i % HELD == HELD - 1;
 }
 
 /* --- linear methods ------------------------------------------------------------------------- */
 
-static void accumulate(struct work *k)
+static void build_equations(struct work *k)
 {
     memset(k->a, 0, sizeof k->a);
     memset(k->b, 0, sizeof k->b);
@@ -229,12 +233,12 @@ static void accumulate(struct work *k)
         double w[MOST], sum = 0.0, mean = 0.0;
         int z[MOST];
         for (int j = 0; j < k->n; j++) {
-            z[j] = code(k, j, k->list[i]);
+            z[j] = code_at(k, j, k->list[i]);
             w[j] = k->weight[z[j]];
             sum += w[j];
             mean += w[j] * k->log2t[j];
         }
-        if (held(i) || !(sum > 0.0))
+        if (is_held_out(i) || !(sum > 0.0))
             continue;
         mean /= sum;
         for (int j = 0; j < k->n; j++) {
@@ -247,7 +251,7 @@ static void accumulate(struct work *k)
 }
 
 /* Add RIDGE and solve the n x n system in k->f. */
-static bool solve(struct work *k, int n, double *x)
+static bool solve_ridge(struct work *k, int n, double *x)
 {
     double trace = 0.0;
     for (int i = 0; i < n; i++)
@@ -274,7 +278,7 @@ static void set_basis(struct work *k)
 }
 
 /* B^T v. */
-static void project(const struct work *k, const double *v, double *out)
+static void project_on_basis(const struct work *k, const double *v, double *out)
 {
     memset(out, 0, TERMS * sizeof *out);
     for (int z = 0; z < CODES; z++)
@@ -288,12 +292,12 @@ static bool fit_family(struct work *k)
     memset(k->f, 0, TERMS * TERMS * sizeof *k->f);
     for (int z = 0; z < CODES; z++) {
         double row[TERMS];
-        project(k, k->a + z * CODES, row);
+        project_on_basis(k, k->a + z * CODES, row);
         for (int i = 0; i < TERMS * TERMS; i++)
             k->f[i] += k->basis[z][i / TERMS] * row[i % TERMS];
     }
-    project(k, k->b, x);
-    if (!solve(k, TERMS, x))
+    project_on_basis(k, k->b, x);
+    if (!solve_ridge(k, TERMS, x))
         return false;
     for (int z = 0; z < CODES; z++) {
         k->g[z] = 0.0;
@@ -303,8 +307,8 @@ static bool fit_family(struct work *k)
     return true;
 }
 
-/* Weights of the rounding of codes under the present g. */
-static void weigh(struct work *k)
+/* Weights by the error of rounded codes under the present g. */
+static void set_rounding_weights(struct work *k)
 {
     for (int z = 1; z < CODES - 1; z++) {
         double slope = 0.5 * (k->g[z + 1] - k->g[z - 1]);
@@ -312,24 +316,24 @@ static void weigh(struct work *k)
     }
 }
 
-static bool family(struct work *k)
+static bool recover_family(struct work *k)
 {
     for (int z = 0; z < CODES; z++)
         k->weight[z] = hat(z);
-    accumulate(k);
+    build_equations(k);
     if (!fit_family(k))
         return false;
-    weigh(k);
-    accumulate(k);
+    set_rounding_weights(k);
+    build_equations(k);
     return fit_family(k);
 }
 
-static bool debevec(struct work *k)
+static bool recover_debevec(struct work *k)
 {
     double trace = 0.0;
     for (int z = 0; z < CODES; z++)
         k->weight[z] = hat(z);
-    accumulate(k);
+    build_equations(k);
     memcpy(k->f, k->a, sizeof k->a);
     for (int z = 0; z < CODES; z++)
         trace += k->a[z * CODES + z];
@@ -341,41 +345,41 @@ static bool debevec(struct work *k)
                 k->f[(z + i - 1) * CODES + z + j - 1] += w * d[i] * d[j];
     }
     memcpy(k->g, k->b, sizeof k->g);
-    return solve(k, CODES, k->g);
+    return solve_ridge(k, CODES, k->g);
 }
 
 /* --- Robertson ------------------------------------------------------------------------------ */
 
-static void turn(struct work *k, const double *x, double *sum, double *count)
+static void robertson_step(struct work *k, const double *x, double *sum, double *count)
 {
     memset(sum, 0, CODES * sizeof *sum);
     memset(count, 0, CODES * sizeof *count);
     for (int i = 0; i < k->pixels; i++) {
         double up = 0.0, down = 0.0;
         for (int j = 0; j < k->n; j++) {
-            int z = code(k, j, k->list[i]);
+            int z = code_at(k, j, k->list[i]);
             up += k->weight[z] * k->t[j] * x[z];
             down += k->weight[z] * k->t[j] * k->t[j];
         }
-        for (int j = 0; j < k->n && !held(i) && down > 0.0; j++) {
-            int z = code(k, j, k->list[i]);
+        for (int j = 0; j < k->n && !is_held_out(i) && down > 0.0; j++) {
+            int z = code_at(k, j, k->list[i]);
             sum[z] += k->t[j] * up / down;
             count[z] += 1.0;
         }
     }
 }
 
-static bool robertson(struct work *k)
+static bool recover_robertson(struct work *k)
 {
     double x[CODES], sum[CODES], count[CODES];
-    if (!family(k))
+    if (!recover_family(k))
         return false;
     for (int z = 0; z < CODES; z++) {
         x[z] = exp2(k->g[z]);
-        k->weight[z] = hat(z) / (x[z] * x[z]); // of relative errors
+        k->weight[z] = hat(z) / (x[z] * x[z]); // weight of relative errors
     }
-    for (int i = 0; i < TURNS; i++) {
-        turn(k, x, sum, count);
+    for (int i = 0; i < ROBERTSON_STEPS; i++) {
+        robertson_step(k, x, sum, count);
         for (int z = 1; z < CODES - 1; z++)
             if (count[z] > 0.0)
                 x[z] = sum[z] / count[z];
@@ -387,7 +391,8 @@ static bool robertson(struct work *k)
 
 /* --- result --------------------------------------------------------------------------------- */
 
-/* Means of neighbours where g falls: pool adjacent violators, by observations. */
+/* Replace falling stretches of g by their mean, weighted by observations (pool adjacent violators).
+ */
 static void make_rise(struct work *k)
 {
     double mean[CODES], weight[CODES];
@@ -408,25 +413,25 @@ static void make_rise(struct work *k)
             k->g[z] = mean[i];
 }
 
-/* Codes 0 and 255 from their neighbours, the scale, and strict rise. */
-static void finish(struct work *k, float *out)
+/* Extrapolate codes 0 and 255, set the scale and make the curve rise strictly. */
+static void write_curve(struct work *k, float *out)
 {
     make_rise(k);
     k->g[CODES - 1] = k->g[CODES - 2] + (k->g[CODES - 2] - k->g[CODES - 10]) / 8.0;
-    k->g[0] = k->g[1] - 2.0; // as the first half of a step does in sRGB
+    k->g[0] = k->g[1] - 2.0; // as in sRGB for half a step
     for (int z = 0; z < CODES; z++)
         out[z] = (float)(k->g[z] - k->g[CODES - 1]);
     for (int z = CODES - 2; z >= 0; z--)
         out[z] = fminf(out[z], out[z + 1] - STEP_MIN);
 }
 
-/* Sum of squares over the pixels held out, weighted by the hat, with the sum of weights. */
-static void check_held(const struct work *k, const float *g, double *square, double *weight)
+/* Add the hat-weighted squared errors of the pixels held out, and the weights. */
+static void measure_held_out(const struct work *k, const float *g, double *square, double *weight)
 {
     for (int i = HELD - 1; i < k->pixels; i += HELD) {
         double w[MOST], r[MOST], sum = 0.0, mean = 0.0;
         for (int j = 0; j < k->n; j++) {
-            int z = code(k, j, k->list[i]);
+            int z = code_at(k, j, k->list[i]);
             w[j] = hat(z);
             r[j] = (double)g[z] - k->log2t[j];
             sum += w[j];
@@ -444,24 +449,24 @@ err_t crf_recover(enum crf_method method, const struct crf_stack *s, void *tmp, 
     struct crf got = {.known = true};
     double square = 0.0, weight = 0.0;
     crf_srgb(out);
-    err_t e = check(s);
+    err_t e = check_stack(s);
     if (e != OK)
         return e;
-    arrange(s, k);
+    sort_pictures(s, k);
     set_basis(k);
     for (k->channel = 0; k->channel < 3; k->channel++) {
         int links;
-        choose(k, &links);
-        e = enough(k, method, links);
+        choose_pixels(k, &links);
+        e = check_pixels(k, method, links);
         if (e != OK)
             return e;
-        bool solved = method == CRF_FAMILY    ? family(k)
-                      : method == CRF_DEBEVEC ? debevec(k)
-                                              : robertson(k);
+        bool solved = method == CRF_FAMILY    ? recover_family(k)
+                      : method == CRF_DEBEVEC ? recover_debevec(k)
+                                              : recover_robertson(k);
         if (!solved)
             return err_fail(ERR_LIMIT, "response curve: %d pixels do not determine it", k->pixels);
-        finish(k, got.log2x[k->channel]);
-        check_held(k, got.log2x[k->channel], &square, &weight);
+        write_curve(k, got.log2x[k->channel]);
+        measure_held_out(k, got.log2x[k->channel], &square, &weight);
     }
     got.error = (float)sqrt(square / fmax(weight, 1e-30));
     *out = got;

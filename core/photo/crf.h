@@ -1,6 +1,6 @@
-/* crf.h - response curve of a camera with 8-bit display values: recovery from a bracket, use.
- * Scale of exposure cannot be known: 1 is what the code 255 means (core/photo/README.md 2.3), which
- * is extrapolated from the codes below it, mostly within 0.1 stop.
+/* crf.h - response curve of a camera with 8-bit display values, recovered from a bracket.
+ * The scale of exposure cannot be known: 1 is the exposure of code 255 (core/photo/README.md 2.3),
+ * extrapolated from the codes below it, mostly within 0.1 stop.
  * Pure; any thread. */
 #ifndef PHOTO_CRF_H
 #define PHOTO_CRF_H
@@ -20,9 +20,10 @@ struct crf {
 /* The curve of IEC 61966-2-1. */
 void crf_srgb(struct crf *out);
 
-/* Which one: FAMILY, which needs least and holds where exposures have equal ratios. DEBEVEC, with
- * thousands of pixels and unequal ratios (0, 1.4, 3.2, 5.4, 8 stops), where its `error` is smaller:
- * a curve with bends that the family has not. ROBERTSON likewise, without smoothing.
+/* FAMILY is the usual choice: it needs the fewest pixels and also works where exposures have equal
+ * ratios. DEBEVEC suits thousands of pixels and unequal ratios (0, 1.4, 3.2, 5.4, 8 stops) of a
+ * curve with bends that the family lacks; its `error` is smaller there. ROBERTSON likewise, without
+ * smoothing.
  * Worst rms error of displayed values, % of full scale, scale aligned
  * (tests/unit/core/photo/crf_test.c: five noisy pictures):
  *                       linear  sRGB  gamma  filmic   AgX   log  random
@@ -39,7 +40,7 @@ enum crf_method {
     CRF_ROBERTSON // Robertson, Borman & Stevenson, J. Electronic Imaging 12(2) 2003
 };
 
-/* Pictures of one still scene: n times w x h x 3 codes. */
+/* n pictures of one still scene, (h, w, 3) codes each. */
 struct crf_stack {
     int n, w, h;              // 2..9
     const uint8_t *const *px; // [n]
@@ -51,7 +52,7 @@ size_t crf_plan(const struct crf_stack *s);
 
 /* tmp: crf_plan bytes, 64-aligned.
  * err:  ERR_ARG (names field and bound), ERR_LIMIT (too few pixels that are neither dark nor
- *       clipped in two pictures, or too few of the codes; says how many there are and are needed).
+ *       clipped in two pictures, or too narrow a range of codes; the sentence has both numbers).
  *       On error *out is sRGB. */
 MUST_USE err_t crf_recover(enum crf_method method, const struct crf_stack *s, void *tmp,
                            struct crf *out);

@@ -1,11 +1,11 @@
 /* A missing colour of a mosaic is the mean of its nearest sites plus a share of the Laplacian of
  * the colour that is there (Malvar, He & Cutler 2004: gains 1/2, 5/8 and 3/4, coefficients of their
- * figure 2). The picture is worked in strips of columns, top down, with five rows of numbers at
- * hand, so that numbers may be made while they are needed. Beyond the border it is mirrored about
- * the outermost site, which keeps colours in their places.
- * Numbers are clipped at white before demosaicing: what a gain lifts above white would spread its
- * colour over the edges of highlights. Gains are scaled so that the least is 1; so all three
- * colours reach white where the sensor clips.
+ * figure 2). The picture is processed in strips of columns, top down, with a ring of five rows, so
+ * that rows are computed only when they are needed. Beyond the border it is mirrored about the
+ * outermost site, which preserves the pattern of colours.
+ * Numbers are clipped at white before demosaicing: a value that a gain lifts above white would
+ * spread its colour over the edges of highlights. Gains are scaled so that the least is 1, so that
+ * all three colours reach white where the sensor clips.
  * Display codes come from a table over 2^16 steps of light, finer than the steepest code. */
 #include "core/photo/develop.h"
 
@@ -18,7 +18,7 @@ enum { STRIP = 256, LIGHT = 65535 };
 
 /* ---- demosaicing ---- */
 
-static int mirror(int i, int n)
+static int mirror_index(int i, int n)
 {
     i = i < 0 ? -i : i;
     i = i >= n ? 2 * (n - 1) - i : i;
@@ -26,14 +26,14 @@ static int mirror(int i, int n)
 }
 
 /* Numbers x - 2 .. x + n + 1 of row y. */
-static void fill_row(const struct develop_mosaic *m, int y, int x, int n, float *v)
+static void load_row(const struct develop_mosaic *m, int y, int x, int n, float *v)
 {
     int lo = x < 2 ? 0 : x - 2, hi = num_min(m->w, x + n + 2);
-    m->fill(m->ctx, mirror(y, m->h), lo, hi - lo, v + lo - x + 2);
+    m->read(m->ctx, mirror_index(y, m->h), lo, hi - lo, v + lo - x + 2);
     for (int i = x - 2; i < lo; i++)
-        v[i - x + 2] = v[mirror(i, m->w) - x + 2];
+        v[i - x + 2] = v[mirror_index(i, m->w) - x + 2];
     for (int i = hi; i < x + n + 2; i++)
-        v[i - x + 2] = v[mirror(i, m->w) - x + 2];
+        v[i - x + 2] = v[mirror_index(i, m->w) - x + 2];
 }
 
 /* r: rows y - 2 .. y + 2, each from x - 2 on. */
@@ -41,7 +41,7 @@ static void demosaic_row(const struct develop_mosaic *m, int y, int x, int n, fl
                          float *const rgb[3])
 {
     int c = raw_colour(m->cfa, y, x), across = raw_colour(m->cfa, y, x + 1), green = c == 1;
-    int own = green ? across : c; // of this row, beside green
+    int own = green ? across : c; // the other colour of this row
     for (int i = 0; i < n; i++) {
         const float *p = r[2] + i + 2, *up = r[1] + i + 2, *down = r[3] + i + 2;
         float h1 = p[-1] + p[1], h2 = p[-2] + p[2], v1 = *up + *down;
@@ -65,20 +65,20 @@ void develop_rows(const struct develop_mosaic *m, int begin, int end)
     for (int x = 0; x < m->w; x += STRIP) {
         int n = num_min(STRIP, m->w - x);
         for (int y = begin - 2; y < begin + 2; y++)
-            fill_row(m, y, x, n, ring[(y + 5) % 5]);
+            load_row(m, y, x, n, ring[(y + 5) % 5]);
         for (int y = begin; y < end; y++) {
             float *const r[5] = {ring[(y + 3) % 5], ring[(y + 4) % 5], ring[y % 5],
                                  ring[(y + 1) % 5], ring[(y + 2) % 5]};
-            fill_row(m, y + 2, x, n, r[4]);
+            load_row(m, y + 2, x, n, r[4]);
             demosaic_row(m, y, x, n, r, rgb);
-            m->put(m->ctx, y, x, n, rgb);
+            m->write(m->ctx, y, x, n, rgb);
         }
     }
 }
 
 /* ---- white balance ---- */
 
-/* Sums over the cells of 2 x 2 sites of which none is clipped. */
+/* Sums over the cells of 2 x 2 sites without a clipped one. */
 static void add_cells(const struct raw *f, int64_t sum[3])
 {
     int clip = raw_clip(f);
@@ -114,9 +114,9 @@ void develop_balance(const struct raw *frames, int n, struct develop *out)
 
 /* ---- pictures ---- */
 
-struct print {
+struct conversion {
     const struct raw *in;
-    float scale[3]; // of codes above black, per colour: 1 is white
+    float scale[3]; // from codes above black, per colour: 1 is white
     uint8_t code[LIGHT + 1];
     uint8_t *px;
 };
@@ -126,8 +126,8 @@ static double srgb_light(double z)
     return z <= 0.04045 ? z / 12.92 : pow((z + 0.055) / 1.055, 2.4);
 }
 
-static void print_init(const struct raw *in, const struct develop *how, uint8_t *px,
-                       struct print *p)
+static void conversion_init(const struct raw *in, const struct develop *how, uint8_t *px,
+                            struct conversion *p)
 {
     float least = fminf(1.0f, fminf(how->red, how->blue));
     float unit = 1.0f / (float)((1 << in->bits) - 1 - in->black) / least;
@@ -143,14 +143,14 @@ static void print_init(const struct raw *in, const struct develop *how, uint8_t 
     }
 }
 
-static inline uint8_t code_of(const struct print *p, float v)
+static inline uint8_t code_of(const struct conversion *p, float v)
 {
     return p->code[v <= 0.0f ? 0 : v >= 1.0f ? LIGHT : (int)(v * LIGHT + 0.5f)];
 }
 
-static void fill(const void *ctx, int y, int x, int n, float *v)
+static void read_sites(const void *ctx, int y, int x, int n, float *v)
 {
-    const struct print *p = ctx;
+    const struct conversion *p = ctx;
     const uint16_t *code = p->in->px + (size_t)y * (size_t)p->in->w + x;
     float scale[2];
     for (int k = 0; k < 2; k++)
@@ -159,9 +159,9 @@ static void fill(const void *ctx, int y, int x, int n, float *v)
         v[i] = fminf((float)(code[i] - p->in->black) * scale[i & 1], 1.0f);
 }
 
-static void put(const void *ctx, int y, int x, int n, float *const rgb[3])
+static void write_codes(const void *ctx, int y, int x, int n, float *const rgb[3])
 {
-    const struct print *p = ctx;
+    const struct conversion *p = ctx;
     uint8_t *to = p->px + 3 * ((size_t)y * (size_t)p->in->w + (size_t)x);
     for (int i = 0; i < n; i++, to += 3)
         for (int c = 0; c < 3; c++)
@@ -169,7 +169,7 @@ static void put(const void *ctx, int y, int x, int n, float *const rgb[3])
 }
 
 /* Without a mosaic. */
-static void run_plain(const struct print *p)
+static void develop_plain(const struct conversion *p)
 {
     const struct raw *in = p->in;
     bool mono = in->cfa == RAW_MONO;
@@ -183,11 +183,11 @@ static void run_plain(const struct print *p)
 
 void develop_run(const struct raw *in, const struct develop *how, uint8_t *px)
 {
-    struct print p;
-    print_init(in, how, px, &p);
-    struct develop_mosaic m = {in->cfa, in->w, in->h, &p, fill, put};
+    struct conversion p;
+    conversion_init(in, how, px, &p);
+    struct develop_mosaic m = {in->cfa, in->w, in->h, &p, read_sites, write_codes};
     if (in->cfa == RAW_MONO || in->cfa == RAW_RGB)
-        run_plain(&p);
+        develop_plain(&p);
     else
         develop_rows(&m, 0, in->h);
 }

@@ -7,28 +7,28 @@
 #include "core/photo/raw.h"
 
 struct develop {
-    float red, blue; // white balance, gains over green; 1 where the device has done it
+    float red, blue; // white balance, gains over green; 1 where the device has applied them
 };
 
 /* White balance by the mean of unclipped pixels of all frames (grey world), limited to 1/4..4. */
 void develop_balance(const struct raw *frames, int n, struct develop *out);
 
 /* px: (h, w, 3). Display values pass as they are; a mosaic is demosaiced (Malvar, He & Cutler,
- * ICASSP 2004), grey is repeated. What the sensor clips in all colours is white. */
+ * ICASSP 2004), grey is repeated. Pixels that the sensor clips in all colours become white. */
 void develop_run(const struct raw *in, const struct develop *how, uint8_t *px);
 
-/* Demosaicing of numbers that are made when they are needed. */
+/* A mosaic whose rows are read, and its pixels written, by callbacks. */
 struct develop_mosaic {
     enum raw_cfa cfa;
     int w, h;
     const void *ctx;
     /* v: numbers of the n sites from x on in row y. */
-    void (*fill)(const void *ctx, int y, int x, int n, float *v);
+    void (*read)(const void *ctx, int y, int x, int n, float *v);
     /* rgb: three times n, for the pixels from x on in row y. */
-    void (*put)(const void *ctx, int y, int x, int n, float *const rgb[3]);
+    void (*write)(const void *ctx, int y, int x, int n, float *const rgb[3]);
 };
 
-/* Rows begin..end-1; of a row the pixels come in pieces. */
+/* Demosaic rows begin..end-1; the pixels of a row are written in several pieces. */
 void develop_rows(const struct develop_mosaic *m, int begin, int end);
 
 #endif

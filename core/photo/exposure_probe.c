@@ -1,25 +1,24 @@
-/* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; only these are
- * touched; blocks of small pictures overlap, so that each has neighbours to learn its noise from.
+/* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; other pixels are
+ * not read. Blocks of small pictures overlap, so that each has neighbours to estimate noise from.
  * Per colour the block's codes become relative exposure (display values by a table, linear ones
- * less black) and are averaged; the mean of the colours counts: the strongest of three would be the
- * luckiest where all are noise. Of a mosaic only sites of one colour are averaged, green over both
- * of its kinds.
- * CLIPPED if any pixel of any colour is above the limit of raw_clip: a pixel that clips in one
- * colour says nothing safe by the others once a device has mixed them.
- * Display values that are noise, cut off at black, are DARK whatever code they have: curves like
- * logarithms show single electrons well above code 8.
+ * less black) and are averaged. The mean of the colours counts: where all are noise, the strongest
+ * would be biased. In a mosaic the sites of each colour are averaged, green over both of its kinds.
+ * CLIPPED if any pixel of any colour is above the limit of raw_clip: once a
+ * device has mixed colours, the others of a clipped pixel are not reliable.
+ * Display values that are noise cut off at black are DARK whatever code they have: logarithmic
+ * curves show single electrons well above code 8.
  * The error of a mean has three parts: noise, from differences of neighbours of one colour (texture
- * makes it larger, never smaller), steps of codes, which do not average out where it is flat, and,
- * of linear numbers, a black level that is wrong by half a code.
- * A ratio is the median of log2 x_b / x_a (core/photo/README.md 5.1). Which places count must not
- * depend on the noise that the ratio sees, or near the dark limit the lucky ones are chosen: at
- * ratio R a place has the light m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors have
- * nothing to do with x_b / x_a; it counts if both are above its floor, even if x_b itself is not.
- * R begins as the median over places that are not dark in either.
- * A band of rows has its own median of how far places are off; those that are dark or clipped in
- * one count as far as their bound is beyond the ratio.
- * A place that is dark or clipped in one bounds the ratio from one side; of the bounds sorted, the
- * one with 2 % of all places beyond it is taken. */
+ * makes it larger, never smaller), steps of codes, which do not average out in flat surroundings,
+ * and, for linear numbers, a black level that is wrong by half a code.
+ * A ratio is the median of log2 x_b / x_a (core/photo/README.md 5.1). Selection must not
+ * depend on the noise of the ratio, or it is biased near the dark limit: at ratio R a place has the
+ * expected exposure m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors are independent of
+ * x_b / x_a; it counts if both are above its floor, even if x_b itself is not. R starts as the
+ * median over places that are good in both.
+ * A band of rows has its own median deviation from the ratio; places that are dark or clipped in
+ * one frame count by how far their bound is beyond the ratio.
+ * A place that is dark or clipped in one frame bounds the ratio from one side. The sorted bounds
+ * give the one with 2 % of all places beyond it. */
 #include "core/photo/exposure_probe.h"
 
 #include "core/base/num.h"
@@ -37,28 +36,28 @@ enum {
 };
 
 #define LOG2E 1.44269504f
-#define DARK_DISPLAY 8    // codes: core/photo/README.md 4.2
-#define ABOVE_BLACK 4.0f  // of the exposure of code 1: curves recovered from noise end too high
-#define DARK_LINEAR 8     // codes above black
-#define STEP_DISPLAY 0.5f // rms error of a block in codes: rounding, and DCT steps of JPEG
-#define STEP_LINEAR 0.29f // rounding
-#define BLACK_ERROR 0.5f  // codes
-#define LEAST 1e-9f       // relative exposure: logarithms are finite
-#define SD_MAX 0.15f      // stops: noisier places are dark
-#define FAINT 0x1p-7f     // relative exposure: below, a display's noise may be cut off at black,
-#define STAND_OUT 4.0f    // and looks like light unless a pixel is so many times above it
-#define SURE 3.0f         // standard errors that a bound allows for
-#define BAND_SURE 4.0f    // and a band
-#define MEDIAN 1.25f      // standard error of a median, of that of a mean
-#define QUARTILE 0.674f   // of a normal distribution, standard deviations
-#define CONVERGED 1e-3f   // stops
+#define DARK_DISPLAY 8     // codes: core/photo/README.md 4.2
+#define ABOVE_BLACK 4.0f   // times the exposure of code 1: curves recovered from noise end too high
+#define DARK_LINEAR 8      // codes above black
+#define STEP_DISPLAY 0.5f  // rms error of a block in codes: rounding, and DCT steps of JPEG
+#define STEP_LINEAR 0.29f  // rounding
+#define BLACK_ERROR 0.5f   // codes
+#define LEAST 1e-9f        // relative exposure: logarithms are finite
+#define SD_MAX 0.15f       // stops: noisier places are dark
+#define FAINT 0x1p-7f      // relative exposure below which display noise may be cut off at black,
+#define STAND_OUT 4.0f     // and counts as light only this many times above the noise
+#define BOUND_SIGMAS 3.0f  // standard errors added to a bound
+#define BAND_SIGMAS 4.0f   // standard errors subtracted from the deviation of a band
+#define MEDIAN_ERROR 1.25f // standard error of a median over that of a mean
+#define QUARTILE 0.674f    // standard deviations, of a normal distribution
+#define CONVERGED 1e-3f    // stops
 
 struct scale {
     const struct raw *px;
     int clip;            // first code that counts as clipped
     float unit;          // relative exposure of a code of linear numbers
     float table[3][256]; // of display values
-    float dark[3];       // relative exposure below which it is dark
+    float dark[3];       // relative exposure below which a place is dark
 };
 
 /* Sums over one colour of a block. */
@@ -121,7 +120,7 @@ static int edge_of(int n)
     return num_min(n, num_min(num_max(cell, BLOCK_LEAST), BLOCK));
 }
 
-/* Sums of a block per colour, which begins at an even site of a mosaic. */
+/* Sums of a block per colour; in a mosaic it begins at an even site. */
 static void add_block(const struct scale *s, int y0, int x0, struct sum to[3])
 {
     const struct raw *px = s->px;
@@ -152,7 +151,7 @@ static struct mean mean_of(const struct scale *s, int colour, const struct sum *
     return (struct mean){m->x / n, sqrtf(noise2), noise2 / n, step};
 }
 
-static void judge(const struct scale *s, int y0, int x0, int at, struct exposure_probe *to)
+static void measure_place(const struct scale *s, int y0, int x0, int at, struct exposure_probe *to)
 {
     struct sum sums[3] = {{0}};
     struct mean all = {0};
@@ -192,7 +191,7 @@ static int begin_of(const struct raw *px, int i, int n)
     return px->cfa == RAW_MONO || px->cfa == RAW_RGB ? at : at & ~1;
 }
 
-void exposure_probe_take(const struct raw *px, const struct crf *crf, struct exposure_probe *out)
+void exposure_probe_measure(const struct raw *px, const struct crf *crf, struct exposure_probe *out)
 {
     struct scale s;
     int count[3] = {0};
@@ -200,7 +199,7 @@ void exposure_probe_take(const struct raw *px, const struct crf *crf, struct exp
     for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         int y = begin_of(px, i / EXPOSURE_PROBE_EDGE, px->h),
             x = begin_of(px, i % EXPOSURE_PROBE_EDGE, px->w);
-        judge(&s, y, x, i, out);
+        measure_place(&s, y, x, i, out);
         count[out->state[i]]++;
     }
     float share = (float)(edge_of(px->w) * edge_of(px->h)) / ((float)px->w * (float)px->h);
@@ -217,7 +216,7 @@ struct lists {
     struct {
         int place;
         float log2;
-    } seen[EXPOSURE_PROBE_PLACES]; // good in one at least, clipped in none
+    } seen[EXPOSURE_PROBE_PLACES]; // good in at least one frame, clipped in none
     float lo[EXPOSURE_PROBE_PLACES], hi[EXPOSURE_PROBE_PLACES];
 };
 
@@ -225,7 +224,7 @@ struct pair {
     const struct exposure_probe *a, *b;
     struct lists l;
     float r, ratio;                     // estimate so far: log2, linear
-    float value[EXPOSURE_PROBE_PLACES]; // room for medians
+    float value[EXPOSURE_PROBE_PLACES]; // scratch for medians
 };
 
 static float log_ratio(float b, float a)
@@ -239,7 +238,7 @@ static void add_bound(const struct exposure_probe *a, const struct exposure_prob
     bool lo = a->state[i] == EXPOSURE_PROBE_DARK || b->state[i] == EXPOSURE_PROBE_CLIPPED;
     float xa = a->state[i] == EXPOSURE_PROBE_DARK ? a->floor[i] : fmaxf(a->x[i], LEAST);
     float xb = b->state[i] == EXPOSURE_PROBE_DARK ? b->floor[i] : fmaxf(b->x[i], LEAST);
-    float error = SURE * LOG2E * hypotf(a->sd[i] / xa, b->sd[i] / xb), r = log2f(xb / xa);
+    float error = BOUND_SIGMAS * LOG2E * hypotf(a->sd[i] / xa, b->sd[i] / xb), r = log2f(xb / xa);
     if (lo)
         to->lo[to->n_lo++] = r - error;
     else
@@ -251,7 +250,7 @@ static void add_place(const struct exposure_probe *a, const struct exposure_prob
 {
     int sa = a->state[i], sb = b->state[i];
     if (sa == sb && sa != EXPOSURE_PROBE_GOOD)
-        return; // most of a dark picture, so before the logarithm
+        return; // most places of a dark picture: skip their logarithm
     if (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED) {
         to->seen[to->n_seen].place = i;
         to->seen[to->n_seen++].log2 = log_ratio(b->x[i], a->x[i]);
@@ -260,8 +259,8 @@ static void add_place(const struct exposure_probe *a, const struct exposure_prob
         add_bound(a, b, i, to);
 }
 
-/* What would be at place k of n numbers in order (Hoare's FIND); reorders them. */
-static float ranked(float *v, int n, int k)
+/* The number of rank k of n (Hoare's FIND); reorders them. */
+static float select_rank(float *v, int n, int k)
 {
     for (int lo = 0, hi = n - 1; lo < hi;) {
         float pivot = v[k];
@@ -283,8 +282,8 @@ static float ranked(float *v, int n, int k)
     return v[k];
 }
 
-/* Light of a place in a, by both frames; 0 if either should not see it well. */
-static float light(const struct pair *p, int i)
+/* Exposure of place i in a, expected from both frames; 0 if it is below the floor of either. */
+static float expected_exposure(const struct pair *p, int i)
 {
     float m = (p->a->x[i] + p->b->x[i]) / (1.0f + p->ratio);
     return m >= p->a->floor[i] && m * p->ratio >= p->b->floor[i] ? m : 0.0f;
@@ -296,7 +295,7 @@ static void set_ratio(struct pair *p, float r)
     p->ratio = exp2f(r);
 }
 
-static int good_in_both(struct pair *p)
+static int collect_good(struct pair *p)
 {
     int n = 0;
     for (int k = 0; k < p->l.n_seen; k++) {
@@ -307,14 +306,15 @@ static int good_in_both(struct pair *p)
     return n;
 }
 
-/* Ratios of the places that count; the sum of their squared errors. */
-static int that_count(struct pair *p, float *var)
+/* Ratios of the places with a sufficient expected exposure; var: the sum of their squared errors.
+ */
+static int collect_expected(struct pair *p, float *var)
 {
     int n = 0;
     *var = 0.0f;
     for (int k = 0; k < p->l.n_seen; k++) {
         int i = p->l.seen[k].place;
-        float m = light(p, i);
+        float m = expected_exposure(p, i);
         if (m <= 0.0f)
             continue;
         float sa = p->a->sd[i] / m, sb = p->b->sd[i] / (m * p->ratio);
@@ -324,28 +324,28 @@ static int that_count(struct pair *p, float *var)
     return n;
 }
 
-/* Standard error of the median of n places with errors of sd. */
+/* Standard error of the median of n places with a standard deviation of sd. */
 static float median_error(const struct pair *p, float sd, int n)
 {
-    return MEDIAN * sd * sqrtf(fmaxf(p->a->overlap, p->b->overlap) / (float)n);
+    return MEDIAN_ERROR * sd * sqrtf(fmaxf(p->a->overlap, p->b->overlap) / (float)n);
 }
 
 /* Half of the range between the quartiles. */
 static float spread_of(float *v, int n)
 {
     int quarter = n / 4;
-    return 0.5f * (ranked(v, n, n - 1 - quarter) - ranked(v, n, quarter));
+    return 0.5f * (select_rank(v, n, n - 1 - quarter) - select_rank(v, n, quarter));
 }
 
-static void measure(struct pair *p, struct exposure_probe_ratio *out)
+static void estimate_ratio(struct pair *p, struct exposure_probe_ratio *out)
 {
     float var = 0.0f, step = INFINITY;
-    int n = good_in_both(p);
+    int n = collect_good(p);
     if (n > 0)
-        set_ratio(p, ranked(p->value, n, n / 2));
+        set_ratio(p, select_rank(p->value, n, n / 2));
     for (int k = 0; n > 0 && k < ROUNDS && step > CONVERGED; k++) {
-        n = that_count(p, &var);
-        float r = n > 0 ? ranked(p->value, n, n / 2) : p->r;
+        n = collect_expected(p, &var);
+        float r = n > 0 ? select_rank(p->value, n, n / 2) : p->r;
         step = fabsf(r - p->r);
         set_ratio(p, r);
     }
@@ -359,38 +359,39 @@ static void measure(struct pair *p, struct exposure_probe_ratio *out)
 }
 
 /* Bounds of log2 x of a place. */
-static void bounds(const struct exposure_probe *w, int i, float *lo, float *hi)
+static void log_bounds(const struct exposure_probe *w, int i, float *lo, float *hi)
 {
     float l = log2f(fmaxf(w->x[i], w->floor[i]));
     *lo = w->state[i] == EXPOSURE_PROBE_DARK ? -INFINITY : l;
     *hi = w->state[i] == EXPOSURE_PROBE_CLIPPED ? INFINITY : l;
 }
 
-/* How far the ratio of place i surely is from that of all, stops; false: it can say nothing. Dark
- * places that are as dark as expected count, or those that noise makes good would be the most. */
-static bool deviation(const struct pair *p, int i, float *off)
+/* Least distance of the ratio of place i from that of all, stops; false: it is not known. Dark
+ * places that are as dark as expected count, too: without them the places that noise makes good
+ * would be the majority. */
+static bool ratio_deviation(const struct pair *p, int i, float *off)
 {
     float lo_a, hi_a, lo_b, hi_b;
     int sa = p->a->state[i], sb = p->b->state[i];
     if (sa == sb && sa != EXPOSURE_PROBE_GOOD)
         return false;
-    bounds(p->a, i, &lo_a, &hi_a);
-    bounds(p->b, i, &lo_b, &hi_b);
+    log_bounds(p->a, i, &lo_a, &hi_a);
+    log_bounds(p->b, i, &lo_b, &hi_b);
     *off = fmaxf(lo_b - hi_a - p->r, 0.0f) + fminf(hi_b - lo_a - p->r, 0.0f);
     return *off != 0.0f || (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED);
 }
 
-/* By how much n rows of the grid are off for sure, stops; spread: of all. */
+/* Significant deviation of a band of rows of the grid, stops. spread: of all places. */
 static float band_off(struct pair *p, int row, int rows, float spread)
 {
     int n = 0;
     for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + rows) * EXPOSURE_PROBE_EDGE; i++)
-        n += deviation(p, i, &p->value[n]);
+        n += ratio_deviation(p, i, &p->value[n]);
     if (n < BAND_PLACES)
         return 0.0f;
     float noise = fmaxf(spread_of(p->value, n), spread) / QUARTILE;
-    float off = fabsf(ranked(p->value, n, n / 2));
-    return fmaxf(off - BAND_SURE * median_error(p, noise, n), 0.0f);
+    float off = fabsf(select_rank(p->value, n, n / 2));
+    return fmaxf(off - BAND_SIGMAS * median_error(p, noise, n), 0.0f);
 }
 
 static float widest_band(struct pair *p, float spread)
@@ -411,10 +412,10 @@ void exposure_probe_compare(const struct exposure_probe *a, const struct exposur
         add_place(a, b, i, l);
     *out = (struct exposure_probe_ratio){.lo = -INFINITY, .hi = INFINITY};
     if (l->n_lo > WRONG)
-        out->lo = ranked(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
+        out->lo = select_rank(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
     if (l->n_hi > WRONG)
-        out->hi = ranked(l->hi, l->n_hi, WRONG);
-    measure(&p, out);
+        out->hi = select_rank(l->hi, l->n_hi, WRONG);
+    estimate_ratio(&p, out);
     if (out->places > 0)
         out->band = widest_band(&p, out->spread);
 }

@@ -1,6 +1,6 @@
-/* exposure_probe.h - what the pixels of a frame say about its exposure: a small grid of places, and
- * the ratio of exposures of two frames of one scene seen at the same places
- * (core/photo/README.md 5.1). Pure; any thread. */
+/* exposure_probe.h - exposure evidence from pixels: a small grid of places in a frame, and the
+ * ratio of exposures of two frames of one scene at the same places (core/photo/README.md 5.1).
+ * Pure; any thread. */
 #ifndef PHOTO_EXPOSURE_PROBE_H
 #define PHOTO_EXPOSURE_PROBE_H
 
@@ -14,7 +14,7 @@ enum {
 
 enum exposure_probe_state {
     EXPOSURE_PROBE_GOOD,
-    EXPOSURE_PROBE_DARK,   // below `floor`, whatever x says
+    EXPOSURE_PROBE_DARK,   // below `floor`, whatever x is
     EXPOSURE_PROBE_CLIPPED // some pixel of the place is saturated: exposure is at least x
 };
 
@@ -22,25 +22,26 @@ enum exposure_probe_state {
 struct exposure_probe {
     float x[EXPOSURE_PROBE_PLACES]; // relative exposure, 1 = saturation; of a dark place any number
     float sd[EXPOSURE_PROBE_PLACES];    // its standard error
-    float floor[EXPOSURE_PROBE_PLACES]; // > 0: below, noise and code steps do not allow to trust x
+    float floor[EXPOSURE_PROBE_PLACES]; // > 0: below it noise and code steps make x unreliable
     uint8_t state[EXPOSURE_PROBE_PLACES];
     int good, dark, clipped; // places
     float overlap;           // >= 1: places that share a pixel, where a picture is small
 };
 
-/* `crf` is for display values; NULL: sRGB is assumed, which callers must allow for: under another
- * curve ratios are wrong, by up to 0.1 stops per stop for gamma 2.2, 0.6 for filmic ones. */
-void exposure_probe_take(const struct raw *px, const struct crf *crf, struct exposure_probe *out);
+/* crf: the curve of display values; NULL: sRGB is assumed. Under another curve ratios are wrong by
+ * up to 0.1 stops per stop for gamma 2.2 and 0.6 for filmic curves; callers must allow for it. */
+void exposure_probe_measure(const struct raw *px, const struct crf *crf,
+                            struct exposure_probe *out);
 
 struct exposure_probe_ratio {
-    int places;   // that both should see well, by what they see together and `log2`; 0: too few
+    int places;   // where the expected exposure is above the floor of both; 0: too few
     float log2;   // exposure of b over that of a: median over the places; 0 if there are none
     float error;  // its standard error
-    float spread; // half of the range between the quartiles: large if the scene or the light of
-                  // parts of it changed
+    float spread; // half of the interquartile range: large if parts of the scene or their
+                  // light changed
     float noise;  // rms of the ratio of a place by noise alone, stops
-    float band;   // stops, >= 0: by how much rows side by side have another ratio, for sure
-    float lo, hi; // what dark and clipped places allow, with 2 % of all places wrong; -/+ INFINITY
+    float band;   // stops, >= 0: significant deviation of adjacent rows from the ratio
+    float lo, hi; // bounds by dark and clipped places, 2 % of all may be wrong; -/+ INFINITY
 };
 
 /* Compare b with a. */

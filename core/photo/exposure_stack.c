@@ -1,11 +1,11 @@
-/* What a pixel says is the weight of its display value (response.h): nothing if black or saturated,
- * little on the toe of the curve.
+/* The information of a pixel is the weight of its display value (response.h): zero if black or
+ * saturated, little on the toe of the curve.
  * - Choice: first the photograph with the largest sum of weights, then the one that raises the
  *   best weight of every pixel most, until none raises the mean by GAIN (Hasinoff et al. 2010
  *   choose exposures by such a gain).
- * - Picture: the mean of log radiance, each photograph by its inverse variance. Where none says
- *   anything, a saturated one tells the least that it can be, a black one the most: the nearest of
- *   these counts, or the middle between both. It is written as the mean display value over all
+ * - Picture: the mean of log radiance, each photograph by its inverse variance. Where none has
+ *   information, a saturated photograph gives a lower and a black one an upper bound: the tightest
+ *   counts, or the middle between both. It is written as the mean display value over all
  *   exposures between the shortest and the longest. */
 #include "core/photo/exposure_stack.h"
 
@@ -15,7 +15,11 @@
 #include <math.h>
 #include <string.h>
 
-enum { CELLS = 64, REACH = 32, ENTRIES = 2 * REACH * CELLS }; // curve: per stop, stops, in all
+enum {
+    CELLS = 64,
+    REACH = 32,
+    ENTRIES = 2 * REACH * CELLS
+}; // of the curve: entries per stop; stops; entries
 
 static const double GAIN = 0.001; // of the largest mean weight
 
@@ -27,30 +31,30 @@ struct stack {
     uint8_t level[3][256]; // weight
     uint8_t *best;         // (workers, size, size, 3) level
     bool *keep;            // (n + n_more)
-    int *first;            // (n) the photograph that stands for the place
+    int *first;            // (n) the photograph that represents the place
     float x[3][256];       // log2 of radiance at exposure 0
     float w[3][256];       // inverse variance
     uint8_t (*code)[3];    // (ENTRIES) display value of log2 radiance
     uint8_t *out;          // (n, size, size, 3)
 };
 
-static size_t pixels(const struct views *v)
+static size_t pixel_count(const struct views *v)
 {
     return (size_t)v->size * (size_t)v->size;
 }
 
-static const uint8_t *photo(const struct views *v, int i)
+static const uint8_t *photo_pixels(const struct views *v, int i)
 {
-    return v->rgb + 3 * pixels(v) * (size_t)i;
+    return v->rgb + 3 * pixel_count(v) * (size_t)i;
 }
 
 size_t exposure_stack_plan(const struct views *v, int threads)
 {
     const size_t n = (size_t)v->n, all = n + (size_t)v->n_more;
-    size_t choose = arena_need((size_t)threads, 3 * pixels(v));
+    size_t choose = arena_need((size_t)threads, 3 * pixel_count(v));
     choose = arena_add(choose, arena_need(all, sizeof(bool)));
     choose = arena_add(choose, arena_need(n, sizeof(int)));
-    size_t merge = arena_need(n, 3 * pixels(v));
+    size_t merge = arena_need(n, 3 * pixel_count(v));
     merge = arena_add(merge, arena_need(n, sizeof(float)));
     merge = arena_add(merge, arena_need(ENTRIES, 3));
     return v->n_more ? num_max_size(choose, merge) : 0;
@@ -58,12 +62,12 @@ size_t exposure_stack_plan(const struct views *v, int threads)
 
 /* ---- choice ---- */
 
-/* How much photograph i raises the best levels. */
+/* Sum by which photograph i raises the best levels. */
 static long gain_of(const struct stack *s, int i, const uint8_t *best)
 {
-    const uint8_t *p = photo(s->v, i);
+    const uint8_t *p = photo_pixels(s->v, i);
     long gain = 0;
-    for (size_t k = 0; k < pixels(s->v); k++)
+    for (size_t k = 0; k < pixel_count(s->v); k++)
         for (size_t c = 0; c < 3; c++) {
             int more = s->level[c][p[3 * k + c]] - best[3 * k + c];
             gain += more > 0 ? more : 0;
@@ -71,17 +75,17 @@ static long gain_of(const struct stack *s, int i, const uint8_t *best)
     return gain;
 }
 
-static void raise(const struct stack *s, int i, uint8_t *best)
+static void raise_levels(const struct stack *s, int i, uint8_t *best)
 {
-    const uint8_t *p = photo(s->v, i);
-    for (size_t k = 0; k < pixels(s->v); k++)
+    const uint8_t *p = photo_pixels(s->v, i);
+    for (size_t k = 0; k < pixel_count(s->v); k++)
         for (size_t c = 0; c < 3; c++)
             if (s->level[c][p[3 * k + c]] > best[3 * k + c])
                 best[3 * k + c] = s->level[c][p[3 * k + c]];
 }
 
 /* The kept photograph of a place with `rank` shorter ones. */
-static int of_rank(const struct stack *s, int place, int rank)
+static int photo_of_rank(const struct stack *s, int place, int rank)
 {
     for (int i = place; i >= 0; i = views_next(s->v, place, i)) {
         int shorter = 0;
@@ -97,10 +101,10 @@ static int of_rank(const struct stack *s, int place, int rank)
 static err_t choose_place(void *ctx, int place, int worker)
 {
     struct stack *s = ctx;
-    uint8_t *best = s->best + 3 * pixels(s->v) * (size_t)worker;
-    const long least = (long)(GAIN * 255 * 3 * (double)pixels(s->v));
+    uint8_t *best = s->best + 3 * pixel_count(s->v) * (size_t)worker;
+    const long least = (long)(GAIN * 255 * 3 * (double)pixel_count(s->v));
     int n = 0;
-    memset(best, 0, 3 * pixels(s->v));
+    memset(best, 0, 3 * pixel_count(s->v));
     for (int top = place; top >= 0; n++) {
         long most = n ? least : -1; // one is always kept
         top = -1;
@@ -114,24 +118,24 @@ static err_t choose_place(void *ctx, int place, int worker)
         if (top < 0)
             break;
         s->keep[top] = true;
-        raise(s, top, best);
+        raise_levels(s, top, best);
         s->first[place] = n ? s->first[place] : top;
     }
     const int turn[3] = {n / 2, 0, n - 1};
     if (s->staggered)
-        s->first[place] = of_rank(s, place, turn[place % 3]);
+        s->first[place] = photo_of_rank(s, place, turn[place % 3]);
     return run_check(s->r, "exposures");
 }
 
-/* Exchange photographs a and b. */
-static void swap(struct views *v, int a, int b)
+static void swap_photos(struct views *v, int a, int b)
 {
     char name[NAME_CAP];
     const float log2t = v->log2t[a];
-    uint8_t *p = v->rgb + 3 * pixels(v) * (size_t)a, *q = v->rgb + 3 * pixels(v) * (size_t)b;
+    uint8_t *p = v->rgb + 3 * pixel_count(v) * (size_t)a,
+            *q = v->rgb + 3 * pixel_count(v) * (size_t)b;
     if (a == b)
         return;
-    for (size_t k = 0; k < 3 * pixels(v); k++) {
+    for (size_t k = 0; k < 3 * pixel_count(v); k++) {
         const uint8_t x = p[k];
         p[k] = q[k];
         q[k] = x;
@@ -145,7 +149,7 @@ static void swap(struct views *v, int a, int b)
 
 void exposure_stack_drop(struct views *v, const bool *keep)
 {
-    const size_t bytes = 3 * pixels(v);
+    const size_t bytes = 3 * pixel_count(v);
     int n = 0, places = 0, before = v->n;
     for (int i = 0; i < before + v->n_more; i++) {
         int place = i < before ? i : v->place[i - before], rank = 0;
@@ -167,7 +171,7 @@ void exposure_stack_drop(struct views *v, const bool *keep)
     v->n_more = n - places;
 }
 
-static void span(const float *log2t, int n, float *lo, float *hi)
+static void exposure_span(const float *log2t, int n, float *lo, float *hi)
 {
     *lo = *hi = log2t[0];
     for (int i = 1; i < n; i++) {
@@ -186,7 +190,7 @@ err_t exposure_stack_choose(const struct run *r, const struct tonemap *tone, boo
     response_tabulate(tone, &s.table);
     for (int k = 0; k < 3 * 256; k++)
         s.level[k / 256][k % 256] = (uint8_t)lrintf(255 * s.table.weight[k / 256][k % 256]);
-    err_t e = arena_alloc(r->tmp, (size_t)pool_size(r->pool), 3 * pixels(io), &s.best);
+    err_t e = arena_alloc(r->tmp, (size_t)pool_size(r->pool), 3 * pixel_count(io), &s.best);
     if (!e)
         e = arena_zalloc(r->tmp, all, sizeof *s.keep, &s.keep);
     if (!e)
@@ -194,14 +198,14 @@ err_t exposure_stack_choose(const struct run *r, const struct tonemap *tone, boo
     if (!e)
         e = pool_for(r->pool, io->n, choose_place, &s);
     for (int i = 0; i < io->n && !e; i++) {
-        swap(io, i, s.first[i]);
+        swap_photos(io, i, s.first[i]);
         s.keep[s.first[i]] = s.keep[i];
         s.keep[i] = true;
     }
     if (!e) {
         float lo, hi;
         exposure_stack_drop(io, s.keep);
-        span(io->log2t, staggered ? io->n : io->n + io->n_more, &lo, &hi);
+        exposure_span(io->log2t, staggered ? io->n : io->n + io->n_more, &lo, &hi);
         io->mid_log2t = (lo + hi) / 2;
     }
     arena_reset(r->tmp, mark);
@@ -211,19 +215,19 @@ err_t exposure_stack_choose(const struct run *r, const struct tonemap *tone, boo
 /* ---- one picture ---- */
 
 /* log2 of the radiance of one value, from all photographs of its place. */
-static float radiance(const struct stack *s, int place, size_t at)
+static float pixel_radiance(const struct stack *s, int place, size_t at)
 {
     const size_t c = at % 3;
     float sum = 0, weight = 0, least = -INFINITY, most = INFINITY;
     for (int i = place; i >= 0; i = views_next(s->v, place, i)) {
-        const uint8_t z = photo(s->v, i)[at];
-        const float says = s->x[c][z] - s->v->log2t[i];
-        sum += s->w[c][z] * says;
+        const uint8_t z = photo_pixels(s->v, i)[at];
+        const float x = s->x[c][z] - s->v->log2t[i];
+        sum += s->w[c][z] * x;
         weight += s->w[c][z];
         if (z < 128)
-            most = fminf(most, says);
+            most = fminf(most, x);
         else
-            least = fmaxf(least, says);
+            least = fmaxf(least, x);
     }
     if (weight > 0)
         return sum / weight;
@@ -233,10 +237,10 @@ static float radiance(const struct stack *s, int place, size_t at)
 static err_t merge_place(void *ctx, int place, int worker)
 {
     const struct stack *s = ctx;
-    uint8_t *out = s->out + 3 * pixels(s->v) * (size_t)place;
+    uint8_t *out = s->out + 3 * pixel_count(s->v) * (size_t)place;
     (void)worker;
-    for (size_t at = 0; at < 3 * pixels(s->v); at++) {
-        float x = (radiance(s, place, at) + REACH) * CELLS;
+    for (size_t at = 0; at < 3 * pixel_count(s->v); at++) {
+        float x = (pixel_radiance(s, place, at) + REACH) * CELLS;
         int cell = !(x > 0) ? 0 : x < ENTRIES - 1 ? (int)x : ENTRIES - 1;
         out[at] = s->code[cell][at % 3];
     }
@@ -267,9 +271,9 @@ err_t exposure_stack_merge(const struct run *r, const struct views *v, const str
     *curve = *tone;
     if (v->n_more == 0)
         return OK;
-    span(v->log2t, v->n + v->n_more, &lo, &hi);
+    exposure_span(v->log2t, v->n + v->n_more, &lo, &hi);
     response_spread(tone, lo - tone->mid_log2t, hi - tone->mid_log2t, curve, &counts_as);
-    err_t e = arena_alloc(r->tmp, (size_t)v->n, 3 * pixels(v), &s.out);
+    err_t e = arena_alloc(r->tmp, (size_t)v->n, 3 * pixel_count(v), &s.out);
     if (!e)
         e = arena_alloc(r->tmp, (size_t)v->n, sizeof *out->log2t, &out->log2t);
     if (!e)

@@ -49,7 +49,7 @@ void falsecolour_run(const struct image *radiance, float log2t, const struct ima
 
 /* ---- legend ---- */
 
-static void fill(const struct image8 *out, const int box[4], const uint8_t rgb[3])
+static void fill_box(const struct image8 *out, const int box[4], const uint8_t rgb[3])
 {
     for (int y = box[1] < 0 ? 0 : box[1]; y < box[3] && y < out->h; y++)
         for (int x = box[0]; x < box[2] && x < out->w; x++)
@@ -70,7 +70,7 @@ static void draw_glyph(const struct image8 *out, char which, int x, int y, int s
         int left = x + scale * (i % GLYPH_W), top = y + scale * (i / GLYPH_W);
         const int dot[4] = {left, top, left + scale, top + scale};
         if (row[i / GLYPH_W] >> (GLYPH_W - 1 - i % GLYPH_W) & 1)
-            fill(out, dot, INK);
+            fill_box(out, dot, INK);
     }
 }
 
@@ -79,18 +79,18 @@ void falsecolour_legend(const struct image8 *out)
     int scale = out->w < FALSECOLOUR_LEGEND_W ? 1 : out->w / FALSECOLOUR_LEGEND_W;
     int bar = out->w * 2 / 5;
     const int all[4] = {0, 0, out->w, out->h};
-    fill(out, all, PAPER);
+    fill_box(out, all, PAPER);
     for (int y = 0; y < out->h; y++) {
         const int line[4] = {0, y, bar, y + 1};
         uint8_t rgb[3];
         falsecolour_of(SHOWN - 2 * SHOWN * ((float)y + 0.5f) / (float)out->h, rgb);
-        fill(out, line, rgb);
+        fill_box(out, line, rgb);
     }
     for (int s = -FALSECOLOUR_STOPS; s <= FALSECOLOUR_STOPS; s++) {
         bool labelled = s % LABEL_STEP == 0;
         int y = out->h * (SHOWN - s) / (2 * SHOWN), x = bar + 3 * scale;
         const int tick[4] = {bar, y, labelled ? x : x - 2 * scale, y + scale};
-        fill(out, tick, INK);
+        fill_box(out, tick, INK);
         if (!labelled)
             continue;
         if (s != 0)

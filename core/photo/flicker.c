@@ -2,7 +2,7 @@
  * 1 + depth m sin(phase + 2 pi hz t) with m = sinc(hz time) and t in the middle of the row's
  * exposure. For both frequencies and for readouts from 0 to a whole period the amplitudes of sine
  * and cosine follow by least squares; the fit that explains most counts, if it explains enough and
- * is no more than all of the light: noise, passers-by and disobeyed exposures are not like that. */
+ * its depth is at most 1: noise, passers-by and exposures that were not applied fail this. */
 #include "core/photo/flicker.h"
 
 #include "core/base/num.h"
@@ -12,11 +12,11 @@
 
 enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
 
-#define DARKEST 8.0f     // of the floor, in a long frame: a short one still sees it
-#define BRIGHTEST 0.7f   // of saturation
-#define EXPLAINED 0.8    // share of the squares
-#define LEAST_DEPTH 0.02 // what is less is within any tolerance
-#define DEPTH_MOST 1.05  // with errors
+#define DARKEST 8.0f   // times the floor in a long frame, so that a short one still sees the place
+#define BRIGHTEST 0.7f // of saturation
+#define EXPLAINED 0.8  // least share of the squares
+#define LEAST_DEPTH 0.02 // less is within any tolerance
+#define DEPTH_MOST 1.05  // depth, errors included
 #define DEPTH_MAX 0.95   // logarithms are finite
 
 void flicker_add_long(struct flicker *f, const struct exposure_probe *w, double time_s)
@@ -56,7 +56,7 @@ struct fit {
     double n, uu, uv, vv, yu, yv, yy;
 };
 
-static void add(struct fit *t, double y, double angle, double m)
+static void add_sample(struct fit *t, double y, double angle, double m)
 {
     double u = m * sin(angle), v = m * cos(angle);
     t->n += 1.0;
@@ -68,19 +68,20 @@ static void add(struct fit *t, double y, double angle, double m)
     t->yy += y * y;
 }
 
-/* Share of the squares that is explained. */
-static double solve(const struct fit *t, double *amplitude)
+/* Share of the squares that the fit explains. */
+static double solve_amplitude(const struct fit *t, double *amplitude)
 {
     double det = t->uu * t->vv - t->uv * t->uv;
     *amplitude = 0.0;
     if (!(det > 1e-4 * t->n * t->n) || !(t->yy > 0.0))
-        return 0.0; // all of one phase
+        return 0.0; // all samples have one phase
     double u = (t->vv * t->yu - t->uv * t->yv) / det, v = (t->uu * t->yv - t->uv * t->yu) / det;
     *amplitude = hypot(u, v);
     return (u * t->yu + v * t->yv) / t->yy;
 }
 
-static double explained(const struct flicker *f, double hz, double readout_s, double *amplitude)
+static double explained_share(const struct flicker *f, double hz, double readout_s,
+                              double *amplitude)
 {
     struct fit t = {0};
     for (int k = 0; k < f->n_short; k++)
@@ -90,10 +91,10 @@ static double explained(const struct flicker *f, double hz, double readout_s, do
             double at = f->start_s[k] - f->start_s[0] + readout_s * j / EXPOSURE_PROBE_EDGE;
             double time = f->time_s[k], m = sinc(hz * time);
             double even = f->even[j] / f->n_long * time / f->long_s;
-            add(&t, f->row[k][j] / even - 1.0, 2.0 * NUM_PI * hz * (at + 0.5 * time), m);
+            add_sample(&t, f->row[k][j] / even - 1.0, 2.0 * NUM_PI * hz * (at + 0.5 * time), m);
         }
     *amplitude = 0.0;
-    return t.n < FIGURES_MIN ? 0.0 : solve(&t, amplitude);
+    return t.n < FIGURES_MIN ? 0.0 : solve_amplitude(&t, amplitude);
 }
 
 void flicker_find(const struct flicker *f, double period_s, struct flicker_light *out)
@@ -103,7 +104,7 @@ void flicker_find(const struct flicker *f, double period_s, struct flicker_light
     *out = (struct flicker_light){0};
     for (int i = 0; i < 2 && f->n_long > 0; i++)
         for (int r = 0; r <= READOUTS; r++) {
-            double depth, share = explained(f, frequency[i], period_s * r / READOUTS, &depth);
+            double depth, share = explained_share(f, frequency[i], period_s * r / READOUTS, &depth);
             if (share <= best || !(depth >= LEAST_DEPTH && depth <= DEPTH_MOST))
                 continue;
             best = share;

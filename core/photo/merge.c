@@ -1,12 +1,12 @@
-/* Radiance of a pixel is sum of counts / sum of exposures over the frames that do not clip it: what
- * maximises the likelihood if photons are all the noise there is; read noise costs little, because
- * long exposures weigh most where it is dark (Hanji, Zhong & Mantiuk 2020). Counts are codes above
+/* Radiance of a pixel is sum of counts / sum of exposures over the frames that do not clip it. This
+ * maximises the likelihood under photon noise; read noise costs little, because long exposures
+ * weigh most in the dark (Hanji, Zhong & Mantiuk 2020). Counts are codes above
  * black, or the relative exposure of a display value.
- * Of a mosaic the sites are merged before they are demosaiced: a frame that clips a pixel then has
- * no part in its neighbours' colours. Of display values a frame counts for all three colours of a
- * pixel or for none, since devices mix them.
- * A pixel that is clipped in all frames gets what the shortest says; above the clipping code that
- * still rises. Sums of counts below black are 0 in the end, not before demosaicing. */
+ * A mosaic is merged before it is demosaiced: a frame that clips a pixel then has no part in its
+ * neighbours' colours. With display values a frame counts for all three colours of a pixel or for
+ * none, since devices mix them.
+ * A pixel that is clipped in all frames gets the value of the shortest, which still rises above the
+ * clipping code. Sums of counts below black become 0 at the end, not before demosaicing. */
 #include "core/photo/merge.h"
 
 #include <math.h>
@@ -51,7 +51,7 @@ static void merge_init(const struct merge_set *s, struct merge *m)
 }
 
 /* Counts per second of a site of linear numbers. */
-static inline float site(const struct merge *m, size_t at)
+static inline float merge_site(const struct merge *m, size_t at)
 {
     int black = m->frames->black, sum = 0;
     float t = 0.0f;
@@ -65,13 +65,13 @@ static inline float site(const struct merge *m, size_t at)
     return (float)(m->frames[m->shortest].px[at] - black) / m->exposure[m->shortest];
 }
 
-/* The same of a pixel of display values with n colours. */
-static void pixel(const struct merge *m, size_t at, int n, float x[3])
+/* Counts per second of a pixel of n display values. */
+static void merge_pixel(const struct merge *m, size_t at, int n, float x[3])
 {
     float t = 0.0f;
     x[0] = x[1] = x[2] = 0.0f;
     for (int i = 0; i <= m->n; i++) {
-        bool last = i == m->n; // in vain so far
+        bool last = i == m->n; // all frames clip it
         const uint16_t *p = m->frames[last ? m->shortest : i].px + at;
         bool clipped = p[0] >= m->clip || (n == 3 && (p[1] >= m->clip || p[2] >= m->clip));
         if (last ? t > 0.0f : clipped)
@@ -84,7 +84,7 @@ static void pixel(const struct merge *m, size_t at, int n, float x[3])
         x[c] /= t;
 }
 
-static void store(const struct merge *m, size_t at, const float x[3])
+static void store_pixel(const struct merge *m, size_t at, const float x[3])
 {
     size_t area = (size_t)m->frames->w * (size_t)m->frames->h;
     for (size_t c = 0; c < 3; c++)
@@ -93,7 +93,7 @@ static void store(const struct merge *m, size_t at, const float x[3])
 
 /* ---- mosaics ---- */
 
-static void fill(const void *ctx, int y, int x, int n, float *v)
+static void read_sites(const void *ctx, int y, int x, int n, float *v)
 {
     const struct merge *m = ctx;
     size_t at = (size_t)y * (size_t)m->frames->w + (size_t)x;
@@ -101,10 +101,10 @@ static void fill(const void *ctx, int y, int x, int n, float *v)
     for (int k = 0; k < 2; k++)
         gain[k] = m->gain[raw_colour(m->frames->cfa, y, x + k)];
     for (int i = 0; i < n; i++)
-        v[i] = site(m, at + (size_t)i) * gain[i & 1];
+        v[i] = merge_site(m, at + (size_t)i) * gain[i & 1];
 }
 
-static void put(const void *ctx, int y, int x, int n, float *const rgb[3])
+static void write_pixels(const void *ctx, int y, int x, int n, float *const rgb[3])
 {
     const struct merge *m = ctx;
     size_t area = (size_t)m->frames->w * (size_t)m->frames->h;
@@ -124,12 +124,12 @@ static void run_row(const struct merge *m, int y)
     for (size_t i = (size_t)y * (size_t)f->w, end = i + (size_t)f->w; i < end; i++) {
         float x[3];
         if (!f->linear)
-            pixel(m, mono ? i : 3 * i, mono ? 1 : 3, x);
+            merge_pixel(m, mono ? i : 3 * i, mono ? 1 : 3, x);
         for (size_t c = 0; f->linear && c < (mono ? 1 : 3); c++)
-            x[c] = site(m, mono ? i : 3 * i + c);
+            x[c] = merge_site(m, mono ? i : 3 * i + c);
         if (mono)
             x[1] = x[2] = x[0];
-        store(m, i, x);
+        store_pixel(m, i, x);
     }
 }
 
@@ -139,7 +139,8 @@ void merge_rows(const struct merge_set *s, int begin, int end, struct image *out
     enum raw_cfa cfa = s->frames->cfa;
     merge_init(s, &m);
     if (cfa != RAW_MONO && cfa != RAW_RGB) {
-        struct develop_mosaic mosaic = {cfa, s->frames->w, s->frames->h, &m, fill, put};
+        struct develop_mosaic mosaic = {cfa, s->frames->w, s->frames->h,
+                                        &m,  read_sites,   write_pixels};
         develop_rows(&mosaic, begin, end);
         return;
     }

@@ -22,7 +22,7 @@ struct merge_set {
 enum { MERGE_FRAMES_MAX = 9 };
 
 /* Rows begin..end-1 of `out` (3 planes) are written: finite, >= 0. Pixels that are clipped in all
- * frames get the least radiance that explains it, those dark in all what the longest says. */
+ * frames get the least radiance that explains it, those dark in all the value of the longest. */
 void merge_rows(const struct merge_set *s, int begin, int end, struct image *out);
 
 #endif

@@ -1,10 +1,11 @@
 /* Noise: e electrons have the variance e + read_noise^2 (EMVA 1288), so a ratio S needs
  * e = (S^2 + S sqrt(S^2 + 4 read_noise^2)) / 2; independent frames add the squares of their ratios.
- * Histogram: of each probe the bins that it has unclipped; where several have a bin, the longest
- * of them. What is clipped in the longer probe is what the shorter one shows above its border.
- * Noise may lift places over that border: there the brightest are meant.
- * Probes: the first in the middle of the range of times; shorter by what one probe sees while too
- * much is clipped, longer while too much is below what is seen. Then coverage.c plans.
+ * Histogram: each bin comes from the longest probe that has it unclipped. The part that a longer
+ * probe clips is the part that the shorter one shows above its border; where noise lifts more
+ * places over that border, the brightest count.
+ * Probes: the first is in the middle of the range of times. The next are shorter by the range of
+ * one probe while too much is clipped, longer while too much is too dark to be seen. Then
+ * coverage.c plans.
  * Source: EMVA 1288 release 4 (noise). */
 #include "core/photo/meter.h"
 
@@ -16,18 +17,18 @@
 
 enum {
     PROBES = 3,
-    PLACES = 65536,         // looked at in a frame
+    PLACES = 65536,         // sampled in a frame at most
     ABOVE = METER_PER_STOP, // bins kept for what the shortest exposure clips
     CODE_LO = 8,            // usable display codes (core/photo/README.md 4.2)
     CODE_HI = 245,          //
-    CODE_SEEN = 3,          // least display code that tells anything
-    MOST = METER_EXPOSURES_MAX
+    CODE_SEEN = 3,          // least display code above black
+    EXPOSURES = METER_EXPOSURES_MAX
 };
 #define SEEN_SNR 3.0      // least ratio at which a pixel of a probe is placed in the histogram
 #define FIRST_MAX_S 1.0   // the first probe is in the middle of the range of times up to here
-#define TOP_SIGMAS 1.0    // of its noise, by which a place counts as brighter,
-#define BOTTOM_SIGMAS 0.7 // and as darker, where these ends are concerned
-#define CHECK 0.9         // of the ratio is enough afterwards: one place's own noise is in it
+#define TOP_SIGMAS 1.0    // of its noise that are added to a place at the bright end,
+#define BOTTOM_SIGMAS 0.7 // and subtracted at the dark end
+#define CHECK_SHARE 0.9   // of snr is enough afterwards: it includes the noise of one place
 #define SLIGHT 1e-9       // rounding of shares
 
 /* --- configuration -------------------------------------------------------------------------- */
@@ -37,7 +38,7 @@ static double electrons_for(double snr, double noise)
     return 0.5 * (snr * snr + snr * sqrt(snr * snr + 4.0 * noise * noise));
 }
 
-static void fill(struct meter_config *c, int bits, int black)
+static void fill_defaults(struct meter_config *c, int bits, int black)
 {
     double range = exp2(bits) - 1.0 - black;
     if (!(c->electrons > 0.0))
@@ -49,7 +50,7 @@ static void fill(struct meter_config *c, int bits, int black)
     c->dark = c->dark != 0.0 ? c->dark : 0.01;
     c->headroom = c->headroom != 0.0 ? c->headroom : c->display ? 0.85 : 0.9;
     c->overlap = c->overlap != 0.0 ? c->overlap : 0.5;
-    c->exposures_max = c->exposures_max != 0 ? c->exposures_max : MOST;
+    c->exposures_max = c->exposures_max != 0 ? c->exposures_max : EXPOSURES;
 }
 
 void meter_defaults(const struct raw *kind, double time_min_s, double time_max_s,
@@ -60,10 +61,10 @@ void meter_defaults(const struct raw *kind, double time_min_s, double time_max_s
     out->time_max_s = time_max_s;
     out->time_step_s = time_step_s;
     out->display = !kind->linear;
-    fill(out, kind->bits, kind->linear ? kind->black : 0);
+    fill_defaults(out, kind->bits, kind->linear ? kind->black : 0);
 }
 
-static err_t check(const struct meter_config *c)
+static err_t check_config(const struct meter_config *c)
 {
     const struct {
         const char *name;
@@ -81,7 +82,7 @@ static err_t check(const struct meter_config *c)
         {"time_step_s", c->time_step_s, 0.0, 1e4},
         {"blur_s", c->blur_s > 0.0 ? c->blur_s : c->time_min_s, c->time_min_s, INFINITY},
         {"budget_s", c->budget_s > 0.0 ? c->budget_s : c->time_min_s, c->time_min_s, INFINITY},
-        {"exposures_max", c->exposures_max, 1, MOST}};
+        {"exposures_max", c->exposures_max, 1, EXPOSURES}};
     for (size_t i = 0; i < sizeof field / sizeof field[0]; i++)
         if (!(field[i].value >= field[i].lo && field[i].value <= field[i].hi))
             return err_fail(ERR_ARG, "metering: %s is %g, must be %g..%g", field[i].name,
@@ -95,8 +96,8 @@ static err_t check(const struct meter_config *c)
     return OK;
 }
 
-/* Usable range in relative exposure, and where the bins begin: an edge is what the shortest
- * exposure holds. */
+/* Usable range in relative exposure, and the origin of the bins: the upper limit of the shortest
+ * exposure is an edge. */
 static void set_limits(struct meter *m, const struct crf *crf)
 {
     const struct meter_config *c = &m->cfg;
@@ -120,8 +121,8 @@ err_t meter_begin(const struct meter_config *cfg, struct meter *m)
 {
     memset(m, 0, sizeof *m);
     m->cfg = *cfg;
-    fill(&m->cfg, cfg->display ? 8 : 12, 0);
-    err_t e = check(&m->cfg);
+    fill_defaults(&m->cfg, cfg->display ? 8 : 12, 0);
+    err_t e = check_config(&m->cfg);
     if (e == OK)
         set_limits(m, NULL);
     return e;
@@ -158,7 +159,7 @@ static void sampler_init(const struct raw *px, const struct crf *crf, struct sam
             s->x[c][z] = exp2f(crf->log2x[c][z]);
 }
 
-static float value(const struct sampler *s, size_t at, int channel)
+static float relative_exposure(const struct sampler *s, size_t at, int channel)
 {
     int code = s->px->px[at];
     if (s->px->linear)
@@ -167,23 +168,23 @@ static float value(const struct sampler *s, size_t at, int channel)
     return s->x[channel][z < 255 ? z : 255];
 }
 
-/* Relative exposure of the channels of a place; returns how many. The greens of a mosaic are one
- * unless one of them is above `hi`. */
-static int place(const struct sampler *s, int i, int j, float hi, float x[3])
+/* Relative exposures of the channels of a place. The greens of a mosaic are averaged unless one of
+ * them is above `hi`. returns: number of channels. */
+static int sample_place(const struct sampler *s, int i, int j, float hi, float x[3])
 {
     size_t w = (size_t)s->px->w, at = (size_t)j * (size_t)s->stride * w + (size_t)(i * s->stride);
     if (s->px->cfa == RAW_MONO) {
-        x[0] = value(s, at, 1);
+        x[0] = relative_exposure(s, at, 1);
         return 1;
     }
     if (s->px->cfa == RAW_RGB) {
         for (int c = 0; c < 3; c++)
-            x[c] = value(s, 3 * at + (size_t)c, c);
+            x[c] = relative_exposure(s, 3 * at + (size_t)c, c);
         return 3;
     }
     bool green_first = s->px->cfa == RAW_GRBG || s->px->cfa == RAW_GBRG;
-    float q[4] = {value(s, at, 1), value(s, at + 1, 1), value(s, at + w, 1),
-                  value(s, at + w + 1, 1)};
+    float q[4] = {relative_exposure(s, at, 1), relative_exposure(s, at + 1, 1),
+                  relative_exposure(s, at + w, 1), relative_exposure(s, at + w + 1, 1)};
     float g0 = green_first ? q[0] : q[1], g1 = green_first ? q[3] : q[2];
     x[0] = green_first ? q[1] : q[0];
     x[1] = fmaxf(g0, g1) > hi ? fmaxf(g0, g1) : 0.5f * (g0 + g1);
@@ -198,13 +199,13 @@ static int clamp_bin(double b)
     return (int)fmin(fmax(b, 0.0), METER_BINS - 1);
 }
 
-/* First bin that is wholly seen at that exposure. */
+/* First bin that is wholly visible at that exposure. */
 static int seen_bin(const struct meter *m, double t)
 {
     return clamp_bin(ceil((m->floor - log2(t) - m->bin_lo) * METER_PER_STOP - 1e-6));
 }
 
-/* Of relative exposure x, `sigmas` of its noise brighter. */
+/* Bin of relative exposure x, plus `sigmas` times its noise. */
 static int bin_of(const struct meter *m, double x, double sigmas, double log2t)
 {
     if (!(x > 0.0) || log2(x) < m->floor)
@@ -217,7 +218,7 @@ static int bin_of(const struct meter *m, double x, double sigmas, double log2t)
 }
 
 /* Probes by exposure, the longest first. */
-static void by_length(const struct meter *m, int order[MOST])
+static void sort_by_length(const struct meter *m, int order[EXPOSURES])
 {
     for (int i = 0; i < m->probes; i++) {
         int k = i;
@@ -227,7 +228,7 @@ static void by_length(const struct meter *m, int order[MOST])
     }
 }
 
-static double sum(const float *v, int from, int to)
+static double sum_bins(const float *v, int from, int to)
 {
     double s = 0.0;
     for (int b = from; b < to; b++)
@@ -235,12 +236,12 @@ static double sum(const float *v, int from, int to)
     return s;
 }
 
-/* The bins from..to-1 of one probe, with those above the brightest `rest` of the places: noise may
- * lift more over the border. What it does not see of them is in one of the blind bins, for the
- * strongest channel in the highest, for the weakest in the lowest. Returns what is above `to`. */
+/* Take the bins range[0]..range[1]-1 of one probe, limited to the brightest `rest` of its places,
+ * because noise may lift more over the border. The part of `rest` that it does not see goes to the
+ * bin `blind`. returns: the share above range[1]. */
 static double take_bins(const float *share, const int range[2], int blind, double rest, double *out)
 {
-    double above = fmin(sum(share, range[1], METER_BINS), rest), left = rest - above;
+    double above = fmin(sum_bins(share, range[1], METER_BINS), rest), left = rest - above;
     for (int b = range[1] - 1; b >= range[0]; b--) {
         out[b] = fmin(share[b], left);
         left -= out[b];
@@ -249,13 +250,13 @@ static double take_bins(const float *share, const int range[2], int blind, doubl
     return above;
 }
 
-static void combine(const struct meter *m, int end, double out[METER_BINS])
+static void combine_probes(const struct meter *m, int end, double out[METER_BINS])
 {
-    int order[MOST], cut;
-    by_length(m, order);
+    int order[EXPOSURES], cut;
+    sort_by_length(m, order);
     memset(out, 0, METER_BINS * sizeof *out);
     const float *first = m->share[order[0]][end];
-    cut = coverage_top(m, m->probe_s[order[0]]);
+    cut = coverage_clip_bin(m, m->probe_s[order[0]]);
     double rest = 1.0;
     for (int b = 0; b < cut; b++) {
         out[b] = first[b];
@@ -263,7 +264,7 @@ static void combine(const struct meter *m, int end, double out[METER_BINS])
     }
     for (int i = 1; i < m->probes; i++) {
         double t = m->probe_s[order[i]];
-        int to = coverage_top(m, t), blind = seen_bin(m, t);
+        int to = coverage_clip_bin(m, t), blind = seen_bin(m, t);
         if (to <= cut)
             continue;
         blind = end == 0 ? (blind < to ? blind : to) - 1 : cut;
@@ -274,26 +275,26 @@ static void combine(const struct meter *m, int end, double out[METER_BINS])
     out[cut] += rest;
 }
 
-static void summarise(struct meter *m)
+static void summarise_probes(struct meter *m)
 {
-    int order[MOST];
-    by_length(m, order);
-    combine(m, 0, m->top);
-    combine(m, 1, m->bottom);
+    int order[EXPOSURES];
+    sort_by_length(m, order);
+    combine_probes(m, 0, m->top);
+    combine_probes(m, 1, m->bottom);
     const float *brightest = m->share[order[m->probes - 1]][0];
     const float *darkest = m->share[order[0]][1];
     double t_long = m->probe_s[order[0]];
     int usable = clamp_bin(floor((m->lo - log2(t_long) - m->bin_lo) * METER_PER_STOP));
-    m->clipped = sum(brightest, coverage_top(m, m->probe_s[order[m->probes - 1]]), METER_BINS) >
-                 m->cfg.clip + SLIGHT;
-    m->starved = sum(darkest, 0, usable) > m->cfg.dark + SLIGHT;
+    m->clipped = sum_bins(brightest, coverage_clip_bin(m, m->probe_s[order[m->probes - 1]]),
+                          METER_BINS) > m->cfg.clip + SLIGHT;
+    m->starved = sum_bins(darkest, 0, usable) > m->cfg.dark + SLIGHT;
 }
 
 void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, double exposure_s)
 {
     struct sampler s;
     uint32_t count[2][METER_BINS] = {{0}};
-    if (m->probes >= MOST || px->w < 1 || px->h < 1 || !(exposure_s > 0.0))
+    if (m->probes >= EXPOSURES || px->w < 1 || px->h < 1 || !(exposure_s > 0.0))
         return;
     if (m->probes == 0)
         set_limits(m, crf);
@@ -302,7 +303,7 @@ void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, dou
     double log2t = log2(exposure_s);
     for (int j = 0; j < s.h; j++)
         for (int i = 0; i < s.w; i++) {
-            int n = place(&s, i, j, hi, x);
+            int n = sample_place(&s, i, j, hi, x);
             float top = n == 3 ? fmaxf(fmaxf(x[0], x[1]), x[2]) : x[0];
             float bottom = n == 3 ? fminf(fminf(x[0], x[1]), x[2]) : x[0];
             count[0][bin_of(m, top, TOP_SIGMAS, log2t)]++;
@@ -313,16 +314,16 @@ void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, dou
         for (int b = 0; b < METER_BINS; b++)
             m->share[m->probes][k][b] = (float)count[k][b] * one;
     m->probe_s[m->probes++] = exposure_s;
-    summarise(m);
+    summarise_probes(m);
 }
 
 /* --- probes --------------------------------------------------------------------------------- */
 
 /* Share that the longest probe does not see. */
-static double unseen(const struct meter *m, double *t)
+static double unseen_share(const struct meter *m, double *t)
 {
-    int order[MOST];
-    by_length(m, order);
+    int order[EXPOSURES];
+    sort_by_length(m, order);
     *t = m->probe_s[order[0]];
     return m->share[order[0]][1][0];
 }
@@ -338,34 +339,34 @@ static double shortest_probe(const struct meter *m)
 double meter_probe(const struct meter *m)
 {
     const struct meter_config *c = &m->cfg;
-    double most = coverage_longest(c), t_long;
+    double most = coverage_longest_s(c), t_long;
     if (m->probes == 0)
-        return coverage_legal(c,
-                              sqrt(c->time_min_s * fmax(fmin(most, FIRST_MAX_S), c->time_min_s)));
-    double reach = exp2(m->hi - m->floor - 1.0), dark = unseen(m, &t_long);
+        return coverage_legal_s(c,
+                                sqrt(c->time_min_s * fmax(fmin(most, FIRST_MAX_S), c->time_min_s)));
+    double reach = exp2(m->hi - m->floor - 1.0), dark = unseen_share(m, &t_long);
     double t_short = shortest_probe(m);
     if (m->probes >= PROBES)
         return 0.0;
     if (m->clipped && t_short > c->time_min_s * (1.0 + 1e-6))
-        return coverage_legal(c, t_short < 3.0 * reach * c->time_min_s ? c->time_min_s
-                                                                       : t_short / reach);
+        return coverage_legal_s(c, t_short < 3.0 * reach * c->time_min_s ? c->time_min_s
+                                                                         : t_short / reach);
     if (dark <= c->dark + SLIGHT || t_long > most * (1.0 - 1e-6))
         return 0.0;
     /* A step of the usable range makes a likely member; the last probe sees as far as it can. */
     double step = m->probes + 1 < PROBES && dark < 0.5 ? exp2(m->hi - m->lo) : reach;
-    double t = coverage_legal(c, fmin(t_long * step, most));
+    double t = coverage_legal_s(c, fmin(t_long * step, most));
     return t > t_long * (1.0 + 1e-6) ? t : 0.0;
 }
 
 /* --- plan ----------------------------------------------------------------------------------- */
 
-/* What the longest probe does not see is below its floor, twice as far down as it would be at the
- * density of the stop above, at most over the range of one exposure and what can be reached. */
+/* Spread the share that the longest probe does not see below its floor: twice as far down as at the
+ * density of the stop above, but not beyond the range of one exposure or the reachable bins. */
 static void place_unseen(const struct meter *m, double *top, double *bottom)
 {
-    double t_long, dark = unseen(m, &t_long), a = top[0], b = bottom[0], dense = 0.0;
-    int last = seen_bin(m, t_long) - 1, length = coverage_length(m);
-    int reach = last - (coverage_top(m, coverage_longest(&m->cfg)) - length) + 1;
+    double t_long, dark = unseen_share(m, &t_long), a = top[0], b = bottom[0], dense = 0.0;
+    int last = seen_bin(m, t_long) - 1, length = coverage_bins(m);
+    int reach = last - (coverage_clip_bin(m, coverage_longest_s(&m->cfg)) - length) + 1;
     if (last < 1)
         return;
     for (int i = last + 1; i <= last + METER_PER_STOP && i < METER_BINS; i++)
@@ -400,9 +401,9 @@ struct tally {
     double mass[METER_BINS]; // dark places by radiance
 };
 
-/* Merged ratio squared of one channel; *l: log2 of its radiance. */
-static double merged(const struct meter *m, const double *exposure, const float *x, int n,
-                     double *l)
+/* Square of the merged signal to noise of one channel; *l: log2 of its radiance. */
+static double merged_snr2(const struct meter *m, const double *exposure, const float *x, int n,
+                          double *l)
 {
     double hi = exp2(m->hi), light = 0.0, time = 0.0, s = 0.0;
     for (int i = 0; i < n; i++)
@@ -421,14 +422,14 @@ static double merged(const struct meter *m, const double *exposure, const float 
 static void add_place(const struct meter *m, const double *exposure, const float *x, int n,
                       int channels, struct tally *out)
 {
-    double darkest = INFINITY, l, hi = exp2(m->hi), need = CHECK * m->cfg.snr;
+    double darkest = INFINITY, l, hi = exp2(m->hi), need = CHECK_SHARE * m->cfg.snr;
     bool clipped = false;
     for (int c = 0; c < channels; c++) {
         bool open = false;
         for (int i = 0; i < n; i++)
             open = open || x[3 * i + c] <= hi;
         clipped = clipped || !open;
-        if (open && merged(m, exposure, x + c, n, &l) < need * need)
+        if (open && merged_snr2(m, exposure, x + c, n, &l) < need * need)
             darkest = fmin(darkest, l);
     }
     out->clipped += clipped;
@@ -439,43 +440,44 @@ static void add_place(const struct meter *m, const double *exposure, const float
 }
 
 /* The exposure of at most `left` that covers most of the dark places; 0: none. */
-static double brighten(const struct meter *m, const struct tally *t, double left, double longest_s)
+static double longer_exposure(const struct meter *m, const struct tally *t, double left,
+                              double longest_s)
 {
-    double most = fmin(coverage_longest(&m->cfg), left), best = 0.0, found = 0.0;
+    double most = fmin(coverage_longest_s(&m->cfg), left), best = 0.0, found = 0.0;
     if (most < m->cfg.time_min_s)
         return 0.0;
-    most = coverage_legal(&m->cfg, most);
+    most = coverage_legal_s(&m->cfg, most);
     for (int k = 0; k < METER_BINS; k++) {
-        double time = coverage_legal(&m->cfg, most * exp2(-(double)k / METER_PER_STOP)),
+        double time = coverage_legal_s(&m->cfg, most * exp2(-(double)k / METER_PER_STOP)),
                covered = 0.0;
         int from = clamp_bin(ceil((m->lo - log2(time) - m->bin_lo) * METER_PER_STOP - 1e-6));
-        for (int b = from; b < coverage_top(m, time); b++)
+        for (int b = from; b < coverage_clip_bin(m, time); b++)
             covered += t->mass[b];
         if (covered > found) {
             found = covered;
             best = time;
         }
     }
-    /* Nothing that is placed can be reached: what was not seen may be a step below. */
+    /* No dark place can be reached; unseen ones may be a step below. */
     if (found == 0.0 && most > longest_s * (1.0 + 1e-6))
         best =
-            coverage_legal(&m->cfg, fmin(most, longest_s * exp2(m->hi - m->lo - m->cfg.overlap)));
+            coverage_legal_s(&m->cfg, fmin(most, longest_s * exp2(m->hi - m->lo - m->cfg.overlap)));
     return best;
 }
 
 void meter_check(const struct meter_config *cfg, const struct raw *frames, int n,
-                 const struct crf *crf, const double *exposure_s, struct meter_cover *out)
+                 const struct crf *crf, const double *exposure_s, struct meter_coverage *out)
 {
     struct meter m = {.cfg = *cfg};
-    struct sampler s[MOST];
+    struct sampler s[EXPOSURES];
     struct tally t = {0};
-    float x[MOST][3] = {{0}};
+    float x[EXPOSURES][3] = {{0}};
     double shortest = INFINITY, long_s = 0.0, total = 0.0;
     memset(out, 0, sizeof *out);
-    n = n < MOST ? n : MOST;
+    n = n < EXPOSURES ? n : EXPOSURES;
     if (n < 1 || frames[0].w < 1 || frames[0].h < 1)
         return;
-    fill(&m.cfg, cfg->display ? 8 : 12, 0);
+    fill_defaults(&m.cfg, cfg->display ? 8 : 12, 0);
     set_limits(&m, crf);
     for (int i = 0; i < n; i++) {
         sampler_init(&frames[i], crf, &s[i]);
@@ -486,20 +488,20 @@ void meter_check(const struct meter_config *cfg, const struct raw *frames, int n
     for (int at = 0; at < s[0].w * s[0].h; at++) {
         int channels = 0;
         for (int i = 0; i < n; i++)
-            channels = place(&s[i], at % s[0].w, at / s[0].w, (float)exp2(m.hi), x[i]);
+            channels = sample_place(&s[i], at % s[0].w, at / s[0].w, (float)exp2(m.hi), x[i]);
         add_place(&m, exposure_s, &x[0][0], n, channels, &t);
     }
     double places = (double)s[0].w * s[0].h;
     out->clipped = t.clipped / places;
     out->dark = t.dark / places;
     double left = m.cfg.budget_s > 0.0 ? m.cfg.budget_s - total : INFINITY;
-    double darker = coverage_legal(&m.cfg, shortest * exp2(m.cfg.overlap - (m.hi - m.lo)));
+    double darker = coverage_legal_s(&m.cfg, shortest * exp2(m.cfg.overlap - (m.hi - m.lo)));
     double over[2] = {out->clipped / fmax(m.cfg.clip, SLIGHT),
                       out->dark / fmax(m.cfg.dark, SLIGHT)};
     if (over[0] > 1.0 && over[0] > over[1] && darker < shortest * (1.0 - 1e-6) && darker <= left)
         out->extend_s = darker;
     else if (over[1] > 1.0)
-        out->extend_s = brighten(&m, &t, left, long_s);
+        out->extend_s = longer_exposure(&m, &t, left, long_s);
     else if (over[0] > 1.0 && darker < shortest * (1.0 - 1e-6) && darker <= left)
         out->extend_s = darker;
 }

@@ -1,10 +1,10 @@
 /* meter.h - the fewest exposures that cover a scene (core/photo/README.md 4): histogram of log2
- * radiance from probes, least cover of its occupied bins, choice of shift, coverage afterwards.
- * A pixel is covered if one frame has it below `headroom` and the frames that have it so merge to
- * at least `snr`.
- * Gain stays 1. In the dark, light is what is wanting: where a pixel has the asked ratio of 10,
- * gain 8 is worth 0.2 % with a converter of 12 bits, 3 % with 10, nothing with display values; and
- * what noise a device has at which gain, nobody tells.
+ * radiance from probes, least cover of its occupied bins, check of the frames taken.
+ * A pixel is covered if at least one frame has it below `headroom` and these frames merge to a
+ * signal to noise of at least `snr`.
+ * Gain stays 1: at a signal to noise of 10 a gain of 8 improves it by 0.2 % with a converter of 12
+ * bits, by 3 % with 10 bits and not at all with display values, and devices do not report their
+ * noise per gain.
  * Radiance is relative: 1 saturates the sensor in 1 s at gain 1.
  * Pure; any thread. */
 #ifndef PHOTO_METER_H
@@ -13,7 +13,7 @@
 #include "core/photo/crf.h"
 #include "core/photo/metering.h"
 
-/* For a camera of that kind. */
+/* Defaults for a camera with frames like `kind`. */
 void meter_defaults(const struct raw *kind, double time_min_s, double time_max_s,
                     double time_step_s, struct meter_config *out);
 
@@ -27,16 +27,17 @@ double meter_probe(const struct meter *m);
  * probes. */
 void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, double exposure_s);
 
-/* err: ERR_AGAIN (more probes are wanted) */
+/* The exposures to take.
+ * err:  ERR_AGAIN (another probe is needed). */
 MUST_USE err_t meter_plan(const struct meter *m, struct meter_result *out);
 
-struct meter_cover {
+struct meter_coverage {
     double clipped, dark; // shares of places clipped in all frames, below snr in all
-    double extend_s;      // one more exposure that would help most; 0: none
+    double extend_s;      // the additional exposure that helps most; 0: none
 };
 
-/* What n frames at those exposures cover; same size each. */
+/* Coverage by n frames of one size at those exposures. */
 void meter_check(const struct meter_config *cfg, const struct raw *frames, int n,
-                 const struct crf *crf, const double *exposure_s, struct meter_cover *out);
+                 const struct crf *crf, const double *exposure_s, struct meter_coverage *out);
 
 #endif

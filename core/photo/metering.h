@@ -7,7 +7,7 @@
 
 enum { METER_EXPOSURES_MAX = 9, METER_BINS = 320, METER_PER_STOP = 8 };
 
-/* The sensor and what is wanted. Zero fields get defaults from meter_defaults. */
+/* Sensor and goals. Zero fields get the values of meter_defaults. */
 struct meter_config {
     double electrons;  // at saturation
     double read_noise; // e-, rms, conversion included
@@ -15,7 +15,7 @@ struct meter_config {
     double clip;       // share of pixels that may be clipped in all exposures
     double dark;       // share that may be below snr in all
     double headroom;   // top of the usable range, of saturation
-    double overlap;    // stops, of an extension with what it extends (meter_check)
+    double overlap;    // stops that an extension shares with the exposures it extends (meter_check)
     double time_min_s, time_max_s, time_step_s; // step 0: any
     double blur_s;                              // no exposure longer than this; 0: no limit
     double budget_s;                            // sum of times; 0: no limit
@@ -28,17 +28,17 @@ struct meter {
     double top[METER_BINS], bottom[METER_BINS]; // shares of strongest and weakest channel
     int probes;
     double probe_s[METER_EXPOSURES_MAX];
-    bool clipped, starved; // by the shortest probe; by the longest
+    bool clipped, starved; // too much for the shortest probe; for the longest
     double bin_lo;         // log2 radiance of the lower edge of bin 0
     /* fields below are meter.c's own */
-    double lo, hi, floor; // log2 of relative exposure: usable from, to; seen at all from
-    float share[METER_EXPOSURES_MAX][2][METER_BINS]; // of each probe: strongest, weakest channel
+    double lo, hi, floor; // log2 of relative exposure: usable from, to; visible from
+    float share[METER_EXPOSURES_MAX][2][METER_BINS]; // per probe: strongest, weakest channel
 };
 
 struct meter_result {
     int n;
     double time_s[METER_EXPOSURES_MAX]; // rising
-    int probe[METER_EXPOSURES_MAX];     // the probe that serves as it, or -1
+    int probe[METER_EXPOSURES_MAX];     // the probe with that time, or -1
     double stops;                       // of the scene
     double snr;                         // expected, worst of the merged set within the scene
     double clipped, dark;               // shares expected

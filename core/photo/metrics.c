@@ -28,9 +28,9 @@ static err_t check_finite(const struct image *im)
     size_t n = values_of(im), plane = (size_t)im->w * (size_t)im->h;
     for (size_t i = 0; i < n; i++)
         if (!isfinite(im->px[i]))
-            return err_fail(ERR_ARG, "metrics: value %g in channel %zu, row %zu, column %zu",
-                            (double)im->px[i], i / plane, i % plane / (size_t)im->w,
-                            i % (size_t)im->w);
+            return err_fail(
+                ERR_ARG, "metrics: value %g in channel %zu, row %zu, column %zu is not finite",
+                (double)im->px[i], i / plane, i % plane / (size_t)im->w, i % (size_t)im->w);
     return OK;
 }
 
@@ -61,7 +61,7 @@ err_t metrics_psnr(const struct image *a, const struct image *b, double *out)
     return OK;
 }
 
-static void gaussian(double kernel[TAPS])
+static void gaussian_window(double kernel[TAPS])
 {
     double sum = 0.0;
     for (int i = 0; i < TAPS; i++) {
@@ -90,7 +90,7 @@ static void filter_across(const float *x, const float *y, int w, const double *k
     }
 }
 
-static double similarity(const moments *m)
+static double window_similarity(const moments *m)
 {
     double x = (*m)[0], y = (*m)[1], xx_yy = x * x + y * y, xy = x * y;
     double variances = fmax(0.0, (*m)[2] - xx_yy);
@@ -109,7 +109,7 @@ static double sum_down(const moments *ring, int n, int y0, const double *kernel)
         moments sum = row[TAPS / 2][i] * kernel[TAPS / 2];
         for (int k = 0; k < TAPS / 2; k++)
             sum += (row[k][i] + row[TAPS - 1 - k][i]) * kernel[k];
-        total += similarity(&sum);
+        total += window_similarity(&sum);
     }
     return total;
 }
@@ -125,7 +125,7 @@ static double ssim_sum(const struct image *a, const struct image *b, moments *ra
 {
     double kernel[TAPS], total = 0.0;
     int n = a->w - TAPS + 1;
-    gaussian(kernel);
+    gaussian_window(kernel);
     for (int c = 0; c < a->channels; c++)
         for (int y = 0; y < a->h; y++) {
             size_t row = ((size_t)c * (size_t)a->h + (size_t)y) * (size_t)a->w;
@@ -198,10 +198,11 @@ err_t metrics_quantile(const float *values, size_t n, double q, double *out)
 {
     *out = 0.0;
     if (n == 0 || !(q >= 0.0 && q <= 1.0))
-        return err_fail(ERR_ARG, "metrics: quantile %g of %zu values", q, n);
+        return err_fail(ERR_ARG, "metrics: quantile %g of %zu values, must be 0..1 of at least 1",
+                        q, n);
     for (size_t i = 0; i < n; i++)
         if (!isfinite(values[i]))
-            return err_fail(ERR_ARG, "metrics: value %zu of %zu is %g, no quantile", i, n,
+            return err_fail(ERR_ARG, "metrics: value %zu of %zu is %g, must be finite", i, n,
                             (double)values[i]);
     double position = q * (double)(n - 1);
     size_t k = (size_t)position, above;
@@ -221,7 +222,7 @@ err_t metrics_quantile(const float *values, size_t n, double q, double *out)
 err_t metrics_mu_law(const struct image *hdr, double scale, struct image *out)
 {
     if (!isfinite(scale))
-        return err_fail(ERR_ARG, "metrics: mu-law with scale %g", scale);
+        return err_fail(ERR_ARG, "metrics: mu-law scale is %g, must be finite", scale);
     scale = fmax(scale, SCALE_MIN);
     size_t n = values_of(hdr);
     out->w = hdr->w;

@@ -1,4 +1,4 @@
-/* metrics.h - how near one image is to another.
+/* metrics.h - similarity of two images, and quantiles.
  * Images are planar floats, nominally in [0, 1] (values outside are taken as they are). Two images
  * that are compared must have the same shape and only finite values. All sums are in double and in
  * a fixed order. */
@@ -7,7 +7,7 @@
 
 #include "core/base/types.h"
 
-#define METRICS_PSNR_MAX 100.0 // dB; identical images and all that differ less
+#define METRICS_PSNR_MAX 100.0 // dB; also for smaller differences
 
 enum { METRICS_SSIM_TAPS = 11 };
 

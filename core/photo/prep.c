@@ -17,7 +17,7 @@ static const double EXPOSURE_MIN = 1e-8; // core/photo/README.md 1.2
 
 /* Weights of one axis: output i reads inputs first[i] .. first[i] + count[i] - 1. */
 struct axis {
-    int taps;        // room per output
+    int taps;        // capacity per output
     int *first;      // (n_out)
     int *count;      // (n_out)
     int32_t *weight; // (n_out, taps)
@@ -71,7 +71,7 @@ static err_t scratch_alloc(struct scratch *s, int w, int h, int size, struct are
 }
 
 /* Keys' cubic with a = -0.5. */
-static double cubic(double t)
+static double cubic_weight(double t)
 {
     const double a = -0.5;
     t = fabs(t);
@@ -94,7 +94,7 @@ static void axis_fill(struct axis *a, int n_in, int n_out, double *row)
         a->first[i] = lo;
         a->count[i] = hi - lo;
         for (int j = 0; j < hi - lo; j++) {
-            row[j] = cubic((j + lo - c + 0.5) * inv);
+            row[j] = cubic_weight((j + lo - c + 0.5) * inv);
             sum += row[j];
         }
         int32_t *weight = a->weight + (size_t)i * (size_t)a->taps;
@@ -139,7 +139,7 @@ static void row_down(const struct axis *a, const uint8_t *mid, size_t n, int i, 
     }
 }
 
-static void resize(const struct image8 *in, int size, struct scratch *s, uint8_t *out)
+static void resize_image(const struct image8 *in, int size, struct scratch *s, uint8_t *out)
 {
     size_t n = 3 * (size_t)size;
     axis_fill(&s->x, in->w, size, s->row);
@@ -154,8 +154,9 @@ static err_t check_image(const char *name, const struct image8 *im, bool has_pix
 {
     if (!has_pixels || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX ||
         im->h > SIDE_MAX)
-        return err_fail(ERR_ARG, "%s: no RGB picture of 1 to %d px a side (%d x %d, %d channels)",
-                        name, SIDE_MAX, im->w, im->h, im->channels);
+        return err_fail(ERR_ARG,
+                        "%s: picture of %d x %d px, %d channels, must be RGB of 1..%d px a side",
+                        name, im->w, im->h, im->channels, SIDE_MAX);
     return OK;
 }
 
@@ -178,7 +179,7 @@ err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t 
     struct scratch s;
     e = scratch_alloc(&s, in->w, in->h, size, tmp);
     if (!e)
-        resize(in, size, &s, out);
+        resize_image(in, size, &s, out);
     arena_reset(tmp, mark);
     return e;
 }
@@ -191,7 +192,7 @@ int prep_places(const struct capture *c)
     return n;
 }
 
-static void largest(const struct capture *c, int *w, int *h)
+static void largest_size(const struct capture *c, int *w, int *h)
 {
     *w = *h = 1;
     for (int i = 0; i < c->n; i++) {
@@ -204,7 +205,7 @@ void prep_plan(const struct capture *c, int size, int threads, size_t *keep, siz
 {
     int w, h;
     size_t n = c->n > 0 ? (size_t)c->n : 0, view = 3 * (size_t)size * (size_t)size;
-    largest(c, &w, &h);
+    largest_size(c, &w, &h);
     *keep = arena_add(arena_need(n, NAME_CAP), arena_need(n, view));
     *keep = arena_add(*keep, arena_need(n, sizeof(float)));
     *keep = arena_add(*keep, arena_need(n, sizeof(struct camera)));
@@ -241,7 +242,7 @@ static err_t check_capture(const struct capture *c, const struct prep_source *fr
     return e;
 }
 
-static struct camera scaled(const struct camera *cam, int size)
+static struct camera scaled_camera(const struct camera *cam, int size)
 {
     struct camera s = *cam;
     float sx = (float)size / (float)cam->w, sy = (float)size / (float)cam->h;
@@ -281,8 +282,9 @@ static void fill_photo(const struct shot *s, int k, struct views *v)
     v->log2t[k] = log2f((float)fmax(s->exposure, EXPOSURE_MIN));
 }
 
-/* slot: where the photograph of each shot goes; the first of a place stands for it. */
-static void fill_small(const struct capture *c, struct views *v, int *slot)
+/* Names, exposures and cameras. slot: index in *v of each shot; the first of a place comes first.
+ * */
+static void fill_metadata(const struct capture *c, struct views *v, int *slot)
 {
     float low = INFINITY, high = -INFINITY;
     int place = 0, more = 0;
@@ -292,7 +294,7 @@ static void fill_small(const struct capture *c, struct views *v, int *slot)
         if (again)
             v->place[more++] = place - 1;
         else if (v->cams)
-            v->cams[place] = scaled(&c->shots[i].cam, v->size);
+            v->cams[place] = scaled_camera(&c->shots[i].cam, v->size);
         place += !again;
         fill_photo(&c->shots[i], slot[i], v);
         low = fminf(low, v->log2t[slot[i]]);
@@ -321,7 +323,7 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
         e = j->from->decode(j->from->ctx, chunk, &im);
     if (e)
         return e;
-    resize(&im, j->v->size, &j->scratch[worker], j->v->rgb + (size_t)j->slot[chunk] * view);
+    resize_image(&im, j->v->size, &j->scratch[worker], j->v->rgb + (size_t)j->slot[chunk] * view);
     if (j->from)
         j->from->release(&im);
     return OK;
@@ -330,7 +332,7 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
 static err_t resize_all(struct job *j)
 {
     int w, h, workers = pool_size(j->r->pool);
-    largest(j->c, &w, &h);
+    largest_size(j->c, &w, &h);
     err_t e = arena_alloc(j->r->tmp, (size_t)workers, sizeof *j->scratch, &j->scratch);
     for (int i = 0; i < workers && !e; i++)
         e = scratch_alloc(&j->scratch[i], w, h, j->v->size, j->r->tmp);
@@ -350,7 +352,7 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     e = views_alloc(r, c, size, &v);
     e = e ? e : arena_alloc(r->tmp, (size_t)c->n, sizeof *j.slot, &j.slot);
     if (!e) {
-        fill_small(c, &v, j.slot);
+        fill_metadata(c, &v, j.slot);
         e = resize_all(&j);
     }
     arena_reset(r->tmp, tmp);

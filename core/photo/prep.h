@@ -22,15 +22,15 @@ void prep_plan(const struct capture *c, int size, int threads, size_t *keep, siz
 int prep_places(const struct capture *c);
 
 /* Resize all shots, take their exposures to log2, scale their cameras to size x size. The first
- * shot of a place stands for it, others of the place follow behind all places.
+ * shot of a place represents it; its other shots follow after all places.
  * out:  arrays live in r->keep; cams is NULL unless every shot has a camera.
  * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite
  *       and > 0, a camera for another image size; the sentence names the file), ERR_NOMEM,
  *       ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
 
-/* Where pixels come from that are not in the capture; a worker releases one picture before it
- * decodes the next. decode gives shot i with the size that the capture says. thread: any. */
+/* A source of pixels that are not in the capture. A worker releases one picture before it decodes
+ * the next. decode returns shot i with the size that the capture has. thread: any. */
 struct prep_source {
     err_t (*decode)(void *ctx, int i, struct image8 *out);
     void (*release)(struct image8 *im);

@@ -15,8 +15,8 @@ struct raw {
     uint16_t *px;    // (h, w), or (h, w, 3) for RAW_RGB; row 0 on top
 };
 
-/* First code that counts as clipped (core/photo/README.md 3): of linear numbers at 0.9 of the
- * range, where sensors bend. */
+/* First code that counts as clipped (core/photo/README.md 3): for linear numbers at 0.9 of
+ * the range, above which sensors are not linear. */
 static inline int raw_clip(const struct raw *r)
 {
     return r->linear ? r->black + ((1 << r->bits) - 1 - r->black) * 9 / 10 : 246;

@@ -1,9 +1,9 @@
-/* The curve is g(u): log2 exposure over u = logit(display), a polyline on BINS knots. It
+/* The curve is g(u): log2 exposure over u = clamped_logit(display), a polyline on BINS knots. It
  * minimises
  *   sum_pairs w rho(g(u_b) - g(u_a) - d) + SMOOTH |g'' - p''|^2 + WEAK |g' - p'|^2,   g(0) = 0,
  * with p the inverse of sRGB, rho made robust by reweighting, and is then forced to rise. Over u a
- * filmic curve is nearly straight and sRGB bends only near white, so few pairs fix it and it
- * continues sanely where there are none. At last u(x) is written as 64 ReLU units
+ * filmic curve is nearly straight and sRGB bends only near white, so few pairs determine it and it
+ * extrapolates well where there are none. Finally u(x) is written as 64 ReLU units
  * (core/photo/README.md 2.1): half of them face left, half right, from x = 0. */
 #include "core/photo/response.h"
 
@@ -35,22 +35,22 @@ static double knot_u(int k)
     return -U_END + 2.0 * U_END * k / (BINS - 1);
 }
 
-static double logit(double z)
+static double clamped_logit(double z)
 {
     z = fmin(fmax(z, 1.0 / 1024), 1023.0 / 1024);
     return num_logit(z);
 }
 
 /* log2 of sRGB's linear value, with a floor on the slope so that it can be inverted near white. */
-static double prior(int k)
+static double prior_curve(int k)
 {
     double u = knot_u(k), z = 1.0 / (1.0 + exp(-u));
     double lin = z <= 0.04045 ? z / 12.92 : pow((z + 0.055) / 1.055, 2.4); // IEC 61966-2-1
     return log2(lin) + 0.1 * u;
 }
 
-/* Row of the interpolation: g(u) = (1 - f) g[k] + f g[k + 1]. */
-static int locate(double u, double *f)
+/* returns: k of the interpolation g(u) = (1 - f) g[k] + f g[k + 1]. */
+static int locate_knot(double u, double *f)
 {
     double s = (u + U_END) / (2.0 * U_END) * (BINS - 1);
     int k = (int)s;
@@ -71,29 +71,29 @@ static void add_row(double (*a)[BINS], double *b, const double *row, double rhs,
     }
 }
 
-static double residual(const double *g, const struct response_pair *p)
+static double pair_residual(const double *g, const struct response_pair *p)
 {
     double fa, fb;
-    int ka = locate(logit(p->za), &fa), kb = locate(logit(p->zb), &fb);
+    int ka = locate_knot(clamped_logit(p->za), &fa), kb = locate_knot(clamped_logit(p->zb), &fb);
     return g[kb] + fb * (g[kb + 1] - g[kb]) - g[ka] - fa * (g[ka + 1] - g[ka]) - p->d;
 }
 
 static void add_pairs(double (*a)[BINS], double *b, const struct response_pair *pairs, int n,
                       const double *g)
 {
-    const double scale = 0.15; // stops; larger residuals count less and less (Geman-McClure)
+    const double scale = 0.15; // stops; larger residuals count less (Geman-McClure)
     double total = 1e-9;
     for (int i = 0; i < n; i++)
         total += pairs[i].weight;
     for (int i = 0; i < n; i++) {
         const struct response_pair *p = &pairs[i];
-        double e = g ? residual(g, p) / (scale * (1.0 + 0.3 * fabs(p->d))) : 0.0;
+        double e = g ? pair_residual(g, p) / (scale * (1.0 + 0.3 * fabs(p->d))) : 0.0;
         double w = p->weight / total * BINS / ((1.0 + e * e) * (1.0 + e * e));
         double row[BINS] = {0}, f;
-        int k = locate(logit(p->zb), &f);
+        int k = locate_knot(clamped_logit(p->zb), &f);
         row[k] += 1.0 - f;
         row[k + 1] += f;
-        k = locate(logit(p->za), &f);
+        k = locate_knot(clamped_logit(p->za), &f);
         row[k] -= 1.0 - f;
         row[k + 1] -= f;
         add_row(a, b, row, p->d, w);
@@ -106,13 +106,13 @@ static void add_prior(double (*a)[BINS], double *b)
         double row[BINS] = {0};
         row[k] = -1.0;
         row[k + 1] = 1.0;
-        add_row(a, b, row, prior(k + 1) - prior(k), WEAK);
+        add_row(a, b, row, prior_curve(k + 1) - prior_curve(k), WEAK);
     }
     for (int k = 1; k + 1 < BINS; k++) {
         double row[BINS] = {0};
         row[k - 1] = row[k + 1] = 1.0;
         row[k] = -2.0;
-        add_row(a, b, row, prior(k - 1) - 2.0 * prior(k) + prior(k + 1), SMOOTH);
+        add_row(a, b, row, prior_curve(k - 1) - 2.0 * prior_curve(k) + prior_curve(k + 1), SMOOTH);
     }
     double row[BINS] = {0};
     row[BINS / 2] = 1.0; // BINS is odd: the knot at u = 0
@@ -228,10 +228,10 @@ float response_display(const struct tonemap *tone, int colour, float x)
     return 1.0f / (1.0f + expf(-curve_logit(tone, colour, x)));
 }
 
-/* x of a display value by bisection: right also for a curve that refinement has bent. */
-static float invert(const struct tonemap *tone, int colour, float display)
+/* x of a display value by bisection: correct also for a curve that refinement has changed. */
+static float invert_curve(const struct tonemap *tone, int colour, float display)
 {
-    float u = (float)logit(display), lo = -X_END, hi = X_END;
+    float u = (float)clamped_logit(display), lo = -X_END, hi = X_END;
     for (int i = 0; i < 28; i++) {
         float mid = 0.5f * (lo + hi);
         if (curve_logit(tone, colour, mid) < u)
@@ -244,7 +244,7 @@ static float invert(const struct tonemap *tone, int colour, float display)
 
 float response_radiance_log(const struct tonemap *tone, int colour, float display, float log2t)
 {
-    return (invert(tone, colour, display) - log2t + tone->mid_log2t) * 0.69314718f;
+    return (invert_curve(tone, colour, display) - log2t + tone->mid_log2t) * 0.69314718f;
 }
 
 void response_tabulate(const struct tonemap *tone, struct response_table *out)
@@ -253,7 +253,7 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
     const float good = 0.2f;           // stops of uncertainty at which the weight is one half
     for (int c = 0; c < 3; c++) {
         for (int z = 0; z < 256; z++) {
-            float x = invert(tone, c, (float)z / 255.0f);
+            float x = invert_curve(tone, c, (float)z / 255.0f);
             float slope =
                 (response_display(tone, c, x + 0.05f) - response_display(tone, c, x - 0.05f)) /
                 0.1f;
@@ -265,7 +265,7 @@ void response_tabulate(const struct tonemap *tone, struct response_table *out)
     }
 }
 
-/* Mean display value of x over exposures lo .. hi stops away. */
+/* Mean display value of x over exposures end[0] .. end[1] stops away. */
 static double spread_display(const struct tonemap *tone, int colour, double x, const float end[2])
 {
     double sum = 0.0;
@@ -286,7 +286,7 @@ void response_spread(const struct tonemap *tone, float lo, float hi, struct tone
         for (int k = 0; k < BINS; k++) {
             double a = (double)-X_END - (double)hi, b = (double)X_END - (double)lo;
             for (int i = 0; i < 40; i++) {
-                double x = 0.5 * (a + b), u = logit(spread_display(tone, c, x, end));
+                double x = 0.5 * (a + b), u = clamped_logit(spread_display(tone, c, x, end));
                 *(u < knot_u(k) ? &a : &b) = x;
             }
             g[k] = 0.5 * (a + b);
@@ -353,7 +353,7 @@ static int collect_groups(const struct views *v, struct group *g)
 }
 
 /* Display value 0..1 below which a share `q` of the pixels lies, interpolated inside a bin. */
-static float quantile(const uint32_t *hist, double q)
+static float histogram_quantile(const uint32_t *hist, double q)
 {
     double total = 0.0, sum = 0.0;
     for (int z = 0; z < 256; z++)
@@ -373,7 +373,8 @@ int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
     for (int c = 0; c < 3; c++) {
         for (int k = 0; k < LEVELS; k++) {
             double q = (k + 0.5) / LEVELS;
-            struct response_pair p = {quantile(a[c], q), quantile(b[c], q), d, 0.0f};
+            struct response_pair p = {histogram_quantile(a[c], q), histogram_quantile(b[c], q), d,
+                                      0.0f};
             float lo = fminf(p.za, p.zb), hi = fmaxf(p.za, p.zb);
             if (lo < 3.0f / 255.0f || hi > 251.0f / 255.0f)
                 continue;
@@ -390,8 +391,8 @@ static int add_group_pair(struct group *a, struct group *b, struct response_pair
     return response_quantiles(a->hist, b->hist, (float)(b->log2t - a->log2t), out);
 }
 
-/* Quantiles of one place are those of the same pixels, so its exposures are compared with the next
- * longer ones only, and places not at all. */
+/* Pairs from the exposures of one place, each with the next longer one only: they show the same
+ * pixels, other places do not. */
 static int add_place(const struct views *v, int place, struct group *g, struct response_pair *out)
 {
     int n = 0, pairs = 0;

@@ -11,10 +11,10 @@
 
 #include "core/base/types.h"
 
-/* The curve by display value: what a pixel says about radiance. */
+/* The inverse curve by display value. */
 struct response_table {
     float x[3][256];      // log2(radiance) + log2 t - mid_log2t
-    float weight[3][256]; // 0 (black, saturated) .. 1 (exact to a small part of a stop)
+    float weight[3][256]; // 0 (black, saturated) .. 1 (accurate)
 };
 
 /* Two display values of the same radiance, seen with log2 exposures d stops apart: g(zb) - g(za) =
@@ -25,9 +25,9 @@ struct response_pair {
 
 enum { RESPONSE_QUANTILES = 64 };
 
-/* Pairs from the histograms by display value of what the same surfaces show at two exposures d
- * stops apart: display values of the same quantile, where neither is black or saturated.
- * Returns how many of *out are set. */
+/* Pairs from the histograms of the same surfaces at two exposures d stops apart: display values of
+ * the same quantile where neither is black or saturated.
+ * returns: number of pairs in out. */
 int response_quantiles(uint32_t (*a)[256], uint32_t (*b)[256], float d,
                        struct response_pair out[3 * RESPONSE_QUANTILES]);
 
@@ -52,8 +52,8 @@ float response_display(const struct tonemap *tone, int colour, float x);
  * stops from x = 0. */
 float response_radiance_log(const struct tonemap *tone, int colour, float display, float log2t);
 
-/* The curve of a picture that would be the mean over all exposures lo .. hi stops from the middle
- * one: steep nowhere, flat nowhere between them.
+/* The curve of a picture that is the mean over all exposures lo .. hi stops from the middle one:
+ * nowhere steep, and not flat between them.
  * out:  *out may be *tone. *log2t: the exposure that such a picture counts as. */
 void response_spread(const struct tonemap *tone, float lo, float hi, struct tonemap *out,
                      float *log2t);

@@ -15,7 +15,7 @@
 static const struct {
     const char *name;
     double usual;
-} families[FAMILIES] = {
+} families[RESPONSE_FAMILIES] = {
     [RESPONSE_FAMILY_LINEAR] = {"linear", 0}, [RESPONSE_FAMILY_SRGB] = {"sRGB", 0},
     [RESPONSE_FAMILY_GAMMA] = {"gamma", 2.2}, [RESPONSE_FAMILY_FILMIC] = {"filmic", 0.5},
     [RESPONSE_FAMILY_AGX] = {"AgX", 12},      [RESPONSE_FAMILY_LOG] = {"log", 8}};

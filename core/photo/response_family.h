@@ -10,10 +10,10 @@ enum response_family {
     RESPONSE_FAMILY_FILMIC, // toe and shoulder, rational; param 0..1: strength of the shoulder
     RESPONSE_FAMILY_AGX,    // sigmoid in log2 exposure, as AgX-like view transforms; param: stops
     RESPONSE_FAMILY_LOG,    // camera logs: log2(1 + a x) / log2(1 + a); param: log2 a
-    FAMILIES
+    RESPONSE_FAMILIES
 };
 
-/* For people: "sRGB", "gamma", ... */
+/* Name to print: "sRGB", "gamma", ... */
 const char *response_family_name(enum response_family f);
 
 /* Display value at u: rises, 1 from u = 0 on. param: where the family has one. */

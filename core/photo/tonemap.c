@@ -48,7 +48,7 @@ static void curve_init(struct tonemap_curve *c, const float *p)
     c->b[0] = (float)b;
     for (int s = 0; s < c->n; s++) {
         int k = order[s];
-        double sign = w1[k] > 0 ? 1 : -1; // a unit with w1 < 0 is left behind
+        double sign = w1[k] > 0 ? 1 : -1; // a unit with w1 < 0 is off from here on
         a += sign * (double)w2[k] * (double)w1[k];
         b += sign * (double)w2[k] * (double)b1[k];
         c->knot[s] = unit_knot(p, k);
@@ -119,7 +119,7 @@ void tonemap_linear(struct tonemap *t, float gain, float lo, float hi, float mid
     for (int c = 0; c < 3; c++) {
         float *p = t->p + c * TONE_PER_COLOUR;
         for (int k = 0; k < TONE_HIDDEN; k++) {
-            /* unit 0 carries the line; the others wait at their knots */
+            /* unit 0 is the line; the others have no slope yet */
             float at = lo + (hi - lo) * (float)k / TONE_HIDDEN;
             p[k] = 1.0f;
             p[TONE_HIDDEN + k] = -at;

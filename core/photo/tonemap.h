@@ -1,4 +1,4 @@
-/* tonemap.h - the response that turns radiance into what a camera or screen shows:
+/* tonemap.h - the response from radiance to display value:
  * per colour sigmoid(b2 + sum_k w2_k relu(w1_k x + b1_k)), x = log2(radiance + 1e-6) + log2 t - mid
  * (core/photo/README.md 2.1). Before the sigmoid this is piecewise linear with at most 64 knots, so
  * it is evaluated exactly from a sorted table of segments. Pure functions; any thread. */

@@ -118,7 +118,7 @@ static void ray(const struct adjust *a, const struct adjust_seen *s, double cent
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
     const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
     lin_apply_t(pose, x, dir);
-    lin_unit(dir);
+    lin_normalise(dir);
     lin_apply_t(pose, pose + 9, centre);
     for (int k = 0; k < 3; k++)
         centre[k] = -centre[k];
@@ -165,7 +165,7 @@ static double point_polish(const struct adjust *a, int track, double gate2, doub
                 s.error[0] * s.error[0] + s.error[1] * s.error[1] >= gate2)
                 continue;
             for (int k = 0; k < 2; k++)
-                lin_add(h, g, 3, s.point[k], 1, s.error[k]);
+                lin_add_equation(h, g, 3, s.point[k], 1, s.error[k]);
         }
         double trace = h[0] + h[4] + h[8];
         for (int k = 0; k < 3; k++)

@@ -563,7 +563,7 @@ static double parallax_px(struct bundle *b)
             lin_apply_t(p, p + 9, c);
             for (int k = 0; k < 3; k++)
                 ray[k] = x[k] + x[3] * c[k];
-            lin_unit(ray);
+            lin_normalise(ray);
             if (least > 1)
                 memcpy(first, ray, sizeof first);
             least = fmin(least, lin_dot(ray, first));

@@ -110,7 +110,7 @@ static void polish_step(struct resect *s, double kernel)
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
         double w = 1 / (1 + e2 / (kernel * kernel));
         for (int k = 0; k < 2; k++)
-            lin_add(h, g, 6, d.pose[k], w * w, d.error[k]);
+            lin_add_equation(h, g, 6, d.pose[k], w * w, d.error[k]);
     }
     for (int k = 0; k < 6; k++)
         h[7 * k] += 1e-6 * h[7 * k] + 1e-12;

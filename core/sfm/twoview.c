@@ -374,7 +374,7 @@ static void decompose(const struct sample *s, const double e[9], double r[9], do
         k = eet[4 * i] < eet[4 * k] ? i : k;
     for (int i = 0; i < 3; i++)
         axis[i] = (i == k ? half : 0) - eet[3 * k + i];
-    lin_unit(axis);
+    lin_normalise(axis);
     for (int i = 0; i < 3; i++)
         axis[i] *= sqrt(half);
     essential((const double[9]){1, 0, 0, 0, 1, 0, 0, 0, 1}, axis, b);
@@ -395,7 +395,7 @@ static void decompose(const struct sample *s, const double e[9], double r[9], do
             best = sum;
             memcpy(r, turn, 9 * sizeof *r);
             memcpy(t, dir, 3 * sizeof *t);
-            lin_unit(t);
+            lin_normalise(t);
         }
     }
 }
@@ -421,13 +421,13 @@ static void add_normal(const double r[9], const double t[3], const struct twovie
         j[k] = turn[k] * inv;
     for (int k = 0; k < 2; k++)
         j[3 + k] = lin_dot(move, across[k]) * inv;
-    lin_add(h, g, 5, j, w, c * inv);
+    lin_add_equation(h, g, 5, j, w, c * inv);
 }
 
 static void polish_step(const struct sample *s, double r[9], double t[3])
 {
     double h[25] = {0}, g[5] = {0}, across[2][3], turn[9], old[9];
-    lin_across(t, across[0], across[1]);
+    lin_tangents(t, across[0], across[1]);
     for (int i = 0; i < s->n; i++)
         add_normal(r, t, &s->m[i], (const double(*)[3])across, h, g);
     for (int k = 0; k < 5; k++)
@@ -442,7 +442,7 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
     lin_product(turn, old, r);
     for (int k = 0; k < 3; k++)
         t[k] += g[3] * across[0][k] + g[4] * across[1][k];
-    lin_unit(t);
+    lin_normalise(t);
 }
 
 /* Accept E as the best so far if it or its polished form is: the noise of five matches may cost
@@ -487,7 +487,7 @@ static void rotate_step(const struct sample *s, double r[9])
         const double j[2][3] = {{-u * v, 1 + u * u, -v}, {-1 - v * v, u * v, u}};
         const double c[2] = {u - m->b[0], v - m->b[1]};
         for (int k = 0; k < 2; k++)
-            lin_add(h, g, 3, j[k], w, c[k]);
+            lin_add_equation(h, g, 3, j[k], w, c[k]);
     }
     if (!lin_cholesky(h, 3))
         return;
@@ -509,9 +509,9 @@ static void from_two(const struct twoview_match *p, const struct twoview_match *
         double *f = frame[side];
         for (int k = 0; k < 3; k++)
             f[k] = x[k];
-        lin_unit(f);
+        lin_normalise(f);
         lin_cross(x, y, f + 3);
-        lin_unit(f + 3);
+        lin_normalise(f + 3);
         lin_cross(f, f + 3, f + 6);
     }
     for (int i = 0; i < 3; i++)

@@ -381,7 +381,7 @@ static void direction(const struct adjust *a, int at, double d[3])
     const struct adjust_seen *s = &a->seen[at];
     const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
     lin_apply_t(pose_of(a, s->view), x, d);
-    lin_unit(d);
+    lin_normalise(d);
 }
 
 /* w (I - d d^T) */

@@ -558,7 +558,8 @@ static void hold_far(struct seed *s, int view)
     }
     if (n == 0)
         return;
-    const float lo = num_quantile(s->levels, n, 0.01f), hi = num_of_sorted(s->levels, n, 0.99f);
+    const float lo = num_quantile(s->levels, n, 0.01f),
+                hi = num_sorted_quantile(s->levels, n, 0.99f);
     const float step = (hi - lo) / (BINS - 1);
     sum_sure(s, view, lo, step);
     for (int k = 0; k < blocks(w) * blocks(w); k++) {

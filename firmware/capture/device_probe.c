@@ -221,7 +221,7 @@ static err_t look_at(struct device_probe *w, const struct frame *f, struct devic
     w->count.unreadable += e != OK;
     out->usable = out->usable && !e;
     if (out->usable)
-        exposure_probe_take(&w->sample, w->has_crf ? &w->crf : NULL, &out->seen);
+        exposure_probe_measure(&w->sample, w->has_crf ? &w->crf : NULL, &out->seen);
     if (out->usable && !w->linear)
         doubt_dark(w, &out->seen);
     return OK;

@@ -83,13 +83,13 @@ err_t frame_buffer_meter(const struct frame_buffer *r, int from, const struct ta
 }
 
 void frame_buffer_cover(const struct frame_buffer *r, const struct take_camera *c,
-                        const struct meter_config *cfg, struct meter_cover *out)
+                        const struct meter_config *cfg, struct meter_coverage *out)
 {
     struct raw px[FRAME_BUFFER_MAX];
     double exposure[FRAME_BUFFER_MAX];
     size_t count = subsample_count(&c->info);
     int n = 0;
-    *out = (struct meter_cover){0};
+    *out = (struct meter_coverage){0};
     uint16_t *all = r->n ? malloc(count * sizeof *all * (size_t)r->n) : NULL;
     for (int k = 0; all && k < r->n; k++) {
         px[n].px = all + count * (size_t)n;

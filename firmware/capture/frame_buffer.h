@@ -34,7 +34,7 @@ MUST_USE err_t frame_buffer_meter(const struct frame_buffer *r, int from,
 
 /* What the used frames leave uncovered; pictures that cannot be had count for nothing. */
 void frame_buffer_cover(const struct frame_buffer *r, const struct take_camera *c,
-                        const struct meter_config *cfg, struct meter_cover *out);
+                        const struct meter_config *cfg, struct meter_coverage *out);
 
 /* Used frames into the take by rising exposure, the others are forgotten. */
 void frame_buffer_move(struct frame_buffer *r, struct take *t);

@@ -253,7 +253,8 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
         if (!bad && view)
             look(s, c, now);
         if (!bad)
-            exposure_probe_take(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->witness);
+            exposure_probe_measure(&s->sample, c->about.has_crf ? &c->about.crf : NULL,
+                                   &s->witness);
         ev.witness = bad ? NULL : &s->witness;
     }
     if (bad)
@@ -459,7 +460,7 @@ static bool plan_extension(struct session *s)
     bool any = false;
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
-        struct meter_cover cover;
+        struct meter_coverage cover;
         s->plan[i].n = 0;
         frame_buffer_cover(&c->roll, &c->about, &c->meter.cfg, &cover);
         c->plan.clipped = cover.clipped;

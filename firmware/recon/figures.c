@@ -338,7 +338,7 @@ static void report_tone(const struct tonemap *tone, struct report *rep)
     for (int c = 0; c < 3; c++)
         report_row(rep, colour[c], curve[c], SAMPLES);
     report_open(rep, "families", '[');
-    for (int f = 0; f < FAMILIES; f++) {
+    for (int f = 0; f < RESPONSE_FAMILIES; f++) {
         double rms = report_family(curve, (enum response_family)f, rep);
         if (rms < best) {
             best = rms;

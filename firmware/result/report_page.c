@@ -108,7 +108,7 @@ err_t report_page_picture(struct report_page *s, int i, int size, const uint8_t 
         return e;
     char *text = malloc(base64_chars(n));
     if (text) {
-        base64_put(text, jpeg, n);
+        base64_encode(text, jpeg, n);
         fprintf(s->f, "%s\n\"%d\": \"data:image/jpeg;base64,", s->n++ > 0 ? "," : "", i);
         fwrite(text, 1, base64_chars(n), s->f);
         putc('"', s->f);
@@ -135,7 +135,7 @@ static void put_hash(FILE *f, const char *text, size_t n)
         const char byte[3] = {hex[2 * i], hex[2 * i + 1], 0};
         raw[i] = (uint8_t)strtoul(byte, NULL, 16);
     }
-    fprintf(f, "'sha256-%.*s'", (int)(base64_put(digits, raw, sizeof raw) - digits), digits);
+    fprintf(f, "'sha256-%.*s'", (int)(base64_encode(digits, raw, sizeof raw) - digits), digits);
 }
 
 err_t report_page_open(const char *path, struct report_page *s)

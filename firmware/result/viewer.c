@@ -147,7 +147,7 @@ static void measure(struct page *p)
 static void put_base64(FILE *f, const uint8_t *bytes, size_t n)
 {
     char text[PIECE / 3 * 4];
-    const char *end = base64_put(text, bytes, n);
+    const char *end = base64_encode(text, bytes, n);
     fwrite(text, 1, (size_t)(end - text), f);
 }
 

@@ -14,7 +14,7 @@ static const char *text(const void *p, size_t n)
     static char out[64];
     char *end;
     memset(out, '?', sizeof out);
-    end = base64_put(out, p, n);
+    end = base64_encode(out, p, n);
     assert_int_equal(end - out, base64_chars(n));
     assert_int_equal(*end, '?');
     *end = 0;

@@ -30,7 +30,7 @@ static void forms_agree(void **state)
     (void)state;
     for (int i = 0; i < 2000; i++) {
         double w[3] = {uniform(), uniform(), uniform()}, r[9], q[4], back[9], again[3];
-        lin_unit(w);
+        lin_normalise(w);
         const double angle = i % 4 == 0 ? 1e-7 * uniform() : i % 4 == 1 ? NUM_PI - 1e-6 : uniform();
         for (int k = 0; k < 3; k++)
             w[k] *= fabs(angle);

@@ -68,7 +68,7 @@ static void take_raw(double t, uint64_t frame, enum raw_cfa cfa, struct exposure
         for (int y = 0; y < H; y++)
             memcpy(shown + y * raw.w, numbers + y * W + 1, sizeof *shown * (size_t)raw.w);
     }
-    exposure_probe_take(&raw, NULL, out);
+    exposure_probe_measure(&raw, NULL, out);
 }
 
 static void take_display(double t, uint64_t frame, const struct curve *c, const struct crf *crf,
@@ -81,7 +81,7 @@ static void take_display(double t, uint64_t frame, const struct curve *c, const 
     assert_int_equal(sensor_develop(&plain, &s, &shot, c, &raw, display), OK);
     for (int i = 0; i < 3 * N; i++)
         shown[i] = display[i];
-    exposure_probe_take(&(struct raw){W, H, RAW_RGB, 8, 0, false, shown}, crf, out);
+    exposure_probe_measure(&(struct raw){W, H, RAW_RGB, 8, 0, false, shown}, crf, out);
 }
 
 /* What is wrong about a ratio whose truth is `stops`. */
@@ -281,7 +281,7 @@ static void test_states(void **state)
     (void)state;
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         struct raw r = flat(cases[i].cfa, cases[i].linear, cases[i].code);
-        exposure_probe_take(&r, NULL, &w);
+        exposure_probe_measure(&r, NULL, &w);
         const int count[3] = {w.good, w.dark, w.clipped};
         assert_int_equal(count[cases[i].want], EXPOSURE_PROBE_PLACES);
         for (int k = 0; k < EXPOSURE_PROBE_PLACES; k++) {
@@ -290,10 +290,10 @@ static void test_states(void **state)
         }
     }
     struct raw r = flat(RAW_RGGB, true, 64 + 96);
-    exposure_probe_take(&r, NULL, &w);
+    exposure_probe_measure(&r, NULL, &w);
     assert_true(fabsf(w.x[5] - 96.0f / 959.0f) < 1e-6f);
     r = flat(RAW_RGB, false, 188); // half of the light in sRGB
-    exposure_probe_take(&r, NULL, &w);
+    exposure_probe_measure(&r, NULL, &w);
     assert_true(fabsf(w.x[5] - 0.5029f) < 1e-3f);
 }
 
@@ -305,12 +305,12 @@ static void test_one_clipped_pixel(void **state)
     for (int k = 0; k < FLATS; k += 577) {
         struct raw r = flat(RAW_RGB, false, 40);
         r.px[k] = 255;
-        exposure_probe_take(&r, NULL, &w);
+        exposure_probe_measure(&r, NULL, &w);
         assert_int_equal(w.clipped, 1);
     }
     struct raw r = flat(RAW_BGGR, true, 200);
     r.px[65 * FLAT + 64] = 1023;
-    exposure_probe_take(&r, NULL, &w);
+    exposure_probe_measure(&r, NULL, &w);
     assert_int_equal(w.clipped, 1);
 }
 
@@ -325,7 +325,7 @@ static void test_colours(void **state)
             r.w = FLAT - 2; // blocks would begin at odd sites
             for (int i = 0; i < r.w * FLAT; i++)
                 r.px[i] = raw_colour(cfa, i / r.w, i % r.w) == strong ? 64 + 480 : 64 + 90;
-            exposure_probe_take(&r, NULL, &w);
+            exposure_probe_measure(&r, NULL, &w);
             for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
                 assert_true(fabsf(w.x[i] - 660.0f / 3.0f / 959.0f) < 1e-6f);
         }
@@ -350,7 +350,7 @@ static void test_small_pictures(void **state)
             assert_non_null(px);
             for (size_t k = 0; k < n; k++)
                 px[k] = 100;
-            exposure_probe_take(&(struct raw){w, h, cfa, 8, 0, false, px}, NULL, &a);
+            exposure_probe_measure(&(struct raw){w, h, cfa, 8, 0, false, px}, NULL, &a);
             free(px);
             assert_int_equal(a.good, EXPOSURE_PROBE_PLACES);
             exposure_probe_compare(&a, &a, &r);
@@ -423,8 +423,8 @@ static void take_small(double t, double torn_s, int torn, float well, uint64_t f
         for (int y = 0; y < (k ? torn : SMALL); y++)
             memcpy(px + y * SMALL, numbers + y * W, SMALL * sizeof *px);
     }
-    exposure_probe_take(&(struct raw){SMALL, SMALL, RAW_RGGB, s.bits, s.black, true, px}, NULL,
-                        out);
+    exposure_probe_measure(&(struct raw){SMALL, SMALL, RAW_RGGB, s.bits, s.black, true, px}, NULL,
+                           out);
 }
 
 /* Where half of the places are dark, noise must not choose which of them count. */

@@ -641,7 +641,7 @@ static void test_bad_config(void **state)
 /* --- coverage afterwards ------------------------------------------------------------------ */
 
 static void cover(const struct device *d, const struct place_set *s, const double *times, int n,
-                  struct meter_cover *out)
+                  struct meter_coverage *out)
 {
     static uint16_t kept[METER_EXPOSURES_MAX][PLACES * 4];
     struct raw frames[METER_EXPOSURES_MAX];
@@ -663,7 +663,7 @@ static void test_coverage(void **state)
     struct device d = imx477;
     struct meter_config c;
     struct meter_result p;
-    struct meter_cover v, w;
+    struct meter_coverage v, w;
     double times[METER_EXPOSURES_MAX];
     (void)state;
     for (int kind = 0; kind < 3; kind++) {

@@ -51,9 +51,9 @@ static inline struct camera scene_look(const double from[3], const double to[3],
     const double down[3] = {0, 1, 0};
     for (int k = 0; k < 3; k++)
         z[k] = to[k] - from[k];
-    lin_unit(z);
+    lin_normalise(z);
     lin_cross(down, z, r);
-    lin_unit(r);
+    lin_normalise(r);
     lin_cross(z, r, r + 3);
     rotation_to_quat(r, q);
     lin_apply(r, from, t);

@@ -133,7 +133,7 @@ static void disturb(const struct scene_rig *s, double degrees, double focal, str
         double w[3] = {scene_normal(), scene_normal(), scene_normal()}, turn[9], r[9], moved[9];
         double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
         double at[3], t[3];
-        lin_unit(w);
+        lin_normalise(w);
         for (int k = 0; k < 3; k++)
             w[k] *= degrees * DEGREE;
         rotation_exp(w, turn);

@@ -55,8 +55,8 @@ static void make(struct pair *p, double degrees, double base, bool plane, double
 {
     double w[3] = {uniform(-1, 1), uniform(-1, 1), uniform(-0.3, 0.3)};
     double dir[3] = {w[1], -w[0], 0.1};
-    lin_unit(w);
-    lin_unit(dir);
+    lin_normalise(w);
+    lin_normalise(dir);
     for (int k = 0; k < 3; k++) {
         w[k] *= degrees * PI / 180;
         p->t[k] = base * dir[k];
@@ -85,8 +85,8 @@ static double direction_error(const double a[3], const double b[3])
     double x[3], y[3];
     memcpy(x, a, sizeof x);
     memcpy(y, b, sizeof y);
-    lin_unit(x);
-    lin_unit(y);
+    lin_normalise(x);
+    lin_normalise(y);
     return acos(fmax(-1, fmin(1, lin_dot(x, y)))) * 180 / PI;
 }
 
@@ -261,7 +261,7 @@ static void rotations_and_back(void **unused)
     state = 60;
     for (int i = 0; i < 80; i++) {
         double w[3] = {uniform(-1, 1), uniform(-1, 1), uniform(-1, 1)}, r[9], back[3], q[4], s[9];
-        lin_unit(w);
+        lin_normalise(w);
         for (int k = 0; k < 3; k++)
             w[k] *= angles[i % 8];
         rotation_exp(w, r);
@@ -319,8 +319,8 @@ static void axes_across(void **unused)
         double t[3] = {uniform(-1, 1), uniform(-1, 1), uniform(-1, 1)}, b[3], c[3];
         for (int k = 0; k < 3 && i < 3; k++)
             t[k] = k == i;
-        lin_unit(t);
-        lin_across(t, b, c);
+        lin_normalise(t);
+        lin_tangents(t, b, c);
         assert_float_equal(lin_dot(b, b), 1, 1e-12);
         assert_float_equal(lin_dot(c, c), 1, 1e-12);
         assert_float_equal(lin_dot(t, b), 0, 1e-12);

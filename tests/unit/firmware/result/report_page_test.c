@@ -346,7 +346,7 @@ static void like(enum response_family family)
 static void the_nearest_family(void **state)
 {
     (void)state;
-    for (int k = 0; k < FAMILIES; k++) {
+    for (int k = 0; k < RESPONSE_FAMILIES; k++) {
         like((enum response_family)k);
         for (int h = 0; h < TONE_HIDDEN; h++) { // white balance: red a stop brighter
             float *p = job.result.scene.tone.p;
