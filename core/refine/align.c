@@ -15,7 +15,7 @@ struct align {
     struct raster raster;
     struct loss loss;
     struct render pic;
-    uint8_t *photo; // (3, size, size) of the view at work
+    uint8_t *photo; // (3, size, size) of the current view
     float extent;   // scene units
 };
 
@@ -36,8 +36,8 @@ size_t align_plan(int splats, int size, int threads)
     return layout(&a, &tmp, splats, size, threads) ? SIZE_MAX : tmp.peak;
 }
 
-/* The scene is frozen. */
-static void ignore(void *ctx, int first, int count, const float *grad, const float *seen)
+/* The scene is frozen: only the pose has a gradient. */
+static void drop_gradients(void *ctx, int first, int count, const float *grad, const float *seen)
 {
     (void)ctx, (void)first, (void)count, (void)grad, (void)seen;
 }
@@ -60,7 +60,7 @@ static err_t twist_of(struct align *a, const struct camera *cam, float shift, fl
     if (e)
         return e;
     struct render_grad up = {a->loss.d_radiance, NULL, NULL};
-    struct raster_sink sink = {ignore, NULL, pose, NULL};
+    struct raster_sink sink = {drop_gradients, NULL, pose, NULL};
     e = raster_grad_run(a->r, &a->raster, &in, &up, &sink);
     if (!e)
         pose_twist_grad(cam, pose, twist);
@@ -99,8 +99,9 @@ err_t align_run(const struct run *r, const struct scene *s, int iterations, stru
 {
     size_t mark = arena_mark(r->tmp);
     if (!v->cams || iterations < 0)
-        return err_fail(ERR_ARG, "align: %d iterations on views %s cameras", iterations,
-                        v->cams ? "with" : "without");
+        return err_fail(ERR_ARG,
+                        "align: %d iterations on views %s cameras, must be >= 0 with cameras",
+                        iterations, v->cams ? "with" : "without");
     struct align a = {.r = r, .s = s};
     err_t e = layout(&a, r->tmp, s->g.n, v->size, pool_size(r->pool));
     a.extent = e ? 0 : pose_extent(&s->g, v->cams, v->n);

@@ -17,7 +17,7 @@ err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int 
     size_t n = (size_t)g->cap;
     err_t e = OK;
     for (int p = 0; p < gaussians_planes(degree) && !e; p++) {
-        /* bands that come later start with moments of their own: their memory is not touched yet */
+        /* bands that are added later zero their moments then */
         bool used = p < gaussians_planes(g->degree);
         e = (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m1[p]);
         e = e ? e : (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m2[p]);
@@ -38,8 +38,8 @@ size_t density_plan(int cap, int degree)
     return a.peak;
 }
 
-/* Take splats order[0..n) in this order. */
-static void take(struct density *d, int n)
+/* Keep the splats order[0..n), in this order. */
+static void reorder_splats(struct density *d, int n)
 {
     struct gaussians *g = d->g;
     for (int p = 0; p < 3 * gaussians_planes(g->degree) + 1; p++) {
@@ -89,7 +89,7 @@ void density_sort(struct density *d)
     qsort(d->key, (size_t)g->n, sizeof *d->key, by_key);
     for (int i = 0; i < g->n; i++)
         d->order[i] = (uint32_t)(d->key[i] & 0xffffff);
-    take(d, g->n);
+    reorder_splats(d, g->n);
 }
 
 int density_prune(struct density *d, float min_opacity)
@@ -105,7 +105,7 @@ int density_prune(struct density *d, float min_opacity)
             d->order[n++] = (uint32_t)i;
     }
     if (n < before)
-        take(d, n);
+        reorder_splats(d, n);
     return before - n;
 }
 

@@ -10,7 +10,7 @@
 struct density {
     struct gaussians *g;
     float *m1[G_PLANES_MAX], *m2[G_PLANES_MAX]; // (cap) per plane
-    float *score;                               // (cap) how much a splat wants to be split, >= 0
+    float *score;                               // (cap) priority of splitting, >= 0
     /* scratch (cap) */
     uint64_t *key;
     uint32_t *order;
@@ -25,13 +25,13 @@ MUST_USE err_t density_init(struct density *d, struct arena *a, struct gaussians
  * Positions are finite (density_prune). */
 void density_sort(struct density *d);
 
-/* Remove splats with opacity below `min_opacity`, or with a number that is not finite. Returns how
- * many went. */
+/* Remove splats with opacity below `min_opacity`, or with a number that is not finite. returns:
+ * number removed. */
 int density_prune(struct density *d, float min_opacity);
 
 /* Split the splats of highest score (> 0), at most `count` and at most what the capacity leaves:
- * each becomes two, half as long apart along its longest axis. Scores are reset. Returns how many
- * were split. */
+ * each becomes two, half as long apart along its longest axis. Scores are reset. returns: number
+ * split. */
 int density_split(struct density *d, int count);
 
 #endif

@@ -11,7 +11,7 @@
 #include <string.h>
 
 enum {
-    ROWS = 16, // of a chunk
+    ROWS = 16, // per chunk
     EDGE = LOSS_WINDOW - 1,
     MEANS = 5,
     SEGMENTS = TONE_HIDDEN + 1
@@ -161,7 +161,7 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static void hold_out(const struct job *j, int colour, int y, float *d, double *p)
+static void measure_held_out(const struct job *j, int colour, int y, float *d, double *p)
 {
     const struct loss_input *in = j->in;
     int px = in->held_px, squares = (j->w + px - 1) / px;
@@ -201,7 +201,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
                               .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, d);
     if (in->held)
-        hold_out(j, colour, y, d, p);
+        measure_held_out(j, colour, y, d, p);
 }
 
 /* From d loss / d display to radiance, alpha and the segments of the curve. */
@@ -240,7 +240,7 @@ static err_t grad_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static void add_up(const struct job *j, struct loss_output *out)
+static void sum_chunks(const struct job *j, struct loss_output *out)
 {
     double total[P_ALL] = {0};
     for (int c = 0; c < chunks_of(j->h); c++)
@@ -276,6 +276,6 @@ err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
     e = e ? e : pool_for(r->pool, chunks_of(j.h), ssim_chunk, &j);
     e = e ? e : pool_for(r->pool, chunks_of(j.h), grad_chunk, &j);
     if (!e)
-        add_up(&j, out);
+        sum_chunks(&j, out);
     return e;
 }

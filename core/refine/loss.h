@@ -1,8 +1,8 @@
-/* loss.h - how far a rendered picture is from a photograph, and the gradient of that.
+/* loss.h - difference of a rendered picture from a photograph, and its gradient.
  * loss = w_l1 mean |d| + w_ssim (1 - SSIM), on display values: tone curve of the radiance, plus a
- * colour behind what the splats leave open (core/refine/README.md 4). SSIM: 11-tap Gaussian, sigma
- * 1.5, valid windows only (as torchmetrics). Squares marked as held out give no gradient; their
- * squared error is returned apart.
+ * background colour where the splats are transparent (core/refine/README.md 4). SSIM: 11-tap
+ * Gaussian, sigma 1.5, valid windows only (as torchmetrics). Squares marked as held out give no
+ * gradient; their squared error is returned apart.
  * Invariant: the result does not depend on the number of threads. */
 #ifndef REFINE_LOSS_H
 #define REFINE_LOSS_H
@@ -36,13 +36,13 @@ struct loss_input {
     float w_l1, w_ssim;
     const uint8_t *held; // (ceil(h / held_px), ceil(w / held_px)) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
-    bool more; // add to the gradients of the call before: another photograph, same picture
+    bool more; // add to the gradients of the previous call: another photograph, same picture
 };
 
 struct loss_output {
     double loss;
     double held_sse;         // sum of squared differences in held-out squares
-    long held_n;             // values in it
+    long held_n;             // number of these values
     float tone[TONE_PARAMS]; // gradient of the curves
 };
 
@@ -54,7 +54,7 @@ MUST_USE err_t loss_init(struct loss *l, struct arena *a, int w, int h, int work
 
 /* Value and gradient; the picture has the planned size or a smaller one (same workspace, other step
  * of a pyramid).
- * out: *out, l->d_radiance and l->d_alpha (as render_grad wants them). */
+ * out: *out, l->d_radiance and l->d_alpha (inputs of render_grad). */
 MUST_USE err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
                         struct loss_output *out);
 

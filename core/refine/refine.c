@@ -1,18 +1,17 @@
 /* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
  * of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
- * share the rendering: its loss is their mean, and what is black or saturated has next to no slope
+ * share the rendering: its loss is their mean, and black or saturated pixels have hardly any slope
  * on the curve.
  *
- * What the scene needs is decided by the held-out squares of the input views (1 in 24 squares of 32
- * px per view, other squares in other views, so that every surface is still learned from most
- * photographs):
- * - Gaussians: between 33 % and 70 % of the steps, once a round, the splats that pull hardest are
- * split, unless
- *   the held-out error is close to the noise of the photographs (then more splats would only learn
- * noise);
+ * Held-out squares of the input views (1 in 24 squares of 32 px, others in every view, so that most
+ * photographs still show each surface) decide the size of the model:
+ * - Gaussians: between 33 % and 70 % of the steps the splats with the largest gradients are split
+ *   once a round, unless the held-out error is close to the noise of the photographs (then more
+ *   splats would only learn noise);
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
- * held-out error;
- * - steps: when PATIENCE rounds have not lowered it, the rest of the schedule is cut short. */
+ * held-out
+ *   error;
+ * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short. */
 #include "core/refine/refine.h"
 
 #include "core/base/gaussians.h"
@@ -34,7 +33,7 @@ static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
 static const float SPLIT_END = 0.7f;      // share of the steps after which nothing is split
 static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
 static const float BAND_GAIN_DB =
-    0.05f; // a band must gain this: pulling any trained band out costs a little
+    0.05f; // least gain of a band: removing any trained band costs a little
 static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
 
 /* Adam: betas and eps of core/refine/README.md 1. */
@@ -65,9 +64,9 @@ struct refine {
     uint8_t *full, *half; // (photographs, 3, size, size), and at half size
     uint8_t *held;        // (n, squares, squares)
     int squares;
-    double *photo_sse; // (photographs) held-out squared error when last compared
-    long *photo_n;     // (photographs) values in it
-    int *deck, dealt;  // (n) order of the views in this round
+    double *photo_sse;      // (photographs) held-out squared error of the last comparison
+    long *photo_n;          // (photographs) number of these values
+    int *shuffled, n_drawn; // (n) order of the views in this round
     uint64_t rng;
     float extent;           // scene units
     int step, steps, scale; // scale: 2 = half size
@@ -83,7 +82,7 @@ struct refine {
     struct adam_step group[GROUPS];
 };
 
-static float uniform(struct refine *f)
+static float random_uniform(struct refine *f)
 {
     return (float)(splitmix_next(&f->rng) >> 40) * 0x1p-24f;
 }
@@ -93,8 +92,8 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
-/* Half-size pictures come first, without splits. */
-static bool begins(int step, int steps)
+/* The first steps use half-size pictures and do not split. */
+static bool is_half_size(int step, int steps)
 {
     return 3 * step < steps;
 }
@@ -104,7 +103,7 @@ int refine_begin(const struct refine_config *cfg, int places)
     float most = (float)cfg->gaussians_max, n = most;
     const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
     for (int step = round; step <= end && n > most / 2; step += round)
-        if (!begins(step - 1, cfg->steps))
+        if (!is_half_size(step - 1, cfg->steps))
             n /= 1 + SPLIT_SHARE;
     return (int)fmaxf(n, most / 2);
 }
@@ -119,7 +118,7 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
     e = e ? e : arena_zalloc(a, all, 8, &f->photo_sse);
     e = e ? e : arena_zalloc(a, all, 8, &f->photo_n);
-    e = e ? e : arena_alloc(a, n, 4, &f->deck);
+    e = e ? e : arena_alloc(a, n, 4, &f->shuffled);
     e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
     e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
     e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
@@ -177,7 +176,7 @@ static void set_rate(struct adam_step *a, float lr, int t)
                             (float)(1 / (1 - pow((double)BETA2, t)))};
 }
 
-/* Which rate a plane has. */
+/* Index of the learning rate of a plane. */
 static int group_of(int plane)
 {
     return plane < G_LOG_SCALE ? 0
@@ -207,7 +206,7 @@ static void set_rates(struct refine *f)
 }
 
 /* The sink of the backward pass: Adam on one block. */
-static void apply(void *ctx, int first, int count, const float *grad, const float *seen)
+static void apply_adam(void *ctx, int first, int count, const float *grad, const float *seen)
 {
     struct refine *f = ctx;
     const struct gaussians *g = &f->s->g;
@@ -227,15 +226,15 @@ static void apply(void *ctx, int first, int count, const float *grad, const floa
 static int next_view(struct refine *f)
 {
     int n = f->v->n;
-    if (f->dealt == n)
-        f->dealt = 0;
-    if (f->dealt == 0)
+    if (f->n_drawn == n)
+        f->n_drawn = 0;
+    if (f->n_drawn == 0)
         for (int i = 0; i < n; i++) { // inside-out shuffle
             int j = (int)(splitmix_next(&f->rng) % (uint64_t)(i + 1));
-            f->deck[i] = f->deck[j];
-            f->deck[j] = i;
+            f->shuffled[i] = f->shuffled[j];
+            f->shuffled[j] = i;
         }
-    return f->deck[f->dealt++];
+    return f->shuffled[f->n_drawn++];
 }
 
 static struct raster_input view_input(const struct refine *f, const struct camera *cam)
@@ -244,10 +243,10 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
-/* The loss of the rendered picture of view i against photograph k; added to the gradients of those
- * before, of which *out has the sum. */
-static err_t compare(struct refine *f, int i, int k, const struct loss_input *as,
-                     struct loss_output *out)
+/* Loss of the rendered picture of view i against photograph k. Adds to *out and to the gradients of
+ * the photographs before. */
+static err_t compare_photo(struct refine *f, int i, int k, const struct loss_input *as,
+                           struct loss_output *out)
 {
     const size_t side = (size_t)f->pic.w, squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
@@ -267,8 +266,8 @@ static err_t compare(struct refine *f, int i, int k, const struct loss_input *as
 }
 
 /* Render view i at the current size and compare with its photographs. */
-static err_t look(struct refine *f, int i, const struct camera *cam, const float behind[3],
-                  struct loss_output *out)
+static err_t compare_view(struct refine *f, int i, const struct camera *cam, const float behind[3],
+                          struct loss_output *out)
 {
     struct raster_input in = view_input(f, cam);
     int n = 0;
@@ -283,7 +282,7 @@ static err_t look(struct refine *f, int i, const struct camera *cam, const float
                             .w_ssim = 0.2f / (float)n,
                             .held_px = HELD_PX / f->scale};
     for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
-        e = compare(f, i, k, &as, out);
+        e = compare_photo(f, i, k, &as, out);
         as.more = true;
     }
     return e;
@@ -310,15 +309,15 @@ static err_t take_step(struct refine *f)
     struct loss_output out;
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
-        behind[c] = uniform(f);
-    err_t e = look(f, i, &cam, behind, &out);
+        behind[c] = random_uniform(f);
+    err_t e = compare_view(f, i, &cam, behind, &out);
     if (e)
         return e;
     f->loss += (float)out.loss;
     set_rates(f);
     struct raster_input in = view_input(f, &cam);
     struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
-    struct raster_sink sink = {apply, f, f->cfg->poses ? pose : NULL, NULL};
+    struct raster_sink sink = {apply_adam, f, f->cfg->poses ? pose : NULL, NULL};
     e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
     if (e)
         return e;
@@ -333,9 +332,9 @@ static err_t take_step(struct refine *f)
     return OK;
 }
 
-static void note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
+static void add_note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
 
-static void note(struct refine *f, const char *fmt, ...)
+static void add_note(struct refine *f, const char *fmt, ...)
 {
     va_list ap;
     if (f->rep->n_notes == REFINE_NOTES)
@@ -345,7 +344,7 @@ static void note(struct refine *f, const char *fmt, ...)
     va_end(ap);
 }
 
-static float decibel(double mean_square)
+static float to_decibel(double mean_square)
 {
     return (float)(-10 * log10(fmax(mean_square, 1e-10)));
 }
@@ -357,18 +356,18 @@ static float held_db(const struct refine *f)
         sse += f->photo_sse[i];
         n += (double)f->photo_n[i];
     }
-    return n > 0 ? decibel(sse / n) : 0.0f;
+    return n > 0 ? to_decibel(sse / n) : 0.0f;
 }
 
-/* Held-out error of every view, now. */
-static err_t measure(struct refine *f, float *db)
+/* Present held-out error of all views. */
+static err_t measure_held_out(struct refine *f, float *db)
 {
     const float black[3] = {0, 0, 0};
     for (int i = 0; i < f->v->n; i++) {
         struct camera cam =
             pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
         struct loss_output out;
-        err_t e = look(f, i, &cam, black, &out);
+        err_t e = compare_view(f, i, &cam, black, &out);
         if (e)
             return e;
     }
@@ -394,9 +393,9 @@ static err_t judge_band(struct refine *f)
 {
     float with, without;
     int degree = f->s->g.degree;
-    err_t e = measure(f, &with);
+    err_t e = measure_held_out(f, &with);
     f->s->g.degree = degree - 1;
-    e = e ? e : measure(f, &without);
+    e = e ? e : measure_held_out(f, &without);
     f->s->g.degree = degree;
     if (e)
         return e;
@@ -405,12 +404,12 @@ static err_t judge_band(struct refine *f)
         f->s->g.degree--;
     f->bands_done = !keep;
     f->band_from = 0;
-    note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with,
-         (double)without, keep ? "kept" : "not needed");
+    add_note(f, "SH band %d: held-out %.2f dB with it, %.2f dB without: %s", degree, (double)with,
+             (double)without, keep ? "kept" : "not needed");
     return OK;
 }
 
-static err_t bands(struct refine *f)
+static err_t update_bands(struct refine *f)
 {
     int trial = f->steps * 15 / 100;
     if (f->band_from > 0 && f->step - f->band_from >= trial) {
@@ -424,22 +423,22 @@ static err_t bands(struct refine *f)
     return OK;
 }
 
-static void splits(struct refine *f)
+static void split_splats(struct refine *f)
 {
     struct gaussians *g = &f->s->g;
     if (f->splits_done || f->scale > 1)
         return;
     float db = held_db(f);
-    int most = f->v->size * f->v->size; // one a pixel: denser starts gained nothing by it
+    int most = f->v->size * f->v->size; // one per pixel: more did not help denser starts
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
     bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
     f->splits_done = progress_of(f) > SPLIT_END || noise || all;
     if (f->splits_done) {
-        note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
-             all     ? "as many as pixels or as allowed"
-             : noise ? "more would learn noise"
-                     : "time to settle",
-             (double)db, (double)f->noise_db);
+        add_note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
+                 all     ? "as many as pixels or as allowed"
+                 : noise ? "more would learn noise"
+                         : "time to settle",
+                 (double)db, (double)f->noise_db);
         return;
     }
     density_prune(&f->d, 0.01f);
@@ -448,7 +447,7 @@ static void splits(struct refine *f)
     density_sort(&f->d);
 }
 
-/* Once a round: report, and decide what the scene needs. */
+/* Once a round: report, split and decide whether to stop. */
 static err_t end_round(struct refine *f, int round)
 {
     float db = held_db(f);
@@ -459,7 +458,7 @@ static err_t end_round(struct refine *f, int round)
         snprintf(text, sizeof text, "held-out %.2f dB, %d Gaussians", (double)db, f->s->g.n);
         f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
     }
-    splits(f);
+    split_splats(f);
     if (f->scale > 1 || f->band_from > 0)
         return OK;
     bool better = db > f->best_db + STALL_DB;
@@ -468,8 +467,8 @@ static err_t end_round(struct refine *f, int round)
     int rest = f->steps / 20 > round ? f->steps / 20 : round;
     if (f->stalled >= PATIENCE && !f->rep->stopped_early && f->steps - f->step > rest) {
         f->rep->stopped_early = true;
-        note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error",
-             f->step + rest, f->steps, PATIENCE);
+        add_note(f, "stopped at step %d of %d: %d rounds have not lowered the held-out error",
+                 f->step + rest, f->steps, PATIENCE);
         f->steps = f->step + rest;
     }
     return OK;
@@ -479,19 +478,19 @@ static err_t run_steps(struct refine *f)
 {
     int round = round_of(f->v->n);
     err_t e = noise_run(f->r, f->v, &f->noise_db);
-    e = e ? e : measure(f, &f->rep->held_out_db[0]);
+    e = e ? e : measure_held_out(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     for (f->step = 0; f->step < f->steps && !e;) {
-        f->scale = small && begins(f->step, f->steps) ? 2 : 1;
+        f->scale = small && is_half_size(f->step, f->steps) ? 2 : 1;
         e = take_step(f);
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
             e = end_round(f, round);
-        e = e ? e : bands(f);
+        e = e ? e : update_bands(f);
     }
     if (!e && f->band_from > 0)
         e = judge_band(f);
-    return e ? e : measure(f, &f->rep->held_out_db[1]);
+    return e ? e : measure_held_out(f, &f->rep->held_out_db[1]);
 }
 
 err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,

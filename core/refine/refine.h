@@ -22,25 +22,25 @@ struct refine_config {
 enum { REFINE_NOTES = 8 };
 
 struct refine_report {
-    int steps;          // done
+    int steps;          // steps done
     bool stopped_early; // held-out error no longer fell
     int gaussians, degree;
     float loss;           // mean of the last round through the views
     float held_out_db[2]; // PSNR of the held-out squares at the start and at the end, dB
     int n_notes;
-    char notes[REFINE_NOTES][128]; // decisions in words, for the report
+    char notes[REFINE_NOTES][128]; // decisions as text, for the report
 };
 
-/* Bytes that refine_run takes from r->tmp; of v only its numbers are looked at. */
+/* Bytes that refine_run takes from r->tmp; of v only n, n_more and size are read. */
 size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
 
-/* How many Gaussians to begin with for `places` views: so many that the rounds of splitting that
- * cfg->steps leave can still reach cfg->gaussians_max, at least half of it, all without steps. */
+/* Number of Gaussians to start with for `places` views, from which the splits within cfg->steps can
+ * still reach cfg->gaussians_max: at least half of it, all of it without steps. */
 int refine_begin(const struct refine_config *cfg, int places);
 
 /* Optimise *io. io->g must have planes for cfg->degree_max; io->cams and io->log2t are those of the
  * views.
- * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, as far as it came). */
+ * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (then *io is valid, partly optimised). */
 MUST_USE err_t refine_run(const struct run *r, const struct views *v,
                           const struct refine_config *cfg, struct scene *io,
                           struct refine_report *out);

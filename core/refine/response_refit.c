@@ -1,5 +1,5 @@
-/* Only surfaces that both of two views show are in their histograms. Histograms and not pairs of
- * pixels: of all that shows the same dark value in one view, most is brighter and noisy. */
+/* The histograms of two views contain only surfaces that both show. Pairs of single pixels would be
+ * biased: most pixels of one dark value are brighter ones with noise. */
 #include "core/refine/response_refit.h"
 
 #include "core/base/num.h"
@@ -13,22 +13,22 @@ enum {
     PAIRS = 240,      // pairs of views that are compared at most
     SHARED_MIN = 500, // pixels that two views must have in common
     EACH = 3 * RESPONSE_QUANTILES,
-    MEAN = 2 // px, least edge of the square whose mean is compared
+    MEAN = 2 // px, least edge of the square that is averaged
 };
 
-static const float APART = 0.25f; // stops from which exposures differ
+static const float APART = 0.25f; // stops, least difference of exposures that are compared
 
 struct refit {
     const struct views *v;
     struct visibility sight;
     struct response_pair *pairs; // (PAIRS EACH)
     int n;
-    uint32_t hist[2][3][256]; // of what two views have in common
+    uint32_t hist[2][3][256]; // of the surfaces that two views share
     int shared;
 };
 
 /* Count the mean of the pixels around px (u, v). */
-static void count(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
+static void count_pixels(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
 {
     const int size = f->v->size, n = num_max(f->sight.depth->scale, MEAN);
     int first[2], sum[3] = {0};
@@ -44,8 +44,8 @@ static void count(const struct refit *f, int view, const float uv[2], uint32_t (
         hist[c][(sum[c] + n * n / 2) / (n * n)]++;
 }
 
-/* What the pixels that view i is sure of show there and in view j. */
-static void share(struct refit *f, int i, int j, bool swap)
+/* Add the confirmed pixels of view i, and the same surfaces in view j, to the histograms. */
+static void add_shared(struct refit *f, int i, int j, bool swap)
 {
     const struct depthmaps *d = f->sight.depth;
     const int pixels = d->size * d->size;
@@ -53,50 +53,51 @@ static void share(struct refit *f, int i, int j, bool swap)
         const size_t k = (size_t)i * (size_t)pixels + (size_t)at;
         const float uvz[3] = {((float)(at % d->size) + 0.5f) * (float)d->scale,
                               ((float)(at / d->size) + 0.5f) * (float)d->scale, d->depth[k]};
-        struct sighting there;
+        struct projected there;
         float point[3];
-        if (!visibility_sure(&f->sight, k))
+        if (!visibility_confident(&f->sight, k))
             continue;
-        visibility_point(&f->sight, i, uvz, point);
-        if (!visibility_look(&f->sight, j, point, &there) || !visibility_same(&f->sight, &there))
+        visibility_unproject(&f->sight, i, uvz, point);
+        if (!visibility_project(&f->sight, j, point, &there) ||
+            !visibility_on_surface(&f->sight, &there))
             continue;
-        count(f, i, uvz, f->hist[swap]);
-        count(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
+        count_pixels(f, i, uvz, f->hist[swap]);
+        count_pixels(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
         f->shared++;
     }
 }
 
-static void compare(struct refit *f, int i, int j)
+static void compare_views(struct refit *f, int i, int j)
 {
     f->shared = 0;
     memset(f->hist, 0, sizeof f->hist);
-    share(f, i, j, false);
-    share(f, j, i, true);
+    add_shared(f, i, j, false);
+    add_shared(f, j, i, true);
     if (f->shared >= SHARED_MIN)
         f->n += response_quantiles(f->hist[0], f->hist[1], f->v->log2t[j] - f->v->log2t[i],
                                    f->pairs + f->n);
 }
 
-static bool differ(const struct views *v, int i, int j)
+static bool exposures_differ(const struct views *v, int i, int j)
 {
     return i < j && fabsf(v->log2t[i] - v->log2t[j]) > APART;
 }
 
-/* All pairs of views, or as many at equal steps. */
-static err_t compare_all(const struct run *r, struct refit *f)
+/* Compare all pairs of views, or PAIRS of them at equal steps. */
+static err_t compare_all_pairs(const struct run *r, struct refit *f)
 {
     const int n = f->v->n;
     int all = 0, pair = 0;
     for (int k = 0; k < n * n; k++)
-        all += differ(f->v, k / n, k % n);
+        all += exposures_differ(f->v, k / n, k % n);
     const int step = (all + PAIRS - 1) / PAIRS;
     for (int k = 0; k < n * n; k++) {
-        if (!differ(f->v, k / n, k % n) || pair++ % step != 0)
+        if (!exposures_differ(f->v, k / n, k % n) || pair++ % step != 0)
             continue;
         err_t e = run_check(r, "refit");
         if (e)
             return e;
-        compare(f, k / n, k % n);
+        compare_views(f, k / n, k % n);
     }
     return OK;
 }
@@ -122,7 +123,7 @@ err_t response_refit_run(const struct run *r, const struct views *v, const struc
     err_t e = layout(&f, r->tmp, depth->n);
     if (!e) {
         visibility_set(&f.sight, depth, v->cams);
-        e = compare_all(r, &f);
+        e = compare_all_pairs(r, &f);
     }
     if (!e && f.n >= EACH / 2)
         response_fit(f.pairs, f.n, v->mid_log2t, io);

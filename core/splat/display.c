@@ -1,11 +1,10 @@
-/* Degree 0 is solved directly, in double. For higher degrees the function on the other side of the
- * transfer is sampled on RINGS circles of latitude (Gauss-Legendre in z) in STEPS even steps and
- * fitted. On one ring Y_(l,+-m) = p_lm(z) {cos, sin}(m phi), so sums over k and over directions are
- * short Fourier sums. The rule is exact for polynomials up to degree 15.
- * To display values the least-squares fit is the projection f_k = sum weight value Y_k. The way
- * back is fitted in the logarithm, where an error at a display value v is seen (v + 0.055) / 2.4
- * times: least squares with the square of that as weights, by conjugate gradients that begin at
- * the projection.
+/* Degree 0 is solved directly, in double. For higher degrees the transferred function is sampled on
+ * RINGS circles of latitude (Gauss-Legendre in z) in STEPS even steps and fitted. On one ring
+ * Y_(l,+-m) = p_lm(z) {cos, sin}(m phi), so sums over k and over directions are short Fourier sums.
+ * The rule is exact for polynomials up to degree 15. To display values the least-squares fit is the
+ * projection f_k = sum weight value Y_k. The inverse is fitted in the logarithm, where an error at
+ * a display value v appears (v + 0.055) / 2.4 times as large. The square of that is the weight of a
+ * least-squares fit by conjugate gradients, which start at the projection.
  * Nodes and weights: Abramowitz and Stegun, table 25.4. Harmonics: core/splat/README.md 4.
  * Transfer: IEC 61966-2-1. */
 #include "core/splat/display.h"
@@ -37,7 +36,7 @@ static const double knee_linear = 0.0031308, knee_value = 0.04045;
 
 /* ---- the transfer ---- */
 
-static double encode(double linear)
+static double srgb_encode(double linear)
 {
     if (!(linear > knee_linear))
         return 12.92 * linear;
@@ -45,7 +44,7 @@ static double encode(double linear)
 }
 
 /* Natural logarithm of the linear value. */
-static double decode_log(double value)
+static double srgb_decode_log(double value)
 {
     if (!(value > knee_value))
         return log(fmax(value, 0) / 12.92);
@@ -54,7 +53,7 @@ static double decode_log(double value)
 
 float display_encode(float linear)
 {
-    return (float)encode((double)linear);
+    return (float)srgb_encode((double)linear);
 }
 
 float display_decode(float value)
@@ -75,26 +74,26 @@ typedef float lanes __attribute__((vector_size(16))); // red, green, blue and on
 typedef int32_t truths __attribute__((vector_size(16)));
 typedef uint32_t words __attribute__((vector_size(16)));
 
-static lanes all(float v)
+static lanes lanes_all(float v)
 {
     return (lanes){v, v, v, v};
 }
 
-static lanes pick(truths which, lanes yes, lanes no)
+static lanes lanes_select(truths which, lanes yes, lanes no)
 {
     return (lanes)((which & (truths)yes) | (~which & (truths)no));
 }
 
 /* `lo` for NaN. */
-static lanes at_least(lanes v, float lo)
+static lanes lanes_max(lanes v, float lo)
 {
-    return pick(v > lo, v, all(lo));
+    return lanes_select(v > lo, v, lanes_all(lo));
 }
 
-static lanes clamp(lanes v, float lo, float hi)
+static lanes lanes_clamp(lanes v, float lo, float hi)
 {
-    v = at_least(v, lo);
-    return pick(v < hi, v, all(hi));
+    v = lanes_max(v, lo);
+    return lanes_select(v < hi, v, lanes_all(hi));
 }
 
 /* Natural logarithm of v > 0 that is not denormal: v = 2^e (1 + t), sqrt(1/2) <= 1 + t < sqrt(2).
@@ -116,7 +115,7 @@ static lanes lanes_log(lanes v)
 /* ---- the sphere ---- */
 
 struct sphere {
-    lanes p[RINGS][TERMS], weighted[RINGS][TERMS]; // by the weight of a direction
+    lanes p[RINGS][TERMS], weighted[RINGS][TERMS]; // weighted: times the weight of a direction
     lanes cosine[HALF][WAVES], sine[HALF][WAVES];
 };
 
@@ -153,21 +152,21 @@ static void sphere_init(struct sphere *s)
     }
     for (int m = 0; m < WAVES; m++)
         for (int j = 0; j < HALF; j++) {
-            s->cosine[j][m] = all(turn[m * j % STEPS]);
-            s->sine[j][m] = all(turn[(m * j + 3 * STEPS / 4) % STEPS]);
+            s->cosine[j][m] = lanes_all(turn[m * j % STEPS]);
+            s->sine[j][m] = lanes_all(turn[(m * j + 3 * STEPS / 4) % STEPS]);
         }
     for (int r = 0; r < RINGS; r++) {
         float p[TERMS], weight = (float)(ring_weight[r / 2] * 2 * NUM_PI / STEPS);
         ring_terms(r % 2 ? -ring_z[r / 2] : ring_z[r / 2], p);
         for (int t = 0; t < TERMS; t++) {
-            s->p[r][t] = all(p[t]);
-            s->weighted[r][t] = all(weight * p[t]);
+            s->p[r][t] = lanes_all(p[t]);
+            s->weighted[r][t] = lanes_all(weight * p[t]);
         }
     }
 }
 
 /* v = sum_k sh_k Y_k. */
-static void sample(const struct sphere *s, const lanes *sh, int degree, lanes v[DIRECTIONS])
+static void sphere_sample(const struct sphere *s, const lanes *sh, int degree, lanes v[DIRECTIONS])
 {
     for (int r = 0; r < RINGS; r++, v += STEPS) {
         lanes a[WAVES] = {0}, b[WAVES] = {0};
@@ -191,7 +190,7 @@ static void sample(const struct sphere *s, const lanes *sh, int degree, lanes v[
 }
 
 /* sh_k = sum of weight v Y_k. */
-static void project(const struct sphere *s, const lanes v[DIRECTIONS], int degree, lanes *sh)
+static void sphere_project(const struct sphere *s, const lanes v[DIRECTIONS], int degree, lanes *sh)
 {
     memset(sh, 0, SH_COEFS_MAX * sizeof *sh);
     for (int r = 0; r < RINGS; r++, v += STEPS) {
@@ -213,7 +212,7 @@ static void project(const struct sphere *s, const lanes v[DIRECTIONS], int degre
             for (int m = 0; m <= l; m++) {
                 lanes term = s->weighted[r][l * (l + 1) / 2 + m];
                 sh[l * l + l + m] += term * a[m];
-                sh[l * l + l - m] += term * b[m]; // of m = 0: 0
+                sh[l * l + l - m] += term * b[m]; // 0 for m = 0
             }
     }
 }
@@ -229,17 +228,17 @@ static void fit_display(const struct sphere *s, int degree, float shift, lanes s
 {
     const float knee = logf((float)knee_linear);
     lanes v[DIRECTIONS];
-    sample(s, sh, degree, v);
+    sphere_sample(s, sh, degree, v);
     for (int i = 0; i < DIRECTIONS; i++) {
-        lanes u = clamp(v[i], -RASTER_LOG_MAX, RASTER_LOG_MAX) + shift;
+        lanes u = lanes_clamp(v[i], -RASTER_LOG_MAX, RASTER_LOG_MAX) + shift;
         for (int c = 0; c < 3; c++)
             u[c] = u[c] > knee ? 1.055f * expf(u[c] / 2.4f) - 0.055f : 12.92f * expf(u[c]);
         v[i] = u - 0.5f;
     }
-    project(s, v, degree, sh);
+    sphere_project(s, v, degree, sh);
 }
 
-static lanes dot(const lanes *a, const lanes *b, int n)
+static lanes lanes_dot(const lanes *a, const lanes *b, int n)
 {
     lanes sum = {0};
     for (int k = 0; k < n; k++)
@@ -247,74 +246,76 @@ static lanes dot(const lanes *a, const lanes *b, int n)
     return sum;
 }
 
-/* Display values less 0.5 become logarithms of radiance. out: seen, weights of the fit. */
+/* Display values less 0.5 become logarithms of radiance.
+ * out: seen, the weights of the fit. */
 static void to_logarithms(float shift, lanes v[DIRECTIONS], lanes seen[DIRECTIONS])
 {
     for (int i = 0; i < DIRECTIONS; i++) {
-        lanes shown = v[i] + 0.5f, slope = clamp(shown, 0, 1) + 0.055f;
+        lanes shown = v[i] + 0.5f, slope = lanes_clamp(shown, 0, 1) + 0.055f;
         truths curved = shown > (float)knee_value;
-        lanes linear = at_least(shown * (1 / 12.92f), DISPLAY_FLOOR_FIT);
-        lanes logs = lanes_log(pick(curved, (shown + 0.055f) * (1 / 1.055f), linear));
-        v[i] = clamp(pick(curved, 2.4f * logs, logs) - shift, -RASTER_LOG_MAX, RASTER_LOG_MAX);
+        lanes linear = lanes_max(shown * (1 / 12.92f), DISPLAY_FLOOR_FIT);
+        lanes logs = lanes_log(lanes_select(curved, (shown + 0.055f) * (1 / 1.055f), linear));
+        v[i] = lanes_clamp(lanes_select(curved, 2.4f * logs, logs) - shift, -RASTER_LOG_MAX,
+                           RASTER_LOG_MAX);
         seen[i] = slope * slope;
     }
 }
 
-/* A colour that is fitted well enough is left alone: it would be divided by its error. */
+/* A colour that already fits stays as it is: its error would be a divisor near 0. */
 static void fit_log(const struct sphere *s, int degree, float shift, lanes sh[SH_COEFS_MAX])
 {
     const lanes none = {0};
     const int n = coefs_of(degree);
     lanes v[DIRECTIONS], seen[DIRECTIONS], w[DIRECTIONS];
     lanes residual[SH_COEFS_MAX], step[SH_COEFS_MAX], image[SH_COEFS_MAX];
-    sample(s, sh, degree, v);
+    sphere_sample(s, sh, degree, v);
     to_logarithms(shift, v, seen);
-    project(s, v, degree, sh);
-    sample(s, sh, degree, w);
+    sphere_project(s, v, degree, sh);
+    sphere_sample(s, sh, degree, w);
     for (int i = 0; i < DIRECTIONS; i++)
         w[i] = seen[i] * (v[i] - w[i]);
-    project(s, w, degree, residual);
+    sphere_project(s, w, degree, residual);
     memcpy(step, residual, sizeof step);
-    lanes length = dot(residual, residual, n), enough = 1e-10f * length;
+    lanes length = lanes_dot(residual, residual, n), enough = 1e-10f * length;
     for (int i = 0; i < ITERATIONS; i++) {
-        sample(s, step, degree, w);
+        sphere_sample(s, step, degree, w);
         for (int j = 0; j < DIRECTIONS; j++)
             w[j] *= seen[j];
-        project(s, w, degree, image);
+        sphere_project(s, w, degree, image);
         truths on = length > enough;
-        lanes go = pick(on, length / dot(step, image, n), none), before = length;
+        lanes go = lanes_select(on, length / lanes_dot(step, image, n), none), before = length;
         for (int k = 0; k < n; k++) {
             sh[k] += go * step[k];
             residual[k] -= go * image[k];
         }
-        length = dot(residual, residual, n);
-        lanes keep = pick(on, length / before, none);
+        length = lanes_dot(residual, residual, n);
+        lanes keep = lanes_select(on, length / before, none);
         for (int k = 0; k < n; k++)
             step[k] = residual[k] + keep * step[k];
     }
 }
 
-/* Degree 0, both ways. shift: natural logarithm. */
-static double shown_of(double log_radiance, double shift)
+/* Degree 0 in both directions. shift: natural logarithm. */
+static double flat_to_display(double log_radiance, double shift)
 {
-    return (encode(exp(clamp_log(SH_BASIS0 * log_radiance) + shift)) - 0.5) / SH_BASIS0;
+    return (srgb_encode(exp(clamp_log(SH_BASIS0 * log_radiance) + shift)) - 0.5) / SH_BASIS0;
 }
 
-static double log_of(double shown, double shift)
+static double flat_to_log(double shown, double shift)
 {
-    double linear = fmax(decode_log(0.5 + SH_BASIS0 * shown), log((double)DISPLAY_FLOOR));
+    double linear = fmax(srgb_decode_log(0.5 + SH_BASIS0 * shown), log((double)DISPLAY_FLOOR));
     return clamp_log(linear - shift) / SH_BASIS0;
 }
 
-/* Of degree 0, and of any other. */
+/* flat is for degree 0, fit for the others. */
 struct conversion {
     double (*flat)(double sh, double shift);
     void (*fit)(const struct sphere *s, int degree, float shift, lanes sh[SH_COEFS_MAX]);
 };
 
-/* top: degree of out. A colour of which some coefficient is not finite becomes NaN. */
-static void convert(const struct conversion *how, const float *in, int degree, int top, float ev,
-                    float *out)
+/* top: degree of out. A colour with a coefficient that is not finite becomes NaN. */
+static void convert_splat(const struct conversion *how, const float *in, int degree, int top,
+                          float ev, float *out)
 {
     const double shift = (double)ev * ln2;
     lanes sh[SH_COEFS_MAX] = {0};
@@ -336,22 +337,22 @@ static void convert(const struct conversion *how, const float *in, int degree, i
 
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out)
 {
-    static const struct conversion how = {shown_of, fit_display};
-    convert(&how, log_sh, degree, degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX, ev,
-            out);
+    static const struct conversion how = {flat_to_display, fit_display};
+    convert_splat(&how, log_sh, degree, degree < DISPLAY_DEGREE_MAX ? degree : DISPLAY_DEGREE_MAX,
+                  ev, out);
 }
 
 void display_to_radiance(const float *f, int degree, float ev, float *out)
 {
-    static const struct conversion how = {log_of, fit_log};
-    convert(&how, f, degree, degree, ev, out);
+    static const struct conversion how = {flat_to_log, fit_log};
+    convert_splat(&how, f, degree, degree, ev, out);
 }
 
 /* ---- tone curves ---- */
 
-static double middle_log2(void) // of linear light that sRGB shows as 0.5
+static double middle_log2(void) // linear light that sRGB shows as 0.5
 {
-    return decode_log(0.5) / ln2;
+    return srgb_decode_log(0.5) / ln2;
 }
 
 /* log2 exposure where the curve first rises through 0.5. */
@@ -388,9 +389,9 @@ float display_ev(const struct tonemap *t)
     return n > 0 ? (float)(sum / n) : 0;
 }
 
-/* Unit 0 carries the line of the dark, the others bend it at display values that are densest near
- * black and white, one of them at 0.5; above the last the curve is level. What the curve adds to
- * radiance is taken off at 0.5, so that display_ev gives ev again. */
+/* Unit 0 is the line through the dark; the others bend it at display values that are densest near
+ * black and white, one of them at 0.5. Above the last the curve is level. TONEMAP_FLOOR, which the
+ * curve adds to radiance, is compensated at 0.5, so that display_ev returns ev. */
 void display_tonemap(float ev, struct tonemap *out)
 {
     const int knots = TONE_HIDDEN - 1;
@@ -402,7 +403,7 @@ void display_tonemap(float ev, struct tonemap *out)
     p[3 * TONE_HIDDEN] = (float)y;
     for (int i = 0; i < TONE_HIDDEN; i++) {
         double value = 0.5 - 0.5 * cos(NUM_PI * (i + 0.5) / knots); // at the next knot
-        double next_x = decode_log(value) / ln2 - stops, next_y = log(value / (1 - value));
+        double next_x = srgb_decode_log(value) / ln2 - stops, next_y = log(value / (1 - value));
         double next_slope = i < knots ? (next_y - y) / (next_x - x) : 0;
         p[i] = 1;
         p[TONE_HIDDEN + i] = (float)-x;

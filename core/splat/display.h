@@ -1,9 +1,10 @@
-/* display.h - radiance harmonics as display colours that ordinary viewers of splats show, and back.
+/* display.h - conversion between radiance harmonics and the display colours of ordinary splat
+ * viewers.
  * A splat has the radiance L(d) = exp(sum_k s_k Y_k(d)) per colour; such viewers show
  * 0.5 + sum_k f_k Y_k(d), clamped, as sRGB. Here
  *   0.5 + sum_k f_k Y_k(d) = S(2^ev L(d)),   S = transfer of sRGB (IEC 61966-2-1), continued
- * above 1 and never clamped: degree 0 is exact both ways, of higher degrees it is the least-squares
- * fit over the sphere up to degree 3, which is what those viewers know.
+ * above 1 and never clamped: degree 0 is exact in both directions. Higher degrees are a
+ * least-squares fit over the sphere up to degree 3, the highest that those viewers support.
  * Pure functions. thread: any. */
 #ifndef SPLAT_DISPLAY_H
 #define SPLAT_DISPLAY_H
@@ -16,7 +17,7 @@ enum { DISPLAY_DEGREE_MAX = 3 };
  * (mean of the colours) to where sRGB shows it; 0 for a curve that never crosses 0.5. */
 float display_ev(const struct tonemap *t);
 
-/* Transfer of sRGB without upper bound, and its inverse; below 0: linear. NaN stays. */
+/* Transfer of sRGB without upper bound, and its inverse; linear below 0. NaN stays. */
 float display_encode(float linear);
 float display_decode(float value);
 
@@ -25,14 +26,14 @@ float display_decode(float value);
  *       exp(+-RASTER_LOG_MAX). */
 void display_from_radiance(const float *log_sh, int degree, float ev, float *out);
 
-/* The way back, fitted in the logarithm: f of degree 0..4. Linear values below the floor, of
- * which foreign scenes have many, are raised to it. A colour that is not finite becomes NaN.
+/* The inverse, fitted in the logarithm: f of degree 0..4. Linear values below the floor, which
+ * scenes of other programs have often, are raised to it. A colour that is not finite becomes NaN.
  * out:  (degree+1)^2 by 3. */
 #define DISPLAY_FLOOR 1e-6f     // linear, at degree 0
-#define DISPLAY_FLOOR_FIT 1e-4f // above: what cannot be seen must not bend the fit
+#define DISPLAY_FLOOR_FIT 1e-4f // at higher degrees: invisible values must not affect the fit
 void display_to_radiance(const float *f, int degree, float ev, float *out);
 
-/* A curve that shows radiance 2^-ev x as sRGB shows x, to within what 64 units can; mid_log2t 0. */
+/* A curve that shows radiance 2^-ev x as sRGB shows x, as near as 64 units can; mid_log2t is 0. */
 void display_tonemap(float ev, struct tonemap *out);
 
 #endif

@@ -4,9 +4,9 @@
  *    ties by number);
  * 3. count splats per tile by a two-dimensional difference array, split the picture into groups of
  *    tiles whose lists fit the planned memory (nearly always one group);
- * 4. per band of tiles, deal the sorted splats to the lists of their tiles;
+ * 4. per band of tiles, append the sorted splats to the lists of their tiles;
  * 5. blend each tile (SIMD).
- * No step depends on how chunks are shared out among threads. */
+ * No step depends on the distribution of chunks over threads. */
 #include "core/splat/raster.h"
 
 #include "core/base/rotation.h"
@@ -61,9 +61,10 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
 {
     memset(rs, 0, sizeof *rs);
     if (cap < 1 || w < 1 || h < 1 || w > RASTER_SIDE_MAX || h > RASTER_SIDE_MAX)
-        return err_fail(ERR_ARG,
-                        "raster: %d splats on %d x %d px; at least 1 and at most %d px a side", cap,
-                        w, h, RASTER_SIDE_MAX);
+        return err_fail(
+            ERR_ARG,
+            "raster: %d splats on %d x %d px, must be at least 1 splat and 1..%d px a side", cap, w,
+            h, RASTER_SIDE_MAX);
     rs->cap = cap;
     rs->w = w;
     rs->h = h;
@@ -174,7 +175,7 @@ static void sort_by_depth(struct raster *rs)
     }
 }
 
-/* A box packs the splat number and tile rectangle, so that dealing reads 8 bytes per splat in
+/* A box packs the splat number and tile rectangle, so that fill_band reads 8 bytes per splat in
  * order. */
 static err_t box_chunk(void *ctx, int chunk, int worker)
 {
@@ -259,7 +260,7 @@ static void split_groups(struct raster *rs)
     }
 }
 
-static err_t deal_band(void *ctx, int chunk, int worker)
+static err_t fill_band(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
     struct raster *rs = j->rs;
@@ -293,7 +294,7 @@ err_t raster_load_group(const struct run *r, struct raster *rs, int i)
         }
     rs->start[k] = total;
     struct job j = {r, rs, NULL, NULL, g};
-    err_t e = pool_for(r->pool, div_up(g->y1 - g->y0, BAND), deal_band, &j);
+    err_t e = pool_for(r->pool, div_up(g->y1 - g->y0, BAND), fill_band, &j);
     rs->loaded = e ? -1 : i;
     return e;
 }
@@ -346,12 +347,13 @@ static err_t check_input(const struct raster *rs, const struct raster_input *in)
         sum += c->q[i] + c->t[i % 3];
     if (!isfinite(sum) || !(c->fx > 0) || !(c->fy > 0))
         return err_fail(
-            ERR_ARG, "raster: camera with focal lengths %g, %g px has a number that is not usable",
+            ERR_ARG,
+            "raster: camera with focal lengths %g, %g px must have finite numbers and lengths > 0",
             (double)c->fx, (double)c->fy);
     return OK;
 }
 
-static err_t prepare(struct job *j)
+static err_t sort_splats(struct job *j)
 {
     struct raster *rs = j->rs;
     const struct run *r = j->r;
@@ -393,7 +395,7 @@ err_t raster_run(const struct run *r, struct raster *rs, const struct raster_inp
     rs->tiles_y = div_up(out->h, TILE);
     view_from_camera(in->cam, &rs->view);
     struct job j = {r, rs, in, out, NULL};
-    e = prepare(&j);
+    e = sort_splats(&j);
     for (int i = 0; !e && i < rs->n_groups; i++) {
         const struct raster_group *g = &rs->groups[i];
         e = raster_load_group(r, rs, i);

@@ -1,5 +1,5 @@
 /* raster.h - pictures of Gaussians: forward, and the gradient of a loss on the picture.
- * Equal to gsplat 1.4.0 as the release calls it (core/splat/README.md 2 and 3), up to float
+ * Equal to gsplat 1.4.0 with the options of the release (core/splat/README.md 2 and 3), up to float
  * rounding near its thresholds.
  * Invariant: the result depends only on the input, never on the number of threads.
  * Nothing is allocated after raster_init: when splats cover more tiles than planned, the picture
@@ -28,7 +28,7 @@ struct render {
     float *alpha;    // (h, w) 0..1
 };
 
-/* What is drawn. */
+/* Scene and camera to draw. */
 struct raster_input {
     const struct gaussians *g;
     const struct camera *cam;

@@ -19,7 +19,7 @@ struct grad_job {
     bool first;
 };
 
-static int overlap(const struct splat2d *s, const struct raster_group *g)
+static int tiles_in_group(const struct splat2d *s, const struct raster_group *g)
 {
     int x0 = s->tx0 > g->x0 ? s->tx0 : g->x0, x1 = s->tx1 < g->x1 ? s->tx1 : g->x1;
     int y0 = s->ty0 > g->y0 ? s->ty0 : g->y0, y1 = s->ty1 < g->y1 ? s->ty1 : g->y1;
@@ -33,8 +33,8 @@ static err_t count_chunk(void *ctx, int chunk, int worker)
     int n = j->in->g->n, end = (chunk + 1) * CHUNK < n ? (chunk + 1) * CHUNK : n;
     uint32_t total = 0;
     for (int i = chunk * CHUNK; i < end; i++)
-        total += (uint32_t)overlap(&j->rs->splats[i], j->group);
-    j->rs->key[0][chunk] = total; // the sort is over, its memory is free
+        total += (uint32_t)tiles_in_group(&j->rs->splats[i], j->group);
+    j->rs->key[0][chunk] = total; // reused: the sort is over
     return OK;
 }
 
@@ -46,7 +46,7 @@ static err_t base_chunk(void *ctx, int chunk, int worker)
     uint32_t at = j->rs->key[0][chunk];
     for (int i = chunk * CHUNK; i < end; i++) {
         j->rs->splats[i].base = at;
-        at += (uint32_t)overlap(&j->rs->splats[i], j->group);
+        at += (uint32_t)tiles_in_group(&j->rs->splats[i], j->group);
     }
     return OK;
 }
@@ -71,7 +71,7 @@ static err_t gather_chunk(void *ctx, int chunk, int worker)
     for (int i = chunk * CHUNK; i < end; i++) {
         float *sum = j->rs->sums + (size_t)i * SLOT;
         const float *slot = j->rs->slots + (size_t)j->rs->splats[i].base * SLOT;
-        int slots = overlap(&j->rs->splats[i], j->group);
+        int slots = tiles_in_group(&j->rs->splats[i], j->group);
         if (j->first)
             memset(sum, 0, SLOT * sizeof *sum);
         for (int k = 0; k < slots; k++, slot += SLOT)

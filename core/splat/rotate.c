@@ -11,7 +11,7 @@
 enum { RINGS = 5, STEPS = 10, BLOCK = 1024 };
 
 /* Basis of core/splat/README.md 4. */
-static void basis(const double d[3], double b[SH_COEFS_MAX])
+static void sh_basis(const double d[3], double b[SH_COEFS_MAX])
 {
     const double x = d[0], y = d[1], z = d[2], zz = z * z;
     const double c1 = x * x - y * y, s1 = 2 * x * y;
@@ -64,8 +64,8 @@ void rotate_bands(const float r[9], float m[SH_COEFS_MAX][SH_COEFS_MAX])
         double d[3] = {rho * cos(phi), rho * sin(phi), z}, back[3];
         for (int i = 0; i < 3; i++)
             back[i] = (double)r[i] * d[0] + (double)r[3 + i] * d[1] + (double)r[6 + i] * d[2];
-        basis(d, to);
-        basis(back, from);
+        sh_basis(d, to);
+        sh_basis(back, from);
         for (int i = 0; i < SH_COEFS_MAX; i++)
             for (int j = 0; j < SH_COEFS_MAX; j++)
                 sum[i][j] += weight[k / STEPS] * (2 * NUM_PI / STEPS) * to[i] * from[j];

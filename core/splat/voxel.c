@@ -1,9 +1,8 @@
-/* Points are brought in the order of their keys by a radix sort that keeps the order of pixels, so
- * every sum has one fixed order. With c the confidence, the weight of a point in its cell is
- * exp(c - max c) / (sum exp(c - max c) + 1e-6); position and raw features are averaged with it.
- * Then one plane after the other is gathered and averaged, each by one thread.
- * Formulas: core/splat/README.md 6; guards: hazards 17 to 22 of core/net/README.md 5. Sums are
- * taken in double. */
+/* Points are sorted by their keys with a stable radix sort, so every sum has one fixed order. With
+ * c the confidence, the weight of a point in its cell is exp(c - max c) / (sum exp(c - max c) +
+ * 1e-6); position and raw features are averaged with it. Then one plane after the other is gathered
+ * and averaged, each by one thread. Formulas: core/splat/README.md 6; guards: hazards 17 to 22 of
+ * core/net/README.md 5. Sums are taken in double. */
 #include "core/splat/voxel.h"
 
 #include "core/base/gaussians.h"
@@ -28,10 +27,10 @@ struct merge {
     uint32_t *spare; // (n)
     uint32_t *start; // (cells + 1) places in `order`
     float *weight;   // (n) by place in `order`
-    uint32_t n;      // points that count
+    uint32_t n;      // finite points
 };
 
-static int room(int n)
+static int rounded_cap(int n)
 {
     return n < 16 ? 16 : (n + 15) / 16 * 16;
 }
@@ -48,10 +47,10 @@ static err_t layout_scratch(struct merge *m, struct arena *a, int points)
     return e ? e : arena_alloc(a, n + 1, sizeof *m->start, &m->start);
 }
 
-/* There are no more cells than points; what cells do not need is never touched. */
+/* There are at most as many cells as points; memory beyond the cells is never touched. */
 static err_t layout_cells(struct voxels *v, struct arena *a, int points)
 {
-    v->cap = room(points);
+    v->cap = rounded_cap(points);
     err_t e = arena_alloc(a, (size_t)points, 3 * sizeof *v->key, &v->key);
     e = e ? e : arena_alloc(a, (size_t)points, sizeof *v->count, &v->count);
     e = e ? e : arena_alloc(a, (size_t)v->cap, 3 * sizeof *v->points, &v->points);
@@ -129,7 +128,7 @@ static bool same_cell(const struct merge *m, uint32_t a, uint32_t b)
            m->key[2][a] == m->key[2][b];
 }
 
-/* Returns the number of cells. */
+/* returns: number of cells. */
 static int find_cells(struct merge *m)
 {
     int cells = 0;
@@ -174,7 +173,7 @@ static err_t average_chunk(void *ctx, int chunk, int worker)
             sum += (double)m->weight[j] * (double)in[step * m->order[j]];
         out[v] = (float)sum;
     }
-    for (int v = m->out->n; v < room(m->out->n); v++)
+    for (int v = m->out->n; v < rounded_cap(m->out->n); v++)
         out[v] = 0.0f;
     return OK;
 }
@@ -205,9 +204,10 @@ err_t voxel_merge(const struct run *r, const struct voxel_input *in, float cell,
 {
     memset(out, 0, sizeof *out);
     if (in->n < 0 || in->n > GAUSSIANS_MAX)
-        return err_fail(ERR_ARG, "voxels: %d points, not 0..%d", in->n, GAUSSIANS_MAX);
+        return err_fail(ERR_ARG, "voxels: %d points, must be 0..%d", in->n, GAUSSIANS_MAX);
     if (!(cell > 0.0f) || !isfinite(cell))
-        return err_fail(ERR_ARG, "voxels: edge %g of a cell is not a number above 0", (double)cell);
+        return err_fail(ERR_ARG, "voxels: edge of a cell is %g, must be finite and > 0",
+                        (double)cell);
     struct merge m = {.r = r, .in = in, .out = out};
     size_t tmp = arena_mark(r->tmp), keep = arena_mark(r->keep);
     err_t e = merge_points(&m, cell);
@@ -227,7 +227,7 @@ static float log_scale(float x)
     return logf(s < SCALE_MIN ? SCALE_MIN : s);
 }
 
-static void normalise(struct gaussians *g, int i)
+static void normalise_quat(struct gaussians *g, int i)
 {
     double sum = 0;
     for (int k = 0; k < 4; k++)
@@ -251,9 +251,9 @@ static err_t adapt_chunk(void *ctx, int chunk, int worker)
     for (int i = from; i < to; i++) {
         for (int k = 0; k < 3; k++)
             g->plane[G_LOG_SCALE + k][i] = log_scale(g->plane[G_LOG_SCALE + k][i]);
-        normalise(g, i);
+        normalise_quat(g, i);
     }
-    float mask = 0.1f; // of degree d: 0.1 * 0.25^d
+    float mask = 0.1f; // for degree d: 0.1 * 0.25^d
     for (int d = 1; d <= SH_DEGREE_MAX; d++) {
         mask *= 0.25f;
         for (int p = G_SH + 3 * d * d; p < G_SH + 3 * (d + 1) * (d + 1); p++)

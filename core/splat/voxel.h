@@ -1,5 +1,5 @@
-/* voxel.h - merge the network's raw Gaussians, one per pixel, that share a cell of a grid, and turn
- * the means into Gaussians (core/splat/README.md 6).
+/* voxel.h - average the network's raw Gaussians, one per pixel, in the cells of a grid, and convert
+ * the means to Gaussians (core/splat/README.md 6).
  * Pure computation; thread: any, the pool inside struct run does the work.
  * Invariant: the result depends only on the input, never on the number of threads. */
 #ifndef SPLAT_VOXEL_H
@@ -36,7 +36,7 @@ struct voxels {
     float *features; // (VOXEL_FEATURES, cap) mean of the raw features
 };
 
-/* Count what voxel_merge takes. */
+/* Count the memory of voxel_merge. */
 void voxel_plan(struct plan *p, int points);
 
 /* Average the points of each cell of edge `cell` (scene units, > 0), weighted by the softmax of
@@ -49,9 +49,9 @@ MUST_USE err_t voxel_merge(const struct run *r, const struct voxel_input *in, fl
                            struct voxels *out);
 
 /* Turn the means into Gaussians of degree 4, in place: the planes of *out are those of io, so that
- * a large scene is in memory once. Features that are not finite stay so (see gaussians_sanitize).
- * out:  same number and room as io, valid as long as its memory; the features of io are used up.
- * err:  ERR_CANCELLED. On error *out is zeroed. */
+ * a large scene is in memory only once. Features that are not finite stay so (see
+ * gaussians_sanitize). out:  same number and room as io, valid as long as its memory; the features
+ * of io are used up. err:  ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t voxel_adapt(const struct run *r, struct voxels *io, struct gaussians *out);
 
 #endif

@@ -11,30 +11,30 @@ struct consensus {
     size_t pixels;
     const float *guess; // (n, pixels)
     float *out;         // (n, pixels)
-    float *seen;        // (workers, n, pixels) depth of the nearest point; negative: sure; 0: none
-    float *vote;        // (workers, 2, n)
+    float *seen; // (workers, n, pixels) depth of the nearest point; negative: confirmed; 0: none
+    float *vote; // (workers, 2, n)
 };
 
-static bool usable(float z)
+static bool is_depth(float z)
 {
     return isfinite(z) && z > 0;
 }
 
-/* What view j has, as view i sees it. */
-static void project(const struct consensus *c, int j, int i, float *seen)
+/* Project the depths of view j into view i. */
+static void project_view(const struct consensus *c, int j, int i, float *seen)
 {
     for (size_t k = 0; k < c->pixels; k++) {
         const float u = (float)(k % (size_t)c->size) + 0.5f;
         const float v = (float)(k / (size_t)c->size) + 0.5f;
-        const size_t at = visibility_at(c->s, j, u, v);
-        const bool sure = visibility_sure(c->s, at);
+        const size_t at = visibility_index(c->s, j, u, v);
+        const bool sure = visibility_confident(c->s, at);
         const float z = sure ? c->s->depth->depth[at] : c->guess[(size_t)j * c->pixels + k];
-        struct sighting there;
+        struct projected there;
         float point[3];
-        if (!usable(z))
+        if (!is_depth(z))
             continue;
-        visibility_point(c->s, j, (const float[3]){u, v, z}, point);
-        if (!visibility_look(c->s, i, point, &there))
+        visibility_unproject(c->s, j, (const float[3]){u, v, z}, point);
+        if (!visibility_project(c->s, i, point, &there))
             continue;
         float *nearest = &seen[(size_t)there.v * (size_t)c->size + (size_t)there.u];
         if (*nearest == 0 || there.z < fabsf(*nearest))
@@ -42,8 +42,8 @@ static void project(const struct consensus *c, int j, int i, float *seen)
     }
 }
 
-/* votes: (2, n) room. */
-static float elect(const struct consensus *c, const float *seen, float own, float *votes)
+/* votes: (2, n) scratch. */
+static float median_vote(const struct consensus *c, const float *seen, float own, float *votes)
 {
     const int views = c->s->depth->n;
     float *all = votes, *sure = votes + views;
@@ -59,7 +59,7 @@ static float elect(const struct consensus *c, const float *seen, float own, floa
     return m ? num_median(sure, m) : num_median(all, n);
 }
 
-static err_t elect_view(void *ctx, int view, int worker)
+static err_t vote_view(void *ctx, int view, int worker)
 {
     const struct consensus *c = ctx;
     const size_t n = (size_t)c->s->depth->n, first = (size_t)view * c->pixels;
@@ -67,16 +67,17 @@ static err_t elect_view(void *ctx, int view, int worker)
     memset(seen, 0, n * c->pixels * sizeof *seen);
     for (int j = 0; j < (int)n; j++)
         if (j != view)
-            project(c, j, view, seen + (size_t)j * c->pixels);
+            project_view(c, j, view, seen + (size_t)j * c->pixels);
     for (size_t k = 0; k < c->pixels; k++) {
         const float own = c->guess[first + k];
-        const size_t at = visibility_at(c->s, view, (float)(k % (size_t)c->size) + 0.5f,
-                                        (float)(k / (size_t)c->size) + 0.5f);
-        if (visibility_sure(c->s, at))
+        const size_t at = visibility_index(c->s, view, (float)(k % (size_t)c->size) + 0.5f,
+                                           (float)(k / (size_t)c->size) + 0.5f);
+        if (visibility_confident(c->s, at))
             c->out[first + k] = c->s->depth->depth[at];
         else
             c->out[first + k] =
-                usable(own) ? elect(c, seen + k, own, c->vote + 2 * n * (size_t)worker) : own;
+                is_depth(own) ? median_vote(c, seen + k, own, c->vote + 2 * n * (size_t)worker)
+                              : own;
     }
     return OK;
 }
@@ -105,7 +106,7 @@ err_t consensus_run(const struct run *r, const struct visibility *s, float *dept
     struct consensus c = {.s = s, .guess = depth};
     err_t e = layout(&c, r->tmp, s->depth->n, s->cams[0].w, pool_size(r->pool));
     if (!e)
-        e = pool_for(r->pool, (int)n, elect_view, &c);
+        e = pool_for(r->pool, (int)n, vote_view, &c);
     if (!e)
         memcpy(depth, c.out, n * c.pixels * sizeof *depth);
     arena_reset(r->tmp, mark);

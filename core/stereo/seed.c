@@ -1,11 +1,11 @@
-/* Views are taken in the order of what they know (confidence of depth times reliability of the
- * pictures). The map of a view is cut into blocks; a block that is flat in colour and in depth
- * becomes one splat, others are cut into four, down to a quarter of a pixel of the map. Each
- * splat is projected into all views: where it explains a pixel, that pixel gets no splat of its
- * own, and its radiance counts. A second round fills pixels that nothing explains, as far away as
- * the farthest surfaces around them that the view is sure of: there they fill holes and stand
- * before nothing (at the depth of the surfaces around they cost 0.1 to 2.4 dB in five scenes, not
- * refined; as far as the farthest of the whole view 0.2 dB more than here). */
+/* Views are processed by falling score (confidence of depth times reliability of the pictures). The
+ * map of a view is cut into blocks; a block that is flat in colour and in depth becomes one splat,
+ * others are cut into four, down to a quarter of a pixel of the map. Each splat is projected into
+ * all views: where it explains a pixel, that pixel gets no splat of its own, and its radiance
+ * counts. A second round fills pixels that no splat covers, at the depth of the farthest usable
+ * surfaces around them: there they fill holes and occlude nothing. (At the mean depth around them
+ * they cost 0.1 to 2.4 dB in five scenes without refinement; at the farthest depth of the whole
+ * view 0.2 dB more than here.) */
 #include "core/stereo/seed.h"
 
 #include "core/base/gaussians.h"
@@ -22,20 +22,19 @@ enum {
     TRIES = 12,     // times the detail may be given up
     SAMPLES = 4,    // pixels per axis that are read for the colour of a splat in one view
     LEVELS_MAX = 9, // of the smooth depth
-    BINS = 64       // of inverse depth between the farthest and the nearest sure surface
+    BINS = 64       // of inverse depth between the farthest and the nearest usable surface
 };
 
 enum {
     FREE = 0,
     COVERED = 1,
     EXPLAINED = 2
-}; // marks: some splat lies there; one at the pixel's own depth
+}; // marks of a pixel: a splat lies there; a splat lies at the pixel's own depth
 
-static const float SURE = 0.3f;       // confidence from which a depth is believed
-static const float FARTHEST = 0.05f;  // share of the sure pixels around that lie behind guesses
-static const float AROUND = 0.3f;     // least share of sure pixels in the blocks around
+static const float FARTHEST =
+    0.05f; // share of the usable pixels around a guess that may lie behind it
+static const float AROUND = 0.3f;     // least share of usable pixels in the blocks around
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
-static const float AGREE = 0.02f;     // relative difference of depths that are the same surface
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
 static const float RETREAT = 0.94f;   // factor on inverse depth of one step
 static const float WIDTH = 0.55f;     // standard deviation per spacing
@@ -52,9 +51,9 @@ struct seed {
     const struct seed_input *in;
     struct gaussians *out;
     int max;
-    float loss; // factor on the thresholds: detail given up
+    float loss; // factor on the thresholds: > 1 gives up detail
     bool full;
-    float linear[3][256], weight[3][256]; // of the response, for exposure shift 0
+    float linear[3][256], weight[3][256]; // tables of the response for exposure shift 0
     struct frame *frame;                  // (n)
     int *order;                           // (n) views, best first
     float *score;                         // (n)
@@ -97,7 +96,7 @@ static void to_world(const struct frame *f, const float *v, float *out)
 }
 
 /* Pixel of the map and depth; false behind the camera or outside. */
-static bool project(const struct frame *f, const float *x, int size, float *out)
+static bool project_to_map(const struct frame *f, const float *x, int size, float *out)
 {
     float p[3];
     for (int i = 0; i < 3; i++)
@@ -112,7 +111,7 @@ static bool project(const struct frame *f, const float *x, int size, float *out)
 
 /* ---- pictures ---- */
 
-static const uint8_t *pixel(const struct seed *s, int view, int x, int y)
+static const uint8_t *pixel_at(const struct seed *s, int view, int x, int y)
 {
     size_t size = (size_t)s->in->views->size;
     return s->in->views->rgb + 3 * (((size_t)view * size + (size_t)y) * size + (size_t)x);
@@ -132,8 +131,7 @@ static void sample_range(const struct seed *s, float at, float side, int *range)
     range[0] = first < 0 || last < 0 ? 0 : first > last ? last : first;
 }
 
-/* Reliability and weighted mean of the linear exposure of the pixels under a square; add ln
- * radiance to sum. */
+/* Add ln radiance of the pixels under a square to sum, weighted by reliability. */
 static void add_colour(const struct seed *s, int view, const float *at, float side, float factor,
                        float (*sum)[2])
 {
@@ -142,7 +140,7 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
     sample_range(s, at[1], side, ry);
     float value[3] = {0}, weight[3] = {0};
     for (int i = 0; i < rx[2] * ry[2]; i++) {
-        const uint8_t *p = pixel(s, view, rx[0] + i % rx[2] * rx[1], ry[0] + i / rx[2] * ry[1]);
+        const uint8_t *p = pixel_at(s, view, rx[0] + i % rx[2] * rx[1], ry[0] + i / rx[2] * ry[1]);
         for (int c = 0; c < 3; c++) {
             float w = s->weight[c][p[c]] + 1e-4f;
             value[c] += w * s->linear[c][p[c]];
@@ -158,7 +156,7 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
 }
 
 /* Standard deviation over mean of the picture under a square, as displayed. */
-static float contrast(const struct seed *s, int view, const float *at, float side)
+static float block_contrast(const struct seed *s, int view, const float *at, float side)
 {
     const int scale = s->in->depth->scale, n = (int)(side * (float)scale);
     const int x0 = (int)((at[0] - 0.5f * side) * (float)scale),
@@ -167,7 +165,7 @@ static float contrast(const struct seed *s, int view, const float *at, float sid
     for (int c = 0; c < 3; c++) {
         float sum = 0.0f, square = 0.0f;
         for (int i = 0; i < n * n; i++) {
-            float z = (float)pixel(s, view, x0 + i % n, y0 + i / n)[c] / 255.0f;
+            float z = (float)pixel_at(s, view, x0 + i % n, y0 + i / n)[c] / 255.0f;
             sum += z;
             square += z * z;
         }
@@ -180,24 +178,25 @@ static float contrast(const struct seed *s, int view, const float *at, float sid
 
 /* ---- one splat ---- */
 
-/* Project the splat at x, `radius` wide in the world, into all views: mark what it explains,
- * collect its colour. */
-static void see_everywhere(struct seed *s, const struct patch *p, const float *x, float width,
+/* Project the splat at x, `width` wide in the world, into all views; mark the pixels that it covers
+ * and explains, and collect its colour. */
+static void mark_all_views(struct seed *s, const struct patch *p, const float *x, float width,
                            float (*sum)[2])
 {
     const int w = s->in->depth->size;
     for (int j = 0; j < s->in->views->n; j++) {
         float at[3];
-        if (!project(&s->frame[j], x, w, at))
+        if (!project_to_map(&s->frame[j], x, w, at))
             continue;
         const float side = width * s->frame[j].f[0] / at[2];
         const size_t plane = (size_t)j * (size_t)w * (size_t)w;
         const size_t middle = plane + (size_t)at[1] * (size_t)w + (size_t)at[0];
         const float *depth = s->in->depth->depth, *conf = s->in->depth->conf;
-        if (j != p->view && fabsf(depth[middle] - at[2]) < AGREE * at[2] && conf[middle] >= SURE)
+        if (j != p->view && fabsf(depth[middle] - at[2]) < SWEEP_SAME_SURFACE * at[2] &&
+            conf[middle] >= SWEEP_CONF_USABLE)
             add_colour(s, j, at, side < p->side ? side : p->side, conf[middle], sum);
         if (side > 2.5f * p->side)
-            continue; // this view is so near that it deserves its own splats
+            continue; // this view is near enough to get its own splats
         int x0 = (int)(at[0] - 0.5f * side + 0.5f), x1 = (int)(at[0] + 0.5f * side + 0.5f);
         int y0 = (int)(at[1] - 0.5f * side + 0.5f), y1 = (int)(at[1] + 0.5f * side + 0.5f);
         x0 = x0 < 0 ? 0 : x0;
@@ -205,16 +204,18 @@ static void see_everywhere(struct seed *s, const struct patch *p, const float *x
         for (int v = y0; v < (y1 < w ? y1 : w); v++) {
             for (int u = x0; u < (x1 < w ? x1 : w); u++) {
                 size_t k = plane + (size_t)v * (size_t)w + (size_t)u;
-                s->mark[k] |=
-                    fabsf(depth[k] - at[2]) < 2.0f * AGREE * at[2] ? EXPLAINED | COVERED : COVERED;
+                s->mark[k] |= fabsf(depth[k] - at[2]) < 2.0f * SWEEP_SAME_SURFACE * at[2]
+                                  ? EXPLAINED | COVERED
+                                  : COVERED;
             }
         }
     }
 }
 
-/* Does a view with a sure depth look through the point at `at` (pixel, depth)? Its surroundings
- * must agree, because at the rim of a near thing one pixel of error shows what lies behind. */
-static bool looks_through(const struct seed *s, int view, const float *at)
+/* Whether the usable depths of a view lie behind the point at `at` (pixel, depth). All pixels
+ * around it must agree, because at the rim of a near object an error of one pixel shows the
+ * background. */
+static bool is_seen_through(const struct seed *s, int view, const float *at)
 {
     const int w = s->in->depth->size;
     for (int i = 0; i < 9; i++) {
@@ -222,42 +223,43 @@ static bool looks_through(const struct seed *s, int view, const float *at)
         if (x < 0 || y < 0 || x >= w || y >= w)
             continue;
         size_t k = ((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x;
-        if (s->in->depth->conf[k] < SURE || s->in->depth->depth[k] * (1.0f - 2.0f * AGREE) < at[2])
+        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE ||
+            s->in->depth->depth[k] * (1.0f - 2.0f * SWEEP_SAME_SURFACE) < at[2])
             return false;
     }
     return true;
 }
 
-/* Views that see a surface at x less those that look through it. */
-static int balance(const struct seed *s, int own, const float *x)
+/* Number of views that see a surface at x less those that see through it. */
+static int count_support(const struct seed *s, int own, const float *x)
 {
     const int w = s->in->depth->size;
     int sum = 0;
     for (int j = 0; j < s->in->views->n; j++) {
         float at[3];
-        if (j == own || !project(&s->frame[j], x, w, at))
+        if (j == own || !project_to_map(&s->frame[j], x, w, at))
             continue;
         size_t k = ((size_t)j * (size_t)w + (size_t)at[1]) * (size_t)w + (size_t)at[0];
         float depth = s->in->depth->depth[k], conf = s->in->depth->conf[k];
-        if (conf >= SURE && fabsf(depth - at[2]) < AGREE * at[2])
+        if (conf >= SWEEP_CONF_USABLE && fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
             sum++;
-        else if (conf >= SURE && depth > at[2] && looks_through(s, j, at))
+        else if (conf >= SWEEP_CONF_USABLE && depth > at[2] && is_seen_through(s, j, at))
             sum--;
     }
     return sum;
 }
 
-static void lift(const struct frame *f, const struct patch *p, float rho, float *x)
+static void unproject(const struct frame *f, const struct patch *p, float rho, float *x)
 {
     float camera[3] = {(p->x - f->c[0]) / f->f[0] / rho - f->t[0],
                        (p->y - f->c[1]) / f->f[1] / rho - f->t[1], 1.0f / rho - f->t[2]};
     to_world(f, camera, x);
 }
 
-/* Unit vectors in the camera: along the slope, across it, normal. Returns the cosine to the line of
- * sight. */
-static float surface(const struct frame *f, const struct patch *p, const float *ray,
-                     float (*axis)[3])
+/* Unit vectors in the camera: along the slope, across it, normal.
+ * returns: cosine between normal and line of sight. */
+static float surface_axes(const struct frame *f, const struct patch *p, const float *ray,
+                          float (*axis)[3])
 {
     float n[3] = {p->a * f->f[0], p->b * f->f[1],
                   p->c + p->a * (f->c[0] - p->x) + p->b * (f->c[1] - p->y)};
@@ -303,17 +305,17 @@ static void axes_to_quat(float (*axis)[3], float q[4])
         q[i] = (float)out[i];
 }
 
-static void emit(struct seed *s, struct patch *p)
+static void emit_splat(struct seed *s, struct patch *p)
 {
     struct gaussians *g = s->out;
     const struct frame *f = &s->frame[p->view];
     float x[3];
-    lift(f, p, p->c, x);
-    for (int i = 0; balance(s, p->view, x) < 0; i++) {
+    unproject(f, p, p->c, x);
+    for (int i = 0; count_support(s, p->view, x) < 0; i++) {
         if (p->sure || i == RETREATS)
             return;
-        p->c *= RETREAT; // a guess goes back until nobody looks through it
-        lift(f, p, p->c, x);
+        p->c *= RETREAT; // a guess retreats until no view sees through it
+        unproject(f, p, p->c, x);
     }
     if (g->n >= s->max) {
         s->full = true;
@@ -322,13 +324,13 @@ static void emit(struct seed *s, struct patch *p)
     const int i = g->n++;
     float ray[3] = {(p->x - f->c[0]) / f->f[0], (p->y - f->c[1]) / f->f[1], 1.0f}, z = 1.0f / p->c;
     float axis[3][3], world[3][3], q[4], sum[3][2] = {{0}};
-    float width = p->side * z / f->f[0], cosine = surface(f, p, ray, axis);
+    float width = p->side * z / f->f[0], cosine = surface_axes(f, p, ray, axis);
     for (int k = 0; k < 3; k++)
         to_world(f, axis[k], world[k]);
     axes_to_quat(world, q);
     const float at[2] = {p->x, p->y};
     add_colour(s, p->view, at, p->side, 2.0f, sum);
-    see_everywhere(s, p, x, width, sum);
+    mark_all_views(s, p, x, width, sum);
     const float scale[3] = {WIDTH * width / cosine, WIDTH * width, THICKNESS * width};
     const float opacity = p->sure ? 0.85f : 0.6f;
     for (int k = 0; k < 3; k++) {
@@ -343,8 +345,8 @@ static void emit(struct seed *s, struct patch *p)
 
 /* ---- blocks ---- */
 
-/* Plane of inverse depth through a block of n x n pixels; returns the largest distance from it,
- * relative. */
+/* Fit a plane of inverse depth to a block of n x n pixels.
+ * returns: the largest distance from it, relative. */
 static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch *p)
 {
     const int w = s->in->depth->size;
@@ -369,8 +371,7 @@ static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch
     return off / p->c;
 }
 
-/* A single pixel takes its slope from the 3 x 3 pixels around it, inside the map, if they are one
- * surface. */
+/* A single pixel takes its slope from the 3 x 3 pixels around it if they are one surface. */
 static void pixel_plane(const struct seed *s, int x, int y, struct patch *p)
 {
     const int w = s->in->depth->size;
@@ -393,8 +394,9 @@ static void seed_pixel(struct seed *s, int view, int x, int y, bool sure)
         .view = view, .x = (float)x + 0.5f, .y = (float)y + 0.5f, .side = 1.0f, .sure = sure};
     const float at[2] = {p.x, p.y};
     pixel_plane(s, x, y, &p);
-    if (s->in->depth->scale < 2 || !sure || contrast(s, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
-        emit(s, &p);
+    if (s->in->depth->scale < 2 || !sure ||
+        block_contrast(s, view, at, 1.0f) < 2.0f * DETAIL * s->loss) {
+        emit_splat(s, &p);
         return;
     }
     for (int k = 0; k < 4; k++) {
@@ -404,21 +406,20 @@ static void seed_pixel(struct seed *s, int view, int x, int y, bool sure)
         part.y += dy;
         part.c += p.a * dx + p.b * dy;
         part.side = 0.5f;
-        emit(s, &part);
+        emit_splat(s, &part);
     }
 }
 
-static bool wanted(const struct seed *s, int view, int x, int y, bool sure)
+static bool needs_splat(const struct seed *s, int view, int x, int y, bool sure)
 {
     const int w = s->in->depth->size;
     size_t k = ((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x;
     if (sure)
-        return s->in->depth->conf[k] >= SURE && !(s->mark[k] & EXPLAINED);
+        return s->in->depth->conf[k] >= SWEEP_CONF_USABLE && !(s->mark[k] & EXPLAINED);
     return !(s->mark[k] & COVERED);
 }
 
-/* Splats of one block: one if half of it is wanted and all of it flat, else those of its quarters.
- * */
+/* Seed one block: one splat if half of it needs one and all of it is flat, else its quarters. */
 static void seed_block(struct seed *s, int view, const int *corner, int n, bool sure)
 {
     const int w = s->in->depth->size;
@@ -427,7 +428,7 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
         int x = corner[0] + i % n, y = corner[1] + i / n;
         if (x < w && y < w) {
             inside++;
-            count += wanted(s, view, x, y, sure);
+            count += needs_splat(s, view, x, y, sure);
         }
     }
     if (count == 0 || s->full)
@@ -445,8 +446,8 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
                           .sure = sure};
         const float at[2] = {p.x, p.y};
         if (fit_plane(s, corner[0], corner[1], n, &p) < FLAT * s->loss &&
-            contrast(s, view, at, (float)n) < DETAIL * s->loss) {
-            emit(s, &p);
+            block_contrast(s, view, at, (float)n) < DETAIL * s->loss) {
+            emit_splat(s, &p);
             return;
         }
     }
@@ -459,13 +460,12 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
 /* ---- depth of a view ---- */
 
 /* Blocks per axis of a map. */
-static int blocks(int w)
+static int blocks_across(int w)
 {
     return (w + BLOCK - 1) / BLOCK;
 }
 
-/* Inverse depth of view i in s->rho: believed where sure, else pulled from coarser levels of the
- * sure ones. */
+/* Inverse depth of the view in s->rho: kept where confident, else filled from coarser levels. */
 static void smooth_depth(struct seed *s, int view)
 {
     const int w = s->in->depth->size;
@@ -502,16 +502,16 @@ static void smooth_depth(struct seed *s, int view)
         s->rho[i] = level[0][2 * i] / level[0][2 * i + 1];
 }
 
-/* Summed table of the sure pixels of a view over the blocks and the bins from `lo` in `step`. */
+/* Summed-area table of the usable pixels of a view over the blocks, per bin (lo + k step). */
 static void sum_sure(struct seed *s, int view, float lo, float step)
 {
-    const int w = s->in->depth->size, n = blocks(w), row = (n + 1) * BINS;
+    const int w = s->in->depth->size, n = blocks_across(w), row = (n + 1) * BINS;
     const float *conf = s->in->depth->conf + (size_t)view * (size_t)w * (size_t)w;
     memset(s->sum, 0, (size_t)row * (size_t)(n + 1) * sizeof *s->sum);
     for (int i = 0; i < w * w; i++) {
         float bin = step > 0.0f ? (s->rho[i] - lo) / step + 0.5f : 0.0f;
         int b = (int)fminf(fmaxf(bin, 0.0f), (float)(BINS - 1));
-        if (conf[i] >= SURE)
+        if (conf[i] >= SWEEP_CONF_USABLE)
             s->sum[(i / w / BLOCK + 1) * row + (i % w / BLOCK + 1) * BINS + b]++;
     }
     for (int k = 0; k < n * n; k++) {
@@ -523,11 +523,11 @@ static void sum_sure(struct seed *s, int view, float lo, float step)
     }
 }
 
-/* Bin of the farthest sure surfaces in the smallest square of blocks around block x, y that knows
+/* Bin of the farthest usable surfaces in the smallest square of blocks around block x, y that has
  * enough of them. */
-static int farthest(const struct seed *s, int x, int y)
+static int farthest_bin(const struct seed *s, int x, int y)
 {
-    const int w = s->in->depth->size, n = blocks(w), row = (n + 1) * BINS;
+    const int w = s->in->depth->size, n = blocks_across(w), row = (n + 1) * BINS;
     for (int r = 1;; r *= 2) {
         int x0 = x < r ? 0 : x - r, x1 = x + r < n ? x + r + 1 : n;
         int y0 = y < r ? 0 : y - r, y1 = y + r < n ? y + r + 1 : n, b = 0;
@@ -545,15 +545,15 @@ static int farthest(const struct seed *s, int x, int y)
     }
 }
 
-/* Nothing in s->rho lies before the farthest surfaces around it, not even where it is sure: what
- * is left over there is what other views look through. s->levels is free by now. */
-static void hold_far(struct seed *s, int view)
+/* Limit s->rho to the farthest surfaces around each pixel, even where its depth is usable: other
+ * views see through the pixels left over there. Reuses s->levels. */
+static void limit_nearness(struct seed *s, int view)
 {
     const int w = s->in->depth->size;
     const float *conf = s->in->depth->conf + (size_t)view * (size_t)w * (size_t)w;
     size_t n = 0;
     for (int i = 0; i < w * w; i++) {
-        if (conf[i] >= SURE)
+        if (conf[i] >= SWEEP_CONF_USABLE)
             s->levels[n++] = s->rho[i];
     }
     if (n == 0)
@@ -562,9 +562,9 @@ static void hold_far(struct seed *s, int view)
                 hi = num_sorted_quantile(s->levels, n, 0.99f);
     const float step = (hi - lo) / (BINS - 1);
     sum_sure(s, view, lo, step);
-    for (int k = 0; k < blocks(w) * blocks(w); k++) {
-        const int x0 = k % blocks(w) * BLOCK, y0 = k / blocks(w) * BLOCK;
-        const float far = lo + step * (float)farthest(s, x0 / BLOCK, y0 / BLOCK);
+    for (int k = 0; k < blocks_across(w) * blocks_across(w); k++) {
+        const int x0 = k % blocks_across(w) * BLOCK, y0 = k / blocks_across(w) * BLOCK;
+        const float far = lo + step * (float)farthest_bin(s, x0 / BLOCK, y0 / BLOCK);
         for (int i = 0; i < BLOCK * BLOCK; i++) {
             int x = x0 + i % BLOCK, y = y0 + i / BLOCK;
             if (x < w && y < w)
@@ -575,14 +575,14 @@ static void hold_far(struct seed *s, int view)
 
 /* ---- entry ---- */
 
-/* What a view knows: confidence times reliability of its green pixels. */
-static float knowledge(const struct seed *s, int view)
+/* Sum of confidence times reliability of the green pixels of a view. */
+static float view_score(const struct seed *s, int view)
 {
     const int w = s->in->depth->size, scale = s->in->depth->scale;
     float sum = 0.0f;
     for (int i = 0; i < w * w; i++)
         sum += s->in->depth->conf[(size_t)view * (size_t)w * (size_t)w + (size_t)i] *
-               s->weight[1][pixel(s, view, i % w * scale, i / w * scale)[1]];
+               s->weight[1][pixel_at(s, view, i % w * scale, i / w * scale)[1]];
     return sum;
 }
 
@@ -590,7 +590,7 @@ static void sort_views(struct seed *s)
 {
     for (int i = 0; i < s->in->views->n; i++) {
         int k = i;
-        s->score[i] = knowledge(s, i);
+        s->score[i] = view_score(s, i);
         for (; k > 0 && s->score[s->order[k - 1]] < s->score[i]; k--)
             s->order[k] = s->order[k - 1];
         s->order[k] = i;
@@ -609,7 +609,7 @@ static err_t seed_all(struct seed *s)
             return err_fail(ERR_CANCELLED, "seed: cancelled");
         smooth_depth(s, s->order[i % n]);
         if (i >= n)
-            hold_far(s, s->order[i % n]);
+            limit_nearness(s, s->order[i % n]);
         for (int y = 0; y < w; y += BLOCK) {
             for (int x = 0; x < w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
@@ -643,7 +643,7 @@ static err_t layout(struct seed *s, struct arena *a, const struct depthmaps *d)
         e = arena_alloc(a, levels_floats(w), sizeof *s->levels, &s->levels);
     if (!e)
         e = arena_alloc(a, w * w, sizeof *s->rho, &s->rho);
-    const size_t side = (size_t)blocks((int)w) + 1;
+    const size_t side = (size_t)blocks_across((int)w) + 1;
     if (!e)
         e = arena_alloc(a, side * side * BINS, sizeof *s->sum, &s->sum);
     return e;
@@ -662,8 +662,7 @@ static err_t check_input(const struct seed_input *in, int max)
 {
     const struct depthmaps *d = in->depth;
     if (max < 1 || max > GAUSSIANS_MAX)
-        return err_fail(ERR_ARG, "seed: at most %d splats asked, allowed are 1 to %d", max,
-                        GAUSSIANS_MAX);
+        return err_fail(ERR_ARG, "seed: limit of %d splats, must be 1..%d", max, GAUSSIANS_MAX);
     if (in->views->n < 1 || !in->views->cams || d->n != in->views->n || d->scale < 1 ||
         d->size < 1 || d->size * d->scale > in->views->size)
         return err_fail(ERR_ARG,
@@ -672,7 +671,7 @@ static err_t check_input(const struct seed_input *in, int max)
     return OK;
 }
 
-static void begin(struct seed *s)
+static void prepare_views(struct seed *s)
 {
     struct response_table table;
     response_tabulate(s->in->tone, &table);
@@ -697,7 +696,7 @@ err_t seed_run(const struct run *r, const struct seed_input *in, int max, struct
     if (!e)
         e = layout(&s, r->tmp, in->depth);
     if (!e)
-        begin(&s);
+        prepare_views(&s);
     for (int i = 0; i < TRIES && !e; i++, s.loss *= 1.4f) {
         e = seed_all(&s);
         if (!s.full)

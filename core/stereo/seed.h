@@ -1,5 +1,6 @@
-/* seed.h - first Gaussians from depth maps: few where the pictures are flat, many at edges, none
- * twice. Pure computation, single thread, so the result depends only on the input. thread: any. */
+/* seed.h - first Gaussians from depth maps: few where the pictures are flat, many at edges, each
+ * surface once. Pure computation, single thread, so the result depends only on the input. thread:
+ * any. */
 #ifndef STEREO_SEED_H
 #define STEREO_SEED_H
 
@@ -13,16 +14,16 @@ struct seed_input {
 };
 
 /* Place Gaussians on the surfaces that the depth maps show: flat along the surface, as wide as
- * the pixels they stand for, with the mean radiance of all views that see them. Pixels without a
- * sure depth get weak ones behind them.
+ * the pixels they represent, with the mean radiance of all views that see them. Pixels without a
+ * usable depth get weak ones behind them.
  * max:  1 or more. Detail is given up until at most this many are needed.
  * out:  degree 0, out->n <= max, memory in r->keep.
  * err:  ERR_ARG, ERR_NOMEM (see seed_plan), ERR_CANCELLED. On error *out is zeroed. */
 MUST_USE err_t seed_run(const struct run *r, const struct seed_input *in, int max,
                         struct gaussians *out);
 
-/* Count what seed_run takes; of d only its numbers are looked at.
- * out:  the room of the splats. */
+/* Count the memory of seed_run; of d only n, size and scale are read.
+ * out:  capacity of the splats. */
 void seed_plan(struct plan *p, const struct depthmaps *d, int max, struct gaussians *out);
 
 #endif

@@ -9,7 +9,7 @@
 
 enum {
     STEP_COST = 7,     // P1: change by one plane
-    JUMP_COST = 45,    // P2: larger change, over flat ground
+    JUMP_COST = 45,    // P2: larger change, away from edges
     JUMP_COST_MIN = 14 // P2 over a strong edge
 };
 
@@ -18,8 +18,7 @@ static int16_t min16(int16_t a, int16_t b)
     return a < b ? a : b;
 }
 
-/* Price of a jump between two pixels: cheaper where the picture has an edge that both pixels know.
- * */
+/* Cost of a jump between two pixels, lower over an edge of the picture that is reliable in both. */
 static int16_t jump_cost(const float *p, const float *q)
 {
     float edge = fabsf(p[0] - q[0]) * p[1] * q[1];
@@ -31,7 +30,7 @@ struct path_io {
     const uint8_t *cost;
     const int16_t *before, *below,
         *above;                   // previous pixels of the path: this plane, the planes beside it
-    const int16_t *least, *jump;  // minimum of the previous pixels over the planes; price of a jump
+    const int16_t *least, *jump;  // minimum of the previous pixels over the planes; cost of a jump
     int16_t *now, *total, *floor; // this path; sum of all paths; minimum over the planes so far
 };
 
@@ -51,7 +50,7 @@ static void path_row(const struct path_io *io, int n)
     }
 }
 
-enum { FAR_COST = 16000 }; // of the planes beside the first and last
+enum { FAR_COST = 16000 }; // of the planes beyond the first and last
 
 /* Row y of path p of 3, which comes from pixel x - 1 + p of row y - dir. The two halves of m->path
  * alternate between the row before and this one. */
@@ -64,7 +63,7 @@ static void path_down(struct sgm *m, int y, int dir, int p)
     int16_t *floor = m->least + (3 * now + p) * row + 1;
     for (int x = 0; x < w; x++) {
         int x0 = x - 1 + p < 0 ? 0 : x - 1 + p < w ? x - 1 + p : w - 1;
-        m->turn[x] = jump_cost(px + 2 * x, from + 2 * x0);
+        m->transposed[x] = jump_cost(px + 2 * x, from + 2 * x0);
         floor[x] = FAR_COST;
     }
     for (int d = 0; d < planes; d++) {
@@ -75,7 +74,7 @@ static void path_down(struct sgm *m, int y, int dir, int p)
                              .below = b - row,
                              .above = b + row,
                              .least = m->least + (3 * old + p) * row + p,
-                             .jump = m->turn,
+                             .jump = m->transposed,
                              .now = m->path + (size_t)(3 * now + p) * path + (d + 1) * row + 1,
                              .total = m->total + at,
                              .floor = floor};
@@ -84,7 +83,7 @@ static void path_down(struct sgm *m, int y, int dir, int p)
 }
 
 /* The three paths that run down (dir 1) or up (dir -1). Rows of m->path have one zero on both sides
- * and FAR_COST planes at both ends, so that borders need no case. */
+ * and FAR_COST planes at both ends, so that borders need no special case. */
 static void sweep_vertical(struct sgm *m, int dir)
 {
     const int w = m->w, row = w + 2, planes = m->planes;
@@ -134,7 +133,7 @@ static void sweep_row(struct sgm *m, int y)
     const int w = m->w, planes = m->planes;
     const size_t at = (size_t)y * (size_t)planes * (size_t)w;
     const float *px = m->light + 2 * (size_t)y * (size_t)w;
-    int16_t *cost = m->turn, *sum = cost + w * planes;
+    int16_t *cost = m->transposed, *sum = cost + w * planes;
     for (int x = 0; x < w; x++) {
         for (int d = 0; d < planes; d++)
             cost[x * planes + d] = m->cost[at + (size_t)(d * w + x)];
@@ -160,7 +159,8 @@ err_t sgm_init(struct sgm *m, struct arena *a, int width, int planes_max)
         e = arena_alloc(a, 6 * (planes + 2) * (w + 2), sizeof *m->path, &m->path);
     if (!e)
         e = arena_alloc(a, 6 * (w + 2), sizeof *m->least, &m->least);
-    return e ? e : arena_alloc(a, 2 * (w + 1) * (planes + 2), sizeof *m->turn, &m->turn);
+    return e ? e
+             : arena_alloc(a, 2 * (w + 1) * (planes + 2), sizeof *m->transposed, &m->transposed);
 }
 
 void sgm_run(struct sgm *m)

@@ -7,13 +7,13 @@
 
 /* Workspace. For a run with fewer pixels or planes than planned, set w and planes. */
 struct sgm {
-    int w, planes;      // px of the square picture; planes
-    const float *light; // (w, w, 2) log2 luminance and its reliability 0..1, for the edges
-    uint8_t *cost;      // (y, plane, x) matching cost, the caller's input
-    int16_t *total;     // (y, plane, x) smoothed cost, the result
-    int16_t *path;      // (2, 3, planes + 2, w + 2) rows of the paths that run down or up
-    int16_t *least;     // (2, 3, w + 2) their minima over the planes
-    int16_t *turn;      // (2, w, planes) a row with the planes innermost, and one path
+    int w, planes;       // px of the square picture; planes
+    const float *light;  // (w, w, 2) log2 luminance and its reliability 0..1, for the edges
+    uint8_t *cost;       // (y, plane, x) matching cost, the caller's input
+    int16_t *total;      // (y, plane, x) smoothed cost, the result
+    int16_t *path;       // (2, 3, planes + 2, w + 2) rows of the paths that run down or up
+    int16_t *least;      // (2, 3, w + 2) their minima over the planes
+    int16_t *transposed; // (2, w, planes) a row with the planes innermost, and one path
 };
 
 /* err:  ERR_NOMEM. */

@@ -1,8 +1,8 @@
 /* For each view: choose neighbours by distance and exposure; sweep planes of equal inverse depth
  * rho, one step being at most about one pixel in the widest neighbour; compare 5 x 5 windows of
- * log2 luminance by the variance of their difference relative to the contrast of the view (blind to
- * exposure, a correlation that also wants equal contrast) and by the mean difference (tells one
- * repetition of a pattern from the next); keep the best half of the neighbours
+ * log2 luminance by the variance of their difference relative to the contrast of the view (a
+ * correlation that is invariant to exposure and requires equal contrast) and by the mean difference
+ * (which distinguishes repetitions of a pattern); keep the best half of the neighbours
  * (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by a
  * parabola. A first sweep on quarter size narrows the range of rho. Then points that other views
  * confirm get confidence and the mean of the confirming depths. */
@@ -17,7 +17,7 @@
 #include <string.h>
 
 enum {
-    WORK_SIZE = 256,  // px; the work is done at this size or below
+    WORK_SIZE = 256,  // px; largest size that is matched
     NEAR_MAX = 4,     // neighbours used for a view
     CHECK_MAX = 10,   // neighbours asked to confirm
     PLANES_MAX = 144, // multiple of 16
@@ -30,15 +30,16 @@ enum {
     COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };
 
-static const double STEP_PX = 1.2;       // way of the fastest pixel per plane
-static const float COST_BLIND = 0.5f;    // where no pixel carries information
-static const float COST_OUTSIDE = 0.75f; // outside the neighbour: worse than blind, not as wrong
-static const float INSIDE = 1e-4f;       // least weight of a pixel inside the neighbour's picture
-static const float NOISE_VAR = 0.012f;   // stops^2 added: noise alone does not correlate
-static const float FAINT_VAR = 0.002f;   // stops^2: a fainter window agrees with any other
+static const double STEP_PX = 1.2;    // path of the fastest pixel per plane
+static const float COST_BLIND = 0.5f; // cost where no pixel has information
+static const float COST_OUTSIDE =
+    0.75f;                             // outside the neighbour: worse than blind, better than wrong
+static const float INSIDE = 1e-4f;     // least weight of a pixel inside the neighbour's picture
+static const float NOISE_VAR = 0.012f; // stops^2 added: noise alone does not correlate
+static const float FAINT_VAR = 0.002f; // stops^2: fainter windows match any other
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
-struct plate {
+struct light_map {
     int size;
     float *px; // (size, size, 2)
 };
@@ -53,26 +54,26 @@ struct sweep {
     const struct views *v;
     struct depthmaps *out;
     struct response_table table;
-    float linear[3][256];    // 2^table.x
-    struct pose *pose;       // (n)
-    struct plate *plate[2];  // (n) fine, coarse
-    int (*near)[CHECK_MAX];  // (n) other views, best first
-    int *n_near;             // (n)
-    float *rho;              // (n, size, size) inverse depth before the check
-    float *sure;             // (n, size, size) 0..1 of the sweep alone
-    float (*range)[2];       // (n) inverse depth of the first and last plane
-    struct scratch *scratch; // (workers)
-    atomic_int done;         // views
+    float linear[3][256];           // 2^table.x
+    struct pose *pose;              // (n)
+    struct light_map *light_map[2]; // (n) fine, coarse
+    int (*near)[CHECK_MAX];         // (n) other views, best first
+    int *n_near;                    // (n)
+    float *rho;                     // (n, size, size) inverse depth before the check
+    float *sure;                    // (n, size, size) 0..1, confidence of the sweep alone
+    float (*range)[2];              // (n) inverse depth of the first and last plane
+    struct scratch *scratch;        // (workers)
+    atomic_int done;                // views
 };
 
-/* Of one worker, for the largest picture and number of planes. */
+/* Scratch of one worker, for the largest picture and number of planes. */
 struct scratch {
     struct sgm sgm;
     float *contrast; // (y, x)
     float *place;    // (2, x) mapped places of one row
     float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
-    float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) their sums
-    int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row, and one to merge
+    float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) sums of `ring`
+    int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row; then one row to merge
 };
 
 /* One sweep of one view. */
@@ -124,7 +125,8 @@ static void map_between(const struct pose *a, const struct pose *b, double size,
     }
 }
 
-/* Place in the other picture; false if behind it. z is depth there times rho here. */
+/* Map a pixel at rho into the other picture; false if it is behind that camera. out[2]: depth there
+ * times rho here. */
 static bool apply_map(const double *h, double u, double v, double rho, double *out)
 {
     double z = h[8] * u + h[9] * v + h[10] + h[11] * rho;
@@ -136,7 +138,7 @@ static bool apply_map(const double *h, double u, double v, double rho, double *o
     return true;
 }
 
-static double distance(const struct pose *a, const struct pose *b)
+static double pose_distance(const struct pose *a, const struct pose *b)
 {
     double s = 0.0;
     for (int i = 0; i < 3; i++)
@@ -147,7 +149,7 @@ static double distance(const struct pose *a, const struct pose *b)
 enum { GRID = 5, TRIES = 64 };
 
 /* Share of a grid of pixels of view a at rho that falls into view b. */
-static double overlap(const double *h, double rho)
+static double shared_view(const double *h, double rho)
 {
     int n = 0;
     for (int i = 0; i < GRID * GRID; i++) {
@@ -158,29 +160,29 @@ static double overlap(const double *h, double rho)
 }
 
 /* Candidate inverse depths for a baseline b: 0, then from 1/(300 b) to 1/(0.5 b). */
-static double try_rho(int k, double baseline)
+static double candidate_rho(int k, double baseline)
 {
     return k == 0 ? 0.0 : pow(600.0, (k - 1) / (double)(TRIES - 2)) / (300.0 * baseline);
 }
 
 /* ---- neighbours and range ---- */
 
-/* Other views that can see the same things, near ones and like exposures first. */
+/* Choose other views of the same surfaces; near ones with similar exposure come first. */
 static void choose_near(struct sweep *s, int i)
 {
     double score[CHECK_MAX];
     const struct pose *a = &s->pose[i];
     double scale = 0.0;
     for (int j = 0; j < s->v->n; j++)
-        scale = fmax(scale, distance(a, &s->pose[j]));
+        scale = fmax(scale, pose_distance(a, &s->pose[j]));
     s->n_near[i] = 0;
     for (int j = 0; j < s->v->n; j++) {
-        double h[12], seen = 0.0, d = distance(a, &s->pose[j]);
+        double h[12], seen = 0.0, d = pose_distance(a, &s->pose[j]);
         if (j == i || d <= 1e-4 * scale)
             continue;
         map_between(a, &s->pose[j], 1.0, h);
         for (int k = 0; k < TRIES; k++)
-            seen = fmax(seen, overlap(h, try_rho(k, d)));
+            seen = fmax(seen, shared_view(h, candidate_rho(k, d)));
         if (seen < 0.25)
             continue;
         double cost = d * (1.0 + 0.1 * fabs((double)(s->v->log2t[i] - s->v->log2t[j]))) / seen;
@@ -196,19 +198,19 @@ static void choose_near(struct sweep *s, int i)
     }
 }
 
-/* Inverse depths at which the neighbours still share a good part of the picture. */
+/* Choose the range of inverse depths at which the neighbours share much of the picture. */
 static void choose_range(struct sweep *s, int i)
 {
     int n = num_min(s->n_near[i], NEAR_MAX);
     double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
     s->range[i][0] = s->range[i][1] = 0.0f;
     for (int k = 0; k < n; k++)
-        baseline += distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
+        baseline += pose_distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
     for (int k = 0; k < n; k++) {
         double h[12];
         map_between(&s->pose[i], &s->pose[s->near[i][k]], 1.0, h);
         for (int t = 0; t < TRIES; t++)
-            seen[t] += overlap(h, try_rho(t, baseline));
+            seen[t] += shared_view(h, candidate_rho(t, baseline));
     }
     for (int t = 0; t < TRIES; t++)
         top = fmax(top, seen[t]);
@@ -220,14 +222,14 @@ static void choose_range(struct sweep *s, int i)
         }
     }
     if (n > 0) {
-        s->range[i][0] = (float)try_rho(first, baseline);
-        s->range[i][1] = (float)try_rho(last, baseline);
+        s->range[i][0] = (float)candidate_rho(first, baseline);
+        s->range[i][1] = (float)candidate_rho(last, baseline);
     }
 }
 
-/* Way in px that a pixel runs through a neighbour over a range of inverse depth; 0 if it gets
- * behind it. */
-static double way_px(const double *h, double u, double v, const float *range)
+/* Length of the path of a pixel in a neighbour over a range of inverse depth, px; 0 if it goes
+ * behind the camera. */
+static double path_px(const double *h, double u, double v, const float *range)
 {
     double p[3], q[3], way = 0.0;
     if (!apply_map(h, u, v, (double)range[0], p))
@@ -241,13 +243,13 @@ static double way_px(const double *h, double u, double v, const float *range)
     return way;
 }
 
-/* Planes so that one step is STEP_PX where pixels run fastest; a multiple of 16. */
+/* Number of planes that makes a step STEP_PX where pixels move fastest; a multiple of 16. */
 static int count_planes(const struct task *t, const float *range)
 {
     double longest = 0.0;
     for (int k = 0; k < t->n_near; k++) {
         for (int i = 0; i < 9; i++) {
-            double way = way_px(t->h[k], t->w * (i % 3) / 2.0, t->w * (i / 3) / 2.0, range);
+            double way = path_px(t->h[k], t->w * (i % 3) / 2.0, t->w * (i / 3) / 2.0, range);
             longest = fmax(longest, way);
         }
     }
@@ -273,14 +275,14 @@ static void mean_light(const struct sweep *s, const uint8_t *rgb, float shift, f
     out[1] = known / (sum + 1e-12f);
 }
 
-static void shrink_plate(const struct plate *fine, const struct plate *coarse)
+static void shrink_light_map(const struct light_map *fine, const struct light_map *coarse)
 {
     for (int k = 0; k < coarse->size * coarse->size; k++) {
         int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
         float value = 0.0f, known = 0.0f;
         for (int j = 0; j < COARSE * COARSE; j++) {
             const float *px = fine->px + 2 * ((y0 + j / COARSE) * fine->size + x0 + j % COARSE);
-            value += px[0] * (px[1] + 1e-6f); // the mean of all if none is known
+            value += px[0] * (px[1] + 1e-6f); // the plain mean if none is reliable
             known += px[1] + 1e-6f;
         }
         coarse->px[2 * k] = value / known;
@@ -288,7 +290,7 @@ static void shrink_plate(const struct plate *fine, const struct plate *coarse)
     }
 }
 
-static err_t make_plate(void *ctx, int i, int worker)
+static err_t make_light_map(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
     (void)worker;
@@ -297,15 +299,15 @@ static err_t make_plate(void *ctx, int i, int worker)
     const float shift = s->v->log2t[i] - s->v->mid_log2t;
     for (int k = 0; k < w * w; k++) {
         size_t at = ((size_t)i * size + (size_t)(k / w) * scale) * size + (size_t)(k % w) * scale;
-        mean_light(s, s->v->rgb + 3 * at, shift, s->plate[0][i].px + 2 * (size_t)k);
+        mean_light(s, s->v->rgb + 3 * at, shift, s->light_map[0][i].px + 2 * (size_t)k);
     }
-    shrink_plate(&s->plate[0][i], &s->plate[1][i]);
+    shrink_light_map(&s->light_map[0][i], &s->light_map[1][i]);
     return OK;
 }
 
 /* ---- matching cost ---- */
 
-/* Places of one row of the view at rho in the neighbour, in px; -1 outside its pixel centres. */
+/* Map one row of the view at rho into the neighbour, px; u is -1 outside its pixel centres. */
 static void place_row(const double *h, int y, int w, double rho, float *u, float *v)
 {
     const float du[3] = {(float)h[0], (float)h[4], (float)h[8]}, end = (float)w - 1.0f;
@@ -322,12 +324,12 @@ static void place_row(const double *h, int y, int w, double rho, float *u, float
     }
 }
 
-/* One row of moments at rho: weight, and the difference to the neighbour at the mapped places. */
+/* One row of moments at rho: weight, and differences to the neighbour at the mapped places. */
 static void moment_row(const struct task *t, int k, int y, float rho, float *row)
 {
     const int w = t->w;
-    const float *p = t->s->plate[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
-    const float *other = t->s->plate[t->level][t->s->near[t->i_view][k]].px;
+    const float *p = t->s->light_map[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
+    const float *other = t->s->light_map[t->level][t->s->near[t->i_view][k]].px;
     float *u = t->m->place, *v = u + w;
     place_row(t->h[k], y, w, (double)rho, u, v);
     for (int x = 0; x < w; x++) {
@@ -349,8 +351,8 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
     }
 }
 
-/* The smaller of two floats without a comparison, which would keep GCC from making vectors. */
-static inline float lesser(float a, float b)
+/* Minimum without a comparison, which would keep GCC from vectorising. */
+static inline float min_float(float a, float b)
 {
     return 0.5f * (a + b - fabsf(a - b));
 }
@@ -367,17 +369,17 @@ static void cost_row(const float *column, const float *centre, const float *cont
         float m1 = c1[x] + c1[x + 1] + c1[x + 2] + c1[x + 3] + c1[x + 4];
         float m2 = c2[x] + c2[x + 1] + c2[x + 2] + c2[x + 3] + c2[x + 4];
         float inv = 1.0f / (m0 + INSIDE), mean = m1 * inv;
-        float unlike = lesser((m2 * inv - mean * mean) * contrast[x], 2.0f);
-        float cost = 0.35f * unlike + 0.4f * lesser(fabsf(mean), 1.0f) - COST_BLIND;
+        float unlike = min_float((m2 * inv - mean * mean) * contrast[x], 2.0f);
+        float cost = 0.35f * unlike + 0.4f * min_float(fabsf(mean), 1.0f) - COST_BLIND;
         float known = m0 / (m0 + 0.06f * TAPS * TAPS),
-              in = lesser(centre[x] * (1.0f / INSIDE), 1.0f);
+              in = min_float(centre[x] * (1.0f / INSIDE), 1.0f);
         cost = COST_OUTSIDE + in * (COST_BLIND + known * cost - COST_OUTSIDE);
         out[x] = (int16_t)(int)(cost * FINE);
     }
 }
 
 /* The smaller costs go to `low`, the larger stay in `cost`. */
-static void keep_lesser(int16_t *restrict low, int16_t *restrict cost, int w)
+static void keep_smallest(int16_t *restrict low, int16_t *restrict cost, int w)
 {
     for (int x = 0; x < w; x++) {
         int16_t a = low[x], b = cost[x];
@@ -429,7 +431,7 @@ static void cost_plane(const struct task *t, int d)
             cost_row(m->column + k * SUMS * (w + 2 * RADIUS), centre,
                      m->contrast + (size_t)y * (size_t)w, w, cost);
             for (int j = 0; j < kept; j++)
-                keep_lesser(m->best + j * w, cost, w);
+                keep_smallest(m->best + j * w, cost, w);
         }
         uint8_t *c = m->sgm.cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
         for (int x = 0; x < w && y >= 0; x++) {
@@ -442,8 +444,8 @@ static void cost_plane(const struct task *t, int d)
     }
 }
 
-/* Half the inverse variance of the window around one pixel of a plate, the noise included. */
-static float inverse_contrast(const struct plate *p, int x, int y)
+/* Half the inverse variance of the window around one pixel of a light_map, the noise included. */
+static float inverse_contrast(const struct light_map *p, int x, int y)
 {
     const float centre = p->px[2 * (y * p->size + x)];
     float weight = 1e-6f, sum = 0.0f, square = 0.0f;
@@ -462,8 +464,8 @@ static float inverse_contrast(const struct plate *p, int x, int y)
 
 /* ---- one view ---- */
 
-/* Best plane with a parabola through its neighbours; `sure` from the matching cost there and from
- * what the window has to match. */
+/* Best plane, refined by a parabola through its neighbours; `sure` from the matching cost there and
+ * the contrast of the window. */
 static void pick_planes(const struct task *t, float *rho, float *sure)
 {
     const int w = t->w, planes = t->planes;
@@ -492,7 +494,7 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     struct sweep *s = t->s;
     const float *range = s->range[t->i_view];
     t->level = level;
-    t->w = s->plate[level][t->i_view].size;
+    t->w = s->light_map[level][t->i_view].size;
     t->n_near = num_min(s->n_near[t->i_view], NEAR_MAX);
     for (int k = 0; k < t->n_near; k++)
         map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
@@ -500,12 +502,12 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     t->rho0 = range[0];
     t->step = (range[1] - range[0]) / (float)(t->planes - 1);
     for (int k = 0; k < t->w * t->w; k++)
-        t->m->contrast[k] = inverse_contrast(&s->plate[level][t->i_view], k % t->w, k / t->w);
+        t->m->contrast[k] = inverse_contrast(&s->light_map[level][t->i_view], k % t->w, k / t->w);
     for (int d = 0; d < t->planes; d++)
         cost_plane(t, d);
     t->m->sgm.w = t->w;
     t->m->sgm.planes = t->planes;
-    t->m->sgm.light = s->plate[level][t->i_view].px;
+    t->m->sgm.light = s->light_map[level][t->i_view].px;
     sgm_run(&t->m->sgm);
     pick_planes(t, rho, sure);
     if (s->run->cancel && atomic_load(s->run->cancel))
@@ -513,7 +515,7 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     return OK;
 }
 
-/* Range that holds the sure pixels of the coarse sweep, with a margin. */
+/* Narrow the range to the confident pixels of the coarse sweep, with a margin. */
 static void narrow_range(const struct task *t, const float *rho, const float *sure)
 {
     int hist[PLANES_MAX] = {0}, total = 0, lo = 0, hi = t->planes - 1;
@@ -549,7 +551,7 @@ static err_t match_view(struct sweep *s, int i, int worker)
         }
         return OK;
     }
-    if (s->plate[1][i].size >= 16) {
+    if (s->light_map[1][i].size >= 16) {
         err_t e = sweep_level(&t, 1, rho, sure);
         if (e)
             return e;
@@ -558,7 +560,7 @@ static err_t match_view(struct sweep *s, int i, int worker)
     return sweep_level(&t, 0, rho, sure);
 }
 
-/* Progress is told by the thread that runs the job, worker 0, for all. */
+/* Worker 0, the thread that runs the job, reports the progress of all. */
 static err_t sweep_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
@@ -572,7 +574,7 @@ static err_t sweep_view(void *ctx, int i, int worker)
 
 /* ---- agreement between the views ---- */
 
-/* Points of view i that other views see at the same depth take the mean of all and their number as
+/* Depths of view i that other views confirm become the mean of all; the number of views gives the
  * confidence. */
 static err_t confirm_view(void *ctx, int i, int worker)
 {
@@ -640,19 +642,19 @@ static err_t layout_maps(struct depthmaps *m, struct arena *keep, const struct v
     return e ? e : arena_alloc(keep, pixels, sizeof *m->conf, &m->conf);
 }
 
-/* What counts has no room for the lists themselves. */
+/* A counting arena has no memory for the lists themselves. */
 static err_t layout(struct sweep *s, struct arena *a, int workers)
 {
     const size_t n = (size_t)s->out->n, w = (size_t)s->out->size;
     err_t e = arena_alloc(a, n, sizeof *s->pose, &s->pose);
     for (int level = 0; level < 2 && !e; level++)
-        e = arena_alloc(a, n, sizeof *s->plate[0], &s->plate[level]);
+        e = arena_alloc(a, n, sizeof *s->light_map[0], &s->light_map[level]);
     for (size_t i = 0; i < 2 * n && !e; i++) {
         const size_t side = i % 2 ? w / COARSE : w;
-        struct plate plate = {.size = (int)side};
-        e = arena_alloc(a, 2 * side * side, sizeof *plate.px, &plate.px);
+        struct light_map light_map = {.size = (int)side};
+        e = arena_alloc(a, 2 * side * side, sizeof *light_map.px, &light_map.px);
         if (!e && !a->counts)
-            s->plate[i % 2][i / 2] = plate;
+            s->light_map[i % 2][i / 2] = light_map;
     }
     if (!e)
         e = arena_alloc(a, n, sizeof *s->near, &s->near);
@@ -684,8 +686,9 @@ static err_t check_input(const struct views *v)
 {
     if (v->n < 1 || v->size < 16 || !v->cams)
         return err_fail(
-            ERR_ARG, "sweep: %d views of %d px %s cameras, needed are views of 16 px with cameras",
-            v->n, v->size, v->cams ? "with" : "without");
+            ERR_ARG,
+            "sweep: %d views of %d px %s cameras, must be at least 1 of 16 px with cameras", v->n,
+            v->size, v->cams ? "with" : "without");
     for (int i = 0; i < v->n; i++) {
         const struct camera *c = &v->cams[i];
         float sum = v->log2t[i] + c->fx + c->fy + c->cx + c->cy;
@@ -719,7 +722,7 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
             s.linear[k / 256][k % 256] = exp2f(s.table.x[k / 256][k % 256]);
         for (int i = 0; i < v->n; i++)
             set_pose(&v->cams[i], &s.pose[i]);
-        e = pool_for(r->pool, v->n, make_plate, &s);
+        e = pool_for(r->pool, v->n, make_light_map, &s);
     }
     if (!e)
         e = pool_for(r->pool, v->n, sweep_view, &s);

@@ -1,7 +1,7 @@
 /* sweep.h - one depth map per view from photographs at different exposures with known cameras.
- * Plane sweep over inverse depth with a matching cost that does not see the exposure,
- * semi-global smoothing, and a check between the views. The depth range follows from the cameras
- * alone.
+ * Plane sweep over inverse depth with a matching cost that is invariant to exposure,
+ * semi-global smoothing, and a consistency check between views. The depth range follows from the
+ * cameras alone.
  * Pure computation; thread: any. Invariant: the result does not depend on the number of threads. */
 #ifndef STEREO_SWEEP_H
 #define STEREO_SWEEP_H
@@ -9,12 +9,17 @@
 #include "core/base/plan.h"
 #include "core/base/types.h"
 
-/* Depth at 1/scale of the size of the views; every pixel has one, and `conf` says its worth. */
+/* Bounds of `conf`: a depth is usable; several views confirm it. */
+#define SWEEP_CONF_USABLE 0.3f
+#define SWEEP_CONF_CONFIRMED 0.6f
+#define SWEEP_SAME_SURFACE 0.02f // relative difference of depths on one surface
+
+/* Depth at 1/scale of the size of the views. Every pixel has a depth and its confidence. */
 struct depthmaps {
     int n, size;  // views; px
     int scale;    // pixels of the view per pixel of the map and axis
     float *depth; // (n, size, size) z in the camera, scene units, > 0, finite
-    float *conf;  // (n, size, size) 0 = smooth guess .. 1 = several views agree
+    float *conf;  // (n, size, size) 0: smooth guess .. 1: several views agree
 };
 
 /* Depth of every view.
@@ -25,8 +30,8 @@ struct depthmaps {
 MUST_USE err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone,
                          struct depthmaps *out);
 
-/* Count what sweep_run takes; of v only its numbers are looked at.
- * out:  the numbers of the maps. */
+/* Count the memory of sweep_run; of v only n and size are read.
+ * out:  n, size and scale of the maps. */
 void sweep_plan(struct plan *p, const struct views *v, struct depthmaps *out);
 
 #endif

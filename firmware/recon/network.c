@@ -374,7 +374,7 @@ static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
 static size_t map_place(const struct sharpen *s, int view, int i)
 {
     const int w = s->p->geom.size;
-    return visibility_at(&s->sight, view, (float)(i % w), (float)(i / w));
+    return visibility_index(&s->sight, view, (float)(i % w), (float)(i / w));
 }
 
 static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
@@ -429,14 +429,14 @@ enum verdict { SILENT, AGREES, DIFFERS, BETTER };
  * are sure of, and behind anything else. */
 static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
 {
-    struct sighting there;
-    if (!visibility_look(&s->sight, j, p->point, &there))
+    struct projected there;
+    if (!visibility_project(&s->sight, j, p->point, &there))
         return SILENT;
     const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
     const bool knows = worth(s, rgb) > TIMES * p->worth;
     if (p->sure)
-        return knows && visibility_same(&s->sight, &there) ? BETTER : SILENT;
-    if (knows || visibility_through(&s->sight, &there))
+        return knows && visibility_on_surface(&s->sight, &there) ? BETTER : SILENT;
+    if (knows || visibility_in_front(&s->sight, &there))
         return BETTER;
     if (visibility_behind(&s->sight, &there))
         return SILENT;
@@ -450,7 +450,7 @@ static bool refuted(const struct sharpen *s, int view, int i)
     const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
     const uint8_t *rgb = photograph(s, view, i % w, i / w);
     const struct pixel p = {view,
-                            visibility_sure(&s->sight, map_place(s, view, i)),
+                            visibility_confident(&s->sight, map_place(s, view, i)),
                             rgb,
                             worth(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
@@ -500,7 +500,7 @@ static void place_pixel(const struct sharpen *s, int view, int i, size_t k)
 {
     const int w = s->p->geom.size;
     const float uvz[3] = {(float)(i % w) + 0.5f, (float)(i / w) + 0.5f, s->depth[k]};
-    visibility_point(&s->sight, view, uvz, s->p->points + 3 * k);
+    visibility_unproject(&s->sight, view, uvz, s->p->points + 3 * k);
     for (size_t c = 0; c < 3; c++)
         s->p->points[3 * k + c] /= s->scale;
 }

@@ -174,36 +174,36 @@ static void views_know_points(void **state)
 {
     (void)state;
     struct visibility s;
-    struct sighting p;
+    struct projected p;
     float point[3];
     assert_int_equal(visibility_layout(&s, w.r.tmp, w.depth.n), OK);
     visibility_set(&s, &w.depth, w.cams);
-    visibility_point(&s, 0, (const float[3]){50.5f, 20.5f, 4}, point);
-    assert_true(visibility_look(&s, 1, point, &p));
+    visibility_unproject(&s, 0, (const float[3]){50.5f, 20.5f, 4}, point);
+    assert_true(visibility_project(&s, 1, point, &p));
     assert_float_equal(p.u, 50.5f - 0.4f * 90 / 4, 1e-4);
     assert_float_equal(p.v, 20.5f, 1e-4);
     assert_float_equal(p.z, 4, 1e-6);
     assert_int_equal(p.at, MPX + 10 * MAP + 20);
     w.conf[p.at] = 0.6f;
     w.z[p.at] = 4.07f;
-    assert_true(visibility_same(&s, &p) && !visibility_through(&s, &p));
+    assert_true(visibility_on_surface(&s, &p) && !visibility_in_front(&s, &p));
     w.z[p.at] = 4.1f;
-    assert_true(!visibility_same(&s, &p) && !visibility_through(&s, &p));
+    assert_true(!visibility_on_surface(&s, &p) && !visibility_in_front(&s, &p));
     w.z[p.at] = 4.3f;
-    assert_true(!visibility_same(&s, &p) && visibility_through(&s, &p));
+    assert_true(!visibility_on_surface(&s, &p) && visibility_in_front(&s, &p));
     w.z[p.at] = 3.5f;
-    assert_true(!visibility_same(&s, &p) && !visibility_through(&s, &p));
+    assert_true(!visibility_on_surface(&s, &p) && !visibility_in_front(&s, &p));
     w.conf[p.at] = 0.59f;
     w.z[p.at] = 4;
-    assert_true(!visibility_sure(&s, p.at) && !visibility_same(&s, &p));
+    assert_true(!visibility_confident(&s, p.at) && !visibility_on_surface(&s, &p));
     w.z[p.at] = 9;
-    assert_true(!visibility_through(&s, &p));
-    assert_false(visibility_look(&s, 1, (const float[3]){0, 0, -4}, &p));       // behind
-    assert_false(visibility_look(&s, 1, (const float[3]){9, 0, 4}, &p));        // outside
-    assert_false(visibility_look(&s, 1, (const float[3]){NAN, 0, 4}, &p));      // nowhere
-    assert_false(visibility_look(&s, 1, (const float[3]){0.4f, 0, NAN}, &p));   // nowhere
-    assert_false(visibility_look(&s, 1, (const float[3]){INFINITY, 0, 4}, &p)); // far away
-    assert_int_equal(visibility_at(&s, 1, 95.9f, 95.9f), 2 * MPX - 1);
+    assert_true(!visibility_in_front(&s, &p));
+    assert_false(visibility_project(&s, 1, (const float[3]){0, 0, -4}, &p));       // behind
+    assert_false(visibility_project(&s, 1, (const float[3]){9, 0, 4}, &p));        // outside
+    assert_false(visibility_project(&s, 1, (const float[3]){NAN, 0, 4}, &p));      // nowhere
+    assert_false(visibility_project(&s, 1, (const float[3]){0.4f, 0, NAN}, &p));   // nowhere
+    assert_false(visibility_project(&s, 1, (const float[3]){INFINITY, 0, 4}, &p)); // far away
+    assert_int_equal(visibility_index(&s, 1, 95.9f, 95.9f), 2 * MPX - 1);
 }
 
 int main(void)
