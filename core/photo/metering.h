@@ -1,5 +1,5 @@
-/* metering.h - what a meter is told, knows and says: for meter.c, and for coverage.c, which chooses
- * the exposures. */
+/* metering.h - configuration, state and result of metering, for meter.c and for coverage.c, which
+ * chooses the exposures. */
 #ifndef PHOTO_METERING_H
 #define PHOTO_METERING_H
 
