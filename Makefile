@@ -291,6 +291,9 @@ fuzz-targets: $(call programs,$(FUZZ))
 $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 	$(CC) $(FLAGS) $^ $(LDLIBS) -lcmocka -o $@
 
+# Jobs with the network that comes with the program.
+$(B)/tests/unit/firmware/recon/plan_test: | build/small.hdrig
+
 # The module over a libcamera that is played: what 0.0.3 has, what 0.7.2 has.
 FAKE := $(B)/tests/unit/drivers/device
 FAKECAMERAS := $(FAKE)/fakecamera_3.so $(FAKE)/fakecamera_72.so

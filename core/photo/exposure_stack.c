@@ -48,18 +48,6 @@ static const uint8_t *photo_pixels(const struct views *v, int i)
     return v->rgb + 3 * pixel_count(v) * (size_t)i;
 }
 
-size_t exposure_stack_plan(const struct views *v, int threads)
-{
-    const size_t n = (size_t)v->n, all = n + (size_t)v->n_more;
-    size_t choose = arena_need((size_t)threads, 3 * pixel_count(v));
-    choose = arena_add(choose, arena_need(all, sizeof(bool)));
-    choose = arena_add(choose, arena_need(n, sizeof(int)));
-    size_t merge = arena_need(n, 3 * pixel_count(v));
-    merge = arena_add(merge, arena_need(n, sizeof(float)));
-    merge = arena_add(merge, arena_need(ENTRIES, 3));
-    return v->n_more ? num_max_size(choose, merge) : 0;
-}
-
 /* ---- choice ---- */
 
 /* Sum by which photograph i raises the best levels. */
@@ -180,21 +168,34 @@ static void exposure_span(const float *log2t, int n, float *lo, float *hi)
     }
 }
 
+static err_t layout_choice(struct stack *s, struct arena *tmp, const struct views *v, int threads)
+{
+    err_t e = arena_alloc(tmp, (size_t)threads, 3 * pixel_count(v), &s->best);
+    if (!e)
+        e = arena_zalloc(tmp, (size_t)(v->n + v->n_more), sizeof *s->keep, &s->keep);
+    return e ? e : arena_zalloc(tmp, (size_t)v->n, sizeof *s->first, &s->first);
+}
+
+void exposure_stack_choose_plan(struct plan *p, const struct views *v)
+{
+    struct stack s;
+    const size_t mark = arena_mark(&p->tmp);
+    if (v->n_more && layout_choice(&s, &p->tmp, v, p->threads))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
+}
+
 err_t exposure_stack_choose(const struct run *r, const struct tonemap *tone, bool staggered,
                             struct views *io)
 {
     struct stack s = {.r = r, .v = io, .staggered = staggered};
-    const size_t mark = arena_mark(r->tmp), all = (size_t)(io->n + io->n_more);
+    const size_t mark = arena_mark(r->tmp);
     if (io->n_more == 0)
         return OK;
     response_tabulate(tone, &s.table);
     for (int k = 0; k < 3 * 256; k++)
         s.level[k / 256][k % 256] = (uint8_t)lrintf(255 * s.table.weight[k / 256][k % 256]);
-    err_t e = arena_alloc(r->tmp, (size_t)pool_size(r->pool), 3 * pixel_count(io), &s.best);
-    if (!e)
-        e = arena_zalloc(r->tmp, all, sizeof *s.keep, &s.keep);
-    if (!e)
-        e = arena_zalloc(r->tmp, (size_t)io->n, sizeof *s.first, &s.first);
+    err_t e = layout_choice(&s, r->tmp, io, pool_size(r->pool));
     if (!e)
         e = pool_for(r->pool, io->n, choose_place, &s);
     for (int i = 0; i < io->n && !e; i++) {
@@ -262,6 +263,23 @@ static void fill_tables(struct stack *s, const struct tonemap *tone, const struc
     }
 }
 
+static err_t layout_merged(struct stack *s, struct arena *tmp, const struct views *v,
+                           struct views *out)
+{
+    err_t e = arena_alloc(tmp, (size_t)v->n, 3 * pixel_count(v), &s->out);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)v->n, sizeof *out->log2t, &out->log2t);
+    return e ? e : arena_alloc(tmp, ENTRIES, sizeof *s->code, &s->code);
+}
+
+void exposure_stack_merge_plan(struct plan *p, const struct views *v)
+{
+    struct stack s;
+    struct views out;
+    if (v->n_more && layout_merged(&s, &p->tmp, v, &out))
+        plan_refuse(p);
+}
+
 err_t exposure_stack_merge(const struct run *r, const struct views *v, const struct tonemap *tone,
                            struct views *out, struct tonemap *curve)
 {
@@ -273,11 +291,7 @@ err_t exposure_stack_merge(const struct run *r, const struct views *v, const str
         return OK;
     exposure_span(v->log2t, v->n + v->n_more, &lo, &hi);
     response_spread(tone, lo - tone->mid_log2t, hi - tone->mid_log2t, curve, &counts_as);
-    err_t e = arena_alloc(r->tmp, (size_t)v->n, 3 * pixel_count(v), &s.out);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)v->n, sizeof *out->log2t, &out->log2t);
-    if (!e)
-        e = arena_alloc(r->tmp, ENTRIES, sizeof *s.code, &s.code);
+    err_t e = layout_merged(&s, r->tmp, v, out);
     if (!e) {
         fill_tables(&s, tone, curve, counts_as);
         e = pool_for(r->pool, v->n, merge_place, &s);

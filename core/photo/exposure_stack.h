@@ -4,13 +4,14 @@
 #ifndef PHOTO_EXPOSURE_STACK_H
 #define PHOTO_EXPOSURE_STACK_H
 
+#include "core/base/plan.h"
 #include "core/base/types.h"
 
 /* Leave out the photographs that show nothing better than others of their place, and put a good one
  * first: the one with the most information, or, staggered, the middle, the shortest and the longest
  * in turn (networks are trained on such sets).
  * out:  *io, with mid_log2t of the photographs left (staggered: of the first ones of the places).
- * err:  ERR_NOMEM (see exposure_stack_plan), ERR_CANCELLED. */
+ * err:  ERR_NOMEM (see exposure_stack_choose_plan), ERR_CANCELLED. */
 MUST_USE err_t exposure_stack_choose(const struct run *r, const struct tonemap *tone,
                                      bool staggered, struct views *io);
 
@@ -27,7 +28,8 @@ MUST_USE err_t exposure_stack_merge(const struct run *r, const struct views *v,
  * keep: (n + n_more). */
 void exposure_stack_drop(struct views *v, const bool *keep);
 
-/* Bytes of r->tmp, of the one that takes most. */
-size_t exposure_stack_plan(const struct views *v, int threads);
+/* Count what they take: of v only its numbers are looked at. What is merged stays in tmp. */
+void exposure_stack_choose_plan(struct plan *p, const struct views *v);
+void exposure_stack_merge_plan(struct plan *p, const struct views *v);
 
 #endif

@@ -35,18 +35,6 @@ static int taps_of(int n_in, int n_out)
     return (int)ceil(2.0 * (scale > 1.0 ? scale : 1.0)) * 2 + 1;
 }
 
-/* Bytes for the scratch of one picture up to w x h. */
-static size_t scratch_need(int w, int h, int size)
-{
-    size_t n = (size_t)size, tx = (size_t)taps_of(w, size), ty = (size_t)taps_of(h, size);
-    size_t need = arena_need(n * tx, sizeof(int32_t));
-    need = arena_add(need, arena_need(n * ty, sizeof(int32_t)));
-    for (int i = 0; i < 4; i++)
-        need = arena_add(need, arena_need(n, sizeof(int)));
-    need = arena_add(need, arena_need(tx > ty ? tx : ty, sizeof(double)));
-    return arena_add(need, arena_need((size_t)h * n, 3));
-}
-
 static err_t axis_alloc(struct axis *a, int n_in, int n_out, struct arena *tmp)
 {
     a->taps = taps_of(n_in, n_out);
@@ -192,28 +180,14 @@ int prep_places(const struct capture *c)
     return n;
 }
 
-static void largest_size(const struct capture *c, int *w, int *h)
+struct image8 prep_largest(const struct capture *c)
 {
-    *w = *h = 1;
+    struct image8 out = {.w = 1, .h = 1};
     for (int i = 0; i < c->n; i++) {
-        *w = num_max(*w, c->shots[i].image.w);
-        *h = num_max(*h, c->shots[i].image.h);
+        out.w = num_max(out.w, c->shots[i].image.w);
+        out.h = num_max(out.h, c->shots[i].image.h);
     }
-}
-
-void prep_plan(const struct capture *c, int size, int threads, size_t *keep, size_t *tmp)
-{
-    int w, h;
-    size_t n = c->n > 0 ? (size_t)c->n : 0, view = 3 * (size_t)size * (size_t)size;
-    largest_size(c, &w, &h);
-    *keep = arena_add(arena_need(n, NAME_CAP), arena_need(n, view));
-    *keep = arena_add(*keep, arena_need(n, sizeof(float)));
-    *keep = arena_add(*keep, arena_need(n, sizeof(struct camera)));
-    *keep = arena_add(*keep, arena_need(n, sizeof(int)));
-    *tmp =
-        arena_add(arena_need(n, sizeof(int)), arena_need((size_t)threads, sizeof(struct scratch)));
-    for (int i = 0; i < threads; i++)
-        *tmp = arena_add(*tmp, scratch_need(w, h, size));
+    return out;
 }
 
 static err_t check_shot(const struct shot *s, const struct prep_source *from)
@@ -254,24 +228,28 @@ static struct camera scaled_camera(const struct camera *cam, int size)
     return s;
 }
 
+static err_t layout_views(struct views *v, struct arena *keep, int n_shots, int size)
+{
+    size_t n = (size_t)n_shots;
+    err_t e = arena_alloc(keep, n, sizeof *v->names, &v->names);
+    if (!e)
+        e = arena_alloc(keep, n, 3 * (size_t)size * (size_t)size, &v->rgb);
+    if (!e)
+        e = arena_alloc(keep, n, sizeof *v->log2t, &v->log2t);
+    if (!e)
+        e = arena_alloc(keep, n, sizeof *v->cams, &v->cams);
+    return e ? e : arena_alloc(keep, n, sizeof *v->place, &v->place);
+}
+
 static err_t views_alloc(const struct run *r, const struct capture *c, int size, struct views *v)
 {
-    size_t n = (size_t)c->n;
-    bool cameras = true;
-    for (int i = 0; i < c->n; i++)
-        cameras = cameras && c->shots[i].has_camera;
+    err_t e = layout_views(v, r->keep, c->n, size);
     v->n = prep_places(c);
     v->n_more = c->n - v->n;
     v->size = size;
-    err_t e = arena_alloc(r->keep, n, sizeof *v->names, &v->names);
-    if (!e)
-        e = arena_alloc(r->keep, n, 3 * (size_t)size * (size_t)size, &v->rgb);
-    if (!e)
-        e = arena_alloc(r->keep, n, sizeof *v->log2t, &v->log2t);
-    if (!e && cameras)
-        e = arena_alloc(r->keep, n, sizeof *v->cams, &v->cams);
-    if (!e && v->n_more)
-        e = arena_alloc(r->keep, n, sizeof *v->place, &v->place);
+    for (int i = 0; i < c->n; i++)
+        if (!c->shots[i].has_camera)
+            v->cams = NULL;
     return e;
 }
 
@@ -329,14 +307,30 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static err_t resize_all(struct job *j)
+static err_t layout(struct job *j, struct arena *tmp, int n, struct image8 most,
+                    const int size_threads[2])
 {
-    int w, h, workers = pool_size(j->r->pool);
-    largest_size(j->c, &w, &h);
-    err_t e = arena_alloc(j->r->tmp, (size_t)workers, sizeof *j->scratch, &j->scratch);
-    for (int i = 0; i < workers && !e; i++)
-        e = scratch_alloc(&j->scratch[i], w, h, j->v->size, j->r->tmp);
-    return e ? e : pool_for(j->r->pool, j->c->n, resize_shot, j);
+    const int threads = size_threads[1];
+    err_t e = arena_alloc(tmp, (size_t)n, sizeof *j->slot, &j->slot);
+    e = e ? e : arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
+    for (int i = 0; i < threads && !e; i++) {
+        struct scratch s;
+        e = scratch_alloc(&s, most.w, most.h, size_threads[0], tmp);
+        if (!e && !tmp->counts)
+            j->scratch[i] = s;
+    }
+    return e;
+}
+
+void prep_plan(struct plan *p, int n, struct image8 largest, int size)
+{
+    struct views v;
+    struct job j;
+    const size_t mark = arena_mark(&p->tmp);
+    if (layout_views(&v, &p->keep, n, size) ||
+        layout(&j, &p->tmp, n, largest, (int[2]){size, p->threads}))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 err_t prep_read(const struct run *r, const struct capture *c, const struct prep_source *from,
@@ -350,10 +344,10 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     struct job j = {.r = r, .c = c, .from = from, .v = &v};
     e = views_alloc(r, c, size, &v);
-    e = e ? e : arena_alloc(r->tmp, (size_t)c->n, sizeof *j.slot, &j.slot);
+    e = e ? e : layout(&j, r->tmp, c->n, prep_largest(c), (int[2]){size, pool_size(r->pool)});
     if (!e) {
         fill_metadata(c, &v, j.slot);
-        e = resize_all(&j);
+        e = pool_for(r->pool, c->n, resize_shot, &j);
     }
     arena_reset(r->tmp, tmp);
     if (e) {

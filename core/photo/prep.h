@@ -4,6 +4,7 @@
 #ifndef PHOTO_PREP_H
 #define PHOTO_PREP_H
 
+#include "core/base/plan.h"
 #include "core/base/types.h"
 
 enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
@@ -14,9 +15,11 @@ enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
  * err:  ERR_ARG (size, shape or channels), ERR_NOMEM. */
 MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out);
 
-/* Bytes that prep_run takes from r->keep and, with a pool of `threads`, from r->tmp; SIZE_MAX where
- * that overflows. */
-void prep_plan(const struct capture *c, int size, int threads, size_t *keep, size_t *tmp);
+/* Count what prep_run takes for n shots, the largest of them or a larger one. */
+void prep_plan(struct plan *p, int n, struct image8 largest, int size);
+
+/* Largest width and height of all. */
+struct image8 prep_largest(const struct capture *c);
 
 /* Places that the shots were taken from. */
 int prep_places(const struct capture *c);

@@ -425,10 +425,19 @@ static size_t pairs_max(const struct views *v)
     return (more ? more : groups) * 3 * LEVELS;
 }
 
+static err_t layout(struct group **g, struct response_pair **pairs, struct arena *tmp,
+                    const struct views *v)
+{
+    err_t e = arena_zalloc(tmp, GROUPS_MAX, sizeof **g, g);
+    return e ? e : arena_alloc(tmp, pairs_max(v), sizeof **pairs, pairs);
+}
+
 size_t response_plan(const struct views *v)
 {
-    return arena_add(arena_need(GROUPS_MAX, sizeof(struct group)),
-                     arena_need(pairs_max(v), sizeof(struct response_pair)));
+    struct arena tmp = arena_counter();
+    struct group *g;
+    struct response_pair *pairs;
+    return layout(&g, &pairs, &tmp, v) ? SIZE_MAX : tmp.peak;
 }
 
 err_t response_run(const struct run *r, const struct views *v, struct tonemap *out)
@@ -439,9 +448,7 @@ err_t response_run(const struct run *r, const struct views *v, struct tonemap *o
     err_t e = check_views(v);
     if (e)
         return e;
-    e = arena_zalloc(r->tmp, GROUPS_MAX, sizeof *g, &g);
-    if (!e)
-        e = arena_alloc(r->tmp, pairs_max(v), sizeof *pairs, &pairs);
+    e = layout(&g, &pairs, r->tmp, v);
     if (!e) {
         int n = v->n_more ? 0 : add_groups(v, g, pairs);
         for (int i = 0; i < v->n && v->n_more; i++)

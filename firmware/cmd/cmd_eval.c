@@ -195,14 +195,14 @@ static err_t list(struct state *st, const struct request *rq)
 static err_t reserve(struct state *st, const struct request *rq, struct job_memory need,
                      const struct scenefile_info *scene)
 {
-    size_t keep, tmp;
+    struct plan p = plan_begin(pool_size(st->engine.pool));
     err_t e = evaluate_check(&st->test.capture);
     if (e)
         return e;
-    evaluate_plan(&st->test.capture, scene->size, scene->n, pool_size(st->engine.pool), &keep,
-                  &tmp);
-    e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights),
-                       arena_add(need.keep, keep), tmp > need.tmp ? tmp : need.tmp,
+    arena_hold(&p.keep, need.keep);
+    arena_step(&p.tmp, need.tmp);
+    evaluate_plan(&p, &st->test.capture, scene->size, scene->n);
+    e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights), p.keep.peak, p.tmp.peak,
                        config_memory_mb(&rq->cfg));
     if (!e && rq->out)
         e = outdir_open(rq->out, &rq->rules, &st->out);
@@ -294,14 +294,15 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
 {
     const struct capture *c = &st->train.capture;
     const struct views v = {.n = c->n, .size = info->size};
-    size_t keep = 0, response;
+    struct plan p = plan_begin(pool_size(st->engine.pool));
     *need = (struct job_memory){.keep = info->need};
     if (c->n == 0)
         return;
-    prep_plan(c, info->size, pool_size(st->engine.pool), &keep, &need->tmp);
-    response = response_plan(&v);
-    need->tmp = response > need->tmp ? response : need->tmp;
-    need->keep = arena_add(need->keep, keep);
+    arena_hold(&p.keep, info->need);
+    prep_plan(&p, c->n, prep_largest(c), info->size);
+    arena_step(&p.tmp, response_plan(&v));
+    need->keep = p.keep.peak;
+    need->tmp = p.tmp.peak;
     need->pictures =
         arena_need((size_t)c->n * 3, (size_t)c->shots[0].image.w * (size_t)c->shots[0].image.h);
 }

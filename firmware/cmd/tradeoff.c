@@ -50,16 +50,17 @@ static void repeat(const struct state *st, const struct imageset *set, struct ca
 static err_t photographs(struct state *st, int size, struct capture *c)
 {
     struct imageset set;
-    size_t keep, tmp, bytes = 0;
+    size_t bytes = 0;
     err_t e = list(st, c->n < st->n_images ? c->n : st->n_images, &set);
     if (e)
         return e;
     repeat(st, &set, c);
     for (int i = 0; i < set.capture.n; i++)
         bytes += 3 * (size_t)c->shots[i].image.w * (size_t)c->shots[i].image.h;
-    prep_plan(c, size, pool_size(st->engine.pool), &keep, &tmp);
-    keep = arena_add(keep, differ_keep_plan(c->n, size));
-    e = engine_reserve(&st->engine, bytes, keep, tmp, st->max_mb);
+    struct plan p = plan_begin(pool_size(st->engine.pool));
+    prep_plan(&p, c->n, prep_largest(c), size);
+    arena_hold(&p.keep, differ_keep_plan(c->n, size));
+    e = engine_reserve(&st->engine, bytes, p.keep.peak, p.tmp.peak, st->max_mb);
     if (!e && !st->dry)
         e = imageset_load(&set);
     if (!e && !st->dry) {

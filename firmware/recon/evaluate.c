@@ -3,6 +3,7 @@
 #include "firmware/result/draw.h"
 #include "firmware/result/path.h"
 
+#include "core/base/gaussians.h"
 #include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
@@ -28,16 +29,6 @@ struct bench {
 };
 
 enum { IMAGES = 3 };
-
-void evaluate_plan(const struct capture *test, int size, int cap, int threads, size_t *keep,
-                   size_t *tmp)
-{
-    struct capture one = {1, test->shots}; // imageset has checked that all have the same size
-    size_t pixels = (size_t)size * (size_t)size, prep;
-    prep_plan(&one, size, threads, keep, &prep);
-    *tmp = arena_add(draw_plan(cap, size, size), arena_need(pixels, IMAGES * 3 * sizeof(float)));
-    *tmp = arena_add(*tmp, arena_add(prep, metrics_ssim_plan(size)));
-}
 
 static void add(struct evaluate_score *s, double psnr, double ssim)
 {
@@ -296,22 +287,31 @@ static err_t read_and_do(struct bench *b, int i)
     return e;
 }
 
-static err_t init(struct bench *b)
+static err_t layout(struct bench *b, struct arena *tmp, int size, int cap)
 {
-    const int size = b->j->scene.size;
     const size_t pixels = 3 * (size_t)size * (size_t)size;
     struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};
     float *px;
-    err_t e = draw_init(&b->draw, b->r->tmp, b->j->scene.g.cap, size, size);
+    err_t e = draw_init(&b->draw, tmp, cap, size, size);
     if (!e)
-        e = arena_alloc(b->r->tmp, pixels, IMAGES * sizeof *px, &px);
+        e = arena_alloc(tmp, pixels, IMAGES * sizeof *px, &px);
     for (int i = 0; i < IMAGES && !e; i++)
         *images[i] = (struct image){size, size, 3, px + pixels * (size_t)i};
-    if (!e && b->o)
-        e = outdir_mkdir(b->o, "ldr");
-    if (!e && b->o)
-        e = outdir_mkdir(b->o, "hdr");
     return e;
+}
+
+void evaluate_plan(struct plan *p, const struct capture *test, int size, int cap)
+{
+    const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
+    struct arena planes = arena_counter();
+    struct gaussians g;
+    struct bench b;
+    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, size, g.cap))
+        plan_refuse(p);
+    prep_plan(p, 1, test->shots[0].image, size); // imageset has checked that all have one size
+    arena_step(&p->tmp, metrics_ssim_plan(size));
+    arena_reset(&p->keep, keep);
+    arena_reset(&p->tmp, tmp);
 }
 
 err_t evaluate_run(const struct run *r, struct job_result *j, const struct imageset *test,
@@ -321,7 +321,11 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     const int n = test->capture.n;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
-    err_t e = init(&b);
+    err_t e = layout(&b, r->tmp, j->scene.size, j->scene.g.cap);
+    if (!e && o)
+        e = outdir_mkdir(o, "ldr");
+    if (!e && o)
+        e = outdir_mkdir(o, "hdr");
     for (int i = 0; i < n && !e; i++) {
         e = read_and_do(&b, i);
         if (!e && r->progress)

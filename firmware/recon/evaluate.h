@@ -11,6 +11,8 @@
 
 #include "drivers/format/imageset.h"
 
+#include "core/base/plan.h"
+
 enum { EVALUATE_EXPOSURES = 64 };
 
 struct evaluate_score {
@@ -33,9 +35,8 @@ struct evaluate_result {
 /* err:  ERR_FORMAT (more than EVALUATE_EXPOSURES different exposures). */
 MUST_USE err_t evaluate_check(const struct capture *test);
 
-/* Memory of evaluate_run, beside that of the job. */
-void evaluate_plan(const struct capture *test, int size, int cap, int threads, size_t *keep,
-                   size_t *tmp);
+/* Count what evaluate_run takes. cap: room for Gaussians in the scene. */
+void evaluate_plan(struct plan *p, const struct capture *test, int size, int cap);
 
 /* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.

@@ -26,6 +26,11 @@ static void announce(const struct run *r, enum job_stage stage)
 
 /* ---- the map ---- */
 
+static err_t layout_db(float **db, struct arena *keep, int n)
+{
+    return arena_alloc(keep, (size_t)n, sizeof **db, db);
+}
+
 /* Photographs become views; what their brackets show twice goes once there is a response. */
 static err_t read_photographs(const struct run *r, const struct capture *c,
                               const struct job_config *cfg, struct job_result *out)
@@ -33,7 +38,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c,
     announce(r, JOB_PREPROCESS);
     err_t e = prep_read(r, c, cfg->source, cfg->size, &out->views);
     if (!e)
-        e = arena_alloc(r->keep, (size_t)c->n, sizeof *out->input_db, &out->input_db);
+        e = layout_db(&out->input_db, r->keep, c->n);
     for (int i = 0; i < c->n && !e; i++)
         out->input_db[i] = NAN;
     job_result_lap(out, JOB_PREPROCESS);
@@ -151,21 +156,24 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     const struct views v = {.n = recipe.places, // all that plans look at
                             .n_more = c->n - recipe.places,
                             .size = cfg->size};
-    size_t keep, tmp;
+    struct plan p = plan_begin(threads);
+    float *db;
     e = recipe_check(&recipe, cfg->size);
     if (e)
         return e;
-    *out = start_plan(cfg, &recipe, &v, threads);
-    out->pictures = plan_pictures(c, cfg->source ? threads : c->n);
-    prep_plan(c, cfg->size, threads, &keep, &tmp);
-    out->keep = arena_add(out->keep, keep);
-    out->keep = arena_add(out->keep, arena_need((size_t)c->n, sizeof(float))); // input_db
-    out->tmp = num_max_size(out->tmp, tmp);
-    out->tmp = num_max_size(out->tmp, response_plan(&v));
-    out->tmp = num_max_size(out->tmp, exposure_stack_plan(&v, threads));
+    prep_plan(&p, c->n, prep_largest(c), cfg->size);
+    if (layout_db(&db, &p.keep, c->n))
+        plan_refuse(&p);
+    arena_step(&p.tmp, response_plan(&v));
+    exposure_stack_choose_plan(&p, &v);
+    start_plan(&p, cfg, &recipe, &v);
     if (recipe.refine)
-        out->tmp = num_max_size(out->tmp, refine_plan(&v, &recipe.refinement, threads));
-    out->tmp = num_max_size(out->tmp, draw_plan(recipe.gaussians_max, cfg->size, cfg->size));
+        arena_step(&p.tmp, refine_plan(&v, &recipe.refinement, threads));
+    arena_step(&p.tmp, draw_plan(recipe.gaussians_max, cfg->size, cfg->size)); // by who publishes
+    *out = (struct job_memory){.pictures = plan_pictures(c, cfg->source ? threads : c->n),
+                               .weights = recipe.network ? cfg->network->file.model.bytes : 0,
+                               .keep = p.keep.peak,
+                               .tmp = p.tmp.peak};
     return OK;
 }
 

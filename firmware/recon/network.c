@@ -183,10 +183,16 @@ static struct shot shot_of(const struct views *v, int i)
     return s;
 }
 
+static err_t layout_shots(struct capture *c, struct arena *keep, int n_views)
+{
+    c->n = n_views;
+    return arena_alloc(keep, (size_t)n_views, sizeof *c->shots, &c->shots);
+}
+
 static err_t reduce(const struct run *r, const struct views *v, int size, struct views *out)
 {
-    struct capture c = {.n = v->n};
-    err_t e = arena_alloc(r->keep, (size_t)v->n, sizeof *c.shots, &c.shots);
+    struct capture c;
+    err_t e = layout_shots(&c, r->keep, v->n);
     for (int i = 0; i < v->n && !e; i++)
         c.shots[i] = shot_of(v, i);
     if (!e)
@@ -212,32 +218,20 @@ err_t network_look(const struct run *r, const struct network *n, bool attend, co
     return e;
 }
 
-void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
-                       size_t *tmp)
+void network_look_plan(struct plan *p, const struct network *n, bool attend, const struct views *v)
 {
     const int size = look_size(n, v->size);
-    const struct net net = geometry_of(n, true);
-    const struct shot one = shot_of(v, 0);
-    const struct capture c = {1, (struct shot *)(uintptr_t)&one};
-    size_t more, work;
-    struct plan p = plan_begin(threads);
-    net_plan(&p, &net, v->n, size);
-    *keep = p.keep.peak;
-    *tmp = p.tmp.peak;
-    prep_plan(&c, size, threads, &more, &work);
-    *keep = arena_add(*keep, (size_t)v->n * more);
-    *keep = arena_add(*keep, arena_need((size_t)v->n, sizeof(struct shot)));
-    *tmp = num_max_size(*tmp, (size_t)threads * work);
+    const struct net net = geometry_of(n, attend);
+    struct capture c;
+    if (size != v->size) {
+        if (layout_shots(&c, &p->keep, v->n))
+            plan_refuse(p);
+        prep_plan(p, v->n, (struct image8){.w = v->size, .h = v->size}, size);
+    }
+    net_plan(p, &net, v->n, size);
 }
 
 /* ---- known cameras ---- */
-
-size_t network_place_plan(int n_views)
-{
-    return arena_add(
-        arena_add(similarity_plan(n_views), arena_need((size_t)n_views, sizeof(float))),
-        arena_need((size_t)n_views, sizeof(struct camera)));
-}
 
 struct place {
     struct prediction *p;
@@ -270,13 +264,18 @@ static err_t move(const struct place *pl)
                : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
 }
 
+static err_t layout_sorted(float **sorted, struct arena *tmp, int n_views)
+{
+    return arena_alloc(tmp, (size_t)n_views, sizeof **sorted, sorted);
+}
+
 /* Each view's depth at its own scale over the median one. */
 static err_t scale_depth(const struct run *r, const float *factor, struct geometry *g,
                          float *median)
 {
     const size_t n = (size_t)g->n_views, pixels = (size_t)g->size * (size_t)g->size;
     float *sorted;
-    err_t e = arena_alloc(r->tmp, n, sizeof *sorted, &sorted);
+    err_t e = layout_sorted(&sorted, r->tmp, g->n_views);
     if (e)
         return e;
     memcpy(sorted, factor, n * sizeof *sorted);
@@ -285,6 +284,22 @@ static err_t scale_depth(const struct run *r, const float *factor, struct geomet
         for (size_t k = 0; k < pixels; k++)
             g->depth[i * pixels + k] *= factor[i] / *median;
     return OK;
+}
+
+static err_t layout_own(struct camera **own, struct arena *tmp, int n_views)
+{
+    return arena_alloc(tmp, (size_t)n_views, sizeof **own, own);
+}
+
+void network_place_plan(struct plan *p, int n_views)
+{
+    const size_t mark = arena_mark(&p->tmp);
+    float *sorted;
+    struct camera *own;
+    arena_step(&p->tmp, similarity_plan(n_views));
+    if (layout_sorted(&sorted, &p->tmp, n_views) || layout_own(&own, &p->tmp, n_views))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 err_t network_place(const struct run *r, const struct camera *cams, const float *depth_scale,
@@ -296,7 +311,7 @@ err_t network_place(const struct run *r, const struct camera *cams, const float 
     err_t e = depth_scale ? scale_depth(r, depth_scale, g, scale)
                           : similarity_scale(r, g->cams, cams, g->n_views, scale);
     if (!e)
-        e = arena_alloc(r->tmp, n, sizeof *own, &own);
+        e = layout_own(&own, r->tmp, g->n_views);
     if (!e) {
         memcpy(own, g->cams, n * sizeof *own);
         memcpy(g->cams, cams, n * sizeof *own);
@@ -544,14 +559,14 @@ static err_t layout(struct sharpen *s, struct arena *tmp, int n_views, int size)
     return e ? e : arena_alloc(tmp, n, sizeof *s->depth, &s->depth);
 }
 
-size_t network_sharpen_plan(int n_views, int size, int threads)
+void network_sharpen_plan(struct plan *p, int n_views, int size)
 {
-    struct arena tmp = arena_counter();
+    const size_t mark = arena_mark(&p->tmp);
     struct sharpen s;
-    if (layout(&s, &tmp, n_views, size))
-        return SIZE_MAX;
-    arena_step(&tmp, consensus_plan(n_views, size, threads));
-    return tmp.peak;
+    if (layout(&s, &p->tmp, n_views, size))
+        plan_refuse(p);
+    arena_step(&p->tmp, consensus_plan(n_views, size, p->threads));
+    arena_reset(&p->tmp, mark);
 }
 
 err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,

@@ -72,8 +72,7 @@ double network_busy(const struct network_clock *clock, const char *const *names)
  * err:  those of prep_run and net_run; ERR_NOMEM (see network_look_plan). */
 MUST_USE err_t network_look(const struct run *r, const struct network *n, bool attend,
                             const struct views *v, struct prediction *out);
-void network_look_plan(const struct network *n, const struct views *v, int threads, size_t *keep,
-                       size_t *tmp);
+void network_look_plan(struct plan *p, const struct network *n, bool attend, const struct views *v);
 
 /* ---- from prediction to scene ---- */
 
@@ -86,7 +85,7 @@ void network_look_plan(const struct network *n, const struct views *v, int threa
  * err:  ERR_NOMEM (r->tmp, see network_place_plan), ERR_CANCELLED. */
 MUST_USE err_t network_place(const struct run *r, const struct camera *cams,
                              const float *depth_scale, struct prediction *p, float *scale);
-size_t network_place_plan(int n_views);
+void network_place_plan(struct plan *p, int n_views);
 
 /* Leave views out: cameras, depth, points, Gaussians and depth_scale (n_views) of the others move
  * up; pose and matches do not. */
@@ -116,7 +115,7 @@ struct network_known {
  * err:  ERR_NOMEM (r->tmp, see network_sharpen_plan). */
 MUST_USE err_t network_sharpen(const struct run *r, const struct network_known *known, float scale,
                                struct prediction *p);
-size_t network_sharpen_plan(int n_views, int size, int threads);
+void network_sharpen_plan(struct plan *p, int n_views, int size);
 
 /* Gaussians of a prediction, merged (voxel.h). max: most of them, 0 = any number; the cell grows
  * from `cell` until they fit.

@@ -26,6 +26,15 @@ static void announce(const struct run *r, const char *stage)
 
 /* ---- the scene before its first splat ---- */
 
+static err_t layout_scene(struct scene *s, struct arena *keep, const struct recipe *recipe,
+                          int n_views)
+{
+    err_t e = arena_alloc(keep, (size_t)n_views, sizeof *s->cams, &s->cams);
+    if (!e && !recipe->forward) // room for what refinement may add
+        e = gaussians_init(&s->g, keep, recipe->gaussians_max, recipe->degree_max);
+    return e;
+}
+
 err_t start_scene(struct start *s)
 {
     const struct views *v = &s->out->views;
@@ -40,9 +49,7 @@ err_t start_scene(struct start *s)
                             .log2t = v->log2t};
     for (int c = 0; c < 3 && recipe->forward; c++)
         scene->background[c] = 1; // core/splat/README.md 3
-    err_t e = arena_alloc(keep, n, sizeof *scene->cams, &scene->cams);
-    if (!e && !recipe->forward) // room for what refinement may add
-        e = gaussians_init(&scene->g, keep, recipe->gaussians_max, recipe->degree_max);
+    err_t e = layout_scene(scene, keep, recipe, v->n);
     if (!e && v->cams)
         memcpy(scene->cams, v->cams, n * sizeof *scene->cams);
     s->keep = arena_mark(keep);
@@ -226,19 +233,25 @@ err_t start_cameras(struct start *s)
 
 /* ---- the network ---- */
 
+static struct net asked_of(const struct network *n, const struct recipe *recipe)
+{
+    struct net out = n->net;
+    out.d.gauss = recipe->gaussians == RECIPE_NETWORK;
+    out.attend = recipe->bundle;
+    return out;
+}
+
 err_t start_network(struct start *s)
 {
     const struct network *n = s->cfg->network;
     struct job_result *out = s->out;
-    struct net net = n->net;
+    const struct net net = asked_of(n, s->recipe);
     static const char *const backbone[] = {"backbone", NULL}, *const heads[] = {"camera", "depth",
                                                                                 NULL};
     struct network_clock clock;
     err_t e = dump_views(s->run, &out->views);
     job_result_lap(out, JOB_PREPROCESS);
     struct run timed = network_timed(s->run, &clock);
-    net.d.gauss = s->recipe->gaussians == RECIPE_NETWORK;
-    net.attend = s->recipe->bundle;
     if (!e && s->recipe->depth == RECIPE_STEREO)
         e = network_look(&timed, n, net.attend, &out->views, &s->p);
     else if (!e)
@@ -366,6 +379,12 @@ static err_t take_gaussians(struct start *st)
     return OK;
 }
 
+static err_t layout_sure(struct depthmaps *d, struct arena *keep)
+{
+    const size_t pixels = (size_t)d->n * (size_t)d->size * (size_t)d->size;
+    return arena_alloc(keep, pixels, sizeof *d->conf, &d->conf);
+}
+
 /* Depth of the network as that of stereo; every pixel counts as sure. */
 static err_t take_depth(struct start *s)
 {
@@ -373,7 +392,7 @@ static err_t take_depth(struct start *s)
     const size_t n = (size_t)g->n_views * (size_t)g->size * (size_t)g->size;
     struct job_result *out = s->out;
     s->depth = (struct depthmaps){g->n_views, g->size, 1, g->depth, NULL};
-    err_t e = arena_alloc(s->run->keep, n, sizeof *s->depth.conf, &s->depth.conf);
+    err_t e = layout_sure(&s->depth, s->run->keep);
     for (size_t i = 0; i < n && !e; i++) {
         s->depth.conf[i] = 1;
         s->depth.depth[i] *= s->scale;
@@ -418,90 +437,81 @@ err_t start_gaussians(struct start *s)
 
 /* ---- planning ---- */
 
-static void add(struct job_memory *m, size_t keep, size_t tmp)
+static void plan_network(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
+                         const struct views *v)
 {
-    m->keep = arena_add(m->keep, keep);
-    m->tmp = num_max_size(m->tmp, tmp);
-}
-
-/* What the network keeps until the scene is there, or until stereo takes over. */
-static void plan_network(const struct job_config *cfg, const struct recipe *recipe,
-                         const struct views *v, int threads, struct job_memory *m)
-{
-    struct net net = cfg->network->net;
-    size_t keep, tmp;
-    net.d.gauss = recipe->gaussians == RECIPE_NETWORK;
-    net.attend = recipe->bundle;
-    if (recipe->depth == RECIPE_STEREO)
-        network_look_plan(cfg->network, v, threads, &keep, &tmp);
-    else {
-        struct plan p = plan_begin(threads);
-        net_plan(&p, &net, v->n, v->size);
-        keep = p.keep.peak;
-        tmp = p.tmp.peak;
-    }
-    add(m, keep, tmp);
-    add(m, 0, network_place_plan(v->n));
-    m->weights = cfg->network->file.model.bytes;
-}
-
-/* What makes Gaussians of the network's pixels. */
-static void plan_cells(const struct recipe *recipe, const struct views *v, int threads,
-                       struct job_memory *m)
-{
-    const size_t pixels = (size_t)v->n * (size_t)v->size * (size_t)v->size;
-    struct plan p = plan_begin(threads);
-    struct depthmaps depth;
-    if (recipe->correct) {
-        const size_t mark = arena_mark(&p.keep);
-        sweep_plan(&p, v, &depth);
-        arena_reset(&p.keep, mark);
-        add(m, 0, response_refit_plan(v->n));
-        add(m, 0, network_sharpen_plan(v->n, v->size, threads));
-    }
-    voxel_plan(&p, pixels <= GAUSSIANS_MAX ? (int)pixels : -1); // -1: plans say SIZE_MAX
-    add(m, p.keep.peak, p.tmp.peak);
-}
-
-/* What makes seeds of depth. */
-static void plan_seeds(const struct recipe *recipe, const struct views *v, int threads,
-                       struct job_memory *m)
-{
-    const size_t pixels = (size_t)v->n * (size_t)v->size * (size_t)v->size;
-    struct plan p = plan_begin(threads);
-    struct depthmaps depth = {.n = v->n, .size = v->size};
-    struct gaussians seeds;
     if (recipe->depth == RECIPE_STEREO) {
-        sweep_plan(&p, v, &depth);
-        add(m, 0, response_refit_plan(v->n));
-    } else {
-        add(m, arena_need(pixels, sizeof(float)), 0); // their confidence
+        network_look_plan(p, cfg->network, recipe->bundle, v);
+        return;
     }
-    seed_plan(&p, &depth, recipe->gaussians_max, &seeds);
-    add(m, p.keep.peak, p.tmp.peak);
+    const struct net net = asked_of(cfg->network, recipe);
+    net_plan(p, &net, v->n, v->size);
 }
 
-struct job_memory start_plan(const struct job_config *cfg, const struct recipe *recipe,
-                             const struct views *v, int threads)
+static void plan_bundle(struct plan *p, const struct views *v)
 {
-    struct job_memory m = {.keep = 0}, stereo = {.keep = 0};
-    struct plan bundle = plan_begin(threads);
+    const size_t mark = arena_mark(&p->tmp);
+    exposure_stack_merge_plan(p, v);
+    locate_plan(p, v->n, v->size);
+    arena_reset(&p->tmp, mark);
+}
+
+/* As start_gaussians, from depth. */
+static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct views *v,
+                       struct depthmaps *depth)
+{
+    struct gaussians seeds;
+    if (recipe->depth == RECIPE_NETWORK) {
+        *depth = (struct depthmaps){.n = v->n, .size = v->size, .scale = 1};
+        if (layout_sure(depth, &p->keep))
+            plan_refuse(p);
+        exposure_stack_merge_plan(p, v);
+    }
+    seed_plan(p, depth, refine_begin(&recipe->refinement, v->n), &seeds);
+}
+
+static void plan_stereo(struct plan *p, const struct views *v, struct depthmaps *depth)
+{
+    exposure_stack_merge_plan(p, v);
+    sweep_plan(p, v, depth);
+    if (v->n_more == 0)
+        arena_step(&p->tmp, response_refit_plan(v->n));
+}
+
+void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
+                const struct views *v)
+{
+    const size_t pixels = (size_t)v->n * (size_t)v->size * (size_t)v->size;
+    const int points = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans refuse it
+    const bool gaussians = recipe->gaussians == RECIPE_NETWORK;
+    struct scene scene;
+    struct depthmaps depth;
+    if (layout_scene(&scene, &p->keep, recipe, v->n))
+        plan_refuse(p);
+    const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
+    if (recipe->tapped) // cells have room for all points
+        arena_step(&p->tmp, dump_plan(cfg->size, gaussians ? points : recipe->gaussians_max));
     if (recipe->network)
-        plan_network(cfg, recipe, v, threads, &m);
+        plan_network(p, cfg, recipe, v);
     if (recipe->bundle)
-        locate_plan(&bundle, v->n, v->size);
-    add(&m, bundle.keep.peak, bundle.tmp.peak);
-    if (recipe->gaussians == RECIPE_NETWORK)
-        plan_cells(recipe, v, threads, &m);
+        plan_bundle(p, v);
+    if (recipe->depth == RECIPE_NETWORK)
+        network_place_plan(p, v->n);
     else
-        plan_seeds(recipe, v, threads, recipe->depth == RECIPE_STEREO ? &stereo : &m);
-    m.keep = num_max_size(m.keep, stereo.keep); // one after the other
-    m.tmp = num_max_size(m.tmp, stereo.tmp);
-    if (recipe->tapped)
-        m.tmp = num_max_size(m.tmp, dump_plan(cfg->size, recipe->gaussians_max));
-    m.tmp = arena_add(m.tmp, exposure_stack_plan(v, threads));
-    m.keep = arena_add(m.keep, arena_need((size_t)v->n, sizeof(struct camera)));
+        arena_reset(&p->keep, keep);
+    const size_t before_depth = arena_mark(&p->keep);
+    if (recipe->depth == RECIPE_STEREO || recipe->correct)
+        plan_stereo(p, v, &depth);
+    if (recipe->correct) {
+        network_sharpen_plan(p, v->n, v->size);
+        arena_reset(&p->keep, before_depth);
+        arena_reset(&p->tmp, tmp);
+    }
+    if (gaussians)
+        voxel_plan(p, points);
+    else
+        plan_seeds(p, recipe, v, &depth);
+    arena_reset(&p->tmp, tmp);
     if (!recipe->forward)
-        m.keep = arena_add(m.keep, gaussians_need(recipe->gaussians_max, recipe->degree_max));
-    return m;
+        arena_reset(&p->keep, keep);
 }

@@ -31,9 +31,9 @@ struct start {
     size_t before_depth; // level of run.keep
 };
 
-/* Memory of all steps with a pool of `threads`. Of v only its sizes are looked at. */
-struct job_memory start_plan(const struct job_config *cfg, const struct recipe *recipe,
-                             const struct views *v, int threads);
+/* Count what all steps take: of v only its numbers are looked at. A single forward pass stays. */
+void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
+                const struct views *v);
 
 /* The scene before its first splat, with room for all unless it becomes a single forward pass. */
 MUST_USE err_t start_scene(struct start *s);

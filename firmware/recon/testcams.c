@@ -48,45 +48,31 @@ err_t testcams_check(const struct job_config *cfg, const struct capture *train,
                     inputs, held_out, BUNDLE_VIEWS_MAX);
 }
 
-static void plan_look(const struct job_config *cfg, int all, int threads, struct job_memory *m)
+/* ---- pictures ---- */
+
+static err_t layout_views(struct views *v, struct arena *keep, int n, int size)
 {
-    const struct recipe recipe = recipe_of_cameras(cfg);
-    const struct views v = {.n = all, .size = cfg->size};
-    size_t keep, tmp;
-    if (recipe.network) {
-        network_look_plan(cfg->network, &v, threads, &keep, &tmp);
-        m->tmp = num_max_size(m->tmp, tmp);
-        m->keep = arena_add(m->keep, keep);
-    }
-    if (recipe.bundle) {
-        struct plan p = plan_begin(threads);
-        locate_plan(&p, all, cfg->size);
-        m->keep = arena_add(m->keep, p.keep.peak);
-        m->tmp = num_max_size(m->tmp, p.tmp.peak);
-    }
+    err_t e = arena_alloc(keep, 3 * (size_t)size * (size_t)size, (size_t)n, &v->rgb);
+    return e ? e : arena_alloc(keep, (size_t)n, sizeof *v->log2t, &v->log2t);
 }
 
 struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
                                 const struct capture *test, int most, int threads)
 {
-    const int extra = count_views(test), all = train->n + extra;
-    const size_t pixels = (size_t)cfg->size * (size_t)cfg->size;
-    struct capture one = {1, test->shots};
-    struct job_memory m = {0};
-    size_t keep, tmp, work;
-    prep_plan(&one, cfg->size, threads, &keep, &tmp);
-    m.keep = arena_add(arena_need((size_t)all * pixels, 3), keep);
-    m.keep = arena_add(m.keep, arena_need((size_t)all, sizeof(struct camera) + sizeof(float)));
-    plan_look(cfg, all, threads, &m);
-    m.keep = arena_add(m.keep, arena_need((size_t)all, NAME_CAP));
-    work = align_plan(most, cfg->size, threads);
-    work = work > similarity_plan(train->n) ? work : similarity_plan(train->n);
-    m.tmp = m.tmp > work ? m.tmp : work;
-    m.tmp = m.tmp > tmp ? m.tmp : tmp;
-    return m;
+    const struct recipe recipe = recipe_of_cameras(cfg);
+    struct views v = {.n = train->n + count_views(test), .size = cfg->size};
+    struct plan p = plan_begin(threads);
+    if (layout_views(&v, &p.keep, v.n, v.size))
+        plan_refuse(&p);
+    prep_plan(&p, 1, test->shots[0].image, cfg->size);
+    if (recipe.network)
+        network_look_plan(&p, cfg->network, recipe.bundle, &v);
+    if (recipe.bundle)
+        locate_plan(&p, v.n, cfg->size);
+    arena_step(&p.tmp, similarity_plan(train->n));
+    arena_step(&p.tmp, align_plan(most, cfg->size, threads));
+    return (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
 }
-
-/* ---- pictures ---- */
 
 /* Views of the scene, then one picture of each test view. */
 static err_t begin_views(struct arena *keep, const struct views *train, int n, struct views *all)
@@ -94,9 +80,7 @@ static err_t begin_views(struct arena *keep, const struct views *train, int n, s
     const size_t bytes = 3 * (size_t)train->size * (size_t)train->size;
     *all = (struct views){
         .n = n, .size = train->size, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
-    err_t e = arena_alloc(keep, bytes, (size_t)n, &all->rgb);
-    if (!e)
-        e = arena_alloc(keep, (size_t)n, sizeof(float), &all->log2t);
+    err_t e = layout_views(all, keep, n, train->size);
     if (e)
         return e;
     memcpy(all->rgb, train->rgb, bytes * (size_t)train->n);

@@ -57,7 +57,10 @@ static void begin(float reach)
     for (int i = 0; i < ALL; i++)
         shoot(i, t[i], i == 2 ? 1 : reach);
     memcpy(place, of, sizeof place);
-    assert_int_equal(arena_init(&tmp, "tmp", exposure_stack_plan(&v, 3)), OK);
+    struct plan plan = plan_begin(3);
+    exposure_stack_choose_plan(&plan, &v);
+    exposure_stack_merge_plan(&plan, &v);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
 }
 
 static void assert_names(const char *want)

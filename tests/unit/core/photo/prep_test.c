@@ -139,17 +139,17 @@ static void capture_close(struct capture *c)
 /* Runs with exactly the planned memory; the caller frees the arenas. */
 static err_t run_planned(const struct capture *c, int threads, struct arena *keep, struct views *v)
 {
-    size_t keep_bytes, tmp_bytes;
+    struct plan plan = plan_begin(threads);
     struct arena tmp;
     struct run r = {.keep = keep, .tmp = &tmp};
-    prep_plan(c, 56, threads, &keep_bytes, &tmp_bytes);
+    prep_plan(&plan, c->n, prep_largest(c), 56);
     assert_int_equal(pool_open(&r.pool, threads), OK);
-    assert_int_equal(arena_init(keep, "keep", keep_bytes), OK);
-    assert_int_equal(arena_init(&tmp, "tmp", tmp_bytes), OK);
+    assert_int_equal(arena_init(keep, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     err_t e = prep_run(&r, c, 56, v);
     assert_int_equal(tmp.used, 0);
     if (!e)
-        assert_true(tmp.peak <= tmp_bytes && keep->used <= keep_bytes);
+        assert_true(tmp.peak <= plan.tmp.peak && keep->used <= plan.keep.peak);
     else
         assert_int_equal(keep->used, 0);
     arena_free(&tmp);
@@ -253,16 +253,16 @@ static void pixels_may_come_later(void **state)
     struct arena keep, more, tmp;
     struct run r = {.keep = &more, .tmp = &tmp};
     const struct prep_source from = {decode, release, &decoded};
-    size_t keep_bytes, tmp_bytes;
     capture_open(&c, shots);
     memcpy(bare, shots, sizeof bare);
     for (int i = 0; i < 3; i++)
         bare[i].image.px = NULL;
     stored = &c;
     assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
-    prep_plan(&later, 56, 1, &keep_bytes, &tmp_bytes);
-    assert_int_equal(arena_init(&more, "keep", keep_bytes), OK);
-    assert_int_equal(arena_init(&tmp, "tmp", tmp_bytes), OK);
+    struct plan plan = plan_begin(1);
+    prep_plan(&plan, later.n, prep_largest(&later), 56);
+    assert_int_equal(arena_init(&more, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     assert_int_equal(prep_run(&r, &later, 56, &v), ERR_ARG); // no pixels
     broken = 2;
     assert_int_equal(prep_read(&r, &later, &from, 56, &v), ERR_IO);

@@ -607,14 +607,14 @@ static void correspondences_are_sought_if_asked(void **state)
                             .rgb = rgb,
                             .log2t = (float[2]){0, 0},
                             .names = (char[2][NAME_CAP]){""}};
-    size_t keep, tmp;
     for (size_t i = 0; i < sizeof rgb; i++)
         rgb[i] = (uint8_t)(i * 37 % 251);
     small_model_init(&m, &small_model_tiny, PRECISION_F32);
     assert_int_equal(net_bind(&m.model, 0, &n.net), OK);
     assert_int_equal(engine_open(&en, 1), OK);
-    network_look_plan(&n, &v, 1, &keep, &tmp);
-    assert_int_equal(engine_reserve(&en, 0, 2 * keep, tmp, 1000), OK);
+    struct plan plan = plan_begin(1);
+    network_look_plan(&plan, &n, true, &v);
+    assert_int_equal(engine_reserve(&en, 0, 2 * plan.keep.peak, plan.tmp.peak, 1000), OK);
     for (int attend = 0; attend < 2; attend++) {
         assert_int_equal(network_look(&en.run, &n, attend, &v, &p), OK);
         assert_true(!p.matches.token == !attend);
