@@ -10,11 +10,11 @@
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
 # CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
 
-# Debian 12 packages: to build and run, and to check.
+# Packages of Debian 12 and 13: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-14-dev cppcheck chromium systemd dpkg-dev \
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-dev cppcheck chromium systemd dpkg-dev \
 	lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
