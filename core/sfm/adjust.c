@@ -3,11 +3,11 @@
  * of a point (Householder basis, Hartley and Zisserman A4.1.2). Points are eliminated track by
  * track (Schur complement); the reduced system of 6 V + 1 unknowns is dense. The gauge is left to
  * the damping. Cauchy loss by weights 1 / (1 + e^2 / kernel^2).
- * Tracks are dealt to a fixed number of groups, each with its own sum; groups are added in order,
- * so that threads do not change the result.
+ * Tracks are divided into a fixed number of groups, each with its own sum. Groups are added in
+ * order, so that the result does not depend on the threads.
  * Points: from pairs of sightings, the inverse depth along the one ray that brings it nearest to
- * the other (linear, and 0 for parallel rays); the pair that most sightings agree with wins, then
- * Gauss-Newton on these. */
+ * the other (linear, and 0 for parallel rays); the pair that most sightings agree with wins, and
+ * Gauss-Newton on these refines it. */
 #include "core/sfm/adjust.h"
 
 #include "core/base/lin.h"
@@ -51,7 +51,7 @@ double adjust_depth(const struct adjust *a, int view, const double point[4])
     return x[2] / point[3];
 }
 
-/* Householder vector that turns the point onto the last axis; returns 2 / its squared length. */
+/* Householder vector v that reflects the point onto the last axis. returns: 2 / |v|^2. */
 static double householder(const double point[4], double v[4])
 {
     memcpy(v, point, 4 * sizeof *v);
@@ -59,8 +59,8 @@ static double householder(const double point[4], double v[4])
     return 2 / (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3]);
 }
 
-bool adjust_slope(const struct adjust *a, const double point[4], const struct adjust_seen *s,
-                  struct adjust_slope *out)
+bool adjust_jacobian(const struct adjust *a, const double point[4], const struct adjust_seen *s,
+                     struct adjust_jacobian *out)
 {
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
     double x[3], v[4], factor = householder(point, v);
@@ -112,8 +112,8 @@ void adjust_move_point(double point[4], const double by[3])
 
 /* ---- points ---- */
 
-static void ray(const struct adjust *a, const struct adjust_seen *s, double centre[3],
-                double dir[3])
+static void viewing_ray(const struct adjust *a, const struct adjust_seen *s, double centre[3],
+                        double dir[3])
 {
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
     const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
@@ -128,8 +128,8 @@ static void point_of_pair(const struct adjust *a, const struct adjust_seen *s,
                           const struct adjust_seen *other, double point[4])
 {
     double c[3], d[3], c2[3], d2[3], move[3], turn[3], len = 0;
-    ray(a, s, c, d);
-    ray(a, other, c2, d2);
+    viewing_ray(a, s, c, d);
+    viewing_ray(a, other, c2, d2);
     const double base[3] = {c[0] - c2[0], c[1] - c2[1], c[2] - c2[2]};
     lin_cross(base, d2, move);
     lin_cross(d, d2, turn);
@@ -153,15 +153,15 @@ static double point_cost(const struct adjust *a, int track, const double point[4
     return sum;
 }
 
-/* Gauss-Newton towards the sightings within the gate, as long as it helps. */
+/* Gauss-Newton on the sightings within the gate, as long as the cost falls. returns: the cost. */
 static double point_polish(const struct adjust *a, int track, double gate2, double cost,
                            double point[4])
 {
     for (int step = 0; step < POINT_STEPS; step++) {
         double h[9] = {0}, g[3] = {0}, next[4];
-        struct adjust_slope s;
+        struct adjust_jacobian s;
         for (int i = a->first[track]; i < a->first[track + 1]; i++) {
-            if (!a->placed[a->seen[i].view] || !adjust_slope(a, point, &a->seen[i], &s) ||
+            if (!a->placed[a->seen[i].view] || !adjust_jacobian(a, point, &a->seen[i], &s) ||
                 s.error[0] * s.error[0] + s.error[1] * s.error[1] >= gate2)
                 continue;
             for (int k = 0; k < 2; k++)
@@ -187,7 +187,7 @@ static double point_polish(const struct adjust *a, int track, double gate2, doub
     return cost;
 }
 
-/* Pair number k of n sightings, all of them in a scattered order or PAIRS_MOST of many. */
+/* Pair number k of n sightings: of all pairs, or of PAIRS_MOST of them. */
 static void pair_of(int k, int n, int *i, int *j)
 {
     int all = n * (n - 1) / 2;
@@ -270,7 +270,7 @@ struct normal {
     double cost[GROUPS];
 };
 
-static double loss(double e2, double kernel2)
+static double cauchy_loss(double e2, double kernel2)
 {
     return 0.5 * kernel2 * log1p(e2 / kernel2);
 }
@@ -281,14 +281,14 @@ static void group_of(int n_tracks, int g, int *from, int *to)
     *to = (int)((long)n_tracks * (g + 1) / GROUPS);
 }
 
-/* What one track adds: its own block, and for each sighting the block between pose and point. */
+/* Sums of one track for its point. */
 struct track_sum {
     double h[9], g[3], focal[3]; // point; focal by point
     int n;                       // sightings
 };
 
-/* Add the cameras' own blocks of a sighting to the group's sums; returns its weight. */
-static void add_camera(struct normal *m, int view, const struct adjust_slope *s, double w,
+/* Add the camera blocks of a sighting to the group's sums. */
+static void add_camera(struct normal *m, int view, const struct adjust_jacobian *s, double w,
                        double *sum, double *rhs)
 {
     const int n = m->n, f = n - 1;
@@ -307,7 +307,8 @@ static void add_camera(struct normal *m, int view, const struct adjust_slope *s,
     rhs[f] -= w * (s->focal[0] * s->error[0] + s->focal[1] * s->error[1]);
 }
 
-static void add_point(const struct adjust_slope *s, double w, struct track_sum *t, double cross[18])
+static void add_point(const struct adjust_jacobian *s, double w, struct track_sum *t,
+                      double cross[18])
 {
     for (int p = 0; p < 3; p++) {
         for (int q = 0; q < 3; q++)
@@ -331,17 +332,18 @@ static bool point_inverse(const struct normal *m, const struct track_sum *t, dou
     return lin_inverse3(h, inverse);
 }
 
-/* Linearise one track: its sums, and W of sighting i in cross + 36 i; cameras too if sum. */
-static void linearise(struct normal *m, int track, double *cross, double *sum, double *rhs,
-                      struct track_sum *t)
+/* Linearise one track: its sums, W of sighting i in cross + 36 i, and the camera blocks if sum is
+ * not NULL. */
+static void linearise_track(struct normal *m, int track, double *cross, double *sum, double *rhs,
+                            struct track_sum *t)
 {
     const struct adjust *a = m->a;
     memset(t, 0, sizeof *t);
     for (int i = a->first[track]; i < a->first[track + 1]; i++, t->n++) {
-        struct adjust_slope s;
+        struct adjust_jacobian s;
         double *w = cross + 36 * (size_t)t->n;
         memset(w, 0, 18 * sizeof *w);
-        if (!a->in[i] || !adjust_slope(a, a->point + 4 * (size_t)track, &a->seen[i], &s))
+        if (!a->in[i] || !adjust_jacobian(a, a->point + 4 * (size_t)track, &a->seen[i], &s))
             continue;
         double e2 = s.error[0] * s.error[0] + s.error[1] * s.error[1];
         double weight = 1 / (1 + e2 / m->kernel2);
@@ -352,7 +354,7 @@ static void linearise(struct normal *m, int track, double *cross, double *sum, d
 }
 
 /* block -= u v^T of two 6 x 3 matrices. */
-static void subtract(const double *u, const double *v, double *block, size_t stride)
+static void subtract_product(const double *u, const double *v, double *block, size_t stride)
 {
     for (int p = 0; p < 6; p++)
         for (int q = 0; q < 6; q++)
@@ -360,8 +362,8 @@ static void subtract(const double *u, const double *v, double *block, size_t str
 }
 
 /* sum -= W H^-1 W^T between all sightings of a track and the focal length. */
-static void eliminate(const struct normal *m, int track, const struct track_sum *t, double *cross,
-                      double *sum, double *rhs)
+static void eliminate_point(const struct normal *m, int track, const struct track_sum *t,
+                            double *cross, double *sum, double *rhs)
 {
     const struct adjust *a = m->a;
     const size_t n = (size_t)m->n, f = n - 1;
@@ -384,8 +386,8 @@ static void eliminate(const struct normal *m, int track, const struct track_sum 
         }
         for (int j = 0; j <= i; j++) // views ascend: the lower triangle
             if (a->in[at - i + j])
-                subtract(wh, cross + 36 * (size_t)j,
-                         sum + row * n + 6 * (size_t)a->seen[at - i + j].view, n);
+                subtract_product(wh, cross + 36 * (size_t)j,
+                                 sum + row * n + 6 * (size_t)a->seen[at - i + j].view, n);
     }
 }
 
@@ -402,14 +404,14 @@ static err_t normal_group(void *ctx, int g, int worker)
     group_of(m->a->n_tracks, g, &from, &to);
     for (int t = from; t < to; t++) {
         struct track_sum track;
-        linearise(m, t, cross, sum, rhs, &track);
-        eliminate(m, t, &track, cross, sum, rhs);
+        linearise_track(m, t, cross, sum, rhs, &track);
+        eliminate_point(m, t, &track, cross, sum, rhs);
     }
     return run_check(m->r, "bundle adjustment");
 }
 
-/* Unknowns that stay: their row and column become the identity's. */
-static void hold(double *s, int n, int k, double *rhs)
+/* Fix unknown k: its row and column become those of the identity. */
+static void fix_unknown(double *s, int n, int k, double *rhs)
 {
     for (int i = 0; i < n; i++)
         s[i > k ? (size_t)i * (size_t)n + (size_t)k : (size_t)k * (size_t)n + (size_t)i] = 0;
@@ -437,7 +439,7 @@ static err_t camera_step(struct normal *m, bool *ok)
     for (int k = 0; k < n; k++)
         if ((k < n - 1 ? a->poses_fixed || !a->placed[k / 6] : a->focal_fixed) ||
             !(s[(size_t)k * (size_t)n + (size_t)k] > 0))
-            hold(s, n, k, m->rhs);
+            fix_unknown(s, n, k, m->rhs);
     *ok = lin_cholesky(s, n);
     memcpy(m->step, m->rhs, (size_t)n * sizeof *m->step);
     if (*ok)
@@ -452,7 +454,7 @@ static double track_cost(const struct adjust *a, int track, const double point[4
     double sum = 0;
     for (int i = a->first[track]; i < a->first[track + 1]; i++)
         if (a->in[i])
-            sum += loss(adjust_error(a, point, &a->seen[i]), kernel2);
+            sum += cauchy_loss(adjust_error(a, point, &a->seen[i]), kernel2);
     return sum;
 }
 
@@ -469,7 +471,7 @@ static err_t back_group(void *ctx, int g, int worker)
         struct track_sum track;
         double inverse[9], by[3], *point = m->trial + 4 * (size_t)t;
         memcpy(point, a->point + 4 * (size_t)t, 4 * sizeof *point);
-        linearise(m, t, cross, NULL, NULL, &track);
+        linearise_track(m, t, cross, NULL, NULL, &track);
         if (!point_inverse(m, &track, inverse))
             continue;
         for (int k = 0; k < 3; k++)
@@ -514,13 +516,13 @@ static double prior_cost(const struct adjust *a)
     return 0.5 * d * d;
 }
 
-static size_t unknowns(int n_views)
+static size_t count_unknowns(int n_views)
 {
     return 6 * (size_t)n_views + 1;
 }
 
-/* Take the step: poses, focal length and points of m->trial. */
-static void move(struct normal *m, struct adjust *a, const double *pose)
+/* Apply the step to poses and focal length; swap in the points of m->trial. */
+static void apply_step(struct normal *m, struct adjust *a, const double *pose)
 {
     double *point = a->point;
     for (int v = 0; v < a->n_views; v++) {
@@ -533,7 +535,7 @@ static void move(struct normal *m, struct adjust *a, const double *pose)
     m->trial = point;
 }
 
-static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps)
+static err_t minimise(struct normal *m, struct adjust *a, double *pose, int steps)
 {
     const size_t bytes = (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *pose;
     double cost, now = 0, ease = 0.1;
@@ -551,7 +553,7 @@ static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps
             continue;
         }
         memcpy(pose, a->pose, bytes);
-        move(m, a, pose);
+        apply_step(m, a, pose);
         e = total_cost(m, &now);
         now += prior_cost(a);
         if (!e && now < cost) {
@@ -576,7 +578,7 @@ static err_t descend(struct normal *m, struct adjust *a, double *pose, int steps
 
 static err_t layout(struct normal *m, double **pose, struct arena *tmp, int n_views, int n_tracks)
 {
-    const size_t n = unknowns(n_views), v = (size_t)n_views;
+    const size_t n = count_unknowns(n_views), v = (size_t)n_views;
     err_t e = arena_alloc(tmp, GROUPS * n * n, sizeof(double), &m->sum);
     if (!e)
         e = arena_alloc(tmp, GROUPS * n, sizeof(double), &m->rhs);
@@ -600,12 +602,13 @@ size_t adjust_plan(int n_views, int n_tracks)
 err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps)
 {
     const size_t mark = arena_mark(r->tmp), points = 4 * (size_t)a->n_tracks;
-    struct normal m = {.r = r, .a = a, .kernel2 = kernel * kernel, .n = (int)unknowns(a->n_views)};
+    struct normal m = {
+        .r = r, .a = a, .kernel2 = kernel * kernel, .n = (int)count_unknowns(a->n_views)};
     double *own = a->point, *pose;
     err_t e = layout(&m, &pose, r->tmp, a->n_views, a->n_tracks);
     if (!e)
-        e = descend(&m, a, pose, steps);
-    if (a->point != own) { // the arena's goes
+        e = minimise(&m, a, pose, steps);
+    if (a->point != own) { // the arena's array is released
         memcpy(own, a->point, points * sizeof *own);
         a->point = own;
     }
@@ -615,7 +618,7 @@ err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps
 
 /* ---- gauge ---- */
 
-void adjust_centre(struct adjust *a)
+void adjust_normalise(struct adjust *a)
 {
     double mean[3] = {0}, c[3], sum = 0;
     int n = 0, n_far = 0;

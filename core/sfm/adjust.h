@@ -1,5 +1,5 @@
 /* adjust.h - the least squares of bundle adjustment: cameras, one focal length and points that
- * minimise the robust reprojection error of sightings; and points of sightings for given cameras.
+ * minimise the robust reprojection error of sightings; and triangulation for given cameras.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_ADJUST_H
 #define SFM_ADJUST_H
@@ -13,24 +13,24 @@ struct adjust_seen {
 };
 
 /* Poses are R row-major and t of X_cam = R X + t; points are homogeneous (x, y, z, w) of length 1
- * with w >= 0 unless they lie beyond infinity by noise: what is far needs no special case. */
+ * with w >= 0, unless noise puts them beyond infinity. Far points need no special case. */
 struct adjust {
     int n_views, n_tracks;
     const int *first;               // (n_tracks + 1) sightings of track i are first[i]..first[i+1]
     const struct adjust_seen *seen; // by track, then view; a track has a view at most once
     double focal;                   // px
-    double prior_focal, prior;      // expected ln focal, and how much: 1 / its deviation
+    double prior_focal, prior;      // expected ln focal, and its weight: 1 / deviation
     bool focal_fixed, poses_fixed;
     double *pose;  // (n_views, 12)
-    bool *placed;  // (n_views) sightings of other views do not count
+    bool *placed;  // (n_views) sightings of views that are not placed do not count
     double *point; // (n_tracks, 4)
-    bool *in;      // (sightings) those that count
+    bool *in;      // (sightings) whether it counts
 };
 
 enum { ADJUST_POSE = 12 };
 
-/* Place points: for each track the one that most of its sightings in placed views agree on within
- * `gate` expected errors; these are `in`. Tracks with fewer than two have none.
+/* Triangulate each track: the point that most of its sightings in placed views agree on within
+ * `gate` expected errors; these are `in`. Tracks with fewer than two of them have none in.
  * err:  ERR_CANCELLED. */
 MUST_USE err_t adjust_points(const struct run *r, struct adjust *a, double gate);
 
@@ -48,17 +48,17 @@ double adjust_depth(const struct adjust *a, int view, const double point[4]);
 
 /* Errors (u, v, in expected errors) of one sighting and their derivatives by the twist of the pose
  * (pose.h), ln focal, and the three directions across the point. False behind the camera. */
-struct adjust_slope {
+struct adjust_jacobian {
     double error[2], pose[2][6], focal[2], point[2][3];
 };
-bool adjust_slope(const struct adjust *a, const double point[4], const struct adjust_seen *s,
-                  struct adjust_slope *out);
+bool adjust_jacobian(const struct adjust *a, const double point[4], const struct adjust_seen *s,
+                     struct adjust_jacobian *out);
 
 /* Move a pose by a twist, a point along its three directions. */
 void adjust_move_pose(double pose[ADJUST_POSE], const double twist[6]);
 void adjust_move_point(double point[4], const double by[3]);
 
 /* Put the placed cameras' mean at the origin and the typical point at distance 1. */
-void adjust_centre(struct adjust *a);
+void adjust_normalise(struct adjust *a);
 
 #endif

@@ -1,9 +1,9 @@
-/* Both starts end in the same rounds: points are placed anew from the sightings that agree within a
- * gate, then cameras, focal length and points are adjusted with a Cauchy loss; gate and width of
- * the loss shrink from round to round (graduated non-convexity: Blake and Zisserman 1987). The
- * start whose sightings fit with more redundancy wins: a track of n inliers counts 2 n - 3.
- * From cameras: they may be turned by many degrees, so that rays do not meet; points start at one
- * depth along their rays, and the first, widest rounds turn the cameras.
+/* Both starts end in the same rounds: points are triangulated again from the sightings that agree
+ * within a gate, then cameras, focal length and points are adjusted with a Cauchy loss; gate and
+ * width of the loss shrink from round to round (graduated non-convexity: Blake and Zisserman 1987).
+ * The start whose sightings fit with more redundancy wins: a track of n inliers counts 2 n - 3.
+ * From cameras: their rotations may be wrong by many degrees, so that rays do not meet. Points
+ * start at one depth along their rays, and the first, widest rounds correct the rotations.
  * From tracks: viewgraph.h. Views that do not fit are placed again from points (resect.h). */
 #include "core/sfm/bundle.h"
 
@@ -21,10 +21,10 @@
 
 enum { GATE = 4 };                              // expected errors of an inlier
 static const double CHANCE = 0.2;               // redundancy that wrong matches may have
-static const double FAR = 1e-6;                 // least w of a point that is given out
+static const double FAR = 1e-6;                 // least w of a point in the result
 static const double FOV60 = 0.8660254037844386; // focal length over picture size at 60 degrees
 
-/* One answer. */
+/* One candidate result. */
 struct answer {
     double focal, scale; // scale: of the expected errors, at least 1
     double *pose, *point;
@@ -68,7 +68,7 @@ static err_t check_tracks(int n_views, const struct match_tracks *t)
     return OK;
 }
 
-static bool usable(const struct camera *start, int n)
+static bool are_usable(const struct camera *start, int n)
 {
     for (int i = 0; i < n; i++) {
         const struct camera *c = &start[i];
@@ -83,8 +83,8 @@ static bool usable(const struct camera *start, int n)
     return n > 0;
 }
 
-/* Adjustment sees square pixels: rows as far apart as columns are. */
-static float aspect(const struct bundle *b)
+/* Adjustment assumes square pixels: rows are scaled by the aspect. */
+static float picture_aspect(const struct bundle *b)
 {
     return b->cfg->aspect > 0 ? b->cfg->aspect : 1;
 }
@@ -97,7 +97,7 @@ static double start_focal(const struct bundle *b)
     if (!b->cfg->start)
         return FOV60 * b->size;
     for (int i = 0; i < b->n_views; i++)
-        f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * aspect(b));
+        f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * picture_aspect(b));
     return (double)num_median(f, (size_t)b->n_views);
 }
 
@@ -133,7 +133,7 @@ static err_t layout(struct bundle *b, struct input *x, struct arena *tmp, int n_
     return e;
 }
 
-static err_t load(struct bundle *b)
+static err_t load_tracks(struct bundle *b)
 {
     const struct match_tracks *t = b->tracks;
     struct input x;
@@ -142,9 +142,9 @@ static err_t load(struct bundle *b)
         return e;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *s = &t->seen[i];
-        x.seen[i] =
-            (struct adjust_seen){s->u - 0.5f * (float)b->size,
-                                 (s->v - 0.5f * (float)b->size) * aspect(b), 1 / s->sigma, s->view};
+        x.seen[i] = (struct adjust_seen){s->u - 0.5f * (float)b->size,
+                                         (s->v - 0.5f * (float)b->size) * picture_aspect(b),
+                                         1 / s->sigma, s->view};
         x.first[s->track + 1]++;
         b->trusted[i] = true;
     }
@@ -162,7 +162,7 @@ struct round {
     int steps;
 };
 
-static err_t rounds(struct bundle *b, const struct round *s, int n)
+static err_t run_rounds(struct bundle *b, const struct round *s, int n)
 {
     struct adjust *a = &b->a;
     err_t e = OK;
@@ -172,12 +172,12 @@ static err_t rounds(struct bundle *b, const struct round *s, int n)
             a->in[i] &= b->trusted[i];
         if (!e)
             e = adjust_run(b->r, a, s[k].kernel * b->scale, s[k].steps);
-        adjust_centre(a);
+        adjust_normalise(a);
     }
     return e;
 }
 
-/* How much larger the errors are than expected, 1..4: median of a Rayleigh distribution. */
+/* Ratio of the errors to the expected ones, 1..4, by the median of a Rayleigh distribution. */
 static double error_scale(struct bundle *b)
 {
     const struct adjust *a = &b->a;
@@ -189,7 +189,7 @@ static double error_scale(struct bundle *b)
     return fmax(1, fmin(4, sqrt((double)num_median(b->sorted, (size_t)n)) / 1.1774));
 }
 
-/* Views that are not placed, from the points that the others have. */
+/* Place views that are not placed yet from the points of the others. */
 static err_t place_again(struct bundle *b, bool *any)
 {
     struct adjust *a = &b->a;
@@ -201,21 +201,21 @@ static err_t place_again(struct bundle *b, bool *any)
 }
 
 /* The last rounds, common to both starts. */
-static err_t finish(struct bundle *b)
+static err_t run_last_rounds(struct bundle *b)
 {
     static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {GATE, 2, 25}};
     bool any = false;
-    err_t e = rounds(b, middle, 1);
+    err_t e = run_rounds(b, middle, 1);
     b->scale = error_scale(b);
     if (!e)
-        e = rounds(b, last, 1);
+        e = run_rounds(b, last, 1);
     connectivity_prune(&b->a);
     if (!e && !b->cfg->rig_known)
         e = place_again(b, &any);
     if (!e && any)
-        e = rounds(b, middle, 1);
+        e = run_rounds(b, middle, 1);
     if (!e)
-        e = rounds(b, last, 2);
+        e = run_rounds(b, last, 2);
     if (!e)
         e = adjust_points(b->r, &b->a, GATE * b->scale);
     connectivity_prune(&b->a);
@@ -226,7 +226,7 @@ static err_t finish(struct bundle *b)
 
 /* Redundancy of the inliers and of all sightings; with `soft`, sightings near the gate count
  * less. */
-static double redundancy(const struct bundle *b, bool soft, double *all)
+static double count_redundancy(const struct bundle *b, bool soft, double *all)
 {
     const struct adjust *a = &b->a;
     double sum = 0;
@@ -249,7 +249,7 @@ static void keep_better(struct bundle *b, bool from_tracks)
 {
     struct answer *w = &b->best;
     const struct adjust *a = &b->a;
-    double all, score = redundancy(b, true, &all);
+    double all, score = count_redundancy(b, true, &all);
     if (score <= w->score)
         return;
     w->score = score;
@@ -264,7 +264,7 @@ static void keep_better(struct bundle *b, bool from_tracks)
 
 /* ---- starts ---- */
 
-static void forget(struct bundle *b, double focal)
+static void reset_points(struct bundle *b, double focal)
 {
     b->a.focal = focal;
     b->scale = 1;
@@ -276,7 +276,7 @@ static err_t from_tracks(struct bundle *b, double focal)
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
     bool found = false;
-    forget(b, focal);
+    reset_points(b, focal);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
     if (e || viewgraph_rotations(&b->g, a) == 0)
         return e;
@@ -286,9 +286,9 @@ static err_t from_tracks(struct bundle *b, double focal)
     if (!e)
         e = viewgraph_centres(b->r, &b->g, a, &found);
     if (!e)
-        e = rounds(b, first, 2);
+        e = run_rounds(b, first, 2);
     if (!e)
-        e = finish(b);
+        e = run_last_rounds(b);
     if (!e)
         keep_better(b, true);
     return e;
@@ -316,8 +316,8 @@ static float depth_at(const struct bundle *b, const struct match_seen *s)
     return b->cfg->start_depth[row * (size_t)b->size + (size_t)x];
 }
 
-/* Typical depth of the scene before the cameras of the start: of its depth maps, else where the
- * axes of the views pass each other. */
+/* Typical depth of the scene from the cameras of the start: by its depth maps, else by the point
+ * nearest to the axes of the views. */
 static double typical_depth(struct bundle *b)
 {
     double h[9] = {0}, g[3] = {0}, x[3], inverse[9], sum = 0;
@@ -348,7 +348,8 @@ static double typical_depth(struct bundle *b)
     return sum > 0 && isfinite(sum) ? sum : 1;
 }
 
-/* Points at one depth: mean of the places where the rays of their sightings reach it. */
+/* Put points at one depth: the mean of the positions that the rays of their sightings reach there.
+ * */
 static void points_at(struct bundle *b, double depth)
 {
     struct adjust *a = &b->a;
@@ -381,34 +382,34 @@ static err_t from_cameras(struct bundle *b)
 {
     static const struct round first[] = {{100, 60, 10}, {60, 30, 10}, {30, 15, 10}, {20, 8, 10}};
     struct adjust *a = &b->a;
-    forget(b, start_focal(b));
+    reset_points(b, start_focal(b));
     load_cameras(b);
     points_at(b, typical_depth(b));
-    adjust_centre(a);
+    adjust_normalise(a);
     a->focal_fixed = true;
     err_t e = adjust_run(b->r, a, 100, 20);
     if (!e)
-        e = rounds(b, first, 1);
+        e = run_rounds(b, first, 1);
     a->focal_fixed = b->cfg->focal_known;
     if (!e)
-        e = rounds(b, first + 1, 3);
+        e = run_rounds(b, first + 1, 3);
     if (!e)
-        e = finish(b);
+        e = run_last_rounds(b);
     if (!e)
         keep_better(b, false);
     return e;
 }
 
-/* Cameras that are calibrated among themselves: only points and the focal length move. */
+/* Start from cameras calibrated relative to each other: only points and the focal length move. */
 static err_t from_rig(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
-    forget(b, start_focal(b));
+    reset_points(b, start_focal(b));
     load_cameras(b);
     b->a.poses_fixed = true;
-    err_t e = rounds(b, first, 2);
+    err_t e = run_rounds(b, first, 2);
     if (!e)
-        e = finish(b);
+        e = run_last_rounds(b);
     if (!e)
         keep_better(b, false);
     return e;
@@ -416,7 +417,7 @@ static err_t from_rig(struct bundle *b)
 
 /* ---- result ---- */
 
-/* Similarity of the adjusted world to the one that is given out. */
+/* Similarity from the adjusted world to that of the result. */
 struct world {
     double scale, r[9], t[3]; // x_out = scale r x + t
 };
@@ -425,7 +426,7 @@ static struct camera camera_of(const struct bundle *b, int v)
 {
     const float f = (float)b->best.focal, c = 0.5f * (float)b->size;
     const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
-    struct camera cam = {b->size, b->size, f, f / aspect(b), c, c, {0}, {0}};
+    struct camera cam = {b->size, b->size, f, f / picture_aspect(b), c, c, {0}, {0}};
     double q[4];
     rotation_to_quat(p, q);
     for (int k = 0; k < 4; k++)
@@ -435,7 +436,7 @@ static struct camera camera_of(const struct bundle *b, int v)
     return cam;
 }
 
-/* World of `start` if it is there, else that of the first placed camera. */
+/* World of `start` if there is one, else that of the first placed camera. */
 static err_t find_world(const struct bundle *b, struct world *out)
 {
     struct camera from[BUNDLE_VIEWS_MAX], to[BUNDLE_VIEWS_MAX];
@@ -465,7 +466,7 @@ static err_t find_world(const struct bundle *b, struct world *out)
     return OK;
 }
 
-static struct camera moved(const struct world *w, const struct camera *cam)
+static struct camera moved_camera(const struct world *w, const struct camera *cam)
 {
     struct similarity to = {.scale = w->scale};
     rotation_to_quat(w->r, to.q);
@@ -473,8 +474,9 @@ static struct camera moved(const struct world *w, const struct camera *cam)
     return similarity_apply(&to, cam);
 }
 
-/* Views that are not placed: as in `start`, else as the nearest view that is. */
-static void give_cameras(const struct bundle *b, const struct world *w, struct bundle_result *out)
+/* Cameras of the result; views that are not placed get those of `start`, else of the nearest placed
+ * view. */
+static void write_cameras(const struct bundle *b, const struct world *w, struct bundle_result *out)
 {
     struct camera none = camera_of(b, 0);
     none.q[0] = 1;
@@ -486,7 +488,7 @@ static void give_cameras(const struct bundle *b, const struct world *w, struct b
         out->cams[v] = none;
         if (out->placed[v] && !b->cfg->rig_known) {
             struct camera own = camera_of(b, v);
-            out->cams[v] = moved(w, &own);
+            out->cams[v] = moved_camera(w, &own);
         } else if (b->cfg->start) {
             memcpy(out->cams[v].q, b->cfg->start[v].q, sizeof none.q);
             memcpy(out->cams[v].t, b->cfg->start[v].t, sizeof none.t);
@@ -502,8 +504,8 @@ static void give_cameras(const struct bundle *b, const struct world *w, struct b
         }
 }
 
-/* Inliers, their error, and where the points are. */
-static void give_points(const struct bundle *b, const struct world *w, struct bundle_result *out)
+/* Inliers, their error, and positions of the points. */
+static void write_points(const struct bundle *b, const struct world *w, struct bundle_result *out)
 {
     const struct adjust *a = &b->a;
     double sum = 0;
@@ -528,7 +530,7 @@ static void give_points(const struct bundle *b, const struct world *w, struct bu
 }
 
 /* Depth of the points over that of the start, in each view. */
-static void give_scales(struct bundle *b, const struct world *w, struct bundle_result *out)
+static void write_scales(struct bundle *b, const struct world *w, struct bundle_result *out)
 {
     const struct adjust *a = &b->a;
     for (int v = 0; v < b->n_views; v++) {
@@ -575,12 +577,12 @@ static double parallax_px(struct bundle *b)
 }
 
 /* Share of the redundancy beyond chance and of the views; then parallax against the errors. */
-static void judge(struct bundle *b, struct bundle_result *out)
+static void rate_result(struct bundle *b, struct bundle_result *out)
 {
     const double wanted = 4 * fmax(0.5, (double)out->rms_px);
     double all, in;
     memcpy(b->a.in, b->best.in, (size_t)b->tracks->n * sizeof *b->a.in);
-    in = redundancy(b, false, &all);
+    in = count_redundancy(b, false, &all);
     if (all < 1)
         return;
     double share = fmax(0, (in / all - CHANCE) / (1 - CHANCE));
@@ -589,7 +591,7 @@ static void judge(struct bundle *b, struct bundle_result *out)
     out->confidence = (float)(share * out->n_placed / b->n_views * parallax / (1 + parallax));
 }
 
-static err_t give(struct bundle *b, struct bundle_result *out)
+static err_t write_result(struct bundle *b, struct bundle_result *out)
 {
     struct world w;
     err_t e = find_world(b, &w);
@@ -599,10 +601,10 @@ static err_t give(struct bundle *b, struct bundle_result *out)
     b->a.focal = b->best.focal;
     out->sightings = b->tracks->n;
     out->from_tracks = b->best.from_tracks;
-    give_cameras(b, &w, out);
-    give_points(b, &w, out);
-    give_scales(b, &w, out);
-    judge(b, out);
+    write_cameras(b, &w, out);
+    write_points(b, &w, out);
+    write_scales(b, &w, out);
+    rate_result(b, out);
     return OK;
 }
 
@@ -634,8 +636,8 @@ void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t)
     arena_reset(&p->tmp, mark);
 }
 
-/* Relative poses for a wrong focal length are wrong, and adjustment then moves slowly: it starts
- * once more where the focal length turns out to be another one. */
+/* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly. So it
+ * starts again where the focal length comes out different. */
 static err_t from_focal(struct bundle *b, double focal)
 {
     err_t e = OK;
@@ -649,7 +651,7 @@ static err_t from_focal(struct bundle *b, double focal)
     return e;
 }
 
-static err_t search(struct bundle *b)
+static err_t run_starts(struct bundle *b)
 {
     const double focal = start_focal(b), usual = FOV60 * b->size;
     b->best.focal = focal;
@@ -680,7 +682,7 @@ err_t bundle_run(const struct run *r, int n_views, int size, const struct match_
     err_t e = check_tracks(n_views, tracks);
     if (e)
         return e;
-    if (own.start && !usable(own.start, n_views))
+    if (own.start && !are_usable(own.start, n_views))
         own.start = NULL;
     own.rig_known &= own.start != NULL;
     struct bundle b = {.r = r, .cfg = &own, .tracks = tracks, .n_views = n_views, .size = size};
@@ -689,13 +691,13 @@ err_t bundle_run(const struct run *r, int n_views, int size, const struct match_
     b.scale = 1;
     e = layout_result(out, r->keep, n_views, tracks->n_tracks);
     if (!e)
-        e = load(&b);
+        e = load_tracks(&b);
     if (!e && tracks->n > 0)
-        e = search(&b);
+        e = run_starts(&b);
     if (b.best.focal <= 0)
         b.best.focal = start_focal(&b);
     if (!e)
-        e = give(&b, out);
+        e = write_result(&b, out);
     arena_reset(r->tmp, mark);
     if (e)
         *out = (struct bundle_result){0};

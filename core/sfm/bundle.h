@@ -1,8 +1,8 @@
-/* bundle.h - cameras that are right: bundle adjustment of cameras, one focal length and points on
- * tracks (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
+/* bundle.h - accurate cameras: bundle adjustment of cameras, one focal length and points on tracks
+ * (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
  * points eliminated (Schur complement), Cauchy loss, graduated from wide to narrow.
- * Where it starts from is chosen by the final cost: the network's cameras, and cameras from the
- * tracks alone (two-view geometry by RANSAC, rotations averaged, centres and points linear).
+ * It starts both from the network's cameras and from the tracks alone; the better result wins. The
+ * second start is (two-view geometry by RANSAC, rotations averaged, centres and points linear).
  * Pure computation; deterministic: random draws come from a fixed seed. */
 #ifndef SFM_BUNDLE_H
 #define SFM_BUNDLE_H
@@ -13,15 +13,15 @@
 enum { BUNDLE_VIEWS_MAX = 64 };
 
 struct bundle_config {
-    const struct camera *start; // (n_views) for v->size, or NULL: none; not used at all if one of
-                                // them is not finite or no camera
+    const struct camera *start; // (n_views) for v->size, or NULL: none; ignored if one of them is
+                                // not finite or not valid
     const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used
     float focal;                // px, 0: from `start`, else that of 60 degrees
     bool focal_known;           // keep it
-    float aspect;   // height over width of what the views were before they were squeezed
-                    // to squares, with square pixels; 0: 1
-    bool rig_known; // rotations and centres of `start` relative to each other are
-                    // calibrated: only focal (if not known) and points move
+    float aspect;               // height over width of the photographs before they were squeezed to
+                                // squares, with square pixels; 0: 1
+    bool rig_known;             // rotations and centres of `start` relative to each other are
+                                // calibrated: only focal (if not known) and points move
 };
 
 struct bundle_result {
@@ -34,18 +34,18 @@ struct bundle_result {
                         // not known
     float rms_px;       // of the inliers
     int inliers, sightings;
-    int n_placed;    // views that are tied to the others by enough inliers
+    int n_placed;    // views connected to the others by enough inliers
     bool *placed;    // (n_views); the cameras of others are those of `start`, moved along, or
                      // copies of the nearest placed one
     float agreement; // 0..1: share of inliers beyond chance x share of placed views
     float
-        confidence; // 0 nothing is known .. 1: agreement x parallax; agreement without confidence:
-                    // the camera turned or stood still
-    bool from_tracks; // which start won
+        confidence; // 0: nothing is known .. 1; agreement x parallax. Agreement without confidence:
+                    // the camera only rotated or stood still
+    bool from_tracks; // the start from tracks won
 };
 
 /* out:  lives in r->keep
- * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that are not as match.h says), ERR_NOMEM (see
+ * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that violate match.h), ERR_NOMEM (see
  *       bundle_plan), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no
  *       error: confidence is 0 and cams those of `start`, or all in one place. */
 MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,

@@ -1,4 +1,4 @@
-/* connectivity.h - which views of a bundle are tied to the others by what was seen.
+/* connectivity.h - which views of a bundle are connected by common sightings.
  * Pure function; any thread. */
 #ifndef SFM_CONNECTIVITY_H
 #define SFM_CONNECTIVITY_H
@@ -8,12 +8,11 @@
 enum {
     CONNECTIVITY_VIEWS_MAX = 64,
     CONNECTIVITY_VIEW = 10, // inliers of a placed view
-    CONNECTIVITY_LINK = 8   // common inliers of two views that are tied
+    CONNECTIVITY_LINK = 8   // common inliers of two connected views
 };
 
-/* Take back (placed) views that have too few inliers, views that do not agree with the points that
- * others place, views whose distance only hangs on one other view, and all but the largest set of
- * views that are tied. */
+/* Unplace views with too few inliers, views that contradict the points of others, views whose
+ * distance depends on only one other view, and all but the largest set of connected views. */
 void connectivity_prune(struct adjust *a);
 
 #endif

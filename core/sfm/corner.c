@@ -1,11 +1,10 @@
 /* The grey value is the mean over the channels of the logarithm of the display value with a toe:
- * where a channel saturates or sinks into black it ceases to change by itself, and what follows
- * looks at directions of gradients and at contrast relative to the surroundings only, so that the
- * response and the exposure hardly matter.
+ * a channel that saturates or is black no longer changes. The steps after it use only directions of
+ * gradients and contrast relative to the surroundings, so that response and exposure hardly matter.
  *
  * Noise is the lower quartile of |Laplacian of Laplacians| by brightness (Immerkaer 1996). Corners
- * are maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994) that noise does
- * not explain, the strongest of each level first, spread by a count per cell of a grid. A
+ * are maxima of the smaller eigenvalue of the structure tensor (Shi & Tomasi 1994) above
+ * the noise, the strongest of each level first, spread by a count per cell of a grid. A
  * descriptor is that of SIFT (Lowe 2004) without rotation, on the corner's level and on the one
  * twice as coarse: gradients by direction in 4 x 4 cells, normalised, large parts cut,
  * normalised. */
@@ -18,13 +17,13 @@
 #include <string.h>
 
 enum {
-    TAPS = 3,  // of a Gauss kernel, to one side
-    CELLS = 4, // of a descriptor, across
-    TURNS = 8, // directions
-    HALF = CELLS * CELLS * TURNS,
-    SPREAD = 12,    // cells of the grid that corners are spread over, across
-    MARGIN = 6,     // px of a level without corners
-    WORD_NORM = 256 // length of a descriptor
+    TAPS = 3,       // of a Gauss kernel, to one side
+    CELLS = 4,      // of a descriptor, across
+    DIRECTIONS = 8, // directions
+    HALF = CELLS * CELLS * DIRECTIONS,
+    SPREAD = 12,          // cells of the grid that corners are spread over, across
+    MARGIN = 6,           // px of a level without corners
+    DESCRIPTOR_NORM = 256 // length of a descriptor
 };
 
 #define SMOOTH 0.9f       // px, Gauss of the finest level and before each halving of the area
@@ -32,7 +31,7 @@ enum {
 #define TOE 0.03f         // display value, below which the logarithm is straight
 #define NOISE_FLOOR 8e-4f // 0.2 of 255: rounding, averaged over the channels
 #define CELL 4.0f         // px, a cell of a descriptor
-#define SNR 6.0f          // of the eigenvalue to what noise adds to it
+#define SNR 6.0f          // least ratio of the eigenvalue to the part that noise adds
 #define COARSE 0.7f       // length of the coarse half of a descriptor, in that of the fine one
 #define CUT 0.2f          // largest part of a descriptor (Lowe 2004, 6.1)
 
@@ -55,7 +54,7 @@ err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
     memset(out, 0, sizeof *out);
     err_t e = arena_alloc(keep, cap, sizeof *out->at, &out->at);
     if (!e)
-        e = arena_alloc(keep, cap, CORNER_WORD, &out->word);
+        e = arena_alloc(keep, cap, CORNER_DESCRIPTOR, &out->descriptor);
     if (!e)
         e = arena_alloc(keep, cap, sizeof *out->square, &out->square);
     for (int i = 0; i < CORNER_LEVELS && !e; i++) {
@@ -97,14 +96,14 @@ static void smooth_row(const float *row, int n, const float tap[TAPS + 1], float
     }
 }
 
-/* Gauss filter of a square picture, in place; the border repeats. room: (n, n). */
-static void smooth(float *px, int n, float sigma, float *restrict room)
+/* Gauss filter of a square picture, in place; the border repeats. scratch: (n, n). */
+static void smooth_picture(float *px, int n, float sigma, float *restrict scratch)
 {
     float tap[TAPS + 1];
     size_t w = (size_t)n;
     gauss_taps(sigma, tap);
     for (int y = 0; y < n; y++) {
-        float *restrict to = room + (size_t)y * w;
+        float *restrict to = scratch + (size_t)y * w;
         const float *row = px + (size_t)y * w;
         for (size_t x = 0; x < w; x++)
             to[x] = tap[0] * row[x];
@@ -116,10 +115,10 @@ static void smooth(float *px, int n, float sigma, float *restrict room)
         }
     }
     for (int y = 0; y < n; y++)
-        smooth_row(room + (size_t)y * w, n, tap, px + (size_t)y * w);
+        smooth_row(scratch + (size_t)y * w, n, tap, px + (size_t)y * w);
 }
 
-static void shrink(const float *from, int m, float *restrict to, int n)
+static void shrink_picture(const float *from, int m, float *restrict to, int n)
 {
     float step = (float)m / (float)n;
     for (int y = 0; y < n; y++) {
@@ -137,7 +136,7 @@ static void shrink(const float *from, int m, float *restrict to, int n)
     }
 }
 
-/* How much a display value says: 0 at both ends. */
+/* Reliability of a display value: 0 at both ends. */
 static void trust_table(float trust[256])
 {
     for (int z = 0; z < 256; z++) {
@@ -146,7 +145,7 @@ static void trust_table(float trust[256])
     }
 }
 
-static void grey(const uint8_t *rgb, struct corner_level *l)
+static void make_grey(const uint8_t *rgb, struct corner_level *l)
 {
     float trust[256], tone[256];
     trust_table(trust);
@@ -159,22 +158,22 @@ static void grey(const uint8_t *rgb, struct corner_level *l)
     }
 }
 
-static void pyramid(struct corner_view *c, float *room)
+static void build_pyramid(struct corner_view *c, float *scratch)
 {
     size_t px = (size_t)c->level[0].size * (size_t)c->level[0].size;
     for (int i = 0; i < CORNER_LEVELS; i++) {
         struct corner_level *l = c->level + i;
         if (!i) {
-            smooth(l->light, l->size, SMOOTH, room);
-            smooth(l->weight, l->size, SMOOTH, room);
+            smooth_picture(l->light, l->size, SMOOTH, scratch);
+            smooth_picture(l->weight, l->size, SMOOTH, scratch);
             continue;
         }
         const struct corner_level *from = l - 1;
         size_t n = (size_t)from->size * (size_t)from->size;
         for (int k = 0; k < 2; k++) {
-            memcpy(room, k ? from->weight : from->light, n * sizeof *room);
-            smooth(room, from->size, SMOOTH, room + px);
-            shrink(room, from->size, k ? l->weight : l->light, l->size);
+            memcpy(scratch, k ? from->weight : from->light, n * sizeof *scratch);
+            smooth_picture(scratch, from->size, SMOOTH, scratch + px);
+            shrink_picture(scratch, from->size, k ? l->weight : l->light, l->size);
         }
     }
 }
@@ -188,7 +187,7 @@ static int bin_of(float light)
 }
 
 /* Lower quartile from a histogram of |response| with steps of 1/4 of a display step. */
-static float quartile(const int *hist, int bins, int total)
+static float histogram_quartile(const int *hist, int bins, int total)
 {
     int sum = 0;
     for (int i = 0; i < bins; i++) {
@@ -201,7 +200,7 @@ static float quartile(const int *hist, int bins, int total)
     return (float)bins / (4 * 255.0f);
 }
 
-/* Before the smoothing. Bins with few pixels take the noise of all. */
+/* Call before smoothing. Bins with few pixels get the noise of all. */
 static void measure_noise(const struct corner_level *l, float noise[CORNER_BINS])
 {
     enum { STEPS = 512, FEW = 200 };
@@ -223,7 +222,7 @@ static void measure_noise(const struct corner_level *l, float noise[CORNER_BINS]
     }
     for (int i = 0; i < CORNER_BINS; i++) {
         int from = n[i] < FEW ? CORNER_BINS : i;
-        float q = n[from] ? quartile(hist[from], STEPS, n[from]) : 0;
+        float q = n[from] ? histogram_quartile(hist[from], STEPS, n[from]) : 0;
         noise[i] = fmaxf(q / (6 * 0.3186f), NOISE_FLOOR); // P(|x| < 0.3186 sigma) = 1/4
     }
 }
@@ -250,15 +249,15 @@ static int by_strength(const void *a, const void *b)
     return p->at < q->at ? -1 : p->at > q->at;
 }
 
-/* Smaller eigenvalue of the structure tensor at each pixel of level i. room: 4 (n, n), the first of
- * which is the result. */
-static void eigenvalues(const struct corner_view *c, int i, float *room)
+/* Smaller eigenvalue of the structure tensor at each pixel of level i. scratch: 4 (n, n), the first
+ * of which is the result. */
+static void eigenvalues(const struct corner_view *c, int i, float *scratch)
 {
     const struct corner_level *l = c->level + i;
     int n = l->size;
     size_t w = (size_t)n, px = w * w;
-    float *xx = room, *xy = room + px, *yy = room + 2 * px;
-    memset(room, 0, 3 * px * sizeof *room);
+    float *xx = scratch, *xy = scratch + px, *yy = scratch + 2 * px;
+    memset(scratch, 0, 3 * px * sizeof *scratch);
     for (size_t y = 1; y + 1 < w; y++) {
         for (size_t k = y * w + 1; k + 1 < (y + 1) * w; k++) {
             float gx = 0.5f * (l->light[k + 1] - l->light[k - 1]);
@@ -270,14 +269,14 @@ static void eigenvalues(const struct corner_view *c, int i, float *room)
         }
     }
     for (int k = 0; k < 3; k++)
-        smooth(room + (size_t)k * px, n, WINDOW, room + 3 * px);
+        smooth_picture(scratch + (size_t)k * px, n, WINDOW, scratch + 3 * px);
     for (size_t k = 0; k < px; k++) {
         float half = 0.5f * (xx[k] + yy[k]), d = 0.5f * (xx[k] - yy[k]);
         xx[k] = half - sqrtf(d * d + xy[k] * xy[k]);
     }
 }
 
-/* Whether pixel k is the largest of its 5 x 5; of equals, the first. */
+/* Whether pixel k is the largest of its 5 x 5 neighbourhood; the first of equal ones. */
 static bool is_peak(const float *px, size_t w, size_t k)
 {
     for (size_t dy = 0; dy < 5; dy++) {
@@ -307,7 +306,7 @@ static int find_peaks(const struct corner_view *c, int i, const float *px, struc
 }
 
 /* Offset of the maximum of a parabola through three values. */
-static float vertex(float a, float b, float c)
+static float parabola_vertex(float a, float b, float c)
 {
     float bend = a - 2 * b + c;
     return bend < 0 ? fminf(fmaxf(0.5f * (a - c) / bend, -0.5f), 0.5f) : 0.0f;
@@ -317,8 +316,8 @@ static void add_corner(struct corner_view *c, int i, const float *px, int at)
 {
     const struct corner_level *l = c->level + i;
     const float *p = px + at;
-    float x = (float)(at % l->size) + vertex(p[-1], p[0], p[1]);
-    float y = (float)(at / l->size) + vertex(p[-l->size], p[0], p[l->size]);
+    float x = (float)(at % l->size) + parabola_vertex(p[-1], p[0], p[1]);
+    float y = (float)(at / l->size) + parabola_vertex(p[-l->size], p[0], p[l->size]);
     c->at[c->n++] = (struct corner){.u = (x + 0.5f) * l->scale,
                                     .v = (y + 0.5f) * l->scale,
                                     .strength = *p / noise_variance(c, i, l->light[at]),
@@ -327,14 +326,14 @@ static void add_corner(struct corner_view *c, int i, const float *px, int at)
 
 /* The strongest `want` corners of level i, at first at most `crowd` in a cell, then three times as
  * many. */
-static void find_corners(struct corner_view *c, int i, int want, float *room)
+static void find_corners(struct corner_view *c, int i, int want, float *scratch)
 {
     const struct corner_level *l = c->level + i;
     int count[SPREAD * SPREAD] = {0}, left = want;
     int crowd = (3 * want / 2 + SPREAD * SPREAD - 1) / (SPREAD * SPREAD);
-    eigenvalues(c, i, room);
-    struct peak *peak = (struct peak *)(room + (size_t)l->size * (size_t)l->size);
-    int n = find_peaks(c, i, room, peak);
+    eigenvalues(c, i, scratch);
+    struct peak *peak = (struct peak *)(scratch + (size_t)l->size * (size_t)l->size);
+    int n = find_peaks(c, i, scratch, peak);
     for (int turn = 0; turn < 2; turn++, crowd *= 3) {
         for (int k = 0; k < n && left > 0; k++) {
             if (peak[k].at < 0)
@@ -344,7 +343,7 @@ static void find_corners(struct corner_view *c, int i, int want, float *room)
             if (count[y * SPREAD + x] >= crowd)
                 continue;
             count[y * SPREAD + x]++;
-            add_corner(c, i, room, peak[k].at);
+            add_corner(c, i, scratch, peak[k].at);
             peak[k].at = -1;
             left--;
         }
@@ -353,18 +352,19 @@ static void find_corners(struct corner_view *c, int i, int want, float *room)
 
 /* ---- descriptors ---- */
 
-/* Direction of a gradient in parts of TURNS to a full turn, 0 <= result <= TURNS, within 0.01. */
-static float direction(float gx, float gy)
+/* Direction of a gradient in parts of DIRECTIONS to a full turn, 0 <= result <= DIRECTIONS, within
+ * 0.01. */
+static float gradient_direction(float gx, float gy)
 {
     float ax = fabsf(gx), ay = fabsf(gy), top = ax > ay ? ax : ay, low = ax > ay ? ay : ax;
     float r = low / (top + 1e-20f);
-    float turn = r * (1.345f - 0.345f * r) * (TURNS / 8.0f); // atan(r) within 0.004
-    turn = ay > ax ? TURNS / 4.0f - turn : turn;
-    turn = gx < 0 ? TURNS / 2.0f - turn : turn;
-    return gy < 0 ? TURNS - turn : turn;
+    float turn = r * (1.345f - 0.345f * r) * (DIRECTIONS / 8.0f); // atan(r) within 0.004
+    turn = ay > ax ? DIRECTIONS / 4.0f - turn : turn;
+    turn = gx < 0 ? DIRECTIONS / 2.0f - turn : turn;
+    return gy < 0 ? DIRECTIONS - turn : turn;
 }
 
-/* Where one row or column of pixels goes: a cell, its part in the next one, and its weight. */
+/* Contribution of one row or column of pixels: a cell, its share in the next one, its weight. */
 struct lane {
     int px, cell; // cell 0 is outside, and so is CELLS + 1
     float next, weight;
@@ -384,16 +384,16 @@ static int make_lanes(float centre, float cell, int n, struct lane out[LANES_MAX
     return count;
 }
 
-static void vote(float *cell, float part, int turn, float beyond)
+static void add_vote(float *cell, float part, int turn, float beyond)
 {
     cell[turn] += part * (1 - beyond);
     cell[turn + 1] += part * beyond;
 }
 
-/* The descriptor's half on one level: hist (CELLS, CELLS, TURNS). */
-static void gather(const struct corner_level *l, float u, float v, float *hist)
+/* The descriptor's half on one level: hist (CELLS, CELLS, DIRECTIONS). */
+static void build_half(const struct corner_level *l, float u, float v, float *hist)
 {
-    enum { DEPTH = TURNS + 2, WIDTH = (CELLS + 2) * DEPTH };
+    enum { DEPTH = DIRECTIONS + 2, WIDTH = (CELLS + 2) * DEPTH };
     float sum[(CELLS + 2) * WIDTH] = {0};
     struct lane column[LANES_MAX], row[LANES_MAX];
     int n = l->size, columns = make_lanes(u / l->scale - 0.5f, CELL, n, column);
@@ -404,25 +404,25 @@ static void gather(const struct corner_level *l, float u, float v, float *hist)
             const struct lane *x = column + i;
             size_t at = (size_t)y->px * (size_t)n + (size_t)x->px;
             const float *p = l->light + at;
-            float gx = p[1] - p[-1], gy = p[n] - p[-n], turn = direction(gx, gy);
+            float gx = p[1] - p[-1], gy = p[n] - p[-n], turn = gradient_direction(gx, gy);
             float size = sqrtf(gx * gx + gy * gy) * l->weight[at] * x->weight * y->weight;
             int t = (int)turn;
             float *to = sum + y->cell * WIDTH + x->cell * DEPTH, beyond = turn - (float)t;
-            vote(to, size * (1 - x->next) * (1 - y->next), t, beyond);
-            vote(to + DEPTH, size * x->next * (1 - y->next), t, beyond);
-            vote(to + WIDTH, size * (1 - x->next) * y->next, t, beyond);
-            vote(to + WIDTH + DEPTH, size * x->next * y->next, t, beyond);
+            add_vote(to, size * (1 - x->next) * (1 - y->next), t, beyond);
+            add_vote(to + DEPTH, size * x->next * (1 - y->next), t, beyond);
+            add_vote(to + WIDTH, size * (1 - x->next) * y->next, t, beyond);
+            add_vote(to + WIDTH + DEPTH, size * x->next * y->next, t, beyond);
         }
     }
     for (int k = 0; k < CELLS * CELLS; k++) {
         const float *from = sum + (k / CELLS + 1) * WIDTH + (k % CELLS + 1) * DEPTH;
-        memcpy(hist + k * TURNS, from, TURNS * sizeof *hist);
-        hist[k * TURNS] += from[TURNS]; // a full turn is none
-        hist[k * TURNS + 1] += from[TURNS + 1];
+        memcpy(hist + k * DIRECTIONS, from, DIRECTIONS * sizeof *hist);
+        hist[k * DIRECTIONS] += from[DIRECTIONS]; // a full turn is direction 0
+        hist[k * DIRECTIONS + 1] += from[DIRECTIONS + 1];
     }
 }
 
-static void normalise(float *x, int n, float length)
+static void scale_to_length(float *x, int n, float length)
 {
     float sum = 1e-12f;
     for (int i = 0; i < n; i++)
@@ -431,39 +431,39 @@ static void normalise(float *x, int n, float length)
         x[i] *= length / sqrtf(sum);
 }
 
-static void describe(struct corner_view *c, int k)
+static void describe_corner(struct corner_view *c, int k)
 {
     float hist[2 * HALF];
     int32_t square = 0;
     const struct corner *at = c->at + k;
-    int8_t *word = c->word + (size_t)k * CORNER_WORD;
+    int8_t *descriptor = c->descriptor + (size_t)k * CORNER_DESCRIPTOR;
     for (int s = 0; s < 2; s++) {
         float *part = hist + s * HALF;
-        gather(c->level + at->level + 2 * s, at->u, at->v, part);
-        normalise(part, HALF, 1);
+        build_half(c->level + at->level + 2 * s, at->u, at->v, part);
+        scale_to_length(part, HALF, 1);
         for (int i = 0; i < HALF; i++)
             part[i] = fminf(part[i], CUT);
-        normalise(part, HALF, s ? COARSE : 1.0f);
+        scale_to_length(part, HALF, s ? COARSE : 1.0f);
     }
-    normalise(hist, 2 * HALF, WORD_NORM);
+    scale_to_length(hist, 2 * HALF, DESCRIPTOR_NORM);
     for (int i = 0; i < 2 * HALF; i++) {
-        word[i] = (int8_t)lrintf(fminf(hist[i], 127));
-        square += word[i] * word[i];
+        descriptor[i] = (int8_t)lrintf(fminf(hist[i], 127));
+        square += descriptor[i] * descriptor[i];
     }
     c->square[k] = square;
 }
 
 /* ---- the whole ---- */
 
-void corner_run(const uint8_t *rgb, int size, float *room, struct corner_view *out)
+void corner_run(const uint8_t *rgb, int size, float *scratch, struct corner_view *out)
 {
     static const float share[CORNER_FOUND] = {0.40f, 0.27f, 0.19f, 0.14f};
     out->n = 0;
-    grey(rgb, out->level);
+    make_grey(rgb, out->level);
     measure_noise(out->level, out->noise);
-    pyramid(out, room);
+    build_pyramid(out, scratch);
     for (int i = 0; i < CORNER_FOUND; i++)
-        find_corners(out, i, (int)(share[i] * (float)corner_cap(size)), room);
+        find_corners(out, i, (int)(share[i] * (float)corner_cap(size)), scratch);
     for (int k = 0; k < out->n; k++)
-        describe(out, k);
+        describe_corner(out, k);
 }

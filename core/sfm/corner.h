@@ -1,4 +1,4 @@
-/* corner.h - what a photograph can be recognised by, whatever its exposure: a pyramid of smoothed
+/* corner.h - features of a photograph that hardly depend on its exposure: a pyramid of smoothed
  * grey values, corners spread over it, and a descriptor of the surroundings of each corner.
  * Pure computation; any thread. */
 #ifndef SFM_CORNER_H
@@ -7,9 +7,10 @@
 #include "core/base/types.h"
 
 enum {
-    CORNER_LEVELS = 6,    // of the pyramid, each smaller by sqrt(2)
-    CORNER_FOUND = 4,     // levels, from the finest on, that corners are looked for on
-    CORNER_WORD = 256,    // numbers of a descriptor: two surroundings of 4 x 4 cells x 8 directions
+    CORNER_LEVELS = 6, // of the pyramid, each smaller by sqrt(2)
+    CORNER_FOUND = 4,  // levels that are searched for corners, from the finest on
+    CORNER_DESCRIPTOR =
+        256,              // numbers of a descriptor: two surroundings of 4 x 4 cells x 8 directions
     CORNER_MAX = 1536,    // corners of a view
     CORNER_SIZE_MIN = 64, // px, of a view
     CORNER_BINS = 8       // of brightness, for the noise
@@ -25,31 +26,31 @@ struct corner_level {
 
 struct corner {
     float u, v;     // px of the view
-    float strength; // smaller eigenvalue of the structure tensor over what noise explains
+    float strength; // smaller eigenvalue of the structure tensor over the part from noise
     int level;
 };
 
-/* All that matching needs of one view. */
+/* Data of one view for matching. */
 struct corner_view {
     struct corner_level level[CORNER_LEVELS];
     float noise[CORNER_BINS]; // deviation of light before smoothing, by light from 0 to 1
     int n;
-    struct corner *at; // (corner_cap)
-    int8_t *word;      // (corner_cap, CORNER_WORD) descriptors
-    int32_t *square;   // (corner_cap) sum of the squares of a descriptor
+    struct corner *at;  // (corner_cap)
+    int8_t *descriptor; // (corner_cap, CORNER_DESCRIPTOR) descriptors
+    int32_t *square;    // (corner_cap) sum of the squares of a descriptor
 };
 
 /* Most corners of a view of `size` px. */
 int corner_cap(int size);
 
-/* Room of a view.
+/* Memory of a view.
  * err:  ERR_NOMEM. */
 MUST_USE err_t corner_alloc(struct arena *keep, int size, struct corner_view *out);
 
 /* Scratch of corner_run: floats. */
 size_t corner_scratch(int size);
 
-/* Pyramid, corners and descriptors. rgb: (size, size, 3). room: (corner_scratch). */
-void corner_run(const uint8_t *rgb, int size, float *room, struct corner_view *out);
+/* Pyramid, corners and descriptors. rgb: (size, size, 3). scratch: (corner_scratch). */
+void corner_run(const uint8_t *rgb, int size, float *scratch, struct corner_view *out);
 
 #endif

@@ -2,7 +2,7 @@
  * Samples are drawn from the best matches first and then from ever more (Chum & Matas, "Matching
  * with PROSAC", 2005). The score is truncated (MSAC), and the best matrix is polished by least
  * squares on the matches that agree with it, weighted so that Sampson's distance is minimised.
- * The polished matrix need not have rank 2: only distances are wanted. */
+ * The polished matrix need not have rank 2: only distances are needed. */
 #include "core/sfm/epipolar.h"
 
 #include "core/base/lin.h"
@@ -22,7 +22,7 @@ double epipolar_distance(const double f[9], const struct epipolar_match *m)
     return e * e / (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1 + 1e-300);
 }
 
-static void equation(const struct epipolar_match *m, double scale, double row[9])
+static void match_equation(const struct epipolar_match *m, double scale, double row[9])
 {
     double x = m->a[0] * scale, y = m->a[1] * scale, u = m->b[0] * scale, v = m->b[1] * scale;
     const double r[9] = {u * x, u * y, u, v * x, v * y, v, x, y, 1};
@@ -30,7 +30,7 @@ static void equation(const struct epipolar_match *m, double scale, double row[9]
 }
 
 /* From coordinates times `scale` to px. */
-static void rescale(double f[9], double scale)
+static void rescale_matrix(double f[9], double scale)
 {
     for (int i = 0; i < 9; i++)
         f[i] *= (i / 3 < 2 ? scale : 1) * (i % 3 < 2 ? scale : 1);
@@ -50,9 +50,9 @@ static void swap_columns(double a[SAMPLE][9], int *order, int i, int j)
     order[j] = t;
 }
 
-/* Gauss and Jordan with full pivoting; the columns are then in `order`. Returns the rank, which is
- * 6 or less where the view only shifted or did not move at all. */
-static int eliminate(double a[SAMPLE][9], int order[9])
+/* Gauss-Jordan elimination with full pivoting; order: the permutation of the columns.
+ * returns: the rank, 6 or less where the view only shifted or did not move. */
+static int eliminate_rows(double a[SAMPLE][9], int order[9])
 {
     for (int i = 0; i < 9; i++)
         order[i] = i;
@@ -84,8 +84,8 @@ static double determinant(const double f[9])
            f[2] * (f[3] * f[7] - f[4] * f[6]);
 }
 
-/* Real roots of c3 x^3 + c2 x^2 + c1 x + c0; one of them if everything is a root. */
-static int cubic(const double c[4], double root[3])
+/* Real roots of c3 x^3 + c2 x^2 + c1 x + c0; root 0 if c0 is 0. returns: their number. */
+static int solve_cubic(const double c[4], double root[3])
 {
     root[0] = 0;
     if (c[0] == 0)
@@ -117,8 +117,8 @@ static int solve_seven(const struct epipolar_match *const m[SAMPLE], double scal
     double a[SAMPLE][9], p[9], q[9], at[4], c[4], root[3];
     int order[9];
     for (int i = 0; i < SAMPLE; i++)
-        equation(m[i], scale, a[i]);
-    int rank = eliminate(a, order);
+        match_equation(m[i], scale, a[i]);
+    int rank = eliminate_rows(a, order);
     memset(p, 0, sizeof p);
     memset(q, 0, sizeof q);
     for (int i = 0; i < rank; i++) {
@@ -136,20 +136,20 @@ static int solve_seven(const struct epipolar_match *const m[SAMPLE], double scal
     c[2] = 0.5 * (at[0] + at[2]) - at[1];
     c[3] = (at[3] - 4 * c[2] - c[0] - (at[2] - at[0])) / 6;
     c[1] = 0.5 * (at[2] - at[0]) - c[3];
-    int n = cubic(c, root);
+    int n = solve_cubic(c, root);
     for (int k = 0; k < n; k++) {
         for (int i = 0; i < 9; i++)
             f[k][i] = p[i] + root[k] * q[i];
-        rescale(f[k], scale);
+        rescale_matrix(f[k], scale);
     }
     return n;
 }
 
 /* ---- all matches ---- */
 
-/* Truncated sum: what the matches that agree win. */
-static double score(const double f[9], const struct epipolar_match *m, int n, double square,
-                    int *agree)
+/* Truncated score of the matches that agree (MSAC). */
+static double score_matrix(const double f[9], const struct epipolar_match *m, int n, double square,
+                           int *agree)
 {
     double sum = 0;
     *agree = 0;
@@ -165,14 +165,15 @@ static double score(const double f[9], const struct epipolar_match *m, int n, do
 
 /* Weighted least squares on the matches that agree with f, in place: the eigenvector of the
  * smallest eigenvalue by inverse iteration. */
-static int polish(const struct epipolar_match *m, int n, double scale, double square, double f[9])
+static int polish_matrix(const struct epipolar_match *m, int n, double scale, double square,
+                         double f[9])
 {
     double ata[81] = {0}, x[9];
     for (int i = 0; i < n; i++) {
         double row[9], d = epipolar_distance(f, m + i);
         if (d >= square)
             continue;
-        equation(m + i, scale, row);
+        match_equation(m + i, scale, row);
         double grad = 0, e = 0;
         for (int k = 0; k < 9; k++)
             e += f[k] * row[k] / ((k / 3 < 2 ? scale : 1) * (k % 3 < 2 ? scale : 1));
@@ -200,23 +201,23 @@ static int polish(const struct epipolar_match *m, int n, double scale, double sq
             x[i] /= sqrt(sum);
     }
     memcpy(f, x, sizeof x);
-    rescale(f, scale);
+    rescale_matrix(f, scale);
     return 1;
 }
 
-static uint32_t draw(uint32_t *state, uint32_t below)
+static uint32_t draw_below(uint32_t *state, uint32_t below)
 {
     *state = *state * 1664525u + 1013904223u; // Numerical Recipes
     return (uint32_t)(((uint64_t)*state * below) >> 32);
 }
 
-/* Seven different ones of the first `from`. */
-static void choose(const struct epipolar_match *m, int from, uint32_t *state,
-                   const struct epipolar_match *out[SAMPLE])
+/* Seven different matches of the first `from`. */
+static void choose_sample(const struct epipolar_match *m, int from, uint32_t *state,
+                          const struct epipolar_match *out[SAMPLE])
 {
     int at[SAMPLE] = {0}, n = 0;
     while (n < SAMPLE) {
-        int one = (int)draw(state, (uint32_t)from), k = 0;
+        int one = (int)draw_below(state, (uint32_t)from), k = 0;
         while (k < n && at[k] != one)
             k++;
         if (k == n)
@@ -226,8 +227,8 @@ static void choose(const struct epipolar_match *m, int from, uint32_t *state,
         out[i] = m + at[i];
 }
 
-/* Draws after which one of good matches only has come with 99.9 %. */
-static int enough(int agree, int n)
+/* Draws that contain one of good matches only with 99.9 % probability. */
+static int draws_needed(int agree, int n)
 {
     double good = pow((double)agree / n, SAMPLE);
     if (good > 0.999)
@@ -248,16 +249,16 @@ int epipolar_run(const struct epipolar_match *m, int n, float size, float bound,
         const struct epipolar_match *sample[SAMPLE];
         double trial[3][9];
         int from = 20 + turn * n / (DRAWS / 4), k, found;
-        choose(m, from < n ? from : n, &state, sample);
+        choose_sample(m, from < n ? from : n, &state, sample);
         found = solve_seven(sample, scale, trial);
         for (k = 0; k < found; k++) {
             int count;
-            double sum = score(trial[k], m, n, square, &count);
+            double sum = score_matrix(trial[k], m, n, square, &count);
             if (sum > best) {
                 best = sum;
                 agree = count;
                 memcpy(f, trial[k], sizeof trial[k]);
-                left = enough(agree, n);
+                left = draws_needed(agree, n);
             }
         }
     }
@@ -265,9 +266,9 @@ int epipolar_run(const struct epipolar_match *m, int n, float size, float bound,
         double trial[9], sum;
         int count;
         memcpy(trial, f, sizeof trial);
-        if (!polish(m, n, scale, square, trial))
+        if (!polish_matrix(m, n, scale, square, trial))
             break;
-        sum = score(trial, m, n, square, &count);
+        sum = score_matrix(trial, m, n, square, &count);
         if (sum <= best)
             break;
         best = sum;

@@ -1,5 +1,5 @@
-/* epipolar.h - which matches of two views can be of one rigid scene, whatever the cameras: the
- * fundamental matrix by random samples of seven (Hartley & Zisserman, "Multiple view geometry",
+/* epipolar.h - which matches of two views fit one rigid scene for any cameras: the fundamental
+ * matrix by random samples of seven (Hartley & Zisserman, "Multiple view geometry",
  * 2004, 11.1.2).
  * Pure functions, random draws from a fixed seed; any thread. */
 #ifndef SFM_EPIPOLAR_H

@@ -1,9 +1,9 @@
 /* Each view becomes corners with descriptors (corner.h), each pair of views a list of matches that
  * one epipolar geometry explains (pair.h). Corners joined by matches, the surest first, are one
- * track, unless two of them lie in one view. The strongest sighting of a track is cut out and found
- * to a fraction of a pixel in the others (patch.h). The epipolar geometry of the refined points
- * then drops what slid away or never belonged. Long tracks come first, and tracks that add to a
- * crowd in all of their views are left out. */
+ * track, unless two of them lie in one view. The strongest sighting of a track is located in the
+ * other views to a fraction of a pixel (patch.h). The epipolar geometry of the refined points then
+ * removes sightings that slid away or never belonged. Long tracks come first; a track whose
+ * surroundings are crowded in all of its views is left out. */
 #include "core/sfm/match.h"
 
 #include "core/base/num.h"
@@ -20,12 +20,12 @@ enum {
     REFINE = 32  // tracks of a chunk
 };
 
-#define SIGMA_MIN 0.05f  // px of a level
-#define SAME 0.7f        // px of a level, corners of one place
-#define LIKE_MIN 0.85f   // correlation of a patch that is found again
-#define STRETCH_MAX 0.5f // log2 of areas, up to which no other level is tried
-#define SLIDE_MAX 3.0f   // px of a level, from the corner to the patch
-#define EXACT 0.8f       // px, Sampson distance of refined sightings
+#define SIGMA_MIN 0.05f       // px of a level
+#define SAME 0.7f             // px of a level, corners of one place
+#define CORRELATION_MIN 0.85f // least correlation of a patch that is found again
+#define STRETCH_MAX 0.5f      // log2 of areas, up to which no other level is tried
+#define SLIDE_MAX 3.0f        // px of a level, from the corner to the patch
+#define EXACT 0.8f            // px, Sampson distance of refined sightings
 
 struct room {       // of a worker
     float *picture; // (corner_scratch)
@@ -49,8 +49,8 @@ struct matcher {
 };
 
 struct track {
-    int root, at, n; // node; first sighting; sightings
-    float like;      // mean
+    int root, at, n;   // node; first sighting; sightings
+    float correlation; // mean
 };
 
 /* ---- sizes ---- */
@@ -102,8 +102,8 @@ static int root_of(int *parent, int i)
     return i;
 }
 
-/* Make one track of those of nodes i and j, unless they share a view. */
-static void join(struct matcher *m, int i, int j)
+/* Join the tracks of nodes i and j, unless they share a view. */
+static void join_tracks(struct matcher *m, int i, int j)
 {
     int a = root_of(m->parent, i), b = root_of(m->parent, j);
     if (a == b || (m->mask[a] & m->mask[b]))
@@ -115,7 +115,7 @@ static void join(struct matcher *m, int i, int j)
     m->next[b] = t;
 }
 
-/* The first corner of a view at the place of corner k: on several levels it is one point. */
+/* The first corner of a view at the position of corner k, which may be on another level. */
 static int place_of(const struct corner_view *c, const int *parent, int at, int k)
 {
     for (int i = 0; i < k; i++) {
@@ -172,30 +172,30 @@ static err_t join_all(struct matcher *m)
     }
     qsort(edge, n, sizeof *edge, by_edge);
     for (size_t i = 0; i < n; i++)
-        join(m, edge[i].a, edge[i].b);
+        join_tracks(m, edge[i].a, edge[i].b);
     arena_reset(m->r->tmp, mark);
     return OK;
 }
 
 /* ---- refinement ---- */
 
-/* What the reference shows, from two levels that follow each other. */
+/* Patches of the reference, from two successive levels. */
 struct view_of {
     int level;
     bool cut[2];
     struct patch patch[2];
 };
 
-/* How far from 1 a patch's magnification is, where it is found. */
-static float stretch(const struct patch_place *at)
+/* |log2| of the magnification of a patch where it is found. */
+static float log_magnification(const struct patch_place *at)
 {
     return fabsf(log2f(fmaxf(fabsf(at->m[0] * at->m[3] - at->m[1] * at->m[2]), 1e-3f)));
 }
 
-/* Find the reference at a node's place, between levels where it is as large and as smooth: else
- * corners seem to move. */
+/* Find the reference at a node's position, on the level where it has the same size and smoothness;
+ * otherwise corners seem to move. */
 static bool find_member(const struct matcher *m, const struct view_of *o, int node,
-                        struct match_seen *out, float *like)
+                        struct match_seen *out, float *correlation)
 {
     const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
     const struct corner_view *c = m->p.view + node / m->cap;
@@ -206,11 +206,11 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
         float u = at->u / l->scale, v = at->v / l->scale;
         struct patch_place place = {.u = u, .v = v, .m = {1, 0, 0, 1}};
         if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &place) ||
-            place.like < LIKE_MIN || stretch(&place) >= least ||
+            place.correlation < CORRELATION_MIN || log_magnification(&place) >= least ||
             hypotf(place.u - u, place.v - v) > SLIDE_MAX)
             continue;
-        least = stretch(&place);
-        *like = place.like;
+        least = log_magnification(&place);
+        *correlation = place.correlation;
         *out = (struct match_seen){.view = node / m->cap,
                                    .u = place.u * l->scale,
                                    .v = place.v * l->scale,
@@ -219,7 +219,7 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
     return least < INFINITY;
 }
 
-/* Member of a track that shows it best. */
+/* The member of a track with the strongest corner. */
 static int best_member(const struct matcher *m, int root)
 {
     int best = root;
@@ -239,7 +239,7 @@ static int by_view(const void *a, const void *b)
     return ((const struct match_seen *)a)->view - ((const struct match_seen *)b)->view;
 }
 
-/* Sightings of a track where it is found again. */
+/* Locate a track in its other views; members that are not found are dropped. */
 static void refine_track(const struct matcher *m, struct track *t)
 {
     int best = best_member(m, t->root);
@@ -255,14 +255,14 @@ static void refine_track(const struct matcher *m, struct track *t)
     t->n = 0;
     out[t->n++] = (struct match_seen){.view = best / m->cap, .u = at->u, .v = at->v};
     for (int i = m->next[best]; i != best; i = m->next[i]) {
-        float like = 0;
-        if (!find_member(m, &reference, i, out + t->n, &like))
+        float correlation = 0;
+        if (!find_member(m, &reference, i, out + t->n, &correlation))
             continue;
         least = fminf(least, out[t->n++].sigma);
-        sum += like;
+        sum += correlation;
     }
     out->sigma = least;
-    t->like = t->n > 1 ? sum / (float)(t->n - 1) : 0;
+    t->correlation = t->n > 1 ? sum / (float)(t->n - 1) : 0;
     qsort(out, (size_t)t->n, sizeof *out, by_view);
 }
 
@@ -292,7 +292,7 @@ static void list_tracks(struct matcher *m)
     }
 }
 
-/* ---- a last look ---- */
+/* ---- pruning ---- */
 
 /* Sighting of a track in a view, or NULL. */
 static const struct match_seen *seen_in(const struct matcher *m, const struct track *t, int view)
@@ -304,7 +304,7 @@ static const struct match_seen *seen_in(const struct matcher *m, const struct tr
 }
 
 /* Epipolar geometry of the refined sightings of two views. */
-static err_t look_again(void *ctx, int i_couple, int worker)
+static err_t refit_couple(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
     struct pair *c = m->couple + i_couple;
@@ -314,15 +314,15 @@ static err_t look_again(void *ctx, int i_couple, int worker)
         const struct match_seen *a = seen_in(m, m->track + i, c->a);
         const struct match_seen *b = a ? seen_in(m, m->track + i, c->b) : NULL;
         if (b)
-            match[n++] = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
+            match[n++] = pair_match(&m->p, a->u, a->v, b->u, b->v);
     }
     int agree = epipolar_run(match, n, (float)m->v->size, EXACT, c->f);
     c->known = agree >= PAIR_LEAST && agree * 2 > n;
     return run_check(m->r, "matching");
 }
 
-/* Views that speak against sighting k of a track, less those that speak for it. */
-static int against(const struct matcher *m, const struct track *t, int k)
+/* Number of views whose geometry contradicts sighting k of a track, less those that confirm it. */
+static int votes_against(const struct matcher *m, const struct track *t, int k)
 {
     int sum = 0;
     for (int i = 0; i < t->n; i++) {
@@ -331,21 +331,21 @@ static int against(const struct matcher *m, const struct track *t, int k)
         if (i == k)
             continue;
         const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
-        const struct epipolar_match match = pair_meeting(&m->p, a->u, a->v, b->u, b->v);
+        const struct epipolar_match match = pair_match(&m->p, a->u, a->v, b->u, b->v);
         if (c->known)
             sum += epipolar_distance(c->f, &match) > (double)(EXACT * EXACT) ? 1 : -1;
     }
     return sum;
 }
 
-/* Take away the sighting that most views speak against, until all have more for them. */
-static void settle_track(const struct matcher *m, struct track *t)
+/* Remove the sighting with the most views against it, until each has a majority for it. */
+static void prune_track(const struct matcher *m, struct track *t)
 {
     struct match_seen *at = m->seen + t->at;
     while (t->n >= 2) {
         int worst = 0, most = INT_MIN;
         for (int k = 0; k < t->n; k++) {
-            int sum = against(m, t, k);
+            int sum = votes_against(m, t, k);
             worst = sum > most ? k : worst;
             most = sum > most ? sum : most;
         }
@@ -355,12 +355,12 @@ static void settle_track(const struct matcher *m, struct track *t)
     }
 }
 
-static err_t settle_chunk(void *ctx, int chunk, int worker)
+static err_t prune_chunk(void *ctx, int chunk, int worker)
 {
     struct matcher *m = ctx;
     (void)worker;
     for (int i = chunk * REFINE; i < num_min((chunk + 1) * REFINE, m->n_tracks); i++)
-        settle_track(m, m->track + i);
+        prune_track(m, m->track + i);
     return run_check(m->r, "matching");
 }
 
@@ -371,13 +371,14 @@ static int by_length(const void *a, const void *b)
     const struct track *p = a, *q = b;
     if (p->n != q->n)
         return q->n - p->n;
-    if (p->like != q->like)
-        return p->like > q->like ? -1 : 1;
+    if (p->correlation != q->correlation)
+        return p->correlation > q->correlation ? -1 : 1;
     return p->root - q->root;
 }
 
-/* Whether some view of the track still lacks tracks where this one is; counts it. */
-static bool wanted(const struct matcher *m, const struct track *t, int crowd, uint16_t *count)
+/* Whether some view of the track still lacks tracks at its position; if so, counts it. */
+static bool adds_coverage(const struct matcher *m, const struct track *t, int crowd,
+                          uint16_t *count)
 {
     bool room = false;
     for (int turn = 0; turn < 2; turn++) {
@@ -406,7 +407,7 @@ static err_t layout_tracks(struct match_tracks *t, struct arena *keep, int n_vie
     return arena_alloc(keep, seen_cap(n_views, size), sizeof *t->seen, &t->seen);
 }
 
-static err_t collect(struct matcher *m, struct match_tracks *out)
+static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
 {
     size_t mark = arena_mark(m->r->tmp), keep = arena_mark(m->r->keep);
     int n = 0, crowd = 2 * MATCH_TRACKS_MAX / (SPREAD * SPREAD);
@@ -423,7 +424,7 @@ static err_t collect(struct matcher *m, struct match_tracks *out)
     for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < MATCH_TRACKS_MAX;
          i++) {
         const struct track *t = m->track + i;
-        if (n + t->n > (int)seen_cap(m->v->n, m->v->size) || !wanted(m, t, crowd, count))
+        if (n + t->n > (int)seen_cap(m->v->n, m->v->size) || !adds_coverage(m, t, crowd, count))
             continue;
         for (int k = 0; k < t->n; k++) {
             out->seen[n] = m->seen[t->at + k];
@@ -524,10 +525,10 @@ static err_t find_tracks(struct matcher *m, struct match_tracks *out)
     list_tracks(m);
     e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, refine_chunk, m);
     if (!e)
-        e = pool_for(m->r->pool, m->n_couples, look_again, m);
+        e = pool_for(m->r->pool, m->n_couples, refit_couple, m);
     if (!e)
-        e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, settle_chunk, m);
-    return e ? e : collect(m, out);
+        e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, prune_chunk, m);
+    return e ? e : collect_tracks(m, out);
 }
 
 err_t match_run(const struct run *r, const struct views *v, const struct correspondence *prior,

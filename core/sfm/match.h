@@ -1,5 +1,5 @@
 /* match.h - the same points in several photographs of mixed exposure: corners, descriptors that do
- * not see the exposure, matches that agree both ways and with one epipolar geometry, sub-pixel
+ * not depend on exposure, matches that agree both ways and with one epipolar geometry, sub-pixel
  * positions, tracks over views. The network's attention narrows the search where there is one
  * (core/net/README.md 2.7).
  * Pure computation on the pool; the result does not depend on the number of threads. */
@@ -22,7 +22,7 @@ struct match_tracks {
 };
 
 /* Find tracks. prior: of net_run for these views (core/net/shared_attention.c), or NULL: places
- * where the network does not look are less likely; where its attention is flat it is not asked.
+ * outside its attention count as less likely; where its attention is flat it is ignored.
  * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX sightings; 0 tracks if
  *       nothing agrees, and for one view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */

@@ -1,8 +1,8 @@
 /* All descriptors of one view are multiplied with all of the other in integers (gemm_s8). A match
  * is the best of both views for each other and clearly better than the next one at another place
- * (Lowe 2004, 7.1); places that the network does not look at count as farther, unless its attention
- * is flat. When one epipolar geometry explains enough matches, corners are compared once more, now
- * along the epipolar lines only: there fewer are alike, which finds half as many again. */
+ * (Lowe 2004, 7.1); places outside the network's attention count as farther, unless its attention
+ * is flat. When one epipolar geometry explains enough matches, corners are compared once more along
+ * the epipolar lines only: there fewer are alike, which finds half as many matches again. */
 #include "core/sfm/pair.h"
 
 #include "core/base/num.h"
@@ -21,8 +21,8 @@ enum {
 #define RATIO 0.8f      // of distances to the nearest corner and another (Lowe 2004)
 #define RATIO_LINE 0.7f // the same on an epipolar line
 #define APART 5.0f      // px, corners that are not the same place
-#define ELSEWHERE 1.5f  // how much farther descriptors count where the network does not look
-#define SHARE_MIN 0.1f  // of the attention that the best tokens need to be believed
+#define ELSEWHERE 1.5f  // factor on distances outside the network's attention
+#define SHARE_MIN 0.1f  // least share of the attention on the best tokens, below which it is flat
 #define BOUND 1.5f      // px, Sampson distance of corners that agree
 #define BAND 2.0f       // px, from the epipolar line
 
@@ -49,7 +49,7 @@ err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out
         int8_t *panels;
         e = corner_alloc(tmp, size, &view);
         if (!e)
-            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_WORD, &panels);
+            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_DESCRIPTOR, &panels);
         if (!e && !tmp->counts) {
             out->view[i] = view;
             out->panels[i] = panels;
@@ -76,7 +76,7 @@ err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct 
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->match, &w->match);
     if (!e)
-        e = arena_alloc(tmp, grid * grid, sizeof *w->look, &w->look);
+        e = arena_alloc(tmp, grid * grid, sizeof *w->expected, &w->expected);
     return e;
 }
 
@@ -93,11 +93,11 @@ static int token_of(const struct pair_views *m, const struct corner *c)
 void pair_prepare(const struct pair_views *m, int i)
 {
     const struct corner_view *c = m->view + i;
-    memset(m->panels[i], 0, pitch_of(m->cap) * CORNER_WORD);
+    memset(m->panels[i], 0, pitch_of(m->cap) * CORNER_DESCRIPTOR);
     for (int k = 0; k < c->n; k++) {
-        int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_WORD + k % PANEL * 4;
-        for (int q = 0; q < CORNER_WORD; q += 4)
-            memcpy(to + q * PANEL, c->word + (size_t)k * CORNER_WORD + q, 4);
+        int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
+        for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
+            memcpy(to + q * PANEL, c->descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
         if (m->prior)
             m->token[i * m->cap + k] = token_of(m, c->at + k);
     }
@@ -105,9 +105,10 @@ void pair_prepare(const struct pair_views *m, int i)
 
 /* ---- search ---- */
 
-/* Mark the tokens of view b around those where the network finds token t of view a. False if it
- * does not know. */
-static bool look_for(const struct pair_views *m, const struct pair *c, int t, uint8_t *look)
+/* Mark the tokens of view b around those where the network finds token t of view a. False if its
+ * attention is flat. */
+static bool mark_expected(const struct pair_views *m, const struct pair *c, int t,
+                          uint8_t *expected)
 {
     const struct correspondence *p = m->prior;
     int g = p->grid;
@@ -118,14 +119,14 @@ static bool look_for(const struct pair_views *m, const struct pair *c, int t, ui
         sum += p->token[at + k] >= 0 ? p->share[at + k] : 0;
     if (sum < SHARE_MIN)
         return false;
-    memset(look, 0, (size_t)(g * g));
+    memset(expected, 0, (size_t)(g * g));
     for (int k = 0; k < CORRESPONDENCE_BEST; k++) {
         int x = p->token[at + k] % g, y = p->token[at + k] / g;
         if (p->token[at + k] < 0 || p->share[at + k] < 0.25f * sum / CORRESPONDENCE_BEST)
             continue;
         for (int j = y > 0 ? y - 1 : 0; j <= num_min(y + 1, g - 1); j++)
             for (int i = x > 0 ? x - 1 : 0; i <= num_min(x + 1, g - 1); i++)
-                look[j * g + i] = 1;
+                expected[j * g + i] = 1;
     }
     return true;
 }
@@ -135,34 +136,34 @@ static bool near_by(const struct corner *a, const struct corner *b)
     return fabsf(a->u - b->u) < APART && fabsf(a->v - b->v) < APART;
 }
 
-/* What corner i of a may be compared with: corners of b and squared distances. */
+/* Candidates for corner i of a: corners of b and squared distances. */
 struct trial {
     int i, n;
     const int16_t *at; // (n) corners of b; NULL: all, in order
     int32_t *square;   // (n)
 };
 
-/* Places that the network does not look at count as farther. */
-static void narrow(const struct pair_views *m, const struct pair *c, const struct trial *t,
-                   uint8_t *look)
+/* Increase the distances to corners outside the network's attention. */
+static void penalise_unlikely(const struct pair_views *m, const struct pair *c,
+                              const struct trial *t, uint8_t *expected)
 {
     const int *token = m->token + c->b * m->cap;
-    if (!m->prior || !look_for(m, c, m->token[c->a * m->cap + t->i], look))
+    if (!m->prior || !mark_expected(m, c, m->token[c->a * m->cap + t->i], expected))
         return;
     for (int k = 0; k < t->n; k++)
-        if (!look[token[t->at ? t->at[k] : k]])
+        if (!expected[token[t->at ? t->at[k] : k]])
             t->square[k] = (int32_t)(ELSEWHERE * (float)t->square[k]);
 }
 
-/* Remember the nearest corner of b, how much nearer it is than any elsewhere, and for each of b
- * whether this one is the nearest so far. */
-static void nearest(const struct pair_views *m, const struct pair *c, const struct trial *t,
-                    struct pair_workspace *w)
+/* Note the nearest corner of b and its distance over that of the nearest elsewhere; and for each
+ * corner of b the nearest of a so far. */
+static void find_nearest(const struct pair_views *m, const struct pair *c, const struct trial *t,
+                         struct pair_workspace *w)
 {
     const struct corner *b = m->view[c->b].at;
     int32_t best = FAR, next = UNLIKE;
     int to = NONE;
-    narrow(m, c, t, w->look);
+    penalise_unlikely(m, c, t, w->expected);
     for (int k = 0; k < t->n; k++) {
         int j = t->at ? t->at[k] : k;
         if (t->square[k] < best) {
@@ -182,7 +183,7 @@ static void nearest(const struct pair_views *m, const struct pair *c, const stru
 }
 
 /* Compare all with all. */
-static void search(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
+static void search_all(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
     for (int i = 0; i < a->n; i++) {
@@ -191,20 +192,20 @@ static void search(const struct pair_views *m, const struct pair *c, struct pair
             m->k->net.s8(&(struct gemm_s8){.m = num_min(ROWS, a->n - i),
                                            .panels = (b->n + PANEL - 1) / PANEL,
                                            .segs = 1,
-                                           .seg = CORNER_WORD,
-                                           .a = a->word + (size_t)i * CORNER_WORD,
-                                           .lda = CORNER_WORD,
+                                           .seg = CORNER_DESCRIPTOR,
+                                           .a = a->descriptor + (size_t)i * CORNER_DESCRIPTOR,
+                                           .lda = CORNER_DESCRIPTOR,
                                            .w = m->panels[c->b],
-                                           .ldw = PANEL * CORNER_WORD,
+                                           .ldw = PANEL * CORNER_DESCRIPTOR,
                                            .c = w->product,
                                            .ldc = w->pitch});
         for (int j = 0; j < b->n; j++)
             row[j] = a->square[i] + b->square[j] - 2 * row[j];
-        nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
+        find_nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
     }
 }
 
-/* Compare with what lies along the epipolar line only. */
+/* Compare with the corners along the epipolar line only. */
 static void search_lines(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
@@ -220,14 +221,14 @@ static void search_lines(const struct pair_views *m, const struct pair *c, struc
             if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
                 w->near[t.n++] = (int16_t)j;
         for (int k = 0; k < t.n; k++) {
-            const int8_t *p = a->word + (size_t)i * CORNER_WORD;
-            const int8_t *q = b->word + (size_t)w->near[k] * CORNER_WORD;
+            const int8_t *p = a->descriptor + (size_t)i * CORNER_DESCRIPTOR;
+            const int8_t *q = b->descriptor + (size_t)w->near[k] * CORNER_DESCRIPTOR;
             int32_t sum = 0;
-            for (int n = 0; n < CORNER_WORD; n++)
+            for (int n = 0; n < CORNER_DESCRIPTOR; n++)
                 sum += p[n] * q[n];
             t.square[k] = a->square[i] + b->square[w->near[k]] - 2 * sum;
         }
-        nearest(m, c, &t, w);
+        find_nearest(m, c, &t, w);
     }
 }
 
@@ -240,8 +241,8 @@ static int by_doubt(const void *a, const void *b)
 }
 
 /* Links of corners that are each other's nearest, the surest first. */
-static void link_up(const struct pair_views *m, struct pair *c, const struct pair_workspace *w,
-                    float ratio)
+static void link_mutual(const struct pair_views *m, struct pair *c, const struct pair_workspace *w,
+                        float ratio)
 {
     c->n = 0;
     for (int i = 0; i < m->view[c->a].n; i++)
@@ -250,8 +251,7 @@ static void link_up(const struct pair_views *m, struct pair *c, const struct pai
     qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
 }
 
-struct epipolar_match pair_meeting(const struct pair_views *m, float au, float av, float bu,
-                                   float bv)
+struct epipolar_match pair_match(const struct pair_views *m, float au, float av, float bu, float bv)
 {
     const float middle = 0.5f * (float)m->size;
     return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
@@ -263,7 +263,7 @@ static void find_geometry(const struct pair_views *m, struct pair *c, struct epi
     for (int k = 0; k < c->n; k++) {
         const struct corner *a = m->view[c->a].at + c->link[k].a;
         const struct corner *b = m->view[c->b].at + c->link[k].b;
-        match[k] = pair_meeting(m, a->u, a->v, b->u, b->v);
+        match[k] = pair_match(m, a->u, a->v, b->u, b->v);
     }
     int agree = epipolar_run(match, c->n, (float)m->size, BOUND, c->f);
     c->known = agree >= PAIR_LEAST + c->n / 16;
@@ -281,8 +281,8 @@ void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair 
         if (turn)
             search_lines(m, c, w);
         else
-            search(m, c, w);
-        link_up(m, c, w, turn ? RATIO_LINE : RATIO);
+            search_all(m, c, w);
+        link_mutual(m, c, w, turn ? RATIO_LINE : RATIO);
         if (!turn)
             find_geometry(m, c, w->match);
         if (!c->known)

@@ -1,5 +1,5 @@
 /* pair.h - which corners of two views are the same point.
- * Pure computation; views are shared, a pair and a room belong to one worker at a time. */
+ * Pure computation; views are shared, a pair and a workspace belong to one worker at a time. */
 #ifndef SFM_PAIR_H
 #define SFM_PAIR_H
 
@@ -30,7 +30,7 @@ struct pair_views {
     const struct correspondence *prior; // NULL: none
     int n, size, cap;                   // cap: corner_cap
     struct corner_view *view;           // (n)
-    int8_t **panels;                    // (n) descriptors as gemm_s8 wants them
+    int8_t **panels;                    // (n) descriptors packed for gemm_s8
     int *token;                         // (n, cap) patch of the network that a corner lies in
 };
 
@@ -39,15 +39,15 @@ struct pair_workspace {
     size_t pitch;                 // of product
     int32_t *product;             // (rows, pitch)
     int32_t *column;              // (cap) smallest distance to each corner of b
-    int16_t *from;                // (cap) where it is
+    int16_t *from;                // (cap) the corner of a at that distance
     int16_t *to;                  // (cap) nearest in b of each corner of a
     float *doubt;                 // (cap)
     int16_t *near;                // (cap) corners of b on a line
     struct epipolar_match *match; // (cap)
-    uint8_t *look;                // (grid^2) whether the network looks at this token
+    uint8_t *expected;            // (grid^2) whether the network's attention is on this token
 };
 
-/* Room of n views, a worker. out->k and out->prior are the caller's.
+/* Memory of n views, and of a worker. out->k and out->prior are the caller's.
  * err:  ERR_NOMEM. */
 MUST_USE err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out);
 MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v,
@@ -61,7 +61,7 @@ void pair_prepare(const struct pair_views *m, int i);
 void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
 
 /* Two points, px of the views, for epipolar_distance with a pair's f. */
-struct epipolar_match pair_meeting(const struct pair_views *m, float au, float av, float bu,
-                                   float bv);
+struct epipolar_match pair_match(const struct pair_views *m, float au, float av, float bu,
+                                 float bv);
 
 #endif

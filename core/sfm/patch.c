@@ -1,7 +1,7 @@
 /* Light in the patch and in the picture is brought to mean 0 and variance 1; slopes of the patch
  * are made orthogonal to a constant and to the patch itself, so that a wrong gain and offset do not
- * move it. First the shift alone, then all six parameters. The expected error comes from what is
- * left of the difference and the normal equations. */
+ * move it. First the shift alone, then all six parameters. The expected error follows from the
+ * remaining difference and the normal equations. */
 #include "core/sfm/patch.h"
 
 #include "core/base/lin.h"
@@ -12,12 +12,12 @@
 enum { SHIFTS = 4, STEPS = 10 };
 
 #define WIDTH 3.5f         // px, Gauss that a patch fades with
-#define CONTRAST_MIN 2e-3f // of light, which is 0..1: what rounding leaves uncertain
+#define CONTRAST_MIN 2e-3f // of light (0..1), above the error of rounding
 #define RIDGE 1e-3         // of the largest normal equation
 #define CORRELATED 7.0     // pixels that share noise, as light is smoothed
 
 /* Value between pixels; (x, y) in pixel centres, inside by one pixel. */
-static float sample(const float *px, int n, float x, float y)
+static float sample_bilinear(const float *px, int n, float x, float y)
 {
     int i = (int)x, j = (int)y;
     float fx = x - (float)i, fy = y - (float)j;
@@ -26,7 +26,7 @@ static float sample(const float *px, int n, float x, float y)
     return top + fy * (low - top);
 }
 
-static bool inside(const struct corner_level *l, float x, float y, float margin)
+static bool is_inside(const struct corner_level *l, float x, float y, float margin)
 {
     float last = (float)(l->size - 1) - margin;
     return x >= margin && y >= margin && x < last && y < last;
@@ -89,19 +89,19 @@ static void make_slopes(struct patch *p, const float (*gradient)[2], float devia
 bool patch_make(const struct corner_level *l, float u, float v, struct patch *out)
 {
     float gradient[PATCH_AREA][2], sum = 0;
-    if (!inside(l, u - 0.5f, v - 0.5f, PATCH_REACH + 2))
+    if (!is_inside(l, u - 0.5f, v - 0.5f, PATCH_REACH + 2))
         return false;
     for (int k = 0; k < PATCH_AREA; k++) {
         float dx = (float)(k % PATCH_EDGE - PATCH_REACH);
         float dy = (float)(k / PATCH_EDGE - PATCH_REACH);
         float x = u - 0.5f + dx, y = v - 0.5f + dy;
-        out->light[k] = sample(l->light, l->size, x, y);
-        out->weight[k] =
-            sample(l->weight, l->size, x, y) * expf(-0.5f * (dx * dx + dy * dy) / (WIDTH * WIDTH));
-        gradient[k][0] =
-            0.5f * (sample(l->light, l->size, x + 1, y) - sample(l->light, l->size, x - 1, y));
-        gradient[k][1] =
-            0.5f * (sample(l->light, l->size, x, y + 1) - sample(l->light, l->size, x, y - 1));
+        out->light[k] = sample_bilinear(l->light, l->size, x, y);
+        out->weight[k] = sample_bilinear(l->weight, l->size, x, y) *
+                         expf(-0.5f * (dx * dx + dy * dy) / (WIDTH * WIDTH));
+        gradient[k][0] = 0.5f * (sample_bilinear(l->light, l->size, x + 1, y) -
+                                 sample_bilinear(l->light, l->size, x - 1, y));
+        gradient[k][1] = 0.5f * (sample_bilinear(l->light, l->size, x, y + 1) -
+                                 sample_bilinear(l->light, l->size, x, y - 1));
         sum += out->weight[k];
     }
     if (sum < 0.2f * PATCH_AREA)
@@ -115,18 +115,19 @@ bool patch_make(const struct corner_level *l, float u, float v, struct patch *ou
     return normal_equations(out, 6, out->factor) && normal_equations(out, 2, out->small);
 }
 
-/* Difference of picture and patch; false outside of the picture. Returns its mean square. */
-static bool compare(const struct patch *p, const struct corner_level *l,
-                    const struct patch_place *at, float *diff, float *square)
+/* Difference of picture and patch, and its mean square; false outside the picture or without
+ * contrast. */
+static bool compare_patch(const struct patch *p, const struct corner_level *l,
+                          const struct patch_place *at, float *diff, float *square)
 {
     for (int k = 0; k < PATCH_AREA; k++) {
         float dx = (float)(k % PATCH_EDGE - PATCH_REACH);
         float dy = (float)(k / PATCH_EDGE - PATCH_REACH);
         float x = at->u - 0.5f + at->m[0] * dx + at->m[1] * dy;
         float y = at->v - 0.5f + at->m[2] * dx + at->m[3] * dy;
-        if (!inside(l, x, y, 0))
+        if (!is_inside(l, x, y, 0))
             return false;
-        diff[k] = sample(l->light, l->size, x, y);
+        diff[k] = sample_bilinear(l->light, l->size, x, y);
     }
     if (standardise(p->weight, diff) < CONTRAST_MIN)
         return false;
@@ -139,7 +140,7 @@ static bool compare(const struct patch *p, const struct corner_level *l,
 }
 
 /* One step of n parameters; returns how far the middle moves, px. */
-static float step(const struct patch *p, const float *diff, int n, struct patch_place *at)
+static float align_step(const struct patch *p, const float *diff, int n, struct patch_place *at)
 {
     double d[6] = {0};
     for (int k = 0; k < PATCH_AREA; k++)
@@ -164,7 +165,7 @@ static float step(const struct patch *p, const float *diff, int n, struct patch_
 }
 
 /* Expected error of the middle from the mean square of the difference. */
-static float spread(const struct patch *p, const struct patch_place *at, float square)
+static float expected_error(const struct patch *p, const struct patch_place *at, float square)
 {
     double sum = 0, squares = 0, area = at->m[0] * at->m[3] - at->m[1] * at->m[2];
     for (int k = 0; k < PATCH_AREA; k++)
@@ -182,17 +183,17 @@ bool patch_find(const struct patch *p, const struct corner_level *l, struct patc
 {
     float diff[PATCH_AREA], square;
     for (int i = 0; i < SHIFTS + STEPS; i++) {
-        if (!compare(p, l, at, diff, &square))
+        if (!compare_patch(p, l, at, diff, &square))
             return false;
-        float moved = step(p, diff, i < SHIFTS ? 2 : 6, at);
+        float moved = align_step(p, diff, i < SHIFTS ? 2 : 6, at);
         if (!(moved < 3))
             return false;
         if (i >= SHIFTS && moved < 0.005f)
             break;
     }
-    if (!compare(p, l, at, diff, &square))
+    if (!compare_patch(p, l, at, diff, &square))
         return false;
-    at->like = 1 - 0.5f * square;
-    at->sigma = spread(p, at, square);
+    at->correlation = 1 - 0.5f * square;
+    at->sigma = expected_error(p, at, square);
     return true;
 }

@@ -1,6 +1,6 @@
 /* patch.h - the same small piece of surface in two pictures, to a fraction of a pixel: inverse
  * compositional alignment (Baker & Matthews, "Lucas-Kanade 20 years on", 2004) by an affine map,
- * blind to gain and offset of the grey values.
+ * invariant to gain and offset of the grey values.
  * Pure functions; any thread. */
 #ifndef SFM_PATCH_H
 #define SFM_PATCH_H
@@ -11,7 +11,7 @@
 
 enum { PATCH_REACH = 7, PATCH_EDGE = 2 * PATCH_REACH + 1, PATCH_AREA = PATCH_EDGE * PATCH_EDGE };
 
-/* What is looked for: px around a point of a level. */
+/* The template: px around a point of a level. */
 struct patch {
     float weight[PATCH_AREA];    // sum 1
     float light[PATCH_AREA];     // mean 0, variance 1
@@ -19,19 +19,19 @@ struct patch {
     double factor[36], small[4]; // Cholesky factors of the normal equations: affine; shift only
 };
 
-/* Where it is found: pixel (i, j) of the patch, counted from its middle, lies at
+/* Position of a patch in a picture: pixel (i, j) of the patch, counted from its middle, lies at
  * (u + m0 i + m1 j, v + m2 i + m3 j) px of a level. */
 struct patch_place {
     float u, v, m[4];
-    float sigma; // px of the level, expected error of u and v
-    float like;  // correlation of the grey values, at most 1
+    float sigma;       // px of the level, expected error of u and v
+    float correlation; // correlation of the grey values, at most 1
 };
 
 /* Cut the patch around (u, v) px of `l`; pixel centres are at + 0.5.
- * Returns false if there is too little in it: border, saturation, an edge. */
+ * False if it has too little information: border, saturation, a straight edge. */
 bool patch_make(const struct corner_level *l, float u, float v, struct patch *out);
 
-/* Improve *at, where the patch is believed to be on `l`. False if it is not there. */
+/* Refine *at, the estimated position of the patch on `l`. False if it is not found there. */
 bool patch_find(const struct patch *p, const struct corner_level *l, struct patch_place *at);
 
 #endif

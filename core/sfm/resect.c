@@ -20,7 +20,7 @@ struct resect {
     uint32_t state;
 };
 
-static void collect(struct resect *s)
+static void collect_points(struct resect *s)
 {
     const struct adjust *a = s->a;
     for (int t = 0; t < a->n_tracks && s->n < POINTS_MOST; t++) {
@@ -77,7 +77,7 @@ static void add_equations(const struct resect *s, int i_point, double h[9], doub
     }
 }
 
-static int draw(struct resect *s)
+static int draw_point(struct resect *s)
 {
     s->state = s->state * 1664525u + 1013904223u;
     return (int)(((uint64_t)(s->state >> 8) * (uint32_t)s->n) >> 24);
@@ -88,7 +88,7 @@ static bool draw_translation(struct resect *s)
 {
     double h[9] = {0}, g[3] = {0}, *pose = pose_of(s);
     for (int k = 0; k < 2; k++)
-        add_equations(s, draw(s), h, g);
+        add_equations(s, draw_point(s), h, g);
     for (int k = 0; k < 3; k++)
         h[4 * k] += 1e-12;
     if (!lin_cholesky(h, 3))
@@ -104,8 +104,8 @@ static void polish_step(struct resect *s, double kernel)
 {
     double h[36] = {0}, g[6] = {0};
     for (int n = 0; n < s->n; n++) {
-        struct adjust_slope d;
-        if (!adjust_slope(s->a, point_of(s, n), &s->a->seen[s->at[n]], &d))
+        struct adjust_jacobian d;
+        if (!adjust_jacobian(s->a, point_of(s, n), &s->a->seen[s->at[n]], &d))
             continue;
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
         double w = 1 / (1 + e2 / (kernel * kernel));
@@ -165,7 +165,7 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
     struct resect s = {.a = a, .view = view, .gate = gate, .state = 1u + (uint32_t)view};
     double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
     int most = 0;
-    collect(&s);
+    collect_points(&s);
     if (s.n < POINTS_LEAST)
         return 0;
     memcpy(old, pose_of(&s), sizeof old);
@@ -181,7 +181,7 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
             memcpy(best, pose_of(&s), sizeof best);
         }
     }
-    if (most < SHARE * s.n) // another place may fit as well
+    if (most < SHARE * s.n) // ambiguous: another place may fit as well
         most = 0;
     memcpy(pose_of(&s), most ? best : old, sizeof best);
     return most;

@@ -7,7 +7,7 @@
 #include "core/sfm/viewgraph.h"
 
 /* Pose of a view that is not placed, from the points of its tracks. The rotation comes from a
- * placed neighbour's edge, also one that was not believed, or from the pose that is there; the
+ * placed neighbour's edge, also from a rejected one, or from the present pose; the
  * translation from pairs of points; both are polished on the points within the gate (expected
  * errors). Returns the number of these, 0 if they are less than half of all points; the pose is
  * the old one then. */

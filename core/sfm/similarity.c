@@ -16,7 +16,7 @@ void similarity_centre(const struct camera *c, double out[3])
                    (double)r[6 + k] * (double)c->t[2]);
 }
 
-static double distance(const struct camera *a, const struct camera *b)
+static double centre_distance(const struct camera *a, const struct camera *b)
 {
     double p[3], q[3];
     similarity_centre(a, p);
@@ -49,7 +49,7 @@ err_t similarity_scale(const struct run *r, const struct camera *from, const str
         return e;
     for (int i = 0; i < n_views; i++)
         for (int j = 0; j < i; j++) {
-            double a = distance(&from[i], &from[j]), b = distance(&to[i], &to[j]);
+            double a = centre_distance(&from[i], &from[j]), b = centre_distance(&to[i], &to[j]);
             if (a > 0 && b > 0 && isnormal((float)(b / a)))
                 ratio[n++] = (float)(b / a);
         }
@@ -68,7 +68,7 @@ static void conjugate(const double q[4], double out[4])
         out[k] = -q[k];
 }
 
-static void rotate(const double q[4], const double x[3], double out[3])
+static void rotate_vector(const double q[4], const double x[3], double out[3])
 {
     const double v[4] = {0, x[0], x[1], x[2]};
     double back[4], half[4], full[4];
@@ -79,7 +79,7 @@ static void rotate(const double q[4], const double x[3], double out[3])
         out[k] = full[k + 1];
 }
 
-/* Add the rotation from one world to the other that camera i shows, on the side of the sum. */
+/* Add the rotation between the worlds by one camera, with the sign of q nearest to the sum. */
 static void add_rotation(const struct camera *from, const struct camera *to, double sum[4])
 {
     const double a[4] = {(double)to->q[0], -(double)to->q[1], -(double)to->q[2], -(double)to->q[3]};
@@ -110,7 +110,7 @@ err_t similarity_fit(const struct run *r, const struct camera *from, const struc
         double a[3], b[3], turned[3];
         similarity_centre(&from[i], a);
         similarity_centre(&to[i], b);
-        rotate(out->q, a, turned);
+        rotate_vector(out->q, a, turned);
         for (int k = 0; k < 3; k++)
             out->t[k] += (b[k] - out->scale * turned[k]) / n_views;
     }
@@ -126,10 +126,10 @@ struct camera similarity_apply(const struct similarity *w, const struct camera *
     conjugate(w->q, away);
     rotation_multiply(q, away, turned);
     similarity_centre(cam, centre);
-    rotate(w->q, centre, moved);
+    rotate_vector(w->q, centre, moved);
     for (int k = 0; k < 3; k++)
         moved[k] = w->scale * moved[k] + w->t[k];
-    rotate(turned, moved, back);
+    rotate_vector(turned, moved, back);
     for (int k = 0; k < 4; k++)
         out.q[k] = (float)turned[k];
     for (int k = 0; k < 3; k++)

@@ -1,4 +1,4 @@
-/* similarity.h - the similarity transform between two worlds that hold the same cameras, up to
+/* similarity.h - the similarity transform between two worlds with the same cameras, up to
  * noise: scale, rotation, translation.
  * Pure computation; thread: any. */
 #ifndef SFM_SIMILARITY_H
@@ -6,9 +6,9 @@
 
 #include "core/base/types.h"
 
-/* How many times larger the world of `to` is than that of `from`: median over pairs of views of the
- * ratio of the distances between their cameras. 1 if the cameras of one of them stand in one place.
- * err:  ERR_NOMEM (r->tmp, see similarity_plan). */
+/* Scale of the world of `to` relative to that of `from`: median over pairs of views of the
+ * ratio of the distances between their cameras. 1 if the cameras of one of them are all in one
+ * place. err:  ERR_NOMEM (r->tmp, see similarity_plan). */
 MUST_USE err_t similarity_scale(const struct run *r, const struct camera *from,
                                 const struct camera *to, int n_views, float *out);
 
@@ -33,7 +33,7 @@ MUST_USE err_t similarity_fit(const struct run *r, const struct camera *from,
 /* The same camera in the other world. */
 struct camera similarity_apply(const struct similarity *w, const struct camera *cam);
 
-/* Where a camera stands. */
+/* Centre of a camera. */
 void similarity_centre(const struct camera *cam, double out[3]);
 
 #endif

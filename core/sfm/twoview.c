@@ -1,11 +1,11 @@
 /* Essential matrices of five matches (Nister, "An efficient solution to the five-point relative
  * pose problem", 2004): E = xX + yY + zZ + W in the null space of the epipolar equations; ten cubic
  * constraints, reduced by Gauss-Jordan; three of them leave a 3 x 3 matrix of polynomials in z,
- * whose determinant has degree ten. Its real roots are enclosed by those of its derivatives.
+ * whose determinant has degree ten. Its real roots are bracketed by those of its derivatives.
  * Samples are scored by the truncated Sampson distance (MSAC, Torr and Zisserman 2000) of all
  * matches, those behind a view being wrong; each one that may become the best is polished on them
  * (LO-RANSAC, Chum et al. 2003) in rotation and direction. Where a rotation alone fits nearly as
- * many matches in both coordinates, the direction is noise and is not given. */
+ * many matches in both coordinates, the direction is noise and is left out. */
 #include "core/sfm/twoview.h"
 
 #include "core/base/lin.h"
@@ -16,7 +16,8 @@
 #include <string.h>
 
 enum { CUBIC = 20, QUADRIC = 10, SAMPLES_LEAST = 24, SAMPLES_MOST = 300, TRIAL = 2, POLISH = 5 };
-static const double PROMISING = 2; // costs of the best pose at which another is polished
+static const double PROMISING =
+    2; // times the cost of the best pose: up to there another is polished
 
 /* ---- five points ---- */
 
@@ -43,7 +44,7 @@ static void add_cubic(const double q[QUADRIC], const double a[4], double out[CUB
 }
 
 /* det E = 0 and (E E^T - trace/2) E = 0; e[entry] holds its coefficients of x, y, z, 1. */
-static void constraints(const double e[9][4], double a[10][CUBIC])
+static void essential_constraints(const double e[9][4], double a[10][CUBIC])
 {
     double eet[6][QUADRIC] = {{0}}, minor[QUADRIC];
     static const int row[6] = {0, 0, 0, 1, 1, 2}, col[6] = {0, 1, 2, 1, 2, 2};
@@ -70,7 +71,7 @@ static void constraints(const double e[9][4], double a[10][CUBIC])
 }
 
 /* Leave the identity in the first n columns. */
-static bool eliminate(double a[10][CUBIC])
+static bool eliminate_cubics(double a[10][CUBIC])
 {
     for (int k = 0; k < 10; k++) {
         int best = k;
@@ -92,7 +93,7 @@ static bool eliminate(double a[10][CUBIC])
     return true;
 }
 
-static double value(const double *p, int degree, double z)
+static double evaluate(const double *p, int degree, double z)
 {
     double v = p[degree];
     for (int i = degree - 1; i >= 0; i--)
@@ -101,12 +102,12 @@ static double value(const double *p, int degree, double z)
 }
 
 /* The root of p between lo and hi, where it changes sign. */
-static double enclosed(const double *p, const double *slope, int degree, double lo, double hi)
+static double bracketed_root(const double *p, const double *slope, int degree, double lo, double hi)
 {
-    bool rising = value(p, degree, lo) < 0;
+    bool rising = evaluate(p, degree, lo) < 0;
     double z = 0.5 * (lo + hi);
     for (int i = 0; i < 80 && hi - lo > 1e-14 * (1 + fabs(z)); i++) {
-        double v = value(p, degree, z), d = value(slope, degree - 1, z);
+        double v = evaluate(p, degree, z), d = evaluate(slope, degree - 1, z);
         if ((v < 0) == rising)
             lo = z;
         else
@@ -119,8 +120,8 @@ static double enclosed(const double *p, const double *slope, int degree, double 
     return z;
 }
 
-/* Real roots in [-limit, limit], ascending: between two roots of a derivative there is one at
- * most. */
+/* Real roots in [-limit, limit], ascending: between two roots of the derivative there is at most
+ * one. */
 static int roots_of(const double p[11], double limit, double roots[10])
 {
     double chain[11][11], old[12], now[11] = {0};
@@ -136,11 +137,11 @@ static int roots_of(const double p[11], double limit, double roots[10])
         old[0] = -limit;
         old[n + 1] = limit;
         for (int i = 0; i <= n; i++) {
-            double lo = value(chain[d], d, old[i]), hi = value(chain[d], d, old[i + 1]);
+            double lo = evaluate(chain[d], d, old[i]), hi = evaluate(chain[d], d, old[i + 1]);
             if ((lo < 0) == (hi < 0))
                 continue;
             const double *slope = d > 1 ? chain[d - 1] : &constant;
-            now[found++] = enclosed(chain[d], slope, d, old[i], old[i + 1]);
+            now[found++] = bracketed_root(chain[d], slope, d, old[i], old[i + 1]);
         }
         n = found;
     }
@@ -148,8 +149,9 @@ static int roots_of(const double p[11], double limit, double roots[10])
     return n;
 }
 
-/* Take the first n rows of q out of v, twice for the digits; returns the length that is left. */
-static double orthogonal(const double q[9][9], int n, double v[9])
+/* Subtract the projections on the first n rows of q from v, twice for precision.
+ * returns: the remaining length. */
+static double orthogonalise(const double q[9][9], int n, double v[9])
 {
     double len = 0;
     for (int k = 0; k < 2 * n; k++) {
@@ -164,8 +166,8 @@ static double orthogonal(const double q[9][9], int n, double v[9])
     return sqrt(len);
 }
 
-/* Make the five rows of q orthonormal and append four vectors across them: of the axes, those that
- * lie farthest outside. False if the rows depend on each other. */
+/* Make the five rows of q orthonormal and append four vectors orthogonal to them, made
+ * from the axes that are farthest from their span. False if the rows depend on each other. */
 static bool null_space(double q[9][9])
 {
     for (int i = 0; i < 9; i++) {
@@ -176,7 +178,7 @@ static bool null_space(double q[9][9])
             v[e] = 1;
             if (i < 5)
                 memcpy(v, row, sizeof v);
-            double len = orthogonal((const double(*)[9])q, i, v);
+            double len = orthogonalise((const double(*)[9])q, i, v);
             for (int j = 0; j < 9 && len > best; j++)
                 q[i][j] = v[j] / len;
             best = fmax(best, len);
@@ -197,7 +199,7 @@ static void add_product(const double *a, int na, const double *b, int nb, double
 }
 
 /* Rows of Nister's matrix B: coefficients of x and y (degree 3) and 1 (degree 4), from z^0 on. */
-static void reduced(const double a[10][CUBIC], double b[3][3][5])
+static void reduce_to_z(const double a[10][CUBIC], double b[3][3][5])
 {
     for (int i = 0; i < 3; i++) {
         const double *u = a[4 + 2 * i] + 10, *v = a[5 + 2 * i] + 10; // u - z v
@@ -212,7 +214,7 @@ static void reduced(const double a[10][CUBIC], double b[3][3][5])
     }
 }
 
-static void determinant(const double b[3][3][5], double p[11])
+static void determinant_polynomial(const double b[3][3][5], double p[11])
 {
     memset(p, 0, 11 * sizeof *p);
     for (int i = 0; i < 3; i++) { // along the last column
@@ -224,13 +226,13 @@ static void determinant(const double b[3][3][5], double p[11])
     }
 }
 
-/* x and y at the root z: the vector across two rows of B. */
-static bool others(const double b[3][3][5], double z, double *x, double *y)
+/* x and y at the root z: the vector orthogonal to two rows of B. */
+static bool solve_xy(const double b[3][3][5], double z, double *x, double *y)
 {
     double row[3][3], best[3] = {0};
     for (int i = 0; i < 3; i++)
         for (int c = 0; c < 3; c++)
-            row[i][c] = value(b[i][c], c < 2 ? 3 : 4, z);
+            row[i][c] = evaluate(b[i][c], c < 2 ? 3 : 4, z);
     for (int i = 0; i < 3; i++) {
         double n[3];
         lin_cross(row[i], row[(i + 1) % 3], n);
@@ -256,15 +258,15 @@ int twoview_five(const struct twoview_match *const m[5], double out[TWOVIEW_SOLU
     for (int k = 0; k < 9; k++)
         for (int j = 0; j < 4; j++)
             e[k][j] = q[5 + j][k];
-    constraints((const double(*)[4])e, a);
-    if (!eliminate(a))
+    essential_constraints((const double(*)[4])e, a);
+    if (!eliminate_cubics(a))
         return 0;
-    reduced((const double(*)[CUBIC])a, b);
-    determinant((const double(*)[3][5])b, p);
+    reduce_to_z((const double(*)[CUBIC])a, b);
+    determinant_polynomial((const double(*)[3][5])b, p);
     int found = roots_of(p, 1e3, z);
     for (int i = 0; i < found; i++) {
         double x, y;
-        if (!others((const double(*)[3][5])b, z[i], &x, &y))
+        if (!solve_xy((const double(*)[3][5])b, z[i], &x, &y))
             continue;
         for (int k = 0; k < 9; k++)
             out[n][k] = x * e[k][0] + y * e[k][1] + z[i] * e[k][2] + e[k][3];
@@ -275,7 +277,7 @@ int twoview_five(const struct twoview_match *const m[5], double out[TWOVIEW_SOLU
 
 /* ---- scores ---- */
 
-static double epipolar(const double e[9], const struct twoview_match *m)
+static double epipolar_error(const double e[9], const struct twoview_match *m)
 {
     const double x = m->a[0], y = m->a[1], u = m->b[0], v = m->b[1];
     const double l0 = e[0] * x + e[1] * y + e[2], l1 = e[3] * x + e[4] * y + e[5];
@@ -286,7 +288,7 @@ static double epipolar(const double e[9], const struct twoview_match *m)
     return var > 0 ? c * c / var : 1e30;
 }
 
-static double turned(const double r[9], const struct twoview_match *m)
+static double rotation_error(const double r[9], const struct twoview_match *m)
 {
     const double x[3] = {m->a[0], m->a[1], 1};
     double y[3];
@@ -297,7 +299,7 @@ static double turned(const double r[9], const struct twoview_match *m)
     return (du * du + dv * dv) / (m->sigma_a * m->sigma_a + m->sigma_b * m->sigma_b);
 }
 
-static void essential(const double r[9], const double t[3], double e[9])
+static void essential_of_pose(const double r[9], const double t[3], double e[9])
 {
     const double x[9] = {0, -t[2], t[1], t[2], 0, -t[0], -t[1], t[0], 0};
     lin_product(x, r, e);
@@ -307,9 +309,9 @@ double twoview_distance(const struct twoview *v, const struct twoview_match *m)
 {
     double e[9];
     if (!v->parallax)
-        return turned(v->r, m);
-    essential(v->r, v->t, e);
-    return epipolar(e, m);
+        return rotation_error(v->r, m);
+    essential_of_pose(v->r, v->t, e);
+    return epipolar_error(e, m);
 }
 
 struct sample {
@@ -326,11 +328,11 @@ static double cost_of(const struct sample *s, const double e[9], double most)
     const double gate = TWOVIEW_GATE * TWOVIEW_GATE;
     double sum = 0;
     for (int i = 0; i < s->n && sum < most; i++)
-        sum += fmin(epipolar(e, &s->m[i]), gate);
+        sum += fmin(epipolar_error(e, &s->m[i]), gate);
     return sum;
 }
 
-/* In front of both views? Signs of the depths along both rays. */
+/* Whether the point is in front of both views, by the signs of the depths along both rays. */
 static bool in_front(const double r[9], const double t[3], const struct twoview_match *m)
 {
     const double x[3] = {m->a[0], m->a[1], 1}, b[3] = {m->b[0], m->b[1], 1};
@@ -341,10 +343,10 @@ static bool in_front(const double r[9], const double t[3], const struct twoview_
     return ab * bt - bb * at > 0 && aa * bt - ab * at > 0;
 }
 
-/* Behind a view, and not only because it is too far to tell? */
-static bool behind(const double r[9], const double t[3], const struct twoview_match *m)
+/* Whether the point is behind a view, and not only because it is too far away to tell. */
+static bool is_behind(const double r[9], const double t[3], const struct twoview_match *m)
 {
-    return !in_front(r, t, m) && !(turned(r, m) < TWOVIEW_GATE * TWOVIEW_GATE);
+    return !in_front(r, t, m) && !(rotation_error(r, m) < TWOVIEW_GATE * TWOVIEW_GATE);
 }
 
 /* Truncated cost of a pose: E alone also fits points behind the views. */
@@ -352,17 +354,17 @@ static double pose_cost(const struct sample *s, const double r[9], const double 
 {
     const double gate = TWOVIEW_GATE * TWOVIEW_GATE;
     double e[9], sum = 0;
-    essential(r, t, e);
+    essential_of_pose(r, t, e);
     for (int i = 0; i < s->n && sum < most; i++) {
-        double d2 = epipolar(e, &s->m[i]);
-        sum += d2 < gate && !behind(r, t, &s->m[i]) ? d2 : gate;
+        double d2 = epipolar_error(e, &s->m[i]);
+        sum += d2 < gate && !is_behind(r, t, &s->m[i]) ? d2 : gate;
     }
     return sum;
 }
 
 /* Rotation and direction of E by the side of most matches (Horn, "Recovering baseline and
  * orientation from essential matrix", 1990). */
-static void decompose(const struct sample *s, const double e[9], double r[9], double t[3])
+static void decompose_essential(const struct sample *s, const double e[9], double r[9], double t[3])
 {
     double cof[9], b[9], twist[9], eet[9], q[4], best = -1;
     lin_product_t(e, e, eet);
@@ -377,7 +379,7 @@ static void decompose(const struct sample *s, const double e[9], double r[9], do
     lin_normalise(axis);
     for (int i = 0; i < 3; i++)
         axis[i] *= sqrt(half);
-    essential((const double[9]){1, 0, 0, 0, 1, 0, 0, 0, 1}, axis, b);
+    essential_of_pose((const double[9]){1, 0, 0, 0, 1, 0, 0, 0, 1}, axis, b);
     lin_product(b, e, twist);
     for (int c = 0; c < 4; c++) {
         double turn[9], side = c % 2 ? -1 : 1, sum = 0;
@@ -390,7 +392,7 @@ static void decompose(const struct sample *s, const double e[9], double r[9], do
         rotation_from_quat(q, turn);
         for (int i = 0; i < s->n; i++)
             sum += in_front(turn, dir, &s->m[i]) &&
-                   epipolar(e, &s->m[i]) < TWOVIEW_GATE * TWOVIEW_GATE;
+                   epipolar_error(e, &s->m[i]) < TWOVIEW_GATE * TWOVIEW_GATE;
         if (sum > best) {
             best = sum;
             memcpy(r, turn, 9 * sizeof *r);
@@ -408,12 +410,12 @@ static void add_normal(const double r[9], const double t[3], const struct twovie
 {
     const double x[3] = {m->a[0], m->a[1], 1}, b[3] = {m->b[0], m->b[1], 1};
     double e[9], y[3], bt[3], turn[3], move[3], j[5];
-    essential(r, t, e);
+    essential_of_pose(r, t, e);
     lin_apply(r, x, y);
     lin_cross(b, t, bt);
     lin_cross(y, bt, turn);
     lin_cross(y, b, move);
-    double c = lin_dot(bt, y), d2 = epipolar(e, m);
+    double c = lin_dot(bt, y), d2 = epipolar_error(e, m);
     if (!(d2 < 1e20) || !(fabs(c) > 0))
         return;
     double inv = sqrt(d2) / fabs(c), w = 1 / (1 + d2);
@@ -445,16 +447,16 @@ static void polish_step(const struct sample *s, double r[9], double t[3])
     lin_normalise(t);
 }
 
-/* Accept E as the best so far if it or its polished form is: the noise of five matches may cost
- * more than the second reading of a plane does that is polished. */
-static void consider(struct sample *s, const double e[9], int steps)
+/* Keep E if it or its polished form is the best so far: the noise of five matches may cost more
+ * than a polished second solution of a plane. */
+static void try_essential(struct sample *s, const double e[9], int steps)
 {
     const double half = 0.5 * s->n * TWOVIEW_GATE * TWOVIEW_GATE; // cost of half of them wrong
     const double most = fmax(s->cost, fmin(PROMISING * s->cost, half));
     double r[9], t[3];
     if (!(cost_of(s, e, most) <= most))
         return;
-    decompose(s, e, r, t);
+    decompose_essential(s, e, r, t);
     for (int i = 0; i <= steps; i++) {
         double cost = pose_cost(s, r, t, s->cost);
         if (cost < s->cost) {
@@ -471,13 +473,13 @@ static void consider(struct sample *s, const double e[9], int steps)
 
 /* ---- rotation alone ---- */
 
-/* Turn r towards the matches: Gauss-Newton on both coordinates, Cauchy weights. */
+/* Rotate r towards the matches: Gauss-Newton on both coordinates, Cauchy weights. */
 static void rotate_step(const struct sample *s, double r[9])
 {
     double h[9] = {0}, g[3] = {0}, turn[9], old[9];
     for (int i = 0; i < s->n; i++) {
         const struct twoview_match *m = &s->m[i];
-        const double x[3] = {m->a[0], m->a[1], 1}, d2 = turned(r, m);
+        const double x[3] = {m->a[0], m->a[1], 1}, d2 = rotation_error(r, m);
         double y[3];
         if (!(d2 < 1e20))
             continue;
@@ -520,7 +522,7 @@ static void from_two(const struct twoview_match *p, const struct twoview_match *
                            frame[1][6 + i] * frame[0][6 + j];
 }
 
-static uint32_t draw(uint32_t *state, int n)
+static uint32_t draw_index(uint32_t *state, int n)
 {
     *state = *state * 1664525u + 1013904223u;
     return (uint32_t)(((uint64_t)(*state >> 8) * (uint32_t)n) >> 24);
@@ -530,7 +532,7 @@ static int rotated_inliers(const struct sample *s, const double r[9])
 {
     int n = 0;
     for (int i = 0; i < s->n; i++)
-        n += turned(r, &s->m[i]) < TWOVIEW_GATE * TWOVIEW_GATE;
+        n += rotation_error(r, &s->m[i]) < TWOVIEW_GATE * TWOVIEW_GATE;
     return n;
 }
 
@@ -539,7 +541,7 @@ static int rotation_alone(struct sample *s, double best[9])
 {
     int most = -1;
     for (int k = 0; k < SAMPLES_LEAST; k++) {
-        uint32_t i = draw(&s->state, s->n), j = draw(&s->state, s->n);
+        uint32_t i = draw_index(&s->state, s->n), j = draw_index(&s->state, s->n);
         double r[9];
         from_two(&s->m[i], &s->m[j], r);
         if (k == 0)
@@ -559,14 +561,14 @@ static int rotation_alone(struct sample *s, double best[9])
 
 /* ---- both ---- */
 
-/* Samples after which one of five right matches has been drawn with 99.9 %. */
-static int enough(const struct sample *s)
+/* Samples that contain one of five right matches with 99.9 % probability. */
+static int samples_needed(const struct sample *s)
 {
     const double gate = TWOVIEW_GATE * TWOVIEW_GATE;
     double e[9], share = 0;
-    essential(s->r, s->t, e);
+    essential_of_pose(s->r, s->t, e);
     for (int i = 0; i < s->n; i++)
-        share += epipolar(e, &s->m[i]) < gate;
+        share += epipolar_error(e, &s->m[i]) < gate;
     share = pow(share / s->n, 5);
     double want = share < 0.999 ? log(1e-3) / log(1 - share) : 0;
     return want < SAMPLES_LEAST ? SAMPLES_LEAST : want > SAMPLES_MOST ? SAMPLES_MOST : (int)want;
@@ -576,7 +578,7 @@ static int enough(const struct sample *s)
 static void draw_five(struct sample *s, const struct twoview_match *five[5])
 {
     for (int i = 0; i < 5; i++) {
-        uint32_t at = draw(&s->state, s->n);
+        uint32_t at = draw_index(&s->state, s->n);
         for (int j = 0; j < i; j++)
             if (five[j] == &s->m[at]) {
                 at = (at + 1) % (uint32_t)s->n;
@@ -595,9 +597,9 @@ static void sample_run(struct sample *s)
         draw_five(s, five);
         int n = twoview_five(five, e);
         for (int i = 0; i < n; i++)
-            consider(s, e[i], POLISH);
+            try_essential(s, e[i], POLISH);
         if (s->cost < before)
-            want = enough(s);
+            want = samples_needed(s);
     }
 }
 
@@ -612,18 +614,18 @@ void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct two
         return;
     sample_run(&s);
     if (s.cost < 1e300) {
-        essential(s.r, s.t, e);
+        essential_of_pose(s.r, s.t, e);
         s.cost *= 1 + 1e-9;
-        consider(&s, e, 4 * POLISH);
-        essential(s.r, s.t, e); // polish may move a baseline that is hardly seen to its other side
-        decompose(&s, e, s.r, s.t);
+        try_essential(&s, e, 4 * POLISH);
+        essential_of_pose(s.r, s.t, e); // polish may flip a baseline that is hardly observable
+        decompose_essential(&s, e, s.r, s.t);
     }
     memcpy(out->r, s.r, sizeof out->r);
     memcpy(out->t, s.t, sizeof out->t);
     out->parallax = lin_dot(s.t, s.t) > 0;
     for (int i = 0; i < n && out->parallax; i++)
         out->inliers += twoview_distance(out, &m[i]) < TWOVIEW_GATE * TWOVIEW_GATE &&
-                        !behind(out->r, out->t, &m[i]);
+                        !is_behind(out->r, out->t, &m[i]);
     int alone = rotation_alone(&s, r);
     if (alone >= 0.9 * out->inliers) {
         *out = (struct twoview){.inliers = alone};

@@ -1,5 +1,5 @@
-/* twoview.h - how two pinhole views of one static scene lie to each other, from matches of which
- * many may be wrong.
+/* twoview.h - relative pose of two pinhole views of one static scene from matches, many of which
+ * may be wrong.
  * Pure functions, random draws from a fixed seed; any thread. */
 #ifndef SFM_TWOVIEW_H
 #define SFM_TWOVIEW_H
@@ -22,11 +22,11 @@ struct twoview {
 enum { TWOVIEW_GATE = 3, TWOVIEW_SOLUTIONS = 10, TWOVIEW_LEAST = 8 };
 
 /* Relative pose of n matches: random samples of five, the best ones polished, against a rotation
- * alone. Fewer than TWOVIEW_LEAST matches have no answer: 0 inliers and no turn. */
+ * alone. Fewer than TWOVIEW_LEAST matches have no answer: 0 inliers and no rotation. */
 void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct twoview *out);
 
 /* Squared distance of a match from the model, in units of its expected error: from the epipolar
- * line (Sampson) or, without parallax, from the turned point. */
+ * line (Sampson) or, without parallax, from the rotated point. */
 double twoview_distance(const struct twoview *v, const struct twoview_match *m);
 
 /* All essential matrices (row-major, b^T E a = 0) of five matches; returns their number. */

@@ -1,9 +1,9 @@
-/* 1. Every pair of views with enough common tracks: twoview_run.
+/* 1. Relative poses of all pairs of views with enough common tracks: twoview_run.
  * 2. Rotations: spanning tree over the edges with most inliers and fewest contradictions in
  *    triplets; then all edges, in the tangent space, weights of L1, later Geman-McClure (Chatterjee
- *    and Govindu, "Efficient and robust large-scale rotation averaging", 2013). Edges that are off
- *    by some degrees are wrong.
- * 3. Sightings that fit the epipolar geometry to less than half of the others of their track go.
+ *    and Govindu, "Efficient and robust large-scale rotation averaging", 2013). Edges that
+ *    deviate by some degrees are wrong.
+ * 3. Sightings that contradict too many others of their track are removed.
  * 4. Centres C and points X for known rotations: sum of w |(I - d d^T)(X - C)|^2 over sightings
  *    with rays d is quadratic. Points are eliminated; the eigenvector of the smallest eigenvalue,
  *    across common translations, is the solution up to scale and sign. Weights w bring residuals
@@ -63,7 +63,8 @@ static struct twoview_match match_of(const struct adjust *a, int i, int j)
 }
 
 /* Matches of two views, every stride-th of them; returns how many there are. */
-static int gather(const struct pairs_job *job, int a, int b, int stride, struct twoview_match *out)
+static int gather_matches(const struct pairs_job *job, int a, int b, int stride,
+                          struct twoview_match *out)
 {
     const struct place *p = job->list + job->first[a], *q = job->list + job->first[b];
     const struct place *p_end = job->list + job->first[a + 1];
@@ -92,12 +93,12 @@ static err_t pair_chunk(void *ctx, int chunk, int worker)
     while (b * (b + 1) / 2 <= chunk)
         b++;
     const int a = chunk - b * (b - 1) / 2;
-    *e = (struct viewgraph_edge){.n = gather(job, a, b, 1, NULL)};
+    *e = (struct viewgraph_edge){.n = gather_matches(job, a, b, 1, NULL)};
     if (e->n < COMMON_LEAST)
         return OK;
     const int stride = (e->n + MATCHES_MOST - 1) / MATCHES_MOST;
     const int n = (e->n + stride - 1) / stride;
-    gather(job, a, b, stride, m);
+    gather_matches(job, a, b, stride, m);
     twoview_run(m, n, 1u + (uint32_t)chunk, &e->pose);
     e->ok = e->pose.inliers >= 10 + n / 5;
     return run_check(job->r, "relative poses");
@@ -134,7 +135,7 @@ err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgr
 /* ---- rotations ---- */
 
 /* Rotation from view i to view j along their edge. */
-static void relative(const struct viewgraph *g, int i, int j, double r[9])
+static void relative_rotation(const struct viewgraph *g, int i, int j, double r[9])
 {
     if (i < j) {
         memcpy(r, edge_of(g, i, j)->pose.r, 9 * sizeof *r);
@@ -145,18 +146,18 @@ static void relative(const struct viewgraph *g, int i, int j, double r[9])
         r[k] = s[3 * (k % 3) + k / 3];
 }
 
-static bool linked(const struct viewgraph *g, int i, int j)
+static bool is_linked(const struct viewgraph *g, int i, int j)
 {
     return i < j ? edge_of(g, i, j)->ok : i > j && edge_of(g, j, i)->ok;
 }
 
-/* How far the way around three views is from no turn at all, radians. */
+/* Angle of the rotation around a loop of three views, radians; 0 if they agree. */
 static double loop_error(const struct viewgraph *g, int i, int j, int k)
 {
     double ij[9], jk[9], ki[9], two[9], all[9], w[3];
-    relative(g, i, j, ij);
-    relative(g, j, k, jk);
-    relative(g, k, i, ki);
+    relative_rotation(g, i, j, ij);
+    relative_rotation(g, j, k, jk);
+    relative_rotation(g, k, i, ki);
     lin_product(jk, ij, two);
     lin_product(ki, two, all);
     rotation_log(all, w);
@@ -164,13 +165,13 @@ static double loop_error(const struct viewgraph *g, int i, int j, int k)
 }
 
 /* Inliers times the share of triplets that close. */
-static double trust(const struct viewgraph *g, int i, int j)
+static double edge_trust(const struct viewgraph *g, int i, int j)
 {
     int good = 0, bad = 0;
-    if (!linked(g, i, j))
+    if (!is_linked(g, i, j))
         return 0;
     for (int k = 0; k < g->n_views; k++)
-        if (linked(g, i, k) && linked(g, j, k)) {
+        if (is_linked(g, i, k) && is_linked(g, j, k)) {
             bool closes = loop_error(g, i, j, k) < 3 * DEGREE;
             good += closes;
             bad += !closes;
@@ -179,8 +180,10 @@ static double trust(const struct viewgraph *g, int i, int j)
     return e->pose.inliers * (good + 0.5) / (good + bad + 0.5);
 }
 
-/* Views that can be reached from the root, along the most trusted edges; sets their rotations. */
-static int spread(const struct viewgraph *g, const double *weight, int root, struct adjust *a)
+/* Set the rotations of the views that can be reached from the root, along the most trusted edges.
+ * returns: their number. */
+static int spread_rotations(const struct viewgraph *g, const double *weight, int root,
+                            struct adjust *a)
 {
     const int n = g->n_views;
     int count = 1;
@@ -201,19 +204,20 @@ static int spread(const struct viewgraph *g, const double *weight, int root, str
             }
         if (to < 0)
             return count;
-        relative(g, from, to, r);
+        relative_rotation(g, from, to, r);
         lin_product(r, pose_of(a, from), pose_of(a, to));
         a->placed[to] = true;
         count++;
     }
 }
 
-/* Error of an edge in the world's axes: what view j should turn more than view i. */
+/* Error of an edge in the world's axes: the rotation that view j lacks relative to view i.
+ * returns: its angle. */
 static double edge_error(const struct viewgraph *g, const struct adjust *a, int i, int j,
                          double out[3])
 {
     double r[9], expected[9], all[9];
-    relative(g, i, j, r);
+    relative_rotation(g, i, j, r);
     lin_product(r, pose_of(a, i), expected);
     for (int p = 0; p < 3; p++)
         for (int q = 0; q < 3; q++)
@@ -225,7 +229,8 @@ static double edge_error(const struct viewgraph *g, const struct adjust *a, int 
 }
 
 /* One weighted round: Laplacian of the graph, three right-hand sides. */
-static void average(const struct viewgraph *g, const double *weight, bool l1, struct adjust *a)
+static void average_rotations(const struct viewgraph *g, const double *weight, bool l1,
+                              struct adjust *a)
 {
     double h[VIEWGRAPH_VIEWS_MAX * VIEWGRAPH_VIEWS_MAX] = {0}, x[3][VIEWGRAPH_VIEWS_MAX] = {{0}};
     const int n = g->n_views;
@@ -267,25 +272,25 @@ int viewgraph_rotations(struct viewgraph *g, struct adjust *a)
     const int n = g->n_views;
     int most = 0, root = 0;
     for (int i = 0; i < n * n; i++)
-        weight[i] = trust(g, i / n, i % n);
+        weight[i] = edge_trust(g, i / n, i % n);
     for (int v = 0; v < n; v++) {
-        int count = spread(g, weight, v, a);
+        int count = spread_rotations(g, weight, v, a);
         if (count > most) {
             most = count;
             root = v;
         }
     }
-    spread(g, weight, root, a);
+    spread_rotations(g, weight, root, a);
     for (int k = 0; k < ROUNDS_L1 + ROUNDS_GM; k++)
-        average(g, weight, k < ROUNDS_L1, a);
+        average_rotations(g, weight, k < ROUNDS_L1, a);
     for (int j = 0; j < n; j++)
         for (int i = 0; i < j; i++)
             if (a->placed[i] && a->placed[j] && edge_error(g, a, i, j, e) > 4 * DEGREE)
                 edge_of(g, i, j)->ok = false;
-    for (int i = 0; i < n; i++) { // views whose every edge was wrong
+    for (int i = 0; i < n; i++) { // views with wrong edges only
         bool any = false;
         for (int j = 0; j < n; j++)
-            any |= a->placed[j] && linked(g, i, j);
+            any |= a->placed[j] && is_linked(g, i, j);
         if (a->placed[i] && !any) {
             a->placed[i] = false;
             most--;
@@ -302,16 +307,16 @@ struct vote_job {
     struct adjust *a;
 };
 
-static bool agree(const struct viewgraph *g, const struct adjust *a, int i, int j)
+static bool is_consistent(const struct viewgraph *g, const struct adjust *a, int i, int j)
 {
     const struct twoview_match m = match_of(a, i, j);
     const struct viewgraph_edge *e = edge_of(g, a->seen[i].view, a->seen[j].view);
     return twoview_distance(&e->pose, &m) < 4.0 * TWOVIEW_GATE * TWOVIEW_GATE;
 }
 
-/* Take away the sighting that agrees with the smallest share of the others, until all agree with
- * six of ten. */
-static void vote(const struct viewgraph *g, struct adjust *a, int track)
+/* Remove the sighting that agrees with the smallest share of the others, until all agree with 60 %.
+ */
+static void vote_track(const struct viewgraph *g, struct adjust *a, int track)
 {
     const int from = a->first[track], n = a->first[track + 1] - from;
     uint64_t good[VIEWGRAPH_VIEWS_MAX] = {0}, known[VIEWGRAPH_VIEWS_MAX] = {0}, left = 0;
@@ -319,9 +324,9 @@ static void vote(const struct viewgraph *g, struct adjust *a, int track)
         a->in[from + j] = false;
         left |= a->placed[a->seen[from + j].view] ? (uint64_t)1 << j : 0;
         for (int i = 0; i < j; i++) {
-            if (!linked(g, a->seen[from + i].view, a->seen[from + j].view))
+            if (!is_linked(g, a->seen[from + i].view, a->seen[from + j].view))
                 continue;
-            uint64_t yes = agree(g, a, from + i, from + j);
+            uint64_t yes = is_consistent(g, a, from + i, from + j);
             known[i] |= (uint64_t)1 << j;
             known[j] |= (uint64_t)1 << i;
             good[i] |= yes << j;
@@ -354,7 +359,7 @@ static err_t vote_block(void *ctx, int chunk, int worker)
     struct vote_job *job = ctx;
     (void)worker;
     for (int t = chunk * BLOCK; t < num_min((chunk + 1) * BLOCK, job->a->n_tracks); t++)
-        vote(job->g, job->a, t);
+        vote_track(job->g, job->a, t);
     return run_check(job->r, "votes of tracks");
 }
 
@@ -376,7 +381,7 @@ struct centres {
     int stride;      // of the tracks that are used
 };
 
-static void direction(const struct adjust *a, int at, double d[3])
+static void world_direction(const struct adjust *a, int at, double d[3])
 {
     const struct adjust_seen *s = &a->seen[at];
     const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
@@ -385,7 +390,7 @@ static void direction(const struct adjust *a, int at, double d[3])
 }
 
 /* w (I - d d^T) */
-static void across(const double d[3], double w, double p[9])
+static void ray_projector(const double d[3], double w, double p[9])
 {
     for (int k = 0; k < 9; k++)
         p[k] = w * ((k % 4 == 0) - d[k / 3] * d[k % 3]);
@@ -399,8 +404,8 @@ static bool track_inverse(const struct centres *c, int track, double inverse[9])
     for (int i = c->a->first[track]; i < c->a->first[track + 1]; i++) {
         if (!c->a->in[i])
             continue;
-        direction(c->a, i, d);
-        across(d, c->weight[i], p);
+        world_direction(c->a, i, d);
+        ray_projector(d, c->weight[i], p);
         for (int k = 0; k < 9; k++)
             sum[k] += p[k];
         n++;
@@ -420,8 +425,8 @@ static void add_track(struct centres *c, int track)
     for (int i = a->first[track]; i < a->first[track + 1]; i++) {
         if (!a->in[i])
             continue;
-        direction(a, i, d);
-        across(d, c->weight[i], p);
+        world_direction(a, i, d);
+        ray_projector(d, c->weight[i], p);
         lin_product(p, inverse, half);
         const int vi = 3 * a->seen[i].view;
         for (int k = 0; k < 3; k++)
@@ -430,8 +435,8 @@ static void add_track(struct centres *c, int track)
             if (!a->in[j])
                 continue;
             const int vj = 3 * a->seen[j].view;
-            direction(a, j, d);
-            across(d, c->weight[j], q);
+            world_direction(a, j, d);
+            ray_projector(d, c->weight[j], q);
             lin_product(half, q, block);
             for (int k = 0; k < 9; k++)
                 c->sum[(size_t)(vi + k / 3) * (size_t)c->n + (size_t)(vj + k % 3)] +=
@@ -440,7 +445,7 @@ static void add_track(struct centres *c, int track)
     }
 }
 
-/* Take the common translation out of the centres x. */
+/* Subtract the common translation from the centres x. */
 static void remove_mean(const struct centres *c, double *x)
 {
     double mean[3] = {0}, total = 0;
@@ -454,7 +459,7 @@ static void remove_mean(const struct centres *c, double *x)
 }
 
 /* Smallest eigenvector of the scaled form D^-1/2 S D^-1/2 by inverse iteration. */
-static bool smallest(struct centres *c)
+static bool smallest_eigenvector(struct centres *c)
 {
     const int n = c->n;
     uint32_t state = 7;
@@ -492,8 +497,8 @@ static bool smallest(struct centres *c)
     return true;
 }
 
-/* New weights of a track's sightings; returns in front minus behind. */
-static int reweigh(struct centres *c, int track, double kernel, double nearest)
+/* New weights of a track's sightings. returns: number in front of their views minus behind. */
+static int reweigh_track(struct centres *c, int track, double kernel, double nearest)
 {
     const struct adjust *a = c->a;
     double inverse[9], sum[3] = {0}, x[3], d[3], p[9], px[3];
@@ -503,8 +508,8 @@ static int reweigh(struct centres *c, int track, double kernel, double nearest)
     for (int i = a->first[track]; i < a->first[track + 1]; i++) {
         if (!a->in[i])
             continue;
-        direction(a, i, d);
-        across(d, c->weight[i], p);
+        world_direction(a, i, d);
+        ray_projector(d, c->weight[i], p);
         lin_apply(p, c->x + 3 * a->seen[i].view, px);
         for (int k = 0; k < 3; k++)
             sum[k] += px[k];
@@ -515,7 +520,7 @@ static int reweigh(struct centres *c, int track, double kernel, double nearest)
             continue;
         const double *centre = c->x + 3 * a->seen[i].view;
         const double to[3] = {x[0] - centre[0], x[1] - centre[1], x[2] - centre[2]};
-        direction(a, i, d);
+        world_direction(a, i, d);
         double depth = lin_dot(d, to), off2 = lin_dot(to, to) - depth * depth;
         double far = fmax(fabs(depth), nearest), s = (double)a->seen[i].weight * a->focal;
         side += depth > 0 ? 1 : -1;
@@ -538,13 +543,13 @@ static bool solve_centres(struct centres *c)
         memset(c->sighted, 0, (size_t)c->n * sizeof *c->sighted);
         for (int t = 0; t < c->a->n_tracks; t += c->stride)
             add_track(c, t);
-        if (!smallest(c))
+        if (!smallest_eigenvector(c))
             return false;
         for (int i = 0; i < c->n; i++)
             size += c->x[i] * c->x[i] / c->n;
         nearest = sqrt(size);
         for (int t = 0; t < c->a->n_tracks; t += c->stride)
-            side += reweigh(c, t, kernel, nearest);
+            side += reweigh_track(c, t, kernel, nearest);
         for (int i = 0; i < c->n; i++)
             c->x[i] /= side < 0 ? -nearest : nearest;
         for (int i = 0; i < seen; i++)

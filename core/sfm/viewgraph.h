@@ -30,9 +30,9 @@ static inline int viewgraph_edges(int n_views)
  * err:  ERR_NOMEM (see viewgraph_plan), ERR_CANCELLED. */
 MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g);
 
-/* Rotations of the largest set of views that hang together; the others are not placed, all centres
- * are 0. Edges that contradict the others lose `ok`. Returns the number of views that are placed,
- * 0 if no pair is known. */
+/* Rotations of the largest connected set of views; the others are not placed, all centres are 0.
+ * Edges that contradict the others lose `ok`. returns: number of views that are placed, 0 if no
+ * pair is known. */
 int viewgraph_rotations(struct viewgraph *g, struct adjust *a);
 
 /* in <- sightings that agree with most of the other sightings of their track.

@@ -175,7 +175,7 @@ static void moved_error(struct adjust *a, const double point[4], const struct ad
 {
     double *pose = a->pose + ADJUST_POSE * (size_t)s->view, own[ADJUST_POSE], p[4], move[6] = {0};
     const double focal = a->focal;
-    struct adjust_slope d;
+    struct adjust_jacobian d;
     memcpy(own, pose, sizeof own);
     memcpy(p, point, sizeof p);
     move[i < 6 ? i : i % 3] = by;
@@ -185,7 +185,7 @@ static void moved_error(struct adjust *a, const double point[4], const struct ad
         adjust_move_point(p, move);
     else
         a->focal = focal * exp(by);
-    assert_true(adjust_slope(a, p, s, &d));
+    assert_true(adjust_jacobian(a, p, s, &d));
     memcpy(out, d.error, sizeof d.error);
     memcpy(pose, own, sizeof own);
     a->focal = focal;
@@ -198,7 +198,7 @@ static void slopes_are_differences(void **unused)
     double pose[SMALL][ADJUST_POSE], point[4], up[2], down[2];
     bool placed[SMALL];
     struct adjust a;
-    struct adjust_slope d;
+    struct adjust_jacobian d;
     int checked = 0;
     scene_state = 4;
     for (int trial = 0; trial < 500; trial++) {
@@ -211,7 +211,7 @@ static void slopes_are_differences(void **unused)
         }
         for (int k = 0; k < 4; k++)
             point[k] /= sqrt(length);
-        if (!adjust_slope(&a, point, &s, &d) ||
+        if (!adjust_jacobian(&a, point, &s, &d) ||
             adjust_depth(&a, s.view, point) * fabs(point[3]) < 0.2)
             continue;
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
