@@ -1,8 +1,8 @@
 /* Legend: V views, M patches of a view, P = M + 5 tokens of a view, d width of the branch.
  *
  * Attention (shared_attention.h) comes in blocks of query rows; the columns of the special tokens
- * are left out and, view by view, the rest meets the values of that view, so that no (V M)^2 matrix
- * exists. Rows are divided by their sum after these products: sums are linear. */
+ * are left out, and the others are multiplied by the values view by view, so that no (V M)^2 matrix
+ * exists. Rows are divided by their sum after these products, which are linear. */
 #include "core/net/appearance.h"
 
 #include "core/base/num.h"
@@ -93,8 +93,8 @@ static void tap_exposures(const struct fusion *f)
                 .name = "hdr.mid_log2t", .rank = 2, .shape = {1, 1}, .data = &f->v->mid_log2t});
 }
 
-/* Checked, then tapped. */
-static err_t give_tokens(const struct fusion *f, const char *name, const float *px)
+/* Check, then tap. */
+static err_t check_tokens(const struct fusion *f, const char *name, const float *px)
 {
     err_t e = finite_check(f->r, name, FINITE_MAX, px, (size_t)f->n * (size_t)f->d);
     if (!e)
@@ -136,7 +136,7 @@ static err_t layout_planes(float **planes, struct arena *tmp, int size)
 }
 
 /* Appearance tokens of all views, into out->scene, where they stay as the residual. */
-static err_t embed(const struct fusion *f)
+static err_t embed_pictures(const struct fusion *f)
 {
     size_t px = (size_t)f->v->size * (size_t)f->v->size, mark = arena_mark(f->r->tmp);
     float *planes;
@@ -149,7 +149,7 @@ static err_t embed(const struct fusion *f)
         e = layer_conv_run(f->r, &c, &(struct layer_out){.out = out, .ldo = (size_t)f->d});
     }
     arena_reset(f->r->tmp, mark);
-    return e ? e : give_tokens(f, "hdr.patch_tokens", f->out->scene);
+    return e ? e : check_tokens(f, "hdr.patch_tokens", f->out->scene);
 }
 
 static void norm_rows(const struct fusion *f, const float *in, const float *g, const float *b,
@@ -160,7 +160,7 @@ static void norm_rows(const struct fusion *f, const float *in, const float *g, c
         f->r->k->net.norm(&norm, in + i * (size_t)f->d, out + i * (size_t)f->d);
 }
 
-/* What the modulation sees of each view: (V, 3 d) code, mean token, mean of these means. */
+/* Inputs of the modulation for each view: (V, 3 d) code, mean token, mean of these means. */
 static void film_inputs(const struct fusion *f, float *out)
 {
     size_t d = (size_t)f->d, n_views = (size_t)f->v->n, m = (size_t)f->m;
@@ -191,8 +191,8 @@ static void tap_film(const struct fusion *f)
 }
 
 /* out = b(relu(a(in))) over rows of d_in values; hidden: (m, d). */
-static err_t mlp(const struct fusion *f, const struct mlp_weights *w, const struct layer_in *in,
-                 float *hidden, const struct layer_out *out)
+static err_t run_mlp(const struct fusion *f, const struct mlp_weights *w, const struct layer_in *in,
+                     float *hidden, const struct layer_out *out)
 {
     size_t n = (size_t)w->a.n;
     err_t e =
@@ -207,15 +207,15 @@ static err_t layout_film(float **in, float **hidden, struct arena *tmp, size_t n
 }
 
 /* Gains and offsets of the values of each view. */
-static err_t modulation(const struct fusion *f)
+static err_t run_modulation(const struct fusion *f)
 {
     size_t mark = arena_mark(f->r->tmp), d = (size_t)f->d, n = (size_t)f->v->n;
     float *in, *hidden;
     err_t e = layout_film(&in, &hidden, f->r->tmp, n, f->d);
     if (!e) {
         film_inputs(f, in);
-        e = mlp(f, &f->w->film, &(struct layer_in){in, 3 * d, f->v->n, true}, hidden,
-                &(struct layer_out){.out = f->film, .ldo = 2 * d});
+        e = run_mlp(f, &f->w->film, &(struct layer_in){in, 3 * d, f->v->n, true}, hidden,
+                    &(struct layer_out){.out = f->film, .ldo = 2 * d});
     }
     arena_reset(f->r->tmp, mark);
     if (!e)
@@ -287,8 +287,8 @@ static void tap_attention(const struct fusion *f, int row, const float *sum, flo
 
 /* Mean and variance over the views of the values for query `row` (core/net/README.md 2.8).
  * sum: its attention; part: its products with the values of view 0, the next view `step` on. */
-static void combine(const struct fusion *f, int row, const float *sum, const float *part,
-                    const struct fusion_room *room)
+static void combine_views(const struct fusion *f, int row, const float *sum, const float *part,
+                          const struct fusion_room *room)
 {
     size_t d = (size_t)f->d, n_views = (size_t)f->v->n, step = ROWS * value_pitch(f);
     float *vis = f->vis + (size_t)row * n_views, *mean = f->mean + (size_t)row * d;
@@ -349,8 +349,8 @@ static err_t fuse_block(void *ctx, int chunk, int worker)
                                             .c = room->part + v * ROWS * values,
                                             .ldc = values});
     for (int i = 0; i < rows; i++)
-        combine(f, view * f->m + first + i, sum + (size_t)i * pitch,
-                room->part + (size_t)i * values, room);
+        combine_views(f, view * f->m + first + i, sum + (size_t)i * pitch,
+                      room->part + (size_t)i * values, room);
     return OK;
 }
 
@@ -371,7 +371,7 @@ static err_t layout_fuse(struct fusion *f, struct arena *tmp, int views, int thr
     return e ? e : shared_attention_layout(&f->a, tmp);
 }
 
-static err_t fuse(struct fusion *f)
+static err_t fuse_views(struct fusion *f)
 {
     size_t mark = arena_mark(f->r->tmp);
     err_t e = layout_fuse(f, f->r->tmp, f->v->n, pool_size(f->r->pool));
@@ -386,27 +386,27 @@ static err_t fuse(struct fusion *f)
 /* ---- the stage ---- */
 
 /* Fused statistics to tokens; the statistics are used up. */
-static err_t finish(const struct fusion *f)
+static err_t finish_tokens(const struct fusion *f)
 {
     size_t d = (size_t)f->d;
     const struct appearance_weights *w = f->w;
     tap_put(f->r, &(struct tap_tensor){
                       .name = "hdr.vis_w", .rank = 3, .shape = {1, f->n, f->v->n}, .data = f->vis});
-    err_t e = give_tokens(f, "hdr.weighted_mean", f->mean);
+    err_t e = check_tokens(f, "hdr.weighted_mean", f->mean);
     if (!e)
-        e = give_tokens(f, "hdr.weighted_var", f->var);
+        e = check_tokens(f, "hdr.weighted_var", f->var);
     if (e)
         return e;
     norm_rows(f, f->mean, w->mean_g, w->mean_b, f->mean);
     norm_rows(f, f->var, w->var_g, w->var_b, f->var);
-    e = mlp(f, &w->mean_out, &(struct layer_in){f->mean, d, f->n, true}, f->norm,
-            &(struct layer_out){.out = f->out->scene, .ldo = d, .add = true});
+    e = run_mlp(f, &w->mean_out, &(struct layer_in){f->mean, d, f->n, true}, f->norm,
+                &(struct layer_out){.out = f->out->scene, .ldo = d, .add = true});
     if (!e)
-        e = mlp(f, &w->var_out, &(struct layer_in){f->var, d, f->n, true}, f->norm,
-                &(struct layer_out){.out = f->out->sens, .ldo = d});
+        e = run_mlp(f, &w->var_out, &(struct layer_in){f->var, d, f->n, true}, f->norm,
+                    &(struct layer_out){.out = f->out->sens, .ldo = d});
     if (!e)
-        e = give_tokens(f, "hdr.scene_tokens", f->out->scene);
-    return e ? e : give_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
+        e = check_tokens(f, "hdr.scene_tokens", f->out->scene);
+    return e ? e : check_tokens(f, "hdr.sensitivity_tokens", f->out->sens);
 }
 
 static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int views)
@@ -432,7 +432,7 @@ static err_t layout(struct fusion *f, struct arena *keep, struct arena *tmp, int
     return e;
 }
 
-static struct fusion start(const struct net *net, int n_views, int grid)
+static struct fusion fusion_of(const struct net *net, int n_views, int grid)
 {
     int m = grid * grid, d = net->d.hdr;
     return (struct fusion){.w = &net->appearance,
@@ -445,7 +445,7 @@ static struct fusion start(const struct net *net, int n_views, int grid)
 
 void appearance_plan(struct plan *p, const struct net *net, int n_views, int size)
 {
-    struct fusion f = start(net, n_views, size / NET_PATCH);
+    struct fusion f = fusion_of(net, n_views, size / NET_PATCH);
     struct irradiance out;
     const struct layer_conv conv = patch_conv(&f.w->patch_embed, size, NULL);
     float *x, *y;
@@ -473,7 +473,7 @@ void appearance_plan(struct plan *p, const struct net *net, int n_views, int siz
 err_t appearance_run(const struct run *r, const struct net *net, const struct views *v,
                      const struct tokens *t, struct irradiance *out)
 {
-    struct fusion f = start(net, v->n, t->grid);
+    struct fusion f = fusion_of(net, v->n, t->grid);
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     f.r = r;
@@ -485,18 +485,18 @@ err_t appearance_run(const struct run *r, const struct net *net, const struct vi
         for (int i = 0; i < v->n; i++)
             appearance_code(v->log2t[i] - v->mid_log2t, f.d, out->code + (size_t)i * (size_t)f.d);
         tap_exposures(&f);
-        e = embed(&f);
+        e = embed_pictures(&f);
     }
     if (!e) {
         norm_rows(&f, out->scene, f.w->ln_g, f.w->ln_b, f.norm);
-        e = modulation(&f);
+        e = run_modulation(&f);
     }
     if (!e)
         e = project_values(&f);
     if (!e)
-        e = fuse(&f);
+        e = fuse_views(&f);
     if (!e)
-        e = finish(&f);
+        e = finish_tokens(&f);
     arena_reset(r->tmp, tmp);
     if (e) {
         arena_reset(r->keep, keep);

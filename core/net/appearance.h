@@ -1,6 +1,6 @@
-/* appearance.h - photographs of different exposures become one appearance per patch: tokens of the
- * pictures, told their exposures, are averaged over all views by the geometric attention that the
- * backbone already knows (core/net/README.md 2.6 to 2.8).
+/* appearance.h - one appearance per patch from photographs of different exposures: tokens of the
+ * pictures, modulated by their exposures, are averaged over all views by the geometric attention of
+ * the backbone (core/net/README.md 2.6 to 2.8).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_APPEARANCE_H
@@ -10,7 +10,7 @@
 #include "core/net/graph.h"
 #include "core/net/layer.h"
 
-/* Count what appearance_run takes. */
+/* Count the memory of appearance_run. */
 void appearance_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* v->log2t and v->mid_log2t give the exposures, t->q and t->k the attention.

@@ -6,7 +6,8 @@
 #include <math.h>
 #include <string.h>
 
-#define LARGEST 1e15f // of a query or key in integers; times itself and 128 channels below FLT_MAX
+#define LARGEST                                                                                    \
+    1e15f // bound of a quantised query or key: its square times 128 channels is below FLT_MAX
 
 static size_t count_blocks(const struct attention *a)
 {
@@ -47,7 +48,7 @@ err_t attention_init(struct attention *a, struct arena *arena)
     return e;
 }
 
-static size_t strip(int width)
+static size_t strip_bytes(int width)
 {
     return (size_t)(width > ATTENTION_KEYS ? width : ATTENTION_KEYS);
 }
@@ -64,17 +65,18 @@ err_t attention_workspace_init(struct attention_workspace *room, int width, stru
     for (int i = 0; !e && i < 4; i++)
         e = arena_alloc(arena, ATTENTION_ROWS, sizeof(float), row[i]);
     if (!e)
-        e = arena_alloc(arena, w * ATTENTION_KEYS, sizeof(float), &room->turned);
+        e = arena_alloc(arena, w * ATTENTION_KEYS, sizeof(float), &room->transposed);
     if (!e)
-        e = arena_alloc(arena, strip(width), 1, &room->q);
+        e = arena_alloc(arena, strip_bytes(width), 1, &room->q);
     return e;
 }
 
 /* ---- storing ---- */
 
-/* The part of a token that belongs to one head, quantised; returns its scale. Values beyond `most`
- * are cut off: LARGEST where logits come of it, so that they are always finite. */
-static float quantise(const struct gemm_kernels *k, const float *x, int n, float most, int8_t *out)
+/* Quantise the part of a token that belongs to one head. Values beyond `most` are cut off: LARGEST
+ * for queries and keys, so that logits are always finite. returns: the scale. */
+static float quantise_part(const struct gemm_kernels *k, const float *x, int n, float most,
+                           int8_t *out)
 {
     float top = fminf(k->absmax(x, (size_t)n), most);
     k->quant(x, (size_t)n, top < FLT_MIN ? 0 : 127 / top, out);
@@ -104,11 +106,11 @@ static void store_queries(const struct block *b)
         if (a->floats)
             memcpy((float *)a->q + at, q, (size_t)a->width * sizeof *q);
         else
-            scale[i] *= quantise(a->k, q, a->width, LARGEST, (int8_t *)a->q + at);
+            scale[i] *= quantise_part(a->k, q, a->width, LARGEST, (int8_t *)a->q + at);
     }
 }
 
-/* Keys of the last panel that do not exist are zero: their products are defined, and not used. */
+/* Missing keys of the last panel are zero: their products are defined but not used. */
 static void store_keys(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
@@ -126,7 +128,7 @@ static void store_keys(const struct block *b, struct attention_workspace *room)
         }
         int8_t *to = (int8_t *)a->key + panel + 4 * (i % PANEL);
         if (i < b->n)
-            a->key_scale[key + (size_t)i] = quantise(a->k, k, w, LARGEST, room->q);
+            a->key_scale[key + (size_t)i] = quantise_part(a->k, k, w, LARGEST, room->q);
         else
             memset(room->q, 0, (size_t)w);
         for (int c = 0; c < w; c += 4)
@@ -142,7 +144,7 @@ static void store_float_values(const struct block *b, float *to)
                    PANEL * sizeof *to);
 }
 
-/* Keys up to the next multiple of 4 that do not exist are zero. */
+/* Missing keys up to the next multiple of 4 are zero. */
 static void store_values(const struct block *b, struct attention_workspace *room)
 {
     const struct attention *a = b->a;
@@ -154,13 +156,14 @@ static void store_values(const struct block *b, struct attention_workspace *room
     }
     for (int i = 0; i < b->n; i++)
         for (int c = 0; c < a->width; c++)
-            room->turned[c * ATTENTION_KEYS + i] = b->v[(size_t)i * b->ld + (size_t)c];
+            room->transposed[c * ATTENTION_KEYS + i] = b->v[(size_t)i * b->ld + (size_t)c];
     float *scale = a->value_scale + block * (size_t)a->width;
     int8_t *to = (int8_t *)a->value + from;
     memset(room->q, 0, ATTENTION_KEYS);
     for (int c = 0; c < a->width; c++) {
         int8_t *panel = to + c / PANEL * PANEL * ATTENTION_KEYS + 4 * (c % PANEL);
-        scale[c] = quantise(a->k, room->turned + c * ATTENTION_KEYS, b->n, INFINITY, room->q);
+        scale[c] =
+            quantise_part(a->k, room->transposed + c * ATTENTION_KEYS, b->n, INFINITY, room->q);
         for (int i = 0; i < b->n; i += 4)
             memcpy(panel + i * PANEL, room->q + i, 4);
     }
@@ -201,9 +204,9 @@ void attention_store(const struct attention *a, const struct attention_span *s, 
 
 /* ---- rows ---- */
 
-/* Logits of n keys from `first` on, a block. */
-static void logits(const struct attention *a, const struct block *b, int first, int n,
-                   struct attention_workspace *room)
+/* Logits of a block of n keys from `first` on. */
+static void block_logits(const struct attention *a, const struct block *b, int first, int n,
+                         struct attention_workspace *room)
 {
     size_t token = (size_t)b->seq * (size_t)a->len + (size_t)b->first, w = (size_t)a->width;
     size_t at = (token * (size_t)a->heads + (size_t)b->in_seq) * w;
@@ -236,8 +239,8 @@ static void logits(const struct attention *a, const struct block *b, int first, 
     }
 }
 
-static void weights(const struct attention *a, const struct block *b, int first, int n,
-                    struct attention_workspace *room)
+static void softmax_weights(const struct attention *a, const struct block *b, int first, int n,
+                            struct attention_workspace *room)
 {
     size_t key = b->head * count_blocks(a) * ATTENTION_KEYS + (size_t)first;
     const struct attend_block t = {.m = b->n,
@@ -259,8 +262,8 @@ static void weights(const struct attention *a, const struct block *b, int first,
 }
 
 /* Sums of weights times values of the block that begins with key `first`. */
-static void values(const struct attention *a, const struct block *b, int first, int n,
-                   struct attention_workspace *room)
+static void weighted_values(const struct attention *a, const struct block *b, int first, int n,
+                            struct attention_workspace *room)
 {
     size_t block = b->head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS);
     size_t at = block * ATTENTION_KEYS * (size_t)a->width;
@@ -308,9 +311,9 @@ void attention_head(const struct attention *a, const struct attention_span *s, i
         int n = num_min(ATTENTION_KEYS, a->len - first);
         size_t at =
             (b.head * count_blocks(a) + (size_t)(first / ATTENTION_KEYS)) * (size_t)a->width;
-        logits(a, &b, first, n, room);
-        weights(a, &b, first, n, room);
-        values(a, &b, first, n, room);
+        block_logits(a, &b, first, n, room);
+        softmax_weights(a, &b, first, n, room);
+        weighted_values(a, &b, first, n, room);
         const struct attend_add add = {.m = s->n,
                                        .n = a->width,
                                        .ci = a->floats ? NULL : room->c,

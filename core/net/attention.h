@@ -1,9 +1,9 @@
 /* attention.h - softmax attention of many sequences of tokens at once, streamed over blocks of keys
  * so that no matrix of tokens by tokens exists (Milakov and Gimelshein 2018; Dao et al. 2022).
- * Queries, keys and values are stored once in the form that the products want, then any rows can be
- * asked for. In s8 (gemm.h): q and k with a scale per token and head, v per block of keys, head and
+ * Queries, keys and values are stored once in the form of the products; then any rows can be
+ * computed. In s8 (gemm.h): q and k with a scale per token and head, v per block of keys, head and
  * channel; else in floats.
- * Everything a call writes belongs to its tokens, so calls may run side by side. */
+ * A call writes only data of its own tokens, so calls may run in parallel. */
 #ifndef NET_ATTENTION_H
 #define NET_ATTENTION_H
 
@@ -42,7 +42,7 @@ struct attention_workspace {
         float *cf;  // of floats
     };
     float *top, *sum, *rescale, *weigh; // (ROWS)
-    float *turned;                      // (width, KEYS) values, transposed
+    float *transposed;                  // (width, KEYS) values, transposed
     int8_t *q;                          // (max(width, KEYS)) integers of a key or a channel
 };
 
@@ -61,8 +61,8 @@ MUST_USE err_t attention_workspace_init(struct attention_workspace *room, int wi
 void attention_store(const struct attention *a, const struct attention_span *s, const float *qkv,
                      struct attention_workspace *room);
 
-/* What the tokens of s (at most ATTENTION_ROWS) take from their whole sequence through one head;
- * all of the sequence has been stored. out: (n, width) from row to row ldo. */
+/* Attention of the tokens of s (at most ATTENTION_ROWS) over their whole sequence, one head. The
+ * whole sequence must have been stored. out: (n, width) from row to row ldo. */
 void attention_head(const struct attention *a, const struct attention_span *s, int head, float *out,
                     size_t ldo, struct attention_workspace *room);
 

@@ -34,7 +34,7 @@ struct stage {
 /* ---- positions ---- */
 
 /* Keys' cubic with a = -0.5. */
-static double cubic(double t)
+static double cubic_weight(double t)
 {
     const double a = -0.5;
     t = fabs(t);
@@ -43,7 +43,8 @@ static double cubic(double t)
     return t < 2 ? (((t - 5) * t + 8) * t - 4) * a : 0;
 }
 
-/* Taps of output i of an axis of n: weight[j] belongs to input *first + j. Returns their number. */
+/* Taps of output i of an axis of n: weight[j] belongs to input *first + j. returns: their number.
+ * */
 static int axis_taps(int n, int i, int *first, float weight[NET_POS_GRID])
 {
     double scale = (double)NET_POS_GRID / n, f = scale > 1 ? scale : 1, centre = (i + 0.5) * scale;
@@ -52,7 +53,7 @@ static int axis_taps(int n, int i, int *first, float weight[NET_POS_GRID])
     lo = lo > 0 ? lo : 0;
     hi = hi < NET_POS_GRID ? hi : NET_POS_GRID;
     for (int j = lo; j < hi; j++)
-        sum += w[j - lo] = cubic((j - centre + 0.5) / f);
+        sum += w[j - lo] = cubic_weight((j - centre + 0.5) / f);
     for (int j = lo; j < hi; j++)
         weight[j - lo] = (float)(w[j - lo] / sum);
     *first = lo;
@@ -106,7 +107,7 @@ void backbone_angles(int n, int head, bool bf16, float *cosine, float *sine)
 
 /* ---- patches ---- */
 
-/* A view as the network sees it: the value of each byte is that of prep_to_float, normalised. */
+/* A view as input of the network: values of prep_to_float, normalised. */
 struct pixels {
     const uint8_t *rgb; // (size, size, 3)
     int size;
@@ -157,10 +158,10 @@ static void set_special(const struct stage *s, int view, const float *first, con
     memcpy(to + c, registers, (NET_SPECIAL - 1) * c * sizeof *to);
 }
 
-/* ---- what comes of each step: checked, then tapped ---- */
+/* ---- results of each step: checked, then tapped ---- */
 
 /* The patches of all views. */
-static err_t give_patches(const struct stage *s, const char *name)
+static err_t check_patches(const struct stage *s, const char *name)
 {
     const struct tokens *t = s->t;
     size_t c = (size_t)t->embed;
@@ -186,7 +187,7 @@ static void tap_positions(const struct stage *s, const float *table)
                                        .data = table});
 }
 
-static err_t give_stream(const struct stage *s, const char *stem, int i, bool global)
+static err_t check_stream(const struct stage *s, const char *stem, int i, bool global)
 {
     const struct tokens *t = s->t;
     char name[TAP_NAME];
@@ -275,7 +276,7 @@ static err_t embed_patches(struct stage *s)
         e = layer_conv_run(s->r, &conv, &out);
     }
     if (!e)
-        e = give_patches(s, "dino.patch_embed");
+        e = check_patches(s, "dino.patch_embed");
     if (!e) {
         memcpy(table, net->pos_embed, c * sizeof *table);
         backbone_positions(net->pos_embed + c, t->embed, t->grid, table + c);
@@ -315,11 +316,11 @@ static err_t run_dino(struct stage *s)
         b.x = s->x;
         e = run_block(s, &b);
         if (!e)
-            e = give_stream(s, "dino.block", i, false);
+            e = check_stream(s, "dino.block", i, false);
     }
     if (!e)
         e = pool_for(s->r->pool, s->t->n_views, norm_chunk, s);
-    return e ? e : give_patches(s, "dino.patch_tokens");
+    return e ? e : check_patches(s, "dino.patch_tokens");
 }
 
 /* Frame and global block i. */
@@ -340,7 +341,7 @@ static err_t run_pair(struct stage *s, int i)
     b.w = net->frame + i;
     err_t e = run_block(s, &b);
     if (!e)
-        e = give_stream(s, "agg.frame", i, false);
+        e = check_stream(s, "agg.frame", i, false);
     if (e)
         return e;
     b.copy = keep ? keep + t->embed : NULL;
@@ -350,7 +351,7 @@ static err_t run_pair(struct stage *s, int i)
     b.k = i == net->d.qk_layer ? t->k : NULL;
     e = run_block(s, &b);
     if (!e)
-        e = give_stream(s, "agg.global", i, true);
+        e = check_stream(s, "agg.global", i, true);
     if (e)
         return e;
     if (keep)

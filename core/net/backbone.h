@@ -7,7 +7,7 @@
 #include "core/base/plan.h"
 #include "core/net/graph.h"
 
-/* Count what backbone_run takes. */
+/* Count the memory of backbone_run. */
 void backbone_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* out:  arrays in r->keep, which may be r->tmp.

@@ -1,7 +1,7 @@
-/* Two passes over the pool. The first takes ATTENTION_KEYS tokens of a sequence at a time to
- * queries, keys and values and stores them; the second takes BLOCK_ROWS tokens at a time, of any
- * sequences, through attention and all that follows, so that everything between the two norms stays
- * in the worker's scratch. */
+/* Two passes over the pool. The first computes queries, keys and values of ATTENTION_KEYS tokens
+ * of a sequence at a time and stores them. The second runs attention and the rest of the block on
+ * BLOCK_ROWS tokens at a time, of any sequences, so that everything between the two norms stays in
+ * the worker's scratch. */
 #include "core/net/block.h"
 
 #include "core/base/num.h"
@@ -16,7 +16,7 @@ enum { BLOCK_ROWS = ATTENTION_ROWS, MLP = 4 };
 struct worker {
     struct layer_workspace layer;
     struct attention_workspace attention;
-    float *rows; // (ATTENTION_KEYS, C) normalised rows, then what attention gives
+    float *rows; // (ATTENTION_KEYS, C) normalised rows, then results of attention
     float *wide; // (ATTENTION_KEYS, 3 C) q, k, v, or (BLOCK_ROWS, 4 C) of the MLP
 };
 
@@ -76,8 +76,8 @@ void block_plan(struct plan *p, const struct block *b)
     arena_reset(&p->tmp, mark);
 }
 
-static void normalise(const struct pass *p, const float *gamma, const float *beta, int first, int n,
-                      float *out)
+static void normalise_rows(const struct pass *p, const float *gamma, const float *beta, int first,
+                           int n, float *out)
 {
     const struct norm s = {p->b->width, p->b->eps, gamma, beta};
     size_t c = (size_t)p->b->width;
@@ -85,17 +85,17 @@ static void normalise(const struct pass *p, const float *gamma, const float *bet
         p->r->k->net.norm(&s, p->b->x + (size_t)(first + i) * c, out + (size_t)i * c);
 }
 
-/* How many of the next `left` tokens from `token` on are, like it, special or not. */
-static int run_of(const struct block *b, int token, int left, bool *special)
+/* Number of tokens from `token` on, at most `left`, that are all special or all not special. */
+static int kind_run(const struct block *b, int token, int left, bool *special)
 {
     int at = token % b->view_tokens;
     *special = at < NET_SPECIAL;
     return num_min(left, (*special ? NET_SPECIAL : b->view_tokens) - at);
 }
 
-/* A product for the m tokens of `in` from `first` on. The special ones may be kept in floats. */
-static void product(const struct pass *p, const struct weight *w, int first, struct layer_in in,
-                    struct layer_out out, struct layer_workspace *room)
+/* A product for the m tokens of `in` from `first` on; the special ones may stay in floats. */
+static void multiply_rows(const struct pass *p, const struct weight *w, int first,
+                          struct layer_in in, struct layer_out out, struct layer_workspace *room)
 {
     const struct gemm_kernels *k = &p->r->k->net;
     int end = first + in.m;
@@ -106,7 +106,7 @@ static void product(const struct pass *p, const struct weight *w, int first, str
         return;
     }
     for (int token = first; token < end; token += in.m) {
-        in.m = run_of(p->b, token, end - token, &in.floats);
+        in.m = kind_run(p->b, token, end - token, &in.floats);
         layer_rows(k, w, &in, &out, room);
         in.x += (size_t)in.m * in.ldx;
         out.out += (size_t)in.m * out.ldo;
@@ -116,7 +116,7 @@ static void product(const struct pass *p, const struct weight *w, int first, str
 /* ---- first pass ---- */
 
 /* Norms, capture and rotation of the queries and keys of n tokens from `first` on. */
-static void turn(const struct pass *p, int first, int n, float *qkv)
+static void rotate_heads(const struct pass *p, int first, int n, float *qkv)
 {
     const struct block *b = p->b;
     size_t c = (size_t)b->width, w = c / (size_t)b->heads;
@@ -150,19 +150,19 @@ static err_t store_chunk(void *ctx, int chunk, int worker)
     err_t e = run_check(p->r, "backbone");
     if (e)
         return e;
-    normalise(p, b->w->norm1_g, b->w->norm1_b, first, s.n, w->rows);
-    product(p, &b->w->qkv, first, (struct layer_in){.x = w->rows, .m = s.n},
-            (struct layer_out){.out = w->wide, .ldo = 3 * (size_t)b->width}, &w->layer);
+    normalise_rows(p, b->w->norm1_g, b->w->norm1_b, first, s.n, w->rows);
+    multiply_rows(p, &b->w->qkv, first, (struct layer_in){.x = w->rows, .m = s.n},
+                  (struct layer_out){.out = w->wide, .ldo = 3 * (size_t)b->width}, &w->layer);
     if (b->w->q_g || b->cosine || b->q)
-        turn(p, first, s.n, w->wide);
+        rotate_heads(p, first, s.n, w->wide);
     attention_store(&p->a, &s, w->wide, &w->attention);
     return OK;
 }
 
 /* ---- second pass ---- */
 
-/* What n tokens from `first` on, of one or more sequences, take from theirs; to w->rows. */
-static err_t attend(const struct pass *p, int first, int n, struct worker *w)
+/* Attention of n tokens from `first` on, each over its own sequence, into w->rows. */
+static err_t attend_rows(const struct pass *p, int first, int n, struct worker *w)
 {
     size_t c = (size_t)p->b->width;
     struct attention_span s;
@@ -189,17 +189,19 @@ static err_t finish_chunk(void *ctx, int chunk, int worker)
     size_t c = (size_t)b->width;
     int first = chunk * BLOCK_ROWS, n = num_min(BLOCK_ROWS, b->n_views * b->view_tokens - first);
     float *x = b->x + (size_t)first * c;
-    err_t e = attend(p, first, n, w);
+    err_t e = attend_rows(p, first, n, w);
     if (e)
         return e;
     const struct layer_in rows = {.x = w->rows, .m = n}, wide = {.x = w->wide, .m = n};
-    product(p, &b->w->proj, first, rows,
-            (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma1}, &w->layer);
-    normalise(p, b->w->norm2_g, b->w->norm2_b, first, n, w->rows);
-    product(p, &b->w->fc1, first, rows,
-            (struct layer_out){.out = w->wide, .ldo = MLP * c, .act = ACT_GELU}, &w->layer);
-    product(p, &b->w->fc2, first, wide,
-            (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma2}, &w->layer);
+    multiply_rows(p, &b->w->proj, first, rows,
+                  (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma1},
+                  &w->layer);
+    normalise_rows(p, b->w->norm2_g, b->w->norm2_b, first, n, w->rows);
+    multiply_rows(p, &b->w->fc1, first, rows,
+                  (struct layer_out){.out = w->wide, .ldo = MLP * c, .act = ACT_GELU}, &w->layer);
+    multiply_rows(p, &b->w->fc2, first, wide,
+                  (struct layer_out){.out = x, .ldo = c, .add = true, .gamma = b->w->gamma2},
+                  &w->layer);
     for (int i = 0; b->copy && i < n; i++)
         memcpy(b->copy + (size_t)(first + i) * b->ld_copy, x + (size_t)i * c, c * sizeof *x);
     return OK;

@@ -16,12 +16,12 @@ struct block {
     float eps;                  // of the two norms
     const float *cosine, *sine; // (P, C / heads / 2) for head_rotary; NULL: no rotary embedding
     float *x;                   // (V P, C), in place
-    float *q, *k;               // out: (heads, V P, C / heads) after their norms; NULL: not wanted
-    float *copy;                // out: the result again, from row to row ld_copy; NULL: not wanted
+    float *q, *k;               // out: (heads, V P, C / heads) after their norms, or NULL
+    float *copy;                // out: a copy of the result, from row to row ld_copy, or NULL
     size_t ld_copy;
 };
 
-/* Count what block_run takes. */
+/* Count the memory of block_run. */
 void block_plan(struct plan *p, const struct block *b);
 
 /* err:  ERR_NOMEM, ERR_CANCELLED. */

@@ -1,5 +1,5 @@
-/* Legend: V views, D = 2 embed. Rows are few (V) and weights many, so the pool shares out outputs
- * of a product, not rows. */
+/* Legend: V views, D = 2 embed. There are few rows (V) and many weights, so the pool divides the
+ * outputs of a product, not its rows. */
 #include "core/net/camera.h"
 
 #include "core/base/rotation.h"
@@ -29,7 +29,7 @@ struct trunk {
     float *token; // (V, D) normalised camera tokens
     float *shift; // (V, 3 D) shift, scale, gate
     float *x;     // (V, D) residual stream
-    float *y;     // (V, D) normalised, or what attention gives
+    float *y;     // (V, D) normalised, or result of attention
     float *wide;  // (V, 4 D)
     float *raw;   // (V, NET_POSE) before activation
     float *share; // (V) of one row of attention
@@ -66,8 +66,8 @@ static err_t product_chunk(void *ctx, int chunk, int worker)
 }
 
 /* x: (V, k); out for all views, ldo is set here. */
-static err_t product(const struct trunk *t, const struct weight *w, const float *x,
-                     struct layer_out out)
+static err_t run_product(const struct trunk *t, const struct weight *w, const float *x,
+                         struct layer_out out)
 {
     const struct layer_in in = {.x = x, .ldx = (size_t)weight_k(w), .m = t->n, .floats = true};
     struct product p = {t, w, &in, &out};
@@ -75,12 +75,12 @@ static err_t product(const struct trunk *t, const struct weight *w, const float 
     return pool_for(t->r->pool, (w->n + SLICE * PANEL - 1) / (SLICE * PANEL), product_chunk, &p);
 }
 
-static err_t check(const struct trunk *t, const float *x, size_t each)
+static err_t check_rows(const struct trunk *t, const float *x, size_t each)
 {
     return finite_check(t->r, "camera head", FINITE_MAX, x, (size_t)t->n * each);
 }
 
-static void normalise(const struct trunk *t, const struct norm *s, const float *x, float *y)
+static void normalise_rows(const struct trunk *t, const struct norm *s, const float *x, float *y)
 {
     for (size_t i = 0; i < (size_t)t->n; i++)
         t->r->k->net.norm(s, x + i * (size_t)s->n, y + i * (size_t)s->n);
@@ -88,8 +88,8 @@ static void normalise(const struct trunk *t, const struct norm *s, const float *
 
 /* ---- blocks ---- */
 
-/* What view i takes through one head from all views, from t->wide (V, 3, D) to t->y. */
-static void attend(const struct trunk *t, int i, size_t head, size_t width)
+/* Attention of view i over all views, one head, from t->wide (V, 3, D) to t->y. */
+static void attend_view(const struct trunk *t, int i, size_t head, size_t width)
 {
     size_t d = (size_t)t->width, n = (size_t)t->n;
     const float *q = t->wide + (size_t)i * 3 * d + head * width, *k = t->wide + d + head * width;
@@ -118,67 +118,67 @@ static err_t run_block(const struct trunk *t, const struct block_weights *w)
     const struct norm norm1 = {t->width, EPS, w->norm1_g, w->norm1_b};
     const struct norm norm2 = {t->width, EPS, w->norm2_g, w->norm2_b};
     int heads = t->net->d.cam_heads;
-    normalise(t, &norm1, t->x, t->y);
-    err_t e = product(t, &w->qkv, t->y, (struct layer_out){.out = t->wide});
+    normalise_rows(t, &norm1, t->x, t->y);
+    err_t e = run_product(t, &w->qkv, t->y, (struct layer_out){.out = t->wide});
     if (e)
         return e;
     for (int i = 0; i < t->n; i++)
         for (int h = 0; h < heads; h++)
-            attend(t, i, (size_t)h, (size_t)(t->width / heads));
-    e = product(t, &w->proj, t->y,
-                (struct layer_out){.out = t->x, .add = true, .gamma = w->gamma1});
+            attend_view(t, i, (size_t)h, (size_t)(t->width / heads));
+    e = run_product(t, &w->proj, t->y,
+                    (struct layer_out){.out = t->x, .add = true, .gamma = w->gamma1});
     if (e)
         return e;
-    normalise(t, &norm2, t->x, t->y);
-    e = product(t, &w->fc1, t->y, (struct layer_out){.out = t->wide, .act = ACT_GELU});
+    normalise_rows(t, &norm2, t->x, t->y);
+    e = run_product(t, &w->fc1, t->y, (struct layer_out){.out = t->wide, .act = ACT_GELU});
     if (!e)
-        e = product(t, &w->fc2, t->wide,
-                    (struct layer_out){.out = t->x, .add = true, .gamma = w->gamma2});
-    return e ? e : check(t, t->x, (size_t)t->width);
+        e = run_product(t, &w->fc2, t->wide,
+                        (struct layer_out){.out = t->x, .add = true, .gamma = w->gamma2});
+    return e ? e : check_rows(t, t->x, (size_t)t->width);
 }
 
 /* ---- rounds ---- */
 
-/* x = token + gate (norm(token) (1 + scale) + shift), the three from the pose so far. */
-static err_t modulate(const struct trunk *t, bool first)
+/* x = token + gate (norm(token) (1 + scale) + shift); the pose so far gives these three. */
+static err_t modulate_tokens(const struct trunk *t, bool first)
 {
     const struct camera_weights *w = &t->net->camera;
     const struct norm plain = {t->width, MODULATION_EPS, NULL, NULL};
     size_t d = (size_t)t->width;
     for (size_t i = 0; i < (size_t)t->n && first; i++)
         memcpy(t->wide + i * NET_POSE, w->empty_pose, NET_POSE * sizeof(float));
-    err_t e = product(t, &w->embed_pose, first ? t->wide : t->raw,
-                      (struct layer_out){.out = t->y, .act = ACT_SILU});
+    err_t e = run_product(t, &w->embed_pose, first ? t->wide : t->raw,
+                          (struct layer_out){.out = t->y, .act = ACT_SILU});
     if (!e)
-        e = product(t, &w->modulation, t->y, (struct layer_out){.out = t->shift});
+        e = run_product(t, &w->modulation, t->y, (struct layer_out){.out = t->shift});
     if (e)
         return e;
-    normalise(t, &plain, t->token, t->y);
+    normalise_rows(t, &plain, t->token, t->y);
     for (size_t i = 0; i < (size_t)t->n * d; i++) {
         const float *m = t->shift + i / d * 3 * d + i % d;
         t->x[i] = t->token[i] + m[2 * d] * (t->y[i] * (1 + m[d]) + m[0]);
     }
-    return check(t, t->x, d);
+    return check_rows(t, t->x, d);
 }
 
 static err_t run_round(const struct trunk *t, bool first)
 {
     const struct camera_weights *w = &t->net->camera;
     const struct norm last = {t->width, EPS, w->trunk_norm_g, w->trunk_norm_b};
-    err_t e = modulate(t, first);
+    err_t e = modulate_tokens(t, first);
     for (int i = 0; i < t->net->d.cam_depth && !e; i++)
         e = run_block(t, w->trunk + i);
     if (e)
         return e;
-    normalise(t, &last, t->x, t->y);
-    e = product(t, &w->fc1, t->y, (struct layer_out){.out = t->wide, .act = ACT_GELU});
+    normalise_rows(t, &last, t->x, t->y);
+    e = run_product(t, &w->fc1, t->y, (struct layer_out){.out = t->wide, .act = ACT_GELU});
     if (!e)
-        e = product(t, &w->fc2, t->wide, (struct layer_out){.out = t->raw, .add = !first});
-    return e ? e : check(t, t->raw, NET_POSE);
+        e = run_product(t, &w->fc2, t->wide, (struct layer_out){.out = t->raw, .add = !first});
+    return e ? e : check_rows(t, t->raw, NET_POSE);
 }
 
 /* Translation and quaternion as they are, fields of view above 0. */
-static void activate(const struct trunk *t, float *pose)
+static void activate_pose(const struct trunk *t, float *pose)
 {
     for (int i = 0; i < t->n * NET_POSE; i++)
         pose[i] = i % NET_POSE < 7 || t->raw[i] > 0 ? t->raw[i] : 0;
@@ -186,7 +186,7 @@ static void activate(const struct trunk *t, float *pose)
 
 /* ---- cameras ---- */
 
-static float focal(float fov, int size)
+static float focal_of_fov(float fov, int size)
 {
     double limited = fov > 0 ? fmin(fov, FOV_MAX) : 0;
     return (float)size / 2 / (tanf((float)(limited / 2)) + FOV_FLOOR);
@@ -199,8 +199,8 @@ void camera_decode(const float pose[NET_POSE], int size, struct camera *out)
     double length = sqrt(x * x + y * y + z * z + w * w);
     *out = (struct camera){.w = size,
                            .h = size,
-                           .fx = focal(pose[8], size),
-                           .fy = focal(pose[7], size),
+                           .fx = focal_of_fov(pose[8], size),
+                           .fy = focal_of_fov(pose[7], size),
                            .cx = half,
                            .cy = half,
                            .q = {1, 0, 0, 0}};
@@ -256,7 +256,7 @@ static size_t room_inputs(const struct net *net)
 }
 
 /* Floats per view of each array of struct trunk, in its order. */
-static void widths(const struct net *net, size_t out[7])
+static void array_widths(const struct net *net, size_t out[7])
 {
     size_t d = 2 * (size_t)net->d.embed;
     const size_t w[7] = {d, 3 * d, d, d, MLP * d, NET_POSE, 1};
@@ -273,7 +273,7 @@ static err_t layout(struct trunk *t, struct arena *tmp, int threads)
 {
     float **array[7] = {&t->token, &t->shift, &t->x, &t->y, &t->wide, &t->raw, &t->share};
     size_t w[7];
-    widths(t->net, w);
+    array_widths(t->net, w);
     err_t e = layer_workspaces_init(tmp, threads, (int)room_inputs(t->net), &t->rooms);
     for (int i = 0; i < 7 && !e; i++)
         e = arena_alloc(tmp, (size_t)t->n * w[i], sizeof(float), array[i]);
@@ -297,7 +297,7 @@ static err_t run_rounds(const struct trunk *t, float *pose)
         e = run_round(t, i == 0);
         if (e)
             break;
-        activate(t, pose);
+        activate_pose(t, pose);
         tap_pose(t, i, pose);
     }
     return e;

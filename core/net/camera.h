@@ -7,7 +7,7 @@
 #include "core/base/plan.h"
 #include "core/net/graph.h"
 
-/* Count what camera_run takes. */
+/* Count the memory of camera_run. */
 void camera_plan(struct plan *p, const struct net *net, int n_views);
 
 /* out:  n_views, size, pose and cams, in r->keep; depth is NULL.
@@ -16,9 +16,9 @@ MUST_USE err_t camera_run(const struct run *r, const struct net *net, const stru
                           int size, struct geometry *out);
 
 /* The camera of a pose after activation, for size x size. Where the formulas give none, the nearest
- * thing stands in: no rotation for a quaternion of length 0 or not finite, 0 for a translation that
- * is not finite, and a field of view counts as at most pi - 1e-3 (hazards 14, 15 of
- * core/net/README.md 5).
+ * valid value replaces it: no rotation for a quaternion of length 0 or not finite, 0 for a
+ * translation that is not finite, and a field of view counts as at most pi - 1e-3 (hazards 14, 15
+ * of core/net/README.md 5).
  * thread: any. */
 void camera_decode(const float pose[NET_POSE], int size, struct camera *out);
 

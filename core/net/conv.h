@@ -1,11 +1,11 @@
-/* conv.h - what a convolution is asked for, whichever way it is done (layer.h, fftconv.h). */
+/* conv.h - description of a convolution for both implementations (layer.h, fftconv.h). */
 #ifndef NET_CONV_H
 #define NET_CONV_H
 
 #include "core/kernels/kernels.h"
 #include "core/net/model.h"
 
-/* Where results go: act(W x + b), stored, or with add: out += gamma act(W x + b). */
+/* Destination of results: act(W x + b), stored, or with add: out += gamma act(W x + b). */
 struct layer_out {
     float *out; // (m, n)
     size_t ldo;
@@ -18,9 +18,9 @@ struct layer_out {
  * thread: any. */
 typedef void layer_fetch_fn(const void *ctx, int y, int x, int n, float *out);
 
-/* A convolution with zero padding. Output (y, x) sees inputs from (y stride - pad, x stride - pad).
- * The input is asked for tile by tile, so that what makes it (a resize, a sum, a ReLU) needs no map
- * of its own; pixels at tile borders are asked for more than once. */
+/* A convolution with zero padding. Output (y, x) reads inputs from (y stride - pad, x stride -
+ * pad). The input is fetched tile by tile, so that a resize, a sum or a ReLU before it needs no map
+ * of its own; pixels at tile borders are fetched more than once. */
 struct layer_conv {
     const struct weight *w; // segs = kh, seg = kw channels
     int kh, kw, stride, pad, channels;

@@ -1,6 +1,6 @@
-/* Per view: the trunk at 8 px per patch, seen at full size by a 3x3 convolution, then a product per
- * pixel whose first output is the logarithm of the depth. The second one, a confidence, is computed
- * for a tap only: nothing reads it. */
+/* Per view: the trunk at 8 px per patch, resized to full size for a 3x3 convolution, then a product
+ * per pixel. Its first output is the logarithm of the depth; the second, a confidence, is computed
+ * only for a tap. */
 #include "core/net/depth.h"
 
 #include "core/base/rotation.h"
@@ -23,7 +23,7 @@ struct tail {
     float *raw;    // (size, size, outputs)
 };
 
-static size_t pixels(int size)
+static size_t pixel_count(int size)
 {
     return (size_t)size * (size_t)size;
 }
@@ -72,21 +72,21 @@ static err_t run_tail(const struct tail *s)
     return e;
 }
 
-static float exponential(float a)
+static float clamped_exp(float a)
 {
     return expf(fminf(fmaxf(a, -LOG_MAX), LOG_MAX));
 }
 
-/* The hidden map is used up. */
+/* Overwrites the hidden map. */
 static void tap_view(const struct tail *s, int view, const float *depth)
 {
     int size = s->size, v = s->t->n_views;
-    size_t n = pixels(size);
+    size_t n = pixel_count(size);
     float *conf = s->hidden;
     if (!tap_on(s->r))
         return;
     for (size_t i = 0; i < n; i++)
-        conf[i] = 1 + exponential(s->raw[i * (size_t)s->outputs + 1]);
+        conf[i] = 1 + clamped_exp(s->raw[i * (size_t)s->outputs + 1]);
     tap_map(s->r, "depth.raw", view, v, (int[]){size, size, s->outputs}, s->raw);
     tap_put(s->r, &(struct tap_tensor){.name = "depth.depth",
                                        .rank = 5,
@@ -110,11 +110,11 @@ static err_t run_view(const struct tail *s, int view, float *depth)
         e = run_tail(s);
     if (!e)
         e = finite_check(s->r, "depth.raw", FINITE_MAX, s->raw,
-                         pixels(s->size) * (size_t)s->outputs);
+                         pixel_count(s->size) * (size_t)s->outputs);
     if (e)
         return e;
-    for (size_t i = 0; i < pixels(s->size); i++)
-        depth[i] = exponential(s->raw[i * (size_t)s->outputs]);
+    for (size_t i = 0; i < pixel_count(s->size); i++)
+        depth[i] = clamped_exp(s->raw[i * (size_t)s->outputs]);
     tap_view(s, view, depth);
     if (s->r->progress)
         s->r->progress(s->r->progress_ctx, "depth", view + 1, s->t->n_views, NULL);
@@ -128,8 +128,8 @@ static int outputs_of(const struct run *r)
 
 static err_t layout(struct tail *s, struct arena *tmp, int grid)
 {
-    const size_t n = pixels(s->size), c = (size_t)s->net->depth.feat / 2;
-    err_t e = arena_alloc(tmp, pixels(dpt_edge(grid)) * c, sizeof(float), &s->trunk);
+    const size_t n = pixel_count(s->size), c = (size_t)s->net->depth.feat / 2;
+    err_t e = arena_alloc(tmp, pixel_count(dpt_edge(grid)) * c, sizeof(float), &s->trunk);
     if (!e)
         e = arena_alloc(tmp, n * (size_t)s->net->depth_out.a.n, sizeof(float), &s->hidden);
     return e ? e : arena_alloc(tmp, n * (size_t)s->outputs, sizeof(float), &s->raw);
@@ -137,7 +137,7 @@ static err_t layout(struct tail *s, struct arena *tmp, int grid)
 
 static err_t layout_result(struct geometry *g, struct arena *keep, int n_views, int size)
 {
-    return arena_alloc(keep, (size_t)n_views * pixels(size), sizeof *g->depth, &g->depth);
+    return arena_alloc(keep, (size_t)n_views * pixel_count(size), sizeof *g->depth, &g->depth);
 }
 
 void depth_plan(struct plan *p, const struct net *net, int n_views, int size)
@@ -168,7 +168,7 @@ err_t depth_run(const struct run *r, const struct net *net, const struct tokens 
                      .size = io->size,
                      .outputs = outputs_of(r),
                      .last = net->depth_out.b};
-    size_t n = pixels(io->size), mark = arena_mark(r->tmp);
+    size_t n = pixel_count(io->size), mark = arena_mark(r->tmp);
     s.last.n = s.outputs;
     err_t e = layout_result(io, r->keep, t->n_views, io->size);
     if (!e)
@@ -182,7 +182,7 @@ err_t depth_run(const struct run *r, const struct net *net, const struct tokens 
 void depth_unproject(const struct geometry *g, int view, float *points)
 {
     const struct camera *cam = g->cams + view;
-    const float *depth = g->depth + (size_t)view * pixels(g->size);
+    const float *depth = g->depth + (size_t)view * pixel_count(g->size);
     const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
                          (double)cam->q[3]};
     double r[9];

@@ -8,11 +8,11 @@
 #include "core/base/plan.h"
 #include "core/net/graph.h"
 
-/* Count what depth_run takes. */
+/* Count the memory of depth_run. */
 void depth_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* Depths are exponents of the head's outputs, which are first clamped to +-80: then they are finite
- * and > 0 whatever the outputs, and no depth of a real scene comes near (core/net/README.md 5,
+ * and > 0 for any outputs, and no depth of a real scene comes near the bound (core/net/README.md 5,
  * hazard 12).
  * out:  io->depth, in r->keep; n_views and size of io must be set.
  * err:  ERR_NOMEM (see depth_plan), ERR_CANCELLED. */

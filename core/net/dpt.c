@@ -3,8 +3,8 @@
  * levels by residual units (Ranftl et al. 2021, "Vision Transformers for Dense Prediction").
  *
  * Two facts save memory and time. The residual unit adds relu(x), not x, because the reference's
- * ReLU works in place (core/net/README.md 2.5): so maps are stored after their ReLU. The 1x1
- * convolution after an upsampling is done before it, since weights of an interpolation sum to
+ * ReLU works in place (core/net/README.md 2.5), so maps are stored after their ReLU. The 1x1
+ * convolution after an upsampling is computed before it, since weights of an interpolation sum to
  * one. */
 #include "core/net/dpt.h"
 
@@ -37,7 +37,7 @@ static int level_edge(int grid, int k)
     return k == COARSEST ? (grid + 1) / 2 : grid * level_up(k);
 }
 
-static size_t square(int edge)
+static size_t area(int edge)
 {
     return (size_t)edge * (size_t)edge;
 }
@@ -122,7 +122,8 @@ static int chunks_of(int rows)
     return (rows + LAYER_ROWS - 1) / LAYER_ROWS;
 }
 
-static void tap(const struct trunk *t, const char *what, int k, const int hwc[3], const float *px)
+static void tap_level(const struct trunk *t, const char *what, int k, const int hwc[3],
+                      const float *px)
 {
     char name[NAME];
     if (k < 0)
@@ -134,7 +135,7 @@ static void tap(const struct trunk *t, const char *what, int k, const int hwc[3]
 
 static err_t layout_map(float **px, struct arena *tmp, int edge, int channels)
 {
-    return arena_alloc(tmp, square(edge) * (size_t)channels, sizeof **px, px);
+    return arena_alloc(tmp, area(edge) * (size_t)channels, sizeof **px, px);
 }
 
 static err_t layout_project(struct project *p, float **code, struct arena *tmp,
@@ -149,7 +150,7 @@ static err_t layout_project(struct project *p, float **code, struct arena *tmp,
 }
 
 /* Projected tokens with their position code. out: (grid, grid, oc). */
-static err_t project(const struct trunk *t, int k, float *out)
+static err_t project_tokens(const struct trunk *t, int k, float *out)
 {
     struct project p = {.t = t, .k = k, .out = out};
     int m = t->grid * t->grid, n = t->j->w->project[k].n;
@@ -160,7 +161,7 @@ static err_t project(const struct trunk *t, int k, float *out)
     if (!e)
         e = pool_for(t->r->pool, chunks_of(m), project_chunk, &p);
     if (!e) {
-        tap(t, "project", k, (int[]){t->grid, t->grid, n}, out);
+        tap_level(t, "project", k, (int[]){t->grid, t->grid, n}, out);
         dpt_code(t->grid, n, code);
         for (int i = 0; i < m; i++)
             add_code(code, n, i / t->grid, i % t->grid, out + (size_t)i * (size_t)n);
@@ -169,7 +170,7 @@ static err_t project(const struct trunk *t, int k, float *out)
     return e;
 }
 
-struct spread {
+struct upsample {
     const struct trunk *t;
     struct weight w; // without bias: it has one entry per channel, not per output
     const float *bias;
@@ -181,7 +182,7 @@ struct spread {
 };
 
 /* Outputs of one token, (up, up, channels), to their pixels. */
-static void spread_token(const struct spread *s, int token, const float *from)
+static void upsample_token(const struct upsample *s, int token, const float *from)
 {
     int y = token / s->t->grid * s->up, x = token % s->t->grid * s->up;
     size_t run = (size_t)s->up * (size_t)s->channels;
@@ -194,9 +195,9 @@ static void spread_token(const struct spread *s, int token, const float *from)
     }
 }
 
-static err_t spread_chunk(void *ctx, int chunk, int worker)
+static err_t upsample_chunk(void *ctx, int chunk, int worker)
 {
-    const struct spread *s = ctx;
+    const struct upsample *s = ctx;
     int first = chunk * LAYER_ROWS, left = s->t->grid * s->t->grid - first;
     size_t c = (size_t)s->channels, n = (size_t)s->w.n;
     float *rows = s->rows + (size_t)worker * LAYER_ROWS * n;
@@ -205,11 +206,11 @@ static err_t spread_chunk(void *ctx, int chunk, int worker)
     const struct layer_out out = {.out = rows, .ldo = n};
     layer_rows(&s->t->r->k->net, &s->w, &in, &out, s->rooms + worker);
     for (int i = 0; i < in.m; i++)
-        spread_token(s, first + i, rows + (size_t)i * n);
+        upsample_token(s, first + i, rows + (size_t)i * n);
     return run_check(s->t->r, "network");
 }
 
-static err_t layout_spread(struct spread *s, struct arena *tmp, int threads)
+static err_t layout_spread(struct upsample *s, struct arena *tmp, int threads)
 {
     err_t e = layer_workspaces_init(tmp, threads, s->channels, &s->rooms);
     return e ? e
@@ -218,28 +219,28 @@ static err_t layout_spread(struct spread *s, struct arena *tmp, int threads)
 }
 
 /* Transposed convolution with stride = kernel: a product per token. */
-static err_t spread(const struct trunk *t, int k, const float *in, float *out)
+static err_t upsample_tokens(const struct trunk *t, int k, const float *in, float *out)
 {
     const struct weight *w = t->j->w->resize + k;
-    struct spread s = {.t = t,
-                       .w = *w,
-                       .bias = w->bias,
-                       .up = level_up(k),
-                       .channels = t->j->w->oc[k],
-                       .in = in,
-                       .out = out};
+    struct upsample s = {.t = t,
+                         .w = *w,
+                         .bias = w->bias,
+                         .up = level_up(k),
+                         .channels = t->j->w->oc[k],
+                         .in = in,
+                         .out = out};
     s.w.bias = NULL;
     size_t mark = arena_mark(t->r->tmp);
     err_t e = layout_spread(&s, t->r->tmp, pool_size(t->r->pool));
     if (!e)
-        e = pool_for(t->r->pool, chunks_of(t->grid * t->grid), spread_chunk, &s);
+        e = pool_for(t->r->pool, chunks_of(t->grid * t->grid), upsample_chunk, &s);
     arena_reset(t->r->tmp, mark);
     return e;
 }
 
 /* ---- convolutions ---- */
 
-static struct layer_conv conv3(const struct weight *w, int edge, int stride, const void *map)
+static struct layer_conv conv3x3(const struct weight *w, int edge, int stride, const void *map)
 {
     return (struct layer_conv){.w = w,
                                .kh = 3,
@@ -254,18 +255,18 @@ static struct layer_conv conv3(const struct weight *w, int edge, int stride, con
 }
 
 /* out:  (edge', edge', w->n), edge' = edge / stride rounded up. */
-static err_t convolve(const struct trunk *t, const struct weight *w, int edge, int stride,
-                      const float *px, const struct layer_out *out)
+static err_t run_conv3x3(const struct trunk *t, const struct weight *w, int edge, int stride,
+                         const float *px, const struct layer_out *out)
 {
     const struct layer_map map = {px, edge, w->seg / 3, false};
-    struct layer_conv c = conv3(w, edge, stride, &map);
+    struct layer_conv c = conv3x3(w, edge, stride, &map);
     c.floats = t->floats;
     return layer_conv_run(t->r, &c, out);
 }
 
-/* The level's own map at its edge, after the ReLU that everything that reads it begins with.
+/* The level's own map at its edge, after the ReLU with which all of its readers begin.
  * out: (edge, edge, feat). */
-static err_t features(const struct trunk *t, int k, float *out)
+static err_t level_features(const struct trunk *t, int k, float *out)
 {
     const struct dpt_weights *w = t->j->w;
     int edge = level_edge(t->grid, k), oc = w->oc[k];
@@ -273,34 +274,34 @@ static err_t features(const struct trunk *t, int k, float *out)
     float *flat, *full;
     err_t e = layout_map(&flat, t->r->tmp, t->grid, oc);
     if (!e)
-        e = project(t, k, flat);
+        e = project_tokens(t, k, flat);
     full = flat;
     if (!e && edge != t->grid)
         e = layout_map(&full, t->r->tmp, edge, oc);
     if (!e && k == COARSEST)
-        e = convolve(t, w->resize + k, t->grid, 2, flat,
-                     &(struct layer_out){.out = full, .ldo = (size_t)oc});
+        e = run_conv3x3(t, w->resize + k, t->grid, 2, flat,
+                        &(struct layer_out){.out = full, .ldo = (size_t)oc});
     else if (!e && level_up(k) > 1)
-        e = spread(t, k, flat, full);
+        e = upsample_tokens(t, k, flat, full);
     if (!e) {
-        tap(t, "resize", k, (int[]){edge, edge, oc}, full);
-        e = convolve(t, w->rn + k, edge, 1, full,
-                     &(struct layer_out){.out = out, .ldo = (size_t)t->feat, .act = ACT_RELU});
+        tap_level(t, "resize", k, (int[]){edge, edge, oc}, full);
+        e = run_conv3x3(t, w->rn + k, edge, 1, full,
+                        &(struct layer_out){.out = out, .ldo = (size_t)t->feat, .act = ACT_RELU});
     }
     arena_reset(t->r->tmp, mark);
     return e;
 }
 
 /* x += conv2(relu(conv1(x))). x: (edge, edge, feat) >= 0; room: as large. */
-static err_t unit(const struct trunk *t, const struct rcu_weights *w, int edge, float *x,
-                  float *room)
+static err_t residual_unit(const struct trunk *t, const struct rcu_weights *w, int edge, float *x,
+                           float *room)
 {
     size_t ldo = (size_t)t->feat;
-    err_t e = convolve(t, &w->conv1, edge, 1, x,
-                       &(struct layer_out){.out = room, .ldo = ldo, .act = ACT_RELU});
+    err_t e = run_conv3x3(t, &w->conv1, edge, 1, x,
+                          &(struct layer_out){.out = room, .ldo = ldo, .act = ACT_RELU});
     if (!e)
-        e = convolve(t, &w->conv2, edge, 1, room,
-                     &(struct layer_out){.out = x, .ldo = ldo, .add = true});
+        e = run_conv3x3(t, &w->conv2, edge, 1, room,
+                        &(struct layer_out){.out = x, .ldo = ldo, .add = true});
     return e;
 }
 
@@ -337,7 +338,7 @@ static struct layer_resize resize_of(const float *px, int edge, int c, int to)
     return (struct layer_resize){px, edge, edge, c, to, to, true};
 }
 
-/* The reference's tensor is what this level gives to the next, at that one's edge. */
+/* The reference's tensor is the output of this level at the edge of the next one. */
 static err_t tap_refined(const struct trunk *t, int k, const float *px)
 {
     int edge = level_edge(t->grid, k), to = k == FINEST ? 2 * edge : level_edge(t->grid, k - 1);
@@ -350,25 +351,25 @@ static err_t tap_refined(const struct trunk *t, int k, const float *px)
     if (!e)
         e = dpt_blend_run(t->r, &b, false, full);
     if (!e)
-        tap(t, "refinenet", k + 1, (int[]){to, to, t->feat}, full);
+        tap_level(t, "refinenet", k + 1, (int[]){to, to, t->feat}, full);
     arena_reset(t->r->tmp, mark);
     return e;
 }
 
 /* coarse: result of the level before, NULL for the coarsest.
  * out:  (edge, edge, feat), before the upsampling; in r->tmp. */
-static err_t level(const struct trunk *t, int k, const float *coarse, float **out)
+static err_t run_level(const struct trunk *t, int k, const float *coarse, float **out)
 {
     const struct dpt_weights *w = t->j->w;
     int edge = level_edge(t->grid, k);
     float *x, *room;
     err_t e = layout_map(&x, t->r->tmp, edge, t->feat);
     if (!e)
-        e = features(t, k, x);
+        e = level_features(t, k, x);
     if (!e)
         e = layout_map(&room, t->r->tmp, edge, t->feat);
     if (!e && coarse)
-        e = unit(t, w->unit1 + k, edge, x, room);
+        e = residual_unit(t, w->unit1 + k, edge, x, room);
     if (!e && coarse) {
         const struct dpt_blend b = {
             .map = resize_of(coarse, level_edge(t->grid, k + 1), t->feat, edge), .plus = x};
@@ -378,7 +379,7 @@ static err_t level(const struct trunk *t, int k, const float *coarse, float **ou
         x = sum;
     }
     if (!e)
-        e = unit(t, w->unit2 + k, edge, x, room);
+        e = residual_unit(t, w->unit2 + k, edge, x, room);
     if (!e)
         e = layer_run(t->r, w->out_conv + k,
                       &(struct layer_in){x, (size_t)t->feat, edge * edge, t->floats},
@@ -400,16 +401,16 @@ err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out)
     float *px = NULL;
     err_t e = OK;
     for (int k = COARSEST; k >= FINEST && !e; k--)
-        e = level(&t, k, px, &px);
+        e = run_level(&t, k, px, &px);
     if (!e) {
         int edge = dpt_edge(t.grid), half = t.feat / 2;
         const struct dpt_blend b = {.map = resize_of(px, level_edge(t.grid, FINEST), t.feat, edge)};
-        struct layer_conv c = conv3(&j->w->output_conv1, edge, 1, &b);
+        struct layer_conv c = conv3x3(&j->w->output_conv1, edge, 1, &b);
         c.fetch = dpt_blend_fetch;
         c.floats = t.floats;
         e = layer_conv_run(r, &c, &(struct layer_out){.out = out, .ldo = (size_t)half});
         if (!e)
-            tap(&t, "output_conv1", -1, (int[]){edge, edge, half}, out);
+            tap_level(&t, "output_conv1", -1, (int[]){edge, edge, half}, out);
     }
     arena_reset(r->tmp, mark);
     return e;
@@ -419,7 +420,7 @@ err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out)
 
 static void plan_conv(struct plan *p, const struct weight *w, int edge, int stride)
 {
-    const struct layer_conv c = conv3(w, edge, stride, NULL);
+    const struct layer_conv c = conv3x3(w, edge, stride, NULL);
     layer_conv_plan(p, &c);
 }
 
@@ -427,7 +428,7 @@ static void plan_conv(struct plan *p, const struct weight *w, int edge, int stri
 static err_t plan_features(struct plan *p, const struct dpt_weights *w, int grid, int k)
 {
     const int edge = level_edge(grid, k);
-    struct spread s = {.w = w->resize[k], .channels = w->oc[k]};
+    struct upsample s = {.w = w->resize[k], .channels = w->oc[k]};
     struct project project;
     float *px, *code;
     const size_t mark = arena_mark(&p->tmp);

@@ -24,7 +24,7 @@ static inline int dpt_edge(int grid)
     return 8 * grid;
 }
 
-/* Count what dpt_run takes. */
+/* Count the memory of dpt_run. */
 void dpt_plan(struct plan *p, const struct dpt_weights *w, int grid);
 
 /* The trunk of core/net/README.md 2.5, before its map is brought to full size.
@@ -32,13 +32,13 @@ void dpt_plan(struct plan *p, const struct dpt_weights *w, int grid);
  * err:  ERR_NOMEM (r->tmp, see dpt_plan), ERR_CANCELLED. */
 MUST_USE err_t dpt_run(const struct run *r, const struct dpt_job *j, float *out);
 
-/* Position code of a square map of n x n and `channels` (a multiple of 4), times 0.1. It falls into
- * a part of the column and one of the row, both from one table.
+/* Position code of a square map of n x n and `channels` (a multiple of 4), times 0.1. It has a
+ * part for the column and one for the row, both from one table.
  * out:  (n, channels / 2): channel c of pixel (y, x) gets out[x][c] for c < channels / 2, else
  *       out[y][c - channels / 2]. */
 void dpt_code(int n, int channels, float *out);
 
-/* A coarse map seen at full size, plus what the graph adds to it. */
+/* A coarse map resized to full size, plus the maps that the graph adds to it. */
 struct dpt_blend {
     struct layer_resize map; // out_h = out_w where there is a code
     const float *plus;       // (out_h, out_w, c) or NULL
@@ -49,7 +49,7 @@ struct dpt_blend {
 layer_fetch_fn dpt_blend_fetch;
 
 /* The whole blend as a map.
- * out:  (out_h, out_w, c), with relu after a ReLU; must not overlap what is read.
+ * out:  (out_h, out_w, c), with relu after a ReLU; must not overlap the inputs.
  * err:  ERR_CANCELLED. */
 MUST_USE err_t dpt_blend_run(const struct run *r, const struct dpt_blend *b, bool relu, float *out);
 

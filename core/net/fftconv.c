@@ -138,8 +138,8 @@ static const float *float_panel(const struct job *j, int p, float *scratch)
     return scratch;
 }
 
-/* Planes of one input channel and 16 outputs become those that meet re, im and their sum. */
-static void turn_planes(float *w, size_t plane)
+/* Turn planes of one input channel and 16 outputs into the factors of re, im and their sum. */
+static void prepare_planes(float *w, size_t plane)
 {
     const float unit = 1.0f / (FFT_EDGE * FFT_EDGE);
     for (int b = 0; b < FFT_BINS; b++, w += 3 * plane)
@@ -170,7 +170,7 @@ static err_t weights_chunk(void *ctx, int p, int worker)
                    PANEL * sizeof *tile);
         t.planes = j->weights + ((size_t)p * (size_t)c->channels + (size_t)i) * PANEL;
         j->r->k->net.fft_forward(&t);
-        turn_planes(t.planes, t.plane);
+        prepare_planes(t.planes, t.plane);
     }
     return OK;
 }
@@ -193,7 +193,7 @@ static void fetch_strip(const struct job *j, int y0, float *strip)
     }
 }
 
-static void multiply(const struct job *j, const struct room *o)
+static void multiply_planes(const struct job *j, const struct room *o)
 {
     size_t in = plane_floats(j, j->c->channels), out = plane_floats(j, j->n);
     size_t w = (size_t)j->n * (size_t)j->c->channels;
@@ -249,7 +249,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
                                    .plane = plane_floats(j, j->c->channels)};
         j->r->k->net.fft_forward(&t);
     }
-    multiply(j, o);
+    multiply_planes(j, o);
     for (int i = 0; i < j->tiles; i++) {
         const struct fft_tile t = {.n = j->n,
                                    .px = o->px,

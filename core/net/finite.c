@@ -12,7 +12,7 @@ struct job {
     size_t n;
 };
 
-/* Bits without the sign order floats as integers do, infinities and NaN last. */
+/* Without their sign, floats compare like their bits as integers; infinities and NaN are last. */
 static bool any_beyond(float most, const float *x, size_t n)
 {
     int32_t limit, beyond = 0;

@@ -1,9 +1,9 @@
 /* Per view, with two maps a and b at full size (core/net/README.md 2.9):
  *   a = G, the guide; its share of the hypernetwork; low = G at half the patch grid
- *   b = relu(proj_guide(G - low)), what is finer than patches
+ *   b = relu(proj_guide(G - low)), the detail finer than patches
  *   a = relu(proj_out(Z + b)), Z = the fused appearance
  *   b = relu(head(D + a)), D = the trunk
- * and a product per pixel. Resizes and sums are made tile by tile as the convolutions ask. In
+ * and a product per pixel. Resizes and sums are computed tile by tile for the convolutions. In
  * AnySplat mode a = relu(input_merger(picture)) and b = relu(head(D + a)). */
 #include "core/net/gausshead.h"
 
@@ -36,7 +36,7 @@ struct head {
     struct layer_workspace *rooms;
 };
 
-static size_t square(int edge)
+static size_t area(int edge)
 {
     return (size_t)edge * (size_t)edge;
 }
@@ -47,7 +47,7 @@ static int low_edge(int grid)
     return grid > 1 ? grid / 2 : 1;
 }
 
-static struct layer_conv conv(const struct weight *w, int kernel, int edge, bool floats)
+static struct layer_conv conv_of(const struct weight *w, int kernel, int edge, bool floats)
 {
     return (struct layer_conv){.w = w,
                                .kh = kernel,
@@ -61,22 +61,23 @@ static struct layer_conv conv(const struct weight *w, int kernel, int edge, bool
 }
 
 /* out = relu(w * blend), (edge, edge, w->n). */
-static err_t convolve(const struct head *h, const struct weight *w, int kernel,
-                      const struct dpt_blend *b, float *out)
+static err_t convolve_blend(const struct head *h, const struct weight *w, int kernel,
+                            const struct dpt_blend *b, float *out)
 {
-    struct layer_conv c = conv(w, kernel, b->map.out_h, (h->net->floats & NET_FLOAT_HEADS) != 0);
+    struct layer_conv c = conv_of(w, kernel, b->map.out_h, (h->net->floats & NET_FLOAT_HEADS) != 0);
     c.fetch = dpt_blend_fetch;
     c.ctx = b;
     return layer_conv_run(h->r, &c,
                           &(struct layer_out){.out = out, .ldo = (size_t)w->n, .act = ACT_RELU});
 }
 
-static void tap(const struct head *h, const char *name, int edge, int channels, const float *px)
+static void tap_view_map(const struct head *h, const char *name, int edge, int channels,
+                         const float *px)
 {
     tap_map(h->r, name, h->view, h->in->views->n, (int[]){edge, edge, channels}, px);
 }
 
-static struct dpt_blend blend(const float *px, int edge, const struct head *h, bool align)
+static struct dpt_blend full_size_blend(const float *px, int edge, const struct head *h, bool align)
 {
     return (struct dpt_blend){.map = {px, edge, edge, h->d, h->size, h->size, align}};
 }
@@ -84,7 +85,7 @@ static struct dpt_blend blend(const float *px, int edge, const struct head *h, b
 /* The trunk's map at full size, with its position code. */
 static struct dpt_blend trunk_blend(const struct head *h)
 {
-    struct dpt_blend b = blend(h->trunk, dpt_edge(h->grid), h, true);
+    struct dpt_blend b = full_size_blend(h->trunk, dpt_edge(h->grid), h, true);
     b.code = h->code;
     return b;
 }
@@ -96,7 +97,7 @@ static err_t alloc_floats(struct arena *a, size_t n, float **out)
 
 static err_t layout_large(struct head *h, struct arena *tmp)
 {
-    const size_t n = square(h->size) * (size_t)h->d;
+    const size_t n = area(h->size) * (size_t)h->d;
     err_t e = alloc_floats(tmp, n, &h->a);
     return e ? e : alloc_floats(tmp, n, &h->b);
 }
@@ -112,7 +113,7 @@ static err_t run_trunk(struct head *h)
         const struct dpt_blend b = trunk_blend(h);
         e = dpt_blend_run(h->r, &b, false, h->a);
         if (!e)
-            tap(h, "gs.features", h->size, h->d, h->a);
+            tap_view_map(h, "gs.features", h->size, h->d, h->a);
     }
     return e;
 }
@@ -121,15 +122,15 @@ static err_t run_trunk(struct head *h)
 static err_t convolve_picture(const struct head *h, const struct weight *w)
 {
     const struct appearance_picture picture = {h->planes, h->size};
-    struct layer_conv c = conv(w, 7, h->size, true);
+    struct layer_conv c = conv_of(w, 7, h->size, true);
     c.fetch = appearance_fetch;
     c.ctx = &picture;
-    prep_to_float(h->in->views->rgb + 3 * square(h->size) * (size_t)h->view, h->size, h->planes);
+    prep_to_float(h->in->views->rgb + 3 * area(h->size) * (size_t)h->view, h->size, h->planes);
     return layer_conv_run(h->r, &c,
                           &(struct layer_out){.out = h->a, .ldo = (size_t)w->n, .act = ACT_RELU});
 }
 
-/* b = what is finer than patches in the guide a. */
+/* b = the detail of the guide a that is finer than patches. */
 static err_t guide_detail(const struct head *h)
 {
     int edge = low_edge(h->grid);
@@ -137,14 +138,14 @@ static err_t guide_detail(const struct head *h)
     err_t e = dpt_blend_run(h->r, &down, false, h->low);
     if (e)
         return e;
-    tap(h, "hdr.guide_low", edge, h->d, h->low);
-    for (size_t i = 0; i < square(edge) * (size_t)h->d; i++)
+    tap_view_map(h, "hdr.guide_low", edge, h->d, h->low);
+    for (size_t i = 0; i < area(edge) * (size_t)h->d; i++)
         h->low[i] = -h->low[i];
-    struct dpt_blend fine = blend(h->low, edge, h, false);
+    struct dpt_blend fine = full_size_blend(h->low, edge, h, false);
     fine.plus = h->a;
-    e = convolve(h, &h->net->appearance.proj_guide, 7, &fine, h->b);
+    e = convolve_blend(h, &h->net->appearance.proj_guide, 7, &fine, h->b);
     if (!e)
-        tap(h, "hdr.guide_high", h->size, h->d, h->b);
+        tap_view_map(h, "hdr.guide_high", h->size, h->d, h->b);
     return e;
 }
 
@@ -152,9 +153,9 @@ static err_t guide_detail(const struct head *h)
 static err_t convolve_tokens(const struct head *h, const struct weight *w, const float *tokens,
                              float *out)
 {
-    const float *px = tokens + (size_t)h->view * square(h->grid) * (size_t)h->d;
+    const float *px = tokens + (size_t)h->view * area(h->grid) * (size_t)h->d;
     const struct layer_map map = {px, h->grid, h->d, false};
-    struct layer_conv c = conv(w, 3, h->grid, (h->net->floats & NET_FLOAT_HEADS) != 0);
+    struct layer_conv c = conv_of(w, 3, h->grid, (h->net->floats & NET_FLOAT_HEADS) != 0);
     c.fetch = layer_map_fetch;
     c.ctx = &map;
     return layer_conv_run(h->r, &c,
@@ -162,21 +163,21 @@ static err_t convolve_tokens(const struct head *h, const struct weight *w, const
 }
 
 /* a = the fused appearance at full size. */
-static err_t upsample(const struct head *h)
+static err_t upsample_appearance(const struct head *h)
 {
     err_t e = convolve_tokens(h, &h->net->appearance.scene_conv, h->in->irr->scene, h->scene);
     if (e)
         return e;
-    tap(h, "hdr.scene_conv", h->grid, h->d, h->scene);
-    struct dpt_blend sum = blend(h->scene, h->grid, h, false);
+    tap_view_map(h, "hdr.scene_conv", h->grid, h->d, h->scene);
+    struct dpt_blend sum = full_size_blend(h->scene, h->grid, h, false);
     sum.plus = h->b;
-    e = convolve(h, &h->net->appearance.proj_out, 7, &sum, h->a);
+    e = convolve_blend(h, &h->net->appearance.proj_out, 7, &sum, h->a);
     if (!e)
-        tap(h, "hdr.scene_features", h->size, h->d, h->a);
+        tap_view_map(h, "hdr.scene_features", h->size, h->d, h->a);
     return e;
 }
 
-static err_t sensitivity(const struct head *h)
+static err_t run_sensitivity(const struct head *h)
 {
     const struct mlp_weights *w = &h->net->appearance.sensitivity;
     size_t n = (size_t)w->a.n;
@@ -185,12 +186,12 @@ static err_t sensitivity(const struct head *h)
         e = layer_run(h->r, &w->b, &(struct layer_in){h->hidden, n, h->grid * h->grid, true},
                       &(struct layer_out){.out = h->sens, .ldo = NET_SENSITIVITY});
     if (!e)
-        tap(h, "hdr.sensitivity_lowres", h->grid, NET_SENSITIVITY, h->sens);
+        tap_view_map(h, "hdr.sensitivity_lowres", h->grid, NET_SENSITIVITY, h->sens);
     return e;
 }
 
 /* Raw channels from `first` on of one row of pixels, (size, n), to their planes. */
-static void scatter(const struct head *h, int y, int first, int n, const float *row)
+static void scatter_row(const struct head *h, int y, int first, int n, const float *row)
 {
     for (int c = 0; c < n; c++) {
         float *to = metanet_plane(h->io, first + c, h->view, h->size) + (size_t)y * (size_t)h->size;
@@ -207,7 +208,7 @@ static err_t last_row(void *ctx, int y, int worker)
     layer_rows(&h->r->k->net, &h->net->gauss_out.b,
                &(struct layer_in){h->b + (size_t)y * (size_t)h->size * d, d, h->size, true},
                &(struct layer_out){.out = row, .ldo = NET_RAW}, h->rooms + worker);
-    scatter(h, y, 0, NET_RAW, row);
+    scatter_row(h, y, 0, NET_RAW, row);
     if (h->in->irr) {
         const struct layer_resize up = {h->sens, h->grid, h->grid, NET_SENSITIVITY,
                                         h->size, h->size, false};
@@ -215,7 +216,7 @@ static err_t last_row(void *ctx, int y, int worker)
     } else {
         memset(row, 0, (size_t)h->size * NET_SENSITIVITY * sizeof *row);
     }
-    scatter(h, y, NET_RAW, NET_SENSITIVITY, row);
+    scatter_row(h, y, NET_RAW, NET_SENSITIVITY, row);
     return run_check(h->r, "network");
 }
 
@@ -247,12 +248,12 @@ static err_t layout_rows(struct head *h, struct arena *tmp, int threads)
 }
 
 /* Trunk plus a, to raw Gaussians. */
-static err_t combine(struct head *h)
+static err_t combine_maps(struct head *h)
 {
     struct dpt_blend sum = trunk_blend(h);
     size_t mark = arena_mark(h->r->tmp);
     sum.plus = h->a;
-    err_t e = convolve(h, &h->net->gauss_out.a, 3, &sum, h->b);
+    err_t e = convolve_blend(h, &h->net->gauss_out.a, 3, &sum, h->b);
     if (!e)
         e = layout_rows(h, h->r->tmp, pool_size(h->r->pool));
     if (!e)
@@ -269,7 +270,7 @@ static err_t run_plain(struct head *h)
     err_t e = run_trunk(h);
     if (!e)
         e = convolve_picture(h, &h->net->input_merger);
-    return e ? e : combine(h);
+    return e ? e : combine_maps(h);
 }
 
 static err_t run_hdr(struct head *h, float *summary)
@@ -279,17 +280,17 @@ static err_t run_hdr(struct head *h, float *summary)
     if (!e)
         e = convolve_picture(h, &h->net->appearance.guide);
     if (!e) {
-        tap(h, "hdr.guide", h->size, h->d, h->a);
+        tap_view_map(h, "hdr.guide", h->size, h->d, h->a);
         e = metanet_guide(h->r, &v, h->a, h->in->irr->code + (size_t)h->view * (size_t)h->d);
     }
     if (!e)
         e = guide_detail(h);
     if (!e)
-        e = upsample(h);
+        e = upsample_appearance(h);
     if (!e)
-        e = sensitivity(h);
+        e = run_sensitivity(h);
     if (!e)
-        e = combine(h);
+        e = combine_maps(h);
     if (!e)
         e = metanet_summarise(h->r, &v, h->io, summary + (size_t)h->view * 2 * (size_t)h->d);
     return e;
@@ -311,8 +312,8 @@ static err_t layout_result(struct prediction *out, struct arena *keep)
 /* hdr: there is an appearance branch. */
 static err_t layout(struct head *h, struct arena *tmp, bool hdr)
 {
-    size_t px = square(h->size), d = (size_t)h->d, cells = square(h->grid);
-    err_t e = alloc_floats(tmp, square(dpt_edge(h->grid)) * d, &h->trunk);
+    size_t px = area(h->size), d = (size_t)h->d, cells = area(h->grid);
+    err_t e = alloc_floats(tmp, area(dpt_edge(h->grid)) * d, &h->trunk);
     if (!e)
         e = alloc_floats(tmp, (size_t)h->size * d / 2, &h->code);
     if (!e)
@@ -321,7 +322,7 @@ static err_t layout(struct head *h, struct arena *tmp, bool hdr)
         return e;
     e = alloc_floats(tmp, cells * d, &h->scene);
     if (!e)
-        e = alloc_floats(tmp, square(low_edge(h->grid)) * d, &h->low);
+        e = alloc_floats(tmp, area(low_edge(h->grid)) * d, &h->low);
     if (!e)
         e = alloc_floats(tmp, cells * (size_t)h->net->appearance.sensitivity.a.n, &h->hidden);
     if (!e)
@@ -334,12 +335,12 @@ static void plan_view(struct plan *p, const struct net *net, int size)
     const struct appearance_weights *w = &net->appearance;
     bool floats = net->floats & NET_FLOAT_HEADS;
     const struct layer_conv convs[] = {
-        conv(net->d.appearance ? &w->guide : &net->input_merger, 7, size, true),
-        conv(&net->gauss_out.a, 3, size, floats),
-        conv(&w->proj_guide, 7, size, floats),
-        conv(&w->proj_out, 7, size, floats),
-        conv(&w->scene_conv, 3, size / NET_PATCH, floats),
-        conv(&w->sensitivity.a, 3, size / NET_PATCH, floats),
+        conv_of(net->d.appearance ? &w->guide : &net->input_merger, 7, size, true),
+        conv_of(&net->gauss_out.a, 3, size, floats),
+        conv_of(&w->proj_guide, 7, size, floats),
+        conv_of(&w->proj_out, 7, size, floats),
+        conv_of(&w->scene_conv, 3, size / NET_PATCH, floats),
+        conv_of(&w->sensitivity.a, 3, size / NET_PATCH, floats),
     };
     int n = net->d.appearance ? 6 : 2;
     for (int i = 0; i < n; i++)

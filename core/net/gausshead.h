@@ -1,6 +1,6 @@
 /* gausshead.h - the Gaussian head, one view at a time: a raw Gaussian for every pixel from the
- * trunk's map and from the fused appearance, which the picture's own fine structure brings to full
- * resolution (core/net/README.md 2.9).
+ * trunk's map and from the fused appearance, upsampled to full resolution by the picture's own fine
+ * structure (core/net/README.md 2.9).
  * Pure computation on the pool inside struct run.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_GAUSSHEAD_H
@@ -9,7 +9,7 @@
 #include "core/base/plan.h"
 #include "core/net/graph.h"
 
-/* Count what gausshead_run takes. */
+/* Count the memory of gausshead_run. */
 void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* Inputs of the head. */

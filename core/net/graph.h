@@ -1,12 +1,12 @@
-/* graph.h - the parts of the network: weights at the places where the graph uses them, and what one
- * stage hands to the next (core/net/README.md 2). */
+/* graph.h - the parts of the network: the weights of each stage and the results that stages pass on
+ * (core/net/README.md 2). */
 #ifndef NET_GRAPH_H
 #define NET_GRAPH_H
 
 #include "core/kernels/kernels.h"
 #include "core/net/model.h"
 
-/* Parts of an I8 model that can be kept in float arithmetic, at a price (bits). */
+/* Parts of an I8 model that can be kept in float arithmetic at the cost of time (bits). */
 enum {
     NET_FLOAT_BLOCKS = 1,    // products of the transformer blocks
     NET_FLOAT_ATTENTION = 2, // q k^T and p v
@@ -60,7 +60,7 @@ struct meta_weights { // core/net/README.md 2.10
 struct net {
     struct net_dims d;
     unsigned floats; // NET_FLOAT_ bits in force; all of them unless the model is I8
-    bool attend;     // also tell where patches are found in other views, prediction.matches
+    bool attend;     // also find patches in other views: prediction.matches
     /* DINOv2 */
     struct weight patch_embed;
     const float *cls_token, *dino_registers, *pos_embed, *dino_norm_g, *dino_norm_b;
@@ -85,7 +85,7 @@ struct tokens {
                   // before rotary embedding; NULL without the appearance branch
 };
 
-/* What the views show, in the network's own world: near the first camera, arbitrary scale. */
+/* Geometry of the views in the network's own world: near the first camera, arbitrary scale. */
 struct geometry {
     int n_views, size;
     float *pose;         // (n_views, NET_POSE) translation, quaternion xyzw, FoV vertical,
@@ -100,7 +100,7 @@ struct irradiance {
     float *scene, *sens; // (n_views grid^2, hdr)
 };
 
-/* One raw Gaussian per pixel, as voxel_merge takes them. */
+/* One raw Gaussian per pixel, in the layout of voxel_merge. */
 struct prediction {
     struct geometry geom;
     int n;                         // n_views size^2

@@ -1,5 +1,5 @@
 /* The rules keep activations of a deep random network within a few units and give depths, poses,
- * opacities and tone curves of a plausible size. The first rule that fits a name counts. */
+ * opacities and tone curves of a plausible size. The first rule that matches a name applies. */
 #include "core/net/hashed.h"
 
 #include "core/base/splitmix.h"
@@ -13,14 +13,14 @@ struct span {
     size_t end;
 };
 
-static bool ends(const char *s, const char *with)
+static bool ends_with(const char *s, const char *with)
 {
     size_t n = strlen(s), m = strlen(with);
     return n >= m && strcmp(s + n - m, with) == 0;
 }
 
-/* A bias whose values are alike but for the offset of some. */
-static struct span bias(size_t end, float offset)
+/* Values of a bias around `offset`. */
+static struct span bias_span(size_t end, float offset)
 {
     return (struct span){0.02f, offset, end};
 }
@@ -41,16 +41,16 @@ static struct span last_conv(size_t i, size_t fan, double he)
 static struct span last_conv_bias(size_t i)
 {
     if (i < 1)
-        return bias(1, 0.5f);
+        return bias_span(1, 0.5f);
     if (i < 4)
-        return bias(4, 4.0f);
+        return bias_span(4, 4.0f);
     if (i == 7)
-        return bias(8, 1.0f);
-    return bias(i < 7 ? 7 : SIZE_MAX, 0);
+        return bias_span(8, 1.0f);
+    return bias_span(i < 7 ? 7 : SIZE_MAX, 0);
 }
 
 /* Per colour w1[64] b1[64] w2[64] b2: a rising curve. */
-static struct span curve(size_t i)
+static struct span curve_span(size_t i)
 {
     static const struct span part[4] = {
         {0.5f, 0.5f, 64}, {1.0f, 1.0f, 128}, {0.02f, 0.02f, 192}, {0.25f, -1.5f, 193}};
@@ -83,7 +83,7 @@ static struct span by_name(const struct tensor_spec *t, double he)
         {".bias", 0, 0.02, 0},
     };
     for (size_t k = 0; k < sizeof rules / sizeof rules[0]; k++)
-        if (ends(t->name, rules[k].suffix))
+        if (ends_with(t->name, rules[k].suffix))
             return (struct span){(float)(rules[k].scale + rules[k].of_he * he), rules[k].offset,
                                  SIZE_MAX};
     if (t->rank == 1)
@@ -98,20 +98,20 @@ static struct span span_at(const struct tensor_spec *t, size_t i)
     const char *name = t->name;
     size_t fan = table_count(t) / (size_t)t->shape[0];
     double he = sqrt(3.0 / (double)fan);
-    if (ends(name, "camera_head.pose_branch.fc2.bias"))
-        return bias(i < 6 ? 6 : SIZE_MAX, i < 6 ? 0 : 0.25f);
-    if (ends(name, "depth_head.scratch.output_conv2.2.bias"))
-        return bias(i < 1 ? 1 : SIZE_MAX, i < 1 ? 0.8f : 0);
-    if (ends(name, "hdr_conv.2.weight"))
+    if (ends_with(name, "camera_head.pose_branch.fc2.bias"))
+        return bias_span(i < 6 ? 6 : SIZE_MAX, i < 6 ? 0 : 0.25f);
+    if (ends_with(name, "depth_head.scratch.output_conv2.2.bias"))
+        return bias_span(i < 1 ? 1 : SIZE_MAX, i < 1 ? 0.8f : 0);
+    if (ends_with(name, "hdr_conv.2.weight"))
         return last_conv(i, fan, he);
-    if (ends(name, "hdr_conv.2.bias"))
+    if (ends_with(name, "hdr_conv.2.bias"))
         return last_conv_bias(i);
-    if (ends(name, "generate_tonemapper.out.2.bias"))
-        return curve(i);
+    if (ends_with(name, "generate_tonemapper.out.2.bias"))
+        return curve_span(i);
     return by_name(t, he);
 }
 
-static float unit(uint64_t z)
+static float unit_value(uint64_t z)
 {
     return (float)((int32_t)(splitmix_mix(z) >> 40) - 8388608) / 8388608.0f;
 }
@@ -126,7 +126,7 @@ void hashed_fill(const struct tensor_spec *t, uint64_t seed, size_t first, size_
         struct span s = span_at(t, i);
         size_t stop = s.end < end ? s.end : end;
         for (; i < stop; i++) {
-            float scaled = s.scale * unit(h + (i + 1) * SPLITMIX_STEP);
+            float scaled = s.scale * unit_value(h + (i + 1) * SPLITMIX_STEP);
             out[i - first] = s.offset + scaled;
         }
     }

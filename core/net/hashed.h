@@ -1,4 +1,4 @@
-/* hashed.h - weights made of numbers alone: every value follows from the tensor's name, its index
+/* hashed.h - pseudorandom weights: every value follows from the tensor's name, its index
  * and a seed. They drive the golden tests, benches and examples without any trained file; other
  * programs make the same bits.
  *

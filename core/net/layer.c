@@ -1,6 +1,6 @@
-/* A block of at most LAYER_ROWS rows meets the weights a few panels at a time: the sums of the
- * block (at most 16 kB) stay in the first cache between product and epilogue, the rows in the
- * second.
+/* A block of at most LAYER_ROWS rows is multiplied by a few panels of weights at a time: the sums
+ * of the block (at most 16 kB) stay in the first-level cache between product and epilogue, the rows
+ * in the second-level cache.
  * A convolution is the same product: a tile of the input is copied with its zero border, then each
  * row of output pixels is a block whose rows overlap (gemm.h). */
 #include "core/net/layer.h"
@@ -13,14 +13,14 @@
 
 enum {
     GROUP = 4,      // panels a product takes at once
-    GROUP_DEEP = 2, // where k is above DEEP_K: keeps the weights in the second cache
+    GROUP_DEEP = 2, // where k is above DEEP_K: keeps the weights in the second-level cache
     DEEP_K = 2048,
     ROTATED = 8,            // float rows that are rotated at a time
     PANEL_K = 512,          // inputs of weights that are turned to floats at a time
     TILE_FLOATS = 320 << 10 // of an input tile at most, unless one row of pixels has more
 };
 
-/* The block of rows that meets the panels. */
+/* A block of rows and the weights that multiply it. */
 struct block {
     const struct gemm_kernels *k;
     const struct weight *w;
@@ -46,7 +46,7 @@ static int group_of(const struct weight *w)
 }
 
 /* Panels [p, p + count) as floats, inputs [at, at + k). */
-static void unpack(const struct block *b, int p, int count, int at, int k, float *out)
+static void unpack_panels(const struct block *b, int p, int count, int at, int k, float *out)
 {
     for (int i = 0; i < count; i++, out += (size_t)k * PANEL) {
         size_t from = (size_t)(p + i) * panel_stride(b->w) + (size_t)at * PANEL;
@@ -57,8 +57,8 @@ static void unpack(const struct block *b, int p, int count, int at, int k, float
     }
 }
 
-/* Float rows times weights that are no floats: chunk by chunk of the inputs. */
-static void product_unpacked(const struct block *b, int p, int count, struct layer_workspace *room)
+/* Float rows times weights of another type: a chunk of inputs at a time. */
+static void multiply_unpacked(const struct block *b, int p, int count, struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     struct gemm_f32 g = {.m = b->m,
@@ -74,13 +74,13 @@ static void product_unpacked(const struct block *b, int p, int count, struct lay
             g.seg = left < PANEL_K ? left : PANEL_K;
             g.ldw = (size_t)g.seg * PANEL;
             g.a = b->x + (size_t)s * b->seg_stride + at;
-            unpack(b, p, count, s * w->seg + at, g.seg, room->panel);
+            unpack_panels(b, p, count, s * w->seg + at, g.seg, room->panel);
             b->k->f32(&g);
             g.add = true;
         }
 }
 
-static void product(const struct block *b, int p, int count, struct layer_workspace *room)
+static void multiply_panels(const struct block *b, int p, int count, struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     size_t from = (size_t)p * panel_stride(w);
@@ -111,31 +111,31 @@ static void product(const struct block *b, int p, int count, struct layer_worksp
                                    .ldc = GROUP * PANEL};
         b->k->f32(&g);
     } else {
-        product_unpacked(b, p, count, room);
+        multiply_unpacked(b, p, count, room);
     }
 }
 
-static const float *offset(const float *p, int n)
+static const float *offset_or_null(const float *p, int n)
 {
     return p ? p + n : NULL;
 }
 
-/* Panels [p, p + count) of the block, all the way to the output. */
-static void finish(const struct block *b, int p, int count, const struct layer_out *out,
-                   struct layer_workspace *room)
+/* Panels [p, p + count) of the block: product and epilogue. */
+static void finish_panels(const struct block *b, int p, int count, const struct layer_out *out,
+                          struct layer_workspace *room)
 {
     const struct weight *w = b->w;
     int first = p * PANEL, left = w->n - first;
-    product(b, p, count, room);
+    multiply_panels(b, p, count, room);
     const struct epilogue e = {.m = b->m,
                                .n = left < count * PANEL ? left : count * PANEL,
                                .ci = b->q ? room->c : NULL,
                                .cf = room->cf,
                                .ldc = GROUP * PANEL,
                                .row_scale = b->q ? room->scale : NULL,
-                               .scale = offset(w->scale, first),
-                               .bias = offset(w->bias, first),
-                               .gamma = offset(out->gamma, first),
+                               .scale = offset_or_null(w->scale, first),
+                               .bias = offset_or_null(w->bias, first),
+                               .gamma = offset_or_null(out->gamma, first),
                                .act = out->act,
                                .add = out->add,
                                .out = out->out + first,
@@ -187,7 +187,7 @@ static void quantise_row(const struct gemm_kernels *k, const struct weight *w, c
     k->quant(x, n, top < FLT_MIN ? 0 : 127 / top, q);
 }
 
-/* Rotated weights want rotated rows, also where they stay floats. */
+/* Rotated weights need rotated rows, also where these stay floats. */
 static void rows_rotated(const struct block *whole, const struct layer_out *out,
                          struct layer_workspace *room)
 {
@@ -205,7 +205,7 @@ static void rows_rotated(const struct block *whole, const struct layer_out *out,
         b.x = room->rotated;
         b.lda = n;
         for (int p = 0; p < panels; p += group)
-            finish(&b, p, panels - p < group ? panels - p : group, &o, room);
+            finish_panels(&b, p, panels - p < group ? panels - p : group, &o, room);
     }
 }
 
@@ -229,7 +229,7 @@ static void rows_block(const struct gemm_kernels *k, const struct weight *w,
     }
     int panels = count_panels(w), group = group_of(w);
     for (int p = 0; p < panels; p += group)
-        finish(&b, p, panels - p < group ? panels - p : group, out, room);
+        finish_panels(&b, p, panels - p < group ? panels - p : group, out, room);
 }
 
 void layer_rows(const struct gemm_kernels *k, const struct weight *w, const struct layer_in *in,
@@ -423,7 +423,7 @@ static err_t conv_chunk(void *ctx, int chunk, int worker)
             out.out += ((size_t)(y + i) * (size_t)j->t.out_w + (size_t)x) * out.ldo;
             b.x = o->tile + (size_t)i * step;
             b.q = s8 ? o->room.q + (size_t)i * step : NULL;
-            finish(&b, p, num_min(panels - p, group), &out, &o->room);
+            finish_panels(&b, p, num_min(panels - p, group), &out, &o->room);
         }
     return run_check(j->r, "network");
 }
@@ -442,7 +442,7 @@ err_t layer_conv_run(const struct run *r, const struct layer_conv *c, const stru
     return e;
 }
 
-/* ---- what convolutions fetch ---- */
+/* ---- inputs of convolutions ---- */
 
 void layer_map_fetch(const void *ctx, int y, int x, int n, float *out)
 {

@@ -1,6 +1,6 @@
 /* layer.h - matrix products and convolutions of the network on blocks of rows, in the precision
  * of their weights: floats stay floats; with I8 weights each row of activations (of a convolution:
- * each tile) is quantised to s8 with its own scale (gemm.h), unless the caller wants floats.
+ * each tile) is quantised to s8 with its own scale (gemm.h), unless the caller requests floats.
  * Maps have channels last: (h, w, c). Pure computation.
  * Invariant: results do not depend on the number of threads. */
 #ifndef NET_LAYER_H
@@ -51,7 +51,7 @@ void layer_rows(const struct gemm_kernels *k, const struct weight *w, const stru
 MUST_USE err_t layer_run(const struct run *r, const struct weight *w, const struct layer_in *in,
                          const struct layer_out *out);
 
-/* Count what layer_run takes for products of k inputs. */
+/* Count the memory of layer_run for products of k inputs. */
 void layer_plan(struct plan *p, int k);
 
 /* out->out: (out_h, out_w, n) with ldo from pixel to pixel; `add` as above.
@@ -59,7 +59,7 @@ void layer_plan(struct plan *p, int k);
 MUST_USE err_t layer_conv_run(const struct run *r, const struct layer_conv *c,
                               const struct layer_out *out);
 
-/* Count what layer_conv_run takes. */
+/* Count the memory of layer_conv_run. */
 void layer_conv_plan(struct plan *p, const struct layer_conv *c);
 
 /* A fetch for a plain map: ctx is a struct layer_map. */

@@ -17,7 +17,7 @@ static size_t panels_of(const struct weight *w)
     return ((size_t)w->n + PANEL - 1) / PANEL;
 }
 
-static size_t element(const struct weight *w)
+static size_t element_bytes(const struct weight *w)
 {
     return w->type == PRECISION_F32 ? 4 : w->type == PRECISION_BF16 ? 2 : 1;
 }
@@ -34,11 +34,12 @@ static int grid_of(int size)
 
 /* ---- the first layer in parts ---- */
 
-/* The part of w that sees channels [first, first + n). */
-static void part(const struct net *net, int first, int n, void *room, struct weight *out)
+/* The part of the first layer for channels [first, first + n). */
+static void split_weight(const struct net *net, int first, int n, void *room, struct weight *out)
 {
     const struct weight *w = &net->meta.enc0;
-    size_t one = element(w) * PANEL, run = (size_t)n * one, from = (size_t)channels_of(net) * one;
+    size_t one = element_bytes(w) * PANEL, run = (size_t)n * one,
+           from = (size_t)channels_of(net) * one;
     unsigned char *to = room;
     *out = *w;
     out->seg = NET_PATCH * n;
@@ -95,7 +96,7 @@ static err_t layout(struct metanet *m, struct parts *parts, struct arena *tmp,
                     const struct net *net)
 {
     const struct weight *w = &net->meta.enc0;
-    const size_t d = (size_t)net->d.hdr, panels = panels_of(w), one = element(w) * PANEL;
+    const size_t d = (size_t)net->d.hdr, panels = panels_of(w), one = element_bytes(w) * PANEL;
     err_t e = arena_alloc(tmp, panels * d * PANEL, sizeof *m->code, &m->code);
     if (!e)
         e = arena_alloc(tmp, panels * TAPS, d * one, &parts->guide);
@@ -117,8 +118,8 @@ err_t metanet_init(const struct run *r, const struct net *net, struct metanet *o
         e = sum_code(r, net, out->code);
     if (e)
         return e;
-    part(net, 0, d, parts.guide, &out->guide);
-    part(net, d, RAW, parts.raw, &out->raw);
+    split_weight(net, 0, d, parts.guide, &out->guide);
+    split_weight(net, d, RAW, parts.raw, &out->raw);
     return OK;
 }
 
@@ -159,8 +160,8 @@ static err_t layout_bias(float **bias, float **x, struct arena *tmp, const struc
 }
 
 /* bias + weights times the projected code. x: (hdr) scratch. */
-static err_t fold(const struct run *r, const struct metanet *m, const float *code, float *x,
-                  float *bias)
+static err_t fold_code(const struct run *r, const struct metanet *m, const float *code, float *x,
+                       float *bias)
 {
     const struct weight *w = &m->net->meta.enc0;
     size_t d = (size_t)m->net->d.hdr;
@@ -191,7 +192,7 @@ err_t metanet_guide(const struct run *r, const struct metanet_view *v, const flo
     float *bias, *x;
     err_t e = layout_bias(&bias, &x, r->tmp, net);
     if (!e)
-        e = fold(r, v->m, code, x, bias);
+        e = fold_code(r, v->m, code, x, bias);
     if (!e) {
         w.bias = bias;
         c.ctx = &map;

@@ -12,7 +12,7 @@ enum precision model_type(const struct tensor_spec *t, enum precision file)
     return file;
 }
 
-/* Hidden units of the blocks' MLPs have outliers, and their activation lets no factor through. */
+/* Hidden units of the blocks' MLPs have outliers, and no factor can pass their activation. */
 int model_rotation(const struct tensor_spec *t, enum precision file)
 {
     static const char suffix[] = ".mlp.fc2.weight", owner[] = "encoder.aggregator.";

@@ -1,4 +1,4 @@
-/* model.h - the weights of a network as they lie in a mapped weights file, ready to use.
+/* model.h - the weights of a network in a mapped weights file, ready to use.
  *
  * A weights file is a safetensors file; drivers/format/modelfile.h describes and checks it.
  * Products are stored packed, so that nothing is copied when a network starts:
@@ -40,7 +40,7 @@ struct model {
     const struct model_tensor *tensors; // (n) in the order of table_walk; unused ones are left out
     const void *map;                    // the file
     size_t bytes;
-    const char *source, *licence; // words of the file
+    const char *source, *licence; // texts from the file
 };
 
 /* Type of tensor t in a file of this precision: plain and exact ones are F32, and so are products

@@ -18,14 +18,14 @@
 
 /* ---- binding ---- */
 
-/* Remembers the first error; after it nothing happens. */
+/* Keeps the first error; after it binding does nothing. */
 struct binder {
     const struct model *m;
     err_t e;
 };
 
 static void __attribute__((format(printf, 3, 4)))
-plain(struct binder *b, const float **out, const char *fmt, ...)
+bind_plain(struct binder *b, const float **out, const char *fmt, ...)
 {
     char name[NET_NAME_CAP];
     va_list args;
@@ -37,7 +37,7 @@ plain(struct binder *b, const float **out, const char *fmt, ...)
 }
 
 static void __attribute__((format(printf, 3, 4)))
-weight(struct binder *b, struct weight *out, const char *fmt, ...)
+bind_weight(struct binder *b, struct weight *out, const char *fmt, ...)
 {
     char name[NET_NAME_CAP];
     va_list args;
@@ -48,50 +48,50 @@ weight(struct binder *b, struct weight *out, const char *fmt, ...)
         b->e = model_weight(b->m, name, out);
 }
 
-static void norm(struct binder *b, const float **gamma, const float **beta, const char *name)
+static void bind_norm(struct binder *b, const float **gamma, const float **beta, const char *name)
 {
-    plain(b, gamma, "%s.weight", name);
-    plain(b, beta, "%s.bias", name);
+    bind_plain(b, gamma, "%s.weight", name);
+    bind_plain(b, beta, "%s.bias", name);
 }
 
 /* Block i of a list of them; qk: with norms of q and k. */
-static void block(struct binder *b, struct block_weights *w, const char *list, int i, bool qk)
+static void bind_block(struct binder *b, struct block_weights *w, const char *list, int i, bool qk)
 {
     char name[NET_NAME_CAP], part[NET_NAME_CAP + 16];
     snprintf(name, sizeof name, "%s.%d", list, i);
     snprintf(part, sizeof part, "%s.norm1", name);
-    norm(b, &w->norm1_g, &w->norm1_b, part);
+    bind_norm(b, &w->norm1_g, &w->norm1_b, part);
     snprintf(part, sizeof part, "%s.norm2", name);
-    norm(b, &w->norm2_g, &w->norm2_b, part);
-    plain(b, &w->gamma1, "%s.ls1.gamma", name);
-    plain(b, &w->gamma2, "%s.ls2.gamma", name);
-    weight(b, &w->qkv, "%s.attn.qkv", name);
-    weight(b, &w->proj, "%s.attn.proj", name);
-    weight(b, &w->fc1, "%s.mlp.fc1", name);
-    weight(b, &w->fc2, "%s.mlp.fc2", name);
+    bind_norm(b, &w->norm2_g, &w->norm2_b, part);
+    bind_plain(b, &w->gamma1, "%s.ls1.gamma", name);
+    bind_plain(b, &w->gamma2, "%s.ls2.gamma", name);
+    bind_weight(b, &w->qkv, "%s.attn.qkv", name);
+    bind_weight(b, &w->proj, "%s.attn.proj", name);
+    bind_weight(b, &w->fc1, "%s.mlp.fc1", name);
+    bind_weight(b, &w->fc2, "%s.mlp.fc2", name);
     if (!qk)
         return;
     snprintf(part, sizeof part, "%s.attn.q_norm", name);
-    norm(b, &w->q_g, &w->q_b, part);
+    bind_norm(b, &w->q_g, &w->q_b, part);
     snprintf(part, sizeof part, "%s.attn.k_norm", name);
-    norm(b, &w->k_g, &w->k_b, part);
+    bind_norm(b, &w->k_g, &w->k_b, part);
 }
 
 static void bind_aggregator(struct binder *b, struct net *n)
 {
     const char *a = "encoder.aggregator", *dino = "encoder.aggregator.patch_embed";
-    plain(b, &n->camera_token, "%s.camera_token", a);
-    plain(b, &n->register_token, "%s.register_token", a);
-    plain(b, &n->cls_token, "%s.cls_token", dino);
-    plain(b, &n->dino_registers, "%s.register_tokens", dino);
-    plain(b, &n->pos_embed, "%s.pos_embed", dino);
-    weight(b, &n->patch_embed, "%s.patch_embed.proj", dino);
-    norm(b, &n->dino_norm_g, &n->dino_norm_b, "encoder.aggregator.patch_embed.norm");
+    bind_plain(b, &n->camera_token, "%s.camera_token", a);
+    bind_plain(b, &n->register_token, "%s.register_token", a);
+    bind_plain(b, &n->cls_token, "%s.cls_token", dino);
+    bind_plain(b, &n->dino_registers, "%s.register_tokens", dino);
+    bind_plain(b, &n->pos_embed, "%s.pos_embed", dino);
+    bind_weight(b, &n->patch_embed, "%s.patch_embed.proj", dino);
+    bind_norm(b, &n->dino_norm_g, &n->dino_norm_b, "encoder.aggregator.patch_embed.norm");
     for (int i = 0; i < n->d.dino_depth; i++)
-        block(b, n->dino + i, "encoder.aggregator.patch_embed.blocks", i, false);
+        bind_block(b, n->dino + i, "encoder.aggregator.patch_embed.blocks", i, false);
     for (int i = 0; i < n->d.depth; i++) {
-        block(b, n->frame + i, "encoder.aggregator.frame_blocks", i, true);
-        block(b, n->global + i, "encoder.aggregator.global_blocks", i, true);
+        bind_block(b, n->frame + i, "encoder.aggregator.frame_blocks", i, true);
+        bind_block(b, n->global + i, "encoder.aggregator.global_blocks", i, true);
     }
 }
 
@@ -99,73 +99,73 @@ static void bind_camera(struct binder *b, struct net *n)
 {
     struct camera_weights *c = &n->camera;
     const char *h = "encoder.camera_head";
-    plain(b, &c->empty_pose, "%s.empty_pose_tokens", h);
-    norm(b, &c->token_norm_g, &c->token_norm_b, "encoder.camera_head.token_norm");
-    norm(b, &c->trunk_norm_g, &c->trunk_norm_b, "encoder.camera_head.trunk_norm");
-    weight(b, &c->embed_pose, "%s.embed_pose", h);
-    weight(b, &c->modulation, "%s.poseLN_modulation.1", h);
-    weight(b, &c->fc1, "%s.pose_branch.fc1", h);
-    weight(b, &c->fc2, "%s.pose_branch.fc2", h);
+    bind_plain(b, &c->empty_pose, "%s.empty_pose_tokens", h);
+    bind_norm(b, &c->token_norm_g, &c->token_norm_b, "encoder.camera_head.token_norm");
+    bind_norm(b, &c->trunk_norm_g, &c->trunk_norm_b, "encoder.camera_head.trunk_norm");
+    bind_weight(b, &c->embed_pose, "%s.embed_pose", h);
+    bind_weight(b, &c->modulation, "%s.poseLN_modulation.1", h);
+    bind_weight(b, &c->fc1, "%s.pose_branch.fc1", h);
+    bind_weight(b, &c->fc2, "%s.pose_branch.fc2", h);
     for (int i = 0; i < n->d.cam_depth; i++)
-        block(b, c->trunk + i, "encoder.camera_head.trunk", i, false);
+        bind_block(b, c->trunk + i, "encoder.camera_head.trunk", i, false);
 }
 
 static void bind_unit(struct binder *b, struct rcu_weights *w, const char *h, int level, int unit)
 {
-    weight(b, &w->conv1, "%s.scratch.refinenet%d.resConfUnit%d.conv1", h, level, unit);
-    weight(b, &w->conv2, "%s.scratch.refinenet%d.resConfUnit%d.conv2", h, level, unit);
+    bind_weight(b, &w->conv1, "%s.scratch.refinenet%d.resConfUnit%d.conv1", h, level, unit);
+    bind_weight(b, &w->conv2, "%s.scratch.refinenet%d.resConfUnit%d.conv2", h, level, unit);
 }
 
 static void bind_dpt(struct binder *b, struct dpt_weights *w, const char *h)
 {
-    plain(b, &w->norm_g, "%s.norm.weight", h);
-    plain(b, &w->norm_b, "%s.norm.bias", h);
+    bind_plain(b, &w->norm_g, "%s.norm.weight", h);
+    bind_plain(b, &w->norm_b, "%s.norm.bias", h);
     for (int k = 0; k < NET_KEEP; k++) {
-        weight(b, &w->project[k], "%s.projects.%d", h, k);
+        bind_weight(b, &w->project[k], "%s.projects.%d", h, k);
         w->oc[k] = w->project[k].n;
-        weight(b, &w->rn[k], "%s.scratch.layer%d_rn", h, k + 1);
-        weight(b, &w->out_conv[k], "%s.scratch.refinenet%d.out_conv", h, k + 1);
+        bind_weight(b, &w->rn[k], "%s.scratch.layer%d_rn", h, k + 1);
+        bind_weight(b, &w->out_conv[k], "%s.scratch.refinenet%d.out_conv", h, k + 1);
         bind_unit(b, &w->unit2[k], h, k + 1, 2);
         if (k != 2) // the third size is that of the tokens
-            weight(b, &w->resize[k], "%s.resize_layers.%d", h, k);
+            bind_weight(b, &w->resize[k], "%s.resize_layers.%d", h, k);
         if (k != NET_KEEP - 1) // the coarsest level has nothing to join
             bind_unit(b, &w->unit1[k], h, k + 1, 1);
     }
-    weight(b, &w->output_conv1, "%s.scratch.output_conv1", h);
+    bind_weight(b, &w->output_conv1, "%s.scratch.output_conv1", h);
     w->feat = w->out_conv[0].n;
 }
 
 static void bind_appearance(struct binder *b, struct appearance_weights *w)
 {
     const char *h = "encoder.hdr_head", *r = "encoder.hdr_head.regression";
-    weight(b, &w->patch_embed, "%s.patch_embed", h);
-    weight(b, &w->v_mean, "%s.v_mean_proj", r);
-    weight(b, &w->v_var, "%s.v_var_proj", r);
-    norm(b, &w->ln_g, &w->ln_b, "encoder.hdr_head.regression.ln");
-    norm(b, &w->mean_g, &w->mean_b, "encoder.hdr_head.regression.mean_out.0");
-    norm(b, &w->var_g, &w->var_b, "encoder.hdr_head.regression.var_out.0");
-    weight(b, &w->film.a, "%s.exp_film.0", r);
-    weight(b, &w->film.b, "%s.exp_film.2", r);
-    weight(b, &w->mean_out.a, "%s.mean_out.1", r);
-    weight(b, &w->mean_out.b, "%s.mean_out.3", r);
-    weight(b, &w->var_out.a, "%s.var_out.1", r);
-    weight(b, &w->var_out.b, "%s.var_out.3", r);
-    weight(b, &w->sensitivity.a, "%s.sensitivity_conv.0", h);
-    weight(b, &w->sensitivity.b, "%s.sensitivity_conv.2", h);
-    weight(b, &w->guide, "%s.guide_encoder.0", h);
-    weight(b, &w->scene_conv, "%s.scene_conv.0", h);
-    weight(b, &w->proj_guide, "%s.hdr_upsample.proj_guide.0", h);
-    weight(b, &w->proj_out, "%s.hdr_upsample.proj_out.0", h);
+    bind_weight(b, &w->patch_embed, "%s.patch_embed", h);
+    bind_weight(b, &w->v_mean, "%s.v_mean_proj", r);
+    bind_weight(b, &w->v_var, "%s.v_var_proj", r);
+    bind_norm(b, &w->ln_g, &w->ln_b, "encoder.hdr_head.regression.ln");
+    bind_norm(b, &w->mean_g, &w->mean_b, "encoder.hdr_head.regression.mean_out.0");
+    bind_norm(b, &w->var_g, &w->var_b, "encoder.hdr_head.regression.var_out.0");
+    bind_weight(b, &w->film.a, "%s.exp_film.0", r);
+    bind_weight(b, &w->film.b, "%s.exp_film.2", r);
+    bind_weight(b, &w->mean_out.a, "%s.mean_out.1", r);
+    bind_weight(b, &w->mean_out.b, "%s.mean_out.3", r);
+    bind_weight(b, &w->var_out.a, "%s.var_out.1", r);
+    bind_weight(b, &w->var_out.b, "%s.var_out.3", r);
+    bind_weight(b, &w->sensitivity.a, "%s.sensitivity_conv.0", h);
+    bind_weight(b, &w->sensitivity.b, "%s.sensitivity_conv.2", h);
+    bind_weight(b, &w->guide, "%s.guide_encoder.0", h);
+    bind_weight(b, &w->scene_conv, "%s.scene_conv.0", h);
+    bind_weight(b, &w->proj_guide, "%s.hdr_upsample.proj_guide.0", h);
+    bind_weight(b, &w->proj_out, "%s.hdr_upsample.proj_out.0", h);
 }
 
 static void bind_meta(struct binder *b, struct meta_weights *w)
 {
     const char *h = "encoder.generate_tonemapper";
-    weight(b, &w->exp_proj, "%s.exp_proj", h);
-    weight(b, &w->enc0, "%s.enc.0", h);
-    weight(b, &w->enc2, "%s.enc.2", h);
-    weight(b, &w->out.a, "%s.out.0", h);
-    weight(b, &w->out.b, "%s.out.2", h);
+    bind_weight(b, &w->exp_proj, "%s.exp_proj", h);
+    bind_weight(b, &w->enc0, "%s.enc.0", h);
+    bind_weight(b, &w->enc2, "%s.enc.2", h);
+    bind_weight(b, &w->out.a, "%s.out.0", h);
+    bind_weight(b, &w->out.b, "%s.out.2", h);
 }
 
 static void bind_gauss(struct binder *b, struct net *n)
@@ -173,14 +173,14 @@ static void bind_gauss(struct binder *b, struct net *n)
     const char *h = "encoder.gaussian_param_head";
     bind_dpt(b, &n->gauss, h);
     if (n->d.appearance) {
-        weight(b, &n->gauss_out.a, "encoder.hdr_conv.0");
-        weight(b, &n->gauss_out.b, "encoder.hdr_conv.2");
+        bind_weight(b, &n->gauss_out.a, "encoder.hdr_conv.0");
+        bind_weight(b, &n->gauss_out.b, "encoder.hdr_conv.2");
         bind_appearance(b, &n->appearance);
         bind_meta(b, &n->meta);
     } else {
-        weight(b, &n->gauss_out.a, "%s.scratch.output_conv2.0", h);
-        weight(b, &n->gauss_out.b, "%s.scratch.output_conv2.2", h);
-        weight(b, &n->input_merger, "%s.input_merger.0", h);
+        bind_weight(b, &n->gauss_out.a, "%s.scratch.output_conv2.0", h);
+        bind_weight(b, &n->gauss_out.b, "%s.scratch.output_conv2.2", h);
+        bind_weight(b, &n->input_merger, "%s.input_merger.0", h);
     }
 }
 
@@ -194,8 +194,8 @@ err_t net_bind(const struct model *m, unsigned floats, struct net *out)
     bind_aggregator(&b, out);
     bind_camera(&b, out);
     bind_dpt(&b, &out->depth, depth);
-    weight(&b, &out->depth_out.a, "%s.scratch.output_conv2.0", depth);
-    weight(&b, &out->depth_out.b, "%s.scratch.output_conv2.2", depth);
+    bind_weight(&b, &out->depth_out.a, "%s.scratch.output_conv2.0", depth);
+    bind_weight(&b, &out->depth_out.b, "%s.scratch.output_conv2.2", depth);
     if (out->d.gauss)
         bind_gauss(&b, out);
     return b.e;

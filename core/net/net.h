@@ -13,14 +13,15 @@
  * err:  ERR_FORMAT (a tensor is missing). */
 MUST_USE err_t net_bind(const struct model *m, unsigned floats, struct net *out);
 
-/* Count what a forward pass takes. */
+/* Count the memory of a forward pass. */
 void net_plan(struct plan *p, const struct net *net, int n_views, int size);
 
 /* The forward pass. v->size is a multiple of 14; without the appearance branch exposures are
  * ignored.
  * out:  arrays in r->keep; features, points and confidence are NULL without a Gaussian head.
  * err:  ERR_ARG (fewer than 2 views, size, more than INT_MAX pixels), ERR_NOMEM (see net_plan),
- *       ERR_CANCELLED, ERR_FORMAT (what a stage gives is beyond finite.h's bound). On error *out is
+ *       ERR_CANCELLED, ERR_FORMAT (a stage's output exceeds the bound of finite.h). On error *out
+ * is
  *       zeroed. */
 MUST_USE err_t net_run(const struct run *r, const struct net *net, const struct views *v,
                        struct prediction *out);

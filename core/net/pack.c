@@ -11,7 +11,7 @@ int pack_panels(const struct tensor_spec *t)
     return (table_product(t).n + PANEL - 1) / PANEL;
 }
 
-static size_t inputs(const struct tensor_spec *t)
+static size_t count_inputs(const struct tensor_spec *t)
 {
     struct product_shape p = table_product(t);
     return (size_t)p.segs * (size_t)p.seg;
@@ -20,12 +20,12 @@ static size_t inputs(const struct tensor_spec *t)
 size_t pack_panel_bytes(const struct tensor_spec *t, enum precision type)
 {
     size_t each = type == PRECISION_F32 ? 4 : type == PRECISION_BF16 ? 2 : 1;
-    return inputs(t) * PANEL * each;
+    return count_inputs(t) * PANEL * each;
 }
 
 /* The weights of output o in the order of the product's inputs: table_source without its
  * divisions. */
-static void gather(const struct tensor_spec *t, int o, const float *in, float *row)
+static void gather_row(const struct tensor_spec *t, int o, const float *in, float *row)
 {
     size_t c = (size_t)t->shape[1], cell = (size_t)t->shape[2] * (size_t)t->shape[3];
     in += table_source(t, o, 0);
@@ -51,8 +51,8 @@ static uint16_t to_bf16(float v)
     return (uint16_t)(u >> 16);
 }
 
-/* Round half to even without a library call. Beyond 127 are values over a largest one so small that
- * its inverse is infinite, and rotated ones that are infinite themselves. */
+/* Round half to even without a library call. Values exceed 127 where the inverse of the largest is
+ * infinite, or where rotation made them infinite. */
 static int8_t to_s8(float v)
 {
     const float big = 12582912.0f; // 1.5 * 2^23
@@ -62,17 +62,17 @@ static int8_t to_s8(float v)
 }
 
 /* With the reference kernel: a file's bytes do not depend on the machine. */
-static void rotate(float *row, size_t k, int edge)
+static void rotate_row(float *row, size_t k, int edge)
 {
     struct gemm_kernels c;
     nn_c(&c);
     c.hadamard(row, (int)k, edge);
 }
 
-/* step: from a weight to the next one of the same input channel, k if there is none. What rounding
- * took from the one is given to the other: neighbouring pixels are alike, and where the weights of
- * a kernel nearly cancel, independent errors would outweigh their sum. */
-static float quantise(float *row, size_t k, size_t step, int8_t *out)
+/* step: from a weight to the next one of the same input channel, k if there is none. The rounding
+ * error of each weight is added to the next (error diffusion): neighbouring pixels are alike, and
+ * where the weights of a kernel nearly cancel, independent errors would outweigh their sum. */
+static float quantise_row(float *row, size_t k, size_t step, int8_t *out)
 {
     float top = 0;
     for (size_t i = 0; i < k; i++)
@@ -93,14 +93,14 @@ void pack_panel(const struct tensor_spec *t, enum precision type, int p, const f
                 const struct pack *to)
 {
     int n = table_product(t).n, edge = model_rotation(t, type);
-    size_t k = inputs(t), step = t->role == ROLE_CONV ? (size_t)t->shape[1] : k;
+    size_t k = count_inputs(t), step = t->role == ROLE_CONV ? (size_t)t->shape[1] : k;
     memset(to->out, 0, pack_panel_bytes(t, type));
     for (int j = 0; j < PANEL && p * PANEL + j < n; j++) {
-        gather(t, p * PANEL + j, in, to->row);
+        gather_row(t, p * PANEL + j, in, to->row);
         if (type == PRECISION_S8) {
             if (edge)
-                rotate(to->row, k, edge);
-            to->scale[j] = quantise(to->row, k, step, (int8_t *)to->out + 4 * j);
+                rotate_row(to->row, k, edge);
+            to->scale[j] = quantise_row(to->row, k, step, (int8_t *)to->out + 4 * j);
         } else if (type == PRECISION_BF16) {
             for (size_t i = 0; i < k; i++)
                 ((uint16_t *)to->out)[i * PANEL + (size_t)j] = to_bf16(to->row[i]);

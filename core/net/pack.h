@@ -1,6 +1,6 @@
 /* pack.h - products of a checkpoint brought into the order of a weights file (core/net/model.h).
  * I8: each output has the scale max|w| / 127 and integers by the rule of core/kernels/gemm.h; those
- * of a convolution's kernel hand what rounding took on to the next of the same input channel, so
+ * of a convolution's kernel pass their rounding error on to the next of the same input channel, so
  * that their sum is right. BF16: round to nearest even, saturating. Pure computation; thread: any.
  */
 #ifndef NET_PACK_H

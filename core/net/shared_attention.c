@@ -140,7 +140,7 @@ static int blocks_of_view(const struct shared_attention *a)
 }
 
 /* The largest of n weights, in order, and their share of the sum; the first of equal ones. */
-static void pick(const float *weight, int n, int16_t *token, float *share)
+static void pick_best(const float *weight, int n, int16_t *token, float *share)
 {
     double all = 0;
     int found = 0;
@@ -179,19 +179,19 @@ static err_t search_block(void *ctx, int chunk, int worker)
             const size_t at = (query * (size_t)n_views + (size_t)v) * CORRESPONDENCE_BEST;
             const float *weight = room->sum + (size_t)i * shared_attention_pitch(a) +
                                   (size_t)v * (size_t)(a->m + NET_SPECIAL) + NET_SPECIAL;
-            pick(weight, a->m, s->out->token + at, s->out->share + at);
+            pick_best(weight, a->m, s->out->token + at, s->out->share + at);
         }
     return e;
 }
 
-static size_t pairs(int n_views, int m)
+static size_t count_entries(int n_views, int m)
 {
     return (size_t)n_views * (size_t)n_views * (size_t)m * CORRESPONDENCE_BEST;
 }
 
 static err_t layout_result(struct correspondence *out, struct arena *keep, int m)
 {
-    const size_t n = pairs(out->n_views, m);
+    const size_t n = count_entries(out->n_views, m);
     err_t e = arena_alloc(keep, n, sizeof *out->token, &out->token);
     return e ? e : arena_alloc(keep, n, sizeof *out->share, &out->share);
 }

@@ -1,4 +1,4 @@
-/* shared_attention.h - the attention that geometry lends to appearance (core/net/README.md 2.7):
+/* shared_attention.h - the attention that appearance shares with geometry (core/net/README.md 2.7):
  * softmax over all keys of all views, mean over the heads, from q and k of one block before rotary
  * embedding. Streamed by blocks of query rows, so that no matrix of tokens by tokens exists.
  * Pure computation on the pool inside struct run. */

@@ -1,5 +1,5 @@
-/* The modules are walked in the order of the released checkpoint; what a tensor is follows from its
- * name and shape (make_spec). */
+/* Walks the modules in the order of the released checkpoint. Role and precision of a tensor follow
+ * from its name and shape (emit_tensor). */
 #include "core/net/table.h"
 
 #include <math.h>
@@ -171,19 +171,19 @@ static struct shape shape3(int a, int b, int c)
     return (struct shape){3, {a, b, c, 1}};
 }
 
-static struct shape square(int n, int c, int edge)
+static struct shape shape4(int n, int c, int edge)
 {
     return (struct shape){4, {n, c, edge, edge}};
 }
 
-static bool ends(const char *s, const char *with)
+static bool ends_with(const char *s, const char *with)
 {
     size_t n = strlen(s), m = strlen(with);
     return n >= m && strcmp(s + n - m, with) == 0;
 }
 
 /* Whether the name begins with one of the prefixes, a list closed by NULL. */
-static bool begins(const char *name, const char *const *prefix)
+static bool begins_with(const char *name, const char *const *prefix)
 {
     for (; *prefix; prefix++)
         if (strncmp(name, *prefix, strlen(*prefix)) == 0)
@@ -193,18 +193,19 @@ static bool begins(const char *name, const char *const *prefix)
 
 static enum tensor_role role_of(const char *name, int rank)
 {
-    if (rank < 2 || !ends(name, ".weight"))
+    if (rank < 2 || !ends_with(name, ".weight"))
         return ROLE_PLAIN;
     if (rank == 2)
         return ROLE_LINEAR;
-    bool transposed = ends(name, "resize_layers.0.weight") || ends(name, "resize_layers.1.weight");
+    bool transposed =
+        ends_with(name, "resize_layers.0.weight") || ends_with(name, "resize_layers.1.weight");
     return transposed ? ROLE_CONV_T : ROLE_CONV;
 }
 
-/* First layers, which see pixels or times, and last ones, whose outputs are exponents, poses or
- * curves (hazards 1, 8, 9, 11, 12, 14, 15, 23, 29, 33 of core/net/README.md 5). From fused tokens
- * to radiance differences of large maps count: with 8 bits the trained small model is 0.6 stops
- * off. */
+/* First layers, whose inputs are pixels or times, and last ones, whose outputs are exponents, poses
+ * or curves (hazards 1, 8, 9, 11, 12, 14, 15, 23, 29, 33 of core/net/README.md 5). From fused
+ * tokens to radiance differences of large maps count: with 8 bits the trained small model is 0.6
+ * stops off. */
 static const char *const exact_products[] = {
     "encoder.aggregator.patch_embed.patch_embed.proj.",
     "encoder.camera_head.embed_pose.",
@@ -230,21 +231,21 @@ static const char *const never_used[] = {
     NULL,
 };
 
-/* What InstantHDR replaces by modules of its own. */
+/* Modules that InstantHDR replaces by its own. */
 static const char *const replaced[] = {
     "encoder.gaussian_param_head.scratch.output_conv2.",
     "encoder.gaussian_param_head.input_merger.",
     NULL,
 };
 
-static void emit(struct walk *w, const struct tensor_spec *t)
+static void emit_spec(struct walk *w, const struct tensor_spec *t)
 {
     if (!w->e)
         w->e = w->fn(w->ctx, t);
 }
 
 static void __attribute__((format(printf, 3, 4)))
-put(struct walk *w, struct shape s, const char *fmt, ...)
+emit_tensor(struct walk *w, struct shape s, const char *fmt, ...)
 {
     struct tensor_spec t = {.rank = s.rank};
     va_list args;
@@ -253,170 +254,171 @@ put(struct walk *w, struct shape s, const char *fmt, ...)
     va_end(args);
     memcpy(t.shape, s.n, sizeof t.shape);
     t.role = role_of(t.name, t.rank);
-    t.exact = t.role != ROLE_PLAIN && begins(t.name, exact_products);
-    t.repeat = ends(t.name, "resize_layers.0.bias")   ? 16
-               : ends(t.name, "resize_layers.1.bias") ? 4
-                                                      : 1;
-    t.used = !begins(t.name, never_used) && !(w->d->appearance && begins(t.name, replaced));
-    emit(w, &t);
+    t.exact = t.role != ROLE_PLAIN && begins_with(t.name, exact_products);
+    t.repeat = ends_with(t.name, "resize_layers.0.bias")   ? 16
+               : ends_with(t.name, "resize_layers.1.bias") ? 4
+                                                           : 1;
+    t.used =
+        !begins_with(t.name, never_used) && !(w->d->appearance && begins_with(t.name, replaced));
+    emit_spec(w, &t);
 }
 
 /* NAME.weight and NAME.bias; bias: its length. */
 static void __attribute__((format(printf, 4, 5)))
-pair(struct walk *w, struct shape s, int bias, const char *fmt, ...)
+emit_pair(struct walk *w, struct shape s, int bias, const char *fmt, ...)
 {
     char name[NET_NAME_CAP];
     va_list args;
     va_start(args, fmt);
     vsnprintf(name, sizeof name, fmt, args);
     va_end(args);
-    put(w, s, "%.80s.weight", name);
-    put(w, shape1(bias), "%.80s.bias", name);
+    emit_tensor(w, s, "%.80s.weight", name);
+    emit_tensor(w, shape1(bias), "%.80s.bias", name);
 }
 
 /* One transformer block of width c; qk: width of the norms of q and k, 0 = none. */
-static void block(struct walk *w, const char *stem, int i, int c, int qk)
+static void emit_block(struct walk *w, const char *stem, int i, int c, int qk)
 {
     char name[NET_NAME_CAP];
     snprintf(name, sizeof name, "%.60s.%d", stem, i);
-    pair(w, shape1(c), c, "%.70s.norm1", name);
-    pair(w, shape2(3 * c, c), 3 * c, "%.70s.attn.qkv", name);
+    emit_pair(w, shape1(c), c, "%.70s.norm1", name);
+    emit_pair(w, shape2(3 * c, c), 3 * c, "%.70s.attn.qkv", name);
     if (qk > 0) {
-        pair(w, shape1(qk), qk, "%.70s.attn.q_norm", name);
-        pair(w, shape1(qk), qk, "%.70s.attn.k_norm", name);
+        emit_pair(w, shape1(qk), qk, "%.70s.attn.q_norm", name);
+        emit_pair(w, shape1(qk), qk, "%.70s.attn.k_norm", name);
     }
-    pair(w, shape2(c, c), c, "%.70s.attn.proj", name);
-    put(w, shape1(c), "%.70s.ls1.gamma", name);
-    pair(w, shape1(c), c, "%.70s.norm2", name);
-    pair(w, shape2(MLP * c, c), MLP * c, "%.70s.mlp.fc1", name);
-    pair(w, shape2(c, MLP * c), c, "%.70s.mlp.fc2", name);
-    put(w, shape1(c), "%.70s.ls2.gamma", name);
+    emit_pair(w, shape2(c, c), c, "%.70s.attn.proj", name);
+    emit_tensor(w, shape1(c), "%.70s.ls1.gamma", name);
+    emit_pair(w, shape1(c), c, "%.70s.norm2", name);
+    emit_pair(w, shape2(MLP * c, c), MLP * c, "%.70s.mlp.fc1", name);
+    emit_pair(w, shape2(c, MLP * c), c, "%.70s.mlp.fc2", name);
+    emit_tensor(w, shape1(c), "%.70s.ls2.gamma", name);
 }
 
-static void aggregator(struct walk *w)
+static void walk_aggregator(struct walk *w)
 {
     const char *a = "encoder.aggregator", *dino = "encoder.aggregator.patch_embed";
     int c = w->d->embed, qk = c / w->d->heads;
-    put(w, (struct shape){4, {1, 2, 1, c}}, "%s.camera_token", a);
-    put(w, (struct shape){4, {1, 2, NET_SPECIAL - 1, c}}, "%s.register_token", a);
-    put(w, shape3(1, 1, c), "%s.cls_token", dino);
-    put(w, shape3(1, 1 + NET_POS_GRID * NET_POS_GRID, c), "%s.pos_embed", dino);
-    put(w, shape3(1, NET_SPECIAL - 1, c), "%s.register_tokens", dino);
-    put(w, shape2(1, c), "%s.mask_token", dino);
-    pair(w, square(c, 3, NET_PATCH), c, "%s.patch_embed.proj", dino);
+    emit_tensor(w, (struct shape){4, {1, 2, 1, c}}, "%s.camera_token", a);
+    emit_tensor(w, (struct shape){4, {1, 2, NET_SPECIAL - 1, c}}, "%s.register_token", a);
+    emit_tensor(w, shape3(1, 1, c), "%s.cls_token", dino);
+    emit_tensor(w, shape3(1, 1 + NET_POS_GRID * NET_POS_GRID, c), "%s.pos_embed", dino);
+    emit_tensor(w, shape3(1, NET_SPECIAL - 1, c), "%s.register_tokens", dino);
+    emit_tensor(w, shape2(1, c), "%s.mask_token", dino);
+    emit_pair(w, shape4(c, 3, NET_PATCH), c, "%s.patch_embed.proj", dino);
     for (int i = 0; i < w->d->dino_depth; i++)
-        block(w, "encoder.aggregator.patch_embed.blocks", i, c, 0);
-    pair(w, shape1(c), c, "%s.norm", dino);
+        emit_block(w, "encoder.aggregator.patch_embed.blocks", i, c, 0);
+    emit_pair(w, shape1(c), c, "%s.norm", dino);
     for (int i = 0; i < w->d->depth; i++)
-        block(w, "encoder.aggregator.frame_blocks", i, c, qk);
+        emit_block(w, "encoder.aggregator.frame_blocks", i, c, qk);
     for (int i = 0; i < w->d->depth; i++)
-        block(w, "encoder.aggregator.global_blocks", i, c, qk);
+        emit_block(w, "encoder.aggregator.global_blocks", i, c, qk);
 }
 
-static void camera_head(struct walk *w)
+static void walk_camera_head(struct walk *w)
 {
     const char *h = "encoder.camera_head";
     int c = 2 * w->d->embed;
-    put(w, shape3(1, 1, NET_POSE), "%s.empty_pose_tokens", h);
+    emit_tensor(w, shape3(1, 1, NET_POSE), "%s.empty_pose_tokens", h);
     for (int i = 0; i < w->d->cam_depth; i++)
-        block(w, "encoder.camera_head.trunk", i, c, 0);
-    pair(w, shape1(c), c, "%s.token_norm", h);
-    pair(w, shape1(c), c, "%s.trunk_norm", h);
-    pair(w, shape2(c, NET_POSE), c, "%s.embed_pose", h);
-    pair(w, shape2(3 * c, c), 3 * c, "%s.poseLN_modulation.1", h);
-    pair(w, shape2(c / 2, c), c / 2, "%s.pose_branch.fc1", h);
-    pair(w, shape2(NET_POSE, c / 2), NET_POSE, "%s.pose_branch.fc2", h);
+        emit_block(w, "encoder.camera_head.trunk", i, c, 0);
+    emit_pair(w, shape1(c), c, "%s.token_norm", h);
+    emit_pair(w, shape1(c), c, "%s.trunk_norm", h);
+    emit_pair(w, shape2(c, NET_POSE), c, "%s.embed_pose", h);
+    emit_pair(w, shape2(3 * c, c), 3 * c, "%s.poseLN_modulation.1", h);
+    emit_pair(w, shape2(c / 2, c), c / 2, "%s.pose_branch.fc1", h);
+    emit_pair(w, shape2(NET_POSE, c / 2), NET_POSE, "%s.pose_branch.fc2", h);
 }
 
 /* Everything of a DPT head up to scratch.output_conv1. */
-static void dpt_trunk(struct walk *w, const char *h, int feat, const int oc[NET_KEEP])
+static void walk_dpt_trunk(struct walk *w, const char *h, int feat, const int oc[NET_KEEP])
 {
     int c = 2 * w->d->embed;
-    pair(w, shape1(c), c, "%s.norm", h);
+    emit_pair(w, shape1(c), c, "%s.norm", h);
     for (int k = 0; k < NET_KEEP; k++)
-        pair(w, square(oc[k], c, 1), oc[k], "%s.projects.%d", h, k);
-    pair(w, square(oc[0], oc[0], 4), oc[0], "%s.resize_layers.0", h);
-    pair(w, square(oc[1], oc[1], 2), oc[1], "%s.resize_layers.1", h);
-    pair(w, square(oc[3], oc[3], 3), oc[3], "%s.resize_layers.3", h);
+        emit_pair(w, shape4(oc[k], c, 1), oc[k], "%s.projects.%d", h, k);
+    emit_pair(w, shape4(oc[0], oc[0], 4), oc[0], "%s.resize_layers.0", h);
+    emit_pair(w, shape4(oc[1], oc[1], 2), oc[1], "%s.resize_layers.1", h);
+    emit_pair(w, shape4(oc[3], oc[3], 3), oc[3], "%s.resize_layers.3", h);
     for (int k = 0; k < NET_KEEP; k++)
-        put(w, square(feat, oc[k], 3), "%s.scratch.layer%d_rn.weight", h, k + 1);
+        emit_tensor(w, shape4(feat, oc[k], 3), "%s.scratch.layer%d_rn.weight", h, k + 1);
     for (int k = 1; k <= NET_KEEP; k++) {
-        pair(w, square(feat, feat, 1), feat, "%s.scratch.refinenet%d.out_conv", h, k);
+        emit_pair(w, shape4(feat, feat, 1), feat, "%s.scratch.refinenet%d.out_conv", h, k);
         for (int unit = k == NET_KEEP ? 2 : 1; unit <= 2; unit++)
             for (int conv = 1; conv <= 2; conv++)
-                pair(w, square(feat, feat, 3), feat, "%s.scratch.refinenet%d.resConfUnit%d.conv%d",
-                     h, k, unit, conv);
+                emit_pair(w, shape4(feat, feat, 3), feat,
+                          "%s.scratch.refinenet%d.resConfUnit%d.conv%d", h, k, unit, conv);
     }
-    pair(w, square(feat / 2, feat, 3), feat / 2, "%s.scratch.output_conv1", h);
+    emit_pair(w, shape4(feat / 2, feat, 3), feat / 2, "%s.scratch.output_conv1", h);
 }
 
-static void depth_head(struct walk *w)
+static void walk_depth_head(struct walk *w)
 {
     const char *h = "encoder.depth_head";
-    dpt_trunk(w, h, w->d->depth_feat, w->d->depth_oc);
-    pair(w, square(TAIL, w->d->depth_feat / 2, 3), TAIL, "%s.scratch.output_conv2.0", h);
-    pair(w, square(2, TAIL, 1), 2, "%s.scratch.output_conv2.2", h);
+    walk_dpt_trunk(w, h, w->d->depth_feat, w->d->depth_oc);
+    emit_pair(w, shape4(TAIL, w->d->depth_feat / 2, 3), TAIL, "%s.scratch.output_conv2.0", h);
+    emit_pair(w, shape4(2, TAIL, 1), 2, "%s.scratch.output_conv2.2", h);
 }
 
-static void gauss_head(struct walk *w)
+static void walk_gauss_head(struct walk *w)
 {
     const char *h = "encoder.gaussian_param_head";
     int c = w->d->hdr;
-    dpt_trunk(w, h, w->d->gs_feat, w->d->gs_oc);
-    pair(w, square(c, c, 3), c, "%s.scratch.output_conv2.0", h);
-    pair(w, square(NET_RAW, c, 1), NET_RAW, "%s.scratch.output_conv2.2", h);
-    pair(w, square(c, 3, 7), c, "%s.input_merger.0", h);
+    walk_dpt_trunk(w, h, w->d->gs_feat, w->d->gs_oc);
+    emit_pair(w, shape4(c, c, 3), c, "%s.scratch.output_conv2.0", h);
+    emit_pair(w, shape4(NET_RAW, c, 1), NET_RAW, "%s.scratch.output_conv2.2", h);
+    emit_pair(w, shape4(c, 3, 7), c, "%s.input_merger.0", h);
 }
 
-static void hdr_head(struct walk *w)
+static void walk_hdr_head(struct walk *w)
 {
     const char *h = "encoder.hdr_head", *r = "encoder.hdr_head.regression";
     int c = w->d->hdr;
-    pair(w, square(c, 3, NET_PATCH), c, "%s.patch_embed", h);
-    put(w, shape1(c / 2), "%s.pos_embed.div_term", h);
-    pair(w, shape1(c), c, "%s.ln", r);
-    pair(w, shape2(c, c), c, "%s.v_mean_proj", r);
-    pair(w, shape2(c, c), c, "%s.v_var_proj", r);
+    emit_pair(w, shape4(c, 3, NET_PATCH), c, "%s.patch_embed", h);
+    emit_tensor(w, shape1(c / 2), "%s.pos_embed.div_term", h);
+    emit_pair(w, shape1(c), c, "%s.ln", r);
+    emit_pair(w, shape2(c, c), c, "%s.v_mean_proj", r);
+    emit_pair(w, shape2(c, c), c, "%s.v_var_proj", r);
     for (int i = 0; i < 2; i++) {
         const char *out = i == 0 ? "mean_out" : "var_out";
-        pair(w, shape1(c), c, "%s.%s.0", r, out);
-        pair(w, shape2(c, c), c, "%s.%s.1", r, out);
-        pair(w, shape2(c, c), c, "%s.%s.3", r, out);
+        emit_pair(w, shape1(c), c, "%s.%s.0", r, out);
+        emit_pair(w, shape2(c, c), c, "%s.%s.1", r, out);
+        emit_pair(w, shape2(c, c), c, "%s.%s.3", r, out);
     }
-    pair(w, shape2(c, 3 * c), c, "%s.exp_film.0", r);
-    pair(w, shape2(2 * c, c), 2 * c, "%s.exp_film.2", r);
-    pair(w, square(c, 3, 7), c, "%s.guide_encoder.0", h);
-    pair(w, square(c, c, 3), c, "%s.scene_conv.0", h);
-    pair(w, square(TAIL, c, 3), TAIL, "%s.sensitivity_conv.0", h);
-    pair(w, square(NET_SENSITIVITY, TAIL, 1), NET_SENSITIVITY, "%s.sensitivity_conv.2", h);
-    pair(w, square(c, c, 7), c, "%s.hdr_upsample.proj_guide.0", h);
-    pair(w, square(c, c, 7), c, "%s.hdr_upsample.proj_out.0", h);
+    emit_pair(w, shape2(c, 3 * c), c, "%s.exp_film.0", r);
+    emit_pair(w, shape2(2 * c, c), 2 * c, "%s.exp_film.2", r);
+    emit_pair(w, shape4(c, 3, 7), c, "%s.guide_encoder.0", h);
+    emit_pair(w, shape4(c, c, 3), c, "%s.scene_conv.0", h);
+    emit_pair(w, shape4(TAIL, c, 3), TAIL, "%s.sensitivity_conv.0", h);
+    emit_pair(w, shape4(NET_SENSITIVITY, TAIL, 1), NET_SENSITIVITY, "%s.sensitivity_conv.2", h);
+    emit_pair(w, shape4(c, c, 7), c, "%s.hdr_upsample.proj_guide.0", h);
+    emit_pair(w, shape4(c, c, 7), c, "%s.hdr_upsample.proj_out.0", h);
 }
 
-static void tone_mapper(struct walk *w)
+static void walk_tone_mapper(struct walk *w)
 {
     const char *h = "encoder.generate_tonemapper";
     int c = w->d->hdr;
-    pair(w, square(c, c, 3), c, "encoder.hdr_conv.0");
-    pair(w, square(NET_RAW, c, 1), NET_RAW, "encoder.hdr_conv.2");
-    pair(w, shape2(c, c), c, "%s.exp_proj", h);
-    pair(w, square(c, 2 * c + NET_RAW + NET_SENSITIVITY, NET_PATCH), c, "%s.enc.0", h);
-    pair(w, square(c, c, 3), c, "%s.enc.2", h);
-    pair(w, shape2(c, 4 * c), c, "%s.out.0", h);
-    pair(w, shape2(NET_THETA, c), NET_THETA, "%s.out.2", h);
+    emit_pair(w, shape4(c, c, 3), c, "encoder.hdr_conv.0");
+    emit_pair(w, shape4(NET_RAW, c, 1), NET_RAW, "encoder.hdr_conv.2");
+    emit_pair(w, shape2(c, c), c, "%s.exp_proj", h);
+    emit_pair(w, shape4(c, 2 * c + NET_RAW + NET_SENSITIVITY, NET_PATCH), c, "%s.enc.0", h);
+    emit_pair(w, shape4(c, c, 3), c, "%s.enc.2", h);
+    emit_pair(w, shape2(c, 4 * c), c, "%s.out.0", h);
+    emit_pair(w, shape2(NET_THETA, c), NET_THETA, "%s.out.2", h);
 }
 
 err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx)
 {
     struct walk w = {d, fn, ctx, OK};
-    aggregator(&w);
-    camera_head(&w);
-    depth_head(&w);
+    walk_aggregator(&w);
+    walk_camera_head(&w);
+    walk_depth_head(&w);
     if (d->gauss)
-        gauss_head(&w);
+        walk_gauss_head(&w);
     if (d->appearance) {
-        hdr_head(&w);
-        tone_mapper(&w);
+        walk_hdr_head(&w);
+        walk_tone_mapper(&w);
     }
     return w.e;
 }

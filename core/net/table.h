@@ -1,5 +1,5 @@
-/* table.h - every tensor of the network by name and shape, made from the dimensions that a weights
- * file carries; nothing about sizes is compiled in (core/net/README.md 3). Names are those of the
+/* table.h - every tensor of the network by name and shape, from the dimensions in a weights file;
+ * no sizes are compiled in (core/net/README.md 3). Names are those of the
  * released checkpoint after removal of the Lightning prefix "model.".
  * Pure computation; thread: any. */
 #ifndef NET_TABLE_H
@@ -64,7 +64,7 @@ struct tensor_spec {
     bool used;  // false: in the released checkpoint, never read; may be absent
     int rank;
     int shape[4]; // as in the checkpoint
-    int repeat;   // PLAIN: the weights file holds it so many times, one after the other; > 1 for
+    int repeat;   // PLAIN: number of copies in the weights file, one after the other; > 1 for
                   // the bias of a transposed convolution, whose product has s * s * o outputs
 };
 

@@ -1,5 +1,5 @@
-/* tap.h - hands intermediate tensors to run.tap, under the names of the golden sets. Without a tap
- * nothing happens. thread: any. */
+/* tap.h - passes intermediate tensors to run.tap, under the names of the golden sets. Without a tap
+ * it does nothing. thread: any. */
 #ifndef NET_TAP_H
 #define NET_TAP_H
 
