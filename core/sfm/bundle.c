@@ -101,7 +101,7 @@ static double start_focal(const struct bundle *b)
     return (double)num_median(f, (size_t)b->n_views);
 }
 
-/* What adjust reads. */
+/* Observations in the form of struct adjust. */
 struct input {
     struct adjust_seen *seen;
     int *first;

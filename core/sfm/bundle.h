@@ -52,7 +52,7 @@ MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,
                           const struct match_tracks *tracks, const struct bundle_config *cfg,
                           struct bundle_result *out);
 
-/* Count what bundle_run takes; of t only its numbers are looked at. */
+/* Count the memory of bundle_run; of t only n and n_tracks are read. */
 void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t);
 
 #endif

@@ -11,7 +11,7 @@ enum { EDGE = FFT_EDGE, AREA = EDGE * EDGE, N_MAX = 48, GAP = 5 };
 static const double turn = 2 * 3.14159265358979323846 / EDGE;
 static int failures;
 
-static void expect(bool good, const char *level, const char *what)
+static void expect_good(bool good, const char *level, const char *what)
 {
     failures += !good;
     if (!good)
@@ -30,7 +30,7 @@ static struct fft_tile make_tile(int n, int edge)
     return t;
 }
 
-static void fill(const struct fft_tile *t)
+static void fill_tile(const struct fft_tile *t)
 {
     uint32_t rng = 1;
     for (int i = 0; i < AREA * t->n; i++) {
@@ -41,7 +41,7 @@ static void fill(const struct fft_tile *t)
 }
 
 /* Frequency (ky, kx) of channel c. */
-static void slow(const struct fft_tile *t, int ky, int kx, int c, double out[2])
+static void slow_frequency(const struct fft_tile *t, int ky, int kx, int c, double out[2])
 {
     out[0] = out[1] = 0;
     for (int i = 0; i < AREA; i++) {
@@ -65,25 +65,25 @@ static void check_forward(const struct kernels *k, const char *level)
     static const int corners[FFT_REALS][2] = {{0, 0}, {8, 0}, {0, 8}, {8, 8}};
     struct fft_tile t = make_tile(16, EDGE);
     double want[2], worst = 0;
-    fill(&t);
+    fill_tile(&t);
     k->net.fft_forward(&t);
     for (int i = 0; i < EDGE * 9; i++) {
         int ky = i % EDGE, kx = i / EDGE, c = i % t.n;
         if (kx % 8 == 0 && (ky % 8 == 0 || ky > 8))
             continue;
         const float *p = t.planes + (size_t)(3 * bin_of(ky, kx)) * t.plane + c;
-        slow(&t, ky, kx, c, want);
+        slow_frequency(&t, ky, kx, c, want);
         worst = fmax(worst, fabs((double)p[0] - want[0]));
         worst = fmax(worst, fabs((double)p[t.plane] - want[1]));
         worst = fmax(worst, fabs((double)p[2 * t.plane] - want[0] - want[1]));
     }
     for (int r = 0; r < FFT_REALS; r++) {
-        slow(&t, corners[r][0], corners[r][1], r, want);
+        slow_frequency(&t, corners[r][0], corners[r][1], r, want);
         worst =
             fmax(worst, fabs((double)t.planes[(size_t)(3 * FFT_BINS + r) * t.plane + (size_t)r] -
                              want[0]));
     }
-    expect(worst < 2e-5, level, "forward"); // the largest sums are near 30
+    expect_good(worst < 2e-5, level, "forward"); // the largest sums are near 30
 }
 
 /* Forward, planes as a product with 1 gives them, inverse: 256 times the tile. */
@@ -91,7 +91,7 @@ static void check_inverse(const struct kernels *k, const char *level, int n, int
 {
     struct fft_tile t = make_tile(n, EDGE), back = make_tile(n, edge);
     double worst = 0;
-    fill(&t);
+    fill_tile(&t);
     k->net.fft_forward(&t);
     for (size_t p = 0; p < 3 * FFT_BINS; p += 3)
         for (size_t c = 0; c < (size_t)n; c++) {
@@ -110,9 +110,9 @@ static void check_inverse(const struct kernels *k, const char *level, int n, int
     }
     for (int i = 0; i < edge * edge - 1; i++) { // between the pixels nothing is written
         const float *px = back.px + (size_t)(i / edge) * back.row + (size_t)(i % edge) * back.step;
-        expect(guard_is_canary(px + n) && guard_is_canary(px + n + GAP - 1), level, "beside");
+        expect_good(guard_is_canary(px + n) && guard_is_canary(px + n + GAP - 1), level, "beside");
     }
-    expect(worst < 1e-3, level, "inverse");
+    expect_good(worst < 1e-3, level, "inverse");
 }
 
 struct call {
@@ -120,7 +120,7 @@ struct call {
     const char *level;
 };
 
-static void check(const void *ctx)
+static void check_tile(const void *ctx)
 {
     const struct call *c = ctx;
     static const int edges[] = {8, 9, 10, 12, 16};
@@ -130,7 +130,7 @@ static void check(const void *ctx)
         for (size_t i = 0; i < sizeof edges / sizeof *edges; i++) {
             guard_reset(at_end);
             check_inverse(c->k, c->level, i % 2 ? N_MAX : 16, edges[i]);
-            expect(guard_intact(), c->level, "wrote beside its arrays");
+            expect_good(guard_intact(), c->level, "wrote beside its arrays");
         }
     }
 }
@@ -148,8 +148,8 @@ int main(void)
             continue;
         kernels_init(&k, levels[i]);
         struct call c = {&k, cpu_names(levels[i], names)};
-        int number = guard_call(check, &c);
-        expect(number == 0, c.level, "left its arrays, or an instruction is missing");
+        int number = guard_call(check_tile, &c);
+        expect_good(number == 0, c.level, "left its arrays, or an instruction is missing");
     }
     printf("%d failures\n", failures);
     return failures > 0;

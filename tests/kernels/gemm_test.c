@@ -165,8 +165,8 @@ static void s8_make(const struct shape *s, const struct gaps *g, enum pattern pa
                           .ldc = shape_ldc(s, g)};
 }
 
-/* NULL, or what went wrong. */
-static const char *run(void (*call)(const void *ctx), const void *ctx)
+/* returns: the fault, or NULL. */
+static const char *run_guarded(void (*call)(const void *ctx), const void *ctx)
 {
     int number = guard_call(call, ctx);
     if (number)
@@ -189,12 +189,12 @@ static const char *s8_compare(gemm_s8_fn *reference, gemm_s8_fn *fn)
     size_t n = PANEL * (size_t)s8.panels, all = s8.m ? (size_t)(s8.m - 1) * s8.ldc + n : 0;
     int32_t *want = malloc((all + 1) * sizeof *want);
     s8_fn = reference;
-    const char *fault = run(s8_call, &s8);
+    const char *fault = run_guarded(s8_call, &s8);
     memcpy(want, s8.c, all * sizeof *want);
     guard_fill((uint8_t *)s8.c, all * sizeof *want);
     s8_fn = fn;
     if (!fault)
-        fault = run(s8_call, &s8);
+        fault = run_guarded(s8_call, &s8);
     if (!fault && memcmp(want, s8.c, all * sizeof *want) != 0)
         fault = "differs from C";
     if (!fault && !gaps_intact(s8.c, s8.m, n, s8.ldc))
@@ -214,7 +214,7 @@ static int s8_bound(const struct gemm_kernels *k, const char *name)
         memset((int8_t *)s8.a, i % 2 ? 127 : -127, shape_a(&s, &gaps[0]));
         memset((int8_t *)s8.w, i / 2 ? 127 : -128, shape_w(&s, &gaps[0]));
         s8_fn = k->s8;
-        const char *fault = run(s8_call, &s8);
+        const char *fault = run_guarded(s8_call, &s8);
         int32_t want = 131072 * (i % 2 ? 127 : -127) * (i / 2 ? 127 : -128);
         for (int j = 0; j < s.m * PANEL && !fault; j++)
             fault = s8.c[j] == want ? NULL : "wrong at the bound of int32";
@@ -282,7 +282,7 @@ static double f32_exact(int i, int j, double *size)
 static const char *f32_compare(gemm_f32_fn *fn, enum pattern pattern, double *top)
 {
     f32_fn = fn;
-    const char *fault = run(f32_call, &f32);
+    const char *fault = run_guarded(f32_call, &f32);
     for (int i = 0; i < f32.m && !fault; i++)
         for (int j = 0; j < PANEL * f32.panels; j++) {
             double size, want = f32_exact(i, j, &size);
@@ -347,7 +347,7 @@ static int check_unpack(const struct gemm_kernels *k, const char *name)
             unpack.s8[j] = s8_value(ORDINARY, -128);
             unpack.bf16[j] = (uint16_t)trial_uniform(0, 65536);
         }
-        fault = run(bf16 ? unpack_bf16_call : unpack_s8_call, NULL);
+        fault = run_guarded(bf16 ? unpack_bf16_call : unpack_s8_call, NULL);
         for (int j = 0; j < PANEL * n && !fault; j++)
             fault = unpack_right(bf16, j / PANEL, j % PANEL) ? NULL : "wrong value";
         if (fault)
@@ -359,13 +359,13 @@ static int check_unpack(const struct gemm_kernels *k, const char *name)
 
 /* --- all of them --------------------------------------------------------------------------- */
 
-static int report(const char *level, const char *slot, int cases, int bad)
+static int print_summary(const char *level, const char *slot, int cases, int bad)
 {
     printf("%s %s %s, %d cases\n", bad ? "FAILED" : "ok", level, slot, cases);
     return bad;
 }
 
-static void complain(const char *slot, const char *fault, const struct shape *s, int turn)
+static void print_fault(const char *slot, const char *fault, const struct shape *s, int turn)
 {
     if (fault)
         printf("%s of %d rows, %d panels, %d runs of %d, turn %d: %s\n", slot, s->m, s->panels,
@@ -383,11 +383,11 @@ static int check_s8(const struct gemm_kernels *k, const char *name)
         guard_reset(i % 2);
         s8_make(s, &gaps[i / 2 % N_GAPS], i / (2 * N_GAPS) % 3 ? ORDINARY : EXTREME);
         const char *fault = s8_compare(c.net.s8, k->s8);
-        complain("s8", fault, s, i % (2 * N_GAPS));
+        print_fault("s8", fault, s, i % (2 * N_GAPS));
         bad += fault != NULL;
     }
     bad += s8_bound(k, name);
-    return report(name, "s8", 2 * N_GAPS * n + 4, bad);
+    return print_summary(name, "s8", 2 * N_GAPS * n + 4, bad);
 }
 
 static int check_f32(const struct gemm_kernels *k, const char *name)
@@ -401,11 +401,11 @@ static int check_f32(const struct gemm_kernels *k, const char *name)
         guard_reset(i % 2);
         f32_make(s, &gaps[i / 2 % N_GAPS], pattern);
         const char *fault = f32_compare(k->f32, pattern, &top);
-        complain("f32", fault, s, i % (2 * N_GAPS));
+        print_fault("f32", fault, s, i % (2 * N_GAPS));
         bad += fault != NULL;
     }
     printf("%s f32: error %.2f of the bound\n", name, top);
-    return report(name, "f32", 2 * N_GAPS * n, bad);
+    return print_summary(name, "f32", 2 * N_GAPS * n, bad);
 }
 
 static int check_all(const char *only)
@@ -419,7 +419,7 @@ static int check_all(const char *only)
         chosen++;
         if (level_kernels(&levels[l], &k))
             bad += check_s8(&k, levels[l].name) + check_f32(&k, levels[l].name) +
-                   report(levels[l].name, "unpack", 280, check_unpack(&k, levels[l].name));
+                   print_summary(levels[l].name, "unpack", 280, check_unpack(&k, levels[l].name));
         else
             printf("-- this machine has no %s\n", levels[l].name);
     }
@@ -459,7 +459,7 @@ enum {
     TURNS_MAX = 400
 };
 
-/* What a loop without memory can do; NULL fn: not known. */
+/* Peak of a loop without memory accesses; NULL fn: not known. */
 struct peak {
     unsigned cpu;
     int width; // multiplications of a step
@@ -556,8 +556,8 @@ static const struct peak *peak_of(bool floats, unsigned cpu)
     return p;
 }
 
-/* What a workload takes, and the share of what the multipliers could do at the same moment: the two
- * take turns, as the clock of a processor changes. */
+/* Time of a workload and its share of the peak of the multipliers. The two alternate, because the
+ * clock of a processor changes. */
 struct timing {
     double best;             // s
     int n;                   // turns

@@ -46,7 +46,7 @@ static int check_activation(const struct kernels *k, enum activation act, double
     return top > 1 || moved;
 }
 
-/* What overflowed before an activation is not hidden by it: NaN and infinity stay. */
+/* Activations do not hide an overflow: NaN and infinity stay. */
 static int check_overflow(const struct kernels *k)
 {
     int lost = 0;

@@ -23,13 +23,13 @@ static bool bit(int k)
     return variant >> k & 1;
 }
 
-/* What the slots read and write; each uses what its contract names. */
+/* Inputs and outputs of the slots; each uses those of its contract. */
 enum { CAP = 1 << 14 };
 static struct {
     int n, block;
     size_t ld;
     float *x, *y;
-    float before[CAP]; // of what is overwritten
+    float before[CAP]; // copy of data that is overwritten
     int8_t *q;
     float inv;
     struct norm norm;

@@ -16,7 +16,7 @@ enum { OUT_MAX = 1 << 15, PARTS = 16 };
 
 enum pattern { ORDINARY, EXTREME, PATTERNS };
 
-/* What a kernel wrote, copied out of the guarded memory. */
+/* Output of a kernel, copied out of the guarded memory. */
 struct part {
     const char *what;
     int at, rows, n; // first value; shape
@@ -67,7 +67,7 @@ static inline void trial_spoil(float *p, size_t n, const float *bad, size_t n_ba
             p[i] = bad[(size_t)trial_uniform(0, (double)n_bad)];
 }
 
-/* Of the part that was put last. */
+/* Scale of the part that was put last. */
 static inline void trial_scale(struct outcome *o, double scale)
 {
     o->part[o->n_parts - 1].scale = scale;

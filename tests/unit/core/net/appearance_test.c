@@ -171,7 +171,7 @@ static struct ref_map head_out(const struct ref_map *in, const char *name)
     return ref_conv(&x, head, b, 1, 0);
 }
 
-static void want(struct ref_map *scene, struct ref_map *sens)
+static void reference_tokens(struct ref_map *scene, struct ref_map *sens)
 {
     *scene = patch_tokens();
     int d = scene->c;
@@ -215,7 +215,7 @@ static void compare(const struct net_dims *d, void (*change)(void))
 {
     struct ref_map scene, sens;
     run(d, 2, change);
-    want(&scene, &sens);
+    reference_tokens(&scene, &sens);
     for (int i = 0; i < REF_VIEWS * d->hdr; i++)
         assert_float_equal(irr.code[i], code_of(i / d->hdr, i % d->hdr), 1e-6);
     assert_true(ref_finite(irr.scene, (size_t)(N * d->hdr)));
@@ -245,7 +245,7 @@ static void as_specified(void **state)
  * by so little that the sum of a row is of the size of the epsilon. */
 static float repelled;
 
-static void repel(void)
+static void repel_keys(void)
 {
     int width = ref.net.d.embed / ref.net.d.heads;
     for (int i = 0; i < ref.net.d.heads * KEYS; i++) {
@@ -263,7 +263,7 @@ static void all_weight_on_dropped_tokens(void **state)
     (void)state;
     for (int i = 0; i < 6; i++) {
         repelled = logits[i];
-        compare(&ref_dims, repel);
+        compare(&ref_dims, repel_keys);
     }
 }
 

@@ -67,7 +67,7 @@ static void close_world(void)
     arena_free(&t.arena);
 }
 
-static void store(void)
+static void store_all(void)
 {
     for (int s = 0; s < t.a.seqs; s++)
         for (int first = 0; first < t.a.len; first += ATTENTION_KEYS) {
@@ -133,7 +133,7 @@ static double check_head(const struct attention_span *s, int head, double bound)
 
 /* n rows from `first` on of every sequence and head: errors within `bound`, and a quarter of it in
  * the mean of squares. */
-static void check(int first, int n, double bound)
+static void check_rows(int first, int n, double bound)
 {
     double squares = 0;
     for (int s = 0; s < t.a.seqs; s++)
@@ -156,10 +156,10 @@ static void lengths_and_widths(void **state)
                     (struct attention){
                         .seqs = 2, .len = lens[i], .heads = 3, .width = widths[w], .floats = f > 0},
                     2);
-                store();
+                store_all();
                 int last = lens[i] - 1 - (lens[i] - 1) % ATTENTION_ROWS;
-                check(0, lens[i] < 7 ? lens[i] : 7, f ? 2e-6 : 0.08);
-                check(last, lens[i] - last, f ? 2e-6 : 0.08);
+                check_rows(0, lens[i] < 7 ? lens[i] : 7, f ? 2e-6 : 0.08);
+                check_rows(last, lens[i] - last, f ? 2e-6 : 0.08);
                 close_world();
             }
 }
@@ -172,8 +172,8 @@ static void many_keys(void **state)
         open_world(
             (struct attention){.seqs = 1, .len = 20000, .heads = 1, .width = 64, .floats = f > 0},
             3);
-        store();
-        check(19968, 32, f ? 2e-6 : 0.01);
+        store_all();
+        check_rows(19968, 32, f ? 2e-6 : 0.01);
         close_world();
     }
 }
@@ -192,8 +192,8 @@ static void large_logits(void **state)
             at(0, token, 0, head)[head] = 80;
             at(0, token, 1, head)[head] = 8 * (float)(token - 250) / 250;
         }
-        store();
-        check(0, 64, f ? 2e-5 : 0.06);
+        store_all();
+        check_rows(0, 64, f ? 2e-5 : 0.06);
         close_world();
     }
 }
@@ -210,8 +210,8 @@ static void one_key_dominates(void **state)
             for (int i = 0; i < 400; i++)
                 at(0, i, 0, 0)[5] = 100;
             at(0, key, 1, 0)[5] = 100;
-            store();
-            check(0, 64, f ? 1e-6 : 4.0 / 254);
+            store_all();
+            check_rows(0, 64, f ? 1e-6 : 4.0 / 254);
             for (int c = 0; c < 64; c++)
                 assert_true(fabs((double)t.got[c] - (double)at(0, key, 2, 0)[c]) < 1.01 / 254);
             close_world();
@@ -231,8 +231,8 @@ static void huge_values(void **state)
             for (int i = 0; i < 300; i++)
                 at(0, i, 0, 0)[3] = 3 * sizes[s];
             at(0, 222, 1, 0)[3] = sizes[s];
-            store();
-            check(0, 64, f ? 1e-6 : 4.0 / 254);
+            store_all();
+            check_rows(0, 64, f ? 1e-6 : 4.0 / 254);
             close_world();
         }
 }
@@ -244,8 +244,8 @@ static void equal_logits(void **state)
     for (int f = 0; f < 2; f++) {
         open_world(
             (struct attention){.seqs = 1, .len = 257, .heads = 1, .width = 32, .floats = f > 0}, 0);
-        store();
-        check(0, 64, f ? 1e-6 : 1.01 / 254);
+        store_all();
+        check_rows(0, 64, f ? 1e-6 : 1.01 / 254);
         close_world();
     }
 }

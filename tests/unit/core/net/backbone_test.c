@@ -294,7 +294,7 @@ static double deviation(const struct kept *a, const struct kept *b, int k, bool 
     return sqrt(error / all);
 }
 
-/* What parts of an I8 network in floats change. */
+/* Effect of keeping parts of an I8 network in floats. */
 static void floats_help(void **state)
 {
     static struct kept want, plain, special, attention, blocks, both;

@@ -124,7 +124,7 @@ static void test_rotation(void **state)
     enum { M = 21, N = 48, K = 256 };
     struct tensor_spec s = {.role = ROLE_LINEAR, .rank = 2, .shape = {N, K}};
     for (int i = 0; i < M; i++)
-        t.x[i * K + 7] = 1000; // what rotation is for
+        t.x[i * K + 7] = 1000; // an outlier, the case for rotation
     naive_rows(M, N, K);
     struct layer_in in = {.x = t.x, .ldx = K, .m = M};
     struct layer_out out = {.out = t.got, .ldo = N};

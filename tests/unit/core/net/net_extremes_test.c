@@ -282,7 +282,7 @@ struct names {
     bool products; // or plain tensors
 };
 
-static err_t collect(void *ctx, const struct tensor_spec *spec)
+static err_t collect_tensor(void *ctx, const struct tensor_spec *spec)
 {
     struct names *x = ctx;
     if (spec->used && (spec->role != ROLE_PLAIN) == x->products)
@@ -309,13 +309,13 @@ static bool run_or_refuse(void)
 }
 
 /* Each product, or each plain tensor, set to one value in turn. Returns how many of them fail. */
-static int each(bool products, enum precision precision, float value)
+static int count_failures(bool products, enum precision precision, float value)
 {
     static struct names x;
     int refused = 0;
     x.n = 0;
     x.products = products;
-    assert_int_equal(table_walk(&small_model_tiny, collect, &x), OK);
+    assert_int_equal(table_walk(&small_model_tiny, collect_tensor, &x), OK);
     assert_true(x.n > 100);
     change.how = SET;
     change.value = value;
@@ -333,15 +333,15 @@ static int each(bool products, enum precision precision, float value)
 static void zero_products(void **state)
 {
     (void)state;
-    assert_int_equal(each(true, PRECISION_F32, 0), 0);
-    assert_int_equal(each(true, PRECISION_S8, 0), 0); // their scales are 0
+    assert_int_equal(count_failures(true, PRECISION_F32, 0), 0);
+    assert_int_equal(count_failures(true, PRECISION_S8, 0), 0); // their scales are 0
 }
 
 static void tiny_weights(void **state)
 {
     (void)state;
-    assert_int_equal(each(true, PRECISION_S8, 2e-38f), 0); // 127 over it is infinite
-    assert_int_equal(each(false, PRECISION_F32, 1e-42f), 0);
+    assert_int_equal(count_failures(true, PRECISION_S8, 2e-38f), 0); // 127 over it is infinite
+    assert_int_equal(count_failures(false, PRECISION_F32, 1e-42f), 0);
 }
 
 /* Infinities and NaN appear inside, and do not get lost on their way to the end of a stage, except
@@ -350,8 +350,8 @@ static void huge_weights(void **state)
 {
     (void)state;
     for (int p = 0; p < 3; p++) {
-        assert_true(each(true, precisions[p], FLT_MAX) > 90);
-        assert_true(each(false, precisions[p], -FLT_MAX) > 60);
+        assert_true(count_failures(true, precisions[p], FLT_MAX) > 90);
+        assert_true(count_failures(false, precisions[p], -FLT_MAX) > 60);
     }
 }
 

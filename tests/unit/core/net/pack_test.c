@@ -63,7 +63,7 @@ static void release(struct packed *x)
     free(x->scale);
 }
 
-static float want(const struct packed *x, const struct tensor_spec *t, int o, int i)
+static float reference_weight(const struct packed *x, const struct tensor_spec *t, int o, int i)
 {
     return o < x->p.n ? x->in[table_source(t, o, i)] : 0;
 }
@@ -77,7 +77,7 @@ static void floats_lie_in_panels(void **state)
             for (int i = 0; i < x.k; i++) {
                 size_t at =
                     ((size_t)(o / PANEL) * (size_t)x.k + (size_t)i) * PANEL + (size_t)(o % PANEL);
-                float v = want(&x, &specs[s], o, i), near;
+                float v = reference_weight(&x, &specs[s], o, i), near;
                 uint32_t u = (uint32_t)((uint16_t *)h.out)[at] << 16;
                 memcpy(&near, &u, sizeof near);
                 assert_true(((float *)x.out)[at] == v);
@@ -101,14 +101,14 @@ static void bf16_rounds_to_even_and_saturates(void **state)
         assert_int_equal(panel[i * PANEL], out[i]);
 }
 
-static int integer(const struct packed *x, int o, int i)
+static int packed_integer(const struct packed *x, int o, int i)
 {
     return ((int8_t *)x->out)[(size_t)(o / PANEL) * (size_t)x->k * PANEL + (size_t)(i / 4) * 64 +
                               (size_t)(o % PANEL) * 4 + (size_t)(i % 4)];
 }
 
-/* Of a kernel's weights for one input channel, those of the integers up to any of them add up to
- * what the weights do, within half a step (a whole one beside the largest, which cannot grow). */
+/* Partial sums of a kernel's integers for one input channel equal those of its weights within half
+ * a step (a whole one next to the largest, which cannot grow). */
 static void rounding_of_kernels_keeps_their_sums(void **state)
 {
     (void)state;
@@ -119,7 +119,8 @@ static void rounding_of_kernels_keeps_their_sums(void **state)
         for (int c = 0; c < channels && x.scale[o] > 0; c++) {
             double sum = 0;
             for (int i = c; i < x.k; i += channels) {
-                sum += (double)want(&x, t, o, i) / (double)x.scale[o] - integer(&x, o, i);
+                sum += (double)reference_weight(&x, t, o, i) / (double)x.scale[o] -
+                       packed_integer(&x, o, i);
                 assert_true(fabs(sum) < 1);
                 halves += fabs(sum) < 0.501;
             }
@@ -136,13 +137,13 @@ static void integers_have_a_scale_per_output(void **state)
         for (int o = 0; o < x.panels * PANEL; o++) {
             double top = 0;
             for (int i = 0; i < x.k; i++)
-                top = fmax(top, fabs((double)want(&x, &specs[s], o, i)));
+                top = fmax(top, fabs((double)reference_weight(&x, &specs[s], o, i)));
             if (o < x.p.n)
                 assert_true(x.scale[o] == (top < 0x1p-126 ? 0 : (float)top / 127.0f));
             for (int i = 0; i < x.k && specs[s].role != ROLE_CONV; i++) {
                 float inv = top < 0x1p-126 ? 0 : 127.0f / (float)top;
-                assert_int_equal(integer(&x, o, i),
-                                 (int)nearbyintf(want(&x, &specs[s], o, i) * inv));
+                assert_int_equal(packed_integer(&x, o, i),
+                                 (int)nearbyintf(reference_weight(&x, &specs[s], o, i) * inv));
             }
         }
         release(&x);

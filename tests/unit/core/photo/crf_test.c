@@ -38,7 +38,7 @@ static double radiance(int x, int y, int colour)
                 0.3 * colour * sin(y * 0.05));
 }
 
-static void shoot(const struct curve *curve, double exposure, uint64_t seed, uint8_t *px)
+static void take_picture(const struct curve *curve, double exposure, uint64_t seed, uint8_t *px)
 {
     for (int i = 0; i < BYTES; i++) {
         double e = radiance(i / 3 % W, i / 3 / W, i % 3) * exposure * ELECTRONS;
@@ -53,11 +53,11 @@ static void bracket(const struct curve *curve, const double *stops, int n, uint6
     for (int i = 0; i < n; i++) {
         times[i] = 0.01 * exp2(stops[i]);
         shown[i] = pictures[i];
-        shoot(curve, exp2(stops[i]), seed * 16 + (uint64_t)i, pictures[i]);
+        take_picture(curve, exp2(stops[i]), seed * 16 + (uint64_t)i, pictures[i]);
     }
 }
 
-static void recover(enum crf_method m, int n, struct crf *out)
+static void recover_curve(enum crf_method m, int n, struct crf *out)
 {
     struct crf_stack s = stack(n);
     err_t e = crf_recover(m, &s, tmp, out);
@@ -118,7 +118,7 @@ static void family_errors(enum curve_family f, const double *stops, double worst
         for (int m = 0; m < 3; m++) {
             struct crf got;
             double shift;
-            recover((enum crf_method)m, 5, &got);
+            recover_curve((enum crf_method)m, 5, &got);
             check_shape(&got);
             for (int i = 0; i < 3; i++) {
                 worst[m] = fmax(worst[m], 100.0 * deviation(&c, &got, i, &shift));
@@ -172,7 +172,7 @@ static void test_order_and_inputs(void **state)
     for (int m = 0; m < 3; m++) {
         struct crf a, b;
         struct crf_stack mixed = {MOST, W, H, px, t};
-        recover((enum crf_method)m, MOST, &a);
+        recover_curve((enum crf_method)m, MOST, &a);
         assert_int_equal(crf_recover((enum crf_method)m, &mixed, tmp, &b), OK);
         assert_memory_equal(&a, &b, sizeof a);
     }
@@ -199,11 +199,11 @@ static void test_empty_codes(void **state)
         srgb_bracket(5);
         for (int i = 0; i < 5; i++)
             posterise(pictures[i]);
-        recover((enum crf_method)m, 5, &got);
+        recover_curve((enum crf_method)m, 5, &got);
         check_shape(&got);
         assert_true(deviation(&c, &got, 1, &shift) < 0.015);
         bracket(&c, (const double[]){5.0, 6.3}, 2, 3);
-        recover((enum crf_method)m, 2, &got);
+        recover_curve((enum crf_method)m, 2, &got);
         check_shape(&got);
         assert_true(deviation(&c, &got, 1, &shift) < 0.04);
     }
@@ -225,7 +225,7 @@ static void test_odd_code(void **state)
         for (int p = 0; p < 64; p++)
             for (int i = 0; i < 5; i++)
                 memset(&pictures[i][3 * ((60 + p / 8) * W + 90 + p % 8)], i < 4 ? 30 : 180, 3);
-        recover((enum crf_method)m, 5, &got);
+        recover_curve((enum crf_method)m, 5, &got);
         check_shape(&got);
         assert_true(deviation(&c, &got, 1, &shift) < 0.01);
     }
@@ -233,7 +233,7 @@ static void test_odd_code(void **state)
 
 /* Checks that change places from picture to picture, or all but a fifth in every other picture, get
  * their codes divided or lowered. */
-static void spoil(bool checks, int divide, int lower)
+static void spoil_pictures(bool checks, int divide, int lower)
 {
     for (int i = 1; i < 5; i += checks ? 1 : 2)
         for (int k = 0; k < BYTES; k++) {
@@ -255,40 +255,40 @@ static void test_bad_parts(void **state)
     curve_make(CURVE_SRGB, 0.0f, 0, &c);
     for (int m = 0; m < 3; m++) {
         srgb_bracket(5);
-        spoil(true, 4, 0);
-        recover((enum crf_method)m, 5, &got);
+        spoil_pictures(true, 4, 0);
+        recover_curve((enum crf_method)m, 5, &got);
         assert_true(deviation(&c, &got, 1, &shift) < 0.01);
         srgb_bracket(5);
         for (int i = 0; i < 5; i++)
             for (int k = W / 5; k < PIXELS; k += k % W == W - 1 ? 1 + W / 5 : 1)
                 memcpy(&pictures[i][3 * k], &pictures[i][3 * (W / 2)], 3);
-        spoil(false, 1, 12);
-        recover((enum crf_method)m, 5, &got);
+        spoil_pictures(false, 1, 12);
+        recover_curve((enum crf_method)m, 5, &got);
         assert_true(deviation(&c, &got, 1, &shift) < 0.015);
     }
 }
 
-/* What it says about pixels that it has not seen: noise, or a scene that changed. */
+/* The error on held-out pixels: noise, or a scene that changed. */
 static void test_held_out(void **state)
 {
     struct crf still, moved;
     (void)state;
     for (int m = 0; m < 3; m++) {
         srgb_bracket(5);
-        recover((enum crf_method)m, 5, &still);
+        recover_curve((enum crf_method)m, 5, &still);
         for (int i = 0; i < 5; i += 2)
             for (int k = 0; k < BYTES / 2; k++) { // mirrored
                 uint8_t v = pictures[i][k];
                 pictures[i][k] = pictures[i][BYTES - 1 - k];
                 pictures[i][BYTES - 1 - k] = v;
             }
-        recover((enum crf_method)m, 5, &moved);
+        recover_curve((enum crf_method)m, 5, &moved);
         check_shape(&moved);
         assert_true(still.error > 0.005f && still.error < 0.12f && moved.error > 0.5f);
     }
 }
 
-static void refuse(err_t code, const struct crf_stack *s, const char *const words[2])
+static void assert_refused(err_t code, const struct crf_stack *s, const char *const words[2])
 {
     struct crf got, srgb;
     crf_srgb(&srgb);
@@ -309,20 +309,20 @@ static void test_bad_arguments(void **state)
     (void)state;
     srgb_bracket(5);
     struct crf_stack s = stack(1);
-    refuse(ERR_ARG, &s, (const char *[]){"1 pictures", "2..9"});
+    assert_refused(ERR_ARG, &s, (const char *[]){"1 pictures", "2..9"});
     s.n = 10;
-    refuse(ERR_ARG, &s, (const char *[]){"10 pictures", "2..9"});
+    assert_refused(ERR_ARG, &s, (const char *[]){"10 pictures", "2..9"});
     s = stack(5);
     s.w = 0;
-    refuse(ERR_ARG, &s, (const char *[]){"0 x 128", "1..65535"});
+    assert_refused(ERR_ARG, &s, (const char *[]){"0 x 128", "1..65535"});
     s = stack(5);
     for (int i = 0; i < 4; i++) {
         times[3] = bad[i];
-        refuse(ERR_ARG, &s, (const char *[]){"exposure 3 is", "> 0"});
+        assert_refused(ERR_ARG, &s, (const char *[]){"exposure 3 is", "> 0"});
     }
     for (int i = 0; i < 5; i++)
         times[i] = 0.02 + 0.0001 * i;
-    refuse(ERR_ARG, &s, (const char *[]){"0.02..0.0204", "1.1"});
+    assert_refused(ERR_ARG, &s, (const char *[]){"0.02..0.0204", "1.1"});
 }
 
 static void test_too_little(void **state)
@@ -332,22 +332,22 @@ static void test_too_little(void **state)
     curve_make(CURVE_SRGB, 0.0f, 0, &c);
     struct crf_stack s = stack(3);
     bracket(&c, (const double[]){-14.0, -13.0, -12.0}, 3, 1); // all dark
-    refuse(ERR_LIMIT, &s, (const char *[]){"red", "needed"});
+    assert_refused(ERR_LIMIT, &s, (const char *[]){"red", "needed"});
     bracket(&c, (const double[]){-5.5, -4.0, -3.3}, 3, 1); // grey, but nothing bright
-    refuse(ERR_LIMIT, &s, (const char *[]){"reach from", "to 208"});
+    assert_refused(ERR_LIMIT, &s, (const char *[]){"reach from", "to 208"});
     bracket(&c, (const double[]){14.0, 15.0, 16.0}, 3, 1); // clipped
     memset(pictures, 255, sizeof pictures);
-    refuse(ERR_LIMIT, &s, (const char *[]){"has 0 pairs", "needed"});
+    assert_refused(ERR_LIMIT, &s, (const char *[]){"has 0 pairs", "needed"});
     srgb_bracket(5);
     for (int i = 0; i < 5; i++)
         for (int k = 0; k < PIXELS; k++)
             pictures[i][3 * k + 2] = 0; // a lens that lets no blue pass
     s = stack(5);
-    refuse(ERR_LIMIT, &s, (const char *[]){"blue", "has 0 pairs"});
+    assert_refused(ERR_LIMIT, &s, (const char *[]){"blue", "has 0 pairs"});
     srgb_bracket(5);
     s.w = 4;
     s.h = 4;
-    refuse(ERR_LIMIT, &s, (const char *[]){"response curve", "red"});
+    assert_refused(ERR_LIMIT, &s, (const char *[]){"response curve", "red"});
 }
 
 /* A few pixels are enough for the family, when the others refuse. */

@@ -26,7 +26,7 @@ static float site(const struct picture *p, int y, int x)
     return p->truth[raw_colour(p->cfa, y, x)][y * p->w + x];
 }
 
-static void fill(const void *ctx, int y, int x, int n, float *v)
+static void read_sites(const void *ctx, int y, int x, int n, float *v)
 {
     const struct picture *p = ctx;
     assert_true(y >= 0 && y < p->h && x >= 0 && x + n <= p->w);
@@ -34,7 +34,7 @@ static void fill(const void *ctx, int y, int x, int n, float *v)
         v[i] = site(p, y, x + i);
 }
 
-static void put(const void *ctx, int y, int x, int n, float *const rgb[3])
+static void write_pixels(const void *ctx, int y, int x, int n, float *const rgb[3])
 {
     struct picture *p = &pic;
     assert_ptr_equal(ctx, p);
@@ -44,7 +44,7 @@ static void put(const void *ctx, int y, int x, int n, float *const rgb[3])
 
 static void demosaic(int begin, int end)
 {
-    struct develop_mosaic m = {pic.cfa, pic.w, pic.h, &pic, fill, put};
+    struct develop_mosaic m = {pic.cfa, pic.w, pic.h, &pic, read_sites, write_pixels};
     develop_rows(&m, begin, end);
 }
 

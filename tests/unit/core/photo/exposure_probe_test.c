@@ -84,7 +84,7 @@ static void take_display(double t, uint64_t frame, const struct curve *c, const 
     exposure_probe_measure(&(struct raw){W, H, RAW_RGB, 8, 0, false, shown}, crf, out);
 }
 
-/* What is wrong about a ratio whose truth is `stops`. */
+/* Error of a ratio whose true value is `stops`. */
 static void check_ratio(const struct exposure_probe *a, const struct exposure_probe *b,
                         double stops, double tolerance)
 {

@@ -24,16 +24,16 @@ static float log2t[ALL];
 static int place[ALL - PLACES];
 
 /* log2 radiance of a value: a ramp over the picture. */
-static float truth(int k, float reach)
+static float true_log2(int k, float reach)
 {
     return ((float)(k / 3) / (PX - 1) - 0.5f) * 2 * reach;
 }
 
 /* A sensor that is black and white before its curve ends. */
-static void shoot(int i, float t, float reach)
+static void take_photo(int i, float t, float reach)
 {
     for (int k = 0; k < 3 * PX; k++) {
-        float z = response_display(&tone, k % 3, truth(k, reach) + t - tone.mid_log2t);
+        float z = response_display(&tone, k % 3, true_log2(k, reach) + t - tone.mid_log2t);
         rgb[i * 3 * PX + k] = (uint8_t)lrintf(255 * fminf(fmaxf(1.02f * z - 0.01f, 0), 1));
     }
     names[i][0] = (char)('a' + i);
@@ -41,7 +41,7 @@ static void shoot(int i, float t, float reach)
 }
 
 /* Place 0: a (all white), d, e, f, g (as e); place 1: b (all black), h, i, j; place 2: c. */
-static void begin(float reach)
+static void begin_places(float reach)
 {
     static const float t[ALL] = {29, -23, 3.5f, -3, 3, 9, 3, 3, -3, 9};
     static const int of[ALL - PLACES] = {0, 0, 0, 0, 1, 1, 1};
@@ -55,7 +55,7 @@ static void begin(float reach)
                        .place = place};
     response_fit(NULL, 0, 3, &tone);
     for (int i = 0; i < ALL; i++)
-        shoot(i, t[i], i == 2 ? 1 : reach);
+        take_photo(i, t[i], i == 2 ? 1 : reach);
     memcpy(place, of, sizeof place);
     struct plan plan = plan_begin(3);
     exposure_stack_choose_plan(&plan, &v);
@@ -73,12 +73,12 @@ static void assert_names(const char *want)
     }
 }
 
-/* What shows nothing goes, and so does what others show. */
+/* Photographs without new information are removed. */
 static void test_choice(void **state)
 {
     (void)state;
     for (int threads = 1; threads <= 3; threads += 2) {
-        begin(7);
+        begin_places(7);
         assert_int_equal(pool_open(&run.pool, threads), OK);
         assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
         pool_close(run.pool);
@@ -90,14 +90,14 @@ static void test_choice(void **state)
     }
     static uint8_t e[3 * PX]; // pixels go with their name
     memcpy(e, rgb, sizeof e);
-    shoot(0, 3, 7);
+    take_photo(0, 3, 7);
     assert_memory_equal(e, rgb, sizeof e);
 }
 
 static void test_staggered(void **state)
 {
     (void)state;
-    begin(7);
+    begin_places(7);
     assert_int_equal(exposure_stack_choose(&run, &tone, true, &v), OK);
     assert_names("eicdfhj");
     assert_true(fabsf(v.mid_log2t - 0.25f) < 1e-6f); // of e, i, c
@@ -108,7 +108,7 @@ static void test_staggered(void **state)
 static void test_blind(void **state)
 {
     (void)state;
-    begin(7);
+    begin_places(7);
     memset(rgb, 0, sizeof rgb);
     assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
     assert_names("abc");
@@ -120,7 +120,7 @@ static void test_drop(void **state)
     (void)state;
     static struct camera cams[PLACES] = {{.w = 1}, {.w = 2}, {.w = 3}};
     bool keep[ALL];
-    begin(7);
+    begin_places(7);
     v.cams = cams;
     for (int i = 0; i < ALL; i++)
         keep[i] = i != 0 && i != 8;
@@ -131,8 +131,8 @@ static void test_drop(void **state)
     arena_free(&tmp);
 }
 
-/* log2 radiance that the one picture of a place says. */
-static float told(const struct views *m, const struct tonemap *curve, int i, int k)
+/* log2 radiance by the merged picture of a place. */
+static float merged_log2(const struct views *m, const struct tonemap *curve, int i, int k)
 {
     const float z = (float)m->rgb[i * 3 * PX + k] / 255;
     return response_radiance_log(curve, k % 3, z, m->log2t[i]) * 1.44269504f;
@@ -143,30 +143,31 @@ static void test_picture(void **state)
     (void)state;
     struct views m;
     struct tonemap curve;
-    begin(7);
+    begin_places(7);
     assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
     assert_int_equal(exposure_stack_merge(&run, &v, &tone, &m, &curve), OK);
     assert_true(m.n == 3 && m.n_more == 0 && tmp.used > 0);
     for (int k = 0; k < 3 * PX; k++) {
-        float x = truth(k, 7);
+        float x = true_log2(k, 7);
         for (int i = 0; i < 2 && fabsf(x) < 6; i++)
-            assert_true(fabsf(told(&m, &curve, i, k) - x) < 0.2f);
-        assert_true(fabsf(told(&m, &curve, 2, k) - truth(k, 1)) < 0.15f);
+            assert_true(fabsf(merged_log2(&m, &curve, i, k) - x) < 0.2f);
+        assert_true(fabsf(merged_log2(&m, &curve, 2, k) - true_log2(k, 1)) < 0.15f);
     }
     arena_reset(&tmp, 0);
     arena_free(&tmp);
 }
 
-/* What no exposure reaches is at least, at most, what the nearest one tells. */
+/* Values beyond all exposures get the bound of the nearest one. */
 static void test_beyond(void **state)
 {
     (void)state;
     struct views m;
     struct tonemap curve;
-    begin(13);
+    begin_places(13);
     assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
     assert_int_equal(exposure_stack_merge(&run, &v, &tone, &m, &curve), OK);
-    assert_true(told(&m, &curve, 0, 0) < -10 && told(&m, &curve, 0, 3 * PX - 1) > 6.5f);
+    assert_true(merged_log2(&m, &curve, 0, 0) < -10 &&
+                merged_log2(&m, &curve, 0, 3 * PX - 1) > 6.5f);
     for (int k = 3; k < 3 * PX; k++)
         assert_true(m.rgb[k] + 1 >= m.rgb[k - 3]);
     arena_reset(&tmp, 0);
@@ -180,16 +181,16 @@ static void test_gap(void **state)
     struct views m;
     struct tonemap curve;
     int between = 0;
-    begin(13);
+    begin_places(13);
     memset(place, 0, sizeof place);
     v.n = 1;
     v.n_more = 2;
-    shoot(0, 3 - 12, 13);
-    shoot(1, 3 + 12, 13);
-    shoot(2, 3 - 10, 13);
+    take_photo(0, 3 - 12, 13);
+    take_photo(1, 3 + 12, 13);
+    take_photo(2, 3 - 10, 13);
     assert_int_equal(exposure_stack_merge(&run, &v, &tone, &m, &curve), OK);
     for (int k = 3; k < 3 * PX; k++) {
-        const float x = told(&m, &curve, 0, k);
+        const float x = merged_log2(&m, &curve, 0, k);
         assert_true(m.rgb[k] + 1 >= m.rgb[k - 3]);
         if (rgb[k] > 0 || rgb[2 * 3 * PX + k] > 0 || rgb[3 * PX + k] < 255)
             continue;
@@ -206,7 +207,7 @@ static void test_single(void **state)
     (void)state;
     struct views m;
     struct tonemap curve;
-    begin(7);
+    begin_places(7);
     v.n_more = 0;
     assert_int_equal(exposure_stack_choose(&run, &tone, false, &v), OK);
     assert_names("abc");

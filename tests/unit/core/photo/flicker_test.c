@@ -32,7 +32,8 @@ struct lamp {
     double hz, depth, phase, readout_s;
 };
 
-static void see(const struct lamp *l, double start_s, double time_s, struct exposure_probe *w)
+static void measure_frame(const struct lamp *l, double start_s, double time_s,
+                          struct exposure_probe *w)
 {
     memset(w, 0, sizeof *w);
     w->overlap = 1.0f;
@@ -51,19 +52,19 @@ static void see(const struct lamp *l, double start_s, double time_s, struct expo
     }
 }
 
-static struct flicker_light find(const struct lamp *l, double fps)
+static struct flicker_light find_light(const struct lamp *l, double fps)
 {
     struct flicker f = {0};
     struct exposure_probe w;
     struct flicker_light out;
     int k = 0;
     for (; k < 6; k++) {
-        see(l, k / fps, LONG_S, &w);
+        measure_frame(l, k / fps, LONG_S, &w);
         flicker_add_long(&f, &w, LONG_S);
     }
     for (; k < 6 + FLICKER_FRAMES; k++) {
         double t = LONG_S / (2 + k % 4);
-        see(l, 12.0 + k / fps, t, &w);
+        measure_frame(l, 12.0 + k / fps, t, &w);
         flicker_add_short(&f, &w, 12.0 + k / fps, t);
     }
     flicker_find(&f, 1.0 / fps, &out);
@@ -79,7 +80,7 @@ static void test_lamps(void **unused)
         struct lamp l = {hz, 0.05 + 0.6 * uniform(), 2.0 * PI * uniform(), 0.0};
         bool rolls = k % 3 > 0;
         l.readout_s = rolls ? (0.3 + 0.6 * uniform()) / rate : 0.0;
-        struct flicker_light found = find(&l, rate);
+        struct flicker_light found = find_light(&l, rate);
         if (found.hz != hz || fabs(found.depth / l.depth - 1.0) > 0.35)
             fail_msg("%.0f Hz %.2f at %.2f fps, readout %.4f s: found %.0f Hz, %.2f", hz, l.depth,
                      rate, l.readout_s, found.hz, found.depth);
@@ -91,7 +92,7 @@ static void test_steady(void **unused)
     (void)unused;
     for (int k = 0; k < 50; k++) {
         struct lamp l = {100.0, 0.0, 0.0, k % 2 ? 0.02 : 0.0};
-        struct flicker_light found = find(&l, 30.0);
+        struct flicker_light found = find_light(&l, 30.0);
         assert_true(found.hz == 0.0 && found.depth == 0.0);
     }
     struct flicker_light none = {0};

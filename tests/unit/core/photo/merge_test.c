@@ -41,7 +41,7 @@ static struct sensor sensor_for(enum sensor_cfa cfa)
     return s;
 }
 
-static void shoot(const struct sensor *s, int i, const struct curve *c)
+static void take_frame(const struct sensor *s, int i, const struct curve *c)
 {
     struct sensor_shot shot = {exposure[i], 1.0f, 0.0, 5, (uint64_t)i};
     struct image im = {W, H, 3, radiance};
@@ -62,7 +62,7 @@ static void shoot(const struct sensor *s, int i, const struct curve *c)
     }
 }
 
-static void merge(int n, const double *exposure_s, const struct crf *crf)
+static void merge_frames(int n, const double *exposure_s, const struct crf *crf)
 {
     struct image out = {frames[0].w, frames[0].h, 3, merged};
     struct merge_set set = {frames, n, exposure_s, crf, &as_is};
@@ -70,7 +70,7 @@ static void merge(int n, const double *exposure_s, const struct crf *crf)
     merge_rows(&set, 0, frames[0].h, &out);
 }
 
-/* Of the columns of one stop: relative bias and rms, and what the electrons allow. */
+/* Relative bias and rms of the columns of one stop, and the rms by photon noise. */
 struct error {
     double bias, rms, bound;
 };
@@ -104,8 +104,8 @@ static void test_within_noise(void **state)
     s.balance[0] = s.balance[1] = s.balance[2] = 1.0f;
     make_scene();
     for (int i = 0; i < 3; i++)
-        shoot(&s, i, NULL);
-    merge(3, exposure, NULL);
+        take_frame(&s, i, NULL);
+    merge_frames(3, exposure, NULL);
     for (int k = 0; k < STOPS; k++) {
         struct error e = error_of(&s, k);
         print_message("stop %2d: rms %.4f, photons and read-out %.4f, bias %+.5f\n", k, e.rms,
@@ -125,7 +125,7 @@ static void test_mosaic(void **state)
     (void)state;
     make_scene();
     for (int i = 0; i < 3; i++)
-        shoot(&s, i, NULL);
+        take_frame(&s, i, NULL);
     develop_balance(frames, 3, &how);
     // sites of a cell are 3.5 % apart in this steep scene
     assert_true(fabsf(how.red * 0.6f - 1.0f) < 0.03f && fabsf(how.blue * 0.7f - 1.0f) < 0.03f);
@@ -150,8 +150,8 @@ static void test_display(void **state)
             crf.log2x[i / 256][i % 256] =
                 log2f(fmaxf(curve_exposure(&c, (float)(i % 256) / 255.0f), 1e-6f));
         for (int i = 0; i < 3; i++)
-            shoot(&s, i, &c);
-        merge(3, exposure, k ? &crf : NULL);
+            take_frame(&s, i, &c);
+        merge_frames(3, exposure, k ? &crf : NULL);
         for (int stop = 0; stop < STOPS; stop++) {
             struct error e = error_of(&s, stop);
             assert_true(fabs(e.bias) < 0.01 && e.rms < 1.35 * e.bound + 0.01);
@@ -184,7 +184,7 @@ static void test_ends(void **state)
     (void)state;
     for (int k = 0; k < 4; k++) {
         ramp(k & 1, kinds[k / 2]);
-        merge(3, exposure, NULL);
+        merge_frames(3, exposure, NULL);
         for (int i = 0; i < 3 * 2 * W; i++) {
             assert_true(isfinite(merged[i]) && merged[i] >= 0.0f);
             // a code of rounding is all that may be missing where frames are handed over
@@ -204,8 +204,8 @@ static void test_frames_and_rows(void **state)
     for (int i = 0; i < 3 * N; i++)
         radiance[i] *= 4.0f; // the shortest is clipped, too
     for (int i = 0; i < 3; i++)
-        shoot(&s, i, NULL);
-    merge(3, exposure, NULL);
+        take_frame(&s, i, NULL);
+    merge_frames(3, exposure, NULL);
     memcpy(first, merged, sizeof first);
     struct image out = {W, H, 3, merged};
     struct merge_set set = {frames, 3, exposure, NULL, &as_is};
@@ -216,7 +216,7 @@ static void test_frames_and_rows(void **state)
     struct raw swap = frames[0]; // the order of frames does not matter
     frames[0] = frames[2];
     frames[2] = swap;
-    merge(3, (const double[3]){exposure[2], exposure[1], exposure[0]}, NULL);
+    merge_frames(3, (const double[3]){exposure[2], exposure[1], exposure[0]}, NULL);
     for (int i = 0; i < 3 * N; i++)
         assert_true(fabsf(merged[i] - first[i]) <= 1e-5f * first[i] + 1e-6f);
 }
@@ -228,17 +228,17 @@ static void test_one_frame(void **state)
     for (int i = 0; i < 1024; i++)
         frame_px[0][i] = (uint16_t)i;
     frames[0] = (struct raw){32, 32, RAW_MONO, 10, 64, true, frame_px[0]};
-    merge(1, &one, NULL);
+    merge_frames(1, &one, NULL);
     for (int i = 0; i < 1024; i++)
         assert_true(fabsf(merged[i] - fmaxf((float)(i - 64) / 959.0f, 0.0f)) < 1e-6f);
     for (int i = 0; i < 2 * 256 * 3; i++)
         frame_px[0][i] = (uint16_t)(i / 3 % 256);
     frames[0] = (struct raw){256, 2, RAW_RGB, 8, 0, false, frame_px[0]};
-    merge(1, &one, NULL);
+    merge_frames(1, &one, NULL);
     assert_true(fabsf(merged[188] - 0.5029f) < 1e-3f && fabsf(merged[255] - 1.0f) < 1e-6f);
 }
 
-/* Of display values, a frame that clips one colour of a pixel says nothing about the others. */
+/* With display values, a frame that clips one colour of a pixel does not count for the others. */
 static void test_one_colour_clipped(void **state)
 {
     const double times[2] = {0.1, 0.2};
@@ -248,7 +248,7 @@ static void test_one_colour_clipped(void **state)
             frame_px[i / 12][i % 12] = i % 3 != c ? 188 : i < 12 ? 200 : 250;
         for (int i = 0; i < 2; i++)
             frames[i] = (struct raw){2, 2, RAW_RGB, 8, 0, false, frame_px[i]};
-        merge(2, times, NULL);
+        merge_frames(2, times, NULL);
         for (int k = 0; k < 3; k++) // the first alone
             assert_true(fabsf(merged[4 * k] - (k == c ? 5.776f : 5.029f)) < 1e-2f);
     }

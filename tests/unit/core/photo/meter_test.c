@@ -128,7 +128,7 @@ static struct limits limits_of(const struct device *d, const struct meter_config
     return l;
 }
 
-static int falling(const void *a, const void *b)
+static int compare_descending(const void *a, const void *b)
 {
     float x = *(const float *)a, y = *(const float *)b;
     return (x < y) - (x > y);
@@ -143,7 +143,7 @@ static void sorted(const struct place_set *s, bool strongest, float *v)
                : strongest ? fmaxf(fmaxf(l[0], l[1]), l[2])
                            : fminf(fminf(l[0], l[1]), l[2]);
     }
-    qsort(v, PLACES, sizeof *v, falling);
+    qsort(v, PLACES, sizeof *v, compare_descending);
 }
 
 /* The fewest exposures: the first may clip `clip`, all together may leave `dark`; each covers from
@@ -214,9 +214,10 @@ static double merged(const struct meter_config *c, const struct limits *r, doubl
     return sqrt(s);
 }
 
-/* What the plan really does: clipped is what saturates in the shortest. */
-static void look(const struct place_set *s, const struct device *d, const struct meter_config *c,
-                 const struct meter_result *p, struct truth *out)
+/* True coverage by the plan: places are clipped if the shortest exposure saturates. */
+static void check_true_cover(const struct place_set *s, const struct device *d,
+                       const struct meter_config *c, const struct meter_result *p,
+                       struct truth *out)
 {
     static float v[PLACES], snr[PLACES];
     struct limits r = {.hi = log2(0.97)}; // headroom is for errors of metering
@@ -237,7 +238,7 @@ static void look(const struct place_set *s, const struct device *d, const struct
                 snr[n] = (float)merged(c, &r, v[i], p);
                 dark += snr[n++] < c->snr;
             }
-        qsort(snr, (size_t)n, sizeof *snr, falling);
+        qsort(snr, (size_t)n, sizeof *snr, compare_descending);
         int at = n - 1 - (int)(c->dark * PLACES);
         out->snr = fmin(out->snr, at >= 0 ? snr[at] : INFINITY);
         out->dark = fmax(out->dark, dark / PLACES);
@@ -247,7 +248,7 @@ static void look(const struct place_set *s, const struct device *d, const struct
 /* --- random scenes ------------------------------------------------------------------------ */
 
 /* Height above the darkest, 0..range, of a place. */
-static double height(int kind, double range, uint64_t seed, uint64_t p)
+static double place_stops(int kind, double range, uint64_t seed, uint64_t p)
 {
     double u = sensor_uniform(seed ^ 0x5555, p), w = sensor_normal(seed ^ 0xAAAA, p);
     double a = sensor_uniform(seed, 10), b = sensor_uniform(seed, 11);
@@ -278,7 +279,7 @@ static void make_scene(uint64_t seed, double range, double darkest, struct place
     int kind = (int)uniform(seed, 1, 0, KINDS);
     s->colour = sensor_uniform(seed, 2) < 0.3;
     for (uint64_t p = 0; p < PLACES; p++) {
-        double l = darkest + height(kind, range, seed, p);
+        double l = darkest + place_stops(kind, range, seed, p);
         for (uint64_t c = 0; c < 3; c++)
             s->l[p][c] = (float)(l - (s->colour ? uniform(seed ^ 99, 3 * p + c, 0.0, 2.0) : 0.0));
     }
@@ -343,7 +344,7 @@ static void random_scene(uint64_t seed, struct count *n)
     config_of(&d, &c);
     meter(&d, &c, &s, &m, &p);
     check_plan(&m, &p);
-    look(&s, &d, &c, &p, &t);
+    check_true_cover(&s, &d, &c, &p, &t);
     int best = fewest(&s, &d, &c);
     n->scenes++;
     n->probes += m.probes;
@@ -640,8 +641,8 @@ static void test_bad_config(void **state)
 
 /* --- coverage afterwards ------------------------------------------------------------------ */
 
-static void cover(const struct device *d, const struct place_set *s, const double *times, int n,
-                  struct meter_coverage *out)
+static void check_coverage(const struct device *d, const struct place_set *s, const double *times,
+                           int n, struct meter_coverage *out)
 {
     static uint16_t kept[METER_EXPOSURES_MAX][PLACES * 4];
     struct raw frames[METER_EXPOSURES_MAX];
@@ -676,33 +677,33 @@ static void test_coverage(void **state)
         config_of(&d, &c);
         plan(&d, &c, &s, &p);
         assert_true(p.n >= 3);
-        cover(&d, &s, p.time_s, p.n, &v); // as planned
+        check_coverage(&d, &s, p.time_s, p.n, &v); // as planned
         assert_true(v.clipped <= c.clip && v.dark <= c.dark && v.extend_s == 0.0);
-        cover(&d, &s, p.time_s, p.n - 1, &v); // without the longest
+        check_coverage(&d, &s, p.time_s, p.n - 1, &v); // without the longest
         assert_true(v.dark > 0.1 && v.extend_s > p.time_s[p.n - 2]);
         memcpy(times, p.time_s, sizeof times);
         times[p.n - 1] = v.extend_s;
-        cover(&d, &s, times, p.n, &w);
+        check_coverage(&d, &s, times, p.n, &w);
         assert_true(w.dark < 0.3 * v.dark);
-        cover(&d, &s, p.time_s + 1, p.n - 1, &v); // without the shortest
+        check_coverage(&d, &s, p.time_s + 1, p.n - 1, &v); // without the shortest
         assert_true(v.clipped > 0.1 && v.extend_s > 0.0 && v.extend_s < p.time_s[1]);
         times[0] = p.time_s[0];
         times[1] = p.time_s[2];
-        cover(&d, &s, times, 2, &v); // without one between
+        check_coverage(&d, &s, times, 2, &v); // without one between
         assert_true(v.dark > 0.1 && v.extend_s > times[0] && v.extend_s < times[1]);
     }
     even_scene(-60.0, 0.0, &s);
     times[0] = 0.1;
     d = imx477;
     d.read_noise = 0.0; // no code tells anything
-    cover(&d, &s, times, 1, &v);
+    check_coverage(&d, &s, times, 1, &v);
     assert_true(v.dark == 1.0 && v.extend_s > 0.1);
     times[0] = 60.0;
-    cover(&imx477, &s, times, 1, &v);
+    check_coverage(&imx477, &s, times, 1, &v);
     assert_true(v.dark == 1.0 && v.extend_s == 0.0);
     even_scene(40.0, 0.0, &s);
     times[0] = 1e-5;
-    cover(&imx477, &s, times, 1, &v);
+    check_coverage(&imx477, &s, times, 1, &v);
     assert_true(v.clipped == 1.0 && v.extend_s == 0.0);
 }
 

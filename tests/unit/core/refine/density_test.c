@@ -212,7 +212,7 @@ static void check_halves(int axis)
         assert_true(fabs((double)w.g.plane[G_LOG_SCALE + k][1] - s) < 1e-6);
         assert_true(fabs((double)w.g.plane[G_LOG_SCALE + k][3] - s) < 1e-6);
     }
-    for (int p = 0; p < PLANES; p++) { // what both halves inherit
+    for (int p = 0; p < PLANES; p++) { // both halves inherit these
         assert_true(p < G_QUAT || w.g.plane[p][3] == w.g.plane[p][1]);
         assert_true(w.d.m1[p][1] == 0.0f && w.d.m1[p][3] == 0.0f);
         assert_true(w.d.m2[p][3] == (float)(2000 * p + 1) && w.d.m2[p][1] == w.d.m2[p][3]);

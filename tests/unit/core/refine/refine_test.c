@@ -194,7 +194,7 @@ static double radiance_error(void)
     return sum / n;
 }
 
-/* What one exposure cannot show is learned from the others, and they share its camera. */
+/* Parts that one exposure cannot show are learned from the others, which share its camera. */
 static void test_brackets(void **state)
 {
     (void)state;

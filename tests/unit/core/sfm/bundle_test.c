@@ -60,14 +60,14 @@ static void run_ok(struct job *j, const struct bundle_config *cfg)
     assert_int_equal(j->out.sightings, j->tracks.t.n);
 }
 
-static void done(struct job *j)
+static void job_free(struct job *j)
 {
     scene_free(&j->tracks);
     arena_free(&j->keep);
     arena_free(&j->tmp);
 }
 
-static struct scene_rig room(int n_points, double focal, double wrong, double reach)
+static struct scene_rig make_room(int n_points, double focal, double wrong, double reach)
 {
     return (struct scene_rig){.n_points = n_points,
                               .focal = focal,
@@ -125,7 +125,8 @@ static void assert_right(const struct job *j, double degrees, double centres, do
 }
 
 /* The true cameras, each turned about an axis of its own and moved. */
-static void disturb(const struct scene_rig *s, double degrees, double focal, struct camera *out)
+static void disturb_cameras(const struct scene_rig *s, double degrees, double focal,
+                            struct camera *out)
 {
     scene_state = 77;
     for (int v = 0; v < s->n_views; v++) {
@@ -268,7 +269,7 @@ static void far_points_have_no_end(void **unused)
 static void narrow_grid_from_tracks(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(1000, 381, 0.3, 15)};
+    struct job j = {.rig = make_room(1000, 381, 0.3, 15)};
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){0});
@@ -278,51 +279,51 @@ static void narrow_grid_from_tracks(void **unused)
     assert_true(j.out.rms_px > 0.4f && j.out.rms_px < 0.8f);
     assert_true(j.out.cams[0].q[0] > 0.99999f); // world of the first camera
     assert_true(fabsf(j.out.cams[0].t[0]) < 1e-5f);
-    done(&j);
+    job_free(&j);
 }
 
 static void wide_arc_from_tracks(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(1100, 520, 0.3, 25)};
+    struct job j = {.rig = make_room(1100, 520, 0.3, 25)};
     scene_arc(&j.rig, 12, 110);
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){0});
     assert_right(&j, 0.2, 0.01, 0.02);
-    done(&j);
+    job_free(&j);
 }
 
 /* 15 degrees off and a focal length wrong by 15 %: world and scale are those of the start. */
 static void start_that_is_off(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(250, 381, 0.3, 15)};
+    struct job j = {.rig = make_room(250, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS];
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
-    disturb(&j.rig, 15, 1.15 * 381, start);
+    disturb_cameras(&j.rig, 15, 1.15 * 381, start);
     run_ok(&j, &(struct bundle_config){.start = start});
     assert_right(&j, 0.1, 0.01, 0.02);
-    done(&j);
+    job_free(&j);
 }
 
 /* Too few common tracks for two views: cameras decide, and are adjusted. */
 static void start_without_pairs(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(22, 381, 0, 60)};
+    struct job j = {.rig = make_room(22, 381, 0, 60)};
     struct camera start[SCENE_VIEWS];
     double turn, centre;
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
     assert_true(j.tracks.t.n_tracks > 10 && j.tracks.t.n_tracks < 20);
-    disturb(&j.rig, 10, 381, start);
+    disturb_cameras(&j.rig, 10, 381, start);
     run_ok(&j, &(struct bundle_config){.start = start});
     compare(&j, &turn, &centre);
     assert_false(j.out.from_tracks);
     assert_true(j.out.n_placed > 12);
     assert_true(turn < 1.5);
-    done(&j);
+    job_free(&j);
 }
 
 static double median_of(double *v, int n)
@@ -334,7 +335,7 @@ static double median_of(double *v, int n)
 static void world_of_the_start(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(500, 381, 0.2, 15)};
+    struct job j = {.rig = make_room(500, 381, 0.2, 15)};
     struct scene_rig *s = &j.rig;
     const size_t plane = (size_t)SCENE_SIZE * SCENE_SIZE;
     scene_grid(s);
@@ -374,17 +375,17 @@ static void world_of_the_start(void **unused)
     assert_true(median_of(off, n) < 0.05);
     free(depth);
     free(off);
-    done(&j);
+    job_free(&j);
 }
 
 static void what_is_known_stays(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(600, 381, 0.3, 15)};
+    struct job j = {.rig = make_room(600, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS];
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
-    disturb(&j.rig, 0, 381, start);
+    disturb_cameras(&j.rig, 0, 381, start);
     for (int v = 0; v < j.rig.n_views; v++)
         start[v].fx = start[v].fy = 420;
     run_ok(&j, &(struct bundle_config){.start = start, .rig_known = true});
@@ -395,18 +396,18 @@ static void what_is_known_stays(void **unused)
     }
     run_ok(&j, &(struct bundle_config){.focal = 390, .focal_known = true});
     assert_true(j.out.cams[0].fx == 390);
-    done(&j);
+    job_free(&j);
 }
 
 static void threads_change_nothing(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(100, 381, 0.3, 15)};
+    struct job j = {.rig = make_room(100, 381, 0.3, 15)};
     struct camera start[SCENE_VIEWS], cams[SCENE_VIEWS];
     scene_grid(&j.rig);
     j.rig.n_views = 8;
     scene_make(&j.rig, &j.tracks);
-    disturb(&j.rig, 5, 381, start);
+    disturb_cameras(&j.rig, 5, 381, start);
     const struct bundle_config cfg = {.start = start};
     float *points = calloc((size_t)j.tracks.t.n_tracks, 3 * sizeof *points);
     static const int threads[] = {1, 2, 7};
@@ -420,14 +421,14 @@ static void threads_change_nothing(void **unused)
         assert_memory_equal(points, j.out.points, 3 * (size_t)j.tracks.t.n_tracks * sizeof *points);
     }
     free(points);
-    done(&j);
+    job_free(&j);
 }
 
 /* A view whose every sighting is wrong is not placed, and harms no other. */
 static void view_that_fits_nowhere(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(800, 381, 0.1, 15)};
+    struct job j = {.rig = make_room(800, 381, 0.1, 15)};
     scene_arc(&j.rig, 8, 40);
     scene_make(&j.rig, &j.tracks);
     for (int i = 0; i < j.tracks.t.n; i++)
@@ -446,12 +447,12 @@ static void view_that_fits_nowhere(void **unused)
     assert_right(&j, 0.2, 0.02, 0.05);
     run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
     assert_memory_equal(j.out.cams[3].q, j.rig.cams[3].q, sizeof j.out.cams[3].q);
-    done(&j);
+    job_free(&j);
 }
 
 /* Sightings of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the camera
  * at `degrees` around would be; in the others it is not seen. */
-static void mislead(struct job *j, int right, int wrong, const double degrees[2])
+static void mislead_view(struct job *j, int right, int wrong, const double degrees[2])
 {
     struct match_tracks *t = &j->tracks.t;
     const int all = t->n;
@@ -494,16 +495,16 @@ static void view_in_two_places(void **unused)
     static const int right[] = {0, 90, 30}, wrong[] = {60, 45, 30};
     static const double away[][2] = {{-25, 20}, {25, 25}, {-15, -15}};
     for (int k = 0; k < 3; k++) {
-        struct job j = {.rig = room(500, 381, 0.1, 25)};
+        struct job j = {.rig = make_room(500, 381, 0.1, 25)};
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
-        mislead(&j, right[k], wrong[k], away[k]);
+        mislead_view(&j, right[k], wrong[k], away[k]);
         run_ok(&j, &(struct bundle_config){.focal = 381});
         assert_int_equal(j.out.placed[3], k == 1);
         if (k == 1)
             assert_right(&j, 0.1, 0.02, 0.02);
         assert_others_right(&j, 0.1);
-        done(&j);
+        job_free(&j);
     }
 }
 
@@ -530,7 +531,7 @@ static void view_that_hangs_on_one(void **unused)
 {
     (void)unused;
     for (uint32_t seed = 17; seed < 20; seed++) {
-        struct job j = {.rig = room(700, 381, 0.1, 25)};
+        struct job j = {.rig = make_room(700, 381, 0.1, 25)};
         j.rig.seed = seed;
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
@@ -538,7 +539,7 @@ static void view_that_hangs_on_one(void **unused)
         run_ok(&j, &(struct bundle_config){.focal = 381});
         assert_false(j.out.placed[3]);
         assert_others_right(&j, 0.3);
-        done(&j);
+        job_free(&j);
     }
 }
 
@@ -553,7 +554,7 @@ static void squeezed_views(void **unused)
         depth[i] = 1;
     for (int k = 0; k < 4; k++) {
         const float aspect = aspects[k / 2];
-        struct job j = {.rig = room(600, 381, 0.2, 15)};
+        struct job j = {.rig = make_room(600, 381, 0.2, 15)};
         struct camera start[SCENE_VIEWS];
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
@@ -577,7 +578,7 @@ static void squeezed_views(void **unused)
             assert_float_equal(j.out.cams[v].fy * aspect, j.out.cams[v].fx, 1e-3);
             assert_true(j.out.cams[v].cy == SCENE_SIZE / 2);
         }
-        done(&j);
+        job_free(&j);
     }
 }
 
@@ -586,7 +587,7 @@ static void squeezed_views(void **unused)
 static void no_tracks(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(0, 381, 0, 15)};
+    struct job j = {.rig = make_room(0, 381, 0, 15)};
     scene_grid(&j.rig);
     run_ok(&j, &(struct bundle_config){0});
     assert_true(j.out.confidence == 0);
@@ -599,13 +600,13 @@ static void no_tracks(void **unused)
     j.rig.n_views = 1;
     run_ok(&j, &(struct bundle_config){0});
     assert_true(j.out.confidence == 0);
-    done(&j);
+    job_free(&j);
 }
 
 static void views_in_one_place(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(600, 381, 0.2, 180)};
+    struct job j = {.rig = make_room(600, 381, 0.2, 180)};
     double turn, centre;
     for (j.rig.n_views = 0; j.rig.n_views < 5; j.rig.n_views++) {
         double from[3] = {0, 0, -3}, to[3] = {0.1 * j.rig.n_views, 0.05, 0};
@@ -624,13 +625,13 @@ static void views_in_one_place(void **unused)
     assert_true(j.out.confidence < 0.1f && j.out.agreement > 0.5f);
     compare(&j, &turn, &centre);
     assert_true(turn < 0.2);
-    done(&j);
+    job_free(&j);
 }
 
 static void two_and_three_views(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(1000, 381, 0.3, 20)};
+    struct job j = {.rig = make_room(1000, 381, 0.3, 20)};
     scene_arc(&j.rig, 2, 8);
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
@@ -640,13 +641,13 @@ static void two_and_three_views(void **unused)
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){.focal = 381});
     assert_right(&j, 0.5, 0.05, 0.06);
-    done(&j);
+    job_free(&j);
 }
 
 static void centres_in_a_row(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(800, 381, 0.3, 180)};
+    struct job j = {.rig = make_room(800, 381, 0.3, 180)};
     for (j.rig.n_views = 0; j.rig.n_views < 6; j.rig.n_views++) {
         double x = 0.15 * j.rig.n_views, from[3] = {x, 0, -3}, to[3] = {x, 0, 0};
         j.rig.cams[j.rig.n_views] = scene_look(from, to, 381);
@@ -662,14 +663,14 @@ static void centres_in_a_row(void **unused)
     scene_make(&j.rig, &j.tracks);
     run_ok(&j, &(struct bundle_config){.focal = 381});
     assert_right(&j, 0.3, 0.05, 0.1);
-    done(&j);
+    job_free(&j);
 }
 
 /* All points on one slanted wall. */
 static void a_wall(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(600, 381, 0.2, 20)};
+    struct job j = {.rig = make_room(600, 381, 0.2, 20)};
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
     for (int i = 0; i < j.tracks.t.n; i++) {
@@ -682,7 +683,7 @@ static void a_wall(void **unused)
     }
     run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
     assert_right(&j, 1, 0.1, 0.001);
-    done(&j);
+    job_free(&j);
 }
 
 static void every_match_wrong(void **unused)
@@ -690,7 +691,7 @@ static void every_match_wrong(void **unused)
     (void)unused;
     static const int views[] = {2, 3, 6};
     for (int k = 0; k < 3; k++) {
-        struct job j = {.rig = room(250, 381, 0, 20)};
+        struct job j = {.rig = make_room(250, 381, 0, 20)};
         scene_arc(&j.rig, views[k], 2.0 * views[k]);
         scene_make(&j.rig, &j.tracks);
         for (int i = 0; i < j.tracks.t.n; i++) {
@@ -701,19 +702,19 @@ static void every_match_wrong(void **unused)
         assert_true(j.out.confidence < 0.1f && j.out.agreement < 0.1f);
         run_ok(&j, &(struct bundle_config){.start = j.rig.cams});
         assert_true(j.out.confidence < 0.1f);
-        done(&j);
+        job_free(&j);
     }
 }
 
 static void start_that_is_no_number(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(400, 381, 0.2, 20)};
+    struct job j = {.rig = make_room(400, 381, 0.2, 20)};
     struct camera start[SCENE_VIEWS];
     scene_arc(&j.rig, 6, 30);
     scene_make(&j.rig, &j.tracks);
     for (int k = 0; k < 4; k++) {
-        disturb(&j.rig, 0, 381, start);
+        disturb_cameras(&j.rig, 0, 381, start);
         start[2].t[1] = k == 0 ? NAN : start[2].t[1];
         start[3].q[0] = k == 1 ? INFINITY : start[3].q[0];
         start[0].fx = k == 2 ? 0 : start[0].fx;
@@ -722,13 +723,13 @@ static void start_that_is_no_number(void **unused)
         run_ok(&j, &(struct bundle_config){.start = start, .rig_known = k % 2});
         assert_right(&j, 0.5, 0.05, 0.06);
     }
-    done(&j);
+    job_free(&j);
 }
 
 static void wrong_requests(void **unused)
 {
     (void)unused;
-    struct job j = {.rig = room(100, 381, 0, 30)};
+    struct job j = {.rig = make_room(100, 381, 0, 30)};
     struct bundle_config none = {0};
     scene_arc(&j.rig, 4, 10);
     scene_make(&j.rig, &j.tracks);
@@ -760,7 +761,7 @@ static void wrong_requests(void **unused)
     assert_int_equal(arena_init(&j.tmp, "tmp", plan.tmp.peak), OK);
     r.cancel = &stop;
     assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_CANCELLED);
-    done(&j);
+    job_free(&j);
 }
 
 int main(void)

@@ -71,7 +71,7 @@ static void invert(const double h[9], double out[9])
 }
 
 /* Camera turned by `angle` about the vertical axis in front of the plane. */
-static void place(struct world *w, int i, double angle, double zoom)
+static void place_camera(struct world *w, int i, double angle, double zoom)
 {
     double f = 1.1 * SIZE, far = 2.4 / zoom, c = cos(angle), s = sin(angle);
     const double h[9] = {f * c + SIZE / 2.0 * s,
@@ -145,12 +145,12 @@ static void close_world(struct world *w)
 }
 
 /* A fan of views, exposures `stops` apart around the middle. */
-static void fan(struct world *w, double step, double stops, double electrons)
+static void make_fan(struct world *w, double step, double stops, double electrons)
 {
     for (int i = 0; i < w->v.n; i++) {
         static const int order[VIEWS_MAX] = {1, 0, 2, 1, 2, 0};
         w->log2t[i] = (float)(stops * (order[i] - 1));
-        place(w, i, step * (i - 0.5 * (w->v.n - 1)), 1 + 0.1 * (i % 3));
+        place_camera(w, i, step * (i - 0.5 * (w->v.n - 1)), 1 + 0.1 * (i % 3));
         photograph(w, i, electrons);
     }
 }
@@ -186,7 +186,7 @@ struct quality {
 };
 
 /* Each sighting against where the other sightings of its track, on average, lie on the plane. */
-static struct quality judge(const struct world *w, const struct match_tracks *t)
+static struct quality rate_tracks(const struct world *w, const struct match_tracks *t)
 {
     double *error = malloc(sizeof *error * 2 * (size_t)t->n), *ratio = error + t->n, back[9];
     struct quality q = {0, 0, 0};
@@ -230,10 +230,10 @@ static struct match_tracks find(struct world *w, const struct correspondence *pr
     return t;
 }
 
-static void expect(struct world *w, int tracks, double good, double median)
+static void expect_tracks(struct world *w, int tracks, double good, double median)
 {
     struct match_tracks t = find(w, NULL);
-    struct quality q = judge(w, &t);
+    struct quality q = rate_tracks(w, &t);
     assert_true(t.n_tracks >= tracks);
     assert_true(q.good >= good);
     assert_true(q.median <= median);
@@ -247,8 +247,8 @@ static void test_one_exposure(void **state)
     struct world w;
     (void)state;
     open_world(&w, 4, 2);
-    fan(&w, 0.1, 0, 5000);
-    expect(&w, 300, 0.98, 0.2);
+    make_fan(&w, 0.1, 0, 5000);
+    expect_tracks(&w, 300, 0.98, 0.2);
     close_world(&w);
 }
 
@@ -257,8 +257,8 @@ static void test_mixed_exposures(void **state)
     struct world w;
     (void)state;
     open_world(&w, 6, 2);
-    fan(&w, 0.1, 2, 2000);
-    expect(&w, 300, 0.95, 0.3);
+    make_fan(&w, 0.1, 2, 2000);
+    expect_tracks(&w, 300, 0.95, 0.3);
     close_world(&w);
 }
 
@@ -268,8 +268,8 @@ static void test_far_exposures(void **state)
     struct world w;
     (void)state;
     open_world(&w, 3, 2);
-    fan(&w, 0.08, 5, 20000);
-    expect(&w, 20, 0.9, 0.4);
+    make_fan(&w, 0.08, 5, 20000);
+    expect_tracks(&w, 20, 0.9, 0.4);
     close_world(&w);
 }
 
@@ -278,10 +278,10 @@ static void test_wide_turns_and_noise(void **state)
     struct world w;
     (void)state;
     open_world(&w, 3, 2);
-    fan(&w, 0.4, 0, 5000);
-    expect(&w, 60, 0.9, 0.3);
-    fan(&w, 0.1, 0, 150);
-    expect(&w, 100, 0.9, 0.4);
+    make_fan(&w, 0.4, 0, 5000);
+    expect_tracks(&w, 60, 0.9, 0.3);
+    make_fan(&w, 0.1, 0, 150);
+    expect_tracks(&w, 100, 0.9, 0.4);
     close_world(&w);
 }
 
@@ -291,10 +291,10 @@ static void test_scale(void **state)
     (void)state;
     open_world(&w, 2, 2);
     for (int i = 0; i < 2; i++) {
-        place(&w, i, 0.1 * i, 1 + 0.5 * i);
+        place_camera(&w, i, 0.1 * i, 1 + 0.5 * i);
         photograph(&w, i, 5000);
     }
-    expect(&w, 80, 0.9, 0.3);
+    expect_tracks(&w, 80, 0.9, 0.3);
     close_world(&w);
 }
 
@@ -307,7 +307,7 @@ static void test_shift(void **state)
         int exact = 0, close = 0;
         (void)state;
         open_world(&w, 2, 1);
-        fan(&w, 0, 0, 1e9);
+        make_fan(&w, 0, 0, 1e9);
         for (size_t y = 0; y < SIZE; y++) {
             uint8_t *row = w.v.rgb + y * SIZE * 3;
             memmove(row + (size_t)SIZE * SIZE * 3, row + shift * 3, (SIZE - shift) * 3);
@@ -345,7 +345,7 @@ static void test_nothing_to_see(void **state)
         assert_true(t.n_tracks < 20);
     }
     for (int i = 0; i < 3; i++) { // three places of the plane that share nothing
-        place(&w, i, 0, 1);
+        place_camera(&w, i, 0, 1);
         for (int k = 0; k < 2; k++)
             w.h[i][3 * k + 2] += 9000.0 * i;
         photograph(&w, i, 5000);
@@ -371,7 +371,7 @@ static void test_threads(void **state)
     for (int threads = 1; threads <= 7; threads += threads == 1 ? 1 : 5) {
         struct world w;
         open_world(&w, 4, threads);
-        fan(&w, 0.1, 2, 2000);
+        make_fan(&w, 0.1, 2, 2000);
         struct match_tracks t = find(&w, NULL);
         assert_true(t.n > 0);
         if (!first) {
@@ -416,7 +416,7 @@ static int count_with(struct world *w, int off, float share, double good)
 {
     struct correspondence p = make_prior(w, off, share);
     struct match_tracks t = find(w, &p);
-    assert_true(judge(w, &t).good >= good);
+    assert_true(rate_tracks(w, &t).good >= good);
     free(p.token);
     free(p.share);
     return t.n;
@@ -429,7 +429,7 @@ static void test_prior(void **state)
     struct world w;
     (void)state;
     open_world(&w, 3, 2);
-    fan(&w, 0.1, 1, 2000);
+    make_fan(&w, 0.1, 1, 2000);
     int without = find(&w, NULL).n;
     int right = count_with(&w, 0, 0.6f, 0.95), vague = count_with(&w, GRID / 2, 0.05f, 0.95);
     int wrong = count_with(&w, GRID / 2, 0.6f, 0.9);
@@ -445,7 +445,7 @@ static void test_too_little_memory(void **state)
     struct match_tracks t;
     (void)state;
     open_world(&w, 2, 1);
-    fan(&w, 0.1, 0, 5000);
+    make_fan(&w, 0.1, 0, 5000);
     size_t full = w.tmp.size;
     for (w.tmp.size = 0; w.tmp.size < full; w.tmp.size += full / 11) {
         err_t e = match_run(&w.run, &w.v, NULL, &t);

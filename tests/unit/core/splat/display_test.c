@@ -126,7 +126,8 @@ static void a_splat_without_view_dependence_has_none(void **state)
     }
 }
 
-/* What is seen of 2000 splats of another program, whose colours are often below 0 or above 1. */
+/* Displayed colours of 2000 splats of another program, whose colours are often below 0 or above 1.
+ * */
 static void foreign_colours_stay_what_they_were(void **state)
 {
     (void)state;

@@ -72,7 +72,7 @@ static void rig_close(void)
 }
 
 /* Put a splat at camera coordinates x/z, y/z, z. */
-static void place(int i, double x, double y, double z)
+static void place_splat(int i, double x, double y, double z)
 {
     float r[9], p[3] = {(float)(x * z), (float)(y * z), (float)z};
     rotation_from_unit(R.cam.q, r);
@@ -83,7 +83,7 @@ static void place(int i, double x, double y, double z)
 
 static void random_splat(int i, double log_scale)
 {
-    place(i, uniform(-.5, .5), uniform(-.5, .5), uniform(1, 4));
+    place_splat(i, uniform(-.5, .5), uniform(-.5, .5), uniform(1, 4));
     for (int k = 0; k < 3; k++)
         R.g.plane[G_LOG_SCALE + k][i] = (float)(log_scale + uniform(-1, 1));
     for (int k = 0; k < 4; k++)
@@ -277,7 +277,7 @@ static int group_of(int plane)
     return plane < 3 ? MEAN : plane < 6 ? SCALE : plane < 10 ? ROTATION : plane < 11 ? OPACITY : SH;
 }
 
-/* Of the many harmonics each splat checks a third, every coefficient on a third of the splats. */
+/* Each splat checks a third of the harmonics, so that a third of the splats checks each one. */
 static bool is_checked(int splat, int plane)
 {
     return group_of(plane) != SH || (splat + plane) % 3 == 0;
@@ -359,7 +359,7 @@ static void scene_clamped(void)
 {
     random_scene(12, -1);
     for (int i = 0; i < 12; i++)
-        place(i, (i & 1 ? 1 : -1) * (.75 + .02 * i), i & 2 ? .8 : -.1, .6 + .1 * i);
+        place_splat(i, (i & 1 ? 1 : -1) * (.75 + .02 * i), i & 2 ? .8 : -.1, .6 + .1 * i);
 }
 
 static void scene_thin(void)
@@ -429,7 +429,7 @@ static void near_splats(const double z[3])
     for (int i = 0; i < 150; i++) {
         double x = uniform(-1, 1), y = uniform(-1, 1), zi = z[i % 3];
         double s = i % 2 ? 1 / fmax(fabs(zi), 1e-3) : 1;
-        place(i, x * s, y * s, zi * (1 + .02 * i)); // order must not hang on rounding
+        place_splat(i, x * s, y * s, zi * (1 + .02 * i)); // order must not hang on rounding
     }
 }
 
@@ -475,7 +475,7 @@ static void scene_crowd(void)
     R.g.n = NMAX;
     for (int i = 0; i < NMAX; i++) {
         random_splat(i, -4);
-        place(i, .01, .02, uniform(1, 4));
+        place_splat(i, .01, .02, uniform(1, 4));
         R.g.plane[G_LOGIT][i] = -5.0f;
     }
 }
