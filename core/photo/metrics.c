@@ -114,13 +114,6 @@ static double sum_down(const moments *ring, int n, int y0, const double *kernel)
     return total;
 }
 
-size_t metrics_ssim_plan(int w)
-{
-    size_t inside = w < TAPS ? 0 : (size_t)(w - TAPS + 1);
-    return arena_add(arena_need((size_t)w, sizeof(moments)),
-                     arena_need(TAPS * inside, sizeof(moments)));
-}
-
 static double ssim_sum(const struct image *a, const struct image *b, moments *raw, moments *ring)
 {
     double kernel[TAPS], total = 0.0;
@@ -137,6 +130,20 @@ static double ssim_sum(const struct image *a, const struct image *b, moments *ra
     return total;
 }
 
+static err_t layout(moments **raw, moments **ring, struct arena *tmp, int w)
+{
+    const size_t inside = w < TAPS ? 0 : (size_t)(w - TAPS + 1);
+    err_t e = arena_alloc(tmp, (size_t)w, sizeof **raw, raw);
+    return e ? e : arena_alloc(tmp, TAPS * inside, sizeof **ring, ring);
+}
+
+size_t metrics_ssim_plan(int w)
+{
+    struct arena tmp = arena_counter();
+    moments *raw, *ring;
+    return layout(&raw, &ring, &tmp, w) ? SIZE_MAX : tmp.peak;
+}
+
 err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *tmp, double *out)
 {
     *out = 0.0;
@@ -148,9 +155,7 @@ err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *t
                         a->w, a->h);
     size_t mark = arena_mark(tmp), inside = (size_t)(a->w - TAPS + 1);
     moments *raw, *ring;
-    e = arena_alloc(tmp, (size_t)a->w, sizeof *raw, &raw);
-    if (!e)
-        e = arena_alloc(tmp, TAPS * inside, sizeof *ring, &ring);
+    e = layout(&raw, &ring, tmp, a->w);
     if (!e)
         *out = ssim_sum(a, b, raw, ring) / ((double)inside * (a->h - TAPS + 1) * a->channels);
     arena_reset(tmp, mark);

@@ -300,33 +300,40 @@ static int largest(const struct cmd_list *l)
     return most;
 }
 
-static err_t reserve(const struct request *rq, struct state *st)
+static err_t layout(struct state *st, float **px, struct arena *a, const struct request *rq,
+                    int workers)
 {
-    const int cap = largest(&rq->gaussians), size = largest(&rq->sizes);
-    const int degree = rq->degree, workers = pool_size(st->engine.pool);
-    const size_t pixels = (size_t)size * (size_t)size,
-                 moments = (size_t)gaussians_planes(degree) * ((size_t)cap + 15);
-    size_t tmp = arena_add(raster_plan(cap + 15, size, size, true), loss_plan(size, size, workers));
-    tmp = arena_add(tmp, arena_need(pixels, 5 * sizeof(float) + 3));
-    tmp = arena_add(tmp,
-                    arena_add(gaussians_need(cap, degree), arena_need(moments, 2 * sizeof(float))));
-    size_t triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
-    err_t e = engine_reserve(&st->engine, 0, triad, tmp, config_memory_mb(&rq->cfg));
-    struct arena *a = &st->engine.tmp;
-    float *px = NULL;
-    if (!e)
-        e = gaussians_init(&st->g, a, cap, degree);
+    const int size = largest(&rq->sizes);
+    const size_t pixels = (size_t)size * (size_t)size;
+    err_t e = gaussians_init(&st->g, a, largest(&rq->gaussians), rq->degree);
+    const size_t moments = (size_t)gaussians_planes(rq->degree) * (size_t)st->g.cap;
     if (!e)
         e = raster_init(&st->raster, a, st->g.cap, size, size, true);
     if (!e)
         e = loss_init(&st->loss, a, size, size, workers);
     if (!e)
-        e = arena_alloc(a, pixels, 5 * sizeof *px + 3, &px);
+        e = arena_alloc(a, pixels, 5 * sizeof **px + 3, px);
     if (!e)
-        e = arena_zalloc(a, moments, 2 * sizeof(float), &st->m1);
+        e = arena_zalloc(a, moments, 2 * sizeof *st->m1, &st->m1);
+    if (!e)
+        st->m2 = st->m1 + moments;
+    return e;
+}
+
+static err_t reserve(const struct request *rq, struct state *st)
+{
+    const int size = largest(&rq->sizes), workers = pool_size(st->engine.pool);
+    const size_t pixels = (size_t)size * (size_t)size,
+                 triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
+    struct arena tmp = arena_counter();
+    float *px = NULL;
+    err_t e = layout(st, &px, &tmp, rq, workers);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, triad, tmp.peak, config_memory_mb(&rq->cfg));
+    if (!e)
+        e = layout(st, &px, &st->engine.tmp, rq, workers);
     if (e)
         return e;
-    st->m2 = st->m1 + moments;
     st->pic = (struct render){.radiance = px, .depth = px + 3 * pixels, .alpha = px + 4 * pixels};
     st->photo = (uint8_t *)(px + 5 * pixels);
     tonemap_linear(&st->tone, 1.0f, -10.0f, 10.0f, 0.0f);

@@ -21,18 +21,6 @@ static size_t room(size_t n)
     return n < 16 ? 16 : (n + 15) / 16 * 16;
 }
 
-size_t dump_plan(int size, int cap)
-{
-    const size_t pixels = (size_t)size * (size_t)size, n = room((size_t)cap);
-    size_t pix = arena_need(room(pixels), (3 + VOXEL_FEATURES + 4) * sizeof(float));
-    size_t cells = arena_need(n, 13 * sizeof(float));
-    size_t picture =
-        arena_add(draw_plan(cap, size, size), arena_add(arena_need(pixels, EXTRA * sizeof(float)),
-                                                        arena_need(n, COLOURS * sizeof(float))));
-    size_t most = pix > cells ? pix : cells;
-    return most > picture ? most : picture;
-}
-
 err_t dump_views(const struct run *r, const struct views *v)
 {
     const size_t values = 3 * (size_t)v->size * (size_t)v->size, mark = arena_mark(r->tmp);
@@ -159,6 +147,12 @@ static void put_scale(const struct run *r, const struct prediction *p)
     tap_put(r, &(struct tap_tensor){.name = "scene_scale", .rank = 1, .shape = {1}, .data = &mean});
 }
 
+static err_t layout_pixels(float **work, struct arena *tmp, int size)
+{
+    return arena_alloc(tmp, room((size_t)size * (size_t)size),
+                       (3 + VOXEL_FEATURES + 4) * sizeof **work, work);
+}
+
 err_t dump_prediction(const struct run *r, const struct prediction *p)
 {
     const size_t mark = arena_mark(r->tmp);
@@ -171,8 +165,7 @@ err_t dump_prediction(const struct run *r, const struct prediction *p)
         put_scale(r, p);
     if (!p->features)
         return OK;
-    e = arena_alloc(r->tmp, room((size_t)p->geom.size * (size_t)p->geom.size),
-                    (3 + VOXEL_FEATURES + 4) * sizeof *work, &work);
+    e = layout_pixels(&work, r->tmp, p->geom.size);
     for (int i = 0; i < p->geom.n_views && !e; i++)
         e = put_pixels(r, p, i, work);
     arena_reset(r->tmp, mark);
@@ -214,6 +207,11 @@ static void covariance(const struct gaussians *g, int i, float out[9])
                              m[3 * a + 2] * v[2] * m[3 * b + 2];
 }
 
+static err_t layout_gaussians(float **work, struct arena *tmp, int cap)
+{
+    return arena_alloc(tmp, (size_t)cap, 13 * sizeof **work, work);
+}
+
 err_t dump_gaussians(const struct run *r, const struct gaussians *g)
 {
     const size_t cap = (size_t)g->cap, mark = arena_mark(r->tmp);
@@ -221,7 +219,7 @@ err_t dump_gaussians(const struct run *r, const struct gaussians *g)
     float *work;
     if (!tap_on(r) || g->n == 0)
         return OK;
-    err_t e = arena_alloc(r->tmp, cap, 13 * sizeof *work, &work);
+    err_t e = layout_gaussians(&work, r->tmp, g->cap);
     if (e)
         return e;
     put(r, &l, "means", 3, g->plane[G_MU]);
@@ -312,16 +310,37 @@ static err_t draw_all(const struct run *r, const struct dump_picture *p, struct 
     return e;
 }
 
+static err_t layout_picture(struct draw *d, float **work, struct arena *tmp, int cap,
+                            const int size[2])
+{
+    const size_t pixels = (size_t)size[0] * (size_t)size[1];
+    err_t e = draw_init(d, tmp, cap, size[0], size[1]);
+    return e ? e : arena_alloc(tmp, COLOURS * (size_t)cap + EXTRA * pixels, sizeof **work, work);
+}
+
+size_t dump_plan(int size, int cap)
+{
+    struct arena planes = arena_counter(), tmp = arena_counter();
+    struct gaussians g;
+    struct draw d;
+    float *work;
+    err_t e = gaussians_init(&g, &planes, cap, 0);
+    e = e ? e : layout_pixels(&work, &tmp, size);
+    arena_reset(&tmp, 0);
+    e = e ? e : layout_gaussians(&work, &tmp, g.cap);
+    arena_reset(&tmp, 0);
+    e = e ? e : layout_picture(&d, &work, &tmp, g.cap, (int[2]){size, size});
+    return e ? SIZE_MAX : tmp.peak;
+}
+
 err_t dump_picture(const struct run *r, const struct dump_picture *p)
 {
-    const size_t pixels = (size_t)p->cam->w * (size_t)p->cam->h, mark = arena_mark(r->tmp);
+    const size_t mark = arena_mark(r->tmp);
     struct draw d;
     float *work;
     if (!tap_on(r))
         return OK;
-    err_t e = draw_init(&d, r->tmp, p->g->cap, p->cam->w, p->cam->h);
-    if (!e)
-        e = arena_alloc(r->tmp, COLOURS * (size_t)p->g->cap + EXTRA * pixels, sizeof *work, &work);
+    err_t e = layout_picture(&d, &work, r->tmp, p->g->cap, (int[2]){p->cam->w, p->cam->h});
     if (!e)
         e = draw_all(r, p, &d, work);
     arena_reset(r->tmp, mark);
