@@ -2,9 +2,9 @@
  * A backend is one constant table, camera_NAME (`camera_sim`, `camera_replay`, `camera_v4l2`, ...).
  *
  * Life: open, then any order of request, next, release, then close. The camera streams from open to
- * close. A request never names a frame: controls take effect some frames later, so whoever takes
- * brackets labels frames by evidence, for which a frame carries everything that the device says.
- * `info.exposure_delay` and `gain_delay` are the promise of the device, not proof.
+ * close. A request never names a frame: controls take effect some frames later. The capture code
+ * therefore labels frames by evidence, and a frame carries every report of the device.
+ * `info.exposure_delay` and `gain_delay` are what the device promises, not proof.
  *
  * thread: one, the same from open to close. No call but open and close blocks. */
 #ifndef DEVICE_CAMERA_H
@@ -19,7 +19,7 @@
 enum { CAMERA_BUFFERS_MAX = 32 };
 
 enum camera_format {
-    CAMERA_ANY,    // as a wish only: what the backend does best
+    CAMERA_ANY,    // as a request only: the format that the backend does best
     CAMERA_RGB8,   // R,G,B
     CAMERA_BGR8,   // B,G,R
     CAMERA_YUYV,   // Y0 U Y1 V
@@ -43,7 +43,7 @@ enum camera_format {
 };
 
 struct camera_cfg {
-    const char *uri;           // "BACKEND:rest"; the rest is the backend's affair
+    const char *uri;           // "BACKEND:rest"; the backend parses the rest
     int w, h;                  // px wanted; 0: the backend's own
     enum camera_format format; // wanted
     int buffers;               // wanted, 1..CAMERA_BUFFERS_MAX; 0: 4
@@ -89,18 +89,17 @@ struct frame {
     size_t bytes;     // valid ones; those beyond are from some older frame
     int w, h, stride; // px, bytes; of this frame: compare with camera_info
     enum camera_format format;
-    uint32_t sequence; // counts frames, also lost ones; some devices get this wrong
-    int64_t
-        timestamp_ns; // CLOCK_MONOTONIC if the device is right; see camera_info.stamp; 0: not known
-    unsigned flags;   // FRAME_*
-    bool exposure_known; // the device says what this frame was exposed with:
+    uint32_t sequence;    // counts frames, also lost ones; some devices get this wrong
+    int64_t timestamp_ns; // CLOCK_MONOTONIC, see camera_info.stamp; 0: not known
+    unsigned flags;       // FRAME_*
+    bool exposure_known;  // the device says what this frame was exposed with:
     struct exposure exposure;
     bool gains_known; // the device says what it multiplied the pixels with:
     bool gains_later; // ... or will, behind these: they are raw
     double digital_gain, red_gain, blue_gain;
-    bool lens_known; // the device says where its lens stands:
+    bool lens_known; // the device reports the position of its lens:
     double lens;     // 1/m, or the device's units; see its option focus=
-    int index;       // of the buffer, the backend's affair
+    int index;       // of the buffer, for the backend
 };
 
 struct camera_ops {
@@ -110,7 +109,7 @@ struct camera_ops {
     /* Open the device and start streaming. st: state_bytes, any content, aligned as malloc does.
      * own:  close; on error there is nothing to close.
      * err:  ERR_ARG (URI: the sentence names key and bound), ERR_UNSUPPORTED (size, format),
-     *       ERR_LOST (no such device now; try again later), ERR_BUSY (used by somebody else),
+     *       ERR_LOST (no such device now; try again later), ERR_BUSY (used by another program),
      *       ERR_IO, ERR_FORMAT (files that the URI names), ERR_NOMEM */
     MUST_USE err_t (*open)(void *st, const struct camera_cfg *cfg);
 
@@ -119,12 +118,12 @@ struct camera_ops {
 
     void (*info)(const void *st, struct camera_info *out);
 
-    /* Readable when next has something to say, also an error; sometimes in vain. Constant. */
+    /* Readable when next has a frame or an error; sometimes in vain. Constant. */
     int (*fd)(const void *st);
 
     /* Ask for an exposure from as early a frame on as possible. Time is rounded down to the
      * device's steps, time and gain are limited to its range.
-     * out:  *set: what the device says that it has set now - read back, where it can be.
+     * out:  *set: the setting in force, read back where the device allows it.
      * err:  ERR_ARG (not finite or not positive; or the device calls it out of range), ERR_BUSY
      *       (later), ERR_UNSUPPORTED (the control is not ours, an automatic mode has it), ERR_IO,
      *       ERR_LOST. On error *set is not changed, and neither are coming frames. */
@@ -145,14 +144,13 @@ struct camera_ops {
      * err:  ERR_AGAIN (searches), ERR_TIMEOUT (found none), ERR_IO, ERR_BUSY, ERR_LOST */
     MUST_USE err_t (*focus)(void *st, bool again);
 
-    /* The present, ns, for a camera with a clock of its own, which its time stamps are of: waits
-     * and ages are measured by it, so that a simulation does not depend on the speed of the
-     * machine. NULL, or 0: CLOCK_MONOTONIC. */
+    /* Present time, ns, of a camera that stamps frames with a clock of its own. Waits and ages are
+     * measured by it, so that a simulation does not depend on the speed of the machine. NULL, or a
+     * result of 0: CLOCK_MONOTONIC. */
     int64_t (*now)(const void *st);
 };
 
 extern const struct camera_ops camera_v4l2, camera_libcamera;
-extern const struct camera_ops camera_sim,
-    camera_replay; // in sim/, named by firmware/base/backends.c
+extern const struct camera_ops camera_sim, camera_replay; // in sim/
 
 #endif

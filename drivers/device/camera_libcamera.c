@@ -1,5 +1,5 @@
 /* Cameras of libcamera: finds the module, checks that it was built from the same structs, and
- * passes on. The module is kept once it is loaded: threads of libcamera may be in it. */
+ * forwards every call. The module stays loaded: threads of libcamera may run in it. */
 #include "drivers/device/camera.h"
 
 #include "drivers/device/focus.h"
@@ -70,14 +70,14 @@ static err_t find_module(char path[FILE_PATH_CAP])
                     module, self, self, places[1]);
 }
 
-static err_t load(const struct options *o, const struct libcamera_shim **out)
+static err_t load_module(const struct options *o, const struct libcamera_shim **out)
 {
     char path[FILE_PATH_CAP];
     memcpy(path, o->module, sizeof o->module);
     err_t e = path[0] ? OK : find_module(path);
     if (e)
         return e;
-    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would greet on stderr
+    setenv("LIBCAMERA_LOG_LEVELS", "*:WARN", 0); // it would print a greeting to stderr
     void *lib = dlopen(path, RTLD_NOW | RTLD_LOCAL);
     if (!lib)
         return err_fail(ERR_UNSUPPORTED,
@@ -86,14 +86,15 @@ static err_t load(const struct options *o, const struct libcamera_shim **out)
                         dlerror());
     const struct libcamera_shim *shim = dlsym(lib, LIBCAMERA_SHIM_TABLE);
     if (!shim || shim->stamp != LIBCAMERA_SHIM_STAMP)
-        return err_fail(ERR_UNSUPPORTED, "libcamera: %s is of another version of this program (%x)",
-                        path, shim ? shim->stamp : 0);
+        return err_fail(ERR_UNSUPPORTED,
+                        "libcamera: %s was built for another version of this program (%x)", path,
+                        shim ? shim->stamp : 0);
     *out = shim;
     return OK;
 }
 
-/* The module has its own last sentence. */
-static err_t told(const struct state *s, err_t e)
+/* The sentence of an error is in the module. */
+static err_t pass_error(const struct state *s, err_t e)
 {
     return e == OK || e == ERR_AGAIN ? e : err_fail(e, "%s", s->shim->text());
 }
@@ -110,11 +111,11 @@ static err_t lib_open(void *st, const struct camera_cfg *cfg)
     if (!e && (cfg->buffers < 0 || cfg->buffers > CAMERA_BUFFERS_MAX))
         e = err_fail(ERR_ARG, "libcamera: %d buffers, not 0..%d", cfg->buffers, CAMERA_BUFFERS_MAX);
     if (!e)
-        e = load(&o, &s->shim);
+        e = load_module(&o, &s->shim);
     if (e)
         return e;
     struct libcamera_shim_cfg how = {o.camera, *cfg, (enum camera_stamp)o.stamp, focus};
-    return told(s, s->shim->open(&how, &s->camera));
+    return pass_error(s, s->shim->open(&how, &s->camera));
 }
 
 static void lib_close(void *st)
@@ -139,13 +140,13 @@ static int lib_fd(const void *st)
 static err_t lib_request(void *st, const struct exposure *ask, struct exposure *set)
 {
     struct state *s = st;
-    return told(s, s->shim->request(s->camera, ask, set));
+    return pass_error(s, s->shim->request(s->camera, ask, set));
 }
 
 static err_t lib_next(void *st, struct frame *out)
 {
     struct state *s = st;
-    return told(s, s->shim->next(s->camera, out));
+    return pass_error(s, s->shim->next(s->camera, out));
 }
 
 static void lib_release(void *st, struct frame *f)
@@ -157,7 +158,7 @@ static void lib_release(void *st, struct frame *f)
 static err_t lib_focus(void *st, bool again)
 {
     struct state *s = st;
-    return told(s, s->shim->focus(s->camera, again));
+    return pass_error(s, s->shim->focus(s->camera, again));
 }
 
 const struct camera_ops camera_libcamera = {.name = "libcamera",

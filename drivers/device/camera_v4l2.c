@@ -1,10 +1,10 @@
-/* Open, in the order that drivers want: node, capabilities, format (and the sensor's), automatic
- * modes off, pace, exposure, buffers, events, stream. Close undoes what there is.
+/* open runs in the order that drivers need: node, capabilities, format (and the sensor's),
+ * automatic modes off, pace, exposure, buffers, events, stream.
  * Stamps: by the buffer flags, but for uvcvideo, which says "start of exposure" and stamps the
  * arrival of the first packet (uvc_video.c, uvc_video_decode_start): the sensor reads out by then,
  * so that is the end of the first row's exposure. Other clocks than CLOCK_MONOTONIC are replaced
  * by it when the frame is taken, which is the end as well.
- * Sequence numbers and stamps are handed on as they come; only the caller can judge them. */
+ * Sequence numbers and stamps are passed on unchanged; the caller judges them. */
 #include "drivers/device/camera_v4l2.h"
 
 #include "drivers/device/unpack.h"
@@ -51,7 +51,7 @@ struct state {
     bool events;
 };
 
-/* ---- what it is ---- */
+/* ---- identity ---- */
 
 static err_t read_uri(struct state *s, const char *uri)
 {
@@ -70,7 +70,7 @@ static err_t read_uri(struct state *s, const char *uri)
     return e ? e : focus_parse("v4l2", s->opt.focus, LENS_MOST, &s->focus);
 }
 
-static err_t check_wish(const struct camera_cfg *cfg)
+static err_t check_request(const struct camera_cfg *cfg)
 {
     if (cfg->w < 0 || cfg->h < 0)
         return err_fail(ERR_ARG, "%s: pictures of %d x %d px", cfg->uri, cfg->w, cfg->h);
@@ -95,7 +95,7 @@ static err_t read_capabilities(struct state *s)
     s->layout.mplane = !(caps & V4L2_CAP_VIDEO_CAPTURE);
     if (!(caps & (V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_VIDEO_CAPTURE_MPLANE)))
         return err_fail(ERR_UNSUPPORTED,
-                        "%s: does not capture pictures%s; the node that does ends in -video-index0",
+                        "%s: does not capture pictures%s; use the node that ends in -video-index0",
                         s->video.path, caps & V4L2_CAP_META_CAPTURE ? " but metadata" : "");
     if (!(caps & V4L2_CAP_STREAMING))
         return err_fail(ERR_UNSUPPORTED, "%s: cannot stream into mapped buffers", s->video.path);
@@ -187,7 +187,7 @@ static err_t set_controls(struct state *s)
     return e ? e : v4l2_shutter_open(&s->shutter, &s->layout, s->opt.longest_ms * 1e-3, period_s);
 }
 
-static err_t stream(struct state *s, int buffers)
+static err_t start_stream(struct state *s, int buffers)
 {
     struct v4l2_event_subscription source = {.type = V4L2_EVENT_SOURCE_CHANGE};
     s->queue.node = s->video;
@@ -229,7 +229,7 @@ err_t camera_v4l2_open_with(void *st, const struct camera_cfg *cfg, const struct
     s->motor = (struct v4l2_node){sys, s->opt.lens, -1};
     err_t e = read_uri(s, cfg->uri);
     if (!e)
-        e = check_wish(cfg);
+        e = check_request(cfg);
     if (!e)
         e = open_nodes(s);
     if (!e)
@@ -237,7 +237,7 @@ err_t camera_v4l2_open_with(void *st, const struct camera_cfg *cfg, const struct
     if (!e)
         e = set_controls(s);
     if (!e)
-        e = stream(s, cfg->buffers);
+        e = start_stream(s, cfg->buffers);
     if (!e)
         fill_info(s);
     else
@@ -276,7 +276,7 @@ static err_t v4l2_request(void *st, const struct exposure *ask, struct exposure 
     return e;
 }
 
-/* Another source behind the node is another camera. */
+/* A change of the source behind the node means another camera. */
 static err_t read_events(struct state *s, const struct v4l2_node *n)
 {
     struct v4l2_event ev = {0};

@@ -9,8 +9,8 @@
  *   focus       a position of the lens, in the device's units; or once: see camera_ops.focus
  *   lens        of the lens, where it is a sub-device of its own (v4l2-ctl -L shows focus_absolute)
  *
- * Automatic modes are switched off at open, what shapes the response is put to its default.
- * gain_max is 1 where nobody knows the factors behind the codes (USB cameras).
+ * open switches automatic modes off and puts the controls that shape the response to their
+ * defaults. gain_max is 1 where the factors behind the codes are not known (USB cameras).
  * See drivers/device/camera.h. */
 #ifndef DEVICE_CAMERA_V4L2_H
 #define DEVICE_CAMERA_V4L2_H

@@ -1,4 +1,4 @@
-/* device.h - the calls that reach a device node, as a table: a test puts a kernel of its own in.
+/* device.h - the calls that reach a device node, as a table, so that a test can play the kernel.
  * thread: any. */
 #ifndef DEVICE_DEVICE_H
 #define DEVICE_DEVICE_H

@@ -3,8 +3,8 @@
  * with both edges and the kernel's debouncing, or an output that is off.
  * Both edges: the numbers that the kernel gives them count every change of the line, so that a gap
  * tells of each one that its buffer of 64 could not keep. It drops the oldest. Bounce has no
- * numbers (Linux drivers/gpio/gpiolib-cdev.c counts edges after debouncing), so nobody can say how
- * much of it was swallowed.
+ * numbers (Linux drivers/gpio/gpiolib-cdev.c counts edges after debouncing), so how much of it was
+ * swallowed is not known.
  * Source: Linux Documentation/userspace-api/gpio/chardev.rst, include/uapi/linux/gpio.h. */
 #include "drivers/device/gpio.h"
 
@@ -35,8 +35,8 @@ static const struct uri_key lamp_keys[] = {
     {"active", AT(active_low), URI_WORD, 0, 0, "high|low"},
 };
 
-/* CHIP/LINE of n bytes; the last slash parts them. */
-static err_t split(const char *uri, const char *at, size_t n, struct gpio_ask *out)
+/* CHIP/LINE of n bytes, split at the last slash. */
+static err_t split_address(const char *uri, const char *at, size_t n, struct gpio_ask *out)
 {
     const char *slash = memrchr(at, '/', n);
     size_t chip = slash ? (size_t)(slash - at) : 0, line = slash ? n - chip - 1 : 0;
@@ -56,7 +56,7 @@ err_t gpio_parse(const char *uri, const char *scheme, enum gpio_use use, struct 
         return err_fail(ERR_ARG, "%.64s: does not begin with \"%s:\"", uri, scheme);
     const char *at = uri + skip + 1;
     size_t n = strcspn(at, ",");
-    err_t e = split(uri, at, n, out);
+    err_t e = split_address(uri, at, n, out);
     if (e)
         return e;
     snprintf(out->uri, sizeof out->uri, "%s:%s/%s", scheme, out->chip, out->line);
@@ -123,9 +123,9 @@ static err_t chip_info(const struct device_sys *sys, const char *path, struct gp
     return *why ? ERR_AGAIN : OK;
 }
 
-/* Look at one node; found holds the chip's name once there is one. */
-static err_t consider(const struct device_sys *sys, const struct gpio_ask *ask, const char *path,
-                      char found[GPIO_MAX_NAME_SIZE], int *refused)
+/* Compare one node with the request; `found` holds the chip's name after a match. */
+static err_t match_chip(const struct device_sys *sys, const struct gpio_ask *ask, const char *path,
+                        char found[GPIO_MAX_NAME_SIZE], int *refused)
 {
     struct gpiochip_info info;
     int why;
@@ -161,7 +161,7 @@ err_t gpio_chip_path(const struct device_sys *sys, const struct gpio_ask *ask,
         if (strncmp(at->d_name, "gpiochip", 8) != 0 ||
             snprintf(node, sizeof node, "%s/%s", sys->dev, at->d_name) >= (int)sizeof node)
             continue;
-        e = consider(sys, ask, node, found, &refused);
+        e = match_chip(sys, ask, node, found, &refused);
         if (!e)
             memcpy(path, node, sizeof node);
     }
@@ -218,7 +218,8 @@ static err_t find_line(const struct device_sys *sys, int chip, const struct gpio
     return gpio_fail_line(ask, c.lines);
 }
 
-static void configure(const struct gpio_ask *ask, enum gpio_use use, struct gpio_v2_line_config *c)
+static void set_line_config(const struct gpio_ask *ask, enum gpio_use use,
+                            struct gpio_v2_line_config *c)
 {
     static const uint64_t bias[] = {GPIO_V2_LINE_FLAG_BIAS_PULL_UP,
                                     GPIO_V2_LINE_FLAG_BIAS_PULL_DOWN,
@@ -248,7 +249,7 @@ static err_t take_line(const struct device_sys *sys, int chip, const struct gpio
     r.offsets[0] = info.offset;
     r.event_buffer_size = use == GPIO_BUTTON ? KEPT_EDGES : 0;
     memcpy(r.consumer, consumer_name, sizeof consumer_name);
-    configure(ask, use, &r.config);
+    set_line_config(ask, use, &r.config);
     if (sys->ioctl(chip, GPIO_V2_GET_LINE_IOCTL, &r) != 0)
         return gpio_fail(ask, errno, info.consumer);
     if (r.fd < 0 || fcntl(r.fd, F_SETFL, O_NONBLOCK) != 0)

@@ -56,14 +56,14 @@ struct gpio_edge {
 MUST_USE err_t gpio_read(const struct device_sys *sys, int fd, const struct gpio_ask *ask,
                          struct gpio_edge *out);
 
-/* The sentence for a call about this line that failed with errno `why`. consumer: who has the
- * line, may be "" or NULL. err: never OK */
+/* The error of a call on this line that failed with errno `why`. consumer: name of the program that
+ * holds the line, may be "" or NULL. err: never OK */
 MUST_USE err_t gpio_fail(const struct gpio_ask *ask, int why, const char *consumer);
 
-/* The same for reads and writes of a line that was had. err: ERR_AGAIN, ERR_IO, ERR_LOST */
+/* The same for reads and writes of a line after gpio_request. err: ERR_AGAIN, ERR_IO, ERR_LOST */
 MUST_USE err_t gpio_fail_read(const struct gpio_ask *ask, int why);
 
-/* The sentence for a line that is none of the chip's. err: never OK */
+/* The error of a line that the chip does not have. err: never OK */
 MUST_USE err_t gpio_fail_line(const struct gpio_ask *ask, uint32_t n_lines);
 
 /* Edges that count, and what the kernel lost before them. Begin with zeros. */

@@ -13,13 +13,13 @@ struct lamp {
     struct gpio_ask ask;
     int fd;
     enum lamp_state state;
-    bool on, dark; // what the line was told; dark: it has failed
+    bool on, dark; // on: state of the line; dark: the line has failed
     int64_t since_ns, next_ns;
 };
 
 static const int64_t ms = 1000000;
 
-/* ms on, off, on, off; none: steady. */
+/* ms on, off, on, off; states without an entry are steady. */
 static const int pattern[][STEPS] = {
     [LAMP_BUSY] = {125, 125},
     [LAMP_FAULT] = {100, 100, 100, 700},
@@ -73,7 +73,7 @@ int64_t lamp_next_ns(const struct lamp *l)
 }
 
 /* Whether the pattern has the lamp on at a time after its start, and for how long yet. */
-static bool lit(const int *steps, int64_t at_ns, int64_t *left_ns)
+static bool pattern_is_on(const int *steps, int64_t at_ns, int64_t *left_ns)
 {
     int64_t period = 0;
     for (int i = 0; i < STEPS; i++)
@@ -94,7 +94,7 @@ err_t lamp_tick(struct lamp *l, int64_t now_ns)
     l->next_ns = INT64_MAX;
     if (l->state == LAMP_BUSY || l->state == LAMP_FAULT) {
         int64_t left;
-        on = lit(pattern[l->state], now_ns - l->since_ns, &left);
+        on = pattern_is_on(pattern[l->state], now_ns - l->since_ns, &left);
         l->next_ns = now_ns + left;
     }
     if (on == l->on)

@@ -1,5 +1,5 @@
-/* lamp.h - a light for the user's eye on a GPIO line: what the rig does. lamp_tick is called when
- * lamp_next_ns says so; nothing here sleeps.
+/* lamp.h - a lamp on a GPIO line that shows the state of the rig. The caller runs lamp_tick at the
+ * time of lamp_next_ns; nothing here sleeps.
  * thread: one. */
 #ifndef DEVICE_LAMP_H
 #define DEVICE_LAMP_H
@@ -30,7 +30,7 @@ void lamp_show(struct lamp *l, enum lamp_state s, int64_t now_ns);
 /* When lamp_tick has something to do, CLOCK_MONOTONIC; INT64_MAX: never. */
 int64_t lamp_next_ns(const struct lamp *l);
 
-/* err: ERR_IO, ERR_LOST (line gone): told once, the lamp is dark from then on. */
+/* err: ERR_IO, ERR_LOST (line gone): returned once, the lamp is dark from then on. */
 MUST_USE err_t lamp_tick(struct lamp *l, int64_t now_ns);
 
 #endif

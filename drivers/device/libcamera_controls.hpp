@@ -1,5 +1,5 @@
-/* libcamera_controls.hpp - controls by name, as numbers, whatever their type: there are others in
- * every release.
+/* libcamera_controls.hpp - controls by name, as numbers of any type: types and
+ * names differ between releases.
  * thread: any. */
 #ifndef DRIVERS_LIBCAMERA_CONTROLS_HPP
 #define DRIVERS_LIBCAMERA_CONTROLS_HPP

@@ -1,6 +1,6 @@
 /* libcamera_errors.hpp - errors of the module hdrig-libcamera.so: codes and sentences, no
  * exceptions.
- * thread: any; a sentence is of its thread. */
+ * thread: any; the last sentence is kept per thread. */
 #ifndef DRIVERS_LIBCAMERA_ERRORS_HPP
 #define DRIVERS_LIBCAMERA_ERRORS_HPP
 
@@ -17,8 +17,8 @@ namespace
 
 thread_local char last_text[512];
 
-err_t say(err_t code, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
-err_t say(err_t code, const char *fmt, ...)
+err_t fail(err_t code, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
+err_t fail(err_t code, const char *fmt, ...)
 {
     va_list args;
     va_start(args, fmt);
@@ -33,11 +33,11 @@ template <class F> err_t guarded(F f)
     try {
         return f();
     } catch (const std::bad_alloc &) {
-        return say(ERR_NOMEM, "libcamera: no memory");
+        return fail(ERR_NOMEM, "libcamera: no memory");
     } catch (const std::exception &e) {
-        return say(ERR_IO, "libcamera: %s", e.what());
+        return fail(ERR_IO, "libcamera: %s", e.what());
     } catch (...) {
-        return say(ERR_IO, "libcamera: an exception without a name");
+        return fail(ERR_IO, "libcamera: an exception without a name");
     }
 }
 

@@ -27,22 +27,22 @@ class lens
         if (!want.once && want.position < 0.0)
             return OK;
         if (!range)
-            return say(ERR_UNSUPPORTED, "libcamera: %s: its focus is fixed: leave focus= out",
-                       name);
+            return fail(ERR_UNSUPPORTED, "libcamera: %s: its focus is fixed: leave focus= out",
+                        name);
         const double lo = number(range->second.min(), 0.0), hi = number(range->second.max(), 0.0);
         const bool searches = mode && number(mode->second.max(), 0.0) >= int{MODE_AUTO} &&
                               find_control(camera, "AfTrigger");
         if (want.once && !searches)
-            return say(ERR_UNSUPPORTED,
-                       "libcamera: %s: cannot search its focus: give a position in %g..%g (1/m)",
-                       name, lo, hi);
+            return fail(ERR_UNSUPPORTED,
+                        "libcamera: %s: cannot search its focus: give a position in %g..%g (1/m)",
+                        name, lo, hi);
         if (!want.once && !(want.position >= lo && want.position <= hi))
-            return say(ERR_ARG, "libcamera: %s: focus=%g is outside of its %g..%g (1/m)", name,
-                       want.position, lo, hi);
+            return fail(ERR_ARG, "libcamera: %s: focus=%g is outside of its %g..%g (1/m)", name,
+                        want.position, lo, hi);
         return OK;
     }
 
-    /* What a request carries; null: the start of the camera. */
+    /* Controls of a request; null: those of the start. */
     void put(lc::ControlList &list, const lc::Request *request)
     {
         if (step_ == TRIGGER || step_ == SENT || step_ == SEARCHING)
@@ -56,7 +56,7 @@ class lens
         step_ = SENT;
     }
 
-    /* A request is back. Those before the one with the trigger know nothing of the search. */
+    /* A request has completed. The search begins with the one that carried the trigger. */
     void see(const lc::Request *request, const lc::ControlList &metadata, bool cancelled)
     {
         if (step_ == SENT && request == carrier_)
@@ -89,9 +89,9 @@ class lens
             return ERR_AGAIN;
         const bool failed = step_ == FAILED;
         step_ = NEVER;
-        return failed ? say(ERR_TIMEOUT, "libcamera: %s: found no focus", name)
-                      : say(ERR_TIMEOUT, "libcamera: %s: found no focus in %d s", name,
-                            int{FOCUS_SEARCH_S});
+        return failed ? fail(ERR_TIMEOUT, "libcamera: %s: found no focus", name)
+                      : fail(ERR_TIMEOUT, "libcamera: %s: found no focus in %d s", name,
+                             int{FOCUS_SEARCH_S});
     }
 
   private:

@@ -52,7 +52,7 @@ constexpr int PERIOD_FRAMES = 3;      // after which the period is taken from th
 constexpr double START_S = 0.01;      // exposure before anything is asked for
 constexpr double UVC_STEP_US = 100.0; // to which the UVC handler cuts exposure times
 
-/* ---- what differs between releases and cameras ---- */
+/* ---- differences between releases and cameras ---- */
 
 /* Frames at the start that are transferred well and are not to be used: 0.5.2 and later. */
 template <class M> auto is_startup(const M &m, int) -> decltype(M::FrameStartup, bool())
@@ -94,7 +94,7 @@ std::shared_ptr<lc::CameraManager> manager_get(err_t *e)
     auto fresh = std::make_unique<lc::CameraManager>();
     const int r = fresh->start();
     if (r != 0) {
-        *e = say(ERR_IO, "libcamera: does not start: %s", strerror(-r));
+        *e = fail(ERR_IO, "libcamera: does not start: %s", strerror(-r));
         return nullptr;
     }
     manager = std::shared_ptr<lc::CameraManager>(fresh.release(), [](lc::CameraManager *m) {
@@ -107,7 +107,7 @@ std::shared_ptr<lc::CameraManager> manager_get(err_t *e)
 
 /* ---- unplugging ---- */
 
-/* Whether a video node that this process holds open, as libcamera does, is there no more. */
+/* Whether a video node that this process (through libcamera) holds open has gone. */
 bool node_gone()
 {
     constexpr unsigned VIDEO_MAJOR = 81;
@@ -153,7 +153,7 @@ struct libcamera_shim_camera {
     /* One writer, libcamera's thread, and one reader. */
     std::array<lc::Request *, 2 * CAMERA_BUFFERS_MAX> ring{};
     std::atomic<unsigned> written{0}, read{0};
-    std::atomic<bool> lost{false}, unplugged{false}; // unplugged: says libcamera
+    std::atomic<bool> lost{false}, unplugged{false}; // unplugged: reported by libcamera
 
     void wake()
     {
@@ -216,13 +216,13 @@ namespace
 
 using session = libcamera_shim_camera;
 
-err_t gone(session &s, const char *why)
+err_t lose_camera(session &s, const char *why)
 {
     if (s.lost_why.empty())
         s.lost_why = why;
     s.lost = true;
     s.wake(); // and stays readable
-    return say(ERR_LOST, "libcamera: %s: %s", s.name.c_str(), s.lost_why.c_str());
+    return fail(ERR_LOST, "libcamera: %s: %s", s.name.c_str(), s.lost_why.c_str());
 }
 
 /* ---- open, step by step ---- */
@@ -233,7 +233,7 @@ std::string model_of(const lc::Camera &camera)
     return model ? std::string(*model) : std::string();
 }
 
-err_t choose(session &s, const std::string &wanted)
+err_t choose_camera(session &s, const std::string &wanted)
 {
     std::string all;
     std::vector<std::shared_ptr<lc::Camera>> fit;
@@ -248,31 +248,32 @@ err_t choose(session &s, const std::string &wanted)
             fit.push_back(c);
     }
     if (all.empty())
-        return say(ERR_LOST, "libcamera: no camera is there, or the user is not in group \"video\";"
-                             " sensors on ribbon cables also need the package libcamera-ipa");
+        return fail(ERR_LOST,
+                    "libcamera: no camera is there, or the user is not in group \"video\";"
+                    " sensors on ribbon cables also need the package libcamera-ipa");
     if (fit.empty())
-        return say(ERR_LOST, "libcamera: no camera is called \"%s\"; there are: %s", wanted.c_str(),
-                   all.c_str());
+        return fail(ERR_LOST, "libcamera: no camera is called \"%s\"; there are: %s",
+                    wanted.c_str(), all.c_str());
     if (fit.size() > 1)
-        return say(ERR_ARG, "libcamera: \"%s\" means %zu cameras of: %s", wanted.c_str(),
-                   fit.size(), all.c_str());
+        return fail(ERR_ARG, "libcamera: \"%s\" means %zu cameras of: %s", wanted.c_str(),
+                    fit.size(), all.c_str());
     s.camera = fit[0];
     return OK;
 }
 
-err_t acquire(session &s)
+err_t acquire_camera(session &s)
 {
     s.name = s.camera->id();
     const int r = s.camera->acquire();
     if (r == -EBUSY)
-        return say(ERR_BUSY, "libcamera: %s is used by another program", s.name.c_str());
+        return fail(ERR_BUSY, "libcamera: %s is used by another program", s.name.c_str());
     if (r != 0)
-        return say(code_of(r), "libcamera: %s cannot be had: %s", s.name.c_str(), strerror(-r));
+        return fail(code_of(r), "libcamera: %s cannot be had: %s", s.name.c_str(), strerror(-r));
     s.acquired = true;
     return OK;
 }
 
-/* The stream's format: as wished, else what comes first in our table and the camera has. */
+/* Set the stream's format: the requested one, else the first of our table that the camera has. */
 void wish_format(lc::StreamConfiguration &stream, camera_format wish)
 {
     const auto has = stream.formats().pixelformats();
@@ -291,41 +292,40 @@ void wish_format(lc::StreamConfiguration &stream, camera_format wish)
         stream.pixelFormat = first->theirs;
 }
 
-/* What came back is what was wished. */
+/* Compare the validated stream with the request. */
 err_t check_stream(const session &s, const lc::StreamConfiguration &stream, const camera_cfg &wish)
 {
     const format *f = format_of(stream.pixelFormat);
     const int w = static_cast<int>(stream.size.width), h = static_cast<int>(stream.size.height);
     const bool other_size = (wish.w > 0 && wish.w != w) || (wish.h > 0 && wish.h != h);
     if (!f || other_size || (wish.format != CAMERA_ANY && wish.format != f->ours))
-        return say(ERR_UNSUPPORTED,
-                   "libcamera: %s gives %dx%d %s, which is not what is asked for%s", s.name.c_str(),
-                   w, h, stream.pixelFormat.toString().c_str(),
-                   f ? "" : ", nor a format that this program reads");
+        return fail(ERR_UNSUPPORTED, "libcamera: %s gives %dx%d %s, which is not the request%s",
+                    s.name.c_str(), w, h, stream.pixelFormat.toString().c_str(),
+                    f ? "" : ", nor a format that this program reads");
     return OK;
 }
 
-err_t configure(session &s, const camera_cfg &wish)
+err_t configure_stream(session &s, const camera_cfg &wish)
 {
     const auto role = is_raw(wish.format) ? lc::StreamRole::Raw : lc::StreamRole::VideoRecording;
     s.config = s.camera->generateConfiguration({role});
     if (!s.config || s.config->empty())
-        return say(ERR_UNSUPPORTED, "libcamera: %s has no stream of the kind that is asked for",
-                   s.name.c_str());
+        return fail(ERR_UNSUPPORTED, "libcamera: %s has no stream of the kind that is asked for",
+                    s.name.c_str());
     lc::StreamConfiguration &stream = s.config->at(0);
     wish_format(stream, wish.format);
     if (wish.w > 0 && wish.h > 0)
         stream.size = lc::Size(static_cast<unsigned>(wish.w), static_cast<unsigned>(wish.h));
     stream.bufferCount = wish.buffers > 0 ? static_cast<unsigned>(wish.buffers) : 4;
     if (s.config->validate() == lc::CameraConfiguration::Invalid)
-        return say(ERR_UNSUPPORTED, "libcamera: %s refuses the size or format", s.name.c_str());
+        return fail(ERR_UNSUPPORTED, "libcamera: %s refuses the size or format", s.name.c_str());
     const err_t e = check_stream(s, stream, wish);
     if (e)
         return e;
     const int r = s.camera->configure(s.config.get());
     return r == 0 ? OK
-                  : say(code_of(r), "libcamera: %s cannot be configured: %s", s.name.c_str(),
-                        strerror(-r));
+                  : fail(code_of(r), "libcamera: %s cannot be configured: %s", s.name.c_str(),
+                         strerror(-r));
 }
 
 /* Planes have to lie as camera.h says: one behind the other in one piece of memory. */
@@ -335,34 +335,34 @@ err_t map_buffer(session &s, const lc::FrameBuffer &buffer)
     size_t end = 0;
     for (size_t i = 0; i < planes.size(); i++) {
         if (planes[i].fd.get() != planes[0].fd.get() || (i > 0 && planes[i].offset != end))
-            return say(ERR_UNSUPPORTED, "libcamera: %s: plane %zu of a buffer lies apart",
-                       s.name.c_str(), i);
+            return fail(ERR_UNSUPPORTED, "libcamera: %s: plane %zu of a buffer lies apart",
+                        s.name.c_str(), i);
         end = size_t{planes[i].offset} + planes[i].length;
     }
     const int fd = planes.empty() ? -1 : planes[0].fd.get();
     void *base = end > 0 ? mmap(nullptr, end, PROT_READ, MAP_SHARED, fd, 0) : MAP_FAILED;
     if (base == MAP_FAILED)
-        return say(ERR_IO, "libcamera: %s: a buffer of %zu bytes cannot be mapped: %s",
-                   s.name.c_str(), end, strerror(errno));
+        return fail(ERR_IO, "libcamera: %s: a buffer of %zu bytes cannot be mapped: %s",
+                    s.name.c_str(), end, strerror(errno));
     s.maps.push_back({static_cast<uint8_t *>(base), end, planes[0].offset, fd});
     return OK;
 }
 
-err_t allocate(session &s)
+err_t allocate_buffers(session &s)
 {
     lc::Stream *stream = s.config->at(0).stream();
     s.allocator = std::make_unique<lc::FrameBufferAllocator>(s.camera);
     const int r = s.allocator->allocate(stream);
     if (r <= 0)
-        return say(r == -ENOMEM ? ERR_NOMEM : ERR_IO, "libcamera: %s: no buffers: %s",
-                   s.name.c_str(), strerror(-r));
+        return fail(r == -ENOMEM ? ERR_NOMEM : ERR_IO, "libcamera: %s: no buffers: %s",
+                    s.name.c_str(), strerror(-r));
     for (const auto &buffer : s.allocator->buffers(stream)) {
         if (s.requests.size() == CAMERA_BUFFERS_MAX)
             break;
         err_t e = map_buffer(s, *buffer);
         auto request = s.camera->createRequest(s.requests.size());
         if (!e && (!request || request->addBuffer(stream, buffer.get()) != 0))
-            e = say(ERR_NOMEM, "libcamera: %s: no request", s.name.c_str());
+            e = fail(ERR_NOMEM, "libcamera: %s: no request", s.name.c_str());
         if (e)
             return e;
         s.requests.push_back(std::move(request));
@@ -395,7 +395,7 @@ void describe_stream(session &s, camera_stamp stamp)
     }
 }
 
-/* Ranges of what can be asked for. */
+/* Ranges of the controls. */
 void describe_controls(session &s)
 {
     camera_info &i = s.info;
@@ -419,7 +419,7 @@ void describe_controls(session &s)
     s.time_us = std::clamp(START_S, i.time_min_s, i.time_max_s) * 1e6;
 }
 
-/* What a request carries; null: the start. */
+/* Controls of a request; null: those of the start. */
 void put_controls(session &s, lc::ControlList &list, const lc::Request *request)
 {
     for (const auto &[id, range] : s.camera->controls()) {
@@ -435,23 +435,23 @@ void put_controls(session &s, lc::ControlList &list, const lc::Request *request)
     s.lens.put(list, request);
 }
 
-err_t queue(session &s, lc::Request *r)
+err_t queue_request(session &s, lc::Request *r)
 {
     put_controls(s, r->controls(), r);
     const int why = s.camera->queueRequest(r);
-    return why == 0 ? OK : gone(s, why == -ENODEV ? "the camera has gone" : strerror(-why));
+    return why == 0 ? OK : lose_camera(s, why == -ENODEV ? "the camera has gone" : strerror(-why));
 }
 
-/* A request goes round again. */
-err_t again(session &s, lc::Request *r)
+/* Queue a completed request again. */
+err_t requeue(session &s, lc::Request *r)
 {
     if (s.lost)
-        return gone(s, "the camera has gone");
+        return lose_camera(s, "the camera has gone");
     r->reuse(lc::Request::ReuseBuffers);
-    return queue(s, r);
+    return queue_request(s, r);
 }
 
-err_t start(session &s)
+err_t start_camera(session &s)
 {
     lc::ControlList list(s.camera->controls());
     put_controls(s, list, nullptr);
@@ -461,15 +461,15 @@ err_t start(session &s)
     }
     s.event = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
     if (s.event < 0)
-        return say(ERR_IO, "libcamera: no eventfd: %s", strerror(errno));
+        return fail(ERR_IO, "libcamera: no eventfd: %s", strerror(errno));
     s.camera->requestCompleted.connect(&s, &session::completed);
     s.camera->disconnected.connect(&s, &session::disconnected);
     const int r = s.camera->start(&list);
     if (r != 0)
-        return say(code_of(r), "libcamera: %s does not start: %s", s.name.c_str(), strerror(-r));
+        return fail(code_of(r), "libcamera: %s does not start: %s", s.name.c_str(), strerror(-r));
     s.started = true;
     for (const auto &request : s.requests) {
-        const err_t e = queue(s, request.get());
+        const err_t e = queue_request(s, request.get());
         if (e)
             return e;
     }
@@ -518,7 +518,7 @@ void fill_metadata(const session &s, const lc::ControlList &m, frame *out)
     out->blue_gain = colour ? (*colour)[1] : 1.0;
 }
 
-void fill(session &s, lc::Request *r, frame *out)
+void fill_frame(session &s, lc::Request *r, frame *out)
 {
     const lc::FrameMetadata &m = r->buffers().begin()->second->metadata();
     const auto at = static_cast<size_t>(r->cookie());
@@ -542,13 +542,13 @@ void fill(session &s, lc::Request *r, frame *out)
     fill_metadata(s, r->metadata(), out);
 }
 
-/* A frame that was cancelled though nobody stopped the stream: the handler timed out. */
+/* A frame was cancelled while the stream runs: the pipeline handler timed out. */
 err_t was_cancelled(session &s, lc::Request *r)
 {
     if (++s.cancelled > s.info.buffers)
-        return gone(s, "the stream has stalled, frame after frame is cancelled");
-    const err_t e = again(s, r);
-    return e ? e : say(ERR_IO, "libcamera: %s: a frame was cancelled", s.name.c_str());
+        return lose_camera(s, "the stream has stalled, frame after frame is cancelled");
+    const err_t e = requeue(s, r);
+    return e ? e : fail(ERR_IO, "libcamera: %s: a frame was cancelled", s.name.c_str());
 }
 
 err_t next(session &s, frame *out)
@@ -556,7 +556,7 @@ err_t next(session &s, frame *out)
     *out = frame{};
     for (;;) {
         if (s.lost)
-            return gone(s, "the camera has gone");
+            return lose_camera(s, "the camera has gone");
         lc::Request *r = s.pop();
         if (!r) {
             uint64_t n;
@@ -575,10 +575,10 @@ err_t next(session &s, frame *out)
             return was_cancelled(s, r);
         s.cancelled = 0;
         if (!is_startup(m, 0)) {
-            fill(s, r, out);
+            fill_frame(s, r, out);
             return OK;
         }
-        const err_t e = again(s, r);
+        const err_t e = requeue(s, r);
         if (e)
             return e;
     }
@@ -591,13 +591,13 @@ void release(session &s, frame *f)
         return;
     *f = frame{};
     sync_cpu(s.maps[at], DMA_BUF_SYNC_END);
-    const err_t e = again(s, s.requests[at].get());
-    (void)e; // next says so
+    const err_t e = requeue(s, s.requests[at].get());
+    (void)e; // next reports it
 }
 
-/* ---- what only a frame tells ---- */
+/* ---- facts that only a frame reports ---- */
 
-void learn(session &s, const frame &f, const lc::ControlList &m)
+void learn_from_frame(session &s, const frame &f, const lc::ControlList &m)
 {
     camera_info &i = s.info;
     const auto black = m.get(lc::controls::SensorBlackLevels);
@@ -608,7 +608,7 @@ void learn(session &s, const frame &f, const lc::ControlList &m)
     i.period_s = s.frame_us[0] > 1       ? 1e-6 * static_cast<double>(s.frame_us[0])
                  : period && *period > 0 ? 1e-6 * static_cast<double>(*period)
                                          : 0.0;
-    if (!i.reports) { // a USB camera: gain is no factor, see the anchors of V4L2
+    if (!i.reports) { // a USB camera: gain codes are not factors, see v4l2_shutter.h
         i.gain_max = 1.0;
         s.step_us = UVC_STEP_US;
         i.time_step_s = UVC_STEP_US * 1e-6;
@@ -637,7 +637,7 @@ err_t first_frame(session &s)
         const err_t e = next(s, &f);
         if (e == OK) {
             if (n++ == 0)
-                learn(s, f, s.requests[static_cast<size_t>(f.index)]->metadata());
+                learn_from_frame(s, f, s.requests[static_cast<size_t>(f.index)]->metadata());
             const bool done = know_period(s, n, before, f);
             before = f;
             release(s, &f);
@@ -649,8 +649,8 @@ err_t first_frame(session &s)
             return e;
         const int64_t left = (limit - now_ns(CLOCK_MONOTONIC)) / 1000000;
         if (left <= 0)
-            return say(ERR_IO, "libcamera: %s gave no frame in %d s", s.name.c_str(),
-                       FIRST_FRAME_MS / 1000);
+            return fail(ERR_IO, "libcamera: %s gave no frame in %d s", s.name.c_str(),
+                        FIRST_FRAME_MS / 1000);
         pollfd p = {s.event, POLLIN, 0};
         poll(&p, 1, static_cast<int>(left));
     }
@@ -661,20 +661,20 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
     err_t e = OK;
     s.manager = manager_get(&e);
     if (!e)
-        e = choose(s, cfg.camera);
+        e = choose_camera(s, cfg.camera);
     if (!e)
-        e = acquire(s);
+        e = acquire_camera(s);
     if (!e)
         e = s.lens.open(*s.camera, cfg.focus);
     if (!e)
-        e = configure(s, cfg.wish);
+        e = configure_stream(s, cfg.wish);
     if (!e)
-        e = allocate(s);
+        e = allocate_buffers(s);
     if (e)
         return e;
     describe_stream(s, cfg.stamp);
     describe_controls(s);
-    e = start(s);
+    e = start_camera(s);
     return e ? e : first_frame(s);
 }
 
@@ -682,13 +682,14 @@ err_t ask_exposure(session &s, const exposure &ask, exposure *set)
 {
     const camera_info &i = s.info;
     if (s.lost)
-        return gone(s, "the camera has gone");
+        return lose_camera(s, "the camera has gone");
     if (!(ask.time_s > 0.0 && ask.gain > 0.0 && std::isfinite(ask.time_s) &&
           std::isfinite(ask.gain)))
-        return say(ERR_ARG, "libcamera: %s: an exposure of %g s and gain %g", s.name.c_str(),
-                   ask.time_s, ask.gain);
+        return fail(ERR_ARG, "libcamera: %s: an exposure of %g s and gain %g", s.name.c_str(),
+                    ask.time_s, ask.gain);
     if (!find_control(*s.camera, "ExposureTime"))
-        return say(ERR_UNSUPPORTED, "libcamera: %s has no control of its exposure", s.name.c_str());
+        return fail(ERR_UNSUPPORTED, "libcamera: %s has no control of its exposure",
+                    s.name.c_str());
     const double lo = i.time_min_s * 1e6, hi = i.time_max_s * 1e6;
     const double us = std::clamp(ask.time_s * 1e6 + 1e-6, lo, hi);
     s.time_us = std::max(std::floor(us / s.step_us) * s.step_us, std::ceil(lo));
@@ -748,7 +749,7 @@ void shim_release(libcamera_shim_camera *c, frame *f)
 err_t shim_focus(libcamera_shim_camera *c, bool again)
 {
     return guarded([&] {
-        return c->lost ? gone(*c, "the camera has gone")
+        return c->lost ? lose_camera(*c, "the camera has gone")
                        : c->lens.focus(c->name.c_str(), again, now_ns(CLOCK_MONOTONIC));
     });
 }

@@ -1,6 +1,6 @@
-/* libcamera_shim.h - what the module hdrig-libcamera.so offers. libcamera is C++ and changes its
- * library's name with every release, so it is behind a table that is loaded when a camera needs it;
- * the program runs without.
+/* libcamera_shim.h - interface of the module hdrig-libcamera.so. libcamera is C++ and its library
+ * changes its name with every release, so the program loads it through this table when a camera
+ * needs it, and runs without it otherwise.
  * thread: one per camera; cameras of several threads do not disturb each other. */
 #ifndef DEVICE_LIBCAMERA_SHIM_H
 #define DEVICE_LIBCAMERA_SHIM_H
@@ -26,7 +26,7 @@ struct libcamera_shim_camera;
 /* As camera_ops; sentences of errors are in text(). */
 struct libcamera_shim {
     unsigned stamp;
-    const char *(*text)(void); // what the last error of this thread was about
+    const char *(*text)(void); // sentence of the last error of this thread
     err_t (*open)(const struct libcamera_shim_cfg *cfg, struct libcamera_shim_camera **out);
     void (*close)(struct libcamera_shim_camera *c);
     void (*info)(const struct libcamera_shim_camera *c, struct camera_info *out);

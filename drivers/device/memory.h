@@ -4,9 +4,9 @@
 
 #include <stdint.h>
 
-/* Bytes: all of the machine's, or what the control group of this process or one above it allows,
- * if that is less (version 2: memory.max in /sys/fs/cgroup). What cannot be read allows all.
- * root: begins the paths of /proc and /sys; "" for those of this machine. */
+/* Bytes: the memory of the machine, or less if the control group of this process or one above it
+ * has a limit (version 2: memory.max in /sys/fs/cgroup). A limit that cannot be read counts as
+ * none. root: begins the paths of /proc and /sys; "" for those of this machine. */
 uint64_t memory_total(const char *root);
 
 #endif

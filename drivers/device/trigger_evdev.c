@@ -1,5 +1,5 @@
-/* A key of a keyboard, a foot switch, a remote control: EV_KEY with value 1, or, where lengths are
- * asked for, the 0 of the key that went down last. Repeats (2) are passed over. After SYN_DROPPED,
+/* A key of a keyboard, a foot switch, a remote control: EV_KEY with value 1 or, where lengths are
+ * on, with value 0 of the key that went down last. Repeats (2) are ignored. After SYN_DROPPED,
  * which says that the kernel's queue ran over, nothing counts up to the next report.
  * Source: Linux Documentation/input/event-codes.rst. */
 #include "drivers/device/trigger.h"
@@ -24,7 +24,7 @@ struct state {
     int fd;
     bool dropped, lengths;
     uint32_t count, lost;
-    int down;        // code of the key that went down last; 0: it is up again
+    int down;        // code of the key that is down; 0: none
     int64_t down_ns; // when
 };
 
@@ -48,7 +48,7 @@ static err_t parse(struct state *s, const char *uri)
                      &(struct uri_table){keys, sizeof keys / sizeof keys[0], s}, 1);
 }
 
-static err_t fail(const struct state *s, int why)
+static err_t device_fail(const struct state *s, int why)
 {
     if (why == EACCES || why == EPERM)
         return err_fail(ERR_IO, "%s: no permission; the user must be in group \"input\"", s->path);
@@ -59,14 +59,14 @@ static err_t fail(const struct state *s, int why)
     return err_fail(why == EBUSY ? ERR_BUSY : ERR_IO, "%s: %s", s->path, strerror(why));
 }
 
-/* The device has what is asked for, and stamps with our clock. */
-static err_t prepare(const struct state *s)
+/* Check that the device has the key, and make it stamp with CLOCK_MONOTONIC. */
+static err_t prepare_device(const struct state *s)
 {
     unsigned char has[KEY_MAX / 8 + 1] = {0};
     int clock = CLOCK_MONOTONIC;
     if (s->sys->ioctl(s->fd, EVIOCGBIT(EV_KEY, sizeof has), has) < 0 ||
         s->sys->ioctl(s->fd, EVIOCSCLOCKID, &clock) < 0)
-        return fail(s, errno);
+        return device_fail(s, errno);
     bool any = false;
     for (size_t i = 0; i < sizeof has; i++)
         any |= has[i] != 0;
@@ -87,8 +87,8 @@ err_t trigger_evdev_open_with(void *st, const char *uri, const struct device_sys
         return e;
     s->fd = sys->open(s->path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
     if (s->fd < 0)
-        return fail(s, errno);
-    e = prepare(s);
+        return device_fail(s, errno);
+    e = prepare_device(s);
     if (e)
         sys->close(s->fd);
     return e;
@@ -148,10 +148,10 @@ static err_t key_next(void *st, struct trigger_event *out)
         ssize_t n = s->sys->read(s->fd, &ev, sizeof ev);
         if (n < 0)
             return errno == EAGAIN || errno == EINTR ? ERR_AGAIN
-                   : errno == ENODEV                 ? fail(s, errno)
+                   : errno == ENODEV                 ? device_fail(s, errno)
                                      : err_fail(ERR_IO, "%s: %s", s->path, strerror(errno));
         if (n != sizeof ev)
-            return n == 0 ? fail(s, ENODEV)
+            return n == 0 ? device_fail(s, ENODEV)
                           : err_fail(ERR_IO, "%s: an event of %zd bytes, not %zu", s->path, n,
                                      sizeof ev);
         int64_t held_ns,

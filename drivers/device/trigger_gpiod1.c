@@ -35,7 +35,7 @@ static void button_close(void *st)
     memset(s, 0, sizeof *s);
 }
 
-static err_t request(struct state *s)
+static err_t request_line(struct state *s)
 {
     static const int bias[] = {GPIOD_LINE_REQUEST_FLAG_BIAS_PULL_UP,
                                GPIOD_LINE_REQUEST_FLAG_BIAS_PULL_DOWN,
@@ -66,7 +66,7 @@ static err_t button_open(void *st, const char *uri)
     if (e)
         return e;
     s->chip = gpiod_chip_open(path);
-    e = s->chip ? request(s) : gpio_fail(&s->ask, errno, NULL);
+    e = s->chip ? request_line(s) : gpio_fail(&s->ask, errno, NULL);
     if (e)
         button_close(s);
     return e;
@@ -82,7 +82,7 @@ static int64_t ns_of(const struct timespec *t)
     return (int64_t)t->tv_sec * 1000000000 + t->tv_nsec;
 }
 
-/* Before Linux 5.7 stamps were of CLOCK_REALTIME: far ahead. */
+/* Before Linux 5.7 stamps came from CLOCK_REALTIME, which is far ahead. */
 static int64_t stamp(const struct timespec *t)
 {
     int64_t now = clocks_now();

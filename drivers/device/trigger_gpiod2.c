@@ -1,4 +1,4 @@
-/* A button through libgpiod 2: what gpio.c does by itself, in the library's words.
+/* A button through libgpiod 2: the same requests as in gpio.c, by calls of the library.
  * Empty if the library is another version: trigger_gpiod1.c. */
 #include "drivers/device/trigger.h"
 
@@ -30,8 +30,8 @@ static void button_close(void *st)
     memset(s, 0, sizeof *s);
 }
 
-static bool configure(const struct gpio_ask *ask, uint32_t offset,
-                      struct gpiod_line_settings *settings, struct gpiod_line_config *config)
+static bool configure_line(const struct gpio_ask *ask, uint32_t offset,
+                           struct gpiod_line_settings *settings, struct gpiod_line_config *config)
 {
     static const enum gpiod_line_bias bias[] = {GPIOD_LINE_BIAS_PULL_UP, GPIOD_LINE_BIAS_PULL_DOWN,
                                                 GPIOD_LINE_BIAS_DISABLED};
@@ -45,8 +45,9 @@ static bool configure(const struct gpio_ask *ask, uint32_t offset,
            gpiod_line_config_add_line_settings(config, &offset, 1, settings) == 0;
 }
 
-/* errno after a request that failed, for the sentence. */
-static err_t refused(const struct gpio_ask *ask, struct gpiod_chip *chip, uint32_t offset, int why)
+/* The error of a failed request, with the consumer of the line. */
+static err_t request_fail(const struct gpio_ask *ask, struct gpiod_chip *chip, uint32_t offset,
+                          int why)
 {
     struct gpiod_line_info *info = gpiod_chip_get_line_info(chip, offset);
     err_t e = gpio_fail(ask, why, info ? gpiod_line_info_get_consumer(info) : NULL);
@@ -55,7 +56,7 @@ static err_t refused(const struct gpio_ask *ask, struct gpiod_chip *chip, uint32
     return e;
 }
 
-static err_t request(struct state *s, struct gpiod_chip *chip, uint32_t offset)
+static err_t request_line(struct state *s, struct gpiod_chip *chip, uint32_t offset)
 {
     struct gpiod_request_config *how = gpiod_request_config_new();
     struct gpiod_line_settings *settings = gpiod_line_settings_new();
@@ -63,14 +64,14 @@ static err_t request(struct state *s, struct gpiod_chip *chip, uint32_t offset)
     if (how) {
         gpiod_request_config_set_consumer(how, "hdrig");
         gpiod_request_config_set_event_buffer_size(how, KEPT_EDGES);
-        if (configure(&s->ask, offset, settings, config))
+        if (configure_line(&s->ask, offset, settings, config))
             s->line = gpiod_chip_request_lines(chip, how, config);
     }
     int why = errno;
     gpiod_line_config_free(config);
     gpiod_line_settings_free(settings);
     gpiod_request_config_free(how);
-    return s->line ? OK : refused(&s->ask, chip, offset, why);
+    return s->line ? OK : request_fail(&s->ask, chip, offset, why);
 }
 
 /* LINE to the number of the chip's line. */
@@ -93,7 +94,7 @@ static err_t open_line(struct state *s, struct gpiod_chip *chip)
     uint32_t offset;
     err_t e = find_line(&s->ask, chip, &offset);
     if (!e)
-        e = request(s, chip, offset);
+        e = request_line(s, chip, offset);
     if (e)
         return e;
     s->events = gpiod_edge_event_buffer_new(1);

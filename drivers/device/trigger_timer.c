@@ -1,4 +1,4 @@
-/* Times are those that were planned, start + k * period, whenever they are read. */
+/* Events carry the planned times, start + k * period, no matter when they are read. */
 #include "drivers/device/clocks.h"
 #include "drivers/device/trigger.h"
 

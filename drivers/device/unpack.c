@@ -1,5 +1,5 @@
-/* One table says how each format lies in memory. The bytes that it needs follow from width, height
- * and stride and are compared with those that are there before anything is read; then a function
+/* One table gives the memory layout of each format. The bytes needed follow from width, height and
+ * stride and are compared with the bytes of the frame before anything is read; then one function
  * per layout unpacks row by row.
  * YUV becomes RGB by the matrix of BT.601 or BT.709, in whole numbers scaled by 2^16; chroma is
  * repeated, not interpolated.
@@ -133,7 +133,7 @@ struct walk {
     bool scan;
 };
 
-/* The next marker from here on, stepped over; 0 at the end of the bytes. */
+/* Step over the next marker and return it; 0 at the end of the bytes. */
 static int next_marker(struct walk *j)
 {
     if (j->at >= j->n || j->p[j->at] != 0xFF)
@@ -143,7 +143,7 @@ static int next_marker(struct walk *j)
     return j->at < j->n ? j->p[j->at++] : 0;
 }
 
-/* To the marker behind the data of a scan, or to the end. */
+/* Go to the marker after the data of a scan, or to the end. */
 static void skip_scan(struct walk *j)
 {
     while (j->at + 1 < j->n) {
@@ -163,7 +163,7 @@ static bool is_frame_header(int marker)
     return marker >= 0xC0 && marker <= 0xCF && marker != 0xC4 && marker != 0xC8 && marker != 0xCC;
 }
 
-/* What is wrong with the segment behind a marker, which is stepped over; NULL: nothing. */
+/* Step over the segment after a marker. Returns its error, or NULL. */
 static const char *step_segment(struct walk *j, int marker)
 {
     const uint8_t *p = j->p + j->at;
@@ -238,7 +238,7 @@ struct source {
 
 typedef void row_fn(struct source *s, size_t y, uint16_t *out);
 
-static int scaled(double v)
+static int fixed_point(double v)
 {
     return (int)lround(v * 65536.0);
 }
@@ -250,11 +250,11 @@ static struct yuv yuv_of(const struct camera_info *info)
            chroma = info->limited ? 255.0 / 224.0 : 1.0;
     double red = 2.0 * (1.0 - kr) * chroma, blue = 2.0 * (1.0 - kb) * chroma, kg = 1.0 - kr - kb;
     return (struct yuv){.black = info->limited ? 16 : 0,
-                        .light = scaled(light),
-                        .red_v = scaled(red),
-                        .green_u = scaled(-blue * kb / kg),
-                        .green_v = scaled(-red * kr / kg),
-                        .blue_u = scaled(blue)};
+                        .light = fixed_point(light),
+                        .red_v = fixed_point(red),
+                        .green_u = fixed_point(-blue * kb / kg),
+                        .green_v = fixed_point(-red * kr / kg),
+                        .blue_u = fixed_point(blue)};
 }
 
 static uint16_t code(int v)

@@ -1,4 +1,4 @@
-/* unpack.h - a driver's buffer to numbers: the place where untrusted sizes, strides and JPEG end.
+/* unpack.h - converts a driver's buffer to numbers. Sizes, strides and JPEG data are not trusted.
  * thread: any. */
 #ifndef DEVICE_UNPACK_H
 #define DEVICE_UNPACK_H
@@ -22,8 +22,8 @@ size_t unpack_count(const struct camera_info *info);
  *       points to is changed. */
 MUST_USE err_t unpack_run(const struct camera_info *info, const struct frame *f, struct raw *out);
 
-/* What unpack_run would refuse, as far as that can be said without decoding: bounds, and for JPEG
- * its markers from start to end. Bytes behind the end are padding. Cheap: for every frame.
+/* The checks of unpack_run that need no decoding: bounds, and for JPEG its markers from start to
+ * end. Bytes after the end are padding. Cheap enough for every frame.
  * err: ERR_FORMAT */
 MUST_USE err_t unpack_check(const struct camera_info *info, const struct frame *f);
 

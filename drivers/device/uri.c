@@ -50,7 +50,7 @@ static err_t set_word(const struct option *o, const struct uri_key *k, int *fiel
                     o->value, k->words);
 }
 
-static err_t set(const struct option *o, const struct uri_key *k, void *field)
+static err_t set_field(const struct option *o, const struct uri_key *k, void *field)
 {
     if (k->kind == URI_WORD)
         return set_word(o, k, field);
@@ -75,7 +75,7 @@ static err_t set_option(const struct option *o, const struct uri_table *tables, 
             if (seen[at])
                 return err_fail(ERR_ARG, "%s: %s is given twice", o->what, k->name);
             seen[at] = true;
-            return set(o, k, (char *)tables[t].out + k->offset);
+            return set_field(o, k, (char *)tables[t].out + k->offset);
         }
     return err_fail(ERR_ARG, "%s: no option is called \"%.*s\"", o->what, o->name_n, o->name);
 }

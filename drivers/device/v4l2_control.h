@@ -16,12 +16,12 @@ struct v4l2_range {
 int v4l2_control_get(const struct v4l2_node *n, uint32_t id, int64_t *value);
 int v4l2_control_set(const struct v4l2_node *n, uint32_t id, int64_t value);
 
-/* A control that the device does not describe is none.
+/* A control that the device does not describe counts as missing.
  * err:  ERR_LOST */
 MUST_USE err_t v4l2_control_query(const struct v4l2_node *n, uint32_t id, struct v4l2_range *out);
 bool v4l2_control_there(const struct v4l2_range *r);
 
-/* Down to a value that the control can have. */
+/* Round down to a value that the control can have. */
 int64_t v4l2_control_fit(int64_t v, int64_t lo, int64_t hi, int64_t step);
 
 #endif

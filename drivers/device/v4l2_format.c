@@ -1,6 +1,6 @@
-/* What the driver answers is compared with what was asked: VIDIOC_S_FMT adjusts where it could
- * refuse. Sizes and strides of the answer are bounded here; what a buffer really holds is checked
- * with every frame. */
+/* VIDIOC_S_FMT adjusts a request instead of refusing it, so the answer is compared with the
+ * request. Sizes and strides of the answer are bounded here; the bytes of a buffer are checked with
+ * every frame. */
 #include "drivers/device/v4l2_format.h"
 
 #include <errno.h>
@@ -61,7 +61,7 @@ static const struct pixel pixels[] = {
 };
 enum { PIXELS = sizeof pixels / sizeof pixels[0] };
 
-/* The same of both kinds of struct v4l2_format. */
+/* The fields that both kinds of struct v4l2_format have. */
 struct answer {
     uint32_t w, h, fourcc, field, stride, bytes, colours, matrix, range, planes;
 };
@@ -83,7 +83,7 @@ static const char *code_name(uint32_t fourcc, char out[NAME])
     return out;
 }
 
-static void append(char list[TEXT], const char *word)
+static void append_word(char list[TEXT], const char *word)
 {
     size_t n = strlen(list);
     snprintf(list + n, TEXT - n, "%s%s", n ? " " : "", word);
@@ -113,7 +113,7 @@ static void list_sizes(const struct v4l2_node *n, uint32_t fourcc, char list[TEX
         else
             snprintf(word, sizeof word, "%ux%u..%ux%u", s.stepwise.min_width, s.stepwise.min_height,
                      s.stepwise.max_width, s.stepwise.max_height);
-        append(list, word);
+        append_word(list, word);
         if (s.type != V4L2_FRMSIZE_TYPE_DISCRETE)
             return;
     }
@@ -121,8 +121,8 @@ static void list_sizes(const struct v4l2_node *n, uint32_t fourcc, char list[TEX
 
 /* ---- choice ---- */
 
-static err_t choose(const struct v4l2_node *n, const struct camera_cfg *cfg, bool mplane,
-                    const struct pixel **out)
+static err_t choose_format(const struct v4l2_node *n, const struct camera_cfg *cfg, bool mplane,
+                           const struct pixel **out)
 {
     char list[TEXT] = "";
     *out = NULL;
@@ -134,7 +134,7 @@ static err_t choose(const struct v4l2_node *n, const struct camera_cfg *cfg, boo
             break;
         if (number)
             return v4l2_sys_fail(n, number, "list its pixel formats");
-        append(list, code_name(d.pixelformat, name));
+        append_word(list, code_name(d.pixelformat, name));
         for (const struct pixel *p = pixels; p < pixels + PIXELS; p++)
             if (p->fourcc == d.pixelformat && (!*out || p < *out) &&
                 (cfg->format == CAMERA_ANY || cfg->format == p->format))
@@ -163,7 +163,7 @@ static struct answer read_format(const struct v4l2_format *f, bool mplane)
         p->sizeimage, p->colorspace, p->ycbcr_enc,   p->quantization, 1};
 }
 
-/* Colours are left to the driver, which knows what it makes. */
+/* Colour space stays with the driver, which knows its own output. */
 static void ask_format(struct v4l2_format *f, bool mplane, const struct answer *a)
 {
     *f = (struct v4l2_format){.type = buf_type(mplane)};
@@ -181,7 +181,8 @@ static void ask_format(struct v4l2_format *f, bool mplane, const struct answer *
     }
 }
 
-static err_t compare(const struct v4l2_node *n, const struct answer *ask, const struct answer *got)
+static err_t check_answer(const struct v4l2_node *n, const struct answer *ask,
+                          const struct answer *got)
 {
     char a[NAME], b[NAME], sizes[TEXT];
     if (got->w != ask->w || got->h != ask->h || got->fourcc != ask->fourcc) {
@@ -201,8 +202,8 @@ static err_t compare(const struct v4l2_node *n, const struct answer *ask, const 
     return OK;
 }
 
-static err_t bound(const struct v4l2_node *n, const struct pixel *p, const struct answer *got,
-                   struct v4l2_layout *out)
+static err_t bound_layout(const struct v4l2_node *n, const struct pixel *p,
+                          const struct answer *got, struct v4l2_layout *out)
 {
     size_t w = got->w, rows = p->format == CAMERA_NV12 ? (size_t)got->h / 2 * 3 : got->h;
     if (got->w < 1 || got->h < 1 || got->w > SIDE_MAX || got->h > SIDE_MAX)
@@ -225,7 +226,7 @@ static err_t bound(const struct v4l2_node *n, const struct pixel *p, const struc
     return OK;
 }
 
-static void colours(const struct pixel *p, const struct answer *got, struct v4l2_layout *out)
+static void set_colours(const struct pixel *p, const struct answer *got, struct v4l2_layout *out)
 {
     uint32_t matrix = got->matrix, range = got->range;
     bool yuv = p->format == CAMERA_YUYV || p->format == CAMERA_NV12;
@@ -241,7 +242,7 @@ err_t v4l2_format_set(const struct v4l2_node *n, const struct camera_cfg *cfg,
                       struct v4l2_layout *out)
 {
     const struct pixel *p;
-    err_t e = choose(n, cfg, out->mplane, &p);
+    err_t e = choose_format(n, cfg, out->mplane, &p);
     if (e)
         return e;
     struct v4l2_format f = {.type = buf_type(out->mplane)};
@@ -257,9 +258,9 @@ err_t v4l2_format_set(const struct v4l2_node *n, const struct camera_cfg *cfg,
     if (number)
         return v4l2_sys_fail(n, number, "set its pixel format");
     struct answer got = read_format(&f, out->mplane);
-    e = compare(n, &ask, &got);
+    e = check_answer(n, &ask, &got);
     if (!e)
-        e = bound(n, p, &got, out);
+        e = bound_layout(n, p, &got, out);
     if (e)
         return e;
     out->format = p->format;
@@ -268,20 +269,20 @@ err_t v4l2_format_set(const struct v4l2_node *n, const struct camera_cfg *cfg,
     out->bits = p->bits;
     out->w = (int)got.w;
     out->h = (int)got.h;
-    colours(p, &got, out);
+    set_colours(p, &got, out);
     return OK;
 }
 
 /* ---- pace ---- */
 
-static double seconds(struct v4l2_fract f)
+static double fract_seconds(struct v4l2_fract f)
 {
     double s = f.denominator ? (double)f.numerator / f.denominator : 0.0;
     return s >= 1e-5 && s <= 3600.0 ? s : 0.0; // else not credible
 }
 
 /* 1e-3: 33 ms are meant to fit into 1/30 s, and 1/29.97 into that. */
-static bool better(double s, double best, double longest_s)
+static bool is_better_pace(double s, double best, double longest_s)
 {
     bool fits = s >= longest_s * 0.999, best_fits = best >= longest_s * 0.999;
     if (fits != best_fits)
@@ -299,12 +300,12 @@ static struct v4l2_fract pick_pace(const struct v4l2_node *n, const struct v4l2_
         if (v4l2_sys_ioctl(n, VIDIOC_ENUM_FRAMEINTERVALS, &v) != 0)
             break;
         if (v.type != V4L2_FRMIVAL_TYPE_DISCRETE) {
-            double lo = seconds(v.stepwise.min), hi = seconds(v.stepwise.max);
+            double lo = fract_seconds(v.stepwise.min), hi = fract_seconds(v.stepwise.max);
             double us = fmin(fmax(longest_s, lo), hi) * 1e6;
             return (struct v4l2_fract){(uint32_t)us, 1000000};
         }
-        double s = seconds(v.discrete);
-        if (s > 0.0 && (!best.denominator || better(s, seconds(best), longest_s)))
+        double s = fract_seconds(v.discrete);
+        if (s > 0.0 && (!best.denominator || is_better_pace(s, fract_seconds(best), longest_s)))
             best = v.discrete;
     }
     return best;
@@ -333,7 +334,7 @@ err_t v4l2_format_pace(const struct v4l2_node *n, const struct v4l2_layout *l, d
         if (!number)
             parm = set;
     }
-    *period_s = seconds(parm.parm.capture.timeperframe);
+    *period_s = fract_seconds(parm.parm.capture.timeperframe);
     return OK;
 }
 

@@ -11,7 +11,7 @@ static void read_position(struct v4l2_lens *l)
     l->known = v4l2_control_get(&l->node, V4L2_CID_FOCUS_ABSOLUTE, &l->position) == 0;
 }
 
-static err_t move(struct v4l2_lens *l, const struct v4l2_range *r)
+static err_t move_lens(struct v4l2_lens *l, const struct v4l2_range *r)
 {
     const struct v4l2_node *n = &l->node;
     double to = l->want.position;
@@ -29,8 +29,8 @@ static err_t move(struct v4l2_lens *l, const struct v4l2_range *r)
                                   (long long)want, (long long)now);
 }
 
-/* What is asked for can be done. */
-static err_t check(const struct v4l2_lens *l, const struct v4l2_range *r)
+/* Refuse a request that this lens cannot do. */
+static err_t check_abilities(const struct v4l2_lens *l, const struct v4l2_range *r)
 {
     const char *path = l->node.path;
     struct v4l2_range start, status;
@@ -58,9 +58,9 @@ err_t v4l2_lens_open(struct v4l2_lens *l, const struct focus *want)
     l->want = *want;
     err_t e = v4l2_control_query(&l->node, V4L2_CID_FOCUS_ABSOLUTE, &r);
     if (!e && (want->once || want->position >= 0.0))
-        e = check(l, &r);
+        e = check_abilities(l, &r);
     if (!e && want->position >= 0.0)
-        e = move(l, &r);
+        e = move_lens(l, &r);
     if (e || !v4l2_control_there(&r))
         return e;
     l->events = v4l2_sys_ioctl(&l->node, VIDIOC_SUBSCRIBE_EVENT, &moves) == 0;
@@ -74,7 +74,7 @@ static err_t search_fails(const struct v4l2_lens *l, int number)
     return e == ERR_LOST || e == ERR_BUSY ? e : err_fail(ERR_IO, "%s", err_text());
 }
 
-static err_t begin(struct v4l2_lens *l)
+static err_t begin_search(struct v4l2_lens *l)
 {
     const struct v4l2_sys *sys = l->node.sys;
     int number = v4l2_control_set(&l->node, V4L2_CID_AUTO_FOCUS_START, 1);
@@ -93,7 +93,7 @@ err_t v4l2_lens_focus(struct v4l2_lens *l, bool again)
     if (!l->want.once || (l->found && !again))
         return OK;
     if (again || !l->until_ns)
-        return begin(l);
+        return begin_search(l);
     int number = v4l2_control_get(&l->node, V4L2_CID_AUTO_FOCUS_STATUS, &status);
     bool late = sys->clock_ns(sys->ctx) >= l->until_ns;
     bool over = number || late || (status & V4L2_AUTO_FOCUS_STATUS_FAILED);

@@ -1,5 +1,5 @@
-/* v4l2_lens.h - the lens of a V4L2 device: put to a position, or searched; where it stands.
- * Positions are those of V4L2_CID_FOCUS_ABSOLUTE, of which most count from far to near.
+/* v4l2_lens.h - the lens of a V4L2 device: move it, search focus, read its position.
+ * Positions are those of V4L2_CID_FOCUS_ABSOLUTE; most devices count from far to near.
  * thread: as camera.h. */
 #ifndef DEVICE_V4L2_LENS_H
 #define DEVICE_V4L2_LENS_H
@@ -16,7 +16,7 @@ struct v4l2_lens {
     struct focus want;
     bool found;       // a search has, since open
     int64_t until_ns; // of a search that runs; 0: none
-    bool events;      // come when somebody else moves it
+    bool events;      // come when another program moves it
     bool known;       // the position, as read back
     int64_t position;
 };
@@ -28,7 +28,7 @@ MUST_USE err_t v4l2_lens_open(struct v4l2_lens *l, const struct focus *want);
 /* See camera_ops.focus. */
 MUST_USE err_t v4l2_lens_focus(struct v4l2_lens *l, bool again);
 
-/* An event of the node: somebody else has moved it. */
+/* Handle an event of the node: another program has moved the lens. */
 void v4l2_lens_event(struct v4l2_lens *l, const struct v4l2_event *ev);
 
 #endif

@@ -1,9 +1,9 @@
-/* A buffer is ours, the driver's or the caller's; what the driver hands out is believed only if it
- * had it. One failure (EIO, a buffer that is not the driver's, a refused VIDIOC_QBUF) is told and
+/* A buffer is ours, the driver's or the caller's; the driver may only hand out buffers that it has.
+ * One failure (EIO, a buffer that is not the driver's, a refused VIDIOC_QBUF) is reported and
  * forgotten; after a second one without a frame between them the stream is stopped and started
  * again, which brings all but the caller's buffers back; when that did not help the device counts
  * as lost. The restart is the one place where taking a frame may have to wait for the device.
- * Buffers are unmapped before VIDIOC_REQBUFS frees them, whatever the device still answers. */
+ * Buffers are unmapped before VIDIOC_REQBUFS frees them, even if the device no longer answers. */
 #include "drivers/device/v4l2_queue.h"
 
 #include <errno.h>
@@ -23,7 +23,7 @@ static uint32_t buf_type(const struct v4l2_queue *q)
     return q->mplane ? V4L2_BUF_TYPE_VIDEO_CAPTURE_MPLANE : V4L2_BUF_TYPE_VIDEO_CAPTURE;
 }
 
-static int call(struct v4l2_queue *q, unsigned long request, struct message *m, int index)
+static int buffer_ioctl(struct v4l2_queue *q, unsigned long request, struct message *m, int index)
 {
     *m = (struct message){
         .b = {.index = (uint32_t)index, .type = buf_type(q), .memory = V4L2_MEMORY_MMAP}};
@@ -36,7 +36,7 @@ static int call(struct v4l2_queue *q, unsigned long request, struct message *m, 
 
 /* ---- open and close ---- */
 
-/* Buffers that other programs map do not exist twice: EBUSY tells of one that streams. */
+/* A node has one set of buffers: EBUSY means that another program streams. */
 static err_t ask_buffers(struct v4l2_queue *q, int wanted)
 {
     struct v4l2_requestbuffers r = {
@@ -52,10 +52,10 @@ static err_t ask_buffers(struct v4l2_queue *q, int wanted)
     return OK;
 }
 
-static err_t map(struct v4l2_queue *q, int i, size_t least)
+static err_t map_buffer(struct v4l2_queue *q, int i, size_t least)
 {
     struct message m;
-    int number = call(q, VIDIOC_QUERYBUF, &m, i);
+    int number = buffer_ioctl(q, VIDIOC_QUERYBUF, &m, i);
     if (number)
         return v4l2_sys_fail(&q->node, number, "describe its buffers");
     if (q->mplane && m.b.length != 1)
@@ -84,11 +84,11 @@ err_t v4l2_queue_open(struct v4l2_queue *q, int wanted, size_t least)
 {
     err_t e = ask_buffers(q, wanted < V4L2_QUEUE_MIN ? V4L2_QUEUE_MIN : wanted);
     for (int i = 0; !e && i < q->n; i++)
-        e = map(q, i, least);
+        e = map_buffer(q, i, least);
     return e;
 }
 
-static int stop(struct v4l2_queue *q)
+static int stop_stream(struct v4l2_queue *q)
 {
     int type = (int)buf_type(q);
     q->streaming = false;
@@ -98,7 +98,7 @@ static int stop(struct v4l2_queue *q)
 void v4l2_queue_close(struct v4l2_queue *q)
 {
     if (q->streaming)
-        stop(q);
+        stop_stream(q);
     for (int i = 0; i < q->n; i++)
         if (q->slot[i].p)
             q->node.sys->munmap(q->node.sys->ctx, q->slot[i].p, q->slot[i].length);
@@ -113,13 +113,13 @@ void v4l2_queue_close(struct v4l2_queue *q)
 static int queue_one(struct v4l2_queue *q, int i)
 {
     struct message m;
-    int number = call(q, VIDIOC_QBUF, &m, i);
+    int number = buffer_ioctl(q, VIDIOC_QBUF, &m, i);
     if (number == 0)
         q->slot[i].owner = V4L2_QUEUE_DRIVER;
     return number;
 }
 
-/* All that is ours goes to the driver. Returns the first errno. */
+/* Give all buffers of ours to the driver. Returns the first errno. */
 static int queue_ours(struct v4l2_queue *q)
 {
     int number = 0;
@@ -155,13 +155,13 @@ err_t v4l2_queue_lose(struct v4l2_queue *q, const char *why)
     return err_fail(ERR_LOST, "%s: %s", q->node.path, why);
 }
 
-static err_t restart(struct v4l2_queue *q)
+static err_t restart_stream(struct v4l2_queue *q)
 {
     if (q->restarted)
         return v4l2_queue_lose(q, "fails again after its stream was restarted; open it again");
     q->restarted = true;
     q->trouble = 0;
-    int number = stop(q);
+    int number = stop_stream(q);
     for (int i = 0; i < q->n; i++)
         if (q->slot[i].owner == V4L2_QUEUE_DRIVER)
             q->slot[i].owner = V4L2_QUEUE_OURS;
@@ -170,10 +170,10 @@ static err_t restart(struct v4l2_queue *q)
     return err_fail(ERR_IO, "%s: its stream broke off and was restarted", q->node.path);
 }
 
-static err_t fails(struct v4l2_queue *q, const char *what)
+static err_t count_failure(struct v4l2_queue *q, const char *what)
 {
     if (++q->trouble >= 2)
-        return restart(q);
+        return restart_stream(q);
     return err_fail(ERR_IO, "%s: %s", q->node.path, what);
 }
 
@@ -193,8 +193,8 @@ static int64_t stamp(const struct v4l2_queue *q, const struct v4l2_buffer *b)
     return monotonic && start == q->start && sane ? s * 1000000000 + us * 1000 : 0;
 }
 
-static void describe(const struct v4l2_queue *q, const struct message *m,
-                     struct v4l2_queue_item *out)
+static void describe_item(const struct v4l2_queue *q, const struct message *m,
+                          struct v4l2_queue_item *out)
 {
     int i = (int)m->b.index;
     size_t used = q->mplane ? m->plane[0].bytesused : m->b.bytesused;
@@ -213,19 +213,19 @@ err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out)
     struct message m;
     if (q->lost)
         return err_fail(ERR_LOST, "%s: lost; open it again", q->node.path);
-    int again = queue_ours(q), number = call(q, VIDIOC_DQBUF, &m, 0);
+    int again = queue_ours(q), number = buffer_ioctl(q, VIDIOC_DQBUF, &m, 0);
     if (is_gone(number))
         return v4l2_queue_lose(q, "unplugged");
     if (number == EAGAIN && again)
-        return fails(q, "does not take its buffers back");
+        return count_failure(q, "does not take its buffers back");
     if (number == EAGAIN || number == EINTR)
         return err_fail(ERR_AGAIN, "%s: no frame waits", q->node.path);
     if (number)
-        return fails(q, strerror(number));
+        return count_failure(q, strerror(number));
     if (m.b.index >= (uint32_t)q->n || q->slot[m.b.index].owner != V4L2_QUEUE_DRIVER ||
         (q->mplane && m.b.length != 1))
-        return fails(q, "gives a buffer that it does not have");
-    describe(q, &m, out);
+        return count_failure(q, "the driver returned a buffer that it does not own");
+    describe_item(q, &m, out);
     q->slot[out->index].owner = V4L2_QUEUE_CALLER;
     q->trouble = 0;
     q->restarted = false;
@@ -237,5 +237,5 @@ void v4l2_queue_give(struct v4l2_queue *q, int index)
     if (index < 0 || index >= q->n || q->slot[index].owner != V4L2_QUEUE_CALLER)
         return;
     q->slot[index].owner = V4L2_QUEUE_OURS;
-    queue_one(q, index); // when that fails, the next take tries again
+    queue_one(q, index); // after a failure the next take tries again
 }

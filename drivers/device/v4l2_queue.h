@@ -1,4 +1,4 @@
-/* v4l2_queue.h - the mapped buffers of a V4L2 capture node and who has each of them.
+/* v4l2_queue.h - the mapped buffers of a V4L2 capture node and the owner of each.
  * thread: as camera.h. */
 #ifndef DEVICE_V4L2_QUEUE_H
 #define DEVICE_V4L2_QUEUE_H
@@ -23,7 +23,7 @@ struct v4l2_queue {
         size_t length;
         enum v4l2_queue_owner owner;
     } slot[CAMERA_BUFFERS_MAX];
-    bool monotonic, start; // what stamps are, as the first buffer tells
+    bool monotonic, start; // kind of the stamps, from the flags of the first buffer
 };
 
 /* A filled buffer; it is the caller's until v4l2_queue_give. */
@@ -33,7 +33,7 @@ struct v4l2_queue_item {
     size_t bytes;
     bool error;
     uint32_t sequence;
-    int64_t timestamp_ns; // 0: means something else than with the first buffer
+    int64_t timestamp_ns; // 0: of another kind than that of the first buffer
 };
 
 /* Map at least V4L2_QUEUE_MIN buffers that hold `least` bytes each.
@@ -52,7 +52,7 @@ MUST_USE err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out
 /* Give a buffer of the caller back; others are left alone. */
 void v4l2_queue_give(struct v4l2_queue *q, int index);
 
-/* The device is gone, or is not what it was: nothing more is taken. */
+/* Mark the device as gone or changed: no more buffers are taken. */
 MUST_USE err_t v4l2_queue_lose(struct v4l2_queue *q, const char *why);
 
 #endif

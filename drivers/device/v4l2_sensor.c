@@ -1,6 +1,7 @@
 /* From libcamera 0.7.2 (CameraSensorProperties, CameraSensorHelper) and the Raspberry Pi helpers.
  * Where VBLANK acts later than exposure (IMX477, 519, 708: 3 frames), the first frame of an
- * exposure that needs longer frames comes one frame late; who labels frames sees that by pixels. */
+ * exposure that needs longer frames comes one frame late; the labels of frames show that by pixels.
+ * */
 #include "drivers/device/v4l2_sensor.h"
 
 #include <ctype.h>
@@ -10,7 +11,7 @@
 #include <string.h>
 #include <strings.h>
 
-enum { MARGIN = 4 }; // where not known; what a driver makes of an exposure is read back
+enum { MARGIN = 4 }; // where not known; exposures are read back anyway
 
 #define INVERSE(n) 0, n, -1, n // n / (n - code)
 #define LINEAR(n) 1, 0, 0, n   // code / n

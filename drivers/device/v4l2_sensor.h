@@ -1,5 +1,5 @@
-/* v4l2_sensor.h - what is known about image sensors that their drivers do not tell: when settings
- * act, what a gain code means, where black is. Pure.
+/* v4l2_sensor.h - facts about image sensors that their drivers do not report: delays of settings,
+ * gain of a code, black level. Pure.
  * thread: any. */
 #ifndef DEVICE_V4L2_SENSOR_H
 #define DEVICE_V4L2_SENSOR_H
@@ -15,8 +15,8 @@ struct v4l2_sensor {
     int black;                      // level, of 65536; -1 not known
 };
 
-/* The sensor that a driver calls e.g. "imx219 10-0010" or "m00_b_imx415 4-001a"; one of which
- * nothing is known, if none of ours is in it. Never NULL. */
+/* The sensor in a driver's name such as "imx219 10-0010" or "m00_b_imx415 4-001a"; an entry without
+ * facts if the table has none of that name. Never NULL. */
 const struct v4l2_sensor *v4l2_sensor_find(const char *name);
 
 /* Gain factor of a code; 0 if that is not known, or the code is out of the formula's range. */

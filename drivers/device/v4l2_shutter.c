@@ -15,7 +15,7 @@
 #define PERIOD_S (1 / 30.0) // of devices that do not tell
 enum { LINES_MAX = 1 << 30 };
 
-/* ---- what must not change by itself ---- */
+/* ---- automatic modes ---- */
 
 enum freeze_to { VALUE, LOWEST, USUAL };
 
@@ -62,7 +62,7 @@ static const struct freeze freezes[] = {
     {"sharpness", V4L2_CID_SHARPNESS, USUAL, 0, 0, false},
 };
 
-/* Whether it stands as wanted, by its own word. */
+/* Read the control back and compare. */
 static err_t check_frozen(const struct v4l2_node *n, const struct freeze *f, int written)
 {
     int64_t now;
@@ -78,7 +78,7 @@ static err_t check_frozen(const struct v4l2_node *n, const struct freeze *f, int
                     written ? strerror(written) : "");
 }
 
-static err_t freeze(const struct v4l2_node *n, const struct freeze *f)
+static err_t freeze_control(const struct v4l2_node *n, const struct freeze *f)
 {
     struct v4l2_range r;
     err_t e = v4l2_control_query(n, f->id, &r);
@@ -101,7 +101,7 @@ err_t v4l2_shutter_freeze(const struct v4l2_node *n)
 {
     err_t e = OK;
     for (size_t i = 0; !e && i < sizeof freezes / sizeof freezes[0]; i++)
-        e = freeze(n, &freezes[i]);
+        e = freeze_control(n, &freezes[i]);
     return e;
 }
 
@@ -112,7 +112,7 @@ static uint32_t exposure_id(const struct v4l2_shutter *c)
     return c->kind == V4L2_SHUTTER_TICKS ? V4L2_CID_EXPOSURE_ABSOLUTE : V4L2_CID_EXPOSURE;
 }
 
-static err_t refused(const struct v4l2_shutter *c, int number, int64_t code)
+static err_t exposure_fail(const struct v4l2_shutter *c, int number, int64_t code)
 {
     switch (number) {
     case EBUSY:
@@ -145,13 +145,14 @@ static int set_codes(const struct v4l2_shutter *c, int64_t code, int64_t gain, u
     return number;
 }
 
-/* Set both, and know what the device made of them. err: as refused */
+/* Set both and read them back. err: as exposure_fail */
 static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
 {
     uint32_t written;
     int number = set_codes(c, code, gain, &written);
-    if ((number == EACCES || number == EILSEQ) && !written) { // somebody switched it on again
-        err_t e = freeze(&c->node, &freezes[0]);
+    if ((number == EACCES || number == EILSEQ) &&
+        !written) { // another program switched it on again
+        err_t e = freeze_control(&c->node, &freezes[0]);
         if (e)
             return e;
         number = set_codes(c, code, gain, &written);
@@ -159,7 +160,7 @@ static err_t write_codes(struct v4l2_shutter *c, int64_t code, int64_t gain)
     if (number && written > 0)
         v4l2_control_set(&c->node, exposure_id(c), c->code);
     if (number)
-        return refused(c, number, code);
+        return exposure_fail(c, number, code);
     int64_t now;
     number = v4l2_control_get(&c->node, exposure_id(c), &now);
     if (number == ENODEV)
@@ -291,7 +292,7 @@ err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, dou
         if (!e)
             e = v4l2_control_query(&c->node, V4L2_CID_PIXEL_RATE, &rate);
         if (e || !v4l2_control_there(&r) || r.fixed || !v4l2_control_there(&rate))
-            return e; // a unit that nobody knows
+            return e; // the unit is not known
         c->kind = V4L2_SHUTTER_LINES;
         e = open_lines(c, l, &r, longest_s);
         if (!e)
@@ -304,7 +305,8 @@ err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layout *l, dou
                      c->node.path, (long long)c->least, (long long)c->most, c->unit_s * 1e6);
     if (!e)
         e = write_codes(c, v4l2_control_fit(r.usual, c->least, c->most, c->step), c->gain);
-    return e == ERR_ARG ? err_fail(ERR_UNSUPPORTED, "%s", err_text()) : e; // nobody asked for it
+    return e == ERR_ARG ? err_fail(ERR_UNSUPPORTED, "%s", err_text())
+                        : e; // the first exposure is ours, not a request
 }
 
 /* Frames are stretched before a longer exposure is written and shortened after a shorter one: what
@@ -337,7 +339,8 @@ err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
         gain = v4l2_sensor_code(c->sensor, ask->gain, c->gain_lo, c->gain_hi);
     err_t e = stretch_and_write(c, code, gain);
     if (e)
-        return e == ERR_NOMEM ? err_fail(ERR_IO, "%s", err_text()) : e; // the kernel's, for once
+        return e == ERR_NOMEM ? err_fail(ERR_IO, "%s", err_text())
+                              : e; // memory of the kernel, not ours
     if (c->code < 1)
         return err_fail(ERR_IO, "%s: exposure set to %lld reads back as %lld", c->node.path,
                         (long long)code, (long long)c->code);

@@ -1,5 +1,5 @@
-/* v4l2_shutter.h - exposure and gain of a V4L2 device in seconds and factors; all that would change
- * pictures by itself is switched off.
+/* v4l2_shutter.h - exposure and gain of a V4L2 device in seconds and factors; automatic
+ * modes are switched off.
  * thread: as camera.h. */
 #ifndef DEVICE_V4L2_SHUTTER_H
 #define DEVICE_V4L2_SHUTTER_H
@@ -21,14 +21,14 @@ struct v4l2_shutter {
     double unit_s;             // of an exposure code: 100 us, or the time of a line
     int64_t least, most, step; // exposure codes
     int64_t vblank, vblank_base, vblank_lo, vblank_hi, vblank_step; // lo == hi: cannot be changed
-    int64_t gain_lo, gain_hi; // codes; lo == hi: cannot be changed, or nobody knows the factor
+    int64_t gain_lo, gain_hi; // codes; lo == hi: cannot be changed, or the factor is not known
     int64_t code, gain;       // in force, as read back
     int h;                    // lines of the picture
     double period_s;          // of frames; for TICKS and FIXED as given to open
 };
 
-/* Automatic exposure, gain, white balance and focus off, what shapes the response to its default.
- * Missing controls are skipped.
+/* Automatic exposure, gain, white balance and focus off; controls that shape the response to
+ * default. Missing controls are skipped.
  * err:  ERR_UNSUPPORTED (an automatic mode stays on: names it), ERR_LOST, ERR_IO */
 MUST_USE err_t v4l2_shutter_freeze(const struct v4l2_node *n);
 

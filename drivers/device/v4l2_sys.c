@@ -14,7 +14,7 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { TRIES = 16 }; // of a call that signals interrupt
+enum { TRIES = 16 }; // for a call that signals interrupt
 
 static int libc_open(void *ctx, const char *path)
 {
@@ -46,7 +46,7 @@ static int libc_munmap(void *ctx, void *p, size_t length)
     return munmap(p, length);
 }
 
-/* Sub-devices tell their names nowhere else without a walk through the media graph. */
+/* Sub-devices have their names nowhere else without a walk through the media graph. */
 static int libc_name(void *ctx, int fd, char *out, size_t cap)
 {
     char path[64];

@@ -1,4 +1,4 @@
-/* v4l2_sys.h - system calls of the V4L2 backend, as a table: a test puts a kernel of its own in.
+/* v4l2_sys.h - system calls of the V4L2 backend, as a table, so that a test can play the kernel.
  * thread: as camera.h. */
 #ifndef DEVICE_V4L2_SYS_H
 #define DEVICE_V4L2_SYS_H
@@ -8,7 +8,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Results as of the calls they are named after: -1 (mmap: MAP_FAILED) and errno. */
+/* Results are those of the calls that the members are named after: -1 (mmap: MAP_FAILED) and errno.
+ * */
 struct v4l2_sys {
     void *ctx;
     int (*open)(void *ctx, const char *path); // for reading and writing, never blocking

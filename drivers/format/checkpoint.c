@@ -34,7 +34,7 @@ size_t checkpoint_count(const struct checkpoint_tensor *t)
 /* ---- tensors and their names ---- */
 
 /* The file that is being opened. */
-static struct checkpoint_part *here(const struct checkpoint *c)
+static struct checkpoint_part *current_part(const struct checkpoint *c)
 {
     return &c->parts[c->n_parts - 1];
 }
@@ -54,13 +54,13 @@ const struct checkpoint_tensor *checkpoint_find(const struct checkpoint *c, cons
     return bsearch(&key, c->tensors, (size_t)c->n, sizeof key, by_name);
 }
 
-/* What data parallelism, torch.compile, activation checkpoints and sharding put into names. */
+/* Parts of names from data parallelism, torch.compile, activation checkpoints and sharding. */
 static const char *const wrappers[] = {"module.", "_orig_mod.", "_checkpoint_wrapped_module.",
                                        "_fsdp_wrapped_module."};
 
 enum { N_WRAPPERS = sizeof wrappers / sizeof *wrappers };
 
-static size_t begins(const char *s, size_t n, const char *with)
+static size_t prefix_bytes(const char *s, size_t n, const char *with)
 {
     size_t m = strlen(with);
     return n >= m && memcmp(s, with, m) == 0 ? m : 0;
@@ -69,9 +69,9 @@ static size_t begins(const char *s, size_t n, const char *with)
 /* Bytes of a wrapper at the start of a part of a name, or of "model." at that of the name. */
 static size_t wrapper_at(const char *text, size_t n, bool first)
 {
-    size_t found = first ? begins(text, n, "model.") : 0;
+    size_t found = first ? prefix_bytes(text, n, "model.") : 0;
     for (int i = 0; i < N_WRAPPERS && !found; i++)
-        found = begins(text, n, wrappers[i]);
+        found = prefix_bytes(text, n, wrappers[i]);
     return found;
 }
 
@@ -90,7 +90,7 @@ static err_t take_name(const char *what, const char *text, size_t n, char out[CH
         part = wrapper_at(text + i, n - i, to == 0);
         if (part)
             continue;
-        if (to == 0 && !begins(text + i, n - i, "encoder."))
+        if (to == 0 && !prefix_bytes(text + i, n - i, "encoder."))
             to = (size_t)snprintf(out, CHECKPOINT_NAME_CAP, "encoder.");
         const char *dot = memchr(text + i, '.', n - i);
         part = dot ? (size_t)(dot - text) + 1 - i : n - i;
@@ -112,18 +112,19 @@ static err_t sort_names(struct checkpoint *c)
     return OK;
 }
 
-/* Room for n tensors more. */
+/* Make room for n more tensors. */
 static err_t make_room(struct checkpoint *c, int n)
 {
     const size_t all = (size_t)c->n + (size_t)n;
     void *p = realloc(c->tensors, (all + 1) * sizeof *c->tensors);
     if (!p)
-        return err_fail(ERR_NOMEM, "%s: no memory for %zu tensors", here(c)->path, all);
+        return err_fail(ERR_NOMEM, "%s: no memory for %zu tensors", current_part(c)->path, all);
     c->tensors = p;
     return OK;
 }
 
-/* The next tensor, of the file that is being opened; counts when it is whole. */
+/* The next free tensor, for the file that is being opened; the caller counts it when it is whole.
+ * */
 static struct checkpoint_tensor *next_tensor(struct checkpoint *c)
 {
     c->tensors[c->n] = (struct checkpoint_tensor){.part = c->n_parts - 1};
@@ -169,7 +170,7 @@ static err_t add_safetensor(struct checkpoint *c, const struct safetensors *head
     t->storage = head->data + s->begin;
     t->room = step;
     c->n++;
-    return take_name(here(c)->path, s->name, strlen(s->name), t->name);
+    return take_name(current_part(c)->path, s->name, strlen(s->name), t->name);
 }
 
 static err_t read_file(const struct checkpoint_part *p, uint64_t at, void *out, size_t n)
@@ -184,7 +185,7 @@ static err_t read_file(const struct checkpoint_part *p, uint64_t at, void *out, 
 
 static err_t open_safetensors(struct checkpoint *c, uint64_t bytes)
 {
-    const struct checkpoint_part *part = here(c);
+    const struct checkpoint_part *part = current_part(c);
     struct safetensors head = {0};
     uint8_t first[8];
     size_t n = 0;
@@ -378,8 +379,8 @@ static err_t get_storage(const struct unpickling *u, const struct pickle_value *
     return e;
 }
 
-/* Marks of a tensor: a dictionary, or nothing in older files. What is not known but holds makes it
- * another kind of tensor. */
+/* Marks of a tensor: a dictionary, or nothing in older files. An unknown mark that is set makes the
+ * tensor one of another kind. */
 static void get_marks(const struct pickle *p, const struct pickle_value *dict,
                       struct checkpoint_tensor *t)
 {
@@ -470,10 +471,10 @@ static err_t find_state(const struct unpickling *u, const struct pickle_value **
                     u->part->path);
 }
 
-static err_t unpickle(struct checkpoint *c, const char *folder, const void *bytes, size_t n)
+static err_t add_pickled(struct checkpoint *c, const char *folder, const void *bytes, size_t n)
 {
     struct pickle p;
-    const struct unpickling u = {c, here(c), folder, &p};
+    const struct unpickling u = {c, current_part(c), folder, &p};
     err_t e = pickle_parse(u.part->path, bytes, n, &p);
     if (e)
         return e;
@@ -487,7 +488,7 @@ static err_t unpickle(struct checkpoint *c, const char *folder, const void *byte
 
 static err_t open_zip(struct checkpoint *c)
 {
-    struct checkpoint_part *part = here(c);
+    struct checkpoint_part *part = current_part(c);
     char folder[FOLDER_CAP];
     uint64_t index = 0, bytes = 0;
     zip_error_t why;
@@ -513,7 +514,7 @@ static err_t open_zip(struct checkpoint *c)
     e = p ? read_member(part, index, 0, p, (size_t)bytes)
           : err_fail(ERR_NOMEM, "%s: no memory for %ju bytes", part->path, (uintmax_t)bytes);
     if (!e)
-        e = unpickle(c, folder, p, (size_t)bytes);
+        e = add_pickled(c, folder, p, (size_t)bytes);
     free(p);
     return e;
 }
@@ -522,8 +523,8 @@ static err_t open_zip(struct checkpoint *c)
 
 enum content { CONTENT_SAFETENSORS, CONTENT_ZIP, CONTENT_INDEX };
 
-/* Open a file, and say what it seems to be. own: fclose(*f). */
-static err_t look(const char *path, FILE **f, uint64_t *bytes, enum content *out)
+/* Open a file and tell its kind from its first bytes. own: fclose(*f). */
+static err_t open_content(const char *path, FILE **f, uint64_t *bytes, enum content *out)
 {
     struct stat st;
     uint8_t first[8] = {0};
@@ -557,12 +558,12 @@ static err_t open_part(struct checkpoint *c)
     enum content content;
     uint64_t bytes;
     FILE *f;
-    err_t e = look(part->path, &f, &bytes, &content);
+    err_t e = open_content(part->path, &f, &bytes, &content);
     if (e)
         return e;
     part->file = f;
     if (content == CONTENT_INDEX)
-        return err_fail(ERR_FORMAT, "%s: neither PyTorch's nor safetensors", part->path);
+        return err_fail(ERR_FORMAT, "%s: neither a PyTorch file nor safetensors", part->path);
     if (content == CONTENT_SAFETENSORS)
         return open_safetensors(c, bytes);
     fclose(f);
@@ -678,7 +679,7 @@ err_t checkpoint_open(const char *path, struct checkpoint *out)
     FILE *f;
     memset(out, 0, sizeof *out);
     out->what = path;
-    err_t e = look(path, &f, &bytes, &content);
+    err_t e = open_content(path, &f, &bytes, &content);
     if (e)
         return e;
     fclose(f);
@@ -735,7 +736,7 @@ static err_t read_run(const struct checkpoint *c, const struct checkpoint_tensor
 }
 
 /* Pick the elements of a view out of its run. */
-static void pick(const struct checkpoint_tensor *t, const float *run, float *out)
+static void gather_view(const struct checkpoint_tensor *t, const float *run, float *out)
 {
     size_t index[CHECKPOINT_RANK_MAX] = {0}, at = 0, n = checkpoint_count(t);
     for (size_t i = 0; i < n; i++) {
@@ -780,7 +781,7 @@ err_t checkpoint_read(const struct checkpoint *c, const struct checkpoint_tensor
     err_t e = run ? read_run(c, t, spread, run)
                   : err_fail(ERR_NOMEM, "%s: no memory for tensor %s", p->path, t->name);
     if (!e)
-        pick(t, run, out);
+        gather_view(t, run, out);
     free(run);
     return e;
 }

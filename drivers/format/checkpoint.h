@@ -1,4 +1,4 @@
-/* checkpoint.h - named tensors of a file with someone else's weights: a zip archive of PyTorch
+/* checkpoint.h - named tensors of a file of published weights: a zip archive of PyTorch
  * (torch.save, Lightning's .ckpt included), a .safetensors file, or several of one kind with the
  * index of them (*.index.json, key "weight_map": name to file beside it). Only the headers stay in
  * memory; tensors are read one at a time.
@@ -10,15 +10,15 @@
  * PyTorch's mark that values are to be negated.
  *
  * The reader refuses
- *  1. what is neither a zip archive nor safetensors, with a word about PyTorch's old format;
+ *  1. files that are neither zip archives nor safetensors; the error names PyTorch's old format;
  *  2. archives without exactly one <folder>/data.pkl, with a pickle above 32 MB, big-endian ones;
- *  3. what pickle.h and safetensors.h list;
- *  4. a name that is there twice;
+ *  3. everything that pickle.h and safetensors.h list;
+ *  4. a name that occurs twice;
  *  5. tensors of a PyTorch file without storage, shape and strides of the right kind, beyond their
  *     storage, or whose storage is compressed, encrypted or shorter than it says;
  *  6. data whose checksum is wrong, where a whole storage is read;
- *  7. an index without "weight_map", with files that are not beside it, or tensors that these have
- *     not.
+ *  7. an index without "weight_map", with files that are not beside it, or with tensors that these
+ *     files lack.
  * Names in the archive are looked up and never used as paths.
  * thread: one at a time. */
 #ifndef FORMAT_CHECKPOINT_H
@@ -43,7 +43,7 @@ enum checkpoint_type { CHECKPOINT_F32, CHECKPOINT_BF16, CHECKPOINT_F16, CHECKPOI
 struct checkpoint_tensor {
     char name[CHECKPOINT_NAME_CAP];
     enum checkpoint_type type;
-    char kind[CHECKPOINT_KIND_CAP]; // of OTHER: what it is instead, as the file says
+    char kind[CHECKPOINT_KIND_CAP]; // of OTHER: the type's name in the file
     bool negative;                  // the values are those stored times -1
     int part, rank;
     size_t shape[CHECKPOINT_RANK_MAX], stride[CHECKPOINT_RANK_MAX]; // elements

@@ -22,7 +22,7 @@ enum {
 
 static const size_t ONCE = (size_t)1 << 30; // zlib counts in unsigned int
 
-static size_t least(size_t a, size_t b)
+static size_t min_size(size_t a, size_t b)
 {
     return a < b ? a : b;
 }
@@ -54,11 +54,11 @@ err_t compressed_open(struct compressed_in *in, const char *what, enum compresse
 
 static const char no_memory[] = "no memory";
 
-/* Up to *n bytes; *n becomes how many they are. NULL, or what is wrong. */
+/* Unpack up to *n bytes; *n becomes their number. Returns the error's text, or NULL. */
 static const char *inflate_some(struct compressed_in *in, uint8_t *out, size_t *n)
 {
     z_stream *z = in->state;
-    size_t take = least(in->left, ONCE), room = least(*n, ONCE);
+    size_t take = min_size(in->left, ONCE), room = min_size(*n, ONCE);
     z->next_in = (Bytef *)(uintptr_t)in->p;
     z->avail_in = (uInt)take;
     z->next_out = out;
@@ -91,7 +91,7 @@ static const char *zstd_some(struct compressed_in *in, uint8_t *out, size_t *n)
 
 static const char *plain_some(struct compressed_in *in, uint8_t *out, size_t *n)
 {
-    *n = least(*n, in->left);
+    *n = min_size(*n, in->left);
     if (*n > 0)
         memcpy(out, in->p, *n);
     in->p += *n;
@@ -125,7 +125,7 @@ err_t compressed_finish(struct compressed_in *in, const char *part)
     size_t got;
     err_t e = compressed_some(in, part, &more, 1, &got);
     if (!e && got > 0)
-        e = err_fail(ERR_FORMAT, "%s: %s: more than its header tells", in->what, part);
+        e = err_fail(ERR_FORMAT, "%s: %s: more bytes than its header says", in->what, part);
     return e;
 }
 
@@ -234,7 +234,7 @@ err_t compressed_put(struct compressed_out *out, const void *p, size_t n)
     if (out->kind == COMPRESSED_ZSTD)
         return zstd_put(out, p, n, false);
     for (size_t at = 0; out->kind == COMPRESSED_GZIP && at < n && !e; at += ONCE)
-        e = deflate_some(out, (const uint8_t *)p + at, least(n - at, ONCE), false);
+        e = deflate_some(out, (const uint8_t *)p + at, min_size(n - at, ONCE), false);
     return e;
 }
 

@@ -1,6 +1,6 @@
-/* compressed.h - streams of bytes, plain or compressed with gzip or zstd, out of memory and into a
- * file. A gzip stream that is written says whose it is (origin.h). Nothing is unpacked that was
- * not asked for, so a file decides neither memory nor time.
+/* compressed.h - streams of bytes, plain or compressed with gzip or zstd, read from memory and
+ * written to a file. A gzip stream that is written carries our mark (origin.h). Only requested
+ * bytes are unpacked, so a file decides neither memory nor time.
  * thread: one per stream. */
 #ifndef FORMAT_COMPRESSED_H
 #define FORMAT_COMPRESSED_H
@@ -17,7 +17,7 @@ enum compressed_kind { COMPRESSED_PLAIN, COMPRESSED_GZIP, COMPRESSED_ZSTD };
 struct compressed_in {
     const char *what; // begins the sentence
     enum compressed_kind kind;
-    const uint8_t *p; // what is not read yet, not owned
+    const uint8_t *p; // rest of the stream, not owned
     size_t left;
     bool ended;  // all of the stream has been read
     void *state; // of the library
@@ -29,7 +29,7 @@ struct compressed_in {
 MUST_USE err_t compressed_open(struct compressed_in *in, const char *what,
                                enum compressed_kind kind, const void *p, size_t n);
 
-/* The next n bytes, unpacked; fewer, *got, only at the end of the stream. `part` is for the
+/* Unpack the next n bytes; *got is less only at the end of the stream. `part` is for the
  * sentence.
  * err:  ERR_FORMAT (not such a stream, damaged, cut off), ERR_NOMEM. */
 MUST_USE err_t compressed_some(struct compressed_in *in, const char *part, void *out, size_t n,
@@ -61,7 +61,7 @@ MUST_USE err_t compressed_begin(struct compressed_out *out, const char *what,
 /* err:  ERR_NOMEM, ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t compressed_put(struct compressed_out *out, const void *p, size_t n);
 
-/* Complete the stream and release what belongs to it. Accepts a zeroed one.
+/* Complete the stream and release its state. Accepts a zeroed one.
  * err:  as compressed_put. */
 MUST_USE err_t compressed_end(struct compressed_out *out);
 

@@ -28,7 +28,7 @@ enum {
         1032 // samples per byte of the file: DEFLATE's limit, above that of RLE, PIZ and PXR24
 };
 
-/* The library's last words. It reports while it holds its own locks, so asking it for user data
+/* The library's last message. It reports while it holds its own locks, so asking it for user data
  * would hang. */
 static _Thread_local char last_words[256];
 
@@ -86,7 +86,7 @@ static void free_block(void *p)
         free(p);
 }
 
-static exr_context_initializer_t settings(void)
+static exr_context_initializer_t library_settings(void)
 {
     exr_context_initializer_t s = EXR_DEFAULT_CONTEXT_INITIALIZER;
     last_words[0] = 0;
@@ -216,7 +216,7 @@ static err_t check_channels(struct reader *r)
     return OK;
 }
 
-static float sample(const uint8_t *p, int type)
+static float read_sample(const uint8_t *p, int type)
 {
     uint16_t h;
     uint32_t u;
@@ -242,13 +242,14 @@ static void unpack_row(const struct reader *r, const exr_coding_channel_info_t *
             continue;
         float *out = r->out->px + c * plane + (size_t)(r->y + y) * width + (size_t)r->x;
         for (int i = 0; i < ch->width; i++)
-            out[i] = sample(in + (ptrdiff_t)i * ch->bytes_per_element, ch->data_type);
+            out[i] = read_sample(in + (ptrdiff_t)i * ch->bytes_per_element, ch->data_type);
     }
 }
 
 /* Called by the library with a decoded chunk: row after row, in each row all channels one after the
- * other. Its own routine for this writes through the pointers of channels that nobody asked for. */
-static exr_result_t unpack(exr_decode_pipeline_t *pipe)
+ * other. Its own routine for this writes through the pointers of channels that were not requested.
+ * */
+static exr_result_t unpack_chunk(exr_decode_pipeline_t *pipe)
 {
     const struct reader *r = pipe->decoding_user_data;
     const uint8_t *in = pipe->unpacked_buffer;
@@ -292,7 +293,7 @@ static err_t read_chunk(struct reader *r, const exr_chunk_info_t *chunk)
         r->pipe_open = true;
         if (!code)
             code = exr_decoding_choose_default_routines(r->ctxt, PART, &r->pipe);
-        r->pipe.unpack_and_convert_fn = unpack;
+        r->pipe.unpack_and_convert_fn = unpack_chunk;
         r->pipe.decoding_user_data = r;
     }
     if (!code)
@@ -347,7 +348,7 @@ err_t exrfile_read_mem(const void *bytes, size_t n, const char *name, struct ima
 {
     struct memory m = {bytes, n};
     struct reader r = {.name = name, .n_bytes = n, .out = out};
-    exr_context_initializer_t s = settings();
+    exr_context_initializer_t s = library_settings();
     s.user_data = &m;
     s.read_fn = memory_read;
     s.size_fn = memory_size;
@@ -523,8 +524,8 @@ static exr_result_t write_header(struct writer *w, const struct exrfile_extra *e
     return code ? code : exr_write_header(w->ctxt);
 }
 
-/* NaN to 0 and infinite to the largest float, so that what is written is always finite. */
-static size_t clean(const float *in, size_t n, float *out)
+/* NaN becomes 0 and infinity the largest float, so that the file holds finite values only. */
+static size_t clean_floats(const float *in, size_t n, float *out)
 {
     size_t saturated = 0;
     for (size_t i = 0; i < n; i++) {
@@ -559,8 +560,8 @@ static exr_result_t write_block(struct writer *w, int y)
         struct channel *in = w->channel;
         while (strcmp(in->name, out->channel_name) != 0)
             in++;
-        w->saturated +=
-            in->half ? clean_half(in->px + at, n, in->rows) : clean(in->px + at, n, in->rows);
+        w->saturated += in->half ? clean_half(in->px + at, n, in->rows)
+                                 : clean_floats(in->px + at, n, in->rows);
         out->encode_from_ptr = in->rows;
         out->user_pixel_stride = out->bytes_per_element;
         out->user_line_stride = out->bytes_per_element * w->w;
@@ -595,13 +596,13 @@ static err_t write_blocks(struct writer *w)
 /* Start with an empty file. own: write_end. */
 static exr_result_t write_begin(struct writer *w)
 {
-    exr_context_initializer_t s = settings();
+    exr_context_initializer_t s = library_settings();
     s.user_data = w;
     s.write_fn = file_write;
     return exr_start_write(&w->ctxt, w->path, EXR_WRITE_FILE_DIRECTLY, &s);
 }
 
-/* e: what went wrong before. */
+/* e: an earlier error, kept. */
 static err_t write_end(struct writer *w, err_t e)
 {
     exr_result_t code = exr_finish(&w->ctxt); // writes the table of chunks

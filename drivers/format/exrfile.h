@@ -1,7 +1,7 @@
 /* exrfile.h - linear radiance as OpenEXR files, through OpenEXRCore.
  * Files are hostile until checked: at most EXRFILE_SIDE_MAX px a side, EXRFILE_PX_MAX px,
  * EXRFILE_BYTES_MAX bytes, and never more samples than so few bytes can hold. Nothing is printed;
- * the library's own words end up in the sentence. */
+ * messages of the library become part of the error. */
 #ifndef FORMAT_EXRFILE_H
 #define FORMAT_EXRFILE_H
 
@@ -11,7 +11,7 @@
 
 enum { EXRFILE_SIDE_MAX = 16384, EXRFILE_PX_MAX = 1 << 28, EXRFILE_BYTES_MAX = 1 << 30 };
 
-/* What may go into the file beside R, G and B; a zeroed struct adds nothing. */
+/* Optional content beside R, G and B; a zeroed struct adds nothing. */
 struct exrfile_extra {
     bool half;          // store R, G, B, A as half instead of float
     const float *alpha; // (h, w) channel A, NULL = none
@@ -46,7 +46,7 @@ struct exrfile_part {
     int n_attr;
 };
 
-/* What a file of several parts holds: all of one size, R, G and B as half. */
+/* Parts of a file, all of one size, R, G and B as half. */
 struct exrfile_parts {
     int n, w, h;
     const struct exrfile_part *part; // [n]
@@ -57,7 +57,7 @@ struct exrfile_parts {
 
 /* Write a scanline file of several parts in their order to a stream that can seek, in PIZ, with
  * Rec. 709 chromaticities; values as in exrfile_write. `name` is for sentences.
- * err:  ERR_ARG (shape), ERR_NOMEM, ERR_IO (the stream: it knows the reason), those of fill. */
+ * err:  ERR_ARG (shape), ERR_NOMEM, ERR_IO (ferror(f) holds then), those of fill. */
 MUST_USE err_t exrfile_put_parts(FILE *f, const char *name, const struct exrfile_parts *p);
 
 /* Read R, G and B (half, float or uint) of the first part; a file with only Y becomes grey.

@@ -168,7 +168,7 @@ err_t file_sync(const char *path)
         why = errno;
     if (fd >= 0)
         close(fd);
-    return why ? err_fail(file_code(why), "%s: cannot be brought to the disk: %s", path,
+    return why ? err_fail(file_code(why), "%s: cannot be synced to the disk: %s", path,
                           strerror(why))
                : OK;
 }
@@ -179,5 +179,6 @@ err_t file_replace(const char *from, const char *to)
         return OK;
     int why = errno;
     unlink(from);
-    return err_fail(file_code(why), "%s: cannot be put there: %s", to, strerror(why));
+    return err_fail(file_code(why), "%s: cannot put the finished file there: %s", to,
+                    strerror(why));
 }

@@ -1,6 +1,6 @@
 /* file.h - whole files: mapped for reading, written completely or not at all.
- * A mapped file must not shrink while it is read; results of this program never do, they appear by
- * rename.
+ * A mapped file must not shrink while it is read; results of this program never do, since they
+ * appear by rename.
  * thread: any. */
 #ifndef FORMAT_FILE_H
 #define FORMAT_FILE_H
@@ -28,14 +28,14 @@ MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 /* Accepts a zeroed map. */
 void file_unmap(struct file_map *m);
 
-bool file_exists(const char *path); // whatever it is
-/* Its pages may leave memory; they are read again when they are looked at. */
+bool file_exists(const char *path); // of any kind
+/* Let the kernel drop the map's pages; they are read again on the next access. */
 void file_drop(const struct file_map *m);
 
 bool file_is_dir(const char *path);
 bool file_is_regular(const char *path);
-bool file_is_same(const char *a, const char *b); // one file or folder, by whichever names
-/* Something that a finished file must not be put in the place of, like a device or a pipe. */
+bool file_is_same(const char *a, const char *b); // one file or folder, also under two names
+/* A device, a pipe or the like, which a finished file must not replace. */
 bool file_is_special(const char *path);
 
 /* out = "dir/name".
@@ -46,7 +46,7 @@ MUST_USE err_t file_join(const char *dir, const char *name, char out[FILE_PATH_C
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_parent(const char *path, char out[FILE_PATH_CAP]);
 
-/* What stands behind the last slash of `path`. */
+/* The part of `path` after its last slash. */
 const char *file_name(const char *path);
 
 /* Code of a failed write with this errno: ERR_LIMIT if there is no space, else ERR_IO. */
@@ -61,11 +61,11 @@ MUST_USE err_t file_create(const char *path, FILE **out);
  * err:  ERR_LIMIT (no space), ERR_IO. f is closed in any case. */
 MUST_USE err_t file_finish(FILE *f, const char *path);
 
-/* The bytes of a file, or the names in a folder, become durable.
+/* Make the bytes of a file, or the names in a folder, durable.
  * err:  ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t file_sync(const char *path);
 
-/* Rename a finished file; what is at `to` is replaced in one step. `from` is removed on error.
+/* Rename a finished file; a file at `to` is replaced in one step. `from` is removed on error.
  * err:  ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t file_replace(const char *from, const char *to);
 

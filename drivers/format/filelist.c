@@ -133,7 +133,7 @@ static err_t list_file(struct walk *w, const char *path, const char *name, const
 {
     struct entry *x;
     (void)st;
-    if (strcmp(name, FILELIST_PARTIAL) == 0) // goes before the folder is seen
+    if (strcmp(name, FILELIST_PARTIAL) == 0) // is removed before the folder becomes visible
         return OK;
     err_t e = list_add(w->list, name, strlen(name), &x);
     return e ? e : hash_file(path, x->hex);
@@ -192,7 +192,7 @@ err_t filelist_write(const char *dir)
 /* ---- reading ---- */
 
 /* Undo put_line in place. */
-static void unescape(char *name)
+static void unescape_name(char *name)
 {
     char *to = name;
     for (const char *c = name; *c; c++) {
@@ -222,16 +222,16 @@ static err_t read_line(struct list *l, const char *path, const char *line, size_
     memcpy(x->hex, line, HEX);
     x->hex[HEX] = 0;
     if (escaped)
-        unescape(x->name);
+        unescape_name(x->name);
     return OK;
 }
 
-static err_t parse(struct list *l, const char *path, const char *text, size_t n)
+static err_t parse_list(struct list *l, const char *path, const char *text, size_t n)
 {
     const size_t begin = sizeof head - 1;
     err_t e = OK;
     if (n < begin || memcmp(text, head, begin) != 0)
-        return err_fail(ERR_ARG, "%s: is not of hdrig: nothing is replaced", path);
+        return err_fail(ERR_ARG, "%s: was not written by hdrig: nothing is replaced", path);
     for (size_t at = begin, end; at < n && !e; at = end + 1) {
         const char *stop = memchr(text + at, '\n', n - at);
         if (!stop)
@@ -257,12 +257,12 @@ static err_t get_list(const char *dir, struct list *l)
     e = file_map(path, LIST_BYTES_MAX, &m);
     if (e)
         return e == ERR_FORMAT ? ERR_ARG : e;
-    e = parse(l, path, (const char *)m.p, m.n);
+    e = parse_list(l, path, (const char *)m.p, m.n);
     file_unmap(&m);
     return e;
 }
 
-static const struct entry *find(const struct list *l, const char *name)
+static const struct entry *find_entry(const struct list *l, const char *name)
 {
     struct entry key = {.name = (char *)(uintptr_t)name};
     return l->n ? bsearch(&key, l->v, l->n, sizeof *l->v, by_name) : NULL;
@@ -271,7 +271,7 @@ static const struct entry *find(const struct list *l, const char *name)
 static err_t check_file(struct walk *w, const char *path, const char *name, const struct stat *st)
 {
     char hex[SHA256_HEX_CAP];
-    const struct entry *x = find(w->list, name);
+    const struct entry *x = find_entry(w->list, name);
     if (!x || !S_ISREG(st->st_mode))
         return err_fail(ERR_ARG, "%s: was not written by hdrig: move it out of %s first", path,
                         w->dir);
@@ -311,7 +311,7 @@ err_t filelist_check(const char *dir, bool content)
 
 static err_t remove_file(struct walk *w, const char *path, const char *name, const struct stat *st)
 {
-    if (S_ISREG(st->st_mode) && find(w->list, name) && unlink(path) != 0)
+    if (S_ISREG(st->st_mode) && find_entry(w->list, name) && unlink(path) != 0)
         return err_fail(ERR_IO, "%s: cannot be removed: %s", path, strerror(errno));
     return OK;
 }
@@ -325,7 +325,7 @@ static err_t remove_folder(struct walk *w, const char *path, const char *name)
                : err_fail(ERR_IO, "%s: cannot be removed: %s", path, strerror(errno));
 }
 
-/* The list goes last: what a crash leaves is still known by it. */
+/* The list goes last, so that it still describes the rest after a crash. */
 err_t filelist_remove(const char *dir)
 {
     char path[FILE_PATH_CAP];

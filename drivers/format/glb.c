@@ -65,7 +65,8 @@ static int coefs(int degree)
     return (degree + 1) * (degree + 1);
 }
 
-static struct attribute *add(struct list *l, enum source source, int components, const char *name)
+static struct attribute *add_attribute(struct list *l, enum source source, int components,
+                                       const char *name)
 {
     struct attribute *a = &l->a[l->n++];
     *a = (struct attribute){.source = source, .components = components, .type = TYPE_FLOAT};
@@ -77,7 +78,7 @@ static void add_harmonics(struct list *l, enum source source, int degree)
 {
     for (int band = 0; band <= degree; band++)
         for (int k = 0; k < 2 * band + 1; k++) {
-            struct attribute *a = add(l, source, 3, "");
+            struct attribute *a = add_attribute(l, source, 3, "");
             a->harmonic = band * band + k;
             snprintf(a->name, sizeof a->name, "%s:SH_DEGREE_%d_COEF_%d",
                      source == DISPLAY ? SPLATTING : RADIANCE, band, k);
@@ -88,10 +89,10 @@ static void add_harmonics(struct list *l, enum source source, int degree)
 static void make_list(struct list *l, int degree, int radiance)
 {
     l->n = 0;
-    add(l, POSITION, 3, "POSITION");
-    add(l, ROTATION, 4, SPLATTING ":ROTATION");
-    add(l, SCALE, 3, SPLATTING ":SCALE");
-    add(l, OPACITY, 1, SPLATTING ":OPACITY");
+    add_attribute(l, POSITION, 3, "POSITION");
+    add_attribute(l, ROTATION, 4, SPLATTING ":ROTATION");
+    add_attribute(l, SCALE, 3, SPLATTING ":SCALE");
+    add_attribute(l, OPACITY, 1, SPLATTING ":OPACITY");
     add_harmonics(l, DISPLAY, degree);
     if (radiance >= 0)
         add_harmonics(l, LOG_RADIANCE, radiance);
@@ -119,7 +120,7 @@ static float position(const struct gaussians *g, int k, int i)
     return g->plane[G_MU + k][i] * (float)splats_sign(G_MU + k, SPLATS_LUF);
 }
 
-/* "min" and "max" of the positions, which glTF wants. */
+/* "min" and "max" of the positions, which glTF requires. */
 static void put_bounds(FILE *f, const struct gaussians *g)
 {
     float v[2][3];
@@ -325,7 +326,7 @@ err_t glb_write(const char *path, const struct scene *s)
     if (g->n == 0)
         return err_fail(ERR_ARG, "%s: a scene without splats: glTF holds at least one", path);
     make_list(&l, g->degree < DISPLAY_DEGREE_MAX ? g->degree : DISPLAY_DEGREE_MAX, g->degree);
-    struct attribute *colour = add(&l, COLOUR_0, 4, "COLOR_0");
+    struct attribute *colour = add_attribute(&l, COLOUR_0, 4, "COLOR_0");
     colour->type = TYPE_USHORT;
     colour->normalized = true;
     for (int i = 0; i < l.n; i++) {
@@ -390,8 +391,8 @@ static err_t open_chunks(const struct splats_bytes *f, struct layout *l)
         return err_fail(ERR_UNSUPPORTED, "%s: version %u of binary glTF, %d is read", f->what,
                         version, VERSION);
     if (length > f->n || length < HEADER + CHUNK)
-        return err_fail(ERR_FORMAT, "%s: its header tells %u bytes, it has %zu", f->what, length,
-                        f->n);
+        return err_fail(ERR_FORMAT, "%s: its header says %u bytes, the file has %zu", f->what,
+                        length, f->n);
     b.left = length - HEADER - CHUNK;
     const uint8_t *json = bytes_take(&b, json_bytes);
     if (!json || kind != CHUNK_JSON)
@@ -463,14 +464,13 @@ static err_t check_word(const struct layout *l, const struct cJSON *object, cons
     return OK;
 }
 
-/* Degrees of what is there: of the display colours by their first attribute, of the radiance by its
- * own word. */
+/* Degree of the display colours from their attributes, degree of the radiance from its member. */
 static err_t take_extension(struct layout *l, const struct cJSON *primitive)
 {
     const struct cJSON *attributes = json_member(primitive, "attributes");
     const struct cJSON *ext = splatting_of(primitive);
     const struct cJSON *radiance = json_member(json_member(ext, "extensions"), RADIANCE);
-    static const size_t points = 4; // what glTF means without a word: triangles
+    static const size_t points = 4; // glTF's default: triangles
     size_t mode = 0, degree = 0, version = 0;
     int display = 0;
     char name[96];
@@ -510,7 +510,7 @@ static err_t take_extension(struct layout *l, const struct cJSON *primitive)
 
 /* ---- attributes ---- */
 
-/* Where the view lies in the binary chunk. */
+/* Find the view in the binary chunk. */
 static err_t take_view(const struct layout *l, struct attribute *a, size_t *stride)
 {
     static const size_t zero = 0;
@@ -627,7 +627,7 @@ static err_t open_layout(const struct splats_bytes *f, struct layout *l)
 
 /* ---- numbers ---- */
 
-static float number(const struct attribute *a, const uint8_t *p)
+static float read_number(const struct attribute *a, const uint8_t *p)
 {
     struct bytes b = bytes_of(p, (size_t)bytes_of_type(a->type));
     bool n = a->normalized;
@@ -682,7 +682,7 @@ static err_t read_attribute(const struct layout *l, const struct attribute *a, s
         const uint8_t *p = a->p + k * bytes_of_type(a->type);
         float sign = (float)splats_sign(plane, SPLATS_LUF), *out = g->plane[plane];
         for (int i = 0; i < l->info.n; i++, p += a->stride) {
-            float v = number(a, p);
+            float v = read_number(a, p);
             if (a->source == SCALE && v < 0)
                 return err_fail(ERR_FORMAT,
                                 "%s: %s of splat %d is %g: negative, as in drafts of the extension",

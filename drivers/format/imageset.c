@@ -44,7 +44,7 @@ static bool is_picture(const char *name)
     return has_one_of(name, suffix);
 }
 
-/* Of other kinds of picture, which somebody may believe to be read. */
+/* Pictures of other kinds, which users may expect to be read. */
 static bool is_other_picture(const char *name)
 {
     static const char *const suffix[] = {
@@ -54,7 +54,7 @@ static bool is_other_picture(const char *name)
     return has_one_of(name, suffix);
 }
 
-static bool begins(const char *name, const char *prefix)
+static bool has_prefix(const char *name, const char *prefix)
 {
     return strncmp(name, prefix, strlen(prefix)) == 0;
 }
@@ -163,7 +163,7 @@ static int by_name(const void *a, const void *b)
     return strcmp(((const struct shot *)a)->name, ((const struct shot *)b)->name);
 }
 
-static err_t scan(struct imageset *set)
+static err_t scan_folder(struct imageset *set)
 {
     struct capture *c = &set->capture;
     c->shots = calloc(CAMERAS_MAX, sizeof *c->shots);
@@ -205,13 +205,13 @@ static void note_beside(const char *images, struct imageset *set)
 static bool is_released(const struct capture *c)
 {
     for (int i = 0; i < c->n; i++)
-        if (begins(c->shots[i].name, "train"))
+        if (has_prefix(c->shots[i].name, "train"))
             return true;
     return false;
 }
 
 /* Keep the shots with keep[i] set, in order. */
-static void compact(struct capture *c, const bool *keep)
+static void keep_shots(struct capture *c, const bool *keep)
 {
     int n = 0;
     for (int i = 0; i < c->n; i++)
@@ -220,7 +220,7 @@ static void compact(struct capture *c, const bool *keep)
     c->n = n;
 }
 
-static err_t filter(const struct imageset_request *rq, bool released, struct imageset *set)
+static err_t filter_pictures(const struct imageset_request *rq, bool released, struct imageset *set)
 {
     static const char *const prefix[] = {"train", "test", ""};
     struct capture *c = &set->capture;
@@ -228,10 +228,10 @@ static err_t filter(const struct imageset_request *rq, bool released, struct ima
     int all = c->n, n = 0;
     for (int i = 0; i < all; i++) {
         const char *name = c->shots[i].name;
-        if (released && !begins(name, prefix[IMAGESET_TRAIN]) &&
-            !begins(name, prefix[IMAGESET_TEST]))
+        if (released && !has_prefix(name, prefix[IMAGESET_TRAIN]) &&
+            !has_prefix(name, prefix[IMAGESET_TEST]))
             names_add(name, &neither);
-        if (released ? begins(name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
+        if (released ? has_prefix(name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
             c->shots[n++] = c->shots[i];
     }
     c->n = n;
@@ -248,7 +248,7 @@ static err_t filter(const struct imageset_request *rq, bool released, struct ima
 
 /* ---- exposures ---- */
 
-/* Files with a time and a name that says nothing of a picture. */
+/* Note the files that have a time but no picture's name. */
 static void note_timed(const struct exposures *x, struct imageset *set)
 {
     char path[FILE_PATH_CAP];
@@ -278,7 +278,7 @@ static err_t times_from_file(const char *path, struct imageset *set)
 #define WRITE_TIMES                                                                                \
     "write exposure.json beside the pictures: {\"NAME\": seconds x ISO / f-number^2, ...}"
 
-/* A tag that some files have and others lack makes their exposures differ by what it says. */
+/* A tag that only some files have makes the exposures incomparable. */
 static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
 {
     char with_text[100], without_text[100];
@@ -344,7 +344,7 @@ static err_t check_times(const char *source, const struct capture *c)
         return OK;
     names_text(&lacking, text, sizeof text);
     if (!source)
-        return err_fail(ERR_FORMAT, "EXIF tells no exposure of %s, of %d pictures: " WRITE_TIMES,
+        return err_fail(ERR_FORMAT, "EXIF has no exposure for %s, of %d pictures: " WRITE_TIMES,
                         text, c->n);
     return err_fail(ERR_FORMAT, "%s: no exposure for %s, of %d pictures: add one for each", source,
                     text, c->n);
@@ -387,8 +387,8 @@ static err_t keep_times(const char *dir, uint32_t mask, double *time, struct cap
         if (n == 0 || time[i] > time[n - 1])
             time[n++] = time[i];
     if (highest >= n)
-        return err_fail(ERR_ARG, "%s: exposure %d asked, its pictures have %d different ones", dir,
-                        highest + 1, n);
+        return err_fail(ERR_ARG, "%s: exposure %d requested, its pictures have %d different ones",
+                        dir, highest + 1, n);
     c->n = 0;
     for (int i = 0; i < all; i++) {
         const double *rank = bsearch(&c->shots[i].exposure, time, (size_t)n, sizeof *time, by_time);
@@ -514,11 +514,11 @@ static err_t choose_by_protocol(const struct imageset *set, int n, bool *keep, b
     return e;
 }
 
-static err_t choose(const struct imageset_request *rq, bool released, struct imageset *set)
+static err_t choose_pictures(const struct imageset_request *rq, bool released, struct imageset *set)
 {
     int n_views = count_views(&set->capture, released), n = rq->n_views ? rq->n_views : n_views;
     if (n < 1 || n > n_views)
-        return err_fail(ERR_ARG, "%s: %d views asked, there are %d", set->dir, rq->n_views,
+        return err_fail(ERR_ARG, "%s: %d views requested, there are %d", set->dir, rq->n_views,
                         n_views);
     bool *keep = calloc((size_t)set->capture.n, sizeof *keep), listed = false;
     if (!keep)
@@ -529,7 +529,7 @@ static err_t choose(const struct imageset_request *rq, bool released, struct ima
     if (!e && !listed)
         choose_spread(rq, released, n_views, &set->capture, keep);
     if (!e)
-        compact(&set->capture, keep);
+        keep_shots(&set->capture, keep);
     for (int i = 1; i < set->capture.n && released && rq->brackets && !e; i++)
         set->capture.shots[i].again =
             name_same_view(set->capture.shots[i - 1].name, set->capture.shots[i].name);
@@ -617,18 +617,18 @@ static err_t list_folder(const struct imageset_request *rq, struct imageset *out
     bool released = false;
     err_t e = find_pictures(rq->images, out->dir);
     if (!e)
-        e = scan(out);
+        e = scan_folder(out);
     if (!e) {
         note_beside(rq->images, out);
         released = is_released(&out->capture);
         e = choose_times(rq, out);
     }
     if (!e)
-        e = filter(rq, released, out);
+        e = filter_pictures(rq, released, out);
     if (!e)
         e = get_times(rq, out);
     if (!e)
-        e = choose(rq, released, out);
+        e = choose_pictures(rq, released, out);
     if (!e)
         e = get_sizes(out);
     if (!e)
@@ -664,7 +664,7 @@ static err_t check_folder(const char *images)
 }
 
 /* The shots of one more folder, with its name before theirs. */
-static err_t append(const char *images, const struct imageset *one, struct imageset *all)
+static err_t append_folder(const char *images, const struct imageset *one, struct imageset *all)
 {
     char folder[NAME_CAP], name[2 * NAME_CAP];
     struct capture *c = &all->capture;
@@ -701,7 +701,7 @@ static err_t add_folder(const struct imageset_request *rq, struct imageset *all)
         e = list_folder(rq, &one);
     if (e)
         return e;
-    e = append(rq->images, &one, all);
+    e = append_folder(rq->images, &one, all);
     if (!all->dir[0])
         memcpy(all->dir, one.dir, sizeof all->dir);
     for (int i = 0; i < one.n_notes && all->n_notes < IMAGESET_NOTES; i++)

@@ -4,7 +4,7 @@
  * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
  * hidden), in the order of their names. exposure.json, protocol.json and sparse/0 are looked for
  * beside the pictures, then one folder up; with no exposure.json the exposures come from the
- * pictures' EXIF, where all must tell the same tags. A folder with names that begin with "train"
+ * pictures' EXIF, where all must have the same tags. A folder with names that begin with "train"
  * has the released layout: "train" pictures are inputs, "test" pictures are held out, and
  * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
  * view of its own and an input.
@@ -56,7 +56,8 @@ struct imageset {
     struct imageset_part *part; // malloc'd
     struct capture capture;     // shots malloc'd; image.px is NULL until imageset_load
     int n_notes;
-    char notes[IMAGESET_NOTES][240]; // sentences: what there looks like a picture and is not read
+    char notes[IMAGESET_NOTES]
+              [240]; // sentences about files that look like pictures and are not read
 };
 
 /* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'

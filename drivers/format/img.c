@@ -1,5 +1,5 @@
-/* Decoders work on the whole file in memory. Before a picture is allocated its size is held against
- * the bytes that are there: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit
+/* Decoders work on the whole file in memory. Before a picture is allocated its size is compared
+ * with the bytes of the file: DEFLATE expands at most 1032-fold, and a JPEG spends at least one bit
  * on each 8 x 8 block of its largest component, so a short file cannot ask for a gigabyte. */
 #include "drivers/format/img.h"
 

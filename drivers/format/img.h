@@ -1,5 +1,5 @@
 /* img.h - PNG and JPEG through libspng and libjpeg-turbo, exposure from EXIF through libexif. The
- * kind of a file is told from its first bytes, never from its name. Files are hostile until
+ * kind of a file follows from its first bytes, never from its name. Files are hostile until
  * checked: at most IMG_SIDE_MAX px a side, IMG_PX_MAX px, IMG_FILE_MAX bytes, and never more pixels
  * than so few bytes can hold. A file whose decoder warns (cut off, corrupt) is refused as a
  * whole. */
@@ -52,10 +52,10 @@ MUST_USE err_t img_encode_jpeg(const struct image8 *im, int quality, const char 
  * as 0. */
 MUST_USE err_t img_write_ldr(const char *path, const struct image *im);
 
-/* What EXIF says about the exposure of a file (JPEG, or the eXIf chunk of PNG). */
+/* Exposure of a file by its EXIF data (JPEG, or the eXIf chunk of PNG). */
 struct img_exif {
     double seconds;       // ExposureTime, > 0
-    double iso, f_number; // 0 = the file does not tell
+    double iso, f_number; // 0 = not in the file
 };
 
 /* err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, or no ExposureTime that is finite and > 0). On
@@ -63,8 +63,8 @@ struct img_exif {
 MUST_USE err_t img_exif(const char *path, struct img_exif *out);
 MUST_USE err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out);
 
-/* Relative exposure seconds * (iso / 100) / f_number^2, > 0. What is not told counts as ISO 100 and
- * f/1: values compare only between files that tell the same. */
+/* Relative exposure seconds * (iso / 100) / f_number^2, > 0. A missing tag counts as ISO 100 or
+ * f/1: values compare only between files with the same tags. */
 double img_exif_exposure(const struct img_exif *x);
 
 #endif

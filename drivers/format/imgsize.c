@@ -52,7 +52,7 @@ static bool jpeg_size(struct bytes b, uint32_t *w, uint32_t *h)
     return false;
 }
 
-/* What else a picture may be, whatever it is called; NULL: nobody knows. */
+/* Name of another picture format by its first bytes; NULL: not known. */
 static const char *other_kind(const char *p, size_t n)
 {
     if (n < 12)

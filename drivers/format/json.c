@@ -10,8 +10,8 @@
 #include <string.h>
 #include <strings.h>
 
-/* What is wrong at `at` of a text. */
-static err_t refuse(const char *what, const char *text, const char *at)
+/* Describe the error at `at` of a text. */
+static err_t refuse_text(const char *what, const char *text, const char *at)
 {
     static const char *const no_number[] = {"nan", "-nan", "inf", "-inf"};
     const char *hint = *at == '/' ? ": a fraction is written as a decimal number" : "";
@@ -31,7 +31,7 @@ static err_t refuse(const char *what, const char *text, const char *at)
         if (strncasecmp(at, no_number[i], strlen(no_number[i])) == 0)
             hint = ": JSON has finite numbers only";
     int n = 0;
-    while (n < 24 && at[n] >= ' ' && at[n] < 0x7f) // what a terminal and JSON can show
+    while (n < 24 && at[n] >= ' ' && at[n] < 0x7f) // printable in a terminal and in JSON
         n++;
     return err_fail(ERR_FORMAT, "%s: line %d: not JSON from \"%.*s\" on%s", what, line, n, at,
                     hint);
@@ -55,7 +55,7 @@ err_t json_parse(const char *what, const void *text, size_t n, struct cJSON **ou
     struct cJSON *doc = zero ? NULL : cJSON_ParseWithLengthOpts(copy, n + 1, &end, 1);
     err_t e = doc    ? OK
               : zero ? err_fail(ERR_FORMAT, "%s: not JSON: byte %td is 0", what, zero - copy)
-                     : refuse(what, copy, end >= copy && end <= copy + n ? end : copy + n);
+                     : refuse_text(what, copy, end >= copy && end <= copy + n ? end : copy + n);
     free(copy);
     *out = doc;
     return e;
@@ -180,7 +180,7 @@ err_t json_floats(const char *what, const struct cJSON *object, const char *key,
     return OK;
 }
 
-/* What is not UTF-8 becomes U+FFFD, byte by byte: a reader would refuse the whole document. */
+/* Bytes that are not UTF-8 become U+FFFD, since a reader would refuse the whole document. */
 void json_put_string(FILE *f, const char *s)
 {
     putc('"', f);

@@ -1,5 +1,6 @@
-/* json.h - JSON text in and out; the only place that knows the library.
- * Nodes belong to their document. Objects may hold a key twice: readers that care count members.
+/* json.h - JSON text in and out; the only place that uses the library.
+ * Nodes belong to their document. Objects may hold a key twice; a reader that must not accept this
+ * counts members.
  * thread: any; a document is read-only after json_parse. */
 #ifndef FORMAT_JSON_H
 #define FORMAT_JSON_H
@@ -12,8 +13,8 @@
 
 struct cJSON;
 
-/* A node of JSON takes up to 40 times the bytes of its text: this is what bounds the memory of a
- * hostile file. */
+/* A node of JSON takes up to 40 times the bytes of its text: this bounds the memory for a hostile
+ * file. */
 enum { JSON_BYTES_MAX = 2 << 20 };
 
 /* Parse n bytes of text; `what` (a file) begins the sentence. Nothing but blanks may follow the
@@ -25,7 +26,7 @@ MUST_USE err_t json_parse(const char *what, const void *text, size_t n, struct c
 /* json_parse of a file. err: also those of file_map. */
 MUST_USE err_t json_read(const char *path, struct cJSON **out);
 
-/* Makes *out, zeroed before, of a document. */
+/* Fill *out, which is zeroed, from a document. */
 typedef err_t json_take_fn(const char *what, const struct cJSON *doc, void *out);
 
 /* Parse or read, take, free the document. */

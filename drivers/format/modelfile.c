@@ -117,8 +117,8 @@ struct reading {
 };
 
 /* Data of tensor `name` with the type and shape of `want`. */
-static err_t bind(struct reading *r, const char *name, const struct safetensors_tensor *want,
-                  size_t align, const void **out)
+static err_t bind_data(struct reading *r, const char *name, const struct safetensors_tensor *want,
+                       size_t align, const void **out)
 {
     const struct safetensors *head = &r->m->head;
     const struct safetensors_tensor *t = safetensors_find(head, name);
@@ -157,7 +157,7 @@ static err_t bind_scale(struct reading *r, struct model_tensor *t)
     const struct safetensors_tensor want = {.type = "F32", .rank = 1, .shape = {(size_t)n}};
     snprintf(name, sizeof name, "%s_scale", t->spec.name);
     const void *data;
-    err_t e = bind(r, name, &want, sizeof(float), &data);
+    err_t e = bind_data(r, name, &want, sizeof(float), &data);
     if (!e)
         e = check_finite(r->m->head.what, name, data, (size_t)n);
     t->scale = data;
@@ -178,7 +178,7 @@ static err_t bind_tensor(void *ctx, const struct tensor_spec *spec)
     *t = (struct model_tensor){.spec = *spec, .type = model_type(spec, m->precision)};
     const struct safetensors_tensor want = modelfile_stored(spec, m->precision);
     bool plain = spec->role == ROLE_PLAIN;
-    err_t e = bind(r, spec->name, &want, plain ? sizeof(float) : SAFETENSORS_ALIGN, &t->data);
+    err_t e = bind_data(r, spec->name, &want, plain ? sizeof(float) : SAFETENSORS_ALIGN, &t->data);
     if (!e && t->type == PRECISION_S8)
         e = bind_scale(r, t);
     if (!e && (plain || spec->exact)) {
@@ -239,7 +239,7 @@ static err_t get_words(struct modelfile *m)
                *version = safetensors_word(&m->head, "version"),
                *precision = safetensors_word(&m->head, "precision");
     if (strcmp(format, modelfile_format) != 0)
-        return err_fail(ERR_FORMAT, "%s: no weights of this program: its format is \"%.32s\"%s",
+        return err_fail(ERR_FORMAT, "%s: not weights of this program: its format is \"%.32s\"%s",
                         what, format, *format ? "" : "; see hdrig convert --help");
     if (strcmp(version, modelfile_version) != 0)
         return err_fail(ERR_UNSUPPORTED, "%s: weights of version \"%.32s\", this program reads %s",

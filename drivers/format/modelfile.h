@@ -7,16 +7,16 @@
  * NAME_scale [n] F32 of each I8 product; then plain ones, F32, [repeat * elements] where repeated.
  * Tensors that the network never reads are left out.
  *
- * The reader refuses what safetensors.h lists and
+ * The reader refuses everything that safetensors.h lists and
  *  1. another format or version, an unknown precision;
  *  2. dimensions that table_check refuses, or that miss or have a member of the wrong kind;
  *  3. a tensor that is missing, unknown, of another type or of another shape;
  *  4. data off their border: 64 bytes for products, 4 for others;
  *  5. numbers that are not finite in plain tensors, exact products and scales, scales below 0.
- * Looking through all products would read gigabytes at each start: modelfile_verify does. Writers
- * refuse what is not finite.
+ * A check of all products would read gigabytes at each start, so only modelfile_verify does it.
+ * Writers refuse numbers that are not finite.
  *
- * The checksum tells damage, not malice: 16 hexadecimal digits of the sum modulo 2^64 over all
+ * The checksum detects damage, not malice: 16 hexadecimal digits of the sum modulo 2^64 over all
  * 8-byte words w of the data (little-endian, the last filled up with 0) of z ^ z >> 31 after
  *   z = w + (i + 1) 0x9E3779B97F4A7C15, i the index of the word
  *   z = (z ^ z >> 30) 0xBF58476D1CE4E5B9,  z = (z ^ z >> 27) 0x94D049BB133111EB.
@@ -59,7 +59,7 @@ struct safetensors_tensor modelfile_stored(const struct tensor_spec *t, enum pre
 const char *modelfile_precision(enum precision p);
 bool modelfile_parse_precision(const char *word, enum precision *out);
 
-/* A checksum on its way; zeroed at the start. */
+/* A checksum in progress; zeroed at the start. */
 struct modelfile_sum {
     uint64_t sum, words;
     uint8_t rest[8];

@@ -33,7 +33,7 @@ struct writing {
     int done, total; // tensors
 };
 
-/* What the largest tensor takes, and all of them in the file. */
+/* Memory for the largest tensor, and bytes of all in the file. */
 struct sizes {
     enum precision precision;
     size_t values, packed, k, scales;
@@ -41,7 +41,7 @@ struct sizes {
     int tensors;
 };
 
-static err_t measure(void *ctx, const struct tensor_spec *t)
+static err_t add_size(void *ctx, const struct tensor_spec *t)
 {
     struct sizes *s = ctx;
     if (!t->used)
@@ -65,8 +65,8 @@ static err_t measure(void *ctx, const struct tensor_spec *t)
 static struct sizes sizes_of(const struct modelwrite *w)
 {
     struct sizes s = {.precision = w->precision};
-    err_t e = table_walk(&w->dims, measure, &s);
-    (void)e; // measure does not fail
+    err_t e = table_walk(&w->dims, add_size, &s);
+    (void)e; // add_size does not fail
     return s;
 }
 
@@ -192,7 +192,7 @@ static err_t put_data(struct writing *x, const void *p, size_t n)
     return OK;
 }
 
-static err_t fetch(struct writing *x, const struct tensor_spec *t)
+static err_t fetch_values(struct writing *x, const struct tensor_spec *t)
 {
     const struct run *r = x->r;
     if (r->cancel && atomic_load(r->cancel))
@@ -233,7 +233,7 @@ static err_t write_product(void *ctx, const struct tensor_spec *t)
         return OK;
     struct product_shape s = table_product(t);
     struct packing p = {x, t, model_type(t, x->w->precision), (size_t)s.segs * (size_t)s.seg};
-    err_t e = fetch(x, t);
+    err_t e = fetch_values(x, t);
     if (!e)
         e = pool_for(x->r->pool, pack_panels(t), pack_one, &p);
     if (e)
@@ -247,7 +247,7 @@ static err_t write_plain(void *ctx, const struct tensor_spec *t)
     struct writing *x = ctx;
     if (!t->used || t->role != ROLE_PLAIN)
         return OK;
-    err_t e = fetch(x, t);
+    err_t e = fetch_values(x, t);
     for (int k = 0; k < t->repeat && !e; k++)
         e = put_data(x, x->in, table_count(t) * sizeof(float));
     return e;
@@ -273,7 +273,7 @@ static err_t write_all(struct writing *x)
 
 /* ---- the file ---- */
 
-/* Write what will be at `path` to `at`, which is removed if that fails. */
+/* Write the file of `path` at `at` for now; it is removed on error. */
 static err_t write_file(struct writing *x, const char *at, const char *path)
 {
     err_t e = file_create(at, &x->f);
@@ -286,8 +286,8 @@ static err_t write_file(struct writing *x, const char *at, const char *path)
     return e == ERR_CANCELLED ? e : err_fail(e, "%s: %s", path, err_text());
 }
 
-/* The finished file must be one that can be read before it has its name. */
-static err_t publish(struct writing *x, const char *path)
+/* Read the finished file back before it gets its name. */
+static err_t publish_file(struct writing *x, const char *path)
 {
     char at[FILE_PATH_CAP];
     struct partial p;
@@ -321,7 +321,7 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
     if (!e)
         e = arena_alloc(r->tmp, s.scales, sizeof *x.scale, &x.scale);
     if (!e)
-        e = file_is_special(path) ? write_file(&x, path, path) : publish(&x, path);
+        e = file_is_special(path) ? write_file(&x, path, path) : publish_file(&x, path);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -22,12 +22,12 @@ struct modelwrite {
 /* Bytes that modelwrite_run takes from r->tmp with a pool of `threads`. */
 size_t modelwrite_need(const struct modelwrite *w, int threads);
 
-/* Refuse before the work a place where the file cannot be, and one without room for it.
+/* Check before the work that the file can be written at `path` and has room there.
  * err:  ERR_ARG (no folder of that name), ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t modelwrite_check(const struct modelwrite *w, const char *path);
 
 /* err:  those of fetch, ERR_FORMAT (a value is not finite, named), ERR_IO, ERR_LIMIT (no space),
- *       ERR_NOMEM, ERR_CANCELLED. What was at `path` before is then untouched. */
+ *       ERR_NOMEM, ERR_CANCELLED. A file at `path` is then unchanged. */
 MUST_USE err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char *path);
 
 #endif

@@ -1,4 +1,4 @@
-/* name.h - the one rule for names of views that come from outside.
+/* name.h - the rule for names of views from outside.
  * Such names become names of result files and strings in JSON, so they may not walk to another
  * folder.
  * thread: any. */

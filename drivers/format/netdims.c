@@ -54,7 +54,7 @@ static err_t get_list(const char *what, const char *key, const struct cJSON *v, 
     return e;
 }
 
-static err_t get(const char *what, const struct member *m, const struct cJSON *v, void *to)
+static err_t get_member(const char *what, const struct member *m, const struct cJSON *v, void *to)
 {
     double number;
     switch (m->kind) {
@@ -80,7 +80,7 @@ err_t netdims_read(const char *what, const struct cJSON *object, bool all, struc
         const struct cJSON *v = json_member(object, members[k].key);
         if (!v && all)
             return err_fail(ERR_FORMAT, "%s: dimension %s is missing", what, members[k].key);
-        err_t e = v ? get(what, &members[k], v, (char *)d + members[k].at) : OK;
+        err_t e = v ? get_member(what, &members[k], v, (char *)d + members[k].at) : OK;
         if (e)
             return e;
     }
@@ -88,7 +88,7 @@ err_t netdims_read(const char *what, const struct cJSON *object, bool all, struc
     return e ? err_fail(e, "%s: %s", what, err_text()) : OK;
 }
 
-static void put(FILE *f, const struct member *m, const void *from)
+static void put_member(FILE *f, const struct member *m, const void *from)
 {
     const int *v = from;
     if (m->kind == WHOLE)
@@ -105,7 +105,7 @@ void netdims_put(FILE *f, const struct net_dims *d)
 {
     for (int k = 0; k < N_MEMBERS; k++) {
         fprintf(f, "%s\"%s\":", k ? "," : "{", members[k].key);
-        put(f, &members[k], (const char *)d + members[k].at);
+        put_member(f, &members[k], (const char *)d + members[k].at);
     }
     putc('}', f);
 }

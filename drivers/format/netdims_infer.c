@@ -6,7 +6,7 @@
 enum { DINO_HEAD = 64, CAMERA_HEAD = 128, VGGT_SIZE = 518, EXTENT_MAX = 1 << 20 };
 
 /* Extent k of a tensor of that rank. */
-static err_t extent(const struct checkpoint *c, const char *name, int rank, int k, int *out)
+static err_t get_extent(const struct checkpoint *c, const char *name, int rank, int k, int *out)
 {
     const struct checkpoint_tensor *t = checkpoint_find(c, name);
     *out = 0;
@@ -24,7 +24,7 @@ static err_t extent(const struct checkpoint *c, const char *name, int rank, int 
 }
 
 /* Number of blocks: the first that is missing. */
-static int depth(const struct checkpoint *c, const char *blocks)
+static int count_blocks(const struct checkpoint *c, const char *blocks)
 {
     char name[NET_NAME_CAP];
     int n = 0;
@@ -34,14 +34,14 @@ static int depth(const struct checkpoint *c, const char *blocks)
     return n;
 }
 
-static err_t trunk(const struct checkpoint *c, const char *head, int *feat, int oc[NET_KEEP])
+static err_t infer_trunk(const struct checkpoint *c, const char *head, int *feat, int oc[NET_KEEP])
 {
     char name[NET_NAME_CAP];
     snprintf(name, sizeof name, "%s.scratch.layer1_rn.weight", head);
-    err_t e = extent(c, name, 4, 0, feat);
+    err_t e = get_extent(c, name, 4, 0, feat);
     for (int k = 0; k < NET_KEEP && !e; k++) {
         snprintf(name, sizeof name, "%s.projects.%d.weight", head, k);
-        e = extent(c, name, 4, 0, &oc[k]);
+        e = get_extent(c, name, 4, 0, &oc[k]);
     }
     return e;
 }
@@ -51,7 +51,7 @@ static int at_least_one(int n)
     return n < 1 ? 1 : n;
 }
 
-static err_t layers(const struct checkpoint *c, struct net_dims *d)
+static err_t infer_layers(const struct checkpoint *c, struct net_dims *d)
 {
     if (d->depth != table_full.depth)
         return err_fail(ERR_UNSUPPORTED,
@@ -67,24 +67,24 @@ err_t netdims_infer_run(const struct checkpoint *c, struct net_dims *out)
 {
     struct net_dims d = {.voxel = table_full.voxel, .rope_bf16 = true, .size = VGGT_SIZE};
     int head = 1;
-    err_t e = extent(c, "encoder.aggregator.camera_token", 4, 3, &d.embed);
+    err_t e = get_extent(c, "encoder.aggregator.camera_token", 4, 3, &d.embed);
     if (!e)
-        e = extent(c, "encoder.aggregator.frame_blocks.0.attn.q_norm.weight", 1, 0, &head);
+        e = get_extent(c, "encoder.aggregator.frame_blocks.0.attn.q_norm.weight", 1, 0, &head);
     d.heads = at_least_one(d.embed / head);
     d.dino_heads = at_least_one(d.embed / DINO_HEAD);
     d.cam_heads = at_least_one(2 * d.embed / CAMERA_HEAD);
-    d.dino_depth = depth(c, "encoder.aggregator.patch_embed.blocks");
-    d.depth = depth(c, "encoder.aggregator.frame_blocks");
-    d.cam_depth = depth(c, "encoder.camera_head.trunk");
+    d.dino_depth = count_blocks(c, "encoder.aggregator.patch_embed.blocks");
+    d.depth = count_blocks(c, "encoder.aggregator.frame_blocks");
+    d.cam_depth = count_blocks(c, "encoder.camera_head.trunk");
     if (!e)
-        e = layers(c, &d);
+        e = infer_layers(c, &d);
     if (!e)
-        e = trunk(c, "encoder.depth_head", &d.depth_feat, d.depth_oc);
+        e = infer_trunk(c, "encoder.depth_head", &d.depth_feat, d.depth_oc);
     d.gauss = checkpoint_find(c, "encoder.gaussian_param_head.norm.weight") != NULL;
     d.appearance = checkpoint_find(c, "encoder.hdr_head.patch_embed.weight") != NULL;
     if (!e && d.gauss) {
         d.size = table_full.size;
-        e = trunk(c, "encoder.gaussian_param_head", &d.gs_feat, d.gs_oc);
+        e = infer_trunk(c, "encoder.gaussian_param_head", &d.gs_feat, d.gs_oc);
         d.hdr = d.gs_feat / 2;
     }
     if (!e && (e = table_check(&d)) != OK)

@@ -30,7 +30,7 @@ err_t npy_open(struct npy_dir *d, const char *path)
 
 /* ---- one file ---- */
 
-static size_t count(const struct npy_tensor *t)
+static size_t count_values(const struct npy_tensor *t)
 {
     size_t n = 1;
     for (int i = 0; i < t->rank; i++)
@@ -77,7 +77,7 @@ static void make_head(const struct npy_tensor *t, char head[NPY_HEAD])
 }
 
 /* The file in its full size, without data. */
-static err_t create(const struct npy_dir *d, const struct npy_tensor *t)
+static err_t create_file(const struct npy_dir *d, const struct npy_tensor *t)
 {
     char path[FILE_PATH_CAP], head[NPY_HEAD];
     err_t e = file_path(d, t, path);
@@ -87,9 +87,9 @@ static err_t create(const struct npy_dir *d, const struct npy_tensor *t)
     if (fd < 0)
         return err_fail(file_code(errno), "%s: cannot create: %s", path, strerror(errno));
     make_head(t, head);
-    if (ftruncate(fd, (off_t)(NPY_HEAD + 4 * count(t))) != 0)
+    if (ftruncate(fd, (off_t)(NPY_HEAD + 4 * count_values(t))) != 0)
         e = err_fail(file_code(errno), "%s: cannot make it %zu bytes: %s", path,
-                     NPY_HEAD + 4 * count(t), strerror(errno));
+                     NPY_HEAD + 4 * count_values(t), strerror(errno));
     if (!e)
         e = write_at(fd, path, head, sizeof head, 0);
     close(fd);
@@ -98,7 +98,7 @@ static err_t create(const struct npy_dir *d, const struct npy_tensor *t)
 
 /* ---- pieces ---- */
 
-/* Where in the whole tensor the next value of a piece is. */
+/* Position of a piece's next value in the whole tensor. */
 struct walk {
     int index[TAP_RANK_MAX], first[TAP_RANK_MAX];
 };
@@ -120,7 +120,7 @@ static void walk_step(const struct tap_tensor *t, struct walk *w)
     }
 }
 
-static void gather(const struct tap_tensor *t, struct walk *w, size_t n, int32_t *out)
+static void gather_values(const struct tap_tensor *t, struct walk *w, size_t n, int32_t *out)
 {
     for (size_t k = 0; k < n; k++) {
         ptrdiff_t at = 0;
@@ -140,7 +140,7 @@ static err_t write_piece(const struct npy_dir *d, const struct npy_tensor *own,
     char path[FILE_PATH_CAP];
     int32_t block[BLOCK];
     struct walk w;
-    const size_t size = count(own) / (size_t)own->parts, from = size * (size_t)t->part;
+    const size_t size = count_values(own) / (size_t)own->parts, from = size * (size_t)t->part;
     err_t e = file_path(d, own, path);
     if (e)
         return e;
@@ -150,7 +150,7 @@ static err_t write_piece(const struct npy_dir *d, const struct npy_tensor *own,
     walk_start(t, from, &w);
     for (size_t done = 0, n; done < size && !e; done += n) {
         n = size - done < BLOCK ? size - done : BLOCK;
-        gather(t, &w, n, block);
+        gather_values(t, &w, n, block);
         e = write_at(fd, path, block, 4 * n, NPY_HEAD + 4 * (from + done));
     }
     if (close(fd) != 0 && !e)
@@ -177,7 +177,7 @@ static err_t check_piece(const struct npy_dir *d, const struct tap_tensor *t)
 }
 
 /* A tensor's place in the list; a new one gets its file. Under the lock. */
-static err_t find(struct npy_dir *d, const struct tap_tensor *t, struct npy_tensor **out)
+static err_t find_tensor(struct npy_dir *d, const struct tap_tensor *t, struct npy_tensor **out)
 {
     for (int i = 0; i < d->n; i++)
         if (strcmp(d->tensors[i].name, t->name) == 0) {
@@ -191,18 +191,18 @@ static err_t find(struct npy_dir *d, const struct tap_tensor *t, struct npy_tens
     memcpy(own->shape, t->shape, sizeof own->shape);
     err_t e = name_copy(d->path, t->name, strlen(t->name), own->name);
     if (!e)
-        e = create(d, own);
+        e = create_file(d, own);
     if (!e)
         d->n++;
     *out = own;
     return e;
 }
 
-static err_t enter(struct npy_dir *d, const struct tap_tensor *t, struct npy_tensor **own)
+static err_t enter_piece(struct npy_dir *d, const struct tap_tensor *t, struct npy_tensor **own)
 {
     err_t e = check_piece(d, t);
     if (!e)
-        e = find(d, t, own);
+        e = find_tensor(d, t, own);
     if (e)
         return e;
     bool same = (*own)->rank == t->rank && (*own)->ints == (t->ints != NULL) &&
@@ -216,7 +216,7 @@ static err_t enter(struct npy_dir *d, const struct tap_tensor *t, struct npy_ten
     return OK;
 }
 
-static void remember(struct npy_dir *d, err_t e)
+static void remember_error(struct npy_dir *d, err_t e)
 {
     if (d->failed)
         return;
@@ -229,13 +229,13 @@ void npy_put(void *ctx, const struct tap_tensor *t)
     struct npy_dir *d = ctx;
     struct npy_tensor *own = NULL;
     pthread_mutex_lock(&d->lock);
-    err_t e = d->failed ? d->failed : enter(d, t, &own);
+    err_t e = d->failed ? d->failed : enter_piece(d, t, &own);
     if (e)
-        remember(d, e);
+        remember_error(d, e);
     pthread_mutex_unlock(&d->lock);
     if (!e && (e = write_piece(d, own, t)) != OK) {
         pthread_mutex_lock(&d->lock);
-        remember(d, e);
+        remember_error(d, e);
         pthread_mutex_unlock(&d->lock);
     }
 }
@@ -270,7 +270,7 @@ static err_t write_index(const struct npy_dir *d)
     return file_finish(f, path);
 }
 
-static err_t finish(struct npy_dir *d)
+static err_t finish_index(struct npy_dir *d)
 {
     if (d->failed)
         return err_fail(d->failed, "%s", d->reason);
@@ -283,7 +283,7 @@ static err_t finish(struct npy_dir *d)
 
 err_t npy_close(struct npy_dir *d)
 {
-    err_t e = d->open ? finish(d) : OK;
+    err_t e = d->open ? finish_index(d) : OK;
     if (d->open)
         pthread_mutex_destroy(&d->lock);
     free(d->tensors);

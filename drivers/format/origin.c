@@ -6,7 +6,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-enum { HEAD_BYTES = 1 << 16 }; // of a file, in which its mark stands
+enum { HEAD_BYTES = 1 << 16 }; // the mark is in this many first bytes
 
 /* A kind of file: how it begins, and the mark behind that. */
 static const struct mark {
@@ -47,7 +47,7 @@ err_t origin_check_place(const char *path)
                                : err_fail(errno == ENAMETOOLONG ? ERR_ARG : ERR_IO, "%.255s: %s",
                                           path, strerror(errno));
     if (!S_ISREG(st.st_mode))
-        return err_fail(ERR_ARG, "%s: is there already and is no file", path);
+        return err_fail(ERR_ARG, "%s: is there already and is not a regular file", path);
     if (st.st_size == 0)
         return OK;
     FILE *f = fopen(path, "rbe");

@@ -1,5 +1,5 @@
 /* origin.h - whether a file was written by this program. Every format that it writes for the user
- * says so in a place of its own, and a file that does not is never replaced.
+ * has a place for our mark, and a file without the mark is never replaced.
  * thread: any. */
 #ifndef FORMAT_ORIGIN_H
 #define FORMAT_ORIGIN_H
@@ -8,13 +8,13 @@
 
 #include <stdbool.h>
 
-/* Of reports, as the member "generator" of their outermost object, and of pages. */
+/* Mark of reports, as member "generator" of their outermost object, and of pages. */
 #define ORIGIN_GENERATOR "hdrig"
-/* Of a video, as its comment; of a gzip stream, too. */
+/* Mark of a video, as its comment, and of a gzip stream. */
 #define ORIGIN_COMMENT "written by hdrig"
 
 /* Whether a file may be put at `path`: nothing is there, an empty file, or a regular one of ours.
- * err:  ERR_ARG (somebody else's, a folder, a link), ERR_IO. */
+ * err:  ERR_ARG (a file of another program, a folder, a link), ERR_IO. */
 MUST_USE err_t origin_check_place(const char *path);
 
 #endif

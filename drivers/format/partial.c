@@ -24,7 +24,7 @@ static int remove_entry(const char *path, const struct stat *st, int kind, struc
     return 0;
 }
 
-/* The mark goes last: what stays is known by it and found by the next run. */
+/* The mark goes last, so that the next run still finds the rest. */
 static void remove_tree(const char *path)
 {
     char mark[FILE_PATH_CAP];
@@ -33,20 +33,20 @@ static void remove_tree(const char *path)
         (void)rmdir(path);
 }
 
-static bool lock(int fd)
+static bool lock_folder(int fd)
 {
     return flock(fd, LOCK_EX | LOCK_NB) == 0;
 }
 
-/* What a process left that died: before it was done, after the result of that name was exchanged
- * for a new one, or between its first two steps. */
+/* Remove what a dead process left: it died before it was done, after the result of that name was
+ * exchanged for a new one, or between its first two steps. */
 static void remove_ours(const char *path)
 {
     char mark[FILE_PATH_CAP];
     if (file_join(path, FILELIST_PARTIAL, mark) == OK && file_is_regular(mark))
         remove_tree(path);
     else if (rmdir(path) != 0 && filelist_check(path, false) == OK && filelist_remove(path) != OK)
-        return; // what stays is found by the next run
+        return; // the next run finds the rest
 }
 
 static void remove_unlocked(const char *path)
@@ -54,7 +54,7 @@ static void remove_unlocked(const char *path)
     int fd = open(path, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
     if (fd < 0)
         return;
-    if (lock(fd))
+    if (lock_folder(fd))
         remove_ours(path);
     close(fd);
 }
@@ -99,16 +99,16 @@ err_t partial_unmark(const struct partial *p)
     return e;
 }
 
-/* The lock of the new folder; somebody who took it for a leftover may have it, or have removed what
- * it is of. A file system without locks has no leftovers that are removed. */
-static err_t hold(struct partial *p, const char *path)
+/* Lock the new folder. Another process that took it for a leftover may hold the lock or have
+ * removed the folder. On a file system without locks leftovers are never removed. */
+static err_t lock_new_folder(struct partial *p, const char *path)
 {
     struct stat st;
     p->fd = open(p->dir, O_RDONLY | O_DIRECTORY | O_NOFOLLOW | O_CLOEXEC);
     if (p->fd < 0)
         return err_fail(file_code(errno), "%s: %s", p->dir, strerror(errno));
-    if ((!lock(p->fd) && errno == EWOULDBLOCK) || fstat(p->fd, &st) != 0 || st.st_nlink == 0)
-        return err_fail(ERR_BUSY, "%s: another process tidies up there, try again", path);
+    if ((!lock_folder(p->fd) && errno == EWOULDBLOCK) || fstat(p->fd, &st) != 0 || st.st_nlink == 0)
+        return err_fail(ERR_BUSY, "%s: another process is cleaning up there, try again", path);
     return OK;
 }
 
@@ -132,7 +132,7 @@ err_t partial_open(const char *path, struct partial *p)
                    ? err_fail(ERR_BUSY, "%s: is being written already", path)
                    : err_fail(file_code(errno), "%s: cannot create: %s", path, strerror(errno));
     memcpy(p->dir, dir, sizeof dir);
-    e = hold(p, path);
+    e = lock_new_folder(p, path);
     if (!e)
         e = put_mark(p);
     if (e)

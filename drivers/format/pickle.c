@@ -21,14 +21,14 @@ struct machine {
     bool done;
 };
 
-static err_t wrong(const struct machine *m, const char *why)
+static err_t refuse_opcode(const struct machine *m, const char *why)
 {
     return err_fail(ERR_FORMAT, "%s: %s, opcode 0x%02x near byte %zu of %zu", m->what, why, m->op,
                     m->n - m->in.left, m->n);
 }
 
 /* Room for n elements of `size` bytes in *array. */
-static err_t grow(const struct machine *m, void *array, int *cap, int n, size_t size)
+static err_t grow_array(const struct machine *m, void *array, int *cap, int n, size_t size)
 {
     void *p;
     memcpy(&p, array, sizeof p);
@@ -56,7 +56,7 @@ static struct pickle_value *value(const struct machine *m, int v)
 
 static err_t push(struct machine *m, int v)
 {
-    err_t e = grow(m, &m->stack, &m->stack_cap, m->n_stack + 1, sizeof *m->stack);
+    err_t e = grow_array(m, &m->stack, &m->stack_cap, m->n_stack + 1, sizeof *m->stack);
     if (!e)
         m->stack[m->n_stack++] = v;
     return e;
@@ -65,36 +65,36 @@ static err_t push(struct machine *m, int v)
 static err_t push_new(struct machine *m, struct pickle_value v)
 {
     struct pickle *p = m->out;
-    err_t e = grow(m, &p->values, &p->values_cap, p->n_values + 1, sizeof *p->values);
+    err_t e = grow_array(m, &p->values, &p->values_cap, p->n_values + 1, sizeof *p->values);
     if (e)
         return e;
     p->values[p->n_values] = v;
     return push(m, p->n_values++);
 }
 
-static struct pickle_value empty(enum pickle_kind kind)
+static struct pickle_value empty_value(enum pickle_kind kind)
 {
     return (struct pickle_value){.kind = kind, .first = NOTHING, .last = NOTHING};
 }
 
 static err_t push_kind(struct machine *m, enum pickle_kind kind)
 {
-    return push_new(m, empty(kind));
+    return push_new(m, empty_value(kind));
 }
 
 static err_t push_int(struct machine *m, int64_t number)
 {
-    struct pickle_value v = empty(PICKLE_INT);
+    struct pickle_value v = empty_value(PICKLE_INT);
     v.number = number;
     return push_new(m, v);
 }
 
 static err_t push_text(struct machine *m, size_t n)
 {
-    struct pickle_value v = empty(PICKLE_TEXT);
+    struct pickle_value v = empty_value(PICKLE_TEXT);
     v.text = (const char *)bytes_take(&m->in, n);
     v.n_text = n;
-    return m->in.bad ? wrong(m, "cut short") : push_new(m, v);
+    return m->in.bad ? refuse_opcode(m, "cut short") : push_new(m, v);
 }
 
 static err_t push_opaque(struct machine *m, size_t n)
@@ -107,7 +107,7 @@ static err_t pop(struct machine *m, int *out)
 {
     *out = NOTHING;
     if (m->n_stack == 0 || m->stack[m->n_stack - 1] == MARK)
-        return wrong(m, "stack is empty");
+        return refuse_opcode(m, "stack is empty");
     *out = m->stack[--m->n_stack];
     return OK;
 }
@@ -115,7 +115,7 @@ static err_t pop(struct machine *m, int *out)
 static err_t append(struct machine *m, int container, int v)
 {
     struct pickle *p = m->out;
-    err_t e = grow(m, &p->items, &p->items_cap, p->n_items + 1, sizeof *p->items);
+    err_t e = grow_array(m, &p->items, &p->items_cap, p->n_items + 1, sizeof *p->items);
     if (e)
         return e;
     int item = p->n_items++;
@@ -136,18 +136,18 @@ static err_t find_mark(const struct machine *m, int *first)
     for (*first = m->n_stack; *first > 0; (*first)--)
         if (m->stack[*first - 1] == MARK)
             return OK;
-    return wrong(m, "no mark");
+    return refuse_opcode(m, "no mark");
 }
 
 /* ---- containers ---- */
 
 /* A container of the entries from `first` on, which leave the stack. */
-static err_t gather(struct machine *m, enum pickle_kind kind, int first, int keep)
+static err_t make_container(struct machine *m, enum pickle_kind kind, int first, int keep)
 {
     err_t e = OK;
     int n = m->n_stack;
     if (kind == PICKLE_DICT && (n - first) % 2 != 0)
-        return wrong(m, "key without value");
+        return refuse_opcode(m, "key without value");
     e = push_kind(m, kind);
     if (e)
         return e;
@@ -162,35 +162,35 @@ static err_t gather_mark(struct machine *m, enum pickle_kind kind)
 {
     int first;
     err_t e = find_mark(m, &first);
-    return e ? e : gather(m, kind, first, first - 1);
+    return e ? e : make_container(m, kind, first, first - 1);
 }
 
 static err_t gather_top(struct machine *m, int n)
 {
     if (n > m->n_stack)
-        return wrong(m, "stack is empty");
+        return refuse_opcode(m, "stack is empty");
     for (int i = m->n_stack - n; i < m->n_stack; i++)
         if (m->stack[i] == MARK)
-            return wrong(m, "stack is empty");
-    return gather(m, PICKLE_TUPLE, m->n_stack - n, m->n_stack - n);
+            return refuse_opcode(m, "stack is empty");
+    return make_container(m, PICKLE_TUPLE, m->n_stack - n, m->n_stack - n);
 }
 
-/* Entries from `first` on go into the container below them; `below`: entries to drop with them. */
-static err_t extend(struct machine *m, int first, int below, enum pickle_kind kind)
+/* Move the entries from `first` on into the container below them; `below`: entries to drop too. */
+static err_t extend_container(struct machine *m, int first, int below, enum pickle_kind kind)
 {
     int at = first - below - 1;
     if (at < 0 || first > m->n_stack || m->stack[at] == MARK)
-        return wrong(m, "no container");
+        return refuse_opcode(m, "no container");
     int container = m->stack[at];
     enum pickle_kind is = value(m, container)->kind;
     if (is != kind && is != PICKLE_OPAQUE)
-        return wrong(m, "items for what holds none");
+        return refuse_opcode(m, "items for what holds none");
     if (kind == PICKLE_DICT && (m->n_stack - first) % 2 != 0)
-        return wrong(m, "key without value");
+        return refuse_opcode(m, "key without value");
     err_t e = OK;
     for (int i = first; i < m->n_stack && !e; i++) {
         if (m->stack[i] == MARK)
-            e = wrong(m, "stack is empty");
+            e = refuse_opcode(m, "stack is empty");
         else if (is == kind)
             e = append(m, container, m->stack[i]);
     }
@@ -202,12 +202,12 @@ static err_t extend_mark(struct machine *m, enum pickle_kind kind)
 {
     int first;
     err_t e = find_mark(m, &first);
-    return e ? e : extend(m, first, 1, kind);
+    return e ? e : extend_container(m, first, 1, kind);
 }
 
 /* ---- globals and calls ---- */
 
-static bool starts(struct bytes text, const char *with)
+static bool has_prefix(struct bytes text, const char *with)
 {
     size_t n = strlen(with);
     return text.left >= n && memcmp(text.p, with, n) == 0;
@@ -230,10 +230,10 @@ static err_t push_global(struct machine *m, struct bytes module, struct bytes na
         {"torch", "HalfStorage", PICKLE_HALF_STORAGE},
     };
     static const char torch[] = "torch.", rebuild[] = "_rebuild_";
-    struct pickle_value v = empty(PICKLE_GLOBAL);
+    struct pickle_value v = empty_value(PICKLE_GLOBAL);
     v.text = (const char *)name.p;
     v.n_text = name.left;
-    if (starts(module, torch) && starts(name, rebuild))
+    if (has_prefix(module, torch) && has_prefix(name, rebuild))
         v.global = PICKLE_REBUILD_OTHER;
     for (size_t k = 0; k < sizeof known / sizeof known[0]; k++)
         if (strlen(known[k].module) == module.left && strlen(known[k].name) == name.left &&
@@ -256,7 +256,7 @@ static struct bytes take_line(struct machine *m)
 static err_t global_of_lines(struct machine *m)
 {
     struct bytes module = take_line(m), name = take_line(m);
-    return m->in.bad ? wrong(m, "cut short") : push_global(m, module, name);
+    return m->in.bad ? refuse_opcode(m, "cut short") : push_global(m, module, name);
 }
 
 static err_t global_of_stack(struct machine *m)
@@ -269,14 +269,14 @@ static err_t global_of_stack(struct machine *m)
         return e;
     const struct pickle_value *a = value(m, module), *b = value(m, name);
     if (a->kind != PICKLE_TEXT || b->kind != PICKLE_TEXT)
-        return wrong(m, "a name that is no text");
+        return refuse_opcode(m, "a name that is no text");
     return push_global(m, bytes_of(a->text, a->n_text), bytes_of(b->text, b->n_text));
 }
 
-/* A tensor that is made in the way `by` says, which is not read. */
+/* A tensor made by a function of PyTorch that is not supported. */
 static err_t push_foreign(struct machine *m, const struct pickle_value *by)
 {
-    struct pickle_value v = empty(PICKLE_FOREIGN);
+    struct pickle_value v = empty_value(PICKLE_FOREIGN);
     v.text = by->text;
     v.n_text = by->n_text;
     return push_new(m, v);
@@ -314,7 +314,7 @@ static err_t reduce(struct machine *m)
         return e;
     const struct pickle_value given = *value(m, args), called = *value(m, function);
     if (given.kind != PICKLE_TUPLE)
-        return wrong(m, "arguments that are no tuple");
+        return refuse_opcode(m, "arguments that are no tuple");
     if (called.kind != PICKLE_GLOBAL)
         return push_kind(m, PICKLE_OPAQUE);
     if (called.global == PICKLE_ORDERED_DICT && given.count == 0)
@@ -358,11 +358,11 @@ static err_t persistent(struct machine *m)
 static err_t memo_put(struct machine *m, uint32_t at)
 {
     if (m->n_stack == 0 || m->stack[m->n_stack - 1] == MARK)
-        return wrong(m, "stack is empty");
+        return refuse_opcode(m, "stack is empty");
     if (at >= PICKLE_VALUES_MAX)
         return err_fail(ERR_LIMIT, "%s: memo %u, at most %d are read", m->what, at,
                         PICKLE_VALUES_MAX);
-    err_t e = grow(m, &m->memo, &m->memo_cap, (int)at + 1, sizeof *m->memo);
+    err_t e = grow_array(m, &m->memo, &m->memo_cap, (int)at + 1, sizeof *m->memo);
     if (e)
         return e;
     while (m->n_memo <= (int)at)
@@ -374,7 +374,7 @@ static err_t memo_put(struct machine *m, uint32_t at)
 static err_t memo_get(struct machine *m, uint32_t at)
 {
     if (at >= (uint32_t)m->n_memo || m->memo[at] == NOTHING)
-        return wrong(m, "a memo that was never written");
+        return refuse_opcode(m, "a memo that was never written");
     return push(m, m->memo[at]);
 }
 
@@ -388,7 +388,7 @@ static err_t push_long(struct machine *m, size_t n)
     uint64_t v = 0;
     const uint8_t *p = bytes_take(&m->in, n);
     if (!p && n > 0)
-        return wrong(m, "cut short");
+        return refuse_opcode(m, "cut short");
     if (n > 8)
         return push_kind(m, PICKLE_OPAQUE);
     for (size_t i = 0; i < n; i++)
@@ -398,7 +398,7 @@ static err_t push_long(struct machine *m, size_t n)
     return push_int(m, (int64_t)v);
 }
 
-static int constant(struct machine *m)
+static int run_constant(struct machine *m)
 {
     switch (m->op) {
     case 'K': // BININT1
@@ -439,7 +439,7 @@ static int constant(struct machine *m)
     }
 }
 
-static int collect(struct machine *m)
+static int run_container(struct machine *m)
 {
     switch (m->op) {
     case '}': // EMPTY_DICT
@@ -465,9 +465,9 @@ static int collect(struct machine *m)
     case 0x87: // TUPLE3
         return gather_top(m, m->op - 0x84);
     case 'a': // APPEND
-        return extend(m, m->n_stack - 1, 0, PICKLE_LIST);
+        return extend_container(m, m->n_stack - 1, 0, PICKLE_LIST);
     case 's': // SETITEM
-        return extend(m, m->n_stack - 2, 0, PICKLE_DICT);
+        return extend_container(m, m->n_stack - 2, 0, PICKLE_DICT);
     case 'e': // APPENDS
         return extend_mark(m, PICKLE_LIST);
     case 'u': // SETITEMS
@@ -488,25 +488,25 @@ static err_t drop_mark(struct machine *m)
     return e;
 }
 
-static err_t finish(struct machine *m)
+static err_t check_end(struct machine *m)
 {
     err_t e = pop(m, &m->out->root);
     if (!e && m->n_stack != 0)
-        e = wrong(m, "values left over");
+        e = refuse_opcode(m, "values left over");
     m->done = true;
     return e;
 }
 
-static int act(struct machine *m)
+static int run_other(struct machine *m)
 {
     uint64_t n;
     int v;
     switch (m->op) {
     case 0x80: // PROTO
-        return bytes_u8(&m->in) > PROTOCOL_MAX ? wrong(m, "unknown protocol") : OK;
+        return bytes_u8(&m->in) > PROTOCOL_MAX ? refuse_opcode(m, "unknown protocol") : OK;
     case 0x95: // FRAME
         n = bytes_u64(&m->in);
-        return n > m->in.left ? wrong(m, "frame beyond the end") : OK;
+        return n > m->in.left ? refuse_opcode(m, "frame beyond the end") : OK;
     case 'q': // BINPUT
         return memo_put(m, bytes_u8(&m->in));
     case 'r': // LONG_BINPUT
@@ -533,29 +533,30 @@ static int act(struct machine *m)
     case '1': // POP_MARK
         return drop_mark(m);
     case '2': // DUP
-        return m->n_stack == 0 ? wrong(m, "stack is empty") : push(m, m->stack[m->n_stack - 1]);
+        return m->n_stack == 0 ? refuse_opcode(m, "stack is empty")
+                               : push(m, m->stack[m->n_stack - 1]);
     case 'Q': // BINPERSID
         return persistent(m);
     case '.': // STOP
-        return finish(m);
+        return check_end(m);
     default:
         return UNKNOWN_OP;
     }
 }
 
-static err_t step(struct machine *m)
+static err_t run_opcode(struct machine *m)
 {
     m->op = bytes_u8(&m->in);
     if (m->in.bad)
-        return wrong(m, "cut short");
-    int e = constant(m);
+        return refuse_opcode(m, "cut short");
+    int e = run_constant(m);
     if (e == UNKNOWN_OP)
-        e = collect(m);
+        e = run_container(m);
     if (e == UNKNOWN_OP)
-        e = act(m);
+        e = run_other(m);
     if (e == UNKNOWN_OP)
-        return wrong(m, "not an opcode of data");
-    return e == OK && m->in.bad ? wrong(m, "cut short") : (err_t)e;
+        return refuse_opcode(m, "not an opcode of data");
+    return e == OK && m->in.bad ? refuse_opcode(m, "cut short") : (err_t)e;
 }
 
 err_t pickle_parse(const char *what, const void *p, size_t n, struct pickle *out)
@@ -564,7 +565,7 @@ err_t pickle_parse(const char *what, const void *p, size_t n, struct pickle *out
     memset(out, 0, sizeof *out);
     err_t e = OK;
     while (!m.done && !e)
-        e = step(&m);
+        e = run_opcode(&m);
     free(m.stack);
     free(m.memo);
     if (e)

@@ -154,7 +154,7 @@ struct words {
 };
 
 /* Words of a line: at most LINE_WORDS of fewer than WORD_CAP bytes; false if they do not fit. */
-static bool split(const char *line, size_t n, struct words *out)
+static bool split_words(const char *line, size_t n, struct words *out)
 {
     out->n = 0;
     for (size_t at = 0; at < n;) {
@@ -178,7 +178,7 @@ static bool is(const struct words *w, int n, const char *first)
     return w->n == n && strcmp(w->v[0], first) == 0;
 }
 
-static const struct property *find(const struct header *h, const char *name)
+static const struct property *find_property(const struct header *h, const char *name)
 {
     for (int i = 0; i < h->n; i++)
         if (strcmp(h->v[i].name, name) == 0)
@@ -198,7 +198,7 @@ static err_t take_property(const char *what, const struct words *w, struct heade
                         w->v[1]);
     if (h->n == PROPERTIES_MAX)
         return err_fail(ERR_FORMAT, "%s: more than %d properties", what, PROPERTIES_MAX);
-    if (find(h, w->v[2]))
+    if (find_property(h, w->v[2]))
         return err_fail(ERR_FORMAT, "%s: property %s is there twice", what, w->v[2]);
     struct property *p = &h->v[h->n++];
     memcpy(p->name, w->v[2], WORD_CAP);
@@ -254,7 +254,7 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
 static err_t take_comment(const char *what, const char *line, size_t n, struct header *h)
 {
     struct words w;
-    if (!split(line, n, &w) || !is(&w, 4, "comment") || strcmp(w.v[1], "ihdr") != 0 ||
+    if (!split_words(line, n, &w) || !is(&w, 4, "comment") || strcmp(w.v[1], "ihdr") != 0 ||
         strcmp(w.v[2], "ev") != 0)
         return OK;
     char *end;
@@ -291,7 +291,7 @@ static err_t take_lines(const struct splats_bytes *file, struct header *h)
                 return e;
             continue;
         }
-        if (!split(line, n, &w))
+        if (!split_words(line, n, &w))
             return err_fail(ERR_FORMAT, "%s: header line %d has words too many or too long",
                             file->what, number);
         if (number == 1 && !is(&w, 1, "ply"))
@@ -333,7 +333,7 @@ struct sources {
 static err_t find_source(const char *what, const struct header *h, const char *name, int type,
                          size_t *offset)
 {
-    const struct property *p = find(h, name);
+    const struct property *p = find_property(h, name);
     if (!p)
         return err_fail(ERR_FORMAT, "%s: no property %s", what, name);
     if (p->type / 2 != type / 2) // names of a type come in pairs
@@ -348,7 +348,7 @@ static int count_numbered(const struct header *h, const char *prefix)
     char name[WORD_CAP];
     for (int n = 0;; n++) {
         snprintf(name, sizeof name, "%s%d", prefix, n);
-        if (!find(h, name))
+        if (!find_property(h, name))
             return n;
     }
 }
@@ -434,10 +434,10 @@ static void take_row(const struct sources *s, const uint8_t *row, float ev, int 
         g->plane[G_SH + j][i] = s->info.has_hdr ? sh[j] : log_sh[j];
 }
 
-/* ---- radiance that a program left behind ---- */
+/* ---- stale radiance ---- */
 
-/* Programs turn or recolour what they know, f_dc and f_rest, and leave ihdr_log_* as it was. Both
- * are there, and what was written is the same to within half floats: some splats tell. */
+/* Other programs rotate or recolour f_dc and f_rest and leave ihdr_log_* unchanged. In a file of
+ * ours both agree to within half floats, so a sample of splats shows whether they still do. */
 struct both {
     const struct sources *radiance, *shown;
     const uint8_t *rows;
@@ -445,9 +445,9 @@ struct both {
     int n;
 };
 
-/* Display harmonics of the radiance of splat i at ev, and those that the file has. */
-static void compare(const struct both *b, int i, float ev, float made[3 * SH_COEFS_MAX],
-                    float shown[3 * SH_COEFS_MAX])
+/* Display harmonics of splat i from its radiance at ev, and those of the file. */
+static void read_both(const struct both *b, int i, float ev, float made[3 * SH_COEFS_MAX],
+                      float shown[3 * SH_COEFS_MAX])
 {
     const uint8_t *row = b->rows + (size_t)i * b->row;
     float log_sh[3 * SH_COEFS_MAX];
@@ -456,8 +456,8 @@ static void compare(const struct both *b, int i, float ev, float made[3 * SH_COE
     display_from_radiance(log_sh, b->radiance->info.degree, ev, made);
 }
 
-/* The ev of a file that has lost the comment: what shows the mean green of a splat as it is shown,
- * middle of some splats; false if all of these are black. */
+/* The ev of a file that has lost the comment: the one that maps the mean green of a splat to its
+ * display colour, as the median of some splats; false if all of these are black. */
 static bool find_ev(const struct both *b, float *out)
 {
     enum { TRIED = 15, HALVINGS = 22 };
@@ -466,7 +466,7 @@ static bool find_ev(const struct both *b, float *out)
     for (int t = 0; t < TRIED; t++) {
         float low = -EV_FOUND_MAX, high = EV_FOUND_MAX, v = 0;
         for (int k = 0; k < HALVINGS; k++, v = (low + high) / 2) {
-            compare(b, (int)((int64_t)t * b->n / TRIED), v, made, shown);
+            read_both(b, (int)((int64_t)t * b->n / TRIED), v, made, shown);
             low = made[1] < shown[1] ? v : low;
             high = made[1] < shown[1] ? high : v;
         }
@@ -477,8 +477,8 @@ static bool find_ev(const struct both *b, float *out)
     return n > 0;
 }
 
-/* Whether a tenth of the splats that are looked at are shown as other than they are, by more than
- * RATIO of their own size. */
+/* Whether the two disagree, by more than STALE_RATIO of their size, in a tenth of the sampled
+ * splats. */
 static bool is_stale(const struct both *b, float ev)
 {
     enum { LOOKED_AT = 100 };
@@ -489,7 +489,7 @@ static bool is_stale(const struct both *b, float ev)
     for (int t = 0; t < n; t++) {
         float made[3 * SH_COEFS_MAX], shown[3 * SH_COEFS_MAX];
         double off = 0, size = 0;
-        compare(b, (int)((int64_t)t * b->n / n), ev, made, shown);
+        read_both(b, (int)((int64_t)t * b->n / n), ev, made, shown);
         for (int j = 0; j < 3 * coefs_of(degree); j++) {
             double v = (double)made[j] + (j < 3 ? SHOWN_MIDDLE : 0);
             off += pow((double)made[j] - (double)shown[j], 2);

@@ -8,8 +8,8 @@
  * degree 0. scene.hdrig keeps all bits. Programs that turn or recolour splats change f_dc and
  * f_rest, but know nothing of ihdr_log_*: where these no longer tell the colours that are shown, by
  * 3 % in a tenth of the splats, the shown ones are taken.
- * Comments "ihdr ev X", "ihdr mid_exposure_log2 X", "ihdr background R G B" say what a program
- * needs that has only this file; the tone curve and the cameras are in sidecar.h.
+ * Comments "ihdr ev X", "ihdr mid_exposure_log2 X", "ihdr background R G B" serve programs that
+ * have only this file; the tone curve and the cameras are in sidecar.h.
  * thread: any. */
 #ifndef FORMAT_PLY_H
 #define FORMAT_PLY_H

@@ -36,9 +36,10 @@ static err_t get_list(const char *what, const struct cJSON *tensor, const char *
     for (const struct cJSON *v = json_first(list); v; v = json_next(v)) {
         double number;
         if (!json_number(v, &number) || number < 0 || number != floor(number) || number > 0x1p52)
-            return err_fail(ERR_FORMAT,
-                            "%s: tensor %.96s: \"%s\" holds what is not a whole number up to 2^52",
-                            what, json_key(tensor), key);
+            return err_fail(
+                ERR_FORMAT,
+                "%s: tensor %.96s: \"%s\" holds something else than whole numbers up to 2^52", what,
+                json_key(tensor), key);
         out[(*n)++] = (size_t)number;
     }
     return OK;

@@ -4,10 +4,10 @@
  *
  * The reader refuses
  *  1. a header length above 2 MB or beyond the file;
- *  2. what is not JSON;
+ *  2. a header that is not JSON;
  *  3. tensors with other members than dtype, shape and data_offsets, a type that the format does
  *     not have, more than 8 extents or extents that are no whole numbers;
- *  4. a name that is there twice;
+ *  4. a name that occurs twice;
  *  5. offsets beyond the file or whose length is not that of the shape;
  *  6. data that overlap, leave holes or do not end with the file.
  * thread: any. */

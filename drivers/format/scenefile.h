@@ -7,7 +7,7 @@
  *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t, for size x size px
  * and in __metadata__: format "hdrig-scene", version "1", size, names (a JSON list of V names).
  *
- * The reader refuses what safetensors.h lists and
+ * The reader refuses everything that safetensors.h lists and
  *  1. another format or version;
  *  2. a tensor that is unknown or missing, or of a type other than F32;
  *  3. shapes that contradict each other or exceed GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX;
@@ -29,7 +29,7 @@ struct scenefile_info {
     size_t need;                  // bytes that scenefile_read takes from its arena
 };
 
-/* What scenefile_read would read: steps 1 to 3.
+/* The header of a scene: steps 1 to 3 of the checks.
  * err:  as scenefile_read. */
 MUST_USE err_t scenefile_peek(const char *path, struct scenefile_info *out);
 

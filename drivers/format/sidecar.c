@@ -46,7 +46,7 @@ static int count_views(const struct cJSON *doc)
     return json_count(json_member(doc, "cameras"));
 }
 
-/* The document; *out is NULL if it is somebody else's.
+/* The document; *out is NULL if it is not a sidecar of ours.
  * own:  json_free. */
 static err_t open_document(const struct sidecar_bytes *file, struct cJSON **out)
 {
@@ -162,7 +162,7 @@ static err_t get_views(const struct sidecar_bytes *file, struct arena *a, struct
     return e;
 }
 
-/* What is known without a sidecar. */
+/* The scene's values without a sidecar. */
 static void fill_defaults(float ev, struct scene *s)
 {
     *s = (struct scene){.g = s->g, .size = SIDECAR_SIZE};

@@ -1,11 +1,11 @@
-/* sidecar.h - what a file of splats has no place for: NAME.json beside NAME.ply, NAME.spz or
- * NAME.glb.
+/* sidecar.h - NAME.json beside NAME.ply, NAME.spz or NAME.glb: the part of a scene that a file of
+ * splats cannot hold.
  *   {"format": "hdrig-sidecar", "version": 1, "ev": stops of display.h, "mid_exposure_log2": ...,
  *    "background": [r, g, b], "tone": [{"w1": [64], "b1": [64], "w2": [64], "b2": x}, ...],
  *    "size": px, "cameras": as in cameras.json, with exposures}
  * Numbers have nine digits: written and read back they are the same floats. "ev" is for other
- * programs, it follows from the tone curve. A NAME.json without that "format" is somebody else's:
- * it is neither read nor overwritten.
+ * programs, it follows from the tone curve. A NAME.json without that "format" belongs to another
+ * program: it is neither read nor overwritten.
  * thread: any. */
 #ifndef FORMAT_SIDECAR_H
 #define FORMAT_SIDECAR_H
@@ -19,11 +19,12 @@ enum { SIDECAR_SIZE = 448 }; // px, of pictures of a scene without sidecar
 MUST_USE err_t sidecar_path(const char *splats, char out[], size_t cap);
 
 /* Whether sidecar_write may put a file there.
- * err:  ERR_ARG (NAME.json is somebody else's), ERR_NOMEM. */
+ * err:  ERR_ARG (NAME.json belongs to another program), ERR_NOMEM. */
 MUST_USE err_t sidecar_check_place(const char *splats);
 
 /* Write everything of s but its splats.
- * err:  ERR_ARG (what sidecar_read would refuse: a number that is not finite, a background below 0,
+ * err:  ERR_ARG (everything that sidecar_read refuses: a number that is not finite, a background
+ * below 0,
  *       a size below 1, cameras of another size or more than CAMERAS_MAX; as sidecar_check_place),
  *       ERR_FORMAT (a camera that cameras_check refuses), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM.
  *       The partial file is removed. */

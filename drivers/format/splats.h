@@ -1,4 +1,4 @@
-/* splats.h - what files of Gaussian splats have in common.
+/* splats.h - the common interface of files of Gaussian splats.
  * thread: any. */
 #ifndef FORMAT_SPLATS_H
 #define FORMAT_SPLATS_H
@@ -16,16 +16,16 @@ struct splats_info {
     int n, degree;  // what gaussians_need asks for
     bool has_hdr;   // radiance of its own; else from the display colours
     bool hdr_stale; // it has radiance, but not that of its display colours
-    bool band_lost; // display colours of a degree of which less is read
+    bool band_lost; // display colours have a higher degree than is read
     float ev;       // that goes with its colours, stops; 0 if it tells none
 };
 
-/* A kind of file; ply.h, spz.h and glb.h say what theirs refuse. */
+/* A kind of file; ply.h, spz.h and glb.h list what their readers refuse. */
 struct splats_format {
     uint64_t bytes_max;
     float headroom; // stops above white where its display colours end
 
-    /* What parse would read. */
+    /* Counts and kinds, from the header. */
     err_t (*peek)(const struct splats_bytes *file, struct splats_info *out);
 
     /* Without radiance, colours go through display_to_radiance at `ev`: that of the tone curve if

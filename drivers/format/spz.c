@@ -3,7 +3,7 @@
  * batches straight into the planes of struct gaussians: once to see which records there are, for
  * version 3 has them at its very end, and once more to keep the numbers.
  * Source: load-spz.cc of the reference; that reads 4 as 3 reads, with other packing.
- * What is checked: magic, version, number of splats against GAUSSIANS_MAX and what gzip can do,
+ * Checked are: magic, version, number of splats against GAUSSIANS_MAX and what gzip can do,
  * degree, fractional bits; of version 4 the table: sizes that the header gives, nothing missing or
  * left over; of records: length within the stream, ours in all fields. */
 #include "drivers/format/spz.h"
@@ -101,7 +101,7 @@ static err_t take_header(const struct splats_bytes *f, const uint8_t *h, struct 
     return OK;
 }
 
-/* Before memory is taken for what a few bytes promise. */
+/* Refuse counts that the packed bytes cannot hold, before memory is taken. */
 static err_t check_ratio(const char *what, const char *part, size_t packed, size_t plain)
 {
     if (packed >= plain / ZSTD_RATIO_MAX)
@@ -160,7 +160,7 @@ static void take_position(const struct layout *l, const uint8_t *b, int i, struc
     }
 }
 
-/* Neither end is taken at its word: the logit of 0 and 1 has no number. */
+/* Both ends are moved inwards: the logits of 0 and 1 are infinite. */
 static void take_opacity(const struct layout *l, const uint8_t *b, int i, struct gaussians *g)
 {
     double a = fmin(fmax(b[0], 0.25), 254.75) / 255;
@@ -213,7 +213,7 @@ static void take_harmonics(const struct layout *l, const uint8_t *b, int i, stru
         g->plane[G_SH + 3 + j][i] = (float)(b[j] - 128) / 128;
 }
 
-/* g: NULL to pass over it. */
+/* g: NULL skips the array. */
 static err_t read_array(const struct layout *l, struct compressed_in *in, int a,
                         struct gaussians *g)
 {
@@ -233,7 +233,7 @@ static err_t read_array(const struct layout *l, struct compressed_in *in, int a,
 
 /* ---- records ---- */
 
-static err_t skip(struct compressed_in *in, size_t n)
+static err_t skip_bytes(struct compressed_in *in, size_t n)
 {
     uint8_t b[4096];
     err_t e = OK;
@@ -279,14 +279,14 @@ static err_t read_packed_planes(const struct layout *l, struct compressed_in *in
     size_t size = 6 * (size_t)coefs(l->record.degree) * (size_t)l->info.n;
     err_t e = check_ratio(l->file->what, "radiance", n, size);
     if (e || !g)
-        return e ? e : skip(in, n);
+        return e ? e : skip_bytes(in, n);
     e = compressed_open(&planes, l->file->what, COMPRESSED_ZSTD, in->p, n);
     if (!e)
         e = read_planes(l, &planes, g);
     if (!e)
         e = compressed_finish(&planes, "radiance");
     compressed_close(&planes);
-    return e ? e : skip(in, n);
+    return e ? e : skip_bytes(in, n);
 }
 
 static err_t read_radiance(struct layout *l, struct compressed_in *in, size_t n,
@@ -318,7 +318,7 @@ static err_t read_radiance(struct layout *l, struct compressed_in *in, size_t n,
     if (n != planes)
         return err_fail(ERR_FORMAT, "%s: radiance record of %zu bytes, %d splats need %zu", what, n,
                         l->info.n, planes);
-    return g ? read_planes(l, in, g) : skip(in, n);
+    return g ? read_planes(l, in, g) : skip_bytes(in, n);
 }
 
 /* Names of axes in the reference: bits right, up, forward; 9 to 16 are turned by 90 degrees. */
@@ -357,7 +357,7 @@ static err_t read_records(struct layout *l, struct compressed_in *in, struct gau
         if (type == SPZ_RADIANCE)
             e = read_radiance(l, in, n, g);
         else
-            e = type == (uint32_t)RECORD_AXES ? read_axes(l, in, n) : skip(in, n);
+            e = type == (uint32_t)RECORD_AXES ? read_axes(l, in, n) : skip_bytes(in, n);
         if (e)
             return e;
     }
@@ -365,7 +365,7 @@ static err_t read_records(struct layout *l, struct compressed_in *in, struct gau
 
 /* ---- the file ---- */
 
-static bool wanted(const struct layout *l, int a)
+static bool is_wanted(const struct layout *l, int a)
 {
     return a != SPZ_HARMONICS || !l->record.found;
 }
@@ -384,7 +384,7 @@ static err_t read_stream(struct layout *l, struct gaussians *g)
     if (!e && !g && l->version > 3)
         e = err_fail(ERR_FORMAT, "%s: version %d in a gzip stream", l->file->what, l->version);
     for (int a = 0; a < SPZ_ARRAYS && !e; a++)
-        e = read_array(l, &in, a, wanted(l, a) ? g : NULL);
+        e = read_array(l, &in, a, is_wanted(l, a) ? g : NULL);
     if (!e && l->flags & SPZ_HAS_RECORDS)
         e = read_records(l, &in, g);
     if (!e)
@@ -399,7 +399,7 @@ static err_t read_streams(struct layout *l, struct gaussians *g)
     struct compressed_in in;
     err_t e = OK;
     for (int a = 0; a < SPZ_ARRAYS && !e && g; a++) {
-        if (!wanted(l, a) || l->stream[a].n == 0)
+        if (!is_wanted(l, a) || l->stream[a].n == 0)
             continue;
         e = compressed_open(&in, l->file->what, COMPRESSED_ZSTD, l->stream[a].p, l->stream[a].n);
         if (!e)
@@ -414,7 +414,7 @@ static err_t read_streams(struct layout *l, struct gaussians *g)
     return e ? e : read_records(l, &in, g);
 }
 
-static err_t look(const struct splats_bytes *f, struct layout *l)
+static err_t read_layout(const struct splats_bytes *f, struct layout *l)
 {
     const uint8_t *p = f->p;
     err_t e;
@@ -460,7 +460,7 @@ static err_t peek(const struct splats_bytes *file, struct splats_info *out)
 {
     struct layout l;
     memset(out, 0, sizeof *out);
-    err_t e = look(file, &l);
+    err_t e = read_layout(file, &l);
     if (!e)
         *out = l.info;
     return e;
@@ -472,7 +472,7 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     struct layout l;
     size_t mark = arena_mark(a);
     memset(g, 0, sizeof *g);
-    err_t e = look(file, &l);
+    err_t e = read_layout(file, &l);
     if (!e)
         e = gaussians_init(g, a, l.info.n, l.info.degree);
     if (e)

@@ -1,7 +1,6 @@
 /* The arrays are made in small batches straight from the planes of struct gaussians, each number as
- * the nearest that the format has; then the record with what the colours do not tell (spz.h).
- * Lengths and angles are no finer than pictures show: what a compressor cannot shorten is the noise
- * in their last bits. */
+ * the nearest that the format has; then the record with the radiance (spz.h). Lengths and angles
+ * are no finer than pictures show, since noise in their last bits does not compress. */
 #include "drivers/format/spzwrite.h"
 
 #include "core/base/bytes.h"
@@ -53,7 +52,7 @@ static uint8_t to_bucket(double v, int size)
     return to_byte(rint((128 * v) / size) * size + 128);
 }
 
-static void show(struct plan *p)
+static void find_display(struct plan *p)
 {
     const struct gaussians *g = p->g;
     int planes = 3 * coefs(g->degree), shown = 3 * coefs(p->degree);
@@ -174,8 +173,8 @@ static struct pose pose_of(const struct gaussians *g, int i)
     return out;
 }
 
-/* Step of the length of an axis, a power of two: what is thin beside the middle axis shows by its
- * square. */
+/* Step of the length of an axis, a power of two: an axis that is thin beside the middle one matters
+ * by its square only. */
 static int thinness(const double length[3], int k)
 {
     double lo = fmin(length[0], length[1]), hi = fmax(length[0], length[1]);
@@ -387,7 +386,7 @@ err_t spzwrite_scene(const char *path, const struct scene *s, int version)
     p.shown = malloc((size_t)g->n * 3 * (size_t)coefs(p.degree) + 1);
     if (!p.shown)
         return err_fail(ERR_NOMEM, "%s: no memory for the colours of %d splats", path, g->n);
-    show(&p);
+    find_display(&p);
     e = file_create(path, &f);
     if (!e) {
         e = version == 3 ? write_3(&p, f) : write_4(&p, f);

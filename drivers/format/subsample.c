@@ -33,15 +33,15 @@ static size_t block_bytes(enum camera_format f)
 }
 
 /* Blocks along a side of n px. */
-static int blocks(int n)
+static int count_blocks(int n)
 {
     return n < EDGE ? n / SUBSAMPLE_BLOCK : SUBSAMPLE_BLOCKS;
 }
 
-/* Place of block i of those of a side of n px, in blocks. */
-static int place(int i, int n)
+/* Position of block i of a side of n px, in blocks. */
+static int block_start(int i, int n)
 {
-    int b = blocks(n);
+    int b = count_blocks(n);
     return (int)((2 * (int64_t)i + 1) * (n / SUBSAMPLE_BLOCK) / (2 * b));
 }
 
@@ -53,9 +53,9 @@ static bool is_small(const struct camera_info *info)
 static struct camera_info small_info(const struct camera_info *info)
 {
     struct camera_info s = *info;
-    s.w = SUBSAMPLE_BLOCK * blocks(info->w);
-    s.h = SUBSAMPLE_BLOCK * blocks(info->h);
-    s.stride = (int)block_bytes(info->format) * blocks(info->w);
+    s.w = SUBSAMPLE_BLOCK * count_blocks(info->w);
+    s.h = SUBSAMPLE_BLOCK * count_blocks(info->h);
+    s.stride = (int)block_bytes(info->format) * count_blocks(info->w);
     return s;
 }
 
@@ -71,8 +71,8 @@ size_t subsample_count(const struct camera_info *info)
 /* Rows y of the small frame's blocks, `bytes` for each block. */
 static void gather_row(const uint8_t *row, int w, size_t bytes, uint8_t *out)
 {
-    for (int i = 0; i < blocks(w); i++)
-        memcpy(out + (size_t)i * bytes, row + (size_t)place(i, w) * bytes, bytes);
+    for (int i = 0; i < count_blocks(w); i++)
+        memcpy(out + (size_t)i * bytes, row + (size_t)block_start(i, w) * bytes, bytes);
 }
 
 static err_t thin_bytes(const struct camera_info *info, const struct frame *f, struct raw *out)
@@ -81,13 +81,13 @@ static err_t thin_bytes(const struct camera_info *info, const struct frame *f, s
     struct camera_info s = small_info(info);
     size_t block = block_bytes(info->format), stride = (size_t)s.stride, from = (size_t)f->stride;
     for (int y = 0; y < s.h; y++) {
-        size_t row =
-            (size_t)(place(y / SUBSAMPLE_BLOCK, f->h) * SUBSAMPLE_BLOCK + y % SUBSAMPLE_BLOCK);
+        size_t row = (size_t)(block_start(y / SUBSAMPLE_BLOCK, f->h) * SUBSAMPLE_BLOCK +
+                              y % SUBSAMPLE_BLOCK);
         gather_row(f->data + row * from, f->w, block, bytes + (size_t)y * stride);
     }
     const uint8_t *chroma = f->data + (size_t)f->h * from;
     for (int y = 0; y < s.h / 2 && info->format == CAMERA_NV12; y++) {
-        size_t row = (size_t)(place(y / 2, f->h) * 2 + y % 2);
+        size_t row = (size_t)(block_start(y / 2, f->h) * 2 + y % 2);
         gather_row(chroma + row * from, f->w, block, bytes + (size_t)(s.h + y) * stride);
     }
     struct frame small = *f;
@@ -105,16 +105,16 @@ static void thin_numbers(struct raw *p)
     enum { COLOURS = 3 };
     int w = p->w, h = p->h;
     size_t n = 0;
-    for (int y = 0; y < SUBSAMPLE_BLOCK * blocks(h); y++) {
-        int row = place(y / SUBSAMPLE_BLOCK, h) * SUBSAMPLE_BLOCK + y % SUBSAMPLE_BLOCK;
-        for (int i = 0; i < blocks(w); i++, n += COLOURS * SUBSAMPLE_BLOCK)
+    for (int y = 0; y < SUBSAMPLE_BLOCK * count_blocks(h); y++) {
+        int row = block_start(y / SUBSAMPLE_BLOCK, h) * SUBSAMPLE_BLOCK + y % SUBSAMPLE_BLOCK;
+        for (int i = 0; i < count_blocks(w); i++, n += COLOURS * SUBSAMPLE_BLOCK)
             memmove(p->px + n,
-                    p->px +
-                        COLOURS * ((size_t)row * (size_t)w + (size_t)place(i, w) * SUBSAMPLE_BLOCK),
+                    p->px + COLOURS * ((size_t)row * (size_t)w +
+                                       (size_t)block_start(i, w) * SUBSAMPLE_BLOCK),
                     COLOURS * SUBSAMPLE_BLOCK * sizeof *p->px);
     }
-    p->w = SUBSAMPLE_BLOCK * blocks(w);
-    p->h = SUBSAMPLE_BLOCK * blocks(h);
+    p->w = SUBSAMPLE_BLOCK * count_blocks(w);
+    p->h = SUBSAMPLE_BLOCK * count_blocks(h);
 }
 
 err_t subsample_run(const struct camera_info *info, const struct frame *f, struct raw *out)
@@ -122,7 +122,7 @@ err_t subsample_run(const struct camera_info *info, const struct frame *f, struc
     err_t e = unpack_check(info, f);
     if (e)
         return e;
-    bool whole = is_small(info) || blocks(info->w) == 0 || blocks(info->h) == 0;
+    bool whole = is_small(info) || count_blocks(info->w) == 0 || count_blocks(info->h) == 0;
     if (!whole && info->format != CAMERA_MJPG)
         return thin_bytes(info, f, out);
     e = unpack_run(info, f, out);

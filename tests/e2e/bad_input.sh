@@ -72,7 +72,7 @@ refused 1 'EXIF of b.jpg lacks the f-number, that of a.jpg has it: .*write expos
     --images "$OUT/phone"
 copy unexposed
 rm "$set/exposure.json"
-refused 1 "EXIF tells no exposure of train_ldr_000_0.png, .* and 6 others, of 9" --images "$set"
+refused 1 "EXIF has no exposure for train_ldr_000_0.png, .* and 6 others, of 9" --images "$set"
 copy gap
 sed -i '/train_ldr_001_0/d' "$set/exposure.json"
 refused 1 'train_ldr_001_0.png' --images "$set"

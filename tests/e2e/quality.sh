@@ -22,7 +22,7 @@ cmp -s "$OUT/eval.json" "$OUT/eval/report.json" || fail "report.json and --json 
 succeed eval --data "$OUT/set" --size 56 --views 4 --refine 0 --json -
 grep -q '"views": 4,' "$OUT/stdout.txt" || fail "--views 4 did not take 4 views"
 head -n 1 "$OUT/stdout.txt" | grep -q '^{$' || fail "--json - prints more than JSON"
-expect 1 '9 views asked, there are 8' eval --data "$OUT/set" --size 56 --views 9
+expect 1 '9 views requested, there are 8' eval --data "$OUT/set" --size 56 --views 9
 
 # a result folder, and pictures from it
 succeed reconstruct --images "$OUT/set" --size 112 --refine 100 --json - --out "$OUT/scene"

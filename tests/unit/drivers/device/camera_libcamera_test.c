@@ -372,7 +372,7 @@ static void test_refusals(int release)
     refuse(release, "imx477,stamp=middle", &any, ERR_ARG, "not one of start|end");
     refuse(release, "imx477", &(struct camera_cfg){.buffers = 33}, ERR_ARG, "33 buffers");
     refuse(release, "imx477", &(struct camera_cfg){.format = CAMERA_YUYV}, ERR_UNSUPPORTED,
-           "which is not what is asked for");
+           "which is not the request");
     how.n_cameras = 0;
     play(release, &how);
     refuse(release, "imx477", &any, ERR_LOST, "libcamera-ipa");
@@ -616,7 +616,7 @@ static void test_module(void **state)
     assert_non_null(strstr(err_text(), "libcamera-ipa"));
     cfg.uri = "libcamera:,module=libm.so.6"; // a library, but not ours
     assert_int_equal(camera_libcamera.open(st, &cfg), ERR_UNSUPPORTED);
-    assert_non_null(strstr(err_text(), "of another version"));
+    assert_non_null(strstr(err_text(), "was built for another version"));
     snprintf(uri, sizeof uri, "v4l2:,module=%s", module_path[OLD]);
     cfg.uri = uri;
     assert_int_equal(camera_libcamera.open(st, &cfg), ERR_ARG);

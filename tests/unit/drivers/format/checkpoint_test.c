@@ -535,7 +535,7 @@ static void an_index_joins_files(void **state)
     map_refused("{\"w\": \"2.safetensors\"}", ERR_FORMAT, "tensor encoder.w is not in ");
     map_refused("{\"w\": \"2.safetensors\", \"b\": \"1.bin\"}", ERR_FORMAT, " is not in ");
     map_refused("{\"w\": \"model.safetensors.index.json\"}", ERR_FORMAT,
-                "neither PyTorch's nor safetensors");
+                "neither a PyTorch file nor safetensors");
     assert_int_equal(checkpoint_open(tmpdir_text("bare.json", "{\"w\": 1}       "), &c),
                      ERR_FORMAT);
     assert_non_null(strstr(err_text(), "no index of weights"));

@@ -624,7 +624,7 @@ static void counts_that_lie_are_named(void **state)
     file = recounted(0, 4, copy);
     assert_int_equal(spz_format.peek(&file, &info), OK);
     assert_int_equal(spz_format.parse(&file, 0, &arena, &g, &report), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "five: positions: more than its header tells"));
+    assert_non_null(strstr(err_text(), "five: positions: more bytes than its header says"));
     assert_true(g.n == 0 && g.plane[0] == NULL);
     file = recounted(0, 6, copy);
     assert_int_equal(spz_format.parse(&file, 0, &arena, &g, &report), ERR_FORMAT);

@@ -145,7 +145,7 @@ static void keeps_foreign_folders(void **state)
     assert_int_equal(open_at(tmpdir_path("thesis"), &force), ERR_ARG);
     tmpdir_text("thesis/" FILELIST_NAME, "# my own\n");
     assert_int_equal(open_at(tmpdir_path("thesis"), &force), ERR_ARG);
-    assert_non_null(strstr(err_text(), "is not of hdrig"));
+    assert_non_null(strstr(err_text(), "was not written by hdrig"));
     assert_int_equal(entries(tmpdir_path("thesis")), 3);
 }
 
