@@ -58,7 +58,7 @@ expect 1 'nowhere/scene.hdrig' eval --data "$OUT/set" --scene "$OUT/nowhere"
 succeed eval --data "$OUT/set" --size 56 --refine 0 --exposure-set 3 --json -
 grep -q '"views": 8,' "$OUT/stdout.txt" || fail "--exposure-set 3 has not one picture of each view"
 grep -q '"mid_exposure_log2": 0,' "$OUT/stdout.txt" || fail "--exposure-set 3 is not exposure 1"
-expect 1 'exposure 6 asked, its pictures have 5' eval --data "$OUT/set" --exposure-set 1,6
+expect 1 'exposure 6 requested, its pictures have 5' eval --data "$OUT/set" --exposure-set 1,6
 expect 2 '--exposure-set: "1;3" is not a list' eval --data "$OUT/set" --exposure-set '1;3'
 
 # known cameras from our own file; settings from --set

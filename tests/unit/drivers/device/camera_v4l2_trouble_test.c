@@ -55,7 +55,7 @@ static void test_wrong_buffers(void **st)
     start_webcam();
     fake.index_add = 4;
     fake_frame(&fake);
-    refuses(camera_v4l2.next(state, &f), ERR_IO, "a buffer that it does not have");
+    refuses(camera_v4l2.next(state, &f), ERR_IO, "a buffer that it does not own");
     assert_null(f.data);
     fake_frame(&fake);
     f = take(); // once is forgotten
@@ -64,7 +64,7 @@ static void test_wrong_buffers(void **st)
     struct frame g;
     fake.buf[2].b.index = 0;
     fake.index_add = (uint32_t)f.index - 2; // the one that the caller has
-    refuses(camera_v4l2.next(state, &g), ERR_IO, "a buffer that it does not have");
+    refuses(camera_v4l2.next(state, &g), ERR_IO, "a buffer that it does not own");
     fake.index_add = 77;
     fake_frame(&fake);
     refuses(camera_v4l2.next(state, &g), ERR_IO, "was restarted"); // brings all back

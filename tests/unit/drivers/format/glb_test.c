@@ -271,7 +271,7 @@ static void chunks_that_lie_are_named(void **state)
         err_t code;
         const char *word;
     } cases[] = {{0, 0, ERR_FORMAT, "not a binary glTF"}, {4, 1, ERR_UNSUPPORTED, "version 1"},
-                 {8, 19, ERR_FORMAT, "tells 19 bytes"},   {8, 8000, ERR_FORMAT, "tells 8000"},
+                 {8, 19, ERR_FORMAT, "says 19 bytes"},    {8, 8000, ERR_FORMAT, "says 8000"},
                  {12, 8000, ERR_FORMAT, "of 8000 bytes"}, {16, 0x004e4942, ERR_FORMAT, "no JSON"},
                  {12, 3, ERR_FORMAT, "binary chunk"}};
     struct splats_info info;

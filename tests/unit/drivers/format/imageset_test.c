@@ -157,7 +157,7 @@ static void inputs_only_at_some_exposures(void **state)
     assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT); // no train picture there
     rq.exposure_set = 1 << 5 | 1;
     assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
-    assert_non_null(strstr(err_text(), "exposure 6 asked, its pictures have 5 different ones"));
+    assert_non_null(strstr(err_text(), "exposure 6 requested, its pictures have 5 different ones"));
 }
 
 static void a_protocol_names_the_inputs(void **state)
@@ -249,7 +249,7 @@ static void contradictions_are_named(void **state)
     put_picture("b.png", 6, 8);
     put_picture("c.png", 8, 6);
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "no exposure of a.png, b.png and c.png, of 3"));
+    assert_non_null(strstr(err_text(), "no exposure for a.png, b.png and c.png, of 3"));
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"c.png\": 1}");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "no exposure for b.png, of 3 pictures"));
