@@ -382,6 +382,23 @@ static err_t check_token(const char *token)
                           NAME_MAX_BYTES);
 }
 
+// Not left to the library: its version 1 says nothing of why it could not listen.
+static err_t listen_at(const struct http_config *cfg, const union address *a, int *fd)
+{
+    bool v6 = a->any.sa_family == AF_INET6;
+    int on = 1;
+    *fd = socket(a->any.sa_family, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+    if (*fd >= 0 && setsockopt(*fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof on) == 0 &&
+        (!v6 || setsockopt(*fd, IPPROTO_IPV6, IPV6_V6ONLY, &on, sizeof on) == 0) &&
+        bind(*fd, &a->any, v6 ? sizeof a->v6 : sizeof a->v4) == 0 && listen(*fd, SOMAXCONN) == 0)
+        return OK;
+    int why = errno;
+    if (*fd >= 0)
+        close(*fd);
+    return err_fail(why == EADDRINUSE ? ERR_BUSY : ERR_IO, "status page: %s port %d: %s",
+                    cfg->address, cfg->port, strerror(why));
+}
+
 err_t http_open(const struct http_config *cfg, struct http **out)
 {
     union address a;
@@ -391,25 +408,29 @@ err_t http_open(const struct http_config *cfg, struct http **out)
         e = check_token(cfg->token);
     if (e)
         return e;
+    int fd;
+    e = listen_at(cfg, &a, &fd);
+    if (e)
+        return e;
     struct http *h = calloc(1, sizeof *h);
-    if (!h)
+    if (!h) {
+        close(fd);
         return err_fail(ERR_NOMEM, "status page: no memory");
+    }
     h->cfg = *cfg;
     connections_init(&h->connections);
     if (gethostname(h->host, sizeof h->host - 1) != 0)
         h->host[0] = 0;
     unsigned flags = MHD_USE_EPOLL | (a.any.sa_family == AF_INET6 ? MHD_USE_IPv6 : 0);
-    errno = 0;
-    h->mhd = MHD_start_daemon(flags, 0, NULL, NULL, on_request, h, MHD_OPTION_SOCK_ADDR, &a.any,
+    h->mhd = MHD_start_daemon(flags, 0, NULL, NULL, on_request, h, MHD_OPTION_LISTEN_SOCKET, fd,
                               MHD_OPTION_CONNECTION_LIMIT, (unsigned)CONNECTIONS_MAX,
                               MHD_OPTION_NOTIFY_CONNECTION, on_connection, h,
                               MHD_OPTION_CONNECTION_TIMEOUT, (unsigned)TIMEOUT_S,
                               MHD_OPTION_NOTIFY_COMPLETED, on_end, NULL, MHD_OPTION_END);
-    if (!h->mhd) {
-        int why = errno;
+    if (!h->mhd) { // the socket is the library's
         free(h);
-        return err_fail(why == EADDRINUSE ? ERR_BUSY : ERR_IO, "status page: %s port %d: %s",
-                        cfg->address, cfg->port, why ? strerror(why) : "cannot be opened");
+        return err_fail(ERR_IO, "status page: %s port %d cannot be served", cfg->address,
+                        cfg->port);
     }
     h->fd = MHD_get_daemon_info(h->mhd, MHD_DAEMON_INFO_EPOLL_FD)->epoll_fd;
     *out = h;
