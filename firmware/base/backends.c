@@ -17,7 +17,7 @@ enum {
 };
 
 /* Whether the URI begins with "name:"; else the name joins the list. */
-static bool matches(const char *uri, const char *name, char list[LIST])
+static bool uri_matches(const char *uri, const char *name, char list[LIST])
 {
     size_t n = strlen(name), used = strlen(list);
     if (strncmp(uri, name, n) == 0 && uri[n] == ':')
@@ -32,7 +32,7 @@ err_t backends_camera(const char *uri, const struct camera_ops **out)
     char list[LIST] = "";
     for (int i = 0; i < N_CAMERAS; i++) {
         *out = cameras[i];
-        if (matches(uri, cameras[i]->name, list))
+        if (uri_matches(uri, cameras[i]->name, list))
             return OK;
     }
     *out = NULL;
@@ -44,7 +44,7 @@ err_t backends_trigger(const char *uri, const struct trigger_ops **out)
     char list[LIST] = "";
     for (int i = 0; i < N_TRIGGERS; i++) {
         *out = triggers[i];
-        if (matches(uri, triggers[i]->name, list))
+        if (uri_matches(uri, triggers[i]->name, list))
             return OK;
     }
     *out = NULL;

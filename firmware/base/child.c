@@ -49,7 +49,7 @@ static err_t spawn(struct child *c, char *const argv[], int out, bool all)
     return err_fail(ERR_IO, "%s: %s", argv[0], strerror(why));
 }
 
-static void forget(struct child *c)
+static void close_fds(struct child *c)
 {
     if (c->pipe >= 0)
         close(c->pipe);
@@ -81,7 +81,7 @@ err_t child_start(struct child *c, char *const argv[], bool all)
                  strerror(errno));
     kill(c->pid, SIGKILL);
     waitpid(c->pid, NULL, 0);
-    forget(c);
+    close_fds(c);
     return e;
 }
 
@@ -94,7 +94,7 @@ int child_poll(const struct child *c, struct pollfd *fds, int cap)
     return c->pipe >= 0 ? 2 : 1;
 }
 
-static void hear(struct child *c, char letter, child_line_fn *fn, void *ctx)
+static void add_letter(struct child *c, char letter, child_line_fn *fn, void *ctx)
 {
     if (letter != '\n' && letter != '\r') {
         if (c->n_part + 1 < sizeof c->part)
@@ -117,7 +117,7 @@ void child_listen(struct child *c, child_line_fn *fn, void *ctx)
     while (c->pipe >= 0 && (n > 0 || (n < 0 && errno == EINTR))) {
         n = read(c->pipe, text, sizeof text);
         for (ssize_t i = 0; i < n; i++)
-            hear(c, text[i], fn, ctx);
+            add_letter(c, text[i], fn, ctx);
     }
     if (n == 0) {
         close(c->pipe);
@@ -130,7 +130,7 @@ bool child_ended(struct child *c, child_line_fn *fn, void *ctx, int *status)
     if (!c->pid || waitpid(c->pid, status, WNOHANG) != c->pid)
         return false;
     child_listen(c, fn, ctx);
-    forget(c); // a grandchild may hold the other end of the pipe
+    close_fds(c); // a grandchild may hold the other end of the pipe
     return true;
 }
 
@@ -149,5 +149,5 @@ void child_stop(struct child *c)
     if (poll(&p, 1, GRACE_MS) <= 0)
         kill(c->pid, SIGKILL);
     waitpid(c->pid, NULL, 0);
-    forget(c);
+    close_fds(c);
 }

@@ -112,7 +112,7 @@ static const struct key keys[] = {
 
 enum { N_KEYS = sizeof keys / sizeof keys[0], QUOTE_MAX = 100, LINE_MAX_WORDS = 90 };
 
-static int *field(struct config *c, const struct key *k)
+static int *key_field(struct config *c, const struct key *k)
 {
     return (int *)(void *)((char *)c + k->offset);
 }
@@ -127,14 +127,14 @@ void config_defaults(struct config *c)
     memset(c, 0, sizeof *c);
     for (int i = 0; i < N_KEYS; i++) {
         if (keys[i].kind != TEXT)
-            *field(c, &keys[i]) = keys[i].value;
+            *key_field(c, &keys[i]) = keys[i].value;
         else if (!keys[i].count)
             strcpy(text_field(c, &keys[i], 0), keys[i].text);
     }
 }
 
 /* Key of that name and, of a numbered one, the place in its array. */
-static const struct key *find(const char *name, int *place)
+static const struct key *find_key(const char *name, int *place)
 {
     *place = 0;
     for (int i = 0; i < N_KEYS; i++) {
@@ -168,7 +168,7 @@ static err_t set_whole(struct config *c, const char *where, const struct key *k,
     if (n % k->multiple)
         return err_fail(ERR_ARG, "%s: %s: %lld is not a multiple of %d", where, k->name, n,
                         k->multiple);
-    *field(c, k) = (int)n;
+    *key_field(c, k) = (int)n;
     return OK;
 }
 
@@ -179,7 +179,7 @@ static err_t set_word(struct config *c, const char *where, const struct key *k, 
     for (const char *w = k->text; w; place++) {
         size_t n = strcspn(w, "|");
         if (n == len && memcmp(w, value, n) == 0) {
-            *field(c, k) = place;
+            *key_field(c, k) = place;
             return OK;
         }
         w = w[n] ? w + n + 1 : NULL;
@@ -204,7 +204,7 @@ static err_t set_text(char *field_of, const char *where, const char *key, const 
 err_t config_set(struct config *c, const char *where, const char *key, const char *value)
 {
     int place;
-    const struct key *k = find(key, &place);
+    const struct key *k = find_key(key, &place);
     if (!k)
         return err_fail(ERR_ARG, "%s: unknown key \"%.*s\"", where, QUOTE_MAX, key);
     if (k->kind == TEXT)
@@ -243,7 +243,7 @@ struct source {
     err_t code;   // why
 };
 
-static void refuse(struct source *s, err_t code)
+static void refuse_line(struct source *s, err_t code)
 {
     s->code = code;
     s->bad_line = s->line;
@@ -260,12 +260,12 @@ static char *next_line(char *out, int cap, void *ctx)
     const char *newline = memchr(start, '\n', s->size - s->at);
     size_t len = newline ? (size_t)(newline - start) + 1 : s->size - s->at;
     if (len >= (size_t)cap) {
-        refuse(s, err_fail(ERR_FORMAT, "%s:%d: line of %zu bytes, at most %d", s->name, s->line,
-                           len, cap - 1));
+        refuse_line(s, err_fail(ERR_FORMAT, "%s:%d: line of %zu bytes, at most %d", s->name,
+                                s->line, len, cap - 1));
         return NULL;
     }
     if (memchr(start, 0, len)) {
-        refuse(s, err_fail(ERR_FORMAT, "%s:%d: zero byte", s->name, s->line));
+        refuse_line(s, err_fail(ERR_FORMAT, "%s:%d: zero byte", s->name, s->line));
         return NULL;
     }
     memcpy(out, start, len);
@@ -283,7 +283,7 @@ static int handle_pair(void *ctx, const char *section, const char *key, const ch
                                   QUOTE_MAX, section)
                        : config_set(s->c, where, key, value);
     if (e)
-        refuse(s, ERR_FORMAT);
+        refuse_line(s, ERR_FORMAT);
     return e == OK;
 }
 
@@ -419,9 +419,9 @@ static void print_key(const struct config *c, const struct key *k, FILE *out)
     struct config copy = *c;
     if (k->kind == WHOLE)
         fprintf(out, "# %s (%d..%d, default %d)\n%s = %d\n", k->help, k->min, k->max, k->value,
-                k->name, *field(&copy, k));
+                k->name, *key_field(&copy, k));
     if (k->kind == WORD)
-        print_word(k, *field(&copy, k), out);
+        print_word(k, *key_field(&copy, k), out);
     const char *text = text_field(&copy, k, 0);
     if (k->kind == TEXT && !k->count)
         fprintf(out, "# %s\n%s =%s%s\n", k->help, k->name, *text ? " " : "", text);

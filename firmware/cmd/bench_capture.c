@@ -33,7 +33,7 @@ static double cpu_s(void)
 }
 
 /* Display value of a scene of 9 stops from left to right, with texture. */
-static uint8_t code(const struct crf *crf, int x, int y, double time_s)
+static uint8_t display_code(const struct crf *crf, int x, int y, double time_s)
 {
     uint32_t h = (uint32_t)(x / 3) * 2654435761u ^ (uint32_t)(y / 3) * 2246822519u;
     double stops = 9.0 * x / W - 7.0 + (double)(h >> 16 & 255) / 256.0;
@@ -57,7 +57,7 @@ static err_t write_pictures(const char *dir)
     for (int k = 0; k < TIMES && !e; k++) {
         struct image8 im = {W, H, 3, px};
         for (int i = 0; i < W * H; i++)
-            memset(px + 3 * i, code(&crf, i % W, i / W, SHORTEST_S * pow(4, k)), 3);
+            memset(px + 3 * i, display_code(&crf, i % W, i / W, SHORTEST_S * pow(4, k)), 3);
         snprintf(name, sizeof name, "train_000_%d.png", k);
         e = file_join(dir, name, path);
         if (!e)
@@ -76,7 +76,7 @@ static err_t write_pictures(const char *dir)
     return file_finish(f, path);
 }
 
-static err_t turn(struct session *s)
+static err_t run_turn(struct session *s)
 {
     struct pollfd fds[BRACKET_CAMERAS_MAX];
     int64_t deadline;
@@ -89,12 +89,12 @@ static err_t turn(struct session *s)
 }
 
 /* So long that a reference is at hand. */
-static err_t rest(struct session *s)
+static err_t settle_session(struct session *s)
 {
     int64_t end = clocks_now() + INT64_C(1000000000);
     err_t e = OK;
     while (!e && clocks_now() < end)
-        e = turn(s);
+        e = run_turn(s);
     return e;
 }
 
@@ -113,7 +113,7 @@ static err_t wait_armed(struct session *s, struct bench_capture *out)
     int lost = lost_frames(s);
     err_t e = OK;
     while (!e && clocks_now() < end)
-        e = turn(s);
+        e = run_turn(s);
     out->wait_share = (cpu_s() - cpu) / ((double)(clocks_now() - begin) / 1e9);
     out->lost += lost_frames(s) - lost;
     return e;
@@ -128,7 +128,7 @@ static err_t one_take(struct session *s, struct store *store, struct bench_captu
     double cpu = cpu_s();
     err_t e = session_begin(s, &o);
     while (!e && session_state(s) != SESSION_READY)
-        e = turn(s);
+        e = run_turn(s);
     int64_t shot = clocks_now();
     out->take_s += (double)(shot - begin) / 1e9;
     out->take_share += cpu_s() - cpu;
@@ -149,13 +149,13 @@ static err_t one_take(struct session *s, struct store *store, struct bench_captu
     return e;
 }
 
-static err_t measure(struct session *s, struct store *store, struct bench_capture *out)
+static err_t measure_takes(struct session *s, struct store *store, struct bench_capture *out)
 {
-    err_t e = rest(s);
+    err_t e = settle_session(s);
     if (!e)
         e = wait_armed(s, out);
     for (out->takes = 0; out->takes < TAKES && !e; out->takes++) {
-        e = rest(s);
+        e = settle_session(s);
         if (!e)
             e = one_take(s, store, out);
     }
@@ -190,7 +190,7 @@ static err_t run_in(const char *dir, const struct config *cfg, struct bench_capt
     if (!e)
         e = session_open(&c, &s);
     if (!e)
-        e = measure(s, store, out);
+        e = measure_takes(s, store, out);
     session_close(s);
     store_close(store);
     free(uri);

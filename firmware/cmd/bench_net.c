@@ -96,7 +96,7 @@ static const char *const kind_names[KINDS] = {
 static struct gemm_kernels inner; // what is called
 static _Atomic int64_t spent_ns[KINDS], macs[KINDS];
 
-static void note(enum kind kind, int64_t start, int64_t n)
+static void note_time(enum kind kind, int64_t start, int64_t n)
 {
     atomic_fetch_add_explicit(&spent_ns[kind], clocks_now() - start, memory_order_relaxed);
     if (n)
@@ -107,20 +107,20 @@ static void noted_s8(const struct gemm_s8 *g)
 {
     int64_t start = clocks_now();
     inner.s8(g);
-    note(g->segs > 1           ? S8_CONV
-         : g->seg <= SHORT_RUN ? S8_ATTENTION
-                               : S8_LINEAR,
-         start, (int64_t)g->m * g->panels * PANEL * g->segs * g->seg);
+    note_time(g->segs > 1           ? S8_CONV
+              : g->seg <= SHORT_RUN ? S8_ATTENTION
+                                    : S8_LINEAR,
+              start, (int64_t)g->m * g->panels * PANEL * g->segs * g->seg);
 }
 
 static void noted_f32(const struct gemm_f32 *g)
 {
     int64_t start = clocks_now();
     inner.f32(g);
-    note(g->segs > 1           ? F32_CONV
-         : g->seg <= SHORT_RUN ? F32_ATTENTION
-                               : F32_LINEAR,
-         start, (int64_t)g->m * g->panels * PANEL * g->segs * g->seg);
+    note_time(g->segs > 1           ? F32_CONV
+              : g->seg <= SHORT_RUN ? F32_ATTENTION
+                                    : F32_LINEAR,
+              start, (int64_t)g->m * g->panels * PANEL * g->segs * g->seg);
 }
 
 /* A function `noted_NAME` around inner.NAME. */
@@ -129,7 +129,7 @@ static void noted_f32(const struct gemm_f32 *g)
     {                                                                                              \
         int64_t start = clocks_now();                                                              \
         inner.name args;                                                                           \
-        note(kind, start, 0);                                                                      \
+        note_time(kind, start, 0);                                                                 \
     }
 
 NOTED(unpack_s8, UNPACK, (const int8_t *w, int k, float *out), (w, k, out))
@@ -148,7 +148,7 @@ static float noted_absmax(const float *x, size_t n)
 {
     int64_t start = clocks_now();
     float most = inner.absmax(x, n);
-    note(QUANTISE, start, 0);
+    note_time(QUANTISE, start, 0);
     return most;
 }
 
@@ -208,7 +208,7 @@ err_t bench_net_views(struct arena *a, int n, int size, struct views *v)
     return e;
 }
 
-static err_t reserve(struct state *st, int n, int size, int max_mb)
+static err_t reserve_memory(struct state *st, int n, int size, int max_mb)
 {
     size_t keep, tmp;
     struct plan plan = plan_begin(pool_size(st->engine.pool));
@@ -302,7 +302,7 @@ static void kind_figures(const struct state *st, double seconds, struct bench_ne
         .name = "copies, waiting, other", .threads = out->threads, .seconds = rest};
 }
 
-static double passed(const struct network_clock *c)
+static double clock_total(const struct network_clock *c)
 {
     double sum = 0;
     for (int i = 0; i < c->n; i++)
@@ -326,7 +326,7 @@ static err_t both_passes(struct state *st, struct bench_net *out)
     note_all(&st->engine.kernels.net);
     e = pass(st);
     if (!e)
-        kind_figures(st, passed(&st->clock), out);
+        kind_figures(st, clock_total(&st->clock), out);
     return e;
 }
 
@@ -344,7 +344,7 @@ err_t bench_net_run(const char *model, int views, int size, const struct config 
     e = engine_open(&st.engine, cfg->threads);
     if (!e) {
         out->threads = pool_size(st.engine.pool);
-        e = reserve(&st, views, out->size, config_memory_mb(cfg));
+        e = reserve_memory(&st, views, out->size, config_memory_mb(cfg));
     }
     if (!e)
         e = both_passes(&st, out);
@@ -397,7 +397,7 @@ static err_t product_chunk(void *ctx, int chunk, int worker)
 }
 
 /* The product and its limit take turns. */
-static err_t measure(struct pool *pool, struct product *p, struct bench_net_figure *out)
+static err_t measure_product(struct pool *pool, struct product *p, struct bench_net_figure *out)
 {
     const int threads = pool_size(pool), chunks = 4 * threads;
     const int k = p->shape->segs * p->shape->seg;
@@ -440,7 +440,7 @@ static err_t measure_level(struct engine *en, struct pool *pool, const struct ge
         if (below && (p.s8 ? below->s8 == k->s8 : below->f32 == k->f32))
             continue;
         if (out->n_kernels < BENCH_NET_KERNELS)
-            e = measure(pool, &p, &out->kernels[out->n_kernels++]);
+            e = measure_product(pool, &p, &out->kernels[out->n_kernels++]);
     }
     arena_reset(&en->tmp, 0);
     return e;

@@ -82,7 +82,7 @@ static void fill_table(const struct cmd_usage *u, struct option *table)
     table[u->n_options + 3] = (struct option){0};
 }
 
-static err_t refuse(int c, const char *arg)
+static err_t refuse_option(int c, const char *arg)
 {
     if (c == ':')
         return err_fail(ERR_ARG, "%s needs an argument", arg);
@@ -93,7 +93,7 @@ static err_t refuse(int c, const char *arg)
 }
 
 /* The settings of the command line, once files have been read. */
-static err_t apply(const struct cmd_usage *u, int c, const char *arg, struct config *cfg)
+static err_t apply_option(const struct cmd_usage *u, int c, const char *arg, struct config *cfg)
 {
     char where[48];
     if (c == OPT_SET)
@@ -120,8 +120,8 @@ static err_t apply(const struct cmd_usage *u, int c, const char *arg, struct con
 
 /* First pass (cfg NULL): find --help and --config, refuse what is unknown. Second pass: take the
  * values. */
-static err_t scan(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
-                  const char **file, bool *help)
+static err_t scan_options(const struct cmd_usage *u, int argc, char **argv, struct config *cfg,
+                          const char **file, bool *help)
 {
     struct option table[OPTIONS_MAX];
     err_t e = OK;
@@ -130,9 +130,9 @@ static err_t scan(const struct cmd_usage *u, int argc, char **argv, struct confi
     optind = 0; // start again, GNU's way
     for (int c; !e && (c = getopt_long(argc, argv, "+:h", table, NULL)) != -1;) {
         if (c == '?' || c == ':')
-            e = refuse(c, argv[optind - 1]);
+            e = refuse_option(c, argv[optind - 1]);
         else if (cfg)
-            e = apply(u, c, optarg, cfg);
+            e = apply_option(u, c, optarg, cfg);
         else if (c == OPT_CONFIG)
             *file = optarg;
         else if (c == OPT_HELP)
@@ -148,7 +148,7 @@ bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *
     const char *file = NULL;
     bool help = false;
     config_defaults(cfg);
-    err_t e = scan(u, argc, argv, NULL, &file, &help);
+    err_t e = scan_options(u, argc, argv, NULL, &file, &help);
     if (!e && help) {
         print_help(u);
         *code = CMD_OK;
@@ -165,7 +165,7 @@ bool cmd_parse(const struct cmd_usage *u, int argc, char **argv, struct config *
         *code = cmd_finish(u->name, e);
         return false;
     }
-    if (scan(u, argc, argv, cfg, &file, &help) != OK) {
+    if (scan_options(u, argc, argv, cfg, &file, &help) != OK) {
         *code = cmd_misuse(u, err_text());
         return false;
     }

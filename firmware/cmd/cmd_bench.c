@@ -174,8 +174,8 @@ struct turns {
 };
 
 /* Median of a few runs after one to warm up. */
-static err_t measure(struct state *st, err_t (*fn)(struct state *), struct turns *turns,
-                     double *median)
+static err_t measure_median(struct state *st, err_t (*fn)(struct state *), struct turns *turns,
+                            double *median)
 {
     struct pool *pool = st->engine.run.pool;
     double t[REPEATS], total = 0;
@@ -242,15 +242,15 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     const struct limits_loop limit = limits_flops(cpu);
     struct turns forwards = {&limit, .n = 0}, backwards = forwards, steps = forwards;
     struct limits_turns shares = {.n = 0};
-    err_t e = measure(st, forward, &forwards, &f->forward_s);
+    err_t e = measure_median(st, forward, &forwards, &f->forward_s);
     if (!e)
         e = count_pairs(st, &f->pairs);
     if (!e)
         e = loss(st);
     if (!e)
-        e = measure(st, backward, &backwards, &f->backward_s);
+        e = measure_median(st, backward, &backwards, &f->backward_s);
     if (!e)
-        e = measure(st, step, &steps, &f->step_s);
+        e = measure_median(st, step, &steps, &f->step_s);
     for (int i = 0; !e && i < forwards.n && i < backwards.n; i++)
         limits_add(&shares, (forwards.rate[i] + backwards.rate[i]) / 2,
                    f->pairs * (FORWARD_OPS + BACKWARD_OPS) /
@@ -292,7 +292,7 @@ static err_t measure_table(const struct request *rq, struct state *st)
     return e;
 }
 
-static int largest(const struct cmd_list *l)
+static int largest_of(const struct cmd_list *l)
 {
     int most = l->v[0];
     for (int i = 1; i < l->n; i++)
@@ -303,9 +303,9 @@ static int largest(const struct cmd_list *l)
 static err_t layout(struct state *st, float **px, struct arena *a, const struct request *rq,
                     int workers)
 {
-    const int size = largest(&rq->sizes);
+    const int size = largest_of(&rq->sizes);
     const size_t pixels = (size_t)size * (size_t)size;
-    err_t e = gaussians_init(&st->g, a, largest(&rq->gaussians), rq->degree);
+    err_t e = gaussians_init(&st->g, a, largest_of(&rq->gaussians), rq->degree);
     const size_t moments = (size_t)gaussians_planes(rq->degree) * (size_t)st->g.cap;
     if (!e)
         e = raster_init(&st->raster, a, st->g.cap, size, size, true);
@@ -320,9 +320,9 @@ static err_t layout(struct state *st, float **px, struct arena *a, const struct 
     return e;
 }
 
-static err_t reserve(const struct request *rq, struct state *st)
+static err_t reserve_memory(const struct request *rq, struct state *st)
 {
-    const int size = largest(&rq->sizes), workers = pool_size(st->engine.pool);
+    const int size = largest_of(&rq->sizes), workers = pool_size(st->engine.pool);
     const size_t pixels = (size_t)size * (size_t)size,
                  triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
     struct arena tmp = arena_counter();
@@ -346,7 +346,7 @@ static err_t bench_splat(const struct request *rq, struct state *st)
     float *work;
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = reserve(rq, st);
+        e = reserve_memory(rq, st);
     if (!e)
         e = pool_open(&one, 1);
     if (!e)
@@ -354,7 +354,7 @@ static err_t bench_splat(const struct request *rq, struct state *st)
     if (!e) {
         st->bandwidth[0] = limits_bandwidth(one, work);
         st->bandwidth[1] = limits_bandwidth(st->engine.pool, work);
-        make_scene(st, largest(&rq->gaussians), largest(&rq->sizes));
+        make_scene(st, largest_of(&rq->gaussians), largest_of(&rq->sizes));
         e = measure_levels(st, one);
     }
     if (!e)
@@ -363,7 +363,7 @@ static err_t bench_splat(const struct request *rq, struct state *st)
     return e;
 }
 
-static err_t trade(const struct request *rq, struct state *st)
+static err_t run_tradeoff(const struct request *rq, struct state *st)
 {
     const struct tradeoff_request trade = {.models = rq->model,
                                            .images = rq->images,
@@ -375,7 +375,7 @@ static err_t trade(const struct request *rq, struct state *st)
     return tradeoff_run(&trade, &rq->cfg, &st->trade);
 }
 
-static err_t bench(const struct request *rq, struct state *st)
+static err_t run_bench(const struct request *rq, struct state *st)
 {
     const int size = rq->size_text ? rq->sizes.v[0] : 0;
     err_t e = OK;
@@ -389,7 +389,7 @@ static err_t bench(const struct request *rq, struct state *st)
     if (!e && rq->capture)
         e = bench_capture_run(rq->cameras, &rq->cfg, &st->capture);
     if (!e && rq->trade)
-        e = trade(rq, st);
+        e = run_tradeoff(rq, st);
     return e;
 }
 
@@ -556,7 +556,7 @@ int cmd_bench_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     err_t e = cmd_json_open(rq.json, &json);
     if (!e)
-        e = bench(&rq, &st);
+        e = run_bench(&rq, &st);
     if (!e)
         e = write_results(&rq, &st, &json);
     cmd_json_discard(&json);

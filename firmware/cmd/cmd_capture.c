@@ -79,7 +79,7 @@ static void wait_for(const struct session *s)
 }
 
 /* The cameras have only just been opened. */
-static err_t settle(struct session *s)
+static err_t settle_cameras(struct session *s)
 {
     int64_t end = clocks_now() + SETTLE_S * SECOND;
     err_t e = OK;
@@ -90,11 +90,11 @@ static err_t settle(struct session *s)
     return e;
 }
 
-static err_t run(struct session *s, const struct session_order *o, struct take **out)
+static err_t run_take(struct session *s, const struct session_order *o, struct take **out)
 {
     struct progress p;
     struct bracket_progress b = {0};
-    err_t e = settle(s);
+    err_t e = settle_cameras(s);
     if (!e)
         e = session_begin(s, o);
     progress_init(&p, stderr);
@@ -174,7 +174,7 @@ static void outlet_close(struct outlet *o)
     rmdir(o->path);
 }
 
-static void tell(const struct take *t, const char *dir)
+static void print_take(const struct take *t, const char *dir)
 {
     fprintf(stderr, "%d frames of %d camera%s, %d looked at, %d refused%s%s\n", t->n, t->n_cameras,
             t->n_cameras == 1 ? "" : "s", t->frames_used, t->rejected, t->reason[0] ? "; " : "",
@@ -201,12 +201,12 @@ static err_t capture(const struct request *q)
     if (!e)
         e = outlet_room(&out, s, &o);
     if (!e)
-        e = run(s, &o, &t);
+        e = run_take(s, &o, &t);
     if (!e)
         e = outlet_commit(&out, t, q->out);
     outlet_close(&out);
     if (!e)
-        tell(t, q->out);
+        print_take(t, q->out);
     take_free(t);
     session_close(s);
     return e;

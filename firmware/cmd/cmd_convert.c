@@ -24,7 +24,7 @@ static err_t read_seed(const char *text, uint64_t *out)
     return OK;
 }
 
-static err_t check(const struct options *o)
+static err_t check_options(const struct options *o)
 {
     if (!o->q.out || !o->in == !o->hashed)
         return err_fail(ERR_ARG, "--out and either a file or --hashed are needed");
@@ -33,7 +33,7 @@ static err_t check(const struct options *o)
     return OK;
 }
 
-static err_t convert(struct engine *en, const struct options *o, uint64_t seed)
+static err_t convert_weights(struct engine *en, const struct options *o, uint64_t seed)
 {
     return o->hashed ? convert_hashed(en, &o->q, seed) : convert_file(en, &o->q, o->in);
 }
@@ -69,7 +69,7 @@ int cmd_convert_run(int argc, char **argv)
     }
     if (!cmd_parse(&usage, argc, argv, &cfg, &code))
         return code;
-    err_t e = check(&o);
+    err_t e = check_options(&o);
     if (!e && !modelfile_parse_precision(o.precision, &o.q.precision))
         e = err_fail(ERR_ARG, "--precision: \"%.32s\", known are fp32, bf16 and int8", o.precision);
     if (!e && o.hashed)
@@ -79,7 +79,7 @@ int cmd_convert_run(int argc, char **argv)
     o.q.max_mb = config_memory_mb(&cfg);
     e = engine_open(&engine, cfg.threads);
     if (!e)
-        e = convert(&engine, &o, seed);
+        e = convert_weights(&engine, &o, seed);
     engine_close(&engine);
     return cmd_finish(usage.name, e);
 }

@@ -54,7 +54,7 @@ static int side_of(const struct scene *s)
 }
 
 /* Camera i of n around a scene that has none: on a circle through the side of its middle splats. */
-static err_t around(const struct gaussians *g, int i, int n, struct camera *out)
+static err_t camera_around(const struct gaussians *g, int i, int n, struct camera *out)
 {
     double middle[3], spread = 0, q;
     for (int k = 0; k < 3; k++) {
@@ -83,10 +83,10 @@ static err_t around(const struct gaussians *g, int i, int n, struct camera *out)
     return OK;
 }
 
-static err_t place(const struct scene *s, int i, int n, struct camera *out)
+static err_t choose_camera(const struct scene *s, int i, int n, struct camera *out)
 {
     if (s->n_views == 0)
-        return around(&s->g, i, n, out);
+        return camera_around(&s->g, i, n, out);
     float scale = (float)side_of(s) / (float)s->size;
     *out = s->cams[(size_t)i * (size_t)s->n_views / (size_t)n];
     out->fx *= scale;
@@ -99,8 +99,8 @@ static err_t place(const struct scene *s, int i, int n, struct camera *out)
 
 /* ---- what was lost ---- */
 
-static err_t picture(struct state *st, const struct scene *s, const struct camera *cam,
-                     struct image out[2])
+static err_t draw_view(struct state *st, const struct scene *s, const struct camera *cam,
+                       struct image out[2])
 {
     err_t e = draw_run(&st->engine.run, &st->draw, s, cam);
     if (e)
@@ -118,9 +118,9 @@ static err_t picture(struct state *st, const struct scene *s, const struct camer
 static err_t compare_view(struct state *st, const struct camera *cam, double db[2])
 {
     double scale;
-    err_t e = picture(st, &st->scene, cam, st->before);
+    err_t e = draw_view(st, &st->scene, cam, st->before);
     if (!e)
-        e = picture(st, &st->back, cam, st->after);
+        e = draw_view(st, &st->back, cam, st->after);
     if (!e)
         e = metrics_psnr(&st->before[0], &st->after[0], &db[0]);
     if (!e)
@@ -132,7 +132,7 @@ static err_t compare_view(struct state *st, const struct camera *cam, double db[
     return e ? e : metrics_psnr(&st->before[1], &st->after[1], &db[1]);
 }
 
-static err_t compare(struct state *st)
+static err_t compare_scenes(struct state *st)
 {
     struct loss *l = &st->loss;
     struct arena *tmp = &st->engine.tmp;
@@ -148,7 +148,7 @@ static err_t compare(struct state *st)
     for (int i = 0; i < n && !e; i++) {
         struct camera cam;
         double db[2] = {0};
-        e = place(&st->scene, i, n, &cam);
+        e = choose_camera(&st->scene, i, n, &cam);
         if (!e)
             e = compare_view(st, &cam, db);
         l->display += db[0] / n;
@@ -200,7 +200,7 @@ static void warn_display(const struct request *rq, const struct state *st)
         log_warn("%s: %d of %d splats are brighter than white and stay so", rq->in, bright, n);
 }
 
-static void warn(const struct request *rq, const struct state *st)
+static void warn_losses(const struct request *rq, const struct state *st)
 {
     const struct gaussians_report *r = &st->report;
     if (!st->info.has_hdr)
@@ -214,7 +214,7 @@ static void warn(const struct request *rq, const struct state *st)
                  r->repaired);
 }
 
-static err_t tell(const struct request *rq, struct state *st)
+static err_t report_losses(const struct request *rq, struct state *st)
 {
     const struct loss *l = &st->loss;
     int n = st->scene.g.n;
@@ -250,7 +250,7 @@ static err_t tell(const struct request *rq, struct state *st)
 
 /* ---- command ---- */
 
-static err_t reserve(const struct request *rq, struct state *st)
+static err_t reserve_memory(const struct request *rq, struct state *st)
 {
     const struct sceneio_info *info = &st->info;
     size_t pictures = arena_need(3 * SIDE_MAX * SIDE_MAX, sizeof(float));
@@ -265,45 +265,45 @@ static err_t reserve(const struct request *rq, struct state *st)
                           config_memory_mb(&rq->cfg));
 }
 
-static err_t step(struct state *st, const char *stage, int done)
+static err_t show_step(struct state *st, const char *stage, int done)
 {
     progress_step(&st->engine.progress, stage, done, 1, NULL);
     return run_check(&st->engine.run, stage);
 }
 
-static err_t convert(const struct request *rq, struct state *st)
+static err_t convert_scene(const struct request *rq, struct state *st)
 {
     struct gaussians_report report;
     struct stat file;
     err_t e = sceneio_peek(rq->in, &st->info);
     if (!e)
-        e = reserve(rq, st);
+        e = reserve_memory(rq, st);
     if (!e)
         e = cmd_json_open(rq->json, &st->json);
     if (!e)
-        e = step(st, "read", 0);
+        e = show_step(st, "read", 0);
     if (!e)
         e = sceneio_read(rq->in, &st->engine.keep, &st->scene, &st->report);
     if (!e)
-        e = step(st, "write", 0);
+        e = show_step(st, "write", 0);
     if (!e)
         e = sceneio_write(rq->out, &st->scene, rq->spz);
     if (!e)
-        e = step(st, "write", 1);
+        e = show_step(st, "write", 1);
     if (!e && rq->readable)
         e = sceneio_read(rq->out, &st->engine.keep, &st->back, &report);
     if (!e && rq->readable && st->scene.g.n > 0)
-        e = compare(st);
+        e = compare_scenes(st);
     progress_end(&st->engine.progress);
     if (e)
         return e;
     if (stat(rq->out, &file) == 0)
         st->bytes = (double)file.st_size;
-    warn(rq, st);
-    return tell(rq, st);
+    warn_losses(rq, st);
+    return report_losses(rq, st);
 }
 
-static err_t check(struct request *rq)
+static err_t check_request(struct request *rq)
 {
     rq->spz = SPZWRITE_VERSION;
     err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
@@ -345,11 +345,11 @@ int cmd_convert_scene_run(int argc, char **argv)
     }
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    if (check(&rq) != OK)
+    if (check_request(&rq) != OK)
         return cmd_misuse(&usage, err_text());
     err_t e = engine_open(&st.engine, rq.cfg.threads);
     if (!e)
-        e = convert(&rq, &st);
+        e = convert_scene(&rq, &st);
     cmd_json_discard(&st.json);
     code = cmd_finish(usage.name, e);
     engine_close(&st.engine);

@@ -139,7 +139,7 @@ static err_t write_folder(const struct state *st)
     return e ? e : report_page_write(page, &st->job, json);
 }
 
-static err_t publish(struct state *st, const struct request *rq)
+static err_t publish_result(struct state *st, const struct request *rq)
 {
     err_t e = OK;
     if (rq->out) {
@@ -182,7 +182,7 @@ static bool cameras_unknown(const struct state *st)
     return !st->train.capture.shots[0].has_camera;
 }
 
-static err_t list(struct state *st, const struct request *rq)
+static err_t list_pictures(struct state *st, const struct request *rq)
 {
     err_t e = list_both(rq->set, &st->train, &st->test);
     if (e || !rq->set.no_cameras)
@@ -192,8 +192,8 @@ static err_t list(struct state *st, const struct request *rq)
     return list_both(with, &st->true_train, &st->true_test);
 }
 
-static err_t reserve(struct state *st, const struct request *rq, struct job_memory need,
-                     const struct scenefile_info *scene)
+static err_t reserve_memory(struct state *st, const struct request *rq, struct job_memory need,
+                            const struct scenefile_info *scene)
 {
     struct plan p = plan_begin(pool_size(st->engine.pool));
     err_t e = evaluate_check(&st->test.capture);
@@ -243,7 +243,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
         return e;
     cmd_imageset(network, &rq->set);
     struct job_config job = cmd_job(&rq->cfg, network, false);
-    e = list(st, rq);
+    e = list_pictures(st, rq);
     if (!e)
         e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
     job.cameras_only = !network;
@@ -259,7 +259,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
         e = testcams_check(&job, &st->train.capture, &st->test.capture);
     }
     if (!e)
-        e = reserve(st, rq, need, &most);
+        e = reserve_memory(st, rq, need, &most);
     if (!e)
         e = imageset_load(&st->train);
     if (!e)
@@ -357,7 +357,7 @@ static err_t read_scene(struct state *st, struct request *rq)
     if (!e)
         e = scenefile_peek(path, &info);
     if (!e)
-        e = list(st, rq);
+        e = list_pictures(st, rq);
     if (!e)
         e = keep_inputs(rq->scene, &st->train.capture);
     if (!e)
@@ -371,7 +371,7 @@ static err_t read_scene(struct state *st, struct request *rq)
         e = testcams_check(&job, &st->train.capture, &st->test.capture);
     }
     if (!e)
-        e = reserve(st, rq, need, &info);
+        e = reserve_memory(st, rq, need, &info);
     if (!e)
         e = scenefile_read(path, &st->engine.keep, &st->job.scene);
     if (!e)
@@ -381,7 +381,7 @@ static err_t read_scene(struct state *st, struct request *rq)
 
 /* ---- command ---- */
 
-static err_t evaluate(struct state *st, struct request *rq)
+static err_t evaluate_scene(struct state *st, struct request *rq)
 {
     struct outdir *out = rq->out ? &st->out : NULL;
     err_t e = cmd_json_open(rq->json, &st->json);
@@ -397,7 +397,7 @@ static err_t evaluate(struct state *st, struct request *rq)
     progress_end(&st->engine.progress);
     if (e)
         return out ? outdir_reason(out, e) : e;
-    return publish(st, rq);
+    return publish_result(st, rq);
 }
 
 static err_t read_numbers(struct request *rq)
@@ -464,7 +464,7 @@ int cmd_eval_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     const char *const inputs[] = {rq.set.images, rq.scene, rq.set.rig, rq.model.path};
     memcpy(rq.rules.inputs, inputs, sizeof inputs);
-    code = cmd_finish_job(usage.name, evaluate(&st, &rq), &st.job, rq.strict);
+    code = cmd_finish_job(usage.name, evaluate_scene(&st, &rq), &st.job, rq.strict);
     cmd_json_discard(&st.json);
     outdir_close(&st.out);
     imageset_free(&st.train);

@@ -112,8 +112,8 @@ static err_t end_dump(const struct request *rq, struct state *st)
 
 /* ---- the job ---- */
 
-static err_t reserve(const struct request *rq, struct state *st, const struct job_config *job,
-                     const struct job_memory *need)
+static err_t reserve_memory(const struct request *rq, struct state *st,
+                            const struct job_config *job, const struct job_memory *need)
 {
     const int limit = config_memory_mb(&rq->cfg);
     struct capture fewer = st->set.capture;
@@ -140,7 +140,7 @@ static err_t decode(void *ctx, int i, struct image8 *out)
 }
 
 /* Everything that can be refused before the work. */
-static err_t prepare(struct request *rq, struct state *st, struct job_config *job)
+static err_t prepare_job(struct request *rq, struct state *st, struct job_config *job)
 {
     const struct network *network;
     struct job_memory need;
@@ -164,7 +164,7 @@ static err_t prepare(struct request *rq, struct state *st, struct job_config *jo
         e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
         e = job_plan(&st->set.capture, job, pool_size(st->engine.pool), rq->dump != NULL, &need);
-    return e ? e : reserve(rq, st, job, &need);
+    return e ? e : reserve_memory(rq, st, job, &need);
 }
 
 static err_t reconstruct(struct request *rq, struct state *st)
@@ -176,7 +176,7 @@ static err_t reconstruct(struct request *rq, struct state *st)
     _Static_assert(FILES + CMD_TEXTS_MAX <= OUTDIR_INPUTS, "every input is protected");
     memcpy(rq->rules.inputs, inputs, sizeof inputs);
     memcpy(rq->rules.inputs + FILES, rq->images, CMD_TEXTS_MAX * sizeof rq->images[0]);
-    err_t e = prepare(rq, st, &job);
+    err_t e = prepare_job(rq, st, &job);
     if (!e)
         e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)

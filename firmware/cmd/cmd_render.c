@@ -48,7 +48,7 @@ struct state {
 
 /* ---- where to stand ---- */
 
-static void scale(struct camera *c, int w, int h)
+static void scale_camera(struct camera *c, int w, int h)
 {
     float sx = (float)w / (float)c->w, sy = (float)h / (float)c->h;
     c->fx *= sx;
@@ -61,7 +61,7 @@ static void scale(struct camera *c, int w, int h)
 
 /* Rows for one column of a frame with the shape of the photographs, which were squeezed to squares:
  * pixels are square again. What a network or noise makes of a square one is left as it is. */
-static float shape(const struct scene *s)
+static float frame_shape(const struct scene *s)
 {
     float fx = 0, fy = 0;
     for (int i = 0; i < s->n_views; i++) {
@@ -100,7 +100,7 @@ static err_t median_depth(struct state *st, double *out)
 }
 
 /* Share of frame i on the way from the first to the last. */
-static double share(const struct state *st, int i)
+static double frame_share(const struct state *st, int i)
 {
     return st->rig.n > 1 ? (double)i / (st->rig.n - 1) : 0;
 }
@@ -124,11 +124,11 @@ static err_t make_path(const struct request *rq, struct state *st)
         if (orbit)
             path_orbit(s->cams, s->n_views, far, i, st->rig.n, cam);
         else if (moves)
-            path_through(s->cams, s->n_views, far, share(st, i), cam);
+            path_through(s->cams, s->n_views, far, frame_share(st, i), cam);
         else
             *cam = s->cams[i];
         if (!e)
-            scale(cam, cam->w, (int)lrintf((float)cam->h * shape(s)));
+            scale_camera(cam, cam->w, (int)lrintf((float)cam->h * frame_shape(s)));
     }
     return e;
 }
@@ -137,7 +137,7 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 {
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
-        scale(&st->rig.views[i].cam, rq->size, rq->size);
+        scale_camera(&st->rig.views[i].cam, rq->size, rq->size);
     const struct camera *first = e ? NULL : &st->rig.views[0].cam;
     for (int i = 1; i < st->rig.n && !e && rq->video; i++) {
         const struct camera *cam = &st->rig.views[i].cam;
@@ -152,7 +152,7 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 
 /* ---- pictures ---- */
 
-static void largest(const struct rig *rig, int *w, int *h)
+static void largest_frame(const struct rig *rig, int *w, int *h)
 {
     *w = *h = 0;
     for (int i = 0; i < rig->n; i++) {
@@ -162,7 +162,7 @@ static void largest(const struct rig *rig, int *w, int *h)
 }
 
 /* The last drawing at an exposure, in 8 bits. */
-static void develop(const struct request *rq, struct state *st, float log2t)
+static void develop_frame(const struct request *rq, struct state *st, float log2t)
 {
     const struct render *maps = &st->draw.maps;
     st->picture.w = maps->w;
@@ -181,9 +181,9 @@ static void develop(const struct request *rq, struct state *st, float log2t)
 }
 
 /* From --ev A to B, slow at both ends. */
-static float exposure(const struct request *rq, const struct state *st, int i)
+static float frame_exposure(const struct request *rq, const struct state *st, int i)
 {
-    double u = share(st, i), ev = rq->ev[0] + (rq->ev[1] - rq->ev[0]) * u * u * (3 - 2 * u);
+    double u = frame_share(st, i), ev = rq->ev[0] + (rq->ev[1] - rq->ev[0]) * u * u * (3 - 2 * u);
     return st->scene.tone.mid_log2t + (float)ev;
 }
 
@@ -208,12 +208,12 @@ static err_t write_frame(const struct request *rq, struct state *st, int i, floa
 
 static err_t make_frame(const struct request *rq, struct state *st, int i)
 {
-    float log2t = exposure(rq, st, i);
+    float log2t = frame_exposure(rq, st, i);
     double start = engine_seconds();
     err_t e = draw_run(&st->engine.run, &st->draw, &st->scene, &st->rig.views[i].cam);
     if (e)
         return e;
-    develop(rq, st, log2t);
+    develop_frame(rq, st, log2t);
     double drawn = engine_seconds();
     if (rq->out)
         e = write_frame(rq, st, i, log2t);
@@ -285,10 +285,10 @@ static err_t open_folder(const struct request *rq, uint64_t pixels, struct state
     return e || !rq->false_colour ? e : write_legend(st);
 }
 
-static err_t prepare(const struct request *rq, struct state *st)
+static err_t prepare_frames(const struct request *rq, struct state *st)
 {
     int w, h;
-    largest(&st->rig, &w, &h);
+    largest_frame(&st->rig, &w, &h);
     uint64_t pixels = (uint64_t)w * (uint64_t)h;
     err_t e = rq->out ? open_folder(rq, pixels, st) : OK;
     if (!e)
@@ -301,7 +301,7 @@ static err_t prepare(const struct request *rq, struct state *st)
 
 static err_t make_frames(const struct request *rq, struct state *st)
 {
-    err_t e = prepare(rq, st);
+    err_t e = prepare_frames(rq, st);
     for (int i = 0; i < st->rig.n && !e; i++) {
         e = make_frame(rq, st, i);
         if (!e && st->video.pipe)
@@ -324,7 +324,7 @@ static err_t write_report(const struct request *rq, const struct state *st)
     report_number(&rep, "ev", rq->ev[0]);
     report_number(&rep, "ev_last", rq->ev[1]);
     if (rq->false_colour) // luminance of the scene where the colours show 0 stops, first frame
-        report_number(&rep, "false_colour_0", exp2(-(double)exposure(rq, st, 0)));
+        report_number(&rep, "false_colour_0", exp2(-(double)frame_exposure(rq, st, 0)));
     if (rq->video)
         report_text(&rep, "video", st->video_error ? NULL : st->video.format->encoder);
     report_int(&rep, "clipped_values", (long long)st->clipped);
@@ -338,7 +338,7 @@ static err_t write_report(const struct request *rq, const struct state *st)
 
 /* ---- command ---- */
 
-static err_t load(const struct request *rq, struct state *st)
+static err_t load_scene(const struct request *rq, struct state *st)
 {
     struct sceneio_info info;
     struct gaussians_report report = {0};
@@ -365,7 +365,7 @@ static err_t load(const struct request *rq, struct state *st)
 static err_t make_room(const struct request *rq, struct state *st)
 {
     int w, h;
-    largest(&st->rig, &w, &h);
+    largest_frame(&st->rig, &w, &h);
     st->own = st->engine.keep;
     st->engine.keep = (struct arena){0};
     arena_free(&st->engine.tmp);
@@ -374,9 +374,9 @@ static err_t make_room(const struct request *rq, struct state *st)
                           config_memory_mb(&rq->cfg));
 }
 
-static err_t render(const struct request *rq, struct state *st)
+static err_t render_frames(const struct request *rq, struct state *st)
 {
-    err_t e = load(rq, st);
+    err_t e = load_scene(rq, st);
     if (!e)
         e = make_room(rq, st);
     if (!e)
@@ -485,7 +485,7 @@ int cmd_render_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     rq.rules.inputs[0] = rq.scene;
     rq.rules.inputs[1] = rq.cameras;
-    code = cmd_finish(usage.name, render(&rq, &st));
+    code = cmd_finish(usage.name, render_frames(&rq, &st));
     video_close(&st.video);
     outdir_close(&st.out);
     cameras_free(&st.rig);

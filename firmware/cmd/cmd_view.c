@@ -74,7 +74,7 @@ static err_t open_page(const char *page)
 }
 
 /* Until the user interrupts. */
-static err_t serve(const char *dir, int port)
+static err_t serve_page(const char *dir, int port)
 {
     const struct http_config cfg = {
         .address = "127.0.0.1", .port = port, .token = "", .results = dir};
@@ -132,6 +132,6 @@ int cmd_view_run(int argc, char **argv)
         return cmd_misuse(&usage, "--serve needs the folder of a result");
     err_t e = find_page(what, page);
     if (!e)
-        e = serves ? serve(what, port) : open_page(page);
+        e = serves ? serve_page(what, port) : open_page(page);
     return cmd_finish(usage.name, e);
 }

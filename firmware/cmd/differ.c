@@ -12,7 +12,7 @@
 
 static const double DEGREE = NUM_PI / 180;
 
-static size_t pixels(const struct differ_look *l)
+static size_t count_pixels(const struct differ_look *l)
 {
     return (size_t)l->n_views * (size_t)l->size * (size_t)l->size;
 }
@@ -27,9 +27,9 @@ struct differ_look differ_look(const struct prediction *p)
                             .linear = p->linear};
     if (!p->features)
         return l;
-    l.logit = p->features + VOXEL_LOGIT * pixels(&l);
+    l.logit = p->features + VOXEL_LOGIT * count_pixels(&l);
     for (size_t c = 0; c < 3; c++)
-        l.dc[c] = p->features + (VOXEL_SH + c * SH_COEFS_MAX) * pixels(&l);
+        l.dc[c] = p->features + (VOXEL_SH + c * SH_COEFS_MAX) * count_pixels(&l);
     return l;
 }
 
@@ -41,7 +41,7 @@ size_t differ_keep_plan(int n_views, int size)
 
 err_t differ_keep(struct arena *a, struct differ_look *io)
 {
-    const size_t n = pixels(io), views = (size_t)io->n_views;
+    const size_t n = count_pixels(io), views = (size_t)io->n_views;
     const float **from[] = {&io->depth, &io->logit, &io->dc[0], &io->dc[1], &io->dc[2]};
     struct camera *cams;
     float *to;
@@ -128,7 +128,7 @@ static void compare_cameras(const struct differ_look *ref, const struct differ_l
 static void compare_depths(const struct differ_look *ref, const struct differ_look *p, float *work,
                            double *out)
 {
-    const size_t n = pixels(ref);
+    const size_t n = count_pixels(ref);
     for (size_t i = 0; i < n; i++)
         work[i] = p->depth[i] / ref->depth[i];
     const float scale = (float)median(work, n);
@@ -141,10 +141,10 @@ static void compare_depths(const struct differ_look *ref, const struct differ_lo
 }
 
 /* Display values of n pixels from `at` on. */
-static void show(const struct differ_look *l, const struct tonemap_table *table, int colour,
-                 float log2t, size_t at, float *out)
+static void show_display(const struct differ_look *l, const struct tonemap_table *table, int colour,
+                         float log2t, size_t at, float *out)
 {
-    const size_t n = pixels(l) / (size_t)l->n_views;
+    const size_t n = count_pixels(l) / (size_t)l->n_views;
     for (size_t i = 0; i < n; i++) {
         float x = (float)SH_BASIS0 * l->dc[colour][at + i];
         out[i] = l->linear ? fminf(fmaxf(x + 0.5f, 0), 1) : fminf(expf(x), FLT_MAX);
@@ -157,19 +157,19 @@ static void show(const struct differ_look *l, const struct tonemap_table *table,
 static double psnr(const struct differ_look *ref, const struct differ_look *p, const float *log2t,
                    float *work)
 {
-    const size_t n = pixels(ref) / (size_t)ref->n_views;
+    const size_t n = count_pixels(ref) / (size_t)ref->n_views;
     struct tonemap_table a, b;
     double sum = 0;
     tonemap_table_init(&a, &ref->tone);
     tonemap_table_init(&b, &p->tone);
     for (int k = 0; k < 3 * ref->n_views; k++) {
         size_t view = (size_t)k / 3;
-        show(ref, &a, k % 3, log2t[view], view * n, work);
-        show(p, &b, k % 3, log2t[view], view * n, work + n);
+        show_display(ref, &a, k % 3, log2t[view], view * n, work);
+        show_display(p, &b, k % 3, log2t[view], view * n, work + n);
         for (size_t i = 0; i < n; i++)
             sum += pow((double)work[n + i] - (double)work[i], 2);
     }
-    return fmin(METRICS_PSNR_MAX, -10 * log10(sum / (3 * (double)pixels(ref))));
+    return fmin(METRICS_PSNR_MAX, -10 * log10(sum / (3 * (double)count_pixels(ref))));
 }
 
 static double sigmoid(float x)
@@ -180,7 +180,7 @@ static double sigmoid(float x)
 static void compare_gaussians(const struct differ_look *ref, const struct differ_look *p,
                               double *out)
 {
-    const size_t n = pixels(ref);
+    const size_t n = count_pixels(ref);
     const double stops = SH_BASIS0 / log(2);
     double sum = 0;
     for (size_t i = 0; i < n; i++)
@@ -205,7 +205,7 @@ err_t differ_measure(const struct differ_look *ref, const struct differ_look *p,
     float *work; // of two views or more, so that all fits that is said above
     for (int i = 0; i < DIFFER_FIGURES; i++)
         out[i] = NAN;
-    err_t e = arena_alloc(tmp, pixels(ref), sizeof *work, &work);
+    err_t e = arena_alloc(tmp, count_pixels(ref), sizeof *work, &work);
     if (e)
         return e;
     compare_cameras(ref, p, work, out);

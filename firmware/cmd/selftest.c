@@ -60,8 +60,8 @@ const char *selftest_name(enum selftest_check c)
     return names[c];
 }
 
-__attribute__((format(printf, 4, 5))) static void say(struct selftest *t, enum selftest_check c,
-                                                      enum selftest_result r, const char *fmt, ...)
+__attribute__((format(printf, 4, 5))) static void
+set_finding(struct selftest *t, enum selftest_check c, enum selftest_result r, const char *fmt, ...)
 {
     va_list args;
     t->check[c].result = r;
@@ -70,7 +70,7 @@ __attribute__((format(printf, 4, 5))) static void say(struct selftest *t, enum s
     va_end(args);
 }
 
-static void figure(struct selftest *t, enum selftest_check c, const char *name, double v)
+static void add_figure(struct selftest *t, enum selftest_check c, const char *name, double v)
 {
     struct selftest_finding *f = &t->check[c];
     f->figure[f->n].name = name;
@@ -90,7 +90,7 @@ struct rate { // sums and the longest, of intervals; [0] by arrival, [1] by time
     int early; // frames that arrive in less than half of the time that they took
 };
 
-static void add(struct rate *k, int by, double dt, double frames, double most)
+static void sum_interval(struct rate *k, int by, double dt, double frames, double most)
 {
     if (dt > most * frames)
         return; // a frame that is missing, or a clock that jumps: others count these
@@ -106,14 +106,14 @@ static void add_interval(const struct stand *r, const struct device_probe_frame 
     double frames = gap >= 1 && gap <= 64 ? gap : 1.0, period = r->w->info.period_s;
     double arrival = (double)(b->arrival_ns - a->arrival_ns) * 1e-9;
     double stamp = (double)(b->stamp_ns - a->stamp_ns) * 1e-9;
-    add(k, 0, arrival, frames, INFINITY);
+    sum_interval(k, 0, arrival, frames, INFINITY);
     if (a->stamp_ns <= 0 || stamp <= 0.0)
         return;
-    add(k, 1, stamp, frames, 1.5 * period);
+    sum_interval(k, 1, stamp, frames, 1.5 * period);
     k->early += arrival < 0.5 * stamp;
 }
 
-static err_t rate(struct stand *r)
+static err_t check_rate(struct stand *r)
 {
     struct rate k = {.n = {0}};
     struct device_probe_frame a, b;
@@ -133,12 +133,12 @@ static err_t rate(struct stand *r)
     int by = k.n[1] >= RATE_FRAMES / 2;
     double mean = k.n[by] > 0 ? k.sum_s[by] / k.n[by] : 0.0;
     r->simulated = k.early > RATE_FRAMES / 2;
-    say(r->t, SELFTEST_RATE, pass_if(fabs(mean / period - 1.0) <= RATE_OFF),
-        "a frame takes %.2f ms, at most %.2f ms; stated are %.2f ms (by %s)", mean * 1e3,
-        k.worst_s[by] * 1e3, period * 1e3, by ? "time stamps" : "arrival");
-    figure(r->t, SELFTEST_RATE, "stated_s", period);
-    figure(r->t, SELFTEST_RATE, "mean_s", mean);
-    figure(r->t, SELFTEST_RATE, "worst_s", k.worst_s[by]);
+    set_finding(r->t, SELFTEST_RATE, pass_if(fabs(mean / period - 1.0) <= RATE_OFF),
+                "a frame takes %.2f ms, at most %.2f ms; stated are %.2f ms (by %s)", mean * 1e3,
+                k.worst_s[by] * 1e3, period * 1e3, by ? "time stamps" : "arrival");
+    add_figure(r->t, SELFTEST_RATE, "stated_s", period);
+    add_figure(r->t, SELFTEST_RATE, "mean_s", mean);
+    add_figure(r->t, SELFTEST_RATE, "worst_s", k.worst_s[by]);
     return OK;
 }
 
@@ -152,13 +152,13 @@ static void judge_delay(struct stand *r)
     int said = r->w->info.exposure_delay;
     bool inside = m->delay_lo >= k->delay_lo && m->delay_hi <= k->delay_hi;
     bool constant = m->delay_lo == m->delay_hi || r->t->calibrated;
-    say(r->t, SELFTEST_DELAY, pass_if(inside && constant),
-        "exposure shows %d to %d frames after a request in %d steps; %s: %d to %d", m->delay_lo,
-        m->delay_hi, r->t->measured.trials, who, k->delay_lo, k->delay_hi);
-    figure(r->t, SELFTEST_DELAY, "least", m->delay_lo);
-    figure(r->t, SELFTEST_DELAY, "most", m->delay_hi);
-    figure(r->t, SELFTEST_DELAY, "promised", said);
-    figure(r->t, SELFTEST_DELAY, "steps", r->t->measured.trials);
+    set_finding(r->t, SELFTEST_DELAY, pass_if(inside && constant),
+                "exposure shows %d to %d frames after a request in %d steps; %s: %d to %d",
+                m->delay_lo, m->delay_hi, r->t->measured.trials, who, k->delay_lo, k->delay_hi);
+    add_figure(r->t, SELFTEST_DELAY, "least", m->delay_lo);
+    add_figure(r->t, SELFTEST_DELAY, "most", m->delay_hi);
+    add_figure(r->t, SELFTEST_DELAY, "promised", said);
+    add_figure(r->t, SELFTEST_DELAY, "steps", r->t->measured.trials);
 }
 
 /* ---- latching ---- */
@@ -201,7 +201,7 @@ static void look_at_shot(const struct stand *r, const struct device_probe_frame 
     k->lie = fmax(k->lie, off);
 }
 
-static err_t shoot(struct stand *r, struct latching *k)
+static err_t shoot_pattern(struct stand *r, struct latching *k)
 {
     int hold = r->t->measured.calib.delay_hi + 1;
     struct device_probe_frame s = {0};
@@ -224,37 +224,38 @@ static err_t shoot(struct stand *r, struct latching *k)
     return e;
 }
 
-static err_t latching(struct stand *r)
+static err_t check_latching(struct stand *r)
 {
     static const char varies[] = "the delay varies, so nobody can say which frame is the right one";
     struct latching k = {.right = 0};
     int shown = 0;
     const struct calib *m = &r->t->measured.calib;
-    err_t e = shoot(r, &k);
+    err_t e = shoot_pattern(r, &k);
     if (e)
         return e;
     for (int i = 0; i < SHOTS; i++)
         shown += k.shown[i];
     bool some = shown >= SHOTS / 2 || k.wrong > 0;
     if (m->delay_lo != m->delay_hi)
-        say(r->t, SELFTEST_LATCHING, SELFTEST_SKIPPED, varies);
+        set_finding(r->t, SELFTEST_LATCHING, SELFTEST_SKIPPED, varies);
     else
-        say(r->t, SELFTEST_LATCHING, pass_if(some && k.wrong == 0),
-            "of %d requests back to back %d could be seen; %d frames were right, %d wrong", SHOTS,
-            shown, k.right, k.wrong);
-    figure(r->t, SELFTEST_LATCHING, "seen", shown);
-    figure(r->t, SELFTEST_LATCHING, "right", k.right);
-    figure(r->t, SELFTEST_LATCHING, "wrong", k.wrong);
+        set_finding(r->t, SELFTEST_LATCHING, pass_if(some && k.wrong == 0),
+                    "of %d requests back to back %d could be seen; %d frames were right, %d wrong",
+                    SHOTS, shown, k.right, k.wrong);
+    add_figure(r->t, SELFTEST_LATCHING, "seen", shown);
+    add_figure(r->t, SELFTEST_LATCHING, "right", k.right);
+    add_figure(r->t, SELFTEST_LATCHING, "wrong", k.wrong);
     if (k.reports == 0) {
-        say(r->t, SELFTEST_REPORTED, SELFTEST_SKIPPED, "frames do not say their exposure");
+        set_finding(r->t, SELFTEST_REPORTED, SELFTEST_SKIPPED, "frames do not say their exposure");
         return OK;
     }
-    say(r->t, SELFTEST_REPORTED, pass_if(k.lies == 0),
+    set_finding(
+        r->t, SELFTEST_REPORTED, pass_if(k.lies == 0),
         "of %d frames %d say another exposure than their pixels show, by %.2f stops at most",
         k.reports, k.lies, k.lie);
-    figure(r->t, SELFTEST_REPORTED, "frames", k.reports);
-    figure(r->t, SELFTEST_REPORTED, "wrong", k.lies);
-    figure(r->t, SELFTEST_REPORTED, "worst_stops", k.lie);
+    add_figure(r->t, SELFTEST_REPORTED, "frames", k.reports);
+    add_figure(r->t, SELFTEST_REPORTED, "wrong", k.lies);
+    add_figure(r->t, SELFTEST_REPORTED, "worst_stops", k.lie);
     return OK;
 }
 
@@ -267,19 +268,21 @@ static void judge_ratios(struct stand *r, int seen, const struct calibrate_step 
     for (int i = 1; i < c->n; i++)
         wrong += c->step[i].verdict == CALIBRATE_WRONG;
     if (!r->w->linear && !r->w->has_crf)
-        say(r->t, SELFTEST_RATIOS, SELFTEST_SKIPPED, "no response curve: %.120s", c->curve_why);
+        set_finding(r->t, SELFTEST_RATIOS, SELFTEST_SKIPPED, "no response curve: %.120s",
+                    c->curve_why);
     else if (seen == 0 && wrong == 0)
-        say(r->t, SELFTEST_RATIOS, SELFTEST_SKIPPED, "too dark or too bright to see any");
+        set_finding(r->t, SELFTEST_RATIOS, SELFTEST_SKIPPED, "too dark or too bright to see any");
     else
-        say(r->t, SELFTEST_RATIOS, pass_if(wrong == 0),
+        set_finding(
+            r->t, SELFTEST_RATIOS, pass_if(wrong == 0),
             "%d ratios of neighbours up to %.3g s: %d wrong; the worst is %.3f stops off, at %.3g "
             "s; at most %.2f",
             seen, c->step[c->n - 1].time_s, wrong, off, worst ? worst->time_s : 0.0,
             calibrate_slack(r->w));
-    figure(r->t, SELFTEST_RATIOS, "seen", seen);
-    figure(r->t, SELFTEST_RATIOS, "wrong", wrong);
-    figure(r->t, SELFTEST_RATIOS, "worst_stops", off);
-    figure(r->t, SELFTEST_RATIOS, "tolerance", calibrate_slack(r->w));
+    add_figure(r->t, SELFTEST_RATIOS, "seen", seen);
+    add_figure(r->t, SELFTEST_RATIOS, "wrong", wrong);
+    add_figure(r->t, SELFTEST_RATIOS, "worst_stops", off);
+    add_figure(r->t, SELFTEST_RATIOS, "tolerance", calibrate_slack(r->w));
 }
 
 static void judge_sweep(struct stand *r)
@@ -299,19 +302,19 @@ static void judge_sweep(struct stand *r)
     }
     judge_ratios(r, seen, worst, off);
     if (seen + falls == 0)
-        say(r->t, SELFTEST_MONOTONE, SELFTEST_SKIPPED, "too dark or too bright to see");
+        set_finding(r->t, SELFTEST_MONOTONE, SELFTEST_SKIPPED, "too dark or too bright to see");
     else if (falls)
-        say(r->t, SELFTEST_MONOTONE, SELFTEST_FAIL,
-            "%d of %d longer exposures are not brighter, the first is %.3g s", falls, c->n - 1,
-            fall->time_s);
+        set_finding(r->t, SELFTEST_MONOTONE, SELFTEST_FAIL,
+                    "%d of %d longer exposures are not brighter, the first is %.3g s", falls,
+                    c->n - 1, fall->time_s);
     else
-        say(r->t, SELFTEST_MONOTONE, SELFTEST_PASS, "%d exposures from %.3g s to %.3g s", c->n,
-            c->step[0].time_s, c->step[c->n - 1].time_s);
-    figure(r->t, SELFTEST_MONOTONE, "exposures", c->n);
-    figure(r->t, SELFTEST_MONOTONE, "wrong", falls);
+        set_finding(r->t, SELFTEST_MONOTONE, SELFTEST_PASS, "%d exposures from %.3g s to %.3g s",
+                    c->n, c->step[0].time_s, c->step[c->n - 1].time_s);
+    add_figure(r->t, SELFTEST_MONOTONE, "exposures", c->n);
+    add_figure(r->t, SELFTEST_MONOTONE, "wrong", falls);
 }
 
-static err_t sweep(struct stand *r)
+static err_t run_sweep(struct stand *r)
 {
     struct calibrate *c = &r->t->measured;
     err_t e = calibrate_range(r->w, c);
@@ -319,16 +322,16 @@ static err_t sweep(struct stand *r)
         return e;
     judge_sweep(r);
     bool exact = r->w->linear || r->w->has_crf;
-    say(r->t, SELFTEST_STEADY, pass_if(!e && (!exact || fabs(c->drift) <= STILL)),
-        "the same exposure differs by %.3f stops before and "
-        "after the sweep%s",
-        c->drift, e ? ": light, scene or gain changed" : "");
-    figure(r->t, SELFTEST_STEADY, "drift_stops", c->drift);
+    set_finding(r->t, SELFTEST_STEADY, pass_if(!e && (!exact || fabs(c->drift) <= STILL)),
+                "the same exposure differs by %.3f stops before and "
+                "after the sweep%s",
+                c->drift, e ? ": light, scene or gain changed" : "");
+    add_figure(r->t, SELFTEST_STEADY, "drift_stops", c->drift);
     return OK;
 }
 
 /* The middle of brackets, within the range that obeys; 0 if they would not show the scene. */
-static err_t aim(struct stand *r)
+static err_t choose_middle(struct stand *r)
 {
     const struct calib *m = &r->t->measured.calib;
     double lo = fmax(m->time_min_s, r->known.time_min_s);
@@ -347,8 +350,8 @@ static err_t aim(struct stand *r)
     if (shows[0] && shows[1] && shows[2] && 4.0 * r->middle_s <= 1.01 * hi)
         return OK;
     for (int i = SELFTEST_BRACKET3; i <= SELFTEST_BRACKET5; i++)
-        say(r->t, (enum selftest_check)i, SELFTEST_SKIPPED,
-            "%.3g s to %.3g s, which can be used, do not show this scene", lo, hi);
+        set_finding(r->t, (enum selftest_check)i, SELFTEST_SKIPPED,
+                    "%.3g s to %.3g s, which can be used, do not show this scene", lo, hi);
     r->middle_s = 0.0;
     return OK;
 }
@@ -359,17 +362,18 @@ static void judge_sequence(struct stand *r)
 {
     const struct device_probe_count *n = &r->w->count;
     int lost = n->lost + n->hidden;
-    say(r->t, SELFTEST_SEQUENCE, pass_if(n->repeated + n->backward == 0),
-        "of %d frames %d have the number of the one before, %d a smaller one", n->frames,
-        n->repeated, n->backward);
-    figure(r->t, SELFTEST_SEQUENCE, "frames", n->frames);
-    figure(r->t, SELFTEST_SEQUENCE, "repeated", n->repeated);
-    figure(r->t, SELFTEST_SEQUENCE, "backward", n->backward);
-    say(r->t, SELFTEST_DROPS, pass_if(lost * DROPS_PER <= n->frames), "%d of %d frames were lost%s",
-        lost, n->frames, n->hidden ? ", and the sequence does not tell" : "");
-    figure(r->t, SELFTEST_DROPS, "lost", n->lost);
-    figure(r->t, SELFTEST_DROPS, "hidden", n->hidden);
-    figure(r->t, SELFTEST_DROPS, "frames", n->frames);
+    set_finding(r->t, SELFTEST_SEQUENCE, pass_if(n->repeated + n->backward == 0),
+                "of %d frames %d have the number of the one before, %d a smaller one", n->frames,
+                n->repeated, n->backward);
+    add_figure(r->t, SELFTEST_SEQUENCE, "frames", n->frames);
+    add_figure(r->t, SELFTEST_SEQUENCE, "repeated", n->repeated);
+    add_figure(r->t, SELFTEST_SEQUENCE, "backward", n->backward);
+    set_finding(r->t, SELFTEST_DROPS, pass_if(lost * DROPS_PER <= n->frames),
+                "%d of %d frames were lost%s", lost, n->frames,
+                n->hidden ? ", and the sequence does not tell" : "");
+    add_figure(r->t, SELFTEST_DROPS, "lost", n->lost);
+    add_figure(r->t, SELFTEST_DROPS, "hidden", n->hidden);
+    add_figure(r->t, SELFTEST_DROPS, "frames", n->frames);
 }
 
 static void judge_stamps(struct stand *r)
@@ -385,13 +389,13 @@ static void judge_stamps(struct stand *r)
                        : falls        ? "not steady"
                        : r->simulated ? "of a simulation that has its own time"
                                       : "of CLOCK_MONOTONIC";
-    say(r->t, SELFTEST_STAMPS, pass_if(!n->unstamped && !wall && !off && !falls),
-        "%s; of %d, %d are missing, %d not later than the one before, %d jump ahead", what,
-        n->frames, n->unstamped, n->stamps_back, n->jumps);
-    figure(r->t, SELFTEST_STAMPS, "missing", n->unstamped);
-    figure(r->t, SELFTEST_STAMPS, "backward", n->stamps_back + n->jumps);
-    figure(r->t, SELFTEST_STAMPS, "arrival_least_s", n->stamp_early_s);
-    figure(r->t, SELFTEST_STAMPS, "arrival_most_s", n->stamp_late_s);
+    set_finding(r->t, SELFTEST_STAMPS, pass_if(!n->unstamped && !wall && !off && !falls),
+                "%s; of %d, %d are missing, %d not later than the one before, %d jump ahead", what,
+                n->frames, n->unstamped, n->stamps_back, n->jumps);
+    add_figure(r->t, SELFTEST_STAMPS, "missing", n->unstamped);
+    add_figure(r->t, SELFTEST_STAMPS, "backward", n->stamps_back + n->jumps);
+    add_figure(r->t, SELFTEST_STAMPS, "arrival_least_s", n->stamp_early_s);
+    add_figure(r->t, SELFTEST_STAMPS, "arrival_most_s", n->stamp_late_s);
 }
 
 static void judge_counts(struct stand *r)
@@ -402,67 +406,69 @@ static void judge_counts(struct stand *r)
         return;
     judge_sequence(r);
     judge_stamps(r);
-    say(r->t, SELFTEST_ERRORS, pass_if(bad == 0),
+    set_finding(
+        r->t, SELFTEST_ERRORS, pass_if(bad == 0),
         "of %d frames %d are marked as bad or short, %d cannot be read, %d could not be had",
         n->frames, n->flagged, n->unreadable, n->failed);
-    figure(r->t, SELFTEST_ERRORS, "flagged", n->flagged);
-    figure(r->t, SELFTEST_ERRORS, "unreadable", n->unreadable);
-    figure(r->t, SELFTEST_ERRORS, "failed", n->failed);
+    add_figure(r->t, SELFTEST_ERRORS, "flagged", n->flagged);
+    add_figure(r->t, SELFTEST_ERRORS, "unreadable", n->unreadable);
+    add_figure(r->t, SELFTEST_ERRORS, "failed", n->failed);
     if (!n->gains_known)
-        say(r->t, SELFTEST_GAINS, SELFTEST_SKIPPED, "frames do not say their gains");
+        set_finding(r->t, SELFTEST_GAINS, SELFTEST_SKIPPED, "frames do not say their gains");
     else
-        say(r->t, SELFTEST_GAINS, pass_if(fmax(n->gain_off, n->balance_off) <= GAIN_OFF),
-            "digital gain is off 1 by up to %.2f %%, white balance moves by up to %.2f %%",
-            100.0 * n->gain_off, 100.0 * n->balance_off);
-    figure(r->t, SELFTEST_GAINS, "digital_off", n->gain_off);
-    figure(r->t, SELFTEST_GAINS, "balance_off", n->balance_off);
+        set_finding(r->t, SELFTEST_GAINS, pass_if(fmax(n->gain_off, n->balance_off) <= GAIN_OFF),
+                    "digital gain is off 1 by up to %.2f %%, white balance moves by up to %.2f %%",
+                    100.0 * n->gain_off, 100.0 * n->balance_off);
+    add_figure(r->t, SELFTEST_GAINS, "digital_off", n->gain_off);
+    add_figure(r->t, SELFTEST_GAINS, "balance_off", n->balance_off);
     if (r->t->check[SELFTEST_REQUESTS].result != SELFTEST_FAIL)
-        say(r->t, SELFTEST_REQUESTS, pass_if(n->refused + n->misread == 0),
-            "of %d requests %d were refused, %d read back as something else", n->requests,
-            n->refused, n->misread);
-    figure(r->t, SELFTEST_REQUESTS, "requests", n->requests);
-    figure(r->t, SELFTEST_REQUESTS, "refused", n->refused);
-    figure(r->t, SELFTEST_REQUESTS, "misread", n->misread);
+        set_finding(r->t, SELFTEST_REQUESTS, pass_if(n->refused + n->misread == 0),
+                    "of %d requests %d were refused, %d read back as something else", n->requests,
+                    n->refused, n->misread);
+    add_figure(r->t, SELFTEST_REQUESTS, "requests", n->requests);
+    add_figure(r->t, SELFTEST_REQUESTS, "refused", n->refused);
+    add_figure(r->t, SELFTEST_REQUESTS, "misread", n->misread);
 }
 
 /* ---- the device alone ---- */
 
-static err_t see(struct stand *r)
+static err_t check_device(struct stand *r)
 {
     struct calibrate *c = &r->t->measured;
     const struct camera_info *info = &r->w->info;
     err_t e = calibrate_delay(r->w, c);
     if (e == ERR_UNSUPPORTED && r->w->count.refused == 0) {
-        say(r->t, SELFTEST_EFFECT, SELFTEST_FAIL, "%.190s", err_text());
+        set_finding(r->t, SELFTEST_EFFECT, SELFTEST_FAIL, "%.190s", err_text());
         return OK;
     }
     if (e)
         return e;
-    say(r->t, SELFTEST_EFFECT, SELFTEST_PASS, "pixels follow exposure, seen at %.3g s", c->base_s);
-    figure(r->t, SELFTEST_EFFECT, "base_s", c->base_s);
+    set_finding(r->t, SELFTEST_EFFECT, SELFTEST_PASS, "pixels follow exposure, seen at %.3g s",
+                c->base_s);
+    add_figure(r->t, SELFTEST_EFFECT, "base_s", c->base_s);
     judge_delay(r);
     r->middle_s = fmax(fmin(c->base_s, 0.25 * info->time_max_s), 4.0 * info->time_min_s);
     if (!c->calib.has_crf)
         e = calibrate_curve(r->w, c);
     if (!e)
-        e = latching(r);
+        e = check_latching(r);
     if (!e)
-        e = sweep(r);
-    return e ? e : aim(r);
+        e = run_sweep(r);
+    return e ? e : choose_middle(r);
 }
 
-static err_t measure(struct stand *r)
+static err_t measure_camera(struct stand *r)
 {
     struct calibrate *c = &r->t->measured;
-    err_t e = rate(r);
+    err_t e = check_rate(r);
     if (!e)
         e = calibrate_base(r->w, c);
     if (e == ERR_LIMIT && r->w->count.refused == 0) {
         for (int i = SELFTEST_EFFECT; i < SELFTEST_CHECKS; i++)
-            say(r->t, (enum selftest_check)i, SELFTEST_SKIPPED, "%.190s", err_text());
+            set_finding(r->t, (enum selftest_check)i, SELFTEST_SKIPPED, "%.190s", err_text());
         return OK;
     }
-    return e ? e : see(r);
+    return e ? e : check_device(r);
 }
 
 /* ---- brackets ---- */
@@ -479,7 +485,7 @@ static void wait_for(const struct session *s)
 }
 
 /* Turn the loop until it is in that state, and for so long at least. */
-static err_t turn(struct session *s, enum session_state state, double least_s, double most_s)
+static err_t run_session(struct session *s, enum session_state state, double least_s, double most_s)
 {
     int64_t now = clocks_now(), least = now + (int64_t)(least_s * 1e9);
     int64_t most = now + (int64_t)(most_s * 1e9);
@@ -503,14 +509,15 @@ static void judge_take(struct stand *r, enum selftest_check c, const struct take
     int most = n + m->delay_hi + 2;
     bool proven = t->status == TAKE_COMPLETE && t->n == n && !take_unverified(t);
     bool quick = t->frames_used <= most || lost + t->rejected > 0;
-    say(r->t, c, pass_if(proven && quick),
+    set_finding(
+        r->t, c, pass_if(proven && quick),
         "%d of %d frames, %s; %d frames were looked at, %d refused, %d lost; %d are enough%s%.80s",
         t->n, n, proven ? "all proven" : "not proven", t->frames_used, t->rejected, lost, most,
         t->reason[0] ? "; " : "", t->reason);
-    figure(r->t, c, "kept", t->n);
-    figure(r->t, c, "used", t->frames_used);
-    figure(r->t, c, "enough", most);
-    figure(r->t, c, "refused", t->rejected);
+    add_figure(r->t, c, "kept", t->n);
+    add_figure(r->t, c, "used", t->frames_used);
+    add_figure(r->t, c, "enough", most);
+    add_figure(r->t, c, "refused", t->rejected);
 }
 
 static err_t shoot_bracket(struct stand *r, struct session *s, enum selftest_check c, int n)
@@ -521,18 +528,18 @@ static err_t shoot_bracket(struct stand *r, struct session *s, enum selftest_che
     double long_s = 40.0 * r->middle_s;
     for (int i = 0; i < n; i++)
         o.ev[i] = 4.0 * i / (n - 1) - 2.0;
-    err_t e = turn(s, SESSION_ARMED, WARM_S + REST_FRAMES * r->t->info.period_s, BRACKET_S);
+    err_t e = run_session(s, SESSION_ARMED, WARM_S + REST_FRAMES * r->t->info.period_s, BRACKET_S);
     if (!e)
         e = session_begin(s, &o);
     if (!e)
-        e = turn(s, SESSION_READY, 0.0, BRACKET_S + long_s);
+        e = run_session(s, SESSION_READY, 0.0, BRACKET_S + long_s);
     session_progress(s, &p);
     if (!e)
         e = session_collect(s, &t);
     if (!e)
         judge_take(r, c, t, n, p.lost);
     else if (e != ERR_CANCELLED && e != ERR_NOMEM)
-        say(r->t, c, SELFTEST_FAIL, "%.190s", err_text());
+        set_finding(r->t, c, SELFTEST_FAIL, "%.190s", err_text());
     take_free(t);
     return e == ERR_CANCELLED || e == ERR_NOMEM ? e : OK;
 }
@@ -574,7 +581,7 @@ static err_t brackets_with(struct stand *r, const char *calibration)
     if (e == ERR_NOMEM)
         return e;
     if (e) {
-        say(r->t, SELFTEST_BRACKET3, SELFTEST_FAIL, "%.190s", err_text());
+        set_finding(r->t, SELFTEST_BRACKET3, SELFTEST_FAIL, "%.190s", err_text());
         return OK;
     }
     e = shoot_bracket(r, s, SELFTEST_BRACKET3, 3);
@@ -584,7 +591,7 @@ static err_t brackets_with(struct stand *r, const char *calibration)
     return e;
 }
 
-static err_t brackets(struct stand *r)
+static err_t check_brackets(struct stand *r)
 {
     char folder[FILE_PATH_CAP];
     if (r->t->calibrated)
@@ -595,7 +602,7 @@ static err_t brackets(struct stand *r)
     if (e)
         return e;
     if (calib_save(folder, &r->t->info, &r->t->measured.calib) != OK)
-        say(r->t, SELFTEST_BRACKET3, SELFTEST_SKIPPED, "%.190s", err_text());
+        set_finding(r->t, SELFTEST_BRACKET3, SELFTEST_SKIPPED, "%.190s", err_text());
     else
         e = brackets_with(r, folder);
     remove_folder(folder);
@@ -604,11 +611,11 @@ static err_t brackets(struct stand *r)
 
 /* ---- all of it ---- */
 
-static void begin(struct stand *r)
+static void begin_checks(struct stand *r)
 {
     struct selftest *t = r->t;
     for (int i = 0; i < SELFTEST_CHECKS; i++)
-        say(t, (enum selftest_check)i, SELFTEST_SKIPPED, "not reached: see above");
+        set_finding(t, (enum selftest_check)i, SELFTEST_SKIPPED, "not reached: see above");
     t->info = r->w->info;
     r->w->progress = r->o->progress;
     if (calib_load(r->o->calibration, &t->info, &t->measured.calib, &t->calibrated) != OK)
@@ -628,11 +635,11 @@ static err_t judge_stream(struct stand *r, err_t e)
     if (e == ERR_CANCELLED || e == ERR_NOMEM)
         return e;
     if (e)
-        say(r->t, request ? SELFTEST_REQUESTS : SELFTEST_STREAM, SELFTEST_FAIL, "%.190s",
-            err_text());
+        set_finding(r->t, request ? SELFTEST_REQUESTS : SELFTEST_STREAM, SELFTEST_FAIL, "%.190s",
+                    err_text());
     if (!e || request)
-        say(r->t, SELFTEST_STREAM, SELFTEST_PASS, "%d frames", r->w->count.frames);
-    figure(r->t, SELFTEST_STREAM, "frames", r->w->count.frames);
+        set_finding(r->t, SELFTEST_STREAM, SELFTEST_PASS, "%d frames", r->w->count.frames);
+    add_figure(r->t, SELFTEST_STREAM, "frames", r->w->count.frames);
     return OK;
 }
 
@@ -643,14 +650,14 @@ err_t selftest_run(const struct selftest_order *o, struct selftest *out)
     err_t e = device_probe_open(&o->camera, &r.w);
     if (e)
         return e;
-    begin(&r);
-    e = judge_stream(&r, measure(&r));
+    begin_checks(&r);
+    e = judge_stream(&r, measure_camera(&r));
     if (!e)
         judge_counts(&r);
     device_probe_close(r.w);
     bool obeys = out->check[SELFTEST_STREAM].result == SELFTEST_PASS &&
                  out->check[SELFTEST_EFFECT].result == SELFTEST_PASS && r.middle_s > 0.0;
-    return !e && obeys ? brackets(&r) : e;
+    return !e && obeys ? check_brackets(&r) : e;
 }
 
 bool selftest_passed(const struct selftest *t)

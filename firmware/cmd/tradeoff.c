@@ -29,7 +29,7 @@ struct state {
     struct tradeoff *out;
 };
 
-static err_t list(const struct state *st, int n, struct imageset *set)
+static err_t list_pictures(const struct state *st, int n, struct imageset *set)
 {
     const struct imageset_request rq = {.images = st->rq->images,
                                         .n_views = n,
@@ -39,7 +39,7 @@ static err_t list(const struct state *st, int n, struct imageset *set)
 }
 
 /* The set's pictures as often as needed. c: n shots. */
-static void repeat(const struct state *st, const struct imageset *set, struct capture *c)
+static void repeat_pictures(const struct state *st, const struct imageset *set, struct capture *c)
 {
     for (int i = 0; i < c->n; i++) {
         c->shots[i] = set->capture.shots[i % set->capture.n];
@@ -47,14 +47,14 @@ static void repeat(const struct state *st, const struct imageset *set, struct ca
     }
 }
 
-static err_t photographs(struct state *st, int size, struct capture *c)
+static err_t load_photographs(struct state *st, int size, struct capture *c)
 {
     struct imageset set;
     size_t bytes = 0;
-    err_t e = list(st, c->n < st->n_images ? c->n : st->n_images, &set);
+    err_t e = list_pictures(st, c->n < st->n_images ? c->n : st->n_images, &set);
     if (e)
         return e;
-    repeat(st, &set, c);
+    repeat_pictures(st, &set, c);
     for (int i = 0; i < set.capture.n; i++)
         bytes += 3 * (size_t)c->shots[i].image.w * (size_t)c->shots[i].image.h;
     struct plan p = plan_begin(pool_size(st->engine.pool));
@@ -64,14 +64,14 @@ static err_t photographs(struct state *st, int size, struct capture *c)
     if (!e && !st->dry)
         e = imageset_load(&set);
     if (!e && !st->dry) {
-        repeat(st, &set, c);
+        repeat_pictures(st, &set, c);
         e = prep_run(&st->engine.run, c, size, &st->views);
     }
     imageset_free(&set);
     return e;
 }
 
-static err_t noise(struct state *st, int size, int n)
+static err_t make_noise(struct state *st, int size, int n)
 {
     size_t keep = arena_add(bench_net_views_plan(n, size), differ_keep_plan(n, size));
     err_t e = engine_reserve(&st->engine, 0, keep, 0, st->max_mb);
@@ -79,15 +79,16 @@ static err_t noise(struct state *st, int size, int n)
 }
 
 /* They, and room for what stays of the reference, become base. */
-static err_t pictures(struct state *st, int size, int n)
+static err_t make_pictures(struct state *st, int size, int n)
 {
     err_t e;
     if (st->rq->images) {
         struct capture c = {n, calloc((size_t)n, sizeof *c.shots)};
-        e = c.shots ? photographs(st, size, &c) : err_fail(ERR_NOMEM, "no memory for %d shots", n);
+        e = c.shots ? load_photographs(st, size, &c)
+                    : err_fail(ERR_NOMEM, "no memory for %d shots", n);
         free(c.shots);
     } else {
-        e = noise(st, size, n);
+        e = make_noise(st, size, n);
     }
     st->base = st->engine.keep;
     memset(&st->engine.keep, 0, sizeof st->engine.keep);
@@ -97,7 +98,7 @@ static err_t pictures(struct state *st, int size, int n)
 
 /* ---- rows ---- */
 
-static void name(const struct network *n, unsigned floats, char *out, size_t cap)
+static void name_row(const struct network *n, unsigned floats, char *out, size_t cap)
 {
     static const struct {
         unsigned bit;
@@ -150,7 +151,7 @@ static err_t run_row(struct state *st, unsigned floats, struct tradeoff_row *row
         return e;
     const struct model *m = &network.file.model;
     *s8 = m->precision == PRECISION_S8;
-    name(&network, floats, row->what, sizeof row->what);
+    name_row(&network, floats, row->what, sizeof row->what);
     row->memory_mb = (double)m->bytes * 1e-6;
     struct plan plan = plan_begin(pool_size(en->pool));
     net_plan(&plan, &network.net, row->views, row->size);
@@ -233,7 +234,7 @@ static err_t run_group(struct state *st, int size, int n)
     if (size % NET_PATCH != 0)
         return err_fail(ERR_ARG, "--size: the network takes multiples of %d px, not %d", NET_PATCH,
                         size);
-    err_t e = pictures(st, size, n);
+    err_t e = make_pictures(st, size, n);
     for (int i = 0; i < st->n_models && !e; i++)
         e = run_model(st, i, size, n);
     arena_free(&st->base);
@@ -284,7 +285,7 @@ static err_t look_around(struct state *st)
         return e;
     st->exposures = network_needs_exposures(&network);
     network_close(&network);
-    e = list(st, 0, &set);
+    e = list_pictures(st, 0, &set);
     if (e)
         return e;
     st->n_images = set.capture.n;

@@ -11,7 +11,7 @@
 #include <sys/wait.h>
 
 /* {BEFORE "text"} to the client. */
-static void tell(const struct calibrator *c, const char *before, const char *text)
+static void send_text(const struct calibrator *c, const char *before, const char *text)
 {
     char *json = NULL;
     size_t n;
@@ -56,7 +56,7 @@ err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *order)
     return OK;
 }
 
-static void end(struct calibrator *c, const char *why)
+static void end_order(struct calibrator *c, const char *why)
 {
     c->on = false;
     if (!why) {
@@ -68,17 +68,17 @@ static void end(struct calibrator *c, const char *why)
     snprintf(c->text, sizeof c->text, "camera.%d is not calibrated: %.*s", c->i + 1, CHILD_LINE - 1,
              why);
     log_warn("%s", c->text);
-    tell(c, "\"ok\": false, \"error\": ", c->text);
+    send_text(c, "\"ok\": false, \"error\": ", c->text);
 }
 
 static void hear(void *ctx, const char *line)
 {
     struct calibrator *c = ctx;
     snprintf(c->line, sizeof c->line, "%s", line);
-    tell(c, "\"line\": ", line);
+    send_text(c, "\"line\": ", line);
 }
 
-static err_t start(struct calibrator *c)
+static err_t start_child(struct calibrator *c)
 {
     char program[FILE_PATH_CAP], camera[FILE_PATH_CAP], out[FILE_PATH_CAP], config[FILE_PATH_CAP];
     static char name[] = "calibrate", camera_is[] = "--camera", what_is[] = "--what";
@@ -108,12 +108,12 @@ static err_t start(struct calibrator *c)
                     config,
                     NULL};
     snprintf(c->text, sizeof c->text, "camera.%d: %.*s", c->i + 1, CHILD_LINE - 1, camera);
-    tell(c, "\"line\": ", c->text);
+    send_text(c, "\"line\": ", c->text);
     return child_start(&c->child, argv, true);
 }
 
 /* What the last line of the child says of itself is "hdrig calibrate: ...". */
-static const char *reason(const struct calibrator *c)
+static const char *failure_reason(const struct calibrator *c)
 {
     static const char prefix[] = "hdrig calibrate: ";
     bool has = strncmp(c->line, prefix, sizeof prefix - 1) == 0;
@@ -128,12 +128,12 @@ void calibrator_step(struct calibrator *c)
         if (WIFSIGNALED(status))
             snprintf(c->line, sizeof c->line, "killed by signal %d", WTERMSIG(status));
         if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)
-            end(c, reason(c));
+            end_order(c, failure_reason(c));
         else if (++c->i == count_cameras(c->set))
-            end(c, NULL);
+            end_order(c, NULL);
     }
-    if (c->on && !c->child.pid && (c->cancelled || start(c) != OK))
-        end(c, c->cancelled ? "cancelled" : err_text());
+    if (c->on && !c->child.pid && (c->cancelled || start_child(c) != OK))
+        end_order(c, c->cancelled ? "cancelled" : err_text());
 }
 
 void calibrator_answer(struct calibrator *c, bool armed, int64_t now_ns)

@@ -6,9 +6,10 @@
 #include <stdarg.h>
 #include <stdio.h>
 
-static void say(struct collect *c, const char *format, ...) __attribute__((format(printf, 2, 3)));
+static void set_line(struct collect *c, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
 
-static void say(struct collect *c, const char *format, ...)
+static void set_line(struct collect *c, const char *format, ...)
 {
     va_list list;
     va_start(list, format);
@@ -16,7 +17,7 @@ static void say(struct collect *c, const char *format, ...)
     va_end(list);
 }
 
-static const char *plural(int n)
+static const char *plural_s(int n)
 {
     return n == 1 ? "" : "s";
 }
@@ -26,9 +27,9 @@ err_t collect_look(struct collect *c)
     err_t e = places_open(c->store, &c->places);
     int n = c->places.n;
     if (!e && n > 0)
-        say(c, "%d place%s so far", n, plural(n));
+        set_line(c, "%d place%s so far", n, plural_s(n));
     else if (!e)
-        say(c, "no place yet");
+        set_line(c, "no place yet");
     return e;
 }
 
@@ -69,7 +70,7 @@ err_t collect_scene(struct collect *c)
         e = err_fail(ERR_ARG, "%d place so far, a scene needs at least %d", n, PLACES_MIN);
     if (!e && !c->jobs)
         e = err_fail(ERR_ARG, "%d place%s so far; job.run is 0: nothing is reconstructed", n,
-                     plural(n));
+                     plural_s(n));
     return e ? e : jobs_add(c->jobs, c->places.id);
 }
 
@@ -79,7 +80,7 @@ err_t collect_end(struct collect *c, bool later)
     const bool too_few = is_too_few(c);
     c->ending = later;
     if (later) {
-        say(c, "ends when the running capture is stored");
+        set_line(c, "ends when the running capture is stored");
         return OK;
     }
     err_t e = check_open(c);
@@ -91,10 +92,10 @@ err_t collect_end(struct collect *c, bool later)
         return e;
     c->places = (struct places){0};
     if (too_few)
-        say(c, "ended with %d place: no scene, which needs at least %d", p.n, PLACES_MIN);
+        set_line(c, "ended with %d place: no scene, which needs at least %d", p.n, PLACES_MIN);
     else
-        say(c, "ended with %d place%s: %s", p.n, plural(p.n),
-            c->jobs ? "being reconstructed" : "job.run is 0, nothing is reconstructed");
+        set_line(c, "ended with %d place%s: %s", p.n, plural_s(p.n),
+                 c->jobs ? "being reconstructed" : "job.run is 0, nothing is reconstructed");
     log_info("session %s %s", p.id, c->line);
     return OK;
 }

@@ -26,13 +26,13 @@ static uint64_t network_of(const struct sockaddr *from)
     return v4;
 }
 
-static void end(struct connection *k)
+static void end_connection(struct connection *k)
 {
     k->ended = true;
     shutdown(k->fd, SHUT_RDWR);
 }
 
-static bool waits(const struct connection *k)
+static bool awaits_request(const struct connection *k)
 {
     return k->fd >= 0 && !k->answered && !k->ended;
 }
@@ -47,11 +47,11 @@ static bool make_room(struct connections *c, const uint64_t *network, int most)
         if (k->fd < 0 || k->ended || (network && k->network != *network))
             continue;
         n++;
-        if (waits(k) && (!oldest || k->since_ns < oldest->since_ns))
+        if (awaits_request(k) && (!oldest || k->since_ns < oldest->since_ns))
             oldest = k;
     }
     if (n >= most && oldest)
-        end(oldest);
+        end_connection(oldest);
     return n < most || oldest;
 }
 
@@ -95,10 +95,10 @@ int64_t connections_expire(struct connections *c, int64_t now_ns)
     int64_t next = INT64_MAX;
     for (int i = 0; i < CONNECTIONS_MAX; i++) {
         struct connection *k = &c->v[i];
-        if (!waits(k))
+        if (!awaits_request(k))
             continue;
         if (now_ns - k->since_ns >= patience)
-            end(k);
+            end_connection(k);
         else if (k->since_ns + patience < next)
             next = k->since_ns + patience;
     }

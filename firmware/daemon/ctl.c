@@ -114,7 +114,7 @@ err_t ctl_open(const char *path, ctl_line_fn *fn, void *ctx, struct ctl **out)
     return OK;
 }
 
-static void drop(struct client *k)
+static void drop_client(struct client *k)
 {
     if (k->fd >= 0)
         close(k->fd);
@@ -128,7 +128,7 @@ void ctl_close(struct ctl *c)
     if (!c)
         return;
     for (int i = 0; i < CTL_CLIENTS_MAX; i++) {
-        drop(&c->client[i]);
+        drop_client(&c->client[i]);
         free(c->client[i].out);
     }
     if (c->fd >= 0)
@@ -153,7 +153,7 @@ int ctl_poll(const struct ctl *c, struct pollfd *fds, int cap)
     return n;
 }
 
-static void flush(struct client *k)
+static void flush_client(struct client *k)
 {
     while (k->sent < k->n_out) {
         ssize_t n = send(k->fd, k->out + k->sent, k->n_out - k->sent, MSG_NOSIGNAL);
@@ -162,42 +162,42 @@ static void flush(struct client *k)
         if (n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK))
             return;
         if (n <= 0) {
-            drop(k);
+            drop_client(k);
             return;
         }
         k->sent += (size_t)n;
     }
     k->sent = k->n_out = 0;
     if (k->last)
-        drop(k);
+        drop_client(k);
 }
 
-static void put(struct client *k, const char *json)
+static void put_line(struct client *k, const char *json)
 {
     size_t n = strlen(json);
     if (n + 1 > CTL_ANSWER_MAX - k->n_out) { // does not read what it asks for
-        drop(k);
+        drop_client(k);
         return;
     }
     memcpy(k->out + k->n_out, json, n);
     k->out[k->n_out + n] = '\n';
     k->n_out += n + 1;
-    flush(k);
+    flush_client(k);
 }
 
 void ctl_answer(struct ctl *c, uint64_t id, const char *json)
 {
     for (int i = 0; i < CTL_CLIENTS_MAX; i++)
         if (c->client[i].fd >= 0 && c->client[i].id == id)
-            put(&c->client[i], json);
+            put_line(&c->client[i], json);
 }
 
-static void refuse(struct client *k, const char *why)
+static void refuse_client(struct client *k, const char *why)
 {
     char text[128];
     snprintf(text, sizeof text, "{\"ok\": false, \"error\": \"%s\"}", why);
     k->last = true;
-    put(k, text);
+    put_line(k, text);
 }
 
 static void accept_clients(struct ctl *c)
@@ -235,17 +235,17 @@ static void take_lines(struct ctl *c, struct client *k)
         k->n_in -= n + 1;
         memmove(k->in, end + 1, k->n_in);
         if (zero)
-            refuse(k, "zero byte");
+            refuse_client(k, "zero byte");
         else
             c->fn(c->ctx, k->id, line);
     }
     if (k->fd >= 0 && k->n_in == sizeof k->in)
-        refuse(k, "line too long");
+        refuse_client(k, "line too long");
 }
 
-static void serve(struct ctl *c, struct client *k)
+static void serve_client(struct ctl *c, struct client *k)
 {
-    flush(k);
+    flush_client(k);
     while (k->fd >= 0 && !k->last) {
         ssize_t n = recv(k->fd, k->in + k->n_in, sizeof k->in - k->n_in, 0);
         if (n < 0 && errno == EINTR)
@@ -253,7 +253,7 @@ static void serve(struct ctl *c, struct client *k)
         if (n < 0 && (errno == EAGAIN || errno == EWOULDBLOCK))
             return;
         if (n <= 0) {
-            drop(k);
+            drop_client(k);
             return;
         }
         k->n_in += (size_t)n;
@@ -266,7 +266,7 @@ void ctl_step(struct ctl *c)
     accept_clients(c);
     for (int i = 0; i < CTL_CLIENTS_MAX; i++)
         if (c->client[i].fd >= 0)
-            serve(c, &c->client[i]);
+            serve_client(c, &c->client[i]);
 }
 
 static err_t connect_to(const char *path, int *fd)
@@ -312,7 +312,7 @@ static bool take_answer(const struct listener *l, char *out, size_t *n)
     return false;
 }
 
-static err_t receive(const struct listener *l, char *out)
+static err_t receive_answer(const struct listener *l, char *out)
 {
     for (size_t n = 0; n < CTL_ANSWER_MAX;) {
         struct pollfd p = {.fd = l->fd, .events = POLLIN};
@@ -332,7 +332,7 @@ static err_t receive(const struct listener *l, char *out)
     return err_fail(ERR_IO, "%s: answer longer than %d bytes", l->path, CTL_ANSWER_MAX);
 }
 
-static err_t ask(struct listener *l, const char *line, char *out)
+static err_t send_and_receive(struct listener *l, const char *line, char *out)
 {
     char text[CTL_LINE_MAX + 2];
     err_t e = connect_to(l->path, &l->fd);
@@ -342,7 +342,7 @@ static err_t ask(struct listener *l, const char *line, char *out)
     if (send(l->fd, text, (size_t)n, MSG_NOSIGNAL) != n)
         e = err_fail(ERR_IO, "%s: %s", l->path, strerror(errno));
     else
-        e = receive(l, out);
+        e = receive_answer(l, out);
     close(l->fd);
     return e;
 }
@@ -352,11 +352,11 @@ err_t ctl_ask(const char *path, const char *line, double timeout_s, char *out)
     struct listener l = {.path = path, .end_ns = INT64_MAX};
     if (timeout_s > 0)
         l.end_ns = clocks_now() + (int64_t)(timeout_s * 1e9);
-    return ask(&l, line, out);
+    return send_and_receive(&l, line, out);
 }
 
 err_t ctl_follow(const char *path, const char *line, ctl_more_fn *more, void *ctx, char *out)
 {
     struct listener l = {.path = path, .end_ns = INT64_MAX, .more = more, .ctx = ctx};
-    return ask(&l, line, out);
+    return send_and_receive(&l, line, out);
 }

@@ -88,7 +88,7 @@ static const char *state_word(const struct daemon *d)
     return d->session ? words[session_state(d->session)] : "lost";
 }
 
-static const char *sentence(struct daemon *d)
+static const char *state_sentence(struct daemon *d)
 {
     if (d->calibrator.on)
         return calibrator_sentence(&d->calibrator);
@@ -144,7 +144,7 @@ static void write_status(void *ctx, FILE *f)
     double free_mb =
         statvfs(d->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
     fprintf(f, "{\"ok\": true, \"state\": \"%s\", \"sentence\": ", state_word(d));
-    json_put_string(f, sentence(d));
+    json_put_string(f, state_sentence(d));
     fprintf(f,
             ", \"uptime_s\": %.1f, \"progress\": {\"kept\": %d, \"wanted\": %d, \"frames\": %d, "
             "\"rejected\": %d, \"lost\": %d}, \"waiting\": %d, \"free_mb\": %.0f, ",
@@ -167,7 +167,7 @@ static void write_status(void *ctx, FILE *f)
     fputs("]}", f);
 }
 
-static void remember(struct daemon *d, const char *id)
+static void remember_take(struct daemon *d, const char *id)
 {
     struct summary s;
     if (summary_read(d->set->store_path, id, &s) != OK) {
@@ -206,7 +206,7 @@ static void tell_error(struct daemon *d, uint64_t id, const char *text)
     free(json);
 }
 
-static err_t begin(struct daemon *d, int64_t press_ns)
+static err_t begin_take(struct daemon *d, int64_t press_ns)
 {
     struct session_order o;
     schedule_order(d->set, press_ns, &o);
@@ -238,7 +238,7 @@ static bool is_busy(const struct daemon *d)
     return d->session && session_state(d->session) != SESSION_LOST;
 }
 
-static err_t queue(struct daemon *d, int64_t press_ns)
+static err_t queue_press(struct daemon *d, int64_t press_ns)
 {
     int places = d->set->trigger_busy == CONFIG_QUEUE ? d->set->trigger_queue : 1;
     if (d->set->trigger_busy == CONFIG_REJECT || d->n_waiting == places) {
@@ -256,15 +256,15 @@ static err_t queue(struct daemon *d, int64_t press_ns)
     return OK;
 }
 
-static err_t press(struct daemon *d, int64_t press_ns)
+static err_t handle_press(struct daemon *d, int64_t press_ns)
 {
     d->count.presses++;
     if (can_begin(d))
-        return begin(d, press_ns);
+        return begin_take(d, press_ns);
     if (is_busy(d))
-        return queue(d, press_ns);
+        return queue_press(d, press_ns);
     d->count.refused++;
-    return err_fail(ERR_LOST, "%s", sentence(d));
+    return err_fail(ERR_LOST, "%s", state_sentence(d));
 }
 
 static void begin_waiting(struct daemon *d)
@@ -273,13 +273,13 @@ static void begin_waiting(struct daemon *d)
         int64_t press_ns = d->waiting[0];
         d->n_waiting--;
         memmove(d->waiting, d->waiting + 1, (size_t)d->n_waiting * sizeof d->waiting[0]);
-        if (begin(d, press_ns) == OK)
+        if (begin_take(d, press_ns) == OK)
             return;
     }
 }
 
 /* A place is handed to the writer when the one before is stored, which tells its session. */
-static void collect(struct daemon *d)
+static void collect_place(struct daemon *d)
 {
     struct take *t;
     if (!d->session || session_state(d->session) != SESSION_READY || !writer_free(d->writer) ||
@@ -327,7 +327,7 @@ static void finish_take(struct daemon *d, const struct writer_outcome *o)
         log_warn("%s", err_text());
     log_info("%s: %d frames%s%s%s%s", o->id, o->take->n, o->take->reason[0] ? ", " : "",
              o->take->reason, is_place ? ", " : "", is_place ? d->collect.line : "");
-    remember(d, o->id);
+    remember_take(d, o->id);
     d->count.takes += complete;
     d->count.aborted += !complete;
     if (complete)
@@ -350,7 +350,7 @@ static void finish_takes(struct daemon *d)
 
 /* ---- commands ---- */
 
-static void cancel(struct daemon *d)
+static void cancel_work(struct daemon *d)
 {
     if (d->calibrator.on)
         calibrator_cancel(&d->calibrator);
@@ -371,7 +371,7 @@ static err_t end_session(struct daemon *d)
 static void on_press(void *ctx, int64_t press_ns, bool is_long)
 {
     struct daemon *d = ctx;
-    if ((is_long ? end_session(d) : press(d, press_ns)) != OK)
+    if ((is_long ? end_session(d) : handle_press(d, press_ns)) != OK)
         log_info("press not answered: %s", err_text());
 }
 
@@ -379,9 +379,9 @@ static err_t run_command(void *ctx, const char *line)
 {
     struct daemon *d = ctx;
     if (strcmp(line, "capture") == 0)
-        return press(d, clocks_now());
+        return handle_press(d, clocks_now());
     if (strcmp(line, "cancel") == 0) {
-        cancel(d);
+        cancel_work(d);
         return OK;
     }
     if (strcmp(line, "session") == 0)
@@ -404,7 +404,7 @@ static void write_session(void *ctx, FILE *f)
     fputs("}", f);
 }
 
-static void tell(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f))
+static void answer_with(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f))
 {
     char *json = NULL;
     size_t n;
@@ -418,7 +418,7 @@ static void tell(struct daemon *d, uint64_t id, void (*write)(void *ctx, FILE *f
 }
 
 /* The cameras are closed for it; open_cameras opens them afterwards. */
-static err_t calibrate(struct daemon *d, uint64_t id, const char *line)
+static err_t begin_calibration(struct daemon *d, uint64_t id, const char *line)
 {
     if (d->stopping || (is_busy(d) && !can_begin(d)))
         return err_fail(ERR_BUSY, "a capture runs: cameras are calibrated between captures");
@@ -436,13 +436,13 @@ static void on_line(void *ctx, uint64_t id, const char *line)
     bool wait = strcmp(line, "capture wait") == 0;
     bool is_order = strncmp(line, "calibrate", 9) == 0;
     if (strcmp(line, "status") == 0)
-        tell(d, id, write_status);
-    else if (is_order && calibrate(d, id, line) == OK)
+        answer_with(d, id, write_status);
+    else if (is_order && begin_calibration(d, id, line) == OK)
         return; // the calibrator answers
     else if (is_order || run_command(d, wait ? "capture" : line) != OK)
         tell_error(d, id, err_text());
     else if (strncmp(line, "session", 7) == 0)
-        tell(d, id, write_session);
+        answer_with(d, id, write_session);
     else if (wait && d->n_asking < CTL_CLIENTS_MAX)
         d->asking[d->n_asking++] = id;
     else
@@ -524,7 +524,7 @@ static void show_lamp(struct daemon *d, int64_t now)
 }
 
 /* Only a loop that turns, and a writer that gets on, keep the watchdog quiet. */
-static void pet(struct daemon *d, int64_t now)
+static void notify_watchdog(struct daemon *d, int64_t now)
 {
     int64_t since = writer_since_ns(d->writer);
     if (!d->pet_every_ns || now < d->pet_ns)
@@ -532,7 +532,7 @@ static void pet(struct daemon *d, int64_t now)
     if (since && now - since > WRITER_LIMIT_S * INT64_C(1000000000))
         return;
     d->pet_ns = now + d->pet_every_ns;
-    sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", sentence(d));
+    sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", state_sentence(d));
 }
 
 static int64_t earlier(int64_t a, int64_t b)
@@ -540,7 +540,7 @@ static int64_t earlier(int64_t a, int64_t b)
     return a < b ? a : b;
 }
 
-static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
+static int gather_fds(struct daemon *d, struct pollfd *fds, int64_t *deadline)
 {
     int64_t now = clocks_now();
     int n = 0;
@@ -567,7 +567,7 @@ static int gather(struct daemon *d, struct pollfd *fds, int64_t *deadline)
     return n;
 }
 
-static err_t turn(struct daemon *d)
+static err_t run_turn(struct daemon *d)
 {
     int64_t now = clocks_now();
     err_t e = OK;
@@ -588,7 +588,7 @@ static err_t turn(struct daemon *d)
     calibrator_answer(&d->calibrator, can_begin(d), now);
     if (d->http)
         http_step(d->http);
-    collect(d);
+    collect_place(d);
     finish_takes(d);
     begin_waiting(d);
     if (d->collect.ending && end_session(d) != OK)
@@ -596,11 +596,11 @@ static err_t turn(struct daemon *d)
     if (d->jobs && !d->stopping)
         jobs_step(d->jobs);
     show_lamp(d, now);
-    pet(d, now);
+    notify_watchdog(d, now);
     return OK;
 }
 
-static bool finished(struct daemon *d)
+static bool is_finished(struct daemon *d)
 {
     if (!d->stopping)
         return false;
@@ -608,20 +608,20 @@ static bool finished(struct daemon *d)
     return s == SESSION_ARMED || s == SESSION_LOST || clocks_now() >= d->stop_ns;
 }
 
-static err_t loop(struct daemon *d)
+static err_t run_loop(struct daemon *d)
 {
-    err_t e = turn(d);
+    err_t e = run_turn(d);
     sd_notify(0, "READY=1");
-    while (!e && !finished(d)) {
+    while (!e && !is_finished(d)) {
         struct pollfd fds[FDS_MAX];
         int64_t deadline;
-        int n = gather(d, fds, &deadline);
+        int n = gather_fds(d, fds, &deadline);
         int64_t left = deadline - clocks_now();
         struct timespec wait = {.tv_sec = left > 0 ? left / 1000000000 : 0,
                                 .tv_nsec = left > 0 ? left % 1000000000 : 0};
         if (ppoll(fds, (nfds_t)n, &wait, NULL) < 0 && errno != EINTR)
             return err_fail(ERR_IO, "poll: %s", strerror(errno));
-        e = turn(d);
+        e = run_turn(d);
     }
     return e;
 }
@@ -665,7 +665,7 @@ static err_t open_store(struct daemon *d)
     if (e)
         return e;
     for (int i = store_list(d->store, ids, RECENT) - 1; i >= 0; i--)
-        remember(d, ids[i]);
+        remember_take(d, ids[i]);
     return OK;
 }
 
@@ -751,7 +751,7 @@ static void close_all(struct daemon *d)
         poll(&p, 1, -1);
         finish_takes(d);
     }
-    collect(d);
+    collect_place(d);
     session_close(d->session);
     triggers_close(d->triggers);
     calibrator_close(&d->calibrator);
@@ -780,7 +780,7 @@ err_t daemon_run(const struct daemon_config *cfg)
     if (!e)
         tell_start(d);
     if (!e)
-        e = loop(d);
+        e = run_loop(d);
     close_all(d);
     free(d);
     return e;

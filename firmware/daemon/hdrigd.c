@@ -33,7 +33,7 @@ static const struct option table[] = {
     {"help", no_argument, NULL, 'h'},         {0}};
 
 /* First pass (c NULL): all but --set. Second pass: --set alone, after the files. */
-static err_t scan(int argc, char **argv, struct request *q, struct config *c)
+static err_t scan_options(int argc, char **argv, struct request *q, struct config *c)
 {
     err_t e = OK;
     opterr = 0;
@@ -55,14 +55,14 @@ static err_t scan(int argc, char **argv, struct request *q, struct config *c)
     return e;
 }
 
-static err_t load(int argc, char **argv, struct request *q, struct config *c)
+static err_t load_settings(int argc, char **argv, struct request *q, struct config *c)
 {
     config_defaults(c);
     err_t e = config_load(c, CONFIG_DIR);
     if (!e && q->config_path)
         e = config_read(c, q->config_path);
     if (!e)
-        e = scan(argc, argv, q, c);
+        e = scan_options(argc, argv, q, c);
     return e ? e : config_check_rig(c);
 }
 
@@ -77,7 +77,7 @@ static err_t find_program(char path[FILE_PATH_CAP])
     return file_join(dirname(self), "hdrig", path);
 }
 
-static int say(err_t e, int code)
+static int print_error(err_t e, int code)
 {
     fprintf(stderr, "hdrigd: %s\n", err_text());
     return e ? code : CMD_OK;
@@ -88,9 +88,9 @@ int main(int argc, char **argv)
     static struct config c;
     struct request q = {0};
     char program[FILE_PATH_CAP];
-    err_t e = scan(argc, argv, &q, NULL);
+    err_t e = scan_options(argc, argv, &q, NULL);
     if (e)
-        return say(e, CMD_USAGE);
+        return print_error(e, CMD_USAGE);
     if (q.help) {
         fputs(help, stdout);
         return CMD_OK;
@@ -99,9 +99,9 @@ int main(int argc, char **argv)
         puts("hdrigd " HDRIG_VERSION);
         return CMD_OK;
     }
-    e = load(argc, argv, &q, &c);
+    e = load_settings(argc, argv, &q, &c);
     if (e)
-        return say(e, BAD_CONFIG);
+        return print_error(e, BAD_CONFIG);
     if (q.check) {
         puts("the settings are good");
         return CMD_OK;
@@ -110,5 +110,6 @@ int main(int argc, char **argv)
     struct daemon_config d = {&c, q.config_path, program};
     if (!e)
         e = daemon_run(&d);
-    return e ? say(e, e == ERR_ARG || e == ERR_UNSUPPORTED ? BAD_CONFIG : CMD_FAILURE) : CMD_OK;
+    return e ? print_error(e, e == ERR_ARG || e == ERR_UNSUPPORTED ? BAD_CONFIG : CMD_FAILURE)
+             : CMD_OK;
 }

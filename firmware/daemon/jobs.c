@@ -126,7 +126,7 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
 }
 
 /* It waits from place `from` of the queue on. */
-static bool waits(const struct jobs *j, int from, const char *id)
+static bool is_queued(const struct jobs *j, int from, const char *id)
 {
     for (int i = from; i < j->n; i++)
         if (strcmp(j->queue[i], id) == 0)
@@ -138,7 +138,7 @@ err_t jobs_add(struct jobs *j, const char *id)
 {
     char path[FILE_PATH_CAP];
     FILE *f;
-    if (waits(j, j->child.pid != 0, id))
+    if (is_queued(j, j->child.pid != 0, id))
         return OK;
     if (j->n == JOBS_MAX)
         return err_fail(ERR_LIMIT, "%s: %d reconstructions wait already", id, JOBS_MAX);
@@ -158,17 +158,17 @@ err_t jobs_add(struct jobs *j, const char *id)
     return OK;
 }
 
-static void say(struct jobs *j, const char *text)
+static void set_line(struct jobs *j, const char *text)
 {
     snprintf(j->state.line, sizeof j->state.line, "%.*s", JOBS_TEXT - 1, text);
     j->state.changed = true;
 }
 
 /* The first of the queue is over; its result, if any, is in its folder. */
-static void end(struct jobs *j, enum jobs_end how)
+static void end_job(struct jobs *j, enum jobs_end how)
 {
     char path[FILE_PATH_CAP];
-    if (!waits(j, 1, j->queue[0]) && is_pending(j, j->queue[0]) &&
+    if (!is_queued(j, 1, j->queue[0]) && is_pending(j, j->queue[0]) &&
         pending_path(j, j->queue[0], path) == OK)
         unlink(path);
     j->state.last = how;
@@ -214,7 +214,7 @@ static err_t make_order(struct jobs *j)
     return e;
 }
 
-static err_t start(struct jobs *j)
+static err_t start_child(struct jobs *j)
 {
     err_t e = make_order(j);
     if (!e)
@@ -223,7 +223,7 @@ static err_t start(struct jobs *j)
         return e;
     setpriority(PRIO_PROCESS, (id_t)j->child.pid, NICE); // cameras come first
     j->warnings = 0;
-    say(j, "");
+    set_line(j, "");
     return OK;
 }
 
@@ -236,38 +236,38 @@ static void hear(void *ctx, const char *line)
         log_warn("%s%s", j->queue[0], warning);
         j->warnings++;
     } else {
-        say(j, line);
+        set_line(j, line);
     }
 }
 
-static void reap(struct jobs *j)
+static void reap_child(struct jobs *j)
 {
     int status;
     if (!child_ended(&j->child, hear, j, &status))
         return;
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
-        end(j, JOBS_DONE);
+        end_job(j, JOBS_DONE);
     else if (j->cancelled || (WIFEXITED(status) && WEXITSTATUS(status) == INTERRUPTED))
-        end(j, JOBS_CANCELLED);
+        end_job(j, JOBS_CANCELLED);
     else {
         char text[64];
         if (WIFSIGNALED(status)) {
             snprintf(text, sizeof text, "killed by signal %d", WTERMSIG(status));
-            say(j, text);
+            set_line(j, text);
         }
-        end(j, JOBS_FAILED);
+        end_job(j, JOBS_FAILED);
     }
 }
 
 void jobs_step(struct jobs *j)
 {
     child_listen(&j->child, hear, j);
-    reap(j);
+    reap_child(j);
     while (!j->child.pid && j->n > 0) {
-        if (start(j) == OK)
+        if (start_child(j) == OK)
             return;
-        say(j, err_text());
-        end(j, JOBS_FAILED);
+        set_line(j, err_text());
+        end_job(j, JOBS_FAILED);
     }
 }
 

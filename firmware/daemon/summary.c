@@ -15,7 +15,7 @@ static const char *scene_of(const struct summary *s)
     return s->session[0] ? s->session : s->id;
 }
 
-static void copy(char *out, size_t cap, const char *text)
+static void copy_text(char *out, size_t cap, const char *text)
 {
     snprintf(out, cap, "%s", text ? text : "");
 }
@@ -38,7 +38,7 @@ static void read_images(const struct cJSON *files, struct summary *s)
     for (const struct cJSON *f = json_first(files); f; f = json_next(f)) {
         const char *name = json_string(json_member(f, "name"));
         if (name && strncmp(name, folder, sizeof folder - 1) == 0 && s->n_images < SUMMARY_IMAGES)
-            copy(s->image[s->n_images++], sizeof s->image[0], name + strlen("images/"));
+            copy_text(s->image[s->n_images++], sizeof s->image[0], name + strlen("images/"));
     }
 }
 
@@ -57,9 +57,9 @@ err_t summary_read(const char *store, const char *id, struct summary *out)
     const struct cJSON *cameras = json_member(doc, "cameras");
     const char *status = json_string(json_member(doc, "status"));
     const char *session = json_string(json_member(doc, "session"));
-    copy(out->id, sizeof out->id, id);
-    copy(out->session, sizeof out->session, session && store_is_id(session) ? session : "");
-    copy(out->reason, sizeof out->reason, json_string(json_member(doc, "reason")));
+    copy_text(out->id, sizeof out->id, id);
+    copy_text(out->session, sizeof out->session, session && store_is_id(session) ? session : "");
+    copy_text(out->reason, sizeof out->reason, json_string(json_member(doc, "reason")));
     out->complete = status && strcmp(status, "complete") == 0;
     out->cameras = json_count(cameras);
     out->frames = json_count(json_member(doc, "frames"));

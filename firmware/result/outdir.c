@@ -20,7 +20,7 @@ enum { TREE_FDS = 16 };
 /* ---- names ---- */
 
 /* Copy the path without slashes at its end. */
-static err_t normalize(const char *path, char copy[FILE_PATH_CAP])
+static err_t normalize_path(const char *path, char copy[FILE_PATH_CAP])
 {
     size_t n = strlen(path);
     while (n > 1 && path[n - 1] == '/')
@@ -101,7 +101,7 @@ static err_t check_place(const char *path, const struct outdir_rules *rules)
 err_t outdir_open(const char *path, const struct outdir_rules *rules, struct outdir *o)
 {
     memset(o, 0, sizeof *o);
-    err_t e = normalize(path, o->path);
+    err_t e = normalize_path(path, o->path);
     if (!e)
         e = check_place(o->path, rules);
     if (!e)
@@ -115,7 +115,7 @@ err_t outdir_open(const char *path, const struct outdir_rules *rules, struct out
     return e;
 }
 
-static err_t room(const struct outdir *o, uint64_t *bytes)
+static err_t free_bytes(const struct outdir *o, uint64_t *bytes)
 {
     struct statvfs v;
     if (statvfs(o->partial.dir, &v) != 0)
@@ -128,7 +128,7 @@ err_t outdir_reserve(struct outdir *o, uint64_t bytes)
 {
     uint64_t have = 0;
     o->need = bytes;
-    err_t e = room(o, &have);
+    err_t e = free_bytes(o, &have);
     if (!e && have < bytes)
         return err_fail(ERR_LIMIT,
                         "%s: the result takes up to %" PRIu64 " bytes, there is room for %" PRIu64,
@@ -144,7 +144,7 @@ err_t outdir_reason(const struct outdir *o, err_t e)
     if (e != ERR_IO)
         return e;
     snprintf(text, sizeof text, "%s", err_text());
-    if (room(o, &have) != OK)
+    if (free_bytes(o, &have) != OK)
         return err_fail(e, "%s", text);
     if (getrlimit(RLIMIT_FSIZE, &file) == 0 && file.rlim_cur < have)
         have = file.rlim_cur;
@@ -204,7 +204,7 @@ static err_t sync_tree(const char *path)
     return e == -1 ? err_fail(ERR_IO, "%s: %s", path, strerror(errno)) : (err_t)e;
 }
 
-static int exchange(const struct outdir *o)
+static int exchange_folders(const struct outdir *o)
 {
     return renameat2(AT_FDCWD, o->partial.dir, AT_FDCWD, o->path, RENAME_EXCHANGE);
 }
@@ -214,7 +214,7 @@ static int exchange(const struct outdir *o)
 static err_t remove_former(struct outdir *o)
 {
     err_t e = filelist_check(o->partial.dir, false);
-    if (e && exchange(o) == 0)
+    if (e && exchange_folders(o) == 0)
         return e;
     if (!e)
         e = filelist_remove(o->partial.dir);
@@ -226,11 +226,11 @@ static err_t remove_former(struct outdir *o)
     return OK;
 }
 
-static err_t show(struct outdir *o)
+static err_t show_result(struct outdir *o)
 {
     const char *dir = o->partial.dir;
     bool replace = file_is_dir(o->path) && !is_empty(o->path);
-    int failed = replace ? exchange(o) : rename(dir, o->path);
+    int failed = replace ? exchange_folders(o) : rename(dir, o->path);
     if (failed && errno == EINVAL && replace)
         return err_fail(
             ERR_IO, "%s: this file system cannot exchange folders; remove the former result first",
@@ -256,7 +256,7 @@ err_t outdir_commit(struct outdir *o)
     if (!e)
         e = partial_unmark(&o->partial);
     if (!e)
-        e = show(o);
+        e = show_result(o);
     if (e)
         return e;
     partial_close(&o->partial);

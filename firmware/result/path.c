@@ -33,7 +33,7 @@ static bool normalise(double v[3])
     return n > 1e-12;
 }
 
-static void row(const struct camera *cam, int i, double out[3])
+static void camera_row(const struct camera *cam, int i, double out[3])
 {
     float r[9];
     rotation_from_unit(cam->q, r);
@@ -43,15 +43,15 @@ static void row(const struct camera *cam, int i, double out[3])
 
 void path_axis(const struct camera *cam, double axis[3])
 {
-    row(cam, 2, axis);
+    camera_row(cam, 2, axis);
 }
 
 void path_centre(const struct camera *cam, double centre[3])
 {
     double x[3], y[3], z[3];
-    row(cam, 0, x);
-    row(cam, 1, y);
-    row(cam, 2, z);
+    camera_row(cam, 0, x);
+    camera_row(cam, 1, y);
+    camera_row(cam, 2, z);
     for (int k = 0; k < 3; k++)
         centre[k] =
             -(x[k] * (double)cam->t[0] + y[k] * (double)cam->t[1] + z[k] * (double)cam->t[2]);
@@ -97,7 +97,7 @@ static bool solve3(const double m[9], const double b[3], double p[3])
 }
 
 /* Where the axes converge; false if that is nowhere in front of the cameras. */
-static bool convergence(const struct camera *cams, int n, double p[3])
+static bool find_convergence(const struct camera *cams, int n, double p[3])
 {
     double m[9] = {0}, b[3] = {0};
     for (int i = 0; i < n; i++) {
@@ -127,14 +127,14 @@ struct spread {
     double across, along; // standard deviation of the centres along right and down
 };
 
-static void measure(const struct camera *cams, int n, struct spread *s)
+static void measure_spread(const struct camera *cams, int n, struct spread *s)
 {
     memset(s, 0, sizeof *s);
     for (int i = 0; i < n; i++) {
         double c[3], a[3], y[3];
         path_centre(&cams[i], c);
         path_axis(&cams[i], a);
-        row(&cams[i], 1, y);
+        camera_row(&cams[i], 1, y);
         for (int k = 0; k < 3; k++) {
             s->centre[k] += c[k] / n;
             s->axis[k] += a[k] / n;
@@ -145,7 +145,7 @@ static void measure(const struct camera *cams, int n, struct spread *s)
         path_axis(&cams[0], s->axis);
     cross(s->down, s->axis, s->right);
     if (!normalise(s->right))
-        row(&cams[0], 0, s->right);
+        camera_row(&cams[0], 0, s->right);
     cross(s->axis, s->right, s->down);
     (void)normalise(s->down);
     for (int i = 0; i < n; i++) {
@@ -203,8 +203,8 @@ void path_orbit(const struct camera *cams, int n_cams, double far, int i, int n,
 {
     struct spread s;
     double p[3], eye[3];
-    measure(cams, n_cams, &s);
-    if (!convergence(cams, n_cams, p))
+    measure_spread(cams, n_cams, &s);
+    if (!find_convergence(cams, n_cams, p))
         for (int k = 0; k < 3; k++)
             p[k] = s.centre[k] + far * s.axis[k];
     double turn = 6.283185307179586 * i / n;
@@ -243,7 +243,7 @@ static double arc(const double a[4], const double b[4])
 }
 
 /* The line and the great arc from a (u = 0) to b (u = 1), and beyond. */
-static struct pose between(const struct pose *a, const struct pose *b, double u)
+static struct pose pose_between(const struct pose *a, const struct pose *b, double u)
 {
     struct pose out;
     double angle = arc(a->q, b->q), s = sin(angle);
@@ -257,7 +257,7 @@ static struct pose between(const struct pose *a, const struct pose *b, double u)
 }
 
 /* Of the two quaternions of b's rotation the one nearer to a's. */
-static void align(const struct pose *a, struct pose *b)
+static void align_pose(const struct pose *a, struct pose *b)
 {
     double cosine = 0;
     for (int k = 0; k < 4; k++)
@@ -267,11 +267,11 @@ static void align(const struct pose *a, struct pose *b)
 }
 
 /* How far the picture of something at `far` moves from a to b, radians. */
-static double step(const struct camera *a, const struct camera *b, double far)
+static double picture_step(const struct camera *a, const struct camera *b, double far)
 {
     struct pose p = pose_of(a), q = pose_of(b);
     double square = 0;
-    align(&p, &q);
+    align_pose(&p, &q);
     for (int k = 0; k < 3; k++)
         square += (p.c[k] - q.c[k]) * (p.c[k] - q.c[k]);
     return sqrt(square) / far + 2 * arc(p.q, q.q);
@@ -287,7 +287,7 @@ struct way {
 static int next_stop(const struct way *w, int a, double *h)
 {
     for (int b = a + 1; b < w->n; b++) {
-        *h = step(w->cams + a, w->cams + b, w->far);
+        *h = picture_step(w->cams + a, w->cams + b, w->far);
         if (*h > w->apart)
             return b;
     }
@@ -295,16 +295,17 @@ static int next_stop(const struct way *w, int a, double *h)
 }
 
 /* At t in 0..h[1] between p[1] and p[2]; h: steps between the four. */
-static struct pose pyramid(const struct pose p[4], const double h[3], double t)
+static struct pose pyramid_pose(const struct pose p[4], const double h[3], double t)
 {
-    struct pose a0 = between(p, p + 1, 1 + t / h[0]), a1 = between(p + 1, p + 2, t / h[1]),
-                a2 = between(p + 2, p + 3, (t - h[1]) / h[2]),
-                b0 = between(&a0, &a1, (t + h[0]) / (h[0] + h[1])),
-                b1 = between(&a1, &a2, t / (h[1] + h[2]));
-    return between(&b0, &b1, t / h[1]);
+    struct pose a0 = pose_between(p, p + 1, 1 + t / h[0]),
+                a1 = pose_between(p + 1, p + 2, t / h[1]),
+                a2 = pose_between(p + 2, p + 3, (t - h[1]) / h[2]),
+                b0 = pose_between(&a0, &a1, (t + h[0]) / (h[0] + h[1])),
+                b1 = pose_between(&a1, &a2, t / (h[1] + h[2]));
+    return pose_between(&b0, &b1, t / h[1]);
 }
 
-static double length(const struct way *w)
+static double way_length(const struct way *w)
 {
     double sum = 0, h = 0;
     for (int a = 0; (a = next_stop(w, a, &h)) >= 0;)
@@ -313,7 +314,8 @@ static double length(const struct way *w)
 }
 
 /* Put the first of two cameras at `p`, its lens on the way to that of the second. */
-static void place(const struct camera *second, double share, struct pose p, struct camera *cam)
+static void place_camera(const struct camera *second, double share, struct pose p,
+                         struct camera *cam)
 {
     const float u = (float)share;
     cam->fx += u * (second->fx - cam->fx);
@@ -324,7 +326,7 @@ static void place(const struct camera *second, double share, struct pose p, stru
         cam->q[k] = (float)p.q[k];
     for (int k = 0; k < 3; k++) {
         double r[3];
-        row(cam, k, r);
+        camera_row(cam, k, r);
         cam->t[k] = (float)-dot(r, p.c);
     }
 }
@@ -332,8 +334,8 @@ static void place(const struct camera *second, double share, struct pose p, stru
 void path_through(const struct camera *cams, int n_cams, double far, double u, struct camera *out)
 {
     struct way w = {cams, n_cams, far, 0};
-    w.apart = STOP_SHARE * length(&w) / n_cams;
-    double t = u * length(&w), h[3] = {0};
+    w.apart = STOP_SHARE * way_length(&w) / n_cams;
+    double t = u * way_length(&w), h[3] = {0};
     int before = -1, a = 0, b = next_stop(&w, 0, &h[1]);
     while (b >= 0 && t > h[1]) {
         t -= h[1];
@@ -349,14 +351,14 @@ void path_through(const struct camera *cams, int n_cams, double far, double u, s
     struct pose p[4] = {pose_of(cams + (before < 0 ? a : before)), pose_of(cams + a),
                         pose_of(cams + b), pose_of(cams + (after < 0 ? b : after))};
     for (int k = 0; k < 3; k++)
-        align(p + k, p + k + 1);
+        align_pose(p + k, p + k + 1);
     if (before < 0) { // as if there were one before the first
-        p[0] = between(p + 1, p + 2, -1);
+        p[0] = pose_between(p + 1, p + 2, -1);
         h[0] = h[1];
     }
     if (after < 0) {
-        p[3] = between(p + 1, p + 2, 2);
+        p[3] = pose_between(p + 1, p + 2, 2);
         h[2] = h[1];
     }
-    place(cams + b, t / h[1], pyramid(p, h, t), out);
+    place_camera(cams + b, t / h[1], pyramid_pose(p, h, t), out);
 }

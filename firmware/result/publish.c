@@ -99,7 +99,7 @@ struct pictures {
 };
 
 /* Photograph i beside what was drawn last, which stays in draw.display. */
-static err_t compare(struct pictures *p, int i)
+static err_t compare_photograph(struct pictures *p, int i)
 {
     const struct views *v = &p->j->views;
     const size_t values = 3 * (size_t)v->size * (size_t)v->size;
@@ -120,9 +120,9 @@ static err_t write_view(struct pictures *p, int i)
     size_t clipped = 0;
     err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
     for (int k = views_next(v, i, i); k >= 0 && !e; k = views_next(v, i, k))
-        e = compare(p, k);
+        e = compare_photograph(p, k);
     if (!e)
-        e = compare(p, i); // the one whose exposure is written
+        e = compare_photograph(p, i); // the one whose exposure is written
     job_result_lap(p->j, JOB_RENDER);
     draw_name("ldr", s->names[i], "png", name);
     if (!e)
@@ -217,7 +217,7 @@ static err_t write_viewer(struct job_result *j, const struct outdir *o)
     return e ? e : viewer_write(path, &viewer);
 }
 
-static void tell(const struct job_result *j, int threads, struct report *rep)
+static void report_times(const struct job_result *j, int threads, struct report *rep)
 {
     job_report(j, threads, rep);
     report_text(rep, "viewer", has_viewer(j) ? VIEWER_NAME : NULL);
@@ -234,7 +234,7 @@ static err_t write_report(const struct job_result *j, int threads, const struct 
         e = outdir_report_open(o, &rep);
     if (e)
         return e;
-    tell(j, threads, &rep);
+    report_times(j, threads, &rep);
     e = outdir_report_close(o, &rep);
     return e ? e : report_page_close(sheet, path);
 }
@@ -279,6 +279,6 @@ void publish_report(const struct job_result *j, int threads, FILE *f)
 {
     struct report rep;
     report_begin(&rep, f);
-    tell(j, threads, &rep);
+    report_times(j, threads, &rep);
     report_close(&rep);
 }

@@ -18,17 +18,17 @@ void report_begin(struct report *r, FILE *f)
     report_text(r, "generator", ORIGIN_GENERATOR);
 }
 
-static void line(struct report *r)
+static void new_line(struct report *r)
 {
     fprintf(r->f, "\n%*s", 2 * r->depth, "");
 }
 
-static void begin(struct report *r, const char *key)
+static void begin_member(struct report *r, const char *key)
 {
     if (r->depth > 0) {
         if (!r->empty)
             putc(',', r->f);
-        line(r);
+        new_line(r);
     }
     r->empty = false;
     if (key) {
@@ -40,7 +40,7 @@ static void begin(struct report *r, const char *key)
 void report_open(struct report *r, const char *key, char bracket)
 {
     assert(r->depth < REPORT_DEPTH);
-    begin(r, key);
+    begin_member(r, key);
     putc(bracket, r->f);
     r->close[r->depth++] = bracket == '{' ? '}' : ']';
     r->empty = true;
@@ -51,7 +51,7 @@ void report_close(struct report *r)
     assert(r->depth > 0);
     char c = r->close[--r->depth];
     if (!r->empty)
-        line(r);
+        new_line(r);
     putc(c, r->f);
     r->empty = false;
     if (r->depth == 0)
@@ -68,13 +68,13 @@ static void put_number(struct report *r, double v)
 
 void report_number(struct report *r, const char *key, double v)
 {
-    begin(r, key);
+    begin_member(r, key);
     put_number(r, v);
 }
 
 void report_row(struct report *r, const char *key, const double *v, int n)
 {
-    begin(r, key);
+    begin_member(r, key);
     putc('[', r->f);
     for (int i = 0; i < n; i++) {
         fputs(i > 0 ? ", " : "", r->f);
@@ -85,19 +85,19 @@ void report_row(struct report *r, const char *key, const double *v, int n)
 
 void report_int(struct report *r, const char *key, long long v)
 {
-    begin(r, key);
+    begin_member(r, key);
     fprintf(r->f, "%lld", v);
 }
 
 void report_bool(struct report *r, const char *key, bool v)
 {
-    begin(r, key);
+    begin_member(r, key);
     fputs(v ? "true" : "false", r->f);
 }
 
 void report_text(struct report *r, const char *key, const char *text)
 {
-    begin(r, key);
+    begin_member(r, key);
     if (text)
         json_put_string(r->f, text);
     else

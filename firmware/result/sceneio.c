@@ -43,7 +43,7 @@ static err_t kind_of(const char *path, enum kind *out)
 /* ---- reading ---- */
 
 /* The file of a result folder, or the path as it is. */
-static err_t find(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
+static err_t find_file(const char *path, char file[FILE_PATH_CAP], enum kind *kind)
 {
     err_t e;
     *kind = HDRIG;
@@ -80,7 +80,7 @@ err_t sceneio_peek(const char *path, struct sceneio_info *out)
     struct splats_info splats;
     struct sidecar_info side;
     memset(out, 0, sizeof *out);
-    err_t e = find(path, file, &kind);
+    err_t e = find_file(path, file, &kind);
     if (e || kind == HDRIG)
         return e ? e : peek_scenefile(file, out);
     e = splats_peek(formats[kind], file, &splats);
@@ -129,7 +129,7 @@ err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
     size_t mark = arena_mark(a);
     memset(s, 0, sizeof *s);
     *report = (struct gaussians_report){0};
-    err_t e = find(path, file, &kind);
+    err_t e = find_file(path, file, &kind);
     if (!e)
         e = kind == HDRIG ? scenefile_read(file, a, s) : read_splats(file, kind, a, s, report);
     if (e) {

@@ -62,7 +62,7 @@ static err_t spawn(char *const argv[], int in, int out, int messages, pid_t *pid
     return err_fail(ERR_IO, "ffmpeg: cannot start: %s", strerror(why));
 }
 
-static bool cancelled(void)
+static bool is_cancelled(void)
 {
     return atomic_load(&engine_cancel);
 }
@@ -73,7 +73,7 @@ static int wait_for(pid_t *pid)
 {
     int status = 0;
     for (pid_t ended = 0; ended == 0 || (ended < 0 && errno == EINTR);) {
-        if (cancelled())
+        if (is_cancelled())
             kill(*pid, SIGKILL);
         ended = waitpid(*pid, &status, WNOHANG);
         if (ended == 0)
@@ -84,10 +84,10 @@ static int wait_for(pid_t *pid)
 }
 
 /* False if ffmpeg takes no more, or the user wants to stop. */
-static bool send(int pipe, const uint8_t *p, size_t n)
+static bool send_bytes(int pipe, const uint8_t *p, size_t n)
 {
     struct pollfd room = {.fd = pipe, .events = POLLOUT};
-    while (n > 0 && !cancelled()) {
+    while (n > 0 && !is_cancelled()) {
         ssize_t put = write(pipe, p, n);
         if (put > 0) {
             p += put;
@@ -114,7 +114,7 @@ static err_t judge(const char *what, int messages, int status)
     char line[LINE_CAP];
     read_text(messages, sizeof line, line);
     line[strcspn(line, "\n")] = 0;
-    if (cancelled())
+    if (is_cancelled())
         return ERR_CANCELLED;
     if (status == 0 && !*line)
         return OK;
@@ -233,9 +233,10 @@ err_t video_put(struct video *v, const struct image8 *picture)
     bool ok = true;
     for (int y = 0; y < v->h + v->h % 2 && ok; y++) {
         const uint8_t *px = picture->px + (size_t)(y < v->h ? y : v->h - 1) * row;
-        ok = send(v->pipe, px, row) && (v->w % 2 == 0 || send(v->pipe, px + row - 3, 3));
+        ok =
+            send_bytes(v->pipe, px, row) && (v->w % 2 == 0 || send_bytes(v->pipe, px + row - 3, 3));
     }
-    return cancelled() ? ERR_CANCELLED : ok ? OK : lost(v);
+    return is_cancelled() ? ERR_CANCELLED : ok ? OK : lost(v);
 }
 
 err_t video_finish(struct video *v)

@@ -45,7 +45,7 @@ static bool read_ended(const char *path, char session[STORE_ID_CAP])
     return store_is_id(session);
 }
 
-static void reverse(struct places *p)
+static void reverse_places(struct places *p)
 {
     for (int i = 0, j = p->n - 1; i < j; i++, j--) {
         char swap[STORE_ID_CAP];
@@ -56,8 +56,8 @@ static void reverse(struct places *p)
 }
 
 /* session "": that of the newest complete take. */
-static void look(const char *store, const char *session, char (*ids)[STORE_ID_CAP],
-                 struct places *out)
+static void look_through(const char *store, const char *session, char (*ids)[STORE_ID_CAP],
+                         struct places *out)
 {
     char of[STORE_ID_CAP];
     bool is_aborted, of_aborted;
@@ -79,7 +79,7 @@ static void look(const char *store, const char *session, char (*ids)[STORE_ID_CA
         memcpy(out->take[out->n++], ids[i], STORE_ID_CAP);
         out->balance = balance; // in the end that of the oldest
     }
-    reverse(out);
+    reverse_places(out);
 }
 
 err_t places_of(const char *store, const char *session, struct places *out)
@@ -88,7 +88,7 @@ err_t places_of(const char *store, const char *session, struct places *out)
     *out = (struct places){0};
     if (!ids)
         return err_fail(ERR_NOMEM, "%s: no memory for %d captures", store, LIST_MAX);
-    look(store, session, ids, out);
+    look_through(store, session, ids, out);
     free(ids);
     return OK;
 }

@@ -208,7 +208,7 @@ static err_t read_manifest(const struct store_fs *fs, const char *dir, struct ma
     return e;
 }
 
-static err_t verify(const struct store_fs *fs, const char *dir, struct manifest *m)
+static err_t verify_take(const struct store_fs *fs, const char *dir, struct manifest *m)
 {
     static const char *const folders[] = {"", "images", "raw", "merged"};
     err_t e = read_manifest(fs, dir, m);
@@ -224,7 +224,7 @@ err_t store_verify(const char *dir)
     struct manifest *m = malloc(sizeof *m);
     if (!m)
         return err_fail(ERR_NOMEM, "%s: no memory", dir);
-    err_t e = verify(&store_fs_system, dir, m);
+    err_t e = verify_take(&store_fs_system, dir, m);
     free(m);
     return e;
 }
@@ -266,7 +266,7 @@ static err_t make_folders(const struct store *s)
     return e;
 }
 
-static err_t lock(struct store *s)
+static err_t lock_store(struct store *s)
 {
     s->fd = open(s->path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (s->fd < 0)
@@ -300,7 +300,7 @@ static bool is_tmp_name(const char *name)
 
 /* What a crash left. Not before the disk, too, knows it by these names: what it calls a take must
  * stay whole. */
-static void clean(struct store *s)
+static void remove_leftovers(struct store *s)
 {
     char path[FILE_PATH_CAP];
     if (store_fs_sync_dir(s->fs, s->path) != OK) {
@@ -343,7 +343,7 @@ static void check_take(struct store *s, const char *id)
     char path[FILE_PATH_CAP], name[STORE_ID_CAP + 16], aside[FILE_PATH_CAP];
     err_t e = file_join(s->path, id, path);
     if (!e)
-        e = verify(s->fs, path, &s->manifest);
+        e = verify_take(s->fs, path, &s->manifest);
     if (!e)
         return;
     log_warn("%s", err_text());
@@ -380,14 +380,14 @@ err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg, s
     if (!e)
         e = make_folders(s);
     if (!e)
-        e = lock(s);
+        e = lock_store(s);
     if (!e)
         e = read_boot(s);
     if (e) {
         store_close(s);
         return e;
     }
-    clean(s);
+    remove_leftovers(s);
     read_counter(s);
     for (int i = store_list(s, last, CHECKED) - 1; i >= 0; i--)
         check_take(s, last[i]);
@@ -432,8 +432,8 @@ err_t store_room(const struct store *s, uint64_t bytes)
 
 /* The oldest of its kind that is newer than `than` (number 0: of all), and how many of them there
  * are. */
-static int oldest(const struct store *s, bool is_aborted, const struct entry *than,
-                  struct entry *out)
+static int oldest_entry(const struct store *s, bool is_aborted, const struct entry *than,
+                        struct entry *out)
 {
     struct entry x;
     int n = 0;
@@ -487,9 +487,9 @@ static void keep_newest(struct store *s, bool is_aborted)
     char session[MANIFEST_ID_CAP];
     err_t e = OK;
     memcpy(session, s->manifest.session, sizeof session);
-    int surplus = s->cfg.keep > 0 ? oldest(s, is_aborted, &than, &x) - s->cfg.keep : 0;
+    int surplus = s->cfg.keep > 0 ? oldest_entry(s, is_aborted, &than, &x) - s->cfg.keep : 0;
     for (; surplus > 0 && !e; surplus--, than = x) {
-        oldest(s, is_aborted, &than, &x);
+        oldest_entry(s, is_aborted, &than, &x);
         if (check_removable(s, x.id) != OK) {
             if (x.number > s->kept)
                 log_warn("%s; this take stays beyond store.keep", err_text());
@@ -536,7 +536,7 @@ static err_t check_frame(const struct take *t, int i)
     return OK;
 }
 
-static err_t check(const struct take *t)
+static err_t check_shape(const struct take *t)
 {
     int least = t->status == TAKE_COMPLETE ? 1 : 0;
     if (t->n_cameras < 1 || t->n_cameras > BRACKET_CAMERAS_MAX || t->n > TAKE_FRAMES_MAX ||
@@ -721,7 +721,7 @@ static err_t write_take(struct commit *c)
     return e ? e : store_fs_sync_dir(c->s->fs, c->tmp);
 }
 
-static err_t show(struct commit *c)
+static err_t show_take(struct commit *c)
 {
     err_t e = store_fs_move(c->s->fs, c->tmp, c->path);
     c->shown = !e;
@@ -764,7 +764,7 @@ err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
     struct commit c = {.s = s, .t = t};
     char why[512];
     id[0] = 0;
-    err_t e = check(t);
+    err_t e = check_shape(t);
     if (!e)
         e = check_room(s, t);
     if (!e)
@@ -775,7 +775,7 @@ err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
         return e;
     e = write_take(&c);
     if (!e)
-        e = show(&c);
+        e = show_take(&c);
     if (e) {
         snprintf(why, sizeof why, "%s", err_text());
         take_back(&c);

@@ -39,7 +39,7 @@ const struct store_fs store_fs_system = {
 };
 
 /* The sentence of a call that failed with `why`. */
-static err_t refused(const char *path, const char *what, int why)
+static err_t call_fail(const char *path, const char *what, int why)
 {
     return err_fail(file_code(why), "%s: %s: %s", path, what, strerror(why));
 }
@@ -77,7 +77,7 @@ err_t store_fs_create(const struct store_fs *fs, const char *path, struct store_
     *out = (struct store_fs_file){.fs = fs, .path = path};
     out->fd = fs->open(path, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (out->fd < 0)
-        return refused(path, "cannot create", errno);
+        return call_fail(path, "cannot create", errno);
     out->stream = fopencookie(out, "wb", calls);
     if (!out->stream) {
         fs->close(out->fd);
@@ -102,7 +102,7 @@ err_t store_fs_finish(struct store_fs_file *f)
         f->why = errno;
         what = "closing failed";
     }
-    return f->why ? refused(f->path, what, f->why) : OK;
+    return f->why ? call_fail(f->path, what, f->why) : OK;
 }
 
 void store_fs_discard(struct store_fs_file *f)
@@ -129,7 +129,7 @@ static err_t open_regular(const struct store_fs *fs, const char *path, int *fd)
     struct stat st;
     *fd = fs->open(path, O_RDONLY | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, 0);
     if (*fd < 0)
-        return refused(path, "cannot be read", errno);
+        return call_fail(path, "cannot be read", errno);
     if (fstat(*fd, &st) == 0 && S_ISREG(st.st_mode))
         return OK;
     fs->close(*fd);
@@ -166,7 +166,7 @@ err_t store_fs_hash(const struct store_fs *fs, const char *path, uint64_t *bytes
     for (ssize_t n = sizeof block; n == sizeof block && !e;) {
         n = read_full(fs, fd, block, sizeof block);
         if (n < 0)
-            e = refused(path, "cannot be read", errno);
+            e = call_fail(path, "cannot be read", errno);
         sha256_add(&hash, block, n < 0 ? 0 : (size_t)n);
     }
     *bytes = hash.bytes;
@@ -184,7 +184,7 @@ err_t store_fs_read(const struct store_fs *fs, const char *path, void *p, size_t
         return e;
     ssize_t got = read_full(fs, fd, p, cap);
     if (got < 0)
-        e = refused(path, "cannot be read", errno);
+        e = call_fail(path, "cannot be read", errno);
     else
         *n = (size_t)got;
     fs->close(fd);
@@ -197,16 +197,16 @@ err_t store_fs_sync_dir(const struct store_fs *fs, const char *path)
 {
     int fd = fs->open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC, 0), why = 0;
     if (fd < 0)
-        return refused(path, "cannot be brought to the disk", errno);
+        return call_fail(path, "cannot be brought to the disk", errno);
     if (fs->sync(fd) != 0 && errno != EINVAL) // EINVAL: a file system without it
         why = errno;
     fs->close(fd);
-    return why ? refused(path, "cannot be brought to the disk", why) : OK;
+    return why ? call_fail(path, "cannot be brought to the disk", why) : OK;
 }
 
 err_t store_fs_mkdir(const struct store_fs *fs, const char *path)
 {
-    return fs->mkdir(path, 0777) == 0 ? OK : refused(path, "cannot create", errno);
+    return fs->mkdir(path, 0777) == 0 ? OK : call_fail(path, "cannot create", errno);
 }
 
 err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to)
@@ -214,7 +214,7 @@ err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to)
     int failed = fs->rename(from, to, RENAME_NOREPLACE);
     if (failed && errno == EINVAL && !file_exists(to)) // a file system without the flag
         failed = fs->rename(from, to, 0);
-    return failed ? refused(to, "cannot be put there", errno) : OK;
+    return failed ? call_fail(to, "cannot be put there", errno) : OK;
 }
 
 /* What is removed of a folder, and how far that went. */

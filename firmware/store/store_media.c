@@ -20,7 +20,7 @@
 enum { THIN_EDGE = 64, PARTS_MAX = BRACKET_EXPOSURES_MAX + 1, EXPONENTS = 256 };
 
 /* own: free(out->px). */
-static err_t unpack(const struct take *t, const struct take_frame *f, struct raw *out)
+static err_t unpack_frame(const struct take *t, const struct take_frame *f, struct raw *out)
 {
     const struct camera_info *info = &t->camera[f->camera].info;
     const struct frame frame = {.data = f->data,
@@ -45,7 +45,7 @@ static err_t unpack(const struct take *t, const struct take_frame *f, struct raw
 /* ---- white balance ---- */
 
 /* Every step'th cell of 2 x 2; own: free(small->px). */
-static err_t thin(const struct raw *in, struct raw *small)
+static err_t subsample_mosaic(const struct raw *in, struct raw *small)
 {
     int sx = num_min(in->w / 2, (in->w / 2 + THIN_EDGE - 1) / THIN_EDGE);
     int sy = num_min(in->h / 2, (in->h / 2 + THIN_EDGE - 1) / THIN_EDGE);
@@ -74,10 +74,10 @@ err_t store_media_balance(const struct take *t, struct develop *out)
     for (int i = 0; i < t->n && !e; i++) {
         if (t->camera[t->frame[i].camera].info.format < CAMERA_RGGB16)
             continue;
-        e = unpack(t, &t->frame[i], &full);
+        e = unpack_frame(t, &t->frame[i], &full);
         if (e)
             break;
-        e = thin(&full, &small[n]);
+        e = subsample_mosaic(&full, &small[n]);
         free(full.px);
         n += !e;
     }
@@ -96,7 +96,7 @@ err_t store_media_picture(const struct store_fs *fs, const struct take *t,
     struct raw raw;
     void *bytes = NULL;
     size_t n;
-    err_t e = unpack(t, f, &raw);
+    err_t e = unpack_frame(t, f, &raw);
     if (e)
         return e;
     struct image8 im = {raw.w, raw.h, 3, malloc((size_t)raw.w * (size_t)raw.h * 3)};
@@ -150,7 +150,7 @@ static void add_number(struct part_attrs *a, const char *name, double v)
 }
 
 /* Standard attributes, then our own with their prefix. capDate is UTC, so utcOffset is 0. */
-static void describe(struct part_attrs *a, const struct take *t, const struct clocks *at)
+static void describe_part(struct part_attrs *a, const struct take *t, const struct clocks *at)
 {
     time_t seconds = (time_t)(at->realtime_ns / 1000000000 - (at->realtime_ns % 1000000000 < 0));
     struct tm tm;
@@ -170,7 +170,7 @@ static void describe(struct part_attrs *a, const struct take *t, const struct cl
 static void describe_frame(struct part_attrs *a, const struct take *t, const struct take_frame *f)
 {
     double exposure_s = take_exposure_s(f);
-    describe(a, t, &f->start);
+    describe_part(a, t, &f->start);
     add_number(a, "expTime", take_exposure(f)->time_s);
     add_number(a, "hdrigGain", take_exposure(f)->gain);
     add_number(a, "hdrigRadianceScale", 1.0 / exposure_s);
@@ -187,7 +187,7 @@ static void describe_parts(struct merge *m)
         if (i) {
             describe_frame(a, m->t, m->frame[i - 1]);
         } else {
-            describe(a, m->t, &m->t->trigger);
+            describe_part(a, m->t, &m->t->trigger);
             add_number(a, "hdrigRadianceScale", (double)m->scale);
         }
         m->part[i] = (struct exrfile_part){a->name, a->v, a->n};
@@ -265,7 +265,7 @@ err_t store_media_merge(const struct store_fs *fs, const struct take *t, int cam
         if (t->frame[i].camera == camera) {
             m->frame[m->n] = &t->frame[i];
             m->exposure_s[m->n] = take_exposure_s(&t->frame[i]);
-            e = unpack(t, &t->frame[i], &m->raw[m->n]);
+            e = unpack_frame(t, &t->frame[i], &m->raw[m->n]);
             m->n += !e;
         }
     if (!e)
