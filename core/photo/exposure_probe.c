@@ -17,7 +17,10 @@
  * median over places that are good in both.
  * A band of rows has its own median deviation from the ratio; places that are dark or clipped in
  * one frame count by how far their bound is beyond the ratio.
- * A place that is dark or clipped in one frame bounds the ratio from one side. The sorted bounds
+ * A row refutes a ratio R by the sum of its places' differences x_b - R x_a in standard errors,
+ * each weighted by the difference expected if another ratio is true. The weight comes from the
+ * light by both frames, which is independent of the differences if R is true. A place that is dark
+ * or clipped in one frame bounds the ratio from one side. The sorted bounds
  * give the one with 2 % of all places beyond it. */
 #include "core/photo/exposure_probe.h"
 
@@ -51,6 +54,10 @@ enum {
 #define MEDIAN_ERROR 1.25f // standard error of a median over that of a mean
 #define QUARTILE 0.674f    // standard deviations, of a normal distribution
 #define CONVERGED 1e-3f    // stops
+#define PLACE_MAX 4.0f     // standard errors that one place may count against a ratio
+#define ALIKE 1.5f         // codes: rows that differ by less on average are the same
+#define ALIKE_SIGMAS 2.0f  // standard errors added to that difference
+#define STEP_BRIGHT 0.008f // of x: least step of a display's codes there, beyond the step at black
 
 struct scale {
     const struct raw *px;
@@ -203,6 +210,8 @@ void exposure_probe_measure(const struct raw *px, const struct crf *crf, struct 
         count[out->state[i]]++;
     }
     float share = (float)(edge_of(px->w) * edge_of(px->h)) / ((float)px->w * (float)px->h);
+    out->linear = px->linear;
+    out->step = px->linear ? s.unit : (s.table[0][1] + s.table[1][1] + s.table[2][1]) / 3.0f;
     out->overlap = fmaxf(share * EXPOSURE_PROBE_PLACES, 1.0f);
     out->good = count[EXPOSURE_PROBE_GOOD];
     out->dark = count[EXPOSURE_PROBE_DARK];
@@ -418,4 +427,98 @@ void exposure_probe_compare(const struct exposure_probe *a, const struct exposur
     estimate_ratio(&p, out);
     if (out->places > 0)
         out->band = widest_band(&p, out->spread);
+}
+
+/* ---- rows that had another exposure ---- */
+
+struct refuter {
+    const struct exposure_probe *a, *b;
+    float r, other; // ratios, linear
+    bool same;      // the other is no other than a: what is dark or clipped is so in both
+};
+
+/* Bounds of the true x of a place, without its standard error. */
+static void bound_place(const struct refuter *t, const struct exposure_probe *w, int i, float *lo,
+                        float *hi)
+{
+    bool dark = w->state[i] == EXPOSURE_PROBE_DARK && !t->same && !w->linear;
+    *lo = dark ? 0.0f : w->x[i];
+    *hi = dark                                                ? w->floor[i]
+          : w->state[i] == EXPOSURE_PROBE_CLIPPED && !t->same ? INFINITY
+                                                              : w->x[i];
+}
+
+/* Light of place i in a by both frames, if b has the other ratio to it; var: its squared error.
+ * Where it is but bounded, that which makes the two ratios differ most. */
+static float light_if(const struct refuter *t, int i, float *var)
+{
+    float lo_a, hi_a, lo_b, hi_b, va = t->a->sd[i] * t->a->sd[i];
+    float vb = t->b->sd[i] * t->b->sd[i] / (t->other * t->other);
+    bound_place(t, t->a, i, &lo_a, &hi_a);
+    bound_place(t, t->b, i, &lo_b, &hi_b);
+    float xa = isinf(hi_a) ? lo_a : hi_a, xb = (isinf(hi_b) ? lo_b : hi_b) / t->other;
+    bool a = lo_a == hi_a, b = lo_b == hi_b;
+    *var = a && b ? va * vb / fmaxf(va + vb, 1e-30f) : a ? va : vb;
+    if (a != b)
+        return a ? xa : xb;
+    if (a)
+        return (xa * vb + xb * va) / fmaxf(va + vb, 1e-30f);
+    return isinf(hi_a) || isinf(hi_b) ? xa : fminf(xa, xb);
+}
+
+/* Distance of b from the other ratio towards its own, standard errors. */
+static float deviation_from_other(const struct refuter *t, int i, float sd)
+{
+    float lo_a, hi_a, lo_b, hi_b;
+    bound_place(t, t->a, i, &lo_a, &hi_a);
+    bound_place(t, t->b, i, &lo_b, &hi_b);
+    float off = t->other < t->r ? lo_b - t->other * hi_a : t->other * lo_a - hi_b;
+    bool bounds = lo_a < hi_a || lo_b < hi_b;
+    off = bounds ? fmaxf(off, 0.0f) : off;
+    // rows of a that are no more than alike may be wrong, too
+    float black = (BLACK_ERROR + (BLACK_ERROR + ALIKE) * t->other) * t->b->step;
+    off = off > 0.0f ? fmaxf(off - black, 0.0f) : off;
+    return fmaxf(fminf(off / sd, PLACE_MAX), -PLACE_MAX);
+}
+
+/* Exposure of one code at place i of b. */
+static float step_at(const struct exposure_probe *b, int i)
+{
+    return b->step + (b->linear ? 0.0f : STEP_BRIGHT * b->x[i]);
+}
+
+/* Difference of the two ratios at a place of that light. */
+static float expected_difference(const struct refuter *t, float light)
+{
+    return fabsf(fminf(t->r * light, 1.0f) - fminf(t->other * light, 1.0f));
+}
+
+static bool row_refutes(const struct refuter *t, int row)
+{
+    float sum = 0.0f, var = 0.0f, differ = 0.0f, differ_var = 0.0f, v;
+    float apart = fabsf(t->r - t->other);
+    float overlap = sqrtf(fmaxf(t->a->overlap, t->b->overlap)); // along the row
+    for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + 1) * EXPOSURE_PROBE_EDGE; i++) {
+        float light = light_if(t, i, &v);
+        float sd = fmaxf(hypotf(t->b->sd[i], t->other * t->a->sd[i]), 1e-9f);
+        float off = expected_difference(t, light), weight = fmaxf(fminf(off / sd, PLACE_MAX), 0.0f);
+        sum += weight * deviation_from_other(t, i, sd);
+        var += weight * weight;
+        float share = 1.0f / (step_at(t->b, i) * EXPOSURE_PROBE_EDGE);
+        differ += share * off;
+        differ_var += share * share * apart * apart * v;
+    }
+    if (sum > BAND_SIGMAS * sqrtf(overlap * var))
+        return true;
+    return differ + ALIKE_SIGMAS * sqrtf(overlap * differ_var) < ALIKE;
+}
+
+uint32_t exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
+                                double log2, double other)
+{
+    struct refuter t = {a, b, (float)exp2(log2), (float)exp2(other), other == 0.0};
+    uint32_t rows = 0;
+    for (int i = 0; i < EXPOSURE_PROBE_EDGE; i++)
+        rows |= (uint32_t)row_refutes(&t, i) << i;
+    return rows;
 }

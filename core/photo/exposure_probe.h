@@ -7,6 +7,8 @@
 #include "core/photo/crf.h"
 #include "core/photo/raw.h"
 
+#include <stdint.h>
+
 enum {
     EXPOSURE_PROBE_EDGE = 32,
     EXPOSURE_PROBE_PLACES = EXPOSURE_PROBE_EDGE * EXPOSURE_PROBE_EDGE
@@ -25,6 +27,8 @@ struct exposure_probe {
     float floor[EXPOSURE_PROBE_PLACES]; // > 0: below it noise and code steps make x unreliable
     uint8_t state[EXPOSURE_PROBE_PLACES];
     int good, dark, clipped; // places
+    float step;              // exposure of one code at black
+    bool linear;             // x of dark places is right but for noise and an error of black
     float overlap;           // >= 1: places that share a pixel, where a picture is small
 };
 
@@ -47,5 +51,11 @@ struct exposure_probe_ratio {
 /* Compare b with a. */
 void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
                             struct exposure_probe_ratio *out);
+
+/* Rows of the grid, bit 0 the uppermost, in which b surely has not the ratio `other` to a, stops,
+ * or where nobody could tell it from the ratio `log2`, that b has elsewhere: the pictures would be
+ * the same but for a code. */
+uint32_t exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
+                                double log2, double other);
 
 #endif

@@ -125,14 +125,9 @@ static bool complete(const struct camera_state *c)
     return true;
 }
 
-/* How far it is from a frame to compare with, stops. */
 static double distance(const struct camera_state *c, int index)
 {
-    double best = INFINITY;
-    for (int i = 0; i < LABEL_ANCHORS; i++)
-        if (c->label.anchor[i].held)
-            best = fmin(best, fabs(c->stops[index] - c->label.anchor[i].recorded));
-    return best;
+    return label_distance(&c->label, c->stops[index]);
 }
 
 /* The first in the order of the plan; of those that were tried, or at rest, what is nearest to a
@@ -335,9 +330,12 @@ static void known(struct bracket *b, struct camera_state *c, const struct bracke
                  (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
-    bool still = !k->measured || c->still_since < c->since; // a torn frame has rows of the last
-    bool at_rest = c->phase == REST && label_alone(&c->label) && still;
-    if (i >= 0 && !early && (c->phase == RUN || at_rest))
+    // a torn frame has rows of the last: at rest no others, else the pixels must tell
+    bool still = (!k->measured || c->still_since < c->since) && label_still(&c->label);
+    bool wanted = i >= 0 && !early;
+    if (wanted && c->phase == RUN && !k->whole)
+        c->tries[i] = TRIES_MAX; // no more, but from rest
+    else if (wanted && (c->phase == RUN || (c->phase == REST && still)))
         keep(c, i, ev, k);
     if (!base || !at_base)
         return;
@@ -394,6 +392,8 @@ static void look_at(struct bracket *b, struct camera_state *c, const struct brac
 {
     struct label_look k;
     label_look(&c->label, ev->frame, ev->witness, &k);
+    k.whole = label_whole(&c->label, ev->witness, &k);
+    label_last(&c->label, ev->witness, &k);
     bool rested = label_rested(&c->label);
     if (!k.measured || !(fabs(k.stops - c->still) <= 0.5 * c->label.cfg.tolerance)) {
         c->still = k.measured ? k.stops : NAN;

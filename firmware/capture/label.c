@@ -137,6 +137,11 @@ bool label_alone(const struct label *l)
     return l->n > 0 && l->log[l->n - 1].age_lo >= l->hi;
 }
 
+bool label_still(const struct label *l)
+{
+    return l->n > 0 && l->log[l->n - 1].age_lo > l->hi;
+}
+
 bool label_passed(const struct label *l, int entry)
 {
     return entry + 1 < l->n && l->log[entry + 1].age_lo >= l->hi;
@@ -293,6 +298,57 @@ static void compare(const struct label *l, int by, const struct exposure_probe *
     k->by = by;
     k->places = r.places;
     k->ratio = r.log2;
+}
+
+double label_distance(const struct label *l, double stops)
+{
+    double best = INFINITY;
+    for (int i = 0; i <= LABEL_REFERENCE; i++)
+        if (l->anchor[i].held)
+            best = fmin(best, fabs(stops - l->anchor[i].recorded));
+    return best;
+}
+
+/* Rows that cannot be of the exposure `other`, stops, in a frame of the exposure `stops`. */
+static uint32_t refuted(const struct label *l, const struct exposure_probe *w, double stops,
+                        double other)
+{
+    uint32_t rows = 0;
+    for (int i = 0; i < LABEL_ANCHORS; i++) {
+        const struct label_anchor *a = &l->anchor[i];
+        if (!a->held)
+            continue;
+        double at = label_same(a->recorded, other) ? other : a->stops;
+        double r = stops - at, o = other - at;
+        double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs(o);
+        double slack = bent + a->slack + flicker_stops(&l->light, shortest_s(l));
+        if (fabs(r - o) > slack)
+            rows |= exposure_probe_refuted(&a->seen, w, r, o + copysign(slack, r - o));
+    }
+    return rows;
+}
+
+bool label_whole(const struct label *l, const struct exposure_probe *w, const struct label_look *k)
+{
+    double stops = label_stops(&k->exposure);
+    if (k->torn || (k->verdict != LABEL_PROVEN && k->verdict != LABEL_BLIND))
+        return false;
+    for (int i = 0; i < l->n; i++) {
+        const struct label_request *r = &l->log[i];
+        bool begun = i == 0 || r->age_hi > l->lo; // of the frame before
+        bool over = i + 1 < l->n && r[1].age_lo > l->hi;
+        if (begun && !over && !label_same(r->stops, stops) &&
+            refuted(l, w, stops, r->stops) != UINT32_MAX)
+            return false;
+    }
+    return true;
+}
+
+void label_last(struct label *l, const struct exposure_probe *w, const struct label_look *k)
+{
+    l->anchor[LABEL_LAST].held = false;
+    if (k->whole)
+        label_hold(l, LABEL_LAST, w, k);
 }
 
 static void read_pixels(const struct label *l, const struct exposure_probe *w, struct label_look *k)

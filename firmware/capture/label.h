@@ -17,6 +17,7 @@
 enum {
     LABEL_LOG = 64,
     LABEL_REFERENCE = BRACKET_EXPOSURES_MAX, // anchor; the others are kept frames by index
+    LABEL_LAST,                              // the frame before, for its rows only
     LABEL_ANCHORS,
     LABEL_BASE = BRACKET_EXPOSURES_MAX, // index of a request for the base exposure
     LABEL_OTHER                         // of one for another plan
@@ -68,6 +69,7 @@ struct label_look {
     bool disagrees;           // pixels and requests fit, the report does not
     bool measured, changed;   // by pixels; the light of parts changed
     bool torn;                // rows side by side had another exposure than the rest
+    bool whole;               // surely none had: label_whole
     double stops, error;      // if measured: log2 of exposure, s
     double slack;             // stops: flicker of the anchor, and after the verdict of the frame
     double lo, hi;            // bounds of it in any case
@@ -99,8 +101,12 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns);
 /* The last request is in force for so long that nobody can doubt it. */
 bool label_rested(const struct label *l);
 
-/* It is in force, and alone, if the delay is right. */
+/* It is in force, and alone, if the delay is right; and was so in the frame before. */
 bool label_alone(const struct label *l);
+bool label_still(const struct label *l);
+
+/* Stops from an exposure to the nearest frame to compare with. */
+double label_distance(const struct label *l, double stops);
 
 /* Nothing asked for so long ago can be in force. */
 bool label_passed(const struct label *l, int entry);
@@ -110,6 +116,13 @@ double label_longest_s(const struct label *l);
 
 void label_look(const struct label *l, const struct frame *f, const struct exposure_probe *w,
                 struct label_look *out);
+
+/* Whether the pixels of a frame that was looked at rule out that some of its rows are of another
+ * exposure of before. */
+bool label_whole(const struct label *l, const struct exposure_probe *w, const struct label_look *k);
+
+/* From now on it is the frame before. */
+void label_last(struct label *l, const struct exposure_probe *w, const struct label_look *k);
 
 /* The delay: unknown after all; narrowed, if it is unknown, to what a proven look shows; as it was
  * promised. */

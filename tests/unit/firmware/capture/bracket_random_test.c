@@ -174,6 +174,11 @@ static void repeats(struct trial *t)
     t->camera.repeat = 0.1;
 }
 
+static void tears(struct trial *t)
+{
+    t->camera.tear = 0.3;
+}
+
 static void garbles(struct trial *t)
 {
     some_drops(t);
@@ -294,6 +299,7 @@ static const struct misfortune {
     {"duplicates", duplicates, 0.99},
     {"pixels repeated", repeats, 0.99},
     {"pixels garbled", garbles, 0.99},
+    {"rows torn", tears, 0.9},
     {"sequence stuck", sequence_stuck, 0.99},
     {"sequence wraps", sequence_wraps, 0.99},
     {"stamps zero", stamp_zero, 0.99},

@@ -25,7 +25,7 @@ struct sim_camera {
     double skew_s; // start of frame 0
 
     // probabilities per frame, from frame `from` on
-    double drop, hide, error, twice, repeat, lag, garble;
+    double drop, hide, error, twice, repeat, lag, garble, tear;
     int64_t from;
     bool stuck, stamp_fixed;
     int64_t stamp_value, stamp_add_ns;
@@ -53,6 +53,8 @@ struct sim_camera {
     struct sim_shot {
         struct frame f;
         double pixels, truth; // exposure by pixels; time x gain
+        double former;        // that of the frame before
+        int torn;             // places that have it
         int64_t number;
     } queue[SIM_QUEUE], shot;
     int64_t hold_until;
@@ -105,7 +107,8 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
     int lit = lamp ? (int)(c->lamp_share * SIM_PLACES) : 0;
     w->dark = w->clipped = 0;
     for (int i = 0; i < SIM_PLACES; i++) {
-        float x = c->scene[i] * e * (i < lit ? (float)c->lamp : 1.0f);
+        float x = c->scene[i] * (i < lit ? (float)c->lamp : 1.0f);
+        x *= i < shot->torn ? (float)shot->former : e;
         float sd = 1.0f / sqrtf(640000.0f * fminf(x, 1.0f) + 1e-6f);
         x *= 1.0f + sd * sim_noise[at + i];
         if (garbled)
@@ -121,6 +124,8 @@ static inline void sim_witness(struct sim *s, const struct sim_camera *c,
     }
     w->good = SIM_PLACES - w->dark - w->clipped;
     w->overlap = 1.0f;
+    w->step = 1.0f / 4096;
+    w->linear = true;
     for (int i = SIM_PLACES; i < EXPOSURE_PROBE_PLACES; i++) {
         w->x[i] = c->bright ? 1.0f : 0.0f;
         w->floor[i] = c->floor;
@@ -207,6 +212,15 @@ static inline void sim_act(struct sim *s)
     }
 }
 
+/* Whether the torn places show it. */
+static inline bool sim_torn(const struct sim_camera *c, const struct sim_shot *shot)
+{
+    double sum = 0.0;
+    for (int i = 0; i < shot->torn; i++)
+        sum += fmin(c->scene[i] * shot->pixels, 1.0) - fmin(c->scene[i] * shot->former, 1.0);
+    return fabs(sum) > 2.0 / 4096 * shot->torn;
+}
+
 static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot *shot)
 {
     static struct exposure_probe w;
@@ -214,7 +228,7 @@ static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot 
     c->shot = *shot;
     bool garbled = sim_chance(s, c->garble);
     sim_witness(s, c, shot, garbled, &w);
-    if (garbled)
+    if (garbled || sim_torn(c, shot))
         c->shot.truth = NAN; // whoever keeps it has lost
     s->frames++;
     sim_tell(s, &(struct bracket_event){
@@ -290,7 +304,11 @@ static inline void sim_end_frame(struct sim *s, int camera)
                    (c->stall_frames < 0 || t.number < c->stall_at + c->stall_frames);
     if (struck && sim_chance(s, c->repeat) && c->last_pixels > 0.0)
         shot.pixels = shot.truth = c->last_pixels;
+    shot.former = c->last_pixels;
     c->last_pixels = shot.pixels;
+    // never two in a row: rows too dark to tell in the first would be taken for right in the other
+    if (struck && shot.former > 0.0 && t.number % 2 == 0 && sim_chance(s, c->tear))
+        shot.torn = EXPOSURE_PROBE_EDGE * (1 + sim_below(s, 2));
     if (struck && sim_chance(s, c->error)) {
         shot.f.flags = sim_chance(s, 0.5) ? FRAME_ERROR : FRAME_SHORT;
         shot.pixels *= 3.0;

@@ -44,6 +44,7 @@ static void see(double time_s)
 {
     memset(&w, 0, sizeof w);
     w.overlap = 1.0f;
+    w.step = 1.0f / 65536;
     for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         float x = (float)(time_s * 10.0 * exp2(10.0 * i / EXPOSURE_PROBE_PLACES - 5.0));
         w.x[i] = fminf(x, 1.0f);
@@ -56,6 +57,19 @@ static void see(double time_s)
         w.clipped += w.state[i] == EXPOSURE_PROBE_CLIPPED;
         w.dark += w.state[i] == EXPOSURE_PROBE_DARK;
     }
+}
+
+/* The first rows are of another exposure. */
+static void tear(int rows, double time_s)
+{
+    static struct exposure_probe whole;
+    size_t n = (size_t)(rows * EXPOSURE_PROBE_EDGE);
+    whole = w;
+    see(time_s);
+    memcpy(whole.x, w.x, n * sizeof *w.x);
+    memcpy(whole.sd, w.sd, n * sizeof *w.sd);
+    memcpy(whole.state, w.state, n);
+    w = whole;
 }
 
 /* The next frame, a period later. */
@@ -166,6 +180,43 @@ static void test_bounds(void **state)
     assert_int_equal(look(&k), LABEL_CONFLICT);
 }
 
+/* Rows of the frame before: where the pixels fit the exposure, but do not rule them out, the frame
+ * is not whole. */
+static void test_rows_of_the_frame_before(void **state)
+{
+    static const struct {
+        double before_s, time_s;
+        int rows;
+    } cases[] = {
+        {0.008, 0.064, 2},           // dark in the reference, not in the frame before
+        {BASE_S, BASE_S * 1.13, 10}, // a step that is hardly seen
+        {BASE_S, BASE_S * 1.3, 1},   // few rows
+        {BASE_S * 1.4, BASE_S, 14},  // so many that noise seems to be high
+    };
+    struct label_look k;
+    (void)state;
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        open_label(1, 1, 0.10);
+        settle();
+        ask(0, cases[i].before_s);
+        for (int n = 0; n < 3; n++)
+            frame(cases[i].before_s);
+        assert_int_equal(look(&k), LABEL_PROVEN);
+        label_hold(&l, 0, &w, &k);
+        ask(1, cases[i].time_s);
+        frame(cases[i].before_s);
+        frame(cases[i].time_s);
+        assert_int_equal(look(&k), LABEL_PROVEN);
+        if (i > 0 && !label_whole(&l, &w, &k)) // the first clips in a row, and cannot be told
+            fail_msg("case %zu: a frame of %g s is whole", i, cases[i].time_s);
+        tear(cases[i].rows, cases[i].before_s);
+        look(&k);
+        if (label_whole(&l, &w, &k))
+            fail_msg("case %zu: %d rows of %g s in a frame of %g s", i, cases[i].rows,
+                     cases[i].before_s, cases[i].time_s);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -173,6 +224,7 @@ int main(void)
         cmocka_unit_test(test_hidden_frames),
         cmocka_unit_test(test_reported_gain),
         cmocka_unit_test(test_bounds),
+        cmocka_unit_test(test_rows_of_the_frame_before),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -143,7 +143,7 @@ static void some_faults(struct trial *t)
 /* ---- running ---- */
 
 struct tally {
-    int takes, complete, aborted, kept, unverified, wrong, torn, bad_takes;
+    int takes, complete, aborted, kept, rested, unverified, wrong, torn, bad_takes;
 };
 
 static void check_frames(const struct trial *t, const struct take *k, struct tally *out)
@@ -154,6 +154,7 @@ static void check_frames(const struct trial *t, const struct take *k, struct tal
         struct rig_truth truth = rig_truth(0, f);
         double off = truth.found ? log2(take_exposure_s(f) / truth.exposure_s) : INFINITY;
         out->kept++;
+        out->rested += f->evidence.rested;
         if (f->evidence.proof >= BRACKET_UNVERIFIED) {
             out->unverified++;
             continue;
@@ -224,10 +225,10 @@ static void run_trials(bool faulty, struct tally *out)
     int from = first ? atoi(first) : 0, most = from + (n ? atoi(n) : TAKES);
     for (int i = from; i < most; i++)
         run_trial(i, faulty, out);
-    print_message(
-        "%d %s takes: %d aborted; %d frames kept, %d unverified, %d mislabelled, %d torn\n",
-        out->takes, faulty ? "faulty" : "healthy", out->aborted, out->kept, out->unverified,
-        out->wrong, out->torn);
+    print_message("%d %s takes: %d aborted; %d frames kept, %d of them from rest, %d unverified, "
+                  "%d mislabelled, %d torn\n",
+                  out->takes, faulty ? "faulty" : "healthy", out->aborted, out->kept, out->rested,
+                  out->unverified, out->wrong, out->torn);
 }
 
 static void healthy_takes_are_completed(void **state)
