@@ -99,3 +99,21 @@ void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report)
     report->dropped = g->n - kept;
     g->n = kept;
 }
+
+void gaussians_scale(struct gaussians *g, float scale)
+{
+    const float add = logf(scale);
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < g->n; i++) {
+            g->plane[G_MU + k][i] *= scale;
+            g->plane[G_LOG_SCALE + k][i] += add;
+        }
+}
+
+void gaussians_copy(const struct gaussians *from, int degree_max, struct gaussians *to)
+{
+    to->n = from->n;
+    to->degree = from->degree < degree_max ? from->degree : degree_max;
+    for (int p = 0; p < gaussians_planes(to->degree); p++)
+        memcpy(to->plane[p], from->plane[p], (size_t)from->n * sizeof(float));
+}

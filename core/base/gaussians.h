@@ -31,4 +31,11 @@ struct gaussians_report {
  * out:  *report. */
 void gaussians_sanitize(struct gaussians *g, struct gaussians_report *report);
 
+/* Make every length `scale` times as long. */
+void gaussians_scale(struct gaussians *g, float scale);
+
+/* Gaussians of *from as they are; bands above degree_max are left out. to: with planes and room for
+ * them. */
+void gaussians_copy(const struct gaussians *from, int degree_max, struct gaussians *to);
+
 #endif

@@ -458,3 +458,23 @@ err_t response_run(const struct run *r, const struct views *v, struct tonemap *o
     arena_reset(r->tmp, mark);
     return e;
 }
+
+void response_mean(const struct views *v, const struct tonemap *tone, float out[3])
+{
+    const size_t pixels = (size_t)v->size * (size_t)v->size;
+    struct response_table table;
+    response_tabulate(tone, &table);
+    for (int c = 0; c < 3; c++) {
+        double sum = 0, weight = 0;
+        for (int i = 0; i < v->n; i++) {
+            float shift = v->log2t[i] - v->mid_log2t;
+            const uint8_t *p = v->rgb + 3 * pixels * (size_t)i + c;
+            for (size_t k = 0; k < pixels; k++, p += 3) {
+                double w = (double)table.weight[c][*p] + 1e-4;
+                sum += w * (double)(table.x[c][*p] - shift);
+                weight += w;
+            }
+        }
+        out[c] = (float)exp2(sum / weight);
+    }
+}

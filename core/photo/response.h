@@ -61,4 +61,8 @@ void response_spread(const struct tonemap *tone, float lo, float hi, struct tone
 /* Inverse curve and reliability for the 256 display values. */
 void response_tabulate(const struct tonemap *tone, struct response_table *out);
 
+/* Geometric mean of the radiance that the photographs tell of, per colour: holes in a scene are
+ * less wrong in it than in black. */
+void response_mean(const struct views *v, const struct tonemap *tone, float out[3]);
+
 #endif

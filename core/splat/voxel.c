@@ -283,3 +283,16 @@ err_t voxel_adapt(const struct run *r, struct voxels *io, struct gaussians *out)
         memset(out, 0, sizeof *out);
     return e;
 }
+
+err_t voxel_merge_most(const struct run *r, const struct voxel_input *in, float cell, int max,
+                       struct voxels *out, float *used)
+{
+    const size_t mark = arena_mark(r->keep);
+    for (*used = cell;;) {
+        err_t e = voxel_merge(r, in, *used, out);
+        if (e || max == 0 || out->n <= max)
+            return e;
+        arena_reset(r->keep, mark);
+        *used *= fmaxf(1.05f, sqrtf((float)out->n / (float)max)); // surfaces: n ~ 1 / cell^2
+    }
+}

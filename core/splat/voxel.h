@@ -48,6 +48,12 @@ void voxel_plan(struct plan *p, int points);
 MUST_USE err_t voxel_merge(const struct run *r, const struct voxel_input *in, float cell,
                            struct voxels *out);
 
+/* The same with at most `max` cells, 0: any number; their edge grows from `cell` until they fit.
+ * out:  memory in r->keep, see voxel_plan. *used: the cell.
+ * err:  ERR_NOMEM (see voxel_plan), ERR_CANCELLED. */
+MUST_USE err_t voxel_merge_most(const struct run *r, const struct voxel_input *in, float cell,
+                                int max, struct voxels *out, float *used);
+
 /* Turn the means into Gaussians of degree 4, in place: the planes of *out are those of io, so that
  * a large scene is in memory only once. Features that are not finite stay so (see
  * gaussians_sanitize). out:  same number and room as io, valid as long as its memory; the features

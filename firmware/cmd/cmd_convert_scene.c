@@ -1,9 +1,9 @@
 /* hdrig convert-scene: a scene in another kind of file, and what that lost. */
 #include "core/base/num.h"
+#include "core/splat/path.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/draw.h"
-#include "firmware/result/path.h"
 #include "firmware/result/report.h"
 #include "firmware/result/sceneio.h"
 

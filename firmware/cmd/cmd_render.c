@@ -1,9 +1,9 @@
 /* hdrig render: pictures of a scene from other places. */
+#include "core/splat/path.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/draw.h"
 #include "firmware/result/outdir.h"
-#include "firmware/result/path.h"
 #include "firmware/result/report.h"
 #include "firmware/result/sceneio.h"
 #include "firmware/result/video.h"

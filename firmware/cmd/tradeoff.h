@@ -3,8 +3,8 @@
 #ifndef CMD_TRADEOFF_H
 #define CMD_TRADEOFF_H
 
+#include "core/refine/differ.h"
 #include "firmware/base/config.h"
-#include "firmware/cmd/differ.h"
 #include "firmware/result/report.h"
 
 enum { TRADEOFF_LIST_MAX = 8, TRADEOFF_FLOATS_MAX = 6 };

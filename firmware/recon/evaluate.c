@@ -1,7 +1,7 @@
 #include "firmware/recon/evaluate.h"
 
+#include "core/splat/path.h"
 #include "firmware/result/draw.h"
-#include "firmware/result/path.h"
 
 #include "core/base/gaussians.h"
 #include "core/photo/metrics.h"

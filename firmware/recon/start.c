@@ -11,7 +11,9 @@
 #include "core/base/num.h"
 #include "core/photo/exposure_stack.h"
 #include "core/photo/response.h"
+#include "core/refine/correct.h"
 #include "core/refine/response_refit.h"
+#include "core/splat/anysplat.h"
 #include "core/stereo/seed.h"
 #include "core/stereo/sweep.h"
 
@@ -59,30 +61,6 @@ err_t start_scene(struct start *s)
                         "the network was not needed: cameras are known, and refinement starts from "
                         "stereo; to start from the network all the same: --set start.stereo=0");
     return e;
-}
-
-/* ---- seeds from depth ---- */
-
-/* Geometric mean of the radiance that the photographs tell of: holes in a scene are less wrong in
- * it than in black. */
-static void set_background(const struct views *v, const struct tonemap *tone, float out[3])
-{
-    const size_t pixels = (size_t)v->size * (size_t)v->size;
-    struct response_table table;
-    response_tabulate(tone, &table);
-    for (int c = 0; c < 3; c++) {
-        double sum = 0, weight = 0;
-        for (int i = 0; i < v->n; i++) {
-            float shift = v->log2t[i] - v->mid_log2t;
-            const uint8_t *p = v->rgb + 3 * pixels * (size_t)i + c;
-            for (size_t k = 0; k < pixels; k++, p += 3) {
-                double w = (double)table.weight[c][*p] + 1e-4;
-                sum += w * (double)(table.x[c][*p] - shift);
-                weight += w;
-            }
-        }
-        out[c] = (float)exp2(sum / weight);
-    }
 }
 
 /* ---- cameras ---- */
@@ -174,7 +152,7 @@ static err_t leave_out(struct start *s)
             "the others, or photograph so that neighbours overlap by more than half",
             n, v->n);
     if (s->recipe->depth == RECIPE_NETWORK)
-        network_drop(b->placed, b->depth_scale, &s->p);
+        correct_drop(b->placed, b->depth_scale, &s->p);
     exposure_stack_drop(v, keep);
     out->scene.n_views = n;
     arena_reset(r->tmp, mark);
@@ -225,8 +203,8 @@ err_t start_cameras(struct start *s)
     if (recipe->cameras == RECIPE_NETWORK)
         memcpy(scene->cams, s->p.geom.cams, (size_t)scene->n_views * sizeof *scene->cams);
     else if (recipe->depth == RECIPE_NETWORK)
-        e = network_place(s->run, scene->cams, recipe->bundle ? s->bundle.depth_scale : NULL, &s->p,
-                          &s->scale);
+        e = correct_cameras(s->run, scene->cams, recipe->bundle ? s->bundle.depth_scale : NULL,
+                            &s->p, &s->scale);
     s->out->views.cams = scene->cams;
     return e;
 }
@@ -299,11 +277,11 @@ err_t start_correct(struct start *s)
     const struct run *r = s->run;
     const struct start_seen *seen = &s->seen;
     struct scene *scene = &s->out->scene;
-    const struct network_known known = {
+    const struct correct_known known = {
         {&seen->views, &s->depth, &seen->tone}, &s->out->views, &scene->tone};
-    err_t e = network_sharpen(r, &known, s->scale, &s->p);
+    err_t e = correct_run(r, &known, s->scale, &s->p);
     if (!e && !s->p.linear)
-        set_background(&seen->views, &seen->tone, scene->background);
+        response_mean(&seen->views, &seen->tone, scene->background);
     arena_reset(r->keep, s->before_depth);
     arena_reset(r->tmp, s->tmp);
     return e;
@@ -333,24 +311,16 @@ static err_t merge(const struct start *st, struct scene *s)
     const int max = st->recipe->forward ? 0 : st->recipe->gaussians_max;
     struct voxels cells;
     float cell;
+    const struct voxel_input in = {p->n, p->points, p->features, p->confidence};
     announce(r, "voxel");
-    err_t e = network_merge(r, p, d->voxel, max, &cells, &cell);
+    err_t e = voxel_merge_most(r, &in, d->voxel, max, &cells, &cell);
     if (e)
         return e;
     dump_cells(r, &cells);
     e = voxel_adapt(r, &cells, &s->g);
     if (!e && p->linear)
-        network_from_display(&s->g);
+        anysplat_radiance(&s->g);
     return e ? e : dump_scene(r, st->cfg, p, s);
-}
-
-/* Gaussians of *from as they are; bands above what *to has planes for are left out. */
-static void copy_gaussians(const struct gaussians *from, int degree_max, struct gaussians *to)
-{
-    to->n = from->n;
-    to->degree = from->degree < degree_max ? from->degree : degree_max;
-    for (int p = 0; p < gaussians_planes(to->degree); p++)
-        memcpy(to->plane[p], from->plane[p], (size_t)from->n * sizeof(float));
 }
 
 static err_t take_gaussians(struct start *st)
@@ -359,14 +329,14 @@ static err_t take_gaussians(struct start *st)
     struct gaussians_report report;
     found.tone = st->p.tone;
     if (st->p.linear)
-        network_display_curve(st->out->views.mid_log2t, &found.tone);
+        anysplat_curve(st->out->views.mid_log2t, &found.tone);
     err_t e = merge(st, &found);
     if (e)
         return e;
     if (st->recipe->forward)
         s->g = found.g;
     else
-        copy_gaussians(&found.g, st->recipe->degree_max, &s->g);
+        gaussians_copy(&found.g, st->recipe->degree_max, &s->g);
     s->tone = found.tone;
     gaussians_sanitize(&s->g, &report);
     if (report.dropped)
@@ -375,7 +345,7 @@ static err_t take_gaussians(struct start *st)
                         "are damaged or of another network: convert them again, or take another "
                         "model",
                         report.dropped, report.dropped + s->g.n);
-    network_scale(&s->g, st->scale);
+    gaussians_scale(&s->g, st->scale);
     return OK;
 }
 
@@ -412,9 +382,9 @@ static err_t place_seeds(struct start *s)
     announce(s->run, "seed");
     /* the refiner splits where the photographs hold more than noise */
     err_t e = seed_run(s->run, &in, refine_begin(&s->recipe->refinement, v->n), &seeds);
-    set_background(v, tone, out->scene.background);
+    response_mean(v, tone, out->scene.background);
     if (!e)
-        copy_gaussians(&seeds, 0, &out->scene.g); // refinement adds bands where they are asked for
+        gaussians_copy(&seeds, 0, &out->scene.g); // refinement adds bands where they are asked for
     job_result_lap(out, JOB_SEED);
     return e;
 }
@@ -496,14 +466,14 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     if (recipe->bundle)
         plan_bundle(p, v);
     if (recipe->depth == RECIPE_NETWORK)
-        network_place_plan(p, v->n);
+        correct_cameras_plan(p, v->n);
     else
         arena_reset(&p->keep, keep);
     const size_t before_depth = arena_mark(&p->keep);
     if (recipe->depth == RECIPE_STEREO || recipe->correct)
         plan_stereo(p, v, &depth);
     if (recipe->correct) {
-        network_sharpen_plan(p, v->n, v->size);
+        correct_plan(p, v->n, v->size);
         arena_reset(&p->keep, before_depth);
         arena_reset(&p->tmp, tmp);
     }

@@ -10,6 +10,7 @@
 #include "firmware/recon/recipe.h"
 
 #include "core/sfm/bundle.h"
+#include "core/stereo/sweep.h"
 
 /* Of each place one picture with all that its exposures show. */
 struct start_seen {

@@ -2,9 +2,9 @@
 #include "core/base/arena.h"
 #include "core/photo/metrics.h"
 #include "core/photo/tonemap.h"
+#include "core/refine/differ.h"
 #include "core/sfm/similarity.h"
 #include "core/splat/voxel.h"
-#include "firmware/cmd/differ.h"
 
 #include <math.h>
 #include <setjmp.h>

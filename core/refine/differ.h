@@ -1,9 +1,9 @@
 /* differ.h - how far two predictions of the network for the same views are apart.
  * Pure computation; thread: any. */
-#ifndef CMD_DIFFER_H
-#define CMD_DIFFER_H
+#ifndef REFINE_DIFFER_H
+#define REFINE_DIFFER_H
 
-#include "core/net/net.h"
+#include "core/net/graph.h"
 
 enum differ_figure {
     DIFFER_ROTATION,    // degrees, median over the views; cameras are seen from view 0

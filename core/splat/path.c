@@ -4,7 +4,7 @@
  * 1988), its knots apart as cameras are, and its six interpolations lines for centres and great
  * arcs for rotations (J. Schlag, Graphics Gems II, 1991): centres and rotations turn without a
  * kink. */
-#include "firmware/result/path.h"
+#include "core/splat/path.h"
 
 #include "core/base/rotation.h"
 #include "core/splat/raster.h"

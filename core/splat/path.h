@@ -1,8 +1,8 @@
 /* path.h - where cameras are and where a virtual one may go.
  * Pure computation.
  * thread: any. */
-#ifndef RESULT_PATH_H
-#define RESULT_PATH_H
+#ifndef SPLAT_PATH_H
+#define SPLAT_PATH_H
 
 #include "core/base/types.h"
 

@@ -1,4 +1,4 @@
-#include "firmware/cmd/differ.h"
+#include "core/refine/differ.h"
 
 #include "core/base/num.h"
 #include "core/photo/metrics.h"

@@ -1,6 +1,6 @@
 #include "core/base/rotation.h"
+#include "core/splat/path.h"
 #include "core/splat/raster.h"
-#include "firmware/result/path.h"
 
 #include <math.h>
 #include <setjmp.h>
