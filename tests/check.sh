@@ -1,29 +1,37 @@
 #!/usr/bin/env bash
-# check.sh lint|test|all - builds and runs the tests that need no hardware.
-# One line per step; its output goes to build/log/<step>.log and is shown when the step fails.
+# check.sh lint|test|check|long - builds and runs the tests that need no hardware.
+#   lint   the lints and cppcheck
+#   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
+#   check  before a commit: that, lints, faults, all commands; units and fuzz corpora under ASan
+#          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
+#   long   what check leaves out: thousands of random takes, brackets and calls; slow steps of the
+#          network and of refinement under TSan and on emulated Arm
+# Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
+# build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
 # built from tests/e2e/*.c) and OUT (an empty folder).
 set -u
 cd "$(dirname "$0")/.."
 unset MAKEFLAGS MAKELEVEL
 jobs=${JOBS:-$(nproc)}
-limit=${LIMIT:-900} # seconds a test may take
-passed=0 failed=0
+limit=${LIMIT:-900}
+results=build/log/results queue=build/log/queue
 
-mkdir -p build/log
+# Sanitizers of gcc 12 do not know the random address layout of newer kernels.
+fixed=
+setarch -R true 2>/dev/null && fixed='setarch -R'
+
+# ---- one step ----
 
 step() { # name command...
-    local name=$1 log=build/log/${1//[^a-zA-Z0-9_.-]/_}.log start=$SECONDS
+    local name=$1 log=build/log/${1//[^a-zA-Z0-9_.-]/_}.log start=$SECONDS end=ok took
     shift
-    printf '%-52s' "$name"
-    if "$@" >"$log" 2>&1 </dev/null; then
-        passed=$((passed + 1))
-        printf 'ok %5d s\n' $((SECONDS - start))
-    else
-        failed=$((failed + 1))
-        printf 'FAILED\n'
-        sed 's/^/    /' "$log"
-    fi
+    "$@" >"$log" 2>&1 </dev/null &
+    trap "kill $! 2>/dev/null; exit 130" INT TERM
+    wait $! || end=FAILED
+    took=$((SECONDS - start))
+    printf '%-60s %-6s %4d s\n' "$name" $end $took
+    echo "$took $end $name" >>$results
 }
 
 build() { # name make-arguments...
@@ -32,42 +40,53 @@ build() { # name make-arguments...
     step "build: $name" make -s -j"$jobs" "$@"
 }
 
-# Sanitizers of gcc 12 do not know the random address layout of newer kernels.
-fixed=
-setarch -R true 2>/dev/null && fixed='setarch -R'
+# ---- tests wait in a queue ----
 
-run() { # variant program [arguments]...
-    local name
-    name="$1: $(basename "$2")"
+later() { # name command...
+    local name=$1
     shift
-    step "$name" $fixed timeout "$limit" "$@"
+    printf '%s\t%s\n' "$name" "$*" >>$queue
 }
 
-run_tests() { # variant folder-of-the-build source-folder...
+run_queue() {
+    xargs -a $queue -d '\n' -P "$jobs" -n 1 "$0" one
+    : >$queue
+}
+
+one() { # a line of the queue
+    local command
+    read -r -a command <<<"${1#*$'\t'}"
+    step "${1%%$'\t'*}" timeout "$limit" "${command[@]}"
+}
+
+tests() { # variant folder-of-the-build source-folder...
     local variant=$1 dir=$2 source
     shift 2
-    for source in $(for d in "$@"; do find "tests/$d" -name "*_test.c" | sort 2>/dev/null; done); do
-        run "$variant" "$dir/${source%.c}"
+    for source in $(find "${@/#/tests/}" -name '*_test.c' | sort); do
+        later "$variant: $(basename "$source" .c)" $fixed "$dir/${source%.c}"
     done
 }
 
-run_scripts() { # folder-of-the-build
-    local script out
-    for script in tests/e2e/*.sh; do
-        [ -e "$script" ] || continue
+scripts() { # folder-of-the-build script...
+    local dir=$1 script out
+    shift
+    for script in "$@"; do
         out=build/e2e/$(basename "$script" .sh)
         rm -rf "$out" && mkdir -p "$out"
-        step "e2e: $(basename "$script")" env HDRIG="$1/hdrig" BIN="$1/tests/e2e" OUT="$out" \
-            timeout "$limit" "$script"
+        later "e2e: $(basename "$script")" env HDRIG="$dir/hdrig" BIN="$dir/tests/e2e" OUT="$out" \
+            "$script"
     done
 }
 
+# ---- what there is to run ----
+
+smoke='bad_input capture formats golden quality'
+# Seconds each under TSan and emulation; their sources have no instructions of Arm of their own.
+slow='gausshead loss raster layer'
+
 plain() {
-    local dir
-    dir=$(make -s print-B WERROR=1)
-    build gcc WERROR=1 all tests fault-tests
-    run_tests plain "$dir" unit kernels golden fault
-    run_scripts "$dir"
+    build gcc WERROR=1 all tests
+    tests plain "$(make -s print-B WERROR=1)" unit kernels golden
 }
 
 lints() {
@@ -75,11 +94,11 @@ lints() {
     dir=$(make -s print-B WERROR=1)
     build "libraries for the lints" WERROR=1 all
     for script in tests/lint/*.sh; do
-        step "lint: $(basename "$script" .sh)" sh "$script" "$dir"
+        later "lint: $(basename "$script" .sh)" sh "$script" "$dir"
     done
     # Not asked for: value flow that cppcheck guesses at and the sanitizers know, sizes of vector
     # types, which it does not know, and the #error of files that need their own flags.
-    step "lint: cppcheck" cppcheck -q -j"$jobs" --std=c11 -D_GNU_SOURCE -I. --error-exitcode=1 \
+    later "lint: cppcheck" cppcheck -q --std=c11 -D_GNU_SOURCE -I. --error-exitcode=1 \
         --enable=warning,performance,portability --suppress=shiftTooManyBits \
         --suppress=shiftNegative --suppress=integerOverflow --suppress=arrayIndexThenCheck \
         --suppress=uninitStructMember --suppress=ctuArrayIndex \
@@ -87,24 +106,34 @@ lints() {
 }
 
 sanitizers() {
-    local dir target program
+    local dir target name
     dir=$(make -s print-B SAN=address,undefined WERROR=1)
     build "ASan and UBSan" SAN=address,undefined WERROR=1 tests fuzz-targets
-    run_tests asan "$dir" unit kernels golden
+    tests asan "$dir" unit kernels golden
     for target in tests/fuzz/fuzz_*.c; do
-        program=$(basename "$target" .c)
-        run asan "$dir/tests/fuzz/$program" "tests/fuzz/corpus/${program#fuzz_}"/*
-    done
-    build TSan SAN=thread WERROR=1 tsan-tests
-    for program in $(make -s print-TSAN_PROGRAMS SAN=thread WERROR=1); do
-        run tsan "$program"
+        name=$(basename "$target" .c)
+        later "asan: $name" $fixed "$dir/tests/fuzz/$name" tests/fuzz/corpus/"${name#fuzz_}"/*
     done
 }
 
-arm() {
+is_slow() { # program
+    [[ " $slow " == *" $(basename "$1" _test) "* ]]
+}
+
+threads() { # is_slow | ! is_slow
+    local program
+    build TSan SAN=thread WERROR=1 tsan-tests
+    for program in $(make -s print-TSAN_PROGRAMS SAN=thread WERROR=1); do
+        ! "$@" "$program" || later "tsan: $(basename "$program")" $fixed "$program"
+    done
+}
+
+arm() { # is_slow | is_quick
     local program cpu cpus
+    [ "$(uname -m)" != aarch64 ] || return
     build "aarch64, core" CROSS=aarch64-linux-gnu- WERROR=1 arm-tests
     for program in $(make -s print-ARM_PROGRAMS CROSS=aarch64-linux-gnu- WERROR=1); do
+        "$@" "$program" || continue
         cpus=cortex-a76
         case $program in
         # Base NEON alone; with dot products; with int8 matrix products.
@@ -113,26 +142,69 @@ arm() {
         */kernels/*) cpus=cortex-a53 ;;
         esac
         for cpu in $cpus; do
-            step "$cpu: $(basename "$program")" timeout "$limit" qemu-aarch64 -cpu "$cpu" "$program"
+            later "$cpu: $(basename "$program")" qemu-aarch64 -cpu "$cpu" "$program"
         done
     done
 }
 
-case ${1:-all} in
+is_quick() { # program
+    ! is_slow "$1"
+}
+
+finish() {
+    local name passed failed
+    run_queue
+    passed=$(grep -c ' ok ' $results) failed=$(grep -c ' FAILED ' $results)
+    grep ' FAILED ' $results | while read -r _ _ name; do
+        printf '\n%s:\n' "$name"
+        sed 's/^/    /' "build/log/${name//[^a-zA-Z0-9_.-]/_}.log"
+    done
+    printf '\nslowest: '
+    sort -rn $results | head -n 10 |
+        awk '{ s = $1; $1 = $2 = ""; printf "%s%s %d s", sep, substr($0, 3), s; sep = ", " }'
+    printf '\n%d passed, %d failed, %d s\n' "$passed" "$failed" $SECONDS
+    [ "$failed" -eq 0 ]
+}
+
+if [ "${1-}" = one ]; then
+    one "$2"
+    exit
+fi
+mkdir -p build/log
+: >$results
+: >$queue
+case ${1-} in
 lint) lints ;;
-test) plain ;;
-all)
+test)
     plain
-    lints
+    scripts "$(make -s print-B WERROR=1)" $(printf 'tests/e2e/%s.sh ' $smoke)
+    ;;
+check)
+    build "gcc, with faults" WERROR=1 all tests fault-tests
+    scripts "$(make -s print-B WERROR=1)" tests/e2e/*.sh
+    arm is_quick
+    plain
+    tests plain "$(make -s print-B WERROR=1)" fault
     sanitizers
-    build clang CC=clang WERROR=1 all tests
-    [ "$(uname -m)" = aarch64 ] || arm
+    threads is_quick
+    # For its warnings; what it makes is not run.
+    build clang CC=clang WERROR=1 CFLAGS=-O0 all tests
+    lints
+    ;;
+long)
+    build gcc WERROR=1 all tests
+    dir=$(make -s print-B WERROR=1)
+    unit=$dir/tests/unit/firmware/capture
+    later "1000 takes: session_random_test" env TAKES=1000 "$unit/session_random_test"
+    later "10140 brackets: bracket_random_test" env TAKES=10140 "$unit/bracket_random_test"
+    export CALLS=2000
+    scripts "$dir" tests/e2e/bystanders.sh
+    threads is_slow
+    arm is_slow
     ;;
 *)
-    echo "usage: $0 lint|test|all" >&2
+    echo "usage: $0 lint|test|check|long" >&2
     exit 2
     ;;
 esac
-
-echo "$passed passed, $failed failed"
-[ "$failed" -eq 0 ]
+finish
