@@ -95,8 +95,8 @@ programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(addprefix $(B)/,$(basename $(notdir $(MAINS))))
 MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
-MODULE_NEEDS := $(wildcard drivers/device/libcamera_*) drivers/device/camera.h \
-	drivers/device/focus.h Makefile
+MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libcamera_*.h*) \
+	drivers/device/camera.h drivers/device/focus.h Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
