@@ -1,4 +1,4 @@
-/* backends.h - which cameras and triggers this build knows.
+/* backends.h - tables of the cameras and triggers in this build.
  * thread: any. */
 #ifndef BASE_BACKENDS_H
 #define BASE_BACKENDS_H
@@ -7,7 +7,7 @@
 #include "drivers/device/trigger.h"
 
 /* The backend that a URI names before its first ':'.
- * err:  ERR_ARG lists those that there are. */
+ * err:  ERR_ARG lists the known ones. */
 MUST_USE err_t backends_camera(const char *uri, const struct camera_ops **out);
 MUST_USE err_t backends_trigger(const char *uri, const struct trigger_ops **out);
 

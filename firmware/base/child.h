@@ -1,4 +1,4 @@
-/* child.h - another program as a child process whose lines are heard while it runs.
+/* child.h - runs another program as a child process and reads its lines meanwhile.
  * thread: one. Nothing blocks but child_stop. */
 #ifndef BASE_CHILD_H
 #define BASE_CHILD_H
@@ -22,7 +22,7 @@ struct child {
 
 typedef void child_line_fn(void *ctx, const char *line); // not empty, without its end
 
-/* argv[0] is a path. Its stderr is heard; its stdout too if `all`, else it is thrown away.
+/* argv[0] is a path. Its stderr is read, and its stdout too if `all`; else stdout is discarded.
  * own:  child_ended or child_stop.
  * err:  ERR_IO, ERR_NOMEM */
 MUST_USE err_t child_start(struct child *c, char *const argv[], bool all);

@@ -1,5 +1,5 @@
 /* inih splits the lines; this file checks the values. Our own reader counts the lines and refuses
- * what inih would cut without a word: long lines and zero bytes. */
+ * long lines and zero bytes, which inih would cut silently. */
 #include "firmware/base/config.h"
 
 #include "drivers/device/memory.h"
@@ -133,7 +133,7 @@ void config_defaults(struct config *c)
     }
 }
 
-/* Key of that name and, of a numbered one, the place in its array. */
+/* Key of that name; for a numbered key also the position in its array. */
 static const struct key *find_key(const char *name, int *place)
 {
     *place = 0;
@@ -359,7 +359,7 @@ bool config_collects(const struct config *c)
 {
     bool one = c->camera[0][0] && !c->camera[1][0];
     for (int i = 0; i < CONFIG_TRIGGERS; i++)
-        one = one && strncmp(c->trigger[i], "timer:", 6) != 0; // nobody carries the camera around
+        one = one && strncmp(c->trigger[i], "timer:", 6) != 0; // no user carries the camera around
     return c->session_collect == CONFIG_COLLECT_YES ||
            (c->session_collect == CONFIG_COLLECT_AUTO && one);
 }

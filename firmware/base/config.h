@@ -36,7 +36,7 @@ struct config {
     int start_stereo;
     int net_float_parts; // NET_FLOAT_ bits of core/net/net.h
 
-    /* the rig; "" for what is not there */
+    /* the rig; "": not set */
     char camera[CONFIG_CAMERAS][CONFIG_TEXT]; // URIs
     int camera_w, camera_h;                   // px; 0: the camera's own
     int camera_format;                        // enum camera_format
@@ -85,11 +85,11 @@ MUST_USE err_t config_assign(struct config *c, const char *text);
  * err:  ERR_ARG names the word and the range, or that there are too many. */
 MUST_USE err_t config_stops(const char *where, const char *text, double *ev, int cap, int *n);
 
-/* What a job may take, MB (10^6 bytes): max_memory_mb, or three quarters of memory_total: the rest
- * is for the system and for what plans do not count. */
+/* Memory bound of a job, MB (10^6 bytes): max_memory_mb, or three quarters of memory_total; the
+ * rest is for the system and for memory outside the plans. */
 int config_memory_mb(const struct config *c);
 
-/* What single keys cannot show: settings of the rig and the daemon that contradict each other.
+/* Check keys against each other: settings of the rig and the daemon that contradict each other.
  * err:  ERR_ARG names both keys. */
 MUST_USE err_t config_check_rig(const struct config *c);
 

@@ -1,4 +1,4 @@
-/* engine.h - what a job runs on: kernels for this machine, a pool of threads, two arenas, cancel
+/* engine.h - resources of a job: kernels for this machine, a pool of threads, two arenas, cancel
  * and progress. */
 #ifndef BASE_ENGINE_H
 #define BASE_ENGINE_H

@@ -1,4 +1,4 @@
-/* progress.h - how far a job is, on stderr.
+/* progress.h - progress of a job, on stderr.
  * On a terminal one line that is written again and again; elsewhere a plain line at the start, at
  * each tenth and at the end of a stage. Implements progress_fn of core/base/types.h.
  * thread: the one that runs the job. */
@@ -14,7 +14,7 @@ struct progress {
     bool terminal, open; // open: the line on the terminal has no newline yet
     char stage[32];
     int tenth; // last tenth shown
-    int first; // steps that were done when the stage was first heard of, at start_ns
+    int first; // steps done at the first call of the stage, at start_ns
     int64_t start_ns, shown_ns;
 };
 
@@ -27,7 +27,7 @@ void progress_step(void *ctx, const char *stage, int done, int total, const char
 /* End an open line, before something else is written to the terminal. */
 void progress_end(struct progress *p);
 
-/* One line: "refine 43 % step 430/1000, 12 s left, loss 0.031". seconds_left: told if it
+/* One line: "refine 43 % step 430/1000, 12 s left, loss 0.031". seconds_left: shown if it
  * rounds to a second or more; < 0: not known. Returns buf. */
 const char *progress_line(const char *stage, int done, int total, double seconds_left,
                           const char *note, char buf[160]);

@@ -1,5 +1,5 @@
 /* Every camera replays the same pictures of a made-up scene, 1280 x 720, so that making pictures
- * costs nothing and what is measured is the watching, copying and proving. */
+ * costs nothing and the figures are those of watching, copying and proving. */
 #include "firmware/cmd/bench_capture.h"
 
 #include "drivers/device/clocks.h"
@@ -88,7 +88,7 @@ static err_t run_turn(struct session *s)
     return session_step(s);
 }
 
-/* So long that a reference is at hand. */
+/* Turn until the session has a reference frame. */
 static err_t settle_session(struct session *s)
 {
     int64_t end = clocks_now() + INT64_C(1000000000);
@@ -214,7 +214,7 @@ err_t bench_capture_run(int cameras, const struct config *cfg, struct bench_capt
         (int)sizeof dir)
         return err_fail(ERR_ARG, "TMPDIR: longer than %zu bytes", sizeof dir - 20);
     if (!mkdtemp(dir))
-        return err_fail(ERR_IO, "%s: cannot be made", dir);
+        return err_fail(ERR_IO, "%s: cannot create", dir);
     err_t e = run_in(dir, cfg, out);
     nftw(dir, forget, 16, FTW_DEPTH | FTW_PHYS);
     return e;

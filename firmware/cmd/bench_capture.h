@@ -1,4 +1,5 @@
-/* bench_capture.h - a rig of cameras that replay pictures: whether this machine keeps up.
+/* bench_capture.h - measures whether this machine keeps up with a rig, by cameras that replay
+ * pictures.
  * thread: the one of the command. */
 #ifndef CMD_BENCH_CAPTURE_H
 #define CMD_BENCH_CAPTURE_H

@@ -1,4 +1,4 @@
-/* Kinds of work are told by what the graph asks of its kernels: in the second pass every kernel of
+/* Kinds of work follow from the calls of kernels: in the second pass every kernel of
  * the table is replaced by one that notes the time around it. A product whose run of inputs is at
  * most 128 long belongs to attention (in floats also to the Fourier convolutions), one of several
  * runs to a convolution. */
@@ -93,7 +93,7 @@ static const char *const kind_names[KINDS] = {
     "epilogue",         "head norm and rotation", "softmax",
     "Fourier transform"};
 
-static struct gemm_kernels inner; // what is called
+static struct gemm_kernels inner; // the kernels behind the clocks
 static _Atomic int64_t spent_ns[KINDS], macs[KINDS];
 
 static void note_time(enum kind kind, int64_t start, int64_t n)

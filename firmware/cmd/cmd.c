@@ -92,7 +92,7 @@ static err_t refuse_option(int c, const char *arg)
     return err_fail(ERR_ARG, "unknown option %s", arg);
 }
 
-/* The settings of the command line, once files have been read. */
+/* Apply an option of the command line, after the files of settings. */
 static err_t apply_option(const struct cmd_usage *u, int c, const char *arg, struct config *cfg)
 {
     char where[48];
@@ -336,7 +336,7 @@ void cmd_json_discard(struct cmd_json *j)
     partial_close(&j->partial);
 }
 
-/* What the daemon says while it works. */
+/* Print the daemon's lines before its answer. */
 static bool print_line(void *ctx, const char *json)
 {
     struct cJSON *doc = NULL;

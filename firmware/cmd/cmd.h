@@ -1,4 +1,4 @@
-/* cmd.h - the sub-commands of the tool, and what they share: options and exit codes.
+/* cmd.h - the sub-commands of the tool, with their common options and exit codes.
  * Results go to stdout, everything else to stderr. */
 #ifndef CMD_CMD_H
 #define CMD_CMD_H
@@ -18,7 +18,7 @@ enum { CMD_OK = 0, CMD_FAILURE = 1, CMD_USAGE = 2, CMD_REFUSED = 3, CMD_INTERRUP
 
 enum { CMD_TEXTS_MAX = 64, CMD_COUNT_CAP = 32 };
 
-/* One option of a command line. Exactly one of key, text and flag says where it goes. */
+/* One option of a command line. Exactly one of key, text and flag receives it. */
 struct cmd_option {
     const char *name, *arg; // arg: its word in the help, NULL for a switch; "URI...": may come
                             // CMD_TEXTS_MAX times, and `text` is an array of so many, NULL at first
@@ -53,7 +53,7 @@ struct cmd_option {
 struct cmd_usage {
     const char *name;     // of the command
     const char *synopsis; // its required options
-    const char *what;     // what it does
+    const char *what;     // description
     const struct cmd_option *options;
     int n_options;
 };
@@ -100,35 +100,36 @@ struct cmd_model {
     const char *path, *precision; // path: NULL or "none": no network
 };
 
-/* Whether there is one; *reason is what cmd_misuse says if they contradict each other, or NULL. */
+/* Whether there is one; *reason is the text for cmd_misuse if the options contradict each other, or
+ * NULL. */
 bool cmd_has_network(const struct cmd_model *m, const char **reason);
 
 /* Open it: *out is NULL without a network, else *own.
- * own:  network_close of *own, which accepts that it was not opened.
+ * own:  network_close of *own, also if it was not opened.
  * err:  those of network_open. */
 MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, struct network *own,
                            const struct network **out);
 
-/* Without --model, and if nobody knows the cameras of c, the model that comes with this program
- * finds them: *out, with *own behind it. Unchanged if there is a network, or no such model.
+/* Without --model, and if the cameras of c are not known, open the model that comes with this
+ * program: *out, with *own behind it. Unchanged if there is a network, or no such model.
  * own, err: as cmd_network. */
 MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
                            const struct network **out);
 
-/* What the cameras and the network mean for the choice of photographs: "none" as rig, and exposures
- * that may lack. */
+/* Set the request's fields that follow from rig and network: "none" as rig, and exposures that may
+ * be missing. */
 void cmd_imageset(const struct network *network, struct imageset_request *request);
 
-/* A set that may lack exposures gets 1 for all if some do; true then. */
+/* If some exposures are missing, set all to 1 and return true. */
 bool cmd_fill_exposures(struct capture *c);
 
-/* What the folder holds and is not read: warnings of the job. */
+/* Files of the folder that are not read become warnings of the job. */
 void cmd_report_unread(const struct imageset *set, struct job_result *j);
 
 /* The part of the settings that a job takes. network: or NULL. poses: refine the cameras too. */
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses);
 
-/* What --json names: a file that appears when it is complete, a device, or "-" for stdout. */
+/* Target of --json: a file that appears when it is complete, a device, or "-" for stdout. */
 struct cmd_json {
     FILE *f; // NULL without --json
     const char *path;
@@ -144,7 +145,7 @@ MUST_USE err_t cmd_json_open(const char *path, struct cmd_json *out);
 /* err:  those of file_finish and partial_show. */
 MUST_USE err_t cmd_json_close(struct cmd_json *j);
 
-/* Nothing appears. */
+/* Remove the unfinished file. */
 void cmd_json_discard(struct cmd_json *j);
 
 /* Send a line to the daemon (ctl.h); prints the take that it names, and how the session stands.

@@ -53,7 +53,7 @@ static struct camera_cfg camera_of(const struct request *q)
                                (enum camera_format)q->cfg.camera_format, 0};
 }
 
-/* ---- in the user's terms ---- */
+/* ---- output ---- */
 
 /* "20 us", "1.25 ms", "2 s"; one of four buffers in turn. */
 static const char *time_text(double s)
@@ -153,7 +153,7 @@ static err_t calibrate(const struct request *q)
     return e;
 }
 
-/* The daemon owns its cameras. Who interrupts the command ends the calibration as well. */
+/* The daemon owns its cameras. An interrupted command ends the calibration as well. */
 static int ask_daemon(const struct request *q)
 {
     static char answer[CTL_ANSWER_MAX];

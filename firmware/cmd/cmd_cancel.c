@@ -1,4 +1,4 @@
-/* hdrig cancel: the daemon stops what it does. */
+/* hdrig cancel: stops the daemon's running work. */
 #include "firmware/cmd/cmd.h"
 
 int cmd_cancel_run(int argc, char **argv)

@@ -78,7 +78,7 @@ static void wait_for(const struct session *s)
     ppoll(fds, (nfds_t)n, &t, NULL);
 }
 
-/* The cameras have only just been opened. */
+/* Let the cameras settle, since they have just been opened. */
 static err_t settle_cameras(struct session *s)
 {
     int64_t end = clocks_now() + SETTLE_S * SECOND;
@@ -117,7 +117,7 @@ static err_t run_take(struct session *s, const struct session_order *o, struct t
     return e;
 }
 
-/* ---- a store of its own beside DIR, whose only take becomes DIR ---- */
+/* ---- a temporary store beside DIR, whose only take becomes DIR ---- */
 
 struct outlet {
     struct store *store;
@@ -142,7 +142,7 @@ static err_t outlet_open(const char *dir, const struct config *cfg, struct outle
     return e ? e : store_open(&c, &o->store);
 }
 
-/* Whether there is room for a take of that order, before it is taken. */
+/* Check the room for a take before it is taken. */
 static err_t outlet_room(const struct outlet *out, const struct session *s,
                          const struct session_order *o)
 {

@@ -1,4 +1,4 @@
-/* hdrig convert-scene: a scene in another kind of file, and what that lost. */
+/* hdrig convert-scene: writes a scene as another kind of file and measures the loss. */
 #include "core/base/num.h"
 #include "core/splat/path.h"
 #include "firmware/base/engine.h"
@@ -46,7 +46,7 @@ struct state {
     struct cmd_json json;
 };
 
-/* ---- where to look from ---- */
+/* ---- cameras ---- */
 
 static int side_of(const struct scene *s)
 {
@@ -97,7 +97,7 @@ static err_t choose_camera(const struct scene *s, int i, int n, struct camera *o
     return OK;
 }
 
-/* ---- what was lost ---- */
+/* ---- losses ---- */
 
 static err_t draw_view(struct state *st, const struct scene *s, const struct camera *cam,
                        struct image out[2])
@@ -160,7 +160,7 @@ static err_t compare_scenes(struct state *st)
     return e;
 }
 
-/* ---- words ---- */
+/* ---- report ---- */
 
 /* Splats of which some colour is brighter than white where the tone curve shows sRGB. */
 static int count_bright(const struct scene *s)
@@ -176,7 +176,7 @@ static int count_bright(const struct scene *s)
     return n;
 }
 
-/* What display colours told, and what they cannot. */
+/* Warn about display colours: their exposure, and light above white. */
 static void warn_display(const struct request *rq, const struct state *st)
 {
     const struct sceneio_info *info = &st->info;
@@ -185,19 +185,19 @@ static void warn_display(const struct request *rq, const struct state *st)
         log_warn("%s: display colours, taken as sRGB at the middle exposure of its sidecar",
                  rq->in);
     else if (info->ev != 0)
-        log_warn("%s: display colours, taken as sRGB at the %.2f stops that it tells", rq->in,
+        log_warn("%s: display colours, taken as sRGB at its own %.2f stops", rq->in,
                  (double)info->ev);
     else
-        log_warn("%s: display colours, taken as sRGB; nothing tells their exposure", rq->in);
+        log_warn("%s: display colours, taken as sRGB; their exposure is not known", rq->in);
     if (bright == 0)
         log_warn("%s: no splat is brighter than white: if the scene had brighter light, it is lost",
                  rq->in);
     else if (isfinite(info->headroom))
-        log_warn("%s: %d of %d splats are brighter than white: what was more than %.1f stops above "
+        log_warn("%s: %d of %d splats are brighter than white: light more than %.1f stops above "
                  "it is lost",
                  rq->in, bright, n, (double)info->headroom);
     else
-        log_warn("%s: %d of %d splats are brighter than white and stay so", rq->in, bright, n);
+        log_warn("%s: %d of %d splats are brighter than white and are kept", rq->in, bright, n);
 }
 
 static void warn_losses(const struct request *rq, const struct state *st)
@@ -308,8 +308,7 @@ static err_t check_request(struct request *rq)
     rq->spz = SPZWRITE_VERSION;
     err_t e = rq->in && rq->out ? OK : err_fail(ERR_ARG, "a scene and --out are needed");
     if (!e && file_is_same(rq->in, rq->out))
-        e = err_fail(ERR_ARG, "%s would be replaced by what is made of it: give another --out",
-                     rq->in);
+        e = err_fail(ERR_ARG, "%s is both input and output: give another --out", rq->in);
     if (!e && rq->spz_text)
         e = cmd_whole("--spz", rq->spz_text, 3, 4, &rq->spz);
     return e ? e : sceneio_check_place(rq->out, &rq->readable);

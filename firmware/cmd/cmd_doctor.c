@@ -1,4 +1,4 @@
-/* hdrig doctor: what this machine has. */
+/* hdrig doctor: lists programs, libraries and devices of this machine. */
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 
@@ -52,7 +52,7 @@ static int print_library(struct dl_phdr_info *info, size_t size, void *ctx)
     return 0;
 }
 
-/* Device nodes, and what mends the rights to them. */
+/* Device nodes, with a hint where rights are missing. */
 static void print_nodes(const char *what, const char *pattern, const char *group)
 {
     glob_t g;
@@ -68,7 +68,7 @@ static void print_nodes(const char *what, const char *pattern, const char *group
     globfree(&g);
 }
 
-/* Only opening one shows whether module, library and rights are there. */
+/* Only opening a camera shows whether module, library and rights are there. */
 static void print_libcamera(void)
 {
     struct camera_cfg cfg = {.uri = "libcamera:0"};
@@ -88,7 +88,7 @@ static const char *kind_of(const struct net_dims *d)
                             : "InstantHDR: Gaussians, radiance, tone curve";
 }
 
-/* What a weights file is; reads all of it. */
+/* Print the facts of a weights file; reads all of it. */
 static err_t print_model(const char *path)
 {
     struct modelfile file;

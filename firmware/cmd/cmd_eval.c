@@ -44,7 +44,7 @@ static void report_score(struct report *rep, const char *key, const struct evalu
     report_number(rep, "psnr", s->psnr);
     report_number(rep, "ssim", s->ssim);
     if (strcmp(key, "ldr") == 0)
-        report_text(rep, "lpips", NULL); // needs a trained network, which the tool has not
+        report_text(rep, "lpips", NULL); // needs a trained network, which the tool lacks
     report_int(rep, "images", s->n);
     report_close(rep);
 }
@@ -175,8 +175,7 @@ static err_t list_both(struct imageset_request rq, struct imageset *train, struc
     return e ? e : imageset_list(&rq, test);
 }
 
-/* Whether the cameras have to be found; then those of the data set, if it has some, are only
- * compared. */
+/* Whether the cameras have to be found; cameras of the data set then serve for comparison only. */
 static bool cameras_unknown(const struct state *st)
 {
     return !st->train.capture.shots[0].has_camera;

@@ -94,7 +94,7 @@ static err_t begin_dump(const struct request *rq, struct state *st)
     return e;
 }
 
-/* With the report, which marks it as a result. */
+/* Write the report too, which marks the folder as a result. */
 static err_t end_dump(const struct request *rq, struct state *st)
 {
     struct report rep;
@@ -139,7 +139,7 @@ static err_t decode(void *ctx, int i, struct image8 *out)
     return imageset_decode(ctx, i, out);
 }
 
-/* Everything that can be refused before the work. */
+/* Check everything that can be refused before the work. */
 static err_t prepare_job(struct request *rq, struct state *st, struct job_config *job)
 {
     const struct network *network;
@@ -196,7 +196,7 @@ static err_t reconstruct(struct request *rq, struct state *st)
     return e ? e : print_result(rq, st);
 }
 
-/* NULL if the options make sense together. */
+/* NULL if the options fit together. */
 static const char *misuse(const struct request *rq)
 {
     float log2t[DUMP_EXPOSURES];
@@ -254,7 +254,7 @@ int cmd_reconstruct_run(int argc, char **argv)
     rq.set.more = rq.images + 1;
     code = cmd_finish_job(usage.name, reconstruct(&rq, &st), &st.result, rq.strict);
     if (npy_close(&st.tensors) != OK)
-        code = CMD_FAILURE; // after another error, which was told
+        code = CMD_FAILURE; // after another error, which was printed
     cmd_json_discard(&st.json);
     outdir_close(&st.dump);
     outdir_close(&st.out);

@@ -35,18 +35,18 @@ struct state {
     struct engine engine;
     struct arena own; // of the scene
     struct scene scene;
-    struct rig rig; // where to stand
+    struct rig rig; // cameras of the frames
     struct draw draw;
     struct image8 picture; // of the frame drawn last
     struct outdir out;
     struct video video;
-    err_t video_error; // why there is none; the frames do without
+    err_t video_error; // the frames are written anyway
     char video_text[512];
     size_t clipped;
     double seconds[2]; // drawing, writing
 };
 
-/* ---- where to stand ---- */
+/* ---- cameras ---- */
 
 static void scale_camera(struct camera *c, int w, int h)
 {
@@ -222,7 +222,7 @@ static err_t make_frame(const struct request *rq, struct state *st, int i)
     return e;
 }
 
-/* What the false colours mean. */
+/* Print the scale of the false colours. */
 static err_t write_legend(const struct state *st)
 {
     static uint8_t px[3 * FALSECOLOUR_LEGEND_W * FALSECOLOUR_LEGEND_H];
@@ -253,7 +253,7 @@ static err_t video_path(const struct request *rq, const struct state *st, char p
     return n < FILE_PATH_CAP ? OK : err_fail(ERR_ARG, "%.64s...: path too long", rq->video);
 }
 
-/* Frames go on without a video, which is told now and when they are ready. */
+/* Frames go on without a video; the reason is printed now and at the end. */
 static err_t without_video(const struct request *rq, struct state *st, err_t e)
 {
     if (!e || e == ERR_CANCELLED || !rq->out)

@@ -1,4 +1,4 @@
-/* hdrig selftest: says whether a camera does what captures need. */
+/* hdrig selftest: checks that a camera does what captures need. */
 #include "firmware/base/progress.h"
 #include "firmware/capture/take.h"
 #include "firmware/cmd/cmd.h"
@@ -90,7 +90,7 @@ int cmd_selftest_run(int argc, char **argv)
     };
     const struct cmd_usage usage = {
         "selftest", "--camera URI",
-        "Tells whether a camera that looks at a scene which stays as it is does what captures\n"
+        "Checks that a camera, in front of a scene that does not change, does what captures\n"
         "need: exit code 0, else 1.",
         options, sizeof options / sizeof options[0]};
     if (!cmd_parse(&usage, argc, argv, &q.cfg, &code))

@@ -1,4 +1,4 @@
-/* hdrig status: what the daemon does. */
+/* hdrig status: state of the daemon. */
 #include "firmware/cmd/cmd.h"
 #include "firmware/daemon/ctl.h"
 
@@ -6,7 +6,7 @@
 
 #include <string.h>
 
-/* Of a rig that collects places, or while one is open. */
+/* Printed for a rig that collects places, and while a session is open. */
 static void print_session(const struct cJSON *session)
 {
     double places = 0;

@@ -22,15 +22,16 @@ static bool ends_with(const char *text, const char *end)
     return n > m && strcmp(text + n - m, end) == 0;
 }
 
-/* The page that `what` means: a page, or that of a result. */
+/* The page of `what`, a page itself or a result. */
 static err_t find_page(const char *what, char page[FILE_PATH_CAP])
 {
     bool dir = file_is_dir(what);
     if (!dir && !ends_with(what, ".html"))
         return file_exists(what)
-                   ? err_fail(ERR_ARG,
-                              "%s is no page: make one with hdrig convert-scene %s --out NAME.html",
-                              what, what)
+                   ? err_fail(
+                         ERR_ARG,
+                         "%s is not a page: make one with hdrig convert-scene %s --out NAME.html",
+                         what, what)
                    : err_fail(ERR_IO, "%s: no such folder", what);
     snprintf(page, FILE_PATH_CAP, "%s", what);
     err_t e = dir ? file_join(what, "view.html", page) : OK;
@@ -43,7 +44,7 @@ static err_t find_page(const char *what, char page[FILE_PATH_CAP])
     return e;
 }
 
-/* What the desktop opens pages with; without a desktop it might be anything. Returns why not. */
+/* Open the page with the desktop's browser, if there is a desktop. Returns the error's text. */
 static const char *start_browser(const char *address, pid_t *child)
 {
     char *const argv[] = {"xdg-open", (char *)(uintptr_t)address, NULL};

@@ -356,7 +356,7 @@ static err_t choose_middle(struct stand *r)
     return OK;
 }
 
-/* ---- what counts over all frames ---- */
+/* ---- counts over all frames ---- */
 
 static void judge_sequence(struct stand *r)
 {
@@ -484,7 +484,7 @@ static void wait_for(const struct session *s)
     ppoll(fds, (nfds_t)n, &t, NULL);
 }
 
-/* Turn the loop until it is in that state, and for so long at least. */
+/* Run the session until it is in that state, for least_s at least. */
 static err_t run_session(struct session *s, enum session_state state, double least_s, double most_s)
 {
     int64_t now = clocks_now(), least = now + (int64_t)(least_s * 1e9);
@@ -627,7 +627,7 @@ static void begin_checks(struct stand *r)
     t->measured.calib.tolerance = r->w->linear || r->w->has_crf ? 0.1 : 0.3;
 }
 
-/* Troubles of the device are findings. */
+/* Errors of the device become findings. */
 static err_t judge_stream(struct stand *r, err_t e)
 {
     bool request =

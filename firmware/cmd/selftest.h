@@ -1,6 +1,6 @@
-/* selftest.h - what a capture needs from a camera, check by check, each with its figures; the
- * camera looks at a scene and a light that stay. The ITS of Android is the model
- * (firmware/capture/README.md 5): what pixels show counts, not what the device says.
+/* selftest.h - checks that a camera does what a capture needs, each with its figures, while it
+ * looks at a scene and a light that stay. The ITS of Android is the model
+ * (firmware/capture/README.md 5): pixels count, not the device's reports.
  * thread: one. Takes about a minute. */
 #ifndef CMD_SELFTEST_H
 #define CMD_SELFTEST_H
@@ -60,8 +60,7 @@ struct selftest_order {
 const char *selftest_name(enum selftest_check c);
 
 /* err:  those of device_probe_open; ERR_CANCELLED, ERR_NOMEM, ERR_IO (a folder for the calibration
- * of this
- *       run). Troubles of a camera that could be opened are findings. */
+ *       of this run). Errors of a camera that could be opened are findings. */
 MUST_USE err_t selftest_run(const struct selftest_order *o, struct selftest *out);
 
 /* No check failed. */

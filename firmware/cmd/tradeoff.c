@@ -78,7 +78,7 @@ static err_t make_noise(struct state *st, int size, int n)
     return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);
 }
 
-/* They, and room for what stays of the reference, become base. */
+/* Put the pictures, and room for the reference's results, into base. */
 static err_t make_pictures(struct state *st, int size, int n)
 {
     err_t e;
@@ -272,7 +272,7 @@ static err_t split_models(struct state *st)
     }
 }
 
-/* What the reference asks of the photographs, and how many there are. */
+/* Requirements of the reference for photographs, and their number. */
 static err_t look_around(struct state *st)
 {
     struct network network;

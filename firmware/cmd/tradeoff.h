@@ -1,4 +1,4 @@
-/* tradeoff.h - what precision costs: forward passes of several weights files at several sizes and
+/* tradeoff.h - cost of precision: forward passes of several weights files at several sizes and
  * numbers of views, their time, memory and distance to the first file, for `hdrig bench`. */
 #ifndef CMD_TRADEOFF_H
 #define CMD_TRADEOFF_H
@@ -35,7 +35,7 @@ struct tradeoff {
 
 /* For every size and number of views each file; at the first of both an int8 file also with one
  * part after the other in floats, and with those of net.float_parts. The first file is the
- * reference. Whether all of it fits into memory is looked at before the first pass.
+ * reference. Memory is checked before the first pass.
  * err:  ERR_ARG (lists, sizes), ERR_LIMIT (memory), those of network_open, modelfile_verify,
  *       imageset_load and net_run. */
 MUST_USE err_t tradeoff_run(const struct tradeoff_request *rq, const struct config *cfg,

@@ -112,7 +112,7 @@ static err_t start_child(struct calibrator *c)
     return child_start(&c->child, argv, true);
 }
 
-/* What the last line of the child says of itself is "hdrig calibrate: ...". */
+/* The last line of the child without its prefix "hdrig calibrate: ". */
 static const char *failure_reason(const struct calibrator *c)
 {
     static const char prefix[] = "hdrig calibrate: ";

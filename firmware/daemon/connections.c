@@ -37,7 +37,7 @@ static bool awaits_request(const struct connection *k)
     return k->fd >= 0 && !k->answered && !k->ended;
 }
 
-/* Make room among those of one network, or of all (NULL), if there are `most`. */
+/* Make room among the connections of one network, or of all (NULL), if there are `most`. */
 static bool make_room(struct connections *c, const uint64_t *network, int most)
 {
     struct connection *oldest = NULL;

@@ -1,9 +1,8 @@
-/* connections.h - who is connected to the status page, so that nobody locks the others out. Each
- * address (IPv6: each network of 64 bits) has a few connections, and all have a bound; who wants
- * one more gets it at the cost of the oldest that waits for a request, and is refused if all are
- * being answered. A request must be complete within CONNECTIONS_WAIT_S.
- * To end a connection its socket is shut down: whoever serves it sees the end and closes it.
- * thread: one. */
+/* connections.h - connections of the status page, bounded so that one client cannot lock the others
+ * out. Each address (IPv6: each network of 64 bits) has a few, and there is a bound for all. One
+ * more takes the place of the oldest that waits for a request, and is refused if all are being
+ * answered. A request must be complete within CONNECTIONS_WAIT_S. To end a connection its socket is
+ * shut down: the code that serves it sees the end and closes it. thread: one. */
 #ifndef DAEMON_CONNECTIONS_H
 #define DAEMON_CONNECTIONS_H
 
@@ -28,16 +27,17 @@ struct connections {
 
 void connections_init(struct connections *c);
 
-/* NULL: refused, which shuts fd down too. */
+/* NULL: refused; fd is shut down then. */
 struct connection *connections_add(struct connections *c, int fd, const struct sockaddr *from,
                                    int64_t now_ns);
 
-/* A request is complete; it is answered; the connection is closed. k may be NULL. */
+/* Note that a request is complete, that it is answered, that the connection is closed. k may be
+ * NULL. */
 void connections_begin(struct connection *k);
 void connections_end(struct connection *k, int64_t now_ns);
 void connections_remove(struct connection *k);
 
-/* End those that wait for too long. Returns when to look again, INT64_MAX: not at all. */
+/* End connections that wait for too long. Returns the time of the next call; INT64_MAX: none. */
 int64_t connections_expire(struct connections *c, int64_t now_ns);
 
 #endif

@@ -1,5 +1,5 @@
-/* A listening socket and a few clients, all non-blocking. Answers are small: what the socket's own
- * buffer does not take at once is kept and sent when it is writable. */
+/* A listening socket and a few clients, all non-blocking. Answers are small: bytes that the
+ * socket's buffer does not take at once are kept and sent when it is writable. */
 #include "firmware/daemon/ctl.h"
 
 #include "drivers/device/clocks.h"
@@ -45,14 +45,15 @@ static err_t address_of(const char *path, struct sockaddr_un *a)
     return OK;
 }
 
-/* A file that refuses connections is what a crash left. */
+/* A socket that refuses connections was left by a crash. */
 static err_t clear_stale(const struct sockaddr_un *a)
 {
     struct stat st;
     if (lstat(a->sun_path, &st) != 0)
         return OK;
     if (!S_ISSOCK(st.st_mode))
-        return err_fail(ERR_IO, "control.socket: %s is there and no socket", a->sun_path);
+        return err_fail(ERR_IO, "control.socket: %s is there already and is not a socket",
+                        a->sun_path);
     int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (fd < 0)
         return err_fail(ERR_IO, "control.socket: %s", strerror(errno));
@@ -175,7 +176,7 @@ static void flush_client(struct client *k)
 static void put_line(struct client *k, const char *json)
 {
     size_t n = strlen(json);
-    if (n + 1 > CTL_ANSWER_MAX - k->n_out) { // does not read what it asks for
+    if (n + 1 > CTL_ANSWER_MAX - k->n_out) { // does not read its answers
         drop_client(k);
         return;
     }
@@ -290,7 +291,7 @@ static err_t connect_to(const char *path, int *fd)
                     path, strerror(why));
 }
 
-/* more: NULL, or what says whether a line is not yet the answer. */
+/* more: NULL, or a function that returns true for lines before the answer. */
 struct listener {
     int fd;
     const char *path;
@@ -299,7 +300,7 @@ struct listener {
     void *ctx;
 };
 
-/* Whether the answer is at the start of out; lines before it are handed on and removed. */
+/* Whether the answer is at the start of out; lines before it are passed to more() and removed. */
 static bool take_answer(const struct listener *l, char *out, size_t *n)
 {
     for (char *end; (end = memchr(out, '\n', *n));) {

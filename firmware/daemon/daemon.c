@@ -1,6 +1,6 @@
-/* Every turn of the loop collects descriptors and the nearest deadline, waits, and lets each part
- * do what it can; no part blocks. A press becomes a take when the session is armed and the writer
- * has room; what a press in between becomes is the policy trigger.busy. */
+/* Every turn of the loop collects descriptors and the nearest deadline, waits, and runs each part
+ * once; no part blocks. A press becomes a take when the session is armed and the writer has room;
+ * for a press in between trigger.busy is the policy. */
 #include "firmware/daemon/daemon.h"
 
 #include "drivers/device/clocks.h"
@@ -36,7 +36,7 @@
 enum {
     FDS_MAX = 64,
     RECENT = 12,          // takes in the status
-    RETRY_S = 2,          // for what is not there
+    RETRY_S = 2,          // for missing devices
     WRITER_LIMIT_S = 120, // a take that is written for longer hangs
     STOP_MARGIN_MS = 1500 // beyond the longest exposure
 };
@@ -278,7 +278,7 @@ static void begin_waiting(struct daemon *d)
     }
 }
 
-/* A place is handed to the writer when the one before is stored, which tells its session. */
+/* A place goes to the writer when the one before is stored, since that decides its session. */
 static void collect_place(struct daemon *d)
 {
     struct take *t;
@@ -421,7 +421,7 @@ static void answer_with(struct daemon *d, uint64_t id, void (*write)(void *ctx, 
 static err_t begin_calibration(struct daemon *d, uint64_t id, const char *line)
 {
     if (d->stopping || (is_busy(d) && !can_begin(d)))
-        return err_fail(ERR_BUSY, "a capture runs: cameras are calibrated between captures");
+        return err_fail(ERR_BUSY, "a capture runs: calibrate between captures");
     err_t e = calibrator_begin(&d->calibrator, id, line);
     if (e)
         return e;
@@ -496,7 +496,7 @@ static bool set_clock(int fd)
     return timerfd_settime(fd, TFD_TIMER_ABSTIME | TFD_TIMER_CANCEL_ON_SET, &far, NULL) == 0;
 }
 
-/* CLOCK_REALTIME was set: names do not depend on it, manifests tell both clocks. */
+/* CLOCK_REALTIME was set: names do not depend on it, and manifests have both clocks. */
 static void read_clock(struct daemon *d)
 {
     uint64_t n;
@@ -523,7 +523,7 @@ static void show_lamp(struct daemon *d, int64_t now)
         log_warn("lamp: %s", err_text());
 }
 
-/* Only a loop that turns, and a writer that gets on, keep the watchdog quiet. */
+/* Only a loop that turns and a writer that makes progress keep the watchdog quiet. */
 static void notify_watchdog(struct daemon *d, int64_t now)
 {
     int64_t since = writer_since_ns(d->writer);
@@ -721,7 +721,7 @@ static err_t open_all(struct daemon *d)
     return e;
 }
 
-/* What is served, and where. */
+/* Log what this daemon serves, and where. */
 static void tell_start(const struct daemon *d)
 {
     const struct config *c = d->set;

@@ -1,5 +1,5 @@
-/* daemon.h - what hdrigd does between its start and its end: one loop over triggers, cameras,
- * control socket, status page, signals and the ends of background work.
+/* daemon.h - the main loop of hdrigd, over triggers, cameras, control socket, status page, signals
+ * and the ends of background work.
  * thread: one; a second one writes takes, reconstructions are processes. */
 #ifndef DAEMON_DAEMON_H
 #define DAEMON_DAEMON_H
@@ -13,8 +13,9 @@ struct daemon_config {
 };
 
 /* Runs until SIGTERM or SIGINT, which it answers within the longest exposure and 2 s.
- * err:  ERR_ARG (settings that no retry will mend), ERR_IO, ERR_BUSY (another daemon), ERR_NOMEM.
- *       Cameras and triggers that are not there are waited for. */
+ * err:  ERR_ARG (settings that a retry does not help), ERR_IO, ERR_BUSY (another daemon),
+ * ERR_NOMEM.
+ *       A camera or trigger that is missing is no error: the loop waits for it. */
 MUST_USE err_t daemon_run(const struct daemon_config *cfg);
 
 #endif

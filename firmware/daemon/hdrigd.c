@@ -14,12 +14,12 @@ enum { BAD_CONFIG = 78, OPT_SET = 256 }; // EX_CONFIG of sysexits.h: systemd doe
 
 static const char help[] =
     "usage: hdrigd [--config FILE] [--set KEY=VALUE]... [--check]\n\n"
-    "Takes captures on a trigger, a command or a click, stores and reconstructs them.\n\n"
-    "  --config FILE      settings to read after those of " CONFIG_DIR "\n"
-    "  --set KEY=VALUE    one setting, see hdrig config --print\n"
-    "  --check            read the settings, say what is wrong with them, and end\n"
-    "  --version          of this program\n"
-    "  --help             this text\n\n"
+    "Takes captures on a trigger, a command or a click, stores them and reconstructs them.\n\n"
+    "  --config FILE      read these settings after those of " CONFIG_DIR "\n"
+    "  --set KEY=VALUE    change one setting, see hdrig config --print\n"
+    "  --check            read the settings, print what is wrong with them, and exit\n"
+    "  --version          print the version\n"
+    "  --help             print this text\n\n"
     "hdrig status, hdrig capture and hdrig cancel talk to it. SIGTERM ends it cleanly.\n";
 
 struct request {
@@ -66,7 +66,7 @@ static err_t load_settings(int argc, char **argv, struct request *q, struct conf
     return e ? e : config_check_rig(c);
 }
 
-/* hdrig, which stands beside this program. */
+/* Path of hdrig, in the folder of this program. */
 static err_t find_program(char path[FILE_PATH_CAP])
 {
     char self[FILE_PATH_CAP];

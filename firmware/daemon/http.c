@@ -38,7 +38,7 @@ struct request { // of one that has a body
     size_t n;
 };
 
-/* The status page, and pages of results, which have everything inside them and ask nobody. */
+/* Policies of the status page, and of pages of results, which are self-contained. */
 static const char page_policy[] =
     "default-src 'self'; img-src 'self' data:; frame-ancestors 'none'; base-uri 'none'";
 static const char result_policy[] =
@@ -99,7 +99,7 @@ static enum MHD_Result send_error(struct MHD_Connection *c, unsigned status, con
     return r;
 }
 
-/* ---- who may ask ---- */
+/* ---- access ---- */
 
 static bool same_secret(const char *a, const char *b)
 {
@@ -285,7 +285,7 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
     const char *host = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Host");
     bool post = strcmp(method, "POST") == 0;
     if (!h->cfg.token[0] && (!host || !is_own_name(h, host)))
-        return send_error(c, MHD_HTTP_FORBIDDEN, "the name of this machine is another one");
+        return send_error(c, MHD_HTTP_FORBIDDEN, "the Host header is not a name of this machine");
     if (h->cfg.token[0] && post && strcmp(url, "/login") == 0)
         return login(h, c, q);
     if (h->cfg.token[0] && !has_token(h, c))
@@ -294,7 +294,7 @@ static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, co
         return command(h, c, command_of(url));
     if (strcmp(method, "GET") == 0 || strcmp(method, "HEAD") == 0)
         return get(h, c, url);
-    return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, or POST of a command");
+    return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET, and POST of a command");
 }
 
 static struct connection *connection_of(struct MHD_Connection *c)
@@ -329,7 +329,7 @@ static enum MHD_Result on_request(void *ctx, struct MHD_Connection *c, const cha
     }
     if (*n) {
         if (*n >= sizeof q->body - q->n)
-            return MHD_NO; // nobody needs so much: close
+            return MHD_NO; // no request is so long: close
         memcpy(q->body + q->n, body, *n);
         q->n += *n;
         *n = 0;
@@ -370,7 +370,7 @@ static err_t parse_address(const struct http_config *cfg, union address *a)
         a->v6.sin6_port = htons((uint16_t)cfg->port);
         return OK;
     }
-    return err_fail(ERR_ARG, "http.address: \"%s\" is no IPv4 or IPv6 address", cfg->address);
+    return err_fail(ERR_ARG, "http.address: \"%s\" is not an IPv4 or IPv6 address", cfg->address);
 }
 
 static err_t check_token(const char *token)

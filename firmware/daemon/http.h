@@ -1,15 +1,15 @@
 /* http.h - the status page: live state, trigger button, files of captures and scenes, through
  * libmicrohttpd. It runs inside the daemon's loop, without a thread.
  *   GET  /  /page.css  /page.js       the page
- *   GET  /status.json                 what config.status writes
+ *   GET  /status.json                 output of http_config.status
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie
  *   GET  /captures/...  /results/...  files, never beyond these folders, never through links
- * Without `status` there is no daemon, and only results are served. Their pages carry scripts
- * inside them, which may not ask anybody for anything.
+ * Without `status` there is no daemon, and only results are served. Their pages have
+ * their scripts inline, which may not open connections.
  * With a token every request needs it: as a cookie, or "Authorization: Bearer TOKEN". Without one,
  * Host must be an address, localhost or this machine's name, so that no other site can reach the
- * page by a name of its own. */
+ * page by a name of its own (DNS rebinding). */
 #ifndef DAEMON_HTTP_H
 #define DAEMON_HTTP_H
 
@@ -25,7 +25,7 @@ struct http_config {
     const char *token;   // "" for none
     const char *captures, *results;
     void *ctx;
-    void (*status)(void *ctx, FILE *out);          // NULL: then captures and command may be too
+    void (*status)(void *ctx, FILE *out);          // NULL: captures and command may be NULL too
     err_t (*command)(void *ctx, const char *line); // as on the control socket
 };
 
@@ -38,7 +38,7 @@ void http_close(struct http *h); // accepts NULL
 
 int http_port(const struct http *h);
 
-/* The descriptor to wait for, and until when at most, CLOCK_MONOTONIC ns. */
+/* The descriptor to wait for, and the latest time of http_step, CLOCK_MONOTONIC ns. */
 struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns);
 void http_step(struct http *h);
 

@@ -24,7 +24,7 @@ enum { NICE = 10, INTERRUPTED = 130 };
 
 static const char suffix[] = ".pending", pending[] = ORIGIN_COMMENT "\n";
 
-/* What a child is told. */
+/* Arguments of a child. */
 struct order {
     char in[PLACES_MAX][FILE_PATH_CAP], out[FILE_PATH_CAP];
     char *argv[2 * PLACES_MAX + 8];
@@ -49,7 +49,7 @@ static err_t pending_path(const struct jobs *j, const char *id, char path[FILE_P
     return file_join(j->results, name, path);
 }
 
-/* A file of that name that somebody else put there is no job, and stays. */
+/* A file of that name without our mark is not a job, and stays. */
 static bool is_pending(const struct jobs *j, const char *id)
 {
     char path[FILE_PATH_CAP];

@@ -1,7 +1,7 @@
 /* jobs.h - reconstructions in the background: `hdrig reconstruct` as a child process, one at a
- * time, the oldest take first. A child that crashes or runs out of memory takes nothing with it.
- * The id of a session stands for all its places (places.h), those there are when it begins.
- * What waits survives the daemon: RESULTS/ID.pending stands until its reconstruction has ended.
+ * time, the oldest take first. A child that crashes or runs out of memory does not affect the
+ * daemon. The id of a session stands for all its places (places.h) at the time when the job begins.
+ * The queue survives the daemon: RESULTS/ID.pending stays until its reconstruction has ended.
  * thread: one. Nothing blocks but jobs_close. */
 #ifndef DAEMON_JOBS_H
 #define DAEMON_JOBS_H
@@ -26,25 +26,25 @@ enum jobs_end { JOBS_NONE, JOBS_DONE, JOBS_FAILED, JOBS_CANCELLED };
 struct jobs_state {
     bool running;
     char id[STORE_ID_CAP]; // of the running one
-    char line[JOBS_TEXT];  // what it said last
+    char line[JOBS_TEXT];  // its last line
     int waiting;           // behind it
     enum jobs_end last;    // how the one before ended
     char last_id[STORE_ID_CAP], last_line[JOBS_TEXT];
-    int last_warnings; // that it gave; they are in the log
+    int last_warnings; // their number; they are in the log
     bool changed;      // since the last look
 };
 
 struct jobs;
 
-/* Takes up what is pending.
+/* Queues the pending jobs of a former daemon.
  * own:  jobs_close.
  * err:  ERR_IO (folder), ERR_ARG (path too long), ERR_NOMEM */
 MUST_USE err_t jobs_open(const struct jobs_config *cfg, struct jobs **out);
 
-/* Asks the child to stop, waits 5 s at most, then kills; what waits stays pending. */
+/* Asks the child to stop, waits 5 s at most, then kills it; the queue stays pending. */
 void jobs_close(struct jobs *j);
 
-/* One that waits already is not added again.
+/* An id that is queued already is not added again.
  * err:  ERR_LIMIT (JOBS_MAX wait), ERR_IO (pending file) */
 MUST_USE err_t jobs_add(struct jobs *j, const char *id);
 

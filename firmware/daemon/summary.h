@@ -12,7 +12,7 @@ enum { SUMMARY_IMAGES = 3 };
 
 struct summary {
     char id[STORE_ID_CAP];
-    char session[STORE_ID_CAP]; // whose place it is (places.h); "": of none
+    char session[STORE_ID_CAP]; // session that it is a place of (places.h); "": none
     bool complete;
     int frames, cameras;
     double stops;         // of the scene; 0: not metered
@@ -27,8 +27,8 @@ struct summary {
 /* err: ERR_IO, ERR_FORMAT */
 MUST_USE err_t summary_read(const char *store, const char *id, struct summary *out);
 
-/* Warnings in the report of the scene of that take or of its session, -1 if there is no scene. They
- * are read when the report is another one than that of the last call, which *s remembers. */
+/* Warnings in the report of the scene of that take or of its session, -1 if there is no scene. The
+ * report is read only if it changed since the last call, which *s remembers. */
 int summary_warnings(const char *results, struct summary *s);
 
 /* As a JSON object; warnings: as summary_warnings returned them. */

@@ -4,7 +4,7 @@
 
 #include <stdlib.h>
 
-enum { RETRY_S = 2 }; // for what is not there
+enum { RETRY_S = 2 }; // for missing devices
 
 struct source {
     const struct trigger_ops *ops; // NULL: not set
@@ -67,7 +67,7 @@ int triggers_poll(const struct triggers *t, struct pollfd *fds, int cap)
     return n;
 }
 
-/* err: ERR_ARG: no retry will mend it. */
+/* err: ERR_ARG: a retry does not help. */
 static err_t open_source(const struct triggers *t, struct source *s, int64_t now)
 {
     if (!s->ops || s->open || now < s->retry_ns)

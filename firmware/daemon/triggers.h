@@ -1,5 +1,5 @@
-/* triggers.h - the triggers of a rig: those that are there are listened to, the others are waited
- * for. Presses that follow another one too soon are counted and dropped.
+/* triggers.h - the triggers of a rig: reads those that are present and retries the others. Presses
+ * that follow another one too soon are counted and dropped.
  * thread: one. Nothing blocks but the opening of a device. */
 #ifndef DAEMON_TRIGGERS_H
 #define DAEMON_TRIGGERS_H
@@ -33,8 +33,8 @@ void triggers_close(struct triggers *t); // accepts NULL
 /* Descriptors to wait for; returns their number, at most CONFIG_TRIGGERS. */
 int triggers_poll(const struct triggers *t, struct pollfd *fds, int cap);
 
-/* Open what can be opened, read what waits.
- * err:  ERR_ARG: no retry will mend it. */
+/* Open missing devices, read waiting events.
+ * err:  ERR_ARG: a retry does not help. */
 MUST_USE err_t triggers_step(struct triggers *t, int64_t now_ns);
 
 void triggers_look(const struct triggers *t, struct triggers_count *out);

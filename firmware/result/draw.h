@@ -1,4 +1,5 @@
-/* draw.h - pictures of a scene: radiance, what a photograph of it would show, and both as files. */
+/* draw.h - pictures of a scene: radiance, the photograph of it at an exposure, and both as files.
+ * */
 #ifndef RESULT_DRAW_H
 #define RESULT_DRAW_H
 

@@ -48,7 +48,7 @@ static err_t make_parents(const char *path)
     return OK;
 }
 
-/* ---- what is there already ---- */
+/* ---- the former result ---- */
 
 static bool is_empty(const char *path)
 {
@@ -190,7 +190,7 @@ err_t outdir_report_close(const struct outdir *o, struct report *rep)
     return e ? e : file_finish(rep->f, path);
 }
 
-/* Files are synced by who wrote them. */
+/* Files were synced when they were written. */
 static int sync_folder(const char *path, const struct stat *st, int kind, struct FTW *where)
 {
     (void)st;

@@ -3,8 +3,7 @@
  * it. A former result of that name is exchanged in one step and then removed. A crash leaves the
  * old or the new folder whole, and at worst a .tmp folder, which the next outdir_open of the same
  * name removes. A folder is replaced only if it has the list of files that we wrote, nothing else
- * lies in it, these files are as they were written, and it is no input: nothing of the user's is
- * lost.
+ * lies in it, these files are unchanged, and it is not an input: no file of the user is lost.
  * thread: any. */
 #ifndef RESULT_OUTDIR_H
 #define RESULT_OUTDIR_H
@@ -19,7 +18,7 @@
 
 enum { OUTDIR_INPUTS = 72 };
 
-/* What may be replaced. */
+/* Limits of what is replaced. */
 struct outdir_rules {
     const char *inputs[OUTDIR_INPUTS]; // paths that this work reads, NULL: none
     bool force;                        // also a former result whose files were changed since
@@ -56,16 +55,16 @@ MUST_USE err_t outdir_path(const struct outdir *o, const char *name, char path[F
 MUST_USE err_t outdir_report_open(const struct outdir *o, struct report *rep);
 MUST_USE err_t outdir_report_close(const struct outdir *o, struct report *rep);
 
-/* What a failed write means: ERR_IO becomes ERR_LIMIT, with the bytes added to its sentence, if
+/* The reason of a failed write: ERR_IO becomes ERR_LIMIT, with the bytes added to its sentence, if
  * there is less room than outdir_reserve asked for; anything else is returned as it is. */
 MUST_USE err_t outdir_reason(const struct outdir *o, err_t e);
 
 /* List the files, sync folders and make the result visible.
- * err:  ERR_IO, ERR_LIMIT (no space), ERR_ARG (what is there has changed meanwhile), ERR_NOMEM;
+ * err:  ERR_IO, ERR_LIMIT (no space), ERR_ARG (the former result has changed meanwhile), ERR_NOMEM;
  *       then the former result, if any, is untouched. */
 MUST_USE err_t outdir_commit(struct outdir *o);
 
-/* Remove what was not committed. Accepts a zeroed struct. */
+/* Remove everything that was not committed. Accepts a zeroed struct. */
 void outdir_close(struct outdir *o);
 
 #endif

@@ -68,7 +68,7 @@ err_t publish_check(const struct capture *c, const struct job_config *cfg, struc
                                .n_views = recipe.places,
                                .size = cfg->size};
     const struct viewer_input viewer = {.scene = &most,
-                                        .photos = (const uint8_t *)"", // whether, not which
+                                        .photos = (const uint8_t *)"", // only its presence counts
                                         .n_log2t = c->n,
                                         .title = file_name(o->path)};
     err_t e = check_names(c);

@@ -6,8 +6,8 @@
 #include "firmware/recon/job.h"
 #include "firmware/result/outdir.h"
 
-/* Refuse before the work what publish_run could not write: photographs whose files would have one
- * name, and a folder that may not fit. cfg: of the job that will run on c.
+/* Refuse before the work everything that publish_run could not write: photographs whose files would
+ * have one name, and a folder that may not fit. cfg: of the job that will run on c.
  * err:  ERR_ARG, ERR_LIMIT (no space), ERR_IO. */
 MUST_USE err_t publish_check(const struct capture *c, const struct job_config *cfg,
                              struct outdir *o);

@@ -1,5 +1,5 @@
 /* report.h - JSON written member by member, in the order of the calls.
- * Errors of the file are asked for once, by whoever closes it.
+ * The code that closes the file asks for its errors, once.
  * thread: one per report. */
 #ifndef RESULT_REPORT_H
 #define RESULT_REPORT_H
@@ -18,7 +18,7 @@ struct report {
 
 void report_init(struct report *r, FILE *f);
 
-/* The outermost object of a file, with the member that says whose it is (origin.h). report_close
+/* The outermost object of a file, with the member that marks it as ours (origin.h). report_close
  * ends it. */
 void report_begin(struct report *r, FILE *f);
 

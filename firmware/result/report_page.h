@@ -1,5 +1,5 @@
-/* report_page.h - report.html: what was photographed, what was modelled and why, in words and
- * pictures; one page that opens from the disk. firmware/web/sheet.{html,css,js}, between them
+/* report_page.h - report.html: inputs, choices and results of a job in words and pictures; one page
+ * that opens from the disk. firmware/web/sheet.{html,css,js}, between them
  * thumbnails and report.json, from which the page draws itself.
  * thread: one per sheet. */
 #ifndef RESULT_REPORT_PAGE_H

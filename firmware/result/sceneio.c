@@ -114,8 +114,8 @@ static err_t read_splats(const char *path, enum kind kind, struct arena *a, stru
     if (e)
         return e;
     if (splats.hdr_stale)
-        log_warn("%s: its radiance is not that of its display colours, as behind a program that "
-                 "turns or recolours splats: it is not read",
+        log_warn("%s: its radiance is not that of its display colours, as after a program that "
+                 "rotates or recolours splats: it is not read",
                  path);
     float ev = side.found ? display_ev(&s->tone) : splats.ev;
     return splats_read(formats[kind], path, ev, a, &s->g, report);
@@ -215,7 +215,7 @@ static err_t write_sidecar(const struct partial *p, const char *file, const char
     return e ? e : partial_show(p, now);
 }
 
-/* The splats come last: who sees them finds what belongs to them. */
+/* The splats come last, so that a reader that sees them finds their sidecar too. */
 static err_t write_parts(const struct partial *p, const char *path, enum kind kind,
                          const struct scene *s, int spz)
 {

@@ -1,5 +1,5 @@
-/* sceneio.h - a scene in whichever kind of file: result folder or .hdrig, .ply, .spz, .glb in;
- * .hdrig, .ply, .spz, .glb, .html out. The kind is told by the name's end.
+/* sceneio.h - a scene in any kind of file: result folder or .hdrig, .ply, .spz, .glb in;
+ * .hdrig, .ply, .spz, .glb, .html out. The kind follows from the name's end.
  * thread: any. */
 #ifndef RESULT_SCENEIO_H
 #define RESULT_SCENEIO_H
@@ -11,8 +11,8 @@ struct sceneio_info {
     int n, degree, n_views, size;
     bool has_hdr;     // radiance; else display colours, taken as sRGB
     bool band_lost;   // some harmonics of the file are not read
-    bool has_sidecar; // which tells at what exposure display colours are
-    float ev;         // else: what the file tells, 0 if nothing
+    bool has_sidecar; // it has the exposure of display colours
+    float ev;         // exposure by the file itself, stops; 0: none
     float headroom;   // stops above white where display colours of its kind end
     size_t need;      // bytes that sceneio_read takes from its arena
 };
@@ -22,14 +22,14 @@ MUST_USE err_t sceneio_peek(const char *path, struct sceneio_info *out);
 
 /* out:  *s in a; *report of gaussians_sanitize.
  * err:  ERR_ARG (no such kind), ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED, ERR_NOMEM: the sentence names
- *       file and field. On error *s is zeroed. What is not read because it contradicts the rest is
- *       told in the log. */
+ *       file and field. On error *s is zeroed. Data that are not read because they contradict the
+ *       rest are named in the log. */
 MUST_USE err_t sceneio_read(const char *path, struct arena *a, struct scene *s,
                             struct gaussians_report *report);
 
 /* Refuse a place where sceneio_write would not write, before the work.
  * out:  *readable: sceneio_read knows the kind too.
- * err:  ERR_ARG (no such kind; a folder; the sidecar of somebody else). */
+ * err:  ERR_ARG (no such kind; a folder; another program's file at the sidecar's name). */
 MUST_USE err_t sceneio_check_place(const char *path, bool *readable);
 
 /* Write the file, and its sidecar where the kind needs one: they appear under their names when

@@ -1,5 +1,5 @@
-/* ffmpeg ends with 0 although a disk was full (5.1), so whatever it says as an error counts as one.
- * A side of odd length gets its last line twice: 4:2:0 has pairs. */
+/* ffmpeg ends with 0 although a disk was full (5.1), so every error message of it counts as a
+ * failure. A side of odd length gets its last line twice: 4:2:0 has pairs. */
 #include "firmware/result/video.h"
 
 #include "firmware/base/engine.h"
@@ -32,8 +32,8 @@ enum {
 
 /* ---- the child ---- */
 
-/* in, out, messages: file descriptors, -1 for /dev/null. Its own process group: Ctrl-C is for us,
- * who then end it. */
+/* in, out, messages: file descriptors, -1 for /dev/null. It has its own process group, so
+ * that Ctrl-C reaches only this process, which then ends it. */
 static err_t spawn(char *const argv[], int in, int out, int messages, pid_t *pid)
 {
     posix_spawn_file_actions_t files;
@@ -58,7 +58,7 @@ static err_t spawn(char *const argv[], int in, int out, int messages, pid_t *pid
     *pid = 0;
     if (why == ENOENT)
         return err_fail(ERR_UNSUPPORTED,
-                        "ffmpeg is not installed, which makes videos: apt-get install ffmpeg");
+                        "ffmpeg, which makes videos, is not installed: apt-get install ffmpeg");
     return err_fail(ERR_IO, "ffmpeg: cannot start: %s", strerror(why));
 }
 

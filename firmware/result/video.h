@@ -1,6 +1,6 @@
 /* video.h - a film from pictures, by ffmpeg as a child process: raw pictures go through a pipe,
  * MP4 comes out, 4:2:0 in Rec. 709. H.264, which phones and browsers play, where that ffmpeg can;
- * else what it has. It gets its name when it is complete (partial.h).
+ * else another format that it has. It gets its name when it is complete (partial.h).
  * SIGPIPE must be ignored. Waiting ends early when engine_cancel is set.
  * thread: any. */
 #ifndef RESULT_VIDEO_H
@@ -15,7 +15,7 @@
 enum { VIDEO_FPS_MAX = 240 };
 
 struct video_format {
-    const char *codec, *encoder; // as people say; as ffmpeg does
+    const char *codec, *encoder; // common name; name in ffmpeg
     const char *option, *value;  // of its quality
 };
 
@@ -36,8 +36,8 @@ struct video {
  *       removed. */
 MUST_USE err_t video_open(const char *path, int w, int h, double fps, struct video *v);
 
-/* The next picture, of the size that was told.
- * err:  ERR_IO, ERR_LIMIT (no space) with what ffmpeg says, ERR_CANCELLED. */
+/* The next picture, of the size given to video_open.
+ * err:  ERR_IO, ERR_LIMIT (no space) with ffmpeg's message, ERR_CANCELLED. */
 MUST_USE err_t video_put(struct video *v, const struct image8 *picture);
 
 /* Wait for ffmpeg and show the film.

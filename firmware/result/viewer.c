@@ -56,7 +56,7 @@ struct page {
     double unit;
 };
 
-/* ---- what is drawn ---- */
+/* ---- drawn splats ---- */
 
 static int sh_bytes(int degree)
 {
@@ -249,7 +249,7 @@ static void put_scene(const struct page *p)
     encoder_flush(&out);
 }
 
-/* ---- what the page knows about it ---- */
+/* ---- data of the page ---- */
 
 static void put_floats(FILE *f, const char *key, const float *v, int n)
 {

@@ -1,5 +1,5 @@
-/* Writing is a walk over struct take. Reading takes of it what proves that a take is whole: the
- * head and the list of files; the rest is for people and their programs, and only its keys are
+/* Writing is a walk over struct take. Reading uses only the head and the list of files, which prove
+ * that a take is whole; of the rest, which is for users and their programs, only the keys are
  * checked. */
 #include "firmware/store/manifest.h"
 
@@ -53,7 +53,7 @@ static void put_key(FILE *f, const char *key)
     fprintf(f, "\"%s\": ", key);
 }
 
-/* Any bytes: what is not ASCII is written as if it were Latin-1, which is always JSON. */
+/* Any bytes: those that are not ASCII are written as Latin-1, so that the text is always JSON. */
 static void put_text(FILE *f, const char *key, const char *s)
 {
     put_key(f, key);
@@ -282,7 +282,7 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
 
 /* ---- reading ---- */
 
-/* The first `needed` of the n keys are there, each of them once at most, and no other one. */
+/* Check that the first `needed` of the n keys are there, each once at most, and no other key. */
 static err_t check_keys(const char *what, const struct cJSON *object, const char *const *keys,
                         int needed, int n)
 {
@@ -344,8 +344,9 @@ static err_t get_file(const char *what, const struct cJSON *node, struct manifes
     static const char *const keys[] = {"name", "bytes", "sha256"};
     struct manifest_file *f = &out->file[out->n];
     const char *name = json_string(json_member(node, "name"));
-    err_t e = json_is_object(node) ? check_keys(what, node, keys, 3, 3)
-                                   : err_fail(ERR_FORMAT, "%s: a file is no object", what);
+    err_t e = json_is_object(node)
+                  ? check_keys(what, node, keys, 3, 3)
+                  : err_fail(ERR_FORMAT, "%s: an element of \"files\" is not an object", what);
     if (e)
         return e;
     if (!name || strlen(name) >= sizeof f->name || !get_count(node, "bytes", &f->bytes) ||
@@ -380,7 +381,7 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
         "reason", "trigger", "clock_synced", "stagger",   "metered",   "tolerance_stops",
         "skew_s", "cameras", "frames_used",  "rejected",  "white_red", "white_blue",
         "frames", "files",   "session",      "not_merged"};
-    const int n_keys = sizeof keys / sizeof keys[0], optional = 2; // not of all takes and versions
+    const int n_keys = sizeof keys / sizeof keys[0], optional = 2; // the last two keys
     uint64_t version, counter;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: not an object", what);
@@ -397,10 +398,10 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
     if (!get_text(doc, "id", "0123456789abcdefort-", sizeof out->id, out->id) ||
         !get_text(doc, "boot_id", "0123456789abcdef-", sizeof out->boot, out->boot) ||
         !get_count(doc, "counter", &counter))
-        return err_fail(ERR_FORMAT, "%s: id, boot_id or counter is not one", what);
+        return err_fail(ERR_FORMAT, "%s: id, boot_id or counter is malformed", what);
     if (json_member(doc, "session") &&
         !get_text(doc, "session", "0123456789abcdef-", sizeof out->session, out->session))
-        return err_fail(ERR_FORMAT, "%s: session is no id", what);
+        return err_fail(ERR_FORMAT, "%s: session is not an id", what);
     out->counter = counter;
     return OK;
 }

@@ -1,6 +1,6 @@
 /* manifest.h - manifest.json of a take: everything that is known about it, with size and SHA-256 of
- * all its other files. 64-bit times are strings of nanoseconds: JSON numbers lose them. What is not
- * known is null.
+ * all its other files. 64-bit times are strings of nanoseconds, since JSON numbers would round
+ * them. Unknown values are null.
  * thread: any. */
 #ifndef STORE_MANIFEST_H
 #define STORE_MANIFEST_H
@@ -27,10 +27,10 @@ struct manifest_file {
     char sha256[SHA256_HEX_CAP];
 };
 
-/* What is not in struct take. */
+/* The part of a manifest that is not in struct take. */
 struct manifest {
     char id[MANIFEST_ID_CAP], boot[MANIFEST_BOOT_CAP];
-    char session[MANIFEST_ID_CAP]; // id of the first take of its session; "": no place of one
+    char session[MANIFEST_ID_CAP]; // id of the first take of its session; "": none
     unsigned long long counter;
     char not_merged[TAKE_TEXT]; // why there is no merged/ although there should be; ""
     struct develop how;         // of the display pictures; zeroed: none were developed

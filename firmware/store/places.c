@@ -12,7 +12,7 @@
 
 enum { LIST_MAX = 8192 }; // takes looked at
 
-/* What a manifest says of its session. False: it cannot be read. */
+/* Session of a take by its manifest. False: it cannot be read. */
 static bool read_session(const char *store, const char *id, char session[STORE_ID_CAP],
                          struct develop *balance)
 {
@@ -32,7 +32,7 @@ static bool read_session(const char *store, const char *id, char session[STORE_I
     return true;
 }
 
-/* "ID\n"; false: the file is not there or is somebody else's. */
+/* "ID\n"; false: the file is missing or not ours. */
 static bool read_ended(const char *path, char session[STORE_ID_CAP])
 {
     size_t n;
@@ -118,6 +118,6 @@ err_t places_end(const char *store, const char *session)
     fs->unlink(tmp); // of an end that failed
     e = store_fs_write(fs, tmp, text, (size_t)n);
     if (!e && fs->rename(tmp, path, 0) != 0)
-        e = err_fail(ERR_IO, "%s: cannot be put there", path);
+        e = err_fail(ERR_IO, "%s: cannot put the finished file there", path);
     return e ? e : store_fs_sync_dir(fs, store);
 }

@@ -1,5 +1,5 @@
 /* A take becomes visible by one rename, after every byte of it and every name in it is on the disk;
- * that rename is brought to the disk before store_commit returns. The counter is replaced before,
+ * that rename is synced before store_commit returns. The counter is replaced before,
  * and the sync that makes the take durable makes the counter so too; should a crash keep only one
  * of both, the next number is beyond the larger one. A take that is removed gets a .tmp- name
  * first, which is synced before the first file goes.
@@ -63,8 +63,8 @@ bool store_is_id(const char *name)
     return strlen(name) < STORE_ID_CAP && store_number(name, &is_aborted) != 0;
 }
 
-/* Whether a take may have a file or folder of that name: everything else is somebody else's. Digits
- * stand for those of camera and exposure. */
+/* Whether a take may have a file or folder of that name; everything else belongs to other programs.
+ * Digits in the patterns stand for those of camera and exposure. */
 static bool is_take_name(const char *name)
 {
     static const char *const names[] = {MANIFEST_FILE,
@@ -146,7 +146,7 @@ int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
 
 /* ---- checking ---- */
 
-/* The files of a folder are all listed. */
+/* Check that all files of a folder are listed. */
 static err_t check_listed(const struct manifest *m, const char *dir, const char *folder)
 {
     static const char *const own[] = {MANIFEST_FILE, "images", "raw", "merged"};
@@ -286,7 +286,7 @@ static err_t read_boot(struct store *s)
     size_t n;
     err_t e = store_fs_read(&store_fs_system, boot_path, s->boot, sizeof s->boot - 1, &n);
     if (!e && strspn(s->boot, "0123456789abcdef-") != sizeof s->boot - 1)
-        e = err_fail(ERR_FORMAT, "%s: \"%.40s\" is no boot id", boot_path, s->boot);
+        e = err_fail(ERR_FORMAT, "%s: \"%.40s\" is not a boot id", boot_path, s->boot);
     return e;
 }
 
@@ -298,8 +298,8 @@ static bool is_tmp_name(const char *name)
             store_is_id(name + n));
 }
 
-/* What a crash left. Not before the disk, too, knows it by these names: what it calls a take must
- * stay whole. */
+/* Remove the leftovers of a crash, once their temporary names are on the disk: a folder with the
+ * name of a take must stay whole. */
 static void remove_leftovers(struct store *s)
 {
     char path[FILE_PATH_CAP];
@@ -337,7 +337,7 @@ static void read_counter(struct store *s)
                  s->next);
 }
 
-/* A take that is not whole is put aside: only a disk that lies, or somebody's hand, makes one. */
+/* Put a damaged take aside: only a faulty disk or a change from outside makes one. */
 static void check_take(struct store *s, const char *id)
 {
     char path[FILE_PATH_CAP], name[STORE_ID_CAP + 16], aside[FILE_PATH_CAP];
@@ -479,8 +479,8 @@ static err_t check_removable(struct store *s, const char *id)
     return e;
 }
 
-/* A take to which somebody added something is not removed, which is said when it is first met; nor
- * are the places of the session that the newest take belongs to. */
+/* A take with added files is not removed, with one warning; nor are the places of the session that
+ * the newest take belongs to. */
 static void keep_newest(struct store *s, bool is_aborted)
 {
     struct entry x, than = {0};
@@ -576,7 +576,8 @@ static err_t advance_counter(struct store *s)
     s->fs->unlink(tmp); // of a number that was not put there
     e = store_fs_write(s->fs, tmp, text, (size_t)n);
     if (!e && s->fs->rename(tmp, path, 0) != 0)
-        e = err_fail(file_code(errno), "%s: cannot be put there: %s", path, strerror(errno));
+        e = err_fail(file_code(errno), "%s: cannot put the finished file there: %s", path,
+                     strerror(errno));
     s->next += !e;
     return e;
 }
@@ -631,7 +632,7 @@ static bool is_merged_name(const char *name)
     return strlen(name) == 6 && strspn(name, "0123456789") == 2 && !strcmp(name + 2, ".exr");
 }
 
-/* The frames are worth more than what can be made of them again: a full disk must not take them. */
+/* Merged radiance can be made again, frames cannot: a full disk must not cost the frames. */
 static void give_up_merging(struct commit *c)
 {
     struct manifest *m = &c->s->manifest;
@@ -644,7 +645,7 @@ static void give_up_merging(struct commit *c)
         store_fs_remove(c->s->fs, path, is_merged_name);
 }
 
-/* What `hdrig reconstruct --images` reads. */
+/* exposure.json, for `hdrig reconstruct --images`. */
 static err_t put_exposures(struct commit *c)
 {
     char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP];
@@ -728,8 +729,8 @@ static err_t show_take(struct commit *c)
     return e ? e : store_fs_sync_dir(c->s->fs, c->s->path);
 }
 
-/* Nothing of a failed take stays. If it was visible, its files go only when the disk knows it by
- * its other name; else store_open tries again. */
+/* Remove a failed take. If it was visible, its files go only after its temporary name is on the
+ * disk; else store_open tries again. */
 static void take_back(const struct commit *c)
 {
     const struct store_fs *fs = c->s->fs;

@@ -3,18 +3,18 @@
  *   STORE/counter                   the next number, replaced atomically
  *   STORE/BOOT8-NNNNNN/             BOOT8: first 8 digits of the boot id; NNNNNN: counter
  *     images/train_CC_EE.png|jpg    display pictures: camera CC, exposure EE; JPEG as it came
- *     exposure.json                 name to exposure: what `hdrig reconstruct --images` reads
- *     raw/CC_EE.bin                 bytes of the driver, unless the JPEG is them
+ *     exposure.json                 name to exposure, for `hdrig reconstruct --images`
+ *     raw/CC_EE.bin                 bytes of the driver, unless they are the JPEG
  *     merged/CC.exr                 full brackets: parts e00.. and `merged`, exposure attributes;
  *                                   not there if that failed, which the manifest and the log say
  *     manifest.json                 everything known, sizes and SHA-256 of all files; written last
- *   STORE/aborted-BOOT8-NNNNNN/     the same for takes that were given up: raw/ and manifest only
+ *   STORE/aborted-BOOT8-NNNNNN/     the same for aborted takes: raw/ and manifest only
  *   STORE/session-ended           the session that was ended last (places.h)
  *   STORE/damaged-.../              takes that store_open found to differ from their manifest
  *
  * Written as .tmp-..., every file synced, then renamed with RENAME_NOREPLACE and the parent synced.
- * Removed the other way round: only what a take consists of, and only a take to which nobody added
- * anything. Numbers rise and are never used again, whatever happens to takes.
+ * Removed in the opposite order: only the files of a take, and only a take without other files in
+ * it. Numbers rise and are never used again, even if takes are removed.
  * thread: one; store_room and store_list from another one too. */
 #ifndef STORE_STORE_H
 #define STORE_STORE_H
@@ -38,7 +38,7 @@ struct store_fs;
 
 /* Creates the folder, removes what a crash left, checks the last takes.
  * own:  store_close. err: ERR_IO (names path; read-only, no permission), ERR_BUSY (another process
- *       has it), ERR_LIMIT (no space for the folder), ERR_ARG, ERR_NOMEM */
+ *       uses it), ERR_LIMIT (no space for the folder), ERR_ARG, ERR_NOMEM */
 MUST_USE err_t store_open(const struct store_config *cfg, struct store **out);
 void store_close(struct store *s); // accepts NULL
 
@@ -46,15 +46,15 @@ void store_close(struct store *s); // accepts NULL
 MUST_USE err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg,
                              struct store **out);
 
-/* At most what `frames` exposures of a camera take on the disk, bytes. */
+/* Upper bound of the bytes of `frames` exposures of a camera on the disk. */
 uint64_t store_need(const struct store *s, const struct camera_info *info, int frames);
 
 /* Whether a take of that many bytes would fit.
  * err:  ERR_LIMIT with need, free and reserve. */
 MUST_USE err_t store_room(const struct store *s, uint64_t bytes);
 
-/* Write a take and make it visible. After an error nothing of it is left (a disk that refuses even
- * to take it back may show it, whole), older takes are, and it may be tried again.
+/* Write a take and make it visible. After an error nothing of it is left (a disk that also refuses
+ * the removal may show it, whole), older takes are unchanged, and the caller may try again.
  * out:  id, its folder's name.
  * err:  ERR_LIMIT (full), ERR_IO, ERR_ARG (a take that contradicts itself), ERR_NOMEM, those of
  *       unpack_run */

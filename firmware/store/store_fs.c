@@ -38,7 +38,7 @@ const struct store_fs store_fs_system = {
     .room = statvfs,
 };
 
-/* The sentence of a call that failed with `why`. */
+/* The error of a call that failed with `why`. */
 static err_t call_fail(const char *path, const char *what, int why)
 {
     return err_fail(file_code(why), "%s: %s: %s", path, what, strerror(why));
@@ -217,7 +217,7 @@ err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to)
     return failed ? call_fail(to, "cannot be put there", errno) : OK;
 }
 
-/* What is removed of a folder, and how far that went. */
+/* A removal in progress. */
 struct removal {
     const struct store_fs *fs;
     const char *root;

@@ -1,7 +1,6 @@
 /* store_fs.h - every file operation of the store, as a table that a test can replace, and whole
- * files through it. Nothing here ever changes a file that is there: files are made, synced, renamed
- * and removed.
- * thread: any. */
+ * files through it. No function changes an existing file: files are made, synced, renamed and
+ * removed. thread: any. */
 #ifndef STORE_STORE_FS_H
 #define STORE_STORE_FS_H
 
@@ -14,7 +13,7 @@
 #include <sys/statvfs.h>
 #include <sys/types.h>
 
-/* As the system calls of these names, errno and all. */
+/* The system calls of these names, with errno. */
 struct store_fs {
     int (*open)(const char *path, int flags, mode_t mode);
     int (*close)(int fd);
@@ -46,7 +45,7 @@ struct store_fs_file {
 MUST_USE err_t store_fs_create(const struct store_fs *fs, const char *path,
                                struct store_fs_file *out);
 
-/* Flush, sync and close; f is closed in any case, what is there of a failed file stays.
+/* Flush, sync and close; f is closed in any case; an incomplete file stays.
  * err:  ERR_LIMIT, ERR_IO; also when a call since store_fs_create failed. */
 MUST_USE err_t store_fs_finish(struct store_fs_file *f);
 void store_fs_discard(struct store_fs_file *f);
@@ -66,19 +65,19 @@ MUST_USE err_t store_fs_hash(const struct store_fs *fs, const char *path, uint64
 MUST_USE err_t store_fs_read(const struct store_fs *fs, const char *path, void *p, size_t cap,
                              size_t *n);
 
-/* Names in a folder become durable.
+/* Make the names in a folder durable.
  * err:  ERR_IO, ERR_LIMIT. */
 MUST_USE err_t store_fs_sync_dir(const struct store_fs *fs, const char *path);
 
 MUST_USE err_t store_fs_mkdir(const struct store_fs *fs, const char *path);
 
-/* Give something another name that nothing has.
+/* Rename a file or folder to a free name.
  * err:  ERR_IO (also: the name is taken), ERR_LIMIT. */
 MUST_USE err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to);
 
 /* Remove a file, or a folder with those of its files and folders whose names, relative to it, are
- * `own`. What is somebody else's or cannot be removed stays, with a line in the log: the next
- * store_open comes back to it. */
+ * `own`. Other files, and files that cannot be removed, stay, with a line in the log: the
+ * next store_open tries again. */
 void store_fs_remove(const struct store_fs *fs, const char *path, bool (*own)(const char *name));
 
 #endif

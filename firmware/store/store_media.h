@@ -1,5 +1,5 @@
-/* store_media.h - what is computed from the frames of a take before it is stored: display pictures
- * and merged radiance.
+/* store_media.h - computes display pictures and merged radiance from the frames of a take before it
+ * is stored.
  * thread: any. */
 #ifndef STORE_STORE_MEDIA_H
 #define STORE_STORE_MEDIA_H
@@ -10,7 +10,7 @@
 #include "core/photo/develop.h"
 
 /* One white balance for all mosaics of a take; 1 if there are none.
- * err:  ERR_FORMAT (a frame is not what its camera promised), ERR_NOMEM. */
+ * err:  ERR_FORMAT (a frame differs from its camera's format), ERR_NOMEM. */
 MUST_USE err_t store_media_balance(const struct take *t, struct develop *out);
 
 /* Develop a frame and write it as PNG.
@@ -26,7 +26,7 @@ MUST_USE err_t store_media_picture(const struct store_fs *fs, const struct take 
 MUST_USE err_t store_media_merge(const struct store_fs *fs, const struct take *t, int camera,
                                  const struct develop *how, const char *path);
 
-/* At most what `frames` exposures of that camera take on the disk. */
+/* Upper bound of the bytes of `frames` exposures of that camera on the disk. */
 uint64_t store_media_need(const struct camera_info *info, int frames, bool merge);
 
 #endif

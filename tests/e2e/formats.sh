@@ -65,12 +65,12 @@ printf '\0' | dd of="$OUT/ldr.spz" bs=1 seek=14 conv=notrunc status=none # the f
 mv "$OUT/ldr.json" "$OUT/kept"
 for kind in ply glb spz; do
     succeed convert-scene "$OUT/ldr.$kind" --out "$OUT/out.hdrig"
-    says "ldr.$kind: display colours, taken as sRGB; nothing tells their exposure"
+    says "ldr.$kind: display colours, taken as sRGB; their exposure is not known"
 done
-says 'splats are brighter than white: what was more than 1.2 stops above it is lost'
+says 'splats are brighter than white: light more than 1.2 stops above it is lost'
 succeed convert-scene "$OUT/ev.ply" --out "$OUT/out.hdrig"
-says 'ev.ply: display colours, taken as sRGB at the .* stops that it tells'
-says 'splats are brighter than white and stay so'
+says 'ev.ply: display colours, taken as sRGB at its own .* stops'
+says 'splats are brighter than white and are kept'
 mv "$OUT/kept" "$OUT/ldr.json"
 for kind in ply glb spz; do
     succeed convert-scene "$OUT/ldr.$kind" --out "$OUT/back.hdrig"

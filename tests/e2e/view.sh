@@ -342,7 +342,7 @@ ln -s "$(command -v grep)" "$(command -v tail)" "$OUT/none"
 DISPLAY=:99 PATH=$OUT/none expect 1 'xdg-open is not installed: apt-get install xdg-utils' \
     view "$OUT/one0"
 expect 1 'empty has no view.html: make one with hdrig convert-scene' view "$OUT/empty"
-expect 1 'scene.hdrig is no page: make one with' view "$OUT/one0/scene.hdrig"
+expect 1 'scene.hdrig is not a page: make one with' view "$OUT/one0/scene.hdrig"
 expect 1 'nowhere: no such folder' view "$OUT/nowhere"
 expect 2 'folder of a result is needed' view
 expect 2 'serve needs the folder' view "$OUT/one0/view.html" --serve

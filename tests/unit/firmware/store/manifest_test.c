@@ -111,11 +111,11 @@ static void hostile_manifests(void **state)
     with(text, "\"version\"", "\"more\"", "\"more\" is not known");
     with(text, "\"stagger\": false, ", "", "has no key \"stagger\"");
     with(text, "complete", "finished", "status is neither");
-    with(text, "\"counter\": 1", "\"counter\": -1", "counter is not one");
-    with(text, "\"counter\": 1", "\"counter\": 1.5", "counter is not one");
-    with(text, "\"counter\": 1", "\"counter\": 1e17", "counter is not one");
-    with(text, "\"boot_id\": \"", "\"boot_id\": \"g", "counter is not one");
-    with(text, "\"boot_id\": \"", "\"boot_id\": \"0123456789", "counter is not one");
+    with(text, "\"counter\": 1", "\"counter\": -1", "counter is malformed");
+    with(text, "\"counter\": 1", "\"counter\": 1.5", "counter is malformed");
+    with(text, "\"counter\": 1", "\"counter\": 1e17", "counter is malformed");
+    with(text, "\"boot_id\": \"", "\"boot_id\": \"g", "counter is malformed");
+    with(text, "\"boot_id\": \"", "\"boot_id\": \"0123456789", "counter is malformed");
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/../x\", \"bytes\"", "slashes");
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/..\", \"bytes\"", "is a folder");
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"/etc/passwd\", \"bytes\"", "slashes");
@@ -127,8 +127,8 @@ static void hostile_manifests(void **state)
     with(text, "\"bytes\": 1024", "\"bytes\": \"1024\"", "no size");
     with(text, "\"sha256\": \"", "\"sha256\": \"0", "SHA-256 of 64 digits");
     with(text, "\"sha256\": \"", "\"sha256\": \"\", \"x\": \"", "\"x\" is not known");
-    with(text, "\"files\": [", "\"files\": [1, ", "a file is no object");
-    with(text, "\"files\": [", "\"files\": [[], ", "a file is no object");
+    with(text, "\"files\": [", "\"files\": [1, ", "is not an object");
+    with(text, "\"files\": [", "\"files\": [[], ", "is not an object");
     with(text, "{", "[{", "not JSON");
     expect_err(manifest_parse("m", "[]", 2, &m), ERR_FORMAT, "not an object");
     char many[32 * 1024] = "\"files\": [";
