@@ -453,16 +453,20 @@ void appearance_plan(struct plan *p, const struct net *net, int n_views, int siz
     f.out = &out;
     err_t e = layout(&f, &p->keep, &p->tmp, n_views);
     const size_t mark = arena_mark(&p->tmp);
-    e = e ? e : layout_planes(&x, &p->tmp, size);
+    if (!e)
+        e = layout_planes(&x, &p->tmp, size);
     layer_conv_plan(p, &conv);
     arena_reset(&p->tmp, mark);
-    e = e ? e : layout_film(&x, &y, &p->tmp, (size_t)n_views, f.d);
+    if (!e)
+        e = layout_film(&x, &y, &p->tmp, (size_t)n_views, f.d);
     layer_plan(p, 3 * f.d);
     arena_reset(&p->tmp, mark);
-    e = e ? e : layout_values(&x, &y, &p->tmp, &f);
+    if (!e)
+        e = layout_values(&x, &y, &p->tmp, &f);
     layer_plan(p, f.d);
     arena_reset(&p->tmp, mark);
-    e = e ? e : layout_fuse(&f, &p->tmp, n_views, p->threads);
+    if (!e)
+        e = layout_fuse(&f, &p->tmp, n_views, p->threads);
     arena_reset(&p->tmp, mark);
     layer_plan(p, f.d);
     if (e)

@@ -434,13 +434,16 @@ void backbone_plan(struct plan *p, const struct net *net, int n_views, int size)
     float *table, *cosine, *sine;
     const size_t mark = arena_mark(&p->tmp);
     err_t e = layout_tokens(&t, &p->keep, net);
-    e = e ? e : layout_stream(&s, &p->tmp, &t);
+    if (!e)
+        e = layout_stream(&s, &p->tmp, &t);
     const size_t stream = arena_mark(&p->tmp);
-    e = e ? e : layout_table(&table, &p->tmp, &t);
+    if (!e)
+        e = layout_table(&table, &p->tmp, &t);
     layer_conv_plan(p, &conv);
     arena_reset(&p->tmp, stream);
     block_plan(p, &dino);
-    e = e ? e : layout_angles(&cosine, &sine, &p->tmp, net, t.n_tokens);
+    if (!e)
+        e = layout_angles(&cosine, &sine, &p->tmp, net, t.n_tokens);
     for (int i = 0; i < 2; i++) {
         agg.global = i;
         block_plan(p, &agg);

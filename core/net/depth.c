@@ -149,9 +149,11 @@ void depth_plan(struct plan *p, const struct net *net, int n_views, int size)
     const int grid = size / NET_PATCH;
     const size_t mark = arena_mark(&p->tmp);
     err_t e = layout_result(&g, &p->keep, n_views, size);
-    e = e ? e : layout(&s, &p->tmp, grid);
+    if (!e)
+        e = layout(&s, &p->tmp, grid);
     dpt_plan(p, &net->depth, grid);
-    e = e ? e : layout_code(&code, &p->tmp, net, size);
+    if (!e)
+        e = layout_code(&code, &p->tmp, net, size);
     layer_conv_plan(p, &conv);
     layer_plan(p, net->depth_out.a.n);
     if (e)

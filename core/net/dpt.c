@@ -456,12 +456,15 @@ static err_t plan_level(struct plan *p, const struct dpt_weights *w, int grid, i
     const int edge = level_edge(grid, k), next = k == FINEST ? 2 * edge : level_edge(grid, k - 1);
     float *px;
     err_t e = layout_map(&px, &p->tmp, edge, w->feat);
-    e = e ? e : plan_features(p, w, grid, k);
-    e = e ? e : layout_map(&px, &p->tmp, edge, w->feat);
+    if (!e)
+        e = plan_features(p, w, grid, k);
+    if (!e)
+        e = layout_map(&px, &p->tmp, edge, w->feat);
     plan_conv(p, &w->unit2[k].conv1, edge, 1);
     layer_plan(p, w->feat);
     const size_t mark = arena_mark(&p->tmp);
-    e = e ? e : layout_map(&px, &p->tmp, next, w->feat); // if it is tapped
+    if (!e)
+        e = layout_map(&px, &p->tmp, next, w->feat); // if it is tapped
     arena_reset(&p->tmp, mark);
     return e;
 }

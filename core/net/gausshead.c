@@ -357,13 +357,16 @@ void gausshead_plan(struct plan *p, const struct net *net, int n_views, int size
     struct prediction out = {.n = n_views * size * size};
     const size_t begin = arena_mark(&p->tmp);
     err_t e = layout_result(&out, &p->keep);
-    e = e ? e : layout(&h, &p->tmp, net->d.appearance);
+    if (!e)
+        e = layout(&h, &p->tmp, net->d.appearance);
     if (net->d.appearance)
         metanet_init_plan(p, net);
     dpt_plan(p, &net->gauss, h.grid);
-    e = e ? e : layout_large(&h, &p->tmp);
+    if (!e)
+        e = layout_large(&h, &p->tmp);
     plan_view(p, net, size);
-    e = e ? e : layout_rows(&h, &p->tmp, p->threads);
+    if (!e)
+        e = layout_rows(&h, &p->tmp, p->threads);
     if (e)
         plan_refuse(p);
     arena_reset(&p->tmp, begin);

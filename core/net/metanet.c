@@ -131,7 +131,8 @@ void metanet_init_plan(struct plan *p, const struct net *net)
     double *sum;
     err_t e = layout(&m, &parts, &p->tmp, net);
     const size_t mark = arena_mark(&p->tmp);
-    e = e ? e : layout_sum(&one, &sum, &p->tmp, net);
+    if (!e)
+        e = layout_sum(&one, &sum, &p->tmp, net);
     if (e)
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
@@ -301,7 +302,8 @@ void metanet_view_plan(struct plan *p, const struct net *net, int size)
     layer_plan(p, d);
     layer_conv_plan(p, &guide);
     arena_reset(&p->tmp, mark);
-    e = e ? e : layout_map(&px, &p->tmp, net, conv_size(grid, 3, 2, 1));
+    if (!e)
+        e = layout_map(&px, &p->tmp, net, conv_size(grid, 3, 2, 1));
     layer_conv_plan(p, &raw);
     layer_conv_plan(p, &second);
     if (e)

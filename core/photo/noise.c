@@ -62,7 +62,8 @@ err_t noise_run(const struct run *r, const struct views *v, float *db)
     size_t mark = arena_mark(r->tmp);
     double sum = 0;
     err_t e = layout(&j, r->tmp, v);
-    e = e ? e : pool_for(r->pool, n, noise_view, &j);
+    if (!e)
+        e = pool_for(r->pool, n, noise_view, &j);
     for (int i = 0; i < n && !e; i++)
         sum += j.square[i] / n;
     arena_reset(r->tmp, mark);

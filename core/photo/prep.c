@@ -312,7 +312,8 @@ static err_t layout(struct job *j, struct arena *tmp, int n, struct image8 most,
 {
     const int threads = size_threads[1];
     err_t e = arena_alloc(tmp, (size_t)n, sizeof *j->slot, &j->slot);
-    e = e ? e : arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
     for (int i = 0; i < threads && !e; i++) {
         struct scratch s;
         e = scratch_alloc(&s, most.w, most.h, size_threads[0], tmp);
@@ -344,7 +345,8 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     struct job j = {.r = r, .c = c, .from = from, .v = &v};
     e = views_alloc(r, c, size, &v);
-    e = e ? e : layout(&j, r->tmp, c->n, prep_largest(c), (int[2]){size, pool_size(r->pool)});
+    if (!e)
+        e = layout(&j, r->tmp, c->n, prep_largest(c), (int[2]){size, pool_size(r->pool)});
     if (!e) {
         fill_metadata(c, &v, j.slot);
         e = pool_for(r->pool, c->n, resize_shot, &j);

@@ -23,9 +23,12 @@ static err_t layout(struct align *a, struct arena *tmp, int splats, int size, in
 {
     size_t px = (size_t)size * (size_t)size;
     err_t e = raster_init(&a->raster, tmp, splats > 0 ? splats : 1, size, size, true);
-    e = e ? e : loss_init(&a->loss, tmp, size, size, threads);
-    e = e ? e : arena_alloc(tmp, 3 * px, 1, &a->photo);
-    e = e ? e : arena_alloc(tmp, 3 * px, 4, &a->pic.radiance);
+    if (!e)
+        e = loss_init(&a->loss, tmp, size, size, threads);
+    if (!e)
+        e = arena_alloc(tmp, 3 * px, 1, &a->photo);
+    if (!e)
+        e = arena_alloc(tmp, 3 * px, 4, &a->pic.radiance);
     return e ? e : arena_alloc(tmp, px, 4, &a->pic.alpha);
 }
 
@@ -56,7 +59,8 @@ static err_t twist_of(struct align *a, const struct camera *cam, float shift, fl
     struct loss_output out;
     float pose[POSE_GRAD];
     err_t e = raster_run(a->r, &a->raster, &in, &a->pic);
-    e = e ? e : loss_run(a->r, &a->loss, &li, &out);
+    if (!e)
+        e = loss_run(a->r, &a->loss, &li, &out);
     if (e)
         return e;
     struct render_grad up = {a->loss.d_radiance, NULL, NULL};

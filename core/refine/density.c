@@ -20,11 +20,15 @@ err_t density_init(struct density *d, struct arena *a, struct gaussians *g, int 
         /* bands that are added later zero their moments then */
         bool used = p < gaussians_planes(g->degree);
         e = (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m1[p]);
-        e = e ? e : (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m2[p]);
+        if (!e)
+            e = (used ? arena_zalloc : arena_alloc)(a, n, 4, &d->m2[p]);
     }
-    e = e ? e : arena_zalloc(a, n, 4, &d->score);
-    e = e ? e : arena_alloc(a, n, 4, &d->order);
-    e = e ? e : arena_alloc(a, n, 4, &d->tmp);
+    if (!e)
+        e = arena_zalloc(a, n, 4, &d->score);
+    if (!e)
+        e = arena_alloc(a, n, 4, &d->order);
+    if (!e)
+        e = arena_alloc(a, n, 4, &d->tmp);
     return e ? e : arena_alloc(a, n, 8, &d->key);
 }
 

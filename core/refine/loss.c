@@ -58,13 +58,20 @@ err_t loss_init(struct loss *l, struct arena *a, int w, int h, int workers)
         l->taps[k] = (float)(exp(-0.5 * (k - 5) * (k - 5) / 2.25) / sum);
     l->scratch_floats = scratch_of(w);
     err_t e = arena_alloc(a, 3 * px, 4, &l->ldr);
-    e = e ? e : arena_alloc(a, 3 * px, 4, &l->x);
-    e = e ? e : arena_alloc(a, 3 * px, 4, &l->slope);
-    e = e ? e : arena_alloc(a, 3 * px, 1, &l->segment);
-    e = e ? e : arena_alloc(a, 9 * ((size_t)h + EDGE) * s, 4, &l->maps);
-    e = e ? e : arena_alloc(a, l->scratch_floats * (size_t)workers, 4, &l->scratch);
-    e = e ? e : arena_alloc(a, (size_t)chunks_of(h) * P_ALL, 8, &l->partial);
-    e = e ? e : arena_alloc(a, 3 * px, 4, &l->d_radiance);
+    if (!e)
+        e = arena_alloc(a, 3 * px, 4, &l->x);
+    if (!e)
+        e = arena_alloc(a, 3 * px, 4, &l->slope);
+    if (!e)
+        e = arena_alloc(a, 3 * px, 1, &l->segment);
+    if (!e)
+        e = arena_alloc(a, 9 * ((size_t)h + EDGE) * s, 4, &l->maps);
+    if (!e)
+        e = arena_alloc(a, l->scratch_floats * (size_t)workers, 4, &l->scratch);
+    if (!e)
+        e = arena_alloc(a, (size_t)chunks_of(h) * P_ALL, 8, &l->partial);
+    if (!e)
+        e = arena_alloc(a, 3 * px, 4, &l->d_radiance);
     return e ? e : arena_alloc(a, px, 4, &l->d_alpha);
 }
 
@@ -273,8 +280,10 @@ err_t loss_run(const struct run *r, struct loss *l, const struct loss_input *in,
         memset(map_row(&j, m / 3, m % 3, j.h), 0, (size_t)l->stride * EDGE * 4);
     }
     err_t e = pool_for(r->pool, chunks_of(j.h), tone_chunk, &j);
-    e = e ? e : pool_for(r->pool, chunks_of(j.h), ssim_chunk, &j);
-    e = e ? e : pool_for(r->pool, chunks_of(j.h), grad_chunk, &j);
+    if (!e)
+        e = pool_for(r->pool, chunks_of(j.h), ssim_chunk, &j);
+    if (!e)
+        e = pool_for(r->pool, chunks_of(j.h), grad_chunk, &j);
     if (!e)
         sum_chunks(&j, out);
     return e;

@@ -114,17 +114,28 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     f->squares = (f->v->size + HELD_PX - 1) / HELD_PX;
     size_t q = (size_t)f->squares, all = n + (size_t)f->v->n_more;
     err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
-    e = e ? e : arena_alloc(a, all * px * 3, 1, &f->full);
-    e = e ? e : arena_alloc(a, n * q * q, 1, &f->held);
-    e = e ? e : arena_zalloc(a, all, 8, &f->photo_sse);
-    e = e ? e : arena_zalloc(a, all, 8, &f->photo_n);
-    e = e ? e : arena_alloc(a, n, 4, &f->shuffled);
-    e = e ? e : arena_zalloc(a, n * 12, 4, &f->pose_m);
-    e = e ? e : arena_zalloc(a, n, 4, &f->pose_t);
-    e = e ? e : arena_alloc(a, 3 * px, 4, &f->pic.radiance);
-    e = e ? e : arena_alloc(a, px, 4, &f->pic.alpha);
-    e = e ? e : raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
-    e = e ? e : loss_init(&f->loss_work, a, f->v->size, f->v->size, threads);
+    if (!e)
+        e = arena_alloc(a, all * px * 3, 1, &f->full);
+    if (!e)
+        e = arena_alloc(a, n * q * q, 1, &f->held);
+    if (!e)
+        e = arena_zalloc(a, all, 8, &f->photo_sse);
+    if (!e)
+        e = arena_zalloc(a, all, 8, &f->photo_n);
+    if (!e)
+        e = arena_alloc(a, n, 4, &f->shuffled);
+    if (!e)
+        e = arena_zalloc(a, n * 12, 4, &f->pose_m);
+    if (!e)
+        e = arena_zalloc(a, n, 4, &f->pose_t);
+    if (!e)
+        e = arena_alloc(a, 3 * px, 4, &f->pic.radiance);
+    if (!e)
+        e = arena_alloc(a, px, 4, &f->pic.alpha);
+    if (!e)
+        e = raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
+    if (!e)
+        e = loss_init(&f->loss_work, a, f->v->size, f->v->size, threads);
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
@@ -395,7 +406,8 @@ static err_t judge_band(struct refine *f)
     int degree = f->s->g.degree;
     err_t e = measure_held_out(f, &with);
     f->s->g.degree = degree - 1;
-    e = e ? e : measure_held_out(f, &without);
+    if (!e)
+        e = measure_held_out(f, &without);
     f->s->g.degree = degree;
     if (e)
         return e;
@@ -478,7 +490,8 @@ static err_t run_steps(struct refine *f)
 {
     int round = round_of(f->v->n);
     err_t e = noise_run(f->r, f->v, &f->noise_db);
-    e = e ? e : measure_held_out(f, &f->rep->held_out_db[0]);
+    if (!e)
+        e = measure_held_out(f, &f->rep->held_out_db[0]);
     bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     for (f->step = 0; f->step < f->steps && !e;) {
         f->scale = small && is_half_size(f->step, f->steps) ? 2 : 1;
@@ -486,7 +499,8 @@ static err_t run_steps(struct refine *f)
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
             e = end_round(f, round);
-        e = e ? e : update_bands(f);
+        if (!e)
+            e = update_bands(f);
     }
     if (!e && f->band_from > 0)
         e = judge_band(f);
@@ -507,7 +521,8 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .steps = cfg->steps,
                        .scale = 1};
     err_t e = layout(&f, r->tmp, pool_size(r->pool));
-    e = e ? e : pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
+    if (!e)
+        e = pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
     if (!e) {
         choose_held(&f);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);

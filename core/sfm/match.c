@@ -497,10 +497,13 @@ void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out)
     uint16_t *count;
     err_t e = layout(&m, &p->tmp, (int[2]){n_views, size}, p->threads);
     const size_t level = arena_mark(&p->tmp);
-    e = e ? e : layout_edges(&edge, &p->tmp, &m);
+    if (!e)
+        e = layout_edges(&edge, &p->tmp, &m);
     arena_reset(&p->tmp, level);
-    e = e ? e : layout_count(&count, &p->tmp, n_views);
-    e = e ? e : layout_tracks(out, &p->keep, n_views, size);
+    if (!e)
+        e = layout_count(&count, &p->tmp, n_views);
+    if (!e)
+        e = layout_tracks(out, &p->keep, n_views, size);
     if (e)
         plan_refuse(p);
     out->n = (int)seen_cap(n_views, size);

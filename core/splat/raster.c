@@ -43,17 +43,26 @@ static err_t alloc_forward(struct raster *rs, struct arena *a)
     size_t n = (size_t)rs->cap + SPLAT_BLOCK, tiles = tiles_for(rs->w, rs->h),
            px = (size_t)rs->w * (size_t)rs->h;
     err_t e = arena_alloc(a, n, sizeof *rs->splats, &rs->splats);
-    e = e ? e : arena_alloc(a, n / SPLAT_BLOCK + 2, 4, &rs->block_seen);
+    if (!e)
+        e = arena_alloc(a, n / SPLAT_BLOCK + 2, 4, &rs->block_seen);
     for (int i = 0; i < 2; i++) {
-        e = e ? e : arena_alloc(a, n, 4, &rs->key[i]);
-        e = e ? e : arena_alloc(a, n, 4, &rs->order[i]);
+        if (!e)
+            e = arena_alloc(a, n, 4, &rs->key[i]);
+        if (!e)
+            e = arena_alloc(a, n, 4, &rs->order[i]);
     }
-    e = e ? e : arena_alloc(a, n, 8, &rs->boxes);
-    e = e ? e : arena_alloc(a, tiles, 4, &rs->tile_count);
-    e = e ? e : arena_alloc(a, tiles + 1, 4, &rs->start);
-    e = e ? e : arena_alloc(a, rs->cap_places, 4, &rs->list);
-    e = e ? e : arena_alloc(a, tiles, sizeof *rs->groups, &rs->groups);
-    e = e ? e : arena_alloc(a, px, 4, &rs->trans);
+    if (!e)
+        e = arena_alloc(a, n, 8, &rs->boxes);
+    if (!e)
+        e = arena_alloc(a, tiles, 4, &rs->tile_count);
+    if (!e)
+        e = arena_alloc(a, tiles + 1, 4, &rs->start);
+    if (!e)
+        e = arena_alloc(a, rs->cap_places, 4, &rs->list);
+    if (!e)
+        e = arena_alloc(a, tiles, sizeof *rs->groups, &rs->groups);
+    if (!e)
+        e = arena_alloc(a, px, 4, &rs->trans);
     return e ? e : arena_alloc(a, px, 4, &rs->stop);
 }
 
@@ -74,7 +83,8 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
     if (e || !gradients)
         return e;
     e = arena_alloc(a, rs->cap_places * SLOT, 4, &rs->slots);
-    e = e ? e : arena_alloc(a, n * SLOT, 4, &rs->sums);
+    if (!e)
+        e = arena_alloc(a, n * SLOT, 4, &rs->sums);
     return e ? e : arena_alloc(a, (n / CHUNK + 1) * POSE_GRAD, 4, &rs->partial);
 }
 

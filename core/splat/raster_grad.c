@@ -88,15 +88,18 @@ static err_t group_grad(struct grad_job *j, int i)
     const struct raster_group *g = j->group = &j->rs->groups[i];
     j->first = i == 0;
     err_t e = raster_load_group(r, j->rs, i);
-    e = e ? e : pool_for(r->pool, chunks, count_chunk, j);
+    if (!e)
+        e = pool_for(r->pool, chunks, count_chunk, j);
     uint32_t total = 0;
     for (int c = 0; !e && c < chunks; c++) {
         uint32_t here = j->rs->key[0][c];
         j->rs->key[0][c] = total;
         total += here;
     }
-    e = e ? e : pool_for(r->pool, chunks, base_chunk, j);
-    e = e ? e : pool_for(r->pool, (g->x1 - g->x0) * (g->y1 - g->y0), tile_chunk, j);
+    if (!e)
+        e = pool_for(r->pool, chunks, base_chunk, j);
+    if (!e)
+        e = pool_for(r->pool, (g->x1 - g->x0) * (g->y1 - g->y0), tile_chunk, j);
     return e ? e : pool_for(r->pool, chunks, gather_chunk, j);
 }
 

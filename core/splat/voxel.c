@@ -41,9 +41,12 @@ static err_t layout_scratch(struct merge *m, struct arena *a, int points)
     err_t e = OK;
     for (int k = 0; k < 3 && !e; k++)
         e = arena_alloc(a, n, sizeof *m->key[k], &m->key[k]);
-    e = e ? e : arena_alloc(a, n, sizeof *m->order, &m->order);
-    e = e ? e : arena_alloc(a, n, sizeof *m->spare, &m->spare);
-    e = e ? e : arena_alloc(a, n, sizeof *m->weight, &m->weight);
+    if (!e)
+        e = arena_alloc(a, n, sizeof *m->order, &m->order);
+    if (!e)
+        e = arena_alloc(a, n, sizeof *m->spare, &m->spare);
+    if (!e)
+        e = arena_alloc(a, n, sizeof *m->weight, &m->weight);
     return e ? e : arena_alloc(a, n + 1, sizeof *m->start, &m->start);
 }
 
@@ -52,8 +55,10 @@ static err_t layout_cells(struct voxels *v, struct arena *a, int points)
 {
     v->cap = rounded_cap(points);
     err_t e = arena_alloc(a, (size_t)points, 3 * sizeof *v->key, &v->key);
-    e = e ? e : arena_alloc(a, (size_t)points, sizeof *v->count, &v->count);
-    e = e ? e : arena_alloc(a, (size_t)v->cap, 3 * sizeof *v->points, &v->points);
+    if (!e)
+        e = arena_alloc(a, (size_t)points, sizeof *v->count, &v->count);
+    if (!e)
+        e = arena_alloc(a, (size_t)v->cap, 3 * sizeof *v->points, &v->points);
     return e ? e
              : arena_alloc(a, (size_t)v->cap, VOXEL_FEATURES * sizeof *v->features, &v->features);
 }
@@ -181,7 +186,8 @@ static err_t average_chunk(void *ctx, int chunk, int worker)
 static err_t merge_points(struct merge *m, float cell)
 {
     err_t e = layout_scratch(m, m->r->tmp, m->in->n);
-    e = e ? e : layout_cells(m->out, m->r->keep, m->in->n);
+    if (!e)
+        e = layout_cells(m->out, m->r->keep, m->in->n);
     if (e)
         return e;
     make_keys(m, cell);

@@ -325,11 +325,14 @@ size_t dump_plan(int size, int cap)
     struct draw d;
     float *work;
     err_t e = gaussians_init(&g, &planes, cap, 0);
-    e = e ? e : layout_pixels(&work, &tmp, size);
+    if (!e)
+        e = layout_pixels(&work, &tmp, size);
     arena_reset(&tmp, 0);
-    e = e ? e : layout_gaussians(&work, &tmp, g.cap);
+    if (!e)
+        e = layout_gaussians(&work, &tmp, g.cap);
     arena_reset(&tmp, 0);
-    e = e ? e : layout_picture(&d, &work, &tmp, g.cap, (int[2]){size, size});
+    if (!e)
+        e = layout_picture(&d, &work, &tmp, g.cap, (int[2]){size, size});
     return e ? SIZE_MAX : tmp.peak;
 }
 

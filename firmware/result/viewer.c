@@ -421,9 +421,12 @@ static err_t check(const char *path, const struct viewer_input *in)
                            c->q[2], c->q[3], c->t[0], c->t[1], c->t[2], s->log2t[i]};
         e = check_finite(path, s->names[i], v, sizeof v / sizeof *v);
     }
-    e = e ? e : check_finite(path, "the background", s->background, 3);
-    e = e ? e : check_finite(path, "the tone curve", s->tone.p, TONE_PARAMS);
-    e = e ? e : check_finite(path, "the middle exposure", &s->tone.mid_log2t, 1);
+    if (!e)
+        e = check_finite(path, "the background", s->background, 3);
+    if (!e)
+        e = check_finite(path, "the tone curve", s->tone.p, TONE_PARAMS);
+    if (!e)
+        e = check_finite(path, "the middle exposure", &s->tone.mid_log2t, 1);
     return e || !in->log2t ? e : check_finite(path, "the exposures", in->log2t, in->n_log2t);
 }
 

@@ -39,7 +39,8 @@ static err_t draw(const struct run *r, const struct redraw *q)
     struct gaussians g;
     struct raster raster;
     err_t e = gaussians_init(&g, r->tmp, q->n, q->degree);
-    e = e ? e : raster_init(&raster, r->tmp, q->n, q->w, q->h, q->up_radiance != NULL);
+    if (!e)
+        e = raster_init(&raster, r->tmp, q->n, q->w, q->h, q->up_radiance != NULL);
     if (e)
         return e;
     g.n = q->n;
@@ -65,11 +66,13 @@ int redraw_run(const struct redraw *q)
     size_t need = arena_add(gaussians_need(q->n, q->degree),
                             raster_plan(q->n, q->w, q->h, q->up_radiance != NULL));
     e = arena_init(&tmp, "redraw", need);
-    e = e ? e : pool_open(&pool, q->threads);
+    if (!e)
+        e = pool_open(&pool, q->threads);
     struct kernels k;
     kernels_init(&k, cpu_detect());
     struct run r = {.k = &k, .pool = pool, .tmp = &tmp};
-    e = e ? e : draw(&r, q);
+    if (!e)
+        e = draw(&r, q);
     pool_close(pool);
     arena_free(&tmp);
     return e;

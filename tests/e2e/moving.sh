@@ -107,7 +107,8 @@ without() { # code regex arguments...: frames, no video
     same "left of a video" "$(ls -A "$OUT/films")" ""
 }
 rm -rf "$OUT/frames"
-PATH=$OUT/bin expect 1 'ffmpeg, which makes videos, is not installed: apt-get install ffmpeg$' "${render[@]}" \
+PATH=$OUT/bin expect 1 \
+    'ffmpeg, which makes videos, is not installed: apt-get install ffmpeg$' "${render[@]}" \
     --path orbit --out "$OUT/frames" --video "$OUT/films/a.mp4"
 ! grep -q ' step ' "$ERR" || fail "no ffmpeg: told after work"
 nothing_at "$OUT/frames"
