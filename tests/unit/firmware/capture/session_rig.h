@@ -11,7 +11,8 @@
 #include <stdio.h>
 #include <string.h>
 
-/* What the simulator gave to a frame. */
+/* What the simulator gave to a frame. A camera that is opened again counts anew: of several
+ * lines for one sequence number and time, the one that fits best is taken. */
 struct rig_truth {
     bool found;
     double exposure_s, torn; // time x gain; share of its rows
@@ -29,7 +30,10 @@ static inline struct rig_truth rig_truth(int camera, const struct take_frame *fr
         double time, gain, torn;
         int n =
             sscanf(line, "%u %lld %lld %lf %lf %lf", &sequence, &ns, &number, &time, &gain, &torn);
-        if (n == 6 && sequence == frame->evidence.sequence && ns == frame->evidence.timestamp_ns)
+        bool same =
+            n == 6 && sequence == frame->evidence.sequence && ns == frame->evidence.timestamp_ns;
+        double off = fabs(take_exposure_s(frame) - time * gain);
+        if (same && (!out.found || off < fabs(take_exposure_s(frame) - out.exposure_s)))
             out = (struct rig_truth){true, time * gain, torn};
     }
     if (f)
