@@ -4,8 +4,8 @@
 #   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
 #   check  before a commit: that, lints, faults, all commands; units and fuzz corpora under ASan
 #          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
-#   long   what check leaves out: thousands of random takes, brackets and calls; slow steps of the
-#          network and of refinement under TSan and on emulated Arm
+#   long   what check leaves out: thousands of random takes, brackets and calls, and slow tests under
+#          the sanitizers and on emulated Arm
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
@@ -59,11 +59,12 @@ one() { # a line of the queue
     step "${1%%$'\t'*}" timeout "$limit" "${command[@]}"
 }
 
-tests() { # variant folder-of-the-build source-folder...
-    local variant=$1 dir=$2 source
-    shift 2
+tests() { # is_slow|is_quick variant folder-of-the-build source-folder...
+    local pick=$1 variant=$2 dir=$3 source name
+    shift 3
     for source in $(find "${@/#/tests/}" -name '*_test.c' | sort); do
-        later "$variant: $(basename "$source" .c)" $fixed "$dir/${source%.c}"
+        name=$(basename "$source" .c)
+        ! $pick "$variant/$name" || later "$variant: $name" $fixed "$dir/${source%.c}"
     done
 }
 
@@ -81,12 +82,24 @@ scripts() { # folder-of-the-build script...
 # ---- what there is to run ----
 
 smoke='bad_input capture formats golden quality'
-# Seconds each under TSan and emulation; their sources have no instructions of Arm of their own.
-slow='gausshead loss raster layer'
+# Half a minute each, and other tests look at the same code: these wait for `long`.
+is_slow() { # variant/test
+    case $1 in
+    asan/plan_test | asan/net_extremes_test | asan/gemm_test | asan/nn_test) ;;
+    tsan/gausshead_test) ;;
+    cortex-a76/gausshead_test | cortex-a76/loss_test | cortex-a76/raster_test) ;;
+    cortex-a76/layer_test | cortex-a53/nn_test | cortex-a53/gemm_test | max/gemm_test) ;;
+    *) false ;;
+    esac
+}
+
+is_quick() { # variant/test
+    ! is_slow "$1"
+}
 
 plain() {
     build gcc WERROR=1 all tests
-    tests plain "$(make -s print-B WERROR=1)" unit kernels golden
+    tests is_quick plain "$(make -s print-B WERROR=1)" unit kernels golden
 }
 
 lints() {
@@ -105,35 +118,37 @@ lints() {
         --suppress=preprocessorErrorDirective core drivers firmware sim
 }
 
-sanitizers() {
-    local dir target name
+sanitizers() { # is_slow|is_quick
+    local dir
     dir=$(make -s print-B SAN=address,undefined WERROR=1)
     build "ASan and UBSan" SAN=address,undefined WERROR=1 tests fuzz-targets
-    tests asan "$dir" unit kernels golden
+    tests "$1" asan "$dir" unit kernels golden
+}
+
+corpora() {
+    local dir target name
+    dir=$(make -s print-B SAN=address,undefined WERROR=1)
     for target in tests/fuzz/fuzz_*.c; do
         name=$(basename "$target" .c)
         later "asan: $name" $fixed "$dir/tests/fuzz/$name" tests/fuzz/corpus/"${name#fuzz_}"/*
     done
 }
 
-is_slow() { # program
-    [[ " $slow " == *" $(basename "$1" _test) "* ]]
-}
-
-threads() { # is_slow | ! is_slow
-    local program
+threads() { # is_slow|is_quick
+    local program name
     build TSan SAN=thread WERROR=1 tsan-tests
     for program in $(make -s print-TSAN_PROGRAMS SAN=thread WERROR=1); do
-        ! "$@" "$program" || later "tsan: $(basename "$program")" $fixed "$program"
+        name=$(basename "$program")
+        ! "$1" "tsan/$name" || later "tsan: $name" $fixed "$program"
     done
 }
 
-arm() { # is_slow | is_quick
-    local program cpu cpus
+arm() { # is_slow|is_quick
+    local program name cpu cpus
     [ "$(uname -m)" != aarch64 ] || return
     build "aarch64, core" CROSS=aarch64-linux-gnu- WERROR=1 arm-tests
     for program in $(make -s print-ARM_PROGRAMS CROSS=aarch64-linux-gnu- WERROR=1); do
-        "$@" "$program" || continue
+        name=$(basename "$program")
         cpus=cortex-a76
         case $program in
         # Base NEON alone; with dot products; with int8 matrix products.
@@ -142,13 +157,9 @@ arm() { # is_slow | is_quick
         */kernels/*) cpus=cortex-a53 ;;
         esac
         for cpu in $cpus; do
-            later "$cpu: $(basename "$program")" qemu-aarch64 -cpu "$cpu" "$program"
+            ! "$1" "$cpu/$name" || later "$cpu: $name" qemu-aarch64 -cpu "$cpu" "$program"
         done
     done
-}
-
-is_quick() { # program
-    ! is_slow "$1"
 }
 
 finish() {
@@ -184,8 +195,9 @@ check)
     scripts "$(make -s print-B WERROR=1)" tests/e2e/*.sh
     arm is_quick
     plain
-    tests plain "$(make -s print-B WERROR=1)" fault
-    sanitizers
+    tests is_quick plain "$(make -s print-B WERROR=1)" fault
+    sanitizers is_quick
+    corpora
     threads is_quick
     # For its warnings; what it makes is not run.
     build clang CC=clang WERROR=1 CFLAGS=-O0 all tests
@@ -199,6 +211,7 @@ long)
     later "10140 brackets: bracket_random_test" env TAKES=10140 "$unit/bracket_random_test"
     export CALLS=2000
     scripts "$dir" tests/e2e/bystanders.sh
+    sanitizers is_slow
     threads is_slow
     arm is_slow
     ;;

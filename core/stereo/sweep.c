@@ -668,8 +668,12 @@ static err_t layout(struct sweep *s, struct arena *a, int workers)
         e = arena_alloc(a, n * w * w, sizeof *s->sure, &s->sure);
     if (!e)
         e = arena_alloc(a, (size_t)workers, sizeof *s->scratch, &s->scratch);
-    for (int k = 0; k < workers && !e; k++)
-        e = layout_scratch(a->counts ? &(struct scratch){0} : &s->scratch[k], a, w);
+    for (int k = 0; k < workers && !e; k++) {
+        struct scratch one = {0};
+        e = layout_scratch(&one, a, w);
+        if (!e && !a->counts)
+            s->scratch[k] = one;
+    }
     return e;
 }
 
