@@ -4,7 +4,7 @@
 sim=sim:kind=room,seed=5,size=56,samples=1,fps=100,clock=virtual
 export TMPDIR=$OUT/tmp
 mkdir "$TMPDIR"
-real=sim:kind=room,seed=5,size=56,samples=1,fps=100
+real=sim:kind=room,seed=5,size=56,samples=1,fps=20 # slow enough for a busy machine
 
 # bad requests
 expect 1 'no daemon answers' calibrate --set control.socket="$OUT/none.socket"
@@ -52,7 +52,7 @@ check 'drops' "$sim,faults=at frame 0 lose 0.05"
 check 'drops' "$sim,faults=at frame 150 drop 3 nogap"
 check 'timestamps' "$sim,faults=at frame 20 stamp realtime"
 check 'timestamps' "$sim,faults=at frame 60 stamp jump 5"
-check 'timestamps' "$real,faults=at frame 20 stamp zero"
+check 'timestamps' "$sim,faults=at frame 20 stamp zero"
 check 'sequence timestamps' "$sim,faults=at frame 200 duplicate"
 check 'errors' "$sim,faults=at frame 50 error"
 check 'ratios monotone' "$sim,faults=at frame 0 rollover 1500"
