@@ -80,3 +80,19 @@ void rotation_from_unit(const float q[4], float r[9])
     r[7] = 2 * (y * z + w * x);
     r[8] = 1 - 2 * (x * x + y * y);
 }
+
+void rotation_of_camera(const struct camera *cam, double r[9])
+{
+    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
+                         (double)cam->q[3]};
+    rotation_from_quat(q, r);
+}
+
+void rotation_centre(const struct camera *cam, double out[3])
+{
+    float r[9];
+    rotation_from_unit(cam->q, r);
+    for (int k = 0; k < 3; k++)
+        out[k] = -((double)r[k] * (double)cam->t[0] + (double)r[3 + k] * (double)cam->t[1] +
+                   (double)r[6 + k] * (double)cam->t[2]);
+}

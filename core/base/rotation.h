@@ -4,6 +4,8 @@
 #ifndef BASE_ROTATION_H
 #define BASE_ROTATION_H
 
+#include "core/base/types.h"
+
 /* Matrix of a quaternion of any length; 0 is the identity. */
 void rotation_from_quat(const double q[4], double r[9]);
 
@@ -19,5 +21,9 @@ void rotation_log(const double r[9], double w[3]);
 
 /* The quaternion a b: first b, then a. out is neither. */
 void rotation_multiply(const double a[4], const double b[4], double out[4]);
+
+/* World to camera, of a camera; and where it stands. */
+void rotation_of_camera(const struct camera *cam, double r[9]);
+void rotation_centre(const struct camera *cam, double out[3]);
 
 #endif

@@ -185,10 +185,8 @@ void depth_unproject(const struct geometry *g, int view, float *points)
 {
     const struct camera *cam = g->cams + view;
     const float *depth = g->depth + (size_t)view * pixel_count(g->size);
-    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
-                         (double)cam->q[3]};
     double r[9];
-    rotation_from_quat(q, r);
+    rotation_of_camera(cam, r);
     for (int j = 0; j < g->size; j++)
         for (int i = 0; i < g->size; i++, depth++, points += 3) {
             double d = *depth;

@@ -1,6 +1,7 @@
 #include "core/refine/differ.h"
 
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/photo/metrics.h"
 #include "core/photo/tonemap.h"
 #include "core/sfm/similarity.h"
@@ -79,8 +80,8 @@ static struct camera seen_from_first(const struct differ_look *l, int i)
 static double distance(const struct camera *a, const struct camera *b)
 {
     double x[3], y[3];
-    similarity_centre(a, x);
-    similarity_centre(b, y);
+    rotation_centre(a, x);
+    rotation_centre(b, y);
     return hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]);
 }
 

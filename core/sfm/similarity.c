@@ -7,20 +7,11 @@
 
 /* ---- scale ---- */
 
-void similarity_centre(const struct camera *c, double out[3])
-{
-    float r[9];
-    rotation_from_unit(c->q, r);
-    for (int k = 0; k < 3; k++)
-        out[k] = -((double)r[k] * (double)c->t[0] + (double)r[3 + k] * (double)c->t[1] +
-                   (double)r[6 + k] * (double)c->t[2]);
-}
-
 static double centre_distance(const struct camera *a, const struct camera *b)
 {
     double p[3], q[3];
-    similarity_centre(a, p);
-    similarity_centre(b, q);
+    rotation_centre(a, p);
+    rotation_centre(b, q);
     return sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) +
                 (p[2] - q[2]) * (p[2] - q[2]));
 }
@@ -108,8 +99,8 @@ err_t similarity_fit(const struct run *r, const struct camera *from, const struc
         out->q[k] = length > 0 ? out->q[k] / sqrt(length) : k == 0;
     for (int i = 0; i < n_views; i++) {
         double a[3], b[3], turned[3];
-        similarity_centre(&from[i], a);
-        similarity_centre(&to[i], b);
+        rotation_centre(&from[i], a);
+        rotation_centre(&to[i], b);
         rotate_vector(out->q, a, turned);
         for (int k = 0; k < 3; k++)
             out->t[k] += (b[k] - out->scale * turned[k]) / n_views;
@@ -125,7 +116,7 @@ struct camera similarity_apply(const struct similarity *w, const struct camera *
     double away[4], turned[4], centre[3], moved[3], back[3];
     conjugate(w->q, away);
     rotation_multiply(q, away, turned);
-    similarity_centre(cam, centre);
+    rotation_centre(cam, centre);
     rotate_vector(w->q, centre, moved);
     for (int k = 0; k < 3; k++)
         moved[k] = w->scale * moved[k] + w->t[k];

@@ -33,7 +33,4 @@ MUST_USE err_t similarity_fit(const struct run *r, const struct camera *from,
 /* The same camera in the other world. */
 struct camera similarity_apply(const struct similarity *w, const struct camera *cam);
 
-/* Centre of a camera. */
-void similarity_centre(const struct camera *cam, double out[3]);
-
 #endif

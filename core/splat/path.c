@@ -46,26 +46,15 @@ void path_axis(const struct camera *cam, double axis[3])
     camera_row(cam, 2, axis);
 }
 
-void path_centre(const struct camera *cam, double centre[3])
-{
-    double x[3], y[3], z[3];
-    camera_row(cam, 0, x);
-    camera_row(cam, 1, y);
-    camera_row(cam, 2, z);
-    for (int k = 0; k < 3; k++)
-        centre[k] =
-            -(x[k] * (double)cam->t[0] + y[k] * (double)cam->t[1] + z[k] * (double)cam->t[2]);
-}
-
 int path_nearest(const struct camera *cams, int n, const struct camera *to)
 {
     double c0[3], a0[3], best_distance = INFINITY, best_cos = -2;
     int best = 0;
-    path_centre(to, c0);
+    rotation_centre(to, c0);
     path_axis(to, a0);
     for (int i = 0; i < n; i++) {
         double c[3], a[3];
-        path_centre(&cams[i], c);
+        rotation_centre(&cams[i], c);
         path_axis(&cams[i], a);
         double distance = sqrt((c[0] - c0[0]) * (c[0] - c0[0]) + (c[1] - c0[1]) * (c[1] - c0[1]) +
                                (c[2] - c0[2]) * (c[2] - c0[2]));
@@ -103,7 +92,7 @@ static bool find_convergence(const struct camera *cams, int n, double p[3])
     for (int i = 0; i < n; i++) {
         double a[3], c[3];
         path_axis(&cams[i], a);
-        path_centre(&cams[i], c);
+        rotation_centre(&cams[i], c);
         for (int k = 0; k < 9; k++)
             m[k] += (k % 4 == 0) - a[k / 3] * a[k % 3];
         double along = dot(a, c);
@@ -115,7 +104,7 @@ static bool find_convergence(const struct camera *cams, int n, double p[3])
     for (int i = 0; i < n; i++) {
         double a[3], c[3];
         path_axis(&cams[i], a);
-        path_centre(&cams[i], c);
+        rotation_centre(&cams[i], c);
         if (dot(a, p) <= dot(a, c))
             return false;
     }
@@ -132,7 +121,7 @@ static void measure_spread(const struct camera *cams, int n, struct spread *s)
     memset(s, 0, sizeof *s);
     for (int i = 0; i < n; i++) {
         double c[3], a[3], y[3];
-        path_centre(&cams[i], c);
+        rotation_centre(&cams[i], c);
         path_axis(&cams[i], a);
         camera_row(&cams[i], 1, y);
         for (int k = 0; k < 3; k++) {
@@ -150,7 +139,7 @@ static void measure_spread(const struct camera *cams, int n, struct spread *s)
     (void)normalise(s->down);
     for (int i = 0; i < n; i++) {
         double c[3];
-        path_centre(&cams[i], c);
+        rotation_centre(&cams[i], c);
         for (int k = 0; k < 3; k++)
             c[k] -= s->centre[k];
         s->across += dot(c, s->right) * dot(c, s->right) / n;
@@ -225,7 +214,7 @@ struct pose {
 static struct pose pose_of(const struct camera *cam)
 {
     struct pose p;
-    path_centre(cam, p.c);
+    rotation_centre(cam, p.c);
     for (int k = 0; k < 4; k++)
         p.q[k] = (double)cam->q[k];
     return p;

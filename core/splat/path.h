@@ -6,9 +6,6 @@
 
 #include "core/base/types.h"
 
-/* Centre of a camera in the world. */
-void path_centre(const struct camera *cam, double centre[3]);
-
 /* Its optical axis in the world, unit length. */
 void path_axis(const struct camera *cam, double axis[3]);
 

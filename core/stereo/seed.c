@@ -76,10 +76,8 @@ struct patch {
 
 static void set_frame(const struct camera *cam, int scale, struct frame *f)
 {
-    const double q[4] = {(double)cam->q[0], (double)cam->q[1], (double)cam->q[2],
-                         (double)cam->q[3]};
     double r[9];
-    rotation_from_quat(q, r);
+    rotation_of_camera(cam, r);
     for (int i = 0; i < 9; i++)
         f->r[i] = (float)r[i];
     memcpy(f->t, cam->t, sizeof f->t);

@@ -89,8 +89,7 @@ struct task {
 
 static void set_pose(const struct camera *c, struct pose *p)
 {
-    const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
-    rotation_from_quat(q, p->r);
+    rotation_of_camera(c, p->r);
     for (int i = 0; i < 3; i++)
         p->t[i] = (double)c->t[i];
     for (int i = 0; i < 3; i++)

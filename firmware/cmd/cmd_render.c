@@ -1,4 +1,5 @@
 /* hdrig render: pictures of a scene from other places. */
+#include "core/base/rotation.h"
 #include "core/splat/path.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
@@ -83,7 +84,7 @@ static err_t median_depth(struct state *st, double *out)
     err_t e = arena_alloc(&st->engine.tmp, (size_t)g->n, sizeof *z, &z);
     if (e)
         return e;
-    path_centre(cam, c);
+    rotation_centre(cam, c);
     path_axis(cam, a);
     for (int i = 0; i < g->n; i++) {
         double depth = 0;

@@ -8,6 +8,7 @@
 #include "firmware/recon/figures.h"
 
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/photo/metrics.h"
 #include "core/photo/response.h"
 #include "core/photo/response_family.h"
@@ -181,7 +182,7 @@ static void report_camera(const struct camera *cam, struct report *rep)
     const double up[3] = {-2 * (x * y + w * z), 2 * (x * x + z * z) - 1, -2 * (y * z - w * x)};
     const double forward[3] = {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)};
     double centre[3];
-    similarity_centre(cam, centre);
+    rotation_centre(cam, centre);
     report_open(rep, "camera", '{');
     report_row(rep, "centre", centre, 3);
     report_row(rep, "forward", forward, 3);

@@ -1,5 +1,6 @@
 #include "firmware/recon/testcams.h"
 
+#include "core/base/rotation.h"
 #include "firmware/recon/locate.h"
 
 #include "core/base/num.h"
@@ -221,7 +222,7 @@ static double spread(const struct camera *c, int n)
 {
     double sum[3] = {0}, square = 0, x[3];
     for (int i = 0; i < n; i++) {
-        similarity_centre(&c[i], x);
+        rotation_centre(&c[i], x);
         for (int k = 0; k < 3; k++) {
             sum[k] += x[k] / n;
             square += x[k] * x[k] / n;
@@ -241,8 +242,8 @@ static err_t measure(const struct run *r, const struct camera *found, const stru
     for (int i = 0; i < n; i++) {
         struct camera c = similarity_apply(&w, &found[i]);
         double a[3], b[3];
-        similarity_centre(&c, a);
-        similarity_centre(&real[i], b);
+        rotation_centre(&c, a);
+        rotation_centre(&real[i], b);
         figure[i] = angle_deg(&c, &real[i]);
         figure[n + i] = hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]) / size;
         figure[2 * n + i] = fabs((double)c.fx / (double)real[i].fx - 1);

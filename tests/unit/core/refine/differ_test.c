@@ -1,5 +1,6 @@
 /* Made-up predictions whose distance is known. */
 #include "core/base/arena.h"
+#include "core/base/rotation.h"
 #include "core/photo/metrics.h"
 #include "core/photo/tonemap.h"
 #include "core/refine/differ.h"
@@ -126,7 +127,7 @@ static void cameras_turned(void **state)
     double d[DIFFER_FIGURES], x[3];
     for (int i = 1; i < VIEWS; i++) {
         struct camera *c = &other.cams[i];
-        similarity_centre(c, x);
+        rotation_centre(c, x);
         set_turn(c->q, angle[i], 0, 1, 0);
         double s = sin(angle[i] * DEGREE), k = cos(angle[i] * DEGREE);
         c->t[0] = (float)-(k * x[0] + s * x[2]); // t = -R x

@@ -98,8 +98,8 @@ static void compare(const struct job *j, double *turn, double *centre)
         struct camera moved = similarity_apply(&w, &j->out.cams[v]);
         double p[3];
         angle[v] = scene_between(&moved, &j->rig.cams[v]);
-        similarity_centre(&moved, p);
-        similarity_centre(&j->rig.cams[v], at[v]);
+        rotation_centre(&moved, p);
+        rotation_centre(&j->rig.cams[v], at[v]);
         off[v] = 0;
         for (int k = 0; k < 3; k++) {
             off[v] += (p[k] - at[v][k]) * (p[k] - at[v][k]);
@@ -140,7 +140,7 @@ static void disturb_cameras(const struct scene_rig *s, double degrees, double fo
         rotation_exp(w, turn);
         rotation_from_quat(q, r);
         lin_product(turn, r, moved);
-        similarity_centre(c, at);
+        rotation_centre(c, at);
         for (int k = 0; k < 3; k++)
             at[k] += 0.02 * degrees * scene_normal();
         lin_apply(moved, at, t);
@@ -357,8 +357,8 @@ static void world_of_the_start(void **unused)
     run_ok(&j, &(struct bundle_config){.start = s->cams, .start_depth = depth});
     for (int v = 0; v < s->n_views; v++) {
         double a[3], b[3];
-        similarity_centre(&j.out.cams[v], a);
-        similarity_centre(&s->cams[v], b);
+        rotation_centre(&j.out.cams[v], a);
+        rotation_centre(&s->cams[v], b);
         for (int k = 0; k < 3; k++)
             assert_float_equal(a[k], b[k], 0.03);
         assert_float_equal(j.out.depth_scale[v], v == 3 ? 0.5f : 1, v == 3 ? 0.015f : 0.03f);

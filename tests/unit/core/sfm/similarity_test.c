@@ -1,6 +1,7 @@
 /* Similarities between worlds that hold the same cameras. */
 #include "core/base/rotation.h"
 #include "core/sfm/similarity.h"
+#include "tests/unit/random_camera.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -11,29 +12,6 @@
 #include <string.h>
 
 #include <cmocka.h>
-
-enum { SIZE = 48 };
-
-static uint64_t rng;
-
-static float uniform(void)
-{
-    rng = rng * 6364136223846793005ull + 1442695040888963407ull;
-    return (float)(rng >> 40) * 0x1p-23f - 1.0f;
-}
-
-static struct camera random_camera(void)
-{
-    struct camera c = {SIZE, SIZE, 50, 50, SIZE / 2, SIZE / 2, {0}, {uniform(), uniform(), 0}};
-    float len = 0;
-    for (int k = 0; k < 4; k++) {
-        c.q[k] = uniform();
-        len += c.q[k] * c.q[k];
-    }
-    for (int k = 0; k < 4; k++)
-        c.q[k] /= sqrtf(len);
-    return c;
-}
 
 static void scale_of_worlds(void **state)
 {
@@ -87,8 +65,8 @@ static void a_world_is_found_again(void **state)
         for (int k = 0; k < 4 && i % 2; k++)
             b[i].q[k] = -b[i].q[k]; // the same rotation
     }
-    similarity_centre(&a[0], x);
-    similarity_centre(&b[0], y); // (x, y, z) -> (-y, z, -x) is this quaternion's rotation
+    rotation_centre(&a[0], x);
+    rotation_centre(&b[0], y); // (x, y, z) -> (-y, z, -x) is this quaternion's rotation
     assert_float_equal((float)y[0], (float)(1 + 2.5 * -x[1]), 1e-4f);
     assert_float_equal((float)y[1], (float)(-2 + 2.5 * x[2]), 1e-4f);
     assert_float_equal((float)y[2], (float)(3 + 2.5 * -x[0]), 1e-4f);

@@ -37,7 +37,7 @@ static void centre_and_axis(void **state)
     (void)state;
     double v[3];
     struct camera c = at(1, 2, 3, 0.3);
-    path_centre(&c, v);
+    rotation_centre(&c, v);
     near3(v, 1, 2, 3);
     path_axis(&c, v);
     near3(v, sin(0.3), 0, cos(0.3));
@@ -58,7 +58,7 @@ static void nearest(void **state)
 static double miss(const struct camera *cam, const double p[3])
 {
     double c[3], a[3], along = 0, square = 0;
-    path_centre(cam, c);
+    rotation_centre(cam, c);
     path_axis(cam, a);
     for (int k = 0; k < 3; k++)
         along += a[k] * (p[k] - c[k]);
@@ -84,7 +84,7 @@ static void orbit_looks_at_the_convergence(void **state)
         float r[9];
         path_orbit(cams, 5, 77, i, 12, &frame);
         assert_true(miss(&frame, p) < 1e-4);
-        path_centre(&frame, c);
+        rotation_centre(&frame, c);
         assert_true(fabs(c[0]) <= 1 && fabs(c[1]) < 1e-4);
         rotation_from_unit(frame.q, r);
         assert_true(r[4] > 0.99f); // upright as the cameras
@@ -104,10 +104,10 @@ static void orbit_of_parallel_cameras(void **state)
     for (int i = 0; i < 8; i++) {
         path_orbit(cams, 4, 4, i, 8, &frame);
         assert_true(miss(&frame, p) < 1e-4);
-        path_centre(&frame, c);
+        rotation_centre(&frame, c);
         assert_true(fabs(hypot(c[0], c[1]) - sqrt(0.5)) < 1e-4);
     }
-    path_centre(&first, c);
+    rotation_centre(&first, c);
     near3(c, sqrt(0.5), 0, 0);
 }
 
@@ -117,7 +117,7 @@ static void orbit_of_one_camera_or_opposite_ones(void **state)
     struct camera one = at(1, 2, 3, 0.7), frame, two[] = {at(0, 0, 0, 0), at(0, 0, 0, 3.14159265)};
     double c[3];
     path_orbit(&one, 1, 2, 3, 10, &frame);
-    path_centre(&frame, c);
+    rotation_centre(&frame, c);
     near3(c, 1, 2, 3);
     path_orbit(two, 2, 2, 3, 10, &frame);
     for (int k = 0; k < 4; k++)
@@ -129,8 +129,8 @@ static void orbit_of_one_camera_or_opposite_ones(void **state)
 static double apart(const struct camera *a, const struct camera *b)
 {
     double p[3], q[3], square = 0;
-    path_centre(a, p);
-    path_centre(b, q);
+    rotation_centre(a, p);
+    rotation_centre(b, q);
     for (int k = 0; k < 3; k++)
         square += (p[k] - q[k]) * (p[k] - q[k]);
     return sqrt(square);
@@ -180,7 +180,7 @@ static void way_is_even(void **state)
         struct camera frame;
         double c[3];
         path_through(cams, 4, 5, i / 100.0, &frame);
-        path_centre(&frame, c);
+        rotation_centre(&frame, c);
         near3(c, 3 * i / 100.0, 0, 0);
         assert_true(angle(&frame, &cams[0]) < 1e-3);
     }
@@ -198,7 +198,7 @@ static void way_of_turns(void **state)
     for (int i = 0; i <= 60; i++) {
         double c[3], a[3], turn = 1.0472 * 3 * i / 60;
         path_through(cams, 4, 2, i / 60.0, &frame);
-        path_centre(&frame, c);
+        rotation_centre(&frame, c);
         near3(c, 1, 2, 3);
         path_axis(&frame, a);
         assert_true(fabs(a[0] - sin(turn)) < 1e-3 && fabs(a[2] - cos(turn)) < 1e-3);

@@ -6,6 +6,7 @@
 #include "core/splat/raster.h"
 #include "core/splat/rotate.h"
 #include "core/splat/voxel.h"
+#include "tests/unit/random_camera.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -17,28 +18,7 @@
 
 #include <cmocka.h>
 
-enum { N = 300, SIZE = 48 };
-
-static uint64_t rng;
-
-static float uniform(void)
-{
-    rng = rng * 6364136223846793005ull + 1442695040888963407ull;
-    return (float)(rng >> 40) * 0x1p-23f - 1.0f;
-}
-
-static struct camera random_camera(void)
-{
-    struct camera c = {SIZE, SIZE, 50, 50, SIZE / 2, SIZE / 2, {0}, {uniform(), uniform(), 0}};
-    float len = 0;
-    for (int k = 0; k < 4; k++) {
-        c.q[k] = uniform();
-        len += c.q[k] * c.q[k];
-    }
-    for (int k = 0; k < 4; k++)
-        c.q[k] /= sqrtf(len);
-    return c;
-}
+enum { N = 300 };
 
 static void no_rotation_no_change(void **state)
 {
