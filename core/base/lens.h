@@ -1,5 +1,5 @@
 /* lens.h - from rays to pixels through the lens of a physical camera, and back. Models, names,
- * order of parameters and conventions are COLMAP's (colmap.github.io/cameras.html): x right, y down,
+ * order of parameters and conventions are COLMAP's (its documentation, "Camera Models"): x right, y down,
  * z forward; the centre of the first pixel is at (0.5, 0.5).
  *
  * With x = X/Z, y = Y/Z, r^2 = x^2 + y^2:
