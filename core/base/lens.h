@@ -1,6 +1,6 @@
 /* lens.h - from rays to pixels through the lens of a physical camera, and back. Models, names,
- * order of parameters and conventions are COLMAP's (its documentation, "Camera Models"): x right, y down,
- * z forward; the centre of the first pixel is at (0.5, 0.5).
+ * order of parameters and conventions are COLMAP's (its documentation, "Camera Models"): x right,
+ * y down, z forward; the centre of the first pixel is at (0.5, 0.5).
  *
  * With x = X/Z, y = Y/Z, r^2 = x^2 + y^2:
  *   PINHOLE         x' = x
@@ -8,11 +8,11 @@
  *   RADIAL          x' = x (1 + k1 r^2 + k2 r^4)
  *   OPENCV          x' = x (1 + k1 r^2 + k2 r^4) + 2 p1 x y + p2 (r^2 + 2 x^2)
  *                   y' = y (1 + k1 r^2 + k2 r^4) + p1 (r^2 + 2 y^2) + 2 p2 x y
- *   OPENCV_FISHEYE  x' = x/r t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), t = angle to the axis
+ *   OPENCV_FISHEYE  x' = x/r t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8), t = angle to z
  * and u = fx x' + cx, v = fy y' + cy. SIMPLE_RADIAL and RADIAL have one focal length.
  *
- * The polynomials turn back somewhere: a ray beyond the radius (fisheye: the angle) up to which they
- * grow has no pixel. Pure functions; any thread. */
+ * The polynomials turn back somewhere: a ray beyond the radius (fisheye: the angle) up to which
+ * they grow has no pixel. Pure functions; any thread. */
 #ifndef BASE_LENS_H
 #define BASE_LENS_H
 
@@ -65,7 +65,7 @@ enum lens_model lens_find(const char *name);
  * lens_params: number of them; values[] has room for LENS_PARAMS. */
 int lens_params(const struct lens *l, double *values);
 
-/* err:  ERR_FORMAT (n values do not fit the model), those of lens_init. On success *out is whole. */
+/* err:  ERR_FORMAT (n values do not fit the model), those of lens_init. */
 MUST_USE err_t lens_from_params(enum lens_model m, const double *values, int n, struct lens *out);
 
 #endif

@@ -149,8 +149,7 @@ static void limits(void **state)
     expect_err(lens_init(&fish), ERR_ARG, "not finite");
 }
 
-/* cv2.projectPoints and cv2.fisheye.projectPoints of (0.3, -0.2, 1), f = (1000, 1010), c = (640, 360)
- * by the formulas in OpenCV's manual, worked out with a desk calculator. */
+/* Projection of (0.3, -0.2, 1) by the formulas in OpenCV's manual; the order of parameters. */
 static void known_pixels(void **state)
 {
     (void)state;
