@@ -56,70 +56,90 @@ static void there_and_back(void **state)
     }
 }
 
-/* What has a pixel is found again from it; beyond, there is none. */
+/* What has a pixel is found again from it. */
+static void check_return(const struct lens *l, const double ray[3])
+{
+    double pixel[2], again[3];
+    if (!lens_project(l, ray, pixel)) {
+        assert_int_equal(l->model, LENS_OPENCV); // tangential terms fold before the limit
+        return;
+    }
+    assert_true(lens_unproject(l, pixel, again));
+    for (int k = 0; k < 3; k++)
+        assert_true(fabs(again[k] - ray[k]) < 1e-6);
+}
+
+/* Beyond the limit there is no pixel. */
 static void rays_up_to_the_limit(void **state)
 {
     (void)state;
-    for (int m = 0; m < LENS_MODELS; m++)
-        for (int i = 0; i < 2000; i++) {
-            const struct lens l = random_lens((enum lens_model)m);
-            const bool fisheye = m == LENS_OPENCV_FISHEYE;
-            const double turn = uniform(0, 2 * NUM_PI), to = uniform(0, 0.98) * fmin(l.limit, 2);
-            const double angle = fisheye ? to : atan(to);
-            const double ray[3] = {sin(angle) * cos(turn), sin(angle) * sin(turn), cos(angle)};
-            const double out = fisheye ? fmin(l.limit * 1.01, NUM_PI) : atan(l.limit * 1.01);
-            const double beyond[3] = {sin(out) * cos(turn), sin(out) * sin(turn), cos(out)};
-            double pixel[2], again[3];
-            if (lens_project(&l, ray, pixel)) {
-                assert_true(lens_unproject(&l, pixel, again));
-                for (int k = 0; k < 3; k++)
-                    assert_true(fabs(again[k] - ray[k]) < 1e-6);
-            } else {
-                assert_int_equal(m, LENS_OPENCV); // tangential terms fold before the limit
-            }
-            if (l.limit < 2)
-                assert_false(lens_project(&l, beyond, pixel));
-        }
+    for (int i = 0; i < 2000 * LENS_MODELS; i++) {
+        const struct lens l = random_lens((enum lens_model)(i % LENS_MODELS));
+        const bool fisheye = l.model == LENS_OPENCV_FISHEYE;
+        const double turn = uniform(0, 2 * NUM_PI), to = uniform(0, 0.98) * fmin(l.limit, 2);
+        const double angle = fisheye ? to : atan(to);
+        const double ray[3] = {sin(angle) * cos(turn), sin(angle) * sin(turn), cos(angle)};
+        const double out = fisheye ? fmin(l.limit * 1.01, NUM_PI) : atan(l.limit * 1.01);
+        const double beyond[3] = {sin(out) * cos(turn), sin(out) * sin(turn), cos(out)};
+        double pixel[2];
+        check_return(&l, ray);
+        if (l.limit < 2)
+            assert_false(lens_project(&l, beyond, pixel));
+    }
+}
+
+/* Difference of the pixels of two lenses or rays against a derivative. */
+static void check_slope(const double a[2], const double b[2], const double *by, int stride)
+{
+    for (int q = 0; q < 2; q++)
+        assert_true(fabs((b[q] - a[q]) / 2e-6 - by[stride * q]) < 1e-3);
+}
+
+static void check_by_ray(const struct lens *l, const double ray[3], const double by_ray[6])
+{
+    for (int k = 0; k < 3; k++) {
+        double lo[3] = {ray[0], ray[1], ray[2]}, hi[3] = {ray[0], ray[1], ray[2]}, a[2], b[2];
+        lo[k] -= 1e-6;
+        hi[k] += 1e-6;
+        if (lens_project(l, lo, a) && lens_project(l, hi, b))
+            check_slope(a, b, by_ray + k, 3);
+    }
+}
+
+static double *parameter(struct lens *l, int k)
+{
+    double *const focal[4] = {&l->fx, &l->fy, &l->cx, &l->cy};
+    return k < 4 ? focal[k] : &l->term[k - 4];
+}
+
+static void check_by_param(const struct lens *l, const double ray[3],
+                           const double by_param[2 * LENS_PARAMS])
+{
+    static const int terms[LENS_MODELS] = {0, 1, 2, 4, 4};
+    for (int k = 0; k < 4 + terms[l->model]; k++) {
+        struct lens lo = *l, hi = *l;
+        double a[2], b[2];
+        *parameter(&lo, k) -= 1e-6;
+        *parameter(&hi, k) += 1e-6;
+        if (lens_project(&lo, ray, a) && lens_project(&hi, ray, b))
+            check_slope(a, b, by_param + k, LENS_PARAMS);
+    }
 }
 
 static void derivatives(void **state)
 {
     (void)state;
-    for (int m = 0; m < LENS_MODELS; m++)
-        for (int i = 0; i < 300; i++) {
-            const struct lens l = random_lens((enum lens_model)m);
-            double ray[3] = {uniform(-0.5, 0.5), uniform(-0.5, 0.5), uniform(0.7, 3)};
-            double pixel[2], by_ray[6], by_param[2 * LENS_PARAMS], a[2], b[2];
-            if (i == 0)
-                ray[0] = ray[1] = 0; // the axis
-            if (!lens_project_grad(&l, ray, pixel, by_ray, by_param))
-                continue;
-            for (int k = 0; k < 3; k++) {
-                double lo[3], hi[3];
-                for (int q = 0; q < 3; q++)
-                    lo[q] = hi[q] = ray[q];
-                lo[k] -= 1e-6;
-                hi[k] += 1e-6;
-                if (!lens_project(&l, lo, a) || !lens_project(&l, hi, b))
-                    continue;
-                for (int q = 0; q < 2; q++)
-                    assert_true(fabs((b[q] - a[q]) / 2e-6 - by_ray[3 * q + k]) < 1e-3);
-            }
-            for (int k = 0; k < LENS_PARAMS; k++) {
-                struct lens lo = l, hi = l;
-                double *const plo[8] = {&lo.fx,      &lo.fy,      &lo.cx,      &lo.cy,
-                                        &lo.term[0], &lo.term[1], &lo.term[2], &lo.term[3]};
-                double *const phi[8] = {&hi.fx,      &hi.fy,      &hi.cx,      &hi.cy,
-                                        &hi.term[0], &hi.term[1], &hi.term[2], &hi.term[3]};
-                const int terms = (const int[]){0, 1, 2, 4, 4}[m];
-                *plo[k] -= 1e-6;
-                *phi[k] += 1e-6;
-                if (k >= 4 + terms || !lens_project(&lo, ray, a) || !lens_project(&hi, ray, b))
-                    continue;
-                for (int q = 0; q < 2; q++)
-                    assert_true(fabs((b[q] - a[q]) / 2e-6 - by_param[LENS_PARAMS * q + k]) < 1e-3);
-            }
-        }
+    for (int i = 0; i < 300 * LENS_MODELS; i++) {
+        const struct lens l = random_lens((enum lens_model)(i % LENS_MODELS));
+        double ray[3] = {uniform(-0.5, 0.5), uniform(-0.5, 0.5), uniform(0.7, 3)};
+        double pixel[2], by_ray[6], by_param[2 * LENS_PARAMS];
+        if (i < LENS_MODELS)
+            ray[0] = ray[1] = 0; // the axis
+        if (!lens_project_grad(&l, ray, pixel, by_ray, by_param))
+            continue;
+        check_by_ray(&l, ray, by_ray);
+        check_by_param(&l, ray, by_param);
+    }
 }
 
 static void limits(void **state)
