@@ -55,7 +55,8 @@ enum {
 #define QUARTILE 0.674f    // standard deviations, of a normal distribution
 #define CONVERGED 1e-3f    // stops
 #define PLACE_MAX 4.0f     // standard errors that one place may count against a ratio
-#define ALIKE 1.5f         // codes: rows that differ by less on average are the same
+#define ALIKE 1.5f         // codes: rows that differ by less on average are the same,
+#define ALIKE_PLACE 2.0f   // if no place differs by more: four errors of a black level
 #define ALIKE_SIGMAS 2.0f  // standard errors added to that difference
 #define STEP_BRIGHT 0.008f // of x: least step of a display's codes there, beyond the step at black
 
@@ -475,8 +476,7 @@ static float deviation_from_other(const struct refuter *t, int i, float sd)
     float off = t->other < t->r ? lo_b - t->other * hi_a : t->other * lo_a - hi_b;
     bool bounds = lo_a < hi_a || lo_b < hi_b;
     off = bounds ? fmaxf(off, 0.0f) : off;
-    // rows of a that are no more than alike may be wrong, too
-    float black = (BLACK_ERROR + (BLACK_ERROR + ALIKE) * t->other) * t->b->step;
+    float black = BLACK_ERROR * (1.0f + t->other) * t->b->step;
     off = off > 0.0f ? fmaxf(off - black, 0.0f) : off;
     return fmaxf(fminf(off / sd, PLACE_MAX), -PLACE_MAX);
 }
@@ -493,8 +493,9 @@ static float expected_difference(const struct refuter *t, float light)
     return fabsf(fminf(t->r * light, 1.0f) - fminf(t->other * light, 1.0f));
 }
 
-static bool row_refutes(const struct refuter *t, int row)
+static void judge_row(const struct refuter *t, int row, struct exposure_probe_rows *out)
 {
+    bool shown = false;
     float sum = 0.0f, var = 0.0f, differ = 0.0f, differ_var = 0.0f, v;
     float apart = fabsf(t->r - t->other);
     float overlap = sqrtf(fmaxf(t->a->overlap, t->b->overlap)); // along the row
@@ -507,18 +508,19 @@ static bool row_refutes(const struct refuter *t, int row)
         float share = 1.0f / (step_at(t->b, i) * EXPOSURE_PROBE_EDGE);
         differ += share * off;
         differ_var += share * share * apart * apart * v;
+        shown |= off > ALIKE_PLACE * step_at(t->b, i) + ALIKE_SIGMAS * apart * sqrtf(v);
     }
     if (sum > BAND_SIGMAS * sqrtf(overlap * var))
-        return true;
-    return differ + ALIKE_SIGMAS * sqrtf(overlap * differ_var) < ALIKE;
+        out->refuted |= (uint32_t)1 << row;
+    if (!shown && differ + ALIKE_SIGMAS * sqrtf(overlap * differ_var) < ALIKE)
+        out->alike |= (uint32_t)1 << row;
 }
 
-uint32_t exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
-                                double log2, double other)
+void exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
+                            double log2, double other, struct exposure_probe_rows *out)
 {
     struct refuter t = {a, b, (float)exp2(log2), (float)exp2(other), other == 0.0};
-    uint32_t rows = 0;
+    *out = (struct exposure_probe_rows){0};
     for (int i = 0; i < EXPOSURE_PROBE_EDGE; i++)
-        rows |= (uint32_t)row_refutes(&t, i) << i;
-    return rows;
+        judge_row(&t, i, out);
 }

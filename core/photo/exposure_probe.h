@@ -52,10 +52,16 @@ struct exposure_probe_ratio {
 void exposure_probe_compare(const struct exposure_probe *a, const struct exposure_probe *b,
                             struct exposure_probe_ratio *out);
 
-/* Rows of the grid, bit 0 the uppermost, in which b surely has not the ratio `other` to a, stops,
- * or where nobody could tell it from the ratio `log2`, that b has elsewhere: the pictures would be
- * the same but for a code. */
-uint32_t exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
-                                double log2, double other);
+/* Rows of the grid, bit 0 the uppermost. */
+struct exposure_probe_rows {
+    uint32_t refuted; // b surely has not the ratio `other` to a
+    uint32_t alike;   // nobody could tell it from the ratio `log2`: no place would differ by more
+                      // than two codes (core/photo/README.md 5.1)
+};
+
+/* Whether rows of b may have the ratio `other` to a, stops, and not the ratio `log2` that b has
+ * elsewhere. Says nothing about rows where a itself may have another exposure. */
+void exposure_probe_refuted(const struct exposure_probe *a, const struct exposure_probe *b,
+                            double log2, double other, struct exposure_probe_rows *out);
 
 #endif

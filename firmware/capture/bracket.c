@@ -392,8 +392,8 @@ static void look_at(struct bracket *b, struct camera_state *c, const struct brac
 {
     struct label_look k;
     label_look(&c->label, ev->frame, ev->witness, &k);
-    k.whole = label_whole(&c->label, ev->witness, &k);
-    label_last(&c->label, ev->witness, &k);
+    if (c->phase == RUN && !complete(c)) // else it is kept from rest, or not at all
+        label_last(&c->label, ev->witness, &k);
     bool rested = label_rested(&c->label);
     if (!k.measured || !(fabs(k.stops - c->still) <= 0.5 * c->label.cfg.tolerance)) {
         c->still = k.measured ? k.stops : NAN;

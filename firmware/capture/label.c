@@ -309,11 +309,12 @@ double label_distance(const struct label *l, double stops)
     return best;
 }
 
-/* Rows that cannot be of the exposure `other`, stops, in a frame of the exposure `stops`. */
-static uint32_t refuted(const struct label *l, const struct exposure_probe *w, double stops,
-                        double other)
+/* Rows of a frame of the exposure `stops`, by whether they may be of the exposure `other`. A row
+ * that is merely alike is no evidence for the next frame: it may be torn itself. */
+static struct exposure_probe_rows refuted(const struct label *l, const struct exposure_probe *w,
+                                          double stops, double other)
 {
-    uint32_t rows = 0;
+    struct exposure_probe_rows rows = {0}, by;
     for (int i = 0; i < LABEL_ANCHORS; i++) {
         const struct label_anchor *a = &l->anchor[i];
         if (!a->held)
@@ -322,32 +323,37 @@ static uint32_t refuted(const struct label *l, const struct exposure_probe *w, d
         double r = stops - at, o = other - at;
         double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs(o);
         double slack = bent + a->slack + flicker_stops(&l->light, shortest_s(l));
-        if (fabs(r - o) > slack)
-            rows |= exposure_probe_refuted(&a->seen, w, r, o + copysign(slack, r - o));
+        if (fabs(r - o) <= slack)
+            continue;
+        exposure_probe_refuted(&a->seen, w, r, o + copysign(slack, r - o), &by);
+        rows.refuted |= by.refuted & a->sure;
+        rows.alike |= by.alike & a->sure;
     }
     return rows;
 }
 
-bool label_whole(const struct label *l, const struct exposure_probe *w, const struct label_look *k)
+void label_whole(const struct label *l, const struct exposure_probe *w, struct label_look *k)
 {
     double stops = label_stops(&k->exposure);
-    if (k->torn || (k->verdict != LABEL_PROVEN && k->verdict != LABEL_BLIND))
-        return false;
-    for (int i = 0; i < l->n; i++) {
+    k->whole = !k->torn && (k->verdict == LABEL_PROVEN || k->verdict == LABEL_BLIND);
+    k->sure = k->whole ? UINT32_MAX : 0;
+    for (int i = 0; i < l->n && k->sure; i++) {
         const struct label_request *r = &l->log[i];
         bool begun = i == 0 || r->age_hi > l->lo; // of the frame before
         bool over = i + 1 < l->n && r[1].age_lo > l->hi;
-        if (begun && !over && !label_same(r->stops, stops) &&
-            refuted(l, w, stops, r->stops) != UINT32_MAX)
-            return false;
+        if (!begun || over || label_same(r->stops, stops))
+            continue;
+        struct exposure_probe_rows rows = refuted(l, w, stops, r->stops);
+        k->sure &= rows.refuted;
+        k->whole = k->whole && (rows.refuted | rows.alike) == UINT32_MAX;
     }
-    return true;
 }
 
-void label_last(struct label *l, const struct exposure_probe *w, const struct label_look *k)
+void label_last(struct label *l, const struct exposure_probe *w, struct label_look *k)
 {
+    label_whole(l, w, k);
     l->anchor[LABEL_LAST].held = false;
-    if (k->whole)
+    if (k->sure)
         label_hold(l, LABEL_LAST, w, k);
 }
 
@@ -375,6 +381,7 @@ void label_hold(struct label *l, int index, const struct exposure_probe *w,
     a->error = measured ? k->error : 0.0;
     a->proven = k->measured && l->anchor[k->by].proven && k->slack <= l->cfg.tolerance;
     a->seen = *w;
+    a->sure = k->sure;
     a->held = true;
 }
 
@@ -427,6 +434,7 @@ err_t label_settle(struct label *l, const struct frame *f, const struct exposure
     a->error = 0.0;
     a->slack = flicker_stops(&l->light, x->time_s);
     a->held = a->proven = true;
+    a->sure = UINT32_MAX; // from rest
     a->seen = *w;
     return OK;
 }
@@ -487,7 +495,7 @@ void label_look(const struct label *l, const struct frame *f, const struct expos
 {
     struct candidate c[LABEL_LOG];
     int n = 0;
-    *out = (struct label_look){.verdict = LABEL_CONFLICT, .entry = -1};
+    *out = (struct label_look){.verdict = LABEL_CONFLICT, .entry = -1, .sure = UINT32_MAX};
     read_pixels(l, w, out);
     for (int i = 0; i < l->n; i++)
         if (in_force(l, i, 0, l->doubt))

@@ -38,6 +38,7 @@ struct label_anchor {
     double slack;        // stops: flicker may have made it look so much brighter or darker
     double recorded;     // log2 of the exposure that is written down
     bool held, proven;
+    uint32_t sure; // rows of it that surely have no other exposure: only they tell of others' rows
 };
 
 struct label {
@@ -69,7 +70,8 @@ struct label_look {
     bool disagrees;           // pixels and requests fit, the report does not
     bool measured, changed;   // by pixels; the light of parts changed
     bool torn;                // rows side by side had another exposure than the rest
-    bool whole;               // surely none had: label_whole
+    uint32_t sure;            // rows that surely had not: all at rest, else by label_whole
+    bool whole;               // all are sure, or would look the same
     double stops, error;      // if measured: log2 of exposure, s
     double slack;             // stops: flicker of the anchor, and after the verdict of the frame
     double lo, hi;            // bounds of it in any case
@@ -117,12 +119,12 @@ double label_longest_s(const struct label *l);
 void label_look(const struct label *l, const struct frame *f, const struct exposure_probe *w,
                 struct label_look *out);
 
-/* Whether the pixels of a frame that was looked at rule out that some of its rows are of another
- * exposure of before. */
-bool label_whole(const struct label *l, const struct exposure_probe *w, const struct label_look *k);
+/* Of a frame that was looked at: which rows surely are not of another exposure of before, and
+ * whether that is so of all of them that would show it. */
+void label_whole(const struct label *l, const struct exposure_probe *w, struct label_look *k);
 
-/* From now on it is the frame before. */
-void label_last(struct label *l, const struct exposure_probe *w, const struct label_look *k);
+/* The same; from now on it is the frame before. */
+void label_last(struct label *l, const struct exposure_probe *w, struct label_look *k);
 
 /* The delay: unknown after all; narrowed, if it is unknown, to what a proven look shows; as it was
  * promised. */

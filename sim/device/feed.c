@@ -20,7 +20,9 @@
 #define UNSETTLED 0.3            // of the exposure, in frames before `startup`
 #define TORN_LEAST 0.03          // of the rows
 #define TORN_MOST 0.45
-#define TORN_CODES 2.0 // mean difference of what is torn: less is black level and rounding
+#define TORN_CODES 2.0  // mean difference of a cell that shows it: less is black and rounding, and
+#define TORN_ERRORS 4.0 // standard errors more, noise (core/photo/README.md 5.1)
+enum { TORN_CELL = 8 }; // px
 
 #define AT(field) offsetof(struct feed_options, field)
 const struct uri_key feed_keys[] = {
@@ -575,19 +577,38 @@ static bool same_exposure(const struct exposure *a, const struct exposure *b)
     return a->time_s == b->time_s && a->gain == b->gain;
 }
 
-/* Mean difference of n numbers of two pictures, codes. */
-static double difference(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t n)
+/* Number i of a picture. */
+static int code_at(const struct feed_source *s, const uint8_t *px, size_t i)
 {
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) {
-        int x = a[i], y = b[i];
-        if (s->bytes_per_px == 2) {
-            x = a[2 * i] | a[2 * i + 1] << 8;
-            y = b[2 * i] | b[2 * i + 1] << 8;
+    return s->bytes_per_px == 2 ? px[2 * i] | px[2 * i + 1] << 8 : px[i];
+}
+
+/* Whether the means of a cell of `rows` rows from y on and pixels x.. differ in two pictures. */
+static bool cell_differs(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t y,
+                         size_t rows, size_t x)
+{
+    size_t numbers = s->bytes_per_px == 3 ? 3 : 1, pitch = (size_t)s->w * numbers;
+    double sum = 0.0, sum2 = 0.0, n = (double)(rows * TORN_CELL * numbers);
+    for (size_t i = y; i < y + rows; i++)
+        for (size_t k = x * numbers; k < (x + TORN_CELL) * numbers; k++) {
+            double d = code_at(s, a, i * pitch + k) - code_at(s, b, i * pitch + k);
+            sum += d;
+            sum2 += d * d;
         }
-        sum += x - y;
-    }
-    return fabs(sum) / (double)n;
+    double mean = sum / n, error = sqrt(fmax(sum2 / n - mean * mean, 0.0) / n);
+    return fabs(mean) > TORN_CODES + TORN_ERRORS * error;
+}
+
+/* Whether `rows` rows of two pictures from `at` on differ in any cell. */
+static bool rows_differ(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t at,
+                        size_t rows)
+{
+    size_t n = rows < TORN_CELL ? rows : TORN_CELL;
+    for (size_t y = at; y < at + rows; y += n)
+        for (size_t x = 0; x + TORN_CELL <= (size_t)s->w; x += TORN_CELL)
+            if (cell_differs(s, a, b, y + n > at + rows ? at + rows - n : y, n, x))
+                return true;
+    return false;
 }
 
 /* Put the rows of the frame before where the frame is torn; it is not where nobody could tell. */
@@ -601,9 +622,8 @@ static err_t mix_rows(const struct feed *f, struct feed_item *item, uint8_t *px)
     err_t e = s->expose(s->ctx, &item->former, f->former);
     if (e)
         return e;
-    size_t n = rows * row / (s->bytes_per_px == 2 ? 2 : 1);
     if (same_exposure(&item->former.exposure, &item->shot.exposure) ||
-        difference(s, px + at * row, f->former + at * row, n) < TORN_CODES)
+        !rows_differ(s, px, f->former, at, rows))
         item->torn = 0.0;
     memcpy(px + at * row, f->former + at * row, rows * row);
     return OK;

@@ -495,6 +495,137 @@ static void test_wrong_places(void **state)
     }
 }
 
+/* ---- rows that had another exposure ---- */
+
+#define CODE (1.0f / 4096)
+
+/* A frame whose places all have so many codes; accurate. */
+static void even(float codes, struct exposure_probe *out)
+{
+    memset(out, 0, sizeof *out);
+    out->linear = true;
+    out->step = CODE;
+    out->overlap = 1.0f;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+        out->x[i] = fminf(codes * CODE, 1.0f);
+        out->sd[i] = 0.05f * CODE;
+        out->floor[i] = 8.0f * CODE;
+        out->state[i] = codes >= 3900.0f ? EXPOSURE_PROBE_CLIPPED
+                        : codes < 8.0f   ? EXPOSURE_PROBE_DARK
+                                         : EXPOSURE_PROBE_GOOD;
+    }
+}
+
+static void set_sd(struct exposure_probe *p, float codes)
+{
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        p->sd[i] = codes * CODE;
+}
+
+static struct exposure_probe_rows rows_of(const struct exposure_probe *a,
+                                          const struct exposure_probe *b, double log2, double other)
+{
+    struct exposure_probe_rows r;
+    exposure_probe_refuted(a, b, log2, other, &r);
+    return r;
+}
+
+/* The torn row is the only one that is neither refuted nor alike, whichever exposure is longer. */
+static void test_refuted_rows(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    for (int stops = -1; stops <= 1; stops += 2) {
+        even(200.0f, &a);
+        even(200.0f * exp2f((float)stops), &b);
+        for (int i = 5 * EXPOSURE_PROBE_EDGE; i < 6 * EXPOSURE_PROBE_EDGE; i++)
+            b.x[i] = 200.0f * CODE;
+        struct exposure_probe_rows r = rows_of(&a, &b, stops, 0.0);
+        assert_int_equal(r.refuted, ~(1u << 5));
+        assert_int_equal(r.alike, 0);
+    }
+}
+
+/* Alike: black, and what clips in any case. Not: a row of 1.7 codes, one place of many, noise. */
+static void test_alike_rows(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(0.0f, &a);
+    b = a;
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).refuted, 0);
+    even(3686.0f, &a);
+    even(5000.0f, &b);
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.8).alike, UINT32_MAX);
+    even(1.8f, &a);
+    even(1.8f * 0.0625f, &b);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+    even(0.0f, &a);
+    b = a;
+    a.x[40] = 40.0f * CODE;
+    b.x[40] = 2.5f * CODE;
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, ~2u);
+    even(1.0f, &a);
+    even(0.0625f, &b);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    set_sd(&a, 3.0f);
+    set_sd(&b, 3.0f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+    set_sd(&a, 1.0f);
+    set_sd(&b, 1.0f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    a.overlap = 16.0f; // few pixels of their own
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+}
+
+/* A wrong black level, few places and places that share pixels refute nothing. */
+static void test_weak_evidence(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(-0.4f, &a);
+    even(0.4f, &b);
+    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, 0);
+    even(0.0f, &a);
+    b = a;
+    a.x[40] = 100.0f * CODE;
+    b.x[40] = 200.0f * CODE;
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0); // one place may be anything
+    even(20.0f, &a);
+    even(40.0f, &b);
+    set_sd(&a, 12.0f);
+    set_sd(&b, 12.0f);
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
+    a.overlap = 16.0f;
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0);
+}
+
+/* Places that are dark or clipped bound a ratio; two of one exposure are so in both. */
+static void test_refuted_by_bounds(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(0.0f, &a);
+    even(40.0f, &b); // 5 codes in a, cut off at black
+    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, UINT32_MAX);
+    a.linear = b.linear = false;
+    assert_int_equal(rows_of(&a, &b, 4.0, 3.0).refuted, 0);
+    even(2.0f, &a);
+    even(7.0f, &b);
+    a.linear = b.linear = false;
+    assert_int_equal(rows_of(&a, &b, 2.0, 0.0).refuted, UINT32_MAX);
+    assert_int_equal(rows_of(&a, &b, 2.0, 0.01).refuted, 0);
+    even(8192.0f, &a);
+    even(2048.0f, &b);
+    assert_int_equal(rows_of(&a, &b, -1.0, -2.0).refuted, 0);
+    assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        b.state[i] = EXPOSURE_PROBE_CLIPPED;
+    assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
+    assert_int_equal(rows_of(&a, &b, -1.0, -0.01).refuted, 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -512,6 +643,10 @@ int main(void)
         cmocka_unit_test(test_near_the_dark_limit),
         cmocka_unit_test(test_torn_rows),
         cmocka_unit_test(test_wrong_places),
+        cmocka_unit_test(test_refuted_rows),
+        cmocka_unit_test(test_alike_rows),
+        cmocka_unit_test(test_weak_evidence),
+        cmocka_unit_test(test_refuted_by_bounds),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -14,6 +14,7 @@
 #include <string.h>
 
 enum { SIM_QUEUE = 4, SIM_NOISE = 4096, SIM_PLACES = 192 }; // the other places are black
+#define SIM_TORN (2.0 / 4096)
 enum sim_report { SIM_HONEST, SIM_SILENT, SIM_LATE, SIM_EARLY, SIM_HALF };
 enum sim_readback { SIM_EXACT, SIM_CACHED, SIM_LAGGED };
 
@@ -56,7 +57,7 @@ struct sim_camera {
         double former;        // that of the frame before
         int torn;             // places that have it
         int64_t number;
-    } queue[SIM_QUEUE], shot;
+    } queue[SIM_QUEUE], shot, kept_shot[BRACKET_EXPOSURES_MAX];
     int64_t hold_until;
     double truth[BRACKET_EXPOSURES_MAX];
     struct exposure recorded[BRACKET_EXPOSURES_MAX];
@@ -194,6 +195,7 @@ static inline void sim_act(struct sim *s)
         case BRACKET_KEEP:
             c->kept[a.index] = true;
             c->truth[a.index] = c->shot.truth;
+            c->kept_shot[a.index] = c->shot;
             c->recorded[a.index] = a.exposure;
             break;
         case BRACKET_FORGET:
@@ -212,13 +214,17 @@ static inline void sim_act(struct sim *s)
     }
 }
 
-/* Whether the torn places show it. */
+/* Whether any torn place shows it: by more than the tolerance, as if its label were wrong, and two
+ * codes, as if the black level were (core/photo/README.md 5.1). */
 static inline bool sim_torn(const struct sim_camera *c, const struct sim_shot *shot)
 {
-    double sum = 0.0;
-    for (int i = 0; i < shot->torn; i++)
-        sum += fmin(c->scene[i] * shot->pixels, 1.0) - fmin(c->scene[i] * shot->former, 1.0);
-    return fabs(sum) > 2.0 / 4096 * shot->torn;
+    for (int i = 0; i < shot->torn; i++) {
+        double x = fmin(c->scene[i] * shot->pixels, 1.0);
+        double off = fabs(x - fmin(c->scene[i] * shot->former, 1.0));
+        if (off > SIM_TORN + (exp2(BRACKET_TOLERANCE_LINEAR) - 1.0) * x)
+            return true;
+    }
+    return false;
 }
 
 static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot *shot)
@@ -306,8 +312,7 @@ static inline void sim_end_frame(struct sim *s, int camera)
         shot.pixels = shot.truth = c->last_pixels;
     shot.former = c->last_pixels;
     c->last_pixels = shot.pixels;
-    // never two in a row: rows too dark to tell in the first would be taken for right in the other
-    if (struck && shot.former > 0.0 && t.number % 2 == 0 && sim_chance(s, c->tear))
+    if (struck && shot.former > 0.0 && sim_chance(s, c->tear))
         shot.torn = EXPOSURE_PROBE_EDGE * (1 + sim_below(s, 2));
     if (struck && sim_chance(s, c->error)) {
         shot.f.flags = sim_chance(s, 0.5) ? FRAME_ERROR : FRAME_SHORT;
