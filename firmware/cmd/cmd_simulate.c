@@ -130,12 +130,11 @@ static err_t write_report(const struct request *rq, const struct dataset_ask *a,
 
 static err_t simulate(const struct request *rq, const struct dataset_ask *a, struct state *st)
 {
-    size_t keep, tmp;
     err_t e = engine_open(&st->engine, rq->cfg.threads);
+    struct plan p = plan_begin(pool_size(st->engine.pool));
+    dataset_plan(&p, a);
     if (!e)
-        dataset_plan(a, pool_size(st->engine.pool), &keep, &tmp);
-    if (!e)
-        e = engine_reserve(&st->engine, 0, keep, tmp, config_memory_mb(&rq->cfg));
+        e = engine_reserve(&st->engine, 0, p.keep.peak, p.tmp.peak, config_memory_mb(&rq->cfg));
     if (!e)
         e = outdir_open(rq->out, &rq->rules, &st->out);
     if (!e)

@@ -93,9 +93,13 @@ static err_t render(const struct options *o, struct state *s)
 {
     struct arena keep = {0}, tmp = {0};
     struct pool *pool = NULL;
-    err_t e = arena_init(&keep, "world", arena_add(world_keep(), render_keep()));
+    struct plan p = plan_begin(1);
+    world_plan(&p);
+    render_open_plan(&p);
+    render_plan(&p, s->size, s->size);
+    err_t e = arena_init(&keep, "world", p.keep.peak);
     if (!e)
-        e = arena_init(&tmp, "rendering", render_plan(s->size, s->size));
+        e = arena_init(&tmp, "rendering", p.tmp.peak);
     if (!e)
         e = pool_open(&pool, 0);
     struct run r = {.pool = pool, .keep = &keep, .tmp = &tmp};

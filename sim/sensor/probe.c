@@ -179,15 +179,24 @@ static void lay(const struct world *w, struct probes *out)
     }
 }
 
-size_t probe_keep(void)
+/* For n points: the cubes in `keep`, scratch memory in `tmp`. */
+static err_t alloc_points(struct builder *b, size_t n, struct arena *keep, struct arena *tmp)
 {
-    return arena_need(POINTS, sizeof(struct probe_cube));
+    err_t e = arena_alloc(keep, n, sizeof *b->out->all, &b->out->all);
+    if (!e)
+        e = arena_alloc(tmp, n, sizeof *b->last, &b->last);
+    if (!e)
+        e = arena_alloc(tmp, n, RAYS * sizeof *b->met, &b->met);
+    return e;
 }
 
-size_t probe_plan(void)
+void probe_plan(struct plan *p)
 {
-    size_t need = arena_need(POINTS, sizeof(struct probe_cube));
-    return arena_add(need, arena_need(POINTS, RAYS * sizeof(struct meeting)));
+    struct probes s;
+    struct builder b = {.out = &s};
+    size_t mark = arena_mark(&p->tmp);
+    (void)alloc_points(&b, POINTS, &p->keep, &p->tmp); // a counter is never full
+    arena_reset(&p->tmp, mark);
 }
 
 err_t probe_build(const struct run *r, const struct light_set *lights, struct probes *out)
@@ -198,11 +207,7 @@ err_t probe_build(const struct run *r, const struct light_set *lights, struct pr
     fibonacci(b.d);
     int n = out->n[0] * out->n[1] * out->n[2];
     size_t mark = arena_mark(r->tmp);
-    err_t e = arena_alloc(r->keep, (size_t)n, sizeof *out->all, &out->all);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)n, sizeof *b.last, &b.last);
-    if (!e)
-        e = arena_alloc(r->tmp, (size_t)n, RAYS * sizeof *b.met, &b.met);
+    err_t e = alloc_points(&b, (size_t)n, r->keep, r->tmp);
     if (!e)
         e = pool_for(r->pool, n, look_chunk, &b);
     for (int i = 0; i < BOUNCES && !e; i++) {

@@ -16,10 +16,9 @@ struct probes {
 
 /* Gather for the world of `lights`.
  * out:  lives in r->keep
- * err:  ERR_NOMEM (see probe_keep, probe_plan), ERR_CANCELLED */
+ * err:  ERR_NOMEM (see probe_plan), ERR_CANCELLED */
 MUST_USE err_t probe_build(const struct run *r, const struct light_set *lights, struct probes *out);
-size_t probe_keep(void);
-size_t probe_plan(void);
+void probe_plan(struct plan *p);
 
 /* Irradiance at p, m, on a surface with normal n. */
 void probe_light(const struct probes *s, const float p[3], const float n[3], float out[3]);

@@ -21,15 +21,6 @@ static size_t all_pixels(const struct dataset_ask *a)
     return pixels(a) * (size_t)a->sample.n_views;
 }
 
-void dataset_plan(const struct dataset_ask *a, int threads, size_t *keep, size_t *tmp)
-{
-    *keep = arena_add(arena_need(all_pixels(a), 4 * sizeof(float)),
-                      arena_need((size_t)a->sample.n_views, sizeof(struct camera)));
-    *keep = arena_add(*keep, arena_need(pixels(a), 3 * DATASET_EXPOSURES));
-    *keep = arena_add(*keep, 4096);
-    *tmp = sample_plan(a->sample.size, threads);
-}
-
 uint64_t dataset_bytes(const struct dataset_ask *a)
 {
     /* as if nothing could be compressed */
@@ -192,7 +183,7 @@ static err_t make_folders(const struct set *s)
 
 /* ---- all ---- */
 
-static err_t check(const struct dataset_ask *a)
+static err_t check_exposures(const struct dataset_ask *a)
 {
     if (a->n_exposures < 1 || a->n_exposures > DATASET_EXPOSURES)
         return err_fail(ERR_ARG, "%d exposures, a data set has 1 to %d", a->n_exposures,
@@ -204,27 +195,39 @@ static err_t check(const struct dataset_ask *a)
     return OK;
 }
 
-static err_t photograph(const struct run *r, const struct dataset_ask *a, struct set *s)
+static err_t alloc_set(struct arena *keep, struct set *s)
 {
-    err_t e = arena_alloc(r->keep, all_pixels(a) * 3, sizeof(float), &s->radiance);
+    const struct dataset_ask *a = s->a;
+    err_t e = arena_alloc(keep, all_pixels(a) * 3, sizeof(float), &s->radiance);
     if (!e)
-        e = arena_alloc(r->keep, all_pixels(a), sizeof(float), &s->depth);
+        e = arena_alloc(keep, all_pixels(a), sizeof(float), &s->depth);
     if (!e)
-        e = arena_alloc(r->keep, pixels(a), 3 * DATASET_EXPOSURES, &s->px);
+        e = arena_alloc(keep, pixels(a), 3 * DATASET_EXPOSURES, &s->px);
     if (!e)
-        e = arena_alloc(r->keep, (size_t)a->sample.n_views, sizeof *s->cams, &s->cams);
-    return e ? e : sample_make(r, &a->sample, s->radiance, s->depth, s->cams, &s->key);
+        e = arena_alloc(keep, (size_t)a->sample.n_views, sizeof *s->cams, &s->cams);
+    return e;
+}
+
+void dataset_plan(struct plan *p, const struct dataset_ask *a)
+{
+    struct set s = {.a = a};
+    const size_t mark = arena_mark(&p->keep);
+    (void)alloc_set(&p->keep, &s); // a counter is never full
+    sample_plan(p, a->sample.size);
+    arena_reset(&p->keep, mark);
 }
 
 err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir)
 {
     struct set s = {.a = a, .dir = dir};
     const size_t mark = arena_mark(r->keep);
-    err_t e = check(a);
+    err_t e = check_exposures(a);
     if (!e)
         e = make_folders(&s);
     if (!e)
-        e = photograph(r, a, &s);
+        e = alloc_set(r->keep, &s);
+    if (!e)
+        e = sample_make(r, &a->sample, s.radiance, s.depth, s.cams, &s.key);
     for (int view = 0; view < a->sample.n_views && !e; view++) {
         e = run_check(r, "data set");
         if (!e)

@@ -23,9 +23,7 @@ struct dataset_ask {
  *   exposure.json (2^stops), sparse/0 (COLMAP text)
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */
 MUST_USE err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir);
-
-/* Bytes of r->keep and r->tmp with a pool of `threads`; SIZE_MAX on overflow. */
-void dataset_plan(const struct dataset_ask *a, int threads, size_t *keep, size_t *tmp);
+void dataset_plan(struct plan *p, const struct dataset_ask *a);
 
 /* Most bytes of the files. */
 uint64_t dataset_bytes(const struct dataset_ask *a);

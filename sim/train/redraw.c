@@ -8,7 +8,7 @@
 
 #include <string.h>
 
-static err_t check(const struct redraw *q)
+static err_t check_request(const struct redraw *q)
 {
     if (q->n < 1 || q->n > GAUSSIANS_MAX || q->degree < 0 || q->degree > SH_DEGREE_MAX)
         return err_fail(ERR_ARG, "redraw: %d splats of degree %d, allowed are 1 to %d, 0 to %d",
@@ -21,8 +21,8 @@ static err_t check(const struct redraw *q)
     return OK;
 }
 
-/* Blocks are stored where they belong; every splat is in exactly one. */
-static void store(void *ctx, int first, int count, const float *grad, const float *seen)
+/* Blocks of the gradient go to their splats; every splat is in exactly one. */
+static void store_block(void *ctx, int first, int count, const float *grad, const float *seen)
 {
     const struct redraw *q = ctx;
     for (int p = 0; p < gaussians_planes(q->degree); p++)
@@ -52,7 +52,7 @@ static err_t draw(const struct run *r, const struct redraw *q)
     if (e || !q->up_radiance)
         return e;
     struct render_grad up = {q->up_radiance, q->up_depth, q->up_alpha};
-    struct raster_sink sink = {store, (void *)q, NULL, NULL};
+    struct raster_sink sink = {store_block, (void *)q, NULL, NULL};
     return raster_grad_run(r, &raster, &in, &up, &sink);
 }
 
@@ -60,7 +60,7 @@ int redraw_run(const struct redraw *q)
 {
     struct arena tmp = {0};
     struct pool *pool = NULL;
-    err_t e = check(q);
+    err_t e = check_request(q);
     if (e)
         return e;
     size_t need = arena_add(gaussians_need(q->n, q->degree),

@@ -94,6 +94,14 @@ static double meter(const float *radiance, int px, float *grey)
     return (double)middle(grey, px);
 }
 
+/* Scratch memory of one view: grey levels, and its radiance if the caller does not want it. */
+static err_t alloc_view(struct arena *tmp, int size, float **grey, float **own)
+{
+    const size_t px = (size_t)size * (size_t)size;
+    err_t e = arena_alloc(tmp, px, sizeof **grey, grey);
+    return e ? e : arena_alloc(tmp, px, 3 * sizeof **own, own);
+}
+
 static err_t draw_view(void *ctx, int view, int worker)
 {
     struct sample *s = ctx;
@@ -103,9 +111,7 @@ static err_t draw_view(void *ctx, int view, int worker)
     r.tmp = &s->tmp[s->by_view ? worker : 0];
     r.pool = s->by_view ? NULL : s->r->pool;
     size_t mark = arena_mark(r.tmp);
-    err_t e = arena_alloc(r.tmp, px, sizeof *grey, &grey);
-    if (!e)
-        e = arena_alloc(r.tmp, px, 3 * sizeof *own, &own);
+    err_t e = alloc_view(r.tmp, s->a->size, &grey, &own);
     struct render_maps maps = {.radiance = s->radiance ? s->radiance + 3 * px * (size_t)view : own,
                                .depth = s->depth ? s->depth + px * (size_t)view : NULL};
     if (!e)
@@ -131,21 +137,21 @@ static double key_of(struct sample *s)
     return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
 }
 
-/* Scratch memory of one worker. */
-static size_t view_plan(int size)
+static size_t view_bytes(int size)
 {
-    size_t px = (size_t)size * (size_t)size;
-    size_t need = arena_add(render_plan(size, size), arena_need(px, 4 * sizeof(float)));
-    return arena_add(need, 2 * arena_need(1, 1));
+    struct plan p = plan_begin(1);
+    float *grey, *own;
+    (void)alloc_view(&p.tmp, size, &grey, &own); // a counter is never full
+    render_plan(&p, size, size);
+    return p.tmp.peak;
 }
 
-size_t sample_plan(int size, int threads)
+static size_t world_bytes(void)
 {
-    size_t need = arena_add(arena_need(world_keep(), 1), arena_need(render_keep(), 1));
-    need = arena_add(need, arena_need(render_plan(0, 0), 1));
-    for (int i = 0; i < threads; i++)
-        need = arena_add(need, arena_need(view_plan(size), 1));
-    return need;
+    struct plan p = plan_begin(1);
+    world_plan(&p);
+    render_open_plan(&p);
+    return p.keep.peak;
 }
 
 static err_t sub_arena(struct arena *from, size_t size, const char *name, struct arena *out)
@@ -156,8 +162,28 @@ static err_t sub_arena(struct arena *from, size_t size, const char *name, struct
     return e;
 }
 
-/* The thread that runs the job tells of all. */
-static err_t draw_told(void *ctx, int view, int worker)
+static err_t alloc_workers(struct arena *from, int size, int workers, struct arena *tmp)
+{
+    err_t e = OK;
+    for (int i = 0; i < workers && !e; i++)
+        e = sub_arena(from, view_bytes(size), "sample", &tmp[i]);
+    return e;
+}
+
+void sample_plan(struct plan *p, int size)
+{
+    struct arena place, workers[WORKERS_MAX];
+    struct plan opening = plan_begin(p->threads);
+    const size_t mark = arena_mark(&p->tmp);
+    (void)sub_arena(&p->tmp, world_bytes(), "world", &place); // a counter is never full
+    render_open_plan(&opening);
+    arena_step(&p->tmp, opening.tmp.peak);
+    (void)alloc_workers(&p->tmp, size, p->threads, workers);
+    arena_reset(&p->tmp, mark);
+}
+
+/* Only the thread that runs the job reports progress; it does so for all of them. */
+static err_t draw_and_report(void *ctx, int view, int worker)
 {
     struct sample *s = ctx;
     err_t e = draw_view(s, view, worker);
@@ -170,20 +196,18 @@ static err_t draw_told(void *ctx, int view, int worker)
 static err_t draw_all(struct sample *s)
 {
     int workers = pool_size(s->r->pool), n = s->a->n_views;
-    err_t e = OK;
     s->by_view = n >= workers;
     if (s->r->progress)
         s->r->progress(s->r->progress_ctx, "draw", 0, n, NULL);
-    for (int i = 0; i < (s->by_view ? workers : 1) && !e; i++)
-        e = sub_arena(s->r->tmp, view_plan(s->a->size), "sample", &s->tmp[i]);
+    err_t e = alloc_workers(s->r->tmp, s->a->size, s->by_view ? workers : 1, s->tmp);
     if (s->by_view && !e)
-        e = pool_for(s->r->pool, n, draw_told, s);
+        e = pool_for(s->r->pool, n, draw_and_report, s);
     if (s->by_view && !e && s->r->progress)
         s->r->progress(s->r->progress_ctx, "draw", n, n, NULL);
     if (s->by_view)
         return e;
     for (int view = 0; view < n && !e; view++)
-        e = draw_told(s, view, 0);
+        e = draw_and_report(s, view, 0);
     return e;
 }
 
@@ -192,7 +216,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
 {
     struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
     struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0};
-    struct arena place = {0}, scene = {0};
+    struct arena place = {0};
     struct run prepare = *r;
     struct render_world *world = NULL;
     struct world w;
@@ -200,12 +224,10 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
     if (e)
         return e;
     size_t mark = arena_mark(r->tmp);
-    e = sub_arena(r->tmp, world_keep(), "world", &place);
-    if (!e)
-        e = sub_arena(r->tmp, render_keep(), "prepared world", &scene);
+    e = sub_arena(r->tmp, world_bytes(), "world", &place);
     if (!e)
         e = world_make(&place, a->seed, (enum world_kind)a->kind, &w);
-    prepare.keep = &scene;
+    prepare.keep = &place;
     if (!e)
         e = render_open(&prepare, &w, &world);
     if (!e) {
@@ -232,13 +254,18 @@ static void develop_clean(const struct sample_camera *c, const float *radiance, 
     }
 }
 
+static err_t alloc_raw(struct arena *tmp, int size, struct sensor_raw *raw)
+{
+    return arena_alloc(tmp, (size_t)size * (size_t)size, 3 * sizeof *raw->px, &raw->px);
+}
+
 static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
                            const float *radiance, const struct sensor_shot *shot, uint8_t *px)
 {
     struct sensor_raw raw = {.w = c->size, .h = c->size};
     struct image picture = {c->size, c->size, 3, (float *)(uintptr_t)radiance};
     size_t mark = arena_mark(r->tmp);
-    err_t e = arena_alloc(r->tmp, (size_t)c->size * (size_t)c->size, 3 * sizeof *raw.px, &raw.px);
+    err_t e = alloc_raw(r->tmp, c->size, &raw);
     if (!e)
         e = sensor_expose(r, c->sensor, shot, &picture, &raw);
     if (!e)
@@ -294,7 +321,9 @@ int sample_photograph(const struct sample_request *q, float *radiance, float *de
     err_t e = check_ask(&q->ask);
     if (e)
         return e;
-    e = arena_init(&tmp, "sample", sample_plan(q->ask.size, 1));
+    struct plan p = plan_begin(1);
+    sample_plan(&p, q->ask.size);
+    e = arena_init(&tmp, "sample", p.tmp.peak);
     if (!e)
         e = sample_make(&r, &q->ask, radiance, depth, views, key);
     for (int i = 0; i < q->ask.n_views && !e; i++) {
@@ -325,8 +354,10 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
         curve_draw(q->curve_seed, &curve);
     else
         curve_make((enum curve_family)q->curve_family, q->curve_param, q->curve_seed, &curve);
-    size_t px_each = (size_t)c.size * (size_t)c.size;
-    e = arena_init(&tmp, "photograph", arena_need(px_each, 3 * sizeof(uint16_t)));
+    struct arena count = arena_counter();
+    struct sensor_raw raw;
+    (void)alloc_raw(&count, c.size, &raw); // a counter is never full
+    e = arena_init(&tmp, "photograph", count.peak);
     if (!e)
         e = sample_expose(&r, &c, radiance, n, stops, px);
     arena_free(&tmp);

@@ -28,9 +28,8 @@ struct sample_ask {
 MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
 
-/* Bytes that sample_make takes from r->tmp with a pool of `threads`; also enough for sample_expose
- * of one such picture. */
-size_t sample_plan(int size, int threads);
+/* For sample_make; also enough for sample_expose of one such picture. */
+void sample_plan(struct plan *p, int size);
 
 /* How a radiance image is photographed. */
 struct sample_camera {

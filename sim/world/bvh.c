@@ -156,27 +156,37 @@ static int make_node(struct builder *b, struct range r, int level)
     return at;
 }
 
-size_t bvh_keep(void)
+/* The results, and above *mark the scratch memory of building, for up to n solids. */
+static err_t alloc_tree(struct arena *keep, size_t n, struct bvh *out, struct builder *b,
+                        size_t *mark)
 {
-    size_t need = arena_need(WORLD_SOLIDS, sizeof(struct solid));
-    need = arena_add(need, arena_need(WORLD_SOLIDS, sizeof(struct bvh_node)));
-    need = arena_add(need, arena_need(WORLD_SOLIDS, sizeof(struct item)));
-    return arena_add(need, arena_need(WORLD_SOLIDS, sizeof(float)));
+    const size_t room = n ? n : 1;
+    err_t e = arena_alloc(keep, room, sizeof *out->solids, &out->solids);
+    if (!e)
+        e = arena_alloc(keep, room, sizeof *out->nodes, &out->nodes);
+    *mark = arena_mark(keep);
+    if (!e)
+        e = arena_alloc(keep, room, sizeof *b->items, &b->items);
+    if (!e)
+        e = arena_alloc(keep, room, sizeof *b->area, &b->area);
+    return e;
+}
+
+void bvh_plan(struct plan *p)
+{
+    struct bvh tree;
+    struct builder b;
+    size_t mark;
+    (void)alloc_tree(&p->keep, WORLD_SOLIDS, &tree, &b, &mark); // a counter is never full
+    arena_reset(&p->keep, mark);
 }
 
 err_t bvh_build(struct arena *keep, const struct world *w, struct bvh *out)
 {
     struct builder b = {0};
-    size_t n = (size_t)w->n_solids, room = n ? n : 1;
+    size_t n = (size_t)w->n_solids, mark;
     *out = (struct bvh){.n = w->n_solids, .w = w};
-    err_t e = arena_alloc(keep, room, sizeof *out->solids, &out->solids);
-    if (!e)
-        e = arena_alloc(keep, room, sizeof *out->nodes, &out->nodes);
-    size_t mark = arena_mark(keep);
-    if (!e)
-        e = arena_alloc(keep, room, sizeof *b.items, &b.items);
-    if (!e)
-        e = arena_alloc(keep, room, sizeof *b.area, &b.area);
+    err_t e = alloc_tree(keep, n, out, &b, &mark);
     if (e)
         return e;
     b.nodes = out->nodes;

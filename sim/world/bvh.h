@@ -3,6 +3,7 @@
 #ifndef WORLD_BVH_H
 #define WORLD_BVH_H
 
+#include "core/base/plan.h"
 #include "sim/world/solid.h"
 
 struct bvh_node;
@@ -16,9 +17,9 @@ struct bvh {
 
 /* Build over the solids of w, which must outlive *out.
  * out:  arrays live in `keep`
- * err:  ERR_NOMEM (see bvh_keep) */
+ * err:  ERR_NOMEM (see bvh_plan) */
 MUST_USE err_t bvh_build(struct arena *keep, const struct world *w, struct bvh *out);
-size_t bvh_keep(void);
+void bvh_plan(struct plan *p);
 
 /* The first solid along d from o nearer than `most`, or -1. *t: its distance in lengths of d, else
  * `most`. */

@@ -116,9 +116,15 @@ static void opening_of(const struct world *w, const struct world_light *from, st
     l->power = vec_grey(l->radiance) * 4 * x * y;
 }
 
-size_t light_keep(void)
+static err_t alloc_listed(struct arena *keep, int n_solids, struct light_set *out)
 {
-    return arena_need(WORLD_SOLIDS, sizeof(bool));
+    return arena_zalloc(keep, (size_t)(n_solids ? n_solids : 1), sizeof(bool), &out->listed);
+}
+
+void light_plan(struct plan *p)
+{
+    struct light_set set;
+    (void)alloc_listed(&p->keep, WORLD_SOLIDS, &set); // a counter is never full
 }
 
 err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *out)
@@ -126,8 +132,7 @@ err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *ou
     const struct world *w = bvh->w;
     int openings = 0;
     *out = (struct light_set){.bvh = bvh};
-    err_t e =
-        arena_zalloc(keep, (size_t)(w->n_solids ? w->n_solids : 1), sizeof(bool), &out->listed);
+    err_t e = alloc_listed(keep, w->n_solids, out);
     if (e)
         return e;
     for (int i = 0; i < w->n_lights; i++)

@@ -25,9 +25,9 @@ struct light_set {
 
 /* Collect the lights of bvh->w.
  * out:  lives in `keep`
- * err:  ERR_NOMEM (see light_keep) */
+ * err:  ERR_NOMEM (see light_plan) */
 MUST_USE err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *out);
-size_t light_keep(void);
+void light_plan(struct plan *p);
 
 /* Random numbers of one sample of a pattern of 2^bits samples that share out the unit square. */
 struct light_dice {

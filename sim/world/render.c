@@ -55,24 +55,25 @@ struct render_world {
     struct probes probes;
 };
 
-size_t render_keep(void)
+static err_t alloc_world(struct arena *keep, struct render_world **out)
 {
-    size_t need = arena_add(arena_need(1, sizeof(struct render)), bvh_keep());
-    return arena_add(need, arena_add(light_keep(), probe_keep()));
+    return arena_alloc(keep, 1, sizeof **out, out);
 }
 
-size_t render_plan(int w, int h)
+void render_open_plan(struct plan *p)
 {
-    size_t px = (size_t)(w > 0 ? w : 0) * (size_t)(h > 0 ? h : 0);
-    size_t picture = arena_need(px, PLANES * sizeof(float));
-    return picture > probe_plan() ? picture : probe_plan();
+    struct render_world *s;
+    (void)alloc_world(&p->keep, &s); // a counter is never full
+    bvh_plan(p);
+    light_plan(p);
+    probe_plan(p);
 }
 
 err_t render_open(const struct run *r, const struct world *w, struct render_world **out)
 {
     struct render_world *s;
     *out = NULL;
-    err_t e = arena_alloc(r->keep, 1, sizeof *s, &s);
+    err_t e = alloc_world(r->keep, &s);
     if (e)
         return e;
     s->w = w;
@@ -556,6 +557,19 @@ static err_t smooth_row(void *ctx, int i, int worker)
     return e;
 }
 
+static err_t alloc_planes(struct arena *tmp, int w, int h, struct picture *p)
+{
+    return arena_alloc(tmp, (size_t)w * (size_t)h, PLANES * sizeof(float), &p->plane);
+}
+
+void render_plan(struct plan *p, int w, int h)
+{
+    struct picture picture;
+    size_t mark = arena_mark(&p->tmp);
+    (void)alloc_planes(&p->tmp, w, h, &picture); // a counter is never full
+    arena_reset(&p->tmp, mark);
+}
+
 err_t render_run(const struct run *r, const struct render_world *s, const struct camera *cam,
                  const struct render_quality *q, uint64_t seed, const struct render_maps *out)
 {
@@ -572,7 +586,7 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
     p.seed = light_hash((uint32_t)seed, (uint32_t)(seed >> 32));
     p.period = rays < 4 ? 4 : rays < 16 ? 2 : 1;
     if (p.period > 1 && out->radiance)
-        e = arena_alloc(r->tmp, (size_t)cam->w * (size_t)cam->h, PLANES * sizeof(float), &p.plane);
+        e = alloc_planes(r->tmp, cam->w, cam->h, &p);
     if (!e)
         e = pool_for(r->pool, cam->h, draw_row, &p);
     if (!e && p.plane)

@@ -16,12 +16,9 @@ struct render_quality {
 
 /* Prepare w, which must outlive *out.
  * out:  lives in r->keep.
- * err:  ERR_NOMEM (see render_keep, render_plan), ERR_CANCELLED */
+ * err:  ERR_NOMEM (see render_open_plan), ERR_CANCELLED */
 MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render_world **out);
-size_t render_keep(void);
-
-/* Bytes that render_open, and render_run for a picture of w x h px, take from r->tmp. */
-size_t render_plan(int w, int h);
+void render_open_plan(struct plan *p);
 
 /* Radiance along rays that hit nothing is that of the sky; their depth is RENDER_FAR. */
 #define RENDER_FAR 1000.0f // m
@@ -39,6 +36,7 @@ struct render_maps {
 MUST_USE err_t render_run(const struct run *r, const struct render_world *s,
                           const struct camera *cam, const struct render_quality *q, uint64_t seed,
                           const struct render_maps *out);
+void render_plan(struct plan *p, int w, int h);
 
 /* Distance along the unit direction d from o to the first surface, m; RENDER_FAR if none. */
 float render_ray(const struct render_world *s, const float o[3], const float d[3]);

@@ -19,14 +19,7 @@ static const float RADIAN = 0.01745329252f;
 
 enum { DIRECTIONS = 180, PULLS = 24 }; // to a side that are tried, 1 degree each; steps inwards
 
-size_t world_keep(void)
-{
-    size_t need = arena_need(WORLD_SOLIDS, sizeof(struct world_solid));
-    need = arena_add(need, arena_need(WORLD_MATERIALS, sizeof(struct world_material)));
-    return arena_add(need, arena_need(WORLD_LIGHTS, sizeof(struct world_light)));
-}
-
-static err_t take(struct arena *keep, struct world *w)
+static err_t alloc_arrays(struct arena *keep, struct world *w)
 {
     err_t e = arena_alloc(keep, WORLD_SOLIDS, sizeof *w->solids, &w->solids);
     if (e == OK)
@@ -36,13 +29,19 @@ static err_t take(struct arena *keep, struct world *w)
     return e;
 }
 
+void world_plan(struct plan *p)
+{
+    struct world w;
+    (void)alloc_arrays(&p->keep, &w); // a counter is never full
+}
+
 err_t world_make(struct arena *keep, uint64_t seed, enum world_kind kind, struct world *out)
 {
     memset(out, 0, sizeof *out);
     if ((int)kind < WORLD_ANY || (int)kind >= WORLD_KINDS)
         return err_fail(ERR_ARG, "world: kind is %d, must be %d..%d", (int)kind, WORLD_ANY,
                         WORLD_KINDS - 1);
-    err_t e = take(keep, out);
+    err_t e = alloc_arrays(keep, out);
     if (e != OK) {
         memset(out, 0, sizeof *out);
         return e;

@@ -5,14 +5,15 @@
 #ifndef WORLD_WORLD_H
 #define WORLD_WORLD_H
 
+#include "core/base/plan.h"
 #include "sim/world/solids.h"
 
 /* Make the world of `seed`. `kind` WORLD_ANY draws ROOM or YARD.
  * out:  arrays live in `keep`, at most WORLD_SOLIDS, WORLD_MATERIALS, WORLD_LIGHTS.
- * err:  ERR_NOMEM (see world_keep), ERR_ARG (kind). On error *out is zeroed. */
+ * err:  ERR_NOMEM (see world_plan), ERR_ARG (kind). On error *out is zeroed. */
 MUST_USE err_t world_make(struct arena *keep, uint64_t seed, enum world_kind kind,
                           struct world *out);
-size_t world_keep(void);
+void world_plan(struct plan *p);
 
 /* How a rig photographs a world. */
 struct world_path {

@@ -216,8 +216,8 @@ static double merged(const struct meter_config *c, const struct limits *r, doubl
 
 /* True coverage by the plan: places are clipped if the shortest exposure saturates. */
 static void check_true_cover(const struct place_set *s, const struct device *d,
-                       const struct meter_config *c, const struct meter_result *p,
-                       struct truth *out)
+                             const struct meter_config *c, const struct meter_result *p,
+                             struct truth *out)
 {
     static float v[PLACES], snr[PLACES];
     struct limits r = {.hi = log2(0.97)}; // headroom is for errors of metering

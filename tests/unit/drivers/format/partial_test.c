@@ -1,6 +1,6 @@
 /* Files that appear when they are complete, and what processes that died left of theirs. */
-#include "drivers/format/origin.h"
 #include "drivers/format/filelist.h"
+#include "drivers/format/origin.h"
 #include "drivers/format/partial.h"
 #include "tests/unit/tmpdir.h"
 

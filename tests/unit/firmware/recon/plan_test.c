@@ -95,9 +95,11 @@ static int open_all(void **state)
     (void)state;
     assert_non_null(maps.radiance);
     assert_int_equal(engine_open(&en, THREADS), OK);
-    assert_int_equal(engine_reserve(&en, 0, arena_add(world_keep(), render_keep()),
-                                    render_plan(PHOTO, PHOTO), MEMORY_MB),
-                     OK);
+    struct plan p = plan_begin(THREADS);
+    world_plan(&p);
+    render_open_plan(&p);
+    render_plan(&p, PHOTO, PHOTO);
+    assert_int_equal(engine_reserve(&en, 0, p.keep.peak, p.tmp.peak, MEMORY_MB), OK);
     assert_int_equal(world_make(&en.keep, 11, WORLD_ROOM, &w), OK);
     world_cameras(&w, &path, 11, PHOTO, cams);
     assert_int_equal(render_open(&en.run, &w, &scene), OK);

@@ -26,11 +26,18 @@ static const struct sample_ask usual = {.seed = 5,
                                         .spread = 0.3f,
                                         .quality = {1, 1}};
 
+static void open_arena(struct arena *tmp, int threads)
+{
+    struct plan p = plan_begin(threads);
+    sample_plan(&p, SIZE);
+    assert_int_equal(arena_init(tmp, "tmp", p.tmp.peak), OK);
+}
+
 static err_t make(const struct sample_ask *a, int threads, struct result *out)
 {
     struct arena tmp = {0};
     struct pool *pool = NULL;
-    assert_int_equal(arena_init(&tmp, "tmp", sample_plan(SIZE, threads)), OK);
+    open_arena(&tmp, threads);
     if (threads > 1)
         assert_int_equal(pool_open(&pool, threads), OK);
     struct run r = {.pool = pool, .tmp = &tmp};
@@ -262,7 +269,7 @@ static void cancel_and_memory(void **state)
     static struct result r;
     struct arena tmp;
     atomic_bool cancel = true;
-    assert_int_equal(arena_init(&tmp, "tmp", sample_plan(SIZE, 1)), OK);
+    open_arena(&tmp, 1);
     struct run run = {.tmp = &tmp, .cancel = &cancel};
     assert_int_equal(sample_make(&run, &usual, r.radiance, r.depth, r.cams, &r.key), ERR_CANCELLED);
     cancel = false;

@@ -197,7 +197,9 @@ static struct arena keep;
 static void open_world(void)
 {
     w = (struct world){.solids = solids};
-    assert_int_equal(arena_init(&keep, "keep", bvh_keep()), OK);
+    struct plan p = plan_begin(1);
+    bvh_plan(&p);
+    assert_int_equal(arena_init(&keep, "keep", p.keep.peak), OK);
 }
 
 static struct world_solid *add_solid(enum world_shape shape, const float at[3], const float size[3])

@@ -54,8 +54,11 @@ static void assert_near(double got, double want, double bound)
 static void open_stage(void)
 {
     memset(&s, 0, sizeof s);
-    assert_int_equal(arena_init(&s.keep, "keep", render_keep()), OK);
-    assert_int_equal(arena_init(&s.tmp, "tmp", render_plan(SIZE, SIZE)), OK);
+    struct plan p = plan_begin(1);
+    render_open_plan(&p);
+    render_plan(&p, SIZE, SIZE);
+    assert_int_equal(arena_init(&s.keep, "keep", p.keep.peak), OK);
+    assert_int_equal(arena_init(&s.tmp, "tmp", p.tmp.peak), OK);
     s.r = (struct run){.keep = &s.keep, .tmp = &s.tmp};
     s.w.solids = s.solids;
     s.w.materials = s.materials;

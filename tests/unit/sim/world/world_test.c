@@ -16,7 +16,9 @@ static struct arena arena;
 static int set_up(void **state)
 {
     (void)state;
-    return arena_init(&arena, "test", world_keep()) ? -1 : 0;
+    struct plan p = plan_begin(1);
+    world_plan(&p);
+    return arena_init(&arena, "test", p.keep.peak) ? -1 : 0;
 }
 
 static int tear_down(void **state)
