@@ -52,20 +52,58 @@ struct capture {
     struct shot *shots; // (n)
 };
 
-/* Photographs as the network and the refiner see them: square, 8 bit, exposures in log2
- * (core/photo/README.md 1.1 and 1.2). Photographs 0 .. n - 1 show one place each, and most steps
- * use only these; n .. n + n_more - 1 are other exposures of these places. */
+/* Shape of one of several pictures, and where it begins: they lie one after another. */
+struct extent {
+    int w, h;  // px
+    size_t at; // pixels of all pictures before it
+};
+
+static inline size_t extent_pixels(const struct extent *e)
+{
+    return (size_t)e->w * (size_t)e->h;
+}
+
+/* Pixels of n pictures. */
+static inline size_t extent_total(const struct extent *e, int n)
+{
+    return n > 0 ? e[n - 1].at + extent_pixels(&e[n - 1]) : 0;
+}
+
+/* What holds any one of n pictures: w and h of the widest and the highest, at: pixels of the
+ * largest. */
+static inline struct extent extent_cover(const struct extent *e, int n)
+{
+    struct extent out = {0, 0, 0};
+    for (int i = 0; i < n; i++) {
+        out.w = e[i].w > out.w ? e[i].w : out.w;
+        out.h = e[i].h > out.h ? e[i].h : out.h;
+        out.at = extent_pixels(&e[i]) > out.at ? extent_pixels(&e[i]) : out.at;
+    }
+    return out;
+}
+
+/* Photographs as the refiner and the network see them: 8 bit, exposures in log2
+ * (core/photo/README.md 1.1 and 1.2); rectangles, for the network squares. Photographs 0 .. n - 1
+ * show one place each, and most steps use only these; n .. n + n_more - 1 are other exposures of
+ * these places, each of the shape that the first one of its place has. */
 struct views {
-    int n, size;             // places; px
-    float aspect;            // height over width of the photographs, squeezed to squares; 0: 1
+    int n, size;           // places; px, the longest edge
+    float aspect;          // height over width of the photographs if they are squeezed to squares,
+                           // else 1; 0: 1
+    struct extent *extent; // (n + n_more) in rgb
     char (*names)[NAME_CAP]; // (n + n_more)
-    uint8_t *rgb;            // (n + n_more, size, size, 3)
+    uint8_t *rgb;            // (n + n_more) pictures (h, w, 3)
     float *log2t;            // (n + n_more) log2(max(t, 1e-8))
     float mid_log2t;         // (min + max) / 2 of log2t of all photographs
-    struct camera *cams;     // (n) for size x size; NULL if not known
+    struct camera *cams;     // (n) for the extents; NULL if not known
     int n_more;
     int *place; // (n_more) of photograph n + i, ascending
 };
+
+static inline uint8_t *views_rgb(const struct views *v, int i)
+{
+    return v->rgb + 3 * v->extent[i].at;
+}
 
 /* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */
 static inline int views_next(const struct views *v, int place, int last)

@@ -29,23 +29,20 @@ struct stack {
     struct response_table table;
     bool staggered;
     uint8_t level[3][256]; // weight
-    uint8_t *best;         // (workers, size, size, 3) level
+    size_t most;           // values of the largest photograph
+    uint8_t *best;         // (workers, most) level
     bool *keep;            // (n + n_more)
     int *first;            // (n) the photograph that represents the place
     float x[3][256];       // log2 of radiance at exposure 0
     float w[3][256];       // inverse variance
     uint8_t (*code)[3];    // (ENTRIES) display value of log2 radiance
-    uint8_t *out;          // (n, size, size, 3)
+    uint8_t *out;          // (n) pictures (h, w, 3)
 };
 
-static size_t pixel_count(const struct views *v)
+/* Values of a photograph of the place. */
+static size_t count_values(const struct views *v, int place)
 {
-    return (size_t)v->size * (size_t)v->size;
-}
-
-static const uint8_t *photo_pixels(const struct views *v, int i)
-{
-    return v->rgb + 3 * pixel_count(v) * (size_t)i;
+    return 3 * extent_pixels(&v->extent[place]);
 }
 
 /* ---- choice ---- */
@@ -53,9 +50,9 @@ static const uint8_t *photo_pixels(const struct views *v, int i)
 /* Sum by which photograph i raises the best levels. */
 static long gain_of(const struct stack *s, int i, const uint8_t *best)
 {
-    const uint8_t *p = photo_pixels(s->v, i);
+    const uint8_t *p = views_rgb(s->v, i);
     long gain = 0;
-    for (size_t k = 0; k < pixel_count(s->v); k++)
+    for (size_t k = 0; k < extent_pixels(&s->v->extent[i]); k++)
         for (size_t c = 0; c < 3; c++) {
             int more = s->level[c][p[3 * k + c]] - best[3 * k + c];
             gain += more > 0 ? more : 0;
@@ -65,8 +62,8 @@ static long gain_of(const struct stack *s, int i, const uint8_t *best)
 
 static void raise_levels(const struct stack *s, int i, uint8_t *best)
 {
-    const uint8_t *p = photo_pixels(s->v, i);
-    for (size_t k = 0; k < pixel_count(s->v); k++)
+    const uint8_t *p = views_rgb(s->v, i);
+    for (size_t k = 0; k < extent_pixels(&s->v->extent[i]); k++)
         for (size_t c = 0; c < 3; c++)
             if (s->level[c][p[3 * k + c]] > best[3 * k + c])
                 best[3 * k + c] = s->level[c][p[3 * k + c]];
@@ -89,10 +86,11 @@ static int photo_of_rank(const struct stack *s, int place, int rank)
 static err_t choose_place(void *ctx, int place, int worker)
 {
     struct stack *s = ctx;
-    uint8_t *best = s->best + 3 * pixel_count(s->v) * (size_t)worker;
-    const long least = (long)(GAIN * 255 * 3 * (double)pixel_count(s->v));
+    const size_t values = count_values(s->v, place);
+    uint8_t *best = s->best + s->most * (size_t)worker;
+    const long least = (long)(GAIN * 255 * (double)values);
     int n = 0;
-    memset(best, 0, 3 * pixel_count(s->v));
+    memset(best, 0, values);
     for (int top = place; top >= 0; n++) {
         long most = n ? least : -1; // one is always kept
         top = -1;
@@ -119,11 +117,10 @@ static void swap_photos(struct views *v, int a, int b)
 {
     char name[NAME_CAP];
     const float log2t = v->log2t[a];
-    uint8_t *p = v->rgb + 3 * pixel_count(v) * (size_t)a,
-            *q = v->rgb + 3 * pixel_count(v) * (size_t)b;
+    uint8_t *p = views_rgb(v, a), *q = views_rgb(v, b);
     if (a == b)
         return;
-    for (size_t k = 0; k < 3 * pixel_count(v); k++) {
+    for (size_t k = 0; k < count_values(v, a); k++) {
         const uint8_t x = p[k];
         p[k] = q[k];
         q[k] = x;
@@ -137,7 +134,7 @@ static void swap_photos(struct views *v, int a, int b)
 
 void exposure_stack_drop(struct views *v, const bool *keep)
 {
-    const size_t bytes = 3 * pixel_count(v);
+    size_t at = 0;
     int n = 0, places = 0, before = v->n;
     for (int i = 0; i < before + v->n_more; i++) {
         int place = i < before ? i : v->place[i - before], rank = 0;
@@ -146,7 +143,9 @@ void exposure_stack_drop(struct views *v, const bool *keep)
         for (int k = 0; k < place; k++)
             rank += keep[k];
         memmove(v->names[n], v->names[i], NAME_CAP);
-        memmove(v->rgb + bytes * (size_t)n, v->rgb + bytes * (size_t)i, bytes);
+        memmove(v->rgb + 3 * at, views_rgb(v, i), 3 * extent_pixels(&v->extent[i]));
+        v->extent[n] = (struct extent){v->extent[i].w, v->extent[i].h, at};
+        at += extent_pixels(&v->extent[n]);
         v->log2t[n] = v->log2t[i];
         if (i < before && v->cams)
             v->cams[places] = v->cams[i];
@@ -170,7 +169,8 @@ static void exposure_span(const float *log2t, int n, float *lo, float *hi)
 
 static err_t layout_choice(struct stack *s, struct arena *tmp, const struct views *v, int threads)
 {
-    err_t e = arena_alloc(tmp, (size_t)threads, 3 * pixel_count(v), &s->best);
+    s->most = 3 * extent_cover(v->extent, v->n).at;
+    err_t e = arena_alloc(tmp, (size_t)threads, s->most, &s->best);
     if (!e)
         e = arena_zalloc(tmp, (size_t)(v->n + v->n_more), sizeof *s->keep, &s->keep);
     return e ? e : arena_zalloc(tmp, (size_t)v->n, sizeof *s->first, &s->first);
@@ -178,7 +178,7 @@ static err_t layout_choice(struct stack *s, struct arena *tmp, const struct view
 
 void exposure_stack_choose_plan(struct plan *p, const struct views *v)
 {
-    struct stack s;
+    struct stack s = {.most = 0};
     const size_t mark = arena_mark(&p->tmp);
     if (v->n_more && layout_choice(&s, &p->tmp, v, p->threads))
         plan_refuse(p);
@@ -221,7 +221,7 @@ static float pixel_radiance(const struct stack *s, int place, size_t at)
     const size_t c = at % 3;
     float sum = 0, weight = 0, least = -INFINITY, most = INFINITY;
     for (int i = place; i >= 0; i = views_next(s->v, place, i)) {
-        const uint8_t z = photo_pixels(s->v, i)[at];
+        const uint8_t z = views_rgb(s->v, i)[at];
         const float x = s->x[c][z] - s->v->log2t[i];
         sum += s->w[c][z] * x;
         weight += s->w[c][z];
@@ -238,9 +238,9 @@ static float pixel_radiance(const struct stack *s, int place, size_t at)
 static err_t merge_place(void *ctx, int place, int worker)
 {
     const struct stack *s = ctx;
-    uint8_t *out = s->out + 3 * pixel_count(s->v) * (size_t)place;
+    uint8_t *out = s->out + 3 * s->v->extent[place].at;
     (void)worker;
-    for (size_t at = 0; at < 3 * pixel_count(s->v); at++) {
+    for (size_t at = 0; at < count_values(s->v, place); at++) {
         float x = (pixel_radiance(s, place, at) + REACH) * CELLS;
         int cell = !(x > 0) ? 0 : x < ENTRIES - 1 ? (int)x : ENTRIES - 1;
         out[at] = s->code[cell][at % 3];
@@ -266,7 +266,7 @@ static void fill_tables(struct stack *s, const struct tonemap *tone, const struc
 static err_t layout_merged(struct stack *s, struct arena *tmp, const struct views *v,
                            struct views *out)
 {
-    err_t e = arena_alloc(tmp, (size_t)v->n, 3 * pixel_count(v), &s->out);
+    err_t e = arena_alloc(tmp, extent_total(v->extent, v->n), 3, &s->out);
     if (!e)
         e = arena_alloc(tmp, (size_t)v->n, sizeof *out->log2t, &out->log2t);
     return e ? e : arena_alloc(tmp, ENTRIES, sizeof *s->code, &s->code);

@@ -10,12 +10,12 @@ struct noise {
     double *square; // (photographs) variance, display units
 };
 
-static double channel_deviation(const uint8_t *rgb, int size, int channel)
+static double channel_deviation(const uint8_t *rgb, const struct extent *px, int channel)
 {
     long count[LEVELS] = {0}, n = 0, below = 0;
-    size_t row = (size_t)size * 3;
-    for (int y = 1; y + 1 < size; y++)
-        for (int x = 1; x + 1 < size; x++) {
+    size_t row = (size_t)px->w * 3;
+    for (int y = 1; y + 1 < px->h; y++)
+        for (int x = 1; x + 1 < px->w; x++) {
             const uint8_t *p = rgb + (size_t)y * row + 3 * x + channel, *a = p - row, *b = p + row;
             if (p[0] < 3 || p[0] > 252)
                 continue;
@@ -32,11 +32,10 @@ static double channel_deviation(const uint8_t *rgb, int size, int channel)
 static err_t noise_view(void *ctx, int i, int worker)
 {
     struct noise *j = ctx;
-    const uint8_t *rgb = j->v->rgb + (size_t)i * (size_t)j->v->size * (size_t)j->v->size * 3;
     (void)worker;
     j->square[i] = 0;
     for (int c = 0; c < 3; c++) {
-        double d = channel_deviation(rgb, j->v->size, c);
+        double d = channel_deviation(views_rgb(j->v, i), &j->v->extent[i], c);
         j->square[i] += d * d / 3;
     }
     return OK;

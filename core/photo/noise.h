@@ -4,7 +4,7 @@
 
 #include "core/base/types.h"
 
-/* Bytes that noise_run takes from r->tmp; of v only n, n_more and size are read. */
+/* Bytes that noise_run takes from r->tmp; of v only n and n_more are read. */
 size_t noise_plan(const struct views *v);
 
 /* out: *db, PSNR that the noise of the photographs alone leaves, dB (100: no noise found). Median

@@ -25,8 +25,8 @@ struct axis {
 
 struct scratch {
     struct axis x, y;
-    double *row;  // (taps) weights before rounding
-    uint8_t *mid; // (h, size, 3) after the horizontal pass
+    double *row;  // weights of one output before rounding
+    uint8_t *mid; // (h in, w out, 3) after the horizontal pass
 };
 
 static int taps_of(int n_in, int n_out)
@@ -35,24 +35,24 @@ static int taps_of(int n_in, int n_out)
     return (int)ceil(2.0 * (scale > 1.0 ? scale : 1.0)) * 2 + 1;
 }
 
+/* For at most n_in and n_out; taps_of times n_out never needs more weights. */
 static err_t axis_alloc(struct axis *a, int n_in, int n_out, struct arena *tmp)
 {
-    a->taps = taps_of(n_in, n_out);
+    const size_t weights = 4 * (size_t)num_max(n_in, n_out) + 3 * (size_t)n_out;
     err_t e = arena_alloc(tmp, (size_t)n_out, sizeof *a->first, &a->first);
     if (!e)
         e = arena_alloc(tmp, (size_t)n_out, sizeof *a->count, &a->count);
-    if (!e)
-        e = arena_alloc(tmp, (size_t)n_out * (size_t)a->taps, sizeof *a->weight, &a->weight);
-    return e;
+    return e ? e : arena_alloc(tmp, weights, sizeof *a->weight, &a->weight);
 }
 
+/* For pictures up to w x h px that become at most `size` px wide and high. */
 static err_t scratch_alloc(struct scratch *s, int w, int h, int size, struct arena *tmp)
 {
     err_t e = axis_alloc(&s->x, w, size, tmp);
     if (!e)
         e = axis_alloc(&s->y, h, size, tmp);
     if (!e)
-        e = arena_alloc(tmp, (size_t)num_max(s->x.taps, s->y.taps), sizeof *s->row, &s->row);
+        e = arena_alloc(tmp, (size_t)num_max(num_max(w, h), size) + 5, sizeof *s->row, &s->row);
     if (!e)
         e = arena_alloc(tmp, (size_t)h * (size_t)size, 3, &s->mid);
     return e;
@@ -127,14 +127,14 @@ static void row_down(const struct axis *a, const uint8_t *mid, size_t n, int i, 
     }
 }
 
-static void resize_image(const struct image8 *in, int size, struct scratch *s, uint8_t *out)
+static void resize_image(const struct image8 *in, int w, int h, struct scratch *s, uint8_t *out)
 {
-    size_t n = 3 * (size_t)size;
-    axis_fill(&s->x, in->w, size, s->row);
-    axis_fill(&s->y, in->h, size, s->row);
+    size_t n = 3 * (size_t)w;
+    axis_fill(&s->x, in->w, w, s->row);
+    axis_fill(&s->y, in->h, h, s->row);
     for (int y = 0; y < in->h; y++)
-        row_across(&s->x, in->px + 3 * (size_t)y * (size_t)in->w, size, s->mid + (size_t)y * n);
-    for (int y = 0; y < size; y++)
+        row_across(&s->x, in->px + 3 * (size_t)y * (size_t)in->w, w, s->mid + (size_t)y * n);
+    for (int y = 0; y < h; y++)
         row_down(&s->y, s->mid, n, y, out + (size_t)y * n);
 }
 
@@ -148,17 +148,17 @@ static err_t check_image(const char *name, const struct image8 *im, bool has_pix
     return OK;
 }
 
-static err_t check_size(int size)
+static err_t check_edge(int edge)
 {
-    if (size < 1 || size > PREP_SIZE_MAX)
-        return err_fail(ERR_ARG, "prep: views of %d px asked, allowed are 1 to %d", size,
+    if (edge < 1 || edge > PREP_SIZE_MAX)
+        return err_fail(ERR_ARG, "prep: views of %d px asked, allowed are 1 to %d", edge,
                         PREP_SIZE_MAX);
     return OK;
 }
 
 err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out)
 {
-    err_t e = check_size(size);
+    err_t e = check_edge(size);
     if (!e)
         e = check_image("prep", in, in->px != NULL);
     if (e)
@@ -167,7 +167,7 @@ err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t 
     struct scratch s;
     e = scratch_alloc(&s, in->w, in->h, size, tmp);
     if (!e)
-        resize_image(in, size, &s, out);
+        resize_image(in, size, size, &s, out);
     arena_reset(tmp, mark);
     return e;
 }
@@ -206,21 +206,37 @@ static err_t check_shot(const struct shot *s, const struct prep_source *from)
     return OK;
 }
 
-static err_t check_capture(const struct capture *c, const struct prep_source *from, int size)
+/* Exposures of one place are compared pixel by pixel. */
+static err_t check_again(const struct shot *s, const struct shot *before)
 {
-    err_t e = check_size(size);
+    if (s->again && (s->image.w != before->image.w || s->image.h != before->image.h))
+        return err_fail(ERR_ARG,
+                        "%s: %d x %d px, but %s from the same place has %d x %d; exposures of one "
+                        "place must have one size",
+                        s->name, s->image.w, s->image.h, before->name, before->image.w,
+                        before->image.h);
+    return OK;
+}
+
+static err_t check_capture(const struct capture *c, const struct prep_source *from, int edge)
+{
+    err_t e = check_edge(edge);
     if (!e && c->n < 1)
         e = err_fail(ERR_ARG, "prep: the capture has no photograph");
-    for (int i = 0; i < c->n && !e; i++)
+    for (int i = 0; i < c->n && !e; i++) {
         e = check_shot(&c->shots[i], from);
+        if (!e && i > 0)
+            e = check_again(&c->shots[i], &c->shots[i - 1]);
+    }
     return e;
 }
 
-static struct camera scaled_camera(const struct camera *cam, int size)
+static struct camera scaled_camera(const struct camera *cam, const struct extent *to)
 {
     struct camera s = *cam;
-    float sx = (float)size / (float)cam->w, sy = (float)size / (float)cam->h;
-    s.w = s.h = size;
+    float sx = (float)to->w / (float)cam->w, sy = (float)to->h / (float)cam->h;
+    s.w = to->w;
+    s.h = to->h;
     s.fx *= sx;
     s.cx *= sx;
     s.fy *= sy;
@@ -228,12 +244,45 @@ static struct camera scaled_camera(const struct camera *cam, int size)
     return s;
 }
 
-static err_t layout_views(struct views *v, struct arena *keep, int n_shots, int size)
+struct extent prep_extent(struct prep_size size, int w, int h)
+{
+    const int most = num_max(w, h);
+    struct extent out = {size.edge, size.edge, 0};
+    if (size.square)
+        return out;
+    if (w < most)
+        out.w = num_max(1, (int)lround((double)w * size.edge / most));
+    if (h < most)
+        out.h = num_max(1, (int)lround((double)h * size.edge / most));
+    return out;
+}
+
+/* Index of each shot among the views: the first of a place comes before all that are `again`. */
+static int slot_of(const struct capture *c, int i)
+{
+    int places = 0, more = 0;
+    for (int k = 0; k < i; k++)
+        *(k > 0 && c->shots[k].again ? &more : &places) += 1;
+    return i > 0 && c->shots[i].again ? prep_places(c) + more : places;
+}
+
+void prep_extents(const struct capture *c, struct prep_size size, struct extent *out)
+{
+    size_t at = 0;
+    for (int i = 0; i < c->n; i++)
+        out[slot_of(c, i)] = prep_extent(size, c->shots[i].image.w, c->shots[i].image.h);
+    for (int i = 0; i < c->n; at += extent_pixels(&out[i++]))
+        out[i].at = at;
+}
+
+static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size_t pixels)
 {
     size_t n = (size_t)n_shots;
     err_t e = arena_alloc(keep, n, sizeof *v->names, &v->names);
     if (!e)
-        e = arena_alloc(keep, n, 3 * (size_t)size * (size_t)size, &v->rgb);
+        e = arena_alloc(keep, n, sizeof *v->extent, &v->extent);
+    if (!e)
+        e = arena_alloc(keep, pixels, 3, &v->rgb);
     if (!e)
         e = arena_alloc(keep, n, sizeof *v->log2t, &v->log2t);
     if (!e)
@@ -241,16 +290,31 @@ static err_t layout_views(struct views *v, struct arena *keep, int n_shots, int 
     return e ? e : arena_alloc(keep, n, sizeof *v->place, &v->place);
 }
 
-static err_t views_alloc(const struct run *r, const struct capture *c, int size, struct views *v)
+static size_t count_pixels(const struct capture *c, struct prep_size size)
 {
-    err_t e = layout_views(v, r->keep, c->n, size);
+    size_t sum = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct extent e = prep_extent(size, c->shots[i].image.w, c->shots[i].image.h);
+        sum += extent_pixels(&e);
+    }
+    return sum;
+}
+
+static err_t views_alloc(const struct run *r, const struct capture *c, struct prep_size size,
+                         struct views *v)
+{
+    err_t e = layout_views(v, r->keep, c->n, count_pixels(c, size));
+    if (e)
+        return e;
     v->n = prep_places(c);
     v->n_more = c->n - v->n;
-    v->size = size;
+    v->size = size.edge;
+    v->aspect = size.square ? (float)c->shots[0].image.h / (float)c->shots[0].image.w : 1;
+    prep_extents(c, size, v->extent);
     for (int i = 0; i < c->n; i++)
         if (!c->shots[i].has_camera)
             v->cams = NULL;
-    return e;
+    return OK;
 }
 
 static void fill_photo(const struct shot *s, int k, struct views *v)
@@ -260,26 +324,22 @@ static void fill_photo(const struct shot *s, int k, struct views *v)
     v->log2t[k] = log2f((float)fmax(s->exposure, EXPOSURE_MIN));
 }
 
-/* Names, exposures and cameras. slot: index in *v of each shot; the first of a place comes first.
- * */
-static void fill_metadata(const struct capture *c, struct views *v, int *slot)
+/* Names, exposures and cameras. */
+static void fill_metadata(const struct capture *c, struct views *v)
 {
     float low = INFINITY, high = -INFINITY;
-    int place = 0, more = 0;
-    for (int i = 0; i < c->n; i++) {
-        bool again = i > 0 && c->shots[i].again;
-        slot[i] = again ? v->n + more : place;
-        if (again)
-            v->place[more++] = place - 1;
+    for (int i = 0, place = -1, more = 0; i < c->n; i++) {
+        const int k = slot_of(c, i);
+        place += k < v->n;
+        if (k >= v->n)
+            v->place[more++] = place;
         else if (v->cams)
-            v->cams[place] = scaled_camera(&c->shots[i].cam, v->size);
-        place += !again;
-        fill_photo(&c->shots[i], slot[i], v);
-        low = fminf(low, v->log2t[slot[i]]);
-        high = fmaxf(high, v->log2t[slot[i]]);
+            v->cams[place] = scaled_camera(&c->shots[i].cam, &v->extent[k]);
+        fill_photo(&c->shots[i], k, v);
+        low = fminf(low, v->log2t[k]);
+        high = fmaxf(high, v->log2t[k]);
     }
     v->mid_log2t = (low + high) / 2;
-    v->aspect = (float)c->shots[0].image.h / (float)c->shots[0].image.w;
 }
 
 struct job {
@@ -287,58 +347,58 @@ struct job {
     const struct capture *c;
     const struct prep_source *from;
     struct views *v;
-    int *slot;
     struct scratch *scratch; // one per worker
 };
 
 static err_t resize_shot(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
-    size_t view = 3 * (size_t)j->v->size * (size_t)j->v->size;
+    const int k = slot_of(j->c, chunk);
+    const struct extent *to = &j->v->extent[k];
     struct image8 im = j->c->shots[chunk].image;
     err_t e = run_check(j->r, "prep");
     if (!e && j->from)
         e = j->from->decode(j->from->ctx, chunk, &im);
     if (e)
         return e;
-    resize_image(&im, j->v->size, &j->scratch[worker], j->v->rgb + (size_t)j->slot[chunk] * view);
+    resize_image(&im, to->w, to->h, &j->scratch[worker], views_rgb(j->v, k));
     if (j->from)
         j->from->release(&im);
     return OK;
 }
 
-static err_t layout(struct job *j, struct arena *tmp, int n, struct image8 most,
-                    const int size_threads[2])
+static err_t layout(struct job *j, struct arena *tmp, struct image8 most, int edge, int threads)
 {
-    const int threads = size_threads[1];
-    err_t e = arena_alloc(tmp, (size_t)n, sizeof *j->slot, &j->slot);
-    if (!e)
-        e = arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
     for (int i = 0; i < threads && !e; i++) {
         struct scratch s;
-        e = scratch_alloc(&s, most.w, most.h, size_threads[0], tmp);
+        e = scratch_alloc(&s, most.w, most.h, edge, tmp);
         if (!e && !tmp->counts)
             j->scratch[i] = s;
     }
     return e;
 }
 
-void prep_plan(struct plan *p, int n, struct image8 largest, int size)
+void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge)
 {
     struct views v;
     struct job j;
     const size_t mark = arena_mark(&p->tmp);
-    if (layout_views(&v, &p->keep, n, size) ||
-        layout(&j, &p->tmp, n, largest, (int[2]){size, p->threads}))
+    if (layout_views(&v, &p->keep, n, pixels) || layout(&j, &p->tmp, largest, edge, p->threads))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
 
+void prep_plan_capture(struct plan *p, const struct capture *c, struct prep_size size)
+{
+    prep_plan(p, c->n, count_pixels(c, size), prep_largest(c), size.edge);
+}
+
 err_t prep_read(const struct run *r, const struct capture *c, const struct prep_source *from,
-                int size, struct views *out)
+                struct prep_size size, struct views *out)
 {
     memset(out, 0, sizeof *out);
-    err_t e = check_capture(c, from, size);
+    err_t e = check_capture(c, from, size.edge);
     if (e)
         return e;
     struct views v = {0};
@@ -346,9 +406,9 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     struct job j = {.r = r, .c = c, .from = from, .v = &v};
     e = views_alloc(r, c, size, &v);
     if (!e)
-        e = layout(&j, r->tmp, c->n, prep_largest(c), (int[2]){size, pool_size(r->pool)});
+        e = layout(&j, r->tmp, prep_largest(c), size.edge, pool_size(r->pool));
     if (!e) {
-        fill_metadata(c, &v, j.slot);
+        fill_metadata(c, &v);
         e = pool_for(r->pool, c->n, resize_shot, &j);
     }
     arena_reset(r->tmp, tmp);
@@ -360,7 +420,8 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     return OK;
 }
 
-err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out)
+err_t prep_run(const struct run *r, const struct capture *c, struct prep_size size,
+               struct views *out)
 {
     return prep_read(r, c, NULL, size, out);
 }

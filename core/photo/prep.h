@@ -1,4 +1,4 @@
-/* prep.h - photographs to the square 8-bit views that network and refiner see. The resize is
+/* prep.h - photographs to the 8-bit views that refiner and network see. The resize is
  * Pillow's antialiased bicubic, bit for bit; exposures become log2 (core/photo/README.md 1). Pure
  * computation, no files. */
 #ifndef PHOTO_PREP_H
@@ -15,8 +15,22 @@ enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
  * err:  ERR_ARG (size, shape or channels), ERR_NOMEM. */
 MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out);
 
-/* Count what prep_run takes for n shots, the largest of them or a larger one. */
-void prep_plan(struct plan *p, int n, struct image8 largest, int size);
+/* How large views become: `edge` px on the longer side, the shape kept, or squeezed to squares. */
+struct prep_size {
+    int edge;
+    bool square;
+};
+
+/* Shape of the view of a picture of w x h px. */
+struct extent prep_extent(struct prep_size size, int w, int h);
+
+/* Shapes of all views, in their order. out: (c->n). */
+void prep_extents(const struct capture *c, struct prep_size size, struct extent *out);
+
+/* Count what prep_run takes for n shots that become `pixels` in all; the largest of them, or a
+ * larger one. */
+void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge);
+void prep_plan_capture(struct plan *p, const struct capture *c, struct prep_size size);
 
 /* Largest width and height of all. */
 struct image8 prep_largest(const struct capture *c);
@@ -24,13 +38,14 @@ struct image8 prep_largest(const struct capture *c);
 /* Places that the shots were taken from. */
 int prep_places(const struct capture *c);
 
-/* Resize all shots, take their exposures to log2, scale their cameras to size x size. The first
+/* Resize all shots, take their exposures to log2, scale their cameras to the views. The first
  * shot of a place represents it; its other shots follow after all places.
  * out:  arrays live in r->keep; cams is NULL unless every shot has a camera.
  * err:  ERR_ARG (no shot, bad size, a shot without picture or with an exposure that is not finite
- *       and > 0, a camera for another image size; the sentence names the file), ERR_NOMEM,
- *       ERR_CANCELLED. On error *out is zeroed. */
-MUST_USE err_t prep_run(const struct run *r, const struct capture *c, int size, struct views *out);
+ *       and > 0, a camera for another image size, another size than the shot before from the same
+ *       place; the sentence names the file), ERR_NOMEM, ERR_CANCELLED. On error *out is zeroed. */
+MUST_USE err_t prep_run(const struct run *r, const struct capture *c, struct prep_size size,
+                        struct views *out);
 
 /* A source of pixels that are not in the capture. A worker releases one picture before it decodes
  * the next. decode returns shot i with the size that the capture has. thread: any. */
@@ -44,7 +59,7 @@ struct prep_source {
  * from: NULL = the capture itself.
  * err:  those of prep_run and of decode. */
 MUST_USE err_t prep_read(const struct run *r, const struct capture *c,
-                         const struct prep_source *from, int size, struct views *out);
+                         const struct prep_source *from, struct prep_size size, struct views *out);
 
 /* One view as the network's input tensor: ((v / 255) * 2 - 1 + 1) * 0.5, each step rounded to float
  * as the reference does (core/photo/README.md 1.1, point 4).

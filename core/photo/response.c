@@ -317,10 +317,10 @@ static err_t check_views(const struct views *v)
 /* Means of 2 x 2 pixels: noise widens a histogram. */
 static void count_pixels(const struct views *v, int i_view, struct group *g)
 {
-    const size_t s = (size_t)v->size, row = 3 * s;
-    const uint8_t *px = v->rgb + (size_t)i_view * s * row;
-    for (size_t y = 0; y + 1 < s; y += 2) {
-        for (size_t x = 0; x + 1 < s; x += 2) {
+    const size_t w = (size_t)v->extent[i_view].w, h = (size_t)v->extent[i_view].h, row = 3 * w;
+    const uint8_t *px = views_rgb(v, i_view);
+    for (size_t y = 0; y + 1 < h; y += 2) {
+        for (size_t x = 0; x + 1 < w; x += 2) {
             const uint8_t *p = px + y * row + 3 * x;
             for (size_t c = 0; c < 3; c++)
                 g->hist[c][(p[c] + p[c + 3] + p[row + c] + p[row + c + 3] + 2) / 4]++;
@@ -461,15 +461,14 @@ err_t response_run(const struct run *r, const struct views *v, struct tonemap *o
 
 void response_mean(const struct views *v, const struct tonemap *tone, float out[3])
 {
-    const size_t pixels = (size_t)v->size * (size_t)v->size;
     struct response_table table;
     response_tabulate(tone, &table);
     for (int c = 0; c < 3; c++) {
         double sum = 0, weight = 0;
         for (int i = 0; i < v->n; i++) {
             float shift = v->log2t[i] - v->mid_log2t;
-            const uint8_t *p = v->rgb + 3 * pixels * (size_t)i + c;
-            for (size_t k = 0; k < pixels; k++, p += 3) {
+            const uint8_t *p = views_rgb(v, i) + c;
+            for (size_t k = 0; k < extent_pixels(&v->extent[i]); k++, p += 3) {
                 double w = (double)table.weight[c][*p] + 1e-4;
                 sum += w * (double)(table.x[c][*p] - shift);
                 weight += w;

@@ -15,28 +15,29 @@ struct align {
     struct raster raster;
     struct loss loss;
     struct render pic;
-    uint8_t *photo; // (3, size, size) of the current view
+    uint8_t *photo; // (3, h, w) of the current view
     float extent;   // scene units
 };
 
-static err_t layout(struct align *a, struct arena *tmp, int splats, int size, int threads)
+static err_t layout(struct align *a, struct arena *tmp, int splats, const struct views *v,
+                    int threads)
 {
-    size_t px = (size_t)size * (size_t)size;
-    err_t e = raster_init(&a->raster, tmp, splats > 0 ? splats : 1, size, size, true);
+    const struct extent most = extent_cover(v->extent, v->n);
+    err_t e = raster_init(&a->raster, tmp, splats > 0 ? splats : 1, most.w, most.h, true);
     if (!e)
-        e = loss_init(&a->loss, tmp, size, size, threads);
+        e = loss_init(&a->loss, tmp, most.w, most.h, threads);
     if (!e)
-        e = arena_alloc(tmp, 3 * px, 1, &a->photo);
+        e = arena_alloc(tmp, 3 * most.at, 1, &a->photo);
     if (!e)
-        e = arena_alloc(tmp, 3 * px, 4, &a->pic.radiance);
-    return e ? e : arena_alloc(tmp, px, 4, &a->pic.alpha);
+        e = arena_alloc(tmp, 3 * most.at, 4, &a->pic.radiance);
+    return e ? e : arena_alloc(tmp, most.at, 4, &a->pic.alpha);
 }
 
-size_t align_plan(int splats, int size, int threads)
+size_t align_plan(int splats, const struct views *v, int threads)
 {
     struct arena tmp = arena_counter();
     struct align a;
-    return layout(&a, &tmp, splats, size, threads) ? SIZE_MAX : tmp.peak;
+    return layout(&a, &tmp, splats, v, threads) ? SIZE_MAX : tmp.peak;
 }
 
 /* The scene is frozen: only the pose has a gradient. */
@@ -73,8 +74,8 @@ static err_t twist_of(struct align *a, const struct camera *cam, float shift, fl
 
 static err_t align_view(struct align *a, const struct views *v, int i, int iterations)
 {
-    size_t px = (size_t)v->size * (size_t)v->size;
-    const uint8_t *rgb = v->rgb + (size_t)i * px * 3;
+    const size_t px = extent_pixels(&v->extent[i]);
+    const uint8_t *rgb = views_rgb(v, i);
     float m1[6] = {0}, m2[6] = {0}, ones[6] = {1, 1, 1, 1, 1, 1};
     for (size_t c = 0; c < 3; c++)
         for (size_t k = 0; k < px; k++)
@@ -107,7 +108,7 @@ err_t align_run(const struct run *r, const struct scene *s, int iterations, stru
                         "align: %d iterations on views %s cameras, must be >= 0 with cameras",
                         iterations, v->cams ? "with" : "without");
     struct align a = {.r = r, .s = s};
-    err_t e = layout(&a, r->tmp, s->g.n, v->size, pool_size(r->pool));
+    err_t e = layout(&a, r->tmp, s->g.n, v, pool_size(r->pool));
     a.extent = e ? 0 : pose_extent(&s->g, v->cams, v->n);
     for (int i = 0; i < v->n && !e; i++) {
         e = align_view(&a, v, i, iterations);

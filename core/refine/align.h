@@ -9,10 +9,10 @@
 
 enum { ALIGN_ITERATIONS = 100 }; // core/refine/README.md 1, C
 
-/* Bytes that align_run takes from r->tmp. */
-size_t align_plan(int splats, int size, int threads);
+/* Bytes that align_run takes from r->tmp; of v only n and extent are read. */
+size_t align_plan(int splats, const struct views *v, int threads);
 
-/* Move v->cams[i] (for v->size x v->size) of every view; v->log2t and v->rgb are those of the
+/* Move v->cams[i] (for v->extent[i]) of every view; v->log2t and v->rgb are those of the
  * photographs.
  * err: ERR_ARG, ERR_NOMEM, ERR_CANCELLED (cameras are valid, partly aligned). */
 MUST_USE err_t align_run(const struct run *r, const struct scene *s, int iterations,

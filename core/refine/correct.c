@@ -184,8 +184,7 @@ static size_t map_place(const struct sharpen *s, int view, int i)
 static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
 {
     const struct views *v = s->known->seen.views;
-    return v->rgb +
-           3 * (((size_t)view * (size_t)v->size + (size_t)y) * (size_t)v->size + (size_t)x);
+    return views_rgb(v, view) + 3 * ((size_t)y * (size_t)v->extent[view].w + (size_t)x);
 }
 
 /* How much a pixel says about radiance, 0..1. */

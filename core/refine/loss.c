@@ -172,7 +172,7 @@ static void measure_held_out(const struct job *j, int colour, int y, float *d, d
 {
     const struct loss_input *in = j->in;
     int px = in->held_px, squares = (j->w + px - 1) / px;
-    const uint8_t *held = in->held + (size_t)(y / px) * (size_t)squares;
+    const uint8_t *held = in->held + (size_t)(y / px) * (size_t)in->held_across;
     size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;

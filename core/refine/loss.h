@@ -34,8 +34,9 @@ struct loss_input {
     const uint8_t *photo; // (3, h, w)
     float behind[3];      // display value added times (1 - alpha)
     float w_l1, w_ssim;
-    const uint8_t *held; // (ceil(h / held_px), ceil(w / held_px)) 1 = held out; NULL = nothing
+    const uint8_t *held; // (ceil(h / held_px), held_across) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
+    int held_across;     // squares in a row of `held`, >= ceil(w / held_px)
     bool more; // add to the gradients of the previous call: another photograph, same picture
 };
 

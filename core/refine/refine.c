@@ -61,9 +61,9 @@ struct refine {
     struct raster raster;
     struct loss loss_work;
     struct render pic;
-    uint8_t *full, *half; // (photographs, 3, size, size), and at half size
-    uint8_t *held;        // (n, squares, squares)
-    int squares;
+    uint8_t *full, *half;   // (photographs) planes (3, h, w), and at half size
+    uint8_t *held;          // (n, squares, squares)
+    int squares;            // of the longest edge
     double *photo_sse;      // (photographs) held-out squared error of the last comparison
     long *photo_n;          // (photographs) number of these values
     int *shuffled, n_drawn; // (n) order of the views in this round
@@ -108,14 +108,26 @@ int refine_begin(const struct refine_config *cfg, int places)
     return (int)fmaxf(n, most / 2);
 }
 
+static int shortest_edge(const struct views *v)
+{
+    int out = v->size;
+    for (int i = 0; i < v->n; i++) {
+        out = v->extent[i].w < out ? v->extent[i].w : out;
+        out = v->extent[i].h < out ? v->extent[i].h : out;
+    }
+    return out;
+}
+
 static err_t layout(struct refine *f, struct arena *a, int threads)
 {
-    size_t n = (size_t)f->v->n, size = (size_t)f->v->size, px = size * size;
+    const struct extent most = extent_cover(f->v->extent, f->v->n);
+    const int photos = f->v->n + f->v->n_more;
+    const size_t pixels = extent_total(f->v->extent, photos), px = most.at;
     f->squares = (f->v->size + HELD_PX - 1) / HELD_PX;
-    size_t q = (size_t)f->squares, all = n + (size_t)f->v->n_more;
-    err_t e = arena_alloc(a, all * (size / 2) * (size / 2) * 3, 1, &f->half);
+    size_t n = (size_t)f->v->n, q = (size_t)f->squares, all = (size_t)photos;
+    err_t e = arena_alloc(a, pixels / 4, 3, &f->half);
     if (!e)
-        e = arena_alloc(a, all * px * 3, 1, &f->full);
+        e = arena_alloc(a, pixels, 3, &f->full);
     if (!e)
         e = arena_alloc(a, n * q * q, 1, &f->held);
     if (!e)
@@ -133,9 +145,9 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     if (!e)
         e = arena_alloc(a, px, 4, &f->pic.alpha);
     if (!e)
-        e = raster_init(&f->raster, a, f->cfg->gaussians_max, f->v->size, f->v->size, true);
+        e = raster_init(&f->raster, a, f->cfg->gaussians_max, most.w, most.h, true);
     if (!e)
-        e = loss_init(&f->loss_work, a, f->v->size, f->v->size, threads);
+        e = loss_init(&f->loss_work, a, most.w, most.h, threads);
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
@@ -151,20 +163,28 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
     return a.peak;
 }
 
+/* Planes of a photograph; scale: 2 = half size. */
+static uint8_t *photo_planes(const struct refine *f, int i, int scale)
+{
+    const size_t at = f->v->extent[i].at;
+    return scale == 1 ? f->full + 3 * at : f->half + 3 * (at / 4);
+}
+
 /* One photograph as planes, and at half size. */
 static err_t planes_chunk(void *ctx, int i, int worker)
 {
     struct refine *f = ctx;
     (void)worker;
-    size_t s = (size_t)f->v->size, h = s / 2;
-    const uint8_t *in = f->v->rgb + (size_t)i * s * s * 3;
-    uint8_t *full = f->full + (size_t)i * s * s * 3, *half = f->half + (size_t)i * h * h * 3;
+    const struct extent *px = &f->v->extent[i];
+    const size_t w = (size_t)px->w, n = extent_pixels(px), h = w / 2, m = h * (size_t)(px->h / 2);
+    const uint8_t *in = views_rgb(f->v, i);
+    uint8_t *full = photo_planes(f, i, 1), *half = photo_planes(f, i, 2);
     for (size_t c = 0; c < 3; c++) {
-        for (size_t at = 0; at < s * s; at++)
-            full[c * s * s + at] = in[at * 3 + c];
-        for (size_t at = 0; at < h * h; at++) {
-            const uint8_t *p = in + (2 * (at / h) * s + 2 * (at % h)) * 3 + c;
-            half[c * h * h + at] = (uint8_t)((p[0] + p[3] + p[3 * s] + p[3 * s + 3] + 2) / 4);
+        for (size_t at = 0; at < n; at++)
+            full[c * n + at] = in[at * 3 + c];
+        for (size_t at = 0; at < m; at++) {
+            const uint8_t *p = in + (2 * (at / h) * w + 2 * (at % h)) * 3 + c;
+            half[c * m + at] = (uint8_t)((p[0] + p[3] + p[3 * w] + p[3 * w + 3] + 2) / 4);
         }
     }
     return OK;
@@ -259,10 +279,10 @@ static struct raster_input view_input(const struct refine *f, const struct camer
 static err_t compare_photo(struct refine *f, int i, int k, const struct loss_input *as,
                            struct loss_output *out)
 {
-    const size_t side = (size_t)f->pic.w, squares = (size_t)f->squares * (size_t)f->squares;
+    const size_t squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
-    li.photo = (f->scale == 1 ? f->full : f->half) + (size_t)k * side * side * 3;
+    li.photo = photo_planes(f, k, f->scale);
     li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
@@ -291,7 +311,8 @@ static err_t compare_view(struct refine *f, int i, const struct camera *cam, con
                             .behind = {behind[0], behind[1], behind[2]},
                             .w_l1 = 0.8f / (float)n,
                             .w_ssim = 0.2f / (float)n,
-                            .held_px = HELD_PX / f->scale};
+                            .held_px = HELD_PX / f->scale,
+                            .held_across = f->squares};
     for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
         e = compare_photo(f, i, k, &as, out);
         as.more = true;
@@ -313,10 +334,17 @@ static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
     pose_move(&f->s->cams[i], twist);
 }
 
+/* Camera of a view at the present size of the pictures. */
+static struct camera camera_now(const struct refine *f, int i)
+{
+    const struct extent *px = &f->v->extent[i];
+    return pose_scaled(&f->s->cams[i], px->w / f->scale, px->h / f->scale);
+}
+
 static err_t take_step(struct refine *f)
 {
-    int i = next_view(f), side = f->v->size / f->scale;
-    struct camera cam = pose_scaled(&f->s->cams[i], side, side);
+    int i = next_view(f);
+    struct camera cam = camera_now(f, i);
     struct loss_output out;
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
@@ -375,8 +403,7 @@ static err_t measure_held_out(struct refine *f, float *db)
 {
     const float black[3] = {0, 0, 0};
     for (int i = 0; i < f->v->n; i++) {
-        struct camera cam =
-            pose_scaled(&f->s->cams[i], f->v->size / f->scale, f->v->size / f->scale);
+        struct camera cam = camera_now(f, i);
         struct loss_output out;
         err_t e = compare_view(f, i, &cam, black, &out);
         if (e)
@@ -441,7 +468,8 @@ static void split_splats(struct refine *f)
     if (f->splits_done || f->scale > 1)
         return;
     float db = held_db(f);
-    int most = f->v->size * f->v->size; // one per pixel: more did not help denser starts
+    /* one per pixel: more did not help denser starts */
+    int most = (int)extent_cover(f->v->extent, f->v->n).at;
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
     bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
     f->splits_done = progress_of(f) > SPLIT_END || noise || all;
@@ -492,7 +520,7 @@ static err_t run_steps(struct refine *f)
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = measure_held_out(f, &f->rep->held_out_db[0]);
-    bool small = f->v->size >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
+    bool small = shortest_edge(f->v) >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     for (f->step = 0; f->step < f->steps && !e;) {
         f->scale = small && is_half_size(f->step, f->steps) ? 2 : 1;
         e = take_step(f);
@@ -520,6 +548,9 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .rng = cfg->seed,
                        .steps = cfg->steps,
                        .scale = 1};
+    if (shortest_edge(v) < LOSS_WINDOW)
+        return err_fail(ERR_ARG, "refine: a view is %d px narrow, a side must be at least %d px",
+                        shortest_edge(v), LOSS_WINDOW);
     err_t e = layout(&f, r->tmp, pool_size(r->pool));
     if (!e)
         e = pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);

@@ -30,13 +30,14 @@ struct refit {
 /* Count the mean of the pixels around px (u, v). */
 static void count_pixels(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
 {
-    const int size = f->v->size, n = num_max(f->sight.depth->scale, MEAN);
+    const struct extent *px = &f->v->extent[view];
+    const int size[2] = {px->w, px->h}, n = num_max(f->sight.depth->scale, MEAN);
     int first[2], sum[3] = {0};
     for (int k = 0; k < 2; k++)
-        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size - n));
+        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size[k] - n));
     for (int i = 0; i < n * n; i++) {
         const size_t y = (size_t)(first[1] + i / n), x = (size_t)(first[0] + i % n);
-        const uint8_t *p = f->v->rgb + 3 * (((size_t)view * (size_t)size + y) * (size_t)size + x);
+        const uint8_t *p = views_rgb(f->v, view) + 3 * (y * (size_t)px->w + x);
         for (int c = 0; c < 3; c++)
             sum[c] += p[c];
     }
@@ -48,11 +49,11 @@ static void count_pixels(const struct refit *f, int view, const float uv[2], uin
 static void add_shared(struct refit *f, int i, int j, bool swap)
 {
     const struct depthmaps *d = f->sight.depth;
-    const int pixels = d->size * d->size;
-    for (int at = 0; at < pixels; at++) {
-        const size_t k = (size_t)i * (size_t)pixels + (size_t)at;
-        const float uvz[3] = {((float)(at % d->size) + 0.5f) * (float)d->scale,
-                              ((float)(at / d->size) + 0.5f) * (float)d->scale, d->depth[k]};
+    const struct extent *map = &d->extent[i];
+    for (int at = 0; at < map->w * map->h; at++) {
+        const size_t k = map->at + (size_t)at;
+        const float uvz[3] = {((float)(at % map->w) + 0.5f) * (float)d->scale,
+                              ((float)(at / map->w) + 0.5f) * (float)d->scale, d->depth[k]};
         struct projected there;
         float point[3];
         if (!visibility_confident(&f->sight, k))

@@ -37,7 +37,8 @@ struct bundle {
     const struct run *r;
     const struct bundle_config *cfg;
     const struct match_tracks *tracks;
-    int n_views, size;
+    const struct views *v;
+    int n_views;
     struct adjust a;
     struct viewgraph g;
     bool *trusted; // (sightings) after the votes; all without them
@@ -86,7 +87,7 @@ static bool are_usable(const struct camera *start, int n)
 /* Adjustment assumes square pixels: rows are scaled by the aspect. */
 static float picture_aspect(const struct bundle *b)
 {
-    return b->cfg->aspect > 0 ? b->cfg->aspect : 1;
+    return b->v->aspect > 0 ? b->v->aspect : 1;
 }
 
 static double start_focal(const struct bundle *b)
@@ -95,7 +96,7 @@ static double start_focal(const struct bundle *b)
     if (b->cfg->focal > 0 && isfinite(b->cfg->focal))
         return (double)b->cfg->focal;
     if (!b->cfg->start)
-        return FOV60 * b->size;
+        return FOV60 * b->v->size;
     for (int i = 0; i < b->n_views; i++)
         f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * picture_aspect(b));
     return (double)num_median(f, (size_t)b->n_views);
@@ -142,8 +143,9 @@ static err_t load_tracks(struct bundle *b)
         return e;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *s = &t->seen[i];
-        x.seen[i] = (struct adjust_seen){s->u - 0.5f * (float)b->size,
-                                         (s->v - 0.5f * (float)b->size) * picture_aspect(b),
+        const struct extent *px = &b->v->extent[s->view];
+        x.seen[i] = (struct adjust_seen){s->u - 0.5f * (float)px->w,
+                                         (s->v - 0.5f * (float)px->h) * picture_aspect(b),
                                          1 / s->sigma, s->view};
         x.first[s->track + 1]++;
         b->trusted[i] = true;
@@ -309,11 +311,10 @@ static void load_cameras(struct bundle *b)
 
 static float depth_at(const struct bundle *b, const struct match_seen *s)
 {
-    const int last = b->size - 1;
-    const int x = (int)fminf(fmaxf(s->u, 0), (float)last);
-    const int y = (int)fminf(fmaxf(s->v, 0), (float)last);
-    const size_t row = (size_t)s->view * (size_t)b->size + (size_t)y;
-    return b->cfg->start_depth[row * (size_t)b->size + (size_t)x];
+    const struct extent *px = &b->v->extent[s->view];
+    const int x = (int)fminf(fmaxf(s->u, 0), (float)(px->w - 1));
+    const int y = (int)fminf(fmaxf(s->v, 0), (float)(px->h - 1));
+    return b->cfg->start_depth[px->at + (size_t)y * (size_t)px->w + (size_t)x];
 }
 
 /* Typical depth of the scene from the cameras of the start: by its depth maps, else by the point
@@ -424,9 +425,11 @@ struct world {
 
 static struct camera camera_of(const struct bundle *b, int v)
 {
-    const float f = (float)b->best.focal, c = 0.5f * (float)b->size;
+    const struct extent *px = &b->v->extent[v];
+    const float f = (float)b->best.focal;
     const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
-    struct camera cam = {b->size, b->size, f, f / picture_aspect(b), c, c, {0}, {0}};
+    struct camera cam = {
+        px->w, px->h, f, f / picture_aspect(b), 0.5f * (float)px->w, 0.5f * (float)px->h, {0}, {0}};
     double q[4];
     rotation_to_quat(p, q);
     for (int k = 0; k < 4; k++)
@@ -653,7 +656,7 @@ static err_t from_focal(struct bundle *b, double focal)
 
 static err_t run_starts(struct bundle *b)
 {
-    const double focal = start_focal(b), usual = FOV60 * b->size;
+    const double focal = start_focal(b), usual = FOV60 * b->v->size;
     b->best.focal = focal;
     b->a.prior_focal = log(focal);
     b->a.prior = b->cfg->focal > 0 ? 10 : b->cfg->start ? 4 : 2;
@@ -670,22 +673,23 @@ static err_t run_starts(struct bundle *b)
     return e;
 }
 
-err_t bundle_run(const struct run *r, int n_views, int size, const struct match_tracks *tracks,
+err_t bundle_run(const struct run *r, const struct views *v, const struct match_tracks *tracks,
                  const struct bundle_config *cfg, struct bundle_result *out)
 {
     const size_t mark = arena_mark(r->tmp);
+    const int n_views = v->n;
     struct bundle_config own = *cfg;
     *out = (struct bundle_result){0};
-    if (n_views < 1 || n_views > BUNDLE_VIEWS_MAX || size < 1)
+    if (n_views < 1 || n_views > BUNDLE_VIEWS_MAX || v->size < 1)
         return err_fail(ERR_ARG, "bundle: %d views of %d px, allowed are 1 to %d views", n_views,
-                        size, BUNDLE_VIEWS_MAX);
+                        v->size, BUNDLE_VIEWS_MAX);
     err_t e = check_tracks(n_views, tracks);
     if (e)
         return e;
     if (own.start && !are_usable(own.start, n_views))
         own.start = NULL;
     own.rig_known &= own.start != NULL;
-    struct bundle b = {.r = r, .cfg = &own, .tracks = tracks, .n_views = n_views, .size = size};
+    struct bundle b = {.r = r, .cfg = &own, .tracks = tracks, .n_views = n_views, .v = v};
     b.a.n_views = n_views;
     b.a.n_tracks = tracks->n_tracks;
     b.scale = 1;

@@ -13,19 +13,18 @@
 enum { BUNDLE_VIEWS_MAX = 64 };
 
 struct bundle_config {
-    const struct camera *start; // (n_views) for v->size, or NULL: none; ignored if one of them is
+    const struct camera *start; // (n_views) for the views, or NULL: none; ignored if one of them is
                                 // not finite or not valid
-    const float *start_depth;   // (n_views, size, size) of `start`, or NULL; only its scale is used
-    float focal;                // px, 0: from `start`, else that of 60 degrees
-    bool focal_known;           // keep it
-    float aspect;               // height over width of the photographs before they were squeezed to
-                                // squares, with square pixels; 0: 1
-    bool rig_known;             // rotations and centres of `start` relative to each other are
-                                // calibrated: only focal (if not known) and points move
+    const float *start_depth; // (extents of the views) of `start`, or NULL; only its scale is used
+    float focal;              // px, 0: from `start`, else that of 60 degrees
+    bool focal_known;         // keep it
+    bool rig_known;           // rotations and centres of `start` relative to each other are
+                              // calibrated: only focal (if not known) and points move
 };
 
 struct bundle_result {
-    struct camera *cams; // (n_views), one shared fx = fy x aspect, principal point at the centre;
+    struct camera
+        *cams; // (n_views), one shared fx = fy x v->aspect, principal point at the centre;
         // world: that of `start` (best similarity) or the first placed camera's, where a
         // typical point lies at distance 1 from the middle of the rig
     float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
@@ -44,11 +43,12 @@ struct bundle_result {
     bool from_tracks; // the start from tracks won
 };
 
-/* out:  lives in r->keep
+/* Of v only n, size, aspect and extent are read.
+ * out:  lives in r->keep
  * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that violate match.h), ERR_NOMEM (see
  *       bundle_plan), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no
  *       error: confidence is 0 and cams those of `start`, or all in one place. */
-MUST_USE err_t bundle_run(const struct run *r, int n_views, int size,
+MUST_USE err_t bundle_run(const struct run *r, const struct views *v,
                           const struct match_tracks *tracks, const struct bundle_config *cfg,
                           struct bundle_result *out);
 

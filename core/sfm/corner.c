@@ -48,9 +48,31 @@ static int level_size(int size, int level)
     return (int)lround(size / exp2(0.5 * level));
 }
 
-err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
+/* Pixels of `from` per pixel of the level after it, on both axes. */
+static float level_step(const struct corner_level *from, const struct corner_level *to)
 {
-    size_t cap = (size_t)corner_cap(size);
+    return from->w >= from->h ? (float)from->w / (float)to->w : (float)from->h / (float)to->h;
+}
+
+/* The longer edge is rounded, the shorter one cut, so that one step serves both. */
+static void set_shape(struct corner_view *c, int i, int w, int h)
+{
+    struct corner_level *l = c->level + i, *from = l - 1;
+    const int size = num_max(w, h), edge = level_size(size, i);
+    l->w = l->h = edge;
+    l->scale = (float)size / (float)edge;
+    if (i == 0) {
+        l->w = w;
+        l->h = h;
+    } else if (from->w > from->h)
+        l->h = num_max(2, (int)((float)from->h / level_step(from, l)));
+    else if (from->w < from->h)
+        l->w = num_max(2, (int)((float)from->w / level_step(from, l)));
+}
+
+err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view *out)
+{
+    size_t cap = (size_t)corner_cap(num_max(w, h));
     memset(out, 0, sizeof *out);
     err_t e = arena_alloc(keep, cap, sizeof *out->at, &out->at);
     if (!e)
@@ -59,9 +81,8 @@ err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
         e = arena_alloc(keep, cap, sizeof *out->square, &out->square);
     for (int i = 0; i < CORNER_LEVELS && !e; i++) {
         struct corner_level *l = out->level + i;
-        l->size = level_size(size, i);
-        l->scale = (float)size / (float)l->size;
-        size_t px = (size_t)l->size * (size_t)l->size;
+        set_shape(out, i, w, h);
+        size_t px = (size_t)l->w * (size_t)l->h;
         e = arena_alloc(keep, px, sizeof *l->light, &l->light);
         if (!e)
             e = arena_alloc(keep, px, sizeof *l->weight, &l->weight);
@@ -69,9 +90,9 @@ err_t corner_alloc(struct arena *keep, int size, struct corner_view *out)
     return e;
 }
 
-size_t corner_scratch(int size)
+size_t corner_scratch(size_t pixels)
 {
-    return 5 * (size_t)size * (size_t)size;
+    return 5 * pixels;
 }
 
 /* ---- pyramid ---- */
@@ -96,42 +117,45 @@ static void smooth_row(const float *row, int n, const float tap[TAPS + 1], float
     }
 }
 
-/* Gauss filter of a square picture, in place; the border repeats. scratch: (n, n). */
-static void smooth_picture(float *px, int n, float sigma, float *restrict scratch)
+/* Gauss filter of a picture of the level's shape, in place; the border repeats. scratch: (h, w). */
+static void smooth_picture(float *px, const struct corner_level *l, float sigma,
+                           float *restrict scratch)
 {
     float tap[TAPS + 1];
-    size_t w = (size_t)n;
+    size_t w = (size_t)l->w;
     gauss_taps(sigma, tap);
-    for (int y = 0; y < n; y++) {
+    for (int y = 0; y < l->h; y++) {
         float *restrict to = scratch + (size_t)y * w;
         const float *row = px + (size_t)y * w;
         for (size_t x = 0; x < w; x++)
             to[x] = tap[0] * row[x];
         for (int i = 1; i <= TAPS; i++) {
             const float *up = px + (size_t)(y >= i ? y - i : 0) * w;
-            const float *down = px + (size_t)num_min(y + i, n - 1) * w;
+            const float *down = px + (size_t)num_min(y + i, l->h - 1) * w;
             for (size_t x = 0; x < w; x++)
                 to[x] += tap[i] * (up[x] + down[x]);
         }
     }
-    for (int y = 0; y < n; y++)
-        smooth_row(scratch + (size_t)y * w, n, tap, px + (size_t)y * w);
+    for (int y = 0; y < l->h; y++)
+        smooth_row(scratch + (size_t)y * w, l->w, tap, px + (size_t)y * w);
 }
 
-static void shrink_picture(const float *from, int m, float *restrict to, int n)
+/* A picture of the shape of level `m` becomes one of the shape of level `n`. */
+static void shrink_picture(const float *from, const struct corner_level *m, float *restrict to,
+                           const struct corner_level *n)
 {
-    float step = (float)m / (float)n;
-    for (int y = 0; y < n; y++) {
+    const float step = level_step(m, n);
+    for (int y = 0; y < n->h; y++) {
         float v = fmaxf(((float)y + 0.5f) * step - 0.5f, 0.0f);
-        int j = num_min((int)v, m - 2);
+        int j = num_min((int)v, m->h - 2);
         float fv = v - (float)j;
-        const float *a = from + (size_t)j * (size_t)m, *b = a + m;
-        for (int x = 0; x < n; x++) {
+        const float *a = from + (size_t)j * (size_t)m->w, *b = a + m->w;
+        for (int x = 0; x < n->w; x++) {
             float u = fmaxf(((float)x + 0.5f) * step - 0.5f, 0.0f);
-            int i = num_min((int)u, m - 2);
+            int i = num_min((int)u, m->w - 2);
             float fu = u - (float)i;
             float top = a[i] + fu * (a[i + 1] - a[i]), low = b[i] + fu * (b[i + 1] - b[i]);
-            to[(size_t)y * (size_t)n + (size_t)x] = top + fv * (low - top);
+            to[(size_t)y * (size_t)n->w + (size_t)x] = top + fv * (low - top);
         }
     }
 }
@@ -151,7 +175,7 @@ static void make_grey(const uint8_t *rgb, struct corner_level *l)
     trust_table(trust);
     for (int z = 0; z < 256; z++)
         tone[z] = logf((float)z / (255 * TOE) + 1) / logf(1 / TOE + 1);
-    size_t px = (size_t)l->size * (size_t)l->size;
+    size_t px = (size_t)l->w * (size_t)l->h;
     for (size_t i = 0; i < px; i++, rgb += 3) {
         l->light[i] = (tone[rgb[0]] + tone[rgb[1]] + tone[rgb[2]]) / 3;
         l->weight[i] = fmaxf(fmaxf(trust[rgb[0]], trust[rgb[1]]), trust[rgb[2]]);
@@ -160,20 +184,20 @@ static void make_grey(const uint8_t *rgb, struct corner_level *l)
 
 static void build_pyramid(struct corner_view *c, float *scratch)
 {
-    size_t px = (size_t)c->level[0].size * (size_t)c->level[0].size;
+    size_t px = (size_t)c->level[0].w * (size_t)c->level[0].h;
     for (int i = 0; i < CORNER_LEVELS; i++) {
         struct corner_level *l = c->level + i;
         if (!i) {
-            smooth_picture(l->light, l->size, SMOOTH, scratch);
-            smooth_picture(l->weight, l->size, SMOOTH, scratch);
+            smooth_picture(l->light, l, SMOOTH, scratch);
+            smooth_picture(l->weight, l, SMOOTH, scratch);
             continue;
         }
         const struct corner_level *from = l - 1;
-        size_t n = (size_t)from->size * (size_t)from->size;
+        size_t n = (size_t)from->w * (size_t)from->h;
         for (int k = 0; k < 2; k++) {
             memcpy(scratch, k ? from->weight : from->light, n * sizeof *scratch);
-            smooth_picture(scratch, from->size, SMOOTH, scratch + px);
-            shrink_picture(scratch, from->size, k ? l->weight : l->light, l->size);
+            smooth_picture(scratch, from, SMOOTH, scratch + px);
+            shrink_picture(scratch, from, k ? l->weight : l->light, l);
         }
     }
 }
@@ -206,8 +230,8 @@ static void measure_noise(const struct corner_level *l, float noise[CORNER_BINS]
     enum { STEPS = 512, FEW = 200 };
     int hist[CORNER_BINS + 1][STEPS], n[CORNER_BINS + 1] = {0};
     memset(hist, 0, sizeof hist);
-    size_t w = (size_t)l->size;
-    for (size_t y = 1; y + 1 < w; y++) {
+    size_t w = (size_t)l->w, h = (size_t)l->h;
+    for (size_t y = 1; y + 1 < h; y++) {
         for (size_t x = 1; x + 1 < w; x++) {
             const float *p = l->light + y * w + x, *a = p - w, *b = p + w;
             if (l->weight[y * w + x] < 1)
@@ -249,16 +273,15 @@ static int by_strength(const void *a, const void *b)
     return p->at < q->at ? -1 : p->at > q->at;
 }
 
-/* Smaller eigenvalue of the structure tensor at each pixel of level i. scratch: 4 (n, n), the first
+/* Smaller eigenvalue of the structure tensor at each pixel of level i. scratch: 4 (h, w), the first
  * of which is the result. */
 static void eigenvalues(const struct corner_view *c, int i, float *scratch)
 {
     const struct corner_level *l = c->level + i;
-    int n = l->size;
-    size_t w = (size_t)n, px = w * w;
+    size_t w = (size_t)l->w, h = (size_t)l->h, px = w * h;
     float *xx = scratch, *xy = scratch + px, *yy = scratch + 2 * px;
     memset(scratch, 0, 3 * px * sizeof *scratch);
-    for (size_t y = 1; y + 1 < w; y++) {
+    for (size_t y = 1; y + 1 < h; y++) {
         for (size_t k = y * w + 1; k + 1 < (y + 1) * w; k++) {
             float gx = 0.5f * (l->light[k + 1] - l->light[k - 1]);
             float gy = 0.5f * (l->light[k + w] - l->light[k - w]);
@@ -269,7 +292,7 @@ static void eigenvalues(const struct corner_view *c, int i, float *scratch)
         }
     }
     for (int k = 0; k < 3; k++)
-        smooth_picture(scratch + (size_t)k * px, n, WINDOW, scratch + 3 * px);
+        smooth_picture(scratch + (size_t)k * px, l, WINDOW, scratch + 3 * px);
     for (size_t k = 0; k < px; k++) {
         float half = 0.5f * (xx[k] + yy[k]), d = 0.5f * (xx[k] - yy[k]);
         xx[k] = half - sqrtf(d * d + xy[k] * xy[k]);
@@ -292,9 +315,9 @@ static bool is_peak(const float *px, size_t w, size_t k)
 static int find_peaks(const struct corner_view *c, int i, const float *px, struct peak *out)
 {
     const struct corner_level *l = c->level + i;
-    size_t w = (size_t)l->size;
+    size_t w = (size_t)l->w, h = (size_t)l->h;
     int n = 0;
-    for (size_t y = MARGIN; y + MARGIN < w; y++) {
+    for (size_t y = MARGIN; y + MARGIN < h; y++) {
         for (size_t x = MARGIN; x + MARGIN < w; x++) {
             size_t k = y * w + x;
             if (px[k] > SNR * noise_variance(c, i, l->light[k]) && is_peak(px, w, k))
@@ -316,8 +339,8 @@ static void add_corner(struct corner_view *c, int i, const float *px, int at)
 {
     const struct corner_level *l = c->level + i;
     const float *p = px + at;
-    float x = (float)(at % l->size) + parabola_vertex(p[-1], p[0], p[1]);
-    float y = (float)(at / l->size) + parabola_vertex(p[-l->size], p[0], p[l->size]);
+    float x = (float)(at % l->w) + parabola_vertex(p[-1], p[0], p[1]);
+    float y = (float)(at / l->w) + parabola_vertex(p[-l->w], p[0], p[l->w]);
     c->at[c->n++] = (struct corner){.u = (x + 0.5f) * l->scale,
                                     .v = (y + 0.5f) * l->scale,
                                     .strength = *p / noise_variance(c, i, l->light[at]),
@@ -332,14 +355,14 @@ static void find_corners(struct corner_view *c, int i, int want, float *scratch)
     int count[SPREAD * SPREAD] = {0}, left = want;
     int crowd = (3 * want / 2 + SPREAD * SPREAD - 1) / (SPREAD * SPREAD);
     eigenvalues(c, i, scratch);
-    struct peak *peak = (struct peak *)(scratch + (size_t)l->size * (size_t)l->size);
+    struct peak *peak = (struct peak *)(scratch + (size_t)l->w * (size_t)l->h);
     int n = find_peaks(c, i, scratch, peak);
     for (int turn = 0; turn < 2; turn++, crowd *= 3) {
         for (int k = 0; k < n && left > 0; k++) {
             if (peak[k].at < 0)
                 continue;
-            int x = peak[k].at % l->size * SPREAD / l->size;
-            int y = peak[k].at / l->size * SPREAD / l->size;
+            int x = peak[k].at % l->w * SPREAD / l->w;
+            int y = peak[k].at / l->w * SPREAD / l->h;
             if (count[y * SPREAD + x] >= crowd)
                 continue;
             count[y * SPREAD + x]++;
@@ -396,8 +419,8 @@ static void build_half(const struct corner_level *l, float u, float v, float *hi
     enum { DEPTH = DIRECTIONS + 2, WIDTH = (CELLS + 2) * DEPTH };
     float sum[(CELLS + 2) * WIDTH] = {0};
     struct lane column[LANES_MAX], row[LANES_MAX];
-    int n = l->size, columns = make_lanes(u / l->scale - 0.5f, CELL, n, column);
-    int rows = make_lanes(v / l->scale - 0.5f, CELL, n, row);
+    const int n = l->w, columns = make_lanes(u / l->scale - 0.5f, CELL, n, column);
+    const int rows = make_lanes(v / l->scale - 0.5f, CELL, l->h, row);
     for (int j = 0; j < rows; j++) {
         const struct lane *y = row + j;
         for (int i = 0; i < columns; i++) {
@@ -455,8 +478,9 @@ static void describe_corner(struct corner_view *c, int k)
 
 /* ---- the whole ---- */
 
-void corner_run(const uint8_t *rgb, int size, float *scratch, struct corner_view *out)
+void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out)
 {
+    const int size = num_max(out->level[0].w, out->level[0].h);
     static const float share[CORNER_FOUND] = {0.40f, 0.27f, 0.19f, 0.14f};
     out->n = 0;
     make_grey(rgb, out->level);

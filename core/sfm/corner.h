@@ -18,10 +18,10 @@ enum {
 
 /* One size of a view. Pixel (i, j) of the level lies at scale (i + 0.5, j + 0.5) px of the view. */
 struct corner_level {
-    int size;      // px
+    int w, h;      // px
     float scale;   // px of the view in a pixel of the level
-    float *light;  // (size, size) logarithm of the grey value, 0..1, smoothed
-    float *weight; // (size, size) 0 black or saturated .. 1
+    float *light;  // (h, w) logarithm of the grey value, 0..1, smoothed
+    float *weight; // (h, w) 0 black or saturated .. 1
 };
 
 struct corner {
@@ -40,17 +40,17 @@ struct corner_view {
     int32_t *square;    // (corner_cap) sum of the squares of a descriptor
 };
 
-/* Most corners of a view of `size` px. */
+/* Most corners of a view whose longest edge is `size` px. */
 int corner_cap(int size);
 
-/* Memory of a view.
+/* Memory of a view of w x h px.
  * err:  ERR_NOMEM. */
-MUST_USE err_t corner_alloc(struct arena *keep, int size, struct corner_view *out);
+MUST_USE err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view *out);
 
-/* Scratch of corner_run: floats. */
-size_t corner_scratch(int size);
+/* Scratch of corner_run for a view of so many pixels: floats. */
+size_t corner_scratch(size_t pixels);
 
-/* Pyramid, corners and descriptors. rgb: (size, size, 3). scratch: (corner_scratch). */
-void corner_run(const uint8_t *rgb, int size, float *scratch, struct corner_view *out);
+/* Pyramid, corners and descriptors. rgb: (h, w, 3). scratch: (corner_scratch). */
+void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out);
 
 #endif

@@ -72,12 +72,10 @@ static int couple_of(int n, int a, int b)
 static err_t prepare_view(void *ctx, int i, int worker)
 {
     struct matcher *m = ctx;
-    size_t size = (size_t)m->p.size;
     err_t e = run_check(m->r, "matching");
     if (e)
         return e;
-    corner_run(m->v->rgb + (size_t)i * size * size * 3, m->p.size, m->rooms[worker].picture,
-               m->p.view + i);
+    corner_run(views_rgb(m->v, i), m->rooms[worker].picture, m->p.view + i);
     pair_prepare(&m->p, i);
     return OK;
 }
@@ -384,9 +382,9 @@ static bool adds_coverage(const struct matcher *m, const struct track *t, int cr
     for (int turn = 0; turn < 2; turn++) {
         for (int k = t->at; k < t->at + t->n; k++) {
             const struct match_seen *s = m->seen + k;
-            float cell = SPREAD / (float)m->v->size;
-            int x = num_min((int)fmaxf(s->u * cell, 0), SPREAD - 1);
-            int y = num_min((int)fmaxf(s->v * cell, 0), SPREAD - 1);
+            const struct extent *px = &m->v->extent[s->view];
+            int x = num_min((int)fmaxf(s->u * (SPREAD / (float)px->w), 0), SPREAD - 1);
+            int y = num_min((int)fmaxf(s->v * (SPREAD / (float)px->h), 0), SPREAD - 1);
             uint16_t *here = count + (s->view * SPREAD + y) * SPREAD + x;
             room = room || *here < crowd;
             *here = (uint16_t)(*here + turn);
@@ -441,10 +439,11 @@ static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
 
 static err_t layout_rooms(struct matcher *m, struct arena *tmp, int threads)
 {
+    const size_t most = extent_cover(m->v->extent, m->v->n).at;
     err_t e = arena_alloc(tmp, (size_t)threads, sizeof *m->rooms, &m->rooms);
     for (int i = 0; i < threads && !e; i++) {
         struct room w;
-        e = arena_alloc(tmp, corner_scratch(m->p.size), sizeof *w.picture, &w.picture);
+        e = arena_alloc(tmp, corner_scratch(most), sizeof *w.picture, &w.picture);
         if (!e)
             e = pair_workspace_init(tmp, &m->p, &w.pair);
         if (!e && !tmp->counts)
@@ -478,35 +477,35 @@ static err_t layout_pairs(struct matcher *m, struct arena *tmp)
     return e ? e : arena_alloc(tmp, nodes, sizeof *m->seen, &m->seen);
 }
 
-static err_t layout(struct matcher *m, struct arena *tmp, const int views[2], int threads)
+static err_t layout(struct matcher *m, struct arena *tmp, int threads)
 {
-    m->cap = corner_cap(views[1]);
-    m->n_couples = views[0] * (views[0] - 1) / 2;
-    err_t e = pair_views_init(tmp, views[0], views[1], &m->p);
+    m->cap = corner_cap(m->v->size);
+    m->n_couples = m->v->n * (m->v->n - 1) / 2;
+    err_t e = pair_views_init(tmp, m->v, &m->p);
     if (!e)
         e = layout_rooms(m, tmp, threads);
     return e ? e : layout_pairs(m, tmp);
 }
 
-void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out)
+void match_plan(struct plan *p, const struct views *v, struct match_tracks *out)
 {
-    const struct correspondence prior = {.grid = size / CORRESPONDENCE_PATCH + 1};
-    struct matcher m = {.p = {.prior = &prior}};
+    const struct correspondence prior = {.grid = v->size / CORRESPONDENCE_PATCH + 1};
+    struct matcher m = {.v = v, .p = {.prior = &prior}};
     const size_t mark = arena_mark(&p->tmp);
     struct edge *edge;
     uint16_t *count;
-    err_t e = layout(&m, &p->tmp, (int[2]){n_views, size}, p->threads);
+    err_t e = layout(&m, &p->tmp, p->threads);
     const size_t level = arena_mark(&p->tmp);
     if (!e)
         e = layout_edges(&edge, &p->tmp, &m);
     arena_reset(&p->tmp, level);
     if (!e)
-        e = layout_count(&count, &p->tmp, n_views);
+        e = layout_count(&count, &p->tmp, v->n);
     if (!e)
-        e = layout_tracks(out, &p->keep, n_views, size);
+        e = layout_tracks(out, &p->keep, v->n, v->size);
     if (e)
         plan_refuse(p);
-    out->n = (int)seen_cap(n_views, size);
+    out->n = (int)seen_cap(v->n, v->size);
     out->n_tracks = num_min(out->n / 2, MATCH_TRACKS_MAX);
     arena_reset(&p->tmp, mark);
 }
@@ -514,7 +513,7 @@ void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out)
 /* Corners, pairs, tracks, refinement, choice. */
 static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 {
-    err_t e = layout(m, m->r->tmp, (int[2]){m->v->n, m->v->size}, pool_size(m->r->pool));
+    err_t e = layout(m, m->r->tmp, pool_size(m->r->pool));
     if (!e)
         e = pool_for(m->r->pool, m->v->n, prepare_view, m);
     if (!e)

@@ -12,7 +12,7 @@
 /* One point seen in one view. */
 struct match_seen {
     int track, view; // sorted by track, then view; a track has a view at most once
-    float u, v;      // px of v->size, pixel centres at + 0.5
+    float u, v;      // px of the view, pixel centres at + 0.5
     float sigma;     // px, expected error, > 0
 };
 
@@ -30,7 +30,8 @@ enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,
                          const struct correspondence *prior, struct match_tracks *out);
 
-/* Count what match_run takes. out: most tracks and sightings. */
-void match_plan(struct plan *p, int n_views, int size, struct match_tracks *out);
+/* Count what match_run takes; of v only n, size and extent are read. out: most tracks and
+ * sightings. */
+void match_plan(struct plan *p, const struct views *v, struct match_tracks *out);
 
 #endif

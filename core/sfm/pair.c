@@ -33,11 +33,11 @@ static size_t pitch_of(int cap)
     return (size_t)(cap + PANEL - 1) / PANEL * PANEL;
 }
 
-err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out)
+err_t pair_views_init(struct arena *tmp, const struct views *v, struct pair_views *out)
 {
-    size_t views = (size_t)n, cap = (size_t)corner_cap(size);
-    out->n = n;
-    out->size = size;
+    size_t views = (size_t)v->n, cap = (size_t)corner_cap(v->size);
+    out->n = v->n;
+    out->size = v->size;
     out->cap = (int)cap;
     err_t e = arena_alloc(tmp, views, sizeof *out->view, &out->view);
     if (!e)
@@ -47,7 +47,7 @@ err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out
     for (size_t i = 0; i < views && !e; i++) {
         struct corner_view view;
         int8_t *panels;
-        e = corner_alloc(tmp, size, &view);
+        e = corner_alloc(tmp, v->extent[i].w, v->extent[i].h, &view);
         if (!e)
             e = arena_alloc(tmp, pitch_of(out->cap), CORNER_DESCRIPTOR, &panels);
         if (!e && !tmp->counts) {
@@ -82,11 +82,13 @@ err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct 
 
 /* ---- views ---- */
 
-static int token_of(const struct pair_views *m, const struct corner *c)
+/* The network saw the view squeezed to a square. */
+static int token_of(const struct pair_views *m, int view, const struct corner *c)
 {
+    const struct corner_level *whole = m->view[view].level;
     int g = m->prior->grid;
-    int x = num_min((int)(c->u * (float)g / (float)m->size), g - 1);
-    int y = num_min((int)(c->v * (float)g / (float)m->size), g - 1);
+    int x = num_min((int)(c->u * (float)g / (float)whole->w), g - 1);
+    int y = num_min((int)(c->v * (float)g / (float)whole->h), g - 1);
     return y * g + x;
 }
 
@@ -99,7 +101,7 @@ void pair_prepare(const struct pair_views *m, int i)
         for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
             memcpy(to + q * PANEL, c->descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
         if (m->prior)
-            m->token[i * m->cap + k] = token_of(m, c->at + k);
+            m->token[i * m->cap + k] = token_of(m, i, c->at + k);
     }
 }
 

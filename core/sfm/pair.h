@@ -28,7 +28,7 @@ struct pair {
 struct pair_views {
     const struct kernels *k;
     const struct correspondence *prior; // NULL: none
-    int n, size, cap;                   // cap: corner_cap
+    int n, size, cap;                   // views; px, longest edge; corner_cap
     struct corner_view *view;           // (n)
     int8_t **panels;                    // (n) descriptors packed for gemm_s8
     int *token;                         // (n, cap) patch of the network that a corner lies in
@@ -47,9 +47,10 @@ struct pair_workspace {
     uint8_t *expected;            // (grid^2) whether the network's attention is on this token
 };
 
-/* Memory of n views, and of a worker. out->k and out->prior are the caller's.
+/* Memory of the views, of which n, size and extent are read, and of a worker. out->k and out->prior
+ * are the caller's.
  * err:  ERR_NOMEM. */
-MUST_USE err_t pair_views_init(struct arena *tmp, int n, int size, struct pair_views *out);
+MUST_USE err_t pair_views_init(struct arena *tmp, const struct views *v, struct pair_views *out);
 MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v,
                                    struct pair_workspace *w);
 

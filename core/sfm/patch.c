@@ -28,8 +28,8 @@ static float sample_bilinear(const float *px, int n, float x, float y)
 
 static bool is_inside(const struct corner_level *l, float x, float y, float margin)
 {
-    float last = (float)(l->size - 1) - margin;
-    return x >= margin && y >= margin && x < last && y < last;
+    return x >= margin && y >= margin && x < (float)(l->w - 1) - margin &&
+           y < (float)(l->h - 1) - margin;
 }
 
 /* To mean 0 and variance 1 under `weight`; returns the deviation. */
@@ -95,13 +95,13 @@ bool patch_make(const struct corner_level *l, float u, float v, struct patch *ou
         float dx = (float)(k % PATCH_EDGE - PATCH_REACH);
         float dy = (float)(k / PATCH_EDGE - PATCH_REACH);
         float x = u - 0.5f + dx, y = v - 0.5f + dy;
-        out->light[k] = sample_bilinear(l->light, l->size, x, y);
-        out->weight[k] = sample_bilinear(l->weight, l->size, x, y) *
+        out->light[k] = sample_bilinear(l->light, l->w, x, y);
+        out->weight[k] = sample_bilinear(l->weight, l->w, x, y) *
                          expf(-0.5f * (dx * dx + dy * dy) / (WIDTH * WIDTH));
-        gradient[k][0] = 0.5f * (sample_bilinear(l->light, l->size, x + 1, y) -
-                                 sample_bilinear(l->light, l->size, x - 1, y));
-        gradient[k][1] = 0.5f * (sample_bilinear(l->light, l->size, x, y + 1) -
-                                 sample_bilinear(l->light, l->size, x, y - 1));
+        gradient[k][0] = 0.5f * (sample_bilinear(l->light, l->w, x + 1, y) -
+                                 sample_bilinear(l->light, l->w, x - 1, y));
+        gradient[k][1] = 0.5f * (sample_bilinear(l->light, l->w, x, y + 1) -
+                                 sample_bilinear(l->light, l->w, x, y - 1));
         sum += out->weight[k];
     }
     if (sum < 0.2f * PATCH_AREA)
@@ -127,7 +127,7 @@ static bool compare_patch(const struct patch *p, const struct corner_level *l,
         float y = at->v - 0.5f + at->m[2] * dx + at->m[3] * dy;
         if (!is_inside(l, x, y, 0))
             return false;
-        diff[k] = sample_bilinear(l->light, l->size, x, y);
+        diff[k] = sample_bilinear(l->light, l->w, x, y);
     }
     if (standardise(p->weight, diff) < CONTRAST_MIN)
         return false;

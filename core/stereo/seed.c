@@ -57,10 +57,11 @@ struct seed {
     struct frame *frame;                  // (n)
     int *order;                           // (n) views, best first
     float *score;                         // (n)
-    uint8_t *mark;                        // (n, size, size)
-    float *levels; // (2, 4/3 size^2 + ...) inverse depth times weight, weight: pyramid of one view
-    float *rho;    // (size, size) of the view in work
-    uint32_t *sum; // (blocks + 1, blocks + 1, BINS) sure pixels above, to the left and up to a bin
+    uint8_t *mark;                        // (maps)
+    float *levels; // (2, 4/3 h w + ...) inverse depth times weight, weight: pyramid of one view
+    float *rho;    // (h, w) of the view in work
+    uint32_t
+        *sum; // (blocks down + 1, across + 1, BINS) sure pixels above, to the left and up to a bin
 };
 
 /* A square of the map with the plane of inverse depth a (x - x0) + b (y - y0) + c through its
@@ -94,7 +95,8 @@ static void to_world(const struct frame *f, const float *v, float *out)
 }
 
 /* Pixel of the map and depth; false behind the camera or outside. */
-static bool project_to_map(const struct frame *f, const float *x, int size, float *out)
+static bool project_to_map(const struct frame *f, const float *x, const struct extent *map,
+                           float *out)
 {
     float p[3];
     for (int i = 0; i < 3; i++)
@@ -104,22 +106,22 @@ static bool project_to_map(const struct frame *f, const float *x, int size, floa
     out[0] = f->f[0] * p[0] / p[2] + f->c[0];
     out[1] = f->f[1] * p[1] / p[2] + f->c[1];
     out[2] = p[2];
-    return out[0] >= 0.0f && out[1] >= 0.0f && out[0] < (float)size && out[1] < (float)size;
+    return out[0] >= 0.0f && out[1] >= 0.0f && out[0] < (float)map->w && out[1] < (float)map->h;
 }
 
 /* ---- pictures ---- */
 
 static const uint8_t *pixel_at(const struct seed *s, int view, int x, int y)
 {
-    size_t size = (size_t)s->in->views->size;
-    return s->in->views->rgb + 3 * (((size_t)view * size + (size_t)y) * size + (size_t)x);
+    const struct views *v = s->in->views;
+    return views_rgb(v, view) + 3 * ((size_t)y * (size_t)v->extent[view].w + (size_t)x);
 }
 
 /* Range of picture pixels under [at - side / 2, at + side / 2] of the map: first, step and count.
- * */
-static void sample_range(const struct seed *s, float at, float side, int *range)
+ * size: px of the picture on this axis. */
+static void sample_range(const struct seed *s, float at, float side, int size, int *range)
 {
-    const int scale = s->in->depth->scale, size = s->in->views->size;
+    const int scale = s->in->depth->scale;
     int n = (int)(side * (float)scale + 0.5f);
     n = n < 1 ? 1 : n;
     range[1] = (n + SAMPLES - 1) / SAMPLES;
@@ -134,8 +136,8 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
                        float (*sum)[2])
 {
     int rx[3], ry[3];
-    sample_range(s, at[0], side, rx);
-    sample_range(s, at[1], side, ry);
+    sample_range(s, at[0], side, s->in->views->extent[view].w, rx);
+    sample_range(s, at[1], side, s->in->views->extent[view].h, ry);
     float value[3] = {0}, weight[3] = {0};
     for (int i = 0; i < rx[2] * ry[2]; i++) {
         const uint8_t *p = pixel_at(s, view, rx[0] + i % rx[2] * rx[1], ry[0] + i / rx[2] * ry[1]);
@@ -181,13 +183,14 @@ static float block_contrast(const struct seed *s, int view, const float *at, flo
 static void mark_all_views(struct seed *s, const struct patch *p, const float *x, float width,
                            float (*sum)[2])
 {
-    const int w = s->in->depth->size;
     for (int j = 0; j < s->in->views->n; j++) {
+        const struct extent *map = &s->in->depth->extent[j];
+        const int w = map->w, h = map->h;
         float at[3];
-        if (!project_to_map(&s->frame[j], x, w, at))
+        if (!project_to_map(&s->frame[j], x, map, at))
             continue;
         const float side = width * s->frame[j].f[0] / at[2];
-        const size_t plane = (size_t)j * (size_t)w * (size_t)w;
+        const size_t plane = map->at;
         const size_t middle = plane + (size_t)at[1] * (size_t)w + (size_t)at[0];
         const float *depth = s->in->depth->depth, *conf = s->in->depth->conf;
         if (j != p->view && fabsf(depth[middle] - at[2]) < SWEEP_SAME_SURFACE * at[2] &&
@@ -199,7 +202,7 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
         int y0 = (int)(at[1] - 0.5f * side + 0.5f), y1 = (int)(at[1] + 0.5f * side + 0.5f);
         x0 = x0 < 0 ? 0 : x0;
         y0 = y0 < 0 ? 0 : y0;
-        for (int v = y0; v < (y1 < w ? y1 : w); v++) {
+        for (int v = y0; v < (y1 < h ? y1 : h); v++) {
             for (int u = x0; u < (x1 < w ? x1 : w); u++) {
                 size_t k = plane + (size_t)v * (size_t)w + (size_t)u;
                 s->mark[k] |= fabsf(depth[k] - at[2]) < 2.0f * SWEEP_SAME_SURFACE * at[2]
@@ -215,12 +218,12 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
  * background. */
 static bool is_seen_through(const struct seed *s, int view, const float *at)
 {
-    const int w = s->in->depth->size;
+    const struct extent *map = &s->in->depth->extent[view];
     for (int i = 0; i < 9; i++) {
         int x = (int)at[0] + i % 3 - 1, y = (int)at[1] + i / 3 - 1;
-        if (x < 0 || y < 0 || x >= w || y >= w)
+        if (x < 0 || y < 0 || x >= map->w || y >= map->h)
             continue;
-        size_t k = ((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x;
+        size_t k = map->at + (size_t)y * (size_t)map->w + (size_t)x;
         if (s->in->depth->conf[k] < SWEEP_CONF_USABLE ||
             s->in->depth->depth[k] * (1.0f - 2.0f * SWEEP_SAME_SURFACE) < at[2])
             return false;
@@ -231,13 +234,13 @@ static bool is_seen_through(const struct seed *s, int view, const float *at)
 /* Number of views that see a surface at x less those that see through it. */
 static int count_support(const struct seed *s, int own, const float *x)
 {
-    const int w = s->in->depth->size;
     int sum = 0;
     for (int j = 0; j < s->in->views->n; j++) {
+        const struct extent *map = &s->in->depth->extent[j];
         float at[3];
-        if (j == own || !project_to_map(&s->frame[j], x, w, at))
+        if (j == own || !project_to_map(&s->frame[j], x, map, at))
             continue;
-        size_t k = ((size_t)j * (size_t)w + (size_t)at[1]) * (size_t)w + (size_t)at[0];
+        size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
         float depth = s->in->depth->depth[k], conf = s->in->depth->conf[k];
         if (conf >= SWEEP_CONF_USABLE && fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
             sum++;
@@ -347,7 +350,7 @@ static void emit_splat(struct seed *s, struct patch *p)
  * returns: the largest distance from it, relative. */
 static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch *p)
 {
-    const int w = s->in->depth->size;
+    const int w = s->in->depth->extent[p->view].w;
     float sum = 0.0f, sx = 0.0f, sy = 0.0f, half = 0.5f * (float)(n - 1), norm = 0.0f, off = 0.0f;
     for (int i = 0; i < n * n; i++) {
         float v = s->rho[(y0 + i / n) * w + x0 + i % n], dx = (float)(i % n) - half,
@@ -372,13 +375,13 @@ static float fit_plane(const struct seed *s, int x0, int y0, int n, struct patch
 /* A single pixel takes its slope from the 3 x 3 pixels around it if they are one surface. */
 static void pixel_plane(const struct seed *s, int x, int y, struct patch *p)
 {
-    const int w = s->in->depth->size;
-    struct patch around;
+    const int w = s->in->depth->extent[p->view].w, h = s->in->depth->extent[p->view].h;
+    struct patch around = {.view = p->view};
     p->a = p->b = 0.0f;
     p->c = s->rho[y * w + x];
-    if (w < 3)
+    if (w < 3 || h < 3)
         return;
-    int x0 = x < 1 ? 0 : x > w - 2 ? w - 3 : x - 1, y0 = y < 1 ? 0 : y > w - 2 ? w - 3 : y - 1;
+    int x0 = x < 1 ? 0 : x > w - 2 ? w - 3 : x - 1, y0 = y < 1 ? 0 : y > h - 2 ? h - 3 : y - 1;
     if (fit_plane(s, x0, y0, 3, &around) > 2.0f * FLAT)
         return;
     p->a = around.a;
@@ -410,8 +413,8 @@ static void seed_pixel(struct seed *s, int view, int x, int y, bool sure)
 
 static bool needs_splat(const struct seed *s, int view, int x, int y, bool sure)
 {
-    const int w = s->in->depth->size;
-    size_t k = ((size_t)view * (size_t)w + (size_t)y) * (size_t)w + (size_t)x;
+    const struct extent *map = &s->in->depth->extent[view];
+    size_t k = map->at + (size_t)y * (size_t)map->w + (size_t)x;
     if (sure)
         return s->in->depth->conf[k] >= SWEEP_CONF_USABLE && !(s->mark[k] & EXPLAINED);
     return !(s->mark[k] & COVERED);
@@ -420,11 +423,11 @@ static bool needs_splat(const struct seed *s, int view, int x, int y, bool sure)
 /* Seed one block: one splat if half of it needs one and all of it is flat, else its quarters. */
 static void seed_block(struct seed *s, int view, const int *corner, int n, bool sure)
 {
-    const int w = s->in->depth->size;
+    const struct extent *map = &s->in->depth->extent[view];
     int inside = 0, count = 0;
     for (int i = 0; i < n * n; i++) {
         int x = corner[0] + i % n, y = corner[1] + i / n;
-        if (x < w && y < w) {
+        if (x < map->w && y < map->h) {
             inside++;
             count += needs_splat(s, view, x, y, sure);
         }
@@ -463,56 +466,68 @@ static int blocks_across(int w)
     return (w + BLOCK - 1) / BLOCK;
 }
 
+/* Level of the pyramid of one view. */
+struct level {
+    int w, h;
+    float *px; // (h, w, 2) sum of inverse depth times weight, sum of weights
+};
+
+/* Pixel of the next level that pixel i is part of. */
+static int parent_of(const struct level *l, int i)
+{
+    return i / l->w / 2 * l[1].w + i % l->w / 2;
+}
+
 /* Inverse depth of the view in s->rho: kept where confident, else filled from coarser levels. */
 static void smooth_depth(struct seed *s, int view)
 {
-    const int w = s->in->depth->size;
-    const size_t base = (size_t)view * (size_t)w * (size_t)w;
-    float *level[LEVELS_MAX];
-    int side[LEVELS_MAX], n = 1;
-    level[0] = s->levels;
-    side[0] = w;
-    for (int i = 0; i < w * w; i++) {
-        float conf = s->in->depth->conf[base + (size_t)i], c = conf * conf + 1e-4f;
-        level[0][2 * i] = c / s->in->depth->depth[base + (size_t)i];
-        level[0][2 * i + 1] = c;
+    const struct extent *map = &s->in->depth->extent[view];
+    struct level level[LEVELS_MAX] = {{map->w, map->h, s->levels}};
+    int n = 1;
+    for (int i = 0; i < map->w * map->h; i++) {
+        float conf = s->in->depth->conf[map->at + (size_t)i], c = conf * conf + 1e-4f;
+        level[0].px[2 * i] = c / s->in->depth->depth[map->at + (size_t)i];
+        level[0].px[2 * i + 1] = c;
     }
-    for (; n < LEVELS_MAX && side[n - 1] > 1; n++) {
-        side[n] = (side[n - 1] + 1) / 2;
-        level[n] = level[n - 1] + 2 * side[n - 1] * side[n - 1];
-        memset(level[n], 0, 2 * (size_t)side[n] * (size_t)side[n] * sizeof(float));
-        for (int i = 0; i < side[n - 1] * side[n - 1]; i++) {
-            int up = i / side[n - 1] / 2 * side[n] + i % side[n - 1] / 2;
-            level[n][2 * up] += level[n - 1][2 * i];
-            level[n][2 * up + 1] += level[n - 1][2 * i + 1];
+    for (; n < LEVELS_MAX && (level[n - 1].w > 1 || level[n - 1].h > 1); n++) {
+        const struct level *fine = &level[n - 1];
+        level[n] =
+            (struct level){(fine->w + 1) / 2, (fine->h + 1) / 2, fine->px + 2 * fine->w * fine->h};
+        memset(level[n].px, 0, 2 * (size_t)level[n].w * (size_t)level[n].h * sizeof(float));
+        for (int i = 0; i < fine->w * fine->h; i++) {
+            float *up = level[n].px + 2 * parent_of(fine, i);
+            up[0] += fine->px[2 * i];
+            up[1] += fine->px[2 * i + 1];
         }
     }
     for (n--; n > 0; n--) {
-        for (int i = 0; i < side[n - 1] * side[n - 1]; i++) {
-            int up = i / side[n - 1] / 2 * side[n] + i % side[n - 1] / 2;
-            float pulled = level[n][2 * up] / level[n][2 * up + 1], c = level[n - 1][2 * i + 1];
+        const struct level *fine = &level[n - 1];
+        for (int i = 0; i < fine->w * fine->h; i++) {
+            const float *up = level[n].px + 2 * parent_of(fine, i);
+            float pulled = up[0] / up[1], c = fine->px[2 * i + 1];
             float lack = c < 0.1f ? 0.1f - c : 0.0f;
-            level[n - 1][2 * i] += lack * pulled;
-            level[n - 1][2 * i + 1] += lack;
+            fine->px[2 * i] += lack * pulled;
+            fine->px[2 * i + 1] += lack;
         }
     }
-    for (int i = 0; i < w * w; i++)
-        s->rho[i] = level[0][2 * i] / level[0][2 * i + 1];
+    for (int i = 0; i < map->w * map->h; i++)
+        s->rho[i] = level[0].px[2 * i] / level[0].px[2 * i + 1];
 }
 
 /* Summed-area table of the usable pixels of a view over the blocks, per bin (lo + k step). */
 static void sum_sure(struct seed *s, int view, float lo, float step)
 {
-    const int w = s->in->depth->size, n = blocks_across(w), row = (n + 1) * BINS;
-    const float *conf = s->in->depth->conf + (size_t)view * (size_t)w * (size_t)w;
-    memset(s->sum, 0, (size_t)row * (size_t)(n + 1) * sizeof *s->sum);
-    for (int i = 0; i < w * w; i++) {
+    const struct extent *map = &s->in->depth->extent[view];
+    const int w = map->w, n = blocks_across(w), down = blocks_across(map->h), row = (n + 1) * BINS;
+    const float *conf = s->in->depth->conf + map->at;
+    memset(s->sum, 0, (size_t)row * (size_t)(down + 1) * sizeof *s->sum);
+    for (int i = 0; i < w * map->h; i++) {
         float bin = step > 0.0f ? (s->rho[i] - lo) / step + 0.5f : 0.0f;
         int b = (int)fminf(fmaxf(bin, 0.0f), (float)(BINS - 1));
         if (conf[i] >= SWEEP_CONF_USABLE)
             s->sum[(i / w / BLOCK + 1) * row + (i % w / BLOCK + 1) * BINS + b]++;
     }
-    for (int k = 0; k < n * n; k++) {
+    for (int k = 0; k < n * down; k++) {
         uint32_t *here = s->sum + (k / n + 1) * row + (k % n + 1) * BINS, upto = 0;
         for (int b = 0; b < BINS; b++) {
             upto += here[b];
@@ -523,19 +538,19 @@ static void sum_sure(struct seed *s, int view, float lo, float step)
 
 /* Bin of the farthest usable surfaces in the smallest square of blocks around block x, y that has
  * enough of them. */
-static int farthest_bin(const struct seed *s, int x, int y)
+static int farthest_bin(const struct seed *s, const struct extent *map, int x, int y)
 {
-    const int w = s->in->depth->size, n = blocks_across(w), row = (n + 1) * BINS;
+    const int n = blocks_across(map->w), down = blocks_across(map->h), row = (n + 1) * BINS;
     for (int r = 1;; r *= 2) {
         int x0 = x < r ? 0 : x - r, x1 = x + r < n ? x + r + 1 : n;
-        int y0 = y < r ? 0 : y - r, y1 = y + r < n ? y + r + 1 : n, b = 0;
+        int y0 = y < r ? 0 : y - r, y1 = y + r < down ? y + r + 1 : down, b = 0;
         const uint32_t *low = s->sum + y0 * row, *high = s->sum + y1 * row;
         uint32_t count[BINS];
         for (int k = 0; k < BINS; k++)
             count[k] =
                 high[x1 * BINS + k] - high[x0 * BINS + k] - low[x1 * BINS + k] + low[x0 * BINS + k];
         const float all = (float)count[BINS - 1];
-        if (all < AROUND * (float)((x1 - x0) * (y1 - y0) * BLOCK * BLOCK) && r < n)
+        if (all < AROUND * (float)((x1 - x0) * (y1 - y0) * BLOCK * BLOCK) && (r < n || r < down))
             continue;
         while (b < BINS - 1 && (float)count[b] <= FARTHEST * all)
             b++;
@@ -547,10 +562,11 @@ static int farthest_bin(const struct seed *s, int x, int y)
  * views see through the pixels left over there. Reuses s->levels. */
 static void limit_nearness(struct seed *s, int view)
 {
-    const int w = s->in->depth->size;
-    const float *conf = s->in->depth->conf + (size_t)view * (size_t)w * (size_t)w;
+    const struct extent *map = &s->in->depth->extent[view];
+    const int w = map->w, across = blocks_across(w);
+    const float *conf = s->in->depth->conf + map->at;
     size_t n = 0;
-    for (int i = 0; i < w * w; i++) {
+    for (int i = 0; i < w * map->h; i++) {
         if (conf[i] >= SWEEP_CONF_USABLE)
             s->levels[n++] = s->rho[i];
     }
@@ -560,12 +576,12 @@ static void limit_nearness(struct seed *s, int view)
                 hi = num_sorted_quantile(s->levels, n, 0.99f);
     const float step = (hi - lo) / (BINS - 1);
     sum_sure(s, view, lo, step);
-    for (int k = 0; k < blocks_across(w) * blocks_across(w); k++) {
-        const int x0 = k % blocks_across(w) * BLOCK, y0 = k / blocks_across(w) * BLOCK;
-        const float far = lo + step * (float)farthest_bin(s, x0 / BLOCK, y0 / BLOCK);
+    for (int k = 0; k < across * blocks_across(map->h); k++) {
+        const int x0 = k % across * BLOCK, y0 = k / across * BLOCK;
+        const float far = lo + step * (float)farthest_bin(s, map, x0 / BLOCK, y0 / BLOCK);
         for (int i = 0; i < BLOCK * BLOCK; i++) {
             int x = x0 + i % BLOCK, y = y0 + i / BLOCK;
-            if (x < w && y < w)
+            if (x < w && y < map->h)
                 s->rho[y * w + x] = fminf(s->rho[y * w + x], far);
         }
     }
@@ -576,10 +592,11 @@ static void limit_nearness(struct seed *s, int view)
 /* Sum of confidence times reliability of the green pixels of a view. */
 static float view_score(const struct seed *s, int view)
 {
-    const int w = s->in->depth->size, scale = s->in->depth->scale;
+    const struct extent *map = &s->in->depth->extent[view];
+    const int w = map->w, scale = s->in->depth->scale;
     float sum = 0.0f;
-    for (int i = 0; i < w * w; i++)
-        sum += s->in->depth->conf[(size_t)view * (size_t)w * (size_t)w + (size_t)i] *
+    for (int i = 0; i < w * map->h; i++)
+        sum += s->in->depth->conf[map->at + (size_t)i] *
                s->weight[1][pixel_at(s, view, i % w * scale, i / w * scale)[1]];
     return sum;
 }
@@ -598,18 +615,20 @@ static void sort_views(struct seed *s)
 /* All splats at the present loss of detail; s->full if they are too many. */
 static err_t seed_all(struct seed *s)
 {
-    const int w = s->in->depth->size, n = s->in->views->n;
+    const struct extent *maps = s->in->depth->extent;
+    const int n = s->in->views->n;
     s->out->n = 0;
     s->full = false;
-    memset(s->mark, FREE, (size_t)n * (size_t)w * (size_t)w);
+    memset(s->mark, FREE, extent_total(maps, n));
     for (int i = 0; i < 2 * n && !s->full; i++) {
         if (s->run->cancel && atomic_load(s->run->cancel))
             return err_fail(ERR_CANCELLED, "seed: cancelled");
         smooth_depth(s, s->order[i % n]);
         if (i >= n)
             limit_nearness(s, s->order[i % n]);
-        for (int y = 0; y < w; y += BLOCK) {
-            for (int x = 0; x < w; x += BLOCK)
+        const struct extent *map = &maps[s->order[i % n]];
+        for (int y = 0; y < map->h; y += BLOCK) {
+            for (int x = 0; x < map->w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
         }
         if (s->run->progress)
@@ -619,39 +638,48 @@ static err_t seed_all(struct seed *s)
     return OK;
 }
 
-static size_t levels_floats(size_t w)
+static size_t levels_floats(size_t w, size_t h)
 {
     size_t sum = 0;
-    for (int k = 0; k < LEVELS_MAX; k++, w = (w + 1) / 2)
-        sum += 2 * w * w;
+    for (int k = 0; k < LEVELS_MAX; k++, w = (w + 1) / 2, h = (h + 1) / 2)
+        sum += 2 * w * h;
     return sum;
 }
 
-static err_t layout(struct seed *s, struct arena *a, const struct depthmaps *d)
+/* Workspace of the maps that need most of each. */
+static err_t layout_work(struct seed *s, struct arena *a, const struct extent *maps, int n)
 {
-    const size_t n = (size_t)d->n, w = (size_t)d->size;
+    size_t levels = 0, pixels = 0, blocks = 0;
+    for (int i = 0; i < n; i++) {
+        const size_t across = (size_t)blocks_across(maps[i].w) + 1;
+        levels = num_max_size(levels, levels_floats((size_t)maps[i].w, (size_t)maps[i].h));
+        pixels = num_max_size(pixels, extent_pixels(&maps[i]));
+        blocks = num_max_size(blocks, across * ((size_t)blocks_across(maps[i].h) + 1));
+    }
+    err_t e = arena_alloc(a, levels, sizeof *s->levels, &s->levels);
+    if (!e)
+        e = arena_alloc(a, pixels, sizeof *s->rho, &s->rho);
+    return e ? e : arena_alloc(a, blocks * BINS, sizeof *s->sum, &s->sum);
+}
+
+static err_t layout(struct seed *s, struct arena *a, const struct extent *maps, int n_views)
+{
+    const size_t n = (size_t)n_views;
     err_t e = arena_alloc(a, n, sizeof *s->frame, &s->frame);
     if (!e)
         e = arena_alloc(a, n, sizeof *s->order, &s->order);
     if (!e)
         e = arena_alloc(a, n, sizeof *s->score, &s->score);
     if (!e)
-        e = arena_alloc(a, n * w * w, sizeof *s->mark, &s->mark);
-    if (!e)
-        e = arena_alloc(a, levels_floats(w), sizeof *s->levels, &s->levels);
-    if (!e)
-        e = arena_alloc(a, w * w, sizeof *s->rho, &s->rho);
-    const size_t side = (size_t)blocks_across((int)w) + 1;
-    if (!e)
-        e = arena_alloc(a, side * side * BINS, sizeof *s->sum, &s->sum);
-    return e;
+        e = arena_alloc(a, extent_total(maps, n_views), sizeof *s->mark, &s->mark);
+    return e ? e : layout_work(s, a, maps, n_views);
 }
 
-void seed_plan(struct plan *p, const struct depthmaps *d, int max, struct gaussians *out)
+void seed_plan(struct plan *p, const struct extent *maps, int n, int max, struct gaussians *out)
 {
     struct seed s = {0};
     const size_t mark = arena_mark(&p->tmp);
-    if (gaussians_init(out, &p->keep, max, 0) || layout(&s, &p->tmp, d))
+    if (gaussians_init(out, &p->keep, max, 0) || layout(&s, &p->tmp, maps, n))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
@@ -661,11 +689,16 @@ static err_t check_input(const struct seed_input *in, int max)
     const struct depthmaps *d = in->depth;
     if (max < 1 || max > GAUSSIANS_MAX)
         return err_fail(ERR_ARG, "seed: limit of %d splats, must be 1..%d", max, GAUSSIANS_MAX);
-    if (in->views->n < 1 || !in->views->cams || d->n != in->views->n || d->scale < 1 ||
-        d->size < 1 || d->size * d->scale > in->views->size)
+    bool fits = in->views->n > 0 && in->views->cams && d->n == in->views->n && d->scale > 0;
+    for (int i = 0; i < d->n && fits; i++)
+        fits = d->extent[i].w > 0 && d->extent[i].h > 0 &&
+               d->extent[i].w * d->scale <= in->views->extent[i].w &&
+               d->extent[i].h * d->scale <= in->views->extent[i].h;
+    if (!fits)
         return err_fail(ERR_ARG,
-                        "seed: %d views of %d px and %d depth maps of %d px do not belong together",
-                        in->views->n, in->views->size, d->n, d->size);
+                        "seed: %d views and %d depth maps at 1/%d of their size do not belong "
+                        "together",
+                        in->views->n, d->n, d->scale);
     return OK;
 }
 
@@ -692,7 +725,7 @@ err_t seed_run(const struct run *r, const struct seed_input *in, int max, struct
         return e;
     e = gaussians_init(out, r->keep, max, 0);
     if (!e)
-        e = layout(&s, r->tmp, in->depth);
+        e = layout(&s, r->tmp, in->depth->extent, in->depth->n);
     if (!e)
         prepare_views(&s);
     for (int i = 0; i < TRIES && !e; i++, s.loss *= 1.4f) {

@@ -22,8 +22,8 @@ struct seed_input {
 MUST_USE err_t seed_run(const struct run *r, const struct seed_input *in, int max,
                         struct gaussians *out);
 
-/* Count the memory of seed_run; of d only n, size and scale are read.
+/* Count the memory of seed_run. maps: (n) shapes of the depth maps.
  * out:  capacity of the splats. */
-void seed_plan(struct plan *p, const struct depthmaps *d, int max, struct gaussians *out);
+void seed_plan(struct plan *p, const struct extent *maps, int n, int max, struct gaussians *out);
 
 #endif

@@ -95,9 +95,9 @@ static void sweep_vertical(struct sgm *m, int dir)
             m->path[(size_t)p * path + (size_t)x] =
                 m->path[(size_t)(p + 1) * path - 1 - (size_t)x] = FAR_COST;
     }
-    for (int i = 0; i < w; i++) {
+    for (int i = 0; i < m->h; i++) {
         for (int p = 0; p < 3; p++)
-            path_down(m, dir > 0 ? i : w - 1 - i, i > 0 ? dir : 0, p);
+            path_down(m, dir > 0 ? i : m->h - 1 - i, i > 0 ? dir : 0, p);
     }
 }
 
@@ -148,13 +148,13 @@ static void sweep_row(struct sgm *m, int y)
     }
 }
 
-err_t sgm_init(struct sgm *m, struct arena *a, int width, int planes_max)
+err_t sgm_init(struct sgm *m, struct arena *a, int width, size_t pixels, int planes_max)
 {
     const size_t w = (size_t)width, planes = (size_t)planes_max;
     *m = (struct sgm){.w = width, .planes = planes_max};
-    err_t e = arena_alloc(a, w * w * planes, sizeof *m->cost, &m->cost);
+    err_t e = arena_alloc(a, pixels * planes, sizeof *m->cost, &m->cost);
     if (!e)
-        e = arena_alloc(a, w * w * planes, sizeof *m->total, &m->total);
+        e = arena_alloc(a, pixels * planes, sizeof *m->total, &m->total);
     if (!e)
         e = arena_alloc(a, 6 * (planes + 2) * (w + 2), sizeof *m->path, &m->path);
     if (!e)
@@ -165,9 +165,9 @@ err_t sgm_init(struct sgm *m, struct arena *a, int width, int planes_max)
 
 void sgm_run(struct sgm *m)
 {
-    memset(m->total, 0, (size_t)m->w * (size_t)m->w * (size_t)m->planes * sizeof *m->total);
+    memset(m->total, 0, (size_t)m->w * (size_t)m->h * (size_t)m->planes * sizeof *m->total);
     sweep_vertical(m, 1);
     sweep_vertical(m, -1);
-    for (int y = 0; y < m->w; y++)
+    for (int y = 0; y < m->h; y++)
         sweep_row(m, y);
 }

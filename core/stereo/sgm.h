@@ -5,10 +5,10 @@
 
 #include "core/base/types.h"
 
-/* Workspace. For a run with fewer pixels or planes than planned, set w and planes. */
+/* Workspace. For a run with fewer pixels or planes than planned, set w, h and planes. */
 struct sgm {
-    int w, planes;       // px of the square picture; planes
-    const float *light;  // (w, w, 2) log2 luminance and its reliability 0..1, for the edges
+    int w, h, planes;    // px of the picture; planes
+    const float *light;  // (h, w, 2) log2 luminance and its reliability 0..1, for the edges
     uint8_t *cost;       // (y, plane, x) matching cost, the caller's input
     int16_t *total;      // (y, plane, x) smoothed cost, the result
     int16_t *path;       // (2, 3, planes + 2, w + 2) rows of the paths that run down or up
@@ -16,8 +16,9 @@ struct sgm {
     int16_t *transposed; // (2, w, planes) a row with the planes innermost, and one path
 };
 
-/* err:  ERR_NOMEM. */
-MUST_USE err_t sgm_init(struct sgm *m, struct arena *a, int w, int planes);
+/* For pictures up to w px wide with up to `pixels` pixels.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t sgm_init(struct sgm *m, struct arena *a, int w, size_t pixels, int planes);
 
 /* Fill m->total from m->cost. */
 void sgm_run(struct sgm *m);

@@ -40,13 +40,13 @@ static const float FAINT_VAR = 0.002f; // stops^2: fainter windows match any oth
 
 /* Log2 luminance and its reliability, interleaved: both are sampled together. */
 struct light_map {
-    int size;
-    float *px; // (size, size, 2)
+    int w, h;
+    float *px; // (h, w, 2)
 };
 
 struct pose {
     double r[9], t[3], centre[3];
-    double f[2], c[2]; // as a share of the picture's side
+    double f[2], c[2]; // as a share of the picture's width and height
 };
 
 struct sweep {
@@ -59,8 +59,8 @@ struct sweep {
     struct light_map *light_map[2]; // (n) fine, coarse
     int (*near)[CHECK_MAX];         // (n) other views, best first
     int *n_near;                    // (n)
-    float *rho;                     // (n, size, size) inverse depth before the check
-    float *sure;                    // (n, size, size) 0..1, confidence of the sweep alone
+    float *rho;                     // (maps) inverse depth before the check
+    float *sure;                    // (maps) 0..1, confidence of the sweep alone
     float (*range)[2];              // (n) inverse depth of the first and last plane
     struct scratch *scratch;        // (workers)
     atomic_int done;                // views
@@ -80,7 +80,7 @@ struct scratch {
 struct task {
     struct sweep *s;
     struct scratch *m;
-    int i_view, level, w, planes, n_near;
+    int i_view, level, w, rows, planes, n_near; // rows of w px
     float rho0, step;
     double h[NEAR_MAX][12]; // to each neighbour: pixel, 1, rho -> pixel, homogeneous
 };
@@ -100,10 +100,12 @@ static void set_pose(const struct camera *c, struct pose *p)
     p->c[1] = (double)c->cy / c->h;
 }
 
-/* Rows of h: (u, v, 1, rho) of `a` -> homogeneous pixel of `b`; pictures of `size` px. */
-static void map_between(const struct pose *a, const struct pose *b, double size, double *h)
+/* Rows of h: (u, v, 1, rho) of `a` -> homogeneous pixel of `b`; size: width and height of the
+ * picture of a, then of b. */
+static void map_between(const struct pose *a, const struct pose *b, const double size[4], double *h)
 {
-    double fa[2] = {a->f[0] * size, a->f[1] * size}, ca[2] = {a->c[0] * size, a->c[1] * size};
+    double fa[2] = {a->f[0] * size[0], a->f[1] * size[1]};
+    double ca[2] = {a->c[0] * size[0], a->c[1] * size[1]};
     double m[12];
     for (int i = 0; i < 3; i++) {
         double r[3], t = b->t[i];
@@ -118,11 +120,13 @@ static void map_between(const struct pose *a, const struct pose *b, double size,
         m[4 * i + 3] = t;
     }
     for (int j = 0; j < 4; j++) {
-        h[j] = size * (b->f[0] * m[j] + b->c[0] * m[8 + j]);
-        h[4 + j] = size * (b->f[1] * m[4 + j] + b->c[1] * m[8 + j]);
+        h[j] = size[2] * (b->f[0] * m[j] + b->c[0] * m[8 + j]);
+        h[4 + j] = size[3] * (b->f[1] * m[4 + j] + b->c[1] * m[8 + j]);
         h[8 + j] = m[8 + j];
     }
 }
+
+static const double UNIT[4] = {1, 1, 1, 1};
 
 /* Map a pixel at rho into the other picture; false if it is behind that camera. out[2]: depth there
  * times rho here. */
@@ -179,7 +183,7 @@ static void choose_near(struct sweep *s, int i)
         double h[12], seen = 0.0, d = pose_distance(a, &s->pose[j]);
         if (j == i || d <= 1e-4 * scale)
             continue;
-        map_between(a, &s->pose[j], 1.0, h);
+        map_between(a, &s->pose[j], UNIT, h);
         for (int k = 0; k < TRIES; k++)
             seen = fmax(seen, shared_view(h, candidate_rho(k, d)));
         if (seen < 0.25)
@@ -207,7 +211,7 @@ static void choose_range(struct sweep *s, int i)
         baseline += pose_distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
     for (int k = 0; k < n; k++) {
         double h[12];
-        map_between(&s->pose[i], &s->pose[s->near[i][k]], 1.0, h);
+        map_between(&s->pose[i], &s->pose[s->near[i][k]], UNIT, h);
         for (int t = 0; t < TRIES; t++)
             seen[t] += shared_view(h, candidate_rho(t, baseline));
     }
@@ -248,7 +252,7 @@ static int count_planes(const struct task *t, const float *range)
     double longest = 0.0;
     for (int k = 0; k < t->n_near; k++) {
         for (int i = 0; i < 9; i++) {
-            double way = path_px(t->h[k], t->w * (i % 3) / 2.0, t->w * (i / 3) / 2.0, range);
+            double way = path_px(t->h[k], t->w * (i % 3) / 2.0, t->rows * (i / 3) / 2.0, range);
             longest = fmax(longest, way);
         }
     }
@@ -257,14 +261,14 @@ static int count_planes(const struct task *t, const float *range)
 
 /* ---- pictures ---- */
 
-/* Log2 luminance and reliability of scale x scale pixels of a picture from their mean radiance. */
-static void mean_light(const struct sweep *s, const uint8_t *rgb, float shift, float *out)
+/* Log2 luminance and reliability of scale x scale pixels of a picture from their mean radiance.
+ * w: px, of the picture. */
+static void mean_light(const struct sweep *s, const uint8_t *rgb, int w, float shift, float *out)
 {
     const int scale = s->out->scale;
     float sum = 0.0f, known = 0.0f;
     for (int k = 0; k < scale * scale; k++) {
-        const uint8_t *p =
-            rgb + 3 * ((size_t)(k / scale) * (size_t)s->v->size + (size_t)(k % scale));
+        const uint8_t *p = rgb + 3 * ((size_t)(k / scale) * (size_t)w + (size_t)(k % scale));
         for (int c = 0; c < 3; c++) {
             sum += s->linear[c][p[c]];
             known += s->linear[c][p[c]] * s->table.weight[c][p[c]];
@@ -276,11 +280,11 @@ static void mean_light(const struct sweep *s, const uint8_t *rgb, float shift, f
 
 static void shrink_light_map(const struct light_map *fine, const struct light_map *coarse)
 {
-    for (int k = 0; k < coarse->size * coarse->size; k++) {
-        int x0 = k % coarse->size * COARSE, y0 = k / coarse->size * COARSE;
+    for (int k = 0; k < coarse->w * coarse->h; k++) {
+        int x0 = k % coarse->w * COARSE, y0 = k / coarse->w * COARSE;
         float value = 0.0f, known = 0.0f;
         for (int j = 0; j < COARSE * COARSE; j++) {
-            const float *px = fine->px + 2 * ((y0 + j / COARSE) * fine->size + x0 + j % COARSE);
+            const float *px = fine->px + 2 * ((y0 + j / COARSE) * fine->w + x0 + j % COARSE);
             value += px[0] * (px[1] + 1e-6f); // the plain mean if none is reliable
             known += px[1] + 1e-6f;
         }
@@ -293,12 +297,13 @@ static err_t make_light_map(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
     (void)worker;
-    const int w = s->out->size;
-    const size_t size = (size_t)s->v->size, scale = (size_t)s->out->scale;
+    const int w = s->out->extent[i].w, full = s->v->extent[i].w;
+    const size_t scale = (size_t)s->out->scale;
     const float shift = s->v->log2t[i] - s->v->mid_log2t;
-    for (int k = 0; k < w * w; k++) {
-        size_t at = ((size_t)i * size + (size_t)(k / w) * scale) * size + (size_t)(k % w) * scale;
-        mean_light(s, s->v->rgb + 3 * at, shift, s->light_map[0][i].px + 2 * (size_t)k);
+    for (int k = 0; k < w * s->out->extent[i].h; k++) {
+        size_t at = (size_t)(k / w) * scale * (size_t)full + (size_t)(k % w) * scale;
+        mean_light(s, views_rgb(s->v, i) + 3 * at, full, shift,
+                   s->light_map[0][i].px + 2 * (size_t)k);
     }
     shrink_light_map(&s->light_map[0][i], &s->light_map[1][i]);
     return OK;
@@ -306,10 +311,13 @@ static err_t make_light_map(void *ctx, int i, int worker)
 
 /* ---- matching cost ---- */
 
-/* Map one row of the view at rho into the neighbour, px; u is -1 outside its pixel centres. */
-static void place_row(const double *h, int y, int w, double rho, float *u, float *v)
+/* Map one row of w px at rho into the neighbour `to`, px; u is -1 outside its pixel centres. */
+static void place_row(const double *h, const struct light_map *to, const int y_w[2], double rho,
+                      float *u, float *v)
 {
-    const float du[3] = {(float)h[0], (float)h[4], (float)h[8]}, end = (float)w - 1.0f;
+    const float du[3] = {(float)h[0], (float)h[4], (float)h[8]};
+    const float right = (float)to->w - 1.0f, bottom = (float)to->h - 1.0f;
+    const int y = y_w[0], w = y_w[1];
     float base[3];
     for (int i = 0; i < 3; i++)
         base[i] =
@@ -318,7 +326,7 @@ static void place_row(const double *h, int y, int w, double rho, float *u, float
         float z = base[2] + du[2] * (float)x, inv = 1.0f / z;
         u[x] = (base[0] + du[0] * (float)x) * inv - 0.5f;
         v[x] = (base[1] + du[1] * (float)x) * inv - 0.5f;
-        bool in = (z > 1e-6f) & (u[x] >= 0.0f) & (v[x] >= 0.0f) & (u[x] < end) & (v[x] < end);
+        bool in = (z > 1e-6f) & (u[x] >= 0.0f) & (v[x] >= 0.0f) & (u[x] < right) & (v[x] < bottom);
         u[x] = in ? u[x] : -1.0f;
     }
 }
@@ -328,9 +336,9 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
 {
     const int w = t->w;
     const float *p = t->s->light_map[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
-    const float *other = t->s->light_map[t->level][t->s->near[t->i_view][k]].px;
+    const struct light_map *other = &t->s->light_map[t->level][t->s->near[t->i_view][k]];
     float *u = t->m->place, *v = u + w;
-    place_row(t->h[k], y, w, (double)rho, u, v);
+    place_row(t->h[k], other, (const int[2]){y, w}, (double)rho, u, v);
     for (int x = 0; x < w; x++) {
         if (u[x] < 0.0f) {
             row[x] = row[w + x] = row[2 * w + x] = 0.0f;
@@ -338,7 +346,8 @@ static void moment_row(const struct task *t, int k, int y, float rho, float *row
         }
         int iu = (int)u[x], iv = (int)v[x];
         float fu = u[x] - (float)iu, fv = v[x] - (float)iv;
-        const float *q = other + 2 * ((size_t)iv * (size_t)w + (size_t)iu), *below = q + 2 * w;
+        const float *q = other->px + 2 * ((size_t)iv * (size_t)other->w + (size_t)iu);
+        const float *below = q + 2 * other->w;
         float value = (q[0] + fu * (q[2] - q[0])) * (1.0f - fv) +
                       (below[0] + fu * (below[2] - below[0])) * fv;
         float known = (q[1] + fu * (q[3] - q[1])) * (1.0f - fv) +
@@ -400,7 +409,7 @@ static void move_window(const struct task *t, int k, int y, float rho)
         for (int x = 0; x < w; x++)
             c[x] -= ring[q * w + x];
     }
-    if (enter >= w) {
+    if (enter >= t->rows) {
         memset(ring, 0, (size_t)(SUMS * w) * sizeof *ring);
         return;
     }
@@ -418,7 +427,7 @@ static void cost_plane(const struct task *t, int d)
     const float rho = t->rho0 + t->step * (float)d;
     struct scratch *m = t->m;
     memset(m->column, 0, (size_t)(NEAR_MAX * SUMS * (w + 2 * RADIUS)) * sizeof(float));
-    for (int y = -RADIUS; y < w; y++) {
+    for (int y = -RADIUS; y < t->rows; y++) {
         for (int i = 0; i < kept * w; i++)
             m->best[i] = COST_TOP;
         for (int k = 0; k < t->n_near; k++) {
@@ -446,13 +455,13 @@ static void cost_plane(const struct task *t, int d)
 /* Half the inverse variance of the window around one pixel of a light_map, the noise included. */
 static float inverse_contrast(const struct light_map *p, int x, int y)
 {
-    const float centre = p->px[2 * (y * p->size + x)];
+    const float centre = p->px[2 * (y * p->w + x)];
     float weight = 1e-6f, sum = 0.0f, square = 0.0f;
     for (int k = 0; k < TAPS * TAPS; k++) {
         int u = x + k % TAPS - RADIUS, v = y + k / TAPS - RADIUS;
-        if (u < 0 || v < 0 || u >= p->size || v >= p->size)
+        if (u < 0 || v < 0 || u >= p->w || v >= p->h)
             continue;
-        const float *px = p->px + 2 * (v * p->size + u);
+        const float *px = p->px + 2 * (v * p->w + u);
         weight += px[1];
         sum += px[1] * (px[0] - centre);
         square += px[1] * (px[0] - centre) * (px[0] - centre);
@@ -468,7 +477,7 @@ static float inverse_contrast(const struct light_map *p, int x, int y)
 static void pick_planes(const struct task *t, float *rho, float *sure)
 {
     const int w = t->w, planes = t->planes;
-    for (int i = 0; i < w * w; i++) {
+    for (int i = 0; i < w * t->rows; i++) {
         size_t at = (size_t)(i / w) * (size_t)planes * (size_t)w + (size_t)(i % w);
         const int16_t *s = t->m->sgm.total + at;
         int best = 0;
@@ -493,18 +502,24 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     struct sweep *s = t->s;
     const float *range = s->range[t->i_view];
     t->level = level;
-    t->w = s->light_map[level][t->i_view].size;
+    t->w = s->light_map[level][t->i_view].w;
+    t->rows = s->light_map[level][t->i_view].h;
     t->n_near = num_min(s->n_near[t->i_view], NEAR_MAX);
-    for (int k = 0; k < t->n_near; k++)
-        map_between(&s->pose[t->i_view], &s->pose[s->near[t->i_view][k]], t->w, t->h[k]);
+    for (int k = 0; k < t->n_near; k++) {
+        const int j = s->near[t->i_view][k];
+        const struct light_map *other = &s->light_map[level][j];
+        map_between(&s->pose[t->i_view], &s->pose[j],
+                    (const double[4]){t->w, t->rows, other->w, other->h}, t->h[k]);
+    }
     t->planes = count_planes(t, range);
     t->rho0 = range[0];
     t->step = (range[1] - range[0]) / (float)(t->planes - 1);
-    for (int k = 0; k < t->w * t->w; k++)
+    for (int k = 0; k < t->w * t->rows; k++)
         t->m->contrast[k] = inverse_contrast(&s->light_map[level][t->i_view], k % t->w, k / t->w);
     for (int d = 0; d < t->planes; d++)
         cost_plane(t, d);
     t->m->sgm.w = t->w;
+    t->m->sgm.h = t->rows;
     t->m->sgm.planes = t->planes;
     t->m->sgm.light = s->light_map[level][t->i_view].px;
     sgm_run(&t->m->sgm);
@@ -518,7 +533,7 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
 static void narrow_range(const struct task *t, const float *rho, const float *sure)
 {
     int hist[PLANES_MAX] = {0}, total = 0, lo = 0, hi = t->planes - 1;
-    for (int i = 0; i < t->w * t->w; i++) {
+    for (int i = 0; i < t->w * t->rows; i++) {
         int d = (int)((rho[i] - t->rho0) / fmaxf(t->step, 1e-30f) + 0.5f);
         if (sure[i] > 0.4f && d >= 0 && d < t->planes) {
             hist[d]++;
@@ -539,8 +554,8 @@ static void narrow_range(const struct task *t, const float *rho, const float *su
 static err_t match_view(struct sweep *s, int i, int worker)
 {
     struct task t = {.s = s, .m = &s->scratch[worker], .i_view = i};
-    const size_t plane = (size_t)s->out->size * (size_t)s->out->size;
-    float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    const size_t plane = extent_pixels(&s->out->extent[i]), at = s->out->extent[i].at;
+    float *rho = s->rho + at, *sure = s->sure + at;
     choose_near(s, i);
     choose_range(s, i);
     if (s->range[i][1] <= s->range[i][0]) {
@@ -550,7 +565,7 @@ static err_t match_view(struct sweep *s, int i, int worker)
         }
         return OK;
     }
-    if (s->light_map[1][i].size >= 16) {
+    if (num_min(s->light_map[1][i].w, s->light_map[1][i].h) >= 16) {
         err_t e = sweep_level(&t, 1, rho, sure);
         if (e)
             return e;
@@ -579,22 +594,26 @@ static err_t confirm_view(void *ctx, int i, int worker)
 {
     struct sweep *s = ctx;
     (void)worker;
-    const int w = s->out->size, n = s->n_near[i];
-    const size_t plane = (size_t)w * (size_t)w;
-    const float *rho = s->rho + (size_t)i * plane, *sure = s->sure + (size_t)i * plane;
+    const struct extent *own = &s->out->extent[i];
+    const int w = own->w, n = s->n_near[i];
+    const float *rho = s->rho + own->at, *sure = s->sure + own->at;
     const float floor = 0.02f * s->range[i][1] + 1e-9f,
                 step = (s->range[i][1] - s->range[i][0]) / 64.0f;
     double h[CHECK_MAX][12];
-    for (int k = 0; k < n; k++)
-        map_between(&s->pose[i], &s->pose[s->near[i][k]], w, h[k]);
-    for (int at = 0; at < w * w; at++) {
+    for (int k = 0; k < n; k++) {
+        const struct extent *to = &s->out->extent[s->near[i][k]];
+        map_between(&s->pose[i], &s->pose[s->near[i][k]],
+                    (const double[4]){own->w, own->h, to->w, to->h}, h[k]);
+    }
+    for (int at = 0; at < w * own->h; at++) {
         float sum = rho[at] * (sure[at] + 0.05f), weight = sure[at] + 0.05f, votes = 0.0f;
         for (int k = 0; k < n; k++) {
+            const struct extent *to = &s->out->extent[s->near[i][k]];
             double p[3];
             if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 ||
-                p[1] < 0 || p[0] >= w || p[1] >= w)
+                p[1] < 0 || p[0] >= to->w || p[1] >= to->h)
                 continue;
-            size_t j = (size_t)s->near[i][k] * plane + (size_t)p[1] * (size_t)w + (size_t)p[0];
+            size_t j = to->at + (size_t)p[1] * (size_t)to->w + (size_t)p[0];
             float seen = s->rho[j] * (float)p[2];
             if (fabsf(seen - rho[at]) > fmaxf(step, 0.01f * rho[at]))
                 continue;
@@ -602,25 +621,29 @@ static err_t confirm_view(void *ctx, int i, int worker)
             weight += s->sure[j];
             votes += s->sure[j];
         }
-        s->out->depth[(size_t)i * plane + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
-        s->out->conf[(size_t)i * plane + (size_t)at] =
-            fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
+        s->out->depth[own->at + (size_t)at] = 1.0f / fmaxf(sum / weight, floor);
+        s->out->conf[own->at + (size_t)at] = fminf(votes / 2.0f, 1.0f) * (0.5f + 0.5f * sure[at]);
     }
     return OK;
 }
 
 /* ---- memory and entry ---- */
 
-static int work_scale(int size)
+int sweep_extents(const struct views *v, struct extent *out)
 {
-    return (size + WORK_SIZE - 1) / WORK_SIZE;
+    const int scale = (v->size + WORK_SIZE - 1) / WORK_SIZE;
+    size_t at = 0;
+    for (int i = 0; i < v->n; at += extent_pixels(&out[i++]))
+        out[i] = (struct extent){v->extent[i].w / scale, v->extent[i].h / scale, at};
+    return scale;
 }
 
-static err_t layout_scratch(struct scratch *m, struct arena *a, size_t w)
+static err_t layout_scratch(struct scratch *m, struct arena *a, struct extent most)
 {
-    err_t e = sgm_init(&m->sgm, a, (int)w, PLANES_MAX);
+    const size_t w = (size_t)most.w;
+    err_t e = sgm_init(&m->sgm, a, most.w, most.at, PLANES_MAX);
     if (!e)
-        e = arena_alloc(a, w * w, sizeof *m->contrast, &m->contrast);
+        e = arena_alloc(a, most.at, sizeof *m->contrast, &m->contrast);
     if (!e)
         e = arena_alloc(a, 2 * w, sizeof *m->place, &m->place);
     if (!e)
@@ -632,29 +655,49 @@ static err_t layout_scratch(struct scratch *m, struct arena *a, size_t w)
     return e;
 }
 
-static err_t layout_maps(struct depthmaps *m, struct arena *keep, const struct views *v)
+static err_t layout_extents(struct depthmaps *m, struct arena *keep, int n)
 {
-    *m = (struct depthmaps){.n = v->n, .scale = work_scale(v->size)};
-    m->size = v->size / m->scale;
-    const size_t pixels = (size_t)m->n * (size_t)m->size * (size_t)m->size;
+    return arena_alloc(keep, (size_t)n, sizeof *m->extent, &m->extent);
+}
+
+static err_t layout_maps(struct depthmaps *m, struct arena *keep, size_t pixels)
+{
     err_t e = arena_alloc(keep, pixels, sizeof *m->depth, &m->depth);
     return e ? e : arena_alloc(keep, pixels, sizeof *m->conf, &m->conf);
 }
 
-/* A counting arena has no memory for the lists themselves. */
-static err_t layout(struct sweep *s, struct arena *a, int workers)
+static err_t make_maps(const struct run *r, const struct views *v, struct depthmaps *out)
 {
-    const size_t n = (size_t)s->out->n, w = (size_t)s->out->size;
-    err_t e = arena_alloc(a, n, sizeof *s->pose, &s->pose);
+    err_t e = layout_extents(out, r->keep, v->n);
+    if (e)
+        return e;
+    out->n = v->n;
+    out->scale = sweep_extents(v, out->extent);
+    return layout_maps(out, r->keep, extent_total(out->extent, v->n));
+}
+
+static err_t layout_light_maps(struct sweep *s, struct arena *a, const struct extent *maps, int n)
+{
+    err_t e = OK;
     for (int level = 0; level < 2 && !e; level++)
-        e = arena_alloc(a, n, sizeof *s->light_map[0], &s->light_map[level]);
-    for (size_t i = 0; i < 2 * n && !e; i++) {
-        const size_t side = i % 2 ? w / COARSE : w;
-        struct light_map light_map = {.size = (int)side};
-        e = arena_alloc(a, 2 * side * side, sizeof *light_map.px, &light_map.px);
+        e = arena_alloc(a, (size_t)n, sizeof *s->light_map[0], &s->light_map[level]);
+    for (int i = 0; i < 2 * n && !e; i++) {
+        const int shrink = i % 2 ? COARSE : 1;
+        struct light_map one = {.w = maps[i / 2].w / shrink, .h = maps[i / 2].h / shrink};
+        e = arena_alloc(a, 2 * (size_t)one.w * (size_t)one.h, sizeof *one.px, &one.px);
         if (!e && !a->counts)
-            s->light_map[i % 2][i / 2] = light_map;
+            s->light_map[i % 2][i / 2] = one;
     }
+    return e;
+}
+
+/* A counting arena has no memory for the lists themselves. */
+static err_t layout(struct sweep *s, struct arena *a, const struct extent *maps, int workers)
+{
+    const size_t n = (size_t)s->v->n, pixels = extent_total(maps, s->v->n);
+    err_t e = arena_alloc(a, n, sizeof *s->pose, &s->pose);
+    if (!e)
+        e = layout_light_maps(s, a, maps, s->v->n);
     if (!e)
         e = arena_alloc(a, n, sizeof *s->near, &s->near);
     if (!e)
@@ -662,38 +705,42 @@ static err_t layout(struct sweep *s, struct arena *a, int workers)
     if (!e)
         e = arena_alloc(a, n, sizeof *s->range, &s->range);
     if (!e)
-        e = arena_alloc(a, n * w * w, sizeof *s->rho, &s->rho);
+        e = arena_alloc(a, pixels, sizeof *s->rho, &s->rho);
     if (!e)
-        e = arena_alloc(a, n * w * w, sizeof *s->sure, &s->sure);
+        e = arena_alloc(a, pixels, sizeof *s->sure, &s->sure);
     if (!e)
         e = arena_alloc(a, (size_t)workers, sizeof *s->scratch, &s->scratch);
     for (int k = 0; k < workers && !e; k++) {
         struct scratch one = {0};
-        e = layout_scratch(&one, a, w);
+        e = layout_scratch(&one, a, extent_cover(maps, s->v->n));
         if (!e && !a->counts)
             s->scratch[k] = one;
     }
     return e;
 }
 
-void sweep_plan(struct plan *p, const struct views *v, struct depthmaps *out)
+void sweep_plan(struct plan *p, const struct views *v, const struct extent *maps)
 {
-    struct sweep s = {.out = out};
+    struct sweep s = {.v = v};
+    struct depthmaps out;
     const size_t mark = arena_mark(&p->tmp);
-    if (layout_maps(out, &p->keep, v) || layout(&s, &p->tmp, p->threads))
+    if (layout_extents(&out, &p->keep, v->n) ||
+        layout_maps(&out, &p->keep, extent_total(maps, v->n)) ||
+        layout(&s, &p->tmp, maps, p->threads))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
 
 static err_t check_input(const struct views *v)
 {
-    if (v->n < 1 || v->size < 16 || !v->cams)
-        return err_fail(
-            ERR_ARG,
-            "sweep: %d views of %d px %s cameras, must be at least 1 of 16 px with cameras", v->n,
-            v->size, v->cams ? "with" : "without");
+    if (v->n < 1 || !v->cams)
+        return err_fail(ERR_ARG, "sweep: %d views %s cameras, must be at least 1 with cameras",
+                        v->n, v->cams ? "with" : "without");
     for (int i = 0; i < v->n; i++) {
         const struct camera *c = &v->cams[i];
+        if (num_min(v->extent[i].w, v->extent[i].h) < SWEEP_SIZE_MIN)
+            return err_fail(ERR_ARG, "sweep: view %d has %d x %d px, must be at least %d a side", i,
+                            v->extent[i].w, v->extent[i].h, SWEEP_SIZE_MIN);
         float sum = v->log2t[i] + c->fx + c->fy + c->cx + c->cy;
         float q = c->q[0] * c->q[0] + c->q[1] * c->q[1] + c->q[2] * c->q[2] + c->q[3] * c->q[3];
         if (!isfinite(sum + q + c->t[0] + c->t[1] + c->t[2]) || c->w < 1 || c->h < 1)
@@ -716,9 +763,9 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
     err_t e = check_input(v);
     if (e)
         return e;
-    e = layout_maps(out, r->keep, v);
+    e = make_maps(r, v, out);
     if (!e)
-        e = layout(&s, r->tmp, pool_size(r->pool));
+        e = layout(&s, r->tmp, out->extent, pool_size(r->pool));
     if (!e) {
         response_tabulate(tone, &s.table);
         for (int k = 0; k < 3 * 256; k++)

@@ -12,14 +12,18 @@
 /* Bounds of `conf`: a depth is usable; several views confirm it. */
 #define SWEEP_CONF_USABLE 0.3f
 #define SWEEP_CONF_CONFIRMED 0.6f
+enum { SWEEP_SIZE_MIN = 16 }; // px, least edge of a view
+
 #define SWEEP_SAME_SURFACE 0.02f // relative difference of depths on one surface
 
-/* Depth at 1/scale of the size of the views. Every pixel has a depth and its confidence. */
+/* Depth at 1/scale of the size of the views, rounded down. Every pixel has a depth and its
+ * confidence. */
 struct depthmaps {
-    int n, size;  // views; px
-    int scale;    // pixels of the view per pixel of the map and axis
-    float *depth; // (n, size, size) z in the camera, scene units, > 0, finite
-    float *conf;  // (n, size, size) 0: smooth guess .. 1: several views agree
+    int n;                 // views
+    int scale;             // pixels of the view per pixel of the map and axis
+    struct extent *extent; // (n) of the maps
+    float *depth;          // (n) maps (h, w): z in the camera, scene units, > 0, finite
+    float *conf;           // (n) maps (h, w), 0: smooth guess .. 1: several views agree
 };
 
 /* Depth of every view.
@@ -30,8 +34,12 @@ struct depthmaps {
 MUST_USE err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap *tone,
                          struct depthmaps *out);
 
-/* Count the memory of sweep_run; of v only n and size are read.
- * out:  n, size and scale of the maps. */
-void sweep_plan(struct plan *p, const struct views *v, struct depthmaps *out);
+/* Shapes of the maps of these views, of which n, size and extent are read. out: (n).
+ * returns: their scale. */
+int sweep_extents(const struct views *v, struct extent *out);
+
+/* Count the memory of sweep_run; of v only n, size and extent are read.
+ * maps: (n) shapes of the maps, of sweep_extents. */
+void sweep_plan(struct plan *p, const struct views *v, const struct extent *maps);
 
 #endif

@@ -23,9 +23,9 @@ void visibility_set(struct visibility *s, const struct depthmaps *depth, const s
 size_t visibility_index(const struct visibility *s, int view, float u, float v)
 {
     const struct depthmaps *m = s->depth;
-    const int x = num_min((int)u / m->scale, m->size - 1),
-              y = num_min((int)v / m->scale, m->size - 1);
-    return ((size_t)view * (size_t)m->size + (size_t)y) * (size_t)m->size + (size_t)x;
+    const struct extent *px = &m->extent[view];
+    const int x = num_min((int)u / m->scale, px->w - 1), y = num_min((int)v / m->scale, px->h - 1);
+    return px->at + (size_t)y * (size_t)px->w + (size_t)x;
 }
 
 void visibility_unproject(const struct visibility *s, int view, const float uvz[3], float out[3])

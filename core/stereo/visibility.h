@@ -7,7 +7,7 @@
 
 struct visibility {
     const struct depthmaps *depth;
-    const struct camera *cams; // (n) for depth->size * depth->scale px, units of the depth
+    const struct camera *cams; // (n) of the views, units of the depth
     float (*rotation)[9];      // (n) their rotations, row by row
 };
 

@@ -539,15 +539,6 @@ static err_t choose_pictures(const struct imageset_request *rq, bool released, s
 
 /* ---- sizes and cameras ---- */
 
-static err_t refuse_size(const char *dir, const struct shot *a, const struct shot *b)
-{
-    bool turned = a->image.w == b->image.h && a->image.h == b->image.w;
-    return err_fail(ERR_FORMAT, "%s: %s has %d x %d px but %s has %d x %d: %s", dir, a->name,
-                    a->image.w, a->image.h, b->name, b->image.w, b->image.h,
-                    turned ? "turn one of them, or leave out those that lie across"
-                           : "scale all photographs to one size, or leave out the odd ones");
-}
-
 static err_t get_sizes(struct imageset *set)
 {
     struct shot *s = set->capture.shots;
@@ -559,8 +550,6 @@ static err_t get_sizes(struct imageset *set)
         if (e)
             return e;
         s[i].image.channels = 3;
-        if (s[i].image.w != s[0].image.w || s[i].image.h != s[0].image.h)
-            return refuse_size(set->dir, &s[0], &s[i]);
     }
     return OK;
 }
@@ -681,8 +670,6 @@ static err_t append_folder(const char *images, const struct imageset *one, struc
         *s = one->capture.shots[i];
         int n = snprintf(name, sizeof name, "%s_%s", folder, one->capture.shots[i].name);
         e = name_copy(images, name, (size_t)n, s->name);
-        if (!e && (s->image.w != c->shots[0].image.w || s->image.h != c->shots[0].image.h))
-            e = refuse_size(images, &c->shots[0], s);
     }
     for (int i = 0; i < part->first && !e; i++)
         for (int k = part->first; k < c->n && !e; k++)

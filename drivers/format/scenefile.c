@@ -78,10 +78,11 @@ static void pack_camera(const struct camera *c, float out[CAMERA_FLOATS])
     memcpy(out, v, sizeof v);
 }
 
-static struct camera unpack_camera(const float v[CAMERA_FLOATS], int size)
+/* w and h are set already. */
+static void unpack_camera(const float v[CAMERA_FLOATS], struct camera *c)
 {
-    return (struct camera){
-        size, size, v[0], v[1], v[2], v[3], {v[4], v[5], v[6], v[7]}, {v[8], v[9], v[10]}};
+    *c = (struct camera){
+        c->w, c->h, v[0], v[1], v[2], v[3], {v[4], v[5], v[6], v[7]}, {v[8], v[9], v[10]}};
 }
 
 /* ---- writing ---- */
@@ -108,28 +109,55 @@ static char *names_text(const struct scene *s)
     return NULL;
 }
 
+static bool has_squares(const struct scene *s)
+{
+    for (int i = 0; i < s->n_views; i++)
+        if (s->cams[i].w != s->size || s->cams[i].h != s->size)
+            return false;
+    return true;
+}
+
+/* Shapes of the views as a JSON list; own: free. NULL if there is no memory. */
+static char *shapes_text(const struct scene *s)
+{
+    const size_t cap = 24 * (size_t)s->n_views + 3;
+    char *text = malloc(cap);
+    size_t n = 0;
+    for (int i = 0; i < s->n_views && text; i++)
+        n += (size_t)snprintf(text + n, cap - n, "%c%d,%d", i ? ',' : '[', s->cams[i].w,
+                              s->cams[i].h);
+    if (text)
+        snprintf(text + n, cap - n, "]");
+    return text;
+}
+
 /* err:  ERR_NOMEM. */
 static err_t put_header(FILE *f, const char *path, const struct scene *s,
                         const struct spec specs[N_TENSORS])
 {
     struct safetensors_writer h;
     char size[16];
-    char *names = names_text(s);
+    const bool squares = has_squares(s);
+    char *names = names_text(s), *shapes = squares ? NULL : shapes_text(s);
+    const bool whole = names && (squares || shapes);
     snprintf(size, sizeof size, "%d", s->size);
     safetensors_begin(&h);
     safetensors_put_word(&h, "format", FORMAT_NAME);
     safetensors_put_word(&h, "version", FORMAT_VERSION);
     safetensors_put_word(&h, "size", size);
     safetensors_put_word(&h, "names", names ? names : "");
+    if (shapes)
+        safetensors_put_word(&h, "shapes", shapes);
     for (int k = 0; k < N_TENSORS; k++) {
         struct safetensors_tensor t = {.name = specs[k].name, .type = "F32", .rank = specs[k].rank};
         memcpy(t.shape, specs[k].shape, sizeof specs[k].shape);
         safetensors_put(&h, &t);
     }
-    err_t e = safetensors_end(&h, names ? f : NULL);
-    if (!names || e)
+    err_t e = safetensors_end(&h, whole ? f : NULL);
+    if (!whole || e)
         e = err_fail(ERR_NOMEM, "%s: no memory for the header of %d views", path, s->n_views);
     free(names);
+    free(shapes);
     return e;
 }
 
@@ -357,6 +385,28 @@ static err_t get_names(const struct scenefile_bytes *f, const struct layout *l, 
     return e;
 }
 
+static err_t get_shapes(const struct scenefile_bytes *f, const struct layout *l, struct scene *s)
+{
+    const char *text = safetensors_word(&l->head, "shapes");
+    struct cJSON *list = NULL;
+    err_t e = *text ? json_parse(f->what, text, strlen(text), &list) : OK;
+    for (int i = 0; i < s->n_views; i++)
+        s->cams[i].w = s->cams[i].h = s->size;
+    if (!e && *text && (!json_is_array(list) || json_count(list) != 2 * s->n_views))
+        e = err_fail(ERR_FORMAT, "%s: shapes is not a list of %d numbers", f->what, 2 * s->n_views);
+    int i = 0;
+    for (const struct cJSON *v = e || !list ? NULL : json_first(list); v && !e; v = json_next(v)) {
+        double px = 0;
+        if (!json_number(v, &px) || px != floor(px) || px < 1 || px > s->size)
+            e = err_fail(ERR_FORMAT, "%s: a shape of view %d is no whole number from 1 to %d",
+                         f->what, i / 2, s->size);
+        *(i % 2 ? &s->cams[i / 2].h : &s->cams[i / 2].w) = (int)px;
+        i++;
+    }
+    json_free(list);
+    return e;
+}
+
 static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, struct arena *a,
                        struct scene *s)
 {
@@ -371,6 +421,7 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
     s->n_views = l->info.n_views;
     s->size = l->info.size;
     get_floats(l, T_LOG2T, 0, n, s->log2t);
+    e = get_shapes(f, l, s);
     for (size_t i = 0; i < n && !e; i++) {
         float v[CAMERA_FLOATS];
         char name[32];
@@ -378,7 +429,7 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
         if (!isfinite(s->log2t[i]))
             return err_fail(ERR_FORMAT, "%s: %s: exposure is not finite", f->what, name);
         get_floats(l, T_CAMERAS, i * CAMERA_FLOATS, CAMERA_FLOATS, v);
-        s->cams[i] = unpack_camera(v, s->size);
+        unpack_camera(v, &s->cams[i]);
         e = cameras_check(f->what, name, &s->cams[i]);
     }
     return e;

@@ -4,8 +4,10 @@
  * SH, V views:
  *   mu [3,N]  log_scale [3,N]  quat [4,N]  logit [N]  sh [K,3,N]   the planes of struct gaussians
  *   tone [3,193]  mid_log2t [1]  background [3]
- *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t, for size x size px
- * and in __metadata__: format "hdrig-scene", version "1", size, names (a JSON list of V names).
+ *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t
+ * and in __metadata__: format "hdrig-scene", version "1", size (px, the longest edge of all views),
+ * names (a JSON list of V names), shapes (a JSON list [w,h,w,h,...] of 2 V numbers; absent: all
+ * views are size x size px).
  *
  * The reader refuses everything that safetensors.h lists and
  *  1. another format or version;

@@ -135,8 +135,8 @@ static err_t take_views(const char *what, const struct rig *rig, struct arena *a
     s->n_views = rig->n;
     for (int i = 0; i < rig->n; i++) {
         const struct rig_view *v = &rig->views[i];
-        if (v->cam.w != s->size || v->cam.h != s->size)
-            return err_fail(ERR_FORMAT, "%s: camera %d (%s) is for %d x %d px, \"size\" is %d",
+        if (v->cam.w > s->size || v->cam.h > s->size)
+            return err_fail(ERR_FORMAT, "%s: camera %d (%s) is for %d x %d px, above \"size\" %d",
                             what, i, v->name, v->cam.w, v->cam.h, s->size);
         if (!v->has_exposure)
             return err_fail(ERR_FORMAT, "%s: camera %d (%s) has no \"exposure_log2\"", what, i,
@@ -275,9 +275,9 @@ static err_t check_scene(const char *path, const struct scene *s)
     for (int i = 0; i < s->n_views && !e; i++) {
         struct camera cam = s->cams[i];
         e = cameras_check(path, s->names[i], &cam);
-        if (!e && (cam.w != s->size || cam.h != s->size))
-            e = err_fail(ERR_ARG, "%s: camera %d (%s) is for %d x %d px, \"size\" is %d", path, i,
-                         s->names[i], cam.w, cam.h, s->size);
+        if (!e && (cam.w > s->size || cam.h > s->size))
+            e = err_fail(ERR_ARG, "%s: camera %d (%s) is for %d x %d px, above \"size\" %d", path,
+                         i, s->names[i], cam.w, cam.h, s->size);
     }
     return e;
 }

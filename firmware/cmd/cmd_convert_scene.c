@@ -93,7 +93,8 @@ static err_t choose_camera(const struct scene *s, int i, int n, struct camera *o
     out->fy *= scale;
     out->cx *= scale;
     out->cy *= scale;
-    out->w = out->h = side_of(s);
+    out->w = (int)lrintf((float)out->w * scale);
+    out->h = (int)lrintf((float)out->h * scale);
     return OK;
 }
 

@@ -16,7 +16,7 @@
 struct request {
     struct imageset_request set;
     struct cmd_model model;
-    const char *scene, *views, *exposures, *out, *json;
+    const char *scene, *views, *exposures, *protocol, *out, *json;
     struct outdir_rules rules;
     bool strict;
     struct config cfg;
@@ -191,8 +191,9 @@ static err_t list_pictures(struct state *st, const struct request *rq)
     return list_both(with, &st->true_train, &st->true_test);
 }
 
+/* size: of the views; most: Gaussians of the scene. */
 static err_t reserve_memory(struct state *st, const struct request *rq, struct job_memory need,
-                            const struct scenefile_info *scene)
+                            struct prep_size size, int most)
 {
     struct plan p = plan_begin(pool_size(st->engine.pool));
     err_t e = evaluate_check(&st->test.capture);
@@ -200,25 +201,30 @@ static err_t reserve_memory(struct state *st, const struct request *rq, struct j
         return e;
     arena_hold(&p.keep, need.keep);
     arena_step(&p.tmp, need.tmp);
-    evaluate_plan(&p, &st->test.capture, scene->size, scene->n);
+    evaluate_plan(&p, &st->test.capture, size, most);
     e = engine_reserve(&st->engine, arena_add(need.pictures, need.weights), p.keep.peak, p.tmp.peak,
                        config_memory_mb(&rq->cfg));
     if (!e && rq->out)
         e = outdir_open(rq->out, &rq->rules, &st->out);
     return e || !rq->out ? e
                          : outdir_reserve(&st->out, result_bytes(&st->test.capture,
-                                                                 st->train.capture.n, scene->size));
+                                                                 st->train.capture.n, size.edge));
 }
 
-static void add_testcams(const struct state *st, const struct job_config *job,
-                         struct job_memory *need)
+static err_t add_testcams(const struct state *st, const struct job_config *job,
+                          struct job_memory *need)
 {
     const struct capture *train = &st->train.capture;
-    struct job_memory m =
-        testcams_plan(job, train, &st->test.capture, recipe_choose(train, job, false).gaussians_max,
-                      pool_size(st->engine.pool));
+    const int most = recipe_choose(train, job, false).gaussians_max;
+    struct job_memory m;
+    err_t e = testcams_check(job, train, &st->test.capture);
+    if (!e)
+        e = testcams_plan(job, train, &st->test.capture, most, pool_size(st->engine.pool), &m);
+    if (e)
+        return e;
     need->keep = arena_add(need->keep, m.keep);
     need->tmp = m.tmp > need->tmp ? m.tmp : need->tmp;
+    return OK;
 }
 
 static err_t find_test_cameras(struct state *st, const struct job_config *job)
@@ -242,6 +248,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
         return e;
     cmd_imageset(network, &rq->set);
     struct job_config job = cmd_job(&rq->cfg, network, false);
+    job.square = strcmp(rq->protocol, "paper") == 0;
     e = list_pictures(st, rq);
     if (!e)
         e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
@@ -250,15 +257,13 @@ static err_t reconstruct(struct state *st, struct request *rq)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
     if (e)
         return e;
-    const struct scenefile_info most = {
-        .n = recipe_choose(&st->train.capture, &job, false).gaussians_max, .size = job.size};
+    const struct recipe recipe = recipe_choose(&st->train.capture, &job, false);
     bool unknown = cameras_unknown(st);
-    if (unknown) {
-        add_testcams(st, &job, &need);
-        e = testcams_check(&job, &st->train.capture, &st->test.capture);
-    }
+    if (unknown)
+        e = add_testcams(st, &job, &need);
     if (!e)
-        e = reserve_memory(st, rq, need, &most);
+        e = reserve_memory(st, rq, need, (struct prep_size){job.size, recipe.square},
+                           recipe.gaussians_max);
     if (!e)
         e = imageset_load(&st->train);
     if (!e)
@@ -298,12 +303,13 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
     if (c->n == 0)
         return;
     arena_hold(&p.keep, info->need);
-    prep_plan(&p, c->n, prep_largest(c), info->size);
+    prep_plan_capture(&p, c, (struct prep_size){info->size, true}); // no view has more pixels
     arena_step(&p.tmp, response_plan(&v));
     need->keep = p.keep.peak;
     need->tmp = p.tmp.peak;
-    need->pictures =
-        arena_need((size_t)c->n * 3, (size_t)c->shots[0].image.w * (size_t)c->shots[0].image.h);
+    for (int i = 0; i < c->n; i++)
+        need->pictures = arena_add(need->pictures, arena_need((size_t)c->shots[i].image.w * 3,
+                                                              (size_t)c->shots[i].image.h));
 }
 
 /* Without known cameras the scene tells where its photographs were taken. */
@@ -325,14 +331,14 @@ static err_t take_cameras(struct state *st)
 }
 
 /* The photographs that the scene was made from, if the data set has them. */
-static err_t read_inputs(struct state *st, int size)
+static err_t read_inputs(struct state *st)
 {
     const struct run *r = &st->engine.run;
     if (st->train.capture.n == 0)
         return OK;
     err_t e = imageset_load(&st->train);
     if (!e)
-        e = prep_run(r, &st->train.capture, size, &st->job.views);
+        e = prep_run(r, &st->train.capture, job_result_size(&st->job.scene), &st->job.views);
     job_result_lap(&st->job, JOB_PREPROCESS);
     if (!e)
         e = take_cameras(st);
@@ -365,16 +371,14 @@ static err_t read_scene(struct state *st, struct request *rq)
         return e;
     job.size = info.size;
     plan_scene(st, &info, &need);
-    if (rq->set.no_cameras) {
-        add_testcams(st, &job, &need);
-        e = testcams_check(&job, &st->train.capture, &st->test.capture);
-    }
+    if (rq->set.no_cameras)
+        e = add_testcams(st, &job, &need);
     if (!e)
-        e = reserve_memory(st, rq, need, &info);
+        e = reserve_memory(st, rq, need, (struct prep_size){info.size, true}, info.n);
     if (!e)
         e = scenefile_read(path, &st->engine.keep, &st->job.scene);
     if (!e)
-        e = read_inputs(st, info.size);
+        e = read_inputs(st);
     return e || !rq->set.no_cameras ? e : find_test_cameras(st, &job);
 }
 
@@ -403,6 +407,8 @@ static err_t read_numbers(struct request *rq)
 {
     struct cmd_list list = {0};
     err_t e = OK;
+    if (strcmp(rq->protocol, "paper") != 0 && strcmp(rq->protocol, "native") != 0)
+        e = err_fail(ERR_ARG, "--protocol %.32s, must be paper or native", rq->protocol);
     if (rq->scene && (rq->views || rq->exposures))
         e = err_fail(ERR_ARG, "--scene has its input views; --views and --exposure-set choose some "
                               "for a reconstruction");
@@ -418,7 +424,7 @@ static err_t read_numbers(struct request *rq)
 int cmd_eval_run(int argc, char **argv)
 {
     static struct state st;
-    struct request rq = {0};
+    struct request rq = {.protocol = "paper"};
     const struct cmd_option options[] = {
         {"data", "DIR", "data set with train and test pictures", NULL, &rq.set.images, NULL},
         {"scene", "DIR", "measure this result of hdrig reconstruct, at its own size", NULL,
@@ -426,6 +432,8 @@ int cmd_eval_run(int argc, char **argv)
         {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
         {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
          &rq.exposures, NULL},
+        {"protocol", "P", "paper: views squeezed to squares (default); native: as they are", NULL,
+         &rq.protocol, NULL},
         {"rig", "PATH", "known cameras: COLMAP folder or cameras.json; else sparse/0; none", NULL,
          &rq.set.rig, NULL},
         {"model", "FILE", "weights of a network, or none", NULL, &rq.model.path, NULL},

@@ -58,14 +58,14 @@ static err_t load_photographs(struct state *st, int size, struct capture *c)
     for (int i = 0; i < set.capture.n; i++)
         bytes += 3 * (size_t)c->shots[i].image.w * (size_t)c->shots[i].image.h;
     struct plan p = plan_begin(pool_size(st->engine.pool));
-    prep_plan(&p, c->n, prep_largest(c), size);
+    prep_plan_capture(&p, c, (struct prep_size){size, true});
     arena_hold(&p.keep, differ_keep_plan(c->n, size));
     e = engine_reserve(&st->engine, bytes, p.keep.peak, p.tmp.peak, st->max_mb);
     if (!e && !st->dry)
         e = imageset_load(&set);
     if (!e && !st->dry) {
         repeat_pictures(st, &set, c);
-        e = prep_run(&st->engine.run, c, size, &st->views);
+        e = prep_run(&st->engine.run, c, (struct prep_size){size, true}, &st->views);
     }
     imageset_free(&set);
     return e;

@@ -4,6 +4,7 @@
 #include "firmware/result/draw.h"
 
 #include "core/base/gaussians.h"
+#include "core/base/num.h"
 #include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
@@ -22,8 +23,8 @@ struct bench {
     struct outdir *o;
     struct draw draw;
     struct image truth,
-        other;       // (3, size, size): the photograph; nearest view or mu-law of the truth
-    struct image mu; // (3, size, size): mu-law of the prediction
+        other;       // (3, h, w): the photograph; nearest view or mu-law of the truth
+    struct image mu; // (3, h, w): mu-law of the prediction
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -59,14 +60,13 @@ static void to_planar(const uint8_t *rgb, struct image *out)
             out->px[c * pixels + i] = (float)rgb[3 * i + c] / 255.0f;
 }
 
-/* The nearest input view as it would look at exposure log2t, into b->other. */
-static void reexpose(struct bench *b, const struct camera *cam, float log2t)
+/* Input view i_view as it would look at exposure log2t, into b->other. */
+static void reexpose(struct bench *b, int i_view, float log2t)
 {
     const struct views *v = &b->j->views;
     const struct tonemap *tone = &b->j->response;
-    const size_t pixels = (size_t)v->size * (size_t)v->size;
-    const int i_view = path_nearest(v->cams, v->n, cam);
-    const uint8_t *rgb = v->rgb + 3 * pixels * (size_t)i_view;
+    const size_t pixels = extent_pixels(&v->extent[i_view]);
+    const uint8_t *rgb = views_rgb(v, i_view);
     for (int c = 0; c < 3; c++) {
         float to[256];
         for (int z = 0; z < 256; z++) {
@@ -119,9 +119,12 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     if (!e) // the same figures go into the mean over all
         add(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
             ssim + (score->ssim - ssim) * (before + 1));
-    if (e || b->j->views.n == 0)
+    const struct views *inputs = &b->j->views;
+    const int near = inputs->n > 0 ? path_nearest(inputs->cams, inputs->n, &v->cams[0]) : -1;
+    if (e || near < 0 || inputs->extent[near].w != v->extent[0].w ||
+        inputs->extent[near].h != v->extent[0].h)
         return e;
-    reexpose(b, &v->cams[0], v->log2t[0]);
+    reexpose(b, near, v->log2t[0]);
     return compare(b, &b->other, &b->truth, &b->out->nearest);
 }
 
@@ -243,13 +246,25 @@ static err_t draw_view(struct bench *b, const struct shot *s, const struct views
     return e;
 }
 
+/* Of all pictures of this photograph. */
+static void set_shape(struct bench *b, const struct extent *px)
+{
+    struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};
+    for (int i = 0; i < IMAGES; i++) {
+        images[i]->w = px->w;
+        images[i]->h = px->h;
+    }
+}
+
 static err_t do_shot(struct bench *b, int i, const struct shot *s)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     struct views v;
     struct capture one = {1, (struct shot *)(uintptr_t)s};
-    err_t e = prep_run(b->r, &one, b->j->scene.size, &v);
+    err_t e = prep_run(b->r, &one, job_result_size(&b->j->scene), &v);
     job_result_lap(b->j, JOB_PREPROCESS);
+    if (!e)
+        set_shape(b, v.extent);
     if (!e && !v.cams)
         e = err_fail(ERR_ARG,
                      "%s: its camera is not known; eval needs the cameras of the test views",
@@ -287,29 +302,43 @@ static err_t read_and_do(struct bench *b, int i)
     return e;
 }
 
-static err_t layout(struct bench *b, struct arena *tmp, int size, int cap)
+static err_t layout(struct bench *b, struct arena *tmp, const struct extent *most, int cap)
 {
-    const size_t pixels = 3 * (size_t)size * (size_t)size;
+    const size_t values = 3 * most->at;
     struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};
     float *px;
-    err_t e = draw_init(&b->draw, tmp, cap, size, size);
+    err_t e = draw_init(&b->draw, tmp, cap, most->w, most->h);
     if (!e)
-        e = arena_alloc(tmp, pixels, IMAGES * sizeof *px, &px);
+        e = arena_alloc(tmp, values, IMAGES * sizeof *px, &px);
     for (int i = 0; i < IMAGES && !e; i++)
-        *images[i] = (struct image){size, size, 3, px + pixels * (size_t)i};
+        *images[i] = (struct image){0, 0, 3, px + values * (size_t)i};
     return e;
 }
 
-void evaluate_plan(struct plan *p, const struct capture *test, int size, int cap)
+/* What holds any of the test pictures as a view. */
+static struct extent largest_view(const struct capture *test, struct prep_size size)
+{
+    struct extent both[2] = {{0, 0, 0}, {0, 0, 0}};
+    for (int i = 0; i < test->n; i++) {
+        both[1] = prep_extent(size, test->shots[i].image.w, test->shots[i].image.h);
+        const size_t pixels = num_max_size(both[0].at, extent_pixels(&both[1]));
+        both[0] = extent_cover(both, 2);
+        both[0].at = pixels;
+    }
+    return both[0];
+}
+
+void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap)
 {
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
+    const struct extent most = largest_view(test, size);
     struct arena planes = arena_counter();
     struct gaussians g;
     struct bench b;
-    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, size, g.cap))
+    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, g.cap))
         plan_refuse(p);
-    prep_plan(p, 1, test->shots[0].image, size); // imageset has checked that all have one size
-    arena_step(&p->tmp, metrics_ssim_plan(size));
+    prep_plan(p, 1, most.at, prep_largest(test), size.edge);
+    arena_step(&p->tmp, metrics_ssim_plan(most.w));
     arena_reset(&p->keep, keep);
     arena_reset(&p->tmp, tmp);
 }
@@ -321,7 +350,8 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     const int n = test->capture.n;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
-    err_t e = layout(&b, r->tmp, j->scene.size, j->scene.g.cap);
+    const struct extent most = largest_view(&test->capture, job_result_size(&j->scene));
+    err_t e = layout(&b, r->tmp, &most, j->scene.g.cap);
     if (!e && o)
         e = outdir_mkdir(o, "ldr");
     if (!e && o)

@@ -36,7 +36,7 @@ struct evaluate_result {
 MUST_USE err_t evaluate_check(const struct capture *test);
 
 /* Count what evaluate_run takes. cap: room for Gaussians in the scene. */
-void evaluate_plan(struct plan *p, const struct capture *test, int size, int cap);
+void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap);
 
 /* Render every view of `test` once and measure all of its exposures. Times and warnings go to *j.
  * o:    folder for ldr/NAME.png and hdr/NAME.exr, or NULL.

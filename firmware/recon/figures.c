@@ -126,8 +126,8 @@ static void add(struct figures_exposure *e, const struct figures_input *in)
 
 void figures_input(struct figures *f, int i, struct figures_input *out)
 {
-    const size_t n = (size_t)f->v->size * (size_t)f->v->size;
-    const uint8_t *rgb = f->v->rgb + 3 * n * (size_t)i;
+    const size_t n = extent_pixels(&f->v->extent[i]);
+    const uint8_t *rgb = views_rgb(f->v, i);
     struct codes other[FIGURES_EXPOSURES];
     int own = exposure_of(f, i);
     size_t clipped = 0, dark = 0, alone = 0;
@@ -152,8 +152,8 @@ void figures_input(struct figures *f, int i, struct figures_input *out)
 
 const char *figures_blank(const struct views *v, int i)
 {
-    const size_t n = (size_t)v->size * (size_t)v->size;
-    const uint8_t *rgb = v->rgb + 3 * n * (size_t)i;
+    const size_t n = extent_pixels(&v->extent[i]);
+    const uint8_t *rgb = views_rgb(v, i);
     size_t clipped = 0, dark = 0;
     for (size_t p = 0; p < n; p++, rgb += 3) {
         int m = brightest(rgb);
@@ -167,9 +167,10 @@ const char *figures_blank(const struct views *v, int i)
 
 int figures_copied(const struct views *v, int i)
 {
-    const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
+    const struct extent *own = &v->extent[i];
     for (int k = 0; k < i; k++)
-        if (memcmp(v->rgb + bytes * (size_t)k, v->rgb + bytes * (size_t)i, bytes) == 0)
+        if (v->extent[k].w == own->w && v->extent[k].h == own->h &&
+            memcmp(views_rgb(v, k), views_rgb(v, i), 3 * extent_pixels(own)) == 0)
             return figures_blank(v, i) ? -1 : k;
     return -1;
 }

@@ -12,6 +12,7 @@
 #include "core/photo/response.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 static const char *const stage_names[JOB_STAGES] = {
@@ -32,11 +33,13 @@ static err_t layout_db(float **db, struct arena *keep, int n)
 }
 
 /* Photographs become views; what their brackets show twice goes once there is a response. */
-static err_t read_photographs(const struct run *r, const struct capture *c,
-                              const struct job_config *cfg, struct job_result *out)
+static err_t read_photographs(const struct run *r, const struct capture *c, const struct start *s,
+                              struct job_result *out)
 {
+    const struct job_config *cfg = s->cfg;
+    const struct prep_size size = {cfg->size, s->recipe->square};
     announce(r, JOB_PREPROCESS);
-    err_t e = prep_read(r, c, cfg->source, cfg->size, &out->views);
+    err_t e = prep_read(r, c, cfg->source, size, &out->views);
     if (!e)
         e = layout_db(&out->input_db, r->keep, c->n);
     for (int i = 0; i < c->n && !e; i++)
@@ -90,7 +93,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
     struct start start = {.run = r, .cfg = cfg, .recipe = &recipe, .out = out};
     begin(cfg, out);
-    err_t e = read_photographs(r, c, cfg, out);
+    err_t e = read_photographs(r, c, &start, out);
     if (!e)
         e = find_response(r, &recipe, out);
     if (!e)
@@ -146,6 +149,23 @@ static size_t plan_pictures(const struct capture *c, int n)
     return n < c->n ? most * (size_t)n : sum;
 }
 
+/* v: shapes of the views, all that plans look at. */
+static void plan_steps(struct plan *p, const struct capture *c, const struct job_config *cfg,
+                       const struct recipe *recipe, const struct views *v)
+{
+    const struct extent most = extent_cover(v->extent, v->n);
+    float *db;
+    prep_plan_capture(p, c, (struct prep_size){cfg->size, recipe->square});
+    if (layout_db(&db, &p->keep, c->n))
+        plan_refuse(p);
+    arena_step(&p->tmp, response_plan(v));
+    exposure_stack_choose_plan(p, v);
+    start_plan(p, cfg, recipe, v);
+    if (recipe->refine)
+        arena_step(&p->tmp, refine_plan(v, &recipe->refinement, p->threads));
+    arena_step(&p->tmp, draw_plan(recipe->gaussians_max, most.w, most.h)); // by who publishes
+}
+
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,
                struct job_memory *out)
 {
@@ -153,23 +173,19 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     if (e)
         return e;
     const struct recipe recipe = recipe_choose(c, cfg, tapped);
-    const struct views v = {.n = recipe.places, // all that plans look at
-                            .n_more = c->n - recipe.places,
-                            .size = cfg->size};
-    struct plan p = plan_begin(threads);
-    float *db;
-    e = recipe_check(&recipe, cfg->size);
+    e = recipe_check(&recipe, c, cfg->size);
     if (e)
         return e;
-    prep_plan(&p, c->n, prep_largest(c), cfg->size);
-    if (layout_db(&db, &p.keep, c->n))
-        plan_refuse(&p);
-    arena_step(&p.tmp, response_plan(&v));
-    exposure_stack_choose_plan(&p, &v);
-    start_plan(&p, cfg, &recipe, &v);
-    if (recipe.refine)
-        arena_step(&p.tmp, refine_plan(&v, &recipe.refinement, threads));
-    arena_step(&p.tmp, draw_plan(recipe.gaussians_max, cfg->size, cfg->size)); // by who publishes
+    struct views v = {.n = recipe.places,
+                      .n_more = c->n - recipe.places,
+                      .size = cfg->size,
+                      .extent = malloc((size_t)c->n * sizeof *v.extent)};
+    struct plan p = plan_begin(threads);
+    if (!v.extent)
+        return err_fail(ERR_NOMEM, "no memory for the shapes of %d photographs", c->n);
+    prep_extents(c, (struct prep_size){cfg->size, recipe.square}, v.extent);
+    plan_steps(&p, c, cfg, &recipe, &v);
+    free(v.extent);
     *out = (struct job_memory){.pictures = plan_pictures(c, cfg->source ? threads : c->n),
                                .weights = recipe.network ? cfg->network->file.model.bytes : 0,
                                .keep = p.keep.peak,
@@ -235,15 +251,22 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_close(rep);
 }
 
+/* Widest and highest view. */
+static void report_size(const struct scene *s, struct report *rep)
+{
+    const struct extent most = draw_cover(s);
+    report_open(rep, "size", '[');
+    report_int(rep, NULL, most.w);
+    report_int(rep, NULL, most.h);
+    report_close(rep);
+}
+
 void job_report(const struct job_result *j, int threads, struct report *rep)
 {
     report_int(rep, "views", j->scene.n_views);
     if (j->views.n > 0)
         report_int(rep, "photographs", j->views.n + j->views.n_more);
-    report_open(rep, "size", '[');
-    report_int(rep, NULL, j->scene.size);
-    report_int(rep, NULL, j->scene.size);
-    report_close(rep);
+    report_size(&j->scene, rep);
     report_text(rep, "precision", j->precision ? j->precision : "fp32");
     report_bool(rep, "network", j->precision != NULL);
     report_int(rep, "threads", threads);

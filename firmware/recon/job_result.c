@@ -13,6 +13,14 @@ void job_result_lap(struct job_result *j, enum job_stage stage)
     j->peak_rss_mb = engine_peak_rss_mb();
 }
 
+struct prep_size job_result_size(const struct scene *s)
+{
+    struct prep_size out = {s->size, true};
+    for (int i = 0; i < s->n_views; i++)
+        out.square = out.square && s->cams[i].w == s->size && s->cams[i].h == s->size;
+    return out;
+}
+
 void job_result_warn(struct job_result *j, const char *fmt, ...)
 {
     if (j->n_warnings == JOB_WARNINGS)

@@ -4,6 +4,7 @@
 #define RECON_JOB_RESULT_H
 
 #include "core/base/types.h"
+#include "core/photo/prep.h"
 #include "core/refine/refine.h"
 
 enum job_stage {
@@ -55,6 +56,9 @@ struct job_result {
 
 /* The time since the last call (or the start) goes to `stage`. */
 void job_result_lap(struct job_result *j, enum job_stage stage);
+
+/* Size of the views of a scene: as squares if all are. */
+struct prep_size job_result_size(const struct scene *s);
 
 /* Add a sentence for the report; those beyond JOB_WARNINGS are dropped. */
 void job_result_warn(struct job_result *j, const char *fmt, ...)

@@ -6,8 +6,8 @@
 #include "core/base/types.h"
 #include "core/sfm/bundle.h"
 
-/* Count what locate_run takes. */
-void locate_plan(struct plan *p, int n_views, int size);
+/* Count what locate_run takes; of v only n, size and extent are read. */
+void locate_plan(struct plan *p, const struct views *v);
 
 /* Cameras of all views. prior: where the network sees the patches of one view in another, or NULL.
  * out:  arrays live in r->keep.

@@ -154,14 +154,24 @@ static struct net geometry_of(const struct network *n, bool attend)
 
 static int look_size(const struct network *n, int size)
 {
-    return size < n->net.d.size ? size : n->net.d.size;
+    return size < n->net.d.size ? size / NET_PATCH * NET_PATCH : n->net.d.size;
+}
+
+/* Whether the views are what the network asks for: squares of `size` px. */
+static bool takes_views(const struct views *v, int size)
+{
+    bool square = true;
+    for (int i = 0; i < v->n; i++)
+        square = square && v->extent[i].w == size && v->extent[i].h == size;
+    return square;
 }
 
 /* The views as photographs, to be resized. */
 static struct shot shot_of(const struct views *v, int i)
 {
-    struct shot s = {.image = {v->size, v->size, 3, NULL}, .exposure = 1};
-    s.image.px = v->rgb ? v->rgb + 3 * (size_t)i * (size_t)v->size * (size_t)v->size : NULL;
+    const struct extent *px = &v->extent[i];
+    struct shot s = {.image = {px->w, px->h, 3, NULL}, .exposure = 1};
+    s.image.px = v->rgb ? views_rgb(v, i) : NULL;
     memcpy(s.name, v->names ? v->names[i] : "", v->names ? NAME_CAP : 1);
     return s;
 }
@@ -179,7 +189,7 @@ static err_t reduce(const struct run *r, const struct views *v, int size, struct
     for (int i = 0; i < v->n && !e; i++)
         c.shots[i] = shot_of(v, i);
     if (!e)
-        e = prep_run(r, &c, size, out);
+        e = prep_run(r, &c, (struct prep_size){size, true}, out);
     if (!e) {
         out->log2t = v->log2t;
         out->mid_log2t = v->mid_log2t;
@@ -193,11 +203,11 @@ err_t network_look(const struct run *r, const struct network *n, bool attend, co
     const int size = look_size(n, v->size);
     const struct net net = geometry_of(n, attend);
     struct views small = *v;
-    err_t e = size == v->size ? OK : reduce(r, v, size, &small);
+    err_t e = takes_views(v, size) ? OK : reduce(r, v, size, &small);
     if (!e)
         e = net_run(r, &net, &small, out);
     for (int i = 0; i < v->n && !e; i++)
-        out->geom.cams[i] = pose_scaled(&out->geom.cams[i], v->size, v->size);
+        out->geom.cams[i] = pose_scaled(&out->geom.cams[i], v->extent[i].w, v->extent[i].h);
     return e;
 }
 
@@ -206,10 +216,12 @@ void network_look_plan(struct plan *p, const struct network *n, bool attend, con
     const int size = look_size(n, v->size);
     const struct net net = geometry_of(n, attend);
     struct capture c;
-    if (size != v->size) {
+    if (!takes_views(v, size)) {
+        const struct extent most = extent_cover(v->extent, v->n);
         if (layout_shots(&c, &p->keep, v->n))
             plan_refuse(p);
-        prep_plan(p, v->n, (struct image8){.w = v->size, .h = v->size}, size);
+        prep_plan(p, v->n, (size_t)v->n * (size_t)size * (size_t)size,
+                  (struct image8){.w = most.w, .h = most.h}, size);
     }
     net_plan(p, &net, v->n, size);
 }

@@ -4,6 +4,7 @@
 #include "core/base/num.h"
 #include "core/sfm/bundle.h"
 #include "core/sfm/corner.h"
+#include "core/stereo/sweep.h"
 
 enum { SIZE_DEFAULT = 448 };
 
@@ -24,10 +25,22 @@ static enum recipe_source choose_cameras(bool known, bool bundle)
     return known ? RECIPE_GIVEN : bundle ? RECIPE_BUNDLE : RECIPE_NETWORK;
 }
 
-/* More Gaussians than pixels serve nothing. */
-static void limit_gaussians(const struct job_config *cfg, struct recipe *out)
+/* Of one view of each place. */
+static long long count_pixels(const struct capture *c, struct prep_size size)
 {
-    const long long pixels = (long long)out->places * cfg->size * cfg->size;
+    long long sum = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct extent px = prep_extent(size, c->shots[i].image.w, c->shots[i].image.h);
+        sum += i == 0 || !c->shots[i].again ? (long long)extent_pixels(&px) : 0;
+    }
+    return sum;
+}
+
+/* More Gaussians than pixels serve nothing. */
+static void limit_gaussians(const struct capture *c, const struct job_config *cfg,
+                            struct recipe *out)
+{
+    const long long pixels = count_pixels(c, (struct prep_size){cfg->size, out->square});
     const int all = pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
     out->refinement.gaussians_max = num_min(cfg->refine.gaussians_max, all);
     out->gaussians_max = out->forward ? all : out->refinement.gaussians_max;
@@ -43,6 +56,7 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
                          .network = cfg->network && !(stereo && known),
                          .forward = recipe_forward(cfg),
                          .tapped = tapped,
+                         .square = !stereo || cfg->square,
                          .places = prep_places(c),
                          .refinement = cfg->refine};
     out.bundle = out.network ? cfg->polish && !tapped && (!known || gaussians) : !known;
@@ -52,7 +66,7 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
     /* without steps the refiner takes out what is transparent, which a network's scene keeps */
     out.refine = cfg->refine.steps > 0 || !out.forward;
     out.refinement.poses = cfg->refine.poses || out.cameras == RECIPE_BUNDLE;
-    limit_gaussians(cfg, &out);
+    limit_gaussians(c, cfg, &out);
     return out;
 }
 
@@ -68,8 +82,26 @@ int recipe_size(const struct job_config *cfg)
     return takes_stereo(cfg, false) ? SIZE_DEFAULT : cfg->network->net.d.size;
 }
 
-err_t recipe_check(const struct recipe *recipe, int size)
+/* The narrowest view; its photograph in *i. */
+static int shortest_edge(const struct recipe *recipe, const struct capture *c, int size, int *i)
 {
+    int least = size;
+    *i = 0;
+    for (int k = 0; k < c->n; k++) {
+        const struct image8 *im = &c->shots[k].image;
+        const struct extent px =
+            prep_extent((struct prep_size){size, recipe->square}, im->w, im->h);
+        if (num_min(px.w, px.h) < least) {
+            least = num_min(px.w, px.h);
+            *i = k;
+        }
+    }
+    return least;
+}
+
+err_t recipe_check(const struct recipe *recipe, const struct capture *c, int size)
+{
+    int narrow, least;
     if (recipe->bundle && recipe->places > BUNDLE_VIEWS_MAX)
         return err_fail(ERR_ARG,
                         "%d views, cameras can be found for at most %d: keep those that show the "
@@ -77,10 +109,19 @@ err_t recipe_check(const struct recipe *recipe, int size)
                         recipe->places, BUNDLE_VIEWS_MAX,
                         recipe->cameras == RECIPE_GIVEN ? "; or take --set cameras.polish=0"
                                                         : "; or give the cameras with --rig PATH");
-    if (recipe->must_place && size < CORNER_SIZE_MIN)
+    least = recipe->must_place               ? CORNER_SIZE_MIN
+            : recipe->depth == RECIPE_STEREO ? SWEEP_SIZE_MIN
+                                             : 1;
+    if (size < least)
         return err_fail(ERR_ARG,
-                        "views of %d px are too small to find cameras, take at least --size %d, or "
-                        "give the cameras with --rig PATH",
-                        size, (CORNER_SIZE_MIN + 13) / 14 * 14);
+                        "views of %d px are too small to find %s, take at least --size %d%s", size,
+                        recipe->must_place ? "cameras" : "depth", (least + 13) / 14 * 14,
+                        recipe->must_place ? ", or give the cameras with --rig PATH" : "");
+    if (shortest_edge(recipe, c, size, &narrow) < least)
+        return err_fail(ERR_ARG,
+                        "%s: %d x %d px become a view that is less than %d px narrow; crop it, or "
+                        "take a larger --size",
+                        c->shots[narrow].name, c->shots[narrow].image.w, c->shots[narrow].image.h,
+                        least);
     return OK;
 }

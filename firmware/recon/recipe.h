@@ -11,7 +11,8 @@
 #include "core/refine/refine.h"
 
 struct job_config {
-    int size; // px, edge of the square views
+    int size;    // px, longest edge of the views
+    bool square; // squeeze the photographs to squares, as the paper's protocol has it
     struct refine_config refine;
     const struct network *network; // NULL: none
     bool cameras_only;             // the network is only asked for cameras
@@ -46,6 +47,7 @@ struct recipe {
     bool forward;    // the scene is the network's single forward pass
     bool refine;     // its steps, or at least what is transparent is taken out
     bool tapped;     // run.tap is set: tensors are dumped
+    bool square;     // views are squares: a network's depth or Gaussians belong to their pixels
     int places;      // where photographs were taken
     int gaussians_max, degree_max;   // of the scene
     struct refine_config refinement; // as asked, within what so many pixels bear
@@ -67,7 +69,8 @@ bool recipe_forward(const struct job_config *cfg);
 int recipe_size(const struct job_config *cfg);
 
 /* Refuse what cannot be done: more views than cameras can be found for, or views too small.
+ * c: only names and sizes are looked at.
  * err:  ERR_ARG. */
-MUST_USE err_t recipe_check(const struct recipe *recipe, int size);
+MUST_USE err_t recipe_check(const struct recipe *recipe, const struct capture *c, int size);
 
 #endif

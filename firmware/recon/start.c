@@ -18,6 +18,7 @@
 #include "core/stereo/sweep.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 static void announce(const struct run *r, const char *stage)
@@ -178,7 +179,7 @@ err_t start_bundle(struct start *s)
                                  .rig_known = known};
     struct start_seen seen;
     if (!known && fov > 0)
-        want.focal = (float)v->size / 2 / tanf(fov * (float)NUM_PI / 360);
+        want.focal = (float)v->extent[0].w / 2 / tanf(fov * (float)NUM_PI / 360);
     err_t e = exposure_stack_merge(r, v, &s->out->response, &seen.views, &seen.tone);
     if (!e)
         e = locate_run(r, &seen.views, s->p.matches.token ? &s->p.matches : NULL, &want,
@@ -349,9 +350,8 @@ static err_t take_gaussians(struct start *st)
     return OK;
 }
 
-static err_t layout_sure(struct depthmaps *d, struct arena *keep)
+static err_t layout_sure(struct depthmaps *d, struct arena *keep, size_t pixels)
 {
-    const size_t pixels = (size_t)d->n * (size_t)d->size * (size_t)d->size;
     return arena_alloc(keep, pixels, sizeof *d->conf, &d->conf);
 }
 
@@ -361,8 +361,8 @@ static err_t take_depth(struct start *s)
     const struct geometry *g = &s->p.geom;
     const size_t n = (size_t)g->n_views * (size_t)g->size * (size_t)g->size;
     struct job_result *out = s->out;
-    s->depth = (struct depthmaps){g->n_views, g->size, 1, g->depth, NULL};
-    err_t e = layout_sure(&s->depth, s->run->keep);
+    s->depth = (struct depthmaps){g->n_views, 1, out->views.extent, g->depth, NULL};
+    err_t e = layout_sure(&s->depth, s->run->keep, n);
     for (size_t i = 0; i < n && !e; i++) {
         s->depth.conf[i] = 1;
         s->depth.depth[i] *= s->scale;
@@ -422,28 +422,29 @@ static void plan_bundle(struct plan *p, const struct views *v)
 {
     const size_t mark = arena_mark(&p->tmp);
     exposure_stack_merge_plan(p, v);
-    locate_plan(p, v->n, v->size);
+    locate_plan(p, v);
     arena_reset(&p->tmp, mark);
 }
 
-/* As start_gaussians, from depth. */
+/* As start_gaussians, from depth. maps: (n) shapes of those of stereo. */
 static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct views *v,
-                       struct depthmaps *depth)
+                       const struct extent *maps)
 {
+    const bool network = recipe->depth == RECIPE_NETWORK;
     struct gaussians seeds;
-    if (recipe->depth == RECIPE_NETWORK) {
-        *depth = (struct depthmaps){.n = v->n, .size = v->size, .scale = 1};
-        if (layout_sure(depth, &p->keep))
+    struct depthmaps depth;
+    if (network) {
+        if (layout_sure(&depth, &p->keep, extent_total(v->extent, v->n)))
             plan_refuse(p);
         exposure_stack_merge_plan(p, v);
     }
-    seed_plan(p, depth, refine_begin(&recipe->refinement, v->n), &seeds);
+    seed_plan(p, network ? v->extent : maps, v->n, refine_begin(&recipe->refinement, v->n), &seeds);
 }
 
-static void plan_stereo(struct plan *p, const struct views *v, struct depthmaps *depth)
+static void plan_stereo(struct plan *p, const struct views *v, const struct extent *maps)
 {
     exposure_stack_merge_plan(p, v);
-    sweep_plan(p, v, depth);
+    sweep_plan(p, v, maps);
     if (v->n_more == 0)
         arena_step(&p->tmp, response_refit_plan(v->n));
 }
@@ -451,11 +452,16 @@ static void plan_stereo(struct plan *p, const struct views *v, struct depthmaps 
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
                 const struct views *v)
 {
-    const size_t pixels = (size_t)v->n * (size_t)v->size * (size_t)v->size;
+    const size_t pixels = extent_total(v->extent, v->n);
     const int points = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans refuse it
     const bool gaussians = recipe->gaussians == RECIPE_NETWORK;
+    struct extent *maps = calloc((size_t)v->n, sizeof *maps);
     struct scene scene;
-    struct depthmaps depth;
+    if (!maps) {
+        plan_refuse(p);
+        return;
+    }
+    (void)sweep_extents(v, maps);
     if (layout_scene(&scene, &p->keep, recipe, v->n))
         plan_refuse(p);
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
@@ -471,7 +477,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
         arena_reset(&p->keep, keep);
     const size_t before_depth = arena_mark(&p->keep);
     if (recipe->depth == RECIPE_STEREO || recipe->correct)
-        plan_stereo(p, v, &depth);
+        plan_stereo(p, v, maps);
     if (recipe->correct) {
         correct_plan(p, v->n, v->size);
         arena_reset(&p->keep, before_depth);
@@ -480,7 +486,8 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     if (gaussians)
         voxel_plan(p, points);
     else
-        plan_seeds(p, recipe, v, &depth);
+        plan_seeds(p, recipe, v, maps);
+    free(maps);
     arena_reset(&p->tmp, tmp);
     if (!recipe->forward)
         arena_reset(&p->keep, keep);

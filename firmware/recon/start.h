@@ -32,7 +32,8 @@ struct start {
     size_t before_depth; // level of run.keep
 };
 
-/* Count what all steps take: of v only its numbers are looked at. A single forward pass stays. */
+/* Count what all steps take: of v only its numbers and shapes are looked at. A single forward pass
+ * stays. */
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
                 const struct views *v);
 

@@ -51,40 +51,82 @@ err_t testcams_check(const struct job_config *cfg, const struct capture *train,
 
 /* ---- pictures ---- */
 
-static err_t layout_views(struct views *v, struct arena *keep, int n, int size)
+static err_t layout_extents(struct views *v, struct arena *keep)
 {
-    err_t e = arena_alloc(keep, 3 * (size_t)size * (size_t)size, (size_t)n, &v->rgb);
-    return e ? e : arena_alloc(keep, (size_t)n, sizeof *v->log2t, &v->log2t);
+    return arena_alloc(keep, (size_t)v->n, sizeof *v->extent, &v->extent);
 }
 
-struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
-                                const struct capture *test, int most, int threads)
+static err_t layout_views(struct views *v, struct arena *keep, size_t pixels)
+{
+    err_t e = arena_alloc(keep, pixels, 3, &v->rgb);
+    return e ? e : arena_alloc(keep, (size_t)v->n, sizeof *v->log2t, &v->log2t);
+}
+
+/* One shape for each test view; at: pixels before the first. */
+static void add_extents(const struct capture *test, struct prep_size size, size_t at,
+                        struct extent *out)
+{
+    for (int i = 0; i < test->n; i++)
+        if (begins_view(test, i)) {
+            const struct image8 *im = &test->shots[middle_picture(test, i)].image;
+            *out = prep_extent(size, im->w, im->h);
+            out->at = at;
+            at += extent_pixels(out++);
+        }
+}
+
+static void plan_steps(struct plan *p, const struct job_config *cfg, const struct views *v,
+                       const struct capture *test, int most)
 {
     const struct recipe recipe = recipe_of_cameras(cfg);
-    struct views v = {.n = train->n + count_views(test), .size = cfg->size};
-    struct plan p = plan_begin(threads);
-    if (layout_views(&v, &p.keep, v.n, v.size))
-        plan_refuse(&p);
-    prep_plan(&p, 1, test->shots[0].image, cfg->size);
+    struct views own = *v;
+    if (layout_extents(&own, &p->keep) ||
+        layout_views(&own, &p->keep, extent_total(v->extent, v->n)))
+        plan_refuse(p);
+    prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), cfg->size);
     if (recipe.network)
-        network_look_plan(&p, cfg->network, recipe.bundle, &v);
+        network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
-        locate_plan(&p, v.n, cfg->size);
-    arena_step(&p.tmp, similarity_plan(train->n));
-    arena_step(&p.tmp, align_plan(most, cfg->size, threads));
-    return (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
+        locate_plan(p, v);
+    arena_step(&p->tmp, similarity_plan(v->n));
+    arena_step(&p->tmp, align_plan(most, v, p->threads));
+}
+
+err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
+                    const struct capture *test, int most, int threads, struct job_memory *out)
+{
+    const struct prep_size size = {cfg->size, recipe_choose(train, cfg, false).square};
+    const int inputs = prep_places(train);
+    struct views v = {.n = inputs + count_views(test), .size = cfg->size};
+    struct plan p = plan_begin(threads);
+    v.extent = calloc((size_t)(train->n + count_views(test)), sizeof *v.extent);
+    if (!v.extent)
+        return err_fail(ERR_NOMEM, "no memory for the shapes of %d views", v.n);
+    prep_extents(train, size, v.extent); // places come first
+    add_extents(test, size, extent_total(v.extent, inputs), v.extent + inputs);
+    plan_steps(&p, cfg, &v, test, most);
+    free(v.extent);
+    *out = (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
+    return OK;
 }
 
 /* Views of the scene, then one picture of each test view. */
-static err_t begin_views(struct arena *keep, const struct views *train, int n, struct views *all)
+static err_t begin_views(struct arena *keep, const struct views *train, const struct capture *test,
+                         struct prep_size size, struct views *all)
 {
-    const size_t bytes = 3 * (size_t)train->size * (size_t)train->size;
+    const int n = train->n + count_views(test);
+    const size_t own = extent_total(train->extent, train->n);
     *all = (struct views){
         .n = n, .size = train->size, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
-    err_t e = layout_views(all, keep, n, train->size);
+    err_t e = layout_extents(all, keep);
     if (e)
         return e;
-    memcpy(all->rgb, train->rgb, bytes * (size_t)train->n);
+    memcpy(all->extent, train->extent, (size_t)train->n * sizeof *all->extent);
+    add_extents(test, size, own, all->extent + train->n);
+    e = layout_views(all, keep, extent_total(all->extent, n));
+    if (e)
+        return e;
+    memcpy(all->rgb, train->rgb, 3 * own);
     memcpy(all->log2t, train->log2t, (size_t)train->n * sizeof(float));
     return OK;
 }
@@ -92,15 +134,16 @@ static err_t begin_views(struct arena *keep, const struct views *train, int n, s
 static err_t add_view(const struct run *r, const struct imageset *test, int i, int at,
                       struct views *all)
 {
-    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, mark = arena_mark(r->keep);
+    const struct prep_size size = {all->size, all->extent[at].w == all->extent[at].h};
+    const size_t mark = arena_mark(r->keep);
     struct shot s = test->capture.shots[i];
     struct capture one = {1, &s};
     struct views v;
     err_t e = imageset_decode(test, i, &s.image);
     if (!e)
-        e = prep_run(r, &one, all->size, &v);
+        e = prep_run(r, &one, size, &v);
     if (!e) {
-        memcpy(all->rgb + bytes * (size_t)at, v.rgb, bytes);
+        memcpy(views_rgb(all, at), v.rgb, 3 * extent_pixels(&all->extent[at]));
         all->log2t[at] = v.log2t[0];
     }
     img_free(&s.image);
@@ -150,10 +193,11 @@ static err_t place(const struct run *r, const struct scene *s, int n, struct cam
 static err_t align(const struct run *r, const struct scene *s, const struct views *all,
                    struct camera *cams)
 {
-    const size_t bytes = 3 * (size_t)all->size * (size_t)all->size, first = (size_t)s->n_views;
+    const size_t first = (size_t)s->n_views;
     struct views v = {.n = all->n - s->n_views,
                       .size = all->size,
-                      .rgb = all->rgb + bytes * first,
+                      .extent = all->extent + first,
+                      .rgb = all->rgb, // the extents count from there
                       .log2t = all->log2t + first,
                       .cams = cams + first};
     err_t e = place(r, s, all->n, cams);
@@ -177,7 +221,7 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
     const size_t mark = arena_mark(r->keep);
     struct camera *cams = NULL;
     struct views all;
-    err_t e = begin_views(r->keep, &j->views, n + count_views(&test->capture), &all);
+    err_t e = begin_views(r->keep, &j->views, &test->capture, job_result_size(&j->scene), &all);
     for (int i = 0, at = n; i < test->capture.n && !e; i++)
         if (begins_view(&test->capture, i))
             e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
@@ -276,7 +320,7 @@ err_t testcams_measure(const struct run *r, const struct job_result *j, const st
     for (int i = 0; i < views && !e; i++) {
         const struct shot *s = shot_of(train, j->scene.names[i]);
         found[i] = j->scene.cams[i];
-        real[i] = pose_scaled(&s->cam, side, side);
+        real[i] = pose_scaled(&s->cam, found[i].w, found[i].h);
     }
     for (int i = 0, at = views; i < test->n && !e; i++)
         if (begins_view(test, i)) {

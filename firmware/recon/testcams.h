@@ -9,9 +9,11 @@
 
 #include "drivers/format/imageset.h"
 
-/* Memory beside that of the job. most: Gaussians of the scene. */
-struct job_memory testcams_plan(const struct job_config *cfg, const struct capture *train,
-                                const struct capture *test, int most, int threads);
+/* Memory beside that of the job. most: Gaussians of the scene.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
+                             const struct capture *test, int most, int threads,
+                             struct job_memory *out);
 
 /* Refuse before the work more views than cameras can be found for.
  * err:  ERR_ARG. */

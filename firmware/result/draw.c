@@ -23,6 +23,16 @@ err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h)
     return OK;
 }
 
+struct extent draw_cover(const struct scene *s)
+{
+    struct extent out = {0, 0, 0};
+    for (int i = 0; i < s->n_views; i++) {
+        const struct extent px = {s->cams[i].w, s->cams[i].h, 0}, both[2] = {out, px};
+        out = extent_cover(both, 2);
+    }
+    return out;
+}
+
 size_t draw_plan(int cap, int w, int h)
 {
     struct arena a = arena_counter();

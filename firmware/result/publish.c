@@ -102,14 +102,14 @@ struct pictures {
 static err_t compare_photograph(struct pictures *p, int i)
 {
     const struct views *v = &p->j->views;
-    const size_t values = 3 * (size_t)v->size * (size_t)v->size;
-    const uint8_t *photograph = v->rgb + values * (size_t)i;
+    const struct extent *px = &v->extent[i];
+    const struct image8 photograph = {px->w, px->h, 3, views_rgb(v, i)};
     draw_display(&p->draw, v->log2t[i]);
-    double mse = squared_error(&p->draw.display, photograph) / (double)values;
+    double mse = squared_error(&p->draw.display, photograph.px) / (3 * (double)extent_pixels(px));
     double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
     p->psnr += psnr;
     p->j->input_db[i] = (float)psnr;
-    return report_page_picture(p->sheet, i, v->size, photograph, &p->draw.display);
+    return report_page_picture(p->sheet, i, &photograph, &p->draw.display);
 }
 
 static err_t write_view(struct pictures *p, int i)
@@ -145,7 +145,8 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     struct pictures p = {.r = r, .j = j, .o = o, .sheet = sheet};
     const struct scene *s = &j->scene;
     size_t mark = arena_mark(r->tmp);
-    err_t e = draw_init(&p.draw, r->tmp, s->g.cap, s->size, s->size);
+    const struct extent most = draw_cover(s);
+    err_t e = draw_init(&p.draw, r->tmp, s->g.cap, most.w, most.h);
     for (int i = 0; i < s->n_views && !e; i++) {
         e = write_view(&p, i);
         if (!e && r->progress)

@@ -8,7 +8,9 @@
 #include "firmware/result/embed.h"
 
 #include "core/base/base64.h"
+#include "core/base/num.h"
 #include "core/base/sha256.h"
+#include "core/photo/prep.h"
 #include "drivers/format/img.h"
 
 #include <math.h>
@@ -19,7 +21,7 @@ EMBED_FILE(sheet_html, "firmware/web/report.html");
 EMBED_FILE(sheet_css, "firmware/web/report.css");
 EMBED_FILE(sheet_js, "firmware/web/report.js");
 
-enum { THUMB = 192, QUALITY = 70 }; // px, of a square
+enum { THUMB = 192, QUALITY = 70 }; // px, longest edge
 static const double ERROR_WHITE = 0.25;
 
 uint64_t report_page_bytes(int n_pictures)
@@ -34,16 +36,16 @@ struct sums { // over the box of a thumbnail's pixel
     double photograph[3], display[3], error;
 };
 
-static struct sums sum_box(int size, const uint8_t *photograph, const struct image *display,
+static struct sums sum_box(const struct image8 *photograph, const struct image *display,
                            const int box[4])
 {
-    const size_t plane = (size_t)size * (size_t)size;
+    const size_t plane = (size_t)photograph->w * (size_t)photograph->h;
     struct sums s = {0};
     for (int y = box[1]; y < box[3]; y++)
         for (int x = box[0]; x < box[2]; x++)
             for (int c = 0; c < 3; c++) {
-                size_t at = (size_t)y * (size_t)size + (size_t)x;
-                double z = photograph[3 * at + (size_t)c] / 255.0;
+                size_t at = (size_t)y * (size_t)photograph->w + (size_t)x;
+                double z = photograph->px[3 * at + (size_t)c] / 255.0;
                 double d = display ? (double)display->px[(size_t)c * plane + at] : z;
                 s.photograph[c] += z;
                 s.display[c] += d;
@@ -69,37 +71,41 @@ static void mean_of(const struct sums *s, int n, uint8_t out[3][3])
 }
 
 /* own: free(out->px). */
-static err_t make_strip(const struct report_page *s, int size, const uint8_t *photograph,
+static err_t make_strip(const struct report_page *s, const struct image8 *photograph,
                         const struct image *display, struct image8 *out)
 {
-    int thumb = size < THUMB ? size : THUMB, squares = display ? 3 : 1;
-    uint8_t *px = calloc((size_t)thumb * (size_t)thumb, 9);
+    const struct extent thumb = prep_extent(
+        (struct prep_size){.edge = num_min(num_max(photograph->w, photograph->h), THUMB)},
+        photograph->w, photograph->h);
+    const int squares = display ? 3 : 1, w = thumb.w, h = thumb.h;
+    uint8_t *px = calloc(extent_pixels(&thumb), 9);
     if (!px)
         return err_fail(ERR_NOMEM, "%s: no memory for a thumbnail", s->path);
-    *out = (struct image8){squares * thumb, thumb, 3, px};
-    for (int y = 0; y < thumb; y++)
-        for (int x = 0; x < thumb; x++) {
-            const int box[4] = {x * size / thumb, y * size / thumb, (x + 1) * size / thumb,
-                                (y + 1) * size / thumb};
-            struct sums sum = sum_box(size, photograph, display, box);
+    *out = (struct image8){squares * w, h, 3, px};
+    for (int y = 0; y < h; y++)
+        for (int x = 0; x < w; x++) {
+            const int box[4] = {x * photograph->w / w, y * photograph->h / h,
+                                (x + 1) * photograph->w / w, (y + 1) * photograph->h / h};
+            struct sums sum = sum_box(photograph, display, box);
             uint8_t mean[3][3];
             mean_of(&sum, (box[2] - box[0]) * (box[3] - box[1]), mean);
             for (int k = 0; k < squares; k++)
-                memcpy(px + 3 * ((y * squares + k) * thumb + x), mean[k], 3);
+                memcpy(px + 3 * ((y * squares + k) * w + x), mean[k], 3);
         }
     return OK;
 }
 
-err_t report_page_picture(struct report_page *s, int i, int size, const uint8_t *photograph,
+err_t report_page_picture(struct report_page *s, int i, const struct image8 *photograph,
                           const struct image *display)
 {
     struct image8 strip;
     void *jpeg;
     size_t n;
-    if (size < 1 || (display && (display->w != size || display->h != size)))
-        return err_fail(ERR_ARG, "%s: picture of %d px, the scene's has %d x %d", s->path, size,
-                        display ? display->w : 0, display ? display->h : 0);
-    err_t e = make_strip(s, size, photograph, display, &strip);
+    const int w = photograph->w, h = photograph->h;
+    if (w < 1 || h < 1 || (display && (display->w != w || display->h != h)))
+        return err_fail(ERR_ARG, "%s: picture of %d x %d px, the scene's has %d x %d", s->path, w,
+                        h, display ? display->w : 0, display ? display->h : 0);
+    err_t e = make_strip(s, photograph, display, &strip);
     if (e)
         return e;
     e = img_encode_jpeg(&strip, QUALITY, s->path, &jpeg, &n);
@@ -197,11 +203,12 @@ void report_page_discard(struct report_page *s)
 err_t report_page_write(const char *path, const struct job_result *j, const char *json)
 {
     const struct views *v = &j->views;
-    const size_t bytes = 3 * (size_t)v->size * (size_t)v->size;
     struct report_page s;
     err_t e = report_page_open(path, &s);
-    for (int i = 0; i < v->n + v->n_more && !e; i++)
-        e = report_page_picture(&s, i, v->size, v->rgb + bytes * (size_t)i, NULL);
+    for (int i = 0; i < v->n + v->n_more && !e; i++) {
+        const struct image8 photograph = {v->extent[i].w, v->extent[i].h, 3, views_rgb(v, i)};
+        e = report_page_picture(&s, i, &photograph, NULL);
+    }
     if (!e)
         return report_page_close(&s, json);
     report_page_discard(&s);

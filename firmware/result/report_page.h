@@ -25,11 +25,11 @@ uint64_t report_page_bytes(int n_pictures);
  * err:  ERR_ARG (path too long), ERR_IO, ERR_LIMIT (no space). On error *s is zeroed. */
 MUST_USE err_t report_page_open(const char *path, struct report_page *s);
 
-/* Photograph `i` of report.json's "inputs", each once, in any order: (size, size, 3); beside it, if
+/* Photograph `i` of report.json's "inputs", each once, in any order; beside it, if
  * display is not NULL, what the scene shows in its place and how far that is from it.
  * err:  ERR_NOMEM, ERR_ARG (shape). */
-MUST_USE err_t report_page_picture(struct report_page *s, int i, int size,
-                                   const uint8_t *photograph, const struct image *display);
+MUST_USE err_t report_page_picture(struct report_page *s, int i, const struct image8 *photograph,
+                                   const struct image *display);
 
 /* Finish the file. json: path of report.json.
  * err:  ERR_IO, ERR_LIMIT (no space), ERR_FORMAT (of report.json); then there is no file. */

@@ -262,14 +262,17 @@ static void put_floats(FILE *f, const char *key, const float *v, int n)
 static err_t put_photo(const struct page *p, int i, FILE *f)
 {
     const struct scene *s = p->in->scene;
-    size_t values = 3 * (size_t)s->size * (size_t)s->size, n;
-    struct image8 im = {s->size, s->size, 3, (uint8_t *)p->in->photos + values * (size_t)i};
+    const struct camera *c = &s->cams[i];
+    size_t at = 0, n;
+    for (int k = 0; k < i; k++)
+        at += 3 * (size_t)s->cams[k].w * (size_t)s->cams[k].h;
+    struct image8 im = {c->w, c->h, 3, (uint8_t *)p->in->photos + at};
     void *jpeg;
     err_t e = img_encode_jpeg(&im, QUALITY, s->names[i], &jpeg, &n);
     if (e)
         return e;
     fputs(",\"photo\":\"data:image/jpeg;base64,", f);
-    for (size_t at = 0; at < n; at += PIECE)
+    for (at = 0; at < n; at += PIECE)
         put_base64(f, (uint8_t *)jpeg + at, n - at < PIECE ? n - at : PIECE);
     fputc('"', f);
     free(jpeg);
@@ -284,6 +287,8 @@ static err_t put_view(const struct page *p, int i, FILE *f)
     fprintf(f, "%s{\"name\":", i ? "," : "");
     json_put_string(f, s->names[i]);
     fprintf(f, ",\"stops\":%.9g,", (double)(s->log2t[i] - s->tone.mid_log2t));
+    if (c->w != s->size || c->h != s->size)
+        fprintf(f, "\"px\":[%d,%d],", c->w, c->h);
     put_floats(f, "k", k, 4);
     fputc(',', f);
     put_floats(f, "q", c->q, 4);

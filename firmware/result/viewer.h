@@ -13,11 +13,13 @@ enum {
 
 struct viewer_input {
     const struct scene *scene;
-    const uint8_t *photos; // (n_views, size, size, 3) 8 bit, as taken; NULL: none to compare with
-    const float *log2t;    // (n_log2t) exposures of all photographs, in scale of scene->log2t, for
-    int n_log2t;           // marks; NULL: those of the views
-    const char *title;     // UTF-8
-    const char *report;    // address of the report, relative; NULL: none
+    const uint8_t
+        *photos;        // (n_views) pictures (h, w, 3) one after another, of the cameras' w and h,
+                        // as taken; NULL: none to compare with
+    const float *log2t; // (n_log2t) exposures of all photographs, in scale of scene->log2t, for
+    int n_log2t;        // marks; NULL: those of the views
+    const char *title;  // UTF-8
+    const char *report; // address of the report, relative; NULL: none
 };
 
 /* Upper bound of the file. */

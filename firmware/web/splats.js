@@ -498,7 +498,8 @@ function rotation([w, x, y, z]) {
 
 function cameraOf(v) {
   const [fx, fy, cx, cy] = v.k;
-  return { w: info.size, h: info.size, fx, fy, cx, cy, R: rotation(v.q), t: v.t.slice() };
+  const [w, h] = v.px || [info.size, info.size];
+  return { w, h, fx, fy, cx, cy, R: rotation(v.q), t: v.t.slice() };
 }
 
 const centreOf = ({ R, t }) =>

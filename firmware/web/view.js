@@ -206,7 +206,8 @@ function layPhoto() {
   byId("photo").hidden = byId("divider").hidden = !shown;
   if (!shown) return;
   const v = fit(state.cam, canvas.clientWidth, canvas.clientHeight);
-  const box = { left: v.left, top: v.top, width: v.s * info.size, height: v.s * info.size };
+  const { w, h } = state.cam;
+  const box = { left: v.left, top: v.top, width: v.s * w, height: v.s * h };
   if (byId("photo").src !== view.photo) byId("photo").src = view.photo;
   for (const [key, px] of Object.entries(box)) byId("photo").style[key] = `${px}px`;
   byId("photo").style.clipPath = `inset(0 ${100 - state.split}% 0 0)`;

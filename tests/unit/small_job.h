@@ -8,6 +8,7 @@
 #include "core/photo/tonemap.h"
 #include "firmware/recon/job.h"
 #include "firmware/result/draw.h"
+#include "tests/unit/squares.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -58,6 +59,7 @@ static inline void small_job_init(struct small_job *s, int n)
     tonemap_linear(&j->scene.tone, 1, -10, 10, 0);
     j->views = (struct views){.n = SMALL_VIEWS,
                               .size = SMALL_SIZE,
+                              .extent = squares(SMALL_VIEWS, SMALL_SIZE),
                               .names = s->names,
                               .rgb = s->rgb,
                               .log2t = s->log2t,

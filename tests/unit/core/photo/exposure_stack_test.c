@@ -3,6 +3,7 @@
 #include "core/photo/exposure_stack.h"
 
 #include "core/photo/response.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -47,6 +48,7 @@ static void begin_places(float reach)
     static const int of[ALL - PLACES] = {0, 0, 0, 0, 1, 1, 1};
     v = (struct views){.n = PLACES,
                        .size = S,
+                       .extent = squares(ALL, S),
                        .names = names,
                        .rgb = rgb,
                        .log2t = log2t,

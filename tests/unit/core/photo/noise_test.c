@@ -1,5 +1,6 @@
 /* The noise estimate on pictures whose noise is known. */
 #include "core/photo/noise.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -26,7 +27,7 @@ static double normal(void) // sum of 12 uniform numbers
 static float estimate(double deviation)
 {
     struct arena tmp;
-    struct views v = {.n = V, .size = S, .rgb = rgb};
+    struct views v = {.n = V, .size = S, .extent = squares(V, S), .rgb = rgb};
     struct run r = {.tmp = &tmp};
     float db;
     seed = 1;
@@ -58,7 +59,7 @@ static void test_extremes(void **state)
 {
     (void)state;
     struct arena tmp;
-    struct views v = {.n = V, .size = S, .rgb = rgb};
+    struct views v = {.n = V, .size = S, .extent = squares(V, S), .rgb = rgb};
     struct run r = {.tmp = &tmp};
     float db;
     assert_int_equal(arena_init(&tmp, "test", 4096), OK);

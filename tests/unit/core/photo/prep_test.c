@@ -136,17 +136,19 @@ static void capture_close(struct capture *c)
         free(c->shots[i].image.px);
 }
 
+static struct prep_size square = {56, true};
+
 /* Runs with exactly the planned memory; the caller frees the arenas. */
 static err_t run_planned(const struct capture *c, int threads, struct arena *keep, struct views *v)
 {
     struct plan plan = plan_begin(threads);
     struct arena tmp;
     struct run r = {.keep = keep, .tmp = &tmp};
-    prep_plan(&plan, c->n, prep_largest(c), 56);
+    prep_plan_capture(&plan, c, square);
     assert_int_equal(pool_open(&r.pool, threads), OK);
     assert_int_equal(arena_init(keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
-    err_t e = prep_run(&r, c, 56, v);
+    err_t e = prep_run(&r, c, square, v);
     assert_int_equal(tmp.used, 0);
     if (!e)
         assert_true(tmp.peak <= plan.tmp.peak && keep->used <= plan.keep.peak);
@@ -191,6 +193,40 @@ static void run_fills_views(void **state)
     capture_close(&c);
 }
 
+/* The long edge is that of the view, and each keeps its shape. */
+static void views_keep_their_shapes(void **state)
+{
+    (void)state;
+    static const int h[3] = {37, 32, 28}; // of 60, 70, 80 x 40
+    struct shot shots[3];
+    struct capture c;
+    struct views v;
+    struct arena keep;
+    size_t at = 0;
+    capture_open(&c, shots);
+    square.square = false;
+    assert_int_equal(run_planned(&c, 2, &keep, &v), OK);
+    for (int i = 0; i < 3; i++) {
+        const struct extent *e = &v.extent[i];
+        assert_true(e->w == 56 && e->h == h[i] && e->at == at);
+        assert_true(v.cams[i].w == 56 && v.cams[i].h == h[i]);
+        assert_float_equal(v.cams[i].fx, 50 * 56.0f / (float)(60 + 10 * i), 1e-4);
+        assert_float_equal(v.cams[i].fy, 52 * (float)h[i] / 40, 1e-4);
+        at += extent_pixels(e);
+    }
+    assert_true(extent_total(v.extent, 3) == at && v.size == 56 && v.aspect == 1);
+    const struct extent cover = extent_cover(v.extent, 3), high = prep_extent(square, 10, 4000);
+    assert_true(cover.w == 56 && cover.h == 37 && cover.at == 56 * 37);
+    assert_true(high.w == 1 && high.h == 56); // never nothing
+    arena_free(&keep);
+    shots[1].again = true;
+    assert_int_equal(run_planned(&c, 2, &keep, &v), ERR_ARG);
+    assert_non_null(strstr(err_text(), "shot_1.png: 70 x 40 px, but shot_0.png from the same"));
+    arena_free(&keep);
+    square.square = true;
+    capture_close(&c);
+}
+
 /* Shots 0 and 1 are one place: the second goes behind the third. */
 static void exposures_go_behind_places(void **state)
 {
@@ -201,6 +237,7 @@ static void exposures_go_behind_places(void **state)
     struct arena keep[2];
     const size_t bytes = 3 * 56 * 56;
     capture_open(&c, shots);
+    shots[1].image.w = shots[1].cam.w = 60; // as shot 0
     assert_int_equal(run_planned(&c, 1, &keep[0], &each), OK);
     assert_int_equal(prep_places(&c), 3);
     shots[0].again = true; // of nothing before it
@@ -260,15 +297,15 @@ static void pixels_may_come_later(void **state)
     stored = &c;
     assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
     struct plan plan = plan_begin(1);
-    prep_plan(&plan, later.n, prep_largest(&later), 56);
+    prep_plan_capture(&plan, &later, square);
     assert_int_equal(arena_init(&more, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
-    assert_int_equal(prep_run(&r, &later, 56, &v), ERR_ARG); // no pixels
+    assert_int_equal(prep_run(&r, &later, square, &v), ERR_ARG); // no pixels
     broken = 2;
-    assert_int_equal(prep_read(&r, &later, &from, 56, &v), ERR_IO);
+    assert_int_equal(prep_read(&r, &later, &from, square, &v), ERR_IO);
     assert_true(more.used == 0 && tmp.used == 0 && decoded == released);
     broken = -1;
-    assert_int_equal(prep_read(&r, &later, &from, 56, &v), OK);
+    assert_int_equal(prep_read(&r, &later, &from, square, &v), OK);
     assert_true(decoded == 5 && released == 5);
     assert_memory_equal(v.rgb, now.rgb, 3 * 3 * 56 * 56);
     arena_free(&keep);
@@ -322,14 +359,14 @@ static void run_can_be_cancelled(void **state)
     capture_open(&c, shots);
     assert_int_equal(arena_init(&keep, "keep", 1 << 20), OK);
     assert_int_equal(arena_init(&tmp, "tmp", 1 << 20), OK);
-    assert_int_equal(prep_run(&r, &c, 56, &v), ERR_CANCELLED);
+    assert_int_equal(prep_run(&r, &c, square, &v), ERR_CANCELLED);
     assert_int_equal(keep.used + tmp.used, 0);
     cancel = false;
-    assert_int_equal(prep_run(&r, &c, PREP_SIZE_MAX + 1, &v), ERR_ARG);
-    assert_int_equal(prep_run(&r, &c, 0, &v), ERR_ARG);
+    assert_int_equal(prep_run(&r, &c, (struct prep_size){PREP_SIZE_MAX + 1, true}, &v), ERR_ARG);
+    assert_int_equal(prep_run(&r, &c, (struct prep_size){0, true}, &v), ERR_ARG);
     arena_free(&keep);
     assert_int_equal(arena_init(&keep, "keep", 1000), OK);
-    assert_int_equal(prep_run(&r, &c, 56, &v), ERR_NOMEM);
+    assert_int_equal(prep_run(&r, &c, square, &v), ERR_NOMEM);
     assert_int_equal(keep.used + tmp.used, 0);
     arena_free(&keep);
     arena_free(&tmp);
@@ -342,6 +379,7 @@ int main(void)
         cmocka_unit_test(resize_equals_golden),
         cmocka_unit_test(resize_equals_pillow_on_odd_shapes),
         cmocka_unit_test(run_fills_views),
+        cmocka_unit_test(views_keep_their_shapes),
         cmocka_unit_test(exposures_go_behind_places),
         cmocka_unit_test(pixels_may_come_later),
         cmocka_unit_test(run_refuses),

@@ -1,6 +1,7 @@
 /* Curves that are known are recovered from pictures at several exposures; extremes give a finite
  * rising curve. */
 #include "core/photo/response.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -69,7 +70,8 @@ static void draw(struct world *w, curve_fn *curve, int i, int cut, float away)
 static void make_world(struct world *w, curve_fn *curve, int exposures, float step)
 {
     memset(w, 0, sizeof *w);
-    w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t};
+    w->v =
+        (struct views){.n = VIEWS, .size = SIZE, .extent = squares(VIEWS, SIZE), .log2t = w->log2t};
     w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
     w->v.mid_log2t = 0.5f * step * (float)(exposures - 1) - 3.0f;

@@ -140,7 +140,8 @@ static void open_case(unsigned cpu)
                              .w_l1 = 0.8f,
                              .w_ssim = 0.2f,
                              .held = held,
-                             .held_px = 12};
+                             .held_px = 12,
+                             .held_across = (W + 11) / 12};
     for (int i = 0; i < 3 * PX; i++)
         ref_radiance[i] = (double)radiance[i];
     for (int i = 0; i < PX; i++)

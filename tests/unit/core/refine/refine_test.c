@@ -9,6 +9,7 @@
 #include "core/refine/align.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -108,8 +109,13 @@ static void open_world(int threads, int degree)
         pose_move(&W.cams[i], away);
     }
     photograph(V);
-    W.v = (struct views){
-        .n = V, .size = S, .names = W.names, .rgb = W.rgb, .log2t = W.log2t, .cams = W.cams};
+    W.v = (struct views){.n = V,
+                         .size = S,
+                         .extent = squares(V, S),
+                         .names = W.names,
+                         .rgb = W.rgb,
+                         .log2t = W.log2t,
+                         .cams = W.cams};
     W.start = (struct scene){.tone = W.truth.tone,
                              .n_views = V,
                              .size = S,

@@ -4,6 +4,7 @@
 
 #include "core/photo/response.h"
 #include "core/stereo/visibility.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -59,9 +60,14 @@ static int setup(void **state)
 {
     (void)state;
     memset(&w, 0, sizeof w);
-    w.v = (struct views){
-        .n = VIEWS, .size = SIZE, .rgb = w.rgb, .log2t = w.log2t, .mid_log2t = -2, .cams = w.cams};
-    w.depth = (struct depthmaps){VIEWS, MAP, 2, w.z, w.conf};
+    w.v = (struct views){.n = VIEWS,
+                         .size = SIZE,
+                         .extent = squares(VIEWS, SIZE),
+                         .rgb = w.rgb,
+                         .log2t = w.log2t,
+                         .mid_log2t = -2,
+                         .cams = w.cams};
+    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf};
     for (int i = 0; i < VIEWS; i++)
         photograph(i);
     for (int k = 0; k < VIEWS * MPX; k++) {
@@ -145,8 +151,12 @@ static void pairs_have_a_bound_and_stop(void **state)
     static float log2t[40];
     struct tonemap t;
     atomic_bool cancel = true;
-    struct depthmaps maps = {40, MAP, 2, calloc(40 * MPX, 4), calloc(40 * MPX, 4)};
-    struct views v = {.n = 40, .size = SIZE, .rgb = calloc(40 * PX, 3), .log2t = log2t};
+    struct depthmaps maps = {40, 2, squares(40, MAP), calloc(40 * MPX, 4), calloc(40 * MPX, 4)};
+    struct views v = {.n = 40,
+                      .size = SIZE,
+                      .extent = squares(40, SIZE),
+                      .rgb = calloc(40 * PX, 3),
+                      .log2t = log2t};
     assert_non_null(maps.depth && maps.conf && v.rgb ? v.rgb : NULL);
     v.cams = cams;
     for (int i = 0; i < 40; i++) { // all in one place: every pixel is found in every view

@@ -4,6 +4,7 @@
 #include "core/sfm/adjust.h"
 #include "core/sfm/similarity.h"
 #include "tests/unit/core/sfm/bundle_scene.h"
+#include "tests/unit/squares.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
@@ -22,6 +23,14 @@ struct job {
     struct bundle_result out;
 };
 
+static float squeezed = 1; // height over width of the photographs
+
+static struct views views_of(int n)
+{
+    return (struct views){
+        .n = n, .size = SCENE_SIZE, .aspect = squeezed, .extent = squares(n, SCENE_SIZE)};
+}
+
 static err_t run_on(struct job *j, const struct bundle_config *cfg, int threads)
 {
     struct pool *pool = NULL;
@@ -35,7 +44,8 @@ static err_t run_on(struct job *j, const struct bundle_config *cfg, int threads)
     if (threads > 1)
         assert_int_equal(pool_open(&pool, threads), OK);
     r.pool = pool;
-    err_t e = bundle_run(&r, j->rig.n_views, SCENE_SIZE, &j->tracks.t, cfg, &j->out);
+    const struct views v = views_of(j->rig.n_views);
+    err_t e = bundle_run(&r, &v, &j->tracks.t, cfg, &j->out);
     pool_close(pool);
     assert_int_equal(j->tmp.used, 0);
     return e;
@@ -564,7 +574,8 @@ static void squeezed_views(void **unused)
         memcpy(start, j.rig.cams, sizeof start);
         for (int v = 0; v < j.rig.n_views; v++)
             start[v].fy /= aspect;
-        struct bundle_config cfg = {.aspect = aspect};
+        struct bundle_config cfg = {.rig_known = false};
+        squeezed = aspect;
         if (k % 2) {
             cfg.start = start;
             cfg.start_depth = depth;
@@ -580,6 +591,7 @@ static void squeezed_views(void **unused)
         }
         job_free(&j);
     }
+    squeezed = 1;
 }
 
 /* ---- little or nothing to go by ---- */
@@ -747,20 +759,23 @@ static void wrong_requests(void **unused)
     struct run r = {.keep = &j.keep, .tmp = &j.tmp};
     struct plan plan = plan_begin(1);
     bundle_plan(&plan, 4, &j.tracks.t);
-    assert_int_equal(bundle_run(&r, 0, 448, &j.tracks.t, &none, &j.out), ERR_ARG);
-    assert_int_equal(bundle_run(&r, BUNDLE_VIEWS_MAX + 1, 448, &j.tracks.t, &none, &j.out),
-                     ERR_ARG);
-    assert_int_equal(bundle_run(&r, 4, 0, &j.tracks.t, &none, &j.out), ERR_ARG);
+    const struct views four = views_of(4), nobody = views_of(0),
+                       crowd = views_of(BUNDLE_VIEWS_MAX + 1);
+    struct views empty = four;
+    empty.size = 0;
+    assert_int_equal(bundle_run(&r, &nobody, &j.tracks.t, &none, &j.out), ERR_ARG);
+    assert_int_equal(bundle_run(&r, &crowd, &j.tracks.t, &none, &j.out), ERR_ARG);
+    assert_int_equal(bundle_run(&r, &empty, &j.tracks.t, &none, &j.out), ERR_ARG);
     arena_free(&j.tmp);
     assert_int_equal(arena_init(&j.tmp, "tmp", plan.tmp.peak / 2), OK);
-    assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_NOMEM);
+    assert_int_equal(bundle_run(&r, &four, &j.tracks.t, &none, &j.out), ERR_NOMEM);
     assert_null(j.out.cams);
     atomic_bool stop = true;
     arena_reset(&j.keep, 0);
     arena_free(&j.tmp);
     assert_int_equal(arena_init(&j.tmp, "tmp", plan.tmp.peak), OK);
     r.cancel = &stop;
-    assert_int_equal(bundle_run(&r, 4, 448, &j.tracks.t, &none, &j.out), ERR_CANCELLED);
+    assert_int_equal(bundle_run(&r, &four, &j.tracks.t, &none, &j.out), ERR_CANCELLED);
     job_free(&j);
 }
 

@@ -4,6 +4,7 @@
 
 #include "core/base/cpu.h"
 #include "core/kernels/kernels.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -122,13 +123,13 @@ static void photograph(struct world *w, int i, double electrons)
 static void open_world(struct world *w, int n, int threads)
 {
     memset(w, 0, sizeof *w);
-    w->v = (struct views){.n = n, .size = SIZE, .log2t = w->log2t};
+    w->v = (struct views){.n = n, .size = SIZE, .extent = squares(n, SIZE), .log2t = w->log2t};
     w->v.rgb = malloc((size_t)n * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
     kernels_init(&w->k, cpu_detect());
     struct plan plan = plan_begin(threads);
     struct match_tracks most;
-    match_plan(&plan, n, SIZE, &most);
+    match_plan(&plan, &w->v, &most);
     assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
     if (threads > 1)
@@ -357,6 +358,7 @@ static void test_nothing_to_see(void **state)
     w.v.n = 3;
     for (w.v.size = 1; w.v.size < 90; w.v.size += 11) {
         w.keep.used = 0;
+        w.v.extent = squares(3, w.v.size);
         assert_int_equal(match_run(&w.run, &w.v, NULL, &t), OK);
         assert_true(t.n_tracks < 20);
     }
@@ -458,7 +460,7 @@ static void test_too_little_memory(void **state)
     w.keep.size = 64;
     assert_int_equal(match_run(&w.run, &w.v, NULL, &t), ERR_NOMEM);
     struct plan plan = plan_begin(1);
-    match_plan(&plan, 2, SIZE, &t);
+    match_plan(&plan, &w.v, &t);
     w.keep.size = plan.keep.peak;
     atomic_bool cancel = true;
     w.run.cancel = &cancel;
@@ -471,7 +473,7 @@ static void test_too_little_memory(void **state)
  * collides modulo the width of a word. */
 static void test_many_views(void **state)
 {
-    struct views v = {.n = 66, .size = 70};
+    struct views v = {.n = 66, .size = 70, .extent = squares(66, 70)};
     struct arena keep, tmp;
     struct kernels k;
     struct match_tracks t;
@@ -486,7 +488,7 @@ static void test_many_views(void **state)
     }
     kernels_init(&k, cpu_detect());
     struct plan plan = plan_begin(1);
-    match_plan(&plan, v.n, v.size, &t);
+    match_plan(&plan, &v, &t);
     assert_int_equal(arena_init(&keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     const struct run r = {.k = &k, .keep = &keep, .tmp = &tmp};

@@ -3,6 +3,7 @@
 #include "core/stereo/seed.h"
 
 #include "core/photo/response.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -45,16 +46,20 @@ static float plane_light(float x)
 static void make_world(struct world *w)
 {
     memset(w, 0, sizeof *w);
-    w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t, .cams = w->cams};
+    w->v = (struct views){.n = VIEWS,
+                          .size = SIZE,
+                          .extent = squares(VIEWS, SIZE),
+                          .log2t = w->log2t,
+                          .cams = w->cams};
     w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
-    w->depth = (struct depthmaps){.n = VIEWS, .size = MAP, .scale = 2};
+    w->depth = (struct depthmaps){.n = VIEWS, .scale = 2, .extent = squares(VIEWS, MAP)};
     struct plan plan = plan_begin(1);
     struct gaussians splats;
     assert_int_equal(arena_alloc(&plan.keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.depth),
                      OK);
     assert_int_equal(arena_alloc(&plan.keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.conf), OK);
-    seed_plan(&plan, &w->depth, MAX, &splats);
+    seed_plan(&plan, w->depth.extent, VIEWS, MAX, &splats);
     assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
     assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_alloc(&w->keep, VIEWS * MAP * MAP, sizeof(float), &w->depth.depth), OK);

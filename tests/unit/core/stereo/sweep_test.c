@@ -3,6 +3,7 @@
 #include "core/stereo/sweep.h"
 
 #include "core/photo/response.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -78,7 +79,11 @@ static void paint(struct world *w, int i)
 static void make_world(struct world *w, int threads)
 {
     memset(w, 0, sizeof *w);
-    w->v = (struct views){.n = VIEWS, .size = SIZE, .log2t = w->log2t, .cams = w->cams};
+    w->v = (struct views){.n = VIEWS,
+                          .size = SIZE,
+                          .extent = squares(VIEWS, SIZE),
+                          .log2t = w->log2t,
+                          .cams = w->cams};
     w->v.rgb = malloc((size_t)VIEWS * SIZE * SIZE * 3);
     assert_non_null(w->v.rgb);
     for (int i = 0; i < VIEWS; i++) {
@@ -92,9 +97,10 @@ static void make_world(struct world *w, int threads)
     }
     assert_int_equal(pool_open(&w->pool, threads), OK);
     struct plan plan = plan_begin(threads);
-    struct depthmaps maps;
+    struct extent maps[VIEWS];
     arena_step(&plan.tmp, response_plan(&w->v));
-    sweep_plan(&plan, &w->v, &maps);
+    (void)sweep_extents(&w->v, maps);
+    sweep_plan(&plan, &w->v, maps);
     assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
     assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     w->run = (struct run){.keep = &w->keep, .tmp = &w->tmp, .pool = w->pool};
@@ -117,7 +123,7 @@ static int by_value(const void *a, const void *b)
 
 static void check_finite(const struct depthmaps *d)
 {
-    for (int k = 0; k < d->n * d->size * d->size; k++) {
+    for (int k = 0; k < (int)extent_total(d->extent, d->n); k++) {
         assert_true(isfinite(d->depth[k]) && d->depth[k] > 0.0f);
         assert_true(d->conf[k] >= 0.0f && d->conf[k] <= 1.0f);
     }
@@ -126,9 +132,9 @@ static void check_finite(const struct depthmaps *d)
 static float mean_conf(const struct depthmaps *d)
 {
     double sum = 0.0;
-    for (int k = 0; k < d->n * d->size * d->size; k++)
+    for (int k = 0; k < (int)extent_total(d->extent, d->n); k++)
         sum += (double)d->conf[k];
-    return (float)(sum / (d->n * d->size * d->size));
+    return (float)(sum / (double)extent_total(d->extent, d->n));
 }
 
 static void test_depth(void **state)
@@ -140,7 +146,7 @@ static void test_depth(void **state)
     int n = 0, sure = 0, wrong = 0;
     make_world(&w, 1);
     assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
-    assert_int_equal(d.size * d.scale, SIZE);
+    assert_int_equal(d.extent[0].w * d.scale, SIZE);
     assert_int_equal(w.tmp.used, 0);
     check_finite(&d);
     for (int k = 0; k < VIEWS * SIZE * SIZE; k++) {

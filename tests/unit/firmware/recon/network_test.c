@@ -3,6 +3,7 @@
 #include "firmware/base/engine.h"
 #include "firmware/recon/network.h"
 #include "tests/unit/small_model.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -73,6 +74,7 @@ static void correspondences_are_sought_if_asked(void **state)
     struct prediction p;
     const struct views v = {.n = 2,
                             .size = 42,
+                            .extent = squares(2, 42),
                             .rgb = rgb,
                             .log2t = (float[2]){0, 0},
                             .names = (char[2][NAME_CAP]){""}};

@@ -5,6 +5,7 @@
 #include "firmware/recon/figures.h"
 #include "firmware/result/report_page.h"
 #include "tests/unit/small_job.h"
+#include "tests/unit/squares.h"
 #include "tests/unit/tmpdir.h"
 
 #include <math.h>
@@ -33,6 +34,7 @@ static int setup(void **state)
     tmpdir_make();
     tonemap_linear(&tone, 1, -16, 16, 0);
     memset(rgb, 128, sizeof rgb);
+    views.extent = squares(MOST, SIDE);
     return 0;
 }
 
@@ -491,7 +493,8 @@ static void photograph_scene_and_distance(void **state)
         px[i] = i < N * N / 2 ? 0.625f : 1;
     }
     assert_int_equal(report_page_open(tmpdir_path("p.html"), &s), OK);
-    assert_int_equal(report_page_picture(&s, 7, N, photograph, &display), OK);
+    assert_int_equal(report_page_picture(&s, 7, &(struct image8){N, N, 3, photograph}, &display),
+                     OK);
     assert_int_equal(report_page_close(&s, tmpdir_text("r.json", "{}")), OK);
     char *text = page(tmpdir_path("p.html"));
     assert_non_null(strstr(text, "\"7\": \"data:image/jpeg;base64,"));
@@ -522,7 +525,10 @@ static void a_photograph_alone(void **state)
     colour_at(&strip, 3, 3, 200, 200, 200);
     img_free(&strip);
     free(text);
-    assert_int_equal(report_page_picture(&s, 0, SMALL_SIZE, job.rgb, &other), ERR_ARG);
+    assert_int_equal(
+        report_page_picture(&s, 0, &(struct image8){SMALL_SIZE, SMALL_SIZE, 3, (uint8_t *)job.rgb},
+                            &other),
+        ERR_ARG);
 }
 
 static void trouble_leaves_no_file(void **state)
