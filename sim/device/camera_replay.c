@@ -1,4 +1,4 @@
-/* All pictures that may be shown are decoded at open, so that no frame waits for a file. */
+/* All pictures are decoded at open, so that no frame waits for a file. */
 #include "sim/device/camera_replay.h"
 
 #include "core/base/sha256.h"
@@ -32,7 +32,7 @@ static const struct uri_key keys[] = {
 
 /* ---- frames ---- */
 
-static int snap(void *ctx, struct exposure *e, bool request)
+static int choose_picture(void *ctx, struct exposure *e, bool request)
 {
     struct state *s = ctx;
     const struct shot *shots = s->set.capture.shots;
@@ -53,7 +53,7 @@ static int snap(void *ctx, struct exposure *e, bool request)
     return pick;
 }
 
-static err_t expose(void *ctx, const struct feed_shot *shot, uint8_t *px)
+static err_t copy_picture(void *ctx, const struct feed_shot *shot, uint8_t *px)
 {
     const struct state *s = ctx;
     const struct image8 *im = &s->set.capture.shots[shot->pick].image;
@@ -79,7 +79,7 @@ int camera_replay_view(const void *st)
 
 /* ---- open and close ---- */
 
-static err_t group(struct state *s, const struct options *o)
+static err_t group_views(struct state *s, const struct options *o)
 {
     const struct capture *c = &s->set.capture;
     s->first = calloc((size_t)c->n + 1, sizeof *s->first);
@@ -94,27 +94,27 @@ static err_t group(struct state *s, const struct options *o)
     }
     s->first[s->n_views] = c->n;
     if (o->bracket > 0 && c->n % o->bracket != 0)
-        return err_fail(ERR_ARG, "%s: %d pictures are no brackets of %d", s->set.dir, c->n,
-                        (int)o->bracket);
+        return err_fail(ERR_ARG, "%s: %d pictures cannot be divided into brackets of %d",
+                        s->set.dir, c->n, (int)o->bracket);
     if (o->view >= s->n_views)
-        return err_fail(ERR_ARG, "replay: view is %d, %s has %d", (int)o->view, s->set.dir,
-                        s->n_views);
+        return err_fail(ERR_ARG, "replay: view is %d, must be 0..%d for %s", (int)o->view,
+                        s->n_views - 1, s->set.dir);
     s->view = (int)o->view;
     s->step = (int)o->step;
     return OK;
 }
 
-static err_t load(struct state *s)
+static err_t load_pictures(struct state *s)
 {
     struct capture *c = &s->set.capture;
     double mib = 3.0 * c->shots[0].image.w * c->shots[0].image.h * c->n / (1 << 20);
     if (mib > CAMERA_REPLAY_MIB)
-        return err_fail(ERR_LIMIT, "%s: %d pictures take %.0f MiB, at most %d", s->set.dir, c->n,
-                        mib, CAMERA_REPLAY_MIB);
+        return err_fail(ERR_LIMIT, "%s: %d pictures take %.0f MiB, at most %d MiB are allowed",
+                        s->set.dir, c->n, mib, CAMERA_REPLAY_MIB);
     return imageset_load(&s->set);
 }
 
-/* Named by pictures and exposures, wherever the folder is. */
+/* The name depends on the pictures and exposures, not on the path of the folder. */
 static void name_unit(const struct capture *c, char unit[CAMERA_UNIT_CAP])
 {
     struct sha256 hash;
@@ -127,8 +127,8 @@ static void name_unit(const struct capture *c, char unit[CAMERA_UNIT_CAP])
     snprintf(unit, CAMERA_UNIT_CAP, "replay-%.16s", sha256_hex(&hash, hex));
 }
 
-/* The feed as this folder needs it. */
-static err_t stream(struct state *s, const struct camera_cfg *cfg, struct feed_options *feed)
+/* Open the feed with the exposure range of the pictures. */
+static err_t start_feed(struct state *s, const struct camera_cfg *cfg, struct feed_options *feed)
 {
     const struct capture *c = &s->set.capture;
     double lo = INFINITY, hi = 0.0;
@@ -143,8 +143,8 @@ static err_t stream(struct state *s, const struct camera_cfg *cfg, struct feed_o
                                  .bits = 8,
                                  .format = CAMERA_RGB8,
                                  .time_min_s = lo,
-                                 .expose = expose,
-                                 .snap = snap};
+                                 .expose = copy_picture,
+                                 .snap = choose_picture};
     name_unit(c, source.unit);
     feed->length = TIMING_FREE;
     feed->step_us = 0.0;
@@ -165,7 +165,8 @@ static err_t split_uri(const char *uri, char dir[FILE_PATH_CAP], const char **op
         return err_fail(ERR_ARG, "%.64s: does not begin with \"%s\"", uri, prefix);
     size_t n = strcspn(uri + skip, ",");
     if (n == 0 || n >= FILE_PATH_CAP)
-        return err_fail(ERR_ARG, "replay: a folder of %zu bytes, not 1..%d", n, FILE_PATH_CAP - 1);
+        return err_fail(ERR_ARG, "replay: the folder's path has %zu bytes, must be 1..%d", n,
+                        FILE_PATH_CAP - 1);
     memcpy(dir, uri + skip, n);
     dir[n] = '\0';
     *options = uri + skip + n + (uri[skip + n] == ',');
@@ -202,11 +203,11 @@ static err_t replay_open(void *st, const struct camera_cfg *cfg)
     if (!e)
         e = imageset_list(&ask, &s->set);
     if (!e)
-        e = group(s, &o);
+        e = group_views(s, &o);
     if (!e)
-        e = load(s);
+        e = load_pictures(s);
     if (!e)
-        e = stream(s, cfg, &feed);
+        e = start_feed(s, cfg, &feed);
     if (e)
         replay_close(s);
     return e;

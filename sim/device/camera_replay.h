@@ -1,14 +1,14 @@
-/* camera_replay.h - the camera `replay:FOLDER,KEY=VALUE,...`: plays photographs. FOLDER is whatever
- * drivers/format/imageset.h reads with exposures, without comma in its name. A request gives the
- * picture of the present view that is nearest in log exposure; frames say which one it is.
+/* camera_replay.h - the camera `replay:FOLDER,KEY=VALUE,...`: plays photographs. FOLDER is any set
+ * that drivers/format/imageset.h reads with exposures; its name has no comma. A request gives the
+ * picture of the present view that is nearest in log exposure; frames report its exposure.
  *
  *   which=train|test|all   pictures of the released layout
- *   bracket=N              N pictures in the order of names are one view; 0: told by their names
+ *   bracket=N              N pictures in order of names are one view; 0: names tell the views
  *   view=I                 the first view shown, from 0
- *   step=N                 after N requests the next one goes on to the next view (the last one is
- *                          followed by the first); 0: only camera_replay_step does
+ *   step=N                 every N requests show the next view (the first after the last);
+ *                          0: only camera_replay_step does
  *
- * and the first keys of sim/device/feed.c. The delay is 1 if not given. */
+ * and the first keys of sim/device/feed.c. The default delay is 1. */
 #ifndef DEVICE_CAMERA_REPLAY_H
 #define DEVICE_CAMERA_REPLAY_H
 

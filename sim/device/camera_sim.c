@@ -1,7 +1,7 @@
-/* The view is rendered at open, and again where the file of `at` names another one: the camera has
- * moved. Every frame is that linear radiance through the sensor at the frame's true exposure, with
- * noise by the frame's number. The unit is what makes a sensor and its curve: seed, view at open,
- * family and parameter of the curve. */
+/* The view is rendered at open, and again when the file of `at` names another one: the camera has
+ * moved. Every frame is that linear radiance through the sensor at the frame's true exposure; the
+ * frame's number chooses the noise. The name of the unit has the seed, the view at open, and the
+ * family and parameter of the curve: they determine the sensor and its response. */
 #include "sim/device/camera_sim.h"
 
 #include "sim/sensor/sensor.h"
@@ -66,9 +66,9 @@ static const struct options defaults = {
     .hz = 100.0,
 };
 
-/* ---- what is seen ---- */
+/* ---- rendering ---- */
 
-static err_t render_in(const struct run *r, const struct options *o, struct state *s)
+static err_t render_world_view(const struct run *r, const struct options *o, struct state *s)
 {
     struct world w;
     struct render_world *scene;
@@ -89,7 +89,7 @@ static err_t render_in(const struct run *r, const struct options *o, struct stat
     return e;
 }
 
-static err_t render(const struct options *o, struct state *s)
+static err_t render_view(const struct options *o, struct state *s)
 {
     struct arena keep = {0}, tmp = {0};
     struct pool *pool = NULL;
@@ -104,15 +104,16 @@ static err_t render(const struct options *o, struct state *s)
         e = pool_open(&pool, 0);
     struct run r = {.pool = pool, .keep = &keep, .tmp = &tmp};
     if (!e)
-        e = render_in(&r, o, s);
+        e = render_world_view(&r, o, s);
     pool_close(pool);
     arena_free(&tmp);
     arena_free(&keep);
     return e;
 }
 
-/* Where the camera stands now. A file that is just being written says nothing. */
-static err_t move(struct state *s)
+/* Move the camera to the view that the file names. A file that is being written has no newline yet
+ * and is passed over. */
+static err_t follow_file(struct state *s)
 {
     char text[16];
     FILE *f = s->opt.at[0] ? fopen(s->opt.at, "r") : NULL;
@@ -125,7 +126,7 @@ static err_t move(struct state *s)
     if (n == 0 || text[n - 1] != '\n' || view < 0 || view >= s->opt.views || view == s->opt.view)
         return OK;
     s->opt.view = view;
-    return render(&s->opt, s);
+    return render_view(&s->opt, s);
 }
 
 /* ---- a frame ---- */
@@ -135,8 +136,8 @@ static float limit_balance(double v)
     return (float)fmin(fmax(v, 0.01), 1.0); // as sensor_check asks
 }
 
-/* Raw numbers of a camera that multiplies even those. */
-static void multiply(struct state *s, const struct feed_shot *f)
+/* Raw numbers of a camera whose white balance and digital gain act before they are read out. */
+static void multiply_raw(struct state *s, const struct feed_shot *f)
 {
     const double factor[3] = {f->red * f->digital, f->digital, f->blue * f->digital};
     const int black = s->sensor.black, top = (1 << s->sensor.bits) - 1;
@@ -148,7 +149,7 @@ static void multiply(struct state *s, const struct feed_shot *f)
     }
 }
 
-static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
+static err_t expose_frame(void *ctx, const struct feed_shot *f, uint8_t *px)
 {
     struct state *s = ctx;
     struct sensor_shot shot = {.exposure_s = f->exposure.time_s,
@@ -160,7 +161,7 @@ static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
     struct sensor_raw raw = {s->size, s->size, s->raw};
     struct sensor dim = s->sensor, shown = s->sensor;
     struct run r = {0};
-    err_t e = move(s);
+    err_t e = follow_file(s);
     if (e)
         return e;
     if (f->exposure.gain < 1.0) // drift below what the amplifier knows
@@ -170,7 +171,7 @@ static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
         return e;
     if (s->sensor.cfa != SENSOR_RGB) {
         if (f->red != 1.0 || f->digital != 1.0)
-            multiply(s, f);
+            multiply_raw(s, f);
         memcpy(px, s->raw, sizeof *s->raw * (size_t)s->size * (size_t)s->size);
         return OK;
     }
@@ -182,7 +183,7 @@ static err_t expose(void *ctx, const struct feed_shot *f, uint8_t *px)
 
 /* ---- open and close ---- */
 
-static void prepare(const struct options *o, struct state *s)
+static void set_sensor(const struct options *o, struct state *s)
 {
     s->opt = *o;
     s->size = (int)o->size;
@@ -199,21 +200,22 @@ static void prepare(const struct options *o, struct state *s)
     curve_make((enum curve_family)o->curve, (float)o->param, s->seed, &s->curve);
 }
 
-static err_t check(const struct options *o)
+static err_t check_options(const struct options *o)
 {
     if (o->view >= o->views)
-        return err_fail(ERR_ARG, "sim: view is %d, not below views, %d", (int)o->view,
-                        (int)o->views);
+        return err_fail(ERR_ARG, "sim: view is %d, must be 0..%d (views is %d)", (int)o->view,
+                        (int)o->views - 1, (int)o->views);
     if (o->format != SENSOR_RGB && o->size % 2)
-        return err_fail(ERR_ARG, "sim: size is %d, a mosaic needs an even one", (int)o->size);
+        return err_fail(ERR_ARG, "sim: size is %d px, must be even for a Bayer format",
+                        (int)o->size);
     return OK;
 }
 
-static err_t start(struct state *s, const struct camera_cfg *cfg, const struct options *o,
-                   const struct feed_options *feed)
+static err_t start_feed(struct state *s, const struct camera_cfg *cfg, const struct options *o,
+                        const struct feed_options *feed)
 {
     static const enum camera_format format[] = {CAMERA_RGB8, CAMERA_RGGB16, CAMERA_BGGR16};
-    prepare(o, s);
+    set_sensor(o, s);
     size_t area = (size_t)s->size * (size_t)s->size;
     s->radiance = malloc(3 * area * sizeof *s->radiance);
     s->raw = malloc(3 * area * sizeof *s->raw);
@@ -227,12 +229,12 @@ static err_t start(struct state *s, const struct camera_cfg *cfg, const struct o
                                  .bits = rgb ? 8 : s->sensor.bits,
                                  .black = rgb ? 0 : s->sensor.black,
                                  .format = format[o->format],
-                                 .expose = expose};
+                                 .expose = expose_frame};
     snprintf(source.unit, sizeof source.unit, "sim-%lld-%lld-%d-%g", (long long)o->seed,
              (long long)o->view, o->curve, s->curve.param);
     err_t e = feed_open(&s->feed, cfg, feed, &source);
     if (!e)
-        e = render(o, s);
+        e = render_view(o, s);
     if (!e)
         feed_start(&s->feed);
     return e;
@@ -258,9 +260,9 @@ static err_t sim_open(void *st, const struct camera_cfg *cfg)
         return err_fail(ERR_ARG, "%.64s: does not begin with \"sim:\"", cfg->uri);
     err_t e = uri_parse("sim", cfg->uri + 4, tables, 2);
     if (!e)
-        e = check(&o);
+        e = check_options(&o);
     if (!e)
-        e = start(st, cfg, &o, &feed);
+        e = start_feed(st, cfg, &o, &feed);
     if (e)
         sim_close(st);
     return e;

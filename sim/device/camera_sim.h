@@ -1,14 +1,14 @@
 /* camera_sim.h - the camera `sim:KEY=VALUE,...`: photographs a procedural world. The same URI gives
  * the same frames; opening renders the view, which takes a second or so.
  *
- *   at=FILE                                          file with the view that is seen now, a line:
+ *   at=FILE                                          file with one line, the number of the view:
  *                                                    the camera moves when it changes
  *   seed=N kind=any|room|yard|dark|plain|mirror      the world
  *   views=N view=I spread=X fov=DEG freehand=no|yes  one of the rig's N places, I from 0
  *   size=PX samples=N shadow=N                       square pictures; quality of the rendering
  *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits
  *   curve=srgb|gamma|filmic|agx|log|random|linear param=X
- *   full=US                                          exposure that radiance 1 saturates with
+ *   full=US                                          exposure at which radiance 1 saturates
  *   well=E                                           electrons at saturation (10000): noise
  *   flicker=X hz=X line=US                           of the light; us per row, rolling shutter
  *

@@ -1,5 +1,5 @@
-/* One table says what every verb is followed by; a line is cut into words at blanks and each word
- * must be used. */
+/* One table lists the arguments of every verb. A line is split into words at blanks; a word that is
+ * not used is an error. */
 #include "sim/device/fault.h"
 
 #include "drivers/format/file.h"
@@ -47,14 +47,14 @@ static const struct {
     [FAULT_FORMAT] = {.verb = "format"},
 };
 
-/* Where a line stands, for sentences. */
+/* A line split into words, and its place for messages. */
 struct line {
     const char *what;
     int number, n;
     char word[WORDS][WORD_CAP];
 };
 
-static err_t cut(struct line *l, const char *text, size_t n)
+static err_t split_words(struct line *l, const char *text, size_t n)
 {
     l->n = 0;
     for (size_t i = 0; i < n;) {
@@ -68,10 +68,11 @@ static err_t cut(struct line *l, const char *text, size_t n)
         while (i < n && text[i] > ' ')
             i++;
         if (i == k)
-            return err_fail(ERR_FORMAT, "%s: line %d has a byte that is no text", l->what,
-                            l->number);
+            return err_fail(ERR_FORMAT, "%s: line %d has byte %d, scripts are printable ASCII",
+                            l->what, l->number, (unsigned char)text[i]);
         if (l->n == WORDS || i - k >= WORD_CAP)
-            return err_fail(ERR_FORMAT, "%s: line %d has more than %d words or one of %d bytes",
+            return err_fail(ERR_FORMAT,
+                            "%s: line %d has more than %d words or a word of %d bytes or more",
                             l->what, l->number, WORDS, WORD_CAP);
         memcpy(l->word[l->n], text + k, i - k);
         l->word[l->n++][i - k] = '\0';
@@ -79,7 +80,7 @@ static err_t cut(struct line *l, const char *text, size_t n)
     return OK;
 }
 
-static err_t number(const struct line *l, int i, double lo, double hi, double *out)
+static err_t parse_number(const struct line *l, int i, double lo, double hi, double *out)
 {
     if (i >= l->n)
         return err_fail(ERR_FORMAT, "%s: line %d ends before the number after \"%s\"", l->what,
@@ -92,7 +93,7 @@ static err_t number(const struct line *l, int i, double lo, double hi, double *o
     return OK;
 }
 
-static err_t whole(const struct line *l, int i, double v)
+static err_t check_whole(const struct line *l, int i, double v)
 {
     if (v != floor(v))
         return err_fail(ERR_FORMAT, "%s: line %d: %s is not a whole number", l->what, l->number,
@@ -100,7 +101,7 @@ static err_t whole(const struct line *l, int i, double v)
     return OK;
 }
 
-static err_t when(const struct line *l, struct fault *out)
+static err_t parse_when(const struct line *l, struct fault *out)
 {
     double v = 0.0;
     if (l->n < 4 || strcmp(l->word[0], "at") != 0)
@@ -110,9 +111,9 @@ static err_t when(const struct line *l, struct fault *out)
     if (!out->by_time && strcmp(l->word[1], "frame") != 0)
         return err_fail(ERR_FORMAT, "%s: line %d: \"%s\" is neither frame nor time", l->what,
                         l->number, l->word[1]);
-    err_t e = number(l, 2, 0.0, 1e9, &v);
+    err_t e = parse_number(l, 2, 0.0, 1e9, &v);
     if (!e && !out->by_time)
-        e = whole(l, 2, v);
+        e = check_whole(l, 2, v);
     if (e)
         return e;
     out->frame = out->by_time ? 0 : (int64_t)v;
@@ -120,7 +121,7 @@ static err_t when(const struct line *l, struct fault *out)
     return OK;
 }
 
-/* Verb and its own word; *at is the word behind them. */
+/* Find the verb and its fixed word; *at is the index of the next word. */
 static err_t find_verb(const struct line *l, enum fault_verb *verb, int *at)
 {
     bool known = false;
@@ -136,7 +137,7 @@ static err_t find_verb(const struct line *l, enum fault_verb *verb, int *at)
         return OK;
     }
     if (known)
-        return err_fail(ERR_FORMAT, "%s: line %d: \"%s\" does not know \"%s\"", l->what, l->number,
+        return err_fail(ERR_FORMAT, "%s: line %d: \"%s\" does not take \"%s\"", l->what, l->number,
                         l->word[3], l->n > 4 ? l->word[4] : "");
     return err_fail(ERR_FORMAT, "%s: line %d: no fault is called \"%s\"", l->what, l->number,
                     l->word[3]);
@@ -146,13 +147,13 @@ static err_t parse_line(const struct line *l, struct fault *out)
 {
     int at = 0;
     memset(out, 0, sizeof *out);
-    err_t e = when(l, out);
+    err_t e = parse_when(l, out);
     if (!e)
         e = find_verb(l, &out->verb, &at);
     if (!e && verbs[out->verb].has_number) {
-        e = number(l, at, verbs[out->verb].lo, verbs[out->verb].hi, &out->number);
+        e = parse_number(l, at, verbs[out->verb].lo, verbs[out->verb].hi, &out->number);
         if (!e && verbs[out->verb].whole)
-            e = whole(l, at, out->number);
+            e = check_whole(l, at, out->number);
         at++;
     }
     if (!e && out->verb == FAULT_DROP && at < l->n && strcmp(l->word[at], "nogap") == 0) {
@@ -160,8 +161,8 @@ static err_t parse_line(const struct line *l, struct fault *out)
         at++;
     }
     if (!e && at < l->n)
-        return err_fail(ERR_FORMAT, "%s: line %d: \"%s\" is one word too many", l->what, l->number,
-                        l->word[at]);
+        return err_fail(ERR_FORMAT, "%s: line %d: unexpected word \"%s\" at the end", l->what,
+                        l->number, l->word[at]);
     return e;
 }
 
@@ -174,12 +175,12 @@ err_t fault_parse(const char *what, const char *text, size_t n, struct fault_scr
         size_t k = i;
         while (i < n && text[i] != '\n' && text[i] != ';')
             i++;
-        e = cut(&l, text + k, i - k);
+        e = split_words(&l, text + k, i - k);
         i++;
         if (e || l.n == 0)
             continue;
         if (out->n == FAULT_MAX)
-            e = err_fail(ERR_FORMAT, "%s: line %d is more than %d faults", what, l.number,
+            e = err_fail(ERR_FORMAT, "%s: line %d: there are more than %d faults", what, l.number,
                          FAULT_MAX);
         else
             e = parse_line(&l, &out->v[out->n++]);

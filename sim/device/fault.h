@@ -1,29 +1,29 @@
-/* fault.h - scripts of misfortune for simulated cameras, strict and with line numbers:
+/* fault.h - scripts of faults for simulated cameras. Errors name the line.
  *
- *   at frame N VERB [ARGUMENT ...]     from frame N of the sensor on, which counts from 0
+ *   at frame N VERB [ARGUMENT ...]     from frame N of the sensor on, counted from 0
  *   at time S VERB [ARGUMENT ...]      from the first frame on that ends S seconds after open
  *   # comment
  *
  * Lines end with a newline or ';'. A script in a URI begins with "at "; anything else is a file.
  *
- *   drop K [nogap]        K frames are lost; with nogap the sequence does not tell
- *   lose P                from now on each frame is lost with probability P, the sequence tells
- *   duplicate             the frame comes twice, sequence and all
- *   repeat                the frame has the pixels of the one before, but says it were new
- *   error                 flagged as bad, with torn pixels
- *   short B               B of its bytes are missing, and it says so by its length
- *   corrupt B             its last B bytes are noise, and nobody says so
+ *   drop K [nogap]        K frames are lost; with nogap the sequence numbers have no gap
+ *   lose P                from now on each frame is lost with probability P, leaving a gap
+ *   duplicate             the frame comes twice with the same sequence number
+ *   repeat                the frame has the pixels of the one before, and new metadata
+ *   error                 flagged as bad, its lower half black
+ *   short B               B of its bytes are missing; its length shows it
+ *   corrupt B             its last B bytes are noise; nothing reports it
  *   tear P                from now on, with probability P, 3 to 45 % of a frame's rows, at its top
- *                         or bottom, are those of the frame before, and nobody says so
- *   late S                handed over S seconds later
- *   stall K               no frames for K periods, the sequence does not tell; 0: for ever
- *   eio                   handing over fails once, the frame is lost
+ *                         or bottom, are those of the frame before; nothing reports it
+ *   late S                delivered S seconds later
+ *   stall K               no frames for K periods, no gap in the sequence; 0: for ever
+ *   eio                   delivery fails once, the frame is lost
  *   index                 the driver names a buffer that does not exist; one buffer is lost with it
- *   unplug                device gone
- *   sequence stuck|wrap   it stays as it is; it goes on 2 before 2^32
- *   stamp zero|realtime|back S    from now on 0, of the wrong clock, S seconds too early
+ *   unplug                the device is gone
+ *   sequence stuck|wrap   the sequence number stays; it continues 2 below 2^32
+ *   stamp zero|realtime|back S    from now on 0, by the wrong clock, S seconds too early
  *   stamp jump S          once: all later ones are S seconds later (or earlier)
- *   ignore K              K frames keep the exposure that they would inherit; 0: for ever
+ *   ignore K              K frames keep the exposure of the frame before; 0: for ever
  *   rollover K            exposure times count modulo K steps
  *   quantum S             only multiples of S seconds are exposed, at least one
  *   gain F                true gain drifts by the factor F each frame
@@ -91,11 +91,11 @@ struct fault_script {
     struct fault v[FAULT_MAX]; // in the order of the lines
 };
 
-/* n bytes of script; `what` begins the sentence.
- * err:  ERR_FORMAT names line, word and bound. On error *out is empty. */
+/* Parse n bytes of a script; messages begin with `what`.
+ * err:  ERR_FORMAT, naming line, word and bounds. On error *out is empty. */
 MUST_USE err_t fault_parse(const char *what, const char *text, size_t n, struct fault_script *out);
 
-/* A script as in a URI: itself, or the name of a file.
+/* Read a script given in a URI: its text, or the name of a file.
  * err:  ERR_FORMAT, ERR_IO. */
 MUST_USE err_t fault_read(const char *script, struct fault_script *out);
 

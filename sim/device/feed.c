@@ -1,8 +1,8 @@
-/* A frame passes three stations. When it ends (finish), its faults happen, its true exposure is
- * settled and it waits, if a buffer is free for it. When it is due and asked for (feed_next), its
+/* A frame has three stages. When it ends (finish_frame), its faults are applied, its true exposure
+ * is fixed and it is queued if a buffer is free. When it is due and requested (feed_next), its
  * pixels are made. It keeps its buffer until feed_release.
- * Metadata and read-back tell what was programmed; what ignores, rounds or drifts by fault changes
- * only the truth, as in cameras that do not know about it. */
+ * Metadata and read-back report the programmed exposure. Faults that ignore, round or drift change
+ * only the true one, as in cameras that do not notice them. */
 #include "sim/device/feed.h"
 
 #include "drivers/device/clocks.h"
@@ -29,7 +29,7 @@ const struct uri_key feed_keys[] = {
     {"fps", AT(fps), URI_REAL, 0.01, 1000, NULL},
     {"delay", AT(delay), URI_WHOLE, 1, TIMING_DELAY_MAX, NULL},
     {"jitter", AT(jitter), URI_WHOLE, 0, TIMING_DELAY_MAX, NULL}, // frames
-    {"claim", AT(claim), URI_WHOLE, -1, TIMING_DELAY_MAX, NULL},  // delay that info tells
+    {"claim", AT(claim), URI_WHOLE, -1, TIMING_DELAY_MAX, NULL},  // delay that feed_info reports
     {"readback", AT(readback), URI_WORD, 0, 0, "honest|cached|lagged"},
     {"metadata", AT(metadata), URI_WORD, 0, 0, "correct|absent|late"},
     {"stamp", AT(stamp), URI_WORD, 0, 0, "start|end"},
@@ -74,8 +74,8 @@ int64_t feed_own_now(const void *st)
     return f->opt.virtual ? f->clock_ns : 0;
 }
 
-/* Readable from the time on when there will be something to say. */
-static void arm(const struct feed *f)
+/* The descriptor becomes readable when the next frame is due or ends. */
+static void set_timer(const struct feed *f)
 {
     int64_t t = f->fx.stalled ? 0 : f->timing.now.end_ns; // 0: never
     if (f->n_items > 0 && (t == 0 || f->item[0].due_ns < t))
@@ -86,10 +86,10 @@ static void arm(const struct feed *f)
     timerfd_settime(f->fd, TFD_TIMER_ABSTIME, &spec, NULL);
 }
 
-static err_t gone(struct feed *f)
+static err_t fail_unplugged(struct feed *f)
 {
     f->lost = true;
-    arm(f);
+    set_timer(f);
     return err_fail(ERR_LOST, "simulated camera: unplugged");
 }
 
@@ -98,18 +98,18 @@ static bool node_missing(const struct feed *f)
     return f->opt.node[0] && access(f->opt.node, F_OK) != 0;
 }
 
-/* ---- life ---- */
+/* ---- open and close ---- */
 
-static err_t check_wish(const struct camera_cfg *cfg, const struct feed_source *s)
+static err_t check_config(const struct camera_cfg *cfg, const struct feed_source *s)
 {
     if ((cfg->w && cfg->w != s->w) || (cfg->h && cfg->h != s->h))
-        return err_fail(ERR_UNSUPPORTED, "%s: pictures are %d x %d px, not %d x %d", cfg->uri, s->w,
-                        s->h, cfg->w, cfg->h);
+        return err_fail(ERR_UNSUPPORTED, "%s: pictures are %d x %d px, asked for are %d x %d",
+                        cfg->uri, s->w, s->h, cfg->w, cfg->h);
     if (cfg->format != CAMERA_ANY && cfg->format != s->format)
-        return err_fail(ERR_UNSUPPORTED, "%s: the pixel format is %d, not %d", cfg->uri, s->format,
-                        cfg->format);
+        return err_fail(ERR_UNSUPPORTED, "%s: the pixel format is %d, asked for is %d", cfg->uri,
+                        s->format, cfg->format);
     if (cfg->buffers < 0 || cfg->buffers > CAMERA_BUFFERS_MAX)
-        return err_fail(ERR_ARG, "%s: %d buffers, not 1..%d", cfg->uri, cfg->buffers,
+        return err_fail(ERR_ARG, "%s: %d buffers, must be 0..%d", cfg->uri, cfg->buffers,
                         CAMERA_BUFFERS_MAX);
     return OK;
 }
@@ -117,7 +117,8 @@ static err_t check_wish(const struct camera_cfg *cfg, const struct feed_source *
 static err_t open_files(struct feed *f)
 {
     if (node_missing(f))
-        return err_fail(ERR_LOST, "%s: no such camera now", f->opt.node);
+        return err_fail(ERR_LOST, "%s: file is missing, the simulated camera counts as unplugged",
+                        f->opt.node);
     f->fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
     if (f->fd < 0)
         return err_fail(ERR_IO, "simulated camera: timer: %s", strerror(errno));
@@ -171,7 +172,7 @@ err_t feed_open(struct feed *f, const struct camera_cfg *cfg, const struct feed_
     f->fx = (struct feed_effects){.gain = 1.0, .gain_step = 1.0, .balance = 1.0};
     f->fx.balance_step = f->fx.digital = 1.0;
     f->sequence = UINT32_MAX;
-    err_t e = check_wish(cfg, source);
+    err_t e = check_config(cfg, source);
     if (!e)
         e = open_files(f);
     return e ? e : make_slots(f, cfg->buffers ? cfg->buffers : 4);
@@ -185,7 +186,7 @@ void feed_start(struct feed *f)
                 f->opt.first_us * 1e-6);
     f->last_true = f->last_programmed = f->last_set =
         (struct exposure){f->timing.now.time_s, f->timing.now.gain};
-    arm(f);
+    set_timer(f);
 }
 
 void feed_close(struct feed *f)
@@ -231,13 +232,13 @@ int feed_fd(const void *st)
 
 /* ---- faults ---- */
 
-static int64_t for_ever(double n)
+static int64_t limit_count(double n)
 {
     return n > 0.0 ? (int64_t)n : -1;
 }
 
-/* Faults that change what comes. */
-static void strike(struct feed *f, const struct fault *x)
+/* Faults that last beyond the frame that ends now. */
+static void start_effect(struct feed *f, const struct fault *x)
 {
     struct feed_effects *fx = &f->fx;
     switch (x->verb) {
@@ -270,7 +271,7 @@ static void strike(struct feed *f, const struct fault *x)
         fx->stamp_add_ns += (int64_t)(x->number * 1e9);
         break;
     case FAULT_IGNORE:
-        fx->ignore = for_ever(x->number);
+        fx->ignore = limit_count(x->number);
         break;
     case FAULT_ROLLOVER:
         fx->rollover = (int64_t)x->number;
@@ -291,18 +292,18 @@ static void strike(struct feed *f, const struct fault *x)
     case FAULT_REFUSE_BUSY:
     case FAULT_REFUSE_RANGE:
         fx->refuse = x->verb;
-        fx->refuse_left = for_ever(x->number);
+        fx->refuse_left = limit_count(x->number);
         break;
     case FAULT_FORMAT:
         fx->half = true;
         break;
     default:
-        break; // marks one frame
+        break; // see mark_frame
     }
 }
 
 /* Faults that mark the frame that ends now. */
-static void mark(struct feed *f, const struct fault *x, struct feed_item *item, int *copies)
+static void mark_frame(struct feed *f, const struct fault *x, struct feed_item *item, int *copies)
 {
     switch (x->verb) {
     case FAULT_DUPLICATE:
@@ -345,7 +346,7 @@ static bool is_due(const struct feed *f, int i)
 
 /* ---- a frame ends ---- */
 
-/* What the sensor does with what is programmed. */
+/* The exposure that the sensor really applies. */
 static struct exposure true_exposure(struct feed *f, int64_t number, struct exposure e)
 {
     struct feed_effects *fx = &f->fx;
@@ -377,29 +378,29 @@ static int64_t stamp_of(const struct feed *f, const struct timing_frame *t)
     return f->fx.stamp_zero ? 0 : at + f->fx.stamp_add_ns;
 }
 
-static void push(struct feed *f, const struct feed_item *item)
+static void queue_frame(struct feed *f, const struct feed_item *item)
 {
     if (f->n_items + f->n_held + f->n_leaked >= f->n_slots)
-        return; // no buffer: lost
+        return; // no free buffer: the frame is lost
     f->item[f->n_items++] = *item;
 }
 
-static int snap(const struct feed *f, struct exposure *e, bool request)
+static int snap_exposure(const struct feed *f, struct exposure *e, bool request)
 {
     return f->source.snap ? f->source.snap(f->source.ctx, e, request) : 0;
 }
 
-static struct feed_item describe(struct feed *f, const struct timing_frame *t)
+static struct feed_item describe_frame(struct feed *f, const struct timing_frame *t)
 {
     struct feed_item item = {.due_ns = t->end_ns, .stamp_ns = stamp_of(f, t)};
     struct exposure programmed = {t->time_s, t->gain};
-    snap(f, &programmed, false);
+    snap_exposure(f, &programmed, false);
     item.reported = f->opt.metadata == FEED_LATE ? f->last_programmed : programmed;
     f->last_programmed = programmed;
     item.shot = (struct feed_shot){.exposure = true_exposure(f, t->number, programmed),
                                    .start_s = (double)(t->start_ns - f->base_ns) * 1e-9,
                                    .number = t->number};
-    item.shot.pick = snap(f, &item.shot.exposure, false);
+    item.shot.pick = snap_exposure(f, &item.shot.exposure, false);
     item.shot.red = f->fx.balance;
     item.shot.blue = 1.0 / f->fx.balance;
     item.shot.digital = f->fx.digital;
@@ -409,8 +410,8 @@ static struct feed_item describe(struct feed *f, const struct timing_frame *t)
     return item;
 }
 
-/* Whether the frame that runs does not end now after all. */
-static bool put_off(struct feed *f)
+/* Whether a fault keeps the running frame from ending now. */
+static bool delay_frame(struct feed *f)
 {
     for (int i = 0; i < f->script.n; i++) {
         const struct fault *x = &f->script.v[i];
@@ -425,8 +426,8 @@ static bool put_off(struct feed *f)
     return false;
 }
 
-/* Rows of the frame before, as `tear` has it; none where nobody could tell. */
-static void tear(struct feed *f, struct feed_item *item)
+/* Draw the rows that show the frame before, by the fault `tear`. */
+static void tear_frame(struct feed *f, struct feed_item *item)
 {
     uint64_t key = ~1u, n = (uint64_t)item->shot.number;
     if (!(f->fx.tear > 0.0) || n == 0 || sensor_uniform(key, 2 * n) >= f->fx.tear)
@@ -436,12 +437,12 @@ static void tear(struct feed *f, struct feed_item *item)
     item->torn = copysign(TORN_LEAST + (TORN_MOST - TORN_LEAST) * fabs(share), share);
 }
 
-/* The frame that runs ends. */
-static void finish(struct feed *f)
+/* End the running frame. */
+static void finish_frame(struct feed *f)
 {
     struct feed_effects *fx = &f->fx;
     int due[FAULT_MAX], n_due = 0, copies = 1;
-    if (put_off(f))
+    if (delay_frame(f))
         return;
     for (int i = 0; i < f->script.n; i++)
         if (is_due(f, i)) {
@@ -449,12 +450,12 @@ static void finish(struct feed *f)
             due[n_due++] = i;
         }
     for (int i = 0; i < n_due; i++)
-        strike(f, &f->script.v[due[i]]);
+        start_effect(f, &f->script.v[due[i]]);
     struct timing_frame t = timing_step(&f->timing);
-    struct feed_item item = describe(f, &t);
+    struct feed_item item = describe_frame(f, &t);
     for (int i = 0; i < n_due; i++)
-        mark(f, &f->script.v[due[i]], &item, &copies);
-    tear(f, &item);
+        mark_frame(f, &f->script.v[due[i]], &item, &copies);
+    tear_frame(f, &item);
     f->last_shot = item.shot;
     bool drop = fx->drop > 0;
     fx->drop -= drop;
@@ -464,19 +465,19 @@ static void finish(struct feed *f)
     item.sequence = f->sequence;
     drop |= fx->loss > 0.0 && sensor_uniform(~0u, (uint64_t)t.number) < fx->loss;
     for (int i = 0; i < copies && !drop; i++)
-        push(f, &item);
+        queue_frame(f, &item);
 }
 
-/* Everything that has happened until now. */
-static void advance(struct feed *f)
+/* End all frames whose time has come. */
+static void finish_due_frames(struct feed *f)
 {
     int64_t now = feed_now(f);
     while (!f->lost && !f->fx.stalled && f->timing.now.end_ns <= now)
-        finish(f);
+        finish_frame(f);
 }
 
-/* Virtual time goes on to the end of the frame that runs. */
-static void pass_time(struct feed *f)
+/* Set the virtual clock to the end of the running frame. */
+static void advance_clock(struct feed *f)
 {
     int64_t end = f->timing.now.end_ns;
     if (f->fx.stalled)
@@ -494,9 +495,9 @@ err_t feed_request(void *st, const struct exposure *ask, struct exposure *set)
         return err_fail(ERR_ARG, "simulated camera: exposure of %g s at gain %g is not positive",
                         ask->time_s, ask->gain);
     if (!f->lost && !node_missing(f))
-        advance(f);
+        finish_due_frames(f);
     if (f->lost || node_missing(f))
-        return gone(f);
+        return fail_unplugged(f);
     if (f->fx.refuse_left != 0) {
         f->fx.refuse_left -= f->fx.refuse_left > 0;
         if (f->fx.refuse == FAULT_REFUSE_BUSY)
@@ -507,7 +508,7 @@ err_t feed_request(void *st, const struct exposure *ask, struct exposure *set)
         return err_fail(ERR_UNSUPPORTED, "simulated camera: exposure: permission denied");
     }
     struct exposure e = *ask;
-    snap(f, &e, true);
+    snap_exposure(f, &e, true);
     timing_write(&f->timing, e.time_s, e.gain);
     e.time_s = timing_time(&f->timing.cfg, e.time_s);
     e.gain = timing_gain(&f->timing.cfg, e.gain);
@@ -516,7 +517,7 @@ err_t feed_request(void *st, const struct exposure *ask, struct exposure *set)
     return OK;
 }
 
-static struct feed_item pop(struct feed *f)
+static struct feed_item take_frame(struct feed *f)
 {
     struct feed_item item = f->item[0];
     f->n_items--;
@@ -524,7 +525,7 @@ static struct feed_item pop(struct feed *f)
     return item;
 }
 
-static void damage(const struct feed *f, const struct feed_item *item, uint8_t *px)
+static void damage_pixels(const struct feed *f, const struct feed_item *item, uint8_t *px)
 {
     size_t n = picture_bytes(&f->source), noise = item->noise < n ? item->noise : n;
     if (item->error)
@@ -542,7 +543,7 @@ static void write_truth(const struct feed *f, const struct frame *out, const str
     fflush(f->truth);
 }
 
-static void fill(struct feed *f, const struct feed_item *item, int i, struct frame *out)
+static void fill_frame(struct feed *f, const struct feed_item *item, int i, struct frame *out)
 {
     const struct feed_source *s = &f->source;
     struct feed_slot *slot = &f->slot[i];
@@ -577,13 +578,13 @@ static bool same_exposure(const struct exposure *a, const struct exposure *b)
     return a->time_s == b->time_s && a->gain == b->gain;
 }
 
-/* Number i of a picture. */
+/* Code value i of a picture. */
 static int code_at(const struct feed_source *s, const uint8_t *px, size_t i)
 {
     return s->bytes_per_px == 2 ? px[2 * i] | px[2 * i + 1] << 8 : px[i];
 }
 
-/* Whether the means of a cell of `rows` rows from y on and pixels x.. differ in two pictures. */
+/* Whether two pictures differ in the mean of a cell: `rows` rows from y on, TORN_CELL px from x. */
 static bool cell_differs(const struct feed_source *s, const uint8_t *a, const uint8_t *b, size_t y,
                          size_t rows, size_t x)
 {
@@ -611,7 +612,8 @@ static bool rows_differ(const struct feed_source *s, const uint8_t *a, const uin
     return false;
 }
 
-/* Put the rows of the frame before where the frame is torn; it is not where nobody could tell. */
+/* Copy the rows of the frame before into a torn frame. Where the rows look the same it does not
+ * count as torn. */
 static err_t mix_rows(const struct feed *f, struct feed_item *item, uint8_t *px)
 {
     const struct feed_source *s = &f->source;
@@ -629,17 +631,17 @@ static err_t mix_rows(const struct feed *f, struct feed_item *item, uint8_t *px)
     return OK;
 }
 
-static err_t deliver(struct feed *f, struct frame *out)
+static err_t deliver_frame(struct feed *f, struct frame *out)
 {
-    struct feed_item item = pop(f);
+    struct feed_item item = take_frame(f);
     f->n_leaked += item.index;
     if (item.eio)
         return err_fail(ERR_IO, "simulated camera: frame %u: input/output error", item.sequence);
     if (item.index)
-        return err_fail(ERR_IO, "simulated camera: frame %u is in buffer 1000 of %d", item.sequence,
-                        f->n_slots);
+        return err_fail(ERR_IO, "simulated camera: frame %u is in buffer 1000, there are only %d",
+                        item.sequence, f->n_slots);
     int i = 0;
-    while (f->slot[i].held) // push saw that one is free
+    while (f->slot[i].held) // queue_frame has checked that one is free
         i++;
     err_t e = f->source.expose(f->source.ctx, &item.shot, f->slot[i].px);
     if (e)
@@ -647,8 +649,8 @@ static err_t deliver(struct feed *f, struct frame *out)
     e = mix_rows(f, &item, f->slot[i].px);
     if (e)
         return e;
-    damage(f, &item, f->slot[i].px);
-    fill(f, &item, i, out);
+    damage_pixels(f, &item, f->slot[i].px);
+    fill_frame(f, &item, i, out);
     return OK;
 }
 
@@ -657,21 +659,21 @@ err_t feed_next(void *st, struct frame *out)
     struct feed *f = st;
     memset(out, 0, sizeof *out);
     if (f->lost || node_missing(f))
-        return gone(f);
+        return fail_unplugged(f);
     if (f->opt.virtual && f->n_items == 0)
-        pass_time(f);
-    advance(f);
+        advance_clock(f);
+    finish_due_frames(f);
     if (f->n_items > 0 && f->opt.virtual && f->item[0].due_ns > f->clock_ns)
         f->clock_ns = f->item[0].due_ns;
     bool due = f->n_items > 0 && f->item[0].due_ns <= feed_now(f);
     err_t e = OK;
     if (due)
-        e = deliver(f, out);
+        e = deliver_frame(f, out);
     else if (f->lost)
-        return gone(f);
+        return fail_unplugged(f);
     else
         e = err_fail(ERR_AGAIN, "simulated camera: no frame yet");
-    arm(f);
+    set_timer(f);
     return e;
 }
 
@@ -682,7 +684,7 @@ void feed_release(void *st, struct frame *frame)
     if (frame->data && i >= 0 && i < f->n_slots && f->slot[i].held) {
         f->slot[i].held = false;
         f->n_held--;
-        arm(f);
+        set_timer(f);
     }
     memset(frame, 0, sizeof *frame);
 }

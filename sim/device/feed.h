@@ -1,11 +1,11 @@
-/* feed.h - what all simulated cameras share: clock, control timing, buffers, faults, truth. A
+/* feed.h - the common part of simulated cameras: clock, control timing, buffers, faults, truth. A
  * backend adds the pixels.
  * The state of a backend begins with struct feed; feed_fd, feed_request, feed_next, feed_release,
  * feed_info and feed_own_now are entries of its camera_ops.
- * Clocks. Real: frames end when CLOCK_MONOTONIC says so; those that find no buffer are lost with a
- * gap in the sequence. Virtual: time stands still but in `next`, which, when no frame waits, goes
- * on to the end of the frame that runs; a frame of 1 s takes no time. The file descriptor is always
- * readable then. All cameras of a rig have the same kind of clock.
+ * Clocks. Real: frames end by CLOCK_MONOTONIC; those without a free buffer are lost and leave a
+ * gap in the sequence. Virtual: time passes only in feed_next, which
+ * goes to the end of the running frame when no frame is queued; a frame of 1 s takes no time. The
+ * file descriptor is then always readable. All cameras of a rig have the same kind of clock.
  * thread: as camera.h. */
 #ifndef DEVICE_FEED_H
 #define DEVICE_FEED_H
@@ -21,7 +21,7 @@
 enum feed_readback { FEED_HONEST, FEED_CACHED, FEED_LAGGED };
 enum feed_metadata { FEED_CORRECT, FEED_ABSENT, FEED_LATE };
 
-/* Options of a URI that every simulated camera knows; feed_keys documents them. */
+/* Options that the URI of every simulated camera may have; feed_keys documents them. */
 struct feed_options {
     double fps, step_us, longest_us, gain_max, first_us, skew_us;
     int64_t delay, gain_delay, jitter, claim, startup;
@@ -29,19 +29,19 @@ struct feed_options {
     char faults[URI_TEXT], truth[URI_TEXT], node[URI_TEXT];
 };
 
-/* Those of the sensor come last; a backend without one takes the first feed_n_common. */
+/* The sensor's keys come last; a backend without a sensor takes the first feed_n_common. */
 extern const struct uri_key feed_keys[];
 extern const int feed_n_keys, feed_n_common;
 extern const struct feed_options feed_defaults;
 
-/* One frame to be pictured. */
+/* A frame whose pixels are wanted. */
 struct feed_shot {
     struct exposure exposure; // true
     double start_s;           // since open
     int64_t number;           // of the frame
     double red, blue;         // digital gain beyond the white balance
     double digital;
-    int pick; // of snap
+    int pick; // result of snap
 };
 
 /* Where pictures come from. */
@@ -51,21 +51,21 @@ struct feed_source {
     enum camera_format format;
     double time_min_s; // 0: the step of exposure times
     char unit[CAMERA_UNIT_CAP];
-    /* Fill px (stride w * bytes_per_px). Must not fail but for lack of memory. */
+    /* Fill px (stride w * bytes_per_px). May fail only for lack of memory. */
     MUST_USE err_t (*expose)(void *ctx, const struct feed_shot *shot, uint8_t *px);
-    /* The exposure that this source has now instead of *e; returns what expose knows it by. NULL:
-     * any exposure can be had. `request`: somebody asks for it, else a frame ends. */
+    /* Replace *e by the nearest exposure that the source has; the result becomes `pick` of the
+     * shot. NULL: the source has every exposure. `request`: *e is requested, else a frame ends. */
     int (*snap)(void *ctx, struct exposure *e, bool request);
 };
 
-/* What a delivered frame really is. */
+/* True values of a delivered frame. */
 struct feed_truth {
     int64_t number;           // of the sensor's frame that the pixels are from
     struct exposure exposure; // with digital gain and drift in `gain`
-    double torn;              // share of its rows that had another exposure and show it
+    double torn;              // share of its rows that visibly have another exposure
 };
 
-struct feed_item {                 // a frame that waits
+struct feed_item {                 // a queued frame
     struct feed_shot shot, former; // former: of the frame before
     double torn;                   // share of its rows that are of `former`: < 0 at the bottom
     struct exposure reported;
@@ -81,7 +81,7 @@ struct feed_slot { // a buffer
     struct feed_truth truth;
 };
 
-/* Faults that last; counts are frames or requests, -1 for ever. */
+/* Faults that last; counts are in frames or requests, -1 means for ever. */
 struct feed_effects {
     int64_t drop, ignore, refuse_left, rollover;
     enum fault_verb refuse;
@@ -91,7 +91,7 @@ struct feed_effects {
     uint32_t sequence_add;
 };
 
-struct feed { // fields are the feed's own
+struct feed { // private
     struct feed_options opt;
     struct feed_source source;
     struct timing timing;
@@ -101,8 +101,8 @@ struct feed { // fields are the feed's own
     int fd, n_slots, n_items, n_held, n_leaked;
     struct feed_item item[CAMERA_BUFFERS_MAX]; // in order
     struct feed_slot slot[CAMERA_BUFFERS_MAX];
-    uint8_t *former;           // picture that torn rows are from; NULL: none ever is
-    int64_t base_ns, clock_ns; // CLOCK_MONOTONIC of open; of the present, if virtual
+    uint8_t *former;           // picture that torn rows are copied from; NULL without `tear`
+    int64_t base_ns, clock_ns; // CLOCK_MONOTONIC at open; the virtual clock
     uint32_t sequence;         // of the last frame
     struct exposure last_true, last_programmed, last_set;
     struct feed_shot last_shot;
@@ -124,13 +124,13 @@ MUST_USE err_t feed_request(void *st, const struct exposure *ask, struct exposur
 MUST_USE err_t feed_next(void *st, struct frame *out);
 void feed_release(void *st, struct frame *f);
 
-/* The present of the camera's clock, ns. */
+/* Time of the camera's clock, ns. */
 int64_t feed_now(const void *st);
 
-/* The same if it is virtual, else 0: an entry of camera_ops. */
+/* The same if the clock is virtual, else 0: an entry of camera_ops. */
 int64_t feed_own_now(const void *st);
 
-/* Truth of a frame that is held. */
+/* True values of a frame that is held. */
 struct feed_truth feed_truth(const void *st, const struct frame *f);
 
 #endif

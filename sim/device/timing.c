@@ -27,11 +27,12 @@ double timing_gain(const struct timing_cfg *c, double gain)
 static void control_write(struct timing_control *c, int64_t from, double value)
 {
     int last = c->n - 1;
-    if (c->n > 0 && from <= c->pending[last].from) { // never before an earlier write: replaces it
+    if (c->n > 0 &&
+        from <= c->pending[last].from) { // not before an earlier write, which it replaces
         c->pending[last].value = value;
         return;
     }
-    c->pending[c->n].from = from; // there are fewer frames ahead than places
+    c->pending[c->n].from = from; // `pending` has room for every frame ahead
     c->pending[c->n++].value = value;
 }
 

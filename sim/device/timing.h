@@ -1,4 +1,4 @@
-/* timing.h - when the frames of a free-running sensor begin and which controls are in force.
+/* timing.h - when the frames of a free-running sensor begin, and with which exposure and gain.
  * A control written during frame n applies from frame n + delay on (+ 0..jitter, but never before
  * an earlier write). A frame that runs is not cut short. Frames follow each other without a gap.
  * Pure; any thread. */
@@ -10,9 +10,9 @@
 enum { TIMING_DELAY_MAX = 32, TIMING_PENDING = 2 * TIMING_DELAY_MAX + 2 };
 
 enum timing_length {
-    TIMING_STRETCH, // frame is as long as its exposure, but not below the period (VBLANK)
+    TIMING_STRETCH, // a frame lasts as long as its exposure, at least the period (VBLANK)
     TIMING_LIMIT,   // the period limits exposures (UVC)
-    TIMING_FREE     // exposures have nothing to do with the length (pictures from a file)
+    TIMING_FREE     // exposure and frame length are independent (pictures from a file)
 };
 
 struct timing_cfg {
@@ -24,7 +24,7 @@ struct timing_cfg {
     uint64_t seed; // of the jitter
 };
 
-/* A control and the writes that are not in force yet. */
+/* A control and the writes that do not apply yet. */
 struct timing_control {
     double value; // in force in the frame that runs
     int n;
@@ -46,10 +46,10 @@ struct timing {
     uint64_t writes;
 };
 
-/* Frame 0 starts at start_ns with that exposure, limited like a written one. */
+/* Frame 0 starts at start_ns with exposure time_s, limited like a written one. */
 void timing_open(struct timing *t, const struct timing_cfg *cfg, int64_t start_ns, double time_s);
 
-/* What the device makes of a wish: rounded down, limited. */
+/* The value that the device sets when asked for this one: rounded down and limited. */
 double timing_time(const struct timing_cfg *c, double time_s);
 double timing_gain(const struct timing_cfg *c, double gain);
 
@@ -60,7 +60,7 @@ void timing_write(struct timing *t, double time_s, double gain);
  * out: the finished one. */
 struct timing_frame timing_step(struct timing *t);
 
-/* The sensor stands still for so long before the frame that runs. */
+/* Delay the running frame: the sensor pauses for `ns` before it. */
 void timing_stall(struct timing *t, int64_t ns);
 
 #endif

@@ -25,7 +25,7 @@ static const struct {
                             [CURVE_RANDOM] = {0.0f, 1.5f}};
 
 /* Cubic B-spline with coefficients c at every KNOT from LOW - KNOT on. */
-static double spline(const double c[KNOTS], double u)
+static double eval_spline(const double c[KNOTS], double u)
 {
     double v = (u - LOW) / KNOT;
     int i = (int)fmin(fmax(floor(v), 0.0), KNOTS - 4);
@@ -35,12 +35,12 @@ static double spline(const double c[KNOTS], double u)
            6.0;
 }
 
-static double at(const struct curve *c, int i)
+static double step_position(const struct curve *c, int i)
 {
     return c->lo + (c->hi - c->lo) * (double)i / CURVE_STEPS;
 }
 
-static double srgb(double u)
+static double srgb_display(double u)
 {
     return response_family_display(RESPONSE_FAMILY_SRGB, 0, u);
 }
@@ -50,10 +50,11 @@ static void make_random(uint64_t seed, struct curve *c)
     double k[KNOTS], sum[CURVE_STEPS + 1];
     for (int i = 0; i < KNOTS; i++)
         k[i] = c->param * chance_normal(splitmix_mix(seed), (uint64_t)i);
-    sum[0] = srgb(c->lo);
+    sum[0] = srgb_display(c->lo);
     for (int i = 1; i <= CURVE_STEPS; i++) {
-        double u0 = at(c, i - 1), u1 = at(c, i);
-        sum[i] = sum[i - 1] + (srgb(u1) - srgb(u0)) * exp(spline(k, 0.5 * (u0 + u1)));
+        double u0 = step_position(c, i - 1), u1 = step_position(c, i);
+        sum[i] = sum[i - 1] +
+                 (srgb_display(u1) - srgb_display(u0)) * exp(eval_spline(k, 0.5 * (u0 + u1)));
     }
     for (int i = 0; i <= CURVE_STEPS; i++)
         c->table[i] = (float)(sum[i] / sum[CURVE_STEPS]);
@@ -74,8 +75,8 @@ void curve_make(enum curve_family family, float param, uint64_t seed, struct cur
     }
     float last = 0.0f;
     for (int i = 0; i <= CURVE_STEPS; i++) {
-        float y =
-            (float)response_family_display((enum response_family)family, out->param, at(out, i));
+        float y = (float)response_family_display((enum response_family)family, out->param,
+                                                 step_position(out, i));
         last = fminf(fmaxf(y, last), 1.0f);
         out->table[i] = last;
     }

@@ -1,9 +1,9 @@
 /* Ambient cubes (McTaggart, Half-Life 2 / Valve Source Shading, GDC 2004): irradiance on the six
  * faces of a small cube at each point; on a normal n it is the sum of n_k^2 times the face that n_k
- * points to. Every point looks along the same RAYS directions (a Fibonacci lattice); what it meets
- * is remembered, so that each further bounce costs no rays: the light of a surface is what came
- * straight plus what the cubes of the bounce before give there.
- * Points inside solids are not blended. Blending is
+ * points to. Every point traces the same RAYS directions (a Fibonacci lattice) and stores the hits,
+ * so that each further bounce costs no rays: the light of a surface is its direct light plus the
+ * light from the cubes of the bounce before.
+ * Interpolation leaves out points inside solids; it is
  * trilinear times a weight for points on the normal's side (Majercik et al., Dynamic Diffuse Global
  * Illumination with Ray-Traced Irradiance Fields, JCGT 8(2), 2019, section 5). */
 #include "sim/sensor/probe.h"
@@ -35,10 +35,10 @@ struct probe_cube {
     float unused[7];
 };
 
-/* What a ray of a point met. */
+/* The hit of one ray. */
 struct meeting {
     float p[3], n[3];
-    float straight[3], albedo[3]; // radiance that it sends back and emits at once; albedo / pi
+    float straight[3], albedo[3]; // radiance emitted and reflected from direct light; albedo / pi
 };
 
 struct builder {
@@ -62,14 +62,14 @@ static void fibonacci(float d[RAYS][3])
     }
 }
 
-static void place(const struct probes *s, int i, float p[3])
+static void probe_position(const struct probes *s, int i, float p[3])
 {
     int at[3] = {i % s->n[0], i / s->n[0] % s->n[1], i / s->n[0] / s->n[1]};
     for (int k = 0; k < 3; k++)
         p[k] = s->lo[k] + (float)at[k] * s->step[k];
 }
 
-static bool inside_any(const struct bvh *b, const float p[3])
+static bool inside_solid(const struct bvh *b, const float p[3])
 {
     for (int i = 0; i < b->n; i++)
         if (solid_inside(b->solids + i, p))
@@ -77,9 +77,10 @@ static bool inside_any(const struct bvh *b, const float p[3])
     return false;
 }
 
-/* Light that a surface sends back at once. Emission of listed lamps is gathered as direct light. */
-static void look(const struct builder *b, const float o[3], int ray, uint32_t noise,
-                 struct meeting *m)
+/* Direct light that the hit surface reflects, and its emission unless it is a listed lamp: that is
+ * gathered as direct light. */
+static void trace_ray(const struct builder *b, const float o[3], int ray, uint32_t noise,
+                      struct meeting *m)
 {
     const struct light_set *ls = b->lights;
     struct light_surface on;
@@ -99,14 +100,14 @@ static void look(const struct builder *b, const float o[3], int ray, uint32_t no
     struct light_dice dice = {(uint32_t)ray, noise, light_hash(noise, (uint32_t)ray), 7};
     light_gather(ls, &spot, &dice, &sum);
     for (int k = 0; k < 3; k++) {
-        float s = on.material->specular; // what is mirrored goes on as if it were scattered
+        float s = on.material->specular; // mirrored light counts as scattered
         m->albedo[k] = (on.albedo[k] + s * (1 - on.albedo[k])) / PI;
         m->straight[k] = m->albedo[k] * (sum.soft[k] + sum.sun[k]);
         m->straight[k] += ls->listed[solid] ? 0 : on.material->emission[k];
     }
 }
 
-static err_t look_chunk(void *ctx, int chunk, int worker)
+static err_t trace_chunk(void *ctx, int chunk, int worker)
 {
     const struct builder *b = ctx;
     struct probe_cube *c = b->out->all + chunk;
@@ -115,11 +116,11 @@ static err_t look_chunk(void *ctx, int chunk, int worker)
     err_t e = run_check(b->r, "probes");
     if (e)
         return e;
-    place(b->out, chunk, p);
+    probe_position(b->out, chunk, p);
     memset(c, 0, sizeof *c);
-    c->weight = inside_any(b->lights->bvh, p) ? 0 : 1;
+    c->weight = inside_solid(b->lights->bvh, p) ? 0 : 1;
     for (int i = 0; i < RAYS; i++)
-        look(b, p, i, (uint32_t)chunk, b->met + (size_t)chunk * RAYS + i);
+        trace_ray(b, p, i, (uint32_t)chunk, b->met + (size_t)chunk * RAYS + i);
     return OK;
 }
 
@@ -147,8 +148,8 @@ static err_t bounce_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-/* Points inside solids take the mean of their neighbours, for places where no other is near. */
-static void fill(struct probes *s)
+/* Points inside solids take the mean of their neighbours, for places with no other point near. */
+static void fill_hidden(struct probes *s)
 {
     int jump[3] = {1, s->n[0], s->n[0] * s->n[1]}, n = jump[2] * s->n[2];
     for (int i = 0; i < n; i++) {
@@ -168,7 +169,7 @@ static void fill(struct probes *s)
     }
 }
 
-static void lay(const struct world *w, struct probes *out)
+static void lay_grid(const struct world *w, struct probes *out)
 {
     for (int k = 0; k < 3; k++) {
         float width = w->hi[k] - w->lo[k];
@@ -203,20 +204,20 @@ err_t probe_build(const struct run *r, const struct light_set *lights, struct pr
 {
     struct builder b = {.r = r, .lights = lights, .out = out};
     *out = (struct probes){0};
-    lay(lights->bvh->w, out);
+    lay_grid(lights->bvh->w, out);
     fibonacci(b.d);
     int n = out->n[0] * out->n[1] * out->n[2];
     size_t mark = arena_mark(r->tmp);
     err_t e = alloc_points(&b, (size_t)n, r->keep, r->tmp);
     if (!e)
-        e = pool_for(r->pool, n, look_chunk, &b);
+        e = pool_for(r->pool, n, trace_chunk, &b);
     for (int i = 0; i < BOUNCES && !e; i++) {
-        fill(out);
+        fill_hidden(out);
         memcpy(b.last, out->all, (size_t)n * sizeof *out->all);
         e = pool_for(r->pool, n, bounce_chunk, &b);
     }
     if (!e)
-        fill(out);
+        fill_hidden(out);
     arena_reset(r->tmp, mark);
     return e;
 }

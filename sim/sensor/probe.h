@@ -1,5 +1,5 @@
-/* probe.h - light that comes to a point by way of other surfaces: gathered at the points of a
- * grid in the six directions of its axes, and blended from there. Pure computation on the pool;
+/* probe.h - indirect light: gathered at the points of a grid in the six directions of its axes, and
+ * interpolated between them. Pure computation on the pool;
  * the result does not depend on the number of threads. */
 #ifndef SENSOR_PROBE_H
 #define SENSOR_PROBE_H

@@ -36,7 +36,7 @@ const struct sensor sensor_default = {
 
 /* ---- random numbers ---- */
 
-static inline double smaller(double a, double b)
+static inline double min_double(double a, double b)
 {
     return a < b ? a : b; // fmin would be a call
 }
@@ -113,7 +113,7 @@ double sensor_poisson(uint64_t key, uint64_t counter, double mean)
 static err_t check_value(const char *name, double v, double lo, double hi)
 {
     if (!(v >= lo && v <= hi))
-        return err_fail(ERR_ARG, "sensor: %s is %g, not in %g..%g", name, v, lo, hi);
+        return err_fail(ERR_ARG, "sensor: %s is %g, must be %g..%g", name, v, lo, hi);
     return OK;
 }
 
@@ -160,16 +160,18 @@ static err_t check_all(const struct sensor *s, const struct sensor_shot *shot,
     if (e)
         return e;
     if (raw->w < 1 || raw->h < 1 || raw->w > 1 << 15 || raw->h > 1 << 15)
-        return err_fail(ERR_ARG, "sensor: picture of %d x %d px, not 1..32768", raw->w, raw->h);
+        return err_fail(ERR_ARG, "sensor: picture of %d x %d px, allowed are 1 to 32768", raw->w,
+                        raw->h);
     if (s->cfa != SENSOR_RGB && (raw->w % 2 || raw->h % 2))
-        return err_fail(ERR_ARG, "sensor: a mosaic of %d x %d px is not even", raw->w, raw->h);
+        return err_fail(ERR_ARG, "sensor: a mosaic of %d x %d px, both must be even", raw->w,
+                        raw->h);
     return OK;
 }
 
 /* ---- exposure ---- */
 
 /* Colour of a site of the mosaic. */
-static inline int site(enum sensor_cfa cfa, int y, int x)
+static inline int site_colour(enum sensor_cfa cfa, int y, int x)
 {
     int c = (y & 1) + (x & 1); // 0 red, 1 green, 2 blue
     return cfa == SENSOR_BGGR ? 2 - c : c;
@@ -183,7 +185,7 @@ struct expose {
     struct sensor_raw *out;
 };
 
-/* What is the same along a row. */
+/* Values that are constant along a row. */
 struct row {
     uint64_t noise, unit; // keys
     double light[3];      // mean electrons of radiance 1, per colour
@@ -191,7 +193,7 @@ struct row {
 };
 
 /* Mean of 1 + depth sin(2 pi f t) over the exposure of a row. */
-static double ripple(const struct sensor *s, const struct sensor_shot *shot, int row)
+static double mean_flicker(const struct sensor *s, const struct sensor_shot *shot, int row)
 {
     double w = 2.0 * NUM_PI * s->flicker_hz;
     double t = shot->start_s + row * (double)s->line_s, d = w * shot->exposure_s;
@@ -209,7 +211,7 @@ static struct row row_begin(const struct expose *x, int plane, int y)
     struct row w = {.dark = s->dark_per_s * x->shot->exposure_s};
     w.noise = splitmix_mix(splitmix_mix(splitmix_mix(x->shot->seed + 1) + x->shot->frame) + where);
     w.unit = splitmix_mix(splitmix_mix(~s->unit) + where);
-    double light = s->electrons * x->shot->exposure_s * ripple(s, x->shot, y);
+    double light = s->electrons * x->shot->exposure_s * mean_flicker(s, x->shot, y);
     for (int c = 0; c < 3; c++)
         w.light[c] = light * s->balance[c];
     if (s->row_noise > 0.0f)
@@ -217,15 +219,15 @@ static struct row row_begin(const struct expose *x, int plane, int y)
     return w;
 }
 
-/* Electrons that are read from a pixel with that radiance. */
+/* Electrons read from a pixel that receives `radiance`. */
 static inline double read_pixel(const struct sensor *s, const struct row *w, int c, int i,
                                 float radiance)
 {
     uint64_t n = 2 * (uint64_t)i;
     double mean = radiance > 0.0f ? radiance * w->light[c] : 0.0; // NaN is dark
     if (s->prnu > 0.0f)
-        mean *= 1.0 - smaller(-s->prnu * chance_normal(w->unit, n), 1.0);
-    double e = smaller(poisson(w->noise, n, mean + w->dark), s->full_well) + w->offset;
+        mean *= 1.0 - min_double(-s->prnu * chance_normal(w->unit, n), 1.0);
+    double e = min_double(poisson(w->noise, n, mean + w->dark), s->full_well) + w->offset;
     if (s->dsnu > 0.0f)
         e += s->dsnu * chance_normal(w->unit, n + 1);
     if (s->read_noise > 0.0f)
@@ -243,7 +245,7 @@ static void expose_row(const struct expose *x, int plane, int y)
     struct row row = row_begin(x, plane, y);
     double gain = (double)s->gain * x->shot->gain, half = s->black + 0.5;
     for (int i = 0; i < w; i++) {
-        int c = s->cfa == SENSOR_RGB ? plane : site(s->cfa, y, i);
+        int c = s->cfa == SENSOR_RGB ? plane : site_colour(s->cfa, y, i);
         double v = read_pixel(s, &row, c, i, px[(size_t)c * area + (size_t)i]) * gain + half;
         out[i] = v <= 0.0 ? 0 : v >= top ? (uint16_t)top : (uint16_t)v;
     }
@@ -294,7 +296,7 @@ static inline int mirror(int i, int n)
 static float demosaic(const struct develop *d, int c, int y, int x)
 {
     const struct sensor_raw *raw = d->raw;
-    int here = site(d->s->cfa, y, x);
+    int here = site_colour(d->s->cfa, y, x);
     const uint16_t *row[3];
     for (int k = 0; k < 3; k++)
         row[k] = raw->px + (size_t)mirror(y + k - 1, raw->h) * (size_t)raw->w;
@@ -305,7 +307,7 @@ static float demosaic(const struct develop *d, int c, int y, int x)
         return 0.25f * (float)(row[0][x] + row[2][x] + row[1][l] + row[1][r]);
     if (here != 1)
         return 0.25f * (float)(row[0][l] + row[0][r] + row[2][l] + row[2][r]);
-    if (site(d->s->cfa, y, x + 1) == c)
+    if (site_colour(d->s->cfa, y, x + 1) == c)
         return 0.5f * (float)(row[1][l] + row[1][r]);
     return 0.5f * (float)(row[0][x] + row[2][x]);
 }

@@ -27,7 +27,7 @@ uint64_t dataset_bytes(const struct dataset_ask *a)
     return (uint64_t)all_pixels(a) * (3 * (uint64_t)a->n_exposures + 8) + (1 << 20);
 }
 
-/* What lies in memory while files are written. */
+/* The scene in memory while files are written. */
 struct set {
     const struct dataset_ask *a;
     const char *dir;
@@ -186,11 +186,11 @@ static err_t make_folders(const struct set *s)
 static err_t check_exposures(const struct dataset_ask *a)
 {
     if (a->n_exposures < 1 || a->n_exposures > DATASET_EXPOSURES)
-        return err_fail(ERR_ARG, "%d exposures, a data set has 1 to %d", a->n_exposures,
+        return err_fail(ERR_ARG, "data set: %d exposures, allowed are 1 to %d", a->n_exposures,
                         DATASET_EXPOSURES);
     for (int k = 0; k < a->n_exposures; k++)
         if (!(fabsf(a->stops[k]) <= 40))
-            return err_fail(ERR_ARG, "exposure of 2^%g, data sets have 2^-40 to 2^40",
+            return err_fail(ERR_ARG, "data set: exposure of 2^%g, allowed are 2^-40 to 2^40",
                             (double)a->stops[k]);
     return OK;
 }

@@ -1,5 +1,5 @@
-/* dataset.h - a simulated scene in the released data layout: what a rig photographed, and the
- * truth.
+/* dataset.h - a simulated scene in the released data layout: photographs of a rig, and the true
+ * radiance and depth.
  * thread: any. */
 #ifndef TRAIN_DATASET_H
 #define TRAIN_DATASET_H
@@ -9,10 +9,10 @@
 enum { DATASET_EXPOSURES = 8 };
 
 struct dataset_ask {
-    struct sample_ask sample;       // its n_views is that of all cameras, 2 * inputs - 1
+    struct sample_ask sample;       // n_views counts all cameras, 2 * inputs - 1
     int n_exposures;                // 1..DATASET_EXPOSURES
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
-    bool noise;                     // that of sensor_default
+    bool noise;                     // of sensor_default
     struct curve curve;
 };
 
@@ -25,7 +25,7 @@ struct dataset_ask {
 MUST_USE err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir);
 void dataset_plan(struct plan *p, const struct dataset_ask *a);
 
-/* Most bytes of the files. */
+/* An upper bound for the bytes of the files. */
 uint64_t dataset_bytes(const struct dataset_ask *a);
 
 #endif

@@ -17,7 +17,9 @@ static err_t check_request(const struct redraw *q)
         return err_fail(ERR_ARG, "redraw: a picture of %d x %d px, allowed are 1 to %d", q->w, q->h,
                         RASTER_SIDE_MAX);
     if (!q->planes || !q->radiance || !q->alpha || (q->up_radiance && !q->grad))
-        return err_fail(ERR_ARG, "redraw: splats, radiance, alpha or the gradient have no memory");
+        return err_fail(
+            ERR_ARG,
+            "redraw: planes, radiance, alpha and (with up_radiance) grad must not be NULL");
     return OK;
 }
 

@@ -12,10 +12,10 @@
 enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40 };
 
 static const double KEY_LEVEL = 0.18;    // of full scale: a grey card
-static const double LIGHT_LEAST = 1e-4;  // radiance that the meter still follows
+static const double LIGHT_LEAST = 1e-4;  // darkest radiance that the meter follows
 static const double EXPOSURE_MAX = 3600; // s, of a sensor
 
-/* Electrons that stand for full scale: of the well or of the converter's last number. */
+/* Electrons at full scale: of the full well, or of the converter's last code. */
 static double full_scale(const struct sensor *s)
 {
     double codes = ((1 << s->bits) - 1 - s->black) / (double)s->gain;
@@ -57,8 +57,8 @@ static err_t check_ask(const struct sample_ask *a)
     return OK;
 }
 
-/* The value in the middle; v is put into another order. Hoare's selection. */
-static float middle(float *v, int n)
+/* The median; v is reordered. Hoare's selection. */
+static float select_median(float *v, int n)
 {
     int lo = 0, hi = n - 1, k = n / 2;
     while (lo < hi) {
@@ -85,13 +85,13 @@ static float middle(float *v, int n)
     return v[k];
 }
 
-static double meter(const float *radiance, int px, float *grey)
+static double median_luminance(const float *radiance, int px, float *grey)
 {
     for (int i = 0; i < px; i++) {
         float c[3] = {radiance[i], radiance[px + i], radiance[2 * px + i]};
         grey[i] = vec_grey(c);
     }
-    return (double)middle(grey, px);
+    return (double)select_median(grey, px);
 }
 
 /* Scratch memory of one view: grey levels, and its radiance if the caller does not want it. */
@@ -118,7 +118,7 @@ static err_t draw_view(void *ctx, int view, int worker)
         e = render_run(&r, s->world, s->cams + view, &s->a->quality,
                        s->a->seed * SAMPLE_VIEWS + (uint64_t)view, &maps);
     if (!e)
-        s->median[view] = meter(maps.radiance, (int)px, grey);
+        s->median[view] = median_luminance(maps.radiance, (int)px, grey);
     arena_reset(r.tmp, mark);
     return e;
 }
@@ -129,7 +129,7 @@ static int by_value(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static double key_of(struct sample *s)
+static double metered_key(struct sample *s)
 {
     qsort(s->median, (size_t)s->a->n_views, sizeof *s->median, by_value);
     double light = s->median[s->a->n_views / 2];
@@ -236,7 +236,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
         e = draw_all(&s);
     }
     if (!e)
-        *key = key_of(&s);
+        *key = metered_key(&s);
     arena_reset(r->tmp, mark);
     return e;
 }
@@ -277,16 +277,16 @@ static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
 static err_t check_shots(const struct sample_camera *c, int n, const float *stops)
 {
     if (c->size < SIZE_LEAST || c->size > SAMPLE_SIZE)
-        return err_fail(ERR_ARG, "photograph of %d px, allowed are %d to %d", c->size, SIZE_LEAST,
-                        SAMPLE_SIZE);
+        return err_fail(ERR_ARG, "photograph: size %d px, allowed are %d to %d", c->size,
+                        SIZE_LEAST, SAMPLE_SIZE);
     if (!(c->key > 0) || !(c->key < 1e12))
-        return err_fail(ERR_ARG, "photograph at the key %g s, it must be > 0 and < 1e12", c->key);
+        return err_fail(ERR_ARG, "photograph: key %g s, must be > 0 and < 1e12", c->key);
     if (n < 1 || n > SAMPLE_SHOTS)
-        return err_fail(ERR_ARG, "%d photographs, allowed are 1 to %d", n, SAMPLE_SHOTS);
+        return err_fail(ERR_ARG, "photograph: %d exposures, allowed are 1 to %d", n, SAMPLE_SHOTS);
     for (int i = 0; i < n; i++)
         if (!(fabsf(stops[i]) <= STOPS_MAX))
-            return err_fail(ERR_ARG, "photograph %d at 2^%g, allowed are 2^-%d to 2^%d", i,
-                            (double)stops[i], STOPS_MAX, STOPS_MAX);
+            return err_fail(ERR_ARG, "photograph: exposure %d is 2^%g, allowed are 2^-%d to 2^%d",
+                            i, (double)stops[i], STOPS_MAX, STOPS_MAX);
     return OK;
 }
 
@@ -346,8 +346,8 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
                               q->noise_seed};
     err_t e = check_shots(&c, n, stops);
     if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
-        e = err_fail(ERR_ARG, "curve of family %d, allowed are -1 to %d", q->curve_family,
-                     CURVE_FAMILIES - 1);
+        e = err_fail(ERR_ARG, "photograph: curve of family %d, allowed are -1 to %d",
+                     q->curve_family, CURVE_FAMILIES - 1);
     if (e)
         return e;
     if (q->curve_family < 0)

@@ -1,4 +1,4 @@
-/* sample.h - one world photographed by a rig: what training and `hdrig simulate` take. Also
+/* sample.h - one world photographed by a rig, for training and `hdrig simulate`. Also
  * built as build/ARCH/libsim.so, which sim/train calls through ctypes. Thread: any; calls with
  * different arenas are independent. */
 #ifndef TRAIN_SAMPLE_H

@@ -57,7 +57,7 @@ float builder_power(float octaves)
 }
 
 /* Linear colour of hue (any number, whole turns), saturation and value. */
-static void colour(float hue, float saturation, float value, float out[3])
+static void colour_from_hsv(float hue, float saturation, float value, float out[3])
 {
     hue -= floorf(hue);
     for (int c = 0; c < 3; c++) {
@@ -271,14 +271,14 @@ int builder_material(struct builder *b, enum builder_role role)
     m->albedo.scale = draw_range(b, k->scale);
     m->albedo.contrast = draw_range(b, k->contrast);
     float hue = draw_hue(b, k->hue), saturation = draw_range(b, k->saturation);
-    colour(hue, saturation, draw_range(b, k->light), m->albedo.colour[0]);
+    colour_from_hsv(hue, saturation, draw_range(b, k->light), m->albedo.colour[0]);
     float other = hue + builder_draw(b, -0.07f, 0.07f);
-    colour(other, saturation, draw_range(b, k->dark), m->albedo.colour[1]);
+    colour_from_hsv(other, saturation, draw_range(b, k->dark), m->albedo.colour[1]);
     float accent = builder_chance(b, 0.5f) ? hue + 0.5f : draw_hue(b, (struct range){0, 1});
     if (k->hue.hi - k->hue.lo < 0.3f) // what is not painted
         accent = hue + builder_draw(b, -0.06f, 0.06f);
-    colour(accent, fminf(1.5f * saturation, 0.9f), builder_draw(b, k->dark.lo, k->light.hi),
-           m->albedo.colour[2]);
+    colour_from_hsv(accent, fminf(1.5f * saturation, 0.9f),
+                    builder_draw(b, k->dark.lo, k->light.hi), m->albedo.colour[2]);
     m->specular = draw_range(b, k->specular);
     m->roughness = draw_range(b, k->roughness);
     if (b->mirrors && role != ROLE_CEILING && role != ROLE_WALL && builder_chance(b, 0.35f)) {
@@ -323,7 +323,7 @@ struct frame builder_frame(const struct frame *in, float x, float y, float z, fl
 }
 
 /* Rotation of a part in the world: about x, y, z by `turn`, then by the frame about z. */
-static void rotation(const struct frame *f, const float turn[3], float r[9])
+static void part_rotation(const struct frame *f, const float turn[3], float r[9])
 {
     float cx, sx, cy, sy, cz, sz;
     builder_turn(turn[0], &cx, &sx);
@@ -351,7 +351,7 @@ int builder_add(struct builder *b, const struct frame *f, const struct part *p)
     s->shape = p->shape;
     s->taper = p->taper;
     s->material = p->material;
-    rotation(f, p->turn, s->r);
+    part_rotation(f, p->turn, s->r);
     s->t[0] = f->at[0] + f->c * p->at[0] - f->s * p->at[1];
     s->t[1] = f->at[1] + f->s * p->at[0] + f->c * p->at[1];
     s->t[2] = f->at[2] + p->at[2];

@@ -1,12 +1,12 @@
-/* builder.h - a world in the making: random numbers, materials by what they are used for, solids in
- * nested frames, and a plan of the floor that is taken.
+/* builder.h - builds a world: random numbers, materials by their use, solids in nested frames, and
+ * the areas of the floor that are occupied.
  * Pure computation; any thread. No sine of libm: the same world on every machine. */
 #ifndef WORLD_BUILDER_H
 #define WORLD_BUILDER_H
 
 #include "sim/world/solids.h"
 
-/* What a material is used for: decides over kinds and sizes of texture, colours and gloss. */
+/* The use of a material determines kinds and sizes of texture, colours and gloss. */
 enum builder_role {
     ROLE_WALL,
     ROLE_FLOOR,
@@ -43,7 +43,7 @@ struct builder {
     uint64_t state; // of the random numbers
     bool plain, mirrors;
     int n_areas;
-    struct area areas[BUILDER_AREAS]; // of the floor that is taken, in the frame of the place
+    struct area areas[BUILDER_AREAS]; // occupied floor, in the frame of the place
     int books[BUILDER_BOOKS], timber; // shared materials
 };
 
@@ -58,8 +58,8 @@ struct part {
     int cut;       // enum builder_cut
 };
 
-/* Which piece of the texture it shows: its own at random, that of its place in the frame, or one
- * that begins at its lower corner. */
+/* The piece of the texture that a part shows: a random one, the one of its place in the frame, or
+ * one that begins at its lower corner. */
 enum builder_cut { CUT_RANDOM, CUT_JOINED, CUT_CORNER };
 
 /* A piece stands on z = 0 of its frame, its middle at the origin, its front towards y, within
@@ -75,23 +75,23 @@ bool builder_chance(struct builder *b, float share);
 float builder_power(float octaves); // 2^octaves, -60..60
 void builder_turn(float angle, float *c, float *s);
 
-/* A frame within a frame, turned by `angle`. */
+/* A frame within a frame, turned by `angle`, rad. */
 struct frame builder_frame(const struct frame *in, float x, float y, float z, float angle);
 
-/* Index of a new material, which the caller may change; when there is no more room, one of those
- * that there are, but no lamp. */
+/* Index of a new material, which the caller may change. Without room it is an existing one, but not
+ * a lamp's. */
 int builder_material(struct builder *b, enum builder_role role);
 
-/* A material of furniture: often the shared one of the place, else a new one. */
+/* A material for furniture: often the shared one of the place, else a new one. */
 int builder_timber(struct builder *b);
 
-/* Light of that radiance and colour temperature: 0 amber, 0.5 white, 1 blue. */
+/* Index of a new material that emits `radiance`. cold: 0 amber, 0.5 white, 1 blue. */
 int builder_glow(struct builder *b, float radiance, float cold);
 
-/* The solid's index, -1 when there is no more room. */
+/* Add a solid. Returns its index, -1 without room. */
 int builder_add(struct builder *b, const struct frame *f, const struct part *p);
 
-/* A box; an upright cylinder of that radius and half height. */
+/* Add a box of half edges size; an upright cylinder of radius size[0] and half height size[1]. */
 int builder_box(struct builder *b, const struct frame *f, const float size[3], const float at[3],
                 int material);
 int builder_rod(struct builder *b, const struct frame *f, const float size[2], const float at[3],
@@ -102,10 +102,10 @@ static inline float builder_least(float a, float b)
     return a < b ? a : b;
 }
 
-/* Gather light directly from a solid that emits; left out when there is no more room. */
+/* List a solid that emits as a lamp, to gather light from directly, if there is room. */
 void builder_lamp(struct builder *b, int solid);
 
-/* Take the floor within half[] of (x, y), unless part of it is taken. */
+/* Occupy the floor within half[] of (x, y), unless part of it is occupied. */
 bool builder_claim(struct builder *b, float x, float y, const float half[2]);
 
 #endif

@@ -99,7 +99,7 @@ static int cut_along(struct builder *b, struct range r, int axis, float *cost)
     return best;
 }
 
-static void cut(struct builder *b, struct range r, bool cheap, struct range out[2])
+static void halve(struct builder *b, struct range r, bool cheap, struct range out[2])
 {
     float cost[3];
     int at = 0, best = 0;
@@ -114,7 +114,7 @@ static void cut(struct builder *b, struct range r, bool cheap, struct range out[
 }
 
 /* Up to four parts of r: the cheapest, or of equal numbers. */
-static int quarter(struct builder *b, struct range r, bool cheap, struct range out[WIDE])
+static int split_four(struct builder *b, struct range r, bool cheap, struct range out[WIDE])
 {
     struct range half[2];
     int n = 0;
@@ -122,10 +122,10 @@ static int quarter(struct builder *b, struct range r, bool cheap, struct range o
         out[0] = r;
         return 1;
     }
-    cut(b, r, cheap, half);
+    halve(b, r, cheap, half);
     for (int k = 0; k < 2; k++) {
         if (half[k].n > 1) {
-            cut(b, half[k], cheap, out + n);
+            halve(b, half[k], cheap, out + n);
             n += 2;
         } else {
             out[n++] = half[k];
@@ -137,7 +137,7 @@ static int quarter(struct builder *b, struct range r, bool cheap, struct range o
 static int make_node(struct builder *b, struct range r, int level)
 {
     struct range part[WIDE];
-    int at = b->n_nodes++, n = quarter(b, r, level < LEVELS, part);
+    int at = b->n_nodes++, n = split_four(b, r, level < LEVELS, part);
     for (int k = 0; k < WIDE; k++) {
         float lo[3], hi[3];
         box_none(lo, hi);
@@ -234,9 +234,9 @@ static inline const float *row_of(const struct bvh_node *n, size_t at)
 
 /* Where the ray enters the four children, and whether it meets them; gcc vectorises this only as a
  * function. */
-__attribute__((noinline)) static void cross(const struct bvh_node *restrict n,
-                                            const struct ray *restrict r, float most,
-                                            float *restrict in, int *restrict met)
+__attribute__((noinline)) static void cross_boxes(const struct bvh_node *restrict n,
+                                                  const struct ray *restrict r, float most,
+                                                  float *restrict in, int *restrict met)
 {
     const float *x0 = row_of(n, r->near[0]), *x1 = row_of(n, r->far[0]);
     const float *y0 = row_of(n, r->near[1]), *y1 = row_of(n, r->far[1]);
@@ -252,11 +252,11 @@ __attribute__((noinline)) static void cross(const struct bvh_node *restrict n,
 }
 
 /* A bit for each child that the ray meets. */
-static inline unsigned meet(const struct bvh_node *n, const struct ray *r, float most,
-                            float in[WIDE])
+static inline unsigned meet_children(const struct bvh_node *n, const struct ray *r, float most,
+                                     float in[WIDE])
 {
     int met[WIDE];
-    cross(n, r, most, in, met);
+    cross_boxes(n, r, most, in, met);
     return ((unsigned)met[0] & 1) | ((unsigned)met[1] & 2) | ((unsigned)met[2] & 4) |
            ((unsigned)met[3] & 8);
 }
@@ -267,8 +267,8 @@ struct pending {
 };
 
 /* Push the children that the ray meets, the nearest last. */
-static int sort_in(const struct bvh_node *n, unsigned met, const float in[WIDE],
-                   struct pending stack[WIDE])
+static int push_nearest_last(const struct bvh_node *n, unsigned met, const float in[WIDE],
+                             struct pending stack[WIDE])
 {
     int depth = 0;
     for (; met; met &= met - 1) {
@@ -299,8 +299,8 @@ int bvh_first(const struct bvh *b, const float o[3], const float d[3], float mos
             continue;
         }
         float in[WIDE];
-        unsigned met = meet(b->nodes + next.node, &r, *t, in);
-        depth += sort_in(b->nodes + next.node, met, in, stack + depth);
+        unsigned met = meet_children(b->nodes + next.node, &r, *t, in);
+        depth += push_nearest_last(b->nodes + next.node, met, in, stack + depth);
     }
     return best;
 }
@@ -317,7 +317,7 @@ int bvh_any(const struct bvh *b, const float o[3], const float d[3], float most,
     while (depth) {
         const struct bvh_node *n = b->nodes + stack[--depth];
         float in[WIDE];
-        for (unsigned met = meet(n, &r, most, in); met; met &= met - 1) {
+        for (unsigned met = meet_children(n, &r, most, in); met; met &= met - 1) {
             int child = n->child[__builtin_ctz(met)], solid = -1 - child;
             if (child >= 0)
                 stack[depth++] = child;

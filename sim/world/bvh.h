@@ -1,5 +1,5 @@
-/* bvh.h - a hierarchy of boxes around the solids of a world: which one a ray meets first, and
- * whether it meets any. Pure computation; any thread. */
+/* bvh.h - a hierarchy of boxes around the solids of a world, to find the first solid that a ray
+ * meets, or any. Pure computation; any thread. */
 #ifndef WORLD_BVH_H
 #define WORLD_BVH_H
 
@@ -25,7 +25,7 @@ void bvh_plan(struct plan *p);
  * `most`. */
 int bvh_first(const struct bvh *b, const float o[3], const float d[3], float most, float *t);
 
-/* Any solid but `skip` (-1: none to skip) between o and o + most d, or -1. `guess`: a solid to try
+/* Any solid except `skip` (-1: none) between o and o + most d, or -1. `guess`: a solid to try
  * first, or -1. */
 int bvh_any(const struct bvh *b, const float o[3], const float d[3], float most,
             const int skip_guess[2]);

@@ -5,10 +5,10 @@
 
 #include "sim/world/builder.h"
 
-/* Small things on a level surface of half[0] x half[1] at the frame's origin. */
+/* Put small things on a level surface of half[0] x half[1] at the frame's origin. */
 void clutter_put(struct builder *b, const struct frame *f, const float half[2]);
 
-/* One of them, at most r from the frame's origin. */
+/* Put one of them, at most r from the frame's origin. */
 void clutter_one(struct builder *b, const struct frame *f, float r);
 
 #endif

@@ -1,5 +1,5 @@
-/* furniture.h - furniture of rooms, made of the basic shapes, every piece different by the random
- * numbers.
+/* furniture.h - furniture of rooms, made of basic shapes; every piece differs by the
+ * random numbers.
  * Pure computation; any thread. */
 #ifndef WORLD_FURNITURE_H
 #define WORLD_FURNITURE_H
@@ -7,8 +7,8 @@
 #include "sim/world/builder.h"
 
 enum { FURNITURE_WALL = 7, FURNITURE_MIDDLE = 5 };
-extern const struct piece furniture_wall[FURNITURE_WALL];     // stand with their back to a wall
-extern const struct piece furniture_middle[FURNITURE_MIDDLE]; // are looked at from all sides
+extern const struct piece furniture_wall[FURNITURE_WALL];     // stand with the back to a wall
+extern const struct piece furniture_middle[FURNITURE_MIDDLE]; // may be seen from all sides
 
 /* Draw the size of a piece. */
 void furniture_size(struct builder *b, const struct piece *p, float half[2], float *height);

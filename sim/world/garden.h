@@ -1,4 +1,4 @@
-/* garden.h - what stands outdoors.
+/* garden.h - garden furniture, rocks, crates and barrels.
  * Pure computation; any thread. */
 #ifndef WORLD_GARDEN_H
 #define WORLD_GARDEN_H

@@ -20,7 +20,7 @@ enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
 static const float PI = (float)NUM_PI;
 static const float SLANT = 0.15f; // least cosine, for the width of a footprint
-static const float EVENLY = 0.4f; // share of the chances that all lights have alike
+static const float EVENLY = 0.4f; // share of the chances that is equal for all lights
 static const float BEYOND = 1e4f; // m, how far rays to the sky go
 
 float light_lift(float t)
@@ -83,7 +83,7 @@ void light_surface(const struct bvh *b, int solid, const float p[3], const float
 
 /* ---- lights ---- */
 
-static float ball_of(const struct world_solid *w)
+static float bounding_radius(const struct world_solid *w)
 {
     const float *s = w->size;
     if (w->shape == WORLD_ELLIPSOID)
@@ -94,19 +94,19 @@ static float ball_of(const struct world_solid *w)
     return sqrtf(s[0] * s[0] + s[1] * s[1] + z * z);
 }
 
-static void lamp_of(const struct world *w, const struct world_light *from, struct light *l)
+static void add_lamp(const struct world *w, const struct world_light *from, struct light *l)
 {
     const struct world_solid *s = w->solids + from->solid;
     float lo[3], hi[3], d[3];
     solid_bounds(s, lo, hi);
     vec_sub(hi, lo, d);
-    *l = (struct light){.solid = from->solid, .radius = ball_of(s)};
+    *l = (struct light){.solid = from->solid, .radius = bounding_radius(s)};
     memcpy(l->radiance, w->materials[s->material].emission, sizeof l->radiance);
     memcpy(l->centre, s->t, sizeof l->centre);
     l->power = vec_grey(l->radiance) * (d[0] * d[1] + d[1] * d[2] + d[2] * d[0]) / 3;
 }
 
-static void opening_of(const struct world *w, const struct world_light *from, struct light *l)
+static void add_opening(const struct world *w, const struct world_light *from, struct light *l)
 {
     float x = from->size[0], y = from->size[1];
     *l = (struct light){.solid = -1, .w = from, .radius = sqrtf(x * x + y * y)};
@@ -145,9 +145,9 @@ err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *ou
         const struct world_light *from = w->lights + i;
         struct light *l = out->l + out->n;
         if (from->solid < 0)
-            opening_of(w, from, l);
+            add_opening(w, from, l);
         else
-            lamp_of(w, from, l);
+            add_lamp(w, from, l);
         if (!(l->power > 0) || (from->solid < 0 && out->dome))
             continue;
         out->n++;
@@ -165,8 +165,8 @@ struct ray_to {
 };
 
 /* Point p of the unit shape that stands for the area and normal n there. */
-static bool from_point(const struct solid *s, const struct world_solid *w, const float p[3],
-                       const float n[3], struct ray_to *r, const float at[3])
+static bool ray_from_point(const struct solid *s, const struct world_solid *w, const float p[3],
+                           const float n[3], struct ray_to *r, const float at[3])
 {
     const float *size = w->size;
     float scaled[3] = {p[0] * size[0], p[1] * size[1], w->shape == WORLD_RECT ? 0 : p[2] * size[2]};
@@ -181,7 +181,7 @@ static bool from_point(const struct solid *s, const struct world_solid *w, const
     return r->weight > 0;
 }
 
-static bool to_ball(const float o[3], const float u[2], float p[3], float *area)
+static bool sample_ball(const float o[3], const float u[2], float p[3], float *area)
 {
     float axis[3] = {o[0], o[1], o[2]}, a[3], b[3], x, y;
     float far = vec_unit(axis);
@@ -196,7 +196,7 @@ static bool to_ball(const float o[3], const float u[2], float p[3], float *area)
     return true;
 }
 
-static bool to_box(const float o[3], const float u[2], float p[3], float n[3])
+static bool sample_box(const float o[3], const float u[2], float p[3], float n[3])
 {
     float show[3], all = 0, at, v = u[0];
     for (int k = 0; k < 3; k++)
@@ -218,7 +218,7 @@ static bool to_box(const float o[3], const float u[2], float p[3], float n[3])
     return true;
 }
 
-static void to_disc(float radius, float end, const float u[2], float p[3], float n[3])
+static void sample_disc(float radius, float end, const float u[2], float p[3], float n[3])
 {
     float x, y, r = radius * sqrtf(u[0]);
     vec_circle(u[1], &x, &y);
@@ -231,7 +231,8 @@ static void to_disc(float radius, float end, const float u[2], float p[3], float
 
 /* The side of a frustum is seen where its normal (cos, sin, slope) faces o: in a range of angles
  * that is the same at all heights. */
-static void to_side(const float cone[2], const float o[3], const float u[2], float p[3], float n[3])
+static void sample_side(const float cone[2], const float o[3], const float u[2], float p[3],
+                        float n[3])
 {
     float mean = cone[0], slope = cone[1], x, y;
     float off = vec_max(sqrtf(o[0] * o[0] + o[1] * o[1]), 1e-6f);
@@ -249,8 +250,8 @@ static void to_side(const float cone[2], const float o[3], const float u[2], flo
     n[2] = area * slope;
 }
 
-static bool to_frustum(const struct solid *s, const float o[3], const float u[2], float p[3],
-                       float n[3])
+static bool sample_frustum(const struct solid *s, const float o[3], const float u[2], float p[3],
+                           float n[3])
 {
     float cone[2] = {(1 + s->k) / 2, (1 - s->k) / 2};
     float off = sqrtf(o[0] * o[0] + o[1] * o[1]);
@@ -262,19 +263,19 @@ static bool to_frustum(const struct solid *s, const float o[3], const float u[2]
     if (at < ends) {
         share = ends / all;
         float v[2] = {at / ends, u[1]};
-        to_disc(o[2] > 0 ? s->k : 1, o[2] > 0 ? 1 : -1, v, p, n);
+        sample_disc(o[2] > 0 ? s->k : 1, o[2] > 0 ? 1 : -1, v, p, n);
     } else {
         share = side / all;
         float v[2] = {side > 0 ? vec_min((at - ends) / side, 1) : 0, u[1]};
-        to_side(cone, o, v, p, n);
+        sample_side(cone, o, v, p, n);
     }
     for (int k = 0; k < 3; k++)
         n[k] /= share;
     return share > 0;
 }
 
-static bool to_cone(const struct solid *s, const struct light *l, const float at[3],
-                    const float u[2], struct ray_to *r)
+static bool sample_cone(const struct solid *s, const struct light *l, const float at[3],
+                        const float u[2], struct ray_to *r)
 {
     float axis[3], a[3], b[3], x, y;
     vec_sub(l->centre, at, axis);
@@ -290,8 +291,8 @@ static bool to_cone(const struct solid *s, const struct light *l, const float at
     return r->t < BEYOND;
 }
 
-static bool to_lamp(const struct light_set *set, const struct light *l, const float at[3],
-                    const float u[2], struct ray_to *r)
+static bool sample_lamp(const struct light_set *set, const struct light *l, const float at[3],
+                        const float u[2], struct ray_to *r)
 {
     const struct solid *s = set->bvh->solids + l->solid;
     const struct world_solid *w = set->bvh->w->solids + l->solid;
@@ -300,30 +301,31 @@ static bool to_lamp(const struct light_set *set, const struct light *l, const fl
     vec_along(o, 1, s->b, o);
     switch (s->shape) {
     case WORLD_ELLIPSOID:
-        if (!to_ball(o, u, p, &area))
+        if (!sample_ball(o, u, p, &area))
             return false;
         vec_along((float[3]){0}, area, p, n);
         break;
     case WORLD_BOX:
-        if (!to_box(o, u, p, n))
+        if (!sample_box(o, u, p, n))
             return false;
         break;
     case WORLD_FRUSTUM:
-        if (!to_frustum(s, o, u, p, n))
+        if (!sample_frustum(s, o, u, p, n))
             return false;
         break;
     case WORLD_TORUS:
-        return to_cone(s, l, at, u, r);
+        return sample_cone(s, l, at, u, r);
     default:
         p[0] = 2 * u[0] - 1;
         p[1] = 2 * u[1] - 1;
         p[2] = 0;
         n[2] = o[2] < 0 ? -4 : 4;
     }
-    return from_point(s, w, p, n, r, at);
+    return ray_from_point(s, w, p, n, r, at);
 }
 
-static bool to_opening(const struct light *l, const float at[3], const float u[2], struct ray_to *r)
+static bool sample_opening(const struct light *l, const float at[3], const float u[2],
+                           struct ray_to *r)
 {
     const struct world_light *w = l->w;
     float p[3] = {(2 * u[0] - 1) * w->size[0], (2 * u[1] - 1) * w->size[1], 0}, y[3];
@@ -337,10 +339,10 @@ static bool to_opening(const struct light *l, const float at[3], const float u[2
     return r->weight > 0;
 }
 
-/* ---- what arrives ---- */
+/* ---- gathering ---- */
 
-static bool open_way(const struct light_set *s, struct light_spot *spot, int slot,
-                     const struct ray_to *r, int skip)
+static bool is_unoccluded(const struct light_set *s, struct light_spot *spot, int slot,
+                          const struct ray_to *r, int skip)
 {
     int in_way = bvh_any(s->bvh, spot->p, r->d, r->t, (int[2]){skip, (int)spot->last[slot] - 1});
     if (in_way >= 0)
@@ -365,9 +367,10 @@ static void gather_light(const struct light_set *s, struct light_spot *spot, int
     struct ray_to r;
     float u[2], light[3];
     light_throw(d, (uint32_t)i, u);
-    bool seen = l->solid < 0 ? to_opening(l, spot->p, u, &r) : to_lamp(s, l, spot->p, u, &r);
+    bool seen =
+        l->solid < 0 ? sample_opening(l, spot->p, u, &r) : sample_lamp(s, l, spot->p, u, &r);
     float c = seen ? vec_dot(spot->n, r.d) : 0;
-    if (!(c > 0) || !open_way(s, spot, i, &r, l->solid))
+    if (!(c > 0) || !is_unoccluded(s, spot, i, &r, l->solid))
         return;
     if (l->solid < 0)
         light_sky(s->bvh->w, r.d, false, light);
@@ -379,9 +382,9 @@ static void gather_light(const struct light_set *s, struct light_spot *spot, int
     add_gloss(spot, r.d, light, spot->shine[l->solid < 0 ? 2 : 0], out->gloss);
 }
 
-/* Whether the way to a point of the sun's disc is open; times the cosine. */
-static float sun_from(const struct light_set *s, struct light_spot *spot, const float u[2],
-                      struct ray_to *r)
+/* Cosine of the direction to a point of the sun's disc; 0 if something is in the way. */
+static float sun_irradiance(const struct light_set *s, struct light_spot *spot, const float u[2],
+                            struct ray_to *r)
 {
     const struct world *w = s->bvh->w;
     float c = 1 - u[0] * (1 - w->sun_cos), side = sqrtf(vec_max(1 - c * c, 0)), x, y;
@@ -389,10 +392,10 @@ static float sun_from(const struct light_set *s, struct light_spot *spot, const 
     for (int k = 0; k < 3; k++)
         r->d[k] = side * (x * s->across[0][k] + y * s->across[1][k]) + c * w->sun_dir[k];
     c = vec_dot(spot->n, r->d);
-    return c > 0 && open_way(s, spot, WORLD_LIGHTS, r, -1) ? c : 0;
+    return c > 0 && is_unoccluded(s, spot, WORLD_LIGHTS, r, -1) ? c : 0;
 }
 
-/* Two opposite points of the disc: together they hardly err where an edge crosses its middle. */
+/* Two opposite points of the disc: their errors nearly cancel where an edge crosses its middle. */
 static void gather_sun(const struct light_set *s, struct light_spot *spot,
                        const struct light_dice *d, struct light_sum *out)
 {
@@ -402,9 +405,9 @@ static void gather_sun(const struct light_set *s, struct light_spot *spot,
     if (vec_dot(spot->n, w->sun_dir) < -0.05f)
         return;
     light_throw(d, DIM_SUN, u);
-    float seen = sun_from(s, spot, u, &r);
+    float seen = sun_irradiance(s, spot, u, &r);
     u[1] = u[1] < 0.5f ? u[1] + 0.5f : u[1] - 0.5f;
-    seen = 0.5f * (seen + sun_from(s, spot, u, &r));
+    seen = 0.5f * (seen + sun_irradiance(s, spot, u, &r));
     if (!(seen > 0))
         return;
     vec_along(out->sun, seen, w->sun, out->sun);
@@ -423,15 +426,15 @@ static void gather_dome(const struct light_set *s, struct light_spot *spot,
     vec_basis(spot->n, a, b);
     for (int k = 0; k < 3; k++)
         r.d[k] = side * (x * a[k] + y * b[k]) + up * spot->n[k];
-    if (!open_way(s, spot, WORLD_LIGHTS + 1, &r, -1))
+    if (!is_unoccluded(s, spot, WORLD_LIGHTS + 1, &r, -1))
         return;
     light_sky(s->bvh->w, r.d, false, light);
     vec_along(out->soft, PI, light, out->soft);
     vec_along(out->gloss, spot->shine[2], light, out->gloss);
 }
 
-/* What a light would give without shadows, about; 0 only if all of it is below the surface. */
-static float promise(const struct light *l, const struct light_spot *spot)
+/* An estimate of the unshadowed light; 0 only if the whole light is below the surface. */
+static float estimate_light(const struct light *l, const struct light_spot *spot)
 {
     float to[3], reach = l->radius, turned = 1;
     vec_sub(l->centre, spot->p, to);
@@ -448,15 +451,15 @@ static float promise(const struct light *l, const struct light_spot *spot)
     return l->power * turned * up / (square + l->radius * l->radius);
 }
 
-/* Chances to be drawn, in part by what each light promises, in part alike; PICKS in all at most.
+/* Chances to be drawn, partly by each light's estimate, partly equal; at most PICKS in all.
  * Returns whether all are 0 or 1. */
-static bool choose(const struct light_set *s, const struct light_spot *spot,
-                   float chance[WORLD_LIGHTS])
+static bool choose_lights(const struct light_set *s, const struct light_spot *spot,
+                          float chance[WORLD_LIGHTS])
 {
     float all = 0;
     int some = 0;
     for (int i = 0; i < s->n; i++) {
-        all += chance[i] = promise(s->l + i, spot);
+        all += chance[i] = estimate_light(s->l + i, spot);
         some += chance[i] > 0;
     }
     for (int i = 0; i < s->n; i++) {
@@ -473,7 +476,7 @@ void light_gather(const struct light_set *s, struct light_spot *spot, const stru
 {
     float chance[WORLD_LIGHTS], u[2] = {0, 0}, at = 0;
     memset(out, 0, sizeof *out);
-    bool every = choose(s, spot, chance);
+    bool every = choose_lights(s, spot, chance);
     if (!every)
         light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {

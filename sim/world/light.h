@@ -1,5 +1,5 @@
 /* light.h - light that arrives at a point straight from lamps, openings, sky and sun: one random
- * point of each of a few of them, chosen by what they would give without shadows, and a ray there.
+ * point on each of a few of them, chosen by their unshadowed light, and a ray to it.
  * Pure computation; any thread. */
 #ifndef WORLD_LIGHT_H
 #define WORLD_LIGHT_H
@@ -9,9 +9,9 @@
 struct light {
     int solid;                   // as in struct world_light
     const struct world_light *w; // the opening
-    float radiance[3];           // of an opening: guessed, to choose by
+    float radiance[3];           // of an opening: an estimate, for the choice of lights
     float centre[3], radius;     // m, of a ball around it
-    float power;                 // luminance x mean area that is seen of it
+    float power;                 // luminance x mean visible area
 };
 
 struct light_set {
@@ -29,18 +29,18 @@ struct light_set {
 MUST_USE err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *out);
 void light_plan(struct plan *p);
 
-/* Random numbers of one sample of a pattern of 2^bits samples that share out the unit square. */
+/* Random numbers of one sample in a pattern of 2^bits samples that cover the unit square. */
 struct light_dice {
     uint32_t index; // of the sample
     uint32_t seed;  // of the pattern
-    uint32_t noise; // of the sample, for what is finer than the pattern
+    uint32_t noise; // of the sample, for detail finer than the pattern
     int bits;
 };
 
-/* Point of the unit square for dimension `dim`, 0..63. */
+/* The point in the unit square for dimension `dim`, 0..63. */
 void light_throw(const struct light_dice *d, uint32_t dim, float u[2]);
 
-/* Where light falls. */
+/* A point that receives light. */
 struct light_spot {
     float p[3], n[3];                // m, above the surface by light_lift; unit
     float mirror[3];                 // unit, where the eye's ray is reflected to
@@ -49,7 +49,7 @@ struct light_spot {
     uint32_t last[WORLD_LIGHTS + 2]; // 1 + solid that was last in the way, by light: a guess
 };
 
-/* What arrives. */
+/* The light that arrives. */
 struct light_sum {
     float soft[3], sun[3]; // irradiance from lamps, openings and sky; from the sun
     float gloss[3];        // radiance that the gloss sends to the eye
@@ -61,14 +61,14 @@ void light_gather(const struct light_set *s, struct light_spot *spot, const stru
 /* Radiance of the sky in the unit direction d, with the disc of the sun or without. */
 void light_sky(const struct world *w, const float d[3], bool disc, float out[3]);
 
-/* How far above a surface rays start that come to it from t metres away. */
+/* The height above a surface, m, at which rays start if the surface was hit t metres away. */
 float light_lift(float t);
 
-/* 32 bits out of two. */
+/* A hash of two numbers. */
 uint32_t light_hash(uint32_t a, uint32_t b);
 
-/* A solid's surface at p, m, of the world, as a ray of width `width`, m, with direction d sees
- * it. */
+/* The surface of a solid at the point p of the world, m, hit by a ray `width` m wide in the
+ * direction d. */
 struct light_surface {
     int solid;
     const struct world_material *material;

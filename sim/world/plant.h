@@ -1,4 +1,4 @@
-/* plant.h - what grows.
+/* plant.h - plants: in pots, and trees.
  * Pure computation; any thread. */
 #ifndef WORLD_PLANT_H
 #define WORLD_PLANT_H

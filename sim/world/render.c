@@ -22,7 +22,7 @@
 
 enum { SIDE_MAX = 4096, SAMPLES_MAX = 8, SHADOW_MAX = 64, DIM_BEND = 43, STRIP = 64 };
 
-/* Parts of what a pixel shows, three numbers each, and planes of a picture. */
+/* Parts of a pixel's light, three numbers each, and planes of a picture. */
 enum {
     REST,   // radiance apart from:
     SOFT,   // irradiance from large lights,
@@ -97,25 +97,25 @@ float render_ray(const struct render_world *s, const float o[3], const float d[3
 /* ---- one ray ---- */
 
 /* A ray of the eye, or a mirrored one. */
-struct gaze {
+struct eye_ray {
     float o[3], d[3];  // m; unit
     float far, spread; // m, length of the way to o; widening of the footprint per m
-    bool lamps, sun;   // whether it sees listed lamps; the sun's disc
+    bool lamps, sun;   // whether listed lamps and the sun's disc are visible to it
     int looks;         // how often lights are drawn where it ends
 };
 
-struct seen {
+struct pixel_sample {
     float t;    // m, RENDER_FAR if nothing
     float n[3]; // unit, towards the eye
     float part[PARTS][3];
 };
 
-/* What a worker keeps from pixel to pixel: the last solids in the way of each light. */
-struct hand {
+/* The last solids in the way of each light, kept by a worker from pixel to pixel. */
+struct occluders {
     struct light_spot first, second;
 };
 
-static void stand_on(const struct gaze *g, float t, const struct light_surface *on,
+static void set_spot(const struct eye_ray *g, float t, const struct light_surface *on,
                      struct light_spot *spot)
 {
     vec_along(g->o, t, g->d, spot->p);
@@ -124,8 +124,8 @@ static void stand_on(const struct gaze *g, float t, const struct light_surface *
     memset(spot->shine, 0, sizeof spot->shine);
 }
 
-static int meet(const struct render_world *s, const struct gaze *g, struct light_surface *on,
-                float *t)
+static int hit_surface(const struct render_world *s, const struct eye_ray *g,
+                       struct light_surface *on, float *t)
 {
     float p[3];
     int solid = bvh_first(&s->bvh, g->o, g->d, RENDER_FAR, t);
@@ -137,18 +137,18 @@ static int meet(const struct render_world *s, const struct gaze *g, struct light
 }
 
 /* Light of a mirrored ray; its hit is shaded without gloss. */
-static void mirrored(const struct render_world *s, const struct gaze *g, struct light_spot *spot,
-                     const struct light_dice *dice, float out[3])
+static void shade_mirrored(const struct render_world *s, const struct eye_ray *g,
+                           struct light_spot *spot, const struct light_dice *dice, float out[3])
 {
     struct light_surface on;
     struct light_sum sum;
     float t, light[3];
-    int solid = meet(s, g, &on, &t);
+    int solid = hit_surface(s, g, &on, &t);
     if (solid < 0) {
         light_sky(s->w, g->d, g->sun, out);
         return;
     }
-    stand_on(g, t, &on, spot);
+    set_spot(g, t, &on, spot);
     probe_light(&s->probes, spot->p, spot->n, light);
     for (int i = 0; i < g->looks; i++) {
         struct light_dice one = *dice;
@@ -171,7 +171,7 @@ static float gloss_share(const struct world_material *m, float facing)
     return m->specular + (most - m->specular) * a2 * a2 * a;
 }
 
-/* The part of it that is traced: none up to AMBIENT, all from twice that. */
+/* The part of the gloss that is traced: none up to AMBIENT, all from twice that. */
 static float ray_share(const struct world_material *m, float share)
 {
     float part = vec_min(vec_max(share / AMBIENT - 1, 0), 1);
@@ -185,8 +185,8 @@ static float lobe_of(float roughness)
 }
 
 /* The mirrored ray, turned within the lobe of the surface. */
-static void bend(const struct light_spot *spot, float roughness, const struct light_dice *dice,
-                 float d[3])
+static void bend_ray(const struct light_spot *spot, float roughness, const struct light_dice *dice,
+                     float d[3])
 {
     float u[2], a[3], b[3], x, y;
     memcpy(d, spot->mirror, 3 * sizeof *d);
@@ -202,17 +202,17 @@ static void bend(const struct light_spot *spot, float roughness, const struct li
         memcpy(d, spot->mirror, 3 * sizeof *d);
 }
 
-/* One ray of a wide lobe that meets a bright window would be a glint without meaning. */
-static void dim(const float even[3], float light[3])
+/* Limit the light of one ray of a wide lobe: a bright window would be a meaningless glint. */
+static void limit_glint(const float even[3], float light[3])
 {
     for (int k = 0; k < 3; k++)
         light[k] = vec_min(light[k], GLINT / PI * even[k]);
 }
 
-/* What is mirrored of the surroundings, with weight `ray` by a ray and `ambient` from the grid. */
-static void add_mirrored(const struct render_world *s, const struct gaze *g, struct hand *hand,
-                         const struct light_dice *dice, const struct light_surface *on,
-                         struct seen *out)
+/* Add the mirrored surroundings, with weight `ray` by a ray and `ambient` from the grid. */
+static void add_mirrored(const struct render_world *s, const struct eye_ray *g,
+                         struct occluders *hand, const struct light_dice *dice,
+                         const struct light_surface *on, struct pixel_sample *out)
 {
     const struct light_spot *spot = &hand->first;
     float rough = on->material->roughness, share = gloss_share(on->material, on->facing);
@@ -221,22 +221,23 @@ static void add_mirrored(const struct render_world *s, const struct gaze *g, str
     if (share > 1e-3f)
         probe_light(&s->probes, spot->p, spot->mirror, even);
     if (ray > 0) {
-        struct gaze next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
+        struct eye_ray next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
         next.lamps = rough < ROUGH_LAMP;
         next.sun = rough < ROUGH_SUN;
         next.looks = ray > CLEAR && rough < ROUGH_BLUR && dice->bits < 6 ? 4 : 1;
         memcpy(next.o, spot->p, sizeof next.o);
-        bend(spot, rough, dice, next.d);
-        mirrored(s, &next, &hand->second, dice, light);
+        bend_ray(spot, rough, dice, next.d);
+        shade_mirrored(s, &next, &hand->second, dice, light);
         if (rough >= ROUGH_BLUR)
-            dim(even, light);
+            limit_glint(even, light);
         vec_along(to, ray, light, to);
     }
     if (share - ray > 1e-3f)
         vec_along(to, (share - ray) / PI, even, to);
 }
 
-static void set_gloss(const struct gaze *g, const struct light_surface *on, struct light_spot *spot)
+static void set_gloss(const struct eye_ray *g, const struct light_surface *on,
+                      struct light_spot *spot)
 {
     float rough = on->material->roughness, share = gloss_share(on->material, on->facing);
     float part = share - ray_share(on->material, share);
@@ -247,21 +248,21 @@ static void set_gloss(const struct gaze *g, const struct light_surface *on, stru
     spot->shine[2] = part;
 }
 
-static void look(const struct render_world *s, const struct gaze *g, struct hand *hand,
-                 const struct light_dice *dice, struct seen *out)
+static void shade_ray(const struct render_world *s, const struct eye_ray *g, struct occluders *hand,
+                      const struct light_dice *dice, struct pixel_sample *out)
 {
     struct light_surface on;
     struct light_sum sum;
     struct light_spot *spot = &hand->first;
     float light[3];
     memset(out, 0, sizeof *out);
-    if (meet(s, g, &on, &out->t) < 0) {
+    if (hit_surface(s, g, &on, &out->t) < 0) {
         light_sky(s->w, g->d, true, out->part[REST]);
         return;
     }
     const struct world_material *m = on.material;
     bool glossy = m->specular > 0;
-    stand_on(g, out->t, &on, spot);
+    set_spot(g, out->t, &on, spot);
     memcpy(out->n, on.n, sizeof out->n);
     if (glossy)
         set_gloss(g, &on, spot);
@@ -295,11 +296,11 @@ struct picture {
     float *plane; // (PLANES, h, w), NULL without smoothing
 };
 
-static err_t check(const struct camera *c, const struct render_quality *q)
+static err_t check_request(const struct camera *c, const struct render_quality *q)
 {
     float sum = c->fx + c->fy + c->cx + c->cy, length = 0;
     if (c->w < 1 || c->h < 1 || c->w > SIDE_MAX || c->h > SIDE_MAX)
-        return err_fail(ERR_ARG, "picture of %d x %d px, allowed are 1 to %d", c->w, c->h,
+        return err_fail(ERR_ARG, "render: picture of %d x %d px, allowed are 1 to %d", c->w, c->h,
                         SIDE_MAX);
     for (int k = 0; k < 4; k++)
         length += c->q[k] * c->q[k];
@@ -312,29 +313,30 @@ static err_t check(const struct camera *c, const struct render_quality *q)
                         (double)c->fx, (double)c->fy, (double)c->cx, (double)c->cy, (double)c->t[0],
                         (double)c->t[1], (double)c->t[2]);
     if (!(fabsf(length - 1) < 1e-3f))
-        return err_fail(ERR_ARG, "camera with a quaternion of length %g, it must be 1",
+        return err_fail(ERR_ARG, "render: the camera's quaternion has length %g, must be 1",
                         (double)sqrtf(length));
     if (q->samples < 1 || q->samples > SAMPLES_MAX)
-        return err_fail(ERR_ARG, "%d samples along each edge of a pixel, allowed are 1 to %d",
+        return err_fail(ERR_ARG,
+                        "render: %d samples along each edge of a pixel, allowed are 1 to %d",
                         q->samples, SAMPLES_MAX);
     if (q->shadow < 1 || q->shadow > SHADOW_MAX)
-        return err_fail(ERR_ARG, "%d shadow rays a light, allowed are 1 to %d", q->shadow,
+        return err_fail(ERR_ARG, "render: %d shadow rays per light, allowed are 1 to %d", q->shadow,
                         SHADOW_MAX);
     return OK;
 }
 
 /* Returns z of the camera per metre of the ray. */
-static float aim(const struct picture *p, float u, float v, struct gaze *g)
+static float aim_ray(const struct picture *p, float u, float v, struct eye_ray *g)
 {
     float d[3] = {(u - p->cam->cx) / p->cam->fx, (v - p->cam->cy) / p->cam->fy, 1};
-    *g = (struct gaze){.spread = p->spread, .lamps = true, .sun = true};
+    *g = (struct eye_ray){.spread = p->spread, .lamps = true, .sun = true};
     memcpy(g->o, p->eye, sizeof g->o);
     vec_turn_back(p->turn, d, g->d);
     return 1 / vec_unit(g->d);
 }
 
 /* The number of a pixel in its pattern: neighbours are far apart in the sequence. */
-static uint32_t number_of(int i, int j, int period)
+static uint32_t pattern_index(int i, int j, int period)
 {
     uint32_t x = (uint32_t)j, y = (uint32_t)i, fine = ((x ^ y) & 1) | (y & 1) << 1;
     if (period == 1)
@@ -342,7 +344,7 @@ static uint32_t number_of(int i, int j, int period)
     return period == 2 ? fine : fine | ((x ^ y) & 2) << 1 | (y & 2) << 2;
 }
 
-static struct light_dice dice_of(const struct picture *p, int i, int j, int sample)
+static struct light_dice pixel_dice(const struct picture *p, int i, int j, int sample)
 {
     int n = p->q->samples * p->q->samples * p->q->shadow, bits = 0;
     uint32_t px = (uint32_t)(p->period * p->period);
@@ -350,7 +352,7 @@ static struct light_dice dice_of(const struct picture *p, int i, int j, int samp
     while (1u << bits < px * (uint32_t)n)
         bits++;
     return (struct light_dice){
-        .index = number_of(i, j, p->period) + px * (uint32_t)sample,
+        .index = pattern_index(i, j, p->period) + px * (uint32_t)sample,
         .seed = p->period > 1 ? p->seed : pixel,
         .noise = light_hash(pixel, (uint32_t)sample),
         .bits = bits,
@@ -358,18 +360,19 @@ static struct light_dice dice_of(const struct picture *p, int i, int j, int samp
 }
 
 /* The surface at the pixel's centre and the mean of all samples. */
-static void sample_pixel(const struct picture *p, int i, int j, struct hand *hand, struct seen *out)
+static void sample_pixel(const struct picture *p, int i, int j, struct occluders *hand,
+                         struct pixel_sample *out)
 {
     int side = p->q->samples, shadow = p->q->shadow, all = side * side * shadow;
-    struct seen one = {0};
+    struct pixel_sample one = {0};
     memset(out, 0, sizeof *out);
     for (int k = 0; k < all; k++) {
         int x = k / shadow % side, y = k / shadow / side;
-        struct light_dice dice = dice_of(p, i, j, k);
-        struct gaze g;
-        aim(p, (float)j + ((float)x + 0.5f) / (float)side,
-            (float)i + ((float)y + 0.5f) / (float)side, &g);
-        look(p->s, &g, hand, &dice, &one);
+        struct light_dice dice = pixel_dice(p, i, j, k);
+        struct eye_ray g;
+        aim_ray(p, (float)j + ((float)x + 0.5f) / (float)side,
+                (float)i + ((float)y + 0.5f) / (float)side, &g);
+        shade_ray(p->s, &g, hand, &dice, &one);
         for (int c = 0; c < 3; c++) {
             float light = one.part[SOFT][c] + one.part[SUN][c];
             one.part[REST][c] += one.part[ALBEDO][c] * light + one.part[GLOSS][c];
@@ -382,8 +385,8 @@ static void sample_pixel(const struct picture *p, int i, int j, struct hand *han
 }
 
 /* 1 / z of the plane that a pixel shows, at its centre, and how it changes in the picture. */
-static void plane_of(const struct picture *p, const struct gaze *g, const struct seen *seen,
-                     float z, float out[3])
+static void fit_plane(const struct picture *p, const struct eye_ray *g,
+                      const struct pixel_sample *seen, float z, float out[3])
 {
     float n[3], off = seen->t * vec_dot(g->d, seen->n); // of the plane from the eye
     out[0] = out[1] = out[2] = 0;
@@ -400,8 +403,8 @@ static float finite_light(float x)
     return x > 0 ? vec_min(x, RADIANCE_MAX) : 0;
 }
 
-static void put(const struct picture *p, size_t at, const struct gaze *g, const struct seen *seen,
-                float z)
+static void store_pixel(const struct picture *p, size_t at, const struct eye_ray *g,
+                        const struct pixel_sample *seen, float z)
 {
     size_t px = (size_t)p->cam->w * (size_t)p->cam->h;
     float plane[3];
@@ -416,7 +419,7 @@ static void put(const struct picture *p, size_t at, const struct gaze *g, const 
     }
     if (!p->plane)
         return;
-    plane_of(p, g, seen, z, plane);
+    fit_plane(p, g, seen, z, plane);
     for (int c = 0; c < 3; c++) {
         for (int part = 0; part < PARTS; part++)
             p->plane[(size_t)(3 * part + c) * px + at] = seen->part[part][c];
@@ -428,30 +431,30 @@ static void put(const struct picture *p, size_t at, const struct gaze *g, const 
 static err_t draw_row(void *ctx, int i, int worker)
 {
     const struct picture *p = ctx;
-    struct hand hand = {0};
+    struct occluders hand = {0};
     (void)worker;
     err_t e = run_check(p->r, "picture");
     for (int j = 0; j < p->cam->w && !e; j++) {
-        struct gaze g;
-        struct seen seen = {0};
+        struct eye_ray g;
+        struct pixel_sample seen = {0};
         struct light_surface on;
-        float scale = aim(p, (float)j + 0.5f, (float)i + 0.5f, &g);
+        float scale = aim_ray(p, (float)j + 0.5f, (float)i + 0.5f, &g);
         if (p->out->radiance)
             sample_pixel(p, i, j, &hand, &seen);
         if (!p->out->radiance || p->q->samples > 1) {
             memset(seen.n, 0, sizeof seen.n);
-            if (meet(p->s, &g, &on, &seen.t) >= 0)
+            if (hit_surface(p->s, &g, &on, &seen.t) >= 0)
                 memcpy(seen.n, on.n, sizeof seen.n);
         }
-        put(p, (size_t)i * (size_t)p->cam->w + (size_t)j, &g, &seen, seen.t * scale);
+        store_pixel(p, (size_t)i * (size_t)p->cam->w + (size_t)j, &g, &seen, seen.t * scale);
     }
     return e;
 }
 
 /* ---- smoothing ---- */
 
-/* Sums over the windows of a strip of a row: of what large lights give and of the sun, whose
- * shadows are sharper. */
+/* Sums over the windows of a strip of a row: of light from large lights, and of light from the sun,
+ * whose shadows are sharper. */
 struct strip {
     const float *plane; // of struct picture
     size_t px, at;      // of a plane; of the first pixel
@@ -461,8 +464,9 @@ struct strip {
     float weight[2][STRIP];
 };
 
-/* How well each pixel's neighbour at x, y belongs to it. */
-static void belong(const struct strip *s, int x, int y, const int range[2], float *restrict out)
+/* Weights of each pixel's neighbour at x, y: whether both show the same plane. */
+static void weigh_neighbours(const struct strip *s, int x, int y, const int range[2],
+                             float *restrict out)
 {
     const float *z = s->plane + 3 * DEPTH * s->px + s->at, *nx = z + 3 * s->px;
     const float *right = z + s->px, *down = right + s->px, *ny = nx + s->px, *nz = ny + s->px;
@@ -490,7 +494,7 @@ static void add_neighbour(struct strip *s, int x, int y, const float share[2])
     int range[2] = {s->first + x < 0 ? -(s->first + x) : 0, s->n};
     if (s->first + s->n + x > s->w)
         range[1] = s->w - s->first - x;
-    belong(s, x, y, range, weight);
+    weigh_neighbours(s, x, y, range, weight);
     for (int window = 0; window < 2 && share[window] > 0; window++)
         for (int j = range[0]; j < range[1]; j++)
             s->weight[window][j] += share[window] * weight[j];
@@ -575,7 +579,7 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
 {
     struct picture p = {.r = r, .s = s, .cam = cam, .q = q, .out = out};
     float back[3] = {-cam->t[0], -cam->t[1], -cam->t[2]};
-    err_t e = check(cam, q);
+    err_t e = check_request(cam, q);
     if (e)
         return e;
     size_t mark = arena_mark(r->tmp);

@@ -20,10 +20,10 @@ struct render_quality {
 MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render_world **out);
 void render_open_plan(struct plan *p);
 
-/* Radiance along rays that hit nothing is that of the sky; their depth is RENDER_FAR. */
+/* A ray that hits nothing has the radiance of the sky and the depth RENDER_FAR. */
 #define RENDER_FAR 1000.0f // m
 
-/* What a picture consists of; any pointer may be NULL. */
+/* The planes of a picture; any pointer may be NULL. */
 struct render_maps {
     float *radiance; // (3, h, w) linear, >= 0, finite
     float *depth;    // (h, w) z in the camera at the pixel's centre, m
@@ -31,7 +31,7 @@ struct render_maps {
 };
 
 /* One picture of cam->w x cam->h, both 1..4096. Shadows of large lights are smoothed over 5 x 5 px
- * of one surface where fewer than 4 rays a pixel ask for them, over 3 x 3 where fewer than 16.
+ * of one surface with fewer than 4 rays a pixel, over 3 x 3 with fewer than 16.
  * err:  ERR_ARG (camera, quality), ERR_NOMEM (r->tmp, see render_plan), ERR_CANCELLED */
 MUST_USE err_t render_run(const struct run *r, const struct render_world *s,
                           const struct camera *cam, const struct render_quality *q, uint64_t seed,

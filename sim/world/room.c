@@ -85,7 +85,7 @@ static void wall_build(struct room *r, int k, const struct opening *o, int n, in
     }
 }
 
-static void curtains(struct room *r, const struct frame *f, const struct opening *o)
+static void hang_curtains(struct room *r, const struct frame *f, const struct opening *o)
 {
     struct builder *b = r->b;
     float top = o->z + o->hz + 0.1f, low = builder_chance(b, 0.5f) ? 0.05f : o->z - o->hz - 0.1f;
@@ -115,7 +115,7 @@ static void curtains(struct room *r, const struct frame *f, const struct opening
 }
 
 /* Frame, bars, sill and curtains of a window, and its light. */
-static void window(struct room *r, int k, const struct opening *o)
+static void build_window(struct room *r, int k, const struct opening *o)
 {
     struct builder *b = r->b;
     const struct frame *f = &r->wall[k];
@@ -137,7 +137,7 @@ static void window(struct room *r, int k, const struct opening *o)
     if (builder_chance(b, 0.5f))
         clutter_put(b, &sill, (const float[]){0.9f * o->hx, 0.06f});
     if (builder_chance(b, 0.5f))
-        curtains(r, f, o);
+        hang_curtains(r, f, o);
     struct world *w = b->w;
     if (w->n_lights >= WORLD_LIGHTS)
         return;
@@ -171,7 +171,7 @@ static int plan_openings(struct room *r, int k, struct opening o[OPENINGS])
     return n;
 }
 
-static void door(struct room *r, int k)
+static void build_door(struct room *r, int k)
 {
     struct builder *b = r->b;
     const struct frame *f = &r->wall[k];
@@ -204,7 +204,7 @@ static void door(struct room *r, int k)
     (void)builder_claim(b, at.at[0], at.at[1], (float[]){hx, hy});
 }
 
-static void shell(struct room *r)
+static void build_shell(struct room *r)
 {
     struct builder *b = r->b;
     int wall = builder_material(b, ROLE_WALL), floor = builder_material(b, ROLE_FLOOR);
@@ -222,11 +222,11 @@ static void shell(struct room *r)
             n = plan_openings(r, k, o);
         wall_build(r, k, o, n, k == 0 ? other : wall);
         for (int i = 0; i < n; i++)
-            window(r, k, &o[i]);
+            build_window(r, k, &o[i]);
         builder_box(b, &r->wall[k], (float[]){wall_half(r, k), 0.012f, 0.045f},
                     (float[]){0, 0.012f, 0.045f}, r->wood);
         if (k == doors)
-            door(r, k);
+            build_door(r, k);
     }
     int beams = builder_chance(b, 0.3f) ? 2 + builder_pick(b, 4) : 0, beam = builder_timber(b);
     for (int i = 0; i < beams; i++) {
@@ -237,7 +237,7 @@ static void shell(struct room *r)
 }
 
 /* Where cameras stand and what they look at; the floor of the stand is taken. */
-static void plan(struct room *r)
+static void plan_room(struct room *r)
 {
     struct builder *b = r->b;
     float x = r->half[0], y = r->half[1];
@@ -257,7 +257,7 @@ static void plan(struct room *r)
 }
 
 /* Put a piece of furniture at (x, y), turned by `angle`, if there is room. */
-static bool put(struct room *r, const struct piece *p, const float at[3])
+static bool put_piece(struct room *r, const struct piece *p, const float at[3])
 {
     struct builder *b = r->b;
     float half[2], height;
@@ -274,7 +274,7 @@ static bool put(struct room *r, const struct piece *p, const float at[3])
     return true;
 }
 
-static void subject(struct room *r)
+static void place_subject(struct room *r)
 {
     struct builder *b = r->b;
     if (builder_chance(b, 0.7f)) {
@@ -289,8 +289,8 @@ static void subject(struct room *r)
     for (int i = 0; i < 12 && !done; i++) {
         float turn = 0.5f * PI + builder_draw(b, -0.6f, 0.6f);
         float x = r->focus[0] + 0.02f * (float)i;
-        done = put(r, &furniture_middle[OFTEN[builder_pick(b, (int)sizeof OFTEN)]],
-                   (float[]){x, r->focus[1], turn});
+        done = put_piece(r, &furniture_middle[OFTEN[builder_pick(b, (int)sizeof OFTEN)]],
+                         (float[]){x, r->focus[1], turn});
     }
     for (int i = 0; i < 14; i++) {
         float x = builder_draw(b, r->stand[1][0], r->half[0]);
@@ -300,7 +300,7 @@ static void subject(struct room *r)
             p = &furniture_wall[5 + builder_pick(b, 2)];
         if (i < 3)
             p = &furniture_middle[builder_pick(b, 3)];
-        (void)put(r, p, (float[]){x, y, turn});
+        (void)put_piece(r, p, (float[]){x, y, turn});
     }
     for (int i = 0; i < 4; i++) {
         float x = builder_draw(b, r->stand[1][0], 0.9f * r->half[0]);
@@ -312,7 +312,7 @@ static void subject(struct room *r)
     }
 }
 
-static void along_walls(struct room *r)
+static void furnish_walls(struct room *r)
 {
     struct builder *b = r->b;
     int tries = 10 + (int)(6.0f * (r->half[0] + r->half[1]));
@@ -342,7 +342,7 @@ static void along_walls(struct room *r)
     }
 }
 
-static void on_walls(struct room *r)
+static void hang_pictures(struct room *r)
 {
     struct builder *b = r->b;
     for (int i = 0; i < 48 && b->w->n_solids < WORLD_SOLIDS - 180; i++) {
@@ -407,7 +407,7 @@ static void ceiling_lamp(struct room *r, float x, float y, float share)
                                    CUT_RANDOM});
 }
 
-static void lamps(struct room *r)
+static void place_lamps(struct room *r)
 {
     struct builder *b = r->b;
     if (b->w->kind == WORLD_DARK) {
@@ -434,7 +434,7 @@ static void lamps(struct room *r)
     }
 }
 
-static void house(struct builder *b, const struct frame *f)
+static void build_house(struct builder *b, const struct frame *f)
 {
     int m = builder_material(b, builder_chance(b, 0.5f) ? ROLE_STONE : ROLE_WALL);
     int glass = builder_material(b, ROLE_METAL), roof = builder_timber(b);
@@ -465,7 +465,7 @@ void room_outside(struct builder *b, const struct frame *root, const struct room
         float skew = builder_draw(b, -0.4f, 0.4f);
         struct frame f = builder_frame(&ground, away * c, away * s, 0, turn + 0.5f * PI + skew);
         if (builder_chance(b, 0.45f)) {
-            house(b, &f);
+            build_house(b, &f);
         } else {
             float wide = builder_draw(b, 1.2f, 2.6f), tall = builder_draw(b, 1.8f, 3.0f) * wide;
             plant_tree(b, &f, (const float[]){wide, wide}, tall);
@@ -505,7 +505,7 @@ void room_box(const struct frame *root, const float box[2][3], float lo[3], floa
     }
 }
 
-static void light(struct room *r)
+static void light_room(struct room *r)
 {
     struct builder *b = r->b;
     struct room_sky s = {.radiance = 0.0f};
@@ -561,13 +561,13 @@ void room_build(struct builder *b)
         r.wall[k].at[0] = r.root.c * f.at[0] - r.root.s * f.at[1];
         r.wall[k].at[1] = r.root.s * f.at[0] + r.root.c * f.at[1];
     }
-    plan(&r);
-    shell(&r);
-    lamps(&r);
-    subject(&r);
-    along_walls(&r);
-    on_walls(&r);
-    light(&r);
+    plan_room(&r);
+    build_shell(&r);
+    place_lamps(&r);
+    place_subject(&r);
+    furnish_walls(&r);
+    hang_pictures(&r);
+    light_room(&r);
     struct world *w = b->w;
     const float inside[2][3] = {{-r.half[0], -r.half[1], 0}, {r.half[0], r.half[1], r.height}};
     room_box(&r.root, inside, w->lo, w->hi);

@@ -1,4 +1,4 @@
-/* room.h - rooms: where things stand, what lights them, and where a camera may stand.
+/* room.h - rooms: furniture, lamps and daylight, and the box for cameras.
  * Pure computation; any thread. */
 #ifndef WORLD_ROOM_H
 #define WORLD_ROOM_H
@@ -8,7 +8,7 @@
 /* Fill b->w, whose kind is set, with a room. */
 void room_build(struct builder *b);
 
-/* What is seen far away through windows or over a fence: ground at z = -depth, houses and trees,
+/* The distant view through windows or over a fence: ground at z = -depth, houses and trees,
  * `count` of them between near and far m from the origin. */
 struct room_view {
     float depth, near, far; // m
@@ -23,7 +23,7 @@ struct room_sky {
 };
 void room_light(struct builder *b, const struct frame *root, const struct room_sky *s);
 
-/* Box in the root's frame to the world's. */
+/* A box of the root's frame in the frame of the world. */
 void room_box(const struct frame *root, const float box[2][3], float lo[3], float hi[3]);
 
 #endif

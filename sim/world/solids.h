@@ -1,4 +1,4 @@
-/* solids.h - what a world is made of: solids with materials, lamps, sun and sky. */
+/* solids.h - the parts of a world: solids with materials, lamps, sun and sky. */
 #ifndef WORLD_SOLIDS_H
 #define WORLD_SOLIDS_H
 
@@ -32,7 +32,7 @@ struct world_solid {
     int material;
 };
 
-/* A place that light is gathered from directly: a solid that emits, or a window. */
+/* A source from which light is gathered directly: a solid that emits, or a window. */
 struct world_light {
     int solid;        // that emits, or -1: an opening to the sky
     float r[9], t[3]; // frame of the opening, z into the room; its rectangle is |x| <= size[0],

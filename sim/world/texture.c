@@ -30,27 +30,27 @@ static float clamp(float x, float lo, float hi)
     return x > lo ? (x < hi ? x : hi) : lo; // NaN: lo
 }
 
-/* Of |x| < 2^31. */
-static int whole(float x)
+/* The integer part, rounded down, for |x| < 2^31. */
+static int floor_int(float x)
 {
     int i = (int)x;
     return i - (x < (float)i);
 }
 
-static uint32_t stir(uint32_t h)
+static uint32_t mix_bits(uint32_t h)
 {
     h = (h ^ (h >> 16)) * 0x7feb352du;
     h = (h ^ (h >> 15)) * 0x846ca68bu;
     return h ^ (h >> 16);
 }
 
-static uint32_t cell(int i, int j, uint32_t seed)
+static uint32_t hash_cell(int i, int j, uint32_t seed)
 {
-    return stir((uint32_t)i * 0x8da6b343u + (uint32_t)j * 0xd8163841u + seed);
+    return mix_bits((uint32_t)i * 0x8da6b343u + (uint32_t)j * 0xd8163841u + seed);
 }
 
 /* 0..1 from the upper bits; unit(h * odd) is another number. */
-static float unit(uint32_t h)
+static float unit_from_hash(uint32_t h)
 {
     return (float)(h >> 8) * (1.0f / 16777216.0f);
 }
@@ -72,24 +72,24 @@ static float smooth(float t)
 }
 
 /* 1 where `size` is well above the footprint, 0 where it is below. */
-static float seen(const struct point *s, float size)
+static float visibility_of(const struct point *s, float size)
 {
     return clamp((size - s->width) / (0.75f * size), 0.0f, 1.0f);
 }
 
 /* Share of the footprint on the positive side of a border at the distance d. */
-static float side(const struct point *s, float d)
+static float border_share(const struct point *s, float d)
 {
     return clamp(d / s->width + 0.5f, 0.0f, 1.0f);
 }
 
 /* Share of the footprint in a strip of that half width, x from its middle. */
-static float strip(const struct point *s, float x, float half)
+static float strip_share(const struct point *s, float x, float half)
 {
-    return side(s, half + x) - side(s, x - half);
+    return border_share(s, half + x) - border_share(s, x - half);
 }
 
-static float corner(uint32_t h)
+static float corner_value(uint32_t h)
 {
     h = (h ^ (h >> 15)) * 0x2c1b3c6du;
     return (float)(int32_t)(h ^ (h >> 13)); // -2^31 .. 2^31
@@ -98,33 +98,33 @@ static float corner(uint32_t h)
 /* Value noise, -1..1. */
 static float noise3(float x, float y, float z, uint32_t seed)
 {
-    int i = whole(x), j = whole(y), k = whole(z);
+    int i = floor_int(x), j = floor_int(y), k = floor_int(z);
     float a = smooth(x - (float)i), b = smooth(y - (float)j), c = smooth(z - (float)k);
     uint32_t x0 = (uint32_t)i * 0x8da6b343u + seed, x1 = x0 + 0x8da6b343u;
     uint32_t y0 = (uint32_t)j * 0xd8163841u, y1 = y0 + 0xd8163841u;
     uint32_t z0 = (uint32_t)k * 0xcb1ab31fu, z1 = z0 + 0xcb1ab31fu;
-    float low = mix(mix(corner(x0 ^ y0 ^ z0), corner(x1 ^ y0 ^ z0), a),
-                    mix(corner(x0 ^ y1 ^ z0), corner(x1 ^ y1 ^ z0), a), b);
-    float high = mix(mix(corner(x0 ^ y0 ^ z1), corner(x1 ^ y0 ^ z1), a),
-                     mix(corner(x0 ^ y1 ^ z1), corner(x1 ^ y1 ^ z1), a), b);
+    float low = mix(mix(corner_value(x0 ^ y0 ^ z0), corner_value(x1 ^ y0 ^ z0), a),
+                    mix(corner_value(x0 ^ y1 ^ z0), corner_value(x1 ^ y1 ^ z0), a), b);
+    float high = mix(mix(corner_value(x0 ^ y0 ^ z1), corner_value(x1 ^ y0 ^ z1), a),
+                     mix(corner_value(x0 ^ y1 ^ z1), corner_value(x1 ^ y1 ^ z1), a), b);
     return mix(low, high, c) * (1.0f / 2147483648.0f);
 }
 
 static float noise2(float x, float y, uint32_t seed)
 {
-    int i = whole(x), j = whole(y);
+    int i = floor_int(x), j = floor_int(y);
     float a = smooth(x - (float)i), b = smooth(y - (float)j);
     uint32_t x0 = (uint32_t)i * 0x8da6b343u + seed, x1 = x0 + 0x8da6b343u;
     uint32_t y0 = (uint32_t)j * 0xd8163841u, y1 = y0 + 0xd8163841u;
-    return mix(mix(corner(x0 ^ y0), corner(x1 ^ y0), a), mix(corner(x0 ^ y1), corner(x1 ^ y1), a),
-               b) *
+    return mix(mix(corner_value(x0 ^ y0), corner_value(x1 ^ y0), a),
+               mix(corner_value(x0 ^ y1), corner_value(x1 ^ y1), a), b) *
            (1.0f / 2147483648.0f);
 }
 
 /* Noise with cells of that size, 0 where they are below the footprint. */
 static float octave(const struct point *s, float size, uint32_t salt)
 {
-    float keep = seen(s, size);
+    float keep = visibility_of(s, size);
     if (keep <= 0.0f)
         return 0.0f;
     float f = 1.0f / size;
@@ -157,8 +157,8 @@ static void clouds(const struct point *s, float out[3])
         t = 0.5f + strong * clamp(5.0f * (a + 0.2f * b), -0.7f, 0.7f);
     else if (s->seed % 3 == 2) // veins where the sum crosses zero
         t = 1.0f -
-            strong *
-                mix(0.25f, clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f), seen(s, 0.4f * s->scale)) +
+            strong * mix(0.25f, clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f),
+                         visibility_of(s, 0.4f * s->scale)) +
             0.25f * strong * b;
     mix3(s->t->colour[0], s->t->colour[1], clamp(t, 0.0f, 1.0f), out);
     mix3(out, s->t->colour[2], clamp(strong * (b + 0.4f * a - 0.1f), 0.0f, 0.8f), out);
@@ -167,14 +167,14 @@ static void clouds(const struct point *s, float out[3])
 static void checker(const struct point *s, float out[3])
 {
     float u = s->u / s->scale, v = s->v / s->scale;
-    int i = whole(u), j = whole(v);
-    uint32_t h = cell(i, j, s->face);
+    int i = floor_int(u), j = floor_int(v);
+    uint32_t h = hash_cell(i, j, s->face);
     float du = 0.5f - fabsf(u - (float)i - 0.5f), dv = 0.5f - fabsf(v - (float)j - 0.5f);
-    float near = side(s, (du < dv ? du : dv) * s->scale); // 0.5 on the border: half of each
+    float near = border_share(s, (du < dv ? du : dv) * s->scale); // 0.5 on the border: half of each
     float t = ((i + j) & 1) != 0 ? near : 1.0f - near;
-    float keep = seen(s, s->scale);
+    float keep = visibility_of(s, s->scale);
     mix3(s->t->colour[0], s->t->colour[1], mix(0.5f, t, keep), out);
-    float own = 1.0f + keep * 0.5f * s->contrast * (unit(h) - 0.5f);
+    float own = 1.0f + keep * 0.5f * s->contrast * (unit_from_hash(h) - 0.5f);
     for (int c = 0; c < 3; c++)
         out[c] *= own;
     float dirt = octaves(s, s->scale * 1.9f, 2, 31) - 0.1f;
@@ -184,37 +184,38 @@ static void checker(const struct point *s, float out[3])
 static void brick(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
-    float height = s->scale * (0.28f + 0.25f * unit(s->seed * 0x9e3779b9u));
-    float joint = height * (0.05f + 0.12f * unit(s->seed * 0x85ebca6bu));
+    float height = s->scale * (0.28f + 0.25f * unit_from_hash(s->seed * 0x9e3779b9u));
+    float joint = height * (0.05f + 0.12f * unit_from_hash(s->seed * 0x85ebca6bu));
     float v = s->v / height;
-    int j = whole(v);
+    int j = floor_int(v);
     bool stone = (s->seed & 4) != 0; // courses shifted at random
-    float shift = stone ? unit(cell(j, 7, s->face)) : 0.5f * (float)(j & 1);
+    float shift = stone ? unit_from_hash(hash_cell(j, 7, s->face)) : 0.5f * (float)(j & 1);
     float u = s->u / s->scale + shift;
-    int i = whole(u);
-    uint32_t h = cell(i, j, s->face);
+    int i = floor_int(u);
+    uint32_t h = hash_cell(i, j, s->face);
     float du = (0.5f - fabsf(u - (float)i - 0.5f)) * s->scale;
     float dv = (0.5f - fabsf(v - (float)j - 0.5f)) * height;
     float rough = octave(s, height * 0.35f, 41);
-    float gap = strip(s, du < dv ? du : dv, joint * (0.5f + 0.4f * rough));
+    float gap = strip_share(s, du < dv ? du : dv, joint * (0.5f + 0.4f * rough));
 
     float mean[3], own[3];
     mix3(t->colour[0], t->colour[1], 0.325f, mean);
-    mix3(t->colour[0], t->colour[1], unit(h) * (0.3f + 0.7f * unit(h * 0x9e3779b1u)), own);
-    float tone = 1.0f + (0.3f + 0.9f * s->contrast) * (unit(h * 0x85ebca77u) - 0.5f);
+    mix3(t->colour[0], t->colour[1],
+         unit_from_hash(h) * (0.3f + 0.7f * unit_from_hash(h * 0x9e3779b1u)), own);
+    float tone = 1.0f + (0.3f + 0.9f * s->contrast) * (unit_from_hash(h * 0x85ebca77u) - 0.5f);
     for (int c = 0; c < 3; c++)
         own[c] *= tone;
-    mix3(mean, own, seen(s, height), own);
+    mix3(mean, own, visibility_of(s, height), own);
     float share = joint / height + joint / s->scale; // of mortar
-    mix3(own, t->colour[2], mix(share, gap, seen(s, height)), out);
+    mix3(own, t->colour[2], mix(share, gap, visibility_of(s, height)), out);
 }
 
 /* Whether and how far (x, y), -0.5..0.5, lies inside of the motif `h` of a tile. */
-static float motif(float x, float y, uint32_t h)
+static float motif_share(float x, float y, uint32_t h)
 {
     if (h & 8)
         x = -x;
-    float ax = fabsf(x), ay = fabsf(y), r = 0.18f + 0.2f * unit(h * 0x9e3779b1u);
+    float ax = fabsf(x), ay = fabsf(y), r = 0.18f + 0.2f * unit_from_hash(h * 0x9e3779b1u);
     switch (h & 7) {
     case 0:
         return r - sqrtf(x * x + y * y);
@@ -241,28 +242,29 @@ static void tiles(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float size = s->scale, u = s->u / size, v = s->v / size;
-    int i = whole(u), j = whole(v);
-    uint32_t h = cell(i, j, s->face);
+    int i = floor_int(u), j = floor_int(v);
+    uint32_t h = hash_cell(i, j, s->face);
     float x = u - (float)i - 0.5f, y = v - (float)j - 0.5f;
-    float joint = 0.02f + 0.03f * unit(s->seed * 0x85ebca6bu);
+    float joint = 0.02f + 0.03f * unit_from_hash(s->seed * 0x85ebca6bu);
     float own[3], mark[3], mean[3];
     mix3(t->colour[0], t->colour[1], 0.325f, mean);
-    mix3(t->colour[0], t->colour[1], unit(h) * unit(h * 0x9e3779b1u) * 1.3f, own);
-    float tone = 1.0f + (0.1f + 0.8f * s->contrast) * (unit(h * 0x85ebca77u) - 0.5f);
-    mix3(t->colour[1], t->colour[2], unit(h * 0xc2b2ae35u), mark);
+    mix3(t->colour[0], t->colour[1], unit_from_hash(h) * unit_from_hash(h * 0x9e3779b1u) * 1.3f,
+         own);
+    float tone = 1.0f + (0.1f + 0.8f * s->contrast) * (unit_from_hash(h * 0x85ebca77u) - 0.5f);
+    mix3(t->colour[1], t->colour[2], unit_from_hash(h * 0xc2b2ae35u), mark);
     uint32_t share = s->seed % 3; // motifs on none, a third, all
-    uint32_t m = stir(h + 3);
+    uint32_t m = mix_bits(h + 3);
     bool has = share == 2 || (share == 1 && m % 3 == 0);
     if (has) {
         uint32_t shape = (s->seed & 64) ? s->seed >> 8 : m;
-        mix3(own, mark, side(s, motif(x, y, shape) * size), own);
+        mix3(own, mark, border_share(s, motif_share(x, y, shape) * size), own);
     }
     for (int c = 0; c < 3; c++)
         own[c] *= tone;
-    float d = 0.5f - (fabsf(x) > fabsf(y) ? fabsf(x) : fabsf(y)), keep = seen(s, size);
+    float d = 0.5f - (fabsf(x) > fabsf(y) ? fabsf(x) : fabsf(y)), keep = visibility_of(s, size);
     mix3(mean, own, keep, own);
     const float dark[3] = {0.4f * mean[0], 0.4f * mean[1], 0.4f * mean[2]};
-    mix3(own, dark, mix(2.0f * joint, strip(s, d * size, 0.5f * joint * size), keep), out);
+    mix3(own, dark, mix(2.0f * joint, strip_share(s, d * size, 0.5f * joint * size), keep), out);
 }
 
 /* Planks along u, in every second texture along v. Rings are bands across the plank, bent by noise
@@ -272,51 +274,54 @@ static void wood(const struct point *s, float out[3])
     const struct texture *t = s->t;
     bool upright = (s->seed & 2) != 0;
     float wide = s->scale, v = (upright ? s->u : s->v) / wide;
-    int j = whole(v);
-    uint32_t row = cell(j, 3, s->face);
-    float length = 7.0f + 5.0f * unit(row);
-    float u = (upright ? s->v : s->u) / wide / length + unit(row * 0x9e3779b1u);
-    int i = whole(u);
-    uint32_t h = cell(i, j, s->face + 1);
+    int j = floor_int(v);
+    uint32_t row = hash_cell(j, 3, s->face);
+    float length = 7.0f + 5.0f * unit_from_hash(row);
+    float u = (upright ? s->v : s->u) / wide / length + unit_from_hash(row * 0x9e3779b1u);
+    int i = floor_int(u);
+    uint32_t h = hash_cell(i, j, s->face + 1);
     float x = (u - (float)i) * length, y = v - (float)j; // in widths of the plank
 
-    float kx = x - length * (0.2f + 0.6f * unit(h)), ky = y - unit(h * 0x85ebca77u);
+    float kx = x - length * (0.2f + 0.6f * unit_from_hash(h)),
+          ky = y - unit_from_hash(h * 0x85ebca77u);
     float knot = 1.0f / (1.0f + 14.0f * (0.15f * kx * kx + ky * ky));
-    float turn = unit(h * 0xc2b2ae35u) * 61.0f;
+    float turn = unit_from_hash(h * 0xc2b2ae35u) * 61.0f;
     float bend = noise2(0.45f * x + turn, 0.9f * y + turn, s->seed) + 1.6f * knot;
-    float ring = 4.0f * (y * (0.6f + unit(h * 0x27d4eb2fu)) + bend) + turn;
-    ring = fabsf(ring - (float)whole(ring) - 0.5f) * 2.0f;
-    float keep = seen(s, wide * 0.2f);
+    float ring = 4.0f * (y * (0.6f + unit_from_hash(h * 0x27d4eb2fu)) + bend) + turn;
+    ring = fabsf(ring - (float)floor_int(ring) - 0.5f) * 2.0f;
+    float keep = visibility_of(s, wide * 0.2f);
     float fibre = 0.0f;
     for (int o = 0; o < 2; o++) {
-        float f = o ? 23.0f : 9.0f, k = seen(s, wide / f);
+        float f = o ? 23.0f : 9.0f, k = visibility_of(s, wide / f);
         if (k > 0.0f)
             fibre += k * noise2(x * f * 0.07f + turn, y * f, s->seed + 5 + (uint32_t)o);
     }
     float grain = mix(0.333f, ring * ring, keep) + 0.35f * fibre;
     float dark = (0.25f + 0.75f * s->contrast) * grain + 0.8f * keep * clamp(knot - 0.75f, 0, 1);
     mix3(t->colour[0], t->colour[1], clamp(dark, 0.0f, 1.0f), out);
-    float own = seen(s, wide),
-          tone = 1.0f + own * (0.25f + 0.6f * s->contrast) * (unit(row * 0x165667b1u + h) - 0.5f);
-    float gap = 0.02f + 0.02f * unit(s->seed), dv = y < 0.5f ? y : 1.0f - y;
+    float own = visibility_of(s, wide),
+          tone = 1.0f + own * (0.25f + 0.6f * s->contrast) *
+                            (unit_from_hash(row * 0x165667b1u + h) - 0.5f);
+    float gap = 0.02f + 0.02f * unit_from_hash(s->seed), dv = y < 0.5f ? y : 1.0f - y;
     float du = x < 0.5f * length ? x : length - x;
-    float gaps = strip(s, (du < dv ? du : dv) * wide, gap * wide);
+    float gaps = strip_share(s, (du < dv ? du : dv) * wide, gap * wide);
     for (int c = 0; c < 3; c++)
         out[c] *= tone * (1.0f - 0.75f * mix(2.2f * gap, gaps, own));
 }
 
 /* Stripes of random width and colour along one coordinate: position in stripe k of a period. */
-static void stripe(const struct point *s, float x, uint32_t salt, float out[3])
+static void stripe_colour(const struct point *s, float x, uint32_t salt, float out[3])
 {
     float period = s->scale, a = x / period;
-    int k = whole(a);
+    int k = floor_int(a);
     float in = a - (float)k;
     bool random = (s->seed & 32) == 0; // else every period looks the same
-    uint32_t h = stir(s->seed + salt + (random ? (uint32_t)k * 0x9e3779b9u : 0u));
-    float first = 0.25f + 0.35f * unit(h), second = first + 0.1f + 0.25f * unit(h * 0x9e3779b1u);
+    uint32_t h = mix_bits(s->seed + salt + (random ? (uint32_t)k * 0x9e3779b9u : 0u));
+    float first = 0.25f + 0.35f * unit_from_hash(h),
+          second = first + 0.1f + 0.25f * unit_from_hash(h * 0x9e3779b1u);
     const float(*colour)[3] = s->t->colour;
-    float b = side(s, (in - first) * period), c = side(s, (in - second) * period);
-    float keep = seen(s, 0.4f * period), mean[3];
+    float b = border_share(s, (in - first) * period), c = border_share(s, (in - second) * period);
+    float keep = visibility_of(s, 0.4f * period), mean[3];
     const float *second_colour = colour[1 + (h >> 31)], *third = colour[(h >> 30) & 1 ? 0 : 2];
     mix3(colour[0], second_colour, b, out);
     mix3(out, third, c, out);
@@ -332,39 +337,40 @@ static void stripe(const struct point *s, float x, uint32_t salt, float out[3])
 
 static void fabric(const struct point *s, float out[3])
 {
-    stripe(s, s->u, 0, out);
+    stripe_colour(s, s->u, 0, out);
     if (s->seed % 3 != 0) { // plaid, or rows of diamonds
         float across[3];
-        stripe(s, s->v, 0x51u, across);
+        stripe_colour(s, s->v, 0x51u, across);
         mix3(out, across, 0.5f, out);
     }
     if (s->seed % 5 < 2) {
         float size = 0.5f * s->scale, u = s->u / size, v = s->v / size;
-        int i = whole(u), j = whole(v);
-        uint32_t h = cell((s->seed & 128) ? i : 0, j, s->face);
-        float d = motif(u - (float)i - 0.5f, v - (float)j - 0.5f, h) * size;
-        mix3(out, s->t->colour[1 + (h >> 31)], 0.85f * side(s, d) * seen(s, size), out);
+        int i = floor_int(u), j = floor_int(v);
+        uint32_t h = hash_cell((s->seed & 128) ? i : 0, j, s->face);
+        float d = motif_share(u - (float)i - 0.5f, v - (float)j - 0.5f, h) * size;
+        mix3(out, s->t->colour[1 + (h >> 31)], 0.85f * border_share(s, d) * visibility_of(s, size),
+             out);
     }
-    float thread = s->scale * 0.04f, keep = seen(s, thread);
+    float thread = s->scale * 0.04f, keep = visibility_of(s, thread);
     if (keep <= 0.0f)
         return;
     float u = s->u / thread, v = s->v / thread;
-    int i = whole(u), j = whole(v);
+    int i = floor_int(u), j = floor_int(v);
     float along = ((i + j) & 1) ? u - (float)i : v - (float)j; // over and under
     float high = 4.0f * along * (1.0f - along);
-    float own = unit(((i + j) & 1) ? cell(i, 1, s->face) : cell(j, 2, s->face));
+    float own = unit_from_hash(((i + j) & 1) ? hash_cell(i, 1, s->face) : hash_cell(j, 2, s->face));
     float tone = 1.0f + keep * s->contrast * (0.5f * (high - 0.67f) + 0.5f * (own - 0.5f));
     for (int c = 0; c < 3; c++)
         out[c] *= tone;
 }
 
-static float gap_to(float x, float lo, float hi)
+static float distance_outside(float x, float lo, float hi)
 {
     return x < lo ? lo - x : (x > hi ? x - hi : 0.0f);
 }
 
 /* Distance of (x, y), both 0..1, y up, from the strokes of letter h. */
-static float strokes(float x, float y, uint32_t h)
+static float stroke_distance(float x, float y, uint32_t h)
 {
     static const float LINE[7][4] = {// x, y: from, to
                                      {0.2f, 0.2f, 0.1f, 0.9f}, {0.8f, 0.8f, 0.1f, 0.9f},
@@ -374,7 +380,8 @@ static float strokes(float x, float y, uint32_t h)
     float best = 1.0f;
     uint32_t set = h % 127 + 1;
     for (int i = 0; i < 7; i++) {
-        float dx = gap_to(x, LINE[i][0], LINE[i][1]), dy = gap_to(y, LINE[i][2], LINE[i][3]);
+        float dx = distance_outside(x, LINE[i][0], LINE[i][1]),
+              dy = distance_outside(y, LINE[i][2], LINE[i][3]);
         float d = dx > dy ? dx : dy;
         if ((set >> i & 1) && d < best)
             best = d;
@@ -388,33 +395,33 @@ static float strokes(float x, float y, uint32_t h)
 }
 
 /* Share of ink in a line of text that is `height` m high; (x, y) in heights, y up. */
-static float text(const struct point *s, float height, float x, float y, uint32_t line)
+static float text_ink(const struct point *s, float height, float x, float y, uint32_t line)
 {
-    float keep = seen(s, 0.3f * height);
+    float keep = visibility_of(s, 0.3f * height);
     if (keep <= 0.0f)
-        return 0.25f * seen(s, height);
+        return 0.25f * visibility_of(s, height);
     float a = x / 0.62f;
-    int i = whole(a);
-    uint32_t h = stir(line + (uint32_t)i * 0x9e3779b9u);
+    int i = floor_int(a);
+    uint32_t h = mix_bits(line + (uint32_t)i * 0x9e3779b9u);
     if ((h >> 4) % 6 == 0) // between words
         return 0.0f;
-    float stroke = 0.075f - strokes(a - (float)i, 1.3f * y - 0.15f, h);
-    return mix(0.25f, side(s, stroke * height), keep);
+    float stroke = 0.075f - stroke_distance(a - (float)i, 1.3f * y - 0.15f, h);
+    return mix(0.25f, border_share(s, stroke * height), keep);
 }
 
 /* A picture in a box of a page: two hills of noise and a disc. (x, y) 0..1, y up. */
 static void picture(const struct point *s, float x, float y, uint32_t h, float out[3])
 {
     const struct texture *t = s->t;
-    float hill = 0.5f + 0.25f * noise2(3.0f * x, unit(h) * 50.0f, h);
-    float far = 0.6f + 0.2f * noise2(5.0f * x, unit(h * 0x9e3779b1u) * 50.0f, h + 1);
-    float dx = x - 0.2f - 0.6f * unit(h), dy = y - 0.75f, size = 0.25f * s->scale;
-    float disc = 0.12f + 0.1f * unit(h * 0x85ebca77u) - sqrtf(dx * dx + dy * dy);
+    float hill = 0.5f + 0.25f * noise2(3.0f * x, unit_from_hash(h) * 50.0f, h);
+    float far = 0.6f + 0.2f * noise2(5.0f * x, unit_from_hash(h * 0x9e3779b1u) * 50.0f, h + 1);
+    float dx = x - 0.2f - 0.6f * unit_from_hash(h), dy = y - 0.75f, size = 0.25f * s->scale;
+    float disc = 0.12f + 0.1f * unit_from_hash(h * 0x85ebca77u) - sqrtf(dx * dx + dy * dy);
     float sky[3];
     mix3(t->colour[0], t->colour[2], 0.8f * y, sky);
-    mix3(sky, t->colour[1 + (h & 1)], side(s, disc * size), out);
-    mix3(out, t->colour[1], 0.6f * side(s, (far - y) * size), out);
-    mix3(out, t->colour[2], side(s, (hill - y) * size), out);
+    mix3(sky, t->colour[1 + (h & 1)], border_share(s, disc * size), out);
+    mix3(out, t->colour[1], 0.6f * border_share(s, (far - y) * size), out);
+    mix3(out, t->colour[2], border_share(s, (hill - y) * size), out);
 }
 
 /* Pages, each of rows of four lines: a heading, text in columns, or a picture with a caption. */
@@ -422,45 +429,46 @@ static void print(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float u = s->u / s->scale, v = s->v / s->scale;
-    int i = whole(u), j = whole(v);
-    uint32_t page = cell(i, j, s->face);
+    int i = floor_int(u), j = floor_int(v);
+    uint32_t page = hash_cell(i, j, s->face);
     float x = (u - (float)i - 0.06f) / 0.88f, y = (1.0f - v + (float)j - 0.06f) / 0.88f;
     float mean[3], ink[3], paper[3];
-    float tint = mix(0.175f, (page & 3) == 0 ? 0.7f : 0.0f, seen(s, s->scale)); // one of four
+    float tint =
+        mix(0.175f, (page & 3) == 0 ? 0.7f : 0.0f, visibility_of(s, s->scale)); // one of four
     mix3(t->colour[0], t->colour[2], tint, paper);
     mix3(paper, t->colour[1], 0.2f, mean);
     if (!(x >= 0.0f && x < 1.0f && y >= 0.0f && y < 1.0f)) {
-        mix3(mean, paper, seen(s, s->scale), out);
+        mix3(mean, paper, visibility_of(s, s->scale), out);
         return;
     }
     float lines = 4.0f * (float)(3 + (page >> 8) % 5), height = 0.88f * s->scale / lines;
     int line = (int)(y * lines), row = line / 4;
-    uint32_t h = cell(row, (int)(page >> 16), s->seed);
+    uint32_t h = hash_cell(row, (int)(page >> 16), s->seed);
     float down = y * lines - 4.0f * (float)row; // 0..4 in the row
-    float split = 0.3f + 0.4f * unit(h * 0x9e3779b1u);
+    float split = 0.3f + 0.4f * unit_from_hash(h * 0x9e3779b1u);
     bool right = x > split;
     mix3(paper, t->colour[1], 0.0f, out);
     mix3(t->colour[1], t->colour[2], (h >> 20) % 3 == 0 ? 1.0f : 0.0f, ink);
     float share = 0.0f;
     if (h % 5 == 0) { // heading
-        share = text(s, 3.4f * height, x * lines / 3.4f, 1.0f - down / 3.8f, h);
+        share = text_ink(s, 3.4f * height, x * lines / 3.4f, 1.0f - down / 3.8f, h);
     } else if ((h % 5 < 3) == right && (h % 5 != 2 || down < 3.6f)) {
         float wide = right ? 1.0f - split : split, from = right ? split : 0.0f;
         picture(s, (x - from) / wide, 1.0f - down / 4.0f, h, out);
     } else {
         int k = (int)down;
-        float end = k == 3 ? 0.4f + 0.5f * unit(h) : 0.97f;
+        float end = k == 3 ? 0.4f + 0.5f * unit_from_hash(h) : 0.97f;
         if ((right ? x : x / split) < end)
-            share = text(s, height, x * lines, 1.0f - down + (float)k, h + (uint32_t)line);
+            share = text_ink(s, height, x * lines, 1.0f - down + (float)k, h + (uint32_t)line);
     }
     mix3(out, ink, share, out);
-    mix3(mean, out, seen(s, 4.0f * height), out);
+    mix3(mean, out, visibility_of(s, 4.0f * height), out);
 }
 
 /* Nearest of the random points of the cells around; out: distances to it and to the next. */
-static uint32_t nearest(float x, float y, uint32_t seed, float d[2])
+static uint32_t nearest_points(float x, float y, uint32_t seed, float d[2])
 {
-    int i = whole(x), j = whole(y);
+    int i = floor_int(x), j = floor_int(y);
     uint32_t best = 0;
     d[0] = d[1] = 9.0f;
     for (int k = 0; k < 9; k++) {
@@ -468,8 +476,8 @@ static uint32_t nearest(float x, float y, uint32_t seed, float d[2])
         uint32_t h = (uint32_t)a * 0x8da6b343u + (uint32_t)b * 0xd8163841u + seed;
         h = (h ^ (h >> 15)) * 0x2c1b3c6du;
         h ^= h >> 13;
-        float dx = (float)a + 0.1f + 0.8f * unit(h) - x;
-        float dy = (float)b + 0.1f + 0.8f * unit(h << 11) - y;
+        float dx = (float)a + 0.1f + 0.8f * unit_from_hash(h) - x;
+        float dy = (float)b + 0.1f + 0.8f * unit_from_hash(h << 11) - y;
         float near = dx * dx + dy * dy;
         bool first = near < d[0];
         d[1] = first ? d[0] : (near < d[1] ? near : d[1]);
@@ -478,7 +486,7 @@ static uint32_t nearest(float x, float y, uint32_t seed, float d[2])
     }
     d[0] = sqrtf(d[0]);
     d[1] = sqrtf(d[1]);
-    return stir(best);
+    return mix_bits(best);
 }
 
 static void spots(const struct point *s, float out[3])
@@ -491,28 +499,28 @@ static void spots(const struct point *s, float out[3])
         out[c] = mean[c];
     float size = s->scale;
     for (int layer = 0; layer < 2; layer++, size *= 0.37f) {
-        float keep = seen(s, size), d[2];
+        float keep = visibility_of(s, size), d[2];
         if (keep <= 0.0f)
             return;
-        uint32_t h = nearest(s->u / size, s->v / size, s->face + (uint32_t)layer, d);
-        float a = unit(h), cover;
+        uint32_t h = nearest_points(s->u / size, s->v / size, s->face + (uint32_t)layer, d);
+        float a = unit_from_hash(h), cover;
         mix3(t->colour[0], t->colour[1], a, own);
         mix3(own, t->colour[2], (h & 3) == 0 ? 0.8f : 0.0f, own);
-        float tone = 1.0f + (0.3f + 0.8f * s->contrast) * (unit(h * 0x85ebca77u) - 0.5f);
+        float tone = 1.0f + (0.3f + 0.8f * s->contrast) * (unit_from_hash(h * 0x85ebca77u) - 0.5f);
         for (int c = 0; c < 3; c++)
             own[c] *= tone;
         if (s->seed & 16) // cells side by side with dark gaps; the small ones lie in the gaps
-            cover = side(s, (0.5f * (d[1] - d[0]) - 0.04f) * size) * (layer ? 0.5f : 1.0f);
+            cover = border_share(s, (0.5f * (d[1] - d[0]) - 0.04f) * size) * (layer ? 0.5f : 1.0f);
         else // round grains of random size
-            cover = side(s, (0.15f + 0.4f * unit(h * 0x9e3779b1u) - d[0]) * size);
+            cover = border_share(s, (0.15f + 0.4f * unit_from_hash(h * 0x9e3779b1u) - d[0]) * size);
         if (layer == 0 && (s->seed & 16))
             mix3(t->colour[2], own, 0.0f, out);
         mix3(out, own, cover * keep, out);
     }
 }
 
-/* Fine structure of everything but flat colour: stains above the pattern, grain below it. */
-static void weather(const struct point *s, float out[3])
+/* Fine structure on everything except flat colour: stains above the pattern, grain below it. */
+static void add_weathering(const struct point *s, float out[3])
 {
     float stain = octave(s, 2.3f * s->scale, 101) + 0.6f * octave(s, 0.71f * s->scale, 102);
     float grain = octave(s, 0.23f * s->scale, 103) + octave(s, 0.067f * s->scale, 104);
@@ -521,7 +529,7 @@ static void weather(const struct point *s, float out[3])
         out[c] *= tone;
 }
 
-static void place(struct point *s, const float p[3], const float n[3])
+static void project_point(struct point *s, const float p[3], const float n[3])
 {
     float a[3];
     for (int i = 0; i < 3; i++) {
@@ -542,15 +550,15 @@ void texture_eval(const struct texture *t, const float p[3], const float n[3], f
     static void (*const PATTERN[TEXTURE_KINDS])(const struct point *, float *) = {
         flat, clouds, checker, brick, tiles, wood, fabric, print, spots};
     struct point s = {.t = t};
-    s.seed = stir(t->seed + 0x9e3779b9u);
+    s.seed = mix_bits(t->seed + 0x9e3779b9u);
     s.width = clamp(footprint, WIDTH_MIN, WIDTH_MAX);
     s.scale = clamp(t->scale, SCALE_MIN, FAR);
     s.contrast = clamp(t->contrast, 0.0f, 1.0f);
-    place(&s, p, n);
+    project_point(&s, p, n);
     unsigned kind = (unsigned)t->kind < TEXTURE_KINDS ? (unsigned)t->kind : TEXTURE_FLAT;
     PATTERN[kind](&s, out);
     if (kind != TEXTURE_FLAT && kind != TEXTURE_NOISE)
-        weather(&s, out);
+        add_weathering(&s, out);
     for (int c = 0; c < 3; c++)
         out[c] = clamp(out[c], REFLECT_LO, REFLECT_HI);
 }

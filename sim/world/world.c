@@ -2,8 +2,7 @@
  * around the focus at a seeded distance; its span grows with `spread`, and it is moved to where its
  * directions meet the box to stand in. Along a direction the distance is clamped to the box. A
  * regular rig takes the arc in one to three rows of heights. A camera in a solid is moved towards
- * the middle of the box in steps; what lies inside a solid is told in its own frame, with a
- * margin. */
+ * the middle of the box in steps; points are tested in the frame of the solid, with a margin. */
 #include "sim/world/world.h"
 
 #include "sim/world/room.h"
@@ -17,7 +16,7 @@ static const float ARC = 2.6f;    // rad, span of the arc at spread 1
 static const float STEP = 0.5f;   // rad, largest step of the arc at spread 1
 static const float RADIAN = 0.01745329252f;
 
-enum { DIRECTIONS = 180, PULLS = 24 }; // to a side that are tried, 1 degree each; steps inwards
+enum { DIRECTIONS = 180, PULLS = 24 }; // tried on either side, 1 degree each; steps inwards
 
 static err_t alloc_arrays(struct arena *keep, struct world *w)
 {
@@ -98,7 +97,7 @@ static bool in_solid(const struct world_solid *s, const float p[3])
     }
 }
 
-static bool blocked(const struct world *w, const float p[3])
+static bool inside_solid(const struct world *w, const float p[3])
 {
     for (int i = 0; i < w->n_solids; i++)
         if (in_solid(&w->solids[i], p))
@@ -106,18 +105,18 @@ static bool blocked(const struct world *w, const float p[3])
     return false;
 }
 
-static void pull(const struct world *w, float p[3])
+static void pull_inwards(const struct world *w, float p[3])
 {
     const float from[3] = {p[0], p[1], p[2]};
-    for (int i = 0; i <= PULLS && blocked(w, p); i++)
+    for (int i = 0; i <= PULLS && inside_solid(w, p); i++)
         for (int c = 0; c < 3; c++) {
             float middle = 0.5f * (w->stand[0][c] + w->stand[1][c]);
             p[c] = from[c] + (middle - from[c]) * (float)i / (float)PULLS;
         }
 }
 
-/* Distances from the focus at which the direction (c, s) is inside of the box to stand in. */
-static bool reach(const struct world *w, const float dir[2], float range[2])
+/* Distances from the focus at which the direction (c, s) is inside the box for cameras. */
+static bool range_in_stand(const struct world *w, const float dir[2], float range[2])
 {
     range[0] = 0.3f;
     range[1] = 1e3f;
@@ -140,18 +139,18 @@ struct arc {
     float radius;      // m
     float low, height; // m
     int rows;
-    float tilt; // share of the height that the arc climbs
+    float tilt; // share of the height by which the arc rises
 };
 
 /* Directions that meet the box, by degrees to both sides of `middle`. */
-static void limits(const struct world *w, float middle, float out[2])
+static void limit_directions(const struct world *w, float middle, float out[2])
 {
     for (int side = 0; side < 2; side++) {
         out[side] = middle;
         for (int i = 1; i <= DIRECTIONS; i++) {
             float angle = middle + (side ? 1.0f : -1.0f) * RADIAN * (float)i, dir[2], range[2];
             builder_turn(angle, &dir[0], &dir[1]);
-            if (!reach(w, dir, range))
+            if (!range_in_stand(w, dir, range))
                 break;
             out[side] = angle;
         }
@@ -189,7 +188,7 @@ static void draw_arc(struct builder *b, const struct world_path *path, struct ar
     a->radius = sqrtf(far);
     float spread = fminf(fmaxf(path->spread, 0.0f), 1.0f);
     float middle = angle_of(d), side[2];
-    limits(w, middle, side);
+    limit_directions(w, middle, side);
     a->rows = 1;
     if (!path->jitter && path->n >= 6)
         a->rows = 1 + builder_pick(b, path->n >= 12 ? 3 : 2);
@@ -205,8 +204,8 @@ static void draw_arc(struct builder *b, const struct world_path *path, struct ar
 }
 
 /* Where camera i of the rig stands. */
-static void spot(struct builder *b, const struct world_path *path, const struct arc *a, int i,
-                 float p[3])
+static void place_camera(struct builder *b, const struct world_path *path, const struct arc *a,
+                         int i, float p[3])
 {
     const struct world *w = b->w;
     float spread = fminf(fmaxf(path->spread, 0.0f), 1.0f);
@@ -221,17 +220,17 @@ static void spot(struct builder *b, const struct world_path *path, const struct 
         radius *= 1.0f + spread * builder_draw(b, -0.25f, 0.25f);
     }
     builder_turn(a->from + (a->to - a->from) * along, &dir[0], &dir[1]);
-    if (!reach(w, dir, range))
+    if (!range_in_stand(w, dir, range))
         range[0] = range[1] = radius;
     radius = fminf(fmaxf(radius, range[0]), range[1]);
     p[0] = w->focus[0] + radius * dir[0];
     p[1] = w->focus[1] + radius * dir[1];
     p[2] = a->low + up * a->height;
-    pull(w, p);
+    pull_inwards(w, p);
 }
 
 /* Rotation whose rows are right, down, forward; roll in rad. */
-static void look(const float from[3], const float at[3], float roll, float r[9])
+static void rotation_towards(const float from[3], const float at[3], float roll, float r[9])
 {
     float f[3], len = 0.0f, c, s;
     for (int k = 0; k < 3; k++) {
@@ -255,7 +254,7 @@ static void look(const float from[3], const float at[3], float roll, float r[9])
 }
 
 /* Quaternion w,x,y,z of a rotation: the largest of the four by its diagonal, the others by sums. */
-static void quaternion(const float r[9], float q[4])
+static void quaternion_from(const float r[9], float q[4])
 {
     const float d[4] = {1 + r[0] + r[4] + r[8], 1 + r[0] - r[4] - r[8], 1 - r[0] + r[4] - r[8],
                         1 - r[0] - r[4] + r[8]};
@@ -277,8 +276,8 @@ static void quaternion(const float r[9], float q[4])
         q[i] = sum[k][i] * len;
 }
 
-static void aim(struct builder *b, const struct world_path *path, const float p[3],
-                struct camera *cam)
+static void aim_camera(struct builder *b, const struct world_path *path, const float p[3],
+                       struct camera *cam)
 {
     float at[3], r[9], roll = 0.0f, loose = 0.25f * fminf(fmaxf(path->spread, 0.0f), 1.0f) + 0.05f;
     for (int c = 0; c < 3; c++)
@@ -288,8 +287,8 @@ static void aim(struct builder *b, const struct world_path *path, const float p[
             at[c] += builder_draw(b, -loose, loose);
         roll = builder_draw(b, -0.09f, 0.09f);
     }
-    look(p, at, roll, r);
-    quaternion(r, cam->q);
+    rotation_towards(p, at, roll, r);
+    quaternion_from(r, cam->q);
     for (int k = 0; k < 3; k++)
         cam->t[k] = -(r[3 * k] * p[0] + r[3 * k + 1] * p[1] + r[3 * k + 2] * p[2]);
 }
@@ -310,7 +309,7 @@ void world_cameras(const struct world *w, const struct world_path *path, uint64_
         cams[i] = (struct camera){.w = size, .h = size};
         cams[i].fx = cams[i].fy = 0.5f * (float)size * c / s;
         cams[i].cx = cams[i].cy = 0.5f * (float)size;
-        spot(&b, path, &a, i, p);
-        aim(&b, path, p, &cams[i]);
+        place_camera(&b, path, &a, i, p);
+        aim_camera(&b, path, p, &cams[i]);
     }
 }

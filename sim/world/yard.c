@@ -21,7 +21,7 @@ struct yard {
 };
 
 /* The front of a house at x = half[0], its windows dark or lit. */
-static void front(struct yard *y)
+static void build_front(struct yard *y)
 {
     struct builder *b = y->b;
     struct frame f = builder_frame(&y->root, y->half[0], 0, 0, 0.5f * PI); // y towards the yard
@@ -64,7 +64,7 @@ static void front(struct yard *y)
 }
 
 /* Boards along one side of the yard. */
-static void fence(struct yard *y, float side)
+static void build_fence(struct yard *y, float side)
 {
     struct builder *b = y->b;
     struct frame f = builder_frame(&y->root, 0, side * y->half[1], 0, side > 0 ? PI : 0);
@@ -109,7 +109,7 @@ static void fence(struct yard *y, float side)
                     (float[]){0, -0.03f, tall * (i ? 1.6f : 0.5f)}, m[0]);
 }
 
-static void paving(struct yard *y)
+static void lay_paving(struct yard *y)
 {
     struct builder *b = y->b;
     int m = builder_material(b, ROLE_STONE), n = 3 + builder_pick(b, 5);
@@ -131,7 +131,7 @@ static void paving(struct yard *y)
     }
 }
 
-static bool put(struct yard *y, const struct piece *p, const float at[3])
+static bool put_piece(struct yard *y, const struct piece *p, const float at[3])
 {
     struct builder *b = y->b;
     float half[2], height, c, s;
@@ -147,14 +147,14 @@ static bool put(struct yard *y, const struct piece *p, const float at[3])
     return true;
 }
 
-static void pieces(struct yard *y)
+static void place_pieces(struct yard *y)
 {
     struct builder *b = y->b;
     bool done = false;
     for (int i = 0; i < 8 && !done; i++) {
         float turn = 0.5f * PI + builder_draw(b, -0.7f, 0.7f);
-        done = put(y, &garden_pieces[builder_pick(b, GARDEN_PIECES - 1)],
-                   (float[]){y->focus[0], y->focus[1], turn});
+        done = put_piece(y, &garden_pieces[builder_pick(b, GARDEN_PIECES - 1)],
+                         (float[]){y->focus[0], y->focus[1], turn});
     }
     for (int i = 0; i < 40 && b->w->n_solids < 620; i++) {
         float x = builder_draw(b, -1.0f, 1.0f) * y->half[0];
@@ -163,11 +163,11 @@ static void pieces(struct yard *y)
             x = y->stand[1][0] + 0.5f * (x + y->half[0]);
             turn = 0.5f * PI + 0.2f * (turn - PI);
         }
-        (void)put(y, &garden_pieces[builder_pick(b, GARDEN_PIECES)], (float[]){x, v, turn});
+        (void)put_piece(y, &garden_pieces[builder_pick(b, GARDEN_PIECES)], (float[]){x, v, turn});
     }
 }
 
-static void post(struct yard *y)
+static void place_post(struct yard *y)
 {
     struct builder *b = y->b;
     float v = builder_draw(b, -0.8f, 0.8f) * y->half[1], cold = builder_draw(b, 0, 0.5f);
@@ -188,7 +188,7 @@ static void post(struct yard *y)
             WORLD_FRUSTUM, {0.22f, 0.22f, 0.06f}, {0, 0, 2.73f}, m, 0.1f, {0, 0, 0}, CUT_RANDOM});
 }
 
-static void plan(struct yard *y)
+static void plan_yard(struct yard *y)
 {
     struct builder *b = y->b;
     y->half[0] = builder_draw(b, 4.5f, 7.0f);
@@ -213,14 +213,14 @@ void yard_build(struct builder *b)
     int quarter = builder_pick(b, 4);
     struct yard y = {.b = b, .root = {.c = COS[quarter], .s = SIN[quarter]}};
     y.night = builder_chance(b, 0.12f);
-    plan(&y);
-    front(&y);
-    fence(&y, 1.0f);
-    fence(&y, -1.0f);
-    paving(&y);
+    plan_yard(&y);
+    build_front(&y);
+    build_fence(&y, 1.0f);
+    build_fence(&y, -1.0f);
+    lay_paving(&y);
     if (y.night || builder_chance(b, 0.3f))
-        post(&y);
-    pieces(&y);
+        place_post(&y);
+    place_pieces(&y);
     struct room_sky s = {.radiance = 0.003f};
     if (!y.night)
         s.radiance = builder_draw(b, 0.15f, 0.5f);

@@ -187,7 +187,7 @@ static void test_groups(void **state)
     check_frame(st, 2, 1);
     close_replay(st);
     assert_int_equal(try_open(",bracket=4", &st), ERR_ARG);
-    assert_non_null(strstr(err_text(), "9 pictures are no brackets of 4"));
+    assert_non_null(strstr(err_text(), "9 pictures cannot be divided into brackets of 4"));
     assert_int_equal(try_open(",bracket=3,view=3", &st), ERR_ARG);
     assert_non_null(strstr(err_text(), "view is 3"));
     tmpdir_remove();

@@ -222,10 +222,10 @@ static void test_refused_uris(void **state)
     static const struct {
         const char *uri, *says;
     } bad[] = {
-        {"sim:view=1", "view is 1, not below views, 1"},
+        {"sim:view=1", "view is 1, must be 0..0 (views is 1)"},
         {"sim:kind=moon", "kind is \"moon\", not one of any|room|yard|dark|plain|mirror"},
         {"sim:size=13", "size is \"13\", not a whole number in 14..2048"},
-        {"sim:size=15,format=rggb", "size is 15, a mosaic needs an even one"},
+        {"sim:size=15,format=rggb", "size is 15 px, must be even for a Bayer format"},
         {"sim:seed=-1", "seed is \"-1\""},
         {"sim:curve=", "curve is \"\", not one of"},
         {"sim", "does not begin with \"sim:\""},

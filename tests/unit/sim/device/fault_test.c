@@ -71,19 +71,19 @@ static void test_refusals(void **state)
         {"at noon 1 eio", "\"noon\" is neither frame nor time"},
         {"on frame 1 eio", "line 1 is not"},
         {"at frame 1 melt", "no fault is called \"melt\""},
-        {"at frame 1 eio 3", "\"3\" is one word too many"},
+        {"at frame 1 eio 3", "unexpected word \"3\" at the end"},
         {"at frame 1 drop", "ends before the number after \"drop\""},
         {"at frame 1 drop 0", "\"0\" is not a number in 1..1e+06"},
-        {"at frame 1 drop 1 quietly", "\"quietly\" is one word too many"},
-        {"at frame 1 drop 1 nogap nogap", "one word too many"},
-        {"at frame 1 sequence", "\"sequence\" does not know \"\""},
-        {"at frame 1 stamp yesterday", "\"stamp\" does not know \"yesterday\""},
+        {"at frame 1 drop 1 quietly", "unexpected word \"quietly\" at the end"},
+        {"at frame 1 drop 1 nogap nogap", "unexpected word \"nogap\" at the end"},
+        {"at frame 1 sequence", "\"sequence\" does not take \"\""},
+        {"at frame 1 stamp yesterday", "\"stamp\" does not take \"yesterday\""},
         {"at frame 1 stamp back", "ends before the number after \"back\""},
         {"at frame 1 drop 2.5", "2.5 is not a whole number"},
         {"at frame 1 gain 3x", "\"3x\" is not a number"},
         {"at frame 1 a b c d e f", "more than 8 words"},
-        {"at frame 1 \x01", "is no text"},
-        {"at frame 1 \xc3\xa4", "is no text"},
+        {"at frame 1 \x01", "line 1 has byte 1,"},
+        {"at frame 1 \xc3\xa4", "line 1 has byte 195,"},
         {"at frame 1 eio;at frame 2 eoi", "line 2: no fault is called \"eoi\""},
     };
     (void)state;
@@ -108,7 +108,7 @@ static void test_too_many(void **state)
     assert_int_equal(script.n, FAULT_MAX);
     strcat(text, "at frame 1 eio\n");
     assert_int_equal(parse(text), ERR_FORMAT);
-    assert_non_null(strstr(err_text(), "line 257 is more than 256 faults"));
+    assert_non_null(strstr(err_text(), "line 257: there are more than 256 faults"));
 }
 
 static void test_file(void **state)

@@ -306,7 +306,7 @@ static void test_refusals(void **state)
     (void)state;
     s.bits = 17;
     assert_int_equal(sensor_check(&s), ERR_ARG);
-    assert_string_equal(err_text(), "sensor: bits is 17, not in 8..16");
+    assert_string_equal(err_text(), "sensor: bits is 17, must be 8..16");
     s = sensor_default;
     s.balance[2] = NAN;
     assert_int_equal(sensor_expose(&plain, &s, &shot, &radiance, &raw), ERR_ARG);
