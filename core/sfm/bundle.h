@@ -25,8 +25,8 @@ struct bundle_config {
 struct bundle_result {
     struct camera
         *cams; // (n_views), one shared fx = fy x v->aspect, principal point at the centre;
-        // world: that of `start` (best similarity) or the first placed camera's, where a
-        // typical point lies at distance 1 from the middle of the rig
+    // world: that of `start` (best similarity) or the first placed camera's, where a
+    // typical point lies at distance 1 from the middle of the rig
     float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
                         // where rays are parallel
     float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if

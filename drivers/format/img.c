@@ -157,6 +157,52 @@ err_t img_decode_jpeg(const void *bytes, size_t n, const char *name, const struc
     return read_jpeg(bytes, n, name, &to);
 }
 
+static int short_of(ExifData *data, ExifIfd ifd, ExifTag tag)
+{
+    ExifEntry *entry = exif_content_get_entry(data->ifd[ifd], tag);
+    if (!entry || !entry->data || entry->format != EXIF_FORMAT_SHORT || entry->components < 1 ||
+        entry->size < 2)
+        return 0;
+    return exif_get_short(entry->data, exif_data_get_byte_order(data));
+}
+
+int img_orientation(const void *bytes, size_t n)
+{
+    if (!is_jpeg(bytes, n) || n > IMG_FILE_MAX)
+        return 1;
+    ExifData *data = exif_data_new();
+    if (!data)
+        return 1;
+    exif_data_load_data(data, bytes, (unsigned)n);
+    const int o = short_of(data, EXIF_IFD_0, EXIF_TAG_ORIENTATION);
+    exif_data_unref(data);
+    return o >= 1 && o <= 8 ? o : 1;
+}
+
+/* Both axes of the stored picture may be exchanged, and run from their far end. */
+static err_t turn_upright(int orientation, const char *name, struct image8 *io)
+{
+    const bool swap = orientation >= 5;
+    const bool from_right = orientation == 2 || orientation == 3 || orientation >= 7;
+    const bool from_below =
+        orientation == 3 || orientation == 4 || orientation == 6 || orientation == 7;
+    const int w = io->w, h = io->h;
+    struct image8 out = {0};
+    err_t e = alloc_px(name, (uint32_t)(swap ? h : w), (uint32_t)(swap ? w : h), &out);
+    if (e)
+        return e;
+    for (int y = 0; y < out.h; y++)
+        for (int x = 0; x < out.w; x++) {
+            const int u = swap ? y : x, v = swap ? x : y;
+            const size_t at = (size_t)(from_below ? h - 1 - v : v) * (size_t)w +
+                              (size_t)(from_right ? w - 1 - u : u);
+            memcpy(out.px + 3 * ((size_t)y * (size_t)out.w + (size_t)x), io->px + 3 * at, 3);
+        }
+    img_free(io);
+    *io = out;
+    return OK;
+}
+
 err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out)
 {
     err_t e;
@@ -167,6 +213,9 @@ err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 
         e = read_jpeg(bytes, n, name, out);
     else
         e = err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
+    const int orientation = e ? 1 : img_orientation(bytes, n);
+    if (orientation != 1)
+        e = turn_upright(orientation, name, out);
     if (e)
         img_free(out);
     return e;

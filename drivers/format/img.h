@@ -11,18 +11,23 @@
 enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
 
 /* Decode to 8-bit R,G,B. PNG: any colour type and depth, alpha and transparency dropped without
- * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB. EXIF
- * orientation, gamma and profiles are ignored (core/photo/README.md 1.1).
+ * compositing, grey spread to RGB, of 16 bits the upper 8. JPEG: grey, YCbCr or RGB; it
+ * is turned upright as its EXIF orientation says. Gamma and profiles are ignored
+ * (core/photo/README.md 1.1).
  * own:  img_free.
  * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM, ERR_UNSUPPORTED (CMYK). On error *out is
  *       zeroed. */
 MUST_USE err_t img_read(const char *path, struct image8 *out);
 
+/* Orientation of a JPEG by its EXIF data (CIPA DC-008 4.6.4): 1, upright, to 8; from 5 on width and
+ * height are exchanged. 1 if it has none. */
+int img_orientation(const void *bytes, size_t n);
+
 /* As img_read, from `n` bytes in memory; `name` is for sentences. */
 MUST_USE err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 *out);
 
 /* Decode a JPEG of out->w x out->h px into out->px. Huffman tables that the file lacks are those of
- * the standard, as motion JPEG wants it.
+ * the standard, as motion JPEG wants it; orientation is ignored.
  * err:  as img_read_mem, ERR_FORMAT also for another size */
 MUST_USE err_t img_decode_jpeg(const void *bytes, size_t n, const char *name,
                                const struct image8 *out);

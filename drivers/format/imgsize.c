@@ -84,8 +84,9 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
         return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);
-    *w = (int)width;
-    *h = (int)height;
+    const bool lies = img_orientation(p, n) >= 5;
+    *w = (int)(lies ? height : width);
+    *h = (int)(lies ? width : height);
     return OK;
 }
 

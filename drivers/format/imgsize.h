@@ -1,4 +1,4 @@
-/* imgsize.h - width and height of a PNG or JPEG from its header, without decoding.
+/* imgsize.h - width and height of a PNG or JPEG, upright, from its header, without decoding.
  * With it a whole set is planned before the first pixel is decoded. The kind follows from the
  * bytes. Sources: PNG (ISO 15948) 11.2.2; JPEG (ITU-T T.81) B.1.1.3, B.2.2.
  * thread: any. */

@@ -3,6 +3,7 @@
  * written by Pillow; the hashes below are FNV-1a of what Pillow decodes from them. The EXIF blocks
  * hold 1/50 s, ISO 400, f/2.8 unless the name says other. */
 #include "drivers/format/img.h"
+#include "drivers/format/imgsize.h"
 #include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
@@ -297,18 +298,63 @@ static void writing_fails_cleanly(void **state)
     img_free(&im);
 }
 
+/* An APP1 segment with nothing but the orientation, behind the start of a JPEG. */
+static size_t with_orientation(const uint8_t *jpeg, size_t n, int orientation, uint8_t *out)
+{
+    const uint8_t app1[] = {0xff, 0xe1, 0, 34, 'E', 'x', 'i', 'f', 0, 0,
+                            'M',  'M',  0, 42, 0,   0,   0,   8,   0, 1, // one entry
+                            0x01, 0x12, 0, 3,  0,   0,   0,   1,   0, (uint8_t)orientation,
+                            0,    0,    0, 0,  0,   0};
+    memcpy(out, jpeg, 2);
+    memcpy(out + 2, app1, sizeof app1);
+    memcpy(out + 2 + sizeof app1, jpeg + 2, n - 2);
+    return n + sizeof app1;
+}
+
+/* Stored: 32 x 16 px, red left above, green right above, blue left below, white right below. */
+static void jpegs_stand_upright(void **state)
+{
+    (void)state;
+    enum { ACROSS = 32, DOWN = 16 };
+    static const uint8_t corner[4][3] = {{255, 0, 0}, {0, 255, 0}, {0, 0, 255}, {255, 255, 255}};
+    static const int upright[9][4] = {{0},          {0, 1, 2, 3}, {1, 0, 3, 2},
+                                      {3, 2, 1, 0}, {2, 3, 0, 1}, {0, 2, 1, 3},
+                                      {2, 0, 3, 1}, {3, 1, 2, 0}, {1, 3, 0, 2}}; // CIPA DC-008
+    static uint8_t px[ACROSS * DOWN * 3], file[1 << 14];
+    const struct image8 im = {ACROSS, DOWN, 3, px};
+    void *jpeg;
+    size_t n;
+    for (int i = 0; i < ACROSS * DOWN; i++)
+        memcpy(px + 3 * i, corner[i / ACROSS / (DOWN / 2) * 2 + i % ACROSS / (ACROSS / 2)], 3);
+    assert_int_equal(img_encode_jpeg(&im, 95, "j", &jpeg, &n), OK);
+    for (int o = 0; o <= 9; o++) {
+        struct image8 out;
+        int w, h;
+        const int *want = upright[o < 1 || o > 8 ? 1 : o];
+        size_t m = with_orientation(jpeg, n, o, file);
+        assert_int_equal(img_orientation(file, m), o < 1 || o > 8 ? 1 : o);
+        assert_int_equal(img_read_mem(file, m, "j", &out), OK);
+        assert_int_equal(imgsize_parse("j", file, m, &w, &h), OK);
+        assert_true(out.w == w && out.h == h && w == (o >= 5 && o <= 8 ? DOWN : ACROSS));
+        for (int k = 0; k < 4; k++) {
+            const int x = k % 2 ? w - 3 : 2, y = k / 2 ? h - 3 : 2;
+            for (int c = 0; c < 3; c++)
+                assert_true(abs(out.px[3 * (y * w + x) + c] - corner[want[k]][c]) < 40);
+        }
+        img_free(&out);
+    }
+    assert_int_equal(img_orientation(jpeg, n), 1);
+    free(jpeg);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(reads_every_kind_of_png),
-        cmocka_unit_test(reads_jpeg_as_pillow),
-        cmocka_unit_test(survives_damage),
-        cmocka_unit_test(refuses_too_large),
-        cmocka_unit_test(refuses_other_files),
-        cmocka_unit_test(exposures),
-        cmocka_unit_test(png_round_trip),
-        cmocka_unit_test(jpeg_round_trip),
-        cmocka_unit_test(ldr_values),
+        cmocka_unit_test(reads_every_kind_of_png), cmocka_unit_test(reads_jpeg_as_pillow),
+        cmocka_unit_test(survives_damage),         cmocka_unit_test(refuses_too_large),
+        cmocka_unit_test(refuses_other_files),     cmocka_unit_test(exposures),
+        cmocka_unit_test(jpegs_stand_upright),     cmocka_unit_test(png_round_trip),
+        cmocka_unit_test(jpeg_round_trip),         cmocka_unit_test(ldr_values),
         cmocka_unit_test(writing_fails_cleanly),
     };
     return cmocka_run_group_tests(tests, tmpdir_setup, tmpdir_teardown);
