@@ -601,6 +601,37 @@ static void test_weak_evidence(void **state)
     assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0);
 }
 
+/* What is known of one frame only bounds the light, and one place does not outvote a row. */
+static void test_mixed_evidence(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(8192.0f, &a);
+    even(1.4f, &b);
+    assert_int_equal(rows_of(&a, &b, -11.0, -12.5).alike, 0); // by b the light is twice that of a
+    even(0.0f, &a);
+    b = a;
+    a.linear = b.linear = false;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        a.floor[i] = 0.5f * CODE;
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    even(100.0f, &a);
+    even(200.0f, &b);
+    a.linear = b.linear = false;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i += 2) { // says nothing
+        a.state[i] = EXPOSURE_PROBE_DARK;
+        a.floor[i] = 300.0f * CODE;
+    }
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.001).refuted, UINT32_MAX);
+    even(20.0f, &a);
+    even(40.0f, &b);
+    set_sd(&a, 5.0f);
+    set_sd(&b, 5.0f);
+    a.x[40] = b.x[40] = 1000.0f * CODE;
+    a.sd[40] = b.sd[40] = 0.05f * CODE;
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
+}
+
 /* Places that are dark or clipped bound a ratio; two of one exposure are so in both. */
 static void test_refuted_by_bounds(void **state)
 {
@@ -647,6 +678,7 @@ int main(void)
         cmocka_unit_test(test_alike_rows),
         cmocka_unit_test(test_weak_evidence),
         cmocka_unit_test(test_refuted_by_bounds),
+        cmocka_unit_test(test_mixed_evidence),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

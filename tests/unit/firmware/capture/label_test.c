@@ -17,6 +17,8 @@ static struct label l;
 static struct frame f;
 static struct exposure_probe w;
 static int64_t now;
+static bool linear;
+static double light = 10.0; // a few places clip at BASE_S; below 7 none
 
 static void open_label(int delay_lo, int delay_hi, double tolerance)
 {
@@ -43,10 +45,11 @@ static void ask(int index, double time_s)
 static void see(double time_s)
 {
     memset(&w, 0, sizeof w);
+    w.linear = linear;
     w.overlap = 1.0f;
     w.step = 1.0f / 65536;
     for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
-        float x = (float)(time_s * 10.0 * exp2(10.0 * i / EXPOSURE_PROBE_PLACES - 5.0));
+        float x = (float)(time_s * light * exp2(10.0 * i / EXPOSURE_PROBE_PLACES - 5.0));
         w.x[i] = fminf(x, 1.0f);
         w.sd[i] = 0.01f * w.x[i];
         w.floor[i] = 0.002f;
@@ -224,6 +227,121 @@ static void test_rows_of_the_frame_before(void **state)
     }
 }
 
+/* A tear too faint to be seen, and after it one that would be seen if the first frame were right in
+ * that row. */
+static void test_torn_after_torn(void **state)
+{
+    static const double time_s[] = {4e-6, 6e-5, 9e-4};
+    struct label_look k;
+    (void)state;
+    linear = true;
+    open_label(1, 1, 0.10);
+    settle();
+    ask(0, time_s[0]);
+    frame(BASE_S);
+    for (int i = 0; i < 3; i++) {
+        if (i < 2)
+            ask(i + 1, time_s[i + 1]);
+        frame(time_s[i]);
+        if (i > 0)
+            tear(1, time_s[i - 1]);
+        look(&k);
+        label_last(&l, &w, &k);
+        if (i == 1) {
+            assert_int_equal(k.verdict, LABEL_PROVEN);
+            assert_true(k.whole && k.sure != 0 && !(k.sure & 1));
+            label_hold(&l, 1, &w, &k);
+        }
+    }
+    assert_int_equal(k.verdict, LABEL_PROVEN);
+    assert_true(!k.whole && k.sure >> 1 == UINT32_MAX >> 1);
+    linear = false;
+}
+
+/* A frame is whole by frames at hand, if it is nothing else that is wrong with it. */
+static void test_not_whole(void **state)
+{
+    struct label_look k, good;
+    (void)state;
+    open_label(1, 1, 0.10);
+    settle();
+    ask(0, 0.008);
+    frame(BASE_S);
+    frame(0.008);
+    assert_int_equal(look(&good), LABEL_PROVEN);
+    k = good;
+    label_last(&l, &w, &k);
+    assert_true(k.whole && l.anchor[LABEL_LAST].held);
+    k = good;
+    k.torn = true;
+    label_last(&l, &w, &k);
+    assert_true(!k.whole && k.sure == 0 && !l.anchor[LABEL_LAST].held);
+    k = good;
+    k.verdict = LABEL_CONFLICT;
+    label_last(&l, &w, &k);
+    assert_true(!k.whole && k.sure == 0 && !l.anchor[LABEL_LAST].held);
+    k = good;
+    label_forget(&l, true);
+    assert_true(!whole(&k));
+}
+
+/* Each exposure that may have been that of the frame before counts. */
+static void test_two_before(void **state)
+{
+    struct label_look k;
+    (void)state;
+    linear = true;
+    light = 4.0;
+    open_label(1, 2, 0.10);
+    settle();
+    ask(0, BASE_S * 1.4);
+    frame(BASE_S);
+    ask(1, BASE_S * 1.2);
+    frame(BASE_S * 1.4);
+    frame(BASE_S * 1.2);
+    tear(1, BASE_S);
+    assert_int_equal(look(&k), LABEL_PROVEN);
+    assert_true(!whole(&k) && k.sure == ~1u);
+    linear = false;
+    light = 10.0;
+}
+
+/* What flicker, or a curve that is not known, could do to rows. */
+static void test_slack_of_rows(void **state)
+{
+    static const struct {
+        double tolerance, slack, before, stops, look; // stops from base
+        bool whole;
+    } cases[] = {
+        {0.10, 0.0, 0.0, 0.2, 0.2, true},    {0.10, 0.3, 0.0, 0.2, 0.2, false},
+        {0.10, 0.1, 0.0, 0.3, 0.3, true},    {0.10, 0.1, 0.0, 0.3, 0.08, false},
+        {0.10, 0.0, -2.0, -1.7, -1.7, true}, {0.30, 0.0, -2.0, -1.7, -1.7, false},
+        {0.30, 0.0, -2.0, -1.0, -1.0, true},
+    };
+    struct label_look k;
+    (void)state;
+    linear = true;
+    light = 4.0;
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        open_label(1, 1, cases[i].tolerance);
+        settle();
+        l.anchor[LABEL_REFERENCE].slack = cases[i].slack;
+        double before_s = BASE_S * exp2(cases[i].before);
+        ask(0, before_s);
+        for (int n = 0; n < 4; n++)
+            frame(before_s);
+        ask(1, BASE_S * exp2(cases[i].stops));
+        frame(before_s);
+        frame(BASE_S * exp2(cases[i].stops));
+        tear(1, BASE_S * exp2(cases[i].look));
+        assert_int_equal(look(&k), LABEL_PROVEN);
+        if (whole(&k) != cases[i].whole)
+            fail_msg("case %zu: sure of rows %x", i, (unsigned)k.sure);
+    }
+    linear = false;
+    light = 10.0;
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -232,6 +350,10 @@ int main(void)
         cmocka_unit_test(test_reported_gain),
         cmocka_unit_test(test_bounds),
         cmocka_unit_test(test_rows_of_the_frame_before),
+        cmocka_unit_test(test_torn_after_torn),
+        cmocka_unit_test(test_not_whole),
+        cmocka_unit_test(test_two_before),
+        cmocka_unit_test(test_slack_of_rows),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
