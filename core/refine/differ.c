@@ -34,10 +34,21 @@ struct differ_look differ_look(const struct prediction *p)
     return l;
 }
 
-size_t differ_keep_plan(int n_views, int size)
+/* For the copies of one prediction: its cameras, and `pixels` values of each of five planes. */
+static err_t alloc_copies(struct arena *a, size_t views, size_t pixels, struct camera **cams,
+                          float **planes)
 {
-    const size_t views = (size_t)n_views, n = views * (size_t)size * (size_t)size;
-    return arena_add(arena_need(views, sizeof(struct camera)), arena_need(5 * n, sizeof(float)));
+    err_t e = arena_alloc(a, views, sizeof **cams, cams);
+    return e ? e : arena_alloc(a, 5 * pixels, sizeof **planes, planes);
+}
+
+void differ_keep_plan(struct arena *count, int n_views, int size)
+{
+    const size_t views = (size_t)n_views;
+    struct camera *cams;
+    float *planes;
+    (void)alloc_copies(count, views, views * (size_t)size * (size_t)size, &cams,
+                       &planes); // a counter is never full
 }
 
 err_t differ_keep(struct arena *a, struct differ_look *io)
@@ -46,9 +57,7 @@ err_t differ_keep(struct arena *a, struct differ_look *io)
     const float **from[] = {&io->depth, &io->logit, &io->dc[0], &io->dc[1], &io->dc[2]};
     struct camera *cams;
     float *to;
-    err_t e = arena_alloc(a, views, sizeof *cams, &cams);
-    if (!e)
-        e = arena_alloc(a, 5 * n, sizeof *to, &to);
+    err_t e = alloc_copies(a, views, n, &cams, &to);
     if (e)
         return e;
     memcpy(cams, io->cams, views * sizeof *cams);
@@ -194,9 +203,18 @@ static void compare_gaussians(const struct differ_look *ref, const struct differ
     out[DIFFER_RADIANCE] = sqrt(sum / (3 * (double)n));
 }
 
-size_t differ_measure_plan(int n_views, int size)
+static err_t alloc_work(struct arena *tmp, size_t pixels, float **work)
 {
-    return arena_need((size_t)n_views * (size_t)size * (size_t)size, sizeof(float));
+    return arena_alloc(tmp, pixels, sizeof **work, work);
+}
+
+void differ_measure_plan(struct arena *count, int n_views, int size)
+{
+    const size_t mark = arena_mark(count);
+    float *work;
+    (void)alloc_work(count, (size_t)n_views * (size_t)size * (size_t)size,
+                     &work); // a counter is never full
+    arena_reset(count, mark);
 }
 
 err_t differ_measure(const struct differ_look *ref, const struct differ_look *p, const float *log2t,
@@ -206,7 +224,7 @@ err_t differ_measure(const struct differ_look *ref, const struct differ_look *p,
     float *work; // of two views or more, so that all fits that is said above
     for (int i = 0; i < DIFFER_FIGURES; i++)
         out[i] = NAN;
-    err_t e = arena_alloc(tmp, count_pixels(ref), sizeof *work, &work);
+    err_t e = alloc_work(tmp, count_pixels(ref), &work);
     if (e)
         return e;
     compare_cameras(ref, p, work, out);

@@ -17,7 +17,7 @@ enum differ_figure {
     DIFFER_FIGURES
 };
 
-/* What of a prediction is compared. */
+/* The compared parts of a prediction. */
 struct differ_look {
     int n_views, size;
     const struct camera *cams;  // (n_views)
@@ -30,17 +30,17 @@ struct differ_look {
 /* out: points into p. */
 struct differ_look differ_look(const struct prediction *p);
 
-/* Let *io point to copies.
- * err:  ERR_NOMEM (differ_keep_plan bytes of a). */
+/* Let *io point to copies, allocated from a. differ_keep_plan allocates the same from a counter.
+ * err:  ERR_NOMEM. */
 MUST_USE err_t differ_keep(struct arena *a, struct differ_look *io);
-size_t differ_keep_plan(int n_views, int size);
+void differ_keep_plan(struct arena *count, int n_views, int size);
 
 /* Distances of p from ref, of the same views. log2t: (n_views).
  * out:  NAN where nothing can be said: no Gaussian head, no radiance, a value that is not finite,
  *       cameras in one place.
- * err:  ERR_NOMEM (differ_measure_plan bytes of tmp, which is back at its mark on return). */
+ * err:  ERR_NOMEM (tmp, which is back at its mark on return; see differ_measure_plan). */
 MUST_USE err_t differ_measure(const struct differ_look *ref, const struct differ_look *p,
                               const float *log2t, struct arena *tmp, double out[DIFFER_FIGURES]);
-size_t differ_measure_plan(int n_views, int size);
+void differ_measure_plan(struct arena *count, int n_views, int size);
 
 #endif

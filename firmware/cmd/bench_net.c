@@ -185,20 +185,29 @@ struct state {
     struct network_clock clock;
 };
 
-size_t bench_net_views_plan(int n, int size)
+static size_t count_values(int n, int size)
 {
-    const size_t pixels = (size_t)n * (size_t)size * (size_t)size;
-    return arena_add(arena_need(pixels, 3), arena_need((size_t)n, sizeof(float)));
+    return 3 * (size_t)n * (size_t)size * (size_t)size;
+}
+
+static err_t alloc_views(struct arena *a, int n, int size, struct views *v)
+{
+    err_t e = arena_alloc(a, count_values(n, size), 1, &v->rgb);
+    return e ? e : arena_alloc(a, (size_t)n, sizeof *v->log2t, &v->log2t);
+}
+
+void bench_net_views_plan(struct arena *count, int n, int size)
+{
+    struct views v;
+    (void)alloc_views(count, n, size, &v); // a counter is never full
 }
 
 err_t bench_net_views(struct arena *a, int n, int size, struct views *v)
 {
-    const size_t values = 3 * (size_t)n * (size_t)size * (size_t)size;
+    const size_t values = count_values(n, size);
     uint64_t rng = 1;
     *v = (struct views){.n = n, .size = size};
-    err_t e = arena_alloc(a, values, 1, &v->rgb);
-    if (!e)
-        e = arena_alloc(a, (size_t)n, sizeof *v->log2t, &v->log2t);
+    err_t e = alloc_views(a, n, size, v);
     for (size_t i = 0; i < values && !e; i++) {
         rng = rng * 6364136223846793005ull + 1442695040888963407ull;
         v->rgb[i] = (uint8_t)(rng >> 56);
@@ -210,13 +219,11 @@ err_t bench_net_views(struct arena *a, int n, int size, struct views *v)
 
 static err_t reserve_memory(struct state *st, int n, int size, int max_mb)
 {
-    size_t keep, tmp;
     struct plan plan = plan_begin(pool_size(st->engine.pool));
+    bench_net_views_plan(&plan.keep, n, size);
     net_plan(&plan, &st->network.net, n, size);
-    keep = plan.keep.peak;
-    tmp = plan.tmp.peak;
-    keep = arena_add(keep, bench_net_views_plan(n, size));
-    err_t e = engine_reserve(&st->engine, st->network.file.model.bytes, keep, tmp, max_mb);
+    err_t e = engine_reserve(&st->engine, st->network.file.model.bytes, plan.keep.peak,
+                             plan.tmp.peak, max_mb);
     return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);
 }
 

@@ -36,10 +36,11 @@ struct bench_net {
 MUST_USE err_t bench_net_run(const char *model, int views, int size, const struct config *cfg,
                              struct bench_net *out);
 
-/* n views of noise, at three exposures in turn.
- * err:  ERR_NOMEM (bench_net_views_plan bytes of a). */
+/* n views of noise, at three exposures in turn. bench_net_views_plan allocates the same from a
+ * counter.
+ * err:  ERR_NOMEM. */
 MUST_USE err_t bench_net_views(struct arena *a, int n, int size, struct views *v);
-size_t bench_net_views_plan(int n, int size);
+void bench_net_views_plan(struct arena *count, int n, int size);
 
 /* The products alone, on one thread and on all, with every instruction set.
  * err:  ERR_NOMEM, ERR_CANCELLED. */

@@ -133,6 +133,17 @@ static err_t compare_view(struct state *st, const struct camera *cam, double db[
     return e ? e : metrics_psnr(&st->before[1], &st->after[1], &db[1]);
 }
 
+static err_t alloc_pictures(struct arena *tmp, struct state *st)
+{
+    err_t e = OK;
+    for (int k = 0; k < 4 && !e; k++) {
+        struct image *im = k < 2 ? &st->before[k] : &st->after[k - 2];
+        im->channels = 3;
+        e = arena_alloc(tmp, 3 * SIDE_MAX * SIDE_MAX, sizeof *im->px, &im->px);
+    }
+    return e;
+}
+
 static err_t compare_scenes(struct state *st)
 {
     struct loss *l = &st->loss;
@@ -140,11 +151,8 @@ static err_t compare_scenes(struct state *st)
     int n = st->scene.n_views > 0 && st->scene.n_views < VIEWS_MAX ? st->scene.n_views : VIEWS_MAX;
     int cap = st->scene.g.cap > st->back.g.cap ? st->scene.g.cap : st->back.g.cap;
     err_t e = draw_init(&st->draw, tmp, cap, side_of(&st->scene), side_of(&st->scene));
-    for (int k = 0; k < 4 && !e; k++) {
-        struct image *im = k < 2 ? &st->before[k] : &st->after[k - 2];
-        im->channels = 3;
-        e = arena_alloc(tmp, 3 * SIDE_MAX * SIDE_MAX, sizeof *im->px, &im->px);
-    }
+    if (!e)
+        e = alloc_pictures(tmp, st);
     *l = (struct loss){.views = n, .display_least = INFINITY, .radiance_least = INFINITY};
     for (int i = 0; i < n && !e; i++) {
         struct camera cam;
@@ -254,15 +262,16 @@ static err_t report_losses(const struct request *rq, struct state *st)
 static err_t reserve_memory(const struct request *rq, struct state *st)
 {
     const struct sceneio_info *info = &st->info;
-    size_t pictures = arena_need(3 * SIDE_MAX * SIDE_MAX, sizeof(float));
-    size_t keep = info->need, tmp = 0;
+    struct arena tmp = arena_counter();
+    size_t keep = info->need;
     if (rq->readable) {
         size_t view = NAME_CAP + sizeof(float) + sizeof(struct camera);
         keep = arena_add(keep, gaussians_need(info->n, info->degree));
         keep = arena_add(keep, (size_t)info->n_views * view + (size_t)3 * ARENA_ALIGN);
-        tmp = arena_add(draw_plan(info->n, SIDE_MAX, SIDE_MAX), 4 * pictures);
+        arena_hold(&tmp, draw_plan(info->n, SIDE_MAX, SIDE_MAX));
+        (void)alloc_pictures(&tmp, st); // a counter is never full; compare_scenes allocates again
     }
-    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep, tmp,
+    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep, tmp.peak,
                           config_memory_mb(&rq->cfg));
 }
 

@@ -59,7 +59,7 @@ static err_t load_photographs(struct state *st, int size, struct capture *c)
         bytes += 3 * (size_t)c->shots[i].image.w * (size_t)c->shots[i].image.h;
     struct plan p = plan_begin(pool_size(st->engine.pool));
     prep_plan_capture(&p, c, (struct prep_size){size, true});
-    arena_hold(&p.keep, differ_keep_plan(c->n, size));
+    differ_keep_plan(&p.keep, c->n, size);
     e = engine_reserve(&st->engine, bytes, p.keep.peak, p.tmp.peak, st->max_mb);
     if (!e && !st->dry)
         e = imageset_load(&set);
@@ -73,8 +73,10 @@ static err_t load_photographs(struct state *st, int size, struct capture *c)
 
 static err_t make_noise(struct state *st, int size, int n)
 {
-    size_t keep = arena_add(bench_net_views_plan(n, size), differ_keep_plan(n, size));
-    err_t e = engine_reserve(&st->engine, 0, keep, 0, st->max_mb);
+    struct arena keep = arena_counter();
+    bench_net_views_plan(&keep, n, size);
+    differ_keep_plan(&keep, n, size);
+    err_t e = engine_reserve(&st->engine, 0, keep.peak, 0, st->max_mb);
     return e ? e : bench_net_views(&st->engine.keep, n, size, &st->views);
 }
 
@@ -145,7 +147,6 @@ static err_t run_row(struct state *st, unsigned floats, struct tradeoff_row *row
     const bool known = !st->dry && restart_peak();
     struct engine *en = &st->engine;
     struct network network;
-    size_t keep, tmp, compare = differ_measure_plan(row->views, row->size);
     err_t e = network_open(st->model[row->model], NULL, floats, &network);
     if (e)
         return e;
@@ -155,10 +156,9 @@ static err_t run_row(struct state *st, unsigned floats, struct tradeoff_row *row
     row->memory_mb = (double)m->bytes * 1e-6;
     struct plan plan = plan_begin(pool_size(en->pool));
     net_plan(&plan, &network.net, row->views, row->size);
-    keep = plan.keep.peak;
-    tmp = plan.tmp.peak;
-    tmp = tmp > compare ? tmp : compare;
-    e = engine_reserve(en, arena_add(st->base.size, m->bytes), keep, tmp, st->max_mb);
+    differ_measure_plan(&plan.tmp, row->views, row->size);
+    e = engine_reserve(en, arena_add(st->base.size, m->bytes), plan.keep.peak, plan.tmp.peak,
+                       st->max_mb);
     if (!e && !st->dry)
         e = modelfile_verify(&network.file); // brings it into memory
     if (!e && !st->dry)

@@ -67,8 +67,10 @@ static void measure(double out[DIFFER_FIGURES])
 {
     struct arena a;
     struct differ_look r = differ_look(&ref.p), o = differ_look(&other.p);
-    size_t size = arena_add(differ_keep_plan(VIEWS, SIDE), differ_measure_plan(VIEWS, SIDE));
-    assert_int_equal(arena_init(&a, "test", size), OK);
+    struct arena count = arena_counter();
+    differ_keep_plan(&count, VIEWS, SIDE);
+    differ_measure_plan(&count, VIEWS, SIDE);
+    assert_int_equal(arena_init(&a, "test", count.peak), OK);
     assert_int_equal(differ_keep(&a, &r), OK);
     memset(ref.cams, 0xff, sizeof ref.cams);
     memset(ref.depth, 0xff, sizeof ref.depth);
