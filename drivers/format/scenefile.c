@@ -289,6 +289,24 @@ static err_t check_shapes(const struct layout *l)
     return OK;
 }
 
+err_t scenefile_alloc_views(struct arena *a, int n_views, struct scene *s)
+{
+    const size_t n = (size_t)n_views;
+    err_t e = arena_zalloc(a, n, NAME_CAP, &s->names);
+    if (!e)
+        e = arena_zalloc(a, n, sizeof *s->log2t, &s->log2t);
+    if (!e)
+        e = arena_zalloc(a, n, sizeof *s->cams, &s->cams);
+    return e;
+}
+
+size_t scenefile_views_need(int n_views)
+{
+    struct arena count = arena_counter();
+    struct scene s;
+    return scenefile_alloc_views(&count, n_views, &s) ? SIZE_MAX : count.peak;
+}
+
 /* Steps 1 to 3. own: safetensors_close(&l->head). */
 static err_t open_header(const struct scenefile_bytes *f, struct layout *l)
 {
@@ -312,10 +330,8 @@ static err_t open_header(const struct scenefile_bytes *f, struct layout *l)
     for (int k = 0; k < N_TENSORS; k++)
         l->at[k] = (const uint8_t *)f->p + l->head.data +
                    safetensors_find(&l->head, l->specs[k].name)->begin;
-    size_t v = (size_t)l->info.n_views, need = gaussians_need(l->info.n, l->info.degree);
-    need = arena_add(need, arena_need(v, NAME_CAP));
-    need = arena_add(need, arena_need(v, sizeof(float)));
-    l->info.need = arena_add(need, arena_need(v, sizeof(struct camera)));
+    l->info.need =
+        arena_add(gaussians_need(l->info.n, l->info.degree), scenefile_views_need(l->info.n_views));
     return OK;
 }
 
@@ -411,11 +427,7 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
                        struct scene *s)
 {
     size_t n = (size_t)l->info.n_views;
-    err_t e = arena_zalloc(a, n, NAME_CAP, &s->names);
-    if (!e)
-        e = arena_zalloc(a, n, sizeof *s->log2t, &s->log2t);
-    if (!e)
-        e = arena_zalloc(a, n, sizeof *s->cams, &s->cams);
+    err_t e = scenefile_alloc_views(a, l->info.n_views, s);
     if (e)
         return e;
     s->n_views = l->info.n_views;

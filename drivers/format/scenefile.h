@@ -40,6 +40,11 @@ MUST_USE err_t scenefile_peek(const char *path, struct scenefile_info *out);
  * err:  ERR_IO, ERR_FORMAT, ERR_UNSUPPORTED (version), ERR_NOMEM. */
 MUST_USE err_t scenefile_read(const char *path, struct arena *a, struct scene *s);
 
+/* Allocate zeroed names, exposures and cameras of n_views views.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t scenefile_alloc_views(struct arena *a, int n_views, struct scene *s);
+size_t scenefile_views_need(int n_views);
+
 struct scenefile_bytes {
     const char *what; // begins the sentence
     const void *p;

@@ -7,6 +7,7 @@
 #include "drivers/format/cameras.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
+#include "drivers/format/scenefile.h"
 
 #include <math.h>
 #include <string.h>
@@ -76,9 +77,7 @@ static err_t open_document(const struct sidecar_bytes *file, struct cJSON **out)
 
 static size_t views_need(int n_views)
 {
-    size_t n = (size_t)n_views, need = arena_need(n, NAME_CAP);
-    need = arena_add(need, arena_need(n, sizeof(float)));
-    return n > 0 ? arena_add(need, arena_need(n, sizeof(struct camera))) : 0;
+    return n_views > 0 ? scenefile_views_need(n_views) : 0;
 }
 
 static err_t get_tone(const char *what, const struct cJSON *doc, struct tonemap *t)
@@ -124,12 +123,7 @@ static err_t get_globals(const char *what, const struct cJSON *doc, struct scene
 
 static err_t take_views(const char *what, const struct rig *rig, struct arena *a, struct scene *s)
 {
-    size_t n = (size_t)rig->n;
-    err_t e = arena_alloc(a, n, NAME_CAP, &s->names);
-    if (!e)
-        e = arena_alloc(a, n, sizeof *s->log2t, &s->log2t);
-    if (!e)
-        e = arena_alloc(a, n, sizeof *s->cams, &s->cams);
+    err_t e = scenefile_alloc_views(a, rig->n, s);
     if (e)
         return e;
     s->n_views = rig->n;

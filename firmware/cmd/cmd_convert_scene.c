@@ -12,6 +12,7 @@
 #include "core/splat/display.h"
 #include "drivers/format/cameras.h"
 #include "drivers/format/file.h"
+#include "drivers/format/scenefile.h"
 #include "drivers/format/spzwrite.h"
 
 #include <math.h>
@@ -265,9 +266,8 @@ static err_t reserve_memory(const struct request *rq, struct state *st)
     struct arena tmp = arena_counter();
     size_t keep = info->need;
     if (rq->readable) {
-        size_t view = NAME_CAP + sizeof(float) + sizeof(struct camera);
-        keep = arena_add(keep, gaussians_need(info->n, info->degree));
-        keep = arena_add(keep, (size_t)info->n_views * view + (size_t)3 * ARENA_ALIGN);
+        keep = arena_add(keep, arena_add(scenefile_views_need(info->n_views),
+                                         gaussians_need(info->n, info->degree)));
         arena_hold(&tmp, draw_plan(info->n, SIDE_MAX, SIDE_MAX));
         (void)alloc_pictures(&tmp, st); // a counter is never full; compare_scenes allocates again
     }
