@@ -275,6 +275,11 @@ enum lens_model lens_find(const char *name)
     return (enum lens_model)m;
 }
 
+int lens_count(enum lens_model m)
+{
+    return MODEL[m].focal + 2 + MODEL[m].terms;
+}
+
 int lens_params(const struct lens *l, double *values)
 {
     int n = 0;
@@ -290,11 +295,27 @@ int lens_params(const struct lens *l, double *values)
 
 err_t lens_from_params(enum lens_model m, const double *values, int n, struct lens *out)
 {
-    const int focal = MODEL[m].focal, want = focal + 2 + MODEL[m].terms;
+    const int focal = MODEL[m].focal, want = lens_count(m);
     if (n != want)
         return err_fail(ERR_FORMAT, "lens %s has %d parameters, not %d", MODEL[m].name, want, n);
     *out = (struct lens){m, values[0], values[focal - 1], values[focal], values[focal + 1], {0}, 0};
     for (int i = 0; i < MODEL[m].terms; i++)
         out->term[i] = values[focal + 2 + i];
     return lens_init(out);
+}
+
+bool lens_distorts(const struct lens *l)
+{
+    bool any = l->model == LENS_OPENCV_FISHEYE;
+    for (int i = 0; i < LENS_TERMS; i++)
+        any = any || l->term[i] != 0;
+    return any;
+}
+
+void lens_scale(struct lens *l, double x, double y)
+{
+    l->fx *= x;
+    l->cx *= x;
+    l->fy *= y;
+    l->cy *= y;
 }

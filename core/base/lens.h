@@ -61,11 +61,18 @@ bool lens_unproject(const struct lens *l, const double pixel[2], double ray[3]);
 const char *lens_name(enum lens_model m);
 enum lens_model lens_find(const char *name);
 
-/* COLMAP's parameters of a model, in its order.
- * lens_params: number of them; values[] has room for LENS_PARAMS. */
+/* COLMAP's parameters of a model, in its order; values[] has room for LENS_PARAMS.
+ * Both return their number. */
+int lens_count(enum lens_model m);
 int lens_params(const struct lens *l, double *values);
 
 /* err:  ERR_FORMAT (n values do not fit the model), those of lens_init. */
 MUST_USE err_t lens_from_params(enum lens_model m, const double *values, int n, struct lens *out);
+
+/* False for PINHOLE, and for the perspective models when all their terms are 0. */
+bool lens_distorts(const struct lens *l);
+
+/* The lens of pictures scaled by x across and y down. */
+void lens_scale(struct lens *l, double x, double y);
 
 #endif

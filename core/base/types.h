@@ -6,6 +6,7 @@
 
 #include "core/base/arena.h"
 #include "core/base/err.h"
+#include "core/base/lens.h"
 #include "core/base/pool.h"
 
 #include <stdatomic.h>
@@ -43,7 +44,10 @@ struct shot {
     double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
     bool has_camera;
     struct camera cam; // for image.w x image.h
-    bool again;        // from the same place as the shot before it, at another exposure
+    struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
+                       // one of taken_w x taken_h px through this lens
+    int taken_w, taken_h;
+    bool again; // from the same place as the shot before it, at another exposure
 };
 
 /* A set of photographs of one static scene. */

@@ -80,13 +80,51 @@ static err_t get_size(const char *what, const struct cJSON *object, const char *
     return OK;
 }
 
-static err_t get_intrinsics(const char *what, const struct cJSON *object, struct camera *cam)
+err_t cameras_set_lens(const char *what, const char *name, struct lens *l, struct rig_view *out)
+{
+    if (lens_init(l) != OK)
+        return err_fail(ERR_FORMAT, "%s: %s: %s", what, name, err_text());
+    out->cam.fx = (float)l->fx;
+    out->cam.fy = (float)l->fy;
+    out->cam.cx = (float)l->cx;
+    out->cam.cy = (float)l->cy;
+    out->lens = lens_distorts(l) ? *l : (struct lens){0};
+    return OK;
+}
+
+static err_t get_lens(const char *what, const struct cJSON *object, const char *model,
+                      struct rig_view *out)
+{
+    const struct cJSON *params = json_member(object, "params");
+    const enum lens_model m = lens_find(model);
+    double values[LENS_PARAMS];
+    struct lens l;
+    int n = 0;
+    if (m == LENS_MODELS)
+        return err_fail(ERR_FORMAT, "%s: \"model\" %.32s is not known", what, model);
+    const struct cJSON *v = json_is_array(params) ? json_first(params) : NULL;
+    for (; v; v = json_next(v), n++)
+        if (n < LENS_PARAMS && !json_number(v, &values[n]))
+            return err_fail(ERR_FORMAT, "%s: \"params\" has something else than numbers", what);
+    if (n != lens_count(m))
+        return err_fail(ERR_FORMAT, "%s: \"params\" has %d numbers, %s has %d", what, n, model,
+                        lens_count(m));
+    if (lens_from_params(m, values, n, &l) != OK)
+        return err_fail(ERR_FORMAT, "%s: %s", what, err_text());
+    return cameras_set_lens(what, out->name, &l, out);
+}
+
+static err_t get_intrinsics(const char *what, const struct cJSON *object, struct rig_view *out)
 {
     static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
+    struct camera *cam = &out->cam;
     float *const places[4] = {&cam->fx, &cam->fy, &cam->cx, &cam->cy};
+    const struct cJSON *model = json_member(object, "model");
     err_t e = get_size(what, object, "w", &cam->w);
     if (!e)
         e = get_size(what, object, "h", &cam->h);
+    if (!e && model)
+        return get_lens(what, object, json_string(model) ? json_string(model) : "", out);
     for (int k = 0; k < 4 && !e; k++)
         e = json_float(what, object, keys[k], places[k]);
     return e;
@@ -101,7 +139,7 @@ static err_t get_view(const char *file, const struct cJSON *object, int i, struc
         return err_fail(ERR_FORMAT, "%s: \"name\" is absent or not a string", what);
     err_t e = name_copy(what, name, strlen(name), out->name);
     if (!e)
-        e = get_intrinsics(what, object, &out->cam);
+        e = get_intrinsics(what, object, out);
     if (!e)
         e = json_floats(what, object, "q", 4, out->cam.q);
     if (!e)
@@ -153,6 +191,16 @@ err_t cameras_read(const char *path, struct rig *out)
     return e;
 }
 
+static void put_lens(FILE *f, const struct lens *l)
+{
+    double values[LENS_PARAMS];
+    const int n = lens_params(l, values);
+    fprintf(f, ",\n     \"model\": \"%s\", \"params\": [", lens_name(l->model));
+    for (int i = 0; i < n; i++)
+        fprintf(f, "%s%.17g", i ? ", " : "", values[i]);
+    putc(']', f);
+}
+
 void cameras_put(FILE *f, const struct rig_view *v)
 {
     const struct camera *c = &v->cam;
@@ -165,6 +213,8 @@ void cameras_put(FILE *f, const struct rig_view *v)
             (double)c->t[2]);
     if (v->has_exposure)
         fprintf(f, ", \"exposure_log2\": %.9g", (double)v->exposure_log2);
+    if (lens_distorts(&v->lens))
+        put_lens(f, &v->lens);
     putc('}', f);
 }
 
@@ -186,11 +236,13 @@ err_t cameras_write(const char *path, const struct rig *rig)
     return file_finish(f, path);
 }
 
-static bool same_camera(const struct camera *a, const struct camera *b)
+static bool same_camera(const struct rig_view *x, const struct rig_view *y)
 {
-    return a->w == b->w && a->h == b->h && a->fx == b->fx && a->fy == b->fy && a->cx == b->cx &&
-           a->cy == b->cy && memcmp(a->q, b->q, sizeof a->q) == 0 &&
-           memcmp(a->t, b->t, sizeof a->t) == 0;
+    const struct camera *a = &x->cam, *b = &y->cam;
+    return x->lens.model == y->lens.model &&
+           memcmp(x->lens.term, y->lens.term, sizeof x->lens.term) == 0 && a->w == b->w &&
+           a->h == b->h && a->fx == b->fx && a->fy == b->fy && a->cx == b->cx && a->cy == b->cy &&
+           memcmp(a->q, b->q, sizeof a->q) == 0 && memcmp(a->t, b->t, sizeof a->t) == 0;
 }
 
 static err_t look_up(const char *what, const struct rig *rig, const char *name,
@@ -209,7 +261,7 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name,
         const struct rig_view *v = &rig->views[i];
         if (!name_same_view(v->name, name))
             continue;
-        if (found && !same_camera(&found->cam, &v->cam))
+        if (found && !same_camera(found, v))
             return err_fail(ERR_FORMAT, "%s: cameras %s and %s both fit image %s but differ", what,
                             found->name, v->name, name);
         found = v;
@@ -221,26 +273,28 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name,
 }
 
 err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
-                   struct camera *out)
+                   struct rig_view *out)
 {
     const struct rig_view *v;
     err_t e = look_up(what, rig, name, &v);
     if (e)
         return e;
-    *out = v->cam;
-    if (out->w == w && out->h == h)
+    *out = *v;
+    struct camera *cam = &out->cam;
+    if (cam->w == w && cam->h == h)
         return OK;
-    double sx = (double)w / out->w, sy = (double)h / out->h;
-    if (fabs(sx * out->h - h) > 1 &&
-        fabs(h / sx - out->h) > 1) // one of the sizes is rounded to whole pixels
+    double sx = (double)w / cam->w, sy = (double)h / cam->h;
+    if (fabs(sx * cam->h - h) > 1 &&
+        fabs(h / sx - cam->h) > 1) // one of the sizes is rounded to whole pixels
         return err_fail(ERR_FORMAT,
                         "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",
-                        what, v->name, out->w, out->h, name, w, h);
-    out->fx = (float)(out->fx * sx);
-    out->cx = (float)(out->cx * sx);
-    out->fy = (float)(out->fy * sy);
-    out->cy = (float)(out->cy * sy);
-    out->w = w;
-    out->h = h;
+                        what, v->name, cam->w, cam->h, name, w, h);
+    cam->fx = (float)(cam->fx * sx);
+    cam->cx = (float)(cam->cx * sx);
+    cam->fy = (float)(cam->fy * sy);
+    cam->cy = (float)(cam->cy * sy);
+    cam->w = w;
+    cam->h = h;
+    lens_scale(&out->lens, sx, sy);
     return OK;
 }

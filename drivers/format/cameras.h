@@ -1,9 +1,11 @@
 /* cameras.h - known cameras by image name, and their file cameras.json:
  *   {"convention": "...",
  *    "cameras": [{"name": "a.png", "w": 448, "h": 448, "fx": ..., "fy": ..., "cx": ..., "cy": ...,
- *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...}, ...]}
- * Units and axes are those of struct camera. Numbers have nine digits: written and read back they
- * are the same floats.
+ *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...,
+ *                 "model": "OPENCV", "params": [...]}, ...]}
+ * Units and axes are those of struct camera. "model" and "params" (COLMAP's, core/base/lens.h) are
+ * there if the photographs are distorted, and then say what fx, fy, cx, cy are. Numbers have nine
+ * digits, params seventeen: written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
 #define FORMAT_CAMERAS_H
@@ -16,7 +18,8 @@ enum { CAMERAS_MAX = 4096 }; // views of one set
 
 struct rig_view {
     char name[NAME_CAP];
-    struct camera cam;
+    struct camera cam; // pose; fx, fy, cx, cy, w, h of the photograph as taken
+    struct lens lens;  // PINHOLE (0): cam says all
     bool has_exposure;
     float exposure_log2; // log2 of the linear exposure
 };
@@ -27,9 +30,11 @@ struct rig {
     struct rig_view *views; // (n), malloc'd
 };
 
-/* Read cameras.json. Unknown members are ignored, "exposure_log2" may be absent.
+/* Read cameras.json. Unknown members are ignored; "exposure_log2" may be absent, "model" and
+ * "params" too; with these two fx, fy, cx, cy may.
  * Checked: sizes 1 to 65536, everything finite, focal lengths > 0, |q| within 1e-3 of 1 (then
- * normalised), names by name_copy and distinct, at most CAMERAS_MAX.
+ * normalised), names by name_copy and distinct, model known, as many params as it has, at most
+ * CAMERAS_MAX.
  * own:  cameras_free.
  * err:  ERR_IO, ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t cameras_read(const char *path, struct rig *out);
@@ -52,15 +57,20 @@ void cameras_free(struct rig *rig);
  * err:  ERR_FORMAT. */
 MUST_USE err_t cameras_check(const char *what, const char *name, struct camera *cam);
 
+/* Take a lens over into a view: intrinsics, and the lens itself if it distorts.
+ * err:  ERR_FORMAT (numbers that lens_init refuses); `what` and `name` begin the sentence. */
+MUST_USE err_t cameras_set_lens(const char *what, const char *name, struct lens *l,
+                                struct rig_view *out);
+
 /* Refuse two views of one name.
  * err:  ERR_FORMAT naming it, ERR_NOMEM. */
 MUST_USE err_t cameras_check_names(const char *what, const struct rig *rig);
 
-/* Camera of an image of w x h px: the view of exactly this name, else the one of the same view
+/* View of an image of w x h px: the view of exactly this name, else the one of the same view
  * (name_same_view), scaled to the image if it was made for another size of the same aspect.
  * err:  ERR_FORMAT: no such view, several that differ, or another aspect. `what` begins the
  *       sentence. */
 MUST_USE err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
-                            struct camera *out);
+                            struct rig_view *out);
 
 #endif

@@ -1,4 +1,4 @@
-/* Two formats, one meaning: each reader fills the same records (struct lens, struct rig_view,
+/* Two formats, one meaning: each reader fills the same records (struct physical, struct rig_view,
  * struct colmap_point) and the checks are made on those. Text is taken line by line as COLMAP
  * itself does: in images.txt every image line is followed by one line of image points, which may be
  * empty. */
@@ -14,7 +14,6 @@
 
 enum {
     LINE_CAP = 1024, // bytes of a text line that are looked at
-    PARAMS_MAX = 8,  // of the models we read
     POINTS_MAX = 1 << 26,
     POINT_BYTES_BINARY = 51, // of a point without track
     IMAGE_POINT_BYTES = 24,  // x, y, point id
@@ -26,47 +25,48 @@ static const size_t FILE_BYTES_MAX = (size_t)4
                                      << 30; // image points of large reconstructions take gigabytes
 
 /* colmap/src/colmap/sensor/models.h: ids 0 to 10 in this order. */
-static const struct model {
-    const char *name;
-    int n_focal, n_distortion; // 0, 0: not read
-} models[] = {
-    {"SIMPLE_PINHOLE", 1, 0},
-    {"PINHOLE", 2, 0},
-    {"SIMPLE_RADIAL", 1, 1},
-    {"RADIAL", 1, 2},
-    {"OPENCV", 2, 4},
-    {"OPENCV_FISHEYE", 0, 0},
-    {"FULL_OPENCV", 0, 0},
-    {"FOV", 0, 0},
-    {"SIMPLE_RADIAL_FISHEYE", 0, 0},
-    {"RADIAL_FISHEYE", 0, 0},
-    {"THIN_PRISM_FISHEYE", 0, 0},
-};
-enum { N_MODELS = sizeof models / sizeof models[0] };
+static const char *const models[] = {"SIMPLE_PINHOLE",
+                                     "PINHOLE",
+                                     "SIMPLE_RADIAL",
+                                     "RADIAL",
+                                     "OPENCV",
+                                     "OPENCV_FISHEYE",
+                                     "FULL_OPENCV",
+                                     "FOV",
+                                     "SIMPLE_RADIAL_FISHEYE",
+                                     "RADIAL_FISHEYE",
+                                     "THIN_PRISM_FISHEYE"};
+enum { N_MODELS = sizeof models / sizeof models[0], SIMPLE_PINHOLE = 0, SIMPLE_PINHOLE_PARAMS = 3 };
 
-struct lens {
+/* A camera of COLMAP: what its images share. */
+struct physical {
     uint32_t id;
-    int w, h;
-    float fx, fy, cx, cy;
+    int model, w, h;
+    double params[LENS_PARAMS];
 };
 
 struct lenses {
     const char *what;
     int n;
-    struct lens *v; // (n)
+    struct physical *v; // (n)
 };
 
 /* ---- checks common to both formats ---- */
 
-static err_t find_model(const char *what, int id, const char *name, const struct model **out)
+static int n_params(int model)
 {
-    *out = NULL;
-    for (int i = 0; i < N_MODELS; i++)
-        if (name ? strcmp(models[i].name, name) == 0 : i == id)
-            *out = &models[i];
-    if (*out && (*out)->n_focal > 0)
+    return model == SIMPLE_PINHOLE ? SIMPLE_PINHOLE_PARAMS : lens_count(lens_find(models[model]));
+}
+
+static err_t find_model(const char *what, int id, const char *name, int *out)
+{
+    int i = 0;
+    while (i < N_MODELS && (name ? strcmp(models[i], name) != 0 : i != id))
+        i++;
+    *out = i;
+    if (i == SIMPLE_PINHOLE || (i < N_MODELS && lens_find(models[i]) < LENS_MODELS))
         return OK;
-    const char *said = *out ? (*out)->name : name;
+    const char *said = i < N_MODELS ? models[i] : name;
     if (said)
         return err_fail(ERR_UNSUPPORTED,
                         "%s: camera model %s is not read; undistort the images to PINHOLE", what,
@@ -74,49 +74,43 @@ static err_t find_model(const char *what, int id, const char *name, const struct
     return err_fail(ERR_UNSUPPORTED, "%s: camera model %d is not known", what, id);
 }
 
-static err_t add_lens(struct lenses *out, const struct lens *head, const struct model *m,
-                      const double *params)
+static err_t add_lens(struct lenses *out, const struct physical *head)
 {
-    const char *what = out->what;
-    const double *centre = params + m->n_focal, *distortion = centre + 2;
-    for (int i = 0; i < m->n_distortion; i++)
-        if (distortion[i] != 0)
-            return err_fail(
-                ERR_UNSUPPORTED,
-                "%s: camera %u is %s with distortion %g; undistort the images to PINHOLE", what,
-                head->id, m->name, distortion[i]);
     for (int i = 0; i < out->n; i++)
         if (out->v[i].id == head->id)
-            return err_fail(ERR_FORMAT, "%s: camera %u is there twice", what, head->id);
-    struct lens *l = &out->v[out->n++];
-    *l = *head;
-    l->fx = (float)params[0];
-    l->fy = (float)params[m->n_focal - 1];
-    l->cx = (float)centre[0];
-    l->cy = (float)centre[1];
+            return err_fail(ERR_FORMAT, "%s: camera %u is there twice", out->what, head->id);
+    out->v[out->n++] = *head;
     return OK;
+}
+
+/* Numbers that no camera can have are refused where an image uses it. */
+static err_t set_lens(const char *what, const struct physical *p, struct rig_view *v)
+{
+    const double *a = p->params;
+    struct lens l = {LENS_PINHOLE, a[0], a[0], a[1], a[2], {0}, 0};
+    if (p->model != SIMPLE_PINHOLE &&
+        lens_from_params(lens_find(models[p->model]), a, n_params(p->model), &l) != OK)
+        return err_fail(ERR_FORMAT, "%s: %s: camera %u: %s", what, v->name, p->id, err_text());
+    return cameras_set_lens(what, v->name, &l, v);
 }
 
 static err_t add_view(const char *what, const struct lenses *lenses, uint32_t lens_id,
                       struct rig_view *v)
 {
-    const struct lens *l = NULL;
+    const struct physical *p = NULL;
     for (int i = 0; i < lenses->n; i++)
         if (lenses->v[i].id == lens_id)
-            l = &lenses->v[i];
-    if (!l)
+            p = &lenses->v[i];
+    if (!p)
         return err_fail(ERR_FORMAT, "%s: image %s is of camera %u, which %s lacks", what, v->name,
                         lens_id, lenses->what);
-    v->cam.w = l->w;
-    v->cam.h = l->h;
-    v->cam.fx = l->fx;
-    v->cam.fy = l->fy;
-    v->cam.cx = l->cx;
-    v->cam.cy = l->cy;
-    return cameras_check(what, v->name, &v->cam);
+    v->cam.w = p->w;
+    v->cam.h = p->h;
+    err_t e = set_lens(what, p, v);
+    return e ? e : cameras_check(what, v->name, &v->cam);
 }
 
-static err_t set_size(const char *what, uint64_t w, uint64_t h, struct lens *out)
+static err_t set_size(const char *what, uint64_t w, uint64_t h, struct physical *out)
 {
     if (w > INT32_MAX || h > INT32_MAX)
         return err_fail(ERR_FORMAT, "%s: camera %u has %ju x %ju px", what, out->id, (uintmax_t)w,
@@ -180,23 +174,21 @@ static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
     if (e)
         return e;
     for (uint64_t i = 0; i < n; i++) {
-        struct lens head = {.id = bytes_u32(&b)};
+        struct physical head = {.id = bytes_u32(&b)};
         int model_id = (int)bytes_u32(&b);
         uint64_t w = bytes_u64(&b), h = bytes_u64(&b);
         if (b.bad)
             return cut_short(t, "camera", i, n);
-        const struct model *m;
-        e = find_model(t->what, model_id, NULL, &m);
+        e = find_model(t->what, model_id, NULL, &head.model);
         if (!e)
             e = set_size(t->what, w, h, &head);
         if (e)
             return e;
-        double params[PARAMS_MAX];
-        for (int k = 0; k < m->n_focal + 2 + m->n_distortion; k++)
-            params[k] = bytes_f64(&b);
+        for (int k = 0; k < n_params(head.model); k++)
+            head.params[k] = bytes_f64(&b);
         if (b.bad)
             return cut_short(t, "camera", i, n);
-        e = add_lens(out, &head, m, params);
+        e = add_lens(out, &head);
         if (e)
             return e;
     }
@@ -346,7 +338,7 @@ static err_t get_whole(const struct line_reader *r, const char **at, int n, uint
 static err_t text_lens(const struct line_reader *r, struct lenses *out)
 {
     const char *at = r->line;
-    struct lens head = {0};
+    struct physical head = {0};
     err_t e = get_whole(r, &at, 1, &head.id);
     if (e)
         return e;
@@ -354,20 +346,18 @@ static err_t text_lens(const struct line_reader *r, struct lenses *out)
     size_t n = strcspn(at, " \t\r");
     memcpy(name, at, n < sizeof name ? n : sizeof name - 1);
     at += n;
-    const struct model *m;
     uint32_t size[2];
-    double params[PARAMS_MAX];
-    e = find_model(r->what, -1, name, &m);
+    e = find_model(r->what, -1, name, &head.model);
     if (!e)
         e = get_whole(r, &at, 2, size);
     if (!e)
         e = set_size(r->what, size[0], size[1], &head);
     if (!e)
-        e = get_numbers(r, &at, m->n_focal + 2 + m->n_distortion, params);
+        e = get_numbers(r, &at, n_params(head.model), head.params);
     if (!e && *at)
         e = err_fail(ERR_FORMAT, "%s: line %d: more parameters than %s has", r->what, r->number,
-                     m->name);
-    return e ? e : add_lens(out, &head, m, params);
+                     name);
+    return e ? e : add_lens(out, &head);
 }
 
 static err_t text_lenses(const struct colmap_text *t, struct lenses *out)

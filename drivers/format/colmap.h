@@ -1,7 +1,6 @@
 /* colmap.h - cameras of a COLMAP model folder (sparse/0), binary or text.
  * Format: colmap.github.io/format.html; the binary files are preferred when both are there, as
- * COLMAP does. Camera models: SIMPLE_PINHOLE, PINHOLE; SIMPLE_RADIAL, RADIAL and OPENCV when every
- * distortion parameter is 0.
+ * COLMAP does. Camera models: SIMPLE_PINHOLE and those of core/base/lens.h.
  * thread: any. */
 #ifndef FORMAT_COLMAP_H
 #define FORMAT_COLMAP_H

@@ -113,6 +113,20 @@ err_t file_parent(const char *path, char out[FILE_PATH_CAP])
     return OK;
 }
 
+err_t file_companion(const char *dir, const char *name, bool *found, char path[FILE_PATH_CAP])
+{
+    char up[FILE_PATH_CAP];
+    err_t e = file_join(dir, name, path);
+    *found = !e && (file_is_regular(path) || file_is_dir(path));
+    if (e || *found)
+        return e;
+    e = file_join(dir, "..", up);
+    if (!e)
+        e = file_join(up, name, path);
+    *found = !e && (file_is_regular(path) || file_is_dir(path));
+    return e;
+}
+
 err_t file_code(int why)
 {
     return why == ENOSPC || why == EDQUOT ? ERR_LIMIT : ERR_IO;

@@ -42,6 +42,12 @@ bool file_is_special(const char *path);
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_join(const char *dir, const char *name, char out[FILE_PATH_CAP]);
 
+/* Path of a companion beside the files of `dir` or one folder up; *found is false if it is in
+ * neither.
+ * err:  ERR_ARG as file_join. */
+MUST_USE err_t file_companion(const char *dir, const char *name, bool *found,
+                              char path[FILE_PATH_CAP]);
+
 /* The folder that `path` lies in.
  * err:  ERR_ARG if that is longer than FILE_PATH_CAP - 1. */
 MUST_USE err_t file_parent(const char *path, char out[FILE_PATH_CAP]);

@@ -1,12 +1,13 @@
 #include "drivers/format/imageset.h"
 
-#include "drivers/format/cameras.h"
-#include "drivers/format/colmap.h"
+#include "core/base/num.h"
+#include "core/photo/undistort.h"
 #include "drivers/format/exposures.h"
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/json.h"
 #include "drivers/format/name.h"
+#include "drivers/format/rigfile.h"
 
 #include <dirent.h>
 #include <errno.h>
@@ -126,22 +127,6 @@ static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
     return OK;
 }
 
-/* Path of a companion beside the pictures or one folder up; *found is false if it is in neither. */
-static err_t find_companion(const char *dir, const char *name, bool *found,
-                            char path[FILE_PATH_CAP])
-{
-    char up[FILE_PATH_CAP];
-    err_t e = file_join(dir, name, path);
-    *found = !e && (file_is_regular(path) || file_is_dir(path));
-    if (e || *found)
-        return e;
-    e = file_join(dir, "..", up);
-    if (!e)
-        e = file_join(up, name, path);
-    *found = !e && (file_is_regular(path) || file_is_dir(path));
-    return e;
-}
-
 static err_t add_picture(const char *dir, const char *name, struct names *odd, struct capture *c)
 {
     char path[FILE_PATH_CAP];
@@ -208,16 +193,6 @@ static bool is_released(const struct capture *c)
         if (has_prefix(c->shots[i].name, "train"))
             return true;
     return false;
-}
-
-/* Keep the shots with keep[i] set, in order. */
-static void keep_shots(struct capture *c, const bool *keep)
-{
-    int n = 0;
-    for (int i = 0; i < c->n; i++)
-        if (keep[i])
-            c->shots[n++] = c->shots[i];
-    c->n = n;
 }
 
 static err_t filter_pictures(const struct imageset_request *rq, bool released, struct imageset *set)
@@ -357,7 +332,7 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
     const char *source = rq->exposures;
     err_t e = OK;
     if (!source) {
-        e = find_companion(set->dir, "exposure.json", &found, path);
+        e = file_companion(set->dir, "exposure.json", &found, path);
         if (e)
             return e;
         source = found ? path : NULL;
@@ -499,7 +474,7 @@ static err_t choose_by_protocol(const struct imageset *set, int n, bool *keep, b
 {
     char path[FILE_PATH_CAP], key[16];
     struct cJSON *doc;
-    err_t e = find_companion(set->dir, "protocol.json", listed, path);
+    err_t e = file_companion(set->dir, "protocol.json", listed, path);
     if (e || !*listed)
         return e;
     e = json_read(path, &doc);
@@ -514,6 +489,17 @@ static err_t choose_by_protocol(const struct imageset *set, int n, bool *keep, b
     return e;
 }
 
+/* Keep the shots with keep[i] set, in order. */
+static void keep_shots(struct capture *c, const bool *keep)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        if (keep[i])
+            c->shots[n++] = c->shots[i];
+    c->n = n;
+}
+
+/* Keep the pictures that are asked for, and mark those that show a place again. */
 static err_t choose_pictures(const struct imageset_request *rq, bool released, struct imageset *set)
 {
     int n_views = count_views(&set->capture, released), n = rq->n_views ? rq->n_views : n_views;
@@ -550,28 +536,27 @@ static err_t get_sizes(struct imageset *set)
         if (e)
             return e;
         s[i].image.channels = 3;
+        s[i].taken_w = s[i].image.w;
+        s[i].taken_h = s[i].image.h;
     }
     return OK;
 }
 
-/* A COLMAP folder, or one that holds sparse/0. */
-static err_t read_folder(const char *path, struct rig *out)
+/* Its camera, and the size that it has once it is undistorted. */
+static err_t give_camera(const char *source, const struct rig *rig, struct shot *s)
 {
-    char inner[FILE_PATH_CAP];
-    err_t e = file_join(path, "sparse/0", inner);
+    struct rig_view v;
+    err_t e = cameras_find(source, rig, s->name, s->taken_w, s->taken_h, &v);
     if (e)
         return e;
-    return colmap_read(file_is_dir(inner) ? inner : path, out);
-}
-
-static err_t read_rig(const char *path, struct rig *out)
-{
-    *out = (struct rig){0};
-    if (file_is_dir(path))
-        return read_folder(path, out);
-    if (has_suffix(path, ".json"))
-        return cameras_read(path, out);
-    return err_fail(ERR_UNSUPPORTED, "%s: a rig is a COLMAP folder or a cameras.json", path);
+    s->cam = v.cam;
+    s->lens = v.lens;
+    s->has_camera = true;
+    if (s->lens.model != LENS_PINHOLE)
+        e = undistort_camera(s->name, &s->lens, s->taken_w, s->taken_h, &s->cam);
+    s->image.w = s->cam.w;
+    s->image.h = s->cam.h;
+    return e;
 }
 
 static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
@@ -582,18 +567,15 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     if (rq->no_cameras)
         return OK;
     if (!source) {
-        err_t e = find_companion(set->dir, "sparse/0", &found, path);
+        err_t e = file_companion(set->dir, "sparse/0", &found, path);
         if (e || !found)
             return e;
         source = path;
     }
     struct rig rig;
-    err_t e = read_rig(source, &rig);
-    for (int i = 0; i < set->capture.n && !e; i++) {
-        struct shot *s = &set->capture.shots[i];
-        e = cameras_find(source, &rig, s->name, s->image.w, s->image.h, &s->cam);
-        s->has_camera = !e;
-    }
+    err_t e = rigfile_read(source, &rig);
+    for (int i = 0; i < set->capture.n && !e; i++)
+        e = give_camera(source, &rig, &set->capture.shots[i]);
     cameras_free(&rig);
     return e;
 }
@@ -645,7 +627,7 @@ static err_t check_folder(const char *images)
     bool found;
     err_t e = find_pictures(images, dir);
     if (!e)
-        e = find_companion(dir, "exposure.json", &found, path);
+        e = file_companion(dir, "exposure.json", &found, path);
     if (!e && !found)
         e = err_fail(ERR_ARG, "%s: has no exposure.json, which each of several folders needs",
                      images);
@@ -727,6 +709,19 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
     return rq->more && rq->more[0] ? list_folders(rq, out) : list_folder(rq, out);
 }
 
+/* The photograph becomes the picture of its pinhole. */
+static err_t undistort(const char *path, const struct shot *s, struct image8 *im)
+{
+    struct image8 out = {s->cam.w, s->cam.h, 3, NULL};
+    out.px = malloc((size_t)out.w * (size_t)out.h * 3);
+    if (!out.px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", path, out.w, out.h);
+    err_t e = undistort_image8(NULL, &s->lens, im, &s->cam, out.px);
+    img_free(im);
+    *im = out;
+    return e;
+}
+
 err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
 {
     const struct shot *s = &set->capture.shots[i];
@@ -740,12 +735,29 @@ err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
     err_t e = file_join(dir, name, path);
     if (!e)
         e = img_read(path, out);
-    if (e || (out->w == s->image.w && out->h == s->image.h))
-        return e;
-    int w = out->w, h = out->h;
-    img_free(out);
-    return err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, w, h,
-                    s->image.w, s->image.h);
+    if (!e && (out->w != s->taken_w || out->h != s->taken_h))
+        e = err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, out->w,
+                     out->h, s->taken_w, s->taken_h);
+    if (!e && s->lens.model != LENS_PINHOLE)
+        e = undistort(path, s, out);
+    if (e)
+        img_free(out);
+    return e;
+}
+
+size_t imageset_bytes(const struct capture *c, int at_a_time)
+{
+    size_t sum = 0, most = 0, photo = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct shot *s = &c->shots[i];
+        const bool distorted = s->lens.model != LENS_PINHOLE;
+        size_t picture = arena_need((size_t)s->image.w, (size_t)s->image.h * 3);
+        size_t taken = distorted ? arena_need((size_t)s->taken_w, (size_t)s->taken_h * 3) : 0;
+        most = num_max_size(most, arena_add(picture, taken));
+        photo = num_max_size(photo, taken);
+        sum = arena_add(sum, picture);
+    }
+    return at_a_time < c->n ? most * (size_t)at_a_time : arena_add(sum, photo);
 }
 
 err_t imageset_load(struct imageset *set)

@@ -61,7 +61,9 @@ struct imageset {
 };
 
 /* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'
- * headers (channels 3), so that memory can be planned before anything is decoded. Contradictions
+ * headers (channels 3), so that memory can be planned before anything is decoded. Photographs of
+ * lenses that distort become pictures of the pinhole that undistort_camera chooses, in decode;
+ * image and cam are that picture's. Contradictions
  * are refused: a picture without exposure, EXIF with f-number or ISO in some files only, pictures
  * of different sizes, a rig that lacks a view or has another aspect (cameras_find), a protocol that
  * names a missing file.
@@ -70,7 +72,11 @@ struct imageset {
  *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t imageset_list(const struct imageset_request *request, struct imageset *out);
 
-/* Pixels of shot i; the set itself stays without.
+/* Memory of the pictures when as many are decoded at a time, or all are held; with the photographs
+ * that they are undistorted from. */
+size_t imageset_bytes(const struct capture *c, int at_a_time);
+
+/* Pixels of shot i, undistorted if its lens distorts; the set itself stays without.
  * own:  img_free.
  * err:  those of img_read; ERR_FORMAT if the file changed its size since imageset_list. */
 MUST_USE err_t imageset_decode(const struct imageset *set, int i, struct image8 *out);

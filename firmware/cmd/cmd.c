@@ -61,6 +61,8 @@ const char *cmd_count_warnings(const struct job_result *j, char text[CMD_COUNT_C
 
 int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool strict)
 {
+    for (int i = 0; i < j->n_lenses; i++)
+        fprintf(stderr, "hdrig %s: %s\n", name, j->lenses[i]);
     for (int i = 0; i < j->n_warnings; i++)
         fprintf(stderr, "hdrig %s: " CMD_WARNING "%s\n", name, j->warnings[i]);
     if (!e && strict && j->n_warnings > 0)

@@ -8,12 +8,15 @@
 #include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
+#include "core/photo/undistort.h"
+#include "core/sfm/pose.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/img.h"
 #include "drivers/format/name.h"
 
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 struct bench {
@@ -205,6 +208,28 @@ static err_t mu_law(const struct image *in, struct image *out)
     return e ? e : metrics_mu_law(in, q, out);
 }
 
+/* A map of radiance goes through the lens as its photograph did. */
+static err_t undistort_truth(const struct run *r, const struct shot *s, struct image *io)
+{
+    struct lens lens = s->lens;
+    struct camera pinhole = s->cam;
+    const double across = (double)io->w / s->taken_w, down = (double)io->h / s->taken_h;
+    if (!lens_distorts(&lens))
+        return OK;
+    lens_scale(&lens, across, down);
+    pinhole = pose_scaled(&pinhole, num_max(1, (int)lround(pinhole.w * across)),
+                          num_max(1, (int)lround(pinhole.h * down)));
+    struct image out = {pinhole.w, pinhole.h, 3, NULL};
+    out.px = malloc(3 * (size_t)out.w * (size_t)out.h * sizeof *out.px);
+    if (!out.px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px of radiance", s->name, out.w,
+                        out.h);
+    err_t e = undistort_image(r->pool, &lens, io, &pinhole, out.px);
+    exrfile_free(io);
+    *io = out;
+    return e;
+}
+
 static err_t measure_hdr(struct bench *b, const struct shot *s)
 {
     char path[FILE_PATH_CAP];
@@ -215,9 +240,12 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
     e = exrfile_read(path, &file);
     if (e)
         return e;
-    resize(&file, &b->other);
+    e = undistort_truth(b->r, s, &file);
+    if (!e)
+        resize(&file, &b->other);
     exrfile_free(&file);
-    e = mu_law(&b->other, &b->other);
+    if (!e)
+        e = mu_law(&b->other, &b->other);
     if (!e)
         e = mu_law(&radiance, &b->mu);
     return e ? e : compare(b, &b->mu, &b->other, &b->out->hdr);

@@ -10,6 +10,8 @@
 #include "core/photo/exposure_stack.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
+#include "core/photo/undistort.h"
+#include "drivers/format/imageset.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -32,6 +34,36 @@ static err_t layout_db(float **db, struct arena *keep, int n)
     return arena_alloc(keep, (size_t)n, sizeof **db, db);
 }
 
+static bool has_lens_of(const struct shot *a, const struct shot *b)
+{
+    double x[LENS_PARAMS] = {0}, y[LENS_PARAMS] = {0};
+    lens_params(&a->lens, x);
+    lens_params(&b->lens, y);
+    return a->lens.model == b->lens.model && memcmp(x, y, sizeof x) == 0 &&
+           a->taken_w == b->taken_w && a->taken_h == b->taken_h;
+}
+
+/* One line for each lens that photographs were undistorted from. */
+static void note_lenses(const struct capture *c, struct job_result *out)
+{
+    for (int i = 0; i < c->n && out->n_lenses < JOB_LENSES; i++) {
+        const struct shot *s = &c->shots[i];
+        int first = 0, n = 0;
+        while (!has_lens_of(&c->shots[first], s))
+            first++;
+        for (int k = i; k < c->n; k++)
+            n += has_lens_of(&c->shots[k], s);
+        if (first < i || !lens_distorts(&s->lens))
+            continue;
+        const struct undistort_field f = undistort_field(&s->lens, s->taken_w, s->taken_h, &s->cam);
+        snprintf(out->lenses[out->n_lenses++], sizeof out->lenses[0],
+                 "%d photograph%s of %d x %d px undistorted (%s): %d x %d px show %.0f x %.0f of "
+                 "%.0f x %.0f degrees",
+                 n, n == 1 ? "" : "s", s->taken_w, s->taken_h, lens_name(s->lens.model), s->cam.w,
+                 s->cam.h, f.kept_deg[0], f.kept_deg[1], f.given_deg[0], f.given_deg[1]);
+    }
+}
+
 /* Photographs become views; what their brackets show twice goes once there is a response. */
 static err_t read_photographs(const struct run *r, const struct capture *c, const struct start *s,
                               struct job_result *out)
@@ -39,6 +71,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
     const struct job_config *cfg = s->cfg;
     const struct prep_size size = {cfg->size, s->recipe->square};
     announce(r, JOB_PREPROCESS);
+    note_lenses(c, out);
     err_t e = prep_read(r, c, cfg->source, size, &out->views);
     if (!e)
         e = layout_db(&out->input_db, r->keep, c->n);
@@ -137,18 +170,6 @@ static err_t check_capture(const struct capture *c)
     return OK;
 }
 
-/* Of n at a time: all, or as many of the largest. */
-static size_t plan_pictures(const struct capture *c, int n)
-{
-    size_t sum = 0, most = 0;
-    for (int i = 0; i < c->n; i++) {
-        size_t one = arena_need((size_t)c->shots[i].image.w, (size_t)c->shots[i].image.h * 3);
-        most = num_max_size(most, one);
-        sum = arena_add(sum, one);
-    }
-    return n < c->n ? most * (size_t)n : sum;
-}
-
 /* v: shapes of the views, all that plans look at. */
 static void plan_steps(struct plan *p, const struct capture *c, const struct job_config *cfg,
                        const struct recipe *recipe, const struct views *v)
@@ -186,7 +207,7 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     prep_extents(c, (struct prep_size){cfg->size, recipe.square}, v.extent);
     plan_steps(&p, c, cfg, &recipe, &v);
     free(v.extent);
-    *out = (struct job_memory){.pictures = plan_pictures(c, cfg->source ? threads : c->n),
+    *out = (struct job_memory){.pictures = imageset_bytes(c, cfg->source ? threads : c->n),
                                .weights = recipe.network ? cfg->network->file.model.bytes : 0,
                                .keep = p.keep.peak,
                                .tmp = p.tmp.peak};
@@ -239,6 +260,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_number(rep, "held_out_psnr_start", held_out ? (double)j->refine.held_out_db[0] : NAN);
     report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
     report_close(rep);
+    report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');
     if (j->taken > j->views.n + j->views.n_more) {
         char text[128];

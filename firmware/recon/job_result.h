@@ -24,6 +24,7 @@ enum job_stage {
     JOB_STAGES
 };
 
+enum { JOB_LENSES = 8 };    // that are named
 enum { JOB_WARNINGS = 76 }; // one for each view that may be left out, and some
 
 /* How cameras that were not known were found. */
@@ -50,6 +51,8 @@ struct job_result {
     size_t keep_peak, tmp_peak; // bytes
     double peak_rss_mb;         // at the end of the last stage
     const char *precision;      // of the network; NULL: none was used
+    int n_lenses;
+    char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;
     char warnings[JOB_WARNINGS][240];
 };

@@ -24,18 +24,26 @@ static err_t parse(const char *text, struct rig *rig)
 static void what_is_written_is_read_bit_for_bit(void **state)
 {
     (void)state;
-    struct rig_view v[2] = {{"a \"quoted\\\" \xc3\xa9.png",
-                             {640,
-                              480,
-                              127.481026f,
-                              0.0100531215f,
-                              119.711685f,
-                              -0.0103268465f,
-                              {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
-                              {1.f / 3, -3e8f, 1e-40f}},
-                             true,
-                             -3.1f},
-                            {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, false, 0}};
+    struct rig_view v[2] = {
+        {"a \"quoted\\\" \xc3\xa9.png",
+         {640,
+          480,
+          127.481026f,
+          0.0100531215f,
+          119.711685f,
+          -0.0103268465f,
+          {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
+          {1.f / 3, -3e8f, 1e-40f}},
+         {LENS_OPENCV,
+          127.48102569580078,
+          0.010053121484816074,
+          119.71168518066406,
+          -0.010326846502721310,
+          {-0.31, 1. / 3, 1e-3, 0},
+          0},
+         true,
+         -3.1f},
+        {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, {0}, false, 0}};
     struct rig in = {2, v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
@@ -44,6 +52,8 @@ static void what_is_written_is_read_bit_for_bit(void **state)
     for (int i = 0; i < 2; i++) {
         assert_string_equal(out.views[i].name, v[i].name);
         assert_memory_equal(&out.views[i].cam, &v[i].cam, sizeof v[i].cam);
+        assert_int_equal(out.views[i].lens.model, v[i].lens.model);
+        assert_memory_equal(out.views[i].lens.term, v[i].lens.term, sizeof v[i].lens.term);
         assert_true(out.views[i].has_exposure == v[i].has_exposure);
         assert_true(out.views[i].exposure_log2 == v[i].exposure_log2);
     }
@@ -114,6 +124,36 @@ static void numbers_are_checked(void **state)
     cameras_free(&rig);
 }
 
+static void lenses_are_checked(void **state)
+{
+    (void)state;
+    static const char *const wrong[][2] = {
+        {"\"model\":7,\"params\":[]", "\"model\"  is not known"},
+        {"\"model\":\"FOV\",\"params\":[5,4,3,1]", "\"model\" FOV is not known"},
+        {"\"model\":\"RADIAL\"", "\"params\" has 0 numbers, RADIAL has 5"},
+        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,0,0,0,0,0,0]", "has 10 numbers, RADIAL has 5"},
+        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,\"1\"]", "something else than numbers"},
+        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,1e999]", "else than numbers"},
+        {"\"model\":\"RADIAL\",\"params\":[-5,4,3,0,0.1]", "not positive"},
+    };
+    char text[200];
+    struct rig rig;
+    for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++) {
+        snprintf(text, sizeof text, "\"w\":8,%s", wrong[i][0]);
+        assert_int_equal(parse_changed("\"w\":8", text, &rig), ERR_FORMAT);
+        if (!strstr(err_text(), wrong[i][1]))
+            fail_msg("\"%s\" lacks \"%s\"", err_text(), wrong[i][1]);
+    }
+    const char *lens = "\"model\":\"RADIAL\",\"params\":[6,4,3,-0.2,0.01]";
+    assert_int_equal(parse_changed("\"fx\":5,\"fy\":5,\"cx\":4,\"cy\":3", lens, &rig), OK);
+    assert_true(rig.views[0].cam.fx == 6 && rig.views[0].cam.fy == 6);
+    assert_true(rig.views[0].lens.model == LENS_RADIAL && rig.views[0].lens.term[0] == -0.2);
+    struct rig_view v;
+    assert_int_equal(cameras_find("r", &rig, "a.png", 16, 12, &v), OK);
+    assert_true(v.lens.fx == 12 && v.lens.cy == 6 && v.lens.term[1] == 0.01);
+    cameras_free(&rig);
+}
+
 static void every_cut_is_refused(void **state)
 {
     (void)state;
@@ -135,18 +175,18 @@ static void a_view_is_found_for_each_of_its_exposures(void **state)
         {.name = "train_ldr_001_2.png", .cam = {8, 6, 6, 6, 4, 3, {1, 0, 0, 0}, {0}}},
         {.name = "IMG_0001.jpg", .cam = {8, 6, 7, 7, 4, 3, {1, 0, 0, 0}, {0}}}};
     struct rig rig = {3, v};
-    struct camera c;
+    struct rig_view c;
     assert_int_equal(cameras_find("r", &rig, "train_ldr_001_4.png", 8, 6, &c), OK);
-    assert_true(c.fx == 6);
+    assert_true(c.cam.fx == 6);
     assert_int_equal(cameras_find("r", &rig, "IMG_0002.jpg", 8, 6, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "IMG_0002.jpg"));
     assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 12, &c), OK); // twice the size
-    assert_true(c.fx == 14 && c.cy == 6 && c.w == 16 && c.h == 12);
+    assert_true(c.cam.fx == 14 && c.cam.cy == 6 && c.cam.w == 16 && c.cam.h == 12);
     assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 8, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "aspect"));
     strcpy(v[1].name, "train_ldr_000_3.png"); // now two cameras claim view 000
     assert_int_equal(cameras_find("r", &rig, "train_ldr_000_3.png", 8, 6, &c), OK);
-    assert_true(c.fx == 6);
+    assert_true(c.cam.fx == 6);
     assert_int_equal(cameras_find("r", &rig, "train_ldr_000_4.png", 8, 6, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "differ"));
 }
@@ -205,6 +245,7 @@ int main(void)
         cmocka_unit_test(a_full_disk_is_noticed),
         cmocka_unit_test(nonsense_is_refused_with_its_name),
         cmocka_unit_test(numbers_are_checked),
+        cmocka_unit_test(lenses_are_checked),
         cmocka_unit_test(every_cut_is_refused),
         cmocka_unit_test(a_view_is_found_for_each_of_its_exposures),
         cmocka_unit_test(names_follow_one_rule),

@@ -227,6 +227,39 @@ static void pixels_come_when_asked(void **state)
     imageset_free(&set);
 }
 
+/* Decoded through its lens, with the size and the camera that were promised before. */
+static void photographs_are_undistorted(void **state)
+{
+    (void)state;
+    struct imageset_request rq = {.images = tmpdir_root};
+    struct imageset set;
+    struct image8 straight, bent;
+    put_picture("a.png", 40, 30);
+    put_picture("b.png", 40, 30);
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"b.png\": 1}");
+    rq.rig = tmpdir_text(
+        "rig.json",
+        "{\"cameras\":[{\"name\":\"a.png\",\"w\":40,\"h\":30,\"fx\":30,\"fy\":30,\"cx\":20,"
+        "\"cy\":15,\"q\":[1,0,0,0],\"t\":[0,0,0]},"
+        "{\"name\":\"b.png\",\"w\":80,\"h\":60,\"model\":\"RADIAL\",\"params\":[60,40,30,-0.2,0],"
+        "\"q\":[1,0,0,0],\"t\":[1,0,0]}]}");
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    const struct shot *a = &set.capture.shots[0], *b = &set.capture.shots[1];
+    assert_true(a->image.w == 40 && a->cam.fx == 30 && !lens_distorts(&a->lens));
+    assert_true(b->taken_w == 40 && b->taken_h == 30 && b->lens.fx == 30 && b->cam.t[0] == 1);
+    assert_true(b->image.w == b->cam.w && b->image.h == b->cam.h);
+    assert_true(imageset_bytes(&set.capture, 1) >= 2 * 3 * 40 * 30);
+    assert_int_equal(imageset_decode(&set, 0, &straight), OK);
+    assert_int_equal(imageset_decode(&set, 1, &bent), OK);
+    assert_true(straight.w == 40 && bent.w == b->cam.w && bent.h == b->cam.h);
+    img_free(&straight);
+    img_free(&bent);
+    imageset_free(&set);
+    put_picture("b.png", 40, 20);
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "another aspect"));
+}
+
 static err_t list(const struct imageset_request *rq)
 {
     struct imageset set;
@@ -476,6 +509,7 @@ int main(void)
         IN_FOLDER(a_protocol_names_the_inputs),
         IN_FOLDER(a_plain_folder_is_all_input),
         IN_FOLDER(pixels_come_when_asked),
+        IN_FOLDER(photographs_are_undistorted),
         IN_FOLDER(contradictions_are_named),
         IN_FOLDER(exposures_of_exif_must_be_made_of_the_same),
         IN_FOLDER(what_is_not_read_is_told),
