@@ -380,7 +380,7 @@ static void place_unseen(const struct meter *m, double *top, double *bottom)
     }
 }
 
-err_t meter_plan(const struct meter *m, struct meter_result *out)
+err_t meter_choose(const struct meter *m, struct meter_result *out)
 {
     double top[METER_BINS], bottom[METER_BINS], probe = meter_probe(m);
     memset(out, 0, sizeof *out);

@@ -29,7 +29,7 @@ void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, dou
 
 /* The exposures to take.
  * err:  ERR_AGAIN (another probe is needed). */
-MUST_USE err_t meter_plan(const struct meter *m, struct meter_result *out);
+MUST_USE err_t meter_choose(const struct meter *m, struct meter_result *out);
 
 struct meter_coverage {
     double clipped, dark; // shares of places clipped in all frames, below snr in all

@@ -65,7 +65,7 @@ static const struct {
 
 /* ---- names ---- */
 
-static void escape(const char *s, char *out, size_t cap)
+static void escape_unit(const char *s, char *out, size_t cap)
 {
     size_t at = 0;
     for (const char *p = s; *p && at + 4 < cap; p++) {
@@ -76,13 +76,13 @@ static void escape(const char *s, char *out, size_t cap)
     out[at] = 0;
 }
 
-static err_t file_of(const char *dir, const struct camera_info *info, char path[FILE_PATH_CAP])
+static err_t build_path(const char *dir, const struct camera_info *info, char path[FILE_PATH_CAP])
 {
     char unit[3 * CAMERA_UNIT_CAP + 4], name[sizeof unit + 64];
     const char *format = take_format(info->format);
     if (!*info->unit || !format)
         return err_fail(ERR_ARG, "%s: a camera without a name of its own has no calibration", dir);
-    escape(info->unit, unit, sizeof unit);
+    escape_unit(info->unit, unit, sizeof unit);
     snprintf(name, sizeof name, "%s_%dx%d_%s.conf", unit, info->w, info->h, format);
     if (strlen(name) > 255)
         return err_fail(ERR_ARG, "%s: name of %zu bytes, allowed are 255", name, strlen(name));
@@ -100,7 +100,7 @@ struct reader {
     double value[KEYS];
 };
 
-static err_t number(const struct reader *r, enum key k, char **at, double *out)
+static err_t parse_number(const struct reader *r, enum key k, char **at, double *out)
 {
     char *from = *at;
     double v = strtod(from, at);
@@ -115,12 +115,12 @@ static err_t number(const struct reader *r, enum key k, char **at, double *out)
     return OK;
 }
 
-static err_t curve(struct reader *r, enum key k, char *text)
+static err_t parse_curve(struct reader *r, enum key k, char *text)
 {
     float *x = r->out->crf.log2x[k - CRF_RED];
     for (int i = 0; i < CODES; i++) {
         double v;
-        err_t e = number(r, k, &text, &v);
+        err_t e = parse_number(r, k, &text, &v);
         if (e)
             return e;
         x[i] = (float)v;
@@ -136,7 +136,7 @@ static err_t curve(struct reader *r, enum key k, char *text)
                  : OK;
 }
 
-static err_t same(const struct reader *r, enum key k, const char *value)
+static err_t check_device(const struct reader *r, enum key k, const char *value)
 {
     char size[32];
     const char *want = k == UNIT ? r->info->unit : take_format(r->info->format);
@@ -150,7 +150,7 @@ static err_t same(const struct reader *r, enum key k, const char *value)
 }
 
 /* Without blanks around it. */
-static char *trim(char *s)
+static char *trim_blanks(char *s)
 {
     s += strspn(s, " \t");
     size_t n = strlen(s);
@@ -160,7 +160,7 @@ static char *trim(char *s)
     return s;
 }
 
-static err_t assign(struct reader *r, const char *name, char *value)
+static err_t parse_value(struct reader *r, const char *name, char *value)
 {
     int k = 0;
     while (k < KEYS && strcmp(keys[k].name, name) != 0)
@@ -172,30 +172,30 @@ static err_t assign(struct reader *r, const char *name, char *value)
                         r->seen[k]);
     r->seen[k] = r->line;
     if (keys[k].kind == TEXT)
-        return same(r, k, value);
+        return check_device(r, k, value);
     if (keys[k].kind == CURVE)
-        return curve(r, k, value);
-    err_t e = number(r, k, &value, &r->value[k]);
-    value = trim(value);
+        return parse_curve(r, k, value);
+    err_t e = parse_number(r, k, &value, &r->value[k]);
+    value = trim_blanks(value);
     if (!e && *value)
         e = err_fail(ERR_FORMAT, "%s:%d: %s: \"%.*s\" after the number", r->what, r->line, name,
                      QUOTE, value);
     return e;
 }
 
-static err_t take_line(struct reader *r, char *line)
+static err_t parse_line(struct reader *r, char *line)
 {
-    line = trim(line);
+    line = trim_blanks(line);
     char *equal = strchr(line, '=');
     if (!*line || *line == '#')
         return OK;
     if (!equal)
         return err_fail(ERR_FORMAT, "%s:%d: not \"key = value\"", r->what, r->line);
     *equal = 0;
-    return assign(r, trim(line), trim(equal + 1));
+    return parse_value(r, trim_blanks(line), trim_blanks(equal + 1));
 }
 
-static err_t missing(const struct reader *r)
+static err_t finish_reading(const struct reader *r)
 {
     bool has_crf = false;
     for (int k = CRF_ERROR; k < KEYS; k++)
@@ -222,7 +222,7 @@ static err_t missing(const struct reader *r)
 }
 
 /* text: n bytes and a 0; is changed. */
-static err_t take_text(struct reader *r, char *text, size_t n)
+static err_t parse_text(struct reader *r, char *text, size_t n)
 {
     err_t e = OK;
     if (memchr(text, 0, n))
@@ -233,13 +233,13 @@ static err_t take_text(struct reader *r, char *text, size_t n)
         if (next)
             *next++ = 0;
         r->line++;
-        e = take_line(r, line);
+        e = parse_line(r, line);
     }
-    return e ? e : missing(r);
+    return e ? e : finish_reading(r);
 }
 
 /* What the device says of itself. */
-static void promise(const struct camera_info *info, struct calib *out)
+static void set_from_info(const struct camera_info *info, struct calib *out)
 {
     bool linear = info->format >= CAMERA_GREY16;
     memset(out, 0, sizeof *out);
@@ -254,7 +254,7 @@ err_t calib_parse(const char *what, const char *text, size_t n, const struct cam
                   struct calib *out)
 {
     struct reader r = {.what = what, .info = info, .out = out};
-    promise(info, out);
+    set_from_info(info, out);
     if (n > BYTES_MAX)
         return err_fail(ERR_FORMAT, "%s: %zu bytes, at most %d are read", what, n, BYTES_MAX);
     char *copy = malloc(n + 1);
@@ -263,10 +263,10 @@ err_t calib_parse(const char *what, const char *text, size_t n, const struct cam
     if (n > 0)
         memcpy(copy, text, n);
     copy[n] = 0;
-    err_t e = take_text(&r, copy, n);
+    err_t e = parse_text(&r, copy, n);
     free(copy);
     if (e)
-        promise(info, out);
+        set_from_info(info, out);
     return e;
 }
 
@@ -275,8 +275,8 @@ err_t calib_load(const char *dir, const struct camera_info *info, struct calib *
     char path[FILE_PATH_CAP];
     struct file_map m;
     *found = false;
-    promise(info, out);
-    err_t e = file_of(dir, info, path);
+    set_from_info(info, out);
+    err_t e = build_path(dir, info, path);
     if (e || (access(path, F_OK) != 0 && errno == ENOENT))
         return e;
     e = file_map(path, BYTES_MAX, &m);
@@ -290,7 +290,7 @@ err_t calib_load(const char *dir, const struct camera_info *info, struct calib *
 
 /* ---- writing ---- */
 
-static void put(FILE *f, const struct camera_info *info, const struct calib *c)
+static void print_calib(FILE *f, const struct camera_info *info, const struct calib *c)
 {
     fprintf(f, "# measured by hdrig calibrate\nunit = %s\nsize = %dx%d\nformat = %s\n", info->unit,
             info->w, info->h, take_format(info->format));
@@ -310,7 +310,7 @@ static void put(FILE *f, const struct camera_info *info, const struct calib *c)
 }
 
 /* What would not be read back is not written. */
-static err_t check(const char *path, const struct camera_info *info, const struct calib *c)
+static err_t check_readable(const char *path, const struct camera_info *info, const struct calib *c)
 {
     char *text = NULL;
     size_t n = 0;
@@ -318,7 +318,7 @@ static err_t check(const char *path, const struct camera_info *info, const struc
     FILE *f = open_memstream(&text, &n);
     if (!f)
         return err_fail(ERR_NOMEM, "%s: no memory", path);
-    put(f, info, c);
+    print_calib(f, info, c);
     err_t e = fclose(f) == 0 ? calib_parse(path, text, n, info, &back)
                              : err_fail(ERR_NOMEM, "%s: no memory", path);
     free(text);
@@ -331,7 +331,7 @@ static err_t write_file(const struct camera_info *info, const struct calib *c, c
     err_t e = file_create(path, &f);
     if (e)
         return e;
-    put(f, info, c);
+    print_calib(f, info, c);
     return file_finish(f, path);
 }
 
@@ -357,9 +357,9 @@ err_t calib_save(const char *dir, const struct camera_info *info, const struct c
 {
     char path[FILE_PATH_CAP], now[FILE_PATH_CAP];
     struct partial p;
-    err_t e = file_of(dir, info, path);
+    err_t e = build_path(dir, info, path);
     if (!e)
-        e = check(path, info, c);
+        e = check_readable(path, info, c);
     if (e)
         return e;
     (void)mkdir(dir, 0777); // partial_open says what is wrong
@@ -379,7 +379,7 @@ err_t calib_save(const char *dir, const struct camera_info *info, const struct c
 void calib_camera(const struct camera_info *info, const struct calib *c, struct bracket_camera *out)
 {
     struct calib own;
-    promise(info, &own);
+    set_from_info(info, &own);
     if (!c)
         c = &own;
     double lo = fmax(info->time_min_s, c->time_min_s), hi = fmin(info->time_max_s, c->time_max_s);

@@ -52,18 +52,19 @@ double calibrate_slack(const struct device_probe *w)
     return w->linear ? BRACKET_TOLERANCE_LINEAR : 2.0 * BRACKET_TOLERANCE_LINEAR;
 }
 
-static double limited(const struct device_probe *w, double t, double longest_s)
+static double limit_exposure(const struct device_probe *w, double t, double longest_s)
 {
     return fmax(fmin(t, fmin(w->info.time_max_s, longest_s)), w->info.time_min_s);
 }
 
 /* Frames to wait for rest while the delay is not measured. */
-static int patience(const struct calibrate *c)
+static int settle_frames(const struct calibrate *c)
 {
     return (c->calib.delay_hi > UNKNOWN ? c->calib.delay_hi : UNKNOWN) + SETTLE;
 }
 
-static err_t hold(struct device_probe *w, double time_s, int frames, struct device_probe_frame *out)
+static err_t ask_and_rest(struct device_probe *w, double time_s, int frames,
+                          struct device_probe_frame *out)
 {
     err_t e = device_probe_ask(w, time_s, 0);
     return e ? e : device_probe_rest(w, frames, out);
@@ -71,7 +72,7 @@ static err_t hold(struct device_probe *w, double time_s, int frames, struct devi
 
 /* ---- base ---- */
 
-static err_t judge_base(const struct exposure_probe *best, double t)
+static err_t check_base(const struct exposure_probe *best, double t)
 {
     if (best->good >= FEW_PLACES)
         return OK;
@@ -83,13 +84,13 @@ static err_t judge_base(const struct exposure_probe *best, double t)
 
 err_t calibrate_base(struct device_probe *w, struct calibrate *c)
 {
-    double t = limited(w, fmin(START_S, 0.5 * w->info.period_s), c->longest_s);
+    double t = limit_exposure(w, fmin(START_S, 0.5 * w->info.period_s), c->longest_s);
     struct exposure_probe best = {.good = -1};
     int way = 0;
     for (int i = 0; i < 16; i++) {
         struct device_probe_frame s;
         device_probe_tell(w, "exposure", i, 16);
-        err_t e = hold(w, t, patience(c), &s);
+        err_t e = ask_and_rest(w, t, settle_frames(c), &s);
         if (e)
             return e;
         if (s.seen.good > best.good) {
@@ -97,14 +98,14 @@ err_t calibrate_base(struct device_probe *w, struct calibrate *c)
             c->base_s = t;
         }
         int to = s.seen.dark > s.seen.clipped ? 1 : -1;
-        double next = limited(w, to > 0 ? 4.0 * t : 0.25 * t, c->longest_s);
+        double next = limit_exposure(w, to > 0 ? 4.0 * t : 0.25 * t, c->longest_s);
         if (best.good >= GOOD_PLACES || to == -way || next == t)
             break;
         way = to;
         t = next;
     }
     device_probe_tell(w, "exposure", 16, 16);
-    return judge_base(&best, c->base_s);
+    return check_base(&best, c->base_s);
 }
 
 /* ---- delay ---- */
@@ -173,7 +174,7 @@ static void add_delay(struct delays *d, int lo, int hi)
 }
 
 /* What a step tells; false: nothing changed. */
-static bool learn(const struct trial *t, struct delays *exact, struct delays *wide)
+static bool add_trial(const struct trial *t, struct delays *exact, struct delays *wide)
 {
     int i = first_changed(t);
     if (i < 0)
@@ -185,7 +186,8 @@ static bool learn(const struct trial *t, struct delays *exact, struct delays *wi
     return true;
 }
 
-static err_t no_effect(const struct device_probe *w, const struct trial *t, double from, double to)
+static err_t fail_no_effect(const struct device_probe *w, const struct trial *t, double from,
+                            double to)
 {
     if (t->n == 0)
         return device_probe_unusable(w, TRACK);
@@ -195,11 +197,11 @@ static err_t no_effect(const struct device_probe *w, const struct trial *t, doub
                     from, to, t->hi[t->n - 1], (double)exp2f(t->stops[t->n - 1]));
 }
 
-static err_t ends_of(const struct device_probe *w, double base_s, double end[2])
+static err_t choose_ends(const struct device_probe *w, double base_s, double end[2])
 {
-    end[0] = limited(w, 0.5 * base_s, INFINITY);
-    end[1] = limited(w, 4.0 * end[0], INFINITY);
-    end[0] = limited(w, 0.25 * end[1], INFINITY);
+    end[0] = limit_exposure(w, 0.5 * base_s, INFINITY);
+    end[1] = limit_exposure(w, 4.0 * end[0], INFINITY);
+    end[0] = limit_exposure(w, 0.25 * end[1], INFINITY);
     if (end[1] < 2.0 * end[0])
         return err_fail(ERR_UNSUPPORTED, "exposure can only be varied from %g s to %g s", end[0],
                         end[1]);
@@ -213,9 +215,9 @@ err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
     struct device_probe_frame at;
     double end[2];
     int idle = 0; // steps in a row without a change
-    err_t e = ends_of(w, c->base_s, end);
+    err_t e = choose_ends(w, c->base_s, end);
     if (!e)
-        e = hold(w, end[0], DELAY_MAX + SETTLE, &at);
+        e = ask_and_rest(w, end[0], DELAY_MAX + SETTLE, &at);
     for (int i = 0; !e && i < ATTEMPTS && exact.n < TRIALS; i++) {
         device_probe_tell(w, "latency", exact.n, TRIALS);
         wait_for_phase(w, i);
@@ -223,10 +225,10 @@ err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
         struct exposure_probe from = at.seen;
         if (!e)
             e = step_to(w, end[(i + 1) % 2], &from, &t, &at);
-        bool learnt = !e && learn(&t, &exact, &wide);
+        bool learnt = !e && add_trial(&t, &exact, &wide);
         idle = learnt ? 0 : idle + 1;
         if (!e && (idle == IDLE_MAX || (idle > 0 && (t.n == 0 || exact.n + wide.n == 0))))
-            e = no_effect(w, &t, end[i % 2], end[(i + 1) % 2]);
+            e = fail_no_effect(w, &t, end[i % 2], end[(i + 1) % 2]);
     }
     if (e)
         return e;
@@ -237,7 +239,7 @@ err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
                         "the delay cannot be told, it is in %d..%d: %d of %d frames were lost, "
                         "perhaps because this machine is too slow",
                         d->lo, d->hi, w->count.lost + w->count.hidden, w->count.frames);
-    int waited = patience(c);
+    int waited = settle_frames(c);
     c->calib.delay_lo = num_min(d->lo, DELAY_MAX);
     c->calib.delay_hi = num_min(d->hi, DELAY_MAX);
     c->trials = d->n;
@@ -276,7 +278,8 @@ static err_t take_pictures(struct device_probe *w, const double shortest_longest
 }
 
 /* The better of two methods; an error only for lack of memory. */
-static err_t recover(const struct device_probe *w, const struct pictures *p, struct calibrate *c)
+static err_t recover_curve(const struct device_probe *w, const struct pictures *p,
+                           struct calibrate *c)
 {
     struct crf_stack s = {PICTURES, w->info.w, w->info.h, (const uint8_t *const *)p->px,
                           p->exposure};
@@ -314,7 +317,7 @@ static err_t try_window(struct device_probe *w, const double stops[2], struct ca
 {
     double ends[2];
     for (int i = 0; i < 2; i++)
-        ends[i] = limited(w, c->base_s * exp2(stops[i]), c->longest_s);
+        ends[i] = limit_exposure(w, c->base_s * exp2(stops[i]), c->longest_s);
     if (log2(ends[1] / ends[0]) < CURVE_STOPS) {
         snprintf(c->curve_why, sizeof c->curve_why, "exposures of %.3g..%.3g s are too much alike",
                  ends[0], ends[1]);
@@ -322,7 +325,7 @@ static err_t try_window(struct device_probe *w, const double stops[2], struct ca
     }
     err_t e = take_pictures(w, ends, c, p);
     if (!e)
-        e = recover(w, p, c);
+        e = recover_curve(w, p, c);
     return e ? e : device_probe_resume(w);
 }
 
@@ -347,8 +350,8 @@ err_t calibrate_curve(struct device_probe *w, struct calibrate *c)
 /* ---- range ---- */
 
 /* b against a, which was `asked` stops shorter. */
-static void judge(const struct device_probe *w, const struct exposure_probe *a,
-                  const struct exposure_probe *b, struct calibrate_step *s)
+static void judge_step(const struct device_probe *w, const struct exposure_probe *a,
+                       const struct exposure_probe *b, struct calibrate_step *s)
 {
     struct exposure_probe_ratio r;
     exposure_probe_compare(a, b, &r);
@@ -374,19 +377,19 @@ struct sweep {
 };
 
 /* The pair of last_s and time_s, as often as it takes to be sure. */
-static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
+static err_t measure_step(struct sweep *k, double time_s, struct calibrate_step *out)
 {
     struct device_probe_frame s;
     int frames = k->c->calib.delay_hi + 1;
     for (int i = 0; i < AGAIN; i++) {
-        err_t e = i > 0 ? hold(k->w, k->last_s, frames, &s) : OK;
+        err_t e = i > 0 ? ask_and_rest(k->w, k->last_s, frames, &s) : OK;
         if (!e && i > 0)
             k->last = s.seen;
         if (!e)
-            e = hold(k->w, time_s, frames, &s);
+            e = ask_and_rest(k->w, time_s, frames, &s);
         if (e)
             return e;
-        judge(k->w, &k->last, &s.seen, out);
+        judge_step(k->w, &k->last, &s.seen, out);
         if (out->verdict != CALIBRATE_WRONG)
             break;
     }
@@ -395,13 +398,13 @@ static err_t measure(struct sweep *k, double time_s, struct calibrate_step *out)
     return OK;
 }
 
-static err_t sweep(struct device_probe *w, struct calibrate *c)
+static err_t sweep_range(struct device_probe *w, struct calibrate *c)
 {
     struct sweep k = {.w = w, .c = c, .last_s = w->info.time_min_s};
     struct device_probe_frame s;
-    double longest = limited(w, INFINITY, c->longest_s), from = w->info.time_min_s;
+    double longest = limit_exposure(w, INFINITY, c->longest_s), from = w->info.time_min_s;
     int most = num_min((int)ceil(log2(longest / from) / STEP), CALIBRATE_STEPS_MAX - 1);
-    err_t e = hold(w, from, c->calib.delay_hi + 1, &s);
+    err_t e = ask_and_rest(w, from, c->calib.delay_hi + 1, &s);
     k.last = s.seen;
     c->step[0] =
         (struct calibrate_step){.time_s = device_probe_expected(w), .measured = NAN, .rises = true};
@@ -415,21 +418,21 @@ static err_t sweep(struct device_probe *w, struct calibrate *c)
         to->asked = log2(x.time_s / c->step[c->n - 1].time_s);
         if (!(to->asked > 0.5 * STEP) && i < most)
             continue; // rounded to the same, or nearly
-        e = measure(&k, t, to);
+        e = measure_step(&k, t, to);
         c->n++;
     }
     return e;
 }
 
 /* The longest exposure that obeys, between one that does and one that does not. */
-static err_t narrow(struct device_probe *w, struct calibrate *c, double good_s, double wrong_s,
-                    double *out)
+static err_t narrow_range(struct device_probe *w, struct calibrate *c, double good_s,
+                          double wrong_s, double *out)
 {
     for (int i = 0; i < HALVINGS; i++) {
         struct sweep k = {.w = w, .c = c, .last_s = good_s};
         struct device_probe_frame s;
         struct calibrate_step to = {.time_s = sqrt(good_s * wrong_s)};
-        err_t e = hold(w, good_s, c->calib.delay_hi + 1, &s);
+        err_t e = ask_and_rest(w, good_s, c->calib.delay_hi + 1, &s);
         double from = device_probe_expected(w);
         k.last = s.seen;
         struct exposure ask = {to.time_s, 1.0}, x = label_rounded(&w->label, &ask);
@@ -437,7 +440,7 @@ static err_t narrow(struct device_probe *w, struct calibrate *c, double good_s, 
         if (!e && to.asked <= c->calib.tolerance)
             break;
         if (!e)
-            e = measure(&k, to.time_s, &to);
+            e = measure_step(&k, to.time_s, &to);
         if (e)
             return e;
         good_s = to.verdict == CALIBRATE_WRONG ? good_s : x.time_s;
@@ -448,7 +451,7 @@ static err_t narrow(struct device_probe *w, struct calibrate *c, double good_s, 
 }
 
 /* A curve by which neighbours are wrong is not good enough to judge frames by. */
-static void judge_curve(struct device_probe *w, struct calibrate *c, int lo, int hi)
+static void check_curve(struct device_probe *w, struct calibrate *c, int lo, int hi)
 {
     for (int i = lo + 1; i <= hi && !w->linear; i++)
         if (c->step[i].verdict == CALIBRATE_OBEYS &&
@@ -466,7 +469,7 @@ static err_t find_range(struct device_probe *w, struct calibrate *c)
         lo--;
     for (hi = at; hi + 1 < c->n && c->step[hi + 1].verdict != CALIBRATE_WRONG;)
         hi++;
-    judge_curve(w, c, lo, hi);
+    check_curve(w, c, lo, hi);
     c->calib.time_min_s = lo > 0 ? c->step[lo].time_s : w->info.time_min_s;
     c->calib.time_max_s = w->info.time_max_s;
     c->seen_min_s = c->seen_max_s = c->step[at].time_s;
@@ -477,7 +480,7 @@ static err_t find_range(struct device_probe *w, struct calibrate *c)
         }
     if (hi + 1 == c->n)
         return OK;
-    err_t e = narrow(w, c, c->step[hi].time_s, c->step[hi + 1].time_s, &c->calib.time_max_s);
+    err_t e = narrow_range(w, c, c->step[hi].time_s, c->step[hi + 1].time_s, &c->calib.time_max_s);
     c->seen_max_s = fmin(fmax(c->seen_max_s, c->calib.time_max_s), c->calib.time_max_s);
     return e;
 }
@@ -487,11 +490,11 @@ err_t calibrate_range(struct device_probe *w, struct calibrate *c)
     struct device_probe_frame before, after;
     struct exposure_probe_ratio r;
     int frames = c->calib.delay_hi + 1;
-    err_t e = hold(w, c->base_s, frames, &before);
+    err_t e = ask_and_rest(w, c->base_s, frames, &before);
     if (!e)
-        e = sweep(w, c);
+        e = sweep_range(w, c);
     if (!e)
-        e = hold(w, c->base_s, frames, &after);
+        e = ask_and_rest(w, c->base_s, frames, &after);
     if (e)
         return e;
     exposure_probe_compare(&before.seen, &after.seen, &r);

@@ -28,7 +28,7 @@ enum {
 
 /* ---- life ---- */
 
-static err_t prepare(struct device_probe *w)
+static err_t prepare_probe(struct device_probe *w)
 {
     struct bracket_camera about;
     size_t count = subsample_count(&w->info);
@@ -73,7 +73,7 @@ err_t device_probe_open(const struct camera_cfg *cfg, struct device_probe **out)
     w->uri = cfg->uri;
     err_t e = open_device(w, cfg);
     if (!e)
-        e = prepare(w);
+        e = prepare_probe(w);
     if (e)
         device_probe_close(w);
     else
@@ -169,7 +169,7 @@ static err_t next_within(struct device_probe *w, double limit_s, struct frame *f
 }
 
 /* A frame that is not the same once more. */
-static err_t fetch(struct device_probe *w, struct frame *f, struct device_probe_frame *out)
+static err_t fetch_frame(struct device_probe *w, struct frame *f, struct device_probe_frame *out)
 {
     double limit_s = 3.0 * label_longest_s(&w->label) + 1.0;
     for (;;) {
@@ -230,7 +230,7 @@ static err_t look_at(struct device_probe *w, const struct frame *f, struct devic
 err_t device_probe_next(struct device_probe *w, bool look, struct device_probe_frame *out)
 {
     struct frame f;
-    err_t e = fetch(w, &f, out);
+    err_t e = fetch_frame(w, &f, out);
     if (e)
         return e;
     if (look)
@@ -287,7 +287,7 @@ err_t device_probe_picture(struct device_probe *w, int frames, uint8_t *rgb)
     struct device_probe_frame s;
     for (int bad = 0; bad < UNUSABLE_MAX;) {
         struct frame f;
-        err_t e = fetch(w, &f, &s);
+        err_t e = fetch_frame(w, &f, &s);
         if (e)
             return e;
         bool old = s.age_lo >= frames;

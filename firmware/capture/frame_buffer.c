@@ -52,8 +52,8 @@ int frame_buffer_used(const struct frame_buffer *r)
     return n;
 }
 
-static err_t pixels(const struct frame_buffer *r, int k, const struct camera_info *info,
-                    struct raw *out)
+static err_t subsample_kept(const struct frame_buffer *r, int k, const struct camera_info *info,
+                            struct raw *out)
 {
     const struct take_frame *t = &r->kept[k].frame;
     struct frame f = {.data = t->data,
@@ -75,7 +75,7 @@ err_t frame_buffer_meter(const struct frame_buffer *r, int from, const struct ta
 {
     err_t e = OK;
     for (int k = from; k < r->n && !e; k++) {
-        e = pixels(r, k, &c->info, px);
+        e = subsample_kept(r, k, &c->info, px);
         if (!e)
             meter_add(m, px, crf_of(c), take_exposure_s(&r->kept[k].frame));
     }
@@ -93,7 +93,7 @@ void frame_buffer_cover(const struct frame_buffer *r, const struct take_camera *
     uint16_t *all = r->n ? malloc(count * sizeof *all * (size_t)r->n) : NULL;
     for (int k = 0; all && k < r->n; k++) {
         px[n].px = all + count * (size_t)n;
-        if (r->kept[k].used && pixels(r, k, &c->info, &px[n]) == OK)
+        if (r->kept[k].used && subsample_kept(r, k, &c->info, &px[n]) == OK)
             exposure[n++] = take_exposure_s(&r->kept[k].frame);
     }
     if (n > 0)

@@ -32,7 +32,7 @@ int schedule_frames(const struct session_order *o)
     return o->stagger ? 1 : o->mode == SESSION_LIST ? o->n : BRACKET_EXPOSURES_MAX;
 }
 
-static void add(struct bracket_plan *p, double time_s)
+static void add_exposure(struct bracket_plan *p, double time_s)
 {
     if (p->n < BRACKET_EXPOSURES_MAX)
         p->ask[p->n++] = (struct exposure){time_s, 1};
@@ -48,9 +48,9 @@ void schedule_probe(double time_s, double base_s, const struct camera_info *info
     int links = (int)fmin(ceil(fabs(stops) / LINK), BRACKET_EXPOSURES_MAX) - 1;
     for (int k = 1; k <= links; k++) {
         double t = base_s * exp2(stops * k / (links + 1));
-        add(out, fmin(fmax(t, info->time_min_s), info->time_max_s));
+        add_exposure(out, fmin(fmax(t, info->time_min_s), info->time_max_s));
     }
-    add(out, time_s);
+    add_exposure(out, time_s);
 }
 
 /* Stops around the middle one. */
@@ -66,7 +66,7 @@ static void add_list(const struct session_order *o, const struct camera_info *in
                      const struct meter_result *r, struct bracket_plan *out)
 {
     for (int k = 0; k < o->n; k++)
-        add(out, fmin(fmax(list_time(o, r, k), info->time_min_s), info->time_max_s));
+        add_exposure(out, fmin(fmax(list_time(o, r, k), info->time_min_s), info->time_max_s));
 }
 
 const char *schedule_limit(const struct session_order *o, const struct camera_info *info,
@@ -101,7 +101,7 @@ void schedule_shots(const struct session_order *o, int turn, const struct camera
         if (is_proven(roll, probe))
             roll->kept[probe].used = true;
         else
-            add(out, r->time_s[k]);
+            add_exposure(out, r->time_s[k]);
     }
     if (o->stagger && out->n > 1) {
         out->ask[0] = out->ask[turn % out->n];

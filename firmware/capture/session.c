@@ -105,7 +105,7 @@ static err_t make_machine(struct session *s)
     return bracket_new(about, s->n, &s->machine);
 }
 
-static err_t arm(struct session *s);
+static err_t arm_all(struct session *s);
 
 err_t session_open(const struct session_config *cfg, struct session **out)
 {
@@ -122,7 +122,7 @@ err_t session_open(const struct session_config *cfg, struct session **out)
     if (!e)
         e = make_machine(s);
     if (!e)
-        e = arm(s);
+        e = arm_all(s);
     if (e) {
         session_close(s);
         return e;
@@ -147,7 +147,7 @@ void session_close(struct session *s)
 
 /* ---- the machine's wishes ---- */
 
-static err_t keep(struct session *s, const struct bracket_action *a, const struct frame *f)
+static err_t keep_frame(struct session *s, const struct bracket_action *a, const struct frame *f)
 {
     struct cam *c = &s->cam[a->camera];
     struct take_frame t = {.camera = a->camera,
@@ -166,7 +166,7 @@ static err_t keep(struct session *s, const struct bracket_action *a, const struc
 }
 
 /* Frames of this plan; what was seen in another light serves no more, probes neither. */
-static void forget(struct session *s, const struct bracket_action *a)
+static void forget_frames(struct session *s, const struct bracket_action *a)
 {
     struct cam *c = &s->cam[a->camera];
     bool relit = a->index == 1;
@@ -174,7 +174,7 @@ static void forget(struct session *s, const struct bracket_action *a)
     frame_buffer_cut(&c->roll, relit ? 0 : c->n_before);
 }
 
-static err_t request(struct session *s, const struct bracket_action *a, int64_t now)
+static err_t request_exposure(struct session *s, const struct bracket_action *a, int64_t now)
 {
     struct cam *c = &s->cam[a->camera];
     struct bracket_event answer = {
@@ -186,7 +186,7 @@ static err_t request(struct session *s, const struct bracket_action *a, int64_t 
     return bracket_event(s->machine, &answer);
 }
 
-static void lose(struct session *s, int i)
+static void lose_camera(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     log_warn("%s: %s", c->about.uri, err_text());
@@ -195,32 +195,32 @@ static void lose(struct session *s, int i)
     s->lost = true;
 }
 
-static err_t restart(struct session *s, int i, int64_t now)
+static err_t restart_camera(struct session *s, int i, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
     log_warn("%s: no frames come, starting it again", s->cam[i].about.uri);
     close_camera(&s->cam[i]);
     if (open_camera(s, i) != OK) {
-        lose(s, i);
+        lose_camera(s, i);
         ev.kind = BRACKET_LOST;
     }
     return bracket_event(s->machine, &ev);
 }
 
 /* Tell the machine, and do what it wants. f: the frame of the event. */
-static err_t tell(struct session *s, const struct bracket_event *ev, const struct frame *f)
+static err_t handle_event(struct session *s, const struct bracket_event *ev, const struct frame *f)
 {
     struct bracket_action a;
     err_t e = bracket_event(s->machine, ev);
     while (!e && bracket_action(s->machine, &a)) {
         if (a.kind == BRACKET_REQUEST)
-            e = request(s, &a, ev->now_ns);
+            e = request_exposure(s, &a, ev->now_ns);
         else if (a.kind == BRACKET_KEEP && f) // nothing else is kept
-            e = keep(s, &a, f);
+            e = keep_frame(s, &a, f);
         else if (a.kind == BRACKET_FORGET)
-            forget(s, &a);
+            forget_frames(s, &a);
         else if (a.kind == BRACKET_RESTART)
-            e = restart(s, a.camera, ev->now_ns);
+            e = restart_camera(s, a.camera, ev->now_ns);
     }
     return e;
 }
@@ -228,7 +228,7 @@ static err_t tell(struct session *s, const struct bracket_event *ev, const struc
 /* ---- frames ---- */
 
 /* What the status page shows. */
-static void look(const struct session *s, struct cam *c, int64_t now)
+static void update_view(const struct session *s, struct cam *c, int64_t now)
 {
     c->look_ns = now + LOOK_NS;
     c->looked = true;
@@ -236,7 +236,7 @@ static void look(const struct session *s, struct cam *c, int64_t now)
     idle_view_look(&s->sample, &c->view);
 }
 
-static bool shooting(const struct session *s)
+static bool is_shooting(const struct session *s)
 {
     return bracket_state(s->machine) == BRACKET_SHOOTING;
 }
@@ -248,10 +248,10 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     struct bracket_event ev = {.kind = BRACKET_FRAME, .now_ns = now, .camera = i, .frame = f};
     bool view = now >= c->look_ns, bad = (f->flags & (FRAME_ERROR | FRAME_SHORT)) != 0;
     bool trouble = s->phase == PHASE_TROUBLE;
-    if (!bad && (shooting(s) || view || trouble)) {
+    if (!bad && (is_shooting(s) || view || trouble)) {
         bad = subsample_run(&c->about.info, f, &s->sample) != OK;
         if (!bad && view)
-            look(s, c, now);
+            update_view(s, c, now);
         if (!bad)
             exposure_probe_measure(&s->sample, c->about.has_crf ? &c->about.crf : NULL,
                                    &s->witness);
@@ -259,7 +259,7 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     }
     if (bad)
         ev.kind = BRACKET_UNUSABLE;
-    err_t e = tell(s, &ev, f);
+    err_t e = handle_event(s, &ev, f);
     if (!e && trouble && ev.witness)
         e = session_trouble_see(s, i, f, ev.witness);
     c->ops->release(c->st, f);
@@ -267,7 +267,7 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
 }
 
 /* At most what its buffers hold, so that others get their turn. */
-static err_t drain(struct session *s, int i)
+static err_t drain_camera(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     err_t e = OK;
@@ -283,9 +283,9 @@ static err_t drain(struct session *s, int i)
             continue;
         }
         if (got == ERR_LOST)
-            lose(s, i);
+            lose_camera(s, i);
         ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
-        e = tell(s, &ev, NULL);
+        e = handle_event(s, &ev, NULL);
     }
     return e;
 }
@@ -311,7 +311,7 @@ err_t session_arm(struct session *s, int i, double base_s)
             e = c->ops->request(c->st, &ask, &c->set);
         if (e) {
             e = name_camera(c, e);
-            lose(s, i);
+            lose_camera(s, i);
             return e;
         }
     }
@@ -319,10 +319,10 @@ err_t session_arm(struct session *s, int i, double base_s)
     ev.set = c->set;
     c->looked = false;
     c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
-    return tell(s, &ev, NULL);
+    return handle_event(s, &ev, NULL);
 }
 
-static err_t arm(struct session *s)
+static err_t arm_all(struct session *s)
 {
     err_t first = OK;
     for (int i = 0; i < s->n; i++) {
@@ -339,7 +339,7 @@ static double better_base(const struct cam *c)
     return idle_view_base(&c->view, &c->about.info, c->set.time_s);
 }
 
-static err_t adapt(struct session *s, int i)
+static err_t adapt_base(struct session *s, int i)
 {
     const struct cam *c = &s->cam[i];
     bool waits = c->open && c->looked && s->phase == PHASE_NONE && !s->ready;
@@ -378,7 +378,7 @@ static err_t find_lost(struct session *s)
     }
     bool found = s->lost && !lost;
     s->lost = lost;
-    err_t e = found ? arm(s) : OK;
+    err_t e = found ? arm_all(s) : OK;
     return e == ERR_NOMEM ? e : OK;
 }
 
@@ -392,10 +392,10 @@ static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
         schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
     for (int i = 0; i < s->n; i++)
         s->cam[i].n_before = s->cam[i].roll.n;
-    return tell(s, &ev, NULL);
+    return handle_event(s, &ev, NULL);
 }
 
-static int planned(const struct session *s)
+static int count_planned(const struct session *s)
 {
     int n = 0;
     for (int i = 0; i < s->n; i++)
@@ -446,7 +446,7 @@ static err_t plan_shots(struct session *s)
 {
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
-        if (schedule_is_metered(&s->order) && meter_plan(&c->meter, &c->plan) != OK)
+        if (schedule_is_metered(&s->order) && meter_choose(&c->meter, &c->plan) != OK)
             return name_camera(c, ERR_ARG);
         schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
     }
@@ -473,7 +473,7 @@ static bool plan_extension(struct session *s)
     return any;
 }
 
-static void finish(struct session *s, bool complete)
+static void finish_take(struct session *s, bool complete)
 {
     s->complete = complete;
     s->ready = true;
@@ -492,7 +492,7 @@ static void note_limits(struct session *s)
 static err_t start_plans(struct session *s, int64_t now);
 
 /* The plan that ran is done: the next one, or the end. */
-static err_t advance(struct session *s, int64_t now)
+static err_t advance_plan(struct session *s, int64_t now)
 {
     err_t e = OK;
     enum phase next = s->phase;
@@ -506,7 +506,7 @@ static err_t advance(struct session *s, int64_t now)
     if (s->phase == PHASE_PROBE) {
         e = meter_probes(s);
         plan_probes(s);
-        if (!e && planned(s) == 0) {
+        if (!e && count_planned(s) == 0) {
             e = plan_shots(s);
             next = PHASE_SHOOT;
         }
@@ -514,25 +514,25 @@ static err_t advance(struct session *s, int64_t now)
                plan_extension(s) && s->phase == PHASE_SHOOT)
         next = PHASE_EXTEND;
     else {
-        finish(s, true);
+        finish_take(s, true);
         return OK;
     }
     if (e)
         return e;
-    if (planned(s) == 0) { // probes were enough
+    if (count_planned(s) == 0) { // probes were enough
         s->phase = next;
-        return advance(s, now);
+        return advance_plan(s, now);
     }
     return begin_plan(s, next, now);
 }
 
-static void fail(struct session *s, const char *why)
+static void fail_take(struct session *s, const char *why)
 {
     snprintf(s->reason, sizeof s->reason, "%s", why);
-    finish(s, false);
+    finish_take(s, false);
 }
 
-static err_t faulted(struct session *s)
+static err_t handle_fault(struct session *s)
 {
     int i = 0;
     enum bracket_reason r = bracket_reason(s->machine, &i);
@@ -540,7 +540,7 @@ static err_t faulted(struct session *s)
         session_trouble_sentence(s, i, r);
     if (!s->cancelled && session_trouble_is_light(s, r))
         return session_trouble_begin(s);
-    finish(s, false);
+    finish_take(s, false);
     return OK;
 }
 
@@ -552,7 +552,7 @@ static err_t follow_trouble(struct session *s, int64_t now)
     if (!e && what == SESSION_FLICKERS)
         return start_plans(s, now);
     if (e || what == SESSION_STEADY)
-        finish(s, false);
+        finish_take(s, false);
     return OK;
 }
 
@@ -561,28 +561,28 @@ static err_t follow_focus(struct session *s, int64_t now)
 {
     err_t e = s->cancelled ? OK : session_focus(s, false);
     if (s->cancelled)
-        finish(s, false);
+        finish_take(s, false);
     return e == ERR_AGAIN || s->cancelled ? OK : e ? e : start_plans(s, now);
 }
 
 /* Where the machine has come to. */
-static err_t follow(struct session *s, int64_t now)
+static err_t follow_machine(struct session *s, int64_t now)
 {
     struct bracket_progress p;
     err_t e = s->phase == PHASE_TROUBLE ? follow_trouble(s, now)
               : s->phase == PHASE_FOCUS ? follow_focus(s, now)
                                         : OK;
-    while (s->phase > PHASE_FOCUS && s->phase != PHASE_TROUBLE && !e && !shooting(s)) {
+    while (s->phase > PHASE_FOCUS && s->phase != PHASE_TROUBLE && !e && !is_shooting(s)) {
         bracket_progress(s->machine, &p);
         s->frames_used += p.frames;
         s->rejected += p.rejected;
         if (bracket_state(s->machine) == BRACKET_DONE)
-            e = advance(s, now);
+            e = advance_plan(s, now);
         else
-            e = faulted(s);
+            e = handle_fault(s);
     }
     if (e && s->phase != PHASE_NONE) {
-        fail(s, err_text());
+        fail_take(s, err_text());
         e = OK;
     }
     return e;
@@ -635,7 +635,7 @@ err_t session_begin(struct session *s, const struct session_order *o)
         e = start_plans(s, now);
     if (e)
         s->phase = PHASE_NONE;
-    return e ? e : follow(s, now);
+    return e ? e : follow_machine(s, now);
 }
 
 void session_cancel(struct session *s, const char *reason)
@@ -645,13 +645,13 @@ void session_cancel(struct session *s, const char *reason)
         return;
     s->cancelled = true;
     snprintf(s->reason, sizeof s->reason, "%s", reason);
-    if (tell(s, &ev, NULL) != OK || follow(s, ev.now_ns) != OK)
-        fail(s, reason);
+    if (handle_event(s, &ev, NULL) != OK || follow_machine(s, ev.now_ns) != OK)
+        fail_take(s, reason);
 }
 
 /* ---- the finished take ---- */
 
-static void describe(struct session *s, struct take *t)
+static void describe_take(struct session *s, struct take *t)
 {
     t->status = s->complete ? TAKE_COMPLETE : TAKE_ABORTED;
     t->trigger = s->trigger;
@@ -699,10 +699,10 @@ err_t session_collect(struct session *s, struct take **out)
         t->meter[i] = c->plan;
         frame_buffer_move(&c->roll, t);
     }
-    describe(s, t);
+    describe_take(s, t);
     s->ready = false;
     *out = t;
-    err_t e = arm(s);
+    err_t e = arm_all(s);
     return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
 }
 
@@ -779,18 +779,18 @@ err_t session_step(struct session *s)
     struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
-        e = drain(s, i);
+        e = drain_camera(s, i);
     if (!e && now >= bracket_deadline(s->machine))
-        e = tell(s, &tick, NULL);
+        e = handle_event(s, &tick, NULL);
     now = session_now(s);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());
         e = OK;
     }
     if (!e)
-        e = follow(s, now);
+        e = follow_machine(s, now);
     for (int i = 0; !e && i < s->n; i++)
-        e = adapt(s, i);
+        e = adapt_base(s, i);
     if (!e && s->lost && s->phase == PHASE_NONE)
         e = find_lost(s);
     return e == ERR_NOMEM ? e : OK;

@@ -25,7 +25,7 @@ bool session_trouble_is_light(const struct session *s, enum bracket_reason r)
     return like_light && !s->tried && !s->lost;
 }
 
-static err_t ask(struct session *s, int i, double time_s)
+static err_t arm_probe(struct session *s, int i, double time_s)
 {
     struct trouble *t = &s->cam[i].trouble;
     t->time_s = time_s;
@@ -43,7 +43,7 @@ err_t session_trouble_begin(struct session *s)
         struct cam *c = &s->cam[i];
         c->trouble = (struct trouble){.base_s = c->set.time_s};
         longest = fmax(longest, fmax(c->about.info.period_s, c->set.time_s));
-        e = ask(s, i, LONG_S);
+        e = arm_probe(s, i, LONG_S);
     }
     double frames = 2.0 * ((1 + FLICKER_FRAMES / EACH) * (SETTLE + EACH) + LONG_FRAMES);
     s->until_ns = session_now(s) + (int64_t)((frames * longest + PATIENCE_S) * (double)SECOND);
@@ -62,14 +62,14 @@ err_t session_trouble_see(struct session *s, int i, const struct frame *f,
         if (t->seen.n_long < LONG_FRAMES)
             return OK;
         t->is_short = true;
-        return ask(s, i, LONG_S * shorter[0]);
+        return arm_probe(s, i, LONG_S * shorter[0]);
     }
     bool ends = c->about.info.stamp == CAMERA_STAMP_END;
     flicker_add_short(&t->seen, w, (double)f->timestamp_ns * 1e-9 - ends * c->set.time_s,
                       c->set.time_s);
     int n = t->seen.n_short;
     if (n < FLICKER_FRAMES)
-        return n % EACH ? OK : ask(s, i, LONG_S * shorter[n / EACH]);
+        return n % EACH ? OK : arm_probe(s, i, LONG_S * shorter[n / EACH]);
     flicker_find(&t->seen, c->about.info.period_s, &c->about.light);
     t->over = true;
     return OK;
@@ -95,7 +95,7 @@ err_t session_trouble_end(struct session *s, enum session_outcome *out)
 /* ---- sentences ---- */
 
 /* An unusual curve looks like an exposure that is not obeyed. */
-static const char *advice(const struct cam *c, enum bracket_reason r)
+static const char *advice_on(const struct cam *c, enum bracket_reason r)
 {
     bool known = c->about.has_crf || subsample_kind(&c->about.info).linear;
     if (r == BRACKET_INEFFECTIVE && !known)
@@ -124,5 +124,5 @@ void session_trouble_sentence(struct session *s, int i, enum bracket_reason r)
                  "exposures of %.3g ms and its multiples mend it",
                  i + 1, c->about.light.hz, 100.0 * c->about.light.depth, 1e3 / c->about.light.hz);
     else
-        snprintf(out, n, "camera %d: %s%s", i + 1, bracket_sentence(r), advice(c, r));
+        snprintf(out, n, "camera %d: %s%s", i + 1, bracket_sentence(r), advice_on(c, r));
 }

@@ -26,7 +26,7 @@ struct writer {
     struct writer_outcome place[PLACES];
 };
 
-static void *run(void *ctx)
+static void *write_takes(void *ctx)
 {
     struct writer *w = ctx;
     pthread_mutex_lock(&w->lock);
@@ -64,7 +64,7 @@ err_t writer_open(struct store *s, struct writer **out)
     }
     pthread_mutex_init(&w->lock, NULL);
     pthread_cond_init(&w->work, NULL);
-    int why = pthread_create(&w->thread, NULL, run, w);
+    int why = pthread_create(&w->thread, NULL, write_takes, w);
     if (why) {
         close(w->fd);
         free(w);

@@ -101,11 +101,11 @@ static void meter(const struct device *d, const struct meter_config *cfg, const 
         if (!(probe > 0.0))
             break;
         assert_in_range(i, 0, 2);
-        assert_int_equal(meter_plan(m, out), ERR_AGAIN);
+        assert_int_equal(meter_choose(m, out), ERR_AGAIN);
         photograph(d, s, probe, &px);
         meter_add(m, &px, d->linear ? NULL : &crf, probe);
     }
-    assert_int_equal(meter_plan(m, out), OK);
+    assert_int_equal(meter_choose(m, out), OK);
 }
 
 /* --- truth -------------------------------------------------------------------------------- */
