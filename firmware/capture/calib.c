@@ -81,11 +81,14 @@ static err_t build_path(const char *dir, const struct camera_info *info, char pa
     char unit[3 * CAMERA_UNIT_CAP + 4], name[sizeof unit + 64];
     const char *format = take_format(info->format);
     if (!*info->unit || !format)
-        return err_fail(ERR_ARG, "%s: a camera without a name of its own has no calibration", dir);
+        return err_fail(ERR_ARG,
+                        "%s: the camera reports no unit name, so its calibration cannot be stored",
+                        dir);
     escape_unit(info->unit, unit, sizeof unit);
     snprintf(name, sizeof name, "%s_%dx%d_%s.conf", unit, info->w, info->h, format);
     if (strlen(name) > 255)
-        return err_fail(ERR_ARG, "%s: name of %zu bytes, allowed are 255", name, strlen(name));
+        return err_fail(ERR_ARG, "%s: the file name has %zu bytes, at most 255 are allowed", name,
+                        strlen(name));
     return file_join(dir, name, path);
 }
 
@@ -129,8 +132,8 @@ static err_t parse_curve(struct reader *r, enum key k, char *text)
                             r->line, keys[k].name, i + 1, CODES);
     }
     if (x[CODES - 1] != 0.0f)
-        return err_fail(ERR_FORMAT, "%s:%d: %s: the last number is %g, must be 0", r->what, r->line,
-                        keys[k].name, (double)x[CODES - 1]);
+        return err_fail(ERR_FORMAT, "%s:%d: %s: the last number is %g and must be 0", r->what,
+                        r->line, keys[k].name, (double)x[CODES - 1]);
     return *text ? err_fail(ERR_FORMAT, "%s:%d: %s: more than %d numbers", r->what, r->line,
                             keys[k].name, CODES)
                  : OK;
@@ -145,11 +148,11 @@ static err_t check_device(const struct reader *r, enum key k, const char *value)
         want = size;
     if (strcmp(value, want) == 0)
         return OK;
-    return err_fail(ERR_FORMAT, "%s:%d: %s is \"%.*s\", the camera's is \"%s\"", r->what, r->line,
-                    keys[k].name, QUOTE, value, want);
+    return err_fail(ERR_FORMAT, "%s:%d: %s is \"%.*s\", but the camera has \"%s\"", r->what,
+                    r->line, keys[k].name, QUOTE, value, want);
 }
 
-/* Without blanks around it. */
+/* Removes the blanks on both sides. */
 static char *trim_blanks(char *s)
 {
     s += strspn(s, " \t");
@@ -168,8 +171,8 @@ static err_t parse_value(struct reader *r, const char *name, char *value)
     if (k == KEYS)
         return err_fail(ERR_FORMAT, "%s:%d: unknown key \"%.*s\"", r->what, r->line, QUOTE, name);
     if (r->seen[k])
-        return err_fail(ERR_FORMAT, "%s:%d: %s again, it is in line %d", r->what, r->line, name,
-                        r->seen[k]);
+        return err_fail(ERR_FORMAT, "%s:%d: %s is given again, it is in line %d", r->what, r->line,
+                        name, r->seen[k]);
     r->seen[k] = r->line;
     if (keys[k].kind == TEXT)
         return check_device(r, k, value);
@@ -190,7 +193,7 @@ static err_t parse_line(struct reader *r, char *line)
     if (!*line || *line == '#')
         return OK;
     if (!equal)
-        return err_fail(ERR_FORMAT, "%s:%d: not \"key = value\"", r->what, r->line);
+        return err_fail(ERR_FORMAT, "%s:%d: the line is not \"key = value\"", r->what, r->line);
     *equal = 0;
     return parse_value(r, trim_blanks(line), trim_blanks(equal + 1));
 }
@@ -226,7 +229,7 @@ static err_t parse_text(struct reader *r, char *text, size_t n)
 {
     err_t e = OK;
     if (memchr(text, 0, n))
-        return err_fail(ERR_FORMAT, "%s: a zero byte at %zu", r->what, strlen(text));
+        return err_fail(ERR_FORMAT, "%s: the text has a zero byte at %zu", r->what, strlen(text));
     for (char *next = text; next && !e;) {
         char *line = next;
         next = strchr(line, '\n');
@@ -238,7 +241,7 @@ static err_t parse_text(struct reader *r, char *text, size_t n)
     return e ? e : finish_reading(r);
 }
 
-/* What the device says of itself. */
+/* Fills in the values that the device reports about itself. */
 static void set_from_info(const struct camera_info *info, struct calib *out)
 {
     bool linear = info->format >= CAMERA_GREY16;
@@ -256,7 +259,8 @@ err_t calib_parse(const char *what, const char *text, size_t n, const struct cam
     struct reader r = {.what = what, .info = info, .out = out};
     set_from_info(info, out);
     if (n > BYTES_MAX)
-        return err_fail(ERR_FORMAT, "%s: %zu bytes, at most %d are read", what, n, BYTES_MAX);
+        return err_fail(ERR_FORMAT, "%s: the file has %zu bytes, at most %d are read", what, n,
+                        BYTES_MAX);
     char *copy = malloc(n + 1);
     if (!copy)
         return err_fail(ERR_NOMEM, "%s: no memory for %zu bytes", what, n);
@@ -309,7 +313,7 @@ static void print_calib(FILE *f, const struct camera_info *info, const struct ca
     }
 }
 
-/* What would not be read back is not written. */
+/* Checks that the calibration can be read back, before it is written. */
 static err_t check_readable(const char *path, const struct camera_info *info, const struct calib *c)
 {
     char *text = NULL;
@@ -317,10 +321,10 @@ static err_t check_readable(const char *path, const struct camera_info *info, co
     struct calib back;
     FILE *f = open_memstream(&text, &n);
     if (!f)
-        return err_fail(ERR_NOMEM, "%s: no memory", path);
+        return err_fail(ERR_NOMEM, "%s: no memory to write the calibration", path);
     print_calib(f, info, c);
     err_t e = fclose(f) == 0 ? calib_parse(path, text, n, info, &back)
-                             : err_fail(ERR_NOMEM, "%s: no memory", path);
+                             : err_fail(ERR_NOMEM, "%s: no memory to write the calibration", path);
     free(text);
     return e == ERR_FORMAT ? ERR_ARG : e;
 }
@@ -383,7 +387,7 @@ void calib_camera(const struct camera_info *info, const struct calib *c, struct 
     if (!c)
         c = &own;
     double lo = fmax(info->time_min_s, c->time_min_s), hi = fmin(info->time_max_s, c->time_max_s);
-    bool empty = lo > hi; // the device has another range since: its own word is better than none
+    bool empty = lo > hi; // the range of the device has changed: use the range it reports
     *out = (struct bracket_camera){.period_s = info->period_s,
                                    .time_min_s = empty ? info->time_min_s : lo,
                                    .time_max_s = empty ? info->time_max_s : hi,

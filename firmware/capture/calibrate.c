@@ -1,16 +1,17 @@
 /* Base. From 10 ms in steps of two stops towards the light or the dark, the exposure at which most
- * places of the witness are good.
+ * places of the probe are good.
  * Delay (Android's test of latching is the model). From rest, steps of two stops up and down at
  * phases spread by the golden ratio. A frame shows the step if its ratio to the frame before the
- * request is nearer to what comes in the end than to 0, so no response curve is needed. Steps
+ * request is nearer to the final ratio than to 0, so no response curve is needed. Steps
  * around whose first frame one was lost do not count, unless all are so.
  * Curve. Five pictures at rest, 0, 1.4, 3.2, 5.4 and 8 stops below the longest: ratios that differ
  * hold a curve better than equal ones (core/photo/crf.h). If no curve explains them, exposure may
  * not obey in all of that: five more above the base, then below.
  * Range. Each exposure of the sweep against the one before, by the median ratio of common places,
  * else by the bounds of dark and clipped ones. A wrong pair is measured twice more: flicker and
- * passers-by are not always wrong. The range reaches from the base to the first wrong pair; its
- * upper end is then narrowed by halving. Where pixels see nothing, the device is believed. */
+ * movement in the scene do not make it wrong each time. The range reaches from the base to the
+ * first wrong pair; its upper end is then narrowed by halving. Where pixels show nothing, the range
+ * that the device reports is used. */
 #include "firmware/capture/calibrate.h"
 
 #include "drivers/device/clocks.h"
@@ -23,7 +24,7 @@
 #include <time.h>
 
 enum {
-    UNKNOWN = 8, // frames, delay of devices that say nothing
+    UNKNOWN = 8, // frames, delay of devices that report none
     IDLE_MAX = 3,
     SETTLE = 2, // frames beyond the delay
     GOOD_PLACES = EXPOSURE_PROBE_PLACES * 2 / 5,
@@ -57,7 +58,7 @@ static double limit_exposure(const struct device_probe *w, double t, double long
     return fmax(fmin(t, fmin(w->info.time_max_s, longest_s)), w->info.time_min_s);
 }
 
-/* Frames to wait for rest while the delay is not measured. */
+/* Frames until a request has settled, while the delay is not measured. */
 static int settle_frames(const struct calibrate *c)
 {
     return (c->calib.delay_hi > UNKNOWN ? c->calib.delay_hi : UNKNOWN) + SETTLE;
@@ -77,7 +78,8 @@ static err_t check_base(const struct exposure_probe *best, double t)
     if (best->good >= FEW_PLACES)
         return OK;
     return err_fail(
-        ERR_LIMIT, "too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
+        ERR_LIMIT,
+        "the scene is too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
         best->dark > best->clipped ? "dark" : "bright", t, 100 * best->good / EXPOSURE_PROBE_PLACES,
         100 * FEW_PLACES / EXPOSURE_PROBE_PLACES);
 }
@@ -123,7 +125,7 @@ static void wait_for_phase(const struct device_probe *w, int i)
     nanosleep(&t, NULL);
 }
 
-/* Ask, and watch until some frames after the change. */
+/* Requests an exposure and records frames until a few after the change. */
 static err_t step_to(struct device_probe *w, double time_s, const struct exposure_probe *from,
                      struct trial *t, struct device_probe_frame *last)
 {
@@ -147,7 +149,7 @@ static err_t step_to(struct device_probe *w, double time_s, const struct exposur
     return e;
 }
 
-/* First frame that shows the step; -1: none. */
+/* The first frame that shows the step; -1: none. */
 static int first_changed(const struct trial *t)
 {
     if (t->n < 3)
@@ -173,7 +175,7 @@ static void add_delay(struct delays *d, int lo, int hi)
     d->n++;
 }
 
-/* What a step tells; false: nothing changed. */
+/* Adds the delay that a step shows; false: nothing changed. */
 static bool add_trial(const struct trial *t, struct delays *exact, struct delays *wide)
 {
     int i = first_changed(t);
@@ -203,8 +205,10 @@ static err_t choose_ends(const struct device_probe *w, double base_s, double end
     end[1] = limit_exposure(w, 4.0 * end[0], INFINITY);
     end[0] = limit_exposure(w, 0.25 * end[1], INFINITY);
     if (end[1] < 2.0 * end[0])
-        return err_fail(ERR_UNSUPPORTED, "exposure can only be varied from %g s to %g s", end[0],
-                        end[1]);
+        return err_fail(
+            ERR_UNSUPPORTED,
+            "exposure can only be varied from %g s to %g s, at least a factor of 2 is needed",
+            end[0], end[1]);
     return OK;
 }
 
@@ -235,10 +239,11 @@ err_t calibrate_delay(struct device_probe *w, struct calibrate *c)
     device_probe_tell(w, "latency", TRIALS, TRIALS);
     const struct delays *d = exact.n >= TRIALS / 3 ? &exact : &wide;
     if (d->hi - d->lo > UNKNOWN)
-        return err_fail(ERR_LIMIT,
-                        "the delay cannot be told, it is in %d..%d: %d of %d frames were lost, "
-                        "perhaps because this machine is too slow",
-                        d->lo, d->hi, w->count.lost + w->count.hidden, w->count.frames);
+        return err_fail(
+            ERR_LIMIT,
+            "the delay cannot be measured, it is in %d..%d frames: %d of %d frames were lost, "
+            "perhaps because this machine is too slow",
+            d->lo, d->hi, w->count.lost + w->count.hidden, w->count.frames);
     int waited = settle_frames(c);
     c->calib.delay_lo = num_min(d->lo, DELAY_MAX);
     c->calib.delay_hi = num_min(d->hi, DELAY_MAX);
@@ -319,8 +324,9 @@ static err_t try_window(struct device_probe *w, const double stops[2], struct ca
     for (int i = 0; i < 2; i++)
         ends[i] = limit_exposure(w, c->base_s * exp2(stops[i]), c->longest_s);
     if (log2(ends[1] / ends[0]) < CURVE_STOPS) {
-        snprintf(c->curve_why, sizeof c->curve_why, "exposures of %.3g..%.3g s are too much alike",
-                 ends[0], ends[1]);
+        snprintf(c->curve_why, sizeof c->curve_why,
+                 "exposures of %.3g..%.3g s span less than %g stops", ends[0], ends[1],
+                 CURVE_STOPS);
         return OK;
     }
     err_t e = take_pictures(w, ends, c, p);
@@ -349,7 +355,7 @@ err_t calibrate_curve(struct device_probe *w, struct calibrate *c)
 
 /* ---- range ---- */
 
-/* b against a, which was `asked` stops shorter. */
+/* Compares b with a, which was `asked` stops shorter. */
 static void judge_step(const struct device_probe *w, const struct exposure_probe *a,
                        const struct exposure_probe *b, struct calibrate_step *s)
 {
@@ -376,7 +382,7 @@ struct sweep {
     double last_s; // as asked
 };
 
-/* The pair of last_s and time_s, as often as it takes to be sure. */
+/* Measures the pair of last_s and time_s, again while it is wrong. */
 static err_t measure_step(struct sweep *k, double time_s, struct calibrate_step *out)
 {
     struct device_probe_frame s;
@@ -450,7 +456,7 @@ static err_t narrow_range(struct device_probe *w, struct calibrate *c, double go
     return OK;
 }
 
-/* A curve by which neighbours are wrong is not good enough to judge frames by. */
+/* A curve that does not fit neighbouring steps is too inexact for the tight tolerance. */
 static void check_curve(struct device_probe *w, struct calibrate *c, int lo, int hi)
 {
     for (int i = lo + 1; i <= hi && !w->linear; i++)

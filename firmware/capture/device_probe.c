@@ -1,7 +1,7 @@
-/* Frames are fetched one by one, counted, and looked at through a thin picture where somebody wants
- * to know. Ages of requests come from label_advance, so that a delay measured here means to the
- * bracket machine what it meant here. Time stamps are only compared with each other and, for the
- * record, with the arrival. */
+/* Frames are fetched one by one, counted, and measured on a subsampled picture where the caller
+ * asks for it. Ages of requests come from label_advance, so that a delay measured here means the
+ * same to the bracket machine. Time stamps are only compared with each other and, for the record,
+ * with the arrival. */
 #include "firmware/capture/device_probe.h"
 
 #include "firmware/base/backends.h"
@@ -17,7 +17,7 @@
 #include <time.h>
 
 #define SECOND INT64_C(1000000000)
-#define WALL_NS INT64_C(1000000000000000000) // 30 years: no machine runs for so long
+#define WALL_NS INT64_C(1000000000000000000) // 30 years: above this it is wall time
 
 enum {
     BUSY_FRAMES = 10,
@@ -53,7 +53,7 @@ static err_t open_device(struct device_probe *w, const struct camera_cfg *cfg)
         return e;
     w->st = calloc(1, w->ops->state_bytes);
     if (!w->st)
-        return err_fail(ERR_NOMEM, "%s: no memory", cfg->uri);
+        return err_fail(ERR_NOMEM, "%s: no memory for the camera", cfg->uri);
     e = w->ops->open(w->st, cfg);
     if (!e) {
         w->ops->info(w->st, &w->info);
@@ -69,7 +69,7 @@ err_t device_probe_open(const struct camera_cfg *cfg, struct device_probe **out)
     *out = NULL;
     struct device_probe *w = calloc(1, sizeof *w);
     if (!w)
-        return err_fail(ERR_NOMEM, "%s: no memory", cfg->uri);
+        return err_fail(ERR_NOMEM, "%s: no memory for the camera", cfg->uri);
     w->uri = cfg->uri;
     err_t e = open_device(w, cfg);
     if (!e)
@@ -162,13 +162,13 @@ static err_t next_within(struct device_probe *w, double limit_s, struct frame *f
         if (e != ERR_AGAIN && e != ERR_IO)
             return e;
         if (now_of(w) >= end)
-            return err_fail(ERR_TIMEOUT, "no frame came for %.3g s", limit_s);
+            return err_fail(ERR_TIMEOUT, "no frame came within %.3g s", limit_s);
         struct pollfd p = {.fd = w->ops->fd(w->st), .events = POLLIN | POLLPRI};
         ppoll(&p, 1, &tick, NULL);
     }
 }
 
-/* A frame that is not the same once more. */
+/* Fetches the next frame that is not a duplicate. */
 static err_t fetch_frame(struct device_probe *w, struct frame *f, struct device_probe_frame *out)
 {
     double limit_s = 3.0 * label_longest_s(&w->label) + 1.0;

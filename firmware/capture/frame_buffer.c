@@ -9,7 +9,8 @@ err_t frame_buffer_add(struct frame_buffer *r, const struct take_frame *t, const
                        bool used)
 {
     if (r->n == FRAME_BUFFER_MAX)
-        return err_fail(ERR_LIMIT, "camera %d: more than %d frames", t->camera, FRAME_BUFFER_MAX);
+        return err_fail(ERR_LIMIT, "camera %d: more than %d frames cannot be kept", t->camera,
+                        FRAME_BUFFER_MAX);
     uint8_t *copy = malloc(f->bytes);
     if (!copy)
         return err_fail(ERR_NOMEM, "camera %d: no memory for a frame of %zu bytes", t->camera,

@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-#define LIMIT 0.01       // beyond the range of the device: the rounding of whoever asks
+#define LIMIT 0.01       // beyond the range of the device: rounding of requests
 #define STEADY_LIST 0.25 // stops
 #define STEADY_AUTO 0.5
 #define LINK 5.0 // stops between frames that are sure to show the same places
@@ -53,7 +53,7 @@ void schedule_probe(double time_s, double base_s, const struct camera_info *info
     add_exposure(out, time_s);
 }
 
-/* Stops around the middle one. */
+/* Exposure k of the list, in stops around the middle one. */
 static double list_time(const struct session_order *o, const struct meter_result *r, int k)
 {
     double middle = o->middle_s;
@@ -83,7 +83,7 @@ const char *schedule_limit(const struct session_order *o, const struct camera_in
     return r->too_bright ? "the scene is too bright for it" : "the scene is too dark for it";
 }
 
-/* A probe that only rest speaks for is taken again, in the company of others. */
+/* A probe whose only evidence is rest is taken again, next to other exposures. */
 static bool is_proven(const struct frame_buffer *r, int probe)
 {
     return probe >= 0 && probe < r->n && r->kept[probe].frame.evidence.proof < BRACKET_UNVERIFIED;

@@ -1,5 +1,5 @@
 /* One machine for the rig (bracket.h) and a meter for each camera. A take is a row of plans for the
- * machine: probes until every meter knows enough, the exposures that probes do not already give,
+ * machine: probes until every meter has enough data, the exposures that probes do not already give,
  * and at most one more where the pictures show that something is not covered. Kept frames of all
  * plans are pooled and sorted by exposure at the end. */
 #include "firmware/capture/session.h"
@@ -69,7 +69,7 @@ static err_t prepare_camera(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     if (strlen(s->cfg.uri[i]) >= sizeof c->about.uri)
-        return err_fail(ERR_ARG, "camera %d: URI longer than %zu bytes", i + 1,
+        return err_fail(ERR_ARG, "camera %d: its URI is longer than %zu bytes", i + 1,
                         sizeof c->about.uri - 1);
     strcpy(c->about.uri, s->cfg.uri[i]);
     err_t e = backends_camera(c->about.uri, &c->ops);
@@ -77,7 +77,7 @@ static err_t prepare_camera(struct session *s, int i)
         return e;
     c->st = calloc(1, c->ops->state_bytes);
     if (!c->st)
-        return err_fail(ERR_NOMEM, "%s: no memory", c->about.uri);
+        return err_fail(ERR_NOMEM, "%s: no memory for the camera", c->about.uri);
     e = open_camera(s, i);
     if (!e && s->cfg.calibration && c->about.info.unit[0])
         e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
@@ -111,10 +111,11 @@ err_t session_open(const struct session_config *cfg, struct session **out)
 {
     *out = NULL;
     if (cfg->n < 1 || cfg->n > BRACKET_CAMERAS_MAX)
-        return err_fail(ERR_ARG, "%d cameras, 1..%d are possible", cfg->n, BRACKET_CAMERAS_MAX);
+        return err_fail(ERR_ARG, "%d cameras are given, 1..%d are possible", cfg->n,
+                        BRACKET_CAMERAS_MAX);
     struct session *s = calloc(1, sizeof *s);
     if (!s)
-        return err_fail(ERR_NOMEM, "cameras: no memory");
+        return err_fail(ERR_NOMEM, "cameras: no memory for a session");
     s->cfg = *cfg;
     err_t e = OK;
     for (s->n = 0; !e && s->n < cfg->n; s->n++)
@@ -145,7 +146,7 @@ void session_close(struct session *s)
     free(s);
 }
 
-/* ---- the machine's wishes ---- */
+/* ---- actions of the machine ---- */
 
 static err_t keep_frame(struct session *s, const struct bracket_action *a, const struct frame *f)
 {
@@ -157,15 +158,15 @@ static err_t keep_frame(struct session *s, const struct bracket_action *a, const
     for (int i = 0; i < s->n; i++)
         held += frame_buffer_bytes(&s->cam[i].roll);
     if (s->cfg.memory && held > s->cfg.memory)
-        return err_fail(ERR_LIMIT, "%s: frames of %zu MB, max_memory_mb allows %zu", c->about.uri,
-                        held / 1000000, s->cfg.memory / 1000000);
+        return err_fail(ERR_LIMIT, "%s: the frames need %zu MB, max_memory_mb allows %zu",
+                        c->about.uri, held / 1000000, s->cfg.memory / 1000000);
     if (s->phase == PHASE_PROBE && a->index + 1 < s->plan[a->camera].n)
         return OK; // a link
     t.start = clocks_at(t.evidence.start_ns);
     return frame_buffer_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
 }
 
-/* Frames of this plan; what was seen in another light serves no more, probes neither. */
+/* Drops the frames of this plan; if the light changed, earlier frames and probes as well. */
 static void forget_frames(struct session *s, const struct bracket_action *a)
 {
     struct cam *c = &s->cam[a->camera];
@@ -198,7 +199,7 @@ static void lose_camera(struct session *s, int i)
 static err_t restart_camera(struct session *s, int i, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
-    log_warn("%s: no frames come, starting it again", s->cam[i].about.uri);
+    log_warn("%s: no frames come, it is started again", s->cam[i].about.uri);
     close_camera(&s->cam[i]);
     if (open_camera(s, i) != OK) {
         lose_camera(s, i);
@@ -207,7 +208,7 @@ static err_t restart_camera(struct session *s, int i, int64_t now)
     return bracket_event(s->machine, &ev);
 }
 
-/* Tell the machine, and do what it wants. f: the frame of the event. */
+/* Passes an event to the machine and carries out its actions. f: the frame of the event. */
 static err_t handle_event(struct session *s, const struct bracket_event *ev, const struct frame *f)
 {
     struct bracket_action a;
@@ -227,7 +228,7 @@ static err_t handle_event(struct session *s, const struct bracket_event *ev, con
 
 /* ---- frames ---- */
 
-/* What the status page shows. */
+/* Updates the picture of the status page. */
 static void update_view(const struct session *s, struct cam *c, int64_t now)
 {
     c->look_ns = now + LOOK_NS;
@@ -266,7 +267,7 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     return e;
 }
 
-/* At most what its buffers hold, so that others get their turn. */
+/* Takes at most as many frames as the camera has buffers, so that no camera delays the others. */
 static err_t drain_camera(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
@@ -297,8 +298,7 @@ static bool same_device(const struct camera_info *a, const struct camera_info *b
     return strcmp(a->unit, b->unit) == 0 && a->w == b->w && a->h == b->h && a->format == b->format;
 }
 
-/* A camera that does not take it is as good as lost. Returns the first error; the others are
- * armed. */
+/* A camera that refuses the request is treated as lost. */
 err_t session_arm(struct session *s, int i, double base_s)
 {
     struct cam *c = &s->cam[i];
@@ -322,6 +322,7 @@ err_t session_arm(struct session *s, int i, double base_s)
     return handle_event(s, &ev, NULL);
 }
 
+/* Arms all open cameras, also after an error. Returns the first error. */
 static err_t arm_all(struct session *s)
 {
     err_t first = OK;
@@ -366,9 +367,9 @@ static err_t find_lost(struct session *s)
             c->retry_ns = now + RETRY_S * SECOND;
             c->set.time_s = 0;
             if (open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
-                log_warn("%s: came back as %s %dx%d, was %s %dx%d", c->about.uri,
-                         c->about.info.unit, c->about.info.w, c->about.info.h, before.unit,
-                         before.w, before.h);
+                log_warn("%s: came back as %s %dx%d, but was %s %dx%d; it stays unused",
+                         c->about.uri, c->about.info.unit, c->about.info.w, c->about.info.h,
+                         before.unit, before.w, before.h);
                 close_camera(c);
                 c->about.info = before;
             } else if (c->open)
@@ -544,7 +545,7 @@ static err_t handle_fault(struct session *s)
     return OK;
 }
 
-/* While the light is looked at: again, if it is the reason. */
+/* While flicker is measured. If it is the reason, the take starts again. */
 static err_t follow_trouble(struct session *s, int64_t now)
 {
     enum session_outcome what = SESSION_STEADY;
@@ -556,7 +557,7 @@ static err_t follow_trouble(struct session *s, int64_t now)
     return OK;
 }
 
-/* While lenses are searched. */
+/* While lenses focus. */
 static err_t follow_focus(struct session *s, int64_t now)
 {
     err_t e = s->cancelled ? OK : session_focus(s, false);
@@ -565,7 +566,7 @@ static err_t follow_focus(struct session *s, int64_t now)
     return e == ERR_AGAIN || s->cancelled ? OK : e ? e : start_plans(s, now);
 }
 
-/* Where the machine has come to. */
+/* Continues the take from the state of the machine. */
 static err_t follow_machine(struct session *s, int64_t now)
 {
     struct bracket_progress p;
@@ -588,7 +589,7 @@ static err_t follow_machine(struct session *s, int64_t now)
     return e;
 }
 
-/* From the beginning: meters know nothing, no frame is kept. */
+/* Starts the take anew: empty meters, no kept frames. */
 static err_t start_plans(struct session *s, int64_t now)
 {
     bool metered = schedule_is_metered(&s->order);
@@ -606,12 +607,13 @@ static err_t start_plans(struct session *s, int64_t now)
 static err_t check_order(const struct session *s, const struct session_order *o)
 {
     if (o->mode == SESSION_LIST && (o->n < 1 || o->n > BRACKET_EXPOSURES_MAX))
-        return err_fail(ERR_ARG, "%d exposures, 1..%d are possible", o->n, BRACKET_EXPOSURES_MAX);
+        return err_fail(ERR_ARG, "%d exposures are given, 1..%d are possible", o->n,
+                        BRACKET_EXPOSURES_MAX);
     if (s->ready || s->phase != PHASE_NONE)
-        return err_fail(ERR_BUSY, "a capture runs");
+        return err_fail(ERR_BUSY, "another capture is still running");
     for (int i = 0; i < s->n; i++)
         if (!s->cam[i].open)
-            return err_fail(ERR_LOST, "%s is not there", s->cam[i].about.uri);
+            return err_fail(ERR_LOST, "%s: the camera is not there", s->cam[i].about.uri);
     return OK;
 }
 
@@ -664,8 +666,9 @@ static void describe_take(struct session *s, struct take *t)
     note_limits(s);
     if (s->complete && s->order.skew_s > 0 && t->skew_s > s->order.skew_s) {
         t->status = TAKE_ABORTED;
-        snprintf(s->reason, sizeof s->reason, "cameras were %.3g s apart, bracket.skew_ms is %.3g",
-                 t->skew_s, s->order.skew_s * 1e3);
+        snprintf(s->reason, sizeof s->reason,
+                 "cameras started %.3g s apart, bracket.skew_ms is %.3g", t->skew_s,
+                 s->order.skew_s * 1e3);
     }
     bool flickers = false;
     for (int i = 0; i < t->n; i++)
@@ -688,7 +691,7 @@ err_t session_collect(struct session *s, struct take **out)
         return err_fail(ERR_AGAIN, "no take is ready");
     struct take *t = calloc(1, sizeof *t);
     if (!t)
-        return err_fail(ERR_NOMEM, "take: no memory");
+        return err_fail(ERR_NOMEM, "take: no memory for its frames");
     t->n_cameras = s->n;
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
@@ -774,7 +777,7 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 
 err_t session_step(struct session *s)
 {
-    // only what had not come by now is late: looking at the others takes time
+    // a frame is late only if it had not arrived by now: measuring the others takes time
     int64_t now = session_now(s);
     struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;

@@ -1,5 +1,6 @@
 /* Why a bracket failed. A lamp that flickers looks like an exposure that is not obeyed, a scene
- * that changes, or torn frames: frames that average over it and some that do not tell. If it is the
+ * that changes, or torn frames: comparing long frames, which average over it, with short ones
+ * tells which it is. If it is the
  * lamp, the bracket is taken again, with exposures that hold whole periods of it where that is
  * possible, and what it does to the others allowed for. */
 #include "firmware/capture/schedule.h"
@@ -116,12 +117,12 @@ void session_trouble_sentence(struct session *s, int i, enum bracket_reason r)
     if (unclear && p.lost > LOST_SHARE * (p.frames + p.lost))
         snprintf(out, n,
                  "camera %d: %d of %d frames were lost: this machine is too slow for "
-                 "%dx%d px at %.3g frames/s; fewer or smaller ones mend it",
+                 "%dx%d px at %.3g frames/s; use fewer or smaller frames",
                  i + 1, p.lost, p.frames + p.lost, info->w, info->h, 1.0 / info->period_s);
     else if (unclear && c->about.light.hz > 0.0)
         snprintf(out, n,
-                 "camera %d: the light flickers at %.0f Hz, by %.0f %%: other lamps, or "
-                 "exposures of %.3g ms and its multiples mend it",
+                 "camera %d: the light flickers at %.0f Hz, by %.0f %%: use other lamps, or "
+                 "exposures of %.3g ms and its multiples",
                  i + 1, c->about.light.hz, 100.0 * c->about.light.depth, 1e3 / c->about.light.hz);
     else
         snprintf(out, n, "camera %d: %s%s", i + 1, bracket_sentence(r), advice_on(c, r));

@@ -1,4 +1,5 @@
-/* Two places: the take that is written or whose outcome waits, and the one behind it. */
+/* The queue has two places: the take being written, or its uncollected outcome, and the take after
+ * it. */
 #include "firmware/capture/writer.h"
 
 #include "core/base/log.h"
@@ -55,7 +56,7 @@ err_t writer_open(struct store *s, struct writer **out)
     struct writer *w = calloc(1, sizeof *w);
     *out = NULL;
     if (!w)
-        return err_fail(ERR_NOMEM, "writer: no memory");
+        return err_fail(ERR_NOMEM, "writer: no memory for its state");
     w->store = s;
     w->fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     if (w->fd < 0) {
@@ -68,7 +69,7 @@ err_t writer_open(struct store *s, struct writer **out)
     if (why) {
         close(w->fd);
         free(w);
-        return err_fail(ERR_NOMEM, "writer: no thread: %s", strerror(why));
+        return err_fail(ERR_NOMEM, "writer: cannot start its thread: %s", strerror(why));
     }
     pthread_setname_np(w->thread, "writer");
     *out = w;
@@ -85,7 +86,7 @@ void writer_close(struct writer *w)
     pthread_cond_signal(&w->work);
     pthread_mutex_unlock(&w->lock);
     pthread_join(w->thread, NULL);
-    while (w->n > 0) { // outcomes that nobody asked for; and one that an outcome kept waiting
+    while (w->n > 0) { // outcomes that were not collected, and a take still queued behind one
         if (!w->done && store_commit(w->store, w->place[0].take, o.id) != OK)
             log_error("%s", err_text());
         take_free(w->place[0].take);

@@ -47,13 +47,13 @@ const char *manifest_proof(enum bracket_proof p)
 
 /* ---- writing ---- */
 
-/* A member; `key` is ours, so it needs no escapes. Objects and arrays are written by hand. */
+/* Begins a member. Keys are constants and need no escapes. */
 static void put_key(FILE *f, const char *key)
 {
     fprintf(f, "\"%s\": ", key);
 }
 
-/* Any bytes: those that are not ASCII are written as Latin-1, so that the text is always JSON. */
+/* Accepts any bytes. Bytes above ASCII are written as Latin-1, so the text is always JSON. */
 static void put_text(FILE *f, const char *key, const char *s)
 {
     put_key(f, key);
@@ -335,7 +335,8 @@ static err_t check_name(const char *what, const char *name)
     if (e)
         return e;
     if (copy[0] == '.' || strcmp(name, MANIFEST_FILE) == 0)
-        return err_fail(ERR_FORMAT, "%s: lists a file \"%s\"", what, name);
+        return err_fail(ERR_FORMAT, "%s: lists a file \"%s\", which a take cannot have", what,
+                        name);
     return OK;
 }
 
@@ -352,9 +353,10 @@ static err_t get_file(const char *what, const struct cJSON *node, struct manifes
     if (!name || strlen(name) >= sizeof f->name || !get_count(node, "bytes", &f->bytes) ||
         !get_text(node, "sha256", "0123456789abcdef", sizeof f->sha256, f->sha256) ||
         strlen(f->sha256) != sizeof f->sha256 - 1)
-        return err_fail(ERR_FORMAT,
-                        "%s: file %d: no name below %zu bytes, no size, or no SHA-256 of 64 digits",
-                        what, out->n + 1, sizeof f->name);
+        return err_fail(
+            ERR_FORMAT,
+            "%s: file %d needs a name below %zu bytes, a size and a SHA-256 of 64 digits", what,
+            out->n + 1, sizeof f->name);
     memcpy(f->name, name, strlen(name) + 1);
     for (int i = 0; i < out->n; i++)
         if (strcmp(out->file[i].name, f->name) == 0)
@@ -367,7 +369,8 @@ static err_t get_files(const char *what, const struct cJSON *doc, struct manifes
 {
     const struct cJSON *list = json_member(doc, "files");
     if (!json_is_array(list) || json_count(list) > MANIFEST_FILES_MAX)
-        return err_fail(ERR_FORMAT, "%s: files: no list of at most %d", what, MANIFEST_FILES_MAX);
+        return err_fail(ERR_FORMAT, "%s: files is not a list of at most %d", what,
+                        MANIFEST_FILES_MAX);
     err_t e = OK;
     for (const struct cJSON *node = json_first(list); node && !e; node = json_next(node))
         e = get_file(what, node, out);
@@ -384,7 +387,7 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
     const int n_keys = sizeof keys / sizeof keys[0], optional = 2; // the last two keys
     uint64_t version, counter;
     if (!json_is_object(doc))
-        return err_fail(ERR_FORMAT, "%s: not an object", what);
+        return err_fail(ERR_FORMAT, "%s: the document is not an object", what);
     err_t e = check_keys(what, doc, keys, n_keys - optional, n_keys);
     if (e)
         return e;

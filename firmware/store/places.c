@@ -111,13 +111,13 @@ err_t places_end(const char *store, const char *session)
     if (!e)
         e = file_join(store, ".tmp-" STORE_SESSION_ENDED, tmp);
     if (!e && file_exists(path) && !read_ended(path, text))
-        e = err_fail(ERR_ARG, "%s: is there already and was not written by hdrig", path);
+        e = err_fail(ERR_ARG, "%s: the file exists and was not written by hdrig", path);
     if (e)
         return e;
     int n = snprintf(text, sizeof text, "%s\n", session);
     fs->unlink(tmp); // of an end that failed
     e = store_fs_write(fs, tmp, text, (size_t)n);
     if (!e && fs->rename(tmp, path, 0) != 0)
-        e = err_fail(ERR_IO, "%s: cannot put the finished file there", path);
+        e = err_fail(ERR_IO, "%s: cannot be replaced", path);
     return e ? e : store_fs_sync_dir(fs, store);
 }

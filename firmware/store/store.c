@@ -24,7 +24,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open looks at
+enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open verifies
 
 static const char boot_path[] = "/proc/sys/kernel/random/boot_id";
 static const char counter_name[] = "counter", tmp_prefix[] = ".tmp-", aborted[] = "aborted-";
@@ -87,7 +87,7 @@ static bool is_take_name(const char *name)
     return false;
 }
 
-/* One of the takes of a folder. */
+/* A take found in a folder. */
 struct entry {
     uint64_t number;
     bool is_aborted;
@@ -109,7 +109,8 @@ static bool next_entry(DIR *d, struct entry *out)
     return false;
 }
 
-/* Newer first; of one number, which only a copied folder can have twice, by name. */
+/* Newer takes come first. Equal numbers, which only a copied folder can have, are
+ * ordered by name. */
 static bool comes_before(const struct entry *a, const struct entry *b)
 {
     return a->number != b->number ? a->number > b->number : strcmp(a->id, b->id) > 0;
@@ -182,10 +183,11 @@ static err_t check_file(const struct store_fs *fs, const char *dir, const struct
     if (e)
         return e;
     if (bytes != f->bytes)
-        return err_fail(ERR_FORMAT, "%s: %" PRIu64 " bytes, the manifest says %" PRIu64, path,
+        return err_fail(ERR_FORMAT,
+                        "%s: the file has %" PRIu64 " bytes, the manifest says %" PRIu64, path,
                         bytes, f->bytes);
     if (strcmp(hex, f->sha256) != 0)
-        return err_fail(ERR_FORMAT, "%s: its bytes are not those of the manifest", path);
+        return err_fail(ERR_FORMAT, "%s: its SHA-256 differs from the manifest", path);
     return OK;
 }
 
@@ -200,7 +202,7 @@ static err_t read_manifest(const struct store_fs *fs, const char *dir, struct ma
         return e;
     char *text = malloc(JSON_BYTES_MAX + 1); // one more shows that it is too long
     if (!text)
-        return err_fail(ERR_NOMEM, "%s: no memory", path);
+        return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
     e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
     if (!e)
         e = manifest_parse(path, text, n, m);
@@ -223,7 +225,7 @@ err_t store_verify(const char *dir)
 {
     struct manifest *m = malloc(sizeof *m);
     if (!m)
-        return err_fail(ERR_NOMEM, "%s: no memory", dir);
+        return err_fail(ERR_NOMEM, "%s: no memory for its manifest", dir);
     err_t e = verify_take(&store_fs_system, dir, m);
     free(m);
     return e;
@@ -245,7 +247,8 @@ static err_t sync_parent(const struct store *s, char *path)
 }
 
 /* The folder and those above it, so that a power cut finds them: also those that are there, which a
- * former run may have made and not brought to the disk. Some of them may be closed to us. */
+ * former run may have made and not brought to the disk. Errors of folders that
+ * exist are ignored: the program may lack permission for them. */
 static err_t make_folders(const struct store *s)
 {
     char path[FILE_PATH_CAP];
@@ -270,7 +273,7 @@ static err_t lock_store(struct store *s)
 {
     s->fd = open(s->path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (s->fd < 0)
-        return err_fail(ERR_IO, "%s: %s", s->path, strerror(errno));
+        return err_fail(ERR_IO, "%s: cannot be opened: %s", s->path, strerror(errno));
     if (flock(s->fd, LOCK_EX | LOCK_NB) != 0)
         return errno == EWOULDBLOCK
                    ? err_fail(ERR_BUSY, "%s: another process stores its captures there", s->path)
@@ -315,7 +318,8 @@ static void remove_leftovers(struct store *s)
         closedir(d);
 }
 
-/* The counter, or beyond all names if it lags behind or cannot be read. */
+/* Reads the counter. If it lags behind the names or cannot be read, the number after the
+ * largest name is used. */
 static void read_counter(struct store *s)
 {
     char path[FILE_PATH_CAP], text[32] = "";
@@ -333,11 +337,11 @@ static void read_counter(struct store *s)
     if (d)
         closedir(d);
     if (!ok && n > 0)
-        log_warn("%s: is no number of 1 to %" PRIu64 ", going on with %" PRIu64, path, counter_max,
-                 s->next);
+        log_warn("%s: its number is not in 1 to %" PRIu64 ", %" PRIu64 " is used", path,
+                 counter_max, s->next);
 }
 
-/* Put a damaged take aside: only a faulty disk or a change from outside makes one. */
+/* Renames a damaged take. Only a faulty disk or a change by another program damages one. */
 static void check_take(struct store *s, const char *id)
 {
     char path[FILE_PATH_CAP], name[STORE_ID_CAP + 16], aside[FILE_PATH_CAP];
@@ -359,7 +363,7 @@ static err_t set_path(struct store *s, const char *path)
     while (n > 1 && path[n - 1] == '/')
         n--;
     if (n == 0 || n >= FILE_PATH_CAP - 128)
-        return err_fail(ERR_ARG, "store: path of %zu bytes, allowed are 1 to %d", n,
+        return err_fail(ERR_ARG, "store: the path has %zu bytes, 1 to %d are allowed", n,
                         FILE_PATH_CAP - 129);
     memcpy(s->path, path, n);
     return OK;
@@ -371,12 +375,13 @@ err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg, s
     *out = NULL;
     struct store *s = calloc(1, sizeof *s);
     if (!s)
-        return err_fail(ERR_NOMEM, "store: no memory");
+        return err_fail(ERR_NOMEM, "store: no memory for its state");
     s->fs = fs;
     s->cfg = *cfg;
     s->fd = -1;
-    err_t e = cfg->keep >= 0 ? set_path(s, cfg->path)
-                             : err_fail(ERR_ARG, "store: keeps %d takes, least is 0", cfg->keep);
+    err_t e = cfg->keep >= 0
+                  ? set_path(s, cfg->path)
+                  : err_fail(ERR_ARG, "store.keep is %d takes, at least 0 is needed", cfg->keep);
     if (!e)
         e = make_folders(s);
     if (!e)
@@ -418,7 +423,7 @@ err_t store_room(const struct store *s, uint64_t bytes)
 {
     struct statvfs v;
     if (s->fs->room(s->path, &v) != 0)
-        return err_fail(ERR_IO, "%s: %s", s->path, strerror(errno));
+        return err_fail(ERR_IO, "%s: its free space cannot be read: %s", s->path, strerror(errno));
     uint64_t have = (uint64_t)v.f_bavail * v.f_frsize;
     if (bytes <= have && s->cfg.reserve <= have - bytes)
         return OK;
@@ -464,7 +469,7 @@ static err_t remove_take(struct store *s, const char *id)
     return e;
 }
 
-/* Whether it is a take of ours, and nothing else is in it. */
+/* Checks that it is a take of this store without foreign files. */
 static err_t check_removable(struct store *s, const char *id)
 {
     static const char *const folders[] = {"", "images", "raw", "merged"};
@@ -473,7 +478,7 @@ static err_t check_removable(struct store *s, const char *id)
     if (!e)
         e = read_manifest(s->fs, path, &s->manifest);
     if (!e && strcmp(s->manifest.id, id) != 0)
-        e = err_fail(ERR_FORMAT, "%s: its manifest is that of %s", path, s->manifest.id);
+        e = err_fail(ERR_FORMAT, "%s: its manifest belongs to %s", path, s->manifest.id);
     for (int i = 0; i < 4 && !e; i++)
         e = check_listed(&s->manifest, path, folders[i]);
     return e;
@@ -492,7 +497,7 @@ static void keep_newest(struct store *s, bool is_aborted)
         oldest_entry(s, is_aborted, &than, &x);
         if (check_removable(s, x.id) != OK) {
             if (x.number > s->kept)
-                log_warn("%s; this take stays beyond store.keep", err_text());
+                log_warn("%s; the take is kept although store.keep is exceeded", err_text());
             s->kept = x.number > s->kept ? x.number : s->kept;
         } else if (!session[0] || strcmp(s->manifest.session, session) != 0) {
             e = remove_take(s, x.id);
@@ -504,7 +509,7 @@ static void keep_newest(struct store *s, bool is_aborted)
 
 /* ---- committing ---- */
 
-/* A take while it is written. */
+/* A take being written. */
 struct commit {
     struct store *s;
     const struct take *t;
@@ -566,18 +571,19 @@ static err_t advance_counter(struct store *s)
 {
     char path[FILE_PATH_CAP], tmp[FILE_PATH_CAP], text[32];
     if (s->next > counter_max)
-        return err_fail(ERR_LIMIT, "%s: number %" PRIu64 " was the last", s->path, counter_max);
+        return err_fail(ERR_LIMIT,
+                        "%s: %" PRIu64 " is the last number, no more takes can be stored", s->path,
+                        counter_max);
     int n = snprintf(text, sizeof text, "%" PRIu64 "\n", s->next + 1);
     err_t e = file_join(s->path, counter_name, path);
     if (!e)
         e = file_join(s->path, ".tmp-counter", tmp);
     if (e)
         return e;
-    s->fs->unlink(tmp); // of a number that was not put there
+    s->fs->unlink(tmp); // left by a crash
     e = store_fs_write(s->fs, tmp, text, (size_t)n);
     if (!e && s->fs->rename(tmp, path, 0) != 0)
-        e = err_fail(file_code(errno), "%s: cannot put the finished file there: %s", path,
-                     strerror(errno));
+        e = err_fail(file_code(errno), "%s: cannot be replaced: %s", path, strerror(errno));
     s->next += !e;
     return e;
 }

@@ -96,7 +96,7 @@ err_t store_fs_finish(struct store_fs_file *f)
         f->why = EIO;
     if (!f->why && f->fs->sync(f->fd) != 0) {
         f->why = errno;
-        what = "cannot be brought to the disk";
+        what = "cannot be synced to the disk";
     }
     if (f->fs->close(f->fd) != 0 && !f->why) {
         f->why = errno;
@@ -136,7 +136,7 @@ static err_t open_regular(const struct store_fs *fs, const char *path, int *fd)
     return err_fail(ERR_IO, "%s: not a regular file", path);
 }
 
-/* Up to n bytes; fewer only at the end. Below 0: errno says why. */
+/* Reads up to n bytes; fewer only at the end of the file. Returns -1 with errno on failure. */
 static ssize_t read_full(const struct store_fs *fs, int fd, uint8_t *p, size_t n)
 {
     size_t done = 0;
@@ -197,11 +197,11 @@ err_t store_fs_sync_dir(const struct store_fs *fs, const char *path)
 {
     int fd = fs->open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC, 0), why = 0;
     if (fd < 0)
-        return call_fail(path, "cannot be brought to the disk", errno);
-    if (fs->sync(fd) != 0 && errno != EINVAL) // EINVAL: a file system without it
+        return call_fail(path, "cannot be synced to the disk", errno);
+    if (fs->sync(fd) != 0 && errno != EINVAL) // EINVAL: it cannot sync folders
         why = errno;
     fs->close(fd);
-    return why ? call_fail(path, "cannot be brought to the disk", why) : OK;
+    return why ? call_fail(path, "cannot be synced to the disk", why) : OK;
 }
 
 err_t store_fs_mkdir(const struct store_fs *fs, const char *path)
@@ -214,7 +214,7 @@ err_t store_fs_move(const struct store_fs *fs, const char *from, const char *to)
     int failed = fs->rename(from, to, RENAME_NOREPLACE);
     if (failed && errno == EINVAL && !file_exists(to)) // a file system without the flag
         failed = fs->rename(from, to, 0);
-    return failed ? call_fail(to, "cannot be put there", errno) : OK;
+    return failed ? call_fail(to, "cannot be used as the new name", errno) : OK;
 }
 
 /* A removal in progress. */
@@ -222,7 +222,7 @@ struct removal {
     const struct store_fs *fs;
     const char *root;
     bool (*own)(const char *name);
-    char stays[FILE_PATH_CAP]; // the first that is not ours, "" for none
+    char stays[FILE_PATH_CAP]; // the first foreign file, "" for none
 };
 
 static int remove_deep(struct removal *r, const char *name, int depth);
@@ -244,7 +244,7 @@ static int remove_entries(struct removal *r, const char *path, const char *name,
     return why;
 }
 
-/* errno of what could not be removed, or 0. name: below the root, "" for itself. */
+/* Returns the errno of the first failed removal, or 0. name: below the root, "" for the root. */
 static int remove_deep(struct removal *r, const char *name, int depth)
 {
     char path[FILE_PATH_CAP];

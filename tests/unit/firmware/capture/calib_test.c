@@ -101,7 +101,7 @@ static void one_file_per_mode(void **state)
     assert_int_equal(calib_load(dir, &other, &back, &found), OK);
     assert_false(found);
     memset(other.unit, '/', CAMERA_UNIT_CAP - 1);
-    expect_err(calib_save(dir, &other, &c), ERR_ARG, "allowed are 255");
+    expect_err(calib_save(dir, &other, &c), ERR_ARG, "at most 255 are allowed");
     strcpy(other.unit, "..");
     assert_int_equal(calib_save(dir, &other, &c), OK);
     assert_int_equal(remove(tmpdir_path("modes/%2E._1280x720_yuyv.conf")), 0);
@@ -133,7 +133,7 @@ static void refuses(void **state)
         {HEAD "time_max_s = \n", "\"\" is not a number"},
         {HEAD "time_max_s = 1 2\n", "\"2\" after the number"},
         {HEAD "time_max = 1\n", "unknown key \"time_max\""},
-        {HEAD "size = 1280x720\n", "x:4: size again, it is in line 2"},
+        {HEAD "size = 1280x720\n", "x:4: size is given again, it is in line 2"},
         {HEAD "words\n", "x:4: not \"key = value\""},
         {"unit = other\n", "x:1: unit is \"other\", the camera's is \"usb-"},
         {"\n# comment\nsize = 1280x721\n", "x:3: size is \"1280x721\""},

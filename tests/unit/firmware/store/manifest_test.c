@@ -124,7 +124,7 @@ static void hostile_manifests(void **state)
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"raw/.x\", \"bytes\"", "lists a file \"raw/.x\"");
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"manifest.json\", \"bytes\"", "lists a file");
     with(text, "\"raw/00_00.bin\", \"bytes\"", "\"exposure.json\", \"bytes\"", "listed twice");
-    with(text, "\"bytes\": 1024", "\"bytes\": \"1024\"", "no size");
+    with(text, "\"bytes\": 1024", "\"bytes\": \"1024\"", "a size and a SHA-256");
     with(text, "\"sha256\": \"", "\"sha256\": \"0", "SHA-256 of 64 digits");
     with(text, "\"sha256\": \"", "\"sha256\": \"\", \"x\": \"", "\"x\" is not known");
     with(text, "\"files\": [", "\"files\": [1, ", "is not an object");

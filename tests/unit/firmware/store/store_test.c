@@ -316,7 +316,7 @@ static void numbers_rise(void **state)
     commit(s, small_take(1, 1, CAMERA_GREY16), id);
     assert_int_equal(number(id), 999999999);
     struct take *t = small_take(1, 1, CAMERA_GREY16);
-    expect_err(store_commit(s, t, id), ERR_LIMIT, "999999999 was the last");
+    expect_err(store_commit(s, t, id), ERR_LIMIT, "999999999 is the last number");
     take_free(t);
     assert_int_equal(store_list(s, ids, 4), 4);
     assert_int_equal(number(ids[0]), 999999999);
@@ -494,11 +494,11 @@ static void refuses_to_open(void **state)
     expect_ok(store_open(&cfg, &s)); // nothing stays locked
     store_close(s);
     cfg.keep = -1;
-    expect_err(store_open(&cfg, &s), ERR_ARG, "keeps -1 takes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "store.keep is -1 takes");
     cfg = (struct store_config){.path = ""};
-    expect_err(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "the path has 0 bytes");
     cfg.path = NULL;
-    expect_err(store_open(&cfg, &s), ERR_ARG, "path of 0 bytes");
+    expect_err(store_open(&cfg, &s), ERR_ARG, "the path has 0 bytes");
     cfg.path = tmpdir_text("file", "");
     expect_err(store_open(&cfg, &s), ERR_IO, "File exists");
     cfg.path = "/proc/none/store";
@@ -683,7 +683,7 @@ static void verifies(void **state)
     rewind(f);
     putc(c ^ 1, f);
     fclose(f);
-    expect_err(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: its bytes are not those");
+    expect_err(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: its SHA-256 differs");
     f = fopen(in(id, "raw/00_01.bin"), "r+b");
     putc(c, f);
     fclose(f);
@@ -691,7 +691,8 @@ static void verifies(void **state)
     f = fopen(in(id, "raw/00_01.bin"), "ab");
     putc(0, f);
     fclose(f);
-    expect_err(store_verify(dir), ERR_FORMAT, "raw/00_01.bin: 1025 bytes, the manifest says 1024");
+    expect_err(store_verify(dir), ERR_FORMAT,
+               "raw/00_01.bin: the file has 1025 bytes, the manifest says 1024");
     assert_int_equal(truncate(in(id, "raw/00_01.bin"), 1024), 0);
     put_text(in(id, "raw/.hidden"), "");
     expect_err(store_verify(dir), ERR_FORMAT, "/raw/.hidden: is not in the manifest");
