@@ -106,7 +106,7 @@ static void one_file_per_mode(void **state)
     assert_int_equal(calib_save(dir, &other, &c), OK);
     assert_int_equal(remove(tmpdir_path("modes/%2E._1280x720_yuyv.conf")), 0);
     other.unit[0] = 0;
-    expect_err(calib_save(dir, &other, &c), ERR_ARG, "without a name");
+    expect_err(calib_save(dir, &other, &c), ERR_ARG, "reports no unit name");
     expect_err(calib_save("/proc/none", &info, &c), ERR_IO, "/proc/none/");
 }
 
@@ -134,7 +134,7 @@ static void refuses(void **state)
         {HEAD "time_max_s = 1 2\n", "\"2\" after the number"},
         {HEAD "time_max = 1\n", "unknown key \"time_max\""},
         {HEAD "size = 1280x720\n", "x:4: size is given again, it is in line 2"},
-        {HEAD "words\n", "x:4: not \"key = value\""},
+        {HEAD "words\n", "x:4: the line is not \"key = value\""},
         {"unit = other\n", "x:1: unit is \"other\", the camera's is \"usb-"},
         {"\n# comment\nsize = 1280x721\n", "x:3: size is \"1280x721\""},
         {"format = rgb8\n", "the camera's is \"yuyv\""},
