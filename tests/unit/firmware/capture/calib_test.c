@@ -135,7 +135,7 @@ static void refuses(void **state)
         {HEAD "time_max = 1\n", "unknown key \"time_max\""},
         {HEAD "size = 1280x720\n", "x:4: size is given again, it is in line 2"},
         {HEAD "words\n", "x:4: the line is not \"key = value\""},
-        {"unit = other\n", "x:1: unit is \"other\", the camera's is \"usb-"},
+        {"unit = other\n", "x:1: unit is \"other\", but the camera has \"usb-"},
         {"\n# comment\nsize = 1280x721\n", "x:3: size is \"1280x721\""},
         {"format = rgb8\n", "the camera's is \"yuyv\""},
         {HEAD "crf.red = -1 0 1\n", "x:4: crf.red: 1 is not in -40..0"},
