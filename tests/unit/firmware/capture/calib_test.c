@@ -137,7 +137,7 @@ static void refuses(void **state)
         {HEAD "words\n", "x:4: the line is not \"key = value\""},
         {"unit = other\n", "x:1: unit is \"other\", but the camera has \"usb-"},
         {"\n# comment\nsize = 1280x721\n", "x:3: size is \"1280x721\""},
-        {"format = rgb8\n", "the camera's is \"yuyv\""},
+        {"format = rgb8\n", "but the camera has \"yuyv\""},
         {HEAD "crf.red = -1 0 1\n", "x:4: crf.red: 1 is not in -40..0"},
         {HEAD "crf.red = -1 -1\n", "number 2 of 256 does not rise"},
         {HEAD "crf.red = -1 -0.5 ;\n", "\" ;\" is not a number"},
