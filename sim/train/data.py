@@ -37,7 +37,7 @@ class Quality(c.Structure):
 class Ask(c.Structure):
     _fields_ = [("seed", c.c_uint64), ("kind", c.c_int), ("n_views", c.c_int), ("size", c.c_int),
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
-                ("quality", Quality)]
+                ("quality", Quality), ("lens", c.c_void_p)]
 
 
 class Request(c.Structure):

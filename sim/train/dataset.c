@@ -151,6 +151,16 @@ static err_t write_images(const struct set *s)
     return file_finish(f, path);
 }
 
+static void put_lens(const struct lens *l, const struct camera *c, FILE *f)
+{
+    double values[LENS_PARAMS];
+    const int n = lens_params(l, values);
+    fprintf(f, "1 %s %d %d", lens_name(l->model), c->w, c->h);
+    for (int i = 0; i < n; i++)
+        fprintf(f, " %.17g", values[i]);
+    fputc('\n', f);
+}
+
 static err_t write_cameras(const struct set *s)
 {
     const struct camera *c = &s->cams[0];
@@ -159,8 +169,11 @@ static err_t write_cameras(const struct set *s)
     err_t e = open_text(s, "sparse/0/cameras.txt", path, &f);
     if (e)
         return e;
-    fprintf(f, "1 PINHOLE %d %d %.9g %.9g %.9g %.9g\n", c->w, c->h, (double)c->fx, (double)c->fy,
-            (double)c->cx, (double)c->cy);
+    if (s->a->sample.lens)
+        put_lens(s->a->sample.lens, c, f);
+    else
+        fprintf(f, "1 PINHOLE %d %d %.9g %.9g %.9g %.9g\n", c->w, c->h, (double)c->fx,
+                (double)c->fy, (double)c->cx, (double)c->cy);
     e = file_finish(f, path);
     if (!e)
         e = open_text(s, "sparse/0/points3D.txt", path, &f);

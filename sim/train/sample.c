@@ -232,6 +232,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
         e = render_open(&prepare, &w, &world);
     if (!e) {
         world_cameras(&w, &path, a->seed, a->size, cams);
+        render_set_lens(world, a->lens);
         s.world = world;
         e = draw_all(&s);
     }

@@ -17,6 +17,7 @@ struct sample_ask {
     float fov_deg;     // as in struct world_path
     int jitter;        // bool
     struct render_quality quality;
+    const struct lens *lens; // of pictures of `size` px, in the place of fov_deg; NULL: none
 };
 
 /* Radiance, depth and cameras of all views.

@@ -53,6 +53,7 @@ struct render_world {
     struct bvh bvh;
     struct light_set lights;
     struct probes probes;
+    const struct lens *lens; // NULL: none
 };
 
 static err_t alloc_world(struct arena *keep, struct render_world **out)
@@ -77,6 +78,7 @@ err_t render_open(const struct run *r, const struct world *w, struct render_worl
     if (e)
         return e;
     s->w = w;
+    s->lens = NULL;
     e = bvh_build(r->keep, w, &s->bvh);
     if (!e)
         e = light_open(r->keep, &s->bvh, &s->lights);
@@ -85,6 +87,11 @@ err_t render_open(const struct run *r, const struct world *w, struct render_worl
     if (!e)
         *out = s;
     return e;
+}
+
+void render_set_lens(struct render_world *s, const struct lens *lens)
+{
+    s->lens = lens;
 }
 
 float render_ray(const struct render_world *s, const float o[3], const float d[3])
@@ -325,14 +332,20 @@ static err_t check_request(const struct camera *c, const struct render_quality *
     return OK;
 }
 
-/* Returns z of the camera per metre of the ray. */
-static float aim_ray(const struct picture *p, float u, float v, struct eye_ray *g)
+/* The ray of px (u, v). *z: of the camera per metre of the ray. False beyond the image circle. */
+static bool aim_ray(const struct picture *p, float u, float v, struct eye_ray *g, float *z)
 {
     float d[3] = {(u - p->cam->cx) / p->cam->fx, (v - p->cam->cy) / p->cam->fy, 1};
+    double ray[3];
+    if (p->s->lens && !lens_unproject(p->s->lens, (const double[2]){(double)u, (double)v}, ray))
+        return false;
+    for (int k = 0; k < 3 && p->s->lens; k++)
+        d[k] = (float)ray[k];
     *g = (struct eye_ray){.spread = p->spread, .lamps = true, .sun = true};
     memcpy(g->o, p->eye, sizeof g->o);
     vec_turn_back(p->turn, d, g->d);
-    return 1 / vec_unit(g->d);
+    *z = d[2] / vec_unit(g->d);
+    return true;
 }
 
 /* The number of a pixel in its pattern: neighbours are far apart in the sequence. */
@@ -370,8 +383,10 @@ static void sample_pixel(const struct picture *p, int i, int j, struct occluders
         int x = k / shadow % side, y = k / shadow / side;
         struct light_dice dice = pixel_dice(p, i, j, k);
         struct eye_ray g;
-        aim_ray(p, (float)j + ((float)x + 0.5f) / (float)side,
-                (float)i + ((float)y + 0.5f) / (float)side, &g);
+        float z;
+        if (!aim_ray(p, (float)j + ((float)x + 0.5f) / (float)side,
+                     (float)i + ((float)y + 0.5f) / (float)side, &g, &z))
+            continue;
         shade_ray(p->s, &g, hand, &dice, &one);
         for (int c = 0; c < 3; c++) {
             float light = one.part[SOFT][c] + one.part[SUN][c];
@@ -438,10 +453,14 @@ static err_t draw_row(void *ctx, int i, int worker)
         struct eye_ray g;
         struct pixel_sample seen = {0};
         struct light_surface on;
-        float scale = aim_ray(p, (float)j + 0.5f, (float)i + 0.5f, &g);
+        float scale = 1;
+        const bool aimed = aim_ray(p, (float)j + 0.5f, (float)i + 0.5f, &g, &scale);
         if (p->out->radiance)
             sample_pixel(p, i, j, &hand, &seen);
-        if (!p->out->radiance || p->q->samples > 1) {
+        if (!aimed) {
+            seen.t = RENDER_FAR;
+            memset(seen.n, 0, sizeof seen.n);
+        } else if (!p->out->radiance || p->q->samples > 1) {
             memset(seen.n, 0, sizeof seen.n);
             if (hit_surface(p->s, &g, &on, &seen.t) >= 0)
                 memcpy(seen.n, on.n, sizeof seen.n);
@@ -586,9 +605,10 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
     int rays = q->samples * q->samples * q->shadow;
     rotation_from_unit(cam->q, p.turn);
     vec_turn_back(p.turn, back, p.eye);
-    p.spread = 1 / (sqrtf(cam->fx * cam->fy) * (float)q->samples);
+    const float f2 = s->lens ? (float)(s->lens->fx * s->lens->fy) : cam->fx * cam->fy;
+    p.spread = 1 / (sqrtf(f2) * (float)q->samples);
     p.seed = light_hash((uint32_t)seed, (uint32_t)(seed >> 32));
-    p.period = rays < 4 ? 4 : rays < 16 ? 2 : 1;
+    p.period = s->lens || rays >= 16 ? 1 : rays < 4 ? 4 : 2; // planes are smoothed if straight
     if (p.period > 1 && out->radiance)
         e = alloc_planes(r->tmp, cam->w, cam->h, &p);
     if (!e)

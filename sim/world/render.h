@@ -20,6 +20,11 @@ struct render_quality {
 MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render_world **out);
 void render_open_plan(struct plan *p);
 
+/* Pictures drawn from now on are taken through this lens, whose fx, fy, cx, cy replace the
+ * camera's; pixels beyond its image circle are black and infinitely far. NULL: the camera is a
+ * pinhole. *lens must outlive the pictures. */
+void render_set_lens(struct render_world *s, const struct lens *lens);
+
 /* A ray that hits nothing has the radiance of the sky and the depth RENDER_FAR. */
 #define RENDER_FAR 1000.0f // m
 
@@ -31,7 +36,7 @@ struct render_maps {
 };
 
 /* One picture of cam->w x cam->h, both 1..4096. Shadows of large lights are smoothed over 5 x 5 px
- * of one surface with fewer than 4 rays a pixel, over 3 x 3 with fewer than 16.
+ * of one surface with fewer than 4 rays a pixel, over 3 x 3 with fewer than 16; not behind a lens.
  * err:  ERR_ARG (camera, quality), ERR_NOMEM (r->tmp, see render_plan), ERR_CANCELLED */
 MUST_USE err_t render_run(const struct run *r, const struct render_world *s,
                           const struct camera *cam, const struct render_quality *q, uint64_t seed,

@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Photographs through lenses that distort: a simulated rig with a barrel lens and with a fisheye,
+# its pictures undistorted because sparse/0 says how, the radiance with them; and the same set with
+# the distortion kept secret, which must be worse.
+. tests/e2e/common.bash
+simulate=(simulate --kind room --seed 21 --views 5 --size 140 --samples 2)
+
+measure() { # set; prints the mean PSNR of its test pictures
+    succeed eval --data "$1" --size 140 --refine 40 --protocol native --json "$OUT/eval.json"
+    number "$OUT/eval.json" ldr psnr
+}
+
+succeed "${simulate[@]}" --out "$OUT/straight"
+straight=$(measure "$OUT/straight")
+
+succeed "${simulate[@]}" --lens k1=-0.3,k2=0.06 --out "$OUT/barrel"
+grep -q '^1 RADIAL 140 140 .* -0.2999' "$OUT/barrel/sparse/0/cameras.txt" ||
+    fail "no lens is written"
+barrel=$(measure "$OUT/barrel")
+grep -q '5 photographs of 140 x 140 px undistorted (RADIAL): ' "$ERR" || fail "the lens is not told"
+hdr=$(number "$OUT/eval.json" hdr psnr)
+at_least "PSNR through a barrel lens" "$barrel" "$(awk -v x="$straight" 'BEGIN { print x - 1 }')"
+at_least "PSNR of radiance through a barrel lens" "$hdr" 20
+
+cp -r "$OUT/barrel" "$OUT/secret"
+sed -i 's/^1 RADIAL 140 140 \([0-9.]*\) .*/1 PINHOLE 140 140 \1 \1 70 70/' \
+    "$OUT/secret/sparse/0/cameras.txt"
+secret=$(measure "$OUT/secret")
+at_least "PSNR with the distortion told" "$barrel" "$(awk -v x="$secret" 'BEGIN { print x + 0.5 }')"
+
+succeed "${simulate[@]}" --fov 120 --lens fisheye,k1=-0.02 --out "$OUT/fisheye"
+succeed reconstruct --images "$OUT/fisheye" --size 140 --refine 0 --out "$OUT/scene"
+grep -q 'undistorted (OPENCV_FISHEYE)' "$ERR" || fail "the fisheye is not told"
+grep -q '"undistorted": \[' "$OUT/scene/report.json" || fail "the report lacks the fisheye"
+
+for bad in '' k9=1 k1=1,k1=2 k1=nan k1=11 fisheye,p1=1 k1=0.1,; do
+    expect 2 '^hdrig simulate: --lens: ".*" is not a list like' "${simulate[@]}" --lens "$bad" \
+        --out "$OUT/no"
+done
+nothing_at "$OUT/no"
+finish
