@@ -141,8 +141,10 @@ copy aspect
 sed -i 's/PINHOLE 56 56/PINHOLE 56 100/' "$set/sparse/0/cameras.txt"
 refused 1 'sparse/0.*train_ldr_00.*56 x 100' --images "$set"
 copy lens
-sed -i 's/PINHOLE.*/OPENCV 56 56 47 47 28 28 0.1 0 0 0/' "$set/sparse/0/cameras.txt"
-refused 1 'cameras.txt.*OPENCV' --images "$set"
+sed -i 's/PINHOLE.*/FULL_OPENCV 56 56 47 47 28 28 0.1 0 0 0 0 0 0 0/' "$set/sparse/0/cameras.txt"
+refused 1 'cameras.txt.*FULL_OPENCV' --images "$set"
+sed -i 's/FULL_OPENCV.*/OPENCV 56 56 47 47 -5 28 0.1 0 0 0/' "$set/sparse/0/cameras.txt"
+refused 1 'principal point -5, 28 outside its 56 x 56 px' --images "$set"
 
 # memory and what is in the way
 refused 3 'needs [0-9]+ MB, --max-memory is 64 MB' --images "$OUT/good" --size 448 --max-memory 64
