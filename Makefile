@@ -5,6 +5,7 @@
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
 # make uninstall  DESTDIR= PREFIX=                  what install has put there
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
+# make check-distro  on another Debian, as root: SUITE=trixie|bookworm
 # make check-train   the training of the small network: PYTHON= with PyTorch
 # make fuzz       SECONDS= for each target (clang)
 # make bench lint format deps clean
@@ -14,8 +15,8 @@
 # Packages of Debian 12 and 13: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libopenexr-dev libcjson-dev libinih-dev libzip-dev libgpiod-dev libcamera-dev \
-	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-dev cppcheck chromium systemd dpkg-dev \
+	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
+DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-dev cppcheck chromium systemd \
 	lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
@@ -101,7 +102,7 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train deps-kernel deps-qemu
+	check-train check-distro deps-kernel deps-qemu
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -283,6 +284,9 @@ lint: deps-check
 
 check-kernel: deps-kernel $(TOOLS) $(MODULE) $(call programs,$(LINUX))
 	@tests/linux/run.sh $(B)/tests/linux $(TEST)
+
+check-distro:
+	@tests/distro.sh "$(SUITE)"
 
 check-train: all libsim
 	@rm -rf build/train && mkdir -p build/train
