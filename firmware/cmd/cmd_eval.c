@@ -307,9 +307,7 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
     arena_step(&p.tmp, response_plan(&v));
     need->keep = p.keep.peak;
     need->tmp = p.tmp.peak;
-    for (int i = 0; i < c->n; i++)
-        need->pictures = arena_add(need->pictures, arena_need((size_t)c->shots[i].image.w * 3,
-                                                              (size_t)c->shots[i].image.h));
+    need->pictures = imageset_bytes(c, c->n);
 }
 
 /* Without known cameras the scene tells where its photographs were taken. */
