@@ -319,3 +319,17 @@ void lens_scale(struct lens *l, double x, double y)
     l->fy *= y;
     l->cy *= y;
 }
+
+/* x becomes -y and y becomes x; the tangential terms are the vector (p2, p1). */
+void lens_turn(struct lens *l, double h)
+{
+    const struct lens old = *l;
+    l->fx = old.fy;
+    l->fy = old.fx;
+    l->cx = h - old.cy;
+    l->cy = old.cx;
+    if (l->model == LENS_OPENCV) {
+        l->term[3] = -old.term[2];
+        l->term[2] = old.term[3];
+    }
+}

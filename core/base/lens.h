@@ -75,4 +75,7 @@ bool lens_distorts(const struct lens *l);
 /* The lens of pictures scaled by x across and y down. */
 void lens_scale(struct lens *l, double x, double y);
 
+/* The lens of pictures of any width and h px height once they are turned a quarter clockwise. */
+void lens_turn(struct lens *l, double h);
+
 #endif

@@ -1,5 +1,6 @@
 #include "drivers/format/cameras.h"
 
+#include "core/base/rotation.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 #include "drivers/format/name.h"
@@ -272,29 +273,75 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name,
     return OK;
 }
 
-err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
-                   struct rig_view *out)
+/* One of the sizes may be rounded to whole pixels. */
+static bool fits(const struct camera *cam, int w, int h)
 {
-    const struct rig_view *v;
-    err_t e = look_up(what, rig, name, &v);
-    if (e)
-        return e;
-    *out = *v;
-    struct camera *cam = &out->cam;
+    const double sx = (double)w / cam->w;
+    return (cam->w == w && cam->h == h) || fabs(sx * cam->h - h) <= 1 || fabs(h / sx - cam->h) <= 1;
+}
+
+static void scale_view(struct rig_view *v, int w, int h)
+{
+    struct camera *cam = &v->cam;
+    const double sx = (double)w / cam->w, sy = (double)h / cam->h;
     if (cam->w == w && cam->h == h)
-        return OK;
-    double sx = (double)w / cam->w, sy = (double)h / cam->h;
-    if (fabs(sx * cam->h - h) > 1 &&
-        fabs(h / sx - cam->h) > 1) // one of the sizes is rounded to whole pixels
-        return err_fail(ERR_FORMAT,
-                        "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",
-                        what, v->name, cam->w, cam->h, name, w, h);
+        return;
     cam->fx = (float)(cam->fx * sx);
     cam->cx = (float)(cam->cx * sx);
     cam->fy = (float)(cam->fy * sy);
     cam->cy = (float)(cam->cy * sy);
     cam->w = w;
     cam->h = h;
-    lens_scale(&out->lens, sx, sy);
+    lens_scale(&v->lens, sx, sy);
+}
+
+/* A quarter clockwise. */
+static void turn_view(struct rig_view *v)
+{
+    struct camera *cam = &v->cam;
+    const struct camera old = *cam;
+    const double half = sqrt(0.5), quarter[4] = {half, 0, 0, half};
+    const double q[4] = {(double)old.q[0], (double)old.q[1], (double)old.q[2], (double)old.q[3]};
+    double turned[4];
+    rotation_multiply(quarter, q, turned);
+    for (int k = 0; k < 4; k++)
+        cam->q[k] = (float)turned[k];
+    cam->t[0] = -old.t[1];
+    cam->t[1] = old.t[0];
+    cam->w = old.h;
+    cam->h = old.w;
+    cam->fx = old.fy;
+    cam->fy = old.fx;
+    cam->cx = (float)(old.h - (double)old.cy);
+    cam->cy = old.cx;
+    lens_turn(&v->lens, old.h);
+}
+
+err_t cameras_find(const char *what, const struct rig *rig, const struct cameras_picture *picture,
+                   struct rig_view *out)
+{
+    static const int quarters[9] = {0, 0, -1, 2, -1, -1, 1, -1, 3}; // CIPA DC-008; -1: mirrors
+    const int o = picture->orientation, w = picture->w, h = picture->h;
+    const bool lies = o >= 5;
+    const struct rig_view *v;
+    err_t e = look_up(what, rig, picture->name, &v);
+    if (e)
+        return e;
+    const bool upright = fits(&v->cam, w, h);
+    const bool turn =
+        o > 1 && fits(&v->cam, lies ? h : w, lies ? w : h) && (rig->stored || !upright);
+    if (!turn && !upright)
+        return err_fail(ERR_FORMAT,
+                        "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",
+                        what, v->name, v->cam.w, v->cam.h, picture->name, w, h);
+    if (turn && quarters[o] < 0)
+        return err_fail(ERR_FORMAT,
+                        "%s: EXIF orientation %d mirrors image %s, and camera %s is that of the "
+                        "stored image: no camera sees its mirror image",
+                        what, o, picture->name, v->name);
+    *out = *v;
+    scale_view(out, turn && lies ? h : w, turn && lies ? w : h);
+    for (int i = 0; turn && i < quarters[o]; i++)
+        turn_view(out);
     return OK;
 }

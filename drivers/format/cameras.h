@@ -28,6 +28,14 @@ struct rig_view {
 struct rig {
     int n;
     struct rig_view *views; // (n), malloc'd
+    bool stored;            // they are those of the pictures as stored, not turned upright by EXIF
+};
+
+/* A picture whose camera is looked for. */
+struct cameras_picture {
+    const char *name;
+    int w, h;        // px, upright
+    int orientation; // by which its file says to turn it (img_orientation)
 };
 
 /* Read cameras.json. Unknown members are ignored; "exposure_log2" may be absent, "model" and
@@ -66,11 +74,13 @@ MUST_USE err_t cameras_set_lens(const char *what, const char *name, struct lens 
  * err:  ERR_FORMAT naming it, ERR_NOMEM. */
 MUST_USE err_t cameras_check_names(const char *what, const struct rig *rig);
 
-/* View of an image of w x h px: the view of exactly this name, else the one of the same view
- * (name_same_view), scaled to the image if it was made for another size of the same aspect.
- * err:  ERR_FORMAT: no such view, several that differ, or another aspect. `what` begins the
- *       sentence. */
-MUST_USE err_t cameras_find(const char *what, const struct rig *rig, const char *name, int w, int h,
-                            struct rig_view *out);
+/* View of a picture: the view of exactly this name, else the one of the same view
+ * (name_same_view), scaled if it was made for another size of the same aspect. If the picture is
+ * turned by EXIF and the cameras are those of stored pictures, or fit the stored picture only, pose
+ * and lens are turned with it.
+ * err:  ERR_FORMAT: no such view, several that differ, another aspect, an orientation that mirrors.
+ *       `what` begins the sentence. */
+MUST_USE err_t cameras_find(const char *what, const struct rig *rig,
+                            const struct cameras_picture *picture, struct rig_view *out);
 
 #endif

@@ -434,7 +434,7 @@ err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct 
                    struct rig *out)
 {
     struct lenses lenses = {.what = cameras->what};
-    *out = (struct rig){0};
+    *out = (struct rig){.stored = true}; // COLMAP does not look at the orientation in EXIF
     lenses.v = calloc(CAMERAS_MAX, sizeof *lenses.v);
     out->views = calloc(CAMERAS_MAX, sizeof *out->views);
     err_t e = OK;

@@ -543,10 +543,16 @@ static err_t get_sizes(struct imageset *set)
 }
 
 /* Its camera, and the size that it has once it is undistorted. */
-static err_t give_camera(const char *source, const struct rig *rig, struct shot *s)
+static err_t give_camera(const char *source, const struct rig *rig, const char *dir, struct shot *s)
 {
+    struct cameras_picture picture = {s->name, s->taken_w, s->taken_h, 1};
     struct rig_view v;
-    err_t e = cameras_find(source, rig, s->name, s->taken_w, s->taken_h, &v);
+    char path[FILE_PATH_CAP];
+    err_t e = file_join(dir, s->name, path);
+    if (!e)
+        e = imgsize_orientation(path, &picture.orientation);
+    if (!e)
+        e = cameras_find(source, rig, &picture, &v);
     if (e)
         return e;
     s->cam = v.cam;
@@ -575,7 +581,7 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     struct rig rig;
     err_t e = rigfile_read(source, &rig);
     for (int i = 0; i < set->capture.n && !e; i++)
-        e = give_camera(source, &rig, &set->capture.shots[i]);
+        e = give_camera(source, &rig, set->dir, &set->capture.shots[i]);
     cameras_free(&rig);
     return e;
 }

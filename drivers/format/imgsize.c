@@ -101,3 +101,15 @@ err_t imgsize_read(const char *path, int *w, int *h)
     file_unmap(&m);
     return e;
 }
+
+err_t imgsize_orientation(const char *path, int *orientation)
+{
+    struct file_map m;
+    *orientation = 1;
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
+    if (e)
+        return e;
+    *orientation = img_orientation(m.p, m.n);
+    file_unmap(&m);
+    return OK;
+}

@@ -13,6 +13,10 @@
  * err:  ERR_IO, ERR_FORMAT (also: above IMG_FILE_MAX bytes or IMG_SIDE_MAX px). */
 MUST_USE err_t imgsize_read(const char *path, int *w, int *h);
 
+/* Orientation of a file by img_orientation.
+ * err:  ERR_IO, ERR_FORMAT (above IMG_FILE_MAX bytes). */
+MUST_USE err_t imgsize_orientation(const char *path, int *orientation);
+
 /* As imgsize_read, from n bytes; `what` begins the sentence. */
 MUST_USE err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h);
 

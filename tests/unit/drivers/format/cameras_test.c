@@ -2,6 +2,8 @@
 #include "drivers/format/exposures.h"
 #include "drivers/format/name.h"
 
+#include "core/base/lin.h"
+#include "core/base/rotation.h"
 #include "tests/unit/tmpdir.h"
 
 #include <math.h>
@@ -19,6 +21,12 @@
 static err_t parse(const char *text, struct rig *rig)
 {
     return cameras_parse("c", text, strlen(text), rig);
+}
+
+static err_t find(const struct rig *rig, const char *name, int w, int h, struct rig_view *out)
+{
+    const struct cameras_picture picture = {name, w, h, 1};
+    return cameras_find("r", rig, &picture, out);
 }
 
 static void what_is_written_is_read_bit_for_bit(void **state)
@@ -44,7 +52,7 @@ static void what_is_written_is_read_bit_for_bit(void **state)
          true,
          -3.1f},
         {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, {0}, false, 0}};
-    struct rig in = {2, v}, out;
+    struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
     assert_int_equal(cameras_read(path, &out), OK);
@@ -149,7 +157,7 @@ static void lenses_are_checked(void **state)
     assert_true(rig.views[0].cam.fx == 6 && rig.views[0].cam.fy == 6);
     assert_true(rig.views[0].lens.model == LENS_RADIAL && rig.views[0].lens.term[0] == -0.2);
     struct rig_view v;
-    assert_int_equal(cameras_find("r", &rig, "a.png", 16, 12, &v), OK);
+    assert_int_equal(find(&rig, "a.png", 16, 12, &v), OK);
     assert_true(v.lens.fx == 12 && v.lens.cy == 6 && v.lens.term[1] == 0.01);
     cameras_free(&rig);
 }
@@ -174,20 +182,20 @@ static void a_view_is_found_for_each_of_its_exposures(void **state)
         {.name = "train_ldr_000_2.png", .cam = {8, 6, 5, 5, 4, 3, {1, 0, 0, 0}, {0}}},
         {.name = "train_ldr_001_2.png", .cam = {8, 6, 6, 6, 4, 3, {1, 0, 0, 0}, {0}}},
         {.name = "IMG_0001.jpg", .cam = {8, 6, 7, 7, 4, 3, {1, 0, 0, 0}, {0}}}};
-    struct rig rig = {3, v};
+    struct rig rig = {.n = 3, .views = v};
     struct rig_view c;
-    assert_int_equal(cameras_find("r", &rig, "train_ldr_001_4.png", 8, 6, &c), OK);
+    assert_int_equal(find(&rig, "train_ldr_001_4.png", 8, 6, &c), OK);
     assert_true(c.cam.fx == 6);
-    assert_int_equal(cameras_find("r", &rig, "IMG_0002.jpg", 8, 6, &c), ERR_FORMAT);
+    assert_int_equal(find(&rig, "IMG_0002.jpg", 8, 6, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "IMG_0002.jpg"));
-    assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 12, &c), OK); // twice the size
+    assert_int_equal(find(&rig, "IMG_0001.jpg", 16, 12, &c), OK); // twice the size
     assert_true(c.cam.fx == 14 && c.cam.cy == 6 && c.cam.w == 16 && c.cam.h == 12);
-    assert_int_equal(cameras_find("r", &rig, "IMG_0001.jpg", 16, 8, &c), ERR_FORMAT);
+    assert_int_equal(find(&rig, "IMG_0001.jpg", 16, 8, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "aspect"));
     strcpy(v[1].name, "train_ldr_000_3.png"); // now two cameras claim view 000
-    assert_int_equal(cameras_find("r", &rig, "train_ldr_000_3.png", 8, 6, &c), OK);
+    assert_int_equal(find(&rig, "train_ldr_000_3.png", 8, 6, &c), OK);
     assert_true(c.cam.fx == 6);
-    assert_int_equal(cameras_find("r", &rig, "train_ldr_000_4.png", 8, 6, &c), ERR_FORMAT);
+    assert_int_equal(find(&rig, "train_ldr_000_4.png", 8, 6, &c), ERR_FORMAT);
     assert_non_null(strstr(err_text(), "differ"));
 }
 
@@ -238,6 +246,76 @@ static void exposures_are_checked(void **state)
     assert_true(exposures_find(&x, "a.png") == 0);
 }
 
+static void in_camera(const struct camera *cam, const double world[3], double out[3])
+{
+    double r[9];
+    rotation_of_camera(cam, r);
+    for (int i = 0; i < 3; i++)
+        out[i] = lin_dot(r + 3 * i, world) + (double)cam->t[i];
+}
+
+/* A point projects to the same place of the picture before and after both are turned. */
+static void a_camera_is_turned_with_its_picture(void **state)
+{
+    (void)state;
+    static const int orientation[4] = {1, 6, 3, 8};
+    struct rig_view v = {.name = "a.jpg",
+                         .cam = {80, 60, 50, 55, 41, 28, {0.5f, 0.1f, -0.7f, 0.5f}, {1, 2, 9}},
+                         .lens = {LENS_OPENCV, 50, 55, 41, 28, {-0.1, 0.02, 0.01, -0.02}, 0}};
+    assert_int_equal(lens_init(&v.lens), OK);
+    struct rig rig = {1, &v, true};
+    for (int i = 0; i < 4; i++) {
+        const bool lies = i % 2;
+        const struct cameras_picture p = {"a.jpg", lies ? 60 : 80, lies ? 80 : 60, orientation[i]};
+        struct rig_view out;
+        assert_int_equal(cameras_find("r", &rig, &p, &out), OK);
+        assert_true(out.cam.w == p.w && out.cam.h == p.h);
+        for (int k = 0; k < 20; k++) {
+            const double world[3] = {k % 5 - 2, k / 5 - 2, 3 + k % 3};
+            double a[3], b[3], x[2], y[2];
+            in_camera(&v.cam, world, a);
+            in_camera(&out.cam, world, b);
+            assert_true(lens_project(&v.lens, a, x) && lens_project(&out.lens, b, y));
+            const double want[4][2] = {
+                {x[0], x[1]}, {60 - x[1], x[0]}, {80 - x[0], 60 - x[1]}, {x[1], 80 - x[0]}};
+            assert_true(fabs(y[0] - want[i][0]) < 1e-4 && fabs(y[1] - want[i][1]) < 1e-4);
+            assert_true(fabsf(out.cam.cx - (float)out.lens.cx) < 1e-4f);
+            assert_true(fabsf(out.cam.fy - (float)out.lens.fy) < 1e-4f);
+        }
+    }
+    struct rig_view out;
+    const struct cameras_picture mirrored = {"a.jpg", 60, 80, 5}, half = {"a.jpg", 30, 40, 6};
+    assert_int_equal(cameras_find("r", &rig, &mirrored, &out), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "orientation 5 mirrors image a.jpg"));
+    assert_int_equal(cameras_find("r", &rig, &half, &out), OK); // scaled, then turned
+    assert_true(out.cam.w == 30 && out.cam.cx == 16 && out.cam.fx == 27.5f && out.lens.cy == 20.5);
+}
+
+/* Which picture a camera is of: by its size; where both sizes fit, by the kind of its file. */
+static void the_size_tells_which_picture_a_camera_is_of(void **state)
+{
+    (void)state;
+    struct rig_view v = {.name = "a.jpg", .cam = {80, 60, 50, 55, 41, 28, {1, 0, 0, 0}, {0}}}, out;
+    struct rig rig = {1, &v, false};
+    struct cameras_picture p = {"a.jpg", 60, 80, 6};
+    assert_int_equal(cameras_find("r", &rig, &p, &out), OK); // only the stored one has this aspect
+    assert_true(out.cam.cx == 32 && out.cam.cy == 41);
+    p = (struct cameras_picture){"a.jpg", 80, 60, 6}; // stored 60 x 80
+    for (int k = 0; k < 2; k++) {
+        rig.stored = k;
+        assert_int_equal(cameras_find("r", &rig, &p, &out), OK);
+        assert_true(out.cam.cx == 41);
+    }
+    p.orientation = 3;
+    assert_int_equal(cameras_find("r", &rig, &p, &out), OK);
+    assert_true(out.cam.cx == 39 && out.cam.cy == 32);
+    rig.stored = false;
+    assert_int_equal(cameras_find("r", &rig, &p, &out), OK);
+    assert_true(out.cam.cx == 41);
+    p.orientation = 2; // mirrors, but the camera is that of the upright picture
+    assert_int_equal(cameras_find("r", &rig, &p, &out), OK);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -248,6 +326,8 @@ int main(void)
         cmocka_unit_test(lenses_are_checked),
         cmocka_unit_test(every_cut_is_refused),
         cmocka_unit_test(a_view_is_found_for_each_of_its_exposures),
+        cmocka_unit_test(a_camera_is_turned_with_its_picture),
+        cmocka_unit_test(the_size_tells_which_picture_a_camera_is_of),
         cmocka_unit_test(names_follow_one_rule),
         cmocka_unit_test(exposures_are_checked),
     };

@@ -417,6 +417,62 @@ static void rigs_come_from_three_places(void **state)
     assert_non_null(strstr(err_text(), "b.png"));
 }
 
+/* A JPEG that EXIF turns: stored w x h px, of which the left half is dark. */
+static void put_turned(const char *name, int w, int h, uint8_t orientation)
+{
+    static const uint8_t zero[64 * 64 * 3];
+    const uint8_t app1[] = {0xff, 0xe1, 0, 34, 'E', 'x',         'i', 'f', 0, 0,    'M', 'M',
+                            0,    42,   0, 0,  0,   8,           0,   1,   1, 0x12, 0,   3,
+                            0,    0,    0, 1,  0,   orientation, 0,   0,   0, 0,    0,   0};
+    uint8_t px[64 * 64 * 3];
+    const struct image8 im = {w, h, 3, px};
+    void *jpeg;
+    size_t n;
+    FILE *f;
+    memset(px, 250, sizeof px);
+    for (int y = 0; y < h; y++)
+        memcpy(px + 3 * y * w, zero, (size_t)(3 * (w / 2)));
+    assert_int_equal(img_encode_jpeg(&im, 95, name, &jpeg, &n), OK);
+    assert_int_equal(file_create(tmpdir_path(name), &f), OK);
+    fwrite(jpeg, 1, 2, f);
+    fwrite(app1, 1, sizeof app1, f);
+    fwrite((uint8_t *)jpeg + 2, 1, n - 2, f);
+    assert_int_equal(file_finish(f, tmpdir_path(name)), OK);
+    free(jpeg);
+}
+
+/* COLMAP sees pictures as they are stored. */
+static void cameras_of_colmap_turn_with_the_photograph(void **state)
+{
+    (void)state;
+    struct imageset set;
+    struct image8 image;
+    put_turned("a.jpg", 32, 16, 6);
+    put_turned("b.jpg", 32, 16, 1);
+    tmpdir_text("exposure.json", "{\"a.jpg\": 1, \"b.jpg\": 1}");
+    tmpdir_mkdir("sparse");
+    tmpdir_mkdir("sparse/0");
+    tmpdir_text("sparse/0/cameras.txt", "1 OPENCV 32 16 40 41 17 9 -0.05 0 0.001 0.002\n");
+    tmpdir_text("sparse/0/images.txt", "1 1 0 0 0 1 2 3 1 a.jpg\n\n2 1 0 0 0 1 2 3 1 b.jpg\n\n");
+    struct imageset_request rq = {.images = tmpdir_root};
+    err_t e = imageset_list(&rq, &set);
+    if (e)
+        fail_msg("%s", err_text());
+    const struct shot *s = set.capture.shots;
+    assert_true(s[0].taken_w == 16 && s[0].taken_h == 32);
+    assert_true(s[0].lens.cx == 7 && s[0].lens.cy == 17 && s[0].lens.fx == 41);
+    assert_true(s[0].lens.term[2] == 0.002 && s[0].lens.term[3] == -0.001);
+    assert_true(s[0].cam.t[0] == -2 && s[0].cam.t[1] == 1 && s[0].cam.t[2] == 3);
+    assert_true(s[1].cam.t[0] == 1 && s[1].lens.cx == 17);
+    assert_int_equal(imageset_decode(&set, 0, &image), OK);
+    assert_true(image.px[0] < 40 && image.px[3 * (image.h - 1) * image.w] > 200); // above, below
+    img_free(&image);
+    imageset_free(&set);
+    put_turned("a.jpg", 32, 16, 7);
+    assert_int_equal(list(&rq), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "mirrors image a.jpg"));
+}
+
 static void sizes_are_read_from_headers(void **state)
 {
     (void)state;
@@ -515,6 +571,7 @@ int main(void)
         IN_FOLDER(what_is_not_read_is_told),
         IN_FOLDER(pictures_that_do_not_count_are_told),
         IN_FOLDER(rigs_come_from_three_places),
+        IN_FOLDER(cameras_of_colmap_turn_with_the_photograph),
         IN_FOLDER(sizes_are_read_from_headers),
         IN_FOLDER(several_folders_are_places),
     };
