@@ -10,7 +10,8 @@
 # make fuzz       SECONDS= for each target (clang)
 # make bench lint format deps clean
 # Variants live side by side in build/<arch>[-clang][-san][-werror]:
-# CROSS=aarch64-linux-gnu-  SAN=address,undefined  PIC=1 (for libsim.so, which sim/train loads)
+# CROSS=aarch64-linux-gnu- (deb, too)  SAN=address,undefined
+# PIC=1 (for libsim.so, which sim/train loads)
 
 # Packages of Debian 12 and 13: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
@@ -18,6 +19,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libmicrohttpd-dev libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
 DEPS_CHECK := $(DEPS) libcmocka-dev clang libclang-rt-dev cppcheck chromium systemd \
 	lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
 
@@ -37,6 +39,14 @@ V := $(ARCH)$(if $(findstring clang,$(CC)),-clang)
 V := $(V)$(if $(SAN),-$(subst $(comma),-,$(SAN)))$(if $(WERROR),-werror)$(if $(PIC),-pic)
 B := build/$(V)
 
+# A cross build has the libraries of Debian for that architecture.
+DEB_ARCH := $(if $(filter aarch64,$(ARCH)),arm64,amd64)
+SYSROOT := $(if $(CROSS),$(CURDIR)/build/sysroot-$(DEB_ARCH))
+SYSROOT_LIB := $(SYSROOT)/usr/lib/$(CROSS:%-=%)
+SYSROOT_NEEDS := libc6-dev $(filter-out libc6-dev,$(filter lib% zlib%,$(DEPS)))
+PKG_CONFIG := $(if $(CROSS),PKG_CONFIG_SYSROOT_DIR=$(SYSROOT) \
+	PKG_CONFIG_LIBDIR=$(SYSROOT_LIB)/pkgconfig) pkg-config
+
 # --- flags ----------------------------------------------------------------------------------------
 # Only kernels may fuse products to FMA: everything else gives the same bytes on every machine.
 OPT := -O2 -ffp-contract=off
@@ -46,12 +56,12 @@ WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -W
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer \
 	-O1 -g1 -Wno-format-truncation)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
-	$(MORE) $(SANFLAGS) $(CFLAGS)
+	$(ROOTED) $(MORE) $(SANFLAGS) $(CFLAGS)
 # The module alone is C++; libcamera's headers want C++20 from 0.7.1 on.
 CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
-	-Wshadow -Wundef $(if $(WERROR),-Werror) $(SANFLAGS)
+	-Wshadow -Wundef $(if $(WERROR),-Werror) $(ROOTED) $(SANFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lz -lzstd -lmicrohttpd -lsystemd \
-	-lgpiod -lm $(filter -lOpenEXRCore%,$(shell pkg-config --libs OpenEXR))
+	-lgpiod -lm $(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
 ISA_sse41 := -msse4.1
@@ -95,19 +105,19 @@ objects = $(1:%.c=$(B)/%.o)
 programs = $(1:%.c=$(B)/%)
 LIBS := $(B)/libfirmware.a $(B)/libsim.a $(B)/libdrivers.a $(B)/libcore.a
 TOOLS := $(addprefix $(B)/,$(basename $(notdir $(MAINS))))
-MODULE := $(if $(CROSS),,$(B)/hdrig-libcamera.so)
+MODULE := $(B)/hdrig-libcamera.so
 MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libcamera_*.h*) \
 	drivers/device/camera.h drivers/device/focus.h Makefile
 
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train check-distro deps-kernel deps-qemu
+	check-train check-distro deps-kernel deps-qemu deps-cross
 .DELETE_ON_ERROR:
 .SECONDARY:
 
 all: deps $(LIBS) $(TOOLS) $(MODULE) \
-	$(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) $(if $(CROSS),,build/small.hdrig)
+	$(if $(filter $(shell uname -m),$(V)),$(TOOLS:$(B)/%=build/%)) build/small.hdrig
 
 # build/hdrig is the plain native one.
 build/hdrig build/hdrigd: build/%: build/$(V)/%
@@ -115,13 +125,27 @@ build/hdrig build/hdrigd: build/%: build/$(V)/%
 
 # The model that comes with the program, from the weights that training can go on from.
 MODEL := sim/train/small.safetensors
-build/small.hdrig: $(MODEL) core/net/pack.c core/net/table.c | $(B)/hdrig
+build/small.hdrig: $(MODEL) core/net/pack.c core/net/table.c
+ifeq ($(CROSS),)
+build/small.hdrig: | $(B)/hdrig
 	$(B)/hdrig convert $< --config $(MODEL:.safetensors=.json) --precision int8 --out $@ \
 	    2>build/small.log || { cat build/small.log; exit 1; }
+else
+	$(MAKE) -s CROSS= $@
+endif
 
 $(B)/%.o: %.c Makefile | build/deps
 	@mkdir -p $(@D)
 	$(CC) $(FLAGS) $(isa) -c $< -o $@
+
+# Core needs no library, so its tests build without these packages.
+ifneq ($(CROSS),)
+$(call objects,$(DRIVERS) $(FIRMWARE) $(MAINS) $(SIM)) $(TOOLS) $(MODULE): | $(SYSROOT)/packages
+$(call objects,$(DRIVERS) $(FIRMWARE) $(MAINS) $(SIM)) $(TOOLS) $(MODULE): \
+	private ROOTED = --sysroot=$(SYSROOT)
+endif
+$(SYSROOT)/packages: Makefile board/debian/sysroot.sh | build/deps-cross
+	@board/debian/sysroot.sh $(DEB_ARCH) $(@D) $(SYSROOT_NEEDS)
 
 $(B)/core/kernels/%.o: OPT := -O3 -ffp-contract=fast
 # Products fill all registers of Arm: gcc's scheduling before their allocation would spill them.
@@ -131,7 +155,7 @@ $(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstr
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/stereo/%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
-$(B)/drivers/%.o: MORE = -Wconversion $(shell pkg-config --cflags OpenEXR)
+$(B)/drivers/%.o: MORE = -Wconversion $(shell $(PKG_CONFIG) --cflags OpenEXR)
 $(B)/firmware/base/config.o: MORE = -Wconversion
 $(MAINS:%.c=$(B)/%.o): MORE = -DHDRIG_VERSION='"$(VERSION)"'
 $(addprefix $(B)/firmware/,daemon/http.o result/viewer.o result/report_page.o): \
@@ -162,7 +186,7 @@ $(TOOLS):
 # libcamera, for those who have it: loaded by drivers/device/camera_libcamera.c.
 $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	@mkdir -p $(@D)
-	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell pkg-config --cflags --libs libcamera)
+	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell $(PKG_CONFIG) --cflags --libs libcamera)
 
 LIB = $(DESTDIR)$(PREFIX)/lib
 SHARE = $(DESTDIR)$(PREFIX)/share/hdrig
@@ -182,7 +206,7 @@ install: all
 	    $(notdir $(wildcard board/*)))"; exit 1; })
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/hdrig $(DESTDIR)/etc/hdrig
 	install -m 755 $(TOOLS) $(DESTDIR)$(PREFIX)/bin
-	$(if $(MODULE),install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE)))
+	install -D -m 644 $(MODULE) $(LIB)/hdrig/$(notdir $(MODULE))
 	install -m 644 build/small.hdrig $(DESTDIR)$(PREFIX)/share/hdrig
 	@$(call put_settings,board/common/defaults.conf)
 	$(if $(BOARD),@$(call put_settings,board/$(BOARD)/board.conf))
@@ -209,13 +233,14 @@ uninstall:
 	-@rmdir --ignore-fail-on-non-empty $(wildcard $(LIB)/hdrig $(SHARE) $(ETC))
 	@echo "captures, scenes and calibrations stay in /var/lib/hdrig, group hdrig stays"
 
-# BOARD=rpi5 for a package that is ready for that board.
-DEB_ARCH := $(if $(filter aarch64,$(ARCH)),arm64,amd64)
+# BOARD=rpi5 for a package that is ready for that board, CROSS=aarch64-linux-gnu- for arm64.
+SHLIBDEPS = DEB_HOST_ARCH=$(DEB_ARCH) dpkg-shlibdeps $(if $(CROSS), \
+	--admindir=$(SYSROOT)/var/lib/dpkg -l$(SYSROOT_LIB))
 deb: all
 	rm -rf build/deb
 	mkdir -p build/deb/root/DEBIAN build/deb/debian
 	@$(MAKE) -s install DESTDIR=$(CURDIR)/build/deb/root PREFIX=/usr
-	strip --strip-unneeded build/deb/root/usr/bin/* $(MODULE:%=build/deb/root/usr/lib/hdrig/*.so)
+	$(CROSS)strip --strip-unneeded build/deb/root/usr/bin/* build/deb/root/usr/lib/hdrig/*.so
 	install -D -m 644 README.md build/deb/root/usr/share/doc/hdrig/README.md
 	install -D -m 644 LICENSE build/deb/root/usr/share/doc/hdrig/copyright
 	install -m 755 board/debian/postinst board/debian/prerm build/deb/root/DEBIAN
@@ -223,8 +248,8 @@ deb: all
 	echo "Source: hdrig" >build/deb/debian/control
 	sed "s/@VERSION@/$(VERSION)/; s/@DATE@/$$(date -R)/" board/debian/changelog | gzip -9n \
 	    >build/deb/root/usr/share/doc/hdrig/changelog.gz
-	cd build/deb && dpkg-shlibdeps -O root/usr/bin/hdrig root/usr/bin/hdrigd \
-	    $(MODULE:%=root/usr/lib/hdrig/*.so) >depends
+	cd build/deb && $(SHLIBDEPS) -O root/usr/bin/hdrig root/usr/bin/hdrigd \
+	    root/usr/lib/hdrig/*.so >depends
 	sed -e "s/@VERSION@/$(VERSION)/; s/@ARCH@/$(DEB_ARCH)/" \
 	    -e "s/@DEPENDS@/$$(sed 's/^shlibs:Depends=//' build/deb/depends)/" \
 	    board/debian/control >build/deb/root/DEBIAN/control
@@ -356,12 +381,14 @@ deps: build/deps
 deps-check: build/deps-check
 deps-kernel: build/deps-kernel
 deps-qemu: build/deps-qemu
+deps-cross: build/deps-cross
 build/deps: NEED := $(DEPS)
 build/deps-check: NEED := $(DEPS_CHECK)
 build/deps-kernel: NEED := $(DEPS_KERNEL)
 build/deps-qemu: NEED := $(DEPS_QEMU)
+build/deps-cross: NEED := $(DEPS_CROSS)
 
-build/deps build/deps-check build/deps-kernel build/deps-qemu: Makefile
+build/deps build/deps-check build/deps-kernel build/deps-qemu build/deps-cross: Makefile
 	@mkdir -p build
 	@command -v dpkg-query >/dev/null || { \
 	    echo "not a Debian system, assuming that these are here: $(NEED)"; touch $@; exit 0; }; \

@@ -5,7 +5,7 @@
 #   check  before a commit: that, lints, faults, all commands; units and fuzz corpora under ASan
 #          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
 #   long   what check leaves out: thousands of random takes, brackets and calls; slow tests under
-#          the sanitizers and on emulated Arm
+#          the sanitizers and on emulated Arm; the package for arm64
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
@@ -162,6 +162,12 @@ arm() { # is_slow|is_quick
     done
 }
 
+arm_package() {
+    build "aarch64, package" CROSS=aarch64-linux-gnu- WERROR=1 deb
+    later "aarch64: package" tests/arm/package.sh \
+        build/hdrig_"$(make -s print-VERSION)"_arm64.deb build/sysroot-arm64
+}
+
 finish() {
     local name passed failed
     run_queue
@@ -214,6 +220,7 @@ long)
     sanitizers is_slow
     threads is_slow
     arm is_slow
+    arm_package
     ;;
 *)
     echo "usage: $0 lint|test|check|long" >&2

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # distro.sh SUITE - proves the last commit on a release of Debian, in roots made by debootstrap. In
 # `full`, which has the packages of `make deps-check`, it is built from nothing and tested, and its
-# package made. In `try`, a copy of `bare`, which has the smallest set of packages, the package is
-# installed, used and purged. The roots stay in ROOTS/SUITE (build/distro/SUITE) for the next run.
+# package made; also that for arm64, which an emulated processor runs. In `try`, a copy of `bare`,
+# which has the smallest set of packages, the package is installed, used and purged. The roots stay
+# in ROOTS/SUITE (build/distro/SUITE) for the next run.
 # Needs root, debootstrap and a mirror of Debian: the one of apt's settings, which the roots
 # inherit.
 # One line per step; its output is build/log/distro_SUITE_STEP.log.
@@ -97,7 +98,7 @@ install_packages() {
 install_package() {
     rm -rf "$roots/try"
     cp -a "$roots/bare" "$roots/try"
-    cp "$roots"/full/hdrig/build/hdrig_*.deb "$roots/try/tmp"
+    cp "$roots"/full/hdrig/build/hdrig_*_"$(dpkg --print-architecture)".deb "$roots/try/tmp"
     in_root try "apt-get update
         apt-get install -y --no-install-recommends /tmp/hdrig_*.deb
         hdrig --version | grep -Fx 'hdrig $(make -s print-VERSION)'
@@ -121,6 +122,9 @@ step "build" in_root full "make -C /hdrig -s -j$(nproc) WERROR=1 all tests"
 step "test" in_root full "make -C /hdrig test"
 grep ' passed, ' "build/log/distro_${suite}_test.log"
 step "deb" in_root full "make -C /hdrig -s WERROR=1 deb"
+step "arm64" in_root full "cd /hdrig
+    make -s -j$(nproc) WERROR=1 CROSS=aarch64-linux-gnu- deb
+    tests/arm/package.sh build/hdrig_*_arm64.deb build/sysroot-arm64"
 step "install" install_package
 step "purge" purge_package
 rm -rf "$roots/try"
