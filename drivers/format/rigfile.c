@@ -2,18 +2,36 @@
 
 #include "drivers/format/colmap.h"
 #include "drivers/format/file.h"
+#include "drivers/format/json.h"
+#include "drivers/format/transforms.h"
 
 #include <string.h>
 #include <strings.h>
 
-/* A COLMAP folder, or one that holds sparse/0. */
-static err_t read_folder(const char *path, struct rig *out)
+/* cameras.json or transforms.json, by what is in it. */
+static err_t read_json(const char *path, struct rig *out)
 {
-    char inner[FILE_PATH_CAP];
-    err_t e = file_join(path, "sparse/0", inner);
+    struct cJSON *doc;
+    err_t e = json_read(path, &doc);
     if (e)
         return e;
-    return colmap_read(file_is_dir(inner) ? inner : path, out);
+    const bool frames = transforms_is(doc);
+    json_free(doc);
+    return frames ? transforms_read(path, out) : cameras_read(path, out);
+}
+
+/* A COLMAP folder, or one that holds sparse/0 or transforms.json. */
+static err_t read_folder(const char *path, struct rig *out)
+{
+    char sparse[FILE_PATH_CAP], frames[FILE_PATH_CAP];
+    err_t e = file_join(path, "sparse/0", sparse);
+    if (!e)
+        e = file_join(path, "transforms.json", frames);
+    if (e)
+        return e;
+    if (file_is_dir(sparse))
+        return colmap_read(sparse, out);
+    return file_is_regular(frames) ? transforms_read(frames, out) : colmap_read(path, out);
 }
 
 err_t rigfile_read(const char *path, struct rig *out)
@@ -23,6 +41,7 @@ err_t rigfile_read(const char *path, struct rig *out)
     if (file_is_dir(path))
         return read_folder(path, out);
     if (n > 5 && strcasecmp(path + n - 5, ".json") == 0)
-        return cameras_read(path, out);
-    return err_fail(ERR_UNSUPPORTED, "%s: a rig is a COLMAP folder or a cameras.json", path);
+        return read_json(path, out);
+    return err_fail(ERR_UNSUPPORTED,
+                    "%s: a rig is a COLMAP folder, a cameras.json or a transforms.json", path);
 }

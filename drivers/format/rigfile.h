@@ -1,5 +1,5 @@
 /* rigfile.h - known cameras from any file that has them: a COLMAP folder, or one that holds
- * sparse/0 (colmap.h); cameras.json (cameras.h).
+ * sparse/0 (colmap.h) or transforms.json; cameras.json (cameras.h); transforms.json (transforms.h).
  * thread: any. */
 #ifndef FORMAT_RIGFILE_H
 #define FORMAT_RIGFILE_H
