@@ -93,13 +93,13 @@ err_t cameras_set_lens(const char *what, const char *name, struct lens *l, struc
     return OK;
 }
 
-static err_t get_lens(const char *what, const struct cJSON *object, const char *model,
-                      struct rig_view *out)
+/* "model" and "params" of an object. */
+static err_t get_lens(const char *what, const struct cJSON *object, struct lens *out)
 {
     const struct cJSON *params = json_member(object, "params");
+    const char *text = json_string(json_member(object, "model")), *model = text ? text : "";
     const enum lens_model m = lens_find(model);
     double values[LENS_PARAMS];
-    struct lens l;
     int n = 0;
     if (m == LENS_MODELS)
         return err_fail(ERR_FORMAT, "%s: \"model\" %.32s is not known", what, model);
@@ -110,9 +110,20 @@ static err_t get_lens(const char *what, const struct cJSON *object, const char *
     if (n != lens_count(m))
         return err_fail(ERR_FORMAT, "%s: \"params\" has %d numbers, %s has %d", what, n, model,
                         lens_count(m));
-    if (lens_from_params(m, values, n, &l) != OK)
+    if (lens_from_params(m, values, n, out) != OK)
         return err_fail(ERR_FORMAT, "%s: %s", what, err_text());
-    return cameras_set_lens(what, out->name, &l, out);
+    return OK;
+}
+
+static err_t get_photograph(const char *what, const struct cJSON *object, struct rig_view *out)
+{
+    const struct cJSON *taken = json_member(object, "photograph");
+    if (!taken)
+        return OK;
+    err_t e = get_size(what, taken, "w", &out->photograph.w);
+    if (!e)
+        e = get_size(what, taken, "h", &out->photograph.h);
+    return e ? e : get_lens(what, taken, &out->photograph.lens);
 }
 
 static err_t get_intrinsics(const char *what, const struct cJSON *object, struct rig_view *out)
@@ -120,12 +131,14 @@ static err_t get_intrinsics(const char *what, const struct cJSON *object, struct
     static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
     struct camera *cam = &out->cam;
     float *const places[4] = {&cam->fx, &cam->fy, &cam->cx, &cam->cy};
-    const struct cJSON *model = json_member(object, "model");
+    struct lens l;
     err_t e = get_size(what, object, "w", &cam->w);
     if (!e)
         e = get_size(what, object, "h", &cam->h);
-    if (!e && model)
-        return get_lens(what, object, json_string(model) ? json_string(model) : "", out);
+    if (!e && json_member(object, "model")) {
+        e = get_lens(what, object, &l);
+        return e ? e : cameras_set_lens(what, out->name, &l, out);
+    }
     for (int k = 0; k < 4 && !e; k++)
         e = json_float(what, object, keys[k], places[k]);
     return e;
@@ -141,6 +154,8 @@ static err_t get_view(const char *file, const struct cJSON *object, int i, struc
     err_t e = name_copy(what, name, strlen(name), out->name);
     if (!e)
         e = get_intrinsics(what, object, out);
+    if (!e)
+        e = get_photograph(what, object, out);
     if (!e)
         e = json_floats(what, object, "q", 4, out->cam.q);
     if (!e)
@@ -196,7 +211,7 @@ static void put_lens(FILE *f, const struct lens *l)
 {
     double values[LENS_PARAMS];
     const int n = lens_params(l, values);
-    fprintf(f, ",\n     \"model\": \"%s\", \"params\": [", lens_name(l->model));
+    fprintf(f, "\"model\": \"%s\", \"params\": [", lens_name(l->model));
     for (int i = 0; i < n; i++)
         fprintf(f, "%s%.17g", i ? ", " : "", values[i]);
     putc(']', f);
@@ -214,8 +229,16 @@ void cameras_put(FILE *f, const struct rig_view *v)
             (double)c->t[2]);
     if (v->has_exposure)
         fprintf(f, ", \"exposure_log2\": %.9g", (double)v->exposure_log2);
-    if (lens_distorts(&v->lens))
+    if (lens_distorts(&v->lens)) {
+        fputs(",\n     ", f);
         put_lens(f, &v->lens);
+    }
+    if (v->photograph.w > 0) {
+        fprintf(f, ",\n     \"photograph\": {\"w\": %d, \"h\": %d, ", v->photograph.w,
+                v->photograph.h);
+        put_lens(f, &v->photograph.lens);
+        putc('}', f);
+    }
     putc('}', f);
 }
 
@@ -246,6 +269,25 @@ static bool same_camera(const struct rig_view *x, const struct rig_view *y)
            memcmp(a->q, b->q, sizeof a->q) == 0 && memcmp(a->t, b->t, sizeof a->t) == 0;
 }
 
+void cameras_use_photographs(struct rig *rig)
+{
+    for (int i = 0; i < rig->n; i++) {
+        struct rig_view *v = &rig->views[i];
+        const struct lens *l = &v->photograph.lens;
+        if (v->photograph.w == 0)
+            continue;
+        v->cam.w = v->photograph.w;
+        v->cam.h = v->photograph.h;
+        v->cam.fx = (float)l->fx;
+        v->cam.fy = (float)l->fy;
+        v->cam.cx = (float)l->cx;
+        v->cam.cy = (float)l->cy;
+        v->lens = lens_distorts(l) ? *l : (struct lens){0};
+        v->photograph.w = v->photograph.h = 0;
+    }
+}
+
+/* *out is NULL if there is none. */
 static err_t look_up(const char *what, const struct rig *rig, const char *name,
                      const struct rig_view **out)
 {
@@ -267,10 +309,16 @@ static err_t look_up(const char *what, const struct rig *rig, const char *name,
                             found->name, v->name, name);
         found = v;
     }
-    if (!found)
-        return err_fail(ERR_FORMAT, "%s: no camera for image %s among %d", what, name, rig->n);
     *out = found;
     return OK;
+}
+
+err_t cameras_has(const char *what, const struct rig *rig, const char *name, bool *has)
+{
+    const struct rig_view *v;
+    err_t e = look_up(what, rig, name, &v);
+    *has = !e && v;
+    return e;
 }
 
 /* One of the sizes may be rounded to whole pixels. */
@@ -325,6 +373,9 @@ err_t cameras_find(const char *what, const struct rig *rig, const struct cameras
     const bool lies = o >= 5;
     const struct rig_view *v;
     err_t e = look_up(what, rig, picture->name, &v);
+    if (!e && !v)
+        e = err_fail(ERR_FORMAT, "%s: no camera for image %s among %d", what, picture->name,
+                     rig->n);
     if (e)
         return e;
     const bool upright = fits(&v->cam, w, h);

@@ -4,8 +4,10 @@
  *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...,
  *                 "model": "OPENCV", "params": [...]}, ...]}
  * Units and axes are those of struct camera. "model" and "params" (COLMAP's, core/base/lens.h) are
- * there if the photographs are distorted, and then say what fx, fy, cx, cy are. Numbers have nine
- * digits, params seventeen: written and read back they are the same.
+ * there if the photographs are distorted, and then say what fx, fy, cx, cy are. The views of a
+ * result are undistorted: there "photograph": {"w": ..., "h": ..., "model": ..., "params": [...]}
+ * tells how the photograph of this view was taken. Numbers have nine digits, params seventeen:
+ * written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
 #define FORMAT_CAMERAS_H
@@ -22,6 +24,10 @@ struct rig_view {
     struct lens lens;  // PINHOLE (0): cam says all
     bool has_exposure;
     float exposure_log2; // log2 of the linear exposure
+    struct {
+        int w, h; // 0: cam and lens are those of the photograph
+        struct lens lens;
+    } photograph; // of which cam is the undistorted view
 };
 
 /* Known cameras; no two have the same name. */
@@ -53,6 +59,13 @@ MUST_USE err_t cameras_parse(const char *what, const void *text, size_t n, struc
 /* Write cameras.json; the partial file is removed on error.
  * err:  ERR_IO, ERR_LIMIT (no space). */
 MUST_USE err_t cameras_write(const char *path, const struct rig *rig);
+
+/* The photographs take the place of the views that were made from them. */
+void cameras_use_photographs(struct rig *rig);
+
+/* Whether cameras_find finds a view of this name.
+ * err:  ERR_FORMAT: several that differ. */
+MUST_USE err_t cameras_has(const char *what, const struct rig *rig, const char *name, bool *has);
 
 /* Write one element of the list "cameras", without the comma behind it. */
 void cameras_put(FILE *f, const struct rig_view *v);

@@ -565,6 +565,30 @@ static err_t give_camera(const char *source, const struct rig *rig, const char *
     return e;
 }
 
+/* Keep the pictures that have a camera. */
+static err_t keep_placed(const char *source, const struct rig *rig, struct imageset *set)
+{
+    struct capture *c = &set->capture;
+    struct names lacking = {0};
+    int n = 0;
+    for (int i = 0; i < c->n; i++) {
+        bool has;
+        err_t e = cameras_has(source, rig, c->shots[i].name, &has);
+        if (e)
+            return e;
+        if (has)
+            c->shots[n++] = c->shots[i];
+        else
+            names_add(c->shots[i].name, &lacking);
+    }
+    if (n == 0)
+        return err_fail(ERR_FORMAT, "%s: no camera for any of the %d pictures in %s", source, c->n,
+                        set->dir);
+    c->n = n;
+    add_note(&lacking, "its cameras are not known", set);
+    return OK;
+}
+
 static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
 {
     char path[FILE_PATH_CAP];
@@ -580,6 +604,8 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     }
     struct rig rig;
     err_t e = rigfile_read(source, &rig);
+    if (!e && rq->some_cameras)
+        e = keep_placed(source, &rig, set);
     for (int i = 0; i < set->capture.n && !e; i++)
         e = give_camera(source, &rig, set->dir, &set->capture.shots[i]);
     cameras_free(&rig);

@@ -40,6 +40,7 @@ struct imageset_request {
     uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
     bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
     bool no_cameras;           // neither rig nor sparse/0 are read
+    bool some_cameras;         // pictures that the rig lacks are left out, with a note
 };
 
 enum { IMAGESET_NOTES = 4 };

@@ -17,7 +17,9 @@ static err_t read_json(const char *path, struct rig *out)
         return e;
     const bool frames = transforms_is(doc);
     json_free(doc);
-    return frames ? transforms_read(path, out) : cameras_read(path, out);
+    e = frames ? transforms_read(path, out) : cameras_read(path, out);
+    cameras_use_photographs(out);
+    return e;
 }
 
 /* A COLMAP folder, or one that holds sparse/0 or transforms.json. */

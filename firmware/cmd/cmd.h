@@ -159,6 +159,7 @@ int cmd_view_run(int argc, char **argv);
 int cmd_eval_run(int argc, char **argv);
 int cmd_convert_run(int argc, char **argv);
 int cmd_convert_scene_run(int argc, char **argv);
+int cmd_export_run(int argc, char **argv);
 int cmd_simulate_run(int argc, char **argv);
 int cmd_capture_run(int argc, char **argv);
 int cmd_status_run(int argc, char **argv);

@@ -23,6 +23,7 @@ static const struct {
     {"convert", "weights of a network for this program", cmd_convert_run},
     {"convert-scene", "a scene in another kind of file, and what that loses",
      cmd_convert_scene_run},
+    {"export", "cameras, photographs and points of a scene for other programs", cmd_export_run},
     {"simulate", "a simulated scene as a data set, with the truth", cmd_simulate_run},
     {"bench", "figures of this machine against its limits", cmd_bench_run},
     {"doctor", "what this machine has", cmd_doctor_run},

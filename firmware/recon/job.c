@@ -126,6 +126,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
     struct start start = {.run = r, .cfg = cfg, .recipe = &recipe, .out = out};
     begin(cfg, out);
+    out->capture = c;
     err_t e = read_photographs(r, c, &start, out);
     if (!e)
         e = find_response(r, &recipe, out);

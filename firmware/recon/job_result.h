@@ -37,10 +37,11 @@ struct job_cameras {
 };
 
 struct job_result {
-    struct views views;      // in keep; n is 0 if the photographs are not at hand
-    struct tonemap response; // from histograms: the nearest view is shown under it
-    int taken;               // photographs of brackets, before those that show nothing more went
-    struct scene scene;      // in keep
+    const struct capture *capture; // the job's
+    struct views views;            // in keep; n is 0 if the photographs are not at hand
+    struct tonemap response;       // from histograms: the nearest view is shown under it
+    int taken;          // photographs of brackets, before those that show nothing more went
+    struct scene scene; // in keep
     struct refine_report refine;
     struct job_cameras cameras;
     double start_s, lap_s; // of the clock

@@ -163,8 +163,22 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     return e;
 }
 
-static err_t write_cameras(const struct scene *s, const char *path)
+/* Where view `v` was undistorted, how its photograph was taken. */
+static void add_photograph(const struct capture *c, struct rig_view *v)
 {
+    const struct shot *s = NULL;
+    for (int i = 0; c && i < c->n && !s; i++)
+        s = strcmp(c->shots[i].name, v->name) == 0 ? &c->shots[i] : NULL;
+    if (!s || !lens_distorts(&s->lens))
+        return;
+    v->photograph.w = s->taken_w;
+    v->photograph.h = s->taken_h;
+    v->photograph.lens = s->lens;
+}
+
+static err_t write_cameras(const struct job_result *j, const char *path)
+{
+    const struct scene *s = &j->scene;
     struct rig rig = {.n = s->n_views, .views = calloc((size_t)s->n_views, sizeof *rig.views)};
     if (!rig.views)
         return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", path, s->n_views);
@@ -174,14 +188,16 @@ static err_t write_cameras(const struct scene *s, const char *path)
         v->cam = s->cams[i];
         v->has_exposure = true;
         v->exposure_log2 = s->log2t[i];
+        add_photograph(j->capture, v);
     }
     err_t e = cameras_write(path, &rig);
     cameras_free(&rig);
     return e;
 }
 
-static err_t write_scene(const struct scene *s, const struct outdir *o)
+static err_t write_scene(const struct job_result *j, const struct outdir *o)
 {
+    const struct scene *s = &j->scene;
     char path[FILE_PATH_CAP];
     err_t e = outdir_path(o, "scene.ply", path);
     if (!e)
@@ -198,7 +214,7 @@ static err_t write_scene(const struct scene *s, const struct outdir *o)
         e = scenefile_write_tone(path, &s->tone);
     if (!e)
         e = outdir_path(o, "cameras.json", path);
-    return e ? e : write_cameras(s, path);
+    return e ? e : write_cameras(j, path);
 }
 
 static bool has_viewer(const struct job_result *j)
@@ -261,7 +277,7 @@ err_t publish_run(const struct run *r, struct job_result *j, struct outdir *o)
     if (!e)
         e = write_views(r, j, o, &sheet);
     if (!e)
-        e = write_scene(&j->scene, o);
+        e = write_scene(j, o);
     if (!e)
         e = write_viewer(j, o);
     job_result_lap(j, JOB_WRITE);
