@@ -59,6 +59,18 @@ void rotation_from_quat(const double q[4], double r[9])
     r[8] = 1 - n * (x * x + y * y);
 }
 
+bool rotation_is(const double r[9], double error)
+{
+    double off = 0, normal[3];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            off = fmax(off, fabs(lin_dot(r + 3 * i, r + 3 * k) - (i == k)));
+    lin_cross(r, r + 3, normal);
+    for (int i = 0; i < 9; i++) // fmax ignores a NaN
+        off = isfinite(r[i]) ? off : INFINITY;
+    return off <= error && lin_dot(normal, r + 6) > 0;
+}
+
 void rotation_multiply(const double a[4], const double b[4], double out[4])
 {
     out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3];

@@ -15,6 +15,9 @@ void rotation_from_unit(const float q[4], float r[9]);
 /* Unit quaternion with w >= 0 of a matrix near a rotation. */
 void rotation_to_quat(const double r[9], double q[4]);
 
+/* Whether rows have length 1 and right angles within `error`, and are right-handed. */
+bool rotation_is(const double r[9], double error);
+
 /* Matrix of a vector, and back: an angle of 0..pi. */
 void rotation_exp(const double w[3], double r[9]);
 void rotation_log(const double r[9], double w[3]);

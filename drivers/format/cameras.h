@@ -18,6 +18,8 @@
 
 enum { CAMERAS_MAX = 4096 }; // views of one set
 
+#define CAMERAS_NOT_ROTATED 1e-3 // most that R R^T of a file may differ from the identity
+
 struct rig_view {
     char name[NAME_CAP];
     struct camera cam; // pose; fx, fy, cx, cy, w, h of the photograph as taken

@@ -1,7 +1,7 @@
 /* colmapwrite.h - cameras and points as a COLMAP model folder: cameras, images and points3D, binary
  * (which COLMAP, 3DGS, gsplat, nerfstudio, OpenSplat and Brush read) or text.
  * Format: colmap.github.io/format.html. Images whose lens and size are the same share a camera.
- * Images have no points and points no tracks: other programs start from their positions and colours.
+ * Images have no points and points no tracks: programs start from their positions and colours.
  * thread: any. */
 #ifndef FORMAT_COLMAPWRITE_H
 #define FORMAT_COLMAPWRITE_H

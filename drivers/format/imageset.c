@@ -6,6 +6,8 @@
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/json.h"
+#include "drivers/format/layout.h"
+#include "drivers/format/llff.h"
 #include "drivers/format/name.h"
 #include "drivers/format/rigfile.h"
 
@@ -117,9 +119,12 @@ static const char only_png_jpeg[] = "pictures must be PNG or JPEG, save them as 
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
-    err_t e = file_join(images, "images", dir);
-    if (e || file_is_dir(dir))
-        return e;
+    static const char *const inside[] = {"images", LLFF_PICTURES};
+    for (int i = 0; i < 2; i++) {
+        err_t e = file_join(images, inside[i], dir);
+        if (e || file_is_dir(dir))
+            return e;
+    }
     if (!file_is_dir(images))
         return err_fail(ERR_IO, "%s: %s", images,
                         file_exists(images) ? "not a folder" : "no such folder");
@@ -337,6 +342,11 @@ static err_t get_times(const struct imageset_request *rq, struct imageset *set)
             return e;
         source = found ? path : NULL;
     }
+    found = false;
+    if (!source)
+        e = layout_times(set->dir, rq->no_cameras ? NULL : rq->rig, &set->capture, &found);
+    if (e || found)
+        return e;
     e = source ? times_from_file(source, set) : times_from_exif(rq, set);
     if (e)
         return e;
@@ -565,30 +575,6 @@ static err_t give_camera(const char *source, const struct rig *rig, const char *
     return e;
 }
 
-/* Keep the pictures that have a camera. */
-static err_t keep_placed(const char *source, const struct rig *rig, struct imageset *set)
-{
-    struct capture *c = &set->capture;
-    struct names lacking = {0};
-    int n = 0;
-    for (int i = 0; i < c->n; i++) {
-        bool has;
-        err_t e = cameras_has(source, rig, c->shots[i].name, &has);
-        if (e)
-            return e;
-        if (has)
-            c->shots[n++] = c->shots[i];
-        else
-            names_add(c->shots[i].name, &lacking);
-    }
-    if (n == 0)
-        return err_fail(ERR_FORMAT, "%s: no camera for any of the %d pictures in %s", source, c->n,
-                        set->dir);
-    c->n = n;
-    add_note(&lacking, "its cameras are not known", set);
-    return OK;
-}
-
 static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
 {
     char path[FILE_PATH_CAP];
@@ -597,7 +583,7 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     if (rq->no_cameras)
         return OK;
     if (!source) {
-        err_t e = file_companion(set->dir, "sparse/0", &found, path);
+        err_t e = rigfile_find(set->dir, &found, path);
         if (e || !found)
             return e;
         source = path;
@@ -605,7 +591,7 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     struct rig rig;
     err_t e = rigfile_read(source, &rig);
     if (!e && rq->some_cameras)
-        e = keep_placed(source, &rig, set);
+        e = layout_keep_placed(source, &rig, &set->capture, &set->n_unplaced);
     for (int i = 0; i < set->capture.n && !e; i++)
         e = give_camera(source, &rig, set->dir, &set->capture.shots[i]);
     cameras_free(&rig);
@@ -617,7 +603,7 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
 static err_t list_folder(const struct imageset_request *rq, struct imageset *out)
 {
     memset(out, 0, sizeof *out);
-    bool released = false;
+    bool released = false, bracketed = false;
     err_t e = find_pictures(rq->images, out->dir);
     if (!e)
         e = scan_folder(out);
@@ -626,12 +612,16 @@ static err_t list_folder(const struct imageset_request *rq, struct imageset *out
         released = is_released(&out->capture);
         e = choose_times(rq, out);
     }
-    if (!e)
+    if (!e && !released)
+        e = layout_is_bracketed(out->dir, &bracketed);
+    if (!e && bracketed && rq->which != IMAGESET_ALL)
+        layout_keep_half(rq->which == IMAGESET_TRAIN, &out->capture);
+    if (!e && !bracketed)
         e = filter_pictures(rq, released, out);
     if (!e)
         e = get_times(rq, out);
     if (!e)
-        e = choose_pictures(rq, released, out);
+        e = choose_pictures(rq, released || bracketed, out);
     if (!e)
         e = get_sizes(out);
     if (!e)

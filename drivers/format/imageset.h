@@ -7,7 +7,8 @@
  * pictures' EXIF, where all must have the same tags. A folder with names that begin with "train"
  * has the released layout: "train" pictures are inputs, "test" pictures are held out, and
  * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
- * view of its own and an input.
+ * view of its own and an input. Other layouts with brackets are in layout.h; cameras may be in
+ * transforms.json or poses_bounds_exps.npy instead of sparse/0, and exposures with them.
  *
  * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
  * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the
@@ -32,7 +33,7 @@ struct imageset_request {
     const char *images;        // folder
     const char *const *more;   // further folders and a NULL; NULL: none
     const char *exposures;     // file, NULL = exposure.json or EXIF
-    const char *rig;           // COLMAP folder or cameras.json, NULL = sparse/0 if it is there
+    const char *rig;           // any of rigfile.h, NULL = what rigfile_find finds
     enum imageset_which which; // of the released layout
     int n_views;               // 0 = all
     bool every_exposure;       // all exposures of the chosen views, without protocol.json
@@ -40,7 +41,7 @@ struct imageset_request {
     uint32_t exposure_set;     // bit k: the k-th shortest time of all may be used; 0 = every one
     bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
     bool no_cameras;           // neither rig nor sparse/0 are read
-    bool some_cameras;         // pictures that the rig lacks are left out, with a note
+    bool some_cameras;         // pictures that the rig lacks are left out
 };
 
 enum { IMAGESET_NOTES = 4 };
@@ -56,6 +57,7 @@ struct imageset {
     int n_parts;                // 0: one folder
     struct imageset_part *part; // malloc'd
     struct capture capture;     // shots malloc'd; image.px is NULL until imageset_load
+    int n_unplaced;             // pictures that some_cameras left out
     int n_notes;
     char notes[IMAGESET_NOTES]
               [240]; // sentences about files that look like pictures and are not read

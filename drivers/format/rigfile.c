@@ -3,6 +3,7 @@
 #include "drivers/format/colmap.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
+#include "drivers/format/llff.h"
 #include "drivers/format/transforms.h"
 
 #include <string.h>
@@ -36,14 +37,33 @@ static err_t read_folder(const char *path, struct rig *out)
     return file_is_regular(frames) ? transforms_read(frames, out) : colmap_read(path, out);
 }
 
+static bool ends_with(const char *path, const char *end)
+{
+    const size_t n = strlen(path), m = strlen(end);
+    return n > m && strcasecmp(path + n - m, end) == 0;
+}
+
 err_t rigfile_read(const char *path, struct rig *out)
 {
-    const size_t n = strlen(path);
     *out = (struct rig){0};
     if (file_is_dir(path))
         return read_folder(path, out);
-    if (n > 5 && strcasecmp(path + n - 5, ".json") == 0)
+    if (ends_with(path, ".json"))
         return read_json(path, out);
+    if (ends_with(path, ".npy"))
+        return llff_read(path, out);
     return err_fail(ERR_UNSUPPORTED,
-                    "%s: a rig is a COLMAP folder, a cameras.json or a transforms.json", path);
+                    "%s: a rig is a COLMAP folder, a cameras.json, a transforms.json or a "
+                    "poses_bounds.npy",
+                    path);
+}
+
+err_t rigfile_find(const char *dir, bool *found, char path[FILE_PATH_CAP])
+{
+    static const char *const names[] = {"sparse/0", "transforms.json", LLFF_NAME};
+    err_t e = OK;
+    *found = false;
+    for (size_t i = 0; i < sizeof names / sizeof names[0] && !*found && !e; i++)
+        e = file_companion(dir, names[i], found, path);
+    return e;
 }

@@ -12,8 +12,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define NOT_ROTATED 1e-3 // most that R R^T may differ from the identity
-
 enum { POINT_BYTES = 3 * 4 + 3, WHAT_CAP = 256 };
 
 /* Names of the distortion terms of struct lens. */
@@ -165,15 +163,9 @@ static err_t set_pose(const struct frame *f, const double m[12], struct camera *
     for (int i = 0; i < 3; i++) // row i of R: axis i of the camera in the world
         for (int k = 0; k < 3; k++)
             r[3 * i + k] = (i == 0 ? 1 : -1) * m[4 * k + i];
-    double off = 0, normal[3];
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++)
-            off = fmax(off, fabs(lin_dot(r + 3 * i, r + 3 * k) - (i == k)));
-    lin_cross(r, r + 3, normal);
-    if (!(off <= NOT_ROTATED) || !(lin_dot(normal, r + 6) > 0))
-        return err_fail(ERR_FORMAT,
-                        "%s: \"transform_matrix\" is no rotation within %g (off by %.3g)", f->what,
-                        NOT_ROTATED, off);
+    if (!rotation_is(r, CAMERAS_NOT_ROTATED))
+        return err_fail(ERR_FORMAT, "%s: \"transform_matrix\" is no rotation within %g", f->what,
+                        CAMERAS_NOT_ROTATED);
     rotation_to_quat(r, q);
     for (int i = 0; i < 3; i++)
         t[i] = -(r[3 * i] * m[3] + r[3 * i + 1] * m[7] + r[3 * i + 2] * m[11]);

@@ -34,6 +34,9 @@ static err_t list_photographs(const struct request *rq, struct state *st)
     err_t e = file_join(rq->scene, "cameras.json", rig);
     if (!e)
         e = imageset_list(&set, &st->set);
+    if (!e && st->set.n_unplaced > 0)
+        log_warn("%s: %d photographs are left out, the scene has no camera for them", rq->images,
+                 st->set.n_unplaced);
     for (int i = 0; i < st->set.n_notes && !e; i++)
         log_warn("%s: %s", rq->images, st->set.notes[i]);
     return e;

@@ -133,15 +133,16 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
 
 /* ---- HDR ---- */
 
-/* File of the radiance of a test picture: test_ldr_000_2.png has images_hdr/test_hdr_000.exr. */
+/* File of the radiance of a test picture: test_ldr_000_2.png has images_hdr/test_hdr_000.exr, or
+ * 1_2.png has exr/1.exr. */
 static err_t radiance_path(const struct imageset *set, const char *picture,
                            char path[FILE_PATH_CAP])
 {
-    static const char *const folders[] = {"images_hdr", "../images_hdr"};
+    static const char *const folders[] = {"images_hdr", "../images_hdr", "../exr"};
     char name[NAME_CAP + 32];
     int stem = (int)name_view(picture);
     err_t e = OK;
-    for (int i = 0; i < 2; i++) {
+    for (size_t i = 0; i < sizeof folders / sizeof folders[0]; i++) {
         int n = snprintf(name, sizeof name, "%s/", folders[i]);
         snprintf(name + n, sizeof name - (size_t)n, "%.*s.exr", stem, picture);
         char *ldr = strstr(name + n, "_ldr_");

@@ -32,26 +32,31 @@ static err_t find(const struct rig *rig, const char *name, int w, int h, struct 
 static void what_is_written_is_read_bit_for_bit(void **state)
 {
     (void)state;
-    struct rig_view v[2] = {
-        {"a \"quoted\\\" \xc3\xa9.png",
-         {640,
-          480,
-          127.481026f,
-          0.0100531215f,
-          119.711685f,
-          -0.0103268465f,
-          {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
-          {1.f / 3, -3e8f, 1e-40f}},
-         {LENS_OPENCV,
-          127.48102569580078,
-          0.010053121484816074,
-          119.71168518066406,
-          -0.010326846502721310,
-          {-0.31, 1. / 3, 1e-3, 0},
-          0},
-         true,
-         -3.1f},
-        {"b.png", {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}}, {0}, false, 0}};
+    struct rig_view v[2] = {{"a \"quoted\\\" \xc3\xa9.png",
+                             {640,
+                              480,
+                              127.481026f,
+                              0.0100531215f,
+                              119.711685f,
+                              -0.0103268465f,
+                              {0.694912981f, 0.7071484f, -0.0930978648f, 0.0914870255f},
+                              {1.f / 3, -3e8f, 1e-40f}},
+                             {LENS_OPENCV,
+                              127.48102569580078,
+                              0.010053121484816074,
+                              119.71168518066406,
+                              -0.010326846502721310,
+                              {-0.31, 1. / 3, 1e-3, 0},
+                              0},
+                             true,
+                             -3.1f,
+                             {0, 0, {0}}},
+                            {"b.png",
+                             {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}},
+                             {0},
+                             false,
+                             0,
+                             {31, 7, {LENS_RADIAL, 1. / 3, 1. / 3, 2, 3, {-0.1, 1e-9}, 0}}}};
     struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
@@ -64,7 +69,13 @@ static void what_is_written_is_read_bit_for_bit(void **state)
         assert_memory_equal(out.views[i].lens.term, v[i].lens.term, sizeof v[i].lens.term);
         assert_true(out.views[i].has_exposure == v[i].has_exposure);
         assert_true(out.views[i].exposure_log2 == v[i].exposure_log2);
+        assert_int_equal(out.views[i].photograph.w, v[i].photograph.w);
+        out.views[i].photograph.lens.limit = 0; // follows from the rest
+        assert_memory_equal(&out.views[i].photograph, &v[i].photograph, sizeof v[i].photograph);
     }
+    cameras_use_photographs(&out);
+    assert_true(out.views[1].cam.w == 31 && out.views[1].lens.term[1] == 1e-9);
+    assert_true(out.views[0].cam.w == 640 && out.views[0].lens.model == LENS_OPENCV);
     cameras_free(&out);
 }
 
