@@ -9,6 +9,7 @@
 #include "drivers/format/layout.h"
 #include "drivers/format/llff.h"
 #include "drivers/format/name.h"
+#include "drivers/format/namelist.h"
 #include "drivers/format/rigfile.h"
 
 #include <dirent.h>
@@ -62,53 +63,15 @@ static bool has_prefix(const char *name, const char *prefix)
     return strncmp(name, prefix, strlen(prefix)) == 0;
 }
 
-/* Names for a sentence: how many, and the first of them in order. */
-struct names {
-    int n, n_first;
-    char first[3][NAME_CAP];
-};
-
-static void names_add(const char *name, struct names *l)
-{
-    char plain[NAME_CAP];
-    const int cap = (int)(sizeof l->first / sizeof l->first[0]);
-    l->n++;
-    if (name_copy("", name, strlen(name), plain) != OK)
-        return; // counted
-    int i = l->n_first;
-    while (i > 0 && strcmp(plain, l->first[i - 1]) < 0)
-        i--;
-    if (i == cap)
-        return;
-    l->n_first += l->n_first < cap;
-    memmove(l->first[i + 1], l->first[i], (size_t)(l->n_first - 1 - i) * sizeof plain);
-    memcpy(l->first[i], plain, sizeof plain);
-}
-
-/* "a.heic, b.heic and 7 others" */
-static const char *names_text(const struct names *l, char *text, size_t cap)
-{
-    size_t n = 0;
-    text[0] = 0;
-    for (int i = 0; i < l->n_first && n < cap; i++) {
-        const char *between = i == 0 ? "" : i + 1 < l->n ? ", " : " and ";
-        n += (size_t)snprintf(text + n, cap - n, "%s%.32s", between, l->first[i]);
-    }
-    if (l->n > l->n_first && n < cap)
-        snprintf(text + n, cap - n, "%s%d other%s", n ? " and " : "", l->n - l->n_first,
-                 l->n - l->n_first > 1 ? "s" : "");
-    return text;
-}
-
 /* Sentence "N files are not read (names): why", once. */
-static void add_note(const struct names *l, const char *why, struct imageset *set)
+static void add_note(const struct namelist *l, const char *why, struct imageset *set)
 {
     char text[128];
     if (l->n == 0 || set->n_notes == IMAGESET_NOTES)
         return;
     char *note = set->notes[set->n_notes];
     snprintf(note, sizeof set->notes[0], "%d file%s not read (%s): %s", l->n,
-             l->n > 1 ? "s are" : " is", names_text(l, text, sizeof text), why);
+             l->n > 1 ? "s are" : " is", namelist_text(l, text, sizeof text), why);
     for (int i = 0; i < set->n_notes; i++)
         if (strcmp(note, set->notes[i]) == 0)
             return;
@@ -132,12 +95,12 @@ static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
     return OK;
 }
 
-static err_t add_picture(const char *dir, const char *name, struct names *odd, struct capture *c)
+static err_t add_picture(const char *dir, const char *name, struct namelist *odd, struct capture *c)
 {
     char path[FILE_PATH_CAP];
     err_t e = file_join(dir, name, path);
     if (!e && !file_is_regular(path) && !file_is_dir(path))
-        names_add(name, odd);
+        namelist_add(name, odd);
     if (e || !file_is_regular(path))
         return e;
     if (c->n == CAMERAS_MAX)
@@ -162,13 +125,13 @@ static err_t scan_folder(struct imageset *set)
     DIR *d = opendir(set->dir);
     if (!d)
         return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
-    struct names other = {0}, odd = {0};
+    struct namelist other = {0}, odd = {0};
     err_t e = OK;
     for (struct dirent *entry; !e && (entry = readdir(d));) {
         if (is_picture(entry->d_name))
             e = add_picture(set->dir, entry->d_name, &odd, c);
         else if (is_other_picture(entry->d_name))
-            names_add(entry->d_name, &other);
+            namelist_add(entry->d_name, &other);
     }
     closedir(d);
     add_note(&other, only_png_jpeg, set);
@@ -181,13 +144,13 @@ static err_t scan_folder(struct imageset *set)
 /* Pictures in the folder that holds images/. */
 static void note_beside(const char *images, struct imageset *set)
 {
-    struct names beside = {0};
+    struct namelist beside = {0};
     DIR *d = strcmp(images, set->dir) != 0 ? opendir(images) : NULL;
     if (!d)
         return;
     for (struct dirent *entry; (entry = readdir(d));)
         if (is_picture(entry->d_name))
-            names_add(entry->d_name, &beside);
+            namelist_add(entry->d_name, &beside);
     closedir(d);
     add_note(&beside, "they lie beside the folder images, which alone is looked into", set);
 }
@@ -204,13 +167,13 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
 {
     static const char *const prefix[] = {"train", "test", ""};
     struct capture *c = &set->capture;
-    struct names neither = {0};
+    struct namelist neither = {0};
     int all = c->n, n = 0;
     for (int i = 0; i < all; i++) {
         const char *name = c->shots[i].name;
         if (released && !has_prefix(name, prefix[IMAGESET_TRAIN]) &&
             !has_prefix(name, prefix[IMAGESET_TEST]))
-            names_add(name, &neither);
+            namelist_add(name, &neither);
         if (released ? has_prefix(name, prefix[rq->which]) : rq->which != IMAGESET_TEST)
             c->shots[n++] = c->shots[i];
     }
@@ -232,12 +195,12 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
 static void note_timed(const struct exposures *x, struct imageset *set)
 {
     char path[FILE_PATH_CAP];
-    struct names other = {0};
+    struct namelist other = {0};
     for (int i = 0; i < x->n; i++) {
         const char *name = x->v[i].name;
         if (!is_picture(name) && !is_other_picture(name) && file_join(set->dir, name, path) == OK &&
             file_is_regular(path))
-            names_add(name, &other);
+            namelist_add(name, &other);
     }
     add_note(&other, only_png_jpeg, set);
 }
@@ -262,10 +225,10 @@ static err_t times_from_file(const char *path, struct imageset *set)
 static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct capture *c)
 {
     char with_text[100], without_text[100];
-    struct names with = {0}, without = {0};
+    struct namelist with = {0}, without = {0};
     for (int i = 0; i < c->n; i++)
         if (c->shots[i].exposure > 0)
-            names_add(c->shots[i].name, has[i] ? &with : &without);
+            namelist_add(c->shots[i].name, has[i] ? &with : &without);
     if (with.n == 0 || without.n == 0)
         return OK;
     for (int i = 0; i < c->n && may_lack; i++)
@@ -276,8 +239,8 @@ static err_t check_tag(const char *tag, bool may_lack, const bool *has, struct c
     return err_fail(
         ERR_FORMAT,
         "EXIF of %s lacks %s, that of %s has it: their exposures cannot be compared; " WRITE_TIMES,
-        names_text(&without, without_text, sizeof without_text), tag,
-        names_text(&with, with_text, sizeof with_text));
+        namelist_text(&without, without_text, sizeof without_text), tag,
+        namelist_text(&with, with_text, sizeof with_text));
 }
 
 /* has_iso, has_f: scratch for all pictures. */
@@ -316,13 +279,13 @@ static err_t times_from_exif(const struct imageset_request *rq, struct imageset 
 static err_t check_times(const char *source, const struct capture *c)
 {
     char text[128];
-    struct names lacking = {0};
+    struct namelist lacking = {0};
     for (int i = 0; i < c->n; i++)
         if (!(c->shots[i].exposure > 0))
-            names_add(c->shots[i].name, &lacking);
+            namelist_add(c->shots[i].name, &lacking);
     if (lacking.n == 0)
         return OK;
-    names_text(&lacking, text, sizeof text);
+    namelist_text(&lacking, text, sizeof text);
     if (!source)
         return err_fail(ERR_FORMAT, "EXIF has no exposure for %s, of %d pictures: " WRITE_TIMES,
                         text, c->n);
@@ -535,6 +498,17 @@ static err_t choose_pictures(const struct imageset_request *rq, bool released, s
 
 /* ---- sizes and cameras ---- */
 
+/* The file of shot i. */
+static err_t picture_path(const struct imageset *set, int i, char path[FILE_PATH_CAP])
+{
+    const char *dir = set->dir, *name = set->capture.shots[i].name;
+    for (int k = 0; k < set->n_parts && set->part[k].first <= i; k++) {
+        dir = set->part[k].dir;
+        name = set->capture.shots[i].name + set->part[k].skip;
+    }
+    return file_join(dir, name, path);
+}
+
 static err_t get_sizes(struct imageset *set)
 {
     struct shot *s = set->capture.shots;
@@ -553,14 +527,12 @@ static err_t get_sizes(struct imageset *set)
 }
 
 /* Its camera, and the size that it has once it is undistorted. */
-static err_t give_camera(const char *source, const struct rig *rig, const char *dir, struct shot *s)
+static err_t give_camera(const char *source, const struct rig *rig, const char *path,
+                         struct shot *s)
 {
     struct cameras_picture picture = {s->name, s->taken_w, s->taken_h, 1};
     struct rig_view v;
-    char path[FILE_PATH_CAP];
-    err_t e = file_join(dir, s->name, path);
-    if (!e)
-        e = imgsize_orientation(path, &picture.orientation);
+    err_t e = imgsize_orientation(path, &picture.orientation);
     if (!e)
         e = cameras_find(source, rig, &picture, &v);
     if (e)
@@ -573,6 +545,28 @@ static err_t give_camera(const char *source, const struct rig *rig, const char *
     s->image.w = s->cam.w;
     s->image.h = s->cam.h;
     return e;
+}
+
+/* Keep the pictures that have a camera. */
+static err_t keep_placed(const char *source, const struct rig *rig, struct imageset *set)
+{
+    struct capture *c = &set->capture;
+    int n = 0;
+    for (int i = 0; i < c->n; i++) {
+        bool has;
+        err_t e = cameras_has(source, rig, c->shots[i].name, &has);
+        if (e)
+            return e;
+        if (has)
+            c->shots[n++] = c->shots[i];
+        for (int k = 0; k < set->n_parts && !has; k++)
+            set->part[k].first -= set->part[k].first > n;
+    }
+    set->n_unplaced = c->n - n;
+    c->n = n;
+    return n > 0 ? OK
+                 : err_fail(ERR_FORMAT, "%s: no camera for any of %d pictures", source,
+                            set->n_unplaced);
 }
 
 static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
@@ -591,9 +585,12 @@ static err_t get_cameras(const struct imageset_request *rq, struct imageset *set
     struct rig rig;
     err_t e = rigfile_read(source, &rig);
     if (!e && rq->some_cameras)
-        e = layout_keep_placed(source, &rig, &set->capture, &set->n_unplaced);
-    for (int i = 0; i < set->capture.n && !e; i++)
-        e = give_camera(source, &rig, set->dir, &set->capture.shots[i]);
+        e = keep_placed(source, &rig, set);
+    for (int i = 0; i < set->capture.n && !e; i++) {
+        e = picture_path(set, i, path);
+        if (!e)
+            e = give_camera(source, &rig, path, &set->capture.shots[i]);
+    }
     cameras_free(&rig);
     return e;
 }
@@ -706,9 +703,9 @@ static err_t list_folders(const struct imageset_request *rq, struct imageset *ou
     struct imageset_request each = *rq;
     size_t n = 1;
     memset(out, 0, sizeof *out);
-    if (rq->rig || rq->exposures || rq->n_views || rq->exposure_set)
-        return err_fail(ERR_ARG, "a rig, a file of exposures and a choice of pictures go with one "
-                                 "folder, not with several");
+    if (rq->exposures || rq->n_views || rq->exposure_set)
+        return err_fail(ERR_ARG, "a file of exposures and a choice of pictures go with one folder, "
+                                 "not with several");
     while (rq->more[n - 1])
         n++;
     each.no_cameras = true;
@@ -721,6 +718,8 @@ static err_t list_folders(const struct imageset_request *rq, struct imageset *ou
         each.images = i ? rq->more[i - 1] : rq->images;
         e = add_folder(&each, out);
     }
+    if (!e && rq->rig)
+        e = get_cameras(rq, out);
     if (e)
         imageset_free(out);
     return e;
@@ -747,14 +746,9 @@ static err_t undistort(const char *path, const struct shot *s, struct image8 *im
 err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
 {
     const struct shot *s = &set->capture.shots[i];
-    const char *dir = set->dir, *name = s->name;
     char path[FILE_PATH_CAP];
     memset(out, 0, sizeof *out);
-    for (int k = 0; k < set->n_parts && set->part[k].first <= i; k++) {
-        dir = set->part[k].dir;
-        name = s->name + set->part[k].skip;
-    }
-    err_t e = file_join(dir, name, path);
+    err_t e = picture_path(set, i, path);
     if (!e)
         e = img_read(path, out);
     if (!e && (out->w != s->taken_w || out->h != s->taken_h))

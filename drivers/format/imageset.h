@@ -17,8 +17,8 @@
  * some of the times that the folder's pictures have, sorted; protocol.json is not read then.
  *
  * Several folders (`more`) are places of one scene, like the takes of one session: each has its
- * exposure.json, in one unit for all, and cameras are not read. The name of a shot then is that of
- * its folder and its own, FOLDER_NAME.
+ * exposure.json, in one unit for all, and cameras are read only from a rig. The name of a shot then
+ * is that of its folder and its own, FOLDER_NAME, also in the rig.
  * thread: any. */
 #ifndef FORMAT_IMAGESET_H
 #define FORMAT_IMAGESET_H

@@ -36,24 +36,6 @@ void layout_keep_half(bool inputs, struct capture *c)
     c->n = n;
 }
 
-err_t layout_keep_placed(const char *what, const struct rig *rig, struct capture *c, int *lacking)
-{
-    int n = 0;
-    for (int i = 0; i < c->n; i++) {
-        bool has;
-        err_t e = cameras_has(what, rig, c->shots[i].name, &has);
-        if (e)
-            return e;
-        if (has)
-            c->shots[n++] = c->shots[i];
-    }
-    *lacking = c->n - n;
-    if (n == 0)
-        return err_fail(ERR_FORMAT, "%s: no camera for any of %d pictures", what, c->n);
-    c->n = n;
-    return OK;
-}
-
 static const struct rig_view *find(const struct rig *rig, const char *name)
 {
     for (int i = 0; i < rig->n; i++)

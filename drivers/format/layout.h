@@ -8,7 +8,7 @@
 #ifndef FORMAT_LAYOUT_H
 #define FORMAT_LAYOUT_H
 
-#include "drivers/format/cameras.h"
+#include "core/base/types.h"
 
 /* Whether the pictures of `dir` lie in this layout: poses_bounds_exps.npy or exr/ is beside them.
  * err:  ERR_ARG (path too long). */
@@ -16,12 +16,6 @@ MUST_USE err_t layout_is_bracketed(const char *dir, bool *out);
 
 /* Of the pictures, sorted by name, keep those of the inputs or of the views that are held out. */
 void layout_keep_half(bool inputs, struct capture *c);
-
-/* Keep the pictures that have a camera in `rig`; `what` begins the sentence.
- * out:  *lacking: how many have none.
- * err:  ERR_FORMAT: none has one; two cameras for a picture. */
-MUST_USE err_t layout_keep_placed(const char *what, const struct rig *rig, struct capture *c,
-                                  int *lacking);
 
 /* Exposures by a file of cameras (rig, or if that is NULL transforms.json or poses_bounds_exps.npy
  * beside the pictures of `dir`), else by the layout of HDR-GS.

@@ -10,8 +10,9 @@
 #include <string.h>
 
 struct request {
-    const char *scene, *images, *colmap, *nerfstudio, *lens;
-    char folder[FILE_PATH_CAP]; // that is written
+    const char *scene, *colmap, *nerfstudio, *lens;
+    const char *images[CMD_TEXTS_MAX + 1]; // and a NULL
+    char folder[FILE_PATH_CAP];            // that is written
     struct outdir_rules rules;
     struct config cfg;
 };
@@ -26,7 +27,8 @@ struct state {
 static err_t list_photographs(const struct request *rq, struct state *st)
 {
     char rig[FILE_PATH_CAP];
-    const struct imageset_request set = {.images = rq->images,
+    const struct imageset_request set = {.images = rq->images[0],
+                                         .more = rq->images + 1,
                                          .rig = rig,
                                          .every_exposure = true,
                                          .may_lack_times = true,
@@ -35,10 +37,10 @@ static err_t list_photographs(const struct request *rq, struct state *st)
     if (!e)
         e = imageset_list(&set, &st->set);
     if (!e && st->set.n_unplaced > 0)
-        log_warn("%s: %d photographs are left out, the scene has no camera for them", rq->images,
+        log_warn("%s: %d photographs are left out, the scene has no camera for them", rq->images[0],
                  st->set.n_unplaced);
     for (int i = 0; i < st->set.n_notes && !e; i++)
-        log_warn("%s: %s", rq->images, st->set.notes[i]);
+        log_warn("%s: %s", rq->images[0], st->set.notes[i]);
     return e;
 }
 
@@ -84,7 +86,7 @@ static const char *misuse(struct request *rq)
 {
     const char *file = rq->nerfstudio;
     const size_t n = file ? strlen(file) : 0;
-    if (!rq->scene || !rq->images || !rq->colmap == !file)
+    if (!rq->scene || !rq->images[0] || !rq->colmap == !file)
         return "a scene, --images and one of --colmap and --nerfstudio are needed";
     if (rq->lens && strcmp(rq->lens, "photographed") != 0)
         return "--lens is photographed, or nothing";
@@ -105,7 +107,8 @@ int cmd_export_run(int argc, char **argv)
     static struct request rq;
     int code;
     const struct cmd_option options[] = {
-        {"images", "DIR", "the photographs that the scene was made from", NULL, &rq.images, NULL},
+        {"images", "DIR...", "the photographs that the scene was made from; several as there", NULL,
+         rq.images, NULL},
         {"colmap", "DIR", "folder to write: images and sparse/0", NULL, &rq.colmap, NULL},
         {"nerfstudio", "FILE", "DIR/transforms.json to write, with images and points in DIR", NULL,
          &rq.nerfstudio, NULL},
@@ -134,7 +137,7 @@ int cmd_export_run(int argc, char **argv)
     if (reason)
         return cmd_misuse(&usage, reason);
     rq.rules.inputs[0] = rq.scene;
-    rq.rules.inputs[1] = rq.images;
+    memcpy(rq.rules.inputs + 1, rq.images, CMD_TEXTS_MAX * sizeof rq.images[0]);
     code = cmd_finish(usage.name, export_scene(&rq, &st));
     outdir_close(&st.out);
     imageset_free(&st.set);

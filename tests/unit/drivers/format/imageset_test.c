@@ -549,8 +549,39 @@ static void several_folders_are_places(void **state)
     assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
     assert_non_null(
         strstr(err_text(), "another folder has its name and a picture train_00_00.png"));
-    rq.rig = "cameras.json";
+    rq.n_views = 2;
     assert_int_equal(imageset_list(&rq, &set), ERR_ARG);
+}
+
+/* Names in the rig are those with the folder; what it lacks may be left out of each folder. */
+static void several_folders_have_one_rig(void **state)
+{
+    (void)state;
+    static const char *const rig =
+        "{\"cameras\":[{\"name\":\"p1_train_00_00.png\",\"w\":8,\"h\":6,\"fx\":5,\"fy\":5,"
+        "\"cx\":4,\"cy\":3,\"q\":[1,0,0,0],\"t\":[1,0,0]},{\"name\":\"p2_train_00_00.png\","
+        "\"w\":8,\"h\":6,\"fx\":5,\"fy\":5,\"cx\":4,\"cy\":3,\"q\":[1,0,0,0],\"t\":[2,0,0]}]}";
+    char path[3][600];
+    const char *more[] = {path[1], path[2], NULL};
+    struct imageset set;
+    struct image8 im;
+    for (int i = 0; i < 3; i++) {
+        snprintf(path[i], sizeof path[i], "%s/p%d", tmpdir_root, i);
+        make_place((const char *const[]){"p0", "p1", "p2"}[i], 8, i + 1);
+    }
+    struct imageset_request rq = {
+        .images = path[0], .more = more, .brackets = true, .rig = tmpdir_text("rig.json", rig)};
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "no camera for image p0_train_00_00.png among 2"));
+    rq.some_cameras = true;
+    assert_int_equal(imageset_list(&rq, &set), OK);
+    assert_true(set.capture.n == 4 && set.n_unplaced == 2);
+    for (int i = 0; i < 4; i++) {
+        assert_true(set.capture.shots[i].cam.t[0] == i / 2 + 1);
+        assert_int_equal(imageset_decode(&set, i, &im), OK); // 8 px wide, unlike those of p0
+        img_free(&im);
+    }
+    imageset_free(&set);
 }
 
 #define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, tmpdir_teardown)
@@ -574,6 +605,7 @@ int main(void)
         IN_FOLDER(cameras_of_colmap_turn_with_the_photograph),
         IN_FOLDER(sizes_are_read_from_headers),
         IN_FOLDER(several_folders_are_places),
+        IN_FOLDER(several_folders_have_one_rig),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
