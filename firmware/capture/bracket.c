@@ -1,9 +1,9 @@
-/* Each camera has a phase (bracket.h) of its own; the machine is over when all cameras are.
- * Every frame: ages of requests grow (label_advance); a frame that is flagged, cut or oddly sized,
- * or whose gains moved, is refused; label_look identifies the others. A proven frame is kept if it
- * is missing, whatever was asked for; requests that can no longer come are asked for again.
- * Two conflicts, or three requests in vain, end pipelining. At rest a verdict against the exposure
- * counts when it is repeated. A frame at base then tells whether the light or the exposure changed.
+/* Each camera has its own phase (bracket.h); the machine ends when all cameras have ended.
+ * With every frame the requests grow older (label_advance). Flagged, cut and resized frames are
+ * refused, and those whose gains moved; label_look identifies the others. A proven frame is kept if
+ * its exposure is missing, even if another was asked for; lost requests are made again. Two
+ * conflicts, or three requests in vain, end pipelining. At rest a verdict against the exposure
+ * counts when it is repeated; a frame at base then shows whether light or exposure changed.
  * The machine always ends: frames, refusals, restarts and changes of light are counted. */
 #include "firmware/capture/bracket.h"
 
@@ -14,18 +14,18 @@
 #include <string.h>
 
 enum {
-    CONFLICTS_MAX = 2, // pipelined
-    TRIES_MAX = 3,     // requests for one exposure, pipelined
-    JUDGED_MAX = 2,    // frames at rest that say the same
+    CONFLICTS_MAX = 2, // while pipelined
+    TRIES_MAX = 3,     // requests for one exposure while pipelined
+    JUDGED_MAX = 2,    // frames at rest with the same verdict
     BAD_MAX = 12,      // unusable frames in a row
-    TORN_MAX = 3,      // torn ones in a row; more, and the scene is to blame
+    TORN_MAX = 3,      // torn frames in a row; beyond them the scene moves
     REFUSALS_MAX = 8,  // requests in a row
-    FRAMES_MAX = 20    // per exposure and frame of doubt
+    FRAMES_MAX = 20    // per exposure and per frame of possible delay
 };
 #define GAINS 0.005    // W5: 0.5 %
-#define WAITS 3.0      // longest frames
-#define PATIENCE_S 1.0 // beyond them
-#define RANGE 1e-6     // of exposure times, relative: rounding of whoever made the plan
+#define WAITS 3.0      // times the longest frame, before a restart
+#define PATIENCE_S 1.0 // added to these
+#define RANGE 1e-6     // relative tolerance of exposure times: the plan's maker rounds
 
 enum phase { OVER, WAIT, RUN, CHECK, REST };
 enum request_state { MISSING, ASKED, KEPT };
@@ -34,26 +34,26 @@ struct camera_state {
     struct label label;
     struct bracket_plan plan;
     struct exposure base;
-    double stops[BRACKET_EXPOSURES_MAX], base_stops; // log2 of what the device makes of them
+    double stops[BRACKET_EXPOSURES_MAX], base_stops; // log2 as the device rounds them
     bool armed, restarting, gains_known;
     enum phase phase;
     enum request_state state[BRACKET_EXPOSURES_MAX];
     int tries[BRACKET_EXPOSURES_MAX];
     struct bracket_evidence evidence[BRACKET_EXPOSURES_MAX];
     int64_t begin_ns, alive_ns;
-    double slow_s;                     // longest frame before a restart: it may run on
-    int since, frames, rejected, lost; // since BEGIN; the first as ages of requests
-    int settled;                       // frames that make the reference
+    double slow_s;                     // longest frame before a restart: it may still run
+    int since, frames, rejected, lost; // since BEGIN; `since` counts as ages do
+    int settled;                       // frames at base that agree: 2 make the reference
     int conflicts, judged, bad, torn;  // in a row, or since the phase began
     int refusals, forgets, restarts;   // in a row; per set
     int target, suspect, keep;         // index, -1: none
-    double still;                      // stops that the last frames had, NAN: not known
-    int still_since;                   // as `since`
+    double still;                      // exposure of the last frames, stops; NAN: not known
+    int still_since;                   // counts as `since` does
     enum bracket_reason cause;         // why the last frame was refused
-    int w, h;                          // of the reference
+    int w, h;                          // as in the reference
     enum camera_format format;
     double red, blue;
-    bool forget, relit, restart, request, asking; // actions that wait
+    bool forget, relit, restart, request, asking; // actions not fetched yet
     struct label_request next;
 };
 
@@ -68,7 +68,8 @@ err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **
 {
     *out = NULL;
     if (n < 1 || n > BRACKET_CAMERAS_MAX)
-        return err_fail(ERR_ARG, "bracket: %d cameras, not 1..%d", n, BRACKET_CAMERAS_MAX);
+        return err_fail(ERR_ARG, "bracket: %d cameras, allowed are 1 to %d", n,
+                        BRACKET_CAMERAS_MAX);
     for (int i = 0; i < n; i++) {
         err_t e = label_check(i, &cameras[i]);
         if (e)
@@ -104,7 +105,7 @@ static bool is_base(const struct camera_state *c, const struct label_request *r)
     return r && (r->index == LABEL_BASE || label_same(r->stops, c->base_stops));
 }
 
-static void request(struct camera_state *c, int index, int64_t now_ns)
+static void request_exposure(struct camera_state *c, int index, int64_t now_ns)
 {
     if (c->request || c->asking)
         return;
@@ -117,7 +118,7 @@ static void request(struct camera_state *c, int index, int64_t now_ns)
     c->tries[index]++;
 }
 
-static bool complete(const struct camera_state *c)
+static bool has_all_exposures(const struct camera_state *c)
 {
     for (int i = 0; i < c->plan.n; i++)
         if (c->state[i] != KEPT)
@@ -125,14 +126,14 @@ static bool complete(const struct camera_state *c)
     return true;
 }
 
-static double distance(const struct camera_state *c, int index)
+static double anchor_distance(const struct camera_state *c, int index)
 {
     return label_distance(&c->label, c->stops[index]);
 }
 
-/* The first in the order of the plan; of those that were tried, or at rest, what is nearest to a
- * frame to compare with: -1 none. */
-static int pick(const struct camera_state *c)
+/* The exposure to ask for next, -1: none. The first of the plan that was not tried; when all were,
+ * or at rest, the one nearest to a frame to compare with. */
+static int pick_exposure(const struct camera_state *c)
 {
     int best = -1;
     for (int i = 0; i < c->plan.n; i++) {
@@ -140,7 +141,7 @@ static int pick(const struct camera_state *c)
             continue;
         if (c->tries[i] == 0 && c->phase == RUN)
             return i;
-        if (best < 0 || distance(c, i) < distance(c, best))
+        if (best < 0 || anchor_distance(c, i) < anchor_distance(c, best))
             best = i;
     }
     return best;
@@ -153,18 +154,18 @@ static void request_next(struct camera_state *c, int64_t now_ns)
     if (c->phase == OVER || c->restarting)
         return;
     if (c->phase == RUN)
-        i = pick(c);
+        i = pick_exposure(c);
     if (c->phase == REST && (c->target < 0 || c->state[c->target] == KEPT))
-        c->target = pick(c);
+        c->target = pick_exposure(c);
     if (c->phase == REST)
         i = c->target;
     if (i >= 0 && (c->phase == RUN || !newest || newest->index != i))
-        request(c, i, now_ns);
+        request_exposure(c, i, now_ns);
     else if (i < 0 && !is_base(c, newest))
-        request(c, LABEL_BASE, now_ns);
+        request_exposure(c, LABEL_BASE, now_ns);
 }
 
-/* Asked, but cannot come any more. */
+/* Exposures whose requests were passed over are missing again. */
 static void give_up_passed(struct camera_state *c)
 {
     bool comes[LABEL_OTHER + 1] = {false};
@@ -179,7 +180,7 @@ static void give_up_passed(struct camera_state *c)
 
 /* ---- ends ---- */
 
-static void forget(struct camera_state *c)
+static void forget_kept(struct camera_state *c)
 {
     for (int i = 0; i < c->plan.n; i++) {
         c->forget |= c->state[i] == KEPT;
@@ -189,8 +190,8 @@ static void forget(struct camera_state *c)
     label_forget(&c->label, false);
 }
 
-static void fault(struct bracket *b, struct camera_state *culprit, enum bracket_reason why,
-                  int64_t now_ns)
+static void stop(struct bracket *b, struct camera_state *culprit, enum bracket_reason why,
+                 int64_t now_ns)
 {
     b->state = BRACKET_FAULT;
     b->reason = why;
@@ -200,14 +201,14 @@ static void fault(struct bracket *b, struct camera_state *culprit, enum bracket_
         c->forget = c->relit = c->restart = c->request = false;
         if (i == b->culprit && (why == BRACKET_INEFFECTIVE || why == BRACKET_SCENE_CHANGED ||
                                 why == BRACKET_DISAGREES))
-            forget(c); // whatever they were compared with is in doubt
+            forget_kept(c); // the frame that they were compared with is in doubt
         label_trust(&c->label);
         if (c->armed && !c->restarting && c->plan.n > 0 && !is_base(c, label_newest(&c->label)))
-            request(c, LABEL_BASE, now_ns);
+            request_exposure(c, LABEL_BASE, now_ns);
     }
 }
 
-static void enter(struct camera_state *c, enum phase p)
+static void enter_phase(struct camera_state *c, enum phase p)
 {
     c->phase = p;
     c->conflicts = c->judged = 0;
@@ -219,9 +220,9 @@ static enum phase first_phase(const struct camera_state *c)
     return label_unsteady(&c->label) ? REST : RUN;
 }
 
-static void over(struct bracket *b, struct camera_state *c)
+static void end_camera(struct bracket *b, struct camera_state *c)
 {
-    enter(c, OVER);
+    enter_phase(c, OVER);
     for (int i = 0; i < b->n; i++)
         if (b->cameras[i].phase != OVER)
             return;
@@ -231,18 +232,18 @@ static void over(struct bracket *b, struct camera_state *c)
 static void light_changed(struct bracket *b, struct camera_state *c, const struct label_look *k,
                           int64_t now_ns)
 {
-    // once; and not into a darkness or glare where nothing could be compared
+    // only once, and not when it is too dark or bright to compare anything
     if (c->forgets++ || !(k->measured || k->changed)) {
-        fault(b, c, BRACKET_SCENE_CHANGED, now_ns);
+        stop(b, c, BRACKET_SCENE_CHANGED, now_ns);
         return;
     }
-    forget(c);
+    forget_kept(c);
     c->relit = true;
     label_forget(&c->label, true);
     label_trust(&c->label);
     c->settled = 0;
     c->suspect = -1;
-    enter(c, WAIT);
+    enter_phase(c, WAIT);
 }
 
 /* ---- frames ---- */
@@ -252,16 +253,16 @@ static bool close_to(double a, double b)
     return fabs(a - b) <= GAINS * fabs(b);
 }
 
-/* Gains that are in the pixels. */
+/* Whether the reported gains are in the pixels. */
 static bool has_gains(const struct frame *f)
 {
     return f->gains_known && !f->gains_later;
 }
 
-static enum bracket_reason refusal(const struct camera_state *c, const struct bracket_event *ev)
+static enum bracket_reason refusal_of(const struct camera_state *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
-    if (ev->kind == BRACKET_UNUSABLE || !ev->witness || (f->flags & (FRAME_ERROR | FRAME_SHORT)))
+    if (ev->kind == BRACKET_UNUSABLE || !ev->probe || (f->flags & (FRAME_ERROR | FRAME_SHORT)))
         return BRACKET_BAD_FRAMES;
     if (c->settled > 0 && (f->w != c->w || f->h != c->h || f->format != c->format))
         return BRACKET_BAD_FRAMES;
@@ -272,14 +273,14 @@ static enum bracket_reason refusal(const struct camera_state *c, const struct br
     return moved ? BRACKET_GAINS : BRACKET_NONE;
 }
 
-/* A frame at base while nothing runs, or in WAIT. */
-static void settle(struct camera_state *c, const struct bracket_event *ev)
+/* Takes a frame at base, in WAIT or while nothing runs, for the reference. */
+static void settle_reference(struct camera_state *c, const struct bracket_event *ev)
 {
     const struct frame *f = ev->frame;
     bool same;
     if (!label_rested(&c->label) || !is_base(c, label_newest(&c->label)))
         return;
-    if (label_settle(&c->label, f, ev->witness, &same)) {
+    if (label_settle(&c->label, f, ev->probe, &same)) {
         c->cause = BRACKET_DISAGREES;
         c->settled = 0;
         c->judged++;
@@ -295,7 +296,7 @@ static void settle(struct camera_state *c, const struct bracket_event *ev)
     c->blue = f->blue_gain;
 }
 
-/* The missing exposure that entry `e` of the log stands for: -1 none. */
+/* The missing exposure that request `e` shows, -1: none. */
 static int missing_index(const struct camera_state *c, const struct label_request *e)
 {
     if (e->index < c->plan.n && c->state[e->index] != KEPT)
@@ -306,78 +307,78 @@ static int missing_index(const struct camera_state *c, const struct label_reques
     return -1;
 }
 
-static void keep(struct camera_state *c, int i, const struct bracket_event *ev,
-                 const struct label_look *k)
+static void keep_frame(struct camera_state *c, int i, const struct bracket_event *ev,
+                       const struct label_look *k)
 {
     struct bracket_evidence *v = &c->evidence[i];
     label_evidence(&c->label, ev->frame, k, v);
     v->asked = c->plan.ask[i];
     v->attempts = c->tries[i];
     v->rested = c->phase != RUN;
-    label_hold(&c->label, i, ev->witness, k);
+    label_hold(&c->label, i, ev->probe, k);
     c->state[i] = KEPT;
     c->keep = i;
 }
 
-/* The exposure of the frame is known. */
-static void known(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
-                  const struct label_look *k)
+/* Uses a frame whose exposure is known. */
+static void use_known(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
+                      const struct label_look *k)
 {
     const struct label_request *e = &c->label.log[k->entry];
     bool base = is_base(c, e), at_base = is_base(c, label_newest(&c->label));
-    // an exposure of before the trigger: so may the frame be
+    // asked for before the trigger: the frame may be from before it, too
     bool early = e->asked_ns < c->begin_ns &&
                  (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
-    // a torn frame has rows of the last: at rest no others, else the pixels must tell
+    // a torn frame has rows of the one before: of the same exposure at rest, else pixels decide
     bool still = (!k->measured || c->still_since < c->since) && label_still(&c->label);
     bool wanted = i >= 0 && !early;
     if (wanted && c->phase == RUN && !k->whole)
-        c->tries[i] = TRIES_MAX; // no more, but from rest
+        c->tries[i] = TRIES_MAX; // only from rest now
     else if (wanted && (c->phase == RUN || (c->phase == REST && still)))
-        keep(c, i, ev, k);
+        keep_frame(c, i, ev, k);
     if (!base || !at_base)
         return;
-    if (complete(c))
-        over(b, c);
+    if (has_all_exposures(c))
+        end_camera(b, c);
     else if (c->phase == CHECK && label_alone(&c->label) && c->suspect >= 0)
-        fault(b, c, BRACKET_INEFFECTIVE, ev->now_ns);
+        stop(b, c, BRACKET_INEFFECTIVE, ev->now_ns);
     else if (c->phase == CHECK && label_alone(&c->label))
-        enter(c, REST);
+        enter_phase(c, REST);
 }
 
-/* At rest, and still not what was asked for. */
-static void judge(struct bracket *b, struct camera_state *c, const struct label_look *k,
-                  int64_t now_ns)
+/* Counts frames at rest that are not what was asked for, and acts on the last one allowed. */
+static void judge_at_rest(struct bracket *b, struct camera_state *c, const struct label_look *k,
+                          int64_t now_ns)
 {
     const struct label_request *e = label_newest(&c->label);
     double tolerance = c->label.cfg.tolerance;
     if (++c->judged < JUDGED_MAX)
         return;
-    // nothing has moved since before the request
+    // no change was seen since before the request
     bool still = c->since - c->still_since > e->age_hi - c->label.lo + 1 && !isnan(c->still) &&
                  fabs(e->stops - e->from) > 2.0 * tolerance;
     if (k->disagrees)
-        fault(b, c, BRACKET_DISAGREES, now_ns);
+        stop(b, c, BRACKET_DISAGREES, now_ns);
     else if (still)
-        fault(b, c, BRACKET_INEFFECTIVE, now_ns);
+        stop(b, c, BRACKET_INEFFECTIVE, now_ns);
     else if (c->phase == CHECK)
         light_changed(b, c, k, now_ns);
     else {
         c->suspect = c->target;
-        enter(c, CHECK);
+        enter_phase(c, CHECK);
     }
 }
 
-/* The delay is another one, or a flash of light made a frame look like its neighbour; then others
- * may have been mistaken too. */
-static void shifted(struct camera_state *c)
+/* The delay is not the promised one, or a flash of light made a frame look like its neighbour: the
+ * kept frames may be mistaken, too. */
+static void on_shifted_delay(struct camera_state *c)
 {
     label_doubt(&c->label);
-    forget(c);
+    forget_kept(c);
     if (c->phase == RUN)
-        enter(c, CHECK);
+        enter_phase(c, CHECK);
 }
 
 static bool tried_in_vain(const struct camera_state *c)
@@ -391,9 +392,9 @@ static bool tried_in_vain(const struct camera_state *c)
 static void look_at(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     struct label_look k;
-    label_look(&c->label, ev->frame, ev->witness, &k);
-    if (c->phase == RUN && !complete(c)) // else it is kept from rest, or not at all
-        label_last(&c->label, ev->witness, &k);
+    label_look(&c->label, ev->frame, ev->probe, &k);
+    if (c->phase == RUN && !has_all_exposures(c)) // else frames are kept from rest only
+        label_last(&c->label, ev->probe, &k);
     bool rested = label_rested(&c->label);
     if (!k.measured || !(fabs(k.stops - c->still) <= 0.5 * c->label.cfg.tolerance)) {
         c->still = k.measured ? k.stops : NAN;
@@ -407,11 +408,11 @@ static void look_at(struct bracket *b, struct camera_state *c, const struct brac
         return;
     }
     if (k.verdict == LABEL_SHIFTED)
-        shifted(c);
+        on_shifted_delay(c);
     if (k.verdict == LABEL_PROVEN && c->phase == RUN)
         label_narrow(&c->label, &k);
     if (k.verdict == LABEL_PROVEN || (k.verdict == LABEL_BLIND && rested && c->phase != RUN))
-        known(b, c, ev, &k);
+        use_known(b, c, ev, &k);
     if (k.verdict == LABEL_CONFLICT) {
         c->rejected++;
         c->conflicts++;
@@ -419,37 +420,37 @@ static void look_at(struct bracket *b, struct camera_state *c, const struct brac
                    : k.changed ? BRACKET_SCENE_CHANGED
                                : BRACKET_INEFFECTIVE;
         if (rested && c->phase != RUN)
-            judge(b, c, &k, ev->now_ns);
+            judge_at_rest(b, c, &k, ev->now_ns);
     }
     give_up_passed(c);
     if (c->phase == RUN && (c->conflicts >= CONFLICTS_MAX || tried_in_vain(c) ||
                             (rested && is_base(c, label_newest(&c->label)))))
-        enter(c, CHECK);
+        enter_phase(c, CHECK);
 }
 
-static void refuse(struct bracket *b, struct camera_state *c, enum bracket_reason why,
-                   int64_t now_ns)
+static void refuse_frame(struct bracket *b, struct camera_state *c, enum bracket_reason why,
+                         int64_t now_ns)
 {
     c->rejected++;
     c->cause = why;
     if (++c->bad >= BAD_MAX)
-        fault(b, c, why, now_ns);
+        stop(b, c, why, now_ns);
 }
 
 static void wait_at_base(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
-    settle(c, ev);
+    settle_reference(c, ev);
     if (c->judged >= BAD_MAX)
-        fault(b, c, BRACKET_DISAGREES, ev->now_ns);
+        stop(b, c, BRACKET_DISAGREES, ev->now_ns);
     else if (c->settled >= 2)
-        enter(c, first_phase(c));
+        enter_phase(c, first_phase(c));
 }
 
-static void shoot(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
-                  enum bracket_reason why)
+static void handle_frame(struct bracket *b, struct camera_state *c, const struct bracket_event *ev,
+                         enum bracket_reason why)
 {
     if (why)
-        refuse(b, c, why, ev->now_ns);
+        refuse_frame(b, c, why, ev->now_ns);
     else if (c->restarting)
         return;
     else {
@@ -462,7 +463,7 @@ static void shoot(struct bracket *b, struct camera_state *c, const struct bracke
     if (b->state != BRACKET_SHOOTING)
         return;
     if (c->frames >= FRAMES_MAX * (c->plan.n + c->label.doubt))
-        fault(b, c, c->cause, ev->now_ns);
+        stop(b, c, c->cause, ev->now_ns);
     else
         request_next(c, ev->now_ns);
 }
@@ -478,22 +479,22 @@ static void on_frame(struct bracket *b, struct camera_state *c, const struct bra
     }
     if (!f || repeated) {
         if (shooting)
-            refuse(b, c, BRACKET_BAD_FRAMES, ev->now_ns);
+            refuse_frame(b, c, BRACKET_BAD_FRAMES, ev->now_ns);
         return;
     }
     int gap = label_advance(&c->label, f, ev->now_ns);
     c->since += gap;
     c->lost += gap - 1;
-    enum bracket_reason why = refusal(c, ev);
+    enum bracket_reason why = refusal_of(c, ev);
     if (shooting)
-        shoot(b, c, ev, why);
+        handle_frame(b, c, ev, why);
     else if (c->armed && !why)
-        settle(c, ev);
+        settle_reference(c, ev);
 }
 
 /* ---- other events ---- */
 
-static void arm(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
+static void on_arm(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (b->state == BRACKET_DONE || b->state == BRACKET_FAULT)
         for (int i = 0; i < b->n; i++)
@@ -514,7 +515,7 @@ static void arm(struct bracket *b, struct camera_state *c, const struct bracket_
             b->state = BRACKET_IDLE;
 }
 
-static bool valid(const struct exposure *e)
+static bool is_exposure(const struct exposure *e)
 {
     return e->time_s > 0.0 && e->time_s < 1e6 && e->gain >= 1.0 && e->gain < 1e6;
 }
@@ -525,29 +526,29 @@ static err_t check_plan(const struct bracket *b, const struct bracket_plan *plan
     for (int c = 0; c < b->n; c++) {
         const struct bracket_camera *cfg = &b->cameras[c].label.cfg;
         if (plan[c].n < 0 || plan[c].n > BRACKET_EXPOSURES_MAX)
-            return err_fail(ERR_ARG, "camera %d: a plan of %d exposures, not 0..%d", c, plan[c].n,
-                            BRACKET_EXPOSURES_MAX);
+            return err_fail(ERR_ARG, "camera %d: the plan has %d exposures, 0 to %d are allowed", c,
+                            plan[c].n, BRACKET_EXPOSURES_MAX);
         for (int i = 0; i < plan[c].n; i++) {
             const struct exposure *e = &plan[c].ask[i];
-            if (!valid(e) || e->time_s < cfg->time_min_s * (1.0 - RANGE) ||
+            if (!is_exposure(e) || e->time_s < cfg->time_min_s * (1.0 - RANGE) ||
                 e->time_s > cfg->time_max_s * (1.0 + RANGE))
                 return err_fail(ERR_ARG,
-                                "camera %d: exposure %d of the plan is %g s at gain %g, not "
-                                "%g..%g s at a gain of at least 1",
+                                "camera %d: exposure %d of the plan is %g s at gain %g; it must be "
+                                "%g to %g s at a gain of at least 1",
                                 c, i, e->time_s, e->gain, cfg->time_min_s, cfg->time_max_s);
         }
         wanted += plan[c].n;
     }
-    return wanted > 0 ? OK : err_fail(ERR_ARG, "a plan without exposures");
+    return wanted > 0 ? OK : err_fail(ERR_ARG, "the plan has no exposure for any camera");
 }
 
-static err_t begin(struct bracket *b, const struct bracket_event *ev)
+static err_t on_begin(struct bracket *b, const struct bracket_event *ev)
 {
     bool ready = b->state == BRACKET_ARMED || b->state == BRACKET_DONE;
     for (int i = 0; i < b->n; i++)
         ready = ready && b->cameras[i].armed;
     if (!ready || !ev->plan)
-        return err_fail(ERR_ARG, "a bracket begins with a plan and when every camera streams");
+        return err_fail(ERR_ARG, "a bracket begins with a plan, once all cameras stream");
     err_t e = check_plan(b, ev->plan);
     if (e)
         return e;
@@ -560,7 +561,7 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         memset(c->state, 0, sizeof c->state);
         memset(c->tries, 0, sizeof c->tries);
         label_forget(&c->label, false);
-        for (int k = 0; k < c->label.n; k++) // of the plan before
+        for (int k = 0; k < c->label.n; k++) // left from the plan before
             if (c->label.log[k].index != LABEL_BASE)
                 c->label.log[k].index = LABEL_OTHER;
         c->begin_ns = c->alive_ns = ev->now_ns;
@@ -570,13 +571,13 @@ static err_t begin(struct bracket *b, const struct bracket_event *ev)
         c->slow_s = 0.0;
         c->still = NAN;
         c->cause = BRACKET_BAD_FRAMES;
-        enter(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? first_phase(c) : WAIT);
+        enter_phase(c, c->plan.n == 0 ? OVER : c->settled >= 2 ? first_phase(c) : WAIT);
         request_next(c, ev->now_ns);
     }
     return OK;
 }
 
-static void answered(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
+static void on_answer(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (!c->asking)
         return;
@@ -593,22 +594,22 @@ static void answered(struct bracket *b, struct camera_state *c, const struct bra
     if (c->next.index != LABEL_BASE && c->state[c->next.index] == ASKED)
         c->state[c->next.index] = MISSING;
     if (ev->err == ERR_LOST)
-        fault(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+        stop(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
     else if (++c->refusals >= REFUSALS_MAX)
-        fault(b, c, BRACKET_REFUSED, ev->now_ns);
+        stop(b, c, BRACKET_REFUSED, ev->now_ns);
 }
 
-static void lost(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
+static void on_lost(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     c->armed = c->asking = c->restarting = c->request = false;
     c->settled = 0;
     if (b->state == BRACKET_SHOOTING && c->plan.n > 0)
-        fault(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+        stop(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
     else if (b->state == BRACKET_ARMED)
         b->state = BRACKET_IDLE;
 }
 
-static void opened(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
+static void on_opened(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     if (!c->restarting)
         return;
@@ -617,26 +618,26 @@ static void opened(struct bracket *b, struct camera_state *c, const struct brack
     c->slow_s = label_longest_s(&c->label);
     label_restart(&c->label, NULL, ev->now_ns);
     give_up_passed(c);
-    enter(c, c->settled >= 2 ? CHECK : WAIT);
+    enter_phase(c, c->settled >= 2 ? CHECK : WAIT);
     if (b->state == BRACKET_SHOOTING)
         request_next(c, ev->now_ns);
 }
 
-static int64_t deadline(const struct camera_state *c)
+static int64_t camera_deadline(const struct camera_state *c)
 {
     double wait_s = WAITS * fmax(label_longest_s(&c->label), c->slow_s) + PATIENCE_S;
     int64_t ns = (int64_t)fmin(wait_s * 1e9, 9e18);
     return c->alive_ns > INT64_MAX - ns ? INT64_MAX : c->alive_ns + ns;
 }
 
-static void tick(struct bracket *b, int64_t now_ns)
+static void on_tick(struct bracket *b, int64_t now_ns)
 {
     for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++) {
         struct camera_state *c = &b->cameras[i];
-        if (c->phase == OVER || now_ns < deadline(c))
+        if (c->phase == OVER || now_ns < camera_deadline(c))
             continue;
         if (c->restarts++) {
-            fault(b, c, BRACKET_STALLED, now_ns);
+            stop(b, c, BRACKET_STALLED, now_ns);
             return;
         }
         c->restarting = c->restart = true;
@@ -647,18 +648,18 @@ static void tick(struct bracket *b, int64_t now_ns)
 
 static err_t check_event(const struct bracket *b, const struct bracket_event *ev)
 {
-    bool of_camera =
+    bool names_camera =
         ev->kind != BRACKET_BEGIN && ev->kind != BRACKET_TICK && ev->kind != BRACKET_CANCEL;
-    if (of_camera && (ev->camera < 0 || ev->camera >= b->n))
-        return err_fail(ERR_ARG, "an event of camera %d, not 0..%d", ev->camera, b->n - 1);
-    if (ev->kind == BRACKET_ARM && (b->state == BRACKET_SHOOTING || !valid(&ev->set)))
+    if (names_camera && (ev->camera < 0 || ev->camera >= b->n))
+        return err_fail(ERR_ARG, "an event of camera %d, not 0 to %d", ev->camera, b->n - 1);
+    if (ev->kind == BRACKET_ARM && (b->state == BRACKET_SHOOTING || !is_exposure(&ev->set)))
         return err_fail(ERR_ARG, "camera %d: cannot be armed at %g s and gain %g%s", ev->camera,
                         ev->set.time_s, ev->set.gain,
                         b->state == BRACKET_SHOOTING ? " while a bracket runs" : "");
     if (ev->kind == BRACKET_FRAME && !ev->frame)
-        return err_fail(ERR_ARG, "camera %d: a frame is told, but not given", ev->camera);
-    if (ev->kind == BRACKET_ANSWER && !ev->err && !valid(&ev->set))
-        return err_fail(ERR_ARG, "camera %d: has set %g s at gain %g, which is no exposure",
+        return err_fail(ERR_ARG, "camera %d: an event without a frame", ev->camera);
+    if (ev->kind == BRACKET_ANSWER && !ev->err && !is_exposure(&ev->set))
+        return err_fail(ERR_ARG, "camera %d: answers %g s at gain %g, which is no exposure",
                         ev->camera, ev->set.time_s, ev->set.gain);
     return OK;
 }
@@ -671,29 +672,29 @@ err_t bracket_event(struct bracket *b, const struct bracket_event *ev)
     struct camera_state *c = &b->cameras[ev->camera >= 0 && ev->camera < b->n ? ev->camera : 0];
     switch (ev->kind) {
     case BRACKET_ARM:
-        arm(b, c, ev);
+        on_arm(b, c, ev);
         break;
     case BRACKET_BEGIN:
-        return begin(b, ev);
+        return on_begin(b, ev);
     case BRACKET_ANSWER:
-        answered(b, c, ev);
+        on_answer(b, c, ev);
         break;
     case BRACKET_FRAME:
     case BRACKET_UNUSABLE:
         on_frame(b, c, ev);
         break;
     case BRACKET_LOST:
-        lost(b, c, ev);
+        on_lost(b, c, ev);
         break;
     case BRACKET_OPENED:
-        opened(b, c, ev);
+        on_opened(b, c, ev);
         break;
     case BRACKET_TICK:
-        tick(b, ev->now_ns);
+        on_tick(b, ev->now_ns);
         break;
     case BRACKET_CANCEL:
         if (b->state == BRACKET_SHOOTING)
-            fault(b, NULL, BRACKET_CANCELLED, ev->now_ns);
+            stop(b, NULL, BRACKET_CANCELLED, ev->now_ns);
         break;
     }
     return OK;
@@ -736,7 +737,7 @@ void bracket_light(struct bracket *b, int camera, const struct flicker_light *li
     b->cameras[camera].label.light = *light;
 }
 
-/* ---- what it says ---- */
+/* ---- results ---- */
 
 enum bracket_state bracket_state(const struct bracket *b)
 {
@@ -751,19 +752,19 @@ enum bracket_reason bracket_reason(const struct bracket *b, int *camera)
 
 const char *bracket_sentence(enum bracket_reason r)
 {
-    static const char *const say[BRACKET_REASONS] = {
+    static const char *const sentences[BRACKET_REASONS] = {
         [BRACKET_NONE] = "nothing is wrong",
         [BRACKET_DEVICE_LOST] = "the camera was unplugged",
-        [BRACKET_STALLED] = "the camera sends no frames, also after a restart",
-        [BRACKET_INEFFECTIVE] = "the camera takes the exposure, but the pictures do not show it",
+        [BRACKET_STALLED] = "the camera sends no frames, not even after a restart",
+        [BRACKET_INEFFECTIVE] = "the camera accepts the exposure, but its pictures do not show it",
         [BRACKET_SCENE_CHANGED] = "the light or the scene changed twice during the bracket",
         [BRACKET_DISAGREES] = "the camera reports an exposure that the pictures do not have",
         [BRACKET_GAINS] = "the camera changes its digital gain or white balance by itself",
         [BRACKET_BAD_FRAMES] = "too many frames are lost or damaged",
-        [BRACKET_REFUSED] = "the camera does not take the exposure",
+        [BRACKET_REFUSED] = "the camera refuses the exposure",
         [BRACKET_CANCELLED] = "cancelled",
     };
-    return r >= 0 && r < BRACKET_REASONS ? say[r] : "unknown";
+    return r >= 0 && r < BRACKET_REASONS ? sentences[r] : "unknown";
 }
 
 const struct bracket_evidence *bracket_evidence(const struct bracket *b, int camera, int index)
@@ -793,7 +794,7 @@ int64_t bracket_deadline(const struct bracket *b)
 {
     int64_t first = INT64_MAX;
     for (int i = 0; i < b->n && b->state == BRACKET_SHOOTING; i++)
-        if (b->cameras[i].phase != OVER && deadline(&b->cameras[i]) < first)
-            first = deadline(&b->cameras[i]);
+        if (b->cameras[i].phase != OVER && camera_deadline(&b->cameras[i]) < first)
+            first = camera_deadline(&b->cameras[i]);
     return first;
 }

@@ -9,37 +9,37 @@
  *   DONE      every frame of the plan is kept, and the light was the same afterwards
  *   FAULT     the plan was given up; frames still kept are proven; `reason` says why
  *
- *   IDLE     -> ARMED     arm()       of the last camera
- *   ARMED    -> IDLE      lost()
- *   ARMED    -> SHOOTING  begin()     plan valid; from DONE too, if nobody else asked for exposures
- *   SHOOTING -> SHOOTING  frame()     kept, or not; next exposure requested
- *   SHOOTING -> SHOOTING  restart()   no frames for 3 longest waits + 1 s: once per camera and set
- *   SHOOTING -> DONE      frame()     the last one missing
- *   SHOOTING -> FAULT     fail()      attempts spent, camera lost, cancelled
- *   DONE, FAULT -> IDLE, ARMED  arm() of the first, the last camera
+ *   IDLE     -> ARMED     on_arm()    the last camera streams
+ *   ARMED    -> IDLE      on_lost()
+ *   ARMED    -> SHOOTING  on_begin()  plan valid; from DONE, too, unless ARM is needed
+ *   SHOOTING -> SHOOTING  on_frame()  kept, or not; next exposure requested
+ *   SHOOTING -> SHOOTING  on_tick()   no frames for 3 longest waits + 1 s: restart, once per camera
+ *   SHOOTING -> DONE      on_frame()  the last exposure was missing
+ *   SHOOTING -> FAULT     stop()      attempts spent, camera lost, cancelled
+ *   DONE, FAULT -> IDLE, ARMED  on_arm() for the first, the last camera
  *
  * Within SHOOTING, each camera by itself:
- *   WAIT   at base, until a frame from after so long a rest that every witness must agree, and one
- *          more like it, are the reference. Usually there before the trigger.
- *   RUN    pipelined: a new exposure with every frame; in the end base again. Not for cameras
- *          whose delay varies and that do not report: REST at once.
- *   CHECK  after a conflict, or a restart: at base. It looks like the reference: go on with REST.
- *          It does not: the light changed, everything is forgotten and WAIT comes again, once.
+ *   WAIT   at base, until two frames that look the same are the reference; the rest before them was
+ *          so long that all evidence must agree. Usually they are there before the trigger.
+ *   RUN    pipelined: a new exposure with every frame; in the end base again. Cameras whose delay
+ *          varies and that do not report exposures begin with REST instead.
+ *   CHECK  at base after a conflict or a restart. If the frame looks like the reference, REST
+ *          follows; if not, the light changed: all is forgotten and WAIT comes again, once.
  *   REST   one exposure at a time, until requests allow for no other
  *   OVER   everything kept, and a base frame afterwards that looks like the reference
  *
- * What a frame is, is decided by evidence (W1 to W5 of firmware/capture/README.md 2; label.h).
- * From the log of requests follow the exposures that can be in force in it. The pixels, compared
- * with the reference and with frames kept since, pick one of them; what the device reports must
- * agree. Exposures that cannot be told apart by the pixels are only accepted from rest, and marked.
+ * Evidence decides which exposure a frame has (W1 to W5 of firmware/capture/README.md 2; label.h).
+ * The log of requests gives the exposures that can be in force. The pixels, compared with the
+ * reference and with frames kept since, select one of them; the report of the device must agree.
+ * Exposures that the pixels cannot tell apart are only accepted from rest, and marked.
  * A frame whose rows do not all have one exposure is taken again. N + delay + 1 frames when nothing
  * fails.
  *
  * Invariant: no frame is kept whose recorded exposure differs from the true one by more than
  * `tolerance` (stops), unless its evidence says `unverified`; a factor common to the reference and
- * all frames of a camera cannot be seen and does no harm. What could break it: light that for
- * as long as the set is another by exactly a step, a camera that reports nothing, and a delay that
- * nobody knows, all together.
+ * all frames of a camera cannot be seen and does no harm. Three things together could break it:
+ * light that changes by exactly one step for the whole set, a camera without reports, and an
+ * unknown delay.
  * thread: any, one at a time. */
 #ifndef CAPTURE_BRACKET_H
 #define CAPTURE_BRACKET_H
@@ -57,13 +57,13 @@ struct bracket_plan {
 
 enum bracket_state { BRACKET_IDLE, BRACKET_ARMED, BRACKET_SHOOTING, BRACKET_DONE, BRACKET_FAULT };
 
-enum bracket_reason { // of a fault; bracket_sentence says it
+enum bracket_reason { // why a bracket ended in FAULT; bracket_sentence gives the words
     BRACKET_NONE,
     BRACKET_DEVICE_LOST,
     BRACKET_STALLED,
-    BRACKET_INEFFECTIVE, // exposure has no, or another, effect
+    BRACKET_INEFFECTIVE, // the exposure has no effect, or another one
     BRACKET_SCENE_CHANGED,
-    BRACKET_DISAGREES, // device reports what pixels and requests contradict
+    BRACKET_DISAGREES, // pixels and requests contradict the report of the device
     BRACKET_GAINS,     // digital gain or white balance move
     BRACKET_BAD_FRAMES,
     BRACKET_REFUSED, // the device does not take a request
@@ -73,14 +73,14 @@ enum bracket_reason { // of a fault; bracket_sentence says it
 
 enum bracket_event_kind {
     BRACKET_ARM,    // the camera streams; `set`, which it was asked for last, is its base exposure.
-                    // To be said again after DONE, FAULT and requests of others
+                    // Needed again after DONE, FAULT and requests that the machine did not make
     BRACKET_BEGIN,  // plan
-    BRACKET_ANSWER, // of a request: err, set
-    BRACKET_FRAME, // frame, witness; NULL will do outside of SHOOTING, for a frame that only counts
-    BRACKET_UNUSABLE, // a frame that could not be had or read (ERR_IO, bad JPEG); frame may be NULL
+    BRACKET_ANSWER, // the device answered a request: err, set
+    BRACKET_FRAME,  // frame, probe; NULL is allowed outside SHOOTING, for a frame that only counts
+    BRACKET_UNUSABLE, // a frame that cannot be read (ERR_IO, bad JPEG); frame may be NULL
     BRACKET_LOST,     // camera gone; streams again with ARM
     BRACKET_OPENED,   // camera streams again after a restart
-    BRACKET_TICK,     // of no camera, as are BEGIN and CANCEL
+    BRACKET_TICK,     // time passed; names no camera, like BEGIN and CANCEL
     BRACKET_CANCEL
 };
 
@@ -88,20 +88,20 @@ struct bracket_event {
     enum bracket_event_kind kind;
     int64_t now_ns; // CLOCK_MONOTONIC
     int camera;
-    const struct bracket_plan *plan; // [cameras], of BEGIN
-    const struct frame *frame;       // pixels are not looked at
-    const struct exposure_probe *witness;
-    err_t err; // of ANSWER; OK: `set` holds
+    const struct bracket_plan *plan; // [cameras], for BEGIN
+    const struct frame *frame;       // its pixels are not read
+    const struct exposure_probe *probe;
+    err_t err; // for ANSWER; OK: `set` is in force
     struct exposure set;
 };
 
 enum bracket_action_kind {
-    BRACKET_REQUEST, // ask the camera for `exposure`; ANSWER before any other event of it, at once
-    // or when bracket_action is false. Comes after DONE and FAULT too: back to base
-    BRACKET_KEEP,   // copy the frame of this event as exposure `index`; evidence is in the machine
-    BRACKET_FORGET, // all kept frames of the camera in this plan, for they may be mistaken; index
-                    // 1: the light changed, so that frames of former plans do not go with new ones
-    BRACKET_RESTART // close and open the camera, then OPENED or LOST
+    BRACKET_REQUEST, // ask the camera for `exposure`; its next event is ANSWER, sent now or when
+                     // bracket_action is false. Also comes after DONE and FAULT: back to base
+    BRACKET_KEEP,    // copy the frame of this event as exposure `index`; bracket_evidence has more
+    BRACKET_FORGET,  // drop all kept frames of the camera in this plan: they may be mistaken.
+                     // index 1: the light changed; frames of former plans do not fit new ones
+    BRACKET_RESTART  // close and open the camera, then OPENED or LOST
 };
 
 struct bracket_action {
@@ -116,12 +116,12 @@ struct bracket; // about 100 kB per camera
 MUST_USE err_t bracket_new(const struct bracket_camera *cameras, int n, struct bracket **out);
 void bracket_free(struct bracket *b);
 
-/* One event; then bracket_action until it is false, before the next event but ANSWER.
- * err:  ERR_ARG (a plan out of range, an event that cannot be now; nothing is changed). */
+/* Handles one event. Call bracket_action until it is false before the next event, but for ANSWER.
+ * err:  ERR_ARG (a plan out of range, an event that is not allowed now; nothing is changed). */
 MUST_USE err_t bracket_event(struct bracket *b, const struct bracket_event *ev);
 bool bracket_action(struct bracket *b, struct bracket_action *out);
 
-/* The light of a camera from now on; steady at first. */
+/* Sets the flicker of a camera's light from now on; it is steady at first. */
 void bracket_light(struct bracket *b, int camera, const struct flicker_light *light);
 
 enum bracket_state bracket_state(const struct bracket *b);
@@ -133,7 +133,7 @@ const struct bracket_evidence *bracket_evidence(const struct bracket *b, int cam
 
 struct bracket_progress {
     int kept, wanted; // frames of all cameras
-    int frames;       // looked at since BEGIN, of the camera that needed most
+    int frames;       // since BEGIN, from the camera that needed most
     int rejected, lost;
     bool resting; // some camera is not pipelined any more
 };

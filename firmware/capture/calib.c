@@ -17,7 +17,7 @@
 #include <unistd.h>
 
 enum {
-    BYTES_MAX = 1 << 16, // of a file
+    BYTES_MAX = 1 << 16, // size of a file
     CODES = 256,
     QUOTE = 40,
     DELAY_MAX = 32,    // frames, of struct bracket_camera
@@ -56,7 +56,7 @@ static const struct {
     [DELAY_HI] = {"delay_hi", WHOLE, 0, DELAY_MAX},
     [TIME_MIN] = {"time_min_s", NUMBER, 1e-9, 1000},
     [TIME_MAX] = {"time_max_s", NUMBER, 1e-9, 1000},
-    [TOLERANCE] = {"tolerance", NUMBER, 0.01, 1}, // of struct bracket_camera
+    [TOLERANCE] = {"tolerance", NUMBER, 0.01, 1}, // as in struct bracket_camera
     [CRF_ERROR] = {"crf.error", NUMBER, 0, 10},
     [CRF_RED] = {"crf.red", CURVE, -40, 0},
     [CRF_GREEN] = {"crf.green", CURVE, -40, 0},

@@ -30,7 +30,7 @@ struct calibrate {
     struct calib calib; // as it may be saved
     unsigned parts;     // that were measured: enum calibrate_part
     double base_s;      // an exposure at which the scene shows
-    int trials, unsure; // of the delay: steps that count, those that lost frames made useless
+    int trials, unsure; // steps that measured the delay; steps that lost frames spoiled
     int n;              // steps of the sweep
     struct calibrate_step step[CALIBRATE_STEPS_MAX]; // by rising exposure
     double seen_min_s, seen_max_s;                   // in which pixels prove that exposure obeys

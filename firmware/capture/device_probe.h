@@ -8,17 +8,17 @@
 #include "firmware/base/progress.h"
 #include "firmware/capture/label.h"
 
-/* Of all frames since open. */
+/* Statistics of all frames since open. */
 struct device_probe_count {
     int frames;
-    int lost;                       // by the sequence
-    int hidden;                     // by the time stamps, and the sequence does not tell
-    int repeated, backward;         // sequence
-    int flagged;                    // as bad or short, by the device
-    int unreadable, failed;         // by unpacking; ERR_IO
-    int requests, refused, misread; // misread: not rounded down to a step
-    int unstamped, stamps_back;     // 0 or less; not later than the one before
-    int stamps_wall, jumps;         // of CLOCK_REALTIME; too far ahead for frames that were lost
+    int lost;                           // by the sequence
+    int hidden;                         // by the time stamps, and the sequence does not tell
+    int repeated, backward;             // sequence
+    int flagged;                        // as bad or short, by the device
+    int unreadable, failed;             // by unpacking; ERR_IO
+    int requests, refused, misread;     // misread: not rounded down to a step
+    int unstamped, stamps_back;         // 0 or less; not later than the one before
+    int stamps_wall, jumps;             // stamps of CLOCK_REALTIME; jumps too large for lost frames
     double stamp_early_s, stamp_late_s; // arrival less stamp, the least and the most; of the others
     double gain_off, balance_off;       // most that digital gain is off 1, and balance moves
     bool gains_known;
@@ -30,7 +30,7 @@ struct device_probe {
     void *st;
     struct camera_info info;
     bool linear, has_crf;
-    struct crf crf; // of display values; has_crf false: sRGB is assumed
+    struct crf crf; // response of display values; has_crf false: sRGB is assumed
     struct label label;
     struct raw sample;
     struct device_probe_count count;

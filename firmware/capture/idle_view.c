@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#define CLIPPED 0.99 // of the range
+#define CLIPPED 0.99 // share of the range
 #define DARK 0.005
 #define BASE_LONGEST_S 0.1 // as far as darkness drives it
 #define BASE_FACTOR 4.0

@@ -12,7 +12,7 @@ enum { SESSION_BINS = 64 };
 struct session_view {
     bool present;
     struct exposure exposure;         // as set
-    uint32_t histogram[SESSION_BINS]; // of display values
+    uint32_t histogram[SESSION_BINS]; // counts of display values
     float clipped, dark;              // shares
 };
 /* Histogram and shares of a picture. */

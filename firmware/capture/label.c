@@ -1,39 +1,39 @@
-/* What a frame is, from three witnesses (firmware/capture/README.md 2).
+/* Three kinds of evidence give the exposure of a frame (firmware/capture/README.md 2).
  *
- * Requests. Each has an age, an interval in frames: at every frame it grows by the gap of sequence
- * numbers, if time stamps agree, else by all that either allows. Its lower end does not grow by
- * frames that are older than the request by their stamps. Entry i of the log may be in
+ * Requests. Each has an age, an interval in frames: with every frame it grows by the gap of
+ * sequence numbers if time stamps agree, else by all gaps that one of them allows. Its lower end
+ * does not grow with frames whose stamps are older than the request. Entry i of the log may be in
  * force if it is `lo` frames old and entry i + 1 is not yet `hi` frames old (strict); `doubt`
  * bounds how wrong the promised delay may be (wide).
  * Pixels. The exposure is that of an anchor times the median ratio at the same places. Anchors
- * chain outward from the reference; errors add up. An uncalibrated response stretches all ratios,
- * so there a kept frame counts with its recorded exposure instead of the measured one.
- * A reference errs once for all frames, so what is measured must be so accurate that SURE of its
- * standard errors fit into what the tolerance leaves after DOUBTED of them.
- * Label. Strict candidates within the tolerance of the measured exposure: exactly one must be. */
+ * chain outward from the reference; errors add up. An uncalibrated response stretches all ratios;
+ * a kept frame then counts with its recorded exposure instead of the measured one. The error of the
+ * reference is common to all frames, so a measurement must be so accurate that SURE standard errors
+ * fit into the tolerance after DOUBTED of them are taken off.
+ * Label. Exactly one strict candidate must be within the tolerance of the measured exposure. */
 #include "firmware/capture/label.h"
 
 #include <math.h>
 #include <string.h>
 
 enum {
-    PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1, // 0.5 %: fewer say nothing
-    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8,      // no need for another anchor
-    DOUBT = 8,                                    // frames: devices whose delay nobody knows
+    PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1, // 0.5 %: fewer prove nothing
+    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8,      // enough: no other anchor is compared
+    DOUBT = 8,                                    // frames, for devices with an unknown delay
     REST = 2,                                     // frames beyond doubt
-    UNSURE = 2,   // a wider range of delays is no jitter, but a guess
-    GAP_MAX = 64, // frames lost in one go; more is nonsense
+    UNSURE = 2,                                   // a wider range of delays is a guess, not jitter
+    GAP_MAX = 64,                                 // frames lost at once; larger gaps are errors
     AGE_MAX = 1 << 20
 };
 #define LOOSE 0.2   // stops: from this tolerance on, the curve is not calibrated
-#define SURE 4.0    // standard errors that do not happen
-#define DOUBTED 2.0 // that a label is right in spite of
+#define SURE 4.0    // standard errors that are not expected to occur
+#define DOUBTED 2.0 // standard errors that a label must bear
 #define ACCURATE (SURE + DOUBTED)
 #define TORN 0.1     // stops, beyond errors
 #define BENT 0.2     // stops per stop
 #define REPORT 0.005 // W1: 0.5 %
 #define SAME 0.005   // stops
-#define LATE_S 1.0   // stamps older than this and two frames are of another clock
+#define LATE_S 1.0   // stamps older than this and two frames come from another clock
 
 double label_stops(const struct exposure *e)
 {
@@ -45,7 +45,7 @@ bool label_same(double a, double b)
     return fabs(a - b) <= SAME;
 }
 
-static double seconds(int64_t from, int64_t to)
+static double seconds_between(int64_t from, int64_t to)
 {
     return ((double)to - (double)from) * 1e-9;
 }
@@ -56,16 +56,19 @@ err_t label_check(int i, const struct bracket_camera *c)
 {
     bool times = c->time_min_s > 0.0 && c->time_max_s >= c->time_min_s && c->time_max_s < 1e6;
     if (!times || !(c->time_step_s >= 0.0 && c->time_step_s <= c->time_max_s))
-        return err_fail(ERR_ARG,
-                        "camera %d: exposure times of %g..%g s in steps of %g s make no sense", i,
-                        c->time_min_s, c->time_max_s, c->time_step_s);
+        return err_fail(
+            ERR_ARG, "camera %d: exposure times %g to %g s in steps of %g s are not a valid range",
+            i, c->time_min_s, c->time_max_s, c->time_step_s);
     if (!(c->period_s > 0.0 && c->period_s < 1e6))
-        return err_fail(ERR_ARG, "camera %d: a frame of %g s, not 0..1e6", i, c->period_s);
+        return err_fail(ERR_ARG,
+                        "camera %d: a frame takes %g s, it must be more than 0 and less than 1e6",
+                        i, c->period_s);
     if (c->delay_lo < 0 || c->delay_hi < c->delay_lo || c->delay_hi > 32)
-        return err_fail(ERR_ARG, "camera %d: delay of %d..%d frames, not within 0..32", i,
+        return err_fail(ERR_ARG, "camera %d: the delay is %d to %d frames, allowed are 0 to 32", i,
                         c->delay_lo, c->delay_hi);
     if (!(c->tolerance >= 0.01 && c->tolerance <= 1.0))
-        return err_fail(ERR_ARG, "camera %d: tolerance of %g stops, not 0.01..1", i, c->tolerance);
+        return err_fail(ERR_ARG, "camera %d: the tolerance is %g stops, allowed are 0.01 to 1", i,
+                        c->tolerance);
     return OK;
 }
 
@@ -97,12 +100,12 @@ struct exposure label_rounded(const struct label *l, const struct exposure *e)
     return x;
 }
 
-/* Some devices read back what was set before, or what was asked without rounding. */
-static struct exposure expected(const struct label *l, const struct label_request *r)
+/* Some devices read back the former setting, or the request without rounding. */
+static struct exposure expected_exposure(const struct label *l, const struct label_request *r)
 {
     double off = fabs(label_stops(&r->set) - label_stops(&r->ask));
     bool near = off <= 0.5 || fabs(r->set.time_s - r->ask.time_s) <= l->cfg.time_step_s;
-    bool former = !(fabs(label_stops(&r->set) - r->from) >= off); // or nobody knows
+    bool former = !(fabs(label_stops(&r->set) - r->from) >= off); // or the former is unknown
     return label_rounded(l, near && !former ? &r->set : &r->ask);
 }
 
@@ -115,9 +118,9 @@ void label_asked(struct label *l, const struct label_request *r)
     struct label_request *e = &l->log[l->n];
     *e = *r;
     e->from = l->n > 0 ? l->log[l->n - 1].stops : NAN;
-    e->expect = expected(l, e);
+    e->expect = expected_exposure(l, e);
     e->stops = label_stops(&e->expect);
-    e->age_lo = e->age_hi = -1; // the frame that runs comes next
+    e->age_lo = e->age_hi = -1; // the frame being exposed comes next
     l->n++;
 }
 
@@ -152,8 +155,8 @@ bool label_rested(const struct label *l)
     const struct label_request *r = label_newest(l);
     if (!r || r->age_lo < l->doubt + REST)
         return false;
-    // frames that waited somewhere were exposed before the request
-    return seconds(r->asked_ns, l->shown_ns) >= 0.9 * (l->doubt + 1) * l->cfg.period_s;
+    // frames that waited in a queue were exposed before the request
+    return seconds_between(r->asked_ns, l->shown_ns) >= 0.9 * (l->doubt + 1) * l->cfg.period_s;
 }
 
 double label_longest_s(const struct label *l)
@@ -173,13 +176,13 @@ bool label_duplicate(const struct label *l, const struct frame *f)
 /* Frames since the one before, at least and at most. */
 static void gap_of(const struct label *l, const struct frame *f, int *lo, int *hi)
 {
-    double longest = label_longest_s(l), dt = seconds(l->stamp_ns, f->timestamp_ns);
+    double longest = label_longest_s(l), dt = seconds_between(l->stamp_ns, f->timestamp_ns);
     double slack = l->cfg.stamp == CAMERA_STAMP_END ? longest : 0.0;
     uint32_t gap = f->sequence - l->sequence;
     bool counted = gap >= 1 && gap <= GAP_MAX;
     bool timed = f->timestamp_ns > 0 && l->stamp_ns > 0 && dt > 0.0 && dt < GAP_MAX * longest;
     *lo = 1;
-    *hi = 2; // the frame itself, and perhaps one that nobody saw
+    *hi = 2; // the frame itself, and perhaps one that was lost
     if (timed) {
         *lo = (int)fmin(fmax(floor((dt - slack) / longest + 0.5), 1.0), GAP_MAX);
         *hi = (int)fmin(fmax(floor((dt + slack) / l->cfg.period_s + 0.5), *lo), GAP_MAX);
@@ -191,11 +194,11 @@ static void gap_of(const struct label *l, const struct frame *f, int *lo, int *h
     *hi = agree || (int)gap > *hi ? (int)gap : *hi;
 }
 
-/* W3: a frame that began before the request, or even ended, and waited to be seen since. No more
- * than all buffers can wait. */
-static int oldest(const struct label *l, const struct label_request *r, const struct frame *f)
+/* W3: the largest age of a request that the stamp allows. A frame that began or ended before the
+ * request has waited since; no more frames than there are buffers can wait. */
+static int largest_age(const struct label *l, const struct label_request *r, const struct frame *f)
 {
-    double before = l->sane ? seconds(f->timestamp_ns, r->asked_ns) : -1.0;
+    double before = l->sane ? seconds_between(f->timestamp_ns, r->asked_ns) : -1.0;
     int age = before < 0.0 ? AGE_MAX : before < l->cfg.period_s ? 0 : -1;
     return age > r->age_hi - CAMERA_BUFFERS_MAX ? age : r->age_hi - CAMERA_BUFFERS_MAX;
 }
@@ -205,7 +208,7 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns)
     int lo = 1, hi = 1;
     if (l->seen)
         gap_of(l, f, &lo, &hi);
-    double age = seconds(f->timestamp_ns, now_ns);
+    double age = seconds_between(f->timestamp_ns, now_ns);
     l->sane = f->timestamp_ns > 0 && age >= -1e-3 && age <= LATE_S + 2.0 * label_longest_s(l);
     l->shown_ns = l->sane ? f->timestamp_ns : now_ns;
     l->seen = true;
@@ -215,10 +218,10 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns)
         struct label_request *r = &l->log[i];
         r->age_hi = r->age_hi + hi < AGE_MAX ? r->age_hi + hi : AGE_MAX;
         r->age_lo = r->age_lo + lo < AGE_MAX ? r->age_lo + lo : AGE_MAX;
-        int most = oldest(l, r, f);
+        int most = largest_age(l, r, f);
         r->age_lo = most < r->age_lo ? most : r->age_lo;
     }
-    int gone = 0; // beyond doubt: a long frame may still run if frames were lost
+    int gone = 0; // more than the doubt: a long frame may still run if frames were lost
     while (gone + 1 < l->n && l->log[gone + 1].age_lo >= 2 * l->doubt)
         gone++;
     l->n -= gone;
@@ -250,16 +253,17 @@ void label_narrow(struct label *l, const struct label_look *k)
 
 /* ---- pixels ---- */
 
-/* The spread of few places is often large, and noise is known by few pixels only. */
-static bool changed(const struct label *l, const struct exposure_probe_ratio *r, double slack)
+/* Whether parts of the picture changed. The spread of few places is often large, and the noise is
+ * estimated from few pixels. */
+static bool parts_changed(const struct label *l, const struct exposure_probe_ratio *r, double slack)
 {
     double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
     return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance + slack &&
            (double)r->spread > lucky;
 }
 
-/* A curve that is not calibrated bends ratios, by where in the picture it is how bright. */
-static bool torn(const struct label *l, const struct exposure_probe_ratio *r, double slack)
+/* Whether rows side by side differ. An uncalibrated curve bends ratios with the brightness. */
+static bool rows_differ(const struct label *l, const struct exposure_probe_ratio *r, double slack)
 {
     double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs((double)r->log2);
     return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance) + slack;
@@ -275,18 +279,18 @@ static double shortest_s(const struct label *l)
     return t;
 }
 
-static void compare(const struct label *l, int by, const struct exposure_probe *w,
-                    struct label_look *k)
+static void compare_anchor(const struct label *l, int by, const struct exposure_probe *w,
+                           struct label_look *k)
 {
     const struct label_anchor *a = &l->anchor[by];
     struct exposure_probe_ratio r;
     exposure_probe_compare(&a->seen, w, &r);
     k->lo = fmax(k->lo, a->stops + r.lo - a->slack);
     k->hi = fmin(k->hi, a->stops + r.hi + a->slack);
-    // rows of both may differ, each by its slack; that of the frame is as of the darkest candidate
+    // rows of both may differ by their slacks; the frame counts with the darkest candidate's
     double slack = 2.0 * (a->slack + flicker_stops(&l->light, shortest_s(l)));
-    k->changed = k->changed || changed(l, &r, slack);
-    k->torn = k->torn || torn(l, &r, slack);
+    k->changed = k->changed || parts_changed(l, &r, slack);
+    k->torn = k->torn || rows_differ(l, &r, slack);
     double error = hypot(a->error, (double)r.error);
     if (r.places < PLACES_MIN || ACCURATE * error > l->cfg.tolerance ||
         (k->measured && error + a->slack >= k->error + k->slack))
@@ -309,10 +313,10 @@ double label_distance(const struct label *l, double stops)
     return best;
 }
 
-/* Rows of a frame of the exposure `stops`, by whether they may be of the exposure `other`. A row
- * that is merely alike is no evidence for the next frame: it may be torn itself. */
-static struct exposure_probe_rows refuted(const struct label *l, const struct exposure_probe *w,
-                                          double stops, double other)
+/* Which rows of a frame with the exposure `stops` cannot have the exposure `other`, and which would
+ * look alike. A row that looks alike is no evidence for the next frame: it may be torn itself. */
+static struct exposure_probe_rows refute_rows(const struct label *l, const struct exposure_probe *w,
+                                              double stops, double other)
 {
     struct exposure_probe_rows rows = {0}, by;
     for (int i = 0; i < LABEL_ANCHORS; i++) {
@@ -339,11 +343,11 @@ void label_whole(const struct label *l, const struct exposure_probe *w, struct l
     k->sure = k->whole ? UINT32_MAX : 0;
     for (int i = 0; i < l->n && k->sure; i++) {
         const struct label_request *r = &l->log[i];
-        bool begun = i == 0 || r->age_hi > l->lo; // of the frame before
+        bool begun = i == 0 || r->age_hi > l->lo; // in the frame before
         bool over = i + 1 < l->n && r[1].age_lo > l->hi;
         if (!begun || over || label_same(r->stops, stops))
             continue;
-        struct exposure_probe_rows rows = refuted(l, w, stops, r->stops);
+        struct exposure_probe_rows rows = refute_rows(l, w, stops, r->stops);
         k->sure &= rows.refuted;
         k->whole = k->whole && (rows.refuted | rows.alike) == UINT32_MAX;
     }
@@ -367,7 +371,7 @@ static void read_pixels(const struct label *l, const struct exposure_probe *w, s
     k->clipped = w->clipped + (ref->held ? ref->seen.clipped : 0);
     for (int i = LABEL_REFERENCE; i >= 0 && k->places < PLACES_MANY; i--)
         if (l->anchor[i].held)
-            compare(l, i, w, k);
+            compare_anchor(l, i, w, k);
 }
 
 void label_hold(struct label *l, int index, const struct exposure_probe *w,
@@ -401,10 +405,11 @@ void label_trust(struct label *l)
 
 /* ---- the device ---- */
 
-static bool agrees(const struct label *l, const struct exposure *said, const struct exposure *x)
+static bool report_agrees(const struct label *l, const struct exposure *said,
+                          const struct exposure *x)
 {
     const struct bracket_camera *c = &l->cfg;
-    // W1; if nobody knows the steps, half of what the pixels may be off
+    // W1; if the steps are unknown, half of the tolerance of the pixels
     double share = c->time_step_s > 0.0 ? REPORT : exp2(0.5 * c->tolerance) - 1.0;
     double most = fmax(share * x->time_s, 0.5 * c->time_step_s) * (1.0 + 1e-9);
     return fabs(said->time_s - x->time_s) <= most &&
@@ -418,15 +423,15 @@ err_t label_settle(struct label *l, const struct frame *f, const struct exposure
     const struct exposure *x = &label_newest(l)->expect;
     struct exposure_probe_ratio r;
     *same = false;
-    if (f->exposure_known && !agrees(l, &f->exposure, x)) {
+    if (f->exposure_known && !report_agrees(l, &f->exposure, x)) {
         a->held = false;
-        return err_fail(ERR_AGAIN, "a frame at rest reports %g s x %g, not %g s x %g",
+        return err_fail(ERR_AGAIN, "a frame at rest reports %g s x %g, but %g s x %g was set",
                         f->exposure.time_s, f->exposure.gain, x->time_s, x->gain);
     }
     if (a->held) {
         exposure_probe_compare(&a->seen, w, &r);
         double slack = 2.0 * flicker_stops(&l->light, x->time_s);
-        *same = !changed(l, &r, slack) && !torn(l, &r, slack) &&
+        *same = !parts_changed(l, &r, slack) && !rows_differ(l, &r, slack) &&
                 (r.places < PLACES_MIN ||
                  fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + SURE * (double)r.error + slack);
     }
@@ -445,15 +450,15 @@ struct candidate {
     int entry;
     bool strict, fits, agree;
     double stops;
-    double off; // from what the pixels say
+    double off; // stops from the exposure that the pixels show
     struct exposure exposure;
 };
 
-static void weigh(const struct label *l, int i, const struct frame *f, const struct label_look *k,
-                  struct candidate *out)
+static void weigh_candidate(const struct label *l, int i, const struct frame *f,
+                            const struct label_look *k, struct candidate *out)
 {
     const struct label_request *r = &l->log[i];
-    bool agree = f->exposure_known && agrees(l, &f->exposure, &r->expect);
+    bool agree = f->exposure_known && report_agrees(l, &f->exposure, &r->expect);
     *out = (struct candidate){.entry = i,
                               .strict = in_force(l, i, l->lo, l->hi),
                               .agree = agree || !f->exposure_known,
@@ -470,8 +475,8 @@ static void weigh(const struct label *l, int i, const struct frame *f, const str
     out->fits = !k->changed && !k->torn && allowed && out->off <= most;
 }
 
-/* The nearest that fits, the oldest of equals; NULL: none. */
-static const struct candidate *nearest(const struct candidate *c, int n, bool strict)
+/* The candidate that fits best, the oldest of equals; NULL: none. */
+static const struct candidate *nearest_candidate(const struct candidate *c, int n, bool strict)
 {
     const struct candidate *best = NULL;
     for (int i = 0; i < n; i++)
@@ -480,7 +485,7 @@ static const struct candidate *nearest(const struct candidate *c, int n, bool st
     return best;
 }
 
-/* Another exposure that could be taken for it. */
+/* Whether another exposure fits, too. */
 static bool has_rival(const struct label *l, const struct candidate *c, int n,
                       const struct candidate *best)
 {
@@ -499,9 +504,9 @@ void label_look(const struct label *l, const struct frame *f, const struct expos
     read_pixels(l, w, out);
     for (int i = 0; i < l->n; i++)
         if (in_force(l, i, 0, l->doubt))
-            weigh(l, i, f, out, &c[n++]);
-    const struct candidate *best = nearest(c, n, true);
-    const struct candidate *pick = best || !out->measured ? best : nearest(c, n, false);
+            weigh_candidate(l, i, f, out, &c[n++]);
+    const struct candidate *best = nearest_candidate(c, n, true);
+    const struct candidate *pick = best || !out->measured ? best : nearest_candidate(c, n, false);
     if (!pick)
         return;
     out->entry = pick->entry;

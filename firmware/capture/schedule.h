@@ -15,11 +15,11 @@ enum session_mode {
 struct session_order {
     enum session_mode mode;
     int n;
-    double ev[BRACKET_EXPOSURES_MAX]; // of LIST: stops, any order
-    double middle_s;                  // of LIST: exposure of EV 0; 0: metered
+    double ev[BRACKET_EXPOSURES_MAX]; // for LIST: stops, any order
+    double middle_s;                  // for LIST: exposure at EV 0; 0: metered
     bool stagger;  // one exposure per camera, in turn; every camera's turn moves on with each take
-    bool verify;   // of AUTO: look at the coverage and extend once
-    double snr;    // of AUTO, ratio; 0: default
+    bool verify;   // for AUTO: check the coverage and extend once
+    double snr;    // for AUTO, as a ratio; 0: default
     double skew_s; // larger spoils the take; 0: any
     bool refocus; // cameras with focus=once search anew; else only what has not since it was opened
     int64_t trigger_ns; // CLOCK_MONOTONIC

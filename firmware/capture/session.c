@@ -254,15 +254,14 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
         if (!bad && view)
             update_view(s, c, now);
         if (!bad)
-            exposure_probe_measure(&s->sample, c->about.has_crf ? &c->about.crf : NULL,
-                                   &s->witness);
-        ev.witness = bad ? NULL : &s->witness;
+            exposure_probe_measure(&s->sample, c->about.has_crf ? &c->about.crf : NULL, &s->probe);
+        ev.probe = bad ? NULL : &s->probe;
     }
     if (bad)
         ev.kind = BRACKET_UNUSABLE;
     err_t e = handle_event(s, &ev, f);
-    if (!e && trouble && ev.witness)
-        e = session_trouble_see(s, i, f, ev.witness);
+    if (!e && trouble && ev.probe)
+        e = session_trouble_see(s, i, f, ev.probe);
     c->ops->release(c->st, f);
     return e;
 }

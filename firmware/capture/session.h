@@ -52,7 +52,7 @@ const char *session_status(const struct session *s);
 double session_longest_s(const struct session *s);
 
 int session_cameras(const struct session *s);
-const struct take_camera *session_camera(const struct session *s, int i); // of the last open
+const struct take_camera *session_camera(const struct session *s, int i); // as last opened
 void session_progress(const struct session *s, struct bracket_progress *out);
 
 /* Descriptors to wait for, and when to call session_step at the latest, CLOCK_MONOTONIC.

@@ -38,14 +38,14 @@ struct session {
     int n;
     struct cam cam[BRACKET_CAMERAS_MAX];
     struct bracket *machine;
-    struct raw sample; // of the frame in hand
-    struct exposure_probe witness;
+    struct raw sample; // samples of the current frame
+    struct exposure_probe probe;
     enum phase phase;
     bool lost, cancelled, ready, complete;
     bool relit, again; // the light changed after probes; metered anew once
     struct session_order order;
     struct bracket_plan plan[BRACKET_CAMERAS_MAX];
-    int turn; // of stagger mode
+    int turn; // for stagger mode
     struct clocks trigger;
     int frames_used, rejected;
     bool tried;       // why it failed was looked for, once per take

@@ -12,12 +12,12 @@
 #include <stdio.h>
 
 enum { SETTLE = 12, LONG_FRAMES = 6, EACH = 2 }; // frames: until in force; to average; of each time
-static const double shorter[FLICKER_FRAMES / EACH] = {0.25, 0.5, 0.125, 0.35}; // of LONG_S
+static const double shorter[FLICKER_FRAMES / EACH] = {0.25, 0.5, 0.125, 0.35}; // shares of LONG_S
 
 #define SECOND INT64_C(1000000000)
 #define LONG_S 0.01     // a whole period of 100 Hz, nearly one of 120 Hz
 #define PATIENCE_S 2.0  // beyond twice the frames that it takes
-#define LOST_SHARE 0.25 // of the frames: the machine is to blame
+#define LOST_SHARE 0.25 // lost share of the frames above which the machine is too slow
 
 bool session_trouble_is_light(const struct session *s, enum bracket_reason r)
 {

@@ -22,7 +22,7 @@ const char *take_format(enum camera_format f)
     return (unsigned)f < CAMERA_FORMATS ? words[f] : NULL;
 }
 
-/* Of two cameras. */
+/* Whether two cameras took the same exposure. */
 static bool same_exposure(const struct take_frame *a, const struct take_frame *b)
 {
     double x = a->evidence.asked.time_s, y = b->evidence.asked.time_s;

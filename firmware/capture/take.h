@@ -1,5 +1,5 @@
-/* take.h - one capture of a rig: the frames that were kept, as the devices gave them, with all that
- * is known about each. Passed from session to store by pointer. */
+/* take.h - one capture of a rig: the kept frames as the devices gave them, with their evidence.
+ * The session passes it to the store by pointer. */
 #ifndef CAPTURE_TAKE_H
 #define CAPTURE_TAKE_H
 
@@ -16,11 +16,11 @@ enum {
 };
 
 struct take_frame {
-    int camera, index; // of the plan
+    int camera, index; // index in the plan
     uint8_t *data;     // as the driver gave it
     size_t bytes;
     struct bracket_evidence evidence;
-    struct clocks start; // of its exposure
+    struct clocks start; // when its exposure began
     bool gains_known;    // as in struct frame
     double digital_gain, red_gain, blue_gain;
     bool lens_known;
@@ -32,7 +32,7 @@ struct take_camera {
     struct camera_info info;
     bool has_crf;
     struct crf crf;
-    struct flicker_light light; // as far as it was measured
+    struct flicker_light light; // zeroed where it was not measured
 };
 
 enum take_status { TAKE_COMPLETE, TAKE_ABORTED };
@@ -44,22 +44,23 @@ struct take {
     enum take_status status;
     char reason[TAKE_TEXT]; // why it was aborted; else warnings (coverage, unverified), or ""
     struct clocks trigger;
-    bool clock_synced; // CLOCK_REALTIME by adjtimex
+    bool clock_synced; // whether CLOCK_REALTIME is synchronised, by adjtimex
     bool stagger, metered;
     struct meter_result meter[BRACKET_CAMERAS_MAX]; // if metered
-    double tolerance;                               // stops, the worst of the cameras
-    double skew_s;                                  // largest between exposures of the same index
+    double tolerance;                               // stops, the largest of the cameras
+    double skew_s;                                  // largest between cameras at the same exposure
     int frames_used, rejected;
-    bool is_place;             // of a session, which becomes one scene (places.h)
-    char session[TAKE_ID_CAP]; // of a place: id of the session's first take, "" if this is it
-    struct develop balance;    // of the session's display pictures; zeroed: measured
+    bool is_place; // part of a session, which becomes one scene (places.h)
+    char session
+        [TAKE_ID_CAP];      // id of the session's first take; "" for that take and outside sessions
+    struct develop balance; // how the session's pictures are developed; zeroed: measured
 };
 
-/* The exposure that is recorded for a frame, and as time x gain, s. */
+/* The recorded exposure of a frame, and its time x gain, s. */
 const struct exposure *take_exposure(const struct take_frame *f);
 double take_exposure_s(const struct take_frame *f);
 
-/* Most time between the starts of the same exposure by two cameras, s. */
+/* The largest difference between the starts of the same exposure on two cameras, s. */
 double take_skew_s(const struct take *t);
 
 /* The first camera whose frames report more than one position of its lens, or -1. Less than
@@ -71,7 +72,7 @@ int take_lens_moved(const struct take *t);
 /* Whether the exposure of some frame could not be proven by its pixels. */
 bool take_unverified(const struct take *t);
 
-/* Word of a format: "mjpg", "rggb10p"; NULL if there is no such format. */
+/* The name of a format: "mjpg", "rggb10p"; NULL if there is no such format. */
 const char *take_format(enum camera_format f);
 
 void take_free(struct take *t); // frames too; accepts NULL

@@ -16,7 +16,7 @@ struct writer;
 struct writer_outcome {
     struct take *take; // the caller's again
     err_t err;
-    char id[STORE_ID_CAP], text[WRITER_TEXT]; // of the stored take; of the error
+    char id[STORE_ID_CAP], text[WRITER_TEXT]; // the stored take's id; the error's sentence
 };
 
 /* own:  writer_close. err: ERR_NOMEM, ERR_IO */

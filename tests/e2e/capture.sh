@@ -160,7 +160,7 @@ refused 'digital gain' digital "$FAST,faults=at frame 3 digital 2"
 refused 'unplugged' unplugged "$FAST,faults=at frame 20 unplug"
 seq 16 266 | sed 's/.*/at frame & error/' >"$OUT/torn.txt"
 refused "lost or damaged" torn "$FAST,faults=$OUT/torn.txt"
-refused 'does not take the exposure' busy "$FAST,faults=at frame 14 refuse busy 0"
+refused 'refuses the exposure' busy "$FAST,faults=at frame 14 refuse busy 0"
 refused "$ineffective; unless its response curve is an unusual one.*hdrig calibrate" filmic \
     $FAST,curve=filmic
 succeed calibrate --camera "$(sim filmic $FAST,curve=filmic)" --longest 0.1 --out "$OUT/calibration"

@@ -253,7 +253,7 @@ static int make_set(void **state)
     }
     fputs("}\n", f);
     assert_int_equal(fclose(f), 0);
-    const struct rig rig = {N_SHOTS, views};
+    const struct rig rig = {.n = N_SHOTS, .views = views};
     assert_int_equal(cameras_write(tmpdir_path("cameras.json"), &rig), OK);
     return 0;
 }

@@ -58,7 +58,7 @@ static struct exposure exposure(struct input *in)
     return e;
 }
 
-static void witness(struct input *in, double e, struct exposure_probe *w)
+static void make_probe(struct input *in, double e, struct exposure_probe *w)
 {
     unsigned light = byte(in), part = byte(in);
     memset(w, 0, sizeof *w);
@@ -179,9 +179,9 @@ static void frame(struct rig *r, struct bracket_event *ev, struct input *in)
     f->digital_gain = how == 72 ? number(in) : 1.0;
     f->red_gain = how == 73 ? number(in) : 2.0;
     f->blue_gain = 1.5;
-    witness(in, shown.time_s, &w);
+    make_probe(in, shown.time_s, &w);
     ev->frame = how == 8 ? NULL : f;
-    ev->witness = how == 9 ? NULL : &w;
+    ev->probe = how == 9 ? NULL : &w;
     must(++r->frames < FRAMES_MAX || bracket_state(r->b) != BRACKET_SHOOTING);
     tell(r, ev, in);
 }

@@ -1,5 +1,5 @@
 /* bracket_sim.h - a rig of free-running cameras for tests of the bracket machine: exposures by
- * sim/device/timing.h, witnesses of a made-up scene instead of pictures, faults, and the truth. */
+ * sim/device/timing.h, probes of a made-up scene instead of pictures, faults, and the truth. */
 #ifndef CAPTURE_BRACKET_SIM_H
 #define CAPTURE_BRACKET_SIM_H
 
@@ -99,8 +99,8 @@ static inline void sim_make_noise(struct sim *s)
 }
 
 /* Blocks of 64 px with 10,000 electrons at saturation. */
-static inline void sim_witness(struct sim *s, const struct sim_camera *c,
-                               const struct sim_shot *shot, bool garbled, struct exposure_probe *w)
+static inline void sim_probe(struct sim *s, const struct sim_camera *c, const struct sim_shot *shot,
+                             bool garbled, struct exposure_probe *w)
 {
     int at = sim_below(s, SIM_NOISE - SIM_PLACES);
     bool lamp = shot->number >= c->lamp_at && shot->number < c->lamp_at + c->lamp_frames;
@@ -233,12 +233,12 @@ static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot 
     struct sim_camera *c = &s->camera[camera];
     c->shot = *shot;
     bool garbled = sim_chance(s, c->garble);
-    sim_witness(s, c, shot, garbled, &w);
+    sim_probe(s, c, shot, garbled, &w);
     if (garbled || sim_torn(c, shot))
         c->shot.truth = NAN; // whoever keeps it has lost
     s->frames++;
     sim_tell(s, &(struct bracket_event){
-                    .kind = BRACKET_FRAME, .camera = camera, .frame = &c->shot.f, .witness = &w});
+                    .kind = BRACKET_FRAME, .camera = camera, .frame = &c->shot.f, .probe = &w});
 }
 
 /* What the sensor makes of it. */

@@ -161,14 +161,14 @@ static void test_states(void **state)
     struct bracket *b = rig.sim.b;
     struct bracket_event begin = {.kind = BRACKET_BEGIN, .plan = rig.plan};
     assert_int_equal(bracket_state(b), BRACKET_IDLE);
-    refused(&begin, "when every camera streams");
+    refused(&begin, "once all cameras stream");
     tell(BRACKET_ARM, 0);
     assert_int_equal(bracket_state(b), BRACKET_IDLE);
     tell(BRACKET_ARM, 1);
     assert_int_equal(bracket_state(b), BRACKET_ARMED);
     tell(BRACKET_LOST, 0);
     assert_int_equal(bracket_state(b), BRACKET_IDLE);
-    refused(&begin, "when every camera streams");
+    refused(&begin, "once all cameras stream");
     assert_true(bracket_deadline(b) == INT64_MAX);
     rig_arm(1000);
     assert_int_equal(bracket_state(b), BRACKET_ARMED);
@@ -177,7 +177,7 @@ static void test_states(void **state)
     assert_int_equal(bracket_state(b), BRACKET_ARMED);
     sim_begin(&rig.sim, rig.plan); // has to wait for the reference
     assert_int_equal(bracket_state(b), BRACKET_SHOOTING);
-    refused(&begin, "when every camera streams");
+    refused(&begin, "once all cameras stream");
     refused(&(struct bracket_event){.kind = BRACKET_ARM, .set = {0.01, 1.0}},
             "while a bracket runs");
     assert_true(sim_run(&rig.sim, 1000));
@@ -187,7 +187,7 @@ static void test_states(void **state)
     tell(BRACKET_LOST, 1);
     assert_int_equal(bracket_state(b), BRACKET_DONE); // evidence can still be read
     assert_non_null(bracket_evidence(b, 1, 0));
-    refused(&begin, "when every camera streams");
+    refused(&begin, "once all cameras stream");
     tell(BRACKET_ARM, 0);
     assert_int_equal(bracket_state(b), BRACKET_IDLE);
     assert_null(bracket_evidence(b, 0, 0));
@@ -250,7 +250,7 @@ static void test_bad_arguments(void **state)
     assert_null(b);
     c.delay_hi = 33;
     assert_int_equal(bracket_new(&c, 1, &b), ERR_ARG);
-    assert_non_null(strstr(err_text(), "delay of 2..33 frames"));
+    assert_non_null(strstr(err_text(), "the delay is 2 to 33 frames"));
     c = rig.cfg[0];
     c.period_s = NAN;
     assert_int_equal(bracket_new(&c, 1, &b), ERR_ARG);
@@ -269,11 +269,11 @@ static void test_bad_arguments(void **state)
     plan_refused(0.01, 0.5, "at gain 0.5");
     plan_refused(0.01, NAN, "exposure 2");
     rig.plan[1].n = 10;
-    plan_refused(0.01, 1.0, "a plan of 10 exposures");
+    plan_refused(0.01, 1.0, "the plan has 10 exposures");
     rig.plan[0].n = rig.plan[1].n = 0;
-    plan_refused(0.01, 1.0, "without exposures");
+    plan_refused(0.01, 1.0, "no exposure for any camera");
     refused(&(struct bracket_event){.kind = BRACKET_BEGIN}, "with a plan");
-    refused(&(struct bracket_event){.kind = BRACKET_FRAME, .witness = &w}, "not given");
+    refused(&(struct bracket_event){.kind = BRACKET_FRAME, .probe = &w}, "without a frame");
     refused(&(struct bracket_event){.kind = BRACKET_TICK + 100, .camera = 2}, "of camera 2");
     refused(&(struct bracket_event){.kind = BRACKET_LOST, .camera = -1}, "of camera -1");
     refused(&(struct bracket_event){.kind = BRACKET_ARM, .set = {0.0, 1.0}}, "cannot be armed");
@@ -396,7 +396,7 @@ static void test_odd_frames(void **state)
         f.timestamp_ns += i * 33333333;
         f.w /= 2;
         sim_tell(&rig.sim,
-                 &(struct bracket_event){.kind = BRACKET_FRAME, .frame = &f, .witness = &w});
+                 &(struct bracket_event){.kind = BRACKET_FRAME, .frame = &f, .probe = &w});
     }
     assert_fault(BRACKET_BAD_FRAMES, 12);
     rig_plain();
@@ -643,7 +643,7 @@ static void backlog(bool stamps)
         f.timestamp_ns = stamps ? 10000000000 - (32 - i) * 33333333 : 0;
         rig.sim.now += 1000000;
         sim_tell(&rig.sim,
-                 &(struct bracket_event){.kind = BRACKET_FRAME, .frame = &f, .witness = &w});
+                 &(struct bracket_event){.kind = BRACKET_FRAME, .frame = &f, .probe = &w});
     }
     sim_begin(&rig.sim, rig.plan);
     bracket_progress(rig.sim.b, &p);
