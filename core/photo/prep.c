@@ -247,13 +247,14 @@ static struct camera scaled_camera(const struct camera *cam, const struct extent
 struct extent prep_extent(struct prep_size size, int w, int h)
 {
     const int most = num_max(w, h);
-    struct extent out = {size.edge, size.edge, 0};
+    const int edge = num_min(size.edge, num_max(most, PREP_ENLARGED));
+    struct extent out = {edge, edge, 0};
     if (size.square)
-        return out;
+        return (struct extent){size.edge, size.edge, 0};
     if (w < most)
-        out.w = num_max(1, (int)lround((double)w * size.edge / most));
+        out.w = num_max(1, (int)lround((double)w * edge / most));
     if (h < most)
-        out.h = num_max(1, (int)lround((double)h * size.edge / most));
+        out.h = num_max(1, (int)lround((double)h * edge / most));
     return out;
 }
 

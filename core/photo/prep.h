@@ -15,7 +15,9 @@ enum { PREP_SIZE_MAX = 4096 }; // px, side of a view
  * err:  ERR_ARG (size, shape or channels), ERR_NOMEM. */
 MUST_USE err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t *out);
 
-/* How large views become: `edge` px on the longer side, the shape kept, or squeezed to squares. */
+/* How large views become: `edge` px on the longer side, the shape kept, but no picture is enlarged
+ * beyond PREP_ENLARGED px; or squeezed to squares. */
+enum { PREP_ENLARGED = 448 };
 struct prep_size {
     int edge;
     bool square;

@@ -1,4 +1,4 @@
-/* One step: draw a view, render it (at half size in the first third), loss, backward; the gradient
+/* One step: draw a view, render it (smaller in the first steps, level_at), loss, backward; the gradient
  * of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
  * share the rendering: its loss is their mean, and black or saturated pixels have hardly any slope
  * on the curve.
@@ -28,10 +28,12 @@
 #include <string.h>
 
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+enum { EDGE_MIN = 4 * LOSS_WINDOW }; // px of a view that is drawn smaller
 
 static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
 static const float SPLIT_END = 0.7f;      // share of the steps after which nothing is split
 static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the noise
+static const float LEVEL_NOISE_DB = 6.0f; // the mean of four pixels has half of their noise
 static const float BAND_GAIN_DB =
     0.05f; // least gain of a band: removing any trained band costs a little
 static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
@@ -61,17 +63,18 @@ struct refine {
     struct raster raster;
     struct loss loss_work;
     struct render pic;
-    uint8_t *full, *half;   // (photographs) planes (3, h, w), and at half size
-    uint8_t *held;          // (n, squares, squares)
-    int squares;            // of the longest edge
-    double *photo_sse;      // (photographs) held-out squared error of the last comparison
-    long *photo_n;          // (photographs) number of these values
-    int *shuffled, n_drawn; // (n) order of the views in this round
+    uint8_t *planes[REFINE_LEVELS]; // (photographs) planes (3, h, w); of level k 2^k times smaller
+    uint8_t *held;                  // (n, squares, squares)
+    int held_px, squares;           // edge of a square; squares of the longest edge
+    double *photo_sse;              // (photographs) held-out squared error of the last comparison
+    long *photo_n;                  // (photographs) number of these values
+    int *shuffled, n_drawn;         // (n) order of the views in this round
     uint64_t rng;
-    float extent;           // scene units
-    int step, steps, scale; // scale: 2 = half size
-    float loss;             // sum since the start of the round
-    int band_from;          // step at which the highest band was added, 0 = none on trial
+    float extent; // scene units
+    int step, steps;
+    int levels, level; // pictures of level k are 2^k times smaller
+    float loss;        // sum since the start of the round
+    int band_from;     // step at which the highest band was added, 0 = none on trial
     bool bands_done, splits_done;
     float noise_db; // of the photographs, as a PSNR
     float best_db;  // held-out, at full size
@@ -92,10 +95,12 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
-/* The first steps use half-size pictures and do not split. */
-static bool is_half_size(int step, int steps)
+/* Level of a step: a third of the steps sees the smallest pictures, the others take equal shares. */
+static int level_at(int step, int steps, int levels)
 {
-    return 3 * step < steps;
+    if (levels < 2 || 3 * step < steps)
+        return levels - 1;
+    return levels - 2 - (int)((3LL * step - steps) * (levels - 1) / (2LL * steps));
 }
 
 int refine_begin(const struct refine_config *cfg, int places)
@@ -103,7 +108,7 @@ int refine_begin(const struct refine_config *cfg, int places)
     float most = (float)cfg->gaussians_max, n = most;
     const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
     for (int step = round; step <= end && n > most / 2; step += round)
-        if (!is_half_size(step - 1, cfg->steps))
+        if (level_at(step - 1, cfg->steps, cfg->levels) < cfg->levels - 1 || cfg->levels == 1)
             n /= 1 + SPLIT_SHARE;
     return (int)fmaxf(n, most / 2);
 }
@@ -118,16 +123,25 @@ static int shortest_edge(const struct views *v)
     return out;
 }
 
+static int count_levels(const struct views *v, const struct refine_config *cfg)
+{
+    int n = cfg->levels;
+    while (n > 1 && (shortest_edge(v) >> (n - 1) < EDGE_MIN || cfg->steps < 3 * v->n))
+        n--;
+    return n;
+}
+
 static err_t layout(struct refine *f, struct arena *a, int threads)
 {
     const struct extent most = extent_cover(f->v->extent, f->v->n);
     const int photos = f->v->n + f->v->n_more;
     const size_t pixels = extent_total(f->v->extent, photos), px = most.at;
-    f->squares = (f->v->size + HELD_PX - 1) / HELD_PX;
+    f->held_px = HELD_PX << (f->levels > 2 ? f->levels - 2 : 0);
+    f->squares = (f->v->size + f->held_px - 1) / f->held_px;
     size_t n = (size_t)f->v->n, q = (size_t)f->squares, all = (size_t)photos;
-    err_t e = arena_alloc(a, pixels / 4, 3, &f->half);
-    if (!e)
-        e = arena_alloc(a, pixels, 3, &f->full);
+    err_t e = OK;
+    for (int k = 0; k < f->levels && !e; k++)
+        e = arena_alloc(a, pixels >> 2 * k, 3, &f->planes[k]);
     if (!e)
         e = arena_alloc(a, n * q * q, 1, &f->held);
     if (!e)
@@ -155,7 +169,7 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
 {
     struct arena planes = arena_counter(), a = arena_counter();
     struct scene s;
-    struct refine f = {.v = v, .cfg = cfg, .s = &s};
+    struct refine f = {.v = v, .cfg = cfg, .s = &s, .levels = count_levels(v, cfg)};
     if (gaussians_init(&s.g, &planes, cfg->gaussians_max, cfg->degree_max) ||
         layout(&f, &a, threads))
         return SIZE_MAX;
@@ -163,30 +177,37 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
     return a.peak;
 }
 
-/* Planes of a photograph; scale: 2 = half size. */
-static uint8_t *photo_planes(const struct refine *f, int i, int scale)
+static uint8_t *photo_planes(const struct refine *f, int i, int level)
 {
-    const size_t at = f->v->extent[i].at;
-    return scale == 1 ? f->full + 3 * at : f->half + 3 * (at / 4);
+    return f->planes[level] + 3 * (f->v->extent[i].at >> 2 * level);
 }
 
-/* One photograph as planes, and at half size. */
+/* Means of four pixels each. */
+static void halve_planes(const uint8_t *in, int w, int h, uint8_t *out)
+{
+    const size_t across = (size_t)w, m = across / 2, down = (size_t)h / 2;
+    for (size_t c = 0; c < 3; c++, in += across * (size_t)h)
+        for (size_t at = 0; at < m * down; at++) {
+            const uint8_t *p = in + 2 * (at / m) * across + 2 * (at % m);
+            *out++ = (uint8_t)((p[0] + p[1] + p[across] + p[across + 1] + 2) / 4);
+        }
+}
+
+/* One photograph as planes of every level. */
 static err_t planes_chunk(void *ctx, int i, int worker)
 {
     struct refine *f = ctx;
     (void)worker;
     const struct extent *px = &f->v->extent[i];
-    const size_t w = (size_t)px->w, n = extent_pixels(px), h = w / 2, m = h * (size_t)(px->h / 2);
+    const size_t n = extent_pixels(px);
     const uint8_t *in = views_rgb(f->v, i);
-    uint8_t *full = photo_planes(f, i, 1), *half = photo_planes(f, i, 2);
-    for (size_t c = 0; c < 3; c++) {
+    uint8_t *full = photo_planes(f, i, 0);
+    for (size_t c = 0; c < 3; c++)
         for (size_t at = 0; at < n; at++)
             full[c * n + at] = in[at * 3 + c];
-        for (size_t at = 0; at < m; at++) {
-            const uint8_t *p = in + (2 * (at / h) * w + 2 * (at % h)) * 3 + c;
-            half[c * m + at] = (uint8_t)((p[0] + p[3] + p[3 * w] + p[3 * w + 3] + 2) / 4);
-        }
-    }
+    for (int k = 1; k < f->levels; k++)
+        halve_planes(photo_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
+                     photo_planes(f, i, k));
     return OK;
 }
 
@@ -282,7 +303,7 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
     const size_t squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
-    li.photo = photo_planes(f, k, f->scale);
+    li.photo = photo_planes(f, k, f->level);
     li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
@@ -311,7 +332,7 @@ static err_t compare_view(struct refine *f, int i, const struct camera *cam, con
                             .behind = {behind[0], behind[1], behind[2]},
                             .w_l1 = 0.8f / (float)n,
                             .w_ssim = 0.2f / (float)n,
-                            .held_px = HELD_PX / f->scale,
+                            .held_px = f->held_px >> f->level,
                             .held_across = f->squares};
     for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
         e = compare_photo(f, i, k, &as, out);
@@ -338,7 +359,7 @@ static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
 static struct camera camera_now(const struct refine *f, int i)
 {
     const struct extent *px = &f->v->extent[i];
-    return pose_scaled(&f->s->cams[i], px->w / f->scale, px->h / f->scale);
+    return pose_scaled(&f->s->cams[i], px->w >> f->level, px->h >> f->level);
 }
 
 static err_t take_step(struct refine *f)
@@ -413,6 +434,12 @@ static err_t measure_held_out(struct refine *f, float *db)
     return OK;
 }
 
+/* Past the smallest pictures: the scene may become richer. */
+static bool is_settled(const struct refine *f)
+{
+    return f->level < f->levels - 1 || f->levels == 1;
+}
+
 static void add_band(struct refine *f)
 {
     struct gaussians *g = &f->s->g;
@@ -456,7 +483,7 @@ static err_t update_bands(struct refine *f)
         if (e)
             return e;
     }
-    if (f->band_from == 0 && !f->bands_done && f->scale == 1 && f->step + trial < f->steps &&
+    if (f->band_from == 0 && !f->bands_done && is_settled(f) && f->step + trial < f->steps &&
         trial >= f->v->n && progress_of(f) >= 0.5f && f->s->g.degree < f->cfg->degree_max)
         add_band(f);
     return OK;
@@ -465,20 +492,21 @@ static err_t update_bands(struct refine *f)
 static void split_splats(struct refine *f)
 {
     struct gaussians *g = &f->s->g;
-    if (f->splits_done || f->scale > 1)
+    if (f->splits_done || !is_settled(f))
         return;
     float db = held_db(f);
     /* one per pixel: more did not help denser starts */
     int most = (int)extent_cover(f->v->extent, f->v->n).at;
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
-    bool noise = db > f->noise_db - SPLIT_NOISE_DB, all = g->n >= most;
+    const float noise_db = f->noise_db + LEVEL_NOISE_DB * (float)f->level;
+    bool noise = db > noise_db - SPLIT_NOISE_DB, all = g->n >= most;
     f->splits_done = progress_of(f) > SPLIT_END || noise || all;
     if (f->splits_done) {
         add_note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
                  all     ? "as many as pixels or as allowed"
                  : noise ? "more would learn noise"
                          : "time to settle",
-                 (double)db, (double)f->noise_db);
+                 (double)db, (double)noise_db);
         return;
     }
     density_prune(&f->d, 0.01f);
@@ -499,7 +527,7 @@ static err_t end_round(struct refine *f, int round)
         f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
     }
     split_splats(f);
-    if (f->scale > 1 || f->band_from > 0)
+    if (f->level > 0 || f->band_from > 0)
         return OK;
     bool better = db > f->best_db + STALL_DB;
     f->stalled = better ? 0 : f->stalled + 1;
@@ -520,9 +548,8 @@ static err_t run_steps(struct refine *f)
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = measure_held_out(f, &f->rep->held_out_db[0]);
-    bool small = shortest_edge(f->v) >= 8 * LOSS_WINDOW && f->steps >= 3 * f->v->n;
     for (f->step = 0; f->step < f->steps && !e;) {
-        f->scale = small && is_half_size(f->step, f->steps) ? 2 : 1;
+        f->level = level_at(f->step, f->steps, f->levels);
         e = take_step(f);
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
@@ -547,7 +574,9 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .rep = out,
                        .rng = cfg->seed,
                        .steps = cfg->steps,
-                       .scale = 1};
+                       .levels = count_levels(v, cfg)};
+    if (cfg->levels < 1 || cfg->levels > REFINE_LEVELS)
+        return err_fail(ERR_ARG, "refine: %d levels, must be 1..%d", cfg->levels, REFINE_LEVELS);
     if (shortest_edge(v) < LOSS_WINDOW)
         return err_fail(ERR_ARG, "refine: a view is %d px narrow, a side must be at least %d px",
                         shortest_edge(v), LOSS_WINDOW);

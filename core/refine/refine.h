@@ -11,12 +11,16 @@
 
 #include "core/base/types.h"
 
+enum { REFINE_LEVELS = 5 };
+
 struct refine_config {
     int steps;         // 0..100000; 0 leaves the scene as it is
     int degree_max;    // highest SH degree that may be added, 0..4
     int gaussians_max; // the scene never has more; <= scene.g.cap
     uint64_t seed;
     bool poses; // move the cameras of the input views too
+    int levels; // 1..REFINE_LEVELS: the first steps see pictures 2^(levels - 1) times smaller, then
+                // ever larger ones; fewer where these would be too small, or the steps too few
 };
 
 enum { REFINE_NOTES = 8 };

@@ -23,7 +23,8 @@ struct key {
                                    // which may lie outside
     const char *help;
     enum kind kind;
-    const char *text; // default of a TEXT; the words of a WORD, separated by '|'
+    const char *text; // default of a TEXT; the words of a WORD, separated by '|'; of a WHOLE those
+                      // that stand for 0, -1, ..., or NULL
     int count;        // 0: not numbered
 };
 
@@ -37,8 +38,9 @@ static const struct key keys[] = {
     {"threads", FIELD(threads), 0, 64, 1, 0, "worker threads, 0 = one per core", WHOLE, NULL, 0},
     {"max_memory_mb", FIELD(max_memory_mb), 64, MEMORY_MAX_MB, 1, 0,
      "refuse jobs that need more, MB; 0 = 3/4 of the machine's", WHOLE, NULL, 0},
-    {"size", FIELD(size), 56, 1792, 14, 0,
-     "edge of the square working pictures, px; 0 = that of the model, else 448", WHOLE, NULL, 0},
+    {"size", FIELD(size), 56, 4080, 1, CONFIG_SIZE_AUTO,
+     "longer edge of the pictures that scenes are made of, px; full = the photographs'", WHOLE,
+     "auto|full", 0},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers", WHOLE, NULL, 0},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none",
      WHOLE, NULL, 0},
@@ -154,9 +156,28 @@ static const struct key *find_key(const char *name, int *place)
     return NULL;
 }
 
+/* Position of a word in a list like "auto|full"; -1: it is none of them. */
+static int find_word(const char *words, const char *value)
+{
+    const size_t len = strlen(value);
+    int place = 0;
+    for (const char *w = words; w; place++) {
+        const size_t n = strcspn(w, "|");
+        if (n == len && memcmp(w, value, n) == 0)
+            return place;
+        w = w[n] ? w + n + 1 : NULL;
+    }
+    return -1;
+}
+
 static err_t set_whole(struct config *c, const char *where, const struct key *k, const char *value)
 {
+    const int word = k->text ? find_word(k->text, value) : -1;
     char *end;
+    if (word >= 0) {
+        *key_field(c, k) = -word;
+        return OK;
+    }
     errno = 0;
     long long n = strtoll(value, &end, 10);
     if (end == value || *end)
@@ -174,15 +195,10 @@ static err_t set_whole(struct config *c, const char *where, const struct key *k,
 
 static err_t set_word(struct config *c, const char *where, const struct key *k, const char *value)
 {
-    size_t len = strlen(value);
-    int place = 0;
-    for (const char *w = k->text; w; place++) {
-        size_t n = strcspn(w, "|");
-        if (n == len && memcmp(w, value, n) == 0) {
-            *key_field(c, k) = place;
-            return OK;
-        }
-        w = w[n] ? w + n + 1 : NULL;
+    const int place = find_word(k->text, value);
+    if (place >= 0) {
+        *key_field(c, k) = place;
+        return OK;
     }
     return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is none of %s", where, k->name, QUOTE_MAX, value,
                     k->text);
@@ -414,12 +430,32 @@ static void print_word(const struct key *k, int value, FILE *out)
     fprintf(out, "\n%s = %.*s\n", k->name, len, chosen);
 }
 
+/* A number, or the word that stands for it. */
+static const char *whole_text(const struct key *k, int value, char text[CONFIG_TEXT])
+{
+    const char *w = k->text;
+    for (int i = value; w && i < 0 && *w; i++)
+        w += strcspn(w, "|") + 1;
+    if (w && value <= 0)
+        snprintf(text, CONFIG_TEXT, "%.*s", (int)strcspn(w, "|"), w);
+    else
+        snprintf(text, CONFIG_TEXT, "%d", value);
+    return text;
+}
+
+static void print_whole(const struct key *k, int value, FILE *out)
+{
+    char text[CONFIG_TEXT];
+    fprintf(out, "# %s (%s%s%d..%d, default %s)\n", k->help, k->text ? k->text : "",
+            k->text ? "|" : "", k->min, k->max, whole_text(k, k->value, text));
+    fprintf(out, "%s = %s\n", k->name, whole_text(k, value, text));
+}
+
 static void print_key(const struct config *c, const struct key *k, FILE *out)
 {
     struct config copy = *c;
     if (k->kind == WHOLE)
-        fprintf(out, "# %s (%d..%d, default %d)\n%s = %d\n", k->help, k->min, k->max, k->value,
-                k->name, *key_field(&copy, k));
+        print_whole(k, *key_field(&copy, k), out);
     if (k->kind == WORD)
         print_word(k, *key_field(&copy, k), out);
     const char *text = text_field(&copy, k, 0);

@@ -20,6 +20,7 @@ enum { CONFIG_FILE_MAX = 16384 }; // bytes
 /* bytes with 0; numbers of each; stops */
 enum { CONFIG_TEXT = 200, CONFIG_CAMERAS = 16, CONFIG_TRIGGERS = 4, CONFIG_STOPS_MAX = 16 };
 
+enum { CONFIG_SIZE_AUTO = 0, CONFIG_SIZE_FULL = -1 };
 enum config_bracket { CONFIG_AUTO, CONFIG_LIST };
 enum config_collect { CONFIG_COLLECT_AUTO, CONFIG_COLLECT_NO, CONFIG_COLLECT_YES };
 enum config_busy { CONFIG_REJECT, CONFIG_QUEUE, CONFIG_COALESCE };
@@ -27,7 +28,7 @@ enum config_busy { CONFIG_REJECT, CONFIG_QUEUE, CONFIG_COALESCE };
 struct config {
     int threads;       // 0 = one per core
     int max_memory_mb; // MB (10^6 bytes); 0 = by the machine, see config_memory_mb
-    int size;          // px, edge of the square pictures, multiple of 14; 0 = by the model
+    int size;          // px, longer edge of the pictures that scenes are made of, or CONFIG_SIZE_
     int seed;
     int refine_steps;
     int refine_sh_degree_max; // 0..4

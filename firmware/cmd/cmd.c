@@ -285,8 +285,6 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                                         .gaussians_max = cfg->refine_gaussians_max,
                                         .seed = (uint64_t)cfg->seed,
                                         .poses = poses}};
-    if (job.size == 0)
-        job.size = recipe_size(&job);
     return job;
 }
 

@@ -44,7 +44,7 @@ struct cmd_option {
     {                                                                                              \
         "strict", NULL, "exit with 1 if there are warnings", NULL, NULL, &(to)                     \
     }
-#define CMD_SIZE CMD_KEY("size", "N", "size", "working size, px, a multiple of 14")
+#define CMD_SIZE CMD_KEY("size", "N", "size", "longer edge of the pictures, px; or full, or auto")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
 #define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
 #define CMD_DEGREE CMD_KEY("degree-max", "D", "refine.sh_degree_max", "highest SH degree, 0..4")

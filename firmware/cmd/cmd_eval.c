@@ -254,6 +254,8 @@ static err_t reconstruct(struct state *st, struct request *rq)
         e = cmd_shipped(&rq->model, &st->train.capture, &st->network, &job.network);
     job.cameras_only = !network;
     if (!e)
+        job.size = recipe_size(&job, &st->train.capture);
+    if (!e)
         e = job_plan(&st->train.capture, &job, pool_size(st->engine.pool), false, &need);
     if (e)
         return e;

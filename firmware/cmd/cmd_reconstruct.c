@@ -112,6 +112,27 @@ static err_t end_dump(const struct request *rq, struct state *st)
 
 /* ---- the job ---- */
 
+static bool fits(const struct job_memory *m, int limit_mb)
+{
+    const size_t files = arena_add(m->pictures, m->weights), arenas = arena_add(m->keep, m->tmp);
+    return (double)arena_add(files, arenas) <= limit_mb * 1e6;
+}
+
+/* The largest size up to the one asked for that fits into the memory allowed; 0: none that is larger
+ * than what cameras and depth are found in. */
+static int largest_size(const struct request *rq, const struct state *st,
+                        const struct job_config *job)
+{
+    struct job_config less = *job;
+    struct job_memory m;
+    for (; less.size > recipe_work(job); less.size -= less.size / 16)
+        if (job_plan(&st->set.capture, &less, pool_size(st->engine.pool), rq->dump != NULL, &m) ==
+                OK &&
+            fits(&m, config_memory_mb(&rq->cfg)))
+            return less.size;
+    return 0;
+}
+
 static err_t reserve_memory(const struct request *rq, struct state *st,
                             const struct job_config *job, const struct job_memory *need)
 {
@@ -121,12 +142,14 @@ static err_t reserve_memory(const struct request *rq, struct state *st,
     err_t e = engine_reserve(&st->engine, arena_add(m.pictures, m.weights), m.keep, m.tmp, limit);
     if (e != ERR_LIMIT)
         return e;
+    const int size = largest_size(rq, st, job);
+    if (size > 0)
+        return err_fail(ERR_LIMIT, "%s; --size %d would fit", err_text(), size);
     for (fewer.n--; prep_places(&fewer) >= 2; fewer.n--) {
         e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
         if (e)
             return e;
-        if ((double)arena_add(arena_add(m.pictures, m.weights), arena_add(m.keep, m.tmp)) <=
-            limit * 1e6)
+        if (fits(&m, limit))
             return err_fail(ERR_LIMIT, "%s; %d of %d photographs would fit", err_text(), fewer.n,
                             st->set.capture.n);
     }
@@ -156,6 +179,8 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
     job->cameras_only = !network;
+    if (!e)
+        job->size = recipe_size(job, &st->set.capture);
     if (!e && cmd_fill_exposures(&st->set.capture))
         log_warn("exposures are not known for all pictures: none is used");
     if (!e)

@@ -127,7 +127,7 @@ static err_t read_scene(struct request *rq, struct dataset_ask *a)
     a->sample = (struct sample_ask){.seed = (uint64_t)rq->cfg.seed,
                                     .kind = WORLD_ANY,
                                     .n_views = 2 * views - 1,
-                                    .size = rq->cfg.size ? rq->cfg.size : 448,
+                                    .size = rq->cfg.size > 0 ? rq->cfg.size : 448,
                                     .spread = (float)spread,
                                     .fov_deg = (float)fov,
                                     .jitter = rq->free_hand,

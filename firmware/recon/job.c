@@ -1,6 +1,7 @@
 #include "firmware/recon/job.h"
 
 #include "firmware/base/engine.h"
+#include "firmware/recon/enlarge.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/start.h"
 #include "firmware/result/draw.h"
@@ -69,7 +70,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
                               struct job_result *out)
 {
     const struct job_config *cfg = s->cfg;
-    const struct prep_size size = {cfg->size, s->recipe->square};
+    const struct prep_size size = {s->recipe->work, s->recipe->square};
     announce(r, JOB_PREPROCESS);
     note_lenses(c, out);
     err_t e = prep_read(r, c, cfg->source, size, &out->views);
@@ -92,6 +93,17 @@ static err_t find_response(const struct run *r, const struct recipe *recipe, str
             e = response_run(r, &out->views, &out->response);
     }
     job_result_lap(out, JOB_RESPONSE);
+    return e;
+}
+
+/* The photographs again, as large as the scene is to be refined with. */
+static err_t enlarge(const struct run *r, const struct capture *c, const struct start *s,
+                     struct job_result *out)
+{
+    err_t e = OK;
+    if (s->recipe->size > s->recipe->work)
+        e = enlarge_run(r, c, s->cfg, s->recipe, out);
+    job_result_lap(out, JOB_PREPROCESS);
     return e;
 }
 
@@ -144,6 +156,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = start_correct(&start);
     if (!e)
         e = start_gaussians(&start);
+    if (!e)
+        e = enlarge(r, c, &start, out);
     if (!e && recipe.refine)
         e = refine(r, &recipe, out);
     if (!e)
@@ -171,20 +185,37 @@ static err_t check_capture(const struct capture *c)
     return OK;
 }
 
-/* v: shapes of the views, all that plans look at. */
-static void plan_steps(struct plan *p, const struct capture *c, const struct job_config *cfg,
-                       const struct recipe *recipe, const struct views *v)
+/* Shapes of the views, all that plans look at. own: v->extent. */
+static err_t shape_views(const struct capture *c, const struct recipe *recipe, int size,
+                         struct views *v)
 {
-    const struct extent most = extent_cover(v->extent, v->n);
+    *v = (struct views){.n = recipe->places,
+                        .n_more = c->n - recipe->places,
+                        .size = size,
+                        .extent = malloc((size_t)c->n * sizeof *v->extent)};
+    if (!v->extent)
+        return err_fail(ERR_NOMEM, "no memory for the shapes of %d photographs", c->n);
+    prep_extents(c, (struct prep_size){size, recipe->square}, v->extent);
+    return OK;
+}
+
+/* small, large: the views of `work` and of `size`. */
+static void plan_steps(struct plan *p, const struct capture *c, const struct job_config *cfg,
+                       const struct recipe *recipe, const struct views *small,
+                       const struct views *large)
+{
+    const struct extent most = extent_cover(large->extent, large->n);
     float *db;
-    prep_plan_capture(p, c, (struct prep_size){cfg->size, recipe->square});
+    prep_plan_capture(p, c, (struct prep_size){recipe->work, recipe->square});
     if (layout_db(&db, &p->keep, c->n))
         plan_refuse(p);
-    arena_step(&p->tmp, response_plan(v));
-    exposure_stack_choose_plan(p, v);
-    start_plan(p, cfg, recipe, v);
+    arena_step(&p->tmp, response_plan(small));
+    exposure_stack_choose_plan(p, small);
+    start_plan(p, cfg, recipe, small);
+    if (recipe->size > recipe->work)
+        enlarge_plan(p, c, recipe);
     if (recipe->refine)
-        arena_step(&p->tmp, refine_plan(v, &recipe->refinement, p->threads));
+        arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
     arena_step(&p->tmp, draw_plan(recipe->gaussians_max, most.w, most.h)); // by who publishes
 }
 
@@ -195,19 +226,19 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     if (e)
         return e;
     const struct recipe recipe = recipe_choose(c, cfg, tapped);
-    e = recipe_check(&recipe, c, cfg->size);
+    struct plan p = plan_begin(threads);
+    struct views small = {.extent = NULL}, large = {.extent = NULL};
+    e = recipe_check(&recipe, c);
+    if (!e)
+        e = shape_views(c, &recipe, recipe.work, &small);
+    if (!e)
+        e = shape_views(c, &recipe, recipe.size, &large);
+    if (!e)
+        plan_steps(&p, c, cfg, &recipe, &small, &large);
+    free(small.extent);
+    free(large.extent);
     if (e)
         return e;
-    struct views v = {.n = recipe.places,
-                      .n_more = c->n - recipe.places,
-                      .size = cfg->size,
-                      .extent = malloc((size_t)c->n * sizeof *v.extent)};
-    struct plan p = plan_begin(threads);
-    if (!v.extent)
-        return err_fail(ERR_NOMEM, "no memory for the shapes of %d photographs", c->n);
-    prep_extents(c, (struct prep_size){cfg->size, recipe.square}, v.extent);
-    plan_steps(&p, c, cfg, &recipe, &v);
-    free(v.extent);
     *out = (struct job_memory){.pictures = imageset_bytes(c, cfg->source ? threads : c->n),
                                .weights = recipe.network ? cfg->network->file.model.bytes : 0,
                                .keep = p.keep.peak,

@@ -4,9 +4,12 @@
 #include "core/base/num.h"
 #include "core/sfm/bundle.h"
 #include "core/sfm/corner.h"
+#include "core/splat/raster.h"
 #include "core/stereo/sweep.h"
 
-enum { SIZE_DEFAULT = 448 };
+/* px: without another wish; of the views that cameras and depth are found in; of the first pictures
+ * of refinement, at least. */
+enum { SIZE_DEFAULT = 448, WORK_SIZE = 448, LEVEL_SIZE = 400 };
 
 bool recipe_forward(const struct job_config *cfg)
 {
@@ -47,6 +50,24 @@ static void limit_gaussians(const struct capture *c, const struct job_config *cf
     out->degree_max = out->forward ? SH_DEGREE_MAX : cfg->refine.degree_max;
 }
 
+static int longest_edge(const struct capture *c)
+{
+    int most = 0;
+    for (int i = 0; i < c->n; i++)
+        most = num_max(most, num_max(c->shots[i].image.w, c->shots[i].image.h));
+    return most;
+}
+
+static void choose_sizes(const struct capture *c, const struct job_config *cfg, struct recipe *out)
+{
+    out->work = out->square ? cfg->size : recipe_work(cfg);
+    out->size = num_max(out->work, num_min(cfg->size, longest_edge(c)));
+    out->refinement.levels = 2;
+    while (!out->square && out->refinement.levels < REFINE_LEVELS &&
+           out->size >> out->refinement.levels >= LEVEL_SIZE)
+        out->refinement.levels++;
+}
+
 struct recipe recipe_choose(const struct capture *c, const struct job_config *cfg, bool tapped)
 {
     const bool known = c->n > 0 && c->shots[0].has_camera, stereo = takes_stereo(cfg, tapped);
@@ -67,6 +88,7 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
     out.refine = cfg->refine.steps > 0 || !out.forward;
     out.refinement.poses = cfg->refine.poses || out.cameras == RECIPE_BUNDLE;
     limit_gaussians(c, cfg, &out);
+    choose_sizes(c, cfg, &out);
     return out;
 }
 
@@ -77,9 +99,23 @@ struct recipe recipe_of_cameras(const struct job_config *cfg)
     return recipe_choose(&(struct capture){.n = 0}, &alone, false);
 }
 
-int recipe_size(const struct job_config *cfg)
+int recipe_size(const struct job_config *cfg, const struct capture *c)
 {
-    return takes_stereo(cfg, false) ? SIZE_DEFAULT : cfg->network->net.d.size;
+    const int full = num_min(longest_edge(c), RASTER_SIDE_MAX);
+    if (cfg->size > 0)
+        return cfg->size;
+    if (cfg->size == RECIPE_SIZE_FULL)
+        return full;
+    if (!takes_stereo(cfg, false))
+        return cfg->network->net.d.size;
+    return cfg->square ? SIZE_DEFAULT : num_max(SIZE_DEFAULT, num_min(full, RECIPE_AUTO_MAX));
+}
+
+/* Cameras and depth need no more than WORK_SIZE, and take time that grows faster than the pixels. */
+int recipe_work(const struct job_config *cfg)
+{
+    const bool square = cfg->square || !takes_stereo(cfg, false);
+    return square ? cfg->size : num_min(cfg->size, WORK_SIZE);
 }
 
 /* The narrowest view; its photograph in *i. */
@@ -99,8 +135,9 @@ static int shortest_edge(const struct recipe *recipe, const struct capture *c, i
     return least;
 }
 
-err_t recipe_check(const struct recipe *recipe, const struct capture *c, int size)
+err_t recipe_check(const struct recipe *recipe, const struct capture *c)
 {
+    const int size = recipe->work;
     int narrow, least;
     if (recipe->bundle && recipe->places > BUNDLE_VIEWS_MAX)
         return err_fail(ERR_ARG,
@@ -112,10 +149,13 @@ err_t recipe_check(const struct recipe *recipe, const struct capture *c, int siz
     least = recipe->must_place               ? CORNER_SIZE_MIN
             : recipe->depth == RECIPE_STEREO ? SWEEP_SIZE_MIN
                                              : 1;
+    if (recipe->depth == RECIPE_NETWORK && size % NET_PATCH)
+        return err_fail(ERR_ARG, "--size %d, a network that makes the scene takes multiples of %d",
+                        size, NET_PATCH);
     if (size < least)
         return err_fail(ERR_ARG,
                         "views of %d px are too small to find %s, take at least --size %d%s", size,
-                        recipe->must_place ? "cameras" : "depth", (least + 13) / 14 * 14,
+                        recipe->must_place ? "cameras" : "depth", least,
                         recipe->must_place ? ", or give the cameras with --rig PATH" : "");
     if (shortest_edge(recipe, c, size, &narrow) < least)
         return err_fail(ERR_ARG,

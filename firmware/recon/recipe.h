@@ -11,7 +11,7 @@
 #include "core/refine/refine.h"
 
 struct job_config {
-    int size;    // px, longest edge of the views
+    int size;    // px, longest edge of the pictures that the scene is refined with
     bool square; // squeeze the photographs to squares, as the paper's protocol has it
     struct refine_config refine;
     const struct network *network; // NULL: none
@@ -48,6 +48,7 @@ struct recipe {
     bool refine;     // its steps, or at least what is transparent is taken out
     bool tapped;     // run.tap is set: tensors are dumped
     bool square;     // views are squares: a network's depth or Gaussians belong to their pixels
+    int size, work;  // px, longest edge of the views: of refinement; of what comes before it
     int places;      // where photographs were taken
     int gaussians_max, degree_max;   // of the scene
     struct refine_config refinement; // as asked, within what so many pixels bear
@@ -64,13 +65,20 @@ struct recipe recipe_of_cameras(const struct job_config *cfg);
 /* Whether the scene will be the network's single forward pass, which no capture changes. */
 bool recipe_forward(const struct job_config *cfg);
 
-/* Edge of the views in px if none is asked for: what the network was trained for if it sees the
- * scene, else so much that stereo sees what there is. */
-int recipe_size(const struct job_config *cfg);
+enum { RECIPE_SIZE_AUTO = 0, RECIPE_SIZE_FULL = -1 }; // of job_config.size
+
+/* Edge of the pictures for cfg->size px, RECIPE_SIZE_AUTO or RECIPE_SIZE_FULL. Full: that of the
+ * largest photograph. Auto: what the network was trained for if it sees the scene, 448 for squares,
+ * else full within RECIPE_AUTO_MAX, not less than 448. */
+enum { RECIPE_AUTO_MAX = 448 };
+int recipe_size(const struct job_config *cfg, const struct capture *c);
+
+/* Longest edge, px, of the views that cameras and depth are found in. */
+int recipe_work(const struct job_config *cfg);
 
 /* Refuse what cannot be done: more views than cameras can be found for, or views too small.
  * c: only names and sizes are looked at.
  * err:  ERR_ARG. */
-MUST_USE err_t recipe_check(const struct recipe *recipe, const struct capture *c, int size);
+MUST_USE err_t recipe_check(const struct recipe *recipe, const struct capture *c);
 
 #endif

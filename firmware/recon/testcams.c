@@ -83,7 +83,7 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
     if (layout_extents(&own, &p->keep) ||
         layout_views(&own, &p->keep, extent_total(v->extent, v->n)))
         plan_refuse(p);
-    prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), cfg->size);
+    prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), v->size);
     if (recipe.network)
         network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
@@ -95,9 +95,9 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
 err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
                     const struct capture *test, int most, int threads, struct job_memory *out)
 {
-    const struct prep_size size = {cfg->size, recipe_choose(train, cfg, false).square};
+    const struct prep_size size = {recipe_work(cfg), recipe_choose(train, cfg, false).square};
     const int inputs = prep_places(train);
-    struct views v = {.n = inputs + count_views(test), .size = cfg->size};
+    struct views v = {.n = inputs + count_views(test), .size = size.edge};
     struct plan p = plan_begin(threads);
     v.extent = calloc((size_t)(train->n + count_views(test)), sizeof *v.extent);
     if (!v.extent)
@@ -110,25 +110,39 @@ err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
     return OK;
 }
 
-/* Views of the scene, then one picture of each test view. */
+/* Room for the views of the scene, then one picture of each test view. */
 static err_t begin_views(struct arena *keep, const struct views *train, const struct capture *test,
                          struct prep_size size, struct views *all)
 {
     const int n = train->n + count_views(test);
-    const size_t own = extent_total(train->extent, train->n);
+    size_t own = 0;
     *all = (struct views){
-        .n = n, .size = train->size, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
+        .n = n, .size = size.edge, .aspect = train->aspect, .mid_log2t = train->mid_log2t};
     err_t e = layout_extents(all, keep);
     if (e)
         return e;
-    memcpy(all->extent, train->extent, (size_t)train->n * sizeof *all->extent);
+    for (int i = 0; i < train->n; own += extent_pixels(&all->extent[i++])) {
+        all->extent[i] = prep_extent(size, train->extent[i].w, train->extent[i].h);
+        all->extent[i].at = own;
+    }
     add_extents(test, size, own, all->extent + train->n);
-    e = layout_views(all, keep, extent_total(all->extent, n));
-    if (e)
-        return e;
-    memcpy(all->rgb, train->rgb, 3 * own);
-    memcpy(all->log2t, train->log2t, (size_t)train->n * sizeof(float));
-    return OK;
+    return layout_views(all, keep, extent_total(all->extent, n));
+}
+
+/* A view of the scene, which may be larger. */
+static err_t add_input(const struct run *r, const struct views *train, int i, struct views *all)
+{
+    const struct extent *px = &train->extent[i];
+    const size_t mark = arena_mark(r->keep);
+    struct shot s = {.image = {px->w, px->h, 3, views_rgb(train, i)}, .exposure = 1};
+    struct capture one = {1, &s};
+    struct views v;
+    err_t e = prep_run(r, &one, (struct prep_size){all->size, px->w == px->h}, &v);
+    if (!e)
+        memcpy(views_rgb(all, i), v.rgb, 3 * extent_pixels(&all->extent[i]));
+    all->log2t[i] = train->log2t[i];
+    arena_reset(r->keep, mark);
+    return e;
 }
 
 static err_t add_view(const struct run *r, const struct imageset *test, int i, int at,
@@ -153,6 +167,12 @@ static err_t add_view(const struct run *r, const struct imageset *test, int i, i
 
 /* ---- cameras ---- */
 
+/* Of views that are smaller than those of the scene. */
+static float view_scale(const struct scene *s, const struct views *v)
+{
+    return (float)v->size / (float)s->size;
+}
+
 /* Cameras of all views in a world of their own. The focal length is that of the scene, if bundle
  * adjustment found it. */
 static err_t locate(const struct run *r, const struct job_config *cfg, const struct scene *s,
@@ -166,15 +186,18 @@ static err_t locate(const struct run *r, const struct job_config *cfg, const str
     if (e || !recipe.bundle)
         return e;
     const struct bundle_config want = {
-        .start = p.geom.cams, .focal = s->cams[0].fx, .focal_known = true};
+        .start = p.geom.cams, .focal = s->cams[0].fx * view_scale(s, all), .focal_known = true};
     e = locate_run(r, all, p.matches.token ? &p.matches : NULL, &want, &b);
     *out = b.cams;
     return e;
 }
 
 /* The test views among them, in the world of the scene, with the mean focal length of its views. */
-static err_t place(const struct run *r, const struct scene *s, int n, struct camera *cams)
+static err_t place(const struct run *r, const struct scene *s, const struct views *all,
+                   struct camera *cams)
 {
+    const float scale = view_scale(s, all);
+    const int n = all->n;
     struct similarity w;
     float fx = 0, fy = 0;
     err_t e = similarity_fit(r, cams, s->cams, s->n_views, &w);
@@ -184,8 +207,8 @@ static err_t place(const struct run *r, const struct scene *s, int n, struct cam
     }
     for (int i = s->n_views; i < n; i++) {
         cams[i] = similarity_apply(&w, &cams[i]);
-        cams[i].fx = fx;
-        cams[i].fy = fy;
+        cams[i].fx = fx * scale;
+        cams[i].fy = fy * scale;
     }
     return e;
 }
@@ -200,7 +223,7 @@ static err_t align(const struct run *r, const struct scene *s, const struct view
                       .rgb = all->rgb, // the extents count from there
                       .log2t = all->log2t + first,
                       .cams = cams + first};
-    err_t e = place(r, s, all->n, cams);
+    err_t e = place(r, s, all, cams);
     return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
 }
 
@@ -221,7 +244,10 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
     const size_t mark = arena_mark(r->keep);
     struct camera *cams = NULL;
     struct views all;
-    err_t e = begin_views(r->keep, &j->views, &test->capture, job_result_size(&j->scene), &all);
+    const struct prep_size size = {recipe_work(cfg), job_result_size(&j->scene).square};
+    err_t e = begin_views(r->keep, &j->views, &test->capture, size, &all);
+    for (int i = 0; i < n && !e; i++)
+        e = add_input(r, &j->views, i, &all);
     for (int i = 0, at = n; i < test->capture.n && !e; i++)
         if (begins_view(&test->capture, i))
             e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);

@@ -7,12 +7,12 @@
 #include "sim/sensor/sensor.h"
 #include "sim/world/render.h"
 
-enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 1024, SAMPLE_PX = 1 << 24, SAMPLE_SHOTS = 64 };
+enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
 
 struct sample_ask {
     uint64_t seed;
     int kind;          // enum world_kind
-    int n_views, size; // 1..64; px, 14..1024; at most SAMPLE_PX px in all
+    int n_views, size; // 1..64; px, 14..2048; at most SAMPLE_PX px in all
     float spread;      // as in struct world_path
     float fov_deg;     // as in struct world_path
     int jitter;        // bool

@@ -23,7 +23,7 @@ expect 2 'unknown option -x' reconstruct -x
 expect 2 'unexpected argument "stray"' reconstruct --images "$OUT/good" stray
 expect 2 '--out needs an argument' reconstruct --out
 expect 2 '--images and --out are needed' reconstruct --images "$OUT/good"
-expect 2 '--size: size: 57 is not a multiple of 14' reconstruct --size 57
+expect 2 '--size: size: 55 is not in 56..4080' reconstruct --size 55
 expect 2 '--refine: .*"many" is not a whole number' reconstruct --refine many
 expect 2 '--set: unknown key "color"' reconstruct --set color=1
 expect 1 'no-such.conf' reconstruct --config "$OUT/no-such.conf"

@@ -14,7 +14,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     err_t e = config_parse(&c, "fuzz", (const char *)data, size);
     if (e && !*err_text())
         abort();
-    bool known = c.size == 0 || (c.size >= 56 && c.size <= 1792 && c.size % 14 == 0);
+    bool known = c.size == CONFIG_SIZE_AUTO || c.size == CONFIG_SIZE_FULL ||
+                 (c.size >= 56 && c.size <= 4080);
     if (!known || c.threads < 0 || c.threads > 64 || c.seed < 0 || c.refine_sh_degree_max < 0 ||
         c.refine_sh_degree_max > 4)
         abort();

@@ -66,8 +66,8 @@ static void later_values_win(void **state)
 static void sentences_name_file_line_and_bound(void **state)
 {
     (void)state;
-    refused("threads = 2\nsize = 1806\n", ERR_FORMAT, "test.conf:2: size: 1806 is not in 56..1792");
-    refused("size = 449", ERR_FORMAT, "test.conf:1: size: 449 is not a multiple of 14");
+    refused("threads = 2\nsize = 4081\n", ERR_FORMAT, "test.conf:2: size: 4081 is not in 56..4080");
+    refused("size = fu", ERR_FORMAT, "test.conf:1: size: \"fu\" is not a whole number");
     refused("\n\nthread = 2\n", ERR_FORMAT, "test.conf:3: unknown key \"thread\"");
     refused("threads = two\n", ERR_FORMAT, "test.conf:1: threads: \"two\" is not a whole number");
     refused("threads = 4 # all\n", ERR_FORMAT,
@@ -112,8 +112,8 @@ static void assignments_are_checked(void **state)
     assert_int_equal(config_assign(&c, "=4"), ERR_ARG);
     assert_int_equal(config_assign(&c, "threads=65"), ERR_ARG);
     assert_string_equal(err_text(), "--set: threads: 65 is not in 0..64");
-    assert_int_equal(config_set(&c, "--size", "size", "100"), ERR_ARG);
-    assert_string_equal(err_text(), "--size: size: 100 is not a multiple of 14");
+    assert_int_equal(config_set(&c, "--size", "size", "55"), ERR_ARG);
+    assert_string_equal(err_text(), "--size: size: 55 is not in 56..4080");
 }
 
 static void put(const char *dir, const char *name, const char *text)

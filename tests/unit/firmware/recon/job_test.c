@@ -70,7 +70,7 @@ static void what_cameras_cannot_be_found_for(void **state)
     cfg.size = 56;
     assert_int_equal(job_plan(&c, &cfg, 1, false, &m), ERR_ARG);
     assert_non_null(strstr(err_text(), "views of 56 px are too small"));
-    assert_non_null(strstr(err_text(), "--size 70"));
+    assert_non_null(strstr(err_text(), "--size 64"));
 }
 
 static size_t total(int n, int side, struct job_config cfg, int threads)

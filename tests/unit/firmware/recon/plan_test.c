@@ -1,6 +1,7 @@
 /* The plan of a job's memory against what the job takes: real jobs of several kinds and sizes, on
  * photographs of a simulated room. Arenas have twice the room of the plan; each peak must stay
  * within its plan, and the plan within 10 % of the peak. */
+#include "core/sfm/pose.h"
 #include "firmware/base/engine.h"
 #include "firmware/recon/dump.h"
 #include "firmware/recon/job.h"
@@ -17,7 +18,7 @@
 
 #include <cmocka.h>
 
-enum { PLACES = 4, STEPS_OF_EXPOSURE = 3, PHOTO = 128, THREADS = 2, MEMORY_MB = 8000 };
+enum { PLACES = 4, STEPS_OF_EXPOSURE = 3, PHOTO = 128, TIMES = 4, THREADS = 2, MEMORY_MB = 8000 };
 
 static const double SLACK = 1.10;
 
@@ -27,6 +28,7 @@ struct kind {
     bool unknown;  // cameras
     bool brackets; // three exposures of each place, else one
     bool network, cameras_only, polish, stereo, dump;
+    bool large; // photographs that are larger than what cameras and depth are found in
 };
 
 static const struct kind kinds[] = {
@@ -36,6 +38,9 @@ static const struct kind kinds[] = {
     {"unknown", 112, 20, 2, 20000, .unknown = true, .polish = true},
     {"unknown, no steps", 168, 0, 0, 2000, .unknown = true, .polish = true},
     {"unknown, brackets", 112, 20, 2, 20000, .unknown = true, .brackets = true, .polish = true},
+    {"larger photographs", 500, 20, 2, 20000, .polish = true, .large = true},
+    {"larger photographs, unknown, brackets", 500, 0, 2, 20000, .unknown = true, .brackets = true,
+     .polish = true, .large = true},
     {"network for cameras", 112, 20, 2, 20000, .unknown = true, .network = true,
      .cameras_only = true, .polish = true, .stereo = true},
     {"network for cameras, views larger than its own", 252, 0, 0, 100, .unknown = true,
@@ -55,6 +60,7 @@ static const struct kind kinds[] = {
 enum { KINDS = sizeof kinds / sizeof kinds[0], SHOTS = PLACES * STEPS_OF_EXPOSURE };
 
 static struct shot photographs[SHOTS]; // exposures of a place one after another
+static struct image8 enlarged[SHOTS];  // TIMES as large
 static struct network network;
 
 /* ---- photographs ---- */
@@ -66,6 +72,16 @@ static void develop(const float *radiance, double exposure, uint8_t *px)
             double v = (double)radiance[c * PHOTO * PHOTO + i] * exposure;
             px[3 * i + c] = (uint8_t)lrint(255 * pow(fmin(v, 1), 1 / 2.2));
         }
+}
+
+static void enlarge(const struct image8 *in, struct image8 *out)
+{
+    *out = (struct image8){in->w * TIMES, in->h * TIMES, 3,
+                           malloc((size_t)(TIMES * TIMES) * 3 * PHOTO * PHOTO)};
+    assert_non_null(out->px);
+    for (int y = 0; y < out->h; y++)
+        for (int x = 0; x < out->w; x++)
+            memcpy(out->px + 3 * (y * out->w + x), in->px + 3 * (y / TIMES * in->w + x / TIMES), 3);
 }
 
 static void photograph(const struct camera *cam, const float *radiance, int place)
@@ -80,6 +96,7 @@ static void photograph(const struct camera *cam, const float *radiance, int plac
         s->image = (struct image8){PHOTO, PHOTO, 3, malloc(PHOTO * PHOTO * 3)};
         assert_non_null(s->image.px);
         develop(radiance, s->exposure, s->image.px);
+        enlarge(&s->image, &enlarged[place * STEPS_OF_EXPOSURE + k]);
     }
 }
 
@@ -117,7 +134,7 @@ static int close_all(void **state)
 {
     (void)state;
     for (int i = 0; i < SHOTS; i++)
-        free(photographs[i].image.px);
+        free(photographs[i].image.px), free(enlarged[i].px);
     network_close(&network);
     return 0;
 }
@@ -134,6 +151,10 @@ static struct capture choose(const struct kind *k, struct shot *shots)
             continue;
         shots[n] = photographs[i];
         shots[n].again = k->brackets && step > 0;
+        if (k->large) {
+            shots[n].image = enlarged[i];
+            shots[n].cam = pose_scaled(&shots[n].cam, enlarged[i].w, enlarged[i].h);
+        }
         shots[n++].has_camera = !k->unknown;
     }
     return (struct capture){n, shots};

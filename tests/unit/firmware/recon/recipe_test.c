@@ -205,16 +205,38 @@ static void no_more_gaussians_than_pixels(void **state)
 static void sizes(void **state)
 {
     (void)state;
+    struct shot all[VIEWS] = {0};
+    struct capture c = {VIEWS, all};
     struct job_config cfg = config('-', "psr");
-    assert_int_equal(recipe_size(&cfg), 448);
+    for (int i = 0; i < VIEWS; i++)
+        all[i].image = (struct image8){.w = 300, .h = 1000 + i};
+    assert_int_equal(recipe_size(&cfg, &c), cfg.size); // as asked
+    cfg.size = RECIPE_SIZE_FULL;
+    assert_int_equal(recipe_size(&cfg, &c), 1000 + VIEWS - 1);
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), RECIPE_AUTO_MAX);
+    all[0].image.w = 100000000 / 300;
+    assert_int_equal(recipe_size(&cfg, &c), RECIPE_AUTO_MAX);
+    cfg.size = RECIPE_SIZE_FULL;
+    assert_int_equal(recipe_size(&cfg, &c), 4080); // what is drawn at once
+    for (int i = 0; i < VIEWS; i++)
+        all[i].image = (struct image8){.w = 300, .h = 200};
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), 448);
+    cfg.square = true;
+    assert_int_equal(recipe_size(&cfg, &c), 448);
     cfg = config('g', "psr"); // stereo sees the scene
-    assert_int_equal(recipe_size(&cfg), 448);
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), 448);
     cfg = config('g', "pr");
-    assert_int_equal(recipe_size(&cfg), 224);
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), 224);
     cfg = config('g', "ps");
-    assert_int_equal(recipe_size(&cfg), 224);
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), 224);
     cfg = config('c', "p");
-    assert_int_equal(recipe_size(&cfg), 448);
+    cfg.size = RECIPE_SIZE_AUTO;
+    assert_int_equal(recipe_size(&cfg, &c), 448);
 }
 
 /* Cameras of test photographs: none is known, whatever the scene starts from. */
