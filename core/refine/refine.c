@@ -1,5 +1,5 @@
-/* One step: draw a view, render it (smaller in the first steps, level_at), loss, backward; the gradient
- * of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
+/* One step: draw a view, render it (smaller in the first steps, level_at), loss, backward; the
+ * gradient of each block of splats goes straight into Adam while it is in the cache. Exposures of a view
  * share the rendering: its loss is their mean, and black or saturated pixels have hardly any slope
  * on the curve.
  *
@@ -95,7 +95,7 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
-/* Level of a step: a third of the steps sees the smallest pictures, the others take equal shares. */
+/* A third of the steps sees the smallest pictures, the other levels share the rest equally. */
 static int level_at(int step, int steps, int levels)
 {
     if (levels < 2 || 3 * step < steps)

@@ -118,8 +118,8 @@ static bool fits(const struct job_memory *m, int limit_mb)
     return (double)arena_add(files, arenas) <= limit_mb * 1e6;
 }
 
-/* The largest size up to the one asked for that fits into the memory allowed; 0: none that is larger
- * than what cameras and depth are found in. */
+/* The largest size up to the one asked for that fits into the memory allowed; 0: none above that of
+ * cameras and depth. */
 static int largest_size(const struct request *rq, const struct state *st,
                         const struct job_config *job)
 {

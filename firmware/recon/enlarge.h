@@ -1,5 +1,5 @@
-/* enlarge.h - from the views that cameras and depth were found in to those that the scene is refined
- * with: the same photographs, read once more at the size that was asked for. */
+/* enlarge.h - from the views that cameras and depth were found in to those of refinement: the same
+ * photographs, read once more at the size that was asked for. */
 #ifndef RECON_ENLARGE_H
 #define RECON_ENLARGE_H
 

@@ -111,7 +111,7 @@ int recipe_size(const struct job_config *cfg, const struct capture *c)
     return cfg->square ? SIZE_DEFAULT : num_max(SIZE_DEFAULT, num_min(full, RECIPE_AUTO_MAX));
 }
 
-/* Cameras and depth need no more than WORK_SIZE, and take time that grows faster than the pixels. */
+/* Cameras and depth need no more than WORK_SIZE, and take time that grows with the pixels. */
 int recipe_work(const struct job_config *cfg)
 {
     const bool square = cfg->square || !takes_stereo(cfg, false);

@@ -390,7 +390,8 @@ static void test_begin(void **state)
     } cases[] = {{0, 9, 40000, 40000},     {100, 9, 40000, 33333},  {300, 9, 40000, 27777},
                  {300, 200, 40000, 33333}, {1000, 9, 40000, 20000}, {300, 9, 1, 0}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        struct refine_config cfg = {.steps = cases[i].steps, .gaussians_max = cases[i].most, .levels = 2};
+        struct refine_config cfg = {
+            .steps = cases[i].steps, .gaussians_max = cases[i].most, .levels = 2};
         assert_in_range(refine_begin(&cfg, cases[i].places), cases[i].begin, cases[i].begin + 1);
     }
 }
