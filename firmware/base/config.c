@@ -39,7 +39,7 @@ static const struct key keys[] = {
     {"max_memory_mb", FIELD(max_memory_mb), 64, MEMORY_MAX_MB, 1, 0,
      "refuse jobs that need more, MB; 0 = 3/4 of the machine's", WHOLE, NULL, 0},
     {"size", FIELD(size), 56, 4080, 1, CONFIG_SIZE_AUTO,
-     "longer edge of the pictures that scenes are made of, px; full = the photographs'", WHOLE,
+     "longer edge of pictures, px; full = the photographs'", WHOLE,
      "auto|full", 0},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "start of the random numbers", WHOLE, NULL, 0},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none",
