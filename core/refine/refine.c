@@ -1,7 +1,7 @@
 /* One step: draw a view, render it (smaller in the first steps, level_at), loss, backward; the
  * gradient of each block of splats goes straight into Adam while it is in the cache. Exposures of
- * a view share the rendering: its loss is their mean, and black or saturated pixels have hardly any slope
- * on the curve.
+ * a view share the rendering: its loss is their mean, and black or saturated pixels have hardly any
+ * slope on the curve.
  *
  * Held-out squares of the input views (1 in 24 squares of 32 px, others in every view, so that most
  * photographs still show each surface) decide the size of the model:
