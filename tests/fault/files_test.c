@@ -1,6 +1,7 @@
 /* Photographs, pictures and scenes when memory runs out anywhere, libraries included. */
 #include "core/base/gaussians.h"
 #include "drivers/format/cameras.h"
+#include "drivers/format/colmapwrite.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/glb.h"
 #include "drivers/format/imageset.h"
@@ -10,6 +11,7 @@
 #include "drivers/format/sidecar.h"
 #include "drivers/format/spz.h"
 #include "drivers/format/spzwrite.h"
+#include "drivers/format/transforms.h"
 #include "tests/fault/alloc_fail.h"
 #include "tests/unit/tmpdir.h"
 
@@ -69,6 +71,35 @@ static err_t set(void *ctx)
     if (!e)
         e = imageset_load(&s);
     imageset_free(&s);
+    return e;
+}
+
+/* Cameras and points as other programs read them. */
+static err_t rigs(void *ctx)
+{
+    (void)ctx;
+    const char *json = tmpdir_path("transforms.json"), *ply = tmpdir_path("points.ply");
+    struct colmap_point p[2] = {{{1, 2, 3}, {4, 5, 6}}, {{0, 0, 1}, {7, 8, 9}}};
+    struct colmap_points points = {2, p}, back = {0};
+    struct rig in, out = {0};
+    err_t e = cameras_read(tmpdir_path("cameras.json"), &in);
+    if (!e)
+        e = colmapwrite_run(tmpdir_root, true, &in, &points);
+    if (!e)
+        e = colmap_read(tmpdir_root, &out);
+    cameras_free(&out);
+    if (!e)
+        e = colmap_read_points(tmpdir_root, &back);
+    colmap_free_points(&back);
+    unlink(json), unlink(ply);
+    if (!e)
+        e = removed(transforms_write(json, &in, "points.ply"), json);
+    if (!e)
+        e = removed(transforms_write_points(ply, &points), ply);
+    if (!e)
+        e = transforms_read(json, &out);
+    cameras_free(&out);
+    cameras_free(&in);
     return e;
 }
 
@@ -215,6 +246,12 @@ static void sets_survive(void **state)
     survives(set);
 }
 
+static void rigs_survive(void **state)
+{
+    (void)state;
+    survives(rigs);
+}
+
 static void scenes_survive(void **state)
 {
     (void)state;
@@ -261,9 +298,9 @@ static int make_set(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(pictures_survive),      cmocka_unit_test(radiance_survives),
-        cmocka_unit_test(sets_survive),          cmocka_unit_test(scenes_survive),
-        cmocka_unit_test(packed_splats_survive),
+        cmocka_unit_test(pictures_survive), cmocka_unit_test(radiance_survives),
+        cmocka_unit_test(sets_survive),     cmocka_unit_test(rigs_survive),
+        cmocka_unit_test(scenes_survive),   cmocka_unit_test(packed_splats_survive),
     };
     return cmocka_run_group_tests(tests, make_set, tmpdir_teardown);
 }
