@@ -12,9 +12,9 @@
 enum { STEPS = 512, NEWTON = 60 };
 
 #define RADIUS_MAX 20.0  // tan of 87 degrees: where a lens without distortion ends
-#define CONVERGED 1e-12  // of the focal length
+#define CONVERGED 1e-12  // relative to the focal length
 #define INVERSE 1e-9     // the promise of lens_unproject
-#define LEAST_SLOPE 1e-3 // of the distorted radius, at the limit
+#define LEAST_SLOPE 1e-3 // derivative of the distorted radius, at the limit
 
 static const struct {
     const char *name;

@@ -9,7 +9,7 @@
 
 struct plan {
     struct arena keep, tmp; // both count
-    int threads;            // of the pool
+    int threads;            // in the pool
 };
 
 struct plan plan_begin(int threads);

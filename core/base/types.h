@@ -136,7 +136,7 @@ enum {
  * NULL or unused. */
 struct gaussians {
     int n, cap;                 // used; room in each plane
-    int degree;                 // of the spherical harmonics, 0..4
+    int degree;                 // spherical harmonics: 0..4
     float *plane[G_PLANES_MAX]; // (cap) each, 64-byte aligned, cap a multiple of 16
 };
 
@@ -175,7 +175,7 @@ enum { TAP_RANK_MAX = 5 };
 /* One intermediate tensor, or one of `parts` equal pieces of it in C order. */
 struct tap_tensor {
     const char *name;              // as in the reference's golden data
-    int rank, shape[TAP_RANK_MAX]; // of the whole tensor
+    int rank, shape[TAP_RANK_MAX]; // shape of the whole tensor
     int part, parts;
     const float *data;           // first element of this piece, or NULL:
     const int32_t *ints;         // the same as integers

@@ -26,7 +26,7 @@ enum { ROWS = 16, STEP = 64 }; // rows of a tile; inputs of a step
 
 struct tile_config { // Intel SDM vol. 1, 18.2
     uint8_t palette, start_row, reserved[14];
-    uint16_t bytes[16]; // of a row
+    uint16_t bytes[16]; // bytes per row
     uint8_t rows[16];
 };
 

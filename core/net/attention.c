@@ -86,7 +86,7 @@ static float quantise_part(const struct gemm_kernels *k, const float *x, int n, 
 /* A block of tokens of one head. */
 struct block {
     const struct attention *a;
-    size_t head;     // of all sequences: seq heads + head
+    size_t head;     // among all sequences: seq heads + head
     int seq, in_seq; // sequence; head of it
     int first, n;    // tokens of the sequence
     const float *q, *k, *v;

@@ -34,12 +34,12 @@ struct attention {
 struct attention_workspace {
     union {
         int32_t *s; // (ROWS, KEYS) logits
-        float *sf;  // of floats; become weights in place
+        float *sf;  // for floats; become weights in place
     };
     int8_t *p; // (ROWS, KEYS) weights
     union {
         int32_t *c; // (ROWS, width) sums
-        float *cf;  // of floats
+        float *cf;  // for floats
     };
     float *top, *sum, *rescale, *weigh; // (ROWS)
     float *transposed;                  // (width, KEYS) values, transposed

@@ -13,7 +13,7 @@ struct block {
     int n_views, view_tokens, width, heads;
     bool global;                // all views are one sequence; else each view is its own
     unsigned floats;            // NET_FLOAT_ bits
-    float eps;                  // of the two norms
+    float eps;                  // in both norms
     const float *cosine, *sine; // (P, C / heads / 2) for head_rotary; NULL: no rotary embedding
     float *x;                   // (V P, C), in place
     float *q, *k;               // out: (heads, V P, C / heads) after their norms, or NULL

@@ -24,7 +24,7 @@ typedef void layer_fetch_fn(const void *ctx, int y, int x, int n, float *out);
 struct layer_conv {
     const struct weight *w; // segs = kh, seg = kw channels
     int kh, kw, stride, pad, channels;
-    int h, w_px; // of the input
+    int h, w_px; // input size
     layer_fetch_fn *fetch;
     const void *ctx;
     bool floats;

@@ -10,7 +10,7 @@
 
 #include <math.h>
 
-#define LOG_MAX 80.0f // of a depth or its inverse
+#define LOG_MAX 80.0f // bounds a depth and its inverse
 
 struct tail {
     const struct run *r;

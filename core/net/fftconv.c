@@ -13,7 +13,7 @@
 
 enum { WEIGHT_TILE = FFT_EDGE * FFT_EDGE * PANEL, KERNEL_MIN = 5, KERNEL_MAX = 9 };
 
-struct room {        // of a worker
+struct room {        // per worker
     float *strip;    // (FFT_EDGE, width, channels) input of a row of tiles
     float *in, *out; // (FFT_PLANES, tiles, channels), (FFT_PLANES, tiles, n)
     float *px;       // (edge, edge, n)

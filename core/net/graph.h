@@ -30,8 +30,8 @@ struct dpt_weights { // core/net/README.md 2.5
     const float *norm_g, *norm_b;
     struct weight project[NET_KEEP], resize[NET_KEEP];   // resize[2] is unused
     struct weight rn[NET_KEEP];                          // layer1_rn .. layer4_rn
-    struct rcu_weights unit1[NET_KEEP], unit2[NET_KEEP]; // of refinenet1 .. 4; unit1[3] is unused
-    struct weight out_conv[NET_KEEP];                    // of refinenet1 .. 4
+    struct rcu_weights unit1[NET_KEEP], unit2[NET_KEEP]; // in refinenet1 .. 4; unit1[3] is unused
+    struct weight out_conv[NET_KEEP];                    // in refinenet1 .. 4
     struct weight output_conv1;
 };
 

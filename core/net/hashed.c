@@ -87,7 +87,7 @@ static struct span by_name(const struct tensor_spec *t, double he)
             return (struct span){(float)(rules[k].scale + rules[k].of_he * he), rules[k].offset,
                                  SIZE_MAX};
     if (t->rank == 1)
-        return (struct span){0.1f, 1, SIZE_MAX}; // of a norm
+        return (struct span){0.1f, 1, SIZE_MAX}; // a norm's weights
     if (t->role == ROLE_CONV_T)
         return (struct span){(float)sqrt(3.0 / t->shape[0]), 0, SIZE_MAX};
     return (struct span){(float)he, 0, SIZE_MAX};

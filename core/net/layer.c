@@ -17,7 +17,7 @@ enum {
     DEEP_K = 2048,
     ROTATED = 8,            // float rows that are rotated at a time
     PANEL_K = 512,          // inputs of weights that are turned to floats at a time
-    TILE_FLOATS = 320 << 10 // of an input tile at most, unless one row of pixels has more
+    TILE_FLOATS = 320 << 10 // largest input tile, unless one row of pixels has more
 };
 
 /* A block of rows and the weights that multiply it. */
@@ -293,7 +293,7 @@ void layer_plan(struct plan *p, int k)
 struct tiling {
     int out_h, out_w, tile_h, tile_w; // px
     int in_h, in_w;                   // px, of the input of a tile
-    int rows, columns;                // of tiles
+    int rows, columns;                // in tiles
 };
 
 static size_t tile_floats(const struct tiling *t, const struct layer_conv *c)

@@ -22,7 +22,7 @@ struct layer_workspace {
     float *scale;   // (LAYER_ROWS)
     union {
         int32_t *c; // (LAYER_ROWS, 4 PANEL) sums
-        float *cf;  // of floats
+        float *cf;  // for floats
     };
     float *panel; // weights as floats, some panels and inputs at a time
 };

@@ -30,7 +30,7 @@ struct model_tensor {
     struct tensor_spec spec;
     enum precision type;
     const void *data;
-    const float *scale; // of I8
+    const float *scale; // for I8
 };
 
 struct model {

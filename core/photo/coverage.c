@@ -24,8 +24,8 @@ enum {
 };
 #define TIME_COST 0.25  // mean log2 SNR that a doubling of the sum of times must bring
 #define TIME_FREE_S 0.1 // sums of times below do not count
-#define DARK_AIM 0.85   // of the share that may be dark: noise of the probes adds to it
-#define GAIN_LEAST 0.5  // of `clip`: least gain of one more exposure beyond the device
+#define DARK_AIM 0.85   // part of the share that may be dark; the noise of the probes adds the rest
+#define GAIN_LEAST 0.5  // times `clip`: least gain of another exposure beyond the device
 #define SLIGHT 1e-9     // rounding of shares
 
 double coverage_legal_s(const struct meter_config *c, double t)

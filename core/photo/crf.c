@@ -26,7 +26,7 @@ enum {
     MOST = 9,      // pictures
     LIST = 32768,  // pixels of a channel
     STRATUM = 256, // pixels of one mean code
-    ROUGH = 8,     // of one mean code, in surroundings that are not flat
+    ROUGH = 8,     // samples per mean code whose surroundings are not flat
     KNOTS = 7,     // intervals of the family's spline
     TERMS = KNOTS + 3,
     HELD = 4,            // every HELD-th pixel is held out
@@ -38,7 +38,7 @@ enum {
     ROBERTSON_STEPS = 20 // more only drift where no data hold the curve
 };
 #define SMOOTH 1e-3    // weight of second differences, of the sum of weights
-#define RIDGE 1e-9     // of the mean diagonal
+#define RIDGE 1e-9     // relative to the mean diagonal
 #define RATIO_MIN 1.1  // least ratio of the longest to the shortest exposure
 #define NOISE 0.01     // stops, noise of a pixel besides the rounding of its code
 #define EDGE 30.0      // how much steeper than the hat the family's weights rise from the ends

@@ -58,13 +58,13 @@ enum {
 #define ALIKE 1.5f         // codes: rows that differ by less on average are the same,
 #define ALIKE_PLACE 2.0f   // if no place differs by more: four errors of a black level
 #define ALIKE_SIGMAS 2.0f  // standard errors added to that difference
-#define STEP_BRIGHT 0.008f // of x: least step of a display's codes there, beyond the step at black
+#define STEP_BRIGHT 0.008f // relative to x: least step of display codes, beyond the step at black
 
 struct scale {
     const struct raw *px;
     int clip;            // first code that counts as clipped
     float unit;          // relative exposure of a code of linear numbers
-    float table[3][256]; // of display values
+    float table[3][256]; // by display value
     float dark[3];       // relative exposure below which a place is dark
 };
 

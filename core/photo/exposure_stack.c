@@ -19,9 +19,9 @@ enum {
     CELLS = 64,
     REACH = 32,
     ENTRIES = 2 * REACH * CELLS
-}; // of the curve: entries per stop; stops; entries
+}; // table of the curve: entries per stop; stops; entries
 
-static const double GAIN = 0.001; // of the largest mean weight
+static const double GAIN = 0.001; // relative to the largest mean weight
 
 struct stack {
     const struct run *r;
@@ -255,7 +255,7 @@ static void fill_tables(struct stack *s, const struct tonemap *tone, const struc
     for (int k = 0; k < 3 * 256; k++) {
         const float w = s->table.weight[k / 256][k % 256];
         s->x[k / 256][k % 256] = s->table.x[k / 256][k % 256] + tone->mid_log2t;
-        s->w[k / 256][k % 256] = w / (1.02f - w); // of w = 1 / (1 + variance)
+        s->w[k / 256][k % 256] = w / (1.02f - w); // from w = 1 / (1 + variance)
     }
     for (int k = 0; k < 3 * ENTRIES; k++) {
         float x = ((float)(k / 3) + 0.5f) / CELLS - REACH + log2t - curve->mid_log2t;

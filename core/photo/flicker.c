@@ -13,7 +13,7 @@
 enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
 
 #define DARKEST 8.0f   // times the floor in a long frame, so that a short one still sees the place
-#define BRIGHTEST 0.7f // of saturation
+#define BRIGHTEST 0.7f // relative to saturation
 #define EXPLAINED 0.8  // least share of the squares
 #define LEAST_DEPTH 0.02 // less is within any tolerance
 #define DEPTH_MOST 1.05  // depth, errors included

@@ -15,7 +15,7 @@ struct merge_set {
     const struct raw *frames; // (n)
     int n;                    // 1..MERGE_FRAMES_MAX
     const double *exposure_s; // (n) time x gain, > 0
-    const struct crf *crf;    // of display values; NULL: sRGB
+    const struct crf *crf;    // response of display values; NULL: sRGB
     const struct develop *how;
 };
 

@@ -26,10 +26,11 @@ enum {
 };
 #define SEEN_SNR 3.0      // least ratio at which a pixel of a probe is placed in the histogram
 #define FIRST_MAX_S 1.0   // the first probe is in the middle of the range of times up to here
-#define TOP_SIGMAS 1.0    // of its noise that are added to a place at the bright end,
+#define TOP_SIGMAS 1.0    // standard deviations added to a place at the bright end,
 #define BOTTOM_SIGMAS 0.7 // and subtracted at the dark end
-#define CHECK_SHARE 0.9   // of snr is enough afterwards: it includes the noise of one place
-#define SLIGHT 1e-9       // rounding of shares
+#define CHECK_SHARE                                                                                \
+    0.9             // share of snr that is enough afterwards: it includes the noise of one place
+#define SLIGHT 1e-9 // rounding of shares
 
 /* --- configuration -------------------------------------------------------------------------- */
 
@@ -135,7 +136,7 @@ struct sampler {
     bool mosaic;
     int stride, w, h; // px between places; places
     float scale;
-    float x[3][256]; // of display codes
+    float x[3][256]; // by display code
 };
 
 static void sampler_init(const struct raw *px, const struct crf *crf, struct sampler *s)

@@ -39,7 +39,7 @@ struct meter_result {
     int n;
     double time_s[METER_EXPOSURES_MAX]; // rising
     int probe[METER_EXPOSURES_MAX];     // the probe with that time, or -1
-    double stops;                       // of the scene
+    double stops;                       // range of the scene
     double snr;                         // expected, worst of the merged set within the scene
     double clipped, dark;               // shares expected
     bool too_bright, too_dark;          // the scene exceeds the device

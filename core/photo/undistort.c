@@ -10,11 +10,11 @@
 enum {
     BORDER = 64, // points on a side of the frame that are looked at
     HALVINGS = 60,
-    SAMPLES = 8, // of a footprint, along a side
-    ROWS = 32    // of a chunk
+    SAMPLES = 8, // per side of a footprint
+    ROWS = 32    // per chunk
 };
 
-#define LEAST_SCALE 0.1  // of the frame
+#define LEAST_SCALE 0.1  // relative to the frame
 #define SCALE_MAX 4096.0 // a side of one pixel grows no further
 
 /* ---- the pinhole ---- */

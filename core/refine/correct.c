@@ -16,7 +16,7 @@ static const float LIKE = 1;   // stops between what may be one thing
 static const float WIDEST = 1; // px, standard deviation of a Gaussian in its own view
 static const float LN2 = 0.69314718f;
 
-enum { DIMMEST = 2, BRIGHTEST = 252 }; // of the display values that response_tabulate gives weight
+enum { DIMMEST = 2, BRIGHTEST = 252 }; // range of display values with a weight in response_tabulate
 enum { CELLS = 1536 };
 static const float END = 24, CELL = 48.0f / CELLS; // stops
 
@@ -113,7 +113,7 @@ err_t correct_cameras(const struct run *r, const struct camera *cams, const floa
     return e;
 }
 
-/* Of `planes` arrays of `from` views, one after another, those views that are kept. */
+/* Keeps the views chosen in each of `planes` arrays of `from` views, one after another. */
 static void keep_views(const bool *keep, int from, int planes, size_t bytes, void *data)
 {
     char *to = data;
@@ -151,7 +151,7 @@ struct sharpen {
     float scale;
     struct prediction *p;
     struct visibility sight;
-    struct response_table table; // of the photographs
+    struct response_table table; // tables of the photographs
     float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
     float *depth;                // (n) in units of the maps
 };

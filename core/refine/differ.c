@@ -221,7 +221,7 @@ err_t differ_measure(const struct differ_look *ref, const struct differ_look *p,
                      struct arena *tmp, double out[DIFFER_FIGURES])
 {
     const size_t mark = arena_mark(tmp);
-    float *work; // of two views or more, so that all fits that is said above
+    float *work; // sized for two views at least, so that all of the above fits
     for (int i = 0; i < DIFFER_FIGURES; i++)
         out[i] = NAN;
     err_t e = alloc_work(tmp, count_pixels(ref), &work);

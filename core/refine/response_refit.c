@@ -23,7 +23,7 @@ struct refit {
     struct visibility sight;
     struct response_pair *pairs; // (PAIRS EACH)
     int n;
-    uint32_t hist[2][3][256]; // of the surfaces that two views share
+    uint32_t hist[2][3][256]; // counts over the surfaces that two views share
     int shared;
 };
 

@@ -13,7 +13,7 @@ void anysplat_radiance(struct gaussians *g)
     for (int c = 0; c < 3; c++)
         for (int i = 0; i < g->n; i++) {
             float mean = g->plane[G_SH + c][i] * (float)SH_BASIS0 + 0.5f;
-            float gain = mean > DARKEST ? 1 / mean : 0; // of d ln v = d v / v
+            float gain = mean > DARKEST ? 1 / mean : 0; // by d ln v = d v / v
             g->plane[G_SH + c][i] = logf(fmaxf(mean, DARKEST)) / (float)SH_BASIS0;
             for (int p = G_SH + 3 + c; p < gaussians_planes(g->degree); p += 3)
                 g->plane[p][i] *= gain;

@@ -205,7 +205,7 @@ void path_orbit(const struct camera *cams, int n_cams, double far, int i, int n,
 
 /* ---- through the cameras ---- */
 
-#define STOP_SHARE 0.1 // of the mean step: cameras nearer than that are one stop
+#define STOP_SHARE 0.1 // times the mean step: nearer cameras are one stop
 
 struct pose {
     double c[3], q[4]; // centre; rotation as in struct camera
@@ -245,7 +245,7 @@ static struct pose pose_between(const struct pose *a, const struct pose *b, doub
     return out;
 }
 
-/* Of the two quaternions of b's rotation the one nearer to a's. */
+/* The one of the two quaternions of b's rotation that is nearer to a's. */
 static void align_pose(const struct pose *a, struct pose *b)
 {
     double cosine = 0;

@@ -21,8 +21,8 @@ enum {
     RETREATS = 16,  // steps by which a guess may go back
     TRIES = 12,     // times the detail may be given up
     SAMPLES = 4,    // pixels per axis that are read for the colour of a splat in one view
-    LEVELS_MAX = 9, // of the smooth depth
-    BINS = 64       // of inverse depth between the farthest and the nearest usable surface
+    LEVELS_MAX = 9, // pyramid of the smooth depth
+    BINS = 64       // histogram of inverse depth, from the farthest to the nearest usable surface
 };
 
 enum {

@@ -9,7 +9,7 @@
 
 struct seed_input {
     const struct views *views;     // with cameras
-    const struct depthmaps *depth; // of sweep_run for these views
+    const struct depthmaps *depth; // from sweep_run for these views
     const struct tonemap *tone;    // response of the pictures
 };
 

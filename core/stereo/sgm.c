@@ -50,7 +50,7 @@ static void path_row(const struct path_io *io, int n)
     }
 }
 
-enum { FAR_COST = 16000 }; // of the planes beyond the first and last
+enum { FAR_COST = 16000 }; // cost of planes beyond the first and last
 
 /* Row y of path p of 3, which comes from pixel x - 1 + p of row y - dir. The two halves of m->path
  * alternate between the row before and this one. */

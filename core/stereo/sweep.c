@@ -25,7 +25,7 @@ enum {
     RADIUS = 2,       // px, of the matching window
     TAPS = 2 * RADIUS + 1,
     SUMS = 3,        // weighted moments of a window, D = I - J: w, wD, wDD
-    COST_UNIT = 100, // of sgm: cost of 1.0
+    COST_UNIT = 100, // the cost 1.0 in sgm
     FINE = 3200,     // cost of 1.0 of one neighbour
     COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };

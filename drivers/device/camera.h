@@ -55,7 +55,7 @@ struct exposure {
     double gain;   // analogue, >= 1
 };
 
-enum camera_stamp { CAMERA_STAMP_START, CAMERA_STAMP_END }; // of the first row's exposure
+enum camera_stamp { CAMERA_STAMP_START, CAMERA_STAMP_END }; // when the first row is exposed
 
 enum { CAMERA_UNIT_CAP = 128 }; // bytes with the terminating 0
 
@@ -65,9 +65,9 @@ struct camera_info {
                                 // it names a calibration; printable, without spaces
     int w, h, stride;           // px; bytes from row to row
     enum camera_format format;  // never CAMERA_ANY
-    int bits, black;            // of a mosaic: used bits, black level; else 8, 0
+    int bits, black;            // mosaics: used bits, black level; else 8, 0
     int buffers;                // frames that may be held and waiting together
-    double period_s;            // of frames whose exposure fits into it
+    double period_s;            // between frames whose exposure fits into it
     double time_min_s, time_max_s;
     double time_step_s;             // exposure times are rounded down to multiples; 0 not known
     double gain_max;                // 1: cannot be changed
@@ -75,7 +75,7 @@ struct camera_info {
                                     // that shows it; -1 not known
     enum camera_stamp stamp;        // what timestamp_ns means
     bool reports;                   // frames say their exposure
-    bool limited, bt709;            // of YUV: 16..235 instead of 0..255; matrix, else BT.601
+    bool limited, bt709;            // YUV: 16..235 instead of 0..255; its matrix, else BT.601
 };
 
 enum {
@@ -99,7 +99,7 @@ struct frame {
     double digital_gain, red_gain, blue_gain;
     bool lens_known; // the device reports the position of its lens:
     double lens;     // 1/m, or the device's units; see its option focus=
-    int index;       // of the buffer, for the backend
+    int index;       // which buffer, for the backend
 };
 
 struct camera_ops {

@@ -17,10 +17,10 @@ struct gpio_ask {
     char uri[16 + GPIO_CHIP_CAP + GPIO_LINE_CAP]; // without options, begins every sentence
     char chip[GPIO_CHIP_CAP];                     // path, name or label
     char line[GPIO_LINE_CAP];                     // offset or name
-    int rising;                                   // of a button: the edge that counts
+    int rising;                                   // for a button: the edge that counts
     int bias;                                     // enum gpio_bias, resolved
     double debounce_ms;
-    int active_low; // of a lamp
+    int active_low; // for a lamp
 };
 
 enum gpio_use { GPIO_BUTTON, GPIO_LAMP };
@@ -48,7 +48,7 @@ MUST_USE err_t gpio_set(const struct device_sys *sys, int fd, const struct gpio_
 
 struct gpio_edge {
     int64_t time_ns;
-    uint32_t seqno; // of this line, from 1 on
+    uint32_t seqno; // counts the edges of this line, from 1 on
     bool rising;
 };
 

@@ -24,7 +24,7 @@ struct state {
     struct gpio_count count;
     struct gpiod_chip *chip;
     struct gpiod_line *line;
-    int64_t last_ns; // of the edge before
+    int64_t last_ns; // time of the last edge
 };
 
 static void button_close(void *st)

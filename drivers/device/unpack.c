@@ -129,7 +129,7 @@ enum { SOI = 0xD8, EOI = 0xD9, SOS = 0xDA, RST0 = 0xD0, RST7 = 0xD7, TEM = 0x01 
 struct walk {
     const uint8_t *p;
     size_t n, at;
-    int w, h; // of the frame header; 0 not seen
+    int w, h; // from the frame header; 0: not seen
     bool scan;
 };
 

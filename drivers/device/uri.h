@@ -20,7 +20,7 @@ struct uri_key {
     const char *name;
     size_t offset; // in the struct that is filled in
     enum uri_kind kind;
-    double lo, hi;     // of numbers
+    double lo, hi;     // bounds of numbers
     const char *words; // "one|two|three"
 };
 

@@ -16,7 +16,7 @@ enum { SIDE_MAX = 32768, LIST_MAX = 256, NAME = 5, TEXT = 200 };
 struct pixel {
     enum camera_format format;
     uint32_t fourcc, bus;
-    int bits;     // of a sample
+    int bits;     // per sample
     int group;    // px that are stored together
     int together; // bytes of these
 };

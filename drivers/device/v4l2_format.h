@@ -13,7 +13,7 @@ struct v4l2_layout {
     uint32_t fourcc;
     uint32_t bus;        // the same on the wires from a sensor: a MEDIA_BUS_FMT; 0: not known
     int w, h, stride;    // px, bytes
-    int bits;            // of a sample
+    int bits;            // per sample
     size_t least;        // bytes that a whole frame has; 0: varies (JPEG)
     bool limited, bt709; // as camera_info
 };

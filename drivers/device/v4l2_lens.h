@@ -15,7 +15,7 @@ struct v4l2_lens {
     struct v4l2_node node; // that has the controls; not owned
     struct focus want;
     bool found;       // a search has, since open
-    int64_t until_ns; // of a search that runs; 0: none
+    int64_t until_ns; // when the running search ends; 0: none runs
     bool events;      // come when another program moves it
     bool known;       // the position, as read back
     int64_t position;

@@ -12,7 +12,7 @@
 #include <string.h>
 
 #define TICK_S 1e-4         // V4L2_CID_EXPOSURE_ABSOLUTE
-#define PERIOD_S (1 / 30.0) // of devices that do not tell
+#define PERIOD_S (1 / 30.0) // for devices that do not report it
 enum { LINES_MAX = 1 << 30 };
 
 /* ---- automatic modes ---- */
@@ -23,7 +23,7 @@ struct freeze {
     const char *name;
     uint32_t id;
     enum freeze_to to;
-    int value, or_value; // of VALUE; or_value where it refuses the first
+    int value, or_value; // for VALUE; or_value where the device refuses the first
     bool must;           // pictures of a set could not be compared
 };
 

@@ -18,13 +18,13 @@ struct v4l2_shutter {
     struct v4l2_node node; // that has the controls; not owned
     const struct v4l2_sensor *sensor;
     enum v4l2_shutter_kind kind;
-    double unit_s;             // of an exposure code: 100 us, or the time of a line
+    double unit_s;             // one exposure code: 100 us, or the time of a line
     int64_t least, most, step; // exposure codes
     int64_t vblank, vblank_base, vblank_lo, vblank_hi, vblank_step; // lo == hi: cannot be changed
     int64_t gain_lo, gain_hi; // codes; lo == hi: cannot be changed, or the factor is not known
     int64_t code, gain;       // in force, as read back
     int h;                    // lines of the picture
-    double period_s;          // of frames; for TICKS and FIXED as given to open
+    double period_s;          // between frames; for TICKS and FIXED as given to open
 };
 
 /* Automatic exposure, gain, white balance and focus off; controls that shape the response to

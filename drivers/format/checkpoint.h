@@ -43,7 +43,7 @@ enum checkpoint_type { CHECKPOINT_F32, CHECKPOINT_BF16, CHECKPOINT_F16, CHECKPOI
 struct checkpoint_tensor {
     char name[CHECKPOINT_NAME_CAP];
     enum checkpoint_type type;
-    char kind[CHECKPOINT_KIND_CAP]; // of OTHER: the type's name in the file
+    char kind[CHECKPOINT_KIND_CAP]; // for OTHER: the type's name in the file
     bool negative;                  // the values are those stored times -1
     int part, rank;
     size_t shape[CHECKPOINT_RANK_MAX], stride[CHECKPOINT_RANK_MAX]; // elements

@@ -20,7 +20,7 @@ struct compressed_in {
     const uint8_t *p; // rest of the stream, not owned
     size_t left;
     bool ended;  // all of the stream has been read
-    void *state; // of the library
+    void *state; // owned by the library
 };
 
 /* Read a stream of n bytes at p.

@@ -131,7 +131,7 @@ struct reader {
     size_t n_bytes;
     exr_context_t ctxt;
     exr_storage_t storage;
-    int first_row;                // of the data window
+    int first_row;                // first row of the data window
     const char *channel[COLOURS]; // in the file; three times "Y" if it is grey
     struct image *out;
     int x, y; // in out, top left pixel of the chunk being read
@@ -579,7 +579,7 @@ static err_t write_blocks(struct writer *w)
     exr_result_t code = exr_get_scanlines_per_chunk(w->ctxt, w->part, &lines);
     for (int i = 0; i < w->n_channels && !code; i++) {
         struct channel *c = &w->channel[i];
-        if (c->rows) // of the part before: all have the same blocks
+        if (c->rows) // set by the part before: all parts have the same blocks
             continue;
         c->rows = calloc((size_t)lines * (size_t)w->w, c->half ? sizeof(uint16_t) : sizeof(float));
         if (!c->rows)

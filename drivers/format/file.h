@@ -28,7 +28,7 @@ MUST_USE err_t file_map(const char *path, size_t max, struct file_map *out);
 /* Accepts a zeroed map. */
 void file_unmap(struct file_map *m);
 
-bool file_exists(const char *path); // of any kind
+bool file_exists(const char *path); // a file of any kind, or a folder
 /* Let the kernel drop the map's pages; they are read again on the next access. */
 void file_drop(const struct file_map *m);
 

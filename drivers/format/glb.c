@@ -44,7 +44,7 @@ enum source { POSITION, COLOUR_0, ROTATION, SCALE, OPACITY, DISPLAY, LOG_RADIANC
 
 struct attribute {
     enum source source;
-    int harmonic; // of the last two
+    int harmonic; // for the last two
     int components, type;
     char name[96];
     /* when read */
@@ -52,7 +52,7 @@ struct attribute {
     size_t stride;
     bool normalized;
     int view;
-    size_t from, to; // of its view
+    size_t from, to; // within its view
 };
 
 struct list {

@@ -257,7 +257,7 @@ static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
     int code = spng_set_option(ctx, SPNG_ENCODE_TO_BUFFER, 1);
     if (!code && fast)
         code = spng_set_option(ctx, SPNG_IMG_COMPRESSION_LEVEL, 1);
-    if (!code && fast) // of the filters that help, the one that costs least: by measurement
+    if (!code && fast) // the cheapest filter that helps, by measurement
         code = spng_set_option(ctx, SPNG_FILTER_CHOICE, SPNG_FILTER_CHOICE_UP);
     if (!code)
         code = spng_set_ihdr(ctx, &head);

@@ -30,7 +30,7 @@
 
 struct modelfile {
     struct model model;
-    struct model_tensor *tensors; // of model
+    struct model_tensor *tensors; // tensors of model
     struct safetensors head;
     struct file_map map;
     const char *checksum;

@@ -10,7 +10,7 @@
 
 struct partial {
     char dir[FILE_PATH_CAP]; // "" if there is none
-    int fd;                  // of dir, locked
+    int fd;                  // dir, locked
 };
 
 /* Begin the file or folder for `path`, whose parent folder exists.

@@ -24,10 +24,10 @@ enum {
 };
 
 #define EV_MAX 200         // stops; two floats are never further apart
-#define EV_FOUND_MAX 64.0f // of scenes whose ev is not told
+#define EV_FOUND_MAX 64.0f // for scenes without a given ev
 #define STALE_RATIO 0.03   // ten times what half floats do
 #define STALE_LEAST 1e-3
-#define BLACK 4e-4                      // of f_dc: too near to black to tell an ev
+#define BLACK 4e-4                      // for f_dc: too near to black to estimate an ev
 #define SHOWN_MIDDLE 1.7724538509055159 // 0.5 / Y0, which f_dc lacks
 
 /* ---- writing ---- */
@@ -139,12 +139,12 @@ struct property {
 };
 
 struct header {
-    size_t bytes; // of the header
+    size_t bytes; // size of the header
     size_t row;   // bytes
     int n_rows, n;
     bool has_format, in_vertex, past_vertex;
     bool has_ev;
-    float ev; // of the comment
+    float ev; // from the comment
     struct property v[PROPERTIES_MAX];
 };
 
@@ -245,7 +245,7 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
     if (is(w, 3, "element"))
         return take_element(what, w, h);
     if (w->n > 0 && strcmp(w->v[0], "property") == 0)
-        return h->in_vertex ? take_property(what, w, h) : OK; // of later elements: ignored
+        return h->in_vertex ? take_property(what, w, h) : OK; // later elements are ignored
     return err_fail(ERR_FORMAT, "%s: header line that begins with \"%s\"", what,
                     w->n ? w->v[0] : "");
 }

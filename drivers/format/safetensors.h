@@ -64,7 +64,7 @@ const char *safetensors_word(const struct safetensors *s, const char *key);
 struct safetensors_writer {
     FILE *f;
     char *text;
-    size_t bytes; // of text
+    size_t bytes; // length of text
     uint64_t at;  // end of the data so far
     int words, tensors;
     bool bad; // no memory

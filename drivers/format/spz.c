@@ -39,9 +39,9 @@ struct layout {
     const struct splats_bytes *file;
     struct splats_info info;
     int version, fractional, flags;
-    int degree;                                      // of the display colours
+    int degree;                                      // degree of the display colours
     size_t width[SPZ_ARRAYS];                        // bytes of a splat
-    struct splats_bytes stream[SPZ_ARRAYS], records; // of version 4
+    struct splats_bytes stream[SPZ_ARRAYS], records; // for version 4
     unsigned axes;
     struct record record;
     float colour[256]; // first harmonic, by byte

@@ -41,9 +41,9 @@ enum {
     SPZ_HEADER_3 = 16, // bytes
     SPZ_HEADER_4 = 32,
     SPZ_TOC_ENTRY = 16,
-    SPZ_HAS_RECORDS = 2, // of its flags
+    SPZ_HAS_RECORDS = 2, // a bit of its flags
     SPZ_POSITION_MAX = (1 << 23) - 1,
-    SPZ_MAGNITUDE_MAX = 511, // of a component of a quaternion
+    SPZ_MAGNITUDE_MAX = 511, // largest component of a quaternion
     SPZ_RADIANCE = 0x48440001,
     SPZ_RADIANCE_VERSION = 1,
     SPZ_RADIANCE_HEAD = 12, // bytes

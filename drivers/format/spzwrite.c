@@ -17,12 +17,12 @@
 #include <string.h>
 
 #define SQRT1_2 0.70710678118654752
-#define POSITION_BITS 1.75 // of the sigma of the middle splat; one more is 4 dB and 0.6 bytes
+#define POSITION_BITS 1.75 // below the median splat's sigma; one more bit is 4 dB and 0.6 bytes
 
 enum {
     FRACTIONAL_MAX = 23, // a 24-bit number between -1 and 1
-    COARSEST = 32,       // of SPZ_MAGNITUDE_MAX
-    THINNEST = 8,        // of SPZ_LOG_SCALE_STEP
+    COARSEST = 32,       // part of SPZ_MAGNITUDE_MAX
+    THINNEST = 8,        // part of SPZ_LOG_SCALE_STEP
     STEPS = 16           // per natural logarithm of radiance
 };
 
@@ -36,7 +36,7 @@ struct plan {
     const struct gaussians *g;
     float ev, unit;
     int fractional;
-    int degree; // of the display colours
+    int degree; // degree of the display colours
     size_t width[SPZ_ARRAYS];
     uint8_t *shown; // (n, 3 K): bytes of SPZ_COLOURS and then of SPZ_HARMONICS
 };
@@ -132,7 +132,7 @@ struct pose {
     int axis[3]; // which axis of the splat is the first one, ...
 };
 
-/* Of the 24 ways to name the axes, the one with the largest w: numbers that vary less pack better.
+/* Picks the naming of the axes with the largest w, out of 24: numbers that vary less pack better.
  * R S S R' stays as it is if R becomes R G and S becomes G' S G, for a G that permutes axes. */
 static struct pose pose_of(const struct gaussians *g, int i)
 {

@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-enum { EDGE = SUBSAMPLE_BLOCK * SUBSAMPLE_BLOCKS, BYTES_MAX = 3 }; // of a pixel
+enum { EDGE = SUBSAMPLE_BLOCK * SUBSAMPLE_BLOCKS, BYTES_MAX = 3 }; // bytes per pixel at most
 
 /* Bytes of SUBSAMPLE_BLOCK pixels in a row. */
 static size_t block_bytes(enum camera_format f)

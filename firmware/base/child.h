@@ -16,7 +16,7 @@ enum { CHILD_LINE = 512, CHILD_FDS = 2 };
 struct child {
     pid_t pid; // 0: none runs
     int pidfd, pipe;
-    char part[CHILD_LINE]; // of a line
+    char part[CHILD_LINE]; // the begun line
     size_t n_part;
 };
 

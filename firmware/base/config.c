@@ -17,7 +17,7 @@ enum { MEMORY_MAX_MB = 1048576 };
 enum kind { WHOLE, WORD, TEXT };
 
 struct key {
-    const char *name;              // of numbered ones, without the number
+    const char *name;              // without the number, for numbered keys
     size_t offset;                 // in struct config: of an int, or of count char[CONFIG_TEXT]
     int min, max, multiple, value; // multiple: of which the value must be; value: the default,
                                    // which may lie outside

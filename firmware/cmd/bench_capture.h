@@ -13,7 +13,7 @@ struct bench_capture {
     int cameras, w, h, takes, exposures;
     double fps;
     int frames, frames_most; // looked at, mean of the takes; the most of one
-    int lost, rejected;      // of all takes
+    int lost, rejected;      // in all takes
     double wait_s;           // waiting: share of one core that watching all cameras takes
     double wait_share;
     double take_s, take_share; // mean time of a take; share of one core during it

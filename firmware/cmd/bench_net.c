@@ -180,7 +180,7 @@ struct state {
     struct network network;
     struct views views;
     struct prediction prediction;
-    struct limits_loop loop[2];   // of integers, of floats
+    struct limits_loop loop[2];   // for integers, for floats
     struct limits_turns turns[2]; // taken between the steps of a pass
     struct network_clock clock;
 };

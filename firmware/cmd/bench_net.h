@@ -16,7 +16,7 @@ struct bench_net_figure {
     int threads;
     double seconds;
     double macs;               // multiply-accumulates; 0: it is something else
-    struct limits_share share; // of their limit, at the same time and in processor time; 0: none
+    struct limits_share share; // shares of their limit, by the clock and by processor time; 0: none
 };
 
 struct bench_net {

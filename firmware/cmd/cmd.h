@@ -51,7 +51,7 @@ struct cmd_option {
 #define CMD_GAUSSIANS CMD_KEY("gaussians-max", "N", "refine.gaussians_max", "most Gaussians")
 
 struct cmd_usage {
-    const char *name;     // of the command
+    const char *name;     // name of the command
     const char *synopsis; // its required options
     const char *what;     // description
     const struct cmd_option *options;

@@ -31,7 +31,7 @@ enum { REPEATS = 5, LEVELS_MAX = 10, TABLE_MAX = CMD_LIST_MAX * CMD_LIST_MAX };
  * chain rule 32. */
 enum { FORWARD_OPS = 32, BACKWARD_OPS = 64 };
 
-#define BENCH_MAX_S 2.0 // of repeats of one measurement
+#define BENCH_MAX_S 2.0 // for the repeats of one measurement
 
 struct request {
     const char *what, *json, *gaussians_text, *degree_text, *size_text, *model, *views_text;

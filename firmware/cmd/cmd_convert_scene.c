@@ -19,7 +19,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // of the comparison
+enum { VIEWS_MAX = 4, SIDE_MAX = 448 }; // for the comparison
 
 #define BRIGHT 0.01 // natural logarithm: more than rounding above white
 

@@ -275,7 +275,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
 
 /* ---- from a result to its scene ---- */
 
-/* Of the train pictures keep those that the scene was made from. */
+/* Keeps the train pictures that the scene was made from. */
 static err_t keep_inputs(const char *scene, struct capture *c)
 {
     char path[FILE_PATH_CAP];

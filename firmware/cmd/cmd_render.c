@@ -34,11 +34,11 @@ struct request {
 
 struct state {
     struct engine engine;
-    struct arena own; // of the scene
+    struct arena own; // holds the scene
     struct scene scene;
     struct rig rig; // cameras of the frames
     struct draw draw;
-    struct image8 picture; // of the frame drawn last
+    struct image8 picture; // the frame drawn last
     struct outdir out;
     struct video video;
     err_t video_error; // the frames are written anyway

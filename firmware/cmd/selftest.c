@@ -28,11 +28,11 @@ enum {
     RATE_FRAMES = 100,
     SHOTS = 14,
     DROPS_PER = 500,                                // one lost frame of so many is forgiven
-    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,        // of a picture that shows something
+    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,        // least places of a usable picture
     LEAST_PLACES = EXPOSURE_PROBE_PLACES / 200 + 1, // as firmware/capture/label.c
     SESSION_MB = 1000
 };
-#define RATE_OFF 0.02    // of the period
+#define RATE_OFF 0.02    // part of the period
 #define GAIN_OFF 0.005   // firmware/capture/README.md 3
 #define CLASS 0.5        // stops: halfway to a step that an unknown curve may make smaller
 #define REPORT_OFF 0.25  // stops, pixels against the report, if the curve is known

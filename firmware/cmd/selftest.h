@@ -20,7 +20,7 @@ enum selftest_check {
     SELFTEST_DELAY,    // constant, as calibrated or promised
     SELFTEST_LATCHING, // 14 requests back to back, each shows in its frame
     SELFTEST_REPORTED, // frames say what their pixels show
-    SELFTEST_RATIOS,   // of exposures are ratios of light
+    SELFTEST_RATIOS,   // ratios of exposures are ratios of light
     SELFTEST_MONOTONE, // longer is brighter
     SELFTEST_STEADY,   // the same exposure gives the same picture
     SELFTEST_BRACKET3, // complete, proven, in as few frames as can be

@@ -18,10 +18,10 @@ struct tradeoff_request {
 };
 
 struct tradeoff_row {
-    int model;     // of the list
+    int model;     // index in the list
     char what[64]; // precision, and the parts of an int8 model that are in floats
     int size, views;
-    double seconds;               // of one forward pass; the file is in memory before
+    double seconds;               // for one forward pass, with the file in memory
     double memory_mb;             // most of the arenas, and the file
     double rss_mb;                // most of the process, NAN if the system cannot tell
     double error[DIFFER_FIGURES]; // NAN in the reference's own row

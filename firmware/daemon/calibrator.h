@@ -18,7 +18,7 @@ struct calibrator {
     bool on, cancelled;
     bool done; // all are calibrated; the answer waits until they are open again
     int64_t done_ns;
-    uint64_t id; // of the client that asked
+    uint64_t id; // the client that asked
     int i;       // camera that is measured
     char what[16], longest[32];
     char line[CHILD_LINE]; // last line of the child

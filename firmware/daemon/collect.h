@@ -13,10 +13,10 @@
 struct collect {
     const char *store;    // folder of the takes
     struct jobs *jobs;    // NULL: none are run
-    int cameras;          // of the rig: views of a place
+    int cameras;          // in the rig: views of a place
     bool on;              // takes are places; else only an open session is served
     bool ending;          // collect_end is to be called again
-    struct places places; // of the open session
+    struct places places; // places of the open session
     char line[TAKE_TEXT]; // state in words
 };
 

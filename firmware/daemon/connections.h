@@ -18,7 +18,7 @@ struct connection {
     bool answered; // a request of it is complete and not yet answered
     bool ended;
     int64_t since_ns; // CLOCK_MONOTONIC: it waits for a request
-    uint64_t network; // of the other side
+    uint64_t network; // network of the other side
 };
 
 struct connections {

@@ -67,7 +67,7 @@ struct daemon {
     int n_asking; // clients that wait for a take
     uint64_t asking[CTL_CLIENTS_MAX];
     struct counters count;
-    char trouble[TAKE_TEXT]; // of the store or of the last press; "" for none
+    char trouble[TAKE_TEXT]; // what went wrong in the store or at the last press; "" for nothing
     int n_recent;
     struct summary recent[RECENT]; // newest first
 };

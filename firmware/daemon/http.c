@@ -33,7 +33,7 @@ struct http {
     int64_t look_ns; // at them
 };
 
-struct request { // of one that has a body
+struct request { // a request that has a body
     char body[BODY_MAX];
     size_t n;
 };

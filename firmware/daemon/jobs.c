@@ -37,7 +37,7 @@ struct jobs {
     char queue[JOBS_MAX][STORE_ID_CAP]; // [0] is the running one
     struct child child;
     bool cancelled;
-    int warnings; // of the running one
+    int warnings; // so far, in the running job
     struct jobs_state state;
     struct order order;
 };

@@ -25,7 +25,7 @@ enum jobs_end { JOBS_NONE, JOBS_DONE, JOBS_FAILED, JOBS_CANCELLED };
 
 struct jobs_state {
     bool running;
-    char id[STORE_ID_CAP]; // of the running one
+    char id[STORE_ID_CAP]; // of the running job
     char line[JOBS_TEXT];  // its last line
     int waiting;           // behind it
     enum jobs_end last;    // how the one before ended

@@ -15,11 +15,11 @@ struct summary {
     char session[STORE_ID_CAP]; // session that it is a place of (places.h); "": none
     bool complete;
     int frames, cameras;
-    double stops;         // of the scene; 0: not metered
+    double stops;         // range of the scene; 0: not metered
     double clipped, dark; // shares, worst camera; -1: not known
     char reason[TAKE_TEXT];
     int n_images;
-    char image[SUMMARY_IMAGES][32]; // of the first camera: names in images/
+    char image[SUMMARY_IMAGES][32]; // pictures of the first camera: names in images/
     int64_t report_ns;              // mtime of the report that was read last, and
     int warnings;                   // those in it
 };

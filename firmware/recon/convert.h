@@ -16,7 +16,7 @@ struct convert_request {
     const char *out;
     const char *config; // "full", "mini", a file with "model" like golden/mini/index.json; or NULL
     enum precision precision;
-    int max_mb; // of memory, MB (10^6 bytes)
+    int max_mb; // memory, MB (10^6 bytes)
 };
 
 /* Values of core/net/hashed.h; config is needed.

@@ -275,7 +275,7 @@ static err_t draw_view(struct bench *b, const struct shot *s, const struct views
     return e;
 }
 
-/* Of all pictures of this photograph. */
+/* Gives all pictures of this photograph its size. */
 static void set_shape(struct bench *b, const struct extent *px)
 {
     struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};

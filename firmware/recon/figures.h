@@ -10,7 +10,7 @@
 #include "core/photo/response.h"
 
 enum {
-    FIGURES_BINS = 64,    // of 4 display values each
+    FIGURES_BINS = 64,    // bins of 4 display values each
     FIGURES_DARK = 8,     // display values below are noise
     FIGURES_CLIPPED = 252 // display values from here on hold no information
 };
@@ -34,7 +34,7 @@ struct figures_exposure {
 
 struct figures {
     const struct views *v;
-    const struct tonemap *tone; // of the scene
+    const struct tonemap *tone; // the scene's curve
     struct response_table table;
     int n; // exposures, ascending; less than a tenth of a stop apart they are one, of many more
     struct figures_exposure exposure[FIGURES_EXPOSURES];

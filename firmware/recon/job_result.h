@@ -44,14 +44,14 @@ struct job_result {
     struct scene scene; // in keep
     struct refine_report refine;
     struct job_cameras cameras;
-    double start_s, lap_s; // of the clock
+    double start_s, lap_s; // by the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
     float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
     bool measured_only;         // the scene is from a file: nothing to tell about its making
     size_t keep_peak, tmp_peak; // bytes
     double peak_rss_mb;         // at the end of the last stage
-    const char *precision;      // of the network; NULL: none was used
+    const char *precision;      // the network's; NULL: none was used
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;

@@ -32,7 +32,7 @@ typedef void s8_fn(int rounds);
 
 struct s8_level {
     const char *isa;
-    int macs; // of one of the SUMS steps of a round
+    int macs; // in each of the SUMS steps of a round
     s8_fn *fn;
 };
 

@@ -7,7 +7,7 @@
 
 /* A loop that does nothing but arithmetic in registers. */
 struct limits_loop {
-    double per_step; // of a step: operations, or multiply-accumulates; 0: there is no such loop
+    double per_step; // operations or multiply-accumulates in a step; 0: there is no such loop
     float (*floats)(int rounds);
     void (*ints)(int rounds);
 };

@@ -42,7 +42,7 @@ struct network_stage {
 struct network_clock {
     progress_fn *next; // or NULL
     void *next_ctx;
-    double last, last_busy; // of the clocks
+    double last, last_busy; // last readings of the clocks
     int n;
     struct network_stage stage[NETWORK_STAGES]; // the present one is the last
 };

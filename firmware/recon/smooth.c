@@ -10,7 +10,7 @@ enum factors { NORM1, VALUE, NORM2, FACTORS };
 /* The activations of a block or trunk. */
 struct smooth_group {
     struct smooth_group *next;
-    char prefix[NET_NAME_CAP]; // of the names of its tensors
+    char prefix[NET_NAME_CAP]; // begins the names of its tensors
     int c;                     // channels
     float s[];                 // (FACTORS, c); a trunk has NORM1 only
 };
@@ -23,7 +23,7 @@ static const struct use {
     const char *suffix;
     enum factors factors;
     enum how how;
-    bool block, value; // of a transformer block, not a DPT trunk; its last third only
+    bool block, value; // in a transformer block, not a DPT trunk; its last third only
 } uses[] = {
     {"norm1.weight", NORM1, OVER, true, false},
     {"norm1.bias", NORM1, OVER, true, false},

@@ -16,7 +16,7 @@ struct smooth_group;
 
 struct smooth {
     const struct net_dims *dims;
-    modelwrite_fetch *fetch; // of the weights as they are
+    modelwrite_fetch *fetch; // fetches the weights as they are
     void *ctx;
     struct smooth_group *groups; // found so far; own: smooth_free
 };

@@ -20,7 +20,7 @@ static bool begins_view(const struct capture *c, int i)
     return i == 0 || !name_same_view(c->shots[i].name, c->shots[i - 1].name);
 }
 
-/* Of the view that begins with picture i; its pictures are in the order of their exposures. */
+/* For the view that begins with picture i; its pictures are in the order of their exposures. */
 static int middle_picture(const struct capture *c, int i)
 {
     int n = 1;
@@ -324,7 +324,7 @@ static err_t measure(const struct run *r, const struct camera *found, const stru
     return e;
 }
 
-/* Of the photograph `name`, which is there. */
+/* For the photograph `name`, which exists. */
 static const struct shot *shot_of(const struct capture *c, const char *name)
 {
     const struct shot *s = c->shots;

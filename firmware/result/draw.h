@@ -9,7 +9,7 @@
 
 struct draw {
     struct raster raster;
-    struct render maps;   // of the picture drawn last
+    struct render maps;   // maps of the picture drawn last
     struct image display; // (3, h, w) in 0..1, of the last draw_display
     struct tonemap_table table;
     float mid_log2t;

@@ -16,7 +16,7 @@ enum { VIDEO_FPS_MAX = 240 };
 
 struct video_format {
     const char *codec, *encoder; // common name; name in ffmpeg
-    const char *option, *value;  // of its quality
+    const char *option, *value;  // sets its quality
 };
 
 struct video {
@@ -25,7 +25,7 @@ struct video {
     const struct video_format *format;
     int w, h;     // px
     int pipe;     // to ffmpeg; 0 if there is none
-    int messages; // of ffmpeg
+    int messages; // pipe with the messages of ffmpeg
     pid_t pid;    // 0 when it has ended
 };
 

@@ -33,7 +33,7 @@ struct manifest {
     char session[MANIFEST_ID_CAP]; // id of the first take of its session; "": none
     unsigned long long counter;
     char not_merged[TAKE_TEXT]; // why there is no merged/ although there should be; ""
-    struct develop how;         // of the display pictures; zeroed: none were developed
+    struct develop how;         // how display pictures were developed; zeroed: there are none
     int n;
     struct manifest_file file[MANIFEST_FILES_MAX];
 };

@@ -115,7 +115,7 @@ err_t places_end(const char *store, const char *session)
     if (e)
         return e;
     int n = snprintf(text, sizeof text, "%s\n", session);
-    fs->unlink(tmp); // of an end that failed
+    fs->unlink(tmp); // left by an end that failed
     e = store_fs_write(fs, tmp, text, (size_t)n);
     if (!e && fs->rename(tmp, path, 0) != 0)
         e = err_fail(ERR_IO, "%s: cannot be replaced", path);

@@ -15,10 +15,10 @@
 enum { PLACES_MIN = 2, PLACES_MAX = VIEWGRAPH_VIEWS_MAX };
 
 struct places {
-    char id[STORE_ID_CAP]; // of the session; "": there is none
+    char id[STORE_ID_CAP]; // id of the session; "": there is none
     int n;
     char take[PLACES_MAX][STORE_ID_CAP]; // oldest first
-    struct develop balance;              // of their display pictures; zeroed: there are none
+    struct develop balance; // how their display pictures are developed; zeroed: there are none
 };
 
 /* The open session of a store's folder, id "" without one. Takes that cannot be read are

@@ -34,10 +34,10 @@ struct store {
     const struct store_fs *fs;
     char path[FILE_PATH_CAP];
     struct store_config cfg;
-    int fd; // of the folder, locked
+    int fd; // the folder, locked
     char boot[MANIFEST_BOOT_CAP];
     uint64_t next, kept;      // kept: the newest take that was found not to be removable
-    struct manifest manifest; // of the take that is written or checked
+    struct manifest manifest; // describes the take that is written or checked
 };
 
 /* ---- names ---- */

@@ -133,7 +133,7 @@ struct merge {
     double exposure_s[BRACKET_EXPOSURES_MAX];
     const struct take_frame *frame[BRACKET_EXPOSURES_MAX];
     int n;
-    float scale; // of merged
+    float scale; // scale of `merged`
     struct image im;
     struct part_attrs attrs[PARTS_MAX];
     struct exrfile_part part[PARTS_MAX];

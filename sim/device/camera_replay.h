@@ -14,7 +14,7 @@
 
 #include "sim/device/feed.h"
 
-enum { CAMERA_REPLAY_MIB = 1024 }; // of decoded pictures
+enum { CAMERA_REPLAY_MIB = 1024 }; // memory for decoded pictures
 
 /* Go on to the next view: frames that end from now on show it. */
 void camera_replay_step(void *st);

@@ -142,7 +142,7 @@ static void multiply_raw(struct state *s, const struct feed_shot *f)
     const double factor[3] = {f->red * f->digital, f->digital, f->blue * f->digital};
     const int black = s->sensor.black, top = (1 << s->sensor.bits) - 1;
     for (int i = 0; i < s->size * s->size; i++) {
-        int y = i / s->size, x = i % s->size, c = y % 2 + x % 2; // of RGGB
+        int y = i / s->size, x = i % s->size, c = y % 2 + x % 2; // colour in RGGB
         c = s->sensor.cfa == SENSOR_BGGR ? 2 - c : c;
         double v = black + factor[c] * (s->raw[i] - black);
         s->raw[i] = (uint16_t)fmin(fmax(v + 0.5, 0.0), top);

@@ -13,7 +13,7 @@ enum { WORDS = 8, WORD_CAP = 64 };
 static const struct {
     const char *verb, *word; // word: NULL if the verb has none
     bool has_number;
-    double lo, hi; // of the number
+    double lo, hi; // bounds of the number
     bool whole;
 } verbs[FAULT_VERBS] = {
     [FAULT_DROP] = {"drop", NULL, true, 1, 1e6, true},

@@ -80,7 +80,7 @@ enum { FAULT_MAX = 256, FAULT_TEXT_MAX = 1 << 16 };
 struct fault {
     enum fault_verb verb;
     double number; // the argument; 0 if it has none
-    bool nogap;    // of drop
+    bool nogap;    // for drop
     bool by_time;
     int64_t frame;   // if not by_time
     int64_t time_ns; // if by_time

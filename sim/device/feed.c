@@ -17,8 +17,8 @@
 #include <unistd.h>
 
 #define VIRTUAL_START 1000000000 // ns
-#define UNSETTLED 0.3            // of the exposure, in frames before `startup`
-#define TORN_LEAST 0.03          // of the rows
+#define UNSETTLED 0.3            // part of the exposure, in frames before `startup`
+#define TORN_LEAST 0.03          // share of the rows
 #define TORN_MOST 0.45
 #define TORN_CODES 2.0  // mean difference of a cell that shows it: less is black and rounding, and
 #define TORN_ERRORS 4.0 // standard errors more, noise (core/photo/README.md 5.1)

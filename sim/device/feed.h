@@ -38,7 +38,7 @@ extern const struct feed_options feed_defaults;
 struct feed_shot {
     struct exposure exposure; // true
     double start_s;           // since open
-    int64_t number;           // of the frame
+    int64_t number;           // number of the frame
     double red, blue;         // digital gain beyond the white balance
     double digital;
     int pick; // result of snap
@@ -60,7 +60,7 @@ struct feed_source {
 
 /* True values of a delivered frame. */
 struct feed_truth {
-    int64_t number;           // of the sensor's frame that the pixels are from
+    int64_t number;           // number of the sensor's frame that gave the pixels
     struct exposure exposure; // with digital gain and drift in `gain`
     double torn;              // share of its rows that visibly have another exposure
 };
@@ -103,7 +103,7 @@ struct feed { // private
     struct feed_slot slot[CAMERA_BUFFERS_MAX];
     uint8_t *former;           // picture that torn rows are copied from; NULL without `tear`
     int64_t base_ns, clock_ns; // CLOCK_MONOTONIC at open; the virtual clock
-    uint32_t sequence;         // of the last frame
+    uint32_t sequence;         // sequence of the last frame
     struct exposure last_true, last_programmed, last_set;
     struct feed_shot last_shot;
     bool lost, has_fd;

@@ -21,7 +21,7 @@ struct timing_cfg {
     double gain_max;               // >= 1
     int delay, gain_delay, jitter; // frames; 1..TIMING_DELAY_MAX, 0..TIMING_DELAY_MAX
     enum timing_length length;
-    uint64_t seed; // of the jitter
+    uint64_t seed; // seed of the jitter
 };
 
 /* A control and the writes that do not apply yet. */

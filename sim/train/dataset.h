@@ -12,7 +12,7 @@ struct dataset_ask {
     struct sample_ask sample;       // n_views counts all cameras, 2 * inputs - 1
     int n_exposures;                // 1..DATASET_EXPOSURES
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
-    bool noise;                     // of sensor_default
+    bool noise;                     // as in sensor_default
     struct curve curve;
 };
 

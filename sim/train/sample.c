@@ -11,7 +11,7 @@
 
 enum { SIZE_LEAST = 14, WORKERS_MAX = 64, STOPS_MAX = 40 };
 
-static const double KEY_LEVEL = 0.18;    // of full scale: a grey card
+static const double KEY_LEVEL = 0.18;    // relative to full scale: a grey card
 static const double LIGHT_LEAST = 1e-4;  // darkest radiance that the meter follows
 static const double EXPOSURE_MAX = 3600; // s, of a sensor
 

@@ -35,10 +35,10 @@ void sample_plan(struct plan *p, int size);
 /* How a radiance image is photographed. */
 struct sample_camera {
     int size;                    // px, edge of the picture
-    double key;                  // of sample_make
+    double key;                  // as in sample_make
     const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
     const struct curve *curve;   // not NULL
-    uint64_t seed;               // of the noise
+    uint64_t seed;               // seed of the noise
 };
 
 /* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops

@@ -40,7 +40,7 @@ enum { BUILDER_AREAS = 192, BUILDER_BOOKS = 10 };
 
 struct builder {
     struct world *w;
-    uint64_t state; // of the random numbers
+    uint64_t state; // state of the random numbers
     bool plain, mirrors;
     int n_areas;
     struct area areas[BUILDER_AREAS]; // occupied floor, in the frame of the place
@@ -53,7 +53,7 @@ struct part {
     float size[3]; // as in struct world_solid
     float at[3];   // m, its middle in the frame
     int material;
-    float taper;   // of a frustum: 1 a cylinder
+    float taper;   // for a frustum; 1: a cylinder
     float turn[3]; // rad, about x, then y, then z
     int cut;       // enum builder_cut
 };

@@ -9,7 +9,7 @@
 struct light {
     int solid;                   // as in struct world_light
     const struct world_light *w; // the opening
-    float radiance[3];           // of an opening: an estimate, for the choice of lights
+    float radiance[3];           // for an opening: an estimate, for the choice of lights
     float centre[3], radius;     // m, of a ball around it
     float power;                 // luminance x mean visible area
 };
@@ -31,9 +31,9 @@ void light_plan(struct plan *p);
 
 /* Random numbers of one sample in a pattern of 2^bits samples that cover the unit square. */
 struct light_dice {
-    uint32_t index; // of the sample
-    uint32_t seed;  // of the pattern
-    uint32_t noise; // of the sample, for detail finer than the pattern
+    uint32_t index; // index of the sample
+    uint32_t seed;  // seed of the pattern
+    uint32_t noise; // random number per sample, for detail finer than the pattern
     int bits;
 };
 

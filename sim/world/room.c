@@ -20,7 +20,7 @@ static const float THICK = 0.16f; // m, of walls
 
 enum { WALLS = 4, SPANS = 24, OPENINGS = 2, SOLIDS_FULL = 760 };
 
-struct span { // of a wall, m from its middle: taken between z[0] and z[1]
+struct span { // part of a wall, m from its middle, taken between z[0] and z[1]
     float x[2], z[2];
 };
 
@@ -30,12 +30,12 @@ struct opening { // m, middle and half size
 
 struct room {
     struct builder *b;
-    struct frame root, wall[WALLS]; // of a wall: x along it, y into the room, z = 0 the floor
+    struct frame root, wall[WALLS]; // for a wall: x along it, y into the room, z = 0 the floor
     float half[2], height, margin;  // m; of the stand from the walls
     float stand[2][3], focus[3];
     struct span span[WALLS][SPANS];
     int n_spans[WALLS];
-    int wood, cloth; // of window frames and skirting; of curtains
+    int wood, cloth; // window frames and skirting; curtains
     bool day;
 };
 

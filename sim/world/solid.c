@@ -9,8 +9,8 @@
 
 #include "sim/world/vec.h"
 
-static const float LEAST = 1e-20f; // of a direction's part, so that 1 / it and products stay finite
-static const float GRAZE = 2e-6f;  // of the frame: nearer counts as on the surface of a torus
+static const float LEAST = 1e-20f; // component of a direction: 1 / it and products stay finite
+static const float GRAZE = 2e-6f;  // relative to the frame: nearer is on the surface of a torus
 
 enum { TORUS_STEPS = 128 };
 

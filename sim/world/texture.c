@@ -21,8 +21,8 @@ static const float REFLECT_HI = 0.95f;
 struct point {
     const struct texture *t;
     float p[3], u, v;             // m
-    uint32_t seed, face;          // of the texture; also of the side of the solid
-    float width, scale, contrast; // of the footprint, m; m; 0..1
+    uint32_t seed, face;          // for the texture; and for the side of the solid
+    float width, scale, contrast; // footprint, m; m; 0..1
 };
 
 static float clamp(float x, float lo, float hi)
@@ -206,7 +206,7 @@ static void brick(const struct point *s, float out[3])
     for (int c = 0; c < 3; c++)
         own[c] *= tone;
     mix3(mean, own, visibility_of(s, height), own);
-    float share = joint / height + joint / s->scale; // of mortar
+    float share = joint / height + joint / s->scale; // share of mortar
     mix3(own, t->colour[2], mix(share, gap, visibility_of(s, height)), out);
 }
 

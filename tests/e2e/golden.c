@@ -17,7 +17,7 @@
  * largest value. The second pair is for small differences of large numbers: attention, variance. */
 static const double FLOAT_RMS[2] = {2e-5, 1e-4}, FLOAT_MAX[2] = {2e-4, 1e-3};
 static const double FACTOR = 3;                 // times the emulation
-static const double OUTLIERS[2] = {1e-3, 0.02}; // of pixels: mask known; not known
+static const double OUTLIERS[2] = {1e-3, 0.02}; // share of pixels: mask known; not known
 /* Where cells differ because points lie on their borders: how many more or less, and the bar in rms
  * of the pictures without their outliers. */
 static const double CELLS_APART = 1e-3, PICTURE_RMS = 2e-4;
@@ -158,7 +158,7 @@ static void close_pair(struct pair *p)
 /* false: the dump has no such tensor, or another shape. */
 static bool open_pair(const struct set *s, const struct cJSON *entry, struct pair *p)
 {
-    bool list = strncmp(text(entry, "name"), "vox.", 4) == 0; // of any length
+    bool list = strncmp(text(entry, "name"), "vox.", 4) == 0; // lists of any length
     const struct cJSON *mine = find(s->dumped, text(entry, "name"));
     size_t n;
     *p = (struct pair){.entry = entry,
@@ -188,7 +188,7 @@ static bool open_pair(const struct set *s, const struct cJSON *entry, struct pai
 
 struct figures {
     double rel_rms, max; // over the rms and the largest value of the golden values
-    double mean, rms;    // of the whole tensors: difference over the golden rms
+    double mean, rms;    // over whole tensors: difference relative to the golden rms
     double outliers;     // share of pixels beyond the bar, pictures only
 };
 

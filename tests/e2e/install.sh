@@ -54,7 +54,7 @@ if [ "$build" = "$(uname -m)-werror" ] || [ "$build" = "$(uname -m)" ]; then
     # shellcheck disable=SC2086
     make -s deb $variant BOARD=rpi5 >"$OUT/make.txt" 2>&1 ||
         fail "make deb: $(tail -n 1 "$OUT/make.txt")"
-    deb=$(ls build/hdrig_*.deb)
+    deb=$(ls build/hdrig_*_"$(dpkg --print-architecture)".deb)
     dpkg-deb -f "$deb" Depends | grep -q 'libmicrohttpd' || fail "the package's needs are missing"
     dpkg-deb -f "$deb" Depends | grep -q 'libcamera' || fail "the package needs no libcamera"
     lintian "$deb" >"$OUT/lintian.txt" 2>&1

@@ -150,7 +150,7 @@ struct hit {
     double t;
     struct vec normal;
     enum material material;
-    int index; // of the box
+    int index; // index of the box
 };
 
 static void hit_sphere(const struct sphere *s, struct vec o, struct vec d, struct hit *h)

@@ -55,7 +55,7 @@ static void light(struct gaussians *g, int i, double radiance)
         g->plane[G_SH + c][i] = (float)(log(radiance * (1 - 0.2 * c)) / 0.28209479177387814);
 }
 
-/* Of the splats that are there, some become a lamp, some the sun, some a cellar. */
+/* Makes some of the splats a lamp, some the sun, some a cellar. */
 static void put_lights(struct gaussians *g)
 {
     static const double radiance[] = {0.18 * 1024, 1e5, 1e-4};

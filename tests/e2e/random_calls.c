@@ -116,7 +116,7 @@ enum kind { PLACE, NUMBER, WORD, SWITCH };
 struct option {
     const char *name;
     enum kind kind;
-    const char *word; // of WORD: "a|b|c"; of PLACE: those that do, taken half of the time
+    const char *word; // for WORD: "a|b|c"; for PLACE: valid ones, taken half of the time
 };
 
 struct command {

@@ -31,7 +31,7 @@ struct disk_change {
     off_t at;
     size_t n;
     uint8_t *bytes;
-    bool failed; // of DISK_SYNC
+    bool failed; // for DISK_SYNC
 };
 
 struct disk_node {

@@ -171,7 +171,7 @@ static err_t scene(void *ctx)
 struct kind {
     const char *name;
     const struct splats_format *format;
-    int version; // of .spz
+    int version; // for .spz
 };
 
 /* What is missing is memory, whatever else it leads to; of JSON the library does not tell. */

@@ -22,7 +22,7 @@ enum { KEEP = 2, MARKS = 8, SEEDS = 6, SEEN = 16, CUTS_LEAST = 500 };
 /* Takes for which store_commit has returned; shared with children. */
 struct marks {
     int n;
-    int changes[MARKS], calls[MARKS]; // of the disk, by then
+    int changes[MARKS], calls[MARKS]; // the disk had seen by then
     char id[MARKS][STORE_ID_CAP];
 };
 
@@ -292,7 +292,7 @@ static bool fails_at(struct store *s, const char *root, int k, int why, bool for
         assert_true(left == n || stuck);
         for (int i = 0; i < n; i++)
             assert_string_equal(now[i + stuck], ids[i]);
-        if (!for_good && hidden(store_path(root), ".tmp-") > 1) // of which one may be the counter
+        if (!for_good && hidden(store_path(root), ".tmp-") > 1) // one may be the counter
             fail_msg("something stays after call %d, %s", k, strerror(why));
     }
     return reached;

@@ -16,7 +16,7 @@
 
 #include <cmocka.h>
 
-static char config[1024]; // of tiny_net
+static char config[1024]; // configuration of tiny_net
 
 /* libzip 1.7 loses blocks when zip_open finds no memory, so the other container and the pickle. */
 static err_t checkpoint(void *ctx)

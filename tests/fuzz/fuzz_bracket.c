@@ -210,7 +210,7 @@ static void begin(struct rig *r, struct bracket_event *ev, struct input *in)
     must(state == BRACKET_ARMED || state == BRACKET_DONE);
     memset(r->kept, 0, sizeof r->kept);
     r->frames = 0;
-    ev->kind = BRACKET_ANSWER; // of nothing: only to take the actions
+    ev->kind = BRACKET_ANSWER; // answers nothing: only to take the actions
     ev->err = ERR_BUSY;
     ev->camera = 0;
     tell(r, ev, in);

@@ -95,7 +95,7 @@ static inline void emu_dpbssd(int c, int a, int b)
 struct emu_op {
     int prefix, opcode;   // 0 none, 1 66, 2 F3, 3 F2
     int mod, reg, rm, v;  // register numbers
-    ptrdiff_t base, step; // of a memory operand: address; index times scale
+    ptrdiff_t base, step; // for a memory operand: address; index times scale
 };
 
 static inline ptrdiff_t emu_register(const ucontext_t *u, int number)

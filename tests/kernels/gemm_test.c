@@ -606,7 +606,7 @@ static struct timing take_turns(const struct workload *l, const struct gemm_kern
 static void workload_make(const struct workload *l)
 {
     size_t k = (size_t)l->k_segs * (size_t)l->seg, lda = l->lda ? (size_t)l->lda : k;
-    size_t run = (size_t)(l->m - 1) * lda + (size_t)l->seg; // of all rows
+    size_t run = (size_t)(l->m - 1) * lda + (size_t)l->seg; // elements in all rows
     size_t na = (size_t)l->k_segs * run, nw = (size_t)l->n * k;
     int8_t *a8 = workload_room(na), *w8 = workload_room(nw);
     float *a = workload_room(4 * na), *w = workload_room(4 * nw);

@@ -40,7 +40,7 @@ static struct {
     float old_top[CAP / 128], old_sum[CAP / 128];
 } in;
 
-static double want[1 << 15]; // of one part
+static double want[1 << 15]; // for one part
 
 static float *half_random(bool given, int n, double lo, double hi)
 {

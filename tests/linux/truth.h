@@ -10,7 +10,7 @@
 
 struct truth {
     char magic[4];   // "HDRT"
-    uint32_t number; // of the sensor's frame
+    uint32_t number; // number of the sensor's frame
     double exposure; // s, times gain
 };
 

@@ -27,7 +27,7 @@
 
 enum { URBS_MAX = 64, OUT_MAX = 4096, SUBMIT = 1, UNLINK, RET_SUBMIT, RET_UNLINK };
 
-struct header { // of USB/IP
+struct header { // a header of USB/IP
     uint32_t command, seqnum, device, to_host, endpoint, word[5];
     uint8_t setup[8];
 };

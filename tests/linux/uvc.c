@@ -12,7 +12,7 @@ enum { SET_CUR = 0x01, GET_CUR = 0x81, GET_MIN, GET_MAX, GET_RES, GET_LEN, GET_I
 enum { NOT_READY = 1, WRONG_STATE = 2, OUT_OF_RANGE = 4, INVALID_REQUEST = 7 };
 enum { CLOCK_HZ = 48000000, MANUAL = 1, APERTURE_PRIORITY = 8 };
 
-#define STEP_S 1e-4    // of exposure times
+#define STEP_S 1e-4    // step of exposure times
 #define GAIN_STEP 64.0 // per factor of 1
 
 /* ---- descriptors ---- */

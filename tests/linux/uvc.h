@@ -19,7 +19,7 @@ struct uvc {
     struct uvc_control control[UVC_CONTROLS];
     int w, h, n_formats;
     enum camera_format format[2]; // offered
-    int chosen;                   // of them
+    int chosen;                   // index of the chosen one
     bool streaming, began;        // `began` is for the caller to clear
     uint32_t interval;            // 100 ns
     uint8_t probe[26], error;     // error: of the last request, as the host may ask

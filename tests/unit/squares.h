@@ -6,7 +6,7 @@
 
 #include <stdlib.h>
 
-/* Of n pictures of size x size px; they live as long as the program. */
+/* Makes n pictures of size x size px; they live as long as the program. */
 static inline struct extent *squares(int n, int size)
 {
     enum { KINDS = 16, MOST = 160 };

@@ -13,7 +13,7 @@
 
 #include <cmocka.h>
 
-static float *values; // of the largest tensor
+static float *values; // room for the largest tensor
 
 static uint32_t bits(float v)
 {

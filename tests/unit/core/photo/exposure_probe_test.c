@@ -346,7 +346,7 @@ static void test_small_pictures(void **state)
             if (cfa >= RAW_RGGB && (w % 2 || h % 2))
                 continue;
             size_t n = (size_t)w * (size_t)h * (cfa == RAW_RGB ? 3 : 1);
-            uint16_t *px = malloc(n * sizeof *px); // of its own: beyond is seen
+            uint16_t *px = malloc(n * sizeof *px); // alone: reads beyond its end are found
             assert_non_null(px);
             for (size_t k = 0; k < n; k++)
                 px[k] = 100;

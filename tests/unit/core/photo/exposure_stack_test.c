@@ -102,7 +102,7 @@ static void test_staggered(void **state)
     begin_places(7);
     assert_int_equal(exposure_stack_choose(&run, &tone, true, &v), OK);
     assert_names("eicdfhj");
-    assert_true(fabsf(v.mid_log2t - 0.25f) < 1e-6f); // of e, i, c
+    assert_true(fabsf(v.mid_log2t - 0.25f) < 1e-6f); // the middle of e, i, c
     arena_free(&tmp);
 }
 

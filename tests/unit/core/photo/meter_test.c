@@ -26,7 +26,7 @@ struct place_set {
 struct device {
     int bits, black;
     bool linear;
-    struct curve curve; // of display values
+    struct curve curve; // for display values
     double electrons, read_noise;
     enum raw_cfa cfa;
     double time_min, time_max, time_step;

@@ -137,7 +137,7 @@ static void test_prune(void **state)
     (void)state;
     open_world(200);
     struct world start = w;
-    const float logit = -4.59511985f; // of 0.01
+    const float logit = -4.59511985f; // logit of 0.01
     int want[200], left = 0;
     for (int i = 0; i < 200; i++) {
         w.g.plane[G_LOGIT][i] = i % 5 == 0 ? logit - 0.001f : logit + 0.001f;

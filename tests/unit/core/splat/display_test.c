@@ -76,7 +76,7 @@ static void degree_0_goes_there_and_back(void **state)
             display_from_radiance(log_sh, 0, ev, f);
             assert_true(fabs(0.5 + C0 * f[0] - srgb(linear)) < 1e-6 * fmax(1, srgb(linear)));
             display_to_radiance(f, 0, ev, back);
-            double found = exp(C0 * back[0]), step = 5e-9 + 3e-6 * linear; // of a float near f
+            double found = exp(C0 * back[0]), step = 5e-9 + 3e-6 * linear; // a float near f
             if (linear > (double)DISPLAY_FLOOR)
                 assert_true(fabs(found / radiance - 1) < step / linear);
             else

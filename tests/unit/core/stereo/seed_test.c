@@ -16,7 +16,7 @@
 
 enum { VIEWS = 4, SIZE = 96, MAP = SIZE / 2, MAX = 20000 };
 
-static const float SLOPE = 0.4f; // of the plane z = 4 + SLOPE x
+static const float SLOPE = 0.4f; // in the plane z = 4 + SLOPE x
 
 struct world {
     struct views v;

@@ -165,7 +165,7 @@ static void test_gone(void **st)
 static void test_stamps(void **st)
 {
     static const struct {
-        uint32_t flags, then; // of the first buffer, and of frames
+        uint32_t flags, then; // for the first buffer; for frames
         enum camera_stamp stamp;
         bool by_clock, known;
     } c[] = {{V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC,

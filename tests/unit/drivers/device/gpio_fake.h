@@ -27,7 +27,7 @@ struct gpio_fake_line {
     unsigned n, lost;
     uint32_t seqno;
     int sets;   // times that an output was set
-    int end[2]; // of a pipe: a byte in it makes the request's descriptor readable
+    int end[2]; // ends of a pipe: a byte in it makes the request's descriptor readable
 };
 
 struct gpio_fake_chip {

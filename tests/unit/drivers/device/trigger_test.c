@@ -476,7 +476,7 @@ static void test_lengths_of_keys(void **state)
     type(7, EV_KEY, KEY_ENTER, 1);
     type(8, EV_SYN, SYN_DROPPED, 0);
     type(8, EV_SYN, SYN_REPORT, 0);
-    type(9, EV_KEY, KEY_ENTER, 0); // of which press?
+    type(9, EV_KEY, KEY_ENTER, 0); // belongs to no press
     assert_int_equal(trigger_evdev.next(st, &ev), ERR_AGAIN);
     trigger_evdev.close(st);
     free(st);
@@ -498,7 +498,7 @@ static void test_keys(void **state)
     type(3, EV_KEY, KEY_ENTER, 0);
     type(4, EV_KEY, KEY_A, 1);
     type(4, EV_SYN, SYN_DROPPED, 0);
-    type(4, EV_KEY, KEY_A, 1); // of a report that is not whole
+    type(4, EV_KEY, KEY_A, 1); // part of an incomplete report
     type(4, EV_SYN, SYN_REPORT, 0);
     type(5, EV_KEY, KEY_A, 1);
     assert_int_equal(key_event(st, 1000250000, 1, 0), OK);

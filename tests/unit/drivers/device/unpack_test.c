@@ -223,7 +223,7 @@ static double clip(double v)
     return fmin(fmax(v, 0.0), 255.0);
 }
 
-/* Of BT.601 and BT.709, section 3 each, with their inverse written out. */
+/* By BT.601 and BT.709, section 3 each, with their inverse written out. */
 static void yuv_formula(const struct camera_info *info, const int yuv[3], double rgb[3])
 {
     double kr = info->bt709 ? 0.2126 : 0.299, kb = info->bt709 ? 0.0722 : 0.114;

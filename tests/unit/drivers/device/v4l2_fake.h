@@ -74,10 +74,10 @@ struct fake {
     uint32_t wrong_length, wrong_count;
     bool no_stride;
     char node[512]; // file that must be there
-    // of the next frame
+    // for the next frame
     uint32_t flags, cut, index_add, offset;
     bool overlong;
-    // of calls
+    // counts of calls
     long calls, fail_at; // count of all; the one that fails, from 1
     bool fail_on;        // and all after it
     int fail_errno;
@@ -125,7 +125,7 @@ static inline bool fake_is_lens(uint32_t id)
            id == V4L2_CID_AUTO_FOCUS_START || id == V4L2_CID_AUTO_FOCUS_STATUS;
 }
 
-/* Of the node that is called. */
+/* State of the node that is called. */
 static inline struct fake_control *fake_reach(struct fake *f, uint32_t id)
 {
     return f->on_lens == (f->lens && fake_is_lens(id)) ? fake_control(f, id) : NULL;

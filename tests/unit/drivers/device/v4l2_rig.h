@@ -14,7 +14,7 @@
 #include <cmocka.h>
 
 static struct fake fake;
-static void *state; // of the only camera
+static void *state; // state of the only camera
 
 static const char webcam[] = "v4l2:/dev/fake";
 static const char sensor[] = "v4l2:/dev/fake,subdev=/dev/fake-subdev0";

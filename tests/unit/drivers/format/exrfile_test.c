@@ -263,7 +263,7 @@ static void attributes(void **state)
 
 struct three {
     struct image im;
-    float value[3]; // of the parts
+    float value[3]; // values of the parts
     int asked;
 };
 

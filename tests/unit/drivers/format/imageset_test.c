@@ -327,7 +327,7 @@ static void exposures_of_exif_must_be_made_of_the_same(void **state)
     rq.may_lack_times = true; // none is used then
     put_picture("d.png", 8, 6);
     err_t e = imageset_list(&rq, &set);
-    assert_true(e == OK || strstr(err_text(), " px but ")); // of sizes nothing is said here
+    assert_true(e == OK || strstr(err_text(), " px but ")); // sizes may differ here
     imageset_free(&set);
     rq.may_lack_times = false;
     assert_int_equal(list(&rq), ERR_FORMAT); // what lacks the rest is not mixed in

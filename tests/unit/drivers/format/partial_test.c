@@ -88,7 +88,7 @@ static void keeps_somebody_elses_file(void **state)
     assert_int_equal(partial_show(&p, a), ERR_ARG);
     assert_non_null(strstr(err_text(), "a.json: is there already"));
     assert_holds("a.json", "{\"generator\": \"somebody\"}");
-    tmpdir_text("a.json", ""); // of mktemp
+    tmpdir_text("a.json", ""); // left by mktemp
     assert_int_equal(partial_show(&p, a), OK);
     partial_close(&p);
 }

@@ -47,7 +47,7 @@ static struct scene make(int n, int degree)
         }
     for (int i = 0; i < n; i++)
         for (int k = 0; k < 4; k++)
-            s.g.plane[G_QUAT + k][i] = k == i % 4 ? -1 : 0; // of unit length in floats
+            s.g.plane[G_QUAT + k][i] = k == i % 4 ? -1 : 0; // unit length, exact in floats
     tonemap_linear(&s.tone, 0.5f, -20, 10, 1.5f);
     return s;
 }
@@ -482,7 +482,7 @@ static void touch(enum change what, int degree, const struct splats_bytes *file,
 
 static void check_touched(enum change what, int degree, int n, bool told)
 {
-    static const float glossy[2] = {16, 1.2f}; // of a hundredth to a hundred
+    static const float glossy[2] = {16, 1.2f}; // gloss from a hundredth to a hundred
     struct scene s = make_colours(n, degree, 2.5f, 0, glossy);
     int shown = degree < 3 ? degree : 3;
     bool stale = what == RECOLOURED || (what == TURNED && degree > 0);

@@ -132,7 +132,7 @@ static void every_cut_and_every_extra_byte_is_refused(void **state)
     char *copy = calloc(m.n + 2, 1);
     assert_int_equal(parse(m.p, m.n), OK);
     for (size_t n = 0; n < m.n; n++) {
-        char *cut = malloc(n + 1); // of exact length for the address sanitiser
+        char *cut = malloc(n + 1); // exact length, for the address sanitiser
         memcpy(cut + 1, m.p, n);
         assert_int_equal(parse(cut + 1, n), ERR_FORMAT);
         free(cut);

@@ -170,7 +170,7 @@ static void delays(void **state)
 static void ranges(void **state)
 {
     (void)state;
-    calibrate("faults=at frame 0 rollover 1500"); // of 20 us
+    calibrate("faults=at frame 0 rollover 1500"); // steps of 20 us
     assert_true(c.calib.time_max_s > 0.022 && c.calib.time_max_s < 0.030);
     assert_true(c.calib.time_min_s == w->info.time_min_s && c.seen_max_s <= c.calib.time_max_s);
     calibrate("curve=agx,faults=at frame 0 quantum 0.001");

@@ -97,7 +97,7 @@ static void some_faults(struct trial *t)
 {
     static const struct {
         const char *format;
-        double lo, hi; // of the number
+        double lo, hi; // bounds of the number
         bool common;
     } faults[] = {
         {"tear 0.3", 0, 0, false},

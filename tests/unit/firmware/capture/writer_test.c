@@ -77,7 +77,7 @@ static void errors_come_back(void **state)
     (void)state;
     struct writer_outcome o;
     struct take *t = small_take(1, 1, CAMERA_GREY);
-    t->frame[0].camera = 7; // of one
+    t->frame[0].camera = 7; // a take of one camera
     assert_int_equal(writer_put(w, t), OK);
     wait_outcome(&o);
     assert_int_not_equal(o.err, OK);

@@ -232,7 +232,7 @@ static void removes_only_what_the_dead_left(void **state)
     tmpdir_mkdir(".tmp-out-999999999"); // nobody holds it
     tmpdir_text(".tmp-out-999999999/x", "");
     tmpdir_text(".tmp-out-999999999/" FILELIST_PARTIAL, "");
-    tmpdir_mkdir(".tmp-output-1"); // of another name
+    tmpdir_mkdir(".tmp-output-1"); // belongs to another name
     tmpdir_mkdir(".tmp-out-mine");
     assert_int_equal(outdir_open(tmpdir_path("out"), NULL, &o), OK);
     assert_int_equal(entries(tmpdir_path(".")), 4); // child's, ours, the two others

@@ -121,7 +121,7 @@ static void room_is_asked_for_before_the_work(void **state)
     assert_int_equal(check("b.jpg", 448), OK);
     const uint64_t larger = out.need;
     assert_int_equal(check("b.jpg", 112), OK);
-    assert_true(larger > 300000 * 56 && out.need < larger); // of 300000 splats, each in the .ply
+    assert_true(larger > 300000 * 56 && out.need < larger); // 300000 splats, each in the .ply
     struct shot shots[SMALL_VIEWS] = {{.name = "a.png"}, {.name = "b.png"}};
     const struct capture c = {SMALL_VIEWS, shots};
     const struct job_config cfg = {

@@ -448,7 +448,8 @@ static void small_and_alone(void **state)
     assert_non_null(strstr(text, "default-src 'none'"));
     assert_int_equal(occurrences(text, "'sha256-"), 2);
     assert_int_equal(occurrences(text, "unsafe-inline"), 0);
-    assert_int_equal(occurrences(text, "http://") + occurrences(text, "https://"), 1); // of SVG
+    assert_int_equal(occurrences(text, "http://") + occurrences(text, "https://"),
+                     1); // the name space of SVG
     for (const char *on = text; (on = strstr(on, " on")); on++)
         assert_true(strspn(on + 3, "abcdefghijklmnopqrstuvwxyz") == 0 ||
                     on[3 + strspn(on + 3, "abcdefghijklmnopqrstuvwxyz")] != '=');

@@ -58,7 +58,7 @@ static void every_kind_keeps_the_scene(void **state)
         assert_int_equal(sceneio_write(path, &s, 3), OK);
         assert_int_equal(sceneio_peek(path, &info), OK);
         assert_true(info.n == 40 && info.degree == 2 && info.n_views == 1 && info.has_hdr);
-        struct arena exact; // of as many bytes as were promised
+        struct arena exact; // as many bytes as were promised
         assert_int_equal(arena_init(&exact, "exact", info.need), OK);
         assert_int_equal(sceneio_read(path, &exact, &back, &report), OK);
         assert_true(back.g.n == 40 && back.size == 64 && back.background[1] == 0.25f);

@@ -16,7 +16,7 @@
 
 #include <cmocka.h>
 
-static char folder[512]; // of the store
+static char folder[512]; // folder of the store
 static struct places p;
 
 static int setup(void **state)

@@ -24,7 +24,7 @@
 
 enum { CAMERAS = 2, EXPOSURES = 3 };
 
-static char folder[512]; // of the store
+static char folder[512]; // folder of the store
 
 static int setup(void **state)
 {
@@ -245,7 +245,7 @@ static void balances_large_mosaics(void **state)
     struct cJSON *doc;
     struct take *t = small_take(1, 1, CAMERA_RGGB16);
     struct camera_info *info = &t->camera[0].info;
-    info->w = 1000; // of which some cells are looked at
+    info->w = 1000; // only some cells are looked at
     info->h = 300;
     info->stride = 2 * info->w;
     free(t->frame[0].data);
@@ -613,7 +613,7 @@ static void refuses_contradictions(void **state)
     store_close(s);
 }
 
-/* Of a file that was written. */
+/* Fails for files that were written. */
 static int close_fails(int fd)
 {
     bool written = (fcntl(fd, F_GETFL) & O_ACCMODE) == O_WRONLY;

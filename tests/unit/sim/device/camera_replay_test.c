@@ -199,7 +199,7 @@ static void test_refusals(void **state)
     (void)state;
     make_folder("train_ldr_%03d_%d.png");
     assert_int_equal(try_open(",which=test", &st), ERR_FORMAT);
-    assert_int_equal(try_open(",quantum=10", &st), ERR_ARG); // of a sensor only
+    assert_int_equal(try_open(",quantum=10", &st), ERR_ARG); // for sensors only
     assert_non_null(strstr(err_text(), "no option is called \"quantum\""));
     tmpdir_text("train_ldr_000_1.png", "no picture");
     assert_int_equal(try_open("", &st), ERR_FORMAT);

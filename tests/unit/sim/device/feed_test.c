@@ -377,7 +377,7 @@ static void test_untrue_exposures(void **state)
 {
     static const struct {
         const char *fault;
-        double want[4]; // of frames 2..5, asked for 1.00, 2.02, 3, 4 ms before
+        double want[4]; // frames 2..5, asked for 1.00, 2.02, 3, 4 ms before
     } lie[] = {
         {"ignore 0", {0.01, 0.01, 0.01, 0.01}},
         {"ignore 3", {0.01, 0.01, 0.00302, 0.00402}},

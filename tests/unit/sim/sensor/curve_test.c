@@ -101,7 +101,7 @@ static void test_inverse(void **state)
     }
 }
 
-/* Of all exposures with the same display value, the smallest. */
+/* The smallest of all exposures with the same display value. */
 static void test_plateau(void **state)
 {
     struct curve c;

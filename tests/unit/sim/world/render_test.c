@@ -152,7 +152,7 @@ static void glowing_sphere_is_exact(void **state)
     draw(&quick);
     for (int i = 0; i < PX; i++) {
         double x = (i % SIZE + 0.5 - s.cam.cx) / SIZE, y = (i / SIZE + 0.5 - s.cam.cy) / SIZE;
-        double dd = 1 + x * x + y * y, root = 16 - dd * (16 - 2.25); // of |z d - c|^2 = 1.5^2
+        double dd = 1 + x * x + y * y, root = 16 - dd * (16 - 2.25); // roots of |z d - c|^2 = 1.5^2
         if (fabs(root) < 0.1)
             continue;
         bool hit = root > 0;

@@ -31,7 +31,7 @@ struct fakecamera {
     int cancel;     // so many of the next frames are cancelled
     int bad, cut;   // so many are bad, have fewer bytes
     int fail_queue; // errno
-    int nudge;      // of the lens, 0.1 1/m
+    int nudge;      // steps of the lens, 0.1 1/m
     int silent;     // no frames, and time flies
     int unplug;
 
