@@ -4,8 +4,8 @@
 #   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
 #   check  before a commit: that, lints, faults, all commands; units and fuzz corpora under ASan
 #          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
-#   long   what check leaves out: thousands of random takes, brackets and calls; slow tests under
-#          the sanitizers and on emulated Arm; the package for arm64
+#   long   tests that check leaves out: thousands of random takes, brackets and calls; slow tests
+#          under the sanitizers and on emulated Arm; the package for arm64
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs

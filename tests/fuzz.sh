@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# fuzz.sh SECONDS - runs every libFuzzer target for that long.
-# New inputs stay in build/corpus, what crashed it in build/crash.
+# fuzz.sh SECONDS - runs every libFuzzer target for that time.
+# New inputs stay in build/corpus, those that crash a target in build/crash.
 set -eu
 cd "$(dirname "$0")/.."
 dir=$(make -s print-B CC=clang SAN=fuzzer,address,undefined)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The training of the small network: the same graph in PyTorch as in C, every stage learns, goes on
-# from its checkpoint and gives the same weights again, and what it exports is a model. Needs
+# The training of the small network: the same graph in PyTorch as in C, every stage learns, resumes
+# from its checkpoint with the same weights, and exports a model. Needs
 # PyTorch 2.2 or newer for $PYTHON (python3) and what `make all libsim` builds.
 . tests/e2e/common.bash
 export PYTHONDONTWRITEBYTECODE=1 # the folder of the sources stays clean

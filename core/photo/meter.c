@@ -28,9 +28,8 @@ enum {
 #define FIRST_MAX_S 1.0   // the first probe is in the middle of the range of times up to here
 #define TOP_SIGMAS 1.0    // standard deviations added to a place at the bright end,
 #define BOTTOM_SIGMAS 0.7 // and subtracted at the dark end
-#define CHECK_SHARE                                                                                \
-    0.9             // share of snr that is enough afterwards: it includes the noise of one place
-#define SLIGHT 1e-9 // rounding of shares
+#define CHECK_SHARE 0.9   // part of snr that is enough afterwards: one place adds its noise
+#define SLIGHT 1e-9       // rounding of shares
 
 /* --- configuration -------------------------------------------------------------------------- */
 

@@ -252,8 +252,8 @@ static err_t get_list(const char *dir, struct list *l)
     if (e)
         return e;
     if (!file_exists(path))
-        return err_fail(ERR_ARG, "%s: is there already and is no result of hdrig (no %s in it)",
-                        dir, FILELIST_NAME);
+        return err_fail(ERR_ARG, "%s: already exists and is no result of hdrig (no %s in it)", dir,
+                        FILELIST_NAME);
     e = file_map(path, LIST_BYTES_MAX, &m);
     if (e)
         return e == ERR_FORMAT ? ERR_ARG : e;

@@ -245,7 +245,7 @@ static err_t get_words(struct modelfile *m)
         return err_fail(ERR_UNSUPPORTED, "%s: weights of version \"%.32s\", this program reads %s",
                         what, version, modelfile_version);
     if (!modelfile_parse_precision(precision, &m->model.precision))
-        return err_fail(ERR_FORMAT, "%s: precision \"%.32s\", known are fp32, bf16 and int8", what,
+        return err_fail(ERR_FORMAT, "%s: precision \"%.32s\" is none of fp32, bf16, int8", what,
                         precision);
     m->model.source = safetensors_word(&m->head, "source");
     m->model.licence = safetensors_word(&m->head, "licence");

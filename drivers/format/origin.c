@@ -47,7 +47,7 @@ err_t origin_check_place(const char *path)
                                : err_fail(errno == ENAMETOOLONG ? ERR_ARG : ERR_IO, "%.255s: %s",
                                           path, strerror(errno));
     if (!S_ISREG(st.st_mode))
-        return err_fail(ERR_ARG, "%s: is there already and is not a regular file", path);
+        return err_fail(ERR_ARG, "%s: already exists and is not a regular file", path);
     if (st.st_size == 0)
         return OK;
     FILE *f = fopen(path, "rbe");
@@ -57,7 +57,7 @@ err_t origin_check_place(const char *path)
     if (is_marked(head, n))
         return OK;
     return err_fail(ERR_ARG,
-                    "%s: is there already and was not written by hdrig: choose another name, or "
+                    "%s: already exists and was not written by hdrig: choose another name, or "
                     "move it away",
                     path);
 }

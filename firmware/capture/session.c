@@ -372,7 +372,7 @@ static err_t find_lost(struct session *s)
                 close_camera(c);
                 c->about.info = before;
             } else if (c->open)
-                log_info("%s: there again", c->about.uri);
+                log_info("%s: available again", c->about.uri);
         }
         lost = lost || !c->open;
     }

@@ -66,7 +66,7 @@ int cmd_finish_job(const char *name, err_t e, const struct job_result *j, bool s
     for (int i = 0; i < j->n_warnings; i++)
         fprintf(stderr, "hdrig %s: " CMD_WARNING "%s\n", name, j->warnings[i]);
     if (!e && strict && j->n_warnings > 0)
-        e = err_fail(ERR_ARG, "%d warning%s, and --strict was given; the result is there",
+        e = err_fail(ERR_ARG, "%d warning%s, which --strict makes an error; the result is written",
                      j->n_warnings, j->n_warnings == 1 ? "" : "s");
     return cmd_finish(name, e);
 }
@@ -109,7 +109,7 @@ static err_t apply_option(const struct cmd_usage *u, int c, const char *arg, str
         while (many && i < CMD_TEXTS_MAX && o->text[i])
             i++;
         if (i == CMD_TEXTS_MAX)
-            return err_fail(ERR_ARG, "--%s: more than %d", o->name, CMD_TEXTS_MAX);
+            return err_fail(ERR_ARG, "--%s: given more than %d times", o->name, CMD_TEXTS_MAX);
         o->text[i] = arg;
     }
     if (o->flag)

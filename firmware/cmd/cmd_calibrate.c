@@ -138,7 +138,8 @@ static err_t calibrate(const struct request *q)
     if (w->info.unit[0] && calib_load(q->dir, &w->info, &known, &found) != OK)
         log_warn("%s; measured anew", err_text());
     if (!w->info.unit[0])
-        e = err_fail(ERR_UNSUPPORTED, "%s: has no name of its own that a calibration could bear",
+        e = err_fail(ERR_UNSUPPORTED,
+                     "%s: the camera reports no unit name, so its calibration cannot be stored",
                      q->camera);
     if (!e)
         e = calibrate_run(w, q->parts, q->longest_s, &known, &c);

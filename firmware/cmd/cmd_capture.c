@@ -42,7 +42,7 @@ static err_t make_order(const struct request *q, struct session_order *o)
         o->mode = SESSION_LIST;
         e = config_stops("--bracket", stops, o->ev, BRACKET_EXPOSURES_MAX, &o->n);
         if (!e && o->n == 0)
-            e = err_fail(ERR_ARG, "--bracket: auto, or stops like -4,0,4");
+            e = err_fail(ERR_ARG, "--bracket: must be auto or stops like -4,0,4");
     }
     if (!e && q->middle)
         e = cmd_number("--middle", q->middle, 1e-6, 1e4, &middle);
@@ -62,7 +62,7 @@ static err_t open_cameras(const struct request *q, struct session **out)
         s.n++;
     }
     if (q->camera[s.n])
-        return err_fail(ERR_ARG, "--camera: more than %d", BRACKET_CAMERAS_MAX);
+        return err_fail(ERR_ARG, "--camera: more than %d cameras", BRACKET_CAMERAS_MAX);
     return session_open(&s, out);
 }
 
@@ -128,7 +128,7 @@ static err_t outlet_open(const char *dir, const struct config *cfg, struct outle
 {
     char copy[FILE_PATH_CAP], name[32];
     if (file_exists(dir))
-        return err_fail(ERR_ARG, "--out: %s is there already", dir);
+        return err_fail(ERR_ARG, "--out: %s already exists", dir);
     if (strlen(dir) >= sizeof copy)
         return err_fail(ERR_ARG, "--out: longer than %zu bytes", sizeof copy - 1);
     strcpy(copy, dir);

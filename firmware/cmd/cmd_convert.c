@@ -71,7 +71,7 @@ int cmd_convert_run(int argc, char **argv)
         return code;
     err_t e = check_options(&o);
     if (!e && !modelfile_parse_precision(o.precision, &o.q.precision))
-        e = err_fail(ERR_ARG, "--precision: \"%.32s\", known are fp32, bf16 and int8", o.precision);
+        e = err_fail(ERR_ARG, "--precision: \"%.32s\" is none of fp32, bf16, int8", o.precision);
     if (!e && o.hashed)
         e = read_seed(o.hashed, &seed);
     if (e)

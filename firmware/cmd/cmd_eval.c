@@ -320,8 +320,8 @@ static err_t take_cameras(struct state *st)
     if (v->cams)
         return OK;
     if (v->n != s->n_views)
-        return err_fail(ERR_ARG, "%s: %d of the scene's %d input views are there", st->train.dir,
-                        v->n, s->n_views);
+        return err_fail(ERR_ARG, "%s: only %d of the scene's %d input views are in this folder",
+                        st->train.dir, v->n, s->n_views);
     for (int i = 0; i < v->n; i++)
         if (strcmp(v->names[i], s->names[i]) != 0)
             return err_fail(ERR_ARG, "%s: %s is no input view of the scene", st->train.dir,
@@ -408,7 +408,7 @@ static err_t read_numbers(struct request *rq)
     struct cmd_list list = {0};
     err_t e = OK;
     if (strcmp(rq->protocol, "paper") != 0 && strcmp(rq->protocol, "native") != 0)
-        e = err_fail(ERR_ARG, "--protocol %.32s, must be paper or native", rq->protocol);
+        e = err_fail(ERR_ARG, "--protocol: \"%.32s\" is none of paper, native", rq->protocol);
     if (rq->scene && (rq->views || rq->exposures))
         e = err_fail(ERR_ARG, "--scene has its input views; --views and --exposure-set choose some "
                               "for a reconstruction");

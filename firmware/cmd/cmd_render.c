@@ -113,7 +113,7 @@ static err_t make_path(const struct request *rq, struct state *st)
     bool orbit = strcmp(rq->path, "orbit") == 0, moves = orbit || rq->video || rq->frames_text;
     double far = 1;
     if (s->n_views == 0)
-        return err_fail(ERR_ARG, "%s: the scene has no views to go by: give --cameras FILE",
+        return err_fail(ERR_ARG, "%s: the scene has no input views: give --cameras FILE",
                         rq->scene);
     st->rig.n = moves ? rq->frames : s->n_views;
     st->rig.views = calloc((size_t)st->rig.n, sizeof *st->rig.views);
@@ -437,7 +437,7 @@ static err_t read_numbers(struct request *rq)
     if (!e && rq->hdr && !rq->out)
         e = err_fail(ERR_ARG, "--hdr writes frames: give --out DIR");
     if (!e && rq->video && !is_mp4(rq->video))
-        e = err_fail(ERR_ARG, "--video: \"%.64s\" is not called NAME.mp4", rq->video);
+        e = err_fail(ERR_ARG, "--video: \"%.64s\" does not end in .mp4", rq->video);
     if (!e && !rq->cameras == !rq->path)
         e = err_fail(ERR_ARG, "give either --cameras or --path");
     if (!e && rq->frames_text && rq->cameras)

@@ -260,7 +260,7 @@ static err_t split_models(struct state *st)
     for (const char *at = st->rq->models;; at++) {
         size_t n = strcspn(at, ",");
         if (n == 0 || n >= FILE_PATH_CAP)
-            return err_fail(ERR_ARG, "--model: a name of %zu bytes, not 1..%d", n,
+            return err_fail(ERR_ARG, "--model: a name has %zu bytes, 1 to %d are allowed", n,
                             FILE_PATH_CAP - 1);
         if (st->n_models == TRADEOFF_LIST_MAX)
             return err_fail(ERR_ARG, "--model: more than %d files", TRADEOFF_LIST_MAX);

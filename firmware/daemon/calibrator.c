@@ -39,11 +39,12 @@ err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *order)
     char what[sizeof c->what] = "all", longest[sizeof c->longest] = "2";
     int end = 0;
     if (c->on || c->done)
-        return err_fail(ERR_BUSY, "cameras are being calibrated already");
+        return err_fail(ERR_BUSY, "a calibration is already running: wait until it ends");
     if (strcmp(order, "calibrate") != 0 &&
         (sscanf(order, "calibrate %15[a-z] %31[0-9.e+-]%n", what, longest, &end) != 2 ||
          order[end] != 0))
-        return err_fail(ERR_ARG, "\"%.60s\" is not: calibrate [WHAT SECONDS]", order);
+        return err_fail(ERR_ARG, "\"%.60s\" is no order: calibrate [WHAT SECONDS] is expected",
+                        order);
     if (count_cameras(c->set) == 0)
         return err_fail(ERR_ARG, "camera.1 is not set: there is no camera to calibrate");
     strcpy(c->what, what);

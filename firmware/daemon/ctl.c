@@ -52,7 +52,7 @@ static err_t clear_stale(const struct sockaddr_un *a)
     if (lstat(a->sun_path, &st) != 0)
         return OK;
     if (!S_ISSOCK(st.st_mode))
-        return err_fail(ERR_IO, "control.socket: %s is there already and is not a socket",
+        return err_fail(ERR_IO, "control.socket: %s already exists and is not a socket",
                         a->sun_path);
     int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
     if (fd < 0)

@@ -503,7 +503,7 @@ static void read_clock(struct daemon *d)
     if (read(d->clock, &n, sizeof n) >= 0 || errno != ECANCELED)
         return;
     d->count.clock_steps++;
-    log_info("the wall clock was set");
+    log_info("the time of day was set");
     set_clock(d->clock);
 }
 

@@ -141,10 +141,11 @@ err_t jobs_add(struct jobs *j, const char *id)
     if (is_queued(j, j->child.pid != 0, id))
         return OK;
     if (j->n == JOBS_MAX)
-        return err_fail(ERR_LIMIT, "%s: %d reconstructions wait already", id, JOBS_MAX);
+        return err_fail(ERR_LIMIT, "%s: already %d reconstructions wait, no more are taken", id,
+                        JOBS_MAX);
     err_t e = pending_path(j, id, path);
     if (!e && file_exists(path) && !is_pending(j, id))
-        e = err_fail(ERR_ARG, "%s: is there already and was not written by hdrig", path);
+        e = err_fail(ERR_ARG, "%s: already exists and was not written by hdrig", path);
     if (!e)
         e = file_create(path, &f);
     if (!e && fputs(pending, f) >= 0) // file_finish asks whether it worked

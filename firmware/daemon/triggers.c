@@ -82,7 +82,7 @@ static err_t open_source(const struct triggers *t, struct source *s, int64_t now
     if (e && !s->told)
         log_warn("trigger %s: %s; trying again", s->uri, err_text());
     if (!e && s->told)
-        log_info("trigger %s: there again", s->uri);
+        log_info("trigger %s: available again", s->uri);
     s->told = !s->open;
     return OK;
 }

@@ -111,7 +111,7 @@ err_t places_end(const char *store, const char *session)
     if (!e)
         e = file_join(store, ".tmp-" STORE_SESSION_ENDED, tmp);
     if (!e && file_exists(path) && !read_ended(path, text))
-        e = err_fail(ERR_ARG, "%s: the file exists and was not written by hdrig", path);
+        e = err_fail(ERR_ARG, "%s: already exists and was not written by hdrig", path);
     if (e)
         return e;
     int n = snprintf(text, sizeof text, "%s\n", session);

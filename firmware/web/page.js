@@ -50,9 +50,9 @@ function captureCard(c) {
   const cameras = `${c.cameras} camera${c.cameras === 1 ? "" : "s"}`;
   card.append(element("p", `${c.frames} frames of ${cameras}${stops}`, "small"));
   if (c.clipped !== undefined)
-    card.append(element("p", `clipped in all ${percent(c.clipped)}, dark in all ${percent(c.dark)}`,
-      "small"));
-  if (c.session) card.append(element("p", `a place of session ${c.session}`, "small"));
+    card.append(element("p", `clipped at all exposures ${percent(c.clipped)}, ` +
+      `dark at all ${percent(c.dark)}`, "small"));
+  if (c.session) card.append(element("p", `place of session ${c.session}`, "small"));
   if (c.reason) card.append(element("p", c.reason, "small"));
   const links = element("p", undefined, "small");
   const link = (text, href) => {

@@ -87,12 +87,12 @@ function head() {
         "likeness to its photographs"),
     known(quality.held_out_psnr) &&
       tile(figure("quality.held_out_psnr", db(quality.held_out_psnr)),
-        "likeness where it did not learn"),
-    report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "likeness on views not seen"),
-    exposures.length && tile(fixed(range, 1), "stops of radiance seen well"),
+        "likeness where it was not trained"),
+    report.ldr && tile(figure("ldr.psnr", db(report.ldr.psnr)), "likeness on views held back"),
+    exposures.length && tile(fixed(range, 1), "stops of radiance well exposed"),
     tile(figure("gaussians", count(report.gaussians)), "splats"),
-    tile(figure("seconds.total", seconds(report.seconds.total)), "in all"),
-    tile(figure("peak_rss_mb", `${fixed(report.peak_rss_mb, 0)} MB`), "of memory at most"),
+    tile(figure("seconds.total", seconds(report.seconds.total)), "total time"),
+    tile(figure("peak_rss_mb", `${fixed(report.peak_rss_mb, 0)} MB`), "peak memory"),
   ];
   document.getElementById("figures").append(...tiles.filter(Boolean));
   if (known(quality.ldr_input_psnr) || report.ldr)
@@ -169,10 +169,10 @@ function photographs() {
       "only here", figure(`inputs.${i}.alone`, share(v.alone))));
   section("photographs", "Photographs",
     element("p", { class: "small soft" }, "The number before a name is that of its camera below. " +
-      "Exposure: stops to the middle one, then as given. Clipped and dark: pixels whose " +
-      "brightest colour has a display value from 252 on, below 8; under them percent of red, " +
-      "green and blue by themselves. Only here: pixels seen well that would be clipped or dark " +
-      "at every other exposure."),
+      "Exposure: stops from the middle one, then as given. Clipped and dark: share of pixels " +
+      "whose brightest colour has a display value of 252 or more, or below 8; beneath, the " +
+      "shares of red, green and blue. Only here: well exposed pixels that would be clipped or " +
+      "dark at every other exposure."),
     ...cards(order.map(card), 24));
 }
 
@@ -193,19 +193,19 @@ function exposureChart() {
   });
   const chart = svg(width, bottom + 20, ...marks, ...bars);
   chart.setAttribute("class", "chart");
-  chart.setAttribute("aria-label", "radiance that each exposure sees well");
+  chart.setAttribute("aria-label", "well exposed radiance of each exposure");
   return chart;
 }
 
 function overlap() {
   if (exposures.length < 2)
-    return "There is one exposure: what it does not see well nobody knows.";
+    return "There is one exposure: radiance outside its range is unknown.";
   const steps = exposures.slice(1).map((e, i) =>
     exposures[i].radiance_stops[0] - e.radiance_stops[1]); // above 0: a gap
   const worst = Math.max(...steps);
   return worst > 0
-    ? `Between two neighbours ${fixed(worst, 1)} stops are seen well by neither.`
-    : `Neighbours have ${fixed(-worst, 1)} stops or more in common, which ties them together.`;
+    ? `Between two neighbours ${fixed(worst, 1)} stops are well exposed in neither.`
+    : `Neighbours have ${fixed(-worst, 1)} stops or more in common, which connects them.`;
 }
 
 function contributions() {
@@ -218,8 +218,8 @@ function contributions() {
   section("exposures", "What each exposure contributed",
     element("p", {}, overlap()),
     exposureChart(),
-    element("p", { class: "small soft" }, "Bars: radiance that an exposure sees well, in stops " +
-      "to what is half of full scale at the middle exposure."),
+    element("p", { class: "small soft" }, "Bars: radiance that is well exposed, in stops " +
+      "from half of full scale at the middle exposure."),
     table(["stops", "photos", "clipped", "dark", "only here", "radiance"], rows));
 }
 
@@ -276,8 +276,8 @@ function plan(cameras, extent, across, upward, caption) {
 function cameraWords() {
   const c = report.cameras;
   if (!c)
-    return element("p", {}, report.network ? "Given with the photographs, or the network's answer."
-      : "test_views" in report ? "As the scene has them." : "Given with the photographs.");
+    return element("p", {}, report.network ? "Given with the photographs, or found by the network."
+      : "test_views" in report ? "Read from the scene." : "Given with the photographs.");
   const start = c.start_was_network ? "the network's cameras"
     : "points that the photographs have in common";
   return element("p", {}, `Found from ${start}: `,
@@ -307,8 +307,8 @@ function cameras() {
       `${span(angle, 1)} degrees across.`),
     ...report.warnings.filter((w) => w.includes(" is left out")).map((w) => element("p", {}, w)),
     element("div", { class: "plans" },
-      plan(all, extent, right, ahead, "from above: they look up the page"),
-      plan(all, extent, ahead, up, "from the side: they look to the right")));
+      plan(all, extent, right, ahead, "from above: cameras face the top of the page"),
+      plan(all, extent, ahead, up, "from the side: cameras face the right")));
 }
 
 // ---- tone curve ----
@@ -350,7 +350,7 @@ function toneCurve() {
     element("p", {}, near
       ? `Nearest known family: ${familyName(near)}, ${fixed(100 * near.rms, 1)} % of full scale ` +
         "away (rms)."
-      : "The curve is like that of no known family: it does not lead from black to white."),
+      : "The curve is like no known family: it does not lead from black to white."),
     toneChart(tone),
     element("p", { class: "small soft" }, "Display value in percent over exposure in stops, as " +
       "the scene has it in red, green and blue. Dashed: known families, each moved to where it " +
@@ -374,11 +374,11 @@ function residuals() {
   const quality = report.quality;
   section("residuals", "Scene against photographs, worst first",
     element("p", {}, "Mean ", db(quality.ldr_input_psnr), ". ", known(quality.held_out_psnr)
-      ? "On squares that refinement did not learn from: " + db(quality.held_out_psnr_start) +
+      ? "On squares held back from refinement: " + db(quality.held_out_psnr_start) +
         ` at the start, ${db(quality.held_out_psnr)} at the end.`
       : "Nothing was held out: there was no refinement."),
     element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
-      "none, white a quarter of full scale or more."),
+      "no difference, white a quarter of full scale or more."),
     ...cards(order.map(card), 12, "cards wide"));
 }
 
@@ -388,11 +388,11 @@ function measured() {
     [name, figure(`${key}.psnr`, db(report[key].psnr)),
       figure(`${key}.ssim`, fixed(report[key].ssim, 4)), String(report[key].images)];
   const rows = [row("photographs", "ldr"), row("radiance (mu-law)", "hdr"),
-    row("nearest input view instead", "baseline_nearest"),
+    row("nearest input view, for comparison", "baseline_nearest"),
     ...(report.per_exposure || []).map((e) =>
       [`photographs at exposure ${e.exposure}`, db(e.psnr), fixed(e.ssim, 4), ""])];
   const p = report.pose;
-  section("measured", "Measured on views that it has not seen",
+  section("measured", "Measured on views that were held back",
     table(["against", "PSNR", "SSIM", "pictures"], rows.filter(Boolean)),
     p ? element("p", {}, `Cameras: median error ${fixed(p.rot_deg_median, 2)} degrees, ` +
       `${share(p.trans_rel_median)} of their spread.`) : null);
@@ -404,7 +404,7 @@ function modelled() {
     words.push("The scene was read from a file: its own report tells how it was made.");
   else if (report.refine_steps === 0)
     words.push(report.network ? "The network's single pass, no refinement."
-      : "The start from stereo, no refinement.");
+      : "Gaussians from stereo, no refinement.");
   else
     words.push(`${plural(report.refine_steps, "step")} of refinement` +
       (report.refine_stopped_early ? ": it stopped early, as more did not help." : "."));

@@ -371,7 +371,7 @@ function start() {
 
 canvas.addEventListener("webglcontextlost", (e) => {
   e.preventDefault();
-  tell("the graphics driver has stopped; the picture comes back with it");
+  tell("the graphics driver stopped; the picture returns when it works again");
   canvas.style.visibility = "hidden"; // white else
 });
 canvas.addEventListener("webglcontextrestored", () => attempt(() => {

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Every wrong input ends with its exit code and a sentence that names the object; no result is left.
+# Every wrong input ends with its exit code and a sentence that names the object, without a result.
 . tests/e2e/common.bash
 make_set good 56 3 1
 
@@ -150,7 +150,7 @@ refused 1 'principal point -5, 28 outside its 56 x 56 px' --images "$set"
 refused 3 'needs [0-9]+ MB, --max-memory is 64 MB' --images "$OUT/good" --size 448 --max-memory 64
 mkdir "$OUT/precious"
 echo 'do not lose me' >"$OUT/precious/thesis.txt"
-expect 1 'precious: is there already and is no result of hdrig' \
+expect 1 'precious: already exists and is no result of hdrig' \
     reconstruct --images "$OUT/good" --out "$OUT/precious"
 [ -f "$OUT/precious/thesis.txt" ] || fail "the stranger's folder was touched"
 expect 1 'thesis.txt: exists and is not a folder' \

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Nothing of the user's is lost: what the tool refuses to replace, and CALLS random calls (300) from
-# SEED against a tree of other people's files. CALLS=20000 tests/e2e/bystanders.sh takes 10 minutes.
+# No file of the user is lost: the tool refuses to replace foreign files, also in CALLS random calls
+# (300) from SEED against a tree of them. CALLS=20000 tests/e2e/bystanders.sh takes 10 minutes.
 . tests/e2e/common.bash
 tree=$OUT/template
 mkdir "$tree"
@@ -44,18 +44,18 @@ lost() { # regex command...
     rm -rf "$OUT/tree"
 }
 hdrig=$(realpath "$HDRIG")
-lost 'thesis: is there already and is no result' reconstruct --images world --out thesis
+lost 'thesis: already exists and is no result' reconstruct --images world --out thesis
 lost 'noted/notes.txt: was not written by hdrig' reconstruct --images world --out noted --force
 lost 'edited/scene.ply: was changed' reconstruct --images world --out edited
 lost 'photos is read from it' reconstruct --images photos --exposures world/exposure.json \
     --rig world/sparse/0 --out photos
-lost 'world: is there already|is read from it' reconstruct --images world --out world --force
+lost 'world: already exists|is read from it' reconstruct --images world --out world --force
 lost 'made is read from it' render --scene made --path inputs --out made --force
 lost 'made/scene.ply is read from it' render --scene made/scene.ply --path inputs --out made
 lost 'made/cameras.json is read from it' reconstruct --images world --rig made/cameras.json \
     --out made
 lost 'own.ply: exists and is not a folder' render --scene made --path inputs --out own.ply
-lost 'foreign.json: is there already' eval --data world --refine 0 --json foreign.json
+lost 'foreign.json: already exists' eval --data world --refine 0 --json foreign.json
 cp -a "$tree" "$OUT/tree"
 succeed reconstruct --images "$tree/world" --size 56 --refine 0 --force --out "$OUT/tree/edited"
 succeed reconstruct --images "$tree/world" --size 56 --refine 0 --out "$OUT/tree/made"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Takes with simulated cameras at the extremes: what a manifest says of exposures is what the
-# simulator did, or the tool ends with the reason; nothing half-written is left either way.
+# Takes with simulated cameras at the extremes: a manifest has the exposures that the simulator
+# used, or the tool ends with the reason; nothing half-written is left in either case.
 . tests/e2e/common.bash
 TAKES=$OUT/takes
 FAST=kind=room,size=112,clock=virtual,fps=200 # waits take no time, whatever the machine is doing
@@ -172,7 +172,7 @@ expect 1 'no such|cannot|not there' capture --camera v4l2:/dev/video99 --out "$T
 expect 1 'colour' capture --camera sim:colour=3 --out "$TAKES/bad"
 expect 1 'begins with none of' capture --camera webcam:0 --out "$TAKES/bad"
 expect 1 'view is 4, must be 0..3' capture --camera sim:views=4,view=4 --out "$TAKES/bad"
-expect 1 'room is there already' capture --camera "$(sim bad $FAST)" --out "$TAKES/room"
+expect 1 'room already exists' capture --camera "$(sim bad $FAST)" --out "$TAKES/room"
 expect 2 '--out is needed' capture --camera "$(sim bad $FAST)"
 expect 2 'go with --camera' capture --out "$TAKES/bad"
 expect 1 '--bracket' capture --camera "$(sim bad $FAST)" --out "$TAKES/bad" --bracket 1,x

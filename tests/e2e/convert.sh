@@ -32,7 +32,7 @@ expect 2 '--hashed: "many" is not a whole number' convert --hashed many --config
 expect 2 '--hashed: "-1" is not' convert --hashed -1 --config mini --out y
 expect 2 '--hashed: "18446744073709551616" is' convert --hashed 18446744073709551616 \
     --config mini --out y
-expect 2 '--precision: "fp64", known are' convert x --out y --precision fp64
+expect 2 '--precision: "fp64" is none of' convert x --out y --precision fp64
 expect 2 'unexpected argument "stray"' convert x --out y stray
 succeed convert --help
 grep -q 'usage: hdrig convert FILE' "$OUT/stdout.txt" || fail "no help"

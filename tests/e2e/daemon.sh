@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The daemon with simulated cameras: captures on command, by timer and over HTTP, what it refuses,
-# how it ends, what is left after a crash.
+# The daemon with simulated cameras: captures on command, by timer and over HTTP, refusals, ends,
+# and its state after a crash.
 . tests/e2e/common.bash
 DAEMON=${HDRIG%/*}/hdrigd
 LOG=$OUT/hdrigd.txt

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# What a user may photograph and ask at the ends of what is possible: black, white and equal
-# pictures, exposures from 2^-26 to 2^26 s, small and odd sizes. The result is a scene of finite
-# numbers that can be rendered, or one sentence.
+# Extreme photographs and requests: black, white and equal pictures, exposures from 2^-26 to
+# 2^26 s, small and odd sizes. The result is a scene of finite numbers that can be rendered, or one
+# sentence.
 . tests/e2e/common.bash
 tiny=tests/data/ckpt
 for precision in fp32 int8; do

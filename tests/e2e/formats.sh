@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# A scene goes through every kind of file; what that loses is below its bounds, and what is no scene
-# is refused by name.
+# A scene goes through every kind of file: the losses stay below their bounds, and a file that is no
+# scene is refused by name.
 . tests/e2e/common.bash
 make_set set 112 4 1
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# What make install and make deb put where: unit and rules that systemd accepts, a sandbox that is
-# tight, settings that can be read.
+# Files that make install and make deb install: unit and rules that systemd accepts, a tight
+# sandbox, settings that can be read.
 . tests/e2e/common.bash
 root=$PWD/$OUT/root
 build=$(basename "${HDRIG%/*}")

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Whatever stops the tool - Ctrl-C, kill, a full disk - the former result stays whole and no half
-# one appears.
+# Ctrl-C, kill or a full disk stop the tool: the former result stays whole and no partial one
+# appears.
 . tests/e2e/common.bash
 make_set set 56 3 1
 job=(reconstruct --images "$OUT/set" --size 56)

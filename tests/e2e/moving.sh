@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Pictures in motion: ways of the camera, sweeps of the exposure, false colours, videos, and what
-# may go wrong with ffmpeg. Frames come in any case; a video is whole or not there.
+# Moving pictures: paths of the camera, sweeps of the exposure, false colours, videos, and failures
+# of ffmpeg. Frames are always written; a video is complete or absent.
 . tests/e2e/common.bash
 make_set set 56 3 1
 scene=$OUT/scene
@@ -31,7 +31,7 @@ expect 2 '--frames: 2.5 is not a whole number' "${render[@]}" --path orbit --fra
 expect 2 '--frames is for --path' "${render[@]}" --cameras "$scene/cameras.json" --frames 2 \
     --out "$OUT/no"
 for bad in a.avi .mp4 "$OUT/.mp4" mp4; do
-    expect 2 "--video: .* is not called NAME.mp4" "${render[@]}" --path orbit --out "$OUT/no" \
+    expect 2 "--video: .* does not end in .mp4" "${render[@]}" --path orbit --out "$OUT/no" \
         --video "$bad"
 done
 sed '0,/"w": 56, "h": 56/s//"w": 28, "h": 28/' "$scene/cameras.json" >"$OUT/unequal.json"
@@ -60,7 +60,7 @@ mean "$OUT"/inputs/frame_*.png "$OUT"/glb/frame_*.png |
     awk '{ v[NR] = $1 } END { exit !(NR == 6 && (v[2] - v[5]) ^ 2 < 1) }' ||
     fail "scene.glb shows something else"
 rm "$OUT/scene.json"
-expect 1 'scene.glb: the scene has no views to go by: give --cameras FILE' \
+expect 1 'scene.glb: the scene has no input views: give --cameras FILE' \
     render --scene "$OUT/scene.glb" --path inputs --out "$OUT/no"
 succeed render --scene "$OUT/scene.glb" --cameras "$scene/cameras.json" --out "$OUT/glb"
 

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# A network inside a job: what is refused, known and unknown cameras, models of every kind, the same
-# bytes with any number of threads, interruption. Weights are hashed, so pictures show nothing.
+# A network inside a job: refusals, known and unknown cameras, models of every kind, the same bytes
+# with any number of threads, interruption. Weights are hashed, so pictures show nothing.
 . tests/e2e/common.bash
 golden=tests/data/golden/mini
 "$BIN/make_set" "$OUT/good" 56 3 1 one || exit 1

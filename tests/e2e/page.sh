@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The status page in a browser: what it shows, its button, on the screen of a telephone.
+# The status page in a browser: its contents, its buttons, and its layout on a telephone.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
 SOCKET=$(mktemp -d)/control
@@ -36,7 +36,7 @@ wait_for "document.querySelector('#captures img').complete" true
 # a rig of one camera collects places
 text="document.getElementById('places').textContent"
 wait_for "$text" "1 place so far"
-[ "$(value "/a place of session/.test(document.querySelector('#captures .card').textContent)")" = \
+[ "$(value "/place of session/.test(document.querySelector('#captures .card').textContent)")" = \
     true ] || fail "the capture's card does not tell its session"
 [ "$(value "document.getElementById('session').hidden")" = false ] || fail "the session is hidden"
 screenshot "$OUT/page.png"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# A rig of one camera, which is carried from place to place: the captures of a session become one
-# scene, whatever happens to the daemon between them.
+# A rig of one camera is carried from place to place: the captures of a session become one scene,
+# also when the daemon stops or crashes between them.
 . tests/e2e/common.bash
 DAEMON=${HDRIG%/*}/hdrigd
 LOG=$OUT/hdrigd.txt

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# The commands of README.md run as they are printed, in their order, and what they promise is there.
-# Played are: photographs, the released checkpoint (a tiny one), cameras of /dev (simulated), sudo,
-# systemctl, the browser; make only tells what it would do. Sizes are small by settings.
+# The commands of README.md run as printed, in their order, and give the promised results. Stand-ins
+# replace photographs, the released checkpoint (a tiny one), cameras of /dev (simulated), sudo,
+# systemctl and the browser; make only prints its commands. Settings keep sizes small.
 . tests/e2e/common.bash
 readme=$PWD/README.md root=$PWD tool=$(realpath "$HDRIG") tiny=$PWD/tests/data/ckpt
 sandbox=$(realpath "$OUT")/sandbox bin=$(realpath "$OUT")/bin

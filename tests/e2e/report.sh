@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # report.html in a browser, from the disk: every section is there, its figures are those of
-# report.json, nothing is loaded or forbidden; whatever was photographed and however modelled.
+# report.json, nothing is loaded or forbidden; for all kinds of photographs and scenes.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
 tiny=tests/data/ckpt

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The page of a scene in a browser that draws in software: its pictures are those of hdrig render,
-# it asks nobody for anything, its controls do what they say.
+# it loads nothing, its controls work.
 . tests/e2e/common.bash
 . tests/e2e/browser.bash
 ANGLE="--use-angle=swiftshader --enable-unsafe-swiftshader"

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Every header compiles alone and has the guard DIR_FILE_H.
-# One of a library that is played is C++ and named by that library.
-# NAME_body.h is no interface but the text of functions, compiled once per instruction set.
+# Headers of a library's stand-in are C++ and have the names of that library.
+# NAME_body.h is no interface: it has functions that are compiled once per instruction set.
 bad=0
 headers=$(find core drivers firmware sim tests -name '*.h' ! -name '*_body.h' \
     ! -path 'tests/unit/drivers/device/fakecamera/libcamera/*' 2>/dev/null | sort)

@@ -1,7 +1,6 @@
 #!/bin/sh
-# Quoted includes start at the root and point the allowed way; third-party headers only in their
-# wrapper. Modules, the files of one name and of that name with _inner, do not include each other in
-# a circle.
+# Quoted includes start at the root and point in the allowed direction; third-party headers are only
+# in their wrapper. Modules (the files NAME and NAME_inner) do not include each other in a circle.
 bad=0
 find core drivers firmware sim tests -name '*.[ch]' 2>/dev/null | sort | xargs awk '
 BEGIN {

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# initramfs.sh OUT BIN MODULES - what the tests need of this machine, under the paths that it has
-# here: no file of a guest may come from a device, whose delays would be of real time.
+# initramfs.sh OUT BIN MODULES - packs the files of this machine that the tests need, under the same
+# paths: no file of a guest may come from a device, whose delays would be in real time.
 set -euo pipefail
 out=$1 bin=$2 modules=$3 guest=$(cd "$(dirname "$0")" && pwd)/guest
 root=$out.root

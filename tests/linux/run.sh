@@ -2,7 +2,7 @@
 # run.sh FOLDER [TEST...] - runs tests/linux/guest/TEST.sh, by default all, each in a kernel of its
 # own, whose time is virtual unless the script says otherwise ("# Real time"): User Mode Linux, or,
 # where that cannot be built or does not run, Debian's kernel under QEMU, whose clock counts
-# instructions. BENCH=uml or BENCH=qemu leaves no choice. FOLDER has the programs built from
+# instructions. BENCH=uml or BENCH=qemu chooses one. FOLDER has the programs built from
 # tests/linux/*.c.
 # One line per test: seconds of the machine, and of one processor. Its log is
 # build/log/kernel_TEST.log, whose end is shown when the test fails.

@@ -145,7 +145,7 @@ def trial(q, world):
     try:
         os.makedirs(base)
     except FileExistsError:
-        sys.exit(f"{base}: is there already: give another --work, or remove it")
+        sys.exit(f"{base}: already exists: give another --work, or remove it")
     run(q.hdrig, "simulate", "--out", data, "--kind", kind, "--seed", seed, "--views", VIEWS,
         "--size", q.size, "--curve", "srgb", "--noise-free", "--exposures",
         "0.00390625,0.015625,0.0625,0.25,1,4,16")

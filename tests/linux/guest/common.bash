@@ -1,5 +1,5 @@
-# Sourced by the tests of this folder. A test is a script that exits with 0 if all is well; what it
-# prints may not depend on anything but virtual time. BIN has the programs of tests/linux.
+# Sourced by the tests of this folder. A test is a script that exits with 0 on success; its
+# output may depend on nothing but virtual time. BIN has the programs of tests/linux.
 set -euo pipefail
 
 fail() {

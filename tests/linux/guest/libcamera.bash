@@ -1,4 +1,4 @@
-# Sourced by the tests of libcamera. What comes and goes it hears from udevd.
+# Sourced by the tests of libcamera, which learns from udevd which devices come and go.
 . "${0%/*}/common.bash"
 export LIBCAMERA_LOG_NO_COLOR=1 LIBCAMERA_LOG_LEVELS='*:ERROR'
 module=$(realpath "$BIN/../../hdrig-libcamera.so")

@@ -60,7 +60,7 @@ kill $daemon
 wait $daemon || fail "hdrigd ended with $?"
 tail -n 12 log
 expect "pulled out" "$(grep -c 'the camera has gone' log)" 10
-expect "taken up again" "$(grep -c 'there again' log)" 10
+expect "taken up again" "$(grep -c 'available again' log)" 10
 between "complete takes" "$(grep -c '^[0-9a-f]*-[0-9]*: 3 frames' log)" 10 100
 expect "descriptors" "$after" "$before"
 kill $cam $udev

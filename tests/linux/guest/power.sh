@@ -1,5 +1,5 @@
-# Power cuts under a store on ext4: what is written is logged by the kernel, and then every cut is
-# made from the log. Disks are in memory.
+# Power cuts under a store on ext4: the kernel logs all writes, and every cut is made from the log.
+# Disks are in memory.
 . "${0%/*}/common.bash"
 
 load brd rd_nr=4 rd_size=65536

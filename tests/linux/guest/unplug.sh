@@ -53,7 +53,7 @@ lines() {
     grep -c -- "$1" log || true
 }
 expect "pulled out" "$(lines ': unplugged')" $((warm + cycles))
-expect "taken up again" "$(lines 'there again')" $((warm + cycles))
+expect "taken up again" "$(lines 'available again')" $((warm + cycles))
 between "brackets that were cut" "$(lines '^aborted-')" $((cycles / 5)) $((warm + cycles))
 between "complete takes" "$(lines '^[0-9a-f]*-[0-9]*: 3 frames')" $((cycles / 5)) 10000
 expect "descriptors" "${now[0]}" "${before[0]}"

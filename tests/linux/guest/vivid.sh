@@ -1,4 +1,4 @@
-# The kernel's virtual camera, which has many formats and errors to order, through camera_v4l2.
+# The kernel's virtual camera, with many formats and errors on demand, through camera_v4l2.
 . "${0%/*}/common.bash"
 
 load vivid n_devs=2 node_types=0x1,0x1 num_inputs=1,1 input_types=0x0,0x0 multiplanar=1,2

@@ -86,7 +86,7 @@ static void keeps_somebody_elses_file(void **state)
     put(a, former);
     tmpdir_text("a.json", "{\"generator\": \"somebody\"}");
     assert_int_equal(partial_show(&p, a), ERR_ARG);
-    assert_non_null(strstr(err_text(), "a.json: is there already"));
+    assert_non_null(strstr(err_text(), "a.json: already exists"));
     assert_holds("a.json", "{\"generator\": \"somebody\"}");
     tmpdir_text("a.json", ""); // left by mktemp
     assert_int_equal(partial_show(&p, a), OK);

@@ -228,7 +228,7 @@ static void keeps_somebody_elses_film(void **state)
                                "isom, a wedding");
     play(x264, "cat >\"$out\"");
     assert_int_equal(film(2, 2, 0), ERR_ARG);
-    assert_says("films/a.mp4: is there already");
+    assert_says("films/a.mp4: already exists");
     assert_int_equal(files(), 1);
 }
 
