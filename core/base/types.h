@@ -47,7 +47,10 @@ struct shot {
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens
     int taken_w, taken_h;
-    bool again; // from the same place as the shot before it, at another exposure
+    bool again;               // from the same place as the shot before it, at another exposure
+    char camera_id[NAME_CAP]; // photographs with the same one share the lens of a physical camera
+    double focal_px;          // expected by its metadata, for the photograph as taken; 0: not known
+    int turned;               // quarter turns clockwise from the sensor to the photograph, 0..3
 };
 
 /* A set of photographs of one static scene. */

@@ -104,6 +104,17 @@ err_t undistort_camera(const char *what, const struct lens *l, int w, int h, str
     return OK;
 }
 
+double undistort_focal(const struct lens *l, int w, int h)
+{
+    const double size[2] = {w, h};
+    struct lens centred = *l;
+    double z[2] = {0, 0};
+    centred.cx = 0.5 * w;
+    centred.cy = 0.5 * h;
+    grow(&centred, size, true, true, z);
+    return z[0] > 0 ? l->fx / z[0] : 0;
+}
+
 /* Angle to the axis of a pixel in the middle of a side; beyond the image circle: its edge's. */
 static double angle_deg(const struct lens *l, double u, double v)
 {

@@ -22,6 +22,11 @@ enum { UNDISTORT_STRETCH = 4, UNDISTORT_ENLARGE = 2 };
 MUST_USE err_t undistort_camera(const char *what, const struct lens *l, int w, int h,
                                 struct camera *out);
 
+/* Focal length of the pinhole with square pixels and a frame of w x h px that shows as much as the
+ * photograph of that size through a lens covers, with the bound on stretching; both principal
+ * points are in the middle. 0 if there is none. */
+double undistort_focal(const struct lens *l, int w, int h);
+
 /* Angles that a photograph shows across and down its middle, and what the pinhole keeps of them. */
 struct undistort_field {
     double given_deg[2], kept_deg[2];

@@ -1,13 +1,10 @@
 /* Bundle adjustment (Triggs et al., "Bundle adjustment: a modern synthesis", 2000). Unknowns: a
- * twist for each pose, ln of the one focal length, and three directions across each unit 4-vector
- * of a point (Householder basis, Hartley and Zisserman A4.1.2). Points are eliminated track by
- * track (Schur complement); the reduced system of 6 V + 1 unknowns is dense. The gauge is left to
- * the damping. Cauchy loss by weights 1 / (1 + e^2 / kernel^2).
- * Tracks are divided into a fixed number of groups, each with its own sum. Groups are added in
- * order, so that the result does not depend on the threads.
- * Points: from pairs of sightings, the inverse depth along the one ray that brings it nearest to
- * the other (linear, and 0 for parallel rays); the pair that most sightings agree with wins, and
- * Gauss-Newton on these refines it. */
+ * twist for each pose, ln focal length and terms of each lens as far as they are free, and three
+ * directions across each unit 4-vector of a point (Householder basis, Hartley and Zisserman
+ * A4.1.2). Points are eliminated track by track (Schur complement); the reduced system of poses,
+ * then lenses, is dense. The gauge is left to the damping. Cauchy loss by weights 1 / (1 + e^2 /
+ * kernel^2). Tracks are divided into a fixed number of groups, each with its own sum. Groups are
+ * added in order, so that the result does not depend on the threads. */
 #include "core/sfm/adjust.h"
 
 #include "core/base/lin.h"
@@ -18,9 +15,10 @@
 #include <math.h>
 #include <string.h>
 
-enum { GROUPS = 8, BLOCK = 256, PAIRS_MOST = 24, POINT_STEPS = 4 };
+enum { GROUPS = 8 };
 static const double BEHIND = 1e30, NEAREST = 1e-9,
-                    DONE = 3e-6; // DONE: relative gain of a last step
+                    DONE = 3e-6, // relative gain of a last step
+    TERM_PRIOR = 0.5;            // 1 / expected size of a distortion term
 
 /* ---- one sighting ---- */
 
@@ -31,15 +29,42 @@ static void to_camera(const double *pose, const double point[4], double out[3])
         out[k] += pose[9 + k] * point[3];
 }
 
+static const struct lens *lens_of(const struct adjust *a, int view)
+{
+    return &a->lens[a->lens_of[view]].lens;
+}
+
+/* Pixel of a point in camera coordinates. */
+static bool image_of(const struct lens *l, const double x[3], double out[2])
+{
+    if (l->model != LENS_PINHOLE)
+        return lens_project(l, x, out);
+    out[0] = l->fx * x[0] / x[2];
+    out[1] = l->fx * x[1] / x[2];
+    return x[2] > NEAREST;
+}
+
 double adjust_error(const struct adjust *a, const double point[4], const struct adjust_seen *s)
 {
-    double x[3];
+    double x[3], px[2];
     to_camera(a->pose + (size_t)ADJUST_POSE * (size_t)s->view, point, x);
-    if (!(x[2] > NEAREST))
+    if (!image_of(lens_of(a, s->view), x, px))
         return BEHIND;
-    double du = a->focal * x[0] / x[2] - (double)s->u, dv = a->focal * x[1] / x[2] - (double)s->v;
+    double du = px[0] - (double)s->u, dv = px[1] - (double)s->v;
     double e = (du * du + dv * dv) * (double)s->weight * (double)s->weight;
     return e < BEHIND ? e : BEHIND;
+}
+
+void adjust_ray(const struct adjust *a, const struct adjust_seen *s, double ray[3])
+{
+    const struct lens *l = lens_of(a, s->view);
+    const double px[2] = {(double)s->u, (double)s->v};
+    if (l->model != LENS_PINHOLE && lens_unproject(l, px, ray))
+        return;
+    ray[0] = px[0] / l->fx;
+    ray[1] = px[1] / l->fx;
+    ray[2] = 1;
+    lin_normalise(ray);
 }
 
 double adjust_depth(const struct adjust *a, int view, const double point[4])
@@ -59,21 +84,47 @@ static double householder(const double point[4], double v[4])
     return 2 / (v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3]);
 }
 
+/* Pixel of a point in camera coordinates, its derivatives by these (2 x 3) and by the unknowns of
+ * the lens. */
+static bool image_slopes(const struct lens *l, const double x[3], double px[2], double by[6],
+                         double by_lens[2][ADJUST_LENS])
+{
+    double by_param[2 * LENS_PARAMS];
+    memset(by_lens, 0, 2 * sizeof *by_lens);
+    if (l->model == LENS_PINHOLE) {
+        const double scale = l->fx / x[2];
+        const double rows[6] = {scale, 0, -scale * x[0] / x[2], 0, scale, -scale * x[1] / x[2]};
+        if (!(x[2] > NEAREST))
+            return false;
+        memcpy(by, rows, sizeof rows);
+        px[0] = scale * x[0];
+        px[1] = scale * x[1];
+    } else if (!lens_project_grad(l, x, px, by, by_param))
+        return false;
+    for (int k = 0; k < 2; k++) {
+        by_lens[k][0] = px[k];
+        for (int i = 0; i < LENS_TERMS && l->model != LENS_PINHOLE; i++)
+            by_lens[k][1 + i] = by_param[LENS_PARAMS * k + 4 + i];
+    }
+    return true;
+}
+
 bool adjust_jacobian(const struct adjust *a, const double point[4], const struct adjust_seen *s,
                      struct adjust_jacobian *out)
 {
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
-    double x[3], v[4], factor = householder(point, v);
+    double x[3], px[2], rows[6], v[4], factor = householder(point, v);
     to_camera(pose, point, x);
-    if (!(x[2] > NEAREST))
+    if (!image_slopes(lens_of(a, s->view), x, px, rows, out->lens))
         return false;
-    const double scale = a->focal * (double)s->weight / x[2];
-    const double seen[2] = {(double)s->u, (double)s->v};
+    const double seen[2] = {(double)s->u, (double)s->v}, weight = (double)s->weight;
     for (int k = 0; k < 2; k++) {
-        const double by[3] = {k ? 0 : scale, k ? scale : 0, -scale * x[k] / x[2]};
+        const double by[3] = {weight * rows[3 * k], weight * rows[3 * k + 1],
+                              weight * rows[3 * k + 2]};
         double by_point[4], along = 0;
-        out->focal[k] = scale * x[k];
-        out->error[k] = scale * x[k] - seen[k] * (double)s->weight;
+        out->error[k] = weight * (px[k] - seen[k]);
+        for (int i = 0; i < ADJUST_LENS; i++)
+            out->lens[k][i] *= weight;
         lin_cross(x, by, out->pose[k]);
         for (int i = 0; i < 3; i++)
             out->pose[k][3 + i] = by[i] * point[3];
@@ -110,163 +161,26 @@ void adjust_move_point(double point[4], const double by[3])
         point[i] /= sqrt(len);
 }
 
-/* ---- points ---- */
-
-static void viewing_ray(const struct adjust *a, const struct adjust_seen *s, double centre[3],
-                        double dir[3])
-{
-    const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
-    const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
-    lin_apply_t(pose, x, dir);
-    lin_normalise(dir);
-    lin_apply_t(pose, pose + 9, centre);
-    for (int k = 0; k < 3; k++)
-        centre[k] = -centre[k];
-}
-
-static void point_of_pair(const struct adjust *a, const struct adjust_seen *s,
-                          const struct adjust_seen *other, double point[4])
-{
-    double c[3], d[3], c2[3], d2[3], move[3], turn[3], len = 0;
-    viewing_ray(a, s, c, d);
-    viewing_ray(a, other, c2, d2);
-    const double base[3] = {c[0] - c2[0], c[1] - c2[1], c[2] - c2[2]};
-    lin_cross(base, d2, move);
-    lin_cross(d, d2, turn);
-    double mm = lin_dot(move, move), inverse = mm > 0 ? -lin_dot(move, turn) / mm : 0;
-    inverse = inverse > 0 && inverse < 1e9 ? inverse : 0;
-    for (int k = 0; k < 4; k++) {
-        point[k] = k < 3 ? inverse * c[k] + d[k] : inverse;
-        len += point[k] * point[k];
-    }
-    for (int k = 0; k < 4; k++)
-        point[k] /= sqrt(len);
-}
-
-/* Truncated cost of a point over the sightings of its track. */
-static double point_cost(const struct adjust *a, int track, const double point[4], double gate2)
-{
-    double sum = 0;
-    for (int i = a->first[track]; i < a->first[track + 1]; i++)
-        if (a->placed[a->seen[i].view])
-            sum += fmin(adjust_error(a, point, &a->seen[i]), gate2);
-    return sum;
-}
-
-/* Gauss-Newton on the sightings within the gate, as long as the cost falls. returns: the cost. */
-static double point_polish(const struct adjust *a, int track, double gate2, double cost,
-                           double point[4])
-{
-    for (int step = 0; step < POINT_STEPS; step++) {
-        double h[9] = {0}, g[3] = {0}, next[4];
-        struct adjust_jacobian s;
-        for (int i = a->first[track]; i < a->first[track + 1]; i++) {
-            if (!a->placed[a->seen[i].view] || !adjust_jacobian(a, point, &a->seen[i], &s) ||
-                s.error[0] * s.error[0] + s.error[1] * s.error[1] >= gate2)
-                continue;
-            for (int k = 0; k < 2; k++)
-                lin_add_equation(h, g, 3, s.point[k], 1, s.error[k]);
-        }
-        double trace = h[0] + h[4] + h[8];
-        for (int k = 0; k < 3; k++)
-            h[4 * k] += 1e-9 * trace;
-        if (!lin_cholesky(h, 3))
-            return cost;
-        lin_solve(h, 3, g);
-        memcpy(next, point, sizeof next);
-        adjust_move_point(next, g);
-        double now = point_cost(a, track, next, gate2);
-        if (!(now < cost))
-            return cost;
-        memcpy(point, next, sizeof next);
-        bool done = cost - now < 1e-4 * cost;
-        cost = now;
-        if (done)
-            break;
-    }
-    return cost;
-}
-
-/* Pair number k of n sightings: of all pairs, or of PAIRS_MOST of them. */
-static void pair_of(int k, int n, int *i, int *j)
-{
-    int all = n * (n - 1) / 2;
-    int at = all <= PAIRS_MOST ? k : (int)(((long)k * 2 + 1) * all / (2 * PAIRS_MOST));
-    int gap = 1;
-    while (at >= n - gap) {
-        at -= n - gap;
-        gap++;
-    }
-    *i = at;
-    *j = at + gap;
-}
-
-static void place_point(struct adjust *a, int track, double gate2)
-{
-    const int from = a->first[track], n = a->first[track + 1] - from;
-    double *point = a->point + 4 * (size_t)track;
-    double old[4], best;
-    int count = 0;
-    memcpy(old, point, sizeof old);
-    best = point_cost(a, track, old, gate2);
-    best = isfinite(best) ? best : INFINITY;
-    for (int k = 0; k < num_min(n * (n - 1) / 2, PAIRS_MOST); k++) {
-        double now[4];
-        int i, j;
-        pair_of(k, n, &i, &j);
-        const struct adjust_seen *s = &a->seen[from + i], *t = &a->seen[from + j];
-        if (!a->placed[s->view] || !a->placed[t->view])
-            continue;
-        point_of_pair(a, s, t, now);
-        double cost = point_cost(a, track, now, gate2);
-        if (cost < best) {
-            best = cost;
-            memcpy(point, now, sizeof now);
-        }
-    }
-    point_polish(a, track, gate2, best, point);
-    for (int i = from; i < from + n; i++) {
-        a->in[i] = a->placed[a->seen[i].view] && adjust_error(a, point, &a->seen[i]) < gate2;
-        count += a->in[i];
-    }
-    for (int i = from; i < from + n && count < 2; i++)
-        a->in[i] = false;
-}
-
-struct points_job {
-    const struct run *r;
-    struct adjust *a;
-    double gate2;
-};
-
-static err_t points_block(void *ctx, int chunk, int worker)
-{
-    struct points_job *job = ctx;
-    (void)worker;
-    err_t e = run_check(job->r, "placing points");
-    for (int t = chunk * BLOCK; t < num_min((chunk + 1) * BLOCK, job->a->n_tracks) && !e; t++)
-        place_point(job->a, t, job->gate2);
-    return e;
-}
-
-err_t adjust_points(const struct run *r, struct adjust *a, double gate)
-{
-    struct points_job job = {r, a, gate * gate};
-    return pool_for(r->pool, (a->n_tracks + BLOCK - 1) / BLOCK, points_block, &job);
-}
-
 /* ---- normal equations ---- */
+
+/* A lens that a track was seen through: W of its free unknowns, and W H^-1. */
+struct lens_block {
+    int lens;
+    double w[3 * ADJUST_LENS], wh[3 * ADJUST_LENS];
+};
 
 struct normal {
     const struct run *r;
     const struct adjust *a;
     double kernel2, damping;
-    int n;         // 6 V + 1 unknowns of cameras
-    double *sum;   // (GROUPS, n, n) lower triangles
-    double *rhs;   // (GROUPS, n)
-    double *cross; // (GROUPS, V, 18 + 18) W and W H^-1 of the sightings of a track
-    double *step;  // (n)
-    double *trial; // (n_tracks, 4)
+    int n;                    // unknowns of cameras: 6 V, then the free ones of the lenses
+    int *at;                  // (n_lenses + 1) first unknown of each lens
+    double *sum;              // (GROUPS, n, n) lower triangles
+    double *rhs;              // (GROUPS, n)
+    double *cross;            // (GROUPS, V, 18 + 18) W and W H^-1 of the sightings of a track
+    struct lens_block *block; // (GROUPS, V)
+    double *step;             // (n)
+    double *trial;            // (n_tracks, 4)
     double cost[GROUPS];
 };
 
@@ -283,39 +197,77 @@ static void group_of(int n_tracks, int g, int *from, int *to)
 
 /* Sums of one track for its point. */
 struct track_sum {
-    double h[9], g[3], focal[3]; // point; focal by point
-    int n;                       // sightings
+    double h[9], g[3];
+    int n, n_blocks; // sightings, lenses
+    struct lens_block *block;
 };
+
+/* Derivatives by the free unknowns of a lens, side by side. */
+static int free_slopes(const struct adjust_lens *l, const struct adjust_jacobian *s,
+                       double out[2][ADJUST_LENS])
+{
+    int n = 0;
+    for (int i = 0; i < ADJUST_LENS; i++) {
+        if (!l->free[i])
+            continue;
+        out[0][n] = s->lens[0][i];
+        out[1][n++] = s->lens[1][i];
+    }
+    return n;
+}
 
 /* Add the camera blocks of a sighting to the group's sums. */
 static void add_camera(struct normal *m, int view, const struct adjust_jacobian *s, double w,
                        double *sum, double *rhs)
 {
-    const int n = m->n, f = n - 1;
+    const int n = m->n, lens = m->a->lens_of[view];
     const double more = 1 + m->damping;
+    double by[2][ADJUST_LENS];
+    const int n_free = free_slopes(&m->a->lens[lens], s, by);
     for (int p = 0; p < 6; p++) {
         double *row = sum + (size_t)(6 * view + p) * (size_t)n + (size_t)(6 * view);
         for (int q = 0; q <= p; q++)
             row[q] += w * (p == q ? more : 1) *
                       (s->pose[0][p] * s->pose[0][q] + s->pose[1][p] * s->pose[1][q]);
-        sum[(size_t)f * (size_t)n + (size_t)(6 * view + p)] +=
-            w * (s->pose[0][p] * s->focal[0] + s->pose[1][p] * s->focal[1]);
         rhs[6 * view + p] -= w * (s->pose[0][p] * s->error[0] + s->pose[1][p] * s->error[1]);
     }
-    sum[(size_t)f * (size_t)n + (size_t)f] +=
-        w * more * (s->focal[0] * s->focal[0] + s->focal[1] * s->focal[1]);
-    rhs[f] -= w * (s->focal[0] * s->error[0] + s->focal[1] * s->error[1]);
+    for (int p = 0; p < n_free; p++) {
+        double *row = sum + (size_t)(m->at[lens] + p) * (size_t)n;
+        for (int q = 0; q < 6; q++)
+            row[6 * view + q] += w * (s->pose[0][q] * by[0][p] + s->pose[1][q] * by[1][p]);
+        for (int q = 0; q <= p; q++)
+            row[m->at[lens] + q] +=
+                w * (p == q ? more : 1) * (by[0][p] * by[0][q] + by[1][p] * by[1][q]);
+        rhs[m->at[lens] + p] -= w * (by[0][p] * s->error[0] + by[1][p] * s->error[1]);
+    }
 }
 
-static void add_point(const struct adjust_jacobian *s, double w, struct track_sum *t,
-                      double cross[18])
+static struct lens_block *block_of(struct track_sum *t, int lens)
 {
+    int k = 0;
+    while (k < t->n_blocks && t->block[k].lens != lens)
+        k++;
+    if (k == t->n_blocks) {
+        t->block[t->n_blocks++].lens = lens;
+        memset(t->block[k].w, 0, sizeof t->block[k].w);
+    }
+    return &t->block[k];
+}
+
+static void add_point(const struct adjust *a, int view, const struct adjust_jacobian *s, double w,
+                      struct track_sum *t, double cross[18])
+{
+    const int lens = a->lens_of[view];
+    double by[2][ADJUST_LENS];
+    const int n_free = free_slopes(&a->lens[lens], s, by);
+    struct lens_block *block = block_of(t, lens);
     for (int p = 0; p < 3; p++) {
         for (int q = 0; q < 3; q++)
             t->h[3 * p + q] +=
                 w * (s->point[0][p] * s->point[0][q] + s->point[1][p] * s->point[1][q]);
         t->g[p] -= w * (s->point[0][p] * s->error[0] + s->point[1][p] * s->error[1]);
-        t->focal[p] += w * (s->point[0][p] * s->focal[0] + s->point[1][p] * s->focal[1]);
+        for (int q = 0; q < n_free; q++)
+            block->w[3 * q + p] += w * (s->point[0][p] * by[0][q] + s->point[1][p] * by[1][q]);
         for (int q = 0; q < 6; q++)
             cross[3 * q + p] =
                 w * (s->pose[0][q] * s->point[0][p] + s->pose[1][q] * s->point[1][p]);
@@ -332,13 +284,19 @@ static bool point_inverse(const struct normal *m, const struct track_sum *t, dou
     return lin_inverse3(h, inverse);
 }
 
+static double *group_cross(const struct normal *m, int group)
+{
+    return m->cross + 36 * (size_t)group * (size_t)m->a->n_views;
+}
+
 /* Linearise one track: its sums, W of sighting i in cross + 36 i, and the camera blocks if sum is
  * not NULL. */
-static void linearise_track(struct normal *m, int track, double *cross, double *sum, double *rhs,
+static void linearise_track(struct normal *m, int track, int group, double *sum, double *rhs,
                             struct track_sum *t)
 {
     const struct adjust *a = m->a;
-    memset(t, 0, sizeof *t);
+    double *cross = group_cross(m, group);
+    *t = (struct track_sum){.block = m->block + (size_t)group * (size_t)a->n_views};
     for (int i = a->first[track]; i < a->first[track + 1]; i++, t->n++) {
         struct adjust_jacobian s;
         double *w = cross + 36 * (size_t)t->n;
@@ -349,7 +307,7 @@ static void linearise_track(struct normal *m, int track, double *cross, double *
         double weight = 1 / (1 + e2 / m->kernel2);
         if (sum)
             add_camera(m, a->seen[i].view, &s, weight, sum, rhs);
-        add_point(&s, weight, t, w);
+        add_point(a, a->seen[i].view, &s, weight, t, w);
     }
 }
 
@@ -361,18 +319,51 @@ static void subtract_product(const double *u, const double *v, double *block, si
             block[(size_t)p * stride + (size_t)q] -= lin_dot(u + 3 * p, v + 3 * q);
 }
 
-/* sum -= W H^-1 W^T between all sightings of a track and the focal length. */
-static void eliminate_point(const struct normal *m, int track, const struct track_sum *t,
-                            double *cross, double *sum, double *rhs)
+/* The rows of lens `l` of the elimination: with its own and the other lenses, and with the poses.
+ * */
+static void eliminate_lens(const struct normal *m, int track, const struct track_sum *t,
+                           const struct lens_block *l, double *sum)
 {
     const struct adjust *a = m->a;
-    const size_t n = (size_t)m->n, f = n - 1;
-    double inverse[9], focal[3];
+    const double *cross = group_cross(m, 0) + (t->block - m->block) * 36;
+    const size_t n = (size_t)m->n;
+    const int from = m->at[l->lens], n_free = m->at[l->lens + 1] - from;
+    for (int p = 0; p < n_free; p++) {
+        double *row = sum + (size_t)(from + p) * n;
+        for (int k = 0; k < t->n_blocks; k++) {
+            const struct lens_block *other = &t->block[k];
+            const int to = m->at[other->lens], end = m->at[other->lens + 1];
+            for (int q = to; q < end && q <= from + p; q++) // the lower triangle
+                row[q] -= lin_dot(l->wh + 3 * p, other->w + 3 * (q - to));
+        }
+        for (int i = 0; i < t->n; i++) {
+            const int at = a->first[track] + i;
+            const double *w = cross + 36 * (size_t)i;
+            for (int q = 0; q < 6 && a->in[at]; q++)
+                row[6 * a->seen[at].view + q] -= lin_dot(l->wh + 3 * p, w + 3 * q);
+        }
+    }
+}
+
+/* sum -= W H^-1 W^T between all sightings of a track and the lenses. */
+static void eliminate_point(const struct normal *m, int track, const struct track_sum *t,
+                            double *sum, double *rhs)
+{
+    const struct adjust *a = m->a;
+    double *cross = group_cross(m, 0) + (t->block - m->block) * 36;
+    const size_t n = (size_t)m->n;
+    double inverse[9];
     if (!point_inverse(m, t, inverse))
         return;
-    lin_apply(inverse, t->focal, focal);
-    sum[f * n + f] -= lin_dot(focal, t->focal);
-    rhs[f] -= lin_dot(focal, t->g);
+    for (int k = 0; k < t->n_blocks; k++) {
+        struct lens_block *l = &t->block[k];
+        for (int p = 0; p < m->at[l->lens + 1] - m->at[l->lens]; p++) {
+            lin_apply(inverse, l->w + 3 * p, l->wh + 3 * p);
+            rhs[m->at[l->lens] + p] -= lin_dot(l->wh + 3 * p, t->g);
+        }
+    }
+    for (int k = 0; k < t->n_blocks; k++)
+        eliminate_lens(m, track, t, &t->block[k], sum);
     for (int i = 0; i < t->n; i++) {
         const int at = a->first[track] + i;
         const size_t row = 6 * (size_t)a->seen[at].view;
@@ -382,7 +373,6 @@ static void eliminate_point(const struct normal *m, int track, const struct trac
         for (int p = 0; p < 6; p++) {
             lin_apply(inverse, w + 3 * p, wh + 3 * p);
             rhs[row + (size_t)p] -= lin_dot(wh + 3 * p, t->g);
-            sum[f * n + row + (size_t)p] -= lin_dot(wh + 3 * p, t->focal);
         }
         for (int j = 0; j <= i; j++) // views ascend: the lower triangle
             if (a->in[at - i + j])
@@ -396,7 +386,6 @@ static err_t normal_group(void *ctx, int g, int worker)
     struct normal *m = ctx;
     const size_t n = (size_t)m->n;
     double *sum = m->sum + (size_t)g * n * n, *rhs = m->rhs + (size_t)g * n;
-    double *cross = m->cross + (size_t)g * 36 * (size_t)m->a->n_views;
     int from, to;
     (void)worker;
     memset(sum, 0, n * n * sizeof *sum);
@@ -404,8 +393,8 @@ static err_t normal_group(void *ctx, int g, int worker)
     group_of(m->a->n_tracks, g, &from, &to);
     for (int t = from; t < to; t++) {
         struct track_sum track;
-        linearise_track(m, t, cross, sum, rhs, &track);
-        eliminate_point(m, t, &track, cross, sum, rhs);
+        linearise_track(m, t, g, sum, rhs, &track);
+        eliminate_point(m, t, &track, sum, rhs);
     }
     return run_check(m->r, "bundle adjustment");
 }
@@ -419,13 +408,32 @@ static void fix_unknown(double *s, int n, int k, double *rhs)
     rhs[k] = 0;
 }
 
-/* Step of the cameras at the present damping. */
-static err_t camera_step(struct normal *m, bool *ok)
+/* Expected value of an unknown of a lens less its present one, and the weight of that. */
+static double prior_gap(const struct adjust_lens *l, int unknown, double *weight)
+{
+    *weight = unknown == 0 ? l->prior : TERM_PRIOR;
+    return unknown == 0 ? l->prior_focal - log(l->lens.fx) : -l->lens.term[unknown - 1];
+}
+
+static void add_priors(const struct normal *m, double *s)
+{
+    for (int i = 0; i < m->a->n_lenses; i++)
+        for (int p = 0, k = m->at[i]; p < ADJUST_LENS; p++) {
+            double weight, gap = prior_gap(&m->a->lens[i], p, &weight);
+            if (!m->a->lens[i].free[p])
+                continue;
+            s[(size_t)k * (size_t)m->n + (size_t)k] += weight * weight;
+            m->rhs[k++] += weight * weight * gap;
+        }
+}
+
+/* Normal equations of the cameras at the present damping, factored in m->sum. */
+static err_t camera_system(struct normal *m, bool *ok)
 {
     const struct adjust *a = m->a;
     const int n = m->n;
     err_t e = pool_for(m->r->pool, GROUPS, normal_group, m);
-    double *s = m->sum, deviation = (log(a->focal) - a->prior_focal) * a->prior;
+    double *s = m->sum;
     for (int g = 1; g < GROUPS && !e; g++) {
         for (size_t i = 0; i < (size_t)n * (size_t)n; i++)
             s[i] += m->sum[(size_t)g * (size_t)n * (size_t)n + i];
@@ -434,17 +442,22 @@ static err_t camera_step(struct normal *m, bool *ok)
     }
     if (e)
         return e;
-    s[(size_t)n * (size_t)n - 1] += a->prior * a->prior;
-    m->rhs[n - 1] -= a->prior * deviation;
+    add_priors(m, s);
     for (int k = 0; k < n; k++)
-        if ((k < n - 1 ? a->poses_fixed || !a->placed[k / 6] : a->focal_fixed) ||
+        if ((k < 6 * a->n_views && (a->poses_fixed || !a->placed[k / 6])) ||
             !(s[(size_t)k * (size_t)n + (size_t)k] > 0))
             fix_unknown(s, n, k, m->rhs);
     *ok = lin_cholesky(s, n);
-    memcpy(m->step, m->rhs, (size_t)n * sizeof *m->step);
-    if (*ok)
-        lin_solve(s, n, m->step);
     return OK;
+}
+
+static err_t camera_step(struct normal *m, bool *ok)
+{
+    err_t e = camera_system(m, ok);
+    memcpy(m->step, m->rhs, (size_t)m->n * sizeof *m->step);
+    if (!e && *ok)
+        lin_solve(m->sum, m->n, m->step);
+    return e;
 }
 
 /* ---- steps ---- */
@@ -463,7 +476,7 @@ static err_t back_group(void *ctx, int g, int worker)
 {
     struct normal *m = ctx;
     const struct adjust *a = m->a;
-    double *cross = m->cross + (size_t)g * 36 * (size_t)a->n_views;
+    const double *cross = group_cross(m, g);
     int from, to;
     (void)worker;
     group_of(a->n_tracks, g, &from, &to);
@@ -471,11 +484,14 @@ static err_t back_group(void *ctx, int g, int worker)
         struct track_sum track;
         double inverse[9], by[3], *point = m->trial + 4 * (size_t)t;
         memcpy(point, a->point + 4 * (size_t)t, 4 * sizeof *point);
-        linearise_track(m, t, cross, NULL, NULL, &track);
+        linearise_track(m, t, g, NULL, NULL, &track);
         if (!point_inverse(m, &track, inverse))
             continue;
-        for (int k = 0; k < 3; k++)
-            track.g[k] -= track.focal[k] * m->step[m->n - 1];
+        for (int i = 0; i < track.n_blocks; i++) {
+            const struct lens_block *l = &track.block[i];
+            for (int k = 0; k < 3 * (m->at[l->lens + 1] - m->at[l->lens]); k++)
+                track.g[k % 3] -= l->w[k] * m->step[m->at[l->lens] + k / 3];
+        }
         for (int i = 0; i < 6 * track.n; i++) {
             const double *w = cross + 36 * (size_t)(i / 6) + 3 * (size_t)(i % 6);
             const double by_view = m->step[6 * a->seen[a->first[t] + i / 6].view + i % 6];
@@ -512,38 +528,78 @@ static err_t total_cost(struct normal *m, double *out)
 
 static double prior_cost(const struct adjust *a)
 {
-    double d = (log(a->focal) - a->prior_focal) * a->prior;
-    return 0.5 * d * d;
+    double sum = 0;
+    for (int i = 0; i < a->n_lenses * ADJUST_LENS; i++) {
+        const struct adjust_lens *l = &a->lens[i / ADJUST_LENS];
+        double weight, d = prior_gap(l, i % ADJUST_LENS, &weight);
+        sum += l->free[i % ADJUST_LENS] ? 0.5 * d * d * weight * weight : 0;
+    }
+    return sum;
 }
 
-static size_t count_unknowns(int n_views)
+static size_t count_unknowns(int n_views, int n_lenses)
 {
-    return 6 * (size_t)n_views + 1;
+    return 6 * (size_t)n_views + ADJUST_LENS * (size_t)n_lenses;
 }
 
-/* Apply the step to poses and focal length; swap in the points of m->trial. */
-static void apply_step(struct normal *m, struct adjust *a, const double *pose)
+/* Move the free unknowns of the lenses. False where one has no meaning any more. */
+static bool move_lenses(const struct normal *m, struct adjust *a)
+{
+    bool ok = true;
+    for (int i = 0; i < a->n_lenses; i++) {
+        struct adjust_lens *l = &a->lens[i];
+        const double *step = m->step + m->at[i];
+        if (l->free[0])
+            l->lens.fx = l->lens.fy = l->lens.fx * exp(fmax(-0.5, fmin(0.5, *step++)));
+        for (int k = 0; k < LENS_TERMS; k++)
+            l->lens.term[k] += l->free[1 + k] ? *step++ : 0;
+        ok = ok && isfinite(l->lens.fx) && lens_init(&l->lens) == OK;
+    }
+    return ok;
+}
+
+/* The state before a step. */
+struct backup {
+    double *pose;
+    struct adjust_lens *lens;
+};
+
+static void back_up(const struct adjust *a, const struct backup *b)
+{
+    memcpy(b->pose, a->pose, (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *a->pose);
+    memcpy(b->lens, a->lens, (size_t)a->n_lenses * sizeof *a->lens);
+}
+
+static void swap_points(struct normal *m, struct adjust *a)
 {
     double *point = a->point;
-    for (int v = 0; v < a->n_views; v++) {
-        double *p = a->pose + (size_t)ADJUST_POSE * (size_t)v;
-        memcpy(p, pose + (size_t)ADJUST_POSE * (size_t)v, ADJUST_POSE * sizeof *p);
-        adjust_move_pose(p, m->step + 6 * v);
-    }
-    a->focal *= exp(fmax(-0.5, fmin(0.5, m->step[m->n - 1])));
     a->point = m->trial;
     m->trial = point;
 }
 
-static err_t minimise(struct normal *m, struct adjust *a, double *pose, int steps)
+static void go_back(struct normal *m, const struct backup *b, struct adjust *a)
 {
-    const size_t bytes = (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *pose;
+    swap_points(m, a);
+    memcpy(a->pose, b->pose, (size_t)ADJUST_POSE * (size_t)a->n_views * sizeof *a->pose);
+    memcpy(a->lens, b->lens, (size_t)a->n_lenses * sizeof *a->lens);
+}
+
+/* Apply the step to poses and lenses; swap in the points of m->trial. */
+static bool apply_step(struct normal *m, struct adjust *a)
+{
+    for (int v = 0; v < a->n_views; v++)
+        adjust_move_pose(a->pose + (size_t)ADJUST_POSE * (size_t)v, m->step + 6 * v);
+    swap_points(m, a);
+    return move_lenses(m, a);
+}
+
+static err_t minimise(struct normal *m, struct adjust *a, const struct backup *before, int steps)
+{
     double cost, now = 0, ease = 0.1;
     err_t e = total_cost(m, &cost);
     cost += prior_cost(a);
     m->damping = 1e-4;
     for (int k = 0; k < steps && !e && m->damping < 1e7; k++) {
-        double focal = a->focal;
         bool ok;
         e = camera_step(m, &ok);
         if (!e && ok)
@@ -552,11 +608,11 @@ static err_t minimise(struct normal *m, struct adjust *a, double *pose, int step
             m->damping *= 10;
             continue;
         }
-        memcpy(pose, a->pose, bytes);
-        apply_step(m, a, pose);
+        back_up(a, before);
+        ok = apply_step(m, a);
         e = total_cost(m, &now);
         now += prior_cost(a);
-        if (!e && now < cost) {
+        if (!e && ok && now < cost) {
             bool done = cost - now < DONE * cost;
             cost = now;
             m->damping = fmax(m->damping * ease, 1e-9);
@@ -565,53 +621,100 @@ static err_t minimise(struct normal *m, struct adjust *a, double *pose, int step
                 break;
             continue;
         }
-        double *point = a->point;
-        a->point = m->trial;
-        m->trial = point;
-        a->focal = focal;
-        memcpy(a->pose, pose, bytes);
+        go_back(m, before, a);
         m->damping *= 4;
         ease = 0.8;
     }
     return e;
 }
 
-static err_t layout(struct normal *m, double **pose, struct arena *tmp, int n_views, int n_tracks)
+static err_t layout(struct normal *m, struct backup *b, struct arena *tmp, const int count[3])
 {
-    const size_t n = count_unknowns(n_views), v = (size_t)n_views;
+    const size_t n = count_unknowns(count[0], count[1]), v = (size_t)count[0];
+    const size_t lenses = (size_t)count[1];
     err_t e = arena_alloc(tmp, GROUPS * n * n, sizeof(double), &m->sum);
     if (!e)
         e = arena_alloc(tmp, GROUPS * n, sizeof(double), &m->rhs);
     if (!e)
         e = arena_alloc(tmp, GROUPS * 36 * v, sizeof(double), &m->cross);
     if (!e)
+        e = arena_alloc(tmp, GROUPS * v, sizeof *m->block, &m->block);
+    if (!e)
         e = arena_alloc(tmp, n, sizeof(double), &m->step);
     if (!e)
-        e = arena_alloc(tmp, ADJUST_POSE * v, sizeof(double), pose);
-    return e ? e : arena_alloc(tmp, 4 * (size_t)n_tracks, sizeof(double), &m->trial);
+        e = arena_alloc(tmp, lenses + 1, sizeof *m->at, &m->at);
+    if (!e)
+        e = arena_alloc(tmp, ADJUST_POSE * v, sizeof(double), &b->pose);
+    if (!e)
+        e = arena_alloc(tmp, lenses, sizeof *b->lens, &b->lens);
+    return e ? e : arena_alloc(tmp, 4 * (size_t)count[2], sizeof(double), &m->trial);
 }
 
-size_t adjust_plan(int n_views, int n_tracks)
+size_t adjust_plan(int n_views, int n_lenses, int n_tracks)
 {
     struct arena tmp = arena_counter();
     struct normal m;
-    double *pose;
-    return layout(&m, &pose, &tmp, n_views, n_tracks) ? SIZE_MAX : tmp.peak;
+    struct backup b;
+    return layout(&m, &b, &tmp, (int[3]){n_views, n_lenses, n_tracks}) ? SIZE_MAX : tmp.peak;
+}
+
+static err_t begin(const struct run *r, struct adjust *a, double kernel, struct normal *m,
+                   struct backup *b)
+{
+    *m = (struct normal){.r = r, .a = a, .kernel2 = kernel * kernel};
+    err_t e = layout(m, b, r->tmp, (int[3]){a->n_views, a->n_lenses, a->n_tracks});
+    m->n = 6 * a->n_views;
+    for (int i = 0; i < a->n_lenses && !e; i++) {
+        m->at[i] = m->n;
+        for (int k = 0; k < ADJUST_LENS; k++)
+            m->n += a->lens[i].free[k];
+    }
+    if (!e)
+        m->at[a->n_lenses] = m->n;
+    return e;
 }
 
 err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps)
 {
     const size_t mark = arena_mark(r->tmp), points = 4 * (size_t)a->n_tracks;
-    struct normal m = {
-        .r = r, .a = a, .kernel2 = kernel * kernel, .n = (int)count_unknowns(a->n_views)};
-    double *own = a->point, *pose;
-    err_t e = layout(&m, &pose, r->tmp, a->n_views, a->n_tracks);
+    struct normal m;
+    struct backup before;
+    double *own = a->point;
+    err_t e = begin(r, a, kernel, &m, &before);
     if (!e)
-        e = minimise(&m, a, pose, steps);
+        e = minimise(&m, a, &before, steps);
     if (a->point != own) { // the arena's array is released
         memcpy(own, a->point, points * sizeof *own);
         a->point = own;
     }
+    arena_reset(r->tmp, mark);
+    return e;
+}
+
+err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, double *out)
+{
+    const size_t mark = arena_mark(r->tmp);
+    struct normal m;
+    struct backup before;
+    bool ok = false;
+    err_t e = begin(r, a, 1e3 * scale, &m, &before);
+    m.damping = 1e-9; // the gauge
+    if (!e)
+        e = camera_system(&m, &ok);
+    for (int i = 0; i < a->n_lenses && !e; i++)
+        for (int p = 0, k = m.at[i]; p < ADJUST_LENS; p++) {
+            double *to = out + ADJUST_LENS * i + p;
+            *to = a->lens[i].free[p] ? INFINITY : 0;
+            if (!a->lens[i].free[p])
+                continue;
+            memset(m.step, 0, (size_t)m.n * sizeof *m.step);
+            m.step[k] = 1;
+            if (ok) {
+                lin_solve(m.sum, m.n, m.step);
+                *to = scale * sqrt(fmax(0, m.step[k]));
+            }
+            k++;
+        }
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -10,42 +10,17 @@
 #include "core/base/lin.h"
 #include "core/base/num.h"
 #include "core/base/rotation.h"
-#include "core/sfm/adjust.h"
+#include "core/sfm/bundle_inner.h"
 #include "core/sfm/connectivity.h"
 #include "core/sfm/resect.h"
 #include "core/sfm/similarity.h"
-#include "core/sfm/viewgraph.h"
+#include "core/sfm/triangulate.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { GATE = 4 };                              // expected errors of an inlier
-static const double CHANCE = 0.2;               // redundancy that wrong matches may have
-static const double FAR = 1e-6;                 // least w of a point in the result
-static const double FOV60 = 0.8660254037844386; // focal length over picture size at 60 degrees
-
-/* One candidate result. */
-struct answer {
-    double focal, scale; // scale: of the expected errors, at least 1
-    double *pose, *point;
-    bool *placed, *in;
-    double score;
-    bool from_tracks;
-};
-
-struct bundle {
-    const struct run *r;
-    const struct bundle_config *cfg;
-    const struct match_tracks *tracks;
-    const struct views *v;
-    int n_views;
-    struct adjust a;
-    struct viewgraph g;
-    bool *trusted; // (sightings) after the votes; all without them
-    float *sorted; // (sightings)
-    struct answer best;
-    double scale;
-};
+/* Focal length over picture size: 60 degrees, and 120 of a fisheye. */
+static const double FOV60 = 0.8660254037844386, ANGLE120 = 0.477464829275686;
 
 /* ---- input ---- */
 
@@ -84,29 +59,51 @@ static bool are_usable(const struct camera *start, int n)
     return n > 0;
 }
 
-/* Adjustment assumes square pixels: rows are scaled by the aspect. */
-static float picture_aspect(const struct bundle *b)
+static bool is_fisheye(const struct bundle *b, int lens)
 {
-    return b->v->aspect > 0 ? b->v->aspect : 1;
+    return b->cfg->lens[lens].start.model == LENS_OPENCV_FISHEYE;
 }
 
-static double start_focal(const struct bundle *b)
+static double usual_focal(const struct bundle *b, int lens)
+{
+    for (int v = 0; v < b->n_views; v++)
+        if (b->a.lens_of[v] == lens)
+            return (is_fisheye(b, lens) ? ANGLE120 : FOV60) *
+                   num_max(b->v->extent[v].w, b->v->extent[v].h);
+    return FOV60 * b->v->size;
+}
+
+/* Focal length of a lens that the first attempt begins with. */
+static double start_focal(const struct bundle *b, int lens)
 {
     float f[BUNDLE_VIEWS_MAX];
-    if (b->cfg->focal > 0 && isfinite(b->cfg->focal))
-        return (double)b->cfg->focal;
-    if (!b->cfg->start)
-        return FOV60 * b->v->size;
-    for (int i = 0; i < b->n_views; i++)
-        f[i] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * picture_aspect(b));
-    return (double)num_median(f, (size_t)b->n_views);
+    int n = 0;
+    const double given = b->cfg->lens[lens].start.fx;
+    if (given > 0 && isfinite(given))
+        return given;
+    for (int i = 0; i < b->n_views && b->cfg->start; i++)
+        if (b->a.lens_of[i] == lens)
+            f[n++] = sqrtf(b->cfg->start[i].fx * b->cfg->start[i].fy * bundle_aspect(b));
+    return n ? (double)num_median(f, (size_t)n) : usual_focal(b, lens);
 }
 
 /* Observations in the form of struct adjust. */
 struct input {
     struct adjust_seen *seen;
-    int *first;
+    int *first, *lens_of;
 };
+
+static err_t layout_lenses(struct bundle *b, struct input *x, struct arena *tmp, int n_views,
+                           int n_lenses)
+{
+    const size_t n = (size_t)n_lenses;
+    err_t e = arena_zalloc(tmp, (size_t)n_views, sizeof *x->lens_of, &x->lens_of);
+    if (!e)
+        e = arena_zalloc(tmp, n, sizeof *b->a.lens, &b->a.lens);
+    if (!e)
+        e = arena_zalloc(tmp, n, sizeof *b->best.lens, &b->best.lens);
+    return e ? e : arena_zalloc(tmp, n, sizeof *b->start, &b->start);
+}
 
 static err_t layout(struct bundle *b, struct input *x, struct arena *tmp, int n_views,
                     const struct match_tracks *t)
@@ -134,19 +131,46 @@ static err_t layout(struct bundle *b, struct input *x, struct arena *tmp, int n_
     return e;
 }
 
+/* Turn about the axis of the camera, counterclockwise as seen in the view: from view to sensor. */
+static void turn_back(int quarters, double x[3])
+{
+    for (int k = 0; k < (quarters & 3); k++) {
+        const double u = x[0];
+        x[0] = x[1];
+        x[1] = -u;
+    }
+}
+
+/* Place of a sighting from the middle of the sensor, square pixels. */
+static void taken_place(const struct bundle *b, const struct match_seen *s, double px[2])
+{
+    const struct extent *size = &b->v->extent[s->view];
+    const double focal = b->cfg->pinhole ? (double)b->cfg->pinhole[s->view] : 0;
+    double ray[3] = {(double)(s->u - 0.5f * (float)size->w),
+                     (double)((s->v - 0.5f * (float)size->h) * bundle_aspect(b)), focal};
+    turn_back(bundle_turned(b, s->view), ray);
+    memcpy(px, ray, 2 * sizeof *px);
+    if (focal > 0 && !lens_project(&b->cfg->lens[b->a.lens_of[s->view]].start, ray, px))
+        px[0] = px[1] = 0; // the crop has no such place
+}
+
 static err_t load_tracks(struct bundle *b)
 {
     const struct match_tracks *t = b->tracks;
     struct input x;
     err_t e = layout(b, &x, b->r->tmp, b->n_views, t);
+    if (!e)
+        e = layout_lenses(b, &x, b->r->tmp, b->n_views, b->a.n_lenses);
     if (e)
         return e;
+    for (int v = 0; v < b->n_views && b->cfg->lens_of; v++)
+        x.lens_of[v] = b->cfg->lens_of[v];
+    b->a.lens_of = x.lens_of;
     for (int i = 0; i < t->n; i++) {
         const struct match_seen *s = &t->seen[i];
-        const struct extent *px = &b->v->extent[s->view];
-        x.seen[i] = (struct adjust_seen){s->u - 0.5f * (float)px->w,
-                                         (s->v - 0.5f * (float)px->h) * picture_aspect(b),
-                                         1 / s->sigma, s->view};
+        double px[2];
+        taken_place(b, s, px);
+        x.seen[i] = (struct adjust_seen){(float)px[0], (float)px[1], 1 / s->sigma, s->view};
         x.first[s->track + 1]++;
         b->trusted[i] = true;
     }
@@ -169,8 +193,8 @@ static err_t run_rounds(struct bundle *b, const struct round *s, int n)
     struct adjust *a = &b->a;
     err_t e = OK;
     for (int k = 0; k < n && !e; k++) {
-        e = adjust_points(b->r, a, s[k].gate * b->scale);
-        for (int i = 0; i < b->tracks->n && s[k].gate > 2 * GATE; i++)
+        e = triangulate_points(b->r, a, s[k].gate * b->scale);
+        for (int i = 0; i < b->tracks->n && s[k].gate > 2 * BUNDLE_GATE; i++)
             a->in[i] &= b->trusted[i];
         if (!e)
             e = adjust_run(b->r, a, s[k].kernel * b->scale, s[k].steps);
@@ -197,7 +221,7 @@ static err_t place_again(struct bundle *b, bool *any)
     struct adjust *a = &b->a;
     *any = false;
     for (int v = 0; v < b->n_views; v++)
-        if (!a->placed[v] && resect_view(&b->g, a, v, GATE * b->scale) >= CONNECTIVITY_VIEW)
+        if (!a->placed[v] && resect_view(&b->g, a, v, BUNDLE_GATE * b->scale) >= CONNECTIVITY_VIEW)
             a->placed[v] = *any = true;
     return run_check(b->r, "placing views");
 }
@@ -205,7 +229,7 @@ static err_t place_again(struct bundle *b, bool *any)
 /* The last rounds, common to both starts. */
 static err_t run_last_rounds(struct bundle *b)
 {
-    static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {GATE, 2, 25}};
+    static const struct round middle[] = {{12, 4, 10}}, last[] = {{6, 2, 10}, {BUNDLE_GATE, 2, 25}};
     bool any = false;
     err_t e = run_rounds(b, middle, 1);
     b->scale = error_scale(b);
@@ -219,31 +243,11 @@ static err_t run_last_rounds(struct bundle *b)
     if (!e)
         e = run_rounds(b, last, 2);
     if (!e)
-        e = adjust_points(b->r, &b->a, GATE * b->scale);
+        e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
     connectivity_prune(&b->a);
     if (!e)
-        e = adjust_points(b->r, &b->a, GATE * b->scale);
+        e = triangulate_points(b->r, &b->a, BUNDLE_GATE * b->scale);
     return e;
-}
-
-/* Redundancy of the inliers and of all sightings; with `soft`, sightings near the gate count
- * less. */
-static double count_redundancy(const struct bundle *b, bool soft, double *all)
-{
-    const struct adjust *a = &b->a;
-    double sum = 0;
-    *all = 0;
-    for (int t = 0; t < a->n_tracks; t++) {
-        const int seen = a->first[t + 1] - a->first[t];
-        double n = 0;
-        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            double e2 = soft ? adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]) : 0;
-            n += a->in[i] ? fmax(0, 1 - e2 / (GATE * GATE)) : 0;
-        }
-        sum += fmax(0, 2 * n - 3);
-        *all += seen > 1 ? 2 * seen - 3 : 0;
-    }
-    return sum;
 }
 
 /* Keep the present state if it is better than the one before. */
@@ -251,11 +255,11 @@ static void keep_better(struct bundle *b, bool from_tracks)
 {
     struct answer *w = &b->best;
     const struct adjust *a = &b->a;
-    double all, score = count_redundancy(b, true, &all);
+    double all, score = bundle_result_redundancy(b, b->a.in, true, &all);
     if (score <= w->score)
         return;
     w->score = score;
-    w->focal = a->focal;
+    memcpy(w->lens, a->lens, (size_t)a->n_lenses * sizeof *w->lens);
     w->scale = b->scale;
     w->from_tracks = from_tracks;
     memcpy(w->pose, a->pose, (size_t)b->n_views * ADJUST_POSE * sizeof *w->pose);
@@ -266,19 +270,27 @@ static void keep_better(struct bundle *b, bool from_tracks)
 
 /* ---- starts ---- */
 
-static void reset_points(struct bundle *b, double focal)
+/* No points, and the lenses of b->start. */
+static void reset(struct bundle *b)
 {
-    b->a.focal = focal;
+    for (int i = 0; i < b->a.n_lenses; i++)
+        b->a.lens[i].lens = b->start[i];
     b->scale = 1;
     memset(b->a.point, 0, 4 * (size_t)b->a.n_tracks * sizeof *b->a.point);
 }
 
-static err_t from_tracks(struct bundle *b, double focal)
+static void free_focals(struct bundle *b, bool free)
+{
+    for (int i = 0; i < b->a.n_lenses; i++)
+        b->a.lens[i].free[0] = free;
+}
+
+static err_t from_tracks(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
     bool found = false;
-    reset_points(b, focal);
+    reset(b);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
     if (e || viewgraph_rotations(&b->g, a) == 0)
         return e;
@@ -305,16 +317,9 @@ static void load_cameras(struct bundle *b)
         rotation_from_quat(q, p);
         for (int k = 0; k < 3; k++)
             p[9 + k] = (double)c->t[k];
+        bundle_result_turn(p, -bundle_turned(b, v));
         b->a.placed[v] = true;
     }
-}
-
-static float depth_at(const struct bundle *b, const struct match_seen *s)
-{
-    const struct extent *px = &b->v->extent[s->view];
-    const int x = (int)fminf(fmaxf(s->u, 0), (float)(px->w - 1));
-    const int y = (int)fminf(fmaxf(s->v, 0), (float)(px->h - 1));
-    return b->cfg->start_depth[px->at + (size_t)y * (size_t)px->w + (size_t)x];
 }
 
 /* Typical depth of the scene from the cameras of the start: by its depth maps, else by the point
@@ -324,7 +329,7 @@ static double typical_depth(struct bundle *b)
     double h[9] = {0}, g[3] = {0}, x[3], inverse[9], sum = 0;
     int n = 0;
     for (int i = 0; i < b->tracks->n && b->cfg->start_depth; i++) {
-        float d = depth_at(b, &b->tracks->seen[i]);
+        float d = bundle_depth_at(b, &b->tracks->seen[i]);
         if (d > 0 && isfinite(d))
             b->sorted[n++] = d;
     }
@@ -360,9 +365,10 @@ static void points_at(struct bundle *b, double depth)
         memset(x, 0, 4 * sizeof *x);
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
             const double *p = a->pose + (size_t)ADJUST_POSE * (size_t)a->seen[i].view;
-            const double c[3] = {depth * (double)a->seen[i].u / a->focal - p[9],
-                                 depth * (double)a->seen[i].v / a->focal - p[10], depth - p[11]};
-            double w[3];
+            double ray[3], w[3];
+            adjust_ray(a, &a->seen[i], ray);
+            const double far = depth / fmax(ray[2], 0.1);
+            const double c[3] = {far * ray[0] - p[9], far * ray[1] - p[10], far * ray[2] - p[11]};
             a->in[i] = b->trusted[i];
             if (!a->in[i])
                 continue;
@@ -383,15 +389,15 @@ static err_t from_cameras(struct bundle *b)
 {
     static const struct round first[] = {{100, 60, 10}, {60, 30, 10}, {30, 15, 10}, {20, 8, 10}};
     struct adjust *a = &b->a;
-    reset_points(b, start_focal(b));
+    reset(b);
     load_cameras(b);
     points_at(b, typical_depth(b));
     adjust_normalise(a);
-    a->focal_fixed = true;
+    free_focals(b, false);
     err_t e = adjust_run(b->r, a, 100, 20);
     if (!e)
         e = run_rounds(b, first, 1);
-    a->focal_fixed = b->cfg->focal_known;
+    free_focals(b, !b->cfg->focal_known);
     if (!e)
         e = run_rounds(b, first + 1, 3);
     if (!e)
@@ -405,7 +411,7 @@ static err_t from_cameras(struct bundle *b)
 static err_t from_rig(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
-    reset_points(b, start_focal(b));
+    reset(b);
     load_cameras(b);
     b->a.poses_fixed = true;
     err_t e = run_rounds(b, first, 2);
@@ -416,205 +422,11 @@ static err_t from_rig(struct bundle *b)
     return e;
 }
 
-/* ---- result ---- */
-
-/* Similarity from the adjusted world to that of the result. */
-struct world {
-    double scale, r[9], t[3]; // x_out = scale r x + t
-};
-
-static struct camera camera_of(const struct bundle *b, int v)
-{
-    const struct extent *px = &b->v->extent[v];
-    const float f = (float)b->best.focal;
-    const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)v;
-    struct camera cam = {
-        px->w, px->h, f, f / picture_aspect(b), 0.5f * (float)px->w, 0.5f * (float)px->h, {0}, {0}};
-    double q[4];
-    rotation_to_quat(p, q);
-    for (int k = 0; k < 4; k++)
-        cam.q[k] = (float)q[k];
-    for (int k = 0; k < 3; k++)
-        cam.t[k] = (float)p[9 + k];
-    return cam;
-}
-
-/* World of `start` if there is one, else that of the first placed camera. */
-static err_t find_world(const struct bundle *b, struct world *out)
-{
-    struct camera from[BUNDLE_VIEWS_MAX], to[BUNDLE_VIEWS_MAX];
-    struct similarity w;
-    int n = 0;
-    *out = (struct world){1, {1, 0, 0, 0, 1, 0, 0, 0, 1}, {0}};
-    for (int v = 0; v < b->n_views; v++) {
-        if (!b->best.placed[v])
-            continue;
-        if (!b->cfg->start && n++ == 0) {
-            memcpy(out->r, b->best.pose + (size_t)ADJUST_POSE * (size_t)v, sizeof out->r);
-            memcpy(out->t, b->best.pose + (size_t)ADJUST_POSE * (size_t)v + 9, sizeof out->t);
-        }
-        if (b->cfg->start) {
-            from[n] = camera_of(b, v);
-            to[n++] = b->cfg->start[v];
-        }
-    }
-    if (!b->cfg->start || n == 0)
-        return OK;
-    err_t e = similarity_fit(b->r, from, to, n, &w);
-    if (e || !(w.scale > 0) || !isfinite(w.scale + w.t[0] + w.t[1] + w.t[2]))
-        return e;
-    out->scale = w.scale;
-    rotation_from_quat(w.q, out->r);
-    memcpy(out->t, w.t, sizeof out->t);
-    return OK;
-}
-
-static struct camera moved_camera(const struct world *w, const struct camera *cam)
-{
-    struct similarity to = {.scale = w->scale};
-    rotation_to_quat(w->r, to.q);
-    memcpy(to.t, w->t, sizeof to.t);
-    return similarity_apply(&to, cam);
-}
-
-/* Cameras of the result; views that are not placed get those of `start`, else of the nearest placed
- * view. */
-static void write_cameras(const struct bundle *b, const struct world *w, struct bundle_result *out)
-{
-    struct camera none = camera_of(b, 0);
-    none.q[0] = 1;
-    for (int k = 0; k < 3; k++)
-        none.q[1 + k] = none.t[k] = 0;
-    for (int v = 0; v < b->n_views; v++) {
-        out->placed[v] = b->best.placed[v];
-        out->n_placed += out->placed[v];
-        out->cams[v] = none;
-        if (out->placed[v] && !b->cfg->rig_known) {
-            struct camera own = camera_of(b, v);
-            out->cams[v] = moved_camera(w, &own);
-        } else if (b->cfg->start) {
-            memcpy(out->cams[v].q, b->cfg->start[v].q, sizeof none.q);
-            memcpy(out->cams[v].t, b->cfg->start[v].t, sizeof none.t);
-        }
-    }
-    for (int v = 0; v < b->n_views && !b->cfg->start; v++)
-        for (int gap = 1; gap < b->n_views && !out->placed[v]; gap++) {
-            const int near = v >= gap && out->placed[v - gap] ? v - gap : v + gap;
-            if (near < b->n_views && out->placed[near]) {
-                out->cams[v] = out->cams[near];
-                break;
-            }
-        }
-}
-
-/* Inliers, their error, and positions of the points. */
-static void write_points(const struct bundle *b, const struct world *w, struct bundle_result *out)
-{
-    const struct adjust *a = &b->a;
-    double sum = 0;
-    for (int t = 0; t < a->n_tracks; t++) {
-        const double *x = b->best.point + 4 * (size_t)t;
-        const double far = fmax(x[3], FAR), p[3] = {x[0] / far, x[1] / far, x[2] / far};
-        double q[3];
-        int n = 0;
-        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            if (!b->best.in[i])
-                continue;
-            double weight = (double)a->seen[i].weight;
-            sum += adjust_error(a, x, &a->seen[i]) / (weight * weight);
-            n++;
-        }
-        out->inliers += n;
-        lin_apply(w->r, p, q);
-        for (int k = 0; k < 3; k++)
-            out->points[3 * t + k] = n ? (float)(w->scale * q[k] + w->t[k]) : NAN;
-    }
-    out->rms_px = out->inliers ? (float)sqrt(sum / out->inliers) : 0;
-}
-
-/* Depth of the points over that of the start, in each view. */
-static void write_scales(struct bundle *b, const struct world *w, struct bundle_result *out)
-{
-    const struct adjust *a = &b->a;
-    for (int v = 0; v < b->n_views; v++) {
-        int n = 0;
-        out->depth_scale[v] = 1;
-        for (int i = 0; i < b->tracks->n && b->cfg->start_depth && b->cfg->start; i++) {
-            const struct match_seen *s = &b->tracks->seen[i];
-            if (s->view != v || !b->best.in[i])
-                continue;
-            double z = w->scale * adjust_depth(a, v, b->best.point + 4 * (size_t)s->track);
-            float ratio = (float)z / depth_at(b, s);
-            if (ratio > 0 && isfinite(ratio))
-                b->sorted[n++] = ratio;
-        }
-        if (n >= CONNECTIVITY_VIEW)
-            out->depth_scale[v] = num_median(b->sorted, (size_t)n);
-    }
-}
-
-/* Median over tracks of the widest angle between the first ray and another, px. */
-static double parallax_px(struct bundle *b)
-{
-    const struct adjust *a = &b->a;
-    int n = 0;
-    for (int t = 0; t < a->n_tracks; t++) {
-        const double *x = b->best.point + 4 * (size_t)t;
-        double ray[3], first[3] = {0}, c[3], least = 2;
-        for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)a->seen[i].view;
-            if (!b->best.in[i])
-                continue;
-            lin_apply_t(p, p + 9, c);
-            for (int k = 0; k < 3; k++)
-                ray[k] = x[k] + x[3] * c[k];
-            lin_normalise(ray);
-            if (least > 1)
-                memcpy(first, ray, sizeof first);
-            least = fmin(least, lin_dot(ray, first));
-        }
-        if (least <= 1.001)
-            b->sorted[n++] = (float)(acos(fmax(-1, fmin(1, least))) * b->best.focal);
-    }
-    return (double)num_median(b->sorted, (size_t)n);
-}
-
-/* Share of the redundancy beyond chance and of the views; then parallax against the errors. */
-static void rate_result(struct bundle *b, struct bundle_result *out)
-{
-    const double wanted = 4 * fmax(0.5, (double)out->rms_px);
-    double all, in;
-    memcpy(b->a.in, b->best.in, (size_t)b->tracks->n * sizeof *b->a.in);
-    in = count_redundancy(b, false, &all);
-    if (all < 1)
-        return;
-    double share = fmax(0, (in / all - CHANCE) / (1 - CHANCE));
-    double parallax = pow(parallax_px(b) / wanted, 4);
-    out->agreement = (float)(share * out->n_placed / b->n_views);
-    out->confidence = (float)(share * out->n_placed / b->n_views * parallax / (1 + parallax));
-}
-
-static err_t write_result(struct bundle *b, struct bundle_result *out)
-{
-    struct world w;
-    err_t e = find_world(b, &w);
-    if (e)
-        return e;
-    b->a.pose = b->best.pose;
-    b->a.focal = b->best.focal;
-    out->sightings = b->tracks->n;
-    out->from_tracks = b->best.from_tracks;
-    write_cameras(b, &w, out);
-    write_points(b, &w, out);
-    write_scales(b, &w, out);
-    rate_result(b, out);
-    return OK;
-}
-
 /* ---- run ---- */
 
 static err_t layout_result(struct bundle_result *out, struct arena *keep, int n_views, int n_tracks)
 {
+    const size_t lenses = (size_t)out->n_lenses;
     err_t e = arena_zalloc(keep, (size_t)n_views, sizeof *out->cams, &out->cams);
     if (!e)
         e = arena_alloc(keep, 3 * (size_t)n_tracks, sizeof *out->points, &out->points);
@@ -622,55 +434,139 @@ static err_t layout_result(struct bundle_result *out, struct arena *keep, int n_
         e = arena_alloc(keep, (size_t)n_views, sizeof *out->depth_scale, &out->depth_scale);
     if (!e)
         e = arena_zalloc(keep, (size_t)n_views, sizeof *out->placed, &out->placed);
+    if (!e)
+        e = arena_zalloc(keep, lenses, sizeof *out->lenses, &out->lenses);
+    if (!e)
+        e = arena_zalloc(keep, lenses, sizeof *out->selfcal, &out->selfcal);
     return e;
 }
 
-void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t)
+void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_tracks *t)
 {
-    struct bundle_result out;
+    struct bundle_result out = {.n_lenses = n_lenses};
     struct bundle b;
     struct input x;
     const size_t mark = arena_mark(&p->tmp);
-    if (layout_result(&out, &p->keep, n_views, t->n_tracks) || layout(&b, &x, &p->tmp, n_views, t))
+    if (layout_result(&out, &p->keep, n_views, t->n_tracks) ||
+        layout(&b, &x, &p->tmp, n_views, t) || layout_lenses(&b, &x, &p->tmp, n_views, n_lenses))
         plan_refuse(p);
-    arena_step(&p->tmp, adjust_plan(n_views, t->n_tracks));
+    arena_step(&p->tmp, selfcal_plan(n_views, n_lenses, t->n_tracks, t->n));
     arena_step(&p->tmp, viewgraph_plan(n_views, t->n));
     arena_step(&p->tmp, similarity_plan(n_views));
     arena_reset(&p->tmp, mark);
 }
 
 /* Relative poses for a wrong focal length are wrong, and adjustment then converges slowly. So it
- * starts again where the focal length comes out different. */
-static err_t from_focal(struct bundle *b, double focal)
+ * starts again where a focal length comes out different. */
+static err_t from_focals(struct bundle *b)
 {
     err_t e = OK;
-    b->a.prior_focal = log(focal);
     for (int k = 0; k < 3 && !e; k++) {
-        e = from_tracks(b, focal);
-        if (fabs(log(b->a.focal / focal)) < 0.05)
+        double most = 0;
+        for (int i = 0; i < b->a.n_lenses; i++)
+            b->a.lens[i].prior_focal = log(b->start[i].fx);
+        e = from_tracks(b);
+        for (int i = 0; i < b->a.n_lenses; i++) {
+            const double focal = b->a.lens[i].lens.fx;
+            most = fmax(most, fabs(log(focal / b->start[i].fx)));
+            b->start[i].fx = b->start[i].fy = focal;
+        }
+        if (most < 0.05)
             break;
-        focal = b->a.focal;
     }
     return e;
 }
 
+/* Lenses as the first attempt knows them. */
+static err_t set_starts(struct bundle *b)
+{
+    err_t e = OK;
+    for (int i = 0; i < b->a.n_lenses; i++) {
+        const struct bundle_lens *known = &b->cfg->lens[i];
+        struct adjust_lens *l = &b->a.lens[i];
+        b->start[i] = known->start;
+        b->start[i].fx = b->start[i].fy = start_focal(b, i);
+        b->start[i].cx = b->start[i].cy = 0;
+        if (!e)
+            e = lens_init(&b->start[i]);
+        l->prior_focal = log(b->start[i].fx);
+        l->prior = known->start.fx > 0 && !known->focal_guessed ? 10 : b->cfg->start ? 4 : 2;
+        l->lens = b->best.lens[i].lens = b->start[i];
+    }
+    free_focals(b, !b->cfg->focal_known);
+    return e;
+}
+
+/* Start from the usual focal lengths where nothing was known. False if it is the same start. */
+static bool set_usual(struct bundle *b)
+{
+    bool other = false;
+    for (int i = 0; i < b->a.n_lenses; i++) {
+        const struct bundle_lens *known = &b->cfg->lens[i];
+        const double first = start_focal(b, i), usual = usual_focal(b, i);
+        const bool sure = known->start.fx > 0 && !known->focal_guessed;
+        b->start[i].fx = b->start[i].fy = sure ? first : usual;
+        other = other || (!sure && fabs(log(first / usual)) > 0.05);
+    }
+    return other;
+}
+
 static err_t run_starts(struct bundle *b)
 {
-    const double focal = start_focal(b), usual = FOV60 * b->v->size;
-    b->best.focal = focal;
-    b->a.prior_focal = log(focal);
-    b->a.prior = b->cfg->focal > 0 ? 10 : b->cfg->start ? 4 : 2;
-    b->a.focal_fixed = b->cfg->focal_known;
     if (b->cfg->rig_known)
         return from_rig(b);
     err_t e = b->cfg->start ? from_cameras(b) : OK;
-    b->a.focal_fixed = b->cfg->focal_known;
+    free_focals(b, !b->cfg->focal_known);
     if (!e)
-        e = from_focal(b, focal);
+        e = from_focals(b);
     /* a network's focal length may be worse than none */
-    if (!e && !(b->cfg->focal > 0) && fabs(log(focal / usual)) > 0.05)
-        e = from_focal(b, usual);
+    if (!e && set_usual(b))
+        e = from_focals(b);
     return e;
+}
+
+/* Distortion, from the best state so far; it stays unless fewer sightings fit. */
+static err_t find_distortion(struct bundle *b)
+{
+    struct adjust *a = &b->a;
+    struct answer *w = &b->best;
+    memcpy(a->pose, w->pose, (size_t)b->n_views * ADJUST_POSE * sizeof *w->pose);
+    memcpy(a->point, w->point, 4 * (size_t)a->n_tracks * sizeof *w->point);
+    memcpy(a->placed, w->placed, (size_t)b->n_views * sizeof *w->placed);
+    memcpy(a->in, w->in, (size_t)b->tracks->n * sizeof *w->in);
+    memcpy(a->lens, w->lens, (size_t)a->n_lenses * sizeof *w->lens);
+    b->scale = w->scale;
+    for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
+        struct adjust_lens *l = &a->lens[i / LENS_TERMS];
+        l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(l->lens.model);
+    }
+    err_t e = selfcal_run(b->r, a, BUNDLE_GATE, b->scale, b->selfcal);
+    if (!e)
+        e = run_last_rounds(b);
+    if (!e)
+        keep_better(b, w->from_tracks);
+    return e;
+}
+
+static err_t measure_lenses(struct bundle *b)
+{
+    double deviation[BUNDLE_VIEWS_MAX * ADJUST_LENS];
+    err_t e = adjust_deviations(b->r, &b->a, b->scale, deviation);
+    for (int i = 0; i < b->a.n_lenses && !e; i++)
+        memcpy(b->selfcal[i].deviation, deviation + ADJUST_LENS * i,
+               sizeof b->selfcal[i].deviation);
+    return e;
+}
+
+static err_t check_lenses(const struct bundle_config *cfg, int n_views)
+{
+    if (cfg->n_lenses < 0 || cfg->n_lenses > n_views)
+        return err_fail(ERR_ARG, "bundle: %d lenses of %d views", cfg->n_lenses, n_views);
+    for (int v = 0; v < n_views && cfg->lens_of; v++)
+        if (cfg->lens_of[v] < 0 || cfg->lens_of[v] >= cfg->n_lenses)
+            return err_fail(ERR_ARG, "bundle: lens %d of view %d, there are %d", cfg->lens_of[v], v,
+                            cfg->n_lenses);
+    return OK;
 }
 
 err_t bundle_run(const struct run *r, const struct views *v, const struct match_tracks *tracks,
@@ -684,24 +580,37 @@ err_t bundle_run(const struct run *r, const struct views *v, const struct match_
         return err_fail(ERR_ARG, "bundle: %d views of %d px, allowed are 1 to %d views", n_views,
                         v->size, BUNDLE_VIEWS_MAX);
     err_t e = check_tracks(n_views, tracks);
+    if (!e)
+        e = check_lenses(cfg, n_views);
     if (e)
         return e;
     if (own.start && !are_usable(own.start, n_views))
         own.start = NULL;
     own.rig_known &= own.start != NULL;
     struct bundle b = {.r = r, .cfg = &own, .tracks = tracks, .n_views = n_views, .v = v};
+    if (own.n_lenses == 0) {
+        own.n_lenses = 1;
+        own.lens = &b.one;
+        own.lens_of = NULL;
+    }
+    b.a.n_lenses = out->n_lenses = own.n_lenses;
     b.a.n_views = n_views;
     b.a.n_tracks = tracks->n_tracks;
     b.scale = 1;
     e = layout_result(out, r->keep, n_views, tracks->n_tracks);
     if (!e)
         e = load_tracks(&b);
+    b.selfcal = out->selfcal;
+    if (!e)
+        e = set_starts(&b);
     if (!e && tracks->n > 0)
         e = run_starts(&b);
-    if (b.best.focal <= 0)
-        b.best.focal = start_focal(&b);
+    if (!e && own.find_distortion && b.best.score > 0)
+        e = find_distortion(&b);
+    if (!e && own.find_distortion && b.best.score > 0)
+        e = measure_lenses(&b);
     if (!e)
-        e = write_result(&b, out);
+        e = bundle_result_write(&b, out);
     arena_reset(r->tmp, mark);
     if (e)
         *out = (struct bundle_result){0};

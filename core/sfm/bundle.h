@@ -1,4 +1,4 @@
-/* bundle.h - accurate cameras: bundle adjustment of cameras, one focal length and points on tracks
+/* bundle.h - accurate cameras: bundle adjustment of cameras, their lenses and points on tracks
  * (Triggs et al., "Bundle adjustment: a modern synthesis", 2000): Levenberg-Marquardt,
  * points eliminated (Schur complement), Cauchy loss, graduated from wide to narrow.
  * It starts both from the network's cameras and from the tracks alone; the better result wins. The
@@ -9,29 +9,48 @@
 
 #include "core/base/types.h"
 #include "core/sfm/match.h"
+#include "core/sfm/selfcal.h"
 
 enum { BUNDLE_VIEWS_MAX = 64 };
+
+/* Lens of a physical camera: fx = fy and the terms, for px from the middle of its views as they
+ * were taken. */
+struct bundle_lens {
+    struct lens start;  // fx 0: from the cameras of the start, else that of 60 degrees
+    bool focal_guessed; // fx is a guess; else it is right within some percent
+};
 
 struct bundle_config {
     const struct camera *start; // (n_views) for the views, or NULL: none; ignored if one of them is
                                 // not finite or not valid
     const float *start_depth; // (extents of the views) of `start`, or NULL; only its scale is used
-    float focal;              // px, 0: from `start`, else that of 60 degrees
-    bool focal_known;         // keep it
-    bool rig_known;           // rotations and centres of `start` relative to each other are
-                              // calibrated: only focal (if not known) and points move
+    int n_lenses;             // 0: one for all views, about which nothing is known
+    const struct bundle_lens *lens; // (n_lenses)
+    const int *lens_of;             // (n_views) which lens took it
+    const int *turned; // (n_views) quarter turns clockwise from the sensor to the view, or NULL
+    const float
+        *pinhole;     // (n_views) px, focal length of the pinhole that the view was resampled to
+                      // through lens.start, or NULL: views are as taken
+    bool focal_known; // keep the focal lengths
+    bool find_distortion; // else lenses have the terms of lens.start
+    bool rig_known;       // rotations and centres of `start` relative to each other are
+                          // calibrated: only focal (if not known) and points move
 };
 
 struct bundle_result {
     struct camera
-        *cams; // (n_views), one shared fx = fy x v->aspect, principal point at the centre;
+        *cams; // (n_views), fx = fy x v->aspect of the lens, or of the pinhole that the view was
+               // resampled to; principal point at the centre;
     // world: that of `start` (best similarity) or the first placed camera's, where a
     // typical point lies at distance 1 from the middle of the rig
     float *points;      // (n_tracks, 3), NaN where a track was rejected; finite, but very far away,
                         // where rays are parallel
     float *depth_scale; // (n_views) median of triangulated over start_depth, in out's world; 1 if
                         // not known
-    float rms_px;       // of the inliers
+    int n_lenses;
+    struct lens *lenses;          // (n_lenses) as bundle_lens.start
+    struct selfcal_lens *selfcal; // (n_lenses); zero unless find_distortion
+    float rms_px;                 // of the inliers
     int inliers, sightings;
     int n_placed;    // views connected to the others by enough inliers
     bool *placed;    // (n_views); the cameras of others are those of `start`, moved along, or
@@ -53,6 +72,6 @@ MUST_USE err_t bundle_run(const struct run *r, const struct views *v,
                           struct bundle_result *out);
 
 /* Count the memory of bundle_run; of t only n and n_tracks are read. */
-void bundle_plan(struct plan *p, int n_views, const struct match_tracks *t);
+void bundle_plan(struct plan *p, int n_views, int n_lenses, const struct match_tracks *t);
 
 #endif

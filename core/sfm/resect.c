@@ -62,12 +62,12 @@ static double cost_of(const struct resect *s, double gate, int *inliers)
 /* Equations of a sighting: u (r3 X + t3 w) = r1 X + t1 w, and the same for v. */
 static void add_equations(const struct resect *s, int i_point, double h[9], double g[3])
 {
-    const struct adjust_seen *seen = &s->a->seen[s->at[i_point]];
     const double *x = point_of(s, i_point), w = x[3];
-    double y[3];
+    double y[3], ray[3];
+    adjust_ray(s->a, &s->a->seen[s->at[i_point]], ray);
     lin_apply(pose_of(s), x, y);
     for (int k = 0; k < 2; k++) {
-        const double u = (double)(k ? seen->v : seen->u) / s->a->focal;
+        const double u = ray[k] / fmax(ray[2], 0.05); // hardly ever beyond 87 degrees
         const double row[3] = {k ? 0 : w, k ? w : 0, -u * w}, right = u * y[2] - y[k];
         for (int i = 0; i < 3; i++) {
             g[i] += row[i] * right;

@@ -27,7 +27,7 @@ enum {
     POWER_STEPS = 20,
     PRODUCTS_MOST = 200000 // pairs of sightings that centres are taken from
 };
-static const double DEGREE = NUM_PI / 180;
+static const double DEGREE = NUM_PI / 180, PLANE_MOST = 20;
 
 static struct viewgraph_edge *edge_of(const struct viewgraph *g, int a, int b)
 {
@@ -53,13 +53,26 @@ struct pairs_job {
     int first[VIEWGRAPH_VIEWS_MAX + 1]; // of each view in list
 };
 
+/* x/z and y/z of a sighting's ray, not farther out than PLANE_MOST, and its expected error there.
+ * */
+static void plane_of(const struct adjust *a, const struct adjust_seen *s, double x[2],
+                     double *sigma)
+{
+    double ray[3];
+    adjust_ray(a, s, ray);
+    const double z = fmax(ray[2], 1 / PLANE_MOST);
+    for (int k = 0; k < 2; k++)
+        x[k] = ray[k] / z;
+    *sigma = 1 / ((double)s->weight * adjust_focal(a, s->view));
+}
+
 static struct twoview_match match_of(const struct adjust *a, int i, int j)
 {
     const struct adjust_seen *s = &a->seen[i], *t = &a->seen[j];
-    return (struct twoview_match){.a = {(double)s->u / a->focal, (double)s->v / a->focal},
-                                  .b = {(double)t->u / a->focal, (double)t->v / a->focal},
-                                  .sigma_a = 1 / ((double)s->weight * a->focal),
-                                  .sigma_b = 1 / ((double)t->weight * a->focal)};
+    struct twoview_match m;
+    plane_of(a, s, m.a, &m.sigma_a);
+    plane_of(a, t, m.b, &m.sigma_b);
+    return m;
 }
 
 /* Matches of two views, every stride-th of them; returns how many there are. */
@@ -384,9 +397,9 @@ struct centres {
 static void world_direction(const struct adjust *a, int at, double d[3])
 {
     const struct adjust_seen *s = &a->seen[at];
-    const double x[3] = {(double)s->u / a->focal, (double)s->v / a->focal, 1};
-    lin_apply_t(pose_of(a, s->view), x, d);
-    lin_normalise(d);
+    double ray[3];
+    adjust_ray(a, s, ray);
+    lin_apply_t(pose_of(a, s->view), ray, d);
 }
 
 /* w (I - d d^T) */
@@ -522,7 +535,8 @@ static int reweigh_track(struct centres *c, int track, double kernel, double nea
         const double to[3] = {x[0] - centre[0], x[1] - centre[1], x[2] - centre[2]};
         world_direction(a, i, d);
         double depth = lin_dot(d, to), off2 = lin_dot(to, to) - depth * depth;
-        double far = fmax(fabs(depth), nearest), s = (double)a->seen[i].weight * a->focal;
+        double far = fmax(fabs(depth), nearest), s = (double)a->seen[i].weight;
+        s *= adjust_focal(a, a->seen[i].view);
         side += depth > 0 ? 1 : -1;
         c->weight[i] =
             1 / (far * far) / (1 + fmax(off2, 0) * s * s / (far * far) / kernel / kernel);

@@ -509,7 +509,7 @@ static err_t picture_path(const struct imageset *set, int i, char path[FILE_PATH
     return file_join(dir, name, path);
 }
 
-static err_t get_sizes(struct imageset *set)
+static err_t get_sizes(const struct imageset_request *rq, struct imageset *set)
 {
     struct shot *s = set->capture.shots;
     for (int i = 0; i < set->capture.n; i++) {
@@ -522,6 +522,11 @@ static err_t get_sizes(struct imageset *set)
         s[i].image.channels = 3;
         s[i].taken_w = s[i].image.w;
         s[i].taken_h = s[i].image.h;
+        e = physcam_read(path, rq->lenses, &s[i]);
+        if (e)
+            return e;
+        if (s[i].again) // exposures of one place are of one camera
+            memcpy(s[i].camera_id, s[i - 1].camera_id, sizeof s[i].camera_id);
     }
     return OK;
 }
@@ -620,7 +625,7 @@ static err_t list_folder(const struct imageset_request *rq, struct imageset *out
     if (!e)
         e = choose_pictures(rq, released || bracketed, out);
     if (!e)
-        e = get_sizes(out);
+        e = get_sizes(rq, out);
     if (!e)
         e = get_cameras(rq, out);
     if (e)

@@ -24,6 +24,7 @@
 #define FORMAT_IMAGESET_H
 
 #include "drivers/format/file.h"
+#include "drivers/format/physcam.h"
 
 #include "core/base/types.h"
 
@@ -42,6 +43,7 @@ struct imageset_request {
     bool may_lack_times;       // a picture without exposure has exposure 0, instead of an error
     bool no_cameras;           // neither rig nor sparse/0 are read
     bool some_cameras;         // pictures that the rig lacks are left out
+    enum physcam_rule lenses;  // which photographs share a lens
 };
 
 enum { IMAGESET_NOTES = 4 };

@@ -410,6 +410,62 @@ static double exif_number(ExifData *data, ExifTag tag)
     }
 }
 
+/* A text of the camera's name, printable, behind those before. */
+static void add_text(ExifData *data, ExifIfd ifd, int tag, char name[NAME_CAP])
+{
+    ExifEntry *entry = exif_content_get_entry(data->ifd[ifd], (ExifTag)tag);
+    size_t n = strlen(name);
+    if (!entry || !entry->data || entry->format != EXIF_FORMAT_ASCII || entry->size < 2)
+        return;
+    if (n > 0 && n + 1 < NAME_CAP)
+        name[n++] = ' ';
+    for (unsigned i = 0; i < entry->size && entry->data[i] && n + 1 < NAME_CAP; i++)
+        name[n++] = entry->data[i] >= ' ' && entry->data[i] < 127 ? (char)entry->data[i] : '_';
+    name[n] = 0;
+}
+
+static err_t parse_camera(const unsigned char *bytes, size_t n, const char *name,
+                          struct img_camera *out)
+{
+    static const int text[][2] = {{EXIF_IFD_0, EXIF_TAG_MAKE},
+                                  {EXIF_IFD_0, EXIF_TAG_MODEL},
+                                  {EXIF_IFD_EXIF, EXIF_TAG_BODY_SERIAL_NUMBER},
+                                  {EXIF_IFD_EXIF, EXIF_TAG_LENS_MODEL},
+                                  {EXIF_IFD_EXIF, EXIF_TAG_LENS_SERIAL_NUMBER}};
+    ExifData *data = exif_data_new();
+    if (!data)
+        return err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    exif_data_load_data(data, bytes, (unsigned)n);
+    for (size_t i = 0; i < sizeof text / sizeof *text; i++)
+        add_text(data, (ExifIfd)text[i][0], text[i][1], out->name);
+    const double focal = exif_number(data, EXIF_TAG_FOCAL_LENGTH);
+    const size_t used = strlen(out->name);
+    if (focal > 0)
+        snprintf(out->name + used, NAME_CAP - used, "%s%g mm", used ? " " : "", focal);
+    out->focal_35mm = exif_number(data, EXIF_TAG_FOCAL_LENGTH_IN_35MM_FILM);
+    const int o = short_of(data, EXIF_IFD_0, EXIF_TAG_ORIENTATION);
+    out->orientation = o >= 1 && o <= 8 ? o : 1;
+    exif_data_unref(data);
+    return OK;
+}
+
+err_t img_camera(const char *path, struct img_camera *out)
+{
+    struct file_map m;
+    unsigned char *exif = NULL;
+    size_t n_exif;
+    *out = (struct img_camera){.orientation = 1};
+    err_t e = file_map(path, IMG_FILE_MAX, &m);
+    if (!e && is_jpeg(m.p, m.n))
+        e = parse_camera(m.p, m.n, path, out);
+    else if (!e && is_png(m.p, m.n) && exif_of_png(m.p, m.n, path, &exif, &n_exif) == OK)
+        e = parse_camera(exif, n_exif, path, out);
+    out->orientation = !e && is_jpeg(m.p, m.n) ? out->orientation : 1; // PNG is not turned
+    free(exif);
+    file_unmap(&m);
+    return e;
+}
+
 static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
                         struct img_exif *out)
 {

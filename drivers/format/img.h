@@ -63,6 +63,17 @@ struct img_exif {
     double iso, f_number; // 0 = not in the file
 };
 
+/* What a file says by its EXIF data about the camera that took it. */
+struct img_camera {
+    char name[NAME_CAP]; // make, model, serial numbers of body and lens, focal length; "" without
+    double focal_35mm;   // FocalLengthIn35mmFilm; 0 = not in the file
+    int orientation;     // as img_orientation
+};
+
+/* A file without such data is no error.
+ * err:  ERR_IO, ERR_NOMEM. */
+MUST_USE err_t img_camera(const char *path, struct img_camera *out);
+
 /* err:  ERR_IO, ERR_NOMEM, ERR_FORMAT (no EXIF, or no ExposureTime that is finite and > 0). On
  *       error *out is zeroed. */
 MUST_USE err_t img_exif(const char *path, struct img_exif *out);

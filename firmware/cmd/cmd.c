@@ -248,8 +248,10 @@ err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct net
     return network_open(path, NULL, 0, own);
 }
 
-void cmd_imageset(const struct network *network, struct imageset_request *rq)
+void cmd_imageset(const struct config *cfg, const struct network *network,
+                  struct imageset_request *rq)
 {
+    rq->lenses = (enum physcam_rule)cfg->cameras_same;
     rq->may_lack_times = network && !network_needs_exposures(network);
     if (!rq->rig || strcmp(rq->rig, "none") != 0)
         return;
@@ -280,6 +282,7 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                              .polish = cfg->cameras_polish != 0,
                              .stereo = cfg->start_stereo != 0,
                              .fov_deg = (float)cfg->cameras_fov_deg,
+                             .lens = (enum recipe_lens)cfg->cameras_lens,
                              .refine = {.steps = cfg->refine_steps,
                                         .degree_max = cfg->refine_sh_degree_max,
                                         .gaussians_max = cfg->refine_gaussians_max,

@@ -118,7 +118,8 @@ MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, s
 
 /* Set the request's fields that follow from rig and network: "none" as rig, and exposures that may
  * be missing. */
-void cmd_imageset(const struct network *network, struct imageset_request *request);
+void cmd_imageset(const struct config *cfg, const struct network *network,
+                  struct imageset_request *request);
 
 /* If some exposures are missing, set all to 1 and return true. */
 bool cmd_fill_exposures(struct capture *c);

@@ -3,6 +3,7 @@
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/evaluate.h"
+#include "firmware/recon/lenses.h"
 #include "firmware/recon/testcams.h"
 #include "firmware/result/report_page.h"
 
@@ -246,7 +247,7 @@ static err_t reconstruct(struct state *st, struct request *rq)
     err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
     if (e)
         return e;
-    cmd_imageset(network, &rq->set);
+    cmd_imageset(&rq->cfg, network, &rq->set);
     struct job_config job = cmd_job(&rq->cfg, network, false);
     job.square = strcmp(rq->protocol, "paper") == 0;
     e = list_pictures(st, rq);
@@ -270,6 +271,8 @@ static err_t reconstruct(struct state *st, struct request *rq)
         e = imageset_load(&st->train);
     if (!e)
         e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
+    if (!e && unknown)
+        lenses_apply(&st->job, &st->test.capture);
     return e || !unknown ? e : find_test_cameras(st, &job);
 }
 
@@ -356,7 +359,7 @@ static err_t read_scene(struct state *st, struct request *rq)
     struct job_config job = cmd_job(&rq->cfg, NULL, false);
     st->job.measured_only = true;
     st->job.start_s = st->job.lap_s = engine_seconds();
-    cmd_imageset(NULL, &rq->set);
+    cmd_imageset(&rq->cfg, NULL, &rq->set);
     rq->set.every_exposure = true;
     err_t e = file_join(rq->scene, "scene.hdrig", path);
     if (!e)

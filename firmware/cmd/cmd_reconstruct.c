@@ -170,7 +170,7 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     err_t e = cmd_network(&rq->model, &rq->cfg, &st->network, &network);
     if (e)
         return e;
-    cmd_imageset(network, &rq->set);
+    cmd_imageset(&rq->cfg, network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
     st->source = (struct prep_source){decode, img_free, &st->set};
     job->source = &st->source;

@@ -1,5 +1,7 @@
 #include "firmware/recon/enlarge.h"
 
+#include "firmware/recon/lenses.h"
+
 #include "core/sfm/pose.h"
 
 #include <stdlib.h>
@@ -67,9 +69,10 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
                       (struct prep_size){recipe->size, recipe->square}, &large);
     free(chosen.shot);
     free(chosen.c.shots);
-    if (!e)
-        take_over(&large, out);
-    return e;
+    if (e)
+        return e;
+    take_over(&large, out);
+    return lenses_redraw(r, c, cfg->source, out);
 }
 
 void enlarge_plan(struct plan *p, const struct capture *c, const struct recipe *recipe)

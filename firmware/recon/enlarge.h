@@ -6,9 +6,9 @@
 #include "firmware/recon/job_result.h"
 #include "firmware/recon/recipe.h"
 
-/* out->views and the cameras of out->scene become larger.
+/* out->views and the cameras of out->scene become larger; through the lenses that were found.
  * c:    the shots of the job.
- * err:  those of prep_read. On error *out is unchanged. */
+ * err:  those of prep_read. */
 MUST_USE err_t enlarge_run(const struct run *r, const struct capture *c,
                            const struct job_config *cfg, const struct recipe *recipe,
                            struct job_result *out);

@@ -136,7 +136,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
               struct job_result *out)
 {
     const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
-    struct start start = {.run = r, .cfg = cfg, .recipe = &recipe, .out = out};
+    struct start start = {.run = r, .capture = c, .cfg = cfg, .recipe = &recipe, .out = out};
     begin(cfg, out);
     out->capture = c;
     err_t e = read_photographs(r, c, &start, out);
@@ -211,7 +211,7 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         plan_refuse(p);
     arena_step(&p->tmp, response_plan(small));
     exposure_stack_choose_plan(p, small);
-    start_plan(p, cfg, recipe, small);
+    start_plan(p, cfg, recipe, small, lenses_count(c));
     if (recipe->size > recipe->work)
         enlarge_plan(p, c, recipe);
     if (recipe->refine)
@@ -292,6 +292,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_number(rep, "held_out_psnr_start", held_out ? (double)j->refine.held_out_db[0] : NAN);
     report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
     report_close(rep);
+    lenses_report(j, rep);
     report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');
     if (j->taken > j->views.n + j->views.n_more) {

@@ -6,6 +6,7 @@
 #include "core/base/types.h"
 #include "core/photo/prep.h"
 #include "core/refine/refine.h"
+#include "core/sfm/bundle.h"
 
 enum job_stage {
     JOB_PREPROCESS,
@@ -36,6 +37,15 @@ struct job_cameras {
     int inliers, sightings, placed; // points seen; views
 };
 
+/* A lens that was found. */
+struct job_lens {
+    char camera_id[NAME_CAP];
+    int photographs, edge; // edge: px, long side of the pictures that lens is for
+    struct lens lens;      // from the middle; as the sensor is turned
+    struct selfcal_lens selfcal;
+    bool retaken; // the views were drawn again through it
+};
+
 struct job_result {
     const struct capture *capture; // the job's
     struct views views;            // in keep; n is 0 if the photographs are not at hand
@@ -52,6 +62,8 @@ struct job_result {
     size_t keep_peak, tmp_peak; // bytes
     double peak_rss_mb;         // at the end of the last stage
     const char *precision;      // the network's; NULL: none was used
+    int n_found;
+    struct job_lens found[BUNDLE_VIEWS_MAX]; // where cameras were not known
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;

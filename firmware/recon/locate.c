@@ -1,10 +1,10 @@
 #include "firmware/recon/locate.h"
 
-void locate_plan(struct plan *p, const struct views *v)
+void locate_plan(struct plan *p, const struct views *v, int n_lenses)
 {
     struct match_tracks tracks;
     match_plan(p, v, &tracks);
-    bundle_plan(p, v->n, &tracks);
+    bundle_plan(p, v->n, n_lenses, &tracks);
 }
 
 err_t locate_run(const struct run *r, const struct views *v, const struct correspondence *prior,

@@ -7,7 +7,7 @@
 #include "core/sfm/bundle.h"
 
 /* Count what locate_run takes; of v only n, size and extent are read. */
-void locate_plan(struct plan *p, const struct views *v);
+void locate_plan(struct plan *p, const struct views *v, int n_lenses);
 
 /* Cameras of all views. prior: where the network sees the patches of one view in another, or NULL.
  * out:  arrays live in r->keep.

@@ -10,6 +10,9 @@
 #include "core/photo/prep.h"
 #include "core/refine/refine.h"
 
+/* What the lenses of cameras are that are not known. */
+enum recipe_lens { RECIPE_LENS_AUTO, RECIPE_LENS_PINHOLE, RECIPE_LENS_FISHEYE };
+
 struct job_config {
     int size;    // px, longest edge of the pictures that the scene is refined with
     bool square; // squeeze the photographs to squares, as the paper's protocol has it
@@ -20,6 +23,7 @@ struct job_config {
                    // depth by stereo
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
     float fov_deg; // of cameras that are not known, horizontal; 0: to be found
+    enum recipe_lens lens;
     const struct prep_source *source; // of the pixels; NULL: they are in the capture
     float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set
 };

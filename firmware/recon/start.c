@@ -21,6 +21,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+enum { RETAKES = 2 };   // times that photographs are drawn again
+#define LENS_MOVED 0.25 // px of the view, less is not worth it
+
 static void announce(const struct run *r, const char *stage)
 {
     if (r->progress)
@@ -160,6 +163,14 @@ static err_t leave_out(struct start *s)
     return OK;
 }
 
+/* A network's depth and Gaussians belong to the pixels of the photographs as they were taken. */
+static bool finds_distortion(const struct start *s)
+{
+    const struct recipe *recipe = s->recipe;
+    return s->cfg->lens != RECIPE_LENS_PINHOLE && !s->out->views.cams && !recipe->square &&
+           recipe->depth != RECIPE_NETWORK && recipe->gaussians != RECIPE_NETWORK;
+}
+
 static err_t refuse_cameras(const struct bundle_result *b, const struct views *v)
 {
     char text[240];
@@ -167,26 +178,68 @@ static err_t refuse_cameras(const struct bundle_result *b, const struct views *v
                     cause(v, b, text));
 }
 
+/* One attempt on the views as they are. */
+static err_t locate(struct start *s, bool again)
+{
+    const struct run *r = s->run;
+    const struct views *v = &s->out->views;
+    const struct lenses *l = &s->lenses;
+    const bool known = v->cams != NULL, depth = s->recipe->depth == RECIPE_NETWORK;
+    const struct bundle_config want = {.start = known   ? v->cams
+                                                : again ? NULL
+                                                        : s->p.geom.cams,
+                                       .start_depth = depth ? s->p.geom.depth : NULL,
+                                       .n_lenses = l->n,
+                                       .lens = l->lens,
+                                       .lens_of = l->of,
+                                       .turned = l->turned,
+                                       .pinhole = again ? l->pinhole : NULL,
+                                       .focal_known = known || s->cfg->fov_deg > 0,
+                                       .find_distortion = finds_distortion(s),
+                                       .rig_known = known};
+    struct start_seen seen;
+    err_t e = exposure_stack_merge(r, v, &s->out->response, &seen.views, &seen.tone);
+    if (!e)
+        e = locate_run(r, &seen.views, s->p.matches.token && !again ? &s->p.matches : NULL, &want,
+                       &s->bundle);
+    arena_reset(r->tmp, s->tmp);
+    return e;
+}
+
+/* Where lenses distort, the photographs are looked at once more through these: matches and cameras
+ * become better, and with them the lenses. */
+static err_t locate_through_lenses(struct start *s)
+{
+    const struct run *r = s->run;
+    struct views *v = &s->out->views;
+    const struct prep_source *from = s->cfg->source;
+    const size_t mark = arena_mark(r->keep);
+    err_t e = locate(s, false);
+    const int most = finds_distortion(s) ? RETAKES : 0;
+    for (int k = 0; k < most && !e && s->bundle.n_placed >= 2; k++) {
+        if (!lenses_moved(&s->lenses, v, &s->bundle, LENS_MOVED))
+            break;
+        e = lenses_retake(r, s->capture, from, &s->bundle, &s->lenses, s->out);
+        arena_reset(r->keep, mark);
+        if (!e)
+            e = locate(s, true);
+    }
+    return e;
+}
+
 err_t start_bundle(struct start *s)
 {
     const struct run *r = s->run;
     const struct views *v = &s->out->views;
-    const bool known = v->cams != NULL, depth = s->recipe->depth == RECIPE_NETWORK;
-    const float fov = s->cfg->fov_deg;
-    struct bundle_config want = {.start = known ? v->cams : s->p.geom.cams,
-                                 .start_depth = depth ? s->p.geom.depth : NULL,
-                                 .focal_known = known || fov > 0,
-                                 .rig_known = known};
-    struct start_seen seen;
-    if (!known && fov > 0)
-        want.focal = (float)v->extent[0].w / 2 / tanf(fov * (float)NUM_PI / 360);
-    err_t e = exposure_stack_merge(r, v, &s->out->response, &seen.views, &seen.tone);
+    const bool known = v->cams != NULL;
+    err_t e = known ? OK : lenses_layout(&s->lenses, r->keep, v->n);
+    if (!e && !known)
+        lenses_group(&s->lenses, s->capture, v, s->cfg);
     if (!e)
-        e = locate_run(r, &seen.views, s->p.matches.token ? &s->p.matches : NULL, &want,
-                       &s->bundle);
-    arena_reset(r->tmp, s->tmp);
+        e = locate_through_lenses(s);
     if (!e && !known) {
         memcpy(s->out->scene.cams, s->bundle.cams, (size_t)v->n * sizeof *s->bundle.cams);
+        lenses_note(&s->lenses, s->capture, &s->bundle, s->out);
         sum_up(s);
     }
     job_result_lap(s->out, JOB_CAMERAS);
@@ -418,11 +471,14 @@ static void plan_network(struct plan *p, const struct job_config *cfg, const str
     net_plan(p, &net, v->n, v->size);
 }
 
-static void plan_bundle(struct plan *p, const struct views *v)
+static void plan_bundle(struct plan *p, const struct views *v, int n_lenses)
 {
     const size_t mark = arena_mark(&p->tmp);
+    struct lenses l;
+    if (lenses_layout(&l, &p->keep, v->n))
+        plan_refuse(p);
     exposure_stack_merge_plan(p, v);
-    locate_plan(p, v);
+    locate_plan(p, v, n_lenses);
     arena_reset(&p->tmp, mark);
 }
 
@@ -450,7 +506,7 @@ static void plan_stereo(struct plan *p, const struct views *v, const struct exte
 }
 
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
-                const struct views *v)
+                const struct views *v, int n_lenses)
 {
     const size_t pixels = extent_total(v->extent, v->n);
     const int points = pixels <= GAUSSIANS_MAX ? (int)pixels : -1; // -1: plans refuse it
@@ -470,7 +526,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     if (recipe->network)
         plan_network(p, cfg, recipe, v);
     if (recipe->bundle)
-        plan_bundle(p, v);
+        plan_bundle(p, v, n_lenses);
     if (recipe->depth == RECIPE_NETWORK)
         correct_cameras_plan(p, v->n);
     else

@@ -7,6 +7,7 @@
 #define RECON_START_H
 
 #include "firmware/recon/job_result.h"
+#include "firmware/recon/lenses.h"
 #include "firmware/recon/recipe.h"
 
 #include "core/sfm/bundle.h"
@@ -20,22 +21,25 @@ struct start_seen {
 
 struct start {
     const struct run *run;
+    const struct capture *capture;
     const struct job_config *cfg;
     const struct recipe *recipe;
     struct job_result *out; // views and response are set; it becomes views.cams, scene, cameras
     size_t keep, tmp;       // levels of the arenas at the beginning
     struct prediction p;
     struct bundle_result bundle;
-    float scale; // from the network's world to that of the cameras
+    struct lenses lenses; // of the places, if cameras are not known
+    float scale;          // from the network's world to that of the cameras
     struct start_seen seen;
     struct depthmaps depth;
     size_t before_depth; // level of run.keep
 };
 
-/* Count what all steps take: of v only its numbers and shapes are looked at. A single forward pass
+/* Count what all steps take: of v only its numbers and shapes are looked at; n_lenses: as
+ * lenses_count says. A single forward pass
  * stays. */
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
-                const struct views *v);
+                const struct views *v, int n_lenses);
 
 /* The scene before its first splat, with room for all unless it becomes a single forward pass. */
 MUST_USE err_t start_scene(struct start *s);

@@ -56,9 +56,12 @@ static err_t layout_extents(struct views *v, struct arena *keep)
     return arena_alloc(keep, (size_t)v->n, sizeof *v->extent, &v->extent);
 }
 
-static err_t layout_views(struct views *v, struct arena *keep, size_t pixels)
+static err_t layout_views(struct views *v, struct bundle_lens **lens, struct arena *keep,
+                          size_t pixels)
 {
     err_t e = arena_alloc(keep, pixels, 3, &v->rgb);
+    if (!e)
+        e = arena_zalloc(keep, (size_t)v->n, sizeof **lens, lens);
     return e ? e : arena_alloc(keep, (size_t)v->n, sizeof *v->log2t, &v->log2t);
 }
 
@@ -80,14 +83,15 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
 {
     const struct recipe recipe = recipe_of_cameras(cfg);
     struct views own = *v;
+    struct bundle_lens *lens;
     if (layout_extents(&own, &p->keep) ||
-        layout_views(&own, &p->keep, extent_total(v->extent, v->n)))
+        layout_views(&own, &lens, &p->keep, extent_total(v->extent, v->n)))
         plan_refuse(p);
     prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), v->size);
     if (recipe.network)
         network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
-        locate_plan(p, v);
+        locate_plan(p, v, v->n);
     arena_step(&p->tmp, similarity_plan(v->n));
     arena_step(&p->tmp, align_plan(most, v, p->threads));
 }
@@ -112,7 +116,7 @@ err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
 
 /* Room for the views of the scene, then one picture of each test view. */
 static err_t begin_views(struct arena *keep, const struct views *train, const struct capture *test,
-                         struct prep_size size, struct views *all)
+                         struct prep_size size, struct views *all, struct bundle_lens **lens)
 {
     const int n = train->n + count_views(test);
     size_t own = 0;
@@ -126,7 +130,7 @@ static err_t begin_views(struct arena *keep, const struct views *train, const st
         all->extent[i].at = own;
     }
     add_extents(test, size, own, all->extent + train->n);
-    return layout_views(all, keep, extent_total(all->extent, n));
+    return layout_views(all, lens, keep, extent_total(all->extent, n));
 }
 
 /* A view of the scene, which may be larger. */
@@ -173,10 +177,29 @@ static float view_scale(const struct scene *s, const struct views *v)
     return (float)v->size / (float)s->size;
 }
 
-/* Cameras of all views in a world of their own. The focal length is that of the scene, if bundle
- * adjustment found it. */
-static err_t locate(const struct run *r, const struct job_config *cfg, const struct scene *s,
-                    const struct views *all, struct camera **out)
+/* Focal lengths of all views: those of the scene, of the test views' lenses as they were found,
+ * else the scene's mean. */
+static void known_focals(const struct scene *s, const struct capture *test, const struct views *all,
+                         struct bundle_lens *out)
+{
+    const double scale = (double)view_scale(s, all);
+    double mean = 0;
+    for (int i = 0; i < s->n_views; i++) {
+        out[i].start.fx = (double)s->cams[i].fx * scale;
+        mean += out[i].start.fx / s->n_views;
+    }
+    for (int i = 0, at = s->n_views; i < test->n; i++) {
+        const struct camera *c = &test->shots[i].cam;
+        if (!begins_view(test, i))
+            continue;
+        out[at].start.fx = c->fx > 0 ? (double)c->fx * all->extent[at].w / c->w : mean;
+        at++;
+    }
+}
+
+/* Cameras of all views in a world of their own. */
+static err_t locate(const struct run *r, const struct job_config *cfg, const struct views *all,
+                    const struct bundle_lens *lens, struct camera **out)
 {
     struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
@@ -185,36 +208,32 @@ static err_t locate(const struct run *r, const struct job_config *cfg, const str
     *out = p.geom.cams;
     if (e || !recipe.bundle)
         return e;
+    int of[BUNDLE_VIEWS_MAX];
+    for (int i = 0; i < all->n; i++)
+        of[i] = i;
     const struct bundle_config want = {
-        .start = p.geom.cams, .focal = s->cams[0].fx * view_scale(s, all), .focal_known = true};
+        .start = p.geom.cams, .n_lenses = all->n, .lens = lens, .lens_of = of, .focal_known = true};
     e = locate_run(r, all, p.matches.token ? &p.matches : NULL, &want, &b);
     *out = b.cams;
     return e;
 }
 
-/* The test views among them, in the world of the scene, with the mean focal length of its views. */
-static err_t place(const struct run *r, const struct scene *s, const struct views *all,
-                   struct camera *cams)
+/* The test views among them, in the world of the scene. */
+static err_t place(const struct run *r, const struct scene *s, const struct bundle_lens *lens,
+                   int n, struct camera *cams)
 {
-    const float scale = view_scale(s, all);
-    const int n = all->n;
     struct similarity w;
-    float fx = 0, fy = 0;
     err_t e = similarity_fit(r, cams, s->cams, s->n_views, &w);
-    for (int i = 0; i < s->n_views; i++) {
-        fx += s->cams[i].fx / (float)s->n_views;
-        fy += s->cams[i].fy / (float)s->n_views;
-    }
     for (int i = s->n_views; i < n; i++) {
         cams[i] = similarity_apply(&w, &cams[i]);
-        cams[i].fx = fx * scale;
-        cams[i].fy = fy * scale;
+        cams[i].fx = (float)lens[i].start.fx;
+        cams[i].fy = cams[i].fx * s->cams[0].fy / s->cams[0].fx; // squeezed views
     }
     return e;
 }
 
 static err_t align(const struct run *r, const struct scene *s, const struct views *all,
-                   struct camera *cams)
+                   const struct bundle_lens *lens, struct camera *cams)
 {
     const size_t first = (size_t)s->n_views;
     struct views v = {.n = all->n - s->n_views,
@@ -223,7 +242,7 @@ static err_t align(const struct run *r, const struct scene *s, const struct view
                       .rgb = all->rgb, // the extents count from there
                       .log2t = all->log2t + first,
                       .cams = cams + first};
-    err_t e = place(r, s, all, cams);
+    err_t e = place(r, s, lens, all->n, cams);
     return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
 }
 
@@ -242,19 +261,22 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
 {
     const int n = j->scene.n_views;
     const size_t mark = arena_mark(r->keep);
+    struct bundle_lens *lens;
     struct camera *cams = NULL;
     struct views all;
     const struct prep_size size = {recipe_work(cfg), job_result_size(&j->scene).square};
-    err_t e = begin_views(r->keep, &j->views, &test->capture, size, &all);
+    err_t e = begin_views(r->keep, &j->views, &test->capture, size, &all, &lens);
     for (int i = 0; i < n && !e; i++)
         e = add_input(r, &j->views, i, &all);
     for (int i = 0, at = n; i < test->capture.n && !e; i++)
         if (begins_view(&test->capture, i))
             e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
+    if (!e) {
+        known_focals(&j->scene, &test->capture, &all, lens);
+        e = locate(r, cfg, &all, lens, &cams);
+    }
     if (!e)
-        e = locate(r, cfg, &j->scene, &all, &cams);
-    if (!e)
-        e = align(r, &j->scene, &all, cams);
+        e = align(r, &j->scene, &all, lens, cams);
     if (!e)
         give_cameras(cams + n, &test->capture);
     arena_reset(r->keep, mark);

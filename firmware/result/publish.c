@@ -1,6 +1,7 @@
 #include "firmware/result/publish.h"
 
 #include "firmware/recon/figures.h"
+#include "firmware/recon/lenses.h"
 #include "firmware/result/draw.h"
 #include "firmware/result/report_page.h"
 #include "firmware/result/viewer.h"
@@ -164,16 +165,23 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
 }
 
 /* Where view `v` was undistorted, how its photograph was taken. */
-static void add_photograph(const struct capture *c, struct rig_view *v)
+static void add_photograph(const struct job_result *j, struct rig_view *v)
 {
+    const struct capture *c = j->capture;
     const struct shot *s = NULL;
     for (int i = 0; c && i < c->n && !s; i++)
         s = strcmp(c->shots[i].name, v->name) == 0 ? &c->shots[i] : NULL;
-    if (!s || !lens_distorts(&s->lens))
+    struct lens lens;
+    bool retaken;
+    if (!s)
+        return;
+    if (!lenses_find(j, s, &lens, &retaken) || !retaken)
+        lens = s->lens;
+    if (!lens_distorts(&lens))
         return;
     v->photograph.w = s->taken_w;
     v->photograph.h = s->taken_h;
-    v->photograph.lens = s->lens;
+    v->photograph.lens = lens;
 }
 
 static err_t write_cameras(const struct job_result *j, const char *path)
@@ -188,7 +196,7 @@ static err_t write_cameras(const struct job_result *j, const char *path)
         v->cam = s->cams[i];
         v->has_exposure = true;
         v->exposure_log2 = s->log2t[i];
-        add_photograph(j->capture, v);
+        add_photograph(j, v);
     }
     err_t e = cameras_write(path, &rig);
     cameras_free(&rig);

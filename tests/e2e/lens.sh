@@ -33,6 +33,19 @@ succeed reconstruct --images "$OUT/fisheye" --size 140 --refine 0 --out "$OUT/sc
 grep -q 'undistorted (OPENCV_FISHEYE)' "$ERR" || fail "the fisheye is not told"
 grep -q '"undistorted": \[' "$OUT/scene/report.json" || fail "the report lacks the fisheye"
 
+# Nobody says anything about cameras or lens
+succeed simulate --kind room --seed 31 --views 9 --size 224 --samples 2 --lens k1=-0.2 \
+    --out "$OUT/unknown"
+succeed reconstruct --images "$OUT/unknown" --rig none --size 224 --refine 0 --out "$OUT/found"
+grep -q '9 photographs undistorted: the lens was found to be SIMPLE_RADIAL' "$ERR" ||
+    fail "the lens that was found is not told"
+k1=$(sed -n 's/.*"k1": *\(-[0-9.]*\).*/\1/p' "$OUT/found/report.json")
+at_least "the k1 that was found" "$k1" -0.22
+at_least "the true k1 and 0.02 more" -0.18 "$k1"
+succeed reconstruct --images "$OUT/unknown" --rig none --size 224 --refine 0 \
+    --set cameras.lens=pinhole --out "$OUT/ignored"
+grep -q '"k1"' "$OUT/ignored/report.json" && fail "a pinhole was asked for"
+
 for bad in '' k9=1 k1=1,k1=2 k1=nan k1=11 fisheye,p1=1 k1=0.1,; do
     expect 2 '^hdrig simulate: --lens: ".*" is not a list like' "${simulate[@]}" --lens "$bad" \
         --out "$OUT/no"

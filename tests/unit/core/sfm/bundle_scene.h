@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SCENE_SIZE = 448, SCENE_VIEWS = 40 };
+enum { SCENE_SIZE = 448, SCENE_VIEWS = 40, SCENE_LENSES = 3 };
 
 struct scene_rig {
     int n_views, n_points;
@@ -21,6 +21,8 @@ struct scene_rig {
     double reach;        // degrees from a point's own direction where it is still found
     uint32_t seed;
     struct camera cams[SCENE_VIEWS];
+    int n_lenses; // 0: as cams have it; else view v looks through lens v % n_lenses
+    struct lens lens[SCENE_LENSES];
 };
 
 struct scene_tracks {
@@ -102,8 +104,9 @@ static inline void scene_point(double x[3])
     x[side] = at[side] + half[side] * (scene_uniform(-1, 1) > 0 ? 1 : -1);
 }
 
-/* Where the camera sees x; false outside the picture or behind. */
-static inline bool scene_see(const struct camera *c, const double x[3], double *u, double *v)
+/* Where the camera sees x, through lens l if there is one; false outside the picture or behind. */
+static inline bool scene_see(const struct camera *c, const struct lens *l, const double x[3],
+                             double *u, double *v)
 {
     const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
     double r[9], y[3];
@@ -113,6 +116,13 @@ static inline bool scene_see(const struct camera *c, const double x[3], double *
         y[k] += (double)c->t[k];
     *u = (double)c->fx * y[0] / y[2] + (double)c->cx;
     *v = (double)c->fy * y[1] / y[2] + (double)c->cy;
+    if (l) {
+        double px[2];
+        if (!lens_project(l, y, px))
+            return false;
+        *u = px[0] + SCENE_SIZE / 2;
+        *v = px[1] + SCENE_SIZE / 2;
+    }
     return y[2] > 0.1 && *u > 0 && *u<c->w && * v> 0 && *v < c->h;
 }
 
@@ -148,8 +158,9 @@ static inline void scene_make(const struct scene_rig *s, struct scene_tracks *ou
         bool spoilt = scene_uniform(0, 1) < s->wrong;
         scene_point(x);
         for (int k = 0; k < s->n_views; k++) {
+            const struct lens *l = s->n_lenses ? &s->lens[k % s->n_lenses] : NULL;
             if (scene_between(&s->cams[own], &s->cams[k]) > s->reach ||
-                !scene_see(&s->cams[k], x, &u, &v) || scene_uniform(0, 1) > 0.7)
+                !scene_see(&s->cams[k], l, x, &u, &v) || scene_uniform(0, 1) > 0.7)
                 continue;
             seen[n] =
                 (struct match_seen){out->t.n_tracks, k, (float)(u + s->noise * scene_normal()),

@@ -3,136 +3,8 @@
 #include "core/base/rotation.h"
 #include "core/sfm/adjust.h"
 #include "core/sfm/similarity.h"
-#include "tests/unit/core/sfm/bundle_scene.h"
-#include "tests/unit/squares.h"
-
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-
-#include <cmocka.h>
-
-static const double DEGREE = 3.14159265358979323846 / 180;
-
-/* ---- one job with the room that the plan asks for ---- */
-
-struct job {
-    struct scene_rig rig;
-    struct scene_tracks tracks;
-    struct arena keep, tmp;
-    struct bundle_result out;
-};
-
-static float squeezed = 1; // height over width of the photographs
-
-static struct views views_of(int n)
-{
-    return (struct views){
-        .n = n, .size = SCENE_SIZE, .aspect = squeezed, .extent = squares(n, SCENE_SIZE)};
-}
-
-static err_t run_on(struct job *j, const struct bundle_config *cfg, int threads)
-{
-    struct pool *pool = NULL;
-    struct run r = {.keep = &j->keep, .tmp = &j->tmp};
-    arena_free(&j->keep);
-    arena_free(&j->tmp);
-    struct plan plan = plan_begin(threads);
-    bundle_plan(&plan, j->rig.n_views, &j->tracks.t);
-    assert_int_equal(arena_init(&j->keep, "keep", plan.keep.peak), OK);
-    assert_int_equal(arena_init(&j->tmp, "tmp", plan.tmp.peak), OK);
-    if (threads > 1)
-        assert_int_equal(pool_open(&pool, threads), OK);
-    r.pool = pool;
-    const struct views v = views_of(j->rig.n_views);
-    err_t e = bundle_run(&r, &v, &j->tracks.t, cfg, &j->out);
-    pool_close(pool);
-    assert_int_equal(j->tmp.used, 0);
-    return e;
-}
-
-static void run_ok(struct job *j, const struct bundle_config *cfg)
-{
-    assert_int_equal(run_on(j, cfg, 2), OK);
-    for (int v = 0; v < j->rig.n_views; v++) {
-        const struct camera *c = &j->out.cams[v];
-        float length = 0;
-        for (int k = 0; k < 4; k++)
-            length += c->q[k] * c->q[k];
-        assert_float_equal(length, 1, 1e-4f);
-        assert_true(isfinite(c->t[0] + c->t[1] + c->t[2]) && c->fx > 0 && isfinite(c->fx));
-        assert_true(c->fx == c->fy && c->fx == j->out.cams[0].fx && c->w == SCENE_SIZE);
-        assert_true(c->cx == SCENE_SIZE / 2 && c->cy == SCENE_SIZE / 2);
-        assert_true(j->out.depth_scale[v] > 0 && isfinite(j->out.depth_scale[v]));
-    }
-    assert_true(j->out.confidence >= 0 && j->out.confidence <= 1);
-    assert_true(isfinite(j->out.rms_px));
-    assert_int_equal(j->out.sightings, j->tracks.t.n);
-}
-
-static void job_free(struct job *j)
-{
-    scene_free(&j->tracks);
-    arena_free(&j->keep);
-    arena_free(&j->tmp);
-}
-
-static struct scene_rig make_room(int n_points, double focal, double wrong, double reach)
-{
-    return (struct scene_rig){.n_points = n_points,
-                              .focal = focal,
-                              .noise = 0.5,
-                              .wrong = wrong,
-                              .reach = reach,
-                              .seed = 11};
-}
-
-static int ascending(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-/* Medians after the best similarity: degrees, and distances over the spread of the centres. */
-static void compare(const struct job *j, double *turn, double *centre)
-{
-    const int n = j->rig.n_views;
-    double angle[SCENE_VIEWS], off[SCENE_VIEWS], at[SCENE_VIEWS][3], mean[3] = {0}, spread = 0;
-    struct similarity w;
-    struct arena tmp;
-    assert_int_equal(arena_init(&tmp, "tmp", similarity_plan(n)), OK);
-    struct run r = {.tmp = &tmp};
-    assert_int_equal(similarity_fit(&r, j->out.cams, j->rig.cams, n, &w), OK);
-    arena_free(&tmp);
-    for (int v = 0; v < n; v++) {
-        struct camera moved = similarity_apply(&w, &j->out.cams[v]);
-        double p[3];
-        angle[v] = scene_between(&moved, &j->rig.cams[v]);
-        rotation_centre(&moved, p);
-        rotation_centre(&j->rig.cams[v], at[v]);
-        off[v] = 0;
-        for (int k = 0; k < 3; k++) {
-            off[v] += (p[k] - at[v][k]) * (p[k] - at[v][k]);
-            mean[k] += at[v][k] / n;
-        }
-    }
-    for (int i = 0; i < 3 * n; i++)
-        spread += (at[i / 3][i % 3] - mean[i % 3]) * (at[i / 3][i % 3] - mean[i % 3]) / n;
-    qsort(angle, (size_t)n, sizeof *angle, ascending);
-    qsort(off, (size_t)n, sizeof *off, ascending);
-    *turn = angle[n / 2];
-    *centre = sqrt(off[n / 2] / fmax(spread, 1e-30));
-}
-
-static void assert_right(const struct job *j, double degrees, double centres, double focal)
-{
-    double turn, centre;
-    compare(j, &turn, &centre);
-    assert_int_equal(j->out.n_placed, j->rig.n_views);
-    assert_true(turn < degrees);
-    assert_true(centre < centres);
-    assert_true(fabs((double)j->out.cams[0].fx / j->rig.focal - 1) < focal);
-}
+#include "core/sfm/triangulate.h"
+#include "tests/unit/core/sfm/bundle_job.h"
 
 /* The true cameras, each turned about an axis of its own and moved. */
 static void disturb_cameras(const struct scene_rig *s, double degrees, double focal,
@@ -170,7 +42,20 @@ enum { SMALL = 4 };
 
 static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], bool *placed)
 {
-    *a = (struct adjust){.n_views = SMALL, .focal = 400, .pose = pose[0], .placed = placed};
+    static const int lens_of[SMALL] = {0, 1, 2, 1};
+    static struct adjust_lens lens[3];
+    lens[0].lens = (struct lens){.model = LENS_PINHOLE, .fx = 400, .fy = 400};
+    lens[1].lens = (struct lens){LENS_OPENCV, 400, 400, 0, 0, {-0.05, 0.01, 0.004, -0.003}, 0};
+    lens[2].lens =
+        (struct lens){LENS_OPENCV_FISHEYE, 300, 300, 0, 0, {0.02, -0.01, 0.003, 0.001}, 0};
+    for (int i = 0; i < 3; i++)
+        assert_int_equal(lens_init(&lens[i].lens), OK);
+    *a = (struct adjust){.n_views = SMALL,
+                         .n_lenses = 3,
+                         .lens = lens,
+                         .lens_of = lens_of,
+                         .pose = pose[0],
+                         .placed = placed};
     for (int v = 0; v < SMALL; v++) {
         const double w[3] = {scene_uniform(-1, 1), scene_uniform(-1, 1), scene_uniform(-1, 1)};
         rotation_exp(w, pose[v]);
@@ -180,12 +65,13 @@ static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], boo
     }
 }
 
-/* Errors after unknown i (6 of the pose, 3 of the point, ln focal) has moved by `by`. */
+/* Errors after unknown i (6 of the pose, 3 of the point, those of the lens) has moved by `by`. */
 static void moved_error(struct adjust *a, const double point[4], const struct adjust_seen *s, int i,
                         double by, double out[2])
 {
     double *pose = a->pose + ADJUST_POSE * (size_t)s->view, own[ADJUST_POSE], p[4], move[6] = {0};
-    const double focal = a->focal;
+    struct lens *lens = &a->lens[a->lens_of[s->view]].lens;
+    const struct lens old = *lens;
     struct adjust_jacobian d;
     memcpy(own, pose, sizeof own);
     memcpy(p, point, sizeof p);
@@ -194,12 +80,14 @@ static void moved_error(struct adjust *a, const double point[4], const struct ad
         adjust_move_pose(pose, move);
     else if (i < 9)
         adjust_move_point(p, move);
+    else if (i == 9)
+        lens->fx = lens->fy = lens->fx * exp(by);
     else
-        a->focal = focal * exp(by);
+        lens->term[i - 10] += by;
     assert_true(adjust_jacobian(a, p, s, &d));
     memcpy(out, d.error, sizeof d.error);
     memcpy(pose, own, sizeof own);
-    a->focal = focal;
+    *lens = old;
 }
 
 static void slopes_are_differences(void **unused)
@@ -228,11 +116,11 @@ static void slopes_are_differences(void **unused)
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
         assert_float_equal(e2, adjust_error(&a, point, &s), 1e-6 * e2);
         checked++;
-        for (int i = 0; i < 20; i++) {
+        for (int i = 0; i < 2 * (9 + ADJUST_LENS); i++) {
             const int u = i / 2, k = i % 2;
             moved_error(&a, point, &s, u, h, up);
             moved_error(&a, point, &s, u, -h, down);
-            double slope = u < 6 ? d.pose[k][u] : u < 9 ? d.point[k][u - 6] : d.focal[k];
+            double slope = u < 6 ? d.pose[k][u] : u < 9 ? d.point[k][u - 6] : d.lens[k][u - 9];
             double seen = (up[k] - down[k]) / (2 * h);
             assert_float_equal(slope, seen, 1e-4 * (fabs(seen) + 100));
         }
@@ -256,13 +144,15 @@ static void far_points_have_no_end(void **unused)
                        .n_tracks = 2,
                        .first = first,
                        .seen = seen,
-                       .focal = 400,
+                       .n_lenses = 1,
+                       .lens = &(struct adjust_lens){.lens = {.fx = 400, .fy = 400}},
+                       .lens_of = (int[2]){0, 0},
                        .pose = pose[0],
                        .placed = placed,
                        .point = point,
                        .in = in};
     struct run r = {.pool = NULL};
-    assert_int_equal(adjust_points(&r, &a, 3), OK);
+    assert_int_equal(triangulate_points(&r, &a, 3), OK);
     for (int i = 0; i < 4; i++)
         assert_true(in[i]);
     assert_true(adjust_depth(&a, 0, point) > 1e6 || adjust_depth(&a, 0, point) < -1e6);
@@ -404,7 +294,7 @@ static void what_is_known_stays(void **unused)
         assert_memory_equal(j.out.cams[v].q, start[v].q, sizeof start[v].q);
         assert_memory_equal(j.out.cams[v].t, start[v].t, sizeof start[v].t);
     }
-    run_ok(&j, &(struct bundle_config){.focal = 390, .focal_known = true});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(390), .focal_known = true});
     assert_true(j.out.cams[0].fx == 390);
     job_free(&j);
 }
@@ -446,7 +336,7 @@ static void view_that_fits_nowhere(void **unused)
             j.tracks.t.seen[i].u = (float)scene_uniform(0, SCENE_SIZE);
             j.tracks.t.seen[i].v = (float)scene_uniform(0, SCENE_SIZE);
         }
-    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381), .focal_known = true});
     assert_int_equal(j.out.n_placed, 7);
     for (int v = 0; v < 8; v++)
         assert_int_equal(j.out.placed[v], v != 3);
@@ -474,7 +364,7 @@ static void mislead_view(struct job *j, int right, int wrong, const double degre
         if (s.view == 3 && (kept - 1) % (right + wrong) >= right) {
             struct camera c = scene_dome(degrees[kept % 2], 4, j->rig.focal);
             double u, v;
-            scene_see(&c, j->tracks.point[s.track], &u, &v);
+            scene_see(&c, NULL, j->tracks.point[s.track], &u, &v);
             s.u = (float)(u + 0.5 * scene_normal());
             s.v = (float)(v + 0.5 * scene_normal());
         }
@@ -509,7 +399,7 @@ static void view_in_two_places(void **unused)
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
         mislead_view(&j, right[k], wrong[k], away[k]);
-        run_ok(&j, &(struct bundle_config){.focal = 381});
+        run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
         assert_int_equal(j.out.placed[3], k == 1);
         if (k == 1)
             assert_right(&j, 0.1, 0.02, 0.02);
@@ -546,7 +436,7 @@ static void view_that_hangs_on_one(void **unused)
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
         assert_true(keep_pairs(&j.tracks.t) > 100);
-        run_ok(&j, &(struct bundle_config){.focal = 381});
+        run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
         assert_false(j.out.placed[3]);
         assert_others_right(&j, 0.3);
         job_free(&j);
@@ -625,7 +515,7 @@ static void views_in_one_place(void **unused)
         j.rig.cams[j.rig.n_views] = scene_look(from, to, 381);
     }
     scene_make(&j.rig, &j.tracks);
-    run_ok(&j, &(struct bundle_config){.focal = 381});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     assert_true(j.out.confidence < 0.1f && j.out.agreement > 0.5f);
     compare(&j, &turn, &centre);
     assert_true(turn < 0.2);
@@ -646,12 +536,12 @@ static void two_and_three_views(void **unused)
     struct job j = {.rig = make_room(1000, 381, 0.3, 20)};
     scene_arc(&j.rig, 2, 8);
     scene_make(&j.rig, &j.tracks);
-    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381), .focal_known = true});
     assert_right(&j, 0.5, 0.1, 0.001);
     scene_free(&j.tracks);
     scene_arc(&j.rig, 3, 10);
     scene_make(&j.rig, &j.tracks);
-    run_ok(&j, &(struct bundle_config){.focal = 381});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     assert_right(&j, 0.5, 0.05, 0.06);
     job_free(&j);
 }
@@ -665,7 +555,7 @@ static void centres_in_a_row(void **unused)
         j.rig.cams[j.rig.n_views] = scene_look(from, to, 381);
     }
     scene_make(&j.rig, &j.tracks);
-    run_ok(&j, &(struct bundle_config){.focal = 381});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     assert_right(&j, 0.2, 0.02, 0.05);
     scene_free(&j.tracks);
     for (int v = 0; v < 6; v++) { // forwards
@@ -673,7 +563,7 @@ static void centres_in_a_row(void **unused)
         j.rig.cams[v] = scene_look(from, to, 381);
     }
     scene_make(&j.rig, &j.tracks);
-    run_ok(&j, &(struct bundle_config){.focal = 381});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381)});
     assert_right(&j, 0.3, 0.05, 0.1);
     job_free(&j);
 }
@@ -689,11 +579,11 @@ static void a_wall(void **unused)
         struct match_seen *s = &j.tracks.t.seen[i];
         double *x = j.tracks.point[s->track], u, v;
         x[2] = 0.3 * x[0] + 0.2 * x[1];
-        scene_see(&j.rig.cams[s->view], x, &u, &v);
+        scene_see(&j.rig.cams[s->view], NULL, x, &u, &v);
         s->u = (float)(u + 0.5 * scene_normal());
         s->v = (float)(v + 0.5 * scene_normal());
     }
-    run_ok(&j, &(struct bundle_config){.focal = 381, .focal_known = true});
+    run_ok(&j, &(struct bundle_config){KNOWN_LENS(381), .focal_known = true});
     assert_right(&j, 1, 0.1, 0.001);
     job_free(&j);
 }
@@ -758,7 +648,7 @@ static void wrong_requests(void **unused)
     *s = good;
     struct run r = {.keep = &j.keep, .tmp = &j.tmp};
     struct plan plan = plan_begin(1);
-    bundle_plan(&plan, 4, &j.tracks.t);
+    bundle_plan(&plan, 4, 1, &j.tracks.t);
     const struct views four = views_of(4), nobody = views_of(0),
                        crowd = views_of(BUNDLE_VIEWS_MAX + 1);
     struct views empty = four;

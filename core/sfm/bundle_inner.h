@@ -1,0 +1,70 @@
+/* bundle_inner.h - what the files of bundle adjustment share. */
+#ifndef SFM_BUNDLE_INNER_H
+#define SFM_BUNDLE_INNER_H
+
+#include "core/sfm/adjust.h"
+#include "core/sfm/bundle.h"
+#include "core/sfm/viewgraph.h"
+
+#include <math.h>
+
+enum { BUNDLE_GATE = 4 }; // expected errors of an inlier
+
+/* One candidate result. */
+struct answer {
+    double scale; // of the expected errors, at least 1
+    struct adjust_lens *lens;
+    double *pose, *point;
+    bool *placed, *in;
+    double score;
+    bool from_tracks;
+};
+
+struct bundle {
+    const struct run *r;
+    const struct bundle_config *cfg;
+    const struct match_tracks *tracks;
+    const struct views *v;
+    int n_views;
+    struct adjust a;
+    struct viewgraph g;
+    bool *trusted; // (sightings) after the votes; all without them
+    float *sorted; // (sightings)
+    struct answer best;
+    double scale;
+    struct bundle_lens one; // if the caller knows of none
+    struct lens *start;     // (n_lenses) that the present attempt begins with
+    struct selfcal_lens *selfcal;
+};
+
+/* Adjustment assumes square pixels: rows are scaled by the aspect. */
+static inline float bundle_aspect(const struct bundle *b)
+{
+    return b->v->aspect > 0 ? b->v->aspect : 1;
+}
+
+static inline int bundle_turned(const struct bundle *b, int view)
+{
+    return b->cfg->turned ? b->cfg->turned[view] : 0;
+}
+
+/* Depth of the start where a sighting is. */
+static inline float bundle_depth_at(const struct bundle *b, const struct match_seen *s)
+{
+    const struct extent *px = &b->v->extent[s->view];
+    const int x = (int)fminf(fmaxf(s->u, 0), (float)(px->w - 1));
+    const int y = (int)fminf(fmaxf(s->v, 0), (float)(px->h - 1));
+    return b->cfg->start_depth[px->at + (size_t)y * (size_t)px->w + (size_t)x];
+}
+
+/* Redundancy of the sightings that are `in`, and of all; with `soft`, those near the gate count
+ * less. */
+double bundle_result_redundancy(const struct bundle *b, const bool *in, bool soft, double *all);
+
+/* The pose of a camera that is turned clockwise by quarters about its axis. */
+void bundle_result_turn(double pose[ADJUST_POSE], int quarters);
+
+/* The best answer as a result whose arrays are there. */
+MUST_USE err_t bundle_result_write(struct bundle *b, struct bundle_result *out);
+
+#endif

@@ -1,0 +1,252 @@
+/* Of every track of three or more sightings one is left out, in turn the first, the second, ...:
+ * all parts of a picture are judged. Both fits end in the same rounds, whose first gate is wide: a
+ * lens that was wrong has thrown away what would have shown it. */
+#include "core/sfm/selfcal.h"
+
+#include "core/base/num.h"
+#include "core/sfm/triangulate.h"
+
+#include <math.h>
+#include <string.h>
+
+#define SURE 2.5         // standard errors of a gain that is believed
+#define GAIN_LEAST 0.005 // of the error, of a gain that matters
+#define WIDE -0.15       // k1 from which a fisheye is tried
+
+enum { STEPS = 4 };
+
+static const enum lens_model LADDER[STEPS] = {LENS_SIMPLE_RADIAL, LENS_RADIAL, LENS_OPENCV,
+                                              LENS_OPENCV_FISHEYE};
+
+int selfcal_terms(enum lens_model m)
+{
+    static const int terms[LENS_MODELS] = {0, 1, 2, 4, 4};
+    return terms[m];
+}
+
+struct state {
+    double *pose, *point;
+    struct adjust_lens *lens;
+};
+
+struct selfcal {
+    const struct run *r;
+    struct adjust *a;
+    double gate, scale;
+    bool *held;            // (sightings)
+    float *before, *after; // (sightings) truncated errors of those left out
+    struct state kept;
+};
+
+static err_t layout(struct selfcal *s, struct arena *tmp, const int count[4])
+{
+    const size_t seen = (size_t)count[3];
+    err_t e = arena_zalloc(tmp, seen, sizeof *s->held, &s->held);
+    if (!e)
+        e = arena_alloc(tmp, seen, sizeof *s->before, &s->before);
+    if (!e)
+        e = arena_alloc(tmp, seen, sizeof *s->after, &s->after);
+    if (!e)
+        e = arena_alloc(tmp, ADJUST_POSE * (size_t)count[0], sizeof(double), &s->kept.pose);
+    if (!e)
+        e = arena_alloc(tmp, 4 * (size_t)count[2], sizeof(double), &s->kept.point);
+    return e ? e : arena_alloc(tmp, (size_t)count[1], sizeof *s->kept.lens, &s->kept.lens);
+}
+
+size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_seen)
+{
+    struct arena tmp = arena_counter();
+    struct selfcal s;
+    if (layout(&s, &tmp, (int[4]){n_views, n_lenses, n_tracks, n_seen}))
+        return SIZE_MAX;
+    return arena_add(tmp.peak, adjust_plan(n_views, n_lenses, n_tracks));
+}
+
+static void keep_state(struct selfcal *s)
+{
+    const struct adjust *a = s->a;
+    memcpy(s->kept.pose, a->pose, ADJUST_POSE * (size_t)a->n_views * sizeof *a->pose);
+    memcpy(s->kept.point, a->point, 4 * (size_t)a->n_tracks * sizeof *a->point);
+    memcpy(s->kept.lens, a->lens, (size_t)a->n_lenses * sizeof *a->lens);
+}
+
+static void restore_state(struct selfcal *s)
+{
+    struct adjust *a = s->a;
+    memcpy(a->pose, s->kept.pose, ADJUST_POSE * (size_t)a->n_views * sizeof *a->pose);
+    memcpy(a->point, s->kept.point, 4 * (size_t)a->n_tracks * sizeof *a->point);
+    memcpy(a->lens, s->kept.lens, (size_t)a->n_lenses * sizeof *a->lens);
+}
+
+static void choose_held(struct selfcal *s, struct selfcal_lens *out)
+{
+    const struct adjust *a = s->a;
+    for (int t = 0; t < a->n_tracks; t++) {
+        const int n = a->first[t + 1] - a->first[t], i = a->first[t] + t % num_max(n, 1);
+        if (n < 3 || !a->placed[a->seen[i].view])
+            continue;
+        s->held[i] = true;
+        out[a->lens_of[a->seen[i].view]].held++;
+    }
+}
+
+static err_t fit(struct selfcal *s)
+{
+    static const struct {
+        double gate, kernel; // of the inliers' gate
+        int steps;
+    } round[] = {{6, 2, 12}, {2, 0.75, 10}, {1, 0.5, 10}, {1, 0.5, 15}};
+    const double gate = s->gate * s->scale;
+    err_t e = OK;
+    for (size_t k = 0; k < sizeof round / sizeof *round && !e; k++) {
+        e = triangulate_points(s->r, s->a, round[k].gate * gate);
+        if (!e)
+            e = adjust_run(s->r, s->a, round[k].kernel * gate, round[k].steps);
+        adjust_normalise(s->a);
+    }
+    return e ? e : triangulate_points(s->r, s->a, gate);
+}
+
+static void predict(const struct selfcal *s, float *error)
+{
+    const struct adjust *a = s->a;
+    const double most = s->gate * s->gate * s->scale * s->scale;
+    for (int t = 0; t < a->n_tracks; t++)
+        for (int i = a->first[t]; i < a->first[t + 1]; i++)
+            if (s->held[i])
+                error[i] =
+                    (float)fmin(most, adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]));
+}
+
+/* Errors before and after, and whether the gain is one. */
+struct judgement {
+    int n;
+    double before, after; // means
+    bool better;
+};
+
+static struct judgement judge(const struct selfcal *s, int lens)
+{
+    const struct adjust *a = s->a;
+    struct judgement j = {0};
+    double sum = 0, square = 0;
+    for (int i = 0; i < a->first[a->n_tracks]; i++) {
+        if (!s->held[i] || a->lens_of[a->seen[i].view] != lens)
+            continue;
+        const double gain = (double)s->before[i] - (double)s->after[i];
+        j.n++;
+        j.before += (double)s->before[i];
+        j.after += (double)s->after[i];
+        sum += gain;
+        square += gain * gain;
+    }
+    const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
+    j.better = sum > SURE * error && sum > GAIN_LEAST * j.before;
+    j.before /= n;
+    j.after /= n;
+    return j;
+}
+
+/* Set a model, starting where the present one is. */
+static void climb(struct adjust_lens *l, enum lens_model to)
+{
+    if (to == LENS_OPENCV_FISHEYE) {
+        /* tan^-1 r = r - r^3 / 3 + ... */
+        l->lens.term[0] += 1.0 / 3;
+        for (int k = 1; k < LENS_TERMS; k++)
+            l->lens.term[k] = 0;
+    }
+    l->lens.model = to;
+    for (int k = 0; k < LENS_TERMS; k++)
+        l->free[1 + k] = k < selfcal_terms(to);
+    if (lens_init(&l->lens) != OK) // finite numbers stay finite
+        l->lens.model = LENS_PINHOLE;
+}
+
+/* Whether a lens may take a step. */
+static bool may_climb(const struct adjust_lens *l, const struct selfcal_lens *out, int step)
+{
+    if (out->held < SELFCAL_HELD_LEAST)
+        return false;
+    if (LADDER[step] == LENS_OPENCV_FISHEYE)
+        return l->lens.model != LENS_OPENCV_FISHEYE && l->lens.term[0] < WIDE;
+    return l->lens.model == (step ? LADDER[step - 1] : LENS_PINHOLE);
+}
+
+static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
+{
+    struct adjust *a = s->a;
+    bool any = false, all = true;
+    for (int i = 0; i < a->n_lenses; i++)
+        if (may_climb(&a->lens[i], &out[i], step)) {
+            climb(&a->lens[i], LADDER[step]);
+            any = true;
+        }
+    if (!any)
+        return OK;
+    err_t e = fit(s);
+    predict(s, s->after);
+    any = false;
+    for (int i = 0; i < a->n_lenses && !e; i++) {
+        const bool tried = a->lens[i].lens.model != s->kept.lens[i].lens.model;
+        const bool better = tried && judge(s, i).better;
+        any = any || better;
+        all = all && better == tried;
+        if (tried && !better)
+            a->lens[i] = s->kept.lens[i];
+    }
+    if (e || !any) {
+        restore_state(s);
+        return e;
+    }
+    if (!all)
+        e = fit(s);
+    predict(s, s->before);
+    keep_state(s);
+    return e;
+}
+
+static void sum_up(struct selfcal *s, struct selfcal_lens *out)
+{
+    for (int i = 0; i < s->a->n_lenses; i++) {
+        const enum lens_model m = s->a->lens[i].lens.model;
+        const struct judgement j = judge(s, i);
+        out[i].error = j.before;
+        out[i].stop = out[i].held < SELFCAL_HELD_LEAST               ? SELFCAL_FEW
+                      : m == LENS_OPENCV || m == LENS_OPENCV_FISHEYE ? SELFCAL_FULL
+                                                                     : SELFCAL_ENOUGH;
+    }
+}
+
+/* The ladder, then a last fit to all sightings. */
+static err_t choose(struct selfcal *s, struct selfcal_lens *out)
+{
+    struct adjust *a = s->a;
+    choose_held(s, out);
+    a->held = s->held;
+    err_t e = fit(s);
+    predict(s, s->before);
+    keep_state(s);
+    for (int i = 0; i < a->n_lenses; i++)
+        out[i].error_before = judge(s, i).before;
+    for (int k = 0; k < STEPS && !e; k++)
+        e = try_step(s, k, out);
+    sum_up(s, out);
+    a->held = NULL;
+    return e ? e : fit(s);
+}
+
+err_t selfcal_run(const struct run *r, struct adjust *a, double gate, double scale,
+                  struct selfcal_lens *out)
+{
+    const size_t mark = arena_mark(r->tmp);
+    struct selfcal s = {.r = r, .a = a, .gate = gate, .scale = scale};
+    memset(out, 0, (size_t)a->n_lenses * sizeof *out);
+    err_t e =
+        layout(&s, r->tmp, (int[4]){a->n_views, a->n_lenses, a->n_tracks, a->first[a->n_tracks]});
+    if (!e)
+        e = choose(&s, out);
+    a->held = NULL;
+    arena_reset(r->tmp, mark);
+    return e;
+}

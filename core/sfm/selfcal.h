@@ -1,0 +1,39 @@
+/* selfcal.h - the lenses of physical cameras from photographs of a still scene: which distortion
+ * terms each needs, and their values. Each model of a ladder (none, k1, k1 k2, k1 k2 p1 p2; then
+ * the fisheye, where the lens is that wide) is fitted without some of the sightings, and kept
+ * only where it predicts these clearly better than the model before.
+ * Pure computation on the pool; the result does not depend on the number of threads. */
+#ifndef SFM_SELFCAL_H
+#define SFM_SELFCAL_H
+
+#include "core/sfm/adjust.h"
+
+enum { SELFCAL_HELD_LEAST = 40 }; // sightings that must be left out to judge a lens
+
+enum selfcal_stop {
+    SELFCAL_ENOUGH, // the next model predicted no better
+    SELFCAL_FEW,    // too few points in three views to judge it
+    SELFCAL_FULL,   // the ladder has no further model
+};
+
+/* What was found about one lens; its values are in struct adjust. */
+struct selfcal_lens {
+    enum selfcal_stop stop;
+    int held;                      // sightings that were left out
+    double error_before;           // mean squared error of these, in expected errors, each at most
+    double error;                  // that of an inlier: without distortion, and with the model kept
+    double deviation[ADJUST_LENS]; // standard errors of ln focal length and terms; 0: fixed
+};
+
+/* Number of terms that a model has. */
+int selfcal_terms(enum lens_model m);
+
+/* Choose and fit the models from the present state, in which the views that matter are placed.
+ * gate: expected errors of an inlier; scale: of the expected errors.
+ * out:  (a->n_lenses); a: cameras, points and lenses adjusted, the terms of the models free
+ * err:  ERR_NOMEM (see selfcal_plan), ERR_CANCELLED. */
+MUST_USE err_t selfcal_run(const struct run *r, struct adjust *a, double gate, double scale,
+                           struct selfcal_lens *out);
+size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_seen);
+
+#endif

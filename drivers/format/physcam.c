@@ -1,0 +1,43 @@
+#include "drivers/format/physcam.h"
+
+#include "core/base/num.h"
+#include "drivers/format/img.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#define FILM_DIAGONAL 43.2666 // mm, of 36 x 24: CIPA DC-008 4.6.5, FocalLengthIn35mmFilm
+
+/* Orientations that mirror have no quarter turn; such photographs share no lens with others. */
+static int quarter_turns(int orientation)
+{
+    static const int turns[9] = {0, 0, 0, 2, 0, 0, 1, 0, 3};
+    return turns[orientation];
+}
+
+static bool is_mirrored(int orientation)
+{
+    return orientation == 2 || orientation == 4 || orientation == 5 || orientation == 7;
+}
+
+err_t physcam_read(const char *path, enum physcam_rule rule, struct shot *s)
+{
+    const int longer = num_max(s->taken_w, s->taken_h), shorter = num_min(s->taken_w, s->taken_h);
+    struct img_camera camera;
+    err_t e = img_camera(path, &camera);
+    if (e)
+        return e;
+    s->turned = quarter_turns(camera.orientation);
+    if (camera.focal_35mm > 0 && camera.focal_35mm < 10000)
+        s->focal_px = camera.focal_35mm / FILM_DIAGONAL * hypot(s->taken_w, s->taken_h);
+    /* without EXIF a portrait may be a crop, which has another lens than a landscape */
+    const bool turns = camera.name[0] && rule == PHYSCAM_EXIF;
+    if (rule == PHYSCAM_EACH)
+        snprintf(s->camera_id, NAME_CAP, "%s", s->name);
+    else
+        snprintf(s->camera_id, NAME_CAP, "%dx%d%s %.90s", turns ? longer : s->taken_w,
+                 turns ? shorter : s->taken_h, is_mirrored(camera.orientation) ? " mirrored" : "",
+                 turns ? camera.name : "");
+    return OK;
+}

@@ -1,0 +1,322 @@
+#include "firmware/recon/lenses.h"
+
+#include "core/base/num.h"
+#include "core/photo/undistort.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+enum { GRID = 17 }; // points across a view where lenses are compared
+
+err_t lenses_layout(struct lenses *l, struct arena *keep, int n_views)
+{
+    const size_t n = (size_t)n_views;
+    err_t e = arena_zalloc(keep, n, sizeof *l->lens, &l->lens);
+    if (!e)
+        e = arena_zalloc(keep, n, sizeof *l->of, &l->of);
+    if (!e)
+        e = arena_zalloc(keep, n, sizeof *l->turned, &l->turned);
+    if (!e)
+        e = arena_zalloc(keep, n, sizeof *l->pinhole, &l->pinhole);
+    return e ? e : arena_zalloc(keep, n, sizeof *l->error_before, &l->error_before);
+}
+
+/* ---- which, and what is known ---- */
+
+static const struct shot *shot_of(const struct capture *c, const char *name)
+{
+    int i = 0;
+    while (i + 1 < c->n && strcmp(c->shots[i].name, name) != 0)
+        i++;
+    return &c->shots[i];
+}
+
+int lenses_count(const struct capture *c)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++) {
+        int first = 0;
+        while (strcmp(c->shots[first].camera_id, c->shots[i].camera_id) != 0)
+            first++;
+        n += first == i;
+    }
+    return n;
+}
+
+/* Focal length in px of the view; 0: not known. */
+static double expected_focal(const struct shot *s, const struct extent *px,
+                             const struct job_config *cfg)
+{
+    const double half = (double)cfg->fov_deg * NUM_PI / 360;
+    if (half > 0)
+        return px->w / 2.0 / (cfg->lens == RECIPE_LENS_FISHEYE ? half : tan(half));
+    if (!(s->focal_px > 0))
+        return 0;
+    return s->focal_px * num_max(px->w, px->h) / num_max(s->taken_w, s->taken_h);
+}
+
+static struct bundle_lens lens_before(const struct shot *s, const struct extent *px,
+                                      const struct job_config *cfg)
+{
+    const bool fisheye = cfg->lens == RECIPE_LENS_FISHEYE;
+    return (struct bundle_lens){.start = {.model = fisheye ? LENS_OPENCV_FISHEYE : LENS_PINHOLE,
+                                          .fx = expected_focal(s, px, cfg)},
+                                .focal_guessed = cfg->fov_deg <= 0};
+}
+
+void lenses_group(struct lenses *l, const struct capture *c, const struct views *v,
+                  const struct job_config *cfg)
+{
+    l->n = 0;
+    for (int i = 0; i < v->n; i++) {
+        const struct shot *s = shot_of(c, v->names[i]);
+        int first = 0;
+        while (strcmp(shot_of(c, v->names[first])->camera_id, s->camera_id) != 0)
+            first++;
+        l->turned[i] = s->turned;
+        l->of[i] = first < i ? l->of[first] : l->n++;
+        if (first == i)
+            l->lens[l->of[i]] = lens_before(s, &v->extent[i], cfg);
+    }
+}
+
+/* ---- found ---- */
+
+/* Largest distance, px, of the pixels that two lenses have for a ray. */
+static double lens_change(const struct lens *from, const struct lens *to, const struct extent *px)
+{
+    double most = 0;
+    for (int i = 0; i < GRID * GRID; i++) {
+        const double at[2] = {(i % GRID / (GRID - 1.0) - 0.5) * px->w,
+                              (i / GRID / (GRID - 1.0) - 0.5) * px->h};
+        double ray[3], now[2];
+        if (!lens_unproject(from, at, ray) || !lens_project(to, ray, now))
+            continue;
+        most = fmax(most, hypot(now[0] - at[0], now[1] - at[1]));
+    }
+    return most;
+}
+
+bool lenses_moved(const struct lenses *l, const struct views *v, const struct bundle_result *found,
+                  double px)
+{
+    for (int i = 0; i < v->n; i++) {
+        const struct lens *to = &found->lenses[l->of[i]];
+        struct lens from = l->lens[l->of[i]].start;
+        if (l->pinhole[i] == 0) { // as taken: only what is not a pinhole matters
+            from = (struct lens){.fx = to->fx, .fy = to->fy};
+            if (lens_init(&from) != OK)
+                return false;
+        }
+        if (lens_change(&from, to, &v->extent[i]) > px)
+            return true;
+    }
+    return false;
+}
+
+/* ---- photographs again ---- */
+
+struct retake {
+    const struct run *r;
+    const struct capture *c;
+    const struct prep_source *from;
+    const struct job_result *j;
+    struct views *v;
+    const float *pinhole; // (places); NULL: that of v->cams
+};
+
+static int place_of(const struct views *v, int i)
+{
+    return i < v->n ? i : v->place[i - v->n];
+}
+
+/* Lens in px of a photograph, for that as it is turned. */
+static struct lens photo_lens(const struct lens *found, int turned, double scale, int w, int h)
+{
+    struct lens out = *found;
+    lens_scale(&out, scale, scale);
+    for (int k = 0; k < turned; k++)
+        lens_turn(&out, 0);
+    out.cx = 0.5 * w;
+    out.cy = 0.5 * h;
+    return out;
+}
+
+static err_t retake_view(void *ctx, int i, int worker)
+{
+    const struct retake *t = ctx;
+    const int place = place_of(t->v, i);
+    const struct shot *shot = shot_of(t->c, t->v->names[i]);
+    const struct extent *px = &t->v->extent[i];
+    struct image8 im = shot->image;
+    struct lens lens;
+    bool retaken;
+    (void)worker;
+    err_t e = run_check(t->r, "undistorting");
+    if (e || !lenses_find(t->j, shot, &lens, &retaken))
+        return e;
+    if (t->from)
+        e = t->from->decode(t->from->ctx, (int)(shot - t->c->shots), &im);
+    if (e)
+        return e;
+    const float focal = t->pinhole ? t->pinhole[place] : t->v->cams[place].fx;
+    const struct camera pinhole = {.w = px->w,
+                                   .h = px->h,
+                                   .fx = focal,
+                                   .fy = focal,
+                                   .cx = 0.5f * (float)px->w,
+                                   .cy = 0.5f * (float)px->h};
+    e = undistort_image8(NULL, &lens, &im, &pinhole, views_rgb(t->v, i));
+    if (t->from)
+        t->from->release(&im);
+    return e;
+}
+
+static err_t choose_pinholes(const struct views *v, struct lenses *l)
+{
+    for (int i = 0; i < v->n; i++) {
+        struct lens lens = l->lens[l->of[i]].start;
+        for (int k = 0; k < l->turned[i]; k++)
+            lens_turn(&lens, 0);
+        l->pinhole[i] = (float)undistort_focal(&lens, v->extent[i].w, v->extent[i].h);
+        if (!(l->pinhole[i] > 0))
+            return err_fail(ERR_FORMAT,
+                            "%s: the lens found (%s, focal length %.0f of %d px) leaves nothing to "
+                            "see; give its cameras with --rig PATH",
+                            v->names[i], lens_name(lens.model), lens.fx,
+                            num_max(v->extent[i].w, v->extent[i].h));
+    }
+    return OK;
+}
+
+err_t lenses_retake(const struct run *r, const struct capture *c, const struct prep_source *from,
+                    const struct bundle_result *found, struct lenses *l, struct job_result *out)
+{
+    struct views *v = &out->views;
+    struct retake t = {r, c, from, out, v, l->pinhole};
+    for (int i = 0; i < l->n; i++) {
+        if (l->pinhole[0] == 0)
+            l->error_before[i] = found->selfcal[i].error_before;
+        l->lens[i] = (struct bundle_lens){.start = found->lenses[i]};
+    }
+    err_t e = choose_pinholes(v, l);
+    lenses_note(l, c, found, out);
+    return e ? e : pool_for(r->pool, v->n + v->n_more, retake_view, &t);
+}
+
+err_t lenses_redraw(const struct run *r, const struct capture *c, const struct prep_source *from,
+                    struct job_result *out)
+{
+    struct views *v = &out->views;
+    struct retake t = {r, c, from, out, v, NULL};
+    if (out->n_found == 0 || !out->found[0].retaken)
+        return OK;
+    return pool_for(r->pool, v->n + v->n_more, retake_view, &t);
+}
+
+/* ---- words ---- */
+
+void lenses_note(const struct lenses *l, const struct capture *c, const struct bundle_result *found,
+                 struct job_result *out)
+{
+    const struct views *v = &out->views;
+    out->n_found = out->n_lenses = 0;
+    for (int k = 0; k < l->n && out->n_found < BUNDLE_VIEWS_MAX; k++) {
+        struct job_lens *to = &out->found[out->n_found++];
+        *to = (struct job_lens){.lens = found->lenses[k], .selfcal = found->selfcal[k]};
+        if (l->pinhole[0] > 0)
+            to->selfcal.error_before = l->error_before[k];
+        for (int i = v->n - 1; i >= 0; i--)
+            if (l->of[i] == k) {
+                const struct shot *s = shot_of(c, v->names[i]);
+                memcpy(to->camera_id, s->camera_id, sizeof to->camera_id);
+                to->edge = num_max(v->extent[i].w, v->extent[i].h);
+                to->retaken = l->pinhole[i] > 0;
+                to->photographs++;
+            }
+        if (to->retaken && lens_distorts(&to->lens) && out->n_lenses < JOB_LENSES)
+            snprintf(out->lenses[out->n_lenses++], sizeof out->lenses[0],
+                     "%d photograph%s undistorted: the lens was found to be %s, focal length %.1f "
+                     "of %d px",
+                     to->photographs, to->photographs == 1 ? "" : "s", lens_name(to->lens.model),
+                     to->lens.fx, to->edge);
+    }
+}
+
+bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *out, bool *retaken)
+{
+    int k = 0;
+    while (k < j->n_found && strcmp(j->found[k].camera_id, s->camera_id) != 0)
+        k++;
+    if (k == j->n_found)
+        return false;
+    const struct job_lens *from = &j->found[k];
+    const double scale = (double)num_max(s->taken_w, s->taken_h) / from->edge;
+    *out = photo_lens(&from->lens, s->turned, scale, s->taken_w, s->taken_h);
+    *retaken = from->retaken;
+    return true;
+}
+
+void lenses_apply(const struct job_result *j, struct capture *c)
+{
+    for (int i = 0; i < c->n; i++) {
+        struct shot *s = &c->shots[i];
+        struct lens lens;
+        bool retaken;
+        if (!lenses_find(j, s, &lens, &retaken))
+            continue;
+        const float focal =
+            (float)(retaken ? undistort_focal(&lens, s->taken_w, s->taken_h) : lens.fx);
+        s->cam = (struct camera){.w = s->taken_w,
+                                 .h = s->taken_h,
+                                 .fx = focal,
+                                 .fy = focal,
+                                 .cx = 0.5f * (float)s->taken_w,
+                                 .cy = 0.5f * (float)s->taken_h,
+                                 .q = {1}};
+        if (retaken)
+            s->lens = lens;
+    }
+}
+
+static const char *stop_text(enum selfcal_stop stop)
+{
+    return stop == SELFCAL_FEW    ? "too few points in three views to judge distortion"
+           : stop == SELFCAL_FULL ? "no richer model"
+                                  : "the next model predicted left-out points no better";
+}
+
+void lenses_report(const struct job_result *j, struct report *rep)
+{
+    static const char *const keys[2][LENS_TERMS] = {{"k1", "k2", "p1", "p2"},
+                                                    {"k1", "k2", "k3", "k4"}};
+    if (j->n_found == 0)
+        return;
+    report_open(rep, "lenses", '[');
+    for (int i = 0; i < j->n_found; i++) {
+        const struct job_lens *l = &j->found[i];
+        const bool fisheye = l->lens.model == LENS_OPENCV_FISHEYE;
+        report_open(rep, NULL, '{');
+        report_text(rep, "camera", l->camera_id);
+        report_int(rep, "photographs", l->photographs);
+        report_text(rep, "model", lens_name(l->lens.model));
+        report_int(rep, "edge_px", l->edge);
+        report_number(rep, "focal_px", l->lens.fx);
+        report_number(rep, "focal_deviation", l->selfcal.deviation[0]);
+        for (int k = 0; k < LENS_TERMS; k++)
+            if (l->selfcal.deviation[1 + k] > 0)
+                report_number(rep, keys[fisheye][k], l->lens.term[k]);
+        report_open(rep, "deviations", '[');
+        for (int k = 0; k < LENS_TERMS; k++)
+            if (l->selfcal.deviation[1 + k] > 0)
+                report_number(rep, NULL, l->selfcal.deviation[1 + k]);
+        report_close(rep);
+        report_int(rep, "left_out_points", l->selfcal.held);
+        report_number(rep, "left_out_error_before", sqrt(l->selfcal.error_before));
+        report_number(rep, "left_out_error", sqrt(l->selfcal.error));
+        report_text(rep, "stopped_because", stop_text(l->selfcal.stop));
+        report_close(rep);
+    }
+    report_close(rep);
+}

@@ -1,0 +1,121 @@
+/* Lenses found from tracks against those that the tracks were made with. */
+#include "core/sfm/selfcal.h"
+
+#include "tests/unit/core/sfm/bundle_job.h"
+
+/* Largest distance, px, between where two lenses have the same ray, over the view. */
+static double lens_distance(const struct lens *truth, const struct lens *found)
+{
+    double most = 0;
+    for (int i = 0; i < 17 * 17; i++) {
+        const double px[2] = {(i % 17 - 8) * SCENE_SIZE / 16.0, (i / 17 - 8) * SCENE_SIZE / 16.0};
+        double ray[3], to[2] = {1e9, 1e9};
+        if (!lens_unproject(truth, px, ray))
+            continue;
+        (void)lens_project(found, ray, to);
+        most = fmax(most, hypot(to[0] - px[0], to[1] - px[1]));
+    }
+    return most;
+}
+
+static struct lens make_lens(enum lens_model m, double focal, double k1, double k2)
+{
+    struct lens l = {m, focal, focal, 0, 0, {k1, k2}, 0};
+    assert_int_equal(lens_init(&l), OK);
+    return l;
+}
+
+static void lenses_of(const struct scene_rig *s, struct bundle_lens lens[SCENE_LENSES],
+                      int lens_of[SCENE_VIEWS], struct bundle_config *cfg)
+{
+    memset(lens, 0, SCENE_LENSES * sizeof *lens);
+    for (int v = 0; v < s->n_views; v++)
+        lens_of[v] = v % s->n_lenses;
+    *cfg = (struct bundle_config){
+        .n_lenses = s->n_lenses, .lens = lens, .lens_of = lens_of, .find_distortion = true};
+}
+
+/* A lens without distortion gets no term. */
+static void perfect_lens_stays_perfect(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(1000, 381, 0.3, 15)};
+    struct bundle_lens lens[SCENE_LENSES];
+    struct bundle_config cfg;
+    int of[SCENE_VIEWS];
+    j.rig.n_lenses = 1;
+    j.rig.lens[0] = make_lens(LENS_PINHOLE, 381, 0, 0);
+    scene_grid(&j.rig);
+    scene_make(&j.rig, &j.tracks);
+    lenses_of(&j.rig, lens, of, &cfg);
+    run_ok(&j, &cfg);
+    assert_right(&j, 0.1, 0.01, 0.02);
+    assert_int_equal(j.out.lenses[0].model, LENS_PINHOLE);
+    assert_int_equal(j.out.selfcal[0].stop, SELFCAL_ENOUGH);
+    assert_true(j.out.selfcal[0].held > 200);
+    assert_true(j.out.selfcal[0].deviation[0] > 1e-4 && j.out.selfcal[0].deviation[0] < 0.02);
+    job_free(&j);
+}
+
+/* Barrel distortion of 9 px in the corners of 448; the standard error is a true one. */
+static void barrel_is_found(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(1000, 381, 0.3, 25)};
+    struct bundle_lens lens[SCENE_LENSES];
+    struct bundle_config cfg;
+    int of[SCENE_VIEWS];
+    j.rig.n_lenses = 1;
+    j.rig.lens[0] = make_lens(LENS_SIMPLE_RADIAL, 381, -0.1, 0);
+    scene_arc(&j.rig, 18, 80);
+    scene_make(&j.rig, &j.tracks);
+    lenses_of(&j.rig, lens, of, &cfg);
+    run_ok(&j, &cfg);
+    print_message("k1 %g +- %g f %g, %g px, %g > %g\n", j.out.lenses[0].term[0],
+                  j.out.selfcal[0].deviation[1], j.out.lenses[0].fx,
+                  lens_distance(&j.rig.lens[0], &j.out.lenses[0]), j.out.selfcal[0].error_before,
+                  j.out.selfcal[0].error);
+    assert_true(j.out.n_placed == 18);
+    assert_true(j.out.lenses[0].model != LENS_PINHOLE);
+    assert_true(fabs(j.out.lenses[0].term[0] + 0.1) < 4 * j.out.selfcal[0].deviation[1] + 0.003);
+    assert_true(lens_distance(&j.rig.lens[0], &j.out.lenses[0]) < 1);
+    assert_true(j.out.selfcal[0].error < 0.95 * j.out.selfcal[0].error_before);
+    job_free(&j);
+}
+
+/* Three kinds of camera, each with its own focal length and terms. */
+static void kinds_are_told_apart(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(1500, 381, 0.2, 30)};
+    struct bundle_lens lens[SCENE_LENSES];
+    struct bundle_config cfg;
+    int of[SCENE_VIEWS];
+    j.rig.n_lenses = 3;
+    j.rig.lens[0] = make_lens(LENS_SIMPLE_RADIAL, 381, -0.15, 0);
+    j.rig.lens[1] = make_lens(LENS_PINHOLE, 450, 0, 0);
+    j.rig.lens[2] = make_lens(LENS_RADIAL, 340, -0.2, 0.05);
+    scene_arc(&j.rig, 18, 80);
+    scene_make(&j.rig, &j.tracks);
+    lenses_of(&j.rig, lens, of, &cfg);
+    run_ok(&j, &cfg);
+    for (int i = 0; i < 3; i++) {
+        const struct lens *l = &j.out.lenses[i];
+        print_message("%s f %g k %g %g: %g px\n", lens_name(l->model), l->fx, l->term[0],
+                      l->term[1], lens_distance(&j.rig.lens[i], l));
+        assert_true(lens_distance(&j.rig.lens[i], l) < 1.5);
+        assert_true(fabs(l->fx / j.rig.lens[i].fx - 1) < 0.02);
+    }
+    assert_int_equal(j.out.n_placed, 18);
+    job_free(&j);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(perfect_lens_stays_perfect),
+        cmocka_unit_test(barrel_is_found),
+        cmocka_unit_test(kinds_are_told_apart),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
