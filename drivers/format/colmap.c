@@ -47,6 +47,7 @@ struct physical {
 
 struct lenses {
     const char *what;
+    bool folders; // images are called FOLDER_NAME
     int n;
     struct physical *v; // (n)
 };
@@ -120,11 +121,20 @@ static err_t set_size(const char *what, uint64_t w, uint64_t h, struct physical 
     return OK;
 }
 
-static err_t view_name(const char *what, const char *path, size_t n, char out[NAME_CAP])
+/* The last part of a path, with that before it if `folders`. */
+static err_t view_name(const char *what, const char *path, size_t n, bool folders,
+                       char out[NAME_CAP])
 {
     const char *slash = memrchr(path, '/', n);
-    size_t skip = slash ? (size_t)(slash + 1 - path) : 0;
-    return name_copy(what, path + skip, n - skip, out);
+    const char *above = slash ? memrchr(path, '/', (size_t)(slash - path)) : NULL;
+    const char *from = !slash ? path : !folders ? slash + 1 : above ? above + 1 : path;
+    const size_t left = n - (size_t)(from - path);
+    char joined[NAME_CAP];
+    if (!folders || !slash || left >= NAME_CAP)
+        return name_copy(what, from, left, out);
+    memcpy(joined, from, left);
+    joined[slash - from] = '_';
+    return name_copy(what, joined, left, out);
 }
 
 static void set_pose(const double pose[7], struct camera *cam)
@@ -210,7 +220,7 @@ static err_t binary_view(const struct colmap_text *t, struct bytes *b, const str
     bytes_skip(b, bytes_u64(b), IMAGE_POINT_BYTES);
     if (b->bad)
         return OK; // the caller, who knows the number of the image, speaks
-    err_t e = view_name(t->what, path, (size_t)(end - path), v->name);
+    err_t e = view_name(t->what, path, (size_t)(end - path), lenses->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);
@@ -385,7 +395,7 @@ static err_t text_view(const struct line_reader *r, const struct lenses *lenses,
     if (!e)
         e = get_whole(r, &at, 1, &lens_id);
     if (!e)
-        e = view_name(r->what, at, strlen(at), v->name);
+        e = view_name(r->what, at, strlen(at), lenses->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);
@@ -430,6 +440,17 @@ static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
 
 /* ---- both ---- */
 
+static err_t parse_views(bool binary, const struct colmap_text *images, const struct lenses *lenses,
+                         struct rig *out)
+{
+    out->n = 0;
+    memset(out->views, 0, CAMERAS_MAX * sizeof *out->views);
+    err_t e = binary ? binary_views(images, lenses, out) : text_views(images, lenses, out);
+    if (!e && out->n == 0)
+        e = err_fail(ERR_FORMAT, "%s: no images in it", images->what);
+    return e;
+}
+
 err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct colmap_text *images,
                    struct rig *out)
 {
@@ -443,9 +464,11 @@ err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct 
     if (!e)
         e = binary ? binary_lenses(cameras, &lenses) : text_lenses(cameras, &lenses);
     if (!e)
-        e = binary ? binary_views(images, &lenses, out) : text_views(images, &lenses, out);
-    if (!e && out->n == 0)
-        e = err_fail(ERR_FORMAT, "%s: no images in it", images->what);
+        e = parse_views(binary, images, &lenses, out);
+    if (!e && cameras_check_names(images->what, out) == ERR_FORMAT) {
+        lenses.folders = true; // a rig: a folder for each camera
+        e = parse_views(binary, images, &lenses, out);
+    }
     if (!e)
         e = cameras_check_names(images->what, out);
     free(lenses.v);

@@ -7,8 +7,9 @@
 
 #include "drivers/format/cameras.h"
 
-/* Read cameras and images of folder `dir`. Names lose their folders ("cam0/a.png" is "a.png") and
- * must stay distinct.
+/* Read cameras and images of folder `dir`. Names lose their folders ("cam0/a.png" is "a.png"); if
+ * they are not distinct then, as those of a rig with a folder for each camera, they keep the last
+ * one ("cam0_a.png"), as imageset.h calls pictures of several folders.
  * own:  cameras_free.
  * err:  ERR_IO (no such files), ERR_FORMAT (also: above CAMERAS_MAX), ERR_UNSUPPORTED (camera
  *       model), ERR_NOMEM. On error *out is zeroed. */

@@ -137,8 +137,8 @@ static void contradictions_are_named(void **state)
         {camera, "1 1 0 0 0 0 0 0 1\n\n", "name", ERR_FORMAT},
         {camera, "1 1 0 0 0 0 0 0 1 x/..\n\n", "folder", ERR_FORMAT},
         {camera, "1 1 0 0 0 0 0 x 1 a.png\n\n", "\"x 1 a.png\"", ERR_FORMAT},
-        {camera, "1 1 0 0 0 0 0 0 1 a.png\n\n2 1 0 0 0 0 0 0 1 b/a.png\n\n", "a.png is named twice",
-         ERR_FORMAT},
+        {camera, "1 1 0 0 0 0 0 0 1 b/a.png\n\n2 1 0 0 0 0 0 0 1 b/a.png\n\n",
+         "b_a.png is named twice", ERR_FORMAT},
     };
     assert_int_equal(parse_text(camera, image), OK);
     assert_int_equal(parse_text(camera, "1 1 0 0 0 0 0 0 1 with blank.png\r\n"), OK);

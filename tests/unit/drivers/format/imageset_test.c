@@ -584,6 +584,53 @@ static void several_folders_have_one_rig(void **state)
     imageset_free(&set);
 }
 
+/* COLMAP's layout of rigs: a folder for each camera, and the same names in them; the cameras have
+ * other sizes and models. */
+static void a_rig_has_a_folder_for_each_camera(void **state)
+{
+    (void)state;
+    static const char *const folder[2] = {"left", "right"};
+    char path[2][600], name[64];
+    const char *more[] = {path[1], NULL};
+    struct imageset set;
+    struct image8 im;
+    for (int i = 0; i < 2; i++) {
+        tmpdir_mkdir(folder[i]);
+        snprintf(path[i], sizeof path[i], "%s/%s", tmpdir_root, folder[i]);
+        for (int k = 0; k < 2; k++) {
+            snprintf(name, sizeof name, "%s/%d.png", folder[i], k);
+            put_picture(name, i ? 40 : 32, i ? 30 : 32);
+        }
+        snprintf(name, sizeof name, "%s/exposure.json", folder[i]);
+        tmpdir_text(name, "{\"0.png\": 1, \"1.png\": 2}");
+    }
+    tmpdir_mkdir("model");
+    tmpdir_text("model/cameras.txt", "7 SIMPLE_RADIAL 32 32 30 16 16 -0.02\n"
+                                     "9 OPENCV_FISHEYE 40 30 20 21 20 15 0.01 0 0 0\n");
+    tmpdir_text("model/images.txt",
+                "1 1 0 0 0 0 0 0 7 left/0.png\n\n2 1 0 0 0 1 0 0 9 right/0.png\n\n"
+                "3 1 0 0 0 2 0 0 7 left/1.png\n\n4 1 0 0 0 3 0 0 9 in/right/1.png\n\n");
+    struct imageset_request rq = {
+        .images = path[0], .more = more, .rig = tmpdir_path("model"), .brackets = true};
+    if (imageset_list(&rq, &set) != OK)
+        fail_msg("%s", err_text());
+    static const float x[4] = {0, 2, 1, 3};
+    assert_int_equal(set.capture.n, 4);
+    for (int i = 0; i < 4; i++) {
+        const struct shot *s = &set.capture.shots[i];
+        assert_true(s->cam.t[0] == x[i] && s->taken_w == (i < 2 ? 32 : 40));
+        assert_int_equal(s->lens.model, i < 2 ? LENS_SIMPLE_RADIAL : LENS_OPENCV_FISHEYE);
+        assert_int_equal(imageset_decode(&set, i, &im), OK);
+        assert_true(im.w == s->image.w && im.h == s->cam.h);
+        img_free(&im);
+    }
+    imageset_free(&set);
+    tmpdir_text("model/images.txt",
+                "1 1 0 0 0 0 0 0 7 left/0.png\n\n2 1 0 0 0 1 0 0 9 left/0.png\n");
+    assert_int_equal(imageset_list(&rq, &set), ERR_FORMAT);
+    assert_non_null(strstr(err_text(), "left_0.png is named twice"));
+}
+
 #define IN_FOLDER(f) cmocka_unit_test_setup_teardown(f, tmpdir_setup, tmpdir_teardown)
 
 int main(void)
@@ -606,6 +653,7 @@ int main(void)
         IN_FOLDER(sizes_are_read_from_headers),
         IN_FOLDER(several_folders_are_places),
         IN_FOLDER(several_folders_have_one_rig),
+        IN_FOLDER(a_rig_has_a_folder_for_each_camera),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
