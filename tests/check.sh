@@ -31,6 +31,7 @@ step() { # name command...
     wait $! || end=FAILED
     took=$((SECONDS - start))
     printf '%-60s %-6s %4d s\n' "$name" $end $took
+    sed -n 's/^not checked: /    &/p' "$log"
     echo "$took $end $name" >>$results
 }
 
