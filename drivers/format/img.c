@@ -248,12 +248,37 @@ static err_t write_file(const char *path, const void *bytes, size_t n)
     return file_finish(f, path);
 }
 
-static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
+enum { MAKER_MAX = 256 };
+
+/* One directory with Make and Model, as TIFF in little-endian order (Exif 2.32, 4.6). Returns its
+ * length; texts are cut to fit. */
+static size_t put_maker(const struct img_maker *by, unsigned char out[MAKER_MAX])
+{
+    enum { ENTRIES = 2, TEXTS = 8 + 2 + 12 * ENTRIES + 4, TEXT_MAX = 64 };
+    static const uint16_t tag[ENTRIES] = {EXIF_TAG_MAKE, EXIF_TAG_MODEL};
+    const char *const text[ENTRIES] = {by->make, by->model};
+    unsigned at = TEXTS;
+    memset(out, 0, MAKER_MAX);
+    memcpy(out, "II*\0\10\0\0\0\2", 9); // directory at 8, two entries
+    for (int i = 0; i < ENTRIES; i++) {
+        unsigned char *e = out + 10 + 12 * i;
+        const unsigned n = (unsigned)strnlen(text[i], TEXT_MAX) + 1;
+        const unsigned word[3] = {tag[i] | 2u << 16, n, at}; // type 2: ASCII
+        for (int k = 0; k < 12; k++)
+            e[k] = (unsigned char)(word[k / 4] >> 8 * (k % 4));
+        memcpy(out + at, text[i], n - 1);
+        at += n + n % 2;
+    }
+    return at;
+}
+
+static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast, const struct img_maker *by)
 {
     struct spng_ihdr head = {.width = (uint32_t)im->w,
                              .height = (uint32_t)im->h,
                              .bit_depth = 8,
                              .color_type = SPNG_COLOR_TYPE_TRUECOLOR};
+    unsigned char exif[MAKER_MAX]; // copied by spng_set_exif
     int code = spng_set_option(ctx, SPNG_ENCODE_TO_BUFFER, 1);
     if (!code && fast)
         code = spng_set_option(ctx, SPNG_IMG_COMPRESSION_LEVEL, 1);
@@ -261,6 +286,10 @@ static int png_encode(spng_ctx *ctx, const struct image8 *im, bool fast)
         code = spng_set_option(ctx, SPNG_FILTER_CHOICE, SPNG_FILTER_CHOICE_UP);
     if (!code)
         code = spng_set_ihdr(ctx, &head);
+    if (!code && by) {
+        struct spng_exif chunk = {.length = put_maker(by, exif), .data = (char *)exif};
+        code = spng_set_exif(ctx, &chunk);
+    }
     if (!code)
         code = spng_encode_image(ctx, im->px, (size_t)im->w * (size_t)im->h * 3, SPNG_FMT_PNG,
                                  SPNG_ENCODE_FINALIZE);
@@ -276,8 +305,8 @@ static err_t check_picture(const struct image8 *im, const char *name)
 }
 
 /* own: free(*bytes). */
-static err_t encode_png(const struct image8 *im, const char *name, bool fast, void **bytes,
-                        size_t *n)
+static err_t encode_png(const struct image8 *im, const char *name, bool fast,
+                        const struct img_maker *by, void **bytes, size_t *n)
 {
     *bytes = NULL;
     err_t e = check_picture(im, name);
@@ -286,7 +315,7 @@ static err_t encode_png(const struct image8 *im, const char *name, bool fast, vo
     spng_ctx *ctx = spng_ctx_new(SPNG_CTX_ENCODER);
     if (!ctx)
         return err_fail(ERR_NOMEM, "%s: no memory for the PNG encoder", name);
-    int code = png_encode(ctx, im, fast);
+    int code = png_encode(ctx, im, fast, by);
     if (!code)
         *bytes = spng_get_png_buffer(ctx, n, &code);
     spng_ctx_free(ctx);
@@ -297,7 +326,7 @@ static err_t encode_png(const struct image8 *im, const char *name, bool fast, vo
 
 err_t img_encode_png_fast(const struct image8 *im, const char *name, void **bytes, size_t *n)
 {
-    return encode_png(im, name, true, bytes, n);
+    return encode_png(im, name, true, NULL, bytes, n);
 }
 
 err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, void **bytes,
@@ -328,9 +357,14 @@ err_t img_encode_jpeg(const struct image8 *im, int quality, const char *name, vo
 
 err_t img_write_png(const char *path, const struct image8 *im)
 {
+    return img_write_png_by(path, im, NULL);
+}
+
+err_t img_write_png_by(const char *path, const struct image8 *im, const struct img_maker *by)
+{
     void *bytes;
     size_t n;
-    err_t e = encode_png(im, path, false, &bytes, &n);
+    err_t e = encode_png(im, path, false, by, &bytes, &n);
     if (e)
         return e;
     e = write_file(path, bytes, n);

@@ -39,6 +39,15 @@ void img_free(struct image8 *im);
  * err:  ERR_ARG (channels or shape), ERR_IO, ERR_LIMIT (no space), ERR_NOMEM. */
 MUST_USE err_t img_write_png(const char *path, const struct image8 *im);
 
+/* Make and model of a camera, ASCII. */
+struct img_maker {
+    const char *make, *model;
+};
+
+/* The same with an eXIf chunk that names the camera; `by` NULL: none. */
+MUST_USE err_t img_write_png_by(const char *path, const struct image8 *im,
+                                const struct img_maker *by);
+
 /* Encode as PNG into memory in a tenth of the time of img_write_png, for a fifth more bytes; `name`
  * is for sentences.
  * own:  free(*bytes).

@@ -4,8 +4,6 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/outdir.h"
 
-#include "core/base/num.h"
-
 #include "sim/train/dataset.h"
 
 #include <math.h>
@@ -13,8 +11,9 @@
 #include <string.h>
 
 struct request {
-    const char *out, *views, *kind, *spread, *fov, *lens, *exposures, *curve, *samples;
-    struct lens through; // of `lens`
+    const char *out, *views, *kind, *spread, *fov, *exposures, *curve, *samples;
+    const char *lens[CMD_TEXTS_MAX];
+    struct optics optics[CMD_TEXTS_MAX]; // of `lens`
     bool noise_free, free_hand;
     struct outdir_rules rules;
     struct config cfg;
@@ -70,47 +69,16 @@ static err_t read_exposures(const char *text, struct dataset_ask *a)
     }
 }
 
-/* Terms of a lens: "k1=-0.25,k2=0.05", "k1=..,k2=..,p1=..,p2=..", "fisheye" and "fisheye,k1=..,.."
- * with k1 to k4. */
-static err_t read_terms(const char *text, struct lens *l)
+/* Cameras of the rig that name their lens. fov: degrees, of those that name none. */
+static err_t read_optics(struct request *rq, double fov, struct sample_ask *a)
 {
-    static const char *const names[2][LENS_TERMS] = {{"k1", "k2", "p1", "p2"},
-                                                     {"k1", "k2", "k3", "k4"}};
-    const bool fisheye = strncmp(text, "fisheye", 7) == 0 && (text[7] == ',' || !text[7]);
-    bool given[LENS_TERMS] = {false};
-    const char *at = fisheye ? text + 7 + (text[7] == ',') : text;
-    while (*at || at == text) {
-        char *end = NULL;
-        int k = 0;
-        while (k < LENS_TERMS && (strncmp(at, names[fisheye][k], 2) != 0 || at[2] != '='))
-            k++;
-        if (k < LENS_TERMS)
-            l->term[k] = strtod(at + 3, &end);
-        if (k == LENS_TERMS || end == at + 3 || (*end && *end != ',') || (*end && !end[1]) ||
-            given[k] || !(fabs(l->term[k]) <= 10))
-            return err_fail(
-                ERR_ARG,
-                "--lens: \"%.64s\" is not a list like k1=-0.25,k2=0.05 (k1 k2 p1 p2) or "
-                "fisheye,k1=0.01 (k1 k2 k3 k4), each once, within 10",
-                text);
-        given[k] = true;
-        at = *end ? end + 1 : end;
+    err_t e = OK;
+    for (int i = 0; i < CMD_TEXTS_MAX && rq->lens[i] && !e; i++) {
+        e = optics_parse("--lens", rq->lens[i], a->size, fov, &rq->optics[i]);
+        a->n_optics = i + 1;
     }
-    l->model = fisheye                ? LENS_OPENCV_FISHEYE
-               : given[2] || given[3] ? LENS_OPENCV
-               : given[1]             ? LENS_RADIAL
-                                      : LENS_SIMPLE_RADIAL;
-    return OK;
-}
-
-/* fov: of the picture without the terms, degrees; a fisheye's is that of its angles. */
-static err_t read_lens(const char *text, double fov, int size, struct lens *out)
-{
-    *out = (struct lens){.cx = 0.5 * size, .cy = 0.5 * size};
-    err_t e = read_terms(text, out);
-    const double half = fov * NUM_PI / 360;
-    out->fx = out->fy = 0.5 * size / (out->model == LENS_OPENCV_FISHEYE ? half : tan(half));
-    return e ? e : lens_init(out);
+    a->optics = rq->optics;
+    return e;
 }
 
 static err_t read_scene(struct request *rq, struct dataset_ask *a)
@@ -134,10 +102,8 @@ static err_t read_scene(struct request *rq, struct dataset_ask *a)
                                     .quality = {.samples = samples}};
     /* rays through other points of the pixel serve its edges and its shadows */
     a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
-    if (!e && rq->lens)
-        e = read_lens(rq->lens, fov, a->sample.size, &rq->through);
-    if (!e && rq->lens)
-        a->sample.lens = &rq->through;
+    if (!e)
+        e = read_optics(rq, fov, &a->sample);
     if (!e && rq->kind)
         e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     return e;
@@ -158,6 +124,26 @@ static err_t read_ask(struct request *rq, struct dataset_ask *a)
     return OK;
 }
 
+static void report_optics(const struct request *rq, struct report *rep)
+{
+    if (!rq->lens[0])
+        return;
+    report_open(rep, "cameras", '[');
+    for (int i = 0; i < CMD_TEXTS_MAX && rq->lens[i]; i++) {
+        const struct optics *o = &rq->optics[i];
+        const double vignette[2] = {(double)o->vignette[0], (double)o->vignette[1]};
+        const double gain[3] = {(double)o->gain[0], (double)o->gain[1], (double)o->gain[2]};
+        report_open(rep, NULL, '{');
+        report_int(rep, "camera", i + 1);
+        report_text(rep, "lens", rq->lens[i]);
+        report_row(rep, "vignette", vignette, 2);
+        report_bool(rep, "cos4", o->cos4);
+        report_row(rep, "gain", gain, 3);
+        report_close(rep);
+    }
+    report_close(rep);
+}
+
 /* Marks the folder as a result, and tells how it was made. */
 static err_t write_report(const struct request *rq, const struct dataset_ask *a, struct outdir *o)
 {
@@ -171,8 +157,7 @@ static err_t write_report(const struct request *rq, const struct dataset_ask *a,
     report_int(&rep, "size", a->sample.size);
     report_number(&rep, "spread", (double)a->sample.spread);
     report_number(&rep, "fov_deg", (double)a->sample.fov_deg);
-    if (rq->lens)
-        report_text(&rep, "lens", rq->lens);
+    report_optics(rq, &rep);
     report_bool(&rep, "free_hand", a->sample.jitter != 0);
     report_int(&rep, "samples", a->sample.quality.samples);
     report_bool(&rep, "noise", a->noise);
@@ -223,8 +208,10 @@ int cmd_simulate_run(int argc, char **argv)
         {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL,
          &rq.spread, NULL},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
-        {"lens", "TERMS", "distortion: k1=-0.25,k2=0.05 (k1 k2 p1 p2), or fisheye,k1=.. (k1..k4)",
-         NULL, &rq.lens, NULL},
+        {"lens", "SPEC...",
+         "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
+         "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; of several, each takes its turn",
+         NULL, rq.lens, NULL},
         {"free-hand", NULL, "heights, targets and rolls differ", NULL, NULL, &rq.free_hand},
         {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL, &rq.exposures,
          NULL},

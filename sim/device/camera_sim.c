@@ -77,7 +77,7 @@ static err_t render_world_view(const struct run *r, const struct options *o, str
                               .spread = (float)o->spread,
                               .fov_deg = (float)o->fov,
                               .jitter = o->free_hand};
-    struct render_quality q = {(int)o->samples, (int)o->shadow};
+    struct render_quality q = {.samples = (int)o->samples, .shadow = (int)o->shadow};
     struct render_maps maps = {.radiance = s->radiance};
     err_t e = world_make(r->keep, s->seed, (enum world_kind)(o->kind + WORLD_ANY), &w);
     if (e)

@@ -31,13 +31,13 @@ ANY, DARK, PLAIN, MIRROR = -1, 2, 3, 4  # enum world_kind
 
 
 class Quality(c.Structure):
-    _fields_ = [("samples", c.c_int), ("shadow", c.c_int)]
+    _fields_ = [("samples", c.c_int), ("shadow", c.c_int), ("lens", c.c_void_p)]
 
 
 class Ask(c.Structure):
     _fields_ = [("seed", c.c_uint64), ("kind", c.c_int), ("n_views", c.c_int), ("size", c.c_int),
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
-                ("quality", Quality), ("lens", c.c_void_p)]
+                ("quality", Quality), ("n_optics", c.c_int), ("optics", c.c_void_p)]
 
 
 class Request(c.Structure):

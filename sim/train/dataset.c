@@ -11,28 +11,30 @@
 #include <string.h>
 #include <sys/stat.h>
 
-static size_t pixels(const struct dataset_ask *a)
+/* Pixels of all views; of the largest. */
+static size_t all_pixels(const struct dataset_ask *a, size_t *largest)
 {
-    return (size_t)a->sample.size * (size_t)a->sample.size;
-}
-
-static size_t all_pixels(const struct dataset_ask *a)
-{
-    return pixels(a) * (size_t)a->sample.n_views;
+    struct extent all[SAMPLE_VIEWS];
+    sample_extents(&a->sample, all);
+    *largest = extent_cover(all, a->sample.n_views).at;
+    return extent_total(all, a->sample.n_views);
 }
 
 uint64_t dataset_bytes(const struct dataset_ask *a)
 {
+    size_t largest;
     /* as if nothing could be compressed */
-    return (uint64_t)all_pixels(a) * (3 * (uint64_t)a->n_exposures + 8) + (1 << 20);
+    return (uint64_t)all_pixels(a, &largest) * (3 * (uint64_t)a->n_exposures + 8) + (1 << 20);
 }
 
 /* The scene in memory while files are written. */
 struct set {
     const struct dataset_ask *a;
     const char *dir;
-    float *radiance, *depth; // (n_views, 3, size, size), (n_views, size, size)
-    uint8_t *px;             // (DATASET_EXPOSURES, size, size, 3)
+    struct extent extent[SAMPLE_VIEWS];
+    float *radiance, *depth; // as sample_make writes them
+    float *dimmed;           // (3, h, w) radiance of one view behind its optics
+    uint8_t *px;             // (DATASET_EXPOSURES, h, w, 3) of one view
     struct camera *cams;
     double key;
 };
@@ -58,27 +60,28 @@ static void picture_name(int view, int k, char out[NAME_CAP])
 static err_t write_pictures(const struct set *s, int view)
 {
     const struct dataset_ask *a = s->a;
-    const int size = a->sample.size;
-    char name[NAME_CAP], path[FILE_PATH_CAP], folder[FILE_PATH_CAP];
+    const struct extent *x = &s->extent[view];
+    char name[NAME_CAP], path[FILE_PATH_CAP], folder[FILE_PATH_CAP], camera[32];
+    const struct img_maker maker = {"hdrig", camera};
+    snprintf(camera, sizeof camera, "simulated camera %d", sample_camera_of(&a->sample, view) + 1);
     err_t e = file_join(s->dir, "images", folder);
     for (int k = 0; k < a->n_exposures && !e; k++) {
-        struct image8 im = {size, size, 3, s->px + 3 * pixels(a) * (size_t)k};
+        struct image8 im = {x->w, x->h, 3, s->px + 3 * extent_pixels(x) * (size_t)k};
         if (!is_taken(a, view, k))
             continue;
         picture_name(view, k, name);
         e = file_join(folder, name, path);
         if (!e)
-            e = img_write_png(path, &im);
+            e = img_write_png_by(path, &im, a->sample.n_optics > 1 ? &maker : NULL);
     }
     return e;
 }
 
 static err_t write_radiance(const struct set *s, int view)
 {
-    const int size = s->a->sample.size;
-    const size_t first = pixels(s->a) * (size_t)view;
-    struct image im = {size, size, 3, s->radiance + 3 * first};
-    struct exrfile_extra extra = {.depth = s->depth + first, .cam = &s->cams[view]};
+    const struct extent *x = &s->extent[view];
+    struct image im = {x->w, x->h, 3, s->radiance + 3 * x->at};
+    struct exrfile_extra extra = {.depth = s->depth + x->at, .cam = &s->cams[view]};
     char name[NAME_CAP], path[FILE_PATH_CAP];
     snprintf(name, sizeof name, "images_hdr/test_hdr_%03d.exr", view / 2);
     err_t e = file_join(s->dir, name, path);
@@ -88,13 +91,21 @@ static err_t write_radiance(const struct set *s, int view)
 static err_t write_view(const struct run *r, const struct set *s, int view)
 {
     const struct dataset_ask *a = s->a;
-    const struct sample_camera cam = {.size = a->sample.size,
+    const struct extent *x = &s->extent[view];
+    const struct optics *o = sample_optics(&a->sample, view);
+    const float *seen = s->radiance + 3 * x->at;
+    const struct sample_camera cam = {.w = x->w,
+                                      .h = x->h,
                                       .key = s->key,
                                       .sensor = a->noise ? &sensor_default : NULL,
                                       .curve = &a->curve,
                                       .seed = a->sample.seed * 1000 + (uint64_t)view};
-    err_t e = sample_expose(r, &cam, s->radiance + 3 * pixels(a) * (size_t)view, a->n_exposures,
-                            a->stops, s->px);
+    if (o && optics_dims(o)) {
+        memcpy(s->dimmed, seen, 3 * extent_pixels(x) * sizeof *seen);
+        optics_apply(o, s->dimmed);
+        seen = s->dimmed;
+    }
+    err_t e = sample_expose(r, &cam, seen, a->n_exposures, a->stops, s->px);
     if (!e)
         e = write_pictures(s, view);
     return e || is_input(view) ? e : write_radiance(s, view);
@@ -146,16 +157,16 @@ static err_t write_images(const struct set *s)
             fprintf(f, " %.9g", (double)c->q[i]);
         for (int i = 0; i < 3; i++)
             fprintf(f, " %.9g", (double)c->t[i]);
-        fprintf(f, " 1 %s\n\n", name);
+        fprintf(f, " %d %s\n\n", sample_camera_of(&s->a->sample, view) + 1, name);
     }
     return file_finish(f, path);
 }
 
-static void put_lens(const struct lens *l, const struct camera *c, FILE *f)
+static void put_optics(const struct optics *o, int number, FILE *f)
 {
     double values[LENS_PARAMS];
-    const int n = lens_params(l, values);
-    fprintf(f, "1 %s %d %d", lens_name(l->model), c->w, c->h);
+    const int n = lens_params(&o->lens, values);
+    fprintf(f, "%d %s %d %d", number, lens_name(o->lens.model), o->w, o->h);
     for (int i = 0; i < n; i++)
         fprintf(f, " %.17g", values[i]);
     fputc('\n', f);
@@ -169,9 +180,9 @@ static err_t write_cameras(const struct set *s)
     err_t e = open_text(s, "sparse/0/cameras.txt", path, &f);
     if (e)
         return e;
-    if (s->a->sample.lens)
-        put_lens(s->a->sample.lens, c, f);
-    else
+    for (int i = 0; i < s->a->sample.n_optics; i++)
+        put_optics(&s->a->sample.optics[i], i + 1, f);
+    if (s->a->sample.n_optics == 0)
         fprintf(f, "1 PINHOLE %d %d %.9g %.9g %.9g %.9g\n", c->w, c->h, (double)c->fx,
                 (double)c->fy, (double)c->cx, (double)c->cy);
     e = file_finish(f, path);
@@ -211,11 +222,15 @@ static err_t check_exposures(const struct dataset_ask *a)
 static err_t alloc_set(struct arena *keep, struct set *s)
 {
     const struct dataset_ask *a = s->a;
-    err_t e = arena_alloc(keep, all_pixels(a) * 3, sizeof(float), &s->radiance);
+    size_t largest;
+    const size_t all = all_pixels(a, &largest);
+    err_t e = arena_alloc(keep, all * 3, sizeof(float), &s->radiance);
     if (!e)
-        e = arena_alloc(keep, all_pixels(a), sizeof(float), &s->depth);
+        e = arena_alloc(keep, all, sizeof(float), &s->depth);
+    if (!e && a->sample.n_optics > 0)
+        e = arena_alloc(keep, largest, 3 * sizeof *s->dimmed, &s->dimmed);
     if (!e)
-        e = arena_alloc(keep, pixels(a), 3 * DATASET_EXPOSURES, &s->px);
+        e = arena_alloc(keep, largest, 3 * DATASET_EXPOSURES, &s->px);
     if (!e)
         e = arena_alloc(keep, (size_t)a->sample.n_views, sizeof *s->cams, &s->cams);
     return e;
@@ -226,7 +241,7 @@ void dataset_plan(struct plan *p, const struct dataset_ask *a)
     struct set s = {.a = a};
     const size_t mark = arena_mark(&p->keep);
     (void)alloc_set(&p->keep, &s); // a counter is never full
-    sample_plan(p, a->sample.size);
+    sample_plan(p, &a->sample);
     arena_reset(&p->keep, mark);
 }
 
@@ -235,6 +250,7 @@ err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char
     struct set s = {.a = a, .dir = dir};
     const size_t mark = arena_mark(r->keep);
     err_t e = check_exposures(a);
+    sample_extents(&a->sample, s.extent);
     if (!e)
         e = make_folders(&s);
     if (!e)

@@ -20,7 +20,9 @@ struct dataset_ask {
  * ("train"), at the first, middle and last exposure; those between are held out ("test"), at every
  * exposure and as radiance:
  *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth),
- *   exposure.json (2^stops), sparse/0 (COLMAP text)
+ *   exposure.json (2^stops), sparse/0 (COLMAP text, a camera for each of the optics)
+ * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
+ * optics dim it.
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */
 MUST_USE err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir);
 void dataset_plan(struct plan *p, const struct dataset_ask *a);

@@ -3,6 +3,7 @@
  * every view and the middle one of these. */
 #include "sim/train/sample.h"
 
+#include "core/base/num.h"
 #include "sim/world/vec.h"
 
 #include <stdatomic.h>
@@ -22,6 +23,26 @@ static double full_scale(const struct sensor *s)
     return codes < (double)s->full_well ? codes : (double)s->full_well;
 }
 
+int sample_camera_of(const struct sample_ask *a, int view)
+{
+    return a->n_optics > 0 ? view / 2 % a->n_optics : 0;
+}
+
+const struct optics *sample_optics(const struct sample_ask *a, int view)
+{
+    return a->n_optics > 0 ? &a->optics[sample_camera_of(a, view)] : NULL;
+}
+
+void sample_extents(const struct sample_ask *a, struct extent *out)
+{
+    size_t at = 0;
+    for (int i = 0; i < a->n_views; i++) {
+        const struct optics *o = sample_optics(a, i);
+        out[i] = (struct extent){o ? o->w : a->size, o ? o->h : a->size, at};
+        at += extent_pixels(&out[i]);
+    }
+}
+
 /* ---- worlds ---- */
 
 struct sample {
@@ -30,6 +51,7 @@ struct sample {
     const struct render_world *world;
     float *radiance, *depth;
     struct camera *cams;
+    struct extent extent[SAMPLE_VIEWS];
     double median[SAMPLE_VIEWS];
     struct arena tmp[WORKERS_MAX];
     bool by_view; // one worker a view
@@ -46,9 +68,11 @@ static err_t check_ask(const struct sample_ask *a)
     if (a->size < SIZE_LEAST || a->size > SAMPLE_SIZE)
         return err_fail(ERR_ARG, "sample: pictures of %d px, allowed are %d to %d", a->size,
                         SIZE_LEAST, SAMPLE_SIZE);
-    if (a->n_views * a->size * a->size > SAMPLE_PX)
+    struct extent all[SAMPLE_VIEWS];
+    sample_extents(a, all);
+    if (extent_total(all, a->n_views) > SAMPLE_PX)
         return err_fail(ERR_ARG, "sample: %d views of %d x %d px are more than %d px", a->n_views,
-                        a->size, a->size, SAMPLE_PX);
+                        all[0].w, all[0].h, SAMPLE_PX);
     if (!(a->spread >= 0 && a->spread <= 1))
         return err_fail(ERR_ARG, "sample: spread %g, allowed are 0 to 1", (double)a->spread);
     if (a->fov_deg != 0 && !(a->fov_deg >= 20 && a->fov_deg <= 120))
@@ -95,9 +119,8 @@ static double median_luminance(const float *radiance, int px, float *grey)
 }
 
 /* Scratch memory of one view: grey levels, and its radiance if the caller does not want it. */
-static err_t alloc_view(struct arena *tmp, int size, float **grey, float **own)
+static err_t alloc_view(struct arena *tmp, size_t px, float **grey, float **own)
 {
-    const size_t px = (size_t)size * (size_t)size;
     err_t e = arena_alloc(tmp, px, sizeof **grey, grey);
     return e ? e : arena_alloc(tmp, px, 3 * sizeof **own, own);
 }
@@ -106,16 +129,20 @@ static err_t draw_view(void *ctx, int view, int worker)
 {
     struct sample *s = ctx;
     struct run r = *s->r;
-    size_t px = (size_t)s->a->size * (size_t)s->a->size;
+    const struct extent *x = &s->extent[view];
+    const size_t px = extent_pixels(x);
+    const struct optics *o = sample_optics(s->a, view);
+    struct render_quality quality = s->a->quality;
     float *grey, *own = NULL;
+    quality.lens = o && lens_distorts(&o->lens) ? &o->lens : NULL;
     r.tmp = &s->tmp[s->by_view ? worker : 0];
     r.pool = s->by_view ? NULL : s->r->pool;
     size_t mark = arena_mark(r.tmp);
-    err_t e = alloc_view(r.tmp, s->a->size, &grey, &own);
-    struct render_maps maps = {.radiance = s->radiance ? s->radiance + 3 * px * (size_t)view : own,
-                               .depth = s->depth ? s->depth + px * (size_t)view : NULL};
+    err_t e = alloc_view(r.tmp, px, &grey, &own);
+    struct render_maps maps = {.radiance = s->radiance ? s->radiance + 3 * x->at : own,
+                               .depth = s->depth ? s->depth + x->at : NULL};
     if (!e)
-        e = render_run(&r, s->world, s->cams + view, &s->a->quality,
+        e = render_run(&r, s->world, s->cams + view, &quality,
                        s->a->seed * SAMPLE_VIEWS + (uint64_t)view, &maps);
     if (!e)
         s->median[view] = median_luminance(maps.radiance, (int)px, grey);
@@ -137,13 +164,20 @@ static double metered_key(struct sample *s)
     return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
 }
 
-static size_t view_bytes(int size)
+/* Of the largest view. */
+static size_t view_bytes(const struct sample_ask *a)
 {
-    struct plan p = plan_begin(1);
-    float *grey, *own;
-    (void)alloc_view(&p.tmp, size, &grey, &own); // a counter is never full
-    render_plan(&p, size, size);
-    return p.tmp.peak;
+    struct extent all[SAMPLE_VIEWS];
+    size_t most = 0;
+    sample_extents(a, all);
+    for (int i = 0; i < a->n_views; i++) {
+        struct plan p = plan_begin(1);
+        float *grey, *own;
+        (void)alloc_view(&p.tmp, extent_pixels(&all[i]), &grey, &own); // a counter is never full
+        render_plan(&p, all[i].w, all[i].h);
+        most = num_max_size(most, p.tmp.peak);
+    }
+    return most;
 }
 
 static size_t world_bytes(void)
@@ -162,15 +196,17 @@ static err_t sub_arena(struct arena *from, size_t size, const char *name, struct
     return e;
 }
 
-static err_t alloc_workers(struct arena *from, int size, int workers, struct arena *tmp)
+static err_t alloc_workers(struct arena *from, const struct sample_ask *a, int workers,
+                           struct arena *tmp)
 {
+    const size_t bytes = view_bytes(a);
     err_t e = OK;
     for (int i = 0; i < workers && !e; i++)
-        e = sub_arena(from, view_bytes(size), "sample", &tmp[i]);
+        e = sub_arena(from, bytes, "sample", &tmp[i]);
     return e;
 }
 
-void sample_plan(struct plan *p, int size)
+void sample_plan(struct plan *p, const struct sample_ask *a)
 {
     struct arena place, workers[WORKERS_MAX];
     struct plan opening = plan_begin(p->threads);
@@ -178,7 +214,7 @@ void sample_plan(struct plan *p, int size)
     (void)sub_arena(&p->tmp, world_bytes(), "world", &place); // a counter is never full
     render_open_plan(&opening);
     arena_step(&p->tmp, opening.tmp.peak);
-    (void)alloc_workers(&p->tmp, size, p->threads, workers);
+    (void)alloc_workers(&p->tmp, a, p->threads, workers);
     arena_reset(&p->tmp, mark);
 }
 
@@ -199,7 +235,7 @@ static err_t draw_all(struct sample *s)
     s->by_view = n >= workers;
     if (s->r->progress)
         s->r->progress(s->r->progress_ctx, "draw", 0, n, NULL);
-    err_t e = alloc_workers(s->r->tmp, s->a->size, s->by_view ? workers : 1, s->tmp);
+    err_t e = alloc_workers(s->r->tmp, s->a, s->by_view ? workers : 1, s->tmp);
     if (s->by_view && !e)
         e = pool_for(s->r->pool, n, draw_and_report, s);
     if (s->by_view && !e && s->r->progress)
@@ -209,6 +245,21 @@ static err_t draw_all(struct sample *s)
     for (int view = 0; view < n && !e; view++)
         e = draw_and_report(s, view, 0);
     return e;
+}
+
+static void set_optics(const struct sample_ask *a, struct camera *cams)
+{
+    for (int i = 0; i < a->n_views; i++) {
+        const struct optics *o = sample_optics(a, i);
+        if (!o)
+            continue;
+        cams[i].w = o->w;
+        cams[i].h = o->h;
+        cams[i].fx = (float)o->lens.fx;
+        cams[i].fy = (float)o->lens.fy;
+        cams[i].cx = (float)o->lens.cx;
+        cams[i].cy = (float)o->lens.cy;
+    }
 }
 
 err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance, float *depth,
@@ -223,6 +274,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
     err_t e = check_ask(a);
     if (e)
         return e;
+    sample_extents(a, s.extent);
     size_t mark = arena_mark(r->tmp);
     e = sub_arena(r->tmp, world_bytes(), "world", &place);
     if (!e)
@@ -232,7 +284,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
         e = render_open(&prepare, &w, &world);
     if (!e) {
         world_cameras(&w, &path, a->seed, a->size, cams);
-        render_set_lens(world, a->lens);
+        set_optics(a, cams);
         s.world = world;
         e = draw_all(&s);
     }
@@ -247,7 +299,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
 static void develop_clean(const struct sample_camera *c, const float *radiance, double exposure,
                           uint8_t *px)
 {
-    size_t n = (size_t)c->size * (size_t)c->size;
+    size_t n = (size_t)c->w * (size_t)c->h;
     double scale = exposure * (double)sensor_default.electrons / full_scale(&sensor_default);
     for (size_t i = 0; i < 3 * n; i++) {
         float x = (float)((double)radiance[i % 3 * n + i / 3] * scale);
@@ -255,18 +307,18 @@ static void develop_clean(const struct sample_camera *c, const float *radiance, 
     }
 }
 
-static err_t alloc_raw(struct arena *tmp, int size, struct sensor_raw *raw)
+static err_t alloc_raw(struct arena *tmp, struct sensor_raw *raw)
 {
-    return arena_alloc(tmp, (size_t)size * (size_t)size, 3 * sizeof *raw->px, &raw->px);
+    return arena_alloc(tmp, (size_t)raw->w * (size_t)raw->h, 3 * sizeof *raw->px, &raw->px);
 }
 
 static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
                            const float *radiance, const struct sensor_shot *shot, uint8_t *px)
 {
-    struct sensor_raw raw = {.w = c->size, .h = c->size};
-    struct image picture = {c->size, c->size, 3, (float *)(uintptr_t)radiance};
+    struct sensor_raw raw = {.w = c->w, .h = c->h};
+    struct image picture = {c->w, c->h, 3, (float *)(uintptr_t)radiance};
     size_t mark = arena_mark(r->tmp);
-    err_t e = alloc_raw(r->tmp, c->size, &raw);
+    err_t e = alloc_raw(r->tmp, &raw);
     if (!e)
         e = sensor_expose(r, c->sensor, shot, &picture, &raw);
     if (!e)
@@ -277,8 +329,8 @@ static err_t develop_noisy(const struct run *r, const struct sample_camera *c,
 
 static err_t check_shots(const struct sample_camera *c, int n, const float *stops)
 {
-    if (c->size < SIZE_LEAST || c->size > SAMPLE_SIZE)
-        return err_fail(ERR_ARG, "photograph: size %d px, allowed are %d to %d", c->size,
+    if (num_min(c->w, c->h) < SIZE_LEAST || num_max(c->w, c->h) > SAMPLE_SIZE)
+        return err_fail(ERR_ARG, "photograph: %d x %d px, allowed are %d to %d", c->w, c->h,
                         SIZE_LEAST, SAMPLE_SIZE);
     if (!(c->key > 0) || !(c->key < 1e12))
         return err_fail(ERR_ARG, "photograph: key %g s, must be > 0 and < 1e12", c->key);
@@ -299,7 +351,7 @@ err_t sample_expose(const struct run *r, const struct sample_camera *c, const fl
         double exposure = c->key * exp2((double)stops[i]);
         struct sensor_shot shot = {
             .exposure_s = exposure, .gain = 1, .seed = c->seed, .frame = (uint64_t)i};
-        uint8_t *to = px + (size_t)i * 3 * (size_t)c->size * (size_t)c->size;
+        uint8_t *to = px + (size_t)i * 3 * (size_t)c->w * (size_t)c->h;
         e = run_check(r, "photographs");
         if (c->sensor && exposure > EXPOSURE_MAX)
             shot.exposure_s = EXPOSURE_MAX;
@@ -323,7 +375,7 @@ int sample_photograph(const struct sample_request *q, float *radiance, float *de
     if (e)
         return e;
     struct plan p = plan_begin(1);
-    sample_plan(&p, q->ask.size);
+    sample_plan(&p, &q->ask);
     e = arena_init(&tmp, "sample", p.tmp.peak);
     if (!e)
         e = sample_make(&r, &q->ask, radiance, depth, views, key);
@@ -343,8 +395,8 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
     struct arena tmp = {0};
     struct run r = {.tmp = &tmp};
     struct curve curve;
-    struct sample_camera c = {q->ask.size, key, q->noise ? &sensor_default : NULL, &curve,
-                              q->noise_seed};
+    struct sample_camera c = {q->ask.size, q->ask.size,  key, q->noise ? &sensor_default : NULL,
+                              &curve,      q->noise_seed};
     err_t e = check_shots(&c, n, stops);
     if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
         e = err_fail(ERR_ARG, "photograph: curve of family %d, allowed are -1 to %d",
@@ -356,8 +408,8 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
     else
         curve_make((enum curve_family)q->curve_family, q->curve_param, q->curve_seed, &curve);
     struct arena count = arena_counter();
-    struct sensor_raw raw;
-    (void)alloc_raw(&count, c.size, &raw); // a counter is never full
+    struct sensor_raw raw = {.w = c.w, .h = c.h};
+    (void)alloc_raw(&count, &raw); // a counter is never full
     e = arena_init(&tmp, "photograph", count.peak);
     if (!e)
         e = sample_expose(&r, &c, radiance, n, stops, px);

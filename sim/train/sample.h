@@ -4,6 +4,7 @@
 #ifndef TRAIN_SAMPLE_H
 #define TRAIN_SAMPLE_H
 
+#include "sim/sensor/optics.h"
 #include "sim/sensor/sensor.h"
 #include "sim/world/render.h"
 
@@ -11,18 +12,28 @@ enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS 
 
 struct sample_ask {
     uint64_t seed;
-    int kind;          // enum world_kind
-    int n_views, size; // 1..64; px, 14..2048; at most SAMPLE_PX px in all
-    float spread;      // as in struct world_path
-    float fov_deg;     // as in struct world_path
-    int jitter;        // bool
-    struct render_quality quality;
-    const struct lens *lens; // of pictures of `size` px, in the place of fov_deg; NULL: none
+    int kind;                      // enum world_kind
+    int n_views, size;             // 1..64; px, 14..2048; at most SAMPLE_PX px in all
+    float spread;                  // as in struct world_path
+    float fov_deg;                 // as in struct world_path
+    int jitter;                    // bool
+    struct render_quality quality; // the lens is that of:
+    int n_optics;                  // 0: none, square pictures and fov_deg
+    const struct optics *optics;   // (n_optics) of the rig's cameras, which take turns: views 2 i
+                                   // and 2 i + 1 are taken by camera i modulo n_optics
 };
 
-/* Radiance, depth and cameras of all views.
- * out:  radiance (n, 3, size, size), depth (n, size, size), cams (n), all the caller's; any of
- *       radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance
+/* The number of the camera that takes a view, and what stands before its sensor; 0 and NULL without
+ * optics. */
+int sample_camera_of(const struct sample_ask *a, int view);
+const struct optics *sample_optics(const struct sample_ask *a, int view);
+
+/* Shapes of the pictures, which lie one after another. */
+void sample_extents(const struct sample_ask *a, struct extent *out);
+
+/* Radiance, depth and cameras of all views. Radiance is that before the lens: optics do not dim it.
+ * out:  radiance (3, h, w) of each view, depth (h, w), as sample_extents says, cams (n), all the
+ *       caller's; any of radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance
  *       of the view whose median is the middle one at 18 % of full scale of sensor_default: an
  *       exposure of 2^0.
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
@@ -30,21 +41,21 @@ MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, floa
                            float *depth, struct camera *cams, double *key);
 
 /* For sample_make; also enough for sample_expose of one such picture. */
-void sample_plan(struct plan *p, int size);
+void sample_plan(struct plan *p, const struct sample_ask *a);
 
 /* How a radiance image is photographed. */
 struct sample_camera {
-    int size;                    // px, edge of the picture
+    int w, h;                    // px, of the picture
     double key;                  // as in sample_make
     const struct sensor *sensor; // NULL: no noise, and no clipping but that of the curve
     const struct curve *curve;   // not NULL
     uint64_t seed;               // seed of the noise
 };
 
-/* Photographs of one radiance image (3, size, size) at the exposures 2^stops[i] times key, stops
+/* Photographs of one radiance image (3, h, w) at the exposures 2^stops[i] times key, stops
  * in -40..40, n in 1..SAMPLE_SHOTS; i is the number of the frame, for the noise. A sensor is
  * exposed for an hour at most.
- * out:  px (n, size, size, 3)
+ * out:  px (n, h, w, 3)
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
                              const float *radiance, int n, const float *stops, uint8_t *px);

@@ -53,7 +53,6 @@ struct render_world {
     struct bvh bvh;
     struct light_set lights;
     struct probes probes;
-    const struct lens *lens; // NULL: none
 };
 
 static err_t alloc_world(struct arena *keep, struct render_world **out)
@@ -78,7 +77,6 @@ err_t render_open(const struct run *r, const struct world *w, struct render_worl
     if (e)
         return e;
     s->w = w;
-    s->lens = NULL;
     e = bvh_build(r->keep, w, &s->bvh);
     if (!e)
         e = light_open(r->keep, &s->bvh, &s->lights);
@@ -87,11 +85,6 @@ err_t render_open(const struct run *r, const struct world *w, struct render_worl
     if (!e)
         *out = s;
     return e;
-}
-
-void render_set_lens(struct render_world *s, const struct lens *lens)
-{
-    s->lens = lens;
 }
 
 float render_ray(const struct render_world *s, const float o[3], const float d[3])
@@ -337,9 +330,9 @@ static bool aim_ray(const struct picture *p, float u, float v, struct eye_ray *g
 {
     float d[3] = {(u - p->cam->cx) / p->cam->fx, (v - p->cam->cy) / p->cam->fy, 1};
     double ray[3];
-    if (p->s->lens && !lens_unproject(p->s->lens, (const double[2]){(double)u, (double)v}, ray))
+    if (p->q->lens && !lens_unproject(p->q->lens, (const double[2]){(double)u, (double)v}, ray))
         return false;
-    for (int k = 0; k < 3 && p->s->lens; k++)
+    for (int k = 0; k < 3 && p->q->lens; k++)
         d[k] = (float)ray[k];
     *g = (struct eye_ray){.spread = p->spread, .lamps = true, .sun = true};
     memcpy(g->o, p->eye, sizeof g->o);
@@ -605,10 +598,10 @@ err_t render_run(const struct run *r, const struct render_world *s, const struct
     int rays = q->samples * q->samples * q->shadow;
     rotation_from_unit(cam->q, p.turn);
     vec_turn_back(p.turn, back, p.eye);
-    const float f2 = s->lens ? (float)(s->lens->fx * s->lens->fy) : cam->fx * cam->fy;
+    const float f2 = q->lens ? (float)(q->lens->fx * q->lens->fy) : cam->fx * cam->fy;
     p.spread = 1 / (sqrtf(f2) * (float)q->samples);
     p.seed = light_hash((uint32_t)seed, (uint32_t)(seed >> 32));
-    p.period = s->lens || rays >= 16 ? 1 : rays < 4 ? 4 : 2; // planes are smoothed if straight
+    p.period = q->lens || rays >= 16 ? 1 : rays < 4 ? 4 : 2; // planes are smoothed if straight
     if (p.period > 1 && out->radiance)
         e = alloc_planes(r->tmp, cam->w, cam->h, &p);
     if (!e)

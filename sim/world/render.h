@@ -12,6 +12,8 @@ struct render_world; // a world prepared for pictures: hierarchy of boxes, probe
 struct render_quality {
     int samples; // rays per pixel and axis, 1..8: 1 for training, 4 for reference pictures
     int shadow;  // shadow rays per light and sample, 1..64
+    const struct lens *lens; // in the place of the camera's fx, fy, cx, cy: pixels beyond its image
+                             // circle are black and infinitely far; NULL: a pinhole
 };
 
 /* Prepare w, which must outlive *out.
@@ -19,11 +21,6 @@ struct render_quality {
  * err:  ERR_NOMEM (see render_open_plan), ERR_CANCELLED */
 MUST_USE err_t render_open(const struct run *r, const struct world *w, struct render_world **out);
 void render_open_plan(struct plan *p);
-
-/* Pictures drawn from now on are taken through this lens, whose fx, fy, cx, cy replace the
- * camera's; pixels beyond its image circle are black and infinitely far. NULL: the camera is a
- * pinhole. *lens must outlive the pictures. */
-void render_set_lens(struct render_world *s, const struct lens *lens);
 
 /* A ray that hits nothing has the radiance of the sky and the depth RENDER_FAR. */
 #define RENDER_FAR 1000.0f // m

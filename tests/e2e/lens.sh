@@ -46,7 +46,20 @@ succeed reconstruct --images "$OUT/unknown" --rig none --size 224 --refine 0 \
     --set cameras.lens=pinhole --out "$OUT/ignored"
 grep -q '"k1"' "$OUT/ignored/report.json" && fail "a pinhole was asked for"
 
-for bad in '' k9=1 k1=1,k1=2 k1=nan k1=11 fisheye,p1=1 k1=0.1,; do
+# Three kinds of camera in one rig, each with its own size; which one took a photograph is in its
+# EXIF data.
+succeed "${simulate[@]}" --lens k1=-0.35,k2=0.1,fov=75,size=160x120,v2=-0.4 \
+    --lens k1=0.1,fov=50,size=100x150,gain=1.3,wb=1.1/1/0.8 --lens fisheye,fov=150,cos4 \
+    --out "$OUT/mixed"
+grep -q '^3 OPENCV_FISHEYE 140 140 ' "$OUT/mixed/sparse/0/cameras.txt" || fail "no third camera"
+for i in 1 2 3; do
+    grep -aq "simulated camera $i" "$OUT/mixed/images/train_ldr_00$((i - 1))_0.png" ||
+        fail "no EXIF data of camera $i"
+done
+succeed reconstruct --images "$OUT/mixed" --size 140 --refine 0 --out "$OUT/scene"
+
+expect 2 '--lens: k1 of 11, allowed are -10 to 10' "${simulate[@]}" --lens k1=11 --out "$OUT/no"
+for bad in '' k9=1 k1=1,k1=2 k1=nan fisheye,p1=1 k1=0.1,; do
     expect 2 '^hdrig simulate: --lens: ".*" is not a list like' "${simulate[@]}" --lens "$bad" \
         --out "$OUT/no"
 done

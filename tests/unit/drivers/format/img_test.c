@@ -224,6 +224,13 @@ static void png_round_trip(void **state)
     img_free(&back);
     void *bytes;
     size_t n;
+    const struct img_maker by = {"hdrig", "camera 2"};
+    struct img_exif exif;
+    assert_int_equal(img_write_png_by(path, &im, &by), OK);
+    expect_err(img_exif(path, &exif), ERR_FORMAT, "no ExposureTime"); // but EXIF data
+    assert_int_equal(img_read(path, &back), OK);
+    assert_memory_equal(back.px, im.px, 3 * W * H);
+    img_free(&back);
     assert_int_equal(img_encode_png_fast(&im, "fast", &bytes, &n), OK);
     assert_int_equal(img_read_mem(bytes, n, "fast", &back), OK);
     assert_memory_equal(back.px, im.px, 3 * W * H);

@@ -106,7 +106,7 @@ static int open_all(void **state)
     struct world w;
     struct render_world *scene;
     struct camera cams[PLACES];
-    const struct render_quality quick = {1, 1};
+    const struct render_quality quick = {.samples = 1, .shadow = 1};
     const struct world_path path = {PLACES, 0.2f, 60, false};
     struct render_maps maps = {.radiance = malloc(3 * PHOTO * PHOTO * sizeof(float))};
     (void)state;

@@ -24,12 +24,12 @@ static const struct sample_ask usual = {.seed = 5,
                                         .n_views = VIEWS,
                                         .size = SIZE,
                                         .spread = 0.3f,
-                                        .quality = {1, 1}};
+                                        .quality = {.samples = 1, .shadow = 1}};
 
 static void open_arena(struct arena *tmp, int threads)
 {
     struct plan p = plan_begin(threads);
-    sample_plan(&p, SIZE);
+    sample_plan(&p, &usual);
     assert_int_equal(arena_init(tmp, "tmp", p.tmp.peak), OK);
 }
 
@@ -152,7 +152,7 @@ static void wrong_requests_are_refused(void **state)
     bad[1].n_views = 0;
     bad[2].n_views = 65;
     bad[3].size = 13;
-    bad[4].size = 1025;
+    bad[4].size = SAMPLE_SIZE + 1;
     bad[5].spread = 1.01f;
     bad[6].fov_deg = 19;
     bad[7].spread = NAN;
@@ -164,8 +164,35 @@ static void wrong_requests_are_refused(void **state)
     }
     struct sample_ask large = usual;
     large.n_views = 64;
-    large.size = 1024;
+    large.size = SAMPLE_SIZE;
     assert_int_equal(make(&large, 1, &r), ERR_ARG);
+}
+
+/* Cameras of several kinds take turns, two views each; their pictures lie one after another. */
+static void cameras_take_turns(void **state)
+{
+    (void)state;
+    static struct result r;
+    struct optics optics[2];
+    struct sample_ask a = usual;
+    struct extent x[VIEWS];
+    assert_int_equal(optics_parse("a", "size=20x24,fov=90,k1=-0.1", SIZE, 60, &optics[0]), OK);
+    assert_int_equal(optics_parse("b", "fisheye,size=28x14,fov=150", SIZE, 60, &optics[1]), OK);
+    a.n_optics = 2;
+    a.optics = optics;
+    sample_extents(&a, x);
+    assert_int_equal(make(&a, 1, &r), OK);
+    for (int i = 0; i < VIEWS; i++) {
+        const struct optics *o = &optics[i / 2];
+        assert_int_equal(sample_camera_of(&a, i), i / 2);
+        assert_int_equal(x[i].w, o->w);
+        assert_int_equal(x[i].h, o->h);
+        assert_int_equal((int)x[i].at, i * 480);
+        assert_int_equal(r.cams[i].w, o->w);
+        assert_true(r.cams[i].fx == (float)o->lens.fx && r.cams[i].cy == (float)o->lens.cy);
+        for (size_t k = 0; k < extent_pixels(&x[i]); k++)
+            assert_true(r.depth[x[i].at + k] > 0);
+    }
 }
 
 /* ---- photographs ---- */
@@ -291,6 +318,7 @@ int main(void)
         cmocka_unit_test(sharing_out_does_not_matter),
         cmocka_unit_test(views_agree_about_depth),
         cmocka_unit_test(wrong_requests_are_refused),
+        cmocka_unit_test(cameras_take_turns),
         cmocka_unit_test(exposures_brighten),
         cmocka_unit_test(clean_photographs_are_exact),
         cmocka_unit_test(ctypes_entries_give_the_same),

@@ -17,7 +17,7 @@
 enum { SIZE = 33, PX = SIZE * SIZE, SOLIDS = 300 };
 
 static const float PI = 3.14159265f;
-static const struct render_quality quick = {1, 1};
+static const struct render_quality quick = {.samples = 1, .shadow = 1};
 
 struct stage {
     struct arena keep, tmp;
@@ -421,7 +421,7 @@ static void threads_do_not_matter(void **state)
         s.r.pool = pool;
         open_scene();
         for (int i = 0; i < 2; i++) {
-            draw(&(struct render_quality){1 + i, 1 + i});
+            draw(&(struct render_quality){.samples = 1 + i, .shadow = 1 + i});
             if (threads == 1)
                 memcpy(first[i], s.radiance, sizeof first[i]);
             assert_memory_equal(first[i], s.radiance, sizeof first[i]);
@@ -438,7 +438,7 @@ static void quick_pictures_agree_with_slow_ones(void **state)
     static float many[3 * PX], depth[PX];
     busy_world();
     open_scene();
-    draw(&(struct render_quality){1, 64});
+    draw(&(struct render_quality){.samples = 1, .shadow = 64});
     memcpy(many, s.radiance, sizeof many);
     memcpy(depth, s.depth, sizeof depth);
     double full = mean_radiance(), off = 0;
@@ -448,7 +448,7 @@ static void quick_pictures_agree_with_slow_ones(void **state)
     for (int i = 0; i < PX; i++)
         off += fabs((double)(many[i] - s.radiance[i])) / PX;
     assert_true(off < 0.08 * full);
-    draw(&(struct render_quality){4, 1});
+    draw(&(struct render_quality){.samples = 4, .shadow = 1});
     assert_near(mean_radiance(), full, 0.06 * full);
     assert_memory_equal(depth, s.depth, sizeof depth);
     close_stage();
@@ -510,7 +510,7 @@ static void sun_is_seen(void **state)
     s.w.sun_dir[2] = 0;
     s.w.sun_cos = 0.995f;
     open_scene();
-    draw(&(struct render_quality){4, 1});
+    draw(&(struct render_quality){.samples = 4, .shadow = 1});
     double sum = 0;
     for (int i = 0; i < PX; i++) {
         double x = (i % SIZE + 0.5 - s.cam.cx) / SIZE, y = (i / SIZE + 0.5 - s.cam.cy) / SIZE;
@@ -549,9 +549,9 @@ static void wrong_requests_are_refused(void **state)
     s.cam.h = 4097;
     refused(&quick, "4096");
     s.cam = good;
-    refused(&(struct render_quality){0, 1}, "samples");
-    refused(&(struct render_quality){9, 1}, "samples");
-    refused(&(struct render_quality){1, 65}, "shadow");
+    refused(&(struct render_quality){.samples = 0, .shadow = 1}, "samples");
+    refused(&(struct render_quality){.samples = 9, .shadow = 1}, "samples");
+    refused(&(struct render_quality){.samples = 1, .shadow = 65}, "shadow");
     close_stage();
 }
 
