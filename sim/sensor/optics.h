@@ -1,5 +1,5 @@
-/* optics.h - what stands before the sensor of a rig's camera: size of the picture, lens, vignetting,
- * gain and white balance; and how a command line says so.
+/* optics.h - a rig's camera before its sensor: size of the picture, lens, vignetting, gain and
+ * white balance; and how a command line says so.
  * Pure functions; any thread. */
 #ifndef SENSOR_OPTICS_H
 #define SENSOR_OPTICS_H

@@ -33,9 +33,9 @@ void sample_extents(const struct sample_ask *a, struct extent *out);
 
 /* Radiance, depth and cameras of all views. Radiance is that before the lens: optics do not dim it.
  * out:  radiance (3, h, w) of each view, depth (h, w), as sample_extents says, cams (n), all the
- *       caller's; any of radiance and depth may be NULL. *key: exposure time, s, that puts the median luminance
- *       of the view whose median is the middle one at 18 % of full scale of sensor_default: an
- *       exposure of 2^0.
+ *       caller's; any of radiance and depth may be NULL. *key: exposure time, s, that puts the
+ *       median luminance of the view whose median is the middle one at 18 % of full scale of
+ *       sensor_default: an exposure of 2^0.
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
 MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
