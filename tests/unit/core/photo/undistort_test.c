@@ -233,6 +233,36 @@ static void extremes(void **state)
     expect_err(undistort_camera("a.png", &wrong, W, H, &p), ERR_FORMAT, "cannot be right");
 }
 
+/* The pinhole of the photograph's own frame: its border has pixels, and one a little wider has not,
+ * or stretches them. */
+static void frame_of_the_photograph(void **state)
+{
+    (void)state;
+    for (int i = 0; i < LENSES; i++) {
+        struct lens l = lens_of(i);
+        const double f = undistort_focal(&l, W, H);
+        int outside = 0;
+        l.cx = W / 2;
+        l.cy = H / 2;
+        for (int k = 0; k < 4 * 32; k++) {
+            const double x = k % 2 ? k / 128.0 : k / 2 % 2, y = k % 2 ? k / 2 % 2 : k / 128.0;
+            const double ray[3] = {(x - 0.5) * W / f, (y - 0.5) * H / f, 1};
+            const double wide[3] = {1.02 * ray[0], 1.02 * ray[1], 1};
+            double px[2];
+            assert_true(lens_project(&l, ray, px));
+            assert_true(px[0] > -0.1 && px[0] < W + 0.1 && px[1] > -0.1 && px[1] < H + 0.1);
+            outside +=
+                !lens_project(&l, wide, px) || px[0] < 0 || px[0] > W || px[1] < 0 || px[1] > H;
+        }
+        if (l.model == LENS_PINHOLE)
+            assert_true(fabs(f - l.fx) < 1e-5 * f);
+        if (l.model != LENS_OPENCV_FISHEYE) // that is bound by the stretch
+            assert_true(outside > 0);
+    }
+    const struct lens nothing = {LENS_SIMPLE_RADIAL, 100, 100, 0, 0, {0}, 0}; // no limit: no ray
+    assert_true(undistort_focal(&nothing, W, H) >= 0);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -240,6 +270,7 @@ int main(void)
         cmocka_unit_test(crop),
         cmocka_unit_test(footprint),
         cmocka_unit_test(radiance),
+        cmocka_unit_test(frame_of_the_photograph),
         cmocka_unit_test(threads),
         cmocka_unit_test(extremes),
     };
