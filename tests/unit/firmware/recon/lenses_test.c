@@ -1,5 +1,5 @@
-/* Which photographs share a lens, what is known of it before, and what other photographs of a camera
- * get from one that was found. */
+/* Which photographs share a lens, what is known of it before, and what other photographs of a
+ * camera get from one that was found. */
 #include "firmware/recon/lenses.h"
 
 #include "tests/unit/expect.h"
