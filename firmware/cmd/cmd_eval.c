@@ -7,11 +7,14 @@
 #include "firmware/recon/testcams.h"
 #include "firmware/result/report_page.h"
 
+#include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
+#include "core/sfm/pose.h"
 #include "drivers/format/cameras.h"
 #include "drivers/format/scenefile.h"
 
+#include <math.h>
 #include <string.h>
 
 struct request {
@@ -351,6 +354,18 @@ static err_t read_inputs(struct state *st)
     return e;
 }
 
+/* Its views become as large as asked. */
+static void scale_scene(struct scene *s, int size)
+{
+    const double scale = (double)size / s->size;
+    for (int i = 0; i < s->n_views; i++) {
+        struct camera *c = &s->cams[i];
+        *c = pose_scaled(c, num_max(1, (int)lround(c->w * scale)),
+                         num_max(1, (int)lround(c->h * scale)));
+    }
+    s->size = size;
+}
+
 static err_t read_scene(struct state *st, struct request *rq)
 {
     char path[FILE_PATH_CAP];
@@ -372,6 +387,8 @@ static err_t read_scene(struct state *st, struct request *rq)
         e = keep_inputs(rq->scene, &st->true_train.capture);
     if (e)
         return e;
+    if (job.size != RECIPE_SIZE_AUTO)
+        info.size = recipe_size(&job, &st->test.capture);
     job.size = info.size;
     plan_scene(st, &info, &need);
     if (rq->set.no_cameras)
@@ -380,6 +397,8 @@ static err_t read_scene(struct state *st, struct request *rq)
         e = reserve_memory(st, rq, need, (struct prep_size){info.size, true}, info.n);
     if (!e)
         e = scenefile_read(path, &st->engine.keep, &st->job.scene);
+    if (!e)
+        scale_scene(&st->job.scene, info.size);
     if (!e)
         e = read_inputs(st);
     return e || !rq->set.no_cameras ? e : find_test_cameras(st, &job);
@@ -430,8 +449,8 @@ int cmd_eval_run(int argc, char **argv)
     struct request rq = {.protocol = "paper"};
     const struct cmd_option options[] = {
         {"data", "DIR", "data set with train and test pictures", NULL, &rq.set.images, NULL},
-        {"scene", "DIR", "measure this result of hdrig reconstruct, at its own size", NULL,
-         &rq.scene, NULL},
+        {"scene", "DIR", "measure this result of hdrig reconstruct, at its own size or --size",
+         NULL, &rq.scene, NULL},
         {"views", "N", "input views; else all, one exposure each", NULL, &rq.views, NULL},
         {"exposure-set", "LIST", "inputs only at these of the set's sorted exposures: 1,3,5", NULL,
          &rq.exposures, NULL},

@@ -5,6 +5,7 @@
 #include "firmware/result/publish.h"
 
 #include "core/base/log.h"
+#include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "drivers/format/imageset.h"
 #include "drivers/format/img.h"
@@ -45,8 +46,8 @@ static err_t print_result(const struct request *rq, struct state *st)
         printf("%s: %d", rq->out, j->views.n);
         if (j->views.n < prep_places(&st->set.capture))
             printf(" of %d", prep_places(&st->set.capture));
-        printf(" views, %d Gaussians of SH degree %d, input views %.2f dB", j->scene.g.n,
-               j->scene.g.degree, j->input_psnr);
+        printf(" views of %d px, %d Gaussians of SH degree %d, input views %.2f dB", j->scene.size,
+               j->scene.g.n, j->scene.g.degree, j->input_psnr);
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
         printf(", %.1f s%s\n", j->lap_s - j->start_s, cmd_count_warnings(j, count));
@@ -187,6 +188,8 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         dump_exposures(rq->dump_exposures, &st->set.capture, job->dump_log2t);
     if (!e)
         e = engine_open(&st->engine, rq->cfg.threads);
+    if (!e && rq->cfg.size == CONFIG_SIZE_AUTO)
+        job->size = num_max(largest_size(rq, st, job), num_min(job->size, recipe_work(job)));
     if (!e)
         e = job_plan(&st->set.capture, job, pool_size(st->engine.pool), rq->dump != NULL, &need);
     return e ? e : reserve_memory(rq, st, job, &need);

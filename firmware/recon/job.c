@@ -139,6 +139,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     struct start start = {.run = r, .capture = c, .cfg = cfg, .recipe = &recipe, .out = out};
     begin(cfg, out);
     out->capture = c;
+    recipe_tell_size(&recipe, c, out->sizing, sizeof out->sizing);
     err_t e = read_photographs(r, c, &start, out);
     if (!e)
         e = find_response(r, &recipe, out);
@@ -295,6 +296,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     lenses_report(j, rep);
     report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');
+    report_text(rep, NULL, j->sizing);
     if (j->taken > j->views.n + j->views.n_more) {
         char text[128];
         snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",

@@ -51,6 +51,7 @@ struct job_result {
     struct views views;            // in keep; n is 0 if the photographs are not at hand
     struct tonemap response;       // from histograms: the nearest view is shown under it
     int taken;          // photographs of brackets, before those that show nothing more went
+    char sizing[160];   // how large pictures were chosen, a sentence
     struct scene scene; // in keep
     struct refine_report refine;
     struct job_cameras cameras;

@@ -7,6 +7,8 @@
 #include "core/splat/raster.h"
 #include "core/stereo/sweep.h"
 
+#include <stdio.h>
+
 /* px: without another wish; of the views that cameras and depth are found in; of the first pictures
  * of refinement, at least. */
 enum { SIZE_DEFAULT = 448, WORK_SIZE = 448, LEVEL_SIZE = 400 };
@@ -116,6 +118,14 @@ int recipe_work(const struct job_config *cfg)
 {
     const bool square = cfg->square || !takes_stereo(cfg, false);
     return square ? cfg->size : num_min(cfg->size, WORK_SIZE);
+}
+
+void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char *text, size_t cap)
+{
+    const int n = snprintf(text, cap, "pictures of %d px, from photographs of up to %d px",
+                           recipe->size, longest_edge(c));
+    if (recipe->work < recipe->size && n > 0 && (size_t)n < cap)
+        snprintf(text + n, cap - (size_t)n, "; cameras and depth at %d px", recipe->work);
 }
 
 /* The narrowest view; its photograph in *i. */

@@ -74,8 +74,11 @@ enum { RECIPE_SIZE_AUTO = 0, RECIPE_SIZE_FULL = -1 }; // of job_config.size
 /* Edge of the pictures for cfg->size px, RECIPE_SIZE_AUTO or RECIPE_SIZE_FULL. Full: that of the
  * largest photograph. Auto: what the network was trained for if it sees the scene, 448 for squares,
  * else full within RECIPE_AUTO_MAX, not less than 448. */
-enum { RECIPE_AUTO_MAX = 448 };
+enum { RECIPE_AUTO_MAX = 1600 };
 int recipe_size(const struct job_config *cfg, const struct capture *c);
+
+/* A sentence about the sizes of pictures. */
+void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char *text, size_t cap);
 
 /* Longest edge, px, of the views that cameras and depth are found in. */
 int recipe_work(const struct job_config *cfg);

@@ -214,7 +214,7 @@ static void sizes(void **state)
     cfg.size = RECIPE_SIZE_FULL;
     assert_int_equal(recipe_size(&cfg, &c), 1000 + VIEWS - 1);
     cfg.size = RECIPE_SIZE_AUTO;
-    assert_int_equal(recipe_size(&cfg, &c), RECIPE_AUTO_MAX);
+    assert_int_equal(recipe_size(&cfg, &c), 1000 + VIEWS - 1);
     all[0].image.w = 100000000 / 300;
     assert_int_equal(recipe_size(&cfg, &c), RECIPE_AUTO_MAX);
     cfg.size = RECIPE_SIZE_FULL;
