@@ -121,22 +121,6 @@ static err_t set_size(const char *what, uint64_t w, uint64_t h, struct physical 
     return OK;
 }
 
-/* The last part of a path, with that before it if `folders`. */
-static err_t view_name(const char *what, const char *path, size_t n, bool folders,
-                       char out[NAME_CAP])
-{
-    const char *slash = memrchr(path, '/', n);
-    const char *above = slash ? memrchr(path, '/', (size_t)(slash - path)) : NULL;
-    const char *from = !slash ? path : !folders ? slash + 1 : above ? above + 1 : path;
-    const size_t left = n - (size_t)(from - path);
-    char joined[NAME_CAP];
-    if (!folders || !slash || left >= NAME_CAP)
-        return name_copy(what, from, left, out);
-    memcpy(joined, from, left);
-    joined[slash - from] = '_';
-    return name_copy(what, joined, left, out);
-}
-
 static void set_pose(const double pose[7], struct camera *cam)
 {
     for (int k = 0; k < 4; k++)
@@ -220,7 +204,7 @@ static err_t binary_view(const struct colmap_text *t, struct bytes *b, const str
     bytes_skip(b, bytes_u64(b), IMAGE_POINT_BYTES);
     if (b->bad)
         return OK; // the caller, who knows the number of the image, speaks
-    err_t e = view_name(t->what, path, (size_t)(end - path), lenses->folders, v->name);
+    err_t e = name_of_path(t->what, path, (size_t)(end - path), lenses->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);
@@ -395,7 +379,7 @@ static err_t text_view(const struct line_reader *r, const struct lenses *lenses,
     if (!e)
         e = get_whole(r, &at, 1, &lens_id);
     if (!e)
-        e = view_name(r->what, at, strlen(at), lenses->folders, v->name);
+        e = name_of_path(r->what, at, strlen(at), lenses->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);

@@ -42,6 +42,20 @@ err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]
     return OK;
 }
 
+err_t name_of_path(const char *what, const char *path, size_t n, bool folder, char out[NAME_CAP])
+{
+    const char *slash = memrchr(path, '/', n);
+    const char *above = slash ? memrchr(path, '/', (size_t)(slash - path)) : NULL;
+    const char *from = !slash ? path : !folder ? slash + 1 : above ? above + 1 : path;
+    const size_t left = n - (size_t)(from - path);
+    char joined[NAME_CAP];
+    if (!folder || !slash || left >= NAME_CAP)
+        return name_copy(what, from, left, out);
+    memcpy(joined, from, left);
+    joined[slash - from] = '_';
+    return name_copy(what, joined, left, out);
+}
+
 static bool is_digit(char c)
 {
     return c >= '0' && c <= '9';

@@ -12,6 +12,12 @@
  * err:  ERR_FORMAT. */
 MUST_USE err_t name_copy(const char *what, const char *text, size_t n, char out[NAME_CAP]);
 
+/* Name of the picture at a path of n bytes: its last part or, if `folder`, FOLDER_NAME with the
+ * part before it.
+ * err:  as name_copy. */
+MUST_USE err_t name_of_path(const char *what, const char *path, size_t n, bool folder,
+                            char out[NAME_CAP]);
+
 /* Bytes of the UTF-8 character at `text`, of which `left` > 0 bytes are there; 0 if it is malformed
  * (RFC 3629: no surrogates, nothing above 10FFFF, shortest form). */
 size_t name_utf8(const char *text, size_t left);

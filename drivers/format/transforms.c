@@ -189,8 +189,9 @@ static err_t get_exposure(const struct frame *f, struct rig_view *out)
     return OK;
 }
 
+/* folders: pictures are called FOLDER_NAME. */
 static err_t get_view(const char *file, const struct cJSON *all, const struct cJSON *own,
-                      struct rig *rig)
+                      bool folders, struct rig *rig)
 {
     struct rig_view *out = &rig->views[rig->n++];
     struct frame f = {.own = own, .all = all};
@@ -199,8 +200,7 @@ static err_t get_view(const char *file, const struct cJSON *all, const struct cJ
     const char *path = json_string(json_member(own, "file_path"));
     if (!path)
         return err_fail(ERR_FORMAT, "%s: \"file_path\" is absent or not a string", f.what);
-    const char *name = file_name(path);
-    err_t e = name_copy(f.what, name, strlen(name), out->name);
+    err_t e = name_of_path(f.what, path, strlen(path), folders, out->name);
     if (!e)
         e = get_lens(&f, out);
     if (!e)
@@ -210,6 +210,18 @@ static err_t get_view(const char *file, const struct cJSON *all, const struct cJ
     if (!e)
         e = get_exposure(&f, out);
     return e ? e : cameras_check(file, out->name, &out->cam);
+}
+
+static err_t get_views(const char *what, const struct cJSON *doc, bool folders, struct rig *out)
+{
+    err_t e = OK;
+    const struct cJSON *v = json_first(json_member(doc, "frames"));
+    out->n = 0;
+    for (; v && !e; v = json_next(v)) {
+        out->views[out->n] = (struct rig_view){0};
+        e = get_view(what, doc, v, folders, out);
+    }
+    return e;
 }
 
 static err_t get_rig(const char *what, const struct cJSON *doc, void *rig)
@@ -225,12 +237,10 @@ static err_t get_rig(const char *what, const struct cJSON *doc, void *rig)
     out->views = calloc((size_t)n, sizeof *out->views);
     if (!out->views)
         return err_fail(ERR_NOMEM, "%s: no memory for %d cameras", what, n);
-    for (const struct cJSON *v = json_first(frames); v; v = json_next(v)) {
-        err_t e = get_view(what, doc, v, out);
-        if (e)
-            return e;
-    }
-    return cameras_check_names(what, out);
+    err_t e = get_views(what, doc, false, out);
+    if (!e && cameras_check_names(what, out) == ERR_FORMAT)
+        e = get_views(what, doc, true, out); // a rig: a folder for each camera
+    return e ? e : cameras_check_names(what, out);
 }
 
 bool transforms_is(const struct cJSON *doc)

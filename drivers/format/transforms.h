@@ -13,7 +13,7 @@
 #include "drivers/format/colmap.h"
 
 /* Read a file. Images are stored ones: programs that write such files do not look at orientations
- * in EXIF. Names lose their folders and must stay distinct. Unknown members are ignored.
+ * in EXIF. Names and folders are as in colmap_read. Unknown members are ignored.
  * Checked: what cameras_check does; the matrix is a rotation within 1e-3; camera_model is one of
  * core/base/lens.h or SIMPLE_PINHOLE (without one: perspective); k3 and k4 belong to a fisheye.
  * own:  cameras_free.

@@ -97,6 +97,19 @@ static void a_frame_may_have_its_own(void **state)
     cameras_free(&rig);
 }
 
+static void a_rig_has_a_folder_for_each_camera(void **state)
+{
+    (void)state;
+    struct rig rig;
+    assert_int_equal(parse(FILE_OF(SIZES, FRAME ",{\"file_path\":\"right/a.jpg\","
+                                                "\"transform_matrix\":" POSE "}"),
+                           &rig),
+                     OK);
+    assert_string_equal(rig.views[0].name, "images_a.jpg");
+    assert_string_equal(rig.views[1].name, "right_a.jpg");
+    cameras_free(&rig);
+}
+
 static void nonsense_is_refused_with_its_name(void **state)
 {
     (void)state;
@@ -108,7 +121,7 @@ static void nonsense_is_refused_with_its_name(void **state)
         {ERR_FORMAT, FILE_OF(SIZES, ""), "0 frames"},
         {ERR_FORMAT, FILE_OF(SIZES, "{}"), "frame 0: \"file_path\""},
         {ERR_FORMAT, FILE_OF(SIZES, "7"), "\"file_path\""},
-        {ERR_FORMAT, FILE_OF(SIZES, FRAME "," FRAME), "a.jpg is named twice"},
+        {ERR_FORMAT, FILE_OF(SIZES, FRAME "," FRAME), "images_a.jpg is named twice"},
         {ERR_FORMAT, FILE_OF("\"fl_x\":5", FRAME), "\"w\" is absent"},
         {ERR_FORMAT, FILE_OF("\"w\":8.5", FRAME), "\"w\" is absent"},
         {ERR_FORMAT, FILE_OF("\"w\":8,\"h\":6", FRAME), "neither \"fl_x\" nor"},
@@ -168,6 +181,7 @@ int main(void)
         cmocka_unit_test(axes_are_those_of_opengl),
         cmocka_unit_test(lenses_of_both_kinds),
         cmocka_unit_test(a_frame_may_have_its_own),
+        cmocka_unit_test(a_rig_has_a_folder_for_each_camera),
         cmocka_unit_test(nonsense_is_refused_with_its_name),
         cmocka_unit_test(a_rig_is_known_by_what_is_in_it),
     };
