@@ -11,10 +11,10 @@
 #include <string.h>
 
 struct request {
-    const char *out, *views, *kind, *spread, *fov, *exposures, *curve, *samples;
+    const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples;
     const char *lens[CMD_TEXTS_MAX];
     struct optics optics[CMD_TEXTS_MAX]; // of `lens`
-    bool noise_free, free_hand;
+    bool noise_free, free_hand, depth;
     struct outdir_rules rules;
     struct config cfg;
 };
@@ -83,11 +83,13 @@ static err_t read_optics(struct request *rq, double fov, struct sample_ask *a)
 
 static err_t read_scene(struct request *rq, struct dataset_ask *a)
 {
-    double spread = 0.3, fov = 60;
+    double spread = 0.3, orbit = 0, fov = 60;
     int views = 9, samples = 6;
     err_t e = read_whole("--views", rq->views, 2, 32, &views);
     if (!e)
         e = read_number("--spread", rq->spread, 0, 1, &spread);
+    if (!e)
+        e = read_number("--orbit", rq->orbit, 1, 180, &orbit);
     if (!e)
         e = read_number("--fov", rq->fov, 20, 120, &fov);
     if (!e)
@@ -99,6 +101,7 @@ static err_t read_scene(struct request *rq, struct dataset_ask *a)
                                     .spread = (float)spread,
                                     .fov_deg = (float)fov,
                                     .jitter = rq->free_hand,
+                                    .orbit_deg = (float)orbit / 2, // one is held out between two
                                     .quality = {.samples = samples}};
     /* rays through other points of the pixel serve its edges and its shadows */
     a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
@@ -106,6 +109,8 @@ static err_t read_scene(struct request *rq, struct dataset_ask *a)
         e = read_optics(rq, fov, &a->sample);
     if (!e && rq->kind)
         e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
+    if (!e && orbit > 0 && a->sample.kind != WORLD_PARK)
+        e = err_fail(ERR_ARG, "--orbit: only --kind park has room all around");
     return e;
 }
 
@@ -120,6 +125,7 @@ static err_t read_ask(struct request *rq, struct dataset_ask *a)
     if (e)
         return e;
     a->noise = !rq->noise_free;
+    a->input_truth = rq->depth;
     curve_make((enum curve_family)family, NAN, a->sample.seed, &a->curve);
     return OK;
 }
@@ -156,6 +162,8 @@ static err_t write_report(const struct request *rq, const struct dataset_ask *a,
     report_int(&rep, "views", a->sample.n_views);
     report_int(&rep, "size", a->sample.size);
     report_number(&rep, "spread", (double)a->sample.spread);
+    if (rq->orbit)
+        report_number(&rep, "orbit_deg", 2 * (double)a->sample.orbit_deg);
     report_number(&rep, "fov_deg", (double)a->sample.fov_deg);
     report_optics(rq, &rep);
     report_bool(&rep, "free_hand", a->sample.jitter != 0);
@@ -203,10 +211,13 @@ int cmd_simulate_run(int argc, char **argv)
         CMD_KEY("seed", "N", "seed", "which world"),
         {"views", "N", "input views, 2..32; one is held out between two (9)", NULL, &rq.views,
          NULL},
-        {"kind", "K", "room, yard, dark, plain or mirror (room or yard by the seed)", NULL,
+        {"kind", "K", "room, yard, dark, plain, mirror or park (room or yard by the seed)", NULL,
          &rq.kind, NULL},
         {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL,
          &rq.spread, NULL},
+        {"orbit", "DEG", "in a park: inputs around the subject, so many degrees apart, 1..180",
+         NULL, &rq.orbit, NULL},
+        {"depth", NULL, "radiance and depth of the inputs too", NULL, NULL, &rq.depth},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
         {"lens", "SPEC...",
          "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "

@@ -3,7 +3,7 @@
  *
  *   at=FILE                                          file with one line, the number of the view:
  *                                                    the camera moves when it changes
- *   seed=N kind=any|room|yard|dark|plain|mirror      the world
+ *   seed=N kind=any|room|yard|dark|plain|mirror|park the world
  *   views=N view=I spread=X fov=DEG freehand=no|yes  one of the rig's N places, I from 0
  *   size=PX samples=N shadow=N                       square pictures; quality of the rendering
  *   format=rgb|rggb|bggr                             developed, or the mosaic's 12 bits

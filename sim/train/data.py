@@ -37,7 +37,8 @@ class Quality(c.Structure):
 class Ask(c.Structure):
     _fields_ = [("seed", c.c_uint64), ("kind", c.c_int), ("n_views", c.c_int), ("size", c.c_int),
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
-                ("quality", Quality), ("n_optics", c.c_int), ("optics", c.c_void_p)]
+                ("orbit_deg", c.c_float), ("quality", Quality), ("n_optics", c.c_int),
+                ("optics", c.c_void_p)]
 
 
 class Request(c.Structure):
@@ -55,7 +56,7 @@ class Worlds:
         self.lib.sample_error.restype = c.c_char_p
 
     def make(self, seed: int, n: int, size: int, spread: float, fov: float, kind: int):
-        q = Request(Ask(seed, kind, n, size, spread, fov, 1, Quality(1, 1)))
+        q = Request(Ask(seed, kind, n, size, spread, fov, 1, 0, Quality(1, 1)))
         radiance = np.empty((n, 3, size, size), np.float32)
         depth = np.empty((n, size, size), np.float32)
         cams, key = np.empty((n, 11), np.float32), c.c_double()

@@ -24,7 +24,9 @@ uint64_t dataset_bytes(const struct dataset_ask *a)
 {
     size_t largest;
     /* as if nothing could be compressed */
-    return (uint64_t)all_pixels(a, &largest) * (3 * (uint64_t)a->n_exposures + 8) + (1 << 20);
+    return (uint64_t)all_pixels(a, &largest) *
+               (3 * (uint64_t)a->n_exposures + (a->input_truth ? 12 : 8)) +
+           (1 << 20);
 }
 
 /* The scene in memory while files are written. */
@@ -83,7 +85,8 @@ static err_t write_radiance(const struct set *s, int view)
     struct image im = {x->w, x->h, 3, s->radiance + 3 * x->at};
     struct exrfile_extra extra = {.depth = s->depth + x->at, .cam = &s->cams[view]};
     char name[NAME_CAP], path[FILE_PATH_CAP];
-    snprintf(name, sizeof name, "images_hdr/test_hdr_%03d.exr", view / 2);
+    snprintf(name, sizeof name, "images_hdr/%s_hdr_%03d.exr", is_input(view) ? "train" : "test",
+             view / 2);
     err_t e = file_join(s->dir, name, path);
     return e ? e : exrfile_write(path, &im, &extra, NULL);
 }
@@ -108,7 +111,7 @@ static err_t write_view(const struct run *r, const struct set *s, int view)
     err_t e = sample_expose(r, &cam, seen, a->n_exposures, a->stops, s->px);
     if (!e)
         e = write_pictures(s, view);
-    return e || is_input(view) ? e : write_radiance(s, view);
+    return e || (is_input(view) && !a->input_truth) ? e : write_radiance(s, view);
 }
 
 /* ---- text ---- */

@@ -13,13 +13,15 @@ struct dataset_ask {
     int n_exposures;                // 1..DATASET_EXPOSURES
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
     bool noise;                     // as in sensor_default
+    bool input_truth;               // radiance and depth of inputs, too
     struct curve curve;
 };
 
 /* Photograph the world into the folder `dir`, which exists. Cameras of even number are inputs
  * ("train"), at the first, middle and last exposure; those between are held out ("test"), at every
  * exposure and as radiance:
- *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth),
+ *   images/{train,test}_ldr_VVV_E.png, images_hdr/test_hdr_VVV.exr (radiance, and Z: depth; if
+ *   asked for, train_hdr_VVV.exr),
  *   exposure.json (2^stops), sparse/0 (COLMAP text, a camera for each of the optics)
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
  * optics dim it.

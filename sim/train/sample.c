@@ -75,6 +75,10 @@ static err_t check_ask(const struct sample_ask *a)
                         all[0].w, all[0].h, SAMPLE_PX);
     if (!(a->spread >= 0 && a->spread <= 1))
         return err_fail(ERR_ARG, "sample: spread %g, allowed are 0 to 1", (double)a->spread);
+    if (a->orbit_deg != 0 && (a->kind != WORLD_PARK || !(a->orbit_deg > 0 && a->orbit_deg <= 180)))
+        return err_fail(
+            ERR_ARG, "sample: orbit with cameras %g degrees apart, allowed are 0 to 180 in a park",
+            (double)a->orbit_deg);
     if (a->fov_deg != 0 && !(a->fov_deg >= 20 && a->fov_deg <= 120))
         return err_fail(ERR_ARG, "sample: field of view of %g degrees, allowed are 20 to 120, or 0",
                         (double)a->fov_deg);
@@ -266,7 +270,7 @@ err_t sample_make(const struct run *r, const struct sample_ask *a, float *radian
                   struct camera *cams, double *key)
 {
     struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
-    struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0};
+    struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0, a->orbit_deg};
     struct arena place = {0};
     struct run prepare = *r;
     struct render_world *world = NULL;

@@ -17,6 +17,7 @@ struct sample_ask {
     float spread;                  // as in struct world_path
     float fov_deg;                 // as in struct world_path
     int jitter;                    // bool
+    float orbit_deg;               // as in struct world_path, of a WORLD_PARK; 0: none
     struct render_quality quality; // the lens is that of:
     int n_optics;                  // 0: none, square pictures and fov_deg
     const struct optics *optics;   // (n_optics) of the rig's cameras, which take turns: views 2 i

@@ -47,10 +47,11 @@ enum world_kind {
     WORLD_DARK,     // room whose only light is a bare lamp; 20 stops of range
     WORLD_PLAIN,    // room without texture
     WORLD_MIRROR,   // room with mirror-like surfaces
+    WORLD_PARK,     // outdoors with room all around the subject, far houses and hills
     WORLD_KINDS
 };
 
-#define WORLD_WORDS "room|yard|dark|plain|mirror" // names of the kinds
+#define WORLD_WORDS "room|yard|dark|plain|mirror|park" // names of the kinds
 
 struct world {
     enum world_kind kind;
@@ -65,6 +66,7 @@ struct world {
     float sky[2][3];    // radiance at the zenith and at the horizon
     float focus[3];     // m, what a rig should look at
     float stand[2][3];  // m, box in which a camera may stand
+    float around;       // m from the focus where cameras may stand on all sides; 0: not possible
 };
 
 enum { WORLD_SOLIDS = 1024, WORLD_MATERIALS = 256, WORLD_LIGHTS = 16 };

@@ -5,6 +5,7 @@
  * the middle of the box in steps; points are tested in the frame of the solid, with a margin. */
 #include "sim/world/world.h"
 
+#include "sim/world/park.h"
 #include "sim/world/room.h"
 #include "sim/world/yard.h"
 
@@ -57,6 +58,8 @@ err_t world_make(struct arena *keep, uint64_t seed, enum world_kind kind, struct
         b.books[i] = builder_material(&b, ROLE_BOOK);
     if (kind == WORLD_YARD)
         yard_build(&b);
+    else if (kind == WORLD_PARK)
+        park_build(&b);
     else
         room_build(&b);
     return OK;
@@ -229,6 +232,27 @@ static void place_camera(struct builder *b, const struct world_path *path, const
     pull_inwards(w, p);
 }
 
+/* Where camera i of an orbit stands: at one distance and height, further out if something is in the
+ * way. */
+static void place_on_orbit(struct builder *b, const struct world_path *path, float first, int i,
+                           float p[3])
+{
+    const struct world *w = b->w;
+    float c, s, radius = w->around, up = 0.5f;
+    builder_turn(first + RADIAN * path->orbit_deg * (float)i, &c, &s);
+    if (path->jitter) {
+        radius *= 1.0f + builder_draw(b, -0.15f, 0.15f);
+        up = builder_draw(b, 0.0f, 1.0f);
+    }
+    p[2] = w->stand[0][2] + up * (w->stand[1][2] - w->stand[0][2]);
+    for (int k = 0; k <= PULLS; k++, radius *= 1.02f) {
+        p[0] = w->focus[0] + radius * c;
+        p[1] = w->focus[1] + radius * s;
+        if (!inside_solid(w, p))
+            break;
+    }
+}
+
 /* Rotation whose rows are right, down, forward; roll in rad. */
 static void rotation_towards(const float from[3], const float at[3], float roll, float r[9])
 {
@@ -303,13 +327,18 @@ void world_cameras(const struct world *w, const struct world_path *path, uint64_
     if (path->fov_deg > 0.0f)
         fov = fminf(fmaxf(path->fov_deg, 20.0f), 120.0f);
     builder_turn(0.5f * RADIAN * fov, &c, &s);
+    const bool orbit = path->orbit_deg > 0.0f && w->around > 0.0f;
+    const float first = orbit ? builder_draw(&b, 0.0f, 360.0f * RADIAN) : 0.0f;
     draw_arc(&b, path, &a);
     for (int i = 0; i < path->n; i++) {
         float p[3];
         cams[i] = (struct camera){.w = size, .h = size};
         cams[i].fx = cams[i].fy = 0.5f * (float)size * c / s;
         cams[i].cx = cams[i].cy = 0.5f * (float)size;
-        place_camera(&b, path, &a, i, p);
+        if (orbit)
+            place_on_orbit(&b, path, first, i, p);
+        else
+            place_camera(&b, path, &a, i, p);
         aim_camera(&b, path, p, &cams[i]);
     }
 }

@@ -17,14 +17,16 @@ void world_plan(struct plan *p);
 
 /* How a rig photographs a world. */
 struct world_path {
-    int n;         // cameras
-    float spread;  // 0..1: 0 all in one place, 0.2 steps of a few degrees, 1 around the subject
-    float fov_deg; // horizontal field of view, 20..120; 0 drawn by the seed, 40..85
-    bool jitter;   // free hand: heights, targets and rolls differ; else a regular rig
+    int n;           // cameras
+    float spread;    // 0..1: 0 all in one place, 0.2 steps of a few degrees, 1 around the subject
+    float fov_deg;   // horizontal field of view, 20..120; 0 drawn by the seed, 40..85
+    bool jitter;     // free hand: heights, targets and rolls differ; else a regular rig
+    float orbit_deg; // of a world that has room around its focus: cameras on a circle around it, so
+                     // far from each other; 0: spread counts
 };
 
-/* Cameras on an arc or grid around the focus, inside `stand`, outside of every solid (a camera
- * inside one is pulled towards the middle of `stand`), square pictures of `size` px.
+/* Cameras around the focus, outside of every solid, square pictures of `size` px: on a circle, or on
+ * an arc or grid inside `stand`, where a camera inside a solid is pulled towards the middle.
  * out:  cams[path->n] */
 void world_cameras(const struct world *w, const struct world_path *path, uint64_t seed, int size,
                    struct camera *cams);

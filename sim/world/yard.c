@@ -20,19 +20,16 @@ struct yard {
     bool night;
 };
 
-/* The front of a house at x = half[0], its windows dark or lit. */
-static void build_front(struct yard *y)
+void yard_front(struct builder *b, const struct frame *f, float wide, bool night)
 {
-    struct builder *b = y->b;
-    struct frame f = builder_frame(&y->root, y->half[0], 0, 0, 0.5f * PI); // y towards the yard
     int wall = builder_material(b, ROLE_WALL), base = builder_material(b, ROLE_STONE);
     int wood = builder_timber(b), glass = builder_material(b, ROLE_METAL);
     b->w->materials[wall].albedo.kind = b->plain ? TEXTURE_FLAT : TEXTURE_BRICK;
-    int lit = builder_glow(b, y->night ? 2.0f : 0.2f, 0.2f);
-    float wide = y->half[1] + 1.0f, tall = builder_draw(b, 1.5f, 3.0f);
-    builder_box(b, &f, (float[]){wide, 1.5f, tall}, (float[]){0, -1.5f, tall}, wall);
-    builder_box(b, &f, (float[]){wide + 0.02f, 1.53f, 0.2f}, (float[]){0, -1.5f, 0.2f}, base);
-    builder_add(b, &f,
+    int lit = builder_glow(b, night ? 2.0f : 0.2f, 0.2f);
+    float tall = builder_draw(b, 1.5f, 3.0f);
+    builder_box(b, f, (float[]){wide, 1.5f, tall}, (float[]){0, -1.5f, tall}, wall);
+    builder_box(b, f, (float[]){wide + 0.02f, 1.53f, 0.2f}, (float[]){0, -1.5f, 0.2f}, base);
+    builder_add(b, f,
                 &(struct part){WORLD_BOX,
                                {wide + 0.3f, 1.3f, 0.06f},
                                {0, -0.7f, 2 * tall + 0.4f},
@@ -46,19 +43,19 @@ static void build_front(struct yard *y)
         float hx = 0.4f, hz = 0.6f, z = 1.6f + 2.6f * (float)(i / nx);
         if (i == door)
             z = hz = 1.0f;
-        bool light = builder_chance(b, y->night ? 0.5f : 0.0f);
-        int pane = builder_box(b, &f, (float[]){hx, 0.01f, hz}, (float[]){x, 0.005f, z},
+        bool light = builder_chance(b, night ? 0.5f : 0.0f);
+        int pane = builder_box(b, f, (float[]){hx, 0.01f, hz}, (float[]){x, 0.005f, z},
                                i == door ? wood : (light ? lit : glass));
         if (light && i != door)
             builder_lamp(b, pane);
         for (int k = -1; k <= 1; k++)
-            builder_box(b, &f, (float[]){0.03f, 0.03f, hz}, (float[]){x + (float)k * hx, 0.02f, z},
+            builder_box(b, f, (float[]){0.03f, 0.03f, hz}, (float[]){x + (float)k * hx, 0.02f, z},
                         wood);
         for (int k = -1; k <= 1; k++)
-            builder_box(b, &f, (float[]){hx + 0.03f, 0.035f, 0.03f},
+            builder_box(b, f, (float[]){hx + 0.03f, 0.035f, 0.03f},
                         (float[]){x, 0.02f, z + (float)k * hz}, wood);
         if (i != door)
-            builder_box(b, &f, (float[]){hx + 0.1f, 0.1f, 0.03f},
+            builder_box(b, f, (float[]){hx + 0.1f, 0.1f, 0.03f},
                         (float[]){x, 0.06f, z - hz - 0.05f}, base);
     }
 }
@@ -214,7 +211,8 @@ void yard_build(struct builder *b)
     struct yard y = {.b = b, .root = {.c = COS[quarter], .s = SIN[quarter]}};
     y.night = builder_chance(b, 0.12f);
     plan_yard(&y);
-    build_front(&y);
+    const struct frame house = builder_frame(&y.root, y.half[0], 0, 0, 0.5f * PI);
+    yard_front(b, &house, y.half[1] + 1.0f, y.night); // y towards the yard
     build_fence(&y, 1.0f);
     build_fence(&y, -1.0f);
     lay_paving(&y);

@@ -15,10 +15,18 @@ expect 2 '--kind: "moon" is none of room.yard' simulate --out "$OUT/no" --kind m
 expect 2 '--kind: "room.yard" is none of' simulate --out "$OUT/no" --kind 'room|yard'
 expect 2 '--views: 2.5 is not a whole number' simulate --out "$OUT/no" --views 2.5
 expect 2 '--views: 1 is not in 2..32' simulate --out "$OUT/no" --views 1
+expect 2 '--orbit: only --kind park' simulate --out "$OUT/no" --kind yard --orbit 20
+expect 2 '--orbit: 181 is not in 1..180' simulate --out "$OUT/no" --kind park --orbit 181
 expect 2 '--exposures: .*like 0.125,1,8' simulate --out "$OUT/no" --exposures 1,x
 expect 2 '--exposures: 1 does not come after' simulate --out "$OUT/no" --exposures 4,1
 expect 3 'needs [0-9]+ MB' simulate --out "$OUT/no" --size 1008 --views 32 --max-memory 64
 nothing_at "$OUT/no"
+
+# an orbit in a park, depth of every view
+simulate park --seed 3 --kind park --views 4 --size 112 --orbit 20 --depth
+for i in 0 1 2 3; do
+    [ -s "$OUT/park/images_hdr/train_hdr_00$i.exr" ] || fail "no depth of input $i"
+done
 
 # the layout, twice the same
 simulate room --seed 7 --kind room --views 7 --size 224

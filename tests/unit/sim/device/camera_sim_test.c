@@ -223,7 +223,7 @@ static void test_refused_uris(void **state)
         const char *uri, *says;
     } bad[] = {
         {"sim:view=1", "view is 1, must be 0..0 (views is 1)"},
-        {"sim:kind=moon", "kind is \"moon\", not one of any|room|yard|dark|plain|mirror"},
+        {"sim:kind=moon", "kind is \"moon\", not one of any|room|yard|dark|plain|mirror|park"},
         {"sim:size=13", "size is \"13\", not a whole number in 14..2048"},
         {"sim:size=15,format=rggb", "size is 15 px, must be even for a Bayer format"},
         {"sim:seed=-1", "seed is \"-1\""},

@@ -162,6 +162,10 @@ static void wrong_requests_are_refused(void **state)
         assert_int_equal(make(&bad[i], 1, &r), ERR_ARG);
         assert_non_null(strstr(err_text(), words[i]));
     }
+    struct sample_ask room = usual;
+    room.orbit_deg = 20;
+    assert_int_equal(make(&room, 1, &r), ERR_ARG);
+    assert_non_null(strstr(err_text(), "orbit"));
     struct sample_ask large = usual;
     large.n_views = 64;
     large.size = SAMPLE_SIZE;

@@ -240,6 +240,12 @@ static bool inside(const struct world_solid *s, const float p[3])
     return false;
 }
 
+static void outside_of_all(const struct world *w, const float p[3])
+{
+    for (int i = 0; i < w->n_solids; i++)
+        assert_false(inside(&w->solids[i], p));
+}
+
 /* Point of the world in the picture, as a share of its width from the middle; false: behind. */
 static bool project(const struct camera *cam, const float p[3], float out[2])
 {
@@ -272,8 +278,7 @@ static void check_camera(const struct world *w, const struct camera *cam, float 
     centre(cam, p);
     for (int c = 0; c < 3; c++)
         assert_true(p[c] > w->stand[0][c] - 1e-3f && p[c] < w->stand[1][c] + 1e-3f);
-    for (int i = 0; i < w->n_solids; i++)
-        assert_false(inside(&w->solids[i], p));
+    outside_of_all(w, p);
     assert_true(project(cam, w->focus, at)); // near the middle, the right way up
     assert_true(fabsf(at[0]) < 1.2f && fabsf(at[1]) < 1.2f);
     const float above[3] = {w->focus[0], w->focus[1], w->focus[2] + 0.1f};
@@ -291,7 +296,7 @@ static void cameras(void **state)
         struct world w;
         make(seed, (int)(seed % (WORLD_KINDS + 1)) - 1, &w);
         for (int i = 0; i < 36; i++) {
-            struct world_path path = {N[i % 6], SPREAD[i % 3], FOV[i / 6 % 3], i & 1};
+            struct world_path path = {N[i % 6], SPREAD[i % 3], FOV[i / 6 % 3], i & 1, 0};
             path.spread = SPREAD[i / 12];
             struct camera cams[VIEWS], again[VIEWS];
             world_cameras(&w, &path, seed + (uint64_t)i, 224, cams);
@@ -328,7 +333,7 @@ static void spread_sets_the_steps(void **state)
         make(seed, WORLD_ANY, &w);
         for (int n = 2; n <= 12; n += 5) {
             struct camera cams[VIEWS];
-            struct world_path path = {n, 0.0f, 60.0f, seed & 1};
+            struct world_path path = {n, 0.0f, 60.0f, seed & 1, 0};
             world_cameras(&w, &path, seed, 224, cams);
             for (int i = 1; i < n; i++)
                 assert_true(angle(&w, &cams[0], &cams[i]) < 0.1f);
@@ -344,6 +349,35 @@ static void spread_sets_the_steps(void **state)
     }
     assert_true(small > 2.0 && small < 8.0);
     assert_true(whole > 30.0);
+}
+
+/* Neighbours of an orbit are as far apart as said, seen from above; all look at the focus from
+ * outside of solids. */
+static void orbits_go_around(void **state)
+{
+    (void)state;
+    for (uint64_t seed = 0; seed < 20; seed++) {
+        struct world w;
+        make(seed, WORLD_PARK, &w);
+        assert_true(w.around > 3.0f);
+        for (int deg = 5; deg <= 45; deg += 10) {
+            struct camera cams[8];
+            const struct world_path path = {8, 0.3f, 60.0f, false, (float)deg};
+            world_cameras(&w, &path, seed, 224, cams);
+            for (int i = 0; i < 8; i++) {
+                float p[3], q[3], at[2];
+                centre(&cams[i], p);
+                centre(&cams[i > 0 ? i - 1 : 1], q);
+                float px = p[0] - w.focus[0], py = p[1] - w.focus[1];
+                float qx = q[0] - w.focus[0], qy = q[1] - w.focus[1];
+                float cosine = (px * qx + py * qy) / (hypotf(px, py) * hypotf(qx, qy));
+                assert_true(fabsf(acosf(cosine) * 57.29578f - (float)deg) < 0.05f);
+                assert_true(project(&cams[i], w.focus, at));
+                assert_true(fabsf(at[0]) < 1e-3f && fabsf(at[1]) < 1e-3f);
+                outside_of_all(&w, p);
+            }
+        }
+    }
 }
 
 static void refusals(void **state)
@@ -368,6 +402,7 @@ int main(void)
         cmocka_unit_test(promises),
         cmocka_unit_test(same_seed_same_bytes),
         cmocka_unit_test(kinds_are_what_they_say),
+        cmocka_unit_test(orbits_go_around),
         cmocka_unit_test(cameras),
         cmocka_unit_test(spread_sets_the_steps),
         cmocka_unit_test(refusals),

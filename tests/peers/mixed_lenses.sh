@@ -1,0 +1,43 @@
+#!/usr/bin/env bash
+# mixed_lenses.sh HDRIG OUT - three kinds of camera in one simulated rig, of other sizes and focal
+# lengths, k1 from -0.35 to 0.1, one a fisheye of 150 degrees; 8 and 18 views, of which nothing is
+# known but the names of the cameras in EXIF data. Prints how well lenses and poses are found, and
+# the quality beside the same world through straight lenses and with the distortion ignored.
+# VIEWS="8 18", SEED=31 and STEPS=300 in the environment are changed there.
+set -euo pipefail
+[ $# = 2 ] || { echo "usage: $0 HDRIG OUT" >&2; exit 2; }
+hdrig=$(realpath "$1")
+here=$(dirname "$(realpath "$0")")
+mkdir -p "$2"
+cd "$2"
+
+make() { # name views lens...
+    local name=$1 views=$2 lens
+    local rig=(--kind room --seed "${SEED:-31}" --views "$views" --samples 2 --spread 0.5)
+    shift 2
+    for lens in "$@"; do rig+=(--lens "$lens"); done
+    [ -d "$name" ] || "$hdrig" simulate "${rig[@]}" --exposures 0.25,1,4 --out "$name" 2>/dev/null
+}
+
+quality() { # name arguments...
+    local name=$1
+    shift
+    "$hdrig" eval --data "$name" --rig none --protocol native --refine "${STEPS:-300}" \
+        --json "$name.json" "$@" >/dev/null 2>"$name.txt" || tail -n 1 "$name.txt"
+    printf '%s %s: PSNR %s\n' "$name" "$*" \
+        "$(sed -n '/"ldr": {/,$p' "$name.json" | sed -n 's/.*"psnr": \([-0-9.e+]*\).*/\1/p' | head -n 1)"
+}
+
+for views in ${VIEWS:-8 18}; do
+    make "mixed$views" "$views" k1=-0.35,k2=0.1,fov=75,size=1600x1200 \
+        k1=0.1,fov=50,size=1200x1600 fisheye,k1=-0.02,fov=150,size=1400x1400
+    make "straight$views" "$views" fov=75,size=1600x1200 fov=50,size=1200x1600 \
+        fov=90,size=1400x1400
+    "$hdrig" reconstruct --images "mixed$views" --rig none --refine 0 --out "scene$views" \
+        >/dev/null 2>"scene$views.txt" || tail -n 1 "scene$views.txt"
+    python3 "$here/lens_truth.py" --truth "mixed$views/sparse/0" \
+        --cameras "scene$views/cameras.json" || true
+    quality "straight$views"
+    quality "mixed$views"
+    quality "mixed$views" --set cameras.lens=pinhole
+done
