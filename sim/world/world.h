@@ -25,8 +25,8 @@ struct world_path {
                      // far from each other; 0: spread counts
 };
 
-/* Cameras around the focus, outside of every solid, square pictures of `size` px: on a circle, or on
- * an arc or grid inside `stand`, where a camera inside a solid is pulled towards the middle.
+/* Cameras around the focus, outside of every solid, square pictures of `size` px: on a circle, or
+ * on an arc or grid inside `stand`, where a camera inside a solid is pulled towards the middle.
  * out:  cams[path->n] */
 void world_cameras(const struct world *w, const struct world_path *path, uint64_t seed, int size,
                    struct camera *cams);

@@ -85,7 +85,7 @@ class Lens:
 
 
 def moved(true, found):
-    """px at EDGE that the found lens moves the frame; by its distortion alone; share without pixel"""
+    """px at EDGE that the found lens moves the frame; by distortion alone; share without pixel"""
     u, v = np.meshgrid(np.linspace(0, true.w, GRID), np.linspace(0, true.h, GRID))
     px = np.stack([u, v], -1)
     ray = true.to_ray(px)
@@ -126,6 +126,10 @@ def read_cameras(path):
     return lenses, poses
 
 
+def worst(px):
+    return f"largest {px.max(initial=0):.2f} rms {np.sqrt((px ** 2).sum() / max(px.size, 1)):.2f}"
+
+
 def main():
     p = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     p.add_argument("--truth", required=True)
@@ -143,10 +147,9 @@ def main():
     for camera in sorted(rows, key=int):
         of, lens, off, bent, lost = max(rows[camera], key=lambda r: r[2].max(initial=0))
         focal = 100 * (lens.f[0] / lens.w / (of.f[0] / of.w) - 1)
-        print(f"camera {camera}, {of.model} {of.w} x {of.h}, {len(rows[camera])} photographs: found "
-              f"{lens.model}, focal length {focal:+.3f} %, distortion largest {bent.max():.2f} rms "
-              f"{np.sqrt((bent ** 2).mean()):.2f}, lens largest {off.max():.2f} rms "
-              f"{np.sqrt((off ** 2).mean()):.2f} px at {EDGE}, {100 * lost:.1f} % without pixel")
+        print(f"camera {camera}, {of.model} {of.w} x {of.h}, {len(rows[camera])} photographs: "
+              f"found {lens.model}, focal length {focal:+.3f} %, distortion {worst(bent)}, lens "
+              f"{worst(off)} px at {EDGE}, {100 * lost:.1f} % without pixel")
     colmap_pose.compare(args.cameras, poses, true_poses, len(poses))
 
 

@@ -24,8 +24,8 @@ quality() { # name arguments...
     shift
     "$hdrig" eval --data "$name" --rig none --protocol native --refine "${STEPS:-300}" \
         --json "$name.json" "$@" >/dev/null 2>"$name.txt" || tail -n 1 "$name.txt"
-    printf '%s %s: PSNR %s\n' "$name" "$*" \
-        "$(sed -n '/"ldr": {/,$p' "$name.json" | sed -n 's/.*"psnr": \([-0-9.e+]*\).*/\1/p' | head -n 1)"
+    printf '%s %s: PSNR %s\n' "$name" "$*" "$(sed -n '/"ldr": {/,$p' "$name.json" |
+        sed -n 's/.*"psnr": \([-0-9.e+]*\).*/\1/p' | head -n 1)"
 }
 
 for views in ${VIEWS:-8 18}; do
