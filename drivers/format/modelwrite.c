@@ -70,12 +70,22 @@ static struct sizes sizes_of(const struct modelwrite *w)
     return s;
 }
 
+static err_t layout(struct writing *x, struct arena *a, const struct sizes *s, int workers)
+{
+    err_t e = arena_alloc(a, s->values, sizeof *x->in, &x->in);
+    if (!e)
+        e = arena_alloc(a, s->packed, 1, &x->out);
+    if (!e)
+        e = arena_alloc(a, s->k * (size_t)workers, sizeof *x->row, &x->row);
+    return e ? e : arena_alloc(a, s->scales, sizeof *x->scale, &x->scale);
+}
+
 size_t modelwrite_need(const struct modelwrite *w, int threads)
 {
-    struct sizes s = sizes_of(w);
-    size_t need = arena_add(arena_need(s.values, sizeof(float)), arena_need(s.packed, 1));
-    need = arena_add(need, arena_need(s.k * (size_t)threads, sizeof(float)));
-    return arena_add(need, arena_need(s.scales, sizeof(float)));
+    const struct sizes s = sizes_of(w);
+    struct arena a = arena_counter();
+    struct writing x;
+    return layout(&x, &a, &s, threads) ? SIZE_MAX : a.peak;
 }
 
 err_t modelwrite_check(const struct modelwrite *w, const char *path)
@@ -310,16 +320,10 @@ err_t modelwrite_run(const struct run *r, const struct modelwrite *w, const char
 {
     struct sizes s = sizes_of(w);
     struct writing x = {.r = r, .w = w, .total = s.tensors};
-    size_t workers = r->pool ? (size_t)pool_size(r->pool) : 1, mark = arena_mark(r->tmp);
+    const size_t mark = arena_mark(r->tmp);
     err_t e = file_is_special(path) ? OK : origin_check_place(path);
     if (!e)
-        e = arena_alloc(r->tmp, s.values, sizeof *x.in, &x.in);
-    if (!e)
-        e = arena_alloc(r->tmp, s.packed, 1, &x.out);
-    if (!e)
-        e = arena_alloc(r->tmp, s.k * workers, sizeof *x.row, &x.row);
-    if (!e)
-        e = arena_alloc(r->tmp, s.scales, sizeof *x.scale, &x.scale);
+        e = layout(&x, r->tmp, &s, r->pool ? pool_size(r->pool) : 1);
     if (!e)
         e = file_is_special(path) ? write_file(&x, path, path) : publish_file(&x, path);
     arena_reset(r->tmp, mark);

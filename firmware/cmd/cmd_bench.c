@@ -320,16 +320,22 @@ static err_t layout(struct state *st, float **px, struct arena *a, const struct 
     return e;
 }
 
+static err_t layout_triad(struct arena *keep, float **work)
+{
+    return arena_alloc(keep, LIMITS_TRIAD_FLOATS, sizeof **work, work);
+}
+
 static err_t reserve_memory(const struct request *rq, struct state *st)
 {
     const int size = largest_of(&rq->sizes), workers = pool_size(st->engine.pool);
-    const size_t pixels = (size_t)size * (size_t)size,
-                 triad = arena_need(LIMITS_TRIAD_FLOATS, sizeof(float));
-    struct arena tmp = arena_counter();
+    const size_t pixels = (size_t)size * (size_t)size;
+    struct arena keep = arena_counter(), tmp = arena_counter();
     float *px = NULL;
     err_t e = layout(st, &px, &tmp, rq, workers);
     if (!e)
-        e = engine_reserve(&st->engine, 0, triad, tmp.peak, config_memory_mb(&rq->cfg));
+        e = layout_triad(&keep, &px);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, keep.peak, tmp.peak, config_memory_mb(&rq->cfg));
     if (!e)
         e = layout(st, &px, &st->engine.tmp, rq, workers);
     if (e)
@@ -350,7 +356,7 @@ static err_t bench_splat(const struct request *rq, struct state *st)
     if (!e)
         e = pool_open(&one, 1);
     if (!e)
-        e = arena_alloc(&st->engine.keep, LIMITS_TRIAD_FLOATS, sizeof *work, &work);
+        e = layout_triad(&st->engine.keep, &work);
     if (!e) {
         st->bandwidth[0] = limits_bandwidth(one, work);
         st->bandwidth[1] = limits_bandwidth(st->engine.pool, work);

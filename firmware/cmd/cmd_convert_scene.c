@@ -263,15 +263,15 @@ static err_t report_losses(const struct request *rq, struct state *st)
 static err_t reserve_memory(const struct request *rq, struct state *st)
 {
     const struct sceneio_info *info = &st->info;
-    struct arena tmp = arena_counter();
-    size_t keep = info->need;
+    struct arena keep = arena_counter(), tmp = arena_counter();
+    arena_hold(&keep, info->need);
     if (rq->readable) {
-        keep = arena_add(keep, arena_add(scenefile_views_need(info->n_views),
-                                         gaussians_need(info->n, info->degree)));
+        arena_hold(&keep, gaussians_need(info->n, info->degree)); // read back
+        arena_hold(&keep, scenefile_views_need(info->n_views));
         arena_hold(&tmp, draw_plan(info->n, SIDE_MAX, SIDE_MAX));
         (void)alloc_pictures(&tmp, st); // a counter is never full; compare_scenes allocates again
     }
-    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep, tmp.peak,
+    return engine_reserve(&st->engine, sceneio_write_plan(info->n), keep.peak, tmp.peak,
                           config_memory_mb(&rq->cfg));
 }
 

@@ -72,6 +72,11 @@ static float frame_shape(const struct scene *s)
     return fabsf(fx / fy - 1) < 0.03f ? 1 : fx / fy;
 }
 
+static err_t layout_depths(struct arena *tmp, int n, float **z)
+{
+    return arena_alloc(tmp, (size_t)n, sizeof **z, z);
+}
+
 /* Median distance of the splats before camera 0: what an orbit looks at if the cameras do not agree
  * on a point. */
 static err_t median_depth(struct state *st, double *out)
@@ -81,7 +86,7 @@ static err_t median_depth(struct state *st, double *out)
     double c[3], a[3];
     float *z;
     size_t n = 0, mark = arena_mark(&st->engine.tmp);
-    err_t e = arena_alloc(&st->engine.tmp, (size_t)g->n, sizeof *z, &z);
+    err_t e = layout_depths(&st->engine.tmp, g->n, &z);
     if (e)
         return e;
     rotation_centre(cam, c);
@@ -286,6 +291,12 @@ static err_t open_folder(const struct request *rq, uint64_t pixels, struct state
     return e || !rq->false_colour ? e : write_legend(st);
 }
 
+static err_t layout_pictures(struct state *st, struct arena *a, int w, int h)
+{
+    err_t e = draw_init(&st->draw, a, st->scene.g.cap, w, h);
+    return e ? e : arena_alloc(a, (size_t)w * (size_t)h, 3, &st->picture.px);
+}
+
 static err_t prepare_frames(const struct request *rq, struct state *st)
 {
     int w, h;
@@ -293,9 +304,7 @@ static err_t prepare_frames(const struct request *rq, struct state *st)
     uint64_t pixels = (uint64_t)w * (uint64_t)h;
     err_t e = rq->out ? open_folder(rq, pixels, st) : OK;
     if (!e)
-        e = draw_init(&st->draw, &st->engine.tmp, st->scene.g.cap, w, h);
-    if (!e)
-        e = arena_alloc(&st->engine.tmp, pixels, 3, &st->picture.px);
+        e = layout_pictures(st, &st->engine.tmp, w, h);
     st->picture.channels = 3;
     return e || !rq->video ? e : open_video(rq, st);
 }
@@ -343,14 +352,17 @@ static err_t load_scene(const struct request *rq, struct state *st)
 {
     struct sceneio_info info;
     struct gaussians_report report = {0};
+    struct arena tmp = arena_counter();
+    float *depths;
     if (!file_exists(rq->scene))
         return err_fail(ERR_IO, "%s: %s", rq->scene, strerror(ENOENT));
     err_t e = sceneio_peek(rq->scene, &info);
     if (!e)
         e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = engine_reserve(&st->engine, 0, info.need, arena_need((size_t)info.n, sizeof(float)),
-                           config_memory_mb(&rq->cfg));
+        e = layout_depths(&tmp, info.n, &depths);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, info.need, tmp.peak, config_memory_mb(&rq->cfg));
     if (!e)
         e = sceneio_read(rq->scene, &st->engine.keep, &st->scene, &report);
     if (e)
@@ -370,9 +382,10 @@ static err_t make_room(const struct request *rq, struct state *st)
     st->own = st->engine.keep;
     st->engine.keep = (struct arena){0};
     arena_free(&st->engine.tmp);
-    size_t draw = draw_plan(st->scene.g.cap, w, h), picture = arena_need((size_t)w * (size_t)h, 3);
-    return engine_reserve(&st->engine, st->own.size, 0, arena_add(draw, picture),
-                          config_memory_mb(&rq->cfg));
+    struct arena tmp = arena_counter();
+    err_t e = layout_pictures(st, &tmp, w, h);
+    return e ? e
+             : engine_reserve(&st->engine, st->own.size, 0, tmp.peak, config_memory_mb(&rq->cfg));
 }
 
 static err_t render_frames(const struct request *rq, struct state *st)

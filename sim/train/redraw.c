@@ -33,16 +33,29 @@ static void store_block(void *ctx, int first, int count, const float *grad, cons
                 seen[i] != 0 ? grad[p * SPLAT_BLOCK + i] : 0.0f;
 }
 
-static err_t draw(const struct run *r, const struct redraw *q)
+static err_t layout(const struct redraw *q, struct arena *a, struct gaussians *g,
+                    struct raster *raster)
+{
+    err_t e = gaussians_init(g, a, q->n, q->degree);
+    return e ? e : raster_init(raster, a, q->n, q->w, q->h, q->up_radiance != NULL);
+}
+
+static size_t memory_need(const struct redraw *q)
+{
+    struct arena a = arena_counter();
+    struct gaussians g;
+    struct raster raster;
+    return layout(q, &a, &g, &raster) ? SIZE_MAX : a.peak;
+}
+
+static err_t draw_picture(const struct run *r, const struct redraw *q)
 {
     const float *c = q->camera;
     struct camera cam = {
         q->w, q->h, c[0], c[1], c[2], c[3], {c[4], c[5], c[6], c[7]}, {c[8], c[9], c[10]}};
     struct gaussians g;
     struct raster raster;
-    err_t e = gaussians_init(&g, r->tmp, q->n, q->degree);
-    if (!e)
-        e = raster_init(&raster, r->tmp, q->n, q->w, q->h, q->up_radiance != NULL);
+    err_t e = layout(q, r->tmp, &g, &raster);
     if (e)
         return e;
     g.n = q->n;
@@ -65,16 +78,14 @@ int redraw_run(const struct redraw *q)
     err_t e = check_request(q);
     if (e)
         return e;
-    size_t need = arena_add(gaussians_need(q->n, q->degree),
-                            raster_plan(q->n, q->w, q->h, q->up_radiance != NULL));
-    e = arena_init(&tmp, "redraw", need);
+    e = arena_init(&tmp, "redraw", memory_need(q));
     if (!e)
         e = pool_open(&pool, q->threads);
     struct kernels k;
     kernels_init(&k, cpu_detect());
     struct run r = {.k = &k, .pool = pool, .tmp = &tmp};
     if (!e)
-        e = draw(&r, q);
+        e = draw_picture(&r, q);
     pool_close(pool);
     arena_free(&tmp);
     return e;
