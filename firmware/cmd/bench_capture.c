@@ -197,7 +197,7 @@ static err_t run_in(const char *dir, const struct config *cfg, struct bench_capt
     return e;
 }
 
-static int forget(const char *path, const struct stat *st, int flag, struct FTW *at)
+static int remove_entry(const char *path, const struct stat *st, int flag, struct FTW *at)
 {
     (void)st;
     (void)flag;
@@ -216,7 +216,7 @@ err_t bench_capture_run(int cameras, const struct config *cfg, struct bench_capt
     if (!mkdtemp(dir))
         return err_fail(ERR_IO, "%s: cannot create", dir);
     err_t e = run_in(dir, cfg, out);
-    nftw(dir, forget, 16, FTW_DEPTH | FTW_PHYS);
+    nftw(dir, remove_entry, 16, FTW_DEPTH | FTW_PHYS);
     return e;
 }
 

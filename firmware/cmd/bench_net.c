@@ -238,7 +238,7 @@ static void take_turn(void *ctx, const char *stage, int done, int total, const c
     network_clock_skip(&st->clock, engine_seconds() - start, engine_busy_seconds() - busy);
 }
 
-static err_t pass(struct state *st)
+static err_t run_pass(struct state *st)
 {
     struct run r = st->engine.run;
     const size_t mark = arena_mark(&st->engine.keep);
@@ -321,9 +321,9 @@ static err_t both_passes(struct state *st, struct bench_net *out)
 {
     st->loop[0] = limits_s8(st->engine.kernels.net.s8_name);
     st->loop[1] = limits_f32(st->engine.kernels.net.f32_name);
-    err_t e = pass(st); // brings the weights into memory
+    err_t e = run_pass(st); // brings the weights into memory
     if (!e)
-        e = pass(st);
+        e = run_pass(st);
     if (e)
         return e;
     out->keep_mb = (double)st->engine.keep.peak * 1e-6;
@@ -331,7 +331,7 @@ static err_t both_passes(struct state *st, struct bench_net *out)
     out->rss_mb = engine_peak_rss_mb();
     stage_figures(st, out);
     note_all(&st->engine.kernels.net);
-    e = pass(st);
+    e = run_pass(st);
     if (!e)
         kind_figures(st, clock_total(&st->clock), out);
     return e;

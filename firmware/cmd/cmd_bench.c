@@ -71,7 +71,7 @@ struct state {
 
 /* ---- the scene ---- */
 
-static float uniform(uint64_t *s)
+static float draw_uniform(uint64_t *s)
 {
     return (float)(splitmix_next(s) >> 40) * 0x1p-24f;
 }
@@ -86,31 +86,31 @@ static void make_scene(struct state *st, int n, int size)
     st->cam = (struct camera){size, size, focal, focal, half, half, {1, 0, 0, 0}, {0, 0, 0}};
     g->n = n;
     for (int i = 0; i < n; i++) {
-        float z = 3 + 2 * uniform(&rng);
-        g->plane[G_MU][i] = (uniform(&rng) - 0.5f) * z / 0.85f;
-        g->plane[G_MU + 1][i] = (uniform(&rng) - 0.5f) * z / 0.85f;
+        float z = 3 + 2 * draw_uniform(&rng);
+        g->plane[G_MU][i] = (draw_uniform(&rng) - 0.5f) * z / 0.85f;
+        g->plane[G_MU + 1][i] = (draw_uniform(&rng) - 0.5f) * z / 0.85f;
         g->plane[G_MU + 2][i] = z;
         for (int k = 0; k < 3; k++)
-            g->plane[G_LOG_SCALE + k][i] = logf((0.4f + 0.6f * uniform(&rng)) * z / focal);
+            g->plane[G_LOG_SCALE + k][i] = logf((0.4f + 0.6f * draw_uniform(&rng)) * z / focal);
         for (int k = 0; k < 4; k++)
-            g->plane[G_QUAT + k][i] = uniform(&rng) - 0.5f + (k == 0);
+            g->plane[G_QUAT + k][i] = draw_uniform(&rng) - 0.5f + (k == 0);
         g->plane[G_LOGIT][i] = logf(0.8f / 0.2f);
         for (int p = G_SH; p < gaussians_planes(g->degree); p++)
-            g->plane[p][i] = (uniform(&rng) - 0.5f) * (p < G_SH + 3 ? 4.0f : 0.2f);
+            g->plane[p][i] = (draw_uniform(&rng) - 0.5f) * (p < G_SH + 3 ? 4.0f : 0.2f);
     }
     for (int i = 0; i < 3 * size * size; i++)
-        st->photo[i] = (uint8_t)(255 * uniform(&rng));
+        st->photo[i] = (uint8_t)(255 * draw_uniform(&rng));
 }
 
 /* ---- what is timed ---- */
 
-static err_t forward(struct state *st)
+static err_t run_forward(struct state *st)
 {
     struct raster_input in = {&st->g, &st->cam, {0, 0, 0}};
     return raster_run(&st->engine.run, &st->raster, &in, &st->pic);
 }
 
-static void drop(void *ctx, int first, int count, const float *grad, const float *seen)
+static void ignore_gradient(void *ctx, int first, int count, const float *grad, const float *seen)
 {
     (void)ctx;
     (void)first;
@@ -127,12 +127,12 @@ static err_t backward_into(struct state *st, raster_sink_fn *fn)
     return raster_grad_run(&st->engine.run, &st->raster, &in, &up, &sink);
 }
 
-static err_t backward(struct state *st)
+static err_t run_backward(struct state *st)
 {
-    return backward_into(st, drop);
+    return backward_into(st, ignore_gradient);
 }
 
-static err_t loss(struct state *st)
+static err_t run_loss(struct state *st)
 {
     struct loss_output out;
     struct loss_input in = {
@@ -141,7 +141,7 @@ static err_t loss(struct state *st)
 }
 
 /* Rates of zero: the same arithmetic, and the scene stays what it is. */
-static void adam(void *ctx, int first, int count, const float *grad, const float *seen)
+static void adam_block(void *ctx, int first, int count, const float *grad, const float *seen)
 {
     struct state *st = ctx;
     const struct adam_step step = {0.0f, 0.9f, 0.999f, 1e-15f, 1.0f, 1.0f};
@@ -152,15 +152,15 @@ static void adam(void *ctx, int first, int count, const float *grad, const float
     }
 }
 
-static err_t step(struct state *st)
+static err_t run_step(struct state *st)
 {
-    err_t e = forward(st);
+    err_t e = run_forward(st);
     if (!e)
-        e = loss(st);
-    return e ? e : backward_into(st, adam);
+        e = run_loss(st);
+    return e ? e : backward_into(st, adam_block);
 }
 
-static int ascending(const void *a, const void *b)
+static int compare_doubles(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
@@ -192,7 +192,7 @@ static err_t measure_median(struct state *st, err_t (*fn)(struct state *), struc
     turns->n = n;
     if (e)
         return e;
-    qsort(t, (size_t)n, sizeof t[0], ascending);
+    qsort(t, (size_t)n, sizeof t[0], compare_doubles);
     *median = t[n / 2];
     return atomic_load(&engine_cancel) ? ERR_CANCELLED : OK;
 }
@@ -242,15 +242,15 @@ static err_t measure_all(struct state *st, unsigned cpu, struct figure *f)
     const struct limits_loop limit = limits_flops(cpu);
     struct turns forwards = {&limit, .n = 0}, backwards = forwards, steps = forwards;
     struct limits_turns shares = {.n = 0};
-    err_t e = measure_median(st, forward, &forwards, &f->forward_s);
+    err_t e = measure_median(st, run_forward, &forwards, &f->forward_s);
     if (!e)
         e = count_pairs(st, &f->pairs);
     if (!e)
-        e = loss(st);
+        e = run_loss(st);
     if (!e)
-        e = measure_median(st, backward, &backwards, &f->backward_s);
+        e = measure_median(st, run_backward, &backwards, &f->backward_s);
     if (!e)
-        e = measure_median(st, step, &steps, &f->step_s);
+        e = measure_median(st, run_step, &steps, &f->step_s);
     for (int i = 0; !e && i < forwards.n && i < backwards.n; i++)
         limits_add(&shares, (forwards.rate[i] + backwards.rate[i]) / 2,
                    f->pairs * (FORWARD_OPS + BACKWARD_OPS) /
@@ -300,8 +300,8 @@ static int largest_of(const struct cmd_list *l)
     return most;
 }
 
-static err_t layout(struct state *st, float **px, struct arena *a, const struct request *rq,
-                    int workers)
+static err_t layout_scene(struct state *st, float **px, struct arena *a, const struct request *rq,
+                          int workers)
 {
     const int size = largest_of(&rq->sizes);
     const size_t pixels = (size_t)size * (size_t)size;
@@ -331,13 +331,13 @@ static err_t reserve_memory(const struct request *rq, struct state *st)
     const size_t pixels = (size_t)size * (size_t)size;
     struct arena keep = arena_counter(), tmp = arena_counter();
     float *px = NULL;
-    err_t e = layout(st, &px, &tmp, rq, workers);
+    err_t e = layout_scene(st, &px, &tmp, rq, workers);
     if (!e)
         e = layout_triad(&keep, &px);
     if (!e)
         e = engine_reserve(&st->engine, 0, keep.peak, tmp.peak, config_memory_mb(&rq->cfg));
     if (!e)
-        e = layout(st, &px, &st->engine.tmp, rq, workers);
+        e = layout_scene(st, &px, &st->engine.tmp, rq, workers);
     if (e)
         return e;
     st->pic = (struct render){.radiance = px, .depth = px + 3 * pixels, .alpha = px + 4 * pixels};

@@ -113,7 +113,7 @@ static err_t end_dump(const struct request *rq, struct state *st)
 
 /* ---- the job ---- */
 
-static bool fits(const struct job_memory *m, int limit_mb)
+static bool fits_memory(const struct job_memory *m, int limit_mb)
 {
     const size_t files = arena_add(m->pictures, m->weights), arenas = arena_add(m->keep, m->tmp);
     return (double)arena_add(files, arenas) <= limit_mb * 1e6;
@@ -129,7 +129,7 @@ static int largest_size(const struct request *rq, const struct state *st,
     for (; less.size > recipe_work(job); less.size -= less.size / 16)
         if (job_plan(&st->set.capture, &less, pool_size(st->engine.pool), rq->dump != NULL, &m) ==
                 OK &&
-            fits(&m, config_memory_mb(&rq->cfg)))
+            fits_memory(&m, config_memory_mb(&rq->cfg)))
             return less.size;
     return 0;
 }
@@ -150,7 +150,7 @@ static err_t reserve_memory(const struct request *rq, struct state *st,
         e = job_plan(&fewer, job, pool_size(st->engine.pool), rq->dump != NULL, &m);
         if (e)
             return e;
-        if (fits(&m, limit))
+        if (fits_memory(&m, limit))
             return err_fail(ERR_LIMIT, "%s; %d of %d photographs would fit", err_text(), fewer.n,
                             st->set.capture.n);
     }
@@ -158,7 +158,7 @@ static err_t reserve_memory(const struct request *rq, struct state *st,
 }
 
 /* Pixels are read when they are resized, so that few are in memory at a time. */
-static err_t decode(void *ctx, int i, struct image8 *out)
+static err_t decode_photograph(void *ctx, int i, struct image8 *out)
 {
     return imageset_decode(ctx, i, out);
 }
@@ -173,7 +173,7 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         return e;
     cmd_imageset(&rq->cfg, network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
-    st->source = (struct prep_source){decode, img_free, &st->set};
+    st->source = (struct prep_source){decode_photograph, img_free, &st->set};
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
@@ -195,7 +195,7 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     return e ? e : reserve_memory(rq, st, job, &need);
 }
 
-static err_t reconstruct(struct request *rq, struct state *st)
+static err_t make_scene(struct request *rq, struct state *st)
 {
     const struct run *r = &st->engine.run;
     struct job_config job;
@@ -225,7 +225,7 @@ static err_t reconstruct(struct request *rq, struct state *st)
 }
 
 /* NULL if the options fit together. */
-static const char *misuse(const struct request *rq)
+static const char *misuse_reason(const struct request *rq)
 {
     float log2t[DUMP_EXPOSURES];
     const char *reason;
@@ -276,11 +276,11 @@ int cmd_reconstruct_run(int argc, char **argv)
     int code;
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    if (misuse(&rq))
-        return cmd_misuse(&usage, misuse(&rq));
+    if (misuse_reason(&rq))
+        return cmd_misuse(&usage, misuse_reason(&rq));
     rq.set.images = rq.images[0];
     rq.set.more = rq.images + 1;
-    code = cmd_finish_job(usage.name, reconstruct(&rq, &st), &st.result, rq.strict);
+    code = cmd_finish_job(usage.name, make_scene(&rq, &st), &st.result, rq.strict);
     if (npy_close(&st.tensors) != OK)
         code = CMD_FAILURE; // after another error, which was printed
     cmd_json_discard(&st.json);

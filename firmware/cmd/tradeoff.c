@@ -124,7 +124,7 @@ static bool restart_peak(void)
     return f && fclose(f) == 0 && written;
 }
 
-static err_t pass(struct state *st, const struct net *net, struct tradeoff_row *row)
+static err_t run_pass(struct state *st, const struct net *net, struct tradeoff_row *row)
 {
     struct engine *en = &st->engine;
     struct prediction p;
@@ -162,7 +162,7 @@ static err_t run_row(struct state *st, unsigned floats, struct tradeoff_row *row
     if (!e && !st->dry)
         e = modelfile_verify(&network.file); // brings it into memory
     if (!e && !st->dry)
-        e = pass(st, &network.net, row);
+        e = run_pass(st, &network.net, row);
     row->rss_mb = known ? engine_peak_rss_mb() : NAN;
     arena_free(&en->keep);
     arena_free(&en->tmp);

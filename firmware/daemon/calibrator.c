@@ -72,7 +72,7 @@ static void end_order(struct calibrator *c, const char *why)
     send_text(c, "\"ok\": false, \"error\": ", c->text);
 }
 
-static void hear(void *ctx, const char *line)
+static void take_line(void *ctx, const char *line)
 {
     struct calibrator *c = ctx;
     snprintf(c->line, sizeof c->line, "%s", line);
@@ -124,8 +124,8 @@ static const char *failure_reason(const struct calibrator *c)
 void calibrator_step(struct calibrator *c)
 {
     int status;
-    child_listen(&c->child, hear, c);
-    if (child_ended(&c->child, hear, c, &status)) {
+    child_listen(&c->child, take_line, c);
+    if (child_ended(&c->child, take_line, c, &status)) {
         if (WIFSIGNALED(status))
             snprintf(c->line, sizeof c->line, "killed by signal %d", WTERMSIG(status));
         if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)

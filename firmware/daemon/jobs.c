@@ -229,7 +229,7 @@ static err_t start_child(struct jobs *j)
 }
 
 /* A line of the child; the last one is kept. */
-static void hear(void *ctx, const char *line)
+static void take_line(void *ctx, const char *line)
 {
     struct jobs *j = ctx;
     const char *warning = strstr(line, ": " CMD_WARNING);
@@ -244,7 +244,7 @@ static void hear(void *ctx, const char *line)
 static void reap_child(struct jobs *j)
 {
     int status;
-    if (!child_ended(&j->child, hear, j, &status))
+    if (!child_ended(&j->child, take_line, j, &status))
         return;
     if (WIFEXITED(status) && WEXITSTATUS(status) == 0)
         end_job(j, JOBS_DONE);
@@ -262,7 +262,7 @@ static void reap_child(struct jobs *j)
 
 void jobs_step(struct jobs *j)
 {
-    child_listen(&j->child, hear, j);
+    child_listen(&j->child, take_line, j);
     reap_child(j);
     while (!j->child.pid && j->n > 0) {
         if (start_child(j) == OK)

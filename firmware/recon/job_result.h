@@ -19,7 +19,7 @@ enum job_stage {
     JOB_APPEARANCE, // fusion, Gaussian head, tone curve
     JOB_VOXEL,
     JOB_REFINE,
-    JOB_RENDER, // this and the following by whoever publishes or evaluates
+    JOB_RENDER, // this and the following by publication or evaluation
     JOB_WRITE,
     JOB_MEASURE,
     JOB_STAGES

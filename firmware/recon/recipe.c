@@ -19,7 +19,7 @@ bool recipe_forward(const struct job_config *cfg)
            cfg->refine.steps == 0;
 }
 
-/* Whether depth is found by stereo, whatever the network could say. */
+/* Whether depth is found by stereo, even if there is a network. */
 static bool takes_stereo(const struct job_config *cfg, bool tapped)
 {
     return !cfg->network || cfg->cameras_only || (cfg->stereo && !tapped && !recipe_forward(cfg));

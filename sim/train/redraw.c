@@ -33,8 +33,8 @@ static void store_block(void *ctx, int first, int count, const float *grad, cons
                 seen[i] != 0 ? grad[p * SPLAT_BLOCK + i] : 0.0f;
 }
 
-static err_t layout(const struct redraw *q, struct arena *a, struct gaussians *g,
-                    struct raster *raster)
+static err_t layout_scene(const struct redraw *q, struct arena *a, struct gaussians *g,
+                          struct raster *raster)
 {
     err_t e = gaussians_init(g, a, q->n, q->degree);
     return e ? e : raster_init(raster, a, q->n, q->w, q->h, q->up_radiance != NULL);
@@ -45,7 +45,7 @@ static size_t memory_need(const struct redraw *q)
     struct arena a = arena_counter();
     struct gaussians g;
     struct raster raster;
-    return layout(q, &a, &g, &raster) ? SIZE_MAX : a.peak;
+    return layout_scene(q, &a, &g, &raster) ? SIZE_MAX : a.peak;
 }
 
 static err_t draw_picture(const struct run *r, const struct redraw *q)
@@ -55,7 +55,7 @@ static err_t draw_picture(const struct run *r, const struct redraw *q)
         q->w, q->h, c[0], c[1], c[2], c[3], {c[4], c[5], c[6], c[7]}, {c[8], c[9], c[10]}};
     struct gaussians g;
     struct raster raster;
-    err_t e = layout(q, r->tmp, &g, &raster);
+    err_t e = layout_scene(q, r->tmp, &g, &raster);
     if (e)
         return e;
     g.n = q->n;

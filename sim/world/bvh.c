@@ -99,7 +99,7 @@ static int cut_along(struct builder *b, struct range r, int axis, float *cost)
     return best;
 }
 
-static void halve(struct builder *b, struct range r, bool cheap, struct range out[2])
+static void halve_range(struct builder *b, struct range r, bool cheap, struct range out[2])
 {
     float cost[3];
     int at = 0, best = 0;
@@ -122,10 +122,10 @@ static int split_four(struct builder *b, struct range r, bool cheap, struct rang
         out[0] = r;
         return 1;
     }
-    halve(b, r, cheap, half);
+    halve_range(b, r, cheap, half);
     for (int k = 0; k < 2; k++) {
         if (half[k].n > 1) {
-            halve(b, half[k], cheap, out + n);
+            halve_range(b, half[k], cheap, out + n);
             n += 2;
         } else {
             out[n++] = half[k];

@@ -38,18 +38,24 @@ static void vase(struct builder *b, const struct frame *f, float r)
                     &(struct part){WORLD_TORUS, {radius * r, tube, 0}, {0, 0, z}, .material = m});
 }
 
+/* A frustum with its wide end up. size: radius of that end, half the height, foot's share of it. */
+static void add_vessel(struct builder *b, const struct frame *f, int material, const float size[3])
+{
+    builder_add(b, f,
+                &(struct part){WORLD_FRUSTUM,
+                               {size[0], size[0], size[1]},
+                               {0, 0, size[1]},
+                               material,
+                               size[2],
+                               {PI, 0, 0},
+                               CUT_JOINED});
+}
+
 static void bowl(struct builder *b, const struct frame *f, float r)
 {
     int m = builder_material(b, ROLE_CERAMIC);
     float tall = builder_draw(b, 0.2f, 0.5f) * r, foot = builder_draw(b, 0.35f, 0.7f);
-    builder_add(b, f,
-                &(struct part){WORLD_FRUSTUM,
-                               {0.92f * r, 0.92f * r, tall},
-                               {0, 0, tall},
-                               m,
-                               foot,
-                               {PI, 0, 0},
-                               CUT_JOINED});
+    add_vessel(b, f, m, (float[]){0.92f * r, tall, foot});
     builder_add(
         b, f,
         &(struct part){WORLD_TORUS, {0.9f * r, 0.07f * r, 0}, {0, 0, 2 * tall}, .material = m});
@@ -69,14 +75,7 @@ static void cup(struct builder *b, const struct frame *f, float r)
 {
     int m = builder_material(b, ROLE_CERAMIC);
     float tall = builder_draw(b, 0.45f, 0.8f) * r, taper = builder_draw(b, 0.6f, 1.0f);
-    builder_add(b, f,
-                &(struct part){WORLD_FRUSTUM,
-                               {0.55f * r, 0.55f * r, tall},
-                               {0, 0, tall},
-                               m,
-                               taper,
-                               {PI, 0, 0},
-                               CUT_JOINED});
+    add_vessel(b, f, m, (float[]){0.55f * r, tall, taper});
     builder_add(b, f,
                 &(struct part){WORLD_TORUS,
                                {0.28f * r, 0.07f * r, 0},

@@ -4,10 +4,9 @@
 #include "core/net/backbone.h"
 #include "core/net/net.h"
 
-#include "core/base/cpu.h"
 #include "core/net/block.h"
 #include "core/net/tap.h"
-#include "tests/unit/small_model.h"
+#include "tests/unit/core/net/net_world.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -130,20 +129,14 @@ static void rounded_angles(void **state)
 enum { VIEWS = 3, SIZE_PX = 56, NAMES_MAX = 64 };
 
 static struct {
-    struct small_model model;
-    struct net net;
-    struct kernels kernels;
-    struct arena keep, tmp;
-    struct pool *pool;
-    atomic_bool cancel;
     struct tap tap;
-    struct run r;
     uint8_t rgb[VIEWS * 3 * 70 * 70];
     struct views v;
     struct tokens tokens;
-    size_t keep_plan, tmp_plan;
     int n_taps, cancel_at;
 } t;
+
+static struct net_world world;
 
 static void count_tap(void *ctx, const struct tap_tensor *tensor)
 {
@@ -159,47 +152,18 @@ static void count_blocks(void *ctx, const char *stage, int done, int total, cons
     assert_string_equal(stage, "backbone");
     assert_int_equal(total, tiny.dino_depth + 2 * tiny.depth);
     if (done == t.cancel_at)
-        atomic_store(&t.cancel, true);
+        atomic_store(&world.cancel, true);
 }
 
 static void open_world(enum precision precision, unsigned floats, int size, int threads)
 {
     memset(&t, 0, sizeof t);
-    small_model_init(&t.model, &tiny, precision);
-    assert_int_equal(net_bind(&t.model.model, floats, &t.net), OK);
-    kernels_init(&t.kernels, cpu_detect());
+    net_world_bind(&world, &tiny, precision, floats);
     struct plan plan = plan_begin(threads);
-    backbone_plan(&plan, &t.net, VIEWS, size);
-    t.keep_plan = plan.keep.peak;
-    t.tmp_plan = plan.tmp.peak;
-    assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
-    assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
-    assert_int_equal(pool_open(&t.pool, threads), OK);
-    t.r = (struct run){.k = &t.kernels,
-                       .pool = t.pool,
-                       .keep = &t.keep,
-                       .tmp = &t.tmp,
-                       .cancel = &t.cancel,
-                       .progress = count_blocks};
-    for (size_t i = 0; i < sizeof t.rgb; i++)
-        t.rgb[i] = (uint8_t)(i * 2654435761u >> 24);
+    backbone_plan(&plan, &world.net, VIEWS, size);
+    net_world_reserve(&world, &plan, t.rgb, sizeof t.rgb);
+    world.r.progress = count_blocks;
     t.v = (struct views){.n = VIEWS, .size = size, .rgb = t.rgb};
-}
-
-static void close_world(void)
-{
-    pool_close(t.pool);
-    arena_free(&t.keep);
-    arena_free(&t.tmp);
-    small_model_free(&t.model);
-}
-
-static uint64_t hash_of(const float *p, size_t n, uint64_t h)
-{
-    const unsigned char *b = (const unsigned char *)p;
-    for (size_t i = 0; i < n * sizeof *p; i++)
-        h = (h ^ b[i]) * 0x100000001B3u;
-    return h;
 }
 
 static uint64_t hash_tokens(void)
@@ -207,8 +171,9 @@ static uint64_t hash_tokens(void)
     size_t n = (size_t)t.tokens.n_views * (size_t)t.tokens.n_tokens * (size_t)t.tokens.embed;
     uint64_t h = 0xCBF29CE484222325u;
     for (int k = 0; k < NET_KEEP; k++)
-        h = hash_of(t.tokens.keep[k], 2 * n, h);
-    return hash_of(t.tokens.k, n, hash_of(t.tokens.q, n, h));
+        h = net_world_hash(t.tokens.keep[k], 2 * n * sizeof(float), h);
+    h = net_world_hash(t.tokens.q, n * sizeof(float), h);
+    return net_world_hash(t.tokens.k, n * sizeof(float), h);
 }
 
 static void plan_is_what_it_takes(void **state)
@@ -218,11 +183,12 @@ static void plan_is_what_it_takes(void **state)
         for (unsigned floats = 0; floats <= NET_FLOAT_ALL; floats += NET_FLOAT_ALL)
             for (int threads = 1; threads <= 3; threads += 2) {
                 open_world(PRECISION_S8, floats, size, threads);
-                assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
-                assert_true(t.keep.peak == t.keep_plan);
-                assert_true(t.tmp.peak <= t.tmp_plan && t.tmp.peak > 0.9 * (double)t.tmp_plan);
-                assert_true(t.tmp.used == 0);
-                close_world();
+                assert_int_equal(backbone_run(&world.r, &world.net, &t.v, &t.tokens), OK);
+                assert_true(world.keep.peak == world.keep_plan);
+                assert_true(world.tmp.peak <= world.tmp_plan &&
+                            world.tmp.peak > 0.9 * (double)world.tmp_plan);
+                assert_true(world.tmp.used == 0);
+                net_world_close(&world);
             }
 }
 
@@ -235,11 +201,11 @@ static void same_bytes_for_any_threads(void **state)
         uint64_t first = 0;
         for (int i = 0; i < 3; i++) {
             open_world(precisions[p], NET_FLOAT_SPECIAL, SIZE_PX, threads[i]);
-            assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+            assert_int_equal(backbone_run(&world.r, &world.net, &t.v, &t.tokens), OK);
             uint64_t h = hash_tokens();
             first = i == 0 ? h : first;
             assert_true(h == first);
-            close_world();
+            net_world_close(&world);
         }
     }
 }
@@ -254,11 +220,11 @@ struct kept {
 static void keep_run(enum precision precision, unsigned floats, struct kept *out)
 {
     open_world(precision, floats, SIZE_PX, 1);
-    assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+    assert_int_equal(backbone_run(&world.r, &world.net, &t.v, &t.tokens), OK);
     assert_true(2 * tiny.embed == 128 && t.tokens.n_tokens * VIEWS == ROWS);
     for (int k = 0; k < NET_KEEP; k++)
         memcpy(out->x[k], t.tokens.keep[k], sizeof out->x[k]);
-    close_world();
+    net_world_close(&world);
 }
 
 /* Relative difference of layer k of two runs, over all tokens or the special ones. */
@@ -303,10 +269,10 @@ static void cancelled(void **state)
     for (int at = 0; at < 8; at += 3) {
         open_world(PRECISION_S8, 0, SIZE_PX, 2);
         t.cancel_at = at;
-        atomic_store(&t.cancel, at == 0);
-        assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), ERR_CANCELLED);
-        assert_true(t.tmp.used == 0);
-        close_world();
+        atomic_store(&world.cancel, at == 0);
+        assert_int_equal(backbone_run(&world.r, &world.net, &t.v, &t.tokens), ERR_CANCELLED);
+        assert_true(world.tmp.used == 0);
+        net_world_close(&world);
     }
 }
 
@@ -315,10 +281,10 @@ static void every_tensor_is_tapped(void **state)
     (void)state;
     open_world(PRECISION_F32, 0, SIZE_PX, 1);
     t.tap.put = count_tap;
-    t.r.tap = &t.tap;
-    assert_int_equal(backbone_run(&t.r, &t.net, &t.v, &t.tokens), OK);
+    world.r.tap = &t.tap;
+    assert_int_equal(backbone_run(&world.r, &world.net, &t.v, &t.tokens), OK);
     assert_int_equal(t.n_taps, 3 + tiny.dino_depth + 2 * tiny.depth + NET_KEEP + 2);
-    close_world();
+    net_world_close(&world);
 }
 
 static int make_dims(void **state)

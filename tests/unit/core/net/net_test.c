@@ -3,8 +3,7 @@
  * tests. */
 #include "core/net/net.h"
 
-#include "core/base/cpu.h"
-#include "tests/unit/small_model.h"
+#include "tests/unit/core/net/net_world.h"
 
 #include <limits.h>
 #include <math.h>
@@ -19,22 +18,16 @@
 enum { VIEWS = 2, SIZE_PX = 42, PIXELS = VIEWS * SIZE_PX * SIZE_PX };
 
 static struct {
-    struct small_model model;
-    struct net net;
-    struct kernels kernels;
-    struct arena keep, tmp;
-    struct pool *pool;
-    atomic_bool cancel;
     int until; // calls of progress until cancel
     struct tap tap;
     int n_taps;
-    struct run r;
     uint8_t rgb[3 * PIXELS];
     float log2t[VIEWS];
     struct views v;
     struct prediction out;
-    size_t keep_plan, tmp_plan;
 } t;
+
+static struct net_world world;
 
 static void count_tap(void *ctx, const struct tap_tensor *tensor)
 {
@@ -50,61 +43,32 @@ static void stop_later(void *ctx, const char *stage, int done, int total, const 
     (void)note;
     assert_true(done <= total);
     if (--t.until == 0)
-        atomic_store(&t.cancel, true);
+        atomic_store(&world.cancel, true);
 }
 
 static void open_world(const struct net_dims *d, enum precision precision, int threads)
 {
     memset(&t, 0, sizeof t);
-    small_model_init(&t.model, d, precision);
-    assert_int_equal(net_bind(&t.model.model, 0, &t.net), OK);
-    kernels_init(&t.kernels, cpu_detect());
+    net_world_bind(&world, d, precision, 0);
     struct plan plan = plan_begin(threads);
-    net_plan(&plan, &t.net, VIEWS, SIZE_PX);
-    t.keep_plan = plan.keep.peak;
-    t.tmp_plan = plan.tmp.peak;
-    assert_int_equal(arena_init(&t.keep, "keep", t.keep_plan), OK);
-    assert_int_equal(arena_init(&t.tmp, "tmp", t.tmp_plan), OK);
-    assert_int_equal(pool_open(&t.pool, threads), OK);
-    t.r = (struct run){.k = &t.kernels,
-                       .pool = t.pool,
-                       .keep = &t.keep,
-                       .tmp = &t.tmp,
-                       .cancel = &t.cancel,
-                       .progress = stop_later};
-    for (size_t i = 0; i < sizeof t.rgb; i++)
-        t.rgb[i] = (uint8_t)(i * 2654435761u >> 24);
+    net_plan(&plan, &world.net, VIEWS, SIZE_PX);
+    net_world_reserve(&world, &plan, t.rgb, sizeof t.rgb);
+    world.r.progress = stop_later;
     t.log2t[0] = -2;
     t.log2t[1] = 2;
     t.v = (struct views){.n = VIEWS, .size = SIZE_PX, .rgb = t.rgb, .log2t = t.log2t};
     t.tap.put = count_tap;
 }
 
-static void close_world(void)
-{
-    pool_close(t.pool);
-    arena_free(&t.keep);
-    arena_free(&t.tmp);
-    small_model_free(&t.model);
-}
-
-static uint64_t hash_of(const void *p, size_t bytes, uint64_t h)
-{
-    const unsigned char *b = p;
-    for (size_t i = 0; i < bytes; i++)
-        h = (h ^ b[i]) * 0x100000001B3u;
-    return h;
-}
-
 static uint64_t hash_prediction(void)
 {
     const struct prediction *p = &t.out;
-    uint64_t h = hash_of(p->geom.pose, VIEWS * NET_POSE * sizeof(float), 1);
-    h = hash_of(p->geom.depth, PIXELS * sizeof(float), h);
-    h = hash_of(p->points, 3 * PIXELS * sizeof(float), h);
-    h = hash_of(p->features, 87 * PIXELS * sizeof(float), h);
-    h = hash_of(p->confidence, PIXELS * sizeof(float), h);
-    return hash_of(p->theta, sizeof p->theta, h);
+    uint64_t h = net_world_hash(p->geom.pose, VIEWS * NET_POSE * sizeof(float), 1);
+    h = net_world_hash(p->geom.depth, PIXELS * sizeof(float), h);
+    h = net_world_hash(p->points, 3 * PIXELS * sizeof(float), h);
+    h = net_world_hash(p->features, 87 * PIXELS * sizeof(float), h);
+    h = net_world_hash(p->confidence, PIXELS * sizeof(float), h);
+    return net_world_hash(p->theta, sizeof p->theta, h);
 }
 
 static void same_bytes_and_planned_memory(void **state)
@@ -115,14 +79,16 @@ static void same_bytes_and_planned_memory(void **state)
         uint64_t first = 0;
         for (int i = 0; i < 3; i++) {
             open_world(&small_model_tiny, (enum precision)precision, threads[i]);
-            assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
-            assert_true(t.keep.peak <= t.keep_plan && t.keep.peak > 0.99 * (double)t.keep_plan);
-            assert_true(t.tmp.peak <= t.tmp_plan && t.tmp.peak > 0.9 * (double)t.tmp_plan);
-            assert_true(t.tmp.used == 0 && t.out.n == PIXELS && !t.out.linear);
+            assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
+            assert_true(world.keep.peak <= world.keep_plan &&
+                        world.keep.peak > 0.99 * (double)world.keep_plan);
+            assert_true(world.tmp.peak <= world.tmp_plan &&
+                        world.tmp.peak > 0.9 * (double)world.tmp_plan);
+            assert_true(world.tmp.used == 0 && t.out.n == PIXELS && !t.out.linear);
             uint64_t h = hash_prediction();
             first = i == 0 ? h : first;
             assert_true(h == first);
-            close_world();
+            net_world_close(&world);
         }
     }
 }
@@ -132,15 +98,15 @@ static void tapped(void **state)
 {
     (void)state;
     open_world(&small_model_tiny, PRECISION_S8, 2);
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
     memset(t.out.theta + TONE_PARAMS, 0, sizeof t.out.theta - TONE_PARAMS * sizeof(float));
     uint64_t h = hash_prediction();
-    arena_reset(&t.keep, 0);
-    t.r.tap = &t.tap;
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    arena_reset(&world.keep, 0);
+    world.r.tap = &t.tap;
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
     memset(t.out.theta + TONE_PARAMS, 0, sizeof t.out.theta - TONE_PARAMS * sizeof(float));
     assert_true(hash_prediction() == h && t.n_taps > 60);
-    close_world();
+    net_world_close(&world);
 }
 
 /* Points are where cameras and depths put them: back in front of their pixels. */
@@ -148,7 +114,7 @@ static void points_project_back(void **state)
 {
     (void)state;
     open_world(&small_model_tiny, PRECISION_F32, 1);
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
     for (int v = 0; v < VIEWS; v++) {
         const struct camera *c = t.out.geom.cams + v;
         const float w = c->q[0], x = c->q[1], y = c->q[2], z = c->q[3];
@@ -167,7 +133,7 @@ static void points_project_back(void **state)
             assert_float_equal(c->fy * q[1] / q[2] + c->cy, (i / SIZE_PX), 1e-2);
         }
     }
-    close_world();
+    net_world_close(&world);
 }
 
 static void without_appearance(void **state)
@@ -178,13 +144,13 @@ static void without_appearance(void **state)
     for (int precision = 0; precision < 3; precision++) {
         open_world(&d, (enum precision)precision, 2);
         t.v.log2t = NULL;
-        assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+        assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
         assert_true(t.out.linear && t.out.features && t.out.confidence && t.out.points);
         for (int i = 83 * PIXELS; i < 87 * PIXELS; i++)
             assert_true(t.out.features[i] == 0);
         for (int i = 0; i < NET_THETA; i++)
             assert_true(t.out.theta[i] == 0);
-        close_world();
+        net_world_close(&world);
     }
 }
 
@@ -197,17 +163,17 @@ static void without_gaussians(void **state)
     memset(d.gs_oc, 0, sizeof d.gs_oc);
     open_world(&d, PRECISION_S8, 2);
     t.v.log2t = NULL;
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
     assert_true(!t.out.features && !t.out.confidence && !t.out.points && t.out.geom.depth);
-    close_world();
+    net_world_close(&world);
 }
 
 static void assert_refused(err_t want)
 {
     memset(&t.out, 1, sizeof t.out);
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), want);
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), want);
     assert_true(!t.out.points && !t.out.geom.cams && t.out.n == 0);
-    assert_true(t.keep.used == 0 && t.tmp.used == 0);
+    assert_true(world.keep.used == 0 && world.tmp.used == 0);
 }
 
 static void refused(void **state)
@@ -228,16 +194,16 @@ static void refused(void **state)
     assert_refused(ERR_ARG);
     size_t keep, tmp;
     struct plan plan = plan_begin(1);
-    net_plan(&plan, &t.net, t.v.n, SIZE_PX);
+    net_plan(&plan, &world.net, t.v.n, SIZE_PX);
     keep = plan.keep.peak;
     tmp = plan.tmp.peak;
     assert_true(keep == SIZE_MAX && tmp == SIZE_MAX);
     t.v = good;
-    size_t room = t.tmp.size;
-    t.tmp.size = t.tmp_plan / 2;
+    size_t room = world.tmp.size;
+    world.tmp.size = world.tmp_plan / 2;
     assert_refused(ERR_NOMEM);
-    t.tmp.size = room;
-    close_world();
+    world.tmp.size = room;
+    net_world_close(&world);
 }
 
 /* Cancelled in each stage: no call of progress after the next. */
@@ -246,17 +212,17 @@ static void cancelled(void **state)
     (void)state;
     open_world(&small_model_tiny, PRECISION_S8, 2);
     t.until = INT_MAX;
-    assert_int_equal(net_run(&t.r, &t.net, &t.v, &t.out), OK);
+    assert_int_equal(net_run(&world.r, &world.net, &t.v, &t.out), OK);
     int all = INT_MAX - t.until;
     assert_true(all >= 9 + VIEWS + 1 + VIEWS);
     for (int at = 1; at < all; at++) {
-        arena_reset(&t.keep, 0);
-        atomic_store(&t.cancel, false);
+        arena_reset(&world.keep, 0);
+        atomic_store(&world.cancel, false);
         t.until = at;
         assert_refused(ERR_CANCELLED);
         assert_true(t.until >= -1);
     }
-    close_world();
+    net_world_close(&world);
 }
 
 /* Each tensor is needed; its name is in the sentence. */
@@ -265,19 +231,19 @@ static void missing_tensors(void **state)
     struct net net;
     (void)state;
     open_world(&small_model_tiny, PRECISION_F32, 1);
-    for (int i = 0; i < t.model.model.n; i++) {
-        struct tensor_spec *spec = &t.model.tensors[i].spec;
+    for (int i = 0; i < world.model.model.n; i++) {
+        struct tensor_spec *spec = &world.model.tensors[i].spec;
         char name[NET_NAME_CAP];
         memcpy(name, spec->name, sizeof name);
         spec->name[0] = 'X';
-        err_t e = net_bind(&t.model.model, 0, &net);
+        err_t e = net_bind(&world.model.model, 0, &net);
         if (spec->role == ROLE_PLAIN && strstr(name, ".bias") && e == OK)
-            assert_true(i > 0 && t.model.tensors[i - 1].spec.role != ROLE_PLAIN);
+            assert_true(i > 0 && world.model.tensors[i - 1].spec.role != ROLE_PLAIN);
         else
             assert_true(e == ERR_FORMAT && strstr(err_text(), name));
         memcpy(spec->name, name, sizeof name);
     }
-    close_world();
+    net_world_close(&world);
 }
 
 static void float_bits(void **state)
@@ -285,12 +251,12 @@ static void float_bits(void **state)
     struct net net;
     (void)state;
     open_world(&small_model_tiny, PRECISION_S8, 1);
-    assert_int_equal(net_bind(&t.model.model, NET_FLOAT_SPECIAL | 64, &net), OK);
+    assert_int_equal(net_bind(&world.model.model, NET_FLOAT_SPECIAL | 64, &net), OK);
     assert_int_equal(net.floats, NET_FLOAT_SPECIAL);
-    close_world();
+    net_world_close(&world);
     open_world(&small_model_tiny, PRECISION_BF16, 1);
-    assert_int_equal(t.net.floats, NET_FLOAT_ALL);
-    close_world();
+    assert_int_equal(world.net.floats, NET_FLOAT_ALL);
+    net_world_close(&world);
 }
 
 int main(void)

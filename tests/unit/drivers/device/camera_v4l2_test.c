@@ -16,7 +16,7 @@ static void test_webcam(void **st)
     assert_true(near(i.period_s, 1 / 30.0) && near(i.time_min_s, 3e-4));
     assert_true(near(i.time_max_s, 0.0333) && near(i.time_step_s, 1e-4));
     assert_true(i.gain_max == 1.0 && i.exposure_delay == -1 && i.gain_delay == -1 && !i.reports);
-    assert_int_equal(i.stamp, CAMERA_STAMP_END); // whatever uvcvideo says
+    assert_int_equal(i.stamp, CAMERA_STAMP_END); // against the report of uvcvideo
     assert_int_equal(control(V4L2_CID_EXPOSURE_AUTO), V4L2_EXPOSURE_MANUAL);
     assert_int_equal(control(V4L2_CID_EXPOSURE_AUTO_PRIORITY), 0);
     assert_int_equal(control(V4L2_CID_GAIN), 64);

@@ -235,7 +235,7 @@ static inline void sim_deliver(struct sim *s, int camera, const struct sim_shot 
     bool garbled = sim_chance(s, c->garble);
     sim_probe(s, c, shot, garbled, &w);
     if (garbled || sim_torn(c, shot))
-        c->shot.truth = NAN; // whoever keeps it has lost
+        c->shot.truth = NAN; // it must not be kept
     s->frames++;
     sim_tell(s, &(struct bracket_event){
                     .kind = BRACKET_FRAME, .camera = camera, .frame = &c->shot.f, .probe = &w});

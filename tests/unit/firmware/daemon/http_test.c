@@ -310,7 +310,7 @@ static void hostile_requests(void **state)
     open_page("");
     patience_ns = 200000000; // some are never answered
     memset(big, 'a', sizeof big - 1);
-    ask_raw(big); // whatever it says, it must go on
+    ask_raw(big); // with any answer it must go on
     ask_raw("\r\n\r\n\r\n");
     ask_raw("GET\r\n\r\n");
     assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 5000\r\n"), 0);
