@@ -70,7 +70,7 @@ one=(reconstruct --images "$OUT/one" --rig "$tree/world/sparse/0" --size 56 --re
 succeed "${one[@]}" --out "$OUT/warned"
 grep -Eq "dB.*, [0-9]+ warnings?$" "$OUT/stdout.txt" || fail "warnings are not counted"
 grep -q '^hdrig reconstruct: warning: .*one exposure' "$ERR" || fail "a warning is not told"
-expect 1 'warnings?, and --strict was given' "${one[@]}" --out "$OUT/warned" --strict
+expect 1 'warnings?, which --strict makes an error' "${one[@]}" --out "$OUT/warned" --strict
 [ -f "$OUT/warned/scene.ply" ] || fail "--strict: no scene"
 
 "$BIN/random_calls" "$hdrig" "$tree" "$OUT/stage" "${SEED:-1}" "${CALLS:-300}" ||
