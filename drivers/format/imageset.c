@@ -576,16 +576,16 @@ static err_t keep_placed(const char *source, const struct rig *rig, struct image
 
 static err_t get_cameras(const struct imageset_request *rq, struct imageset *set)
 {
-    char path[FILE_PATH_CAP];
+    char found_path[FILE_PATH_CAP], path[FILE_PATH_CAP];
     bool found = true;
     const char *source = rq->rig;
     if (rq->no_cameras)
         return OK;
     if (!source) {
-        err_t e = rigfile_find(set->dir, &found, path);
+        err_t e = rigfile_find(set->dir, &found, found_path);
         if (e || !found)
             return e;
-        source = path;
+        source = found_path;
     }
     struct rig rig;
     err_t e = rigfile_read(source, &rig);
