@@ -13,7 +13,7 @@ cd "$2"
 
 make() { # name views lens...
     local name=$1 views=$2 lens
-    local rig=(--kind room --seed "${SEED:-31}" --views "$views" --samples 2 --spread 0.5)
+    local rig=(--kind room --seed "${SEED:-31}" --views "$views" --samples 1 --spread 0.5)
     shift 2
     for lens in "$@"; do rig+=(--lens "$lens"); done
     [ -d "$name" ] || "$hdrig" simulate "${rig[@]}" --exposures 0.25,1,4 --out "$name" 2>/dev/null
