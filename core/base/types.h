@@ -20,6 +20,12 @@ struct image8 {
     uint8_t *px;        // (h, w, channels), row 0 on top
 };
 
+/* Decoded picture, 16 bits per channel: display values, 65535 is 1. */
+struct image16 {
+    int w, h, channels;
+    uint16_t *px; // (h, w, channels), row 0 on top
+};
+
 /* Linear radiance or any float map. */
 struct image {
     int w, h, channels; // px; channels in the order R,G,B[,A]
@@ -47,6 +53,8 @@ struct shot {
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens
     int taken_w, taken_h;
+    bool deep;                // its file holds more than 8 bits
+    bool linear;              // its file holds linear values: display values are their sRGB
     bool again;               // from the same place as the shot before it, at another exposure
     char camera_id[NAME_CAP]; // photographs with the same one share the lens of a physical camera
     double focal_px;          // expected by its metadata, for the photograph as taken; 0: not known
@@ -102,6 +110,7 @@ struct views {
     uint8_t *rgb;            // (n + n_more) pictures (h, w, 3)
     float *log2t;            // (n + n_more) log2(max(t, 1e-8))
     float mid_log2t;         // (min + max) / 2 of log2t of all photographs
+    bool srgb;               // the response is known to be that of sRGB, white at 1
     struct camera *cams;     // (n) for the extents; NULL if not known
     int n_more;
     int *place; // (n_more) of photograph n + i, ascending

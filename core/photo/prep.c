@@ -310,6 +310,7 @@ static err_t views_alloc(const struct run *r, const struct capture *c, struct pr
     v->n = prep_places(c);
     v->n_more = c->n - v->n;
     v->size = size.edge;
+    v->srgb = c->shots[0].linear;
     v->aspect = size.square ? (float)c->shots[0].image.h / (float)c->shots[0].image.w : 1;
     prep_extents(c, size, v->extent);
     for (int i = 0; i < c->n; i++)

@@ -211,6 +211,43 @@ void response_fit(const struct response_pair *pairs, int n, float mid_log2t, str
         write_colour(g, out, c);
 }
 
+/* ---- known curve ---- */
+
+/* log2 of the linear value with display value sigmoid(u), relative to that of 0.5. */
+static double srgb_at(double u)
+{
+    const double z = 1.0 / (1.0 + exp(-u)), middle = pow((0.5 + 0.055) / 1.055, 2.4);
+    const double light = z <= 0.04045 ? z / 12.92 : pow((z + 0.055) / 1.055, 2.4);
+    return log2(light / middle);
+}
+
+/* As write_side, with knots that are evenly spread over u, for bends near white are narrow. */
+static void write_srgb_side(double u_end, float *p, int first)
+{
+    const int n = TONE_HIDDEN / 2;
+    const double dir = u_end > 0.0 ? 1.0 : -1.0, step = u_end / n;
+    double before = 0.0;
+    for (int k = 0; k < n; k++) {
+        const double x = srgb_at(k * step);
+        const double slope = fabs(step) / fabs(srgb_at((k + 1) * step) - x) * dir;
+        p[first + k] = (float)dir;
+        p[TONE_HIDDEN + first + k] = (float)-fabs(x);
+        p[2 * TONE_HIDDEN + first + k] = (float)(slope - before);
+        before = slope;
+    }
+}
+
+void response_srgb(float mid_log2t, struct tonemap *out)
+{
+    const double dark = -12.0, white = 7.6; // logits; 12 bits below the 8-bit code 1
+    *out = (struct tonemap){.mid_log2t = mid_log2t};
+    for (int c = 0; c < 3; c++) {
+        float *p = out->p + c * TONE_PER_COLOUR;
+        write_srgb_side(dark, p, 0);
+        write_srgb_side(white, p, TONE_HIDDEN / 2);
+    }
+}
+
 /* ---- use of the curve ---- */
 
 static float curve_logit(const struct tonemap *tone, int colour, float x)

@@ -144,9 +144,11 @@ struct undistort_field undistort_field(const struct lens *l, int w, int h,
 struct job {
     const struct lens *lens;
     const struct camera *pinhole;
-    const struct image8 *in8; // one of these two
+    const struct image8 *in8; // one of these three
+    const struct image16 *in16;
     const struct image *in;
     uint8_t *out8;
+    uint16_t *out16;
     float *out;
 };
 
@@ -177,6 +179,23 @@ static void add_cubic(const struct image8 *in, const double at[2], float sum[3])
         const uint8_t *line = in->px + 3 * (size_t)clamp(y - 1 + j, in->h) * (size_t)in->w;
         for (int i = 0; i < 4; i++) {
             const uint8_t *px = line + 3 * clamp(x - 1 + i, in->w);
+            for (int c = 0; c < 3; c++)
+                sum[c] += wy[j] * wx[i] * (float)px[c];
+        }
+    }
+}
+
+static void add_cubic16(const struct image16 *in, const double at[2], float sum[3])
+{
+    const double u = at[0] - 0.5, v = at[1] - 0.5;
+    const int x = (int)floor(u), y = (int)floor(v);
+    float wx[4], wy[4];
+    cubic_weights((float)(u - x), wx);
+    cubic_weights((float)(v - y), wy);
+    for (int j = 0; j < 4; j++) {
+        const uint16_t *line = in->px + 3 * (size_t)clamp(y - 1 + j, in->h) * (size_t)in->w;
+        for (int i = 0; i < 4; i++) {
+            const uint16_t *px = line + 3 * clamp(x - 1 + i, in->w);
             for (int c = 0; c < 3; c++)
                 sum[c] += wy[j] * wx[i] * (float)px[c];
         }
@@ -225,6 +244,8 @@ static void average(const struct job *job, int x, int y, float mean[3])
         const double to[2] = {at[0] + j[0] * dx + j[1] * dy, at[1] + j[2] * dx + j[3] * dy};
         if (job->in8)
             add_cubic(job->in8, to, mean);
+        else if (job->in16)
+            add_cubic16(job->in16, to, mean);
         else
             add_linear(job->in, to, mean);
     }
@@ -244,6 +265,8 @@ static err_t resample_rows(void *ctx, int chunk, int worker)
             average(j, x, y, mean);
             for (size_t c = 0; c < 3 && j->out8; c++)
                 j->out8[3 * i + c] = (uint8_t)(fminf(fmaxf(mean[c], 0), 255) + 0.5f);
+            for (size_t c = 0; c < 3 && j->out16; c++)
+                j->out16[3 * i + c] = (uint16_t)(fminf(fmaxf(mean[c], 0), 65535) + 0.5f);
             for (size_t c = 0; c < 3 && j->out; c++)
                 j->out[c * plane + i] = mean[c];
         }
@@ -254,6 +277,13 @@ err_t undistort_image8(struct pool *pool, const struct lens *l, const struct ima
                        const struct camera *pinhole, uint8_t *out)
 {
     struct job j = {.lens = l, .pinhole = pinhole, .in8 = in, .out8 = out};
+    return pool_for(pool, (pinhole->h + ROWS - 1) / ROWS, resample_rows, &j);
+}
+
+err_t undistort_image16(struct pool *pool, const struct lens *l, const struct image16 *in,
+                        const struct camera *pinhole, uint16_t *out)
+{
+    struct job j = {.lens = l, .pinhole = pinhole, .in16 = in, .out16 = out};
     return pool_for(pool, (pinhole->h + ROWS - 1) / ROWS, resample_rows, &j);
 }
 

@@ -43,6 +43,8 @@ struct undistort_field undistort_field(const struct lens *l, int w, int h,
  * err:  those of the pool. */
 MUST_USE err_t undistort_image8(struct pool *pool, const struct lens *l, const struct image8 *in,
                                 const struct camera *pinhole, uint8_t *out);
+MUST_USE err_t undistort_image16(struct pool *pool, const struct lens *l, const struct image16 *in,
+                                 const struct camera *pinhole, uint16_t *out);
 MUST_USE err_t undistort_image(struct pool *pool, const struct lens *l, const struct image *in,
                                const struct camera *pinhole, float *out);
 

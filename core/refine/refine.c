@@ -355,6 +355,16 @@ static void move_camera(struct refine *f, int i, const float pose[POSE_GRAD])
     pose_move(&f->s->cams[i], twist);
 }
 
+static void move_tone(struct refine *f, const float grad[TONE_PARAMS])
+{
+    struct adam_step tone;
+    float ones[TONE_PARAMS];
+    for (int k = 0; k < TONE_PARAMS; k++)
+        ones[k] = 1;
+    set_rate(&tone, RATES.tone, f->step + 1);
+    f->r->k->adam(&tone, TONE_PARAMS, ones, grad, f->s->tone.p, f->tone_m1, f->tone_m2);
+}
+
 /* Camera of a view at the present size of the pictures. */
 static struct camera camera_now(const struct refine *f, int i)
 {
@@ -381,12 +391,8 @@ static err_t take_step(struct refine *f)
     e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
     if (e)
         return e;
-    struct adam_step tone;
-    float ones[TONE_PARAMS];
-    for (int k = 0; k < TONE_PARAMS; k++)
-        ones[k] = 1;
-    set_rate(&tone, RATES.tone, f->step + 1);
-    f->r->k->adam(&tone, TONE_PARAMS, ones, out.tone, f->s->tone.p, f->tone_m1, f->tone_m2);
+    if (!f->cfg->tone_known)
+        move_tone(f, out.tone);
     if (f->cfg->poses)
         move_camera(f, i, pose);
     return OK;

@@ -18,7 +18,8 @@ struct refine_config {
     int degree_max;    // highest SH degree that may be added, 0..4
     int gaussians_max; // the scene never has more; <= scene.g.cap
     uint64_t seed;
-    bool poses; // move the cameras of the input views too
+    bool poses;      // move the cameras of the input views too
+    bool tone_known; // the tone curve is right and stays
     int levels; // 1..REFINE_LEVELS: the first steps see pictures 2^(levels - 1) times smaller, then
                 // ever larger ones; fewer where these would be too small, or the steps too few
 };

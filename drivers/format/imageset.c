@@ -10,6 +10,7 @@
 #include "drivers/format/llff.h"
 #include "drivers/format/name.h"
 #include "drivers/format/namelist.h"
+#include "drivers/format/pixels.h"
 #include "drivers/format/rigfile.h"
 
 #include <dirent.h>
@@ -48,6 +49,12 @@ static bool is_picture(const char *name)
     return has_one_of(name, suffix);
 }
 
+/* Photographs only where there are no others: beside those it is a result or the truth. */
+static bool is_exr(const char *name)
+{
+    return name[0] != '.' && has_suffix(name, ".exr");
+}
+
 /* Pictures of other kinds, which users may expect to be read. */
 static bool is_other_picture(const char *name)
 {
@@ -78,7 +85,7 @@ static void add_note(const struct namelist *l, const char *why, struct imageset 
     set->n_notes++;
 }
 
-static const char only_png_jpeg[] = "pictures must be PNG or JPEG, save them as one of these";
+static const char only_png_jpeg[] = "pictures must be PNG, JPEG or EXR, save them as one of these";
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
@@ -127,11 +134,16 @@ static err_t scan_folder(struct imageset *set)
         return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
     struct namelist other = {0}, odd = {0};
     err_t e = OK;
-    for (struct dirent *entry; !e && (entry = readdir(d));) {
-        if (is_picture(entry->d_name))
-            e = add_picture(set->dir, entry->d_name, &odd, c);
-        else if (is_other_picture(entry->d_name))
-            namelist_add(entry->d_name, &other);
+    bool (*const kind[])(const char *name) = {is_picture, is_exr};
+    for (int k = 0; k < 2 && c->n == 0 && !e; k++) {
+        other = (struct namelist){0};
+        rewinddir(d);
+        for (struct dirent *entry; !e && (entry = readdir(d));) {
+            if (kind[k](entry->d_name))
+                e = add_picture(set->dir, entry->d_name, &odd, c);
+            else if (is_other_picture(entry->d_name))
+                namelist_add(entry->d_name, &other);
+        }
     }
     closedir(d);
     add_note(&other, only_png_jpeg, set);
@@ -183,8 +195,8 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
     if (n > 0)
         return OK;
     if (all == 0)
-        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg) in it%s%s", set->dir,
-                        set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
+        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg, *.exr) in it%s%s",
+                        set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
     return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
                     prefix[rq->which]);
 }
@@ -517,6 +529,11 @@ static err_t get_sizes(const struct imageset_request *rq, struct imageset *set)
         err_t e = file_join(set->dir, s[i].name, path);
         if (!e)
             e = imgsize_read(path, &s[i].image.w, &s[i].image.h);
+        if (!e)
+            e = pixels_look(path, &s[i]);
+        if (!e && s[i].linear != s[0].linear)
+            e = err_fail(ERR_FORMAT, "%s: %s, unlike %s: all must be of one kind", path,
+                         s[i].linear ? "linear values" : "display values", s[0].name);
         if (e)
             return e;
         s[i].image.channels = 3;
@@ -735,35 +752,12 @@ err_t imageset_list(const struct imageset_request *rq, struct imageset *out)
     return rq->more && rq->more[0] ? list_folders(rq, out) : list_folder(rq, out);
 }
 
-/* The photograph becomes the picture of its pinhole. */
-static err_t undistort(const char *path, const struct shot *s, struct image8 *im)
-{
-    struct image8 out = {s->cam.w, s->cam.h, 3, NULL};
-    out.px = malloc((size_t)out.w * (size_t)out.h * 3);
-    if (!out.px)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", path, out.w, out.h);
-    err_t e = undistort_image8(NULL, &s->lens, im, &s->cam, out.px);
-    img_free(im);
-    *im = out;
-    return e;
-}
-
 err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
 {
-    const struct shot *s = &set->capture.shots[i];
     char path[FILE_PATH_CAP];
     memset(out, 0, sizeof *out);
     err_t e = picture_path(set, i, path);
-    if (!e)
-        e = img_read(path, out);
-    if (!e && (out->w != s->taken_w || out->h != s->taken_h))
-        e = err_fail(ERR_FORMAT, "%s: %d x %d px, but its header said %d x %d before", path, out->w,
-                     out->h, s->taken_w, s->taken_h);
-    if (!e && s->lens.model != LENS_PINHOLE)
-        e = undistort(path, s, out);
-    if (e)
-        img_free(out);
-    return e;
+    return e ? e : pixels_decode(path, &set->capture.shots[i], out);
 }
 
 size_t imageset_bytes(const struct capture *c, int at_a_time)
@@ -774,7 +768,9 @@ size_t imageset_bytes(const struct capture *c, int at_a_time)
         const bool distorted = s->lens.model != LENS_PINHOLE;
         size_t picture = arena_need((size_t)s->image.w, (size_t)s->image.h * 3);
         size_t taken = distorted ? arena_need((size_t)s->taken_w, (size_t)s->taken_h * 3) : 0;
-        most = num_max_size(most, arena_add(picture, taken));
+        most = num_max_size(
+            most, arena_add(arena_add(picture, taken),
+                            (size_t)s->taken_w * (size_t)s->taken_h * (pixels_bytes(s) - 3)));
         photo = num_max_size(photo, taken);
         sum = arena_add(sum, picture);
     }

@@ -2,8 +2,8 @@
  *
  * Layouts. `images` may be a folder that contains images/, the folder images/ itself, or a plain
  * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
- * hidden), in the order of their names. exposure.json, protocol.json and sparse/0 are looked for
- * beside the pictures, then one folder up; with no exposure.json the exposures come from the
+ * hidden), or *.exr where it has none of these, in the order of their names. exposure.json,
+ * protocol.json and sparse/0 are looked for beside the pictures, then one folder up; with no exposure.json the exposures come from the
  * pictures' EXIF, where all must have the same tags. A folder with names that begin with "train"
  * has the released layout: "train" pictures are inputs, "test" pictures are held out, and
  * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
@@ -70,8 +70,8 @@ struct imageset {
  * lenses that distort become pictures of the pinhole that undistort_camera chooses, in decode;
  * image and cam are that picture's. Contradictions
  * are refused: a picture without exposure, EXIF with f-number or ISO in some files only, pictures
- * of different sizes, a rig that lacks a view or has another aspect (cameras_find), a protocol that
- * names a missing file.
+ * of different sizes, linear values beside display values (pixels.h), a rig that lacks a view or
+ * has another aspect (cameras_find), a protocol that names a missing file.
  * own:  imageset_free.
  * err:  ERR_ARG (request, too few views, two folders of one name), ERR_IO, ERR_FORMAT (also: above
  *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */

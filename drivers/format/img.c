@@ -67,24 +67,80 @@ static err_t png_open(const void *bytes, size_t n, const char *name, spng_ctx **
     return code ? png_error(name, code) : OK;
 }
 
+static err_t check_png(const struct spng_ihdr *head, size_t n, const char *name)
+{
+    const uint64_t bits = (uint64_t)head->width * head->height * head->bit_depth;
+    err_t e = check_size(name, head->width, head->height);
+    if (!e && bits / 8 / DEFLATE_RATIO_MAX > n)
+        e = err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n, head->width,
+                     head->height);
+    return e;
+}
+
 static err_t png_decode(spng_ctx *ctx, size_t n, const char *name, struct image8 *out)
 {
     struct spng_ihdr head;
     int code = spng_get_ihdr(ctx, &head);
     if (code)
         return png_error(name, code);
-    err_t e = check_size(name, head.width, head.height);
+    err_t e = check_png(&head, n, name);
     if (e)
         return e;
-    uint64_t bits = (uint64_t)head.width * head.height * head.bit_depth;
-    if (bits / 8 / DEFLATE_RATIO_MAX > n)
-        return err_fail(ERR_FORMAT, "%s: PNG: %zu bytes cannot hold %u x %u px", name, n,
-                        head.width, head.height);
     e = alloc_px(name, head.width, head.height, out);
     if (e)
         return e;
     code = spng_decode_image(ctx, out->px, (size_t)head.width * head.height * 3, SPNG_FMT_RGB8, 0);
     return code ? png_error(name, code) : OK;
+}
+
+static err_t png_decode16(spng_ctx *ctx, size_t n, const char *name, struct image16 *out)
+{
+    struct spng_ihdr head;
+    int code = spng_get_ihdr(ctx, &head);
+    if (code)
+        return png_error(name, code);
+    err_t e = check_png(&head, n, name);
+    if (e)
+        return e;
+    const size_t px = (size_t)head.width * head.height;
+    *out = (struct image16){(int)head.width, (int)head.height, 3, malloc(px * 8)};
+    if (!out->px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", name, out->w, out->h);
+    code = spng_decode_image(ctx, out->px, px * 8, SPNG_FMT_RGBA16, 0);
+    for (size_t i = 0; i < px && !code; i++)
+        memmove(out->px + 3 * i, out->px + 4 * i, 6);
+    return code ? png_error(name, code) : OK;
+}
+
+bool img_is_deep(const void *bytes, size_t n, bool *linear)
+{
+    spng_ctx *ctx = NULL;
+    struct spng_ihdr head = {0};
+    double gamma = 0;
+    *linear = false;
+    if (!is_png(bytes, n) || n > IMG_FILE_MAX)
+        return false;
+    const bool deep = png_open(bytes, n, "PNG", &ctx) == OK && spng_get_ihdr(ctx, &head) == 0 &&
+                      head.bit_depth == 16;
+    if (deep && spng_get_gama(ctx, &gamma) == 0)
+        *linear = gamma > 0.99 && gamma < 1.01;
+    spng_ctx_free(ctx);
+    return deep;
+}
+
+err_t img_read16_mem(const void *bytes, size_t n, const char *name, struct image16 *out)
+{
+    spng_ctx *ctx;
+    *out = (struct image16){0};
+    err_t e = png_open(bytes, n, name, &ctx);
+    if (!e)
+        e = png_decode16(ctx, n, name, out);
+    spng_ctx_free(ctx);
+    if (e) {
+        free(out->px);
+        *out = (struct image16){0};
+    }
+    return e;
 }
 
 static err_t read_png(const void *bytes, size_t n, const char *name, struct image8 *out)

@@ -19,6 +19,13 @@ enum { IMG_SIDE_MAX = 16384, IMG_PX_MAX = 1 << 28, IMG_FILE_MAX = 1 << 29 };
  *       zeroed. */
 MUST_USE err_t img_read(const char *path, struct image8 *out);
 
+/* Whether the file is a PNG of 16 bits per channel. linear: its gAMA chunk says 1. */
+bool img_is_deep(const void *bytes, size_t n, bool *linear);
+
+/* As img_read_mem, of a PNG with 16 bits: all of them.
+ * own:  free(out->px). */
+MUST_USE err_t img_read16_mem(const void *bytes, size_t n, const char *name, struct image16 *out);
+
 /* Orientation of a JPEG by its EXIF data (CIPA DC-008 4.6.4): 1, upright, to 8; from 5 on width and
  * height are exchanged. 1 if it has none. */
 int img_orientation(const void *bytes, size_t n);

@@ -52,6 +52,44 @@ static bool jpeg_size(struct bytes b, uint32_t *w, uint32_t *h)
     return false;
 }
 
+bool imgsize_is_exr(const void *p, size_t n)
+{
+    return n >= 8 && memcmp(p, "\x76\x2f\x31\x01", 4) == 0;
+}
+
+static bool skip_text(struct bytes *b)
+{
+    int n = 0;
+    while (bytes_u8(b) && !b->bad)
+        n++;
+    return n > 0 && !b->bad;
+}
+
+/* Attributes of the first part, as far as its data window. */
+static bool exr_size(struct bytes b, uint32_t *w, uint32_t *h)
+{
+    bytes_skip(&b, 8, 1);
+    while (!b.bad) {
+        const char *name = (const char *)b.p;
+        if (!skip_text(&b) || !skip_text(&b))
+            return false;
+        const uint32_t n = bytes_u32(&b);
+        if (strcmp(name, "dataWindow") != 0) {
+            bytes_skip(&b, n, 1);
+            continue;
+        }
+        int64_t end[4];
+        for (int i = 0; i < 4; i++)
+            end[i] = (int32_t)bytes_u32(&b);
+        if (b.bad || n != 16 || end[2] < end[0] || end[3] < end[1])
+            return false;
+        *w = (uint32_t)(end[2] - end[0] + 1);
+        *h = (uint32_t)(end[3] - end[1] + 1);
+        return true;
+    }
+    return false;
+}
+
 /* Name of another picture format by its first bytes; NULL: not known. */
 static const char *other_kind(const char *p, size_t n)
 {
@@ -76,11 +114,13 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
         found = png_size(b, &width, &height);
     else if (n >= 2 && memcmp(p, "\xff\xd8", 2) == 0)
         found = jpeg_size(b, &width, &height);
+    else if (imgsize_is_exr(p, n))
+        found = exr_size(b, &width, &height);
     const char *kind = found ? NULL : other_kind(p, n);
     if (kind)
         return err_fail(ERR_FORMAT, "%s: its bytes are %s: save it as PNG or JPEG", what, kind);
     if (!found || width == 0 || height == 0)
-        return err_fail(ERR_FORMAT, "%s: no PNG or JPEG header with a size", what);
+        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG or EXR header with a size", what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
         return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);

@@ -82,15 +82,24 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
     return e;
 }
 
+/* The response of linear photographs is known. */
+static err_t curve_of(const struct run *r, struct job_result *out)
+{
+    if (!out->views.srgb)
+        return response_run(r, &out->views, &out->response);
+    response_srgb(out->views.mid_log2t, &out->response);
+    return OK;
+}
+
 /* The response, and what is left of full brackets. */
 static err_t find_response(const struct run *r, const struct recipe *recipe, struct job_result *out)
 {
-    err_t e = response_run(r, &out->views, &out->response);
+    err_t e = curve_of(r, out);
     if (!e && out->views.n_more) {
         out->taken = out->views.n + out->views.n_more;
         e = exposure_stack_choose(r, &out->response, recipe->depth == RECIPE_NETWORK, &out->views);
         if (!e)
-            e = response_run(r, &out->views, &out->response);
+            e = curve_of(r, out);
     }
     job_result_lap(out, JOB_RESPONSE);
     return e;
@@ -107,9 +116,13 @@ static err_t enlarge(const struct run *r, const struct capture *c, const struct 
     return e;
 }
 
-static err_t refine(const struct run *r, const struct recipe *recipe, struct job_result *out)
+static err_t refine(const struct run *r, const struct start *s, struct job_result *out)
 {
-    err_t e = refine_run(r, &out->views, &recipe->refinement, &out->scene, &out->refine);
+    struct refine_config cfg = s->recipe->refinement;
+    /* a network's Gaussians have its own curve unless they were corrected */
+    const bool own = s->recipe->gaussians == RECIPE_NETWORK && !start_corrects(s);
+    cfg.tone_known = out->views.srgb && !own;
+    err_t e = refine_run(r, &out->views, &cfg, &out->scene, &out->refine);
     job_result_lap(out, JOB_REFINE);
     return e;
 }
@@ -160,7 +173,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     if (!e)
         e = enlarge(r, c, &start, out);
     if (!e && recipe.refine)
-        e = refine(r, &recipe, out);
+        e = refine(r, &start, out);
     if (!e)
         finish(r, out);
     return e;

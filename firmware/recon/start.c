@@ -318,7 +318,7 @@ err_t start_stereo(struct start *s)
     err_t e = exposure_stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
     if (!e)
         e = sweep_run(r, &seen->views, &seen->tone, &s->depth);
-    if (!e && out->views.n_more == 0) {
+    if (!e && out->views.n_more == 0 && !out->views.srgb) {
         e = response_refit_run(r, &out->views, &s->depth, &seen->tone);
         out->scene.tone = seen->tone;
     }

@@ -247,6 +247,27 @@ static void test_inverse(void **state)
                 table.weight[0][128] > 0.8f);
 }
 
+static void test_srgb(void **state)
+{
+    (void)state;
+    struct tonemap tone;
+    double most = 0;
+    response_srgb(3.0f, &tone);
+    assert_true(tone.mid_log2t == 3.0f);
+    const double middle = pow((0.5 + 0.055) / 1.055, 2.4);
+    for (double v = 1e-5; v < 1.0; v *= 1.003) {
+        const double z = v <= 0.0031308 ? 12.92 * v : 1.055 * pow(v, 1 / 2.4) - 0.055;
+        for (int c = 0; c < 3; c++) {
+            const double got = (double)response_display(&tone, c, (float)log2(v / middle));
+            most = fmax(most, fabs(got - z));
+            if (z < 0.04) // shadows
+                assert_true(fabs(got - z) < 0.01 * z);
+        }
+    }
+    assert_true(most < 0.002);
+    assert_true(response_display(&tone, 1, (float)log2(4 / middle)) > 0.999f);
+}
+
 static void test_refusals(void **state)
 {
     (void)state;
@@ -273,7 +294,8 @@ int main(void)
         cmocka_unit_test(test_known_curves), cmocka_unit_test(test_brackets),
         cmocka_unit_test(test_spread),       cmocka_unit_test(test_single_exposure_is_near_srgb),
         cmocka_unit_test(test_without_grey), cmocka_unit_test(test_wrong_pairs),
-        cmocka_unit_test(test_inverse),      cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_inverse),      cmocka_unit_test(test_srgb),
+        cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

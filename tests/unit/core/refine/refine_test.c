@@ -155,7 +155,7 @@ static void close_world(void)
 
 static struct refine_report refine(int steps, int degree_max, bool poses)
 {
-    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, 2};
+    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
     assert_int_equal(arena_mark(&W.tmp), 0);
@@ -352,7 +352,7 @@ static void test_cancel(void **state)
     atomic_store(&cancel, false);
     W.r.cancel = &cancel;
     W.r.progress = cancel_later;
-    struct refine_config cfg = {500, 0, CAP, 5, false, 2};
+    struct refine_config cfg = {500, 0, CAP, 5, false, false, 2};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_CANCELLED);
     assert_true(rep.steps > 0 && rep.steps < 500);
@@ -366,7 +366,7 @@ static void test_plan(void **state)
     (void)state;
     open_world(2, 0);
     take_brackets(V);
-    struct refine_config cfg = {20, 2, CAP, 5, false, 2};
+    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2};
     struct refine_report rep;
     struct arena exact;
     assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);

@@ -350,8 +350,8 @@ static void what_is_not_read_is_told(void **state)
     tmpdir_text("notes.txt", "");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(),
-                           "no pictures (*.png, *.jpg, *.jpeg) in it; 2 files are not "
-                           "read (IMG_1.dng and IMG_2.HEIC): pictures must be PNG or JPEG"));
+                           "no pictures (*.png, *.jpg, *.jpeg, *.exr) in it; 2 files are not "
+                           "read (IMG_1.dng and IMG_2.HEIC): pictures must be PNG, JPEG or EXR"));
     put_picture("a.png", 8, 6);
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.HEIC\": 1, \"b.scan\": 1, \"gone.x\": 1}");
     assert_int_equal(imageset_list(&rq, &set), OK);
