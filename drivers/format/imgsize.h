@@ -1,6 +1,6 @@
-/* imgsize.h - width and height of a PNG, JPEG or OpenEXR file, upright, from its header,
- * without decoding. With it a whole set is planned before the first pixel is decoded. The kind follows from the
- * bytes. Sources: PNG (ISO 15948) 11.2.2; JPEG (ITU-T T.81) B.1.1.3, B.2.2.
+/* imgsize.h - width and height of a PNG, JPEG or OpenEXR file, upright, from its header, without
+ * decoding. With it a whole set is planned before the first pixel is decoded. The kind follows from
+ * the bytes. Sources: PNG (ISO 15948) 11.2.2; JPEG (ITU-T T.81) B.1.1.3, B.2.2.
  * thread: any. */
 #ifndef FORMAT_IMGSIZE_H
 #define FORMAT_IMGSIZE_H
