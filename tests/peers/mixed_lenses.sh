@@ -3,11 +3,14 @@
 # lengths, k1 from -0.35 to 0.1, one a fisheye of 150 degrees; 8 and 18 views, of which nothing is
 # known but the names of the cameras in EXIF data. Prints how well lenses and poses are found, and
 # the quality beside the same world through straight lenses and with the distortion ignored.
-# VIEWS="8 18", SEED=31 and STEPS=300 in the environment are changed there.
+# VIEWS="8 18", EDGE=1600 (px), SEED=31 and STEPS=300 are changed in the environment.
 set -euo pipefail
 [ $# = 2 ] || { echo "usage: $0 HDRIG OUT" >&2; exit 2; }
 hdrig=$(realpath "$1")
 here=$(dirname "$(realpath "$0")")
+edge=${EDGE:-1600}
+low=$((edge * 3 / 4)) side=$((edge * 7 / 8))
+wide=${edge}x$low tall=${low}x$edge square=${side}x$side
 mkdir -p "$2"
 cd "$2"
 
@@ -16,7 +19,7 @@ make() { # name views lens...
     local rig=(--kind room --seed "${SEED:-31}" --views "$views" --samples 1 --spread 0.5)
     shift 2
     for lens in "$@"; do rig+=(--lens "$lens"); done
-    [ -d "$name" ] || "$hdrig" simulate "${rig[@]}" --exposures 0.25,1,4 --out "$name" 2>/dev/null
+    [ -d "$name" ] || "$hdrig" simulate "${rig[@]}" --exposures 0.25,1,4 --out "$name" &>/dev/null
 }
 
 quality() { # name arguments...
@@ -29,10 +32,10 @@ quality() { # name arguments...
 }
 
 for views in ${VIEWS:-8 18}; do
-    make "mixed$views" "$views" k1=-0.35,k2=0.1,fov=75,size=1600x1200 \
-        k1=0.1,fov=50,size=1200x1600 fisheye,k1=-0.02,fov=150,size=1400x1400
-    make "straight$views" "$views" fov=75,size=1600x1200 fov=50,size=1200x1600 \
-        fov=90,size=1400x1400
+    make "mixed$views" "$views" "k1=-0.35,k2=0.1,fov=75,size=$wide" \
+        "k1=0.1,fov=50,size=$tall" "fisheye,k1=-0.02,fov=150,size=$square"
+    make "straight$views" "$views" "fov=75,size=$wide" "fov=50,size=$tall" \
+        "fov=90,size=$square"
     "$hdrig" reconstruct --images "mixed$views" --rig none --refine 0 --out "scene$views" \
         >/dev/null 2>"scene$views.txt" || tail -n 1 "scene$views.txt"
     python3 "$here/lens_truth.py" --truth "mixed$views/sparse/0" \
