@@ -19,6 +19,8 @@
 #include <math.h>
 #include <string.h>
 
+enum { LENS_GATE = 3 }; // of the gate, for points through a lens that is only about right
+
 /* Focal length over picture size: 60 degrees, and 120 of a fisheye. */
 static const double FOV60 = 0.8660254037844386, ANGLE120 = 0.477464829275686;
 
@@ -215,14 +217,31 @@ static double error_scale(struct bundle *b)
     return fmax(1, fmin(4, sqrt((double)num_median(b->sorted, (size_t)n)) / 1.1774));
 }
 
+/* Whether nothing has told about the lens of a view: no view of it is placed. */
+static bool is_lens_unknown(const struct bundle *b, int view)
+{
+    const struct adjust *a = &b->a;
+    const int lens = a->lens_of[view];
+    for (int v = 0; v < b->n_views; v++)
+        if (a->placed[v] && a->lens_of[v] == lens)
+            return false;
+    return b->cfg->find_distortion && !b->cfg->focal_known;
+}
+
 /* Place views that are not placed yet from the points of the others. */
 static err_t place_again(struct bundle *b, bool *any)
 {
     struct adjust *a = &b->a;
     *any = false;
-    for (int v = 0; v < b->n_views; v++)
-        if (!a->placed[v] && resect_view(&b->g, a, v, BUNDLE_GATE * b->scale) >= CONNECTIVITY_VIEW)
+    for (int v = 0; v < b->n_views; v++) {
+        const double gate = BUNDLE_GATE * b->scale;
+        if (a->placed[v])
+            continue;
+        int n = is_lens_unknown(b, v) ? resect_lens(&b->g, a, v, LENS_GATE * gate)
+                                      : resect_view(&b->g, a, v, gate);
+        if (n >= CONNECTIVITY_VIEW)
             a->placed[v] = *any = true;
+    }
     return run_check(b->r, "placing views");
 }
 
@@ -467,9 +486,9 @@ static err_t from_focals(struct bundle *b)
             b->a.lens[i].prior_focal = log(b->start[i].fx);
         e = from_tracks(b);
         for (int i = 0; i < b->a.n_lenses; i++) {
-            const double focal = b->a.lens[i].lens.fx;
-            most = fmax(most, fabs(log(focal / b->start[i].fx)));
-            b->start[i].fx = b->start[i].fy = focal;
+            const struct lens *l = &b->a.lens[i].lens;
+            most = fmax(most, fabs(log(l->fx / b->start[i].fx)));
+            b->start[i] = *l;
         }
         if (most < 0.05)
             break;
@@ -538,7 +557,7 @@ static err_t find_distortion(struct bundle *b)
     b->scale = w->scale;
     for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
         struct adjust_lens *l = &a->lens[i / LENS_TERMS];
-        l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(l->lens.model);
+        l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(&l->lens);
     }
     err_t e = selfcal_run(b->r, a, BUNDLE_GATE, b->scale, b->selfcal);
     if (!e)

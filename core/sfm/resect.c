@@ -10,13 +10,17 @@
 #include <string.h>
 
 enum { DRAWS = 60, STEPS = 12, POINTS_LEAST = 6, POINTS_MOST = 512 };
-static const double SHARE = 0.5; // least share of the points
+enum { LENS = 2, UNKNOWNS = 6 + LENS, LENS_LEAST = 16 }; // LENS_LEAST: points that tell a lens
+static const double SHARE = 0.5;                         // least share of the points
+static const double TERM_MOST = 0.6;                     // of a lens's first term
+static const double FISHEYE_GAIN = 0.8; // share of the cost that a fisheye must stay below
 
 struct resect {
     struct adjust *a;
     int view, n;
     int track[POINTS_MOST], at[POINTS_MOST]; // points that two other views place; sightings of them
     double gate;
+    int n_lens; // unknowns of the lens that move with the pose
     uint32_t state;
 };
 
@@ -100,25 +104,48 @@ static bool draw_translation(struct resect *s)
     return true;
 }
 
+static struct lens *lens_of(const struct resect *s)
+{
+    return &s->a->lens[s->a->lens_of[s->view]].lens;
+}
+
+/* Move the lens; one that cannot be stays. */
+static void move_lens(const struct resect *s, const double *by)
+{
+    struct lens *l = lens_of(s), old = *l;
+    if (s->n_lens == 0)
+        return;
+    l->fx = l->fy = l->fx * exp(fmax(-0.2, fmin(0.2, by[0])));
+    l->term[0] += fmax(-0.1, fmin(0.1, by[1]));
+    if (!(fabs(l->term[0]) < TERM_MOST) || lens_init(l) != OK)
+        *l = old;
+}
+
 static void polish_step(struct resect *s, double kernel)
 {
-    double h[36] = {0}, g[6] = {0};
-    for (int n = 0; n < s->n; n++) {
+    const int n = 6 + s->n_lens;
+    double h[UNKNOWNS * UNKNOWNS] = {0}, g[UNKNOWNS] = {0};
+    for (int i = 0; i < s->n; i++) {
         struct adjust_jacobian d;
-        if (!adjust_jacobian(s->a, point_of(s, n), &s->a->seen[s->at[n]], &d))
+        if (!adjust_jacobian(s->a, point_of(s, i), &s->a->seen[s->at[i]], &d))
             continue;
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
-        double w = 1 / (1 + e2 / (kernel * kernel));
-        for (int k = 0; k < 2; k++)
-            lin_add_equation(h, g, 6, d.pose[k], w * w, d.error[k]);
+        double w = 1 / (1 + e2 / (kernel * kernel)), row[UNKNOWNS];
+        for (int k = 0; k < 2; k++) {
+            memcpy(row, d.pose[k], sizeof d.pose[k]);
+            memcpy(row + 6, d.lens[k], (size_t)s->n_lens * sizeof *row);
+            lin_add_equation(h, g, n, row, w * w, d.error[k]);
+        }
     }
-    for (int k = 0; k < 6; k++)
-        h[7 * k] += 1e-6 * h[7 * k] + 1e-12;
-    if (!lin_cholesky(h, 6))
+    for (int k = 0; k < n; k++)
+        h[(n + 1) * k] += 1e-6 * h[(n + 1) * k] + 1e-12;
+    if (!lin_cholesky(h, n))
         return;
-    lin_solve(h, 6, g);
-    if (lin_dot(g, g) < 1 && lin_dot(g + 3, g + 3) < 1e6)
+    lin_solve(h, n, g);
+    if (lin_dot(g, g) < 1 && lin_dot(g + 3, g + 3) < 1e6) {
         adjust_move_pose(pose_of(s), g);
+        move_lens(s, g + 6);
+    }
 }
 
 /* Best translation and polish for the rotation that is in the pose; returns the cost. */
@@ -160,29 +187,95 @@ static bool from_neighbour(const struct viewgraph *g, const struct adjust *a, in
     return true;
 }
 
+/* Best pose of the view with the lens that it has, from all its neighbours; returns the cost. */
+static double try_neighbours(const struct viewgraph *g, struct resect *s, int *inliers)
+{
+    struct adjust *a = s->a;
+    const struct lens start = *lens_of(s);
+    struct lens lens = start;
+    double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
+    memcpy(old, pose_of(s), sizeof old);
+    memcpy(best, old, sizeof best);
+    *inliers = 0;
+    for (int other = 0; other < a->n_views; other++) {
+        int n;
+        memcpy(pose_of(s), old, sizeof old);
+        *lens_of(s) = start;
+        if (other != s->view && !from_neighbour(g, a, s->view, other, pose_of(s)))
+            continue;
+        double cost = try_rotation(s, &n);
+        if (cost < least && n > 0) {
+            least = cost;
+            *inliers = n;
+            lens = *lens_of(s);
+            memcpy(best, pose_of(s), sizeof best);
+        }
+    }
+    memcpy(pose_of(s), best, sizeof best);
+    *lens_of(s) = lens;
+    return least;
+}
+
+static bool begin(struct adjust *a, int view, double gate, struct resect *s)
+{
+    *s = (struct resect){.a = a, .view = view, .gate = gate, .state = 1u + (uint32_t)view};
+    collect_points(s);
+    return s->n >= POINTS_LEAST;
+}
+
 int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate)
 {
-    struct resect s = {.a = a, .view = view, .gate = gate, .state = 1u + (uint32_t)view};
-    double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
-    int most = 0;
-    collect_points(&s);
-    if (s.n < POINTS_LEAST)
+    struct resect s;
+    double old[ADJUST_POSE];
+    int most;
+    if (!begin(a, view, gate, &s))
         return 0;
     memcpy(old, pose_of(&s), sizeof old);
+    (void)try_neighbours(g, &s, &most);
+    if (most >= SHARE * s.n)
+        return most;
+    memcpy(pose_of(&s), old, sizeof old); // ambiguous: another place may fit as well
+    return 0;
+}
+
+int resect_lens(const struct viewgraph *g, struct adjust *a, int view, double gate)
+{
+    /* focal lengths over the present one, which is that of a usual lens */
+    static const struct {
+        enum lens_model model;
+        double focal, term;
+    } trial[] = {{LENS_SIMPLE_RADIAL, 1, 0},        {LENS_SIMPLE_RADIAL, 0.7, -0.1},
+                 {LENS_SIMPLE_RADIAL, 0.45, -0.15}, {LENS_SIMPLE_RADIAL, 1.5, 0},
+                 {LENS_OPENCV_FISHEYE, 0.55, 0},    {LENS_OPENCV_FISHEYE, 0.4, 0}};
+    struct resect s;
+    double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
+    int most = 0;
+    if (!begin(a, view, gate, &s))
+        return 0;
+    const struct lens before = *lens_of(&s);
+    struct lens lens = before;
+    s.n_lens = LENS;
+    memcpy(old, pose_of(&s), sizeof old);
     memcpy(best, old, sizeof best);
-    for (int other = 0; other < a->n_views; other++) {
+    for (size_t i = 0; i < sizeof trial / sizeof *trial; i++) {
+        const double f = before.fx * trial[i].focal;
         int inliers;
-        if (other != view && !from_neighbour(g, a, view, other, pose_of(&s)))
+        *lens_of(&s) = (struct lens){trial[i].model, f, f, 0, 0, {trial[i].term}, 0};
+        memcpy(pose_of(&s), old, sizeof old);
+        if (lens_init(lens_of(&s)) != OK)
             continue;
-        double cost = try_rotation(&s, &inliers);
+        double cost = try_neighbours(g, &s, &inliers);
+        if (trial[i].model == LENS_OPENCV_FISHEYE) // narrow ones fit as well as the others
+            cost /= FISHEYE_GAIN;
         if (cost < least && inliers > 0) {
             least = cost;
             most = inliers;
+            lens = *lens_of(&s);
             memcpy(best, pose_of(&s), sizeof best);
         }
     }
-    if (most < SHARE * s.n) // ambiguous: another place may fit as well
-        most = 0;
-    memcpy(pose_of(&s), most ? best : old, sizeof best);
-    return most;
+    const bool found = most >= SHARE * s.n && most >= LENS_LEAST;
+    memcpy(pose_of(&s), found ? best : old, sizeof best);
+    *lens_of(&s) = found ? lens : before;
+    return found ? most : 0;
 }

@@ -13,4 +13,9 @@
  * the old one then. */
 int resect_view(const struct viewgraph *g, struct adjust *a, int view, double gate);
 
+/* The same for a view whose lens nothing is known of: several fields of view with and without
+ * distortion are tried, and focal length and first term move with the pose. On success the lens of
+ * the view is the one that fits. */
+int resect_lens(const struct viewgraph *g, struct adjust *a, int view, double gate);
+
 #endif

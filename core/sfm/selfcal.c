@@ -9,19 +9,26 @@
 #include <math.h>
 #include <string.h>
 
-#define SURE 2.5         // standard errors of a gain that is believed
-#define GAIN_LEAST 0.005 // of the error, of a gain that matters
-#define WIDE -0.15       // k1 from which a fisheye is tried
+#define SURE 3.0        // standard errors of a gain that is believed
+#define GAIN_LEAST 0.01 // of the error, of a gain that matters
+#define BARREL -0.15    // k1 from which a fisheye is tried
+#define WIDE 0.9        // distance from the middle over the focal length, the same
 
-enum { STEPS = 4 };
+enum { STEPS = 6 };
 
-static const enum lens_model LADDER[STEPS] = {LENS_SIMPLE_RADIAL, LENS_RADIAL, LENS_OPENCV,
-                                              LENS_OPENCV_FISHEYE};
+static const struct rung {
+    enum lens_model model;
+    int terms;
+} LADDER[STEPS] = {{LENS_SIMPLE_RADIAL, 1},  {LENS_RADIAL, 2},         {LENS_OPENCV, 4},
+                   {LENS_OPENCV_FISHEYE, 1}, {LENS_OPENCV_FISHEYE, 2}, {LENS_OPENCV_FISHEYE, 4}};
 
-int selfcal_terms(enum lens_model m)
+int selfcal_terms(const struct lens *l)
 {
-    static const int terms[LENS_MODELS] = {0, 1, 2, 4, 4};
-    return terms[m];
+    static const int least[LENS_MODELS] = {0, 1, 2, 4, 1};
+    int n = LENS_TERMS;
+    while (n > least[l->model] && l->term[n - 1] == 0)
+        n--;
+    return n;
 }
 
 struct state {
@@ -147,30 +154,51 @@ static struct judgement judge(const struct selfcal *s, int lens)
     return j;
 }
 
-/* Set a model, starting where the present one is. */
-static void climb(struct adjust_lens *l, enum lens_model to)
+/* Set the model of a rung, starting where the present one is. */
+static void climb(struct adjust_lens *l, const struct rung *to)
 {
-    if (to == LENS_OPENCV_FISHEYE) {
+    if (to->model == LENS_OPENCV_FISHEYE && l->lens.model != LENS_OPENCV_FISHEYE) {
         /* tan^-1 r = r - r^3 / 3 + ... */
         l->lens.term[0] += 1.0 / 3;
         for (int k = 1; k < LENS_TERMS; k++)
             l->lens.term[k] = 0;
     }
-    l->lens.model = to;
+    l->lens.model = to->model;
     for (int k = 0; k < LENS_TERMS; k++)
-        l->free[1 + k] = k < selfcal_terms(to);
+        l->free[1 + k] = k < to->terms;
     if (lens_init(&l->lens) != OK) // finite numbers stay finite
         l->lens.model = LENS_PINHOLE;
 }
 
-/* Whether a lens may take a step. */
-static bool may_climb(const struct adjust_lens *l, const struct selfcal_lens *out, int step)
+static int free_terms(const struct adjust_lens *l)
 {
+    int n = 0;
+    for (int k = 0; k < LENS_TERMS; k++)
+        n += l->free[1 + k];
+    return n;
+}
+
+/* Largest distance of a sighting from the middle over the focal length. */
+static double lens_reach(const struct adjust *a, int lens)
+{
+    double most = 0;
+    for (int i = 0; i < a->first[a->n_tracks]; i++)
+        if (a->in[i] && a->lens_of[a->seen[i].view] == lens)
+            most = fmax(most, hypot((double)a->seen[i].u, (double)a->seen[i].v));
+    return most / a->lens[lens].lens.fx;
+}
+
+/* Whether a lens may take a step. */
+static bool may_climb(const struct adjust *a, int lens, const struct selfcal_lens *out, int step)
+{
+    const struct adjust_lens *l = &a->lens[lens];
     if (out->held < SELFCAL_HELD_LEAST)
         return false;
-    if (LADDER[step] == LENS_OPENCV_FISHEYE)
-        return l->lens.model != LENS_OPENCV_FISHEYE && l->lens.term[0] < WIDE;
-    return l->lens.model == (step ? LADDER[step - 1] : LENS_PINHOLE);
+    const struct rung *from = step ? &LADDER[step - 1] : &(struct rung){LENS_PINHOLE, 0};
+    if (LADDER[step].model == LENS_OPENCV_FISHEYE && from->model == LENS_OPENCV)
+        return l->lens.model != LENS_OPENCV_FISHEYE && l->lens.term[0] < BARREL &&
+               lens_reach(a, lens) > WIDE;
+    return l->lens.model == from->model && free_terms(l) == from->terms;
 }
 
 static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
@@ -178,8 +206,8 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     struct adjust *a = s->a;
     bool any = false, all = true;
     for (int i = 0; i < a->n_lenses; i++)
-        if (may_climb(&a->lens[i], &out[i], step)) {
-            climb(&a->lens[i], LADDER[step]);
+        if (may_climb(a, i, &out[i], step)) {
+            climb(&a->lens[i], &LADDER[step]);
             any = true;
         }
     if (!any)
@@ -188,7 +216,8 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     predict(s, s->after);
     any = false;
     for (int i = 0; i < a->n_lenses && !e; i++) {
-        const bool tried = a->lens[i].lens.model != s->kept.lens[i].lens.model;
+        const bool tried = a->lens[i].lens.model != s->kept.lens[i].lens.model ||
+                           free_terms(&a->lens[i]) != free_terms(&s->kept.lens[i]);
         const bool better = tried && judge(s, i).better;
         any = any || better;
         all = all && better == tried;
@@ -209,12 +238,11 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
 static void sum_up(struct selfcal *s, struct selfcal_lens *out)
 {
     for (int i = 0; i < s->a->n_lenses; i++) {
-        const enum lens_model m = s->a->lens[i].lens.model;
         const struct judgement j = judge(s, i);
         out[i].error = j.before;
-        out[i].stop = out[i].held < SELFCAL_HELD_LEAST               ? SELFCAL_FEW
-                      : m == LENS_OPENCV || m == LENS_OPENCV_FISHEYE ? SELFCAL_FULL
-                                                                     : SELFCAL_ENOUGH;
+        out[i].stop = out[i].held < SELFCAL_HELD_LEAST           ? SELFCAL_FEW
+                      : free_terms(&s->a->lens[i]) == LENS_TERMS ? SELFCAL_FULL
+                                                                 : SELFCAL_ENOUGH;
     }
 }
 

@@ -1,6 +1,6 @@
 /* selfcal.h - the lenses of physical cameras from photographs of a still scene: which distortion
  * terms each needs, and their values. Each model of a ladder (none, k1, k1 k2, k1 k2 p1 p2; then
- * the fisheye, where the lens is that wide) is fitted without some of the sightings, and kept
+ * the fisheye with 1, 2 and 4 terms, where the lens is that wide) is fitted without some of the sightings, and kept
  * only where it predicts these clearly better than the model before.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_SELFCAL_H
@@ -25,8 +25,8 @@ struct selfcal_lens {
     double deviation[ADJUST_LENS]; // standard errors of ln focal length and terms; 0: fixed
 };
 
-/* Number of terms that a model has. */
-int selfcal_terms(enum lens_model m);
+/* Number of terms that a lens has, as far as they are not 0 or belong to its model. */
+int selfcal_terms(const struct lens *l);
 
 /* Choose and fit the models from the present state, in which the views that matter are placed.
  * gate: expected errors of an inlier; scale: of the expected errors.

@@ -110,12 +110,44 @@ static void kinds_are_told_apart(void **unused)
     job_free(&j);
 }
 
+/* Of two kinds of camera one is far from what the search begins with: 80 degrees, -0.3 and 0.08;
+ * then a fisheye of 110 degrees. */
+static void unusual_kinds_are_placed(void **unused)
+{
+    (void)unused;
+    const struct lens unusual[] = {make_lens(LENS_RADIAL, 267, -0.3, 0.08),
+                                   make_lens(LENS_OPENCV_FISHEYE, 230, 0.01, 0)};
+    for (int k = 0; k < 2; k++) {
+        struct job j = {.rig = make_room(1500, 381, 0.2, 30)};
+        struct bundle_lens lens[SCENE_LENSES];
+        struct bundle_config cfg;
+        int of[SCENE_VIEWS];
+        j.rig.n_lenses = 2;
+        j.rig.lens[0] = make_lens(LENS_PINHOLE, 400, 0, 0);
+        j.rig.lens[1] = unusual[k];
+        scene_arc(&j.rig, 12, 60);
+        scene_make(&j.rig, &j.tracks);
+        lenses_of(&j.rig, lens, of, &cfg);
+        run_ok(&j, &cfg);
+        assert_int_equal(j.out.n_placed, 12);
+        for (int i = 0; i < 2; i++) {
+            const struct lens *l = &j.out.lenses[i];
+            print_message("%s f %g k %g: %g px\n", lens_name(l->model), l->fx, l->term[0],
+                          lens_distance(&j.rig.lens[i], l));
+            assert_true(fabs(l->fx / j.rig.lens[i].fx - 1) < 0.02);
+            assert_true(lens_distance(&j.rig.lens[i], l) < 3);
+        }
+        job_free(&j);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(perfect_lens_stays_perfect),
         cmocka_unit_test(barrel_is_found),
         cmocka_unit_test(kinds_are_told_apart),
+        cmocka_unit_test(unusual_kinds_are_placed),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
