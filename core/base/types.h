@@ -108,6 +108,8 @@ struct views {
     struct extent *extent; // (n + n_more) in rgb
     char (*names)[NAME_CAP]; // (n + n_more)
     uint8_t *rgb;            // (n + n_more) pictures (h, w, 3)
+    bool deep;               // there is rgb16
+    uint16_t *rgb16;         // the pictures in 16 bits, 65535 is 1; NULL: only in 8
     float *log2t;            // (n + n_more) log2(max(t, 1e-8))
     float mid_log2t;         // (min + max) / 2 of log2t of all photographs
     bool srgb;               // the response is known to be that of sRGB, white at 1
@@ -119,6 +121,11 @@ struct views {
 static inline uint8_t *views_rgb(const struct views *v, int i)
 {
     return v->rgb + 3 * v->extent[i].at;
+}
+
+static inline uint16_t *views_rgb16(const struct views *v, int i)
+{
+    return v->rgb16 + 3 * v->extent[i].at;
 }
 
 /* The photograph of this place after photograph `last` (its first one is `place`); -1: none. */

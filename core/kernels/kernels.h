@@ -112,9 +112,9 @@ typedef void adam_fn(const struct adam_step *s, int n, const float *seen, const 
 typedef void blur_row_fn(const float *taps, const float *in, int n, float *out);
 /* Across rows: out(i) = sum_k taps[k] in[k][i], i < n. */
 typedef void blur_col_fn(const float *taps, const float *const *in, int n, float *out);
-/* blur_row of x, y, xx, yy, xy, where y = photo / 255.
+/* blur_row of x, y, xx, yy, xy, where y = photo / 255; photo: any number, not only codes.
  * out: (5, stride). scratch: 2 stride floats. */
-typedef void moments_row_fn(const float *taps, const float *x, const uint8_t *photo, int n,
+typedef void moments_row_fn(const float *taps, const float *x, const float *photo, int n,
                             size_t stride, float *scratch, float *out);
 
 /* One row of one colour between radiance and display. */
@@ -141,8 +141,7 @@ typedef double ssim_row_fn(const float *m, size_t stride, int n, float *out);
 /* d = l1 sign(x - y) + ssim (g0 + 2 x g1 + y g2), y = photo / 255; g: (3, stride).
  * returns: sum of |x - y|. */
 struct display_row {
-    const float *x, *g;
-    const uint8_t *photo;
+    const float *x, *g, *photo;
     size_t stride;
     float l1, ssim;
     int n;

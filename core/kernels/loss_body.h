@@ -40,12 +40,12 @@ static void blur_col(const float *taps, const float *const *in, int w, float *ou
     }
 }
 
-static void moments_row(const float *taps, const float *x, const uint8_t *photo, int n,
-                        size_t stride, float *scratch, float *out)
+static void moments_row(const float *taps, const float *x, const float *photo, int n, size_t stride,
+                        float *scratch, float *out)
 {
     float *y = scratch, *product = scratch + stride;
     for (int i = 0; i < n; i++)
-        y[i] = (float)photo[i] * (1.0f / 255.0f);
+        y[i] = photo[i] * (1.0f / 255.0f);
     blur_row(taps, x, n, out);
     blur_row(taps, y, n, out + stride);
     for (int i = 0; i < n; i++)
@@ -109,7 +109,7 @@ static double display_row(const struct display_row *r, float *d)
     const float *g0 = r->g, *g1 = r->g + r->stride, *g2 = r->g + 2 * r->stride;
     float l1 = r->l1, ssim = r->ssim;
     for (int i = 0; i < r->n; i++) {
-        float y = (float)r->photo[i] * (1.0f / 255.0f), diff = r->x[i] - y;
+        float y = r->photo[i] * (1.0f / 255.0f), diff = r->x[i] - y;
         float sign = (diff > 0 ? l1 : 0.0f) - (diff < 0 ? l1 : 0.0f);
         d[i] = sign + ssim * (g0[i] + 2.0f * r->x[i] * g1[i] + y * g2[i]);
     }
@@ -117,9 +117,9 @@ static double display_row(const struct display_row *r, float *d)
     int i = 0;
     for (; i + 16 <= r->n; i += 16)
         for (int k = 0; k < 16; k++)
-            part[k] += fabsf(r->x[i + k] - (float)r->photo[i + k] * (1.0f / 255.0f));
+            part[k] += fabsf(r->x[i + k] - r->photo[i + k] * (1.0f / 255.0f));
     for (; i < r->n; i++)
-        part[0] += fabsf(r->x[i] - (float)r->photo[i] * (1.0f / 255.0f));
+        part[0] += fabsf(r->x[i] - r->photo[i] * (1.0f / 255.0f));
     double sum = 0;
     for (int k = 0; k < 16; k++)
         sum += (double)part[k];

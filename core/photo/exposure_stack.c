@@ -125,6 +125,11 @@ static void swap_photos(struct views *v, int a, int b)
         p[k] = q[k];
         q[k] = x;
     }
+    for (size_t k = 0; k < count_values(v, a) && v->deep; k++) {
+        const uint16_t x = views_rgb16(v, a)[k];
+        views_rgb16(v, a)[k] = views_rgb16(v, b)[k];
+        views_rgb16(v, b)[k] = x;
+    }
     memcpy(name, v->names[a], NAME_CAP);
     memcpy(v->names[a], v->names[b], NAME_CAP);
     memcpy(v->names[b], name, NAME_CAP);
@@ -144,6 +149,8 @@ void exposure_stack_drop(struct views *v, const bool *keep)
             rank += keep[k];
         memmove(v->names[n], v->names[i], NAME_CAP);
         memmove(v->rgb + 3 * at, views_rgb(v, i), 3 * extent_pixels(&v->extent[i]));
+        if (v->deep)
+            memmove(v->rgb16 + 3 * at, views_rgb16(v, i), 6 * extent_pixels(&v->extent[i]));
         v->extent[n] = (struct extent){v->extent[i].w, v->extent[i].h, at};
         at += extent_pixels(&v->extent[n]);
         v->log2t[n] = v->log2t[i];
@@ -299,6 +306,8 @@ err_t exposure_stack_merge(const struct run *r, const struct views *v, const str
     for (int i = 0; i < v->n && !e; i++)
         out->log2t[i] = counts_as;
     out->rgb = s.out;
+    out->rgb16 = NULL;
+    out->deep = false;
     out->mid_log2t = curve->mid_log2t;
     out->n_more = 0;
     return e;

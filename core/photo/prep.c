@@ -27,6 +27,7 @@ struct scratch {
     struct axis x, y;
     double *row;  // weights of one output before rounding
     uint8_t *mid; // (h in, w out, 3) after the horizontal pass
+    uint16_t *mid16;
 };
 
 static int taps_of(int n_in, int n_out)
@@ -46,7 +47,7 @@ static err_t axis_alloc(struct axis *a, int n_in, int n_out, struct arena *tmp)
 }
 
 /* For pictures up to w x h px that become at most `size` px wide and high. */
-static err_t scratch_alloc(struct scratch *s, int w, int h, int size, struct arena *tmp)
+static err_t scratch_alloc(struct scratch *s, int w, int h, int size, bool deep, struct arena *tmp)
 {
     err_t e = axis_alloc(&s->x, w, size, tmp);
     if (!e)
@@ -55,6 +56,8 @@ static err_t scratch_alloc(struct scratch *s, int w, int h, int size, struct are
         e = arena_alloc(tmp, (size_t)num_max(num_max(w, h), size) + 5, sizeof *s->row, &s->row);
     if (!e)
         e = arena_alloc(tmp, (size_t)h * (size_t)size, 3, &s->mid);
+    if (!e && deep)
+        e = arena_alloc(tmp, (size_t)h * (size_t)size, 6, &s->mid16);
     return e;
 }
 
@@ -138,6 +141,41 @@ static void resize_image(const struct image8 *in, int w, int h, struct scratch *
         row_down(&s->y, s->mid, n, y, out + (size_t)y * n);
 }
 
+static uint16_t clip16(int64_t sum)
+{
+    const int64_t v = sum >> WEIGHT_BITS;
+    return (uint16_t)(v < 0 ? 0 : v > 65535 ? 65535 : v);
+}
+
+/* Out of n samples that lie `apart` values apart: output i of an axis, in 16 bits. */
+static uint16_t sample16(const struct axis *a, const uint16_t *in, size_t apart, int i)
+{
+    const int32_t *weight = a->weight + (size_t)i * (size_t)a->taps;
+    const uint16_t *px = in + (size_t)a->first[i] * apart;
+    int64_t sum = 1 << (WEIGHT_BITS - 1);
+    for (int j = 0; j < a->count[i]; j++)
+        sum += (int64_t)weight[j] * px[(size_t)j * apart];
+    return clip16(sum);
+}
+
+/* The same in 16 bits; out8: rounded. */
+static void resize_image16(const struct image16 *in, const struct extent *to, struct scratch *s,
+                           uint16_t *out, uint8_t *out8)
+{
+    const size_t n = 3 * (size_t)to->w;
+    axis_fill(&s->x, in->w, to->w, s->row);
+    axis_fill(&s->y, in->h, to->h, s->row);
+    for (size_t y = 0; y < (size_t)in->h; y++)
+        for (size_t x = 0; x < n; x++)
+            s->mid16[y * n + x] =
+                sample16(&s->x, in->px + 3 * y * (size_t)in->w + x % 3, 3, (int)(x / 3));
+    for (int y = 0; y < to->h; y++)
+        for (size_t x = 0; x < n; x++, out++) {
+            *out = sample16(&s->y, s->mid16 + x, n, y);
+            *out8++ = (uint8_t)((*out + 128) / 257);
+        }
+}
+
 static err_t check_image(const char *name, const struct image8 *im, bool has_pixels)
 {
     if (!has_pixels || im->channels != 3 || im->w < 1 || im->h < 1 || im->w > SIDE_MAX ||
@@ -165,7 +203,7 @@ err_t prep_resize(const struct image8 *in, int size, struct arena *tmp, uint8_t 
         return e;
     size_t mark = arena_mark(tmp);
     struct scratch s;
-    e = scratch_alloc(&s, in->w, in->h, size, tmp);
+    e = scratch_alloc(&s, in->w, in->h, size, false, tmp);
     if (!e)
         resize_image(in, size, size, &s, out);
     arena_reset(tmp, mark);
@@ -276,7 +314,8 @@ void prep_extents(const struct capture *c, struct prep_size size, struct extent 
         out[i].at = at;
 }
 
-static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size_t pixels)
+static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size_t pixels,
+                          bool deep)
 {
     size_t n = (size_t)n_shots;
     err_t e = arena_alloc(keep, n, sizeof *v->names, &v->names);
@@ -284,6 +323,8 @@ static err_t layout_views(struct views *v, struct arena *keep, int n_shots, size
         e = arena_alloc(keep, n, sizeof *v->extent, &v->extent);
     if (!e)
         e = arena_alloc(keep, pixels, 3, &v->rgb);
+    if (!e && deep)
+        e = arena_alloc(keep, pixels, 6, &v->rgb16);
     if (!e)
         e = arena_alloc(keep, n, sizeof *v->log2t, &v->log2t);
     if (!e)
@@ -302,14 +343,15 @@ static size_t count_pixels(const struct capture *c, struct prep_size size)
 }
 
 static err_t views_alloc(const struct run *r, const struct capture *c, struct prep_size size,
-                         struct views *v)
+                         bool deep, struct views *v)
 {
-    err_t e = layout_views(v, r->keep, c->n, count_pixels(c, size));
+    err_t e = layout_views(v, r->keep, c->n, count_pixels(c, size), deep);
     if (e)
         return e;
     v->n = prep_places(c);
     v->n_more = c->n - v->n;
     v->size = size.edge;
+    v->deep = deep;
     v->srgb = c->shots[0].linear;
     v->aspect = size.square ? (float)c->shots[0].image.h / (float)c->shots[0].image.w : 1;
     prep_extents(c, size, v->extent);
@@ -352,6 +394,17 @@ struct job {
     struct scratch *scratch; // one per worker
 };
 
+static err_t resize_deep(const struct job *j, int i, int k, struct scratch *s)
+{
+    struct image16 im;
+    err_t e = j->from->decode16(j->from->ctx, i, &im);
+    if (e)
+        return e;
+    resize_image16(&im, &j->v->extent[k], s, views_rgb16(j->v, k), views_rgb(j->v, k));
+    j->from->release16(&im);
+    return OK;
+}
+
 static err_t resize_shot(void *ctx, int chunk, int worker)
 {
     struct job *j = ctx;
@@ -359,6 +412,8 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     const struct extent *to = &j->v->extent[k];
     struct image8 im = j->c->shots[chunk].image;
     err_t e = run_check(j->r, "prep");
+    if (!e && j->v->deep)
+        return resize_deep(j, chunk, k, &j->scratch[worker]);
     if (!e && j->from)
         e = j->from->decode(j->from->ctx, chunk, &im);
     if (e)
@@ -369,31 +424,48 @@ static err_t resize_shot(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static err_t layout(struct job *j, struct arena *tmp, struct image8 most, int edge, int threads)
+static err_t layout(struct job *j, struct arena *tmp, struct image8 most, int edge, int threads,
+                    bool deep)
 {
     err_t e = arena_alloc(tmp, (size_t)threads, sizeof *j->scratch, &j->scratch);
     for (int i = 0; i < threads && !e; i++) {
         struct scratch s;
-        e = scratch_alloc(&s, most.w, most.h, edge, tmp);
+        e = scratch_alloc(&s, most.w, most.h, edge, deep, tmp);
         if (!e && !tmp->counts)
             j->scratch[i] = s;
     }
     return e;
 }
 
-void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge)
+bool prep_is_deep(const struct capture *c, const struct prep_source *from)
+{
+    bool deep = from && from->decode16;
+    for (int i = 0; i < c->n; i++)
+        deep = deep && c->shots[i].deep;
+    return deep;
+}
+
+static void plan_views(struct plan *p, int n, size_t pixels, struct image8 largest, int edge,
+                       bool deep)
 {
     struct views v;
     struct job j;
     const size_t mark = arena_mark(&p->tmp);
-    if (layout_views(&v, &p->keep, n, pixels) || layout(&j, &p->tmp, largest, edge, p->threads))
+    if (layout_views(&v, &p->keep, n, pixels, deep) ||
+        layout(&j, &p->tmp, largest, edge, p->threads, deep))
         plan_refuse(p);
     arena_reset(&p->tmp, mark);
 }
 
-void prep_plan_capture(struct plan *p, const struct capture *c, struct prep_size size)
+void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge)
 {
-    prep_plan(p, c->n, count_pixels(c, size), prep_largest(c), size.edge);
+    plan_views(p, n, pixels, largest, edge, false);
+}
+
+void prep_plan_capture(struct plan *p, const struct capture *c, const struct prep_source *from,
+                       struct prep_size size)
+{
+    plan_views(p, c->n, count_pixels(c, size), prep_largest(c), size.edge, prep_is_deep(c, from));
 }
 
 err_t prep_read(const struct run *r, const struct capture *c, const struct prep_source *from,
@@ -406,9 +478,10 @@ err_t prep_read(const struct run *r, const struct capture *c, const struct prep_
     struct views v = {0};
     size_t keep = arena_mark(r->keep), tmp = arena_mark(r->tmp);
     struct job j = {.r = r, .c = c, .from = from, .v = &v};
-    e = views_alloc(r, c, size, &v);
+    const bool deep = prep_is_deep(c, from);
+    e = views_alloc(r, c, size, deep, &v);
     if (!e)
-        e = layout(&j, r->tmp, prep_largest(c), size.edge, pool_size(r->pool));
+        e = layout(&j, r->tmp, prep_largest(c), size.edge, pool_size(r->pool), deep);
     if (!e) {
         fill_metadata(c, &v);
         e = pool_for(r->pool, c->n, resize_shot, &j);

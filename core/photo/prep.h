@@ -32,7 +32,12 @@ void prep_extents(const struct capture *c, struct prep_size size, struct extent 
 /* Count what prep_run takes for n shots that become `pixels` in all; the largest of them, or a
  * larger one. */
 void prep_plan(struct plan *p, int n, size_t pixels, struct image8 largest, int edge);
-void prep_plan_capture(struct plan *p, const struct capture *c, struct prep_size size);
+struct prep_source;
+void prep_plan_capture(struct plan *p, const struct capture *c, const struct prep_source *from,
+                       struct prep_size size);
+
+/* Whether the views get planes of 16 bits: all shots are deep and the source can give them. */
+bool prep_is_deep(const struct capture *c, const struct prep_source *from);
 
 /* Largest width and height of all. */
 struct image8 prep_largest(const struct capture *c);
@@ -55,6 +60,8 @@ struct prep_source {
     err_t (*decode)(void *ctx, int i, struct image8 *out);
     void (*release)(struct image8 *im);
     void *ctx;
+    err_t (*decode16)(void *ctx, int i, struct image16 *out); // the same of a deep shot, or NULL
+    void (*release16)(struct image16 *im);
 };
 
 /* As prep_run.

@@ -125,16 +125,26 @@ static float *map_row(const struct job *j, int colour, int k, int row)
     return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
 }
 
+/* A row of the photograph as codes, 255 is 1. */
+static void code_row(const struct job *j, size_t at, float *out)
+{
+    const struct loss_input *in = j->in;
+    for (int i = 0; i < j->w; i++)
+        out[i] = in->photo16 ? (float)in->photo16[at + (size_t)i] * (1.0f / 257.0f)
+                             : (float)in->photo[at + (size_t)i];
+}
+
 static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,
                       double *sum)
 {
     size_t s = (size_t)j->l->stride;
     int n = j->w - EDGE;
     float *ring = scratch, *means = scratch + s * MEANS * LOSS_WINDOW, *line = means + s * MEANS;
-    float *d = line + 2 * s;
+    float *d = line + 2 * s, *codes = d + 3 * s;
     for (int y = row0; y < row1 + EDGE; y++) {
         size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
-        j->r->k->moments_row(j->l->taps, j->l->ldr + at, j->in->photo + at, j->w, s, line,
+        code_row(j, at, codes);
+        j->r->k->moments_row(j->l->taps, j->l->ldr + at, codes, j->w, s, line,
                              ring + (size_t)(y % LOSS_WINDOW) * MEANS * s);
         int row = y - EDGE;
         if (row < row0)
@@ -168,7 +178,8 @@ static err_t ssim_chunk(void *ctx, int chunk, int worker)
     return OK;
 }
 
-static void measure_held_out(const struct job *j, int colour, int y, float *d, double *p)
+static void measure_held_out(const struct job *j, int colour, int y, const float *codes, float *d,
+                             double *p)
 {
     const struct loss_input *in = j->in;
     int px = in->held_px, squares = (j->w + px - 1) / px;
@@ -177,8 +188,7 @@ static void measure_held_out(const struct job *j, int colour, int y, float *d, d
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
         for (int i = s * px; i < end && held[s]; i++) {
-            double diff =
-                (double)j->l->ldr[at + (size_t)i] - (double)in->photo[at + (size_t)i] / 255.0;
+            double diff = (double)j->l->ldr[at + (size_t)i] - (double)codes[i] / 255.0;
             p[P_SSE] += diff * diff;
             p[P_HELD] += 1;
             d[i] = 0;
@@ -191,7 +201,8 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
 {
     const struct loss_input *in = j->in;
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
-    float *mixed = line + 3 * s;
+    float *mixed = line + 3 * s, *codes = line + 5 * s;
+    code_row(j, at, codes);
     for (int k = 0; k < 3; k++) {
         const float *rows[LOSS_WINDOW];
         for (int i = 0; i < LOSS_WINDOW; i++)
@@ -201,14 +212,14 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
     }
     struct display_row row = {.x = j->l->ldr + at,
                               .g = line,
-                              .photo = in->photo + at,
+                              .photo = codes,
                               .stride = s,
                               .l1 = in->w_l1 / (float)(3 * j->px),
                               .ssim = -in->w_ssim / (float)(3 * (j->h - EDGE) * (j->w - EDGE)),
                               .n = j->w};
     p[P_L1] += j->r->k->display_row(&row, d);
     if (in->held)
-        measure_held_out(j, colour, y, d, p);
+        measure_held_out(j, colour, y, codes, d, p);
 }
 
 /* From d loss / d display to radiance, alpha and the segments of the curve. */

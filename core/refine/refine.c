@@ -64,6 +64,7 @@ struct refine {
     struct loss loss_work;
     struct render pic;
     uint8_t *planes[REFINE_LEVELS]; // (photographs) planes (3, h, w); of level k 2^k times smaller
+    uint16_t *deep[REFINE_LEVELS];  // instead, where the views have 16 bits
     uint8_t *held;                  // (n, squares, squares)
     int held_px, squares;           // edge of a square; squares of the longest edge
     double *photo_sse;              // (photographs) held-out squared error of the last comparison
@@ -141,7 +142,8 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
     size_t n = (size_t)f->v->n, q = (size_t)f->squares, all = (size_t)photos;
     err_t e = OK;
     for (int k = 0; k < f->levels && !e; k++)
-        e = arena_alloc(a, pixels >> 2 * k, 3, &f->planes[k]);
+        e = f->v->deep ? arena_alloc(a, pixels >> 2 * k, 6, &f->deep[k])
+                       : arena_alloc(a, pixels >> 2 * k, 3, &f->planes[k]);
     if (!e)
         e = arena_alloc(a, n * q * q, 1, &f->held);
     if (!e)
@@ -177,9 +179,19 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
     return a.peak;
 }
 
+static size_t planes_at(const struct refine *f, int i, int level)
+{
+    return 3 * (f->v->extent[i].at >> 2 * level);
+}
+
 static uint8_t *photo_planes(const struct refine *f, int i, int level)
 {
-    return f->planes[level] + 3 * (f->v->extent[i].at >> 2 * level);
+    return f->planes[level] + planes_at(f, i, level);
+}
+
+static uint16_t *deep_planes(const struct refine *f, int i, int level)
+{
+    return f->deep[level] + planes_at(f, i, level);
 }
 
 /* Means of four pixels each. */
@@ -193,11 +205,38 @@ static void halve_planes(const uint8_t *in, int w, int h, uint8_t *out)
         }
 }
 
+static void halve_deep(const uint16_t *in, int w, int h, uint16_t *out)
+{
+    const size_t across = (size_t)w, m = across / 2, down = (size_t)h / 2;
+    for (size_t c = 0; c < 3; c++, in += across * (size_t)h)
+        for (size_t at = 0; at < m * down; at++) {
+            const uint16_t *p = in + 2 * (at / m) * across + 2 * (at % m);
+            *out++ = (uint16_t)((p[0] + p[1] + p[across] + p[across + 1] + 2) / 4);
+        }
+}
+
+static void fill_deep(struct refine *f, int i)
+{
+    const struct extent *px = &f->v->extent[i];
+    const size_t n = extent_pixels(px);
+    const uint16_t *in = views_rgb16(f->v, i);
+    uint16_t *full = deep_planes(f, i, 0);
+    for (size_t k = 0; k < 3 * n; k++)
+        full[k % 3 * n + k / 3] = in[k];
+    for (int k = 1; k < f->levels; k++)
+        halve_deep(deep_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
+                   deep_planes(f, i, k));
+}
+
 /* One photograph as planes of every level. */
 static err_t planes_chunk(void *ctx, int i, int worker)
 {
     struct refine *f = ctx;
     (void)worker;
+    if (f->v->deep) {
+        fill_deep(f, i);
+        return OK;
+    }
     const struct extent *px = &f->v->extent[i];
     const size_t n = extent_pixels(px);
     const uint8_t *in = views_rgb(f->v, i);
@@ -303,7 +342,10 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
     const size_t squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
-    li.photo = photo_planes(f, k, f->level);
+    if (f->v->deep)
+        li.photo16 = deep_planes(f, k, f->level);
+    else
+        li.photo = photo_planes(f, k, f->level);
     li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);

@@ -36,7 +36,7 @@ struct refine_report {
     char notes[REFINE_NOTES][128]; // decisions as text, for the report
 };
 
-/* Bytes that refine_run takes from r->tmp; of v only n, n_more, size and extent are read. */
+/* Bytes that refine_run takes from r->tmp; of v only n, n_more, size, extent and deep are read. */
 size_t refine_plan(const struct views *v, const struct refine_config *cfg, int threads);
 
 /* Number of Gaussians to start with for `places` views, from which the splits within cfg->steps can

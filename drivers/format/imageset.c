@@ -760,6 +760,14 @@ err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
     return e ? e : pixels_decode(path, &set->capture.shots[i], out);
 }
 
+err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out)
+{
+    char path[FILE_PATH_CAP];
+    *out = (struct image16){0};
+    err_t e = picture_path(set, i, path);
+    return e ? e : pixels_decode16(path, &set->capture.shots[i], out);
+}
+
 size_t imageset_bytes(const struct capture *c, int at_a_time)
 {
     size_t sum = 0, most = 0, photo = 0;

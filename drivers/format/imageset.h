@@ -87,6 +87,10 @@ size_t imageset_bytes(const struct capture *c, int at_a_time);
  * err:  those of img_read; ERR_FORMAT if the file changed its size since imageset_list. */
 MUST_USE err_t imageset_decode(const struct imageset *set, int i, struct image8 *out);
 
+/* The same of a deep shot, in 16 bits (pixels.h).
+ * own:  pixels_free16. */
+MUST_USE err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out);
+
 /* Decode every shot into the set.
  * err:  as imageset_decode; the set can still be freed. */
 MUST_USE err_t imageset_load(struct imageset *set);

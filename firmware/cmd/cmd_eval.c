@@ -311,7 +311,7 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
     if (c->n == 0)
         return;
     arena_hold(&p.keep, info->need);
-    prep_plan_capture(&p, c, (struct prep_size){info->size, true}); // no view has more pixels
+    prep_plan_capture(&p, c, NULL, (struct prep_size){info->size, true}); // no view has more pixels
     arena_step(&p.tmp, response_plan(&v));
     need->keep = p.keep.peak;
     need->tmp = p.tmp.peak;

@@ -10,6 +10,7 @@
 #include "drivers/format/imageset.h"
 #include "drivers/format/img.h"
 #include "drivers/format/npy.h"
+#include "drivers/format/pixels.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -163,6 +164,11 @@ static err_t decode_photograph(void *ctx, int i, struct image8 *out)
     return imageset_decode(ctx, i, out);
 }
 
+static err_t decode_deep(void *ctx, int i, struct image16 *out)
+{
+    return imageset_decode16(ctx, i, out);
+}
+
 /* Check everything that can be refused before the work. */
 static err_t prepare_job(struct request *rq, struct state *st, struct job_config *job)
 {
@@ -173,7 +179,8 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         return e;
     cmd_imageset(&rq->cfg, network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
-    st->source = (struct prep_source){decode_photograph, img_free, &st->set};
+    st->source =
+        (struct prep_source){decode_photograph, img_free, &st->set, decode_deep, pixels_free16};
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);

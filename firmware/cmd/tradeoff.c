@@ -58,7 +58,7 @@ static err_t load_photographs(struct state *st, int size, struct capture *c)
     for (int i = 0; i < set.capture.n; i++)
         bytes += 3 * (size_t)c->shots[i].image.w * (size_t)c->shots[i].image.h;
     struct plan p = plan_begin(pool_size(st->engine.pool));
-    prep_plan_capture(&p, c, (struct prep_size){size, true});
+    prep_plan_capture(&p, c, NULL, (struct prep_size){size, true});
     differ_keep_plan(&p.keep, c->n, size);
     e = engine_reserve(&st->engine, bytes, p.keep.peak, p.tmp.peak, st->max_mb);
     if (!e && !st->dry)

@@ -20,6 +20,12 @@ static err_t decode_chosen(void *ctx, int i, struct image8 *out)
     return s->from->decode(s->from->ctx, s->shot[i], out);
 }
 
+static err_t decode_chosen16(void *ctx, int i, struct image16 *out)
+{
+    const struct chosen *s = ctx;
+    return s->from->decode16(s->from->ctx, s->shot[i], out);
+}
+
 static void add_shot(const struct capture *all, const char *name, bool again, struct chosen *out)
 {
     int i = 0;
@@ -60,8 +66,10 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
                   const struct recipe *recipe, struct job_result *out)
 {
     struct chosen chosen = {.from = cfg->source};
-    const struct prep_source source = {decode_chosen, cfg->source ? cfg->source->release : NULL,
-                                       &chosen};
+    const struct prep_source source = {
+        decode_chosen, cfg->source ? cfg->source->release : NULL, &chosen,
+        cfg->source && cfg->source->decode16 ? decode_chosen16 : NULL,
+        cfg->source ? cfg->source->release16 : NULL};
     struct views large;
     err_t e = choose(c, &out->views, &chosen);
     if (!e)
@@ -75,7 +83,8 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
     return lenses_redraw(r, c, cfg->source, out);
 }
 
-void enlarge_plan(struct plan *p, const struct capture *c, const struct recipe *recipe)
+void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from,
+                  const struct recipe *recipe)
 {
-    prep_plan_capture(p, c, (struct prep_size){recipe->size, recipe->square});
+    prep_plan_capture(p, c, from, (struct prep_size){recipe->size, recipe->square});
 }

@@ -14,6 +14,7 @@ MUST_USE err_t enlarge_run(const struct run *r, const struct capture *c,
                            struct job_result *out);
 
 /* Count what it takes: views of all shots. */
-void enlarge_plan(struct plan *p, const struct capture *c, const struct recipe *recipe);
+void enlarge_plan(struct plan *p, const struct capture *c, const struct prep_source *from,
+                  const struct recipe *recipe);
 
 #endif

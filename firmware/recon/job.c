@@ -200,12 +200,13 @@ static err_t check_capture(const struct capture *c)
 }
 
 /* Shapes of the views, all that plans look at. own: v->extent. */
-static err_t shape_views(const struct capture *c, const struct recipe *recipe, int size,
-                         struct views *v)
+static err_t shape_views(const struct capture *c, const struct job_config *cfg,
+                         const struct recipe *recipe, int size, struct views *v)
 {
     *v = (struct views){.n = recipe->places,
                         .n_more = c->n - recipe->places,
                         .size = size,
+                        .deep = prep_is_deep(c, cfg->source),
                         .extent = malloc((size_t)c->n * sizeof *v->extent)};
     if (!v->extent)
         return err_fail(ERR_NOMEM, "no memory for the shapes of %d photographs", c->n);
@@ -220,14 +221,14 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
 {
     const struct extent most = extent_cover(large->extent, large->n);
     float *db;
-    prep_plan_capture(p, c, (struct prep_size){recipe->work, recipe->square});
+    prep_plan_capture(p, c, cfg->source, (struct prep_size){recipe->work, recipe->square});
     if (layout_db(&db, &p->keep, c->n))
         plan_refuse(p);
     arena_step(&p->tmp, response_plan(small));
     exposure_stack_choose_plan(p, small);
     start_plan(p, cfg, recipe, small, lenses_count(c));
     if (recipe->size > recipe->work)
-        enlarge_plan(p, c, recipe);
+        enlarge_plan(p, c, cfg->source, recipe);
     if (recipe->refine)
         arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
     arena_step(&p->tmp, draw_plan(recipe->gaussians_max, most.w, most.h)); // by who publishes
@@ -244,9 +245,9 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     struct views small = {.extent = NULL}, large = {.extent = NULL};
     e = recipe_check(&recipe, c);
     if (!e)
-        e = shape_views(c, &recipe, recipe.work, &small);
+        e = shape_views(c, cfg, &recipe, recipe.work, &small);
     if (!e)
-        e = shape_views(c, &recipe, recipe.size, &large);
+        e = shape_views(c, cfg, &recipe, recipe.size, &large);
     if (!e)
         plan_steps(&p, c, cfg, &recipe, &small, &large);
     free(small.extent);

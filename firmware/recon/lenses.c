@@ -156,7 +156,11 @@ static err_t retake_view(void *ctx, int i, int worker)
     err_t e = run_check(t->r, "undistorting");
     if (e || !lenses_find(t->j, shot, &lens, &retaken))
         return e;
-    if (t->from)
+    const bool deep = t->v->deep;
+    struct image16 im16;
+    if (deep)
+        e = t->from->decode16(t->from->ctx, (int)(shot - t->c->shots), &im16);
+    else if (t->from)
         e = t->from->decode(t->from->ctx, (int)(shot - t->c->shots), &im);
     if (e)
         return e;
@@ -167,6 +171,13 @@ static err_t retake_view(void *ctx, int i, int worker)
                                    .fy = focal,
                                    .cx = 0.5f * (float)px->w,
                                    .cy = 0.5f * (float)px->h};
+    if (deep) {
+        e = undistort_image16(NULL, &lens, &im16, &pinhole, views_rgb16(t->v, i));
+        for (size_t k = 0; k < 3 * extent_pixels(px); k++)
+            views_rgb(t->v, i)[k] = (uint8_t)((views_rgb16(t->v, i)[k] + 128) / 257);
+        t->from->release16(&im16);
+        return e;
+    }
     e = undistort_image8(NULL, &lens, &im, &pinhole, views_rgb(t->v, i));
     if (t->from)
         t->from->release(&im);

@@ -22,7 +22,7 @@ static struct {
     int n, stride;
     float *in, *scratch, *out, *d, *d_kept, *logit, *d_alpha;
     const float *rows[TAPS];
-    uint8_t *photo;
+    float *photo; // codes
     struct tonemap_table table;
     struct tone_row tone;
     struct display_row display;
@@ -80,10 +80,10 @@ static void moments_make(int size, enum pattern pattern)
     row.n = size + TAPS - 1;
     row.stride = row.n + 3;
     row.in = trial_random((size_t)row.n, 0, 1);
-    row.photo = trial_bytes((size_t)row.n);
+    row.photo = trial_random((size_t)row.n, 0, 255);
     for (int i = 0; pattern == EXTREME && i < row.n; i++) {
         row.in[i] = i % 3 == 0 ? 0.0f : 1.0f;
-        row.photo[i] = i % 2 ? 0 : 255;
+        row.photo[i] = i % 2 ? 0.0f : 255.0f;
     }
     row.scratch = trial_floats(2 * (size_t)row.stride);
     row.out = trial_floats(5 * (size_t)row.stride);
@@ -141,11 +141,11 @@ static void display_make(int size, enum pattern pattern)
     row.n = size;
     row.stride = size + 2;
     row.in = trial_random((size_t)size, 0, 1);
-    row.photo = trial_bytes((size_t)size);
+    row.photo = trial_random((size_t)size, 0, 255);
     float *g = trial_random(3 * (size_t)row.stride, -1, 1);
     if (pattern == EXTREME)
         for (int i = 0; i < size; i++) {
-            row.photo[i] = i % 2 ? 0 : 255;
+            row.photo[i] = i % 2 ? 0.0f : 255.0f;
             row.in[i] = i % 3 == 0 ? (float)(i % 2) : i % 3 == 1 ? 1e-40f : 0.0f;
             g[i] = i % 5 ? 0.0f : 1e10f;
         }

@@ -144,7 +144,7 @@ static err_t run_planned(const struct capture *c, int threads, struct arena *kee
     struct plan plan = plan_begin(threads);
     struct arena tmp;
     struct run r = {.keep = keep, .tmp = &tmp};
-    prep_plan_capture(&plan, c, square);
+    prep_plan_capture(&plan, c, NULL, square);
     assert_int_equal(pool_open(&r.pool, threads), OK);
     assert_int_equal(arena_init(keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
@@ -289,7 +289,7 @@ static void pixels_may_come_later(void **state)
     struct views now, v;
     struct arena keep, more, tmp;
     struct run r = {.keep = &more, .tmp = &tmp};
-    const struct prep_source from = {decode, release, &decoded};
+    const struct prep_source from = {.decode = decode, .release = release, .ctx = &decoded};
     capture_open(&c, shots);
     memcpy(bare, shots, sizeof bare);
     for (int i = 0; i < 3; i++)
@@ -297,7 +297,7 @@ static void pixels_may_come_later(void **state)
     stored = &c;
     assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
     struct plan plan = plan_begin(1);
-    prep_plan_capture(&plan, &later, square);
+    prep_plan_capture(&plan, &later, &from, square);
     assert_int_equal(arena_init(&more, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     assert_int_equal(prep_run(&r, &later, square, &v), ERR_ARG); // no pixels
@@ -308,6 +308,58 @@ static void pixels_may_come_later(void **state)
     assert_int_equal(prep_read(&r, &later, &from, square, &v), OK);
     assert_true(decoded == 5 && released == 5);
     assert_memory_equal(v.rgb, now.rgb, 3 * 3 * 56 * 56);
+    arena_free(&keep);
+    arena_free(&more);
+    arena_free(&tmp);
+    capture_close(&c);
+}
+
+static err_t decode16(void *ctx, int i, struct image16 *out)
+{
+    const struct image8 *in = &stored->shots[i].image;
+    (void)ctx;
+    *out = (struct image16){in->w, in->h, 3, malloc(6 * (size_t)in->w * (size_t)in->h)};
+    for (int k = 0; k < 3 * in->w * in->h; k++)
+        out->px[k] = (uint16_t)(257 * in->px[k]);
+    return OK;
+}
+
+static void release16(struct image16 *im)
+{
+    free(im->px);
+}
+
+/* Shots of 16 bits give planes of both kinds; a shot of 8 among them takes the deep ones away. */
+static void deep_shots_have_planes_of_16_bits(void **state)
+{
+    (void)state;
+    struct shot shots[3], bare[3];
+    struct capture c, later = {3, bare};
+    struct views now, v;
+    struct arena keep, more, tmp;
+    struct run r = {.keep = &more, .tmp = &tmp};
+    const struct prep_source from = {decode, release, &decoded, decode16, release16};
+    capture_open(&c, shots);
+    memcpy(bare, shots, sizeof bare);
+    for (int i = 0; i < 3; i++)
+        bare[i].deep = true;
+    stored = &c;
+    assert_int_equal(run_planned(&c, 1, &keep, &now), OK);
+    struct plan plan = plan_begin(1);
+    prep_plan_capture(&plan, &later, &from, square);
+    assert_int_equal(arena_init(&more, "keep", plan.keep.peak), OK);
+    assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
+    assert_int_equal(prep_read(&r, &later, &from, square, &v), OK);
+    assert_true(v.deep);
+    for (int i = 0; i < 3 * 3 * 56 * 56; i++) { // 8-bit passes round once more
+        assert_true(abs(v.rgb16[i] - 257 * now.rgb[i]) <= 2 * 257);
+        assert_int_equal(v.rgb[i], (v.rgb16[i] + 128) / 257);
+    }
+    arena_reset(&more, 0);
+    bare[1].deep = false;
+    assert_false(prep_is_deep(&later, &from));
+    assert_int_equal(prep_read(&r, &later, NULL, square, &v), OK);
+    assert_true(!v.deep && !v.rgb16);
     arena_free(&keep);
     arena_free(&more);
     arena_free(&tmp);
@@ -382,6 +434,7 @@ int main(void)
         cmocka_unit_test(views_keep_their_shapes),
         cmocka_unit_test(exposures_go_behind_places),
         cmocka_unit_test(pixels_may_come_later),
+        cmocka_unit_test(deep_shots_have_planes_of_16_bits),
         cmocka_unit_test(run_refuses),
         cmocka_unit_test(run_can_be_cancelled),
     };

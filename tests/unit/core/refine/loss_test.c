@@ -237,6 +237,37 @@ static void test_shared(void **state)
     }
 }
 
+/* A photograph of 8 bits in 16: the same numbers. */
+static void test_deep(void **state)
+{
+    (void)state;
+    static uint16_t deep[3 * PX];
+    static float before[3 * PX];
+    open_case(cpu_detect());
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    const struct loss_output small = out;
+    memcpy(before, work.d_radiance, sizeof before);
+    for (int i = 0; i < 3 * PX; i++)
+        deep[i] = (uint16_t)(257 * photo[i]);
+    in.photo = NULL;
+    in.photo16 = deep;
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    assert_true(fabs(out.loss - small.loss) < 1e-6);
+    assert_true(fabs(out.held_sse - small.held_sse) < 1e-5 * small.held_sse);
+    for (int i = 0; i < 3 * PX; i++)
+        assert_true(fabsf(work.d_radiance[i] - before[i]) < 1e-6f);
+    double sse = 0; // bits below the eighth count
+    for (int i = 0; i < 3 * PX; i++) {
+        deep[i] = (uint16_t)(deep[i] < 65408 ? deep[i] + 127 : deep[i]);
+        if (is_held(i % PX % W, i % PX / W))
+            sse += pow((double)work.ldr[i] - deep[i] / 65535.0, 2);
+    }
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    assert_true(fabs(out.held_sse - sse) < 1e-5 * sse);
+    assert_true(fabs(out.held_sse - small.held_sse) > 1e-4 * sse);
+    arena_free(&arena);
+}
+
 static void test_held_out(void **state)
 {
     (void)state;
@@ -296,7 +327,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_gradients), cmocka_unit_test(test_shared),
-        cmocka_unit_test(test_held_out), cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_deep),      cmocka_unit_test(test_held_out),
+        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

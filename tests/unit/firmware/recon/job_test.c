@@ -118,7 +118,7 @@ static void exposures_are_cheaper_than_places(void **state)
 static void pixels_read_later_take_less(void **state)
 {
     (void)state;
-    const struct prep_source from = {NULL, NULL, NULL};
+    const struct prep_source from = {.ctx = NULL};
     struct job_memory all, two;
     struct job_config cfg = config(112, 20000);
     struct capture c = capture(6, 1000);
