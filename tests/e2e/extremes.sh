@@ -82,7 +82,7 @@ cam() { # view: its numbers
 # what is refused
 images=(--images "$OUT/mixed" --model "$OUT/int8.hdrig" --out "$OUT/result")
 expect 1 "--size 100, a network that makes the scene takes multiples of 14" \
-    reconstruct "${images[@]}" --size 100
+    reconstruct "${images[@]}" --size 100 --refine 0
 expect 2 '--size: .*56' reconstruct "${images[@]}" --size 42
 expect 2 '--size: .*4080' reconstruct "${images[@]}" --size 4081
 for bad in 0 -1 1e400 '"1"'; do

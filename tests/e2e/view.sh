@@ -290,7 +290,7 @@ value "display(0, 0)" >"$OUT/before.txt"
 value "window.lose = gl.getExtension('WEBGL_lose_context'), lose.loseContext()" >/dev/null
 wait_for "gl.isContextLost()" true
 wait_for "document.getElementById('message').hidden" false
-told 'the graphics driver has stopped'
+told 'the graphics driver stopped'
 value "lose.restoreContext()" >/dev/null
 wait_for "gl.isContextLost()" false
 value "display(0, 0)" >"$OUT/after.txt"
