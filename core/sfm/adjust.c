@@ -89,7 +89,7 @@ static double householder(const double point[4], double v[4])
 static bool image_slopes(const struct lens *l, const double x[3], double px[2], double by[6],
                          double by_lens[2][ADJUST_LENS])
 {
-    double by_param[2 * LENS_PARAMS];
+    double by_param[2 * LENS_PARAMS] = {0};
     memset(by_lens, 0, 2 * sizeof *by_lens);
     if (l->model == LENS_PINHOLE) {
         const double scale = l->fx / x[2];
@@ -103,7 +103,7 @@ static bool image_slopes(const struct lens *l, const double x[3], double px[2], 
         return false;
     for (int k = 0; k < 2; k++) {
         by_lens[k][0] = px[k];
-        for (int i = 0; i < LENS_TERMS && l->model != LENS_PINHOLE; i++)
+        for (int i = 0; i < LENS_TERMS; i++)
             by_lens[k][1 + i] = by_param[LENS_PARAMS * k + 4 + i];
     }
     return true;
