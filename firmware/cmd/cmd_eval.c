@@ -35,7 +35,7 @@ struct state {
     struct cmd_json json;
     struct job_result job;
     struct evaluate_result figures;
-    struct testcams_error pose;
+    struct pose_error pose;
 };
 
 static void report_score(struct report *rep, const char *key, const struct evaluate_score *s)
@@ -54,7 +54,7 @@ static void report_score(struct report *rep, const char *key, const struct evalu
 }
 
 /* null if cameras were given, or nobody knows better ones. */
-static void report_pose(struct report *rep, const struct testcams_error *p)
+static void report_pose(struct report *rep, const struct pose_error *p)
 {
     if (p->n == 0) {
         report_text(rep, "pose", NULL);

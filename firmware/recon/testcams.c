@@ -1,9 +1,7 @@
 #include "firmware/recon/testcams.h"
 
-#include "core/base/rotation.h"
 #include "firmware/recon/locate.h"
 
-#include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "core/refine/align.h"
 #include "core/sfm/pose.h"
@@ -11,7 +9,6 @@
 #include "drivers/format/img.h"
 #include "drivers/format/name.h"
 
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -92,7 +89,7 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
         network_look_plan(p, cfg->network, recipe.bundle, v);
     if (recipe.bundle)
         locate_plan(p, v, v->n);
-    arena_step(&p->tmp, similarity_plan(v->n));
+    arena_step(&p->tmp, pose_error_plan(v->n)); // fits a similarity, as placing does
     arena_step(&p->tmp, align_plan(most, v, p->threads));
 }
 
@@ -285,67 +282,6 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
 
 /* ---- figures ---- */
 
-static int ascending(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *v, int n)
-{
-    qsort(v, (size_t)n, sizeof *v, ascending);
-    return v[n / 2];
-}
-
-/* From the distance of the quaternions, which says more about small angles than their product. */
-static double angle_deg(const struct camera *a, const struct camera *b)
-{
-    double minus = 0, plus = 0;
-    for (int k = 0; k < 4; k++) {
-        double x = (double)a->q[k], y = (double)b->q[k];
-        minus += (x - y) * (x - y);
-        plus += (x + y) * (x + y);
-    }
-    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / NUM_PI;
-}
-
-/* Root of the mean squared distance of the cameras from their mean. */
-static double spread(const struct camera *c, int n)
-{
-    double sum[3] = {0}, square = 0, x[3];
-    for (int i = 0; i < n; i++) {
-        rotation_centre(&c[i], x);
-        for (int k = 0; k < 3; k++) {
-            sum[k] += x[k] / n;
-            square += x[k] * x[k] / n;
-        }
-    }
-    return sqrt(fmax(square - sum[0] * sum[0] - sum[1] * sum[1] - sum[2] * sum[2], 1e-30));
-}
-
-/* figure: (3, n) scratch. */
-static err_t measure(const struct run *r, const struct camera *found, const struct camera *real,
-                     double *figure, struct testcams_error *out)
-{
-    const int n = out->n;
-    const double size = spread(real, n);
-    struct similarity w;
-    err_t e = similarity_fit(r, found, real, n, &w);
-    for (int i = 0; i < n; i++) {
-        struct camera c = similarity_apply(&w, &found[i]);
-        double a[3], b[3];
-        rotation_centre(&c, a);
-        rotation_centre(&real[i], b);
-        figure[i] = angle_deg(&c, &real[i]);
-        figure[n + i] = hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]) / size;
-        figure[2 * n + i] = fabs((double)c.fx / (double)real[i].fx - 1);
-    }
-    out->rot_deg = median(figure, n);
-    out->trans = median(figure + n, n);
-    out->focal = median(figure + 2 * n, n);
-    return e;
-}
-
 /* For the photograph `name`, which exists. */
 static const struct shot *shot_of(const struct capture *c, const char *name)
 {
@@ -357,14 +293,13 @@ static const struct shot *shot_of(const struct capture *c, const char *name)
 
 err_t testcams_measure(const struct run *r, const struct job_result *j, const struct capture *train,
                        const struct capture *true_test, const struct capture *test,
-                       struct testcams_error *out)
+                       struct pose_error *out)
 {
     const int side = j->scene.size, views = j->scene.n_views, n = views + count_views(test);
     struct camera *found = calloc((size_t)n, sizeof *found),
                   *real = calloc((size_t)n, sizeof *real);
-    double *figure = calloc((size_t)n, 3 * sizeof *figure);
-    err_t e = found && real && figure ? OK : err_fail(ERR_NOMEM, "no memory for %d cameras", n);
-    *out = (struct testcams_error){.n = n};
+    err_t e = found && real ? OK : err_fail(ERR_NOMEM, "no memory for %d cameras", n);
+    *out = (struct pose_error){.n = 0};
     for (int i = 0; i < views && !e; i++) {
         const struct shot *s = shot_of(train, j->scene.names[i]);
         found[i] = j->scene.cams[i];
@@ -376,9 +311,8 @@ err_t testcams_measure(const struct run *r, const struct job_result *j, const st
             real[at++] = pose_scaled(&true_test->shots[i].cam, side, side);
         }
     if (!e)
-        e = measure(r, found, real, figure, out);
+        e = pose_error_measure(r, found, real, n, out);
     free(found);
     free(real);
-    free(figure);
     return e;
 }

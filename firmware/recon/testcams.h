@@ -7,6 +7,7 @@
 #include "firmware/recon/job_result.h"
 #include "firmware/recon/recipe.h"
 
+#include "core/sfm/pose_error.h"
 #include "drivers/format/imageset.h"
 
 /* Memory beside that of the job. most: Gaussians of the scene.
@@ -26,18 +27,10 @@ MUST_USE err_t testcams_check(const struct job_config *cfg, const struct capture
 MUST_USE err_t testcams_run(const struct run *r, const struct job_config *cfg,
                             const struct job_result *j, struct imageset *test);
 
-/* Estimated cameras against true ones, after the similarity that fits best. */
-struct testcams_error {
-    int n;          // views, 0: nothing is known
-    double rot_deg; // median angle
-    double trans;   // median distance over the spread of the true cameras
-    double focal;   // median of |f / f_true - 1|
-};
-
-/* All cameras of the scene and of the test views. Shots have the true ones.
+/* The error of all cameras, those of the scene and of the test views. Shots have the true ones.
  * err:  ERR_NOMEM. */
 MUST_USE err_t testcams_measure(const struct run *r, const struct job_result *j,
                                 const struct capture *train, const struct capture *true_test,
-                                const struct capture *test, struct testcams_error *out);
+                                const struct capture *test, struct pose_error *out);
 
 #endif

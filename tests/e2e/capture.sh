@@ -183,11 +183,11 @@ expect 1 'there is no folder' capture --camera "$(sim bad $FAST)" --out "$OUT/no
 expect 3 'bytes.* are to stay free, there is room for' capture \
     --camera "$(sim bad $FAST)" --out "$TAKES/bad" --set store.reserve_mb=1048576
 
-# ---- Ctrl-C in an exposure of a minute
+# ---- Ctrl-C in an exposure of a minute, which is not waited for
 "$HDRIG" capture --camera "$(sim stopped kind=room,size=112,fps=200,$MINUTE)" --out "$TAKES/bad" \
     --bracket 0,0 --middle 60 2>"$ERR" &
 pid=$!
-for _ in $(seq 100); do
+for _ in $(seq 300); do
     grep -q '^capture' "$ERR" && break
     sleep 0.1
 done
@@ -197,7 +197,7 @@ wait $pid
 code=$?
 [ $code -eq 130 ] || fail "Ctrl-C: exit $code: $(tail -n 1 "$ERR")"
 at_least "seconds left after Ctrl-C" \
-    "$(awk -v a="$from" -v b="$EPOCHREALTIME" 'BEGIN { print 2 - (b - a) }')" 0
+    "$(awk -v a="$from" -v b="$EPOCHREALTIME" 'BEGIN { print 30 - (b - a) }')" 0
 
 # ---- a rig of four, as the reconstruction reads it
 rig=()

@@ -10,7 +10,7 @@ printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "job.run =
 "${HDRIG%/*}/hdrigd" --config "$OUT/hdrig.conf" 2>"$OUT/hdrigd.txt" &
 daemon=$!
 scale=2 mobile=true browser_open 360 740 --disable-gpu
-for _ in $(seq 50); do
+for _ in $(seq 300); do
     [ -S "$SOCKET" ] && break
     sleep 0.1
 done

@@ -42,7 +42,7 @@ ln -s "$sandbox/build/hdrig" "$bin/hdrig"
 stand_in "$sandbox/build/hdrigd" <<END
 "${tool}d" "\$@" 2>>"$sandbox/../daemon.txt" &
 echo \$! >>"$pids"
-for _ in {1..100}; do
+for _ in {1..600}; do
     "$tool" status --set control.socket="$socket" 2>&1 | grep -q '^armed' && exit
     sleep 0.1
 done

@@ -353,7 +353,7 @@ server=$!
 browser_open 800 600 $ANGLE
 call Page.enable '{}'
 call Page.addScriptToEvaluateOnNewDocument "{\"source\":\"$SOURCE\"}"
-for _ in $(seq 50); do
+for _ in $(seq 300); do
     [ -s "$OUT/serve.txt" ] && break
     sleep 0.1
 done

@@ -76,7 +76,8 @@ static void killed_at_any_moment(void **state)
     unsigned rng = 1;
     int left_something = 0;
     assert_int_equal(publish(FEW), OK);
-    for (int i = 0; i < KILLS; i++) {
+    /* a busy machine may be slow to begin: more kills then, until enough hit the writing */
+    for (int i = 0; i < KILLS || (left_something <= KILLS / 4 && i < 20 * KILLS); i++) {
         int status;
         pid_t pid = fork();
         if (pid == 0)
@@ -89,7 +90,7 @@ static void killed_at_any_moment(void **state)
         whole();
         left_something += entries() > 1;
     }
-    assert_true(left_something > KILLS / 4); // the kills did hit the writing
+    assert_true(left_something > KILLS / 4);
     assert_int_equal(publish(MANY), OK);
     whole();
     assert_int_equal(entries(), 1);

@@ -212,7 +212,7 @@ static void *serve_twice(void *stop)
     for (int i = 0; i < 2; i++) {
         struct pollfd p[1 + CTL_CLIENTS_MAX];
         int n = ctl_poll(server, p, 1 + CTL_CLIENTS_MAX);
-        if (poll(p, (nfds_t)n, 2000) > 0)
+        if (poll(p, (nfds_t)n, 60000) > 0)
             ctl_step(server);
     }
     return NULL;
@@ -224,7 +224,7 @@ static void asking(void **state)
     static char out[CTL_ANSWER_MAX];
     pthread_t t;
     assert_int_equal(pthread_create(&t, NULL, serve_twice, NULL), 0);
-    assert_int_equal(ctl_ask(path, "status", 5, out), OK);
+    assert_int_equal(ctl_ask(path, "status", 60, out), OK);
     assert_string_equal(out, "{\"ok\": true}");
     pthread_join(t, NULL);
     assert_string_equal(last_line, "status");

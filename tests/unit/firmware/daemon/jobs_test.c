@@ -49,7 +49,7 @@ static void open_with(const char *script)
 /* Run the loop until nothing runs, or a line of the child is `line`. */
 static void run_until(const char *line)
 {
-    for (int i = 0; i < 500; i++) {
+    for (int i = 0; i < 3000; i++) {
         struct pollfd p[JOBS_FDS];
         jobs_step(j);
         jobs_look(j, &s);

@@ -51,7 +51,7 @@ static int setup(void **state)
     job.scene.n_views = TRAIN;
     job.scene.cams = scene;
     job.scene.names = scene_names;
-    return arena_init(&tmp, "tmp", similarity_plan(TRAIN + TEST)) == OK ? 0 : -1;
+    return arena_init(&tmp, "tmp", pose_error_plan(TRAIN + TEST)) == OK ? 0 : -1;
 }
 
 static int teardown(void **state)
@@ -61,9 +61,9 @@ static int teardown(void **state)
     return 0;
 }
 
-static struct testcams_error measure(void)
+static struct pose_error measure(void)
 {
-    struct testcams_error e;
+    struct pose_error e;
     const struct capture a = {TRAIN, train}, b = {TEST, real}, c = {TEST, found};
     assert_int_equal(testcams_measure(&r, &job, &a, &b, &c, &e), OK);
     assert_int_equal(e.n, 7);
@@ -73,7 +73,7 @@ static struct testcams_error measure(void)
 static void another_world_is_no_error(void **state)
 {
     (void)state;
-    struct testcams_error e = measure();
+    struct pose_error e = measure();
     assert_true(e.rot_deg < 0.01 && e.trans < 1e-4 && e.focal < 1e-6);
 }
 
@@ -95,7 +95,7 @@ static void errors_are_those_of_the_cameras(void **state)
         cams[i]->t[1] = sinf(2 * a) * u[0] + cosf(2 * a) * u[1];
         cams[i]->fx *= 1.1f;
     }
-    struct testcams_error e = measure();
+    struct pose_error e = measure();
     assert_true(e.rot_deg > 1.5 && e.rot_deg < 2.5);
     assert_true(e.trans < 0.03);
     assert_true(fabs(e.focal - 0.1) < 1e-4);
