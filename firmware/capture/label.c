@@ -7,9 +7,7 @@
  * bounds how wrong the promised delay may be (wide).
  * Pixels. The exposure is that of an anchor times the median ratio at the same places. Anchors
  * chain outward from the reference; errors add up. An uncalibrated response stretches all ratios;
- * a kept frame then counts with its recorded exposure instead of the measured one. The error of the
- * reference is common to all frames, so a measurement must be so accurate that SURE standard errors
- * fit into the tolerance after DOUBTED of them are taken off.
+ * a kept frame then counts with its recorded exposure instead of the measured one.
  * Label. Exactly one strict candidate must be within the tolerance of the measured exposure. */
 #include "firmware/capture/label.h"
 
@@ -17,22 +15,14 @@
 #include <string.h>
 
 enum {
-    PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1, // 0.5 %: fewer prove nothing
-    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8,      // enough: no other anchor is compared
-    DOUBT = 8,                                    // frames, for devices with an unknown delay
-    REST = 2,                                     // frames beyond doubt
-    UNSURE = 2,                                   // a wider range of delays is a guess, not jitter
-    GAP_MAX = 64,                                 // frames lost at once; larger gaps are errors
+    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8, // enough: no other anchor is compared
+    DOUBT = 8,                               // frames, for devices with an unknown delay
+    REST = 2,                                // frames beyond doubt
+    UNSURE = 2,                              // a wider range of delays is a guess, not jitter
+    GAP_MAX = 64,                            // frames lost at once; larger gaps are errors
     AGE_MAX = 1 << 20
 };
-#define LOOSE 0.2   // stops: from this tolerance on, the curve is not calibrated
-#define SURE 4.0    // standard errors that are not expected to occur
-#define DOUBTED 2.0 // standard errors that a label must bear
-#define ACCURATE (SURE + DOUBTED)
-#define TORN 0.1     // stops, beyond errors
-#define BENT 0.2     // stops per stop
 #define REPORT 0.005 // W1: 0.5 %
-#define SAME 0.005   // stops
 #define LATE_S 1.0   // stamps older than this and two frames come from another clock
 
 double label_stops(const struct exposure *e)
@@ -42,7 +32,7 @@ double label_stops(const struct exposure *e)
 
 bool label_same(double a, double b)
 {
-    return fabs(a - b) <= SAME;
+    return fabs(a - b) <= EXPOSURE_ANCHOR_SAME;
 }
 
 static double seconds_between(int64_t from, int64_t to)
@@ -253,22 +243,6 @@ void label_narrow(struct label *l, const struct label_look *k)
 
 /* ---- pixels ---- */
 
-/* Whether parts of the picture changed. The spread of few places is often large, and the noise is
- * estimated from few pixels. */
-static bool parts_changed(const struct label *l, const struct exposure_probe_ratio *r, double slack)
-{
-    double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
-    return r->places >= PLACES_MIN && r->spread > 2.0 * l->cfg.tolerance + slack &&
-           (double)r->spread > lucky;
-}
-
-/* Whether rows side by side differ. An uncalibrated curve bends ratios with the brightness. */
-static bool rows_differ(const struct label *l, const struct exposure_probe_ratio *r, double slack)
-{
-    double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs((double)r->log2);
-    return r->places >= PLACES_MIN && r->band > fmin(TORN + bent, 2.0 * l->cfg.tolerance) + slack;
-}
-
 /* The shortest exposure that may be in force, s. */
 static double shortest_s(const struct label *l)
 {
@@ -282,26 +256,23 @@ static double shortest_s(const struct label *l)
 static void compare_anchor(const struct label *l, int by, const struct exposure_probe *w,
                            struct label_look *k)
 {
-    const struct label_anchor *a = &l->anchor[by];
-    struct exposure_probe_ratio r;
-    exposure_probe_compare(&a->seen, w, &r);
-    k->lo = fmax(k->lo, a->stops + r.lo - a->slack);
-    k->hi = fmin(k->hi, a->stops + r.hi + a->slack);
-    // rows of both may differ by their slacks; the frame counts with the darkest candidate's
-    double slack = 2.0 * (a->slack + flicker_stops(&l->light, shortest_s(l)));
-    k->changed = k->changed || parts_changed(l, &r, slack);
-    k->torn = k->torn || rows_differ(l, &r, slack);
-    double error = hypot(a->error, (double)r.error);
-    if (r.places < PLACES_MIN || ACCURATE * error > l->cfg.tolerance ||
-        (k->measured && error + a->slack >= k->error + k->slack))
+    const struct exposure_anchor *a = &l->anchor[by];
+    struct exposure_anchor_ratio r;
+    // the frame counts with the darkest candidate's slack
+    exposure_anchor_compare(a, w, l->cfg.tolerance, flicker_stops(&l->light, shortest_s(l)), &r);
+    k->lo = fmax(k->lo, r.lo);
+    k->hi = fmin(k->hi, r.hi);
+    k->changed = k->changed || r.changed;
+    k->torn = k->torn || r.torn;
+    if (!r.accurate || (k->measured && r.error + a->slack >= k->error + k->slack))
         return;
     k->measured = true;
     k->slack = a->slack;
-    k->stops = a->stops + r.log2;
-    k->error = error;
+    k->stops = r.stops;
+    k->error = r.error;
     k->by = by;
     k->places = r.places;
-    k->ratio = r.log2;
+    k->ratio = r.ratio;
 }
 
 double label_distance(const struct label *l, double stops)
@@ -313,26 +284,15 @@ double label_distance(const struct label *l, double stops)
     return best;
 }
 
-/* Which rows of a frame with the exposure `stops` cannot have the exposure `other`, and which would
- * look alike. A row that looks alike is no evidence for the next frame: it may be torn itself. */
 static struct exposure_probe_rows refute_rows(const struct label *l, const struct exposure_probe *w,
                                               double stops, double other)
 {
-    struct exposure_probe_rows rows = {0}, by;
-    for (int i = 0; i < LABEL_ANCHORS; i++) {
-        const struct label_anchor *a = &l->anchor[i];
-        if (!a->held)
-            continue;
-        double at = label_same(a->recorded, other) ? other : a->stops;
-        double r = stops - at, o = other - at;
-        double bent = l->cfg.tolerance < LOOSE ? 0.0 : BENT * fabs(o);
-        double slack = bent + a->slack + flicker_stops(&l->light, shortest_s(l));
-        if (fabs(r - o) <= slack)
-            continue;
-        exposure_probe_refuted(&a->seen, w, r, o + copysign(slack, r - o), &by);
-        rows.refuted |= by.refuted & a->sure;
-        rows.alike |= by.alike & a->sure;
-    }
+    const struct exposure_anchor_pair pair = {stops, other};
+    const double slack = flicker_stops(&l->light, shortest_s(l));
+    struct exposure_probe_rows rows = {0};
+    for (int i = 0; i < LABEL_ANCHORS; i++)
+        if (l->anchor[i].held)
+            exposure_anchor_refute(&l->anchor[i], w, &pair, l->cfg.tolerance, slack, &rows);
     return rows;
 }
 
@@ -363,7 +323,7 @@ void label_last(struct label *l, const struct exposure_probe *w, struct label_lo
 
 static void read_pixels(const struct label *l, const struct exposure_probe *w, struct label_look *k)
 {
-    const struct label_anchor *ref = &l->anchor[LABEL_REFERENCE];
+    const struct exposure_anchor *ref = &l->anchor[LABEL_REFERENCE];
     k->lo = -INFINITY;
     k->hi = INFINITY;
     k->by = -1;
@@ -377,10 +337,11 @@ static void read_pixels(const struct label *l, const struct exposure_probe *w, s
 void label_hold(struct label *l, int index, const struct exposure_probe *w,
                 const struct label_look *k)
 {
-    struct label_anchor *a = &l->anchor[index];
+    struct exposure_anchor *a = &l->anchor[index];
     a->recorded = label_stops(&k->exposure);
     a->slack = flicker_stops(&l->light, k->exposure.time_s);
-    bool measured = k->measured && l->cfg.tolerance < LOOSE && k->slack + a->slack <= SAME;
+    bool measured = k->measured && l->cfg.tolerance < EXPOSURE_ANCHOR_LOOSE &&
+                    k->slack + a->slack <= EXPOSURE_ANCHOR_SAME;
     a->stops = measured ? k->stops : a->recorded;
     a->error = measured ? k->error : 0.0;
     a->proven = k->measured && l->anchor[k->by].proven && k->slack <= l->cfg.tolerance;
@@ -419,22 +380,17 @@ static bool report_agrees(const struct label *l, const struct exposure *said,
 err_t label_settle(struct label *l, const struct frame *f, const struct exposure_probe *w,
                    bool *same)
 {
-    struct label_anchor *a = &l->anchor[LABEL_REFERENCE];
+    struct exposure_anchor *a = &l->anchor[LABEL_REFERENCE];
     const struct exposure *x = &label_newest(l)->expect;
-    struct exposure_probe_ratio r;
     *same = false;
     if (f->exposure_known && !report_agrees(l, &f->exposure, x)) {
         a->held = false;
         return err_fail(ERR_AGAIN, "a frame at rest reports %g s x %g, but %g s x %g was set",
                         f->exposure.time_s, f->exposure.gain, x->time_s, x->gain);
     }
-    if (a->held) {
-        exposure_probe_compare(&a->seen, w, &r);
-        double slack = 2.0 * flicker_stops(&l->light, x->time_s);
-        *same = !parts_changed(l, &r, slack) && !rows_differ(l, &r, slack) &&
-                (r.places < PLACES_MIN ||
-                 fabs((double)r.log2) <= 0.5 * l->cfg.tolerance + SURE * (double)r.error + slack);
-    }
+    if (a->held)
+        *same = exposure_anchor_alike(a, w, l->cfg.tolerance,
+                                      2.0 * flicker_stops(&l->light, x->time_s));
     a->recorded = a->stops = label_stops(f->exposure_known ? &f->exposure : x);
     a->error = 0.0;
     a->slack = flicker_stops(&l->light, x->time_s);
@@ -470,7 +426,7 @@ static void weigh_candidate(const struct label *l, int i, const struct frame *f,
     bool allowed = out->off <= most;
     if (k->measured) {
         out->off = fabs(s - k->stops);
-        most -= DOUBTED * k->error;
+        most -= EXPOSURE_ANCHOR_DOUBTED * k->error;
     }
     out->fits = !k->changed && !k->torn && allowed && out->off <= most;
 }

@@ -11,7 +11,7 @@
 
 #include "firmware/capture/evidence.h"
 
-#include "core/photo/exposure_probe.h"
+#include "core/photo/exposure_anchor.h"
 #include "core/photo/flicker.h"
 
 enum {
@@ -32,16 +32,6 @@ struct label_request {
     int64_t asked_ns, answered_ns;
 };
 
-/* A frame whose exposure is known. */
-struct label_anchor {
-    struct exposure_probe seen;
-    double stops, error; // log2 of exposure for comparisons, s; its standard error
-    double slack;        // stops by which flicker may have changed it
-    double recorded;     // log2 of the exposure that is recorded
-    bool held, proven;
-    uint32_t sure; // rows that surely have this exposure: only they are evidence for others
-};
-
 struct label {
     struct bracket_camera cfg;
     int lo, hi, doubt; // frames
@@ -49,7 +39,7 @@ struct label {
     struct flicker_light light;
     struct label_request log[LABEL_LOG];
     int n; // oldest first
-    struct label_anchor anchor[LABEL_ANCHORS];
+    struct exposure_anchor anchor[LABEL_ANCHORS];
     bool seen; // there was a frame before; the rest describes it
     uint32_t sequence;
     int64_t stamp_ns, shown_ns; // shown: stamp if it can be true, else arrival
