@@ -97,6 +97,8 @@ static inline struct extent extent_cover(const struct extent *e, int n)
     return out;
 }
 
+struct shade;
+
 /* Photographs as the refiner and the network see them: 8 bit, exposures in log2
  * (core/photo/README.md 1.1 and 1.2); rectangles, for the network squares. Photographs 0 .. n - 1
  * show one place each, and most steps use only these; n .. n + n_more - 1 are other exposures of
@@ -115,7 +117,8 @@ struct views {
     bool srgb;               // the response is known to be that of sRGB, white at 1
     struct camera *cams;     // (n) for the extents; NULL if not known
     int n_more;
-    int *place; // (n_more) of photograph n + i, ascending
+    int *place;                // (n_more) of photograph n + i, ascending
+    const struct shade *shade; // (n) core/photo/shade.h; NULL: all cameras show light alike
 };
 
 static inline uint8_t *views_rgb(const struct views *v, int i)

@@ -1,5 +1,6 @@
 #include "core/refine/align.h"
 
+#include "core/photo/shade.h"
 #include "core/refine/loss.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
@@ -47,23 +48,28 @@ static void drop_gradients(void *ctx, int first, int count, const float *grad, c
 }
 
 /* Gradient of the loss of one photograph by the twist of its camera. */
-static err_t twist_of(struct align *a, const struct camera *cam, float shift, float twist[6])
+static err_t twist_of(struct align *a, const struct views *v, int i, float twist[6])
 {
+    const struct camera *cam = &v->cams[i];
     const float *b = a->s->background;
     struct raster_input in = {&a->s->g, cam, {b[0], b[1], b[2]}};
     struct loss_input li = {.pic = &a->pic,
                             .tone = &a->s->tone,
-                            .shift = shift,
+                            .shift = v->log2t[i] - a->s->tone.mid_log2t,
                             .photo = a->photo,
                             .w_l1 = 0.2f,
                             .w_ssim = 0.8f};
     struct loss_output out;
     float pose[POSE_GRAD];
     err_t e = raster_run(a->r, &a->raster, &in, &a->pic);
+    if (!e && v->shade)
+        shade_apply(a->r->pool, &v->shade[i], a->pic.w, a->pic.h, a->pic.radiance);
     if (!e)
         e = loss_run(a->r, &a->loss, &li, &out);
     if (e)
         return e;
+    if (v->shade)
+        shade_apply(a->r->pool, &v->shade[i], a->pic.w, a->pic.h, a->loss.d_radiance);
     struct render_grad up = {a->loss.d_radiance, NULL, NULL};
     struct raster_sink sink = {drop_gradients, NULL, pose, NULL};
     e = raster_grad_run(a->r, &a->raster, &in, &up, &sink);
@@ -82,7 +88,7 @@ static err_t align_view(struct align *a, const struct views *v, int i, int itera
             a->photo[c * px + k] = rgb[3 * k + c];
     for (int step = 0; step < iterations; step++) {
         float grad[6], move[6] = {0};
-        err_t e = twist_of(a, &v->cams[i], v->log2t[i] - a->s->tone.mid_log2t, grad);
+        err_t e = twist_of(a, v, i, grad);
         if (e)
             return e;
         float lr = RATE * powf(0.01f, (float)step / (float)iterations);

@@ -17,6 +17,7 @@
 #include "core/base/gaussians.h"
 #include "core/base/splitmix.h"
 #include "core/photo/noise.h"
+#include "core/photo/shade.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
 #include "core/sfm/pose.h"
@@ -359,6 +360,13 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
     return OK;
 }
 
+/* Radiance of view i as its camera shows it, or a gradient by that back to radiance. */
+static void shade_view(const struct refine *f, int i, float *planes)
+{
+    if (f->v->shade)
+        shade_apply(f->r->pool, &f->v->shade[i], f->pic.w, f->pic.h, planes);
+}
+
 /* Render view i at the current size and compare with its photographs. */
 static err_t compare_view(struct refine *f, int i, const struct camera *cam, const float behind[3],
                           struct loss_output *out)
@@ -367,6 +375,8 @@ static err_t compare_view(struct refine *f, int i, const struct camera *cam, con
     int n = 0;
     memset(out, 0, sizeof *out);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
+    if (!e)
+        shade_view(f, i, f->pic.radiance);
     for (int k = i; k >= 0; k = views_next(f->v, i, k))
         n++;
     struct loss_input as = {.pic = &f->pic,
@@ -380,6 +390,8 @@ static err_t compare_view(struct refine *f, int i, const struct camera *cam, con
         e = compare_photo(f, i, k, &as, out);
         as.more = true;
     }
+    if (!e)
+        shade_view(f, i, f->loss_work.d_radiance);
     return e;
 }
 

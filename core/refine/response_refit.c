@@ -4,6 +4,7 @@
 
 #include "core/base/num.h"
 #include "core/photo/response.h"
+#include "core/photo/shade.h"
 #include "core/stereo/visibility.h"
 
 #include <math.h>
@@ -25,6 +26,7 @@ struct refit {
     int n;
     uint32_t hist[2][3][256]; // counts over the surfaces that two views share
     int shared;
+    double shade; // stops, sum over these of what the cameras add in the second less in the first
 };
 
 /* Count the mean of the pixels around px (u, v). */
@@ -43,6 +45,18 @@ static void count_pixels(const struct refit *f, int view, const float uv[2], uin
     }
     for (int c = 0; c < 3; c++)
         hist[c][(sum[c] + n * n / 2) / (n * n)]++;
+}
+
+/* Stops that the camera of a view adds at px (u, v), mean of the colours: these share one curve. */
+static double shade_at(const struct views *v, int view, const float uv[2])
+{
+    const struct extent *px = &v->extent[view];
+    float stops[3];
+    if (!v->shade)
+        return 0;
+    shade_stops(&v->shade[view].model,
+                shade_r2(&v->shade[view], uv[0] / (float)px->w, uv[1] / (float)px->h), stops);
+    return ((double)stops[0] + (double)stops[1] + (double)stops[2]) / 3;
 }
 
 /* Add the confirmed pixels of view i, and the same surfaces in view j, to the histograms. */
@@ -64,6 +78,9 @@ static void add_shared(struct refit *f, int i, int j, bool swap)
             continue;
         count_pixels(f, i, uvz, f->hist[swap]);
         count_pixels(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
+        const double more =
+            shade_at(f->v, j, (const float[2]){there.u, there.v}) - shade_at(f->v, i, uvz);
+        f->shade += swap ? -more : more;
         f->shared++;
     }
 }
@@ -71,11 +88,13 @@ static void add_shared(struct refit *f, int i, int j, bool swap)
 static void compare_views(struct refit *f, int i, int j)
 {
     f->shared = 0;
+    f->shade = 0;
     memset(f->hist, 0, sizeof f->hist);
     add_shared(f, i, j, false);
     add_shared(f, j, i, true);
     if (f->shared >= SHARED_MIN)
-        f->n += response_quantiles(f->hist[0], f->hist[1], f->v->log2t[j] - f->v->log2t[i],
+        f->n += response_quantiles(f->hist[0], f->hist[1],
+                                   f->v->log2t[j] - f->v->log2t[i] + (float)(f->shade / f->shared),
                                    f->pairs + f->n);
 }
 

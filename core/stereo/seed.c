@@ -12,6 +12,7 @@
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/photo/response.h"
+#include "core/photo/shade.h"
 
 #include <math.h>
 #include <string.h>
@@ -131,6 +132,13 @@ static void sample_range(const struct seed *s, float at, float side, int size, i
     range[0] = first < 0 || last < 0 ? 0 : first > last ? last : first;
 }
 
+/* r^2 at a pixel of the map. */
+static float shade_of(const struct seed *s, int view, const float *at)
+{
+    const struct extent *map = &s->in->depth->extent[view];
+    return shade_r2(&s->in->views->shade[view], at[0] / (float)map->w, at[1] / (float)map->h);
+}
+
 /* Add ln radiance of the pixels under a square to sum, weighted by reliability. */
 static void add_colour(const struct seed *s, int view, const float *at, float side, float factor,
                        float (*sum)[2])
@@ -147,10 +155,14 @@ static void add_colour(const struct seed *s, int view, const float *at, float si
             weight[c] += w;
         }
     }
-    const float shift = s->in->views->log2t[view] - s->in->views->mid_log2t;
+    const struct views *v = s->in->views;
+    const float shift = v->log2t[view] - v->mid_log2t;
+    float stops[3] = {0};
+    if (v->shade)
+        shade_stops(&v->shade[view].model, shade_of(s, view, at), stops);
     for (int c = 0; c < 3; c++) {
         float w = factor * weight[c] / (float)(rx[2] * ry[2]);
-        sum[c][0] += w * (logf(value[c] / weight[c] + 1e-9f) - shift * 0.69314718f);
+        sum[c][0] += w * (logf(value[c] / weight[c] + 1e-9f) - (shift + stops[c]) * 0.69314718f);
         sum[c][1] += w;
     }
 }

@@ -108,7 +108,7 @@ static err_t draw_view(struct state *st, const struct scene *s, const struct cam
     if (e)
         return e;
     size_t bytes = 3 * (size_t)cam->w * (size_t)cam->h * sizeof(float);
-    draw_display(&st->draw, s->tone.mid_log2t);
+    draw_display(&st->draw, NULL, s->tone.mid_log2t);
     out[0].w = out[1].w = cam->w;
     out[0].h = out[1].h = cam->h;
     memcpy(out[0].px, st->draw.display.px, bytes);

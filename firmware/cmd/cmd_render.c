@@ -179,7 +179,7 @@ static void develop_frame(const struct request *rq, struct state *st, float log2
         return;
     }
     size_t n = (size_t)maps->w * (size_t)maps->h;
-    draw_display(&st->draw, log2t);
+    draw_display(&st->draw, NULL, log2t);
     for (size_t i = 0; i < 3 * n; i++) {
         float v = st->draw.display.px[i % 3 * n + i / 3];
         st->picture.px[i] = (uint8_t)(v > 0 ? fminf(v, 1) * 255.0f + 0.5f : 0); // NaN is black

@@ -300,7 +300,7 @@ static err_t draw_all(const struct run *r, const struct dump_picture *p, struct 
     for (int i = 0; i < DUMP_EXPOSURES; i++) {
         char name[16];
         snprintf(name, sizeof name, "render.ldr%d", i);
-        draw_display(d, p->log2t[i]);
+        draw_display(d, NULL, p->log2t[i]);
         put_map(r, name, size, COLOURS, d->display.px);
     }
     float *extra = work + COLOURS * (size_t)p->g->cap;

@@ -53,7 +53,9 @@ static err_t choose(const struct capture *all, const struct views *v, struct cho
 static void take_over(const struct views *large, struct job_result *out)
 {
     struct scene *s = &out->scene;
+    const struct shade *shade = out->views.shade;
     out->views = *large;
+    out->views.shade = shade;
     for (int i = 0; i < s->n_views; i++)
         s->cams[i] = pose_scaled(&s->cams[i], large->extent[i].w, large->extent[i].h);
     s->size = large->size;

@@ -1,5 +1,7 @@
 #include "firmware/recon/evaluate.h"
 
+#include "firmware/recon/shading.h"
+
 #include "core/splat/path.h"
 #include "firmware/result/draw.h"
 
@@ -289,6 +291,7 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     struct views v;
+    struct shade shade;
     struct capture one = {1, (struct shot *)(uintptr_t)s};
     err_t e = prep_run(b->r, &one, job_result_size(&b->j->scene), &v);
     job_result_lap(b->j, JOB_PREPROCESS);
@@ -302,7 +305,7 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
         e = draw_view(b, s, &v);
     if (e)
         return e;
-    draw_display(&b->draw, v.log2t[0]);
+    draw_display(&b->draw, shading_of(b->j, s, &v.cams[0], &shade) ? &shade : NULL, v.log2t[0]);
     job_result_lap(b->j, JOB_RENDER);
     e = measure_ldr(b, s, &v);
     job_result_lap(b->j, JOB_MEASURE);

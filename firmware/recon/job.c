@@ -3,6 +3,7 @@
 #include "firmware/base/engine.h"
 #include "firmware/recon/enlarge.h"
 #include "firmware/recon/figures.h"
+#include "firmware/recon/shading.h"
 #include "firmware/recon/start.h"
 #include "firmware/result/draw.h"
 
@@ -308,6 +309,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
     report_close(rep);
     lenses_report(j, rep);
+    shading_report(j, rep);
     report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');
     report_text(rep, NULL, j->sizing);

@@ -6,6 +6,7 @@
 #include "core/base/types.h"
 #include "core/photo/prep.h"
 #include "core/refine/refine.h"
+#include "core/refine/shade_fit.h"
 #include "core/sfm/bundle.h"
 
 enum job_stage {
@@ -46,6 +47,13 @@ struct job_lens {
     bool retaken; // the views were drawn again through it
 };
 
+/* What a physical camera does to light. */
+struct job_light {
+    char camera_id[NAME_CAP];
+    int photographs;
+    struct shade_fit_camera found;
+};
+
 struct job_result {
     const struct capture *capture; // the job's
     struct views views;            // in keep; n is 0 if the photographs are not at hand
@@ -65,6 +73,8 @@ struct job_result {
     const char *precision;      // the network's; NULL: none was used
     int n_found;
     struct job_lens found[BUNDLE_VIEWS_MAX]; // where cameras were not known
+    int n_light;                             // 0: not looked at
+    struct job_light light[SHADE_FIT_CAMERAS];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;

@@ -24,7 +24,7 @@ err_t lenses_layout(struct lenses *l, struct arena *keep, int n_views)
 
 /* ---- which, and what is known ---- */
 
-static const struct shot *shot_of(const struct capture *c, const char *name)
+const struct shot *lenses_shot(const struct capture *c, const char *name)
 {
     int i = 0;
     while (i + 1 < c->n && strcmp(c->shots[i].name, name) != 0)
@@ -70,9 +70,9 @@ void lenses_group(struct lenses *l, const struct capture *c, const struct views 
 {
     l->n = 0;
     for (int i = 0; i < v->n; i++) {
-        const struct shot *s = shot_of(c, v->names[i]);
+        const struct shot *s = lenses_shot(c, v->names[i]);
         int first = 0;
-        while (strcmp(shot_of(c, v->names[first])->camera_id, s->camera_id) != 0)
+        while (strcmp(lenses_shot(c, v->names[first])->camera_id, s->camera_id) != 0)
             first++;
         l->turned[i] = s->turned;
         l->of[i] = first < i ? l->of[first] : l->n++;
@@ -147,7 +147,7 @@ static err_t retake_view(void *ctx, int i, int worker)
 {
     const struct retake *t = ctx;
     const int place = place_of(t->v, i);
-    const struct shot *shot = shot_of(t->c, t->v->names[i]);
+    const struct shot *shot = lenses_shot(t->c, t->v->names[i]);
     const struct extent *px = &t->v->extent[i];
     struct image8 im = shot->image;
     struct lens lens;
@@ -240,7 +240,7 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
             to->selfcal.error_before = l->error_before[k];
         for (int i = v->n - 1; i >= 0; i--)
             if (l->of[i] == k) {
-                const struct shot *s = shot_of(c, v->names[i]);
+                const struct shot *s = lenses_shot(c, v->names[i]);
                 memcpy(to->camera_id, s->camera_id, sizeof to->camera_id);
                 to->edge = num_max(v->extent[i].w, v->extent[i].h);
                 to->retaken = l->pinhole[i] > 0;

@@ -20,6 +20,9 @@ struct lenses {
     double *error_before;     // (n) of selfcal.h, of photographs as they were taken
 };
 
+/* The shot of this name, which exists. */
+const struct shot *lenses_shot(const struct capture *c, const char *name);
+
 /* Number of lenses of a capture. */
 int lenses_count(const struct capture *c);
 

@@ -6,6 +6,7 @@
 #include "firmware/recon/dump.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/locate.h"
+#include "firmware/recon/shading.h"
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
@@ -32,10 +33,18 @@ static void announce(const struct run *r, const char *stage)
 
 /* ---- the scene before its first splat ---- */
 
-static err_t layout_scene(struct scene *s, struct arena *keep, const struct recipe *recipe,
-                          int n_views)
+/* Squares are the network's, or the paper's: their light is as it is. */
+static bool finds_light(const struct recipe *recipe)
+{
+    return recipe->depth == RECIPE_STEREO && !recipe->square;
+}
+
+static err_t layout_scene(struct scene *s, struct shade **shade, struct arena *keep,
+                          const struct recipe *recipe, int n_views)
 {
     err_t e = arena_alloc(keep, (size_t)n_views, sizeof *s->cams, &s->cams);
+    if (!e && finds_light(recipe))
+        e = shading_layout(shade, keep, n_views);
     if (!e && !recipe->forward) // room for what refinement may add
         e = gaussians_init(&s->g, keep, recipe->gaussians_max, recipe->degree_max);
     return e;
@@ -55,7 +64,7 @@ err_t start_scene(struct start *s)
                             .log2t = v->log2t};
     for (int c = 0; c < 3 && recipe->forward; c++)
         scene->background[c] = 1; // core/splat/README.md 3
-    err_t e = layout_scene(scene, keep, recipe, v->n);
+    err_t e = layout_scene(scene, &s->shade, keep, recipe, v->n);
     if (!e && v->cams)
         memcpy(scene->cams, v->cams, n * sizeof *scene->cams);
     s->keep = arena_mark(keep);
@@ -306,6 +315,22 @@ bool start_corrects(const struct start *s)
            (s->recipe->cameras == RECIPE_GIVEN || s->out->cameras.confidence >= LOCATE_SURE);
 }
 
+static err_t find_light(struct start *s)
+{
+    struct job_result *out = s->out;
+    struct start_seen *seen = &s->seen;
+    const struct shading_input in = {.capture = s->capture,
+                                     .depth = &s->depth,
+                                     .room = s->shade,
+                                     .seen = &seen->views,
+                                     .tone = &seen->tone,
+                                     .refit = out->views.n_more == 0 && !out->views.srgb};
+    err_t e = shading_run(s->run, &in, out);
+    if (in.refit)
+        out->scene.tone = seen->tone;
+    return e;
+}
+
 err_t start_stereo(struct start *s)
 {
     const struct run *r = s->run;
@@ -322,6 +347,8 @@ err_t start_stereo(struct start *s)
         e = response_refit_run(r, &out->views, &s->depth, &seen->tone);
         out->scene.tone = seen->tone;
     }
+    if (!e && s->shade)
+        e = find_light(s);
     job_result_lap(out, JOB_SWEEP);
     return e;
 }
@@ -497,12 +524,15 @@ static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct
     seed_plan(p, network ? v->extent : maps, v->n, refine_begin(&recipe->refinement, v->n), &seeds);
 }
 
-static void plan_stereo(struct plan *p, const struct views *v, const struct extent *maps)
+static void plan_stereo(struct plan *p, const struct views *v, const struct extent *maps,
+                        bool light)
 {
     exposure_stack_merge_plan(p, v);
     sweep_plan(p, v, maps);
     if (v->n_more == 0)
         arena_step(&p->tmp, response_refit_plan(v->n));
+    if (light)
+        arena_step(&p->tmp, shading_plan(v->n));
 }
 
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
@@ -513,12 +543,13 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
     const bool gaussians = recipe->gaussians == RECIPE_NETWORK;
     struct extent *maps = calloc((size_t)v->n, sizeof *maps);
     struct scene scene;
+    struct shade *shade;
     if (!maps) {
         plan_refuse(p);
         return;
     }
     (void)sweep_extents(v, maps);
-    if (layout_scene(&scene, &p->keep, recipe, v->n))
+    if (layout_scene(&scene, &shade, &p->keep, recipe, v->n))
         plan_refuse(p);
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
     if (recipe->tapped) // cells have room for all points
@@ -533,7 +564,7 @@ void start_plan(struct plan *p, const struct job_config *cfg, const struct recip
         arena_reset(&p->keep, keep);
     const size_t before_depth = arena_mark(&p->keep);
     if (recipe->depth == RECIPE_STEREO || recipe->correct)
-        plan_stereo(p, v, maps);
+        plan_stereo(p, v, maps, finds_light(recipe));
     if (recipe->correct) {
         correct_plan(p, v->n, v->size);
         arena_reset(&p->keep, before_depth);

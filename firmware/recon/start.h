@@ -32,6 +32,7 @@ struct start {
     float scale;          // from the network's world to that of the cameras
     struct start_seen seen;
     struct depthmaps depth;
+    struct shade *shade; // (places) room for what cameras do to light; NULL: not looked for
     size_t before_depth; // level of run.keep
 };
 

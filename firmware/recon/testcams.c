@@ -1,6 +1,7 @@
 #include "firmware/recon/testcams.h"
 
 #include "firmware/recon/locate.h"
+#include "firmware/recon/shading.h"
 
 #include "core/photo/prep.h"
 #include "core/refine/align.h"
@@ -81,7 +82,8 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
     const struct recipe recipe = recipe_of_cameras(cfg);
     struct views own = *v;
     struct bundle_lens *lens;
-    if (layout_extents(&own, &p->keep) ||
+    struct shade *shade;
+    if (layout_extents(&own, &p->keep) || shading_layout(&shade, &p->keep, v->n) ||
         layout_views(&own, &lens, &p->keep, extent_total(v->extent, v->n)))
         plan_refuse(p);
     prep_plan(p, 1, extent_cover(v->extent, v->n).at, prep_largest(test), v->size);
@@ -229,9 +231,28 @@ static err_t place(const struct run *r, const struct scene *s, const struct bund
     return e;
 }
 
-static err_t align(const struct run *r, const struct scene *s, const struct views *all,
-                   const struct bundle_lens *lens, struct camera *cams)
+/* What the cameras of the test views do to light, if that is known of any. */
+static err_t shade(const struct run *r, const struct job_result *j, const struct capture *test,
+                   struct views *v)
 {
+    struct shade *out;
+    if (!j->views.shade)
+        return OK;
+    err_t e = shading_layout(&out, r->keep, v->n);
+    for (int i = 0, view = 0; i < test->n && !e; i++)
+        if (begins_view(test, i)) {
+            if (!shading_of(j, &test->shots[i], &v->cams[view], &out[view]))
+                memset(&out[view], 0, sizeof out[view]);
+            view++;
+        }
+    v->shade = e ? NULL : out;
+    return e;
+}
+
+static err_t align(const struct run *r, const struct job_result *j, const struct capture *test,
+                   const struct views *all, const struct bundle_lens *lens, struct camera *cams)
+{
+    const struct scene *s = &j->scene;
     const size_t first = (size_t)s->n_views;
     struct views v = {.n = all->n - s->n_views,
                       .size = all->size,
@@ -240,6 +261,8 @@ static err_t align(const struct run *r, const struct scene *s, const struct view
                       .log2t = all->log2t + first,
                       .cams = cams + first};
     err_t e = place(r, s, lens, all->n, cams);
+    if (!e)
+        e = shade(r, j, test, &v);
     return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
 }
 
@@ -273,7 +296,7 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
         e = locate(r, cfg, &all, lens, &cams);
     }
     if (!e)
-        e = align(r, &j->scene, &all, lens, cams);
+        e = align(r, j, &test->capture, &all, lens, cams);
     if (!e)
         give_cameras(cams + n, &test->capture);
     arena_reset(r->keep, mark);

@@ -1,5 +1,6 @@
 #include "firmware/result/draw.h"
 
+#include "core/photo/shade.h"
 #include "drivers/format/exrfile.h"
 
 #include <math.h>
@@ -49,14 +50,20 @@ err_t draw_run(const struct run *r, struct draw *d, const struct scene *s, const
     return raster_run(r, &d->raster, &in, &d->maps);
 }
 
-void draw_display(struct draw *d, float log2t)
+void draw_display(struct draw *d, const struct shade *shade, float log2t)
 {
     size_t pixels = (size_t)d->maps.w * (size_t)d->maps.h;
+    const float *from = d->maps.radiance;
     d->display.w = d->maps.w;
     d->display.h = d->maps.h;
+    if (shade) {
+        memcpy(d->display.px, from, 3 * pixels * sizeof *from);
+        shade_apply(NULL, shade, d->display.w, d->display.h, d->display.px);
+        from = d->display.px;
+    }
     for (int c = 0; c < 3; c++)
-        tonemap_run(&d->table.c[c], d->maps.radiance + (size_t)c * pixels, log2t - d->mid_log2t,
-                    pixels, d->display.px + (size_t)c * pixels);
+        tonemap_run(&d->table.c[c], from + (size_t)c * pixels, log2t - d->mid_log2t, pixels,
+                    d->display.px + (size_t)c * pixels);
 }
 
 err_t draw_write_exr(const struct draw *d, const struct camera *cam, float log2t, const char *path,

@@ -99,13 +99,13 @@ struct pictures {
     double psnr;    // sum over the views
 };
 
-/* Photograph i beside what was drawn last, which stays in draw.display. */
-static err_t compare_photograph(struct pictures *p, int i)
+/* Photograph i of a place beside what was drawn last, which stays in draw.display. */
+static err_t compare_photograph(struct pictures *p, int place, int i)
 {
     const struct views *v = &p->j->views;
     const struct extent *px = &v->extent[i];
     const struct image8 photograph = {px->w, px->h, 3, views_rgb(v, i)};
-    draw_display(&p->draw, v->log2t[i]);
+    draw_display(&p->draw, v->shade ? &v->shade[place] : NULL, v->log2t[i]);
     double mse = squared_error(&p->draw.display, photograph.px) / (3 * (double)extent_pixels(px));
     double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
     p->psnr += psnr;
@@ -121,9 +121,9 @@ static err_t write_view(struct pictures *p, int i)
     size_t clipped = 0;
     err_t e = draw_run(p->r, &p->draw, s, &s->cams[i]);
     for (int k = views_next(v, i, i); k >= 0 && !e; k = views_next(v, i, k))
-        e = compare_photograph(p, k);
+        e = compare_photograph(p, i, k);
     if (!e)
-        e = compare_photograph(p, i); // the one whose exposure is written
+        e = compare_photograph(p, i, i); // the one whose exposure is written
     job_result_lap(p->j, JOB_RENDER);
     draw_name("ldr", s->names[i], "png", name);
     if (!e)

@@ -232,7 +232,7 @@ static void draw(const struct scene *s, struct image *display, struct image *rad
     struct run r = {.k = &kernels, .tmp = &tmp, .cancel = &cancel};
     assert_int_equal(draw_init(&d, &tmp, s->g.cap, SIZE, SIZE), OK);
     assert_int_equal(draw_run(&r, &d, s, &cam), OK);
-    draw_display(&d, s->tone.mid_log2t);
+    draw_display(&d, NULL, s->tone.mid_log2t);
     for (int i = 0; i < 3 * SIZE * SIZE; i++) {
         display->px[i] = d.display.px[i];
         radiance->px[i] = d.maps.radiance[i];

@@ -1,0 +1,442 @@
+/* Linear in stops: log2 of the radiance of a surface in view i less that in view j is, but for
+ * noise, what camera i adds at its r^2 less what camera j does. Robust least squares over all terms,
+ * then terms are taken away, the least likely first, as long as the left-out squares bear it: so
+ * what one term explains is not credited to another. */
+#include "core/refine/shade_fit.h"
+
+#include "core/base/lin.h"
+#include "core/base/num.h"
+#include "core/base/splitmix.h"
+#include "core/photo/response.h"
+#include "core/stereo/visibility.h"
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    PAIRS = 240, // ordered pairs of views that are compared at most
+    EACH = 800,  // sightings of a pair at most
+    LEAST = 500, // sightings in all
+    BLOCKS = 8,  // squares across a view
+    HELD_ONE_IN = 3,
+    ROUNDS = 6, // of reweighting
+    MEAN = 4,   // px, least edge of the square that is averaged
+    DARK = 8,   // display values outside are black or saturated
+    LIGHT = 247,
+    OWN = 6, // v2 v4 v6, gain, balance: red, blue
+    PARAMS = OWN * SHADE_FIT_CAMERAS
+};
+
+#define SURE 3.0        // standard errors of a gain that is believed
+#define GAIN_LEAST 1e-5 // stops^2 of the mean squared error, of a gain that matters
+#define PRIOR 0.1       // weight of "no effect", in sightings a stop wrong
+#define MAD 1.4826
+#define SMOOTH 0.1f // weight of sightings that the spread is measured with
+#define ROUGH 0.1f  // stops across a square, of those that a slight shift changes little
+
+struct sighting {
+    float r2[2], d[3], w[3]; // of views i and j; log2 radiance in i less that in j; weights
+    uint8_t camera[2];
+    bool held;
+    int block; // square of view i
+};
+
+struct fit {
+    const struct shade_fit_input *in;
+    struct visibility sight;
+    struct response_table table;
+    struct sighting *seen; // (n) of room for `cap`
+    int n, cap;
+    float *error;  // (3 cap) scratch
+    double *gain;  // (views BLOCKS^2) scratch
+    double *whole; // (PARAMS^2) normal equations, lower triangle
+    double *part;  // (PARAMS^2) of the active ones
+    double right[PARAMS], x[PARAMS];
+    bool active[PARAMS];
+    int params;
+    double gate; // largest error of an inlier, stops
+};
+
+static int pairs_of(int n_views)
+{
+    return num_min(PAIRS, n_views * (n_views - 1));
+}
+
+static err_t layout(struct fit *f, struct arena *tmp, int n_views)
+{
+    f->cap = pairs_of(n_views) * EACH;
+    const size_t cap = (size_t)num_max(f->cap, 1);
+    err_t e = visibility_layout(&f->sight, tmp, n_views);
+    if (!e)
+        e = arena_alloc(tmp, cap, sizeof *f->seen, &f->seen);
+    if (!e)
+        e = arena_alloc(tmp, 3 * cap, sizeof *f->error, &f->error);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)n_views * BLOCKS * BLOCKS, sizeof *f->gain, &f->gain);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)PARAMS * PARAMS, sizeof *f->whole, &f->whole);
+    return e ? e : arena_alloc(tmp, (size_t)PARAMS * PARAMS, sizeof *f->part, &f->part);
+}
+
+size_t shade_fit_plan(int n_views)
+{
+    struct arena tmp = arena_counter();
+    static const struct fit none;
+    struct fit f = none;
+    return layout(&f, &tmp, n_views) ? SIZE_MAX : tmp.peak;
+}
+
+/* ---- sightings ---- */
+
+/* log2 radiance and weight of the mean of the pixels around px (u, v); weight 0: black or
+ * saturated. */
+static void look_at(const struct fit *f, int view, const float uv[2], float x[3], float w[3])
+{
+    const struct views *v = f->in->v;
+    const struct extent *px = &v->extent[view];
+    const int size[2] = {px->w, px->h};
+    const int n = num_min(num_max(f->in->depth->scale, MEAN), num_min(size[0], size[1]));
+    int first[2], sum[3] = {0}, least[3] = {255, 255, 255}, most[3] = {0};
+    for (int k = 0; k < 2; k++)
+        first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size[k] - n));
+    for (int i = 0; i < n * n; i++) {
+        const size_t row = (size_t)(first[1] + i / n), column = (size_t)(first[0] + i % n);
+        const uint8_t *p = views_rgb(v, view) + 3 * (row * (size_t)px->w + column);
+        for (int c = 0; c < 3; c++) {
+            sum[c] += p[c];
+            least[c] = num_min(least[c], p[c]);
+            most[c] = num_max(most[c], p[c]);
+        }
+    }
+    for (int c = 0; c < 3; c++) {
+        const float mean = (float)sum[c] / (float)(n * n);
+        const int z = num_min((int)mean, 254);
+        const float *curve = f->table.x[c] + z, share = mean - (float)z;
+        x[c] = curve[0] + share * (curve[1] - curve[0]) - v->log2t[view];
+        const float rough = (f->table.x[c][most[c]] - f->table.x[c][least[c]]) / ROUGH;
+        w[c] = least[c] < DARK || most[c] > LIGHT ? 0 : f->table.weight[c][z] / (1 + rough * rough);
+    }
+}
+
+static bool is_held(int block)
+{
+    return splitmix_mix((uint64_t)block + SPLITMIX_STEP) % HELD_ONE_IN == 0;
+}
+
+/* The surface at px uv, z deep, of view i in view j. */
+static void add_sighting(struct fit *f, int i, int j, const float uvz[3])
+{
+    const struct extent *px = f->in->v->extent;
+    struct projected there;
+    float point[3], x[2][3], w[2][3];
+    visibility_unproject(&f->sight, i, uvz, point);
+    if (!visibility_project(&f->sight, j, point, &there) ||
+        !visibility_on_surface(&f->sight, &there))
+        return;
+    const float at[2][2] = {{uvz[0] / (float)px[i].w, uvz[1] / (float)px[i].h},
+                            {there.u / (float)px[j].w, there.v / (float)px[j].h}};
+    struct sighting *s = &f->seen[f->n];
+    look_at(f, i, uvz, x[0], w[0]);
+    look_at(f, j, (const float[2]){there.u, there.v}, x[1], w[1]);
+    float any = 0;
+    for (int c = 0; c < 3; c++) {
+        s->d[c] = x[0][c] - x[1][c];
+        s->w[c] = fminf(w[0][c], w[1][c]);
+        any += s->w[c];
+    }
+    if (!(any > 0))
+        return;
+    s->r2[0] = shade_r2(&f->in->shade[i], at[0][0], at[0][1]);
+    s->r2[1] = shade_r2(&f->in->shade[j], at[1][0], at[1][1]);
+    s->camera[0] = (uint8_t)f->in->camera[i];
+    s->camera[1] = (uint8_t)f->in->camera[j];
+    s->block = (i * BLOCKS + num_min((int)(at[0][1] * BLOCKS), BLOCKS - 1)) * BLOCKS +
+               num_min((int)(at[0][0] * BLOCKS), BLOCKS - 1);
+    s->held = is_held(s->block);
+    f->n++;
+}
+
+static void compare_views(struct fit *f, int i, int j)
+{
+    const struct depthmaps *d = f->in->depth;
+    const struct extent *map = &d->extent[i];
+    const int step = num_max(1, (int)ceil(sqrt((double)map->w * map->h / EACH)));
+    const int end = f->n + EACH;
+    for (int y = step / 2; y < map->h; y += step)
+        for (int x = step / 2; x < map->w && f->n < end; x += step) {
+            const size_t k = map->at + (size_t)y * (size_t)map->w + (size_t)x;
+            const float uvz[3] = {((float)x + 0.5f) * (float)d->scale,
+                                  ((float)y + 0.5f) * (float)d->scale, d->depth[k]};
+            if (visibility_confident(&f->sight, k))
+                add_sighting(f, i, j, uvz);
+        }
+}
+
+static err_t collect(const struct run *r, struct fit *f)
+{
+    const int n = f->in->v->n, all = n * (n - 1);
+    const int step = num_max(1, (all + PAIRS - 1) / PAIRS);
+    for (int k = 0; k < all; k += step) {
+        const int i = k / (n - 1), j = k % (n - 1);
+        err_t e = run_check(r, "vignetting");
+        if (e)
+            return e;
+        compare_views(f, i, j + (j >= i));
+    }
+    return OK;
+}
+
+/* ---- least squares ---- */
+
+/* What the terms of view 0 or 1 add to colour c: indices and factors of OWN of them. */
+static void add_row(const struct sighting *s, int view, int c, int index[OWN], double factor[OWN])
+{
+    const double sign = view ? -1 : 1, r2 = (double)s->r2[view];
+    const double all[OWN] = {
+        r2, r2 * r2, r2 * r2 * r2, 1, c == 0 ? 1 : c == 1 ? -1 : 0, c == 2 ? 1 : c == 1 ? -1 : 0};
+    for (int k = 0; k < OWN; k++) {
+        index[k] = s->camera[view] * OWN + k;
+        factor[k] = sign * all[k];
+    }
+}
+
+static double residual(const struct fit *f, const struct sighting *s, int c)
+{
+    int index[OWN];
+    double factor[OWN], e = (double)s->d[c];
+    for (int view = 0; view < 2; view++) {
+        add_row(s, view, c, index, factor);
+        for (int k = 0; k < OWN; k++)
+            e -= factor[k] * f->x[index[k]];
+    }
+    return e;
+}
+
+/* Normal equations with the present weights. held: also of what is left out. scale: stops. */
+static void accumulate(struct fit *f, bool held, double scale)
+{
+    const size_t n = (size_t)f->params;
+    memset(f->whole, 0, n * n * sizeof *f->whole);
+    memset(f->right, 0, sizeof f->right);
+    for (int i = 0; i < 3 * f->n; i++) {
+        const struct sighting *s = &f->seen[i / 3];
+        int index[2 * OWN], terms = 2 * OWN;
+        double row[2 * OWN];
+        if (s->w[i % 3] <= 0 || (s->held && !held))
+            continue;
+        const double off = residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
+        const double w = (double)s->w[i % 3] * near * near;
+        add_row(s, 0, i % 3, index, row);
+        add_row(s, 1, i % 3, index + OWN, row + OWN);
+        for (int a = 0; a < OWN && s->camera[0] == s->camera[1]; a++) {
+            row[a] += row[OWN + a];
+            terms = OWN;
+        }
+        for (int a = 0; a < terms; a++) {
+            f->right[index[a]] += w * row[a] * (double)s->d[i % 3];
+            for (int b = 0; b < terms; b++)
+                if (index[b] <= index[a])
+                    f->whole[(size_t)index[a] * n + (size_t)index[b]] += w * row[a] * row[b];
+        }
+    }
+}
+
+/* Their solution in the active terms; the others are 0. */
+static void solve(struct fit *f)
+{
+    int of[PARAMS], m = 0;
+    double x[PARAMS];
+    const size_t n = (size_t)f->params;
+    for (int k = 0; k < f->params; k++)
+        if (f->active[k])
+            of[m++] = k;
+    for (int a = 0; a < m; a++) {
+        x[a] = f->right[of[a]];
+        for (int b = 0; b <= a; b++) {
+            const bool gauge = of[a] % OWN >= SHADE_TERMS && of[a] % OWN == of[b] % OWN;
+            f->part[(size_t)a * (size_t)m + (size_t)b] =
+                f->whole[(size_t)of[a] * n + (size_t)of[b]] + (a == b ? PRIOR : 0) +
+                (gauge ? f->n : 0);
+        }
+    }
+    memset(f->x, 0, sizeof f->x);
+    if (!lin_cholesky(f->part, m))
+        return;
+    lin_solve(f->part, m, x);
+    for (int a = 0; a < m; a++)
+        f->x[of[a]] = x[a];
+}
+
+/* Median of the absolute errors, as a standard deviation. */
+static double spread(struct fit *f)
+{
+    size_t n = 0;
+    for (int i = 0; i < 3 * f->n; i++)
+        if (f->seen[i / 3].w[i % 3] > SMOOTH)
+            f->error[n++] = (float)fabs(residual(f, &f->seen[i / 3], i % 3));
+    return fmax(MAD * (double)num_median(f->error, n), 1e-3);
+}
+
+static void fit(struct fit *f, bool held)
+{
+    for (int k = 0; k < ROUNDS; k++) {
+        accumulate(f, held, 2 * spread(f));
+        solve(f);
+    }
+}
+
+/* ---- judgement ---- */
+
+static double truncated(const struct fit *f, const struct sighting *s, int c)
+{
+    const double e = residual(f, s, c);
+    return fmin(e * e, f->gate * f->gate);
+}
+
+static bool concerns(const struct sighting *s, int camera)
+{
+    return camera < 0 || s->camera[0] == camera || s->camera[1] == camera;
+}
+
+/* Mean squared left-out error of a camera, of all if it is -1. */
+static double held_error(const struct fit *f, int camera, int *count)
+{
+    double sum = 0, weight = 0;
+    *count = 0;
+    for (int i = 0; i < 3 * f->n; i++) {
+        const struct sighting *s = &f->seen[i / 3];
+        if (!s->held || s->w[i % 3] <= 0 || !concerns(s, camera))
+            continue;
+        sum += (double)s->w[i % 3] * truncated(f, s, i % 3);
+        weight += (double)s->w[i % 3];
+        ++*count;
+    }
+    return weight > 0 ? sum / weight : 0;
+}
+
+/* Add the left-out errors of the present solution, times sign, to the squares they are in. */
+static void add_errors(struct fit *f, int camera, double sign)
+{
+    for (int i = 0; i < 3 * f->n; i++) {
+        const struct sighting *s = &f->seen[i / 3];
+        if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
+            f->gain[s->block] += sign * (double)s->w[i % 3] * truncated(f, s, i % 3);
+    }
+}
+
+/* Whether the solution without some terms is clearly worse than the one with them; the squares are
+ * what varies. */
+static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], double *error)
+{
+    const int blocks = f->in->v->n * BLOCKS * BLOCKS;
+    bool with[PARAMS];
+    double sum = 0, square = 0, all = 0;
+    int count;
+    memcpy(with, f->active, sizeof with);
+    memset(f->gain, 0, (size_t)blocks * sizeof *f->gain);
+    solve(f);
+    add_errors(f, camera, -1);
+    memcpy(f->active, without, sizeof with);
+    solve(f);
+    add_errors(f, camera, 1);
+    *error = sqrt(held_error(f, camera, &count));
+    for (int i = 0; i < 3 * f->n; i++) {
+        const struct sighting *s = &f->seen[i / 3];
+        if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
+            all += (double)s->w[i % 3];
+    }
+    for (int b = 0; b < blocks; b++) {
+        sum += f->gain[b];
+        square += f->gain[b] * f->gain[b];
+    }
+    memcpy(f->active, with, sizeof with);
+    return sum > SURE * sqrt(square) && sum > GAIN_LEAST * all;
+}
+
+/* Take a term away, of one camera or of all (-1), if it is not needed. */
+static void try_without(struct fit *f, enum shade_fit_kind kind, int camera,
+                        struct shade_fit_camera *out)
+{
+    static const int first[SHADE_FIT_KINDS] = {0, 1, 2, 3, 4},
+                     count[SHADE_FIT_KINDS] = {1, 1, 1, 1, 2};
+    const int from = camera < 0 ? 0 : camera, to = camera < 0 ? f->in->n_cameras : camera + 1;
+    bool without[PARAMS];
+    double error;
+    memcpy(without, f->active, sizeof without);
+    for (int k = from; k < to; k++)
+        for (int i = 0; i < count[kind]; i++)
+            without[k * OWN + first[kind] + i] = false;
+    const bool needed = is_needed(f, camera, without, &error);
+    if (!needed)
+        memcpy(f->active, without, sizeof without);
+    for (int k = from; k < to; k++) {
+        out[k].kept[kind] = needed;
+        out[k].without[kind] = error;
+    }
+}
+
+/* From the last term of each ladder to the first. */
+static void eliminate(struct fit *f, struct shade_fit_camera *out)
+{
+    if (f->in->n_cameras > 1) {
+        try_without(f, SHADE_FIT_BALANCE, -1, out);
+        try_without(f, SHADE_FIT_GAIN, -1, out);
+    }
+    for (int kind = SHADE_FIT_V6; kind >= SHADE_FIT_V2; kind--)
+        for (int k = 0; k < f->in->n_cameras; k++)
+            if (kind == SHADE_FIT_V6 || !out[k].kept[kind + 1])
+                try_without(f, (enum shade_fit_kind)kind, k, out);
+            else
+                out[k].kept[kind] = true;
+}
+
+static void take_models(const struct fit *f, struct shade_fit_camera *out)
+{
+    for (int k = 0; k < f->in->n_cameras; k++) {
+        const double *x = f->x + (size_t)k * OWN;
+        struct shade_model *m = &out[k].model;
+        memcpy(m->term, x, sizeof m->term);
+        m->gain[0] = x[3] + x[4];
+        m->gain[1] = x[3] - x[4] - x[5];
+        m->gain[2] = x[3] + x[5];
+    }
+}
+
+static void choose(struct fit *f, struct shade_fit_camera *out)
+{
+    const int cameras = f->in->n_cameras;
+    f->params = OWN * cameras;
+    for (int k = 0; k < f->params; k++)
+        f->active[k] = cameras > 1 || k < SHADE_TERMS;
+    fit(f, false);
+    const double scale = spread(f);
+    f->gate = 3 * scale;
+    accumulate(f, false, 2 * scale);
+    eliminate(f, out);
+    memset(f->x, 0, sizeof f->x);
+    for (int k = 0; k < cameras; k++)
+        out[k].error_before = sqrt(held_error(f, k, &out[k].held));
+    solve(f);
+    for (int k = 0; k < cameras; k++)
+        out[k].error = sqrt(held_error(f, k, &out[k].held));
+    fit(f, true);
+    take_models(f, out);
+}
+
+err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
+                    struct shade_fit_camera *out)
+{
+    struct fit f = {.in = in};
+    const size_t mark = arena_mark(r->tmp);
+    memset(out, 0, (size_t)in->n_cameras * sizeof *out);
+    err_t e = layout(&f, r->tmp, in->v->n);
+    if (!e) {
+        visibility_set(&f.sight, in->depth, in->v->cams);
+        response_tabulate(in->tone, &f.table);
+        e = collect(r, &f);
+    }
+    if (!e && f.n >= LEAST)
+        choose(&f, out);
+    arena_reset(r->tmp, mark);
+    return e;
+}

@@ -1,0 +1,41 @@
+/* shading.h - what the physical cameras of a job do to light (core/photo/shade.h): found once depth is
+ * known, then part of every comparison with their photographs. */
+#ifndef RECON_SHADING_H
+#define RECON_SHADING_H
+
+#include "firmware/recon/job_result.h"
+#include "firmware/result/report.h"
+
+#include "core/stereo/sweep.h"
+
+/* Room for the maps of as many views. */
+MUST_USE err_t shading_layout(struct shade **out, struct arena *keep, int n_views);
+
+/* Find it from surfaces, and say so in *out. The response curve is fitted again with it where
+ * exposures are in other places (refit). Nothing changes where nothing was found.
+ * room:  (out->views.n) of shading_layout; becomes out->views.shade and seen->shade.
+ * seen:  one photograph of each place, with cameras; tone: its curve.
+ * err:   ERR_NOMEM (see shading_plan), ERR_CANCELLED. */
+struct shading_input {
+    const struct capture *capture;
+    const struct depthmaps *depth;
+    struct shade *room;
+    struct views *seen;
+    struct tonemap *tone;
+    bool refit;
+};
+MUST_USE err_t shading_run(const struct run *r, const struct shading_input *in,
+                           struct job_result *out);
+
+/* Bytes of r->tmp. */
+size_t shading_plan(int n_views);
+
+/* What the camera of a photograph does to a view of it with this pinhole; false: nothing was
+ * found. */
+bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,
+                struct shade *out);
+
+/* For report.json. */
+void shading_report(const struct job_result *j, struct report *rep);
+
+#endif

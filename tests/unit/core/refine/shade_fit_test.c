@@ -1,0 +1,192 @@
+/* A wall that two physical cameras see from eight places: vignetting, gain and balance are found
+ * where there are some, and nothing where there is none. */
+#include "core/refine/shade_fit.h"
+
+#include "core/photo/response.h"
+#include "tests/unit/squares.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+enum { VIEWS = 8, SIZE = 96, MAP = SIZE / 2, PX = SIZE * SIZE, MPX = MAP * MAP };
+
+static struct world {
+    struct arena tmp;
+    struct run r;
+    struct views v;
+    struct depthmaps depth;
+    struct tonemap tone;
+    struct camera cams[VIEWS];
+    struct shade shade[VIEWS];
+    int camera[VIEWS];
+    float log2t[VIEWS], z[VIEWS * MPX], conf[VIEWS * MPX];
+    uint8_t rgb[3 * VIEWS * PX];
+    struct shade_fit_input in;
+} w;
+
+static const struct shade_model none,
+    real[2] = {{{-0.6, -0.15, 0}, {0.42, 0.3, 0.18}}, {{0, 0, 0}, {-0.42, -0.3, -0.18}}};
+
+/* log2 radiance of the wall z = 4 at x, y. */
+static float wall(float x, float y, int c)
+{
+    return 0.4f * sinf(2 * x + (float)c) + 0.4f * cosf(2 * y - x) + 0.2f * (float)c - 0.5f;
+}
+
+static void photograph(int i, const struct shade_model *m)
+{
+    const struct camera *c = &w.cams[i];
+    for (int k = 0; k < PX; k++) {
+        const float u = (float)(k % SIZE) + 0.5f, v = (float)(k / SIZE) + 0.5f;
+        const float x = (u - 48) / 90 * 4 - c->t[0], y = (v - 48) / 90 * 4 - c->t[1];
+        float stops[3];
+        shade_stops(m, shade_r2(&w.shade[i], u / SIZE, v / SIZE), stops);
+        for (int n = 0; n < 3; n++)
+            w.rgb[3 * (i * PX + k) + n] =
+                (uint8_t)(255 *
+                              response_display(&w.tone, n, wall(x, y, n) + stops[n] + w.log2t[i]) +
+                          0.5f);
+    }
+}
+
+/* models: of the two cameras, which take turns. */
+static void photograph_all(const struct shade_model *models)
+{
+    for (int i = 0; i < VIEWS; i++)
+        photograph(i, &models[w.camera[i]]);
+}
+
+static int setup(void **state)
+{
+    (void)state;
+    memset(&w, 0, sizeof w);
+    w.v = (struct views){.n = VIEWS,
+                         .size = SIZE,
+                         .extent = squares(VIEWS, SIZE),
+                         .rgb = w.rgb,
+                         .log2t = w.log2t,
+                         .cams = w.cams};
+    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf};
+    response_srgb(0, &w.tone);
+    for (int i = 0; i < VIEWS; i++) {
+        struct camera *c = &w.cams[i];
+        *c = (struct camera){
+            .w = SIZE, .h = SIZE, .fx = 90, .fy = 90, .cx = 48, .cy = 48, .q = {1, 0, 0, 0}};
+        c->t[0] = -0.4f * (float)(i % 4);
+        c->t[1] = -0.5f * (float)(i / 4);
+        w.camera[i] = i % 2;
+        w.log2t[i] = 0.5f * (float)(i % 3) - 1;
+        shade_map(NULL, 0, 0, c, &w.shade[i]);
+    }
+    for (int k = 0; k < VIEWS * MPX; k++) {
+        w.z[k] = 4;
+        w.conf[k] = 1;
+    }
+    w.in = (struct shade_fit_input){&w.v, &w.depth, &w.tone, w.shade, w.camera, 2};
+    w.r = (struct run){.tmp = &w.tmp};
+    return arena_init(&w.tmp, "tmp", shade_fit_plan(VIEWS)) == OK ? 0 : -1;
+}
+
+static int teardown(void **state)
+{
+    (void)state;
+    arena_free(&w.tmp);
+    return 0;
+}
+
+static void assert_near(const struct shade_model *found, const struct shade_model *want)
+{
+    for (int i = 0; i <= 4; i++) {
+        float a[3], b[3];
+        shade_stops(found, (float)i / 4, a);
+        shade_stops(want, (float)i / 4, b);
+        for (int c = 0; c < 3; c++)
+            assert_float_equal(a[c], b[c], 0.02);
+    }
+}
+
+static void what_is_there_is_found(void **state)
+{
+    (void)state;
+    struct shade_fit_camera found[2];
+    photograph_all(real);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_int_equal(arena_mark(&w.tmp), 0);
+    for (int k = 0; k < 2; k++) {
+        assert_near(&found[k].model, &real[k]);
+        assert_true(found[k].kept[SHADE_FIT_GAIN] && found[k].kept[SHADE_FIT_BALANCE]);
+        assert_true(found[k].error < 0.7 * found[k].error_before && found[k].held > 100);
+    }
+    int last = SHADE_FIT_V6; // of the ladder, the one that was tried
+    while (last > SHADE_FIT_V2 && !found[0].kept[last])
+        last--;
+    assert_true(found[0].kept[last] && found[0].without[last] > found[0].error);
+    assert_false(found[1].kept[SHADE_FIT_V2]);
+    for (int c = 0; c < 3; c++) // the gauge
+        assert_float_equal(found[0].model.gain[c] + found[1].model.gain[c], 0, 1e-3);
+}
+
+static void what_is_not_there_is_not_found(void **state)
+{
+    (void)state;
+    const struct shade_model plain[2] = {none, none};
+    struct shade_fit_camera found[2];
+    photograph_all(plain);
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    for (int k = 0; k < 2; k++)
+        assert_memory_equal(&found[k].model, &none, sizeof none);
+}
+
+/* One camera has no gain beside others, and its radiance is what it shows. */
+static void one_camera_has_vignetting_only(void **state)
+{
+    (void)state;
+    const struct shade_model one[2] = {real[0], real[0]};
+    struct shade_fit_camera found;
+    photograph_all(one);
+    memset(w.camera, 0, sizeof w.camera);
+    w.in.n_cameras = 1;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, &found), OK);
+    struct shade_model want = real[0];
+    memset(want.gain, 0, sizeof want.gain);
+    assert_near(&found.model, &want);
+    for (int c = 0; c < 3; c++)
+        assert_true(found.model.gain[c] == 0);
+}
+
+static void too_little_says_nothing(void **state)
+{
+    (void)state;
+    atomic_bool cancel = true;
+    struct shade_fit_camera found[2];
+    memset(w.rgb, 255, sizeof w.rgb); // saturated
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_memory_equal(&found[0].model, &none, sizeof none);
+    photograph_all(real);
+    for (int k = 0; k < VIEWS * MPX; k++) // no depth is sure
+        w.conf[k] = 0.5f;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_memory_equal(&found[0].model, &none, sizeof none);
+    w.r.cancel = &cancel;
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), ERR_CANCELLED);
+    w.r.cancel = NULL;
+    w.v.n = w.depth.n = 1; // nothing to compare with
+    assert_int_equal(shade_fit_run(&w.r, &w.in, found), OK);
+    assert_memory_equal(&found[0].model, &none, sizeof none);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test_setup_teardown(what_is_there_is_found, setup, teardown),
+        cmocka_unit_test_setup_teardown(what_is_not_there_is_not_found, setup, teardown),
+        cmocka_unit_test_setup_teardown(one_camera_has_vignetting_only, setup, teardown),
+        cmocka_unit_test_setup_teardown(too_little_says_nothing, setup, teardown),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
