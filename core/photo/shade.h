@@ -34,8 +34,8 @@ float shade_r2(const struct shade *s, float x, float y);
 /* Stops of each colour at r^2. */
 void shade_stops(const struct shade_model *m, float r2, float out[3]);
 
-/* Multiply radiance, (3, h, w) of the whole view, by the factor at each pixel's centre. pool: NULL =
- * single thread. */
+/* Multiply radiance, (3, h, w) of the whole view, by the factor at each pixel's centre.
+ * pool: NULL = single thread. */
 void shade_apply(struct pool *pool, const struct shade *s, int w, int h, float *radiance);
 
 /* Largest deviation from 1 in a photograph, stops. */

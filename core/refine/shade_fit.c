@@ -1,6 +1,6 @@
 /* Linear in stops: log2 of the radiance of a surface in view i less that in view j is, but for
- * noise, what camera i adds at its r^2 less what camera j does. Robust least squares over all terms,
- * then terms are taken away, the least likely first, as long as the left-out squares bear it: so
+ * noise, what camera i adds at its r^2 less what camera j does. Robust least squares over all
+ * terms, then terms are taken away, the least likely first, as long as the left-out squares bear it: so
  * what one term explains is not credited to another. */
 #include "core/refine/shade_fit.h"
 
@@ -212,6 +212,20 @@ static double residual(const struct fit *f, const struct sighting *s, int c)
     return e;
 }
 
+/* One equation, row at index; wd: its weight and its right side. */
+static void add_equation(struct fit *f, const int *index, const double *row, int terms,
+                         const double wd[2])
+{
+    const size_t n = (size_t)f->params;
+    for (int k = 0; k < terms * terms; k++) {
+        const int a = k / terms, b = k % terms;
+        if (index[b] <= index[a])
+            f->whole[(size_t)index[a] * n + (size_t)index[b]] += wd[0] * row[a] * row[b];
+    }
+    for (int a = 0; a < terms; a++)
+        f->right[index[a]] += wd[0] * row[a] * wd[1];
+}
+
 /* Normal equations with the present weights. held: also of what is left out. scale: stops. */
 static void accumulate(struct fit *f, bool held, double scale)
 {
@@ -225,19 +239,14 @@ static void accumulate(struct fit *f, bool held, double scale)
         if (s->w[i % 3] <= 0 || (s->held && !held))
             continue;
         const double off = residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
-        const double w = (double)s->w[i % 3] * near * near;
+        const double wd[2] = {(double)s->w[i % 3] * near * near, (double)s->d[i % 3]};
         add_row(s, 0, i % 3, index, row);
         add_row(s, 1, i % 3, index + OWN, row + OWN);
         for (int a = 0; a < OWN && s->camera[0] == s->camera[1]; a++) {
             row[a] += row[OWN + a];
             terms = OWN;
         }
-        for (int a = 0; a < terms; a++) {
-            f->right[index[a]] += w * row[a] * (double)s->d[i % 3];
-            for (int b = 0; b < terms; b++)
-                if (index[b] <= index[a])
-                    f->whole[(size_t)index[a] * n + (size_t)index[b]] += w * row[a] * row[b];
-        }
+        add_equation(f, index, row, terms, wd);
     }
 }
 

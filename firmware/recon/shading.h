@@ -1,5 +1,5 @@
-/* shading.h - what the physical cameras of a job do to light (core/photo/shade.h): found once depth is
- * known, then part of every comparison with their photographs. */
+/* shading.h - what the physical cameras of a job do to light (core/photo/shade.h): found once depth
+ * is known, then part of every comparison with their photographs. */
 #ifndef RECON_SHADING_H
 #define RECON_SHADING_H
 

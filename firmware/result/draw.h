@@ -29,7 +29,8 @@ MUST_USE err_t draw_init(struct draw *d, struct arena *a, int cap, int w, int h)
 MUST_USE err_t draw_run(const struct run *r, struct draw *d, const struct scene *s,
                         const struct camera *cam);
 
-/* The photograph of d->maps at exposure log2t, into d->display, as a camera shades it; NULL: none. */
+/* The photograph of d->maps at exposure log2t, into d->display, as a camera shades it; NULL: as it
+ * is. */
 void draw_display(struct draw *d, const struct shade *shade, float log2t);
 
 /* d->maps as EXR: radiance and alpha in half floats, with the camera; log2t becomes expTime.

@@ -58,8 +58,8 @@ for i in 1 2 3; do
 done
 succeed reconstruct --images "$OUT/mixed" --size 140 --refine 0 --out "$OUT/scene"
 
-# Two kinds of camera that differ in vignetting, gain and white balance, which are found, and make up
-# for what they cost; the paper's protocol knows nothing of them.
+# Two kinds of camera that differ in vignetting, gain and white balance, which are found, and make
+# up for what they cost; the paper's protocol knows nothing of them.
 light=(simulate --kind room --seed 31 --views 8 --size 224 --samples 2 --spread 0.5
     --exposures 0.25,1,4)
 succeed "${light[@]}" --lens v2=-0.4,gain=1.25,wb=1.1/1/0.9 --lens v2=-0.1,gain=0.8,fov=55 \
