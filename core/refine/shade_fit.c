@@ -1,7 +1,7 @@
 /* Linear in stops: log2 of the radiance of a surface in view i less that in view j is, but for
  * noise, what camera i adds at its r^2 less what camera j does. Robust least squares over all
- * terms, then terms are taken away, the least likely first, as long as the left-out squares bear it: so
- * what one term explains is not credited to another. */
+ * terms, then terms are taken away, the least likely first, as long as the left-out squares bear
+ * it: so what one term explains is not credited to another. */
 #include "core/refine/shade_fit.h"
 
 #include "core/base/lin.h"
