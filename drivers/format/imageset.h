@@ -52,7 +52,7 @@ enum { IMAGESET_NOTES = 4 };
 struct imageset_part {
     char dir[FILE_PATH_CAP];
     int first;   // its shots begin here
-    size_t skip; // bytes of a shot's name before that of its file
+    size_t skip; // bytes of a shot's name before the file name
 };
 
 struct imageset {
@@ -66,28 +66,28 @@ struct imageset {
               [240]; // sentences about files that look like pictures and are not read
 };
 
-/* Everything but the pixels: names, exposures, cameras, and image.w, image.h from the files'
- * headers (channels 3), so that memory can be planned before anything is decoded. Photographs of
- * lenses that distort become pictures of the pinhole that undistort_camera chooses, in decode;
- * image and cam are that picture's. Contradictions
- * are refused: a picture without exposure, EXIF with f-number or ISO in some files only, pictures
- * of different sizes, linear values beside display values (pixels.h), a rig that lacks a view or
- * has another aspect (cameras_find), a protocol that names a missing file.
+/* List everything but the pixels: names, exposures, cameras, and image.w and image.h from the
+ * headers of the files (channels 3), so that memory can be planned before anything is decoded.
+ * Photographs through lenses that distort are decoded as the pictures of the pinhole camera that
+ * undistort_camera chooses; image and cam describe that picture. Contradictions are refused: a
+ * picture without exposure, EXIF with f-number or ISO in some files only, linear values beside
+ * display values (pixels.h), a rig that lacks a view or has another aspect (cameras_find), a
+ * protocol that names a missing file.
  * own:  imageset_free.
  * err:  ERR_ARG (request, too few views, two folders of one name), ERR_IO, ERR_FORMAT (also: above
  *       CAMERAS_MAX pictures), ERR_UNSUPPORTED (rig), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t imageset_list(const struct imageset_request *request, struct imageset *out);
 
-/* Memory of the pictures when as many are decoded at a time, or all are held; with the photographs
- * that they are undistorted from. */
+/* Bytes of the pictures when at_a_time of them are held decoded, with the photographs that they are
+ * undistorted from. */
 size_t imageset_bytes(const struct capture *c, int at_a_time);
 
-/* Pixels of shot i, undistorted if its lens distorts; the set itself stays without.
+/* Decode the pixels of shot i, undistorted if its lens distorts; the set itself is not changed.
  * own:  img_free.
  * err:  those of img_read; ERR_FORMAT if the file changed its size since imageset_list. */
 MUST_USE err_t imageset_decode(const struct imageset *set, int i, struct image8 *out);
 
-/* The same of a deep shot, in 16 bits (pixels.h).
+/* The same for a shot of more than 8 bits, in 16 bits (pixels.h).
  * own:  pixels_free16. */
 MUST_USE err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out);
 

@@ -1,5 +1,4 @@
-/* hdrig simulate: a simulated scene, photographed by a rig, as a data set with the truth beside it.
- */
+/* hdrig simulate: photographs of a simulated scene by a rig, as a data set with ground truth. */
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/outdir.h"
@@ -24,11 +23,11 @@ struct state {
     struct outdir out;
 };
 
-/* words: "first|second|..." */
-static err_t find_word(const char *option, const char *word, const char *words, int *out)
+/* choices: "first|second|..." */
+static err_t parse_choice(const char *option, const char *word, const char *choices, int *out)
 {
     const size_t n = strlen(word);
-    const char *at = words;
+    const char *at = choices;
     for (int i = 0; at; i++) {
         if (strcspn(at, "|") == n && strncmp(at, word, n) == 0) {
             *out = i;
@@ -37,7 +36,7 @@ static err_t find_word(const char *option, const char *word, const char *words, 
         at = strchr(at, '|');
         at += at ? 1 : 0;
     }
-    return err_fail(ERR_ARG, "%s: \"%.64s\" is none of %s", option, word, words);
+    return err_fail(ERR_ARG, "%s: \"%.64s\" is none of %s", option, word, choices);
 }
 
 static err_t read_number(const char *name, const char *text, double min, double max, double *out)
@@ -50,8 +49,8 @@ static err_t read_whole(const char *name, const char *text, int min, int max, in
     return text ? cmd_whole(name, text, min, max, out) : OK;
 }
 
-/* Exposure times relative to the metered one, ascending. */
-static err_t read_exposures(const char *text, struct dataset_ask *a)
+/* Exposure times relative to the metered one, in ascending order. */
+static err_t read_exposures(const char *text, struct dataset_request *a)
 {
     char *end = NULL;
     a->n_exposures = 0;
@@ -70,7 +69,7 @@ static err_t read_exposures(const char *text, struct dataset_ask *a)
 }
 
 /* Cameras of the rig that name their lens. fov: degrees, of those that name none. */
-static err_t read_optics(struct request *rq, double fov, struct sample_ask *a)
+static err_t read_optics(struct request *rq, double fov, struct sample_scene *a)
 {
     err_t e = OK;
     for (int i = 0; i < CMD_TEXTS_MAX && rq->lens[i] && !e; i++) {
@@ -81,7 +80,7 @@ static err_t read_optics(struct request *rq, double fov, struct sample_ask *a)
     return e;
 }
 
-static err_t read_scene(struct request *rq, struct dataset_ask *a)
+static err_t read_scene(struct request *rq, struct dataset_request *a)
 {
     double spread = 0.3, orbit = 0, fov = 60;
     int views = 9, samples = 6;
@@ -94,34 +93,35 @@ static err_t read_scene(struct request *rq, struct dataset_ask *a)
         e = read_number("--fov", rq->fov, 20, 120, &fov);
     if (!e)
         e = read_whole("--samples", rq->samples, 1, 8, &samples);
-    a->sample = (struct sample_ask){.seed = (uint64_t)rq->cfg.seed,
-                                    .kind = WORLD_ANY,
-                                    .n_views = 2 * views - 1,
-                                    .size = rq->cfg.size > 0 ? rq->cfg.size : 448,
-                                    .spread = (float)spread,
-                                    .fov_deg = (float)fov,
-                                    .jitter = rq->free_hand,
-                                    .orbit_deg = (float)orbit / 2, // one is held out between two
-                                    .quality = {.samples = samples}};
-    /* rays through other points of the pixel serve its edges and its shadows */
+    a->sample = (struct sample_scene){.seed = (uint64_t)rq->cfg.seed,
+                                      .kind = WORLD_ANY,
+                                      .n_views = 2 * views - 1,
+                                      .size = rq->cfg.size > 0 ? rq->cfg.size : 448,
+                                      .spread = (float)spread,
+                                      .fov_deg = (float)fov,
+                                      .jitter = rq->free_hand,
+                                      .orbit_deg =
+                                          (float)orbit / 2, // a view is held out between two inputs
+                                      .quality = {.samples = samples}};
+    /* with more rays per pixel, each needs fewer for its shadows */
     a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
     if (!e)
         e = read_optics(rq, fov, &a->sample);
     if (!e && rq->kind)
-        e = find_word("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
+        e = parse_choice("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     if (!e && orbit > 0 && a->sample.kind != WORLD_PARK)
         e = err_fail(ERR_ARG, "--orbit: only --kind park has room all around");
     return e;
 }
 
-static err_t read_ask(struct request *rq, struct dataset_ask *a)
+static err_t read_request(struct request *rq, struct dataset_request *a)
 {
     int family = CURVE_FILMIC;
     err_t e = read_scene(rq, a);
     if (!e)
         e = read_exposures(rq->exposures ? rq->exposures : "0.015625,0.0625,0.25,1,4", a);
     if (!e && rq->curve)
-        e = find_word("--curve", rq->curve, CURVE_WORDS, &family);
+        e = parse_choice("--curve", rq->curve, CURVE_WORDS, &family);
     if (e)
         return e;
     a->noise = !rq->noise_free;
@@ -151,7 +151,8 @@ static void report_optics(const struct request *rq, struct report *rep)
 }
 
 /* Marks the folder as a result, and tells how it was made. */
-static err_t write_report(const struct request *rq, const struct dataset_ask *a, struct outdir *o)
+static err_t write_report(const struct request *rq, const struct dataset_request *a,
+                          struct outdir *o)
 {
     struct report rep;
     err_t e = outdir_report_open(o, &rep);
@@ -173,7 +174,7 @@ static err_t write_report(const struct request *rq, const struct dataset_ask *a,
     return outdir_report_close(o, &rep);
 }
 
-static err_t simulate(const struct request *rq, const struct dataset_ask *a, struct state *st)
+static err_t simulate(const struct request *rq, const struct dataset_request *a, struct state *st)
 {
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     struct plan p = plan_begin(pool_size(st->engine.pool));
@@ -203,32 +204,34 @@ static err_t simulate(const struct request *rq, const struct dataset_ask *a, str
 int cmd_simulate_run(int argc, char **argv)
 {
     static struct state st;
-    static struct dataset_ask ask;
+    static struct dataset_request ask;
     struct request rq = {0};
     const struct cmd_option options[] = {
-        {"out", "DIR", "where the data set goes; a former one is replaced", NULL, &rq.out, NULL},
+        {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
         CMD_FORCE(rq.rules),
         CMD_KEY("seed", "N", "seed", "which world"),
         {"views", "N", "input views, 2..32; one is held out between two (9)", NULL, &rq.views,
          NULL},
-        {"kind", "K", "room, yard, dark, plain, mirror or park (room or yard by the seed)", NULL,
+        {"kind", "K",
+         "room, yard, dark, plain, mirror or park (default: the seed chooses room or yard)", NULL,
          &rq.kind, NULL},
         {"spread", "X", "0 all cameras in one place .. 1 around the subject (0.3)", NULL,
          &rq.spread, NULL},
-        {"orbit", "DEG", "in a park: inputs around the subject, so many degrees apart, 1..180",
+        {"orbit", "DEG", "in a park: input views all around the subject, DEG degrees apart, 1..180",
          NULL, &rq.orbit, NULL},
-        {"depth", NULL, "radiance and depth of the inputs too", NULL, NULL, &rq.depth},
+        {"depth", NULL, "write radiance and depth of the input views, too", NULL, NULL, &rq.depth},
         {"fov", "DEG", "field of view, 20..120 (60)", NULL, &rq.fov, NULL},
         {"lens", "SPEC...",
          "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
-         "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; of several, each takes its turn",
+         "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; several take turns",
          NULL, rq.lens, NULL},
-        {"free-hand", NULL, "heights, targets and rolls differ", NULL, NULL, &rq.free_hand},
-        {"exposures", "LIST", "times over the metered one (1/64,1/16,1/4,1,4)", NULL, &rq.exposures,
-         NULL},
+        {"free-hand", NULL, "vary height, target and roll of the cameras", NULL, NULL,
+         &rq.free_hand},
+        {"exposures", "LIST", "exposure times, relative to the metered one (1/64,1/16,1/4,1,4)",
+         NULL, &rq.exposures, NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
-        {"noise-free", NULL, "an ideal sensor", NULL, NULL, &rq.noise_free},
+        {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},
         {"samples", "N", "rays per pixel and axis, 1..8 (6)", NULL, &rq.samples, NULL},
         CMD_SIZE,
         CMD_THREADS,
@@ -243,7 +246,7 @@ int cmd_simulate_run(int argc, char **argv)
         return code;
     if (!rq.out)
         return cmd_misuse(&usage, "--out is needed");
-    if (read_ask(&rq, &ask) != OK)
+    if (read_request(&rq, &ask) != OK)
         return cmd_misuse(&usage, err_text());
     code = cmd_finish(usage.name, simulate(&rq, &ask, &st));
     outdir_close(&st.out);

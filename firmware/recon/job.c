@@ -29,14 +29,14 @@ static void announce(const struct run *r, enum job_stage stage)
         r->progress(r->progress_ctx, stage_names[stage], 0, 1, NULL);
 }
 
-/* ---- the map ---- */
+/* ---- steps ---- */
 
 static err_t layout_db(float **db, struct arena *keep, int n)
 {
     return arena_alloc(keep, (size_t)n, sizeof **db, db);
 }
 
-static bool has_lens_of(const struct shot *a, const struct shot *b)
+static bool has_same_lens(const struct shot *a, const struct shot *b)
 {
     double x[LENS_PARAMS] = {0}, y[LENS_PARAMS] = {0};
     lens_params(&a->lens, x);
@@ -51,10 +51,10 @@ static void note_lenses(const struct capture *c, struct job_result *out)
     for (int i = 0; i < c->n && out->n_lenses < JOB_LENSES; i++) {
         const struct shot *s = &c->shots[i];
         int first = 0, n = 0;
-        while (!has_lens_of(&c->shots[first], s))
+        while (!has_same_lens(&c->shots[first], s))
             first++;
         for (int k = i; k < c->n; k++)
-            n += has_lens_of(&c->shots[k], s);
+            n += has_same_lens(&c->shots[k], s);
         if (first < i || !lens_distorts(&s->lens))
             continue;
         const struct undistort_field f = undistort_field(&s->lens, s->taken_w, s->taken_h, &s->cam);
@@ -66,7 +66,7 @@ static void note_lenses(const struct capture *c, struct job_result *out)
     }
 }
 
-/* Photographs become views; what their brackets show twice goes once there is a response. */
+/* Photographs become views; redundant exposures are dropped once there is a response. */
 static err_t read_photographs(const struct run *r, const struct capture *c, const struct start *s,
                               struct job_result *out)
 {
@@ -84,7 +84,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
 }
 
 /* The response of linear photographs is known. */
-static err_t curve_of(const struct run *r, struct job_result *out)
+static err_t find_curve(const struct run *r, struct job_result *out)
 {
     if (!out->views.srgb)
         return response_run(r, &out->views, &out->response);
@@ -92,23 +92,23 @@ static err_t curve_of(const struct run *r, struct job_result *out)
     return OK;
 }
 
-/* The response, and what is left of full brackets. */
+/* The response, and the exposures of full brackets that are worth keeping. */
 static err_t find_response(const struct run *r, const struct recipe *recipe, struct job_result *out)
 {
-    err_t e = curve_of(r, out);
+    err_t e = find_curve(r, out);
     if (!e && out->views.n_more) {
         out->taken = out->views.n + out->views.n_more;
         e = exposure_stack_choose(r, &out->response, recipe->depth == RECIPE_NETWORK, &out->views);
         if (!e)
-            e = curve_of(r, out);
+            e = find_curve(r, out);
     }
     job_result_lap(out, JOB_RESPONSE);
     return e;
 }
 
-/* The photographs again, as large as the scene is to be refined with. */
-static err_t enlarge(const struct run *r, const struct capture *c, const struct start *s,
-                     struct job_result *out)
+/* The photographs are read again at the size of refinement. */
+static err_t enlarge_views(const struct run *r, const struct capture *c, const struct start *s,
+                           struct job_result *out)
 {
     err_t e = OK;
     if (s->recipe->size > s->recipe->work)
@@ -117,7 +117,7 @@ static err_t enlarge(const struct run *r, const struct capture *c, const struct 
     return e;
 }
 
-static err_t refine(const struct run *r, const struct start *s, struct job_result *out)
+static err_t refine_scene(const struct run *r, const struct start *s, struct job_result *out)
 {
     struct refine_config cfg = s->recipe->refinement;
     /* a network's Gaussians have its own curve unless they were corrected */
@@ -128,7 +128,7 @@ static err_t refine(const struct run *r, const struct start *s, struct job_resul
     return e;
 }
 
-static void begin(const struct job_config *cfg, struct job_result *out)
+static void begin_result(const struct job_config *cfg, struct job_result *out)
 {
     memset(out, 0, sizeof *out);
     out->input_psnr = NAN;
@@ -137,7 +137,7 @@ static void begin(const struct job_config *cfg, struct job_result *out)
         out->precision = modelfile_precision(cfg->network->file.model.precision);
 }
 
-static void finish(const struct run *r, struct job_result *out)
+static void finish_result(const struct run *r, struct job_result *out)
 {
     if (out->scene.g.n == 0)
         job_result_warn(out, "the scene is empty, no splat was found or kept: take sharp "
@@ -151,7 +151,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
 {
     const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
     struct start start = {.run = r, .capture = c, .cfg = cfg, .recipe = &recipe, .out = out};
-    begin(cfg, out);
+    begin_result(cfg, out);
     out->capture = c;
     recipe_tell_size(&recipe, c, out->sizing, sizeof out->sizing);
     err_t e = read_photographs(r, c, &start, out);
@@ -172,11 +172,11 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
     if (!e)
         e = start_gaussians(&start);
     if (!e)
-        e = enlarge(r, c, &start, out);
+        e = enlarge_views(r, c, &start, out);
     if (!e && recipe.refine)
-        e = refine(r, &start, out);
+        e = refine_scene(r, &start, out);
     if (!e)
-        finish(r, out);
+        finish_result(r, out);
     return e;
 }
 
@@ -200,7 +200,7 @@ static err_t check_capture(const struct capture *c)
     return OK;
 }
 
-/* Shapes of the views, all that plans look at. own: v->extent. */
+/* Shapes of the views, which are all that plans read. own: v->extent. */
 static err_t shape_views(const struct capture *c, const struct job_config *cfg,
                          const struct recipe *recipe, int size, struct views *v)
 {
@@ -232,7 +232,8 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         enlarge_plan(p, c, cfg->source, recipe);
     if (recipe->refine)
         arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
-    arena_step(&p->tmp, draw_plan(recipe->gaussians_max, most.w, most.h)); // by who publishes
+    arena_step(&p->tmp,
+               draw_plan(recipe->gaussians_max, most.w, most.h)); // publishing renders the views
 }
 
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,
@@ -262,7 +263,7 @@ err_t job_plan(const struct capture *c, const struct job_config *cfg, int thread
     return OK;
 }
 
-/* ---- words ---- */
+/* ---- report ---- */
 
 static void report_cameras(const struct job_cameras *c, struct report *rep)
 {
@@ -271,7 +272,7 @@ static void report_cameras(const struct job_cameras *c, struct report *rep)
     report_open(rep, "cameras", '{');
     report_number(rep, "confidence", (double)c->confidence);
     report_number(rep, "rms_px", (double)c->rms_px);
-    report_int(rep, "points_seen", c->sightings);
+    report_int(rep, "points_seen", c->observations);
     report_int(rep, "points_agree", c->inliers);
     report_int(rep, "views_placed", c->placed);
     report_bool(rep, "start_was_network", !c->from_tracks);

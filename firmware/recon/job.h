@@ -1,4 +1,4 @@
-/* job.h - one capture through all steps.
+/* job.h - reconstruction of one capture, all steps.
  * Response curve; cameras, if they are not known, by the network and bundle adjustment; first
  * Gaussians by the network or by stereo; refinement. */
 #ifndef RECON_JOB_H
@@ -15,13 +15,12 @@
 MUST_USE err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads,
                         bool tapped, struct job_memory *out);
 
-/* The whole way from photographs to a scene. Arenas as planned.
- * err:  those of the steps. On error *out holds the times so far, nothing else. */
+/* Reconstruct a scene from photographs. The arenas are as large as planned.
+ * err:  those of the steps. On error only the times in *out are valid. */
 MUST_USE err_t job_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
                        struct job_result *out);
 
-/* The members that every report has, into an open object. threads: of the pool that the job ran on.
- * */
+/* Write the members that every report has into an open object. threads: of the job's pool. */
 void job_report(const struct job_result *j, int threads, struct report *rep);
 
 #endif

@@ -1,5 +1,5 @@
-/* job_result.h - what a job comes to: its scene and what is to be told about it. The steps of a job
- * (job.h) fill it in. */
+/* job_result.h - the result of a job: its scene, and the figures and warnings of the report. The
+ * steps of a job (job.h) fill it in. */
 #ifndef RECON_JOB_RESULT_H
 #define RECON_JOB_RESULT_H
 
@@ -12,7 +12,7 @@
 enum job_stage {
     JOB_PREPROCESS,
     JOB_RESPONSE,
-    JOB_CAMERAS, // where they were not known, or a network needs a scale
+    JOB_CAMERAS, // bundle adjustment: cameras, or the scale of the network
     JOB_SWEEP,
     JOB_SEED,
     JOB_BACKBONE,
@@ -20,13 +20,13 @@ enum job_stage {
     JOB_APPEARANCE, // fusion, Gaussian head, tone curve
     JOB_VOXEL,
     JOB_REFINE,
-    JOB_RENDER, // this and the following by publication or evaluation
+    JOB_RENDER, // from here on: publication or evaluation
     JOB_WRITE,
     JOB_MEASURE,
     JOB_STAGES
 };
 
-enum { JOB_LENSES = 8 };    // that are named
+enum { JOB_LENSES = 8 };    // that the report names
 enum { JOB_WARNINGS = 76 }; // one for each view that may be left out, and some
 
 /* How cameras that were not known were found. */
@@ -35,7 +35,8 @@ struct job_cameras {
     bool from_tracks; // bundle adjustment did better without the network's
     float confidence; // bundle.h
     float rms_px;
-    int inliers, sightings, placed; // points seen; views
+    int inliers, observations; // of points in views
+    int placed;                // views
 };
 
 /* A lens that was found. */
@@ -44,7 +45,7 @@ struct job_lens {
     int photographs, edge; // edge: px, long side of the pictures that lens is for
     struct lens lens;      // from the middle; as the sensor is turned
     struct selfcal_lens selfcal;
-    bool retaken; // the views were drawn again through it
+    bool resampled; // the views were sampled again through it
 };
 
 /* What a physical camera does to light. */
@@ -58,16 +59,16 @@ struct job_result {
     const struct capture *capture; // the job's
     struct views views;            // in keep; n is 0 if the photographs are not at hand
     struct tonemap response;       // from histograms: the nearest view is shown under it
-    int taken;          // photographs of brackets, before those that show nothing more went
-    char sizing[160];   // how large pictures were chosen, a sentence
-    struct scene scene; // in keep
+    int taken;                     // photographs of brackets, before redundant ones were dropped
+    char sizing[160];              // how large pictures were chosen, a sentence
+    struct scene scene;            // in keep
     struct refine_report refine;
     struct job_cameras cameras;
     double start_s, lap_s; // by the clock
     double seconds[JOB_STAGES];
     double input_psnr;          // dB, mean over the input views, NAN until publish_run
     float *input_db;            // (views.n + n_more) dB of each, in keep, NAN until then, or NULL
-    bool measured_only;         // the scene is from a file: nothing to tell about its making
+    bool measured_only;         // the scene was read from a file and only measured
     size_t keep_peak, tmp_peak; // bytes
     double peak_rss_mb;         // at the end of the last stage
     const char *precision;      // the network's; NULL: none was used

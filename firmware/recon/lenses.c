@@ -151,10 +151,10 @@ static err_t retake_view(void *ctx, int i, int worker)
     const struct extent *px = &t->v->extent[i];
     struct image8 im = shot->image;
     struct lens lens;
-    bool retaken;
+    bool resampled;
     (void)worker;
     err_t e = run_check(t->r, "undistorting");
-    if (e || !lenses_find(t->j, shot, &lens, &retaken))
+    if (e || !lenses_find(t->j, shot, &lens, &resampled))
         return e;
     const bool deep = t->v->deep;
     struct image16 im16;
@@ -201,8 +201,8 @@ static err_t choose_pinholes(const struct views *v, struct lenses *l)
     return OK;
 }
 
-err_t lenses_retake(const struct run *r, const struct capture *c, const struct prep_source *from,
-                    const struct bundle_result *found, struct lenses *l, struct job_result *out)
+err_t lenses_resample(const struct run *r, const struct capture *c, const struct prep_source *from,
+                      const struct bundle_result *found, struct lenses *l, struct job_result *out)
 {
     struct views *v = &out->views;
     struct retake t = {r, c, from, out, v, l->pinhole};
@@ -221,7 +221,7 @@ err_t lenses_redraw(const struct run *r, const struct capture *c, const struct p
 {
     struct views *v = &out->views;
     struct retake t = {r, c, from, out, v, NULL};
-    if (out->n_found == 0 || !out->found[0].retaken)
+    if (out->n_found == 0 || !out->found[0].resampled)
         return OK;
     return pool_for(r->pool, v->n + v->n_more, retake_view, &t);
 }
@@ -243,10 +243,10 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
                 const struct shot *s = lenses_shot(c, v->names[i]);
                 memcpy(to->camera_id, s->camera_id, sizeof to->camera_id);
                 to->edge = num_max(v->extent[i].w, v->extent[i].h);
-                to->retaken = l->pinhole[i] > 0;
+                to->resampled = l->pinhole[i] > 0;
                 to->photographs++;
             }
-        if (to->retaken && lens_distorts(&to->lens) && out->n_lenses < JOB_LENSES)
+        if (to->resampled && lens_distorts(&to->lens) && out->n_lenses < JOB_LENSES)
             snprintf(out->lenses[out->n_lenses++], sizeof out->lenses[0],
                      "%d photograph%s undistorted: the lens was found to be %s, focal length %.1f "
                      "of %d px",
@@ -255,7 +255,8 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
     }
 }
 
-bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *out, bool *retaken)
+bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *out,
+                 bool *resampled)
 {
     int k = 0;
     while (k < j->n_found && strcmp(j->found[k].camera_id, s->camera_id) != 0)
@@ -265,7 +266,7 @@ bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *
     const struct job_lens *from = &j->found[k];
     const double scale = (double)num_max(s->taken_w, s->taken_h) / from->edge;
     *out = photo_lens(&from->lens, s->turned, scale, s->taken_w, s->taken_h);
-    *retaken = from->retaken;
+    *resampled = from->resampled;
     return true;
 }
 
@@ -274,11 +275,11 @@ void lenses_apply(const struct job_result *j, struct capture *c)
     for (int i = 0; i < c->n; i++) {
         struct shot *s = &c->shots[i];
         struct lens lens;
-        bool retaken;
-        if (!lenses_find(j, s, &lens, &retaken))
+        bool resampled;
+        if (!lenses_find(j, s, &lens, &resampled))
             continue;
         const float focal =
-            (float)(retaken ? undistort_focal(&lens, s->taken_w, s->taken_h) : lens.fx);
+            (float)(resampled ? undistort_focal(&lens, s->taken_w, s->taken_h) : lens.fx);
         s->cam = (struct camera){.w = s->taken_w,
                                  .h = s->taken_h,
                                  .fx = focal,
@@ -286,7 +287,7 @@ void lenses_apply(const struct job_result *j, struct capture *c)
                                  .cx = 0.5f * (float)s->taken_w,
                                  .cy = 0.5f * (float)s->taken_h,
                                  .q = {1}};
-        if (retaken)
+        if (resampled)
             s->lens = lens;
     }
 }

@@ -16,7 +16,7 @@ struct lenses {
     struct bundle_lens *lens; // (n)
     int *of;                  // (places) the lens of each
     int *turned;              // (places) quarter turns of the sensor
-    float *pinhole;           // (places) px, focal length that lenses_retake drew; 0 before
+    float *pinhole;           // (places) px, focal length that lenses_resample drew; 0 before
     double *error_before;     // (n) of selfcal.h, of photographs as they were taken
 };
 
@@ -45,9 +45,9 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
 /* Take over and note what was found, and draw out->views again, as pinholes see them through these
  * lenses.
  * err:  those of decoding; ERR_FORMAT (a lens that leaves nothing to see). */
-MUST_USE err_t lenses_retake(const struct run *r, const struct capture *c,
-                             const struct prep_source *from, const struct bundle_result *found,
-                             struct lenses *l, struct job_result *out);
+MUST_USE err_t lenses_resample(const struct run *r, const struct capture *c,
+                               const struct prep_source *from, const struct bundle_result *found,
+                               struct lenses *l, struct job_result *out);
 
 /* Where the views of a result were drawn again, draw those that have become larger, too: focal
  * lengths are those of out->views.cams.
@@ -55,9 +55,10 @@ MUST_USE err_t lenses_retake(const struct run *r, const struct capture *c,
 MUST_USE err_t lenses_redraw(const struct run *r, const struct capture *c,
                              const struct prep_source *from, struct job_result *out);
 
-/* Lens found of the camera that took a photograph, in px of that; false if none was. retaken: the
+/* Lens found of the camera that took a photograph, in px of that; false if none was. resampled: the
  * views are undistorted from it. */
-bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *out, bool *retaken);
+bool lenses_find(const struct job_result *j, const struct shot *s, struct lens *out,
+                 bool *resampled);
 
 /* Photographs that were not in the job become pictures of the pinholes of their cameras' lenses. */
 void lenses_apply(const struct job_result *j, struct capture *c);

@@ -17,6 +17,6 @@ MUST_USE err_t locate_run(const struct run *r, const struct views *v,
                           struct bundle_result *out);
 
 /* Below this confidence (bundle.h) nothing says that the cameras are right. */
-#define LOCATE_SURE 0.1f
+#define LOCATE_CONFIDENT 0.1f
 
 #endif

@@ -1,4 +1,4 @@
-/* recipe.h - what a job is asked for, and how it is done: where cameras, depth and the first
+/* recipe.h - the request for a job, and how it is carried out: where cameras, depth and the first
  * Gaussians come from. Decided once, before a pixel is decoded: planning and running both read it.
  */
 #ifndef RECON_RECIPE_H
@@ -10,7 +10,7 @@
 #include "core/photo/prep.h"
 #include "core/refine/refine.h"
 
-/* What the lenses of cameras are that are not known. */
+/* Lens model of cameras that are not known. */
 enum recipe_lens { RECIPE_LENS_AUTO, RECIPE_LENS_PINHOLE, RECIPE_LENS_FISHEYE };
 
 struct job_config {
@@ -18,7 +18,7 @@ struct job_config {
     bool square; // squeeze the photographs to squares, as the paper's protocol has it
     struct refine_config refine;
     const struct network *network; // NULL: none
-    bool cameras_only;             // the network is only asked for cameras
+    bool cameras_only;             // only cameras are taken from the network
     bool polish;   // the network's cameras by bundle adjustment, always without a network; its
                    // depth by stereo
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
@@ -34,8 +34,8 @@ struct job_memory {
 };
 
 enum recipe_source {
-    RECIPE_GIVEN,   // cameras: they come with the photographs
-    RECIPE_BUNDLE,  // cameras: by bundle adjustment, which starts from the network's if it is asked
+    RECIPE_GIVEN,   // cameras: given with the photographs
+    RECIPE_BUNDLE,  // cameras: by bundle adjustment, which starts from the network's if it runs
     RECIPE_STEREO,  // depth: by plane sweep
     RECIPE_SEEDS,   // Gaussians: from depth and photographs
     RECIPE_NETWORK, // any of them: as the network predicts
@@ -43,27 +43,27 @@ enum recipe_source {
 
 struct recipe {
     enum recipe_source cameras, depth, gaussians;
-    bool network;    // it is asked for cameras, and for what else is its own
+    bool network;    // it runs: for cameras, depth or Gaussians
     bool bundle;     // bundle adjustment: for cameras, or, where they are given, for the scale of
                      // the network's depth
     bool must_place; // views that bundle adjustment cannot place have no other camera
     bool correct;    // stereo and photographs correct the network's Gaussians
     bool forward;    // the scene is the network's single forward pass
-    bool refine;     // its steps, or at least what is transparent is taken out
+    bool refine;     // refinement runs, if only to remove transparent Gaussians
     bool tapped;     // run.tap is set: tensors are dumped
     bool square;     // views are squares: a network's depth or Gaussians belong to their pixels
     int size, work;  // px, longest edge of the views: of refinement; of what comes before it
-    int places;      // where photographs were taken
+    int places;      // camera positions: brackets count once
     int gaussians_max, degree_max;   // of the scene
-    struct refine_config refinement; // as asked, within what so many pixels bear
+    struct refine_config refinement; // as requested, bounded by the number of pixels
 };
 
-/* c: only names, sizes and cameras are looked at. tapped: run.tap will be set; what is dumped is
- * the network's own, the whole pass. */
+/* Choose for a capture; only its names, sizes and cameras are read. tapped: run.tap will be set;
+ * the whole forward pass is dumped then. */
 struct recipe recipe_choose(const struct capture *c, const struct job_config *cfg, bool tapped);
 
-/* The same for cameras alone, none of which are known: of it only cameras, network and bundle mean
- * anything. */
+/* The same for cameras alone, none of which are known: only the members cameras, network and bundle
+ * are meaningful. */
 struct recipe recipe_of_cameras(const struct job_config *cfg);
 
 /* Whether the scene will be the network's single forward pass, which no capture changes. */
@@ -71,7 +71,7 @@ bool recipe_forward(const struct job_config *cfg);
 
 enum { RECIPE_SIZE_AUTO = 0, RECIPE_SIZE_FULL = -1 }; // of job_config.size
 
-/* Edge of the pictures for cfg->size px, RECIPE_SIZE_AUTO or RECIPE_SIZE_FULL. Full: that of the
+/* Edge of the views for cfg->size px, RECIPE_SIZE_AUTO or RECIPE_SIZE_FULL. Full: that of the
  * largest photograph. Auto: what the network was trained for if it sees the scene, 448 for squares,
  * else full within RECIPE_AUTO_MAX, not less than 448. */
 enum { RECIPE_AUTO_MAX = 1600 };
@@ -83,8 +83,8 @@ void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char
 /* Longest edge, px, of the views that cameras and depth are found in. */
 int recipe_work(const struct job_config *cfg);
 
-/* Refuse what cannot be done: more views than cameras can be found for, or views too small.
- * c: only names and sizes are looked at.
+/* Refuse more views than cameras can be found for, and views that are too small. Only names and
+ * sizes of the capture are read.
  * err:  ERR_ARG. */
 MUST_USE err_t recipe_check(const struct recipe *recipe, const struct capture *c);
 

@@ -55,9 +55,9 @@ static void map_view(const struct job_result *j, const struct shot *s, const str
                      struct shade *out)
 {
     struct lens lens = s->lens;
-    bool drawn = lens_distorts(&lens), retaken;
-    if (lenses_find(j, s, &lens, &retaken))
-        drawn = retaken;
+    bool drawn = lens_distorts(&lens), resampled;
+    if (lenses_find(j, s, &lens, &resampled))
+        drawn = resampled;
     shade_map(drawn ? &lens : NULL, s->taken_w, s->taken_h, view, out);
 }
 

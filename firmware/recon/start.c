@@ -22,8 +22,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { RETAKES = 2 };   // times that photographs are drawn again
-#define LENS_MOVED 0.25 // px of the view, less is not worth it
+enum { RESAMPLINGS = 2 }; // times that views are sampled again
+#define LENS_MOVED 0.25   // px of the view, less is not worth it
 
 static void announce(const struct run *r, const char *stage)
 {
@@ -79,7 +79,8 @@ err_t start_scene(struct start *s)
 /* ---- cameras ---- */
 
 /* Why cameras are not known, and what mends it. */
-static const char *cause(const struct views *v, const struct bundle_result *b, char text[240])
+static const char *why_not_located(const struct views *v, const struct bundle_result *b,
+                                   char text[240])
 {
     int blanks = 0, blank = 0, copies = 0, copy = 0;
     for (int i = 0; i < v->n; i++) {
@@ -98,7 +99,7 @@ static const char *cause(const struct views *v, const struct bundle_result *b, c
                  "no parallax, %d of %d photographs are copies (%.64s is %.64s); take each from "
                  "another place",
                  copies, v->n, v->names[copy], v->names[figures_copied(v, copy)]);
-    else if (b->agreement >= LOCATE_SURE)
+    else if (b->agreement >= LOCATE_CONFIDENT)
         snprintf(
             text, 240,
             "no parallax, the camera turned or stood still; step aside between photographs, by "
@@ -111,7 +112,7 @@ static const char *cause(const struct views *v, const struct bundle_result *b, c
     return text;
 }
 
-static void sum_up(struct start *s)
+static void report_bundle(struct start *s)
 {
     const struct bundle_result *b = &s->bundle;
     char text[240];
@@ -120,15 +121,15 @@ static void sum_up(struct start *s)
                                            .confidence = b->confidence,
                                            .rms_px = b->rms_px,
                                            .inliers = b->inliers,
-                                           .sightings = b->sightings,
+                                           .observations = b->sightings,
                                            .placed = b->n_placed};
-    if (b->confidence < LOCATE_SURE)
+    if (b->confidence < LOCATE_CONFIDENT)
         job_result_warn(s->out, "cameras are a guess: %s, or give the cameras with --rig PATH",
-                        cause(&s->out->views, b, text));
+                        why_not_located(&s->out->views, b, text));
 }
 
-/* A view that is not tied to the others would only spoil the scene. */
-static err_t leave_out(struct start *s)
+/* A view that shares too few points with the others would only spoil the scene. */
+static err_t drop_unplaced_views(struct start *s)
 {
     const struct run *r = s->run;
     const struct bundle_result *b = &s->bundle;
@@ -137,7 +138,7 @@ static err_t leave_out(struct start *s)
     const size_t mark = arena_mark(r->tmp);
     bool *keep;
     int n = 0;
-    if (b->confidence < LOCATE_SURE || b->n_placed < 2)
+    if (b->confidence < LOCATE_CONFIDENT || b->n_placed < 2)
         return OK;
     err_t e = arena_alloc(r->tmp, (size_t)(v->n + v->n_more), sizeof *keep, &keep);
     if (e)
@@ -184,11 +185,11 @@ static err_t refuse_cameras(const struct bundle_result *b, const struct views *v
 {
     char text[240];
     return err_fail(ERR_ARG, "the cameras cannot be found: %s, or give --rig PATH",
-                    cause(v, b, text));
+                    why_not_located(v, b, text));
 }
 
 /* One attempt on the views as they are. */
-static err_t locate(struct start *s, bool again)
+static err_t locate_views(struct start *s, bool again)
 {
     const struct run *r = s->run;
     const struct views *v = &s->out->views;
@@ -206,32 +207,32 @@ static err_t locate(struct start *s, bool again)
                                        .focal_known = known || s->cfg->fov_deg > 0,
                                        .find_distortion = finds_distortion(s),
                                        .rig_known = known};
-    struct start_seen seen;
-    err_t e = exposure_stack_merge(r, v, &s->out->response, &seen.views, &seen.tone);
+    struct start_merged merged;
+    err_t e = exposure_stack_merge(r, v, &s->out->response, &merged.views, &merged.tone);
     if (!e)
-        e = locate_run(r, &seen.views, s->p.matches.token && !again ? &s->p.matches : NULL, &want,
+        e = locate_run(r, &merged.views, s->p.matches.token && !again ? &s->p.matches : NULL, &want,
                        &s->bundle);
     arena_reset(r->tmp, s->tmp);
     return e;
 }
 
-/* Where lenses distort, the photographs are looked at once more through these: matches and cameras
- * become better, and with them the lenses. */
+/* Where lenses distort, the views are sampled again through them: matches and cameras become
+ * better, and with them the lenses. */
 static err_t locate_through_lenses(struct start *s)
 {
     const struct run *r = s->run;
     struct views *v = &s->out->views;
     const struct prep_source *from = s->cfg->source;
     const size_t mark = arena_mark(r->keep);
-    err_t e = locate(s, false);
-    const int most = finds_distortion(s) ? RETAKES : 0;
+    err_t e = locate_views(s, false);
+    const int most = finds_distortion(s) ? RESAMPLINGS : 0;
     for (int k = 0; k < most && !e && s->bundle.n_placed >= 2; k++) {
         if (!lenses_moved(&s->lenses, v, &s->bundle, LENS_MOVED))
             break;
-        e = lenses_retake(r, s->capture, from, &s->bundle, &s->lenses, s->out);
+        e = lenses_resample(r, s->capture, from, &s->bundle, &s->lenses, s->out);
         arena_reset(r->keep, mark);
         if (!e)
-            e = locate(s, true);
+            e = locate_views(s, true);
     }
     return e;
 }
@@ -249,12 +250,12 @@ err_t start_bundle(struct start *s)
     if (!e && !known) {
         memcpy(s->out->scene.cams, s->bundle.cams, (size_t)v->n * sizeof *s->bundle.cams);
         lenses_note(&s->lenses, s->capture, &s->bundle, s->out);
-        sum_up(s);
+        report_bundle(s);
     }
     job_result_lap(s->out, JOB_CAMERAS);
     if (!e && s->recipe->must_place && s->bundle.n_placed < 2)
         e = refuse_cameras(&s->bundle, v);
-    return e || known ? e : leave_out(s);
+    return e || known ? e : drop_unplaced_views(s);
 }
 
 err_t start_cameras(struct start *s)
@@ -274,7 +275,7 @@ err_t start_cameras(struct start *s)
 
 /* ---- the network ---- */
 
-static struct net asked_of(const struct network *n, const struct recipe *recipe)
+static struct net net_for_recipe(const struct network *n, const struct recipe *recipe)
 {
     struct net out = n->net;
     out.d.gauss = recipe->gaussians == RECIPE_NETWORK;
@@ -286,7 +287,7 @@ err_t start_network(struct start *s)
 {
     const struct network *n = s->cfg->network;
     struct job_result *out = s->out;
-    const struct net net = asked_of(n, s->recipe);
+    const struct net net = net_for_recipe(n, s->recipe);
     static const char *const backbone[] = {"backbone", NULL}, *const heads[] = {"camera", "depth",
                                                                                 NULL};
     struct network_clock clock;
@@ -308,26 +309,26 @@ err_t start_network(struct start *s)
 
 /* ---- stereo ---- */
 
-/* Where nothing says that the cameras are right, stereo would only spoil what the network has. */
+/* Unless the cameras are reliable, stereo would be worse than what the network predicts. */
 bool start_corrects(const struct start *s)
 {
     return s->recipe->correct &&
-           (s->recipe->cameras == RECIPE_GIVEN || s->out->cameras.confidence >= LOCATE_SURE);
+           (s->recipe->cameras == RECIPE_GIVEN || s->out->cameras.confidence >= LOCATE_CONFIDENT);
 }
 
 static err_t find_light(struct start *s)
 {
     struct job_result *out = s->out;
-    struct start_seen *seen = &s->seen;
+    struct start_merged *merged = &s->merged;
     const struct shading_input in = {.capture = s->capture,
                                      .depth = &s->depth,
                                      .room = s->shade,
-                                     .seen = &seen->views,
-                                     .tone = &seen->tone,
+                                     .seen = &merged->views,
+                                     .tone = &merged->tone,
                                      .refit = out->views.n_more == 0 && !out->views.srgb};
     err_t e = shading_run(s->run, &in, out);
     if (in.refit)
-        out->scene.tone = seen->tone;
+        out->scene.tone = merged->tone;
     return e;
 }
 
@@ -335,17 +336,17 @@ err_t start_stereo(struct start *s)
 {
     const struct run *r = s->run;
     struct job_result *out = s->out;
-    struct start_seen *seen = &s->seen;
-    if (s->recipe->depth == RECIPE_STEREO) // the network has said all it had to say
+    struct start_merged *merged = &s->merged;
+    if (s->recipe->depth == RECIPE_STEREO) // the network's prediction is not needed any more
         arena_reset(r->keep, s->keep);
     s->before_depth = arena_mark(r->keep);
     announce(r, "sweep");
-    err_t e = exposure_stack_merge(r, &out->views, &out->response, &seen->views, &seen->tone);
+    err_t e = exposure_stack_merge(r, &out->views, &out->response, &merged->views, &merged->tone);
     if (!e)
-        e = sweep_run(r, &seen->views, &seen->tone, &s->depth);
+        e = sweep_run(r, &merged->views, &merged->tone, &s->depth);
     if (!e && out->views.n_more == 0 && !out->views.srgb) {
-        e = response_refit_run(r, &out->views, &s->depth, &seen->tone);
-        out->scene.tone = seen->tone;
+        e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
+        out->scene.tone = merged->tone;
     }
     if (!e && s->shade)
         e = find_light(s);
@@ -356,13 +357,13 @@ err_t start_stereo(struct start *s)
 err_t start_correct(struct start *s)
 {
     const struct run *r = s->run;
-    const struct start_seen *seen = &s->seen;
+    const struct start_merged *merged = &s->merged;
     struct scene *scene = &s->out->scene;
     const struct correct_known known = {
-        {&seen->views, &s->depth, &seen->tone}, &s->out->views, &scene->tone};
+        {&merged->views, &s->depth, &merged->tone}, &s->out->views, &scene->tone};
     err_t e = correct_run(r, &known, s->scale, &s->p);
     if (!e && !s->p.linear)
-        response_mean(&seen->views, &seen->tone, scene->background);
+        response_mean(&merged->views, &merged->tone, scene->background);
     arena_reset(r->keep, s->before_depth);
     arena_reset(r->tmp, s->tmp);
     return e;
@@ -383,8 +384,8 @@ static err_t dump_scene(const struct run *r, const struct job_config *cfg,
     return e ? e : dump_picture(r, &picture);
 }
 
-/* Cells become the Gaussians of *s, whose tone curve is set. */
-static err_t merge(const struct start *st, struct scene *s)
+/* Merges the predicted points in cells, which become the Gaussians of *s; its tone curve is set. */
+static err_t merge_cells(const struct start *st, struct scene *s)
 {
     const struct run *r = st->run;
     const struct prediction *p = &st->p;
@@ -404,14 +405,14 @@ static err_t merge(const struct start *st, struct scene *s)
     return e ? e : dump_scene(r, st->cfg, p, s);
 }
 
-static err_t take_gaussians(struct start *st)
+static err_t use_predicted_gaussians(struct start *st)
 {
     struct scene *s = &st->out->scene, found = {.size = s->size};
     struct gaussians_report report;
     found.tone = st->p.tone;
     if (st->p.linear)
         anysplat_curve(st->out->views.mid_log2t, &found.tone);
-    err_t e = merge(st, &found);
+    err_t e = merge_cells(st, &found);
     if (e)
         return e;
     if (st->recipe->forward)
@@ -430,37 +431,37 @@ static err_t take_gaussians(struct start *st)
     return OK;
 }
 
-static err_t layout_sure(struct depthmaps *d, struct arena *keep, size_t pixels)
+static err_t layout_confidence(struct depthmaps *d, struct arena *keep, size_t pixels)
 {
     return arena_alloc(keep, pixels, sizeof *d->conf, &d->conf);
 }
 
-/* Depth of the network as that of stereo; every pixel counts as sure. */
-static err_t take_depth(struct start *s)
+/* The network's depth in place of that of stereo, with full confidence at every pixel. */
+static err_t use_predicted_depth(struct start *s)
 {
     const struct geometry *g = &s->p.geom;
     const size_t n = (size_t)g->n_views * (size_t)g->size * (size_t)g->size;
     struct job_result *out = s->out;
     s->depth = (struct depthmaps){g->n_views, 1, out->views.extent, g->depth, NULL};
-    err_t e = layout_sure(&s->depth, s->run->keep, n);
+    err_t e = layout_confidence(&s->depth, s->run->keep, n);
     for (size_t i = 0; i < n && !e; i++) {
         s->depth.conf[i] = 1;
         s->depth.depth[i] *= s->scale;
     }
     return e ? e
-             : exposure_stack_merge(s->run, &out->views, &out->response, &s->seen.views,
-                                    &s->seen.tone);
+             : exposure_stack_merge(s->run, &out->views, &out->response, &s->merged.views,
+                                    &s->merged.tone);
 }
 
 static err_t place_seeds(struct start *s)
 {
     struct job_result *out = s->out;
-    const struct views *v = &s->seen.views;
-    const struct tonemap *tone = &s->seen.tone;
+    const struct views *v = &s->merged.views;
+    const struct tonemap *tone = &s->merged.tone;
     const struct seed_input in = {.views = v, .depth = &s->depth, .tone = tone};
     struct gaussians seeds;
     announce(s->run, "seed");
-    /* the refiner splits where the photographs hold more than noise */
+    /* refinement splits where the photographs hold more than noise */
     err_t e = seed_run(s->run, &in, refine_begin(&s->recipe->refinement, v->n), &seeds);
     response_mean(v, tone, out->scene.background);
     if (!e)
@@ -474,9 +475,9 @@ err_t start_gaussians(struct start *s)
     const bool network = s->recipe->gaussians == RECIPE_NETWORK;
     err_t e = OK;
     if (!network && s->recipe->depth == RECIPE_NETWORK)
-        e = take_depth(s);
+        e = use_predicted_depth(s);
     if (!e)
-        e = network ? take_gaussians(s) : place_seeds(s);
+        e = network ? use_predicted_gaussians(s) : place_seeds(s);
     if (network)
         job_result_lap(s->out, JOB_VOXEL);
     arena_reset(s->run->tmp, s->tmp);
@@ -494,7 +495,7 @@ static void plan_network(struct plan *p, const struct job_config *cfg, const str
         network_look_plan(p, cfg->network, recipe->bundle, v);
         return;
     }
-    const struct net net = asked_of(cfg->network, recipe);
+    const struct net net = net_for_recipe(cfg->network, recipe);
     net_plan(p, &net, v->n, v->size);
 }
 
@@ -517,7 +518,7 @@ static void plan_seeds(struct plan *p, const struct recipe *recipe, const struct
     struct gaussians seeds;
     struct depthmaps depth;
     if (network) {
-        if (layout_sure(&depth, &p->keep, extent_total(v->extent, v->n)))
+        if (layout_confidence(&depth, &p->keep, extent_total(v->extent, v->n)))
             plan_refuse(p);
         exposure_stack_merge_plan(p, v);
     }

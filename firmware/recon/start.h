@@ -1,8 +1,8 @@
 /* start.h - cameras and the first Gaussians of a scene, by stereo or by the network: the steps of
  * job.c between the response curve and refinement. Each is called where the recipe asks for it, in
  * this order.
- * From one step to the next the network's prediction, the bundle and depth live in run.keep, what
- * stereo sees in run.tmp; start_gaussians gives all of it back. */
+ * Between the steps the network's prediction, the bundle and depth are in run.keep, the merged
+ * views of stereo in run.tmp; start_gaussians frees all of it. */
 #ifndef RECON_START_H
 #define RECON_START_H
 
@@ -13,8 +13,8 @@
 #include "core/sfm/bundle.h"
 #include "core/stereo/sweep.h"
 
-/* Of each place one picture with all that its exposures show. */
-struct start_seen {
+/* One picture for each camera position, merged from its exposures, and their tone curve. */
+struct start_merged {
     struct views views;
     struct tonemap tone;
 };
@@ -28,42 +28,42 @@ struct start {
     size_t keep, tmp;       // levels of the arenas at the beginning
     struct prediction p;
     struct bundle_result bundle;
-    struct lenses lenses; // of the places, if cameras are not known
+    struct lenses lenses; // of the camera positions, if cameras are not known
     float scale;          // from the network's world to that of the cameras
-    struct start_seen seen;
+    struct start_merged merged;
     struct depthmaps depth;
     struct shade *shade; // (places) room for what cameras do to light; NULL: not looked for
     size_t before_depth; // level of run.keep
 };
 
-/* Count what all steps take: of v only its numbers and shapes are looked at; n_lenses: as
- * lenses_count says. A single forward pass
- * stays. */
+/* Count the memory of all steps; only numbers and shapes of v are read. n_lenses: of lenses_count.
+ * The prediction of a single forward pass stays in keep. */
 void start_plan(struct plan *p, const struct job_config *cfg, const struct recipe *recipe,
                 const struct views *v, int n_lenses);
 
 /* The scene before its first splat, with room for all unless it becomes a single forward pass. */
 MUST_USE err_t start_scene(struct start *s);
 
-/* recipe.network: its prediction. */
+/* The network's prediction, if recipe.network. */
 MUST_USE err_t start_network(struct start *s);
 
-/* recipe.bundle: cameras, or the scale of the network's depth; views that are not tied to the
- * others are left out.
+/* Cameras, or the scale of the network's depth, if recipe.bundle; views that share too few points
+ * with the others are left out.
  * err:  ERR_ARG (recipe.must_place, and fewer than two views can be placed). */
 MUST_USE err_t start_bundle(struct start *s);
 
-/* The scene's cameras; the network's geometry is moved there, at a scale that is left to
- * start_gaussians. */
+/* The scene's cameras. The network's geometry is aligned to them but for its scale, which
+ * start_gaussians applies. */
 MUST_USE err_t start_cameras(struct start *s);
 
-/* Whether photographs correct the network: as the recipe says, if the cameras are sure. */
+/* Whether stereo and photographs correct the network: as the recipe says, if the cameras are
+ * reliable. */
 bool start_corrects(const struct start *s);
 
-/* Depth, and with it a better curve. */
+/* Depth by plane sweep, and a response that is fitted again with it. */
 MUST_USE err_t start_stereo(struct start *s);
 
-/* Depth and photographs overrule the network. */
+/* The network's Gaussians, corrected by depth and photographs. */
 MUST_USE err_t start_correct(struct start *s);
 
 /* The network's Gaussians, one per cell, or seeds from depth. */

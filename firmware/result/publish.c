@@ -172,10 +172,10 @@ static void add_photograph(const struct job_result *j, struct rig_view *v)
     for (int i = 0; c && i < c->n && !s; i++)
         s = strcmp(c->shots[i].name, v->name) == 0 ? &c->shots[i] : NULL;
     struct lens lens;
-    bool retaken;
+    bool resampled;
     if (!s)
         return;
-    if (!lenses_find(j, s, &lens, &retaken) || !retaken)
+    if (!lenses_find(j, s, &lens, &resampled) || !resampled)
         lens = s->lens;
     if (!lens_distorts(&lens))
         return;

@@ -6,7 +6,7 @@
 #include "sim/sensor/curve.h"
 
 #include "core/base/splitmix.h"
-#include "sim/sensor/chance.h"
+#include "sim/sensor/variate.h"
 
 #include <math.h>
 #include <string.h>
@@ -49,7 +49,7 @@ static void make_random(uint64_t seed, struct curve *c)
 {
     double k[KNOTS], sum[CURVE_STEPS + 1];
     for (int i = 0; i < KNOTS; i++)
-        k[i] = c->param * chance_normal(splitmix_mix(seed), (uint64_t)i);
+        k[i] = c->param * variate_normal(splitmix_mix(seed), (uint64_t)i);
     sum[0] = srgb_display(c->lo);
     for (int i = 1; i <= CURVE_STEPS; i++) {
         double u0 = step_position(c, i - 1), u1 = step_position(c, i);
@@ -89,9 +89,9 @@ void curve_draw(uint64_t seed, struct curve *out)
                                                CURVE_AGX,    CURVE_LOG,   CURVE_RANDOM,
                                                CURVE_RANDOM, CURVE_RANDOM};
     int n = (int)(sizeof family / sizeof family[0]);
-    int k = (int)(chance_uniform(splitmix_mix(seed), 0) * n);
+    int k = (int)(variate_uniform(splitmix_mix(seed), 0) * n);
     enum curve_family f = family[k];
-    float t = (float)chance_uniform(splitmix_mix(seed), 1);
+    float t = (float)variate_uniform(splitmix_mix(seed), 1);
     curve_make(f, params[f].lo + t * (params[f].hi - params[f].lo), seed + 1, out);
 }
 

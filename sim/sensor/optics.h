@@ -1,5 +1,5 @@
-/* optics.h - a rig's camera before its sensor: size of the picture, lens, vignetting, gain and
- * white balance; and how a command line says so.
+/* optics.h - the optics of a rig's camera: size of the picture, lens, vignetting, gain and white
+ * balance, and the syntax for them on the command line.
  * Pure functions; any thread. */
 #ifndef SENSOR_OPTICS_H
 #define SENSOR_OPTICS_H
@@ -33,7 +33,7 @@ MUST_USE err_t optics_parse(const char *what, const char *text, int size, double
 /* Factor of each colour at a pixel; 0 beyond the image circle if there is cos4. */
 void optics_factor(const struct optics *o, double u, double v, float out[3]);
 
-/* Whether light is changed at all. */
+/* Whether the factor differs from 1 anywhere. */
 bool optics_dims(const struct optics *o);
 
 /* Multiply radiance, (3, h, w), by the factor at each pixel's centre. */

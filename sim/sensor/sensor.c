@@ -11,7 +11,7 @@
 
 #include "core/base/num.h"
 #include "core/base/splitmix.h"
-#include "sim/sensor/chance.h"
+#include "sim/sensor/variate.h"
 
 #include <math.h>
 #include <string.h>
@@ -86,21 +86,21 @@ static inline double poisson(uint64_t key, uint64_t counter, double mean)
     if (!(mean > 0.0))
         return 0.0;
     if (mean < 30.0)
-        return small_poisson(chance_uniform(key, counter), mean);
+        return small_poisson(variate_uniform(key, counter), mean);
     if (!(mean < 1e12))
         mean = 1e12;
-    double v = mean + sqrt(mean) * chance_normal(key, counter) + 0.5;
+    double v = mean + sqrt(mean) * variate_normal(key, counter) + 0.5;
     return v > 0.0 ? (double)(int64_t)v : 0.0;
 }
 
 double sensor_uniform(uint64_t key, uint64_t counter)
 {
-    return chance_uniform(splitmix_mix(key), counter);
+    return variate_uniform(splitmix_mix(key), counter);
 }
 
 double sensor_normal(uint64_t key, uint64_t counter)
 {
-    return chance_normal(splitmix_mix(key), counter);
+    return variate_normal(splitmix_mix(key), counter);
 }
 
 double sensor_poisson(uint64_t key, uint64_t counter, double mean)
@@ -215,7 +215,7 @@ static struct row row_begin(const struct expose *x, int plane, int y)
     for (int c = 0; c < 3; c++)
         w.light[c] = light * s->balance[c];
     if (s->row_noise > 0.0f)
-        w.offset = s->row_noise * chance_normal(w.noise, UINT32_MAX);
+        w.offset = s->row_noise * variate_normal(w.noise, UINT32_MAX);
     return w;
 }
 
@@ -226,12 +226,12 @@ static inline double read_pixel(const struct sensor *s, const struct row *w, int
     uint64_t n = 2 * (uint64_t)i;
     double mean = radiance > 0.0f ? radiance * w->light[c] : 0.0; // NaN is dark
     if (s->prnu > 0.0f)
-        mean *= 1.0 - min_double(-s->prnu * chance_normal(w->unit, n), 1.0);
+        mean *= 1.0 - min_double(-s->prnu * variate_normal(w->unit, n), 1.0);
     double e = min_double(poisson(w->noise, n, mean + w->dark), s->full_well) + w->offset;
     if (s->dsnu > 0.0f)
-        e += s->dsnu * chance_normal(w->unit, n + 1);
+        e += s->dsnu * variate_normal(w->unit, n + 1);
     if (s->read_noise > 0.0f)
-        e += s->read_noise * chance_normal(w->noise, n + 1);
+        e += s->read_noise * variate_normal(w->noise, n + 1);
     return e;
 }
 

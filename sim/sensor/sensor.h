@@ -18,7 +18,7 @@ struct sensor {
     float read_noise; // e-, rms
     float row_noise;  // e-, rms, one value per row and frame
     float full_well;  // e-
-    float gain;       // digital numbers per e- at analogue gain 1 (EMVA's K)
+    float gain;       // digital numbers per e- at analogue gain 1 (K of EMVA 1288)
     int bits, black;  // of the converter, 8..16; digital numbers
     float balance[3]; // sensitivity of the colour channels, undone by the white balance
     float line_s;     // s, rolling shutter: row r starts r line_s later; 0 global
@@ -59,9 +59,8 @@ MUST_USE err_t sensor_develop(const struct run *r, const struct sensor *s,
                               const struct sensor_shot *shot, const struct curve *c,
                               const struct sensor_raw *raw, uint8_t *px);
 
-/* A number 0..1 from a key and a counter (a counter-based generator: Philox-like mixing), and a
- * normal and a Poisson variable made of several. Poisson: exact inversion below 30, normal with
- * continuity correction above. */
+/* Uniform (0..1), standard normal and Poisson variates by a counter-based generator (variate.h).
+ * Poisson: exact inversion for means below 30, above that normal with continuity correction. */
 double sensor_uniform(uint64_t key, uint64_t counter);
 double sensor_normal(uint64_t key, uint64_t counter);
 double sensor_poisson(uint64_t key, uint64_t counter, double mean);

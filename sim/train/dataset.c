@@ -12,7 +12,7 @@
 #include <sys/stat.h>
 
 /* Pixels of all views; of the largest. */
-static size_t all_pixels(const struct dataset_ask *a, size_t *largest)
+static size_t all_pixels(const struct dataset_request *a, size_t *largest)
 {
     struct extent all[SAMPLE_VIEWS];
     sample_extents(&a->sample, all);
@@ -20,7 +20,7 @@ static size_t all_pixels(const struct dataset_ask *a, size_t *largest)
     return extent_total(all, a->sample.n_views);
 }
 
-uint64_t dataset_bytes(const struct dataset_ask *a)
+uint64_t dataset_bytes(const struct dataset_request *a)
 {
     size_t largest;
     /* as if nothing could be compressed */
@@ -31,7 +31,7 @@ uint64_t dataset_bytes(const struct dataset_ask *a)
 
 /* The scene in memory while files are written. */
 struct set {
-    const struct dataset_ask *a;
+    const struct dataset_request *a;
     const char *dir;
     struct extent extent[SAMPLE_VIEWS];
     float *radiance, *depth; // as sample_make writes them
@@ -47,7 +47,7 @@ static bool is_input(int view)
 }
 
 /* Inputs have the first, the middle and the last exposure. */
-static bool is_taken(const struct dataset_ask *a, int view, int k)
+static bool is_taken(const struct dataset_request *a, int view, int k)
 {
     return !is_input(view) || k == 0 || k == a->n_exposures / 2 || k == a->n_exposures - 1;
 }
@@ -61,7 +61,7 @@ static void picture_name(int view, int k, char out[NAME_CAP])
 
 static err_t write_pictures(const struct set *s, int view)
 {
-    const struct dataset_ask *a = s->a;
+    const struct dataset_request *a = s->a;
     const struct extent *x = &s->extent[view];
     char name[NAME_CAP], path[FILE_PATH_CAP], folder[FILE_PATH_CAP], camera[32];
     const struct img_maker maker = {"hdrig", camera};
@@ -93,7 +93,7 @@ static err_t write_radiance(const struct set *s, int view)
 
 static err_t write_view(const struct run *r, const struct set *s, int view)
 {
-    const struct dataset_ask *a = s->a;
+    const struct dataset_request *a = s->a;
     const struct extent *x = &s->extent[view];
     const struct optics *o = sample_optics(&a->sample, view);
     const float *seen = s->radiance + 3 * x->at;
@@ -124,7 +124,7 @@ static err_t open_text(const struct set *s, const char *name, char path[FILE_PAT
 
 static err_t write_exposures(const struct set *s)
 {
-    const struct dataset_ask *a = s->a;
+    const struct dataset_request *a = s->a;
     char path[FILE_PATH_CAP], name[NAME_CAP];
     const char *before = "{\n";
     FILE *f;
@@ -210,7 +210,7 @@ static err_t make_folders(const struct set *s)
 
 /* ---- all ---- */
 
-static err_t check_exposures(const struct dataset_ask *a)
+static err_t check_exposures(const struct dataset_request *a)
 {
     if (a->n_exposures < 1 || a->n_exposures > DATASET_EXPOSURES)
         return err_fail(ERR_ARG, "data set: %d exposures, allowed are 1 to %d", a->n_exposures,
@@ -224,7 +224,7 @@ static err_t check_exposures(const struct dataset_ask *a)
 
 static err_t alloc_set(struct arena *keep, struct set *s)
 {
-    const struct dataset_ask *a = s->a;
+    const struct dataset_request *a = s->a;
     size_t largest;
     const size_t all = all_pixels(a, &largest);
     err_t e = arena_alloc(keep, all * 3, sizeof(float), &s->radiance);
@@ -239,7 +239,7 @@ static err_t alloc_set(struct arena *keep, struct set *s)
     return e;
 }
 
-void dataset_plan(struct plan *p, const struct dataset_ask *a)
+void dataset_plan(struct plan *p, const struct dataset_request *a)
 {
     struct set s = {.a = a};
     const size_t mark = arena_mark(&p->keep);
@@ -248,7 +248,7 @@ void dataset_plan(struct plan *p, const struct dataset_ask *a)
     arena_reset(&p->keep, mark);
 }
 
-err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir)
+err_t dataset_write(const struct run *r, const struct dataset_request *a, const char *dir)
 {
     struct set s = {.a = a, .dir = dir};
     const size_t mark = arena_mark(r->keep);

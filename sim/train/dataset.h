@@ -8,8 +8,8 @@
 
 enum { DATASET_EXPOSURES = 8 };
 
-struct dataset_ask {
-    struct sample_ask sample;       // n_views counts all cameras, 2 * inputs - 1
+struct dataset_request {
+    struct sample_scene sample;     // n_views counts all cameras, 2 * inputs - 1
     int n_exposures;                // 1..DATASET_EXPOSURES
     float stops[DATASET_EXPOSURES]; // ascending, log2 of the exposure over the metered one
     bool noise;                     // as in sensor_default
@@ -26,10 +26,10 @@ struct dataset_ask {
  * Of several cameras, the EXIF data of a picture name the one that took it. Radiance is that before
  * optics dim it.
  * err:  ERR_ARG, ERR_NOMEM (see dataset_plan), those of writing, ERR_CANCELLED. */
-MUST_USE err_t dataset_write(const struct run *r, const struct dataset_ask *a, const char *dir);
-void dataset_plan(struct plan *p, const struct dataset_ask *a);
+MUST_USE err_t dataset_write(const struct run *r, const struct dataset_request *a, const char *dir);
+void dataset_plan(struct plan *p, const struct dataset_request *a);
 
 /* An upper bound for the bytes of the files. */
-uint64_t dataset_bytes(const struct dataset_ask *a);
+uint64_t dataset_bytes(const struct dataset_request *a);
 
 #endif

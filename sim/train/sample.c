@@ -23,17 +23,17 @@ static double full_scale(const struct sensor *s)
     return codes < (double)s->full_well ? codes : (double)s->full_well;
 }
 
-int sample_camera_of(const struct sample_ask *a, int view)
+int sample_camera_of(const struct sample_scene *a, int view)
 {
     return a->n_optics > 0 ? view / 2 % a->n_optics : 0;
 }
 
-const struct optics *sample_optics(const struct sample_ask *a, int view)
+const struct optics *sample_optics(const struct sample_scene *a, int view)
 {
     return a->n_optics > 0 ? &a->optics[sample_camera_of(a, view)] : NULL;
 }
 
-void sample_extents(const struct sample_ask *a, struct extent *out)
+void sample_extents(const struct sample_scene *a, struct extent *out)
 {
     size_t at = 0;
     for (int i = 0; i < a->n_views; i++) {
@@ -47,7 +47,7 @@ void sample_extents(const struct sample_ask *a, struct extent *out)
 
 struct sample {
     const struct run *r;
-    const struct sample_ask *a;
+    const struct sample_scene *a;
     const struct render_world *world;
     float *radiance, *depth;
     struct camera *cams;
@@ -58,7 +58,7 @@ struct sample {
     atomic_int drawn;
 };
 
-static err_t check_ask(const struct sample_ask *a)
+static err_t check_ask(const struct sample_scene *a)
 {
     if (a->kind < WORLD_ANY || a->kind >= WORLD_KINDS)
         return err_fail(ERR_ARG, "sample: kind %d, allowed are %d to %d", a->kind, WORLD_ANY,
@@ -169,7 +169,7 @@ static double metered_key(struct sample *s)
 }
 
 /* Of the largest view. */
-static size_t view_bytes(const struct sample_ask *a)
+static size_t view_bytes(const struct sample_scene *a)
 {
     struct extent all[SAMPLE_VIEWS];
     size_t most = 0;
@@ -200,7 +200,7 @@ static err_t sub_arena(struct arena *from, size_t size, const char *name, struct
     return e;
 }
 
-static err_t alloc_workers(struct arena *from, const struct sample_ask *a, int workers,
+static err_t alloc_workers(struct arena *from, const struct sample_scene *a, int workers,
                            struct arena *tmp)
 {
     const size_t bytes = view_bytes(a);
@@ -210,7 +210,7 @@ static err_t alloc_workers(struct arena *from, const struct sample_ask *a, int w
     return e;
 }
 
-void sample_plan(struct plan *p, const struct sample_ask *a)
+void sample_plan(struct plan *p, const struct sample_scene *a)
 {
     struct arena place, workers[WORKERS_MAX];
     struct plan opening = plan_begin(p->threads);
@@ -251,7 +251,7 @@ static err_t draw_all(struct sample *s)
     return e;
 }
 
-static void set_optics(const struct sample_ask *a, struct camera *cams)
+static void set_optics(const struct sample_scene *a, struct camera *cams)
 {
     for (int i = 0; i < a->n_views; i++) {
         const struct optics *o = sample_optics(a, i);
@@ -266,7 +266,7 @@ static void set_optics(const struct sample_ask *a, struct camera *cams)
     }
 }
 
-err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance, float *depth,
+err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance, float *depth,
                   struct camera *cams, double *key)
 {
     struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
@@ -375,15 +375,15 @@ int sample_photograph(const struct sample_request *q, float *radiance, float *de
     struct arena tmp = {0};
     struct run r = {.tmp = &tmp};
     struct camera views[SAMPLE_VIEWS];
-    err_t e = check_ask(&q->ask);
+    err_t e = check_ask(&q->scene);
     if (e)
         return e;
     struct plan p = plan_begin(1);
-    sample_plan(&p, &q->ask);
+    sample_plan(&p, &q->scene);
     e = arena_init(&tmp, "sample", p.tmp.peak);
     if (!e)
-        e = sample_make(&r, &q->ask, radiance, depth, views, key);
-    for (int i = 0; i < q->ask.n_views && !e; i++) {
+        e = sample_make(&r, &q->scene, radiance, depth, views, key);
+    for (int i = 0; i < q->scene.n_views && !e; i++) {
         const struct camera *c = views + i;
         const float row[11] = {c->fx,   c->fy,   c->cx,   c->cy,   c->q[0], c->q[1],
                                c->q[2], c->q[3], c->t[0], c->t[1], c->t[2]};
@@ -399,8 +399,8 @@ int sample_develop(const struct sample_request *q, double key, const float *radi
     struct arena tmp = {0};
     struct run r = {.tmp = &tmp};
     struct curve curve;
-    struct sample_camera c = {q->ask.size, q->ask.size,  key, q->noise ? &sensor_default : NULL,
-                              &curve,      q->noise_seed};
+    struct sample_camera c = {q->scene.size, q->scene.size, key, q->noise ? &sensor_default : NULL,
+                              &curve,        q->noise_seed};
     err_t e = check_shots(&c, n, stops);
     if (!e && (q->curve_family < -1 || q->curve_family >= CURVE_FAMILIES))
         e = err_fail(ERR_ARG, "photograph: curve of family %d, allowed are -1 to %d",

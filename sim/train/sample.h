@@ -10,7 +10,8 @@
 
 enum { SAMPLE_VIEWS = 64, SAMPLE_SIZE = 2048, SAMPLE_PX = 1 << 27, SAMPLE_SHOTS = 64 };
 
-struct sample_ask {
+/* A world and the rig that photographs it. */
+struct sample_scene {
     uint64_t seed;
     int kind;                      // enum world_kind
     int n_views, size;             // 1..64; px, 14..2048; at most SAMPLE_PX px in all
@@ -26,11 +27,11 @@ struct sample_ask {
 
 /* The number of the camera that takes a view, and what stands before its sensor; 0 and NULL without
  * optics. */
-int sample_camera_of(const struct sample_ask *a, int view);
-const struct optics *sample_optics(const struct sample_ask *a, int view);
+int sample_camera_of(const struct sample_scene *a, int view);
+const struct optics *sample_optics(const struct sample_scene *a, int view);
 
 /* Shapes of the pictures, which lie one after another. */
-void sample_extents(const struct sample_ask *a, struct extent *out);
+void sample_extents(const struct sample_scene *a, struct extent *out);
 
 /* Radiance, depth and cameras of all views. Radiance is that before the lens: optics do not dim it.
  * out:  radiance (3, h, w) of each view, depth (h, w), as sample_extents says, cams (n), all the
@@ -38,11 +39,11 @@ void sample_extents(const struct sample_ask *a, struct extent *out);
  *       median luminance of the view whose median is the middle one at 18 % of full scale of
  *       sensor_default: an exposure of 2^0.
  * err:  ERR_ARG, ERR_NOMEM (r->tmp, see sample_plan), ERR_CANCELLED */
-MUST_USE err_t sample_make(const struct run *r, const struct sample_ask *a, float *radiance,
+MUST_USE err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance,
                            float *depth, struct camera *cams, double *key);
 
 /* For sample_make; also enough for sample_expose of one such picture. */
-void sample_plan(struct plan *p, const struct sample_ask *a);
+void sample_plan(struct plan *p, const struct sample_scene *a);
 
 /* How a radiance image is photographed. */
 struct sample_camera {
@@ -64,7 +65,7 @@ MUST_USE err_t sample_expose(const struct run *r, const struct sample_camera *c,
 /* ---- for ctypes: one thread, own memory; 0 on success, else the err_t ---- */
 
 struct sample_request { // all that Python fills in
-    struct sample_ask ask;
+    struct sample_scene scene;
     int noise;        // 0 or 1: sensor_default or none
     int curve_family; // enum curve_family, or -1: drawn by curve_seed
     float curve_param;

@@ -3,8 +3,8 @@
  * area goes to det m^T n): of a ball the part that is seen, evenly over its outline; of a box or
  * frustum one face by the area it shows; of a torus the cone around it. Light through an opening is
  * that of the sky behind a point of it, whatever is in the way on either side.
- * At most PICKS lights are drawn, each with a chance p that grows with what it would give without
- * shadows (systematic sampling, so that all p are exact), and count 1 / p.
+ * At most PICKS lights are drawn, each with a probability p that grows with what it would give
+ * without shadows (systematic sampling, so that all p are exact), and count 1 / p.
  * Numbers of neighbouring pixels are points of one (0,2)-sequence (Kollig and Keller, Efficient
  * Multidimensional Sampling, 2002), scrambled by dimension, random below the strata.
  * Gloss: a cosine lobe around the mirrored ray (Lewis, Making Shaders More Physically Plausible,
@@ -20,7 +20,7 @@ enum { PICKS = 2, DIM_SUN = 40, DIM_DOME = 41, DIM_PICK = 42 };
 
 static const float PI = (float)NUM_PI;
 static const float SLANT = 0.15f; // least cosine, for the width of a footprint
-static const float EVENLY = 0.4f; // share of the chances that is equal for all lights
+static const float EVENLY = 0.4f; // share of the probabilities that is equal for all lights
 static const float BEYOND = 1e4f; // m, how far rays to the sky go
 
 float light_lift(float t)
@@ -161,7 +161,7 @@ err_t light_open(struct arena *keep, const struct bvh *bvh, struct light_set *ou
 
 struct ray_to {
     float d[3], t; // unit; m
-    float weight;  // sr, over the chance of this point
+    float weight;  // sr, over the probability of this point
 };
 
 /* Point p of the unit shape that stands for the area and normal n there. */
@@ -454,19 +454,19 @@ static float estimate_light(const struct light *l, const struct light_spot *spot
 /* Chances to be drawn, partly by each light's estimate, partly equal; at most PICKS in all.
  * Returns whether all are 0 or 1. */
 static bool choose_lights(const struct light_set *s, const struct light_spot *spot,
-                          float chance[WORLD_LIGHTS])
+                          float probability[WORLD_LIGHTS])
 {
     float all = 0;
     int some = 0;
     for (int i = 0; i < s->n; i++) {
-        all += chance[i] = estimate_light(s->l + i, spot);
-        some += chance[i] > 0;
+        all += probability[i] = estimate_light(s->l + i, spot);
+        some += probability[i] > 0;
     }
     for (int i = 0; i < s->n; i++) {
         float p = some <= PICKS ? 1 : 0;
         if (some > PICKS)
-            p = PICKS * ((1 - EVENLY) * chance[i] / all + EVENLY / (float)some);
-        chance[i] = chance[i] > 0 ? vec_min(p, 1) : 0;
+            p = PICKS * ((1 - EVENLY) * probability[i] / all + EVENLY / (float)some);
+        probability[i] = probability[i] > 0 ? vec_min(p, 1) : 0;
     }
     return some <= PICKS;
 }
@@ -474,13 +474,13 @@ static bool choose_lights(const struct light_set *s, const struct light_spot *sp
 void light_gather(const struct light_set *s, struct light_spot *spot, const struct light_dice *d,
                   struct light_sum *out)
 {
-    float chance[WORLD_LIGHTS], u[2] = {0, 0}, at = 0;
+    float probability[WORLD_LIGHTS], u[2] = {0, 0}, at = 0;
     memset(out, 0, sizeof *out);
-    bool every = choose_lights(s, spot, chance);
+    bool every = choose_lights(s, spot, probability);
     if (!every)
         light_throw(d, DIM_PICK, u);
     for (int i = 0; i < s->n; i++) {
-        float p = chance[i];
+        float p = probability[i];
         bool drawn = p > 0 && (every || floorf(at + p - u[0]) > floorf(at - u[0]));
         at += p;
         if (drawn)

@@ -14,7 +14,7 @@
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/splat/raster.h"
-#include "sim/sensor/probe.h"
+#include "sim/world/light_probe.h"
 #include "sim/world/vec.h"
 
 #include <stdlib.h>
@@ -52,7 +52,7 @@ struct render_world {
     const struct world *w;
     struct bvh bvh;
     struct light_set lights;
-    struct probes probes;
+    struct light_probes probes;
 };
 
 static err_t alloc_world(struct arena *keep, struct render_world **out)
@@ -66,7 +66,7 @@ void render_open_plan(struct plan *p)
     (void)alloc_world(&p->keep, &s); // a counter is never full
     bvh_plan(p);
     light_plan(p);
-    probe_plan(p);
+    light_probe_plan(p);
 }
 
 err_t render_open(const struct run *r, const struct world *w, struct render_world **out)
@@ -81,7 +81,7 @@ err_t render_open(const struct run *r, const struct world *w, struct render_worl
     if (!e)
         e = light_open(r->keep, &s->bvh, &s->lights);
     if (!e)
-        e = probe_build(r, &s->lights, &s->probes);
+        e = light_probe_build(r, &s->lights, &s->probes);
     if (!e)
         *out = s;
     return e;
@@ -149,7 +149,7 @@ static void shade_mirrored(const struct render_world *s, const struct eye_ray *g
         return;
     }
     set_spot(g, t, &on, spot);
-    probe_light(&s->probes, spot->p, spot->n, light);
+    light_probe_irradiance(&s->probes, spot->p, spot->n, light);
     for (int i = 0; i < g->looks; i++) {
         struct light_dice one = *dice;
         one.index = dice->index * (uint32_t)g->looks + (uint32_t)i;
@@ -219,7 +219,7 @@ static void add_mirrored(const struct render_world *s, const struct eye_ray *g,
     float ray = ray_share(on->material, share), light[3], even[3];
     float *to = rough < ROUGH_BLUR ? out->part[REST] : out->part[GLOSS];
     if (share > 1e-3f)
-        probe_light(&s->probes, spot->p, spot->mirror, even);
+        light_probe_irradiance(&s->probes, spot->p, spot->mirror, even);
     if (ray > 0) {
         struct eye_ray next = {.far = g->far + out->t, .spread = g->spread + 0.5f * rough * rough};
         next.lamps = rough < ROUGH_LAMP;
@@ -267,7 +267,7 @@ static void shade_ray(const struct render_world *s, const struct eye_ray *g, str
     if (glossy)
         set_gloss(g, &on, spot);
     light_gather(&s->lights, spot, dice, &sum);
-    probe_light(&s->probes, spot->p, spot->n, light);
+    light_probe_irradiance(&s->probes, spot->p, spot->n, light);
     float share = glossy ? gloss_share(m, on.facing) : 0;
     float even = share <= AMBIENT ? share : 0; // of little gloss, which mirrors its own side
     for (int k = 0; k < 3; k++) {

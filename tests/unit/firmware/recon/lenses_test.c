@@ -75,20 +75,20 @@ static void others_get_the_lens_of_their_camera(void **state)
     struct shot shots[SHOTS];
     struct capture c;
     struct lens lens;
-    bool retaken;
+    bool resampled;
     make_shots(shots, &c);
     j.n_found = 1;
     j.found[0] =
         (struct job_lens){.camera_id = "A",
                           .edge = 400,
-                          .retaken = true,
+                          .resampled = true,
                           .lens = {LENS_OPENCV, 300, 300, 0, 0, {-0.1, 0.01, 0.002, 0.001}, 0}};
     expect_ok(lens_init(&j.found[0].lens));
-    assert_false(lenses_find(&j, &shots[1], &lens, &retaken));
-    assert_true(lenses_find(&j, &shots[0], &lens, &retaken));
-    assert_true(retaken && lens.fx == 600 && lens.cx == 400 && lens.cy == 300);
+    assert_false(lenses_find(&j, &shots[1], &lens, &resampled));
+    assert_true(lenses_find(&j, &shots[0], &lens, &resampled));
+    assert_true(resampled && lens.fx == 600 && lens.cx == 400 && lens.cy == 300);
     assert_true(lens.term[2] == 0.002 && lens.term[3] == 0.001);
-    assert_true(lenses_find(&j, &shots[3], &lens, &retaken));
+    assert_true(lenses_find(&j, &shots[3], &lens, &resampled));
     assert_true(lens.cx == 300 && lens.cy == 400);
     assert_true(lens.term[2] == 0.001 && lens.term[3] == -0.002);
     lenses_apply(&j, &c);
@@ -96,7 +96,7 @@ static void others_get_the_lens_of_their_camera(void **state)
     assert_int_equal(shots[1].lens.model, LENS_PINHOLE);
     assert_true(shots[0].cam.w == 800 && shots[0].cam.fx < 600 && shots[0].cam.fx > 500);
     assert_true(shots[1].cam.fx == 0 && !shots[0].has_camera);
-    j.found[0].retaken = false; // nothing was worth it: the photograph stays as it is
+    j.found[0].resampled = false; // nothing was worth it: the photograph stays as it is
     shots[0].lens = (struct lens){.model = LENS_PINHOLE};
     lenses_apply(&j, &c);
     assert_int_equal(shots[0].lens.model, LENS_PINHOLE);

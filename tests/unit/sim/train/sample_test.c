@@ -19,12 +19,12 @@ struct result {
     double key;
 };
 
-static const struct sample_ask usual = {.seed = 5,
-                                        .kind = WORLD_ROOM,
-                                        .n_views = VIEWS,
-                                        .size = SIZE,
-                                        .spread = 0.3f,
-                                        .quality = {.samples = 1, .shadow = 1}};
+static const struct sample_scene usual = {.seed = 5,
+                                          .kind = WORLD_ROOM,
+                                          .n_views = VIEWS,
+                                          .size = SIZE,
+                                          .spread = 0.3f,
+                                          .quality = {.samples = 1, .shadow = 1}};
 
 static void open_arena(struct arena *tmp, int threads)
 {
@@ -33,7 +33,7 @@ static void open_arena(struct arena *tmp, int threads)
     assert_int_equal(arena_init(tmp, "tmp", p.tmp.peak), OK);
 }
 
-static err_t make(const struct sample_ask *a, int threads, struct result *out)
+static err_t make(const struct sample_scene *a, int threads, struct result *out)
 {
     struct arena tmp = {0};
     struct pool *pool = NULL;
@@ -69,7 +69,7 @@ static void key_puts_the_middle_view_at_18_percent(void **state)
     (void)state;
     static struct result r;
     for (int kind = 0; kind < WORLD_KINDS; kind++) {
-        struct sample_ask a = usual;
+        struct sample_scene a = usual;
         float median[VIEWS];
         a.kind = kind;
         assert_int_equal(make(&a, 1, &r), OK);
@@ -104,7 +104,7 @@ static void views_agree_about_depth(void **state)
     (void)state;
     static struct result r;
     int seen = 0, agree = 0;
-    struct sample_ask a = usual;
+    struct sample_scene a = usual;
     a.spread = 0.1f;
     assert_int_equal(make(&a, 1, &r), OK);
     for (int i = 0; i < PX; i++) {
@@ -143,8 +143,8 @@ static void wrong_requests_are_refused(void **state)
 {
     (void)state;
     static struct result r;
-    struct sample_ask bad[] = {usual, usual, usual, usual, usual,
-                               usual, usual, usual, usual, usual};
+    struct sample_scene bad[] = {usual, usual, usual, usual, usual,
+                                 usual, usual, usual, usual, usual};
     const char *const words[] = {
         "kind",          "views",  "views",         "px",     "px", "spread",
         "field of view", "spread", "field of view", "samples"};
@@ -162,11 +162,11 @@ static void wrong_requests_are_refused(void **state)
         assert_int_equal(make(&bad[i], 1, &r), ERR_ARG);
         assert_non_null(strstr(err_text(), words[i]));
     }
-    struct sample_ask room = usual;
+    struct sample_scene room = usual;
     room.orbit_deg = 20;
     assert_int_equal(make(&room, 1, &r), ERR_ARG);
     assert_non_null(strstr(err_text(), "orbit"));
-    struct sample_ask large = usual;
+    struct sample_scene large = usual;
     large.n_views = 64;
     large.size = SAMPLE_SIZE;
     assert_int_equal(make(&large, 1, &r), ERR_ARG);
@@ -178,7 +178,7 @@ static void cameras_take_turns(void **state)
     (void)state;
     static struct result r;
     struct optics optics[2];
-    struct sample_ask a = usual;
+    struct sample_scene a = usual;
     struct extent x[VIEWS];
     assert_int_equal(optics_parse("a", "size=20x24,fov=90,k1=-0.1", SIZE, 60, &optics[0]), OK);
     assert_int_equal(optics_parse("b", "fisheye,size=28x14,fov=150", SIZE, 60, &optics[1]), OK);
@@ -206,7 +206,7 @@ static void exposures_brighten(void **state)
     (void)state;
     static struct result r;
     static uint8_t px[2][4 * 3 * PX];
-    struct sample_request q = {.ask = usual, .curve_family = CURVE_LINEAR, .noise_seed = 3};
+    struct sample_request q = {.scene = usual, .curve_family = CURVE_LINEAR, .noise_seed = 3};
     const float stops[4] = {-40, -2, 0, 40};
     float cams[11 * VIEWS];
     assert_int_equal(sample_photograph(&q, r.radiance, r.depth, cams, &r.key), OK);
@@ -232,7 +232,7 @@ static void clean_photographs_are_exact(void **state)
     (void)state;
     static float radiance[3 * PX];
     static uint8_t px[3 * PX];
-    struct sample_request q = {.ask = usual, .curve_family = CURVE_LINEAR};
+    struct sample_request q = {.scene = usual, .curve_family = CURVE_LINEAR};
     const float none = 0;
     double full =
         fmin(((1 << sensor_default.bits) - 1 - sensor_default.black) / (double)sensor_default.gain,
@@ -252,7 +252,7 @@ static void ctypes_entries_give_the_same(void **state)
     (void)state;
     static struct result one, two;
     float cams[11 * VIEWS];
-    struct sample_request q = {.ask = usual, .curve_family = -1};
+    struct sample_request q = {.scene = usual, .curve_family = -1};
     assert_int_equal(make(&usual, 1, &one), OK);
     assert_int_equal(sample_photograph(&q, two.radiance, two.depth, cams, &two.key), OK);
     assert_memory_equal(one.radiance, two.radiance, sizeof one.radiance);
@@ -274,8 +274,8 @@ static void ctypes_entries_refuse(void **state)
     static struct result r;
     static uint8_t px[3 * PX];
     float cams[11 * VIEWS], stop = 0;
-    struct sample_request q = {.ask = usual}, bad = q;
-    bad.ask.n_views = 1000;
+    struct sample_request q = {.scene = usual}, bad = q;
+    bad.scene.n_views = 1000;
     assert_int_equal(sample_photograph(&bad, r.radiance, r.depth, cams, &r.key), ERR_ARG);
     assert_non_null(strstr(sample_error(), "1000"));
     bad = q;
@@ -283,7 +283,7 @@ static void ctypes_entries_refuse(void **state)
     assert_int_equal(sample_develop(&bad, 1, r.radiance, 1, &stop, px), ERR_ARG);
     assert_non_null(strstr(sample_error(), "curve"));
     bad = q;
-    bad.ask.size = -1;
+    bad.scene.size = -1;
     assert_int_equal(sample_develop(&bad, 1, r.radiance, 1, &stop, px), ERR_ARG);
     assert_int_equal(sample_develop(&q, NAN, r.radiance, 1, &stop, px), ERR_ARG);
     assert_int_equal(sample_develop(&q, 0, r.radiance, 1, &stop, px), ERR_ARG);

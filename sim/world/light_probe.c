@@ -6,7 +6,7 @@
  * Interpolation leaves out points inside solids; it is
  * trilinear times a weight for points on the normal's side (Majercik et al., Dynamic Diffuse Global
  * Illumination with Ray-Traced Irradiance Fields, JCGT 8(2), 2019, section 5). */
-#include "sim/sensor/probe.h"
+#include "sim/world/light_probe.h"
 
 #include "core/base/num.h"
 #include "sim/world/vec.h"
@@ -25,11 +25,11 @@ enum {
 static const float PI = (float)NUM_PI;
 static const float SPACING = 0.9f;   // m, wanted
 static const float FAR = 1000;       // m
-static const float SELDOM = 1e-3f;   // weight of a point that took the mean of its neighbours
+static const float SELDOM = 1e-3f;   // weight of a point whose light is the mean of its neighbours
 static const float NEAR = 0.4f;      // of a step; how soft the choice of the normal's side is
 static const float ALBEDO_AT = 0.3f; // m, footprint of remembered colours
 
-struct probe_cube {
+struct light_probe_cube {
     float face[6][4]; // +x, -x, +y, -y, +z, -z: irradiance, r, g, b
     float weight;     // 0: inside a solid
     float unused[7];
@@ -44,9 +44,9 @@ struct meeting {
 struct builder {
     const struct run *r;
     const struct light_set *lights;
-    struct probes *out;
-    struct probe_cube *last; // of the bounce before
-    struct meeting *met;     // (points, RAYS); albedo < 0: nothing
+    struct light_probes *out;
+    struct light_probe_cube *last; // of the bounce before
+    struct meeting *met;           // (points, RAYS); albedo < 0: nothing
     float d[RAYS][3];
 };
 
@@ -62,7 +62,7 @@ static void fibonacci(float d[RAYS][3])
     }
 }
 
-static void probe_position(const struct probes *s, int i, float p[3])
+static void probe_position(const struct light_probes *s, int i, float p[3])
 {
     int at[3] = {i % s->n[0], i / s->n[0] % s->n[1], i / s->n[0] / s->n[1]};
     for (int k = 0; k < 3; k++)
@@ -110,7 +110,7 @@ static void trace_ray(const struct builder *b, const float o[3], int ray, uint32
 static err_t trace_chunk(void *ctx, int chunk, int worker)
 {
     const struct builder *b = ctx;
-    struct probe_cube *c = b->out->all + chunk;
+    struct light_probe_cube *c = b->out->all + chunk;
     float p[3];
     (void)worker;
     err_t e = run_check(b->r, "probes");
@@ -127,8 +127,8 @@ static err_t trace_chunk(void *ctx, int chunk, int worker)
 static err_t bounce_chunk(void *ctx, int chunk, int worker)
 {
     const struct builder *b = ctx;
-    struct probe_cube *c = b->out->all + chunk;
-    struct probes before = *b->out;
+    struct light_probe_cube *c = b->out->all + chunk;
+    struct light_probes before = *b->out;
     before.all = b->last;
     (void)worker;
     memset(c->face, 0, sizeof c->face);
@@ -137,7 +137,7 @@ static err_t bounce_chunk(void *ctx, int chunk, int worker)
         float light[3];
         if (m->albedo[0] < 0)
             continue;
-        probe_light(&before, m->p, m->n, light);
+        light_probe_irradiance(&before, m->p, m->n, light);
         for (int k = 0; k < 3; k++)
             light[k] = m->straight[k] + m->albedo[k] * light[k];
         for (int axis = 0; axis < 3; axis++) {
@@ -149,15 +149,15 @@ static err_t bounce_chunk(void *ctx, int chunk, int worker)
 }
 
 /* Points inside solids take the mean of their neighbours, for places with no other point near. */
-static void fill_hidden(struct probes *s)
+static void fill_hidden(struct light_probes *s)
 {
     int jump[3] = {1, s->n[0], s->n[0] * s->n[1]}, n = jump[2] * s->n[2];
     for (int i = 0; i < n; i++) {
-        struct probe_cube *c = s->all + i;
+        struct light_probe_cube *c = s->all + i;
         float found = 0;
         for (int k = 0; k < 6 && c->weight <= SELDOM; k++) {
             int axis = k / 2, at = i / jump[axis] % s->n[axis] + (k & 1 ? 1 : -1);
-            const struct probe_cube *near = c + (k & 1 ? jump[axis] : -jump[axis]);
+            const struct light_probe_cube *near = c + (k & 1 ? jump[axis] : -jump[axis]);
             if (at < 0 || at >= s->n[axis] || near->weight <= SELDOM)
                 continue;
             for (int j = 0; j < 24; j++)
@@ -169,7 +169,7 @@ static void fill_hidden(struct probes *s)
     }
 }
 
-static void lay_grid(const struct world *w, struct probes *out)
+static void lay_grid(const struct world *w, struct light_probes *out)
 {
     for (int k = 0; k < 3; k++) {
         float width = w->hi[k] - w->lo[k];
@@ -191,19 +191,20 @@ static err_t alloc_points(struct builder *b, size_t n, struct arena *keep, struc
     return e;
 }
 
-void probe_plan(struct plan *p)
+void light_probe_plan(struct plan *p)
 {
-    struct probes s;
+    struct light_probes s;
     struct builder b = {.out = &s};
     size_t mark = arena_mark(&p->tmp);
     (void)alloc_points(&b, POINTS, &p->keep, &p->tmp); // a counter is never full
     arena_reset(&p->tmp, mark);
 }
 
-err_t probe_build(const struct run *r, const struct light_set *lights, struct probes *out)
+err_t light_probe_build(const struct run *r, const struct light_set *lights,
+                        struct light_probes *out)
 {
     struct builder b = {.r = r, .lights = lights, .out = out};
-    *out = (struct probes){0};
+    *out = (struct light_probes){0};
     lay_grid(lights->bvh->w, out);
     fibonacci(b.d);
     int n = out->n[0] * out->n[1] * out->n[2];
@@ -225,7 +226,7 @@ err_t probe_build(const struct run *r, const struct light_set *lights, struct pr
 /* ---- blending ---- */
 
 /* Add the irradiance of one cube, four numbers at a time. */
-static void add_cube(const struct probe_cube *c, const float squares[3], const int side[3],
+static void add_cube(const struct light_probe_cube *c, const float squares[3], const int side[3],
                      float weight, float sum[4])
 {
     const float *x = c->face[side[0]], *y = c->face[side[1]], *z = c->face[side[2]];
@@ -233,7 +234,8 @@ static void add_cube(const struct probe_cube *c, const float squares[3], const i
         sum[k] += weight * (squares[0] * x[k] + squares[1] * y[k] + squares[2] * z[k]);
 }
 
-void probe_light(const struct probes *s, const float p[3], const float n[3], float out[3])
+void light_probe_irradiance(const struct light_probes *s, const float p[3], const float n[3],
+                            float out[3])
 {
     float part[3], sum[4] = {0}, all = 0, squares[3], to[3];
     int at[3], side[3], jump[3] = {1, s->n[0], s->n[0] * s->n[1]}, first = 0;

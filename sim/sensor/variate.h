@@ -1,9 +1,9 @@
-/* chance.h - random numbers from a key and a counter: uniform and normal.
+/* variate.h - random numbers from a key and a counter: uniform and normal.
  * A 64-bit mix of key + counter x odd constant (SplitMix64); a normal one is the inverse
  * distribution function of one uniform (Wichura, AS 241, PPND7). No libm: the same numbers
  * everywhere. */
-#ifndef SENSOR_CHANCE_H
-#define SENSOR_CHANCE_H
+#ifndef SENSOR_VARIATE_H
+#define SENSOR_VARIATE_H
 
 #include "core/base/splitmix.h"
 
@@ -11,14 +11,14 @@
 #include <stdint.h>
 #include <string.h>
 
-static inline double chance_uniform(uint64_t key, uint64_t counter)
+static inline double variate_uniform(uint64_t key, uint64_t counter)
 {
     uint64_t h = splitmix_mix(key + (counter + 1) * SPLITMIX_STEP);
     return ((double)(h >> 12) + 0.5) * 0x1p-52; // inside 0..1
 }
 
 /* Natural logarithm of 0 < x < 1, to 3e-8. */
-static inline double chance_ln(double x)
+static inline double variate_ln(double x)
 {
     uint64_t bits;
     memcpy(&bits, &x, sizeof bits);
@@ -32,9 +32,9 @@ static inline double chance_ln(double x)
     return 0.6931471805599453 * (double)e + 2.0 * s * p;
 }
 
-static inline double chance_tail(double p)
+static inline double variate_tail(double p)
 {
-    double r = sqrt(-chance_ln(p));
+    double r = sqrt(-variate_ln(p));
     if (r <= 5.0) {
         r -= 1.6;
         return (1.4234372777 + r * (2.7568153900 + r * (1.3067284816 + r * 0.17023821103))) /
@@ -45,15 +45,15 @@ static inline double chance_tail(double p)
            (1.0 + r * (0.24197894225 + r * 0.012258202635));
 }
 
-static inline double chance_normal(uint64_t key, uint64_t counter)
+static inline double variate_normal(uint64_t key, uint64_t counter)
 {
-    double u = chance_uniform(key, counter), q = u - 0.5;
+    double u = variate_uniform(key, counter), q = u - 0.5;
     if (q >= -0.425 && q <= 0.425) {
         double r = 0.180625 - q * q;
         return q * (3.3871327179 + r * (50.434271938 + r * (159.29113202 + r * 59.109374720))) /
                (1.0 + r * (17.895169469 + r * (78.757757664 + r * 67.187563600)));
     }
-    return q < 0.0 ? -chance_tail(u) : chance_tail(1.0 - u);
+    return q < 0.0 ? -variate_tail(u) : variate_tail(1.0 - u);
 }
 
 #endif
