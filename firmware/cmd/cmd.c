@@ -1,6 +1,8 @@
 #include "firmware/cmd/cmd.h"
+#include "firmware/capture/session.h"
 #include "firmware/daemon/ctl.h"
 
+#include "drivers/device/clocks.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 #include "drivers/format/origin.h"
@@ -375,4 +377,17 @@ int cmd_ask(const char *name, const struct config *cfg, const char *line)
         fprintf(id ? stderr : stdout, "%s\n", session);
     json_free(doc);
     return cmd_finish(name, e);
+}
+
+/* ---- cameras ---- */
+
+void cmd_wait(const struct session *s)
+{
+    const int64_t most = 50000000;
+    struct pollfd fds[BRACKET_CAMERAS_MAX];
+    int64_t deadline;
+    int n = session_poll(s, fds, BRACKET_CAMERAS_MAX, &deadline);
+    int64_t left = deadline - clocks_now();
+    struct timespec t = {.tv_nsec = left < 0 ? 0 : left > most ? most : left};
+    ppoll(fds, (nfds_t)n, &t, NULL);
 }

@@ -153,6 +153,10 @@ void cmd_json_discard(struct cmd_json *j);
  * Returns an exit code. */
 int cmd_ask(const char *name, const struct config *cfg, const char *line);
 
+/* Wait for what session_poll names; a twentieth of a second at most, so that Ctrl-C is noticed. */
+struct session;
+void cmd_wait(const struct session *s);
+
 /* The commands: argv[0] is the command's name; they return an exit code. */
 int cmd_reconstruct_run(int argc, char **argv);
 int cmd_render_run(int argc, char **argv);

@@ -66,25 +66,13 @@ static err_t open_cameras(const struct request *q, struct session **out)
     return session_open(&s, out);
 }
 
-/* Wait for what session_poll names; a tenth of a second at most, for Ctrl-C. */
-static void wait_for(const struct session *s)
-{
-    struct pollfd fds[BRACKET_CAMERAS_MAX];
-    int64_t deadline;
-    int n = session_poll(s, fds, BRACKET_CAMERAS_MAX, &deadline);
-    int64_t left = deadline - clocks_now();
-    left = left < 0 ? 0 : left > SECOND / 10 ? SECOND / 10 : left;
-    struct timespec t = {.tv_nsec = left};
-    ppoll(fds, (nfds_t)n, &t, NULL);
-}
-
 /* Let the cameras settle, since they have just been opened. */
 static err_t settle_cameras(struct session *s)
 {
     int64_t end = clocks_now() + SETTLE_S * SECOND;
     err_t e = OK;
     while (!e && !session_settled(s) && clocks_now() < end && !atomic_load(&engine_cancel)) {
-        wait_for(s);
+        cmd_wait(s);
         e = session_step(s);
     }
     return e;
@@ -99,7 +87,7 @@ static err_t run_take(struct session *s, const struct session_order *o, struct t
         e = session_begin(s, o);
     progress_init(&p, stderr);
     while (!e && session_state(s) != SESSION_READY) {
-        wait_for(s);
+        cmd_wait(s);
         e = session_step(s);
         if (atomic_load(&engine_cancel))
             session_cancel(s, "cancelled");

@@ -8,6 +8,7 @@
 #include "drivers/device/clocks.h"
 #include "firmware/base/engine.h"
 #include "firmware/capture/session.h"
+#include "firmware/cmd/cmd.h"
 
 #include "core/base/num.h"
 #include "drivers/format/file.h"
@@ -473,17 +474,6 @@ static err_t measure_camera(struct stand *r)
 
 /* ---- brackets ---- */
 
-static void wait_for(const struct session *s)
-{
-    struct pollfd fds[BRACKET_CAMERAS_MAX];
-    int64_t deadline;
-    int n = session_poll(s, fds, BRACKET_CAMERAS_MAX, &deadline);
-    int64_t left = deadline - clocks_now();
-    left = left < 0 ? 0 : left > SECOND / 20 ? SECOND / 20 : left;
-    struct timespec t = {.tv_nsec = left};
-    ppoll(fds, (nfds_t)n, &t, NULL);
-}
-
 /* Run the session until it is in that state, for least_s at least. */
 static err_t run_session(struct session *s, enum session_state state, double least_s, double most_s)
 {
@@ -493,7 +483,7 @@ static err_t run_session(struct session *s, enum session_state state, double lea
     while (!e && (now < least || (session_state(s) != state && now < most))) {
         if (atomic_load(&engine_cancel))
             return err_fail(ERR_CANCELLED, "cancelled");
-        wait_for(s);
+        cmd_wait(s);
         e = session_step(s);
         now = clocks_now();
     }
