@@ -3,7 +3,7 @@
 # make check-long soaks, and slow tests under TSan and emulation
 # make picture    the picture of README.md
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
-# make uninstall  DESTDIR= PREFIX=                  what install has put there
+# make uninstall  DESTDIR= PREFIX=                  removes what install wrote
 # make check-kernel  drivers under real kernels: TEST=gpio, BENCH=uml|qemu
 # make check-distro  on another Debian, as root: SUITE=trixie|bookworm
 # make check-train   the training of the small network: PYTHON= with PyTorch
@@ -52,7 +52,7 @@ PKG_CONFIG := $(if $(CROSS),PKG_CONFIG_SYSROOT_DIR=$(SYSROOT) \
 OPT := -O2 -ffp-contract=off
 WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wundef \
 	$(if $(WERROR),-Werror)
-# Instrumented code takes half the time to compile so, and as long to run.
+# With -O1 sanitized code compiles in half the time, and runs as fast.
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=all -fno-omit-frame-pointer \
 	-O1 -g1 -Wno-format-truncation)
 FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT) $(WARN) \
@@ -63,7 +63,7 @@ CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall 
 LDLIBS = -lspng -lturbojpeg -lexif -lcjson -linih -lzip -lz -lzstd -lmicrohttpd -lsystemd \
 	-lgpiod -lm $(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
 
-# A file named op_ISA.c is compiled for that instruction set; nothing else here knows about them.
+# A file named op_ISA.c is compiled for that instruction set, and no other file is.
 ISA_sse41 := -msse4.1
 ISA_avx2 := -mavx2 -mfma -mf16c
 ISA_avx512 := $(ISA_avx2) -mavx512f -mavx512bw -mavx512vl -mavx512dq -mprefer-vector-width=512
@@ -151,7 +151,7 @@ $(B)/core/kernels/%.o: OPT := -O3 -ffp-contract=fast
 # Products fill all registers of Arm: gcc's scheduling before their allocation would spill them.
 $(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstring \
 	clang,$(CC)),,-fno-schedule-insns -frename-registers))
-# Plain loops that gcc 12 vectorises only here: half the time.
+# Plain loops that gcc 12 vectorises only with these flags: they take half the time.
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/stereo/%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
@@ -183,7 +183,7 @@ $(B)/hdrigd: $(B)/firmware/daemon/hdrigd.o $(LIBS)
 $(TOOLS):
 	$(CC) $(FLAGS) $^ $(LDLIBS) -o $@
 
-# libcamera, for those who have it: loaded by drivers/device/camera_libcamera.c.
+# The module for libcamera, which drivers/device/camera_libcamera.c loads if it is there.
 $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	@mkdir -p $(@D)
 	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell $(PKG_CONFIG) --cflags --libs libcamera)
@@ -192,7 +192,7 @@ LIB = $(DESTDIR)$(PREFIX)/lib
 SHARE = $(DESTDIR)$(PREFIX)/share/hdrig
 ETC = $(DESTDIR)/etc/hdrig
 
-# Settings that somebody changed stay; share/hdrig has those of the last installation to tell.
+# Settings that were changed are kept; share/hdrig has those of the last installation to compare.
 put_settings = f=$(ETC)/$(notdir $1); last=$(SHARE)/$(notdir $1); \
 	mine() { [ -e $$1 ] && ! cmp -s $$1 $1 && ! cmp -s $$1 $$last; }; \
 	if ! mine $$f; then install -m 644 $1 $$f; \
@@ -218,7 +218,7 @@ install: all
 	    systemd-sysusers $(LIB)/sysusers.d/hdrig.conf; udevadm control --reload; \
 	    udevadm trigger --subsystem-match=gpio; systemctl daemon-reload; fi)
 
-# What install has put there, but no settings that somebody changed, and nothing of the user's.
+# Removes what install wrote, but neither settings that were changed nor files of the user.
 uninstall:
 	$(if $(DESTDIR),,if [ -d /run/systemd/system ]; then systemctl disable --now hdrigd || true; fi)
 	@for f in defaults.conf board.conf; do \
@@ -233,7 +233,7 @@ uninstall:
 	-@rmdir --ignore-fail-on-non-empty $(wildcard $(LIB)/hdrig $(SHARE) $(ETC))
 	@echo "captures, scenes and calibrations stay in /var/lib/hdrig, group hdrig stays"
 
-# BOARD=rpi5 for a package that is ready for that board, CROSS=aarch64-linux-gnu- for arm64.
+# BOARD=rpi5: a package with the settings of that board; CROSS=aarch64-linux-gnu-: for arm64.
 SHLIBDEPS = DEB_HOST_ARCH=$(DEB_ARCH) dpkg-shlibdeps $(if $(CROSS), \
 	--admindir=$(SYSROOT)/var/lib/dpkg -l$(SYSROOT_LIB))
 deb: all
@@ -270,7 +270,7 @@ demo:
 	@echo "out/latest: scene.ply for viewers of Gaussian splats, hdr/*.exr and ldr/*.png, report.html"
 	@echo "look at it: open out/latest/view.html in a browser, or build/hdrig view out/latest"
 
-# The picture of README.md: 17 places (a: inputs, b: held out), of each one exposure of five.
+# The picture of README.md: 17 camera positions (a: inputs, b: held out), one exposure each.
 PICTURE := out/picture
 PHOTOS := a_000_0 b_000_1 a_001_2 b_001_3 a_002_4 b_002_1 a_003_0 b_003_3 a_004_2 b_004_1 \
 	a_005_4 b_005_3 a_006_0 b_006_1 a_007_2 b_007_3 a_008_4
@@ -329,7 +329,7 @@ $(B)/tests/%_test: $(B)/tests/%_test.o $(LIBS)
 # Jobs with the network that comes with the program.
 $(B)/tests/unit/firmware/recon/plan_test: | build/small.hdrig
 
-# The module over a libcamera that is played: what 0.0.3 has, what 0.7.2 has.
+# The module over imitations of libcamera 0.0.3 and 0.7.2.
 FAKE := $(B)/tests/unit/drivers/device
 FAKECAMERAS := $(FAKE)/fakecamera_3.so $(FAKE)/fakecamera_72.so
 $(FAKE)/camera_libcamera_test $(B)/tests/unit/firmware/capture/session_focus_test: | $(FAKECAMERAS)
@@ -339,7 +339,7 @@ $(FAKECAMERAS): $(FAKE)/fakecamera_%.so: $(MODULE_NEEDS) \
 	$(CXX) $(CXXFLAGS_MODULE) -Itests/unit/drivers/device/fakecamera -DFAKE_RELEASE=$* \
 	    -Dclock_gettime=fakecamera_clock -o $@ $(filter %.cpp,$^)
 
-# Each plays one version of the library.
+# Each imitates one version of the library.
 $(FAKE)/trigger_gpiod1_test.o: MORE = -Itests/unit/drivers/device/fakegpiod1
 $(FAKE)/trigger_gpiod2_test.o: MORE = -Itests/unit/drivers/device/fakegpiod2
 

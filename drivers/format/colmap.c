@@ -1,4 +1,4 @@
-/* Two formats, one meaning: each reader fills the same records (struct physical, struct rig_view,
+/* The readers of both formats fill the same records (struct colmap_camera, struct rig_view,
  * struct colmap_point) and the checks are made on those. Text is taken line by line as COLMAP
  * itself does: in images.txt every image line is followed by one line of image points, which may be
  * empty. */
@@ -13,7 +13,7 @@
 #include <string.h>
 
 enum {
-    LINE_CAP = 1024, // bytes of a text line that are looked at
+    LINE_CAP = 1024, // bytes of a text line that are read
     POINTS_MAX = 1 << 26,
     POINT_BYTES_BINARY = 51, // of a point without track
     IMAGE_POINT_BYTES = 24,  // x, y, point id
@@ -38,18 +38,18 @@ static const char *const models[] = {"SIMPLE_PINHOLE",
                                      "THIN_PRISM_FISHEYE"};
 enum { N_MODELS = sizeof models / sizeof models[0], SIMPLE_PINHOLE = 0, SIMPLE_PINHOLE_PARAMS = 3 };
 
-/* A camera of COLMAP: what its images share. */
-struct physical {
+/* A camera of COLMAP, which its images share. */
+struct colmap_camera {
     uint32_t id;
     int model, w, h;
     double params[LENS_PARAMS];
 };
 
-struct lenses {
+struct colmap_cameras {
     const char *what;
-    bool folders; // images are called FOLDER_NAME
+    bool folders; // names of images are FOLDER_NAME
     int n;
-    struct physical *v; // (n)
+    struct colmap_camera *v; // (n)
 };
 
 /* ---- checks common to both formats ---- */
@@ -75,7 +75,7 @@ static err_t find_model(const char *what, int id, const char *name, int *out)
     return err_fail(ERR_UNSUPPORTED, "%s: camera model %d is not known", what, id);
 }
 
-static err_t add_lens(struct lenses *out, const struct physical *head)
+static err_t add_camera(struct colmap_cameras *out, const struct colmap_camera *head)
 {
     for (int i = 0; i < out->n; i++)
         if (out->v[i].id == head->id)
@@ -85,7 +85,7 @@ static err_t add_lens(struct lenses *out, const struct physical *head)
 }
 
 /* Numbers that no camera can have are refused where an image uses it. */
-static err_t set_lens(const char *what, const struct physical *p, struct rig_view *v)
+static err_t assign_camera(const char *what, const struct colmap_camera *p, struct rig_view *v)
 {
     const double *a = p->params;
     struct lens l = {LENS_PINHOLE, a[0], a[0], a[1], a[2], {0}, 0};
@@ -95,23 +95,23 @@ static err_t set_lens(const char *what, const struct physical *p, struct rig_vie
     return cameras_set_lens(what, v->name, &l, v);
 }
 
-static err_t add_view(const char *what, const struct lenses *lenses, uint32_t lens_id,
+static err_t add_view(const char *what, const struct colmap_cameras *cameras, uint32_t camera_id,
                       struct rig_view *v)
 {
-    const struct physical *p = NULL;
-    for (int i = 0; i < lenses->n; i++)
-        if (lenses->v[i].id == lens_id)
-            p = &lenses->v[i];
+    const struct colmap_camera *p = NULL;
+    for (int i = 0; i < cameras->n; i++)
+        if (cameras->v[i].id == camera_id)
+            p = &cameras->v[i];
     if (!p)
         return err_fail(ERR_FORMAT, "%s: image %s is of camera %u, which %s lacks", what, v->name,
-                        lens_id, lenses->what);
+                        camera_id, cameras->what);
     v->cam.w = p->w;
     v->cam.h = p->h;
-    err_t e = set_lens(what, p, v);
+    err_t e = assign_camera(what, p, v);
     return e ? e : cameras_check(what, v->name, &v->cam);
 }
 
-static err_t set_size(const char *what, uint64_t w, uint64_t h, struct physical *out)
+static err_t set_size(const char *what, uint64_t w, uint64_t h, struct colmap_camera *out)
 {
     if (w > INT32_MAX || h > INT32_MAX)
         return err_fail(ERR_FORMAT, "%s: camera %u has %ju x %ju px", what, out->id, (uintmax_t)w,
@@ -148,8 +148,8 @@ static err_t cut_short(const struct colmap_text *t, const char *object, uint64_t
 /* ---- binary ---- */
 
 /* The number of objects at the head of a file, at most max. */
-static err_t binary_count(const struct colmap_text *t, struct bytes *b, const char *objects,
-                          uint64_t max, uint64_t *out)
+static err_t read_count(const struct colmap_text *t, struct bytes *b, const char *objects,
+                        uint64_t max, uint64_t *out)
 {
     *out = bytes_u64(b);
     if (b->bad)
@@ -160,15 +160,15 @@ static err_t binary_count(const struct colmap_text *t, struct bytes *b, const ch
     return OK;
 }
 
-static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
+static err_t read_binary_cameras(const struct colmap_text *t, struct colmap_cameras *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
     uint64_t n;
-    err_t e = binary_count(t, &b, "cameras", CAMERAS_MAX, &n);
+    err_t e = read_count(t, &b, "cameras", CAMERAS_MAX, &n);
     if (e)
         return e;
     for (uint64_t i = 0; i < n; i++) {
-        struct physical head = {.id = bytes_u32(&b)};
+        struct colmap_camera head = {.id = bytes_u32(&b)};
         int model_id = (int)bytes_u32(&b);
         uint64_t w = bytes_u64(&b), h = bytes_u64(&b);
         if (b.bad)
@@ -182,45 +182,46 @@ static err_t binary_lenses(const struct colmap_text *t, struct lenses *out)
             head.params[k] = bytes_f64(&b);
         if (b.bad)
             return cut_short(t, "camera", i, n);
-        e = add_lens(out, &head);
+        e = add_camera(out, &head);
         if (e)
             return e;
     }
     return OK;
 }
 
-static err_t binary_view(const struct colmap_text *t, struct bytes *b, const struct lenses *lenses,
-                         struct rig *out)
+static err_t read_binary_image(const struct colmap_text *t, struct bytes *b,
+                               const struct colmap_cameras *cameras, struct rig *out)
 {
     struct rig_view *v = &out->views[out->n];
     double pose[7];
     bytes_skip(b, 4, 1); // image id
     for (int k = 0; k < 7; k++)
         pose[k] = bytes_f64(b);
-    uint32_t lens_id = bytes_u32(b);
+    uint32_t camera_id = bytes_u32(b);
     const char *path = (const char *)b->p;
     const char *end = b->left > 0 ? memchr(path, 0, b->left) : NULL;
     bytes_skip(b, end ? (size_t)(end - path) + 1 : SIZE_MAX, 1);
     bytes_skip(b, bytes_u64(b), IMAGE_POINT_BYTES);
     if (b->bad)
-        return OK; // the caller, who knows the number of the image, speaks
-    err_t e = name_of_path(t->what, path, (size_t)(end - path), lenses->folders, v->name);
+        return OK; // the caller knows the number of the image and says it
+    err_t e = name_of_path(t->what, path, (size_t)(end - path), cameras->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);
     out->n++;
-    return add_view(t->what, lenses, lens_id, v);
+    return add_view(t->what, cameras, camera_id, v);
 }
 
-static err_t binary_views(const struct colmap_text *t, const struct lenses *lenses, struct rig *out)
+static err_t read_binary_images(const struct colmap_text *t, const struct colmap_cameras *cameras,
+                                struct rig *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
     uint64_t n;
-    err_t e = binary_count(t, &b, "images", CAMERAS_MAX, &n);
+    err_t e = read_count(t, &b, "images", CAMERAS_MAX, &n);
     if (e)
         return e;
     for (uint64_t i = 0; i < n; i++) {
-        e = binary_view(t, &b, lenses, out);
+        e = read_binary_image(t, &b, cameras, out);
         if (e)
             return e;
         if (b.bad)
@@ -229,11 +230,11 @@ static err_t binary_views(const struct colmap_text *t, const struct lenses *lens
     return OK;
 }
 
-static err_t binary_points(const struct colmap_text *t, struct colmap_points *out)
+static err_t read_binary_points(const struct colmap_text *t, struct colmap_points *out)
 {
     struct bytes b = bytes_of(t->p, t->n);
     uint64_t n;
-    err_t e = binary_count(t, &b, "points", POINTS_MAX, &n);
+    err_t e = read_count(t, &b, "points", POINTS_MAX, &n);
     if (e)
         return e;
     for (uint64_t i = 0; i < n; i++) {
@@ -300,7 +301,7 @@ static bool next_record(struct line_reader *r)
     return false;
 }
 
-static err_t get_numbers(const struct line_reader *r, const char **at, int n, double *out)
+static err_t read_numbers(const struct line_reader *r, const char **at, int n, double *out)
 {
     for (int i = 0; i < n; i++) {
         char *end;
@@ -314,11 +315,11 @@ static err_t get_numbers(const struct line_reader *r, const char **at, int n, do
 }
 
 /* Numbers that must be whole and fit 32 bits. */
-static err_t get_whole(const struct line_reader *r, const char **at, int n, uint32_t *out)
+static err_t read_whole(const struct line_reader *r, const char **at, int n, uint32_t *out)
 {
     for (int i = 0; i < n; i++) {
         double v;
-        err_t e = get_numbers(r, at, 1, &v);
+        err_t e = read_numbers(r, at, 1, &v);
         if (e)
             return e;
         if (!(v >= 0 && v <= UINT32_MAX && v == floor(v)))
@@ -329,11 +330,11 @@ static err_t get_whole(const struct line_reader *r, const char **at, int n, uint
     return OK;
 }
 
-static err_t text_lens(const struct line_reader *r, struct lenses *out)
+static err_t read_text_camera(const struct line_reader *r, struct colmap_cameras *out)
 {
     const char *at = r->line;
-    struct physical head = {0};
-    err_t e = get_whole(r, &at, 1, &head.id);
+    struct colmap_camera head = {0};
+    err_t e = read_whole(r, &at, 1, &head.id);
     if (e)
         return e;
     char name[32] = "";
@@ -343,57 +344,59 @@ static err_t text_lens(const struct line_reader *r, struct lenses *out)
     uint32_t size[2];
     e = find_model(r->what, -1, name, &head.model);
     if (!e)
-        e = get_whole(r, &at, 2, size);
+        e = read_whole(r, &at, 2, size);
     if (!e)
         e = set_size(r->what, size[0], size[1], &head);
     if (!e)
-        e = get_numbers(r, &at, n_params(head.model), head.params);
+        e = read_numbers(r, &at, n_params(head.model), head.params);
     if (!e && *at)
         e = err_fail(ERR_FORMAT, "%s: line %d: more parameters than %s has", r->what, r->number,
                      name);
-    return e ? e : add_lens(out, &head);
+    return e ? e : add_camera(out, &head);
 }
 
-static err_t text_lenses(const struct colmap_text *t, struct lenses *out)
+static err_t read_text_cameras(const struct colmap_text *t, struct colmap_cameras *out)
 {
     struct line_reader r = lines_of(t);
     while (next_record(&r)) {
         if (out->n == CAMERAS_MAX)
             return err_fail(ERR_FORMAT, "%s: more than %d cameras", t->what, CAMERAS_MAX);
-        err_t e = text_lens(&r, out);
+        err_t e = read_text_camera(&r, out);
         if (e)
             return e;
     }
     return OK;
 }
 
-static err_t text_view(const struct line_reader *r, const struct lenses *lenses, struct rig *out)
+static err_t read_text_image(const struct line_reader *r, const struct colmap_cameras *cameras,
+                             struct rig *out)
 {
     const char *at = r->line;
-    uint32_t image_id, lens_id = 0;
+    uint32_t image_id, camera_id = 0;
     double pose[7];
     struct rig_view *v = &out->views[out->n];
-    err_t e = get_whole(r, &at, 1, &image_id);
+    err_t e = read_whole(r, &at, 1, &image_id);
     if (!e)
-        e = get_numbers(r, &at, 7, pose);
+        e = read_numbers(r, &at, 7, pose);
     if (!e)
-        e = get_whole(r, &at, 1, &lens_id);
+        e = read_whole(r, &at, 1, &camera_id);
     if (!e)
-        e = name_of_path(r->what, at, strlen(at), lenses->folders, v->name);
+        e = name_of_path(r->what, at, strlen(at), cameras->folders, v->name);
     if (e)
         return e;
     set_pose(pose, &v->cam);
     out->n++;
-    return add_view(r->what, lenses, lens_id, v);
+    return add_view(r->what, cameras, camera_id, v);
 }
 
-static err_t text_views(const struct colmap_text *t, const struct lenses *lenses, struct rig *out)
+static err_t read_text_images(const struct colmap_text *t, const struct colmap_cameras *cameras,
+                              struct rig *out)
 {
     struct line_reader r = lines_of(t);
     while (next_record(&r)) {
         if (out->n == CAMERAS_MAX)
             return err_fail(ERR_FORMAT, "%s: more than %d images", t->what, CAMERAS_MAX);
-        err_t e = text_view(&r, lenses, out);
+        err_t e = read_text_image(&r, cameras, out);
         if (e)
             return e;
         (void)next_line(&r); // the image's points; the last image may lack the line
@@ -401,13 +404,13 @@ static err_t text_views(const struct colmap_text *t, const struct lenses *lenses
     return OK;
 }
 
-static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
+static err_t read_text_points(const struct colmap_text *t, struct colmap_points *out)
 {
     struct line_reader r = lines_of(t);
     while (next_record(&r)) {
         const char *at = r.line;
         double v[7]; // id, x, y, z, r, g, b
-        err_t e = get_numbers(&r, &at, 7, v);
+        err_t e = read_numbers(&r, &at, 7, v);
         if (e)
             return e;
         uint8_t rgb[3];
@@ -424,12 +427,13 @@ static err_t text_points(const struct colmap_text *t, struct colmap_points *out)
 
 /* ---- both ---- */
 
-static err_t parse_views(bool binary, const struct colmap_text *images, const struct lenses *lenses,
-                         struct rig *out)
+static err_t parse_images(bool binary, const struct colmap_text *images,
+                          const struct colmap_cameras *cameras, struct rig *out)
 {
     out->n = 0;
     memset(out->views, 0, CAMERAS_MAX * sizeof *out->views);
-    err_t e = binary ? binary_views(images, lenses, out) : text_views(images, lenses, out);
+    err_t e =
+        binary ? read_binary_images(images, cameras, out) : read_text_images(images, cameras, out);
     if (!e && out->n == 0)
         e = err_fail(ERR_FORMAT, "%s: no images in it", images->what);
     return e;
@@ -438,24 +442,24 @@ static err_t parse_views(bool binary, const struct colmap_text *images, const st
 err_t colmap_parse(bool binary, const struct colmap_text *cameras, const struct colmap_text *images,
                    struct rig *out)
 {
-    struct lenses lenses = {.what = cameras->what};
+    struct colmap_cameras list = {.what = cameras->what};
     *out = (struct rig){.stored = true}; // COLMAP does not look at the orientation in EXIF
-    lenses.v = calloc(CAMERAS_MAX, sizeof *lenses.v);
+    list.v = calloc(CAMERAS_MAX, sizeof *list.v);
     out->views = calloc(CAMERAS_MAX, sizeof *out->views);
     err_t e = OK;
-    if (!lenses.v || !out->views)
+    if (!list.v || !out->views)
         e = err_fail(ERR_NOMEM, "%s: no memory for %d cameras", cameras->what, CAMERAS_MAX);
     if (!e)
-        e = binary ? binary_lenses(cameras, &lenses) : text_lenses(cameras, &lenses);
+        e = binary ? read_binary_cameras(cameras, &list) : read_text_cameras(cameras, &list);
     if (!e)
-        e = parse_views(binary, images, &lenses, out);
+        e = parse_images(binary, images, &list, out);
     if (!e && cameras_check_names(images->what, out) == ERR_FORMAT) {
-        lenses.folders = true; // a rig: a folder for each camera
-        e = parse_views(binary, images, &lenses, out);
+        list.folders = true; // a rig: a folder for each camera
+        e = parse_images(binary, images, &list, out);
     }
     if (!e)
         e = cameras_check_names(images->what, out);
-    free(lenses.v);
+    free(list.v);
     if (e)
         cameras_free(out);
     return e;
@@ -471,7 +475,7 @@ err_t colmap_parse_points(bool binary, const struct colmap_text *points, struct 
     out->p = calloc(room, sizeof *out->p);
     if (!out->p)
         return err_fail(ERR_NOMEM, "%s: no memory for %zu points", points->what, room);
-    err_t e = binary ? binary_points(points, out) : text_points(points, out);
+    err_t e = binary ? read_binary_points(points, out) : read_text_points(points, out);
     if (e)
         colmap_free_points(out);
     return e;
