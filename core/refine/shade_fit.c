@@ -15,8 +15,8 @@
 
 enum {
     PAIRS = 240, // ordered pairs of views that are compared at most
-    EACH = 800,  // sightings of a pair at most
-    LEAST = 500, // sightings in all
+    EACH = 800,  // observations of a pair at most
+    LEAST = 500, // observations in all
     BLOCKS = 8,  // squares across a view
     HELD_ONE_IN = 3,
     ROUNDS = 6, // of reweighting
@@ -29,12 +29,12 @@ enum {
 
 #define SURE 3.0        // standard errors of a gain that is believed
 #define GAIN_LEAST 1e-5 // stops^2 of the mean squared error, of a gain that matters
-#define PRIOR 0.1       // weight of "no effect", in sightings a stop wrong
+#define PRIOR 0.1       // weight of "no effect", in observations a stop wrong
 #define MAD 1.4826
-#define SMOOTH 0.1f // weight of sightings that the spread is measured with
+#define SMOOTH 0.1f // weight of observations that the spread is measured with
 #define ROUGH 0.1f  // stops across a square, of those that a slight shift changes little
 
-struct sighting {
+struct observation {
     float r2[2], d[3], w[3]; // of views i and j; log2 radiance in i less that in j; weights
     uint8_t camera[2];
     bool held;
@@ -45,7 +45,7 @@ struct fit {
     const struct shade_fit_input *in;
     struct visibility sight;
     struct response_table table;
-    struct sighting *seen; // (n) of room for `cap`
+    struct observation *seen; // (n) of room for `cap`
     int n, cap;
     float *error;  // (3 cap) scratch
     double *gain;  // (views BLOCKS^2) scratch
@@ -86,7 +86,7 @@ size_t shade_fit_plan(int n_views)
     return layout(&f, &tmp, n_views) ? SIZE_MAX : tmp.peak;
 }
 
-/* ---- sightings ---- */
+/* ---- observations ---- */
 
 /* log2 radiance and weight of the mean of the pixels around px (u, v); weight 0: black or
  * saturated. */
@@ -124,7 +124,7 @@ static bool is_held(int block)
 }
 
 /* The surface at px uv, z deep, of view i in view j. */
-static void add_sighting(struct fit *f, int i, int j, const float uvz[3])
+static void add_observation(struct fit *f, int i, int j, const float uvz[3])
 {
     const struct extent *px = f->in->v->extent;
     struct projected there;
@@ -135,7 +135,7 @@ static void add_sighting(struct fit *f, int i, int j, const float uvz[3])
         return;
     const float at[2][2] = {{uvz[0] / (float)px[i].w, uvz[1] / (float)px[i].h},
                             {there.u / (float)px[j].w, there.v / (float)px[j].h}};
-    struct sighting *s = &f->seen[f->n];
+    struct observation *s = &f->seen[f->n];
     look_at(f, i, uvz, x[0], w[0]);
     look_at(f, j, (const float[2]){there.u, there.v}, x[1], w[1]);
     float any = 0;
@@ -168,7 +168,7 @@ static void compare_views(struct fit *f, int i, int j)
             const float uvz[3] = {((float)x + 0.5f) * (float)d->scale,
                                   ((float)y + 0.5f) * (float)d->scale, d->depth[k]};
             if (visibility_confident(&f->sight, k))
-                add_sighting(f, i, j, uvz);
+                add_observation(f, i, j, uvz);
         }
 }
 
@@ -189,7 +189,8 @@ static err_t collect(const struct run *r, struct fit *f)
 /* ---- least squares ---- */
 
 /* What the terms of view 0 or 1 add to colour c: indices and factors of OWN of them. */
-static void add_row(const struct sighting *s, int view, int c, int index[OWN], double factor[OWN])
+static void add_row(const struct observation *s, int view, int c, int index[OWN],
+                    double factor[OWN])
 {
     const double sign = view ? -1 : 1, r2 = (double)s->r2[view];
     const double all[OWN] = {
@@ -200,7 +201,7 @@ static void add_row(const struct sighting *s, int view, int c, int index[OWN], d
     }
 }
 
-static double residual(const struct fit *f, const struct sighting *s, int c)
+static double residual(const struct fit *f, const struct observation *s, int c)
 {
     int index[OWN];
     double factor[OWN], e = (double)s->d[c];
@@ -233,7 +234,7 @@ static void accumulate(struct fit *f, bool held, double scale)
     memset(f->whole, 0, n * n * sizeof *f->whole);
     memset(f->right, 0, sizeof f->right);
     for (int i = 0; i < 3 * f->n; i++) {
-        const struct sighting *s = &f->seen[i / 3];
+        const struct observation *s = &f->seen[i / 3];
         int index[2 * OWN], terms = 2 * OWN;
         double row[2 * OWN];
         if (s->w[i % 3] <= 0 || (s->held && !held))
@@ -296,13 +297,13 @@ static void fit(struct fit *f, bool held)
 
 /* ---- judgement ---- */
 
-static double truncated(const struct fit *f, const struct sighting *s, int c)
+static double truncated(const struct fit *f, const struct observation *s, int c)
 {
     const double e = residual(f, s, c);
     return fmin(e * e, f->gate * f->gate);
 }
 
-static bool concerns(const struct sighting *s, int camera)
+static bool concerns(const struct observation *s, int camera)
 {
     return camera < 0 || s->camera[0] == camera || s->camera[1] == camera;
 }
@@ -313,7 +314,7 @@ static double held_error(const struct fit *f, int camera, int *count)
     double sum = 0, weight = 0;
     *count = 0;
     for (int i = 0; i < 3 * f->n; i++) {
-        const struct sighting *s = &f->seen[i / 3];
+        const struct observation *s = &f->seen[i / 3];
         if (!s->held || s->w[i % 3] <= 0 || !concerns(s, camera))
             continue;
         sum += (double)s->w[i % 3] * truncated(f, s, i % 3);
@@ -327,7 +328,7 @@ static double held_error(const struct fit *f, int camera, int *count)
 static void add_errors(struct fit *f, int camera, double sign)
 {
     for (int i = 0; i < 3 * f->n; i++) {
-        const struct sighting *s = &f->seen[i / 3];
+        const struct observation *s = &f->seen[i / 3];
         if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
             f->gain[s->block] += sign * (double)s->w[i % 3] * truncated(f, s, i % 3);
     }
@@ -350,7 +351,7 @@ static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], dou
     add_errors(f, camera, 1);
     *error = sqrt(held_error(f, camera, &count));
     for (int i = 0; i < 3 * f->n; i++) {
-        const struct sighting *s = &f->seen[i / 3];
+        const struct observation *s = &f->seen[i / 3];
         if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
             all += (double)s->w[i % 3];
     }

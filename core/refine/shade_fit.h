@@ -25,7 +25,7 @@ enum shade_fit_kind {
  * each at most that of an inlier; gain and balance are judged for all cameras together. */
 struct shade_fit_camera {
     struct shade_model model;
-    int held;                   // left-out sightings of surfaces
+    int held;                   // left-out observations of surfaces
     double error_before, error; // without any term, and with those kept
     bool kept[SHADE_FIT_KINDS];
     double without[SHADE_FIT_KINDS]; // error when this term was tried last and left out

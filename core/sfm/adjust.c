@@ -20,7 +20,7 @@ static const double BEHIND = 1e30, NEAREST = 1e-9,
                     DONE = 3e-6, // relative gain of a last step
     TERM_PRIOR = 0.5;            // 1 / expected size of a distortion term
 
-/* ---- one sighting ---- */
+/* ---- one observation ---- */
 
 static void to_camera(const double *pose, const double point[4], double out[3])
 {
@@ -44,7 +44,8 @@ static bool image_of(const struct lens *l, const double x[3], double out[2])
     return x[2] > NEAREST;
 }
 
-double adjust_error(const struct adjust *a, const double point[4], const struct adjust_seen *s)
+double adjust_error(const struct adjust *a, const double point[4],
+                    const struct adjust_observation *s)
 {
     double x[3], px[2];
     to_camera(a->pose + (size_t)ADJUST_POSE * (size_t)s->view, point, x);
@@ -55,7 +56,7 @@ double adjust_error(const struct adjust *a, const double point[4], const struct 
     return e < BEHIND ? e : BEHIND;
 }
 
-void adjust_ray(const struct adjust *a, const struct adjust_seen *s, double ray[3])
+void adjust_ray(const struct adjust *a, const struct adjust_observation *s, double ray[3])
 {
     const struct lens *l = lens_of(a, s->view);
     const double px[2] = {(double)s->u, (double)s->v};
@@ -109,20 +110,20 @@ static bool image_slopes(const struct lens *l, const double x[3], double px[2], 
     return true;
 }
 
-bool adjust_jacobian(const struct adjust *a, const double point[4], const struct adjust_seen *s,
-                     struct adjust_jacobian *out)
+bool adjust_jacobian(const struct adjust *a, const double point[4],
+                     const struct adjust_observation *s, struct adjust_jacobian *out)
 {
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
     double x[3], px[2], rows[6], v[4], factor = householder(point, v);
     to_camera(pose, point, x);
     if (!image_slopes(lens_of(a, s->view), x, px, rows, out->lens))
         return false;
-    const double seen[2] = {(double)s->u, (double)s->v}, weight = (double)s->weight;
+    const double obs[2] = {(double)s->u, (double)s->v}, weight = (double)s->weight;
     for (int k = 0; k < 2; k++) {
         const double by[3] = {weight * rows[3 * k], weight * rows[3 * k + 1],
                               weight * rows[3 * k + 2]};
         double by_point[4], along = 0;
-        out->error[k] = weight * (px[k] - seen[k]);
+        out->error[k] = weight * (px[k] - obs[k]);
         for (int i = 0; i < ADJUST_LENS; i++)
             out->lens[k][i] *= weight;
         lin_cross(x, by, out->pose[k]);
@@ -177,7 +178,7 @@ struct normal {
     int *at;                  // (n_lenses + 1) first unknown of each lens
     double *sum;              // (GROUPS, n, n) lower triangles
     double *rhs;              // (GROUPS, n)
-    double *cross;            // (GROUPS, V, 18 + 18) W and W H^-1 of the sightings of a track
+    double *cross;            // (GROUPS, V, 18 + 18) W and W H^-1 of the observations of a track
     struct lens_block *block; // (GROUPS, V)
     double *step;             // (n)
     double *trial;            // (n_tracks, 4)
@@ -198,7 +199,7 @@ static void group_of(int n_tracks, int g, int *from, int *to)
 /* Sums of one track for its point. */
 struct track_sum {
     double h[9], g[3];
-    int n, n_blocks; // sightings, lenses
+    int n, n_blocks; // observations, lenses
     struct lens_block *block;
 };
 
@@ -216,7 +217,7 @@ static int free_slopes(const struct adjust_lens *l, const struct adjust_jacobian
     return n;
 }
 
-/* Add the camera blocks of a sighting to the group's sums. */
+/* Add the camera blocks of an observation to the group's sums. */
 static void add_camera(struct normal *m, int view, const struct adjust_jacobian *s, double w,
                        double *sum, double *rhs)
 {
@@ -289,8 +290,8 @@ static double *group_cross(const struct normal *m, int group)
     return m->cross + 36 * (size_t)group * (size_t)m->a->n_views;
 }
 
-/* Linearise one track: its sums, W of sighting i in cross + 36 i, and the camera blocks if sum is
- * not NULL. */
+/* Linearise one track: its sums, W of observation i in cross + 36 i, and the camera blocks if sum
+ * is not NULL. */
 static void linearise_track(struct normal *m, int track, int group, double *sum, double *rhs,
                             struct track_sum *t)
 {
@@ -301,13 +302,13 @@ static void linearise_track(struct normal *m, int track, int group, double *sum,
         struct adjust_jacobian s;
         double *w = cross + 36 * (size_t)t->n;
         memset(w, 0, 18 * sizeof *w);
-        if (!a->in[i] || !adjust_jacobian(a, a->point + 4 * (size_t)track, &a->seen[i], &s))
+        if (!a->in[i] || !adjust_jacobian(a, a->point + 4 * (size_t)track, &a->obs[i], &s))
             continue;
         double e2 = s.error[0] * s.error[0] + s.error[1] * s.error[1];
         double weight = 1 / (1 + e2 / m->kernel2);
         if (sum)
-            add_camera(m, a->seen[i].view, &s, weight, sum, rhs);
-        add_point(a, a->seen[i].view, &s, weight, t, w);
+            add_camera(m, a->obs[i].view, &s, weight, sum, rhs);
+        add_point(a, a->obs[i].view, &s, weight, t, w);
     }
 }
 
@@ -340,12 +341,12 @@ static void eliminate_lens(const struct normal *m, int track, const struct track
             const int at = a->first[track] + i;
             const double *w = cross + 36 * (size_t)i;
             for (int q = 0; q < 6 && a->in[at]; q++)
-                row[6 * a->seen[at].view + q] -= lin_dot(l->wh + 3 * p, w + 3 * q);
+                row[6 * a->obs[at].view + q] -= lin_dot(l->wh + 3 * p, w + 3 * q);
         }
     }
 }
 
-/* sum -= W H^-1 W^T between all sightings of a track and the lenses. */
+/* sum -= W H^-1 W^T between all observations of a track and the lenses. */
 static void eliminate_point(const struct normal *m, int track, const struct track_sum *t,
                             double *sum, double *rhs)
 {
@@ -366,7 +367,7 @@ static void eliminate_point(const struct normal *m, int track, const struct trac
         eliminate_lens(m, track, t, &t->block[k], sum);
     for (int i = 0; i < t->n; i++) {
         const int at = a->first[track] + i;
-        const size_t row = 6 * (size_t)a->seen[at].view;
+        const size_t row = 6 * (size_t)a->obs[at].view;
         double *w = cross + 36 * (size_t)i, *wh = w + 18;
         if (!a->in[at])
             continue;
@@ -377,7 +378,7 @@ static void eliminate_point(const struct normal *m, int track, const struct trac
         for (int j = 0; j <= i; j++) // views ascend: the lower triangle
             if (a->in[at - i + j])
                 subtract_product(wh, cross + 36 * (size_t)j,
-                                 sum + row * n + 6 * (size_t)a->seen[at - i + j].view, n);
+                                 sum + row * n + 6 * (size_t)a->obs[at - i + j].view, n);
     }
 }
 
@@ -467,7 +468,7 @@ static double track_cost(const struct adjust *a, int track, const double point[4
     double sum = 0;
     for (int i = a->first[track]; i < a->first[track + 1]; i++)
         if (a->in[i])
-            sum += cauchy_loss(adjust_error(a, point, &a->seen[i]), kernel2);
+            sum += cauchy_loss(adjust_error(a, point, &a->obs[i]), kernel2);
     return sum;
 }
 
@@ -494,7 +495,7 @@ static err_t back_group(void *ctx, int g, int worker)
         }
         for (int i = 0; i < 6 * track.n; i++) {
             const double *w = cross + 36 * (size_t)(i / 6) + 3 * (size_t)(i % 6);
-            const double by_view = m->step[6 * a->seen[a->first[t] + i / 6].view + i % 6];
+            const double by_view = m->step[6 * a->obs[a->first[t] + i / 6].view + i % 6];
             for (int k = 0; k < 3; k++)
                 track.g[k] -= w[k] * by_view;
         }

@@ -1,13 +1,13 @@
 /* adjust.h - the least squares of bundle adjustment: cameras, their lenses and points that minimise
- * the robust reprojection error of sightings.
+ * the robust reprojection error of observations.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_ADJUST_H
 #define SFM_ADJUST_H
 
 #include "core/base/types.h"
 
-/* One sighting: px right of and below the principal point. */
-struct adjust_seen {
+/* One observation: px right of and below the principal point. */
+struct adjust_observation {
     float u, v, weight; // weight: 1 / expected error in px
     int view;
 };
@@ -25,35 +25,35 @@ struct adjust_lens {
  * with w >= 0, unless noise puts them beyond infinity. Far points need no special case. */
 struct adjust {
     int n_views, n_tracks;
-    const int *first;               // (n_tracks + 1) sightings of track i are first[i]..first[i+1]
-    const struct adjust_seen *seen; // by track, then view; a track has a view at most once
+    const int *first; // (n_tracks + 1) observations of track i are first[i]..first[i+1]
+    const struct adjust_observation *obs; // by track, then view; a track has a view at most once
     int n_lenses;
     struct adjust_lens *lens; // (n_lenses)
     const int *lens_of;       // (n_views) index of its lens
     bool poses_fixed;
     double *pose;     // (n_views, 12)
-    bool *placed;     // (n_views) sightings of views that are not placed do not count
+    bool *placed;     // (n_views) observations of views that are not placed do not count
     double *point;    // (n_tracks, 4)
-    bool *in;         // (sightings) whether it counts
-    const bool *held; // (sightings) left out of everything, to be predicted; NULL: none
+    bool *in;         // (observations) whether it counts
+    const bool *held; // (observations) left out of everything, to be predicted; NULL: none
 };
 
 enum { ADJUST_POSE = 12 };
 
-/* Levenberg-Marquardt on the sightings that are in, with the Cauchy loss of width `kernel` expected
- * errors. Never raises the cost.
+/* Levenberg-Marquardt on the observations that are in, with the Cauchy loss of width `kernel`
+ * expected errors. Never raises the cost.
  * err:  ERR_NOMEM (r->tmp, see adjust_plan), ERR_CANCELLED. */
 MUST_USE err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps);
 size_t adjust_plan(int n_views, int n_lenses, int n_tracks);
 
-/* Standard errors of the free unknowns of all lenses, of the sightings that are in, for expected
+/* Standard errors of the free unknowns of all lenses, of the observations that are in, for expected
  * errors times `scale`; 0 where an unknown is fixed, infinite where nothing determines it.
  * out:  (n_lenses, ADJUST_LENS)
  * err:  ERR_NOMEM, ERR_CANCELLED. */
 MUST_USE err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, double *out);
 
-/* Unit ray of a sighting in its camera; outside the image circle that of a pinhole. */
-void adjust_ray(const struct adjust *a, const struct adjust_seen *s, double ray[3]);
+/* Unit ray of an observation in its camera; outside the image circle that of a pinhole. */
+void adjust_ray(const struct adjust *a, const struct adjust_observation *s, double ray[3]);
 
 /* Focal length of the lens that a view was taken through, px. */
 static inline double adjust_focal(const struct adjust *a, int view)
@@ -61,21 +61,22 @@ static inline double adjust_focal(const struct adjust *a, int view)
     return a->lens[a->lens_of[view]].lens.fx;
 }
 
-/* Squared distance of a sighting from its point in expected errors; 1e30 where the camera has no
- * pixel for the point. */
-double adjust_error(const struct adjust *a, const double point[4], const struct adjust_seen *s);
+/* Squared distance of an observation from its point in expected errors; 1e30 where the camera has
+ * no pixel for the point. */
+double adjust_error(const struct adjust *a, const double point[4],
+                    const struct adjust_observation *s);
 
 /* Depth of a point in a view, scene units; below 0 behind it, infinite where w = 0. */
 double adjust_depth(const struct adjust *a, int view, const double point[4]);
 
-/* Errors (u, v, in expected errors) of one sighting and their derivatives by the twist of the pose
- * (pose.h), the unknowns of the lens, and the three directions across the point. False where the
- * camera has no pixel for the point. */
+/* Errors (u, v, in expected errors) of one observation and their derivatives by the twist of the
+ * pose (pose.h), the unknowns of the lens, and the three directions across the point. False where
+ * the camera has no pixel for the point. */
 struct adjust_jacobian {
     double error[2], pose[2][6], lens[2][ADJUST_LENS], point[2][3];
 };
-bool adjust_jacobian(const struct adjust *a, const double point[4], const struct adjust_seen *s,
-                     struct adjust_jacobian *out);
+bool adjust_jacobian(const struct adjust *a, const double point[4],
+                     const struct adjust_observation *s, struct adjust_jacobian *out);
 
 /* Move a pose by a twist, a point along its three directions. */
 void adjust_move_pose(double pose[ADJUST_POSE], const double twist[6]);

@@ -1,9 +1,9 @@
-/* Both starts end in the same rounds: points are triangulated again from the sightings that agree
- * within a gate, then cameras, focal length and points are adjusted with a Cauchy loss; gate and
- * width of the loss shrink from round to round (graduated non-convexity: Blake and Zisserman 1987).
- * The start whose sightings fit with more redundancy wins: a track of n inliers counts 2 n - 3.
- * From cameras: their rotations may be wrong by many degrees, so that rays do not meet. Points
- * start at one depth along their rays, and the first, widest rounds correct the rotations.
+/* Both starts end in the same rounds: points are triangulated again from the observations that
+ * agree within a gate, then cameras, focal length and points are adjusted with a Cauchy loss; gate
+ * and width of the loss shrink from round to round (graduated non-convexity: Blake and Zisserman
+ * 1987). The start whose observations fit with more redundancy wins: a track of n inliers counts 2
+ * n - 3. From cameras: their rotations may be wrong by many degrees, so that rays do not meet.
+ * Points start at one depth along their rays, and the first, widest rounds correct the rotations.
  * From tracks: viewgraph.h. Views that do not fit are placed again from points (resect.h). */
 #include "core/sfm/bundle.h"
 
@@ -29,19 +29,19 @@ static const double FOV60 = 0.8660254037844386, ANGLE120 = 0.477464829275686;
 static err_t check_tracks(int n_views, const struct match_tracks *t)
 {
     if (t->n < 0 || t->n_tracks < 0 || t->n_tracks > t->n / 2)
-        return err_fail(ERR_ARG, "bundle: %d tracks of %d sightings, each needs two", t->n_tracks,
-                        t->n);
+        return err_fail(ERR_ARG, "bundle: %d tracks of %d observations, each needs two",
+                        t->n_tracks, t->n);
     for (int i = 0; i < t->n; i++) {
-        const struct match_seen *s = &t->seen[i];
+        const struct match_observation *s = &t->obs[i];
         if (s->view < 0 || s->view >= n_views || s->track < 0 || s->track >= t->n_tracks)
-            return err_fail(ERR_ARG, "bundle: sighting %d is of track %d of %d in view %d of %d", i,
-                            s->track, t->n_tracks, s->view, n_views);
+            return err_fail(ERR_ARG, "bundle: observation %d is of track %d of %d in view %d of %d",
+                            i, s->track, t->n_tracks, s->view, n_views);
         if (!isfinite(s->u) || !isfinite(s->v) || !(s->sigma > 0) || !isfinite(1 / s->sigma))
-            return err_fail(ERR_ARG, "bundle: sighting %d at %g, %g with an error of %g px", i,
+            return err_fail(ERR_ARG, "bundle: observation %d at %g, %g with an error of %g px", i,
                             (double)s->u, (double)s->v, (double)s->sigma);
         if (i > 0 && (s->track < s[-1].track || (s->track == s[-1].track && s->view <= s[-1].view)))
-            return err_fail(ERR_ARG, "bundle: sighting %d is not in the order of tracks and views",
-                            i);
+            return err_fail(ERR_ARG,
+                            "bundle: observation %d is not in the order of tracks and views", i);
     }
     return OK;
 }
@@ -91,7 +91,7 @@ static double start_focal(const struct bundle *b, int lens)
 
 /* Observations in the form of struct adjust. */
 struct input {
-    struct adjust_seen *seen;
+    struct adjust_observation *obs;
     int *first, *lens_of;
 };
 
@@ -111,7 +111,7 @@ static err_t layout(struct bundle *b, struct input *x, struct arena *tmp, int n_
                     const struct match_tracks *t)
 {
     const size_t n = (size_t)t->n, v = (size_t)n_views, points = 4 * (size_t)t->n_tracks;
-    err_t e = arena_alloc(tmp, n, sizeof *x->seen, &x->seen);
+    err_t e = arena_alloc(tmp, n, sizeof *x->obs, &x->obs);
     if (!e)
         e = arena_zalloc(tmp, (size_t)t->n_tracks + 1, sizeof *x->first, &x->first);
     for (int i = 0; i < 2 && !e; i++) {
@@ -143,8 +143,8 @@ static void turn_back(int quarters, double x[3])
     }
 }
 
-/* Place of a sighting from the middle of the sensor, square pixels. */
-static void taken_place(const struct bundle *b, const struct match_seen *s, double px[2])
+/* Place of an observation from the middle of the sensor, square pixels. */
+static void taken_place(const struct bundle *b, const struct match_observation *s, double px[2])
 {
     const struct extent *size = &b->v->extent[s->view];
     const double focal = b->cfg->pinhole ? (double)b->cfg->pinhole[s->view] : 0;
@@ -169,17 +169,17 @@ static err_t load_tracks(struct bundle *b)
         x.lens_of[v] = b->cfg->lens_of[v];
     b->a.lens_of = x.lens_of;
     for (int i = 0; i < t->n; i++) {
-        const struct match_seen *s = &t->seen[i];
+        const struct match_observation *s = &t->obs[i];
         double px[2];
         taken_place(b, s, px);
-        x.seen[i] = (struct adjust_seen){(float)px[0], (float)px[1], 1 / s->sigma, s->view};
+        x.obs[i] = (struct adjust_observation){(float)px[0], (float)px[1], 1 / s->sigma, s->view};
         x.first[s->track + 1]++;
         b->trusted[i] = true;
     }
     for (int i = 0; i < t->n_tracks; i++)
         x.first[i + 1] += x.first[i];
     b->a.first = x.first;
-    b->a.seen = x.seen;
+    b->a.obs = x.obs;
     return OK;
 }
 
@@ -213,7 +213,7 @@ static double error_scale(struct bundle *b)
     for (int t = 0; t < a->n_tracks; t++)
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
             if (a->in[i] && a->first[t + 1] - a->first[t] > 2)
-                b->sorted[n++] = (float)adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]);
+                b->sorted[n++] = (float)adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]);
     return fmax(1, fmin(4, sqrt((double)num_median(b->sorted, (size_t)n)) / 1.1774));
 }
 
@@ -315,7 +315,7 @@ static err_t from_tracks(struct bundle *b)
         return e;
     e = viewgraph_vote(b->r, &b->g, a);
     for (int i = 0; i < b->tracks->n && !e; i++)
-        b->trusted[i] = a->in[i] || !a->placed[a->seen[i].view];
+        b->trusted[i] = a->in[i] || !a->placed[a->obs[i].view];
     if (!e)
         e = viewgraph_centres(b->r, &b->g, a, &found);
     if (!e)
@@ -348,7 +348,7 @@ static double typical_depth(struct bundle *b)
     double h[9] = {0}, g[3] = {0}, x[3], inverse[9], sum = 0;
     int n = 0;
     for (int i = 0; i < b->tracks->n && b->cfg->start_depth; i++) {
-        float d = bundle_depth_at(b, &b->tracks->seen[i]);
+        float d = bundle_depth_at(b, &b->tracks->obs[i]);
         if (d > 0 && isfinite(d))
             b->sorted[n++] = d;
     }
@@ -373,8 +373,8 @@ static double typical_depth(struct bundle *b)
     return sum > 0 && isfinite(sum) ? sum : 1;
 }
 
-/* Put points at one depth: the mean of the positions that the rays of their sightings reach there.
- * */
+/* Put points at one depth: the mean of the positions that the rays of their observations reach
+ * there. */
 static void points_at(struct bundle *b, double depth)
 {
     struct adjust *a = &b->a;
@@ -383,9 +383,9 @@ static void points_at(struct bundle *b, double depth)
         int n = 0;
         memset(x, 0, 4 * sizeof *x);
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            const double *p = a->pose + (size_t)ADJUST_POSE * (size_t)a->seen[i].view;
+            const double *p = a->pose + (size_t)ADJUST_POSE * (size_t)a->obs[i].view;
             double ray[3], w[3];
-            adjust_ray(a, &a->seen[i], ray);
+            adjust_ray(a, &a->obs[i], ray);
             const double far = depth / fmax(ray[2], 0.1);
             const double c[3] = {far * ray[0] - p[9], far * ray[1] - p[10], far * ray[2] - p[11]};
             a->in[i] = b->trusted[i];
@@ -544,7 +544,7 @@ static err_t run_starts(struct bundle *b)
     return e;
 }
 
-/* Distortion, from the best state so far; it stays unless fewer sightings fit. */
+/* Distortion, from the best state so far; it stays unless fewer observations fit. */
 static err_t find_distortion(struct bundle *b)
 {
     struct adjust *a = &b->a;

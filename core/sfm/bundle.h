@@ -51,7 +51,7 @@ struct bundle_result {
     struct lens *lenses;          // (n_lenses) as bundle_lens.start
     struct selfcal_lens *selfcal; // (n_lenses); zero unless find_distortion
     float rms_px;                 // of the inliers
-    int inliers, sightings;
+    int inliers, observations;
     int n_placed;    // views connected to the others by enough inliers
     bool *placed;    // (n_views); the cameras of others are those of `start`, moved along, or
                      // copies of the nearest placed one

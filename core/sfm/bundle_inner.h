@@ -28,8 +28,8 @@ struct bundle {
     int n_views;
     struct adjust a;
     struct viewgraph g;
-    bool *trusted; // (sightings) after the votes; all without them
-    float *sorted; // (sightings)
+    bool *trusted; // (observations) after the votes; all without them
+    float *sorted; // (observations)
     struct answer best;
     double scale;
     struct bundle_lens one; // if the caller knows of none
@@ -48,8 +48,8 @@ static inline int bundle_turned(const struct bundle *b, int view)
     return b->cfg->turned ? b->cfg->turned[view] : 0;
 }
 
-/* Depth of the start where a sighting is. */
-static inline float bundle_depth_at(const struct bundle *b, const struct match_seen *s)
+/* Depth of the start where an observation is. */
+static inline float bundle_depth_at(const struct bundle *b, const struct match_observation *s)
 {
     const struct extent *px = &b->v->extent[s->view];
     const int x = (int)fminf(fmaxf(s->u, 0), (float)(px->w - 1));
@@ -57,7 +57,7 @@ static inline float bundle_depth_at(const struct bundle *b, const struct match_s
     return b->cfg->start_depth[px->at + (size_t)y * (size_t)px->w + (size_t)x];
 }
 
-/* Redundancy of the sightings that are `in`, and of all; with `soft`, those near the gate count
+/* Redundancy of the observations that are `in`, and of all; with `soft`, those near the gate count
  * less. */
 double bundle_result_redundancy(const struct bundle *b, const bool *in, bool soft, double *all);
 

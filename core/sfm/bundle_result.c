@@ -22,7 +22,7 @@ double bundle_result_redundancy(const struct bundle *b, const bool *in, bool sof
         const int seen = a->first[t + 1] - a->first[t];
         double n = 0;
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            double e2 = soft ? adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]) : 0;
+            double e2 = soft ? adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]) : 0;
             n += in[i] ? fmax(0, 1 - e2 / (BUNDLE_GATE * BUNDLE_GATE)) : 0;
         }
         sum += fmax(0, 2 * n - 3);
@@ -150,8 +150,8 @@ static void write_points(const struct bundle *b, const struct world *w, struct b
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
             if (!b->best.in[i])
                 continue;
-            double weight = (double)a->seen[i].weight;
-            sum += adjust_error(a, x, &a->seen[i]) / (weight * weight);
+            double weight = (double)a->obs[i].weight;
+            sum += adjust_error(a, x, &a->obs[i]) / (weight * weight);
             n++;
         }
         out->inliers += n;
@@ -170,7 +170,7 @@ static void write_scales(struct bundle *b, const struct world *w, struct bundle_
         int n = 0;
         out->depth_scale[v] = 1;
         for (int i = 0; i < b->tracks->n && b->cfg->start_depth && b->cfg->start; i++) {
-            const struct match_seen *s = &b->tracks->seen[i];
+            const struct match_observation *s = &b->tracks->obs[i];
             if (s->view != v || !b->best.in[i])
                 continue;
             double z = w->scale * adjust_depth(a, v, b->best.point + 4 * (size_t)s->track);
@@ -192,7 +192,7 @@ static double parallax_px(struct bundle *b)
         const double *x = b->best.point + 4 * (size_t)t;
         double ray[3], first[3] = {0}, c[3], least = 2;
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)a->seen[i].view;
+            const double *p = b->best.pose + (size_t)ADJUST_POSE * (size_t)a->obs[i].view;
             if (!b->best.in[i])
                 continue;
             lin_apply_t(p, p + 9, c);
@@ -204,8 +204,8 @@ static double parallax_px(struct bundle *b)
             least = fmin(least, lin_dot(ray, first));
         }
         if (least <= 1.001)
-            b->sorted[n++] = (float)(acos(fmax(-1, fmin(1, least))) *
-                                     adjust_focal(a, a->seen[a->first[t]].view));
+            b->sorted[n++] =
+                (float)(acos(fmax(-1, fmin(1, least))) * adjust_focal(a, a->obs[a->first[t]].view));
     }
     return (double)num_median(b->sorted, (size_t)n);
 }
@@ -234,7 +234,7 @@ err_t bundle_result_write(struct bundle *b, struct bundle_result *out)
         return e;
     for (int i = 0; i < b->a.n_lenses; i++)
         out->lenses[i] = b->best.lens[i].lens;
-    out->sightings = b->tracks->n;
+    out->observations = b->tracks->n;
     out->from_tracks = b->best.from_tracks;
     write_cameras(b, &w, out);
     write_points(b, &w, out);

@@ -1,4 +1,4 @@
-/* A view is held by the sightings that are in if
+/* A view is held by the observations that are in if
  * 1. they are enough;
  * 2. it sees most points that two other views place, and that were matched to it, at their
  *    positions; otherwise its matches show another place than its pose, or two places;
@@ -20,7 +20,7 @@ struct links_of_views {
 
 static bool is_counted(const struct adjust *a, int i)
 {
-    return a->in[i] && a->placed[a->seen[i].view];
+    return a->in[i] && a->placed[a->obs[i].view];
 }
 
 static void count_links(const struct adjust *a, struct links_of_views *out)
@@ -31,11 +31,11 @@ static void count_links(const struct adjust *a, struct links_of_views *out)
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
             n += is_counted(a, i);
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
-            const int v = a->seen[i].view, in = is_counted(a, i);
+            const int v = a->obs[i].view, in = is_counted(a, i);
             out->asked[v] += n - in > 1;
             out->agreed[v] += in && n > 2;
             for (int j = a->first[t]; j <= i && in; j++)
-                out->common[v][a->seen[j].view] += is_counted(a, j);
+                out->common[v][a->obs[j].view] += is_counted(a, j);
         }
     }
 }

@@ -1,4 +1,4 @@
-/* connectivity.h - which views of a bundle are connected by common sightings.
+/* connectivity.h - which views of a bundle are connected by common observations.
  * Pure function; any thread. */
 #ifndef SFM_CONNECTIVITY_H
 #define SFM_CONNECTIVITY_H

@@ -1,8 +1,8 @@
 /* Each view becomes corners with descriptors (corner.h), each pair of views a list of matches that
  * one epipolar geometry explains (pair.h). Corners joined by matches, the surest first, are one
- * track, unless two of them lie in one view. The strongest sighting of a track is located in the
+ * track, unless two of them lie in one view. The strongest observation of a track is located in the
  * other views to a fraction of a pixel (patch.h). The epipolar geometry of the refined points then
- * removes sightings that slid away or never belonged. Long tracks come first; a track whose
+ * removes observations that slid away or never belonged. Long tracks come first; a track whose
  * surroundings are crowded in all of its views is left out. */
 #include "core/sfm/match.h"
 
@@ -25,7 +25,7 @@ enum {
 #define CORRELATION_MIN 0.85f // least correlation of a patch that is found again
 #define STRETCH_MAX 0.5f      // log2 of areas, up to which no other level is tried
 #define SLIDE_MAX 3.0f        // px of a level, from the corner to the patch
-#define EXACT 0.8f            // px, Sampson distance of refined sightings
+#define EXACT 0.8f            // px, Sampson distance of refined observations
 
 struct room {       // of a worker
     float *picture; // (corner_scratch)
@@ -44,18 +44,18 @@ struct matcher {
     int *next;      // (n cap) members of a track, a ring
     uint64_t *mask; // (n cap) views of a track, modulo 64
     int n_tracks;
-    struct track *track;     // (n cap / 2)
-    struct match_seen *seen; // (n cap)
+    struct track *track;           // (n cap / 2)
+    struct match_observation *obs; // (n cap)
 };
 
 struct track {
-    int root, at, n;   // node; first sighting; sightings
+    int root, at, n;   // node; first observation; observations
     float correlation; // mean
 };
 
 /* ---- sizes ---- */
 
-static size_t seen_cap(int n_views, int size)
+static size_t obs_cap(int n_views, int size)
 {
     size_t n = (size_t)n_views * (size_t)corner_cap(size);
     return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
@@ -193,7 +193,7 @@ static float log_magnification(const struct patch_place *at)
 /* Find the reference at a node's position, on the level where it has the same size and smoothness;
  * otherwise corners seem to move. */
 static bool find_member(const struct matcher *m, const struct view_of *o, int node,
-                        struct match_seen *out, float *correlation)
+                        struct match_observation *out, float *correlation)
 {
     const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
     const struct corner_view *c = m->p.view + node / m->cap;
@@ -209,10 +209,10 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
             continue;
         least = log_magnification(&place);
         *correlation = place.correlation;
-        *out = (struct match_seen){.view = node / m->cap,
-                                   .u = place.u * l->scale,
-                                   .v = place.v * l->scale,
-                                   .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
+        *out = (struct match_observation){.view = node / m->cap,
+                                          .u = place.u * l->scale,
+                                          .v = place.v * l->scale,
+                                          .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
     }
     return least < INFINITY;
 }
@@ -234,14 +234,15 @@ static int best_member(const struct matcher *m, int root)
 
 static int by_view(const void *a, const void *b)
 {
-    return ((const struct match_seen *)a)->view - ((const struct match_seen *)b)->view;
+    return ((const struct match_observation *)a)->view -
+           ((const struct match_observation *)b)->view;
 }
 
 /* Locate a track in its other views; members that are not found are dropped. */
 static void refine_track(const struct matcher *m, struct track *t)
 {
     int best = best_member(m, t->root);
-    struct match_seen *out = m->seen + t->at;
+    struct match_observation *out = m->obs + t->at;
     const struct corner_view *c = m->p.view + best / m->cap;
     const struct corner *at = c->at + best % m->cap;
     struct view_of reference = {.level = at->level};
@@ -251,7 +252,7 @@ static void refine_track(const struct matcher *m, struct track *t)
         reference.cut[k] = patch_make(l, at->u / l->scale, at->v / l->scale, reference.patch + k);
     }
     t->n = 0;
-    out[t->n++] = (struct match_seen){.view = best / m->cap, .u = at->u, .v = at->v};
+    out[t->n++] = (struct match_observation){.view = best / m->cap, .u = at->u, .v = at->v};
     for (int i = m->next[best]; i != best; i = m->next[i]) {
         float correlation = 0;
         if (!find_member(m, &reference, i, out + t->n, &correlation))
@@ -292,16 +293,17 @@ static void list_tracks(struct matcher *m)
 
 /* ---- pruning ---- */
 
-/* Sighting of a track in a view, or NULL. */
-static const struct match_seen *seen_in(const struct matcher *m, const struct track *t, int view)
+/* Observation of a track in a view, or NULL. */
+static const struct match_observation *seen_in(const struct matcher *m, const struct track *t,
+                                               int view)
 {
     for (int k = t->at; k < t->at + t->n; k++)
-        if (m->seen[k].view == view)
-            return m->seen + k;
+        if (m->obs[k].view == view)
+            return m->obs + k;
     return NULL;
 }
 
-/* Epipolar geometry of the refined sightings of two views. */
+/* Epipolar geometry of the refined observations of two views. */
 static err_t refit_couple(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
@@ -309,8 +311,8 @@ static err_t refit_couple(void *ctx, int i_couple, int worker)
     struct epipolar_match *match = m->rooms[worker].pair.match;
     int n = 0;
     for (int i = 0; i < m->n_tracks && n < m->cap; i++) {
-        const struct match_seen *a = seen_in(m, m->track + i, c->a);
-        const struct match_seen *b = a ? seen_in(m, m->track + i, c->b) : NULL;
+        const struct match_observation *a = seen_in(m, m->track + i, c->a);
+        const struct match_observation *b = a ? seen_in(m, m->track + i, c->b) : NULL;
         if (b)
             match[n++] = pair_match(&m->p, a->u, a->v, b->u, b->v);
     }
@@ -319,13 +321,14 @@ static err_t refit_couple(void *ctx, int i_couple, int worker)
     return run_check(m->r, "matching");
 }
 
-/* Number of views whose geometry contradicts sighting k of a track, less those that confirm it. */
+/* Number of views whose geometry contradicts observation k of a track, less those that confirm it.
+ * */
 static int votes_against(const struct matcher *m, const struct track *t, int k)
 {
     int sum = 0;
     for (int i = 0; i < t->n; i++) {
-        const struct match_seen *a = m->seen + t->at + (i < k ? i : k);
-        const struct match_seen *b = m->seen + t->at + (i < k ? k : i);
+        const struct match_observation *a = m->obs + t->at + (i < k ? i : k);
+        const struct match_observation *b = m->obs + t->at + (i < k ? k : i);
         if (i == k)
             continue;
         const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
@@ -336,10 +339,10 @@ static int votes_against(const struct matcher *m, const struct track *t, int k)
     return sum;
 }
 
-/* Remove the sighting with the most views against it, until each has a majority for it. */
+/* Remove the observation with the most views against it, until each has a majority for it. */
 static void prune_track(const struct matcher *m, struct track *t)
 {
-    struct match_seen *at = m->seen + t->at;
+    struct match_observation *at = m->obs + t->at;
     while (t->n >= 2) {
         int worst = 0, most = INT_MIN;
         for (int k = 0; k < t->n; k++) {
@@ -381,7 +384,7 @@ static bool adds_coverage(const struct matcher *m, const struct track *t, int cr
     bool room = false;
     for (int turn = 0; turn < 2; turn++) {
         for (int k = t->at; k < t->at + t->n; k++) {
-            const struct match_seen *s = m->seen + k;
+            const struct match_observation *s = m->obs + k;
             const struct extent *px = &m->v->extent[s->view];
             int x = num_min((int)fmaxf(s->u * (SPREAD / (float)px->w), 0), SPREAD - 1);
             int y = num_min((int)fmaxf(s->v * (SPREAD / (float)px->h), 0), SPREAD - 1);
@@ -402,7 +405,7 @@ static err_t layout_count(uint16_t **count, struct arena *tmp, int n_views)
 
 static err_t layout_tracks(struct match_tracks *t, struct arena *keep, int n_views, int size)
 {
-    return arena_alloc(keep, seen_cap(n_views, size), sizeof *t->seen, &t->seen);
+    return arena_alloc(keep, obs_cap(n_views, size), sizeof *t->obs, &t->obs);
 }
 
 static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
@@ -422,11 +425,11 @@ static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
     for (int i = 0; i < m->n_tracks && m->track[i].n >= 2 && out->n_tracks < MATCH_TRACKS_MAX;
          i++) {
         const struct track *t = m->track + i;
-        if (n + t->n > (int)seen_cap(m->v->n, m->v->size) || !adds_coverage(m, t, crowd, count))
+        if (n + t->n > (int)obs_cap(m->v->n, m->v->size) || !adds_coverage(m, t, crowd, count))
             continue;
         for (int k = 0; k < t->n; k++) {
-            out->seen[n] = m->seen[t->at + k];
-            out->seen[n++].track = out->n_tracks;
+            out->obs[n] = m->obs[t->at + k];
+            out->obs[n++].track = out->n_tracks;
         }
         out->n_tracks++;
     }
@@ -474,7 +477,7 @@ static err_t layout_pairs(struct matcher *m, struct arena *tmp)
         e = arena_alloc(tmp, nodes, sizeof *m->mask, &m->mask);
     if (!e)
         e = arena_alloc(tmp, nodes / 2 + 1, sizeof *m->track, &m->track);
-    return e ? e : arena_alloc(tmp, nodes, sizeof *m->seen, &m->seen);
+    return e ? e : arena_alloc(tmp, nodes, sizeof *m->obs, &m->obs);
 }
 
 static err_t layout(struct matcher *m, struct arena *tmp, int threads)
@@ -505,7 +508,7 @@ void match_plan(struct plan *p, const struct views *v, struct match_tracks *out)
         e = layout_tracks(out, &p->keep, v->n, v->size);
     if (e)
         plan_refuse(p);
-    out->n = (int)seen_cap(v->n, v->size);
+    out->n = (int)obs_cap(v->n, v->size);
     out->n_tracks = num_min(out->n / 2, MATCH_TRACKS_MAX);
     arena_reset(&p->tmp, mark);
 }

@@ -10,20 +10,21 @@
 #include "core/base/types.h"
 
 /* One point seen in one view. */
-struct match_seen {
+struct match_observation {
     int track, view; // sorted by track, then view; a track has a view at most once
     float u, v;      // px of the view, pixel centres at + 0.5
     float sigma;     // px, expected error, > 0
 };
 
 struct match_tracks {
-    int n_tracks, n;         // tracks of 2 or more views; sightings
-    struct match_seen *seen; // (n)
+    int n_tracks, n;               // tracks of 2 or more views; observations
+    struct match_observation *obs; // (n)
 };
 
 /* Find tracks. prior: of net_run for these views (core/net/shared_attention.c), or NULL: places
  * outside its attention count as less likely; where its attention is flat it is ignored.
- * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX sightings; 0 tracks if
+ * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX observations; 0 tracks
+ * if
  *       nothing agrees, and for one view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
@@ -31,7 +32,7 @@ MUST_USE err_t match_run(const struct run *r, const struct views *v,
                          const struct correspondence *prior, struct match_tracks *out);
 
 /* Count what match_run takes; of v only n, size and extent are read. out: most tracks and
- * sightings. */
+ * observations. */
 void match_plan(struct plan *p, const struct views *v, struct match_tracks *out);
 
 #endif

@@ -1,6 +1,6 @@
-/* With the rotation known, a sighting gives two linear equations for the translation, and two
- * sightings are enough: random pairs, scored by the truncated error of all (MSAC). The best one of
- * each candidate rotation is polished in all six degrees of freedom, Gauss-Newton with Cauchy
+/* With the rotation known, an observation gives two linear equations for the translation, and two
+ * observations are enough: random pairs, scored by the truncated error of all (MSAC). The best one
+ * of each candidate rotation is polished in all six degrees of freedom, Gauss-Newton with Cauchy
  * weights that narrow. */
 #include "core/sfm/resect.h"
 
@@ -18,7 +18,8 @@ static const double FISHEYE_GAIN = 0.8; // share of the cost that a fisheye must
 struct resect {
     struct adjust *a;
     int view, n;
-    int track[POINTS_MOST], at[POINTS_MOST]; // points that two other views place; sightings of them
+    int track[POINTS_MOST],
+        at[POINTS_MOST]; // points that two other views place; observations of them
     double gate;
     int n_lens; // unknowns of the lens that move with the pose
     uint32_t state;
@@ -31,7 +32,7 @@ static void collect_points(struct resect *s)
         int n = 0, at = -1;
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
             n += a->in[i];
-            at = a->seen[i].view == s->view ? i : at;
+            at = a->obs[i].view == s->view ? i : at;
         }
         if (n > 1 && at >= 0) {
             s->track[s->n] = t;
@@ -56,19 +57,19 @@ static double cost_of(const struct resect *s, double gate, int *inliers)
     double sum = 0;
     *inliers = 0;
     for (int i = 0; i < s->n; i++) {
-        double e = adjust_error(s->a, point_of(s, i), &s->a->seen[s->at[i]]);
+        double e = adjust_error(s->a, point_of(s, i), &s->a->obs[s->at[i]]);
         *inliers += e < gate * gate;
         sum += fmin(e, gate * gate);
     }
     return sum;
 }
 
-/* Equations of a sighting: u (r3 X + t3 w) = r1 X + t1 w, and the same for v. */
+/* Equations of an observation: u (r3 X + t3 w) = r1 X + t1 w, and the same for v. */
 static void add_equations(const struct resect *s, int i_point, double h[9], double g[3])
 {
     const double *x = point_of(s, i_point), w = x[3];
     double y[3], ray[3];
-    adjust_ray(s->a, &s->a->seen[s->at[i_point]], ray);
+    adjust_ray(s->a, &s->a->obs[s->at[i_point]], ray);
     lin_apply(pose_of(s), x, y);
     for (int k = 0; k < 2; k++) {
         const double u = ray[k] / fmax(ray[2], 0.05); // hardly ever beyond 87 degrees
@@ -127,7 +128,7 @@ static void polish_step(struct resect *s, double kernel)
     double h[UNKNOWNS * UNKNOWNS] = {0}, g[UNKNOWNS] = {0};
     for (int i = 0; i < s->n; i++) {
         struct adjust_jacobian d;
-        if (!adjust_jacobian(s->a, point_of(s, i), &s->a->seen[s->at[i]], &d))
+        if (!adjust_jacobian(s->a, point_of(s, i), &s->a->obs[s->at[i]], &d))
             continue;
         double e2 = d.error[0] * d.error[0] + d.error[1] * d.error[1];
         double w = 1 / (1 + e2 / (kernel * kernel)), row[UNKNOWNS];

@@ -1,4 +1,4 @@
-/* Of every track of three or more sightings one is left out, in turn the first, the second, ...:
+/* Of every track of three or more observations one is left out, in turn the first, the second, ...:
  * all parts of a picture are judged. Both fits end in the same rounds, whose first gate is wide: a
  * lens that was wrong has thrown away what would have shown it. */
 #include "core/sfm/selfcal.h"
@@ -40,8 +40,8 @@ struct selfcal {
     const struct run *r;
     struct adjust *a;
     double gate, scale;
-    bool *held;            // (sightings)
-    float *before, *after; // (sightings) truncated errors of those left out
+    bool *held;            // (observations)
+    float *before, *after; // (observations) truncated errors of those left out
     struct state kept;
 };
 
@@ -60,11 +60,11 @@ static err_t layout(struct selfcal *s, struct arena *tmp, const int count[4])
     return e ? e : arena_alloc(tmp, (size_t)count[1], sizeof *s->kept.lens, &s->kept.lens);
 }
 
-size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_seen)
+size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_obs)
 {
     struct arena tmp = arena_counter();
     struct selfcal s;
-    if (layout(&s, &tmp, (int[4]){n_views, n_lenses, n_tracks, n_seen}))
+    if (layout(&s, &tmp, (int[4]){n_views, n_lenses, n_tracks, n_obs}))
         return SIZE_MAX;
     return arena_add(tmp.peak, adjust_plan(n_views, n_lenses, n_tracks));
 }
@@ -90,10 +90,10 @@ static void choose_held(struct selfcal *s, struct selfcal_lens *out)
     const struct adjust *a = s->a;
     for (int t = 0; t < a->n_tracks; t++) {
         const int n = a->first[t + 1] - a->first[t], i = a->first[t] + t % num_max(n, 1);
-        if (n < 3 || !a->placed[a->seen[i].view])
+        if (n < 3 || !a->placed[a->obs[i].view])
             continue;
         s->held[i] = true;
-        out[a->lens_of[a->seen[i].view]].held++;
+        out[a->lens_of[a->obs[i].view]].held++;
     }
 }
 
@@ -121,8 +121,7 @@ static void predict(const struct selfcal *s, float *error)
     for (int t = 0; t < a->n_tracks; t++)
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
             if (s->held[i])
-                error[i] =
-                    (float)fmin(most, adjust_error(a, a->point + 4 * (size_t)t, &a->seen[i]));
+                error[i] = (float)fmin(most, adjust_error(a, a->point + 4 * (size_t)t, &a->obs[i]));
 }
 
 /* Errors before and after, and whether the gain is one. */
@@ -138,7 +137,7 @@ static struct judgement judge(const struct selfcal *s, int lens)
     struct judgement j = {0};
     double sum = 0, square = 0;
     for (int i = 0; i < a->first[a->n_tracks]; i++) {
-        if (!s->held[i] || a->lens_of[a->seen[i].view] != lens)
+        if (!s->held[i] || a->lens_of[a->obs[i].view] != lens)
             continue;
         const double gain = (double)s->before[i] - (double)s->after[i];
         j.n++;
@@ -178,13 +177,13 @@ static int free_terms(const struct adjust_lens *l)
     return n;
 }
 
-/* Largest distance of a sighting from the middle over the focal length. */
+/* Largest distance of an observation from the middle over the focal length. */
 static double lens_reach(const struct adjust *a, int lens)
 {
     double most = 0;
     for (int i = 0; i < a->first[a->n_tracks]; i++)
-        if (a->in[i] && a->lens_of[a->seen[i].view] == lens)
-            most = fmax(most, hypot((double)a->seen[i].u, (double)a->seen[i].v));
+        if (a->in[i] && a->lens_of[a->obs[i].view] == lens)
+            most = fmax(most, hypot((double)a->obs[i].u, (double)a->obs[i].v));
     return most / a->lens[lens].lens.fx;
 }
 
@@ -246,7 +245,7 @@ static void sum_up(struct selfcal *s, struct selfcal_lens *out)
     }
 }
 
-/* The ladder, then a last fit to all sightings. */
+/* The ladder, then a last fit to all observations. */
 static err_t choose(struct selfcal *s, struct selfcal_lens *out)
 {
     struct adjust *a = s->a;

@@ -1,14 +1,14 @@
 /* selfcal.h - the lenses of physical cameras from photographs of a still scene: which distortion
  * terms each needs, and their values. Each model of a ladder (none, k1, k1 k2, k1 k2 p1 p2; then
  * the fisheye with 1, 2 and 4 terms, where the lens is that wide) is fitted without some of the
- * sightings, and kept only where it predicts these clearly better than the model before.
+ * observations, and kept only where it predicts these clearly better than the model before.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_SELFCAL_H
 #define SFM_SELFCAL_H
 
 #include "core/sfm/adjust.h"
 
-enum { SELFCAL_HELD_LEAST = 40 }; // sightings that must be left out to judge a lens
+enum { SELFCAL_HELD_LEAST = 40 }; // observations that must be left out to judge a lens
 
 enum selfcal_stop {
     SELFCAL_ENOUGH, // the next model predicted no better
@@ -19,7 +19,7 @@ enum selfcal_stop {
 /* What was found about one lens; its values are in struct adjust. */
 struct selfcal_lens {
     enum selfcal_stop stop;
-    int held;                      // sightings that were left out
+    int held;                      // observations that were left out
     double error_before;           // mean squared error of these, in expected errors, each at most
     double error;                  // that of an inlier: without distortion, and with the model kept
     double deviation[ADJUST_LENS]; // standard errors of ln focal length and terms; 0: fixed
@@ -34,6 +34,6 @@ int selfcal_terms(const struct lens *l);
  * err:  ERR_NOMEM (see selfcal_plan), ERR_CANCELLED. */
 MUST_USE err_t selfcal_run(const struct run *r, struct adjust *a, double gate, double scale,
                            struct selfcal_lens *out);
-size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_seen);
+size_t selfcal_plan(int n_views, int n_lenses, int n_tracks, int n_obs);
 
 #endif

@@ -1,6 +1,6 @@
-/* From pairs of sightings, the inverse depth along the one ray that brings it nearest to the other
- * (linear, and 0 for parallel rays); the pair that most sightings agree with wins, and Gauss-Newton
- * on these refines it. */
+/* From pairs of observations, the inverse depth along the one ray that brings it nearest to the
+ * other (linear, and 0 for parallel rays); the pair that most observations agree with wins, and
+ * Gauss-Newton on these refines it. */
 #include "core/sfm/triangulate.h"
 
 #include "core/base/lin.h"
@@ -11,8 +11,8 @@
 
 enum { BLOCK = 256, PAIRS_MOST = 24, POINT_STEPS = 4 };
 
-static void viewing_ray(const struct adjust *a, const struct adjust_seen *s, double centre[3],
-                        double dir[3])
+static void viewing_ray(const struct adjust *a, const struct adjust_observation *s,
+                        double centre[3], double dir[3])
 {
     const double *pose = a->pose + (size_t)ADJUST_POSE * (size_t)s->view;
     double x[3];
@@ -23,8 +23,8 @@ static void viewing_ray(const struct adjust *a, const struct adjust_seen *s, dou
         centre[k] = -centre[k];
 }
 
-static void point_of_pair(const struct adjust *a, const struct adjust_seen *s,
-                          const struct adjust_seen *other, double point[4])
+static void point_of_pair(const struct adjust *a, const struct adjust_observation *s,
+                          const struct adjust_observation *other, double point[4])
 {
     double c[3], d[3], c2[3], d2[3], move[3], turn[3], len = 0;
     viewing_ray(a, s, c, d);
@@ -42,23 +42,24 @@ static void point_of_pair(const struct adjust *a, const struct adjust_seen *s,
         point[k] /= sqrt(len);
 }
 
-/* Whether a sighting takes part. */
+/* Whether an observation takes part. */
 static bool is_used(const struct adjust *a, int i)
 {
-    return a->placed[a->seen[i].view] && !(a->held && a->held[i]);
+    return a->placed[a->obs[i].view] && !(a->held && a->held[i]);
 }
 
-/* Truncated cost of a point over the sightings of its track. */
+/* Truncated cost of a point over the observations of its track. */
 static double point_cost(const struct adjust *a, int track, const double point[4], double gate2)
 {
     double sum = 0;
     for (int i = a->first[track]; i < a->first[track + 1]; i++)
         if (is_used(a, i))
-            sum += fmin(adjust_error(a, point, &a->seen[i]), gate2);
+            sum += fmin(adjust_error(a, point, &a->obs[i]), gate2);
     return sum;
 }
 
-/* Gauss-Newton on the sightings within the gate, as long as the cost falls. returns: the cost. */
+/* Gauss-Newton on the observations within the gate, as long as the cost falls. returns: the cost.
+ * */
 static double point_polish(const struct adjust *a, int track, double gate2, double cost,
                            double point[4])
 {
@@ -66,7 +67,7 @@ static double point_polish(const struct adjust *a, int track, double gate2, doub
         double h[9] = {0}, g[3] = {0}, next[4];
         struct adjust_jacobian s;
         for (int i = a->first[track]; i < a->first[track + 1]; i++) {
-            if (!is_used(a, i) || !adjust_jacobian(a, point, &a->seen[i], &s) ||
+            if (!is_used(a, i) || !adjust_jacobian(a, point, &a->obs[i], &s) ||
                 s.error[0] * s.error[0] + s.error[1] * s.error[1] >= gate2)
                 continue;
             for (int k = 0; k < 2; k++)
@@ -92,7 +93,7 @@ static double point_polish(const struct adjust *a, int track, double gate2, doub
     return cost;
 }
 
-/* Pair number k of n sightings: of all pairs, or of PAIRS_MOST of them. */
+/* Pair number k of n observations: of all pairs, or of PAIRS_MOST of them. */
 static void pair_of(int k, int n, int *i, int *j)
 {
     int all = n * (n - 1) / 2;
@@ -119,7 +120,7 @@ static void place_point(struct adjust *a, int track, double gate2)
         double now[4];
         int i, j;
         pair_of(k, n, &i, &j);
-        const struct adjust_seen *s = &a->seen[from + i], *t = &a->seen[from + j];
+        const struct adjust_observation *s = &a->obs[from + i], *t = &a->obs[from + j];
         if (!is_used(a, from + i) || !is_used(a, from + j))
             continue;
         point_of_pair(a, s, t, now);
@@ -131,7 +132,7 @@ static void place_point(struct adjust *a, int track, double gate2)
     }
     point_polish(a, track, gate2, best, point);
     for (int i = from; i < from + n; i++) {
-        a->in[i] = is_used(a, i) && adjust_error(a, point, &a->seen[i]) < gate2;
+        a->in[i] = is_used(a, i) && adjust_error(a, point, &a->obs[i]) < gate2;
         count += a->in[i];
     }
     for (int i = from; i < from + n && count < 2; i++)

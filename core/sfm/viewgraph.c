@@ -3,8 +3,8 @@
  *    triplets; then all edges, in the tangent space, weights of L1, later Geman-McClure (Chatterjee
  *    and Govindu, "Efficient and robust large-scale rotation averaging", 2013). Edges that
  *    deviate by some degrees are wrong.
- * 3. Sightings that contradict too many others of their track are removed.
- * 4. Centres C and points X for known rotations: sum of w |(I - d d^T)(X - C)|^2 over sightings
+ * 3. Observations that contradict too many others of their track are removed.
+ * 4. Centres C and points X for known rotations: sum of w |(I - d d^T)(X - C)|^2 over observations
  *    with rays d is quadratic. Points are eliminated; the eigenvector of the smallest eigenvalue,
  *    across common translations, is the solution up to scale and sign. Weights w bring residuals
  *    to angles (1 / depth^2) and make them robust (Cauchy); a few rounds. */
@@ -25,7 +25,7 @@ enum {
     BLOCK = 256,
     CENTRE_ROUNDS = 8,
     POWER_STEPS = 20,
-    PRODUCTS_MOST = 200000 // pairs of sightings that centres are taken from
+    PRODUCTS_MOST = 200000 // pairs of observations that centres are taken from
 };
 static const double DEGREE = NUM_PI / 180, PLANE_MOST = 20;
 
@@ -42,20 +42,20 @@ static double *pose_of(const struct adjust *a, int view)
 /* ---- pairs ---- */
 
 struct place {
-    int track, at; // at: index of the sighting
+    int track, at; // at: index of the observation
 };
 
 struct pairs_job {
     const struct run *r;
     const struct adjust *a;
     struct viewgraph *g;
-    struct place *list;                 // sightings by view, then track
+    struct place *list;                 // observations by view, then track
     int first[VIEWGRAPH_VIEWS_MAX + 1]; // of each view in list
 };
 
-/* x/z and y/z of a sighting's ray, not farther out than PLANE_MOST, and its expected error there.
- * */
-static void plane_of(const struct adjust *a, const struct adjust_seen *s, double x[2],
+/* x/z and y/z of an observation's ray, not farther out than PLANE_MOST, and its expected error
+ * there. */
+static void plane_of(const struct adjust *a, const struct adjust_observation *s, double x[2],
                      double *sigma)
 {
     double ray[3];
@@ -68,7 +68,7 @@ static void plane_of(const struct adjust *a, const struct adjust_seen *s, double
 
 static struct twoview_match match_of(const struct adjust *a, int i, int j)
 {
-    const struct adjust_seen *s = &a->seen[i], *t = &a->seen[j];
+    const struct adjust_observation *s = &a->obs[i], *t = &a->obs[j];
     struct twoview_match m;
     plane_of(a, s, m.a, &m.sigma_a);
     plane_of(a, t, m.b, &m.sigma_b);
@@ -117,9 +117,9 @@ static err_t pair_chunk(void *ctx, int chunk, int worker)
     return run_check(job->r, "relative poses");
 }
 
-static err_t layout_list(struct pairs_job *j, struct arena *tmp, int n_seen)
+static err_t layout_list(struct pairs_job *j, struct arena *tmp, int n_obs)
 {
-    return arena_alloc(tmp, (size_t)n_seen, sizeof *j->list, &j->list);
+    return arena_alloc(tmp, (size_t)n_obs, sizeof *j->list, &j->list);
 }
 
 err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgraph *g)
@@ -131,14 +131,14 @@ err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgr
     err_t e = layout_list(&job, r->tmp, a->first[a->n_tracks]);
     if (!e) {
         for (int i = 0; i < a->first[a->n_tracks]; i++)
-            job.first[a->seen[i].view + 1]++;
+            job.first[a->obs[i].view + 1]++;
         for (int v = 0; v < a->n_views; v++) {
             fill[v] = job.first[v];
             job.first[v + 1] += job.first[v];
         }
         for (int t = 0; t < a->n_tracks; t++)
             for (int i = a->first[t]; i < a->first[t + 1]; i++)
-                job.list[fill[a->seen[i].view]++] = (struct place){t, i};
+                job.list[fill[a->obs[i].view]++] = (struct place){t, i};
         e = pool_for(r->pool, viewgraph_edges(a->n_views), pair_chunk, &job);
     }
     arena_reset(r->tmp, mark);
@@ -323,11 +323,12 @@ struct vote_job {
 static bool is_consistent(const struct viewgraph *g, const struct adjust *a, int i, int j)
 {
     const struct twoview_match m = match_of(a, i, j);
-    const struct viewgraph_edge *e = edge_of(g, a->seen[i].view, a->seen[j].view);
+    const struct viewgraph_edge *e = edge_of(g, a->obs[i].view, a->obs[j].view);
     return twoview_distance(&e->pose, &m) < 4.0 * TWOVIEW_GATE * TWOVIEW_GATE;
 }
 
-/* Remove the sighting that agrees with the smallest share of the others, until all agree with 60 %.
+/* Remove the observation that agrees with the smallest share of the others, until all agree with 60
+ * %.
  */
 static void vote_track(const struct viewgraph *g, struct adjust *a, int track)
 {
@@ -335,9 +336,9 @@ static void vote_track(const struct viewgraph *g, struct adjust *a, int track)
     uint64_t good[VIEWGRAPH_VIEWS_MAX] = {0}, known[VIEWGRAPH_VIEWS_MAX] = {0}, left = 0;
     for (int j = 0; j < n; j++) {
         a->in[from + j] = false;
-        left |= a->placed[a->seen[from + j].view] ? (uint64_t)1 << j : 0;
+        left |= a->placed[a->obs[from + j].view] ? (uint64_t)1 << j : 0;
         for (int i = 0; i < j; i++) {
-            if (!is_linked(g, a->seen[from + i].view, a->seen[from + j].view))
+            if (!is_linked(g, a->obs[from + i].view, a->obs[from + j].view))
                 continue;
             uint64_t yes = is_consistent(g, a, from + i, from + j);
             known[i] |= (uint64_t)1 << j;
@@ -389,14 +390,14 @@ struct centres {
     int n;           // 3 V
     double *sum;     // (n, n)
     double *x;       // (n) centres
-    double *weight;  // (sightings)
+    double *weight;  // (observations)
     double *sighted; // (n) sums of weights, three times each
     int stride;      // of the tracks that are used
 };
 
 static void world_direction(const struct adjust *a, int at, double d[3])
 {
-    const struct adjust_seen *s = &a->seen[at];
+    const struct adjust_observation *s = &a->obs[at];
     double ray[3];
     adjust_ray(a, s, ray);
     lin_apply_t(pose_of(a, s->view), ray, d);
@@ -441,13 +442,13 @@ static void add_track(struct centres *c, int track)
         world_direction(a, i, d);
         ray_projector(d, c->weight[i], p);
         lin_product(p, inverse, half);
-        const int vi = 3 * a->seen[i].view;
+        const int vi = 3 * a->obs[i].view;
         for (int k = 0; k < 3; k++)
             c->sighted[vi + k] += c->weight[i];
         for (int j = a->first[track]; j <= i; j++) {
             if (!a->in[j])
                 continue;
-            const int vj = 3 * a->seen[j].view;
+            const int vj = 3 * a->obs[j].view;
             world_direction(a, j, d);
             ray_projector(d, c->weight[j], q);
             lin_product(half, q, block);
@@ -510,7 +511,7 @@ static bool smallest_eigenvector(struct centres *c)
     return true;
 }
 
-/* New weights of a track's sightings. returns: number in front of their views minus behind. */
+/* New weights of a track's observations. returns: number in front of their views minus behind. */
 static int reweigh_track(struct centres *c, int track, double kernel, double nearest)
 {
     const struct adjust *a = c->a;
@@ -523,7 +524,7 @@ static int reweigh_track(struct centres *c, int track, double kernel, double nea
             continue;
         world_direction(a, i, d);
         ray_projector(d, c->weight[i], p);
-        lin_apply(p, c->x + 3 * a->seen[i].view, px);
+        lin_apply(p, c->x + 3 * a->obs[i].view, px);
         for (int k = 0; k < 3; k++)
             sum[k] += px[k];
     }
@@ -531,12 +532,12 @@ static int reweigh_track(struct centres *c, int track, double kernel, double nea
     for (int i = a->first[track]; i < a->first[track + 1]; i++) {
         if (!a->in[i])
             continue;
-        const double *centre = c->x + 3 * a->seen[i].view;
+        const double *centre = c->x + 3 * a->obs[i].view;
         const double to[3] = {x[0] - centre[0], x[1] - centre[1], x[2] - centre[2]};
         world_direction(a, i, d);
         double depth = lin_dot(d, to), off2 = lin_dot(to, to) - depth * depth;
-        double far = fmax(fabs(depth), nearest), s = (double)a->seen[i].weight;
-        s *= adjust_focal(a, a->seen[i].view);
+        double far = fmax(fabs(depth), nearest), s = (double)a->obs[i].weight;
+        s *= adjust_focal(a, a->obs[i].view);
         side += depth > 0 ? 1 : -1;
         c->weight[i] =
             1 / (far * far) / (1 + fmax(off2, 0) * s * s / (far * far) / kernel / kernel);
@@ -583,7 +584,7 @@ static bool any_parallax(const struct viewgraph *g, const struct adjust *a)
     return false;
 }
 
-static err_t layout_centres(struct centres *c, struct arena *tmp, int n_views, int n_seen)
+static err_t layout_centres(struct centres *c, struct arena *tmp, int n_views, int n_obs)
 {
     const size_t n = 3 * (size_t)n_views;
     c->n = (int)n;
@@ -592,18 +593,18 @@ static err_t layout_centres(struct centres *c, struct arena *tmp, int n_views, i
         e = arena_zalloc(tmp, n, sizeof(double), &c->x);
     if (!e)
         e = arena_alloc(tmp, n, sizeof(double), &c->sighted);
-    return e ? e : arena_alloc(tmp, (size_t)n_seen, sizeof(double), &c->weight);
+    return e ? e : arena_alloc(tmp, (size_t)n_obs, sizeof(double), &c->weight);
 }
 
-size_t viewgraph_plan(int n_views, int n_seen)
+size_t viewgraph_plan(int n_views, int n_obs)
 {
     struct arena tmp = arena_counter();
     struct pairs_job pairs;
     struct centres c;
-    if (layout_list(&pairs, &tmp, n_seen))
+    if (layout_list(&pairs, &tmp, n_obs))
         return SIZE_MAX;
     arena_reset(&tmp, 0);
-    return layout_centres(&c, &tmp, n_views, n_seen) ? SIZE_MAX : tmp.peak;
+    return layout_centres(&c, &tmp, n_views, n_obs) ? SIZE_MAX : tmp.peak;
 }
 
 err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct adjust *a,

@@ -35,16 +35,16 @@ MUST_USE err_t viewgraph_pairs(const struct run *r, const struct adjust *a, stru
  * pair is known. */
 int viewgraph_rotations(struct viewgraph *g, struct adjust *a);
 
-/* in <- sightings that agree with most of the other sightings of their track.
+/* in <- observations that agree with most of the other observations of their track.
  * err:  ERR_CANCELLED. */
 MUST_USE err_t viewgraph_vote(const struct run *r, const struct viewgraph *g, struct adjust *a);
 
-/* Centres of the placed views from their rotations and the sightings that are in; all 0 if no pair
- * has parallax or the equations have no solution.
+/* Centres of the placed views from their rotations and the observations that are in; all 0 if no
+ * pair has parallax or the equations have no solution.
  * err:  ERR_NOMEM, ERR_CANCELLED. */
 MUST_USE err_t viewgraph_centres(const struct run *r, const struct viewgraph *g, struct adjust *a,
                                  bool *found);
 
-size_t viewgraph_plan(int n_views, int n_seen); // r->tmp, of the one that takes most
+size_t viewgraph_plan(int n_views, int n_obs); // r->tmp, of the one that takes most
 
 #endif

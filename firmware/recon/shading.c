@@ -172,7 +172,7 @@ void shading_report(const struct job_result *j, struct report *rep)
         report_row(rep, "vignetting_stops", f->model.term, SHADE_TERMS);
         report_number(rep, "corner_stops", (double)corner[0] - f->model.gain[0]);
         report_row(rep, "gain_stops", f->model.gain, 3);
-        report_int(rep, "left_out_sightings", f->held);
+        report_int(rep, "left_out_observations", f->held);
         report_number(rep, "left_out_error_before", f->error_before);
         report_number(rep, "left_out_error", f->error);
         report_open(rep, "left_out_error_without", '{');

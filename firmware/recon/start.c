@@ -121,7 +121,7 @@ static void report_bundle(struct start *s)
                                            .confidence = b->confidence,
                                            .rms_px = b->rms_px,
                                            .inliers = b->inliers,
-                                           .observations = b->sightings,
+                                           .observations = b->observations,
                                            .placed = b->n_placed};
     if (b->confidence < LOCATE_CONFIDENT)
         job_result_warn(s->out, "cameras are a guess: %s, or give the cameras with --rig PATH",

@@ -282,7 +282,7 @@ function cameraWords() {
     : "points that the photographs have in common";
   return element("p", {}, `Found from ${start}: `,
     figure("cameras.points_agree", count(c.points_agree)), " of ",
-    figure("cameras.points_seen", count(c.points_seen)), " sightings agree, within ",
+    figure("cameras.points_seen", count(c.points_seen)), " observations agree, within ",
     figure("cameras.rms_px", `${fixed(c.rms_px, 2)} px`), " (rms). Confidence ",
     figure("cameras.confidence", fixed(c.confidence, 2)),
     " of 1; below 0.1 they are a guess. Views that are tied to the others: ",

@@ -97,7 +97,7 @@ def points(depth: Tensor, pose: Tensor, middle: float = 0.5) -> Tensor:
     return torch.einsum("vji,vhwj->vhwi", data.rotation(pose[:, [6, 3, 4, 5]]), p)
 
 
-def sightings(xyz: Tensor, depth: Tensor, pose: Tensor):
+def observations(xyz: Tensor, depth: Tensor, pose: Tensor):
     """Each view: where points (N, 3) are in it, as (index, depth of the point, depth there), and
     which of them it has in its picture."""
     size = depth.shape[-1]
@@ -122,7 +122,7 @@ def stereo(images: Tensor, truth: Tensor, pose: Tensor) -> Tensor:
     xyz = points(truth, pose).reshape(-1, 3)
     shared = torch.zeros(v * size * size, dtype=torch.bool, device=truth.device)
     own = torch.arange(v, device=truth.device).repeat_interleave(size * size)
-    for j, (_, z, there, inside) in enumerate(sightings(xyz, truth, pose)):
+    for j, (_, z, there, inside) in enumerate(observations(xyz, truth, pose)):
         shared |= inside & ((there - z).abs() < AGREE * z) & (own != j)
     return rough & shared.view_as(rough) & (truth > 0)
 
@@ -133,7 +133,7 @@ def in_the_way(z: Tensor, sure: Tensor, pose: Tensor) -> Tensor:
     (network_sharpen leaves them out)."""
     gone = torch.zeros(z.numel(), dtype=torch.bool, device=z.device)
     seen = torch.where(sure, z, 0)
-    for _, near, there, inside in sightings(points(z, pose).reshape(-1, 3), seen, pose):
+    for _, near, there, inside in observations(points(z, pose).reshape(-1, 3), seen, pose):
         gone |= inside & (near < NEARER * there)
     return gone.view_as(sure) & ~sure
 

@@ -121,7 +121,7 @@ is "curves" "document.querySelectorAll('#tone .curve, #tone .family').length" 9
 is "the worst first" "[...document.querySelectorAll('#residuals [data-key]')]
     .map((e) => parseFloat(e.textContent)).every((x, i, v) => !i || v[i - 1] <= x)" true
 is "how the cameras were found" \
-    "document.getElementById('cameras').textContent.includes('sightings agree')" true
+    "document.getElementById('cameras').textContent.includes('observations agree')" true
 is "warnings of a good scene" "document.querySelectorAll('.warnings li').length" \
     "$(sed -n '/"warnings": \[/,/\]/p' "$OUT/room-scene/report.json" | grep -c '^    "')"
 is "address of the scene" "document.querySelector('#summary a').getAttribute('href')" view.html

@@ -77,7 +77,7 @@ static inline void run_ok(struct job *j, const struct bundle_config *cfg)
     }
     assert_true(j->out.confidence >= 0 && j->out.confidence <= 1);
     assert_true(isfinite(j->out.rms_px));
-    assert_int_equal(j->out.sightings, j->tracks.t.n);
+    assert_int_equal(j->out.observations, j->tracks.t.n);
 }
 
 static inline void job_free(struct job *j)

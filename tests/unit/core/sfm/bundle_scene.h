@@ -1,5 +1,5 @@
 /* bundle_scene.h - rooms seen by rigs of cameras, as tracks: points on walls and boxes, each seen
- * from directions near one of its own, with noise and wrong sightings. */
+ * from directions near one of its own, with noise and wrong observations. */
 #ifndef SFM_BUNDLE_SCENE_H
 #define SFM_BUNDLE_SCENE_H
 
@@ -17,7 +17,7 @@ enum { SCENE_SIZE = 448, SCENE_VIEWS = 40, SCENE_LENSES = 3 };
 struct scene_rig {
     int n_views, n_points;
     double focal, noise; // px
-    double wrong;        // share of tracks with wrong sightings
+    double wrong;        // share of tracks with wrong observations
     double reach;        // degrees from a point's own direction where it is still found
     uint32_t seed;
     struct camera cams[SCENE_VIEWS];
@@ -135,8 +135,8 @@ static inline double scene_between(const struct camera *a, const struct camera *
     return 2 * acos(fmin(1, fabs(dot))) * 180 / 3.14159265358979323846;
 }
 
-/* Move a sighting to somewhere else, or to the next repeat of a pattern. */
-static inline void scene_spoil(struct match_seen *s)
+/* Move an observation to somewhere else, or to the next repeat of a pattern. */
+static inline void scene_spoil(struct match_observation *s)
 {
     bool repeat = scene_uniform(0, 1) < 0.5;
     s->u = repeat ? s->u + (scene_uniform(0, 1) < 0.5 ? 30 : -30)
@@ -147,12 +147,12 @@ static inline void scene_spoil(struct match_seen *s)
 /* Tracks of the rig; freed by scene_free. */
 static inline void scene_make(const struct scene_rig *s, struct scene_tracks *out)
 {
-    out->t.seen = calloc((size_t)(s->n_points * s->n_views), sizeof *out->t.seen);
+    out->t.obs = calloc((size_t)(s->n_points * s->n_views), sizeof *out->t.obs);
     out->point = calloc((size_t)s->n_points, sizeof *out->point);
     out->t.n = out->t.n_tracks = 0;
     scene_state = s->seed;
     for (int i = 0; i < s->n_points; i++) {
-        struct match_seen *seen = out->t.seen + out->t.n;
+        struct match_observation *obs = out->t.obs + out->t.n;
         double *x = out->point[out->t.n_tracks], u, v;
         int n = 0, own = (int)scene_uniform(0, s->n_views);
         bool spoilt = scene_uniform(0, 1) < s->wrong;
@@ -162,11 +162,11 @@ static inline void scene_make(const struct scene_rig *s, struct scene_tracks *ou
             if (scene_between(&s->cams[own], &s->cams[k]) > s->reach ||
                 !scene_see(&s->cams[k], l, x, &u, &v) || scene_uniform(0, 1) > 0.7)
                 continue;
-            seen[n] =
-                (struct match_seen){out->t.n_tracks, k, (float)(u + s->noise * scene_normal()),
-                                    (float)(v + s->noise * scene_normal()), 0.5f};
+            obs[n] = (struct match_observation){out->t.n_tracks, k,
+                                                (float)(u + s->noise * scene_normal()),
+                                                (float)(v + s->noise * scene_normal()), 0.5f};
             if (spoilt && (n == 1 || scene_uniform(0, 1) < 0.5))
-                scene_spoil(&seen[n]);
+                scene_spoil(&obs[n]);
             n++;
         }
         if (n > 1) {
@@ -178,7 +178,7 @@ static inline void scene_make(const struct scene_rig *s, struct scene_tracks *ou
 
 static inline void scene_free(struct scene_tracks *t)
 {
-    free(t->t.seen);
+    free(t->t.obs);
     free(t->point);
 }
 

@@ -66,8 +66,8 @@ static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], boo
 }
 
 /* Errors after unknown i (6 of the pose, 3 of the point, those of the lens) has moved by `by`. */
-static void moved_error(struct adjust *a, const double point[4], const struct adjust_seen *s, int i,
-                        double by, double out[2])
+static void moved_error(struct adjust *a, const double point[4], const struct adjust_observation *s,
+                        int i, double by, double out[2])
 {
     double *pose = a->pose + ADJUST_POSE * (size_t)s->view, own[ADJUST_POSE], p[4], move[6] = {0};
     struct lens *lens = &a->lens[a->lens_of[s->view]].lens;
@@ -101,7 +101,7 @@ static void slopes_are_differences(void **unused)
     int checked = 0;
     scene_state = 4;
     for (int trial = 0; trial < 500; trial++) {
-        struct adjust_seen s = {5, -7, 1.7f, trial % SMALL};
+        struct adjust_observation s = {5, -7, 1.7f, trial % SMALL};
         double length = 0;
         small_problem(&a, pose, placed);
         for (int k = 0; k < 4; k++) {
@@ -121,8 +121,8 @@ static void slopes_are_differences(void **unused)
             moved_error(&a, point, &s, u, h, up);
             moved_error(&a, point, &s, u, -h, down);
             double slope = u < 6 ? d.pose[k][u] : u < 9 ? d.point[k][u - 6] : d.lens[k][u - 9];
-            double seen = (up[k] - down[k]) / (2 * h);
-            assert_float_equal(slope, seen, 1e-4 * (fabs(seen) + 100));
+            double obs = (up[k] - down[k]) / (2 * h);
+            assert_float_equal(slope, obs, 1e-4 * (fabs(obs) + 100));
         }
     }
     assert_true(checked > 40);
@@ -135,15 +135,15 @@ static void far_points_have_no_end(void **unused)
                                        {1, 0, 0, 0, 1, 0, 0, 0, 1, -1, 0, 0}};
     bool placed[2] = {true, true}, in[4] = {false};
     double point[8] = {0};
-    const struct adjust_seen seen[4] = {{100, 50, 1, 0},
-                                        {100, 50, 1, 1}, // parallel rays
-                                        {100, 50, 1, 0},
-                                        {100.5, 50, 1, 1}}; // rays that part
+    const struct adjust_observation obs[4] = {{100, 50, 1, 0},
+                                              {100, 50, 1, 1}, // parallel rays
+                                              {100, 50, 1, 0},
+                                              {100.5, 50, 1, 1}}; // rays that part
     const int first[3] = {0, 2, 4};
     struct adjust a = {.n_views = 2,
                        .n_tracks = 2,
                        .first = first,
-                       .seen = seen,
+                       .obs = obs,
                        .n_lenses = 1,
                        .lens = &(struct adjust_lens){.lens = {.fx = 400, .fy = 400}},
                        .lens_of = (int[2]){0, 0},
@@ -156,12 +156,12 @@ static void far_points_have_no_end(void **unused)
     for (int i = 0; i < 4; i++)
         assert_true(in[i]);
     assert_true(adjust_depth(&a, 0, point) > 1e6 || adjust_depth(&a, 0, point) < -1e6);
-    assert_true(adjust_error(&a, point, &seen[0]) < 1e-6);
-    assert_true(adjust_error(&a, point + 4, &seen[2]) < 0.1);
+    assert_true(adjust_error(&a, point, &obs[0]) < 1e-6);
+    assert_true(adjust_error(&a, point + 4, &obs[2]) < 0.1);
     const double ahead[4] = {0, 0, 1, 0}, behind[4] = {0, 0, -1, 0};
     assert_true(isinf(adjust_depth(&a, 0, ahead)) && adjust_depth(&a, 0, ahead) > 0);
     assert_true(isinf(adjust_depth(&a, 0, behind)) && adjust_depth(&a, 0, behind) < 0);
-    assert_true(adjust_error(&a, behind, &seen[0]) > 1e20);
+    assert_true(adjust_error(&a, behind, &obs[0]) > 1e20);
 }
 
 /* ---- rigs ---- */
@@ -244,15 +244,15 @@ static void world_of_the_start(void **unused)
     double *off = calloc((size_t)j.tracks.t.n_tracks, sizeof *off);
     int n = 0;
     for (int i = 0; i < j.tracks.t.n; i++) {
-        const struct match_seen *seen = &j.tracks.t.seen[i];
-        const struct camera *c = &s->cams[seen->view];
+        const struct match_observation *obs = &j.tracks.t.obs[i];
+        const struct camera *c = &s->cams[obs->view];
         const double q[4] = {(double)c->q[0], (double)c->q[1], (double)c->q[2], (double)c->q[3]};
         double r[9];
         rotation_from_quat(q, r);
-        double z = lin_dot(r + 6, j.tracks.point[seen->track]) + (double)c->t[2];
-        if (seen->u >= 0 && seen->v >= 0 && seen->u < SCENE_SIZE && seen->v < SCENE_SIZE)
-            depth[(size_t)seen->view * plane + (size_t)seen->v * SCENE_SIZE + (size_t)seen->u] =
-                (float)(seen->view == 3 ? 2 * z : z);
+        double z = lin_dot(r + 6, j.tracks.point[obs->track]) + (double)c->t[2];
+        if (obs->u >= 0 && obs->v >= 0 && obs->u < SCENE_SIZE && obs->v < SCENE_SIZE)
+            depth[(size_t)obs->view * plane + (size_t)obs->v * SCENE_SIZE + (size_t)obs->u] =
+                (float)(obs->view == 3 ? 2 * z : z);
     }
     run_ok(&j, &(struct bundle_config){.start = s->cams, .start_depth = depth});
     for (int v = 0; v < s->n_views; v++) {
@@ -324,7 +324,7 @@ static void threads_change_nothing(void **unused)
     job_free(&j);
 }
 
-/* A view whose every sighting is wrong is not placed, and harms no other. */
+/* A view whose every observation is wrong is not placed, and harms no other. */
 static void view_that_fits_nowhere(void **unused)
 {
     (void)unused;
@@ -332,9 +332,9 @@ static void view_that_fits_nowhere(void **unused)
     scene_arc(&j.rig, 8, 40);
     scene_make(&j.rig, &j.tracks);
     for (int i = 0; i < j.tracks.t.n; i++)
-        if (j.tracks.t.seen[i].view == 3) {
-            j.tracks.t.seen[i].u = (float)scene_uniform(0, SCENE_SIZE);
-            j.tracks.t.seen[i].v = (float)scene_uniform(0, SCENE_SIZE);
+        if (j.tracks.t.obs[i].view == 3) {
+            j.tracks.t.obs[i].u = (float)scene_uniform(0, SCENE_SIZE);
+            j.tracks.t.obs[i].v = (float)scene_uniform(0, SCENE_SIZE);
         }
     run_ok(&j, &(struct bundle_config){KNOWN_LENS(381), .focal_known = true});
     assert_int_equal(j.out.n_placed, 7);
@@ -350,15 +350,15 @@ static void view_that_fits_nowhere(void **unused)
     job_free(&j);
 }
 
-/* Sightings of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the camera
- * at `degrees` around would be; in the others it is not seen. */
+/* Observations of view 3 are kept in `right` tracks, and in `wrong` ones that see it where the
+ * camera at `degrees` around would be; in the others it is not seen. */
 static void mislead_view(struct job *j, int right, int wrong, const double degrees[2])
 {
     struct match_tracks *t = &j->tracks.t;
     const int all = t->n;
     int kept = 0;
     for (int i = t->n = 0; i < all; i++) {
-        struct match_seen s = t->seen[i];
+        struct match_observation s = t->obs[i];
         if (s.view == 3 && kept++ >= right + wrong)
             continue;
         if (s.view == 3 && (kept - 1) % (right + wrong) >= right) {
@@ -368,7 +368,7 @@ static void mislead_view(struct job *j, int right, int wrong, const double degre
             s.u = (float)(u + 0.5 * scene_normal());
             s.v = (float)(v + 0.5 * scene_normal());
         }
-        t->seen[t->n++] = s;
+        t->obs[t->n++] = s;
     }
     assert_true(kept >= right + wrong);
 }
@@ -413,13 +413,13 @@ static int keep_pairs(struct match_tracks *t)
 {
     int *in = calloc((size_t)t->n_tracks, sizeof *in), n = 0, pairs = 0;
     for (int i = 0; i < t->n; i++)
-        in[t->seen[i].track] |= t->seen[i].view == 3 ? 1 : t->seen[i].view == 4 ? 2 : 0;
+        in[t->obs[i].track] |= t->obs[i].view == 3 ? 1 : t->obs[i].view == 4 ? 2 : 0;
     for (int i = 0; i < t->n; i++) {
-        const struct match_seen s = t->seen[i];
+        const struct match_observation s = t->obs[i];
         const bool pair = in[s.track] == 3;
         pairs += pair && s.view == 3;
         if (pair ? s.view == 3 || s.view == 4 : s.view != 3)
-            t->seen[n++] = s;
+            t->obs[n++] = s;
     }
     free(in);
     t->n = n;
@@ -459,8 +459,7 @@ static void squeezed_views(void **unused)
         scene_arc(&j.rig, 8, 40);
         scene_make(&j.rig, &j.tracks);
         for (int i = 0; i < j.tracks.t.n; i++)
-            j.tracks.t.seen[i].v =
-                SCENE_SIZE / 2 + (j.tracks.t.seen[i].v - SCENE_SIZE / 2) / aspect;
+            j.tracks.t.obs[i].v = SCENE_SIZE / 2 + (j.tracks.t.obs[i].v - SCENE_SIZE / 2) / aspect;
         memcpy(start, j.rig.cams, sizeof start);
         for (int v = 0; v < j.rig.n_views; v++)
             start[v].fy /= aspect;
@@ -576,7 +575,7 @@ static void a_wall(void **unused)
     scene_grid(&j.rig);
     scene_make(&j.rig, &j.tracks);
     for (int i = 0; i < j.tracks.t.n; i++) {
-        struct match_seen *s = &j.tracks.t.seen[i];
+        struct match_observation *s = &j.tracks.t.obs[i];
         double *x = j.tracks.point[s->track], u, v;
         x[2] = 0.3 * x[0] + 0.2 * x[1];
         scene_see(&j.rig.cams[s->view], NULL, x, &u, &v);
@@ -597,8 +596,8 @@ static void every_match_wrong(void **unused)
         scene_arc(&j.rig, views[k], 2.0 * views[k]);
         scene_make(&j.rig, &j.tracks);
         for (int i = 0; i < j.tracks.t.n; i++) {
-            j.tracks.t.seen[i].u = (float)scene_uniform(0, SCENE_SIZE);
-            j.tracks.t.seen[i].v = (float)scene_uniform(0, SCENE_SIZE);
+            j.tracks.t.obs[i].u = (float)scene_uniform(0, SCENE_SIZE);
+            j.tracks.t.obs[i].v = (float)scene_uniform(0, SCENE_SIZE);
         }
         run_ok(&j, &(struct bundle_config){0});
         assert_true(j.out.confidence < 0.1f && j.out.agreement < 0.1f);
@@ -635,7 +634,7 @@ static void wrong_requests(void **unused)
     struct bundle_config none = {0};
     scene_arc(&j.rig, 4, 10);
     scene_make(&j.rig, &j.tracks);
-    struct match_seen *s = &j.tracks.t.seen[5], good = *s;
+    struct match_observation *s = &j.tracks.t.obs[5], good = *s;
     for (int k = 0; k < 7; k++) {
         *s = good;
         s->view = k == 0 ? 4 : k == 1 ? -1 : s->view;

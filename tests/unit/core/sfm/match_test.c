@@ -163,7 +163,7 @@ static void check_form(const struct world *w, const struct match_tracks *t)
     int length = 0;
     assert_true(t->n <= MATCH_SEEN_MAX && t->n >= 2 * t->n_tracks);
     for (int i = 0; i < t->n; i++) {
-        const struct match_seen *s = t->seen + i;
+        const struct match_observation *s = t->obs + i;
         bool same = i > 0 && s[-1].track == s->track;
         assert_true(s->view >= 0 && s->view < w->v.n);
         assert_true(s->u > 0 && s->v > 0 && s->u < SIZE && s->v < SIZE);
@@ -173,7 +173,7 @@ static void check_form(const struct world *w, const struct match_tracks *t)
         assert_true(same || i == 0 || length >= 2);
         length = same ? length + 1 : 1;
     }
-    assert_true(t->n == 0 || t->seen[t->n - 1].track == t->n_tracks - 1);
+    assert_true(t->n == 0 || t->obs[t->n - 1].track == t->n_tracks - 1);
 }
 
 static int ascending(const void *a, const void *b)
@@ -186,26 +186,27 @@ struct quality {
     double good, median, spread; // share within 1 px; px; median error over expected error
 };
 
-/* Each sighting against where the other sightings of its track, on average, lie on the plane. */
+/* Each observation against where the other observations of its track, on average, lie on the plane.
+ * */
 static struct quality rate_tracks(const struct world *w, const struct match_tracks *t)
 {
     double *error = malloc(sizeof *error * 2 * (size_t)t->n), *ratio = error + t->n, back[9];
     struct quality q = {0, 0, 0};
     assert_non_null(error);
     for (int i = 0, end; i < t->n; i = end) {
-        for (end = i; end < t->n && t->seen[end].track == t->seen[i].track; end++)
+        for (end = i; end < t->n && t->obs[end].track == t->obs[i].track; end++)
             continue;
         for (int k = i; k < end; k++) {
             double x = 0, y = 0, p[2];
             for (int j = i; j < end; j++) {
-                invert(w->h[t->seen[j].view], back);
-                apply(back, (double)t->seen[j].u, (double)t->seen[j].v, p);
+                invert(w->h[t->obs[j].view], back);
+                apply(back, (double)t->obs[j].u, (double)t->obs[j].v, p);
                 x += j == k ? 0 : p[0] / (end - i - 1);
                 y += j == k ? 0 : p[1] / (end - i - 1);
             }
-            apply(w->h[t->seen[k].view], x, y, p);
-            error[k] = hypot(p[0] - (double)t->seen[k].u, p[1] - (double)t->seen[k].v);
-            ratio[k] = error[k] / (double)t->seen[k].sigma;
+            apply(w->h[t->obs[k].view], x, y, p);
+            error[k] = hypot(p[0] - (double)t->obs[k].u, p[1] - (double)t->obs[k].v);
+            ratio[k] = error[k] / (double)t->obs[k].sigma;
             q.good += (error[k] < 1) / (double)t->n;
         }
     }
@@ -215,8 +216,9 @@ static struct quality rate_tracks(const struct world *w, const struct match_trac
         q.median = error[t->n / 2];
         q.spread = ratio[t->n / 2];
     }
-    print_message("%d tracks, %d sightings, %.3f within 1 px, median %.3f px, %.2f of expected\n",
-                  t->n_tracks, t->n, q.good, q.median, q.spread);
+    print_message(
+        "%d tracks, %d observations, %.3f within 1 px, median %.3f px, %.2f of expected\n",
+        t->n_tracks, t->n, q.good, q.median, q.spread);
     free(error);
     return q;
 }
@@ -315,7 +317,7 @@ static void test_shift(void **state)
         }
         struct match_tracks t = find(&w, NULL);
         for (int i = 0; i < t.n; i += 2) {
-            const struct match_seen *a = t.seen + i, *b = a + 1;
+            const struct match_observation *a = t.obs + i, *b = a + 1;
             float off = hypotf(a->u - b->u - (float)shift, a->v - b->v);
             exact += off < 0.002f;
             close += off < 0.15f;
@@ -367,7 +369,7 @@ static void test_nothing_to_see(void **state)
 
 static void test_threads(void **state)
 {
-    struct match_seen *first = NULL;
+    struct match_observation *first = NULL;
     int n = 0;
     (void)state;
     for (int threads = 1; threads <= 7; threads += threads == 1 ? 1 : 5) {
@@ -380,10 +382,10 @@ static void test_threads(void **state)
             n = t.n;
             first = malloc((size_t)n * sizeof *first);
             assert_non_null(first);
-            memcpy(first, t.seen, (size_t)n * sizeof *first);
+            memcpy(first, t.obs, (size_t)n * sizeof *first);
         }
         assert_int_equal(t.n, n);
-        assert_memory_equal(t.seen, first, (size_t)n * sizeof *first);
+        assert_memory_equal(t.obs, first, (size_t)n * sizeof *first);
         close_world(&w);
     }
     free(first);
@@ -452,7 +454,7 @@ static void test_too_little_memory(void **state)
     for (w.tmp.size = 0; w.tmp.size < full; w.tmp.size += full / 11) {
         err_t e = match_run(&w.run, &w.v, NULL, &t);
         assert_true(e == OK || e == ERR_NOMEM);
-        assert_true(e == OK || (!t.seen && t.n == 0 && w.keep.used == 0));
+        assert_true(e == OK || (!t.obs && t.n == 0 && w.keep.used == 0));
         assert_int_equal(w.tmp.used, 0);
         w.keep.used = 0;
     }
@@ -469,7 +471,7 @@ static void test_too_little_memory(void **state)
     close_world(&w);
 }
 
-/* Most corners that fit, 30 times the same view: sightings stay below the bound and nothing
+/* Most corners that fit, 30 times the same view: observations stay below the bound and nothing
  * collides modulo the width of a word. */
 static void test_many_views(void **state)
 {
@@ -494,8 +496,8 @@ static void test_many_views(void **state)
     const struct run r = {.k = &k, .keep = &keep, .tmp = &tmp};
     assert_int_equal(match_run(&r, &v, NULL, &t), OK);
     for (int i = 0; i < t.n; i++) {
-        bool same = i > 0 && t.seen[i].track == t.seen[i - 1].track;
-        assert_true(!same || t.seen[i].view > t.seen[i - 1].view);
+        bool same = i > 0 && t.obs[i].track == t.obs[i - 1].track;
+        assert_true(!same || t.obs[i].view > t.obs[i - 1].view);
         length = same ? length + 1 : 1;
         longest = length > longest ? length : longest;
     }
