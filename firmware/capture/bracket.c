@@ -331,8 +331,8 @@ static void use_known(struct bracket *b, struct camera_state *c, const struct br
                  (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
-    // a torn frame has rows of the one before: of the same exposure at rest, else pixels decide
-    bool still = (!k->measured || c->still_since < c->since) && label_still(&c->label);
+    // a torn frame has rows of the one before, which must look the same where it can be measured
+    bool still = (!k->measured || c->still_since < c->since) && label_alone(&c->label);
     bool wanted = i >= 0 && !early;
     if (wanted && c->phase == RUN && !k->whole)
         c->tries[i] = TRIES_MAX; // only from rest now

@@ -130,11 +130,6 @@ bool label_alone(const struct label *l)
     return l->n > 0 && l->log[l->n - 1].age_lo >= l->hi;
 }
 
-bool label_still(const struct label *l)
-{
-    return l->n > 0 && l->log[l->n - 1].age_lo > l->hi;
-}
-
 bool label_passed(const struct label *l, int entry)
 {
     return entry + 1 < l->n && l->log[entry + 1].age_lo >= l->hi;

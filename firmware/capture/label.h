@@ -94,9 +94,8 @@ int label_advance(struct label *l, const struct frame *f, int64_t now_ns);
 /* Whether the last request is in force for longer than any delay in doubt. */
 bool label_rested(const struct label *l);
 
-/* Whether the last request alone is in force, if the delay is right; and was one frame before. */
+/* Whether the last request alone is in force, if the delay is right. */
 bool label_alone(const struct label *l);
-bool label_still(const struct label *l);
 
 /* Stops from an exposure to the nearest frame to compare with. */
 double label_distance(const struct label *l, double stops);
