@@ -10,6 +10,8 @@
 #include "firmware/result/video.h"
 
 #include "core/base/log.h"
+#include "core/base/num.h"
+#include "core/photo/distort.h"
 #include "core/photo/falsecolour.h"
 #include "core/photo/metrics.h"
 #include "drivers/format/cameras.h"
@@ -23,7 +25,7 @@
 enum { FRAMES_MAX = 9999, FRAMES_DEFAULT = 60, FPS_DEFAULT = 30 };
 
 struct request {
-    const char *scene, *cameras, *path, *video, *out;
+    const char *scene, *cameras, *path, *lens, *video, *out;
     const char *ev_text, *frames_text, *size_text, *fps_text;
     double ev[2], fps; // ev: of the first frame, the last
     int frames, size;  // size 0: that of the cameras
@@ -39,6 +41,7 @@ struct state {
     struct rig rig; // cameras of the frames
     struct draw draw;
     struct image8 picture; // the frame drawn last
+    float *lensed;         // (4, h, w) of a frame through a lens; NULL: all are pinholes
     struct outdir out;
     struct video video;
     err_t video_error; // the frames are written anyway
@@ -139,8 +142,34 @@ static err_t make_path(const struct request *rq, struct state *st)
     return e;
 }
 
+/* The photographs' own: those of the file, or of the result's input views. --size is the longer
+ * edge. */
+static err_t read_photographed(const struct request *rq, struct state *st)
+{
+    char path[FILE_PATH_CAP];
+    err_t e = rq->cameras ? OK : file_join(rq->scene, "cameras.json", path);
+    if (!e)
+        e = cameras_read(rq->cameras ? rq->cameras : path, &st->rig);
+    if (e)
+        return e;
+    cameras_use_photographs(&st->rig);
+    for (int i = 0; i < st->rig.n; i++) {
+        struct rig_view *v = &st->rig.views[i];
+        const int edge = num_max(v->cam.w, v->cam.h), most = rq->size ? rq->size : RASTER_SIDE_MAX;
+        if (!rq->size && edge <= most)
+            continue;
+        const int w = num_max(1, (int)lround((double)v->cam.w * most / edge));
+        const int h = num_max(1, (int)lround((double)v->cam.h * most / edge));
+        lens_scale(&v->lens, (double)w / v->cam.w, (double)h / v->cam.h);
+        scale_camera(&v->cam, w, h);
+    }
+    return OK;
+}
+
 static err_t place_cameras(const struct request *rq, struct state *st)
 {
+    if (rq->lens)
+        return read_photographed(rq, st);
     err_t e = rq->cameras ? cameras_read(rq->cameras, &st->rig) : make_path(rq, st);
     for (int i = 0; i < st->rig.n && !e && rq->size > 0; i++)
         scale_camera(&st->rig.views[i].cam, rq->size, rq->size);
@@ -158,13 +187,49 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 
 /* ---- pictures ---- */
 
-static void largest_frame(const struct rig *rig, int *w, int *h)
+/* What is drawn for a frame: its camera, or the pinhole that covers what its lens shows. */
+static err_t drawn_camera(const struct request *rq, const struct rig_view *v, struct camera *out)
+{
+    *out = v->cam;
+    if (!rq->lens || !lens_distorts(&v->lens))
+        return OK;
+    const int most = num_min(RASTER_SIDE_MAX, 4 * num_max(v->cam.w, v->cam.h));
+    return distort_camera(&v->lens, v->cam.w, v->cam.h, most, out);
+}
+
+/* What holds any frame and what is drawn for it. */
+static err_t largest_frame(const struct request *rq, const struct rig *rig, int *w, int *h)
 {
     *w = *h = 0;
     for (int i = 0; i < rig->n; i++) {
-        *w = rig->views[i].cam.w > *w ? rig->views[i].cam.w : *w;
-        *h = rig->views[i].cam.h > *h ? rig->views[i].cam.h : *h;
+        const struct camera *frame = &rig->views[i].cam;
+        struct camera drawn;
+        err_t e = drawn_camera(rq, &rig->views[i], &drawn);
+        if (e)
+            return e;
+        *w = num_max(*w, num_max(frame->w, drawn.w));
+        *h = num_max(*h, num_max(frame->h, drawn.h));
     }
+    return OK;
+}
+
+/* What was drawn becomes what the lens of the frame shows. */
+static err_t distort_frame(struct state *st, const struct rig_view *v, const struct camera *drawn)
+{
+    struct render *maps = &st->draw.maps;
+    const size_t n = (size_t)v->cam.w * (size_t)v->cam.h;
+    struct distort_job j = {&v->lens, drawn, 3, v->cam.w, v->cam.h, maps->radiance, st->lensed};
+    err_t e = distort_run(st->engine.pool, &j);
+    j.n = 1;
+    j.in = maps->alpha;
+    j.out = st->lensed + 3 * n;
+    if (!e)
+        e = distort_run(st->engine.pool, &j);
+    memcpy(maps->radiance, st->lensed, 3 * n * sizeof *maps->radiance);
+    memcpy(maps->alpha, j.out, n * sizeof *maps->alpha);
+    maps->w = v->cam.w;
+    maps->h = v->cam.h;
+    return e;
 }
 
 /* The last drawing at an exposure, in 8 bits. */
@@ -216,7 +281,13 @@ static err_t make_frame(const struct request *rq, struct state *st, int i)
 {
     float log2t = frame_exposure(rq, st, i);
     double start = engine_seconds();
-    err_t e = draw_run(&st->engine.run, &st->draw, &st->scene, &st->rig.views[i].cam);
+    const struct rig_view *v = &st->rig.views[i];
+    struct camera cam;
+    err_t e = drawn_camera(rq, v, &cam);
+    if (!e)
+        e = draw_run(&st->engine.run, &st->draw, &st->scene, &cam);
+    if (!e && rq->lens && lens_distorts(&v->lens))
+        e = distort_frame(st, v, &cam);
     if (e)
         return e;
     develop_frame(rq, st, log2t);
@@ -291,20 +362,24 @@ static err_t open_folder(const struct request *rq, uint64_t pixels, struct state
     return e || !rq->false_colour ? e : write_legend(st);
 }
 
-static err_t layout_pictures(struct state *st, struct arena *a, int w, int h)
+static err_t layout_pictures(const struct request *rq, struct state *st, struct arena *a, int w,
+                             int h)
 {
     err_t e = draw_init(&st->draw, a, st->scene.g.cap, w, h);
+    if (!e && rq->lens)
+        e = arena_alloc(a, (size_t)w * (size_t)h, 4 * sizeof *st->lensed, &st->lensed);
     return e ? e : arena_alloc(a, (size_t)w * (size_t)h, 3, &st->picture.px);
 }
 
 static err_t prepare_frames(const struct request *rq, struct state *st)
 {
     int w, h;
-    largest_frame(&st->rig, &w, &h);
+    err_t e = largest_frame(rq, &st->rig, &w, &h);
     uint64_t pixels = (uint64_t)w * (uint64_t)h;
-    err_t e = rq->out ? open_folder(rq, pixels, st) : OK;
+    if (!e && rq->out)
+        e = open_folder(rq, pixels, st);
     if (!e)
-        e = layout_pictures(st, &st->engine.tmp, w, h);
+        e = layout_pictures(rq, st, &st->engine.tmp, w, h);
     st->picture.channels = 3;
     return e || !rq->video ? e : open_video(rq, st);
 }
@@ -378,12 +453,14 @@ static err_t load_scene(const struct request *rq, struct state *st)
 static err_t make_room(const struct request *rq, struct state *st)
 {
     int w, h;
-    largest_frame(&st->rig, &w, &h);
+    err_t e = largest_frame(rq, &st->rig, &w, &h);
+    if (e)
+        return e;
     st->own = st->engine.keep;
     st->engine.keep = (struct arena){0};
     arena_free(&st->engine.tmp);
     struct arena tmp = arena_counter();
-    err_t e = layout_pictures(st, &tmp, w, h);
+    e = layout_pictures(rq, st, &tmp, w, h);
     return e ? e
              : engine_reserve(&st->engine, st->own.size, 0, tmp.peak, config_memory_mb(&rq->cfg));
 }
@@ -432,6 +509,18 @@ static bool is_mp4(const char *path)
     return n > 4 && strcmp(path + n - 4, ".mp4") == 0 && path[n - 5] != '/';
 }
 
+static err_t check_lens(const struct request *rq)
+{
+    if (!rq->lens)
+        return OK;
+    if (strcmp(rq->lens, "photographed") != 0)
+        return err_fail(ERR_ARG, "--lens is photographed, or nothing");
+    if (rq->path && (strcmp(rq->path, "inputs") != 0 || rq->frames_text || rq->video))
+        return err_fail(ERR_ARG, "--lens photographed: a path has no photographs; give --cameras "
+                                 "FILE, or --path inputs without --frames and --video");
+    return OK;
+}
+
 static err_t read_numbers(struct request *rq)
 {
     rq->frames = FRAMES_DEFAULT;
@@ -457,7 +546,7 @@ static err_t read_numbers(struct request *rq)
         e = err_fail(ERR_ARG, "--frames is for --path: --cameras has one for each");
     if (!e && rq->path && strcmp(rq->path, "orbit") != 0 && strcmp(rq->path, "inputs") != 0)
         e = err_fail(ERR_ARG, "--path: \"%.64s\" is neither orbit nor inputs", rq->path);
-    return e;
+    return e ? e : check_lens(rq);
 }
 
 int cmd_render_run(int argc, char **argv)
@@ -471,6 +560,8 @@ int cmd_render_run(int argc, char **argv)
          NULL},
         {"path", "WHICH", "orbit: a circle within the input views; inputs: these, or through them",
          NULL, &rq.path, NULL},
+        {"lens", "L", "photographed: with the lens of each photograph, its size and shape", NULL,
+         &rq.lens, NULL},
         {"frames", "N", "of an orbit, or of a way through the inputs (with --video: 60)", NULL,
          &rq.frames_text, NULL},
         {"video", "FILE.mp4", "the frames as a film, by ffmpeg", NULL, &rq.video, NULL},
@@ -479,7 +570,8 @@ int cmd_render_run(int argc, char **argv)
          NULL, &rq.ev_text, NULL},
         {"false-colour", NULL, "radiance in colours, 8 stops around that exposure; legend.png",
          NULL, NULL, &rq.false_colour},
-        {"size", "N", "px, square; else the shape of the photographs", NULL, &rq.size_text, NULL},
+        {"size", "N", "px, square; with --lens the longer edge; else that of the photographs", NULL,
+         &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},
         {"out", "DIR", "where the frames go, if they are wanted; a former result is replaced", NULL,
          &rq.out, NULL},

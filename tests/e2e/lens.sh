@@ -46,6 +46,23 @@ succeed reconstruct --images "$OUT/unknown" --rig none --size 224 --refine 0 \
     --set cameras.lens=pinhole --out "$OUT/ignored"
 grep -q '"k1"' "$OUT/ignored/report.json" && fail "a pinhole was asked for"
 
+# The scene as its photographs were taken, those 2 stops below the middle exposure
+view=$(grep -o '"name": "[^"]*"' "$OUT/found/cameras.json" | grep -n '_2.png' | head -n 1)
+frame=$(printf 'frame_%04d.png' "$((${view%%:*} - 1))")
+photograph=$OUT/unknown/images/$(sed 's/.*: "\(.*\)"/\1/' <<<"$view")
+likeness() { "$BIN/compare" display "$1" "$photograph" | cut -d ' ' -f 1; }
+succeed render --scene "$OUT/found" --path inputs --ev -2 --lens photographed --out "$OUT/taken"
+succeed render --scene "$OUT/found" --path inputs --ev -2 --out "$OUT/drawn"
+at_least "PSNR of a photograph drawn with its lens" "$(likeness "$OUT/taken/$frame")" 20
+at_least "PSNR with its lens and 2 dB less" "$(likeness "$OUT/taken/$frame")" \
+    "$(awk -v x="$(likeness "$OUT/drawn/$frame")" 'BEGIN { print x + 2 }')"
+succeed render --scene "$OUT/found" --cameras "$OUT/found/cameras.json" --lens photographed \
+    --size 112 --hdr --out "$OUT/half"
+expect 2 '--lens is photographed' render --scene "$OUT/found" --path inputs --lens wide \
+    --out "$OUT/no"
+expect 2 'a path has no photographs' render --scene "$OUT/found" --path orbit \
+    --lens photographed --out "$OUT/no"
+
 # Three kinds of camera in one rig, each with its own size; which one took a photograph is in its
 # EXIF data.
 succeed "${simulate[@]}" --lens k1=-0.35,k2=0.1,fov=75,size=160x120,v2=-0.4 \
