@@ -108,3 +108,15 @@ void rotation_centre(const struct camera *cam, double out[3])
         out[k] = -((double)r[k] * (double)cam->t[0] + (double)r[3 + k] * (double)cam->t[1] +
                    (double)r[6 + k] * (double)cam->t[2]);
 }
+
+/* By the distance of the quaternions, which says more about small angles than their product. */
+double rotation_between(const struct camera *a, const struct camera *b)
+{
+    double minus = 0, plus = 0;
+    for (int k = 0; k < 4; k++) {
+        double x = (double)a->q[k], y = (double)b->q[k];
+        minus += (x - y) * (x - y);
+        plus += (x + y) * (x + y);
+    }
+    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1));
+}

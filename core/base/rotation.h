@@ -29,4 +29,7 @@ void rotation_multiply(const double a[4], const double b[4], double out[4]);
 void rotation_of_camera(const struct camera *cam, double r[9]);
 void rotation_centre(const struct camera *cam, double out[3]);
 
+/* Angle between the orientations of two cameras, 0..pi. */
+double rotation_between(const struct camera *a, const struct camera *b);
+
 #endif

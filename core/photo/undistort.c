@@ -53,7 +53,8 @@ static bool is_covered(const struct lens *l, const double size[2], const double 
 }
 
 /* Grow the frame across, down or both, as far as it is covered. */
-static void grow(const struct lens *l, const double size[2], bool across, bool down, double z[2])
+static void grow_field(const struct lens *l, const double size[2], bool across, bool down,
+                       double z[2])
 {
     const double from[2] = {z[0], z[1]};
     double low = 0, high = SCALE_MAX;
@@ -85,9 +86,9 @@ err_t undistort_camera(const char *what, const struct lens *l, int w, int h, str
                         "%s: principal point %g, %g outside its %d x %d px: a %s lens is "
                         "undistorted around it",
                         what, l->cx, l->cy, w, h, lens_name(l->model));
-    grow(l, size, true, true, z);
-    grow(l, size, true, false, z);
-    grow(l, size, false, true, z);
+    grow_field(l, size, true, true, z);
+    grow_field(l, size, true, false, z);
+    grow_field(l, size, false, true, z);
     if (!(fmin(z[0], z[1]) >= LEAST_SCALE))
         return err_fail(ERR_FORMAT,
                         "%s: %s lens that leaves %.2g of the side of %d x %d px without "
@@ -111,7 +112,7 @@ double undistort_focal(const struct lens *l, int w, int h)
     double z[2] = {0, 0};
     centred.cx = 0.5 * w;
     centred.cy = 0.5 * h;
-    grow(&centred, size, true, true, z);
+    grow_field(&centred, size, true, true, z);
     return z[0] > 0 ? l->fx / z[0] : 0;
 }
 

@@ -37,7 +37,7 @@ static err_t unproject_chunk(void *ctx, int view, int worker)
     return OK;
 }
 
-static err_t move(const struct place *pl)
+static err_t move_to_cameras(const struct place *pl)
 {
     const struct geometry *g = &pl->p->geom;
     const int pixels = g->size * g->size;
@@ -107,7 +107,7 @@ err_t correct_cameras(const struct run *r, const struct camera *cams, const floa
         for (size_t i = 0; i < n; i++)
             for (int k = 0; k < 3; k++)
                 g->cams[i].t[k] /= *scale;
-        e = move(&(struct place){p, own, r});
+        e = move_to_cameras(&(struct place){p, own, r});
     }
     arena_reset(r->tmp, mark);
     return e;
@@ -195,7 +195,7 @@ static float worth(const struct sharpen *s, const uint8_t *rgb)
 }
 
 /* log2 radiance that a display value stands for, from and to. */
-static void range(const struct sharpen *s, int view, int c, int shown, float out[2])
+static void radiance_range(const struct sharpen *s, int view, int c, int shown, float out[2])
 {
     const struct views *v = s->known->seen.views;
     const struct response_table *t = &s->table;
@@ -218,8 +218,8 @@ static bool differ(const struct sharpen *s, const struct pixel *p, int view, con
 {
     for (int c = 0; c < 3; c++) {
         float a[2], b[2];
-        range(s, p->view, c, p->rgb[c], a);
-        range(s, view, c, rgb[c], b);
+        radiance_range(s, p->view, c, p->rgb[c], a);
+        radiance_range(s, view, c, rgb[c], b);
         if (a[0] > b[1] + LIKE || b[0] > a[1] + LIKE)
             return true;
     }
@@ -230,7 +230,7 @@ enum verdict { SILENT, AGREES, DIFFERS, BETTER };
 
 /* What view j says about the pixel. One whose depth is a guess may be anywhere before what others
  * are sure of, and behind anything else. */
-static enum verdict ask(const struct sharpen *s, const struct pixel *p, int j)
+static enum verdict ask_view(const struct sharpen *s, const struct pixel *p, int j)
 {
     struct projected there;
     if (!visibility_project(&s->sight, j, p->point, &there))
@@ -259,7 +259,7 @@ static bool refuted(const struct sharpen *s, int view, int i)
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
     int against = 0;
     for (int j = 0; j < s->p->geom.n_views; j++) {
-        const enum verdict said = j == view ? SILENT : ask(s, &p, j);
+        const enum verdict said = j == view ? SILENT : ask_view(s, &p, j);
         if (said == BETTER)
             return true;
         against += (said == DIFFERS) - (said == AGREES);
@@ -268,7 +268,7 @@ static bool refuted(const struct sharpen *s, int view, int i)
 }
 
 /* The network's colour under the known curve, at the exposure of its photograph. */
-static float moved(const float *table, float x, float *slope)
+static float graded_radiance(const float *table, float x, float *slope)
 {
     const float at = fminf(fmaxf((x + END) / CELL, 0), CELLS - 0.01f);
     const int i = (int)at;
@@ -291,7 +291,8 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
         if (s->table.weight[c][rgb[c]] > 0)
             x = s->table.x[c][rgb[c]] - at_seen;
         else
-            x = moved(s->moved[c], *sh * (float)SH_BASIS0 / LN2 + at_net, &slope) - at_net;
+            x = graded_radiance(s->moved[c], *sh * (float)SH_BASIS0 / LN2 + at_net, &slope) -
+                at_net;
         *sh = x * LN2 / (float)SH_BASIS0;
         for (size_t k = 1; k < SH_COEFS_MAX; k++)
             sh[k * n] *= slope;

@@ -94,17 +94,6 @@ static double distance(const struct camera *a, const struct camera *b)
     return hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]);
 }
 
-/* From the distance of the quaternions, which says more about small angles than their product. */
-static double degrees(const struct camera *a, const struct camera *b)
-{
-    double minus = 0, plus = 0;
-    for (int k = 0; k < 4; k++) {
-        minus += pow((double)a->q[k] - (double)b->q[k], 2);
-        plus += pow((double)a->q[k] + (double)b->q[k], 2);
-    }
-    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) / DEGREE;
-}
-
 static double longest_baseline(const struct differ_look *l)
 {
     double most = 0;
@@ -122,7 +111,7 @@ static void compare_cameras(const struct differ_look *ref, const struct differ_l
     const double base = longest_baseline(ref);
     for (int i = 1; i < n; i++) {
         struct camera a = seen_from_first(ref, i), b = seen_from_first(p, i);
-        work[i - 1] = (float)degrees(&a, &b);
+        work[i - 1] = (float)(rotation_between(&a, &b) / DEGREE);
         work[n + i - 1] = (float)(100 * distance(&a, &b) / base); // not finite where base is 0
     }
     out[DIFFER_ROTATION] = median(work, (size_t)n - 1);

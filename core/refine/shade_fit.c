@@ -172,7 +172,7 @@ static void compare_views(struct fit *f, int i, int j)
         }
 }
 
-static err_t collect(const struct run *r, struct fit *f)
+static err_t collect_observations(const struct run *r, struct fit *f)
 {
     const int n = f->in->v->n, all = n * (n - 1);
     const int step = num_max(1, (all + PAIRS - 1) / PAIRS);
@@ -228,7 +228,7 @@ static void add_equation(struct fit *f, const int *index, const double *row, int
 }
 
 /* Normal equations with the present weights. held: also of what is left out. scale: stops. */
-static void accumulate(struct fit *f, bool held, double scale)
+static void accumulate_normal(struct fit *f, bool held, double scale)
 {
     const size_t n = (size_t)f->params;
     memset(f->whole, 0, n * n * sizeof *f->whole);
@@ -290,7 +290,7 @@ static double spread(struct fit *f)
 static void fit(struct fit *f, bool held)
 {
     for (int k = 0; k < ROUNDS; k++) {
-        accumulate(f, held, 2 * spread(f));
+        accumulate_normal(f, held, 2 * spread(f));
         solve(f);
     }
 }
@@ -303,7 +303,7 @@ static double truncated(const struct fit *f, const struct observation *s, int c)
     return fmin(e * e, f->gate * f->gate);
 }
 
-static bool concerns(const struct observation *s, int camera)
+static bool is_of_camera(const struct observation *s, int camera)
 {
     return camera < 0 || s->camera[0] == camera || s->camera[1] == camera;
 }
@@ -315,7 +315,7 @@ static double held_error(const struct fit *f, int camera, int *count)
     *count = 0;
     for (int i = 0; i < 3 * f->n; i++) {
         const struct observation *s = &f->seen[i / 3];
-        if (!s->held || s->w[i % 3] <= 0 || !concerns(s, camera))
+        if (!s->held || s->w[i % 3] <= 0 || !is_of_camera(s, camera))
             continue;
         sum += (double)s->w[i % 3] * truncated(f, s, i % 3);
         weight += (double)s->w[i % 3];
@@ -329,7 +329,7 @@ static void add_errors(struct fit *f, int camera, double sign)
 {
     for (int i = 0; i < 3 * f->n; i++) {
         const struct observation *s = &f->seen[i / 3];
-        if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
+        if (s->held && s->w[i % 3] > 0 && is_of_camera(s, camera))
             f->gain[s->block] += sign * (double)s->w[i % 3] * truncated(f, s, i % 3);
     }
 }
@@ -352,7 +352,7 @@ static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], dou
     *error = sqrt(held_error(f, camera, &count));
     for (int i = 0; i < 3 * f->n; i++) {
         const struct observation *s = &f->seen[i / 3];
-        if (s->held && s->w[i % 3] > 0 && concerns(s, camera))
+        if (s->held && s->w[i % 3] > 0 && is_of_camera(s, camera))
             all += (double)s->w[i % 3];
     }
     for (int b = 0; b < blocks; b++) {
@@ -421,7 +421,7 @@ static void choose(struct fit *f, struct shade_fit_camera *out)
     fit(f, false);
     const double scale = spread(f);
     f->gate = 3 * scale;
-    accumulate(f, false, 2 * scale);
+    accumulate_normal(f, false, 2 * scale);
     eliminate(f, out);
     memset(f->x, 0, sizeof f->x);
     for (int k = 0; k < cameras; k++)
@@ -443,7 +443,7 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
     if (!e) {
         visibility_set(&f.sight, in->depth, in->v->cams);
         response_tabulate(in->tone, &f.table);
-        e = collect(r, &f);
+        e = collect_observations(r, &f);
     }
     if (!e && f.n >= LEAST)
         choose(&f, out);

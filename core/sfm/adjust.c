@@ -659,8 +659,8 @@ size_t adjust_plan(int n_views, int n_lenses, int n_tracks)
     return layout(&m, &b, &tmp, (int[3]){n_views, n_lenses, n_tracks}) ? SIZE_MAX : tmp.peak;
 }
 
-static err_t begin(const struct run *r, struct adjust *a, double kernel, struct normal *m,
-                   struct backup *b)
+static err_t begin_adjust(const struct run *r, struct adjust *a, double kernel, struct normal *m,
+                          struct backup *b)
 {
     *m = (struct normal){.r = r, .a = a, .kernel2 = kernel * kernel};
     err_t e = layout(m, b, r->tmp, (int[3]){a->n_views, a->n_lenses, a->n_tracks});
@@ -681,7 +681,7 @@ err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps
     struct normal m;
     struct backup before;
     double *own = a->point;
-    err_t e = begin(r, a, kernel, &m, &before);
+    err_t e = begin_adjust(r, a, kernel, &m, &before);
     if (!e)
         e = minimise(&m, a, &before, steps);
     if (a->point != own) { // the arena's array is released
@@ -698,7 +698,7 @@ err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, dou
     struct normal m;
     struct backup before;
     bool ok = false;
-    err_t e = begin(r, a, 1e3 * scale, &m, &before);
+    err_t e = begin_adjust(r, a, 1e3 * scale, &m, &before);
     m.damping = 1e-9; // the gauge
     if (!e)
         e = camera_system(&m, &ok);

@@ -290,7 +290,7 @@ static void keep_better(struct bundle *b, bool from_tracks)
 /* ---- starts ---- */
 
 /* No points, and the lenses of b->start. */
-static void reset(struct bundle *b)
+static void reset_bundle(struct bundle *b)
 {
     for (int i = 0; i < b->a.n_lenses; i++)
         b->a.lens[i].lens = b->start[i];
@@ -309,7 +309,7 @@ static err_t from_tracks(struct bundle *b)
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
     struct adjust *a = &b->a;
     bool found = false;
-    reset(b);
+    reset_bundle(b);
     err_t e = viewgraph_pairs(b->r, a, &b->g);
     if (e || viewgraph_rotations(&b->g, a) == 0)
         return e;
@@ -408,7 +408,7 @@ static err_t from_cameras(struct bundle *b)
 {
     static const struct round first[] = {{100, 60, 10}, {60, 30, 10}, {30, 15, 10}, {20, 8, 10}};
     struct adjust *a = &b->a;
-    reset(b);
+    reset_bundle(b);
     load_cameras(b);
     points_at(b, typical_depth(b));
     adjust_normalise(a);
@@ -430,7 +430,7 @@ static err_t from_cameras(struct bundle *b)
 static err_t from_rig(struct bundle *b)
 {
     static const struct round first[] = {{30, 10, 10}, {20, 6, 10}};
-    reset(b);
+    reset_bundle(b);
     load_cameras(b);
     b->a.poses_fixed = true;
     err_t e = run_rounds(b, first, 2);

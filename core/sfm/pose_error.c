@@ -28,18 +28,6 @@ size_t pose_error_plan(int n)
     return tmp.peak;
 }
 
-/* From the distance of the quaternions, which says more about small angles than their product. */
-static double angle_deg(const struct camera *a, const struct camera *b)
-{
-    double minus = 0, plus = 0;
-    for (int k = 0; k < 4; k++) {
-        double x = (double)a->q[k], y = (double)b->q[k];
-        minus += (x - y) * (x - y);
-        plus += (x + y) * (x + y);
-    }
-    return 4 * asin(fmin(sqrt(fmin(minus, plus)) / 2, 1)) * 180 / NUM_PI;
-}
-
 /* Root of the mean squared distance of the cameras from their mean. */
 static double spread_of(const struct camera *c, int n)
 {
@@ -70,7 +58,7 @@ err_t pose_error_measure(const struct run *r, const struct camera *found, const 
         double a[3], b[3];
         rotation_centre(&c, a);
         rotation_centre(&real[i], b);
-        f.angle[i] = (float)angle_deg(&c, &real[i]);
+        f.angle[i] = (float)(rotation_between(&c, &real[i]) * 180 / NUM_PI);
         f.distance[i] = (float)(hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]) / size);
         f.focal[i] = (float)fabs((double)c.fx / (double)real[i].fx - 1);
     }

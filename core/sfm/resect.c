@@ -217,7 +217,7 @@ static double try_neighbours(const struct viewgraph *g, struct resect *s, int *i
     return least;
 }
 
-static bool begin(struct adjust *a, int view, double gate, struct resect *s)
+static bool begin_resect(struct adjust *a, int view, double gate, struct resect *s)
 {
     *s = (struct resect){.a = a, .view = view, .gate = gate, .state = 1u + (uint32_t)view};
     collect_points(s);
@@ -229,7 +229,7 @@ int resect_view(const struct viewgraph *g, struct adjust *a, int view, double ga
     struct resect s;
     double old[ADJUST_POSE];
     int most;
-    if (!begin(a, view, gate, &s))
+    if (!begin_resect(a, view, gate, &s))
         return 0;
     memcpy(old, pose_of(&s), sizeof old);
     (void)try_neighbours(g, &s, &most);
@@ -251,7 +251,7 @@ int resect_lens(const struct viewgraph *g, struct adjust *a, int view, double ga
     struct resect s;
     double old[ADJUST_POSE], best[ADJUST_POSE], least = INFINITY;
     int most = 0;
-    if (!begin(a, view, gate, &s))
+    if (!begin_resect(a, view, gate, &s))
         return 0;
     const struct lens before = *lens_of(&s);
     struct lens lens = before;

@@ -114,7 +114,7 @@ static err_t fit(struct selfcal *s)
     return e ? e : triangulate_points(s->r, s->a, gate);
 }
 
-static void predict(const struct selfcal *s, float *error)
+static void measure_left_out(const struct selfcal *s, float *error)
 {
     const struct adjust *a = s->a;
     const double most = s->gate * s->gate * s->scale * s->scale;
@@ -131,7 +131,7 @@ struct judgement {
     bool better;
 };
 
-static struct judgement judge(const struct selfcal *s, int lens)
+static struct judgement judge_lens(const struct selfcal *s, int lens)
 {
     const struct adjust *a = s->a;
     struct judgement j = {0};
@@ -212,12 +212,12 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     if (!any)
         return OK;
     err_t e = fit(s);
-    predict(s, s->after);
+    measure_left_out(s, s->after);
     any = false;
     for (int i = 0; i < a->n_lenses && !e; i++) {
         const bool tried = a->lens[i].lens.model != s->kept.lens[i].lens.model ||
                            free_terms(&a->lens[i]) != free_terms(&s->kept.lens[i]);
-        const bool better = tried && judge(s, i).better;
+        const bool better = tried && judge_lens(s, i).better;
         any = any || better;
         all = all && better == tried;
         if (tried && !better)
@@ -229,7 +229,7 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     }
     if (!all)
         e = fit(s);
-    predict(s, s->before);
+    measure_left_out(s, s->before);
     keep_state(s);
     return e;
 }
@@ -237,7 +237,7 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
 static void sum_up(struct selfcal *s, struct selfcal_lens *out)
 {
     for (int i = 0; i < s->a->n_lenses; i++) {
-        const struct judgement j = judge(s, i);
+        const struct judgement j = judge_lens(s, i);
         out[i].error = j.before;
         out[i].stop = out[i].held < SELFCAL_HELD_LEAST           ? SELFCAL_FEW
                       : free_terms(&s->a->lens[i]) == LENS_TERMS ? SELFCAL_FULL
@@ -252,10 +252,10 @@ static err_t choose(struct selfcal *s, struct selfcal_lens *out)
     choose_held(s, out);
     a->held = s->held;
     err_t e = fit(s);
-    predict(s, s->before);
+    measure_left_out(s, s->before);
     keep_state(s);
     for (int i = 0; i < a->n_lenses; i++)
-        out[i].error_before = judge(s, i).before;
+        out[i].error_before = judge_lens(s, i).before;
     for (int k = 0; k < STEPS && !e; k++)
         e = try_step(s, k, out);
     sum_up(s, out);

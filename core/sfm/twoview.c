@@ -93,7 +93,7 @@ static bool eliminate_cubics(double a[10][CUBIC])
     return true;
 }
 
-static double evaluate(const double *p, int degree, double z)
+static double evaluate_polynomial(const double *p, int degree, double z)
 {
     double v = p[degree];
     for (int i = degree - 1; i >= 0; i--)
@@ -104,10 +104,10 @@ static double evaluate(const double *p, int degree, double z)
 /* The root of p between lo and hi, where it changes sign. */
 static double bracketed_root(const double *p, const double *slope, int degree, double lo, double hi)
 {
-    bool rising = evaluate(p, degree, lo) < 0;
+    bool rising = evaluate_polynomial(p, degree, lo) < 0;
     double z = 0.5 * (lo + hi);
     for (int i = 0; i < 80 && hi - lo > 1e-14 * (1 + fabs(z)); i++) {
-        double v = evaluate(p, degree, z), d = evaluate(slope, degree - 1, z);
+        double v = evaluate_polynomial(p, degree, z), d = evaluate_polynomial(slope, degree - 1, z);
         if ((v < 0) == rising)
             lo = z;
         else
@@ -137,7 +137,8 @@ static int roots_of(const double p[11], double limit, double roots[10])
         old[0] = -limit;
         old[n + 1] = limit;
         for (int i = 0; i <= n; i++) {
-            double lo = evaluate(chain[d], d, old[i]), hi = evaluate(chain[d], d, old[i + 1]);
+            double lo = evaluate_polynomial(chain[d], d, old[i]),
+                   hi = evaluate_polynomial(chain[d], d, old[i + 1]);
             if ((lo < 0) == (hi < 0))
                 continue;
             const double *slope = d > 1 ? chain[d - 1] : &constant;
@@ -232,7 +233,7 @@ static bool solve_xy(const double b[3][3][5], double z, double *x, double *y)
     double row[3][3], best[3] = {0};
     for (int i = 0; i < 3; i++)
         for (int c = 0; c < 3; c++)
-            row[i][c] = evaluate(b[i][c], c < 2 ? 3 : 4, z);
+            row[i][c] = evaluate_polynomial(b[i][c], c < 2 ? 3 : 4, z);
     for (int i = 0; i < 3; i++) {
         double n[3];
         lin_cross(row[i], row[(i + 1) % 3], n);

@@ -34,7 +34,7 @@ static const struct uri_key keys[] = {
     {"module", AT(module), URI_STRING, 0, 0, NULL},
 };
 
-static err_t parse(const char *uri, struct options *o)
+static err_t parse_uri(const char *uri, struct options *o)
 {
     size_t skip = sizeof scheme - 1;
     *o = (struct options){.stamp = CAMERA_STAMP_END};
@@ -105,7 +105,7 @@ static err_t lib_open(void *st, const struct camera_cfg *cfg)
     struct options o;
     struct focus focus;
     memset(s, 0, sizeof *s);
-    err_t e = parse(cfg->uri, &o);
+    err_t e = parse_uri(cfg->uri, &o);
     if (!e)
         e = focus_parse("libcamera", o.focus, LENS_MOST, &focus);
     if (!e && (cfg->buffers < 0 || cfg->buffers > CAMERA_BUFFERS_MAX))

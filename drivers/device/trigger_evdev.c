@@ -32,7 +32,7 @@ static const struct uri_key keys[] = {
     {"key", offsetof(struct state, key), URI_WHOLE, 1, KEY_MAX, NULL},
 };
 
-static err_t parse(struct state *s, const char *uri)
+static err_t parse_uri(struct state *s, const char *uri)
 {
     size_t skip = sizeof scheme - 1;
     if (strncmp(uri, scheme, skip) != 0)
@@ -82,7 +82,7 @@ err_t trigger_evdev_open_with(void *st, const char *uri, const struct device_sys
     struct state *s = st;
     memset(s, 0, sizeof *s);
     s->sys = sys;
-    err_t e = parse(s, uri);
+    err_t e = parse_uri(s, uri);
     if (e)
         return e;
     s->fd = sys->open(s->path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);

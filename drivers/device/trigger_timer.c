@@ -18,7 +18,7 @@ struct state {
     uint32_t count;
 };
 
-static err_t parse(const char *uri, int64_t *period_ns)
+static err_t parse_uri(const char *uri, int64_t *period_ns)
 {
     size_t skip = sizeof scheme - 1;
     const char *text = uri + skip;
@@ -39,7 +39,7 @@ static err_t timer_open(void *st, const char *uri)
 {
     struct state *s = st;
     memset(s, 0, sizeof *s);
-    err_t e = parse(uri, &s->period_ns);
+    err_t e = parse_uri(uri, &s->period_ns);
     if (e)
         return e;
     s->fd = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);

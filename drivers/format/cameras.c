@@ -322,7 +322,7 @@ err_t cameras_has(const char *what, const struct rig *rig, const char *name, boo
 }
 
 /* One of the sizes may be rounded to whole pixels. */
-static bool fits(const struct camera *cam, int w, int h)
+static bool fits_picture(const struct camera *cam, int w, int h)
 {
     const double sx = (double)w / cam->w;
     return (cam->w == w && cam->h == h) || fabs(sx * cam->h - h) <= 1 || fabs(h / sx - cam->h) <= 1;
@@ -378,9 +378,9 @@ err_t cameras_find(const char *what, const struct rig *rig, const struct cameras
                      rig->n);
     if (e)
         return e;
-    const bool upright = fits(&v->cam, w, h);
+    const bool upright = fits_picture(&v->cam, w, h);
     const bool turn =
-        o > 1 && fits(&v->cam, lies ? h : w, lies ? w : h) && (rig->stored || !upright);
+        o > 1 && fits_picture(&v->cam, lies ? h : w, lies ? w : h) && (rig->stored || !upright);
     if (!turn && !upright)
         return err_fail(ERR_FORMAT,
                         "%s: camera %s is for %d x %d px, image %s has %d x %d: another aspect",

@@ -115,7 +115,7 @@ static const char *const shapes[] = {NULL, "SCALAR", NULL, "VEC3", "VEC4"};
 
 /* ---- writing ---- */
 
-static float position(const struct gaussians *g, int k, int i)
+static float splat_position(const struct gaussians *g, int k, int i)
 {
     return g->plane[G_MU + k][i] * (float)splats_sign(G_MU + k, SPLATS_LUF);
 }
@@ -125,10 +125,10 @@ static void put_bounds(FILE *f, const struct gaussians *g)
 {
     float v[2][3];
     for (int k = 0; k < 3; k++) {
-        v[0][k] = v[1][k] = position(g, k, 0);
+        v[0][k] = v[1][k] = splat_position(g, k, 0);
         for (int i = 1; i < g->n; i++) {
-            v[0][k] = fminf(v[0][k], position(g, k, i));
-            v[1][k] = fmaxf(v[1][k], position(g, k, i));
+            v[0][k] = fminf(v[0][k], splat_position(g, k, i));
+            v[1][k] = fmaxf(v[1][k], splat_position(g, k, i));
         }
     }
     for (int end = 0; end < 2; end++)
@@ -173,7 +173,7 @@ static void put_json(FILE *f, const struct scene *s, const struct list *l)
     putc('}', f);
 }
 
-static float shown(const float *display, int c)
+static float shown_colour(const float *display, int c)
 {
     return fminf(fmaxf((float)(0.5 + SH_BASIS0 * (double)display[c]), 0), 1);
 }
@@ -187,7 +187,7 @@ static double opacity(const struct gaussians *g, int i)
 static uint8_t *put_colour_0(const struct gaussians *g, const float *display, int i, uint8_t *b)
 {
     for (int c = 0; c < 3; c++)
-        b = bytes_put_u16(b, (uint16_t)lrintf(65535 * display_decode(shown(display, c))));
+        b = bytes_put_u16(b, (uint16_t)lrintf(65535 * display_decode(shown_colour(display, c))));
     return bytes_put_u16(b, (uint16_t)lrint(65535 * opacity(g, i)));
 }
 
@@ -211,7 +211,7 @@ static uint8_t *put_value(const struct attribute *a, const struct gaussians *g,
     switch (a->source) {
     case POSITION:
         for (int k = 0; k < 3; k++)
-            b = bytes_put_f32(b, position(g, k, i));
+            b = bytes_put_f32(b, splat_position(g, k, i));
         return b;
     case COLOUR_0:
         return put_colour_0(g, display, i, b);
@@ -704,8 +704,8 @@ static err_t peek(const struct splats_bytes *file, struct splats_info *out)
     return e;
 }
 
-static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                   struct gaussians_report *report)
+static err_t parse_glb(const struct splats_bytes *file, float ev, struct arena *a,
+                       struct gaussians *g, struct gaussians_report *report)
 {
     struct layout l;
     size_t mark = arena_mark(a);
@@ -729,4 +729,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format glb_format = {UINT32_MAX, INFINITY, peek, parse};
+const struct splats_format glb_format = {UINT32_MAX, INFINITY, peek, parse_glb};

@@ -36,7 +36,7 @@ void layout_keep_half(bool inputs, struct capture *c)
     c->n = n;
 }
 
-static const struct rig_view *find(const struct rig *rig, const char *name)
+static const struct rig_view *find_view(const struct rig *rig, const char *name)
 {
     for (int i = 0; i < rig->n; i++)
         if (rig->views[i].has_exposure && strcmp(rig->views[i].name, name) == 0)
@@ -52,9 +52,9 @@ static err_t times_of_rig(const char *path, struct capture *c, bool *found)
         return e;
     *found = true;
     for (int i = 0; i < c->n && *found; i++)
-        *found = find(&rig, c->shots[i].name) != NULL;
+        *found = find_view(&rig, c->shots[i].name) != NULL;
     for (int i = 0; i < c->n && *found; i++)
-        c->shots[i].exposure = exp2((double)find(&rig, c->shots[i].name)->exposure_log2);
+        c->shots[i].exposure = exp2((double)find_view(&rig, c->shots[i].name)->exposure_log2);
     cameras_free(&rig);
     return OK;
 }

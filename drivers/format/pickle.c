@@ -54,7 +54,7 @@ static struct pickle_value *value(const struct machine *m, int v)
     return &m->out->values[v];
 }
 
-static err_t push(struct machine *m, int v)
+static err_t push_value(struct machine *m, int v)
 {
     err_t e = grow_array(m, &m->stack, &m->stack_cap, m->n_stack + 1, sizeof *m->stack);
     if (!e)
@@ -69,7 +69,7 @@ static err_t push_new(struct machine *m, struct pickle_value v)
     if (e)
         return e;
     p->values[p->n_values] = v;
-    return push(m, p->n_values++);
+    return push_value(m, p->n_values++);
 }
 
 static struct pickle_value empty_value(enum pickle_kind kind)
@@ -103,7 +103,7 @@ static err_t push_opaque(struct machine *m, size_t n)
     return push_kind(m, PICKLE_OPAQUE);
 }
 
-static err_t pop(struct machine *m, int *out)
+static err_t pop_value(struct machine *m, int *out)
 {
     *out = NOTHING;
     if (m->n_stack == 0 || m->stack[m->n_stack - 1] == MARK)
@@ -112,7 +112,7 @@ static err_t pop(struct machine *m, int *out)
     return OK;
 }
 
-static err_t append(struct machine *m, int container, int v)
+static err_t append_item(struct machine *m, int container, int v)
 {
     struct pickle *p = m->out;
     err_t e = grow_array(m, &p->items, &p->items_cap, p->n_items + 1, sizeof *p->items);
@@ -153,9 +153,9 @@ static err_t make_container(struct machine *m, enum pickle_kind kind, int first,
         return e;
     int made = m->stack[m->n_stack - 1];
     for (int i = first; i < n && !e; i++)
-        e = append(m, made, m->stack[i]);
+        e = append_item(m, made, m->stack[i]);
     m->n_stack = keep;
-    return e ? e : push(m, made);
+    return e ? e : push_value(m, made);
 }
 
 static err_t gather_mark(struct machine *m, enum pickle_kind kind)
@@ -192,7 +192,7 @@ static err_t extend_container(struct machine *m, int first, int below, enum pick
         if (m->stack[i] == MARK)
             e = refuse_opcode(m, "stack is empty");
         else if (is == kind)
-            e = append(m, container, m->stack[i]);
+            e = append_item(m, container, m->stack[i]);
     }
     m->n_stack = at + 1;
     return e;
@@ -262,9 +262,9 @@ static err_t global_of_lines(struct machine *m)
 static err_t global_of_stack(struct machine *m)
 {
     int name, module;
-    err_t e = pop(m, &name);
+    err_t e = pop_value(m, &name);
     if (!e)
-        e = pop(m, &module);
+        e = pop_value(m, &module);
     if (e)
         return e;
     const struct pickle_value *a = value(m, module), *b = value(m, name);
@@ -307,9 +307,9 @@ static err_t from_type(struct machine *m, const struct pickle_value *args)
 static err_t reduce(struct machine *m)
 {
     int args, function;
-    err_t e = pop(m, &args);
+    err_t e = pop_value(m, &args);
     if (!e)
-        e = pop(m, &function);
+        e = pop_value(m, &function);
     if (e)
         return e;
     const struct pickle_value given = *value(m, args), called = *value(m, function);
@@ -320,7 +320,7 @@ static err_t reduce(struct machine *m)
     if (called.global == PICKLE_ORDERED_DICT && given.count == 0)
         return push_kind(m, PICKLE_DICT);
     if (called.global == PICKLE_REBUILD_PARAMETER && given.count > 0)
-        return push(m, m->out->items[given.first].value);
+        return push_value(m, m->out->items[given.first].value);
     if (called.global == PICKLE_REBUILD_TENSOR)
         return push_tensor(m, given);
     if (called.global == PICKLE_REBUILD_FROM_TYPE)
@@ -336,14 +336,14 @@ static err_t new_object(struct machine *m, int n)
     int gone;
     err_t e = OK;
     for (int i = 0; i < n && !e; i++)
-        e = pop(m, &gone);
+        e = pop_value(m, &gone);
     return e ? e : push_kind(m, PICKLE_OPAQUE);
 }
 
-static err_t persistent(struct machine *m)
+static err_t load_persistent(struct machine *m)
 {
     int id;
-    err_t e = pop(m, &id);
+    err_t e = pop_value(m, &id);
     if (e)
         return e;
     struct pickle_value storage = *value(m, id);
@@ -375,7 +375,7 @@ static err_t memo_get(struct machine *m, uint32_t at)
 {
     if (at >= (uint32_t)m->n_memo || m->memo[at] == NOTHING)
         return refuse_opcode(m, "a memo that was never written");
-    return push(m, m->memo[at]);
+    return push_value(m, m->memo[at]);
 }
 
 /* ---- opcodes ---- */
@@ -451,7 +451,7 @@ static int run_container(struct machine *m)
     case 0x8f: // EMPTY_SET
         return push_kind(m, PICKLE_OPAQUE);
     case '(': // MARK
-        return push(m, MARK);
+        return push_value(m, MARK);
     case 't': // TUPLE
         return gather_mark(m, PICKLE_TUPLE);
     case 'l': // LIST
@@ -490,7 +490,7 @@ static err_t drop_mark(struct machine *m)
 
 static err_t check_end(struct machine *m)
 {
-    err_t e = pop(m, &m->out->root);
+    err_t e = pop_value(m, &m->out->root);
     if (!e && m->n_stack != 0)
         e = refuse_opcode(m, "values left over");
     m->done = true;
@@ -529,14 +529,14 @@ static int run_other(struct machine *m)
         return new_object(m, 3);
     case 'b': // BUILD: the attributes of an object
     case '0': // POP
-        return pop(m, &v);
+        return pop_value(m, &v);
     case '1': // POP_MARK
         return drop_mark(m);
     case '2': // DUP
         return m->n_stack == 0 ? refuse_opcode(m, "stack is empty")
-                               : push(m, m->stack[m->n_stack - 1]);
+                               : push_value(m, m->stack[m->n_stack - 1]);
     case 'Q': // BINPERSID
-        return persistent(m);
+        return load_persistent(m);
     case '.': // STOP
         return check_end(m);
     default:

@@ -173,7 +173,7 @@ static bool split_words(const char *line, size_t n, struct words *out)
     return true;
 }
 
-static bool is(const struct words *w, int n, const char *first)
+static bool word_is(const struct words *w, int n, const char *first)
 {
     return w->n == n && strcmp(w->v[0], first) == 0;
 }
@@ -188,7 +188,7 @@ static const struct property *find_property(const struct header *h, const char *
 
 static err_t take_property(const char *what, const struct words *w, struct header *h)
 {
-    if (!is(w, 3, "property"))
+    if (!word_is(w, 3, "property"))
         return err_fail(ERR_UNSUPPORTED, "%s: lists in the vertex element are not read", what);
     int type = 0;
     while (type < N_TYPES && strcmp(types[type].name, w->v[1]) != 0)
@@ -234,7 +234,7 @@ static err_t take_element(const char *what, const struct words *w, struct header
 
 static err_t take_line(const char *what, const struct words *w, struct header *h)
 {
-    if (is(w, 3, "format")) {
+    if (word_is(w, 3, "format")) {
         if (strcmp(w->v[1], "binary_little_endian") != 0 || strcmp(w->v[2], "1.0") != 0)
             return err_fail(ERR_UNSUPPORTED,
                             "%s: format %s %s, only binary_little_endian 1.0 is read", what,
@@ -242,7 +242,7 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
         h->has_format = true;
         return OK;
     }
-    if (is(w, 3, "element"))
+    if (word_is(w, 3, "element"))
         return take_element(what, w, h);
     if (w->n > 0 && strcmp(w->v[0], "property") == 0)
         return h->in_vertex ? take_property(what, w, h) : OK; // later elements are ignored
@@ -254,7 +254,7 @@ static err_t take_line(const char *what, const struct words *w, struct header *h
 static err_t take_comment(const char *what, const char *line, size_t n, struct header *h)
 {
     struct words w;
-    if (!split_words(line, n, &w) || !is(&w, 4, "comment") || strcmp(w.v[1], "ihdr") != 0 ||
+    if (!split_words(line, n, &w) || !word_is(&w, 4, "comment") || strcmp(w.v[1], "ihdr") != 0 ||
         strcmp(w.v[2], "ev") != 0)
         return OK;
     char *end;
@@ -294,9 +294,9 @@ static err_t take_lines(const struct splats_bytes *file, struct header *h)
         if (!split_words(line, n, &w))
             return err_fail(ERR_FORMAT, "%s: header line %d has words too many or too long",
                             file->what, number);
-        if (number == 1 && !is(&w, 1, "ply"))
+        if (number == 1 && !word_is(&w, 1, "ply"))
             return err_fail(ERR_FORMAT, "%s: not a PLY file", file->what);
-        if (is(&w, 1, "end_header"))
+        if (word_is(&w, 1, "end_header"))
             break;
         err_t e = number > 1 ? take_line(file->what, &w, h) : OK;
         if (e)
@@ -531,8 +531,8 @@ static err_t peek(const struct splats_bytes *file, struct splats_info *out)
     return e;
 }
 
-static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                   struct gaussians_report *report)
+static err_t parse_ply(const struct splats_bytes *file, float ev, struct arena *a,
+                       struct gaussians *g, struct gaussians_report *report)
 {
     struct header h;
     struct sources s;
@@ -550,4 +550,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format ply_format = {(uint64_t)64 << 30, INFINITY, peek, parse};
+const struct splats_format ply_format = {(uint64_t)64 << 30, INFINITY, peek, parse_ply};

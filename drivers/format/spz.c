@@ -466,8 +466,8 @@ static err_t peek(const struct splats_bytes *file, struct splats_info *out)
     return e;
 }
 
-static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, struct gaussians *g,
-                   struct gaussians_report *report)
+static err_t parse_spz(const struct splats_bytes *file, float ev, struct arena *a,
+                       struct gaussians *g, struct gaussians_report *report)
 {
     struct layout l;
     size_t mark = arena_mark(a);
@@ -493,4 +493,4 @@ static err_t parse(const struct splats_bytes *file, float ev, struct arena *a, s
     return OK;
 }
 
-const struct splats_format spz_format = {(uint64_t)64 << 30, SPZ_HEADROOM, peek, parse};
+const struct splats_format spz_format = {(uint64_t)64 << 30, SPZ_HEADROOM, peek, parse_spz};

@@ -70,7 +70,7 @@ static err_t get_focal(const struct frame *f, int w, struct lens *l)
     return get_number(f, "fl_y", &l->fy, &has_y);
 }
 
-static bool holds(enum lens_model m, const struct lens *l)
+static bool model_holds_lens(enum lens_model m, const struct lens *l)
 {
     const int terms = m == LENS_PINHOLE         ? 0
                       : m == LENS_SIMPLE_RADIAL ? 1
@@ -99,7 +99,7 @@ static err_t get_terms(const struct frame *f, struct lens *l)
             e = err_fail(ERR_UNSUPPORTED, "%s: \"%s\" is %g, and %s has no such term", f->what, key,
                          other, lens_name(fisheye ? LENS_OPENCV_FISHEYE : LENS_OPENCV));
     }
-    if (!fisheye && !holds(l->model, l))
+    if (!fisheye && !model_holds_lens(l->model, l))
         l->model = LENS_OPENCV;
     return e;
 }

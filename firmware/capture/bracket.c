@@ -190,8 +190,8 @@ static void forget_kept(struct camera_state *c)
     label_forget(&c->label, false);
 }
 
-static void stop(struct bracket *b, struct camera_state *culprit, enum bracket_reason why,
-                 int64_t now_ns)
+static void stop_bracket(struct bracket *b, struct camera_state *culprit, enum bracket_reason why,
+                         int64_t now_ns)
 {
     b->state = BRACKET_FAULT;
     b->reason = why;
@@ -234,7 +234,7 @@ static void light_changed(struct bracket *b, struct camera_state *c, const struc
 {
     // only once, and not when it is too dark or bright to compare anything
     if (c->forgets++ || !(k->measured || k->changed)) {
-        stop(b, c, BRACKET_SCENE_CHANGED, now_ns);
+        stop_bracket(b, c, BRACKET_SCENE_CHANGED, now_ns);
         return;
     }
     forget_kept(c);
@@ -343,7 +343,7 @@ static void use_known(struct bracket *b, struct camera_state *c, const struct br
     if (has_all_exposures(c))
         end_camera(b, c);
     else if (c->phase == CHECK && label_alone(&c->label) && c->suspect >= 0)
-        stop(b, c, BRACKET_INEFFECTIVE, ev->now_ns);
+        stop_bracket(b, c, BRACKET_INEFFECTIVE, ev->now_ns);
     else if (c->phase == CHECK && label_alone(&c->label))
         enter_phase(c, REST);
 }
@@ -360,9 +360,9 @@ static void judge_at_rest(struct bracket *b, struct camera_state *c, const struc
     bool still = c->since - c->still_since > e->age_hi - c->label.lo + 1 && !isnan(c->still) &&
                  fabs(e->stops - e->from) > 2.0 * tolerance;
     if (k->disagrees)
-        stop(b, c, BRACKET_DISAGREES, now_ns);
+        stop_bracket(b, c, BRACKET_DISAGREES, now_ns);
     else if (still)
-        stop(b, c, BRACKET_INEFFECTIVE, now_ns);
+        stop_bracket(b, c, BRACKET_INEFFECTIVE, now_ns);
     else if (c->phase == CHECK)
         light_changed(b, c, k, now_ns);
     else {
@@ -434,14 +434,14 @@ static void refuse_frame(struct bracket *b, struct camera_state *c, enum bracket
     c->rejected++;
     c->cause = why;
     if (++c->bad >= BAD_MAX)
-        stop(b, c, why, now_ns);
+        stop_bracket(b, c, why, now_ns);
 }
 
 static void wait_at_base(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
 {
     settle_reference(c, ev);
     if (c->judged >= BAD_MAX)
-        stop(b, c, BRACKET_DISAGREES, ev->now_ns);
+        stop_bracket(b, c, BRACKET_DISAGREES, ev->now_ns);
     else if (c->settled >= 2)
         enter_phase(c, first_phase(c));
 }
@@ -463,7 +463,7 @@ static void handle_frame(struct bracket *b, struct camera_state *c, const struct
     if (b->state != BRACKET_SHOOTING)
         return;
     if (c->frames >= FRAMES_MAX * (c->plan.n + c->label.doubt))
-        stop(b, c, c->cause, ev->now_ns);
+        stop_bracket(b, c, c->cause, ev->now_ns);
     else
         request_next(c, ev->now_ns);
 }
@@ -594,9 +594,9 @@ static void on_answer(struct bracket *b, struct camera_state *c, const struct br
     if (c->next.index != LABEL_BASE && c->state[c->next.index] == ASKED)
         c->state[c->next.index] = MISSING;
     if (ev->err == ERR_LOST)
-        stop(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+        stop_bracket(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
     else if (++c->refusals >= REFUSALS_MAX)
-        stop(b, c, BRACKET_REFUSED, ev->now_ns);
+        stop_bracket(b, c, BRACKET_REFUSED, ev->now_ns);
 }
 
 static void on_lost(struct bracket *b, struct camera_state *c, const struct bracket_event *ev)
@@ -604,7 +604,7 @@ static void on_lost(struct bracket *b, struct camera_state *c, const struct brac
     c->armed = c->asking = c->restarting = c->request = false;
     c->settled = 0;
     if (b->state == BRACKET_SHOOTING && c->plan.n > 0)
-        stop(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
+        stop_bracket(b, c, BRACKET_DEVICE_LOST, ev->now_ns);
     else if (b->state == BRACKET_ARMED)
         b->state = BRACKET_IDLE;
 }
@@ -637,7 +637,7 @@ static void on_tick(struct bracket *b, int64_t now_ns)
         if (c->phase == OVER || now_ns < camera_deadline(c))
             continue;
         if (c->restarts++) {
-            stop(b, c, BRACKET_STALLED, now_ns);
+            stop_bracket(b, c, BRACKET_STALLED, now_ns);
             return;
         }
         c->restarting = c->restart = true;
@@ -694,7 +694,7 @@ err_t bracket_event(struct bracket *b, const struct bracket_event *ev)
         break;
     case BRACKET_CANCEL:
         if (b->state == BRACKET_SHOOTING)
-            stop(b, NULL, BRACKET_CANCELLED, ev->now_ns);
+            stop_bracket(b, NULL, BRACKET_CANCELLED, ev->now_ns);
         break;
     }
     return OK;

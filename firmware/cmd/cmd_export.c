@@ -82,7 +82,7 @@ static err_t export_scene(const struct request *rq, struct state *st)
 }
 
 /* NULL if the options fit together. */
-static const char *misuse(struct request *rq)
+static const char *misuse_reason(struct request *rq)
 {
     const char *file = rq->nerfstudio;
     const size_t n = file ? strlen(file) : 0;
@@ -133,7 +133,7 @@ int cmd_export_run(int argc, char **argv)
     }
     if (!cmd_parse(&usage, argc, argv, &rq.cfg, &code))
         return code;
-    const char *reason = misuse(&rq);
+    const char *reason = misuse_reason(&rq);
     if (reason)
         return cmd_misuse(&usage, reason);
     rq.rules.inputs[0] = rq.scene;

@@ -50,8 +50,8 @@ struct list {
     size_t step;
 };
 
-static void put(const struct run *r, const struct list *l, const char *name, int k,
-                const float *data)
+static void put_tensor(const struct run *r, const struct list *l, const char *name, int k,
+                       const float *data)
 {
     char full[32];
     snprintf(full, sizeof full, "%s.%s", l->prefix, name);
@@ -75,9 +75,9 @@ static void put_gaussians(const struct run *r, const struct list *l, const struc
     for (int k = 0; k < 3; k++)
         for (int i = 0; i < g->n; i++)
             scratch[(size_t)(k + 1) * l->step + (size_t)i] = expf(g->plane[G_LOG_SCALE + k][i]);
-    put(r, l, "opacities", 1, scratch);
-    put(r, l, "scales", 3, scratch + l->step);
-    put(r, l, "rotations", 4, g->plane[G_QUAT + 1]); // x,y,z,w
+    put_tensor(r, l, "opacities", 1, scratch);
+    put_tensor(r, l, "scales", 3, scratch + l->step);
+    put_tensor(r, l, "rotations", 4, g->plane[G_QUAT + 1]); // x,y,z,w
     snprintf(full, sizeof full, "%s.harmonics", l->prefix);
     tap_put(r, &(struct tap_tensor){.name = full,
                                     .rank = 4,
@@ -186,7 +186,8 @@ void dump_cells(const struct run *r, const struct voxels *v)
                                     .shape = {v->n, VOXEL_FEATURES},
                                     .data = v->features,
                                     .stride = {1, cap}});
-    put(r, &(struct list){"vox", v->n, 0, 1, cap}, "extra", EXTRA, v->features + VOXEL_EXTRA * cap);
+    put_tensor(r, &(struct list){"vox", v->n, 0, 1, cap}, "extra", EXTRA,
+               v->features + VOXEL_EXTRA * cap);
 }
 
 /* R diag(s^2) R^T of splat i, with s2 = 2 / (q q + 1e-8) (core/splat/README.md 6). */
@@ -222,7 +223,7 @@ err_t dump_gaussians(const struct run *r, const struct gaussians *g)
     err_t e = layout_gaussians(&work, r->tmp, g->cap);
     if (e)
         return e;
-    put(r, &l, "means", 3, g->plane[G_MU]);
+    put_tensor(r, &l, "means", 3, g->plane[G_MU]);
     put_gaussians(r, &l, g, work + 9 * cap);
     for (int i = 0; i < g->n; i++)
         covariance(g, i, work + 9 * (size_t)i);

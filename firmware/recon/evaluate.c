@@ -36,22 +36,22 @@ struct bench {
 
 enum { IMAGES = 3 };
 
-static void add(struct evaluate_score *s, double psnr, double ssim)
+static void add_score(struct evaluate_score *s, double psnr, double ssim)
 {
     s->n++;
     s->psnr += (psnr - s->psnr) / s->n;
     s->ssim += (ssim - s->ssim) / s->n;
 }
 
-static err_t compare(struct bench *b, const struct image *picture, const struct image *truth,
-                     struct evaluate_score *score)
+static err_t compare_picture(struct bench *b, const struct image *picture,
+                             const struct image *truth, struct evaluate_score *score)
 {
     double psnr, ssim;
     err_t e = metrics_psnr(picture, truth, &psnr);
     if (!e)
         e = metrics_ssim(picture, truth, b->r->tmp, &ssim);
     if (!e)
-        add(score, psnr, ssim);
+        add_score(score, psnr, ssim);
     return e;
 }
 
@@ -66,7 +66,7 @@ static void to_planar(const uint8_t *rgb, struct image *out)
 }
 
 /* Input view i_view as it would look at exposure log2t, into b->other. */
-static void reexpose(struct bench *b, int i_view, float log2t)
+static void reexpose_picture(struct bench *b, int i_view, float log2t)
 {
     const struct views *v = &b->j->views;
     const struct tonemap *tone = &b->j->response;
@@ -120,17 +120,17 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     int before = score->n;
     double psnr = score->psnr, ssim = score->ssim;
     to_planar(v->rgb, &b->truth);
-    e = compare(b, &b->draw.display, &b->truth, score);
+    e = compare_picture(b, &b->draw.display, &b->truth, score);
     if (!e) // the same figures go into the mean over all
-        add(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
-            ssim + (score->ssim - ssim) * (before + 1));
+        add_score(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
+                  ssim + (score->ssim - ssim) * (before + 1));
     const struct views *inputs = &b->j->views;
     const int near = inputs->n > 0 ? path_nearest(inputs->cams, inputs->n, &v->cams[0]) : -1;
     if (e || near < 0 || inputs->extent[near].w != v->extent[0].w ||
         inputs->extent[near].h != v->extent[0].h)
         return e;
-    reexpose(b, near, v->log2t[0]);
-    return compare(b, &b->other, &b->truth, &b->out->nearest);
+    reexpose_picture(b, near, v->log2t[0]);
+    return compare_picture(b, &b->other, &b->truth, &b->out->nearest);
 }
 
 /* ---- HDR ---- */
@@ -251,7 +251,7 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
         e = mu_law(&b->other, &b->other);
     if (!e)
         e = mu_law(&radiance, &b->mu);
-    return e ? e : compare(b, &b->mu, &b->other, &b->out->hdr);
+    return e ? e : compare_picture(b, &b->mu, &b->other, &b->out->hdr);
 }
 
 /* ---- all ---- */

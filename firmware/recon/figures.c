@@ -63,7 +63,7 @@ static double next_exposure(const struct views *v, double last, double apart)
 }
 
 /* Stops within which exposures are one, so that all find room. */
-static double apart(const struct views *v)
+static double exposure_tolerance(const struct views *v)
 {
     double lo = INFINITY, hi = -INFINITY;
     for (int i = 0; i < photographs(v); i++) {
@@ -79,7 +79,7 @@ void figures_init(struct figures *f, const struct views *v, const struct tonemap
     f->tone = tone;
     f->n = 0;
     response_tabulate(tone, &f->table);
-    const double merge = apart(v);
+    const double merge = exposure_tolerance(v);
     for (double t = next_exposure(v, -INFINITY, merge); f->n < FIGURES_EXPOSURES && isfinite(t);
          t = next_exposure(v, t, merge)) {
         double stops = t - (double)tone->mid_log2t;
@@ -116,7 +116,7 @@ static void expose_others(const struct figures *f, int own, struct codes *out)
     }
 }
 
-static void add(struct figures_exposure *e, const struct figures_input *in)
+static void add_figure(struct figures_exposure *e, const struct figures_input *in)
 {
     e->n++;
     e->clipped += (in->clipped - e->clipped) / e->n;
@@ -144,7 +144,7 @@ void figures_input(struct figures *f, int i, struct figures_input *out)
     out->clipped = (double)clipped / (double)n;
     out->dark = (double)dark / (double)n;
     out->alone = (double)alone / (double)n;
-    add(&f->exposure[own], out);
+    add_figure(&f->exposure[own], out);
 }
 
 #define BLACK_BRIGHT 1e-4    // most pixels of a black photograph that are not dark

@@ -59,7 +59,7 @@ void network_clock_skip(struct network_clock *c, double seconds, double busy)
 }
 
 /* Stages follow one another; one that comes again is moved to the end of the list. */
-static void enter(struct network_clock *c, const char *name)
+static void enter_stage(struct network_clock *c, const char *name)
 {
     int i = 0;
     while (i < c->n && strcmp(c->stage[i].name, name) != 0)
@@ -84,9 +84,9 @@ static void timed_step(void *ctx, const char *stage, int done, int total, const 
     struct network_clock *c = ctx;
     if (done == 0) { // it begins: the time before was another's
         network_clock_stop(c);
-        enter(c, stage);
+        enter_stage(c, stage);
     } else { // it has done something
-        enter(c, stage);
+        enter_stage(c, stage);
         network_clock_stop(c);
     }
     if (c->next)

@@ -31,7 +31,7 @@ static int find_camera(const struct job_result *j, const char *id)
 }
 
 /* camera: (places). False if there are more than can be told apart. */
-static bool group(const struct capture *c, struct job_result *j, int *camera)
+static bool group_cameras(const struct capture *c, struct job_result *j, int *camera)
 {
     const struct views *v = &j->views;
     j->n_light = 0;
@@ -77,7 +77,8 @@ static void set_models(const struct job_result *j, const int *camera, struct sha
 }
 
 /* Largest difference of the models from those in room, stops. */
-static double change(const struct job_result *j, const int *camera, const struct shade *room)
+static double largest_change(const struct job_result *j, const int *camera,
+                             const struct shade *room)
 {
     double most = 0;
     for (int i = 0; i < j->views.n; i++) {
@@ -94,8 +95,8 @@ static double change(const struct job_result *j, const int *camera, const struct
 
 /* ---- the step ---- */
 
-static err_t find(const struct run *r, const struct shading_input *in, const int *camera,
-                  struct job_result *out)
+static err_t fit_models(const struct run *r, const struct shading_input *in, const int *camera,
+                        struct job_result *out)
 {
     struct shade_fit_camera found[SHADE_FIT_CAMERAS];
     const struct shade_fit_input from = {.v = in->seen,
@@ -115,7 +116,7 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
     const struct tonemap before = *in->tone;
     int camera[BUNDLE_VIEWS_MAX];
     err_t e = OK;
-    if (out->views.n > BUNDLE_VIEWS_MAX || !group(in->capture, out, camera)) {
+    if (out->views.n > BUNDLE_VIEWS_MAX || !group_cameras(in->capture, out, camera)) {
         out->n_light = 0;
         return OK;
     }
@@ -125,10 +126,10 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
     for (int i = 0; i < out->views.n; i++)
         in->room[i].model = (struct shade_model){.gain = {0}};
     for (int k = 0; k < ROUNDS && !e; k++) {
-        e = find(r, in, camera, out);
+        e = fit_models(r, in, camera, out);
         if (e || !is_found(out))
             break;
-        const bool settled = change(out, camera, in->room) < SETTLED;
+        const bool settled = largest_change(out, camera, in->room) < SETTLED;
         set_models(out, camera, in->room);
         in->seen->shade = out->views.shade = in->room;
         if (settled || !in->refit)

@@ -20,7 +20,7 @@ struct wanted {
     bool found;
 };
 
-static err_t pick(void *ctx, const struct tensor_spec *t)
+static err_t pick_tensor(void *ctx, const struct tensor_spec *t)
 {
     struct wanted *w = ctx;
     if (strcmp(t->name, w->name) == 0) {
@@ -36,7 +36,7 @@ static err_t read_tensor(const struct smooth *s, const struct run *r, const char
 {
     struct wanted w = {.found = false};
     snprintf(w.name, sizeof w.name, "%s%s", prefix, suffix);
-    err_t e = table_walk(s->dims, pick, &w);
+    err_t e = table_walk(s->dims, pick_tensor, &w);
     if (!e && !w.found)
         e = err_fail(ERR_FORMAT, "%s: no such tensor", w.name);
     if (e)

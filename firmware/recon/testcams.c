@@ -197,8 +197,8 @@ static void known_focals(const struct scene *s, const struct capture *test, cons
 }
 
 /* Cameras of all views in a world of their own. */
-static err_t locate(const struct run *r, const struct job_config *cfg, const struct views *all,
-                    const struct bundle_lens *lens, struct camera **out)
+static err_t locate_all(const struct run *r, const struct job_config *cfg, const struct views *all,
+                        const struct bundle_lens *lens, struct camera **out)
 {
     struct prediction p = {.geom = {.cams = NULL}};
     struct bundle_result b;
@@ -218,8 +218,8 @@ static err_t locate(const struct run *r, const struct job_config *cfg, const str
 }
 
 /* The test views among them, in the world of the scene. */
-static err_t place(const struct run *r, const struct scene *s, const struct bundle_lens *lens,
-                   int n, struct camera *cams)
+static err_t place_test_views(const struct run *r, const struct scene *s,
+                              const struct bundle_lens *lens, int n, struct camera *cams)
 {
     struct similarity w;
     err_t e = similarity_fit(r, cams, s->cams, s->n_views, &w);
@@ -249,8 +249,9 @@ static err_t shade(const struct run *r, const struct job_result *j, const struct
     return e;
 }
 
-static err_t align(const struct run *r, const struct job_result *j, const struct capture *test,
-                   const struct views *all, const struct bundle_lens *lens, struct camera *cams)
+static err_t align_test_views(const struct run *r, const struct job_result *j,
+                              const struct capture *test, const struct views *all,
+                              const struct bundle_lens *lens, struct camera *cams)
 {
     const struct scene *s = &j->scene;
     const size_t first = (size_t)s->n_views;
@@ -260,7 +261,7 @@ static err_t align(const struct run *r, const struct job_result *j, const struct
                       .rgb = all->rgb, // the extents count from there
                       .log2t = all->log2t + first,
                       .cams = cams + first};
-    err_t e = place(r, s, lens, all->n, cams);
+    err_t e = place_test_views(r, s, lens, all->n, cams);
     if (!e)
         e = shade(r, j, test, &v);
     return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
@@ -293,10 +294,10 @@ err_t testcams_run(const struct run *r, const struct job_config *cfg, const stru
             e = add_view(r, test, middle_picture(&test->capture, i), at++, &all);
     if (!e) {
         known_focals(&j->scene, &test->capture, &all, lens);
-        e = locate(r, cfg, &all, lens, &cams);
+        e = locate_all(r, cfg, &all, lens, &cams);
     }
     if (!e)
-        e = align(r, j, &test->capture, &all, lens, cams);
+        e = align_test_views(r, j, &test->capture, &all, lens, cams);
     if (!e)
         give_cameras(cams + n, &test->capture);
     arena_reset(r->keep, mark);

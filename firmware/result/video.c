@@ -109,7 +109,7 @@ static void read_text(int fd, size_t cap, char *text)
 }
 
 /* err:  ERR_IO or ERR_LIMIT with the first thing that ffmpeg said, if it said any or failed. */
-static err_t judge(const char *what, int messages, int status)
+static err_t explain_exit(const char *what, int messages, int status)
 {
     char line[LINE_CAP];
     read_text(messages, sizeof line, line);
@@ -150,7 +150,7 @@ static err_t find_format(struct video *v)
     if (!e)
         e = spawn(argv, -1, list, v->messages, &v->pid);
     if (!e)
-        e = judge("its list of encoders", v->messages, wait_for(&v->pid));
+        e = explain_exit("its list of encoders", v->messages, wait_for(&v->pid));
     if (!e) {
         read_text(list, TEXT_CAP, text);
         v->format = choose(text);
@@ -166,7 +166,7 @@ static err_t find_format(struct video *v)
 
 /* ---- the film ---- */
 
-static err_t start(struct video *v, double fps)
+static err_t start_ffmpeg(struct video *v, double fps)
 {
     char size[32], rate[32], file[FILE_PATH_CAP], out[FILE_PATH_CAP + 8];
     int ends[2];
@@ -213,17 +213,17 @@ err_t video_open(const char *path, int w, int h, double fps, struct video *v)
     if (!e)
         e = partial_open(path, &v->partial);
     if (!e)
-        e = start(v, fps);
+        e = start_ffmpeg(v, fps);
     if (e)
         video_close(v);
     return e;
 }
 
 /* Why ffmpeg takes no more. */
-static err_t lost(struct video *v)
+static err_t fail_lost(struct video *v)
 {
     int status = wait_for(&v->pid);
-    err_t e = judge(v->path, v->messages, status);
+    err_t e = explain_exit(v->path, v->messages, status);
     return e ? e : err_fail(ERR_IO, "%s: ffmpeg ended too early", v->path);
 }
 
@@ -236,14 +236,14 @@ err_t video_put(struct video *v, const struct image8 *picture)
         ok =
             send_bytes(v->pipe, px, row) && (v->w % 2 == 0 || send_bytes(v->pipe, px + row - 3, 3));
     }
-    return is_cancelled() ? ERR_CANCELLED : ok ? OK : lost(v);
+    return is_cancelled() ? ERR_CANCELLED : ok ? OK : fail_lost(v);
 }
 
 err_t video_finish(struct video *v)
 {
     close(v->pipe);
     v->pipe = 0;
-    err_t e = judge(v->path, v->messages, wait_for(&v->pid));
+    err_t e = explain_exit(v->path, v->messages, wait_for(&v->pid));
     if (!e)
         e = partial_show(&v->partial, v->path);
     if (!e)

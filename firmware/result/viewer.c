@@ -114,7 +114,7 @@ static double stored_light(const struct gaussians *g, int colour, int i)
     return fmin(fmax(v, -(double)RASTER_LOG_MAX), (double)RASTER_LOG_MAX);
 }
 
-static void measure(struct page *p)
+static void find_ranges(struct page *p)
 {
     const struct scene *s = p->in->scene;
     double top = -INFINITY, middle = pow(0.5, (double)display_ev(&s->tone));
@@ -413,7 +413,7 @@ static err_t check_finite(const char *path, const char *what, const float *v, in
     return OK;
 }
 
-static err_t check(const char *path, const struct viewer_input *in)
+static err_t check_page(const char *path, const struct viewer_input *in)
 {
     const struct scene *s = in->scene;
     err_t e = OK;
@@ -439,10 +439,10 @@ err_t viewer_write(const char *path, const struct viewer_input *in)
 {
     const struct scene *s = in->scene;
     struct page p = {.in = in, .degree = page_degree(s->g.n, s->g.degree)};
-    err_t e = check(path, in);
+    err_t e = check_page(path, in);
     if (e)
         return e;
-    measure(&p);
+    find_ranges(&p);
     e = file_create(path, &p.f);
     if (e)
         return e;

@@ -43,7 +43,7 @@ struct words {
 
 /* ---- reading ---- */
 
-static err_t refuse(const char *what, const char *text)
+static err_t refuse_word(const char *what, const char *text)
 {
     return err_fail(ERR_ARG, "%s: \"%.64s\" is not a list like " OPTICS_WORDS, what, text);
 }
@@ -78,11 +78,11 @@ static err_t read_words(const char *what, const char *text, struct words *w)
     for (const char *at = text;; at++) {
         const int k = find_word(at);
         if (k == WORDS || w->given[k])
-            return refuse(what, text);
+            return refuse_word(what, text);
         w->given[k] = true;
         at += strlen(WORD[k].name);
         if (!read_values(k, &at, w->v[k]) || (*at && *at != ','))
-            return refuse(what, text);
+            return refuse_word(what, text);
         for (int i = 0; i < WORD[k].n; i++)
             if (!(w->v[k][i] >= WORD[k].lo && w->v[k][i] <= WORD[k].hi))
                 return err_fail(ERR_ARG, "%s: %s of %g, allowed are %g to %g", what, WORD[k].name,
@@ -142,7 +142,7 @@ err_t optics_parse(const char *what, const char *text, int size, double fov, str
     if (e)
         return e;
     if (w.given[FISHEYE] ? w.given[P1] || w.given[P2] : w.given[K3] || w.given[K4])
-        return refuse(what, text);
+        return refuse_word(what, text);
     if (w.given[SIZE]) {
         out->w = (int)w.v[SIZE][0];
         out->h = (int)w.v[SIZE][1];
