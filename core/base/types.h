@@ -43,6 +43,8 @@ struct camera {
 
 enum { NAME_CAP = 128 }; // bytes of an image name with its terminating 0
 
+struct rawframe;
+
 /* One photograph as it came from a file or a device. */
 struct shot {
     char name[NAME_CAP]; // file name without folder
@@ -53,12 +55,13 @@ struct shot {
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens
     int taken_w, taken_h;
-    bool deep;                // its file holds more than 8 bits
-    bool linear;              // its file holds linear values: display values are their sRGB
-    bool again;               // from the same place as the shot before it, at another exposure
-    char camera_id[NAME_CAP]; // photographs with the same one share the lens of a physical camera
-    double focal_px;          // expected by its metadata, for the photograph as taken; 0: not known
-    int turned;               // quarter turns clockwise from the sensor to the photograph, 0..3
+    bool deep;                  // its file holds more than 8 bits
+    bool linear;                // its file holds linear values: display values are their sRGB
+    const struct rawframe *raw; // numbers of the sensor, read instead of its file; NULL: none
+    bool again;                 // from the same place as the shot before it, at another exposure
+    char camera_id[NAME_CAP];   // photographs with the same one share the lens of a physical camera
+    double focal_px; // expected by its metadata, for the photograph as taken; 0: not known
+    int turned;      // quarter turns clockwise from the sensor to the photograph, 0..3
 };
 
 /* A set of photographs of one static scene. */

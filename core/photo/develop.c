@@ -119,6 +119,7 @@ struct conversion {
     float scale[3]; // from codes above black, per colour: 1 is white
     uint8_t code[LIGHT + 1];
     uint8_t *px;
+    uint16_t *px16; // instead of px
 };
 
 static double srgb_light(double z)
@@ -126,16 +127,29 @@ static double srgb_light(double z)
     return z <= 0.04045 ? z / 12.92 : pow((z + 0.055) / 1.055, 2.4);
 }
 
-static void conversion_init(const struct raw *in, const struct develop *how, uint8_t *px,
-                            struct conversion *p)
+uint16_t develop_srgb16(float v)
+{
+    if (!(v > 0))
+        return 0;
+    const float z = v >= 1 ? 1 : v <= 0.0031308f ? 12.92f * v : 1.055f * powf(v, 1 / 2.4f) - 0.055f;
+    return (uint16_t)(z * LIGHT + 0.5f);
+}
+
+static void set_scale(const struct raw *in, const struct develop *how, struct conversion *p)
 {
     float least = fminf(1.0f, fminf(how->red, how->blue));
     float unit = 1.0f / (float)((1 << in->bits) - 1 - in->black) / least;
     p->in = in;
-    p->px = px;
     p->scale[0] = unit * how->red;
     p->scale[1] = unit;
     p->scale[2] = unit * how->blue;
+}
+
+static void conversion_init(const struct raw *in, const struct develop *how, uint8_t *px,
+                            struct conversion *p)
+{
+    set_scale(in, how, p);
+    p->px = px;
     for (int z = 0, i = 0; z < 256; z++) {
         double end = z < 255 ? srgb_light((z + 0.5) / 255.0) * LIGHT : LIGHT + 1;
         for (; i < end; i++)
@@ -168,6 +182,15 @@ static void write_codes(const void *ctx, int y, int x, int n, float *const rgb[3
             to[c] = code_of(p, rgb[c][i]);
 }
 
+static void write_codes16(const void *ctx, int y, int x, int n, float *const rgb[3])
+{
+    const struct conversion *p = ctx;
+    uint16_t *to = p->px16 + 3 * ((size_t)y * (size_t)p->in->w + (size_t)x);
+    for (int i = 0; i < n; i++, to += 3)
+        for (int c = 0; c < 3; c++)
+            to[c] = develop_srgb16(rgb[c][i]);
+}
+
 /* Without a mosaic. */
 static void develop_plain(const struct conversion *p)
 {
@@ -189,5 +212,19 @@ void develop_run(const struct raw *in, const struct develop *how, uint8_t *px)
     if (in->cfa == RAW_MONO || in->cfa == RAW_RGB)
         develop_plain(&p);
     else
+        develop_rows(&m, 0, in->h);
+}
+
+void develop_run16(const struct raw *in, const struct develop *how, uint16_t *px)
+{
+    struct conversion p = {.px16 = px};
+    set_scale(in, how, &p);
+    struct develop_mosaic m = {in->cfa, in->w, in->h, &p, read_sites, write_codes16};
+    const size_t n = 3 * (size_t)in->w * (size_t)in->h;
+    const bool mono = in->cfa == RAW_MONO, plain = mono || in->cfa == RAW_RGB;
+    for (size_t i = 0; i < n && plain; i++)
+        px[i] = develop_srgb16((float)(in->px[mono ? i / 3 : i] - in->black) *
+                               p.scale[mono ? 1 : i % 3]);
+    if (!plain)
         develop_rows(&m, 0, in->h);
 }

@@ -17,6 +17,12 @@ void develop_balance(const struct raw *frames, int n, struct develop *out);
  * ICASSP 2004), grey is repeated. Pixels that the sensor clips in all colours become white. */
 void develop_run(const struct raw *in, const struct develop *how, uint8_t *px);
 
+/* The same in 16 bits, 65535 is 1, for linear frames. */
+void develop_run16(const struct raw *in, const struct develop *how, uint16_t *px);
+
+/* Display value of light 0..1 by the curve of sRGB (IEC 61966-2-1) in 16 bits; a NaN is 0. */
+uint16_t develop_srgb16(float v);
+
 /* A mosaic whose rows are read, and its pixels written, by callbacks. */
 struct develop_mosaic {
     enum raw_cfa cfa;

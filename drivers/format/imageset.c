@@ -25,6 +25,7 @@ void imageset_free(struct imageset *set)
         img_free(&set->capture.shots[i].image);
     free(set->capture.shots);
     free(set->part);
+    free(set->raw);
     memset(set, 0, sizeof *set);
 }
 

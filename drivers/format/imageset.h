@@ -59,6 +59,7 @@ struct imageset {
     char dir[FILE_PATH_CAP];    // of the pictures, the first of several
     int n_parts;                // 0: one folder
     struct imageset_part *part; // malloc'd
+    struct rawframe *raw;       // malloc'd, of the shots that have one; NULL: none
     struct capture capture;     // shots malloc'd; image.px is NULL until imageset_load
     int n_unplaced;             // pictures that some_cameras left out
     int n_notes;

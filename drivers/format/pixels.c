@@ -1,12 +1,13 @@
 #include "drivers/format/pixels.h"
 
+#include "core/photo/develop.h"
 #include "core/photo/undistort.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
+#include "drivers/format/rawframe.h"
 
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -38,15 +39,6 @@ size_t pixels_bytes(const struct shot *s)
 
 /* ---- linear values ---- */
 
-/* IEC 61966-2-1, 16 bits. */
-static uint16_t encode(float v)
-{
-    if (!(v > 0)) // also a NaN
-        return 0;
-    const float z = v >= 1 ? 1 : v <= 0.0031308f ? 12.92f * v : 1.055f * powf(v, 1 / 2.4f) - 0.055f;
-    return (uint16_t)(z * WHITE + 0.5f);
-}
-
 static err_t encode_exr(const char *path, const struct image *in, struct image16 *out)
 {
     const size_t n = (size_t)in->w * (size_t)in->h;
@@ -57,7 +49,7 @@ static err_t encode_exr(const char *path, const struct image *in, struct image16
     for (size_t i = 0; i < 3 * n; i++) {
         const float v = in->px[i % 3 * n + i / 3];
         above += v > 1;
-        out->px[i] = encode(v);
+        out->px[i] = develop_srgb16(v);
     }
     if (above > 3 * n / 2)
         return err_fail(ERR_FORMAT,
@@ -85,7 +77,7 @@ static err_t read_png16(const struct file_map *m, const char *path, struct image
     if (e || !img_is_deep(m->p, m->n, &linear) || !linear)
         return e;
     for (size_t i = 0; i < 3 * (size_t)out->w * (size_t)out->h; i++)
-        out->px[i] = encode((float)out->px[i] / WHITE);
+        out->px[i] = develop_srgb16((float)out->px[i] / WHITE);
     return OK;
 }
 
@@ -124,14 +116,20 @@ static err_t undistort16(const char *path, const struct shot *s, struct image16 
     return e;
 }
 
-err_t pixels_decode16(const char *path, const struct shot *s, struct image16 *out)
+static err_t read_file16(const char *path, struct image16 *out)
 {
     struct file_map m;
-    *out = (struct image16){0};
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (!e)
         e = imgsize_is_exr(m.p, m.n) ? read_exr(&m, path, out) : read_png16(&m, path, out);
     file_unmap(&m);
+    return e;
+}
+
+err_t pixels_decode16(const char *path, const struct shot *s, struct image16 *out)
+{
+    *out = (struct image16){0};
+    err_t e = s->raw ? rawframe_read(s->raw, out) : read_file16(path, out);
     if (!e)
         e = check_size(path, s, out->w, out->h);
     if (!e && s->lens.model != LENS_PINHOLE)

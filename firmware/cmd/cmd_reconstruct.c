@@ -3,6 +3,7 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/dump.h"
 #include "firmware/result/publish.h"
+#include "firmware/store/raw_take.h"
 
 #include "core/base/log.h"
 #include "core/base/num.h"
@@ -184,6 +185,8 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
     e = imageset_list(&rq->set, &st->set);
+    if (!e)
+        e = raw_take_attach(&st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
     job->cameras_only = !network;
