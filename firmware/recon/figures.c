@@ -249,6 +249,8 @@ static void report_photographs(const struct job_result *j, struct report *rep)
         report_input(j, i, &in, rep);
     }
     report_close(rep);
+    if (j->views.srgb)
+        report_bool(rep, "response_known", true);
     report_exposures(&f, rep);
 }
 

@@ -13,7 +13,7 @@ settings() { # lines...
         "refine.steps = 0" "calibration.path = $OUT/calibration" "control.socket = $SOCKET" \
         "http.port = $PORT" "store.reserve_mb = 1" "bracket.mode = list" "bracket.ev = -2 0" \
         "bracket.middle_us = 8000" "cameras.fov_deg = 60" \
-        "camera.1 = sim:kind=room,seed=5,size=112,samples=2,fps=100,views=9,spread=0.3,at=$OUT/at" \
+        "camera.1 = sim:kind=room,seed=5,size=112,samples=2,fps=100,views=9,spread=0.3,format=rggb,at=$OUT/at" \
         "$@" >"$OUT/hdrig.conf"
 }
 
@@ -86,6 +86,8 @@ ask session | grep -q '^no place yet$' || fail "after the end and a crash: $(ask
 wait_for "ask status --json" "\"last\": \"(done|failed)\", \"last_id\": \"$first\""
 grep -q '"views": 3' "$OUT/results/$first/report.json" ||
     fail "no scene of 3 views: $(tail -n 5 "$LOG")"
+grep -q '"response_known": true' "$OUT/results/$first/report.json" ||
+    fail "the scene is not made from the raw frames"
 ls "$OUT/results/$first/ldr" | grep -q "^${take##*/}_train_00_00" ||
     fail "the names of pictures do not tell their take: $(ls "$OUT/results/$first/ldr")"
 
@@ -109,6 +111,14 @@ ask session end | grep -q '^ended with 1 place: no scene, which needs at least 2
 ask status | grep -q '^session  ended with 1 place' || fail "status: $(ask status)"
 stop
 [ "$(grep -c 'session .* ended with' "$LOG")" -eq 3 ] || fail "the log does not tell three ends"
+
+# a frame that is lost: the scene is made from the pictures, and says so
+rm "$OUT/store/${first}/raw/00_00.bin"
+"$HDRIG" reconstruct --images "$OUT/store/$first" $(printf -- '--images %s ' "$OUT"/store/*-00000[23]) \
+    --config "$OUT/hdrig.conf" --out "$OUT/pictures" 2>"$ERR" || fail "$(tail -n 1 "$ERR")"
+grep -q 'pictures of 8 bits are used.*raw/00_00.bin' "$OUT/pictures/report.json" ||
+    fail "no word of the lost frame: $(cat "$ERR")"
+grep -q response_known "$OUT/pictures/report.json" && fail "a response is known that is not"
 
 # each capture a scene of its own, as asked; several folders by hand
 settings "session.collect = 0" "job.run = 0"
