@@ -6,6 +6,7 @@ DAEMON=${HDRIG%/*}/hdrigd
 LOG=$OUT/hdrigd.txt
 SOCKET=$(mktemp -d)/control # a socket's path is short
 PORT=$((20000 + $$ % 20000))
+SEEN=format=rggb,at=$OUT/at # numbers of a sensor, of the place in that file
 pid=
 
 settings() { # lines...
@@ -13,7 +14,7 @@ settings() { # lines...
         "refine.steps = 0" "calibration.path = $OUT/calibration" "control.socket = $SOCKET" \
         "http.port = $PORT" "store.reserve_mb = 1" "bracket.mode = list" "bracket.ev = -2 0" \
         "bracket.middle_us = 8000" "cameras.fov_deg = 60" \
-        "camera.1 = sim:kind=room,seed=5,size=112,samples=2,fps=100,views=9,spread=0.3,format=rggb,at=$OUT/at" \
+        "camera.1 = sim:kind=room,seed=5,size=112,samples=2,fps=100,views=9,spread=0.3,$SEEN" \
         "$@" >"$OUT/hdrig.conf"
 }
 
@@ -114,7 +115,8 @@ stop
 
 # a frame that is lost: the scene is made from the pictures, and says so
 rm "$OUT/store/${first}/raw/00_00.bin"
-"$HDRIG" reconstruct --images "$OUT/store/$first" $(printf -- '--images %s ' "$OUT"/store/*-00000[23]) \
+"$HDRIG" reconstruct --images "$OUT/store/$first" --images "$OUT"/store/*-000002 \
+    --images "$OUT"/store/*-000003 \
     --config "$OUT/hdrig.conf" --out "$OUT/pictures" 2>"$ERR" || fail "$(tail -n 1 "$ERR")"
 grep -q 'pictures of 8 bits are used.*raw/00_00.bin' "$OUT/pictures/report.json" ||
     fail "no word of the lost frame: $(cat "$ERR")"
