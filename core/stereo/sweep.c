@@ -9,9 +9,9 @@
 #include "core/stereo/sweep.h"
 
 #include "core/base/num.h"
-#include "core/base/rotation.h"
 #include "core/photo/response.h"
 #include "core/stereo/sgm.h"
+#include "core/stereo/transfer.h"
 
 #include <math.h>
 #include <string.h>
@@ -44,18 +44,13 @@ struct light_map {
     float *px; // (h, w, 2)
 };
 
-struct pose {
-    double r[9], t[3], centre[3];
-    double f[2], c[2]; // as a share of the picture's width and height
-};
-
 struct sweep {
     const struct run *run;
     const struct views *v;
     struct depthmaps *out;
     struct response_table table;
     float linear[3][256];           // 2^table.x
-    struct pose *pose;              // (n)
+    struct transfer_pose *pose;     // (n)
     struct light_map *light_map[2]; // (n) fine, coarse
     int (*near)[CHECK_MAX];         // (n) other views, best first
     int *n_near;                    // (n)
@@ -87,69 +82,9 @@ struct task {
 
 /* ---- geometry ---- */
 
-static void set_pose(const struct camera *c, struct pose *p)
-{
-    rotation_of_camera(c, p->r);
-    for (int i = 0; i < 3; i++)
-        p->t[i] = (double)c->t[i];
-    for (int i = 0; i < 3; i++)
-        p->centre[i] = -(p->r[i] * p->t[0] + p->r[3 + i] * p->t[1] + p->r[6 + i] * p->t[2]);
-    p->f[0] = (double)c->fx / c->w;
-    p->f[1] = (double)c->fy / c->h;
-    p->c[0] = (double)c->cx / c->w;
-    p->c[1] = (double)c->cy / c->h;
-}
-
-/* Rows of h: (u, v, 1, rho) of `a` -> homogeneous pixel of `b`; size: width and height of the
- * picture of a, then of b. */
-static void map_between(const struct pose *a, const struct pose *b, const double size[4], double *h)
-{
-    double fa[2] = {a->f[0] * size[0], a->f[1] * size[1]};
-    double ca[2] = {a->c[0] * size[0], a->c[1] * size[1]};
-    double m[12];
-    for (int i = 0; i < 3; i++) {
-        double r[3], t = b->t[i];
-        for (int j = 0; j < 3; j++) {
-            r[j] = b->r[3 * i] * a->r[3 * j] + b->r[3 * i + 1] * a->r[3 * j + 1] +
-                   b->r[3 * i + 2] * a->r[3 * j + 2];
-            t -= r[j] * a->t[j];
-        }
-        m[4 * i] = r[0] / fa[0];
-        m[4 * i + 1] = r[1] / fa[1];
-        m[4 * i + 2] = r[2] - r[0] * ca[0] / fa[0] - r[1] * ca[1] / fa[1];
-        m[4 * i + 3] = t;
-    }
-    for (int j = 0; j < 4; j++) {
-        h[j] = size[2] * (b->f[0] * m[j] + b->c[0] * m[8 + j]);
-        h[4 + j] = size[3] * (b->f[1] * m[4 + j] + b->c[1] * m[8 + j]);
-        h[8 + j] = m[8 + j];
-    }
-}
+enum { GRID = 5, TRIES = 64 };
 
 static const double UNIT[4] = {1, 1, 1, 1};
-
-/* Map a pixel at rho into the other picture; false if it is behind that camera. out[2]: depth there
- * times rho here. */
-static bool apply_map(const double *h, double u, double v, double rho, double *out)
-{
-    double z = h[8] * u + h[9] * v + h[10] + h[11] * rho;
-    if (z < 1e-6)
-        return false;
-    out[0] = (h[0] * u + h[1] * v + h[2] + h[3] * rho) / z;
-    out[1] = (h[4] * u + h[5] * v + h[6] + h[7] * rho) / z;
-    out[2] = z;
-    return true;
-}
-
-static double pose_distance(const struct pose *a, const struct pose *b)
-{
-    double s = 0.0;
-    for (int i = 0; i < 3; i++)
-        s += (a->centre[i] - b->centre[i]) * (a->centre[i] - b->centre[i]);
-    return sqrt(s);
-}
-
-enum { GRID = 5, TRIES = 64 };
 
 /* Share of a grid of pixels of view a at rho that falls into view b. */
 static double shared_view(const double *h, double rho)
@@ -157,7 +92,7 @@ static double shared_view(const double *h, double rho)
     int n = 0;
     for (int i = 0; i < GRID * GRID; i++) {
         double p[3], u = (i % GRID + 0.5) / GRID, v = (i / GRID + 0.5) / GRID;
-        n += apply_map(h, u, v, rho, p) && p[0] > 0 && p[0] < 1 && p[1] > 0 && p[1] < 1;
+        n += transfer_apply(h, u, v, rho, p) && p[0] > 0 && p[0] < 1 && p[1] > 0 && p[1] < 1;
     }
     return (double)n / (GRID * GRID);
 }
@@ -174,16 +109,16 @@ static double candidate_rho(int k, double baseline)
 static void choose_near(struct sweep *s, int i)
 {
     double score[CHECK_MAX];
-    const struct pose *a = &s->pose[i];
+    const struct transfer_pose *a = &s->pose[i];
     double scale = 0.0;
     for (int j = 0; j < s->v->n; j++)
-        scale = fmax(scale, pose_distance(a, &s->pose[j]));
+        scale = fmax(scale, transfer_distance(a, &s->pose[j]));
     s->n_near[i] = 0;
     for (int j = 0; j < s->v->n; j++) {
-        double h[12], seen = 0.0, d = pose_distance(a, &s->pose[j]);
+        double h[12], seen = 0.0, d = transfer_distance(a, &s->pose[j]);
         if (j == i || d <= 1e-4 * scale)
             continue;
-        map_between(a, &s->pose[j], UNIT, h);
+        transfer_map(a, &s->pose[j], UNIT, h);
         for (int k = 0; k < TRIES; k++)
             seen = fmax(seen, shared_view(h, candidate_rho(k, d)));
         if (seen < 0.25)
@@ -208,10 +143,10 @@ static void choose_range(struct sweep *s, int i)
     double baseline = 0.0, seen[TRIES] = {0}, top = 0.0;
     s->range[i][0] = s->range[i][1] = 0.0f;
     for (int k = 0; k < n; k++)
-        baseline += pose_distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
+        baseline += transfer_distance(&s->pose[i], &s->pose[s->near[i][k]]) / n;
     for (int k = 0; k < n; k++) {
         double h[12];
-        map_between(&s->pose[i], &s->pose[s->near[i][k]], UNIT, h);
+        transfer_map(&s->pose[i], &s->pose[s->near[i][k]], UNIT, h);
         for (int t = 0; t < TRIES; t++)
             seen[t] += shared_view(h, candidate_rho(t, baseline));
     }
@@ -235,10 +170,10 @@ static void choose_range(struct sweep *s, int i)
 static double path_px(const double *h, double u, double v, const float *range)
 {
     double p[3], q[3], way = 0.0;
-    if (!apply_map(h, u, v, (double)range[0], p))
+    if (!transfer_apply(h, u, v, (double)range[0], p))
         return 0.0;
     for (int j = 1; j <= 8; j++) {
-        if (!apply_map(h, u, v, (double)range[0] + (double)(range[1] - range[0]) * j / 8, q))
+        if (!transfer_apply(h, u, v, (double)range[0] + (double)(range[1] - range[0]) * j / 8, q))
             return 0.0;
         way += hypot(q[0] - p[0], q[1] - p[1]);
         memcpy(p, q, sizeof p);
@@ -508,8 +443,8 @@ static err_t sweep_level(struct task *t, int level, float *rho, float *sure)
     for (int k = 0; k < t->n_near; k++) {
         const int j = s->near[t->i_view][k];
         const struct light_map *other = &s->light_map[level][j];
-        map_between(&s->pose[t->i_view], &s->pose[j],
-                    (const double[4]){t->w, t->rows, other->w, other->h}, t->h[k]);
+        transfer_map(&s->pose[t->i_view], &s->pose[j],
+                     (const double[4]){t->w, t->rows, other->w, other->h}, t->h[k]);
     }
     t->planes = count_planes(t, range);
     t->rho0 = range[0];
@@ -602,15 +537,15 @@ static err_t confirm_view(void *ctx, int i, int worker)
     double h[CHECK_MAX][12];
     for (int k = 0; k < n; k++) {
         const struct extent *to = &s->out->extent[s->near[i][k]];
-        map_between(&s->pose[i], &s->pose[s->near[i][k]],
-                    (const double[4]){own->w, own->h, to->w, to->h}, h[k]);
+        transfer_map(&s->pose[i], &s->pose[s->near[i][k]],
+                     (const double[4]){own->w, own->h, to->w, to->h}, h[k]);
     }
     for (int at = 0; at < w * own->h; at++) {
         float sum = rho[at] * (sure[at] + 0.05f), weight = sure[at] + 0.05f, votes = 0.0f;
         for (int k = 0; k < n; k++) {
             const struct extent *to = &s->out->extent[s->near[i][k]];
             double p[3];
-            if (!apply_map(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 ||
+            if (!transfer_apply(h[k], at % w + 0.5, at / w + 0.5, (double)rho[at], p) || p[0] < 0 ||
                 p[1] < 0 || p[0] >= to->w || p[1] >= to->h)
                 continue;
             size_t j = to->at + (size_t)p[1] * (size_t)to->w + (size_t)p[0];
@@ -771,7 +706,7 @@ err_t sweep_run(const struct run *r, const struct views *v, const struct tonemap
         for (int k = 0; k < 3 * 256; k++)
             s.linear[k / 256][k % 256] = exp2f(s.table.x[k / 256][k % 256]);
         for (int i = 0; i < v->n; i++)
-            set_pose(&v->cams[i], &s.pose[i]);
+            transfer_pose_set(&v->cams[i], &s.pose[i]);
         e = pool_for(r->pool, v->n, make_light_map, &s);
     }
     if (!e)
