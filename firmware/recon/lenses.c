@@ -44,6 +44,15 @@ int lenses_count(const struct capture *c)
     return n;
 }
 
+/* Px of the view per px of the photograph: along the width, to which the focal lengths of squeezed
+ * views belong, else along the longer edge. */
+static double view_scale(const struct shot *s, const struct extent *px)
+{
+    if (px->w == px->h && s->taken_w > 0)
+        return (double)px->w / s->taken_w;
+    return (double)num_max(px->w, px->h) / num_max(s->taken_w, s->taken_h);
+}
+
 /* Focal length in px of the view; 0: not known. */
 static double expected_focal(const struct shot *s, const struct extent *px,
                              const struct job_config *cfg)
@@ -53,7 +62,19 @@ static double expected_focal(const struct shot *s, const struct extent *px,
         return px->w / 2.0 / (cfg->lens == RECIPE_LENS_FISHEYE ? half : tan(half));
     if (!(s->focal_px > 0))
         return 0;
-    return s->focal_px * num_max(px->w, px->h) / num_max(s->taken_w, s->taken_h);
+    return s->focal_px * view_scale(s, px);
+}
+
+/* The lens of views for pictures as large as the photograph where they were squeezed. */
+static void note_size(const struct shot *s, const struct extent *px, struct job_lens *out)
+{
+    out->edge = num_max(px->w, px->h);
+    if (px->w != px->h || s->taken_w == s->taken_h)
+        return;
+    out->edge = num_max(s->taken_w, s->taken_h);
+    out->lens.fx /= view_scale(s, px);
+    out->lens.fy = out->lens.fx;
+    out->selfcal.deviation[0] /= view_scale(s, px);
 }
 
 static struct bundle_lens lens_before(const struct shot *s, const struct extent *px,
@@ -238,14 +259,15 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
         *to = (struct job_lens){.lens = found->lenses[k], .selfcal = found->selfcal[k]};
         if (l->pinhole[0] > 0)
             to->selfcal.error_before = l->error_before[k];
+        int first = 0;
         for (int i = v->n - 1; i >= 0; i--)
             if (l->of[i] == k) {
-                const struct shot *s = lenses_shot(c, v->names[i]);
-                memcpy(to->camera_id, s->camera_id, sizeof to->camera_id);
-                to->edge = num_max(v->extent[i].w, v->extent[i].h);
+                memcpy(to->camera_id, lenses_shot(c, v->names[i])->camera_id, sizeof to->camera_id);
                 to->resampled = l->pinhole[i] > 0;
                 to->photographs++;
+                first = i;
             }
+        note_size(lenses_shot(c, v->names[first]), &v->extent[first], to);
         if (to->resampled && lens_distorts(&to->lens) && out->n_lenses < JOB_LENSES)
             snprintf(out->lenses[out->n_lenses++], sizeof out->lenses[0],
                      "%d photograph%s undistorted: the lens was found to be %s, focal length %.1f "

@@ -103,10 +103,46 @@ static void others_get_the_lens_of_their_camera(void **state)
     assert_true(shots[0].cam.fx == 600);
 }
 
+/* The focal length of views that were squeezed to squares is along their width: portraits and
+ * landscapes have it in photographs as it is there. */
+static void squeezed_views_keep_the_focal_length(void **state)
+{
+    (void)state;
+    static struct job_result j;
+    struct lens found[2] = {{.fx = 300, .fy = 300}, {.fx = 300, .fy = 300}};
+    struct selfcal_lens selfcal[2] = {{.deviation = {3}}, {.deviation = {3}}};
+    const struct bundle_result b = {.lenses = found, .selfcal = selfcal};
+    char names[SHOTS][NAME_CAP];
+    struct shot shots[SHOTS];
+    struct extent extent[SHOTS];
+    struct capture c;
+    struct lenses l;
+    struct arena keep;
+    expect_ok(arena_init(&keep, "keep", 1 << 20));
+    for (int portrait = 0; portrait < 2; portrait++) {
+        make_shots(shots, &c);
+        c.shots = shots + (portrait ? 3 : 0);
+        c.n = 1;
+        make_views(&c, names, extent, &j.views);
+        extent[0].w = extent[0].h = 400;
+        expect_ok(lenses_layout(&l, &keep, 1));
+        l.pinhole[0] = 0;
+        lenses_group(&l, &c, &j.views, &(struct job_config){0});
+        assert_true(fabs(l.lens[0].start.fx - 640.0 * 400 / shots[portrait ? 3 : 0].taken_w) <
+                    1e-9);
+        lenses_note(&l, &c, &b, &j);
+        lenses_apply(&j, &c);
+        assert_true(fabsf(c.shots[0].cam.fx - (portrait ? 450 : 600)) < 1e-3f);
+        assert_true(fabs(j.found[0].selfcal.deviation[0] - (portrait ? 4.5 : 6)) < 1e-9);
+    }
+    arena_free(&keep);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(photographs_are_grouped),
+        cmocka_unit_test(squeezed_views_keep_the_focal_length),
         cmocka_unit_test(others_get_the_lens_of_their_camera),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
