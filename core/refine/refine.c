@@ -11,7 +11,8 @@
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
  * held-out
  *   error;
- * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short. */
+ * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short;
+ * - the result: the scene with the lowest held-out error at full size, the start included. */
 #include "core/refine/refine.h"
 
 #include "core/base/gaussians.h"
@@ -29,6 +30,7 @@
 #include <string.h>
 
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+enum { MEASURE_STEPS = 8 };          // per view, between two measurements of the scene
 enum { EDGE_MIN = 4 * LOSS_WINDOW }; // px of a view that is drawn smaller
 
 static const float SPLIT_SHARE = 0.2f;    // of the splats in one round
@@ -53,6 +55,15 @@ struct rates {
  * extent. */
 static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
                                    16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
+
+/* The scene with the lowest held-out error so far. */
+struct best {
+    float db;
+    int step;
+    struct gaussians g;
+    struct tonemap tone;
+    struct camera *cams; // (n)
+};
 
 struct refine {
     const struct run *r;
@@ -79,8 +90,10 @@ struct refine {
     int band_from;     // step at which the highest band was added, 0 = none on trial
     bool bands_done, splits_done;
     float noise_db; // of the photographs, as a PSNR
-    float best_db;  // held-out, at full size
-    int stalled;    // rounds without progress
+    float best_db;  // held-out, at full size, as drawn in the rounds
+    int measured;   // step of the last comparison with the best scene
+    struct best best;
+    int stalled; // rounds without progress
     float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
     float *pose_m; // (n, 12) moments of the twists
     int *pose_t;   // (n) steps of each camera
@@ -133,6 +146,14 @@ static int count_levels(const struct views *v, const struct refine_config *cfg)
     return n;
 }
 
+static err_t layout_best(struct refine *f, struct arena *a)
+{
+    err_t e = arena_alloc(a, (size_t)f->v->n, sizeof *f->best.cams, &f->best.cams);
+    for (int p = 0; p < gaussians_planes(f->cfg->degree_max) && !e; p++)
+        e = arena_alloc(a, (size_t)f->s->g.cap, 4, &f->best.g.plane[p]);
+    return e;
+}
+
 static err_t layout(struct refine *f, struct arena *a, int threads)
 {
     const struct extent most = extent_cover(f->v->extent, f->v->n);
@@ -165,6 +186,8 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
         e = raster_init(&f->raster, a, f->cfg->gaussians_max, most.w, most.h, true);
     if (!e)
         e = loss_init(&f->loss_work, a, most.w, most.h, threads);
+    if (!e)
+        e = layout_best(f, a);
     return e ? e : density_init(&f->d, a, &f->s->g, f->cfg->degree_max);
 }
 
@@ -495,6 +518,36 @@ static err_t measure_held_out(struct refine *f, float *db)
     return OK;
 }
 
+static void keep_best(struct refine *f, float db)
+{
+    struct best *b = &f->best;
+    b->db = db;
+    b->step = f->step;
+    b->tone = f->s->tone;
+    memcpy(b->cams, f->s->cams, (size_t)f->v->n * sizeof *b->cams);
+    gaussians_copy(&f->s->g, f->cfg->degree_max, &b->g);
+}
+
+/* The last scene, or a better one before it. */
+static err_t settle_best(struct refine *f)
+{
+    struct best *b = &f->best;
+    float last;
+    err_t e = measure_held_out(f, &last);
+    f->rep->step_kept = f->step;
+    f->rep->held_out_db[1] = last;
+    if (e || last >= b->db)
+        return e;
+    add_note(f, "kept the scene of step %d: held-out %.2f dB there, %.2f dB at step %d", b->step,
+             (double)b->db, (double)last, f->step);
+    f->rep->step_kept = b->step;
+    f->rep->held_out_db[1] = b->db;
+    f->s->tone = b->tone;
+    memcpy(f->s->cams, b->cams, (size_t)f->v->n * sizeof *b->cams);
+    gaussians_copy(&b->g, f->cfg->degree_max, &f->s->g);
+    return OK;
+}
+
 /* Past the smallest pictures: the scene may become richer. */
 static bool is_settled(const struct refine *f)
 {
@@ -576,6 +629,19 @@ static void split_splats(struct refine *f)
     density_sort(&f->d);
 }
 
+/* Before the scene changes: is it the best? Costs a picture of each view, so seldom with many. */
+static err_t compare_best(struct refine *f)
+{
+    float db;
+    if (f->level > 0 || f->band_from > 0 || f->step - f->measured < MEASURE_STEPS * f->v->n)
+        return OK;
+    f->measured = f->step;
+    err_t e = measure_held_out(f, &db);
+    if (!e && db > f->best.db)
+        keep_best(f, db);
+    return e;
+}
+
 /* Once a round: report, split and decide whether to stop. */
 static err_t end_round(struct refine *f, int round)
 {
@@ -587,6 +653,9 @@ static err_t end_round(struct refine *f, int round)
         snprintf(text, sizeof text, "held-out %.2f dB, %d Gaussians", (double)db, f->s->g.n);
         f->r->progress(f->r->progress_ctx, "refine", f->step, f->steps, text);
     }
+    err_t e = compare_best(f);
+    if (e)
+        return e;
     split_splats(f);
     if (f->level > 0 || f->band_from > 0)
         return OK;
@@ -609,6 +678,8 @@ static err_t run_steps(struct refine *f)
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = measure_held_out(f, &f->rep->held_out_db[0]);
+    if (!e)
+        keep_best(f, f->rep->held_out_db[0]);
     for (f->step = 0; f->step < f->steps && !e;) {
         f->level = level_at(f->step, f->steps, f->levels);
         e = take_step(f);
@@ -620,7 +691,7 @@ static err_t run_steps(struct refine *f)
     }
     if (!e && f->band_from > 0)
         e = judge_band(f);
-    return e ? e : measure_held_out(f, &f->rep->held_out_db[1]);
+    return e ? e : settle_best(f);
 }
 
 err_t refine_run(const struct run *r, const struct views *v, const struct refine_config *cfg,

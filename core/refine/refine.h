@@ -28,10 +28,12 @@ enum { REFINE_NOTES = 8 };
 
 struct refine_report {
     int steps;          // steps done
+    int step_kept;      // after which the scene was the best: the scene is that one
     bool stopped_early; // held-out error no longer fell
     int gaussians, degree;
     float loss;           // mean of the last round through the views
-    float held_out_db[2]; // PSNR of the held-out squares at the start and at the end, dB
+    float held_out_db[2]; // PSNR of the held-out squares at the start and of the result, dB; the
+                          // second is never lower
     int n_notes;
     char notes[REFINE_NOTES][128]; // decisions as text, for the report
 };

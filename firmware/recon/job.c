@@ -303,6 +303,7 @@ static void report_making(const struct job_result *j, struct report *rep)
 {
     bool held_out = j->refine.steps > 0;
     report_int(rep, "refine_steps", j->refine.steps);
+    report_int(rep, "refine_step_kept", j->refine.step_kept);
     report_bool(rep, "refine_stopped_early", j->refine.stopped_early);
     report_open(rep, "quality", '{');
     report_number(rep, "ldr_input_psnr", j->input_psnr);
