@@ -2,10 +2,11 @@
  * rho, one step being at most about one pixel in the widest neighbour; compare 5 x 5 windows of
  * log2 luminance by the variance of their difference relative to the contrast of the view (a
  * correlation that is invariant to exposure and requires equal contrast) and by the mean difference
- * (which distinguishes repetitions of a pattern); keep the best half of the neighbours
- * (occlusion); smooth by eight-path semi-global matching (Hirschmueller, PAMI 2008); refine by a
- * parabola. A first sweep on quarter size narrows the range of rho. Then points that other views
- * confirm get confidence and the mean of the confirming depths. */
+ * (which distinguishes repetitions of a pattern); keep the best half of the neighbours, of which
+ * the others are at most a little worse than the best (occlusion); smooth by eight-path semi-global
+ * matching (Hirschmueller, PAMI 2008); refine by a parabola. A first sweep on quarter size narrows
+ * the range of rho. Then points that other views confirm get confidence and the mean of the
+ * confirming depths. */
 #include "core/stereo/sweep.h"
 
 #include "core/base/num.h"
@@ -27,6 +28,7 @@ enum {
     SUMS = 3,        // weighted moments of a window, D = I - J: w, wD, wDD
     COST_UNIT = 100, // the cost 1.0 in sgm
     FINE = 3200,     // cost of 1.0 of one neighbour
+    HIDDEN = 320,    // a neighbour adds at most this to the best one, which may see alone
     COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };
 
@@ -378,9 +380,9 @@ static void cost_plane(const struct task *t, int d)
         }
         uint8_t *c = m->sgm.cost + ((size_t)y * (size_t)t->planes + (size_t)d) * (size_t)w;
         for (int x = 0; x < w && y >= 0; x++) {
-            int sum = 0;
-            for (int k = 0; k < kept; k++)
-                sum += m->best[k * w + x];
+            int sum = m->best[x];
+            for (int k = 1; k < kept; k++)
+                sum += num_min(m->best[k * w + x], m->best[x] + HIDDEN);
             sum = sum * COST_UNIT / (kept * FINE);
             c[x] = (uint8_t)(sum < 0 ? 0 : num_min(sum, 255));
         }
