@@ -12,7 +12,8 @@
  * held-out
  *   error;
  * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short;
- * - the result: the scene with the lowest held-out error at full size, the start included. */
+ * - the result: the scene with the lowest held-out error at full size. The start does not take
+ *   part: it was made from the squares, too. */
 #include "core/refine/refine.h"
 
 #include "core/base/gaussians.h"
@@ -56,7 +57,7 @@ struct rates {
 static const struct rates RATES = {12 * 1.6e-4f, 6 * 5e-3f,     12 * 1e-3f, 5e-2f,
                                    16 * 2.5e-3f, 40 * 1.25e-4f, 2.5e-4f,    1e-5f};
 
-/* The scene with the lowest held-out error so far. */
+/* The scene with the lowest held-out error of the rounds at full size; step 0: none yet. */
 struct best {
     float db;
     int step;
@@ -536,7 +537,7 @@ static err_t settle_best(struct refine *f)
     err_t e = measure_held_out(f, &last);
     f->rep->step_kept = f->step;
     f->rep->held_out_db[1] = last;
-    if (e || last >= b->db)
+    if (e || b->step == 0 || last >= b->db)
         return e;
     add_note(f, "kept the scene of step %d: held-out %.2f dB there, %.2f dB at step %d", b->step,
              (double)b->db, (double)last, f->step);
@@ -637,7 +638,7 @@ static err_t compare_best(struct refine *f)
         return OK;
     f->measured = f->step;
     err_t e = measure_held_out(f, &db);
-    if (!e && db > f->best.db)
+    if (!e && (f->best.step == 0 || db > f->best.db))
         keep_best(f, db);
     return e;
 }
@@ -678,8 +679,6 @@ static err_t run_steps(struct refine *f)
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
         e = measure_held_out(f, &f->rep->held_out_db[0]);
-    if (!e)
-        keep_best(f, f->rep->held_out_db[0]);
     for (f->step = 0; f->step < f->steps && !e;) {
         f->level = level_at(f->step, f->steps, f->levels);
         e = take_step(f);

@@ -32,8 +32,8 @@ struct refine_report {
     bool stopped_early; // held-out error no longer fell
     int gaussians, degree;
     float loss;           // mean of the last round through the views
-    float held_out_db[2]; // PSNR of the held-out squares at the start and of the result, dB; the
-                          // second is never lower
+    float held_out_db[2]; // PSNR of the held-out squares at the start and of the result, dB; a
+                          // start that was made from these squares too is flattered
     int n_notes;
     char notes[REFINE_NOTES][128]; // decisions as text, for the report
 };
