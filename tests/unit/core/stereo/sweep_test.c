@@ -241,6 +241,35 @@ static void test_two_views(void **state)
     free_world(&w);
 }
 
+/* Far apart, what one neighbour alone sees is matched with it. */
+static void test_seen_by_one_neighbour(void **state)
+{
+    (void)state;
+    static const float place[4] = {0.0f, 2.6f, -2.6f, -2.9f};
+    struct world w;
+    struct depthmaps d;
+    int n = 0, good = 0;
+    make_world(&w, 1);
+    w.v.n = 4;
+    for (int i = 0; i < 4; i++) {
+        w.cams[i].t[0] = place[i];
+        w.cams[i].t[1] = w.cams[i].t[2] = 0.0f;
+        paint(&w, i);
+    }
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    for (int k = 0; k < SIZE * SIZE; k++) {
+        float light,
+            z = cast(&w.cams[0], (float)(k % SIZE) + 0.5f, (float)(k / SIZE) + 0.5f, &light);
+        if (k % SIZE >= SIZE / 4)
+            continue;
+        good += fabsf(d.depth[k] - z) < 0.02f * z;
+        n++;
+    }
+    if (good < n * 6 / 10)
+        fail_msg("%d of %d have their depth", good, n);
+    free_world(&w);
+}
+
 static void test_refusals(void **state)
 {
     (void)state;
@@ -273,6 +302,7 @@ int main(void)
         cmocka_unit_test(test_nothing_to_match),
         cmocka_unit_test(test_blank_wall),
         cmocka_unit_test(test_two_views),
+        cmocka_unit_test(test_seen_by_one_neighbour),
         cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
