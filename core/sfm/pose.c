@@ -3,6 +3,7 @@
 #include "core/sfm/pose.h"
 
 #include "core/base/rotation.h"
+#include "core/base/shell.h"
 
 #include <math.h>
 
@@ -50,12 +51,25 @@ void pose_move(struct camera *c, const float twist[6])
         c->q[i] = (float)(q[i] / len);
 }
 
+static const float *mean_of(const struct gaussians *g, int i, float x[3])
+{
+    for (int k = 0; k < 3; k++)
+        x[k] = g->plane[G_MU + k][i];
+    return x;
+}
+
 float pose_extent(const struct gaussians *g, const struct camera *cams, int n)
 {
+    const struct shell shell = shell_of(cams, n);
     double c[3] = {0}, sum = 0;
+    int near = 0;
     for (int i = 0; i < g->n; i++)
-        for (int k = 0; k < 3; k++)
-            c[k] += (double)g->plane[G_MU + k][i] / g->n;
+        near += !shell_has(&shell, mean_of(g, i, (float[3]){0}));
+    for (int i = 0; i < g->n; i++) {
+        float x[3];
+        for (int k = 0; k < 3 && !shell_has(&shell, mean_of(g, i, x)); k++)
+            c[k] += (double)x[k] / near;
+    }
     for (int i = 0; i < n; i++) {
         float r[9];
         double d2 = 0;

@@ -11,6 +11,7 @@
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
 #include "core/base/rotation.h"
+#include "core/base/shell.h"
 #include "core/photo/response.h"
 #include "core/photo/shade.h"
 
@@ -39,6 +40,9 @@ static const float DETAIL = 0.06f;    // relative contrast at which a block is c
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
 static const float RETREAT = 0.94f;   // factor on inverse depth of one step
 static const float WIDTH = 0.55f;     // standard deviation per spacing
+static const float SKY_PRIOR = 0.02f; // weight of the mean radiance of the shell
+static const float FAR_WIDTH = 0.8f;  // of the shell, behind which there is nothing
+static const float FAR_OPACITY = 0.98f;
 static const float THICKNESS = 0.15f; // standard deviation across the surface per spacing
 static const float TILT_MIN = 0.25f;  // cosine of the steepest surface
 
@@ -51,6 +55,8 @@ struct seed {
     const struct run *run;
     const struct seed_input *in;
     struct gaussians *out;
+    struct shell shell;
+    float sky[3][2]; // ln radiance of the shell times its reliability; the latter
     int max;
     float loss; // factor on the thresholds: > 1 gives up detail
     bool full;
@@ -108,6 +114,12 @@ static bool project_to_map(const struct frame *f, const float *x, const struct e
     out[1] = f->f[1] * p[1] / p[2] + f->c[1];
     out[2] = p[2];
     return out[0] >= 0.0f && out[1] >= 0.0f && out[0] < (float)map->w && out[1] < (float)map->h;
+}
+
+/* Whether a pixel of the maps sees the shell. */
+static bool is_far(const struct seed *s, size_t at)
+{
+    return s->in->depth->far && s->in->depth->far[at];
 }
 
 /* ---- pictures ---- */
@@ -344,8 +356,14 @@ static void emit_splat(struct seed *s, struct patch *p)
     const float at[2] = {p->x, p->y};
     add_colour(s, p->view, at, p->side, 2.0f, sum);
     mark_all_views(s, p, x, width, sum);
-    const float scale[3] = {WIDTH * width / cosine, WIDTH * width, THICKNESS * width};
-    const float opacity = p->sure ? 0.85f : 0.6f;
+    const bool far = shell_has(&s->shell, x);
+    for (int k = 0; k < 3 && far; k++) { // the sky of a saturated pixel is as all the rest of it
+        sum[k][0] = SKY_PRIOR * s->sky[k][0] / s->sky[k][1];
+        sum[k][1] = SKY_PRIOR;
+    }
+    const float wide = far ? FAR_WIDTH * width : WIDTH * width;
+    const float scale[3] = {wide / cosine, wide, THICKNESS * width};
+    const float opacity = far ? FAR_OPACITY : p->sure ? 0.85f : 0.6f;
     for (int k = 0; k < 3; k++) {
         g->plane[G_MU + k][i] = x[k];
         g->plane[G_LOG_SCALE + k][i] = logf(scale[k]);
@@ -497,7 +515,8 @@ static void smooth_depth(struct seed *s, int view)
     struct level level[LEVELS_MAX] = {{map->w, map->h, s->levels}};
     int n = 1;
     for (int i = 0; i < map->w * map->h; i++) {
-        float conf = s->in->depth->conf[map->at + (size_t)i], c = conf * conf + 1e-4f;
+        float conf = s->in->depth->conf[map->at + (size_t)i];
+        float c = is_far(s, map->at + (size_t)i) ? 1e-8f : conf * conf + 1e-4f;
         level[0].px[2 * i] = c / s->in->depth->depth[map->at + (size_t)i];
         level[0].px[2 * i + 1] = c;
     }
@@ -523,7 +542,8 @@ static void smooth_depth(struct seed *s, int view)
         }
     }
     for (int i = 0; i < map->w * map->h; i++)
-        s->rho[i] = level[0].px[2 * i] / level[0].px[2 * i + 1];
+        s->rho[i] = is_far(s, map->at + (size_t)i) ? 1.0f / s->in->depth->depth[map->at + (size_t)i]
+                                                   : level[0].px[2 * i] / level[0].px[2 * i + 1];
 }
 
 /* Summed-area table of the usable pixels of a view over the blocks, per bin (lo + k step). */
@@ -536,7 +556,7 @@ static void sum_sure(struct seed *s, int view, float lo, float step)
     for (int i = 0; i < w * map->h; i++) {
         float bin = step > 0.0f ? (s->rho[i] - lo) / step + 0.5f : 0.0f;
         int b = (int)fminf(fmaxf(bin, 0.0f), (float)(BINS - 1));
-        if (conf[i] >= SWEEP_CONF_USABLE)
+        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(s, map->at + (size_t)i))
             s->sum[(i / w / BLOCK + 1) * row + (i % w / BLOCK + 1) * BINS + b]++;
     }
     for (int k = 0; k < n * down; k++) {
@@ -579,7 +599,7 @@ static void limit_nearness(struct seed *s, int view)
     const float *conf = s->in->depth->conf + map->at;
     size_t n = 0;
     for (int i = 0; i < w * map->h; i++) {
-        if (conf[i] >= SWEEP_CONF_USABLE)
+        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(s, map->at + (size_t)i))
             s->levels[n++] = s->rho[i];
     }
     if (n == 0)
@@ -714,8 +734,27 @@ static err_t check_input(const struct seed_input *in, int max)
     return OK;
 }
 
+/* Mean ln radiance of all pixels that see the shell. */
+static void measure_sky(struct seed *s)
+{
+    const struct depthmaps *d = s->in->depth;
+    for (int c = 0; c < 3; c++) {
+        s->sky[c][0] = 0;
+        s->sky[c][1] = 1e-9f;
+    }
+    for (int j = 0; j < d->n && d->far; j++) {
+        const struct extent *map = &d->extent[j];
+        for (int k = 0; k < map->w * map->h; k++) {
+            const float at[2] = {(float)(k % map->w) + 0.5f, (float)(k / map->w) + 0.5f};
+            if (d->far[map->at + (size_t)k])
+                add_colour(s, j, at, 1, 1, s->sky);
+        }
+    }
+}
+
 static void prepare_views(struct seed *s)
 {
+    s->shell = shell_of(s->in->views->cams, s->in->views->n);
     struct response_table table;
     response_tabulate(s->in->tone, &table);
     for (int k = 0; k < 3 * 256; k++) {
@@ -724,6 +763,7 @@ static void prepare_views(struct seed *s)
     }
     for (int i = 0; i < s->in->views->n; i++)
         set_frame(&s->in->views->cams[i], s->in->depth->scale, &s->frame[i]);
+    measure_sky(s);
     sort_views(s);
 }
 

@@ -24,6 +24,7 @@ struct depthmaps {
     struct extent *extent; // (n) of the maps
     float *depth;          // (n) maps (h, w): z in the camera, scene units, > 0, finite
     float *conf;           // (n) maps (h, w), 0: smooth guess .. 1: several views agree
+    bool *far; // (n) maps (h, w): sees what is infinitely far (core/stereo/far.h); NULL: not known
 };
 
 /* Depth of every view.

@@ -15,6 +15,7 @@
 #include "core/refine/correct.h"
 #include "core/refine/response_refit.h"
 #include "core/splat/anysplat.h"
+#include "core/stereo/far.h"
 #include "core/stereo/seed.h"
 #include "core/stereo/sweep.h"
 
@@ -344,6 +345,8 @@ err_t start_stereo(struct start *s)
     err_t e = exposure_stack_merge(r, &out->views, &out->response, &merged->views, &merged->tone);
     if (!e)
         e = sweep_run(r, &merged->views, &merged->tone, &s->depth);
+    if (!e)
+        e = far_run(r, &merged->views, &merged->tone, &s->depth);
     if (!e && out->views.n_more == 0 && !out->views.srgb) {
         e = response_refit_run(r, &out->views, &s->depth, &merged->tone);
         out->scene.tone = merged->tone;
@@ -442,7 +445,7 @@ static err_t use_predicted_depth(struct start *s)
     const struct geometry *g = &s->p.geom;
     const size_t n = (size_t)g->n_views * (size_t)g->size * (size_t)g->size;
     struct job_result *out = s->out;
-    s->depth = (struct depthmaps){g->n_views, 1, out->views.extent, g->depth, NULL};
+    s->depth = (struct depthmaps){g->n_views, 1, out->views.extent, g->depth, NULL, NULL};
     err_t e = layout_confidence(&s->depth, s->run->keep, n);
     for (size_t i = 0; i < n && !e; i++) {
         s->depth.conf[i] = 1;
@@ -530,6 +533,7 @@ static void plan_stereo(struct plan *p, const struct views *v, const struct exte
 {
     exposure_stack_merge_plan(p, v);
     sweep_plan(p, v, maps);
+    far_plan(p, maps, v->n);
     if (v->n_more == 0)
         arena_step(&p->tmp, response_refit_plan(v->n));
     if (light)

@@ -245,7 +245,7 @@ static void sure_depth_moves_pixels_along_their_rays(void **state)
     enum { SMALL = SIZE / 2 };
     static float depth[VIEWS * SMALL * SMALL], conf[VIEWS * SMALL * SMALL], was[N], scales[3 * N],
         want[3 * PX];
-    struct depthmaps map = {VIEWS, 2, squares(VIEWS, SMALL), depth, conf};
+    struct depthmaps map = {VIEWS, 2, squares(VIEWS, SMALL), depth, conf, NULL};
     const struct tonemap tone = plain_tone();
     float *size = w.p.features + VOXEL_SCALE * N;
     for (int k = 0; k < VIEWS * SMALL * SMALL; k++) {
@@ -286,7 +286,7 @@ static void guesses_give_way_to_what_a_view_is_sure_of(void **state)
 {
     (void)state;
     static float depth[N], conf[N];
-    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf};
+    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf, NULL};
     const struct tonemap tone = plain_tone();
     const struct camera *c = &w.own[0];
     int out = 0, moved = 0;
@@ -355,7 +355,7 @@ static void who_knows_a_surface_better_shows_it(void **state)
 {
     (void)state;
     static float depth[N], conf[N], before[N];
-    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf};
+    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf, NULL};
     const struct tonemap tone = plain_tone();
     int out = 0;
     plane(depth);
@@ -395,7 +395,7 @@ static void more_views_than_one_decide_what_a_guess_shows(void **state)
 {
     (void)state;
     static float depth[N], conf[N];
-    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf};
+    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf, NULL};
     const struct tonemap tone = plain_tone();
     const struct {
         float mine, others; // log2 radiance
@@ -434,7 +434,7 @@ static void colours_are_those_of_the_photographs(void **state)
 {
     (void)state;
     static float depth[N], conf[N], was[VOXEL_FEATURES * N];
-    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf};
+    struct depthmaps map = {VIEWS, 1, squares(VIEWS, SIZE), depth, conf, NULL};
     const struct tonemap tone = plain_tone();
     struct tonemap own;
     double worst = 0;

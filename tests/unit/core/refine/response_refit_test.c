@@ -67,7 +67,7 @@ static int setup(void **state)
                          .log2t = w.log2t,
                          .mid_log2t = -2,
                          .cams = w.cams};
-    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf};
+    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf, NULL};
     for (int i = 0; i < VIEWS; i++)
         photograph(i);
     for (int k = 0; k < VIEWS * MPX; k++) {
@@ -151,7 +151,8 @@ static void pairs_have_a_bound_and_stop(void **state)
     static float log2t[40];
     struct tonemap t;
     atomic_bool cancel = true;
-    struct depthmaps maps = {40, 2, squares(40, MAP), calloc(40 * MPX, 4), calloc(40 * MPX, 4)};
+    struct depthmaps maps = {40,  2, squares(40, MAP), calloc(40 * MPX, 4), calloc(40 * MPX, 4),
+                             NULL};
     struct views v = {.n = 40,
                       .size = SIZE,
                       .extent = squares(40, SIZE),

@@ -71,7 +71,7 @@ static int setup(void **state)
                          .rgb = w.rgb,
                          .log2t = w.log2t,
                          .cams = w.cams};
-    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf};
+    w.depth = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf, NULL};
     response_srgb(0, &w.tone);
     for (int i = 0; i < VIEWS; i++) {
         struct camera *c = &w.cams[i];

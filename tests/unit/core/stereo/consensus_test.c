@@ -24,7 +24,7 @@ static int setup(void **state)
 {
     (void)state;
     memset(&w, 0, sizeof w);
-    w.maps = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf};
+    w.maps = (struct depthmaps){VIEWS, 2, squares(VIEWS, MAP), w.z, w.conf, NULL};
     for (int i = 0; i < VIEWS; i++) { // half a pixel to the side each
         w.cams[i] = (struct camera){
             .w = SIZE, .h = SIZE, .fx = 40, .fy = 40, .cx = 20, .cy = 20, .q = {1, 0, 0, 0}};

@@ -2,6 +2,7 @@
  * radiance. */
 #include "core/stereo/seed.h"
 
+#include "core/base/shell.h"
 #include "core/photo/response.h"
 #include "tests/unit/squares.h"
 
@@ -168,6 +169,47 @@ static void test_plane(void **state)
     free_world(&w);
 }
 
+/* The upper third of each view is sky, saturated in all views but the first: it is on the shell,
+ * has the radiance of the view that tells it, lets nothing through, and no guess about other
+ * pixels stands on it. */
+static void test_sky_is_on_the_shell(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    static bool far[VIEWS * MAP * MAP];
+    int sky = 0;
+    make_world(&w);
+    const struct shell shell = shell_of(w.cams, VIEWS);
+    w.depth.far = far;
+    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+        const int y = k / MAP % MAP, x = k % MAP;
+        far[k] = y < MAP / 3;
+        if (far[k])
+            w.depth.depth[k] =
+                shell_depth(&shell, &w.cams[k / (MAP * MAP)], 2 * (float)x + 1, 2 * (float)y + 1);
+        if (y >= MAP / 3 && y < MAP / 2)
+            w.depth.conf[k] = 0;
+    }
+    for (int i = 0; i < VIEWS; i++)
+        memset(w.v.rgb + (size_t)i * SIZE * SIZE * 3, i ? 255 : 200, SIZE / 3 * SIZE * 3);
+    const float want = response_radiance_log(&w.tone, 0, 200 / 255.0f, w.log2t[0]);
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    check_finite(&g);
+    for (int i = 0; i < g.n; i++) {
+        const float x[3] = {g.plane[G_MU][i], g.plane[G_MU + 1][i], g.plane[G_MU + 2][i]};
+        if (!shell_has(&shell, x)) {
+            assert_true(x[2] < 20);
+            continue;
+        }
+        sky++;
+        assert_true(x[1] < 0 && g.plane[G_LOGIT][i] > 3);
+        assert_true(fabsf(g.plane[G_SH][i] * 0.2820948f - want) < 0.1f);
+    }
+    assert_true(sky > 20 && sky < MAP * MAP); // many pixels each
+    free_world(&w);
+}
+
 static void test_detail_is_given_up(void **state)
 {
     (void)state;
@@ -296,6 +338,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_plane),
+        cmocka_unit_test(test_sky_is_on_the_shell),
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
         cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
