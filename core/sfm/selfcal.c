@@ -14,7 +14,7 @@
 #define BARREL -0.15    // k1 from which a fisheye is tried
 #define WIDE 0.9        // distance from the middle over the focal length, the same
 
-enum { STEPS = 6, EVERY = -1 };
+enum { STEPS = 6 };
 
 static const struct rung {
     enum lens_model model;
@@ -131,15 +131,13 @@ struct judgement {
     bool better;
 };
 
-/* lens: of whose observations; EVERY: of all. */
 static struct judgement judge_lens(const struct selfcal *s, int lens)
 {
     const struct adjust *a = s->a;
-    const double least = GAIN_LEAST / (lens == EVERY ? a->n_lenses : 1);
     struct judgement j = {0};
     double sum = 0, square = 0;
     for (int i = 0; i < a->first[a->n_tracks]; i++) {
-        if (!s->held[i] || (lens != EVERY && a->lens_of[a->obs[i].view] != lens))
+        if (!s->held[i] || a->lens_of[a->obs[i].view] != lens)
             continue;
         const double gain = (double)s->before[i] - (double)s->after[i];
         j.n++;
@@ -149,7 +147,7 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
         square += gain * gain;
     }
     const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
-    j.better = sum > SURE * error && sum > least * j.before;
+    j.better = sum > SURE * error && sum > GAIN_LEAST * j.before;
     j.before /= n;
     j.after /= n;
     return j;
@@ -236,47 +234,6 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     return e;
 }
 
-/* The model before the last step of a lens; false: it has taken none that can be taken back. */
-static bool descend(struct adjust_lens *l)
-{
-    const int terms = free_terms(l);
-    int step = STEPS - 1;
-    while (step >= 0 && !(LADDER[step].model == l->lens.model && LADDER[step].terms == terms))
-        step--;
-    if (step < 0 || (step > 0 && LADDER[step].model == LENS_OPENCV_FISHEYE &&
-                     LADDER[step - 1].model != LENS_OPENCV_FISHEYE))
-        return false;
-    const struct rung *to = step ? &LADDER[step - 1] : &(struct rung){LENS_PINHOLE, 0};
-    for (int k = to->terms; k < LENS_TERMS; k++)
-        l->lens.term[k] = 0;
-    climb(l, to);
-    return true;
-}
-
-/* Lenses took their steps together: what one gained may be due to another. Take back the last step
- * of each alone, as long as it is not needed: all cameras show what a wrong lens does to points. */
-static err_t eliminate(struct selfcal *s)
-{
-    struct adjust *a = s->a;
-    err_t e = OK;
-    for (int i = 0; i < a->n_lenses && a->n_lenses > 1 && !e; i++) {
-        bool needed = false;
-        while (!needed && !e) {
-            keep_state(s);
-            measure_left_out(s, s->after);
-            if (!descend(&a->lens[i]))
-                break;
-            e = fit(s);
-            measure_left_out(s, s->before);
-            needed = judge_lens(s, EVERY).better;
-        }
-        if (needed)
-            restore_state(s);
-    }
-    measure_left_out(s, s->before);
-    return e;
-}
-
 static void sum_up(struct selfcal *s, struct selfcal_lens *out)
 {
     for (int i = 0; i < s->a->n_lenses; i++) {
@@ -301,8 +258,6 @@ static err_t choose(struct selfcal *s, struct selfcal_lens *out)
         out[i].error_before = judge_lens(s, i).before;
     for (int k = 0; k < STEPS && !e; k++)
         e = try_step(s, k, out);
-    if (!e)
-        e = eliminate(s);
     sum_up(s, out);
     a->held = NULL;
     return e ? e : fit(s);

@@ -1,8 +1,7 @@
 /* selfcal.h - the lenses of physical cameras from photographs of a still scene: which distortion
  * terms each needs, and their values. Each model of a ladder (none, k1, k1 k2, k1 k2 p1 p2; then
  * the fisheye with 1, 2 and 4 terms, where the lens is that wide) is fitted without some of the
- * observations, and kept only where it predicts these clearly better than the model before. Of
- * several lenses last steps are then taken back where one alone is not needed.
+ * observations, and kept only where it predicts these clearly better than the model before.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_SELFCAL_H
 #define SFM_SELFCAL_H
