@@ -7,7 +7,9 @@
  * the noise, the strongest of each level first, spread by a count per cell of a grid. A
  * descriptor is that of SIFT (Lowe 2004) without rotation, on the corner's level and on the one
  * twice as coarse: gradients by direction in 4 x 4 cells, normalised, large parts cut,
- * normalised. */
+ * normalised. It is made of the upright view and of the view turned by an eighth; the other six
+ * eighths follow by a change of places, as cells and directions go over into each other in a
+ * quarter turn. */
 #include "core/sfm/corner.h"
 
 #include "core/base/num.h"
@@ -23,6 +25,7 @@ enum {
     HALF = CELLS * CELLS * DIRECTIONS,
     SPREAD = 12,          // cells of the grid that corners are spread over, across
     MARGIN = 6,           // px of a level without corners
+    TURNED = 24,          // px, edge of the surroundings that are turned
     DESCRIPTOR_NORM = 256 // length of a descriptor
 };
 
@@ -75,10 +78,11 @@ err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view *out)
     size_t cap = (size_t)corner_cap(num_max(w, h));
     memset(out, 0, sizeof *out);
     err_t e = arena_alloc(keep, cap, sizeof *out->at, &out->at);
-    if (!e)
-        e = arena_alloc(keep, cap, CORNER_DESCRIPTOR, &out->descriptor);
-    if (!e)
-        e = arena_alloc(keep, cap, sizeof *out->square, &out->square);
+    for (int i = 0; i < 2 && !e; i++) {
+        e = arena_alloc(keep, cap, CORNER_DESCRIPTOR, &out->descriptor[i]);
+        if (!e)
+            e = arena_alloc(keep, cap, sizeof *out->square[i], &out->square[i]);
+    }
     for (int i = 0; i < CORNER_LEVELS && !e; i++) {
         struct corner_level *l = out->level + i;
         set_shape(out, i, w, h);
@@ -454,15 +458,47 @@ static void scale_to_length(float *x, int n, float length)
         x[i] *= length / sqrtf(sum);
 }
 
-static void describe_corner(struct corner_view *c, int k)
+/* The surroundings of (u, v) px of a view, turned by an eighth. */
+struct turned {
+    struct corner_level level;
+    float light[TURNED * TURNED], weight[TURNED * TURNED];
+};
+
+static void cut_turned(const struct corner_level *l, float u, float v, struct turned *out)
+{
+    const float c = sqrtf(0.5f), x = u / l->scale - 0.5f, y = v / l->scale - 0.5f;
+    out->level = (struct corner_level){TURNED, TURNED, 1, out->light, out->weight};
+    for (int k = 0; k < TURNED * TURNED; k++) {
+        float dx = (float)(k % TURNED) - 0.5f * (TURNED - 1);
+        float dy = (float)(k / TURNED) - 0.5f * (TURNED - 1);
+        float s = x + c * (dx + dy), t = y + c * (dy - dx);
+        bool inside = s >= 0 && t >= 0 && s < (float)(l->w - 1) && t < (float)(l->h - 1);
+        int i = num_min((int)fmaxf(s, 0), l->w - 2), j = num_min((int)fmaxf(t, 0), l->h - 2);
+        float fs = fminf(fmaxf(s - (float)i, 0), 1), ft = fminf(fmaxf(t - (float)j, 0), 1);
+        size_t at = (size_t)j * (size_t)l->w + (size_t)i;
+        const float *p = l->light + at, *q = p + l->w;
+        float top = p[0] + fs * (p[1] - p[0]), low = q[0] + fs * (q[1] - q[0]);
+        out->light[k] = top + ft * (low - top);
+        out->weight[k] = inside ? l->weight[at] : 0;
+    }
+}
+
+/* turn: 0 upright, 1 turned by an eighth. */
+static void describe_corner(struct corner_view *c, int k, int turn)
 {
     float hist[2 * HALF];
     int32_t square = 0;
+    struct turned cut;
     const struct corner *at = c->at + k;
-    int8_t *descriptor = c->descriptor + (size_t)k * CORNER_DESCRIPTOR;
+    int8_t *descriptor = c->descriptor[turn] + (size_t)k * CORNER_DESCRIPTOR;
     for (int s = 0; s < 2; s++) {
+        const struct corner_level *l = c->level + at->level + 2 * s;
         float *part = hist + s * HALF;
-        build_half(c->level + at->level + 2 * s, at->u, at->v, part);
+        if (turn) {
+            cut_turned(l, at->u, at->v, &cut);
+            build_half(&cut.level, 0.5f * TURNED, 0.5f * TURNED, part);
+        } else
+            build_half(l, at->u, at->v, part);
         scale_to_length(part, HALF, 1);
         for (int i = 0; i < HALF; i++)
             part[i] = fminf(part[i], CUT);
@@ -473,7 +509,27 @@ static void describe_corner(struct corner_view *c, int k)
         descriptor[i] = (int8_t)lrintf(fminf(hist[i], 127));
         square += descriptor[i] * descriptor[i];
     }
-    c->square[k] = square;
+    c->square[turn][k] = square;
+}
+
+const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t *room,
+                            int32_t *square)
+{
+    const int8_t *from = c->descriptor[turn & 1] + (size_t)k * CORNER_DESCRIPTOR;
+    *square = c->square[turn & 1][k];
+    if (turn < 2)
+        return from;
+    for (int i = 0; i < CORNER_DESCRIPTOR; i++) {
+        int x = i / DIRECTIONS % CELLS, y = i / DIRECTIONS / CELLS % CELLS;
+        for (int q = 0; q < turn / 2; q++) { // where a quarter turn takes the cell from
+            int old = x;
+            x = y;
+            y = CELLS - 1 - old;
+        }
+        int direction = (i - turn / 2 * (DIRECTIONS / 4)) & (DIRECTIONS - 1);
+        room[i] = from[i / HALF * HALF + (y * CELLS + x) * DIRECTIONS + direction];
+    }
+    return room;
 }
 
 /* ---- the whole ---- */
@@ -488,6 +544,6 @@ void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out)
     build_pyramid(out, scratch);
     for (int i = 0; i < CORNER_FOUND; i++)
         find_corners(out, i, (int)(share[i] * (float)corner_cap(size)), scratch);
-    for (int k = 0; k < out->n; k++)
-        describe_corner(out, k);
+    for (int k = 0; k < 2 * out->n; k++)
+        describe_corner(out, k / 2, k % 2);
 }

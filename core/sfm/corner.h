@@ -13,6 +13,7 @@ enum {
         256,              // numbers of a descriptor: two surroundings of 4 x 4 cells x 8 directions
     CORNER_MAX = 1536,    // corners of a view
     CORNER_SIZE_MIN = 64, // px, of a view
+    CORNER_TURNS = 8,     // directions that a descriptor can be turned to
     CORNER_BINS = 8       // of brightness, for the noise
 };
 
@@ -35,9 +36,9 @@ struct corner_view {
     struct corner_level level[CORNER_LEVELS];
     float noise[CORNER_BINS]; // deviation of light before smoothing, by light from 0 to 1
     int n;
-    struct corner *at;  // (corner_cap)
-    int8_t *descriptor; // (corner_cap, CORNER_DESCRIPTOR) descriptors
-    int32_t *square;    // (corner_cap) sum of the squares of a descriptor
+    struct corner *at;     // (corner_cap)
+    int8_t *descriptor[2]; // (corner_cap, CORNER_DESCRIPTOR) upright; view turned by an eighth
+    int32_t *square[2];    // (corner_cap) sums of the squares of these
 };
 
 /* Most corners of a view whose longest edge is `size` px. */
@@ -49,6 +50,11 @@ MUST_USE err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view
 
 /* Scratch of corner_run for a view of so many pixels: floats. */
 size_t corner_scratch(size_t pixels);
+
+/* The descriptor of corner k as if the view were turned by `turn` eighths of a full turn, from x to
+ * y. Returns the stored one, or `room`, CORNER_DESCRIPTOR numbers; *square is their sum of squares. */
+const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t *room,
+                            int32_t *square);
 
 /* Pyramid, corners and descriptors. rgb: (h, w, 3). scratch: (corner_scratch). */
 void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out);

@@ -38,6 +38,7 @@ struct matcher {
     struct pair_views p;
     int cap, n_couples;  // of p; of views
     struct pair *couple; // (n_couples)
+    float *roll;         // (n) of views, radians from x to y, among those that are connected
     struct room *rooms;
     int *parent;    // (n cap) of union and find
     int *first;     // (n cap) node of a corner's place
@@ -175,6 +176,65 @@ static err_t join_all(struct matcher *m)
     return OK;
 }
 
+/* ---- turns ---- */
+
+/* Turn of the links of a pair about their middle. */
+static float turn_of_links(const struct matcher *m, const struct pair *c)
+{
+    double mean[4] = {0}, along = 0, across = 0;
+    for (int turn = 0; turn < 2; turn++) {
+        for (int k = 0; k < c->n; k++) {
+            const struct corner *a = m->p.view[c->a].at + c->link[k].a;
+            const struct corner *b = m->p.view[c->b].at + c->link[k].b;
+            const double at[4] = {a->u, a->v, b->u, b->v};
+            const double x = at[0] - mean[0], y = at[1] - mean[1];
+            const double u = at[2] - mean[2], v = at[3] - mean[3];
+            along += turn * (x * u + y * v);
+            across += turn * (x * v - y * u);
+            for (int i = 0; i < 4 && !turn; i++)
+                mean[i] += at[i] / c->n;
+        }
+    }
+    return (float)atan2(across, along);
+}
+
+/* Radians, from x to y, that bring view a of a pair to look like b; 0 where both are upright. */
+static float roll_of_pair(const struct matcher *m, const struct pair *c)
+{
+    const float full = (float)(2 * NUM_PI), step = full / CORNER_TURNS;
+    float rough = (float)c->turn * step, off;
+    if (!c->turn)
+        return 0;
+    off = remainderf(turn_of_links(m, c) - rough, full);
+    return fabsf(off) < step ? rough + off : rough;
+}
+
+/* A roll for each view, over the pairs with the most links. */
+static void find_rolls(struct matcher *m)
+{
+    int *tree = m->first; // not yet in use
+    for (int i = 0; i < m->v->n; i++) {
+        tree[i] = i;
+        m->roll[i] = 0;
+    }
+    for (;;) {
+        const struct pair *best = NULL;
+        for (int i = 0; i < m->n_couples; i++) {
+            const struct pair *c = m->couple + i;
+            if (c->known && tree[c->a] != tree[c->b] && (!best || c->n > best->n))
+                best = c;
+        }
+        if (!best)
+            return;
+        const float shift = m->roll[best->a] + roll_of_pair(m, best) - m->roll[best->b];
+        const int from = tree[best->b], to = tree[best->a];
+        for (int i = 0; i < m->v->n; i++) {
+            m->roll[i] += tree[i] == from ? shift : 0;
+            tree[i] = tree[i] == from ? to : tree[i];
+        }
+    }
+}
+
 /* ---- refinement ---- */
 
 /* Patches of the reference, from two successive levels. */
@@ -182,6 +242,7 @@ struct view_of {
     int level;
     bool cut[2];
     struct patch patch[2];
+    int view;
 };
 
 /* |log2| of the magnification of a patch where it is found. */
@@ -198,11 +259,12 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
     const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
     const struct corner_view *c = m->p.view + node / m->cap;
     const struct corner *at = c->at + node % m->cap;
+    const float roll = m->roll[node / m->cap] - m->roll[o->view], x = cosf(roll), y = sinf(roll);
     float least = INFINITY;
     for (int i = 0; i < 3 && least > STRETCH_MAX; i++) {
         const struct corner_level *l = c->level + o->level + to[i];
         float u = at->u / l->scale, v = at->v / l->scale;
-        struct patch_place place = {.u = u, .v = v, .m = {1, 0, 0, 1}};
+        struct patch_place place = {.u = u, .v = v, .m = {x, -y, y, x}};
         if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &place) ||
             place.correlation < CORRELATION_MIN || log_magnification(&place) >= least ||
             hypotf(place.u - u, place.v - v) > SLIDE_MAX)
@@ -245,7 +307,7 @@ static void refine_track(const struct matcher *m, struct track *t)
     struct match_observation *out = m->obs + t->at;
     const struct corner_view *c = m->p.view + best / m->cap;
     const struct corner *at = c->at + best % m->cap;
-    struct view_of reference = {.level = at->level};
+    struct view_of reference = {.level = at->level, .view = best / m->cap};
     float sum = 0, least = INFINITY;
     for (int k = 0; k < 2; k++) {
         const struct corner_level *l = c->level + at->level + k;
@@ -459,6 +521,8 @@ static err_t layout_pairs(struct matcher *m, struct arena *tmp)
 {
     size_t cap = (size_t)m->cap, nodes = (size_t)m->p.n * cap;
     err_t e = arena_alloc(tmp, (size_t)m->n_couples, sizeof *m->couple, &m->couple);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)m->p.n, sizeof *m->roll, &m->roll);
     for (int a = 0, k = 0; a < m->p.n; a++) {
         for (int b = a + 1; b < m->p.n && !e; b++, k++) {
             struct pair pair = {.a = a, .b = b};
@@ -523,6 +587,7 @@ static err_t find_tracks(struct matcher *m, struct match_tracks *out)
         e = pool_for(m->r->pool, m->n_couples, match_couple, m);
     if (e)
         return e;
+    find_rolls(m);
     start_nodes(m);
     e = join_all(m);
     if (e)

@@ -2,7 +2,9 @@
  * is the best of both views for each other and clearly better than the next one at another place
  * (Lowe 2004, 7.1); places outside the network's attention count as farther, unless its attention
  * is flat. When one epipolar geometry explains enough matches, corners are compared once more along
- * the epipolar lines only: there fewer are alike, which finds half as many matches again. */
+ * the epipolar lines only: there fewer are alike, which finds half as many matches again. Where
+ * few agree, view a is compared as if it were turned, and the turn with the most matches is tried:
+ * a whole view has one roll, so corners need no direction of their own, which would cost matches. */
 #include "core/sfm/pair.h"
 
 #include "core/base/num.h"
@@ -15,6 +17,7 @@ enum {
     ROWS = 32,      // corners of a block of products
     UNLIKE = 50000, // squared distance of descriptors that have nothing in common
     FAR = 1 << 28,  // no distance between descriptors
+    SURE = 40,      // agreeing matches, from which on no turn is tried
     NONE = -1
 };
 
@@ -74,6 +77,10 @@ err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct 
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->near, &w->near);
     if (!e)
+        e = arena_alloc(tmp, ROWS, CORNER_DESCRIPTOR, &w->turned);
+    if (!e)
+        e = arena_alloc(tmp, ROWS, sizeof *w->square, &w->square);
+    if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->match, &w->match);
     if (!e)
         e = arena_alloc(tmp, grid * grid, sizeof *w->expected, &w->expected);
@@ -99,7 +106,7 @@ void pair_prepare(const struct pair_views *m, int i)
     for (int k = 0; k < c->n; k++) {
         int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
         for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
-            memcpy(to + q * PANEL, c->descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
+            memcpy(to + q * PANEL, c->descriptor[0] + (size_t)k * CORNER_DESCRIPTOR + q, 4);
         if (m->prior)
             m->token[i * m->cap + k] = token_of(m, i, c->at + k);
     }
@@ -184,25 +191,40 @@ static void find_nearest(const struct pair_views *m, const struct pair *c, const
     w->doubt[t->i] = ((float)best + 1) / ((float)next + 1);
 }
 
+/* Descriptors of corners i .. i + n of a, turned; returns the first, the others follow. */
+static const int8_t *turn_rows(const struct pair_views *m, const struct pair *c, int i, int n,
+                               struct pair_workspace *w)
+{
+    const struct corner_view *a = m->view + c->a;
+    const int8_t *first = w->turned;
+    for (int k = 0; k < n; k++) {
+        int8_t *room = w->turned + (size_t)k * CORNER_DESCRIPTOR;
+        const int8_t *at = corner_turned(a, i + k, c->turn, room, w->square + k);
+        first = k ? first : at;
+    }
+    return first;
+}
+
 /* Compare all with all. */
 static void search_all(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
     for (int i = 0; i < a->n; i++) {
         int32_t *row = w->product + (size_t)(i % ROWS) * w->pitch;
+        const int rows = num_min(ROWS, a->n - i);
         if (i % ROWS == 0)
-            m->k->net.s8(&(struct gemm_s8){.m = num_min(ROWS, a->n - i),
+            m->k->net.s8(&(struct gemm_s8){.m = rows,
                                            .panels = (b->n + PANEL - 1) / PANEL,
                                            .segs = 1,
                                            .seg = CORNER_DESCRIPTOR,
-                                           .a = a->descriptor + (size_t)i * CORNER_DESCRIPTOR,
+                                           .a = turn_rows(m, c, i, rows, w),
                                            .lda = CORNER_DESCRIPTOR,
                                            .w = m->panels[c->b],
                                            .ldw = PANEL * CORNER_DESCRIPTOR,
                                            .c = w->product,
                                            .ldc = w->pitch});
         for (int j = 0; j < b->n; j++)
-            row[j] = a->square[i] + b->square[j] - 2 * row[j];
+            row[j] = w->square[i % ROWS] + b->square[0][j] - 2 * row[j];
         find_nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
     }
 }
@@ -222,13 +244,13 @@ static void search_lines(const struct pair_views *m, const struct pair *c, struc
         for (int j = 0; j < b->n; j++)
             if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
                 w->near[t.n++] = (int16_t)j;
+        const int8_t *p = turn_rows(m, c, i, 1, w);
         for (int k = 0; k < t.n; k++) {
-            const int8_t *p = a->descriptor + (size_t)i * CORNER_DESCRIPTOR;
-            const int8_t *q = b->descriptor + (size_t)w->near[k] * CORNER_DESCRIPTOR;
+            const int8_t *q = b->descriptor[0] + (size_t)w->near[k] * CORNER_DESCRIPTOR;
             int32_t sum = 0;
             for (int n = 0; n < CORNER_DESCRIPTOR; n++)
                 sum += p[n] * q[n];
-            t.square[k] = a->square[i] + b->square[w->near[k]] - 2 * sum;
+            t.square[k] = *w->square + b->square[0][w->near[k]] - 2 * sum;
         }
         find_nearest(m, c, &t, w);
     }
@@ -259,8 +281,8 @@ struct epipolar_match pair_match(const struct pair_views *m, float au, float av,
     return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
 }
 
-/* The epipolar geometry that most links agree with. */
-static void find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
+/* The epipolar geometry that most links agree with; returns how many. */
+static int find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
 {
     for (int k = 0; k < c->n; k++) {
         const struct corner *a = m->view[c->a].at + c->link[k].a;
@@ -269,27 +291,59 @@ static void find_geometry(const struct pair_views *m, struct pair *c, struct epi
     }
     int agree = epipolar_run(match, c->n, (float)m->size, BOUND, c->f);
     c->known = agree >= PAIR_LEAST + c->n / 16;
+    return agree;
+}
+
+static void clear_nearest(const struct pair_views *m, const struct pair *c,
+                          struct pair_workspace *w)
+{
+    for (int j = 0; j < m->view[c->b].n; j++)
+        w->column[j] = FAR;
+}
+
+static void link_all(const struct pair_views *m, struct pair *c, struct pair_workspace *w)
+{
+    clear_nearest(m, c, w);
+    search_all(m, c, w);
+    link_mutual(m, c, w, RATIO);
+}
+
+/* Matches with a turned, where upright ones tell little: those of the turn that links most, if one
+ * geometry explains more of them than the `agree` ones before. */
+static void try_turns(const struct pair_views *m, struct pair_workspace *w, struct pair *c,
+                      int agree)
+{
+    int most = 0, best = 0;
+    const struct pair upright = *c;
+    for (c->turn = 1; c->turn < CORNER_TURNS; c->turn++) {
+        link_all(m, c, w);
+        if (c->n > most) {
+            most = c->n;
+            best = c->turn;
+        }
+    }
+    c->turn = best;
+    link_all(m, c, w);
+    const int turned = find_geometry(m, c, w->match);
+    if (!c->known || turned <= agree + PAIR_LEAST / 2)
+        *c = upright;
 }
 
 void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
 {
     c->n = 0;
+    c->turn = 0;
     c->known = false;
     if (m->view[c->a].n < PAIR_LEAST || m->view[c->b].n < PAIR_LEAST)
         return;
-    for (int turn = 0; turn < 2; turn++) {
-        for (int j = 0; j < m->view[c->b].n; j++)
-            w->column[j] = FAR;
-        if (turn)
-            search_lines(m, c, w);
-        else
-            search_all(m, c, w);
-        link_mutual(m, c, w, turn ? RATIO_LINE : RATIO);
-        if (!turn)
-            find_geometry(m, c, w->match);
-        if (!c->known)
-            break;
-    }
-    if (!c->known)
+    link_all(m, c, w);
+    const int agree = find_geometry(m, c, w->match);
+    if (agree < SURE)
+        try_turns(m, w, c, agree);
+    if (c->known) {
+        clear_nearest(m, c, w);
+        search_lines(m, c, w);
+        link_mutual(m, c, w, RATIO_LINE);
+    } else
         c->n = 0;
 }

@@ -22,6 +22,7 @@ struct pair {
     struct pair_link *link; // (corner_cap) the surest first
     double f[9];            // epipolar geometry, see epipolar.h
     bool known;             // f
+    int turn;               // eighths of a full turn, from x to y, that bring a to look like b
 };
 
 /* All views. */
@@ -43,6 +44,8 @@ struct pair_workspace {
     int16_t *to;                  // (cap) nearest in b of each corner of a
     float *doubt;                 // (cap)
     int16_t *near;                // (cap) corners of b on a line
+    int8_t *turned;               // (rows, CORNER_DESCRIPTOR) descriptors of a
+    int32_t *square;              // (rows) sums of the squares of these
     struct epipolar_match *match; // (cap)
     uint8_t *expected;            // (grid^2) whether the network's attention is on this token
 };
