@@ -52,7 +52,8 @@ MUST_USE err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view
 size_t corner_scratch(size_t pixels);
 
 /* The descriptor of corner k as if the view were turned by `turn` eighths of a full turn, from x to
- * y. Returns the stored one, or `room`, CORNER_DESCRIPTOR numbers; *square is their sum of squares. */
+ * y. Returns the stored one, or `room`, CORNER_DESCRIPTOR numbers; *square is their sum of
+ * squares. */
 const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t *room,
                             int32_t *square);
 

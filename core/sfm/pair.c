@@ -2,9 +2,9 @@
  * is the best of both views for each other and clearly better than the next one at another place
  * (Lowe 2004, 7.1); places outside the network's attention count as farther, unless its attention
  * is flat. When one epipolar geometry explains enough matches, corners are compared once more along
- * the epipolar lines only: there fewer are alike, which finds half as many matches again. Where
- * few agree, view a is compared as if it were turned, and the turn with the most matches is tried:
- * a whole view has one roll, so corners need no direction of their own, which would cost matches. */
+ * the epipolar lines only: there fewer are alike, which finds half as many matches again. Where few
+ * agree, view a is compared as if it were turned, and the turn with the most matches is tried: a
+ * whole view has one roll, so corners need no direction of their own, which would cost matches. */
 #include "core/sfm/pair.h"
 
 #include "core/base/num.h"

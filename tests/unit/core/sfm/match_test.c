@@ -301,6 +301,35 @@ static void test_scale(void **state)
     close_world(&w);
 }
 
+/* The picture turned about its middle, from x to y. */
+static void roll_camera(struct world *w, int i, double roll)
+{
+    const double c = cos(roll), s = sin(roll), m = SIZE / 2.0;
+    const double turn[9] = {c, -s, m - c * m + s * m, s, c, m - s * m - c * m, 0, 0, 1};
+    double h[9] = {0};
+    for (int k = 0; k < 27; k++)
+        h[k / 3] += turn[k / 9 * 3 + k % 3] * w->h[i][k % 3 * 3 + k / 3 % 3];
+    memcpy(w->h[i], h, sizeof h);
+}
+
+static void test_roll(void **state)
+{
+    static const double rolls[2][3] = {{0, 1.0, 1.9}, {1.5708, 0, 3.1416}};
+    struct world w;
+    (void)state;
+    open_world(&w, 3, 2);
+    for (int k = 0; k < 2; k++) {
+        for (int i = 0; i < 3; i++) {
+            w.log2t[i] = (float)(i - 1);
+            place_camera(&w, i, 0.1 * i, 1);
+            roll_camera(&w, i, rolls[k][i]);
+            photograph(&w, i, 5000);
+        }
+        expect_tracks(&w, 100, 0.9, 0.3);
+    }
+    close_world(&w);
+}
+
 /* A shift by a whole pixel is found exactly on the finest level, within a part of a pixel of the
  * others, whose pixels it is not a multiple of. */
 static void test_shift(void **state)
@@ -510,11 +539,17 @@ static void test_many_views(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_one_exposure),   cmocka_unit_test(test_mixed_exposures),
-        cmocka_unit_test(test_far_exposures),  cmocka_unit_test(test_wide_turns_and_noise),
-        cmocka_unit_test(test_scale),          cmocka_unit_test(test_shift),
-        cmocka_unit_test(test_nothing_to_see), cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_prior),          cmocka_unit_test(test_too_little_memory),
+        cmocka_unit_test(test_one_exposure),
+        cmocka_unit_test(test_mixed_exposures),
+        cmocka_unit_test(test_far_exposures),
+        cmocka_unit_test(test_wide_turns_and_noise),
+        cmocka_unit_test(test_scale),
+        cmocka_unit_test(test_roll),
+        cmocka_unit_test(test_shift),
+        cmocka_unit_test(test_nothing_to_see),
+        cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_prior),
+        cmocka_unit_test(test_too_little_memory),
         cmocka_unit_test(test_many_views),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
