@@ -195,7 +195,7 @@ static const char *walk_jpeg(struct walk *j)
         if (marker == 0)
             return j->at >= j->n ? "no end of the picture" : "no marker where one belongs";
         if (marker == EOI)
-            return j->scan && j->w ? NULL : "no picture";
+            return j->scan ? NULL : "no picture";
         const char *wrong = step_segment(j, marker);
         if (wrong)
             return wrong;
