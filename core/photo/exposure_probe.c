@@ -450,21 +450,22 @@ static void bound_place(const struct refuter *t, const struct exposure_probe *w,
 }
 
 /* Light of place i in a by both frames, if b has the other ratio to it; var: its squared error.
- * Where it is but bounded, that which makes the two ratios differ most. */
+ * Where both but bound it, that which makes the two ratios differ most: the longer one saturates. */
 static float light_if(const struct refuter *t, int i, float *var)
 {
     float lo_a, hi_a, lo_b, hi_b, va = t->a->sd[i] * t->a->sd[i];
     float vb = t->b->sd[i] * t->b->sd[i] / (t->other * t->other);
     bound_place(t, t->a, i, &lo_a, &hi_a);
     bound_place(t, t->b, i, &lo_b, &hi_b);
-    float xa = isinf(hi_a) ? lo_a : hi_a, xb = (isinf(hi_b) ? lo_b : hi_b) / t->other;
+    float xa = lo_a, xb = lo_b / t->other;
     bool a = lo_a == hi_a, b = lo_b == hi_b;
-    *var = a && b ? va * vb / fmaxf(va + vb, 1e-30f) : a ? va : vb;
-    if (a != b)
-        return a ? xa : xb;
-    if (a)
+    *var = a && b ? va * vb / fmaxf(va + vb, 1e-30f) : a ? va : b ? vb : 0.0f;
+    if (a && b)
         return (xa * vb + xb * va) / fmaxf(va + vb, 1e-30f);
-    return isinf(hi_a) || isinf(hi_b) ? xa : fminf(xa, xb);
+    if (a || b)
+        return a ? xa : xb;
+    float most = fminf(1.0f / fmaxf(t->r, t->other), fminf(hi_a, hi_b / t->other));
+    return fmaxf(most, fmaxf(xa, xb));
 }
 
 /* Distance of b from the other ratio towards its own, standard errors. */

@@ -632,6 +632,85 @@ static void test_mixed_evidence(void **state)
     assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
 }
 
+/* Every place dark, by a response that only bounds what is dark. */
+static void set_bound(struct exposure_probe *p, float floor_codes)
+{
+    p->linear = false;
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+        p->state[i] = EXPOSURE_PROBE_DARK;
+        p->floor[i] = floor_codes * CODE;
+    }
+}
+
+/* The light of a place counts by the frame that knows it better; with 1 code the ratios 1 and 1/16
+ * look alike, with 4 they do not. */
+static void test_light_by_both_frames(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(1.0f, &a);
+    even(0.25f, &b);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    even(4.0f, &a);
+    set_sd(&a, 4.0f);
+    even(0.0625f, &b);
+    set_sd(&b, 0.003f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    set_bound(&a, 8.0f); // b alone knows
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    even(0.25f, &b);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+    even(1.0f, &a); // a alone knows
+    even(0.0f, &b);
+    set_sd(&b, 4.0f);
+    set_bound(&b, 8.0f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    even(4.0f, &a);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+}
+
+/* Where both frames but bound the light, any within the bounds may make the ratios differ. */
+static void test_light_that_is_bounded(void **state)
+{
+    struct exposure_probe a, b;
+    (void)state;
+    even(0.0f, &a); // at most 1 code, by either
+    b = a;
+    set_sd(&a, 4.0f);
+    set_sd(&b, 4.0f);
+    set_bound(&a, 1.0f);
+    set_bound(&b, 8.0f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    set_bound(&a, 8.0f);
+    set_bound(&b, 0.0625f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
+    set_bound(&b, 0.25f);
+    assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
+    even(5000.0f, &a); // so bright that both ratios saturate
+    even(5000.0f, &b);
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
+    assert_int_equal(rows_of(&a, &b, -0.2, -1.0).alike, UINT32_MAX);
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        a.x[i] = b.x[i] = 0.125f; // a few pixels of the place are
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, 0);
+    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+        a.x[i] = 1.0f;
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
+    even(5000.0f, &b);
+    even(0.0f, &a); // 64 to 256 codes: the shorter one may not saturate
+    set_bound(&a, 256.0f);
+    assert_int_equal(rows_of(&a, &b, 5.0, 6.0).alike, 0);
+    assert_int_equal(rows_of(&a, &b, 7.0, 6.0).alike, UINT32_MAX);
+    set_bound(&a, 32.0f); // too little for the other ratio
+    assert_int_equal(rows_of(&a, &b, 5.0, 6.0).alike, 0);
+    even(5000.0f, &a); // 1 to 16: not alike, though the least is
+    even(0.0f, &b);
+    set_bound(&b, 8.0f);
+    assert_int_equal(rows_of(&a, &b, -12.0, -13.0).alike, 0);
+    set_bound(&b, 0.5f);
+    assert_int_equal(rows_of(&a, &b, -12.0, -13.0).alike, UINT32_MAX);
+}
+
 /* Places that are dark or clipped bound a ratio; two of one exposure are so in both. */
 static void test_refuted_by_bounds(void **state)
 {
@@ -679,6 +758,8 @@ int main(void)
         cmocka_unit_test(test_weak_evidence),
         cmocka_unit_test(test_refuted_by_bounds),
         cmocka_unit_test(test_mixed_evidence),
+        cmocka_unit_test(test_light_by_both_frames),
+        cmocka_unit_test(test_light_that_is_bounded),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
