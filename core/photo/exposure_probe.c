@@ -450,7 +450,7 @@ static void bound_place(const struct refuter *t, const struct exposure_probe *w,
 }
 
 /* Light of place i in a by both frames, if b has the other ratio to it; var: its squared error.
- * Where both but bound it, that which makes the two ratios differ most: the longer one saturates. */
+ * Where both but bound it, that which makes the ratios differ most: the longer one saturates. */
 static float light_if(const struct refuter *t, int i, float *var)
 {
     float lo_a, hi_a, lo_b, hi_b, va = t->a->sd[i] * t->a->sd[i];
