@@ -10,7 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { READOUTS = 96, ROW_PLACES = 4, FIGURES_MIN = 24 };
+enum { READOUTS = 96, FIGURES_MIN = 24 }; // rows of all short frames
 
 #define DARKEST 8.0f   // times the floor in a long frame, so that a short one still sees the place
 #define BRIGHTEST 0.7f // relative to saturation
@@ -86,7 +86,7 @@ static double explained_share(const struct flicker *f, double hz, double readout
     struct fit t = {0};
     for (int k = 0; k < f->n_short; k++)
         for (int j = 0; j < EXPOSURE_PROBE_EDGE; j++) {
-            if (f->places[j] < ROW_PLACES)
+            if (f->places[j] == 0)
                 continue;
             double at = f->start_s[k] - f->start_s[0] + readout_s * j / EXPOSURE_PROBE_EDGE;
             double time = f->time_s[k], m = sinc(hz * time);

@@ -150,11 +150,9 @@ static int pick_exposure(const struct camera_state *c)
 static void request_next(struct camera_state *c, int64_t now_ns)
 {
     const struct label_request *newest = label_newest(&c->label);
-    int i = -1;
     if (c->phase == OVER || c->restarting)
         return;
-    if (c->phase == RUN)
-        i = pick_exposure(c);
+    int i = c->phase == RUN ? pick_exposure(c) : -1;
     if (c->phase == REST && (c->target < 0 || c->state[c->target] == KEPT))
         c->target = pick_exposure(c);
     if (c->phase == REST)
@@ -331,8 +329,9 @@ static void use_known(struct bracket *b, struct camera_state *c, const struct br
                  (c->since < 1 || (c->label.sane && ev->frame->timestamp_ns < c->begin_ns));
     int i = missing_index(c, e);
     c->judged = 0;
-    // a torn frame has rows of the one before, which must look the same where it can be measured
-    bool still = (!k->measured || c->still_since < c->since) && label_alone(&c->label);
+    // a torn frame has rows of the one before, which must look the same if flicker allows
+    bool same = c->still_since < c->since || (c->label.light.hz > 0.0 && label_rested(&c->label));
+    bool still = (!k->measured || same) && label_alone(&c->label);
     bool wanted = i >= 0 && !early;
     if (wanted && c->phase == RUN && !k->whole)
         c->tries[i] = TRIES_MAX; // only from rest now
