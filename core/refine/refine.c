@@ -22,6 +22,7 @@
 #include "core/photo/shade.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
+#include "core/refine/pyramid.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
 
@@ -219,27 +220,6 @@ static uint16_t *deep_planes(const struct refine *f, int i, int level)
     return f->deep[level] + planes_at(f, i, level);
 }
 
-/* Means of four pixels each. */
-static void halve_planes(const uint8_t *in, int w, int h, uint8_t *out)
-{
-    const size_t across = (size_t)w, m = across / 2, down = (size_t)h / 2;
-    for (size_t c = 0; c < 3; c++, in += across * (size_t)h)
-        for (size_t at = 0; at < m * down; at++) {
-            const uint8_t *p = in + 2 * (at / m) * across + 2 * (at % m);
-            *out++ = (uint8_t)((p[0] + p[1] + p[across] + p[across + 1] + 2) / 4);
-        }
-}
-
-static void halve_deep(const uint16_t *in, int w, int h, uint16_t *out)
-{
-    const size_t across = (size_t)w, m = across / 2, down = (size_t)h / 2;
-    for (size_t c = 0; c < 3; c++, in += across * (size_t)h)
-        for (size_t at = 0; at < m * down; at++) {
-            const uint16_t *p = in + 2 * (at / m) * across + 2 * (at % m);
-            *out++ = (uint16_t)((p[0] + p[1] + p[across] + p[across + 1] + 2) / 4);
-        }
-}
-
 static void fill_deep(struct refine *f, int i)
 {
     const struct extent *px = &f->v->extent[i];
@@ -249,8 +229,8 @@ static void fill_deep(struct refine *f, int i)
     for (size_t k = 0; k < 3 * n; k++)
         full[k % 3 * n + k / 3] = in[k];
     for (int k = 1; k < f->levels; k++)
-        halve_deep(deep_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
-                   deep_planes(f, i, k));
+        pyramid_halve_deep(deep_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
+                           deep_planes(f, i, k));
 }
 
 /* One photograph as planes of every level. */
@@ -270,8 +250,8 @@ static err_t planes_chunk(void *ctx, int i, int worker)
         for (size_t at = 0; at < n; at++)
             full[c * n + at] = in[at * 3 + c];
     for (int k = 1; k < f->levels; k++)
-        halve_planes(photo_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
-                     photo_planes(f, i, k));
+        pyramid_halve(photo_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
+                      photo_planes(f, i, k));
     return OK;
 }
 

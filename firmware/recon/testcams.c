@@ -92,7 +92,7 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
     if (recipe.bundle)
         locate_plan(p, v, v->n);
     arena_step(&p->tmp, pose_error_plan(v->n)); // fits a similarity, as placing does
-    arena_step(&p->tmp, align_plan(most, v, p->threads));
+    arena_step(&p->tmp, align_plan(most, v));
 }
 
 err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
@@ -264,7 +264,7 @@ static err_t align_test_views(const struct run *r, const struct job_result *j,
     err_t e = place_test_views(r, s, lens, all->n, cams);
     if (!e)
         e = shade(r, j, test, &v);
-    return e ? e : align_run(r, s, ALIGN_ITERATIONS, &v);
+    return e ? e : align_run(r, s, &v);
 }
 
 static void give_cameras(const struct camera *cams, struct capture *test)

@@ -1,6 +1,6 @@
 /* testcams.h - where the test photographs of a data set were taken, if no rig tells: they are
  * located together with the input views, by the network if there is one and by bundle adjustment,
- * then aligned to the finished scene (core/refine/README.md 1, B and C). */
+ * then aligned to the finished scene (core/refine/README.md 1, B, and 5). */
 #ifndef RECON_TESTCAMS_H
 #define RECON_TESTCAMS_H
 
