@@ -32,6 +32,9 @@ enum {
     COST_TOP = 16000 // above every cost of a neighbour, in FINE
 };
 
+/* Share of the best-seen depth that the nearest one has: ground at the lower border is in few
+ * pictures. */
+static const double SEEN_LEAST = 0.15;
 static const double STEP_PX = 1.2;    // path of the fastest pixel per plane
 static const float COST_BLIND = 0.5f; // cost where no pixel has information
 static const float COST_OUTSIDE =
@@ -156,7 +159,7 @@ static void choose_range(struct sweep *s, int i)
         top = fmax(top, seen[t]);
     int first = TRIES, last = 0;
     for (int t = 0; t < TRIES; t++) {
-        if (seen[t] >= 0.4 * top) {
+        if (seen[t] >= SEEN_LEAST * top) {
             first = num_min(first, t);
             last = t;
         }

@@ -16,6 +16,8 @@
 
 enum { VIEWS = 6, SIZE = 128 };
 
+static const float NEAR_CARD = 0.4f;
+
 struct world {
     struct views v;
     struct camera cams[VIEWS];
@@ -41,12 +43,19 @@ static float texture(float x, float y, int salt)
     return sum;
 }
 
+static bool near_card; // at a tenth of the wall's distance, at the border of views 1, 2, 4 and 5
+
 /* Depth and log2 radiance along the ray of pixel (u, v). */
 static float cast(const struct camera *c, float u, float v, float *light)
 {
     const float ray[3] = {(u - c->cx) / c->fx, (v - c->cy) / c->fy, 1.0f};
     const float ox = -c->t[0], oy = -c->t[1], oz = -c->t[2]; // cameras without rotation
-    float z = (3.0f - oz) / ray[2];
+    float z = NEAR_CARD - oz;
+    if (near_card && fabsf(ox + z * ray[0] + 0.15f) < 0.07f && fabsf(oy + z * ray[1]) < 0.2f) {
+        *light = texture(4 * (ox + z * ray[0]), 4 * (oy + z * ray[1]), 9);
+        return z;
+    }
+    z = (3.0f - oz) / ray[2];
     float x = ox + z * ray[0], y = oy + z * ray[1];
     if (fabsf(x) < 0.7f && fabsf(y) < 0.5f) {
         *light = texture(x, y, 5);
@@ -270,6 +279,25 @@ static void test_seen_by_one_neighbour(void **state)
     free_world(&w);
 }
 
+/* A surface so near that most of the picture would leave the neighbours at its depth. */
+static void test_near_at_the_border(void **state)
+{
+    struct world w;
+    struct depthmaps d;
+    int good = 0, all = 0;
+    (void)state;
+    near_card = true;
+    make_world(&w, 1);
+    near_card = false;
+    assert_int_equal(sweep_run(&w.run, &w.v, &w.tone, &d), OK);
+    for (int y = 40; y < 80; y++)
+        for (int x = 6; x < 30; x++, all++)
+            good += fabsf(d.depth[d.extent[1].at + (size_t)(y * SIZE + x)] - 0.45f) < 0.02f;
+    print_message("  near card: %d of %d pixels\n", good, all);
+    assert_true(good > all * 9 / 10);
+    free_world(&w);
+}
+
 static void test_refusals(void **state)
 {
     (void)state;
@@ -303,6 +331,7 @@ int main(void)
         cmocka_unit_test(test_blank_wall),
         cmocka_unit_test(test_two_views),
         cmocka_unit_test(test_seen_by_one_neighbour),
+        cmocka_unit_test(test_near_at_the_border),
         cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
