@@ -92,7 +92,7 @@ static err_t run_take(struct session *s, const struct session_order *o, struct t
         if (atomic_load(&engine_cancel))
             session_cancel(s, "cancelled");
         session_progress(s, &b);
-        if (!e)
+        if (!e && b.wanted > 0)
             progress_step(&p, session_state(s) == SESSION_METERING ? "metering" : "capture", b.kept,
                           b.wanted, NULL);
     }

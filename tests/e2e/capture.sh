@@ -89,6 +89,7 @@ refused() { # regex name options arguments...
     [ $code -eq 1 ] || fail "$1: exit $code, expected 1: $(tail -n 1 "$ERR")"
     tail -n 1 "$ERR" | grep -Eq "^hdrig capture: .*($regex)" ||
         fail "$1: \"$(tail -n 1 "$ERR")\" does not match $regex"
+    grep -q '100 %.*/0$' "$ERR" && fail "$1: a bracket that was given up counts as complete"
 }
 
 exposures() { # seconds...: of the take, within 0.05 stops

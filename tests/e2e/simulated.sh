@@ -30,6 +30,8 @@ done
 
 # the layout, twice the same
 simulate room --seed 7 --kind room --views 7 --size 224
+grep -Eq '^draw [0-9]+ % step [1-9]' "$ERR" && grep -q '^write 100 % ' "$ERR" ||
+    fail "no progress is shown: $(cat "$ERR")"
 simulate again --seed 7 --kind room --views 7 --size 224 --threads 1
 diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with one thread"
 [ "$(ls "$OUT/room/images" | wc -l)" -eq $((7 * 3 + 6 * 5)) ] || fail "not every picture is there"
