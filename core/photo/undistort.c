@@ -36,25 +36,30 @@ static double shortest_px(const struct lens *l, const double size[2], const doub
     return sqrt(fmax(0, (sum - sqrt(fmax(0, sum * sum - 4 * det * det))) / 2)); // singular value
 }
 
-/* Whether the frame, scaled by z about the principal point, is seen everywhere. Pixels move away
- * from the principal point as rays do, so with the border the inside is seen. */
-static bool is_covered(const struct lens *l, const double size[2], const double z[2])
+/* Pinhole frames about a centre, px of the photograph. */
+struct frame {
+    const struct lens *lens;
+    double size[2], centre[2];
+};
+
+/* Whether the frame, scaled by z about its centre, is seen everywhere. Pixels move away from the
+ * principal point as rays do, so with the border the inside is seen. */
+static bool is_covered(const struct frame *f, const double z[2])
 {
     for (int i = 0; i < 4 * BORDER; i++) {
         const double along = (double)(i % BORDER) / BORDER;
         const double side[4][2] = {{along, 0}, {1, along}, {1 - along, 1}, {0, 1 - along}};
         const double *at = side[i / BORDER];
-        const double ray[3] = {z[0] * (at[0] * size[0] - l->cx) / l->fx,
-                               z[1] * (at[1] * size[1] - l->cy) / l->fy, 1};
-        if (shortest_px(l, size, ray) * UNDISTORT_STRETCH < 1)
+        const double ray[3] = {z[0] * (at[0] * f->size[0] - f->centre[0]) / f->lens->fx,
+                               z[1] * (at[1] * f->size[1] - f->centre[1]) / f->lens->fy, 1};
+        if (shortest_px(f->lens, f->size, ray) * UNDISTORT_STRETCH < 1)
             return false;
     }
     return true;
 }
 
 /* Grow the frame across, down or both, as far as it is covered. */
-static void grow_field(const struct lens *l, const double size[2], bool across, bool down,
-                       double z[2])
+static void grow_field(const struct frame *f, bool across, bool down, double z[2])
 {
     const double from[2] = {z[0], z[1]};
     double low = 0, high = SCALE_MAX;
@@ -62,7 +67,7 @@ static void grow_field(const struct lens *l, const double size[2], bool across, 
         const double middle = (low + high) / 2;
         z[0] = from[0] + (across ? middle : 0);
         z[1] = from[1] + (down ? middle : 0);
-        *(is_covered(l, size, z) ? &low : &high) = middle;
+        *(is_covered(f, z) ? &low : &high) = middle;
     }
     z[0] = from[0] + (across ? low : 0);
     z[1] = from[1] + (down ? low : 0);
@@ -70,7 +75,7 @@ static void grow_field(const struct lens *l, const double size[2], bool across, 
 
 err_t undistort_camera(const char *what, const struct lens *l, int w, int h, struct camera *out)
 {
-    const double size[2] = {w, h};
+    const struct frame f = {l, {w, h}, {l->cx, l->cy}};
     double z[2] = {0, 0};
     if (l->model == LENS_PINHOLE) {
         out->w = w;
@@ -86,9 +91,9 @@ err_t undistort_camera(const char *what, const struct lens *l, int w, int h, str
                         "%s: principal point %g, %g outside its %d x %d px: a %s lens is "
                         "undistorted around it",
                         what, l->cx, l->cy, w, h, lens_name(l->model));
-    grow_field(l, size, true, true, z);
-    grow_field(l, size, true, false, z);
-    grow_field(l, size, false, true, z);
+    grow_field(&f, true, true, z);
+    grow_field(&f, true, false, z);
+    grow_field(&f, false, true, z);
     if (!(fmin(z[0], z[1]) >= LEAST_SCALE))
         return err_fail(ERR_FORMAT,
                         "%s: %s lens that leaves %.2g of the side of %d x %d px without "
@@ -107,12 +112,9 @@ err_t undistort_camera(const char *what, const struct lens *l, int w, int h, str
 
 double undistort_focal(const struct lens *l, int w, int h)
 {
-    const double size[2] = {w, h};
-    struct lens centred = *l;
+    const struct frame f = {l, {w, h}, {0.5 * w, 0.5 * h}};
     double z[2] = {0, 0};
-    centred.cx = 0.5 * w;
-    centred.cy = 0.5 * h;
-    grow_field(&centred, size, true, true, z);
+    grow_field(&f, true, true, z);
     return z[0] > 0 ? l->fx / z[0] : 0;
 }
 

@@ -18,7 +18,8 @@
 enum { GROUPS = 8 };
 static const double BEHIND = 1e30, NEAREST = 1e-9,
                     DONE = 3e-6, // relative gain of a last step
-    TERM_PRIOR = 0.5;            // 1 / expected size of a distortion term
+    TERM_PRIOR = 0.5,            // 1 / expected size of a distortion term
+    CENTRE_PRIOR = 10;           // focal length / expected shift of the principal point
 
 /* ---- one observation ---- */
 
@@ -103,9 +104,11 @@ static bool image_slopes(const struct lens *l, const double x[3], double px[2], 
     } else if (!lens_project_grad(l, x, px, by, by_param))
         return false;
     for (int k = 0; k < 2; k++) {
-        by_lens[k][0] = px[k];
+        by_lens[k][0] = px[k] - (k ? l->cy : l->cx);
         for (int i = 0; i < LENS_TERMS; i++)
             by_lens[k][1 + i] = by_param[LENS_PARAMS * k + 4 + i];
+        for (int i = 0; i < 2; i++)
+            by_lens[k][ADJUST_CENTRE + i] = by_param[LENS_PARAMS * k + 2 + i];
     }
     return true;
 }
@@ -412,7 +415,11 @@ static void fix_unknown(double *s, int n, int k, double *rhs)
 /* Expected value of an unknown of a lens less its present one, and the weight of that. */
 static double prior_gap(const struct adjust_lens *l, int unknown, double *weight)
 {
-    *weight = unknown == 0 ? l->prior : TERM_PRIOR;
+    *weight = unknown == 0              ? l->prior
+              : unknown < ADJUST_CENTRE ? TERM_PRIOR
+                                        : CENTRE_PRIOR / l->lens.fx;
+    if (unknown >= ADJUST_CENTRE)
+        return unknown == ADJUST_CENTRE ? -l->lens.cx : -l->lens.cy;
     return unknown == 0 ? l->prior_focal - log(l->lens.fx) : -l->lens.term[unknown - 1];
 }
 
@@ -554,6 +561,8 @@ static bool move_lenses(const struct normal *m, struct adjust *a)
             l->lens.fx = l->lens.fy = l->lens.fx * exp(fmax(-0.5, fmin(0.5, *step++)));
         for (int k = 0; k < LENS_TERMS; k++)
             l->lens.term[k] += l->free[1 + k] ? *step++ : 0;
+        l->lens.cx += l->free[ADJUST_CENTRE] ? *step++ : 0;
+        l->lens.cy += l->free[ADJUST_CENTRE + 1] ? *step++ : 0;
         ok = ok && isfinite(l->lens.fx) && lens_init(&l->lens) == OK;
     }
     return ok;

@@ -6,17 +6,19 @@
 
 #include "core/base/types.h"
 
-/* One observation: px right of and below the principal point. */
+/* One observation: px right of and below the middle of the sensor. */
 struct adjust_observation {
     float u, v, weight; // weight: 1 / expected error in px
     int view;
 };
 
-enum { ADJUST_LENS = 1 + LENS_TERMS }; // unknowns of a lens: ln focal length, terms
+/* Unknowns of a lens: ln focal length, terms, principal point. */
+enum { ADJUST_CENTRE = 1 + LENS_TERMS, ADJUST_LENS = ADJUST_CENTRE + 2 };
 
 /* Lens of a physical camera for px of its views. */
 struct adjust_lens {
-    struct lens lens;          // fx = fy, cx = cy = 0; model PINHOLE: terms are not looked at
+    struct lens lens; // fx = fy; cx, cy: px from the middle; model PINHOLE: these are 0, and terms
+                      // are not looked at
     bool free[ADJUST_LENS];    // which unknowns move
     double prior_focal, prior; // expected ln focal length, and its weight: 1 / deviation
 };

@@ -505,7 +505,6 @@ static err_t set_starts(struct bundle *b)
         struct adjust_lens *l = &b->a.lens[i];
         b->start[i] = known->start;
         b->start[i].fx = b->start[i].fy = start_focal(b, i);
-        b->start[i].cx = b->start[i].cy = 0;
         if (!e)
             e = lens_init(&b->start[i]);
         l->prior_focal = log(b->start[i].fx);
@@ -558,8 +557,10 @@ static err_t find_distortion(struct bundle *b)
     for (int i = 0; i < a->n_lenses * LENS_TERMS; i++) {
         struct adjust_lens *l = &a->lens[i / LENS_TERMS];
         l->free[1 + i % LENS_TERMS] = i % LENS_TERMS < selfcal_terms(&l->lens);
+        l->free[ADJUST_CENTRE] = l->free[ADJUST_CENTRE + 1] = l->lens.cx != 0 || l->lens.cy != 0;
     }
-    err_t e = selfcal_run(b->r, a, BUNDLE_GATE, b->scale, b->selfcal);
+    const struct selfcal_config cfg = {BUNDLE_GATE, b->scale, b->cfg->find_principal};
+    err_t e = selfcal_run(b->r, a, &cfg, b->selfcal);
     if (!e)
         e = run_last_rounds(b);
     if (!e)

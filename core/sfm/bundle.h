@@ -13,8 +13,8 @@
 
 enum { BUNDLE_VIEWS_MAX = 64 };
 
-/* Lens of a physical camera: fx = fy and the terms, for px from the middle of its views as they
- * were taken. */
+/* Lens of a physical camera: fx = fy, the terms, and cx, cy, for px from the middle of its views as
+ * they were taken. */
 struct bundle_lens {
     struct lens start;  // fx 0: from the cameras of the start, else that of 60 degrees
     bool focal_guessed; // fx is a guess; else it is right within some percent
@@ -33,6 +33,7 @@ struct bundle_config {
                       // through lens.start, or NULL: views are as taken
     bool focal_known; // keep the focal lengths
     bool find_distortion; // else lenses have the terms of lens.start
+    bool find_principal;  // with find_distortion; else principal points are those of lens.start
     bool rig_known;       // rotations and centres of `start` relative to each other are
                           // calibrated: only focal (if not known) and points move
 };

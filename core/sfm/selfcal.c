@@ -14,7 +14,7 @@
 #define BARREL -0.15    // k1 from which a fisheye is tried
 #define WIDE 0.9        // distance from the middle over the focal length, the same
 
-enum { STEPS = 6 };
+enum { STEPS = 6, CENTRE_STEP = 2 }; // the principal point comes before p1 p2, which do its work
 
 static const struct rung {
     enum lens_model model;
@@ -39,9 +39,10 @@ struct state {
 struct selfcal {
     const struct run *r;
     struct adjust *a;
-    double gate, scale;
+    const struct selfcal_config *cfg;
     bool *held;            // (observations)
     float *before, *after; // (observations) truncated errors of those left out
+    double *deviation;     // (lenses, ADJUST_LENS) of the fit that is judged
     struct state kept;
 };
 
@@ -53,6 +54,8 @@ static err_t layout(struct selfcal *s, struct arena *tmp, const int count[4])
         e = arena_alloc(tmp, seen, sizeof *s->before, &s->before);
     if (!e)
         e = arena_alloc(tmp, seen, sizeof *s->after, &s->after);
+    if (!e)
+        e = arena_alloc(tmp, ADJUST_LENS * (size_t)count[1], sizeof(double), &s->deviation);
     if (!e)
         e = arena_alloc(tmp, ADJUST_POSE * (size_t)count[0], sizeof(double), &s->kept.pose);
     if (!e)
@@ -103,7 +106,7 @@ static err_t fit(struct selfcal *s)
         double gate, kernel; // of the inliers' gate
         int steps;
     } round[] = {{6, 2, 12}, {2, 0.75, 10}, {1, 0.5, 10}, {1, 0.5, 15}};
-    const double gate = s->gate * s->scale;
+    const double gate = s->cfg->gate * s->cfg->scale;
     err_t e = OK;
     for (size_t k = 0; k < sizeof round / sizeof *round && !e; k++) {
         e = triangulate_points(s->r, s->a, round[k].gate * gate);
@@ -117,7 +120,7 @@ static err_t fit(struct selfcal *s)
 static void measure_left_out(const struct selfcal *s, float *error)
 {
     const struct adjust *a = s->a;
-    const double most = s->gate * s->gate * s->scale * s->scale;
+    const double most = pow(s->cfg->gate * s->cfg->scale, 2);
     for (int t = 0; t < a->n_tracks; t++)
         for (int i = a->first[t]; i < a->first[t + 1]; i++)
             if (s->held[i])
@@ -128,7 +131,7 @@ static void measure_left_out(const struct selfcal *s, float *error)
 struct judgement {
     int n;
     double before, after; // means
-    bool better;
+    bool better, worse;
 };
 
 static struct judgement judge_lens(const struct selfcal *s, int lens)
@@ -148,6 +151,7 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
     }
     const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
     j.better = sum > SURE * error && sum > GAIN_LEAST * j.before;
+    j.worse = sum < 0;
     j.before /= n;
     j.after /= n;
     return j;
@@ -200,24 +204,40 @@ static bool may_climb(const struct adjust *a, int lens, const struct selfcal_len
     return l->lens.model == from->model && free_terms(l) == from->terms;
 }
 
-static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
+static bool is_same_model(const struct adjust_lens *x, const struct adjust_lens *y)
+{
+    return x->lens.model == y->lens.model && memcmp(x->free, y->free, sizeof x->free) == 0;
+}
+
+/* Little of a principal point shows in predictions, because the pose turns along: what it needs is
+ * a shift beyond doubt, and predictions that are no worse. */
+static bool is_shifted(const struct selfcal *s, int lens)
+{
+    const struct lens *l = &s->a->lens[lens].lens;
+    const double *error = s->deviation + (size_t)ADJUST_LENS * (size_t)lens + ADJUST_CENTRE;
+    return fabs(l->cx) > SURE * error[0] || fabs(l->cy) > SURE * error[1];
+}
+
+static bool is_step_kept(const struct selfcal *s, int lens)
+{
+    const struct judgement j = judge_lens(s, lens);
+    const bool centre =
+        s->a->lens[lens].free[ADJUST_CENTRE] && !s->kept.lens[lens].free[ADJUST_CENTRE];
+    return j.better || (centre && !j.worse && is_shifted(s, lens));
+}
+
+/* Fit the lenses as they were changed, and keep what predicts better. */
+static err_t try_change(struct selfcal *s)
 {
     struct adjust *a = s->a;
     bool any = false, all = true;
-    for (int i = 0; i < a->n_lenses; i++)
-        if (may_climb(a, i, &out[i], step)) {
-            climb(&a->lens[i], &LADDER[step]);
-            any = true;
-        }
-    if (!any)
-        return OK;
     err_t e = fit(s);
+    if (!e)
+        e = adjust_deviations(s->r, a, s->cfg->scale, s->deviation);
     measure_left_out(s, s->after);
-    any = false;
     for (int i = 0; i < a->n_lenses && !e; i++) {
-        const bool tried = a->lens[i].lens.model != s->kept.lens[i].lens.model ||
-                           free_terms(&a->lens[i]) != free_terms(&s->kept.lens[i]);
-        const bool better = tried && judge_lens(s, i).better;
+        const bool tried = !is_same_model(&a->lens[i], &s->kept.lens[i]);
+        const bool better = tried && is_step_kept(s, i);
         any = any || better;
         all = all && better == tried;
         if (tried && !better)
@@ -232,6 +252,34 @@ static err_t try_step(struct selfcal *s, int step, struct selfcal_lens *out)
     measure_left_out(s, s->before);
     keep_state(s);
     return e;
+}
+
+static err_t try_step(struct selfcal *s, int step, const struct selfcal_lens *out)
+{
+    struct adjust *a = s->a;
+    bool any = false;
+    for (int i = 0; i < a->n_lenses; i++)
+        if (may_climb(a, i, &out[i], step)) {
+            climb(&a->lens[i], &LADDER[step]);
+            any = true;
+        }
+    return any ? try_change(s) : OK;
+}
+
+/* The point that the distortion is around; so there is some. */
+static err_t try_centre(struct selfcal *s, const struct selfcal_lens *out)
+{
+    struct adjust *a = s->a;
+    bool any = false;
+    for (int i = 0; i < a->n_lenses; i++) {
+        struct adjust_lens *l = &a->lens[i];
+        if (l->free[ADJUST_CENTRE] || out[i].held < SELFCAL_HELD_LEAST)
+            continue;
+        if (l->lens.model == LENS_PINHOLE)
+            climb(l, &LADDER[0]);
+        l->free[ADJUST_CENTRE] = l->free[ADJUST_CENTRE + 1] = any = true;
+    }
+    return any ? try_change(s) : OK;
 }
 
 static void sum_up(struct selfcal *s, struct selfcal_lens *out)
@@ -256,18 +304,22 @@ static err_t choose(struct selfcal *s, struct selfcal_lens *out)
     keep_state(s);
     for (int i = 0; i < a->n_lenses; i++)
         out[i].error_before = judge_lens(s, i).before;
-    for (int k = 0; k < STEPS && !e; k++)
-        e = try_step(s, k, out);
+    for (int k = 0; k < STEPS && !e; k++) {
+        if (k == CENTRE_STEP && s->cfg->principal)
+            e = try_centre(s, out);
+        if (!e)
+            e = try_step(s, k, out);
+    }
     sum_up(s, out);
     a->held = NULL;
     return e ? e : fit(s);
 }
 
-err_t selfcal_run(const struct run *r, struct adjust *a, double gate, double scale,
+err_t selfcal_run(const struct run *r, struct adjust *a, const struct selfcal_config *cfg,
                   struct selfcal_lens *out)
 {
     const size_t mark = arena_mark(r->tmp);
-    struct selfcal s = {.r = r, .a = a, .gate = gate, .scale = scale};
+    struct selfcal s = {.r = r, .a = a, .cfg = cfg};
     memset(out, 0, (size_t)a->n_lenses * sizeof *out);
     err_t e =
         layout(&s, r->tmp, (int[4]){a->n_views, a->n_lenses, a->n_tracks, a->first[a->n_tracks]});

@@ -35,6 +35,7 @@ struct config {
     int refine_gaussians_max;
     int cameras_polish, cameras_fov_deg;
     int cameras_lens; // enum recipe_lens
+    int cameras_principal;
     int cameras_same; // enum physcam_rule
     int start_stereo;
     int net_float_parts; // NET_FLOAT_ bits of core/net/net.h

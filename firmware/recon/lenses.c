@@ -74,7 +74,6 @@ static void note_size(const struct shot *s, const struct extent *px, struct job_
     out->edge = num_max(s->taken_w, s->taken_h);
     out->lens.fx /= view_scale(s, px);
     out->lens.fy = out->lens.fx;
-    out->selfcal.deviation[0] /= view_scale(s, px);
 }
 
 static struct bundle_lens lens_before(const struct shot *s, const struct extent *px,
@@ -125,6 +124,8 @@ bool lenses_moved(const struct lenses *l, const struct views *v, const struct bu
     for (int i = 0; i < v->n; i++) {
         const struct lens *to = &found->lenses[l->of[i]];
         struct lens from = l->lens[l->of[i]].start;
+        if (l->pinhole[i] == 0 && (to->cx != 0 || to->cy != 0))
+            return true;          // cameras of views have their principal points in the middle
         if (l->pinhole[i] == 0) { // as taken: only what is not a pinhole matters
             from = (struct lens){.fx = to->fx, .fy = to->fy};
             if (lens_init(&from) != OK)
@@ -159,8 +160,8 @@ static struct lens photo_lens(const struct lens *found, int turned, double scale
     lens_scale(&out, scale, scale);
     for (int k = 0; k < turned; k++)
         lens_turn(&out, 0);
-    out.cx = 0.5 * w;
-    out.cy = 0.5 * h;
+    out.cx += 0.5 * w;
+    out.cy += 0.5 * h;
     return out;
 }
 
@@ -208,16 +209,15 @@ static err_t retake_view(void *ctx, int i, int worker)
 static err_t choose_pinholes(const struct views *v, struct lenses *l)
 {
     for (int i = 0; i < v->n; i++) {
-        struct lens lens = l->lens[l->of[i]].start;
-        for (int k = 0; k < l->turned[i]; k++)
-            lens_turn(&lens, 0);
-        l->pinhole[i] = (float)undistort_focal(&lens, v->extent[i].w, v->extent[i].h);
+        const struct extent *px = &v->extent[i];
+        const struct lens lens =
+            photo_lens(&l->lens[l->of[i]].start, l->turned[i], 1, px->w, px->h);
+        l->pinhole[i] = (float)undistort_focal(&lens, px->w, px->h);
         if (!(l->pinhole[i] > 0))
             return err_fail(ERR_FORMAT,
                             "%s: the lens found (%s, focal length %.0f of %d px) leaves nothing to "
                             "see; give its cameras with --rig PATH",
-                            v->names[i], lens_name(lens.model), lens.fx,
-                            num_max(v->extent[i].w, v->extent[i].h));
+                            v->names[i], lens_name(lens.model), lens.fx, num_max(px->w, px->h));
     }
     return OK;
 }
@@ -321,6 +321,19 @@ static const char *stop_text(enum selfcal_stop stop)
                                   : "the next model predicted left-out points no better";
 }
 
+/* Px right of and below the middle of the photograph as the sensor has it. */
+static void report_principal(const struct job_lens *l, struct report *rep)
+{
+    report_open(rep, "principal_px", '[');
+    report_number(rep, NULL, l->lens.cx);
+    report_number(rep, NULL, l->lens.cy);
+    report_close(rep);
+    report_open(rep, "principal_deviation", '[');
+    report_number(rep, NULL, l->selfcal.deviation[ADJUST_CENTRE]);
+    report_number(rep, NULL, l->selfcal.deviation[ADJUST_CENTRE + 1]);
+    report_close(rep);
+}
+
 void lenses_report(const struct job_result *j, struct report *rep)
 {
     static const char *const keys[2][LENS_TERMS] = {{"k1", "k2", "p1", "p2"},
@@ -346,6 +359,8 @@ void lenses_report(const struct job_result *j, struct report *rep)
             if (l->selfcal.deviation[1 + k] > 0)
                 report_number(rep, NULL, l->selfcal.deviation[1 + k]);
         report_close(rep);
+        if (l->selfcal.deviation[ADJUST_CENTRE] > 0)
+            report_principal(l, rep);
         report_int(rep, "left_out_points", l->selfcal.held);
         report_number(rep, "left_out_error_before", sqrt(l->selfcal.error_before));
         report_number(rep, "left_out_error", sqrt(l->selfcal.error));

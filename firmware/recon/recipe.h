@@ -24,6 +24,7 @@ struct job_config {
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
     float fov_deg; // of cameras that are not known, horizontal; 0: to be found
     enum recipe_lens lens;
+    bool principal;                   // look for the principal points of such lenses, too
     const struct prep_source *source; // of the pixels; NULL: they are in the capture
     float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set
 };

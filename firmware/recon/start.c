@@ -207,6 +207,7 @@ static err_t locate_views(struct start *s, bool again)
                                        .pinhole = again ? l->pinhole : NULL,
                                        .focal_known = known || s->cfg->fov_deg > 0,
                                        .find_distortion = finds_distortion(s),
+                                       .find_principal = s->cfg->principal,
                                        .rig_known = known};
     struct start_merged merged;
     err_t e = exposure_stack_merge(r, v, &s->out->response, &merged.views, &merged.tone);

@@ -8,7 +8,25 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { K1, K2, K3, K4, P1, P2, FISHEYE, FOV, SIZE, V2, V4, COS4, GAIN, WB, WORDS, VALUES = 3 };
+enum {
+    K1,
+    K2,
+    K3,
+    K4,
+    P1,
+    P2,
+    FISHEYE,
+    FOV,
+    SIZE,
+    CENTRE,
+    V2,
+    V4,
+    COS4,
+    GAIN,
+    WB,
+    WORDS,
+    VALUES = 3
+};
 
 struct word {
     const char *name;
@@ -27,6 +45,7 @@ static const struct word WORD[WORDS] = {
     [FISHEYE] = {"fisheye", 0, 0, 0, 0},
     [FOV] = {"fov", 1, 0, 10, 220},
     [SIZE] = {"size", 2, 'x', OPTICS_SIDE_MIN, OPTICS_SIDE_MAX},
+    [CENTRE] = {"centre", 2, '/', 0.2, 0.8},
     [V2] = {"v2", 1, 0, -10, 10},
     [V4] = {"v4", 1, 0, -10, 10},
     [COS4] = {"cos4", 0, 0, 0, 0},
@@ -112,8 +131,8 @@ static err_t set_lens(const char *what, const struct words *w, double fov, struc
                         fov, FOV_MAX);
     const double half = fov * NUM_PI / 360;
     l->fx = l->fy = 0.5 * o->w / (fisheye ? half : tan(half));
-    l->cx = 0.5 * o->w;
-    l->cy = 0.5 * o->h;
+    l->cx = (w->given[CENTRE] ? w->v[CENTRE][0] : 0.5) * o->w;
+    l->cy = (w->given[CENTRE] ? w->v[CENTRE][1] : 0.5) * o->h;
     for (int i = 0; i < LENS_TERMS; i++)
         l->term[i] = w->v[fisheye || i < 2 ? K1 + i : P1 + i - 2][0];
     return lens_init(l);

@@ -20,11 +20,12 @@ struct optics {
 
 #define OPTICS_WORDS                                                                               \
     "k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=0.01 (k1 k2 k3 k4), with fov=70 size=800x600 "   \
-    "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97"
+    "centre=0.51/0.48 v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97"
 
 /* Read a list of OPTICS_WORDS, each once. `size` (px, both sides) and `fov` (degrees) are those of
- * a camera that does not name its own: the horizontal field of view without the terms; a fisheye's
- * is that of its angles. `what` begins the sentence.
+ * a camera that does not name its own: the horizontal field of view without the terms, if the
+ * principal point were in the middle; a fisheye's is that of its angles. The centre, the principal
+ * point, is in shares of the sides. `what` begins the sentence.
  * err:  ERR_ARG: unknown or doubled words, numbers out of bounds, vignetting that leaves no light
  *       in a corner, those of lens_init. */
 MUST_USE err_t optics_parse(const char *what, const char *text, int size, double fov,

@@ -46,6 +46,16 @@ succeed reconstruct --images "$OUT/unknown" --rig none --size 224 --refine 0 \
     --set cameras.lens=pinhole --out "$OUT/ignored"
 grep -q '"k1"' "$OUT/ignored/report.json" && fail "a pinhole was asked for"
 
+# The axis of the lens does not meet the middle: 9 and -6.7 px of 224
+succeed simulate --kind room --seed 31 --views 9 --size 224 --samples 2 \
+    --lens k1=-0.15,centre=0.54/0.47 --out "$OUT/shifted"
+succeed reconstruct --images "$OUT/shifted" --rig none --size 224 --refine 0 \
+    --set cameras.principal=1 --out "$OUT/axis"
+right=$(grep -A 1 '"principal_px"' "$OUT/axis/report.json" | sed -n 's/^ *\([-0-9.]*\),$/\1/p')
+at_least "the principal point, px right of the middle" "$right" 7
+at_least "the principal point, from above" 11 "$right"
+grep -q '"principal_px"' "$OUT/found/report.json" && fail "nobody asked for the principal point"
+
 # The scene as its photographs were taken, those 2 stops below the middle exposure
 view=$(grep -o '"name": "[^"]*"' "$OUT/found/cameras.json" | grep -n '_2.png' | head -n 1)
 frame=$(printf 'frame_%04d.png' "$((${view%%:*} - 1))")

@@ -240,10 +240,10 @@ static void frame_of_the_photograph(void **state)
     (void)state;
     for (int i = 0; i < LENSES; i++) {
         struct lens l = lens_of(i);
-        const double f = undistort_focal(&l, W, H);
         int outside = 0;
-        l.cx = W / 2;
-        l.cy = H / 2;
+        l.cx = W / 2 + (i == 1 ? 9 : 0);
+        l.cy = H / 2 - (i == 1 ? 5 : 0);
+        const double f = undistort_focal(&l, W, H);
         for (int k = 0; k < 4 * 32; k++) {
             const double x = k % 2 ? k / 128.0 : k / 2 % 2, y = k % 2 ? k / 2 % 2 : k / 128.0;
             const double ray[3] = {(x - 0.5) * W / f, (y - 0.5) * H / f, 1};

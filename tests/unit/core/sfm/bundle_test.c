@@ -45,7 +45,7 @@ static void small_problem(struct adjust *a, double pose[SMALL][ADJUST_POSE], boo
     static const int lens_of[SMALL] = {0, 1, 2, 1};
     static struct adjust_lens lens[3];
     lens[0].lens = (struct lens){.model = LENS_PINHOLE, .fx = 400, .fy = 400};
-    lens[1].lens = (struct lens){LENS_OPENCV, 400, 400, 0, 0, {-0.05, 0.01, 0.004, -0.003}, 0};
+    lens[1].lens = (struct lens){LENS_OPENCV, 400, 400, 8, -3, {-0.05, 0.01, 0.004, -0.003}, 0};
     lens[2].lens =
         (struct lens){LENS_OPENCV_FISHEYE, 300, 300, 0, 0, {0.02, -0.01, 0.003, 0.001}, 0};
     for (int i = 0; i < 3; i++)
@@ -82,8 +82,10 @@ static void moved_error(struct adjust *a, const double point[4], const struct ad
         adjust_move_point(p, move);
     else if (i == 9)
         lens->fx = lens->fy = lens->fx * exp(by);
-    else
+    else if (i < 9 + ADJUST_CENTRE)
         lens->term[i - 10] += by;
+    else if (lens->model != LENS_PINHOLE)
+        *(i == 9 + ADJUST_CENTRE ? &lens->cx : &lens->cy) += by;
     assert_true(adjust_jacobian(a, p, s, &d));
     memcpy(out, d.error, sizeof d.error);
     memcpy(pose, own, sizeof own);

@@ -141,13 +141,48 @@ static void unusual_kinds_are_placed(void **unused)
     }
 }
 
+/* Principal points 9 and -6 px from the middle: of a barrel, of a pinhole, of a fisheye; each looked
+ * for. In the middle it stays there, and nothing else is found. */
+static void principal_points_are_found(void **unused)
+{
+    (void)unused;
+    struct lens truth[] = {
+        make_lens(LENS_SIMPLE_RADIAL, 381, -0.15, 0), make_lens(LENS_PINHOLE, 381, 0, 0),
+        make_lens(LENS_OPENCV_FISHEYE, 300, 0.01, 0), make_lens(LENS_PINHOLE, 381, 0, 0)};
+    for (int k = 0; k < 4; k++) {
+        struct job j = {.rig = make_room(1500, 381, 0.2, 30)};
+        struct bundle_lens lens[SCENE_LENSES];
+        struct bundle_config cfg;
+        int of[SCENE_VIEWS];
+        truth[k].cx = k < 3 ? 9 : 0;
+        truth[k].cy = k < 3 ? -6 : 0;
+        j.rig.n_lenses = 1;
+        j.rig.lens[0] = truth[k];
+        scene_arc(&j.rig, 18, 80);
+        scene_make(&j.rig, &j.tracks);
+        lenses_of(&j.rig, lens, of, &cfg);
+        cfg.find_principal = true;
+        if (truth[k].model == LENS_OPENCV_FISHEYE)
+            lens[0].start.model = LENS_OPENCV_FISHEYE;
+        run_ok(&j, &cfg);
+        const struct lens *l = &j.out.lenses[0];
+        const double *error = j.out.selfcal[0].deviation + ADJUST_CENTRE;
+        print_message("%s f %g k1 %g, at %g +- %g, %g +- %g: %g px\n", lens_name(l->model), l->fx,
+                      l->term[0], l->cx, error[0], l->cy, error[1], lens_distance(&truth[k], l));
+        assert_true(lens_distance(&truth[k], l) < 2);
+        assert_true(fabs(l->cx - truth[k].cx) < 4 * error[0] + 0.1);
+        assert_true(fabs(l->cy - truth[k].cy) < 4 * error[1] + 0.1);
+        assert_true(k < 3 ? error[0] > 0 && error[0] < 1 : l->model == LENS_PINHOLE);
+        job_free(&j);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(perfect_lens_stays_perfect),
-        cmocka_unit_test(barrel_is_found),
-        cmocka_unit_test(kinds_are_told_apart),
-        cmocka_unit_test(unusual_kinds_are_placed),
+        cmocka_unit_test(perfect_lens_stays_perfect), cmocka_unit_test(barrel_is_found),
+        cmocka_unit_test(kinds_are_told_apart),       cmocka_unit_test(unusual_kinds_are_placed),
+        cmocka_unit_test(principal_points_are_found),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

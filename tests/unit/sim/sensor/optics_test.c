@@ -33,6 +33,8 @@ static void words_set_the_camera(void **state)
     assert_true(fabs(o.lens.fx - 400) < 1e-9 && o.lens.fy == o.lens.fx);
     assert_true(o.lens.cx == 400 && o.lens.cy == 300);
     assert_true(o.lens.term[0] == 0.1 && o.lens.term[2] == 0 && o.lens.term[3] == 0.001);
+    o = parsed("k1=0.1,size=800x600,centre=0.51/0.45");
+    assert_true(fabs(o.lens.cx - 408) < 1e-9 && fabs(o.lens.cy - 270) < 1e-9);
     o = parsed("fov=150,fisheye,k4=0.01,k1=-0.02");
     assert_int_equal(o.lens.model, LENS_OPENCV_FISHEYE);
     assert_true(fabs(o.lens.fx - 50 / (75 * M_PI / 180)) < 1e-9);
