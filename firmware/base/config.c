@@ -55,7 +55,7 @@ static const struct key keys[] = {
      "lens of cameras that are not known; auto finds the distortion that shows", WORD,
      "auto|pinhole|fisheye", 0},
     {"cameras.principal", FIELD(cameras_principal), 0, 1, 1, 0,
-     "1 = find where the axis of a lens that is not known meets the sensor; 0 = in the middle",
+     "1 = find where the axis of an unknown lens meets the sensor; 0 = in the middle",
      WHOLE, NULL, 0},
     {"cameras.same", FIELD(cameras_same), 0, 0, 1, 0,
      "which photographs share a lens: by EXIF, all of one size, or none", WORD, "exif|size|each",

@@ -141,8 +141,8 @@ static void unusual_kinds_are_placed(void **unused)
     }
 }
 
-/* Principal points 9 and -6 px from the middle: of a barrel, of a pinhole, of a fisheye; each looked
- * for. In the middle it stays there, and nothing else is found. */
+/* Principal points 9 and -6 px from the middle: of a barrel, of a pinhole, of a fisheye; each
+ * looked for. In the middle it stays there, and nothing else is found. */
 static void principal_points_are_found(void **unused)
 {
     (void)unused;
