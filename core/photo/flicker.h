@@ -14,6 +14,7 @@ struct flicker {
     int n_long, n_short;
     double even[EXPOSURE_PROBE_EDGE];                // sums of rows over the long frames
     double row[FLICKER_FRAMES][EXPOSURE_PROBE_EDGE]; // sums of rows of each short frame
+    double var[FLICKER_FRAMES][EXPOSURE_PROBE_EDGE]; // their squared standard errors
     double start_s[FLICKER_FRAMES], time_s[FLICKER_FRAMES];
     int places[EXPOSURE_PROBE_EDGE]; // number that counts in each row
     double long_s;                   // the longer exposure

@@ -30,14 +30,22 @@ static double noise(void)
 
 struct lamp {
     double hz, depth, phase, readout_s;
-    bool dim; // all but 26 places, each in a row of its own
+    bool dim;     // all but 26 places, each in a row of its own
+    double light; // 0: as much as 1
+    double noise; // squared, relative to a good sensor's
+    double walks; // by so much a person changes some rows of each short frame
+    bool linear;
 };
 
 static void measure_frame(const struct lamp *l, double start_s, double time_s,
                           struct exposure_probe *w)
 {
+    int first = l->walks > 0.0 ? (int)(32.0 * uniform()) - 8 : 0;
+    double by = l->walks > 0.0 ? l->walks * (2.0 * uniform() - 1.0) : 0.0;
     memset(w, 0, sizeof *w);
     w->overlap = 1.0f;
+    w->linear = l->linear;
+    w->step = 1.0f / 4096;
     for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
         double t =
             start_s + l->readout_s * (i / EXPOSURE_PROBE_EDGE) / EXPOSURE_PROBE_EDGE + 0.5 * time_s;
@@ -45,8 +53,13 @@ static void measure_frame(const struct lamp *l, double start_s, double time_s,
         double x = 30.0 * time_s * exp2(i % 5 - 3.0) *
                    (1.0 + l->depth * m * sin(2.0 * PI * l->hz * t + l->phase));
         x *= l->dim && i % 40 != 4 ? 0.01 : 1.0;
-        w->sd[i] = (float)sqrt(x * 1e-5 + 1e-8);
-        w->x[i] = (float)(x + (double)w->sd[i] * noise());
+        x *= l->light > 0.0 ? l->light : 1.0;
+        bool passed = i / EXPOSURE_PROBE_EDGE >= first && i / EXPOSURE_PROBE_EDGE < first + 12;
+        x *= passed && time_s < LONG_S ? 1.0 + by : 1.0;
+        w->sd[i] = (float)sqrt((x * 1e-5 + 1e-8) * fmax(l->noise, 1.0));
+        w->x[i] = (float)fmin(x + (double)w->sd[i] * noise(), 1.0);
+        if (!l->linear && w->x[i] < 0.002f)
+            w->x[i] = 0.0f; // cut off at black
         w->floor[i] = 0.002f;
         w->state[i] = x > 0.9            ? EXPOSURE_PROBE_CLIPPED
                       : w->x[i] < 0.002f ? EXPOSURE_PROBE_DARK
@@ -79,7 +92,7 @@ static void test_lamps(void **unused)
     (void)unused;
     for (int k = 0; k < 240; k++) {
         double hz = k % 2 ? 100.0 : 120.0, rate = fps[k / 2 % 6];
-        struct lamp l = {hz, 0.05 + 0.6 * uniform(), 2.0 * PI * uniform(), 0.0, k % 5 == 0};
+        struct lamp l = {hz, 0.05 + 0.6 * uniform(), 2.0 * PI * uniform(), .dim = k % 5 == 0};
         bool rolls = k % 3 > 0;
         l.readout_s = rolls ? (0.3 + 0.6 * uniform()) / rate : 0.0;
         struct flicker_light found = find_light(&l, rate);
@@ -89,11 +102,43 @@ static void test_lamps(void **unused)
     }
 }
 
+/* What noise hides from the eye, all rows together show; and linear numbers below the floor of a
+ * place are right but for noise. */
+static void test_faint_lamps(void **unused)
+{
+    (void)unused;
+    for (int k = 0; k < 60; k++) {
+        struct lamp l = {k % 2 ? 100.0 : 120.0, 0.3 + 0.3 * uniform(), 2.0 * PI * uniform(),
+                         .readout_s = k % 3 ? 0.02 : 0.0};
+        l.noise = k % 4 == 0 ? 3000.0 : 1.0;
+        l.linear = k % 4 >= 2;
+        l.light = l.linear ? 0.008 : k % 4 == 1 ? 0.05 : 1.0;
+        struct flicker_light found = find_light(&l, 30.0);
+        if (found.hz != l.hz || fabs(found.depth / l.depth - 1.0) > 0.35)
+            fail_msg("lamp %d, %.0f Hz %.2f: found %.0f Hz, %.2f", k, l.hz, l.depth, found.hz,
+                     found.depth);
+    }
+}
+
+/* Somebody walks through, in good light and in bad. */
+static void test_walkers(void **unused)
+{
+    (void)unused;
+    for (int k = 0; k < 100; k++) {
+        struct lamp l = {100.0, .readout_s = k % 2 ? 0.02 : 0.0, .walks = 0.8};
+        l.noise = k % 3 ? 1.0 : 30.0;
+        struct flicker_light found = find_light(&l, 30.0);
+        if (found.hz != 0.0)
+            fail_msg("walk %d: found %.0f Hz, %.2f", k, found.hz, found.depth);
+    }
+}
+
 static void test_steady(void **unused)
 {
     (void)unused;
     for (int k = 0; k < 50; k++) {
-        struct lamp l = {100.0, 0.0, 0.0, k % 2 ? 0.02 : 0.0, k % 5 == 0};
+        struct lamp l = {100.0, .readout_s = k % 2 ? 0.02 : 0.0, .dim = k % 5 == 0};
+        l.noise = k % 3 ? 1.0 : 1000.0;
         struct flicker_light found = find_light(&l, 30.0);
         assert_true(found.hz == 0.0 && found.depth == 0.0);
     }
@@ -115,8 +160,8 @@ static void test_exposures(void **unused)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_lamps),
-        cmocka_unit_test(test_steady),
+        cmocka_unit_test(test_lamps),     cmocka_unit_test(test_faint_lamps),
+        cmocka_unit_test(test_walkers),   cmocka_unit_test(test_steady),
         cmocka_unit_test(test_exposures),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
