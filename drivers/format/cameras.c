@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SIZE_MAX_PX = 65536 };
+enum { SIZE_MAX_PX = 65536, STOPS_MAX = 20 };
 
 void cameras_free(struct rig *rig)
 {
@@ -126,6 +126,36 @@ static err_t get_photograph(const char *what, const struct cJSON *object, struct
     return e ? e : get_lens(what, taken, &out->photograph.lens);
 }
 
+static err_t get_stops(const char *what, const struct cJSON *object, const char *key, double out[3])
+{
+    float stops[3];
+    err_t e = json_floats(what, object, key, 3, stops);
+    for (int k = 0; k < 3 && !e; k++) {
+        out[k] = (double)stops[k];
+        if (!(fabsf(stops[k]) <= STOPS_MAX))
+            e = err_fail(ERR_FORMAT, "%s: \"%s\" of %g, allowed are -%d to %d", what, key,
+                         (double)stops[k], STOPS_MAX, STOPS_MAX);
+    }
+    return e;
+}
+
+/* The physical camera and its light. */
+static err_t get_physical(const char *what, const struct cJSON *object, struct rig_view *out)
+{
+    const struct cJSON *light = json_member(object, "light");
+    const char *camera = json_string(json_member(object, "camera"));
+    if (camera && strlen(camera) >= sizeof out->camera)
+        return err_fail(ERR_FORMAT, "%s: \"camera\" has %zu characters, at most %zu are allowed",
+                        what, strlen(camera), sizeof out->camera - 1);
+    if (camera)
+        memcpy(out->camera, camera, strlen(camera) + 1);
+    out->has_light = light != NULL;
+    if (!light)
+        return OK;
+    err_t e = get_stops(what, light, "vignetting_stops", out->light.term);
+    return e ? e : get_stops(what, light, "gain_stops", out->light.gain);
+}
+
 static err_t get_intrinsics(const char *what, const struct cJSON *object, struct rig_view *out)
 {
     static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
@@ -156,6 +186,8 @@ static err_t get_view(const char *file, const struct cJSON *object, int i, struc
         e = get_intrinsics(what, object, out);
     if (!e)
         e = get_photograph(what, object, out);
+    if (!e)
+        e = get_physical(what, object, out);
     if (!e)
         e = json_floats(what, object, "q", 4, out->cam.q);
     if (!e)
@@ -217,6 +249,26 @@ static void put_lens(FILE *f, const struct lens *l)
     putc(']', f);
 }
 
+static void put_stops(FILE *f, const char *key, const double stops[3])
+{
+    fprintf(f, "\"%s\": [%.9g, %.9g, %.9g]", key, stops[0], stops[1], stops[2]);
+}
+
+static void put_physical(FILE *f, const struct rig_view *v)
+{
+    if (v->camera[0]) {
+        fputs(",\n     \"camera\": ", f);
+        json_put_string(f, v->camera);
+    }
+    if (!v->has_light)
+        return;
+    fputs(",\n     \"light\": {", f);
+    put_stops(f, "vignetting_stops", v->light.term);
+    fputs(", ", f);
+    put_stops(f, "gain_stops", v->light.gain);
+    putc('}', f);
+}
+
 void cameras_put(FILE *f, const struct rig_view *v)
 {
     const struct camera *c = &v->cam;
@@ -239,6 +291,7 @@ void cameras_put(FILE *f, const struct rig_view *v)
         put_lens(f, &v->photograph.lens);
         putc('}', f);
     }
+    put_physical(f, v);
     putc('}', f);
 }
 

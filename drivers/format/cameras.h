@@ -6,13 +6,16 @@
  * Units and axes are those of struct camera. "model" and "params" (COLMAP's, core/base/lens.h) are
  * there if the photographs are distorted, and then say what fx, fy, cx, cy are. The views of a
  * result are undistorted: there "photograph": {"w": ..., "h": ..., "model": ..., "params": [...]}
- * tells how the photograph of this view was taken. Numbers have nine digits, params seventeen:
+ * tells how the photograph of this view was taken. "camera" names the physical camera, and "light":
+ * {"vignetting_stops": [v2, v4, v6], "gain_stops": [r, g, b]} is what it does to light
+ * (core/photo/shade.h), if that is known. Numbers have nine digits, params seventeen:
  * written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
 #define FORMAT_CAMERAS_H
 
 #include "core/base/types.h"
+#include "core/photo/shade.h"
 
 #include <stdio.h>
 
@@ -29,7 +32,10 @@ struct rig_view {
     struct {
         int w, h; // 0: cam and lens are those of the photograph
         struct lens lens;
-    } photograph; // of which cam is the undistorted view
+    } photograph;          // of which cam is the undistorted view
+    char camera[NAME_CAP]; // physical camera; empty: not known
+    bool has_light;
+    struct shade_model light;
 };
 
 /* Known cameras; no two have the same name. */

@@ -4,6 +4,7 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/evaluate.h"
 #include "firmware/recon/lenses.h"
+#include "firmware/recon/stored.h"
 #include "firmware/recon/testcams.h"
 #include "firmware/result/report_page.h"
 
@@ -281,22 +282,43 @@ static err_t reconstruct(struct state *st, struct request *rq)
 
 /* ---- from a result to its scene ---- */
 
+/* Views that are squares where photographs are not have no lens. */
+static bool is_squeezed(const struct rig *rig, const struct capture *c)
+{
+    const struct camera *cam = &rig->views[0].cam;
+    return cam->w == cam->h && c->n > 0 && c->shots[0].taken_w != c->shots[0].taken_h;
+}
+
 /* Keeps the train pictures that the scene was made from. */
-static err_t keep_inputs(const char *scene, struct capture *c)
+static void keep_inputs(const struct rig *rig, struct capture *c)
+{
+    int n = 0;
+    for (int i = 0; i < c->n; i++)
+        for (int k = 0; k < rig->n; k++)
+            if (strcmp(c->shots[i].name, rig->views[k].name) == 0)
+                c->shots[n++] = c->shots[i];
+    c->n = n;
+}
+
+/* What the result says about its photographs. Lenses that were found are those of the pictures,
+ * unless these come with cameras. */
+static err_t read_cameras(struct state *st, const struct request *rq)
 {
     char path[FILE_PATH_CAP];
     struct rig rig;
-    int n = 0;
-    err_t e = file_join(scene, "cameras.json", path);
+    err_t e = file_join(rq->scene, "cameras.json", path);
     if (!e)
         e = cameras_read(path, &rig);
     if (e)
         return e;
-    for (int i = 0; i < c->n; i++)
-        for (int k = 0; k < rig.n; k++)
-            if (strcmp(c->shots[i].name, rig.views[k].name) == 0)
-                c->shots[n++] = c->shots[i];
-    c->n = n;
+    keep_inputs(&rig, &st->train.capture);
+    keep_inputs(&rig, &st->true_train.capture);
+    stored_light(&rig, &st->job);
+    if (rq->set.no_cameras && !is_squeezed(&rig, &st->test.capture)) {
+        stored_lenses(&rig, &st->train.capture, &st->job);
+        lenses_apply(&st->job, &st->train.capture);
+        lenses_apply(&st->job, &st->test.capture);
+    }
     cameras_free(&rig);
     return OK;
 }
@@ -382,9 +404,7 @@ static err_t read_scene(struct state *st, struct request *rq)
     if (!e)
         e = list_pictures(st, rq);
     if (!e)
-        e = keep_inputs(rq->scene, &st->train.capture);
-    if (!e)
-        e = keep_inputs(rq->scene, &st->true_train.capture);
+        e = read_cameras(st, rq);
     if (e)
         return e;
     if (job.size != RECIPE_SIZE_AUTO)

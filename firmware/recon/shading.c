@@ -61,7 +61,7 @@ static void map_view(const struct job_result *j, const struct shot *s, const str
     shade_map(drawn ? &lens : NULL, s->taken_w, s->taken_h, view, out);
 }
 
-static bool is_found(const struct job_result *j)
+bool shading_found(const struct job_result *j)
 {
     for (int k = 0; k < j->n_light; k++)
         for (int i = 0; i < SHADE_FIT_KINDS; i++)
@@ -127,7 +127,7 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
         in->room[i].model = (struct shade_model){.gain = {0}};
     for (int k = 0; k < ROUNDS && !e; k++) {
         e = fit_models(r, in, camera, out);
-        if (e || !is_found(out))
+        if (e || !shading_found(out))
             break;
         const bool settled = largest_change(out, camera, in->room) < SETTLED;
         set_models(out, camera, in->room);
@@ -136,21 +136,28 @@ err_t shading_run(const struct run *r, const struct shading_input *in, struct jo
             break;
         e = response_refit_run(r, in->seen, in->depth, in->tone);
     }
-    if (e || is_found(out))
+    if (e || shading_found(out))
         return e;
     *in->tone = before;
     in->seen->shade = out->views.shade = NULL;
     return OK;
 }
 
+bool shading_model(const struct job_result *j, const char *camera_id, struct shade_model *out)
+{
+    const int k = find_camera(j, camera_id);
+    if (!shading_found(j) || k == j->n_light)
+        return false;
+    *out = j->light[k].found.model;
+    return true;
+}
+
 bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,
                 struct shade *out)
 {
-    const int k = find_camera(j, s->camera_id);
-    if (!j->views.shade || k == j->n_light)
+    if (!shading_model(j, s->camera_id, &out->model))
         return false;
     map_view(j, s, view, out);
-    out->model = j->light[k].found.model;
     return true;
 }
 

@@ -30,6 +30,12 @@ MUST_USE err_t shading_run(const struct run *r, const struct shading_input *in,
 /* Bytes of r->tmp. */
 size_t shading_plan(int n_views);
 
+/* What a physical camera does to light; false: nothing was found. */
+bool shading_model(const struct job_result *j, const char *camera_id, struct shade_model *out);
+
+/* Whether it does anything, of any camera. */
+bool shading_found(const struct job_result *j);
+
 /* What the camera of a photograph does to a view of it with this pinhole; false: nothing was
  * found. */
 bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,

@@ -236,7 +236,7 @@ static err_t shade(const struct run *r, const struct job_result *j, const struct
                    struct views *v)
 {
     struct shade *out;
-    if (!j->views.shade)
+    if (!shading_found(j))
         return OK;
     err_t e = shading_layout(&out, r->keep, v->n);
     for (int i = 0, view = 0; i < test->n && !e; i++)

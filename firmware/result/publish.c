@@ -2,6 +2,7 @@
 
 #include "firmware/recon/figures.h"
 #include "firmware/recon/lenses.h"
+#include "firmware/recon/stored.h"
 #include "firmware/result/draw.h"
 #include "firmware/result/report_page.h"
 #include "firmware/result/viewer.h"
@@ -164,7 +165,7 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     return e;
 }
 
-/* Where view `v` was undistorted, how its photograph was taken. */
+/* The physical camera of view `v`, and where it was undistorted, how its photograph was taken. */
 static void add_photograph(const struct job_result *j, struct rig_view *v)
 {
     const struct capture *c = j->capture;
@@ -175,6 +176,7 @@ static void add_photograph(const struct job_result *j, struct rig_view *v)
     bool resampled;
     if (!s)
         return;
+    stored_put(j, s, v);
     if (!lenses_find(j, s, &lens, &resampled) || !resampled)
         lens = s->lens;
     if (!lens_distorts(&lens))

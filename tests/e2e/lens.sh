@@ -99,6 +99,10 @@ at_least "the gain that was found, from above" 0.37 "$gain"
 at_least "the light in the corners, stops (-0.74)" "$corner" -0.84
 at_least "the light in the corners, from above" -0.6 "$corner"
 known=$(number "$OUT/eval.json" ldr psnr)
+succeed reconstruct --images "$OUT/light" --size 224 --refine 60 --out "$OUT/lit"
+succeed eval --data "$OUT/light" --scene "$OUT/lit" --json "$OUT/stored.json"
+at_least "PSNR of the scene as stored, with its light" "$(number "$OUT/stored.json" ldr psnr)" \
+    "$(awk -v x="$known" 'BEGIN { print x - 0.2 }')"
 succeed eval --data "$OUT/light" --size 224 --refine 60 --json "$OUT/eval.json"
 grep -q '"light"' "$OUT/eval.json" && fail "the paper's protocol models light"
 at_least "PSNR with light modelled" "$known" \

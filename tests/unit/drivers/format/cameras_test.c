@@ -50,13 +50,19 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                               0},
                              true,
                              -3.1f,
-                             {0, 0, {0}}},
+                             {0, 0, {0}},
+                             "Maker \"A\" 50 mm 31x7",
+                             true,
+                             {{-0.5, 0.25, 0}, {0.125, 0, -1.5}}},
                             {"b.png",
                              {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}},
                              {0},
                              false,
                              0,
-                             {31, 7, {LENS_RADIAL, 1. / 3, 1. / 3, 2, 3, {-0.1, 1e-9}, 0}}}};
+                             {31, 7, {LENS_RADIAL, 1. / 3, 1. / 3, 2, 3, {-0.1, 1e-9}, 0}},
+                             "",
+                             false,
+                             {{0}, {0}}}};
     struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
@@ -70,6 +76,9 @@ static void what_is_written_is_read_bit_for_bit(void **state)
         assert_true(out.views[i].has_exposure == v[i].has_exposure);
         assert_true(out.views[i].exposure_log2 == v[i].exposure_log2);
         assert_int_equal(out.views[i].photograph.w, v[i].photograph.w);
+        assert_string_equal(out.views[i].camera, v[i].camera);
+        assert_true(out.views[i].has_light == v[i].has_light);
+        assert_memory_equal(&out.views[i].light, &v[i].light, sizeof v[i].light);
         out.views[i].photograph.lens.limit = 0; // follows from the rest
         assert_memory_equal(&out.views[i].photograph, &v[i].photograph, sizeof v[i].photograph);
     }

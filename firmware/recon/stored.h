@@ -1,0 +1,20 @@
+/* stored.h - what a result says about the physical cameras that took its photographs (cameras.json),
+ * for photographs of these cameras that are compared with its scene. */
+#ifndef RECON_STORED_H
+#define RECON_STORED_H
+
+#include "firmware/recon/job_result.h"
+
+#include "drivers/format/cameras.h"
+
+/* Write down the physical camera of a view of *j and what it does to light. */
+void stored_put(const struct job_result *j, const struct shot *s, struct rig_view *out);
+
+/* Read it again: out->light. */
+void stored_light(const struct rig *rig, struct job_result *out);
+
+/* And out->found, the lenses, as if they had been found for the views of `rig`. inputs: its
+ * photographs, or some of them; they tell how the sensor was turned. */
+void stored_lenses(const struct rig *rig, const struct capture *inputs, struct job_result *out);
+
+#endif
