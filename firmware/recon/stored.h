@@ -1,5 +1,5 @@
-/* stored.h - what a result says about the physical cameras that took its photographs (cameras.json),
- * for photographs of these cameras that are compared with its scene. */
+/* stored.h - what a result says about the physical cameras that took its photographs
+ * (cameras.json), for photographs of these cameras that are compared with its scene. */
 #ifndef RECON_STORED_H
 #define RECON_STORED_H
 
