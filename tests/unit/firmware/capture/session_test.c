@@ -238,7 +238,8 @@ static void lamps_that_flicker(void **state)
     static const struct {
         const char *options;
         double hz;
-    } rigs[] = {{"fps=30,hz=100", 100}, {"fps=25,hz=100", 100}, {"fps=30,hz=120,line=20", 120}};
+    } rigs[] = {
+        {"fps=30,hz=100", 100}, {"fps=25,hz=100,stamp=end", 100}, {"fps=30,hz=120,line=20", 120}};
     (void)state;
     for (int k = 0; k < 6; k++) {
         char options[128];
@@ -276,11 +277,14 @@ static void dim_rooms_under_lamps(void **state)
     (void)state;
     for (int k = 0; k < 4; k++) {
         struct session_order o = {.mode = SESSION_AUTO, .verify = true};
+        if (k % 2)
+            o = (struct session_order){
+                .mode = SESSION_LIST, .n = 3, .ev = {-2, 0, 2}, .middle_s = 0.016};
         struct session_config c = {.n = 1, .uri = {uri[0]}};
         snprintf(uri[0], sizeof uri[0],
                  "sim:kind=room,seed=%d,size=112,samples=1,shadow=1,format=rggb,fps=30,"
-                 "flicker=0.3,hz=100,truth=%s/truth0," VIRTUAL,
-                 seeds[k], tmpdir_root);
+                 "flicker=%.1f,hz=100,truth=%s/truth0," VIRTUAL,
+                 seeds[k], k % 2 ? 0.5 : 0.3, tmpdir_root);
         assert_int_equal(session_open(&c, &s), OK);
         run_until(SESSION_ARMED);
         struct take *t = run_take(&o);
@@ -288,6 +292,10 @@ static void dim_rooms_under_lamps(void **state)
             fail_msg("%s: %s", uri[0], t->reason);
         assert_true(t->camera[0].light.hz == 100);
         check_labels(t);
+        for (int i = 0; i < t->n; i++) { // the reference is steady, too
+            bool proven = t->frame[i].evidence.proof < BRACKET_UNVERIFIED;
+            assert_true(proven == (take_exposure_s(&t->frame[i]) > 0.02));
+        }
         take_free(t);
         session_close(s);
         s = NULL;
@@ -302,6 +310,8 @@ static void the_reason_is_said(void **state)
     } troubles[] = {
         {"faults=at frame 0 ignore 0", "pictures do not show it"},
         {"faults=at frame 13 lose 0.7;at frame 18 ignore 0", "this machine is too slow"},
+        {"faults=at frame 13 lose 0.7;at frame 16 refuse busy 0", "refuses the exposure"},
+        {"faults=at frame 0 ignore 0;at frame 60 stall 0", "pictures do not show it"},
         {"flicker=0.5,fps=30,faults=at frame 120 ignore 0", "flickers at 100 Hz"},
     };
     (void)state;
