@@ -12,12 +12,12 @@
 #include "drivers/format/namelist.h"
 #include "drivers/format/pixels.h"
 #include "drivers/format/rigfile.h"
+#include "drivers/format/suffix.h"
 
 #include <dirent.h>
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <strings.h>
 
 void imageset_free(struct imageset *set)
 {
@@ -30,41 +30,6 @@ void imageset_free(struct imageset *set)
 }
 
 /* ---- the folder ---- */
-
-static bool has_suffix(const char *name, const char *suffix)
-{
-    size_t n = strlen(name), k = strlen(suffix);
-    return n > k && strcasecmp(name + n - k, suffix) == 0;
-}
-
-static bool has_one_of(const char *name, const char *const *suffix)
-{
-    while (*suffix && !has_suffix(name, *suffix))
-        suffix++;
-    return name[0] != '.' && *suffix;
-}
-
-static bool is_picture(const char *name)
-{
-    static const char *const suffix[] = {".png", ".jpg", ".jpeg", NULL};
-    return has_one_of(name, suffix);
-}
-
-/* Photographs only where there are no others: beside those it is a result or the truth. */
-static bool is_exr(const char *name)
-{
-    return name[0] != '.' && has_suffix(name, ".exr");
-}
-
-/* Pictures of other kinds, which users may expect to be read. */
-static bool is_other_picture(const char *name)
-{
-    static const char *const suffix[] = {
-        ".heic", ".heif", ".avif", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".jxl", ".jp2", ".ppm",
-        ".pnm",  ".exr",  ".hdr",  ".dng", ".raw",  ".arw",  ".cr2", ".cr3", ".crw", ".nef", ".orf",
-        ".pef",  ".raf",  ".rw2",  ".srw", ".x3f",  ".mp4",  ".mov", ".avi", ".mkv", NULL};
-    return has_one_of(name, suffix);
-}
 
 static bool has_prefix(const char *name, const char *prefix)
 {
@@ -86,7 +51,8 @@ static void add_note(const struct namelist *l, const char *why, struct imageset 
     set->n_notes++;
 }
 
-static const char only_png_jpeg[] = "pictures must be PNG, JPEG or EXR, save them as one of these";
+static const char only_png_jpeg[] =
+    "pictures must be PNG or JPEG, or all raw (DNG, CR2, NEF, ARW) or all EXR";
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
@@ -135,14 +101,14 @@ static err_t scan_folder(struct imageset *set)
         return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
     struct namelist other = {0}, odd = {0};
     err_t e = OK;
-    bool (*const kind[])(const char *name) = {is_picture, is_exr};
-    for (int k = 0; k < 2 && c->n == 0 && !e; k++) {
+    bool (*const kind[])(const char *name) = {suffix_is_picture, suffix_is_raw, suffix_is_exr};
+    for (int k = 0; k < 3 && c->n == 0 && !e; k++) {
         other = (struct namelist){0};
         rewinddir(d);
         for (struct dirent *entry; !e && (entry = readdir(d));) {
             if (kind[k](entry->d_name))
                 e = add_picture(set->dir, entry->d_name, &odd, c);
-            else if (is_other_picture(entry->d_name))
+            else if (suffix_is_other(entry->d_name))
                 namelist_add(entry->d_name, &other);
         }
     }
@@ -162,7 +128,7 @@ static void note_beside(const char *images, struct imageset *set)
     if (!d)
         return;
     for (struct dirent *entry; (entry = readdir(d));)
-        if (is_picture(entry->d_name))
+        if (suffix_is_picture(entry->d_name))
             namelist_add(entry->d_name, &beside);
     closedir(d);
     add_note(&beside, "they lie beside the folder images, which alone is looked into", set);
@@ -196,8 +162,10 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
     if (n > 0)
         return OK;
     if (all == 0)
-        return err_fail(ERR_FORMAT, "%s: no pictures (*.png, *.jpg, *.jpeg, *.exr) in it%s%s",
-                        set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
+        return err_fail(
+            ERR_FORMAT,
+            "%s: no pictures (*.png, *.jpg, *.jpeg, *.dng, *.cr2, *.nef, *.arw, *.exr) in it%s%s",
+            set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
     return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
                     prefix[rq->which]);
 }
@@ -211,8 +179,8 @@ static void note_timed(const struct exposures *x, struct imageset *set)
     struct namelist other = {0};
     for (int i = 0; i < x->n; i++) {
         const char *name = x->v[i].name;
-        if (!is_picture(name) && !is_other_picture(name) && file_join(set->dir, name, path) == OK &&
-            file_is_regular(path))
+        if (!suffix_is_picture(name) && !suffix_is_other(name) &&
+            file_join(set->dir, name, path) == OK && file_is_regular(path))
             namelist_add(name, &other);
     }
     add_note(&other, only_png_jpeg, set);

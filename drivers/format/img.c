@@ -4,6 +4,8 @@
 #include "drivers/format/img.h"
 
 #include "drivers/format/file.h"
+#include "drivers/format/rawphoto.h"
+#include "drivers/format/turn.h"
 
 #include <libexif/exif-data.h>
 #include <spng.h>
@@ -235,25 +237,15 @@ int img_orientation(const void *bytes, size_t n)
     return o >= 1 && o <= 8 ? o : 1;
 }
 
-/* Both axes of the stored picture may be exchanged, and run from their far end. */
-static err_t turn_upright(int orientation, const char *name, struct image8 *io)
+static err_t make_upright(int orientation, const char *name, struct image8 *io)
 {
     const bool swap = orientation >= 5;
-    const bool from_right = orientation == 2 || orientation == 3 || orientation >= 7;
-    const bool from_below =
-        orientation == 3 || orientation == 4 || orientation == 6 || orientation == 7;
-    const int w = io->w, h = io->h;
     struct image8 out = {0};
-    err_t e = alloc_px(name, (uint32_t)(swap ? h : w), (uint32_t)(swap ? w : h), &out);
+    err_t e =
+        alloc_px(name, (uint32_t)(swap ? io->h : io->w), (uint32_t)(swap ? io->w : io->h), &out);
     if (e)
         return e;
-    for (int y = 0; y < out.h; y++)
-        for (int x = 0; x < out.w; x++) {
-            const int u = swap ? y : x, v = swap ? x : y;
-            const size_t at = (size_t)(from_below ? h - 1 - v : v) * (size_t)w +
-                              (size_t)(from_right ? w - 1 - u : u);
-            memcpy(out.px + 3 * ((size_t)y * (size_t)out.w + (size_t)x), io->px + 3 * at, 3);
-        }
+    turn_upright(orientation, io->px, io->w, io->h, 3, out.px);
     img_free(io);
     *io = out;
     return OK;
@@ -271,7 +263,7 @@ err_t img_read_mem(const void *bytes, size_t n, const char *name, struct image8 
         e = err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
     const int orientation = e ? 1 : img_orientation(bytes, n);
     if (orientation != 1)
-        e = turn_upright(orientation, name, out);
+        e = make_upright(orientation, name, out);
     if (e)
         img_free(out);
     return e;
@@ -539,6 +531,16 @@ static err_t parse_camera(const unsigned char *bytes, size_t n, const char *name
     return OK;
 }
 
+/* Without the orientation: it is read upright. */
+static void raw_camera(const void *bytes, size_t n, const char *name, struct img_camera *out)
+{
+    struct rawphoto_info raw;
+    if (rawphoto_look(bytes, n, name, &raw) != OK)
+        return;
+    memcpy(out->name, raw.camera, sizeof out->name);
+    out->focal_35mm = raw.focal_35mm;
+}
+
 err_t img_camera(const char *path, struct img_camera *out)
 {
     struct file_map m;
@@ -550,6 +552,8 @@ err_t img_camera(const char *path, struct img_camera *out)
         e = parse_camera(m.p, m.n, path, out);
     else if (!e && is_png(m.p, m.n) && exif_of_png(m.p, m.n, path, &exif, &n_exif) == OK)
         e = parse_camera(exif, n_exif, path, out);
+    else if (!e && rawphoto_is(m.p, m.n))
+        raw_camera(m.p, m.n, path, out);
     out->orientation = !e && is_jpeg(m.p, m.n) ? out->orientation : 1; // PNG is not turned
     free(exif);
     file_unmap(&m);
@@ -573,6 +577,17 @@ static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
     return OK;
 }
 
+static err_t raw_exif(const void *bytes, size_t n, const char *name, struct img_exif *out)
+{
+    struct rawphoto_info raw;
+    err_t e = rawphoto_look(bytes, n, name, &raw);
+    if (!e && !(raw.seconds > 0))
+        e = err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
+    if (!e)
+        *out = (struct img_exif){raw.seconds, raw.iso, raw.f_number};
+    return e;
+}
+
 err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out)
 {
     *out = (struct img_exif){0};
@@ -580,6 +595,8 @@ err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exi
         return err_fail(ERR_FORMAT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
     if (is_jpeg(bytes, n))
         return parse_exif(bytes, n, name, out);
+    if (rawphoto_is(bytes, n))
+        return raw_exif(bytes, n, name, out);
     if (!is_png(bytes, n))
         return err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
     unsigned char *exif;

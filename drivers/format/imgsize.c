@@ -3,6 +3,7 @@
 #include "core/base/bytes.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
+#include "drivers/format/rawphoto.h"
 
 #include <string.h>
 
@@ -116,11 +117,18 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
         found = jpeg_size(b, &width, &height);
     else if (imgsize_is_exr(p, n))
         found = exr_size(b, &width, &height);
+    else if (rawphoto_is(p, n)) { // LibRaw knows the margins that a header includes
+        struct rawphoto_info raw;
+        err_t e = rawphoto_look(p, n, what, &raw);
+        *w = raw.w;
+        *h = raw.h;
+        return e;
+    }
     const char *kind = found ? NULL : other_kind(p, n);
     if (kind)
         return err_fail(ERR_FORMAT, "%s: its bytes are %s: save it as PNG or JPEG", what, kind);
     if (!found || width == 0 || height == 0)
-        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG or EXR header with a size", what);
+        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG, raw or EXR header with a size", what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
         return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);

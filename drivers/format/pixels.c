@@ -7,6 +7,7 @@
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/rawframe.h"
+#include "drivers/format/rawphoto.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -19,7 +20,7 @@ err_t pixels_look(const char *path, struct shot *s)
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (e)
         return e;
-    s->linear = s->deep = imgsize_is_exr(m.p, m.n);
+    s->linear = s->deep = imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n);
     if (!s->deep)
         s->deep = img_is_deep(m.p, m.n, &s->linear);
     file_unmap(&m);
@@ -120,7 +121,9 @@ static err_t read_file16(const char *path, struct image16 *out)
 {
     struct file_map m;
     err_t e = file_map(path, IMG_FILE_MAX, &m);
-    if (!e)
+    if (!e && rawphoto_is(m.p, m.n))
+        e = rawphoto_read(m.p, m.n, path, out);
+    else if (!e)
         e = imgsize_is_exr(m.p, m.n) ? read_exr(&m, path, out) : read_png16(&m, path, out);
     file_unmap(&m);
     return e;

@@ -1,5 +1,5 @@
 /* pixels.h - photographs of any kind that is read, decoded: PNG, JPEG, and those with more than 8
- * bits: PNG of 16 bits and OpenEXR.
+ * bits: PNG of 16 bits, OpenEXR and raw photographs.
  * Linear values (OpenEXR; PNG of 16 bits whose gAMA chunk says 1) become display values by the
  * curve of sRGB, clipped at 1, which is where the sensor must be full. In 16 bits it keeps steps of
  * 2^-19.7 in the shadows. thread: any. */

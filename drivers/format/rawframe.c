@@ -41,7 +41,7 @@ err_t rawframe_check(const struct rawframe *f)
 }
 
 /* Noise brings half of the numbers of a dark frame below the black level, not nearly all. */
-static err_t check_black(const struct rawframe *f, const struct raw *raw)
+static err_t check_black(const char *name, const struct raw *raw)
 {
     const size_t n = (size_t)raw->w * (size_t)raw->h;
     size_t below = 0;
@@ -50,23 +50,25 @@ static err_t check_black(const struct rawframe *f, const struct raw *raw)
     return below <= n / 10 * 9
                ? OK
                : err_fail(ERR_FORMAT,
-                          "%s: %.0f %% of its numbers are below the black level %d, which must be "
-                          "wrong; without the folder raw the pictures are used",
-                          f->path, 100.0 * (double)below / (double)n, raw->black);
+                          "%s: %.0f %% of its numbers are below the black level, which must be "
+                          "wrong",
+                          name, 100.0 * (double)below / (double)n);
 }
 
-static err_t develop_frame(const struct rawframe *f, const struct raw *raw, struct image16 *out)
+err_t rawframe_develop(const char *name, const struct raw *raw, const struct develop *how,
+                       struct image16 *out)
 {
-    err_t e = check_black(f, raw);
+    *out = (struct image16){0};
+    err_t e = check_black(name, raw);
     if (e)
         return e;
     out->px = malloc(3 * (size_t)raw->w * (size_t)raw->h * sizeof *out->px);
     if (!out->px)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", f->path, raw->w, raw->h);
+        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", name, raw->w, raw->h);
     out->w = raw->w;
     out->h = raw->h;
     out->channels = 3;
-    develop_run16(raw, &f->how, out->px);
+    develop_run16(raw, how, out->px);
     return OK;
 }
 
@@ -83,8 +85,12 @@ err_t rawframe_read(const struct rawframe *f, struct image16 *out)
         e = err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", f->path, frame.w, frame.h);
     if (!e && unpack_run(&f->info, &frame, &raw) != OK)
         e = err_fail(ERR_FORMAT, "%s: %s", f->path, err_text());
-    if (!e)
-        e = develop_frame(f, &raw, out);
+    if (!e) {
+        e = rawframe_develop(f->path, &raw, &f->how, out);
+        if (e == ERR_FORMAT)
+            e = err_fail(e, "%s (%d); without the folder raw the pictures are used", err_text(),
+                         raw.black);
+    }
     free(raw.px);
     file_unmap(&m);
     return e;

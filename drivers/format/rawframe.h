@@ -26,4 +26,10 @@ MUST_USE err_t rawframe_check(const struct rawframe *f);
  *       black level), ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t rawframe_read(const struct rawframe *f, struct image16 *out);
 
+/* The same of unpacked numbers; `name` begins the sentence.
+ * own:  free(out->px).
+ * err:  ERR_FORMAT (nearly all below the black level), ERR_NOMEM. On error *out is zeroed. */
+MUST_USE err_t rawframe_develop(const char *name, const struct raw *raw, const struct develop *how,
+                                struct image16 *out);
+
 #endif

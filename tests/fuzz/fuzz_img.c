@@ -1,6 +1,7 @@
 /* Any bytes as a picture: decoded, and asked for the exposure of its EXIF data. */
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
+#include "drivers/format/rawphoto.h"
 
 #include <stdlib.h>
 
@@ -20,6 +21,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n)
     if (img_is_deep(p, n, &linear) && img_read16_mem(p, n, "fuzz", &deep) == OK && !deep.px)
         __builtin_trap();
     free(deep.px);
+    if (rawphoto_is(p, n) && rawphoto_read(p, n, "fuzz", &deep) == OK) {
+        if (deep.w < 1 || deep.h < 1 || !deep.px)
+            __builtin_trap();
+        free(deep.px);
+    }
     img_free(&im);
     if (img_exif_mem(p, n, "fuzz", &exif) == OK && !(img_exif_exposure(&exif) > 0.0))
         __builtin_trap();

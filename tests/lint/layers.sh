@@ -19,6 +19,7 @@ BEGIN {
     allowed["tests"] = " core drivers firmware sim tests "
     # header pattern -> files that may include it; tests may include what they like
     wrapper["^(spng|turbojpeg|jpeglib)\\.h$"] = "^drivers/format/img\\.c$"
+    wrapper["^libraw/"] = "^drivers/format/rawphoto\\.c$"
     wrapper["^libexif/"] = "^drivers/format/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/format/exrfile\\.c$"
     wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/format/json\\.c$"

@@ -345,13 +345,14 @@ static void what_is_not_read_is_told(void **state)
     struct imageset set;
     struct imageset_request rq = {.images = tmpdir_root};
     tmpdir_text("IMG_2.HEIC", "");
-    tmpdir_text("IMG_1.dng", "");
+    tmpdir_text("IMG_1.raf", "");
     tmpdir_text(".hidden.heic", "");
     tmpdir_text("notes.txt", "");
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(err_text(),
-                           "no pictures (*.png, *.jpg, *.jpeg, *.exr) in it; 2 files are not "
-                           "read (IMG_1.dng and IMG_2.HEIC): pictures must be PNG, JPEG or EXR"));
+    assert_non_null(strstr(
+        err_text(), "no pictures (*.png, *.jpg, *.jpeg, *.dng, *.cr2, *.nef, *.arw, *.exr) in it; "
+                    "2 files are not read (IMG_1.raf and IMG_2.HEIC): pictures must be PNG "
+                    "or JPEG, or all raw"));
     put_picture("a.png", 8, 6);
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.HEIC\": 1, \"b.scan\": 1, \"gone.x\": 1}");
     assert_int_equal(imageset_list(&rq, &set), OK);
@@ -365,7 +366,7 @@ static void what_is_not_read_is_told(void **state)
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_int_equal(set.n_notes, 3);
     assert_non_null(strstr(set.notes[0],
-                           "4 files are not read (IMG_1.dng, IMG_2.HEIC, IMG_3.tif and 1 other)"));
+                           "4 files are not read (IMG_1.raf, IMG_2.HEIC, IMG_3.tif and 1 other)"));
     assert_non_null(strstr(set.notes[1], "1 file is not read (z.jpg): no regular files"));
     assert_non_null(strstr(set.notes[2], "1 file is not read (b.scan): pictures must be PNG"));
     imageset_free(&set);

@@ -116,7 +116,8 @@ static void hostile_files(void **state)
     expect_ok(imgsize_parse("x", head, sizeof head - 1, &w, &h));
     assert_true(w == 10000 && h == 10000);
     for (size_t n = 8; n < sizeof head - 1; n++)
-        expect_err(imgsize_parse("x", head, n, &w, &h), ERR_FORMAT, "no PNG, JPEG or EXR header");
+        expect_err(imgsize_parse("x", head, n, &w, &h), ERR_FORMAT,
+                   "no PNG, JPEG, raw or EXR header");
     FILE *f = fopen(tmpdir_path("big.exr"), "wb");
     fwrite(head, 1, sizeof head - 1, f);
     fwrite("0123456789", 1, 10, f);

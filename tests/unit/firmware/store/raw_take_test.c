@@ -179,7 +179,8 @@ static void wrong_black_level(void **state)
     store_take(CAMERA_GREY16);
     change_manifest("\"bits\": 10, \"black\": 64, ", "\"bits\": 10, \"black\":1022,");
     list(&set);
-    expect_err(imageset_decode16(&set, 0, &im), ERR_FORMAT, "below the black level 1022");
+    expect_err(imageset_decode16(&set, 0, &im), ERR_FORMAT,
+               "below the black level, which must be wrong (1022)");
     assert_null(im.px);
     imageset_free(&set);
 }
