@@ -235,7 +235,7 @@ static err_t read_exif(const struct imageset_request *rq, bool *has_iso, bool *h
         char path[FILE_PATH_CAP];
         err_t e = file_join(set->dir, s->name, path);
         if (!e)
-            e = img_exif(path, &x);
+            e = pixels_exif(path, &x);
         if (e && e != ERR_FORMAT && e != ERR_UNSUPPORTED)
             return e;
         s->exposure = e ? 0 : img_exif_exposure(&x); // no such data: counted by check_times

@@ -4,7 +4,6 @@
 #include "drivers/format/img.h"
 
 #include "drivers/format/file.h"
-#include "drivers/format/rawphoto.h"
 #include "drivers/format/turn.h"
 
 #include <libexif/exif-data.h>
@@ -531,16 +530,6 @@ static err_t parse_camera(const unsigned char *bytes, size_t n, const char *name
     return OK;
 }
 
-/* Without the orientation: it is read upright. */
-static void raw_camera(const void *bytes, size_t n, const char *name, struct img_camera *out)
-{
-    struct rawphoto_info raw;
-    if (rawphoto_look(bytes, n, name, &raw) != OK)
-        return;
-    memcpy(out->name, raw.camera, sizeof out->name);
-    out->focal_35mm = raw.focal_35mm;
-}
-
 err_t img_camera(const char *path, struct img_camera *out)
 {
     struct file_map m;
@@ -552,8 +541,6 @@ err_t img_camera(const char *path, struct img_camera *out)
         e = parse_camera(m.p, m.n, path, out);
     else if (!e && is_png(m.p, m.n) && exif_of_png(m.p, m.n, path, &exif, &n_exif) == OK)
         e = parse_camera(exif, n_exif, path, out);
-    else if (!e && rawphoto_is(m.p, m.n))
-        raw_camera(m.p, m.n, path, out);
     out->orientation = !e && is_jpeg(m.p, m.n) ? out->orientation : 1; // PNG is not turned
     free(exif);
     file_unmap(&m);
@@ -577,17 +564,6 @@ static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
     return OK;
 }
 
-static err_t raw_exif(const void *bytes, size_t n, const char *name, struct img_exif *out)
-{
-    struct rawphoto_info raw;
-    err_t e = rawphoto_look(bytes, n, name, &raw);
-    if (!e && !(raw.seconds > 0))
-        e = err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
-    if (!e)
-        *out = (struct img_exif){raw.seconds, raw.iso, raw.f_number};
-    return e;
-}
-
 err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out)
 {
     *out = (struct img_exif){0};
@@ -595,8 +571,6 @@ err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exi
         return err_fail(ERR_FORMAT, "%s: %zu bytes, allowed are %d", name, n, IMG_FILE_MAX);
     if (is_jpeg(bytes, n))
         return parse_exif(bytes, n, name, out);
-    if (rawphoto_is(bytes, n))
-        return raw_exif(bytes, n, name, out);
     if (!is_png(bytes, n))
         return err_fail(ERR_FORMAT, "%s: neither PNG nor JPEG", name);
     unsigned char *exif;

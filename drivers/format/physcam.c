@@ -1,7 +1,7 @@
 #include "drivers/format/physcam.h"
 
 #include "core/base/num.h"
-#include "drivers/format/img.h"
+#include "drivers/format/pixels.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -25,7 +25,7 @@ err_t physcam_read(const char *path, enum physcam_rule rule, struct shot *s)
 {
     const int longer = num_max(s->taken_w, s->taken_h), shorter = num_min(s->taken_w, s->taken_h);
     struct img_camera camera;
-    err_t e = img_camera(path, &camera);
+    err_t e = pixels_camera(path, &camera);
     if (e)
         return e;
     s->turned = quarter_turns(camera.orientation);

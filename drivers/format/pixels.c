@@ -4,7 +4,6 @@
 #include "core/photo/undistort.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/file.h"
-#include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/rawframe.h"
 #include "drivers/format/rawphoto.h"
@@ -36,6 +35,40 @@ void pixels_free16(struct image16 *im)
 size_t pixels_bytes(const struct shot *s)
 {
     return s->deep ? 3 * (sizeof(uint16_t) + 2 * sizeof(float)) : 3; // OpenEXR: floats and its own
+}
+
+/* ---- what files say ---- */
+
+/* Zeroed if it is none; the readers of pictures then say why. */
+static bool look_raw(const char *path, struct rawphoto_info *out)
+{
+    struct file_map m;
+    *out = (struct rawphoto_info){0};
+    if (file_map(path, IMG_FILE_MAX, &m) != OK)
+        return false;
+    const bool is_raw = rawphoto_is(m.p, m.n) && rawphoto_look(m.p, m.n, path, out) == OK;
+    file_unmap(&m);
+    return is_raw;
+}
+
+err_t pixels_exif(const char *path, struct img_exif *out)
+{
+    struct rawphoto_info raw;
+    if (!look_raw(path, &raw))
+        return img_exif(path, out);
+    *out = raw.exif;
+    return out->seconds > 0
+               ? OK
+               : err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", path);
+}
+
+err_t pixels_camera(const char *path, struct img_camera *out)
+{
+    struct rawphoto_info raw;
+    if (!look_raw(path, &raw))
+        return img_camera(path, out);
+    *out = raw.camera;
+    return OK;
 }
 
 /* ---- linear values ---- */

@@ -7,6 +7,7 @@
 #define FORMAT_PIXELS_H
 
 #include "core/base/types.h"
+#include "drivers/format/img.h"
 
 /* Sets s->deep and s->linear from the file's header.
  * err:  ERR_IO, ERR_FORMAT (too large). */
@@ -24,6 +25,10 @@ MUST_USE err_t pixels_decode16(const char *path, const struct shot *s, struct im
 
 /* Accepts a zeroed image. */
 void pixels_free16(struct image16 *im);
+
+/* img_exif and img_camera, of raw photographs as well. */
+MUST_USE err_t pixels_exif(const char *path, struct img_exif *out);
+MUST_USE err_t pixels_camera(const char *path, struct img_camera *out);
 
 /* Bytes for each pixel of a shot while it is decoded. */
 size_t pixels_bytes(const struct shot *s);

@@ -1,6 +1,5 @@
 #include "drivers/format/rawphoto.h"
 
-#include "drivers/format/img.h"
 #include "drivers/format/rawframe.h"
 #include "drivers/format/turn.h"
 
@@ -143,11 +142,12 @@ err_t rawphoto_look(const void *bytes, size_t n, const char *name, struct rawpho
     const bool lies = orientation_of(raw) >= 5;
     out->w = even(lies ? raw->sizes.height : raw->sizes.width);
     out->h = even(lies ? raw->sizes.width : raw->sizes.height);
-    out->seconds = known(raw->other.shutter);
-    out->iso = known(raw->other.iso_speed);
-    out->f_number = known(raw->other.aperture);
-    out->focal_35mm = raw->lens.FocalLengthIn35mmFormat;
-    name_camera(raw, out->camera);
+    out->exif.seconds = known(raw->other.shutter);
+    out->exif.iso = known(raw->other.iso_speed);
+    out->exif.f_number = known(raw->other.aperture);
+    out->camera.focal_35mm = raw->lens.FocalLengthIn35mmFormat;
+    name_camera(raw, out->camera.name);
+    out->camera.orientation = 1;
     libraw_close(r.raw);
     return OK;
 }

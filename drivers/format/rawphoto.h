@@ -6,28 +6,29 @@
 #define FORMAT_RAWPHOTO_H
 
 #include "core/base/types.h"
+#include "drivers/format/img.h"
 
 struct rawphoto_info {
-    int w, h;             // px, upright
-    double seconds;       // exposure time; 0: not in the file, as the next three
-    double iso, f_number; //
-    double focal_35mm;
-    char camera[NAME_CAP]; // make, model, focal length; printable
+    int w, h;                 // px, upright
+    struct img_exif exif;     // of what the file says; seconds 0: not in the file
+    struct img_camera camera; // its orientation is 1
 };
 
 /* Whether the first bytes may be those of such a file. */
 bool rawphoto_is(const void *bytes, size_t n);
 
-/* err:  ERR_FORMAT (LibRaw does not know it; no Bayer mosaic; above IMG_SIDE_MAX or IMG_PX_MAX), ERR_NOMEM. On error
- *       *out is zeroed. `name` begins the sentence. */
+/* err:  ERR_FORMAT (LibRaw does not know it; no Bayer mosaic; above IMG_SIDE_MAX or IMG_PX_MAX, or
+ *       more than so few bytes can hold), ERR_NOMEM. On error *out is zeroed. `name` begins the
+ *       sentence. */
 MUST_USE err_t rawphoto_look(const void *bytes, size_t n, const char *name,
                              struct rawphoto_info *out);
 
 /* Black level off, white balance as the camera set it, colours of the sensor, demosaiced, upright,
- * through the curve of sRGB in 16 bits: 65535 is where the sensor is full (white level of the file).
- * An odd last row or column is left out.
+ * through the curve of sRGB in 16 bits: 65535 is where the sensor is full, the white level of the
+ * file. An odd last row or column is left out.
  * own:  free(out->px).
- * err:  as rawphoto_look, also data that are cut off, and levels that cannot be (see rawframe_develop). On error *out is zeroed. */
+ * err:  as rawphoto_look; data that are cut off; levels that cannot be (as rawframe_develop). On
+ *       error *out is zeroed. */
 MUST_USE err_t rawphoto_read(const void *bytes, size_t n, const char *name, struct image16 *out);
 
 #endif

@@ -1,5 +1,5 @@
-/* turn.h - pictures turned upright, as the EXIF orientation says (CIPA DC-008 4.6.4): 1, upright, to
- * 8; from 5 on width and height are exchanged. Pure; any thread. */
+/* turn.h - pictures turned upright, as the EXIF orientation says (CIPA DC-008 4.6.4): 1, upright,
+ * to 8; from 5 on width and height are exchanged. Pure; any thread. */
 #ifndef FORMAT_TURN_H
 #define FORMAT_TURN_H
 

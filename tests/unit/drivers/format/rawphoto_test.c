@@ -141,9 +141,9 @@ static void what_the_file_says(void **state)
     assert_non_null(f);
     assert_int_equal(fwrite(dng(0.25, 6)->p, 1, BYTES, f), BYTES);
     fclose(f);
-    expect_ok(img_exif(path, &x));
+    expect_ok(pixels_exif(path, &x));
     assert_true(fabs(x.seconds - 0.02) < 1e-6 && x.iso == 200 && fabs(x.f_number - 2.8) < 1e-6);
-    expect_ok(img_camera(path, &camera));
+    expect_ok(pixels_camera(path, &camera));
     assert_string_equal(camera.name, "Acme Acme");
     assert_int_equal(camera.orientation, 1);
     expect_ok(imgsize_read(path, &s.taken_w, &s.taken_h));
