@@ -269,6 +269,27 @@ static void lamps_that_flicker(void **state)
     }
 }
 
+/* Rows that a rolling shutter reads as the lamp goes on and off look torn. */
+static void rows_under_lamps(void **state)
+{
+    (void)state;
+    struct session_order o = {.mode = SESSION_LIST, .n = 3, .ev = {-3, 0, 3}, .middle_s = 0.002};
+    struct session_config c = {.n = 1, .uri = {uri[0]}};
+    snprintf(uri[0], sizeof uri[0],
+             "sim:kind=room,seed=5,size=56,samples=1,shadow=1,fps=30,flicker=0.9,hz=100,line=100,"
+             "truth=%s/truth0," VIRTUAL,
+             tmpdir_root);
+    assert_int_equal(session_open(&c, &s), OK);
+    for (int i = 0; i < 200 && !session_settled(s); i++)
+        turn();
+    struct take *t = run_take(&o);
+    if (t->status != TAKE_COMPLETE)
+        fail_msg("%s", t->reason);
+    assert_true(t->camera[0].light.hz == 100);
+    check_labels(t);
+    take_free(t);
+}
+
 /* Rooms whose exposures are long: few places are bright at those that show the flicker, and long
  * ones are never still. */
 static void dim_rooms_under_lamps(void **state)
@@ -356,6 +377,7 @@ int main(void)
         cmocka_unit_test_setup_teardown(cancelled, set_up, tear_down),
         cmocka_unit_test_setup_teardown(lies_are_not_believed, set_up, tear_down),
         cmocka_unit_test_setup_teardown(lamps_that_flicker, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(rows_under_lamps, set_up, tear_down),
         cmocka_unit_test_setup_teardown(dim_rooms_under_lamps, set_up, tear_down),
         cmocka_unit_test_setup_teardown(the_reason_is_said, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_cannot_be_opened, set_up, tear_down),
