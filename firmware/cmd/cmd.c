@@ -1,11 +1,14 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/capture/session.h"
 #include "firmware/daemon/ctl.h"
+#include "firmware/store/raw_take.h"
 
 #include "drivers/device/clocks.h"
 #include "drivers/format/file.h"
+#include "drivers/format/img.h"
 #include "drivers/format/json.h"
 #include "drivers/format/origin.h"
+#include "drivers/format/pixels.h"
 
 #include <errno.h>
 #include <getopt.h>
@@ -259,6 +262,27 @@ void cmd_imageset(const struct config *cfg, const struct network *network,
         return;
     rq->no_cameras = true;
     rq->rig = NULL;
+}
+
+err_t cmd_photographs(const struct imageset_request *rq, struct imageset *out)
+{
+    err_t e = imageset_list(rq, out);
+    return e ? e : raw_take_attach(out);
+}
+
+static err_t decode_photograph(void *ctx, int i, struct image8 *out)
+{
+    return imageset_decode(ctx, i, out);
+}
+
+static err_t decode_deep(void *ctx, int i, struct image16 *out)
+{
+    return imageset_decode16(ctx, i, out);
+}
+
+struct prep_source cmd_source(struct imageset *set)
+{
+    return (struct prep_source){decode_photograph, img_free, set, decode_deep, pixels_free16};
 }
 
 bool cmd_fill_exposures(struct capture *c)

@@ -10,6 +10,7 @@
 #include "drivers/format/partial.h"
 
 #include "core/base/err.h"
+#include "core/photo/prep.h"
 
 #include <stdbool.h>
 #include <stdio.h>
@@ -120,6 +121,14 @@ MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, s
  * be missing. */
 void cmd_imageset(const struct config *cfg, const struct network *network,
                   struct imageset_request *request);
+
+/* The photographs of a request; raw frames where they are those of takes.
+ * own:  imageset_free.
+ * err:  those of imageset_list and raw_take_attach. */
+MUST_USE err_t cmd_photographs(const struct imageset_request *rq, struct imageset *out);
+
+/* Their pixels, read when they are resized, so that few are in memory at a time. */
+struct prep_source cmd_source(struct imageset *set);
 
 /* If some exposures are missing, set all to 1 and return true. */
 bool cmd_fill_exposures(struct capture *c);

@@ -31,6 +31,7 @@ struct state {
     struct engine engine;
     struct network network;
     struct imageset train, test;
+    struct prep_source source;             // of train
     struct imageset true_train, true_test; // with cameras, if the network had to find them
     struct outdir out;
     struct cmd_json json;
@@ -172,12 +173,12 @@ static uint64_t result_bytes(const struct capture *test, int n_train, int size)
 
 static err_t list_both(struct imageset_request rq, struct imageset *train, struct imageset *test)
 {
-    err_t e = imageset_list(&rq, train);
+    err_t e = cmd_photographs(&rq, train);
     rq.which = IMAGESET_TEST;
     rq.n_views = 0;
     rq.every_exposure = true;
     rq.exposure_set = 0;
-    return e ? e : imageset_list(&rq, test);
+    return e ? e : cmd_photographs(&rq, test);
 }
 
 /* Whether the cameras have to be found; cameras of the data set then serve for comparison only. */
@@ -253,6 +254,8 @@ static err_t reconstruct(struct state *st, struct request *rq)
         return e;
     cmd_imageset(&rq->cfg, network, &rq->set);
     struct job_config job = cmd_job(&rq->cfg, network, false);
+    st->source = cmd_source(&st->train);
+    job.source = &st->source;
     job.square = strcmp(rq->protocol, "paper") == 0;
     e = list_pictures(st, rq);
     if (!e)
@@ -271,8 +274,6 @@ static err_t reconstruct(struct state *st, struct request *rq)
     if (!e)
         e = reserve_memory(st, rq, need, (struct prep_size){job.size, recipe.square},
                            recipe.gaussians_max);
-    if (!e)
-        e = imageset_load(&st->train);
     if (!e)
         e = job_run(&st->engine.run, &st->train.capture, &job, &st->job);
     if (!e && unknown)
@@ -333,11 +334,12 @@ static void plan_scene(const struct state *st, const struct scenefile_info *info
     if (c->n == 0)
         return;
     arena_hold(&p.keep, info->need);
-    prep_plan_capture(&p, c, NULL, (struct prep_size){info->size, true}); // no view has more pixels
+    prep_plan_capture(&p, c, &st->source,
+                      (struct prep_size){info->size, true}); // no view has more pixels
     arena_step(&p.tmp, response_plan(&v));
     need->keep = p.keep.peak;
     need->tmp = p.tmp.peak;
-    need->pictures = imageset_bytes(c, c->n);
+    need->pictures = imageset_bytes(c, pool_size(st->engine.pool));
 }
 
 /* Without known cameras the scene tells where its photographs were taken. */
@@ -364,9 +366,8 @@ static err_t read_inputs(struct state *st)
     const struct run *r = &st->engine.run;
     if (st->train.capture.n == 0)
         return OK;
-    err_t e = imageset_load(&st->train);
-    if (!e)
-        e = prep_run(r, &st->train.capture, job_result_size(&st->job.scene), &st->job.views);
+    err_t e = prep_read(r, &st->train.capture, &st->source, job_result_size(&st->job.scene),
+                        &st->job.views);
     job_result_lap(&st->job, JOB_PREPROCESS);
     if (!e)
         e = take_cameras(st);
@@ -394,6 +395,7 @@ static err_t read_scene(struct state *st, struct request *rq)
     struct scenefile_info info;
     struct job_memory need;
     struct job_config job = cmd_job(&rq->cfg, NULL, false);
+    st->source = cmd_source(&st->train);
     st->job.measured_only = true;
     st->job.start_s = st->job.lap_s = engine_seconds();
     cmd_imageset(&rq->cfg, NULL, &rq->set);

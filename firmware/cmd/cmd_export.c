@@ -35,7 +35,7 @@ static err_t list_photographs(const struct request *rq, struct state *st)
                                          .some_cameras = true};
     err_t e = file_join(rq->scene, "cameras.json", rig);
     if (!e)
-        e = imageset_list(&set, &st->set);
+        e = cmd_photographs(&set, &st->set);
     if (!e && st->set.n_unplaced > 0)
         log_warn("%s: %d photographs are left out, the scene has no camera for them", rq->images[0],
                  st->set.n_unplaced);

@@ -3,15 +3,12 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/dump.h"
 #include "firmware/result/publish.h"
-#include "firmware/store/raw_take.h"
 
 #include "core/base/log.h"
 #include "core/base/num.h"
 #include "core/photo/prep.h"
 #include "drivers/format/imageset.h"
-#include "drivers/format/img.h"
 #include "drivers/format/npy.h"
-#include "drivers/format/pixels.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -159,17 +156,6 @@ static err_t reserve_memory(const struct request *rq, struct state *st,
     return ERR_LIMIT;
 }
 
-/* Pixels are read when they are resized, so that few are in memory at a time. */
-static err_t decode_photograph(void *ctx, int i, struct image8 *out)
-{
-    return imageset_decode(ctx, i, out);
-}
-
-static err_t decode_deep(void *ctx, int i, struct image16 *out)
-{
-    return imageset_decode16(ctx, i, out);
-}
-
 /* Check everything that can be refused before the work. */
 static err_t prepare_job(struct request *rq, struct state *st, struct job_config *job)
 {
@@ -180,13 +166,10 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         return e;
     cmd_imageset(&rq->cfg, network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
-    st->source =
-        (struct prep_source){decode_photograph, img_free, &st->set, decode_deep, pixels_free16};
+    st->source = cmd_source(&st->set);
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement
-    e = imageset_list(&rq->set, &st->set);
-    if (!e)
-        e = raw_take_attach(&st->set);
+    e = cmd_photographs(&rq->set, &st->set);
     if (!e)
         e = cmd_shipped(&rq->model, &st->set.capture, &st->network, &job->network);
     job->cameras_only = !network;

@@ -23,7 +23,10 @@ struct raw_take {
  * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t raw_take_parse(const char *what, const char *text, size_t n, struct raw_take *out);
 
-/* Where every photograph of a set is a frame of a stored take, whose sensor gave linear numbers:
+/* Gains of the manifest: digital and colour gains act behind numbers that are raw, else a take has a
+ * digital gain of 1 (bracket.h); exposures have the analogue gain.
+ *
+ * Where every photograph of a set is a frame of a stored take, whose sensor gave linear numbers:
  * these are read instead of the pictures. Where such a take lacks one of them, or its file cannot
  * be right, the pictures of all are used, and a note of the set says why.
  * err:  ERR_NOMEM, ERR_ARG (path too long). */

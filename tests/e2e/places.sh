@@ -113,6 +113,17 @@ ask status | grep -q '^session  ended with 1 place' || fail "status: $(ask statu
 stop
 [ "$(grep -c 'session .* ended with' "$LOG")" -eq 3 ] || fail "the log does not tell three ends"
 
+# other programs get the raw frames as well: a picture beside them does not count
+export_first() {
+    "$HDRIG" export "$OUT/results/$first" --images "$OUT/store/$first" \
+        --images "$OUT"/store/*-000002 --images "$OUT"/store/*-000003 --colmap "$OUT/$1" \
+        >/dev/null 2>"$ERR" || fail "export: $(tail -n 1 "$ERR")"
+}
+export_first exported
+cp "$OUT/store/$first/images/train_00_01.png" "$OUT/store/$first/images/train_00_00.png"
+export_first exported2
+diff -r "$OUT/exported/images" "$OUT/exported2/images" || fail "a picture was used, not its frame"
+
 # a frame that is lost: the scene is made from the pictures, and says so
 rm "$OUT/store/${first}/raw/00_00.bin"
 "$HDRIG" reconstruct --images "$OUT/store/$first" --images "$OUT"/store/*-000002 \
