@@ -23,8 +23,8 @@ struct raw_take {
  * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t raw_take_parse(const char *what, const char *text, size_t n, struct raw_take *out);
 
-/* Gains of the manifest: digital and colour gains act behind numbers that are raw, else a take has a
- * digital gain of 1 (bracket.h); exposures have the analogue gain.
+/* Gains of the manifest: digital and colour gains act behind numbers that are raw, else a take has
+ * a digital gain of 1 (bracket.h); exposures have the analogue gain.
  *
  * Where every photograph of a set is a frame of a stored take, whose sensor gave linear numbers:
  * these are read instead of the pictures. Where such a take lacks one of them, or its file cannot
