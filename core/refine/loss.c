@@ -125,20 +125,13 @@ static float *map_row(const struct job *j, int colour, int k, int row)
     return j->l->maps + ((size_t)(3 * colour + k) * ((size_t)j->h + EDGE) + (size_t)row) * s;
 }
 
-/* Codes that count as full: the curve of sRGB ends there (core/photo/response.c). */
-static const float FULL = 254.86f;
-
-/* A row of the photograph as codes, 255 is 1. Where the sensor is full and the prediction no
- * darker, the prediction stands for what the photograph cannot tell. */
+/* A row of the photograph as codes, 255 is 1. */
 static void code_row(const struct job *j, size_t at, float *out)
 {
     const struct loss_input *in = j->in;
     for (int i = 0; i < j->w; i++)
         out[i] = in->photo16 ? (float)in->photo16[at + (size_t)i] * (1.0f / 257.0f)
                              : (float)in->photo[at + (size_t)i];
-    for (int i = 0; i < j->w && in->clipped; i++)
-        if (out[i] >= FULL && 255 * j->l->ldr[at + (size_t)i] >= FULL)
-            out[i] = 255 * j->l->ldr[at + (size_t)i];
 }
 
 static void ssim_rows(const struct job *j, int colour, int row0, int row1, float *scratch,

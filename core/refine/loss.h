@@ -33,7 +33,6 @@ struct loss_input {
     float shift;             // log2 t - mid_log2t
     const uint8_t *photo;    // (3, h, w)
     const uint16_t *photo16; // the same in 16 bits, 65535 is 1; NULL: photo
-    bool clipped;            // photo16: full at 1, where a brighter prediction is no error
     float behind[3];         // display value added times (1 - alpha)
     float w_l1, w_ssim;
     const uint8_t *held; // (ceil(h / held_px), held_across) 1 = held out; NULL = nothing

@@ -351,7 +351,6 @@ static err_t compare_photo(struct refine *f, int i, int k, const struct loss_inp
         li.photo16 = deep_planes(f, k, f->level);
     else
         li.photo = photo_planes(f, k, f->level);
-    li.clipped = f->v->srgb && f->v->deep;
     li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);

@@ -268,35 +268,6 @@ static void test_deep(void **state)
     arena_free(&arena);
 }
 
-/* A full sensor: a brighter prediction is no error, a darker one is the same as ever. */
-static void test_clipped(void **state)
-{
-    (void)state;
-    static uint16_t deep[3 * PX];
-    open_case(cpu_detect());
-    for (int i = 0; i < 3 * PX; i++) {
-        deep[i] = 65535;
-        radiance[i] = 1e9f;
-        alpha[i % PX] = 1;
-    }
-    in.photo16 = deep;
-    in.held = NULL;
-    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    assert_true(out.loss > 1e-9 && work.ldr[0] > 0.9995f);
-    in.clipped = true;
-    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    assert_true(fabs(out.loss) < 1e-6);
-    for (int i = 0; i < 3 * PX; i++)
-        assert_true(fabsf(work.d_radiance[i]) < 1e-20f);
-    radiance[W + 3] = 0.05f;
-    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    const float raised = work.d_radiance[W + 3];
-    in.clipped = false;
-    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
-    assert_true(raised < 0 && fabsf(raised / work.d_radiance[W + 3] - 1) < 0.01f);
-    arena_free(&arena);
-}
-
 static void test_held_out(void **state)
 {
     (void)state;
@@ -356,8 +327,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_gradients), cmocka_unit_test(test_shared),
-        cmocka_unit_test(test_deep),      cmocka_unit_test(test_clipped),
-        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_deep),      cmocka_unit_test(test_held_out),
+        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
