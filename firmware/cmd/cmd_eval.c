@@ -9,6 +9,7 @@
 #include "firmware/result/report_page.h"
 
 #include "core/base/num.h"
+#include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
 #include "core/sfm/pose.h"
@@ -70,6 +71,28 @@ static void report_pose(struct report *rep, const struct pose_error *p)
     report_close(rep);
 }
 
+static double trust_share(const struct evaluate_trust *t)
+{
+    return t->pixels[0] / (t->pixels[0] + t->pixels[1]);
+}
+
+/* NAN without pixels. */
+static double trust_psnr(const struct evaluate_trust *t, int known)
+{
+    return t->pixels[known] > 0
+               ? fmin(-10 * log10(t->squares[known] / t->pixels[known]), METRICS_PSNR_MAX)
+               : NAN;
+}
+
+static void report_trust(const struct evaluate_trust *t, struct report *rep)
+{
+    report_open(rep, "guesses", '{');
+    report_number(rep, "share", trust_share(t));
+    report_number(rep, "psnr", trust_psnr(t, 0));
+    report_number(rep, "psnr_elsewhere", trust_psnr(t, 1));
+    report_close(rep);
+}
+
 static void write_report(const struct state *st, FILE *f)
 {
     struct report rep;
@@ -79,6 +102,7 @@ static void write_report(const struct state *st, FILE *f)
     report_score(&rep, "ldr", &fig->ldr);
     report_score(&rep, "hdr", &fig->hdr);
     report_score(&rep, "baseline_nearest", &fig->nearest);
+    report_trust(&fig->trust, &rep);
     report_pose(&rep, &st->pose);
     report_open(&rep, "per_exposure", '[');
     for (int i = 0; i < fig->n_exposures; i++) {
@@ -117,6 +141,10 @@ static void print_table(const struct state *st)
     }
     print_score("HDR mu-law", &fig->hdr);
     print_score("nearest input view", &fig->nearest);
+    if (fig->trust.pixels[0] > 0)
+        printf("%.1f %% of the pixels are guesses: %.1f dB there, %.1f dB elsewhere\n",
+               100 * trust_share(&fig->trust), trust_psnr(&fig->trust, 0),
+               trust_psnr(&fig->trust, 1));
     if (st->pose.n > 0)
         printf("%d cameras found: median error %.3g degrees, %.3g of their spread, focal length "
                "%.3g\n",

@@ -2,6 +2,7 @@
 
 #include "firmware/recon/shading.h"
 
+#include "core/refine/confidence.h"
 #include "core/splat/path.h"
 #include "firmware/result/draw.h"
 
@@ -30,6 +31,8 @@ struct bench {
     struct image truth,
         other;       // (3, h, w): the photograph; nearest view or mu-law of the truth
     struct image mu; // (3, h, w): mu-law of the prediction
+    struct confidence confidence;
+    float *sure; // (h, w) confidence of the pixels drawn last
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -111,6 +114,17 @@ err_t evaluate_check(const struct capture *test)
     return e;
 }
 
+static void add_trust(const struct bench *b, struct evaluate_trust *t)
+{
+    const size_t pixels = (size_t)b->truth.w * (size_t)b->truth.h;
+    for (size_t i = 0; i < 3 * pixels; i++) {
+        const double d = (double)b->draw.display.px[i] - (double)b->truth.px[i];
+        const int known = b->sure[i % pixels] >= CONFIDENCE_GUESS;
+        t->pixels[known] += 1.0 / 3;
+        t->squares[known] += d * d / 3;
+    }
+}
+
 static err_t measure_ldr(struct bench *b, const struct shot *s, const struct views *v)
 {
     struct evaluate_score *score = NULL;
@@ -120,6 +134,7 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     int before = score->n;
     double psnr = score->psnr, ssim = score->ssim;
     to_planar(v->rgb, &b->truth);
+    add_trust(b, &b->out->trust);
     e = compare_picture(b, &b->draw.display, &b->truth, score);
     if (!e) // the same figures go into the mean over all
         add_score(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
@@ -256,12 +271,24 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
 
 /* ---- all ---- */
 
+static err_t draw_sure(struct bench *b, const struct camera *cam)
+{
+    const struct scene sure = {.g = b->confidence.g};
+    err_t e = draw_run(b->r, &b->draw, &sure, cam);
+    if (!e)
+        memcpy(b->sure, b->draw.maps.radiance,
+               (size_t)cam->w * (size_t)cam->h * sizeof *b->sure);
+    return e;
+}
+
 static err_t draw_view(struct bench *b, const struct shot *s, const struct views *v)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     size_t clipped = 0;
     b->out->views++;
-    err_t e = draw_run(b->r, &b->draw, &b->j->scene, &v->cams[0]);
+    err_t e = draw_sure(b, &v->cams[0]);
+    if (!e)
+        e = draw_run(b->r, &b->draw, &b->j->scene, &v->cams[0]);
     job_result_lap(b->j, JOB_RENDER);
     if (!e)
         e = measure_hdr(b, s);
@@ -341,6 +368,10 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
     float *px;
     err_t e = draw_init(&b->draw, tmp, cap, most->w, most->h);
     if (!e)
+        e = confidence_init(&b->confidence, tmp, cap);
+    if (!e)
+        e = arena_alloc(tmp, most->at, sizeof *b->sure, &b->sure);
+    if (!e)
         e = arena_alloc(tmp, values, IMAGES * sizeof *px, &px);
     for (int i = 0; i < IMAGES && !e; i++)
         *images[i] = (struct image){0, 0, 3, px + values * (size_t)i};
@@ -384,6 +415,8 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     memset(out, 0, sizeof *out);
     const struct extent most = largest_view(&test->capture, job_result_size(&j->scene));
     err_t e = layout(&b, r->tmp, &most, j->scene.g.cap);
+    if (!e)
+        e = confidence_run(r, &b.confidence, &j->scene);
     if (!e && o)
         e = outdir_mkdir(o, "ldr");
     if (!e && o)

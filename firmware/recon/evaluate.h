@@ -25,9 +25,16 @@ struct evaluate_exposure {
     struct evaluate_score score;
 };
 
+/* Pixels of the test views by what the input views prove of them (core/refine/confidence.h):
+ * guesses, and the rest. */
+struct evaluate_trust {
+    double pixels[2], squares[2]; // of all exposures; mean of the colours, display value^2
+};
+
 struct evaluate_result {
     int views;                               // rendered
     struct evaluate_score ldr, hdr, nearest; // n is 0 for hdr if the set has no radiance
+    struct evaluate_trust trust;
     int n_exposures;
     struct evaluate_exposure exposures[EVALUATE_EXPOSURES]; // ascending
 };
