@@ -188,6 +188,7 @@ struct scene {
     char (*names)[NAME_CAP]; // (n_views)
     float *log2t;            // (n_views)
     struct camera *cams;     // (n_views) for size x size
+    float *confidence;       // (g.n) 0..1, core/refine/confidence.h; NULL: not known
 };
 
 /* Called between steps by the thread that runs the job; done <= total. */

@@ -4,46 +4,62 @@
 #include "core/base/num.h"
 #include "core/base/rotation.h"
 #include "core/base/shell.h"
+#include "core/photo/shade.h"
+#include "core/photo/tonemap.h"
 #include "core/sfm/pose.h"
+#include "core/splat/raster.h"
 
 #include <math.h>
 #include <string.h>
 
-enum { EDGE = 192, BLOCK = 4096, ADVISERS = 8 }; // px; splats; input views
+enum { EDGE = 192, BLOCK = 4096, ADVISERS = 4, AROUND = 2 }; // px; splats; input views; px
 
 static const float BEHIND = 1.05f; // times the depth there: hidden
 static const float COVERED = 0.5f; // alpha from which a pixel hides what is behind
+static const float AGREES = 0.06f; // display value
 static const double ANGLE = 2 * NUM_PI / 180;
 static const float LEAST = 1e-4f;   // confidence that is drawn as none
-static const float KNOWN = 0.3f;    // mean confidence of a picture that can be placed
+static const float KNOWN = 0.2f;    // mean confidence of a picture that can be placed
 static const float USEFUL = 0.005f; // gain worth a photograph
+
+/* Workspace. */
+struct confidence {
+    float *seen;   // (cap) weight of the photographs that see the splat
+    float *ray[3]; // (cap) weighted sum of the unit vectors from them to it
+    float *colour; // (cap) of a drawing
+    float *error;  // (h, w) of the maps: difference of photograph and scene; then its mean around
+    float *weight; // (h, w) exp(-(e / AGREES)^2)
+    struct raster raster;
+    struct render maps;
+};
 
 static err_t layout(struct confidence *c, struct arena *a, int cap)
 {
     const size_t n = (size_t)(cap > 0 ? cap : 1), px = (size_t)EDGE * EDGE;
     err_t e = raster_init(&c->raster, a, (int)n, EDGE, EDGE, false);
-    float **const planes[] = {&c->g.plane[G_SH], &c->seen,   &c->ray[0],
-                              &c->ray[1],        &c->ray[2], &c->gain};
+    float **const planes[] = {&c->seen, &c->ray[0], &c->ray[1], &c->ray[2], &c->colour};
+    float **const maps[] = {&c->maps.depth, &c->maps.alpha, &c->error, &c->weight};
     for (size_t k = 0; k < sizeof planes / sizeof *planes && !e; k++)
         e = arena_alloc(a, n, sizeof(float), planes[k]);
-    if (!e)
-        e = arena_alloc(a, 3 * px, sizeof(float), &c->maps.radiance);
-    if (!e)
-        e = arena_alloc(a, px, sizeof(float), &c->maps.depth);
-    return e ? e : arena_alloc(a, px, sizeof(float), &c->maps.alpha);
+    for (size_t k = 0; k < sizeof maps / sizeof *maps && !e; k++)
+        e = arena_alloc(a, px, sizeof(float), maps[k]);
+    return e ? e : arena_alloc(a, 3 * px, sizeof(float), &c->maps.radiance);
 }
 
-size_t confidence_plan(int cap)
+static err_t layout_result(struct scene *s, struct arena *keep, int cap)
 {
-    struct arena count = arena_counter();
+    return arena_alloc(keep, (size_t)(cap > 0 ? cap : 1), sizeof *s->confidence, &s->confidence);
+}
+
+void confidence_plan(struct plan *p, int cap)
+{
     struct confidence c;
-    return layout(&c, &count, cap) ? SIZE_MAX : count.peak;
-}
-
-err_t confidence_init(struct confidence *c, struct arena *a, int cap)
-{
-    memset(c, 0, sizeof *c);
-    return layout(c, a, cap);
+    struct scene s;
+    const size_t mark = arena_mark(&p->tmp);
+    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
+    if (layout(&c, &p->tmp, cap) || layout_result(&s, &p->keep, cap))
+        plan_refuse(p);
+    arena_reset(&p->tmp, mark);
 }
 
 /* ---- what one camera sees ---- */
@@ -82,8 +98,8 @@ static void splat_at(const struct scene *s, int i, float x[3])
         x[k] = s->g.plane[G_MU + k][i];
 }
 
-/* Whether the camera of the maps sees splat i. */
-static bool sees(const struct look *l, int i)
+/* Whether the camera of the maps sees splat i, and at which pixel. */
+static bool sees(const struct look *l, int i, size_t *pixel)
 {
     const struct camera *cam = &l->cam;
     const struct render *maps = &l->c->maps;
@@ -98,15 +114,16 @@ static bool sees(const struct look *l, int i)
     if (!(p[2] > RASTER_NEAR && u >= 0 && v >= 0 && u < (float)cam->w && v < (float)cam->h))
         return false;
     const size_t at = (size_t)v * (size_t)maps->w + (size_t)u;
+    *pixel = at;
     const float front = maps->depth[at] / maps->alpha[at];
     return maps->alpha[at] < COVERED || p[2] <= BEHIND * front + expf(wide);
 }
 
-/* Of n photographs whose unit rays have the sum `ray`. The rays of two make an angle of twice that
- * between each and their mean. */
+/* Of photographs of the weight n whose weighted rays have the sum `ray`. The rays of two make an
+ * angle of twice that between each and their mean. */
 static float confidence_value(float n, const float ray[3], bool far)
 {
-    if (n < 2)
+    if (!(n > 1))
         return 0;
     const float agree = 1 - exp2f(1 - n);
     const double x[3] = {(double)ray[0], (double)ray[1], (double)ray[2]};
@@ -114,19 +131,93 @@ static float confidence_value(float n, const float ray[3], bool far)
     return far ? agree : agree * (float)(angle * angle / (angle * angle + ANGLE * ANGLE));
 }
 
-/* With one more photograph from the camera of the maps, if it sees it. */
-static float value_with(const struct look *l, int i, bool more)
+/* Unit vector from the camera of the maps to splat i. */
+static void ray_to(const struct look *l, int i, float ray[3])
+{
+    float length = 0;
+    splat_at(l->s, i, ray);
+    for (int k = 0; k < 3; k++) {
+        ray[k] -= l->centre[k];
+        length += ray[k] * ray[k];
+    }
+    length = length > 0 ? sqrtf(length) : 1;
+    for (int k = 0; k < 3; k++)
+        ray[k] /= length;
+}
+
+/* With a photograph of weight 1 or 0 more from the camera of the maps. */
+static float value_with(const struct look *l, int i, float more)
 {
     const struct confidence *c = l->c;
-    float x[3], ray[3] = {c->ray[0][i], c->ray[1][i], c->ray[2][i]}, n = c->seen[i], length = 0;
+    float x[3], ray[3];
     splat_at(l->s, i, x);
+    ray_to(l, i, ray);
     for (int k = 0; k < 3; k++)
-        length += (x[k] - l->centre[k]) * (x[k] - l->centre[k]);
-    length = sqrtf(length);
-    for (int k = 0; k < 3 && more && length > 0; k++)
-        ray[k] += (x[k] - l->centre[k]) / length;
-    return confidence_value(more ? n + 1 : n, ray, shell_has(&l->shell, x));
+        ray[k] = more * ray[k] + c->ray[k][i];
+    return confidence_value(c->seen[i] + more, ray, shell_has(&l->shell, x));
 }
+
+/* ---- photographs ---- */
+
+/* Mean display value of colour c of the photograph in pixel (x, y) of the maps. */
+static float photo_mean(const struct views *v, int view, const int xyc[3],
+                        const struct render *maps)
+{
+    const struct extent *px = &v->extent[view];
+    const uint8_t *rgb = views_rgb(v, view) + xyc[2];
+    const int x0 = xyc[0] * px->w / maps->w, x1 = num_max(x0 + 1, (xyc[0] + 1) * px->w / maps->w);
+    const int y0 = xyc[1] * px->h / maps->h, y1 = num_max(y0 + 1, (xyc[1] + 1) * px->h / maps->h);
+    int sum = 0;
+    for (int y = y0; y < y1; y++)
+        for (int x = x0; x < x1; x++)
+            sum += rgb[3 * ((size_t)y * (size_t)px->w + (size_t)x)];
+    return (float)sum / (255.0f * (float)((x1 - x0) * (y1 - y0)));
+}
+
+/* The maps show view i; their radiance becomes display values. */
+static void compare(const struct look *l, const struct views *v, int i)
+{
+    struct confidence *c = l->c;
+    struct render *maps = &c->maps;
+    const size_t px = (size_t)maps->w * (size_t)maps->h;
+    struct tonemap_table table;
+    tonemap_table_init(&table, &l->s->tone);
+    if (v->shade)
+        shade_apply(NULL, &v->shade[i], maps->w, maps->h, maps->radiance);
+    memset(c->error, 0, px * sizeof *c->error);
+    for (int k = 0; k < 3; k++) {
+        float *display = maps->radiance + px * (size_t)k;
+        tonemap_run(&table.c[k], display, v->log2t[i] - l->s->tone.mid_log2t, px, display);
+        for (int y = 0; y < maps->h; y++)
+            for (int x = 0; x < maps->w; x++) {
+                const size_t at = (size_t)y * (size_t)maps->w + (size_t)x;
+                const float d = display[at] - photo_mean(v, i, (const int[3]){x, y, k}, maps);
+                c->error[at] += fabsf(d) / 3;
+            }
+    }
+}
+
+static float mean_around(const float *map, int w, int h, int at)
+{
+    float sum = 0;
+    const int x = at % w, y = at / w;
+    const int x0 = num_max(0, x - AROUND), x1 = num_min(w - 1, x + AROUND);
+    const int y0 = num_max(0, y - AROUND), y1 = num_min(h - 1, y + AROUND);
+    for (int j = y0; j <= y1; j++)
+        for (int i = x0; i <= x1; i++)
+            sum += map[j * w + i];
+    return sum / (float)((x1 - x0 + 1) * (y1 - y0 + 1));
+}
+
+static void weigh(struct confidence *c)
+{
+    for (int at = 0; at < c->maps.w * c->maps.h; at++) {
+        const float e = mean_around(c->error, c->maps.w, c->maps.h, at) / AGREES;
+        c->weight[at] = expf(-e * e);
+    }
+}
+
+/* ---- splats ---- */
 
 static int count_blocks(const struct scene *s)
 {
@@ -136,19 +227,18 @@ static int count_blocks(const struct scene *s)
 static err_t count_chunk(void *ctx, int chunk, int worker)
 {
     const struct look *l = ctx;
+    struct confidence *c = l->c;
     const int end = num_min(l->s->g.n, (chunk + 1) * BLOCK);
     (void)worker;
     for (int i = chunk * BLOCK; i < end; i++) {
-        float x[3], length = 0;
-        if (!sees(l, i))
+        size_t at;
+        float ray[3];
+        if (!sees(l, i, &at))
             continue;
-        splat_at(l->s, i, x);
+        ray_to(l, i, ray);
+        c->seen[i] += c->weight[at];
         for (int k = 0; k < 3; k++)
-            length += (x[k] - l->centre[k]) * (x[k] - l->centre[k]);
-        length = sqrtf(length);
-        l->c->seen[i]++;
-        for (int k = 0; k < 3 && length > 0; k++)
-            l->c->ray[k][i] += (x[k] - l->centre[k]) / length;
+            c->ray[k][i] += c->weight[at] * ray[k];
     }
     return OK;
 }
@@ -158,32 +248,18 @@ static float drawn_as(float confidence)
     return (float)((double)logf(fmaxf(confidence, LEAST)) / SH_BASIS0);
 }
 
-static err_t value_chunk(void *ctx, int chunk, int worker)
-{
-    const struct look *l = ctx;
-    const int end = num_min(l->s->g.n, (chunk + 1) * BLOCK);
-    (void)worker;
-    for (int i = chunk * BLOCK; i < end; i++)
-        l->c->g.plane[G_SH][i] = drawn_as(value_with(l, i, false));
-    return OK;
-}
-
 static err_t gain_chunk(void *ctx, int chunk, int worker)
 {
     const struct look *l = ctx;
     const int end = num_min(l->s->g.n, (chunk + 1) * BLOCK);
     (void)worker;
-    for (int i = chunk * BLOCK; i < end; i++)
-        l->c->gain[i] = drawn_as(sees(l, i) ? value_with(l, i, true) - value_with(l, i, false) : 0);
+    for (int i = chunk * BLOCK; i < end; i++) {
+        size_t at;
+        l->c->colour[i] = drawn_as(sees(l, i, &at) ? value_with(l, i, 1) - value_with(l, i, 0) : 0);
+    }
     return OK;
 }
 
-static struct look look_at(struct confidence *c, const struct scene *s)
-{
-    return (struct look){.c = c, .s = s, .shell = shell_of(s->cams, s->n_views)};
-}
-
-/* The scene's splats with other colours. */
 static void share_splats(const struct scene *s, float *colour, struct gaussians *g)
 {
     *g = s->g;
@@ -192,27 +268,31 @@ static void share_splats(const struct scene *s, float *colour, struct gaussians 
         g->plane[G_SH + k] = colour;
 }
 
-err_t confidence_run(const struct run *r, struct confidence *c, const struct scene *s)
+void confidence_splats(const struct scene *s, float *colour, struct gaussians *out)
 {
-    struct look l = look_at(c, s);
-    err_t e = OK;
-    float *const planes[] = {c->seen, c->ray[0], c->ray[1], c->ray[2]};
-    for (int k = 0; k < 4; k++)
-        memset(planes[k], 0, (size_t)s->g.n * sizeof(float));
-    for (int i = 0; i < s->n_views && !e; i++) {
-        const struct camera cam = small_camera(&s->cams[i]);
-        e = draw(r, &l, &s->g, &cam);
-        if (!e)
-            e = pool_for(r->pool, count_blocks(s), count_chunk, &l);
-    }
-    share_splats(s, c->g.plane[G_SH], &c->g);
-    return e ? e : pool_for(r->pool, count_blocks(s), value_chunk, &l);
+    for (int i = 0; i < s->g.n; i++)
+        colour[i] = drawn_as(s->confidence[i]);
+    share_splats(s, colour, out);
 }
 
-float confidence_of(const struct confidence *c, int i)
+/* What the photographs say of each splat. */
+static err_t count_photographs(const struct run *r, struct look *l, const struct views *v)
 {
-    const float v = expf((float)SH_BASIS0 * c->g.plane[G_SH][i]);
-    return v <= 1.01f * LEAST ? 0 : v;
+    struct confidence *c = l->c;
+    float *const planes[] = {c->seen, c->ray[0], c->ray[1], c->ray[2]};
+    err_t e = OK;
+    for (int k = 0; k < 4; k++)
+        memset(planes[k], 0, (size_t)l->s->g.n * sizeof(float));
+    for (int i = 0; i < l->s->n_views && !e; i++) {
+        const struct camera cam = small_camera(&l->s->cams[i]);
+        e = draw(r, l, &l->s->g, &cam);
+        if (e)
+            break;
+        compare(l, v, i);
+        weigh(c);
+        e = pool_for(r->pool, count_blocks(l->s), count_chunk, l);
+    }
+    return e;
 }
 
 /* ---- one more photograph ---- */
@@ -273,11 +353,11 @@ static err_t measure_gain(const struct run *r, struct look *l, const struct came
     const struct camera small = small_camera(cam);
     struct gaussians g;
     *gain = 0;
-    err_t e = draw(r, l, &l->c->g, &small);
+    confidence_splats(l->s, l->c->colour, &g);
+    err_t e = draw(r, l, &g, &small);
     if (e || map_mean(&l->c->maps) < KNOWN)
         return e;
     e = pool_for(r->pool, count_blocks(l->s), gain_chunk, l);
-    share_splats(l->s, l->c->gain, &g);
     if (!e)
         e = draw(r, l, &g, &small);
     *gain = e ? 0 : map_mean(&l->c->maps);
@@ -288,7 +368,7 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
                          struct confidence_advice *best)
 {
     const struct camera *cam = &l->s->cams[view], small = small_camera(cam);
-    err_t e = draw(r, l, &l->c->g, &small);
+    err_t e = draw(r, l, &l->s->g, &small);
     const float depth = e ? 0 : median_depth(&l->c->maps);
     for (int way = 0; way < CONFIDENCE_WAYS && depth > 0 && !e; way++) {
         struct confidence_advice a = {camera_around(cam, depth, way), view, way, 0};
@@ -299,14 +379,31 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
     return e;
 }
 
-err_t confidence_advise(const struct run *r, struct confidence *c, const struct scene *s,
-                        struct confidence_advice *out)
+static err_t advise(const struct run *r, struct look *l, struct confidence_advice *out)
 {
-    struct look l = look_at(c, s);
-    const int n = num_min(s->n_views, ADVISERS);
+    const int views = l->s->n_views, n = num_min(views, ADVISERS);
     err_t e = OK;
     *out = (struct confidence_advice){.near = -1};
     for (int i = 0; i < n && !e; i++)
-        e = advise_near(r, &l, n > 1 ? i * (s->n_views - 1) / (n - 1) : 0, out);
+        e = advise_near(r, l, n > 1 ? i * (views - 1) / (n - 1) : 0, out);
+    return e;
+}
+
+err_t confidence_run(const struct run *r, const struct views *v, struct scene *s,
+                     struct confidence_advice *advice)
+{
+    struct confidence c;
+    struct look l = {.c = &c, .s = s, .shell = shell_of(s->cams, s->n_views)};
+    const size_t mark = arena_mark(r->tmp);
+    err_t e = layout(&c, r->tmp, s->g.cap);
+    if (!e)
+        e = layout_result(s, r->keep, s->g.cap);
+    if (!e)
+        e = count_photographs(r, &l, v);
+    for (int i = 0; i < s->g.n && !e; i++)
+        s->confidence[i] = value_with(&l, i, 0);
+    if (!e)
+        e = advise(r, &l, advice);
+    arena_reset(r->tmp, mark);
     return e;
 }

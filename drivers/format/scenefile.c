@@ -34,6 +34,7 @@ enum {
     T_BACKGROUND,
     T_LOG2T,
     T_CAMERAS,
+    T_CONFIDENCE, // optional
     N_TENSORS
 };
 
@@ -58,6 +59,7 @@ static void make_specs(const struct scenefile_info *info, struct spec out[N_TENS
         [T_BACKGROUND] = {"background", 1, {3}, -1},
         [T_LOG2T] = {"log2t", 1, {v}, -1},
         [T_CAMERAS] = {"cameras", 2, {v, CAMERA_FLOATS}, -1},
+        [T_CONFIDENCE] = {"confidence", 1, {n}, -1},
     };
     memcpy(out, specs, sizeof specs);
 }
@@ -149,6 +151,8 @@ static err_t put_header(FILE *f, const char *path, const struct scene *s,
     if (shapes)
         safetensors_put_word(&h, "shapes", shapes);
     for (int k = 0; k < N_TENSORS; k++) {
+        if (k == T_CONFIDENCE && !s->confidence)
+            continue;
         struct safetensors_tensor t = {.name = specs[k].name, .type = "F32", .rank = specs[k].rank};
         memcpy(t.shape, specs[k].shape, sizeof specs[k].shape);
         safetensors_put(&h, &t);
@@ -180,6 +184,8 @@ static void put_data(FILE *f, const struct scene *s)
         pack_camera(&s->cams[i], v);
         put_floats(f, v, CAMERA_FLOATS);
     }
+    if (s->confidence)
+        put_floats(f, s->confidence, (size_t)s->g.n);
 }
 
 err_t scenefile_write(const char *path, const struct scene *s)
@@ -209,7 +215,7 @@ struct layout {
     struct scenefile_info info;
     struct spec specs[N_TENSORS];
     struct safetensors head;
-    const uint8_t *at[N_TENSORS]; // data
+    const uint8_t *at[N_TENSORS]; // data; NULL: not there
 };
 
 static err_t get_metadata(struct layout *l)
@@ -231,7 +237,7 @@ static err_t get_metadata(struct layout *l)
     return OK;
 }
 
-/* Exactly the tensors of the table: the container has none twice. */
+/* The tensors of the table and no others: the container has none twice. */
 static err_t check_members(const struct layout *l)
 {
     const struct safetensors *head = &l->head;
@@ -245,6 +251,8 @@ static err_t check_members(const struct layout *l)
     }
     for (int k = 0; k < N_TENSORS; k++) {
         const struct safetensors_tensor *t = safetensors_find(head, l->specs[k].name);
+        if (!t && k == T_CONFIDENCE)
+            continue;
         if (!t)
             return err_fail(ERR_FORMAT, "%s: tensor %s is missing", head->what, l->specs[k].name);
         if (strcmp(t->type, "F32") != 0)
@@ -280,7 +288,7 @@ static err_t check_shapes(const struct layout *l)
 {
     for (int k = 0; k < N_TENSORS; k++) {
         const struct safetensors_tensor *t = safetensors_find(&l->head, l->specs[k].name);
-        for (int d = 0; d < t->rank; d++)
+        for (int d = 0; t && d < t->rank; d++)
             if (t->shape[d] != l->specs[k].shape[d])
                 return err_fail(ERR_FORMAT,
                                 "%s: tensor %s: extent %d is %zu, the other tensors need %zu",
@@ -327,11 +335,14 @@ static err_t open_header(const struct scenefile_bytes *f, struct layout *l)
         safetensors_close(&l->head);
         return e;
     }
-    for (int k = 0; k < N_TENSORS; k++)
-        l->at[k] = (const uint8_t *)f->p + l->head.data +
-                   safetensors_find(&l->head, l->specs[k].name)->begin;
+    for (int k = 0; k < N_TENSORS; k++) {
+        const struct safetensors_tensor *t = safetensors_find(&l->head, l->specs[k].name);
+        l->at[k] = t ? (const uint8_t *)f->p + l->head.data + t->begin : NULL;
+    }
     l->info.need =
         arena_add(gaussians_need(l->info.n, l->info.degree), scenefile_views_need(l->info.n_views));
+    if (l->at[T_CONFIDENCE])
+        l->info.need = arena_add(l->info.need, arena_need((size_t)l->info.n, sizeof(float)));
     return OK;
 }
 
@@ -447,6 +458,22 @@ static err_t get_views(const struct scenefile_bytes *f, const struct layout *l, 
     return e;
 }
 
+static err_t get_confidence(const struct scenefile_bytes *f, const struct layout *l,
+                            struct arena *a, struct scene *s)
+{
+    const size_t n = (size_t)l->info.n;
+    if (!l->at[T_CONFIDENCE])
+        return OK;
+    err_t e = arena_alloc(a, n, sizeof *s->confidence, &s->confidence);
+    if (!e)
+        get_floats(l, T_CONFIDENCE, 0, n, s->confidence);
+    for (size_t i = 0; i < n && !e; i++)
+        if (!(s->confidence[i] >= 0 && s->confidence[i] <= 1))
+            e = err_fail(ERR_FORMAT, "%s: confidence of splat %zu is %g, must be 0 to 1", f->what,
+                         i, (double)s->confidence[i]);
+    return e;
+}
+
 err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struct scene *s)
 {
     struct layout l;
@@ -462,6 +489,8 @@ err_t scenefile_parse(const struct scenefile_bytes *file, struct arena *a, struc
         e = get_views(file, &l, a, s);
     if (!e)
         e = get_names(file, &l, s);
+    if (!e)
+        e = get_confidence(file, &l, a, s);
     safetensors_close(&l.head);
     if (e) {
         arena_reset(a, mark);

@@ -5,6 +5,7 @@
  *   mu [3,N]  log_scale [3,N]  quat [4,N]  logit [N]  sh [K,3,N]   the planes of struct gaussians
  *   tone [3,193]  mid_log2t [1]  background [3]
  *   log2t [V]  cameras [V,11]   per view fx fy cx cy, q (w,x,y,z), t
+ *   confidence [N]   0..1 (core/refine/confidence.h); absent: not known
  * and in __metadata__: format "hdrig-scene", version "1", size (px, the longest edge of all views),
  * names (a JSON list of V names), shapes (a JSON list [w,h,w,h,...] of 2 V numbers; absent: all
  * views are size x size px).
@@ -13,7 +14,8 @@
  *  1. another format or version;
  *  2. a tensor that is unknown or missing, or of a type other than F32;
  *  3. shapes that contradict each other or exceed GAUSSIANS_MAX, SH_DEGREE_MAX, CAMERAS_MAX;
- *  4. numbers that are not finite, cameras that cameras_check refuses, a negative background;
+ *  4. numbers that are not finite, cameras that cameras_check refuses, a negative background, a
+ *     confidence outside 0 to 1;
  *  5. names that name_copy refuses or that repeat.
  * thread: any. */
 #ifndef FORMAT_SCENEFILE_H

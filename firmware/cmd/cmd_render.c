@@ -1,5 +1,6 @@
 /* hdrig render: pictures of a scene from other places. */
 #include "core/base/rotation.h"
+#include "core/refine/confidence.h"
 #include "core/splat/path.h"
 #include "firmware/base/engine.h"
 #include "firmware/cmd/cmd.h"
@@ -29,7 +30,7 @@ struct request {
     const char *ev_text, *frames_text, *size_text, *fps_text;
     double ev[2], fps; // ev: of the first frame, the last
     int frames, size;  // size 0: that of the cameras
-    bool hdr, false_colour;
+    bool hdr, false_colour, confidence;
     struct outdir_rules rules;
     struct config cfg;
 };
@@ -244,9 +245,10 @@ static void develop_frame(const struct request *rq, struct state *st, float log2
         return;
     }
     size_t n = (size_t)maps->w * (size_t)maps->h;
+    const float *px = rq->confidence ? maps->radiance : st->draw.display.px;
     draw_display(&st->draw, NULL, log2t);
     for (size_t i = 0; i < 3 * n; i++) {
-        float v = st->draw.display.px[i % 3 * n + i / 3];
+        float v = px[i % 3 * n + i / 3];
         st->picture.px[i] = (uint8_t)(v > 0 ? fminf(v, 1) * 255.0f + 0.5f : 0); // NaN is black
     }
 }
@@ -423,11 +425,33 @@ static err_t write_report(const struct request *rq, const struct state *st)
 
 /* ---- command ---- */
 
+/* For the colours of splats that show their confidence. */
+static err_t layout_colours(struct arena *keep, int n, float **colour)
+{
+    return arena_alloc(keep, (size_t)n + 16, sizeof **colour, colour); // planes are padded
+}
+
+static err_t show_confidence(const struct request *rq, struct state *st)
+{
+    float *colour;
+    if (!st->scene.confidence)
+        return err_fail(ERR_ARG,
+                        "%s: its confidence is not known, only scene.hdrig of a new "
+                        "reconstruction has it",
+                        rq->scene);
+    err_t e = layout_colours(&st->engine.keep, st->scene.g.n, &colour);
+    if (e)
+        return e;
+    confidence_splats(&st->scene, colour, &st->scene.g);
+    memset(st->scene.background, 0, sizeof st->scene.background);
+    return OK;
+}
+
 static err_t load_scene(const struct request *rq, struct state *st)
 {
     struct sceneio_info info;
     struct gaussians_report report = {0};
-    struct arena tmp = arena_counter();
+    struct arena tmp = arena_counter(), keep = arena_counter();
     float *depths;
     if (!file_exists(rq->scene))
         return err_fail(ERR_IO, "%s: %s", rq->scene, strerror(ENOENT));
@@ -437,7 +461,10 @@ static err_t load_scene(const struct request *rq, struct state *st)
     if (!e)
         e = layout_depths(&tmp, info.n, &depths);
     if (!e)
-        e = engine_reserve(&st->engine, 0, info.need, tmp.peak, config_memory_mb(&rq->cfg));
+        e = layout_colours(&keep, info.n, &depths);
+    if (!e)
+        e = engine_reserve(&st->engine, 0, arena_add(info.need, keep.peak), tmp.peak,
+                           config_memory_mb(&rq->cfg));
     if (!e)
         e = sceneio_read(rq->scene, &st->engine.keep, &st->scene, &report);
     if (e)
@@ -446,7 +473,8 @@ static err_t load_scene(const struct request *rq, struct state *st)
         log_warn("%s: display colours without radiance, taken as sRGB", rq->scene);
     if (report.dropped > 0)
         log_warn("%s: %d splats were not finite and are left out", rq->scene, report.dropped);
-    return place_cameras(rq, st);
+    e = place_cameras(rq, st);
+    return e || !rq->confidence ? e : show_confidence(rq, st);
 }
 
 /* Memory for the pictures, whose sizes are known once the scene is there. */
@@ -540,6 +568,8 @@ static err_t read_numbers(struct request *rq)
         e = err_fail(ERR_ARG, "--hdr writes frames: give --out DIR");
     if (!e && rq->video && !is_mp4(rq->video))
         e = err_fail(ERR_ARG, "--video: \"%.64s\" does not end in .mp4", rq->video);
+    if (!e && rq->confidence && (rq->ev_text || rq->false_colour))
+        e = err_fail(ERR_ARG, "--confidence has no exposure: leave out --ev and --false-colour");
     if (!e && !rq->cameras == !rq->path)
         e = err_fail(ERR_ARG, "give either --cameras or --path");
     if (!e && rq->frames_text && rq->cameras)
@@ -570,6 +600,9 @@ int cmd_render_run(int argc, char **argv)
          NULL, &rq.ev_text, NULL},
         {"false-colour", NULL, "radiance in colours, 8 stops around that exposure; legend.png",
          NULL, NULL, &rq.false_colour},
+        {"confidence", NULL,
+         "how much the photographs prove of each pixel: black nothing, white all", NULL, NULL,
+         &rq.confidence},
         {"size", "N", "px, square; with --lens the longer edge; else that of the photographs", NULL,
          &rq.size_text, NULL},
         {"hdr", NULL, "write radiance as EXR too", NULL, NULL, &rq.hdr},

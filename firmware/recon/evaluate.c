@@ -29,10 +29,11 @@ struct bench {
     struct outdir *o;
     struct draw draw;
     struct image truth,
-        other;       // (3, h, w): the photograph; nearest view or mu-law of the truth
-    struct image mu; // (3, h, w): mu-law of the prediction
-    struct confidence confidence;
-    float *sure; // (h, w) confidence of the pixels drawn last
+        other;               // (3, h, w): the photograph; nearest view or mu-law of the truth
+    struct image mu;         // (3, h, w): mu-law of the prediction
+    struct scene confidence; // drawn: the confidence of pixels
+    float *colour;           // (cap) of its splats
+    float *sure;             // (h, w) confidence of the pixels drawn last
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -134,7 +135,8 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     int before = score->n;
     double psnr = score->psnr, ssim = score->ssim;
     to_planar(v->rgb, &b->truth);
-    add_trust(b, &b->out->trust);
+    if (b->j->scene.confidence)
+        add_trust(b, &b->out->trust);
     e = compare_picture(b, &b->draw.display, &b->truth, score);
     if (!e) // the same figures go into the mean over all
         add_score(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
@@ -273,11 +275,11 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
 
 static err_t draw_sure(struct bench *b, const struct camera *cam)
 {
-    const struct scene sure = {.g = b->confidence.g};
-    err_t e = draw_run(b->r, &b->draw, &sure, cam);
+    if (!b->j->scene.confidence)
+        return OK;
+    err_t e = draw_run(b->r, &b->draw, &b->confidence, cam);
     if (!e)
-        memcpy(b->sure, b->draw.maps.radiance,
-               (size_t)cam->w * (size_t)cam->h * sizeof *b->sure);
+        memcpy(b->sure, b->draw.maps.radiance, (size_t)cam->w * (size_t)cam->h * sizeof *b->sure);
     return e;
 }
 
@@ -368,7 +370,7 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
     float *px;
     err_t e = draw_init(&b->draw, tmp, cap, most->w, most->h);
     if (!e)
-        e = confidence_init(&b->confidence, tmp, cap);
+        e = arena_alloc(tmp, (size_t)cap, sizeof *b->colour, &b->colour);
     if (!e)
         e = arena_alloc(tmp, most->at, sizeof *b->sure, &b->sure);
     if (!e)
@@ -415,8 +417,8 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     memset(out, 0, sizeof *out);
     const struct extent most = largest_view(&test->capture, job_result_size(&j->scene));
     err_t e = layout(&b, r->tmp, &most, j->scene.g.cap);
-    if (!e)
-        e = confidence_run(r, &b.confidence, &j->scene);
+    if (!e && j->scene.confidence)
+        confidence_splats(&j->scene, b.colour, &b.confidence.g);
     if (!e && o)
         e = outdir_mkdir(o, "ldr");
     if (!e && o)

@@ -6,6 +6,7 @@
 #include "firmware/recon/shading.h"
 #include "firmware/recon/start.h"
 #include "firmware/result/draw.h"
+#include "firmware/result/publish.h"
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
@@ -20,8 +21,8 @@
 #include <string.h>
 
 static const char *const stage_names[JOB_STAGES] = {
-    "preprocess", "response", "cameras", "sweep",  "seed",  "backbone", "heads",
-    "appearance", "voxel",    "refine",  "render", "write", "measure"};
+    "preprocess", "response", "cameras", "sweep",      "seed",   "backbone", "heads",
+    "appearance", "voxel",    "refine",  "confidence", "render", "write",    "measure"};
 
 static void announce(const struct run *r, enum job_stage stage)
 {
@@ -128,6 +129,14 @@ static err_t refine_scene(const struct run *r, const struct start *s, struct job
     return e;
 }
 
+static err_t find_confidence(const struct run *r, struct job_result *out)
+{
+    announce(r, JOB_CONFIDENCE);
+    err_t e = confidence_run(r, &out->views, &out->scene, &out->advice);
+    job_result_lap(out, JOB_CONFIDENCE);
+    return e;
+}
+
 static void begin_result(const struct job_config *cfg, struct job_result *out)
 {
     memset(out, 0, sizeof *out);
@@ -175,6 +184,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = enlarge_views(r, c, &start, out);
     if (!e && recipe.refine)
         e = refine_scene(r, &start, out);
+    if (!e)
+        e = find_confidence(r, out);
     if (!e)
         finish_result(r, out);
     return e;
@@ -232,8 +243,8 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         enlarge_plan(p, c, cfg->source, recipe);
     if (recipe->refine)
         arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
-    arena_step(&p->tmp,
-               draw_plan(recipe->gaussians_max, most.w, most.h)); // publishing renders the views
+    confidence_plan(p, recipe->gaussians_max);
+    arena_step(&p->tmp, publish_plan(recipe->gaussians_max, most));
 }
 
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,
@@ -276,6 +287,33 @@ static void report_cameras(const struct job_cameras *c, struct report *rep)
     report_int(rep, "points_agree", c->inliers);
     report_int(rep, "views_placed", c->placed);
     report_bool(rep, "start_was_network", !c->from_tracks);
+    report_close(rep);
+}
+
+static void report_confidence(const struct job_result *j, struct report *rep)
+{
+    static const char *const ways[CONFIDENCE_WAYS] = {"left", "right", "above", "below"};
+    const struct confidence_advice *a = &j->advice;
+    if (!j->scene.confidence)
+        return;
+    report_open(rep, "confidence", '{');
+    report_number(rep, "mean", j->confidence_mean);
+    report_number(rep, "guesses", j->guesses);
+    report_close(rep);
+    if (j->measured_only || a->near < 0)
+        return;
+    report_open(rep, "suggested_photograph", '{');
+    report_text(rep, "near", j->scene.names[a->near]);
+    report_text(rep, "direction", ways[a->way]);
+    report_int(rep, "degrees", CONFIDENCE_STEP);
+    report_number(rep, "gain", (double)a->gain);
+    double q[4], t[3];
+    for (int k = 0; k < 4; k++)
+        q[k] = (double)a->cam.q[k];
+    for (int k = 0; k < 3; k++)
+        t[k] = (double)a->cam.t[k];
+    report_row(rep, "q", q, 4);
+    report_row(rep, "t", t, 3);
     report_close(rep);
 }
 
@@ -351,6 +389,7 @@ void job_report(const struct job_result *j, int threads, struct report *rep)
     if (!j->measured_only)
         report_making(j, rep);
     report_cameras(&j->cameras, rep);
+    report_confidence(j, rep);
     figures_report(j, rep);
     report_seconds(j, rep);
     report_number(rep, "peak_rss_mb", j->peak_rss_mb);

@@ -5,6 +5,7 @@
 
 #include "core/base/types.h"
 #include "core/photo/prep.h"
+#include "core/refine/confidence.h"
 #include "core/refine/refine.h"
 #include "core/refine/shade_fit.h"
 #include "core/sfm/bundle.h"
@@ -20,6 +21,7 @@ enum job_stage {
     JOB_APPEARANCE, // fusion, Gaussian head, tone curve
     JOB_VOXEL,
     JOB_REFINE,
+    JOB_CONFIDENCE,
     JOB_RENDER, // from here on: publication or evaluation
     JOB_WRITE,
     JOB_MEASURE,
@@ -63,6 +65,9 @@ struct job_result {
     char sizing[160];              // how large pictures were chosen, a sentence
     struct scene scene;            // in keep
     struct refine_report refine;
+    struct confidence_advice advice; // if scene.confidence is known and not measured_only
+    double confidence_mean, guesses; // over the pixels of the input views, and the share of those
+                                     // below CONFIDENCE_GUESS; from publish_run
     struct job_cameras cameras;
     double start_s, lap_s; // by the clock
     double seconds[JOB_STAGES];

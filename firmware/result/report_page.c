@@ -1,8 +1,9 @@
 /* The page: head with a policy that allows this style and this script by their SHA-256 and nothing
  * else but pictures in data: addresses; style; the skeleton; two blocks of JSON, pictures and
  * report; the script. In the blocks every '<' is written as an escape, so no name can end them.
- * A picture is a strip of three squares: photograph, scene, and their distance averaged over the
- * box of each pixel, black over red and yellow to white at a quarter of full scale. */
+ * A picture is a strip of four squares: photograph, scene, their distance averaged over the box of
+ * each pixel, black over red and yellow to white at a quarter of full scale, and the confidence,
+ * black to white. */
 #include "firmware/result/report_page.h"
 
 #include "firmware/result/embed.h"
@@ -21,30 +22,32 @@ EMBED_FILE(sheet_html, "firmware/web/report.html");
 EMBED_FILE(sheet_css, "firmware/web/report.css");
 EMBED_FILE(sheet_js, "firmware/web/report.js");
 
-enum { THUMB = 192, QUALITY = 70 }; // px, longest edge
+enum { THUMB = 192, QUALITY = 70, SQUARES = 4 }; // px, longest edge
 static const double ERROR_WHITE = 0.25;
 
 uint64_t report_page_bytes(int n_pictures)
 {
-    uint64_t strip = 3 * 3 * THUMB * THUMB; // a JPEG of noise is smaller than its pixels
+    uint64_t strip = 3 * SQUARES * THUMB * THUMB; // a JPEG of noise is smaller than its pixels
     return (uint64_t)n_pictures * (base64_chars(strip) + 4096) + (1 << 18);
 }
 
 /* ---- pictures ---- */
 
 struct sums { // over the box of a thumbnail's pixel
-    double photograph[3], display[3], error;
+    double photograph[3], display[3], error, sure;
 };
 
-static struct sums sum_box(const struct image8 *photograph, const struct image *display,
-                           const int box[4])
+static struct sums sum_box(const struct image8 *photograph,
+                           const struct report_page_drawing *drawing, const int box[4])
 {
     const size_t plane = (size_t)photograph->w * (size_t)photograph->h;
+    const struct image *display = drawing ? drawing->display : NULL;
     struct sums s = {0};
     for (int y = box[1]; y < box[3]; y++)
         for (int x = box[0]; x < box[2]; x++)
             for (int c = 0; c < 3; c++) {
                 size_t at = (size_t)y * (size_t)photograph->w + (size_t)x;
+                s.sure += drawing ? (double)drawing->confidence[at] / 3 : 0;
                 double z = photograph->px[3 * at + (size_t)c] / 255.0;
                 double d = display ? (double)display->px[(size_t)c * plane + at] : z;
                 s.photograph[c] += z;
@@ -60,25 +63,26 @@ static uint8_t code(double v)
 }
 
 /* out: a pixel of each square. */
-static void mean_of(const struct sums *s, int n, uint8_t out[3][3])
+static void mean_of(const struct sums *s, int n, uint8_t out[SQUARES][3])
 {
     double error = 3 * s->error / n / ERROR_WHITE;
     for (int c = 0; c < 3; c++) {
         out[0][c] = code(s->photograph[c] / n);
         out[1][c] = code(s->display[c] / n);
         out[2][c] = code(error - c);
+        out[3][c] = code(s->sure / n);
     }
 }
 
 /* own: free(out->px). */
 static err_t make_strip(const struct report_page *s, const struct image8 *photograph,
-                        const struct image *display, struct image8 *out)
+                        const struct report_page_drawing *drawing, struct image8 *out)
 {
     const struct extent thumb = prep_extent(
         (struct prep_size){.edge = num_min(num_max(photograph->w, photograph->h), THUMB)},
         photograph->w, photograph->h);
-    const int squares = display ? 3 : 1, w = thumb.w, h = thumb.h;
-    uint8_t *px = calloc(extent_pixels(&thumb), 9);
+    const int squares = drawing ? SQUARES : 1, w = thumb.w, h = thumb.h;
+    uint8_t *px = calloc(extent_pixels(&thumb), 3 * SQUARES);
     if (!px)
         return err_fail(ERR_NOMEM, "%s: no memory for a thumbnail", s->path);
     *out = (struct image8){squares * w, h, 3, px};
@@ -86,8 +90,8 @@ static err_t make_strip(const struct report_page *s, const struct image8 *photog
         for (int x = 0; x < w; x++) {
             const int box[4] = {x * photograph->w / w, y * photograph->h / h,
                                 (x + 1) * photograph->w / w, (y + 1) * photograph->h / h};
-            struct sums sum = sum_box(photograph, display, box);
-            uint8_t mean[3][3];
+            struct sums sum = sum_box(photograph, drawing, box);
+            uint8_t mean[SQUARES][3];
             mean_of(&sum, (box[2] - box[0]) * (box[3] - box[1]), mean);
             for (int k = 0; k < squares; k++)
                 memcpy(px + 3 * ((y * squares + k) * w + x), mean[k], 3);
@@ -96,8 +100,9 @@ static err_t make_strip(const struct report_page *s, const struct image8 *photog
 }
 
 err_t report_page_picture(struct report_page *s, int i, const struct image8 *photograph,
-                          const struct image *display)
+                          const struct report_page_drawing *drawing)
 {
+    const struct image *display = drawing ? drawing->display : NULL;
     struct image8 strip;
     void *jpeg;
     size_t n;
@@ -105,7 +110,7 @@ err_t report_page_picture(struct report_page *s, int i, const struct image8 *pho
     if (w < 1 || h < 1 || (display && (display->w != w || display->h != h)))
         return err_fail(ERR_ARG, "%s: picture of %d x %d px, the scene's has %d x %d", s->path, w,
                         h, display ? display->w : 0, display ? display->h : 0);
-    err_t e = make_strip(s, photograph, display, &strip);
+    err_t e = make_strip(s, photograph, drawing, &strip);
     if (e)
         return e;
     e = img_encode_jpeg(&strip, QUALITY, s->path, &jpeg, &n);

@@ -25,11 +25,18 @@ uint64_t report_page_bytes(int n_pictures);
  * err:  ERR_ARG (path too long), ERR_IO, ERR_LIMIT (no space). On error *s is zeroed. */
 MUST_USE err_t report_page_open(const char *path, struct report_page *s);
 
+/* What the scene shows in the place of a photograph, with the same shape. */
+struct report_page_drawing {
+    const struct image *display; // (3, h, w) 0..1
+    const float *confidence;     // (h, w) 0..1
+};
+
 /* Photograph `i` of report.json's "inputs", each once, in any order; beside it, if
- * display is not NULL, what the scene shows in its place and how far that is from it.
+ * drawing is not NULL, what the scene shows in its place, how far that is from it, and its
+ * confidence.
  * err:  ERR_NOMEM, ERR_ARG (shape). */
 MUST_USE err_t report_page_picture(struct report_page *s, int i, const struct image8 *photograph,
-                                   const struct image *display);
+                                   const struct report_page_drawing *drawing);
 
 /* Finish the file. json: path of report.json.
  * err:  ERR_IO, ERR_LIMIT (no space), ERR_FORMAT (of report.json); then there is no file. */

@@ -360,13 +360,26 @@ function toneCurve() {
 
 // ---- quality ----
 
+// What one more photograph would prove.
+function advice() {
+  const c = report.confidence, a = report.suggested_photograph;
+  if (!c) return null;
+  const where = a && { left: "to the left", right: "to the right", above: "higher",
+    below: "lower" }[a.direction];
+  return element("p", {}, figure("confidence.guesses", share(c.guesses)),
+    " of the pixels are guesses. ", a
+      ? `One more photograph would help most ${a.degrees} degrees further ${where} than ` +
+        `${a.near}, of the same things.`
+      : "One more photograph near these would hardly prove more.");
+}
+
 function residuals() {
   const order = inputs.map((v, i) => i).filter((i) => known(inputs[i].psnr))
     .sort((a, b) => inputs[a].psnr - inputs[b].psnr);
   if (!order.length) return;
   const card = (i) => element("article", { class: "card" },
-    picture(i, "strip", "photograph, scene, distance"),
-    element("div", { class: "three soft" }, ...["photograph", "scene", "distance"]
+    picture(i, "strip", "photograph, scene, distance, confidence"),
+    element("div", { class: "four soft" }, ...["photograph", "scene", "distance", "confidence"]
       .map((t) => element("span", {}, t))),
     title(inputs[i]),
     element("p", { class: "small" }, figure(`inputs.${i}.psnr`, db(inputs[i].psnr)), " at ",
@@ -378,7 +391,9 @@ function residuals() {
         ` at the start, ${db(quality.held_out_psnr)} at the end.`
       : "Nothing was held out: there was no refinement."),
     element("p", { class: "small soft" }, "Each view at its own exposure. Distance: black is " +
-      "no difference, white a quarter of full scale or more."),
+      "no difference, white a quarter of full scale or more. Confidence: black is a guess, white " +
+      "is proven by photographs that see it from different places."),
+    advice(),
     ...cards(order.map(card), 12, "cards wide"));
 }
 

@@ -7,7 +7,7 @@
 #include "core/kernels/kernels.h"
 #include "core/photo/tonemap.h"
 #include "firmware/recon/job.h"
-#include "firmware/result/draw.h"
+#include "firmware/result/publish.h"
 #include "tests/unit/squares.h"
 
 #include <stdlib.h>
@@ -33,9 +33,12 @@ static inline void small_job_init(struct small_job *s, int n)
     struct job_result *j = &s->result;
     memset(s, 0, sizeof *s);
     kernels_init(&s->kernels, 0);
-    if (arena_init(&s->keep, "keep", gaussians_need(n, 0)) != OK ||
-        arena_init(&s->tmp, "tmp", draw_plan(n, SMALL_SIZE, SMALL_SIZE)) != OK ||
-        gaussians_init(&j->scene.g, &s->keep, n, 0) != OK)
+    if (arena_init(&s->keep, "keep", arena_add(gaussians_need(n, 0), arena_need((size_t)n, 4))) !=
+            OK ||
+        arena_init(&s->tmp, "tmp", publish_plan(n, (struct extent){SMALL_SIZE, SMALL_SIZE, 0})) !=
+            OK ||
+        gaussians_init(&j->scene.g, &s->keep, n, 0) != OK ||
+        arena_zalloc(&s->keep, (size_t)n, sizeof(float), &j->scene.confidence) != OK)
         abort();
     s->run = (struct run){.k = &s->kernels, .keep = &s->keep, .tmp = &s->tmp, .cancel = &s->cancel};
     for (int i = 0; i < SMALL_VIEWS; i++) {

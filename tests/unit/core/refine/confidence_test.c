@@ -5,8 +5,11 @@
 #include "core/base/cpu.h"
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
+#include "core/base/rotation.h"
 #include "core/base/shell.h"
-#include "core/sfm/pose.h"
+#include "core/photo/tonemap.h"
+#include "core/splat/raster.h"
+#include "tests/unit/squares.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -16,15 +19,27 @@
 
 #include <cmocka.h>
 
-enum { SIDE = 40, WALL = SIDE * SIDE, CARD = 100, SKY = WALL + CARD, N = SKY + 1, CAP = 1712 };
+enum {
+    SIDE = 40,
+    WALL = SIDE * SIDE,
+    CARD = 100,
+    SKY = WALL + CARD,
+    N = SKY + 1,
+    CAP = 1712,
+    SIZE = 128,
+    PX = SIZE * SIZE
+};
 
 static struct world {
-    struct arena keep, tmp;
+    struct arena keep, tmp, exact;
     struct kernels k;
     struct run r;
     struct scene s;
     struct camera cams[3];
-    struct confidence c;
+    struct views v;
+    float log2t[3];
+    uint8_t rgb[3 * 3 * PX];
+    struct confidence_advice advice;
 } w;
 
 static void put_splat(int i, float x, float y, float z, float size)
@@ -37,6 +52,41 @@ static void put_splat(int i, float x, float y, float z, float size)
     }
     g->plane[G_QUAT][i] = 1;
     g->plane[G_LOGIT][i] = 4;
+}
+
+static void draw(const struct gaussians *g, int view, float radiance[3 * PX])
+{
+    static float alpha[PX];
+    struct raster rs;
+    const struct raster_input in = {g, &w.cams[view], {0, 0, 0}};
+    struct render out = {0, 0, radiance, NULL, alpha};
+    const size_t mark = arena_mark(&w.tmp);
+    assert_int_equal(raster_init(&rs, &w.tmp, CAP, SIZE, SIZE, false), OK);
+    assert_int_equal(raster_run(&w.r, &rs, &in, &out), OK);
+    arena_reset(&w.tmp, mark);
+}
+
+static void photograph(int view)
+{
+    static float px[3 * PX];
+    struct tonemap_table table;
+    tonemap_table_init(&table, &w.s.tone);
+    draw(&w.s.g, view, px);
+    for (int c = 0; c < 3; c++)
+        tonemap_run(&table.c[c], px + c * PX, w.log2t[view], PX, px + c * PX);
+    for (int i = 0; i < 3 * PX; i++)
+        w.rgb[3 * PX * view + i] = (uint8_t)(255 * px[i % 3 * PX + i / 3] + 0.5f);
+}
+
+static void find_confidence(void)
+{
+    struct plan p = plan_begin(pool_size(w.r.pool));
+    confidence_plan(&p, CAP);
+    assert_int_equal(arena_init(&w.exact, "exact", p.tmp.peak), OK);
+    w.r.tmp = &w.exact;
+    assert_int_equal(confidence_run(&w.r, &w.v, &w.s, &w.advice), OK);
+    w.r.tmp = &w.tmp;
+    arena_free(&w.exact);
 }
 
 /* x: positions of the cameras, which look straight at the wall, 4 away. */
@@ -62,9 +112,17 @@ static void open_world(int threads, const float x[3])
         w.cams[i] = (struct camera){128, 128, 128, 128, 64, 64, {1, 0, 0, 0}, {-x[i], 0, 0}};
     }
     const struct shell shell = shell_of(w.cams, 3);
-    put_splat(SKY, 0, -shell.radius * 0.45f, shell.radius, shell.radius * 0.01f);
-    assert_int_equal(confidence_init(&w.c, &w.keep, CAP), OK);
-    assert_int_equal(confidence_run(&w.r, &w.c, &w.s), OK);
+    put_splat(SKY, 0, -shell.radius * 0.45f, shell.radius, shell.radius * 0.1f);
+    tonemap_linear(&w.s.tone, 0.7f, -8, 8, 0);
+    w.v = (struct views){.n = 3,
+                         .size = SIZE,
+                         .extent = squares(3, SIZE),
+                         .rgb = w.rgb,
+                         .log2t = w.log2t,
+                         .cams = w.cams};
+    for (int i = 0; i < 3; i++)
+        photograph(i);
+    find_confidence();
 }
 
 static void close_world(void)
@@ -79,9 +137,11 @@ static int wall_at(float x, float y)
     return (int)lrintf(y / 0.1f + 14.5f) * SIDE + (int)lrintf(x / 0.1f + 19.5f);
 }
 
-static double formula(int n, double degrees)
+static void expect_confidence(int splat, int n, double degrees)
 {
-    return (1 - pow(2, 1 - n)) * degrees * degrees / (degrees * degrees + 4);
+    const double value = (1 - pow(2, 1 - n)) * degrees * degrees / (degrees * degrees + 4);
+    print_message("  splat %d: %.4f, expected %.4f\n", splat, (double)w.s.confidence[splat], value);
+    assert_true(fabs((double)w.s.confidence[splat] - value) < 0.02);
 }
 
 static void test_values(void **state)
@@ -89,19 +149,27 @@ static void test_values(void **state)
     (void)state;
     open_world(1, (const float[3]){-1, 0, 1});
     const double turn = 180 / NUM_PI;
-    /* seen by all three; their rays spread like those of two at +-a */
-    const float *seen = w.c.seen;
-    assert_int_equal((int)seen[wall_at(0.05f, 0.95f)], 3);
-    assert_true(fabsf(confidence_of(&w.c, wall_at(0.05f, 0.95f)) - (float)formula(3, 22)) < 0.02f);
+    /* seen by all three, whose rays spread like those of two 22 degrees apart */
+    expect_confidence(wall_at(0.05f, 0.95f), 3, 22);
     /* the left edge of the wall is outside the right camera */
-    assert_int_equal((int)seen[wall_at(-1.45f, 0.95f)], 2);
-    const double a = atan(1.45 / 4.11) - atan(0.45 / 4.11);
-    assert_true(fabsf(confidence_of(&w.c, wall_at(-1.45f, 0.95f)) - (float)formula(2, a * turn)) <
-                0.02f);
+    expect_confidence(wall_at(-1.45f, 0.95f), 2, (atan(1.45 / 4.11) - atan(0.45 / 4.11)) * turn);
     /* the card hides this from the middle camera */
-    assert_int_equal((int)seen[wall_at(0.05f, -0.55f)], 2);
-    assert_int_equal((int)seen[SKY], 3);
-    assert_true(fabsf(confidence_of(&w.c, SKY) - 0.75f) < 0.01f);
+    expect_confidence(wall_at(0.05f, -0.55f), 2, 2 * atan(1 / 4.04) * turn);
+    expect_confidence(SKY, 3, 1e6);
+    close_world();
+}
+
+/* A photograph that shows something else says nothing. */
+static void test_photographs_that_disagree(void **state)
+{
+    (void)state;
+    open_world(1, (const float[3]){-1, 0, 1});
+    memset(w.rgb + 3 * PX, 0, 3 * PX); // the middle one
+    find_confidence();
+    expect_confidence(wall_at(0.05f, 0.95f), 2, 2 * atan(1 / 4.11) * 180 / NUM_PI);
+    memset(w.rgb, 0, 3 * PX);
+    find_confidence();
+    assert_true(w.s.confidence[wall_at(0.05f, 0.95f)] < 0.01f);
     close_world();
 }
 
@@ -110,12 +178,10 @@ static void test_guesses(void **state)
 {
     (void)state;
     open_world(1, (const float[3]){0, 0, 0});
-    assert_int_equal((int)w.c.seen[wall_at(0.05f, 0.95f)], 3);
-    assert_true(confidence_of(&w.c, wall_at(0.05f, 0.95f)) < 1e-3f);
+    assert_true(w.s.confidence[wall_at(0.05f, 0.95f)] < 1e-3f);
     close_world();
     open_world(1, (const float[3]){0, 40, -40});
-    assert_int_equal((int)w.c.seen[wall_at(0.05f, 0.95f)], 1);
-    assert_true(confidence_of(&w.c, wall_at(0.05f, 0.95f)) == 0);
+    assert_true(w.s.confidence[wall_at(0.05f, 0.95f)] == 0);
     close_world();
 }
 
@@ -123,16 +189,12 @@ static void test_guesses(void **state)
 static void test_drawn(void **state)
 {
     (void)state;
-    static float radiance[3 * 128 * 128], alpha[128 * 128];
-    struct raster rs;
+    static float colour[CAP], radiance[3 * PX];
+    struct gaussians g;
     open_world(2, (const float[3]){-1, 0, 1});
-    const struct raster_input in = {&w.c.g, &w.cams[1], {0, 0, 0}};
-    struct render out = {0, 0, radiance, NULL, alpha};
-    assert_int_equal(raster_init(&rs, &w.tmp, CAP, 128, 128, false), OK);
-    assert_int_equal(raster_run(&w.r, &rs, &in, &out), OK);
-    const int at = 94 * 128 + 65;
-    assert_true(fabsf(radiance[at] / alpha[at] - confidence_of(&w.c, wall_at(0.05f, 0.95f))) <
-                0.03f);
+    confidence_splats(&w.s, colour, &g);
+    draw(&g, 1, radiance);
+    assert_true(fabsf(radiance[94 * SIZE + 65] - w.s.confidence[wall_at(0.05f, 0.95f)]) < 0.05f);
     close_world();
 }
 
@@ -143,40 +205,41 @@ static void test_same_for_any_number_of_threads(void **state)
     for (int threads = 1; threads <= 3; threads += 2) {
         open_world(threads, (const float[3]){-1, 0.3f, 1});
         if (threads == 1)
-            memcpy(first, w.c.g.plane[G_SH], sizeof first);
+            memcpy(first, w.s.confidence, sizeof first);
         else
-            assert_memory_equal(first, w.c.g.plane[G_SH], sizeof first);
+            assert_memory_equal(first, w.s.confidence, sizeof first);
         close_world();
     }
 }
 
-/* Cameras that leave the right of the wall to one of them, and cameras that have seen all. */
+/* Cameras that leave the right of the wall to one of them, and a scene without splats. */
 static void test_advice(void **state)
 {
     (void)state;
-    struct confidence_advice a;
     open_world(2, (const float[3]){-1.2f, -0.9f, -0.6f});
-    assert_int_equal(confidence_advise(&w.r, &w.c, &w.s, &a), OK);
-    print_message("  %d degrees to the %s of view %d: %.3f\n", CONFIDENCE_STEP,
-                  a.way == CONFIDENCE_RIGHT ? "right" : "other side", a.near, (double)a.gain);
-    assert_int_equal(a.way, CONFIDENCE_RIGHT);
-    assert_int_equal(a.near, 2);
-    assert_true(a.gain > 0.05f && a.gain < 1);
-    close_world();
-    /* nothing to see from anywhere */
-    open_world(1, (const float[3]){-1, 0, 1});
+    print_message("  way %d of view %d: %.3f\n", w.advice.way, w.advice.near,
+                  (double)w.advice.gain);
+    assert_int_equal(w.advice.way, CONFIDENCE_RIGHT);
+    assert_int_equal(w.advice.near, 2);
+    assert_true(w.advice.gain > 0.05f && w.advice.gain < 1);
+    double before[3], after[3];
+    rotation_centre(&w.cams[2], before);
+    rotation_centre(&w.advice.cam, after);
+    assert_true(after[0] > before[0] + 1 && fabs(after[1] - before[1]) < 0.01);
     w.s.g.n = 0;
-    assert_int_equal(confidence_run(&w.r, &w.c, &w.s), OK);
-    assert_int_equal(confidence_advise(&w.r, &w.c, &w.s, &a), OK);
-    assert_int_equal(a.near, -1);
+    find_confidence();
+    assert_int_equal(w.advice.near, -1);
     close_world();
 }
 
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_values), cmocka_unit_test(test_guesses),
-        cmocka_unit_test(test_drawn),  cmocka_unit_test(test_same_for_any_number_of_threads),
+        cmocka_unit_test(test_values),
+        cmocka_unit_test(test_photographs_that_disagree),
+        cmocka_unit_test(test_guesses),
+        cmocka_unit_test(test_drawn),
+        cmocka_unit_test(test_same_for_any_number_of_threads),
         cmocka_unit_test(test_advice),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

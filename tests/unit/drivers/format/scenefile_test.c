@@ -33,6 +33,11 @@ static struct scene make(int n, int degree, int n_views)
     assert_int_equal(arena_init(&arena, "test", 1 << 20), OK);
     assert_int_equal(gaussians_init(&s.g, &arena, n, degree), OK);
     s.g.n = n;
+    if (degree % 2) {
+        assert_int_equal(arena_alloc(&arena, (size_t)n, sizeof(float), &s.confidence), OK);
+        for (int i = 0; i < n; i++)
+            s.confidence[i] = (float)i / (float)n;
+    }
     for (int p = 0; p < gaussians_planes(degree); p++)
         for (int i = 0; i < n; i++)
             s.g.plane[p][i] = (float)(i + 1) / (float)(p + 3) * (i % 2 ? -1.f : 1.f);
@@ -62,6 +67,9 @@ static void check_same(const struct scene *a, const struct scene *b)
         assert_memory_equal(a->g.plane[p], b->g.plane[p], sizeof(float) * (size_t)a->g.n);
     assert_memory_equal(&a->tone, &b->tone, sizeof a->tone);
     assert_memory_equal(a->background, b->background, sizeof a->background);
+    assert_true(!a->confidence == !b->confidence);
+    if (a->confidence)
+        assert_memory_equal(a->confidence, b->confidence, sizeof(float) * (size_t)a->g.n);
     for (int i = 0; i < a->n_views; i++) {
         assert_string_equal(a->names[i], b->names[i]);
         assert_true(a->log2t[i] == b->log2t[i]);

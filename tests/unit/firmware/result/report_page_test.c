@@ -480,32 +480,37 @@ static void colour_at(const struct image8 *im, int x, int y, int r, int g, int b
 
 /* Red photograph, its upper half missed by 3/8 of full scale in one colour: an eighth on average,
  * half way to white. */
-static void photograph_scene_and_distance(void **state)
+static void photograph_scene_distance_and_confidence(void **state)
 {
     (void)state;
     enum { N = 300, THUMB = 192 }; // not a multiple
     static float px[3 * N * N];
     static uint8_t photograph[3 * N * N];
+    static float sure[N * N];
     const struct image display = {N, N, 3, px};
+    const struct report_page_drawing drawing = {&display, sure};
     struct image8 strip;
     struct report_page s;
     for (int i = 0; i < N * N; i++) {
         photograph[3 * i] = 255;
         px[i] = i < N * N / 2 ? 0.625f : 1;
+        sure[i] = i < N * N / 2 ? 0.2f : 1;
     }
     assert_int_equal(report_page_open(tmpdir_path("p.html"), &s), OK);
-    assert_int_equal(report_page_picture(&s, 7, &(struct image8){N, N, 3, photograph}, &display),
+    assert_int_equal(report_page_picture(&s, 7, &(struct image8){N, N, 3, photograph}, &drawing),
                      OK);
     assert_int_equal(report_page_close(&s, tmpdir_text("r.json", "{}")), OK);
     char *text = page(tmpdir_path("p.html"));
     assert_non_null(strstr(text, "\"7\": \"data:image/jpeg;base64,"));
     decode(text, &strip);
-    assert_true(strip.w == 3 * THUMB && strip.h == THUMB);
+    assert_true(strip.w == 4 * THUMB && strip.h == THUMB);
     colour_at(&strip, 20, 20, 255, 0, 0);
     colour_at(&strip, THUMB + 20, 20, 159, 0, 0);
     colour_at(&strip, THUMB + 20, THUMB - 20, 255, 0, 0);
     colour_at(&strip, 2 * THUMB + 20, 20, 255, 128, 0);
     colour_at(&strip, 2 * THUMB + 20, THUMB - 20, 0, 0, 0);
+    colour_at(&strip, 3 * THUMB + 20, 20, 51, 51, 51);
+    colour_at(&strip, 3 * THUMB + 20, THUMB - 20, 255, 255, 255);
     img_free(&strip);
     free(text);
 }
@@ -516,6 +521,7 @@ static void a_photograph_alone(void **state)
     struct image8 strip;
     struct report_page s = {0};
     const struct image other = {1, 1, 3, (float[]){0, 0, 0}};
+    const struct report_page_drawing drawing = {&other, other.px};
     memset(job.rgb, 200, sizeof job.rgb);
     assert_int_equal(
         report_page_write(tmpdir_path("s.html"), &job.result, tmpdir_text("r.json", "{}")), OK);
@@ -528,7 +534,7 @@ static void a_photograph_alone(void **state)
     free(text);
     assert_int_equal(
         report_page_picture(&s, 0, &(struct image8){SMALL_SIZE, SMALL_SIZE, 3, (uint8_t *)job.rgb},
-                            &other),
+                            &drawing),
         ERR_ARG);
 }
 
@@ -577,7 +583,7 @@ int main(void)
         JOB_TEST(brackets_in_the_report),
         JOB_TEST(names_cannot_end_the_data),
         JOB_TEST(small_and_alone),
-        JOB_TEST(photograph_scene_and_distance),
+        JOB_TEST(photograph_scene_distance_and_confidence),
         JOB_TEST(a_photograph_alone),
         JOB_TEST(trouble_leaves_no_file),
     };
