@@ -1,9 +1,9 @@
 /* confidence.h - how much of a scene the photographs prove, and where one more would prove most.
  *
- * A photograph sees a splat that is not behind what the scene shows there. It speaks for it with the
- * weight w = exp(-(e / 0.06)^2), e the mean difference of photograph and scene around it, display
- * values. Of a splat for which photographs of the total weight n speak, whose rays meet under the
- * angle a, the confidence is
+ * A photograph sees a splat that is not behind what the scene shows there. It speaks for it with
+ * the weight w = exp(-(e / 0.06)^2), e the mean difference of photograph and scene around it,
+ * display values. Of a splat for which photographs of the total weight n speak, whose rays meet
+ * under the angle a, the confidence is
  *   (1 - 2^(1 - n)) a^2 / (a^2 + (2 degrees)^2),  0 for n <= 1:
  * half for agreement of two, and half where an error of matching moves it as much as it is known.
  * Splats of the shell (core/base/shell.h) need no angle.

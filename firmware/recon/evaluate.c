@@ -29,11 +29,9 @@ struct bench {
     struct outdir *o;
     struct draw draw;
     struct image truth,
-        other;               // (3, h, w): the photograph; nearest view or mu-law of the truth
-    struct image mu;         // (3, h, w): mu-law of the prediction
-    struct scene confidence; // drawn: the confidence of pixels
-    float *colour;           // (cap) of its splats
-    float *sure;             // (h, w) confidence of the pixels drawn last
+        other;       // (3, h, w): the photograph; nearest view or mu-law of the truth
+    struct image mu; // (3, h, w): mu-law of the prediction
+    struct draw_confidence confidence; // of the view drawn last
     size_t clipped;
     struct evaluate_result *out;
 };
@@ -120,7 +118,7 @@ static void add_trust(const struct bench *b, struct evaluate_trust *t)
     const size_t pixels = (size_t)b->truth.w * (size_t)b->truth.h;
     for (size_t i = 0; i < 3 * pixels; i++) {
         const double d = (double)b->draw.display.px[i] - (double)b->truth.px[i];
-        const int known = b->sure[i % pixels] >= CONFIDENCE_GUESS;
+        const int known = b->confidence.map[i % pixels] >= CONFIDENCE_GUESS;
         t->pixels[known] += 1.0 / 3;
         t->squares[known] += d * d / 3;
     }
@@ -273,22 +271,14 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
 
 /* ---- all ---- */
 
-static err_t draw_sure(struct bench *b, const struct camera *cam)
-{
-    if (!b->j->scene.confidence)
-        return OK;
-    err_t e = draw_run(b->r, &b->draw, &b->confidence, cam);
-    if (!e)
-        memcpy(b->sure, b->draw.maps.radiance, (size_t)cam->w * (size_t)cam->h * sizeof *b->sure);
-    return e;
-}
-
 static err_t draw_view(struct bench *b, const struct shot *s, const struct views *v)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     size_t clipped = 0;
     b->out->views++;
-    err_t e = draw_sure(b, &v->cams[0]);
+    err_t e = OK;
+    if (b->j->scene.confidence)
+        e = draw_confidence_run(b->r, &b->draw, &b->confidence, &v->cams[0]);
     if (!e)
         e = draw_run(b->r, &b->draw, &b->j->scene, &v->cams[0]);
     job_result_lap(b->j, JOB_RENDER);
@@ -370,9 +360,7 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
     float *px;
     err_t e = draw_init(&b->draw, tmp, cap, most->w, most->h);
     if (!e)
-        e = arena_alloc(tmp, (size_t)cap, sizeof *b->colour, &b->colour);
-    if (!e)
-        e = arena_alloc(tmp, most->at, sizeof *b->sure, &b->sure);
+        e = draw_confidence_init(&b->confidence, tmp, cap, most->w, most->h);
     if (!e)
         e = arena_alloc(tmp, values, IMAGES * sizeof *px, &px);
     for (int i = 0; i < IMAGES && !e; i++)
@@ -418,7 +406,7 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     const struct extent most = largest_view(&test->capture, job_result_size(&j->scene));
     err_t e = layout(&b, r->tmp, &most, j->scene.g.cap);
     if (!e && j->scene.confidence)
-        confidence_splats(&j->scene, b.colour, &b.confidence.g);
+        draw_confidence_set(&b.confidence, &j->scene);
     if (!e && o)
         e = outdir_mkdir(o, "ldr");
     if (!e && o)

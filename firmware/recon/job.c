@@ -6,7 +6,6 @@
 #include "firmware/recon/shading.h"
 #include "firmware/recon/start.h"
 #include "firmware/result/draw.h"
-#include "firmware/result/publish.h"
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
@@ -244,7 +243,9 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
     if (recipe->refine)
         arena_step(&p->tmp, refine_plan(large, &recipe->refinement, p->threads));
     confidence_plan(p, recipe->gaussians_max);
-    arena_step(&p->tmp, publish_plan(recipe->gaussians_max, most));
+    /* publishing renders the views */
+    arena_step(&p->tmp, arena_add(draw_plan(recipe->gaussians_max, most.w, most.h),
+                                  draw_confidence_plan(recipe->gaussians_max, most.w, most.h)));
 }
 
 err_t job_plan(const struct capture *c, const struct job_config *cfg, int threads, bool tapped,

@@ -1,6 +1,7 @@
 #include "firmware/result/draw.h"
 
 #include "core/photo/shade.h"
+#include "core/refine/confidence.h"
 #include "drivers/format/exrfile.h"
 
 #include <math.h>
@@ -34,12 +35,17 @@ struct extent draw_cover(const struct scene *s)
     return out;
 }
 
+/* As gaussians_init makes of it. */
+static int round_cap(int cap)
+{
+    return cap > 16 ? (cap + 15) / 16 * 16 : 16;
+}
+
 size_t draw_plan(int cap, int w, int h)
 {
     struct arena a = arena_counter();
     struct draw d;
-    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
-    return draw_init(&d, &a, cap, w, h) ? SIZE_MAX : a.peak;
+    return draw_init(&d, &a, round_cap(cap), w, h) ? SIZE_MAX : a.peak;
 }
 
 err_t draw_run(const struct run *r, struct draw *d, const struct scene *s, const struct camera *cam)
@@ -64,6 +70,34 @@ void draw_display(struct draw *d, const struct shade *shade, float log2t)
     for (int c = 0; c < 3; c++)
         tonemap_run(&d->table.c[c], from + (size_t)c * pixels, log2t - d->mid_log2t, pixels,
                     d->display.px + (size_t)c * pixels);
+}
+
+err_t draw_confidence_init(struct draw_confidence *c, struct arena *a, int cap, int w, int h)
+{
+    memset(c, 0, sizeof *c);
+    err_t e = arena_alloc(a, (size_t)cap, sizeof *c->colour, &c->colour);
+    return e ? e : arena_alloc(a, (size_t)w * (size_t)h, sizeof *c->map, &c->map);
+}
+
+size_t draw_confidence_plan(int cap, int w, int h)
+{
+    struct arena a = arena_counter();
+    struct draw_confidence c;
+    return draw_confidence_init(&c, &a, round_cap(cap), w, h) ? SIZE_MAX : a.peak;
+}
+
+void draw_confidence_set(struct draw_confidence *c, const struct scene *s)
+{
+    confidence_splats(s, c->colour, &c->splats.g);
+}
+
+err_t draw_confidence_run(const struct run *r, struct draw *d, struct draw_confidence *c,
+                          const struct camera *cam)
+{
+    err_t e = draw_run(r, d, &c->splats, cam);
+    if (!e)
+        memcpy(c->map, d->maps.radiance, (size_t)cam->w * (size_t)cam->h * sizeof *c->map);
+    return e;
 }
 
 err_t draw_write_exr(const struct draw *d, const struct camera *cam, float log2t, const char *path,

@@ -33,6 +33,28 @@ MUST_USE err_t draw_run(const struct run *r, struct draw *d, const struct scene 
  * is. */
 void draw_display(struct draw *d, const struct shade *shade, float log2t);
 
+/* The confidence of pixels (core/refine/confidence.h). */
+struct draw_confidence {
+    struct scene splats; // drawn
+    float *colour;       // (cap) of these
+    float *map;          // (h, w) of the last draw_confidence_run
+};
+
+size_t draw_confidence_plan(int cap, int w, int h);
+
+/* Maps up to w x h px of scenes made for `cap` splats.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t draw_confidence_init(struct draw_confidence *c, struct arena *a, int cap, int w,
+                                    int h);
+
+/* Show s, which has confidence and outlives *c. */
+void draw_confidence_set(struct draw_confidence *c, const struct scene *s);
+
+/* Into c->map; d->maps are spoilt.
+ * err:  as draw_run. */
+MUST_USE err_t draw_confidence_run(const struct run *r, struct draw *d, struct draw_confidence *c,
+                                   const struct camera *cam);
+
 /* d->maps as EXR: radiance and alpha in half floats, with the camera; log2t becomes expTime.
  * out:  *clipped = values beyond the largest half, stored as that.
  * err:  ERR_IO, ERR_NOMEM. */

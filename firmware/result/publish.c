@@ -98,9 +98,7 @@ struct pictures {
     struct draw draw;
     size_t clipped;                         // values above the largest half
     double psnr;                            // sum over the views
-    float *colour;                          // (cap)
-    struct scene confidence;                // drawn: the confidence of pixels
-    float *sure;                            // (h, w) confidence of the view drawn last
+    struct draw_confidence confidence;      // of the view drawn last
     double pixels, confidence_sum, guesses; // of all views
 };
 
@@ -115,7 +113,7 @@ static err_t compare_photograph(struct pictures *p, int place, int i)
     double psnr = fmin(-10 * log10(mse), METRICS_PSNR_MAX);
     p->psnr += psnr;
     p->j->input_db[i] = (float)psnr;
-    const struct report_page_drawing drawing = {&p->draw.display, p->sure};
+    const struct report_page_drawing drawing = {&p->draw.display, p->confidence.map};
     return report_page_picture(p->sheet, i, &photograph, &drawing);
 }
 
@@ -124,13 +122,13 @@ static err_t draw_confidence(struct pictures *p, int i)
 {
     const struct camera *cam = &p->j->scene.cams[i];
     const size_t px = (size_t)cam->w * (size_t)cam->h;
-    err_t e = draw_run(p->r, &p->draw, &p->confidence, cam);
+    const float *map = p->confidence.map;
+    err_t e = draw_confidence_run(p->r, &p->draw, &p->confidence, cam);
     if (e)
         return e;
-    memcpy(p->sure, p->draw.maps.radiance, px * sizeof *p->sure);
     for (size_t k = 0; k < px; k++) {
-        p->confidence_sum += (double)p->sure[k];
-        p->guesses += p->sure[k] < CONFIDENCE_GUESS;
+        p->confidence_sum += (double)map[k];
+        p->guesses += map[k] < CONFIDENCE_GUESS;
     }
     p->pixels += (double)px;
     return OK;
@@ -165,22 +163,6 @@ static err_t write_view(struct pictures *p, int i)
     return e;
 }
 
-static err_t layout_pictures(struct pictures *p, struct arena *tmp, int cap, struct extent most)
-{
-    err_t e = draw_init(&p->draw, tmp, cap, most.w, most.h);
-    if (!e)
-        e = arena_alloc(tmp, (size_t)most.w * (size_t)most.h, sizeof *p->sure, &p->sure);
-    return e ? e : arena_alloc(tmp, (size_t)cap, sizeof *p->colour, &p->colour);
-}
-
-size_t publish_plan(int cap, struct extent most)
-{
-    struct arena count = arena_counter();
-    struct pictures p;
-    cap = cap > 16 ? (cap + 15) / 16 * 16 : 16; // as gaussians_init makes of it
-    return layout_pictures(&p, &count, cap, most) ? SIZE_MAX : count.peak;
-}
-
 static err_t write_views(const struct run *r, struct job_result *j, struct outdir *o,
                          struct report_page *sheet)
 {
@@ -188,9 +170,11 @@ static err_t write_views(const struct run *r, struct job_result *j, struct outdi
     const struct scene *s = &j->scene;
     size_t mark = arena_mark(r->tmp);
     const struct extent most = draw_cover(s);
-    err_t e = layout_pictures(&p, r->tmp, s->g.cap, most);
+    err_t e = draw_init(&p.draw, r->tmp, s->g.cap, most.w, most.h);
     if (!e)
-        confidence_splats(s, p.colour, &p.confidence.g);
+        e = draw_confidence_init(&p.confidence, r->tmp, s->g.cap, most.w, most.h);
+    if (!e)
+        draw_confidence_set(&p.confidence, s);
     for (int i = 0; i < s->n_views && !e; i++) {
         e = write_view(&p, i);
         if (!e && r->progress)

@@ -12,9 +12,6 @@
 MUST_USE err_t publish_check(const struct capture *c, const struct job_config *cfg,
                              struct outdir *o);
 
-/* Bytes that publish_run takes from r->tmp: scenes made for `cap` splats, views up to `most`. */
-size_t publish_plan(int cap, struct extent most);
-
 /* Render the input views, write everything and make it visible under the name of `o`. Warnings and
  * times are added to *j, and how near the input views came to their photographs.
  * err:  ERR_ARG (two names that differ only in their extension), ERR_LIMIT (no space), ERR_IO,

@@ -7,7 +7,7 @@
 #include "core/kernels/kernels.h"
 #include "core/photo/tonemap.h"
 #include "firmware/recon/job.h"
-#include "firmware/result/publish.h"
+#include "firmware/result/draw.h"
 #include "tests/unit/squares.h"
 
 #include <stdlib.h>
@@ -27,6 +27,12 @@ struct small_job {
     uint8_t rgb[SMALL_VIEWS * 3 * SMALL_SIZE * SMALL_SIZE];
 };
 
+static inline size_t small_job_room(int n)
+{
+    return arena_add(draw_plan(n, SMALL_SIZE, SMALL_SIZE),
+                     draw_confidence_plan(n, SMALL_SIZE, SMALL_SIZE));
+}
+
 /* n splats; the struct must not move. */
 static inline void small_job_init(struct small_job *s, int n)
 {
@@ -35,8 +41,7 @@ static inline void small_job_init(struct small_job *s, int n)
     kernels_init(&s->kernels, 0);
     if (arena_init(&s->keep, "keep", arena_add(gaussians_need(n, 0), arena_need((size_t)n, 4))) !=
             OK ||
-        arena_init(&s->tmp, "tmp", publish_plan(n, (struct extent){SMALL_SIZE, SMALL_SIZE, 0})) !=
-            OK ||
+        arena_init(&s->tmp, "tmp", small_job_room(n)) != OK ||
         gaussians_init(&j->scene.g, &s->keep, n, 0) != OK ||
         arena_zalloc(&s->keep, (size_t)n, sizeof(float), &j->scene.confidence) != OK)
         abort();

@@ -1,5 +1,5 @@
-/* A wall of splats before three cameras, one of which looks elsewhere, and a card that hides some of
- * it. */
+/* A wall of splats before three cameras, one of which looks elsewhere, and a card that hides some
+ * of it. */
 #include "core/refine/confidence.h"
 
 #include "core/base/cpu.h"
