@@ -17,9 +17,11 @@
 
 enum { GROUPS = 8 };
 static const double BEHIND = 1e30, NEAREST = 1e-9,
-                    DONE = 3e-6, // relative gain of a last step
-    TERM_PRIOR = 0.5,            // 1 / expected size of a distortion term
-    CENTRE_PRIOR = 10;           // focal length / expected shift of the principal point
+                    WIDEST = 2, // tangent of 63 degrees
+    DONE = 3e-6,                // relative gain of a last step
+    TERM_PRIOR = 0.5,           // 1 / expected size of a distortion term
+    FISHEYE_PRIOR = 10,         // the same: 0.083 stereographic, -0.042 of equal areas
+    CENTRE_PRIOR = 10;          // focal length / expected shift of the principal point
 
 /* ---- one observation ---- */
 
@@ -55,6 +57,15 @@ double adjust_error(const struct adjust *a, const double point[4],
     double du = px[0] - (double)s->u, dv = px[1] - (double)s->v;
     double e = (du * du + dv * dv) * (double)s->weight * (double)s->weight;
     return e < BEHIND ? e : BEHIND;
+}
+
+bool adjust_too_wide(const struct adjust_lens *l)
+{
+    const double corner[2] = {l->lens.cx + l->frame, l->lens.cy};
+    double ray[3];
+    if (l->lens.model == LENS_OPENCV_FISHEYE || !(l->frame > 0))
+        return false;
+    return !lens_unproject(&l->lens, corner, ray) || hypot(ray[0], ray[1]) > WIDEST * ray[2];
 }
 
 void adjust_ray(const struct adjust *a, const struct adjust_observation *s, double ray[3])
@@ -415,9 +426,8 @@ static void fix_unknown(double *s, int n, int k, double *rhs)
 /* Expected value of an unknown of a lens less its present one, and the weight of that. */
 static double prior_gap(const struct adjust_lens *l, int unknown, double *weight)
 {
-    *weight = unknown == 0              ? l->prior
-              : unknown < ADJUST_CENTRE ? TERM_PRIOR
-                                        : CENTRE_PRIOR / l->lens.fx;
+    const double term = l->lens.model == LENS_OPENCV_FISHEYE ? FISHEYE_PRIOR : TERM_PRIOR;
+    *weight = unknown == 0 ? l->prior : unknown < ADJUST_CENTRE ? term : CENTRE_PRIOR / l->lens.fx;
     if (unknown >= ADJUST_CENTRE)
         return unknown == ADJUST_CENTRE ? -l->lens.cx : -l->lens.cy;
     return unknown == 0 ? l->prior_focal - log(l->lens.fx) : -l->lens.term[unknown - 1];

@@ -20,6 +20,7 @@ struct adjust_lens {
     struct lens lens; // fx = fy; cx, cy: px from the middle; model PINHOLE: these are 0, and terms
                       // are not looked at
     bool free[ADJUST_LENS];    // which unknowns move
+    double frame;              // px from the middle to the corners of its photographs; 0: not known
     double prior_focal, prior; // expected ln focal length, and its weight: 1 / deviation
 };
 
@@ -53,6 +54,10 @@ size_t adjust_plan(int n_views, int n_lenses, int n_tracks);
  * out:  (n_lenses, ADJUST_LENS)
  * err:  ERR_NOMEM, ERR_CANCELLED. */
 MUST_USE err_t adjust_deviations(const struct run *r, struct adjust *a, double scale, double *out);
+
+/* Whether a perspective lens has no ray for the corners of its photographs, or one more than 63
+ * degrees from the axis: such lenses are fisheyes. */
+bool adjust_too_wide(const struct adjust_lens *l);
 
 /* Unit ray of an observation in its camera; outside the image circle that of a pinhole. */
 void adjust_ray(const struct adjust *a, const struct adjust_observation *s, double ray[3]);

@@ -496,6 +496,17 @@ static err_t from_focals(struct bundle *b)
     return e;
 }
 
+/* Views are as large as the photographs they were resampled from. */
+static double frame_of(const struct bundle *b, int lens)
+{
+    double most = 0;
+    for (int v = 0; v < b->n_views; v++)
+        if (b->a.lens_of[v] == lens)
+            most = fmax(
+                most, 0.5 * hypot(b->v->extent[v].w, b->v->extent[v].h * (double)bundle_aspect(b)));
+    return most;
+}
+
 /* Lenses as the first attempt knows them. */
 static err_t set_starts(struct bundle *b)
 {
@@ -507,6 +518,7 @@ static err_t set_starts(struct bundle *b)
         b->start[i].fx = b->start[i].fy = start_focal(b, i);
         if (!e)
             e = lens_init(&b->start[i]);
+        l->frame = frame_of(b, i);
         l->prior_focal = log(b->start[i].fx);
         l->prior = known->start.fx > 0 && !known->focal_guessed ? 10 : b->cfg->start ? 4 : 2;
         l->lens = b->best.lens[i].lens = b->start[i];

@@ -14,6 +14,7 @@ enum { LENS = 2, UNKNOWNS = 6 + LENS, LENS_LEAST = 16 }; // LENS_LEAST: points t
 static const double SHARE = 0.5;                         // least share of the points
 static const double TERM_MOST = 0.6;                     // of a lens's first term
 static const double FISHEYE_GAIN = 0.8; // share of the cost that a fisheye must stay below
+static const double WIDE_GAIN = 0.6;    // that a lens must stay below which should be a fisheye
 
 struct resect {
     struct adjust *a;
@@ -268,6 +269,8 @@ int resect_lens(const struct viewgraph *g, struct adjust *a, int view, double ga
         double cost = try_neighbours(g, &s, &inliers);
         if (trial[i].model == LENS_OPENCV_FISHEYE) // narrow ones fit as well as the others
             cost /= FISHEYE_GAIN;
+        else if (adjust_too_wide(&a->lens[a->lens_of[view]]))
+            cost /= WIDE_GAIN;
         if (cost < least && inliers > 0) {
             least = cost;
             most = inliers;

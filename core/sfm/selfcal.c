@@ -131,7 +131,7 @@ static void measure_left_out(const struct selfcal *s, float *error)
 struct judgement {
     int n;
     double before, after; // means
-    bool better, worse;
+    bool better, worse, much_worse;
 };
 
 static struct judgement judge_lens(const struct selfcal *s, int lens)
@@ -152,6 +152,7 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
     const double n = num_max(j.n, 1), error = sqrt(fmax(0, square - sum * sum / n));
     j.better = sum > SURE * error && sum > GAIN_LEAST * j.before;
     j.worse = sum < 0;
+    j.much_worse = -sum > SURE * error && -sum > GAIN_LEAST * j.before;
     j.before /= n;
     j.after /= n;
     return j;
@@ -195,10 +196,13 @@ static double lens_reach(const struct adjust *a, int lens)
 static bool may_climb(const struct adjust *a, int lens, const struct selfcal_lens *out, int step)
 {
     const struct adjust_lens *l = &a->lens[lens];
+    const struct rung *from = step ? &LADDER[step - 1] : &(struct rung){LENS_PINHOLE, 0};
+    const bool to_fisheye = LADDER[step].model == LENS_OPENCV_FISHEYE && from->model == LENS_OPENCV;
+    if (to_fisheye && adjust_too_wide(l))
+        return true;
     if (out->held < SELFCAL_HELD_LEAST)
         return false;
-    const struct rung *from = step ? &LADDER[step - 1] : &(struct rung){LENS_PINHOLE, 0};
-    if (LADDER[step].model == LENS_OPENCV_FISHEYE && from->model == LENS_OPENCV)
+    if (to_fisheye)
         return l->lens.model != LENS_OPENCV_FISHEYE && l->lens.term[0] < BARREL &&
                lens_reach(a, lens) > WIDE;
     return l->lens.model == from->model && free_terms(l) == from->terms;
@@ -223,6 +227,9 @@ static bool is_step_kept(const struct selfcal *s, int lens)
     const struct judgement j = judge_lens(s, lens);
     const bool centre =
         s->a->lens[lens].free[ADJUST_CENTRE] && !s->kept.lens[lens].free[ADJUST_CENTRE];
+    if (adjust_too_wide(&s->kept.lens[lens]) && !adjust_too_wide(&s->a->lens[lens]) &&
+        !j.much_worse)
+        return true;
     return j.better || (centre && !j.worse && is_shifted(s, lens));
 }
 

@@ -141,6 +141,35 @@ static void unusual_kinds_are_placed(void **unused)
     }
 }
 
+/* Two photographs of a fisheye of 150 degrees beside six of a narrow lens, which show only what is
+ * near the middle of the former: k1 of a perspective lens explains that as well, but would leave
+ * the corners without light. */
+static void wide_lens_covers_its_frame(void **unused)
+{
+    (void)unused;
+    struct job j = {.rig = make_room(1500, 381, 0.2, 40)};
+    struct bundle_lens lens[SCENE_LENSES];
+    struct bundle_config cfg;
+    int of[SCENE_VIEWS];
+    j.rig.n_lenses = 4;
+    j.rig.lens[0] = j.rig.lens[1] = j.rig.lens[2] = make_lens(LENS_PINHOLE, 450, 0, 0);
+    j.rig.lens[3] = make_lens(LENS_OPENCV_FISHEYE, 171, -0.02, 0);
+    scene_arc(&j.rig, 8, 50);
+    scene_make(&j.rig, &j.tracks);
+    lenses_of(&j.rig, lens, of, &cfg);
+    cfg.n_lenses = 2;
+    for (int v = 0; v < j.rig.n_views; v++)
+        of[v] = v % 4 == 3;
+    run_ok(&j, &cfg);
+    const struct lens *l = &j.out.lenses[1];
+    print_message("%s f %g k1 %g of 171 and -0.02, %d placed: %g px\n", lens_name(l->model), l->fx,
+                  l->term[0], j.out.n_placed, lens_distance(&j.rig.lens[3], l));
+    assert_int_equal(j.out.n_placed, 8);
+    assert_int_equal(l->model, LENS_OPENCV_FISHEYE);
+    assert_true(lens_distance(&j.rig.lens[3], l) < 6);
+    job_free(&j);
+}
+
 /* Principal points 9 and -6 px from the middle: of a barrel, of a pinhole, of a fisheye; each
  * looked for. In the middle it stays there, and nothing else is found. */
 static void principal_points_are_found(void **unused)
@@ -182,7 +211,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(perfect_lens_stays_perfect), cmocka_unit_test(barrel_is_found),
         cmocka_unit_test(kinds_are_told_apart),       cmocka_unit_test(unusual_kinds_are_placed),
-        cmocka_unit_test(principal_points_are_found),
+        cmocka_unit_test(wide_lens_covers_its_frame), cmocka_unit_test(principal_points_are_found),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
