@@ -364,6 +364,24 @@ static err_t measure_gain(const struct run *r, struct look *l, const struct came
     return e;
 }
 
+/* Whether there is a photograph from about there: nearer than half the way from camera `from`. */
+static bool is_taken(const struct scene *s, const struct camera *from, const struct camera *cam)
+{
+    double start[3], place[3], way[3], off[3];
+    rotation_centre(from, start);
+    rotation_centre(cam, place);
+    for (int k = 0; k < 3; k++)
+        way[k] = place[k] - start[k];
+    for (int i = 0; i < s->n_views; i++) {
+        rotation_centre(&s->cams[i], off);
+        for (int k = 0; k < 3; k++)
+            off[k] -= place[k];
+        if (lin_dot(off, off) < lin_dot(way, way) / 4)
+            return true;
+    }
+    return false;
+}
+
 static err_t advise_near(const struct run *r, struct look *l, int view,
                          struct confidence_advice *best)
 {
@@ -372,6 +390,8 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
     const float depth = e ? 0 : median_depth(&l->c->maps);
     for (int way = 0; way < CONFIDENCE_WAYS && depth > 0 && !e; way++) {
         struct confidence_advice a = {camera_around(cam, depth, way), view, way, 0};
+        if (is_taken(l->s, cam, &a.cam))
+            continue;
         e = measure_gain(r, l, &a.cam, &a.gain);
         if (!e && a.gain > fmaxf(best->gain, USEFUL))
             *best = a;

@@ -40,7 +40,7 @@ void confidence_plan(struct plan *p, int cap);
 
 /* The confidence of every splat of s, seen by the photographs of v, one of each view of s.
  * out:  s->confidence in r->keep; *advice: of places around up to 4 input views, the one that gains
- *       most while it sees enough that is known to be placed itself.
+ *       most while it sees enough that is known to be placed itself, and none was taken near it.
  * err:  those of raster_run, ERR_NOMEM. */
 MUST_USE err_t confidence_run(const struct run *r, const struct views *v, struct scene *s,
                               struct confidence_advice *advice);
