@@ -170,39 +170,43 @@ static void cubic_weights(float t, float w[4])
     w[3] = -0.5f * s * t * t;
 }
 
-/* Add the photograph at (u, v), whose pixels have their centres at .5. */
-static void add_cubic(const struct image8 *in, const double at[2], float sum[3])
+/* The 16 pixels around a point, whose centres are at .5: where they begin in the picture, and their
+ * weights. */
+struct cubic_taps {
+    size_t at[16];
+    float weight[16];
+};
+
+static struct cubic_taps cubic_taps(const double at[2], int w, int h)
 {
     const double u = at[0] - 0.5, v = at[1] - 0.5;
     const int x = (int)floor(u), y = (int)floor(v);
+    struct cubic_taps t;
     float wx[4], wy[4];
     cubic_weights((float)(u - x), wx);
     cubic_weights((float)(v - y), wy);
-    for (int j = 0; j < 4; j++) {
-        const uint8_t *line = in->px + 3 * (size_t)clamp(y - 1 + j, in->h) * (size_t)in->w;
-        for (int i = 0; i < 4; i++) {
-            const uint8_t *px = line + 3 * clamp(x - 1 + i, in->w);
-            for (int c = 0; c < 3; c++)
-                sum[c] += wy[j] * wx[i] * (float)px[c];
-        }
+    for (int k = 0; k < 16; k++) {
+        t.at[k] =
+            3 * ((size_t)clamp(y - 1 + k / 4, h) * (size_t)w + (size_t)clamp(x - 1 + k % 4, w));
+        t.weight[k] = wy[k / 4] * wx[k % 4];
     }
+    return t;
+}
+
+static void add_cubic(const struct image8 *in, const double at[2], float sum[3])
+{
+    const struct cubic_taps t = cubic_taps(at, in->w, in->h);
+    for (int k = 0; k < 16; k++)
+        for (size_t c = 0; c < 3; c++)
+            sum[c] += t.weight[k] * (float)in->px[t.at[k] + c];
 }
 
 static void add_cubic16(const struct image16 *in, const double at[2], float sum[3])
 {
-    const double u = at[0] - 0.5, v = at[1] - 0.5;
-    const int x = (int)floor(u), y = (int)floor(v);
-    float wx[4], wy[4];
-    cubic_weights((float)(u - x), wx);
-    cubic_weights((float)(v - y), wy);
-    for (int j = 0; j < 4; j++) {
-        const uint16_t *line = in->px + 3 * (size_t)clamp(y - 1 + j, in->h) * (size_t)in->w;
-        for (int i = 0; i < 4; i++) {
-            const uint16_t *px = line + 3 * clamp(x - 1 + i, in->w);
-            for (int c = 0; c < 3; c++)
-                sum[c] += wy[j] * wx[i] * (float)px[c];
-        }
-    }
+    const struct cubic_taps t = cubic_taps(at, in->w, in->h);
+    for (int k = 0; k < 16; k++)
+        for (size_t c = 0; c < 3; c++)
+            sum[c] += t.weight[k] * (float)in->px[t.at[k] + c];
 }
 
 static void add_linear(const struct image *in, const double at[2], float sum[3])
