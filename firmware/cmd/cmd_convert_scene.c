@@ -268,6 +268,7 @@ static err_t reserve_memory(const struct request *rq, struct state *st)
     if (rq->readable) {
         arena_hold(&keep, gaussians_need(info->n, info->degree)); // read back
         arena_hold(&keep, scenefile_views_need(info->n_views));
+        arena_hold(&keep, arena_need((size_t)info->n, sizeof(float))); // confidence
         arena_hold(&tmp, draw_plan(info->n, SIDE_MAX, SIDE_MAX));
         (void)alloc_pictures(&tmp, st); // a counter is never full; compare_scenes allocates again
     }
