@@ -229,13 +229,9 @@ static err_t align_level(struct align *a, const struct views *v, int i, int leve
 static err_t align_view(struct align *a, const struct views *v, int i)
 {
     const struct extent *px = &v->extent[i];
-    const size_t n = extent_pixels(px);
-    const uint8_t *rgb = views_rgb(v, i);
     const int levels = count_levels(px);
     err_t e = OK;
-    for (size_t c = 0; c < 3; c++)
-        for (size_t k = 0; k < n; k++)
-            a->photo[0][c * n + k] = rgb[3 * k + c];
+    pyramid_split(views_rgb(v, i), extent_pixels(px), a->photo[0]);
     for (int k = 1; k < levels; k++)
         pyramid_halve(a->photo[k - 1], px->w >> (k - 1), px->h >> (k - 1), a->photo[k]);
     for (int k = levels - 1; k >= 0 && !e; k--)

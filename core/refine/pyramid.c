@@ -1,6 +1,11 @@
 #include "core/refine/pyramid.h"
 
-#include <stddef.h>
+void pyramid_split(const uint8_t *rgb, size_t n, uint8_t *out)
+{
+    for (size_t c = 0; c < 3; c++)
+        for (size_t i = 0; i < n; i++)
+            out[c * n + i] = rgb[3 * i + c];
+}
 
 void pyramid_halve(const uint8_t *in, int w, int h, uint8_t *out)
 {

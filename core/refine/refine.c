@@ -243,12 +243,7 @@ static err_t planes_chunk(void *ctx, int i, int worker)
         return OK;
     }
     const struct extent *px = &f->v->extent[i];
-    const size_t n = extent_pixels(px);
-    const uint8_t *in = views_rgb(f->v, i);
-    uint8_t *full = photo_planes(f, i, 0);
-    for (size_t c = 0; c < 3; c++)
-        for (size_t at = 0; at < n; at++)
-            full[c * n + at] = in[at * 3 + c];
+    pyramid_split(views_rgb(f->v, i), extent_pixels(px), photo_planes(f, i, 0));
     for (int k = 1; k < f->levels; k++)
         pyramid_halve(photo_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
                       photo_planes(f, i, k));
