@@ -93,8 +93,8 @@ err_t lens_init(struct lens *l)
 
 /* Distorted coordinates of x = X/Z, y = Y/Z, and their derivatives by x and y (j, 2 x 2) and by the
  * terms (d, 2 x 4). */
-static void distort(const struct lens *l, const double x[2], double out[2], double j[4],
-                    double d[2 * LENS_TERMS])
+static void distort_point(const struct lens *l, const double x[2], double out[2], double j[4],
+                          double d[2 * LENS_TERMS])
 {
     const double r2 = x[0] * x[0] + x[1] * x[1];
     double slope, factor = radial_factor(l, r2, &slope), by_r2 = 0, power = 1;
@@ -133,7 +133,7 @@ static bool distort_perspective(const struct lens *l, const double ray[3], doubl
     double j[4];
     if (!(ray[2] > 0) || !(hypot(x[0], x[1]) <= l->limit))
         return false;
-    distort(l, x, out, j, by_term);
+    distort_point(l, x, out, j, by_term);
     for (int i = 0; i < 2; i++) {
         by_ray[3 * i] = j[2 * i] / ray[2];
         by_ray[3 * i + 1] = j[2 * i + 1] / ray[2];
@@ -222,7 +222,7 @@ static bool invert_tangential(const struct lens *l, const double to[2], double x
 {
     double got[2], j[4], d[2 * LENS_TERMS];
     for (int i = 0; i < NEWTON; i++) {
-        distort(l, x, got, j, d);
+        distort_point(l, x, got, j, d);
         const double e[2] = {got[0] - to[0], got[1] - to[1]}, det = j[0] * j[3] - j[1] * j[2];
         if (!(det > 0))
             return false;

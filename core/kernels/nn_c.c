@@ -54,7 +54,7 @@ static void norm(const struct norm *s, const float *x, float *y)
     }
 }
 
-static float activate(enum activation act, float v)
+static float activation_value(enum activation act, float v)
 {
     switch (act) {
     case ACT_RELU:
@@ -76,7 +76,7 @@ static void epilogue(const struct epilogue *e)
             size_t at = (size_t)i * e->ldc + (size_t)j;
             float sum = e->ci ? (float)e->ci[at] : e->cf[at];
             float scale = (e->row_scale ? e->row_scale[i] : 1) * (e->scale ? e->scale[j] : 1);
-            float v = activate(e->act, sum * scale + (e->bias ? e->bias[j] : 0));
+            float v = activation_value(e->act, sum * scale + (e->bias ? e->bias[j] : 0));
             float *out = e->out + (size_t)i * e->ldo + j;
             *out = e->add ? *out + (e->gamma ? e->gamma[j] : 1) * v : v;
         }

@@ -37,7 +37,7 @@ static int level_edge(int grid, int k)
     return k == COARSEST ? (grid + 1) / 2 : grid * level_up(k);
 }
 
-static size_t area(int edge)
+static size_t pixels_of_square(int edge)
 {
     return (size_t)edge * (size_t)edge;
 }
@@ -135,7 +135,7 @@ static void tap_level(const struct trunk *t, const char *what, int k, const int 
 
 static err_t layout_map(float **px, struct arena *tmp, int edge, int channels)
 {
-    return arena_alloc(tmp, area(edge) * (size_t)channels, sizeof **px, px);
+    return arena_alloc(tmp, pixels_of_square(edge) * (size_t)channels, sizeof **px, px);
 }
 
 static err_t layout_project(struct project *p, float **code, struct arena *tmp,

@@ -32,7 +32,7 @@ struct job {
     float **panels; // (workers) scratch of the transform of weights
 };
 
-static struct job plan(const struct layer_conv *c)
+static struct job job_of_layer(const struct layer_conv *c)
 {
     struct job j = {.c = c, .edge = FFT_EDGE + 1 - c->kh, .n = c->w->n};
     j.out_h = conv_size(c->h, c->kh, 1, c->pad);
@@ -111,7 +111,7 @@ static err_t layout(struct job *j, struct arena *tmp, int threads)
 
 void fftconv_plan(struct plan *p, const struct layer_conv *c)
 {
-    struct job j = plan(c);
+    struct job j = job_of_layer(c);
     const size_t mark = arena_mark(&p->tmp);
     if (layout(&j, &p->tmp, p->threads))
         plan_refuse(p);
@@ -266,7 +266,7 @@ static err_t row_chunk(void *ctx, int chunk, int worker)
 
 err_t fftconv_run(const struct run *r, const struct layer_conv *c, const struct layer_out *out)
 {
-    struct job j = plan(c);
+    struct job j = job_of_layer(c);
     size_t mark = arena_mark(r->tmp);
     j.r = r;
     j.out = out;

@@ -36,7 +36,7 @@ struct head {
     struct layer_workspace *rooms;
 };
 
-static size_t area(int edge)
+static size_t pixels_of_square(int edge)
 {
     return (size_t)edge * (size_t)edge;
 }
@@ -97,7 +97,7 @@ static err_t alloc_floats(struct arena *a, size_t n, float **out)
 
 static err_t layout_large(struct head *h, struct arena *tmp)
 {
-    const size_t n = area(h->size) * (size_t)h->d;
+    const size_t n = pixels_of_square(h->size) * (size_t)h->d;
     err_t e = alloc_floats(tmp, n, &h->a);
     return e ? e : alloc_floats(tmp, n, &h->b);
 }
@@ -125,7 +125,8 @@ static err_t convolve_picture(const struct head *h, const struct weight *w)
     struct layer_conv c = conv_of(w, 7, h->size, true);
     c.fetch = appearance_fetch;
     c.ctx = &picture;
-    prep_to_float(h->in->views->rgb + 3 * area(h->size) * (size_t)h->view, h->size, h->planes);
+    prep_to_float(h->in->views->rgb + 3 * pixels_of_square(h->size) * (size_t)h->view, h->size,
+                  h->planes);
     return layer_conv_run(h->r, &c,
                           &(struct layer_out){.out = h->a, .ldo = (size_t)w->n, .act = ACT_RELU});
 }
@@ -139,7 +140,7 @@ static err_t guide_detail(const struct head *h)
     if (e)
         return e;
     tap_view_map(h, "hdr.guide_low", edge, h->d, h->low);
-    for (size_t i = 0; i < area(edge) * (size_t)h->d; i++)
+    for (size_t i = 0; i < pixels_of_square(edge) * (size_t)h->d; i++)
         h->low[i] = -h->low[i];
     struct dpt_blend fine = full_size_blend(h->low, edge, h, false);
     fine.plus = h->a;
@@ -153,7 +154,7 @@ static err_t guide_detail(const struct head *h)
 static err_t convolve_tokens(const struct head *h, const struct weight *w, const float *tokens,
                              float *out)
 {
-    const float *px = tokens + (size_t)h->view * area(h->grid) * (size_t)h->d;
+    const float *px = tokens + (size_t)h->view * pixels_of_square(h->grid) * (size_t)h->d;
     const struct layer_map map = {px, h->grid, h->d, false};
     struct layer_conv c = conv_of(w, 3, h->grid, (h->net->floats & NET_FLOAT_HEADS) != 0);
     c.fetch = layer_map_fetch;
@@ -312,8 +313,8 @@ static err_t layout_result(struct prediction *out, struct arena *keep)
 /* hdr: there is an appearance branch. */
 static err_t layout(struct head *h, struct arena *tmp, bool hdr)
 {
-    size_t px = area(h->size), d = (size_t)h->d, cells = area(h->grid);
-    err_t e = alloc_floats(tmp, area(dpt_edge(h->grid)) * d, &h->trunk);
+    size_t px = pixels_of_square(h->size), d = (size_t)h->d, cells = pixels_of_square(h->grid);
+    err_t e = alloc_floats(tmp, pixels_of_square(dpt_edge(h->grid)) * d, &h->trunk);
     if (!e)
         e = alloc_floats(tmp, (size_t)h->size * d / 2, &h->code);
     if (!e)
@@ -322,7 +323,7 @@ static err_t layout(struct head *h, struct arena *tmp, bool hdr)
         return e;
     e = alloc_floats(tmp, cells * d, &h->scene);
     if (!e)
-        e = alloc_floats(tmp, area(low_edge(h->grid)) * d, &h->low);
+        e = alloc_floats(tmp, pixels_of_square(low_edge(h->grid)) * d, &h->low);
     if (!e)
         e = alloc_floats(tmp, cells * (size_t)h->net->appearance.sensitivity.a.n, &h->hidden);
     if (!e)

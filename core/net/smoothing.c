@@ -70,7 +70,7 @@ static bool is_alive(float x)
 
 /* s = sqrt(a / w), 1 where a side is not alive; relative to the middle one within 2^10, so that no
  * channel is lost in the other direction. */
-static void balance(const float *a, const float *w, int c, float *s)
+static void balance_channels(const float *a, const float *w, int c, float *s)
 {
     double mean = 0;
     int n = 0;
@@ -116,7 +116,7 @@ void smoothing_norm(const struct smoothing_source *norm, const struct smoothing_
     norm_range(norm, range);
     for (int i = 0; i < n; i++)
         columns_max(reader[i].w, reader[i].rows, c, top);
-    balance(range, top, c, s);
+    balance_channels(range, top, c, s);
 }
 
 void smoothing_value(const struct smoothing_source *norm, const float *w, const float *b,
@@ -127,7 +127,7 @@ void smoothing_value(const struct smoothing_source *norm, const float *w, const 
     memset(top, 0, (size_t)c * sizeof *top);
     value_range(norm, w, b, range);
     columns_max(proj, (size_t)c, c, top);
-    balance(range, top, c, s);
+    balance_channels(range, top, c, s);
 }
 
 /* ---- use ---- */

@@ -156,22 +156,22 @@ struct shape {
     int rank, n[4];
 };
 
-static struct shape shape1(int a)
+static struct shape shape_1d(int a)
 {
     return (struct shape){1, {a, 1, 1, 1}};
 }
 
-static struct shape shape2(int a, int b)
+static struct shape shape_2d(int a, int b)
 {
     return (struct shape){2, {a, b, 1, 1}};
 }
 
-static struct shape shape3(int a, int b, int c)
+static struct shape shape_3d(int a, int b, int c)
 {
     return (struct shape){3, {a, b, c, 1}};
 }
 
-static struct shape shape4(int n, int c, int edge)
+static struct shape shape_4d(int n, int c, int edge)
 {
     return (struct shape){4, {n, c, edge, edge}};
 }
@@ -273,7 +273,7 @@ emit_pair(struct walk *w, struct shape s, int bias, const char *fmt, ...)
     vsnprintf(name, sizeof name, fmt, args);
     va_end(args);
     emit_tensor(w, s, "%.80s.weight", name);
-    emit_tensor(w, shape1(bias), "%.80s.bias", name);
+    emit_tensor(w, shape_1d(bias), "%.80s.bias", name);
 }
 
 /* One transformer block of width c; qk: width of the norms of q and k, 0 = none. */
@@ -281,18 +281,18 @@ static void emit_block(struct walk *w, const char *stem, int i, int c, int qk)
 {
     char name[NET_NAME_CAP];
     snprintf(name, sizeof name, "%.60s.%d", stem, i);
-    emit_pair(w, shape1(c), c, "%.70s.norm1", name);
-    emit_pair(w, shape2(3 * c, c), 3 * c, "%.70s.attn.qkv", name);
+    emit_pair(w, shape_1d(c), c, "%.70s.norm1", name);
+    emit_pair(w, shape_2d(3 * c, c), 3 * c, "%.70s.attn.qkv", name);
     if (qk > 0) {
-        emit_pair(w, shape1(qk), qk, "%.70s.attn.q_norm", name);
-        emit_pair(w, shape1(qk), qk, "%.70s.attn.k_norm", name);
+        emit_pair(w, shape_1d(qk), qk, "%.70s.attn.q_norm", name);
+        emit_pair(w, shape_1d(qk), qk, "%.70s.attn.k_norm", name);
     }
-    emit_pair(w, shape2(c, c), c, "%.70s.attn.proj", name);
-    emit_tensor(w, shape1(c), "%.70s.ls1.gamma", name);
-    emit_pair(w, shape1(c), c, "%.70s.norm2", name);
-    emit_pair(w, shape2(MLP * c, c), MLP * c, "%.70s.mlp.fc1", name);
-    emit_pair(w, shape2(c, MLP * c), c, "%.70s.mlp.fc2", name);
-    emit_tensor(w, shape1(c), "%.70s.ls2.gamma", name);
+    emit_pair(w, shape_2d(c, c), c, "%.70s.attn.proj", name);
+    emit_tensor(w, shape_1d(c), "%.70s.ls1.gamma", name);
+    emit_pair(w, shape_1d(c), c, "%.70s.norm2", name);
+    emit_pair(w, shape_2d(MLP * c, c), MLP * c, "%.70s.mlp.fc1", name);
+    emit_pair(w, shape_2d(c, MLP * c), c, "%.70s.mlp.fc2", name);
+    emit_tensor(w, shape_1d(c), "%.70s.ls2.gamma", name);
 }
 
 static void walk_aggregator(struct walk *w)
@@ -301,14 +301,14 @@ static void walk_aggregator(struct walk *w)
     int c = w->d->embed, qk = c / w->d->heads;
     emit_tensor(w, (struct shape){4, {1, 2, 1, c}}, "%s.camera_token", a);
     emit_tensor(w, (struct shape){4, {1, 2, NET_SPECIAL - 1, c}}, "%s.register_token", a);
-    emit_tensor(w, shape3(1, 1, c), "%s.cls_token", dino);
-    emit_tensor(w, shape3(1, 1 + NET_POS_GRID * NET_POS_GRID, c), "%s.pos_embed", dino);
-    emit_tensor(w, shape3(1, NET_SPECIAL - 1, c), "%s.register_tokens", dino);
-    emit_tensor(w, shape2(1, c), "%s.mask_token", dino);
-    emit_pair(w, shape4(c, 3, NET_PATCH), c, "%s.patch_embed.proj", dino);
+    emit_tensor(w, shape_3d(1, 1, c), "%s.cls_token", dino);
+    emit_tensor(w, shape_3d(1, 1 + NET_POS_GRID * NET_POS_GRID, c), "%s.pos_embed", dino);
+    emit_tensor(w, shape_3d(1, NET_SPECIAL - 1, c), "%s.register_tokens", dino);
+    emit_tensor(w, shape_2d(1, c), "%s.mask_token", dino);
+    emit_pair(w, shape_4d(c, 3, NET_PATCH), c, "%s.patch_embed.proj", dino);
     for (int i = 0; i < w->d->dino_depth; i++)
         emit_block(w, "encoder.aggregator.patch_embed.blocks", i, c, 0);
-    emit_pair(w, shape1(c), c, "%s.norm", dino);
+    emit_pair(w, shape_1d(c), c, "%s.norm", dino);
     for (int i = 0; i < w->d->depth; i++)
         emit_block(w, "encoder.aggregator.frame_blocks", i, c, qk);
     for (int i = 0; i < w->d->depth; i++)
@@ -319,45 +319,45 @@ static void walk_camera_head(struct walk *w)
 {
     const char *h = "encoder.camera_head";
     int c = 2 * w->d->embed;
-    emit_tensor(w, shape3(1, 1, NET_POSE), "%s.empty_pose_tokens", h);
+    emit_tensor(w, shape_3d(1, 1, NET_POSE), "%s.empty_pose_tokens", h);
     for (int i = 0; i < w->d->cam_depth; i++)
         emit_block(w, "encoder.camera_head.trunk", i, c, 0);
-    emit_pair(w, shape1(c), c, "%s.token_norm", h);
-    emit_pair(w, shape1(c), c, "%s.trunk_norm", h);
-    emit_pair(w, shape2(c, NET_POSE), c, "%s.embed_pose", h);
-    emit_pair(w, shape2(3 * c, c), 3 * c, "%s.poseLN_modulation.1", h);
-    emit_pair(w, shape2(c / 2, c), c / 2, "%s.pose_branch.fc1", h);
-    emit_pair(w, shape2(NET_POSE, c / 2), NET_POSE, "%s.pose_branch.fc2", h);
+    emit_pair(w, shape_1d(c), c, "%s.token_norm", h);
+    emit_pair(w, shape_1d(c), c, "%s.trunk_norm", h);
+    emit_pair(w, shape_2d(c, NET_POSE), c, "%s.embed_pose", h);
+    emit_pair(w, shape_2d(3 * c, c), 3 * c, "%s.poseLN_modulation.1", h);
+    emit_pair(w, shape_2d(c / 2, c), c / 2, "%s.pose_branch.fc1", h);
+    emit_pair(w, shape_2d(NET_POSE, c / 2), NET_POSE, "%s.pose_branch.fc2", h);
 }
 
 /* Everything of a DPT head up to scratch.output_conv1. */
 static void walk_dpt_trunk(struct walk *w, const char *h, int feat, const int oc[NET_KEEP])
 {
     int c = 2 * w->d->embed;
-    emit_pair(w, shape1(c), c, "%s.norm", h);
+    emit_pair(w, shape_1d(c), c, "%s.norm", h);
     for (int k = 0; k < NET_KEEP; k++)
-        emit_pair(w, shape4(oc[k], c, 1), oc[k], "%s.projects.%d", h, k);
-    emit_pair(w, shape4(oc[0], oc[0], 4), oc[0], "%s.resize_layers.0", h);
-    emit_pair(w, shape4(oc[1], oc[1], 2), oc[1], "%s.resize_layers.1", h);
-    emit_pair(w, shape4(oc[3], oc[3], 3), oc[3], "%s.resize_layers.3", h);
+        emit_pair(w, shape_4d(oc[k], c, 1), oc[k], "%s.projects.%d", h, k);
+    emit_pair(w, shape_4d(oc[0], oc[0], 4), oc[0], "%s.resize_layers.0", h);
+    emit_pair(w, shape_4d(oc[1], oc[1], 2), oc[1], "%s.resize_layers.1", h);
+    emit_pair(w, shape_4d(oc[3], oc[3], 3), oc[3], "%s.resize_layers.3", h);
     for (int k = 0; k < NET_KEEP; k++)
-        emit_tensor(w, shape4(feat, oc[k], 3), "%s.scratch.layer%d_rn.weight", h, k + 1);
+        emit_tensor(w, shape_4d(feat, oc[k], 3), "%s.scratch.layer%d_rn.weight", h, k + 1);
     for (int k = 1; k <= NET_KEEP; k++) {
-        emit_pair(w, shape4(feat, feat, 1), feat, "%s.scratch.refinenet%d.out_conv", h, k);
+        emit_pair(w, shape_4d(feat, feat, 1), feat, "%s.scratch.refinenet%d.out_conv", h, k);
         for (int unit = k == NET_KEEP ? 2 : 1; unit <= 2; unit++)
             for (int conv = 1; conv <= 2; conv++)
-                emit_pair(w, shape4(feat, feat, 3), feat,
+                emit_pair(w, shape_4d(feat, feat, 3), feat,
                           "%s.scratch.refinenet%d.resConfUnit%d.conv%d", h, k, unit, conv);
     }
-    emit_pair(w, shape4(feat / 2, feat, 3), feat / 2, "%s.scratch.output_conv1", h);
+    emit_pair(w, shape_4d(feat / 2, feat, 3), feat / 2, "%s.scratch.output_conv1", h);
 }
 
 static void walk_depth_head(struct walk *w)
 {
     const char *h = "encoder.depth_head";
     walk_dpt_trunk(w, h, w->d->depth_feat, w->d->depth_oc);
-    emit_pair(w, shape4(TAIL, w->d->depth_feat / 2, 3), TAIL, "%s.scratch.output_conv2.0", h);
-    emit_pair(w, shape4(2, TAIL, 1), 2, "%s.scratch.output_conv2.2", h);
+    emit_pair(w, shape_4d(TAIL, w->d->depth_feat / 2, 3), TAIL, "%s.scratch.output_conv2.0", h);
+    emit_pair(w, shape_4d(2, TAIL, 1), 2, "%s.scratch.output_conv2.2", h);
 }
 
 static void walk_gauss_head(struct walk *w)
@@ -365,47 +365,47 @@ static void walk_gauss_head(struct walk *w)
     const char *h = "encoder.gaussian_param_head";
     int c = w->d->hdr;
     walk_dpt_trunk(w, h, w->d->gs_feat, w->d->gs_oc);
-    emit_pair(w, shape4(c, c, 3), c, "%s.scratch.output_conv2.0", h);
-    emit_pair(w, shape4(NET_RAW, c, 1), NET_RAW, "%s.scratch.output_conv2.2", h);
-    emit_pair(w, shape4(c, 3, 7), c, "%s.input_merger.0", h);
+    emit_pair(w, shape_4d(c, c, 3), c, "%s.scratch.output_conv2.0", h);
+    emit_pair(w, shape_4d(NET_RAW, c, 1), NET_RAW, "%s.scratch.output_conv2.2", h);
+    emit_pair(w, shape_4d(c, 3, 7), c, "%s.input_merger.0", h);
 }
 
 static void walk_hdr_head(struct walk *w)
 {
     const char *h = "encoder.hdr_head", *r = "encoder.hdr_head.regression";
     int c = w->d->hdr;
-    emit_pair(w, shape4(c, 3, NET_PATCH), c, "%s.patch_embed", h);
-    emit_tensor(w, shape1(c / 2), "%s.pos_embed.div_term", h);
-    emit_pair(w, shape1(c), c, "%s.ln", r);
-    emit_pair(w, shape2(c, c), c, "%s.v_mean_proj", r);
-    emit_pair(w, shape2(c, c), c, "%s.v_var_proj", r);
+    emit_pair(w, shape_4d(c, 3, NET_PATCH), c, "%s.patch_embed", h);
+    emit_tensor(w, shape_1d(c / 2), "%s.pos_embed.div_term", h);
+    emit_pair(w, shape_1d(c), c, "%s.ln", r);
+    emit_pair(w, shape_2d(c, c), c, "%s.v_mean_proj", r);
+    emit_pair(w, shape_2d(c, c), c, "%s.v_var_proj", r);
     for (int i = 0; i < 2; i++) {
         const char *out = i == 0 ? "mean_out" : "var_out";
-        emit_pair(w, shape1(c), c, "%s.%s.0", r, out);
-        emit_pair(w, shape2(c, c), c, "%s.%s.1", r, out);
-        emit_pair(w, shape2(c, c), c, "%s.%s.3", r, out);
+        emit_pair(w, shape_1d(c), c, "%s.%s.0", r, out);
+        emit_pair(w, shape_2d(c, c), c, "%s.%s.1", r, out);
+        emit_pair(w, shape_2d(c, c), c, "%s.%s.3", r, out);
     }
-    emit_pair(w, shape2(c, 3 * c), c, "%s.exp_film.0", r);
-    emit_pair(w, shape2(2 * c, c), 2 * c, "%s.exp_film.2", r);
-    emit_pair(w, shape4(c, 3, 7), c, "%s.guide_encoder.0", h);
-    emit_pair(w, shape4(c, c, 3), c, "%s.scene_conv.0", h);
-    emit_pair(w, shape4(TAIL, c, 3), TAIL, "%s.sensitivity_conv.0", h);
-    emit_pair(w, shape4(NET_SENSITIVITY, TAIL, 1), NET_SENSITIVITY, "%s.sensitivity_conv.2", h);
-    emit_pair(w, shape4(c, c, 7), c, "%s.hdr_upsample.proj_guide.0", h);
-    emit_pair(w, shape4(c, c, 7), c, "%s.hdr_upsample.proj_out.0", h);
+    emit_pair(w, shape_2d(c, 3 * c), c, "%s.exp_film.0", r);
+    emit_pair(w, shape_2d(2 * c, c), 2 * c, "%s.exp_film.2", r);
+    emit_pair(w, shape_4d(c, 3, 7), c, "%s.guide_encoder.0", h);
+    emit_pair(w, shape_4d(c, c, 3), c, "%s.scene_conv.0", h);
+    emit_pair(w, shape_4d(TAIL, c, 3), TAIL, "%s.sensitivity_conv.0", h);
+    emit_pair(w, shape_4d(NET_SENSITIVITY, TAIL, 1), NET_SENSITIVITY, "%s.sensitivity_conv.2", h);
+    emit_pair(w, shape_4d(c, c, 7), c, "%s.hdr_upsample.proj_guide.0", h);
+    emit_pair(w, shape_4d(c, c, 7), c, "%s.hdr_upsample.proj_out.0", h);
 }
 
 static void walk_tone_mapper(struct walk *w)
 {
     const char *h = "encoder.generate_tonemapper";
     int c = w->d->hdr;
-    emit_pair(w, shape4(c, c, 3), c, "encoder.hdr_conv.0");
-    emit_pair(w, shape4(NET_RAW, c, 1), NET_RAW, "encoder.hdr_conv.2");
-    emit_pair(w, shape2(c, c), c, "%s.exp_proj", h);
-    emit_pair(w, shape4(c, 2 * c + NET_RAW + NET_SENSITIVITY, NET_PATCH), c, "%s.enc.0", h);
-    emit_pair(w, shape4(c, c, 3), c, "%s.enc.2", h);
-    emit_pair(w, shape2(c, 4 * c), c, "%s.out.0", h);
-    emit_pair(w, shape2(NET_THETA, c), NET_THETA, "%s.out.2", h);
+    emit_pair(w, shape_4d(c, c, 3), c, "encoder.hdr_conv.0");
+    emit_pair(w, shape_4d(NET_RAW, c, 1), NET_RAW, "encoder.hdr_conv.2");
+    emit_pair(w, shape_2d(c, c), c, "%s.exp_proj", h);
+    emit_pair(w, shape_4d(c, 2 * c + NET_RAW + NET_SENSITIVITY, NET_PATCH), c, "%s.enc.0", h);
+    emit_pair(w, shape_4d(c, c, 3), c, "%s.enc.2", h);
+    emit_pair(w, shape_2d(c, 4 * c), c, "%s.out.0", h);
+    emit_pair(w, shape_2d(NET_THETA, c), NET_THETA, "%s.out.2", h);
 }
 
 err_t table_walk(const struct net_dims *d, tensor_fn *fn, void *ctx)

@@ -13,7 +13,7 @@ enum {
 static const double FAR = DISTORT_ANGLE * NUM_PI / 180;
 
 /* x / z, y / z of a pixel; false: none, or beyond FAR. */
-static bool look(const struct lens *l, double u, double v, double at[2])
+static bool pinhole_position(const struct lens *l, double u, double v, double at[2])
 {
     const double px[2] = {u, v};
     double ray[3];
@@ -32,7 +32,7 @@ err_t distort_camera(const struct lens *l, int w, int h, int side_max, struct ca
         const double u = (double)(i % GRID) / (GRID - 1) * w;
         const double v = (double)(i / GRID) / (GRID - 1) * h;
         double at[2];
-        if (!look(l, u, v, at)) { // towards this side all that a pinhole can show
+        if (!pinhole_position(l, u, v, at)) { // towards this side all that a pinhole can show
             const double most = tan(FAR);
             at[0] = u < l->cx ? -most : most;
             at[1] = v < l->cy ? -most : most;
@@ -87,15 +87,15 @@ static int samples_of(const struct distort_job *j)
     return num_max(1, num_min((int)ceil(fmax(across, down) - 0.1), SAMPLES));
 }
 
-static void resample(const struct distort_job *j, int x, int y, int samples)
+static void resample_pixel(const struct distort_job *j, int x, int y, int samples)
 {
     const size_t plane = (size_t)j->w * (size_t)j->h;
     float *to = j->out + (size_t)y * (size_t)j->w + (size_t)x;
     float sum[4] = {0};
     for (int i = 0; i < samples * samples; i++) {
         double at[2];
-        if (!look(j->lens, x + (i % samples + 0.5) / samples, y + (i / samples + 0.5) / samples,
-                  at))
+        if (!pinhole_position(j->lens, x + (i % samples + 0.5) / samples,
+                              y + (i / samples + 0.5) / samples, at))
             continue;
         at[0] = at[0] * (double)j->pinhole->fx + (double)j->pinhole->cx;
         at[1] = at[1] * (double)j->pinhole->fy + (double)j->pinhole->cy;
@@ -112,7 +112,7 @@ static err_t resample_rows(void *ctx, int chunk, int worker)
     (void)worker;
     for (int y = chunk * ROWS; y < num_min(j->h, (chunk + 1) * ROWS); y++)
         for (int x = 0; x < j->w; x++)
-            resample(j, x, y, samples);
+            resample_pixel(j, x, y, samples);
     return OK;
 }
 

@@ -12,7 +12,7 @@ enum { PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1 }; // 0.5 %: fewer prove not
 #define BENT 0.2 // stops per stop
 
 /* An uncalibrated response bends ratios with the brightness. */
-static double bend(double tolerance, double ratio)
+static double tolerance_of_ratio(double tolerance, double ratio)
 {
     return tolerance < EXPOSURE_ANCHOR_LOOSE ? 0.0 : BENT * fabs(ratio);
 }
@@ -29,7 +29,8 @@ static bool parts_changed(const struct exposure_probe_ratio *r, double tolerance
 /* Whether rows side by side differ. */
 static bool rows_differ(const struct exposure_probe_ratio *r, double tolerance, double slack)
 {
-    double most = fmin(TORN + bend(tolerance, (double)r->log2), 2.0 * tolerance) + slack;
+    double most =
+        fmin(TORN + tolerance_of_ratio(tolerance, (double)r->log2), 2.0 * tolerance) + slack;
     return r->places >= PLACES_MIN && r->band > most;
 }
 
@@ -70,7 +71,7 @@ void exposure_anchor_refute(const struct exposure_anchor *a, const struct exposu
     bool same = fabs(a->recorded - pair->other) <= EXPOSURE_ANCHOR_SAME;
     double at = same ? pair->other : a->stops;
     double r = pair->stops - at, o = pair->other - at;
-    double most = bend(tolerance, o) + a->slack + slack;
+    double most = tolerance_of_ratio(tolerance, o) + a->slack + slack;
     if (fabs(r - o) <= most)
         return;
     exposure_probe_refuted(&a->seen, w, r, o + copysign(most, r - o), &by);

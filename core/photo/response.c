@@ -120,7 +120,7 @@ static void add_prior(double (*a)[BINS], double *b)
 }
 
 /* Cholesky; `a` is positive definite by the prior. */
-static void solve(double (*a)[BINS], double *b)
+static void solve_bins(double (*a)[BINS], double *b)
 {
     for (int j = 0; j < BINS; j++) {
         for (int k = 0; k < j; k++)
@@ -201,7 +201,7 @@ void response_fit(const struct response_pair *pairs, int n, float mid_log2t, str
         memset(a, 0, sizeof a);
         add_pairs(a, b, pairs, n, round ? g : NULL);
         add_prior(a, b);
-        solve(a, b);
+        solve_bins(a, b);
         memcpy(g, b, sizeof g);
     }
     make_rise(g, 0.0);

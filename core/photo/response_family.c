@@ -47,7 +47,7 @@ static double filmic(double x, double param)
 }
 
 /* Rises from 0 with slope 1 and is 1 at `end` > 1. */
-static double bend(double v, double end)
+static double saturating_curve(double v, double end)
 {
     double k = 1.0 - 1.0 / (end * end); // v / sqrt(1 + k v^2) is 1 at v = end
     return v / sqrt(1.0 + k * v * v);
@@ -59,10 +59,11 @@ static double agx(double u, double stops)
     double toe = stops + PIVOT;                           // stops from the pivot to black
     if (u >= PIVOT)
         return PIVOT_DISPLAY +
-               (1.0 - PIVOT_DISPLAY) * bend((u - PIVOT) * slope / (1.0 - PIVOT_DISPLAY), 1.25);
+               (1.0 - PIVOT_DISPLAY) *
+                   saturating_curve((u - PIVOT) * slope / (1.0 - PIVOT_DISPLAY), 1.25);
     double steep = fmax(slope * toe / PIVOT_DISPLAY, 1.01);
     double v = fmin((PIVOT - u) / toe, 1.0) * steep;
-    return PIVOT_DISPLAY * (1.0 - bend(v, steep));
+    return PIVOT_DISPLAY * (1.0 - saturating_curve(v, steep));
 }
 
 double response_family_display(enum response_family f, double param, double u)

@@ -43,7 +43,7 @@ float shade_r2(const struct shade *s, float x, float y)
            down * ((1 - right) * b[0] + right * b[1]);
 }
 
-static float vignette(const struct shade_model *m, float r2)
+static float vignette_at(const struct shade_model *m, float r2)
 {
     float sum = 0;
     for (int k = SHADE_TERMS - 1; k >= 0; k--)
@@ -53,7 +53,7 @@ static float vignette(const struct shade_model *m, float r2)
 
 void shade_stops(const struct shade_model *m, float r2, float out[3])
 {
-    const float all = vignette(m, r2);
+    const float all = vignette_at(m, r2);
     for (int c = 0; c < 3; c++)
         out[c] = all + (float)m->gain[c];
 }
@@ -73,7 +73,7 @@ static err_t apply_rows(void *ctx, int chunk, int worker)
         for (int x = 0; x < j->w; x++) {
             const float r2 =
                 shade_r2(j->s, ((float)x + 0.5f) / (float)j->w, ((float)y + 0.5f) / (float)j->h);
-            const float all = exp2f(vignette(&j->s->model, r2));
+            const float all = exp2f(vignette_at(&j->s->model, r2));
             float *at = j->radiance + (size_t)y * (size_t)j->w + (size_t)x;
             for (size_t c = 0; c < 3; c++)
                 at[c * plane] *= all * j->gain[c];

@@ -234,7 +234,7 @@ static int samples_along(const double j[4], int k, double *spread)
 }
 
 /* Mean over the footprint of pixel (x, y); no source, which rounding can cause at the border: 0. */
-static void average(const struct job *job, int x, int y, float mean[3])
+static void average_footprint(const struct job *job, int x, int y, float mean[3])
 {
     const struct camera *p = job->pinhole;
     const double f[2] = {(double)p->fx, (double)p->fy};
@@ -269,7 +269,7 @@ static err_t resample_rows(void *ctx, int chunk, int worker)
         for (int x = 0; x < w; x++) {
             const size_t i = (size_t)y * (size_t)w + (size_t)x, plane = (size_t)w * (size_t)h;
             float mean[3];
-            average(j, x, y, mean);
+            average_footprint(j, x, y, mean);
             for (size_t c = 0; c < 3 && j->out8; c++)
                 j->out8[3 * i + c] = (uint8_t)(fminf(fmaxf(mean[c], 0), 255) + 0.5f);
             for (size_t c = 0; c < 3 && j->out16; c++)

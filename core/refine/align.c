@@ -153,8 +153,8 @@ static err_t rows_chunk(void *ctx, int chunk, int worker)
 }
 
 /* Draw view i from cam and compare it with its photograph, which has the same size. */
-static err_t compare(struct align *a, const struct views *v, int i, const struct camera *cam,
-                     struct normal *out)
+static err_t compare_view(struct align *a, const struct views *v, int i, const struct camera *cam,
+                          struct normal *out)
 {
     const float *b = a->s->background, shift = v->log2t[i] - a->s->tone.mid_log2t;
     const struct raster_input in = {&a->s->g, cam, {b[0], b[1], b[2]}};
@@ -182,7 +182,7 @@ static err_t compare(struct align *a, const struct views *v, int i, const struct
 /* ---- steps ---- */
 
 /* False if the equations do not determine the twist. */
-static bool solve(const struct normal *n, double damping, float twist[TWIST])
+static bool solve_twist(const struct normal *n, double damping, float twist[TWIST])
 {
     double h[TWIST * TWIST], x[TWIST];
     memcpy(h, n->h, sizeof h);
@@ -206,11 +206,11 @@ static err_t align_level(struct align *a, const struct views *v, int i, int leve
     float twist[TWIST];
     double damping = 1e-3;
     a->target = a->photo[level];
-    err_t e = compare(a, v, i, &cam, &now);
-    for (int step = 0; step < STEPS && !e && solve(&now, damping, twist); step++) {
+    err_t e = compare_view(a, v, i, &cam, &now);
+    for (int step = 0; step < STEPS && !e && solve_twist(&now, damping, twist); step++) {
         struct camera moved = cam;
         pose_move(&moved, twist);
-        e = compare(a, v, i, &moved, &next);
+        e = compare_view(a, v, i, &moved, &next);
         const bool better = !e && next.cost < now.cost;
         const bool settled = fabs(now.cost - next.cost) <= SETTLED * now.cost;
         damping *= better ? 0.1 : 10;

@@ -79,8 +79,8 @@ static struct camera small_camera(const struct camera *cam)
 }
 
 /* Draw `g` from cam into the maps. */
-static err_t draw(const struct run *r, struct look *l, const struct gaussians *g,
-                  const struct camera *cam)
+static err_t draw_view(const struct run *r, struct look *l, const struct gaussians *g,
+                       const struct camera *cam)
 {
     const struct raster_input in = {g, cam, {0, 0, 0}};
     double centre[3];
@@ -99,7 +99,7 @@ static void splat_at(const struct scene *s, int i, float x[3])
 }
 
 /* Whether the camera of the maps sees splat i, and at which pixel. */
-static bool sees(const struct look *l, int i, size_t *pixel)
+static bool splat_visible(const struct look *l, int i, size_t *pixel)
 {
     const struct camera *cam = &l->cam;
     const struct render *maps = &l->c->maps;
@@ -175,7 +175,7 @@ static float photo_mean(const struct views *v, int view, const int xyc[3],
 }
 
 /* The maps show view i; their radiance becomes display values. */
-static void compare(const struct look *l, const struct views *v, int i)
+static void compare_photo(const struct look *l, const struct views *v, int i)
 {
     struct confidence *c = l->c;
     struct render *maps = &c->maps;
@@ -209,7 +209,7 @@ static float mean_around(const float *map, int w, int h, int at)
     return sum / (float)((x1 - x0 + 1) * (y1 - y0 + 1));
 }
 
-static void weigh(struct confidence *c)
+static void weigh_agreement(struct confidence *c)
 {
     for (int at = 0; at < c->maps.w * c->maps.h; at++) {
         const float e = mean_around(c->error, c->maps.w, c->maps.h, at) / AGREES;
@@ -233,7 +233,7 @@ static err_t count_chunk(void *ctx, int chunk, int worker)
     for (int i = chunk * BLOCK; i < end; i++) {
         size_t at;
         float ray[3];
-        if (!sees(l, i, &at))
+        if (!splat_visible(l, i, &at))
             continue;
         ray_to(l, i, ray);
         c->seen[i] += c->weight[at];
@@ -255,7 +255,8 @@ static err_t gain_chunk(void *ctx, int chunk, int worker)
     (void)worker;
     for (int i = chunk * BLOCK; i < end; i++) {
         size_t at;
-        l->c->colour[i] = drawn_as(sees(l, i, &at) ? value_with(l, i, 1) - value_with(l, i, 0) : 0);
+        l->c->colour[i] =
+            drawn_as(splat_visible(l, i, &at) ? value_with(l, i, 1) - value_with(l, i, 0) : 0);
     }
     return OK;
 }
@@ -285,11 +286,11 @@ static err_t count_photographs(const struct run *r, struct look *l, const struct
         memset(planes[k], 0, (size_t)l->s->g.n * sizeof(float));
     for (int i = 0; i < l->s->n_views && !e; i++) {
         const struct camera cam = small_camera(&l->s->cams[i]);
-        e = draw(r, l, &l->s->g, &cam);
+        e = draw_view(r, l, &l->s->g, &cam);
         if (e)
             break;
-        compare(l, v, i);
-        weigh(c);
+        compare_photo(l, v, i);
+        weigh_agreement(c);
         e = pool_for(r->pool, count_blocks(l->s), count_chunk, l);
     }
     return e;
@@ -354,12 +355,12 @@ static err_t measure_gain(const struct run *r, struct look *l, const struct came
     struct gaussians g;
     *gain = 0;
     confidence_splats(l->s, l->c->colour, &g);
-    err_t e = draw(r, l, &g, &small);
+    err_t e = draw_view(r, l, &g, &small);
     if (e || map_mean(&l->c->maps) < KNOWN)
         return e;
     e = pool_for(r->pool, count_blocks(l->s), gain_chunk, l);
     if (!e)
-        e = draw(r, l, &g, &small);
+        e = draw_view(r, l, &g, &small);
     *gain = e ? 0 : map_mean(&l->c->maps);
     return e;
 }
@@ -386,7 +387,7 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
                          struct confidence_advice *best)
 {
     const struct camera *cam = &l->s->cams[view], small = small_camera(cam);
-    err_t e = draw(r, l, &l->s->g, &small);
+    err_t e = draw_view(r, l, &l->s->g, &small);
     const float depth = e ? 0 : median_depth(&l->c->maps);
     for (int way = 0; way < CONFIDENCE_WAYS && depth > 0 && !e; way++) {
         struct confidence_advice a = {camera_around(cam, depth, way), view, way, 0};
@@ -399,7 +400,7 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
     return e;
 }
 
-static err_t advise(const struct run *r, struct look *l, struct confidence_advice *out)
+static err_t suggest_photograph(const struct run *r, struct look *l, struct confidence_advice *out)
 {
     const int views = l->s->n_views, n = num_min(views, ADVISERS);
     err_t e = OK;
@@ -423,7 +424,7 @@ err_t confidence_run(const struct run *r, const struct views *v, struct scene *s
     for (int i = 0; i < s->g.n && !e; i++)
         s->confidence[i] = value_with(&l, i, 0);
     if (!e)
-        e = advise(r, &l, advice);
+        e = suggest_photograph(r, &l, advice);
     arena_reset(r->tmp, mark);
     return e;
 }

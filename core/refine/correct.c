@@ -157,7 +157,7 @@ struct sharpen {
 };
 
 /* The input of softplus whose output is `factor` times as large, `most` at most. */
-static float stretched(float x, float factor, double most)
+static float scale_softplus(float x, float factor, double most)
 {
     double y = (x > 20 ? (double)x : log1p(exp((double)x))) * (double)factor;
     y = fmin(y, most);
@@ -170,7 +170,7 @@ static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
     float *scales = s->p->features + VOXEL_SCALE * n + i, *mine = &s->p->geom.depth[i];
     const float pixel = depth / s->p->geom.cams[view].fx / VOXEL_SCALE_UNIT;
     for (size_t k = 0; k < 3; k++)
-        scales[k * n] = stretched(scales[k * n], depth / *mine, (double)(WIDEST * pixel));
+        scales[k * n] = scale_softplus(scales[k * n], depth / *mine, (double)(WIDEST * pixel));
     *mine = depth;
 }
 
@@ -181,14 +181,14 @@ static size_t map_place(const struct sharpen *s, int view, int i)
     return visibility_index(&s->sight, view, (float)(i % w), (float)(i / w));
 }
 
-static const uint8_t *photograph(const struct sharpen *s, int view, int x, int y)
+static const uint8_t *photo_pixel(const struct sharpen *s, int view, int x, int y)
 {
     const struct views *v = s->known->seen.views;
     return views_rgb(v, view) + 3 * ((size_t)y * (size_t)v->extent[view].w + (size_t)x);
 }
 
 /* How much a pixel says about radiance, 0..1. */
-static float worth(const struct sharpen *s, const uint8_t *rgb)
+static float pixel_weight(const struct sharpen *s, const uint8_t *rgb)
 {
     const struct response_table *t = &s->table;
     return (t->weight[0][rgb[0]] + t->weight[1][rgb[1]] + t->weight[2][rgb[2]]) / 3;
@@ -214,7 +214,8 @@ struct pixel {
 };
 
 /* Whether the two cannot show one thing. */
-static bool differ(const struct sharpen *s, const struct pixel *p, int view, const uint8_t *rgb)
+static bool pixels_differ(const struct sharpen *s, const struct pixel *p, int view,
+                          const uint8_t *rgb)
 {
     for (int c = 0; c < 3; c++) {
         float a[2], b[2];
@@ -235,27 +236,27 @@ static enum verdict ask_view(const struct sharpen *s, const struct pixel *p, int
     struct projected there;
     if (!visibility_project(&s->sight, j, p->point, &there))
         return SILENT;
-    const uint8_t *rgb = photograph(s, j, (int)there.u, (int)there.v);
-    const bool knows = worth(s, rgb) > TIMES * p->worth;
+    const uint8_t *rgb = photo_pixel(s, j, (int)there.u, (int)there.v);
+    const bool knows = pixel_weight(s, rgb) > TIMES * p->worth;
     if (p->sure)
         return knows && visibility_on_surface(&s->sight, &there) ? BETTER : SILENT;
     if (knows || visibility_in_front(&s->sight, &there))
         return BETTER;
     if (visibility_behind(&s->sight, &there))
         return SILENT;
-    return differ(s, p, j, rgb) ? DIFFERS : AGREES;
+    return pixels_differ(s, p, j, rgb) ? DIFFERS : AGREES;
 }
 
 /* Whether others know pixel i better, or more of them show something else there than the same. */
-static bool refuted(const struct sharpen *s, int view, int i)
+static bool pixel_refuted(const struct sharpen *s, int view, int i)
 {
     const int w = s->p->geom.size;
     const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
-    const uint8_t *rgb = photograph(s, view, i % w, i / w);
+    const uint8_t *rgb = photo_pixel(s, view, i % w, i / w);
     const struct pixel p = {view,
                             visibility_confident(&s->sight, map_place(s, view, i)),
                             rgb,
-                            worth(s, rgb),
+                            pixel_weight(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
     int against = 0;
     for (int j = 0; j < s->p->geom.n_views; j++) {
@@ -281,7 +282,7 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
 {
     const struct views *net = s->known->views, *seen = s->known->seen.views;
     const size_t n = (size_t)s->p->n, w = (size_t)net->size;
-    const uint8_t *rgb = photograph(s, view, i % net->size, i / net->size);
+    const uint8_t *rgb = photo_pixel(s, view, i % net->size, i / net->size);
     const float at_net = net->log2t[view] - net->mid_log2t;
     const float at_seen = seen->log2t[view] - seen->mid_log2t;
     for (size_t c = 0; c < 3; c++) {
@@ -319,7 +320,7 @@ static err_t sharpen_view(void *ctx, int view, int worker)
         const size_t k = first + (size_t)i;
         move_pixel(s, view, k, s->depth[k] / s->scale);
         place_pixel(s, view, i, k);
-        if (refuted(s, view, i))
+        if (pixel_refuted(s, view, i))
             s->p->confidence[k] = NAN; // voxel_merge leaves it out
         if (!s->p->linear)
             colour_pixel(s, view, i);
@@ -328,7 +329,7 @@ static err_t sharpen_view(void *ctx, int view, int worker)
 }
 
 /* Beyond what both curves show (response_radiance_log) radiance is not guessed. */
-static void tabulate(struct sharpen *s)
+static void tabulate_weights(struct sharpen *s)
 {
     const struct tonemap *to = s->known->tone;
     response_tabulate(s->known->seen.tone, &s->table);
@@ -366,7 +367,7 @@ err_t correct_run(const struct run *r, const struct correct_known *known, float 
     err_t e = layout(&s, r->tmp, p->geom.n_views, p->geom.size);
     if (!e) {
         visibility_set(&s.sight, known->seen.depth, known->seen.views->cams);
-        tabulate(&s);
+        tabulate_weights(&s);
         for (int k = 0; k < p->n; k++)
             s.depth[k] = p->geom.depth[k] * scale;
         e = consensus_run(r, &s.sight, s.depth);

@@ -201,7 +201,7 @@ static void add_row(const struct observation *s, int view, int c, int index[OWN]
     }
 }
 
-static double residual(const struct fit *f, const struct observation *s, int c)
+static double log_residual(const struct fit *f, const struct observation *s, int c)
 {
     int index[OWN];
     double factor[OWN], e = (double)s->d[c];
@@ -239,7 +239,7 @@ static void accumulate_normal(struct fit *f, bool held, double scale)
         double row[2 * OWN];
         if (s->w[i % 3] <= 0 || (s->held && !held))
             continue;
-        const double off = residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
+        const double off = log_residual(f, s, i % 3) / scale, near = 1 / (1 + off * off);
         const double wd[2] = {(double)s->w[i % 3] * near * near, (double)s->d[i % 3]};
         add_row(s, 0, i % 3, index, row);
         add_row(s, 1, i % 3, index + OWN, row + OWN);
@@ -252,7 +252,7 @@ static void accumulate_normal(struct fit *f, bool held, double scale)
 }
 
 /* Their solution in the active terms; the others are 0. */
-static void solve(struct fit *f)
+static void solve_step(struct fit *f)
 {
     int of[PARAMS], m = 0;
     double x[PARAMS];
@@ -278,28 +278,28 @@ static void solve(struct fit *f)
 }
 
 /* Median of the absolute errors, as a standard deviation. */
-static double spread(struct fit *f)
+static double residual_spread(struct fit *f)
 {
     size_t n = 0;
     for (int i = 0; i < 3 * f->n; i++)
         if (f->seen[i / 3].w[i % 3] > SMOOTH)
-            f->error[n++] = (float)fabs(residual(f, &f->seen[i / 3], i % 3));
+            f->error[n++] = (float)fabs(log_residual(f, &f->seen[i / 3], i % 3));
     return fmax(MAD * (double)num_median(f->error, n), 1e-3);
 }
 
-static void fit(struct fit *f, bool held)
+static void fit_terms(struct fit *f, bool held)
 {
     for (int k = 0; k < ROUNDS; k++) {
-        accumulate_normal(f, held, 2 * spread(f));
-        solve(f);
+        accumulate_normal(f, held, 2 * residual_spread(f));
+        solve_step(f);
     }
 }
 
 /* ---- judgement ---- */
 
-static double truncated(const struct fit *f, const struct observation *s, int c)
+static double truncated_loss(const struct fit *f, const struct observation *s, int c)
 {
-    const double e = residual(f, s, c);
+    const double e = log_residual(f, s, c);
     return fmin(e * e, f->gate * f->gate);
 }
 
@@ -317,7 +317,7 @@ static double held_error(const struct fit *f, int camera, int *count)
         const struct observation *s = &f->seen[i / 3];
         if (!s->held || s->w[i % 3] <= 0 || !is_of_camera(s, camera))
             continue;
-        sum += (double)s->w[i % 3] * truncated(f, s, i % 3);
+        sum += (double)s->w[i % 3] * truncated_loss(f, s, i % 3);
         weight += (double)s->w[i % 3];
         ++*count;
     }
@@ -330,7 +330,7 @@ static void add_errors(struct fit *f, int camera, double sign)
     for (int i = 0; i < 3 * f->n; i++) {
         const struct observation *s = &f->seen[i / 3];
         if (s->held && s->w[i % 3] > 0 && is_of_camera(s, camera))
-            f->gain[s->block] += sign * (double)s->w[i % 3] * truncated(f, s, i % 3);
+            f->gain[s->block] += sign * (double)s->w[i % 3] * truncated_loss(f, s, i % 3);
     }
 }
 
@@ -344,10 +344,10 @@ static bool is_needed(struct fit *f, int camera, const bool without[PARAMS], dou
     int count;
     memcpy(with, f->active, sizeof with);
     memset(f->gain, 0, (size_t)blocks * sizeof *f->gain);
-    solve(f);
+    solve_step(f);
     add_errors(f, camera, -1);
     memcpy(f->active, without, sizeof with);
-    solve(f);
+    solve_step(f);
     add_errors(f, camera, 1);
     *error = sqrt(held_error(f, camera, &count));
     for (int i = 0; i < 3 * f->n; i++) {
@@ -386,7 +386,7 @@ static void try_without(struct fit *f, enum shade_fit_kind kind, int camera,
 }
 
 /* From the last term of each ladder to the first. */
-static void eliminate(struct fit *f, struct shade_fit_camera *out)
+static void eliminate_terms(struct fit *f, struct shade_fit_camera *out)
 {
     if (f->in->n_cameras > 1) {
         try_without(f, SHADE_FIT_BALANCE, -1, out);
@@ -412,24 +412,24 @@ static void take_models(const struct fit *f, struct shade_fit_camera *out)
     }
 }
 
-static void choose(struct fit *f, struct shade_fit_camera *out)
+static void choose_terms(struct fit *f, struct shade_fit_camera *out)
 {
     const int cameras = f->in->n_cameras;
     f->params = OWN * cameras;
     for (int k = 0; k < f->params; k++)
         f->active[k] = cameras > 1 || k < SHADE_TERMS;
-    fit(f, false);
-    const double scale = spread(f);
+    fit_terms(f, false);
+    const double scale = residual_spread(f);
     f->gate = 3 * scale;
     accumulate_normal(f, false, 2 * scale);
-    eliminate(f, out);
+    eliminate_terms(f, out);
     memset(f->x, 0, sizeof f->x);
     for (int k = 0; k < cameras; k++)
         out[k].error_before = sqrt(held_error(f, k, &out[k].held));
-    solve(f);
+    solve_step(f);
     for (int k = 0; k < cameras; k++)
         out[k].error = sqrt(held_error(f, k, &out[k].held));
-    fit(f, true);
+    fit_terms(f, true);
     take_models(f, out);
 }
 
@@ -446,7 +446,7 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
         e = collect_observations(r, &f);
     }
     if (!e && f.n >= LEAST)
-        choose(&f, out);
+        choose_terms(&f, out);
     arena_reset(r->tmp, mark);
     return e;
 }

@@ -613,7 +613,8 @@ static bool apply_step(struct normal *m, struct adjust *a)
     return move_lenses(m, a);
 }
 
-static err_t minimise(struct normal *m, struct adjust *a, const struct backup *before, int steps)
+static err_t minimise_cost(struct normal *m, struct adjust *a, const struct backup *before,
+                           int steps)
 {
     double cost, now = 0, ease = 0.1;
     err_t e = total_cost(m, &cost);
@@ -702,7 +703,7 @@ err_t adjust_run(const struct run *r, struct adjust *a, double kernel, int steps
     double *own = a->point;
     err_t e = begin_adjust(r, a, kernel, &m, &before);
     if (!e)
-        e = minimise(&m, a, &before, steps);
+        e = minimise_cost(&m, a, &before, steps);
     if (a->point != own) { // the arena's array is released
         memcpy(own, a->point, points * sizeof *own);
         a->point = own;

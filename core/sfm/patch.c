@@ -33,7 +33,7 @@ static bool is_inside(const struct corner_level *l, float x, float y, float marg
 }
 
 /* To mean 0 and variance 1 under `weight`; returns the deviation. */
-static float standardise(const float *weight, float *x)
+static float standardise_patch(const float *weight, float *x)
 {
     float mean = 0, square = 0;
     for (int k = 0; k < PATCH_AREA; k++)
@@ -108,7 +108,7 @@ bool patch_make(const struct corner_level *l, float u, float v, struct patch *ou
         return false;
     for (int k = 0; k < PATCH_AREA; k++)
         out->weight[k] /= sum;
-    float deviation = standardise(out->weight, out->light);
+    float deviation = standardise_patch(out->weight, out->light);
     if (deviation < CONTRAST_MIN)
         return false;
     make_slopes(out, gradient, deviation);
@@ -129,7 +129,7 @@ static bool compare_patch(const struct patch *p, const struct corner_level *l,
             return false;
         diff[k] = sample_bilinear(l->light, l->w, x, y);
     }
-    if (standardise(p->weight, diff) < CONTRAST_MIN)
+    if (standardise_patch(p->weight, diff) < CONTRAST_MIN)
         return false;
     *square = 0;
     for (int k = 0; k < PATCH_AREA; k++) {

@@ -100,7 +100,7 @@ static void choose_held(struct selfcal *s, struct selfcal_lens *out)
     }
 }
 
-static err_t fit(struct selfcal *s)
+static err_t fit_lenses(struct selfcal *s)
 {
     static const struct {
         double gate, kernel; // of the inliers' gate
@@ -159,7 +159,7 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
 }
 
 /* Set the model of a rung, starting where the present one is. */
-static void climb(struct adjust_lens *l, const struct rung *to)
+static void set_model(struct adjust_lens *l, const struct rung *to)
 {
     if (to->model == LENS_OPENCV_FISHEYE && l->lens.model != LENS_OPENCV_FISHEYE) {
         /* tan^-1 r = r - r^3 / 3 + ... */
@@ -238,7 +238,7 @@ static err_t try_change(struct selfcal *s)
 {
     struct adjust *a = s->a;
     bool any = false, all = true;
-    err_t e = fit(s);
+    err_t e = fit_lenses(s);
     if (!e)
         e = adjust_deviations(s->r, a, s->cfg->scale, s->deviation);
     measure_left_out(s, s->after);
@@ -255,7 +255,7 @@ static err_t try_change(struct selfcal *s)
         return e;
     }
     if (!all)
-        e = fit(s);
+        e = fit_lenses(s);
     measure_left_out(s, s->before);
     keep_state(s);
     return e;
@@ -267,7 +267,7 @@ static err_t try_step(struct selfcal *s, int step, const struct selfcal_lens *ou
     bool any = false;
     for (int i = 0; i < a->n_lenses; i++)
         if (may_climb(a, i, &out[i], step)) {
-            climb(&a->lens[i], &LADDER[step]);
+            set_model(&a->lens[i], &LADDER[step]);
             any = true;
         }
     return any ? try_change(s) : OK;
@@ -283,7 +283,7 @@ static err_t try_centre(struct selfcal *s, const struct selfcal_lens *out)
         if (l->free[ADJUST_CENTRE] || out[i].held < SELFCAL_HELD_LEAST)
             continue;
         if (l->lens.model == LENS_PINHOLE)
-            climb(l, &LADDER[0]);
+            set_model(l, &LADDER[0]);
         l->free[ADJUST_CENTRE] = l->free[ADJUST_CENTRE + 1] = any = true;
     }
     return any ? try_change(s) : OK;
@@ -301,12 +301,12 @@ static void sum_up(struct selfcal *s, struct selfcal_lens *out)
 }
 
 /* The ladder, then a last fit to all observations. */
-static err_t choose(struct selfcal *s, struct selfcal_lens *out)
+static err_t choose_terms(struct selfcal *s, struct selfcal_lens *out)
 {
     struct adjust *a = s->a;
     choose_held(s, out);
     a->held = s->held;
-    err_t e = fit(s);
+    err_t e = fit_lenses(s);
     measure_left_out(s, s->before);
     keep_state(s);
     for (int i = 0; i < a->n_lenses; i++)
@@ -319,7 +319,7 @@ static err_t choose(struct selfcal *s, struct selfcal_lens *out)
     }
     sum_up(s, out);
     a->held = NULL;
-    return e ? e : fit(s);
+    return e ? e : fit_lenses(s);
 }
 
 err_t selfcal_run(const struct run *r, struct adjust *a, const struct selfcal_config *cfg,
@@ -331,7 +331,7 @@ err_t selfcal_run(const struct run *r, struct adjust *a, const struct selfcal_co
     err_t e =
         layout(&s, r->tmp, (int[4]){a->n_views, a->n_lenses, a->n_tracks, a->first[a->n_tracks]});
     if (!e)
-        e = choose(&s, out);
+        e = choose_terms(&s, out);
     a->held = NULL;
     arena_reset(r->tmp, mark);
     return e;

@@ -152,7 +152,7 @@ static int roots_of(const double p[11], double limit, double roots[10])
 
 /* Subtract the projections on the first n rows of q from v, twice for precision.
  * returns: the remaining length. */
-static double orthogonalise(const double q[9][9], int n, double v[9])
+static double orthogonalise_against(const double q[9][9], int n, double v[9])
 {
     double len = 0;
     for (int k = 0; k < 2 * n; k++) {
@@ -179,7 +179,7 @@ static bool null_space(double q[9][9])
             v[e] = 1;
             if (i < 5)
                 memcpy(v, row, sizeof v);
-            double len = orthogonalise((const double(*)[9])q, i, v);
+            double len = orthogonalise_against((const double(*)[9])q, i, v);
             for (int j = 0; j < 9 && len > best; j++)
                 q[i][j] = v[j] / len;
             best = fmax(best, len);

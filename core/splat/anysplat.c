@@ -22,7 +22,7 @@ void anysplat_radiance(struct gaussians *g)
 
 /* log2 of the display value v at knot k. The error of a line between knots is as large everywhere
  * if they are equally far apart in sqrt(1 - v); here from v = 0.001 to 0.999. */
-static double knot(int k)
+static double curve_knot(int k)
 {
     const double first = 0.9995, last = 1.0 / 32;
     double s = first + (last - first) * k / (TONE_HIDDEN - 1);
@@ -37,7 +37,7 @@ void anysplat_curve(float mid_log2t, struct tonemap *out)
         float *p = out->p + c * TONE_PER_COLOUR;
         double before = 0;
         for (int k = 0; k < TONE_HIDDEN; k++) {
-            double x = knot(k), next = knot(k + 1);
+            double x = curve_knot(k), next = curve_knot(k + 1);
             double slope = k + 1 < TONE_HIDDEN
                                ? (num_logit(exp2(next)) - num_logit(exp2(x))) / (next - x)
                                : before; // beyond the last knot: on as before
@@ -46,6 +46,6 @@ void anysplat_curve(float mid_log2t, struct tonemap *out)
             p[2 * TONE_HIDDEN + k] = (float)(slope - before);
             before = slope;
         }
-        p[3 * TONE_HIDDEN] = (float)num_logit(exp2(knot(0)));
+        p[3 * TONE_HIDDEN] = (float)num_logit(exp2(curve_knot(0)));
     }
 }

@@ -221,7 +221,7 @@ static struct pose pose_of(const struct camera *cam)
 }
 
 /* Angle between unit vectors, 0..pi; exact for small ones too. */
-static double arc(const double a[4], const double b[4])
+static double quaternion_angle(const double a[4], const double b[4])
 {
     double minus = 0, plus = 0;
     for (int k = 0; k < 4; k++) {
@@ -235,7 +235,7 @@ static double arc(const double a[4], const double b[4])
 static struct pose pose_between(const struct pose *a, const struct pose *b, double u)
 {
     struct pose out;
-    double angle = arc(a->q, b->q), s = sin(angle);
+    double angle = quaternion_angle(a->q, b->q), s = sin(angle);
     bool turns = s > 1e-9;
     for (int k = 0; k < 4; k++)
         out.q[k] =
@@ -263,7 +263,7 @@ static double picture_step(const struct camera *a, const struct camera *b, doubl
     align_pose(&p, &q);
     for (int k = 0; k < 3; k++)
         square += (p.c[k] - q.c[k]) * (p.c[k] - q.c[k]);
-    return sqrt(square) / far + 2 * arc(p.q, q.q);
+    return sqrt(square) / far + 2 * quaternion_angle(p.q, q.q);
 }
 
 struct way {

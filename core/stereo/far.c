@@ -162,7 +162,7 @@ static bool same_direction(const struct far *s, const int ij[2], const float r[9
     return true;
 }
 
-static void vote(const struct far *s, int i, struct region *regions)
+static void count_agreement(const struct far *s, int i, struct region *regions)
 {
     const struct extent *map = &s->d->extent[i];
     float ra[9], rb[9], r[9];
@@ -209,14 +209,14 @@ static void add_pixel(struct region *r, const struct colour *p)
 }
 
 /* Neighbours of pixel at: left, right, up, down; -1 outside.*/
-static int beside(const struct extent *map, int at, int k)
+static int neighbour_of(const struct extent *map, int at, int k)
 {
     const int x = at % map->w + (k == 1) - (k == 0), y = at / map->w + (k == 3) - (k == 2);
     return x < 0 || y < 0 || x >= map->w || y >= map->h ? -1 : y * map->w + x;
 }
 
 /* The region of smooth pixels around `first`; label -2: smooth, not yet part of one. */
-static void flood(const struct far *s, int i, int first, int32_t *stack, int name)
+static void flood_region(const struct far *s, int i, int first, int32_t *stack, int name)
 {
     const struct extent *map = &s->d->extent[i];
     int32_t *label = s->label + map->at;
@@ -229,7 +229,7 @@ static void flood(const struct far *s, int i, int first, int32_t *stack, int nam
         const int at = stack[--n];
         add_pixel(r, &s->colour[map->at + (size_t)at]);
         for (int k = 0; k < 4; k++) {
-            const int next = beside(map, at, k);
+            const int next = neighbour_of(map, at, k);
             r->border |= next < 0;
             if (next < 0 || label[next] != -2)
                 continue;
@@ -241,7 +241,7 @@ static void flood(const struct far *s, int i, int first, int32_t *stack, int nam
 
 /* Luminance above which a region counts as bright: a quantile of what is not smooth; where there is
  * nothing else, none. */
-static float brightness(const struct far *s, int i, float *sorted)
+static float median_brightness(const struct far *s, int i, float *sorted)
 {
     const struct extent *map = &s->d->extent[i];
     size_t n = 0;
@@ -276,10 +276,10 @@ static err_t find_regions(void *ctx, int i, int worker)
         if (label[k] == -2 && s->n_regions[i] == REGIONS_MAX)
             label[k] = -1;
         if (label[k] == -2)
-            flood(s, i, k, s->stack + (size_t)worker * s->most, s->n_regions[i]++);
+            flood_region(s, i, k, s->stack + (size_t)worker * s->most, s->n_regions[i]++);
     }
-    vote(s, i, regions);
-    const float bright = brightness(s, i, s->sorted + (size_t)worker * s->most);
+    count_agreement(s, i, regions);
+    const float bright = median_brightness(s, i, s->sorted + (size_t)worker * s->most);
     for (int k = 0; k < s->n_regions[i]; k++) {
         struct region *r = &regions[k];
         r->sky = is_large(s, r, i) && speaks_for_infinity(r, r->yes) &&
@@ -305,7 +305,7 @@ static bool looks_like(const struct far *s, const struct region *r, int view)
 }
 
 /* Regions that look like the sky of any view are sky. */
-static void complete(struct far *s)
+static void extend_sky(struct far *s)
 {
     const int n = s->v->n * REGIONS_MAX;
     for (int k = 0; k < n; k++) {
@@ -327,27 +327,27 @@ static void complete(struct far *s)
 /* ---- depth ---- */
 
 /* Whether pixel k, which has no certain depth, continues the sky beside it. */
-static bool continues(const struct far *s, const struct extent *map, int k)
+static bool region_continues(const struct far *s, const struct extent *map, int k)
 {
     const struct colour *colour = s->colour + map->at;
     const int32_t *label = s->label + map->at;
     if (label[k] == 0 || s->d->conf[map->at + (size_t)k] >= SWEEP_CONF_CONFIRMED)
         return false;
     for (int q = 0; q < 4; q++) {
-        const int next = beside(map, k, q);
+        const int next = neighbour_of(map, k, q);
         if (next >= 0 && label[next] == 0 && fabsf(colour[next].light - colour[k].light) < GROWS)
             return true;
     }
     return false;
 }
 
-static void grow(const struct far *s, int i, int32_t *stack)
+static void grow_regions(const struct far *s, int i, int32_t *stack)
 {
     const struct extent *map = &s->d->extent[i];
     for (int round = 0; round < GROWN; round++) {
         int n = 0;
         for (int k = 0; k < map->w * map->h; k++)
-            if (continues(s, map, k))
+            if (region_continues(s, map, k))
                 stack[n++] = k;
         for (int k = 0; k < n; k++)
             s->label[map->at + (size_t)stack[k]] = 0;
@@ -363,7 +363,7 @@ static err_t place_view(void *ctx, int i, int worker)
     for (int k = 0; k < map->w * map->h; k++)
         label[k] =
             label[k] >= 0 && s->region[(size_t)i * REGIONS_MAX + (size_t)label[k]].sky ? 0 : -1;
-    grow(s, i, s->stack + (size_t)worker * s->most);
+    grow_regions(s, i, s->stack + (size_t)worker * s->most);
     for (int k = 0; k < map->w * map->h; k++) {
         const size_t at = map->at + (size_t)k;
         const float most =
@@ -431,7 +431,7 @@ err_t far_run(const struct run *r, const struct views *v, const struct tonemap *
     if (!e)
         e = pool_for(r->pool, v->n, find_regions, &s);
     if (!e) {
-        complete(&s);
+        extend_sky(&s);
         e = pool_for(r->pool, v->n, place_view, &s);
     }
     arena_reset(r->tmp, mark);

@@ -83,7 +83,7 @@ static int64_t ns_of(const struct timespec *t)
 }
 
 /* Before Linux 5.7 stamps came from CLOCK_REALTIME, which is far ahead. */
-static int64_t stamp(const struct timespec *t)
+static int64_t event_time_ns(const struct timespec *t)
 {
     int64_t now = clocks_now();
     return ns_of(t) > now + 1000000000 ? now : ns_of(t);
@@ -101,7 +101,7 @@ static err_t button_next(void *st, struct trigger_event *out)
         struct gpiod_line_event ev;
         if (gpiod_line_event_read(s->line, &ev) != 0)
             return gpio_fail_read(&s->ask, errno);
-        struct gpio_edge edge = {stamp(&ev.ts), s->count.seqno + 1,
+        struct gpio_edge edge = {event_time_ns(&ev.ts), s->count.seqno + 1,
                                  ev.event_type == GPIOD_LINE_EVENT_RISING_EDGE};
         bool quiet = (double)(edge.time_ns - s->last_ns) >= s->ask.debounce_ms * 1e6;
         s->last_ns = edge.time_ns;

@@ -257,7 +257,7 @@ static struct yuv yuv_of(const struct camera_info *info)
                         .blue_u = fixed_point(blue)};
 }
 
-static uint16_t code(int v)
+static uint16_t clamp_code(int v)
 {
     return v <= 0 ? 0 : v >= 255 << 16 ? 255 : (uint16_t)((v + 32768) >> 16);
 }
@@ -265,9 +265,9 @@ static uint16_t code(int v)
 static void put_yuv(const struct yuv *k, int y, const uint8_t uv[2], uint16_t out[3])
 {
     int l = (y - k->black) * k->light, u = uv[0] - 128, v = uv[1] - 128;
-    out[0] = code(l + k->red_v * v);
-    out[1] = code(l + k->green_u * u + k->green_v * v);
-    out[2] = code(l + k->blue_u * u);
+    out[0] = clamp_code(l + k->red_v * v);
+    out[1] = clamp_code(l + k->green_u * u + k->green_v * v);
+    out[2] = clamp_code(l + k->blue_u * u);
 }
 
 static void row_rgb(struct source *s, size_t y, uint16_t *out)

@@ -182,7 +182,7 @@ static bool is_gone(int number)
     return number == ENODEV || number == ENXIO || number == ESHUTDOWN;
 }
 
-static int64_t stamp(const struct v4l2_queue *q, const struct v4l2_buffer *b)
+static int64_t frame_time_ns(const struct v4l2_queue *q, const struct v4l2_buffer *b)
 {
     if (!q->monotonic)
         return q->node.sys->clock_ns(q->node.sys->ctx);
@@ -205,7 +205,7 @@ static void describe_item(const struct v4l2_queue *q, const struct message *m,
                                     .bytes = fits ? used - offset : 0,
                                     .error = !fits || (m->b.flags & V4L2_BUF_FLAG_ERROR),
                                     .sequence = m->b.sequence,
-                                    .timestamp_ns = stamp(q, &m->b)};
+                                    .timestamp_ns = frame_time_ns(q, &m->b)};
 }
 
 err_t v4l2_queue_take(struct v4l2_queue *q, struct v4l2_queue_item *out)

@@ -60,7 +60,7 @@ struct list {
     struct attribute a[ATTRIBUTES_MAX];
 };
 
-static int coefs(int degree)
+static int sh_values(int degree)
 {
     return (degree + 1) * (degree + 1);
 }
@@ -250,7 +250,7 @@ static bool put_splats(FILE *f, long start, const struct list *l, const struct s
     for (int i = 0, m; i < g->n; i += m) {
         m = g->n - i < BATCH ? g->n - i : BATCH;
         for (int j = 0; j < m; j++) {
-            for (int k = 0; k < 3 * coefs(g->degree); k++)
+            for (int k = 0; k < 3 * sh_values(g->degree); k++)
                 sh[k] = g->plane[G_SH + k][i + j];
             display_from_radiance(sh, g->degree, ev, room->display[j]);
         }
@@ -693,7 +693,7 @@ static err_t read_attribute(const struct layout *l, const struct attribute *a, s
     return OK;
 }
 
-static err_t peek(const struct splats_bytes *file, struct splats_info *out)
+static err_t peek_glb(const struct splats_bytes *file, struct splats_info *out)
 {
     struct layout l;
     memset(out, 0, sizeof *out);
@@ -729,4 +729,4 @@ static err_t parse_glb(const struct splats_bytes *file, float ev, struct arena *
     return OK;
 }
 
-const struct splats_format glb_format = {UINT32_MAX, INFINITY, peek, parse_glb};
+const struct splats_format glb_format = {UINT32_MAX, INFINITY, peek_glb, parse_glb};

@@ -7,7 +7,7 @@
 
 #include <string.h>
 
-static uint32_t big(struct bytes *b, int n)
+static uint32_t read_be(struct bytes *b, int n)
 {
     uint32_t v = 0;
     for (int i = 0; i < n; i++)
@@ -19,8 +19,8 @@ static bool png_size(struct bytes b, uint32_t *w, uint32_t *h)
 {
     bytes_skip(&b, 12, 1); // signature, length of the first chunk
     const uint8_t *kind = bytes_take(&b, 4);
-    *w = big(&b, 4);
-    *h = big(&b, 4);
+    *w = read_be(&b, 4);
+    *h = read_be(&b, 4);
     return !b.bad && memcmp(kind, "IHDR", 4) == 0;
 }
 
@@ -39,13 +39,13 @@ static bool jpeg_size(struct bytes b, uint32_t *w, uint32_t *h)
         uint8_t marker = 0xff;
         while (marker == 0xff && !b.bad) // fill bytes
             marker = bytes_u8(&b);
-        uint32_t length = big(&b, 2);
+        uint32_t length = read_be(&b, 2);
         if (length < 2 || marker == 0xda) // pixels before any size
             return false;
         if (is_frame(marker)) {
             bytes_skip(&b, 1, 1); // bits per sample
-            *h = big(&b, 2);
-            *w = big(&b, 2);
+            *h = read_be(&b, 2);
+            *w = read_be(&b, 2);
             return !b.bad;
         }
         bytes_skip(&b, length - 2, 1);

@@ -37,7 +37,7 @@ static const char *value_of(const char *head, const char *key)
     return at ? at + strspn(at, " :") : NULL;
 }
 
-static bool starts(const char *text, const char *with)
+static bool starts_with(const char *text, const char *with)
 {
     return text && strncmp(text, with, strlen(with)) == 0;
 }
@@ -48,9 +48,9 @@ static err_t read_shape(const char *head, struct array *a)
     const char *order = value_of(head, "'fortran_order'");
     char *end = NULL;
     long rows = 0, columns = 0;
-    a->size = starts(kind, "'<f8'") ? 8 : starts(kind, "'<f4'") ? 4 : 0;
-    a->by_columns = starts(order, "True");
-    if (starts(shape, "(")) {
+    a->size = starts_with(kind, "'<f8'") ? 8 : starts_with(kind, "'<f4'") ? 4 : 0;
+    a->by_columns = starts_with(order, "True");
+    if (starts_with(shape, "(")) {
         rows = strtol(shape + 1, &end, 10);
         columns = *end == ',' ? strtol(end + 1, &end, 10) : 0;
     }

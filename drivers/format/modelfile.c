@@ -37,7 +37,7 @@ bool modelfile_parse_precision(const char *word, enum precision *out)
 
 /* ---- checksum ---- */
 
-static uint64_t mix(uint64_t word, uint64_t i)
+static uint64_t mix_word(uint64_t word, uint64_t i)
 {
     return splitmix_mix(word + (i + 1) * SPLITMIX_STEP);
 }
@@ -56,12 +56,12 @@ void modelfile_add(struct modelfile_sum *s, const void *bytes, size_t n)
         s->rest[s->n_rest++] = *p++;
         n--;
         if (s->n_rest == 8) {
-            s->sum += mix(word_at(s->rest), s->words++);
+            s->sum += mix_word(word_at(s->rest), s->words++);
             s->n_rest = 0;
         }
     }
     for (; n >= 8; p += 8, n -= 8)
-        s->sum += mix(word_at(p), s->words++);
+        s->sum += mix_word(word_at(p), s->words++);
     for (; n > 0; n--)
         s->rest[s->n_rest++] = *p++;
 }
@@ -70,7 +70,7 @@ uint64_t modelfile_total(const struct modelfile_sum *s)
 {
     uint8_t last[8] = {0};
     memcpy(last, s->rest, s->n_rest);
-    return s->n_rest > 0 ? s->sum + mix(word_at(last), s->words) : s->sum;
+    return s->n_rest > 0 ? s->sum + mix_word(word_at(last), s->words) : s->sum;
 }
 
 err_t modelfile_verify(const struct modelfile *m)

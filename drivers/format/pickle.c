@@ -49,7 +49,7 @@ static err_t grow_array(const struct machine *m, void *array, int *cap, int n, s
 
 /* ---- values, stack ---- */
 
-static struct pickle_value *value(const struct machine *m, int v)
+static struct pickle_value *value_at(const struct machine *m, int v)
 {
     return &m->out->values[v];
 }
@@ -120,7 +120,7 @@ static err_t append_item(struct machine *m, int container, int v)
         return e;
     int item = p->n_items++;
     p->items[item] = (struct pickle_item){v, NOTHING};
-    struct pickle_value *c = value(m, container);
+    struct pickle_value *c = value_at(m, container);
     if (c->last == NOTHING)
         c->first = item;
     else
@@ -182,7 +182,7 @@ static err_t extend_container(struct machine *m, int first, int below, enum pick
     if (at < 0 || first > m->n_stack || m->stack[at] == MARK)
         return refuse_opcode(m, "no container");
     int container = m->stack[at];
-    enum pickle_kind is = value(m, container)->kind;
+    enum pickle_kind is = value_at(m, container)->kind;
     if (is != kind && is != PICKLE_OPAQUE)
         return refuse_opcode(m, "items for what holds none");
     if (kind == PICKLE_DICT && (m->n_stack - first) % 2 != 0)
@@ -267,7 +267,7 @@ static err_t global_of_stack(struct machine *m)
         e = pop_value(m, &module);
     if (e)
         return e;
-    const struct pickle_value *a = value(m, module), *b = value(m, name);
+    const struct pickle_value *a = value_at(m, module), *b = value_at(m, name);
     if (a->kind != PICKLE_TEXT || b->kind != PICKLE_TEXT)
         return refuse_opcode(m, "a name that is no text");
     return push_global(m, bytes_of(a->text, a->n_text), bytes_of(b->text, b->n_text));
@@ -304,7 +304,7 @@ static err_t from_type(struct machine *m, const struct pickle_value *args)
 }
 
 /* The call of what lies below its arguments. */
-static err_t reduce(struct machine *m)
+static err_t op_reduce(struct machine *m)
 {
     int args, function;
     err_t e = pop_value(m, &args);
@@ -312,7 +312,7 @@ static err_t reduce(struct machine *m)
         e = pop_value(m, &function);
     if (e)
         return e;
-    const struct pickle_value given = *value(m, args), called = *value(m, function);
+    const struct pickle_value given = *value_at(m, args), called = *value_at(m, function);
     if (given.kind != PICKLE_TUPLE)
         return refuse_opcode(m, "arguments that are no tuple");
     if (called.kind != PICKLE_GLOBAL)
@@ -346,7 +346,7 @@ static err_t load_persistent(struct machine *m)
     err_t e = pop_value(m, &id);
     if (e)
         return e;
-    struct pickle_value storage = *value(m, id);
+    struct pickle_value storage = *value_at(m, id);
     if (storage.kind != PICKLE_TUPLE)
         return push_kind(m, PICKLE_OPAQUE);
     storage.kind = PICKLE_STORAGE;
@@ -522,7 +522,7 @@ static int run_other(struct machine *m)
     case 0x93: // STACK_GLOBAL
         return global_of_stack(m);
     case 'R': // REDUCE
-        return reduce(m);
+        return op_reduce(m);
     case 0x81: // NEWOBJ
         return new_object(m, 2);
     case 0x92: // NEWOBJ_EX

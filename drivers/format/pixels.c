@@ -126,7 +126,7 @@ static err_t check_size(const char *path, const struct shot *s, int w, int h)
 }
 
 /* The photograph becomes the picture of its pinhole. */
-static err_t undistort(const char *path, const struct shot *s, struct image8 *im)
+static err_t undistort_photo8(const char *path, const struct shot *s, struct image8 *im)
 {
     struct image8 out = {s->cam.w, s->cam.h, 3, NULL};
     out.px = malloc((size_t)out.w * (size_t)out.h * 3);
@@ -138,7 +138,7 @@ static err_t undistort(const char *path, const struct shot *s, struct image8 *im
     return e;
 }
 
-static err_t undistort16(const char *path, const struct shot *s, struct image16 *im)
+static err_t undistort_photo16(const char *path, const struct shot *s, struct image16 *im)
 {
     struct image16 out = {s->cam.w, s->cam.h, 3, NULL};
     out.px = malloc((size_t)out.w * (size_t)out.h * 3 * sizeof *out.px);
@@ -169,7 +169,7 @@ err_t pixels_decode16(const char *path, const struct shot *s, struct image16 *ou
     if (!e)
         e = check_size(path, s, out->w, out->h);
     if (!e && s->lens.model != LENS_PINHOLE)
-        e = undistort16(path, s, out);
+        e = undistort_photo16(path, s, out);
     if (e)
         pixels_free16(out);
     return e;
@@ -200,7 +200,7 @@ err_t pixels_decode(const char *path, const struct shot *s, struct image8 *out)
     if (!e)
         e = check_size(path, s, out->w, out->h);
     if (!e && s->lens.model != LENS_PINHOLE)
-        e = undistort(path, s, out);
+        e = undistort_photo8(path, s, out);
     if (e)
         img_free(out);
     return e;

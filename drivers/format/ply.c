@@ -520,7 +520,7 @@ static err_t open_file(const struct splats_bytes *file, struct header *h, struct
     return OK;
 }
 
-static err_t peek(const struct splats_bytes *file, struct splats_info *out)
+static err_t peek_ply(const struct splats_bytes *file, struct splats_info *out)
 {
     struct header h;
     struct sources s;
@@ -550,4 +550,4 @@ static err_t parse_ply(const struct splats_bytes *file, float ev, struct arena *
     return OK;
 }
 
-const struct splats_format ply_format = {(uint64_t)64 << 30, INFINITY, peek, parse_ply};
+const struct splats_format ply_format = {(uint64_t)64 << 30, INFINITY, peek_ply, parse_ply};

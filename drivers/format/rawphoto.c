@@ -37,7 +37,7 @@ static void note_broken(void *ctx, const char *file, const int offset)
     ((struct reader *)ctx)->is_broken = true;
 }
 
-static err_t fail(const char *name, int code)
+static err_t libraw_error(const char *name, int code)
 {
     if (code == LIBRAW_UNSUFFICIENT_MEMORY)
         return err_fail(ERR_NOMEM, "%s: no memory for a raw photograph", name);
@@ -91,10 +91,10 @@ static err_t open_raw(const void *bytes, size_t n, const char *name, struct read
         return err_fail(ERR_FORMAT, "%s: no raw photograph below %d bytes", name, IMG_FILE_MAX);
     r->raw = libraw_init(QUIET);
     if (!r->raw)
-        return fail(name, LIBRAW_UNSUFFICIENT_MEMORY);
+        return libraw_error(name, LIBRAW_UNSUFFICIENT_MEMORY);
     libraw_set_dataerror_handler(r->raw, note_broken, r);
     const int code = libraw_open_buffer(r->raw, (void *)(uintptr_t)bytes, n);
-    err_t e = code ? fail(name, code) : check_size(r);
+    err_t e = code ? libraw_error(name, code) : check_size(r);
     if (!e && (!find_cfa(r->raw, &cfa) || strcmp(r->raw->idata.cdesc, "RGBG") != 0))
         e = err_fail(ERR_FORMAT, "%s: not a Bayer mosaic of red, green and blue", name);
     if (e) {
@@ -111,7 +111,7 @@ static int orientation_of(const libraw_data_t *raw)
 }
 
 /* Whole cells of the mosaic. */
-static int even(unsigned v)
+static int whole_cells(unsigned v)
 {
     return (int)(v & ~1u);
 }
@@ -126,7 +126,7 @@ static void name_camera(const libraw_data_t *raw, char out[NAME_CAP])
 }
 
 /* A finite number above 0, else 0. */
-static double known(float v)
+static double positive_or_zero(float v)
 {
     return v > 0 && v < 1e9f ? (double)v : 0;
 }
@@ -140,11 +140,11 @@ err_t rawphoto_look(const void *bytes, size_t n, const char *name, struct rawpho
         return e;
     const libraw_data_t *raw = r.raw;
     const bool lies = orientation_of(raw) >= 5;
-    out->w = even(lies ? raw->sizes.height : raw->sizes.width);
-    out->h = even(lies ? raw->sizes.width : raw->sizes.height);
-    out->exif.seconds = known(raw->other.shutter);
-    out->exif.iso = known(raw->other.iso_speed);
-    out->exif.f_number = known(raw->other.aperture);
+    out->w = whole_cells(lies ? raw->sizes.height : raw->sizes.width);
+    out->h = whole_cells(lies ? raw->sizes.width : raw->sizes.height);
+    out->exif.seconds = positive_or_zero(raw->other.shutter);
+    out->exif.iso = positive_or_zero(raw->other.iso_speed);
+    out->exif.f_number = positive_or_zero(raw->other.aperture);
     out->camera.focal_35mm = raw->lens.FocalLengthIn35mmFormat;
     name_camera(raw, out->camera.name);
     out->camera.orientation = 1;
@@ -224,11 +224,14 @@ static err_t make_upright(const struct reader *r, struct image16 *io)
     return OK;
 }
 
-static err_t develop(const struct reader *r, struct image16 *out)
+static err_t develop_mosaic(const struct reader *r, struct image16 *out)
 {
     const libraw_image_sizes_t *s = &r->raw->sizes;
-    struct raw mosaic = {
-        .w = even(s->width), .h = even(s->height), .bits = 16, .black = PEDESTAL, .linear = true};
+    struct raw mosaic = {.w = whole_cells(s->width),
+                         .h = whole_cells(s->height),
+                         .bits = 16,
+                         .black = PEDESTAL,
+                         .linear = true};
     struct develop how;
     if (!find_cfa(r->raw, &mosaic.cfa))
         return err_fail(ERR_FORMAT, "%s: not a Bayer mosaic of red, green and blue", r->name);
@@ -244,12 +247,12 @@ static err_t develop(const struct reader *r, struct image16 *out)
     return e;
 }
 
-static err_t unpack(const struct reader *r)
+static err_t unpack_mosaic(const struct reader *r)
 {
     const int code = libraw_unpack(r->raw);
     if (code || r->is_broken)
         return code == LIBRAW_UNSUFFICIENT_MEMORY
-                   ? fail(r->name, code)
+                   ? libraw_error(r->name, code)
                    : err_fail(ERR_FORMAT, "%s: its data are cut off or broken", r->name);
     err_t e = check_size(r);
     if (!e && (!r->raw->rawdata.raw_image ||
@@ -265,9 +268,9 @@ err_t rawphoto_read(const void *bytes, size_t n, const char *name, struct image1
     err_t e = open_raw(bytes, n, name, &r);
     if (e)
         return e;
-    e = unpack(&r);
+    e = unpack_mosaic(&r);
     if (!e)
-        e = develop(&r, out);
+        e = develop_mosaic(&r, out);
     if (e) {
         free(out->px);
         *out = (struct image16){0};

@@ -47,7 +47,7 @@ struct layout {
     float colour[256]; // first harmonic, by byte
 };
 
-static int coefs(int degree)
+static int sh_values(int degree)
 {
     return (degree + 1) * (degree + 1);
 }
@@ -55,7 +55,7 @@ static int coefs(int degree)
 void spz_widths(int version, int degree, size_t out[SPZ_ARRAYS])
 {
     const size_t width[SPZ_ARRAYS] = {
-        9, 1, 3, 3, version > 2 ? 4 : 3, 3 * (size_t)(coefs(degree) - 1)};
+        9, 1, 3, 3, version > 2 ? 4 : 3, 3 * (size_t)(sh_values(degree) - 1)};
     memcpy(out, width, sizeof width);
 }
 
@@ -209,7 +209,7 @@ static void take_rotation(const struct layout *l, const uint8_t *b, int i, struc
 
 static void take_harmonics(const struct layout *l, const uint8_t *b, int i, struct gaussians *g)
 {
-    for (int j = 0; j < 3 * (coefs(l->info.degree) - 1); j++)
+    for (int j = 0; j < 3 * (sh_values(l->info.degree) - 1); j++)
         g->plane[G_SH + 3 + j][i] = (float)(b[j] - 128) / 128;
 }
 
@@ -261,7 +261,7 @@ static err_t read_plane(struct compressed_in *in, int n, float step, bool high, 
 static err_t read_planes(const struct layout *l, struct compressed_in *in, struct gaussians *g)
 {
     err_t e = OK;
-    for (int j = 0; j < 6 * coefs(l->record.degree) && !e; j++) {
+    for (int j = 0; j < 6 * sh_values(l->record.degree) && !e; j++) {
         double step = 1.0 / l->record.steps;
         e = read_plane(in, l->info.n, (float)(j < 6 ? step / SH_BASIS0 : step), j & 1,
                        g->plane[G_SH + j / 2]);
@@ -276,7 +276,7 @@ static err_t read_packed_planes(const struct layout *l, struct compressed_in *in
     if (in->kind != COMPRESSED_PLAIN || n > in->left)
         return err_fail(ERR_FORMAT, "%s: radiance record of %zu packed bytes, %zu are left",
                         l->file->what, n, in->left);
-    size_t size = 6 * (size_t)coefs(l->record.degree) * (size_t)l->info.n;
+    size_t size = 6 * (size_t)sh_values(l->record.degree) * (size_t)l->info.n;
     err_t e = check_ratio(l->file->what, "radiance", n, size);
     if (e || !g)
         return e ? e : skip_bytes(in, n);
@@ -311,7 +311,7 @@ static err_t read_radiance(struct layout *l, struct compressed_in *in, size_t n,
                         "%s: radiance record: degree %d, %d steps, form %d, ev %g, unit %g", what,
                         degree, steps, form, (double)ev, (double)unit);
     l->record = (struct record){true, degree, steps, ev, unit};
-    size_t planes = 6 * (size_t)coefs(degree) * (size_t)l->info.n;
+    size_t planes = 6 * (size_t)sh_values(degree) * (size_t)l->info.n;
     n -= SPZ_RADIANCE_HEAD;
     if (form == 1)
         return read_packed_planes(l, in, n, g);
@@ -456,7 +456,7 @@ static void to_scene(const struct layout *l, struct gaussians *g)
     }
 }
 
-static err_t peek(const struct splats_bytes *file, struct splats_info *out)
+static err_t peek_spz(const struct splats_bytes *file, struct splats_info *out)
 {
     struct layout l;
     memset(out, 0, sizeof *out);
@@ -493,4 +493,4 @@ static err_t parse_spz(const struct splats_bytes *file, float ev, struct arena *
     return OK;
 }
 
-const struct splats_format spz_format = {(uint64_t)64 << 30, SPZ_HEADROOM, peek, parse_spz};
+const struct splats_format spz_format = {(uint64_t)64 << 30, SPZ_HEADROOM, peek_spz, parse_spz};

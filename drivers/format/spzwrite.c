@@ -26,7 +26,7 @@ enum {
     STEPS = 16           // per natural logarithm of radiance
 };
 
-static int coefs(int degree)
+static int sh_values(int degree)
 {
     return (degree + 1) * (degree + 1);
 }
@@ -55,7 +55,7 @@ static uint8_t to_bucket(double v, int size)
 static void find_display(struct plan *p)
 {
     const struct gaussians *g = p->g;
-    int planes = 3 * coefs(g->degree), shown = 3 * coefs(p->degree);
+    int planes = 3 * sh_values(g->degree), shown = 3 * sh_values(p->degree);
     for (int i = 0; i < g->n; i++) {
         float sh[3 * SH_COEFS_MAX], f[3 * SH_COEFS_MAX];
         uint8_t *b = p->shown + (size_t)i * (size_t)shown;
@@ -123,7 +123,7 @@ static void put_opacity(const struct plan *p, int i, uint8_t *b)
 
 static void put_colour(const struct plan *p, int i, uint8_t *b)
 {
-    memcpy(b, p->shown + (size_t)i * 3 * (size_t)coefs(p->degree), 3);
+    memcpy(b, p->shown + (size_t)i * 3 * (size_t)sh_values(p->degree), 3);
 }
 
 /* The same splat with its axes in another order or direction. */
@@ -175,7 +175,7 @@ static struct pose pose_of(const struct gaussians *g, int i)
 
 /* Step of the length of an axis, a power of two: an axis that is thin beside the middle one matters
  * by its square only. */
-static int thinness(const double length[3], int k)
+static int axis_step(const double length[3], int k)
 {
     double lo = fmin(length[0], length[1]), hi = fmax(length[0], length[1]);
     double middle = fmax(lo, fmin(hi, length[2]));
@@ -190,7 +190,7 @@ static void put_scale(const struct plan *p, int i, uint8_t *b)
     for (int k = 0; k < 3; k++)
         length[k] = (double)p->g->plane[G_LOG_SCALE + pose.axis[k]][i] + log((double)p->unit);
     for (int k = 0; k < 3; k++) {
-        int step = thinness(length, k);
+        int step = axis_step(length, k);
         double v = (length[k] - SPZ_LOG_SCALE_MIN) / SPZ_LOG_SCALE_STEP;
         b[k] = to_byte(fmin(rint(v / step) * step, 255));
     }
@@ -198,7 +198,7 @@ static void put_scale(const struct plan *p, int i, uint8_t *b)
 
 /* Step of the magnitudes in a quaternion, a power of two, that moves the ends of a splat no more
  * than a step of its position does. */
-static int coarseness(const struct plan *p, int i)
+static int magnitude_step(const struct plan *p, int i)
 {
     double longest = -INFINITY;
     for (int k = 0; k < 3; k++)
@@ -213,7 +213,7 @@ static int coarseness(const struct plan *p, int i)
 static void put_rotation(const struct plan *p, int i, uint8_t *b)
 {
     struct pose pose = pose_of(p->g, i);
-    int step = coarseness(p, i);
+    int step = magnitude_step(p, i);
     uint32_t v = 3;
     for (int k = 1; k < 4; k++) {
         double m = fabs(pose.q[k]) / SQRT1_2 * SPZ_MAGNITUDE_MAX;
@@ -225,7 +225,7 @@ static void put_rotation(const struct plan *p, int i, uint8_t *b)
 
 static void put_harmonics(const struct plan *p, int i, uint8_t *b)
 {
-    size_t n = 3 * (size_t)coefs(p->degree);
+    size_t n = 3 * (size_t)sh_values(p->degree);
     memcpy(b, p->shown + (size_t)i * n + 3, n - 3);
 }
 
@@ -247,7 +247,7 @@ static err_t put_array(const struct plan *p, struct compressed_out *out, int a, 
 /* Corrections of plane j, in steps, for one of the two arrays. */
 static err_t put_plane(const struct plan *p, struct compressed_out *out, int j, bool high)
 {
-    int shown = 3 * coefs(p->degree);
+    int shown = 3 * sh_values(p->degree);
     double scale = (j < 3 ? SH_BASIS0 : splats_sign(G_SH + j, SPLATS_RUB)) * STEPS, told[256];
     uint8_t b[SPZ_BATCH];
     err_t e = OK;
@@ -269,7 +269,7 @@ static err_t put_plane(const struct plan *p, struct compressed_out *out, int j, 
 static err_t put_planes(const struct plan *p, struct compressed_out *out)
 {
     err_t e = OK;
-    for (int j = 0; j < 6 * coefs(p->g->degree) && !e; j++)
+    for (int j = 0; j < 6 * sh_values(p->g->degree) && !e; j++)
         e = put_plane(p, out, j / 2, j & 1);
     return e;
 }
@@ -303,7 +303,7 @@ static err_t write_3(const struct plan *p, FILE *f)
 {
     struct compressed_out out;
     uint8_t b[SPZ_HEADER_3 + 8 + SPZ_RADIANCE_HEAD];
-    size_t planes = 6 * (size_t)coefs(p->g->degree) * (size_t)p->g->n;
+    size_t planes = 6 * (size_t)sh_values(p->g->degree) * (size_t)p->g->n;
     file_head(p, 3, b);
     record_head(p, 0, (uint32_t)(SPZ_RADIANCE_HEAD + planes), b + SPZ_HEADER_3);
     err_t e = compressed_begin(&out, p->path, COMPRESSED_GZIP, f, 0), end;
@@ -324,7 +324,7 @@ static err_t put_stream(const struct plan *p, int a, FILE *f, long *bytes)
 {
     struct compressed_out out;
     long from = ftell(f);
-    size_t each = a < SPZ_ARRAYS ? p->width[a] : 6 * (size_t)coefs(p->g->degree);
+    size_t each = a < SPZ_ARRAYS ? p->width[a] : 6 * (size_t)sh_values(p->g->degree);
     err_t e = compressed_begin(&out, p->path, COMPRESSED_ZSTD, f, each * (size_t)p->g->n), end;
     if (!e)
         e = a < SPZ_ARRAYS ? put_array(p, &out, a, p->width[a]) : put_planes(p, &out);
@@ -383,7 +383,7 @@ err_t spzwrite_scene(const char *path, const struct scene *s, int version)
         return e;
     p.degree = g->degree < DISPLAY_DEGREE_MAX ? g->degree : DISPLAY_DEGREE_MAX;
     spz_widths(version, p.degree, p.width);
-    p.shown = malloc((size_t)g->n * 3 * (size_t)coefs(p.degree) + 1);
+    p.shown = malloc((size_t)g->n * 3 * (size_t)sh_values(p.degree) + 1);
     if (!p.shown)
         return err_fail(ERR_NOMEM, "%s: no memory for the colours of %d splats", path, g->n);
     find_display(&p);

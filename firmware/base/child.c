@@ -14,7 +14,7 @@ extern char **environ;
 
 enum { GRACE_MS = 5000 };
 
-static err_t spawn(struct child *c, char *const argv[], int out, bool all)
+static err_t spawn_child(struct child *c, char *const argv[], int out, bool all)
 {
     posix_spawn_file_actions_t files;
     posix_spawnattr_t attr;
@@ -67,7 +67,7 @@ err_t child_start(struct child *c, char *const argv[], bool all)
     if (pipe2(ends, O_CLOEXEC | O_NONBLOCK) != 0)
         return err_fail(ERR_IO, "%s: %s", argv[0], strerror(errno));
     fcntl(ends[1], F_SETFL, 0); // the child may wait
-    err_t e = spawn(c, argv, ends[1], all);
+    err_t e = spawn_child(c, argv, ends[1], all);
     close(ends[1]);
     if (e) {
         close(ends[0]);

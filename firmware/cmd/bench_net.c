@@ -18,7 +18,7 @@ enum { SHORT_RUN = 128 };
 
 /* ---- arithmetic of a forward pass: core/net/README.md 3.4 ---- */
 
-static double square(double x)
+static double squared(double x)
 {
     return x * x;
 }
@@ -26,10 +26,10 @@ static double square(double x)
 /* One DPT trunk on one view. */
 static double trunk_macs(const struct net_dims *d, int feat, const int oc[NET_KEEP], int grid)
 {
-    const double m = square(grid), small = square((grid + 1) / 2), f2 = square(feat);
+    const double m = squared(grid), small = squared((grid + 1) / 2), f2 = squared(feat);
     const double at[NET_KEEP] = {16 * m, 4 * m, m, small}; // pixels of the levels
     double sum = m * 2 * d->embed * (oc[0] + oc[1] + oc[2] + oc[3]);
-    sum += 16 * m * square(oc[0]) + 4 * m * square(oc[1]) + 9 * small * square(oc[3]);
+    sum += 16 * m * squared(oc[0]) + 4 * m * squared(oc[1]) + 9 * small * squared(oc[3]);
     for (int k = 0; k < NET_KEEP; k++) {
         int units = k == NET_KEEP - 1 ? 1 : 2;
         double after = k == 0 ? 4 * at[0] : at[k - 1];
@@ -45,25 +45,25 @@ struct work {
 static struct work work_of(const struct net_dims *d, int n_views, int size)
 {
     const int grid = size / NET_PATCH;
-    const double v = n_views, c = d->embed, m = square(grid), p = m + NET_SPECIAL, w = 2 * c;
-    const double px = square(size), hdr = d->hdr;
+    const double v = n_views, c = d->embed, m = squared(grid), p = m + NET_SPECIAL, w = 2 * c;
+    const double px = squared(size), hdr = d->hdr;
     struct work k = {0};
     k.backbone = v * m * 588 * c + v * (d->dino_depth + 2 * d->depth) * 12 * c * c * p +
-                 v * (d->dino_depth + d->depth) * 2 * p * p * c + d->depth * 2 * square(v * p) * c;
+                 v * (d->dino_depth + d->depth) * 2 * p * p * c + d->depth * 2 * squared(v * p) * c;
     k.camera = 4 * v * (9 * w + 3 * w * w + d->cam_depth * 12 * w * w + w * w / 2 + 9 * w / 2);
     k.depth = v * trunk_macs(d, d->depth_feat, d->depth_oc, grid) +
               v * px * (9 * 32 * d->depth_feat / 2.0 + 64);
     if (!d->gauss)
         return k;
     k.appearance = v * trunk_macs(d, d->gs_feat, d->gs_oc, grid) +
-                   v * px * (9 * square(d->gs_feat / 2.0) + NET_RAW * d->gs_feat / 2.0);
+                   v * px * (9 * squared(d->gs_feat / 2.0) + NET_RAW * d->gs_feat / 2.0);
     if (!d->appearance)
         return k;
-    k.appearance += v * hdr * 588 * m + v * m * v * p * c + 2 * square(v * m) * hdr +
+    k.appearance += v * hdr * 588 * m + v * m * v * p * c + 2 * squared(v * m) * hdr +
                     v * m * 6 * hdr * hdr + v * px * 147 * hdr +
                     v * m * (9 * hdr * hdr + 9 * 32 * hdr + 128) + 2 * v * px * 49 * hdr * hdr;
     k.appearance += v * m * 196 * (2 * hdr + NET_RAW + NET_SENSITIVITY) * hdr +
-                    v * square((grid + 1) / 2) * 9 * hdr * hdr;
+                    v * squared((grid + 1) / 2) * 9 * hdr * hdr;
     return k;
 }
 

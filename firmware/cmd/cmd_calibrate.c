@@ -120,7 +120,7 @@ static void print_result(const struct calibrate *c, const struct camera_info *in
 
 /* ---- calibrate ---- */
 
-static err_t calibrate(const struct request *q)
+static err_t calibrate_takes(const struct request *q)
 {
     static struct calibrate c;
     struct camera_cfg cfg = camera_of(q);
@@ -191,5 +191,5 @@ int cmd_calibrate_run(int argc, char **argv)
         return cmd_misuse(&usage, err_text());
     if (!q.camera)
         return ask_daemon(&q);
-    return cmd_finish("calibrate", calibrate(&q));
+    return cmd_finish("calibrate", calibrate_takes(&q));
 }

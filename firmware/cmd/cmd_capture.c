@@ -175,7 +175,7 @@ static void print_take(const struct take *t, const char *dir)
     printf("%s\n", dir);
 }
 
-static err_t capture(const struct request *q)
+static err_t capture_take(const struct request *q)
 {
     struct session *s = NULL;
     struct session_order o;
@@ -225,5 +225,5 @@ int cmd_capture_run(int argc, char **argv)
         return cmd_ask("capture", &q.cfg, "capture wait");
     if (!q.out)
         return cmd_misuse(&usage, "--out is needed");
-    return cmd_finish("capture", capture(&q));
+    return cmd_finish("capture", capture_take(&q));
 }

@@ -273,7 +273,7 @@ static err_t find_test_cameras(struct state *st, const struct job_config *job)
                             &st->pose);
 }
 
-static err_t reconstruct(struct state *st, struct request *rq)
+static err_t reconstruct_inputs(struct state *st, struct request *rq)
 {
     const struct network *network;
     struct job_memory need;
@@ -463,7 +463,7 @@ static err_t evaluate_scene(struct state *st, struct request *rq)
     if (!e)
         e = engine_open(&st->engine, rq->cfg.threads);
     if (!e)
-        e = rq->scene ? read_scene(st, rq) : reconstruct(st, rq);
+        e = rq->scene ? read_scene(st, rq) : reconstruct_inputs(st, rq);
     if (!e)
         e = evaluate_run(&st->engine.run, &st->job, &st->test, out, &st->figures);
     cmd_report_unread(&st->train, &st->job);

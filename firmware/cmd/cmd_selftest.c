@@ -52,7 +52,7 @@ static void write_report(const struct request *q, const struct selftest *t, FILE
     report_close(&r);
 }
 
-static err_t selftest(const struct request *q, const char *json, bool *passed)
+static err_t run_selftest(const struct request *q, const char *json, bool *passed)
 {
     static struct selftest t;
     struct progress p;
@@ -99,6 +99,6 @@ int cmd_selftest_run(int argc, char **argv)
         return cmd_misuse(&usage, "--camera is needed");
     if (q.longest && cmd_number("--longest", q.longest, 1e-4, 1000, &q.longest_s) != OK)
         return cmd_misuse(&usage, err_text());
-    code = cmd_finish("selftest", selftest(&q, json, &passed));
+    code = cmd_finish("selftest", run_selftest(&q, json, &passed));
     return code == CMD_OK && !passed ? CMD_FAILURE : code;
 }

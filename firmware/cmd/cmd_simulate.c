@@ -174,7 +174,8 @@ static err_t write_report(const struct request *rq, const struct dataset_request
     return outdir_report_close(o, &rep);
 }
 
-static err_t simulate(const struct request *rq, const struct dataset_request *a, struct state *st)
+static err_t write_dataset(const struct request *rq, const struct dataset_request *a,
+                           struct state *st)
 {
     err_t e = engine_open(&st->engine, rq->cfg.threads);
     struct plan p = plan_begin(pool_size(st->engine.pool));
@@ -248,7 +249,7 @@ int cmd_simulate_run(int argc, char **argv)
         return cmd_misuse(&usage, "--out is needed");
     if (read_request(&rq, &ask) != OK)
         return cmd_misuse(&usage, err_text());
-    code = cmd_finish(usage.name, simulate(&rq, &ask, &st));
+    code = cmd_finish(usage.name, write_dataset(&rq, &ask, &st));
     outdir_close(&st.out);
     engine_close(&st.engine);
     return code;

@@ -535,7 +535,7 @@ static void notify_watchdog(struct daemon *d, int64_t now)
     sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", state_sentence(d));
 }
 
-static int64_t earlier(int64_t a, int64_t b)
+static int64_t earlier_deadline(int64_t a, int64_t b)
 {
     return a < b ? a : b;
 }
@@ -558,12 +558,12 @@ static int gather_fds(struct daemon *d, struct pollfd *fds, int64_t *deadline)
     if (d->session) {
         int64_t due = INT64_MAX;
         n += session_poll(d->session, fds + n, FDS_MAX - n, &due);
-        *deadline = earlier(*deadline, due);
+        *deadline = earlier_deadline(*deadline, due);
     }
     if (d->lamp)
-        *deadline = earlier(*deadline, lamp_next_ns(d->lamp));
+        *deadline = earlier_deadline(*deadline, lamp_next_ns(d->lamp));
     if (d->pet_every_ns)
-        *deadline = earlier(*deadline, d->pet_ns);
+        *deadline = earlier_deadline(*deadline, d->pet_ns);
     return n;
 }
 

@@ -16,7 +16,7 @@ enum { EXTRA = 4, COLOURS = 3 };
 
 static const float MU = 5000; // core/photo/README.md 6
 
-static size_t room(size_t n)
+static size_t padded_bytes(size_t n)
 {
     return n < 16 ? 16 : (n + 15) / 16 * 16;
 }
@@ -92,7 +92,7 @@ static void put_gaussians(const struct run *r, const struct list *l, const struc
 static err_t put_pixels(const struct run *r, const struct prediction *p, int view, float *work)
 {
     const int pixels = p->geom.size * p->geom.size;
-    const size_t n = (size_t)pixels, cap = room(n), all = (size_t)p->n;
+    const size_t n = (size_t)pixels, cap = padded_bytes(n), all = (size_t)p->n;
     struct voxels v = {.n = pixels, .cap = (int)cap, .points = work, .features = work + 3 * cap};
     struct list l = {"pix", p->n, view, p->geom.n_views, cap};
     struct gaussians g;
@@ -149,7 +149,7 @@ static void put_scale(const struct run *r, const struct prediction *p)
 
 static err_t layout_pixels(float **work, struct arena *tmp, int size)
 {
-    return arena_alloc(tmp, room((size_t)size * (size_t)size),
+    return arena_alloc(tmp, padded_bytes((size_t)size * (size_t)size),
                        (3 + VOXEL_FEATURES + 4) * sizeof **work, work);
 }
 

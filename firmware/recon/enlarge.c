@@ -37,7 +37,8 @@ static void add_shot(const struct capture *all, const char *name, bool again, st
 }
 
 /* In the order that prep_read gives back as that of `v`. */
-static err_t choose(const struct capture *all, const struct views *v, struct chosen *out)
+static err_t choose_photographs(const struct capture *all, const struct views *v,
+                                struct chosen *out)
 {
     const size_t n = (size_t)(v->n + v->n_more);
     out->shot = malloc(n * sizeof *out->shot);
@@ -73,7 +74,7 @@ err_t enlarge_run(const struct run *r, const struct capture *c, const struct job
         cfg->source && cfg->source->decode16 ? decode_chosen16 : NULL,
         cfg->source ? cfg->source->release16 : NULL};
     struct views large;
-    err_t e = choose(c, &out->views, &chosen);
+    err_t e = choose_photographs(c, &out->views, &chosen);
     if (!e)
         e = prep_read(r, &chosen.c, cfg->source ? &source : NULL,
                       (struct prep_size){recipe->size, recipe->square}, &large);

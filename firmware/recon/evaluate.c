@@ -186,18 +186,19 @@ static struct taps taps_of(int i, int out, int in)
     return (struct taps){from > 0 ? from : 0, to < in ? to : in, centre, scale};
 }
 
-static double tap(const struct taps *t, int k)
+static double tap_weight(const struct taps *t, int k)
 {
     double w = 1 - fabs((k + 0.5 - t->centre) / t->scale);
     return w > 0 ? w : 0;
 }
 
-static float sample(const struct image *in, int c, const struct taps *tx, const struct taps *ty)
+static float sample_taps(const struct image *in, int c, const struct taps *tx,
+                         const struct taps *ty)
 {
     double sum = 0, weight = 0;
     for (int y = ty->from; y < ty->to; y++)
         for (int x = tx->from; x < tx->to; x++) {
-            double w = tap(tx, x) * tap(ty, y);
+            double w = tap_weight(tx, x) * tap_weight(ty, y);
             sum +=
                 w *
                 (double)in->px[((size_t)c * (size_t)in->h + (size_t)y) * (size_t)in->w + (size_t)x];
@@ -206,7 +207,7 @@ static float sample(const struct image *in, int c, const struct taps *tx, const 
     return (float)(sum / weight);
 }
 
-static void resize(const struct image *in, struct image *out)
+static void resize_image(const struct image *in, struct image *out)
 {
     float *px = out->px;
     for (int c = 0; c < 3; c++)
@@ -214,7 +215,7 @@ static void resize(const struct image *in, struct image *out)
             struct taps ty = taps_of(y, out->h, in->h);
             for (int x = 0; x < out->w; x++) {
                 struct taps tx = taps_of(x, out->w, in->w);
-                *px++ = sample(in, c, &tx, &ty);
+                *px++ = sample_taps(in, c, &tx, &ty);
             }
         }
 }
@@ -260,7 +261,7 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
         return e;
     e = undistort_truth(b->r, s, &file);
     if (!e)
-        resize(&file, &b->other);
+        resize_image(&file, &b->other);
     exrfile_free(&file);
     if (!e)
         e = mu_law(&b->other, &b->other);

@@ -25,7 +25,7 @@ struct codes { // display values at another exposure
     uint8_t z[3][256];
 };
 
-static int photographs(const struct views *v)
+static int photographs_used(const struct views *v)
 {
     return v->n + v->n_more;
 }
@@ -35,7 +35,7 @@ static bool seen_well(int brightest)
     return brightest >= FIGURES_DARK && brightest < FIGURES_CLIPPED;
 }
 
-static int brightest(const uint8_t *rgb)
+static int brightest_channel(const uint8_t *rgb)
 {
     int m = rgb[0] > rgb[1] ? rgb[0] : rgb[1];
     return m > rgb[2] ? m : rgb[2];
@@ -45,7 +45,7 @@ static bool seen_elsewhere(const uint8_t *rgb, const struct codes *other, int n)
 {
     for (int k = 0; k < n; k++) {
         const uint8_t z[3] = {other[k].z[0][rgb[0]], other[k].z[1][rgb[1]], other[k].z[2][rgb[2]]};
-        if (seen_well(brightest(z)))
+        if (seen_well(brightest_channel(z)))
             return true;
     }
     return false;
@@ -56,7 +56,7 @@ static bool seen_elsewhere(const uint8_t *rgb, const struct codes *other, int n)
 static double next_exposure(const struct views *v, double last, double apart)
 {
     double next = INFINITY;
-    for (int i = 0; i < photographs(v); i++)
+    for (int i = 0; i < photographs_used(v); i++)
         if ((double)v->log2t[i] > last + apart && (double)v->log2t[i] < next)
             next = (double)v->log2t[i];
     return next;
@@ -66,7 +66,7 @@ static double next_exposure(const struct views *v, double last, double apart)
 static double exposure_tolerance(const struct views *v)
 {
     double lo = INFINITY, hi = -INFINITY;
-    for (int i = 0; i < photographs(v); i++) {
+    for (int i = 0; i < photographs_used(v); i++) {
         lo = fmin(lo, (double)v->log2t[i]);
         hi = fmax(hi, (double)v->log2t[i]);
     }
@@ -134,7 +134,7 @@ void figures_input(struct figures *f, int i, struct figures_input *out)
     memset(out, 0, sizeof *out);
     expose_others(f, own, other);
     for (size_t p = 0; p < n; p++, rgb += 3) {
-        int m = brightest(rgb);
+        int m = brightest_channel(rgb);
         for (int c = 0; c < 3; c++)
             out->histogram[c][rgb[c] * FIGURES_BINS / 256]++;
         clipped += m >= FIGURES_CLIPPED;
@@ -156,7 +156,7 @@ const char *figures_blank(const struct views *v, int i)
     const uint8_t *rgb = views_rgb(v, i);
     size_t clipped = 0, dark = 0;
     for (size_t p = 0; p < n; p++, rgb += 3) {
-        int m = brightest(rgb);
+        int m = brightest_channel(rgb);
         clipped += m >= FIGURES_CLIPPED;
         dark += m < FIGURES_DARK;
     }
@@ -244,7 +244,7 @@ static void report_photographs(const struct job_result *j, struct report *rep)
     struct figures_input in;
     figures_init(&f, &j->views, &j->scene.tone);
     report_open(rep, "inputs", '[');
-    for (int i = 0; i < photographs(&j->views); i++) {
+    for (int i = 0; i < photographs_used(&j->views); i++) {
         figures_input(&f, i, &in);
         report_input(j, i, &in, rep);
     }
@@ -258,7 +258,7 @@ static void report_photographs(const struct job_result *j, struct report *rep)
 
 enum { SAMPLES = 73 };
 
-static double sample(int k) // stops from the middle exposure
+static double stops_of_sample(int k) // stops from the middle exposure
 {
     return -12 + 0.25 * k;
 }
@@ -278,8 +278,8 @@ static double distance(const struct fit *f, double shift)
         if (!(f->curve[k] > 0.02 && f->curve[k] < 0.98))
             continue;
         double d =
-            f->curve[k] -
-            response_family_display(f->family, response_family_usual(f->family), sample(k) + shift);
+            f->curve[k] - response_family_display(f->family, response_family_usual(f->family),
+                                                  stops_of_sample(k) + shift);
         sum += d * d;
         n++;
     }
@@ -316,7 +316,8 @@ static double report_family(double curve[3][SAMPLES], enum response_family famil
         shift += s / 3;
     }
     for (int k = 0; k < SAMPLES; k++)
-        row[k] = response_family_display(family, response_family_usual(family), sample(k) + shift);
+        row[k] = response_family_display(family, response_family_usual(family),
+                                         stops_of_sample(k) + shift);
     report_open(rep, NULL, '{');
     report_text(rep, "name", response_family_name(family));
     if (response_family_usual(family) > 0)
@@ -333,7 +334,7 @@ static void report_tone(const struct tonemap *tone, struct report *rep)
     double x[SAMPLES], curve[3][SAMPLES], best = INFINITY;
     const char *name = NULL;
     for (int k = 0; k < SAMPLES; k++) {
-        x[k] = sample(k);
+        x[k] = stops_of_sample(k);
         for (int c = 0; c < 3; c++)
             curve[c][k] = (double)response_display(tone, c, (float)x[k]);
     }
@@ -398,7 +399,7 @@ static void warn_empty(struct job_result *j)
 {
     const struct views *v = &j->views;
     int copies = 0, copy = 0;
-    for (int i = 0; i < photographs(v); i++) {
+    for (int i = 0; i < photographs_used(v); i++) {
         const char *blank = figures_blank(v, i);
         if (blank)
             job_result_warn(
@@ -414,14 +415,14 @@ static void warn_empty(struct job_result *j)
             j,
             "%d of %d photographs are copies of others (%s is %s): they show nothing new; take "
             "each from another place or at another exposure",
-            copies, photographs(v), v->names[copy], v->names[figures_copied(v, copy)]);
+            copies, photographs_used(v), v->names[copy], v->names[figures_copied(v, copy)]);
 }
 
 /* A view that fits far worse than usual. */
 static void warn_views(struct job_result *j)
 {
     double median;
-    int n = photographs(&j->views);
+    int n = photographs_used(&j->views);
     if (!j->input_db || n < 3 || metrics_quantile(j->input_db, (size_t)n, 0.5, &median) != OK)
         return;
     for (int i = 0; i < n; i++)
@@ -441,7 +442,7 @@ void figures_warn(struct job_result *j)
     if (j->views.n == 0)
         return;
     figures_init(&f, &j->views, &j->scene.tone);
-    for (int i = 0; i < photographs(&j->views); i++)
+    for (int i = 0; i < photographs_used(&j->views); i++)
         figures_input(&f, i, &in);
     warn_exposures(&f, j);
     warn_empty(j);

@@ -23,7 +23,7 @@ static const char *const stage_names[JOB_STAGES] = {
     "preprocess", "response", "cameras", "sweep",      "seed",   "backbone", "heads",
     "appearance", "voxel",    "refine",  "confidence", "render", "write",    "measure"};
 
-static void announce(const struct run *r, enum job_stage stage)
+static void announce_stage(const struct run *r, enum job_stage stage)
 {
     if (r->progress)
         r->progress(r->progress_ctx, stage_names[stage], 0, 1, NULL);
@@ -72,7 +72,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
 {
     const struct job_config *cfg = s->cfg;
     const struct prep_size size = {s->recipe->work, s->recipe->square};
-    announce(r, JOB_PREPROCESS);
+    announce_stage(r, JOB_PREPROCESS);
     note_lenses(c, out);
     err_t e = prep_read(r, c, cfg->source, size, &out->views);
     if (!e)
@@ -130,7 +130,7 @@ static err_t refine_scene(const struct run *r, const struct start *s, struct job
 
 static err_t find_confidence(const struct run *r, struct job_result *out)
 {
-    announce(r, JOB_CONFIDENCE);
+    announce_stage(r, JOB_CONFIDENCE);
     err_t e = confidence_run(r, &out->views, &out->scene, &out->advice);
     job_result_lap(out, JOB_CONFIDENCE);
     return e;

@@ -237,7 +237,7 @@ void limits_add(struct limits_turns *t, double limit, double rate)
     t->share[t->n++] = limit > 0 ? rate / limit : 0;
 }
 
-static int ascending(const void *a, const void *b)
+static int compare_doubles(const void *a, const void *b)
 {
     double x = *(const double *)a, y = *(const double *)b;
     return (x > y) - (x < y);
@@ -248,8 +248,8 @@ struct limits_share limits_sum_up(struct limits_turns *t)
     const int n = t->n;
     if (n == 0)
         return (struct limits_share){.limit = 0};
-    qsort(t->limit, (size_t)n, sizeof t->limit[0], ascending);
-    qsort(t->share, (size_t)n, sizeof t->share[0], ascending);
+    qsort(t->limit, (size_t)n, sizeof t->limit[0], compare_doubles);
+    qsort(t->share, (size_t)n, sizeof t->share[0], compare_doubles);
     return (struct limits_share){t->limit[n / 2], t->share[n / 2], t->share[n / 4],
                                  t->share[n * 3 / 4]};
 }

@@ -182,7 +182,7 @@ static err_t layout_shots(struct capture *c, struct arena *keep, int n_views)
     return arena_alloc(keep, (size_t)n_views, sizeof *c->shots, &c->shots);
 }
 
-static err_t reduce(const struct run *r, const struct views *v, int size, struct views *out)
+static err_t reduce_views(const struct run *r, const struct views *v, int size, struct views *out)
 {
     struct capture c;
     err_t e = layout_shots(&c, r->keep, v->n);
@@ -203,7 +203,7 @@ err_t network_look(const struct run *r, const struct network *n, bool attend, co
     const int size = look_size(n, v->size);
     const struct net net = geometry_of(n, attend);
     struct views small = *v;
-    err_t e = takes_views(v, size) ? OK : reduce(r, v, size, &small);
+    err_t e = takes_views(v, size) ? OK : reduce_views(r, v, size, &small);
     if (!e)
         e = net_run(r, &net, &small, out);
     for (int i = 0; i < v->n && !e; i++)

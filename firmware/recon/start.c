@@ -26,7 +26,7 @@
 enum { RESAMPLINGS = 2 }; // times that views are sampled again
 #define LENS_MOVED 0.25   // px of the view, less is not worth it
 
-static void announce(const struct run *r, const char *stage)
+static void announce_stage(const struct run *r, const char *stage)
 {
     if (r->progress)
         r->progress(r->progress_ctx, stage, 0, 1, NULL);
@@ -342,7 +342,7 @@ err_t start_stereo(struct start *s)
     if (s->recipe->depth == RECIPE_STEREO) // the network's prediction is not needed any more
         arena_reset(r->keep, s->keep);
     s->before_depth = arena_mark(r->keep);
-    announce(r, "sweep");
+    announce_stage(r, "sweep");
     err_t e = exposure_stack_merge(r, &out->views, &out->response, &merged->views, &merged->tone);
     if (!e)
         e = sweep_run(r, &merged->views, &merged->tone, &s->depth);
@@ -398,7 +398,7 @@ static err_t merge_cells(const struct start *st, struct scene *s)
     struct voxels cells;
     float cell;
     const struct voxel_input in = {p->n, p->points, p->features, p->confidence};
-    announce(r, "voxel");
+    announce_stage(r, "voxel");
     err_t e = voxel_merge_most(r, &in, d->voxel, max, &cells, &cell);
     if (e)
         return e;
@@ -464,7 +464,7 @@ static err_t place_seeds(struct start *s)
     const struct tonemap *tone = &s->merged.tone;
     const struct seed_input in = {.views = v, .depth = &s->depth, .tone = tone};
     struct gaussians seeds;
-    announce(s->run, "seed");
+    announce_stage(s->run, "seed");
     /* refinement splits where the photographs hold more than noise */
     err_t e = seed_run(s->run, &in, refine_begin(&s->recipe->refinement, v->n), &seeds);
     response_mean(v, tone, out->scene.background);

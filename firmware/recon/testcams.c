@@ -232,8 +232,8 @@ static err_t place_test_views(const struct run *r, const struct scene *s,
 }
 
 /* What the cameras of the test views do to light, if that is known of any. */
-static err_t shade(const struct run *r, const struct job_result *j, const struct capture *test,
-                   struct views *v)
+static err_t shade_tests(const struct run *r, const struct job_result *j,
+                         const struct capture *test, struct views *v)
 {
     struct shade *out;
     if (!shading_found(j))
@@ -263,7 +263,7 @@ static err_t align_test_views(const struct run *r, const struct job_result *j,
                       .cams = cams + first};
     err_t e = place_test_views(r, s, lens, all->n, cams);
     if (!e)
-        e = shade(r, j, test, &v);
+        e = shade_tests(r, j, test, &v);
     return e ? e : align_run(r, s, &v);
 }
 

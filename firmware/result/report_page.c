@@ -57,7 +57,7 @@ static struct sums sum_box(const struct image8 *photograph,
     return s;
 }
 
-static uint8_t code(double v)
+static uint8_t srgb_code(double v)
 {
     return (uint8_t)(v > 0 ? v < 1 ? v * 255 + 0.5 : 255 : 0); // a NaN is black
 }
@@ -67,10 +67,10 @@ static void mean_of(const struct sums *s, int n, uint8_t out[SQUARES][3])
 {
     double error = 3 * s->error / n / ERROR_WHITE;
     for (int c = 0; c < 3; c++) {
-        out[0][c] = code(s->photograph[c] / n);
-        out[1][c] = code(s->display[c] / n);
-        out[2][c] = code(error - c);
-        out[3][c] = code(s->sure / n);
+        out[0][c] = srgb_code(s->photograph[c] / n);
+        out[1][c] = srgb_code(s->display[c] / n);
+        out[2][c] = srgb_code(error - c);
+        out[3][c] = srgb_code(s->sure / n);
     }
 }
 

@@ -34,7 +34,7 @@ enum {
 
 /* in, out, messages: file descriptors, -1 for /dev/null. It has its own process group, so
  * that Ctrl-C reaches only this process, which then ends it. */
-static err_t spawn(char *const argv[], int in, int out, int messages, pid_t *pid)
+static err_t spawn_encoder(char *const argv[], int in, int out, int messages, pid_t *pid)
 {
     posix_spawn_file_actions_t files;
     posix_spawnattr_t attr;
@@ -130,7 +130,7 @@ static err_t explain_exit(const char *what, int messages, int status)
 /* ---- formats ---- */
 
 /* The first of the formats in a list like " V....D libx264    libx264 H.264 / AVC ...". */
-static const struct video_format *choose(const char *list)
+static const struct video_format *choose_format(const char *list)
 {
     for (int i = 0; i < FORMATS; i++) {
         char word[32];
@@ -148,12 +148,12 @@ static err_t find_format(struct video *v)
     int list = memfd_create("encoders", MFD_CLOEXEC);
     err_t e = text && list >= 0 ? OK : err_fail(ERR_NOMEM, "video: no memory");
     if (!e)
-        e = spawn(argv, -1, list, v->messages, &v->pid);
+        e = spawn_encoder(argv, -1, list, v->messages, &v->pid);
     if (!e)
         e = explain_exit("its list of encoders", v->messages, wait_for(&v->pid));
     if (!e) {
         read_text(list, TEXT_CAP, text);
-        v->format = choose(text);
+        v->format = choose_format(text);
         if (!v->format)
             e = err_fail(ERR_UNSUPPORTED, "this ffmpeg has none of the encoders %s, %s and %s",
                          formats[0].encoder, formats[1].encoder, formats[2].encoder);
@@ -188,8 +188,9 @@ static err_t start_ffmpeg(struct video *v, double fps)
     if (pipe2(ends, O_CLOEXEC) != 0)
         return err_fail(ERR_IO, "video: %s", strerror(errno));
     v->pipe = ends[1];
-    e = fcntl(ends[1], F_SETFL, O_NONBLOCK) == 0 ? spawn(argv, ends[0], -1, v->messages, &v->pid)
-                                                 : err_fail(ERR_IO, "video: %s", strerror(errno));
+    e = fcntl(ends[1], F_SETFL, O_NONBLOCK) == 0
+            ? spawn_encoder(argv, ends[0], -1, v->messages, &v->pid)
+            : err_fail(ERR_IO, "video: %s", strerror(errno));
     close(ends[0]);
     return e;
 }

@@ -80,14 +80,14 @@ static bool is_drawn(const struct gaussians *g, int i)
     return sum == 0 && opacity >= RASTER_ALPHA_MIN;
 }
 
-static void widen(struct range *r, double v)
+static void widen_range(struct range *r, double v)
 {
     r->lo = fmin(r->lo, v);
     r->hi = fmax(r->hi, v);
 }
 
 /* Log radiance that splat i exceeds in no direction: the addition theorem bounds each band. */
-static double brightest(const struct gaussians *g, int i, int degree)
+static double brightest_radiance(const struct gaussians *g, int i, int degree)
 {
     double top = -INFINITY;
     for (int c = 0; c < 3; c++) {
@@ -126,11 +126,11 @@ static void find_ranges(struct page *p)
             continue;
         p->n++;
         for (int k = 0; k < 3; k++) {
-            widen(&p->range[LOG_SCALE], (double)s->g.plane[G_LOG_SCALE + k][i]);
-            widen(&p->range[LIGHT], stored_light(&s->g, k, i));
+            widen_range(&p->range[LOG_SCALE], (double)s->g.plane[G_LOG_SCALE + k][i]);
+            widen_range(&p->range[LIGHT], stored_light(&s->g, k, i));
         }
-        widen(&p->range[LOGIT], stored_logit(&s->g, i));
-        top = fmax(top, brightest(&s->g, i, p->degree));
+        widen_range(&p->range[LOGIT], stored_logit(&s->g, i));
+        top = fmax(top, brightest_radiance(&s->g, i, p->degree));
     }
     double light = exp(top);
     for (int k = 0; k < 3; k++)
@@ -179,7 +179,7 @@ static double range_step(const struct range *r)
     return (r->hi - r->lo) / UINT16_MAX;
 }
 
-static uint16_t quantise(const struct range *r, double v)
+static uint16_t quantise_16(const struct range *r, double v)
 {
     return r->hi > r->lo ? (uint16_t)lround((v - r->lo) / range_step(r)) : 0;
 }
@@ -212,14 +212,14 @@ static void put_splat(const struct page *p, int i, struct encoder *out)
     for (int k = 0; k < 3; k++)
         to = bytes_put_f32(to, g->plane[G_MU + k][i]);
     for (int k = 0; k < 3; k++)
-        to =
-            bytes_put_u16(to, quantise(&p->range[LOG_SCALE], (double)g->plane[G_LOG_SCALE + k][i]));
-    to = bytes_put_u16(to, quantise(&p->range[LOGIT], stored_logit(g, i)));
+        to = bytes_put_u16(to,
+                           quantise_16(&p->range[LOG_SCALE], (double)g->plane[G_LOG_SCALE + k][i]));
+    to = bytes_put_u16(to, quantise_16(&p->range[LOGIT], stored_logit(g, i)));
     pack_quat(g, i, quat);
     for (int k = 0; k < 3; k++)
         to = bytes_put_u16(to, quat[k]);
     for (int k = 0; k < 3; k++)
-        to = bytes_put_u16(to, quantise(&p->range[LIGHT], stored_light(g, k, i)));
+        to = bytes_put_u16(to, quantise_16(&p->range[LIGHT], stored_light(g, k, i)));
     encoder_add(out, bytes, sizeof bytes);
 }
 

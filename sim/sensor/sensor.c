@@ -287,7 +287,7 @@ struct develop {
     uint8_t *px;
 };
 
-static inline int mirror(int i, int n)
+static inline int mirror_index(int i, int n)
 {
     return i < 0 ? -i : i >= n ? 2 * n - 2 - i : i;
 }
@@ -299,8 +299,8 @@ static float demosaic(const struct develop *d, int c, int y, int x)
     int here = site_colour(d->s->cfa, y, x);
     const uint16_t *row[3];
     for (int k = 0; k < 3; k++)
-        row[k] = raw->px + (size_t)mirror(y + k - 1, raw->h) * (size_t)raw->w;
-    int l = mirror(x - 1, raw->w), r = mirror(x + 1, raw->w);
+        row[k] = raw->px + (size_t)mirror_index(y + k - 1, raw->h) * (size_t)raw->w;
+    int l = mirror_index(x - 1, raw->w), r = mirror_index(x + 1, raw->w);
     if (here == c)
         return row[1][x];
     if (c == 1)

@@ -55,7 +55,7 @@ static float unit_from_hash(uint32_t h)
     return (float)(h >> 8) * (1.0f / 16777216.0f);
 }
 
-static float mix(float a, float b, float t)
+static float mix_values(float a, float b, float t)
 {
     return a + (b - a) * t;
 }
@@ -63,10 +63,10 @@ static float mix(float a, float b, float t)
 static void mix3(const float a[3], const float b[3], float t, float out[3])
 {
     for (int c = 0; c < 3; c++)
-        out[c] = mix(a[c], b[c], t);
+        out[c] = mix_values(a[c], b[c], t);
 }
 
-static float smooth(float t)
+static float smooth_step(float t)
 {
     return t * t * (3.0f - 2.0f * t);
 }
@@ -99,25 +99,28 @@ static float corner_value(uint32_t h)
 static float noise3(float x, float y, float z, uint32_t seed)
 {
     int i = floor_int(x), j = floor_int(y), k = floor_int(z);
-    float a = smooth(x - (float)i), b = smooth(y - (float)j), c = smooth(z - (float)k);
+    float a = smooth_step(x - (float)i), b = smooth_step(y - (float)j),
+          c = smooth_step(z - (float)k);
     uint32_t x0 = (uint32_t)i * 0x8da6b343u + seed, x1 = x0 + 0x8da6b343u;
     uint32_t y0 = (uint32_t)j * 0xd8163841u, y1 = y0 + 0xd8163841u;
     uint32_t z0 = (uint32_t)k * 0xcb1ab31fu, z1 = z0 + 0xcb1ab31fu;
-    float low = mix(mix(corner_value(x0 ^ y0 ^ z0), corner_value(x1 ^ y0 ^ z0), a),
-                    mix(corner_value(x0 ^ y1 ^ z0), corner_value(x1 ^ y1 ^ z0), a), b);
-    float high = mix(mix(corner_value(x0 ^ y0 ^ z1), corner_value(x1 ^ y0 ^ z1), a),
-                     mix(corner_value(x0 ^ y1 ^ z1), corner_value(x1 ^ y1 ^ z1), a), b);
-    return mix(low, high, c) * (1.0f / 2147483648.0f);
+    float low =
+        mix_values(mix_values(corner_value(x0 ^ y0 ^ z0), corner_value(x1 ^ y0 ^ z0), a),
+                   mix_values(corner_value(x0 ^ y1 ^ z0), corner_value(x1 ^ y1 ^ z0), a), b);
+    float high =
+        mix_values(mix_values(corner_value(x0 ^ y0 ^ z1), corner_value(x1 ^ y0 ^ z1), a),
+                   mix_values(corner_value(x0 ^ y1 ^ z1), corner_value(x1 ^ y1 ^ z1), a), b);
+    return mix_values(low, high, c) * (1.0f / 2147483648.0f);
 }
 
 static float noise2(float x, float y, uint32_t seed)
 {
     int i = floor_int(x), j = floor_int(y);
-    float a = smooth(x - (float)i), b = smooth(y - (float)j);
+    float a = smooth_step(x - (float)i), b = smooth_step(y - (float)j);
     uint32_t x0 = (uint32_t)i * 0x8da6b343u + seed, x1 = x0 + 0x8da6b343u;
     uint32_t y0 = (uint32_t)j * 0xd8163841u, y1 = y0 + 0xd8163841u;
-    return mix(mix(corner_value(x0 ^ y0), corner_value(x1 ^ y0), a),
-               mix(corner_value(x0 ^ y1), corner_value(x1 ^ y1), a), b) *
+    return mix_values(mix_values(corner_value(x0 ^ y0), corner_value(x1 ^ y0), a),
+                      mix_values(corner_value(x0 ^ y1), corner_value(x1 ^ y1), a), b) *
            (1.0f / 2147483648.0f);
 }
 
@@ -142,13 +145,13 @@ static float octaves(const struct point *s, float size, int n, uint32_t salt)
     return sum;
 }
 
-static void flat(const struct point *s, float out[3])
+static void flat_texture(const struct point *s, float out[3])
 {
     mix3(s->t->colour[0], s->t->colour[0], 0.0f, out);
 }
 
 /* Plaster, stone or marble: the same sums of noise, as they are, in steps, or as veins. */
-static void clouds(const struct point *s, float out[3])
+static void clouds_texture(const struct point *s, float out[3])
 {
     float a = octaves(s, s->scale, 5, 1), b = octave(s, s->scale * 0.61f, 17);
     float strong = 0.4f + 0.6f * s->contrast;
@@ -157,14 +160,14 @@ static void clouds(const struct point *s, float out[3])
         t = 0.5f + strong * clamp(5.0f * (a + 0.2f * b), -0.7f, 0.7f);
     else if (s->seed % 3 == 2) // veins where the sum crosses zero
         t = 1.0f -
-            strong * mix(0.25f, clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f),
-                         visibility_of(s, 0.4f * s->scale)) +
+            strong * mix_values(0.25f, clamp(1.0f - 7.0f * fabsf(a), 0.0f, 1.0f),
+                                visibility_of(s, 0.4f * s->scale)) +
             0.25f * strong * b;
     mix3(s->t->colour[0], s->t->colour[1], clamp(t, 0.0f, 1.0f), out);
     mix3(out, s->t->colour[2], clamp(strong * (b + 0.4f * a - 0.1f), 0.0f, 0.8f), out);
 }
 
-static void checker(const struct point *s, float out[3])
+static void checker_texture(const struct point *s, float out[3])
 {
     float u = s->u / s->scale, v = s->v / s->scale;
     int i = floor_int(u), j = floor_int(v);
@@ -173,7 +176,7 @@ static void checker(const struct point *s, float out[3])
     float near = border_share(s, (du < dv ? du : dv) * s->scale); // 0.5 on the border: half of each
     float t = ((i + j) & 1) != 0 ? near : 1.0f - near;
     float keep = visibility_of(s, s->scale);
-    mix3(s->t->colour[0], s->t->colour[1], mix(0.5f, t, keep), out);
+    mix3(s->t->colour[0], s->t->colour[1], mix_values(0.5f, t, keep), out);
     float own = 1.0f + keep * 0.5f * s->contrast * (unit_from_hash(h) - 0.5f);
     for (int c = 0; c < 3; c++)
         out[c] *= own;
@@ -181,7 +184,7 @@ static void checker(const struct point *s, float out[3])
     mix3(out, s->t->colour[2], clamp(1.2f * s->contrast * dirt, 0.0f, 0.6f), out);
 }
 
-static void brick(const struct point *s, float out[3])
+static void brick_texture(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float height = s->scale * (0.28f + 0.25f * unit_from_hash(s->seed * 0x9e3779b9u));
@@ -207,7 +210,7 @@ static void brick(const struct point *s, float out[3])
         own[c] *= tone;
     mix3(mean, own, visibility_of(s, height), own);
     float share = joint / height + joint / s->scale; // share of mortar
-    mix3(own, t->colour[2], mix(share, gap, visibility_of(s, height)), out);
+    mix3(own, t->colour[2], mix_values(share, gap, visibility_of(s, height)), out);
 }
 
 /* Whether and how far (x, y), -0.5..0.5, lies inside of the motif `h` of a tile. */
@@ -238,7 +241,7 @@ static float motif_share(float x, float y, uint32_t h)
     }
 }
 
-static void tiles(const struct point *s, float out[3])
+static void tiles_texture(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float size = s->scale, u = s->u / size, v = s->v / size;
@@ -264,12 +267,13 @@ static void tiles(const struct point *s, float out[3])
     float d = 0.5f - (fabsf(x) > fabsf(y) ? fabsf(x) : fabsf(y)), keep = visibility_of(s, size);
     mix3(mean, own, keep, own);
     const float dark[3] = {0.4f * mean[0], 0.4f * mean[1], 0.4f * mean[2]};
-    mix3(own, dark, mix(2.0f * joint, strip_share(s, d * size, 0.5f * joint * size), keep), out);
+    mix3(own, dark, mix_values(2.0f * joint, strip_share(s, d * size, 0.5f * joint * size), keep),
+         out);
 }
 
 /* Planks along u, in every second texture along v. Rings are bands across the plank, bent by noise
  * and by a knot. */
-static void wood(const struct point *s, float out[3])
+static void wood_texture(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     bool upright = (s->seed & 2) != 0;
@@ -296,7 +300,7 @@ static void wood(const struct point *s, float out[3])
         if (k > 0.0f)
             fibre += k * noise2(x * f * 0.07f + turn, y * f, s->seed + 5 + (uint32_t)o);
     }
-    float grain = mix(0.333f, ring * ring, keep) + 0.35f * fibre;
+    float grain = mix_values(0.333f, ring * ring, keep) + 0.35f * fibre;
     float dark = (0.25f + 0.75f * s->contrast) * grain + 0.8f * keep * clamp(knot - 0.75f, 0, 1);
     mix3(t->colour[0], t->colour[1], clamp(dark, 0.0f, 1.0f), out);
     float own = visibility_of(s, wide),
@@ -306,7 +310,7 @@ static void wood(const struct point *s, float out[3])
     float du = x < 0.5f * length ? x : length - x;
     float gaps = strip_share(s, (du < dv ? du : dv) * wide, gap * wide);
     for (int c = 0; c < 3; c++)
-        out[c] *= tone * (1.0f - 0.75f * mix(2.2f * gap, gaps, own));
+        out[c] *= tone * (1.0f - 0.75f * mix_values(2.2f * gap, gaps, own));
 }
 
 /* Stripes of random width and colour along one coordinate: position in stripe k of a period. */
@@ -335,7 +339,7 @@ static void stripe_colour(const struct point *s, float x, uint32_t salt, float o
     mix3(mean, out, keep, out);
 }
 
-static void fabric(const struct point *s, float out[3])
+static void fabric_texture(const struct point *s, float out[3])
 {
     stripe_colour(s, s->u, 0, out);
     if (s->seed % 3 != 0) { // plaid, or rows of diamonds
@@ -406,11 +410,11 @@ static float text_ink(const struct point *s, float height, float x, float y, uin
     if ((h >> 4) % 6 == 0) // between words
         return 0.0f;
     float stroke = 0.075f - stroke_distance(a - (float)i, 1.3f * y - 0.15f, h);
-    return mix(0.25f, border_share(s, stroke * height), keep);
+    return mix_values(0.25f, border_share(s, stroke * height), keep);
 }
 
 /* A picture in a box of a page: two hills of noise and a disc. (x, y) 0..1, y up. */
-static void picture(const struct point *s, float x, float y, uint32_t h, float out[3])
+static void picture_texture(const struct point *s, float x, float y, uint32_t h, float out[3])
 {
     const struct texture *t = s->t;
     float hill = 0.5f + 0.25f * noise2(3.0f * x, unit_from_hash(h) * 50.0f, h);
@@ -425,7 +429,7 @@ static void picture(const struct point *s, float x, float y, uint32_t h, float o
 }
 
 /* Pages, each of rows of four lines: a heading, text in columns, or a picture with a caption. */
-static void print(const struct point *s, float out[3])
+static void print_texture(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float u = s->u / s->scale, v = s->v / s->scale;
@@ -433,8 +437,8 @@ static void print(const struct point *s, float out[3])
     uint32_t page = hash_cell(i, j, s->face);
     float x = (u - (float)i - 0.06f) / 0.88f, y = (1.0f - v + (float)j - 0.06f) / 0.88f;
     float mean[3], ink[3], paper[3];
-    float tint =
-        mix(0.175f, (page & 3) == 0 ? 0.7f : 0.0f, visibility_of(s, s->scale)); // one of four
+    float tint = mix_values(0.175f, (page & 3) == 0 ? 0.7f : 0.0f,
+                            visibility_of(s, s->scale)); // one of four
     mix3(t->colour[0], t->colour[2], tint, paper);
     mix3(paper, t->colour[1], 0.2f, mean);
     if (!(x >= 0.0f && x < 1.0f && y >= 0.0f && y < 1.0f)) {
@@ -454,7 +458,7 @@ static void print(const struct point *s, float out[3])
         share = text_ink(s, 3.4f * height, x * lines / 3.4f, 1.0f - down / 3.8f, h);
     } else if ((h % 5 < 3) == right && (h % 5 != 2 || down < 3.6f)) {
         float wide = right ? 1.0f - split : split, from = right ? split : 0.0f;
-        picture(s, (x - from) / wide, 1.0f - down / 4.0f, h, out);
+        picture_texture(s, (x - from) / wide, 1.0f - down / 4.0f, h, out);
     } else {
         int k = (int)down;
         float end = k == 3 ? 0.4f + 0.5f * unit_from_hash(h) : 0.97f;
@@ -489,7 +493,7 @@ static uint32_t nearest_points(float x, float y, uint32_t seed, float d[2])
     return mix_bits(best);
 }
 
-static void spots(const struct point *s, float out[3])
+static void spots_texture(const struct point *s, float out[3])
 {
     const struct texture *t = s->t;
     float mean[3], own[3];
@@ -548,7 +552,8 @@ void texture_eval(const struct texture *t, const float p[3], const float n[3], f
                   float out[3])
 {
     static void (*const PATTERN[TEXTURE_KINDS])(const struct point *, float *) = {
-        flat, clouds, checker, brick, tiles, wood, fabric, print, spots};
+        flat_texture, clouds_texture, checker_texture, brick_texture, tiles_texture,
+        wood_texture, fabric_texture, print_texture,   spots_texture};
     struct point s = {.t = t};
     s.seed = mix_bits(t->seed + 0x9e3779b9u);
     s.width = clamp(footprint, WIDTH_MIN, WIDTH_MAX);
