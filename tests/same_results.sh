@@ -14,9 +14,12 @@ results() { # hdrig: everything in the present folder
     local h=$1 model=$here/build/small.hdrig set=$here/tests/data/sets
     "$h" simulate --kind room --seed 11 --views 6 --size 112 --samples 2 --out room
     "$h" simulate --kind yard --seed 4 --views 5 --size 112 --samples 1 --out yard
+    "$h" simulate --kind room --seed 12 --views 6 --samples 2 --lens fov=60,size=84x112,k1=-0.1 \
+        --out portraits
     "$h" reconstruct --images room --size 112 --refine 60 --out known
     "$h" reconstruct --images room --rig none --size 112 --refine 30 --out unknown
     "$h" reconstruct --images yard --rig none --model none --size 112 --refine 0 --out yard-scene
+    "$h" reconstruct --images portraits --rig none --size 112 --refine 30 --out portraits-scene
     "$h" reconstruct --images room --model "$model" --precision int8 --size 112 --refine 0 \
         --dump dump --out network
     "$h" eval --data room --rig none --size 112 --refine 20 --json eval.json

@@ -11,7 +11,7 @@ static inline size_t base64_chars(size_t n)
     return (n / 3 + (n % 3 != 0)) * 4;
 }
 
-/* Write base64_chars(n) characters without a terminating 0. returns: the place after the last. */
+/* Write base64_chars(n) characters without a terminating 0. returns: the next position. */
 char *base64_encode(char *out, const void *bytes, size_t n);
 
 #endif

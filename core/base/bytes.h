@@ -31,7 +31,7 @@ const uint8_t *bytes_take(struct bytes *b, size_t n);
 /* Step over n elements of `elem` bytes; `bad` if the product overflows or fewer are left. */
 void bytes_skip(struct bytes *b, size_t n, size_t elem);
 
-/* Store at p. returns: the place after it. */
+/* Store at p. returns: the position after it. */
 uint8_t *bytes_put_u16(uint8_t *p, uint16_t v);
 uint8_t *bytes_put_u32(uint8_t *p, uint32_t v);
 uint8_t *bytes_put_u64(uint8_t *p, uint64_t v);

@@ -57,7 +57,7 @@ typedef float absmax_fn(const float *x, size_t n);
 /* n floats to integers with inverse scale inv = 127 / max, 0 for a zero row (see above). */
 typedef void quant_fn(const float *x, size_t n, float inv, int8_t *out);
 
-/* Rotate each run of `block` floats: negate those whose place i has an odd number of ones in
+/* Rotate each run of `block` floats: negate those whose index i has an odd number of ones in
  * i & i >> 1 (Rudin and Shapiro's sequence), then multiply by the Hadamard matrix of that size over
  * sqrt(block), in place. Without the signs the mean of a run, times sqrt(block), would end in one
  * number; with them no number gets more than sqrt(2) of it.

@@ -75,7 +75,7 @@ struct tile {
     float *depth;    // (h, w) or NULL
     float *alpha;    // (h, w)
     float *trans;    // (h, w) final transmittance
-    int32_t *stop;   // (h, w) place in the list where the pixel became full; n if it never did
+    int32_t *stop;   // (h, w) index in the list where the pixel became full; n if it never did
     /* for tile_grad */
     const float *d_radiance, *d_depth,
         *d_alpha;      // (3, h, w), (h, w), (h, w): d loss / d map; the last two may be NULL

@@ -2,7 +2,7 @@
  * compiled once per instruction set.
  * Included by nn_<isa>.c after one SIMD_ macro. Bounds: tests/kernels/nn_test.c.
  * The last lanes of a row go through the same arithmetic as the others, so that a value does not
- * depend on its place. Arguments are copied where the compiler must assume that vector stores
+ * depend on its index. Arguments are copied where the compiler must assume that vector stores
  * alias them. */
 #include "core/kernels/kernels.h"
 #include "core/kernels/simd.h"
@@ -142,7 +142,7 @@ MAP void rotate2(float *x, int n, int h, vf factor)
         }
 }
 
-/* The sign of place 16 a + b is that of a times that of b, negated where the last bit of a and the
+/* The sign of index 16 a + b is that of a times that of b, negated where the last bit of a and the
  * first of b are both set. */
 static void set_signs(float *x, int n, int block)
 {
@@ -401,15 +401,15 @@ MAP float weigh_unit(const struct attend_block *b, int i)
  * then shifted by octaves. */
 MAP vint weigh_block(const vf x[4], int8_t *out, vint sum)
 {
-    static const uint16_t place[32] = {65024, 63631, 62267, 60933, 59627, 58350, 57099, 55876,
-                                       54678, 53507, 52360, 51238, 50140, 49066, 48015, 46986,
-                                       45979, 44994, 44030, 43086, 42163, 41259, 40375, 39510,
-                                       38664, 37835, 37024, 36231, 35455, 34695, 33951, 33224};
+    static const uint16_t offset[32] = {65024, 63631, 62267, 60933, 59627, 58350, 57099, 55876,
+                                        54678, 53507, 52360, 51238, 50140, 49066, 48015, 46986,
+                                        45979, 44994, 44030, 43086, 42163, 41259, 40375, 39510,
+                                        38664, 37835, 37024, 36231, 35455, 34695, 33951, 33224};
     static const uint16_t slope[32] = {1393, 1364, 1334, 1306, 1277, 1251, 1223, 1198,
                                        1171, 1147, 1122, 1098, 1074, 1051, 1029, 1007,
                                        985,  964,  944,  923,  904,  884,  865,  846,
                                        829,  811,  793,  776,  760,  744,  727,  712};
-    const __m512i top = _mm512_loadu_si512(place), down = _mm512_loadu_si512(slope);
+    const __m512i top = _mm512_loadu_si512(offset), down = _mm512_loadu_si512(slope);
     const __m512i order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
     __m512i w[2];
     for (int k = 0; k < 2; k++) {

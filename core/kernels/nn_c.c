@@ -25,8 +25,8 @@ static void hadamard(float *x, int n, int block)
 {
     const float unit = 1 / sqrtf((float)block);
     for (int i = 0; i < n; i++) {
-        unsigned place = (unsigned)(i % block);
-        x[i] = __builtin_parity(place & place >> 1) ? -x[i] : x[i];
+        unsigned at = (unsigned)(i % block);
+        x[i] = __builtin_parity(at & at >> 1) ? -x[i] : x[i];
     }
     for (int half = 1; half < block; half *= 2)
         for (int i = 0; i < n; i++)

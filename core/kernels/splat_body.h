@@ -482,15 +482,15 @@ MAP vm tile_row(const struct tile_splat *p, vf dx, float dy, struct tile_state *
     return stop;
 }
 
-/* Note the list place of the splat that filled pixels. returns: whether any pixel is still open. */
-static int tile_note_stops(struct tile_state *st, int place, int n)
+/* Note the list index of the splat that filled pixels. returns: whether any pixel is still open. */
+static int tile_note_stops(struct tile_state *st, int index, int n)
 {
     vm room = m_none();
     for (int i = 0; i < TILE * TILE; i += LANES) {
         vm open = v_lt(v_set(0.0f), v_load(st->t + i));
         vf stop = v_load(st->stop + i);
         vm now = m_andnot(v_le(v_set((float)n), stop), open);
-        v_store(st->stop + i, v_sel(now, v_set((float)place), stop));
+        v_store(st->stop + i, v_sel(now, v_set((float)index), stop));
         room = m_or(room, open);
     }
     return m_any(room);
@@ -584,10 +584,10 @@ static void grad_start(const struct tile *t, struct grad_state *st)
 }
 
 MAP void grad_row(const struct tile_splat *p, vf dx, float dy, struct grad_state *st, int at,
-                  vf place, int depth, vf *acc)
+                  vf index, int depth, vf *acc)
 {
     vf log_alpha = tile_log2_alpha(p, dx, dy), zero = v_set(0.0f), one = v_set(1.0f);
-    vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(place, v_load(st->stop + at)));
+    vm hit = m_and(v_le(v_set(LOG2_ALPHA_MIN), log_alpha), v_lt(index, v_load(st->stop + at)));
     vf raw = v_exp2(log_alpha);
     vf alpha = v_sel(hit, v_min(raw, v_set(RASTER_ALPHA_MAX)), zero);
     vf inv = v_recip(one - alpha);
@@ -627,14 +627,14 @@ MAP void tile_blend_grad(const struct tile *t, int depth)
         }
         if (i >= 8)
             __builtin_prefetch(&t->splats[t->list[i - 8]]);
-        vf acc[GRAD2D], place = v_set((float)i);
+        vf acc[GRAD2D], index = v_set((float)i);
         for (int k = 0; k < GRAD2D; k++)
             acc[k] = v_set(0.0f);
         struct tile_splat p = tile_splat_of(s, t);
         for (int y = p.y0; y <= p.y1; y++)
             for (int k = p.v0; k <= p.v1; k++)
                 grad_row(&p, v_set(p.u) - v_load(lane_index + k * LANES), p.v - (float)y, &st,
-                         y * TILE + k * LANES, place, depth, acc);
+                         y * TILE + k * LANES, index, depth, acc);
         for (int k = 0; k < GRAD2D; k++)
             slot[k] = v_sum(acc[k]);
         for (int k = GRAD2D; k < SLOT; k++)

@@ -130,7 +130,7 @@ static void multiply_columns(const struct gemm_s8 *g, int i, int k, const int16_
     const size_t step = (size_t)(4 * PANEL + tiles - 1) / (size_t)tiles;
     for (int col = 0; col < PANEL * g->panels; col += COLS) {
         const int8_t *panel = g->w + (size_t)(col / PANEL) * g->ldw + (size_t)k * PANEL;
-        const int place = i / ROWS * (PANEL / COLS) + col % PANEL / COLS;
+        const int strip_at = i / ROWS * (PANEL / COLS) + col % PANEL / COLS;
         const struct strip s = {
             .a = a,
             .w = panel + 4 * (col % PANEL),
@@ -138,7 +138,7 @@ static void multiply_columns(const struct gemm_s8 *g, int i, int k, const int16_
             .c = g->c + (size_t)i * g->ldc + col,
             .ldc = g->ldc,
             .add = k > 0,
-            .prefetch = {panel + (size_t)g->panels * g->ldw + (size_t)(place * n / 4) * step,
+            .prefetch = {panel + (size_t)g->panels * g->ldw + (size_t)(strip_at * n / 4) * step,
                          step}};
         multiply_strip(&s, g->m - i < ROWS ? g->m - i : ROWS);
     }

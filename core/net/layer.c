@@ -457,12 +457,12 @@ void layer_map_fetch(const void *ctx, int y, int x, int n, float *out)
         out[i] = px[i] < 0 ? 0 : px[i]; // NaN stays
 }
 
-struct place { // between two samples
+struct lerp { // between two samples
     int i0, i1;
     float t;
 };
 
-static struct place place_of(int i, int n_in, int n_out, bool align)
+static struct lerp lerp_between(int i, int n_in, int n_out, bool align)
 {
     float at;
     if (align)
@@ -471,17 +471,17 @@ static struct place place_of(int i, int n_in, int n_out, bool align)
         at = ((float)i + 0.5f) * ((float)n_in / (float)n_out) - 0.5f;
     at = at > 0 ? at : 0;
     int i0 = num_min((int)at, n_in - 1);
-    return (struct place){i0, num_min(i0 + 1, n_in - 1), at - (float)i0};
+    return (struct lerp){i0, num_min(i0 + 1, n_in - 1), at - (float)i0};
 }
 
 void layer_resize_fetch(const void *ctx, int y, int x, int n, float *restrict out)
 {
     const struct layer_resize *m = ctx;
     size_t c = (size_t)m->c, pitch = (size_t)m->w * c;
-    struct place v = place_of(y, m->h, m->out_h, m->align);
+    struct lerp v = lerp_between(y, m->h, m->out_h, m->align);
     const float *upper = m->px + (size_t)v.i0 * pitch, *lower = m->px + (size_t)v.i1 * pitch;
     for (int i = 0; i < n; i++, out += c) {
-        struct place u = place_of(x + i, m->w, m->out_w, m->align);
+        struct lerp u = lerp_between(x + i, m->w, m->out_w, m->align);
         const float *a = upper + (size_t)u.i0 * c, *b = upper + (size_t)u.i1 * c;
         const float *d = lower + (size_t)u.i0 * c, *e = lower + (size_t)u.i1 * c;
         for (size_t k = 0; k < c; k++) {

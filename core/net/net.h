@@ -1,4 +1,4 @@
-/* net.h - the network: weights bound to the places where the graph uses them, and the graph itself
+/* net.h - the network: weights bound to the structs that use them, and the graph itself
  * (core/net/README.md 2). Files follow the paper's figure: backbone, camera, dpt, appearance,
  * gausshead, metanet; net_run in net.c calls them one after the other.
  * Immutable after net_bind, free to share. Pure computation on the pool inside struct run. */

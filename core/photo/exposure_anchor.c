@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-enum { PLACES_MIN = EXPOSURE_PROBE_PLACES / 200 + 1 }; // 0.5 %: fewer prove nothing
+enum { PATCHES_MIN = EXPOSURE_PROBE_PATCHES / 200 + 1 }; // 0.5 %: fewer prove nothing
 
 /* The error of the anchor is common to all frames compared with it, so a ratio must be so accurate
  * that SURE standard errors fit into the tolerance after DOUBTED of them are taken off. */
@@ -17,12 +17,12 @@ static double tolerance_of_ratio(double tolerance, double ratio)
     return tolerance < EXPOSURE_ANCHOR_LOOSE ? 0.0 : BENT * fabs(ratio);
 }
 
-/* Whether parts of the picture changed. The spread of few places is often large, and the noise is
+/* Whether parts of the picture changed. The spread of few patches is often large, and the noise is
  * estimated from few pixels. */
 static bool parts_changed(const struct exposure_probe_ratio *r, double tolerance, double slack)
 {
-    double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->places, 1.0)));
-    return r->places >= PLACES_MIN && r->spread > 2.0 * tolerance + slack &&
+    double lucky = 2.0 * (double)r->noise * (1.0 + SURE / sqrt(fmax(r->patches, 1.0)));
+    return r->patches >= PATCHES_MIN && r->spread > 2.0 * tolerance + slack &&
            (double)r->spread > lucky;
 }
 
@@ -31,7 +31,7 @@ static bool rows_differ(const struct exposure_probe_ratio *r, double tolerance, 
 {
     double most =
         fmin(TORN + tolerance_of_ratio(tolerance, (double)r->log2), 2.0 * tolerance) + slack;
-    return r->places >= PLACES_MIN && r->band > most;
+    return r->patches >= PATCHES_MIN && r->band > most;
 }
 
 void exposure_anchor_compare(const struct exposure_anchor *a, const struct exposure_probe *w,
@@ -43,14 +43,14 @@ void exposure_anchor_compare(const struct exposure_anchor *a, const struct expos
     const double error = hypot(a->error, (double)r.error);
     *out = (struct exposure_anchor_ratio){.changed = parts_changed(&r, tolerance, both),
                                           .torn = rows_differ(&r, tolerance, both),
-                                          .accurate = r.places >= PLACES_MIN &&
+                                          .accurate = r.patches >= PATCHES_MIN &&
                                                       ACCURATE * error <= tolerance,
                                           .stops = a->stops + r.log2,
                                           .error = error,
                                           .lo = a->stops + r.lo - a->slack,
                                           .hi = a->stops + r.hi + a->slack,
                                           .ratio = r.log2,
-                                          .places = r.places};
+                                          .patches = r.patches};
 }
 
 bool exposure_anchor_alike(const struct exposure_anchor *a, const struct exposure_probe *w,
@@ -59,7 +59,7 @@ bool exposure_anchor_alike(const struct exposure_anchor *a, const struct exposur
     struct exposure_probe_ratio r;
     exposure_probe_compare(&a->seen, w, &r);
     return !parts_changed(&r, tolerance, slack) && !rows_differ(&r, tolerance, slack) &&
-           (r.places < PLACES_MIN ||
+           (r.patches < PATCHES_MIN ||
             fabs((double)r.log2) <= 0.5 * tolerance + SURE * (double)r.error + slack);
 }
 

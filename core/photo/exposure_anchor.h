@@ -25,11 +25,11 @@ struct exposure_anchor {
 struct exposure_anchor_ratio {
     bool changed;        // parts of the picture have another ratio than the rest
     bool torn;           // some rows side by side have another ratio than the rest
-    bool accurate;       // enough places, and errors that the tolerance bears
+    bool accurate;       // enough patches, and errors that the tolerance bears
     double stops, error; // if accurate: log2 of the frame's exposure, s
     double lo, hi;       // bounds of it, accurate or not
     float ratio;         // stops, to the anchor
-    int places;
+    int patches;
 };
 
 /* Compare the frame w with an anchor. tolerance: stops; slack: stops by which flicker may have

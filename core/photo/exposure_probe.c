@@ -1,4 +1,4 @@
-/* A place is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; other pixels are
+/* A patch is a block of up to BLOCK x BLOCK px, centred in a cell of an even grid; other pixels are
  * not read. Blocks of small pictures overlap, so that each has neighbours to estimate noise from.
  * Per colour the block's codes become relative exposure (display values by a table, linear ones
  * less black) and are averaged. The mean of the colours counts: where all are noise, the strongest
@@ -11,17 +11,17 @@
  * makes it larger, never smaller), steps of codes, which do not average out in flat surroundings,
  * and, for linear numbers, a black level that is wrong by half a code.
  * A ratio is the median of log2 x_b / x_a (core/photo/README.md 5.1). Selection must not
- * depend on the noise of the ratio, or it is biased near the dark limit: at ratio R a place has the
+ * depend on the noise of the ratio, or it is biased near the dark limit: at ratio R a patch has the
  * expected exposure m = (x_a + x_b) / (1 + R) in a and R m in b, whose errors are independent of
  * x_b / x_a; it counts if both are above its floor, even if x_b itself is not. R starts as the
- * median over places that are good in both.
- * A band of rows has its own median deviation from the ratio; places that are dark or clipped in
+ * median over patches that are good in both.
+ * A band of rows has its own median deviation from the ratio; patches that are dark or clipped in
  * one frame count by how far their bound is beyond the ratio.
- * A row refutes a ratio R by the sum of its places' differences x_b - R x_a in standard errors,
+ * A row refutes a ratio R by the sum of its patches' differences x_b - R x_a in standard errors,
  * each weighted by the difference expected if another ratio is true. The weight comes from the
- * light by both frames, which is independent of the differences if R is true. A place that is dark
+ * light by both frames, which is independent of the differences if R is true. A patch that is dark
  * or clipped in one frame bounds the ratio from one side. The sorted bounds
- * give the one with 2 % of all places beyond it. */
+ * give the one with 2 % of all patches beyond it. */
 #include "core/photo/exposure_probe.h"
 
 #include "core/base/num.h"
@@ -32,10 +32,10 @@
 enum {
     BLOCK_LEAST = 4,
     BLOCK = 8,
-    WRONG = EXPOSURE_PROBE_PLACES / 50,
+    WRONG = EXPOSURE_PROBE_PATCHES / 50,
     ROUNDS = 4,
-    LEAST_PLACES = 6,
-    BAND_PLACES = 6
+    LEAST_PATCHES = 6,
+    BAND_PATCHES = 6
 };
 
 #define LOG2E 1.44269504f
@@ -46,7 +46,7 @@ enum {
 #define STEP_LINEAR 0.29f  // rounding
 #define BLACK_ERROR 0.5f   // codes
 #define LEAST 1e-9f        // relative exposure: logarithms are finite
-#define SD_MAX 0.15f       // stops: noisier places are dark
+#define SD_MAX 0.15f       // stops: noisier patches are dark
 #define FAINT 0x1p-7f      // relative exposure below which display noise may be cut off at black,
 #define STAND_OUT 4.0f     // and counts as light only this many times above the noise
 #define BOUND_SIGMAS 3.0f  // standard errors added to a bound
@@ -54,9 +54,9 @@ enum {
 #define MEDIAN_ERROR 1.25f // standard error of a median over that of a mean
 #define QUARTILE 0.674f    // standard deviations, of a normal distribution
 #define CONVERGED 1e-3f    // stops
-#define PLACE_MAX 4.0f     // standard errors that one place may count against a ratio
+#define PATCH_MAX 4.0f     // standard errors that one patch may count against a ratio
 #define ALIKE 1.5f         // codes: rows that differ by less on average are the same,
-#define ALIKE_PLACE 2.0f   // if no place differs by more: four errors of a black level
+#define ALIKE_PATCH 2.0f   // if no patch differs by more: four errors of a black level
 #define ALIKE_SIGMAS 2.0f  // standard errors added to that difference
 #define STEP_BRIGHT 0.008f // relative to x: least step of display codes, beyond the step at black
 
@@ -65,7 +65,7 @@ struct scale {
     int clip;            // first code that counts as clipped
     float unit;          // relative exposure of a code of linear numbers
     float table[3][256]; // by display value
-    float dark[3];       // relative exposure below which a place is dark
+    float dark[3];       // relative exposure below which a patch is dark
 };
 
 /* Sums over one colour of a block. */
@@ -159,7 +159,7 @@ static struct mean mean_of(const struct scale *s, int colour, const struct sum *
     return (struct mean){m->x / n, sqrtf(noise2), noise2 / n, step};
 }
 
-static void measure_place(const struct scale *s, int y0, int x0, int at, struct exposure_probe *to)
+static void measure_patch(const struct scale *s, int y0, int x0, int at, struct exposure_probe *to)
 {
     struct sum sums[3] = {{0}};
     struct mean all = {0};
@@ -204,16 +204,16 @@ void exposure_probe_measure(const struct raw *px, const struct crf *crf, struct 
     struct scale s;
     int count[3] = {0};
     scale_init(px, crf, &s);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         int y = begin_of(px, i / EXPOSURE_PROBE_EDGE, px->h),
             x = begin_of(px, i % EXPOSURE_PROBE_EDGE, px->w);
-        measure_place(&s, y, x, i, out);
+        measure_patch(&s, y, x, i, out);
         count[out->state[i]]++;
     }
     float share = (float)(edge_of(px->w) * edge_of(px->h)) / ((float)px->w * (float)px->h);
     out->linear = px->linear;
     out->step = px->linear ? s.unit : (s.table[0][1] + s.table[1][1] + s.table[2][1]) / 3.0f;
-    out->overlap = fmaxf(share * EXPOSURE_PROBE_PLACES, 1.0f);
+    out->overlap = fmaxf(share * EXPOSURE_PROBE_PATCHES, 1.0f);
     out->good = count[EXPOSURE_PROBE_GOOD];
     out->dark = count[EXPOSURE_PROBE_DARK];
     out->clipped = count[EXPOSURE_PROBE_CLIPPED];
@@ -224,17 +224,17 @@ void exposure_probe_measure(const struct raw *px, const struct crf *crf, struct 
 struct lists {
     int n_seen, n_lo, n_hi;
     struct {
-        int place;
+        int patch;
         float log2;
-    } seen[EXPOSURE_PROBE_PLACES]; // good in at least one frame, clipped in none
-    float lo[EXPOSURE_PROBE_PLACES], hi[EXPOSURE_PROBE_PLACES];
+    } seen[EXPOSURE_PROBE_PATCHES]; // good in at least one frame, clipped in none
+    float lo[EXPOSURE_PROBE_PATCHES], hi[EXPOSURE_PROBE_PATCHES];
 };
 
 struct pair {
     const struct exposure_probe *a, *b;
     struct lists l;
-    float r, ratio;                     // estimate so far: log2, linear
-    float value[EXPOSURE_PROBE_PLACES]; // scratch for medians
+    float r, ratio;                      // estimate so far: log2, linear
+    float value[EXPOSURE_PROBE_PATCHES]; // scratch for medians
 };
 
 static float log_ratio(float b, float a)
@@ -255,14 +255,14 @@ static void add_bound(const struct exposure_probe *a, const struct exposure_prob
         to->hi[to->n_hi++] = r + error;
 }
 
-static void add_place(const struct exposure_probe *a, const struct exposure_probe *b, int i,
+static void add_patch(const struct exposure_probe *a, const struct exposure_probe *b, int i,
                       struct lists *to)
 {
     int sa = a->state[i], sb = b->state[i];
     if (sa == sb && sa != EXPOSURE_PROBE_GOOD)
-        return; // most places of a dark picture: skip their logarithm
+        return; // most patches of a dark picture: skip their logarithm
     if (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED) {
-        to->seen[to->n_seen].place = i;
+        to->seen[to->n_seen].patch = i;
         to->seen[to->n_seen++].log2 = log_ratio(b->x[i], a->x[i]);
     }
     if (sa != EXPOSURE_PROBE_GOOD || sb != EXPOSURE_PROBE_GOOD)
@@ -292,7 +292,7 @@ static float select_rank(float *v, int n, int k)
     return v[k];
 }
 
-/* Exposure of place i in a, expected from both frames; 0 if it is below the floor of either. */
+/* Exposure of patch i in a, expected from both frames; 0 if it is below the floor of either. */
 static float expected_exposure(const struct pair *p, int i)
 {
     float m = (p->a->x[i] + p->b->x[i]) / (1.0f + p->ratio);
@@ -309,21 +309,21 @@ static int collect_good(struct pair *p)
 {
     int n = 0;
     for (int k = 0; k < p->l.n_seen; k++) {
-        int i = p->l.seen[k].place;
+        int i = p->l.seen[k].patch;
         if (p->a->state[i] == EXPOSURE_PROBE_GOOD && p->b->state[i] == EXPOSURE_PROBE_GOOD)
             p->value[n++] = p->l.seen[k].log2;
     }
     return n;
 }
 
-/* Ratios of the places with a sufficient expected exposure; var: the sum of their squared errors.
+/* Ratios of the patches with a sufficient expected exposure; var: the sum of their squared errors.
  */
 static int collect_expected(struct pair *p, float *var)
 {
     int n = 0;
     *var = 0.0f;
     for (int k = 0; k < p->l.n_seen; k++) {
-        int i = p->l.seen[k].place;
+        int i = p->l.seen[k].patch;
         float m = expected_exposure(p, i);
         if (m <= 0.0f)
             continue;
@@ -334,7 +334,7 @@ static int collect_expected(struct pair *p, float *var)
     return n;
 }
 
-/* Standard error of the median of n places with a standard deviation of sd. */
+/* Standard error of the median of n patches with a standard deviation of sd. */
 static float median_error(const struct pair *p, float sd, int n)
 {
     return MEDIAN_ERROR * sd * sqrtf(fmaxf(p->a->overlap, p->b->overlap) / (float)n);
@@ -359,16 +359,16 @@ static void estimate_ratio(struct pair *p, struct exposure_probe_ratio *out)
         step = fabsf(r - p->r);
         set_ratio(p, r);
     }
-    if (n < LEAST_PLACES * fmaxf(p->a->overlap, p->b->overlap))
+    if (n < LEAST_PATCHES * fmaxf(p->a->overlap, p->b->overlap))
         return;
-    out->places = n;
+    out->patches = n;
     out->log2 = p->r;
     out->spread = spread_of(p->value, n);
     out->noise = sqrtf(var / (float)n);
     out->error = median_error(p, out->spread / QUARTILE, n);
 }
 
-/* Bounds of log2 x of a place. */
+/* Bounds of log2 x of a patch. */
 static void log_bounds(const struct exposure_probe *w, int i, float *lo, float *hi)
 {
     float l = log2f(fmaxf(w->x[i], w->floor[i]));
@@ -376,8 +376,8 @@ static void log_bounds(const struct exposure_probe *w, int i, float *lo, float *
     *hi = w->state[i] == EXPOSURE_PROBE_CLIPPED ? INFINITY : l;
 }
 
-/* Least distance of the ratio of place i from that of all, stops; false: it is not known. Dark
- * places that are as dark as expected count, too: without them the places that noise makes good
+/* Least distance of the ratio of patch i from that of all, stops; false: it is not known. Dark
+ * patches that are as dark as expected count, too: without them the patches that noise makes good
  * would be the majority. */
 static bool ratio_deviation(const struct pair *p, int i, float *off)
 {
@@ -391,13 +391,13 @@ static bool ratio_deviation(const struct pair *p, int i, float *off)
     return *off != 0.0f || (sa != EXPOSURE_PROBE_CLIPPED && sb != EXPOSURE_PROBE_CLIPPED);
 }
 
-/* Significant deviation of a band of rows of the grid, stops. spread: of all places. */
+/* Significant deviation of a band of rows of the grid, stops. spread: of all patches. */
 static float band_off(struct pair *p, int row, int rows, float spread)
 {
     int n = 0;
     for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + rows) * EXPOSURE_PROBE_EDGE; i++)
         n += ratio_deviation(p, i, &p->value[n]);
-    if (n < BAND_PLACES)
+    if (n < BAND_PATCHES)
         return 0.0f;
     float noise = fmaxf(spread_of(p->value, n), spread) / QUARTILE;
     float off = fabsf(select_rank(p->value, n, n / 2));
@@ -418,15 +418,15 @@ void exposure_probe_compare(const struct exposure_probe *a, const struct exposur
 {
     struct pair p = {.a = a, .b = b};
     struct lists *l = &p.l;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
-        add_place(a, b, i, l);
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
+        add_patch(a, b, i, l);
     *out = (struct exposure_probe_ratio){.lo = -INFINITY, .hi = INFINITY};
     if (l->n_lo > WRONG)
         out->lo = select_rank(l->lo, l->n_lo, l->n_lo - 1 - WRONG);
     if (l->n_hi > WRONG)
         out->hi = select_rank(l->hi, l->n_hi, WRONG);
     estimate_ratio(&p, out);
-    if (out->places > 0)
+    if (out->patches > 0)
         out->band = widest_band(&p, out->spread);
 }
 
@@ -438,8 +438,8 @@ struct refuter {
     bool same;      // the other is no other than a: what is dark or clipped is so in both
 };
 
-/* Bounds of the true x of a place, without its standard error. */
-static void bound_place(const struct refuter *t, const struct exposure_probe *w, int i, float *lo,
+/* Bounds of the true x of a patch, without its standard error. */
+static void bound_patch(const struct refuter *t, const struct exposure_probe *w, int i, float *lo,
                         float *hi)
 {
     bool dark = w->state[i] == EXPOSURE_PROBE_DARK && !t->same && !w->linear;
@@ -449,14 +449,14 @@ static void bound_place(const struct refuter *t, const struct exposure_probe *w,
                                                               : w->x[i];
 }
 
-/* Light of place i in a by both frames, if b has the other ratio to it; var: its squared error.
+/* Light of patch i in a by both frames, if b has the other ratio to it; var: its squared error.
  * Where both but bound it, that which makes the ratios differ most: the longer one saturates. */
 static float light_if(const struct refuter *t, int i, float *var)
 {
     float lo_a, hi_a, lo_b, hi_b, va = t->a->sd[i] * t->a->sd[i];
     float vb = t->b->sd[i] * t->b->sd[i] / (t->other * t->other);
-    bound_place(t, t->a, i, &lo_a, &hi_a);
-    bound_place(t, t->b, i, &lo_b, &hi_b);
+    bound_patch(t, t->a, i, &lo_a, &hi_a);
+    bound_patch(t, t->b, i, &lo_b, &hi_b);
     float xa = lo_a, xb = lo_b / t->other;
     bool a = lo_a == hi_a, b = lo_b == hi_b;
     *var = a && b ? va * vb / fmaxf(va + vb, 1e-30f) : a ? va : b ? vb : 0.0f;
@@ -472,23 +472,23 @@ static float light_if(const struct refuter *t, int i, float *var)
 static float deviation_from_other(const struct refuter *t, int i, float sd)
 {
     float lo_a, hi_a, lo_b, hi_b;
-    bound_place(t, t->a, i, &lo_a, &hi_a);
-    bound_place(t, t->b, i, &lo_b, &hi_b);
+    bound_patch(t, t->a, i, &lo_a, &hi_a);
+    bound_patch(t, t->b, i, &lo_b, &hi_b);
     float off = t->other < t->r ? lo_b - t->other * hi_a : t->other * lo_a - hi_b;
     bool bounds = lo_a < hi_a || lo_b < hi_b;
     off = bounds ? fmaxf(off, 0.0f) : off;
     float black = BLACK_ERROR * (1.0f + t->other) * t->b->step;
     off = off > 0.0f ? fmaxf(off - black, 0.0f) : off;
-    return fmaxf(fminf(off / sd, PLACE_MAX), -PLACE_MAX);
+    return fmaxf(fminf(off / sd, PATCH_MAX), -PATCH_MAX);
 }
 
-/* Exposure of one code at place i of b. */
+/* Exposure of one code at patch i of b. */
 static float step_at(const struct exposure_probe *b, int i)
 {
     return b->step + (b->linear ? 0.0f : STEP_BRIGHT * b->x[i]);
 }
 
-/* Difference of the two ratios at a place of that light. */
+/* Difference of the two ratios at a patch of that light. */
 static float expected_difference(const struct refuter *t, float light)
 {
     return fabsf(fminf(t->r * light, 1.0f) - fminf(t->other * light, 1.0f));
@@ -503,13 +503,13 @@ static void judge_row(const struct refuter *t, int row, struct exposure_probe_ro
     for (int i = row * EXPOSURE_PROBE_EDGE; i < (row + 1) * EXPOSURE_PROBE_EDGE; i++) {
         float light = light_if(t, i, &v);
         float sd = fmaxf(hypotf(t->b->sd[i], t->other * t->a->sd[i]), 1e-9f);
-        float off = expected_difference(t, light), weight = fmaxf(fminf(off / sd, PLACE_MAX), 0.0f);
+        float off = expected_difference(t, light), weight = fmaxf(fminf(off / sd, PATCH_MAX), 0.0f);
         sum += weight * deviation_from_other(t, i, sd);
         var += weight * weight;
         float share = 1.0f / (step_at(t->b, i) * EXPOSURE_PROBE_EDGE);
         differ += share * off;
         differ_var += share * share * apart * apart * v;
-        shown |= off > ALIKE_PLACE * step_at(t->b, i) + ALIKE_SIGMAS * apart * sqrtf(v);
+        shown |= off > ALIKE_PATCH * step_at(t->b, i) + ALIKE_SIGMAS * apart * sqrtf(v);
     }
     if (sum > BAND_SIGMAS * sqrtf(overlap * var))
         out->refuted |= (uint32_t)1 << row;

@@ -13,7 +13,7 @@
 
 enum { READOUTS = 96, FIGURES_MIN = 24 }; // rows of all short frames
 
-#define SHORT_S 0.00125  // an exposure that should see the places that count: they are brighter in
+#define SHORT_S 0.00125  // an exposure that should see the patches that count: they are brighter in
 #define LEAST_CODES 2.0f // it than the floor; numbers with a black level, than so many codes
 #define BRIGHTEST 0.7f   // relative to saturation
 #define EXPLAINED 0.8    // least share of the squares,
@@ -24,8 +24,8 @@ enum { READOUTS = 96, FIGURES_MIN = 24 }; // rows of all short frames
 #define DEPTH_MOST 1.05  // depth, errors included
 #define DEPTH_MAX 0.95   // logarithms are finite
 
-/* Whether a place of a long frame counts. */
-static bool place_counts(const struct exposure_probe *w, int i, double time_s)
+/* Whether a patch of a long frame counts. */
+static bool patch_counts(const struct exposure_probe *w, int i, double time_s)
 {
     float least = w->linear ? LEAST_CODES * w->step : w->floor[i];
     return w->state[i] == EXPOSURE_PROBE_GOOD && w->x[i] <= BRIGHTEST &&
@@ -35,10 +35,10 @@ static bool place_counts(const struct exposure_probe *w, int i, double time_s)
 void flicker_add_long(struct flicker *f, const struct exposure_probe *w, double time_s)
 {
     f->long_s = time_s;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         if (f->n_long == 0) {
-            f->counts[i] = place_counts(w, i, time_s);
-            f->places[i / EXPOSURE_PROBE_EDGE] += f->counts[i];
+            f->counts[i] = patch_counts(w, i, time_s);
+            f->patches[i / EXPOSURE_PROBE_EDGE] += f->counts[i];
         }
         f->even[i / EXPOSURE_PROBE_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
     }
@@ -53,7 +53,7 @@ void flicker_add_short(struct flicker *f, const struct exposure_probe *w, double
     double *row = f->row[f->n_short], *var = f->var[f->n_short];
     memset(row, 0, sizeof f->row[0]);
     memset(var, 0, sizeof f->var[0]);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         row[i / EXPOSURE_PROBE_EDGE] += f->counts[i] ? (double)w->x[i] : 0.0;
         var[i / EXPOSURE_PROBE_EDGE] += f->counts[i] ? (double)(w->sd[i] * w->sd[i]) : 0.0;
     }
@@ -104,7 +104,7 @@ static double explained_share(const struct flicker *f, double hz, double readout
     struct fit t = {0};
     for (int k = 0; k < f->n_short; k++)
         for (int j = 0; j < EXPOSURE_PROBE_EDGE; j++) {
-            if (f->places[j] == 0)
+            if (f->patches[j] == 0)
                 continue;
             double at = f->start_s[k] - f->start_s[0] + readout_s * j / EXPOSURE_PROBE_EDGE;
             double time = f->time_s[k], m = sinc(hz * time);

@@ -16,9 +16,9 @@ struct flicker {
     double row[FLICKER_FRAMES][EXPOSURE_PROBE_EDGE]; // sums of rows of each short frame
     double var[FLICKER_FRAMES][EXPOSURE_PROBE_EDGE]; // their squared standard errors
     double start_s[FLICKER_FRAMES], time_s[FLICKER_FRAMES];
-    int places[EXPOSURE_PROBE_EDGE]; // number that counts in each row
-    double long_s;                   // the longer exposure
-    bool counts[EXPOSURE_PROBE_PLACES];
+    int patches[EXPOSURE_PROBE_EDGE]; // number that counts in each row
+    double long_s;                    // the longer exposure
+    bool counts[EXPOSURE_PROBE_PATCHES];
 };
 
 /* Add a frame of the longer exposure. These come first. */

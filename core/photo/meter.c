@@ -2,7 +2,7 @@
  * e = (S^2 + S sqrt(S^2 + 4 read_noise^2)) / 2; independent frames add the squares of their ratios.
  * Histogram: each bin comes from the longest probe that has it unclipped. The part that a longer
  * probe clips is the part that the shorter one shows above its border; where noise lifts more
- * places over that border, the brightest count.
+ * samples over that border, the brightest count.
  * Probes: the first is in the middle of the range of times. The next are shorter by the range of
  * one probe while too much is clipped, longer while too much is too dark to be seen. Then
  * coverage.c plans.
@@ -17,7 +17,7 @@
 
 enum {
     PROBES = 3,
-    PLACES = 65536,         // sampled in a frame at most
+    SAMPLES = 65536,        // sampled in a frame at most
     ABOVE = METER_PER_STOP, // bins kept for what the shortest exposure clips
     CODE_LO = 8,            // usable display codes (core/photo/README.md 4.2)
     CODE_HI = 245,          //
@@ -26,9 +26,9 @@ enum {
 };
 #define SEEN_SNR 3.0      // least ratio at which a pixel of a probe is placed in the histogram
 #define FIRST_MAX_S 1.0   // the first probe is in the middle of the range of times up to here
-#define TOP_SIGMAS 1.0    // standard deviations added to a place at the bright end,
+#define TOP_SIGMAS 1.0    // standard deviations added to a sample at the bright end,
 #define BOTTOM_SIGMAS 0.7 // and subtracted at the dark end
-#define CHECK_SHARE 0.9   // part of snr that is enough afterwards: one place adds its noise
+#define CHECK_SHARE 0.9   // part of snr that is enough afterwards: one sample adds its noise
 #define SLIGHT 1e-9       // rounding of shares
 
 /* --- configuration -------------------------------------------------------------------------- */
@@ -133,7 +133,7 @@ err_t meter_begin(const struct meter_config *cfg, struct meter *m)
 struct sampler {
     const struct raw *px;
     bool mosaic;
-    int stride, w, h; // px between places; places
+    int stride, w, h; // px between samples; samples
     float scale;
     float x[3][256]; // by display code
 };
@@ -148,7 +148,7 @@ static void sampler_init(const struct raw *px, const struct crf *crf, struct sam
     s->px = px;
     s->mosaic = px->cfa != RAW_MONO && px->cfa != RAW_RGB;
     int cell = s->mosaic ? 2 : 1, w = px->w / cell, h = px->h / cell, skip = 1;
-    while ((long)((w + skip - 1) / skip) * ((h + skip - 1) / skip) > PLACES)
+    while ((long)((w + skip - 1) / skip) * ((h + skip - 1) / skip) > SAMPLES)
         skip++;
     s->w = (w + skip - 1) / skip;
     s->h = (h + skip - 1) / skip;
@@ -168,9 +168,9 @@ static float relative_exposure(const struct sampler *s, size_t at, int channel)
     return s->x[channel][z < 255 ? z : 255];
 }
 
-/* Relative exposures of the channels of a place. The greens of a mosaic are averaged unless one of
+/* Relative exposures of the channels of a sample. The greens of a mosaic are averaged unless one of
  * them is above `hi`. returns: number of channels. */
-static int sample_place(const struct sampler *s, int i, int j, float hi, float x[3])
+static int sample_at(const struct sampler *s, int i, int j, float hi, float x[3])
 {
     size_t w = (size_t)s->px->w, at = (size_t)j * (size_t)s->stride * w + (size_t)(i * s->stride);
     if (s->px->cfa == RAW_MONO) {
@@ -236,7 +236,7 @@ static double sum_bins(const float *v, int from, int to)
     return s;
 }
 
-/* Take the bins range[0]..range[1]-1 of one probe, limited to the brightest `rest` of its places,
+/* Take the bins range[0]..range[1]-1 of one probe, limited to the brightest `rest` of its samples,
  * because noise may lift more over the border. The part of `rest` that it does not see goes to the
  * bin `blind`. returns: the share above range[1]. */
 static double take_bins(const float *share, const int range[2], int blind, double rest, double *out)
@@ -303,7 +303,7 @@ void meter_add(struct meter *m, const struct raw *px, const struct crf *crf, dou
     double log2t = log2(exposure_s);
     for (int j = 0; j < s.h; j++)
         for (int i = 0; i < s.w; i++) {
-            int n = sample_place(&s, i, j, hi, x);
+            int n = sample_at(&s, i, j, hi, x);
             float top = n == 3 ? fmaxf(fmaxf(x[0], x[1]), x[2]) : x[0];
             float bottom = n == 3 ? fminf(fminf(x[0], x[1]), x[2]) : x[0];
             count[0][bin_of(m, top, TOP_SIGMAS, log2t)]++;
@@ -398,7 +398,7 @@ err_t meter_choose(const struct meter *m, struct meter_result *out)
 
 struct tally {
     double clipped, dark;
-    double mass[METER_BINS]; // dark places by radiance
+    double mass[METER_BINS]; // dark samples by radiance
 };
 
 /* Square of the merged signal to noise of one channel; *l: log2 of its radiance. */
@@ -419,8 +419,8 @@ static double merged_snr2(const struct meter *m, const double *exposure, const f
 }
 
 /* x: [frames][3] relative exposures. */
-static void add_place(const struct meter *m, const double *exposure, const float *x, int n,
-                      int channels, struct tally *out)
+static void add_sample(const struct meter *m, const double *exposure, const float *x, int n,
+                       int channels, struct tally *out)
 {
     double darkest = INFINITY, l, hi = exp2(m->hi), need = CHECK_SHARE * m->cfg.snr;
     bool clipped = false;
@@ -439,7 +439,7 @@ static void add_place(const struct meter *m, const double *exposure, const float
     }
 }
 
-/* The exposure of at most `left` that covers most of the dark places; 0: none. */
+/* The exposure of at most `left` that covers most of the dark samples; 0: none. */
 static double longer_exposure(const struct meter *m, const struct tally *t, double left,
                               double longest_s)
 {
@@ -458,7 +458,7 @@ static double longer_exposure(const struct meter *m, const struct tally *t, doub
             best = time;
         }
     }
-    /* No dark place can be reached; unseen ones may be a step below. */
+    /* No dark sample can be reached; unseen ones may be a step below. */
     if (found == 0.0 && most > longest_s * (1.0 + 1e-6))
         best =
             coverage_legal_s(&m->cfg, fmin(most, longest_s * exp2(m->hi - m->lo - m->cfg.overlap)));
@@ -488,12 +488,12 @@ void meter_check(const struct meter_config *cfg, const struct raw *frames, int n
     for (int at = 0; at < s[0].w * s[0].h; at++) {
         int channels = 0;
         for (int i = 0; i < n; i++)
-            channels = sample_place(&s[i], at % s[0].w, at / s[0].w, (float)exp2(m.hi), x[i]);
-        add_place(&m, exposure_s, &x[0][0], n, channels, &t);
+            channels = sample_at(&s[i], at % s[0].w, at / s[0].w, (float)exp2(m.hi), x[i]);
+        add_sample(&m, exposure_s, &x[0][0], n, channels, &t);
     }
-    double places = (double)s[0].w * s[0].h;
-    out->clipped = t.clipped / places;
-    out->dark = t.dark / places;
+    double samples = (double)s[0].w * s[0].h;
+    out->clipped = t.clipped / samples;
+    out->dark = t.dark / samples;
     double left = m.cfg.budget_s > 0.0 ? m.cfg.budget_s - total : INFINITY;
     double darker = coverage_legal_s(&m.cfg, shortest * exp2(m.cfg.overlap - (m.hi - m.lo)));
     double over[2] = {out->clipped / fmax(m.cfg.clip, SLIGHT),

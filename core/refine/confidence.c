@@ -64,7 +64,7 @@ void confidence_plan(struct plan *p, int cap)
 
 /* ---- what one camera sees ---- */
 
-struct look {
+struct survey {
     struct confidence *c;
     const struct scene *s;
     struct shell shell;
@@ -79,7 +79,7 @@ static struct camera small_camera(const struct camera *cam)
 }
 
 /* Draw `g` from cam into the maps. */
-static err_t draw_view(const struct run *r, struct look *l, const struct gaussians *g,
+static err_t draw_view(const struct run *r, struct survey *l, const struct gaussians *g,
                        const struct camera *cam)
 {
     const struct raster_input in = {g, cam, {0, 0, 0}};
@@ -99,7 +99,7 @@ static void splat_at(const struct scene *s, int i, float x[3])
 }
 
 /* Whether the camera of the maps sees splat i, and at which pixel. */
-static bool splat_visible(const struct look *l, int i, size_t *pixel)
+static bool splat_visible(const struct survey *l, int i, size_t *pixel)
 {
     const struct camera *cam = &l->cam;
     const struct render *maps = &l->c->maps;
@@ -132,7 +132,7 @@ static float confidence_value(float n, const float ray[3], bool far)
 }
 
 /* Unit vector from the camera of the maps to splat i. */
-static void ray_to(const struct look *l, int i, float ray[3])
+static void ray_to(const struct survey *l, int i, float ray[3])
 {
     float length = 0;
     splat_at(l->s, i, ray);
@@ -146,7 +146,7 @@ static void ray_to(const struct look *l, int i, float ray[3])
 }
 
 /* With a photograph of weight 1 or 0 more from the camera of the maps. */
-static float value_with(const struct look *l, int i, float more)
+static float value_with(const struct survey *l, int i, float more)
 {
     const struct confidence *c = l->c;
     float x[3], ray[3];
@@ -175,7 +175,7 @@ static float photo_mean(const struct views *v, int view, const int xyc[3],
 }
 
 /* The maps show view i; their radiance becomes display values. */
-static void compare_photo(const struct look *l, const struct views *v, int i)
+static void compare_photo(const struct survey *l, const struct views *v, int i)
 {
     struct confidence *c = l->c;
     struct render *maps = &c->maps;
@@ -226,7 +226,7 @@ static int count_blocks(const struct scene *s)
 
 static err_t count_chunk(void *ctx, int chunk, int worker)
 {
-    const struct look *l = ctx;
+    const struct survey *l = ctx;
     struct confidence *c = l->c;
     const int end = num_min(l->s->g.n, (chunk + 1) * BLOCK);
     (void)worker;
@@ -250,7 +250,7 @@ static float drawn_as(float confidence)
 
 static err_t gain_chunk(void *ctx, int chunk, int worker)
 {
-    const struct look *l = ctx;
+    const struct survey *l = ctx;
     const int end = num_min(l->s->g.n, (chunk + 1) * BLOCK);
     (void)worker;
     for (int i = chunk * BLOCK; i < end; i++) {
@@ -277,7 +277,7 @@ void confidence_splats(const struct scene *s, float *colour, struct gaussians *o
 }
 
 /* What the photographs say of each splat. */
-static err_t count_photographs(const struct run *r, struct look *l, const struct views *v)
+static err_t count_photographs(const struct run *r, struct survey *l, const struct views *v)
 {
     struct confidence *c = l->c;
     float *const planes[] = {c->seen, c->ray[0], c->ray[1], c->ray[2]};
@@ -348,7 +348,7 @@ static struct camera camera_around(const struct camera *cam, float depth, enum c
 }
 
 /* gain: what a photograph from cam proves; 0 if it could hardly be placed. */
-static err_t measure_gain(const struct run *r, struct look *l, const struct camera *cam,
+static err_t measure_gain(const struct run *r, struct survey *l, const struct camera *cam,
                           float *gain)
 {
     const struct camera small = small_camera(cam);
@@ -368,22 +368,22 @@ static err_t measure_gain(const struct run *r, struct look *l, const struct came
 /* Whether there is a photograph from about there: nearer than half the way from camera `from`. */
 static bool is_taken(const struct scene *s, const struct camera *from, const struct camera *cam)
 {
-    double start[3], place[3], way[3], off[3];
+    double start[3], there[3], way[3], off[3];
     rotation_centre(from, start);
-    rotation_centre(cam, place);
+    rotation_centre(cam, there);
     for (int k = 0; k < 3; k++)
-        way[k] = place[k] - start[k];
+        way[k] = there[k] - start[k];
     for (int i = 0; i < s->n_views; i++) {
         rotation_centre(&s->cams[i], off);
         for (int k = 0; k < 3; k++)
-            off[k] -= place[k];
+            off[k] -= there[k];
         if (lin_dot(off, off) < lin_dot(way, way) / 4)
             return true;
     }
     return false;
 }
 
-static err_t advise_near(const struct run *r, struct look *l, int view,
+static err_t advise_near(const struct run *r, struct survey *l, int view,
                          struct confidence_advice *best)
 {
     const struct camera *cam = &l->s->cams[view], small = small_camera(cam);
@@ -400,7 +400,8 @@ static err_t advise_near(const struct run *r, struct look *l, int view,
     return e;
 }
 
-static err_t suggest_photograph(const struct run *r, struct look *l, struct confidence_advice *out)
+static err_t suggest_photograph(const struct run *r, struct survey *l,
+                                struct confidence_advice *out)
 {
     const int views = l->s->n_views, n = num_min(views, ADVISERS);
     err_t e = OK;
@@ -414,7 +415,7 @@ err_t confidence_run(const struct run *r, const struct views *v, struct scene *s
                      struct confidence_advice *advice)
 {
     struct confidence c;
-    struct look l = {.c = &c, .s = s, .shell = shell_of(s->cams, s->n_views)};
+    struct survey l = {.c = &c, .s = s, .shell = shell_of(s->cams, s->n_views)};
     const size_t mark = arena_mark(r->tmp);
     err_t e = layout(&c, r->tmp, s->g.cap);
     if (!e)

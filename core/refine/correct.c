@@ -22,7 +22,7 @@ static const float END = 24, CELL = 48.0f / CELLS; // stops
 
 /* ---- known cameras ---- */
 
-struct place {
+struct known_cameras {
     struct prediction *p;
     const struct camera *own; // the network's cameras
     const struct run *r;
@@ -30,27 +30,27 @@ struct place {
 
 static err_t unproject_chunk(void *ctx, int view, int worker)
 {
-    const struct place *pl = ctx;
-    const size_t pixels = (size_t)pl->p->geom.size * (size_t)pl->p->geom.size;
+    const struct known_cameras *k = ctx;
+    const size_t pixels = (size_t)k->p->geom.size * (size_t)k->p->geom.size;
     (void)worker;
-    depth_unproject(&pl->p->geom, view, pl->p->points + 3 * pixels * (size_t)view);
+    depth_unproject(&k->p->geom, view, k->p->points + 3 * pixels * (size_t)view);
     return OK;
 }
 
-static err_t move_to_cameras(const struct place *pl)
+static err_t move_to_cameras(const struct known_cameras *k)
 {
-    const struct geometry *g = &pl->p->geom;
+    const struct geometry *g = &k->p->geom;
     const int pixels = g->size * g->size;
     err_t e = OK;
-    for (int i = 0; i < g->n_views && !e && pl->p->features; i++) {
+    for (int i = 0; i < g->n_views && !e && k->p->features; i++) {
         float turn[9];
-        similarity_rotation(&pl->own[i], &g->cams[i], turn);
-        e = rotate_features(pl->r, turn, pl->p->features, (size_t)pl->p->n,
+        similarity_rotation(&k->own[i], &g->cams[i], turn);
+        e = rotate_features(k->r, turn, k->p->features, (size_t)k->p->n,
                             (int[2]){i * pixels, pixels});
     }
-    return e || !pl->p->points
+    return e || !k->p->points
                ? e
-               : pool_for(pl->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)pl);
+               : pool_for(k->r->pool, g->n_views, unproject_chunk, (void *)(uintptr_t)k);
 }
 
 static err_t layout_sorted(float **sorted, struct arena *tmp, int n_views)
@@ -107,7 +107,7 @@ err_t correct_cameras(const struct run *r, const struct camera *cams, const floa
         for (size_t i = 0; i < n; i++)
             for (int k = 0; k < 3; k++)
                 g->cams[i].t[k] /= *scale;
-        e = move_to_cameras(&(struct place){p, own, r});
+        e = move_to_cameras(&(struct known_cameras){p, own, r});
     }
     arena_reset(r->tmp, mark);
     return e;
@@ -146,11 +146,11 @@ void correct_drop(const bool *keep, float *depth_scale, struct prediction *p)
 
 /* ---- what the photographs know better ---- */
 
-struct sharpen {
+struct correction {
     const struct correct_known *known;
     float scale;
     struct prediction *p;
-    struct visibility sight;
+    struct visibility visibility;
     struct response_table table; // tables of the photographs
     float (*moved)[CELLS + 1];   // (3) x of the known curve where it shows what the network's does
     float *depth;                // (n) in units of the maps
@@ -164,7 +164,7 @@ static float scale_softplus(float x, float factor, double most)
     return y > 20 ? (float)y : (float)log(expm1(fmax(y, 1e-30)));
 }
 
-static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
+static void move_pixel(const struct correction *s, int view, size_t i, float depth)
 {
     const size_t n = (size_t)s->p->n;
     float *scales = s->p->features + VOXEL_SCALE * n + i, *mine = &s->p->geom.depth[i];
@@ -175,27 +175,27 @@ static void move_pixel(const struct sharpen *s, int view, size_t i, float depth)
 }
 
 /* Where pixel i of the view is in the maps. */
-static size_t map_place(const struct sharpen *s, int view, int i)
+static size_t map_index(const struct correction *s, int view, int i)
 {
     const int w = s->p->geom.size;
-    return visibility_index(&s->sight, view, (float)(i % w), (float)(i / w));
+    return visibility_index(&s->visibility, view, (float)(i % w), (float)(i / w));
 }
 
-static const uint8_t *photo_pixel(const struct sharpen *s, int view, int x, int y)
+static const uint8_t *photo_pixel(const struct correction *s, int view, int x, int y)
 {
     const struct views *v = s->known->seen.views;
     return views_rgb(v, view) + 3 * ((size_t)y * (size_t)v->extent[view].w + (size_t)x);
 }
 
 /* How much a pixel says about radiance, 0..1. */
-static float pixel_weight(const struct sharpen *s, const uint8_t *rgb)
+static float pixel_weight(const struct correction *s, const uint8_t *rgb)
 {
     const struct response_table *t = &s->table;
     return (t->weight[0][rgb[0]] + t->weight[1][rgb[1]] + t->weight[2][rgb[2]]) / 3;
 }
 
 /* log2 radiance that a display value stands for, from and to. */
-static void radiance_range(const struct sharpen *s, int view, int c, int shown, float out[2])
+static void radiance_range(const struct correction *s, int view, int c, int shown, float out[2])
 {
     const struct views *v = s->known->seen.views;
     const struct response_table *t = &s->table;
@@ -214,7 +214,7 @@ struct pixel {
 };
 
 /* Whether the two cannot show one thing. */
-static bool pixels_differ(const struct sharpen *s, const struct pixel *p, int view,
+static bool pixels_differ(const struct correction *s, const struct pixel *p, int view,
                           const uint8_t *rgb)
 {
     for (int c = 0; c < 3; c++) {
@@ -231,30 +231,30 @@ enum verdict { SILENT, AGREES, DIFFERS, BETTER };
 
 /* What view j says about the pixel. One whose depth is a guess may be anywhere before what others
  * are sure of, and behind anything else. */
-static enum verdict ask_view(const struct sharpen *s, const struct pixel *p, int j)
+static enum verdict ask_view(const struct correction *s, const struct pixel *p, int j)
 {
     struct projected there;
-    if (!visibility_project(&s->sight, j, p->point, &there))
+    if (!visibility_project(&s->visibility, j, p->point, &there))
         return SILENT;
     const uint8_t *rgb = photo_pixel(s, j, (int)there.u, (int)there.v);
     const bool knows = pixel_weight(s, rgb) > TIMES * p->worth;
     if (p->sure)
-        return knows && visibility_on_surface(&s->sight, &there) ? BETTER : SILENT;
-    if (knows || visibility_in_front(&s->sight, &there))
+        return knows && visibility_on_surface(&s->visibility, &there) ? BETTER : SILENT;
+    if (knows || visibility_in_front(&s->visibility, &there))
         return BETTER;
-    if (visibility_behind(&s->sight, &there))
+    if (visibility_behind(&s->visibility, &there))
         return SILENT;
     return pixels_differ(s, p, j, rgb) ? DIFFERS : AGREES;
 }
 
 /* Whether others know pixel i better, or more of them show something else there than the same. */
-static bool pixel_refuted(const struct sharpen *s, int view, int i)
+static bool pixel_refuted(const struct correction *s, int view, int i)
 {
     const int w = s->p->geom.size;
     const float *at = s->p->points + 3 * ((size_t)view * (size_t)w * (size_t)w + (size_t)i);
     const uint8_t *rgb = photo_pixel(s, view, i % w, i / w);
     const struct pixel p = {view,
-                            visibility_confident(&s->sight, map_place(s, view, i)),
+                            visibility_confident(&s->visibility, map_index(s, view, i)),
                             rgb,
                             pixel_weight(s, rgb),
                             {at[0] * s->scale, at[1] * s->scale, at[2] * s->scale}};
@@ -278,7 +278,7 @@ static float graded_radiance(const float *table, float x, float *slope)
 }
 
 /* The photograph's own radiance, or, where it is black or saturated, the network's. */
-static void colour_pixel(const struct sharpen *s, int view, int i)
+static void colour_pixel(const struct correction *s, int view, int i)
 {
     const struct views *net = s->known->views, *seen = s->known->seen.views;
     const size_t n = (size_t)s->p->n, w = (size_t)net->size;
@@ -301,25 +301,25 @@ static void colour_pixel(const struct sharpen *s, int view, int i)
 }
 
 /* Unlike depth_unproject, at the middle of the pixel, whose colour the photograph tells. */
-static void place_pixel(const struct sharpen *s, int view, int i, size_t k)
+static void unproject_pixel(const struct correction *s, int view, int i, size_t k)
 {
     const int w = s->p->geom.size;
     const float uvz[3] = {(float)(i % w) + 0.5f, (float)(i / w) + 0.5f, s->depth[k]};
-    visibility_unproject(&s->sight, view, uvz, s->p->points + 3 * k);
+    visibility_unproject(&s->visibility, view, uvz, s->p->points + 3 * k);
     for (size_t c = 0; c < 3; c++)
         s->p->points[3 * k + c] /= s->scale;
 }
 
-static err_t sharpen_view(void *ctx, int view, int worker)
+static err_t correct_view(void *ctx, int view, int worker)
 {
-    const struct sharpen *s = ctx;
+    const struct correction *s = ctx;
     const int pixels = s->p->geom.size * s->p->geom.size;
     const size_t first = (size_t)view * (size_t)pixels;
     (void)worker;
     for (int i = 0; i < pixels; i++) {
         const size_t k = first + (size_t)i;
         move_pixel(s, view, k, s->depth[k] / s->scale);
-        place_pixel(s, view, i, k);
+        unproject_pixel(s, view, i, k);
         if (pixel_refuted(s, view, i))
             s->p->confidence[k] = NAN; // voxel_merge leaves it out
         if (!s->p->linear)
@@ -329,7 +329,7 @@ static err_t sharpen_view(void *ctx, int view, int worker)
 }
 
 /* Beyond what both curves show (response_radiance_log) radiance is not guessed. */
-static void tabulate_weights(struct sharpen *s)
+static void tabulate_weights(struct correction *s)
 {
     const struct tonemap *to = s->known->tone;
     response_tabulate(s->known->seen.tone, &s->table);
@@ -340,10 +340,10 @@ static void tabulate_weights(struct sharpen *s)
         }
 }
 
-static err_t layout(struct sharpen *s, struct arena *tmp, int n_views, int size)
+static err_t layout(struct correction *s, struct arena *tmp, int n_views, int size)
 {
     const size_t n = (size_t)n_views * (size_t)size * (size_t)size;
-    err_t e = visibility_layout(&s->sight, tmp, n_views);
+    err_t e = visibility_layout(&s->visibility, tmp, n_views);
     if (!e)
         e = arena_alloc(tmp, 3, sizeof *s->moved, &s->moved);
     return e ? e : arena_alloc(tmp, n, sizeof *s->depth, &s->depth);
@@ -352,7 +352,7 @@ static err_t layout(struct sharpen *s, struct arena *tmp, int n_views, int size)
 void correct_plan(struct plan *p, int n_views, int size)
 {
     const size_t mark = arena_mark(&p->tmp);
-    struct sharpen s;
+    struct correction s;
     if (layout(&s, &p->tmp, n_views, size))
         plan_refuse(p);
     arena_step(&p->tmp, consensus_plan(n_views, size, p->threads));
@@ -362,18 +362,18 @@ void correct_plan(struct plan *p, int n_views, int size)
 err_t correct_run(const struct run *r, const struct correct_known *known, float scale,
                   struct prediction *p)
 {
-    struct sharpen s = {.known = known, .scale = scale, .p = p};
+    struct correction s = {.known = known, .scale = scale, .p = p};
     const size_t mark = arena_mark(r->tmp);
     err_t e = layout(&s, r->tmp, p->geom.n_views, p->geom.size);
     if (!e) {
-        visibility_set(&s.sight, known->seen.depth, known->seen.views->cams);
+        visibility_set(&s.visibility, known->seen.depth, known->seen.views->cams);
         tabulate_weights(&s);
         for (int k = 0; k < p->n; k++)
             s.depth[k] = p->geom.depth[k] * scale;
-        e = consensus_run(r, &s.sight, s.depth);
+        e = consensus_run(r, &s.visibility, s.depth);
     }
     if (!e)
-        e = pool_for(r->pool, p->geom.n_views, sharpen_view, &s);
+        e = pool_for(r->pool, p->geom.n_views, correct_view, &s);
     if (!e && !p->linear)
         p->tone = *known->tone;
     arena_reset(r->tmp, mark);

@@ -21,7 +21,7 @@ static const float APART = 0.25f; // stops, least difference of exposures that a
 
 struct refit {
     const struct views *v;
-    struct visibility sight;
+    struct visibility visibility;
     struct response_pair *pairs; // (PAIRS EACH)
     int n;
     uint32_t hist[2][3][256]; // counts over the surfaces that two views share
@@ -33,7 +33,7 @@ struct refit {
 static void count_pixels(const struct refit *f, int view, const float uv[2], uint32_t (*hist)[256])
 {
     const struct extent *px = &f->v->extent[view];
-    const int size[2] = {px->w, px->h}, n = num_max(f->sight.depth->scale, MEAN);
+    const int size[2] = {px->w, px->h}, n = num_max(f->visibility.depth->scale, MEAN);
     int first[2], sum[3] = {0};
     for (int k = 0; k < 2; k++)
         first[k] = num_max(0, num_min((int)(uv[k] - 0.5f * (float)n + 0.5f), size[k] - n));
@@ -62,7 +62,7 @@ static double shade_at(const struct views *v, int view, const float uv[2])
 /* Add the confirmed pixels of view i, and the same surfaces in view j, to the histograms. */
 static void add_shared(struct refit *f, int i, int j, bool swap)
 {
-    const struct depthmaps *d = f->sight.depth;
+    const struct depthmaps *d = f->visibility.depth;
     const struct extent *map = &d->extent[i];
     for (int at = 0; at < map->w * map->h; at++) {
         const size_t k = map->at + (size_t)at;
@@ -70,11 +70,11 @@ static void add_shared(struct refit *f, int i, int j, bool swap)
                               ((float)(at / map->w) + 0.5f) * (float)d->scale, d->depth[k]};
         struct projected there;
         float point[3];
-        if (!visibility_confident(&f->sight, k))
+        if (!visibility_confident(&f->visibility, k))
             continue;
-        visibility_unproject(&f->sight, i, uvz, point);
-        if (!visibility_project(&f->sight, j, point, &there) ||
-            !visibility_on_surface(&f->sight, &there))
+        visibility_unproject(&f->visibility, i, uvz, point);
+        if (!visibility_project(&f->visibility, j, point, &there) ||
+            !visibility_on_surface(&f->visibility, &there))
             continue;
         count_pixels(f, i, uvz, f->hist[swap]);
         count_pixels(f, j, (const float[2]){there.u, there.v}, f->hist[!swap]);
@@ -124,7 +124,7 @@ static err_t compare_all_pairs(const struct run *r, struct refit *f)
 
 static err_t layout(struct refit *f, struct arena *tmp, int n_views)
 {
-    err_t e = visibility_layout(&f->sight, tmp, n_views);
+    err_t e = visibility_layout(&f->visibility, tmp, n_views);
     return e ? e : arena_alloc(tmp, PAIRS * EACH, sizeof *f->pairs, &f->pairs);
 }
 
@@ -142,7 +142,7 @@ err_t response_refit_run(const struct run *r, const struct views *v, const struc
     const size_t mark = arena_mark(r->tmp);
     err_t e = layout(&f, r->tmp, depth->n);
     if (!e) {
-        visibility_set(&f.sight, depth, v->cams);
+        visibility_set(&f.visibility, depth, v->cams);
         e = compare_all_pairs(r, &f);
     }
     if (!e && f.n >= EACH / 2)

@@ -43,7 +43,7 @@ struct observation {
 
 struct fit {
     const struct shade_fit_input *in;
-    struct visibility sight;
+    struct visibility visibility;
     struct response_table table;
     struct observation *seen; // (n) of room for `cap`
     int n, cap;
@@ -66,7 +66,7 @@ static err_t layout(struct fit *f, struct arena *tmp, int n_views)
 {
     f->cap = pairs_of(n_views) * EACH;
     const size_t cap = (size_t)num_max(f->cap, 1);
-    err_t e = visibility_layout(&f->sight, tmp, n_views);
+    err_t e = visibility_layout(&f->visibility, tmp, n_views);
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *f->seen, &f->seen);
     if (!e)
@@ -90,7 +90,7 @@ size_t shade_fit_plan(int n_views)
 
 /* log2 radiance and weight of the mean of the pixels around px (u, v); weight 0: black or
  * saturated. */
-static void look_at(const struct fit *f, int view, const float uv[2], float x[3], float w[3])
+static void sample_at(const struct fit *f, int view, const float uv[2], float x[3], float w[3])
 {
     const struct views *v = f->in->v;
     const struct extent *px = &v->extent[view];
@@ -129,15 +129,15 @@ static void add_observation(struct fit *f, int i, int j, const float uvz[3])
     const struct extent *px = f->in->v->extent;
     struct projected there;
     float point[3], x[2][3], w[2][3];
-    visibility_unproject(&f->sight, i, uvz, point);
-    if (!visibility_project(&f->sight, j, point, &there) ||
-        !visibility_on_surface(&f->sight, &there))
+    visibility_unproject(&f->visibility, i, uvz, point);
+    if (!visibility_project(&f->visibility, j, point, &there) ||
+        !visibility_on_surface(&f->visibility, &there))
         return;
     const float at[2][2] = {{uvz[0] / (float)px[i].w, uvz[1] / (float)px[i].h},
                             {there.u / (float)px[j].w, there.v / (float)px[j].h}};
     struct observation *s = &f->seen[f->n];
-    look_at(f, i, uvz, x[0], w[0]);
-    look_at(f, j, (const float[2]){there.u, there.v}, x[1], w[1]);
+    sample_at(f, i, uvz, x[0], w[0]);
+    sample_at(f, j, (const float[2]){there.u, there.v}, x[1], w[1]);
     float any = 0;
     for (int c = 0; c < 3; c++) {
         s->d[c] = x[0][c] - x[1][c];
@@ -167,7 +167,7 @@ static void compare_views(struct fit *f, int i, int j)
             const size_t k = map->at + (size_t)y * (size_t)map->w + (size_t)x;
             const float uvz[3] = {((float)x + 0.5f) * (float)d->scale,
                                   ((float)y + 0.5f) * (float)d->scale, d->depth[k]};
-            if (visibility_confident(&f->sight, k))
+            if (visibility_confident(&f->visibility, k))
                 add_observation(f, i, j, uvz);
         }
 }
@@ -441,7 +441,7 @@ err_t shade_fit_run(const struct run *r, const struct shade_fit_input *in,
     memset(out, 0, (size_t)in->n_cameras * sizeof *out);
     err_t e = layout(&f, r->tmp, in->v->n);
     if (!e) {
-        visibility_set(&f.sight, in->depth, in->v->cams);
+        visibility_set(&f.visibility, in->depth, in->v->cams);
         response_tabulate(in->tone, &f.table);
         e = collect_observations(r, &f);
     }

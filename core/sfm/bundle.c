@@ -143,8 +143,8 @@ static void turn_back(int quarters, double x[3])
     }
 }
 
-/* Place of an observation from the middle of the sensor, square pixels. */
-static void taken_place(const struct bundle *b, const struct match_observation *s, double px[2])
+/* Position of an observation from the middle of the sensor, square pixels. */
+static void taken_position(const struct bundle *b, const struct match_observation *s, double px[2])
 {
     const struct extent *size = &b->v->extent[s->view];
     const double focal = b->cfg->pinhole ? (double)b->cfg->pinhole[s->view] : 0;
@@ -153,7 +153,7 @@ static void taken_place(const struct bundle *b, const struct match_observation *
     turn_back(bundle_turned(b, s->view), ray);
     memcpy(px, ray, 2 * sizeof *px);
     if (focal > 0 && !lens_project(&b->cfg->lens[b->a.lens_of[s->view]].start, ray, px))
-        px[0] = px[1] = 0; // the crop has no such place
+        px[0] = px[1] = 0; // the crop has no such point
 }
 
 static err_t load_tracks(struct bundle *b)
@@ -171,7 +171,7 @@ static err_t load_tracks(struct bundle *b)
     for (int i = 0; i < t->n; i++) {
         const struct match_observation *s = &t->obs[i];
         double px[2];
-        taken_place(b, s, px);
+        taken_position(b, s, px);
         x.obs[i] = (struct adjust_observation){(float)px[0], (float)px[1], 1 / s->sigma, s->view};
         x.first[s->track + 1]++;
         b->trusted[i] = true;

@@ -14,7 +14,7 @@ static const double AGREE = 0.6; // least share of the points of others that a v
 
 struct links_of_views {
     int common[CONNECTIVITY_VIEWS_MAX][CONNECTIVITY_VIEWS_MAX]; // inliers of both
-    int asked[CONNECTIVITY_VIEWS_MAX],
+    int matched[CONNECTIVITY_VIEWS_MAX],
         agreed[CONNECTIVITY_VIEWS_MAX]; // points that two others place: matched; in
 };
 
@@ -32,7 +32,7 @@ static void count_links(const struct adjust *a, struct links_of_views *out)
             n += is_counted(a, i);
         for (int i = a->first[t]; i < a->first[t + 1]; i++) {
             const int v = a->obs[i].view, in = is_counted(a, i);
-            out->asked[v] += n - in > 1;
+            out->matched[v] += n - in > 1;
             out->agreed[v] += in && n > 2;
             for (int j = a->first[t]; j <= i && in; j++)
                 out->common[v][a->obs[j].view] += is_counted(a, j);
@@ -54,7 +54,8 @@ static bool is_held(const struct adjust *a, const struct links_of_views *s, int 
         return true;
     for (int u = 0; u < a->n_views; u++)
         links += u != v && common_of(s, u, v) >= CONNECTIVITY_LINK;
-    return s->agreed[v] >= AGREE * s->asked[v] && (s->agreed[v] >= CONNECTIVITY_LINK || links > 1);
+    return s->agreed[v] >= AGREE * s->matched[v] &&
+           (s->agreed[v] >= CONNECTIVITY_LINK || links > 1);
 }
 
 /* Unplace the view with the fewest inliers that is not held; false if all are held. */

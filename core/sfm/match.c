@@ -62,7 +62,7 @@ static size_t obs_cap(int n_views, int size)
     return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
 }
 
-/* Place of a pair of views, a < b, among all of n. */
+/* Index of a pair of views, a < b, among all of n. */
 static int couple_of(int n, int a, int b)
 {
     return a * (2 * n - a - 1) / 2 + b - a - 1;
@@ -115,7 +115,7 @@ static void join_tracks(struct matcher *m, int i, int j)
 }
 
 /* The first corner of a view at the position of corner k, which may be on another level. */
-static int place_of(const struct corner_view *c, const int *parent, int at, int k)
+static int corner_at_same_position(const struct corner_view *c, const int *parent, int at, int k)
 {
     for (int i = 0; i < k; i++) {
         float reach = SAME * c->level[c->at[i].level].scale;
@@ -131,7 +131,8 @@ static void start_nodes(struct matcher *m)
     for (int i = 0; i < m->v->n; i++) {
         for (int k = 0; k < m->p.view[i].n; k++) {
             int at = i * m->cap, node = at + k;
-            m->parent[node] = m->first[node] = at + place_of(m->p.view + i, m->parent, at, k);
+            m->parent[node] = m->first[node] =
+                at + corner_at_same_position(m->p.view + i, m->parent, at, k);
             m->next[node] = node;
             m->mask[node] = (uint64_t)1 << (i % 64);
         }
@@ -246,7 +247,7 @@ struct view_of {
 };
 
 /* |log2| of the magnification of a patch where it is found. */
-static float log_magnification(const struct patch_place *at)
+static float log_magnification(const struct patch_position *at)
 {
     return fabsf(log2f(fmaxf(fabsf(at->m[0] * at->m[3] - at->m[1] * at->m[2]), 1e-3f)));
 }
@@ -264,17 +265,17 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
     for (int i = 0; i < 3 && least > STRETCH_MAX; i++) {
         const struct corner_level *l = c->level + o->level + to[i];
         float u = at->u / l->scale, v = at->v / l->scale;
-        struct patch_place place = {.u = u, .v = v, .m = {x, -y, y, x}};
-        if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &place) ||
-            place.correlation < CORRELATION_MIN || log_magnification(&place) >= least ||
-            hypotf(place.u - u, place.v - v) > SLIDE_MAX)
+        struct patch_position found = {.u = u, .v = v, .m = {x, -y, y, x}};
+        if (!o->cut[from[i]] || !patch_find(o->patch + from[i], l, &found) ||
+            found.correlation < CORRELATION_MIN || log_magnification(&found) >= least ||
+            hypotf(found.u - u, found.v - v) > SLIDE_MAX)
             continue;
-        least = log_magnification(&place);
-        *correlation = place.correlation;
+        least = log_magnification(&found);
+        *correlation = found.correlation;
         *out = (struct match_observation){.view = node / m->cap,
-                                          .u = place.u * l->scale,
-                                          .v = place.v * l->scale,
-                                          .sigma = fmaxf(place.sigma, SIGMA_MIN) * l->scale};
+                                          .u = found.u * l->scale,
+                                          .v = found.v * l->scale,
+                                          .sigma = fmaxf(found.sigma, SIGMA_MIN) * l->scale};
     }
     return least < INFINITY;
 }

@@ -118,7 +118,7 @@ bool patch_make(const struct corner_level *l, float u, float v, struct patch *ou
 /* Difference of picture and patch, and its mean square; false outside the picture or without
  * contrast. */
 static bool compare_patch(const struct patch *p, const struct corner_level *l,
-                          const struct patch_place *at, float *diff, float *square)
+                          const struct patch_position *at, float *diff, float *square)
 {
     for (int k = 0; k < PATCH_AREA; k++) {
         float dx = (float)(k % PATCH_EDGE - PATCH_REACH);
@@ -140,7 +140,7 @@ static bool compare_patch(const struct patch *p, const struct corner_level *l,
 }
 
 /* One step of n parameters; returns how far the middle moves, px. */
-static float align_step(const struct patch *p, const float *diff, int n, struct patch_place *at)
+static float align_step(const struct patch *p, const float *diff, int n, struct patch_position *at)
 {
     double d[6] = {0};
     for (int k = 0; k < PATCH_AREA; k++)
@@ -165,7 +165,7 @@ static float align_step(const struct patch *p, const float *diff, int n, struct 
 }
 
 /* Expected error of the middle from the mean square of the difference. */
-static float expected_error(const struct patch *p, const struct patch_place *at, float square)
+static float expected_error(const struct patch *p, const struct patch_position *at, float square)
 {
     double sum = 0, squares = 0, area = at->m[0] * at->m[3] - at->m[1] * at->m[2];
     for (int k = 0; k < PATCH_AREA; k++)
@@ -179,7 +179,7 @@ static float expected_error(const struct patch *p, const struct patch_place *at,
     return (float)sqrt(0.5 * sum * fabs(area) * square * squares * CORRELATED);
 }
 
-bool patch_find(const struct patch *p, const struct corner_level *l, struct patch_place *at)
+bool patch_find(const struct patch *p, const struct corner_level *l, struct patch_position *at)
 {
     float diff[PATCH_AREA], square;
     for (int i = 0; i < SHIFTS + STEPS; i++) {

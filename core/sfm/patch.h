@@ -21,7 +21,7 @@ struct patch {
 
 /* Position of a patch in a picture: pixel (i, j) of the patch, counted from its middle, lies at
  * (u + m0 i + m1 j, v + m2 i + m3 j) px of a level. */
-struct patch_place {
+struct patch_position {
     float u, v, m[4];
     float sigma;       // px of the level, expected error of u and v
     float correlation; // correlation of the grey values, at most 1
@@ -32,6 +32,6 @@ struct patch_place {
 bool patch_make(const struct corner_level *l, float u, float v, struct patch *out);
 
 /* Refine *at, the estimated position of the patch on `l`. False if it is not found there. */
-bool patch_find(const struct patch *p, const struct corner_level *l, struct patch_place *at);
+bool patch_find(const struct patch *p, const struct corner_level *l, struct patch_position *at);
 
 #endif

@@ -16,11 +16,12 @@
 
 enum { STEPS = 6, CENTRE_STEP = 2 }; // the principal point comes before p1 p2, which do its work
 
-static const struct rung {
+static const struct lens_step {
     enum lens_model model;
     int terms;
-} LADDER[STEPS] = {{LENS_SIMPLE_RADIAL, 1},  {LENS_RADIAL, 2},         {LENS_OPENCV, 4},
-                   {LENS_OPENCV_FISHEYE, 1}, {LENS_OPENCV_FISHEYE, 2}, {LENS_OPENCV_FISHEYE, 4}};
+} LENS_STEPS[STEPS] = {{LENS_SIMPLE_RADIAL, 1},  {LENS_RADIAL, 2},
+                       {LENS_OPENCV, 4},         {LENS_OPENCV_FISHEYE, 1},
+                       {LENS_OPENCV_FISHEYE, 2}, {LENS_OPENCV_FISHEYE, 4}};
 
 int selfcal_terms(const struct lens *l)
 {
@@ -158,8 +159,8 @@ static struct judgement judge_lens(const struct selfcal *s, int lens)
     return j;
 }
 
-/* Set the model of a rung, starting where the present one is. */
-static void set_model(struct adjust_lens *l, const struct rung *to)
+/* Set the model of a step, starting where the present one is. */
+static void set_model(struct adjust_lens *l, const struct lens_step *to)
 {
     if (to->model == LENS_OPENCV_FISHEYE && l->lens.model != LENS_OPENCV_FISHEYE) {
         /* tan^-1 r = r - r^3 / 3 + ... */
@@ -196,8 +197,10 @@ static double lens_reach(const struct adjust *a, int lens)
 static bool may_climb(const struct adjust *a, int lens, const struct selfcal_lens *out, int step)
 {
     const struct adjust_lens *l = &a->lens[lens];
-    const struct rung *from = step ? &LADDER[step - 1] : &(struct rung){LENS_PINHOLE, 0};
-    const bool to_fisheye = LADDER[step].model == LENS_OPENCV_FISHEYE && from->model == LENS_OPENCV;
+    const struct lens_step *from =
+        step ? &LENS_STEPS[step - 1] : &(struct lens_step){LENS_PINHOLE, 0};
+    const bool to_fisheye =
+        LENS_STEPS[step].model == LENS_OPENCV_FISHEYE && from->model == LENS_OPENCV;
     if (to_fisheye && adjust_too_wide(l))
         return true;
     if (out->held < SELFCAL_HELD_LEAST)
@@ -267,7 +270,7 @@ static err_t try_step(struct selfcal *s, int step, const struct selfcal_lens *ou
     bool any = false;
     for (int i = 0; i < a->n_lenses; i++)
         if (may_climb(a, i, &out[i], step)) {
-            set_model(&a->lens[i], &LADDER[step]);
+            set_model(&a->lens[i], &LENS_STEPS[step]);
             any = true;
         }
     return any ? try_change(s) : OK;
@@ -283,7 +286,7 @@ static err_t try_centre(struct selfcal *s, const struct selfcal_lens *out)
         if (l->free[ADJUST_CENTRE] || out[i].held < SELFCAL_HELD_LEAST)
             continue;
         if (l->lens.model == LENS_PINHOLE)
-            set_model(l, &LADDER[0]);
+            set_model(l, &LENS_STEPS[0]);
         l->free[ADJUST_CENTRE] = l->free[ADJUST_CENTRE + 1] = any = true;
     }
     return any ? try_change(s) : OK;

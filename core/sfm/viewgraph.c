@@ -41,7 +41,7 @@ static double *pose_of(const struct adjust *a, int view)
 
 /* ---- pairs ---- */
 
-struct place {
+struct observation_ref {
     int track, at; // at: index of the observation
 };
 
@@ -49,7 +49,7 @@ struct pairs_job {
     const struct run *r;
     const struct adjust *a;
     struct viewgraph *g;
-    struct place *list;                 // observations by view, then track
+    struct observation_ref *list;       // observations by view, then track
     int first[VIEWGRAPH_VIEWS_MAX + 1]; // of each view in list
 };
 
@@ -79,9 +79,9 @@ static struct twoview_match match_of(const struct adjust *a, int i, int j)
 static int gather_matches(const struct pairs_job *job, int a, int b, int stride,
                           struct twoview_match *out)
 {
-    const struct place *p = job->list + job->first[a], *q = job->list + job->first[b];
-    const struct place *p_end = job->list + job->first[a + 1];
-    const struct place *q_end = job->list + job->first[b + 1];
+    const struct observation_ref *p = job->list + job->first[a], *q = job->list + job->first[b];
+    const struct observation_ref *p_end = job->list + job->first[a + 1];
+    const struct observation_ref *q_end = job->list + job->first[b + 1];
     int n = 0;
     while (p < p_end && q < q_end) {
         if (p->track == q->track) {
@@ -138,7 +138,7 @@ err_t viewgraph_pairs(const struct run *r, const struct adjust *a, struct viewgr
         }
         for (int t = 0; t < a->n_tracks; t++)
             for (int i = a->first[t]; i < a->first[t + 1]; i++)
-                job.list[fill[a->obs[i].view]++] = (struct place){t, i};
+                job.list[fill[a->obs[i].view]++] = (struct observation_ref){t, i};
         e = pool_for(r->pool, viewgraph_edges(a->n_views), pair_chunk, &job);
     }
     arena_reset(r->tmp, mark);

@@ -19,8 +19,8 @@ enum {
     CHUNK_BLOCKS = CHUNK / SPLAT_BLOCK,
     BAND = 2, // tile rows filled by one chunk
     RADIX_BITS = 11,
-    PLACES_PER_SPLAT = 5, // planned tiles per splat; measured 1.5 to 4 on refined scenes
-    PLACES_MIN = 1 << 16
+    PAIRS_PER_SPLAT = 5, // planned tiles per splat; measured 1.5 to 4 on refined scenes
+    PAIRS_MIN = 1 << 16
 };
 
 static int div_up(int a, int b)
@@ -28,9 +28,9 @@ static int div_up(int a, int b)
     return (a + b - 1) / b;
 }
 
-static size_t places_for(int cap)
+static size_t pairs_for(int cap)
 {
-    return (size_t)cap * PLACES_PER_SPLAT + PLACES_MIN;
+    return (size_t)cap * PAIRS_PER_SPLAT + PAIRS_MIN;
 }
 
 static size_t tiles_for(int w, int h)
@@ -58,7 +58,7 @@ static err_t alloc_forward(struct raster *rs, struct arena *a)
     if (!e)
         e = arena_alloc(a, tiles + 1, 4, &rs->start);
     if (!e)
-        e = arena_alloc(a, rs->cap_places, 4, &rs->list);
+        e = arena_alloc(a, rs->cap_pairs, 4, &rs->list);
     if (!e)
         e = arena_alloc(a, tiles, sizeof *rs->groups, &rs->groups);
     if (!e)
@@ -77,12 +77,12 @@ err_t raster_init(struct raster *rs, struct arena *a, int cap, int w, int h, boo
     rs->cap = cap;
     rs->w = w;
     rs->h = h;
-    rs->cap_places = places_for(cap);
+    rs->cap_pairs = pairs_for(cap);
     size_t n = (size_t)cap + SPLAT_BLOCK;
     err_t e = alloc_forward(rs, a);
     if (e || !gradients)
         return e;
-    e = arena_alloc(a, rs->cap_places * SLOT, 4, &rs->slots);
+    e = arena_alloc(a, rs->cap_pairs * SLOT, 4, &rs->slots);
     if (!e)
         e = arena_alloc(a, n * SLOT, 4, &rs->sums);
     return e ? e : arena_alloc(a, (n / CHUNK + 1) * POSE_GRAD, 4, &rs->partial);
@@ -237,7 +237,7 @@ static void count_tiles(struct raster *rs)
             d[y * tx + x] += d[(y - 1) * tx + x];
 }
 
-/* Whole rows of tiles where they fit, else pieces of one row; one tile always fits because places
+/* Whole rows of tiles where they fit, else pieces of one row; one tile always fits because pairs
  * >= splats. */
 static void split_groups(struct raster *rs)
 {
@@ -247,26 +247,26 @@ static void split_groups(struct raster *rs)
         size_t row = 0;
         for (int x = 0; x < rs->tiles_x; x++)
             row += rs->tile_count[y * rs->tiles_x + x];
-        if (rs->n_groups && used + row <= rs->cap_places) {
+        if (rs->n_groups && used + row <= rs->cap_pairs) {
             rs->groups[rs->n_groups - 1].y1 = y + 1;
             used += row;
             continue;
         }
         rs->groups[rs->n_groups++] = (struct raster_group){0, rs->tiles_x, y, y + 1};
         used = row;
-        if (row <= rs->cap_places)
+        if (row <= rs->cap_pairs)
             continue;
         size_t piece = 0;
         for (int x = 0; x < rs->tiles_x; x++) {
             size_t c = rs->tile_count[y * rs->tiles_x + x];
-            if (piece + c > rs->cap_places) {
+            if (piece + c > rs->cap_pairs) {
                 rs->groups[rs->n_groups - 1].x1 = x;
                 rs->groups[rs->n_groups++] = (struct raster_group){x, rs->tiles_x, y, y + 1};
                 piece = 0;
             }
             piece += c;
         }
-        used = rs->cap_places; // the next row starts a new group
+        used = rs->cap_pairs; // the next row starts a new group
     }
 }
 

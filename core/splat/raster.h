@@ -43,21 +43,21 @@ struct raster_group {
 /* Workspace. Fields belong to raster.c and raster_grad.c. */
 struct raster {
     int cap, w, h, tiles_x, tiles_y;
-    size_t cap_places;           // room for splat-tile pairs in one group
+    size_t cap_pairs;            // room for splat-tile pairs in one group
     struct splat2d *splats;      // (cap)
     uint32_t *block_seen;        // visible splats before each block
     uint32_t *key[2], *order[2]; // (cap) depth keys and splat numbers
     uint64_t *boxes;             // (cap) splat number and tile rectangle, by depth
     uint32_t *tile_count;        // (tiles) splats per tile
     uint32_t *start;             // (tiles + 1) of the current group, row-major in the group
-    uint32_t *list;              // (cap_places)
+    uint32_t *list;              // (cap_pairs)
     struct raster_group *groups; // (tiles)
     int n_groups, loaded;        // loaded: group whose lists are in place
     int n_seen;
     struct view_geom view;
     float *trans;   // (h, w)
     int32_t *stop;  // (h, w)
-    float *slots;   // (cap_places, SLOT); NULL without gradients
+    float *slots;   // (cap_pairs, SLOT); NULL without gradients
     float *sums;    // (cap, SLOT)
     float *partial; // pose gradients per chunk
 };

@@ -25,8 +25,8 @@ struct merge {
     int32_t *key[3]; // (in->n) by pixel
     uint32_t *order; // (n) pixels, in the end sorted by key
     uint32_t *spare; // (n)
-    uint32_t *start; // (cells + 1) places in `order`
-    float *weight;   // (n) by place in `order`
+    uint32_t *start; // (cells + 1) positions in `order`
+    float *weight;   // (n) by position in `order`
     uint32_t n;      // finite points
 };
 

@@ -289,7 +289,7 @@ static err_t find_regions(void *ctx, int i, int worker)
 }
 
 /* Whether a region is as bright and has the colour of all that is sky, as far as both are known. */
-static bool looks_like(const struct far *s, const struct region *r, int view)
+static bool resembles_sky(const struct far *s, const struct region *r, int view)
 {
     for (int c = 0; c < 3; c++) {
         const double n = r->known[c][1], all = s->sky.known[c][1];
@@ -318,7 +318,7 @@ static void extend_sky(struct far *s)
     for (int k = 0; k < n; k++) {
         struct region *r = &s->region[k];
         if (k % REGIONS_MAX < s->n_regions[k / REGIONS_MAX] && !r->sky)
-            r->sky = looks_like(s, r, k / REGIONS_MAX) &&
+            r->sky = resembles_sky(s, r, k / REGIONS_MAX) &&
                      speaks_for_infinity(r, r->yes + r->weak) &&
                      (2 * r->blown < r->area || is_large(s, r, k / REGIONS_MAX));
     }

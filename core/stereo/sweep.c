@@ -70,7 +70,7 @@ struct sweep {
 struct scratch {
     struct sgm sgm;
     float *contrast; // (y, x)
-    float *place;    // (2, x) mapped places of one row
+    float *mapped;   // (2, x) where the pixels of one row fall
     float *ring;     // (NEAR_MAX, TAPS, SUMS, x) moments of the rows of the window
     float *column;   // (NEAR_MAX, SUMS, x + 2 RADIUS) sums of `ring`
     int16_t *best;   // (NEAR_MAX / 2 + 1, x) smallest costs of one row; then one row to merge
@@ -252,8 +252,8 @@ static err_t make_light_map(void *ctx, int i, int worker)
 /* ---- matching cost ---- */
 
 /* Map one row of w px at rho into the neighbour `to`, px; u is -1 outside its pixel centres. */
-static void place_row(const double *h, const struct light_map *to, const int y_w[2], double rho,
-                      float *u, float *v)
+static void map_row(const double *h, const struct light_map *to, const int y_w[2], double rho,
+                    float *u, float *v)
 {
     const float du[3] = {(float)h[0], (float)h[4], (float)h[8]};
     const float right = (float)to->w - 1.0f, bottom = (float)to->h - 1.0f;
@@ -271,14 +271,14 @@ static void place_row(const double *h, const struct light_map *to, const int y_w
     }
 }
 
-/* One row of moments at rho: weight, and differences to the neighbour at the mapped places. */
+/* One row of moments at rho: weight, and differences to the neighbour at the mapped points. */
 static void moment_row(const struct task *t, int k, int y, float rho, float *row)
 {
     const int w = t->w;
     const float *p = t->s->light_map[t->level][t->i_view].px + 2 * (size_t)y * (size_t)w;
     const struct light_map *other = &t->s->light_map[t->level][t->s->near[t->i_view][k]];
-    float *u = t->m->place, *v = u + w;
-    place_row(t->h[k], other, (const int[2]){y, w}, (double)rho, u, v);
+    float *u = t->m->mapped, *v = u + w;
+    map_row(t->h[k], other, (const int[2]){y, w}, (double)rho, u, v);
     for (int x = 0; x < w; x++) {
         if (u[x] < 0.0f) {
             row[x] = row[w + x] = row[2 * w + x] = 0.0f;
@@ -585,7 +585,7 @@ static err_t layout_scratch(struct scratch *m, struct arena *a, struct extent mo
     if (!e)
         e = arena_alloc(a, most.at, sizeof *m->contrast, &m->contrast);
     if (!e)
-        e = arena_alloc(a, 2 * w, sizeof *m->place, &m->place);
+        e = arena_alloc(a, 2 * w, sizeof *m->mapped, &m->mapped);
     if (!e)
         e = arena_alloc(a, NEAR_MAX * TAPS * SUMS * w, sizeof *m->ring, &m->ring);
     if (!e)

@@ -127,7 +127,7 @@ struct camera_ops {
      * err:  ERR_ARG (not finite or not positive; or the device calls it out of range), ERR_BUSY
      *       (later), ERR_UNSUPPORTED (the control is not ours, an automatic mode has it), ERR_IO,
      *       ERR_LOST. On error *set is not changed, and neither are coming frames. */
-    MUST_USE err_t (*request)(void *st, const struct exposure *ask, struct exposure *set);
+    MUST_USE err_t (*request)(void *st, const struct exposure *requested, struct exposure *set);
 
     /* The oldest frame that waits.
      * own:  release.

@@ -53,21 +53,21 @@ static err_t parse_uri(const char *uri, struct options *o)
 /* Beside the program, or where `make install` puts it. */
 static err_t find_module(char path[FILE_PATH_CAP])
 {
-    static const char *const places[] = {"", "../lib/hdrig/"};
+    static const char *const folders[] = {"", "../lib/hdrig/"};
     char self[FILE_PATH_CAP];
     ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
     while (n > 0 && self[n - 1] != '/')
         n--;
     self[n > 0 ? n : 0] = '\0';
     for (int i = 0; i < 2; i++) {
-        int len = snprintf(path, FILE_PATH_CAP, "%s%s%s", self, places[i], module);
+        int len = snprintf(path, FILE_PATH_CAP, "%s%s%s", self, folders[i], module);
         if (len < FILE_PATH_CAP && file_is_regular(path))
             return OK;
     }
     return err_fail(ERR_UNSUPPORTED,
                     "libcamera: there is no %s in %s or %s%s; it is built where the package "
                     "libcamera-dev is",
-                    module, self, self, places[1]);
+                    module, self, self, folders[1]);
 }
 
 static err_t load_module(const struct options *o, const struct libcamera_shim **out)
@@ -137,10 +137,10 @@ static int lib_fd(const void *st)
     return s->shim->fd(s->camera);
 }
 
-static err_t lib_request(void *st, const struct exposure *ask, struct exposure *set)
+static err_t lib_request(void *st, const struct exposure *requested, struct exposure *set)
 {
     struct state *s = st;
-    return pass_error(s, s->shim->request(s->camera, ask, set));
+    return pass_error(s, s->shim->request(s->camera, requested, set));
 }
 
 static err_t lib_next(void *st, struct frame *out)

@@ -262,15 +262,16 @@ static int v4l2_fd(const void *st)
     return ((const struct state *)st)->video.fd;
 }
 
-static err_t v4l2_request(void *st, const struct exposure *ask, struct exposure *set)
+static err_t v4l2_request(void *st, const struct exposure *requested, struct exposure *set)
 {
     struct state *s = st;
-    if (!(isfinite(ask->time_s) && ask->time_s > 0.0 && isfinite(ask->gain) && ask->gain > 0.0))
-        return err_fail(ERR_ARG, "%s: an exposure of %g s with gain %g", s->video.path, ask->time_s,
-                        ask->gain);
+    if (!(isfinite(requested->time_s) && requested->time_s > 0.0 && isfinite(requested->gain) &&
+          requested->gain > 0.0))
+        return err_fail(ERR_ARG, "%s: an exposure of %g s with gain %g", s->video.path,
+                        requested->time_s, requested->gain);
     if (s->queue.lost)
         return err_fail(ERR_LOST, "%s: lost; open it again", s->video.path);
-    err_t e = v4l2_shutter_request(&s->shutter, ask, set);
+    err_t e = v4l2_shutter_request(&s->shutter, requested, set);
     if (e == ERR_LOST)
         s->queue.lost = true;
     return e;

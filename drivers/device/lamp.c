@@ -10,7 +10,7 @@ enum { STEPS = 4 };
 
 struct lamp {
     const struct device_sys *sys;
-    struct gpio_ask ask;
+    struct gpio_spec spec;
     int fd;
     enum lamp_state state;
     bool on, dark; // on: state of the line; dark: the line has failed
@@ -33,9 +33,9 @@ err_t lamp_open_with(const char *uri, const struct device_sys *sys, struct lamp 
         return err_fail(ERR_NOMEM, "%.64s: no memory for the lamp", uri);
     l->sys = sys;
     l->next_ns = INT64_MAX;
-    err_t e = gpio_parse(uri, "gpio", GPIO_LAMP, &l->ask);
+    err_t e = gpio_parse(uri, "gpio", GPIO_LAMP, &l->spec);
     if (!e)
-        e = gpio_request(sys, &l->ask, GPIO_LAMP, &l->fd);
+        e = gpio_request(sys, &l->spec, GPIO_LAMP, &l->fd);
     if (e) {
         free(l);
         return e;
@@ -53,7 +53,7 @@ void lamp_close(struct lamp *l)
 {
     if (!l)
         return;
-    err_t e = l->on ? gpio_set(l->sys, l->fd, &l->ask, false) : OK;
+    err_t e = l->on ? gpio_set(l->sys, l->fd, &l->spec, false) : OK;
     (void)e; // the line is given back in any case
     l->sys->close(l->fd);
     free(l);
@@ -99,7 +99,7 @@ err_t lamp_tick(struct lamp *l, int64_t now_ns)
     }
     if (on == l->on)
         return OK;
-    err_t e = gpio_set(l->sys, l->fd, &l->ask, on);
+    err_t e = gpio_set(l->sys, l->fd, &l->spec, on);
     l->on = on && !e;
     l->dark = e != OK;
     if (e)

@@ -274,12 +274,12 @@ err_t acquire_camera(session &s)
 }
 
 /* Set the stream's format: the requested one, else the first of our table that the camera has. */
-void wish_format(lc::StreamConfiguration &stream, camera_format wish)
+void want_format(lc::StreamConfiguration &stream, camera_format wanted)
 {
     const auto has = stream.formats().pixelformats();
     const format *first = nullptr;
     for (const format &f : formats) {
-        if (wish == CAMERA_ANY ? is_raw(f.ours) : f.ours != wish)
+        if (wanted == CAMERA_ANY ? is_raw(f.ours) : f.ours != wanted)
             continue;
         if (!first)
             first = &f;
@@ -293,33 +293,34 @@ void wish_format(lc::StreamConfiguration &stream, camera_format wish)
 }
 
 /* Compare the validated stream with the request. */
-err_t check_stream(const session &s, const lc::StreamConfiguration &stream, const camera_cfg &wish)
+err_t check_stream(const session &s, const lc::StreamConfiguration &stream,
+                   const camera_cfg &wanted)
 {
     const format *f = format_of(stream.pixelFormat);
     const int w = static_cast<int>(stream.size.width), h = static_cast<int>(stream.size.height);
-    const bool other_size = (wish.w > 0 && wish.w != w) || (wish.h > 0 && wish.h != h);
-    if (!f || other_size || (wish.format != CAMERA_ANY && wish.format != f->ours))
+    const bool other_size = (wanted.w > 0 && wanted.w != w) || (wanted.h > 0 && wanted.h != h);
+    if (!f || other_size || (wanted.format != CAMERA_ANY && wanted.format != f->ours))
         return fail(ERR_UNSUPPORTED, "libcamera: %s gives %dx%d %s, which is not the request%s",
                     s.name.c_str(), w, h, stream.pixelFormat.toString().c_str(),
                     f ? "" : ", nor a format that this program reads");
     return OK;
 }
 
-err_t configure_stream(session &s, const camera_cfg &wish)
+err_t configure_stream(session &s, const camera_cfg &wanted)
 {
-    const auto role = is_raw(wish.format) ? lc::StreamRole::Raw : lc::StreamRole::VideoRecording;
+    const auto role = is_raw(wanted.format) ? lc::StreamRole::Raw : lc::StreamRole::VideoRecording;
     s.config = s.camera->generateConfiguration({role});
     if (!s.config || s.config->empty())
         return fail(ERR_UNSUPPORTED, "libcamera: %s has no stream of the kind that is asked for",
                     s.name.c_str());
     lc::StreamConfiguration &stream = s.config->at(0);
-    wish_format(stream, wish.format);
-    if (wish.w > 0 && wish.h > 0)
-        stream.size = lc::Size(static_cast<unsigned>(wish.w), static_cast<unsigned>(wish.h));
-    stream.bufferCount = wish.buffers > 0 ? static_cast<unsigned>(wish.buffers) : 4;
+    want_format(stream, wanted.format);
+    if (wanted.w > 0 && wanted.h > 0)
+        stream.size = lc::Size(static_cast<unsigned>(wanted.w), static_cast<unsigned>(wanted.h));
+    stream.bufferCount = wanted.buffers > 0 ? static_cast<unsigned>(wanted.buffers) : 4;
     if (s.config->validate() == lc::CameraConfiguration::Invalid)
         return fail(ERR_UNSUPPORTED, "libcamera: %s refuses the size or format", s.name.c_str());
-    const err_t e = check_stream(s, stream, wish);
+    const err_t e = check_stream(s, stream, wanted);
     if (e)
         return e;
     const int r = s.camera->configure(s.config.get());
@@ -667,7 +668,7 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
     if (!e)
         e = s.lens.open(*s.camera, cfg.focus);
     if (!e)
-        e = configure_stream(s, cfg.wish);
+        e = configure_stream(s, cfg.wanted);
     if (!e)
         e = allocate_buffers(s);
     if (e)
@@ -678,22 +679,22 @@ err_t open_session(session &s, const libcamera_shim_cfg &cfg)
     return e ? e : first_frame(s);
 }
 
-err_t ask_exposure(session &s, const exposure &ask, exposure *set)
+err_t ask_exposure(session &s, const exposure &requested, exposure *set)
 {
     const camera_info &i = s.info;
     if (s.lost)
         return lose_camera(s, "the camera has gone");
-    if (!(ask.time_s > 0.0 && ask.gain > 0.0 && std::isfinite(ask.time_s) &&
-          std::isfinite(ask.gain)))
+    if (!(requested.time_s > 0.0 && requested.gain > 0.0 && std::isfinite(requested.time_s) &&
+          std::isfinite(requested.gain)))
         return fail(ERR_ARG, "libcamera: %s: an exposure of %g s and gain %g", s.name.c_str(),
-                    ask.time_s, ask.gain);
+                    requested.time_s, requested.gain);
     if (!find_control(*s.camera, "ExposureTime"))
         return fail(ERR_UNSUPPORTED, "libcamera: %s has no control of its exposure",
                     s.name.c_str());
     const double lo = i.time_min_s * 1e6, hi = i.time_max_s * 1e6;
-    const double us = std::clamp(ask.time_s * 1e6 + 1e-6, lo, hi);
+    const double us = std::clamp(requested.time_s * 1e6 + 1e-6, lo, hi);
     s.time_us = std::max(std::floor(us / s.step_us) * s.step_us, std::ceil(lo));
-    s.gain = std::clamp(ask.gain, 1.0, i.gain_max);
+    s.gain = std::clamp(requested.gain, 1.0, i.gain_max);
     *set = {s.time_us * 1e-6, s.gain};
     return OK;
 }
@@ -727,9 +728,9 @@ int shim_fd(const libcamera_shim_camera *c)
     return c->event;
 }
 
-err_t shim_request(libcamera_shim_camera *c, const exposure *ask, exposure *set)
+err_t shim_request(libcamera_shim_camera *c, const exposure *requested, exposure *set)
 {
-    return guarded([&] { return ask_exposure(*c, *ask, set); });
+    return guarded([&] { return ask_exposure(*c, *requested, set); });
 }
 
 err_t shim_next(libcamera_shim_camera *c, frame *out)

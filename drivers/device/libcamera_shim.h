@@ -15,8 +15,8 @@
 #define LIBCAMERA_SHIM_TABLE "libcamera_shim_table" // symbol of the module
 
 struct libcamera_shim_cfg {
-    const char *camera;     // id, or a part of one camera's id or model; "" if there is only one
-    struct camera_cfg wish; // without uri
+    const char *camera;       // id, or a part of one camera's id or model; "" if there is only one
+    struct camera_cfg wanted; // without uri
     enum camera_stamp stamp;
     struct focus focus; // position: LensPosition, 1/m, 0: far away
 };
@@ -31,7 +31,7 @@ struct libcamera_shim {
     void (*close)(struct libcamera_shim_camera *c);
     void (*info)(const struct libcamera_shim_camera *c, struct camera_info *out);
     int (*fd)(const struct libcamera_shim_camera *c);
-    err_t (*request)(struct libcamera_shim_camera *c, const struct exposure *ask,
+    err_t (*request)(struct libcamera_shim_camera *c, const struct exposure *requested,
                      struct exposure *set);
     err_t (*next)(struct libcamera_shim_camera *c, struct frame *out);
     void (*release)(struct libcamera_shim_camera *c, struct frame *f);

@@ -9,7 +9,7 @@ enum { BURST = 1024 }; // edges looked at in one call
 
 struct state {
     const struct device_sys *sys;
-    struct gpio_ask ask;
+    struct gpio_spec spec;
     struct gpio_count count;
     int fd;
 };
@@ -19,8 +19,8 @@ err_t trigger_gpio_open_with(void *st, const char *uri, const struct device_sys 
     struct state *s = st;
     memset(s, 0, sizeof *s);
     s->sys = sys;
-    err_t e = gpio_parse(uri, "gpio", GPIO_BUTTON, &s->ask);
-    return e ? e : gpio_request(sys, &s->ask, GPIO_BUTTON, &s->fd);
+    err_t e = gpio_parse(uri, "gpio", GPIO_BUTTON, &s->spec);
+    return e ? e : gpio_request(sys, &s->spec, GPIO_BUTTON, &s->fd);
 }
 
 static err_t button_open(void *st, const char *uri)
@@ -49,10 +49,10 @@ static err_t button_next(void *st, struct trigger_event *out)
     struct state *s = st;
     for (int i = 0; i < BURST; i++) {
         struct gpio_edge edge;
-        err_t e = gpio_read(s->sys, s->fd, &s->ask, &edge);
+        err_t e = gpio_read(s->sys, s->fd, &s->spec, &edge);
         if (e)
             return e;
-        if (gpio_count_edge(&s->count, &s->ask, &edge, out))
+        if (gpio_count_edge(&s->count, &s->spec, &edge, out))
             return OK;
     }
     return ERR_AGAIN;

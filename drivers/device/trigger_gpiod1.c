@@ -20,7 +20,7 @@
 enum { BURST = 1024 }; // edges looked at in one call
 
 struct state {
-    struct gpio_ask ask;
+    struct gpio_spec spec;
     struct gpio_count count;
     struct gpiod_chip *chip;
     struct gpiod_line *line;
@@ -41,16 +41,16 @@ static err_t request_line(struct state *s)
                                GPIOD_LINE_REQUEST_FLAG_BIAS_PULL_DOWN,
                                GPIOD_LINE_REQUEST_FLAG_BIAS_DISABLE};
     uint32_t offset, n = gpiod_chip_num_lines(s->chip);
-    if (!gpio_offset(&s->ask, &offset))
-        s->line = gpiod_chip_find_line(s->chip, s->ask.line);
+    if (!gpio_offset(&s->spec, &offset))
+        s->line = gpiod_chip_find_line(s->chip, s->spec.line);
     else if (offset < n)
         s->line = gpiod_chip_get_line(s->chip, offset);
     if (!s->line)
-        return gpio_fail_line(&s->ask, n);
-    if (gpiod_line_request_both_edges_events_flags(s->line, "hdrig", bias[s->ask.bias]) != 0)
-        return gpio_fail(&s->ask, errno, gpiod_line_consumer(s->line));
+        return gpio_fail_line(&s->spec, n);
+    if (gpiod_line_request_both_edges_events_flags(s->line, "hdrig", bias[s->spec.bias]) != 0)
+        return gpio_fail(&s->spec, errno, gpiod_line_consumer(s->line));
     if (fcntl(gpiod_line_event_get_fd(s->line), F_SETFL, O_NONBLOCK) != 0)
-        return gpio_fail(&s->ask, errno, NULL);
+        return gpio_fail(&s->spec, errno, NULL);
     return OK;
 }
 
@@ -60,13 +60,13 @@ static err_t button_open(void *st, const char *uri)
     char path[GPIO_CHIP_CAP];
     memset(s, 0, sizeof *s);
     s->last_ns = INT64_MIN / 2;
-    err_t e = gpio_parse(uri, "gpiod", GPIO_BUTTON, &s->ask);
+    err_t e = gpio_parse(uri, "gpiod", GPIO_BUTTON, &s->spec);
     if (!e)
-        e = gpio_chip_path(&device_libc, &s->ask, path);
+        e = gpio_chip_path(&device_libc, &s->spec, path);
     if (e)
         return e;
     s->chip = gpiod_chip_open(path);
-    e = s->chip ? request_line(s) : gpio_fail(&s->ask, errno, NULL);
+    e = s->chip ? request_line(s) : gpio_fail(&s->spec, errno, NULL);
     if (e)
         button_close(s);
     return e;
@@ -100,12 +100,12 @@ static err_t button_next(void *st, struct trigger_event *out)
     for (int i = 0; i < BURST; i++) {
         struct gpiod_line_event ev;
         if (gpiod_line_event_read(s->line, &ev) != 0)
-            return gpio_fail_read(&s->ask, errno);
+            return gpio_fail_read(&s->spec, errno);
         struct gpio_edge edge = {event_time_ns(&ev.ts), s->count.seqno + 1,
                                  ev.event_type == GPIOD_LINE_EVENT_RISING_EDGE};
-        bool quiet = (double)(edge.time_ns - s->last_ns) >= s->ask.debounce_ms * 1e6;
+        bool quiet = (double)(edge.time_ns - s->last_ns) >= s->spec.debounce_ms * 1e6;
         s->last_ns = edge.time_ns;
-        if (quiet && gpio_count_edge(&s->count, &s->ask, &edge, out))
+        if (quiet && gpio_count_edge(&s->count, &s->spec, &edge, out))
             return OK;
     }
     return ERR_AGAIN;

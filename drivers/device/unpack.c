@@ -170,7 +170,7 @@ static const char *step_segment(struct walk *j, int marker)
     if (marker == TEM)
         return NULL;
     if (marker < 0xC0 || marker == SOI || (marker >= RST0 && marker <= RST7))
-        return "a marker that has no place there";
+        return "a marker that may not stand there";
     size_t length = j->n - j->at < 2 ? 0 : (size_t)(p[0] << 8 | p[1]);
     if (length < 2 || length > j->n - j->at)
         return "a segment that is cut off";

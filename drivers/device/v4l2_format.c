@@ -181,17 +181,17 @@ static void ask_format(struct v4l2_format *f, bool mplane, const struct answer *
     }
 }
 
-static err_t check_answer(const struct v4l2_node *n, const struct answer *ask,
+static err_t check_answer(const struct v4l2_node *n, const struct answer *requested,
                           const struct answer *got)
 {
     char a[NAME], b[NAME], sizes[TEXT];
-    if (got->w != ask->w || got->h != ask->h || got->fourcc != ask->fourcc) {
-        list_sizes(n, ask->fourcc, sizes);
+    if (got->w != requested->w || got->h != requested->h || got->fourcc != requested->fourcc) {
+        list_sizes(n, requested->fourcc, sizes);
         return err_fail(ERR_UNSUPPORTED,
                         "%s: asked for %ux%u px in %s, the driver came back with %ux%u px in %s; "
                         "sizes it names: %s",
-                        n->path, ask->w, ask->h, code_name(ask->fourcc, a), got->w, got->h,
-                        code_name(got->fourcc, b), sizes[0] ? sizes : "none");
+                        n->path, requested->w, requested->h, code_name(requested->fourcc, a),
+                        got->w, got->h, code_name(got->fourcc, b), sizes[0] ? sizes : "none");
     }
     if (got->planes != 1)
         return err_fail(ERR_UNSUPPORTED, "%s: %s in %u planes, only 1 is supported", n->path,
@@ -249,16 +249,16 @@ err_t v4l2_format_set(const struct v4l2_node *n, const struct camera_cfg *cfg,
     int number = v4l2_sys_ioctl(n, VIDIOC_G_FMT, &f);
     if (number)
         return v4l2_sys_fail(n, number, "tell its pixel format");
-    struct answer ask = read_format(&f, out->mplane);
-    ask.w = cfg->w ? (uint32_t)cfg->w : ask.w;
-    ask.h = cfg->h ? (uint32_t)cfg->h : ask.h;
-    ask.fourcc = p->fourcc;
-    ask_format(&f, out->mplane, &ask);
+    struct answer requested = read_format(&f, out->mplane);
+    requested.w = cfg->w ? (uint32_t)cfg->w : requested.w;
+    requested.h = cfg->h ? (uint32_t)cfg->h : requested.h;
+    requested.fourcc = p->fourcc;
+    ask_format(&f, out->mplane, &requested);
     number = v4l2_sys_ioctl(n, VIDIOC_S_FMT, &f);
     if (number)
         return v4l2_sys_fail(n, number, "set its pixel format");
     struct answer got = read_format(&f, out->mplane);
-    e = check_answer(n, &ask, &got);
+    e = check_answer(n, &requested, &got);
     if (!e)
         e = bound_layout(n, p, &got, out);
     if (e)

@@ -327,16 +327,16 @@ static err_t stretch_and_write(struct v4l2_shutter *c, int64_t code, int64_t gai
     return e;
 }
 
-err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
+err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *requested,
                            struct exposure *set_to)
 {
     if (c->kind == V4L2_SHUTTER_FIXED)
         return err_fail(ERR_UNSUPPORTED, "%s: has no exposure control with a known unit",
                         c->node.path);
-    double codes = fmin(floor(ask->time_s / c->unit_s * (1.0 + 1e-9)), (double)c->most);
+    double codes = fmin(floor(requested->time_s / c->unit_s * (1.0 + 1e-9)), (double)c->most);
     int64_t code = v4l2_control_fit((int64_t)codes, c->least, c->most, c->step), gain = c->gain_lo;
     if (c->gain_lo < c->gain_hi)
-        gain = v4l2_sensor_code(c->sensor, ask->gain, c->gain_lo, c->gain_hi);
+        gain = v4l2_sensor_code(c->sensor, requested->gain, c->gain_lo, c->gain_hi);
     err_t e = stretch_and_write(c, code, gain);
     if (e)
         return e == ERR_NOMEM ? err_fail(ERR_IO, "%s", err_text())

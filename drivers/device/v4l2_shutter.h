@@ -40,7 +40,7 @@ MUST_USE err_t v4l2_shutter_open(struct v4l2_shutter *c, const struct v4l2_layou
                                  double longest_s, double period_s);
 
 /* See camera_ops.request, camera_info. */
-MUST_USE err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *ask,
+MUST_USE err_t v4l2_shutter_request(struct v4l2_shutter *c, const struct exposure *requested,
                                     struct exposure *set);
 void v4l2_shutter_info(const struct v4l2_shutter *c, struct camera_info *out);
 

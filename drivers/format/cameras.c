@@ -160,7 +160,7 @@ static err_t get_intrinsics(const char *what, const struct cJSON *object, struct
 {
     static const char *const keys[4] = {"fx", "fy", "cx", "cy"};
     struct camera *cam = &out->cam;
-    float *const places[4] = {&cam->fx, &cam->fy, &cam->cx, &cam->cy};
+    float *const fields[4] = {&cam->fx, &cam->fy, &cam->cx, &cam->cy};
     struct lens l;
     err_t e = get_size(what, object, "w", &cam->w);
     if (!e)
@@ -170,7 +170,7 @@ static err_t get_intrinsics(const char *what, const struct cJSON *object, struct
         return e ? e : cameras_set_lens(what, out->name, &l, out);
     }
     for (int k = 0; k < 4 && !e; k++)
-        e = json_float(what, object, keys[k], places[k]);
+        e = json_float(what, object, keys[k], fields[k]);
     return e;
 }
 

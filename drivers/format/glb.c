@@ -1,8 +1,8 @@
-/* Both ways walk one list: the attributes of the primitive, each with the place that its numbers
+/* Both ways walk one list: the attributes of the primitive, each with the offset that its numbers
  * have among the planes of struct gaussians. Writing fills all attributes of some thousand splats
- * at a time, each at its place in the file, so the display colours are computed once and need no
- * memory. Reading resolves every attribute to a place in the file first - accessor, view, buffer -
- * and checks it completely; only then is memory taken.
+ * at a time, each at its offset in the file, so the display colours are computed once and need no
+ * memory. Reading resolves every attribute to an offset in the file first - accessor, view,
+ * buffer - and checks it completely; only then is memory taken.
  * Sources: glTF 2.0, 3.6 and 4; KHR_gaussian_splatting, "Attributes" and "Improving Fallback". */
 #include "drivers/format/glb.h"
 

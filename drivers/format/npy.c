@@ -176,7 +176,7 @@ static err_t check_piece(const struct npy_dir *d, const struct tap_tensor *t)
     return OK;
 }
 
-/* A tensor's place in the list; a new one gets its file. Under the lock. */
+/* A tensor's index in the list; a new one gets its file. Under the lock. */
 static err_t find_tensor(struct npy_dir *d, const struct tap_tensor *t, struct npy_tensor **out)
 {
     for (int i = 0; i < d->n; i++)

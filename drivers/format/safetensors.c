@@ -84,7 +84,7 @@ static int by_name(const void *a, const void *b)
                   ((const struct safetensors_tensor *)b)->name);
 }
 
-static int by_place(const void *a, const void *b)
+static int by_offset(const void *a, const void *b)
 {
     const struct safetensors_tensor *x = a, *y = b;
     if (x->begin != y->begin)
@@ -92,12 +92,12 @@ static int by_place(const void *a, const void *b)
     return (x->end > y->end) - (x->end < y->end);
 }
 
-/* Each tensor must begin where another ends. Leaves them sorted by place. */
+/* Each tensor must begin where another ends. Leaves them sorted by offset. */
 static err_t check_tiling(const struct safetensors *s)
 {
     size_t at = 0;
     if (s->n > 0)
-        qsort(s->tensors, (size_t)s->n, sizeof *s->tensors, by_place);
+        qsort(s->tensors, (size_t)s->n, sizeof *s->tensors, by_offset);
     for (int i = 0; i < s->n; i++) {
         if (s->tensors[i].begin != at)
             return err_fail(ERR_FORMAT,

@@ -274,7 +274,7 @@ static err_t put_planes(const struct plan *p, struct compressed_out *out)
     return e;
 }
 
-/* form 1: length is not known yet. Returns the place behind. */
+/* form 1: length is not known yet. Returns the position after it. */
 static uint8_t *record_head(const struct plan *p, int form, uint32_t length, uint8_t *b)
 {
     b = bytes_put_u32(b, SPZ_RADIANCE);

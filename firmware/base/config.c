@@ -148,9 +148,9 @@ void config_defaults(struct config *c)
 }
 
 /* Key of that name; for a numbered key also the position in its array. */
-static const struct key *find_key(const char *name, int *place)
+static const struct key *find_key(const char *name, int *index)
 {
-    *place = 0;
+    *index = 0;
     for (int i = 0; i < N_KEYS; i++) {
         const struct key *k = &keys[i];
         size_t n = strlen(k->name);
@@ -162,7 +162,7 @@ static const struct key *find_key(const char *name, int *place)
         long number = strtol(name + n, &end, 10);
         if (*end || number > k->count)
             continue;
-        *place = (int)number - 1;
+        *index = (int)number - 1;
         return k;
     }
     return NULL;
@@ -172,11 +172,11 @@ static const struct key *find_key(const char *name, int *place)
 static int find_word(const char *words, const char *value)
 {
     const size_t len = strlen(value);
-    int place = 0;
-    for (const char *w = words; w; place++) {
+    int index = 0;
+    for (const char *w = words; w; index++) {
         const size_t n = strcspn(w, "|");
         if (n == len && memcmp(w, value, n) == 0)
-            return place;
+            return index;
         w = w[n] ? w + n + 1 : NULL;
     }
     return -1;
@@ -207,9 +207,9 @@ static err_t set_whole(struct config *c, const char *where, const struct key *k,
 
 static err_t set_word(struct config *c, const char *where, const struct key *k, const char *value)
 {
-    const int place = find_word(k->text, value);
-    if (place >= 0) {
-        *key_field(c, k) = place;
+    const int index = find_word(k->text, value);
+    if (index >= 0) {
+        *key_field(c, k) = index;
         return OK;
     }
     return err_fail(ERR_ARG, "%s: %s: \"%.*s\" is none of %s", where, k->name, QUOTE_MAX, value,
@@ -231,12 +231,12 @@ static err_t set_text(char *field_of, const char *where, const char *key, const 
 
 err_t config_set(struct config *c, const char *where, const char *key, const char *value)
 {
-    int place;
-    const struct key *k = find_key(key, &place);
+    int index;
+    const struct key *k = find_key(key, &index);
     if (!k)
         return err_fail(ERR_ARG, "%s: unknown key \"%.*s\"", where, QUOTE_MAX, key);
     if (k->kind == TEXT)
-        return set_text(text_field(c, k, place), where, key, value);
+        return set_text(text_field(c, k, index), where, key, value);
     return k->kind == WORD ? set_word(c, where, k, value) : set_whole(c, where, k, value);
 }
 

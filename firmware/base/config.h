@@ -45,7 +45,7 @@ struct config {
     int camera_w, camera_h;                   // px; 0: the camera's own
     int camera_format;                        // enum camera_format
     char trigger[CONFIG_TRIGGERS][CONFIG_TEXT];
-    int trigger_lockout_ms, trigger_busy, trigger_queue; // enum config_busy; places
+    int trigger_lockout_ms, trigger_busy, trigger_queue; // enum config_busy; presses that wait
     int session_collect, session_hold_ms;                // enum config_collect
     char lamp[CONFIG_TEXT];
     int bracket_mode; // enum config_bracket

@@ -111,7 +111,7 @@ static void request_exposure(struct camera_state *c, int index, int64_t now_ns)
         return;
     c->request = true;
     c->next = (struct label_request){.index = index, .asked_ns = now_ns};
-    c->next.ask = index == LABEL_BASE ? c->base : c->plan.ask[index];
+    c->next.requested = index == LABEL_BASE ? c->base : c->plan.requested[index];
     if (index == LABEL_BASE)
         return;
     c->state[index] = ASKED;
@@ -310,7 +310,7 @@ static void keep_frame(struct camera_state *c, int i, const struct bracket_event
 {
     struct bracket_evidence *v = &c->evidence[i];
     label_evidence(&c->label, ev->frame, k, v);
-    v->asked = c->plan.ask[i];
+    v->requested = c->plan.requested[i];
     v->attempts = c->tries[i];
     v->rested = c->phase != RUN;
     label_hold(&c->label, i, ev->probe, k);
@@ -528,7 +528,7 @@ static err_t check_plan(const struct bracket *b, const struct bracket_plan *plan
             return err_fail(ERR_ARG, "camera %d: the plan has %d exposures, 0 to %d are allowed", c,
                             plan[c].n, BRACKET_EXPOSURES_MAX);
         for (int i = 0; i < plan[c].n; i++) {
-            const struct exposure *e = &plan[c].ask[i];
+            const struct exposure *e = &plan[c].requested[i];
             if (!is_exposure(e) || e->time_s < cfg->time_min_s * (1.0 - RANGE) ||
                 e->time_s > cfg->time_max_s * (1.0 + RANGE))
                 return err_fail(ERR_ARG,
@@ -556,7 +556,7 @@ static err_t on_begin(struct bracket *b, const struct bracket_event *ev)
         struct camera_state *c = &b->cameras[i];
         c->plan = ev->plan[i];
         for (int k = 0; k < c->plan.n; k++)
-            c->stops[k] = rounded_stops(c, &c->plan.ask[k]);
+            c->stops[k] = rounded_stops(c, &c->plan.requested[k]);
         memset(c->state, 0, sizeof c->state);
         memset(c->tries, 0, sizeof c->tries);
         label_forget(&c->label, false);
@@ -720,7 +720,7 @@ bool bracket_action(struct bracket *b, struct bracket_action *out)
         } else if (c->request) {
             out->kind = BRACKET_REQUEST;
             out->index = c->next.index;
-            out->exposure = c->next.ask;
+            out->exposure = c->next.requested;
             c->request = false;
             c->asking = true;
         } else {

@@ -52,7 +52,7 @@
  * no part. Stagger mode is a plan with n = 1 and another exposure per camera. */
 struct bracket_plan {
     int n;
-    struct exposure ask[BRACKET_EXPOSURES_MAX];
+    struct exposure requested[BRACKET_EXPOSURES_MAX];
 };
 
 enum bracket_state { BRACKET_IDLE, BRACKET_ARMED, BRACKET_SHOOTING, BRACKET_DONE, BRACKET_FAULT };

@@ -1,5 +1,5 @@
 /* Base. From 10 ms in steps of two stops towards the light or the dark, the exposure at which most
- * places of the probe are good.
+ * patches of the probe are good.
  * Delay (Android's test of latching is the model). From rest, steps of two stops up and down at
  * phases spread by the golden ratio. A frame shows the step if its ratio to the frame before the
  * request is nearer to the final ratio than to 0, so no response curve is needed. Steps
@@ -7,7 +7,7 @@
  * Curve. Five pictures at rest, 0, 1.4, 3.2, 5.4 and 8 stops below the longest: ratios that differ
  * hold a curve better than equal ones (core/photo/crf.h). If no curve explains them, exposure may
  * not obey in all of that: five more above the base, then below.
- * Range. Each exposure of the sweep against the one before, by the median ratio of common places,
+ * Range. Each exposure of the sweep against the one before, by the median ratio of common patches,
  * else by the bounds of dark and clipped ones. A wrong pair is measured twice more: flicker and
  * movement in the scene do not make it wrong each time. The range reaches from the base to the
  * first wrong pair; its upper end is then narrowed by halving. Where pixels show nothing, the range
@@ -27,10 +27,10 @@ enum {
     UNKNOWN = 8, // frames, delay of devices that report none
     IDLE_MAX = 3,
     SETTLE = 2, // frames beyond the delay
-    GOOD_PLACES = EXPOSURE_PROBE_PLACES * 2 / 5,
-    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,
-    LEAST_PLACES = EXPOSURE_PROBE_PLACES / 200 + 1, // as firmware/capture/label.c
-    TRIALS = 14,                                    // steps of the delay
+    GOOD_PATCHES = EXPOSURE_PROBE_PATCHES * 2 / 5,
+    FEW_PATCHES = EXPOSURE_PROBE_PATCHES / 20,
+    LEAST_PATCHES = EXPOSURE_PROBE_PATCHES / 200 + 1, // as firmware/capture/label.c
+    TRIALS = 14,                                      // steps of the delay
     ATTEMPTS = 3 * TRIALS,
     DELAY_MAX = 32, // frames
     TRACK = DELAY_MAX + 16,
@@ -75,13 +75,13 @@ static err_t ask_and_rest(struct device_probe *w, double time_s, int frames,
 
 static err_t check_base(const struct exposure_probe *best, double t)
 {
-    if (best->good >= FEW_PLACES)
+    if (best->good >= FEW_PATCHES)
         return OK;
     return err_fail(
         ERR_LIMIT,
         "the scene is too %s: at %.3g s %d %% of the picture can be measured, %d %% are needed",
-        best->dark > best->clipped ? "dark" : "bright", t, 100 * best->good / EXPOSURE_PROBE_PLACES,
-        100 * FEW_PLACES / EXPOSURE_PROBE_PLACES);
+        best->dark > best->clipped ? "dark" : "bright", t,
+        100 * best->good / EXPOSURE_PROBE_PATCHES, 100 * FEW_PATCHES / EXPOSURE_PROBE_PATCHES);
 }
 
 err_t calibrate_base(struct device_probe *w, struct calibrate *c)
@@ -101,7 +101,7 @@ err_t calibrate_base(struct device_probe *w, struct calibrate *c)
         }
         int to = s.seen.dark > s.seen.clipped ? 1 : -1;
         double next = limit_exposure(w, to > 0 ? 4.0 * t : 0.25 * t, c->longest_s);
-        if (best.good >= GOOD_PLACES || to == -way || next == t)
+        if (best.good >= GOOD_PATCHES || to == -way || next == t)
             break;
         way = to;
         t = next;
@@ -361,12 +361,12 @@ static void judge_step(const struct device_probe *w, const struct exposure_probe
 {
     struct exposure_probe_ratio r;
     exposure_probe_compare(a, b, &r);
-    double slack = calibrate_slack(w) * (r.places < FEW_PLACES ? 2.0 : 1.0);
+    double slack = calibrate_slack(w) * (r.patches < FEW_PATCHES ? 2.0 : 1.0);
     bool loose = !w->linear && !w->has_crf; // only what no curve could do is wrong
-    double least = loose ? 0.25 * s->asked : s->asked - slack;
-    double most = loose ? 2.5 * s->asked : s->asked + slack;
+    double least = loose ? 0.25 * s->requested : s->requested - slack;
+    double most = loose ? 2.5 * s->requested : s->requested + slack;
     double error = r.error;
-    bool seen = r.places >= LEAST_PLACES && 4.0 * error <= slack;
+    bool seen = r.patches >= LEAST_PATCHES && 4.0 * error <= slack;
     double lo = seen ? r.log2 : r.lo, hi = seen ? r.log2 : r.hi;
     s->measured = seen ? r.log2 : NAN;
     s->rises = lo > 0.0 || !seen;
@@ -417,12 +417,12 @@ static err_t sweep_range(struct device_probe *w, struct calibrate *c)
     c->n = 1;
     for (int i = 1; !e && i <= most; i++) {
         double t = fmin(from * exp2(STEP * i), longest);
-        struct exposure ask = {t, 1.0}, x = label_rounded(&w->label, &ask);
+        struct exposure requested = {t, 1.0}, x = label_rounded(&w->label, &requested);
         struct calibrate_step *to = &c->step[c->n];
         device_probe_tell(w, "range", i, most);
         *to = (struct calibrate_step){.time_s = x.time_s};
-        to->asked = log2(x.time_s / c->step[c->n - 1].time_s);
-        if (!(to->asked > 0.5 * STEP) && i < most)
+        to->requested = log2(x.time_s / c->step[c->n - 1].time_s);
+        if (!(to->requested > 0.5 * STEP) && i < most)
             continue; // rounded to the same, or nearly
         e = measure_step(&k, t, to);
         c->n++;
@@ -441,9 +441,9 @@ static err_t narrow_range(struct device_probe *w, struct calibrate *c, double go
         err_t e = ask_and_rest(w, good_s, c->calib.delay_hi + 1, &s);
         double from = device_probe_expected(w);
         k.last = s.seen;
-        struct exposure ask = {to.time_s, 1.0}, x = label_rounded(&w->label, &ask);
-        to.asked = log2(x.time_s / from);
-        if (!e && to.asked <= c->calib.tolerance)
+        struct exposure requested = {to.time_s, 1.0}, x = label_rounded(&w->label, &requested);
+        to.requested = log2(x.time_s / from);
+        if (!e && to.requested <= c->calib.tolerance)
             break;
         if (!e)
             e = measure_step(&k, to.time_s, &to);
@@ -461,7 +461,7 @@ static void check_curve(struct device_probe *w, struct calibrate *c, int lo, int
 {
     for (int i = lo + 1; i <= hi && !w->linear; i++)
         if (c->step[i].verdict == CALIBRATE_OBEYS &&
-            fabs(c->step[i].measured - c->step[i].asked) > BRACKET_TOLERANCE_LINEAR)
+            fabs(c->step[i].measured - c->step[i].requested) > BRACKET_TOLERANCE_LINEAR)
             c->calib.tolerance = BRACKET_TOLERANCE_DISPLAY;
 }
 
@@ -505,7 +505,7 @@ err_t calibrate_range(struct device_probe *w, struct calibrate *c)
         return e;
     exposure_probe_compare(&before.seen, &after.seen, &r);
     c->drift = r.log2;
-    if (fabs(c->drift) > STILL || r.places < LEAST_PLACES)
+    if (fabs(c->drift) > STILL || r.patches < LEAST_PATCHES)
         return err_fail(ERR_LIMIT,
                         "the light or the scene changed: the same exposure differs by %.2f "
                         "stops",

@@ -19,8 +19,8 @@ enum calibrate_verdict {
 
 /* One exposure of the sweep, against the one before. */
 struct calibrate_step {
-    double time_s;          // as the device should round it
-    double asked, measured; // stops; measured is NAN if only bounds are known
+    double time_s;              // as the device should round it
+    double requested, measured; // stops; measured is NAN if only bounds are known
     enum calibrate_verdict verdict;
     bool rises;
 };

@@ -203,7 +203,7 @@ static void doubt_dark(const struct device_probe *w, struct exposure_probe *s)
     struct crf srgb;
     crf_srgb(&srgb);
     float floor = exp2f((w->has_crf ? &w->crf : &srgb)->log2x[1][FLOOR]);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         s->floor[i] = fmaxf(s->floor[i], floor);
         if (s->state[i] == EXPOSURE_PROBE_GOOD && s->x[i] < floor) {
             s->state[i] = EXPOSURE_PROBE_DARK;
@@ -333,21 +333,22 @@ err_t device_probe_resume(struct device_probe *w)
 /* ---- requests ---- */
 
 /* Devices round down, to less than a step; those that do not know their steps to less than half. */
-static bool is_rounded(const struct camera_info *info, double ask, double set)
+static bool is_rounded(const struct camera_info *info, double requested, double set)
 {
-    double step = info->time_step_s > 0.0 ? info->time_step_s : 0.5 * ask, eps = 1e-6 * ask;
-    double least = fmin(fmax(ask - step, info->time_min_s), info->time_max_s);
-    return set <= fmax(ask, info->time_min_s) + eps && set >= least - eps;
+    double step = info->time_step_s > 0.0 ? info->time_step_s : 0.5 * requested,
+           eps = 1e-6 * requested;
+    double least = fmin(fmax(requested - step, info->time_min_s), info->time_max_s);
+    return set <= fmax(requested, info->time_min_s) + eps && set >= least - eps;
 }
 
 err_t device_probe_ask(struct device_probe *w, double time_s, int index)
 {
-    struct label_request r = {.index = index, .ask = {time_s, 1.0}};
+    struct label_request r = {.index = index, .requested = {time_s, 1.0}};
     struct device_probe_frame s;
     err_t e = ERR_BUSY;
     for (int i = 0; i < BUSY_FRAMES && e == ERR_BUSY; i++) {
         r.asked_ns = now_of(w);
-        e = w->ops->request(w->st, &r.ask, &r.set);
+        e = w->ops->request(w->st, &r.requested, &r.set);
         w->count.requests++;
         w->count.refused += e != OK;
         err_t frame = e == ERR_BUSY ? device_probe_next(w, false, &s) : OK;

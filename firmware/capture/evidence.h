@@ -33,11 +33,11 @@ enum bracket_proof {    // the strongest first
 
 /* The evidence for a kept frame. */
 struct bracket_evidence {
-    struct exposure exposure;             // the recorded one: as reported, else `set` as rounded
-    struct exposure asked, set, reported; // by the plan; read back; by the frame's report
+    struct exposure exposure; // the recorded one: as reported, else `set` as rounded
+    struct exposure requested, set, reported; // by the plan; read back; by the frame's report
     bool reported_known, ratio_known;
     float ratio, ratio_asked; // stops, to the frame compared with: by the pixels, by exposures
-    int places;               // places that gave the ratio
+    int patches;              // patches that gave the ratio
     enum bracket_proof proof;
     uint32_t sequence;
     int64_t timestamp_ns, start_ns, request_ns; // frame; begin of its exposure; its request

@@ -5,7 +5,7 @@
  * does not grow with frames whose stamps are older than the request. Entry i of the log may be in
  * force if it is `lo` frames old and entry i + 1 is not yet `hi` frames old (strict); `doubt`
  * bounds how wrong the promised delay may be (wide).
- * Pixels. The exposure is that of an anchor times the median ratio at the same places. Anchors
+ * Pixels. The exposure is that of an anchor times the median ratio at the same patches. Anchors
  * chain outward from the reference; errors add up. An uncalibrated response stretches all ratios;
  * a kept frame then counts with its recorded exposure instead of the measured one.
  * Label. Exactly one strict candidate must be within the tolerance of the measured exposure. */
@@ -15,11 +15,11 @@
 #include <string.h>
 
 enum {
-    PLACES_MANY = EXPOSURE_PROBE_PLACES / 8, // enough: no other anchor is compared
-    DOUBT = 8,                               // frames, for devices with an unknown delay
-    REST = 2,                                // frames beyond doubt
-    UNSURE = 2,                              // a wider range of delays is a guess, not jitter
-    GAP_MAX = 64,                            // frames lost at once; larger gaps are errors
+    PATCHES_MANY = EXPOSURE_PROBE_PATCHES / 8, // enough: no other anchor is compared
+    DOUBT = 8,                                 // frames, for devices with an unknown delay
+    REST = 2,                                  // frames beyond doubt
+    UNSURE = 2,                                // a wider range of delays is a guess, not jitter
+    GAP_MAX = 64,                              // frames lost at once; larger gaps are errors
     AGE_MAX = 1 << 20
 };
 #define REPORT 0.005 // W1: 0.5 %
@@ -76,7 +76,7 @@ void label_restart(struct label *l, const struct exposure *base, int64_t now_ns)
     l->seen = false;
     if (!base)
         return;
-    struct label_request r = {.index = LABEL_BASE, .ask = *base, .set = *base};
+    struct label_request r = {.index = LABEL_BASE, .requested = *base, .set = *base};
     r.asked_ns = r.answered_ns = now_ns;
     label_asked(l, &r);
 }
@@ -93,10 +93,10 @@ struct exposure label_rounded(const struct label *l, const struct exposure *e)
 /* Some devices read back the former setting, or the request without rounding. */
 static struct exposure expected_exposure(const struct label *l, const struct label_request *r)
 {
-    double off = fabs(label_stops(&r->set) - label_stops(&r->ask));
-    bool near = off <= 0.5 || fabs(r->set.time_s - r->ask.time_s) <= l->cfg.time_step_s;
+    double off = fabs(label_stops(&r->set) - label_stops(&r->requested));
+    bool near = off <= 0.5 || fabs(r->set.time_s - r->requested.time_s) <= l->cfg.time_step_s;
     bool former = !(fabs(label_stops(&r->set) - r->from) >= off); // or the former is unknown
-    return label_rounded(l, near && !former ? &r->set : &r->ask);
+    return label_rounded(l, near && !former ? &r->set : &r->requested);
 }
 
 void label_asked(struct label *l, const struct label_request *r)
@@ -148,7 +148,7 @@ double label_longest_s(const struct label *l)
 {
     double longest = l->cfg.period_s;
     for (int i = 0; i < l->n; i++)
-        longest = fmax(longest, fmax(l->log[i].ask.time_s, l->log[i].expect.time_s));
+        longest = fmax(longest, fmax(l->log[i].requested.time_s, l->log[i].expect.time_s));
     return longest;
 }
 
@@ -266,7 +266,7 @@ static void compare_anchor(const struct label *l, int by, const struct exposure_
     k->stops = r.stops;
     k->error = r.error;
     k->by = by;
-    k->places = r.places;
+    k->patches = r.patches;
     k->ratio = r.ratio;
 }
 
@@ -324,7 +324,7 @@ static void read_pixels(const struct label *l, const struct exposure_probe *w, s
     k->by = -1;
     k->dark = w->dark + (ref->held ? ref->seen.dark : 0);
     k->clipped = w->clipped + (ref->held ? ref->seen.clipped : 0);
-    for (int i = LABEL_REFERENCE; i >= 0 && k->places < PLACES_MANY; i--)
+    for (int i = LABEL_REFERENCE; i >= 0 && k->patches < PATCHES_MANY; i--)
         if (l->anchor[i].held)
             compare_anchor(l, i, w, k);
 }
@@ -491,7 +491,7 @@ void label_evidence(const struct label *l, const struct frame *f, const struct l
                                      .reported_known = f->exposure_known,
                                      .ratio_known = k->measured,
                                      .ratio = k->ratio,
-                                     .places = k->places,
+                                     .patches = k->patches,
                                      .proof = proof_of(l, k, f->exposure_known),
                                      .sequence = f->sequence,
                                      .timestamp_ns = f->timestamp_ns,

@@ -25,10 +25,10 @@ enum {
 };
 
 struct label_request {
-    int index;                        // in the plan, or LABEL_BASE, LABEL_OTHER
-    struct exposure ask, set, expect; // set: read back; expect: as the sensor should take it
-    double stops, from;               // log2 of expect, now and in the request before; NAN: none
-    int age_lo, age_hi;               // frames since the one that ran during the request
+    int index;                              // in the plan, or LABEL_BASE, LABEL_OTHER
+    struct exposure requested, set, expect; // set: read back; expect: as the sensor should take it
+    double stops, from; // log2 of expect, now and in the request before; NAN: none
+    int age_lo, age_hi; // frames since the one that ran during the request
     int64_t asked_ns, answered_ns;
 };
 
@@ -66,9 +66,9 @@ struct label_look {
     double stops, error; // if measured: log2 of exposure, s
     double slack;        // stops: flicker of the anchor, after the verdict also of the frame
     double lo, hi;       // bounds of `stops`, measured or not
-    int by, places;      // anchor compared with; places used
+    int by, patches;     // anchor compared with; patches used
     float ratio;         // stops, to the anchor
-    int dark, clipped;   // places of both
+    int dark, clipped;   // patches of both
 };
 
 /* err:  ERR_ARG names camera i, field and bound. */

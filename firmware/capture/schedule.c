@@ -5,7 +5,7 @@
 #define LIMIT 0.01       // beyond the range of the device: rounding of requests
 #define STEADY_LIST 0.25 // stops
 #define STEADY_AUTO 0.5
-#define LINK 5.0 // stops between frames that are sure to show the same places
+#define LINK 5.0 // stops between frames that are sure to show the same patches
 
 void schedule_order(const struct config *c, int64_t press_ns, struct session_order *o)
 {
@@ -35,7 +35,7 @@ int schedule_frames(const struct session_order *o)
 static void add_exposure(struct bracket_plan *p, double time_s)
 {
     if (p->n < BRACKET_EXPOSURES_MAX)
-        p->ask[p->n++] = (struct exposure){time_s, 1};
+        p->requested[p->n++] = (struct exposure){time_s, 1};
 }
 
 void schedule_probe(double time_s, double base_s, const struct camera_info *info,
@@ -104,7 +104,7 @@ void schedule_shots(const struct session_order *o, int turn, const struct camera
             add_exposure(out, r->time_s[k]);
     }
     if (o->stagger && out->n > 1) {
-        out->ask[0] = out->ask[turn % out->n];
+        out->requested[0] = out->requested[turn % out->n];
         out->n = 1;
     }
 }
@@ -114,9 +114,9 @@ void schedule_steady(const struct session_order *o, const struct take_camera *c,
 {
     double most = o->mode == SESSION_LIST ? STEADY_LIST : STEADY_AUTO;
     for (int k = 0; k < io->n; k++) {
-        double t = flicker_steady_s(&c->light, io->ask[k].time_s);
+        double t = flicker_steady_s(&c->light, io->requested[k].time_s);
         bool possible = t >= c->info.time_min_s && t <= c->info.time_max_s;
-        if (possible && fabs(log2(t / io->ask[k].time_s)) <= most)
-            io->ask[k].time_s = t;
+        if (possible && fabs(log2(t / io->requested[k].time_s)) <= most)
+            io->requested[k].time_s = t;
     }
 }

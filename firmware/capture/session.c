@@ -303,11 +303,11 @@ err_t session_arm(struct session *s, int i, double base_s)
     struct cam *c = &s->cam[i];
     const struct camera_info *info = &c->about.info;
     struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i};
-    struct exposure ask = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
+    struct exposure requested = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
     if (base_s > 0) {
-        err_t e = c->ops->request(c->st, &ask, &c->set);
-        if (!e && fabs(log2(c->set.time_s / ask.time_s)) > 0.1) // reads back what was before?
-            e = c->ops->request(c->st, &ask, &c->set);
+        err_t e = c->ops->request(c->st, &requested, &c->set);
+        if (!e && fabs(log2(c->set.time_s / requested.time_s)) > 0.1) // reads back what was before?
+            e = c->ops->request(c->st, &requested, &c->set);
         if (e) {
             e = name_camera(c, e);
             lose_camera(s, i);
@@ -467,7 +467,7 @@ static bool plan_extension(struct session *s)
         c->plan.dark = cover.dark;
         if (!(cover.extend_s > 0) || frame_buffer_used(&c->roll) >= BRACKET_EXPOSURES_MAX)
             continue;
-        s->plan[i] = (struct bracket_plan){.n = 1, .ask = {{cover.extend_s, 1}}};
+        s->plan[i] = (struct bracket_plan){.n = 1, .requested = {{cover.extend_s, 1}}};
         any = true;
     }
     return any;

@@ -25,7 +25,7 @@ const char *take_format(enum camera_format f)
 /* Whether two cameras took the same exposure. */
 static bool same_exposure(const struct take_frame *a, const struct take_frame *b)
 {
-    double x = a->evidence.asked.time_s, y = b->evidence.asked.time_s;
+    double x = a->evidence.requested.time_s, y = b->evidence.requested.time_s;
     return a->camera != b->camera && fabs(x - y) <= 0.01 * x;
 }
 

@@ -1,4 +1,4 @@
-/* The queue has two places: the take being written, or its uncollected outcome, and the take after
+/* The queue has two slots: the take being written, or its uncollected outcome, and the take after
  * it. */
 #include "firmware/capture/writer.h"
 
@@ -14,17 +14,17 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { PLACES = 2 };
+enum { SLOTS = 2 };
 
 struct writer {
     struct store *store;
     pthread_t thread;
     pthread_mutex_t lock;
     pthread_cond_t work;
-    bool stop, done; // done: place[0] is an outcome
+    bool stop, done; // done: slot[0] is an outcome
     int n, fd;
     int64_t since_ns;
-    struct writer_outcome place[PLACES];
+    struct writer_outcome slot[SLOTS];
 };
 
 static void *write_takes(void *ctx)
@@ -36,13 +36,13 @@ static void *write_takes(void *ctx)
             pthread_cond_wait(&w->work, &w->lock);
         if (w->n == 0 || w->done)
             break;
-        struct writer_outcome o = w->place[0];
+        struct writer_outcome o = w->slot[0];
         w->since_ns = clocks_now();
         pthread_mutex_unlock(&w->lock);
         o.err = store_commit(w->store, o.take, o.id);
         snprintf(o.text, sizeof o.text, "%s", o.err ? err_text() : "");
         pthread_mutex_lock(&w->lock);
-        w->place[0] = o;
+        w->slot[0] = o;
         w->done = true;
         w->since_ns = 0;
         eventfd_write(w->fd, 1);
@@ -87,10 +87,10 @@ void writer_close(struct writer *w)
     pthread_mutex_unlock(&w->lock);
     pthread_join(w->thread, NULL);
     while (w->n > 0) { // outcomes that were not collected, and a take still queued behind one
-        if (!w->done && store_commit(w->store, w->place[0].take, o.id) != OK)
+        if (!w->done && store_commit(w->store, w->slot[0].take, o.id) != OK)
             log_error("%s", err_text());
-        take_free(w->place[0].take);
-        w->place[0] = w->place[1];
+        take_free(w->slot[0].take);
+        w->slot[0] = w->slot[1];
         w->done = false;
         w->n--;
     }
@@ -103,7 +103,7 @@ void writer_close(struct writer *w)
 bool writer_free(struct writer *w)
 {
     pthread_mutex_lock(&w->lock);
-    bool room = w->n < PLACES;
+    bool room = w->n < SLOTS;
     pthread_mutex_unlock(&w->lock);
     return room;
 }
@@ -111,9 +111,9 @@ bool writer_free(struct writer *w)
 err_t writer_put(struct writer *w, struct take *t)
 {
     pthread_mutex_lock(&w->lock);
-    bool room = w->n < PLACES;
+    bool room = w->n < SLOTS;
     if (room) {
-        w->place[w->n++] = (struct writer_outcome){.take = t};
+        w->slot[w->n++] = (struct writer_outcome){.take = t};
         pthread_cond_signal(&w->work);
     }
     pthread_mutex_unlock(&w->lock);
@@ -131,8 +131,8 @@ err_t writer_outcome(struct writer *w, struct writer_outcome *out)
     pthread_mutex_lock(&w->lock);
     bool ready = w->done;
     if (ready) {
-        *out = w->place[0];
-        w->place[0] = w->place[1];
+        *out = w->slot[0];
+        w->slot[0] = w->slot[1];
         w->n--;
         w->done = false;
         eventfd_read(w->fd, &count);

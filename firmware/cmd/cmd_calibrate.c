@@ -95,7 +95,7 @@ static void print_range(const struct calibrate *c, const struct camera_info *inf
     for (int i = 1; i < c->n; i++)
         if (c->step[i].verdict == CALIBRATE_OBEYS && c->step[i].time_s <= k->time_max_s &&
             c->step[i - 1].time_s >= k->time_min_s)
-            worst = fmax(worst, fabs(c->step[i].measured - c->step[i].asked));
+            worst = fmax(worst, fabs(c->step[i].measured - c->step[i].requested));
     printf("           neighbours are right within %.2f stops\n", worst);
 }
 

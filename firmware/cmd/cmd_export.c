@@ -59,11 +59,11 @@ static err_t read_scene(const struct request *rq, struct state *st)
 
 static err_t export_scene(const struct request *rq, struct state *st)
 {
-    const struct export_request ask = {.set = &st->set,
-                                       .scene = &st->scene,
-                                       .photographed = rq->lens != NULL,
-                                       .transforms =
-                                           rq->nerfstudio ? file_name(rq->nerfstudio) : NULL};
+    const struct export_request request = {.set = &st->set,
+                                           .scene = &st->scene,
+                                           .photographed = rq->lens != NULL,
+                                           .transforms =
+                                               rq->nerfstudio ? file_name(rq->nerfstudio) : NULL};
     struct export_result result;
     err_t e = list_photographs(rq, st);
     if (!e)
@@ -73,7 +73,7 @@ static err_t export_scene(const struct request *rq, struct state *st)
     if (!e)
         e = outdir_reserve(&st->out, imageset_bytes(&st->set.capture, st->set.capture.n));
     if (!e)
-        e = export_run(&st->engine.run, &ask, &st->out, &result);
+        e = export_run(&st->engine.run, &request, &st->out, &result);
     if (!e)
         e = outdir_commit(&st->out);
     if (!e)

@@ -205,7 +205,7 @@ static err_t write_dataset(const struct request *rq, const struct dataset_reques
 int cmd_simulate_run(int argc, char **argv)
 {
     static struct state st;
-    static struct dataset_request ask;
+    static struct dataset_request request;
     struct request rq = {0};
     const struct cmd_option options[] = {
         {"out", "DIR", "folder of the data set; a former one is replaced", NULL, &rq.out, NULL},
@@ -247,9 +247,9 @@ int cmd_simulate_run(int argc, char **argv)
         return code;
     if (!rq.out)
         return cmd_misuse(&usage, "--out is needed");
-    if (read_request(&rq, &ask) != OK)
+    if (read_request(&rq, &request) != OK)
         return cmd_misuse(&usage, err_text());
-    code = cmd_finish(usage.name, write_dataset(&rq, &ask, &st));
+    code = cmd_finish(usage.name, write_dataset(&rq, &request, &st));
     outdir_close(&st.out);
     engine_close(&st.engine);
     return code;

@@ -28,9 +28,9 @@ enum {
     REST_FRAMES = 10,
     RATE_FRAMES = 100,
     SHOTS = 14,
-    DROPS_PER = 500,                                // one lost frame of so many is forgiven
-    FEW_PLACES = EXPOSURE_PROBE_PLACES / 20,        // least places of a usable picture
-    LEAST_PLACES = EXPOSURE_PROBE_PLACES / 200 + 1, // as firmware/capture/label.c
+    DROPS_PER = 500,                                  // one lost frame of so many is forgiven
+    FEW_PATCHES = EXPOSURE_PROBE_PATCHES / 20,        // least patches of a usable picture
+    LEAST_PATCHES = EXPOSURE_PROBE_PATCHES / 200 + 1, // as firmware/capture/label.c
     SESSION_MB = 1000
 };
 #define RATE_OFF 0.02    // part of the period
@@ -178,7 +178,7 @@ static int class_of(double stops)
     return stops > CLASS ? 1 : stops < -CLASS ? -1 : 0;
 }
 
-static void look_at_shot(const struct stand *r, const struct device_probe_frame *s,
+static void measure_shot(const struct stand *r, const struct device_probe_frame *s,
                          struct latching *k)
 {
     int shot = device_probe_in_force(r->w, r->t->measured.calib.delay_lo) - 1;
@@ -186,7 +186,7 @@ static void look_at_shot(const struct stand *r, const struct device_probe_frame 
     if (shot < 0 || !s->usable)
         return;
     exposure_probe_compare(&k->rest.seen, &s->seen, &ratio);
-    if (ratio.places < LEAST_PLACES)
+    if (ratio.patches < LEAST_PATCHES)
         return;
     bool right = class_of(ratio.log2) == pattern[shot];
     k->shown[shot] = true;
@@ -215,12 +215,12 @@ static err_t shoot_pattern(struct stand *r, struct latching *k)
         if (!e)
             e = device_probe_next(r->w, true, &s);
         if (!e)
-            look_at_shot(r, &s, k);
+            measure_shot(r, &s, k);
     }
     while (!e && s.age_lo < hold) {
         e = device_probe_next(r->w, true, &s);
         if (!e)
-            look_at_shot(r, &s, k);
+            measure_shot(r, &s, k);
     }
     return e;
 }
@@ -294,7 +294,7 @@ static void judge_sweep(struct stand *r)
     double off = 0.0;
     for (int i = 1; i < c->n; i++) {
         const struct calibrate_step *s = &c->step[i];
-        double d = isnan(s->measured) ? 0.0 : fabs(s->measured - s->asked);
+        double d = isnan(s->measured) ? 0.0 : fabs(s->measured - s->requested);
         seen += !isnan(s->measured);
         worst = d > off ? s : worst;
         off = fmax(off, d);
@@ -346,7 +346,7 @@ static err_t choose_middle(struct stand *r)
             e = device_probe_rest(r->w, m->delay_hi + 1, &s);
         if (e)
             return e;
-        shows[i] = s.seen.good >= FEW_PLACES;
+        shows[i] = s.seen.good >= FEW_PATCHES;
     }
     if (shows[0] && shows[1] && shows[2] && 4.0 * r->middle_s <= 1.01 * hi)
         return OK;

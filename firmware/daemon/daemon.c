@@ -240,8 +240,8 @@ static bool is_busy(const struct daemon *d)
 
 static err_t queue_press(struct daemon *d, int64_t press_ns)
 {
-    int places = d->set->trigger_busy == CONFIG_QUEUE ? d->set->trigger_queue : 1;
-    if (d->set->trigger_busy == CONFIG_REJECT || d->n_waiting == places) {
+    int slots = d->set->trigger_busy == CONFIG_QUEUE ? d->set->trigger_queue : 1;
+    if (d->set->trigger_busy == CONFIG_REJECT || d->n_waiting == slots) {
         if (d->set->trigger_busy == CONFIG_COALESCE) {
             d->count.coalesced++;
             return OK;

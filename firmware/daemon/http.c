@@ -30,7 +30,7 @@ struct http {
     int fd; // epoll
     char host[256];
     struct connections connections;
-    int64_t look_ns; // at them
+    int64_t expire_ns; // at them
 };
 
 struct request { // a request that has a body
@@ -455,13 +455,13 @@ struct pollfd http_poll(const struct http *h, int64_t now, int64_t *deadline_ns)
     MHD_UNSIGNED_LONG_LONG ms;
     if (MHD_get_timeout(h->mhd, &ms) == MHD_YES && now + (int64_t)ms * 1000000 < *deadline_ns)
         *deadline_ns = now + (int64_t)ms * 1000000;
-    if (h->look_ns < *deadline_ns)
-        *deadline_ns = h->look_ns;
+    if (h->expire_ns < *deadline_ns)
+        *deadline_ns = h->expire_ns;
     return (struct pollfd){.fd = h->fd, .events = POLLIN};
 }
 
 void http_step(struct http *h)
 {
     MHD_run(h->mhd);
-    h->look_ns = connections_expire(&h->connections, clocks_now());
+    h->expire_ns = connections_expire(&h->connections, clocks_now());
 }

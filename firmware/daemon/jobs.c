@@ -125,7 +125,7 @@ err_t jobs_open(const struct jobs_config *cfg, struct jobs **out)
     return OK;
 }
 
-/* It waits from place `from` of the queue on. */
+/* It waits from position `from` of the queue on. */
 static bool is_queued(const struct jobs *j, int from, const char *id)
 {
     for (int i = from; i < j->n; i++)

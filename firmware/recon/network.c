@@ -129,7 +129,7 @@ double network_busy(const struct network_clock *c, const char *const *names)
 
 bool network_shipped(char path[FILE_PATH_CAP])
 {
-    static const char *const places[] = {"../share/hdrig/small.hdrig", "../small.hdrig"};
+    static const char *const paths[] = {"../share/hdrig/small.hdrig", "../small.hdrig"};
     char self[FILE_PATH_CAP];
     const ssize_t n = readlink("/proc/self/exe", self, sizeof self - 1);
     if (n <= 0)
@@ -137,7 +137,7 @@ bool network_shipped(char path[FILE_PATH_CAP])
     self[n] = 0;
     *strrchr(self, '/') = 0;
     for (int i = 0; i < 2; i++)
-        if (file_join(self, places[i], path) == OK && file_is_regular(path))
+        if (file_join(self, paths[i], path) == OK && file_is_regular(path))
             return true;
     return false;
 }
@@ -152,7 +152,7 @@ static struct net geometry_of(const struct network *n, bool attend)
     return net;
 }
 
-static int look_size(const struct network *n, int size)
+static int small_size(const struct network *n, int size)
 {
     return size < n->net.d.size ? size / NET_PATCH * NET_PATCH : n->net.d.size;
 }
@@ -200,7 +200,7 @@ static err_t reduce_views(const struct run *r, const struct views *v, int size, 
 err_t network_look(const struct run *r, const struct network *n, bool attend, const struct views *v,
                    struct prediction *out)
 {
-    const int size = look_size(n, v->size);
+    const int size = small_size(n, v->size);
     const struct net net = geometry_of(n, attend);
     struct views small = *v;
     err_t e = takes_views(v, size) ? OK : reduce_views(r, v, size, &small);
@@ -213,7 +213,7 @@ err_t network_look(const struct run *r, const struct network *n, bool attend, co
 
 void network_look_plan(struct plan *p, const struct network *n, bool attend, const struct views *v)
 {
-    const int size = look_size(n, v->size);
+    const int size = small_size(n, v->size);
     const struct net net = geometry_of(n, attend);
     struct capture c;
     if (!takes_views(v, size)) {

@@ -195,13 +195,13 @@ static void put_camera(FILE *f, const struct take *t, int i)
 static void put_evidence(FILE *f, const struct bracket_evidence *v)
 {
     put_exposure(f, "exposure", &v->exposure);
-    put_exposure(f, "asked", &v->asked);
+    put_exposure(f, "asked", &v->requested);
     put_exposure(f, "set", &v->set);
     put_exposure(f, "reported", v->reported_known ? &v->reported : NULL);
     put_text(f, "proof", manifest_proof(v->proof));
     put_number(f, "ratio_stops", v->ratio_known ? (double)v->ratio : NAN);
     put_number(f, "ratio_asked_stops", v->ratio_known ? (double)v->ratio_asked : NAN);
-    put_number(f, "ratio_places", v->places);
+    put_number(f, "ratio_places", v->patches);
     put_number(f, "sequence", v->sequence);
     put_ns(f, "timestamp_ns", v->timestamp_ns);
     put_ns(f, "start_ns", v->start_ns);

@@ -56,8 +56,8 @@ static void reverse_places(struct places *p)
 }
 
 /* session "": that of the newest complete take. */
-static void look_through(const char *store, const char *session, char (*ids)[STORE_ID_CAP],
-                         struct places *out)
+static void collect_places(const char *store, const char *session, char (*ids)[STORE_ID_CAP],
+                           struct places *out)
 {
     char of[STORE_ID_CAP];
     bool is_aborted, of_aborted;
@@ -88,7 +88,7 @@ err_t places_of(const char *store, const char *session, struct places *out)
     *out = (struct places){0};
     if (!ids)
         return err_fail(ERR_NOMEM, "%s: no memory for %d captures", store, LIST_MAX);
-    look_through(store, session, ids, out);
+    collect_places(store, session, ids, out);
     free(ids);
     return OK;
 }

@@ -19,7 +19,7 @@ struct state {
     struct feed feed; // first: see sim/device/feed.h
     struct imageset set;
     int *first; // (n_views + 1) picture that a view begins with
-    int n_views, view, step, asked;
+    int n_views, view, step, requested;
 };
 
 #define AT(field) offsetof(struct options, field)
@@ -36,9 +36,9 @@ static int choose_picture(void *ctx, struct exposure *e, bool request)
 {
     struct state *s = ctx;
     const struct shot *shots = s->set.capture.shots;
-    if (request && s->step > 0 && s->asked++ == s->step) {
+    if (request && s->step > 0 && s->requested++ == s->step) {
         camera_replay_step(s);
-        s->asked = 1;
+        s->requested = 1;
     }
     double want = log(e->time_s * e->gain), best = INFINITY;
     int pick = s->first[s->view];
@@ -196,12 +196,12 @@ static err_t replay_open(void *st, const struct camera_cfg *cfg)
     err_t e = split_uri(cfg->uri, dir, &text);
     if (!e)
         e = uri_parse("replay", text, tables, 2);
-    struct imageset_request ask = {.images = dir,
-                                   .which = (enum imageset_which)o.which,
-                                   .every_exposure = true,
-                                   .no_cameras = true};
+    struct imageset_request requested = {.images = dir,
+                                         .which = (enum imageset_which)o.which,
+                                         .every_exposure = true,
+                                         .no_cameras = true};
     if (!e)
-        e = imageset_list(&ask, &s->set);
+        e = imageset_list(&requested, &s->set);
     if (!e)
         e = group_views(s, &o);
     if (!e)

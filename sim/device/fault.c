@@ -47,7 +47,7 @@ static const struct {
     [FAULT_FORMAT] = {.verb = "format"},
 };
 
-/* A line split into words, and its place for messages. */
+/* A line split into words, and its line number for messages. */
 struct line {
     const char *what;
     int number, n;

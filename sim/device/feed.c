@@ -488,12 +488,13 @@ static void advance_clock(struct feed *f)
 
 /* ---- operations ---- */
 
-err_t feed_request(void *st, const struct exposure *ask, struct exposure *set)
+err_t feed_request(void *st, const struct exposure *requested, struct exposure *set)
 {
     struct feed *f = st;
-    if (!(ask->time_s > 0.0 && ask->gain > 0.0) || !isfinite(ask->time_s) || !isfinite(ask->gain))
+    if (!(requested->time_s > 0.0 && requested->gain > 0.0) || !isfinite(requested->time_s) ||
+        !isfinite(requested->gain))
         return err_fail(ERR_ARG, "simulated camera: exposure of %g s at gain %g is not positive",
-                        ask->time_s, ask->gain);
+                        requested->time_s, requested->gain);
     if (!f->lost && !node_missing(f))
         finish_due_frames(f);
     if (f->lost || node_missing(f))
@@ -504,15 +505,17 @@ err_t feed_request(void *st, const struct exposure *ask, struct exposure *set)
             return err_fail(ERR_BUSY, "simulated camera: exposure: busy");
         if (f->fx.refuse == FAULT_REFUSE_RANGE)
             return err_fail(ERR_ARG, "simulated camera: exposure of %g s: out of range",
-                            ask->time_s);
+                            requested->time_s);
         return err_fail(ERR_UNSUPPORTED, "simulated camera: exposure: permission denied");
     }
-    struct exposure e = *ask;
+    struct exposure e = *requested;
     snap_exposure(f, &e, true);
     timing_write(&f->timing, e.time_s, e.gain);
     e.time_s = timing_time(&f->timing.cfg, e.time_s);
     e.gain = timing_gain(&f->timing.cfg, e.gain);
-    *set = f->opt.readback == FEED_CACHED ? *ask : f->opt.readback == FEED_LAGGED ? f->last_set : e;
+    *set = f->opt.readback == FEED_CACHED   ? *requested
+           : f->opt.readback == FEED_LAGGED ? f->last_set
+                                            : e;
     f->last_set = e;
     return OK;
 }

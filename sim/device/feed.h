@@ -120,7 +120,7 @@ void feed_close(struct feed *f); // accepts a zeroed one
 
 void feed_info(const void *st, struct camera_info *out);
 int feed_fd(const void *st);
-MUST_USE err_t feed_request(void *st, const struct exposure *ask, struct exposure *set);
+MUST_USE err_t feed_request(void *st, const struct exposure *requested, struct exposure *set);
 MUST_USE err_t feed_next(void *st, struct frame *out);
 void feed_release(void *st, struct frame *f);
 

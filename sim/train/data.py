@@ -34,7 +34,7 @@ class Quality(c.Structure):
     _fields_ = [("samples", c.c_int), ("shadow", c.c_int), ("lens", c.c_void_p)]
 
 
-class Ask(c.Structure):
+class SampleScene(c.Structure):
     _fields_ = [("seed", c.c_uint64), ("kind", c.c_int), ("n_views", c.c_int), ("size", c.c_int),
                 ("spread", c.c_float), ("fov_deg", c.c_float), ("jitter", c.c_int),
                 ("orbit_deg", c.c_float), ("quality", Quality), ("n_optics", c.c_int),
@@ -44,7 +44,7 @@ class Ask(c.Structure):
 class Request(c.Structure):
     """struct sample_request of sim/train/sample.h."""
 
-    _fields_ = [("ask", Ask), ("noise", c.c_int), ("curve_family", c.c_int),
+    _fields_ = [("scene", SampleScene), ("noise", c.c_int), ("curve_family", c.c_int),
                 ("curve_param", c.c_float), ("curve_seed", c.c_uint64), ("noise_seed", c.c_uint64)]
 
 
@@ -56,7 +56,7 @@ class Worlds:
         self.lib.sample_error.restype = c.c_char_p
 
     def make(self, seed: int, n: int, size: int, spread: float, fov: float, kind: int):
-        q = Request(Ask(seed, kind, n, size, spread, fov, 1, 0, Quality(1, 1)))
+        q = Request(SampleScene(seed, kind, n, size, spread, fov, 1, 0, Quality(1, 1)))
         radiance = np.empty((n, 3, size, size), np.float32)
         depth = np.empty((n, size, size), np.float32)
         cams, key = np.empty((n, 11), np.float32), c.c_double()

@@ -49,16 +49,16 @@ def token_targets(batch: data.Batch) -> tuple[Tensor, Tensor]:
 def match_loss(qk: tuple, views: int, at: Tensor, seen: Tensor) -> tuple[Tensor, dict]:
     """Cross-entropy of the attention (mean over heads, core/net/README.md 2.7), renormalised over
     the tokens of the other view, against the four tokens around the true place. Of many tokens,
-    some are asked."""
+    some query."""
     q, k = qk
     b, h, n, e = q.shape
     m = n // views - model.SPECIAL
-    ask = torch.arange(m) if m * views <= QUERIES else torch.randperm(m)[: QUERIES // views]
-    ask = ask.to(q.device)
+    queries = torch.arange(m) if m * views <= QUERIES else torch.randperm(m)[: QUERIES // views]
+    queries = queries.to(q.device)
     cut = lambda t: t.view(b, h, views, -1, e)[:, :, :, model.SPECIAL:].float()
-    a = model.head_mean(cut(q)[:, :, :, ask].flatten(2, 3), cut(k).flatten(2, 3))
+    a = model.head_mean(cut(q)[:, :, :, queries].flatten(2, 3), cut(k).flatten(2, 3))
     a = a.view(b, views, -1, views, m)
-    at, seen = at[:, :, ask], seen[:, :, ask]
+    at, seen = at[:, :, queries], seen[:, :, queries]
     g = int(round(a.shape[-1] ** 0.5))
     log = torch.log(a / a.sum(-1, keepdim=True).clamp_min(1e-12) + 1e-7)
     top = at.floor()

@@ -58,7 +58,7 @@ struct sample {
     atomic_int drawn;
 };
 
-static err_t check_ask(const struct sample_scene *a)
+static err_t check_scene(const struct sample_scene *a)
 {
     if (a->kind < WORLD_ANY || a->kind >= WORLD_KINDS)
         return err_fail(ERR_ARG, "sample: kind %d, allowed are %d to %d", a->kind, WORLD_ANY,
@@ -212,10 +212,10 @@ static err_t alloc_workers(struct arena *from, const struct sample_scene *a, int
 
 void sample_plan(struct plan *p, const struct sample_scene *a)
 {
-    struct arena place, workers[WORKERS_MAX];
+    struct arena room, workers[WORKERS_MAX];
     struct plan opening = plan_begin(p->threads);
     const size_t mark = arena_mark(&p->tmp);
-    (void)sub_arena(&p->tmp, world_bytes(), "world", &place); // a counter is never full
+    (void)sub_arena(&p->tmp, world_bytes(), "world", &room); // a counter is never full
     render_open_plan(&opening);
     arena_step(&p->tmp, opening.tmp.peak);
     (void)alloc_workers(&p->tmp, a, p->threads, workers);
@@ -271,19 +271,19 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
 {
     struct sample s = {.r = r, .a = a, .radiance = radiance, .depth = depth, .cams = cams};
     struct world_path path = {a->n_views, a->spread, a->fov_deg, a->jitter != 0, a->orbit_deg};
-    struct arena place = {0};
+    struct arena room = {0};
     struct run prepare = *r;
     struct render_world *world = NULL;
     struct world w;
-    err_t e = check_ask(a);
+    err_t e = check_scene(a);
     if (e)
         return e;
     sample_extents(a, s.extent);
     size_t mark = arena_mark(r->tmp);
-    e = sub_arena(r->tmp, world_bytes(), "world", &place);
+    e = sub_arena(r->tmp, world_bytes(), "world", &room);
     if (!e)
-        e = world_make(&place, a->seed, (enum world_kind)a->kind, &w);
-    prepare.keep = &place;
+        e = world_make(&room, a->seed, (enum world_kind)a->kind, &w);
+    prepare.keep = &room;
     if (!e)
         e = render_open(&prepare, &w, &world);
     if (!e) {
@@ -375,7 +375,7 @@ int sample_photograph(const struct sample_request *q, float *radiance, float *de
     struct arena tmp = {0};
     struct run r = {.tmp = &tmp};
     struct camera views[SAMPLE_VIEWS];
-    err_t e = check_ask(&q->scene);
+    err_t e = check_scene(&q->scene);
     if (e)
         return e;
     struct plan p = plan_begin(1);

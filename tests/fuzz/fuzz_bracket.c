@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { CAMERAS = 3, FRAMES_MAX = 2000, PLACES = 64 };
+enum { CAMERAS = 3, FRAMES_MAX = 2000, PATCHES = 64 };
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -63,8 +63,8 @@ static void make_probe(struct input *in, double e, struct exposure_probe *w)
     unsigned light = byte(in), part = byte(in);
     memset(w, 0, sizeof *w);
     w->overlap = 1.0f;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
-        double x = i < PLACES ? e * exp2(0.1 * i) * exp2(light / 32.0) : 0.0;
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
+        double x = i < PATCHES ? e * exp2(0.1 * i) * exp2(light / 32.0) : 0.0;
         if (part < 8 && i % 8 < (int)part)
             x *= 4.0;
         w->x[i] = (float)fmin(x, 1.0);
@@ -86,7 +86,7 @@ static void check_action(struct rig *r, const struct bracket_action *a)
     if (a->kind == BRACKET_REQUEST) {
         bool known = a->exposure.time_s == r->base[a->camera].time_s;
         for (int i = 0; i < plan->n; i++)
-            known |= a->exposure.time_s == plan->ask[i].time_s;
+            known |= a->exposure.time_s == plan->requested[i].time_s;
         must(known && a->exposure.time_s > 0.0 && a->exposure.gain >= 1.0);
     } else if (a->kind == BRACKET_KEEP) {
         must(a->index >= 0 && a->index < plan->n && !r->kept[a->camera][a->index]);
@@ -110,10 +110,10 @@ static void check_evidence(const struct rig *r)
             must(v->exposure.time_s > 0.0 && isfinite(v->exposure.time_s) &&
                  v->exposure.gain > 0.0);
             must(v->proof >= BRACKET_REPORTED && v->proof <= BRACKET_UNVERIFIED_BRIGHT);
-            must(v->proof > BRACKET_PIXELS || (v->ratio_known && v->places > 5));
+            must(v->proof > BRACKET_PIXELS || (v->ratio_known && v->patches > 5));
             must(v->proof != BRACKET_REPORTED || v->reported_known);
             must(!v->ratio_known || isfinite(v->ratio));
-            must(v->asked.time_s == r->plan[c].ask[i].time_s);
+            must(v->requested.time_s == r->plan[c].requested[i].time_s);
         }
     bracket_progress(r->b, &p);
     must(p.kept == kept && p.kept <= p.wanted);
@@ -192,7 +192,7 @@ static void begin(struct rig *r, struct bracket_event *ev, struct input *in)
     for (int c = 0; c < r->n; c++) {
         plan[c].n = (int)(byte(in) % 11);
         for (int i = 0; i < plan[c].n && i < BRACKET_EXPOSURES_MAX; i++)
-            plan[c].ask[i] = exposure(in);
+            plan[c].requested[i] = exposure(in);
     }
     ev->plan = plan;
     // nothing else may look at a plan that is refused

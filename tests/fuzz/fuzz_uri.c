@@ -42,17 +42,18 @@ static void table(const char *text)
 
 static void line(const char *text, enum gpio_use use)
 {
-    struct gpio_ask ask;
+    struct gpio_spec requested;
     uint32_t offset;
-    err_t e = gpio_parse(text, "gpio", use, &ask);
+    err_t e = gpio_parse(text, "gpio", use, &requested);
     must(!e || (e == ERR_ARG && *err_text()));
     if (e)
         return;
-    must(*ask.chip && *ask.line && strncmp(ask.uri, "gpio:", 5) == 0);
-    must(ask.bias >= GPIO_BIAS_UP && ask.bias <= GPIO_BIAS_NONE);
-    must(ask.debounce_ms >= 0 && ask.debounce_ms <= 1000);
-    must((unsigned)ask.rising <= 1 && (unsigned)ask.active_low <= 1);
-    must(!gpio_offset(&ask, &offset) || strspn(ask.line, "0123456789") == strlen(ask.line));
+    must(*requested.chip && *requested.line && strncmp(requested.uri, "gpio:", 5) == 0);
+    must(requested.bias >= GPIO_BIAS_UP && requested.bias <= GPIO_BIAS_NONE);
+    must(requested.debounce_ms >= 0 && requested.debounce_ms <= 1000);
+    must((unsigned)requested.rising <= 1 && (unsigned)requested.active_low <= 1);
+    must(!gpio_offset(&requested, &offset) ||
+         strspn(requested.line, "0123456789") == strlen(requested.line));
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)

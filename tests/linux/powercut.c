@@ -81,7 +81,7 @@ static void fill_frame(struct take_frame *f, uint8_t *px, int camera, int index)
     f->bytes = W * H;
     for (int i = 0; i < W * H; i++)
         px[i] = (uint8_t)(255 * sensor_uniform((uint64_t)(camera * 9 + index), (uint64_t)i));
-    f->evidence.exposure = f->evidence.asked = f->evidence.set = (struct exposure){t, 1.0};
+    f->evidence.exposure = f->evidence.requested = f->evidence.set = (struct exposure){t, 1.0};
     f->evidence.proof = BRACKET_PIXELS;
     f->evidence.sequence = (uint32_t)index;
     f->evidence.attempts = 1;

@@ -269,7 +269,7 @@ static bool unlinked(struct usbcam *u, const struct header *h)
     return transmit(u, &answer, sizeof answer);
 }
 
-static bool asked(struct usbcam *u)
+static bool serve_request(struct usbcam *u)
 {
     struct header h;
     if (!receive(u, &h, sizeof h))
@@ -294,7 +294,7 @@ static void serve(struct usbcam *u)
         p[1].events = u->data ? 0 : POLLIN; // the camera keeps frames meanwhile, or loses them
         if (poll(p, 2, -1) < 0)
             continue;
-        if (p[0].revents && !asked(u))
+        if (p[0].revents && !serve_request(u))
             return;
         if (p[1].revents && !take(u))
             return;
@@ -346,8 +346,8 @@ static void session(struct usbcam *u, const char *uri)
 
 static err_t set_exposure(void *ctx, struct exposure *e)
 {
-    struct exposure ask = *e;
-    return feed_request(ctx, &ask, e);
+    struct exposure requested = *e;
+    return feed_request(ctx, &requested, e);
 }
 
 int main(int argc, char **argv)

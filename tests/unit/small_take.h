@@ -62,11 +62,11 @@ static inline void small_frame(struct take *t, int camera, int index)
         small_jpeg(f);
     else
         small_words(f, &t->camera[camera].info);
-    v->asked = v->set = (struct exposure){small_exposure_s(index), 1.0};
+    v->requested = v->set = (struct exposure){small_exposure_s(index), 1.0};
     v->exposure = v->reported = v->set;
     v->reported_known = v->ratio_known = true;
     v->ratio = v->ratio_asked = 2.0f;
-    v->places = 1000;
+    v->patches = 1000;
     v->proof = BRACKET_REPORTED;
     v->sequence = 4000000000u + (uint32_t)index;
     v->timestamp_ns = v->start_ns = 9007199254740993; // no double holds it

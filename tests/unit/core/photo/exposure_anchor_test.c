@@ -16,21 +16,21 @@
 static struct exposure_anchor anchor;
 static struct exposure_probe frame;
 static uint64_t seed;
-static float noise; // relative, of every place
+static float noise; // relative, of every patch
 
 static float uniform(void)
 {
     return (float)(splitmix_next(&seed) >> 40) * 0x1p-24f;
 }
 
-/* A place of the scene at an exposure: six stops in all, the same for every probe. */
-static float place(int i, double stops)
+/* A patch of the scene at an exposure: six stops in all, the same for every probe. */
+static float patch(int i, double stops)
 {
-    return 0.02f * exp2f(6.0f * (float)(i * 389 % EXPOSURE_PROBE_PLACES) / EXPOSURE_PROBE_PLACES +
+    return 0.02f * exp2f(6.0f * (float)(i * 389 % EXPOSURE_PROBE_PATCHES) / EXPOSURE_PROBE_PATCHES +
                          (float)stops);
 }
 
-static void set_place(struct exposure_probe *w, int i, float x)
+static void set_patch(struct exposure_probe *w, int i, float x)
 {
     const float sd = fmaxf(noise, 1e-4f) * x;
     x *= 1.0f + noise * 3.46f * (uniform() - 0.5f);
@@ -45,19 +45,19 @@ static void set_place(struct exposure_probe *w, int i, float x)
 static void count_states(struct exposure_probe *w)
 {
     w->good = w->dark = w->clipped = 0;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         w->good += w->state[i] == EXPOSURE_PROBE_GOOD;
         w->dark += w->state[i] == EXPOSURE_PROBE_DARK;
         w->clipped += w->state[i] == EXPOSURE_PROBE_CLIPPED;
     }
 }
 
-/* All places at one exposure, those of `odd` rows or every other place at another. */
+/* All patches at one exposure, those of `odd` rows or every other patch at another. */
 static void make_probe(struct exposure_probe *w, double stops, uint32_t rows, double other)
 {
     *w = (struct exposure_probe){.linear = true, .step = 1.0f / 4096, .overlap = 1.0f};
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
-        set_place(w, i, place(i, rows >> i / EXPOSURE_PROBE_EDGE & 1 ? other : stops));
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
+        set_patch(w, i, patch(i, rows >> i / EXPOSURE_PROBE_EDGE & 1 ? other : stops));
     count_states(w);
 }
 
@@ -86,7 +86,7 @@ static void the_exposure_is_that_of_the_anchor_times_the_ratio(void **state)
     struct exposure_anchor_ratio r = compare(0);
     assert_true(r.accurate && !r.changed && !r.torn);
     assert_true(fabs(r.stops - 2) < 0.01 && fabs((double)r.ratio + 1) < 0.01);
-    assert_true(r.places > EXPOSURE_PROBE_PLACES / 2 && r.error < 0.001);
+    assert_true(r.patches > EXPOSURE_PROBE_PATCHES / 2 && r.error < 0.001);
 }
 
 static void errors_of_the_anchor_count(void **state)
@@ -100,11 +100,11 @@ static void errors_of_the_anchor_count(void **state)
     assert_false(compare(0).accurate);
 }
 
-static void few_places_prove_nothing(void **state)
+static void few_patches_prove_nothing(void **state)
 {
     (void)state;
     make_probe(&frame, 0, 0, 0);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         if (i % 256) {
             frame.state[i] = EXPOSURE_PROBE_DARK;
             frame.floor[i] = 2;
@@ -184,12 +184,12 @@ static void rows_refute_the_other_exposure_beyond_flicker(void **state)
     assert_true(refute(2, 2.3, 0).refuted == 0xb0);
 }
 
-/* Every place is dark, by a response that says nothing there. */
+/* Every patch is dark, by a response that says nothing there. */
 static void make_dark(struct exposure_probe *w, double stops)
 {
     make_probe(w, stops, 0, 0);
     w->linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         w->state[i] = EXPOSURE_PROBE_DARK;
         w->floor[i] = 0.05f;
     }
@@ -215,7 +215,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup(the_exposure_is_that_of_the_anchor_times_the_ratio, make_anchor),
         cmocka_unit_test_setup(errors_of_the_anchor_count, make_anchor),
-        cmocka_unit_test_setup(few_places_prove_nothing, make_anchor),
+        cmocka_unit_test_setup(few_patches_prove_nothing, make_anchor),
         cmocka_unit_test_setup(flicker_widens_the_bounds, make_anchor),
         cmocka_unit_test_setup(rows_of_another_exposure_are_torn_unless_the_lamp_may_do_it,
                                make_anchor),

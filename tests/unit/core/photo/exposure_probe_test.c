@@ -91,14 +91,14 @@ static void check_ratio(const struct exposure_probe *a, const struct exposure_pr
     struct exposure_probe_ratio r, back;
     exposure_probe_compare(a, b, &r);
     exposure_probe_compare(b, a, &back);
-    if (r.places >= 10 && !(fabs(r.log2 - stops) <= tolerance))
-        fail_msg("%.3f instead of %.1f stops by %d places", (double)r.log2, stops, r.places);
+    if (r.patches >= 10 && !(fabs(r.log2 - stops) <= tolerance))
+        fail_msg("%.3f instead of %.1f stops by %d patches", (double)r.log2, stops, r.patches);
     if (!(r.lo <= stops && r.hi >= stops && back.lo <= -stops && back.hi >= -stops))
         fail_msg("%.1f stops outside %.3f..%.3f or %.3f..%.3f", stops, (double)r.lo, (double)r.hi,
                  (double)-back.hi, (double)-back.lo);
-    assert_true(r.places == back.places && fabsf(r.log2 + back.log2) < 0.03f);
+    assert_true(r.patches == back.patches && fabsf(r.log2 + back.log2) < 0.03f);
     assert_true(r.spread >= 0.0f && r.spread < 0.08f);
-    assert_int_equal(a->good + a->dark + a->clipped, EXPOSURE_PROBE_PLACES);
+    assert_int_equal(a->good + a->dark + a->clipped, EXPOSURE_PROBE_PATCHES);
 }
 
 static void test_mosaics(void **state)
@@ -114,9 +114,9 @@ static void test_mosaics(void **state)
         check_ratio(&a, &b, stops, 0.02 + 0.004 * stops);
         struct exposure_probe_ratio r;
         exposure_probe_compare(&a, &b, &r);
-        told += r.places >= 10;
+        told += r.patches >= 10;
         if (stops == 0)
-            assert_true(r.places > EXPOSURE_PROBE_PLACES * 9 / 10);
+            assert_true(r.patches > EXPOSURE_PROBE_PATCHES * 9 / 10);
         if (stops >= 8) // the bound alone says much
             assert_true(r.lo > (float)stops - 1.5f);
     }
@@ -189,10 +189,10 @@ static void test_log_curves_in_the_dark(void **state)
             take_display(0.03, 2, &c, &crf, &b);
             exposure_probe_compare(&a, &b, &r);
             bool right = r.lo <= (float)stops + 0.1f && r.hi >= (float)stops - 0.1f;
-            if (r.places >= 10 && !(fabsf(r.log2 - (float)stops) <= 0.1f && right))
-                fail_msg("param %d: %.2f in %.2f..%.2f instead of %d stops by %d places", param,
-                         (double)r.log2, (double)r.lo, (double)r.hi, stops, r.places);
-            told += r.places >= 10;
+            if (r.patches >= 10 && !(fabsf(r.log2 - (float)stops) <= 0.1f && right))
+                fail_msg("param %d: %.2f in %.2f..%.2f instead of %d stops by %d patches", param,
+                         (double)r.log2, (double)r.lo, (double)r.hi, stops, r.patches);
+            told += r.patches >= 10;
         }
     }
     assert_true(told >= 21);
@@ -215,8 +215,8 @@ static void test_black_that_is_light(void **state)
     for (int stops = 4; stops <= 6; stops++) {
         take_display(0.06 * exp2(-stops), 2, &c, &crf, &a);
         exposure_probe_compare(&a, &b, &r);
-        if (!(r.places >= 10 && fabsf(r.log2 - (float)stops) <= 0.1f))
-            fail_msg("%.2f instead of %d stops by %d places", (double)r.log2, stops, r.places);
+        if (!(r.patches >= 10 && fabsf(r.log2 - (float)stops) <= 0.1f))
+            fail_msg("%.2f instead of %d stops by %d patches", (double)r.log2, stops, r.patches);
     }
 }
 
@@ -243,7 +243,7 @@ static void test_curves_that_are_not(void **state)
     }
 }
 
-/* ---- single places ---- */
+/* ---- single patches ---- */
 
 enum { FLAT = 128, FLATS = 3 * FLAT * FLAT };
 
@@ -283,8 +283,8 @@ static void test_states(void **state)
         struct raw r = flat(cases[i].cfa, cases[i].linear, cases[i].code);
         exposure_probe_measure(&r, NULL, &w);
         const int count[3] = {w.good, w.dark, w.clipped};
-        assert_int_equal(count[cases[i].want], EXPOSURE_PROBE_PLACES);
-        for (int k = 0; k < EXPOSURE_PROBE_PLACES; k++) {
+        assert_int_equal(count[cases[i].want], EXPOSURE_PROBE_PATCHES);
+        for (int k = 0; k < EXPOSURE_PROBE_PATCHES; k++) {
             assert_int_equal(w.state[k], cases[i].want);
             assert_true(w.x[k] <= 1.0f && w.sd[k] >= 0.0f && w.sd[k] < 1.0f && w.floor[k] > 0.0f);
         }
@@ -297,7 +297,7 @@ static void test_states(void **state)
     assert_true(fabsf(w.x[5] - 0.5029f) < 1e-3f);
 }
 
-/* One wrong pixel of any colour, wherever in a block, clips its place and no other. */
+/* One wrong pixel of any colour, wherever in a block, clips its patch and no other. */
 static void test_one_clipped_pixel(void **state)
 {
     struct exposure_probe w;
@@ -326,7 +326,7 @@ static void test_colours(void **state)
             for (int i = 0; i < r.w * FLAT; i++)
                 r.px[i] = raw_colour(cfa, i / r.w, i % r.w) == strong ? 64 + 480 : 64 + 90;
             exposure_probe_measure(&r, NULL, &w);
-            for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+            for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
                 assert_true(fabsf(w.x[i] - 660.0f / 3.0f / 959.0f) < 1e-6f);
         }
     const enum raw_cfa first[4] = {RAW_RGGB, RAW_GRBG, RAW_GBRG, RAW_BGGR};
@@ -352,10 +352,10 @@ static void test_small_pictures(void **state)
                 px[k] = 100;
             exposure_probe_measure(&(struct raw){w, h, cfa, 8, 0, false, px}, NULL, &a);
             free(px);
-            assert_int_equal(a.good, EXPOSURE_PROBE_PLACES);
+            assert_int_equal(a.good, EXPOSURE_PROBE_PATCHES);
             exposure_probe_compare(&a, &a, &r);
             bool enough = w * h >= 6 * 16; // blocks that share no pixel
-            assert_true(r.places == (enough ? EXPOSURE_PROBE_PLACES : 0) && r.log2 == 0.0f);
+            assert_true(r.patches == (enough ? EXPOSURE_PROBE_PATCHES : 0) && r.log2 == 0.0f);
             assert_true(r.spread == 0.0f && r.band == 0.0f);
         }
 }
@@ -371,12 +371,12 @@ static void test_nothing_to_see(void **state)
     take_raw(1e-7, 1, RAW_RGGB, &dark);
     take_raw(1e3, 2, RAW_RGGB, &bright);
     take_raw(0.1, 3, RAW_RGGB, &good);
-    assert_true(dark.dark == EXPOSURE_PROBE_PLACES && bright.clipped == EXPOSURE_PROBE_PLACES);
+    assert_true(dark.dark == EXPOSURE_PROBE_PATCHES && bright.clipped == EXPOSURE_PROBE_PATCHES);
     exposure_probe_compare(&dark, &bright, &r);
-    assert_true(r.places == 0 && r.log2 == 0.0f && r.spread == 0.0f && r.lo > 6.0f);
+    assert_true(r.patches == 0 && r.log2 == 0.0f && r.spread == 0.0f && r.lo > 6.0f);
     assert_true(isinf(r.hi));
     exposure_probe_compare(&dark, &dark, &r);
-    assert_true(r.places == 0 && isinf(r.lo) && isinf(r.hi));
+    assert_true(r.patches == 0 && isinf(r.lo) && isinf(r.hi));
     exposure_probe_compare(&good, &dark, &r); // truth: -20
     assert_true(r.hi >= -20.0f && r.hi < -5.0f && isinf(r.lo));
     exposure_probe_compare(&bright, &good, &r); // truth: -13
@@ -427,7 +427,7 @@ static void take_small(double t, double torn_s, int torn, float well, uint64_t f
                            out);
 }
 
-/* Where half of the places are dark, noise must not choose which of them count. */
+/* Where half of the patches are dark, noise must not choose which of them count. */
 static void test_near_the_dark_limit(void **state)
 {
     struct exposure_probe a, b;
@@ -441,9 +441,9 @@ static void test_near_the_dark_limit(void **state)
             take_small(0.04 * exp2(-stops), 1.0, 0, 1000.0f, 4 * i, &a);
             take_small(0.04, 1.0, 0, 1000.0f, 4 * i + 2, &b);
             exposure_probe_compare(&b, &a, &r);
-            sum += r.places > 5 ? (double)r.log2 + stops : 0.0;
-            n += r.places > 5;
-            if (r.places > 5 && fabs((double)r.log2 + stops) > 5.0 * (double)r.error + 0.01)
+            sum += r.patches > 5 ? (double)r.log2 + stops : 0.0;
+            n += r.patches > 5;
+            if (r.patches > 5 && fabs((double)r.log2 + stops) > 5.0 * (double)r.error + 0.01)
                 fail_msg("%.3f instead of %.0f stops, error %.3f", (double)r.log2, -stops,
                          (double)r.error);
         }
@@ -468,13 +468,13 @@ static void test_torn_rows(void **state)
         assert_true(r.band < 0.05f);
         take_small(0.1 * exp2(stops), 0.1 * exp2(other), rows, 10000.0f, 2, &b);
         exposure_probe_compare(&a, &b, &r);
-        if (r.places > 100 && !(r.band > 0.1f || r.spread > 0.2f))
+        if (r.patches > 100 && !(r.band > 0.1f || r.spread > 0.2f))
             fail_msg("%d rows of %.0f stops among %.0f: %.3f", rows, other, stops, (double)r.band);
     }
 }
 
-/* Bounds bear 2 % of wrong places, not 6 %. */
-static void test_wrong_places(void **state)
+/* Bounds bear 2 % of wrong patches, not 6 %. */
+static void test_wrong_patches(void **state)
 {
     struct exposure_probe a, b;
     struct exposure_probe_ratio r;
@@ -499,14 +499,14 @@ static void test_wrong_places(void **state)
 
 #define CODE (1.0f / 4096)
 
-/* A frame whose places all have so many codes; accurate. */
+/* A frame whose patches all have so many codes; accurate. */
 static void even(float codes, struct exposure_probe *out)
 {
     memset(out, 0, sizeof *out);
     out->linear = true;
     out->step = CODE;
     out->overlap = 1.0f;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         out->x[i] = fminf(codes * CODE, 1.0f);
         out->sd[i] = 0.05f * CODE;
         out->floor[i] = 8.0f * CODE;
@@ -518,7 +518,7 @@ static void even(float codes, struct exposure_probe *out)
 
 static void set_sd(struct exposure_probe *p, float codes)
 {
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         p->sd[i] = codes * CODE;
 }
 
@@ -546,7 +546,7 @@ static void test_refuted_rows(void **state)
     }
 }
 
-/* Alike: black, and what clips in any case. Not: a row of 1.7 codes, one place of many, noise. */
+/* Alike: black, and what clips in any case. Not: a row of 1.7 codes, one patch of many, noise. */
 static void test_alike_rows(void **state)
 {
     struct exposure_probe a, b;
@@ -579,7 +579,7 @@ static void test_alike_rows(void **state)
     assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, 0);
 }
 
-/* A wrong black level, few places and places that share pixels refute nothing. */
+/* A wrong black level, few patches and patches that share pixels refute nothing. */
 static void test_weak_evidence(void **state)
 {
     struct exposure_probe a, b;
@@ -591,7 +591,7 @@ static void test_weak_evidence(void **state)
     b = a;
     a.x[40] = 100.0f * CODE;
     b.x[40] = 200.0f * CODE;
-    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0); // one place may be anything
+    assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0); // one patch may be anything
     even(20.0f, &a);
     even(40.0f, &b);
     set_sd(&a, 12.0f);
@@ -601,7 +601,7 @@ static void test_weak_evidence(void **state)
     assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, 0);
 }
 
-/* What is known of one frame only bounds the light, and one place does not outvote a row. */
+/* What is known of one frame only bounds the light, and one patch does not outvote a row. */
 static void test_mixed_evidence(void **state)
 {
     struct exposure_probe a, b;
@@ -612,13 +612,13 @@ static void test_mixed_evidence(void **state)
     even(0.0f, &a);
     b = a;
     a.linear = b.linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         a.floor[i] = 0.5f * CODE;
     assert_int_equal(rows_of(&a, &b, 0.0, -4.0).alike, UINT32_MAX);
     even(100.0f, &a);
     even(200.0f, &b);
     a.linear = b.linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i += 2) { // says nothing
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i += 2) { // says nothing
         a.state[i] = EXPOSURE_PROBE_DARK;
         a.floor[i] = 300.0f * CODE;
     }
@@ -632,17 +632,17 @@ static void test_mixed_evidence(void **state)
     assert_int_equal(rows_of(&a, &b, 1.0, 0.0).refuted, UINT32_MAX);
 }
 
-/* Every place dark, by a response that only bounds what is dark. */
+/* Every patch dark, by a response that only bounds what is dark. */
 static void set_bound(struct exposure_probe *p, float floor_codes)
 {
     p->linear = false;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         p->state[i] = EXPOSURE_PROBE_DARK;
         p->floor[i] = floor_codes * CODE;
     }
 }
 
-/* The light of a place counts by the frame that knows it better; with 1 code the ratios 1 and 1/16
+/* The light of a patch counts by the frame that knows it better; with 1 code the ratios 1 and 1/16
  * look alike, with 4 they do not. */
 static void test_light_by_both_frames(void **state)
 {
@@ -690,10 +690,10 @@ static void test_light_that_is_bounded(void **state)
     even(5000.0f, &b);
     assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
     assert_int_equal(rows_of(&a, &b, -0.2, -1.0).alike, UINT32_MAX);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
-        a.x[i] = b.x[i] = 0.125f; // a few pixels of the place are
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
+        a.x[i] = b.x[i] = 0.125f; // a few pixels of the patch are
     assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, 0);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         a.x[i] = 1.0f;
     assert_int_equal(rows_of(&a, &b, 1.0, 0.5).alike, UINT32_MAX);
     even(5000.0f, &b);
@@ -711,7 +711,7 @@ static void test_light_that_is_bounded(void **state)
     assert_int_equal(rows_of(&a, &b, -12.0, -13.0).alike, UINT32_MAX);
 }
 
-/* Places that are dark or clipped bound a ratio; two of one exposure are so in both. */
+/* Patches that are dark or clipped bound a ratio; two of one exposure are so in both. */
 static void test_refuted_by_bounds(void **state)
 {
     struct exposure_probe a, b;
@@ -730,7 +730,7 @@ static void test_refuted_by_bounds(void **state)
     even(2048.0f, &b);
     assert_int_equal(rows_of(&a, &b, -1.0, -2.0).refuted, 0);
     assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++)
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++)
         b.state[i] = EXPOSURE_PROBE_CLIPPED;
     assert_int_equal(rows_of(&a, &b, -1.0, 0.0).refuted, UINT32_MAX);
     assert_int_equal(rows_of(&a, &b, -1.0, -0.01).refuted, 0);
@@ -752,7 +752,7 @@ int main(void)
         cmocka_unit_test(test_lamp),
         cmocka_unit_test(test_near_the_dark_limit),
         cmocka_unit_test(test_torn_rows),
-        cmocka_unit_test(test_wrong_places),
+        cmocka_unit_test(test_wrong_patches),
         cmocka_unit_test(test_refuted_rows),
         cmocka_unit_test(test_alike_rows),
         cmocka_unit_test(test_weak_evidence),

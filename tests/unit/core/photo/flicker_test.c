@@ -30,7 +30,7 @@ static double noise(void)
 
 struct lamp {
     double hz, depth, phase, readout_s;
-    bool dim;     // all but 26 places, each in a row of its own
+    bool dim;     // all but 26 patches, each in a row of its own
     double light; // 0: as much as 1
     double noise; // squared, relative to a good sensor's
     double walks; // by so much a person changes some rows of each short frame
@@ -46,7 +46,7 @@ static void measure_frame(const struct lamp *l, double start_s, double time_s,
     w->overlap = 1.0f;
     w->linear = l->linear;
     w->step = 1.0f / 4096;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         double t =
             start_s + l->readout_s * (i / EXPOSURE_PROBE_EDGE) / EXPOSURE_PROBE_EDGE + 0.5 * time_s;
         double h = PI * l->hz * time_s, m = h > 0.0 ? sin(h) / h : 1.0;
@@ -103,7 +103,7 @@ static void test_lamps(void **unused)
 }
 
 /* What noise hides from the eye, all rows together show; and linear numbers below the floor of a
- * place are right but for noise. */
+ * patch are right but for noise. */
 static void test_faint_lamps(void **unused)
 {
     (void)unused;

@@ -16,11 +16,11 @@
 
 #include <cmocka.h>
 
-enum { EDGE = 64, PLACES = EDGE * EDGE, KINDS = 6 };
+enum { EDGE = 64, SAMPLES = EDGE * EDGE, KINDS = 6 };
 
-struct place_set {
+struct sample_set {
     bool colour;
-    float l[PLACES][3]; // log2 radiance
+    float l[SAMPLES][3]; // log2 radiance
 };
 
 struct device {
@@ -32,7 +32,7 @@ struct device {
     double time_min, time_max, time_step;
 };
 
-static uint16_t pixels[PLACES * 4];
+static uint16_t pixels[SAMPLES * 4];
 static uint64_t shots;
 
 static double uniform(uint64_t seed, uint64_t i, double lo, double hi)
@@ -53,7 +53,7 @@ static uint16_t code_of(const struct device *d, double radiance, double exposure
     return (uint16_t)lrint(fmin(fmax(code, 0.0), full));
 }
 
-static void photograph(const struct device *d, const struct place_set *s, double exposure,
+static void photograph(const struct device *d, const struct sample_set *s, double exposure,
                        struct raw *out)
 {
     static const int colour[4][4] = {{0, 1, 1, 2}, {2, 1, 1, 0}, {1, 0, 2, 1}, {1, 2, 0, 1}};
@@ -63,7 +63,7 @@ static void photograph(const struct device *d, const struct place_set *s, double
     if (mosaic)
         out->w = out->h = 2 * EDGE;
     shots++;
-    for (int p = 0; p < PLACES; p++)
+    for (int p = 0; p < SAMPLES; p++)
         for (int k = 0; k < n; k++) {
             int c = mosaic ? colour[d->cfa - RAW_RGGB][k] : n == 1 ? 1 : k;
             size_t at = mosaic
@@ -89,8 +89,8 @@ static void table_of(const struct device *d, struct crf *out)
             out->log2x[c][z] = log2f(fmaxf(curve_exposure(&d->curve, (float)z / 255.0f), 1e-7f));
 }
 
-static void meter(const struct device *d, const struct meter_config *cfg, const struct place_set *s,
-                  struct meter *m, struct meter_result *out)
+static void meter(const struct device *d, const struct meter_config *cfg,
+                  const struct sample_set *s, struct meter *m, struct meter_result *out)
 {
     struct raw px;
     struct crf crf;
@@ -134,34 +134,34 @@ static int compare_descending(const void *a, const void *b)
     return (x < y) - (x > y);
 }
 
-/* Places by their strongest or weakest channel, brightest first. */
-static void sorted(const struct place_set *s, bool strongest, float *v)
+/* Samples by their strongest or weakest channel, brightest first. */
+static void sorted(const struct sample_set *s, bool strongest, float *v)
 {
-    for (int p = 0; p < PLACES; p++) {
+    for (int p = 0; p < SAMPLES; p++) {
         const float *l = s->l[p];
         v[p] = !s->colour  ? l[1]
                : strongest ? fmaxf(fmaxf(l[0], l[1]), l[2])
                            : fminf(fminf(l[0], l[1]), l[2]);
     }
-    qsort(v, PLACES, sizeof *v, compare_descending);
+    qsort(v, SAMPLES, sizeof *v, compare_descending);
 }
 
 /* The fewest exposures: the first may clip `clip`, all together may leave `dark`; each covers from
- * a place on what is up to hi - lo stops darker. 99: impossible. Exact: beginning anywhere else
- * than at a place covers no more. */
+ * a sample on what is up to hi - lo stops darker. 99: impossible. Exact: beginning anywhere else
+ * than at a sample covers no more. */
 static int optimum(const float *v, const struct limits *r, const struct meter_config *c, double top)
 {
-    static int left[METER_EXPOSURES_MAX + 1][PLACES + 1];
+    static int left[METER_EXPOSURES_MAX + 1][SAMPLES + 1];
     float dim = (float)(r->hi - log2(c->time_max_s)), bright = (float)(r->hi - log2(c->time_min_s));
-    int may = (int)(c->dark * PLACES), allowed = (int)(c->clip * PLACES), over = 0;
-    while (over < PLACES && (float)top > bright && v[over] > bright)
+    int may = (int)(c->dark * SAMPLES), allowed = (int)(c->clip * SAMPLES), over = 0;
+    while (over < SAMPLES && (float)top > bright && v[over] > bright)
         over++;
     if (over > allowed)
         return 99;
     for (int k = 0; k <= METER_EXPOSURES_MAX; k++) {
-        int end = PLACES;
-        left[k][PLACES] = 0;
-        for (int i = PLACES - 1; i >= 0; i--) {
+        int end = SAMPLES;
+        left[k][SAMPLES] = 0;
+        for (int i = SAMPLES - 1; i >= 0; i--) {
             float low = fmaxf(v[i], dim) - (float)(r->hi - r->lo);
             while (end > 0 && v[end - 1] < low)
                 end--;
@@ -174,10 +174,10 @@ static int optimum(const float *v, const struct limits *r, const struct meter_co
     /* The brightest that must not be clipped: where the first exposure begins at the darkest. */
     float begin = fmaxf(fminf((float)top, bright), dim);
     float low = begin - (float)(r->hi - r->lo);
-    int first = 0, n = PLACES;
-    while (first < PLACES && v[first] > begin)
+    int first = 0, n = SAMPLES;
+    while (first < SAMPLES && v[first] > begin)
         first++;
-    for (n = first; n < PLACES && v[n] >= low; n++)
+    for (n = first; n < SAMPLES && v[n] >= low; n++)
         ;
     for (int k = 0; k < METER_EXPOSURES_MAX; k++)
         if (left[k][n] <= may)
@@ -186,12 +186,12 @@ static int optimum(const float *v, const struct limits *r, const struct meter_co
 }
 
 /* Lower bound for scenes in colour, exact for grey ones. */
-static int fewest(const struct place_set *s, const struct device *d, const struct meter_config *c)
+static int fewest(const struct sample_set *s, const struct device *d, const struct meter_config *c)
 {
-    static float v[PLACES];
+    static float v[SAMPLES];
     struct limits r = limits_of(d, c);
     sorted(s, true, v);
-    double top = v[(int)(c->clip * PLACES)];
+    double top = v[(int)(c->clip * SAMPLES)];
     int a = optimum(v, &r, c, top);
     sorted(s, false, v);
     int b = optimum(v, &r, c, top);
@@ -214,41 +214,41 @@ static double merged(const struct meter_config *c, const struct limits *r, doubl
     return sqrt(s);
 }
 
-/* True coverage by the plan: places are clipped if the shortest exposure saturates. */
-static void check_true_cover(const struct place_set *s, const struct device *d,
+/* True coverage by the plan: samples are clipped if the shortest exposure saturates. */
+static void check_true_cover(const struct sample_set *s, const struct device *d,
                              const struct meter_config *c, const struct meter_result *p,
                              struct truth *out)
 {
-    static float v[PLACES], snr[PLACES];
+    static float v[SAMPLES], snr[SAMPLES];
     struct limits r = {.hi = log2(0.97)}; // headroom is for errors of metering
     if (!d->linear)
         r.hi = fmin(r.hi, log2((double)curve_exposure(&d->curve, 252.0f / 255.0f)));
     memset(out, 0, sizeof *out);
     sorted(s, true, v);
-    for (int i = 0; i < PLACES; i++)
+    for (int i = 0; i < SAMPLES; i++)
         out->clipped += exp2(v[i]) * p->time_s[0] >= 1.0;
-    out->clipped /= PLACES;
+    out->clipped /= SAMPLES;
     out->snr = INFINITY;
     for (int end = 0; end < 2; end++) {
         double dark = 0.0;
         int n = 0;
         sorted(s, end == 0, v);
-        for (int i = 0; i < PLACES; i++)
+        for (int i = 0; i < SAMPLES; i++)
             if (exp2(v[i]) * p->time_s[0] <= exp2(r.hi)) {
                 snr[n] = (float)merged(c, &r, v[i], p);
                 dark += snr[n++] < c->snr;
             }
         qsort(snr, (size_t)n, sizeof *snr, compare_descending);
-        int at = n - 1 - (int)(c->dark * PLACES);
+        int at = n - 1 - (int)(c->dark * SAMPLES);
         out->snr = fmin(out->snr, at >= 0 ? snr[at] : INFINITY);
-        out->dark = fmax(out->dark, dark / PLACES);
+        out->dark = fmax(out->dark, dark / SAMPLES);
     }
 }
 
 /* --- random scenes ------------------------------------------------------------------------ */
 
-/* Height above the darkest, 0..range, of a place. */
-static double place_stops(int kind, double range, uint64_t seed, uint64_t p)
+/* Height above the darkest, 0..range, of a sample. */
+static double sample_stops(int kind, double range, uint64_t seed, uint64_t p)
 {
     double u = sensor_uniform(seed ^ 0x5555, p), w = sensor_normal(seed ^ 0xAAAA, p);
     double a = sensor_uniform(seed, 10), b = sensor_uniform(seed, 11);
@@ -274,18 +274,18 @@ static double place_stops(int kind, double range, uint64_t seed, uint64_t p)
     }
 }
 
-static void make_scene(uint64_t seed, double range, double darkest, struct place_set *s)
+static void make_scene(uint64_t seed, double range, double darkest, struct sample_set *s)
 {
     int kind = (int)uniform(seed, 1, 0, KINDS);
     s->colour = sensor_uniform(seed, 2) < 0.3;
-    for (uint64_t p = 0; p < PLACES; p++) {
-        double l = darkest + place_stops(kind, range, seed, p);
+    for (uint64_t p = 0; p < SAMPLES; p++) {
+        double l = darkest + sample_stops(kind, range, seed, p);
         for (uint64_t c = 0; c < 3; c++)
             s->l[p][c] = (float)(l - (s->colour ? uniform(seed ^ 99, 3 * p + c, 0.0, 2.0) : 0.0));
     }
 }
 
-static void make_device(uint64_t seed, const struct place_set *s, struct device *d)
+static void make_device(uint64_t seed, const struct sample_set *s, struct device *d)
 {
     int kind = (int)uniform(seed, 3, 0, 4);
     memset(d, 0, sizeof *d);
@@ -332,7 +332,7 @@ static void check_plan(const struct meter *m, const struct meter_result *p)
 
 static void random_scene(uint64_t seed, struct count *n)
 {
-    static struct place_set s;
+    static struct sample_set s;
     static struct meter m;
     double range = uniform(seed, 0, 2.0, 20.0);
     struct device d;
@@ -419,18 +419,18 @@ static void test_usable_range(void **state)
 }
 
 /* An even scene from bright to dark: the greedy count. */
-static void even_scene(double brightest, double range, struct place_set *s)
+static void even_scene(double brightest, double range, struct sample_set *s)
 {
     s->colour = false;
-    for (int p = 0; p < PLACES; p++)
+    for (int p = 0; p < SAMPLES; p++)
         for (int c = 0; c < 3; c++)
-            s->l[p][c] = (float)(brightest - range * p / (PLACES - 1));
+            s->l[p][c] = (float)(brightest - range * p / (SAMPLES - 1));
 }
 
 static void test_counts(void **state)
 {
     static const int n[] = {2, 2, 2, 3, 3, 3, 4}; // 8..20 stops; at 12 and 18 two and three just do
-    static struct place_set s;
+    static struct sample_set s;
     static struct meter m;
     (void)state;
     for (int i = 0; i < 7; i++) {
@@ -448,7 +448,7 @@ static void test_counts(void **state)
 
 /* --- extremes ----------------------------------------------------------------------------- */
 
-static void plan(const struct device *d, const struct meter_config *c, const struct place_set *s,
+static void plan(const struct device *d, const struct meter_config *c, const struct sample_set *s,
                  struct meter_result *p)
 {
     static struct meter m;
@@ -458,7 +458,7 @@ static void plan(const struct device *d, const struct meter_config *c, const str
 
 static void test_24_stops(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct device d = imx477;
     struct meter_config c;
     struct meter_result p;
@@ -479,7 +479,7 @@ static void test_24_stops(void **state)
 
 static void test_nothing_to_see(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct meter_config c;
     struct meter_result p;
     (void)state;
@@ -499,7 +499,7 @@ static void test_nothing_to_see(void **state)
 
 static void test_times(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct device d = imx477;
     struct meter_config c;
     struct meter_result p;
@@ -528,7 +528,7 @@ static void test_times(void **state)
 
 static void test_limits(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct meter_config c;
     struct meter_result free_plan, p;
     (void)state;
@@ -554,12 +554,12 @@ static void test_limits(void **state)
 /* One exposure for a dark room with a small window goes to the room. */
 static void test_one_of_two(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct meter_config c;
     struct meter_result p;
     (void)state;
     even_scene(-6.0, 3.0, &s);
-    for (int i = 0; i < PLACES / 20; i++)
+    for (int i = 0; i < SAMPLES / 20; i++)
         s.l[i * 20][1] = 15.8f;
     config_of(&imx477, &c);
     plan(&imx477, &c, &s, &p);
@@ -570,7 +570,7 @@ static void test_one_of_two(void **state)
     assert_true(p.time_s[0] > 10.0);
 }
 
-/* Places are spread over large frames, whatever their kind. */
+/* Samples are spread over large frames, whatever their kind. */
 static void test_large_frame(void **state)
 {
     enum { W = 1030, H = 514 };
@@ -641,10 +641,10 @@ static void test_bad_config(void **state)
 
 /* --- coverage afterwards ------------------------------------------------------------------ */
 
-static void check_coverage(const struct device *d, const struct place_set *s, const double *times,
+static void check_coverage(const struct device *d, const struct sample_set *s, const double *times,
                            int n, struct meter_coverage *out)
 {
-    static uint16_t kept[METER_EXPOSURES_MAX][PLACES * 4];
+    static uint16_t kept[METER_EXPOSURES_MAX][SAMPLES * 4];
     struct raw frames[METER_EXPOSURES_MAX];
     struct meter_config c;
     struct crf crf;
@@ -660,7 +660,7 @@ static void check_coverage(const struct device *d, const struct place_set *s, co
 
 static void test_coverage(void **state)
 {
-    static struct place_set s;
+    static struct sample_set s;
     struct device d = imx477;
     struct meter_config c;
     struct meter_result p;

@@ -517,7 +517,7 @@ static void test_groups(void **state)
     assert_int_equal(R.rs.n_groups, 1);
     memcpy(once, R.radiance, sizeof once);
     memcpy(g_once, grads, sizeof grads);
-    R.rs.cap_places = 600;
+    R.rs.cap_pairs = 600;
     draw();
     backward(pose, bg);
     assert_true(R.rs.n_groups > 3);

@@ -190,18 +190,18 @@ static void test_request(const struct backend *b)
     assert_int_equal(info.exposure_delay, b->kernel ? -1 : 3);
     assert_int_equal(wait_frame(b, st, &f), OK);
     for (int i = 0; i < 3 * TIMES; i++) {
-        struct exposure ask = {b->times[(i + 2) % TIMES], 1.0}, set = {0};
+        struct exposure requested = {b->times[(i + 2) % TIMES], 1.0}, set = {0};
         uint32_t runs = f.sequence + 1;
         b->ops->release(st, &f);
         assert_true(f.data == NULL && f.bytes == 0);
-        assert_int_equal(b->ops->request(st, &ask, &set), OK);
-        assert_true(fabs(set.time_s / ask.time_s - 1.0) < 1e-6 && set.gain == 1.0);
+        assert_int_equal(b->ops->request(st, &requested, &set), OK);
+        assert_true(fabs(set.time_s / requested.time_s - 1.0) < 1e-6 && set.gain == 1.0);
         for (int k = 0; k <= 3; k++) {
             if (k > 0)
                 b->ops->release(st, &f);
             assert_int_equal(wait_frame(b, st, &f), OK);
             assert_int_equal(f.sequence, runs + (uint32_t)k);
-            bool shows = fabs(time_of(b, &f) / ask.time_s - 1.0) < 1e-6;
+            bool shows = fabs(time_of(b, &f) / requested.time_s - 1.0) < 1e-6;
             assert_true(shows == (k == 3));
         }
     }
@@ -245,7 +245,7 @@ static void test_timeout(const struct backend *b)
 static void test_unplug(const struct backend *b)
 {
     struct frame f, kept;
-    struct exposure ask = {0.01, 1.0}, set;
+    struct exposure requested = {0.01, 1.0}, set;
     void *st = open_camera(b, ",clock=virtual,faults=at frame 2 unplug");
     assert_int_equal(wait_frame(b, st, &kept), OK);
     assert_int_equal(wait_frame(b, st, &f), OK);
@@ -253,7 +253,7 @@ static void test_unplug(const struct backend *b)
     assert_int_equal(wait_frame(b, st, &f), ERR_LOST);
     assert_true(readable(b, st, 0) && f.data == NULL);
     assert_int_equal(b->ops->next(st, &f), ERR_LOST);
-    assert_int_equal(b->ops->request(st, &ask, &set), ERR_LOST);
+    assert_int_equal(b->ops->request(st, &requested, &set), ERR_LOST);
     b->ops->release(st, &kept); // still the caller's
     close_camera(b, st);
     st = open_camera(b, "");

@@ -44,10 +44,10 @@ static void play(int release, const struct fakecamera *how)
     *fake = *how;
 }
 
-static err_t try_open(int release, const char *rest, const struct camera_cfg *wish, void **st)
+static err_t try_open(int release, const char *rest, const struct camera_cfg *wanted, void **st)
 {
     char uri[1024];
-    struct camera_cfg cfg = *wish;
+    struct camera_cfg cfg = *wanted;
     snprintf(uri, sizeof uri, "libcamera:%s,module=%s", rest, module_path[release]);
     cfg.uri = uri;
     *st = malloc(camera_libcamera.state_bytes);
@@ -87,11 +87,11 @@ static void close_camera(void *st)
     free(st);
 }
 
-static void refuse(int release, const char *rest, const struct camera_cfg *wish, err_t code,
+static void refuse(int release, const char *rest, const struct camera_cfg *wanted, err_t code,
                    const char *says)
 {
     void *st;
-    err_t e = try_open(release, rest, wish, &st);
+    err_t e = try_open(release, rest, wanted, &st);
     if (e != code || !strstr(err_text(), says))
         print_message("%d: %s\n", e, err_text());
     assert_int_equal(e, code);
@@ -172,8 +172,8 @@ static void test_request(int release)
     void *st = open_camera(release, "imx477", CAMERA_NV12);
     for (int i = 0; i < 5; i++) {
         double gain = i % 2 ? 100.0 : 2.0;
-        struct exposure ask = {times[i], gain};
-        assert_int_equal(camera_libcamera.request(st, &ask, &set), OK);
+        struct exposure requested = {times[i], gain};
+        assert_int_equal(camera_libcamera.request(st, &requested, &set), OK);
         assert_true(fabs(set.time_s - sets[i]) < 1e-9 && set.gain == fmin(gain, 16.0));
         int n = 0;
         for (bool shows = false; !shows; n++) {
@@ -277,7 +277,7 @@ static void test_bad_frames(int release)
 static void test_unplug(int release)
 {
     struct frame f, kept;
-    struct exposure ask = {0.01, 1.0};
+    struct exposure requested = {0.01, 1.0};
     play(release, &usual);
     for (int i = 0; i < 20; i++) {
         void *st = open_camera(release, "imx477", CAMERA_ANY);
@@ -290,7 +290,7 @@ static void test_unplug(int release)
         assert_non_null(strstr(err_text(), "/base/i2c/imx477@1a: the camera has gone"));
         assert_true(f.data == NULL && readable(st, 0));
         assert_int_equal(camera_libcamera.next(st, &f), ERR_LOST);
-        assert_int_equal(camera_libcamera.request(st, &ask, &ask), ERR_LOST);
+        assert_int_equal(camera_libcamera.request(st, &requested, &requested), ERR_LOST);
         assert_true(light(&kept) > 0.0); // still there
         camera_libcamera.release(st, &kept);
         assert_true(readable(st, 0)); // for ever
@@ -353,8 +353,8 @@ static void test_rig(int release)
             camera_libcamera.release(st[i % 3], &f);
         }
         void *second;
-        struct camera_cfg wish = {0};
-        assert_int_equal(try_open(release, "imx477", &wish, &second), ERR_BUSY);
+        struct camera_cfg wanted = {0};
+        assert_int_equal(try_open(release, "imx477", &wanted, &second), ERR_BUSY);
         for (int i = 0; i < 3; i++)
             close_camera(st[i]);
         check_clean();

@@ -47,7 +47,7 @@ static void test_pace(void **st)
         open_ok(c[k].uri);
         struct camera_info i = get_info();
         assert_true(near(i.period_s, c[k].period_s) && near(i.time_max_s, c[k].longest_s));
-        assert_true(near(ask(1e9, 1.0).time_s, c[k].longest_s));
+        assert_true(near(request_exposure(1e9, 1.0).time_s, c[k].longest_s));
         close_all();
     }
     fake_uvc(&fake);
@@ -63,13 +63,14 @@ static void test_exposure(void **st)
     fake_uvc(&fake);
     fake_control(&fake, V4L2_CID_EXPOSURE_ABSOLUTE)->step = 5; // 3, 8, 13 ...
     open_ok(webcam);
-    assert_true(near(ask(0.01, 4.0).time_s, 0.0098));
-    assert_true(near(ask(0.0102, 1.0).time_s, 0.0098)); // down, where the driver takes the nearest
-    assert_true(near(ask(1e-12, 1.0).time_s, 0.0003));
-    struct exposure set = ask(1e12, 1e9);
+    assert_true(near(request_exposure(0.01, 4.0).time_s, 0.0098));
+    assert_true(near(request_exposure(0.0102, 1.0).time_s,
+                     0.0098)); // down, where the driver takes the nearest
+    assert_true(near(request_exposure(1e-12, 1.0).time_s, 0.0003));
+    struct exposure set = request_exposure(1e12, 1e9);
     assert_true(near(set.time_s, 0.0333) && set.gain == 1.0);
     fake_control(&fake, V4L2_CID_EXPOSURE_ABSOLUTE)->stuck = true;
-    assert_true(near(ask(0.001, 1.0).time_s, 0.0333)); // read back, not believed
+    assert_true(near(request_exposure(0.001, 1.0).time_s, 0.0333)); // read back, not believed
     fake_control(&fake, V4L2_CID_EXPOSURE_ABSOLUTE)->value = 0;
     refuses(ask_err(0.01), ERR_IO, "reads back as 0");
     close_all();
@@ -85,7 +86,7 @@ static void test_frames(void **st)
     assert_int_equal(camera_v4l2.next(state, &f), ERR_AGAIN);
     assert_null(f.data);
     for (int i = 0; i < 20; i++) {
-        ask(0.001 * (i + 1), 1.0);
+        request_exposure(0.001 * (i + 1), 1.0);
         fake_frame(&fake);
         f = take();
         assert_true(f.sequence == (uint32_t)i && f.flags == 0 && f.bytes == 136 * 48);
@@ -119,7 +120,7 @@ static void test_mplane(void **st)
     assert_true(i.format == CAMERA_NV12 && i.bt709 && !i.limited && i.stride == 72);
     assert_int_equal(i.stamp, CAMERA_STAMP_START);
     fake.offset = 16;
-    ask(0.01, 1.0);
+    request_exposure(0.01, 1.0);
     for (int k = 0; k < 4; k++)
         fake_frame(&fake);
     const uint8_t *base = fake.buf[0].p;
@@ -170,16 +171,16 @@ static void test_sensor(void **st)
     assert_true(near(i.time_min_s, 4 * line_s));
     assert_true(near(i.time_max_s, (24 + 65511 - 4) * line_s));
 
-    struct exposure set = ask(0.01, 2.1);
+    struct exposure set = request_exposure(0.01, 2.1);
     assert_true(near(set.time_s, floor(0.01 / line_s) * line_s) && near(set.gain, 256.0 / 122));
     assert_int_equal(control(V4L2_CID_VBLANK), base); // frames stay as they are
-    set = ask(0.5, 1.0);
+    set = request_exposure(0.5, 1.0);
     assert_true(near(set.time_s, floor(0.5 / line_s) * line_s) && set.gain == 1.0);
     assert_int_equal(control(V4L2_CID_VBLANK), (int)floor(0.5 / line_s) + 4 - 24);
-    set = ask(1e-9, 99.0);
+    set = request_exposure(1e-9, 99.0);
     assert_true(near(set.time_s, 4 * line_s) && near(set.gain, i.gain_max));
     assert_int_equal(control(V4L2_CID_VBLANK), base);
-    assert_true(near(ask(60.0, 1.0).time_s, i.time_max_s));
+    assert_true(near(request_exposure(60.0, 1.0).time_s, i.time_max_s));
     close_all();
 }
 
@@ -189,14 +190,14 @@ static void test_half_written(void **st)
     (void)st;
     fake_raw(&fake);
     open_ok(sensor);
-    ask(0.01, 1.5);
+    request_exposure(0.01, 1.5);
     int64_t vblank = control(V4L2_CID_VBLANK), exposure = control(V4L2_CID_EXPOSURE);
     fake_control(&fake, V4L2_CID_ANALOGUE_GAIN)->refuse = EIO;
     refuses(ask_err(0.3), ERR_IO, "set its exposure");
     assert_int_equal(control(V4L2_CID_VBLANK), vblank);
     assert_int_equal(control(V4L2_CID_EXPOSURE), exposure);
     fake_control(&fake, V4L2_CID_ANALOGUE_GAIN)->refuse = 0;
-    assert_true(near(ask(0.3, 1.0).time_s, floor(0.3 / line_s) * line_s));
+    assert_true(near(request_exposure(0.3, 1.0).time_s, floor(0.3 / line_s) * line_s));
     fake_control(&fake, V4L2_CID_VBLANK)->flags = V4L2_CTRL_FLAG_GRABBED;
     refuses(ask_err(0.6), ERR_BUSY, "length of frames");
     close_all();
@@ -216,7 +217,7 @@ static void test_other_sensors(void **st)
     assert_string_equal(i.unit, "platform:fe801000.csi_unicam");
     assert_true(near(i.time_max_s, 1000 * line_s) && near(i.period_s, 524 * line_s));
     assert_int_equal(control(V4L2_CID_ANALOGUE_GAIN), 10); // its default
-    ask(0.001, 8.0);
+    request_exposure(0.001, 8.0);
     assert_int_equal(control(V4L2_CID_ANALOGUE_GAIN), 10);
     close_all();
     fake_raw(&fake);
@@ -230,7 +231,7 @@ static void test_other_sensors(void **st)
     fake_raw(&fake);
     fake_control(&fake, V4L2_CID_VBLANK)->step = 64; // frames are longer than they need be
     open_ok(sensor);
-    assert_true(near(ask(0.3, 1.0).time_s, floor(0.3 / line_s) * line_s));
+    assert_true(near(request_exposure(0.3, 1.0).time_s, floor(0.3 / line_s) * line_s));
     close_all();
     fake_raw(&fake);
     fake_control(&fake, V4L2_CID_PIXEL_RATE)->value = 0;
@@ -410,7 +411,8 @@ static void test_automatic(void **st)
     fake_control(&fake, V4L2_CID_AUTO_WHITE_BALANCE)->stuck = true;
     open_ok(webcam);
     fake_control(&fake, V4L2_CID_EXPOSURE_AUTO)->value = V4L2_EXPOSURE_APERTURE_PRIORITY;
-    assert_true(near(ask(0.02, 1.0).time_s, 0.02)); // somebody switched it on: off again
+    assert_true(
+        near(request_exposure(0.02, 1.0).time_s, 0.02)); // somebody switched it on: off again
     assert_int_equal(control(V4L2_CID_EXPOSURE_AUTO), V4L2_EXPOSURE_MANUAL);
     fake_control(&fake, V4L2_CID_EXPOSURE_AUTO)->value = V4L2_EXPOSURE_APERTURE_PRIORITY;
     fake_control(&fake, V4L2_CID_EXPOSURE_AUTO)->stuck = true;

@@ -94,7 +94,7 @@ static inline int code_of(const struct frame *f)
     return code;
 }
 
-static inline struct exposure ask(double time_s, double gain)
+static inline struct exposure request_exposure(double time_s, double gain)
 {
     struct exposure set = {0};
     assert_int_equal(camera_v4l2.request(state, &(struct exposure){time_s, gain}, &set), OK);

@@ -7,9 +7,10 @@ static void test_long(void **state)
     (void)state;
     rig_open(1, 2, 0, 0.0);
     for (int i = 0; i < 9; i++)
-        rig.plan[0].ask[i] = (struct exposure){60.0 * exp2(-2.8 * (8 - i)), 1.0}; // 10.8 us..60 s
+        rig.plan[0].requested[i] =
+            (struct exposure){60.0 * exp2(-2.8 * (8 - i)), 1.0}; // 10.8 us..60 s
     rig.plan[0].n = 9;
-    rig.base_s = rig.plan[0].ask[0].time_s;
+    rig.base_s = rig.plan[0].requested[0].time_s;
     sim_scene(&rig.sim, &rig.camera[0], 24.0, exp2(-12.0), rig.base_s);
     rig_ready();
     sim_begin(&rig.sim, rig.plan);
@@ -81,7 +82,7 @@ static void flash(int claim, int at, int frames, bool up)
     rig.cfg[0].reports = false;
     rig.cfg[0].delay_lo = lo[claim];
     rig.cfg[0].delay_hi = hi[claim];
-    rig.base_s = rig.plan[0].ask[up ? 0 : 3].time_s;
+    rig.base_s = rig.plan[0].requested[up ? 0 : 3].time_s;
     c->lamp_at = 16 + at / 2;
     c->lamp_frames = frames;
     c->lamp = up ? 4.0 : 0.25;
@@ -111,12 +112,12 @@ static void backlog(bool stamps)
 {
     static struct exposure_probe w;
     struct bracket_progress p;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
         w.x[i] = 0.1f;
         w.sd[i] = 0.001f;
         w.floor[i] = 0.01f;
     }
-    w.good = EXPOSURE_PROBE_PLACES;
+    w.good = EXPOSURE_PROBE_PATCHES;
     w.overlap = 1.0f;
     rig_open(1, 2, 1, 0.0);
     assert_int_equal(bracket_new(rig.cfg, 1, &rig.sim.b), OK);
@@ -170,7 +171,7 @@ static void test_many_cameras(void **state)
     rig.plan[5].n = 0; // takes no part
     for (int i = 0; i < 8; i++) {
         rig.plan[i + 8].n = 1; // staggered
-        rig.plan[i + 8].ask[0] = rig.plan[0].ask[i % 3];
+        rig.plan[i + 8].requested[0] = rig.plan[0].requested[i % 3];
     }
     for (int i = 0; i < 16; i += 2) {
         rig.camera[i].drop = 0.05;
@@ -224,7 +225,7 @@ static void test_repeats(void **state)
     for (int same = 0; same < 2; same++) {
         rig_open(1, 2, 4, 0.0);
         for (int i = 0; i < 4; i++)
-            rig.plan[0].ask[i].time_s = same ? 0.01 : i < 2 ? 0.04 : 0.01;
+            rig.plan[0].requested[i].time_s = same ? 0.01 : i < 2 ? 0.04 : 0.01;
         rig.cfg[0].delay_lo = 0;
         rig.cfg[0].delay_hi = 8;
         rig_ready();

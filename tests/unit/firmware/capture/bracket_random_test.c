@@ -32,8 +32,8 @@ static void random_plan(struct trial *t)
     t->plan.n = n < most ? n : most;
     double first = 1e-4 * exp2(4.0 * sim_uniform(s) - 2.0) * exp2(-0.3 * step * t->plan.n) * 30;
     for (int i = 0; i < t->plan.n; i++)
-        t->plan.ask[i] = (struct exposure){first * exp2(step * i), 1.0};
-    t->base_s = t->plan.ask[sim_below(s, t->plan.n)].time_s;
+        t->plan.requested[i] = (struct exposure){first * exp2(step * i), 1.0};
+    t->base_s = t->plan.requested[sim_below(s, t->plan.n)].time_s;
     if (sim_chance(s, 0.3))
         t->base_s *= exp2(step * (sim_uniform(s) - 0.5));
     int order = sim_below(s, 3);
@@ -41,9 +41,9 @@ static void random_plan(struct trial *t)
         int k = order == 1 ? sim_below(s, i + 1) : t->plan.n - 1 - i;
         if (order == 2 && k >= i)
             break;
-        struct exposure e = t->plan.ask[i];
-        t->plan.ask[i] = t->plan.ask[k];
-        t->plan.ask[k] = e;
+        struct exposure e = t->plan.requested[i];
+        t->plan.requested[i] = t->plan.requested[k];
+        t->plan.requested[k] = e;
     }
 }
 
@@ -222,7 +222,7 @@ static void lamp_on(struct trial *t)
     t->camera.lamp_at = soon(t);
     t->camera.lamp_frames = sim_chance(&t->sim, 0.7) ? INT32_MAX : 1 + sim_below(&t->sim, 4);
     // often by exactly a step of the bracket, which looks like a label one frame off
-    double ratio = t->plan.ask[1].time_s / t->plan.ask[0].time_s;
+    double ratio = t->plan.requested[1].time_s / t->plan.requested[0].time_s;
     t->camera.lamp = sim_chance(&t->sim, 0.5) ? ratio : exp2(4.0 * sim_uniform(&t->sim) - 2.0);
     t->camera.lamp_share = sim_chance(&t->sim, 0.6) ? 1.0 : 0.3 + 0.6 * sim_uniform(&t->sim);
 }
@@ -317,7 +317,7 @@ static const struct misfortune {
 enum { N_MISFORTUNES = sizeof misfortunes / sizeof misfortunes[0] };
 
 struct tally {
-    int sets, complete, frames, kept, wrong, unverified, wrong_unverified, endless, wrong_places;
+    int sets, complete, frames, kept, wrong, unverified, wrong_unverified, endless, wrong_patches;
     int reason[BRACKET_REASONS];
     double worst;
 };
@@ -349,13 +349,13 @@ static void compare(struct trial *t, struct tally *out)
     out->wrong += t->common && hi - lo > 2.0 * TOLERANCE;
 }
 
-/* Places whose radiance, merged of all kept frames, is wrong by more than the tolerance and the
+/* Patches whose radiance, merged of all kept frames, is wrong by more than the tolerance and the
  * codes that a tear may hide in each torn one (core/photo/merge.h). */
-static int wrong_places(const struct trial *t)
+static int wrong_patches(const struct trial *t)
 {
     const struct sim_camera *c = &t->camera;
     int wrong = 0;
-    for (int i = 0; i < SIM_PLACES; i++) {
+    for (int i = 0; i < SIM_PATCHES; i++) {
         double sum = 0.0, exposure = 0.0, hidden = 0.0;
         for (int k = 0; k < t->plan.n; k++) {
             const struct sim_shot *s = &c->kept_shot[k];
@@ -396,7 +396,7 @@ static void run_trial(const struct misfortune *m, uint64_t seed, struct tally *o
     if (bracket_state(t.sim.b) == BRACKET_DONE)
         out->frames += t.sim.frames - t.plan.n;
     compare(&t, out);
-    out->wrong_places += m->strike == tears ? wrong_places(&t) : 0;
+    out->wrong_patches += m->strike == tears ? wrong_patches(&t) : 0;
     bracket_free(t.sim.b);
 }
 
@@ -425,7 +425,7 @@ static void test_never_mislabelled(void **state)
         print_message("\n");
         sets += k.sets;
         wrong += k.wrong;
-        bad += share < misfortunes[m].complete || k.endless || k.wrong_places;
+        bad += share < misfortunes[m].complete || k.endless || k.wrong_patches;
     }
     print_message("%d sets, %d frames wrong\n", sets, wrong);
     assert_int_equal(wrong, 0);

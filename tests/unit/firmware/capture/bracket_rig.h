@@ -46,7 +46,7 @@ static inline void rig_open(int cameras, int delay, int n, double step)
         sim_scene(&rig.sim, &rig.camera[i], 10.0, 0.05, rig.base_s);
         rig.plan[i].n = n;
         for (int k = 0; k < n; k++)
-            rig.plan[i].ask[k] =
+            rig.plan[i].requested[k] =
                 (struct exposure){rig.base_s * exp2(step * (k - 0.5 * (n - 1))), 1.0};
     }
 }
@@ -85,10 +85,10 @@ static inline void assert_complete(enum bracket_proof weakest)
     for (int c = 0; c < rig.sim.n; c++)
         for (int i = 0; i < rig.plan[c].n; i++) {
             const struct bracket_evidence *v = bracket_evidence(rig.sim.b, c, i);
-            double t = rig.plan[c].ask[i].time_s;
+            double t = rig.plan[c].requested[i].time_s;
             assert_non_null(v);
             assert_true(v->proof <= weakest);
-            assert_true(fabs(log2(v->exposure.time_s / t)) < 0.01 && v->asked.time_s == t);
+            assert_true(fabs(log2(v->exposure.time_s / t)) < 0.01 && v->requested.time_s == t);
             assert_true(fabs(log2(rig.camera[c].truth[i] / t)) < 0.01);
             assert_true(!v->ratio_known || fabs(v->ratio - v->ratio_asked) < TOLERANCE);
         }

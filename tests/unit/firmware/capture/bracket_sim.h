@@ -13,7 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { SIM_QUEUE = 4, SIM_NOISE = 4096, SIM_PLACES = 192 }; // the other places are black
+enum { SIM_QUEUE = 4, SIM_NOISE = 4096, SIM_PATCHES = 192 }; // the other patches are black
 #define SIM_TORN (2.0 / 4096)
 enum sim_report { SIM_HONEST, SIM_SILENT, SIM_LATE, SIM_EARLY, SIM_HALF };
 enum sim_readback { SIM_EXACT, SIM_CACHED, SIM_LAGGED };
@@ -39,11 +39,11 @@ struct sim_camera {
     int refuse;                     // requests, -1 for ever
     err_t refuse_with;
     int64_t lamp_at, lamp_frames;
-    double lamp, lamp_share; // factor; of the places, 1: all
+    double lamp, lamp_share; // factor; of the patches, 1: all
 
-    float scene[SIM_PLACES]; // relative exposure after 1 s
-    float floor;             // below is dark
-    bool bright;             // the other places are white, not black
+    float scene[SIM_PATCHES]; // relative exposure after 1 s
+    float floor;              // below is dark
+    bool bright;              // the other patches are white, not black
 
     // running
     uint32_t sequence;
@@ -55,7 +55,7 @@ struct sim_camera {
         struct frame f;
         double pixels, truth; // exposure by pixels; time x gain
         double former;        // that of the frame before
-        int torn;             // places that have it
+        int torn;             // patches that have it
         int64_t number;
     } queue[SIM_QUEUE], shot, kept_shot[BRACKET_EXPOSURES_MAX];
     int64_t hold_until;
@@ -102,12 +102,12 @@ static inline void sim_make_noise(struct sim *s)
 static inline void sim_probe(struct sim *s, const struct sim_camera *c, const struct sim_shot *shot,
                              bool garbled, struct exposure_probe *w)
 {
-    int at = sim_below(s, SIM_NOISE - SIM_PLACES);
+    int at = sim_below(s, SIM_NOISE - SIM_PATCHES);
     bool lamp = shot->number >= c->lamp_at && shot->number < c->lamp_at + c->lamp_frames;
     float e = (float)shot->pixels;
-    int lit = lamp ? (int)(c->lamp_share * SIM_PLACES) : 0;
+    int lit = lamp ? (int)(c->lamp_share * SIM_PATCHES) : 0;
     w->dark = w->clipped = 0;
-    for (int i = 0; i < SIM_PLACES; i++) {
+    for (int i = 0; i < SIM_PATCHES; i++) {
         float x = c->scene[i] * (i < lit ? (float)c->lamp : 1.0f);
         x *= i < shot->torn ? (float)shot->former : e;
         float sd = 1.0f / sqrtf(640000.0f * fminf(x, 1.0f) + 1e-6f);
@@ -123,23 +123,23 @@ static inline void sim_probe(struct sim *s, const struct sim_camera *c, const st
         w->clipped += w->state[i] == EXPOSURE_PROBE_CLIPPED;
         w->dark += w->state[i] == EXPOSURE_PROBE_DARK;
     }
-    w->good = SIM_PLACES - w->dark - w->clipped;
+    w->good = SIM_PATCHES - w->dark - w->clipped;
     w->overlap = 1.0f;
     w->step = 1.0f / 4096;
     w->linear = true;
-    for (int i = SIM_PLACES; i < EXPOSURE_PROBE_PLACES; i++) {
+    for (int i = SIM_PATCHES; i < EXPOSURE_PROBE_PATCHES; i++) {
         w->x[i] = c->bright ? 1.0f : 0.0f;
         w->floor[i] = c->floor;
         w->state[i] = c->bright ? EXPOSURE_PROBE_CLIPPED : EXPOSURE_PROBE_DARK;
     }
-    *(c->bright ? &w->clipped : &w->dark) += EXPOSURE_PROBE_PLACES - SIM_PLACES;
+    *(c->bright ? &w->clipped : &w->dark) += EXPOSURE_PROBE_PATCHES - SIM_PATCHES;
 }
 
 /* Log radiance evenly over `stops`, its middle at `middle` of saturation in exposure e. */
 static inline void sim_scene(struct sim *s, struct sim_camera *c, double stops, double middle,
                              double e)
 {
-    for (int i = 0; i < SIM_PLACES; i++)
+    for (int i = 0; i < SIM_PATCHES; i++)
         c->scene[i] = (float)(middle / e * exp2(stops * (sim_uniform(s) - 0.5)));
     c->floor = 1.0f / 512;
 }
@@ -159,18 +159,19 @@ static inline void sim_tell(struct sim *s, const struct bracket_event *ev)
         sim_act(s);
 }
 
-static inline err_t sim_request(struct sim_camera *c, const struct exposure *ask,
+static inline err_t sim_request(struct sim_camera *c, const struct exposure *requested,
                                 struct exposure *set)
 {
     struct timing *t = &c->timing;
-    struct exposure got = {timing_time(&t->cfg, ask->time_s), timing_gain(&t->cfg, ask->gain)};
+    struct exposure got = {timing_time(&t->cfg, requested->time_s),
+                           timing_gain(&t->cfg, requested->gain)};
     if (c->refuse != 0) {
         c->refuse -= c->refuse > 0;
         return c->refuse_with;
     }
-    *set = c->readback == SIM_EXACT ? got : c->readback == SIM_CACHED ? *ask : c->last_set;
+    *set = c->readback == SIM_EXACT ? got : c->readback == SIM_CACHED ? *requested : c->last_set;
     c->last_set = got;
-    timing_write(t, ask->time_s, ask->gain);
+    timing_write(t, requested->time_s, requested->gain);
     if (t->cfg.delay == 0 && t->time.n > 0) { // even the frame that runs
         t->time.value = t->now.time_s = got.time_s;
         t->time.n = 0;
@@ -214,7 +215,7 @@ static inline void sim_act(struct sim *s)
     }
 }
 
-/* Whether any torn place shows it: by more than the tolerance, as if its label were wrong, and two
+/* Whether any torn patch shows it: by more than the tolerance, as if its label were wrong, and two
  * codes, as if the black level were (core/photo/README.md 5.1). */
 static inline bool sim_torn(const struct sim_camera *c, const struct sim_shot *shot)
 {

@@ -135,7 +135,7 @@ static void test_cancel(void **state)
 
 static void plan_refused(double time_s, double gain, const char *sentence)
 {
-    rig.plan[1].ask[2] = (struct exposure){time_s, gain};
+    rig.plan[1].requested[2] = (struct exposure){time_s, gain};
     refused(&(struct bracket_event){.kind = BRACKET_BEGIN, .plan = rig.plan}, sentence);
 }
 

@@ -18,7 +18,7 @@ static struct frame f;
 static struct exposure_probe w;
 static int64_t now;
 static bool linear;
-static double light = 10.0; // a few places clip at BASE_S; below 7 none
+static double light = 10.0; // a few patches clip at BASE_S; below 7 none
 
 static void open_label(int delay_lo, int delay_hi, double tolerance)
 {
@@ -34,11 +34,12 @@ static void open_label(int delay_lo, int delay_hi, double tolerance)
     label_restart(&l, &(struct exposure){BASE_S, 1.0}, now);
 }
 
-static void ask(int index, double time_s)
+static void request_exposure(int index, double time_s)
 {
     struct exposure e = {time_s, 1.0};
-    label_asked(&l, &(struct label_request){
-                        .index = index, .ask = e, .set = e, .asked_ns = now, .answered_ns = now});
+    label_asked(&l,
+                &(struct label_request){
+                    .index = index, .requested = e, .set = e, .asked_ns = now, .answered_ns = now});
 }
 
 /* A scene of ten stops, without noise. */
@@ -48,8 +49,8 @@ static void see(double time_s)
     w.linear = linear;
     w.overlap = 1.0f;
     w.step = 1.0f / 65536;
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES; i++) {
-        float x = (float)(time_s * light * exp2(10.0 * i / EXPOSURE_PROBE_PLACES - 5.0));
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES; i++) {
+        float x = (float)(time_s * light * exp2(10.0 * i / EXPOSURE_PROBE_PATCHES - 5.0));
         w.x[i] = fminf(x, 1.0f);
         w.sd[i] = 0.01f * w.x[i];
         w.floor[i] = 0.002f;
@@ -112,9 +113,9 @@ static void test_rivals(void **state)
     (void)state;
     open_label(1, 2, 0.30);
     settle();
-    ask(0, BASE_S * exp2(2.0));
+    request_exposure(0, BASE_S * exp2(2.0));
     frame(BASE_S);
-    ask(1, BASE_S * exp2(2.2));
+    request_exposure(1, BASE_S * exp2(2.2));
     frame(BASE_S * exp2(2.0)); // the first, or none yet
     assert_int_equal(look(&k), LABEL_PROVEN);
     frame(BASE_S * exp2(2.2)); // the second, or the first for one frame more
@@ -132,7 +133,7 @@ static void test_hidden_frames(void **state)
     for (int told = 0; told < 3; told++) { // nothing, sequence, stamp
         open_label(2, 2, 0.10);
         settle();
-        ask(0, 0.001);
+        request_exposure(0, 0.001);
         for (int i = 0; i < 3; i++) {
             now += (int64_t)(PERIOD_S * 1e9);
             f.sequence += told == 1;
@@ -154,7 +155,7 @@ static void test_reported_gain(void **state)
     (void)state;
     open_label(1, 1, 0.10);
     settle();
-    ask(0, 0.001);
+    request_exposure(0, 0.001);
     for (int i = 0; i < 3; i++)
         frame(0.001);
     f.exposure_known = true;
@@ -167,19 +168,19 @@ static void test_reported_gain(void **state)
     assert_int_equal(label_settle(&l, &f, &w, &same), ERR_AGAIN);
 }
 
-/* What dark and clipped places allow binds, whatever the median says. */
+/* What dark and clipped patches allow binds, whatever the median says. */
 static void test_bounds(void **state)
 {
     struct label_look k;
     (void)state;
     open_label(1, 1, 0.10);
     settle();
-    ask(0, 0.008);
+    request_exposure(0, 0.008);
     for (int i = 0; i < 3; i++)
         frame(0.008);
     assert_int_equal(look(&k), LABEL_PROVEN);
     assert_true(k.lo < k.stops && k.hi > k.stops);
-    for (int i = 0; i < EXPOSURE_PROBE_PLACES;
+    for (int i = 0; i < EXPOSURE_PROBE_PATCHES;
          i++) // good before, and now so dark that it cannot be
         if (i % 4 == 0 && w.state[i] == EXPOSURE_PROBE_GOOD && w.x[i] > 0.05f) {
             w.state[i] = EXPOSURE_PROBE_DARK;
@@ -207,13 +208,13 @@ static void test_rows_of_the_frame_before(void **state)
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         open_label(1, 1, 0.10);
         settle();
-        ask(0, cases[i].before_s);
+        request_exposure(0, cases[i].before_s);
         for (int n = 0; n < 3; n++)
             frame(cases[i].before_s);
         assert_int_equal(look(&k), LABEL_PROVEN);
         assert_true(whole(&k));
         label_hold(&l, 0, &w, &k);
-        ask(1, cases[i].time_s);
+        request_exposure(1, cases[i].time_s);
         frame(cases[i].before_s);
         frame(cases[i].time_s);
         assert_int_equal(look(&k), LABEL_PROVEN);
@@ -237,11 +238,11 @@ static void test_torn_after_torn(void **state)
     linear = true;
     open_label(1, 1, 0.10);
     settle();
-    ask(0, time_s[0]);
+    request_exposure(0, time_s[0]);
     frame(BASE_S);
     for (int i = 0; i < 3; i++) {
         if (i < 2)
-            ask(i + 1, time_s[i + 1]);
+            request_exposure(i + 1, time_s[i + 1]);
         frame(time_s[i]);
         if (i > 0)
             tear(1, time_s[i - 1]);
@@ -265,7 +266,7 @@ static void test_not_whole(void **state)
     (void)state;
     open_label(1, 1, 0.10);
     settle();
-    ask(0, 0.008);
+    request_exposure(0, 0.008);
     frame(BASE_S);
     frame(0.008);
     assert_int_equal(look(&good), LABEL_PROVEN);
@@ -294,9 +295,9 @@ static void test_two_before(void **state)
     light = 4.0;
     open_label(1, 2, 0.10);
     settle();
-    ask(0, BASE_S * 1.4);
+    request_exposure(0, BASE_S * 1.4);
     frame(BASE_S);
-    ask(1, BASE_S * 1.2);
+    request_exposure(1, BASE_S * 1.2);
     frame(BASE_S * 1.4);
     frame(BASE_S * 1.2);
     tear(1, BASE_S);
@@ -327,10 +328,10 @@ static void test_slack_of_rows(void **state)
         settle();
         l.anchor[LABEL_REFERENCE].slack = cases[i].slack;
         double before_s = BASE_S * exp2(cases[i].before);
-        ask(0, before_s);
+        request_exposure(0, before_s);
         for (int n = 0; n < 4; n++)
             frame(before_s);
-        ask(1, BASE_S * exp2(cases[i].stops));
+        request_exposure(1, BASE_S * exp2(cases[i].stops));
         frame(before_s);
         frame(BASE_S * exp2(cases[i].stops));
         tear(1, BASE_S * exp2(cases[i].look));

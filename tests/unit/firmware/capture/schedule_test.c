@@ -18,8 +18,8 @@ static void expect(const struct bracket_plan *p, int n, const double *times)
 {
     assert_int_equal(p->n, n);
     for (int i = 0; i < n; i++) {
-        assert_true(fabs(p->ask[i].time_s - times[i]) < 1e-9);
-        assert_true(p->ask[i].gain == 1);
+        assert_true(fabs(p->requested[i].time_s - times[i]) < 1e-9);
+        assert_true(p->requested[i].gain == 1);
     }
 }
 

@@ -290,7 +290,7 @@ static void rows_under_lamps(void **state)
     take_free(t);
 }
 
-/* Rooms whose exposures are long: few places are bright at those that show the flicker, and long
+/* Rooms whose exposures are long: few patches are bright at those that show the flicker, and long
  * ones are never still. */
 static void dim_rooms_under_lamps(void **state)
 {

@@ -105,7 +105,7 @@ static int ask_raw(const char *text)
     return code;
 }
 
-static int ask(const char *method, const char *url, const char *headers)
+static int request_exposure(const char *method, const char *url, const char *headers)
 {
     char text[2000];
     snprintf(text, sizeof text,
@@ -123,22 +123,22 @@ static void the_page_and_the_state(void **state)
 {
     (void)state;
     open_page("");
-    assert_int_equal(ask("GET", "/", ""), 200);
+    assert_int_equal(request_exposure("GET", "/", ""), 200);
     assert_true(says("<!doctype html>") && says("</html>") && says("default-src 'self'"));
-    assert_int_equal(ask("GET", "/page.js", ""), 200);
+    assert_int_equal(request_exposure("GET", "/page.js", ""), 200);
     assert_true(says("text/javascript") && says("setInterval"));
-    assert_int_equal(ask("GET", "/page.css", ""), 200);
-    assert_int_equal(ask("GET", "/status.json", ""), 200);
+    assert_int_equal(request_exposure("GET", "/page.css", ""), 200);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
     assert_true(says("{\"state\": \"armed\"}"));
-    assert_int_equal(ask("GET", "/nothing", ""), 404);
-    assert_int_equal(ask("PUT", "/status.json", ""), 405);
+    assert_int_equal(request_exposure("GET", "/nothing", ""), 404);
+    assert_int_equal(request_exposure("PUT", "/status.json", ""), 405);
 }
 
 static void only_files_of_results_are_served(void **state)
 {
     (void)state;
     open_page("");
-    assert_int_equal(ask("GET", "/captures/b-1/manifest.json", ""), 200);
+    assert_int_equal(request_exposure("GET", "/captures/b-1/manifest.json", ""), 200);
     assert_true(says("application/json") && says("{\"n\": 1}"));
     static const char *const no[] = {
         "/captures/b-1",
@@ -155,7 +155,7 @@ static void only_files_of_results_are_served(void **state)
         "/captures/a/b/c/d/e/f",
     };
     for (size_t i = 0; i < sizeof no / sizeof no[0]; i++)
-        if (ask("GET", no[i], "") != 404)
+        if (request_exposure("GET", no[i], "") != 404)
             fail_msg("%s: %s", no[i], reply);
 }
 
@@ -172,11 +172,11 @@ static void pages_of_results(void **state)
     (void)state;
     put_result();
     open_page("");
-    assert_int_equal(ask("GET", "/results/b-1/view.html", ""), 200);
+    assert_int_equal(request_exposure("GET", "/results/b-1/view.html", ""), 200);
     assert_true(says("text/html") && says("script-src 'unsafe-inline'") &&
                 says("default-src 'none'"));
     assert_false(says("connect-src") || says("default-src 'self'"));
-    assert_int_equal(ask("GET", "/", ""), 200);
+    assert_int_equal(request_exposure("GET", "/", ""), 200);
     assert_false(says("unsafe-inline"));
 }
 
@@ -186,29 +186,35 @@ static void results_alone(void **state)
     struct http_config c = {.address = "127.0.0.1", .token = "", .results = results};
     put_result();
     assert_int_equal(http_open(&c, &h), OK);
-    assert_int_equal(ask("GET", "/results/b-1/view.html", ""), 200);
-    assert_int_equal(ask("GET", "/", ""), 404);
-    assert_int_equal(ask("GET", "/status.json", ""), 404);
-    assert_int_equal(ask("GET", "/captures/b-1/manifest.json", ""), 404);
-    assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 405);
+    assert_int_equal(request_exposure("GET", "/results/b-1/view.html", ""), 200);
+    assert_int_equal(request_exposure("GET", "/", ""), 404);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 404);
+    assert_int_equal(request_exposure("GET", "/captures/b-1/manifest.json", ""), 404);
+    assert_int_equal(request_exposure("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"),
+                     405);
 }
 
 static void commands_need_the_header(void **state)
 {
     (void)state;
     open_page("");
-    assert_int_equal(ask("POST", "/capture", "Content-Length: 0\r\n"), 403);
+    assert_int_equal(request_exposure("POST", "/capture", "Content-Length: 0\r\n"), 403);
     assert_string_equal(commanded, "");
-    assert_int_equal(ask("GET", "/capture", "X-Hdrig: 1\r\n"), 404);
-    assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
+    assert_int_equal(request_exposure("GET", "/capture", "X-Hdrig: 1\r\n"), 404);
+    assert_int_equal(request_exposure("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"),
+                     200);
     assert_string_equal(commanded, "capture");
-    assert_int_equal(ask("POST", "/session/end", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
+    assert_int_equal(
+        request_exposure("POST", "/session/end", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
     assert_string_equal(commanded, "session end");
-    assert_int_equal(ask("POST", "/session/scene", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
+    assert_int_equal(
+        request_exposure("POST", "/session/scene", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 200);
     assert_string_equal(commanded, "session scene");
-    assert_int_equal(ask("POST", "/session", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 405);
+    assert_int_equal(request_exposure("POST", "/session", "X-Hdrig: 1\r\nContent-Length: 0\r\n"),
+                     405);
     command_err = ERR_BUSY;
-    assert_int_equal(ask("POST", "/cancel", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 409);
+    assert_int_equal(request_exposure("POST", "/cancel", "X-Hdrig: 1\r\nContent-Length: 0\r\n"),
+                     409);
     assert_string_equal(commanded, "cancel");
     assert_true(says("\"error\": \"a \\\"capture\\\" runs\""));
     commanded[0] = 0;
@@ -216,7 +222,7 @@ static void commands_need_the_header(void **state)
     for (size_t i = 0; i < sizeof values / sizeof values[0]; i++) {
         char header[64];
         snprintf(header, sizeof header, "X-Hdrig: %s\r\nContent-Length: 0\r\n", values[i]);
-        assert_int_equal(ask("POST", "/capture", header), 403);
+        assert_int_equal(request_exposure("POST", "/capture", header), 403);
     }
     assert_string_equal(commanded, "");
 }
@@ -246,19 +252,24 @@ static void a_token_guards_everything(void **state)
 {
     (void)state;
     open_page("open-sesame");
-    assert_int_equal(ask("GET", "/", ""), 401);
+    assert_int_equal(request_exposure("GET", "/", ""), 401);
     assert_true(says("<form method=post"));
-    assert_int_equal(ask("GET", "/status.json", ""), 401);
-    assert_int_equal(ask("GET", "/captures/b-1/manifest.json", ""), 401);
-    assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 401);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 401);
+    assert_int_equal(request_exposure("GET", "/captures/b-1/manifest.json", ""), 401);
+    assert_int_equal(request_exposure("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 0\r\n"),
+                     401);
     assert_string_equal(commanded, "");
-    assert_int_equal(ask("GET", "/status.json", "Authorization: Bearer open-sesam\r\n"), 401);
-    assert_int_equal(ask("GET", "/status.json", "Authorization: Bearer open-sesamee\r\n"), 401);
-    assert_int_equal(ask("GET", "/status.json", "Authorization: Bearer \r\n"), 401);
-    assert_int_equal(ask("GET", "/status.json", "Authorization: Bearer open-sesame\r\n"), 200);
-    assert_int_equal(ask("GET", "/status.json", "Cookie: hdrig=open-sesame\r\n"), 200);
-    assert_int_equal(ask("POST", "/login", "Content-Length: 9\r\n\r\ntoken=foo"), 401);
-    assert_int_equal(ask("POST", "/login", "Content-Length: 17\r\n\r\ntoken=open-sesame"), 303);
+    assert_int_equal(
+        request_exposure("GET", "/status.json", "Authorization: Bearer open-sesam\r\n"), 401);
+    assert_int_equal(
+        request_exposure("GET", "/status.json", "Authorization: Bearer open-sesamee\r\n"), 401);
+    assert_int_equal(request_exposure("GET", "/status.json", "Authorization: Bearer \r\n"), 401);
+    assert_int_equal(
+        request_exposure("GET", "/status.json", "Authorization: Bearer open-sesame\r\n"), 200);
+    assert_int_equal(request_exposure("GET", "/status.json", "Cookie: hdrig=open-sesame\r\n"), 200);
+    assert_int_equal(request_exposure("POST", "/login", "Content-Length: 9\r\n\r\ntoken=foo"), 401);
+    assert_int_equal(
+        request_exposure("POST", "/login", "Content-Length: 17\r\n\r\ntoken=open-sesame"), 303);
     assert_true(says("Set-Cookie: hdrig=open-sesame; HttpOnly; SameSite=Strict"));
 
     /* the longest body, and one byte more: it would lack its final 0 */
@@ -266,7 +277,7 @@ static void a_token_guards_everything(void **state)
     for (int n = 511; n <= 512; n++) {
         snprintf(text, sizeof text, "Content-Length: %d\r\n\r\ntoken=%0*d", n, n - 6, 0);
         patience_ns = n == 511 ? PATIENCE_NS : 300000000;
-        assert_int_equal(ask("POST", "/login", text), n == 511 ? 401 : 0);
+        assert_int_equal(request_exposure("POST", "/login", text), n == 511 ? 401 : 0);
     }
 }
 
@@ -297,11 +308,11 @@ static void slow_and_idle_connections(void **state)
             http_step(h);
     }
     int64_t start = now_ns();
-    assert_int_equal(ask("GET", "/status.json", ""), 200);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
     assert_true(now_ns() - start < 9000000000); // before any of them has had its 10 s
     for (int i = 0; i < N; i++)
         close(fd[i]);
-    assert_int_equal(ask("GET", "/status.json", ""), 200);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
 }
 
 static void hostile_requests(void **state)
@@ -314,7 +325,8 @@ static void hostile_requests(void **state)
     ask_raw(big); // with any answer it must go on
     ask_raw("\r\n\r\n\r\n");
     ask_raw("GET\r\n\r\n");
-    assert_int_equal(ask("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 5000\r\n"), 0);
+    assert_int_equal(request_exposure("POST", "/capture", "X-Hdrig: 1\r\nContent-Length: 5000\r\n"),
+                     0);
     snprintf(big, sizeof big,
              "POST /capture HTTP/1.1\r\nHost: localhost\r\nX-Hdrig: 1\r\n"
              "Connection: close\r\nContent-Length: 5000\r\n\r\n%05000d",
@@ -322,7 +334,7 @@ static void hostile_requests(void **state)
     assert_int_equal(ask_raw(big), 0);
     assert_string_equal(commanded, "");
     patience_ns = PATIENCE_NS;
-    assert_int_equal(ask("GET", "/status.json", ""), 200);
+    assert_int_equal(request_exposure("GET", "/status.json", ""), 200);
 }
 
 static void what_cannot_be_opened(void **state)

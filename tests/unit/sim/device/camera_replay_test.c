@@ -83,7 +83,7 @@ static void check_frame(void *st, int v, int t)
     camera_replay.release(st, &f);
 }
 
-static double ask(void *st, double time_s, double gain)
+static double request_exposure(void *st, double time_s, double gain)
 {
     struct exposure set;
     assert_int_equal(camera_replay.request(st, &(struct exposure){time_s, gain}, &set), OK);
@@ -96,8 +96,8 @@ static void test_nearest(void **state)
     static const struct {
         double time_s, gain;
         int t;
-    } wish[] = {{1e-9, 1, 0},  {0.0199, 1, 0}, {0.0201, 1, 1}, {0.0201, 3, 1},
-                {0.079, 1, 1}, {0.081, 1, 2},  {1e9, 1, 2}};
+    } wanted[] = {{1e-9, 1, 0},  {0.0199, 1, 0}, {0.0201, 1, 1}, {0.0201, 3, 1},
+                  {0.079, 1, 1}, {0.081, 1, 2},  {1e9, 1, 2}};
     struct camera_info info;
     (void)state;
     make_folder("train_ldr_%03d_%d.png");
@@ -106,13 +106,13 @@ static void test_nearest(void **state)
     assert_true(fabs(info.time_min_s - 0.01) < 1e-9 && fabs(info.time_max_s - 0.48) < 1e-9);
     assert_true(info.gain_max == 1.0 && info.w == W && info.h == H && info.exposure_delay == 1);
     assert_int_equal(camera_replay_views(st), VIEWS);
-    for (size_t i = 0; i < sizeof wish / sizeof wish[0]; i++) {
-        double set = ask(st, wish[i].time_s, wish[i].gain);
-        assert_true(fabs(set / time_of(0, wish[i].t) - 1.0) < 1e-6);
+    for (size_t i = 0; i < sizeof wanted / sizeof wanted[0]; i++) {
+        double set = request_exposure(st, wanted[i].time_s, wanted[i].gain);
+        assert_true(fabs(set / time_of(0, wanted[i].t) - 1.0) < 1e-6);
         struct frame f;
         assert_int_equal(camera_replay.next(st, &f), OK); // ran during the request
         camera_replay.release(st, &f);
-        check_frame(st, 0, wish[i].t);
+        check_frame(st, 0, wanted[i].t);
     }
     close_replay(st);
     tmpdir_remove();
@@ -127,7 +127,7 @@ static void test_step(void **state)
     for (int v = 1; v < 1 + 2 * VIEWS; v++)
         for (int t = 0; t < TIMES; t++) {
             struct frame f;
-            ask(st, time_of(v % VIEWS, t), 1.0);
+            request_exposure(st, time_of(v % VIEWS, t), 1.0);
             assert_int_equal(camera_replay_view(st), v % VIEWS);
             assert_int_equal(camera_replay.next(st, &f), OK);
             camera_replay.release(st, &f);
@@ -136,7 +136,7 @@ static void test_step(void **state)
     close_replay(st);
     st = open_replay("");
     for (int v = 0; v < 2 * VIEWS; v++) {
-        ask(st, time_of(v % VIEWS, 2), 1.0);
+        request_exposure(st, time_of(v % VIEWS, 2), 1.0);
         struct frame f;
         assert_int_equal(camera_replay.next(st, &f), OK);
         camera_replay.release(st, &f);
@@ -153,7 +153,7 @@ static void test_between_views(void **state)
     (void)state;
     make_folder("train_ldr_%03d_%d.png");
     void *st = open_replay("");
-    ask(st, time_of(0, 2), 1.0);
+    request_exposure(st, time_of(0, 2), 1.0);
     struct frame f;
     assert_int_equal(camera_replay.next(st, &f), OK);
     camera_replay.release(st, &f);
@@ -180,7 +180,7 @@ static void test_groups(void **state)
     close_replay(st);
     st = open_replay(",bracket=3,view=2");
     assert_int_equal(camera_replay_views(st), VIEWS);
-    ask(st, time_of(2, 1), 1.0);
+    request_exposure(st, time_of(2, 1), 1.0);
     struct frame f;
     assert_int_equal(camera_replay.next(st, &f), OK);
     camera_replay.release(st, &f);

@@ -64,7 +64,7 @@ static void take(void *st, struct event *e)
     camera_sim.release(st, &f);
 }
 
-static err_t ask(void *st, double time_s, double gain, struct exposure *set)
+static err_t request_exposure(void *st, double time_s, double gain, struct exposure *set)
 {
     return camera_sim.request(st, &(struct exposure){time_s, gain}, set);
 }
@@ -144,12 +144,12 @@ static void test_light(void **state)
     (void)state;
     take(st, &ev[0]);
     for (int i = 1; i < 4; i++) {
-        assert_int_equal(ask(st, 0.001 * (1 << i), 1.0, &set), OK);
+        assert_int_equal(request_exposure(st, 0.001 * (1 << i), 1.0, &set), OK);
         take(st, &ev[i]);
         take(st, &ev[i]);
         assert_true(near(ratio(&ev[i - 1], &ev[i], 1), 2.0, 0.04));
     }
-    assert_int_equal(ask(st, 0.002, 4.0, &set), OK);
+    assert_int_equal(request_exposure(st, 0.002, 4.0, &set), OK);
     take(st, &ev[4]);
     take(st, &ev[4]);
     assert_true(near(ratio(&ev[3], &ev[4], 1), 1.0, 0.06)); // 2 ms x 4 = 8 ms
