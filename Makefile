@@ -50,6 +50,8 @@ PKG_CONFIG := $(if $(CROSS),PKG_CONFIG_SYSROOT_DIR=$(SYSROOT) \
 # --- flags ----------------------------------------------------------------------------------------
 # Only kernels may fuse products to FMA: everything else gives the same bytes on every machine.
 OPT := -O2 -ffp-contract=off
+# Readers of files. Enumerators are our integer constants.
+CONVERSION := -Wconversion -Wno-enum-float-conversion
 WARN := -Wall -Wextra -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wundef \
 	$(if $(WERROR),-Werror)
 # With -O1 sanitized code compiles in half the time, and runs as fast.
@@ -155,8 +157,8 @@ $(B)/core/kernels/gemm_%.o: OPT += $(if $(filter aarch64,$(ARCH)),$(if $(findstr
 $(B)/core/net/%.o: OPT := -O3 -ffp-contract=off
 $(B)/core/stereo/%.o: OPT := -O3 -ffp-contract=off
 $(B)/sim/%.o: OPT := -O3 -ffp-contract=off
-$(B)/drivers/%.o: MORE = -Wconversion $(shell $(PKG_CONFIG) --cflags OpenEXR)
-$(B)/firmware/base/config.o: MORE = -Wconversion
+$(B)/drivers/%.o: MORE = $(CONVERSION) $(shell $(PKG_CONFIG) --cflags OpenEXR)
+$(B)/firmware/base/config.o: MORE = $(CONVERSION)
 $(MAINS:%.c=$(B)/%.o): MORE = -DHDRIG_VERSION='"$(VERSION)"'
 $(addprefix $(B)/firmware/,daemon/http.o result/viewer.o result/report_page.o): \
 		$(wildcard firmware/web/*)
@@ -186,7 +188,8 @@ $(TOOLS):
 # The module for libcamera, which drivers/device/camera_libcamera.c loads if it is there.
 $(B)/hdrig-libcamera.so: $(MODULE_NEEDS) | build/deps
 	@mkdir -p $(@D)
-	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< $(shell $(PKG_CONFIG) --cflags --libs libcamera)
+	$(CXX) $(CXXFLAGS_MODULE) -Wconversion -o $@ $< \
+		$(patsubst -I%,-isystem %,$(shell $(PKG_CONFIG) --cflags --libs libcamera))
 
 LIB = $(DESTDIR)$(PREFIX)/lib
 SHARE = $(DESTDIR)$(PREFIX)/share/hdrig

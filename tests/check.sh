@@ -20,6 +20,8 @@ results=build/log/results queue=build/log/queue
 # Sanitizers of gcc 12 do not know the random address layout of newer kernels.
 fixed=
 setarch -R true 2>/dev/null && fixed='setarch -R'
+# In the frames of this check gcc 14 aligns vectors of 64 bytes to 32 (its bug 110027).
+export ASAN_OPTIONS=detect_stack_use_after_return=0
 
 # ---- one step ----
 
@@ -110,13 +112,15 @@ lints() {
     for script in tests/lint/*.sh; do
         later "lint: $(basename "$script" .sh)" sh "$script" "$dir"
     done
-    # Not asked for: value flow that cppcheck guesses at and the sanitizers know, sizes of vector
-    # types, which it does not know, and the #error of files that need their own flags.
+    # Not asked for: value flow that cppcheck guesses at and compilers and sanitizers know, sizes of
+    # vector types, which it does not know, the #error of files that need their own flags, and that
+    # it looks at fewer branches.
     later "lint: cppcheck" cppcheck -q --std=c11 -D_GNU_SOURCE -I. --error-exitcode=1 \
         --enable=warning,performance,portability --suppress=shiftTooManyBits \
         --suppress=shiftNegative --suppress=integerOverflow --suppress=arrayIndexThenCheck \
-        --suppress=uninitStructMember --suppress=ctuArrayIndex \
-        --suppress=preprocessorErrorDirective core drivers firmware sim
+        --suppress=uninitStructMember --suppress=uninitvar --suppress=ctuArrayIndex \
+        --suppress=preprocessorErrorDirective --suppress=normalCheckLevelMaxBranches \
+        core drivers firmware sim
 }
 
 sanitizers() { # is_slow|is_quick

@@ -1,7 +1,7 @@
 /* Every sample of a pixel is one ray to the first surface. Light that comes straight there is drawn
- * by light.c, light that comes by way of other surfaces is blended from the grid of probe.c. Gloss
- * takes Schlick's share F of the light (An Inexpensive BRDF Model, 1994): where F is large, by a
- * mirrored ray, whose hit is shaded without gloss; where it is small, as the highlight of each
+ * by light.c, light that comes by way of other surfaces is blended from the grid of light_probe.c.
+ * Gloss takes Schlick's share F of the light (An Inexpensive BRDF Model, 1994): where F is large,
+ * by a mirrored ray, whose hit is shaded without gloss; where it is small, as the highlight of each
  * light plus what the grid gives in the mirrored direction.
  * Few samples: pixels of a 4 x 4 pattern share out the points of each light between them (Keller
  * and Heidrich, Interleaved Sampling, 2001), and what came from large lights is averaged over 5 x 5

@@ -111,7 +111,7 @@ function check_path(f, path, base, folder) {
         return
     if (folder == "" && (base in named))
         return
-    if (folder == "" && f !~ /\.md$/ && base !~ /_|^[a-z]{5,}\./)
+    if (folder == "" && f !~ /\.md$/ && base !~ /_/)
         return # a member of a struct, as in frame.h
     complain("no file " path)
 }

@@ -301,7 +301,7 @@ static void test_odd_frames(void **state)
     assert_fault(BRACKET_BAD_FRAMES, 12);
     rig_plain(); // now and then it does no harm
     sim_begin(&rig.sim, rig.plan);
-    for (int i = 0; bracket_state(rig.sim.b) == BRACKET_SHOOTING; i++) {
+    while (bracket_state(rig.sim.b) == BRACKET_SHOOTING) {
         tell(BRACKET_UNUSABLE, 0);
         sim_step(&rig.sim);
     }
