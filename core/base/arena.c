@@ -93,8 +93,8 @@ err_t arena_alloc(struct arena *a, size_t n, size_t elem, void *out)
         return count_allocation(a, need, out);
     memset(out, 0, sizeof(void *));
     if (need > a->size - a->used)
-        return err_fail(ERR_NOMEM, "%s arena: %zu x %zu bytes asked, %zu of %zu free", a->name, n,
-                        elem, a->size - a->used, a->size);
+        return err_fail(ERR_NOMEM, "%s arena: %zu x %zu bytes requested, %zu of %zu are free",
+                        a->name, n, elem, a->size - a->used, a->size);
     void *p = a->base + a->used;
     a->used += need;
     if (a->used > a->peak)

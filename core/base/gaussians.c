@@ -18,8 +18,7 @@ err_t gaussians_init(struct gaussians *g, struct arena *a, int cap, int degree)
     memset(g, 0, sizeof *g);
     if (!size_is_allowed(cap, degree))
         return err_fail(
-            ERR_ARG,
-            "gaussians: %d splats of SH degree %d asked, allowed are 0 to %d of degree 0 to %d",
+            ERR_ARG, "gaussians: %d splats of SH degree %d, allowed are 0 to %d of degree 0 to %d",
             cap, degree, GAUSSIANS_MAX, SH_DEGREE_MAX);
     size_t mark = arena_mark(a);
     for (int p = 0; p < gaussians_planes(degree); p++) {

@@ -119,7 +119,8 @@ err_t pool_open(struct pool **out, int threads)
         threads = n < 1 ? 1 : n > POOL_MAX ? POOL_MAX : (int)n;
     }
     if (threads < 1 || threads > POOL_MAX)
-        return err_fail(ERR_ARG, "pool: %d threads asked, allowed are 1 to %d", threads, POOL_MAX);
+        return err_fail(ERR_ARG, "pool: %d threads requested, allowed are 1 to %d", threads,
+                        POOL_MAX);
     struct pool *p = calloc(1, sizeof *p);
     if (!p)
         return err_fail(ERR_NOMEM, "pool: no memory");

@@ -189,7 +189,7 @@ static err_t check_image(const char *name, const struct image8 *im, bool has_pix
 static err_t check_edge(int edge)
 {
     if (edge < 1 || edge > PREP_SIZE_MAX)
-        return err_fail(ERR_ARG, "prep: views of %d px asked, allowed are 1 to %d", edge,
+        return err_fail(ERR_ARG, "prep: views of %d px requested, allowed are 1 to %d", edge,
                         PREP_SIZE_MAX);
     return OK;
 }

@@ -106,7 +106,7 @@ static err_t get_lens(const char *what, const struct cJSON *object, struct lens 
     const struct cJSON *v = json_is_array(params) ? json_first(params) : NULL;
     for (; v; v = json_next(v), n++)
         if (n < LENS_PARAMS && !json_number(v, &values[n]))
-            return err_fail(ERR_FORMAT, "%s: \"params\" has something else than numbers", what);
+            return err_fail(ERR_FORMAT, "%s: \"params\" has something other than numbers", what);
     if (n != lens_count(m))
         return err_fail(ERR_FORMAT, "%s: \"params\" has %d numbers, %s has %d", what, n, model,
                         lens_count(m));

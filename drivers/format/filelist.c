@@ -98,7 +98,7 @@ static err_t walk_folder(struct walk *w, const char *name, int depth)
             continue;
         int n = snprintf(sub, sizeof sub, "%s%s%s", name, *name ? "/" : "", x->d_name);
         e = n < FILE_PATH_CAP ? walk_entry(w, sub, depth)
-                              : err_fail(ERR_ARG, "%s: a path that is too long in it", path);
+                              : err_fail(ERR_ARG, "%s: holds a path that is too long", path);
     }
     if (d)
         closedir(d);

@@ -38,8 +38,8 @@ static err_t get_list(const char *what, const struct cJSON *tensor, const char *
         if (!json_number(v, &number) || number < 0 || number != floor(number) || number > 0x1p52)
             return err_fail(
                 ERR_FORMAT,
-                "%s: tensor %.96s: \"%s\" holds something else than whole numbers up to 2^52", what,
-                json_key(tensor), key);
+                "%s: tensor %.96s: \"%s\" holds something other than whole numbers up to 2^52",
+                what, json_key(tensor), key);
         out[(*n)++] = (size_t)number;
     }
     return OK;

@@ -43,7 +43,7 @@ err_t calibrator_begin(struct calibrator *c, uint64_t id, const char *order)
     if (strcmp(order, "calibrate") != 0 &&
         (sscanf(order, "calibrate %15[a-z] %31[0-9.e+-]%n", what, longest, &end) != 2 ||
          order[end] != 0))
-        return err_fail(ERR_ARG, "\"%.60s\" is no order: calibrate [WHAT SECONDS] is expected",
+        return err_fail(ERR_ARG, "\"%.60s\" is not a command: calibrate [WHAT SECONDS] is expected",
                         order);
     if (count_cameras(c->set) == 0)
         return err_fail(ERR_ARG, "camera.1 is not set: there is no camera to calibrate");

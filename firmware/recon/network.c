@@ -17,10 +17,11 @@ err_t network_open(const char *path, const char *precision, unsigned floats, str
         return e;
     const char *have = modelfile_precision(out->file.model.precision);
     if (precision && strcmp(precision, have) != 0)
-        e = err_fail(ERR_ARG,
-                     "%s holds %s weights, --precision %.16s was asked; hdrig convert --precision "
-                     "%.16s makes a file of them",
-                     path, have, precision, precision);
+        e = err_fail(
+            ERR_ARG,
+            "%s holds %s weights, --precision %.16s was requested; hdrig convert --precision "
+            "%.16s makes a file of them",
+            path, have, precision, precision);
     if (!e)
         e = net_bind(&out->file.model, floats, &out->net);
     if (e)

@@ -160,7 +160,7 @@ static void lenses_are_checked(void **state)
         {"\"model\":\"FOV\",\"params\":[5,4,3,1]", "\"model\" FOV is not known"},
         {"\"model\":\"RADIAL\"", "\"params\" has 0 numbers, RADIAL has 5"},
         {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,0,0,0,0,0,0]", "has 10 numbers, RADIAL has 5"},
-        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,\"1\"]", "something else than numbers"},
+        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,\"1\"]", "something other than numbers"},
         {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,1e999]", "else than numbers"},
         {"\"model\":\"RADIAL\",\"params\":[-5,4,3,0,0.1]", "not positive"},
     };
