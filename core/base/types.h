@@ -87,7 +87,7 @@ static inline size_t extent_total(const struct extent *e, int n)
     return n > 0 ? e[n - 1].at + extent_pixels(&e[n - 1]) : 0;
 }
 
-/* What holds any one of n pictures: w and h of the widest and the highest, at: pixels of the
+/* Room for any one of n pictures: w and h of the widest and the highest, at: pixels of the
  * largest. */
 static inline struct extent extent_cover(const struct extent *e, int n)
 {

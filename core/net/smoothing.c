@@ -84,14 +84,14 @@ static void balance_channels(const float *a, const float *w, int c, float *s)
         s[i] = isnan(s[i]) ? 1 : exp2f(fmaxf(-10, fminf(10, s[i] - (float)(mean / n))));
 }
 
-/* What a layer norm gives: three deviations and the offset. */
+/* Largest expected output of a layer norm: three deviations and the offset. */
 static void norm_range(const struct smoothing_source *norm, float *a)
 {
     for (int i = 0; i < norm->c; i++)
         a[i] = 3 * fabsf(norm->gain[i]) + fabsf(norm->bias[i]);
 }
 
-/* What a row of v gives for inputs of unit deviation behind the norm. */
+/* Standard deviation of a row of v for inputs of unit deviation behind the norm. */
 static void value_range(const struct smoothing_source *norm, const float *w, const float *b,
                         float *a)
 {

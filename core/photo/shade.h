@@ -12,13 +12,13 @@
 
 enum { SHADE_TERMS = 3, SHADE_CELLS = 32, SHADE_NODES = (SHADE_CELLS + 1) * (SHADE_CELLS + 1) };
 
-/* Of a physical camera. */
+/* Vignetting, gain and white balance of a physical camera. */
 struct shade_model {
     double term[SHADE_TERMS]; // stops: v2 v4 v6
     double gain[3];           // stops, R,G,B
 };
 
-/* Of a view, whatever its size. */
+/* The same over the pixels of a view, whatever its size. */
 struct shade {
     float r2[SHADE_NODES]; // r^2 at equal steps from edge to edge, row by row
     struct shade_model model;

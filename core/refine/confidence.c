@@ -119,7 +119,7 @@ static bool splat_visible(const struct survey *l, int i, size_t *pixel)
     return maps->alpha[at] < COVERED || p[2] <= BEHIND * front + expf(wide);
 }
 
-/* Of photographs of the weight n whose weighted rays have the sum `ray`. The rays of two make an
+/* Confidence by photographs of weight n whose weighted rays have the sum `ray`. Two rays make an
  * angle of twice that between each and their mean. */
 static float confidence_value(float n, const float ray[3], bool far)
 {
@@ -276,7 +276,7 @@ void confidence_splats(const struct scene *s, float *colour, struct gaussians *o
     share_splats(s, colour, out);
 }
 
-/* What the photographs say of each splat. */
+/* Number of photographs that agree with each splat. */
 static err_t count_photographs(const struct run *r, struct survey *l, const struct views *v)
 {
     struct confidence *c = l->c;

@@ -229,8 +229,8 @@ static bool pixels_differ(const struct correction *s, const struct pixel *p, int
 
 enum verdict { SILENT, AGREES, DIFFERS, BETTER };
 
-/* What view j says about the pixel. One whose depth is a guess may be anywhere before what others
- * are sure of, and behind anything else. */
+/* The verdict of view j on the pixel. A view whose depth is a guess may be anywhere
+ * before what others are sure of, and behind anything else. */
 static enum verdict ask_view(const struct correction *s, const struct pixel *p, int j)
 {
     struct projected there;

@@ -22,7 +22,7 @@ void correct_cameras_plan(struct plan *p, int n_views);
  * up; pose and matches do not. */
 void correct_drop(const bool *keep, float *depth_scale, struct prediction *p);
 
-/* What is known by the time the cameras are. */
+/* Results of the steps before, once cameras are known. */
 struct correct_known {
     struct seed_input seen;     // one picture of each place with all that its exposures show, p's
                                 // cameras, depth

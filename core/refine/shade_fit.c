@@ -188,7 +188,7 @@ static err_t collect_observations(const struct run *r, struct fit *f)
 
 /* ---- least squares ---- */
 
-/* What the terms of view 0 or 1 add to colour c: indices and factors of OWN of them. */
+/* The part of a row of the equations by view 0 or 1, colour c: indices and factors of OWN terms. */
 static void add_row(const struct observation *s, int view, int c, int index[OWN],
                     double factor[OWN])
 {

@@ -63,7 +63,7 @@ struct bundle_result {
     bool from_tracks; // the start from tracks won
 };
 
-/* Of v only n, size, aspect and extent are read.
+/* v:    only n, size, aspect and extent are read
  * out:  lives in r->keep
  * err:  ERR_ARG (1 to BUNDLE_VIEWS_MAX views; tracks that violate match.h), ERR_NOMEM (see
  *       bundle_plan), ERR_CANCELLED. On error *out is zeroed. Too few tracks are no

@@ -1,4 +1,4 @@
-/* Of every track of three or more observations one is left out, in turn the first, the second, ...:
+/* One observation of each track of three or more is left out, in turn the first, the second, ...:
  * all parts of a picture are judged. Both fits end in the same rounds, whose first gate is wide: a
  * lens that was wrong has thrown away what would have shown it. */
 #include "core/sfm/selfcal.h"

@@ -18,7 +18,7 @@ enum selfcal_stop {
     SELFCAL_FULL,   // the ladder has no further model
 };
 
-/* What was found about one lens; its values are in struct adjust. */
+/* How the model of one lens was chosen; its values are in struct adjust. */
 struct selfcal_lens {
     enum selfcal_stop stop;
     int held;                      // observations that were left out

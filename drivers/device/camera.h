@@ -59,7 +59,7 @@ enum camera_stamp { CAMERA_STAMP_START, CAMERA_STAMP_END }; // when the first ro
 
 enum { CAMERA_UNIT_CAP = 128 }; // bytes with the terminating 0
 
-/* What holds from open to close. */
+/* Facts that hold from open to close. */
 struct camera_info {
     char unit[CAMERA_UNIT_CAP]; // this very device, the same after replugging: with size and format
                                 // it names a calibration; printable, without spaces

@@ -12,7 +12,7 @@ enum { GPIO_CHIP_CAP = 256, GPIO_LINE_CAP = 32 }; // bytes with the terminating 
 
 enum gpio_bias { GPIO_BIAS_UP, GPIO_BIAS_DOWN, GPIO_BIAS_NONE, GPIO_BIAS_OF_EDGE };
 
-/* What a URI asks for. */
+/* A line as its URI describes it. */
 struct gpio_spec {
     char uri[16 + GPIO_CHIP_CAP + GPIO_LINE_CAP]; // without options, begins every sentence
     char chip[GPIO_CHIP_CAP];                     // path, name or label

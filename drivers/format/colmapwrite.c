@@ -47,7 +47,7 @@ static void put_number(struct sink *s, double v)
         fprintf(s->f, "%.17g ", v);
 }
 
-/* What only one of the formats has. */
+/* The count, which only the binary format has. */
 static void put_count(struct sink *s, uint64_t n)
 {
     if (s->binary)

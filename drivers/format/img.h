@@ -79,7 +79,7 @@ struct img_exif {
     double iso, f_number; // 0 = not in the file
 };
 
-/* What a file says by its EXIF data about the camera that took it. */
+/* EXIF data about the camera. */
 struct img_camera {
     char name[NAME_CAP]; // make, model, serial numbers of body and lens, focal length; "" without
     double focal_35mm;   // FocalLengthIn35mmFilm; 0 = not in the file

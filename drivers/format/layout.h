@@ -14,7 +14,7 @@
  * err:  ERR_ARG (path too long). */
 MUST_USE err_t layout_is_bracketed(const char *dir, bool *out);
 
-/* Of the pictures, sorted by name, keep those of the inputs or of the views that are held out. */
+/* Keep the pictures of the inputs, or of the views that are held out; they are sorted by name. */
 void layout_keep_half(bool inputs, struct capture *c);
 
 /* Exposures by a file of cameras (rig, or if that is NULL transforms.json or poses_bounds_exps.npy

@@ -59,7 +59,7 @@ void device_probe_close(struct device_probe *w); // accepts NULL
  * err:  those of camera_ops.request, with the time; ERR_BUSY only after several frames. */
 MUST_USE err_t device_probe_ask(struct device_probe *w, double time_s, int index);
 
-/* What the last request should amount to, and what the device read back, s. */
+/* Exposure that the last request should give, s. */
 double device_probe_expected(const struct device_probe *w);
 
 /* The next frame; pixels are only looked at if `look`.

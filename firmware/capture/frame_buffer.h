@@ -32,7 +32,8 @@ int frame_buffer_used(const struct frame_buffer *r);
 MUST_USE err_t frame_buffer_meter(const struct frame_buffer *r, int from,
                                   const struct take_camera *c, struct raw *px, struct meter *m);
 
-/* What the used frames leave uncovered; pictures that cannot be had count for nothing. */
+/* Shares of the picture that the used frames leave clipped or dark; pictures that cannot be had
+ * count for nothing. */
 void frame_buffer_cover(const struct frame_buffer *r, const struct take_camera *c,
                         const struct meter_config *cfg, struct meter_coverage *out);
 

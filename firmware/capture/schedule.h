@@ -39,7 +39,7 @@ int schedule_frames(const struct session_order *o);
 void schedule_probe(double time_s, double base_s, const struct camera_info *info,
                     struct bracket_plan *out);
 
-/* What the device cannot do of that; NULL: nothing. */
+/* Why the device cannot follow the order as it is; NULL: it can. */
 const char *schedule_limit(const struct session_order *o, const struct camera_info *info,
                            const struct meter_result *r);
 

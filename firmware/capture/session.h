@@ -74,7 +74,7 @@ void session_cancel(struct session *s, const char *reason);
  * own:  take_free. err: ERR_AGAIN */
 MUST_USE err_t session_collect(struct session *s, struct take **out);
 
-/* What a camera sees now. */
+/* The present picture of a camera and its exposure. */
 void session_view(const struct session *s, int camera, struct session_view *out);
 
 #endif

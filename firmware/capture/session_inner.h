@@ -7,7 +7,7 @@
 
 enum phase { PHASE_NONE, PHASE_FOCUS, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
 
-/* What a camera sees of its light, when something went wrong. */
+/* Observation of one camera's light after something went wrong. */
 struct trouble {
     double base_s, time_s; // to go back to; asked for now
     int wait;              // frames until it is in force
@@ -75,7 +75,7 @@ MUST_USE err_t session_trouble_see(struct session *s, int camera, const struct f
 
 enum session_outcome { SESSION_LOOKING, SESSION_STEADY, SESSION_FLICKERS };
 
-/* What came out; once it flickers the machine knows and every camera is armed again. */
+/* End the observation. Once light flickers the machine knows and every camera is armed again. */
 MUST_USE err_t session_trouble_end(struct session *s, enum session_outcome *out);
 
 /* Why camera i failed, and what mends it. */

@@ -329,8 +329,8 @@ static void keep_inputs(const struct rig *rig, struct capture *c)
     c->n = n;
 }
 
-/* What the result says about its photographs. Lenses that were found are those of the pictures,
- * unless these come with cameras. */
+/* Read the cameras and light of the result's photographs. Lenses that were
+ * found are those of the pictures, unless these come with cameras. */
 static err_t read_cameras(struct state *st, const struct request *rq)
 {
     char path[FILE_PATH_CAP];

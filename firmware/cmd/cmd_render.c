@@ -188,7 +188,7 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 
 /* ---- pictures ---- */
 
-/* What is drawn for a frame: its camera, or the pinhole that covers what its lens shows. */
+/* The camera that is drawn for a frame: its own, or the pinhole that covers what its lens shows. */
 static err_t drawn_camera(const struct request *rq, const struct rig_view *v, struct camera *out)
 {
     *out = v->cam;
@@ -198,7 +198,7 @@ static err_t drawn_camera(const struct request *rq, const struct rig_view *v, st
     return distort_camera(&v->lens, v->cam.w, v->cam.h, most, out);
 }
 
-/* What holds any frame and what is drawn for it. */
+/* Room for any frame and for the picture that is drawn for it. */
 static err_t largest_frame(const struct request *rq, const struct rig *rig, int *w, int *h)
 {
     *w = *h = 0;
@@ -214,7 +214,7 @@ static err_t largest_frame(const struct request *rq, const struct rig *rig, int 
     return OK;
 }
 
-/* What was drawn becomes what the lens of the frame shows. */
+/* Resample the drawn picture to the frame's lens. */
 static err_t distort_frame(struct state *st, const struct rig_view *v, const struct camera *drawn)
 {
     struct render *maps = &st->draw.maps;

@@ -64,7 +64,7 @@ static void put_tensor(const struct run *r, const struct list *l, const char *na
                                     .stride = {l->step, 1, l->step}});
 }
 
-/* What pix.* and vox.* share. g: of voxel_adapt, so its planes are l->step apart.
+/* The tensors that pix.* and vox.* share. g: by voxel_adapt, so its planes are l->step apart.
  * scratch: (4, l->step). */
 static void put_gaussians(const struct run *r, const struct list *l, const struct gaussians *g,
                           float *scratch)

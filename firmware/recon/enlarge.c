@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Those of the shots that became views. */
+/* The shots that became views. */
 struct chosen {
     const struct prep_source *from;
     struct capture c;

@@ -369,7 +369,7 @@ static err_t layout(struct bench *b, struct arena *tmp, const struct extent *mos
     return e;
 }
 
-/* What holds any of the test pictures as a view. */
+/* Room for any of the test pictures as a view. */
 static struct extent largest_view(const struct capture *test, struct prep_size size)
 {
     struct extent both[2] = {{0, 0, 0}, {0, 0, 0}};

@@ -56,7 +56,7 @@ int figures_copied(const struct views *v, int i);
  * are at hand. */
 void figures_report(const struct job_result *j, struct report *rep);
 
-/* What exposures and views lack, each with what to do, as warnings of the job. */
+/* Warnings about exposures and views that are missing, each with what to do. */
 void figures_warn(struct job_result *j);
 
 #endif

@@ -337,7 +337,7 @@ static void report_seconds(const struct job_result *j, struct report *rep)
     report_close(rep);
 }
 
-/* What refinement decided and reached, on squares of the input views that it did not learn from. */
+/* Decisions and error of refinement, on squares of the input views that it did not learn from. */
 static void report_making(const struct job_result *j, struct report *rep)
 {
     bool held_out = j->refine.steps > 0;

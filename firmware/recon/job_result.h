@@ -50,7 +50,7 @@ struct job_lens {
     bool resampled; // the views were sampled again through it
 };
 
-/* What a physical camera does to light. */
+/* Vignetting, gain and balance of a physical camera. */
 struct job_light {
     char camera_id[NAME_CAP];
     int photographs;

@@ -53,7 +53,7 @@ struct run network_timed(const struct run *r, struct network_clock *clock);
 /* The time since the last step goes to its stage. */
 void network_clock_stop(struct network_clock *clock);
 
-/* What has passed since then does not count. */
+/* Leave out that many seconds of wall time and of processor time. */
 void network_clock_skip(struct network_clock *clock, double seconds, double busy);
 
 /* Seconds of the stages whose name is in the list `names`, NULL at its end; processor time. */

@@ -30,7 +30,7 @@ static enum recipe_source choose_cameras(bool known, bool bundle)
     return known ? RECIPE_GIVEN : bundle ? RECIPE_BUNDLE : RECIPE_NETWORK;
 }
 
-/* Of one view of each place. */
+/* Pixels of one view of each place. */
 static long long count_pixels(const struct capture *c, struct prep_size size)
 {
     long long sum = 0;

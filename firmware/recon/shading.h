@@ -30,14 +30,13 @@ MUST_USE err_t shading_run(const struct run *r, const struct shading_input *in,
 /* Bytes of r->tmp. */
 size_t shading_plan(int n_views);
 
-/* What a physical camera does to light; false: nothing was found. */
+/* Vignetting, gain and balance of a physical camera; false: none was found. */
 bool shading_model(const struct job_result *j, const char *camera_id, struct shade_model *out);
 
-/* Whether it does anything, of any camera. */
+/* Whether any was found, of any camera. */
 bool shading_found(const struct job_result *j);
 
-/* What the camera of a photograph does to a view of it with this pinhole; false: nothing was
- * found. */
+/* The same over the pixels of a view of the photograph with this pinhole; false: none was found. */
 bool shading_of(const struct job_result *j, const struct shot *s, const struct camera *view,
                 struct shade *out);
 

@@ -170,7 +170,7 @@ static err_t add_view(const struct run *r, const struct imageset *test, int i, i
 
 /* ---- cameras ---- */
 
-/* Of views that are smaller than those of the scene. */
+/* Size of the views over that of the scene's views. */
 static float view_scale(const struct scene *s, const struct views *v)
 {
     return (float)v->size / (float)s->size;
@@ -231,7 +231,7 @@ static err_t place_test_views(const struct run *r, const struct scene *s,
     return e;
 }
 
-/* What the cameras of the test views do to light, if that is known of any. */
+/* Vignetting, gain and balance of the test views, if they are known of any camera. */
 static err_t shade_tests(const struct run *r, const struct job_result *j,
                          const struct capture *test, struct views *v)
 {

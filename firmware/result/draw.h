@@ -15,7 +15,7 @@ struct draw {
     float mid_log2t;
 };
 
-/* What holds the picture of any view: w and h of the widest and the highest. */
+/* Room for the picture of any view: w and h of the widest and the highest. */
 struct extent draw_cover(const struct scene *s);
 
 /* Bytes that draw_init takes for pictures up to w x h px of gaussians made for `cap` splats. */

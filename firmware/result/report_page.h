@@ -25,7 +25,7 @@ uint64_t report_page_bytes(int n_pictures);
  * err:  ERR_ARG (path too long), ERR_IO, ERR_LIMIT (no space). On error *s is zeroed. */
 MUST_USE err_t report_page_open(const char *path, struct report_page *s);
 
-/* What the scene shows in the place of a photograph, with the same shape. */
+/* The drawing of the scene from a photograph's camera, with the same shape. */
 struct report_page_drawing {
     const struct image *display; // (3, h, w) 0..1
     const float *confidence;     // (h, w) 0..1

@@ -101,7 +101,7 @@ static bool send_bytes(int pipe, const uint8_t *p, size_t n)
     return n == 0;
 }
 
-/* What the child wrote to a memory file. */
+/* Read the text that the child wrote to a memory file. */
 static void read_text(int fd, size_t cap, char *text)
 {
     ssize_t n = pread(fd, text, cap - 1, 0);

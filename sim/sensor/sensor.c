@@ -54,7 +54,7 @@ static inline double exp_minus(double x)
     return p * scale;
 }
 
-/* Of a mean below 30, P(X > 96) < 1e-20. */
+/* For a mean below 30, P(X > 96) < 1e-20. */
 enum { POISSON_MAX = 96 };
 static const double inverse[POISSON_MAX] = {
     1.0 / 1,  1.0 / 2,  1.0 / 3,  1.0 / 4,  1.0 / 5,  1.0 / 6,  1.0 / 7,  1.0 / 8,  1.0 / 9,

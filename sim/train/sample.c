@@ -168,7 +168,7 @@ static double metered_key(struct sample *s)
     return KEY_LEVEL * full_scale(&sensor_default) / ((double)sensor_default.electrons * light);
 }
 
-/* Of the largest view. */
+/* Bytes of the largest view. */
 static size_t view_bytes(const struct sample_scene *a)
 {
     struct extent all[SAMPLE_VIEWS];
