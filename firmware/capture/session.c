@@ -18,52 +18,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define SECOND INT64_C(1000000000)
-
-enum { RETRY_S = 1, SETTLE = 12 }; // s; frames until a request is surely in force
-
-#define LOOK_NS (SECOND / 4) // between looks at a camera that only waits: a fresh reference
-#define BASE_S 0.01          // exposure while armed, to begin with
-
-int64_t session_now(const struct session *s)
-{
-    int64_t now = INT64_MAX;
-    for (int i = 0; i < s->n; i++) {
-        int64_t t = s->cam[i].open ? backends_now(s->cam[i].ops, s->cam[i].st) : INT64_MAX;
-        now = t < now ? t : now;
-    }
-    return now < INT64_MAX ? now : clocks_now();
-}
+#define LOOK_NS INT64_C(250000000) // between looks at a camera that only waits: a fresh reference
 
 /* ---- opening ---- */
-
-static err_t name_camera(const struct cam *c, err_t e)
-{
-    return err_fail(e, "%s: %s", c->about.uri, err_text());
-}
-
-static err_t open_camera(struct session *s, int i)
-{
-    struct cam *c = &s->cam[i];
-    struct camera_cfg cfg = {c->about.uri, s->cfg.w, s->cfg.h, s->cfg.format, 0};
-    struct camera_info info;
-    err_t e = c->ops->open(c->st, &cfg);
-    if (e)
-        return name_camera(c, e);
-    c->ops->info(c->st, &info);
-    c->open = true;
-    c->view = (struct session_view){.present = true};
-    c->about.info = info;
-    return OK;
-}
-
-static void close_camera(struct cam *c)
-{
-    if (c->open)
-        c->ops->close(c->st);
-    c->open = false;
-    c->view.present = false;
-}
 
 static err_t prepare_camera(struct session *s, int i)
 {
@@ -78,7 +35,7 @@ static err_t prepare_camera(struct session *s, int i)
     c->st = calloc(1, c->ops->state_bytes);
     if (!c->st)
         return err_fail(ERR_NOMEM, "%s: no memory for the camera", c->about.uri);
-    e = open_camera(s, i);
+    e = session_open_camera(s, i);
     if (!e && s->cfg.calibration && c->about.info.unit[0])
         e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
     c->about.has_crf = c->calibrated && c->calib.has_crf;
@@ -105,8 +62,6 @@ static err_t make_machine(struct session *s)
     return bracket_new(about, s->n, &s->machine);
 }
 
-static err_t arm_all(struct session *s);
-
 err_t session_open(const struct session_config *cfg, struct session **out)
 {
     *out = NULL;
@@ -123,7 +78,7 @@ err_t session_open(const struct session_config *cfg, struct session **out)
     if (!e)
         e = make_machine(s);
     if (!e)
-        e = arm_all(s);
+        e = session_arm_all(s);
     if (e) {
         session_close(s);
         return e;
@@ -138,92 +93,12 @@ void session_close(struct session *s)
         return;
     for (int i = 0; i < s->n; i++) {
         frame_buffer_cut(&s->cam[i].roll, 0);
-        close_camera(&s->cam[i]);
+        session_close_camera(&s->cam[i]);
         free(s->cam[i].st);
     }
     bracket_free(s->machine);
     free(s->sample.px);
     free(s);
-}
-
-/* ---- actions of the machine ---- */
-
-static err_t keep_frame(struct session *s, const struct bracket_action *a, const struct frame *f)
-{
-    struct cam *c = &s->cam[a->camera];
-    struct take_frame t = {.camera = a->camera,
-                           .index = a->index,
-                           .evidence = *bracket_evidence(s->machine, a->camera, a->index)};
-    size_t held = f->bytes;
-    for (int i = 0; i < s->n; i++)
-        held += frame_buffer_bytes(&s->cam[i].roll);
-    if (s->cfg.memory && held > s->cfg.memory)
-        return err_fail(ERR_LIMIT, "%s: the frames need %zu MB, max_memory_mb allows %zu",
-                        c->about.uri, held / 1000000, s->cfg.memory / 1000000);
-    if (s->phase == PHASE_PROBE && a->index + 1 < s->plan[a->camera].n)
-        return OK; // a link
-    t.start = clocks_at(t.evidence.start_ns);
-    return frame_buffer_add(&c->roll, &t, f, s->phase != PHASE_PROBE);
-}
-
-/* Drops the frames of this plan; if the light changed, earlier frames and probes as well. */
-static void forget_frames(struct session *s, const struct bracket_action *a)
-{
-    struct cam *c = &s->cam[a->camera];
-    bool relit = a->index == 1;
-    s->relit = s->relit || (relit && c->n_before > 0);
-    frame_buffer_cut(&c->roll, relit ? 0 : c->n_before);
-}
-
-static err_t request_exposure(struct session *s, const struct bracket_action *a, int64_t now)
-{
-    struct cam *c = &s->cam[a->camera];
-    struct bracket_event answer = {
-        .kind = BRACKET_ANSWER, .now_ns = now, .camera = a->camera, .err = ERR_LOST};
-    if (c->open)
-        answer.err = c->ops->request(c->st, &a->exposure, &answer.set);
-    if (!answer.err)
-        c->set = answer.set;
-    return bracket_event(s->machine, &answer);
-}
-
-static void lose_camera(struct session *s, int i)
-{
-    struct cam *c = &s->cam[i];
-    log_warn("%s: %s", c->about.uri, err_text());
-    close_camera(c);
-    c->retry_ns = clocks_now() + RETRY_S * SECOND; // it may have no clock any more
-    s->lost = true;
-}
-
-static err_t restart_camera(struct session *s, int i, int64_t now)
-{
-    struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
-    log_warn("%s: no frames come, it is started again", s->cam[i].about.uri);
-    close_camera(&s->cam[i]);
-    if (open_camera(s, i) != OK) {
-        lose_camera(s, i);
-        ev.kind = BRACKET_LOST;
-    }
-    return bracket_event(s->machine, &ev);
-}
-
-/* Passes an event to the machine and carries out its actions. f: the frame of the event. */
-static err_t handle_event(struct session *s, const struct bracket_event *ev, const struct frame *f)
-{
-    struct bracket_action a;
-    err_t e = bracket_event(s->machine, ev);
-    while (!e && bracket_action(s->machine, &a)) {
-        if (a.kind == BRACKET_REQUEST)
-            e = request_exposure(s, &a, ev->now_ns);
-        else if (a.kind == BRACKET_KEEP && f) // nothing else is kept
-            e = keep_frame(s, &a, f);
-        else if (a.kind == BRACKET_FORGET)
-            forget_frames(s, &a);
-        else if (a.kind == BRACKET_RESTART)
-            e = restart_camera(s, a.camera, ev->now_ns);
-    }
-    return e;
 }
 
 /* ---- frames ---- */
@@ -259,7 +134,7 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     }
     if (bad)
         ev.kind = BRACKET_UNUSABLE;
-    err_t e = handle_event(s, &ev, f);
+    err_t e = session_event(s, &ev, f);
     if (!e && trouble && ev.probe)
         e = session_trouble_see(s, i, f, ev.probe);
     c->ops->release(c->st, f);
@@ -283,9 +158,9 @@ static err_t drain_camera(struct session *s, int i)
             continue;
         }
         if (got == ERR_LOST)
-            lose_camera(s, i);
+            session_lose_camera(s, i);
         ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
-        e = handle_event(s, &ev, NULL);
+        e = session_event(s, &ev, NULL);
     }
     return e;
 }
@@ -295,43 +170,6 @@ static err_t drain_camera(struct session *s, int i)
 static bool same_device(const struct camera_info *a, const struct camera_info *b)
 {
     return strcmp(a->unit, b->unit) == 0 && a->w == b->w && a->h == b->h && a->format == b->format;
-}
-
-/* A camera that refuses the request is treated as lost. */
-err_t session_arm(struct session *s, int i, double base_s)
-{
-    struct cam *c = &s->cam[i];
-    const struct camera_info *info = &c->about.info;
-    struct bracket_event ev = {.kind = BRACKET_ARM, .camera = i};
-    struct exposure requested = {fmin(fmax(base_s, info->time_min_s), info->time_max_s), 1};
-    if (base_s > 0) {
-        err_t e = c->ops->request(c->st, &requested, &c->set);
-        if (!e && fabs(log2(c->set.time_s / requested.time_s)) > 0.1) // reads back what was before?
-            e = c->ops->request(c->st, &requested, &c->set);
-        if (e) {
-            e = name_camera(c, e);
-            lose_camera(s, i);
-            return e;
-        }
-    }
-    ev.now_ns = backends_now(c->ops, c->st);
-    ev.set = c->set;
-    c->looked = false;
-    c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
-    return handle_event(s, &ev, NULL);
-}
-
-/* Arms all open cameras, also after an error. Returns the first error. */
-static err_t arm_all(struct session *s)
-{
-    err_t first = OK;
-    for (int i = 0; i < s->n; i++) {
-        if (!s->cam[i].open)
-            continue;
-        err_t e = session_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
-        first = first ? first : e;
-    }
-    return first;
 }
 
 static double better_base(const struct cam *c)
@@ -363,13 +201,13 @@ static err_t find_lost(struct session *s)
         struct cam *c = &s->cam[i];
         struct camera_info before = c->about.info;
         if (!c->open && now >= c->retry_ns) {
-            c->retry_ns = now + RETRY_S * SECOND;
+            c->retry_ns = now + SESSION_RETRY_NS;
             c->set.time_s = 0;
-            if (open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
+            if (session_open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
                 log_warn("%s: came back as %s %dx%d, but was %s %dx%d; it stays unused",
                          c->about.uri, c->about.info.unit, c->about.info.w, c->about.info.h,
                          before.unit, before.w, before.h);
-                close_camera(c);
+                session_close_camera(c);
                 c->about.info = before;
             } else if (c->open)
                 log_info("%s: available again", c->about.uri);
@@ -378,7 +216,7 @@ static err_t find_lost(struct session *s)
     }
     bool found = s->lost && !lost;
     s->lost = lost;
-    err_t e = found ? arm_all(s) : OK;
+    err_t e = found ? session_arm_all(s) : OK;
     return e == ERR_NOMEM ? e : OK;
 }
 
@@ -392,7 +230,7 @@ static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
         schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
     for (int i = 0; i < s->n; i++)
         s->cam[i].n_before = s->cam[i].roll.n;
-    return handle_event(s, &ev, NULL);
+    return session_event(s, &ev, NULL);
 }
 
 static int count_planned(const struct session *s)
@@ -437,7 +275,7 @@ static err_t begin_meters(struct session *s)
         m.exposures_max = BRACKET_EXPOSURES_MAX;
         err_t e = meter_begin(&m, &c->meter);
         if (e)
-            return name_camera(c, e);
+            return session_name_camera(c, e);
     }
     return OK;
 }
@@ -447,7 +285,7 @@ static err_t plan_shots(struct session *s)
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
         if (schedule_is_metered(&s->order) && meter_choose(&c->meter, &c->plan) != OK)
-            return name_camera(c, ERR_ARG);
+            return session_name_camera(c, ERR_ARG);
         schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
     }
     s->turn += s->order.stagger;
@@ -646,7 +484,7 @@ void session_cancel(struct session *s, const char *reason)
         return;
     s->cancelled = true;
     snprintf(s->reason, sizeof s->reason, "%s", reason);
-    if (handle_event(s, &ev, NULL) != OK || follow_machine(s, ev.now_ns) != OK)
+    if (session_event(s, &ev, NULL) != OK || follow_machine(s, ev.now_ns) != OK)
         fail_take(s, reason);
 }
 
@@ -704,7 +542,7 @@ err_t session_collect(struct session *s, struct take **out)
     describe_take(s, t);
     s->ready = false;
     *out = t;
-    err_t e = arm_all(s);
+    err_t e = session_arm_all(s);
     return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
 }
 
@@ -783,7 +621,7 @@ err_t session_step(struct session *s)
     for (int i = 0; !e && i < s->n; i++)
         e = drain_camera(s, i);
     if (!e && now >= bracket_deadline(s->machine))
-        e = handle_event(s, &tick, NULL);
+        e = session_event(s, &tick, NULL);
     now = session_now(s);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());

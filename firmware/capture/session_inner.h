@@ -1,9 +1,12 @@
-/* session_inner.h - what session.c and session_trouble.c share: no part of the interface. */
+/* session_inner.h - what the files of session.c share: no part of the interface. A camera
+ * fails by a sentence that names it. */
 #ifndef CAPTURE_SESSION_INNER_H
 #define CAPTURE_SESSION_INNER_H
 
 #include "firmware/capture/frame_buffer.h"
 #include "firmware/capture/session.h"
+
+#define SESSION_RETRY_NS INT64_C(1000000000) // between searches for a lost camera
 
 enum phase { PHASE_NONE, PHASE_FOCUS, PHASE_PROBE, PHASE_SHOOT, PHASE_EXTEND, PHASE_TROUBLE };
 
@@ -53,16 +56,41 @@ struct session {
     char reason[TAKE_TEXT], note[TAKE_TEXT];
 };
 
-/* Ask for the exposure of waiting (0: it is as it is) and tell the machine.
- * err:  as camera_ops.request; the camera is lost then. */
-MUST_USE err_t session_arm(struct session *s, int camera, double base_s);
+/* ---- session_machine.c ---- */
 
 /* The earliest present of all cameras, ns: no camera is late by it. */
 int64_t session_now(const struct session *s);
 
+/* Put the camera's URI before the sentence of e. returns: e */
+MUST_USE err_t session_name_camera(const struct cam *c, err_t e);
+
+/* err:  as camera_ops.open */
+MUST_USE err_t session_open_camera(struct session *s, int camera);
+void session_close_camera(struct cam *c);
+
+/* Close a camera that failed by the last error; it is looked for again after a while. */
+void session_lose_camera(struct session *s, int camera);
+
+/* Pass an event to the machine and carry out its actions. f: the frame of the event, or NULL.
+ * err:  as bracket_event; ERR_LIMIT, ERR_NOMEM (frames) */
+MUST_USE err_t session_event(struct session *s, const struct bracket_event *ev,
+                             const struct frame *f);
+
+/* Ask for the exposure of waiting (0: it is as it is) and tell the machine.
+ * err:  as camera_ops.request; the camera is lost then. */
+MUST_USE err_t session_arm(struct session *s, int camera, double base_s);
+
+/* Arm all open cameras, also after an error.
+ * err:  the first of session_arm */
+MUST_USE err_t session_arm_all(struct session *s);
+
+/* ---- session_focus.c ---- */
+
 /* Every camera's camera_ops.focus; they are armed again at the end of PHASE_FOCUS.
  * err:  as that, ERR_LOST, as session_arm */
 MUST_USE err_t session_focus(struct session *s, bool again);
+
+/* ---- session_trouble.c ---- */
 
 /* Whether it is worth a look at the light why a bracket failed.
  * err:  as session_arm */

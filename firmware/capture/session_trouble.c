@@ -1,8 +1,7 @@
 /* Why a bracket failed. A lamp that flickers looks like an exposure that is not obeyed, a scene
  * that changes, or torn frames: comparing long frames, which average over it, with short ones
- * tells which it is. If it is the
- * lamp, the bracket is taken again, with exposures that hold whole periods of it where that is
- * possible, and what it does to the others allowed for. */
+ * tells which it is. If it is the lamp, the bracket is taken again, with exposures that hold whole
+ * periods of it where that is possible, and with a tolerance for the others. */
 #include "firmware/capture/schedule.h"
 #include "firmware/capture/session_inner.h"
 
