@@ -35,7 +35,7 @@ static err_t prepare_camera(struct session *s, int i)
     c->st = calloc(1, c->ops->state_bytes);
     if (!c->st)
         return err_fail(ERR_NOMEM, "%s: no memory for the camera", c->about.uri);
-    e = session_open_camera(s, i);
+    e = session_machine_open(s, i);
     if (!e && s->cfg.calibration && c->about.info.unit[0])
         e = calib_load(s->cfg.calibration, &c->about.info, &c->calib, &c->calibrated);
     c->about.has_crf = c->calibrated && c->calib.has_crf;
@@ -78,7 +78,7 @@ err_t session_open(const struct session_config *cfg, struct session **out)
     if (!e)
         e = make_machine(s);
     if (!e)
-        e = session_arm_all(s);
+        e = session_machine_arm_all(s);
     if (e) {
         session_close(s);
         return e;
@@ -93,7 +93,7 @@ void session_close(struct session *s)
         return;
     for (int i = 0; i < s->n; i++) {
         frame_buffer_cut(&s->cam[i].roll, 0);
-        session_close_camera(&s->cam[i]);
+        session_machine_close(&s->cam[i]);
         free(s->cam[i].st);
     }
     bracket_free(s->machine);
@@ -134,7 +134,7 @@ static err_t take_frame(struct session *s, int i, struct frame *f, int64_t now)
     }
     if (bad)
         ev.kind = BRACKET_UNUSABLE;
-    err_t e = session_event(s, &ev, f);
+    err_t e = session_machine_event(s, &ev, f);
     if (!e && trouble && ev.probe)
         e = session_trouble_see(s, i, f, ev.probe);
     c->ops->release(c->st, f);
@@ -158,9 +158,9 @@ static err_t drain_camera(struct session *s, int i)
             continue;
         }
         if (got == ERR_LOST)
-            session_lose_camera(s, i);
+            session_machine_lose(s, i);
         ev.kind = got == ERR_LOST ? BRACKET_LOST : BRACKET_UNUSABLE;
-        e = session_event(s, &ev, NULL);
+        e = session_machine_event(s, &ev, NULL);
     }
     return e;
 }
@@ -182,7 +182,7 @@ static err_t adapt_base(struct session *s, int i)
     const struct cam *c = &s->cam[i];
     bool waits = c->open && c->looked && s->phase == PHASE_NONE && !s->ready;
     double t = waits ? better_base(c) : 0;
-    return t > 0 ? session_arm(s, i, t) : OK;
+    return t > 0 ? session_machine_arm(s, i, t) : OK;
 }
 
 bool session_settled(const struct session *s)
@@ -203,11 +203,11 @@ static err_t find_lost(struct session *s)
         if (!c->open && now >= c->retry_ns) {
             c->retry_ns = now + SESSION_RETRY_NS;
             c->set.time_s = 0;
-            if (session_open_camera(s, i) == OK && !same_device(&before, &c->about.info)) {
+            if (session_machine_open(s, i) == OK && !same_device(&before, &c->about.info)) {
                 log_warn("%s: came back as %s %dx%d, but was %s %dx%d; it stays unused",
                          c->about.uri, c->about.info.unit, c->about.info.w, c->about.info.h,
                          before.unit, before.w, before.h);
-                session_close_camera(c);
+                session_machine_close(c);
                 c->about.info = before;
             } else if (c->open)
                 log_info("%s: available again", c->about.uri);
@@ -216,7 +216,7 @@ static err_t find_lost(struct session *s)
     }
     bool found = s->lost && !lost;
     s->lost = lost;
-    err_t e = found ? session_arm_all(s) : OK;
+    err_t e = found ? session_machine_arm_all(s) : OK;
     return e == ERR_NOMEM ? e : OK;
 }
 
@@ -230,7 +230,7 @@ static err_t begin_plan(struct session *s, enum phase phase, int64_t now)
         schedule_steady(&s->order, &s->cam[i].about, &s->plan[i]);
     for (int i = 0; i < s->n; i++)
         s->cam[i].n_before = s->cam[i].roll.n;
-    return session_event(s, &ev, NULL);
+    return session_machine_event(s, &ev, NULL);
 }
 
 static int count_planned(const struct session *s)
@@ -275,7 +275,7 @@ static err_t begin_meters(struct session *s)
         m.exposures_max = BRACKET_EXPOSURES_MAX;
         err_t e = meter_begin(&m, &c->meter);
         if (e)
-            return session_name_camera(c, e);
+            return session_machine_name(c, e);
     }
     return OK;
 }
@@ -285,7 +285,7 @@ static err_t plan_shots(struct session *s)
     for (int i = 0; i < s->n; i++) {
         struct cam *c = &s->cam[i];
         if (schedule_is_metered(&s->order) && meter_choose(&c->meter, &c->plan) != OK)
-            return session_name_camera(c, ERR_ARG);
+            return session_machine_name(c, ERR_ARG);
         schedule_shots(&s->order, i + s->turn, &c->about.info, &c->plan, &c->roll, &s->plan[i]);
     }
     s->turn += s->order.stagger;
@@ -456,7 +456,7 @@ static err_t check_order(const struct session *s, const struct session_order *o)
 
 err_t session_begin(struct session *s, const struct session_order *o)
 {
-    int64_t now = session_now(s);
+    int64_t now = session_machine_now(s);
     err_t e = check_order(s, o);
     if (e)
         return e;
@@ -479,12 +479,12 @@ err_t session_begin(struct session *s, const struct session_order *o)
 
 void session_cancel(struct session *s, const char *reason)
 {
-    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = session_now(s)};
+    struct bracket_event ev = {.kind = BRACKET_CANCEL, .now_ns = session_machine_now(s)};
     if (s->phase == PHASE_NONE)
         return;
     s->cancelled = true;
     snprintf(s->reason, sizeof s->reason, "%s", reason);
-    if (session_event(s, &ev, NULL) != OK || follow_machine(s, ev.now_ns) != OK)
+    if (session_machine_event(s, &ev, NULL) != OK || follow_machine(s, ev.now_ns) != OK)
         fail_take(s, reason);
 }
 
@@ -542,7 +542,7 @@ err_t session_collect(struct session *s, struct take **out)
     describe_take(s, t);
     s->ready = false;
     *out = t;
-    err_t e = session_arm_all(s);
+    err_t e = session_machine_arm_all(s);
     return e == ERR_NOMEM ? e : OK; // a camera that does not follow is looked for again
 }
 
@@ -615,14 +615,14 @@ int session_poll(const struct session *s, struct pollfd *fds, int cap, int64_t *
 err_t session_step(struct session *s)
 {
     // a frame is late only if it had not arrived by now: measuring the others takes time
-    int64_t now = session_now(s);
+    int64_t now = session_machine_now(s);
     struct bracket_event tick = {.kind = BRACKET_TICK, .now_ns = now};
     err_t e = OK;
     for (int i = 0; !e && i < s->n; i++)
         e = drain_camera(s, i);
     if (!e && now >= bracket_deadline(s->machine))
-        e = session_event(s, &tick, NULL);
-    now = session_now(s);
+        e = session_machine_event(s, &tick, NULL);
+    now = session_machine_now(s);
     if (e && e != ERR_NOMEM && s->phase != PHASE_NONE) {
         session_cancel(s, err_text());
         e = OK;

@@ -20,9 +20,9 @@ err_t session_focus(struct session *s, bool again)
             return e; // the sentence names the camera
         searching = searching || e == ERR_AGAIN;
     }
-    s->until_ns = session_now(s) + LOOK_NS;
+    s->until_ns = session_machine_now(s) + LOOK_NS;
     err_t e = searching ? ERR_AGAIN : OK;
     for (int i = 0; i < s->n && !e && s->phase == PHASE_FOCUS; i++)
-        e = session_arm(s, i, 0);
+        e = session_machine_arm(s, i, 0);
     return e;
 }

@@ -59,41 +59,41 @@ struct session {
 /* ---- session_machine.c ---- */
 
 /* The earliest present of all cameras, ns: no camera is late by it. */
-int64_t session_now(const struct session *s);
+int64_t session_machine_now(const struct session *s);
 
 /* Put the camera's URI before the sentence of e. returns: e */
-MUST_USE err_t session_name_camera(const struct cam *c, err_t e);
+MUST_USE err_t session_machine_name(const struct cam *c, err_t e);
 
 /* err:  as camera_ops.open */
-MUST_USE err_t session_open_camera(struct session *s, int camera);
-void session_close_camera(struct cam *c);
+MUST_USE err_t session_machine_open(struct session *s, int camera);
+void session_machine_close(struct cam *c);
 
 /* Close a camera that failed by the last error; it is looked for again after a while. */
-void session_lose_camera(struct session *s, int camera);
+void session_machine_lose(struct session *s, int camera);
 
 /* Pass an event to the machine and carry out its actions. f: the frame of the event, or NULL.
  * err:  as bracket_event; ERR_LIMIT, ERR_NOMEM (frames) */
-MUST_USE err_t session_event(struct session *s, const struct bracket_event *ev,
-                             const struct frame *f);
+MUST_USE err_t session_machine_event(struct session *s, const struct bracket_event *ev,
+                                     const struct frame *f);
 
 /* Ask for the exposure of waiting (0: it is as it is) and tell the machine.
  * err:  as camera_ops.request; the camera is lost then. */
-MUST_USE err_t session_arm(struct session *s, int camera, double base_s);
+MUST_USE err_t session_machine_arm(struct session *s, int camera, double base_s);
 
 /* Arm all open cameras, also after an error.
- * err:  the first of session_arm */
-MUST_USE err_t session_arm_all(struct session *s);
+ * err:  the first of session_machine_arm */
+MUST_USE err_t session_machine_arm_all(struct session *s);
 
 /* ---- session_focus.c ---- */
 
 /* Every camera's camera_ops.focus; they are armed again at the end of PHASE_FOCUS.
- * err:  as that, ERR_LOST, as session_arm */
+ * err:  as that, ERR_LOST, as session_machine_arm */
 MUST_USE err_t session_focus(struct session *s, bool again);
 
 /* ---- session_trouble.c ---- */
 
 /* Whether it is worth a look at the light why a bracket failed.
- * err:  as session_arm */
+ * err:  as session_machine_arm */
 bool session_trouble_is_light(const struct session *s, enum bracket_reason r);
 MUST_USE err_t session_trouble_begin(struct session *s);
 

@@ -13,7 +13,7 @@ enum { SETTLE = 12 }; // frames until a request is surely in force
 
 #define BASE_S 0.01 // exposure while armed, to begin with
 
-int64_t session_now(const struct session *s)
+int64_t session_machine_now(const struct session *s)
 {
     int64_t now = INT64_MAX;
     for (int i = 0; i < s->n; i++) {
@@ -25,19 +25,19 @@ int64_t session_now(const struct session *s)
 
 /* ---- cameras ---- */
 
-err_t session_name_camera(const struct cam *c, err_t e)
+err_t session_machine_name(const struct cam *c, err_t e)
 {
     return err_fail(e, "%s: %s", c->about.uri, err_text());
 }
 
-err_t session_open_camera(struct session *s, int i)
+err_t session_machine_open(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     struct camera_cfg cfg = {c->about.uri, s->cfg.w, s->cfg.h, s->cfg.format, 0};
     struct camera_info info;
     err_t e = c->ops->open(c->st, &cfg);
     if (e)
-        return session_name_camera(c, e);
+        return session_machine_name(c, e);
     c->ops->info(c->st, &info);
     c->open = true;
     c->view = (struct session_view){.present = true};
@@ -45,7 +45,7 @@ err_t session_open_camera(struct session *s, int i)
     return OK;
 }
 
-void session_close_camera(struct cam *c)
+void session_machine_close(struct cam *c)
 {
     if (c->open)
         c->ops->close(c->st);
@@ -94,11 +94,11 @@ static err_t request_exposure(struct session *s, const struct bracket_action *a,
     return bracket_event(s->machine, &answer);
 }
 
-void session_lose_camera(struct session *s, int i)
+void session_machine_lose(struct session *s, int i)
 {
     struct cam *c = &s->cam[i];
     log_warn("%s: %s", c->about.uri, err_text());
-    session_close_camera(c);
+    session_machine_close(c);
     c->retry_ns = clocks_now() + SESSION_RETRY_NS; // it may have no clock any more
     s->lost = true;
 }
@@ -107,16 +107,17 @@ static err_t restart_camera(struct session *s, int i, int64_t now)
 {
     struct bracket_event ev = {.kind = BRACKET_OPENED, .now_ns = now, .camera = i};
     log_warn("%s: no frames come, it is started again", s->cam[i].about.uri);
-    session_close_camera(&s->cam[i]);
-    if (session_open_camera(s, i) != OK) {
-        session_lose_camera(s, i);
+    session_machine_close(&s->cam[i]);
+    if (session_machine_open(s, i) != OK) {
+        session_machine_lose(s, i);
         ev.kind = BRACKET_LOST;
     }
     return bracket_event(s->machine, &ev);
 }
 
 /* Passes an event to the machine and carries out its actions. f: the frame of the event. */
-err_t session_event(struct session *s, const struct bracket_event *ev, const struct frame *f)
+err_t session_machine_event(struct session *s, const struct bracket_event *ev,
+                            const struct frame *f)
 {
     struct bracket_action a;
     err_t e = bracket_event(s->machine, ev);
@@ -136,7 +137,7 @@ err_t session_event(struct session *s, const struct bracket_event *ev, const str
 /* ---- waiting ---- */
 
 /* A camera that refuses the request is treated as lost. */
-err_t session_arm(struct session *s, int i, double base_s)
+err_t session_machine_arm(struct session *s, int i, double base_s)
 {
     struct cam *c = &s->cam[i];
     const struct camera_info *info = &c->about.info;
@@ -147,8 +148,8 @@ err_t session_arm(struct session *s, int i, double base_s)
         if (!e && fabs(log2(c->set.time_s / requested.time_s)) > 0.1) // reads back what was before?
             e = c->ops->request(c->st, &requested, &c->set);
         if (e) {
-            e = session_name_camera(c, e);
-            session_lose_camera(s, i);
+            e = session_machine_name(c, e);
+            session_machine_lose(s, i);
             return e;
         }
     }
@@ -156,17 +157,17 @@ err_t session_arm(struct session *s, int i, double base_s)
     ev.set = c->set;
     c->looked = false;
     c->look_ns = ev.now_ns + (int64_t)(SETTLE * fmax(info->period_s, c->set.time_s) * 1e9);
-    return session_event(s, &ev, NULL);
+    return session_machine_event(s, &ev, NULL);
 }
 
 /* Arms all open cameras, also after an error. Returns the first error. */
-err_t session_arm_all(struct session *s)
+err_t session_machine_arm_all(struct session *s)
 {
     err_t first = OK;
     for (int i = 0; i < s->n; i++) {
         if (!s->cam[i].open)
             continue;
-        err_t e = session_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
+        err_t e = session_machine_arm(s, i, s->cam[i].set.time_s > 0 ? 0 : BASE_S);
         first = first ? first : e;
     }
     return first;

@@ -30,7 +30,7 @@ static err_t arm_probe(struct session *s, int i, double time_s)
     struct trouble *t = &s->cam[i].trouble;
     t->time_s = time_s;
     t->wait = SETTLE;
-    return session_arm(s, i, time_s);
+    return session_machine_arm(s, i, time_s);
 }
 
 err_t session_trouble_begin(struct session *s)
@@ -46,7 +46,8 @@ err_t session_trouble_begin(struct session *s)
         e = arm_probe(s, i, LONG_S);
     }
     double frames = 2.0 * ((1 + FLICKER_FRAMES / EACH) * (SETTLE + EACH) + LONG_FRAMES);
-    s->until_ns = session_now(s) + (int64_t)((frames * longest + PATIENCE_S) * (double)SECOND);
+    s->until_ns =
+        session_machine_now(s) + (int64_t)((frames * longest + PATIENCE_S) * (double)SECOND);
     return e;
 }
 
@@ -77,7 +78,7 @@ err_t session_trouble_see(struct session *s, int i, const struct frame *f,
 
 err_t session_trouble_end(struct session *s, enum session_outcome *out)
 {
-    bool over = session_now(s) >= s->until_ns, all = true, any = false;
+    bool over = session_machine_now(s) >= s->until_ns, all = true, any = false;
     err_t e = OK;
     for (int i = 0; i < s->n; i++) {
         all = all && s->cam[i].trouble.over;
@@ -87,7 +88,7 @@ err_t session_trouble_end(struct session *s, enum session_outcome *out)
     for (int i = 0; i < s->n && any && *out == SESSION_FLICKERS && !e; i++) {
         struct cam *c = &s->cam[i];
         bracket_light(s->machine, i, &c->about.light);
-        e = session_arm(s, i, flicker_steady_s(&c->about.light, c->trouble.base_s));
+        e = session_machine_arm(s, i, flicker_steady_s(&c->about.light, c->trouble.base_s));
     }
     return e;
 }
