@@ -237,6 +237,7 @@ struct run {
     progress_fn *progress;    // NULL = none
     void *progress_ctx;
     const struct tap *tap; // NULL = none: tensors that are only inspected are not computed
+    double (*clock)(void); // s, only rises; NULL = none: nothing depends on time
 };
 
 /* Check whether the job was cancelled; `stage` begins the sentence.

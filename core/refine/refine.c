@@ -1,4 +1,4 @@
-/* One step: draw a view, render it (smaller in the first steps, level_at), loss, backward; the
+/* One step: draw a view, render it (smaller in the first steps, pace_level), loss, backward; the
  * gradient of each block of splats goes straight into Adam while it is in the cache. Exposures of
  * a view share the rendering: its loss is their mean, and black or saturated pixels have hardly any
  * slope on the curve.
@@ -22,6 +22,7 @@
 #include "core/photo/shade.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
+#include "core/refine/pace.h"
 #include "core/refine/pyramid.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
@@ -96,6 +97,8 @@ struct refine {
     int measured;   // step of the last comparison with the best scene
     struct best best;
     int stalled; // rounds without progress
+    struct pace pace;
+    double began, ready, expected; // s: by the clock; of the steps done, as timed in advance
     float tone_m1[TONE_PARAMS], tone_m2[TONE_PARAMS];
     float *pose_m; // (n, 12) moments of the twists
     int *pose_t;   // (n) steps of each camera
@@ -112,20 +115,12 @@ static int round_of(int places)
     return places > ROUND_MIN ? places : ROUND_MIN;
 }
 
-/* A third of the steps sees the smallest pictures, the other levels share the rest equally. */
-static int level_at(int step, int steps, int levels)
-{
-    if (levels < 2 || 3 * step < steps)
-        return levels - 1;
-    return levels - 2 - (int)((3LL * step - steps) * (levels - 1) / (2LL * steps));
-}
-
 int refine_begin(const struct refine_config *cfg, int places)
 {
     float most = (float)cfg->gaussians_max, n = most;
     const int round = round_of(places), end = (int)(SPLIT_END * (float)cfg->steps);
     for (int step = round; step <= end && n > most / 2; step += round)
-        if (level_at(step - 1, cfg->steps, cfg->levels) < cfg->levels - 1 || cfg->levels == 1)
+        if (pace_level(step - 1, cfg->steps, cfg->levels) < cfg->levels - 1 || cfg->levels == 1)
             n /= 1 + SPLIT_SHARE;
     return (int)fmaxf(n, most / 2);
 }
@@ -617,6 +612,70 @@ static err_t compare_best(struct refine *f)
     return e;
 }
 
+/* ---- time ---- */
+
+static bool has_limit(const struct refine *f)
+{
+    return f->cfg->seconds > 0 && f->r->clock;
+}
+
+static void ignore_gradient(void *ctx, int first, int count, const float *grad, const float *seen)
+{
+    (void)ctx, (void)first, (void)count, (void)grad, (void)seen;
+}
+
+/* Seconds of a step at a level, by two that change nothing. */
+static err_t time_level(struct refine *f, int level)
+{
+    const float black[3] = {0, 0, 0};
+    const struct raster_sink sink = {ignore_gradient, f, NULL, NULL};
+    const double start = f->r->clock();
+    f->level = level;
+    for (int k = 0; k < 2; k++) {
+        const int i = k * f->v->n / 2;
+        struct camera cam = camera_now(f, i);
+        struct raster_input in = view_input(f, &cam);
+        struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
+        struct loss_output out;
+        err_t e = compare_view(f, i, &cam, black, &out);
+        if (!e)
+            e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
+        if (e)
+            return e;
+    }
+    f->pace.seconds[level] = (f->r->clock() - start) / 2;
+    return OK;
+}
+
+/* Between the smallest and the largest pictures a step costs something for each splat and something
+ * for each pixel. */
+static err_t limit_steps(struct refine *f)
+{
+    struct pace *p = &f->pace;
+    const int last = f->levels - 1;
+    if (!has_limit(f))
+        return OK;
+    p->levels = f->levels;
+    err_t e = time_level(f, last);
+    if (!e && last > 0)
+        e = time_level(f, 0);
+    for (int k = 1; k < last; k++) {
+        const double share = (ldexp(1, -2 * k) - ldexp(1, -2 * last)) / (1 - ldexp(1, -2 * last));
+        p->seconds[k] = p->seconds[last] + share * (p->seconds[0] - p->seconds[last]);
+    }
+    f->ready = f->r->clock();
+    f->steps = pace_fit(p, 0, f->steps, f->cfg->seconds - (f->ready - f->began));
+    return e;
+}
+
+/* Leave out the steps that would come too late, by the time that those before have taken. */
+static void keep_pace(struct refine *f)
+{
+    const double now = has_limit(f) ? f->r->clock() : 0, left = f->cfg->seconds - (now - f->began);
+    if (now > f->ready)
+        f->steps = pace_fit(&f->pace, f->step, f->steps, left * f->expected / (now - f->ready));
+}
+
 /* Once a round: report, split and decide whether to stop. */
 static err_t end_round(struct refine *f, int round)
 {
@@ -631,6 +690,7 @@ static err_t end_round(struct refine *f, int round)
     err_t e = compare_best(f);
     if (e)
         return e;
+    keep_pace(f);
     split_splats(f);
     if (f->level > 0 || f->band_from > 0)
         return OK;
@@ -652,10 +712,13 @@ static err_t run_steps(struct refine *f)
     int round = round_of(f->v->n);
     err_t e = noise_run(f->r, f->v, &f->noise_db);
     if (!e)
+        e = limit_steps(f);
+    if (!e)
         e = measure_held_out(f, &f->rep->held_out_db[0]);
     for (f->step = 0; f->step < f->steps && !e;) {
-        f->level = level_at(f->step, f->steps, f->levels);
+        f->level = pace_level(f->step, f->steps, f->levels);
         e = take_step(f);
+        f->expected += f->pace.seconds[f->level];
         f->rep->steps = ++f->step;
         if (!e && f->step % round == 0)
             e = end_round(f, round);
@@ -664,6 +727,8 @@ static err_t run_steps(struct refine *f)
     }
     if (!e && f->band_from > 0)
         e = judge_band(f);
+    if (f->steps < f->cfg->steps && !f->rep->stopped_early)
+        add_note(f, "%d of %d steps: no more fit into the time", f->steps, f->cfg->steps);
     return e ? e : settle_best(f);
 }
 
@@ -679,7 +744,8 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                        .rep = out,
                        .rng = cfg->seed,
                        .steps = cfg->steps,
-                       .levels = count_levels(v, cfg)};
+                       .levels = count_levels(v, cfg),
+                       .began = r->clock ? r->clock() : 0};
     if (cfg->levels < 1 || cfg->levels > REFINE_LEVELS)
         return err_fail(ERR_ARG, "refine: %d levels, must be 1..%d", cfg->levels, REFINE_LEVELS);
     if (shortest_edge(v) < LOSS_WINDOW)

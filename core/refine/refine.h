@@ -5,7 +5,7 @@
  * gradient, and their error decides when to stop, how many SH bands and how many Gaussians the
  * scene needs.
  * Invariant: the result depends on the input, the configuration and the seed, never on the number
- *       of threads. */
+ *       of threads; with `seconds`, also on the number of steps that they allowed. */
 #ifndef REFINE_REFINE_H
 #define REFINE_REFINE_H
 
@@ -22,6 +22,7 @@ struct refine_config {
     bool tone_known; // the tone curve is right and stays
     int levels; // 1..REFINE_LEVELS: the first steps see pictures 2^(levels - 1) times smaller, then
                 // ever larger ones; fewer where these would be too small, or the steps too few
+    double seconds; // that refine_run may take by run.clock: as many steps as fit; 0: any
 };
 
 enum { REFINE_NOTES = 8 };

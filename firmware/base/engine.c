@@ -22,7 +22,8 @@ err_t engine_open(struct engine *en, int threads)
     en->cpu = cpu_detect() & mask;
     kernels_init(&en->kernels, en->cpu);
     progress_init(&en->progress, stderr);
-    en->run = (struct run){.k = &en->kernels,
+    en->run = (struct run){.clock = engine_seconds,
+                           .k = &en->kernels,
                            .pool = en->pool,
                            .keep = &en->keep,
                            .tmp = &en->tmp,

@@ -155,7 +155,7 @@ static void close_world(void)
 
 static struct refine_report refine(int steps, int degree_max, bool poses)
 {
-    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2};
+    struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2, 0};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
     assert_int_equal(arena_mark(&W.tmp), 0);
@@ -388,7 +388,7 @@ static void test_cancel(void **state)
     atomic_store(&cancel, false);
     W.r.cancel = &cancel;
     W.r.progress = cancel_later;
-    struct refine_config cfg = {500, 0, CAP, 5, false, false, 2};
+    struct refine_config cfg = {500, 0, CAP, 5, false, false, 2, 0};
     struct refine_report rep;
     assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), ERR_CANCELLED);
     assert_true(rep.steps > 0 && rep.steps < 500);
@@ -397,12 +397,53 @@ static void test_cancel(void **state)
     close_world();
 }
 
+enum { TRIAL_READS = 6 };
+
+static double now_s, round_s; // a clock that rises when it is read: by 1 s, later by round_s
+static int reads;
+
+static double read_clock(void)
+{
+    return now_s += reads++ < TRIAL_READS ? 1 : round_s;
+}
+
+/* By the trial each step takes 0.5 s, a round of 50 steps 25 s. */
+static void test_time(void **state)
+{
+    (void)state;
+    static const struct {
+        double seconds, round;
+        int least, most;
+    } cases[] = {{0, 25, 200, 200},
+                 {1e6, 25, 200, 200},
+                 {60, 25, 100, 110},
+                 {60, 50, 50, 60}, // later than expected
+                 {3, 25, 0, 0}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        open_world(2, 0);
+        W.r.clock = read_clock;
+        round_s = cases[i].round;
+        reads = 0;
+        struct refine_config cfg = {200, 0, CAP, 5, false, false, 2, cases[i].seconds};
+        struct refine_report rep;
+        assert_int_equal(refine_run(&W.r, &W.v, &cfg, &W.start, &rep), OK);
+        assert_in_range(rep.steps, cases[i].least, cases[i].most);
+        bool noted = false;
+        for (int k = 0; k < rep.n_notes; k++)
+            noted = noted || strstr(rep.notes[k], "of 200 steps: no more fit");
+        assert_true(noted == (rep.steps < 200));
+        assert_int_equal(arena_mark(&W.tmp), 0);
+        assert_scene_finite();
+        close_world();
+    }
+}
+
 static void test_plan(void **state)
 {
     (void)state;
     open_world(2, 0);
     take_brackets(V);
-    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2};
+    struct refine_config cfg = {20, 2, CAP, 5, false, false, 2, 0};
     struct refine_report rep;
     struct arena exact;
     assert_int_equal(arena_init(&exact, "exact", refine_plan(&W.v, &cfg, 2)), OK);
@@ -440,6 +481,7 @@ int main(void)
         cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
         cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
-        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best)};
+        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
+        cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
