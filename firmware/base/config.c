@@ -41,6 +41,8 @@ static const struct key keys[] = {
     {"size", FIELD(size), 56, 4080, 1, CONFIG_SIZE_AUTO,
      "longer edge of pictures, px; full = the photographs'", WHOLE, "auto|full", 0},
     {"seed", FIELD(seed), 0, 2147483647, 1, 0, "seed of the random numbers", WHOLE, NULL, 0},
+    {"job.budget_s", FIELD(job_budget_s), 0, 86400, 1, 0,
+     "seconds that a scene should take: size and steps are chosen for it; 0 = any", WHOLE, NULL, 0},
     {"refine.steps", FIELD(refine_steps), 0, 100000, 1, 1000, "steps of refinement, 0 = none",
      WHOLE, NULL, 0},
     {"refine.sh_degree_max", FIELD(refine_sh_degree_max), 0, 4, 1, 4,

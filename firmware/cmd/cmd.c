@@ -304,6 +304,8 @@ void cmd_report_unread(const struct imageset *set, struct job_result *j)
 struct job_config cmd_job(const struct config *cfg, const struct network *network, bool poses)
 {
     struct job_config job = {.size = cfg->size,
+                             .size_fixed = cfg->size != CONFIG_SIZE_AUTO,
+                             .budget_s = cfg->job_budget_s,
                              .network = network,
                              .polish = cfg->cameras_polish != 0,
                              .stereo = cfg->start_stereo != 0,

@@ -47,6 +47,9 @@ struct cmd_option {
     }
 #define CMD_SIZE CMD_KEY("size", "N", "size", "longer edge of the pictures, px; or full, or auto")
 #define CMD_SEED CMD_KEY("seed", "N", "seed", "start of the random numbers")
+#define CMD_BUDGET                                                                                 \
+    CMD_KEY("budget", "SECONDS", "job.budget_s",                                                   \
+            "time for the scene; size and steps are chosen for it")
 #define CMD_REFINE CMD_KEY("refine", "N", "refine.steps", "steps of refinement, 0 = none")
 #define CMD_DEGREE CMD_KEY("degree-max", "D", "refine.sh_degree_max", "highest SH degree, 0..4")
 #define CMD_GAUSSIANS CMD_KEY("gaussians-max", "N", "refine.gaussians_max", "most Gaussians")

@@ -254,6 +254,7 @@ int cmd_reconstruct_run(int argc, char **argv)
         CMD_FORCE(rq.rules),
         CMD_STRICT(rq.strict),
         {"refine-poses", NULL, "refine the cameras of the input views too", NULL, NULL, &rq.poses},
+        CMD_BUDGET,
         CMD_REFINE,
         CMD_DEGREE,
         CMD_GAUSSIANS,

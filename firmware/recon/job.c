@@ -1,6 +1,7 @@
 #include "firmware/recon/job.h"
 
 #include "firmware/base/engine.h"
+#include "firmware/recon/budget.h"
 #include "firmware/recon/enlarge.h"
 #include "firmware/recon/figures.h"
 #include "firmware/recon/shading.h"
@@ -157,11 +158,10 @@ static void finish_result(const struct run *r, struct job_result *out)
 err_t job_run(const struct run *r, const struct capture *c, const struct job_config *cfg,
               struct job_result *out)
 {
-    const struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
+    struct recipe recipe = recipe_choose(c, cfg, r->tap != NULL);
     struct start start = {.run = r, .capture = c, .cfg = cfg, .recipe = &recipe, .out = out};
     begin_result(cfg, out);
     out->capture = c;
-    recipe_tell_size(&recipe, c, out->sizing, sizeof out->sizing);
     err_t e = read_photographs(r, c, &start, out);
     if (!e)
         e = find_response(r, &recipe, out);
@@ -179,6 +179,9 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = start_correct(&start);
     if (!e)
         e = start_gaussians(&start);
+    if (!e)
+        budget_choose(c, cfg, &recipe, out);
+    recipe_tell_size(&recipe, c, out->sizing, sizeof out->sizing);
     if (!e)
         e = enlarge_views(r, c, &start, out);
     if (!e && recipe.refine)
@@ -354,6 +357,8 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');
     report_text(rep, NULL, j->sizing);
+    if (j->budget[0])
+        report_text(rep, NULL, j->budget);
     if (j->taken > j->views.n + j->views.n_more) {
         char text[128];
         snprintf(text, sizeof text, "%d of %d photographs: the others show nothing more",

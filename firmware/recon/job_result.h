@@ -63,6 +63,7 @@ struct job_result {
     struct tonemap response;       // from histograms: the nearest view is shown under it
     int taken;                     // photographs of brackets, before redundant ones were dropped
     char sizing[160];              // how large pictures were chosen, a sentence
+    char budget[128];              // what was chosen to end in time; "": nothing
     struct scene scene;            // in keep
     struct refine_report refine;
     struct confidence_advice advice; // if scene.confidence is known and not measured_only

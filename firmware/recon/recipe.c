@@ -94,6 +94,14 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
     return out;
 }
 
+struct recipe recipe_with_size(const struct recipe *recipe, const struct capture *c,
+                               const struct job_config *cfg, int size)
+{
+    struct job_config smaller = *cfg;
+    smaller.size = size;
+    return recipe_choose(c, &smaller, recipe->tapped);
+}
+
 struct recipe recipe_of_cameras(const struct job_config *cfg)
 {
     struct job_config alone = *cfg;

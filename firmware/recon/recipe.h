@@ -14,8 +14,10 @@
 enum recipe_lens { RECIPE_LENS_AUTO, RECIPE_LENS_PINHOLE, RECIPE_LENS_FISHEYE };
 
 struct job_config {
-    int size;    // px, longest edge of the pictures that the scene is refined with
-    bool square; // squeeze the photographs to squares, as the paper's protocol has it
+    int size;        // px, longest edge of the pictures that the scene is refined with
+    bool size_fixed; // a budget does not make it smaller
+    double budget_s; // seconds that the job should take; 0: any
+    bool square;     // squeeze the photographs to squares, as the paper's protocol has it
     struct refine_config refine;
     const struct network *network; // NULL: none
     bool cameras_only;             // only cameras are taken from the network
@@ -62,6 +64,10 @@ struct recipe {
 /* Choose for a capture; only its names, sizes and cameras are read. tapped: run.tap will be set;
  * the whole forward pass is dumped then. */
 struct recipe recipe_choose(const struct capture *c, const struct job_config *cfg, bool tapped);
+
+/* The recipe with views of another size, not above its own; a plan for it holds. */
+struct recipe recipe_with_size(const struct recipe *recipe, const struct capture *c,
+                               const struct job_config *cfg, int size);
 
 /* The same for cameras alone, none of which are known: only the members cameras, network and bundle
  * are meaningful. */

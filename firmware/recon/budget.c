@@ -1,0 +1,84 @@
+/* The seconds that the plane sweep took for a pixel of a view are the unit: it is as bound to the
+ * processor as rendering is. Measured in that unit on a room and a yard of 8 views at 448, 800 and
+ * 1600 px, 100 to 1000 steps: README.md. */
+#include "firmware/recon/budget.h"
+
+#include "firmware/base/engine.h"
+
+#include "core/base/num.h"
+#include "core/refine/pace.h"
+
+#include <math.h>
+#include <stdio.h>
+
+#define STEP_PIXEL 0.33  // units, of a step of refinement: for each pixel of its picture
+#define STEP_SPLAT 0.17  // for each Gaussian
+#define AFTER_PIXEL 0.85 // of confidence and results: for each pixel of all views
+#define AFTER_WORK 0.4   // for each pixel of the views of depth
+
+struct speed {
+    double unit;   // s
+    double before; // of reading the photographs again
+    double left;   // of the job
+};
+
+static double pixels_of(const struct capture *c, const struct recipe *recipe, int size, int *n)
+{
+    double sum = 0;
+    *n = 0;
+    for (int i = 0; i < c->n; i++) {
+        const struct image8 *im = &c->shots[i].image;
+        const struct extent px =
+            prep_extent((struct prep_size){size, recipe->square}, im->w, im->h);
+        if (c->shots[i].again)
+            continue;
+        sum += (double)extent_pixels(&px);
+        *n += 1;
+    }
+    return sum;
+}
+
+/* Seconds that remain for refinement. */
+static double time_to_refine(const struct speed *s, const struct capture *c,
+                             const struct recipe *recipe)
+{
+    int n;
+    const double px = pixels_of(c, recipe, recipe->size, &n);
+    const double work = pixels_of(c, recipe, recipe->work, &n);
+    const double before = recipe->size > recipe->work ? s->before : 0;
+    return s->left - before - s->unit * (AFTER_PIXEL * px + AFTER_WORK * work);
+}
+
+/* Steps of which size are expected to fit. */
+static int expect_steps(const struct speed *s, const struct capture *c, const struct recipe *recipe,
+                        int splats)
+{
+    struct pace p = {.levels = recipe->refinement.levels};
+    int n;
+    const double px = pixels_of(c, recipe, recipe->size, &n) / n;
+    for (int k = 0; k < p.levels; k++)
+        p.seconds[k] = s->unit * (STEP_SPLAT * splats + STEP_PIXEL * ldexp(px, -2 * k));
+    return pace_fit(&p, 0, recipe->refinement.steps, time_to_refine(s, c, recipe));
+}
+
+void budget_choose(const struct capture *c, const struct job_config *cfg, struct recipe *recipe,
+                   struct job_result *done)
+{
+    struct recipe best = *recipe;
+    int n;
+    struct speed s = {.left = cfg->budget_s - (engine_seconds() - done->start_s),
+                      .before = done->seconds[JOB_PREPROCESS]};
+    if (!(cfg->budget_s > 0))
+        return;
+    s.unit = done->seconds[JOB_SWEEP] / pixels_of(c, recipe, recipe->work, &n);
+    const int wanted = num_min(BUDGET_STEPS, recipe->refinement.steps);
+    while (!cfg->size_fixed && s.unit > 0 && best.size > best.work &&
+           expect_steps(&s, c, &best, done->scene.g.n) < wanted)
+        best = recipe_with_size(recipe, c, cfg, num_max(best.work, best.size * 7 / 8));
+    *recipe = best;
+    /* above 0: no time is not the same as any */
+    recipe->refinement.seconds = fmax(time_to_refine(&s, c, recipe), 1e-3);
+    snprintf(done->budget, sizeof done->budget,
+             "%.0f s in all: pictures of %d px, %.0f s for refinement", cfg->budget_s, recipe->size,
+             fmax(recipe->refinement.seconds, 0));
+}
