@@ -3,7 +3,7 @@
 #ifndef REFINE_PACE_H
 #define REFINE_PACE_H
 
-#include "core/refine/refine.h"
+enum { PACE_LEVELS = 5 };
 
 /* Level of the pictures of a step: a third of the steps sees the smallest ones, levels - 1; the
  * other levels share the rest equally, the largest ones, 0, at the end. */
@@ -11,7 +11,7 @@ int pace_level(int step, int steps, int levels);
 
 struct pace {
     int levels;
-    double seconds[REFINE_LEVELS]; // that a step takes with pictures of each level
+    double seconds[PACE_LEVELS]; // that a step takes with pictures of each level
 };
 
 /* Seconds of the steps from..steps - 1 of a schedule of `steps`. */

@@ -22,7 +22,6 @@
 #include "core/photo/shade.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
-#include "core/refine/pace.h"
 #include "core/refine/pyramid.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"

@@ -10,8 +10,9 @@
 #define REFINE_REFINE_H
 
 #include "core/base/types.h"
+#include "core/refine/pace.h"
 
-enum { REFINE_LEVELS = 5 };
+enum { REFINE_LEVELS = PACE_LEVELS };
 
 struct refine_config {
     int steps;         // 0..100000; 0 leaves the scene as it is

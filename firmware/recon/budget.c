@@ -6,7 +6,6 @@
 #include "firmware/base/engine.h"
 
 #include "core/base/num.h"
-#include "core/refine/pace.h"
 
 #include <math.h>
 #include <stdio.h>

@@ -25,7 +25,7 @@ grep -Eq '"refine_steps": [0-9]{1,2},' "$OUT/none/report.json" || fail "steps wi
 steps=(--refine 3 --size 300)
 succeed "${make[@]}" "${steps[@]}" --out "$OUT/any"
 succeed "${make[@]}" "${steps[@]}" --budget 3600 --out "$OUT/plenty"
-cmp "$OUT/any/scene.hdrig" "$OUT/plenty/scene.hdrig" || fail "time that is not used changes the scene"
+cmp "$OUT/any/scene.hdrig" "$OUT/plenty/scene.hdrig" || fail "time that is left changes a scene"
 
 for bad in -1 x 1e9 1.5; do
     expect 2 budget "${make[@]}" --budget "$bad" --out "$OUT/bad"

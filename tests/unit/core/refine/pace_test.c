@@ -11,8 +11,8 @@
 static void every_level_has_its_share(void **state)
 {
     (void)state;
-    for (int levels = 1; levels <= REFINE_LEVELS; levels++) {
-        int count[REFINE_LEVELS] = {0}, before = levels - 1;
+    for (int levels = 1; levels <= PACE_LEVELS; levels++) {
+        int count[PACE_LEVELS] = {0}, before = levels - 1;
         for (int i = 0; i < 1200; i++) {
             int level = pace_level(i, 1200, levels);
             assert_in_range(level, 0, before);
