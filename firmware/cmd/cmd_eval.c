@@ -246,14 +246,13 @@ static err_t reserve_memory(struct state *st, const struct request *rq, struct j
 }
 
 static err_t add_testcams(const struct state *st, const struct job_config *job,
-                          struct job_memory *need)
+                          const struct testcams_scene *scene, struct job_memory *need)
 {
     const struct capture *train = &st->train.capture;
-    const int most = recipe_choose(train, job, false).gaussians_max;
     struct job_memory m;
     err_t e = testcams_check(job, train, &st->test.capture);
     if (!e)
-        e = testcams_plan(job, train, &st->test.capture, most, pool_size(st->engine.pool), &m);
+        e = testcams_plan(job, scene, train, &st->test.capture, pool_size(st->engine.pool), &m);
     if (e)
         return e;
     need->keep = arena_add(need->keep, m.keep);
@@ -296,9 +295,10 @@ static err_t reconstruct_inputs(struct state *st, struct request *rq)
     if (e)
         return e;
     const struct recipe recipe = recipe_choose(&st->train.capture, &job, false);
+    const struct testcams_scene scene = {recipe.square, recipe.gaussians_max};
     bool unknown = cameras_unknown(st);
     if (unknown)
-        e = add_testcams(st, &job, &need);
+        e = add_testcams(st, &job, &scene, &need);
     if (!e)
         e = reserve_memory(st, rq, need, (struct prep_size){job.size, recipe.square},
                            recipe.gaussians_max);
@@ -441,8 +441,9 @@ static err_t read_scene(struct state *st, struct request *rq)
         info.size = recipe_size(&job, &st->test.capture);
     job.size = info.size;
     plan_scene(st, &info, &need);
+    const struct testcams_scene scene = {true, info.n}; // squares have the most pixels
     if (rq->set.no_cameras)
-        e = add_testcams(st, &job, &need);
+        e = add_testcams(st, &job, &scene, &need);
     if (!e)
         e = reserve_memory(st, rq, need, (struct prep_size){info.size, true}, info.n);
     if (!e)

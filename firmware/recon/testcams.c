@@ -95,10 +95,11 @@ static void plan_steps(struct plan *p, const struct job_config *cfg, const struc
     arena_step(&p->tmp, align_plan(most, v));
 }
 
-err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
-                    const struct capture *test, int most, int threads, struct job_memory *out)
+err_t testcams_plan(const struct job_config *cfg, const struct testcams_scene *scene,
+                    const struct capture *train, const struct capture *test, int threads,
+                    struct job_memory *out)
 {
-    const struct prep_size size = {recipe_work(cfg), recipe_choose(train, cfg, false).square};
+    const struct prep_size size = {recipe_work(cfg), scene->square};
     const int inputs = prep_places(train);
     struct views v = {.n = inputs + count_views(test), .size = size.edge};
     struct plan p = plan_begin(threads);
@@ -107,7 +108,7 @@ err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
         return err_fail(ERR_NOMEM, "no memory for the shapes of %d views", v.n);
     prep_extents(train, size, v.extent); // places come first
     add_extents(test, size, extent_total(v.extent, inputs), v.extent + inputs);
-    plan_steps(&p, cfg, &v, test, most);
+    plan_steps(&p, cfg, &v, test, scene->gaussians);
     free(v.extent);
     *out = (struct job_memory){.keep = p.keep.peak, .tmp = p.tmp.peak};
     return OK;

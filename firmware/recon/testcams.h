@@ -10,10 +10,15 @@
 #include "core/sfm/pose_error.h"
 #include "drivers/format/imageset.h"
 
-/* Memory beside that of the job. most: Gaussians of the scene.
+struct testcams_scene {
+    bool square;   // all its views are squares, or may be
+    int gaussians; // at most
+};
+
+/* Memory beside that of the job.
  * err:  ERR_NOMEM. */
-MUST_USE err_t testcams_plan(const struct job_config *cfg, const struct capture *train,
-                             const struct capture *test, int most, int threads,
+MUST_USE err_t testcams_plan(const struct job_config *cfg, const struct testcams_scene *scene,
+                             const struct capture *train, const struct capture *test, int threads,
                              struct job_memory *out);
 
 /* Refuse before the work more views than cameras can be found for.

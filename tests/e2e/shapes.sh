@@ -42,6 +42,11 @@ done
 grep -q '"px":\[168,126\]' "$OUT/scene/view.html" || fail "the page has another shape"
 succeed render --scene "$OUT/scene/scene.hdrig" --path inputs --out "$OUT/frames"
 succeed eval --data "$OUT/mixed" --scene "$OUT/scene" --rig none
+
+# pictures of another shape than the scene's are no reason to fail: memory for both was counted
+succeed reconstruct --images "$OUT/square" --rig none --size 168 --refine 0 --out "$OUT/squares"
+succeed eval --data "$OUT/landscape" --scene "$OUT/squares" --rig none
+
 expect 1 'become a view that is less than 64 px narrow' reconstruct --images "$OUT/mixed" \
     --rig none --size 70 --out "$OUT/no"
 nothing_at "$OUT/no"
