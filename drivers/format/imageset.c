@@ -52,7 +52,7 @@ static void add_note(const struct namelist *l, const char *why, struct imageset 
 }
 
 static const char only_png_jpeg[] =
-    "pictures must be PNG or JPEG, or all raw (DNG, CR2, NEF, ARW) or all EXR";
+    "pictures must be PNG, JPEG or TIFF, or all raw (DNG, CR2, NEF, ARW) or all EXR";
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
@@ -162,10 +162,10 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
     if (n > 0)
         return OK;
     if (all == 0)
-        return err_fail(
-            ERR_FORMAT,
-            "%s: no pictures (*.png, *.jpg, *.jpeg, *.dng, *.cr2, *.nef, *.arw, *.exr) in it%s%s",
-            set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
+        return err_fail(ERR_FORMAT,
+                        "%s: no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.dng, *.cr2, "
+                        "*.nef, *.arw, *.exr) in it%s%s",
+                        set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
     return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
                     prefix[rq->which]);
 }

@@ -1,16 +1,15 @@
 /* imageset.h - a folder of photographs becomes a capture: names, exposures, cameras, then pixels.
  *
  * Layouts. `images` may be a folder that contains images/, the folder images/ itself, or a plain
- * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg (any case, not
- * hidden); where it has none of these *.dng, *.cr2, *.nef, *.arw; where it has none of these either
- * *.exr; in the order of their names. exposure.json,
- * protocol.json and sparse/0 are looked for beside the pictures, then one folder up; with no
- * exposure.json the exposures come from the pictures' EXIF, where all must have the same tags. A
- * folder with names that begin with "train" has the released layout: "train" pictures are inputs,
- * "test" pictures are held out, and train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any
- * other folder every picture is a view of its own and an input. Other layouts with brackets are in
- * layout.h; cameras may be in transforms.json or poses_bounds_exps.npy instead of sparse/0, and
- * exposures with them.
+ * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg, *.tif, *.tiff (any
+ * case, not hidden); where it has none of these *.dng, *.cr2, *.nef, *.arw; where it has none of
+ * these either *.exr; in the order of their names. exposure.json, protocol.json and sparse/0 are
+ * looked for beside the pictures, then one folder up; with no exposure.json the exposures come from
+ * the pictures' EXIF, where all must have the same tags. A folder with names that begin with
+ * "train" has the released layout: "train" pictures are inputs, "test" pictures are held out, and
+ * train_ldr_000_2.png is exposure 2 of view train_ldr_000. In any other folder every picture is a
+ * view of its own and an input. Other layouts with brackets are in layout.h; cameras may be in
+ * transforms.json or poses_bounds_exps.npy instead of sparse/0, and exposures with them.
  *
  * Choice of exposures, unless every_exposure or brackets: the names that protocol.json gives for
  * this number of views (key "inputs"; input pictures only); else one exposure per view, in turn the

@@ -4,6 +4,7 @@
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
 #include "drivers/format/rawphoto.h"
+#include "drivers/format/tiff.h"
 
 #include <string.h>
 
@@ -117,7 +118,13 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
         found = jpeg_size(b, &width, &height);
     else if (imgsize_is_exr(p, n))
         found = exr_size(b, &width, &height);
-    else if (rawphoto_is(p, n)) { // LibRaw knows the margins that a header includes
+    else if (tiff_is(p, n)) {
+        struct tiff_info tiff;
+        err_t e = tiff_look(p, n, what, &tiff);
+        *w = tiff.w;
+        *h = tiff.h;
+        return e;
+    } else if (rawphoto_is(p, n)) { // LibRaw knows the margins that a header includes
         struct rawphoto_info raw;
         err_t e = rawphoto_look(p, n, what, &raw);
         *w = raw.w;
@@ -128,7 +135,7 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
     if (kind)
         return err_fail(ERR_FORMAT, "%s: its bytes are %s: save it as PNG or JPEG", what, kind);
     if (!found || width == 0 || height == 0)
-        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG, raw or EXR header with a size", what);
+        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG, TIFF, raw or EXR header with a size", what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
         return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);

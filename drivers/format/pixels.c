@@ -7,6 +7,7 @@
 #include "drivers/format/imgsize.h"
 #include "drivers/format/rawframe.h"
 #include "drivers/format/rawphoto.h"
+#include "drivers/format/tiff.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -19,8 +20,11 @@ err_t pixels_look(const char *path, struct shot *s)
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (e)
         return e;
-    s->linear = s->deep = imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n);
-    if (!s->deep)
+    s->deep = tiff_is(m.p, m.n);
+    s->linear = !s->deep && (imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n));
+    if (s->linear)
+        s->deep = true;
+    else if (!s->deep)
         s->deep = img_is_deep(m.p, m.n, &s->linear);
     file_unmap(&m);
     return OK;
@@ -39,24 +43,37 @@ size_t pixels_bytes(const struct shot *s)
 
 /* ---- what files say ---- */
 
-/* Zeroed if it is none; the readers of pictures then say why. */
-static bool look_raw(const char *path, struct rawphoto_info *out)
+struct found {
+    struct img_exif exif;
+    struct img_camera camera;
+};
+
+/* Of TIFF and raw photographs. False if it is neither; the readers of pictures then say why. */
+static bool look_tiff(const char *path, struct found *out)
 {
     struct file_map m;
-    *out = (struct rawphoto_info){0};
+    struct tiff_info tiff;
+    struct rawphoto_info raw;
+    bool is_ours = false;
     if (file_map(path, IMG_FILE_MAX, &m) != OK)
         return false;
-    const bool is_raw = rawphoto_is(m.p, m.n) && rawphoto_look(m.p, m.n, path, out) == OK;
+    if (tiff_is(m.p, m.n)) {
+        is_ours = tiff_look(m.p, m.n, path, &tiff) == OK;
+        *out = (struct found){tiff.exif, tiff.camera};
+    } else if (rawphoto_is(m.p, m.n)) {
+        is_ours = rawphoto_look(m.p, m.n, path, &raw) == OK;
+        *out = (struct found){raw.exif, raw.camera};
+    }
     file_unmap(&m);
-    return is_raw;
+    return is_ours;
 }
 
 err_t pixels_exif(const char *path, struct img_exif *out)
 {
-    struct rawphoto_info raw;
-    if (!look_raw(path, &raw))
+    struct found found;
+    if (!look_tiff(path, &found))
         return img_exif(path, out);
-    *out = raw.exif;
+    *out = found.exif;
     return out->seconds > 0
                ? OK
                : err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", path);
@@ -64,10 +81,10 @@ err_t pixels_exif(const char *path, struct img_exif *out)
 
 err_t pixels_camera(const char *path, struct img_camera *out)
 {
-    struct rawphoto_info raw;
-    if (!look_raw(path, &raw))
+    struct found found;
+    if (!look_tiff(path, &found))
         return img_camera(path, out);
-    *out = raw.camera;
+    *out = found.camera;
     return OK;
 }
 
@@ -154,7 +171,9 @@ static err_t read_file16(const char *path, struct image16 *out)
 {
     struct file_map m;
     err_t e = file_map(path, IMG_FILE_MAX, &m);
-    if (!e && rawphoto_is(m.p, m.n))
+    if (!e && tiff_is(m.p, m.n))
+        e = tiff_read(m.p, m.n, path, out);
+    else if (!e && rawphoto_is(m.p, m.n))
         e = rawphoto_read(m.p, m.n, path, out);
     else if (!e)
         e = imgsize_is_exr(m.p, m.n) ? read_exr(&m, path, out) : read_png16(&m, path, out);

@@ -17,7 +17,7 @@ static bool has_one_of(const char *name, const char *const *suffix)
 
 bool suffix_is_picture(const char *name)
 {
-    static const char *const suffix[] = {".png", ".jpg", ".jpeg", NULL};
+    static const char *const suffix[] = {".png", ".jpg", ".jpeg", ".tif", ".tiff", NULL};
     return has_one_of(name, suffix);
 }
 
@@ -36,8 +36,8 @@ bool suffix_is_exr(const char *name)
 bool suffix_is_other(const char *name)
 {
     static const char *const suffix[] = {
-        ".heic", ".heif", ".avif", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".jxl", ".jp2", ".ppm",
-        ".pnm",  ".exr",  ".hdr",  ".dng", ".raw",  ".arw",  ".cr2", ".cr3", ".crw", ".nef", ".orf",
-        ".pef",  ".raf",  ".rw2",  ".srw", ".x3f",  ".mp4",  ".mov", ".avi", ".mkv", NULL};
+        ".heic", ".heif", ".avif", ".webp", ".bmp", ".gif", ".jxl", ".jp2", ".ppm", ".pnm",
+        ".exr",  ".hdr",  ".dng",  ".raw",  ".arw", ".cr2", ".cr3", ".crw", ".nef", ".orf",
+        ".pef",  ".raf",  ".rw2",  ".srw",  ".x3f", ".mp4", ".mov", ".avi", ".mkv", NULL};
     return has_one_of(name, suffix);
 }

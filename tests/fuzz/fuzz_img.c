@@ -2,6 +2,7 @@
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/rawphoto.h"
+#include "drivers/format/tiff.h"
 
 #include <stdlib.h>
 
@@ -22,6 +23,11 @@ int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n)
         __builtin_trap();
     free(deep.px);
     if (rawphoto_is(p, n) && rawphoto_read(p, n, "fuzz", &deep) == OK) {
+        if (deep.w < 1 || deep.h < 1 || !deep.px)
+            __builtin_trap();
+        free(deep.px);
+    }
+    if (tiff_is(p, n) && tiff_read(p, n, "fuzz", &deep) == OK) {
         if (deep.w < 1 || deep.h < 1 || !deep.px)
             __builtin_trap();
         free(deep.px);

@@ -161,7 +161,7 @@ static void lenses_are_checked(void **state)
         {"\"model\":\"RADIAL\"", "\"params\" has 0 numbers, RADIAL has 5"},
         {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,0,0,0,0,0,0]", "has 10 numbers, RADIAL has 5"},
         {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,\"1\"]", "something other than numbers"},
-        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,1e999]", "else than numbers"},
+        {"\"model\":\"RADIAL\",\"params\":[5,4,3,0,1e999]", "other than numbers"},
         {"\"model\":\"RADIAL\",\"params\":[-5,4,3,0,0.1]", "not positive"},
     };
     char text[200];

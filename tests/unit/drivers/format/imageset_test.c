@@ -349,24 +349,25 @@ static void what_is_not_read_is_told(void **state)
     tmpdir_text(".hidden.heic", "");
     tmpdir_text("notes.txt", "");
     assert_int_equal(list(&rq), ERR_FORMAT);
-    assert_non_null(strstr(
-        err_text(), "no pictures (*.png, *.jpg, *.jpeg, *.dng, *.cr2, *.nef, *.arw, *.exr) in it; "
-                    "2 files are not read (IMG_1.raf and IMG_2.HEIC): pictures must be PNG "
-                    "or JPEG, or all raw"));
+    assert_non_null(strstr(err_text(),
+                           "no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.dng, *.cr2, *.nef, "
+                           "*.arw, *.exr) in it; "
+                           "2 files are not read (IMG_1.raf and IMG_2.HEIC): pictures must be PNG, "
+                           "JPEG or TIFF, or all raw"));
     put_picture("a.png", 8, 6);
     tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.HEIC\": 1, \"b.scan\": 1, \"gone.x\": 1}");
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_int_equal(set.n_notes, 1);
     imageset_free(&set);
-    tmpdir_text("IMG_3.tif", "");
-    tmpdir_text("IMG_4.tif", "");
+    tmpdir_text("IMG_3.bmp", "");
+    tmpdir_text("IMG_4.bmp", "");
     tmpdir_text("b.scan", "");
     assert_int_equal(symlink("nowhere", tmpdir_path("z.jpg")), 0);
     rq.exposure_set = 1; // reads the times twice
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_int_equal(set.n_notes, 3);
     assert_non_null(strstr(set.notes[0],
-                           "4 files are not read (IMG_1.raf, IMG_2.HEIC, IMG_3.tif and 1 other)"));
+                           "4 files are not read (IMG_1.raf, IMG_2.HEIC, IMG_3.bmp and 1 other)"));
     assert_non_null(strstr(set.notes[1], "1 file is not read (z.jpg): no regular files"));
     assert_non_null(strstr(set.notes[2], "1 file is not read (b.scan): pictures must be PNG"));
     imageset_free(&set);
