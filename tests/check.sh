@@ -6,14 +6,15 @@
 #          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
 #   long   tests that check leaves out: thousands of random takes, brackets and calls; slow tests
 #          under the sanitizers and on emulated Arm; the package for arm64
-# Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
-# build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
+# Tests run JOBS at a time (one more than there are cores, as some wait), for LIMIT seconds at most.
+# One line per test; its output is build/log/NAME.log and is shown at the end when it fails, before
+# the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
 # built from tests/e2e/*.c) and OUT (an empty folder).
 set -u
 cd "$(dirname "$0")/.."
 unset MAKEFLAGS MAKELEVEL
-jobs=${JOBS:-$(nproc)}
+jobs=${JOBS:-$(($(nproc) + 1))}
 limit=${LIMIT:-900}
 results=build/log/results queue=build/log/queue
 
@@ -89,9 +90,12 @@ smoke='bad_input capture formats golden quality'
 is_slow() { # variant/test
     case $1 in
     asan/plan_test | asan/net_extremes_test | asan/gemm_test | asan/nn_test) ;;
+    asan/selfcal_test | asan/sweep_test | asan/refine_test) ;;
+    asan/bracket_extremes_test | asan/bracket_random_test | asan/session_random_test) ;;
     tsan/gausshead_test) ;;
     cortex-a76/gausshead_test | cortex-a76/loss_test | cortex-a76/raster_test) ;;
-    cortex-a76/layer_test | cortex-a53/nn_test | cortex-a53/gemm_test | max/gemm_test) ;;
+    cortex-a76/layer_test | cortex-a76/gemm_test) ;;
+    cortex-a53/nn_test | cortex-a53/gemm_test | max/gemm_test) ;;
     *) false ;;
     esac
 }
