@@ -6,15 +6,14 @@
 #          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
 #   long   tests that check leaves out: thousands of random takes, brackets and calls; slow tests
 #          under the sanitizers and on emulated Arm; the package for arm64
-# Tests run JOBS at a time (one more than there are cores, as some wait), for LIMIT seconds at most.
-# One line per test; its output is build/log/NAME.log and is shown at the end when it fails, before
-# the slowest ten.
+# Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
+# build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
 # built from tests/e2e/*.c) and OUT (an empty folder).
 set -u
 cd "$(dirname "$0")/.."
 unset MAKEFLAGS MAKELEVEL
-jobs=${JOBS:-$(($(nproc) + 1))}
+jobs=${JOBS:-$(nproc)}
 limit=${LIMIT:-900}
 results=build/log/results queue=build/log/queue
 
