@@ -419,6 +419,15 @@ static struct camera camera_now(const struct refine *f, int i)
     return pose_scaled(&f->s->cams[i], px->w >> f->level, px->h >> f->level);
 }
 
+/* The gradients of the comparison before, splat by splat into the sink. */
+static err_t propagate_loss(struct refine *f, const struct camera *cam,
+                            const struct raster_sink *sink)
+{
+    const struct raster_input in = view_input(f, cam);
+    const struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
+    return raster_grad_run(f->r, &f->raster, &in, &up, sink);
+}
+
 static err_t take_step(struct refine *f)
 {
     int i = next_view(f);
@@ -432,10 +441,8 @@ static err_t take_step(struct refine *f)
         return e;
     f->loss += (float)out.loss;
     set_rates(f);
-    struct raster_input in = view_input(f, &cam);
-    struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
-    struct raster_sink sink = {apply_adam, f, f->cfg->poses ? pose : NULL, NULL};
-    e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
+    const struct raster_sink sink = {apply_adam, f, f->cfg->poses ? pose : NULL, NULL};
+    e = propagate_loss(f, &cam, &sink);
     if (e)
         return e;
     if (!f->cfg->tone_known)
@@ -633,12 +640,10 @@ static err_t time_level(struct refine *f, int level)
     for (int k = 0; k < 2; k++) {
         const int i = k * f->v->n / 2;
         struct camera cam = camera_now(f, i);
-        struct raster_input in = view_input(f, &cam);
-        struct render_grad up = {f->loss_work.d_radiance, NULL, f->loss_work.d_alpha};
         struct loss_output out;
         err_t e = compare_view(f, i, &cam, black, &out);
         if (!e)
-            e = raster_grad_run(f->r, &f->raster, &in, &up, &sink);
+            e = propagate_loss(f, &cam, &sink);
         if (e)
             return e;
     }

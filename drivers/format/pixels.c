@@ -20,12 +20,9 @@ err_t pixels_look(const char *path, struct shot *s)
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (e)
         return e;
-    s->deep = tiff_is(m.p, m.n);
-    s->linear = !s->deep && (imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n));
-    if (s->linear)
-        s->deep = true;
-    else if (!s->deep)
-        s->deep = img_is_deep(m.p, m.n, &s->linear);
+    const bool tiff = tiff_is(m.p, m.n);
+    s->linear = !tiff && (imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n));
+    s->deep = tiff || s->linear || img_is_deep(m.p, m.n, &s->linear);
     file_unmap(&m);
     return OK;
 }

@@ -208,22 +208,6 @@ static void set_balance(const libraw_colordata_t *c, struct develop *out)
     }
 }
 
-static err_t make_upright(const struct reader *r, struct image16 *io)
-{
-    const int orientation = orientation_of(r->raw);
-    if (orientation == 1)
-        return OK;
-    const bool swap = orientation >= 5;
-    struct image16 out = {swap ? io->h : io->w, swap ? io->w : io->h, 3, NULL};
-    out.px = malloc(3 * (size_t)io->w * (size_t)io->h * sizeof *out.px);
-    if (!out.px)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", r->name, io->w, io->h);
-    turn_upright(orientation, io->px, io->w, io->h, 3 * sizeof *io->px, out.px);
-    free(io->px);
-    *io = out;
-    return OK;
-}
-
 static err_t develop_mosaic(const struct reader *r, struct image16 *out)
 {
     const libraw_image_sizes_t *s = &r->raw->sizes;
@@ -243,7 +227,7 @@ static err_t develop_mosaic(const struct reader *r, struct image16 *out)
     err_t e = rawframe_develop(r->name, &mosaic, &how, out);
     free(mosaic.px);
     if (!e)
-        e = make_upright(r, out);
+        e = turn_image16(orientation_of(r->raw), r->name, out);
     return e;
 }
 

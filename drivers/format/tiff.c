@@ -1,6 +1,5 @@
 #include "drivers/format/tiff.h"
 
-#include "core/base/bytes.h"
 #include "drivers/format/turn.h"
 
 #include <stdlib.h>
@@ -335,21 +334,6 @@ static err_t read_picture(const struct reader *r, struct image16 *out)
     return e;
 }
 
-static err_t make_upright(const struct reader *r, struct image16 *io)
-{
-    const bool swap = r->orientation >= 5;
-    struct image16 out = {swap ? io->h : io->w, swap ? io->w : io->h, 3, NULL};
-    if (r->orientation == 1)
-        return OK;
-    out.px = malloc(3 * (size_t)io->w * (size_t)io->h * sizeof *out.px);
-    if (!out.px)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px", r->name, io->w, io->h);
-    turn_upright(r->orientation, io->px, io->w, io->h, 3 * sizeof *io->px, out.px);
-    free(io->px);
-    *io = out;
-    return OK;
-}
-
 err_t tiff_read(const void *bytes, size_t n, const char *name, struct image16 *out)
 {
     struct reader r;
@@ -360,7 +344,7 @@ err_t tiff_read(const void *bytes, size_t n, const char *name, struct image16 *o
     e = read_picture(&r, out);
     TIFFClose(r.tif);
     if (!e)
-        e = make_upright(&r, out);
+        e = turn_image16(r.orientation, name, out);
     if (e) {
         free(out->px);
         *out = (struct image16){0};

@@ -21,29 +21,17 @@ struct speed {
     double left;   // of the job
 };
 
-static double pixels_of(const struct capture *c, const struct recipe *recipe, int size, int *n)
+static double pixels_of(const struct capture *c, const struct recipe *recipe, int size)
 {
-    double sum = 0;
-    *n = 0;
-    for (int i = 0; i < c->n; i++) {
-        const struct image8 *im = &c->shots[i].image;
-        const struct extent px =
-            prep_extent((struct prep_size){size, recipe->square}, im->w, im->h);
-        if (c->shots[i].again)
-            continue;
-        sum += (double)extent_pixels(&px);
-        *n += 1;
-    }
-    return sum;
+    return (double)recipe_pixels(c, (struct prep_size){size, recipe->square});
 }
 
 /* Seconds that remain for refinement. */
 static double time_to_refine(const struct speed *s, const struct capture *c,
                              const struct recipe *recipe)
 {
-    int n;
-    const double px = pixels_of(c, recipe, recipe->size, &n);
-    const double work = pixels_of(c, recipe, recipe->work, &n);
+    const double px = pixels_of(c, recipe, recipe->size);
+    const double work = pixels_of(c, recipe, recipe->work);
     const double before = recipe->size > recipe->work ? s->before : 0;
     return s->left - before - s->unit * (AFTER_PIXEL * px + AFTER_WORK * work);
 }
@@ -53,8 +41,7 @@ static int expect_steps(const struct speed *s, const struct capture *c, const st
                         int splats)
 {
     struct pace p = {.levels = recipe->refinement.levels};
-    int n;
-    const double px = pixels_of(c, recipe, recipe->size, &n) / n;
+    const double px = pixels_of(c, recipe, recipe->size) / recipe->places;
     for (int k = 0; k < p.levels; k++)
         p.seconds[k] = s->unit * (STEP_SPLAT * splats + STEP_PIXEL * ldexp(px, -2 * k));
     return pace_fit(&p, 0, recipe->refinement.steps, time_to_refine(s, c, recipe));
@@ -63,13 +50,12 @@ static int expect_steps(const struct speed *s, const struct capture *c, const st
 void budget_choose(const struct capture *c, const struct job_config *cfg, struct recipe *recipe,
                    struct job_result *done)
 {
-    struct recipe best = *recipe;
-    int n;
-    struct speed s = {.left = cfg->budget_s - (engine_seconds() - done->start_s),
-                      .before = done->seconds[JOB_PREPROCESS]};
     if (!(cfg->budget_s > 0))
         return;
-    s.unit = done->seconds[JOB_SWEEP] / pixels_of(c, recipe, recipe->work, &n);
+    struct recipe best = *recipe;
+    const struct speed s = {.left = cfg->budget_s - (engine_seconds() - done->start_s),
+                            .before = done->seconds[JOB_PREPROCESS],
+                            .unit = done->seconds[JOB_SWEEP] / pixels_of(c, recipe, recipe->work)};
     const int wanted = num_min(BUDGET_STEPS, recipe->refinement.steps);
     while (!cfg->size_fixed && s.unit > 0 && best.size > best.work &&
            expect_steps(&s, c, &best, done->scene.g.n) < wanted)
@@ -79,5 +65,5 @@ void budget_choose(const struct capture *c, const struct job_config *cfg, struct
     recipe->refinement.seconds = fmax(time_to_refine(&s, c, recipe), 1e-3);
     snprintf(done->budget, sizeof done->budget,
              "%.0f s in all: pictures of %d px, %.0f s for refinement", cfg->budget_s, recipe->size,
-             fmax(recipe->refinement.seconds, 0));
+             recipe->refinement.seconds);
 }

@@ -30,8 +30,7 @@ static enum recipe_source choose_cameras(bool known, bool bundle)
     return known ? RECIPE_GIVEN : bundle ? RECIPE_BUNDLE : RECIPE_NETWORK;
 }
 
-/* Pixels of one view of each place. */
-static long long count_pixels(const struct capture *c, struct prep_size size)
+long long recipe_pixels(const struct capture *c, struct prep_size size)
 {
     long long sum = 0;
     for (int i = 0; i < c->n; i++) {
@@ -45,7 +44,7 @@ static long long count_pixels(const struct capture *c, struct prep_size size)
 static void limit_gaussians(const struct capture *c, const struct job_config *cfg,
                             struct recipe *out)
 {
-    const long long pixels = count_pixels(c, (struct prep_size){cfg->size, out->square});
+    const long long pixels = recipe_pixels(c, (struct prep_size){cfg->size, out->square});
     const int all = pixels < GAUSSIANS_MAX ? (int)pixels : GAUSSIANS_MAX;
     out->refinement.gaussians_max = num_min(cfg->refine.gaussians_max, all);
     out->gaussians_max = out->forward ? all : out->refinement.gaussians_max;

@@ -84,6 +84,9 @@ enum { RECIPE_SIZE_AUTO = 0, RECIPE_SIZE_FULL = -1 }; // of job_config.size
 enum { RECIPE_AUTO_MAX = 1600 };
 int recipe_size(const struct job_config *cfg, const struct capture *c);
 
+/* Pixels of one view of each place. */
+long long recipe_pixels(const struct capture *c, struct prep_size size);
+
 /* A sentence about the sizes of pictures. */
 void recipe_tell_size(const struct recipe *recipe, const struct capture *c, char *text, size_t cap);
 
