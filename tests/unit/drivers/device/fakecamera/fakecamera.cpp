@@ -58,6 +58,7 @@ struct Camera::device {
     StreamConfiguration config;
     bool acquired = false, configured = false, running = false;
     bool gone = false, told = false; // told: the program has heard of it
+    int late = 0;                    // requests reused since
     std::deque<Request *> queue;
     std::thread thread;
     unsigned sequence = 0;
@@ -164,8 +165,9 @@ void Request::reuse(ReuseFlag flags)
     const std::lock_guard<std::recursive_mutex> hold(guard);
     if (queued_)
         wrong("a request is reused while it is queued");
-    if (camera_->d->told)
-        wrong("a request of a camera that has gone is reused");
+    // The program's thread may have been on its way here when it was told.
+    if (camera_->d->told && ++camera_->d->late > 1)
+        wrong("requests of a camera that has gone are reused");
     if (flags != ReuseBuffers)
         buffers_.clear();
     controls_.clear();
