@@ -534,7 +534,8 @@ static bool set_usual(struct bundle *b)
     for (int i = 0; i < b->a.n_lenses; i++) {
         const struct bundle_lens *known = &b->cfg->lens[i];
         const double first = start_focal(b, i), usual = usual_focal(b, i);
-        const bool sure = known->start.fx > 0 && !known->focal_guessed;
+        const bool sure =
+            known->start.fx > 0 && (!known->focal_guessed || lens_distorts(&known->start));
         b->start[i].fx = b->start[i].fy = sure ? first : usual;
         other = other || (!sure && fabs(log(first / usual)) > 0.05);
     }

@@ -11,21 +11,34 @@
 #include <math.h>
 #include <string.h>
 
-enum { SAMPLE = 7, DRAWS = 1500, POLISH = 3 };
+enum { SAMPLE = 7, POLISH = 3 };
 
-double epipolar_distance(const double f[9], const struct epipolar_match *m)
+/* The third coordinate of a point. */
+static double lifted(const float x[2], double bend)
 {
-    double x = m->a[0], y = m->a[1], u = m->b[0], v = m->b[1];
-    double l0 = f[0] * x + f[1] * y + f[2], l1 = f[3] * x + f[4] * y + f[5];
-    double r0 = f[0] * u + f[3] * v + f[6], r1 = f[1] * u + f[4] * v + f[7];
-    double e = u * l0 + v * l1 + f[6] * x + f[7] * y + f[8];
-    return e * e / (l0 * l0 + l1 * l1 + r0 * r0 + r1 * r1 + 1e-300);
+    return 1 + bend * (double)(x[0] * x[0] + x[1] * x[1]);
 }
 
-static void match_equation(const struct epipolar_match *m, double scale, double row[9])
+double epipolar_distance(const double f[9], struct epipolar_bend bend,
+                         const struct epipolar_match *m)
 {
-    double x = m->a[0] * scale, y = m->a[1] * scale, u = m->b[0] * scale, v = m->b[1] * scale;
-    const double r[9] = {u * x, u * y, u, v * x, v * y, v, x, y, 1};
+    const double x = m->a[0], y = m->a[1], u = m->b[0], v = m->b[1];
+    const double w = lifted(m->a, bend.a), z = lifted(m->b, bend.b);
+    const double l0 = f[0] * x + f[1] * y + f[2] * w, l1 = f[3] * x + f[4] * y + f[5] * w;
+    const double l2 = f[6] * x + f[7] * y + f[8] * w, r2 = f[2] * u + f[5] * v + f[8] * z;
+    const double r0 = f[0] * u + f[3] * v + f[6] * z, r1 = f[1] * u + f[4] * v + f[7] * z;
+    const double bu = l0 + 2 * bend.b * u * l2, bv = l1 + 2 * bend.b * v * l2;
+    const double ax = r0 + 2 * bend.a * x * r2, ay = r1 + 2 * bend.a * y * r2;
+    const double e = u * l0 + v * l1 + z * l2;
+    return e * e / (bu * bu + bv * bv + ax * ax + ay * ay + 1e-300);
+}
+
+static void match_equation(const struct epipolar_match *m, struct epipolar_bend bend, double scale,
+                           double row[9])
+{
+    const double x = m->a[0] * scale, y = m->a[1] * scale, w = lifted(m->a, bend.a);
+    const double u = m->b[0] * scale, v = m->b[1] * scale, z = lifted(m->b, bend.b);
+    const double r[9] = {u * x, u * y, u * w, v * x, v * y, v * w, z * x, z * y, z * w};
     memcpy(row, r, sizeof r);
 }
 
@@ -112,12 +125,13 @@ static int solve_cubic(const double c[4], double root[3])
 }
 
 /* Matrices through seven matches; returns their number, at most 3. */
-static int solve_seven(const struct epipolar_match *const m[SAMPLE], double scale, double f[3][9])
+static int solve_seven(const struct epipolar_match *const m[SAMPLE], struct epipolar_bend bend,
+                       double scale, double f[3][9])
 {
     double a[SAMPLE][9], p[9], q[9], at[4], c[4], root[3];
     int order[9];
     for (int i = 0; i < SAMPLE; i++)
-        match_equation(m[i], scale, a[i]);
+        match_equation(m[i], bend, scale, a[i]);
     int rank = eliminate_rows(a, order);
     memset(p, 0, sizeof p);
     memset(q, 0, sizeof q);
@@ -147,14 +161,15 @@ static int solve_seven(const struct epipolar_match *const m[SAMPLE], double scal
 
 /* ---- all matches ---- */
 
-/* Truncated score of the matches that agree (MSAC). */
-static double score_matrix(const double f[9], const struct epipolar_match *m, int n, double square,
-                           int *agree)
+/* MSAC */
+double epipolar_score(const double f[9], struct epipolar_bend bend, const struct epipolar_match *m,
+                      int n, float bound, int *agree)
 {
+    const double square = (double)bound * (double)bound;
     double sum = 0;
     *agree = 0;
     for (int i = 0; i < n; i++) {
-        double d = epipolar_distance(f, m + i);
+        const double d = epipolar_distance(f, bend, m + i);
         if (d < square) {
             sum += 1 - d / square;
             ++*agree;
@@ -165,15 +180,16 @@ static double score_matrix(const double f[9], const struct epipolar_match *m, in
 
 /* Weighted least squares on the matches that agree with f, in place: the eigenvector of the
  * smallest eigenvalue by inverse iteration. */
-static int polish_matrix(const struct epipolar_match *m, int n, double scale, double square,
-                         double f[9])
+static int polish_matrix(const struct epipolar_match *m, int n, struct epipolar_bend bend,
+                         const struct epipolar_search *how, double f[9])
 {
+    const double square = (double)how->bound * (double)how->bound, scale = 2.0 / how->size;
     double ata[81] = {0}, x[9];
     for (int i = 0; i < n; i++) {
-        double row[9], d = epipolar_distance(f, m + i);
+        double row[9], d = epipolar_distance(f, bend, m + i);
         if (d >= square)
             continue;
-        match_equation(m + i, scale, row);
+        match_equation(m + i, bend, scale, row);
         double grad = 0, e = 0;
         for (int k = 0; k < 9; k++)
             e += f[k] * row[k] / ((k / 3 < 2 ? scale : 1) * (k % 3 < 2 ? scale : 1));
@@ -228,47 +244,27 @@ static void choose_sample(const struct epipolar_match *m, int from, uint32_t *st
 }
 
 /* Draws that contain one of good matches only with 99.9 % probability. */
-static int draws_needed(int agree, int n)
+static int draws_needed(int agree, int n, int most)
 {
     double good = pow((double)agree / n, SAMPLE);
     if (good > 0.999)
         return 8;
     double k = log(1e-3) / log1p(-good);
-    return k < DRAWS ? (int)k + 8 : DRAWS;
+    return k < most ? (int)k + 8 : most;
 }
 
-int epipolar_run(const struct epipolar_match *m, int n, float size, float bound, double f[9])
+int epipolar_polish(const struct epipolar_search *how, struct epipolar_bend bend,
+                    const struct epipolar_match *m, int n, double f[9])
 {
-    double square = (double)bound * bound, best = 0, scale = 2.0 / size;
-    uint32_t state = 1;
-    int agree = 0, left = DRAWS;
-    memset(f, 0, 9 * sizeof *f);
-    if (n < EPIPOLAR_LEAST)
-        return 0;
-    for (int turn = 0; turn < left; turn++) {
-        const struct epipolar_match *sample[SAMPLE];
-        double trial[3][9];
-        int from = 20 + turn * n / (DRAWS / 4), k, found;
-        choose_sample(m, from < n ? from : n, &state, sample);
-        found = solve_seven(sample, scale, trial);
-        for (k = 0; k < found; k++) {
-            int count;
-            double sum = score_matrix(trial[k], m, n, square, &count);
-            if (sum > best) {
-                best = sum;
-                agree = count;
-                memcpy(f, trial[k], sizeof trial[k]);
-                left = draws_needed(agree, n);
-            }
-        }
-    }
+    int agree;
+    double best = epipolar_score(f, bend, m, n, how->bound, &agree);
     for (int turn = 0; turn < POLISH; turn++) {
-        double trial[9], sum;
+        double trial[9];
         int count;
         memcpy(trial, f, sizeof trial);
-        if (!polish_matrix(m, n, scale, square, trial))
+        if (!polish_matrix(m, n, bend, how, trial))
             break;
-        sum = score_matrix(trial, m, n, square, &count);
+        const double sum = epipolar_score(trial, bend, m, n, how->bound, &count);
         if (sum <= best)
             break;
         best = sum;
@@ -276,4 +272,34 @@ int epipolar_run(const struct epipolar_match *m, int n, float size, float bound,
         memcpy(f, trial, sizeof trial);
     }
     return agree;
+}
+
+int epipolar_run(const struct epipolar_search *how, struct epipolar_bend bend,
+                 const struct epipolar_match *m, int n, double f[9])
+{
+    double best = 0;
+    const double scale = 2.0 / how->size;
+    uint32_t state = 1;
+    int agree = 0, left = how->draws;
+    memset(f, 0, 9 * sizeof *f);
+    if (n < EPIPOLAR_LEAST)
+        return 0;
+    for (int turn = 0; turn < left; turn++) {
+        const struct epipolar_match *sample[SAMPLE];
+        double trial[3][9];
+        const int from = 20 + turn * n / (how->draws / 4);
+        choose_sample(m, from < n ? from : n, &state, sample);
+        const int found = solve_seven(sample, bend, scale, trial);
+        for (int k = 0; k < found; k++) {
+            int count;
+            const double sum = epipolar_score(trial[k], bend, m, n, how->bound, &count);
+            if (sum > best) {
+                best = sum;
+                agree = count;
+                memcpy(f, trial[k], sizeof trial[k]);
+                left = draws_needed(agree, n, how->draws);
+            }
+        }
+    }
+    return epipolar_polish(how, bend, m, n, f);
 }

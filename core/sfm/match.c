@@ -37,6 +37,7 @@ struct matcher {
     const struct views *v;
     struct pair_views p;
     int cap, n_couples;  // of p; of views
+    bool bent;           // views are not those of pinholes
     struct pair *couple; // (n_couples)
     float *roll;         // (n) of views, radians from x to y, among those that are connected
     struct room *rooms;
@@ -81,12 +82,75 @@ static err_t prepare_view(void *ctx, int i, int worker)
     return OK;
 }
 
-static err_t match_couple(void *ctx, int i_couple, int worker)
+static err_t search_couple(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
     err_t e = run_check(m->r, "matching");
     if (!e)
-        pair_run(&m->p, &m->rooms[worker].pair, m->couple + i_couple);
+        pair_search(&m->p, &m->rooms[worker].pair, m->couple + i_couple);
+    return e;
+}
+
+static err_t complete_couple(void *ctx, int i_couple, int worker)
+{
+    struct matcher *m = ctx;
+    err_t e = run_check(m->r, "matching");
+    if (!e)
+        pair_complete(&m->p, &m->rooms[worker].pair, m->couple + i_couple, m->bent);
+    return e;
+}
+
+/* ---- lenses ---- */
+
+/* Pairs as struct division_views wants them. */
+struct couples {
+    struct division_pair *pair;   // (n_couples)
+    struct epipolar_match *match; // (n_couples, DIVISION_MATCHES)
+    double *frame, *focal;        // (n_lenses)
+};
+
+static err_t layout_couples(struct couples *c, struct arena *tmp, int n_couples, int n_lenses)
+{
+    const size_t n = (size_t)n_couples;
+    err_t e = arena_alloc(tmp, n, sizeof *c->pair, &c->pair);
+    if (!e)
+        e = arena_alloc(tmp, n * DIVISION_MATCHES, sizeof *c->match, &c->match);
+    if (!e)
+        e = arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->frame, &c->frame);
+    return e ? e : arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->focal, &c->focal);
+}
+
+/* How strongly the lenses distort, for the pairs of their views. */
+static err_t find_bends(struct matcher *m, struct match_lenses *lenses)
+{
+    const size_t mark = arena_mark(m->r->tmp);
+    struct couples c;
+    err_t e = layout_couples(&c, m->r->tmp, m->n_couples, lenses->n);
+    for (int i = 0; i < m->n_couples && !e; i++) {
+        struct epipolar_match *match = c.match + (size_t)i * DIVISION_MATCHES;
+        const struct pair *p = m->couple + i;
+        c.pair[i] = (struct division_pair){p->a, p->b,
+                                           pair_matches(&m->p, p, DIVISION_MATCHES, match), match};
+    }
+    for (int v = 0; v < m->v->n && !e; v++) {
+        const struct extent *px = &m->v->extent[v];
+        c.frame[lenses->of[v]] = 0.5 * hypot(px->w, px->h);
+        c.focal[lenses->of[v]] = lenses->lens[lenses->of[v]].focal;
+    }
+    const struct division_views v = {.n_lenses = lenses->n,
+                                     .n_pairs = m->n_couples,
+                                     .lens_of = lenses->of,
+                                     .frame = c.frame,
+                                     .focal = c.focal,
+                                     .search = {(float)m->v->size, PAIR_BOUND, EPIPOLAR_DRAWS},
+                                     .pair = c.pair};
+    if (!e)
+        e = division_run(m->r, &v, lenses->lens);
+    for (int i = 0; i < m->v->n && !e; i++) {
+        m->p.bend[i] = lenses->lens[lenses->of[i]].bend;
+        m->bent = m->bent || m->p.bend[i] != 0;
+    }
+    arena_reset(m->r->tmp, mark);
     return e;
 }
 
@@ -377,9 +441,10 @@ static err_t refit_couple(void *ctx, int i_couple, int worker)
         const struct match_observation *a = seen_in(m, m->track + i, c->a);
         const struct match_observation *b = a ? seen_in(m, m->track + i, c->b) : NULL;
         if (b)
-            match[n++] = pair_match(&m->p, a->u, a->v, b->u, b->v);
+            match[n++] = pair_match(&m->p, c->a, c->b, (float[4]){a->u, a->v, b->u, b->v});
     }
-    int agree = epipolar_run(match, n, (float)m->v->size, EXACT, c->f);
+    const struct epipolar_search how = {(float)m->v->size, EXACT, EPIPOLAR_DRAWS};
+    int agree = epipolar_run(&how, pair_bend(&m->p, c), match, n, c->f);
     c->known = agree >= PAIR_LEAST && agree * 2 > n;
     return run_check(m->r, "matching");
 }
@@ -395,9 +460,11 @@ static int votes_against(const struct matcher *m, const struct track *t, int k)
         if (i == k)
             continue;
         const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
-        const struct epipolar_match match = pair_match(&m->p, a->u, a->v, b->u, b->v);
+        const struct epipolar_match match =
+            pair_match(&m->p, a->view, b->view, (float[4]){a->u, a->v, b->u, b->v});
+        const double distance = epipolar_distance(c->f, pair_bend(&m->p, c), &match);
         if (c->known)
-            sum += epipolar_distance(c->f, &match) > (double)(EXACT * EXACT) ? 1 : -1;
+            sum += distance > (double)(EXACT * EXACT) ? 1 : -1;
     }
     return sum;
 }
@@ -555,15 +622,20 @@ static err_t layout(struct matcher *m, struct arena *tmp, int threads)
     return e ? e : layout_pairs(m, tmp);
 }
 
-void match_plan(struct plan *p, const struct views *v, struct match_tracks *out)
+void match_plan(struct plan *p, const struct views *v, int n_lenses, struct match_tracks *out)
 {
     const struct correspondence prior = {.grid = v->size / CORRESPONDENCE_PATCH + 1};
     struct matcher m = {.v = v, .p = {.prior = &prior}};
     const size_t mark = arena_mark(&p->tmp);
+    struct couples couples;
     struct edge *edge;
     uint16_t *count;
     err_t e = layout(&m, &p->tmp, p->threads);
     const size_t level = arena_mark(&p->tmp);
+    if (!e)
+        e = layout_couples(&couples, &p->tmp, m.n_couples, n_lenses);
+    arena_step(&p->tmp, division_plan(n_lenses, m.n_couples));
+    arena_reset(&p->tmp, level);
     if (!e)
         e = layout_edges(&edge, &p->tmp, &m);
     arena_reset(&p->tmp, level);
@@ -579,13 +651,17 @@ void match_plan(struct plan *p, const struct views *v, struct match_tracks *out)
 }
 
 /* Corners, pairs, tracks, refinement, choice. */
-static err_t find_tracks(struct matcher *m, struct match_tracks *out)
+static err_t find_tracks(struct matcher *m, struct match_lenses *lenses, struct match_tracks *out)
 {
     err_t e = layout(m, m->r->tmp, pool_size(m->r->pool));
     if (!e)
         e = pool_for(m->r->pool, m->v->n, prepare_view, m);
     if (!e)
-        e = pool_for(m->r->pool, m->n_couples, match_couple, m);
+        e = pool_for(m->r->pool, m->n_couples, search_couple, m);
+    if (!e && lenses)
+        e = find_bends(m, lenses);
+    if (!e)
+        e = pool_for(m->r->pool, m->n_couples, complete_couple, m);
     if (e)
         return e;
     find_rolls(m);
@@ -603,7 +679,7 @@ static err_t find_tracks(struct matcher *m, struct match_tracks *out)
 }
 
 err_t match_run(const struct run *r, const struct views *v, const struct correspondence *prior,
-                struct match_tracks *out)
+                struct match_lenses *lenses, struct match_tracks *out)
 {
     struct matcher m = {
         .r = r,
@@ -613,7 +689,7 @@ err_t match_run(const struct run *r, const struct views *v, const struct corresp
     memset(out, 0, sizeof *out);
     if (v->n < 2 || v->size < CORNER_SIZE_MIN)
         return OK;
-    err_t e = find_tracks(&m, out);
+    err_t e = find_tracks(&m, lenses, out);
     arena_reset(r->tmp, mark);
     if (e)
         memset(out, 0, sizeof *out);

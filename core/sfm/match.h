@@ -8,6 +8,7 @@
 
 #include "core/base/plan.h"
 #include "core/base/types.h"
+#include "core/sfm/division.h"
 
 /* One point seen in one view. */
 struct match_observation {
@@ -21,18 +22,28 @@ struct match_tracks {
     struct match_observation *obs; // (n)
 };
 
-/* Find tracks. prior: of net_run for these views (core/net/shared_attention.c), or NULL: places
- * outside its attention count as less likely; where its attention is flat it is ignored.
+/* Lenses to be found on the way: on input `focal` of lens is what is expected, px. */
+struct match_lenses {
+    int n;
+    const int *of;              // (n_views)
+    struct division_lens *lens; // (n)
+};
+
+/* Find tracks. lenses: NULL if the views are those of pinholes; else their bends are found, and
+ * focal lengths where there are any. prior: of net_run for these views
+ * (core/net/shared_attention.c), or NULL: places outside its attention count as less likely; where
+ * its attention is flat it is ignored.
  * out:  lives in r->keep, at most MATCH_TRACKS_MAX tracks of MATCH_SEEN_MAX observations; 0 tracks
  * if
  *       nothing agrees, and for one view or views below 64 px.
  * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,
-                         const struct correspondence *prior, struct match_tracks *out);
+                         const struct correspondence *prior, struct match_lenses *lenses,
+                         struct match_tracks *out);
 
 /* Count what match_run takes; of v only n, size and extent are read. out: most tracks and
  * observations. */
-void match_plan(struct plan *p, const struct views *v, struct match_tracks *out);
+void match_plan(struct plan *p, const struct views *v, int n_lenses, struct match_tracks *out);
 
 #endif

@@ -26,7 +26,6 @@ enum {
 #define APART 5.0f      // px, corners that are not the same place
 #define ELSEWHERE 1.5f  // factor on distances outside the network's attention
 #define SHARE_MIN 0.1f  // least share of the attention on the best tokens, below which it is flat
-#define BOUND 1.5f      // px, Sampson distance of corners that agree
 #define BAND 2.0f       // px, from the epipolar line
 
 /* ---- memory ---- */
@@ -45,6 +44,8 @@ err_t pair_views_init(struct arena *tmp, const struct views *v, struct pair_view
     err_t e = arena_alloc(tmp, views, sizeof *out->view, &out->view);
     if (!e)
         e = arena_alloc(tmp, views, sizeof *out->panels, &out->panels);
+    if (!e)
+        e = arena_zalloc(tmp, views, sizeof *out->bend, &out->bend);
     if (!e)
         e = arena_alloc(tmp, views * cap, sizeof *out->token, &out->token);
     for (size_t i = 0; i < views && !e; i++) {
@@ -229,20 +230,42 @@ static void search_all(const struct pair_views *m, const struct pair *c, struct 
     }
 }
 
+/* The curve of b that a corner of a lies on, in b's lifted coordinates; straight without bend. */
+struct curve {
+    double line[3], bend;
+};
+
+static struct curve curve_of(const struct pair_views *m, const struct pair *c, int i)
+{
+    const struct epipolar_bend bend = pair_bend(m, c);
+    const struct corner *at = m->view[c->a].at + i;
+    const struct epipolar_match p = pair_match(m, c->a, c->b, (float[4]){at->u, at->v, 0, 0});
+    const double x = p.a[0], y = p.a[1], w = 1 + bend.a * (x * x + y * y);
+    struct curve out = {.bend = bend.b};
+    for (int k = 0; k < 3; k++)
+        out.line[k] = c->f[3 * k] * x + c->f[3 * k + 1] * y + c->f[3 * k + 2] * w;
+    return out;
+}
+
+/* Whether a point, px from the middle of b, is in the band around the curve. */
+static bool is_near(const struct curve *c, double u, double v)
+{
+    const double *l = c->line;
+    const double e = l[0] * u + l[1] * v + l[2] * (1 + c->bend * (u * u + v * v));
+    const double gu = l[0] + 2 * c->bend * u * l[2], gv = l[1] + 2 * c->bend * v * l[2];
+    return e * e < (double)(BAND * BAND) * (gu * gu + gv * gv);
+}
+
 /* Compare with the corners along the epipolar line only. */
 static void search_lines(const struct pair_views *m, const struct pair *c, struct pair_workspace *w)
 {
     const struct corner_view *a = m->view + c->a, *b = m->view + c->b;
-    const float middle = 0.5f * (float)m->size;
+    const double middle[2] = {0.5 * b->level->w, 0.5 * b->level->h};
     for (int i = 0; i < a->n; i++) {
-        float x = a->at[i].u - middle, y = a->at[i].v - middle, line[3];
-        for (int k = 0; k < 3; k++)
-            line[k] = (float)(c->f[3 * k] * x + c->f[3 * k + 1] * y + c->f[3 * k + 2]);
-        float reach = BAND * sqrtf(line[0] * line[0] + line[1] * line[1]);
+        const struct curve curve = curve_of(m, c, i);
         struct trial t = {i, 0, w->near, w->product};
-        line[2] -= middle * (line[0] + line[1]);
         for (int j = 0; j < b->n; j++)
-            if (fabsf(line[0] * b->at[j].u + line[1] * b->at[j].v + line[2]) < reach)
+            if (is_near(&curve, (double)b->at[j].u - middle[0], (double)b->at[j].v - middle[1]))
                 w->near[t.n++] = (int16_t)j;
         const int8_t *p = turn_rows(m, c, i, 1, w);
         for (int k = 0; k < t.n; k++) {
@@ -275,21 +298,31 @@ static void link_mutual(const struct pair_views *m, struct pair *c, const struct
     qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
 }
 
-struct epipolar_match pair_match(const struct pair_views *m, float au, float av, float bu, float bv)
+struct epipolar_match pair_match(const struct pair_views *m, int a, int b, const float at[4])
 {
-    const float middle = 0.5f * (float)m->size;
-    return (struct epipolar_match){{au - middle, av - middle}, {bu - middle, bv - middle}};
+    const struct corner_level *p = m->view[a].level, *q = m->view[b].level;
+    return (struct epipolar_match){{at[0] - 0.5f * (float)p->w, at[1] - 0.5f * (float)p->h},
+                                   {at[2] - 0.5f * (float)q->w, at[3] - 0.5f * (float)q->h}};
+}
+
+int pair_matches(const struct pair_views *m, const struct pair *c, int most,
+                 struct epipolar_match *match)
+{
+    const int n = num_min(c->n, most);
+    for (int k = 0; k < n; k++) {
+        const struct corner *a = m->view[c->a].at + c->link[k].a;
+        const struct corner *b = m->view[c->b].at + c->link[k].b;
+        match[k] = pair_match(m, c->a, c->b, (float[4]){a->u, a->v, b->u, b->v});
+    }
+    return n;
 }
 
 /* The epipolar geometry that most links agree with; returns how many. */
 static int find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
 {
-    for (int k = 0; k < c->n; k++) {
-        const struct corner *a = m->view[c->a].at + c->link[k].a;
-        const struct corner *b = m->view[c->b].at + c->link[k].b;
-        match[k] = pair_match(m, a->u, a->v, b->u, b->v);
-    }
-    int agree = epipolar_run(match, c->n, (float)m->size, BOUND, c->f);
+    const struct epipolar_search how = {(float)m->size, PAIR_BOUND, EPIPOLAR_DRAWS};
+    pair_matches(m, c, c->n, match);
+    const int agree = epipolar_run(&how, pair_bend(m, c), match, c->n, c->f);
     c->known = agree >= PAIR_LEAST + c->n / 16;
     return agree;
 }
@@ -325,11 +358,13 @@ static void try_turns(const struct pair_views *m, struct pair_workspace *w, stru
     c->turn = best;
     link_all(m, c, w);
     const int turned = find_geometry(m, c, w->match);
-    if (!c->known || turned <= agree + PAIR_LEAST / 2)
+    if (!c->known || turned <= agree + PAIR_LEAST / 2) {
         *c = upright;
+        link_all(m, c, w);
+    }
 }
 
-void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
+void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
 {
     c->n = 0;
     c->turn = 0;
@@ -340,6 +375,12 @@ void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair 
     const int agree = find_geometry(m, c, w->match);
     if (agree < SURE)
         try_turns(m, w, c, agree);
+}
+
+void pair_complete(const struct pair_views *m, struct pair_workspace *w, struct pair *c, bool again)
+{
+    if (again)
+        find_geometry(m, c, w->match);
     if (c->known) {
         clear_nearest(m, c, w);
         search_lines(m, c, w);

@@ -9,6 +9,7 @@
 #include "core/sfm/epipolar.h"
 
 enum { PAIR_LEAST = 12 }; // matches that one epipolar geometry must explain
+#define PAIR_BOUND 1.5f   // px, Sampson distance of corners that agree
 
 /* One match. */
 struct pair_link {
@@ -32,6 +33,7 @@ struct pair_views {
     int n, size, cap;                   // views; px, longest edge; corner_cap
     struct corner_view *view;           // (n)
     int8_t **panels;                    // (n) descriptors packed for gemm_s8
+    double *bend;                       // (n) of each view's lens, epipolar.h
     int *token;                         // (n, cap) patch of the network that a corner lies in
 };
 
@@ -60,12 +62,24 @@ MUST_USE err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v
 /* After corner_run of view i. */
 void pair_prepare(const struct pair_views *m, int i);
 
-/* Fill c, whose a, b and link are set; without a geometry that enough matches agree with, n is 0.
- */
-void pair_run(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
+/* Compare all corners: fill c, whose a, b and link are set, with matches, many of them wrong. */
+void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
 
-/* Two points, px of the views, for epipolar_distance with a pair's f. */
-struct epipolar_match pair_match(const struct pair_views *m, float au, float av, float bu,
-                                 float bv);
+/* After pair_search: fill c with the matches along its epipolar lines; without a geometry that
+ * enough matches agree with, n is 0. bend: of m; `again` where it was another before. */
+void pair_complete(const struct pair_views *m, struct pair_workspace *w, struct pair *c,
+                   bool again);
+
+/* Two points of views a and b, px of these, for epipolar_distance with a pair's f. */
+struct epipolar_match pair_match(const struct pair_views *m, int a, int b, const float at[4]);
+
+/* The surest matches of a pair, `most` of them if there are as many; returns their number. */
+int pair_matches(const struct pair_views *m, const struct pair *c, int most,
+                 struct epipolar_match *match);
+
+static inline struct epipolar_bend pair_bend(const struct pair_views *m, const struct pair *c)
+{
+    return (struct epipolar_bend){m->bend[c->a], m->bend[c->b]};
+}
 
 #endif

@@ -604,6 +604,13 @@ static void sample_run(struct sample *s)
     }
 }
 
+double twoview_polish(const struct twoview_match *m, int n, const double e[9])
+{
+    struct sample s = {.m = m, .n = n, .cost = n * (double)(TWOVIEW_GATE * TWOVIEW_GATE)};
+    try_essential(&s, e, 2 * POLISH);
+    return s.cost;
+}
+
 void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct twoview *out)
 {
     struct sample s = {.m = m, .n = n, .state = seed, .cost = 1e300};

@@ -25,6 +25,10 @@ enum { TWOVIEW_GATE = 3, TWOVIEW_SOLUTIONS = 10, TWOVIEW_LEAST = 8 };
  * alone. Fewer than TWOVIEW_LEAST matches have no answer: 0 inliers and no rotation. */
 void twoview_run(const struct twoview_match *m, int n, uint32_t seed, struct twoview *out);
 
+/* The pose that an essential matrix (below) of about that pose means, polished.
+ * returns: sum over the matches of their squared distances, each at most TWOVIEW_GATE^2. */
+double twoview_polish(const struct twoview_match *m, int n, const double e[9]);
+
 /* Squared distance of a match from the model, in units of its expected error: from the epipolar
  * line (Sampson) or, without parallax, from the rotated point. */
 double twoview_distance(const struct twoview *v, const struct twoview_match *m);

@@ -129,7 +129,7 @@ static void open_world(struct world *w, int n, int threads)
     kernels_init(&w->k, cpu_detect());
     struct plan plan = plan_begin(threads);
     struct match_tracks most;
-    match_plan(&plan, &w->v, &most);
+    match_plan(&plan, &w->v, 0, &most);
     assert_int_equal(arena_init(&w->keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&w->tmp, "tmp", plan.tmp.peak), OK);
     if (threads > 1)
@@ -227,7 +227,7 @@ static struct match_tracks find(struct world *w, const struct correspondence *pr
 {
     struct match_tracks t;
     w->keep.used = 0;
-    assert_int_equal(match_run(&w->run, &w->v, prior, &t), OK);
+    assert_int_equal(match_run(&w->run, &w->v, prior, NULL, &t), OK);
     assert_int_equal(w->tmp.used, 0);
     check_form(w, &t);
     return t;
@@ -390,7 +390,7 @@ static void test_nothing_to_see(void **state)
     for (w.v.size = 1; w.v.size < 90; w.v.size += 11) {
         w.keep.used = 0;
         w.v.extent = squares(3, w.v.size);
-        assert_int_equal(match_run(&w.run, &w.v, NULL, &t), OK);
+        assert_int_equal(match_run(&w.run, &w.v, NULL, NULL, &t), OK);
         assert_true(t.n_tracks < 20);
     }
     close_world(&w);
@@ -481,7 +481,7 @@ static void test_too_little_memory(void **state)
     make_fan(&w, 0.1, 0, 5000);
     size_t full = w.tmp.size;
     for (w.tmp.size = 0; w.tmp.size < full; w.tmp.size += full / 11) {
-        err_t e = match_run(&w.run, &w.v, NULL, &t);
+        err_t e = match_run(&w.run, &w.v, NULL, NULL, &t);
         assert_true(e == OK || e == ERR_NOMEM);
         assert_true(e == OK || (!t.obs && t.n == 0 && w.keep.used == 0));
         assert_int_equal(w.tmp.used, 0);
@@ -489,13 +489,13 @@ static void test_too_little_memory(void **state)
     }
     w.tmp.size = full;
     w.keep.size = 64;
-    assert_int_equal(match_run(&w.run, &w.v, NULL, &t), ERR_NOMEM);
+    assert_int_equal(match_run(&w.run, &w.v, NULL, NULL, &t), ERR_NOMEM);
     struct plan plan = plan_begin(1);
-    match_plan(&plan, &w.v, &t);
+    match_plan(&plan, &w.v, 0, &t);
     w.keep.size = plan.keep.peak;
     atomic_bool cancel = true;
     w.run.cancel = &cancel;
-    assert_int_equal(match_run(&w.run, &w.v, NULL, &t), ERR_CANCELLED);
+    assert_int_equal(match_run(&w.run, &w.v, NULL, NULL, &t), ERR_CANCELLED);
     assert_int_equal(w.tmp.used, 0);
     close_world(&w);
 }
@@ -519,11 +519,11 @@ static void test_many_views(void **state)
     }
     kernels_init(&k, cpu_detect());
     struct plan plan = plan_begin(1);
-    match_plan(&plan, &v, &t);
+    match_plan(&plan, &v, 0, &t);
     assert_int_equal(arena_init(&keep, "keep", plan.keep.peak), OK);
     assert_int_equal(arena_init(&tmp, "tmp", plan.tmp.peak), OK);
     const struct run r = {.k = &k, .keep = &keep, .tmp = &tmp};
-    assert_int_equal(match_run(&r, &v, NULL, &t), OK);
+    assert_int_equal(match_run(&r, &v, NULL, NULL, &t), OK);
     for (int i = 0; i < t.n; i++) {
         bool same = i > 0 && t.obs[i].track == t.obs[i - 1].track;
         assert_true(!same || t.obs[i].view > t.obs[i - 1].view);
