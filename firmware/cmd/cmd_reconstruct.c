@@ -50,6 +50,8 @@ static err_t print_result(const struct request *rq, struct state *st)
         if (j->refine.steps > 0)
             printf(", held-out squares %.2f dB", (double)j->refine.held_out_db[1]);
         printf(", %.1f s%s\n", j->lap_s - j->start_s, cmd_count_warnings(j, count));
+        if (j->budget[0])
+            printf("%s: %s, %d steps\n", rq->out, j->budget, j->refine.steps);
     }
     return cmd_json_close(&st->json);
 }

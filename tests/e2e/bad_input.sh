@@ -52,6 +52,33 @@ copy text
 echo 'not a picture' >"$set/images/train_ldr_001_0.png"
 refused 1 'text/images/train_ldr_001_0.png' --images "$set"
 
+# headers of 12000 x 9000 px before next to nothing: a PNG, a JPEG, a TIFF of one strip
+mkdir "$OUT/vast"
+cp tests/data/room/images/train_ldr_003_2.png "$OUT/vast/a.png"
+printf '\211PNG\r\n\032\n\0\0\0\rIHDR\0\0\056\340\0\0\043\050\010\002\0\0\0BK\346\277' >"$OUT/vast.png"
+printf '\0\0\0\nIDATx\234\003\0\0\0\0\001xx\337\213\314\020' >>"$OUT/vast.png"
+cp tests/data/img/rgb.jpg "$OUT/vast.jpg"
+printf '\043\050\056\340' | dd of="$OUT/vast.jpg" bs=1 seek=257 conv=notrunc 2>/dev/null
+{
+    printf 'II*\0\010\0\0\0\007\0'
+    printf '\0\001\004\0\001\0\0\0\340.\0\0'       # width
+    printf '\001\001\004\0\001\0\0\0(#\0\0'         # height
+    printf '\002\001\003\0\001\0\0\0\010\0\0\0'   # 8 bits
+    printf '\003\001\003\0\001\0\0\0\001\0\0\0'   # uncompressed
+    printf '\006\001\003\0\001\0\0\0\001\0\0\0'   # black is 0
+    printf '\021\001\004\0\001\0\0\0\152\0\0\0'   # the strip
+    printf '\027\001\004\0\001\0\0\0\0\365\157\006' # its bytes
+    printf '\0\0\0\0'
+} >"$OUT/vast.tif"
+for kind in png jpg tif; do
+    cp "$OUT/vast.$kind" "$OUT/vast/b.$kind"
+    echo "{\"a.png\": 1, \"b.$kind\": 1}" >"$OUT/vast/exposure.json"
+    expect 1 "vast/b.$kind" reconstruct --images "$OUT/vast" --size 112 --refine 0 \
+        --out "$OUT/result"
+    nothing_at "$OUT/result"
+    rm "$OUT/vast/b.$kind"
+done
+
 # what is not read is told at the end, and in the report
 copy mixed
 : >"$set/images/IMG_0001.HEIC"
