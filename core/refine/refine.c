@@ -7,10 +7,9 @@
  * photographs still show each surface) decide the size of the model:
  * - Gaussians: between 33 % and 70 % of the steps the splats with the largest gradients are split
  *   once a round, unless the held-out error is close to the noise of the photographs (then more
- *   splats would only learn noise);
+ *   splats would only learn noise), and until SPLITS_VAIN rounds have not lowered it;
  * - SH bands: one band at a time is trained for 15 % of the steps and kept if it lowers the
- * held-out
- *   error;
+ *   held-out error;
  * - steps: when PATIENCE rounds have not lowered the held-out error, the schedule is cut short;
  * - the result: the scene with the lowest held-out error at full size. The start does not take
  *   part: it was made from the squares, too. */
@@ -32,6 +31,7 @@
 #include <string.h>
 
 enum { HELD_PX = 32, HELD_ONE_IN = 24, ROUND_MIN = 50, GROUPS = 6, PATIENCE = 4 };
+enum { SPLITS_VAIN = 2 };            // rounds of splits that have not helped
 enum { MEASURE_STEPS = 8 };          // per view, between two measurements of the scene
 enum { EDGE_MIN = 4 * LOSS_WINDOW }; // px of a view that is drawn smaller
 
@@ -91,9 +91,11 @@ struct refine {
     float loss;        // sum since the start of the round
     int band_from;     // step at which the highest band was added, 0 = none on trial
     bool bands_done, splits_done;
-    float noise_db; // of the photographs, as a PSNR
-    float best_db;  // held-out, at full size, as drawn in the rounds
-    int measured;   // step of the last comparison with the best scene
+    float noise_db;               // of the photographs, as a PSNR
+    float best_db;                // held-out, at full size, as drawn in the rounds
+    float split_db;               // the highest before a split at split_level
+    int split_level, splits_vain; // splits since
+    int measured;                 // step of the last comparison with the best scene
     struct best best;
     int stalled; // rounds without progress
     struct pace pace;
@@ -590,11 +592,19 @@ static void split_splats(struct refine *f)
     most = most < f->cfg->gaussians_max ? most : f->cfg->gaussians_max;
     const float noise_db = f->noise_db + LEVEL_NOISE_DB * (float)f->level;
     bool noise = db > noise_db - SPLIT_NOISE_DB, all = g->n >= most;
-    f->splits_done = progress_of(f) > SPLIT_END || noise || all;
+    if (f->level != f->split_level || db > f->split_db) {
+        f->split_level = f->level;
+        f->split_db = db;
+        f->splits_vain = 0;
+    } else
+        f->splits_vain++;
+    const bool vain = f->splits_vain >= SPLITS_VAIN;
+    f->splits_done = progress_of(f) > SPLIT_END || noise || all || vain;
     if (f->splits_done) {
         add_note(f, "%d Gaussians: %s (held-out %.1f dB, noise of the photographs %.1f dB)", g->n,
                  all     ? "as many as pixels or as allowed"
                  : noise ? "more would learn noise"
+                 : vain  ? "more made held-out squares no better"
                          : "time to settle",
                  (double)db, (double)noise_db);
         return;

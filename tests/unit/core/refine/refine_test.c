@@ -184,7 +184,8 @@ static void test_learns(void **state)
     close_world();
 }
 
-/* From the truth there is nothing to gain: a scene before the last one is the result. */
+/* From the truth there is nothing to gain: splitting stops, and a scene before the last one is the
+ * result. */
 static void test_keeps_best(void **state)
 {
     (void)state;
@@ -196,6 +197,7 @@ static void test_keeps_best(void **state)
     assert_in_range(rep.step_kept, 1, rep.steps - 1);
     assert_float_equal(again.held_out_db[0], rep.held_out_db[1], 1e-3);
     assert_int_equal(rep.gaussians, W.start.g.n);
+    assert_non_null(strstr(rep.notes[0], "more made held-out squares no better"));
     close_world();
 }
 
