@@ -55,7 +55,8 @@ refused 1 'text/images/train_ldr_001_0.png' --images "$set"
 # headers of 12000 x 9000 px before next to nothing: a PNG, a JPEG, a TIFF of one strip
 mkdir "$OUT/vast"
 cp tests/data/room/images/train_ldr_003_2.png "$OUT/vast/a.png"
-printf '\211PNG\r\n\032\n\0\0\0\rIHDR\0\0\056\340\0\0\043\050\010\002\0\0\0BK\346\277' >"$OUT/vast.png"
+printf '\211PNG\r\n\032\n\0\0\0\rIHDR' >"$OUT/vast.png"
+printf '\0\0\056\340\0\0\043\050\010\002\0\0\0BK\346\277' >>"$OUT/vast.png"
 printf '\0\0\0\nIDATx\234\003\0\0\0\0\001xx\337\213\314\020' >>"$OUT/vast.png"
 cp tests/data/img/rgb.jpg "$OUT/vast.jpg"
 printf '\043\050\056\340' | dd of="$OUT/vast.jpg" bs=1 seek=257 conv=notrunc 2>/dev/null

@@ -9,7 +9,8 @@ succeed "${make[@]}" --refine 0 --out "$OUT/start"
 start=$(number "$OUT/start/report.json" seconds total)
 seconds=$(awk -v x="$start" 'BEGIN { print int(x + 4) }')
 succeed "${make[@]}" --budget "$seconds" --out "$OUT/short"
-grep -Eq ": $seconds s in all: pictures of 448 px, .* s for refinement, [0-9]+ steps$" "$OUT/stdout.txt" ||
+grep -Eq ": $seconds s in all: pictures of 448 px, .* s for refinement, [0-9]+ steps$" \
+    "$OUT/stdout.txt" ||
     fail "not on the terminal"
 grep -q "\"$seconds s in all: pictures of 448 px, " "$OUT/short/report.json" || fail "not told"
 grep -q 'of 1000 steps: no more fit into the time"' "$OUT/short/report.json" || fail "all steps"
