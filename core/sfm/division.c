@@ -1,10 +1,10 @@
 /* Bends: the sum over all pairs of the scores of their best epipolar geometry is climbed, one lens
  * at a time and all together, from the best of two starts: one bend for all lenses; and for each
  * lens the bend that explains the matches among its own views, which says how strong it is, while
- * two different lenses also agree when both are wrong. Focal lengths: the same climb down the cost
- * of the pairs' essential matrices. Views that look at one point say little of focal lengths
- * (Sturm, "On focal length calibration from two views", 2001); then the cost is flat but for their
- * ratios, and they stay near what was expected. */
+ * two different lenses also agree when both are wrong. Focal lengths: the same climb for what
+ * the pairs' essential matrices explain. Views that look at one point say little of focal lengths
+ * (Sturm, "On focal length calibration from two views", 2001); then all explain the same that have
+ * the right ratios, and those nearest to what was expected win. */
 #include "core/sfm/division.h"
 
 #include "core/base/num.h"
@@ -16,6 +16,7 @@
 enum {
     DRAWS = 200,       // samples of a geometry
     CLIMB_DRAWS = 60,  // the same, where one of about these bends is known
+    TRIES = 6,         // steps from the bends found to none, on which straight ones are scored
     PAIR_MATCHES = 24, // of a pair that tells
     LENS_PAIRS = 16,   // of a lens, the best ones, that are looked at
     CLIMBS = 4,        // passes over all lenses with one step
@@ -44,7 +45,7 @@ struct division {
     double (*f)[9], (*kept_f)[9]; // (n_pairs) geometries of the present bends
     bool *used;                   // (n_pairs)
     bool focals;                  // what is scored
-    bool climbs;                  // from bends that are scored
+    bool climbs, most_draws;      // from bends that are scored; all draws of the search
     int own;                      // only pairs within this lens; -1: all
 };
 
@@ -109,7 +110,7 @@ static double score_bends(const struct division *d, int i, double f[9])
     struct epipolar_search how = d->v->search;
     double old[9];
     int agree;
-    how.draws = d->climbs ? CLIMB_DRAWS : DRAWS;
+    how.draws = d->climbs ? CLIMB_DRAWS : d->most_draws ? how.draws : DRAWS;
     (void)epipolar_run(&how, bend, p->match, p->n, f);
     const double score = epipolar_score(f, bend, p->match, p->n, how.bound, &agree);
     if (d->kept[i] == 0)
@@ -326,6 +327,27 @@ static err_t climb_bends(struct division *d, double *best)
     return e;
 }
 
+/* What straight lenses explain, with as many tries as the bends had: scores are the best of many
+ * draws, so that the more often tried would win. Ends with the lenses as they are. end: (n_lenses)
+ */
+static err_t score_straight(struct division *d, struct division_lens *end, double *best)
+{
+    const size_t bytes = (size_t)d->v->n_lenses * sizeof *end;
+    double total;
+    memcpy(end, d->lens, bytes);
+    err_t e = score_start(d, &total);
+    d->most_draws = true;
+    for (int k = TRIES - 1; k >= 0 && !e; k--) {
+        for (int i = 0; i < d->v->n_lenses; i++)
+            d->lens[i].bend = end[i].bend * k / TRIES;
+        e = score_start(d, &total);
+    }
+    d->most_draws = false;
+    *best = fmax(*best, total);
+    memcpy(d->lens, end, bytes);
+    return e;
+}
+
 /* other: (n_lenses) */
 static err_t find_bends(struct division *d, struct division_lens *other, bool *found)
 {
@@ -347,6 +369,8 @@ static err_t find_bends(struct division *d, struct division_lens *other, bool *f
     if (own < same)
         memcpy(d->lens, other, bytes);
     const double best = fmax(own, same);
+    if (!e)
+        e = score_straight(d, other, &straight);
     *found = best > (1 + GAIN) * straight && best > straight + GAIN_LEAST;
     return e ? e : score_start(d, &own); // geometries of these bends
 }
