@@ -21,8 +21,8 @@
 
 enum { LENS_GATE = 3 }; // of the gate, for points through a lens that is only about right
 
-/* Focal length over picture size: 60 degrees, and 120 of a fisheye. */
-static const double FOV60 = 0.8660254037844386, ANGLE120 = 0.477464829275686;
+/* Focal length over picture size: 120 degrees of a fisheye. */
+static const double ANGLE120 = 0.477464829275686;
 
 /* ---- input ---- */
 
@@ -70,9 +70,9 @@ static double usual_focal(const struct bundle *b, int lens)
 {
     for (int v = 0; v < b->n_views; v++)
         if (b->a.lens_of[v] == lens)
-            return (is_fisheye(b, lens) ? ANGLE120 : FOV60) *
+            return (is_fisheye(b, lens) ? ANGLE120 : BUNDLE_FOCAL) *
                    num_max(b->v->extent[v].w, b->v->extent[v].h);
-    return FOV60 * b->v->size;
+    return BUNDLE_FOCAL * b->v->size;
 }
 
 /* Focal length of a lens that the first attempt begins with. */

@@ -7,7 +7,6 @@
  * the right ratios, and those nearest to what was expected win. */
 #include "core/sfm/division.h"
 
-#include "core/base/num.h"
 #include "core/sfm/twoview.h"
 
 #include <math.h>
@@ -45,7 +44,7 @@ struct division {
     double (*f)[9], (*kept_f)[9]; // (n_pairs) geometries of the present bends
     bool *used;                   // (n_pairs)
     bool focals;                  // what is scored
-    bool climbs, most_draws;      // from bends that are scored; all draws of the search
+    int draws;                    // samples of a geometry
     int own;                      // only pairs within this lens; -1: all
 };
 
@@ -110,7 +109,7 @@ static double score_bends(const struct division *d, int i, double f[9])
     struct epipolar_search how = d->v->search;
     double old[9];
     int agree;
-    how.draws = d->climbs ? CLIMB_DRAWS : d->most_draws ? how.draws : DRAWS;
+    how.draws = d->draws;
     (void)epipolar_run(&how, bend, p->match, p->n, f);
     const double score = epipolar_score(f, bend, p->match, p->n, how.bound, &agree);
     if (d->kept[i] == 0)
@@ -320,10 +319,10 @@ static err_t start_own(struct division *d)
 static err_t climb_bends(struct division *d, double *best)
 {
     err_t e = score_start(d, best);
-    d->climbs = true;
+    d->draws = CLIMB_DRAWS;
     for (size_t k = 0; k < sizeof BEND_STEPS / sizeof *BEND_STEPS && !e; k++)
         e = climb_all(d, BEND_STEPS[k], best);
-    d->climbs = false;
+    d->draws = DRAWS;
     return e;
 }
 
@@ -336,13 +335,13 @@ static err_t score_straight(struct division *d, struct division_lens *end, doubl
     double total;
     memcpy(end, d->lens, bytes);
     err_t e = score_start(d, &total);
-    d->most_draws = true;
+    d->draws = d->v->search.draws;
     for (int k = TRIES - 1; k >= 0 && !e; k--) {
         for (int i = 0; i < d->v->n_lenses; i++)
             d->lens[i].bend = end[i].bend * k / TRIES;
         e = score_start(d, &total);
     }
-    d->most_draws = false;
+    d->draws = DRAWS;
     *best = fmax(*best, total);
     memcpy(d->lens, end, bytes);
     return e;
@@ -372,7 +371,7 @@ static err_t find_bends(struct division *d, struct division_lens *other, bool *f
     if (!e)
         e = score_straight(d, other, &straight);
     *found = best > (1 + GAIN) * straight && best > straight + GAIN_LEAST;
-    return e ? e : score_start(d, &own); // geometries of these bends
+    return e || !*found ? e : score_start(d, &own); // geometries of these bends
 }
 
 /* ---- focal lengths ---- */
@@ -430,7 +429,7 @@ static err_t find_focals(struct division *d, struct division_lens *out)
 err_t division_run(const struct run *r, const struct division_views *v, struct division_lens *out)
 {
     const size_t mark = arena_mark(r->tmp);
-    struct division d = {.r = r, .v = v, .own = -1};
+    struct division d = {.r = r, .v = v, .draws = DRAWS, .own = -1};
     bool found = false;
     for (int i = 0; i < v->n_lenses; i++)
         out[i] = (struct division_lens){0, v->focal[i]};

@@ -1,10 +1,6 @@
 #include "firmware/recon/locate.h"
 
 #include <math.h>
-#include <string.h>
-
-/* Focal length over the longer edge: 60 degrees. */
-static const double FOV60 = 0.8660254037844386;
 
 /* What matching says about lenses of which nothing else is known. */
 struct rough {
@@ -50,7 +46,7 @@ static void expect_lenses(const struct views *v, const struct bundle_config *cfg
         const int lens = cfg->lens_of[i];
         const double given = cfg->lens[lens].start.fx;
         l->frame[lens] = 0.5 * hypot(px->w, px->h);
-        l->division[lens].focal = given > 0 ? given : FOV60 * fmax(px->w, px->h);
+        l->division[lens].focal = given > 0 ? given : BUNDLE_FOCAL * fmax(px->w, px->h);
     }
 }
 
