@@ -85,11 +85,12 @@ scripts() { # folder-of-the-build script...
 # ---- what there is to run ----
 
 smoke='bad_input capture formats golden quality'
-# Half a minute each, and other tests look at the same code: these wait for `long`.
+# Ten seconds and more each, and other tests look at the same code: these wait for `long`.
 is_slow() { # variant/test
     case $1 in
     asan/plan_test | asan/net_extremes_test | asan/gemm_test | asan/nn_test) ;;
-    asan/selfcal_test | asan/sweep_test | asan/refine_test) ;;
+    asan/selfcal_test | asan/sweep_test | asan/refine_test | asan/bundle_test) ;;
+    asan/exposure_probe_test | asan/meter_test | asan/crf_test | asan/calibrate_test) ;;
     asan/bracket_extremes_test | asan/bracket_random_test | asan/session_random_test) ;;
     tsan/gausshead_test) ;;
     cortex-a76/gausshead_test | cortex-a76/loss_test | cortex-a76/raster_test) ;;
@@ -213,11 +214,11 @@ check)
     sanitizers is_quick
     corpora
     threads is_quick
-    # For its warnings; what it makes is not run.
-    build clang CC=clang WERROR=1 CFLAGS=-O0 all tests
+    build "warnings of clang" CC=clang WERROR=1 CFLAGS=-fsyntax-only objects
     lints
     ;;
 long)
+    build clang CC=clang WERROR=1 CFLAGS=-O0 all
     build gcc WERROR=1 all tests
     dir=$(make -s print-B WERROR=1)
     unit=$dir/tests/unit/firmware/capture

@@ -32,11 +32,9 @@ done
 simulate room --seed 7 --kind room --views 7 --size 224
 grep -Eq '^draw [0-9]+ % step [1-9]' "$ERR" && grep -q '^write 100 % ' "$ERR" ||
     fail "no progress is shown: $(cat "$ERR")"
-simulate again --seed 7 --kind room --views 7 --size 224 --threads 1
-diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with one thread"
+simulate again --seed 7 --kind room --views 7 --size 224 --threads 3
+diff -r "$OUT/room" "$OUT/again" >/dev/null || fail "a world is not the same with three threads"
 [ "$(ls "$OUT/room/images" | wc -l)" -eq $((7 * 3 + 6 * 5)) ] || fail "not every picture is there"
-succeed eval --data "$OUT/room" --size 224 --refine 100 --json "$OUT/known.json"
-at_least "PSNR with known cameras" "$(number "$OUT/known.json" ldr psnr)" 22
 
 # nobody knows the cameras
 succeed eval --data "$OUT/room" --size 224 --rig none --refine 100 --json "$OUT/found.json"
@@ -49,8 +47,7 @@ for threads in 1 3; do
     hash=$(sha256sum <"$OUT/threads$threads/scene.hdrig")
     [ "$hash" = "${first:=$hash}" ] || fail "cameras differ with $threads threads"
 done
-succeed reconstruct --images "$OUT/room" --size 224 --rig none --refine 0 --out "$OUT/room-scene"
-succeed eval --data "$OUT/room" --scene "$OUT/room-scene" --rig none --json -
+succeed eval --data "$OUT/room" --scene "$OUT/threads3" --rig none --json -
 grep -q '"rot_deg_median": [0-9]' "$OUT/stdout.txt" || fail "eval --scene --rig none: no pose"
 
 # extremes: a scene, or a sentence that says why not
