@@ -52,7 +52,7 @@ static void add_note(const struct namelist *l, const char *why, struct imageset 
 }
 
 static const char only_png_jpeg[] =
-    "pictures must be PNG, JPEG or TIFF, or all raw (DNG, CR2, NEF, ARW) or all EXR";
+    "pictures must be PNG, JPEG or TIFF, or all HEIC, all raw (DNG, CR2, NEF, ARW) or all EXR";
 
 static err_t find_pictures(const char *images, char dir[FILE_PATH_CAP])
 {
@@ -101,8 +101,9 @@ static err_t scan_folder(struct imageset *set)
         return err_fail(ERR_IO, "%s: %s", set->dir, strerror(errno));
     struct namelist other = {0}, odd = {0};
     err_t e = OK;
-    bool (*const kind[])(const char *name) = {suffix_is_picture, suffix_is_raw, suffix_is_exr};
-    for (int k = 0; k < 3 && c->n == 0 && !e; k++) {
+    bool (*const kind[])(const char *name) = {suffix_is_picture, suffix_is_heic, suffix_is_raw,
+                                              suffix_is_exr};
+    for (int k = 0; k < 4 && c->n == 0 && !e; k++) {
         other = (struct namelist){0};
         rewinddir(d);
         for (struct dirent *entry; !e && (entry = readdir(d));) {
@@ -163,8 +164,8 @@ static err_t filter_pictures(const struct imageset_request *rq, bool released, s
         return OK;
     if (all == 0)
         return err_fail(ERR_FORMAT,
-                        "%s: no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.dng, *.cr2, "
-                        "*.nef, *.arw, *.exr) in it%s%s",
+                        "%s: no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.heic, *.dng, "
+                        "*.cr2, *.nef, *.arw, *.exr) in it%s%s",
                         set->dir, set->n_notes ? "; " : "", set->n_notes ? set->notes[0] : "");
     return err_fail(ERR_FORMAT, "%s: none of its %d pictures is a \"%s\" picture", set->dir, all,
                     prefix[rq->which]);

@@ -2,8 +2,8 @@
  *
  * Layouts. `images` may be a folder that contains images/, the folder images/ itself, or a plain
  * folder of photographs. Pictures are its regular files *.png, *.jpg, *.jpeg, *.tif, *.tiff (any
- * case, not hidden); where it has none of these *.dng, *.cr2, *.nef, *.arw; where it has none of
- * these either *.exr; in the order of their names. exposure.json, protocol.json and sparse/0 are
+ * case, not hidden); where it has none of these *.heic, *.heif; else *.dng, *.cr2, *.nef, *.arw;
+ * else *.exr; in the order of their names. exposure.json, protocol.json and sparse/0 are
  * looked for beside the pictures, then one folder up; with no exposure.json the exposures come from
  * the pictures' EXIF, where all must have the same tags. A folder with names that begin with
  * "train" has the released layout: "train" pictures are inputs, "test" pictures are held out, and

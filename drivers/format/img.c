@@ -440,11 +440,24 @@ err_t img_write_ldr(const char *path, const struct image *im)
     return e;
 }
 
-/* The EXIF block of a PNG behind the six bytes that JPEG puts before it. own: free(*exif). */
+/* A block behind the six bytes that JPEG puts before it and libexif wants. own: free(*exif). */
+static err_t head_exif(const void *block, size_t n, const char *name, unsigned char **exif,
+                       size_t *n_exif)
+{
+    static const char head[6] = "Exif\0";
+    *n_exif = sizeof head + n;
+    *exif = malloc(*n_exif);
+    if (!*exif)
+        return err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
+    memcpy(*exif, head, sizeof head);
+    memcpy(*exif + sizeof head, block, n);
+    return OK;
+}
+
+/* own: free(*exif). */
 static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned char **exif,
                          size_t *n_exif)
 {
-    static const char head[6] = "Exif\0";
     spng_ctx *ctx;
     struct spng_exif chunk = {0};
     *exif = NULL;
@@ -454,16 +467,8 @@ static err_t exif_of_png(const void *bytes, size_t n, const char *name, unsigned
         e = err_fail(ERR_FORMAT, "%s: no EXIF data", name);
     else if (code)
         e = png_error(name, code);
-    if (!e) {
-        *n_exif = sizeof head + chunk.length;
-        *exif = malloc(*n_exif);
-        if (!*exif)
-            e = err_fail(ERR_NOMEM, "%s: no memory for EXIF data", name);
-    }
-    if (!e) {
-        memcpy(*exif, head, sizeof head);
-        memcpy(*exif + sizeof head, chunk.data, chunk.length);
-    }
+    if (!e)
+        e = head_exif(chunk.data, chunk.length, name, exif, n_exif);
     spng_ctx_free(ctx);
     return e;
 }
@@ -562,6 +567,24 @@ static err_t parse_exif(const unsigned char *bytes, size_t n, const char *name,
         return err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", name);
     *out = x;
     return OK;
+}
+
+err_t img_exif_block(const void *block, size_t n, const char *name, struct img_info *out)
+{
+    unsigned char *exif;
+    size_t n_exif;
+    if (n >= 6 && memcmp(block, "Exif\0", 6) == 0) {
+        block = (const char *)block + 6;
+        n -= 6;
+    }
+    err_t e = head_exif(block, n, name, &exif, &n_exif);
+    if (e)
+        return e;
+    e = parse_camera(exif, n_exif, name, &out->camera);
+    if (!e && parse_exif(exif, n_exif, name, &out->exif) != OK) // without a time it is as good
+        out->exif = (struct img_exif){0};
+    free(exif);
+    return e;
 }
 
 err_t img_exif_mem(const void *bytes, size_t n, const char *name, struct img_exif *out)

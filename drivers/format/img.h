@@ -86,6 +86,18 @@ struct img_camera {
     int orientation;     // as img_orientation
 };
 
+/* What the header of a photograph says. */
+struct img_info {
+    int w, h;                 // px, upright
+    struct img_exif exif;     // seconds 0: not in the file
+    struct img_camera camera; // its orientation is 1 where readers turn the picture
+};
+
+/* Exposure and camera from a block of EXIF data, with or without "Exif\0\0" before it.
+ * out:  exif, camera.
+ * err:  ERR_NOMEM. */
+MUST_USE err_t img_exif_block(const void *block, size_t n, const char *name, struct img_info *out);
+
 /* A file without such data is no error.
  * err:  ERR_IO, ERR_NOMEM. */
 MUST_USE err_t img_camera(const char *path, struct img_camera *out);

@@ -3,8 +3,7 @@
 #include "core/base/bytes.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
-#include "drivers/format/rawphoto.h"
-#include "drivers/format/tiff.h"
+#include "drivers/format/photofile.h"
 
 #include <string.h>
 
@@ -97,13 +96,12 @@ static const char *other_kind(const char *p, size_t n)
 {
     if (n < 12)
         return NULL;
-    return memcmp(p + 4, "ftyphei", 7) == 0 || memcmp(p + 4, "ftypmif", 7) == 0 ? "HEIC"
-           : memcmp(p + 4, "ftypavif", 8) == 0                                  ? "AVIF"
-           : memcmp(p, "II*", 4) == 0 || memcmp(p, "MM\0*", 4) == 0             ? "TIFF or raw"
-           : memcmp(p, "RIFF", 4) == 0 && memcmp(p + 8, "WEBP", 4) == 0         ? "WebP"
-           : memcmp(p, "GIF8", 4) == 0                                          ? "GIF"
-           : memcmp(p, "BM", 2) == 0                                            ? "BMP"
-                                                                                : NULL;
+    return memcmp(p + 4, "ftypavif", 8) == 0                            ? "AVIF"
+           : memcmp(p, "II*", 4) == 0 || memcmp(p, "MM\0*", 4) == 0     ? "TIFF or raw"
+           : memcmp(p, "RIFF", 4) == 0 && memcmp(p + 8, "WEBP", 4) == 0 ? "WebP"
+           : memcmp(p, "GIF8", 4) == 0                                  ? "GIF"
+           : memcmp(p, "BM", 2) == 0                                    ? "BMP"
+                                                                        : NULL;
 }
 
 err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
@@ -111,6 +109,7 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
     struct bytes b = bytes_of(p, n);
     uint32_t width = 0, height = 0;
     bool found = false;
+    const struct photofile *photo = photofile_of(p, n);
     *w = *h = 0;
     if (n >= 8 && memcmp(p, "\x89PNG\r\n\x1a\n", 8) == 0)
         found = png_size(b, &width, &height);
@@ -118,24 +117,19 @@ err_t imgsize_parse(const char *what, const void *p, size_t n, int *w, int *h)
         found = jpeg_size(b, &width, &height);
     else if (imgsize_is_exr(p, n))
         found = exr_size(b, &width, &height);
-    else if (tiff_is(p, n)) {
-        struct tiff_info tiff;
-        err_t e = tiff_look(p, n, what, &tiff);
-        *w = tiff.w;
-        *h = tiff.h;
-        return e;
-    } else if (rawphoto_is(p, n)) { // LibRaw knows the margins that a header includes
-        struct rawphoto_info raw;
-        err_t e = rawphoto_look(p, n, what, &raw);
-        *w = raw.w;
-        *h = raw.h;
+    else if (photo) { // LibRaw, for one, knows the margins that a header includes
+        struct img_info info;
+        err_t e = photo->look(p, n, what, &info);
+        *w = info.w;
+        *h = info.h;
         return e;
     }
     const char *kind = found ? NULL : other_kind(p, n);
     if (kind)
         return err_fail(ERR_FORMAT, "%s: its bytes are %s: save it as PNG or JPEG", what, kind);
     if (!found || width == 0 || height == 0)
-        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG, TIFF, raw or EXR header with a size", what);
+        return err_fail(ERR_FORMAT, "%s: no PNG, JPEG, TIFF, HEIC, raw or EXR header with a size",
+                        what);
     if (width > IMG_SIDE_MAX || height > IMG_SIDE_MAX)
         return err_fail(ERR_FORMAT, "%s: %u x %u px, at most %d a side", what, width, height,
                         IMG_SIDE_MAX);

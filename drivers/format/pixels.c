@@ -5,9 +5,8 @@
 #include "drivers/format/exrfile.h"
 #include "drivers/format/file.h"
 #include "drivers/format/imgsize.h"
+#include "drivers/format/photofile.h"
 #include "drivers/format/rawframe.h"
-#include "drivers/format/rawphoto.h"
-#include "drivers/format/tiff.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -20,9 +19,9 @@ err_t pixels_look(const char *path, struct shot *s)
     err_t e = file_map(path, IMG_FILE_MAX, &m);
     if (e)
         return e;
-    const bool tiff = tiff_is(m.p, m.n);
-    s->linear = !tiff && (imgsize_is_exr(m.p, m.n) || rawphoto_is(m.p, m.n));
-    s->deep = tiff || s->linear || img_is_deep(m.p, m.n, &s->linear);
+    const struct photofile *photo = photofile_of(m.p, m.n);
+    s->linear = photo ? photo->linear : imgsize_is_exr(m.p, m.n);
+    s->deep = photo || s->linear || img_is_deep(m.p, m.n, &s->linear);
     file_unmap(&m);
     return OK;
 }
@@ -40,37 +39,24 @@ size_t pixels_bytes(const struct shot *s)
 
 /* ---- what files say ---- */
 
-struct found {
-    struct img_exif exif;
-    struct img_camera camera;
-};
-
-/* Of TIFF and raw photographs. False if it is neither; the readers of pictures then say why. */
-static bool look_tiff(const char *path, struct found *out)
+/* False if photofile.h does not know it, or it is damaged; the readers of pictures then say why. */
+static bool look_photo(const char *path, struct img_info *out)
 {
     struct file_map m;
-    struct tiff_info tiff;
-    struct rawphoto_info raw;
-    bool is_ours = false;
     if (file_map(path, IMG_FILE_MAX, &m) != OK)
         return false;
-    if (tiff_is(m.p, m.n)) {
-        is_ours = tiff_look(m.p, m.n, path, &tiff) == OK;
-        *out = (struct found){tiff.exif, tiff.camera};
-    } else if (rawphoto_is(m.p, m.n)) {
-        is_ours = rawphoto_look(m.p, m.n, path, &raw) == OK;
-        *out = (struct found){raw.exif, raw.camera};
-    }
+    const struct photofile *photo = photofile_of(m.p, m.n);
+    const bool good = photo && photo->look(m.p, m.n, path, out) == OK;
     file_unmap(&m);
-    return is_ours;
+    return good;
 }
 
 err_t pixels_exif(const char *path, struct img_exif *out)
 {
-    struct found found;
-    if (!look_tiff(path, &found))
+    struct img_info info;
+    if (!look_photo(path, &info))
         return img_exif(path, out);
-    *out = found.exif;
+    *out = info.exif;
     return out->seconds > 0
                ? OK
                : err_fail(ERR_FORMAT, "%s: no ExposureTime above 0 in its EXIF data", path);
@@ -78,10 +64,10 @@ err_t pixels_exif(const char *path, struct img_exif *out)
 
 err_t pixels_camera(const char *path, struct img_camera *out)
 {
-    struct found found;
-    if (!look_tiff(path, &found))
+    struct img_info info;
+    if (!look_photo(path, &info))
         return img_camera(path, out);
-    *out = found.camera;
+    *out = info.camera;
     return OK;
 }
 
@@ -168,10 +154,9 @@ static err_t read_file16(const char *path, struct image16 *out)
 {
     struct file_map m;
     err_t e = file_map(path, IMG_FILE_MAX, &m);
-    if (!e && tiff_is(m.p, m.n))
-        e = tiff_read(m.p, m.n, path, out);
-    else if (!e && rawphoto_is(m.p, m.n))
-        e = rawphoto_read(m.p, m.n, path, out);
+    const struct photofile *photo = e ? NULL : photofile_of(m.p, m.n);
+    if (photo)
+        e = photo->read(m.p, m.n, path, out);
     else if (!e)
         e = imgsize_is_exr(m.p, m.n) ? read_exr(&m, path, out) : read_png16(&m, path, out);
     file_unmap(&m);

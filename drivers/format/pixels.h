@@ -1,5 +1,5 @@
 /* pixels.h - photographs of any kind that is read, decoded: PNG, JPEG, and those with more than 8
- * bits: PNG and TIFF of 16 bits, OpenEXR and raw photographs.
+ * bits, or may have: PNG of 16 bits, TIFF, HEIC, OpenEXR and raw photographs.
  * Linear values (OpenEXR; PNG of 16 bits whose gAMA chunk says 1) become display values by the
  * curve of sRGB, clipped at 1, which is where the sensor must be full. In 16 bits it keeps steps of
  * 2^-19.7 in the shadows. thread: any. */
@@ -26,7 +26,7 @@ MUST_USE err_t pixels_decode16(const char *path, const struct shot *s, struct im
 /* Accepts a zeroed image. */
 void pixels_free16(struct image16 *im);
 
-/* img_exif and img_camera, of TIFF and raw photographs as well. */
+/* img_exif and img_camera, of files of photofile.h as well. */
 MUST_USE err_t pixels_exif(const char *path, struct img_exif *out);
 MUST_USE err_t pixels_camera(const char *path, struct img_camera *out);
 

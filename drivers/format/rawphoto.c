@@ -131,10 +131,10 @@ static double positive_or_zero(float v)
     return v > 0 && v < 1e9f ? (double)v : 0;
 }
 
-err_t rawphoto_look(const void *bytes, size_t n, const char *name, struct rawphoto_info *out)
+err_t rawphoto_look(const void *bytes, size_t n, const char *name, struct img_info *out)
 {
     struct reader r;
-    *out = (struct rawphoto_info){0};
+    *out = (struct img_info){0};
     err_t e = open_raw(bytes, n, name, &r);
     if (e)
         return e;

@@ -8,20 +8,13 @@
 #include "core/base/types.h"
 #include "drivers/format/img.h"
 
-struct rawphoto_info {
-    int w, h;                 // px, upright
-    struct img_exif exif;     // of what the file says; seconds 0: not in the file
-    struct img_camera camera; // its orientation is 1
-};
-
 /* Whether the first bytes may be those of such a file. */
 bool rawphoto_is(const void *bytes, size_t n);
 
 /* err:  ERR_FORMAT (LibRaw does not know it; no Bayer mosaic; above IMG_SIDE_MAX or IMG_PX_MAX, or
  *       more than so few bytes can hold), ERR_NOMEM. On error *out is zeroed. `name` begins the
  *       sentence. */
-MUST_USE err_t rawphoto_look(const void *bytes, size_t n, const char *name,
-                             struct rawphoto_info *out);
+MUST_USE err_t rawphoto_look(const void *bytes, size_t n, const char *name, struct img_info *out);
 
 /* Black level off, white balance as the camera set it, colours of the sensor, demosaiced, upright,
  * through the curve of sRGB in 16 bits: 65535 is where the sensor is full, the white level of the

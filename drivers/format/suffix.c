@@ -21,6 +21,12 @@ bool suffix_is_picture(const char *name)
     return has_one_of(name, suffix);
 }
 
+bool suffix_is_heic(const char *name)
+{
+    static const char *const suffix[] = {".heic", ".heif", NULL};
+    return has_one_of(name, suffix);
+}
+
 bool suffix_is_raw(const char *name)
 {
     static const char *const suffix[] = {".dng", ".cr2", ".nef", ".arw", NULL};

@@ -5,10 +5,11 @@
 
 #include <stdbool.h>
 
-bool suffix_is_picture(const char *name); // PNG, JPEG
+bool suffix_is_picture(const char *name); // PNG, JPEG, TIFF
 
-/* Read only where a folder has no others: beside JPEG, raw is the same photograph once more, and
- * OpenEXR a result or the truth. */
+/* Read only where a folder has none of those before: beside JPEG, HEIC and raw are the same
+ * photograph once more, and OpenEXR a result or the truth. */
+bool suffix_is_heic(const char *name);
 bool suffix_is_raw(const char *name); // DNG, CR2, NEF, ARW
 bool suffix_is_exr(const char *name);
 

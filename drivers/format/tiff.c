@@ -208,7 +208,7 @@ static void name_camera(TIFF *tif, char out[NAME_CAP])
         *p = *p >= ' ' && *p < 127 ? *p : '_';
 }
 
-static void read_exif(TIFF *tif, struct tiff_info *out)
+static void read_exif(TIFF *tif, struct img_info *out)
 {
     uint64_t at = 0;
     uint16_t n = 0, focal = 0, *iso = NULL;
@@ -223,10 +223,10 @@ static void read_exif(TIFF *tif, struct tiff_info *out)
         out->camera.focal_35mm = focal;
 }
 
-err_t tiff_look(const void *bytes, size_t n, const char *name, struct tiff_info *out)
+err_t tiff_look(const void *bytes, size_t n, const char *name, struct img_info *out)
 {
     struct reader r;
-    *out = (struct tiff_info){0};
+    *out = (struct img_info){0};
     err_t e = open_tiff(bytes, n, name, &r);
     if (e)
         return e;

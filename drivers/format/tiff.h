@@ -7,19 +7,13 @@
 #include "core/base/types.h"
 #include "drivers/format/img.h"
 
-struct tiff_info {
-    int w, h;                 // px, upright
-    struct img_exif exif;     // seconds 0: not in the file
-    struct img_camera camera; // its orientation is 1
-};
-
 /* Whether the bytes are those of a TIFF file whose first image is a picture in colour or grey: raw
  * photographs are TIFF outside too, with a mosaic or a thumbnail there. */
 bool tiff_is(const void *bytes, size_t n);
 
 /* err:  ERR_FORMAT (not as above; above IMG_SIDE_MAX or IMG_PX_MAX, or more than so few bytes can
  *       hold), ERR_NOMEM. On error *out is zeroed. `name` begins the sentence. */
-MUST_USE err_t tiff_look(const void *bytes, size_t n, const char *name, struct tiff_info *out);
+MUST_USE err_t tiff_look(const void *bytes, size_t n, const char *name, struct img_info *out);
 
 /* Display values, upright; 8 bits become 16. Alpha is left out.
  * own:  free(out->px).

@@ -1,8 +1,7 @@
 /* Any bytes as a picture: decoded, and asked for the exposure of its EXIF data. */
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
-#include "drivers/format/rawphoto.h"
-#include "drivers/format/tiff.h"
+#include "drivers/format/photofile.h"
 
 #include <stdlib.h>
 
@@ -22,12 +21,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *p, size_t n)
     if (img_is_deep(p, n, &linear) && img_read16_mem(p, n, "fuzz", &deep) == OK && !deep.px)
         __builtin_trap();
     free(deep.px);
-    if (rawphoto_is(p, n) && rawphoto_read(p, n, "fuzz", &deep) == OK) {
-        if (deep.w < 1 || deep.h < 1 || !deep.px)
-            __builtin_trap();
-        free(deep.px);
-    }
-    if (tiff_is(p, n) && tiff_read(p, n, "fuzz", &deep) == OK) {
+    const struct photofile *photo = photofile_of(p, n);
+    if (photo && photo->read(p, n, "fuzz", &deep) == OK) {
         if (deep.w < 1 || deep.h < 1 || !deep.px)
             __builtin_trap();
         free(deep.px);

@@ -20,6 +20,8 @@ BEGIN {
     # header pattern -> files that may include it; tests may include what they like
     wrapper["^(spng|turbojpeg|jpeglib)\\.h$"] = "^drivers/format/img\\.c$"
     wrapper["^libraw/"] = "^drivers/format/rawphoto\\.c$"
+    wrapper["^tiffio\\.h$"] = "^drivers/format/tiff\\.c$"
+    wrapper["^libheif/"] = "^drivers/format/heic\\.c$"
     wrapper["^libexif/"] = "^drivers/format/img\\.c$"
     wrapper["^(OpenEXR/)?openexr"] = "^drivers/format/exrfile\\.c$"
     wrapper["^(cjson/)?cJSON\\.h$"] = "^drivers/format/json\\.c$"

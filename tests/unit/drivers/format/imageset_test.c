@@ -344,18 +344,18 @@ static void what_is_not_read_is_told(void **state)
     (void)state;
     struct imageset set;
     struct imageset_request rq = {.images = tmpdir_root};
-    tmpdir_text("IMG_2.HEIC", "");
+    tmpdir_text("IMG_2.WebP", "");
     tmpdir_text("IMG_1.raf", "");
     tmpdir_text(".hidden.heic", "");
     tmpdir_text("notes.txt", "");
     assert_int_equal(list(&rq), ERR_FORMAT);
     assert_non_null(strstr(err_text(),
-                           "no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.dng, *.cr2, *.nef, "
-                           "*.arw, *.exr) in it; "
-                           "2 files are not read (IMG_1.raf and IMG_2.HEIC): pictures must be PNG, "
-                           "JPEG or TIFF, or all raw"));
+                           "no pictures (*.png, *.jpg, *.jpeg, *.tif, *.tiff, *.heic, *.dng, "
+                           "*.cr2, *.nef, *.arw, *.exr) in it; "
+                           "2 files are not read (IMG_1.raf and IMG_2.WebP): pictures must be PNG, "
+                           "JPEG or TIFF, or all HEIC, all raw"));
     put_picture("a.png", 8, 6);
-    tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.HEIC\": 1, \"b.scan\": 1, \"gone.x\": 1}");
+    tmpdir_text("exposure.json", "{\"a.png\": 1, \"IMG_2.WebP\": 1, \"b.scan\": 1, \"gone.x\": 1}");
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_int_equal(set.n_notes, 1);
     imageset_free(&set);
@@ -367,7 +367,7 @@ static void what_is_not_read_is_told(void **state)
     assert_int_equal(imageset_list(&rq, &set), OK);
     assert_int_equal(set.n_notes, 3);
     assert_non_null(strstr(set.notes[0],
-                           "4 files are not read (IMG_1.raf, IMG_2.HEIC, IMG_3.bmp and 1 other)"));
+                           "4 files are not read (IMG_1.raf, IMG_2.WebP, IMG_3.bmp and 1 other)"));
     assert_non_null(strstr(set.notes[1], "1 file is not read (z.jpg): no regular files"));
     assert_non_null(strstr(set.notes[2], "1 file is not read (b.scan): pictures must be PNG"));
     imageset_free(&set);
@@ -487,9 +487,9 @@ static void sizes_are_read_from_headers(void **state)
     for (size_t n = 0; n < sizeof jpeg - 1; n++)
         assert_int_equal(imgsize_parse("j", jpeg, n, &w, &h), ERR_FORMAT);
     static const char *const others[] = {("\0\0\0\x18"
-                                          "ftypheic"),
+                                          "ftypavif"),
                                          "II*\0\x08\0\0\0....", "RIFF....WEBP"};
-    static const char *const kinds[] = {"HEIC", "TIFF or raw", "WebP"};
+    static const char *const kinds[] = {"AVIF", "TIFF or raw", "WebP"};
     for (int i = 0; i < 3; i++) {
         assert_int_equal(imgsize_parse("a.jpg", others[i], 12, &w, &h), ERR_FORMAT);
         assert_non_null(strstr(err_text(), kinds[i]));

@@ -117,7 +117,7 @@ static void hostile_files(void **state)
     assert_true(w == 10000 && h == 10000);
     for (size_t n = 8; n < sizeof head - 1; n++)
         expect_err(imgsize_parse("x", head, n, &w, &h), ERR_FORMAT,
-                   "no PNG, JPEG, TIFF, raw or EXR header");
+                   "no PNG, JPEG, TIFF, HEIC, raw or EXR header");
     FILE *f = fopen(tmpdir_path("big.exr"), "wb");
     fwrite(head, 1, sizeof head - 1, f);
     fwrite("0123456789", 1, 10, f);

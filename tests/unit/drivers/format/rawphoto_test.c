@@ -202,7 +202,7 @@ static void hostile_files(void **state)
 {
     (void)state;
     struct image16 im;
-    struct rawphoto_info info;
+    struct img_info info;
     int w, h;
     struct tiff *t = dng(0.5, 1);
     put(value_of(t, 256), 10000, 4);

@@ -206,7 +206,7 @@ static void broken(void **state)
     assert_true(n > 1000 && n < sizeof whole);
     for (size_t i = 0; i < 2 * n; i += i < n ? 7 : 3) {
         struct image16 im;
-        struct tiff_info info;
+        struct img_info info;
         memcpy(bytes, whole, n);
         if (i >= n)
             bytes[i - n] ^= (uint8_t)(1 + i % 255);
