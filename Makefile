@@ -1,6 +1,6 @@
 # make            build/hdrig and its libraries     make test    the quick tests: 2 minutes
 # make demo       first scene, in out/latest        make check   before a commit: 10 minutes
-# make check-long soaks, and slow tests under TSan and emulation
+# make check-long the rest: sanitizers, emulation, soaks
 # make picture    the picture of README.md
 # make install    DESTDIR= PREFIX= BOARD=           make deb     Debian package, BOARD=
 # make uninstall  DESTDIR= PREFIX=                  removes what install wrote
@@ -92,6 +92,8 @@ LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance shared_attention consensus depth gausshead \
 	modelfile sample camera_libcamera writer
+# What others reach: files, devices, settings, connections. `make check` sanitizes these alone.
+EDGES := unit/drivers unit/firmware unit/sim
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base/gaussians \
 	base/half base/pool base/sha256 net/appearance net/shared_attention net/depth net/gausshead \
@@ -114,7 +116,7 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture objects tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train check-distro deps-kernel deps-qemu deps-cross
+	check-train check-distro edge-tests deps-kernel deps-qemu deps-cross
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -324,6 +326,7 @@ tests: $(call programs,$(TESTS) $(E2E))
 # For the warnings of a second compiler: CC=clang CFLAGS=-fsyntax-only
 objects: deps $(MODULE) $(call objects,$(CORE) $(DRIVERS) $(FIRMWARE) $(SIM) $(MAINS) \
 	$(TESTS) $(E2E))
+edge-tests: $(call programs,$(filter $(EDGES:%=tests/%/%),$(TESTS)))
 tsan-tests: $(TSAN_PROGRAMS)
 arm-tests: $(ARM_PROGRAMS)
 fault-tests: $(call programs,$(FAULT))

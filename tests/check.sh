@@ -2,10 +2,10 @@
 # check.sh lint|test|check|long - builds and runs the tests that need no hardware.
 #   lint   the lints and cppcheck
 #   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
-#   check  before a commit: that, lints, faults, all commands; units and fuzz corpora under ASan
-#          and UBSan, threads under TSan, clang, emulated Arm; 10 minutes from a fresh clone
-#   long   tests that check leaves out: thousands of random takes, brackets and calls; slow tests
-#          under the sanitizers and on emulated Arm; the package for arm64
+#   check  before a commit: that, lints, faults, nearly all commands; drivers, firmware, sim and
+#          fuzz corpora under ASan and UBSan; warnings of clang; 10 minutes from a fresh clone
+#   long   what check leaves out: core under ASan and UBSan, threads under TSan, emulated Arm, slow
+#          commands; thousands of random takes, brackets and calls; the package for arm64
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
@@ -85,23 +85,27 @@ scripts() { # folder-of-the-build script...
 # ---- what there is to run ----
 
 smoke='bad_input capture formats golden quality'
-# Ten seconds and more each, and other tests look at the same code: these wait for `long`.
-is_slow() { # variant/test
+# Half a minute and more each, and other tests look at the same code: these wait for `long`.
+slow='budget lens network shapes simulated view'
+is_slow() { # variant/test or name of a script
+    case " $slow " in *" $1 "*) return ;; esac
     case $1 in
-    asan/plan_test | asan/net_extremes_test | asan/gemm_test | asan/nn_test) ;;
-    asan/selfcal_test | asan/sweep_test | asan/refine_test | asan/bundle_test) ;;
-    asan/exposure_probe_test | asan/meter_test | asan/crf_test | asan/calibrate_test) ;;
+    asan/plan_test | asan/calibrate_test | asan/session_test | asan/session_focus_test) ;;
     asan/bracket_extremes_test | asan/bracket_random_test | asan/session_random_test) ;;
-    tsan/gausshead_test) ;;
-    cortex-a76/gausshead_test | cortex-a76/loss_test | cortex-a76/raster_test) ;;
-    cortex-a76/layer_test | cortex-a76/gemm_test) ;;
-    cortex-a53/nn_test | cortex-a53/gemm_test | max/gemm_test) ;;
+    asan/convert_test) ;;
     *) false ;;
     esac
 }
 
-is_quick() { # variant/test
+is_quick() { # the same
     ! is_slow "$1"
+}
+
+commands() { # is_slow|is_quick
+    local script
+    for script in tests/e2e/*.sh; do
+        ! "$1" "$(basename "$script" .sh)" || scripts "$(make -s print-B WERROR=1)" "$script"
+    done
 }
 
 plain() {
@@ -128,14 +132,18 @@ lints() {
 }
 
 sanitizers() { # is_slow|is_quick
-    local dir
-    dir=$(make -s print-B SAN=address,undefined WERROR=1)
-    build "ASan and UBSan" SAN=address,undefined WERROR=1 tests fuzz-targets
-    tests "$1" asan "$dir" unit kernels golden
+    build "ASan and UBSan" SAN=address,undefined WERROR=1 edge-tests
+    tests "$1" asan "$(make -s print-B SAN=address,undefined WERROR=1)" $(make -s print-EDGES)
+}
+
+sanitized_core() {
+    build "ASan and UBSan, core" SAN=address,undefined WERROR=1 tests
+    tests is_quick asan "$(make -s print-B SAN=address,undefined WERROR=1)" unit/core kernels golden
 }
 
 corpora() {
     local dir target name
+    build "fuzz targets" SAN=address,undefined WERROR=1 fuzz-targets
     dir=$(make -s print-B SAN=address,undefined WERROR=1)
     for target in tests/fuzz/fuzz_*.c; do
         name=$(basename "$target" .c)
@@ -143,16 +151,16 @@ corpora() {
     done
 }
 
-threads() { # is_slow|is_quick
+threads() {
     local program name
     build TSan SAN=thread WERROR=1 tsan-tests
     for program in $(make -s print-TSAN_PROGRAMS SAN=thread WERROR=1); do
         name=$(basename "$program")
-        ! "$1" "tsan/$name" || later "tsan: $name" $fixed "$program"
+        later "tsan: $name" $fixed "$program"
     done
 }
 
-arm() { # is_slow|is_quick
+arm() {
     local program name cpu cpus
     [ "$(uname -m)" != aarch64 ] || return
     build "aarch64, core" CROSS=aarch64-linux-gnu- WERROR=1 arm-tests
@@ -166,7 +174,7 @@ arm() { # is_slow|is_quick
         */kernels/*) cpus=cortex-a53 ;;
         esac
         for cpu in $cpus; do
-            ! "$1" "$cpu/$name" || later "$cpu: $name" qemu-aarch64 -cpu "$cpu" "$program"
+            later "$cpu: $name" qemu-aarch64 -cpu "$cpu" "$program"
         done
     done
 }
@@ -207,19 +215,18 @@ test)
     ;;
 check)
     build "gcc, with faults" WERROR=1 all tests fault-tests
-    scripts "$(make -s print-B WERROR=1)" tests/e2e/*.sh
-    arm is_quick
+    commands is_quick
     plain
     tests is_quick plain "$(make -s print-B WERROR=1)" fault
     sanitizers is_quick
     corpora
-    threads is_quick
     build "warnings of clang" CC=clang WERROR=1 CFLAGS=-fsyntax-only objects
     lints
     ;;
 long)
     build clang CC=clang WERROR=1 CFLAGS=-O0 all
     build gcc WERROR=1 all tests
+    commands is_slow
     dir=$(make -s print-B WERROR=1)
     unit=$dir/tests/unit/firmware/capture
     later "1000 takes: session_random_test" env TAKES=1000 "$unit/session_random_test"
@@ -227,8 +234,9 @@ long)
     export CALLS=2000
     scripts "$dir" tests/e2e/bystanders.sh
     sanitizers is_slow
-    threads is_slow
-    arm is_slow
+    sanitized_core
+    threads
+    arm
     arm_package
     ;;
 *)

@@ -92,17 +92,23 @@ static void resample_pixel(const struct distort_job *j, int x, int y, int sample
     const size_t plane = (size_t)j->w * (size_t)j->h;
     float *to = j->out + (size_t)y * (size_t)j->w + (size_t)x;
     float sum[4] = {0};
+    bool seen = true;
     for (int i = 0; i < samples * samples; i++) {
         double at[2];
         if (!pinhole_position(j->lens, x + (i % samples + 0.5) / samples,
-                              y + (i / samples + 0.5) / samples, at))
+                              y + (i / samples + 0.5) / samples, at)) {
+            seen = false;
             continue;
+        }
         at[0] = at[0] * (double)j->pinhole->fx + (double)j->pinhole->cx;
         at[1] = at[1] * (double)j->pinhole->fy + (double)j->pinhole->cy;
+        seen = seen && at[0] >= 0 && at[0] <= j->pinhole->w && at[1] >= 0 && at[1] <= j->pinhole->h;
         add_linear(j, at, 1.0f / (float)(samples * samples), sum);
     }
     for (int n = 0; n < j->n; n++)
         to[(size_t)n * plane] = sum[n];
+    if (j->seen)
+        j->seen[to - j->out] = seen;
 }
 
 static err_t resample_rows(void *ctx, int chunk, int worker)

@@ -18,13 +18,15 @@ MUST_USE err_t distort_camera(const struct lens *l, int w, int h, int side_max, 
  * square; 0 where the lens shows nothing or more than the pinhole.
  * pool: NULL = single thread.
  * in:   (n, pinhole->h, pinhole->w).
- * out:  (n, h, w), not `in`. */
+ * out:  (n, h, w), not `in`; seen: (h, w), 1 where all samples lie in the pinhole's frame, else 0;
+ *       or NULL. */
 struct distort_job {
     const struct lens *lens;
     const struct camera *pinhole;
     int n, w, h;
     const float *in;
     float *out;
+    uint8_t *seen;
 };
 MUST_USE err_t distort_run(struct pool *pool, const struct distort_job *j);
 

@@ -45,20 +45,30 @@ static err_t check_pair(const struct image *a, const struct image *b)
     return e ? e : check_finite(b);
 }
 
-err_t metrics_psnr(const struct image *a, const struct image *b, double *out)
+static err_t check_count(double n)
+{
+    return n > 0 ? OK : err_fail(ERR_ARG, "metrics: no pixel of the picture counts");
+}
+
+err_t metrics_psnr(const struct image *a, const struct image *b, const uint8_t *seen, double *out)
 {
     *out = 0.0;
     err_t e = check_pair(a, b);
     if (e)
         return e;
-    size_t n = values_of(a);
-    double sum = 0.0;
-    for (size_t i = 0; i < n; i++) {
+    size_t plane = (size_t)a->w * (size_t)a->h;
+    double sum = 0.0, n = 0;
+    for (size_t i = 0; i < values_of(a); i++) {
         double d = (double)a->px[i] - (double)b->px[i];
+        if (seen && !seen[i % plane])
+            continue;
         sum += d * d;
+        n++;
     }
-    *out = fmin(METRICS_PSNR_MAX, -10.0 * log10(sum / (double)n));
-    return OK;
+    e = check_count(n);
+    if (!e)
+        *out = fmin(METRICS_PSNR_MAX, -10.0 * log10(sum / n));
+    return e;
 }
 
 static void gaussian_window(double kernel[TAPS])
@@ -98,23 +108,30 @@ static double window_similarity(const moments *m)
            ((xx_yy + SSIM_C1) * (variances + SSIM_C2));
 }
 
-/* Sum over the windows whose top row is y0. ring: (11, n), row y at y % 11. */
-static double sum_down(const moments *ring, int n, int y0, const double *kernel)
+/* Sum over the windows whose top row is y0. ring: (11, n), row y at y % 11; seen: (n) of their
+ * middles, or NULL. */
+static double sum_down(const moments *ring, int n, int y0, const double *kernel,
+                       const uint8_t *seen, double *count)
 {
     const moments *row[TAPS];
     double total = 0.0;
     for (int k = 0; k < TAPS; k++)
         row[k] = ring + (size_t)((y0 + k) % TAPS) * (size_t)n;
     for (int i = 0; i < n; i++) {
+        if (seen && !seen[i])
+            continue;
         moments sum = row[TAPS / 2][i] * kernel[TAPS / 2];
         for (int k = 0; k < TAPS / 2; k++)
             sum += (row[k][i] + row[TAPS - 1 - k][i]) * kernel[k];
         total += window_similarity(&sum);
+        ++*count;
     }
     return total;
 }
 
-static double ssim_sum(const struct image *a, const struct image *b, moments *raw, moments *ring)
+/* Sum over all windows, and their number. */
+static double ssim_sum(const struct image *a, const struct image *b, const uint8_t *seen,
+                       moments *raw, moments *ring, double *count)
 {
     double kernel[TAPS], total = 0.0;
     int n = a->w - TAPS + 1;
@@ -124,8 +141,10 @@ static double ssim_sum(const struct image *a, const struct image *b, moments *ra
             size_t row = ((size_t)c * (size_t)a->h + (size_t)y) * (size_t)a->w;
             filter_across(a->px + row, b->px + row, a->w, kernel, raw,
                           ring + (size_t)(y % TAPS) * (size_t)n);
+            const size_t middle = (size_t)(y - TAPS / 2) * (size_t)a->w + TAPS / 2;
             if (y >= TAPS - 1)
-                total += sum_down(ring, n, y - TAPS + 1, kernel);
+                total +=
+                    sum_down(ring, n, y - TAPS + 1, kernel, seen ? seen + middle : NULL, count);
         }
     return total;
 }
@@ -144,7 +163,8 @@ size_t metrics_ssim_plan(int w)
     return layout(&raw, &ring, &tmp, w) ? SIZE_MAX : tmp.peak;
 }
 
-err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *tmp, double *out)
+err_t metrics_ssim(const struct image *a, const struct image *b, const uint8_t *seen,
+                   struct arena *tmp, double *out)
 {
     *out = 0.0;
     err_t e = check_pair(a, b);
@@ -153,11 +173,16 @@ err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *t
     if (a->w < TAPS || a->h < TAPS)
         return err_fail(ERR_ARG, "metrics: SSIM needs at least %d x %d px, got %d x %d", TAPS, TAPS,
                         a->w, a->h);
-    size_t mark = arena_mark(tmp), inside = (size_t)(a->w - TAPS + 1);
+    size_t mark = arena_mark(tmp);
     moments *raw, *ring;
+    double sum = 0, count = 0;
     e = layout(&raw, &ring, tmp, a->w);
     if (!e)
-        *out = ssim_sum(a, b, raw, ring) / ((double)inside * (a->h - TAPS + 1) * a->channels);
+        sum = ssim_sum(a, b, seen, raw, ring, &count);
+    if (!e)
+        e = check_count(count);
+    if (!e)
+        *out = sum / count;
     arena_reset(tmp, mark);
     return e;
 }

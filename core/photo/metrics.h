@@ -12,16 +12,20 @@
 enum { METRICS_SSIM_TAPS = 11 };
 
 /* 10 log10(1 / mean squared difference), at most METRICS_PSNR_MAX.
- * err:  ERR_ARG (shapes, a value that is not finite). */
-MUST_USE err_t metrics_psnr(const struct image *a, const struct image *b, double *out);
+ * seen: (h, w) pixels that count, not 0; NULL: all of them.
+ * err:  ERR_ARG (shapes, a value that is not finite, no pixel counts). */
+MUST_USE err_t metrics_psnr(const struct image *a, const struct image *b, const uint8_t *seen,
+                            double *out);
 
 /* Structural similarity as torchmetrics' StructuralSimilarityIndexMeasure(data_range=1): Gaussian
  * window of 11 x 11 px with sigma 1.5, K1 = 0.01, K2 = 0.03, mean over the (h-10) x (w-10) windows
  * inside the image and over the channels.
+ * seen: (h, w) windows around these pixels count, not 0; NULL: all of them.
  * tmp:  back at its mark on return; takes metrics_ssim_plan(w) bytes.
- * err:  ERR_ARG (shapes, a side below 11 px, a value that is not finite), ERR_NOMEM. */
-MUST_USE err_t metrics_ssim(const struct image *a, const struct image *b, struct arena *tmp,
-                            double *out);
+ * err:  ERR_ARG (shapes, a side below 11 px, a value that is not finite, no window counts),
+ *       ERR_NOMEM. */
+MUST_USE err_t metrics_ssim(const struct image *a, const struct image *b, const uint8_t *seen,
+                            struct arena *tmp, double *out);
 size_t metrics_ssim_plan(int w);
 
 /* Quantile q of n values with linear interpolation, as numpy.quantile. Needs no memory.

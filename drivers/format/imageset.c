@@ -730,6 +730,16 @@ err_t imageset_decode(const struct imageset *set, int i, struct image8 *out)
     return e ? e : pixels_decode(path, &set->capture.shots[i], out);
 }
 
+err_t imageset_decode_taken(const struct imageset *set, int i, struct image8 *out)
+{
+    char path[FILE_PATH_CAP];
+    struct shot s = set->capture.shots[i];
+    s.lens.model = LENS_PINHOLE;
+    memset(out, 0, sizeof *out);
+    err_t e = picture_path(set, i, path);
+    return e ? e : pixels_decode(path, &s, out);
+}
+
 err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out)
 {
     char path[FILE_PATH_CAP];

@@ -88,6 +88,9 @@ size_t imageset_bytes(const struct capture *c, int at_a_time);
  * err:  those of img_read; ERR_FORMAT if the file changed its size since imageset_list. */
 MUST_USE err_t imageset_decode(const struct imageset *set, int i, struct image8 *out);
 
+/* The same as the photograph was taken, taken_w x taken_h px through its lens. */
+MUST_USE err_t imageset_decode_taken(const struct imageset *set, int i, struct image8 *out);
+
 /* The same for a shot of more than 8 bits, in 16 bits (pixels.h).
  * own:  pixels_free16. */
 MUST_USE err_t imageset_decode16(const struct imageset *set, int i, struct image16 *out);

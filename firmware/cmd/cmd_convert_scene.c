@@ -124,14 +124,14 @@ static err_t compare_view(struct state *st, const struct camera *cam, double db[
     if (!e)
         e = draw_view(st, &st->back, cam, st->after);
     if (!e)
-        e = metrics_psnr(&st->before[0], &st->after[0], &db[0]);
+        e = metrics_psnr(&st->before[0], &st->after[0], NULL, &db[0]);
     if (!e)
         e = metrics_quantile(st->before[1].px, 3 * (size_t)cam->w * (size_t)cam->h, 0.99, &scale);
     if (!e)
         e = metrics_mu_law(&st->before[1], scale, &st->before[1]);
     if (!e)
         e = metrics_mu_law(&st->after[1], scale, &st->after[1]);
-    return e ? e : metrics_psnr(&st->before[1], &st->after[1], &db[1]);
+    return e ? e : metrics_psnr(&st->before[1], &st->after[1], NULL, &db[1]);
 }
 
 static err_t alloc_pictures(struct arena *tmp, struct state *st)

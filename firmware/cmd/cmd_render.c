@@ -12,7 +12,6 @@
 
 #include "core/base/log.h"
 #include "core/base/num.h"
-#include "core/photo/distort.h"
 #include "core/photo/falsecolour.h"
 #include "core/photo/metrics.h"
 #include "drivers/format/cameras.h"
@@ -192,10 +191,9 @@ static err_t place_cameras(const struct request *rq, struct state *st)
 static err_t drawn_camera(const struct request *rq, const struct rig_view *v, struct camera *out)
 {
     *out = v->cam;
-    if (!rq->lens || !lens_distorts(&v->lens))
+    if (!rq->lens)
         return OK;
-    const int most = num_min(RASTER_SIDE_MAX, 4 * num_max(v->cam.w, v->cam.h));
-    return distort_camera(&v->lens, v->cam.w, v->cam.h, most, out);
+    return draw_lens_camera(&v->lens, &v->cam, 4 * num_max(v->cam.w, v->cam.h), out);
 }
 
 /* Room for any frame and for the picture that is drawn for it. */
@@ -212,25 +210,6 @@ static err_t largest_frame(const struct request *rq, const struct rig *rig, int 
         *h = num_max(*h, num_max(frame->h, drawn.h));
     }
     return OK;
-}
-
-/* Resample the drawn picture to the frame's lens. */
-static err_t distort_frame(struct state *st, const struct rig_view *v, const struct camera *drawn)
-{
-    struct render *maps = &st->draw.maps;
-    const size_t n = (size_t)v->cam.w * (size_t)v->cam.h;
-    struct distort_job j = {&v->lens, drawn, 3, v->cam.w, v->cam.h, maps->radiance, st->lensed};
-    err_t e = distort_run(st->engine.pool, &j);
-    j.n = 1;
-    j.in = maps->alpha;
-    j.out = st->lensed + 3 * n;
-    if (!e)
-        e = distort_run(st->engine.pool, &j);
-    memcpy(maps->radiance, st->lensed, 3 * n * sizeof *maps->radiance);
-    memcpy(maps->alpha, j.out, n * sizeof *maps->alpha);
-    maps->w = v->cam.w;
-    maps->h = v->cam.h;
-    return e;
 }
 
 /* The last drawing at an exposure, in 8 bits. */
@@ -289,7 +268,8 @@ static err_t make_frame(const struct request *rq, struct state *st, int i)
     if (!e)
         e = draw_run(&st->engine.run, &st->draw, &st->scene, &cam);
     if (!e && rq->lens && lens_distorts(&v->lens))
-        e = distort_frame(st, v, &cam);
+        e = draw_through_lens(st->engine.pool, &st->draw, &v->lens, &cam,
+                              (struct extent){v->cam.w, v->cam.h, 0}, st->lensed, NULL);
     if (e)
         return e;
     develop_frame(rq, st, log2t);

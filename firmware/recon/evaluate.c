@@ -8,10 +8,10 @@
 
 #include "core/base/gaussians.h"
 #include "core/base/num.h"
+#include "core/photo/distort.h"
 #include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
-#include "core/photo/undistort.h"
 #include "core/sfm/pose.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/img.h"
@@ -21,6 +21,17 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+/* The photograph that is looked at. */
+struct view {
+    struct extent px;
+    const uint8_t *rgb; // (h, w, 3)
+    float log2t;
+    struct camera cam;
+    bool lensed;         // as it was taken, through:
+    struct lens lens;    // for px
+    struct camera drawn; // what is drawn for it: cam, or the pinhole that covers the lens
+};
 
 struct bench {
     const struct run *r;
@@ -32,11 +43,14 @@ struct bench {
         other;       // (3, h, w): the photograph; nearest view or mu-law of the truth
     struct image mu; // (3, h, w): mu-law of the prediction
     struct draw_confidence confidence; // of the view drawn last
+    float *room;                       // (4, h, w)
+    const uint8_t *seen;               // (h, w) pixels that count; NULL: all
+    uint8_t *shown[2];                 // (h, w) what *drawn and the nearest view show of a lens
     size_t clipped;
     struct evaluate_result *out;
 };
 
-enum { IMAGES = 3 };
+enum { IMAGES = 3, LENS_SIDES = 2 }; // of the view at most, what is drawn for a lens
 
 static void add_score(struct evaluate_score *s, double psnr, double ssim)
 {
@@ -49,9 +63,9 @@ static err_t compare_picture(struct bench *b, const struct image *picture,
                              const struct image *truth, struct evaluate_score *score)
 {
     double psnr, ssim;
-    err_t e = metrics_psnr(picture, truth, &psnr);
+    err_t e = metrics_psnr(picture, truth, b->seen, &psnr);
     if (!e)
-        e = metrics_ssim(picture, truth, b->r->tmp, &ssim);
+        e = metrics_ssim(picture, truth, b->seen, b->r->tmp, &ssim);
     if (!e)
         add_score(score, psnr, ssim);
     return e;
@@ -118,13 +132,44 @@ static void add_trust(const struct bench *b, struct evaluate_trust *t)
     const size_t pixels = (size_t)b->truth.w * (size_t)b->truth.h;
     for (size_t i = 0; i < 3 * pixels; i++) {
         const double d = (double)b->draw.display.px[i] - (double)b->truth.px[i];
+        if (b->seen && !b->seen[i % pixels])
+            continue;
         const int known = b->confidence.map[i % pixels] >= CONFIDENCE_GUESS;
         t->pixels[known] += 1.0 / 3;
         t->squares[known] += d * d / 3;
     }
 }
 
-static err_t measure_ldr(struct bench *b, const struct shot *s, const struct views *v)
+/* The nearest input view in b->other, as the photograph's lens takes it. */
+static err_t lens_nearest(struct bench *b, const struct view *v, int near)
+{
+    const size_t n = extent_pixels(&v->px);
+    const struct distort_job j = {
+        &v->lens, &b->j->views.cams[near], 3, v->px.w, v->px.h, b->other.px, b->room, b->shown[1]};
+    err_t e = distort_run(b->r->pool, &j);
+    memcpy(b->other.px, b->room, 3 * n * sizeof *b->room);
+    for (size_t i = 0; i < n; i++)
+        b->shown[1][i] &= b->shown[0][i];
+    b->seen = b->shown[1];
+    return e;
+}
+
+/* The nearest input view at this exposure. */
+static err_t measure_nearest(struct bench *b, const struct view *v)
+{
+    const struct views *inputs = &b->j->views;
+    const int near = inputs->n > 0 ? path_nearest(inputs->cams, inputs->n, &v->cam) : -1;
+    if (near < 0 || inputs->extent[near].w != v->px.w || inputs->extent[near].h != v->px.h)
+        return OK;
+    reexpose_picture(b, near, v->log2t);
+    err_t e = v->lensed ? lens_nearest(b, v, near) : OK;
+    if (!e)
+        e = compare_picture(b, &b->other, &b->truth, &b->out->nearest);
+    b->seen = v->lensed ? b->shown[0] : NULL;
+    return e;
+}
+
+static err_t measure_ldr(struct bench *b, const struct shot *s, const struct view *v)
 {
     struct evaluate_score *score = NULL;
     err_t e = find_exposure(b->out, s->exposure, &score);
@@ -139,13 +184,7 @@ static err_t measure_ldr(struct bench *b, const struct shot *s, const struct vie
     if (!e) // the same figures go into the mean over all
         add_score(&b->out->ldr, psnr + (score->psnr - psnr) * (before + 1),
                   ssim + (score->ssim - ssim) * (before + 1));
-    const struct views *inputs = &b->j->views;
-    const int near = inputs->n > 0 ? path_nearest(inputs->cams, inputs->n, &v->cams[0]) : -1;
-    if (e || near < 0 || inputs->extent[near].w != v->extent[0].w ||
-        inputs->extent[near].h != v->extent[0].h)
-        return e;
-    reexpose_picture(b, near, v->log2t[0]);
-    return compare_picture(b, &b->other, &b->truth, &b->out->nearest);
+    return e ? e : measure_nearest(b, v);
 }
 
 /* ---- HDR ---- */
@@ -227,26 +266,12 @@ static err_t mu_law(const struct image *in, struct image *out)
     return e ? e : metrics_mu_law(in, q, out);
 }
 
-/* A map of radiance goes through the lens as its photograph did. */
-static err_t undistort_truth(const struct run *r, const struct shot *s, struct image *io)
+static void hide_unseen(const struct bench *b, struct image *io)
 {
-    struct lens lens = s->lens;
-    struct camera pinhole = s->cam;
-    const double across = (double)io->w / s->taken_w, down = (double)io->h / s->taken_h;
-    if (!lens_distorts(&lens))
-        return OK;
-    lens_scale(&lens, across, down);
-    pinhole = pose_scaled(&pinhole, num_max(1, (int)lround(pinhole.w * across)),
-                          num_max(1, (int)lround(pinhole.h * down)));
-    struct image out = {pinhole.w, pinhole.h, 3, NULL};
-    out.px = malloc(3 * (size_t)out.w * (size_t)out.h * sizeof *out.px);
-    if (!out.px)
-        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px of radiance", s->name, out.w,
-                        out.h);
-    err_t e = undistort_image(r->pool, &lens, io, &pinhole, out.px);
-    exrfile_free(io);
-    *io = out;
-    return e;
+    const size_t n = (size_t)io->w * (size_t)io->h;
+    for (size_t i = 0; i < 3 * n && b->seen; i++)
+        if (!b->seen[i % n])
+            io->px[i] = 0;
 }
 
 static err_t measure_hdr(struct bench *b, const struct shot *s)
@@ -259,29 +284,50 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
     e = exrfile_read(path, &file);
     if (e)
         return e;
-    e = undistort_truth(b->r, s, &file);
-    if (!e)
-        resize_image(&file, &b->other);
+    resize_image(&file, &b->other);
     exrfile_free(&file);
-    if (!e)
-        e = mu_law(&b->other, &b->other);
+    hide_unseen(b, &b->other); // radiance is 0 there
+    e = mu_law(&b->other, &b->other);
     if (!e)
         e = mu_law(&radiance, &b->mu);
     return e ? e : compare_picture(b, &b->mu, &b->other, &b->out->hdr);
 }
 
-/* ---- all ---- */
+/* ---- pictures ---- */
 
-static err_t draw_view(struct bench *b, const struct shot *s, const struct views *v)
+/* The maps drawn last, as the lens of the photograph takes them. */
+static err_t take_maps(struct bench *b, const struct view *v)
+{
+    return v->lensed ? draw_through_lens(b->r->pool, &b->draw, &v->lens, &v->drawn, v->px, b->room,
+                                         b->shown[0])
+                     : OK;
+}
+
+static err_t draw_maps(struct bench *b, const struct view *v)
+{
+    err_t e = OK;
+    if (b->j->scene.confidence) {
+        e = draw_run(b->r, &b->draw, &b->confidence.splats, &v->drawn);
+        if (!e)
+            e = take_maps(b, v);
+        if (!e)
+            memcpy(b->confidence.map, b->draw.maps.radiance,
+                   extent_pixels(&v->px) * sizeof *b->confidence.map);
+    }
+    if (!e)
+        e = draw_run(b->r, &b->draw, &b->j->scene, &v->drawn);
+    if (!e)
+        e = take_maps(b, v);
+    b->seen = v->lensed ? b->shown[0] : NULL;
+    return e;
+}
+
+static err_t draw_view(struct bench *b, const struct shot *s, const struct view *v)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
     size_t clipped = 0;
     b->out->views++;
-    err_t e = OK;
-    if (b->j->scene.confidence)
-        e = draw_confidence_run(b->r, &b->draw, &b->confidence, &v->cams[0]);
-    if (!e)
-        e = draw_run(b->r, &b->draw, &b->j->scene, &v->cams[0]);
+    err_t e = draw_maps(b, v);
     job_result_lap(b->j, JOB_RENDER);
     if (!e)
         e = measure_hdr(b, s);
@@ -291,10 +337,62 @@ static err_t draw_view(struct bench *b, const struct shot *s, const struct views
     draw_name("hdr", s->name, "exr", name);
     e = outdir_path(b->o, name, path);
     if (!e)
-        e = draw_write_exr(&b->draw, &v->cams[0], v->log2t[0], path, &clipped);
+        e = draw_write_exr(&b->draw, v->lensed ? NULL : &v->cam, v->log2t, path, &clipped);
     b->clipped += clipped;
     job_result_lap(b->j, JOB_WRITE);
     return e;
+}
+
+/* ---- photographs ---- */
+
+/* Photographs through lenses that distort are looked at as they were taken, so that the pixels are
+ * the same whatever lens was found; not those that are squeezed to squares. */
+static bool is_lensed(const struct bench *b, const struct shot *s)
+{
+    return lens_distorts(&s->lens) && !job_result_size(&b->j->scene).square;
+}
+
+/* Its lens in px of the view, and what is drawn for it. */
+static err_t set_lens(const struct shot *s, struct view *v)
+{
+    v->lens = s->lens;
+    lens_scale(&v->lens, (double)v->px.w / s->taken_w, (double)v->px.h / s->taken_h);
+    v->cam = s->cam;
+    v->cam.w = v->px.w;
+    v->cam.h = v->px.h;
+    v->cam.fx = (float)v->lens.fx;
+    v->cam.fy = (float)v->lens.fy;
+    v->cam.cx = (float)v->lens.cx;
+    v->cam.cy = (float)v->lens.cy;
+    return draw_lens_camera(&v->lens, &v->cam, LENS_SIDES * num_max(v->px.w, v->px.h), &v->drawn);
+}
+
+/* out: rgb in r->keep. */
+static err_t read_view(struct bench *b, int i, struct view *out)
+{
+    struct shot s = b->test->capture.shots[i];
+    const struct capture one = {1, &s};
+    struct views v;
+    *out = (struct view){.lensed = is_lensed(b, &s)};
+    if (!s.has_camera)
+        return err_fail(ERR_ARG,
+                        "%s: its camera is not known; eval needs the cameras of the test views",
+                        s.name);
+    err_t e = out->lensed ? imageset_decode_taken(b->test, i, &s.image)
+                          : imageset_decode(b->test, i, &s.image);
+    s.has_camera = !out->lensed;
+    if (!e)
+        e = prep_run(b->r, &one, job_result_size(&b->j->scene), &v);
+    img_free(&s.image);
+    if (e)
+        return e;
+    out->px = v.extent[0];
+    out->rgb = v.rgb;
+    out->log2t = v.log2t[0];
+    if (out->lensed)
+        return set_lens(&b->test->capture.shots[i], out);
+    out->cam = out->drawn = v.cams[0];
+    return OK;
 }
 
 /* Gives all pictures of this photograph its size. */
@@ -307,25 +405,32 @@ static void set_shape(struct bench *b, const struct extent *px)
     }
 }
 
-static err_t do_shot(struct bench *b, int i, const struct shot *s)
+static bool find_shade(const struct bench *b, const struct shot *s, const struct view *v,
+                       struct shade *out)
+{
+    if (!v->lensed)
+        return shading_of(b->j, s, &v->cam, out);
+    if (!shading_model(b->j, s->camera_id, &out->model))
+        return false;
+    shade_map(NULL, v->px.w, v->px.h, &v->cam, out);
+    return true;
+}
+
+static err_t do_shot(struct bench *b, int i)
 {
     char name[DRAW_NAME_CAP], path[FILE_PATH_CAP];
-    struct views v;
+    const struct shot *s = &b->test->capture.shots[i];
+    struct view v;
     struct shade shade;
-    struct capture one = {1, (struct shot *)(uintptr_t)s};
-    err_t e = prep_run(b->r, &one, job_result_size(&b->j->scene), &v);
+    err_t e = read_view(b, i, &v);
     job_result_lap(b->j, JOB_PREPROCESS);
     if (!e)
-        set_shape(b, v.extent);
-    if (!e && !v.cams)
-        e = err_fail(ERR_ARG,
-                     "%s: its camera is not known; eval needs the cameras of the test views",
-                     s->name);
+        set_shape(b, &v.px);
     if (!e && (i == 0 || !name_same_view(s->name, b->test->capture.shots[i - 1].name)))
         e = draw_view(b, s, &v);
     if (e)
         return e;
-    draw_display(&b->draw, shading_of(b->j, s, &v.cams[0], &shade) ? &shade : NULL, v.log2t[0]);
+    draw_display(&b->draw, find_shade(b, s, &v, &shade) ? &shade : NULL, v.log2t);
     job_result_lap(b->j, JOB_RENDER);
     e = measure_ldr(b, s, &v);
     job_result_lap(b->j, JOB_MEASURE);
@@ -339,57 +444,81 @@ static err_t do_shot(struct bench *b, int i, const struct shot *s)
     return e;
 }
 
-static err_t read_and_do(struct bench *b, int i)
+static err_t measure_shot(struct bench *b, int i)
 {
-    struct shot s = b->test->capture.shots[i];
     size_t keep = arena_mark(b->r->keep), tmp = arena_mark(b->r->tmp);
     if (atomic_load(b->r->cancel))
         return err_fail(ERR_CANCELLED, "eval: interrupted");
-    err_t e = imageset_decode(b->test, i, &s.image);
-    if (!e)
-        e = do_shot(b, i, &s);
-    img_free(&s.image);
+    err_t e = do_shot(b, i);
     arena_reset(b->r->keep, keep);
     arena_reset(b->r->tmp, tmp);
     return e;
 }
 
-static err_t layout(struct bench *b, struct arena *tmp, const struct extent *most, int cap)
+/* ---- all ---- */
+
+/* most: px of a photograph; drawn: of the picture that is drawn for it. */
+static err_t layout(struct bench *b, struct arena *tmp, const struct extent *most,
+                    const struct extent *drawn, int cap)
 {
     const size_t values = 3 * most->at;
     struct image *images[IMAGES] = {&b->truth, &b->other, &b->mu};
     float *px;
-    err_t e = draw_init(&b->draw, tmp, cap, most->w, most->h);
+    err_t e = draw_init(&b->draw, tmp, cap, drawn->w, drawn->h);
     if (!e)
-        e = draw_confidence_init(&b->confidence, tmp, cap, most->w, most->h);
+        e = draw_confidence_init(&b->confidence, tmp, cap, drawn->w, drawn->h);
     if (!e)
         e = arena_alloc(tmp, values, IMAGES * sizeof *px, &px);
     for (int i = 0; i < IMAGES && !e; i++)
         *images[i] = (struct image){0, 0, 3, px + values * (size_t)i};
+    if (!e)
+        e = arena_alloc(tmp, most->at, 4 * sizeof *b->room, &b->room);
+    for (int i = 0; i < 2 && !e; i++)
+        e = arena_alloc(tmp, most->at, 1, &b->shown[i]);
     return e;
+}
+
+static void cover_view(struct prep_size size, int w, int h, struct extent *io)
+{
+    const struct extent both[2] = {*io, prep_extent(size, w, h)};
+    *io = extent_cover(both, 2);
+    io->at = num_max_size(both[0].at, extent_pixels(&both[1]));
 }
 
 /* Room for any of the test pictures as a view. */
 static struct extent largest_view(const struct capture *test, struct prep_size size)
 {
-    struct extent both[2] = {{0, 0, 0}, {0, 0, 0}};
+    struct extent out = {0, 0, 0};
     for (int i = 0; i < test->n; i++) {
-        both[1] = prep_extent(size, test->shots[i].image.w, test->shots[i].image.h);
-        const size_t pixels = num_max_size(both[0].at, extent_pixels(&both[1]));
-        both[0] = extent_cover(both, 2);
-        both[0].at = pixels;
+        const struct shot *s = &test->shots[i];
+        cover_view(size, s->image.w, s->image.h, &out);
+        if (lens_distorts(&s->lens))
+            cover_view(size, s->taken_w, s->taken_h, &out);
     }
-    return both[0];
+    return out;
+}
+
+/* Room for what is drawn for any of them; of lenses that are yet to be found nothing is known. */
+static struct extent largest_drawn(const struct capture *test, struct prep_size size,
+                                   const struct extent *most)
+{
+    bool lensed = false;
+    for (int i = 0; i < test->n; i++)
+        lensed = lensed || lens_distorts(&test->shots[i].lens) ||
+                 !(size.square || test->shots[i].has_camera);
+    const int side = num_min(LENS_SIDES * num_max(most->w, most->h), RASTER_SIDE_MAX);
+    return lensed ? (struct extent){side, side, 0} : *most;
 }
 
 void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap)
 {
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
     const struct extent most = largest_view(test, size);
+    const struct extent drawn = largest_drawn(test, size, &most);
     struct arena planes = arena_counter();
     struct gaussians g;
     struct bench b;
-    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, g.cap))
+    if (gaussians_init(&g, &planes, cap, 0) || layout(&b, &p->tmp, &most, &drawn, g.cap))
         plan_refuse(p);
     prep_plan(p, 1, most.at, prep_largest(test), size.edge);
     arena_step(&p->tmp, metrics_ssim_plan(most.w));
@@ -404,8 +533,10 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     const int n = test->capture.n;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
-    const struct extent most = largest_view(&test->capture, job_result_size(&j->scene));
-    err_t e = layout(&b, r->tmp, &most, j->scene.g.cap);
+    const struct prep_size size = job_result_size(&j->scene);
+    const struct extent most = largest_view(&test->capture, size);
+    const struct extent drawn = largest_drawn(&test->capture, size, &most);
+    err_t e = layout(&b, r->tmp, &most, &drawn, j->scene.g.cap);
     if (!e && j->scene.confidence)
         draw_confidence_set(&b.confidence, &j->scene);
     if (!e && o)
@@ -413,7 +544,7 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     if (!e && o)
         e = outdir_mkdir(o, "hdr");
     for (int i = 0; i < n && !e; i++) {
-        e = read_and_do(&b, i);
+        e = measure_shot(&b, i);
         if (!e && r->progress)
             r->progress(r->progress_ctx, "evaluate", i + 1, n, NULL);
     }

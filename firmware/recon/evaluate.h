@@ -1,5 +1,8 @@
 /* evaluate.h - a reconstructed scene against photographs and radiance that it has not seen
  * (core/refine/README.md 5). LDR: the tone-mapped float picture against the 8-bit photograph / 255.
+ * Photographs through a lens that distorts are compared as they were taken (the pinhole that covers
+ * the lens is drawn and resampled, distort.h), so the pixels do not depend on the lens that was
+ * found; what lies beyond DISTORT_ANGLE does not count. Squares are compared undistorted.
  * HDR: both divided by their own 99 % quantile, clipped, mu-law. Per image, then the mean over all.
  * Beside it, what a lookup would score: the nearest input view, brought to the exposure of the test
  * picture by the recovered response; without input views (j->views) there is none. */

@@ -1,5 +1,7 @@
 #include "firmware/result/draw.h"
 
+#include "core/base/num.h"
+#include "core/photo/distort.h"
 #include "core/photo/shade.h"
 #include "core/refine/confidence.h"
 #include "drivers/format/exrfile.h"
@@ -70,6 +72,32 @@ void draw_display(struct draw *d, const struct shade *shade, float log2t)
     for (int c = 0; c < 3; c++)
         tonemap_run(&d->table.c[c], from + (size_t)c * pixels, log2t - d->mid_log2t, pixels,
                     d->display.px + (size_t)c * pixels);
+}
+
+err_t draw_lens_camera(const struct lens *l, const struct camera *cam, int most, struct camera *out)
+{
+    *out = *cam;
+    if (!lens_distorts(l))
+        return OK;
+    return distort_camera(l, cam->w, cam->h, num_min(most, RASTER_SIDE_MAX), out);
+}
+
+err_t draw_through_lens(struct pool *pool, struct draw *d, const struct lens *l,
+                        const struct camera *drawn, struct extent px, float *room, uint8_t *seen)
+{
+    const size_t n = extent_pixels(&px);
+    struct distort_job j = {l, drawn, 3, px.w, px.h, d->maps.radiance, room, seen};
+    err_t e = distort_run(pool, &j);
+    j.n = 1;
+    j.in = d->maps.alpha;
+    j.out = room + 3 * n;
+    if (!e)
+        e = distort_run(pool, &j);
+    memcpy(d->maps.radiance, room, 3 * n * sizeof *room);
+    memcpy(d->maps.alpha, j.out, n * sizeof *room);
+    d->maps.w = px.w;
+    d->maps.h = px.h;
+    return e;
 }
 
 err_t draw_confidence_init(struct draw_confidence *c, struct arena *a, int cap, int w, int h)

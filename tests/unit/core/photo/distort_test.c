@@ -32,7 +32,7 @@ static void assert_places(const struct lens *l, double bound)
         in[plane + i] = ((float)(i / (size_t)c.w) + 0.5f - c.cy) / c.fy;
         in[2 * plane + i] = 1;
     }
-    const struct distort_job j = {l, &c, 3, W, H, in, out};
+    const struct distort_job j = {l, &c, 3, W, H, in, out, NULL};
     assert_int_equal(distort_run(NULL, &j), OK);
     for (int i = 0; i < W * H; i++) {
         const double px[2] = {i % W + 0.5, i / W + 0.5};
@@ -65,6 +65,7 @@ static void what_no_pinhole_shows_is_black(void **state)
     const struct lens wide = lens_of(LENS_OPENCV_FISHEYE, 10, 0);
     struct camera c;
     static float out[W * H];
+    static uint8_t seen[W * H];
     assert_int_equal(distort_camera(&wide, W, H, 100, &c), OK);
     assert_true(c.w <= 100 && c.h <= 100 && c.fx < 10.5f);
     const size_t plane = (size_t)c.w * (size_t)c.h;
@@ -72,10 +73,17 @@ static void what_no_pinhole_shows_is_black(void **state)
     assert_non_null(in);
     for (size_t i = 0; i < plane; i++)
         in[i] = 1;
-    const struct distort_job j = {&wide, &c, 1, W, H, in, out};
+    const struct distort_job j = {&wide, &c, 1, W, H, in, out, seen};
     assert_int_equal(distort_run(NULL, &j), OK);
     assert_float_equal(out[25 * W + 30], 1, 1e-6);
     assert_true(out[0] == 0 && out[W * H - 1] == 0); // beyond 75 degrees
+    assert_true(seen[25 * W + 30] == 1 && seen[0] == 0 && seen[W * H - 1] == 0);
+    struct camera narrow = c; // its right third is missing
+    narrow.w = c.w * 2 / 3;
+    struct distort_job less = j;
+    less.pinhole = &narrow;
+    assert_int_equal(distort_run(NULL, &less), OK);
+    assert_true(seen[25 * W + 30] == 1 && seen[25 * W + 44] == 0);
     free(in);
 }
 

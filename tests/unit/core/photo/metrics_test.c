@@ -69,10 +69,10 @@ static void equal_to_scipy(void **state)
         struct arena tmp;
         double v;
         make_pair(cases[i].w, cases[i].h, cases[i].mix, &a, &b);
-        assert_int_equal(metrics_psnr(&a, &b, &v), OK);
+        assert_int_equal(metrics_psnr(&a, &b, NULL, &v), OK);
         close_to(v, cases[i].psnr, 1e-9);
         assert_int_equal(arena_init(&tmp, "tmp", metrics_ssim_plan(a.w)), OK);
-        assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), OK);
+        assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), OK);
         close_to(v, cases[i].ssim, 1e-9);
         assert_int_equal(tmp.used, 0);
         arena_free(&tmp);
@@ -86,15 +86,51 @@ static void identical_images(void **state)
     struct arena tmp;
     double v;
     make_pair(20, 20, 0.0f, &a, &b);
-    assert_int_equal(metrics_psnr(&a, &b, &v), OK);
+    assert_int_equal(metrics_psnr(&a, &b, NULL, &v), OK);
     assert_true(v == METRICS_PSNR_MAX);
     assert_int_equal(arena_init(&tmp, "tmp", metrics_ssim_plan(20)), OK);
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), OK);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), OK);
     close_to(v, 1.0, 1e-12);
     memset(px_a, 0, sizeof px_a); // flat black: 0 / 0 without the constants
     memset(px_b, 0, sizeof px_b);
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), OK);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), OK);
     close_to(v, 1.0, 1e-12);
+    arena_free(&tmp);
+}
+
+/* Pixels that do not count change nothing; the others are the mean. */
+static void only_seen_pixels_count(void **state)
+{
+    (void)state;
+    struct image a, b;
+    struct arena tmp;
+    static uint8_t seen[20 * 20];
+    double all, v, ssim;
+    make_pair(20, 20, 0.5f, &a, &b);
+    assert_int_equal(arena_init(&tmp, "tmp", metrics_ssim_plan(20)), OK);
+    memset(seen, 1, sizeof seen);
+    assert_int_equal(metrics_psnr(&a, &b, NULL, &all), OK);
+    assert_int_equal(metrics_psnr(&a, &b, seen, &v), OK);
+    assert_true(v == all);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &all), OK);
+    assert_int_equal(metrics_ssim(&a, &b, seen, &tmp, &v), OK);
+    assert_true(v == all);
+    memset(seen, 0, sizeof seen);
+    seen[7 * 20 + 9] = 1;
+    for (int c = 0; c < 3; c++)
+        px_b[c * 400 + 7 * 20 + 9] = px_a[c * 400 + 7 * 20 + 9] + 0.1f;
+    assert_int_equal(metrics_psnr(&a, &b, seen, &v), OK);
+    close_to(v, 20, 1e-4);
+    assert_int_equal(metrics_ssim(&a, &b, seen, &tmp, &ssim), OK);
+    px_b[19] += 1; // no window around the pixel reaches so far
+    assert_int_equal(metrics_psnr(&a, &b, seen, &v), OK);
+    close_to(v, 20, 1e-4);
+    assert_int_equal(metrics_ssim(&a, &b, seen, &tmp, &v), OK);
+    assert_true(v == ssim);
+    seen[7 * 20 + 9] = 0;
+    assert_int_equal(metrics_psnr(&a, &b, seen, &v), ERR_ARG);
+    assert_int_equal(metrics_ssim(&a, &b, seen, &tmp, &v), ERR_ARG);
+    assert_int_equal(tmp.used, 0);
     arena_free(&tmp);
 }
 
@@ -107,21 +143,21 @@ static void pairs_are_refused(void **state)
     make_pair(20, 20, 0.5f, &a, &b);
     assert_int_equal(arena_init(&tmp, "tmp", metrics_ssim_plan(20)), OK);
     px_b[2 * 400 + 3 * 20 + 5] = NAN;
-    assert_int_equal(metrics_psnr(&a, &b, &v), ERR_ARG);
+    assert_int_equal(metrics_psnr(&a, &b, NULL, &v), ERR_ARG);
     assert_non_null(strstr(err_text(), "channel 2, row 3, column 5"));
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), ERR_ARG);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), ERR_ARG);
     px_b[2 * 400 + 3 * 20 + 5] = 0.0f;
     px_a[0] = -INFINITY;
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), ERR_ARG);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), ERR_ARG);
     px_a[0] = 0.0f;
     b.w = 19;
-    assert_int_equal(metrics_psnr(&a, &b, &v), ERR_ARG);
+    assert_int_equal(metrics_psnr(&a, &b, NULL, &v), ERR_ARG);
     a.w = b.w = 10;
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), ERR_ARG);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), ERR_ARG);
     assert_non_null(strstr(err_text(), "11 x 11"));
     a.w = b.w = 20;
     a.h = b.h = 10;
-    assert_int_equal(metrics_ssim(&a, &b, &tmp, &v), ERR_ARG);
+    assert_int_equal(metrics_ssim(&a, &b, NULL, &tmp, &v), ERR_ARG);
     arena_free(&tmp);
 }
 
@@ -196,10 +232,10 @@ static void mu_law_values(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(equal_to_scipy),          cmocka_unit_test(identical_images),
-        cmocka_unit_test(pairs_are_refused),       cmocka_unit_test(quantiles_equal_numpy),
-        cmocka_unit_test(quantiles_of_small_sets), cmocka_unit_test(quantiles_are_refused),
-        cmocka_unit_test(mu_law_values),
+        cmocka_unit_test(equal_to_scipy),         cmocka_unit_test(identical_images),
+        cmocka_unit_test(only_seen_pixels_count), cmocka_unit_test(pairs_are_refused),
+        cmocka_unit_test(quantiles_equal_numpy),  cmocka_unit_test(quantiles_of_small_sets),
+        cmocka_unit_test(quantiles_are_refused),  cmocka_unit_test(mu_law_values),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
