@@ -86,7 +86,7 @@ scripts() { # folder-of-the-build script...
 
 smoke='bad_input capture formats golden quality'
 # Half a minute and more each, and other tests look at the same code: these wait for `long`.
-slow='budget lens network shapes simulated view'
+slow='bracket_scene budget lens network selftest shapes simulated size view'
 is_slow() { # variant/test or name of a script
     case " $slow " in *" $1 "*) return ;; esac
     case $1 in

@@ -264,12 +264,12 @@ static err_t make_frame(const struct request *rq, struct state *st, int i)
     double start = engine_seconds();
     const struct rig_view *v = &st->rig.views[i];
     struct camera cam;
+    const struct draw_lens through = {&v->lens, &cam, {v->cam.w, v->cam.h, 0}, st->lensed, NULL};
     err_t e = drawn_camera(rq, v, &cam);
     if (!e)
         e = draw_run(&st->engine.run, &st->draw, &st->scene, &cam);
     if (!e && rq->lens && lens_distorts(&v->lens))
-        e = draw_through_lens(st->engine.pool, &st->draw, &v->lens, &cam,
-                              (struct extent){v->cam.w, v->cam.h, 0}, st->lensed, NULL);
+        e = draw_through_lens(st->engine.pool, &st->draw, &through);
     if (e)
         return e;
     develop_frame(rq, st, log2t);

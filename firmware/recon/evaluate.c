@@ -298,9 +298,8 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
 /* The maps drawn last, as the lens of the photograph takes them. */
 static err_t take_maps(struct bench *b, const struct view *v)
 {
-    return v->lensed ? draw_through_lens(b->r->pool, &b->draw, &v->lens, &v->drawn, v->px, b->room,
-                                         b->shown[0])
-                     : OK;
+    const struct draw_lens through = {&v->lens, &v->drawn, v->px, b->room, b->shown[0]};
+    return v->lensed ? draw_through_lens(b->r->pool, &b->draw, &through) : OK;
 }
 
 static err_t draw_maps(struct bench *b, const struct view *v)

@@ -82,21 +82,21 @@ err_t draw_lens_camera(const struct lens *l, const struct camera *cam, int most,
     return distort_camera(l, cam->w, cam->h, num_min(most, RASTER_SIDE_MAX), out);
 }
 
-err_t draw_through_lens(struct pool *pool, struct draw *d, const struct lens *l,
-                        const struct camera *drawn, struct extent px, float *room, uint8_t *seen)
+err_t draw_through_lens(struct pool *pool, struct draw *d, const struct draw_lens *l)
 {
-    const size_t n = extent_pixels(&px);
-    struct distort_job j = {l, drawn, 3, px.w, px.h, d->maps.radiance, room, seen};
+    const size_t n = extent_pixels(&l->px);
+    const int w = l->px.w, h = l->px.h;
+    struct distort_job j = {l->lens, l->drawn, 3, w, h, d->maps.radiance, l->room, l->seen};
     err_t e = distort_run(pool, &j);
     j.n = 1;
     j.in = d->maps.alpha;
-    j.out = room + 3 * n;
+    j.out = l->room + 3 * n;
     if (!e)
         e = distort_run(pool, &j);
-    memcpy(d->maps.radiance, room, 3 * n * sizeof *room);
-    memcpy(d->maps.alpha, j.out, n * sizeof *room);
-    d->maps.w = px.w;
-    d->maps.h = px.h;
+    memcpy(d->maps.radiance, l->room, 3 * n * sizeof *l->room);
+    memcpy(d->maps.alpha, j.out, n * sizeof *l->room);
+    d->maps.w = w;
+    d->maps.h = h;
     return e;
 }
 

@@ -33,17 +33,23 @@ MUST_USE err_t draw_run(const struct run *r, struct draw *d, const struct scene 
  * is. */
 void draw_display(struct draw *d, const struct shade *shade, float log2t);
 
-/* The camera that is drawn for a photograph of cam->w x cam->h px through a lens: *cam, or the pinhole
- * that covers what a lens that distorts shows, with sides of at most `most` px.
+/* The camera that is drawn for a photograph of cam->w x cam->h px through a lens: *cam, or the
+ * pinhole that covers what a lens that distorts shows, with sides of at most `most` px.
  * err:  as distort_camera. */
 MUST_USE err_t draw_lens_camera(const struct lens *l, const struct camera *cam, int most,
                                 struct camera *out);
 
-/* Radiance and alpha of d->maps, which *drawn saw, become those of w x h px through the lens.
- * room: (4, h, w). seen: (h, w), 1 where *drawn saw what the lens shows, else 0; or NULL. */
-MUST_USE err_t draw_through_lens(struct pool *pool, struct draw *d, const struct lens *l,
-                                 const struct camera *drawn, struct extent px, float *room,
-                                 uint8_t *seen);
+/* A photograph through a lens that distorts. */
+struct draw_lens {
+    const struct lens *lens; // of px
+    const struct camera *drawn;
+    struct extent px;
+    float *room;   // (4, h, w)
+    uint8_t *seen; // (h, w) result: 1 where *drawn saw what the lens shows, else 0; or NULL
+};
+
+/* Radiance and alpha of d->maps, which l->drawn saw, become those of the photograph. */
+MUST_USE err_t draw_through_lens(struct pool *pool, struct draw *d, const struct draw_lens *l);
 
 /* The confidence of pixels (core/refine/confidence.h). */
 struct draw_confidence {

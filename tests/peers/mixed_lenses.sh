@@ -40,8 +40,8 @@ for views in ${VIEWS:-8 18}; do
         "k1=0.1,fov=50,size=$tall" "fisheye,k1=-0.02,fov=150,size=$square"
     make "straight$views" "$views" "fov=75,size=$wide" "fov=50,size=$tall" \
         "fov=90,size=$square"
-    "$hdrig" reconstruct --images "mixed$views" --rig none --refine 0 --model none --force --out "scene$views" \
-        >/dev/null 2>"scene$views.txt" || tail -n 1 "scene$views.txt"
+    "$hdrig" reconstruct --images "mixed$views" --rig none --refine 0 --model none --force \
+        --out "scene$views" >/dev/null 2>"scene$views.txt" || tail -n 1 "scene$views.txt"
     python3 "$here/lens_truth.py" --truth "mixed$views/sparse/0" \
         --cameras "scene$views/cameras.json" || true
     quality "straight$views" known

@@ -1,10 +1,11 @@
-/* A raw photograph that the test writes: DNG of 12 bits, RGGB, uncompressed. */
+/* A raw photograph that the test writes. */
 #include "drivers/format/rawphoto.h"
 
 #include "core/photo/develop.h"
 #include "drivers/format/img.h"
 #include "drivers/format/imgsize.h"
 #include "drivers/format/pixels.h"
+#include "tests/unit/dng.h"
 #include "tests/unit/expect.h"
 #include "tests/unit/tmpdir.h"
 
@@ -18,96 +19,19 @@
 
 #include <cmocka.h>
 
-enum {
-    W = 64,
-    H = 48,
-    BLACK = 256,
-    WHITE = 4095,
-    HEAD = 1024,
-    EXIF = 420,
-    BYTES = HEAD + 2 * W * H
-};
+enum { W = 64, H = 48, BYTES = DNG_HEAD + 2 * W * H };
 
-struct tiff {
-    uint8_t p[BYTES];
-    size_t entry, more; // where the next entry goes, and the next value that does not fit into it
-};
-
-static void put(uint8_t *p, uint32_t v, int bytes)
+/* Grey of that light, 1 is where green is full. */
+static struct dng *dng(double light, int orientation)
 {
-    for (int i = 0; i < bytes; i++)
-        p[i] = (uint8_t)(v >> 8 * i);
-}
-
-/* type: 1 bytes, 2 text, 3 of 16 bits, 4 of 32 bits, 5 and 10 fractions. */
-static void tag(struct tiff *t, unsigned name, unsigned type, unsigned n, const uint32_t *v)
-{
-    static const int sizes[] = {0, 1, 1, 2, 4, 8, 0, 0, 0, 0, 8};
-    uint8_t *e = t->p + t->entry, *to = e + 8;
-    const unsigned words = sizes[type] == 8 ? 2 * n : n, word = sizes[type] == 8 ? 4 : sizes[type];
-    put(e, name, 2);
-    put(e + 2, type, 2);
-    put(e + 4, n, 4);
-    if (words * word > 4) {
-        put(to, (uint32_t)t->more, 4);
-        to = t->p + t->more;
-        t->more += (words * word + 1) / 2 * 2;
-    }
-    for (unsigned i = 0; i < words; i++)
-        put(to + i * word, v[i], (int)word);
-    t->entry += 12;
-    t->p[8]++;
-}
-
-static void tag1(struct tiff *t, unsigned name, unsigned type, uint32_t v)
-{
-    tag(t, name, type, 1, &v);
-}
-
-/* Grey of that light, 1 is where green is full; the sensor sees half of red and 4/5 of blue. */
-static struct tiff *dng(double light, int orientation)
-{
-    static struct tiff t;
-    static const double share[] = {0.5, 1, 0.8};
-    static const uint32_t text[] = {'A', 'c', 'm', 'e', 0}, two[] = {2, 2}, cfa[] = {0, 1, 1, 2};
-    static const uint32_t version[] = {1, 4, 0, 0}, neutral[] = {1, 2, 1, 1, 4, 5};
-    static const uint32_t matrix[] = {1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1};
-    static const uint32_t time[] = {1, 50}, f_number[] = {28, 10};
-    memset(&t, 0, sizeof t);
-    memcpy(t.p, "II*\0\x08\0\0", 8);
-    t.entry = 10;
-    t.more = 512;
-    tag1(&t, 254, 4, 0);
-    tag1(&t, 256, 4, W);
-    tag1(&t, 257, 4, H);
-    tag1(&t, 258, 3, 16);
-    tag1(&t, 259, 3, 1);
-    tag1(&t, 262, 3, 32803);
-    tag(&t, 271, 2, 5, text);
-    tag(&t, 272, 2, 5, text);
-    tag1(&t, 273, 4, HEAD);
-    tag1(&t, 274, 3, (uint32_t)orientation);
-    tag1(&t, 277, 3, 1);
-    tag1(&t, 278, 4, H);
-    tag1(&t, 279, 4, 2 * W * H);
-    tag(&t, 33421, 3, 2, two);
-    tag(&t, 33422, 1, 4, cfa);
-    tag1(&t, 34665, 4, EXIF);
-    tag(&t, 50706, 1, 4, version);
-    tag1(&t, 50714, 3, BLACK);
-    tag1(&t, 50717, 3, WHITE);
-    tag(&t, 50721, 10, 9, matrix);
-    tag(&t, 50728, 5, 3, neutral);
-    t.entry = EXIF + 2;
-    tag(&t, 33434, 5, 1, time);
-    tag(&t, 33437, 5, 1, f_number);
-    tag1(&t, 34855, 3, 200);
-    t.p[8] = (uint8_t)(t.p[8] - 3); // they count for their own list
-    t.p[EXIF] = 3;
-    for (int i = 0; i < W * H; i++) {
-        const double v = fmin(light * share[(i / W & 1) + (i & 1)], 1);
-        put(t.p + HEAD + 2 * i, (uint32_t)lrint(BLACK + v * (WHITE - BLACK)), 2);
-    }
+    static uint8_t bytes[BYTES];
+    static struct dng t;
+    const double grey[3] = {light, light, light};
+    memset(bytes, 0, sizeof bytes);
+    t.p = bytes;
+    dng_head(&t, W, H, orientation, 20);
+    for (int i = 0; i < W * H; i++)
+        dng_site(&t, W, i % W, i / W, grey);
     return &t;
 }
 
@@ -162,10 +86,10 @@ static void orientations(void **state)
     static const bool right[] = {0, 0, 1, 1, 0, 0, 1, 1, 0}, below[] = {0, 0, 0, 1, 1, 0, 0, 1, 1};
     for (int o = 1; o <= 8; o++) {
         struct image16 im;
-        struct tiff *t = dng(0.1, o);
+        struct dng *t = dng(0.1, o);
         for (int i = 0; i < 8 * W; i++)
             if (i % W < 8)
-                put(t->p + HEAD + 2 * i, WHITE, 2);
+                dng_put(t->p + DNG_HEAD + 2 * i, DNG_WHITE, 2);
         expect_ok(rawphoto_read(t->p, BYTES, "a", &im));
         assert_true(im.w == (o < 5 ? W : H) && im.h == (o < 5 ? H : W));
         const int x = right[o] ? im.w - 3 : 2, y = below[o] ? im.h - 3 : 2;
@@ -176,7 +100,7 @@ static void orientations(void **state)
 }
 
 /* As found first in the list of the file. */
-static uint8_t *value_of(struct tiff *t, unsigned name)
+static uint8_t *value_of(struct dng *t, unsigned name)
 {
     for (int i = 0; i < t->p[8]; i++)
         if ((t->p[10 + 12 * i] | t->p[11 + 12 * i] << 8) == (int)name)
@@ -189,11 +113,11 @@ static void wrong_levels(void **state)
 {
     (void)state;
     struct image16 im;
-    struct tiff *t = dng(0.1, 1);
-    put(value_of(t, 50714), 3000, 2);
+    struct dng *t = dng(0.1, 1);
+    dng_put(value_of(t, 50714), 3000, 2);
     expect_err(rawphoto_read(t->p, BYTES, "a", &im), ERR_FORMAT,
                "a: 100 % of its numbers are below the black level");
-    put(value_of(t, 50714), 4095, 2);
+    dng_put(value_of(t, 50714), 4095, 2);
     expect_err(rawphoto_read(t->p, BYTES, "a", &im), ERR_FORMAT,
                "a: black level 4095, but its white level is 4095");
 }
@@ -204,20 +128,20 @@ static void hostile_files(void **state)
     struct image16 im;
     struct img_info info;
     int w, h;
-    struct tiff *t = dng(0.5, 1);
-    put(value_of(t, 256), 10000, 4);
-    put(value_of(t, 257), 10000, 4);
-    put(value_of(t, 279), 200000000, 4);
-    expect_err(rawphoto_read(t->p, HEAD + 10, "big", &im), ERR_FORMAT,
+    struct dng *t = dng(0.5, 1);
+    dng_put(value_of(t, 256), 10000, 4);
+    dng_put(value_of(t, 257), 10000, 4);
+    dng_put(value_of(t, 279), 200000000, 4);
+    expect_err(rawphoto_read(t->p, DNG_HEAD + 10, "big", &im), ERR_FORMAT,
                "big: 1034 bytes cannot hold 10000 x 10000 px");
-    put(value_of(t, 256), 60000, 4);
-    put(value_of(t, 257), 60000, 4);
+    dng_put(value_of(t, 256), 60000, 4);
+    dng_put(value_of(t, 257), 60000, 4);
     expect_err(rawphoto_read(t->p, BYTES, "huge", &im), ERR_FORMAT, "huge: ");
     expect_err(imgsize_parse("huge", t->p, BYTES, &w, &h), ERR_FORMAT, "huge: ");
     expect_err(rawphoto_look("II*\0\x08\0\0\0\0\0\0\0\0\0\0\0", 16, "empty", &info), ERR_FORMAT,
                "empty: TIFF, but no raw photograph");
     expect_err(rawphoto_look("\x89PNG", 4, "short", &info), ERR_FORMAT, "short: ");
-    for (size_t n = 0; n < BYTES; n += n < HEAD ? 7 : 511) {
+    for (size_t n = 0; n < BYTES; n += n < DNG_HEAD ? 7 : 511) {
         expect_err(rawphoto_read(dng(0.5, 1)->p, n, "cut", &im), ERR_FORMAT, "cut: ");
         assert_null(im.px);
     }
