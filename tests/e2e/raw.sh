@@ -2,8 +2,8 @@
 # A folder of raw photographs becomes a scene: DNGs of a simulated room at three exposures, of which
 # only the files tell; and one that is cut off.
 . tests/e2e/common.bash
-succeed simulate --kind room --seed 23 --views 8 --size 224 --samples 2 --exposures 0.25,1,4 --depth \
-    --out "$OUT/room"
+succeed simulate --kind room --seed 23 --views 8 --size 224 --samples 2 \
+    --exposures 0.25,1,4 --depth --out "$OUT/room"
 mkdir "$OUT/raw"
 exposures=(0.25 1 4)
 for i in 0 1 2 3 4 5 6 7; do

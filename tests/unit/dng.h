@@ -1,6 +1,6 @@
 /* dng.h - a raw photograph for tests: DNG of 12 bits, RGGB, uncompressed. */
-#ifndef TESTS_DNG_H
-#define TESTS_DNG_H
+#ifndef UNIT_DNG_H
+#define UNIT_DNG_H
 
 #include <math.h>
 #include <stddef.h>
