@@ -126,9 +126,12 @@ static float *map_row(const struct job *j, int colour, int k, int row)
 }
 
 /* A row of the photograph as codes, 255 is 1. */
-static void code_row(const struct job *j, size_t at, float *out)
+static void code_row(const struct job *j, int colour, int y, float *out)
 {
     const struct loss_input *in = j->in;
+    const int w = in->photo_w ? in->photo_w : j->w, h = in->photo_h ? in->photo_h : j->h;
+    const size_t at =
+        ((size_t)colour * (size_t)h + (size_t)(in->y + y)) * (size_t)w + (size_t)in->x;
     for (int i = 0; i < j->w; i++)
         out[i] = in->photo16 ? (float)in->photo16[at + (size_t)i] * (1.0f / 257.0f)
                              : (float)in->photo[at + (size_t)i];
@@ -143,7 +146,7 @@ static void ssim_rows(const struct job *j, int colour, int row0, int row1, float
     float *d = line + 2 * s, *codes = d + 3 * s;
     for (int y = row0; y < row1 + EDGE; y++) {
         size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
-        code_row(j, at, codes);
+        code_row(j, colour, y, codes);
         j->r->k->moments_row(j->l->taps, j->l->ldr + at, codes, j->w, s, line,
                              ring + (size_t)(y % LOSS_WINDOW) * MEANS * s);
         int row = y - EDGE;
@@ -183,7 +186,8 @@ static void measure_held_out(const struct job *j, int colour, int y, const float
 {
     const struct loss_input *in = j->in;
     int px = in->held_px, squares = (j->w + px - 1) / px;
-    const uint8_t *held = in->held + (size_t)(y / px) * (size_t)in->held_across;
+    const uint8_t *held =
+        in->held + (size_t)((in->y + y) / px) * (size_t)in->held_across + in->x / px;
     size_t at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     for (int s = 0; s < squares; s++) {
         int end = (s + 1) * px < j->w ? (s + 1) * px : j->w;
@@ -202,7 +206,7 @@ static void display_grad(const struct job *j, int colour, int y, float *line, fl
     const struct loss_input *in = j->in;
     size_t s = (size_t)j->l->stride, at = (size_t)colour * j->px + (size_t)y * (size_t)j->w;
     float *mixed = line + 3 * s, *codes = line + 5 * s;
-    code_row(j, at, codes);
+    code_row(j, colour, y, codes);
     for (int k = 0; k < 3; k++) {
         const float *rows[LOSS_WINDOW];
         for (int i = 0; i < LOSS_WINDOW; i++)

@@ -31,13 +31,15 @@ struct loss_input {
     const struct render *pic;
     const struct tonemap *tone;
     float shift;             // log2 t - mid_log2t
-    const uint8_t *photo;    // (3, h, w)
+    const uint8_t *photo;    // (3, h, w) of the photograph
     const uint16_t *photo16; // the same in 16 bits, 65535 is 1; NULL: photo
+    int photo_w, photo_h;    // px; 0: those of the picture
+    int x, y;                // px of the photograph where the picture begins, multiples of held_px
     float behind[3];         // display value added times (1 - alpha)
     float w_l1, w_ssim;
-    const uint8_t *held; // (ceil(h / held_px), held_across) 1 = held out; NULL = nothing
+    const uint8_t *held; // (ceil(photo_h / held_px), held_across) 1 = held out; NULL = nothing
     int held_px;         // edge of a square
-    int held_across;     // squares in a row of `held`, >= ceil(w / held_px)
+    int held_across;     // squares in a row of `held`, >= ceil(photo_w / held_px)
     bool more; // add to the gradients of the previous call: another photograph, same picture
 };
 

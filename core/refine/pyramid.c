@@ -26,3 +26,62 @@ void pyramid_halve_deep(const uint16_t *in, int w, int h, uint16_t *out)
             *out++ = (uint16_t)((p[0] + p[1] + p[across] + p[across + 1] + 2) / 4);
         }
 }
+
+/* ---- all photographs ---- */
+
+err_t pyramid_layout(struct pyramid *p, struct arena *a)
+{
+    const size_t pixels = extent_total(p->v->extent, p->v->n + p->v->n_more);
+    err_t e = OK;
+    for (int k = 0; k < p->levels && !e; k++)
+        e = p->v->deep ? arena_alloc(a, pixels >> 2 * k, 6, &p->deep[k])
+                       : arena_alloc(a, pixels >> 2 * k, 3, &p->planes[k]);
+    return e;
+}
+
+static size_t planes_at(const struct pyramid *p, int i, int level)
+{
+    return 3 * (p->v->extent[i].at >> 2 * level);
+}
+
+const uint8_t *pyramid_planes(const struct pyramid *p, int i, int level)
+{
+    return p->v->deep ? NULL : p->planes[level] + planes_at(p, i, level);
+}
+
+const uint16_t *pyramid_deep(const struct pyramid *p, int i, int level)
+{
+    return p->v->deep ? p->deep[level] + planes_at(p, i, level) : NULL;
+}
+
+static void split_deep(const uint16_t *in, size_t n, uint16_t *out)
+{
+    for (size_t k = 0; k < 3 * n; k++)
+        out[k % 3 * n + k / 3] = in[k];
+}
+
+static err_t fill_photo(void *ctx, int i, int worker)
+{
+    const struct pyramid *p = ctx;
+    const struct extent *px = &p->v->extent[i];
+    const size_t n = extent_pixels(px);
+    (void)worker;
+    if (p->v->deep)
+        split_deep(views_rgb16(p->v, i), n, p->deep[0] + planes_at(p, i, 0));
+    else
+        pyramid_split(views_rgb(p->v, i), n, p->planes[0] + planes_at(p, i, 0));
+    for (int k = 1; k < p->levels; k++) {
+        const int w = px->w >> (k - 1), h = px->h >> (k - 1);
+        const size_t to = planes_at(p, i, k);
+        if (p->v->deep)
+            pyramid_halve_deep(pyramid_deep(p, i, k - 1), w, h, p->deep[k] + to);
+        else
+            pyramid_halve(pyramid_planes(p, i, k - 1), w, h, p->planes[k] + to);
+    }
+    return OK;
+}
+
+err_t pyramid_run(struct pool *pool, struct pyramid *p)
+{
+    return pool_for(pool, p->v->n + p->v->n_more, fill_photo, p);
+}

@@ -16,11 +16,13 @@
 #include "core/refine/refine.h"
 
 #include "core/base/gaussians.h"
+#include "core/base/num.h"
 #include "core/base/splitmix.h"
 #include "core/photo/noise.h"
 #include "core/photo/shade.h"
 #include "core/refine/density.h"
 #include "core/refine/loss.h"
+#include "core/refine/part.h"
 #include "core/refine/pyramid.h"
 #include "core/sfm/pose.h"
 #include "core/splat/raster.h"
@@ -41,7 +43,8 @@ static const float SPLIT_NOISE_DB = 6.0f; // no more splats within this of the n
 static const float LEVEL_NOISE_DB = 6.0f; // the mean of four pixels has half of their noise
 static const float BAND_GAIN_DB =
     0.05f; // least gain of a band: removing any trained band costs a little
-static const float STALL_DB = 0.01f; // a round that gains less does not count as progress
+static const double HELD_FADES = 0.75; // weight of squares that were seen in the part before
+static const float STALL_DB = 0.01f;   // a round that gains less does not count as progress
 
 /* Adam: betas and eps of core/refine/README.md 1. */
 static const float BETA1 = 0.9f, BETA2 = 0.999f, EPS = 1e-15f;
@@ -77,13 +80,12 @@ struct refine {
     struct raster raster;
     struct loss loss_work;
     struct render pic;
-    uint8_t *planes[REFINE_LEVELS]; // (photographs) planes (3, h, w); of level k 2^k times smaller
-    uint16_t *deep[REFINE_LEVELS];  // instead, where the views have 16 bits
-    uint8_t *held;                  // (n, squares, squares)
-    int held_px, squares;           // edge of a square; squares of the longest edge
-    double *photo_sse;              // (photographs) held-out squared error of the last comparison
-    long *photo_n;                  // (photographs) number of these values
-    int *shuffled, n_drawn;         // (n) order of the views in this round
+    struct pyramid photos;
+    uint8_t *held;          // (n, squares, squares)
+    int held_px, squares;   // edge of a square; squares of the longest edge
+    double *photo_sse;      // (photographs) held-out squared error of the last comparisons
+    double *photo_n;        // (photographs) number of these values
+    int *shuffled, n_drawn; // (n) order of the views in this round
     uint64_t rng;
     float extent; // scene units
     int step, steps;
@@ -156,14 +158,12 @@ static err_t layout(struct refine *f, struct arena *a, int threads)
 {
     const struct extent most = extent_cover(f->v->extent, f->v->n);
     const int photos = f->v->n + f->v->n_more;
-    const size_t pixels = extent_total(f->v->extent, photos), px = most.at;
+    const size_t px = most.at;
     f->held_px = HELD_PX << (f->levels > 2 ? f->levels - 2 : 0);
     f->squares = (f->v->size + f->held_px - 1) / f->held_px;
     size_t n = (size_t)f->v->n, q = (size_t)f->squares, all = (size_t)photos;
-    err_t e = OK;
-    for (int k = 0; k < f->levels && !e; k++)
-        e = f->v->deep ? arena_alloc(a, pixels >> 2 * k, 6, &f->deep[k])
-                       : arena_alloc(a, pixels >> 2 * k, 3, &f->planes[k]);
+    f->photos = (struct pyramid){.v = f->v, .levels = f->levels};
+    err_t e = pyramid_layout(&f->photos, a);
     if (!e)
         e = arena_alloc(a, n * q * q, 1, &f->held);
     if (!e)
@@ -199,51 +199,6 @@ size_t refine_plan(const struct views *v, const struct refine_config *cfg, int t
         return SIZE_MAX;
     arena_step(&a, noise_plan(v));
     return a.peak;
-}
-
-static size_t planes_at(const struct refine *f, int i, int level)
-{
-    return 3 * (f->v->extent[i].at >> 2 * level);
-}
-
-static uint8_t *photo_planes(const struct refine *f, int i, int level)
-{
-    return f->planes[level] + planes_at(f, i, level);
-}
-
-static uint16_t *deep_planes(const struct refine *f, int i, int level)
-{
-    return f->deep[level] + planes_at(f, i, level);
-}
-
-static void fill_deep(struct refine *f, int i)
-{
-    const struct extent *px = &f->v->extent[i];
-    const size_t n = extent_pixels(px);
-    const uint16_t *in = views_rgb16(f->v, i);
-    uint16_t *full = deep_planes(f, i, 0);
-    for (size_t k = 0; k < 3 * n; k++)
-        full[k % 3 * n + k / 3] = in[k];
-    for (int k = 1; k < f->levels; k++)
-        pyramid_halve_deep(deep_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
-                           deep_planes(f, i, k));
-}
-
-/* One photograph as planes of every level. */
-static err_t planes_chunk(void *ctx, int i, int worker)
-{
-    struct refine *f = ctx;
-    (void)worker;
-    if (f->v->deep) {
-        fill_deep(f, i);
-        return OK;
-    }
-    const struct extent *px = &f->v->extent[i];
-    pyramid_split(views_rgb(f->v, i), extent_pixels(px), photo_planes(f, i, 0));
-    for (int k = 1; k < f->levels; k++)
-        pyramid_halve(photo_planes(f, i, k - 1), px->w >> (k - 1), px->h >> (k - 1),
-                      photo_planes(f, i, k));
-    return OK;
 }
 
 static void choose_held(struct refine *f)
@@ -330,25 +285,24 @@ static struct raster_input view_input(const struct refine *f, const struct camer
     return (struct raster_input){&f->s->g, cam, {b[0], b[1], b[2]}};
 }
 
-/* Loss of the rendered picture of view i against photograph k. Adds to *out and to the gradients of
+/* Loss of the rendered part of view i against photograph k. Adds to *out and to the gradients of
  * the photographs before. */
 static err_t compare_photo(struct refine *f, int i, int k, const struct loss_input *as,
                            struct loss_output *out)
 {
+    const double fades = as->photo_w > f->pic.w || as->photo_h > f->pic.h ? HELD_FADES : 0;
     const size_t squares = (size_t)f->squares * (size_t)f->squares;
     struct loss_input li = *as;
     li.shift = f->v->log2t[k] - f->s->tone.mid_log2t;
-    if (f->v->deep)
-        li.photo16 = deep_planes(f, k, f->level);
-    else
-        li.photo = photo_planes(f, k, f->level);
+    li.photo16 = pyramid_deep(&f->photos, k, f->level);
+    li.photo = pyramid_planes(&f->photos, k, f->level);
     li.held = f->held + (size_t)i * squares;
     struct loss_output one;
     err_t e = loss_run(f->r, &f->loss_work, &li, &one);
     if (e)
         return e;
-    f->photo_sse[k] = one.held_sse;
-    f->photo_n[k] = one.held_n;
+    f->photo_sse[k] = fades * f->photo_sse[k] + one.held_sse;
+    f->photo_n[k] = fades * f->photo_n[k] + (double)one.held_n;
     out->loss += one.loss;
     for (int p = 0; p < TONE_PARAMS; p++)
         out->tone[p] += one.tone[p];
@@ -362,11 +316,12 @@ static void shade_view(const struct refine *f, int i, float *planes)
         shade_apply(f->r->pool, &f->v->shade[i], f->pic.w, f->pic.h, planes);
 }
 
-/* Render view i at the current size and compare with its photographs. */
-static err_t compare_view(struct refine *f, int i, const struct camera *cam, const float behind[3],
+/* Render a part of view i at the current size and compare it with its photographs. */
+static err_t compare_view(struct refine *f, int i, const struct part *part, const float behind[3],
                           struct loss_output *out)
 {
-    struct raster_input in = view_input(f, cam);
+    struct raster_input in = view_input(f, &part->cam);
+    const struct extent *px = &f->v->extent[i];
     int n = 0;
     memset(out, 0, sizeof *out);
     err_t e = raster_run(f->r, &f->raster, &in, &f->pic);
@@ -379,6 +334,10 @@ static err_t compare_view(struct refine *f, int i, const struct camera *cam, con
                             .behind = {behind[0], behind[1], behind[2]},
                             .w_l1 = 0.8f / (float)n,
                             .w_ssim = 0.2f / (float)n,
+                            .photo_w = px->w >> f->level,
+                            .photo_h = px->h >> f->level,
+                            .x = part->x,
+                            .y = part->y,
                             .held_px = f->held_px >> f->level,
                             .held_across = f->squares};
     for (int k = i; k >= 0 && !e; k = views_next(f->v, i, k)) {
@@ -414,11 +373,32 @@ static void move_tone(struct refine *f, const float grad[TONE_PARAMS])
     f->r->k->adam(&tone, TONE_PARAMS, ones, grad, f->s->tone.p, f->tone_m1, f->tone_m2);
 }
 
-/* Camera of a view at the present size of the pictures. */
-static struct camera camera_now(const struct refine *f, int i)
+/* A view at the present size of the pictures. */
+static struct part view_now(const struct refine *f, int i)
 {
     const struct extent *px = &f->v->extent[i];
-    return pose_scaled(&f->s->cams[i], px->w >> f->level, px->h >> f->level);
+    const struct camera cam = pose_scaled(&f->s->cams[i], px->w >> f->level, px->h >> f->level);
+    return part_whole(&cam);
+}
+
+/* Light of cameras is known over whole views. */
+static bool sees_parts(const struct refine *f)
+{
+    return f->level == 0 && f->v->size >= PART_FROM && !f->v->shade;
+}
+
+static int draws_of(const struct refine *f)
+{
+    return sees_parts(f) ? PART_DRAWS : 1;
+}
+
+/* What is drawn of a view in a step. */
+static struct part draw_part(struct refine *f, int i)
+{
+    const struct part whole = view_now(f, i);
+    return sees_parts(f) && num_max(whole.cam.w, whole.cam.h) >= PART_FROM
+               ? part_random(&whole.cam, f->held_px, &f->rng)
+               : whole;
 }
 
 /* The gradients of the comparison before, splat by splat into the sink. */
@@ -430,21 +410,21 @@ static err_t propagate_loss(struct refine *f, const struct camera *cam,
     return raster_grad_run(f->r, &f->raster, &in, &up, sink);
 }
 
-static err_t take_step(struct refine *f)
+static err_t learn_view(struct refine *f)
 {
     int i = next_view(f);
-    struct camera cam = camera_now(f, i);
+    const struct part part = draw_part(f, i);
     struct loss_output out;
     float pose[POSE_GRAD], behind[3];
     for (int c = 0; c < 3; c++)
         behind[c] = random_uniform(f);
-    err_t e = compare_view(f, i, &cam, behind, &out);
+    err_t e = compare_view(f, i, &part, behind, &out);
     if (e)
         return e;
-    f->loss += (float)out.loss;
+    f->loss += (float)out.loss / (float)draws_of(f);
     set_rates(f);
     const struct raster_sink sink = {apply_adam, f, f->cfg->poses ? pose : NULL, NULL};
-    e = propagate_loss(f, &cam, &sink);
+    e = propagate_loss(f, &part.cam, &sink);
     if (e)
         return e;
     if (!f->cfg->tone_known)
@@ -452,6 +432,14 @@ static err_t take_step(struct refine *f)
     if (f->cfg->poses)
         move_camera(f, i, pose);
     return OK;
+}
+
+static err_t take_step(struct refine *f)
+{
+    err_t e = OK;
+    for (int k = 0; k < draws_of(f) && !e; k++)
+        e = learn_view(f);
+    return e;
 }
 
 static void add_note(struct refine *f, const char *fmt, ...) __attribute__((format(printf, 2, 3)));
@@ -476,7 +464,7 @@ static float held_db(const struct refine *f)
     double sse = 0, n = 0;
     for (int i = 0; i < f->v->n + f->v->n_more; i++) {
         sse += f->photo_sse[i];
-        n += (double)f->photo_n[i];
+        n += f->photo_n[i];
     }
     return n > 0 ? to_decibel(sse / n) : 0.0f;
 }
@@ -486,9 +474,9 @@ static err_t measure_held_out(struct refine *f, float *db)
 {
     const float black[3] = {0, 0, 0};
     for (int i = 0; i < f->v->n; i++) {
-        struct camera cam = camera_now(f, i);
+        const struct part whole = view_now(f, i);
         struct loss_output out;
-        err_t e = compare_view(f, i, &cam, black, &out);
+        err_t e = compare_view(f, i, &whole, black, &out);
         if (e)
             return e;
     }
@@ -646,17 +634,19 @@ static err_t time_level(struct refine *f, int level)
     const float black[3] = {0, 0, 0};
     const struct raster_sink sink = {ignore_gradient, f, NULL, NULL};
     const double start = f->r->clock();
+    const uint64_t rng = f->rng;
     f->level = level;
-    for (int k = 0; k < 2; k++) {
-        const int i = k * f->v->n / 2;
-        struct camera cam = camera_now(f, i);
+    for (int k = 0; k < 2 * draws_of(f); k++) {
+        const int i = k % 2 * f->v->n / 2;
+        const struct part part = draw_part(f, i);
         struct loss_output out;
-        err_t e = compare_view(f, i, &cam, black, &out);
+        err_t e = compare_view(f, i, &part, black, &out);
         if (!e)
-            e = propagate_loss(f, &cam, &sink);
+            e = propagate_loss(f, &part.cam, &sink);
         if (e)
             return e;
     }
+    f->rng = rng;
     f->pace.seconds[level] = (f->r->clock() - start) / 2;
     return OK;
 }
@@ -767,7 +757,7 @@ err_t refine_run(const struct run *r, const struct views *v, const struct refine
                         shortest_edge(v), LOSS_WINDOW);
     err_t e = layout(&f, r->tmp, pool_size(r->pool));
     if (!e)
-        e = pool_for(r->pool, v->n + v->n_more, planes_chunk, &f);
+        e = pyramid_run(r->pool, &f.photos);
     if (!e) {
         choose_held(&f);
         f.extent = pose_extent(&io->g, io->cams, io->n_views);

@@ -268,6 +268,43 @@ static void test_deep(void **state)
     arena_free(&arena);
 }
 
+/* A part of a larger photograph is the same as that part alone. */
+static void test_part(void **state)
+{
+    (void)state;
+    enum { X = 8, Y = 4, WIDE = W + 13, HIGH = H + 9, ACROSS = (WIDE + 3) / 4 };
+    static uint8_t large[3 * WIDE * HIGH], all[ACROSS * ((HIGH + 3) / 4)], own[64];
+    static float before[3 * PX];
+    open_case(cpu_detect());
+    in.held_px = 4;
+    in.held_across = (W + 3) / 4;
+    for (int i = 0; i < (int)sizeof own; i++)
+        own[i] = i % 5 == 0;
+    in.held = own;
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    const struct loss_output alone = out;
+    memcpy(before, work.d_radiance, sizeof before);
+    memset(large, 200, sizeof large);
+    memset(all, 1, sizeof all);
+    for (int i = 0; i < 3 * PX; i++)
+        large[(i / PX * HIGH + i % PX / W + Y) * WIDE + i % W + X] = photo[i];
+    for (int i = 0; i < (W + 3) / 4 * ((H + 3) / 4); i++)
+        all[(i / ((W + 3) / 4) + Y / 4) * ACROSS + i % ((W + 3) / 4) + X / 4] = own[i];
+    in.photo = large;
+    in.photo_w = WIDE;
+    in.photo_h = HIGH;
+    in.x = X;
+    in.y = Y;
+    in.held = all;
+    in.held_across = ACROSS;
+    assert_int_equal(loss_run(&run, &work, &in, &out), OK);
+    assert_memory_equal(work.d_radiance, before, sizeof before);
+    assert_true(out.loss == alone.loss && out.held_sse == alone.held_sse);
+    assert_int_equal(out.held_n, alone.held_n);
+    assert_true(alone.held_n > 0);
+    arena_free(&arena);
+}
+
 static void test_held_out(void **state)
 {
     (void)state;
@@ -327,7 +364,8 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_gradients), cmocka_unit_test(test_shared),
-        cmocka_unit_test(test_deep),      cmocka_unit_test(test_held_out),
-        cmocka_unit_test(test_extremes),  cmocka_unit_test(test_refuses)};
+        cmocka_unit_test(test_deep),      cmocka_unit_test(test_part),
+        cmocka_unit_test(test_held_out),  cmocka_unit_test(test_extremes),
+        cmocka_unit_test(test_refuses)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

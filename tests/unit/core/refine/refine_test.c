@@ -153,6 +153,36 @@ static void close_world(void)
     arena_free(&W.tmp);
 }
 
+/* Photographs so wide that steps see parts of them. */
+static void open_wide_world(int threads)
+{
+    enum { WIDE = 1024, HIGH = 32 };
+    static float radiance[3 * WIDE * HIGH], alpha[WIDE * HIGH], ldr[WIDE * HIGH];
+    static struct extent extent[V];
+    struct raster rs;
+    struct tonemap_table table;
+    open_world(threads, 0);
+    tonemap_table_init(&table, &W.truth.tone);
+    assert_int_equal(raster_init(&rs, &W.tmp, CAP, WIDE, HIGH, false), OK);
+    for (int i = 0; i < V; i++) {
+        struct camera *cam = &W.cams[i];
+        extent[i] = (struct extent){WIDE, HIGH, (size_t)i * WIDE * HIGH};
+        *cam = (struct camera){WIDE, HIGH, 600, 600, WIDE / 2, HIGH / 2, {1, 0, 0, 0}, {0}};
+        cam->t[0] = 0.1f * (float)(i - 3);
+        const struct raster_input in = {&W.truth.g, cam, {0, 0, 0}};
+        struct render out = {0, 0, radiance, NULL, alpha};
+        assert_int_equal(raster_run(&W.r, &rs, &in, &out), OK);
+        for (int c = 0; c < 3; c++) {
+            tonemap_run(&table.c[c], radiance + c * WIDE * HIGH, W.log2t[i], WIDE * HIGH, ldr);
+            for (int p = 0; p < WIDE * HIGH; p++)
+                W.rgb[3 * (i * WIDE * HIGH + p) + c] = (uint8_t)(ldr[p] * 255 + 0.5f);
+        }
+    }
+    arena_reset(&W.tmp, 0);
+    W.v.size = W.start.size = WIDE;
+    W.v.extent = extent;
+}
+
 static struct refine_report refine(int steps, int degree_max, bool poses)
 {
     struct refine_config cfg = {steps, degree_max, CAP, 5, poses, false, 2, 0};
@@ -233,6 +263,27 @@ static void test_brackets(void **state)
     print_message("  error of ln radiance: %.3f of one exposure, %.3f of five\n", error[0],
                   error[1]);
     assert_true(error[1] < error[0] / 2);
+}
+
+static void test_parts(void **state)
+{
+    (void)state;
+    struct refine_report rep[2];
+    static float kept[CAP];
+    for (int k = 0; k < 2; k++) {
+        open_wide_world(1 + 2 * k);
+        rep[k] = refine(60, 0, true);
+        assert_true(rep[k].held_out_db[1] > rep[k].held_out_db[0] + 3);
+        assert_scene_finite();
+        if (k == 0)
+            memcpy(kept, W.start.g.plane[G_MU], sizeof kept);
+        else
+            assert_memory_equal(kept, W.start.g.plane[G_MU], (size_t)W.start.g.n * sizeof *kept);
+        close_world();
+    }
+    assert_true(rep[0].gaussians == rep[1].gaussians);
+    print_message("  held-out %.2f -> %.2f dB\n", (double)rep[0].held_out_db[0],
+                  (double)rep[0].held_out_db[1]);
 }
 
 static void test_no_steps(void **state)
@@ -478,12 +529,12 @@ static void test_begin(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_learns),        cmocka_unit_test(test_brackets),
-        cmocka_unit_test(test_no_steps),      cmocka_unit_test(test_same_bytes),
-        cmocka_unit_test(test_bands),         cmocka_unit_test(test_align),
-        cmocka_unit_test(test_align_nothing), cmocka_unit_test(test_extremes),
-        cmocka_unit_test(test_cancel),        cmocka_unit_test(test_plan),
-        cmocka_unit_test(test_begin),         cmocka_unit_test(test_keeps_best),
-        cmocka_unit_test(test_time)};
+        cmocka_unit_test(test_learns),     cmocka_unit_test(test_brackets),
+        cmocka_unit_test(test_parts),      cmocka_unit_test(test_no_steps),
+        cmocka_unit_test(test_same_bytes), cmocka_unit_test(test_bands),
+        cmocka_unit_test(test_align),      cmocka_unit_test(test_align_nothing),
+        cmocka_unit_test(test_extremes),   cmocka_unit_test(test_cancel),
+        cmocka_unit_test(test_plan),       cmocka_unit_test(test_begin),
+        cmocka_unit_test(test_keeps_best), cmocka_unit_test(test_time)};
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
