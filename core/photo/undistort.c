@@ -110,12 +110,23 @@ err_t undistort_camera(const char *what, const struct lens *l, int w, int h, str
     return OK;
 }
 
-double undistort_focal(const struct lens *l, int w, int h)
+double undistort_frame(const struct lens *l, int w, int h, int size[2])
 {
     const struct frame f = {l, {w, h}, {0.5 * w, 0.5 * h}};
+    const bool wide = w > h, high = h > w;
     double z[2] = {0, 0};
+    size[0] = w;
+    size[1] = h;
     grow_field(&f, true, true, z);
-    return z[0] > 0 ? l->fx / z[0] : 0;
+    if (!(z[0] > 0))
+        return 0;
+    const double both = z[0];
+    grow_field(&f, wide, high, z);
+    if (wide)
+        size[1] = num_max(1, (int)lround(h * both / z[0]));
+    else if (high)
+        size[0] = num_max(1, (int)lround(w * both / z[1]));
+    return l->fx / fmax(z[0], z[1]);
 }
 
 /* Angle to the axis of a pixel in the middle of a side; beyond the image circle: its edge's. */

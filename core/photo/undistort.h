@@ -22,10 +22,12 @@ enum { UNDISTORT_STRETCH = 4, UNDISTORT_ENLARGE = 2 };
 MUST_USE err_t undistort_camera(const char *what, const struct lens *l, int w, int h,
                                 struct camera *out);
 
-/* Focal length of the pinhole with square pixels and a frame of w x h px, its principal point in
- * the middle, that shows as much as the photograph of that size through a lens covers, with the
- * bound on stretching. 0 if there is none. */
-double undistort_focal(const struct lens *l, int w, int h);
+/* The pinhole with square pixels and the photograph's longer edge, its principal point in the
+ * middle, that shows as much as the photograph of w x h px covers, with the bound on stretching:
+ * first in both directions together, then along the longer edge, so that the shorter one becomes
+ * shorter.
+ * out:  size, px across and down. returns: focal length, 0 if there is none. */
+double undistort_frame(const struct lens *l, int w, int h, int size[2]);
 
 /* Angles that a photograph shows across and down its middle, and what the pinhole keeps of them. */
 struct undistort_field {

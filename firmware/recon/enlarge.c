@@ -51,10 +51,11 @@ static err_t choose_photographs(const struct capture *all, const struct views *v
     return OK;
 }
 
-static void take_over(const struct views *large, struct job_result *out)
+static void take_over(struct views *large, struct job_result *out)
 {
     struct scene *s = &out->scene;
     const struct shade *shade = out->views.shade;
+    lenses_reshape(out, &out->views, large);
     out->views = *large;
     out->views.shade = shade;
     for (int i = 0; i < s->n_views; i++)

@@ -144,8 +144,10 @@ static void add_trust(const struct bench *b, struct evaluate_trust *t)
 static err_t lens_nearest(struct bench *b, const struct view *v, int near)
 {
     const size_t n = extent_pixels(&v->px);
-    const struct distort_job j = {
-        &v->lens, &b->j->views.cams[near], 3, v->px.w, v->px.h, b->other.px, b->room, b->shown[1]};
+    const struct extent *px = &b->j->views.extent[near];
+    const struct camera cam = pose_scaled(&b->j->views.cams[near], px->w, px->h);
+    const struct distort_job j = {&v->lens, &cam,        3,       v->px.w,
+                                  v->px.h,  b->other.px, b->room, b->shown[1]};
     err_t e = distort_run(b->r->pool, &j);
     memcpy(b->other.px, b->room, 3 * n * sizeof *b->room);
     for (size_t i = 0; i < n; i++)
@@ -159,7 +161,8 @@ static err_t measure_nearest(struct bench *b, const struct view *v)
 {
     const struct views *inputs = &b->j->views;
     const int near = inputs->n > 0 ? path_nearest(inputs->cams, inputs->n, &v->cam) : -1;
-    if (near < 0 || inputs->extent[near].w != v->px.w || inputs->extent[near].h != v->px.h)
+    if (near < 0 ||
+        (!v->lensed && (inputs->extent[near].w != v->px.w || inputs->extent[near].h != v->px.h)))
         return OK;
     reexpose_picture(b, near, v->log2t);
     err_t e = v->lensed ? lens_nearest(b, v, near) : OK;
@@ -497,22 +500,26 @@ static struct extent largest_view(const struct capture *test, struct prep_size s
     return out;
 }
 
-/* Room for what is drawn for any of them; of lenses that are yet to be found nothing is known. */
+/* The same for what is drawn for them; of lenses that are yet to be found nothing is known. Where
+ * there are lenses *most holds any input view, too. */
 static struct extent largest_drawn(const struct capture *test, struct prep_size size,
-                                   const struct extent *most)
+                                   struct extent *most)
 {
     bool lensed = false;
     for (int i = 0; i < test->n; i++)
         lensed = lensed || lens_distorts(&test->shots[i].lens) ||
                  !(size.square || test->shots[i].has_camera);
     const int side = num_min(LENS_SIDES * num_max(most->w, most->h), RASTER_SIDE_MAX);
-    return lensed ? (struct extent){side, side, 0} : *most;
+    if (!lensed)
+        return *most;
+    most->at = (size_t)size.edge * (size_t)size.edge;
+    return (struct extent){side, side, 0};
 }
 
 void evaluate_plan(struct plan *p, const struct capture *test, struct prep_size size, int cap)
 {
     const size_t keep = arena_mark(&p->keep), tmp = arena_mark(&p->tmp);
-    const struct extent most = largest_view(test, size);
+    struct extent most = largest_view(test, size);
     const struct extent drawn = largest_drawn(test, size, &most);
     struct arena planes = arena_counter();
     struct gaussians g;
@@ -533,7 +540,7 @@ err_t evaluate_run(const struct run *r, struct job_result *j, const struct image
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     const struct prep_size size = job_result_size(&j->scene);
-    const struct extent most = largest_view(&test->capture, size);
+    struct extent most = largest_view(&test->capture, size);
     const struct extent drawn = largest_drawn(&test->capture, size, &most);
     err_t e = layout(&b, r->tmp, &most, &drawn, j->scene.g.cap);
     if (!e && j->scene.confidence)

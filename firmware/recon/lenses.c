@@ -18,6 +18,8 @@ err_t lenses_layout(struct lenses *l, struct arena *keep, int n_views)
     if (!e)
         e = arena_zalloc(keep, n, sizeof *l->turned, &l->turned);
     if (!e)
+        e = arena_zalloc(keep, n, sizeof *l->taken, &l->taken);
+    if (!e)
         e = arena_zalloc(keep, n, sizeof *l->pinhole, &l->pinhole);
     return e ? e : arena_zalloc(keep, n, sizeof *l->error_before, &l->error_before);
 }
@@ -95,6 +97,7 @@ void lenses_group(struct lenses *l, const struct capture *c, const struct views 
         while (strcmp(lenses_shot(c, v->names[first])->camera_id, s->camera_id) != 0)
             first++;
         l->turned[i] = s->turned;
+        l->taken[i] = v->extent[i];
         l->of[i] = first < i ? l->of[first] : l->n++;
         if (first == i)
             l->lens[l->of[i]] = lens_before(s, &v->extent[i], cfg);
@@ -206,18 +209,22 @@ static err_t retake_view(void *ctx, int i, int worker)
     return e;
 }
 
-static err_t choose_pinholes(const struct views *v, struct lenses *l)
+static err_t choose_pinholes(struct views *v, struct lenses *l)
 {
-    for (int i = 0; i < v->n; i++) {
-        const struct extent *px = &v->extent[i];
+    for (int i = 0; i < v->n + v->n_more; i++) {
+        const int place = place_of(v, i);
+        const struct extent *px = &l->taken[place];
         const struct lens lens =
-            photo_lens(&l->lens[l->of[i]].start, l->turned[i], 1, px->w, px->h);
-        l->pinhole[i] = (float)undistort_focal(&lens, px->w, px->h);
-        if (!(l->pinhole[i] > 0))
+            photo_lens(&l->lens[l->of[place]].start, l->turned[place], 1, px->w, px->h);
+        int size[2];
+        l->pinhole[place] = (float)undistort_frame(&lens, px->w, px->h, size);
+        if (!(l->pinhole[place] > 0))
             return err_fail(ERR_FORMAT,
                             "%s: the lens found (%s, focal length %.0f of %d px) leaves nothing to "
                             "see; give its cameras with --rig PATH",
                             v->names[i], lens_name(lens.model), lens.fx, num_max(px->w, px->h));
+        v->extent[i].w = size[0];
+        v->extent[i].h = size[1];
     }
     return OK;
 }
@@ -237,12 +244,28 @@ err_t lenses_resample(const struct run *r, const struct capture *c, const struct
     return e ? e : pool_for(r->pool, v->n + v->n_more, retake_view, &t);
 }
 
+static bool is_resampled(const struct job_result *j)
+{
+    return j->n_found > 0 && j->found[0].resampled;
+}
+
+void lenses_reshape(const struct job_result *j, const struct views *small, struct views *large)
+{
+    for (int i = 0; i < large->n + large->n_more && is_resampled(j); i++) {
+        const struct extent *from = &small->extent[i];
+        struct extent *to = &large->extent[i];
+        const double scale = (double)num_max(to->w, to->h) / num_max(from->w, from->h);
+        to->w = num_min(to->w, num_max(1, (int)lround(from->w * scale)));
+        to->h = num_min(to->h, num_max(1, (int)lround(from->h * scale)));
+    }
+}
+
 err_t lenses_redraw(const struct run *r, const struct capture *c, const struct prep_source *from,
                     struct job_result *out)
 {
     struct views *v = &out->views;
     struct retake t = {r, c, from, out, v, NULL};
-    if (out->n_found == 0 || !out->found[0].resampled)
+    if (!is_resampled(out))
         return OK;
     return pool_for(r->pool, v->n + v->n_more, retake_view, &t);
 }
@@ -300,15 +323,18 @@ void lenses_apply(const struct job_result *j, struct capture *c)
         bool resampled;
         if (!lenses_find(j, s, &lens, &resampled))
             continue;
+        int size[2] = {s->taken_w, s->taken_h};
         const float focal =
-            (float)(resampled ? undistort_focal(&lens, s->taken_w, s->taken_h) : lens.fx);
-        s->cam = (struct camera){.w = s->taken_w,
-                                 .h = s->taken_h,
+            (float)(resampled ? undistort_frame(&lens, size[0], size[1], size) : lens.fx);
+        s->cam = (struct camera){.w = size[0],
+                                 .h = size[1],
                                  .fx = focal,
                                  .fy = focal,
-                                 .cx = 0.5f * (float)s->taken_w,
-                                 .cy = 0.5f * (float)s->taken_h,
+                                 .cx = 0.5f * (float)size[0],
+                                 .cy = 0.5f * (float)size[1],
                                  .q = {1}};
+        s->image.w = size[0];
+        s->image.h = size[1];
         if (resampled)
             s->lens = lens;
     }

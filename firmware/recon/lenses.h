@@ -16,6 +16,7 @@ struct lenses {
     struct bundle_lens *lens; // (n)
     int *of;                  // (places) the lens of each
     int *turned;              // (places) quarter turns of the sensor
+    struct extent *taken;     // (places) shapes of the photographs as views
     float *pinhole;           // (places) px, focal length that lenses_resample drew; 0 before
     double *error_before;     // (n) of selfcal.h, of photographs as they were taken
 };
@@ -43,14 +44,17 @@ void lenses_note(const struct lenses *l, const struct capture *c, const struct b
                  struct job_result *out);
 
 /* Take over and note what was found, and draw out->views again, as pinholes see them through these
- * lenses.
+ * lenses; shapes of the views become those of undistort_frame.
  * err:  those of decoding; ERR_FORMAT (a lens that leaves nothing to see). */
 MUST_USE err_t lenses_resample(const struct run *r, const struct capture *c,
                                const struct prep_source *from, const struct bundle_result *found,
                                struct lenses *l, struct job_result *out);
 
-/* Where the views of a result were drawn again, draw those that have become larger, too: focal
- * lengths are those of out->views.cams.
+/* Where the views of a result were drawn again, give views that are to take their place the same
+ * frames: their longer edge stays. small: the views before; all photographs of both correspond. */
+void lenses_reshape(const struct job_result *j, const struct views *small, struct views *large);
+
+/* Draw these, too: focal lengths are those of out->views.cams.
  * err:  those of decoding. */
 MUST_USE err_t lenses_redraw(const struct run *r, const struct capture *c,
                              const struct prep_source *from, struct job_result *out);

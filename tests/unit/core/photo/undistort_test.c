@@ -233,8 +233,8 @@ static void extremes(void **state)
     expect_err(undistort_camera("a.png", &wrong, W, H, &p), ERR_FORMAT, "cannot be right");
 }
 
-/* The pinhole of the photograph's own frame: its border has pixels, and one a little wider has not,
- * or stretches them. */
+/* The pinhole with the photograph's longer edge: its border has pixels, and one a little wider has
+ * not, or stretches them; a barrel leaves the shorter edge shorter. */
 static void frame_of_the_photograph(void **state)
 {
     (void)state;
@@ -243,14 +243,18 @@ static void frame_of_the_photograph(void **state)
         int outside = 0;
         l.cx = W / 2 + (i == 1 ? 9 : 0);
         l.cy = H / 2 - (i == 1 ? 5 : 0);
-        const double f = undistort_focal(&l, W, H);
+        int size[2];
+        const double f = undistort_frame(&l, W, H, size);
+        assert_true(size[0] == W && size[1] <= H && size[1] > H / 2);
+        if (l.model == LENS_RADIAL) // the stretch leaves room
+            assert_true(size[1] < H);
         for (int k = 0; k < 4 * 32; k++) {
             const double x = k % 2 ? k / 128.0 : k / 2 % 2, y = k % 2 ? k / 2 % 2 : k / 128.0;
-            const double ray[3] = {(x - 0.5) * W / f, (y - 0.5) * H / f, 1};
+            const double ray[3] = {(x - 0.5) * size[0] / f, (y - 0.5) * size[1] / f, 1};
             const double wide[3] = {1.02 * ray[0], 1.02 * ray[1], 1};
             double px[2];
             assert_true(lens_project(&l, ray, px));
-            assert_true(px[0] > -0.1 && px[0] < W + 0.1 && px[1] > -0.1 && px[1] < H + 0.1);
+            assert_true(px[0] > -1 && px[0] < W + 1 && px[1] > -1 && px[1] < H + 1);
             outside +=
                 !lens_project(&l, wide, px) || px[0] < 0 || px[0] > W || px[1] < 0 || px[1] > H;
         }
@@ -260,7 +264,9 @@ static void frame_of_the_photograph(void **state)
             assert_true(outside > 0);
     }
     const struct lens nothing = {LENS_SIMPLE_RADIAL, 100, 100, 0, 0, {0}, 0}; // no limit: no ray
-    assert_true(undistort_focal(&nothing, W, H) >= 0);
+    int size[2];
+    assert_true(undistort_frame(&nothing, W, H, size) >= 0);
+    assert_true(size[0] == W && size[1] >= 1 && size[1] <= H);
 }
 
 int main(void)
