@@ -138,11 +138,32 @@ static void squeezed_views_keep_the_focal_length(void **state)
     arena_free(&keep);
 }
 
+/* Larger views have the frames of the small ones, and no more pixels than were planned. */
+static void larger_views_keep_their_frames(void **state)
+{
+    (void)state;
+    static struct job_result j;
+    struct extent few[3] = {{448, 286, 0}, {300, 448, 0}, {448, 336, 0}};
+    struct extent many[3] = {{1600, 1200, 0}, {1200, 1600, 0}, {1600, 1200, 0}};
+    const struct views small = {.n = 2, .n_more = 1, .extent = few};
+    struct views large = {.n = 2, .n_more = 1, .extent = many};
+    j.n_found = 1;
+    j.found[0].resampled = false;
+    lenses_reshape(&j, &small, &large);
+    assert_true(many[0].w == 1600 && many[0].h == 1200);
+    j.found[0].resampled = true;
+    lenses_reshape(&j, &small, &large);
+    assert_true(many[0].w == 1600 && many[0].h == 1021);
+    assert_true(many[1].w == 1071 && many[1].h == 1600);
+    assert_true(many[2].w == 1600 && many[2].h == 1200);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(photographs_are_grouped),
         cmocka_unit_test(squeezed_views_keep_the_focal_length),
+        cmocka_unit_test(larger_views_keep_their_frames),
         cmocka_unit_test(others_get_the_lens_of_their_camera),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
