@@ -12,6 +12,7 @@
 #include "core/photo/metrics.h"
 #include "core/photo/prep.h"
 #include "core/photo/response.h"
+#include "core/photo/undistort.h"
 #include "core/sfm/pose.h"
 #include "drivers/format/exrfile.h"
 #include "drivers/format/img.h"
@@ -277,6 +278,28 @@ static void hide_unseen(const struct bench *b, struct image *io)
             io->px[i] = 0;
 }
 
+/* The radiance of a photograph that is compared undistorted is undistorted as that was. */
+static err_t undistort_truth(const struct run *r, const struct shot *s, struct image *io)
+{
+    struct lens lens = s->lens;
+    struct camera pinhole = s->cam;
+    const double across = (double)io->w / s->taken_w, down = (double)io->h / s->taken_h;
+    if (!lens_distorts(&lens))
+        return OK;
+    lens_scale(&lens, across, down);
+    pinhole = pose_scaled(&pinhole, num_max(1, (int)lround(pinhole.w * across)),
+                          num_max(1, (int)lround(pinhole.h * down)));
+    struct image out = {pinhole.w, pinhole.h, 3, NULL};
+    out.px = malloc(3 * (size_t)out.w * (size_t)out.h * sizeof *out.px);
+    if (!out.px)
+        return err_fail(ERR_NOMEM, "%s: no memory for %d x %d px of radiance", s->name, out.w,
+                        out.h);
+    err_t e = undistort_image(r->pool, &lens, io, &pinhole, out.px);
+    exrfile_free(io);
+    *io = out;
+    return e;
+}
+
 static err_t measure_hdr(struct bench *b, const struct shot *s)
 {
     char path[FILE_PATH_CAP];
@@ -287,10 +310,14 @@ static err_t measure_hdr(struct bench *b, const struct shot *s)
     e = exrfile_read(path, &file);
     if (e)
         return e;
-    resize_image(&file, &b->other);
+    if (!b->seen) // else it is looked at as taken
+        e = undistort_truth(b->r, s, &file);
+    if (!e)
+        resize_image(&file, &b->other);
     exrfile_free(&file);
     hide_unseen(b, &b->other); // radiance is 0 there
-    e = mu_law(&b->other, &b->other);
+    if (!e)
+        e = mu_law(&b->other, &b->other);
     if (!e)
         e = mu_law(&radiance, &b->mu);
     return e ? e : compare_picture(b, &b->mu, &b->other, &b->out->hdr);
