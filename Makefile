@@ -92,8 +92,8 @@ LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance shared_attention consensus depth gausshead \
 	modelfile sample camera_libcamera writer
-# What others reach: files, devices, settings, connections. `make check` sanitizes these alone.
-EDGES := unit/drivers unit/firmware unit/sim
+# What others reach: files, devices, connections. `make check` sanitizes these alone.
+EDGE_TESTS := $(filter $(patsubst %,tests/unit/%/%,drivers firmware/store firmware/daemon),$(TESTS))
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.
 ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base/gaussians \
 	base/half base/pool base/sha256 net/appearance net/shared_attention net/depth net/gausshead \
@@ -103,6 +103,8 @@ ARM_TESTS := $(addprefix unit/core/,base/arena base/bytes base/cpu base/err base
 TSAN_SOURCES := $(filter %_tsan_test.c $(addprefix %/,$(addsuffix _test.c,$(TSAN_TESTS))),\
 	$(TESTS))
 TSAN_PROGRAMS = $(call programs,$(TSAN_SOURCES))
+EDGE_PROGRAMS = $(call programs,$(EDGE_TESTS))
+INNER_PROGRAMS = $(call programs,$(filter-out $(EDGE_TESTS),$(TESTS)))
 ARM_PROGRAMS = $(ARM_TESTS:%=$(B)/tests/arm/%_test)
 
 objects = $(1:%.c=$(B)/%.o)
@@ -116,7 +118,7 @@ MODULE_NEEDS := drivers/device/libcamera_shim.cpp $(wildcard drivers/device/libc
 # --- build ----------------------------------------------------------------------------------------
 .PHONY: all demo libsim check check-long test lint format deps deps-check install uninstall deb \
 	clean fuzz bench picture objects tests tsan-tests arm-tests fault-tests fuzz-targets check-kernel \
-	check-train check-distro edge-tests deps-kernel deps-qemu deps-cross
+	check-train check-distro edge-tests inner-tests deps-kernel deps-qemu deps-cross
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -326,7 +328,8 @@ tests: $(call programs,$(TESTS) $(E2E))
 # For the warnings of a second compiler: CC=clang CFLAGS=-fsyntax-only
 objects: deps $(MODULE) $(call objects,$(CORE) $(DRIVERS) $(FIRMWARE) $(SIM) $(MAINS) \
 	$(TESTS) $(E2E))
-edge-tests: $(call programs,$(filter $(EDGES:%=tests/%/%),$(TESTS)))
+edge-tests: $(EDGE_PROGRAMS)
+inner-tests: $(INNER_PROGRAMS)
 tsan-tests: $(TSAN_PROGRAMS)
 arm-tests: $(ARM_PROGRAMS)
 fault-tests: $(call programs,$(FAULT))

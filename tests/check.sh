@@ -2,10 +2,10 @@
 # check.sh lint|test|check|long - builds and runs the tests that need no hardware.
 #   lint   the lints and cppcheck
 #   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
-#   check  before a commit: that, lints, faults, nearly all commands; drivers, firmware, sim and
+#   check  before a commit: that, lints, faults, nearly all commands; drivers, store, daemon and
 #          fuzz corpora under ASan and UBSan; warnings of clang; 10 minutes from a fresh clone
-#   long   what check leaves out: core under ASan and UBSan, threads under TSan, emulated Arm, slow
-#          commands; thousands of random takes, brackets and calls; the package for arm64
+#   long   what check leaves out: the rest under ASan and UBSan, threads under TSan, emulated Arm,
+#          slow commands; thousands of random takes, brackets and calls; the package for arm64
 # Tests run JOBS at a time (all cores), for LIMIT seconds at most. One line per test; its output is
 # build/log/NAME.log and is shown at the end when it fails, before the slowest ten.
 # A script in tests/e2e runs from the root with HDRIG (the tool), BIN (the folder of the programs
@@ -62,12 +62,12 @@ one() { # a line of the queue
     step "${1%%$'\t'*}" timeout "$limit" "${command[@]}"
 }
 
-tests() { # is_slow|is_quick variant folder-of-the-build source-folder...
-    local pick=$1 variant=$2 dir=$3 source name
-    shift 3
+tests() { # source-folder...
+    local dir source name
+    dir=$(make -s print-B WERROR=1)
     for source in $(find "${@/#/tests/}" -name '*_test.c' | sort); do
         name=$(basename "$source" .c)
-        ! $pick "$variant/$name" || later "$variant: $name" $fixed "$dir/${source%.c}"
+        later "plain: $name" "$dir/${source%.c}"
     done
 }
 
@@ -87,14 +87,8 @@ scripts() { # folder-of-the-build script...
 smoke='bad_input capture formats golden quality'
 # Half a minute and more each, and other tests look at the same code: these wait for `long`.
 slow='bracket_scene budget lens network selftest shapes simulated size view'
-is_slow() { # variant/test or name of a script
-    case " $slow " in *" $1 "*) return ;; esac
-    case $1 in
-    asan/plan_test | asan/calibrate_test | asan/session_test | asan/session_focus_test) ;;
-    asan/bracket_extremes_test | asan/bracket_random_test | asan/session_random_test) ;;
-    asan/convert_test) ;;
-    *) false ;;
-    esac
+is_slow() { # name of a script
+    case " $slow " in *" $1 "*) ;; *) false ;; esac
 }
 
 is_quick() { # the same
@@ -110,7 +104,7 @@ commands() { # is_slow|is_quick
 
 plain() {
     build gcc WERROR=1 all tests
-    tests is_quick plain "$(make -s print-B WERROR=1)" unit kernels golden
+    tests unit kernels golden
 }
 
 lints() {
@@ -131,14 +125,12 @@ lints() {
         core drivers firmware sim
 }
 
-sanitizers() { # is_slow|is_quick
-    build "ASan and UBSan" SAN=address,undefined WERROR=1 edge-tests
-    tests "$1" asan "$(make -s print-B SAN=address,undefined WERROR=1)" $(make -s print-EDGES)
-}
-
-sanitized_core() {
-    build "ASan and UBSan, core" SAN=address,undefined WERROR=1 tests
-    tests is_quick asan "$(make -s print-B SAN=address,undefined WERROR=1)" unit/core kernels golden
+sanitizers() { # edge|inner
+    local program
+    build "ASan and UBSan, $1" SAN=address,undefined WERROR=1 "$1-tests"
+    for program in $(make -s "print-${1^^}_PROGRAMS" SAN=address,undefined WERROR=1); do
+        later "asan: $(basename "$program")" $fixed "$program"
+    done
 }
 
 corpora() {
@@ -217,8 +209,8 @@ check)
     build "gcc, with faults" WERROR=1 all tests fault-tests
     commands is_quick
     plain
-    tests is_quick plain "$(make -s print-B WERROR=1)" fault
-    sanitizers is_quick
+    tests fault
+    sanitizers edge
     corpora
     build "warnings of clang" CC=clang WERROR=1 CFLAGS=-fsyntax-only objects
     lints
@@ -233,8 +225,7 @@ long)
     later "10140 brackets: bracket_random_test" env TAKES=10140 "$unit/bracket_random_test"
     export CALLS=2000
     scripts "$dir" tests/e2e/bystanders.sh
-    sanitizers is_slow
-    sanitized_core
+    sanitizers inner
     threads
     arm
     arm_package
