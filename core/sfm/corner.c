@@ -9,7 +9,9 @@
  * twice as coarse: gradients by direction in 4 x 4 cells, normalised, large parts cut,
  * normalised. It is made of the upright view and of the view turned by an eighth; the other six
  * eighths follow by a change of places, as cells and directions go over into each other in a
- * quarter turn. */
+ * quarter turn. A surface that two views see from far apart is squeezed in one of them: where few
+ * upright corners agree, descriptors are made of the view stretched in one of four directions and
+ * squeezed across (after Morel & Yu, "ASIFT", 2009). */
 #include "core/sfm/corner.h"
 
 #include "core/base/num.h"
@@ -25,7 +27,7 @@ enum {
     HALF = CELLS * CELLS * DIRECTIONS,
     SPREAD = 12,          // cells of the grid that corners are spread over, across
     MARGIN = 6,           // px of a level without corners
-    TURNED = 24,          // px, edge of the surroundings that are turned
+    WARPED = 24,          // px, edge of the surroundings that are turned or stretched
     DESCRIPTOR_NORM = 256 // length of a descriptor
 };
 
@@ -37,6 +39,7 @@ enum {
 #define SNR 6.0f          // least ratio of the eigenvalue to the part that noise adds
 #define COARSE 0.7f       // length of the coarse half of a descriptor, in that of the fine one
 #define CUT 0.2f          // largest part of a descriptor (Lowe 2004, 6.1)
+#define TILT 2.0f         // stretch in one direction over that across
 
 int corner_cap(int size)
 {
@@ -78,7 +81,7 @@ err_t corner_alloc(struct arena *keep, int w, int h, struct corner_view *out)
     size_t cap = (size_t)corner_cap(num_max(w, h));
     memset(out, 0, sizeof *out);
     err_t e = arena_alloc(keep, cap, sizeof *out->at, &out->at);
-    for (int i = 0; i < 2 && !e; i++) {
+    for (int i = 0; i < CORNER_WARPS && !e; i++) {
         e = arena_alloc(keep, cap, CORNER_DESCRIPTOR, &out->descriptor[i]);
         if (!e)
             e = arena_alloc(keep, cap, sizeof *out->square[i], &out->square[i]);
@@ -458,20 +461,32 @@ static void scale_to_length(float *x, int n, float length)
         x[i] *= length / sqrtf(sum);
 }
 
-/* The surroundings of (u, v) px of a view, turned by an eighth. */
-struct turned {
+/* Pixels of a level per pixel of what is cut out of it, row by row. */
+static void warp_matrix(int warp, float m[4])
+{
+    const double angle = (warp - 2) * NUM_PI / CORNER_TILTS;
+    const float c = sqrtf(0.5f), x = (float)cos(angle), y = (float)sin(angle), a = sqrtf(TILT);
+    const float eighth[4] = {c, c, -c, c};
+    const float tilt[4] = {a * x * x + y * y / a, (a - 1 / a) * x * y, (a - 1 / a) * x * y,
+                           a * y * y + x * x / a};
+    memcpy(m, warp == 1 ? eighth : tilt, 4 * sizeof *m);
+}
+
+/* The surroundings of a point of a view, turned or stretched. */
+struct warped {
     struct corner_level level;
-    float light[TURNED * TURNED], weight[TURNED * TURNED];
+    float light[WARPED * WARPED], weight[WARPED * WARPED];
 };
 
-static void cut_turned(const struct corner_level *l, float u, float v, struct turned *out)
+static void cut_warped(const struct corner_level *l, const struct corner *c, const float m[4],
+                       struct warped *out)
 {
-    const float c = sqrtf(0.5f), x = u / l->scale - 0.5f, y = v / l->scale - 0.5f;
-    out->level = (struct corner_level){TURNED, TURNED, 1, out->light, out->weight};
-    for (int k = 0; k < TURNED * TURNED; k++) {
-        float dx = (float)(k % TURNED) - 0.5f * (TURNED - 1);
-        float dy = (float)(k / TURNED) - 0.5f * (TURNED - 1);
-        float s = x + c * (dx + dy), t = y + c * (dy - dx);
+    const float x = c->u / l->scale - 0.5f, y = c->v / l->scale - 0.5f;
+    out->level = (struct corner_level){WARPED, WARPED, 1, out->light, out->weight};
+    for (int k = 0; k < WARPED * WARPED; k++) {
+        float dx = (float)(k % WARPED) - 0.5f * (WARPED - 1);
+        float dy = (float)(k / WARPED) - 0.5f * (WARPED - 1);
+        float s = x + m[0] * dx + m[1] * dy, t = y + m[2] * dx + m[3] * dy;
         bool inside = s >= 0 && t >= 0 && s < (float)(l->w - 1) && t < (float)(l->h - 1);
         int i = num_min((int)fmaxf(s, 0), l->w - 2), j = num_min((int)fmaxf(t, 0), l->h - 2);
         float fs = fminf(fmaxf(s - (float)i, 0), 1), ft = fminf(fmaxf(t - (float)j, 0), 1);
@@ -483,20 +498,20 @@ static void cut_turned(const struct corner_level *l, float u, float v, struct tu
     }
 }
 
-/* turn: 0 upright, 1 turned by an eighth. */
-static void describe_corner(struct corner_view *c, int k, int turn)
+static void describe_corner(struct corner_view *c, int k, int warp)
 {
-    float hist[2 * HALF];
+    float hist[2 * HALF], m[4];
     int32_t square = 0;
-    struct turned cut;
+    struct warped cut;
     const struct corner *at = c->at + k;
-    int8_t *descriptor = c->descriptor[turn] + (size_t)k * CORNER_DESCRIPTOR;
+    int8_t *descriptor = c->descriptor[warp] + (size_t)k * CORNER_DESCRIPTOR;
+    warp_matrix(warp, m);
     for (int s = 0; s < 2; s++) {
         const struct corner_level *l = c->level + at->level + 2 * s;
         float *part = hist + s * HALF;
-        if (turn) {
-            cut_turned(l, at->u, at->v, &cut);
-            build_half(&cut.level, 0.5f * TURNED, 0.5f * TURNED, part);
+        if (warp) {
+            cut_warped(l, at, m, &cut);
+            build_half(&cut.level, 0.5f * WARPED, 0.5f * WARPED, part);
         } else
             build_half(l, at->u, at->v, part);
         scale_to_length(part, HALF, 1);
@@ -509,7 +524,7 @@ static void describe_corner(struct corner_view *c, int k, int turn)
         descriptor[i] = (int8_t)lrintf(fminf(hist[i], 127));
         square += descriptor[i] * descriptor[i];
     }
-    c->square[turn][k] = square;
+    c->square[warp][k] = square;
 }
 
 const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t *room,
@@ -546,4 +561,11 @@ void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out)
         find_corners(out, i, (int)(share[i] * (float)corner_cap(size)), scratch);
     for (int k = 0; k < 2 * out->n; k++)
         describe_corner(out, k / 2, k % 2);
+}
+
+void corner_tilt(struct corner_view *c)
+{
+    for (int k = 0; k < c->n; k++)
+        for (int i = 2; i < CORNER_WARPS; i++)
+            describe_corner(c, k, i);
 }

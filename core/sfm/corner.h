@@ -14,7 +14,9 @@ enum {
     CORNER_MAX = 1536,    // corners of a view
     CORNER_SIZE_MIN = 64, // px, of a view
     CORNER_TURNS = 8,     // directions that a descriptor can be turned to
-    CORNER_BINS = 8       // of brightness, for the noise
+    CORNER_TILTS = 4,     // directions that a view is stretched in
+    CORNER_WARPS = 2 + CORNER_TILTS, // stored descriptors of a corner
+    CORNER_BINS = 8                  // of brightness, for the noise
 };
 
 /* One size of a view. Pixel (i, j) of the level lies at scale (i + 0.5, j + 0.5) px of the view. */
@@ -36,9 +38,11 @@ struct corner_view {
     struct corner_level level[CORNER_LEVELS];
     float noise[CORNER_BINS]; // deviation of light before smoothing, by light from 0 to 1
     int n;
-    struct corner *at;     // (corner_cap)
-    int8_t *descriptor[2]; // (corner_cap, CORNER_DESCRIPTOR) upright; view turned by an eighth
-    int32_t *square[2];    // (corner_cap) sums of the squares of these
+    struct corner *at; // (corner_cap)
+    /* Upright; view turned by an eighth; then, after corner_tilt, view stretched in one direction
+     * each as if it were seen from another side. */
+    int8_t *descriptor[CORNER_WARPS]; // (corner_cap, CORNER_DESCRIPTOR)
+    int32_t *square[CORNER_WARPS];    // (corner_cap) sums of the squares of these
 };
 
 /* Most corners of a view whose longest edge is `size` px. */
@@ -57,7 +61,11 @@ size_t corner_scratch(size_t pixels);
 const int8_t *corner_turned(const struct corner_view *c, int k, int turn, int8_t *room,
                             int32_t *square);
 
-/* Pyramid, corners and descriptors. rgb: (h, w, 3). scratch: (corner_scratch). */
+/* Pyramid, corners and descriptors, but those of corner_tilt. rgb: (h, w, 3).
+ * scratch: (corner_scratch). */
 void corner_run(const uint8_t *rgb, float *scratch, struct corner_view *out);
+
+/* After corner_run: descriptors of the stretched views. */
+void corner_tilt(struct corner_view *c);
 
 #endif

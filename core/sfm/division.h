@@ -32,6 +32,13 @@ struct division_lens {
     double focal; // px
 };
 
+/* Lenses of views, to be found: `focal` is what is expected at first. */
+struct division_lenses {
+    int n;
+    const int *of;              // (views)
+    struct division_lens *lens; // (n)
+};
+
 /* out:  (n_lenses); all bends are 0 unless some explain clearly more matches.
  * err:  ERR_NOMEM (see division_plan), ERR_CANCELLED. */
 MUST_USE err_t division_run(const struct run *r, const struct division_views *v,

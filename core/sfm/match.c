@@ -7,7 +7,7 @@
 #include "core/sfm/match.h"
 
 #include "core/base/num.h"
-#include "core/sfm/pair.h"
+#include "core/sfm/pairs.h"
 #include "core/sfm/patch.h"
 
 #include <limits.h>
@@ -27,20 +27,11 @@ enum {
 #define SLIDE_MAX 3.0f        // px of a level, from the corner to the patch
 #define EXACT 0.8f            // px, Sampson distance of refined observations
 
-struct room {       // of a worker
-    float *picture; // (corner_scratch)
-    struct pair_workspace pair;
-};
-
 struct matcher {
     const struct run *r;
     const struct views *v;
-    struct pair_views p;
-    int cap, n_couples;  // of p; of views
-    bool bent;           // views are not those of pinholes
-    struct pair *couple; // (n_couples)
-    float *roll;         // (n) of views, radians from x to y, among those that are connected
-    struct room *rooms;
+    struct pairs pairs;
+    int cap;        // corners of a view
     int *parent;    // (n cap) of union and find
     int *first;     // (n cap) node of a corner's place
     int *next;      // (n cap) members of a track, a ring
@@ -61,97 +52,6 @@ static size_t obs_cap(int n_views, int size)
 {
     size_t n = (size_t)n_views * (size_t)corner_cap(size);
     return n < MATCH_SEEN_MAX ? n : MATCH_SEEN_MAX;
-}
-
-/* Index of a pair of views, a < b, among all of n. */
-static int couple_of(int n, int a, int b)
-{
-    return a * (2 * n - a - 1) / 2 + b - a - 1;
-}
-
-/* ---- pairs ---- */
-
-static err_t prepare_view(void *ctx, int i, int worker)
-{
-    struct matcher *m = ctx;
-    err_t e = run_check(m->r, "matching");
-    if (e)
-        return e;
-    corner_run(views_rgb(m->v, i), m->rooms[worker].picture, m->p.view + i);
-    pair_prepare(&m->p, i);
-    return OK;
-}
-
-static err_t search_couple(void *ctx, int i_couple, int worker)
-{
-    struct matcher *m = ctx;
-    err_t e = run_check(m->r, "matching");
-    if (!e)
-        pair_search(&m->p, &m->rooms[worker].pair, m->couple + i_couple);
-    return e;
-}
-
-static err_t complete_couple(void *ctx, int i_couple, int worker)
-{
-    struct matcher *m = ctx;
-    err_t e = run_check(m->r, "matching");
-    if (!e)
-        pair_complete(&m->p, &m->rooms[worker].pair, m->couple + i_couple, m->bent);
-    return e;
-}
-
-/* ---- lenses ---- */
-
-/* Pairs as struct division_views wants them. */
-struct couples {
-    struct division_pair *pair;   // (n_couples)
-    struct epipolar_match *match; // (n_couples, DIVISION_MATCHES)
-    double *frame, *focal;        // (n_lenses)
-};
-
-static err_t layout_couples(struct couples *c, struct arena *tmp, int n_couples, int n_lenses)
-{
-    const size_t n = (size_t)n_couples;
-    err_t e = arena_alloc(tmp, n, sizeof *c->pair, &c->pair);
-    if (!e)
-        e = arena_alloc(tmp, n * DIVISION_MATCHES, sizeof *c->match, &c->match);
-    if (!e)
-        e = arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->frame, &c->frame);
-    return e ? e : arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->focal, &c->focal);
-}
-
-/* How strongly the lenses distort, for the pairs of their views. */
-static err_t find_bends(struct matcher *m, struct match_lenses *lenses)
-{
-    const size_t mark = arena_mark(m->r->tmp);
-    struct couples c;
-    err_t e = layout_couples(&c, m->r->tmp, m->n_couples, lenses->n);
-    for (int i = 0; i < m->n_couples && !e; i++) {
-        struct epipolar_match *match = c.match + (size_t)i * DIVISION_MATCHES;
-        const struct pair *p = m->couple + i;
-        c.pair[i] = (struct division_pair){p->a, p->b,
-                                           pair_matches(&m->p, p, DIVISION_MATCHES, match), match};
-    }
-    for (int v = 0; v < m->v->n && !e; v++) {
-        const struct extent *px = &m->v->extent[v];
-        c.frame[lenses->of[v]] = 0.5 * hypot(px->w, px->h);
-        c.focal[lenses->of[v]] = lenses->lens[lenses->of[v]].focal;
-    }
-    const struct division_views v = {.n_lenses = lenses->n,
-                                     .n_pairs = m->n_couples,
-                                     .lens_of = lenses->of,
-                                     .frame = c.frame,
-                                     .focal = c.focal,
-                                     .search = {(float)m->v->size, PAIR_BOUND, EPIPOLAR_DRAWS},
-                                     .pair = c.pair};
-    if (!e)
-        e = division_run(m->r, &v, lenses->lens);
-    for (int i = 0; i < m->v->n && !e; i++) {
-        m->p.bend[i] = lenses->lens[lenses->of[i]].bend;
-        m->bent = m->bent || m->p.bend[i] != 0;
-    }
-    arena_reset(m->r->tmp, mark);
-    return e;
 }
 
 /* ---- tracks ---- */
@@ -193,10 +93,10 @@ static int corner_at_same_position(const struct corner_view *c, const int *paren
 static void start_nodes(struct matcher *m)
 {
     for (int i = 0; i < m->v->n; i++) {
-        for (int k = 0; k < m->p.view[i].n; k++) {
+        for (int k = 0; k < m->pairs.views.view[i].n; k++) {
             int at = i * m->cap, node = at + k;
             m->parent[node] = m->first[node] =
-                at + corner_at_same_position(m->p.view + i, m->parent, at, k);
+                at + corner_at_same_position(m->pairs.views.view + i, m->parent, at, k);
             m->next[node] = node;
             m->mask[node] = (uint64_t)1 << (i % 64);
         }
@@ -218,7 +118,7 @@ static int by_edge(const void *x, const void *y)
 
 static err_t layout_edges(struct edge **edge, struct arena *tmp, const struct matcher *m)
 {
-    return arena_alloc(tmp, (size_t)m->n_couples * (size_t)m->cap + 1, sizeof **edge, edge);
+    return arena_alloc(tmp, (size_t)m->pairs.n * (size_t)m->cap + 1, sizeof **edge, edge);
 }
 
 static err_t join_all(struct matcher *m)
@@ -228,8 +128,8 @@ static err_t join_all(struct matcher *m)
     err_t e = layout_edges(&edge, m->r->tmp, m);
     if (e)
         return e;
-    for (int i = 0; i < m->n_couples; i++) {
-        const struct pair *c = m->couple + i;
+    for (int i = 0; i < m->pairs.n; i++) {
+        const struct pair *c = m->pairs.pair + i;
         for (int k = 0; k < c->n; k++)
             edge[n++] = (struct edge){c->link[k].doubt, m->first[c->a * m->cap + c->link[k].a],
                                       m->first[c->b * m->cap + c->link[k].b]};
@@ -239,65 +139,6 @@ static err_t join_all(struct matcher *m)
         join_tracks(m, edge[i].a, edge[i].b);
     arena_reset(m->r->tmp, mark);
     return OK;
-}
-
-/* ---- turns ---- */
-
-/* Turn of the links of a pair about their middle. */
-static float turn_of_links(const struct matcher *m, const struct pair *c)
-{
-    double mean[4] = {0}, along = 0, across = 0;
-    for (int turn = 0; turn < 2; turn++) {
-        for (int k = 0; k < c->n; k++) {
-            const struct corner *a = m->p.view[c->a].at + c->link[k].a;
-            const struct corner *b = m->p.view[c->b].at + c->link[k].b;
-            const double at[4] = {a->u, a->v, b->u, b->v};
-            const double x = at[0] - mean[0], y = at[1] - mean[1];
-            const double u = at[2] - mean[2], v = at[3] - mean[3];
-            along += turn * (x * u + y * v);
-            across += turn * (x * v - y * u);
-            for (int i = 0; i < 4 && !turn; i++)
-                mean[i] += at[i] / c->n;
-        }
-    }
-    return (float)atan2(across, along);
-}
-
-/* Radians, from x to y, that bring view a of a pair to look like b; 0 where both are upright. */
-static float roll_of_pair(const struct matcher *m, const struct pair *c)
-{
-    const float full = (float)(2 * NUM_PI), step = full / CORNER_TURNS;
-    float rough = (float)c->turn * step, off;
-    if (!c->turn)
-        return 0;
-    off = remainderf(turn_of_links(m, c) - rough, full);
-    return fabsf(off) < step ? rough + off : rough;
-}
-
-/* A roll for each view, over the pairs with the most links. */
-static void find_rolls(struct matcher *m)
-{
-    int *tree = m->first; // not yet in use
-    for (int i = 0; i < m->v->n; i++) {
-        tree[i] = i;
-        m->roll[i] = 0;
-    }
-    for (;;) {
-        const struct pair *best = NULL;
-        for (int i = 0; i < m->n_couples; i++) {
-            const struct pair *c = m->couple + i;
-            if (c->known && tree[c->a] != tree[c->b] && (!best || c->n > best->n))
-                best = c;
-        }
-        if (!best)
-            return;
-        const float shift = m->roll[best->a] + roll_of_pair(m, best) - m->roll[best->b];
-        const int from = tree[best->b], to = tree[best->a];
-        for (int i = 0; i < m->v->n; i++) {
-            m->roll[i] += tree[i] == from ? shift : 0;
-            tree[i] = tree[i] == from ? to : tree[i];
-        }
-    }
 }
 
 /* ---- refinement ---- */
@@ -322,9 +163,10 @@ static bool find_member(const struct matcher *m, const struct view_of *o, int no
                         struct match_observation *out, float *correlation)
 {
     const int from[3] = {0, 0, o->level == 0}, to[3] = {0, 1, o->level == 0 ? 0 : -1};
-    const struct corner_view *c = m->p.view + node / m->cap;
+    const struct corner_view *c = m->pairs.views.view + node / m->cap;
     const struct corner *at = c->at + node % m->cap;
-    const float roll = m->roll[node / m->cap] - m->roll[o->view], x = cosf(roll), y = sinf(roll);
+    const float roll = m->pairs.roll[node / m->cap] - m->pairs.roll[o->view], x = cosf(roll),
+                y = sinf(roll);
     float least = INFINITY;
     for (int i = 0; i < 3 && least > STRETCH_MAX; i++) {
         const struct corner_level *l = c->level + o->level + to[i];
@@ -350,7 +192,7 @@ static int best_member(const struct matcher *m, int root)
     int best = root;
     float top = 0;
     for (int i = m->next[root], k = 0; i != root || !k; i = m->next[i], k++) {
-        float strength = m->p.view[i / m->cap].at[i % m->cap].strength;
+        float strength = m->pairs.views.view[i / m->cap].at[i % m->cap].strength;
         if (strength > top) {
             top = strength;
             best = i;
@@ -370,7 +212,7 @@ static void refine_track(const struct matcher *m, struct track *t)
 {
     int best = best_member(m, t->root);
     struct match_observation *out = m->obs + t->at;
-    const struct corner_view *c = m->p.view + best / m->cap;
+    const struct corner_view *c = m->pairs.views.view + best / m->cap;
     const struct corner *at = c->at + best % m->cap;
     struct view_of reference = {.level = at->level, .view = best / m->cap};
     float sum = 0, least = INFINITY;
@@ -406,7 +248,7 @@ static void list_tracks(struct matcher *m)
     int at = 0;
     m->n_tracks = 0;
     for (int i = 0; i < m->v->n; i++) {
-        for (int node = i * m->cap; node < i * m->cap + m->p.view[i].n; node++) {
+        for (int node = i * m->cap; node < i * m->cap + m->pairs.views.view[i].n; node++) {
             int n = 1;
             if (m->parent[node] != node || m->next[node] == node)
                 continue;
@@ -434,17 +276,18 @@ static const struct match_observation *seen_in(const struct matcher *m, const st
 static err_t refit_couple(void *ctx, int i_couple, int worker)
 {
     struct matcher *m = ctx;
-    struct pair *c = m->couple + i_couple;
-    struct epipolar_match *match = m->rooms[worker].pair.match;
+    struct pair *c = m->pairs.pair + i_couple;
+    struct epipolar_match *match = m->pairs.rooms[worker].pair.match;
     int n = 0;
     for (int i = 0; i < m->n_tracks && n < m->cap; i++) {
         const struct match_observation *a = seen_in(m, m->track + i, c->a);
         const struct match_observation *b = a ? seen_in(m, m->track + i, c->b) : NULL;
         if (b)
-            match[n++] = pair_match(&m->p, c->a, c->b, (float[4]){a->u, a->v, b->u, b->v});
+            match[n++] =
+                pair_match(&m->pairs.views, c->a, c->b, (float[4]){a->u, a->v, b->u, b->v});
     }
     const struct epipolar_search how = {(float)m->v->size, EXACT, EPIPOLAR_DRAWS};
-    int agree = epipolar_run(&how, pair_bend(&m->p, c), match, n, c->f);
+    int agree = epipolar_run(&how, pair_bend(&m->pairs.views, c), match, n, c->f);
     c->known = agree >= PAIR_LEAST && agree * 2 > n;
     return run_check(m->r, "matching");
 }
@@ -459,10 +302,10 @@ static int votes_against(const struct matcher *m, const struct track *t, int k)
         const struct match_observation *b = m->obs + t->at + (i < k ? k : i);
         if (i == k)
             continue;
-        const struct pair *c = m->couple + couple_of(m->v->n, a->view, b->view);
+        const struct pair *c = m->pairs.pair + pairs_index(m->v->n, a->view, b->view);
         const struct epipolar_match match =
-            pair_match(&m->p, a->view, b->view, (float[4]){a->u, a->v, b->u, b->v});
-        const double distance = epipolar_distance(c->f, pair_bend(&m->p, c), &match);
+            pair_match(&m->pairs.views, a->view, b->view, (float[4]){a->u, a->v, b->u, b->v});
+        const double distance = epipolar_distance(c->f, pair_bend(&m->pairs.views, c), &match);
         if (c->known)
             sum += distance > (double)(EXACT * EXACT) ? 1 : -1;
     }
@@ -570,35 +413,11 @@ static err_t collect_tracks(struct matcher *m, struct match_tracks *out)
 
 /* ---- the whole ---- */
 
-static err_t layout_rooms(struct matcher *m, struct arena *tmp, int threads)
+static err_t layout(struct matcher *m, struct arena *tmp, int threads)
 {
-    const size_t most = extent_cover(m->v->extent, m->v->n).at;
-    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *m->rooms, &m->rooms);
-    for (int i = 0; i < threads && !e; i++) {
-        struct room w;
-        e = arena_alloc(tmp, corner_scratch(most), sizeof *w.picture, &w.picture);
-        if (!e)
-            e = pair_workspace_init(tmp, &m->p, &w.pair);
-        if (!e && !tmp->counts)
-            m->rooms[i] = w;
-    }
-    return e;
-}
-
-static err_t layout_pairs(struct matcher *m, struct arena *tmp)
-{
-    size_t cap = (size_t)m->cap, nodes = (size_t)m->p.n * cap;
-    err_t e = arena_alloc(tmp, (size_t)m->n_couples, sizeof *m->couple, &m->couple);
-    if (!e)
-        e = arena_alloc(tmp, (size_t)m->p.n, sizeof *m->roll, &m->roll);
-    for (int a = 0, k = 0; a < m->p.n; a++) {
-        for (int b = a + 1; b < m->p.n && !e; b++, k++) {
-            struct pair pair = {.a = a, .b = b};
-            e = arena_alloc(tmp, cap, sizeof *pair.link, &pair.link);
-            if (!e && !tmp->counts)
-                m->couple[k] = pair;
-        }
-    }
+    m->cap = corner_cap(m->v->size);
+    const size_t nodes = (size_t)m->v->n * (size_t)m->cap;
+    err_t e = pairs_layout(&m->pairs, tmp, m->v, threads);
     if (!e)
         e = arena_alloc(tmp, nodes, sizeof *m->parent, &m->parent);
     if (!e)
@@ -612,30 +431,16 @@ static err_t layout_pairs(struct matcher *m, struct arena *tmp)
     return e ? e : arena_alloc(tmp, nodes, sizeof *m->obs, &m->obs);
 }
 
-static err_t layout(struct matcher *m, struct arena *tmp, int threads)
-{
-    m->cap = corner_cap(m->v->size);
-    m->n_couples = m->v->n * (m->v->n - 1) / 2;
-    err_t e = pair_views_init(tmp, m->v, &m->p);
-    if (!e)
-        e = layout_rooms(m, tmp, threads);
-    return e ? e : layout_pairs(m, tmp);
-}
-
 void match_plan(struct plan *p, const struct views *v, int n_lenses, struct match_tracks *out)
 {
     const struct correspondence prior = {.grid = v->size / CORRESPONDENCE_PATCH + 1};
-    struct matcher m = {.v = v, .p = {.prior = &prior}};
+    struct matcher m = {.v = v, .pairs.views.prior = &prior};
     const size_t mark = arena_mark(&p->tmp);
-    struct couples couples;
     struct edge *edge;
     uint16_t *count;
     err_t e = layout(&m, &p->tmp, p->threads);
     const size_t level = arena_mark(&p->tmp);
-    if (!e)
-        e = layout_couples(&couples, &p->tmp, m.n_couples, n_lenses);
-    arena_step(&p->tmp, division_plan(n_lenses, m.n_couples));
-    arena_reset(&p->tmp, level);
+    pairs_plan(p, &m.pairs, n_lenses);
     if (!e)
         e = layout_edges(&edge, &p->tmp, &m);
     arena_reset(&p->tmp, level);
@@ -651,20 +456,14 @@ void match_plan(struct plan *p, const struct views *v, int n_lenses, struct matc
 }
 
 /* Corners, pairs, tracks, refinement, choice. */
-static err_t find_tracks(struct matcher *m, struct match_lenses *lenses, struct match_tracks *out)
+static err_t find_tracks(struct matcher *m, struct division_lenses *lenses,
+                         struct match_tracks *out)
 {
     err_t e = layout(m, m->r->tmp, pool_size(m->r->pool));
     if (!e)
-        e = pool_for(m->r->pool, m->v->n, prepare_view, m);
-    if (!e)
-        e = pool_for(m->r->pool, m->n_couples, search_couple, m);
-    if (!e && lenses)
-        e = find_bends(m, lenses);
-    if (!e)
-        e = pool_for(m->r->pool, m->n_couples, complete_couple, m);
+        e = pairs_run(m->r, m->v, lenses, &m->pairs);
     if (e)
         return e;
-    find_rolls(m);
     start_nodes(m);
     e = join_all(m);
     if (e)
@@ -672,19 +471,18 @@ static err_t find_tracks(struct matcher *m, struct match_lenses *lenses, struct 
     list_tracks(m);
     e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, refine_chunk, m);
     if (!e)
-        e = pool_for(m->r->pool, m->n_couples, refit_couple, m);
+        e = pool_for(m->r->pool, m->pairs.n, refit_couple, m);
     if (!e)
         e = pool_for(m->r->pool, (m->n_tracks + REFINE - 1) / REFINE, prune_chunk, m);
     return e ? e : collect_tracks(m, out);
 }
 
 err_t match_run(const struct run *r, const struct views *v, const struct correspondence *prior,
-                struct match_lenses *lenses, struct match_tracks *out)
+                struct division_lenses *lenses, struct match_tracks *out)
 {
-    struct matcher m = {
-        .r = r,
-        .v = v,
-        .p = {.k = r->k, .prior = prior && prior->token && prior->n_views == v->n ? prior : NULL}};
+    struct matcher m = {.r = r, .v = v};
+    m.pairs.views.k = r->k;
+    m.pairs.views.prior = prior && prior->token && prior->n_views == v->n ? prior : NULL;
     size_t mark = arena_mark(r->tmp);
     memset(out, 0, sizeof *out);
     if (v->n < 2 || v->size < CORNER_SIZE_MIN)

@@ -22,13 +22,6 @@ struct match_tracks {
     struct match_observation *obs; // (n)
 };
 
-/* Lenses to be found on the way: on input `focal` of lens is what is expected, px. */
-struct match_lenses {
-    int n;
-    const int *of;              // (n_views)
-    struct division_lens *lens; // (n)
-};
-
 /* Find tracks. lenses: NULL if the views are those of pinholes; else their bends are found, and
  * focal lengths where there are any. prior: of net_run for these views
  * (core/net/shared_attention.c), or NULL: places outside its attention count as less likely; where
@@ -39,7 +32,7 @@ struct match_lenses {
  * err:  ERR_NOMEM (see match_plan), ERR_CANCELLED. On error *out is zeroed. */
 enum { MATCH_SEEN_MAX = 1 << 16, MATCH_TRACKS_MAX = 4000 };
 MUST_USE err_t match_run(const struct run *r, const struct views *v,
-                         const struct correspondence *prior, struct match_lenses *lenses,
+                         const struct correspondence *prior, struct division_lenses *lenses,
                          struct match_tracks *out);
 
 /* Count what match_run takes; of v only n, size and extent are read. out: most tracks and

@@ -4,7 +4,9 @@
  * is flat. When one epipolar geometry explains enough matches, corners are compared once more along
  * the epipolar lines only: there fewer are alike, which finds half as many matches again. Where few
  * agree, view a is compared as if it were turned, and the turn with the most matches is tried: a
- * whole view has one roll, so corners need no direction of their own, which would cost matches. */
+ * whole view has one roll, so corners need no direction of their own, which would cost matches.
+ * Surfaces that look squeezed from elsewhere do so each in its own way: matches of all stretched
+ * views of b come together. */
 #include "core/sfm/pair.h"
 
 #include "core/base/num.h"
@@ -17,7 +19,6 @@ enum {
     ROWS = 32,      // corners of a block of products
     UNLIKE = 50000, // squared distance of descriptors that have nothing in common
     FAR = 1 << 28,  // no distance between descriptors
-    SURE = 40,      // agreeing matches, from which on no turn is tried
     NONE = -1
 };
 
@@ -43,21 +44,14 @@ err_t pair_views_init(struct arena *tmp, const struct views *v, struct pair_view
     out->cap = (int)cap;
     err_t e = arena_alloc(tmp, views, sizeof *out->view, &out->view);
     if (!e)
-        e = arena_alloc(tmp, views, sizeof *out->panels, &out->panels);
-    if (!e)
         e = arena_zalloc(tmp, views, sizeof *out->bend, &out->bend);
     if (!e)
         e = arena_alloc(tmp, views * cap, sizeof *out->token, &out->token);
     for (size_t i = 0; i < views && !e; i++) {
         struct corner_view view;
-        int8_t *panels;
         e = corner_alloc(tmp, v->extent[i].w, v->extent[i].h, &view);
-        if (!e)
-            e = arena_alloc(tmp, pitch_of(out->cap), CORNER_DESCRIPTOR, &panels);
-        if (!e && !tmp->counts) {
+        if (!e && !tmp->counts)
             out->view[i] = view;
-            out->panels[i] = panels;
-        }
     }
     return e;
 }
@@ -67,6 +61,8 @@ err_t pair_workspace_init(struct arena *tmp, const struct pair_views *v, struct 
     size_t cap = (size_t)v->cap, grid = v->prior ? (size_t)v->prior->grid : 0;
     w->pitch = pitch_of(v->cap);
     err_t e = arena_alloc(tmp, ROWS * w->pitch, sizeof *w->product, &w->product);
+    if (!e)
+        e = arena_alloc(tmp, w->pitch, CORNER_DESCRIPTOR, &w->panels);
     if (!e)
         e = arena_alloc(tmp, cap, sizeof *w->column, &w->column);
     if (!e)
@@ -103,13 +99,22 @@ static int token_of(const struct pair_views *m, int view, const struct corner *c
 void pair_prepare(const struct pair_views *m, int i)
 {
     const struct corner_view *c = m->view + i;
-    memset(m->panels[i], 0, pitch_of(m->cap) * CORNER_DESCRIPTOR);
-    for (int k = 0; k < c->n; k++) {
-        int8_t *to = m->panels[i] + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
+    for (int k = 0; k < c->n && m->prior; k++)
+        m->token[i * m->cap + k] = token_of(m, i, c->at + k);
+}
+
+/* Descriptors of b that are compared: of corner_view. */
+static void choose_warp(const struct pair_views *m, const struct pair *c, int warp,
+                        struct pair_workspace *w)
+{
+    const struct corner_view *b = m->view + c->b;
+    w->descriptor = b->descriptor[warp];
+    w->square_b = b->square[warp];
+    memset(w->panels, 0, w->pitch * CORNER_DESCRIPTOR);
+    for (int k = 0; k < b->n; k++) {
+        int8_t *to = w->panels + k / PANEL * PANEL * CORNER_DESCRIPTOR + k % PANEL * 4;
         for (int q = 0; q < CORNER_DESCRIPTOR; q += 4)
-            memcpy(to + q * PANEL, c->descriptor[0] + (size_t)k * CORNER_DESCRIPTOR + q, 4);
-        if (m->prior)
-            m->token[i * m->cap + k] = token_of(m, i, c->at + k);
+            memcpy(to + q * PANEL, w->descriptor + (size_t)k * CORNER_DESCRIPTOR + q, 4);
     }
 }
 
@@ -220,12 +225,12 @@ static void search_all(const struct pair_views *m, const struct pair *c, struct 
                                            .seg = CORNER_DESCRIPTOR,
                                            .a = turn_rows(m, c, i, rows, w),
                                            .lda = CORNER_DESCRIPTOR,
-                                           .w = m->panels[c->b],
+                                           .w = w->panels,
                                            .ldw = PANEL * CORNER_DESCRIPTOR,
                                            .c = w->product,
                                            .ldc = w->pitch});
         for (int j = 0; j < b->n; j++)
-            row[j] = w->square[i % ROWS] + b->square[0][j] - 2 * row[j];
+            row[j] = w->square[i % ROWS] + w->square_b[j] - 2 * row[j];
         find_nearest(m, c, &(struct trial){i, b->n, NULL, row}, w);
     }
 }
@@ -269,11 +274,11 @@ static void search_lines(const struct pair_views *m, const struct pair *c, struc
                 w->near[t.n++] = (int16_t)j;
         const int8_t *p = turn_rows(m, c, i, 1, w);
         for (int k = 0; k < t.n; k++) {
-            const int8_t *q = b->descriptor[0] + (size_t)w->near[k] * CORNER_DESCRIPTOR;
+            const int8_t *q = w->descriptor + (size_t)w->near[k] * CORNER_DESCRIPTOR;
             int32_t sum = 0;
             for (int n = 0; n < CORNER_DESCRIPTOR; n++)
                 sum += p[n] * q[n];
-            t.square[k] = *w->square + b->square[0][w->near[k]] - 2 * sum;
+            t.square[k] = *w->square + w->square_b[w->near[k]] - 2 * sum;
         }
         find_nearest(m, c, &t, w);
     }
@@ -287,14 +292,33 @@ static int by_doubt(const void *a, const void *b)
     return p->a - q->a;
 }
 
-/* Links of corners that are each other's nearest, the surest first. */
+/* Add a link; of those with the same corner only the surest stays. */
+static void add_link(const struct pair_link *link, struct pair *c)
+{
+    int n = 0;
+    for (int k = 0; k < c->n; k++)
+        if ((c->link[k].a == link->a || c->link[k].b == link->b) && c->link[k].doubt <= link->doubt)
+            return;
+    for (int k = 0; k < c->n; k++)
+        if (c->link[k].a != link->a && c->link[k].b != link->b)
+            c->link[n++] = c->link[k];
+    c->link[n] = *link;
+    c->n = n + 1;
+}
+
+/* Links of corners that are each other's nearest, with those before, the surest first. */
 static void link_mutual(const struct pair_views *m, struct pair *c, const struct pair_workspace *w,
                         float ratio)
 {
-    c->n = 0;
-    for (int i = 0; i < m->view[c->a].n; i++)
-        if (w->to[i] != NONE && w->from[w->to[i]] == i && w->doubt[i] < ratio * ratio)
-            c->link[c->n++] = (struct pair_link){w->doubt[i], (int16_t)i, w->to[i]};
+    for (int i = 0; i < m->view[c->a].n; i++) {
+        const struct pair_link link = {w->doubt[i], (int16_t)i, w->to[i]};
+        if (link.b == NONE || w->from[link.b] != i || link.doubt >= ratio * ratio)
+            continue;
+        if (c->tilted)
+            add_link(&link, c);
+        else
+            c->link[c->n++] = link;
+    }
     qsort(c->link, (size_t)c->n, sizeof *c->link, by_doubt);
 }
 
@@ -317,14 +341,13 @@ int pair_matches(const struct pair_views *m, const struct pair *c, int most,
     return n;
 }
 
-/* The epipolar geometry that most links agree with; returns how many. */
-static int find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
+/* The epipolar geometry that most links agree with. */
+static void find_geometry(const struct pair_views *m, struct pair *c, struct epipolar_match *match)
 {
     const struct epipolar_search how = {(float)m->size, PAIR_BOUND, EPIPOLAR_DRAWS};
     pair_matches(m, c, c->n, match);
-    const int agree = epipolar_run(&how, pair_bend(m, c), match, c->n, c->f);
-    c->known = agree >= PAIR_LEAST + c->n / 16;
-    return agree;
+    c->agree = epipolar_run(&how, pair_bend(m, c), match, c->n, c->f);
+    c->known = c->agree >= PAIR_LEAST + c->n / 16;
 }
 
 static void clear_nearest(const struct pair_views *m, const struct pair *c,
@@ -334,57 +357,101 @@ static void clear_nearest(const struct pair_views *m, const struct pair *c,
         w->column[j] = FAR;
 }
 
-static void link_all(const struct pair_views *m, struct pair *c, struct pair_workspace *w)
+/* Add the links with a warped view b. */
+static void link_warp(const struct pair_views *m, struct pair *c, int warp,
+                      struct pair_workspace *w)
 {
+    choose_warp(m, c, warp, w);
     clear_nearest(m, c, w);
     search_all(m, c, w);
     link_mutual(m, c, w, RATIO);
 }
 
-/* Matches with a turned, where upright ones tell little: those of the turn that links most, if one
- * geometry explains more of them than the `agree` ones before. */
-static void try_turns(const struct pair_views *m, struct pair_workspace *w, struct pair *c,
-                      int agree)
+static bool has_corners(const struct pair_views *m, const struct pair *c)
+{
+    return m->view[c->a].n >= PAIR_LEAST && m->view[c->b].n >= PAIR_LEAST;
+}
+
+/* Whether links of a pair are those with view b warped so. */
+static bool has_warp(const struct pair *c, int warp)
+{
+    return warp == 0 || (warp > 1 && c->tilted);
+}
+
+static void link_all(const struct pair_views *m, struct pair *c, struct pair_workspace *w)
+{
+    c->n = 0;
+    for (int i = 0; i < CORNER_WARPS; i++)
+        if (has_warp(c, i))
+            link_warp(m, c, i, w);
+}
+
+/* Whether one geometry explains more links than of the pair as it was before. */
+static bool is_better(const struct pair *c, const struct pair *before)
+{
+    return c->known && c->agree > before->agree + PAIR_LEAST / 2;
+}
+
+void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
+{
+    c->n = c->agree = c->turn = 0;
+    c->known = c->tilted = false;
+    if (!has_corners(m, c))
+        return;
+    link_all(m, c, w);
+    find_geometry(m, c, w->match);
+}
+
+/* The turn that links most is tried. */
+void pair_turn(const struct pair_views *m, struct pair_workspace *w, struct pair *c, unsigned turns)
 {
     int most = 0, best = 0;
     const struct pair upright = *c;
-    for (c->turn = 1; c->turn < CORNER_TURNS; c->turn++) {
-        link_all(m, c, w);
-        if (c->n > most) {
+    for (c->turn = 1; c->turn < CORNER_TURNS && has_corners(m, c); c->turn++) {
+        if (turns >> c->turn & 1)
+            link_all(m, c, w);
+        if (turns >> c->turn & 1 && c->n > most) {
             most = c->n;
             best = c->turn;
         }
     }
+    *c = upright;
+    if (!best)
+        return;
     c->turn = best;
     link_all(m, c, w);
-    const int turned = find_geometry(m, c, w->match);
-    if (!c->known || turned <= agree + PAIR_LEAST / 2) {
+    find_geometry(m, c, w->match);
+    if (!is_better(c, &upright)) {
         *c = upright;
         link_all(m, c, w);
     }
 }
 
-void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
+void pair_tilt(const struct pair_views *m, struct pair_workspace *w, struct pair *c)
 {
-    c->n = 0;
-    c->turn = 0;
-    c->known = false;
-    if (m->view[c->a].n < PAIR_LEAST || m->view[c->b].n < PAIR_LEAST)
+    const struct pair flat = *c;
+    if (!has_corners(m, c))
         return;
+    c->tilted = true;
     link_all(m, c, w);
-    const int agree = find_geometry(m, c, w->match);
-    if (agree < SURE)
-        try_turns(m, w, c, agree);
+    find_geometry(m, c, w->match);
+    if (!is_better(c, &flat)) {
+        *c = flat;
+        link_all(m, c, w);
+    }
 }
 
 void pair_complete(const struct pair_views *m, struct pair_workspace *w, struct pair *c, bool again)
 {
     if (again)
         find_geometry(m, c, w->match);
-    if (c->known) {
+    c->n = 0;
+    for (int i = 0; i < CORNER_WARPS && c->known; i++) {
+        if (!has_warp(c, i))
+            continue;
+        choose_warp(m, c, i, w);
         clear_nearest(m, c, w);
         search_lines(m, c, w);
         link_mutual(m, c, w, RATIO_LINE);
-    } else
-        c->n = 0;
+    }
 }

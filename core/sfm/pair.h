@@ -8,8 +8,11 @@
 #include "core/sfm/corner.h"
 #include "core/sfm/epipolar.h"
 
-enum { PAIR_LEAST = 12 }; // matches that one epipolar geometry must explain
-#define PAIR_BOUND 1.5f   // px, Sampson distance of corners that agree
+enum {
+    PAIR_LEAST = 12, // matches that one epipolar geometry must explain
+    PAIR_SURE = 40   // from which on a need not be turned, nor b stretched
+};
+#define PAIR_BOUND 1.5f // px, Sampson distance of corners that agree
 
 /* One match. */
 struct pair_link {
@@ -23,7 +26,9 @@ struct pair {
     struct pair_link *link; // (corner_cap) the surest first
     double f[9];            // epipolar geometry, see epipolar.h
     bool known;             // f
+    int agree;              // links that f explains
     int turn;               // eighths of a full turn, from x to y, that bring a to look like b
+    bool tilted;            // links are those with b stretched as well
 };
 
 /* All views. */
@@ -32,7 +37,6 @@ struct pair_views {
     const struct correspondence *prior; // NULL: none
     int n, size, cap;                   // views; px, longest edge; corner_cap
     struct corner_view *view;           // (n)
-    int8_t **panels;                    // (n) descriptors packed for gemm_s8
     double *bend;                       // (n) of each view's lens, epipolar.h
     int *token;                         // (n, cap) patch of the network that a corner lies in
 };
@@ -40,6 +44,9 @@ struct pair_views {
 /* Scratch of a worker. */
 struct pair_workspace {
     size_t pitch;                 // of product
+    const int8_t *descriptor;     // (n, CORNER_DESCRIPTOR) of b, those that are compared
+    const int32_t *square_b;      // (n)
+    int8_t *panels;               // descriptor, packed for gemm_s8
     int32_t *product;             // (rows, pitch)
     int32_t *column;              // (cap) smallest distance to each corner of b
     int16_t *from;                // (cap) the corner of a at that distance
@@ -64,6 +71,15 @@ void pair_prepare(const struct pair_views *m, int i);
 
 /* Compare all corners: fill c, whose a, b and link are set, with matches, many of them wrong. */
 void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
+
+/* After pair_search: matches with a turned in the best of some turns (bit k: k eighths) instead, if
+ * one geometry explains more of them. */
+void pair_turn(const struct pair_views *m, struct pair_workspace *w, struct pair *c,
+               unsigned turns);
+
+/* After pair_search and corner_tilt of b: add the matches with the stretched views of b, if one
+ * geometry explains more of them. */
+void pair_tilt(const struct pair_views *m, struct pair_workspace *w, struct pair *c);
 
 /* After pair_search: fill c with the matches along its epipolar lines; without a geometry that
  * enough matches agree with, n is 0. bend: of m; `again` where it was another before. */

@@ -83,7 +83,7 @@ err_t locate_run(const struct run *r, const struct views *v, const struct corres
     err_t e = layout(&l, r->tmp, cfg->n_lenses);
     if (!e && unknown)
         expect_lenses(v, cfg, &l);
-    struct match_lenses find = {cfg->n_lenses, cfg->lens_of, l.division};
+    struct division_lenses find = {cfg->n_lenses, cfg->lens_of, l.division};
     if (!e)
         e = match_run(r, v, prior, unknown ? &find : NULL, &tracks);
     if (!e && unknown)

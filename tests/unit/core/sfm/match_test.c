@@ -312,6 +312,26 @@ static void roll_camera(struct world *w, int i, double roll)
     memcpy(w->h[i], h, sizeof h);
 }
 
+/* A plane from the front and from 52 to 60 degrees aside, where it is half as wide: alike, at other
+ * exposures, rolled. */
+static void test_far_apart(void **state)
+{
+    static const double angle[3] = {1.05, 0.95, 0.9};
+    struct world w;
+    (void)state;
+    open_world(&w, 2, 2);
+    for (int k = 0; k < 3; k++) {
+        for (int i = 0; i < 2; i++) {
+            w.log2t[i] = (float)(k == 1 ? i : 0);
+            place_camera(&w, i, angle[k] * i, 1 + 0.3 * i);
+            roll_camera(&w, i, k == 2 ? 1.5 * i : 0);
+            photograph(&w, i, 5000);
+        }
+        expect_tracks(&w, 60, 0.9, 0.4);
+    }
+    close_world(&w);
+}
+
 static void test_roll(void **state)
 {
     static const double rolls[2][3] = {{0, 1.0, 1.9}, {1.5708, 0, 3.1416}};
@@ -539,17 +559,12 @@ static void test_many_views(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_one_exposure),
-        cmocka_unit_test(test_mixed_exposures),
-        cmocka_unit_test(test_far_exposures),
-        cmocka_unit_test(test_wide_turns_and_noise),
-        cmocka_unit_test(test_scale),
-        cmocka_unit_test(test_roll),
-        cmocka_unit_test(test_shift),
-        cmocka_unit_test(test_nothing_to_see),
-        cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_prior),
-        cmocka_unit_test(test_too_little_memory),
+        cmocka_unit_test(test_one_exposure),   cmocka_unit_test(test_mixed_exposures),
+        cmocka_unit_test(test_far_exposures),  cmocka_unit_test(test_wide_turns_and_noise),
+        cmocka_unit_test(test_scale),          cmocka_unit_test(test_far_apart),
+        cmocka_unit_test(test_roll),           cmocka_unit_test(test_shift),
+        cmocka_unit_test(test_nothing_to_see), cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_prior),          cmocka_unit_test(test_too_little_memory),
         cmocka_unit_test(test_many_views),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,0 +1,313 @@
+/* All pairs are compared upright. Pairs that are sure connect views; the roll between connected
+ * views is known from them, so that an unsure pair is compared in turns that are near it only, and
+ * not at all where it is upright. Pairs of views that are not connected are compared in all turns.
+ * What is still unsure then, of a view with few sure pairs, is compared with stretched views. */
+#include "core/sfm/pairs.h"
+
+#include "core/base/num.h"
+
+#include <math.h>
+
+enum { WELL = 2 }; // sure pairs of a view, from which on others of it are not stretched
+
+struct work {
+    const struct run *r;
+    const struct views *v;
+    struct pairs *s;
+};
+
+/* ---- rolls ---- */
+
+/* Turn of the links of a pair about their middle. */
+static float turn_of_links(const struct pairs *s, const struct pair *c)
+{
+    double mean[4] = {0}, along = 0, across = 0;
+    for (int turn = 0; turn < 2; turn++) {
+        for (int k = 0; k < c->n; k++) {
+            const struct corner *a = s->views.view[c->a].at + c->link[k].a;
+            const struct corner *b = s->views.view[c->b].at + c->link[k].b;
+            const double at[4] = {a->u, a->v, b->u, b->v};
+            const double x = at[0] - mean[0], y = at[1] - mean[1];
+            const double u = at[2] - mean[2], v = at[3] - mean[3];
+            along += turn * (x * u + y * v);
+            across += turn * (x * v - y * u);
+            for (int i = 0; i < 4 && !turn; i++)
+                mean[i] += at[i] / c->n;
+        }
+    }
+    return (float)atan2(across, along);
+}
+
+/* Radians, from x to y, that bring view a of a pair to look like b; 0 where both are upright. */
+static float roll_of_pair(const struct pairs *s, const struct pair *c)
+{
+    const float full = (float)(2 * NUM_PI), step = full / CORNER_TURNS;
+    float rough = (float)c->turn * step, off;
+    if (!c->turn)
+        return 0;
+    off = remainderf(turn_of_links(s, c) - rough, full);
+    return fabsf(off) < step ? rough + off : rough;
+}
+
+/* A roll for each view, over the pairs with the most links, of those in which at least so many
+ * agree. exact: also where turns of less than an eighth are upright enough to be matched. */
+static void find_rolls(struct pairs *s, int n_views, int agree, bool exact)
+{
+    for (int i = 0; i < n_views; i++) {
+        s->tree[i] = i;
+        s->roll[i] = 0;
+    }
+    for (;;) {
+        const struct pair *best = NULL;
+        for (int i = 0; i < s->n; i++) {
+            const struct pair *c = s->pair + i;
+            if (c->known && c->agree >= agree && s->tree[c->a] != s->tree[c->b] &&
+                (!best || c->n > best->n))
+                best = c;
+        }
+        if (!best)
+            return;
+        const float turn = exact ? turn_of_links(s, best) : roll_of_pair(s, best);
+        const float shift = s->roll[best->a] + turn - s->roll[best->b];
+        const int from = s->tree[best->b], to = s->tree[best->a];
+        for (int i = 0; i < n_views; i++) {
+            s->roll[i] += s->tree[i] == from ? shift : 0;
+            s->tree[i] = s->tree[i] == from ? to : s->tree[i];
+        }
+    }
+}
+
+/* ---- views ---- */
+
+static err_t prepare_view(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    struct pairs *s = w->s;
+    err_t e = run_check(w->r, "matching");
+    if (e)
+        return e;
+    corner_run(views_rgb(w->v, i), s->rooms[worker].picture, s->views.view + i);
+    pair_prepare(&s->views, i);
+    return OK;
+}
+
+/* View i stretched, if a pair needs it. */
+static err_t tilt_view(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    struct pairs *s = w->s;
+    (void)worker;
+    for (int k = 0; k < s->n_isolated; k++) {
+        if (s->pair[s->isolated[k]].b != i)
+            continue;
+        corner_tilt(s->views.view + i);
+        break;
+    }
+    return run_check(w->r, "matching");
+}
+
+/* ---- pairs ---- */
+
+static err_t search_pair(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    err_t e = run_check(w->r, "matching");
+    if (!e)
+        pair_search(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + i);
+    return e;
+}
+
+/* The turns in which a pair is compared: bit k, k eighths. */
+static unsigned turns_of(const struct pairs *s, const struct pair *c)
+{
+    const unsigned all = (1u << CORNER_TURNS) - 2;
+    if (c->agree >= PAIR_SURE)
+        return 0;
+    if (s->tree[c->a] != s->tree[c->b])
+        return all;
+    const float eighth = (float)(2 * NUM_PI) / CORNER_TURNS;
+    const int near = (int)lrintf((s->roll[c->b] - s->roll[c->a]) / eighth) & (CORNER_TURNS - 1);
+    if (near == 0)
+        return 0;
+    return (1u << near | 1u << ((near + 1) % CORNER_TURNS) | 1u << (near - 1)) & all;
+}
+
+static err_t turn_pair(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    struct pair *c = w->s->pair + i;
+    const unsigned turns = turns_of(w->s, c);
+    err_t e = run_check(w->r, "matching");
+    if (!e && turns)
+        pair_turn(&w->s->views, &w->s->rooms[worker].pair, c, turns);
+    return e;
+}
+
+static bool is_isolated(const struct pairs *s, const struct pair *p)
+{
+    int a = 0, b = 0;
+    for (int i = 0; i < s->n; i++) {
+        const struct pair *c = s->pair + i;
+        a += c->agree >= PAIR_SURE && (c->a == p->a || c->b == p->a);
+        b += c->agree >= PAIR_SURE && (c->a == p->b || c->b == p->b);
+    }
+    return p->agree < PAIR_SURE && num_min(a, b) < WELL;
+}
+
+static void choose_isolated(struct pairs *s)
+{
+    s->n_isolated = 0;
+    for (int i = 0; i < s->n; i++)
+        if (is_isolated(s, s->pair + i))
+            s->isolated[s->n_isolated++] = i;
+}
+
+static err_t tilt_pair(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    err_t e = run_check(w->r, "matching");
+    if (!e)
+        pair_tilt(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + w->s->isolated[i]);
+    return e;
+}
+
+static err_t complete_pair(void *ctx, int i, int worker)
+{
+    struct work *w = ctx;
+    err_t e = run_check(w->r, "matching");
+    if (!e)
+        pair_complete(&w->s->views, &w->s->rooms[worker].pair, w->s->pair + i, w->s->bent);
+    return e;
+}
+
+/* ---- lenses ---- */
+
+/* Pairs as struct division_views wants them. */
+struct matches {
+    struct division_pair *pair;   // (n_pairs)
+    struct epipolar_match *match; // (n_pairs, DIVISION_MATCHES)
+    double *frame, *focal;        // (n_lenses)
+};
+
+static err_t layout_matches(struct matches *c, struct arena *tmp, int n_pairs, int n_lenses)
+{
+    const size_t n = (size_t)n_pairs;
+    err_t e = arena_alloc(tmp, n, sizeof *c->pair, &c->pair);
+    if (!e)
+        e = arena_alloc(tmp, n * DIVISION_MATCHES, sizeof *c->match, &c->match);
+    if (!e)
+        e = arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->frame, &c->frame);
+    return e ? e : arena_zalloc(tmp, (size_t)n_lenses, sizeof *c->focal, &c->focal);
+}
+
+/* How strongly the lenses distort, for the pairs of their views. */
+static err_t find_bends(const struct work *w, struct division_lenses *lenses)
+{
+    struct pairs *s = w->s;
+    const size_t mark = arena_mark(w->r->tmp);
+    struct matches c;
+    err_t e = layout_matches(&c, w->r->tmp, s->n, lenses->n);
+    for (int i = 0; i < s->n && !e; i++) {
+        struct epipolar_match *match = c.match + (size_t)i * DIVISION_MATCHES;
+        const struct pair *p = s->pair + i;
+        c.pair[i] = (struct division_pair){
+            p->a, p->b, pair_matches(&s->views, p, DIVISION_MATCHES, match), match};
+    }
+    for (int v = 0; v < w->v->n && !e; v++) {
+        const struct extent *px = &w->v->extent[v];
+        c.frame[lenses->of[v]] = 0.5 * hypot(px->w, px->h);
+        c.focal[lenses->of[v]] = lenses->lens[lenses->of[v]].focal;
+    }
+    const struct division_views v = {.n_lenses = lenses->n,
+                                     .n_pairs = s->n,
+                                     .lens_of = lenses->of,
+                                     .frame = c.frame,
+                                     .focal = c.focal,
+                                     .search = {(float)w->v->size, PAIR_BOUND, EPIPOLAR_DRAWS},
+                                     .pair = c.pair};
+    if (!e)
+        e = division_run(w->r, &v, lenses->lens);
+    for (int i = 0; i < w->v->n && !e; i++) {
+        s->views.bend[i] = lenses->lens[lenses->of[i]].bend;
+        s->bent = s->bent || s->views.bend[i] != 0;
+    }
+    arena_reset(w->r->tmp, mark);
+    return e;
+}
+
+/* ---- the whole ---- */
+
+static err_t layout_rooms(struct pairs *s, struct arena *tmp, const struct views *v, int threads)
+{
+    const size_t most = extent_cover(v->extent, v->n).at;
+    err_t e = arena_alloc(tmp, (size_t)threads, sizeof *s->rooms, &s->rooms);
+    for (int i = 0; i < threads && !e; i++) {
+        struct pairs_room w;
+        e = arena_alloc(tmp, corner_scratch(most), sizeof *w.picture, &w.picture);
+        if (!e)
+            e = pair_workspace_init(tmp, &s->views, &w.pair);
+        if (!e && !tmp->counts)
+            s->rooms[i] = w;
+    }
+    return e;
+}
+
+err_t pairs_layout(struct pairs *s, struct arena *tmp, const struct views *v, int threads)
+{
+    s->n = v->n * (v->n - 1) / 2;
+    err_t e = pair_views_init(tmp, v, &s->views);
+    if (!e)
+        e = layout_rooms(s, tmp, v, threads);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)s->n, sizeof *s->pair, &s->pair);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)s->n, sizeof *s->isolated, &s->isolated);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)v->n, sizeof *s->tree, &s->tree);
+    if (!e)
+        e = arena_alloc(tmp, (size_t)v->n, sizeof *s->roll, &s->roll);
+    for (int a = 0, k = 0; a < v->n; a++) {
+        for (int b = a + 1; b < v->n && !e; b++, k++) {
+            struct pair pair = {.a = a, .b = b};
+            e = arena_alloc(tmp, (size_t)s->views.cap, sizeof *pair.link, &pair.link);
+            if (!e && !tmp->counts)
+                s->pair[k] = pair;
+        }
+    }
+    return e;
+}
+
+void pairs_plan(struct plan *p, const struct pairs *s, int n_lenses)
+{
+    const size_t mark = arena_mark(&p->tmp);
+    struct matches matches;
+    if (layout_matches(&matches, &p->tmp, s->n, n_lenses))
+        plan_refuse(p);
+    arena_step(&p->tmp, division_plan(n_lenses, s->n));
+    arena_reset(&p->tmp, mark);
+}
+
+err_t pairs_run(const struct run *r, const struct views *v, struct division_lenses *lenses,
+                struct pairs *s)
+{
+    struct work w = {r, v, s};
+    err_t e = pool_for(r->pool, v->n, prepare_view, &w);
+    if (!e)
+        e = pool_for(r->pool, s->n, search_pair, &w);
+    if (e)
+        return e;
+    find_rolls(s, v->n, PAIR_SURE, true);
+    e = pool_for(r->pool, s->n, turn_pair, &w);
+    if (e)
+        return e;
+    choose_isolated(s);
+    e = pool_for(r->pool, v->n, tilt_view, &w);
+    if (!e)
+        e = pool_for(r->pool, s->n_isolated, tilt_pair, &w);
+    if (!e && lenses)
+        e = find_bends(&w, lenses);
+    if (!e)
+        e = pool_for(r->pool, s->n, complete_pair, &w);
+    find_rolls(s, v->n, 0, false);
+    return e;
+}
