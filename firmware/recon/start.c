@@ -105,6 +105,12 @@ static const char *why_not_located(const struct views *v, const struct bundle_re
             text, 240,
             "no parallax, the camera turned or stood still; step aside between photographs, by "
             "a tenth of the distance or more");
+    else if (b->observations > 2 * b->inliers)
+        snprintf(
+            text, 240,
+            "of %d matches only %d fit; if photographs were zoomed or cropped, tell so with --set "
+            "cameras.same=each",
+            b->observations, b->inliers);
     else
         snprintf(text, 240,
                  "the views have too few points in common (%d); photograph so that neighbours "

@@ -47,6 +47,21 @@ succeed eval --data "$OUT/mixed" --scene "$OUT/scene" --rig none
 succeed reconstruct --images "$OUT/square" --rig none --size 168 --refine 0 --out "$OUT/squares"
 succeed eval --data "$OUT/landscape" --scene "$OUT/squares" --rig none
 
+# two zooms of one camera whose pictures do not tell: found when asked, else there is a hint
+succeed simulate --kind room --seed 93 --views 8 --samples 1 --spread 0.5 --exposures 0.25,1,4 \
+    --lens fov=70,size=448x336 --lens fov=45,size=448x336 --out "$OUT/zooms"
+mkdir "$OUT/bare"
+cp "$OUT/zooms/exposure.json" "$OUT/bare"
+for view in 0 1 2 3 4 5 6 7; do
+    ffmpeg -nostdin -v error -i "$OUT/zooms/images/train_ldr_00${view}_$((view % 3)).png" \
+        "$OUT/bare/train_ldr_00${view}_$((view % 3)).png" || fail ffmpeg
+done
+bare=(reconstruct --images "$OUT/bare" --rig none --refine 0)
+succeed "${bare[@]}" --out "$OUT/alike"
+grep -q 'if photographs were zoomed or cropped' "$OUT/alike/report.json" || fail "no hint"
+succeed "${bare[@]}" --set cameras.same=each --out "$OUT/each"
+at_least "views placed" "$(number "$OUT/each/report.json" cameras views_placed)" 6
+
 expect 1 'become a view that is less than 64 px narrow' reconstruct --images "$OUT/mixed" \
     --rig none --size 70 --out "$OUT/no"
 nothing_at "$OUT/no"
