@@ -2,10 +2,10 @@
  * map of a view is cut into blocks; a block that is flat in colour and in depth becomes one splat,
  * others are cut into four, down to a quarter of a pixel of the map. Each splat is projected into
  * all views: where it explains a pixel, that pixel gets no splat of its own, and its radiance
- * counts. A second round fills pixels that no splat covers, at the depth of the farthest usable
- * surfaces around them: there they fill holes and occlude nothing. (At the mean depth around them
- * they cost 0.1 to 2.4 dB in five scenes without refinement; at the farthest depth of the whole
- * view 0.2 dB more than here.) */
+ * counts; where as many views contradict a splat as confirm it, there is none. A second round fills
+ * pixels that no splat covers, at the depth of the farthest usable surfaces around them: there they
+ * fill holes and occlude nothing. (At the mean depth around them they cost 0.1 to 2.4 dB in five
+ * scenes without refinement; at the farthest depth of the whole view 0.2 dB more than here.) */
 #include "core/stereo/seed.h"
 
 #include "core/base/gaussians.h"
@@ -14,17 +14,16 @@
 #include "core/base/shell.h"
 #include "core/photo/response.h"
 #include "core/photo/shade.h"
+#include "core/stereo/guess.h"
 
 #include <math.h>
 #include <string.h>
 
 enum {
-    BLOCK = 8,      // largest block, px of the map
-    RETREATS = 16,  // steps by which a guess may go back
-    TRIES = 12,     // times the detail may be given up
-    SAMPLES = 4,    // pixels per axis that are read for the colour of a splat in one view
-    LEVELS_MAX = 9, // pyramid of the smooth depth
-    BINS = 64       // histogram of inverse depth, from the farthest to the nearest usable surface
+    BLOCK = 8,     // largest block, px of the map
+    RETREATS = 16, // steps by which a guess may go back
+    TRIES = 12,    // times the detail may be given up
+    SAMPLES = 4,   // pixels per axis that are read for the colour of a splat in one view
 };
 
 enum {
@@ -33,9 +32,6 @@ enum {
     EXPLAINED = 2
 }; // marks of a pixel: a splat lies there; a splat lies at the pixel's own depth
 
-static const float FARTHEST =
-    0.05f; // share of the usable pixels around a guess that may lie behind it
-static const float AROUND = 0.3f;     // least share of usable pixels in the blocks around
 static const float DETAIL = 0.06f;    // relative contrast at which a block is cut, first try
 static const float FLAT = 0.006f;     // relative distance of inverse depths from a plane, first try
 static const float RETREAT = 0.94f;   // factor on inverse depth of one step
@@ -65,10 +61,10 @@ struct seed {
     int *order;                           // (n) views, best first
     float *score;                         // (n)
     uint8_t *mark;                        // (maps)
-    float *levels; // (2, 4/3 h w + ...) inverse depth times weight, weight: pyramid of one view
-    float *rho;    // (h, w) of the view in work
-    uint32_t
-        *sum; // (blocks down + 1, across + 1, BINS) sure pixels above, to the left and up to a bin
+    float *rho;                           // (h, w) of the view in work
+    float *smooth;                        // (h, w) memory of rho in the first round
+    float *guess;                         // (maps) inverse depth in the second round
+    struct guess_work work;
 };
 
 /* A square of the map with the plane of inverse depth a (x - x0) + b (y - y0) + c through its
@@ -114,12 +110,6 @@ static bool project_to_map(const struct frame *f, const float *x, const struct e
     out[1] = f->f[1] * p[1] / p[2] + f->c[1];
     out[2] = p[2];
     return out[0] >= 0.0f && out[1] >= 0.0f && out[0] < (float)map->w && out[1] < (float)map->h;
-}
-
-/* Whether a pixel of the maps sees the shell. */
-static bool is_far(const struct seed *s, size_t at)
-{
-    return s->in->depth->far && s->in->depth->far[at];
 }
 
 /* ---- pictures ---- */
@@ -237,41 +227,49 @@ static void mark_all_views(struct seed *s, const struct patch *p, const float *x
     }
 }
 
-/* Whether the usable depths of a view lie behind the point at `at` (pixel, depth). All pixels
- * around it must agree, because at the rim of a near object an error of one pixel shows the
- * background. */
+/* Whether the usable depths of a view lie behind the point at `at` (pixel, depth). Most pixels
+ * around it must be usable and all of these agree, because at the rim of a near object an error of
+ * one pixel shows the background. */
 static bool is_seen_through(const struct seed *s, int view, const float *at)
 {
     const struct extent *map = &s->in->depth->extent[view];
+    int inside = 0, usable = 0;
     for (int i = 0; i < 9; i++) {
         int x = (int)at[0] + i % 3 - 1, y = (int)at[1] + i / 3 - 1;
         if (x < 0 || y < 0 || x >= map->w || y >= map->h)
             continue;
         size_t k = map->at + (size_t)y * (size_t)map->w + (size_t)x;
-        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE ||
-            s->in->depth->depth[k] * (1.0f - 2.0f * SWEEP_SAME_SURFACE) < at[2])
+        inside++;
+        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
+            continue;
+        usable++;
+        if (s->in->depth->depth[k] * (1.0f - 2.0f * SWEEP_SAME_SURFACE) < at[2])
             return false;
     }
-    return true;
+    return 3 * usable >= 2 * inside;
 }
 
-/* Number of views that see a surface at x less those that see through it. */
-static int count_support(const struct seed *s, int own, const float *x)
+/* Whether other views see through the splat at x, and no more of them see a surface there: wrong
+ * matches of two views confirm each other, and a third one contradicts them. A guess holds where
+ * they are as many; but where others guess as well, none may guess that it is farther. */
+static bool is_refuted(const struct seed *s, const struct patch *p, const float *x)
 {
-    int sum = 0;
+    int seen = 0, through = 0;
     for (int j = 0; j < s->in->views->n; j++) {
         const struct extent *map = &s->in->depth->extent[j];
         float at[3];
-        if (j == own || !project_to_map(&s->frame[j], x, map, at))
+        if (j == p->view || !project_to_map(&s->frame[j], x, map, at))
             continue;
-        size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
-        float depth = s->in->depth->depth[k], conf = s->in->depth->conf[k];
-        if (conf >= SWEEP_CONF_USABLE && fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
-            sum++;
-        else if (conf >= SWEEP_CONF_USABLE && depth > at[2] && is_seen_through(s, j, at))
-            sum--;
+        const size_t k = map->at + (size_t)at[1] * (size_t)map->w + (size_t)at[0];
+        const float depth = s->in->depth->depth[k];
+        if (s->in->depth->conf[k] < SWEEP_CONF_USABLE)
+            through += !p->sure && s->guess[k] * at[2] < 1.0f - 2.0f * SWEEP_SAME_SURFACE;
+        else if (fabsf(depth - at[2]) < SWEEP_SAME_SURFACE * at[2])
+            seen++;
+        else if (depth > at[2] && is_seen_through(s, j, at))
+            through++;
     }
-    return sum;
+    return seen < through || (p->sure && seen == through && through > 0);
 }
 
 static void unproject(const struct frame *f, const struct patch *p, float rho, float *x)
@@ -336,7 +334,7 @@ static void emit_splat(struct seed *s, struct patch *p)
     const struct frame *f = &s->frame[p->view];
     float x[3];
     unproject(f, p, p->c, x);
-    for (int i = 0; count_support(s, p->view, x) < 0; i++) {
+    for (int i = 0; is_refuted(s, p, x); i++) {
         if (p->sure || i == RETREATS)
             return;
         p->c *= RETREAT; // a guess retreats until no view sees through it
@@ -488,137 +486,6 @@ static void seed_block(struct seed *s, int view, const int *corner, int n, bool 
     }
 }
 
-/* ---- depth of a view ---- */
-
-/* Blocks per axis of a map. */
-static int blocks_across(int w)
-{
-    return (w + BLOCK - 1) / BLOCK;
-}
-
-/* Level of the pyramid of one view. */
-struct level {
-    int w, h;
-    float *px; // (h, w, 2) sum of inverse depth times weight, sum of weights
-};
-
-/* Pixel of the next level that pixel i is part of. */
-static int parent_of(const struct level *l, int i)
-{
-    return i / l->w / 2 * l[1].w + i % l->w / 2;
-}
-
-/* Inverse depth of the view in s->rho: kept where confident, else filled from coarser levels. */
-static void smooth_depth(struct seed *s, int view)
-{
-    const struct extent *map = &s->in->depth->extent[view];
-    struct level level[LEVELS_MAX] = {{map->w, map->h, s->levels}};
-    int n = 1;
-    for (int i = 0; i < map->w * map->h; i++) {
-        float conf = s->in->depth->conf[map->at + (size_t)i];
-        float c = is_far(s, map->at + (size_t)i) ? 1e-8f : conf * conf + 1e-4f;
-        level[0].px[2 * i] = c / s->in->depth->depth[map->at + (size_t)i];
-        level[0].px[2 * i + 1] = c;
-    }
-    for (; n < LEVELS_MAX && (level[n - 1].w > 1 || level[n - 1].h > 1); n++) {
-        const struct level *fine = &level[n - 1];
-        level[n] =
-            (struct level){(fine->w + 1) / 2, (fine->h + 1) / 2, fine->px + 2 * fine->w * fine->h};
-        memset(level[n].px, 0, 2 * (size_t)level[n].w * (size_t)level[n].h * sizeof(float));
-        for (int i = 0; i < fine->w * fine->h; i++) {
-            float *up = level[n].px + 2 * parent_of(fine, i);
-            up[0] += fine->px[2 * i];
-            up[1] += fine->px[2 * i + 1];
-        }
-    }
-    for (n--; n > 0; n--) {
-        const struct level *fine = &level[n - 1];
-        for (int i = 0; i < fine->w * fine->h; i++) {
-            const float *up = level[n].px + 2 * parent_of(fine, i);
-            float pulled = up[0] / up[1], c = fine->px[2 * i + 1];
-            float lack = c < 0.1f ? 0.1f - c : 0.0f;
-            fine->px[2 * i] += lack * pulled;
-            fine->px[2 * i + 1] += lack;
-        }
-    }
-    for (int i = 0; i < map->w * map->h; i++)
-        s->rho[i] = is_far(s, map->at + (size_t)i) ? 1.0f / s->in->depth->depth[map->at + (size_t)i]
-                                                   : level[0].px[2 * i] / level[0].px[2 * i + 1];
-}
-
-/* Summed-area table of the usable pixels of a view over the blocks, per bin (lo + k step). */
-static void sum_sure(struct seed *s, int view, float lo, float step)
-{
-    const struct extent *map = &s->in->depth->extent[view];
-    const int w = map->w, n = blocks_across(w), down = blocks_across(map->h), row = (n + 1) * BINS;
-    const float *conf = s->in->depth->conf + map->at;
-    memset(s->sum, 0, (size_t)row * (size_t)(down + 1) * sizeof *s->sum);
-    for (int i = 0; i < w * map->h; i++) {
-        float bin = step > 0.0f ? (s->rho[i] - lo) / step + 0.5f : 0.0f;
-        int b = (int)fminf(fmaxf(bin, 0.0f), (float)(BINS - 1));
-        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(s, map->at + (size_t)i))
-            s->sum[(i / w / BLOCK + 1) * row + (i % w / BLOCK + 1) * BINS + b]++;
-    }
-    for (int k = 0; k < n * down; k++) {
-        uint32_t *here = s->sum + (k / n + 1) * row + (k % n + 1) * BINS, upto = 0;
-        for (int b = 0; b < BINS; b++) {
-            upto += here[b];
-            here[b] = upto + here[b - BINS] + here[b - row] - here[b - row - BINS];
-        }
-    }
-}
-
-/* Bin of the farthest usable surfaces in the smallest square of blocks around block x, y that has
- * enough of them. */
-static int farthest_bin(const struct seed *s, const struct extent *map, int x, int y)
-{
-    const int n = blocks_across(map->w), down = blocks_across(map->h), row = (n + 1) * BINS;
-    for (int r = 1;; r *= 2) {
-        int x0 = x < r ? 0 : x - r, x1 = x + r < n ? x + r + 1 : n;
-        int y0 = y < r ? 0 : y - r, y1 = y + r < down ? y + r + 1 : down, b = 0;
-        const uint32_t *low = s->sum + y0 * row, *high = s->sum + y1 * row;
-        uint32_t count[BINS];
-        for (int k = 0; k < BINS; k++)
-            count[k] =
-                high[x1 * BINS + k] - high[x0 * BINS + k] - low[x1 * BINS + k] + low[x0 * BINS + k];
-        const float all = (float)count[BINS - 1];
-        if (all < AROUND * (float)((x1 - x0) * (y1 - y0) * BLOCK * BLOCK) && (r < n || r < down))
-            continue;
-        while (b < BINS - 1 && (float)count[b] <= FARTHEST * all)
-            b++;
-        return b;
-    }
-}
-
-/* Limit s->rho to the farthest surfaces around each pixel, even where its depth is usable: other
- * views see through the pixels left over there. Reuses s->levels. */
-static void limit_nearness(struct seed *s, int view)
-{
-    const struct extent *map = &s->in->depth->extent[view];
-    const int w = map->w, across = blocks_across(w);
-    const float *conf = s->in->depth->conf + map->at;
-    size_t n = 0;
-    for (int i = 0; i < w * map->h; i++) {
-        if (conf[i] >= SWEEP_CONF_USABLE && !is_far(s, map->at + (size_t)i))
-            s->levels[n++] = s->rho[i];
-    }
-    if (n == 0)
-        return;
-    const float lo = num_quantile(s->levels, n, 0.01f),
-                hi = num_sorted_quantile(s->levels, n, 0.99f);
-    const float step = (hi - lo) / (BINS - 1);
-    sum_sure(s, view, lo, step);
-    for (int k = 0; k < across * blocks_across(map->h); k++) {
-        const int x0 = k % across * BLOCK, y0 = k / across * BLOCK;
-        const float far = lo + step * (float)farthest_bin(s, map, x0 / BLOCK, y0 / BLOCK);
-        for (int i = 0; i < BLOCK * BLOCK; i++) {
-            int x = x0 + i % BLOCK, y = y0 + i / BLOCK;
-            if (x < w && y < map->h)
-                s->rho[y * w + x] = fminf(s->rho[y * w + x], far);
-        }
-    }
-}
-
 /* ---- entry ---- */
 
 /* Sum of confidence times reliability of the green pixels of a view. */
@@ -644,6 +511,16 @@ static void sort_views(struct seed *s)
     }
 }
 
+/* Inverse depth of all views, for guesses. */
+static void guess_depths(struct seed *s)
+{
+    for (int i = 0; i < s->in->views->n; i++) {
+        float *rho = s->guess + s->in->depth->extent[i].at;
+        guess_smooth(&s->work, s->in->depth, i, rho);
+        guess_limit(&s->work, s->in->depth, i, rho);
+    }
+}
+
 /* All splats at the present loss of detail; s->full if they are too many. */
 static err_t seed_all(struct seed *s)
 {
@@ -653,12 +530,14 @@ static err_t seed_all(struct seed *s)
     s->full = false;
     memset(s->mark, FREE, extent_total(maps, n));
     for (int i = 0; i < 2 * n && !s->full; i++) {
+        const struct extent *map = &maps[s->order[i % n]];
         if (s->run->cancel && atomic_load(s->run->cancel))
             return err_fail(ERR_CANCELLED, "seed: cancelled");
-        smooth_depth(s, s->order[i % n]);
-        if (i >= n)
-            limit_nearness(s, s->order[i % n]);
-        const struct extent *map = &maps[s->order[i % n]];
+        if (i == n)
+            guess_depths(s);
+        s->rho = i < n ? s->smooth : s->guess + map->at;
+        if (i < n)
+            guess_smooth(&s->work, s->in->depth, s->order[i], s->rho);
         for (int y = 0; y < map->h; y += BLOCK) {
             for (int x = 0; x < map->w; x += BLOCK)
                 seed_block(s, s->order[i % n], (const int[2]){x, y}, BLOCK, i < n);
@@ -668,30 +547,6 @@ static err_t seed_all(struct seed *s)
                              s->loss > 1 ? "again, with less detail" : NULL);
     }
     return OK;
-}
-
-static size_t levels_floats(size_t w, size_t h)
-{
-    size_t sum = 0;
-    for (int k = 0; k < LEVELS_MAX; k++, w = (w + 1) / 2, h = (h + 1) / 2)
-        sum += 2 * w * h;
-    return sum;
-}
-
-/* Workspace of the maps that need most of each. */
-static err_t layout_work(struct seed *s, struct arena *a, const struct extent *maps, int n)
-{
-    size_t levels = 0, pixels = 0, blocks = 0;
-    for (int i = 0; i < n; i++) {
-        const size_t across = (size_t)blocks_across(maps[i].w) + 1;
-        levels = num_max_size(levels, levels_floats((size_t)maps[i].w, (size_t)maps[i].h));
-        pixels = num_max_size(pixels, extent_pixels(&maps[i]));
-        blocks = num_max_size(blocks, across * ((size_t)blocks_across(maps[i].h) + 1));
-    }
-    err_t e = arena_alloc(a, levels, sizeof *s->levels, &s->levels);
-    if (!e)
-        e = arena_alloc(a, pixels, sizeof *s->rho, &s->rho);
-    return e ? e : arena_alloc(a, blocks * BINS, sizeof *s->sum, &s->sum);
 }
 
 static err_t layout(struct seed *s, struct arena *a, const struct extent *maps, int n_views)
@@ -704,7 +559,11 @@ static err_t layout(struct seed *s, struct arena *a, const struct extent *maps, 
         e = arena_alloc(a, n, sizeof *s->score, &s->score);
     if (!e)
         e = arena_alloc(a, extent_total(maps, n_views), sizeof *s->mark, &s->mark);
-    return e ? e : layout_work(s, a, maps, n_views);
+    if (!e)
+        e = arena_alloc(a, extent_total(maps, n_views), sizeof *s->guess, &s->guess);
+    if (!e)
+        e = arena_alloc(a, extent_cover(maps, n_views).at, sizeof *s->smooth, &s->smooth);
+    return e ? e : guess_layout(&s->work, a, maps, n_views);
 }
 
 void seed_plan(struct plan *p, const struct extent *maps, int n, int max, struct gaussians *out)

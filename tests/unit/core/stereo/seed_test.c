@@ -244,6 +244,31 @@ static void test_floating_surface_is_dropped(void **state)
     free_world(&w);
 }
 
+/* Views 1 and 2 confirm each other in something near, which view 3 sees through and view 0 does not
+ * judge. */
+static void test_wrong_matches_are_dropped(void **state)
+{
+    (void)state;
+    struct world w;
+    struct gaussians g;
+    make_world(&w);
+    for (int k = 0; k < VIEWS * MAP * MAP; k++) {
+        const struct camera *c = &w.cams[k / (MAP * MAP)];
+        const float z = 2.0f + c->t[2], u = 2.0f * (float)(k % MAP) + 1.0f;
+        const float v = 2.0f * (float)(k / MAP % MAP) + 1.0f;
+        const float x = (u - c->cx) / c->fx * z - c->t[0], y = (v - c->cy) / c->fy * z - c->t[1];
+        const int view = k / (MAP * MAP);
+        if (view == 0)
+            w.depth.conf[k] = 0.0f;
+        else if (view < 3 && fabsf(x) < 0.2f && fabsf(y) < 0.2f)
+            w.depth.depth[k] = z;
+    }
+    assert_int_equal(seed_run(&w.run, &w.in, MAX, &g), OK);
+    for (int i = 0; i < g.n; i++)
+        assert_true(g.plane[G_MU + 2][i] > 2.5f);
+    free_world(&w);
+}
+
 /* Where nothing is sure, holes are filled from behind: nothing new stands before the surface. */
 static void test_unsure_pixels_are_filled_from_behind(void **state)
 {
@@ -341,6 +366,7 @@ int main(void)
         cmocka_unit_test(test_sky_is_on_the_shell),
         cmocka_unit_test(test_detail_is_given_up),
         cmocka_unit_test(test_floating_surface_is_dropped),
+        cmocka_unit_test(test_wrong_matches_are_dropped),
         cmocka_unit_test(test_unsure_pixels_are_filled_from_behind),
         cmocka_unit_test(test_hole_is_filled_near_its_surface),
         cmocka_unit_test(test_blind_views_are_filled),
