@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # check.sh lint|test|check|long - builds and runs the tests that need no hardware.
 #   lint   the lints and cppcheck
-#   test   after a change: unit tests, kernels, golden data, a few commands; 2 minutes
+#   test   after a change: unit tests but the longest, kernels, golden data, a few commands; 2 minutes
 #   check  before a commit: that, lints, faults, nearly all commands; drivers, store, daemon and
 #          fuzz corpora under ASan and UBSan; warnings of clang; 10 minutes from a fresh clone
 #   long   what check leaves out: the rest under ASan and UBSan, threads under TSan, emulated Arm,
@@ -67,6 +67,7 @@ tests() { # source-folder...
     dir=$(make -s print-B WERROR=1)
     for source in $(find "${@/#/tests/}" -name '*_test.c' | sort); do
         name=$(basename "$source" .c)
+        case " $without " in *" $name "*) continue ;; esac
         later "plain: $name" "$dir/${source%.c}"
     done
 }
@@ -85,6 +86,9 @@ scripts() { # folder-of-the-build script...
 # ---- what there is to run ----
 
 smoke='bad_input capture formats golden quality'
+# Ten seconds and more each: `test` goes without them.
+without=
+longest='plan_test selfcal_test session_focus_test session_random_test'
 # Half a minute and more each, and other tests look at the same code: these wait for `long`.
 slow='bracket_scene budget lens network selftest shapes simulated size view'
 is_slow() { # name of a script
@@ -202,6 +206,7 @@ mkdir -p build/log
 case ${1-} in
 lint) lints ;;
 test)
+    without=$longest
     plain
     scripts "$(make -s print-B WERROR=1)" $(printf 'tests/e2e/%s.sh ' $smoke)
     ;;
