@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # check.sh lint|test|check|long - builds and runs the tests that need no hardware.
 #   lint   the lints and cppcheck
-#   test   after a change: unit tests but the longest, kernels, golden data, a few commands; 2 minutes
+#   test   after a change: unit tests but the longest, kernels, golden data, a few commands; 2 min
 #   check  before a commit: that, lints, faults, nearly all commands; drivers, store, daemon and
 #          fuzz corpora under ASan and UBSan; warnings of clang; 10 minutes from a fresh clone
 #   long   what check leaves out: the rest under ASan and UBSan, threads under TSan, emulated Arm,
