@@ -129,11 +129,11 @@ lints() {
         core drivers firmware sim
 }
 
-sanitizers() { # edge|inner
+sanitized() { # label edge|inner|tsan sanitizers
     local program
-    build "ASan and UBSan, $1" SAN=address,undefined WERROR=1 "$1-tests"
-    for program in $(make -s "print-${1^^}_PROGRAMS" SAN=address,undefined WERROR=1); do
-        later "asan: $(basename "$program")" $fixed "$program"
+    build "$1, $2" SAN="$3" WERROR=1 "$2-tests"
+    for program in $(make -s "print-${2^^}_PROGRAMS" SAN="$3" WERROR=1); do
+        later "$1: $(basename "$program")" $fixed "$program"
     done
 }
 
@@ -144,15 +144,6 @@ corpora() {
     for target in tests/fuzz/fuzz_*.c; do
         name=$(basename "$target" .c)
         later "asan: $name" $fixed "$dir/tests/fuzz/$name" tests/fuzz/corpus/"${name#fuzz_}"/*
-    done
-}
-
-threads() {
-    local program name
-    build TSan SAN=thread WERROR=1 tsan-tests
-    for program in $(make -s print-TSAN_PROGRAMS SAN=thread WERROR=1); do
-        name=$(basename "$program")
-        later "tsan: $name" $fixed "$program"
     done
 }
 
@@ -215,7 +206,7 @@ check)
     commands is_quick
     plain
     tests fault
-    sanitizers edge
+    sanitized asan edge address,undefined
     corpora
     build "warnings of clang" CC=clang WERROR=1 CFLAGS=-fsyntax-only objects
     lints
@@ -230,8 +221,8 @@ long)
     later "10140 brackets: bracket_random_test" env TAKES=10140 "$unit/bracket_random_test"
     export CALLS=2000
     scripts "$dir" tests/e2e/bystanders.sh
-    sanitizers inner
-    threads
+    sanitized asan inner address,undefined
+    sanitized tsan tsan thread
     arm
     arm_package
     ;;

@@ -505,11 +505,11 @@ static void describe_corner(struct corner_view *c, int k, int warp)
     struct warped cut;
     const struct corner *at = c->at + k;
     int8_t *descriptor = c->descriptor[warp] + (size_t)k * CORNER_DESCRIPTOR;
-    warp_matrix(warp, m);
     for (int s = 0; s < 2; s++) {
         const struct corner_level *l = c->level + at->level + 2 * s;
         float *part = hist + s * HALF;
         if (warp) {
+            warp_matrix(warp, m);
             cut_warped(l, at, m, &cut);
             build_half(&cut.level, 0.5f * WARPED, 0.5f * WARPED, part);
         } else

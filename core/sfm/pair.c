@@ -372,18 +372,11 @@ static bool has_corners(const struct pair_views *m, const struct pair *c)
     return m->view[c->a].n >= PAIR_LEAST && m->view[c->b].n >= PAIR_LEAST;
 }
 
-/* Whether links of a pair are those with view b warped so. */
-static bool has_warp(const struct pair *c, int warp)
-{
-    return warp == 0 || (warp > 1 && c->tilted);
-}
-
-static void link_all(const struct pair_views *m, struct pair *c, struct pair_workspace *w)
+/* The links of upright b alone. */
+static void link_upright(const struct pair_views *m, struct pair *c, struct pair_workspace *w)
 {
     c->n = 0;
-    for (int i = 0; i < CORNER_WARPS; i++)
-        if (has_warp(c, i))
-            link_warp(m, c, i, w);
+    link_warp(m, c, 0, w);
 }
 
 /* Whether one geometry explains more links than of the pair as it was before. */
@@ -398,7 +391,7 @@ void pair_search(const struct pair_views *m, struct pair_workspace *w, struct pa
     c->known = c->tilted = false;
     if (!has_corners(m, c))
         return;
-    link_all(m, c, w);
+    link_upright(m, c, w);
     find_geometry(m, c, w->match);
 }
 
@@ -409,7 +402,7 @@ void pair_turn(const struct pair_views *m, struct pair_workspace *w, struct pair
     const struct pair upright = *c;
     for (c->turn = 1; c->turn < CORNER_TURNS && has_corners(m, c); c->turn++) {
         if (turns >> c->turn & 1)
-            link_all(m, c, w);
+            link_upright(m, c, w);
         if (turns >> c->turn & 1 && c->n > most) {
             most = c->n;
             best = c->turn;
@@ -419,11 +412,11 @@ void pair_turn(const struct pair_views *m, struct pair_workspace *w, struct pair
     if (!best)
         return;
     c->turn = best;
-    link_all(m, c, w);
+    link_upright(m, c, w);
     find_geometry(m, c, w->match);
     if (!is_better(c, &upright)) {
         *c = upright;
-        link_all(m, c, w);
+        link_upright(m, c, w);
     }
 }
 
@@ -433,11 +426,12 @@ void pair_tilt(const struct pair_views *m, struct pair_workspace *w, struct pair
     if (!has_corners(m, c))
         return;
     c->tilted = true;
-    link_all(m, c, w);
+    for (int i = 2; i < CORNER_WARPS; i++)
+        link_warp(m, c, i, w);
     find_geometry(m, c, w->match);
     if (!is_better(c, &flat)) {
         *c = flat;
-        link_all(m, c, w);
+        link_upright(m, c, w);
     }
 }
 
@@ -447,7 +441,7 @@ void pair_complete(const struct pair_views *m, struct pair_workspace *w, struct 
         find_geometry(m, c, w->match);
     c->n = 0;
     for (int i = 0; i < CORNER_WARPS && c->known; i++) {
-        if (!has_warp(c, i))
+        if (i == 1 || (i > 1 && !c->tilted)) // a is turned, never b
             continue;
         choose_warp(m, c, i, w);
         clear_nearest(m, c, w);
