@@ -68,6 +68,11 @@ static const struct key keys[] = {
      "int8 parts in floats, summed: 1 blocks, 2 attention, 4 heads, 8 special tokens", WHOLE, NULL,
      0},
 
+    {"rig.file", FIELD(rig_file), 0, 0, 1, 0,
+     "calibration of a rig of several cameras, of hdrig rig calibrate", TEXT, "", 0},
+    {"rig.moved", FIELD(rig_moved), 0, 0, 1, 0,
+     "a camera that has moved since: its new place is found, used as it was, or refused", WORD,
+     "solve|warn|refuse", 0},
     {"camera.", FIELD(camera), 0, 0, 1, 0,
      "cameras of the rig: v4l2:PATH, libcamera:ID, replay:DIR, sim:seed=N", TEXT, "",
      CONFIG_CAMERAS},

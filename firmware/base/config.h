@@ -42,6 +42,8 @@ struct config {
     int net_float_parts; // NET_FLOAT_ bits of core/net/net.h
 
     /* the rig; "": not set */
+    char rig_file[CONFIG_TEXT];
+    int rig_moved; // enum recipe_moved
     char camera[CONFIG_CAMERAS][CONFIG_TEXT]; // URIs
     int camera_w, camera_h;                   // px; 0: the camera's own
     int camera_format;                        // enum camera_format

@@ -258,6 +258,8 @@ void cmd_imageset(const struct config *cfg, const struct network *network,
 {
     rq->lenses = (enum physcam_rule)cfg->cameras_same;
     rq->may_lack_times = network && !network_needs_exposures(network);
+    if (!rq->rig && cfg->rig_file[0] && !(rq->more && rq->more[0]) && raw_take_is(rq->images))
+        rq->rig = cfg->rig_file;
     if (!rq->rig || strcmp(rq->rig, "none") != 0)
         return;
     rq->no_cameras = true;
@@ -311,6 +313,7 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                              .stereo = cfg->start_stereo != 0,
                              .fov_deg = (float)cfg->cameras_fov_deg,
                              .lens = (enum recipe_lens)cfg->cameras_lens,
+                             .moved = RECIPE_MOVED_TRUST,
                              .principal = cfg->cameras_principal != 0,
                              .refine = {.steps = cfg->refine_steps,
                                         .degree_max = cfg->refine_sh_degree_max,

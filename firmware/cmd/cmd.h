@@ -120,8 +120,8 @@ MUST_USE err_t cmd_network(const struct cmd_model *m, const struct config *cfg, 
 MUST_USE err_t cmd_shipped(const struct cmd_model *m, const struct capture *c, struct network *own,
                            const struct network **out);
 
-/* Set the request's fields that follow from rig and network: "none" as rig, and exposures that may
- * be missing. */
+/* Set the request's fields that follow from rig and network: rig.file if it is the take of a rig,
+ * "none" as rig, and exposures that may be missing. */
 void cmd_imageset(const struct config *cfg, const struct network *network,
                   struct imageset_request *request);
 

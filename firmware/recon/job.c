@@ -6,6 +6,7 @@
 #include "firmware/recon/figures.h"
 #include "firmware/recon/shading.h"
 #include "firmware/recon/start.h"
+#include "firmware/recon/verify.h"
 #include "firmware/result/draw.h"
 
 #include "core/base/gaussians.h"
@@ -167,6 +168,8 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = find_response(r, &recipe, out);
     if (!e)
         e = start_scene(&start);
+    if (!e && verify_wanted(cfg, &recipe))
+        e = verify_run(r, cfg->moved, out);
     if (!e && recipe.network)
         e = start_network(&start);
     if (!e && recipe.bundle)
@@ -240,6 +243,8 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         plan_refuse(p);
     arena_step(&p->tmp, response_plan(small));
     exposure_stack_choose_plan(p, small);
+    if (verify_wanted(cfg, recipe))
+        verify_plan(p, small);
     start_plan(p, cfg, recipe, small, lenses_count(c));
     if (recipe->size > recipe->work)
         enlarge_plan(p, c, cfg->source, recipe);
@@ -353,6 +358,7 @@ static void report_making(const struct job_result *j, struct report *rep)
     report_number(rep, "held_out_psnr", held_out ? (double)j->refine.held_out_db[1] : NAN);
     report_close(rep);
     lenses_report(j, rep);
+    verify_report(j, rep);
     shading_report(j, rep);
     report_words(rep, "undistorted", j->n_lenses, j->lenses[0], sizeof j->lenses[0]);
     report_open(rep, "modelled", '[');

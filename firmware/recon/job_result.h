@@ -9,6 +9,7 @@
 #include "core/refine/refine.h"
 #include "core/refine/shade_fit.h"
 #include "core/sfm/bundle.h"
+#include "core/sfm/rigcheck.h"
 
 enum job_stage {
     JOB_PREPROCESS,
@@ -57,6 +58,12 @@ struct job_light {
     struct shade_fit_camera found;
 };
 
+/* A camera of a calibrated rig, checked. */
+struct job_rig_camera {
+    char name[NAME_CAP];
+    struct rigcheck_camera check;
+};
+
 struct job_result {
     const struct capture *capture; // the job's
     struct views views;            // in keep; n is 0 if the photographs are not at hand
@@ -82,6 +89,8 @@ struct job_result {
     struct job_lens found[BUNDLE_VIEWS_MAX]; // where cameras were not known
     int n_light;                             // 0: not looked at
     struct job_light light[SHADE_FIT_CAMERAS];
+    int n_rig; // 0: not checked
+    struct job_rig_camera rig[BUNDLE_VIEWS_MAX];
     int n_lenses;
     char lenses[JOB_LENSES][160]; // how photographs were undistorted, a sentence for each lens
     int n_warnings;

@@ -13,6 +13,14 @@
 /* Lens model of cameras that are not known. */
 enum recipe_lens { RECIPE_LENS_AUTO, RECIPE_LENS_PINHOLE, RECIPE_LENS_FISHEYE };
 
+/* What happens to cameras of a calibrated rig that have moved. */
+enum recipe_moved {
+    RECIPE_MOVED_SOLVE,
+    RECIPE_MOVED_WARN,
+    RECIPE_MOVED_REFUSE,
+    RECIPE_MOVED_TRUST
+};
+
 struct job_config {
     int size;        // px, longest edge of the pictures that the scene is refined with
     bool size_fixed; // a budget does not make it smaller
@@ -26,6 +34,7 @@ struct job_config {
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
     float fov_deg; // of cameras that are not known, horizontal; 0: to be found
     enum recipe_lens lens;
+    enum recipe_moved moved;          // of cameras that are known; TRUST: they are not checked
     bool principal;                   // look for the principal points of such lenses, too
     const struct prep_source *source; // of the pixels; NULL: they are in the capture
     float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set

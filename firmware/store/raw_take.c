@@ -125,6 +125,14 @@ static bool find_take(struct folder *f, char manifest[FILE_PATH_CAP])
     return file_join(f->take, MANIFEST_FILE, manifest) == OK && file_is_regular(manifest);
 }
 
+bool raw_take_is(const char *images)
+{
+    struct folder f = {.images = images};
+    char manifest[FILE_PATH_CAP];
+    return (file_join(images, MANIFEST_FILE, manifest) == OK && file_is_regular(manifest)) ||
+           (strlen(images) < FILE_PATH_CAP && find_take(&f, manifest));
+}
+
 static const struct raw_take_frame *find_frame(const struct folder *f, const char *name)
 {
     for (int i = 0; i < f->facts.n; i++)

@@ -23,6 +23,9 @@ struct raw_take {
  * err:  ERR_FORMAT, ERR_NOMEM. On error *out is zeroed. */
 MUST_USE err_t raw_take_parse(const char *what, const char *text, size_t n, struct raw_take *out);
 
+/* Whether a folder of photographs is a take, or the pictures of one. */
+bool raw_take_is(const char *images);
+
 /* Gains of the manifest: digital and colour gains act behind numbers that are raw, else a take has
  * a digital gain of 1 (bracket.h); exposures have the analogue gain.
  *

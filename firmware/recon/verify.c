@@ -1,0 +1,103 @@
+#include "firmware/recon/verify.h"
+
+#include "core/photo/exposure_stack.h"
+#include "core/sfm/match.h"
+
+#include <string.h>
+
+bool verify_wanted(const struct job_config *cfg, const struct recipe *recipe)
+{
+    return cfg->moved != RECIPE_MOVED_TRUST && recipe->cameras == RECIPE_GIVEN &&
+           recipe->places >= RIGCHECK_LEAST && recipe->places <= BUNDLE_VIEWS_MAX;
+}
+
+void verify_plan(struct plan *p, const struct views *v)
+{
+    const size_t mark = arena_mark(&p->tmp), keep = arena_mark(&p->keep);
+    struct match_tracks tracks;
+    exposure_stack_merge_plan(p, v);
+    match_plan(p, v, 0, &tracks);
+    rigcheck_plan(p, v->n, &tracks);
+    arena_reset(&p->keep, keep);
+    arena_reset(&p->tmp, mark);
+}
+
+static void name_moved(struct job_result *out, int i, enum recipe_moved what)
+{
+    const struct rigcheck_camera *c = &out->rig[i].check;
+    job_result_warn(out,
+                    "the camera of %.64s has moved since the rig was calibrated: turned by %.2f "
+                    "degrees, shifted by %.1f %% of its distance to the scene (what it sees is "
+                    "%.1f px off); %s",
+                    out->views.names[i], (double)c->turned_deg, 100 * (double)c->shift,
+                    (double)c->off_px,
+                    what == RECIPE_MOVED_SOLVE ? "the scene is made with its camera as it is now"
+                                               : "calibrate the rig again");
+}
+
+static err_t act(enum recipe_moved what, struct job_result *out)
+{
+    int moved = 0, unknown = 0;
+    for (int i = 0; i < out->n_rig; i++) {
+        const struct rigcheck_camera *c = &out->rig[i].check;
+        moved += c->moved;
+        unknown += !c->known;
+        if (c->moved)
+            name_moved(out, i, what);
+        if (c->moved && what == RECIPE_MOVED_SOLVE)
+            out->scene.cams[i] = c->cam;
+    }
+    if (unknown)
+        job_result_warn(out,
+                        "%d of %d cameras could not be checked against the rig's calibration: too "
+                        "few points that two others see",
+                        unknown, out->n_rig);
+    if (moved && what == RECIPE_MOVED_REFUSE)
+        return err_fail(ERR_ARG, "%s", out->warnings[out->n_warnings - 1 - (unknown > 0)]);
+    return OK;
+}
+
+err_t verify_run(const struct run *r, enum recipe_moved what, struct job_result *out)
+{
+    const size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep);
+    struct rigcheck_camera found[BUNDLE_VIEWS_MAX];
+    struct match_tracks tracks;
+    struct tonemap tone;
+    struct views v;
+    if (r->progress)
+        r->progress(r->progress_ctx, "rig", 0, 1, NULL);
+    err_t e = exposure_stack_merge(r, &out->views, &out->response, &v, &tone);
+    if (!e)
+        e = match_run(r, &v, NULL, NULL, &tracks);
+    if (!e)
+        e = rigcheck_run(r, &v, &tracks, out->scene.cams, found);
+    arena_reset(r->keep, keep);
+    arena_reset(r->tmp, mark);
+    out->n_rig = e ? 0 : out->views.n;
+    for (int i = 0; i < out->n_rig; i++) {
+        out->rig[i].check = found[i];
+        memcpy(out->rig[i].name, out->views.names[i], sizeof out->rig[i].name);
+    }
+    job_result_lap(out, JOB_CAMERAS);
+    return e ? e : act(what, out);
+}
+
+void verify_report(const struct job_result *j, struct report *rep)
+{
+    if (j->n_rig == 0)
+        return;
+    report_open(rep, "rig", '[');
+    for (int i = 0; i < j->n_rig; i++) {
+        const struct rigcheck_camera *c = &j->rig[i].check;
+        report_open(rep, NULL, '{');
+        report_text(rep, "name", j->rig[i].name);
+        report_int(rep, "points", c->seen);
+        report_bool(rep, "checked", c->known);
+        report_bool(rep, "moved", c->moved);
+        report_number(rep, "off_px", (double)c->off_px);
+        report_number(rep, "turned_deg", (double)c->turned_deg);
+        report_number(rep, "shift", (double)c->shift);
+        report_close(rep);
+    }
+    report_close(rep);
+}
