@@ -14,7 +14,7 @@
 enum { SEEN_LEAST = 12, STEPS = 20, TWIST = 6 };
 static const double GATE = 4;              // expected errors of an observation that agrees
 static const double KERNEL = 3;            // medians, width of the loss
-static const double SIGMAS = 2.5; // standard errors; 1.9 are enough for pure noise
+static const double SIGMAS = 2.5;          // standard errors; 1.9 are enough for pure noise
 static const double RAYLEIGH = 1.17741002; // median length of a vector of unit normals
 
 struct check {
@@ -139,10 +139,12 @@ static double median_error(const struct check *c)
     return (double)num_median(c->sorted, (size_t)c->n_at);
 }
 
-/* One step of Gauss-Newton with Cauchy weights of width `kernel`. Returns whether it moved. */
-static bool step_pose(struct check *c, double pose[ADJUST_POSE], double kernel)
+/* Normal equations with Cauchy weights of width `kernel`, factored; false if they are singular. */
+static bool normal_equations(struct check *c, double kernel, double h[TWIST * TWIST],
+                             double g[TWIST])
 {
-    double h[TWIST * TWIST] = {0}, g[TWIST] = {0}, length = 0;
+    memset(h, 0, TWIST * TWIST * sizeof *h);
+    memset(g, 0, TWIST * sizeof *g);
     for (int k = 0; k < c->n_at; k++) {
         struct adjust_jacobian j;
         if (!adjust_jacobian(&c->a, point_of(c, k), &c->a.obs[c->at[k]], &j))
@@ -154,7 +156,14 @@ static bool step_pose(struct check *c, double pose[ADJUST_POSE], double kernel)
     }
     for (int i = 0; i < TWIST; i++)
         h[(TWIST + 1) * i] *= 1 + 1e-6;
-    if (!lin_cholesky(h, TWIST))
+    return lin_cholesky(h, TWIST);
+}
+
+/* One step of Gauss-Newton. Returns whether it moved. */
+static bool step_pose(struct check *c, double pose[ADJUST_POSE], double kernel)
+{
+    double h[TWIST * TWIST], g[TWIST], length = 0;
+    if (!normal_equations(c, kernel, h, g))
         return false;
     lin_solve(h, TWIST, g);
     for (int i = 0; i < TWIST; i++)
@@ -170,6 +179,25 @@ static void fit_pose(struct check *c, double pose[ADJUST_POSE])
     for (int k = 0; k < STEPS; k++)
         if (!step_pose(c, pose, fmax(KERNEL * median_error(c), 1)))
             break;
+}
+
+/* Standard errors of the pose: its rotation, rad, and its centre. */
+static void pose_deviations(struct check *c, double out[2])
+{
+    const double sigma = median_error(c) / RAYLEIGH;
+    double h[TWIST * TWIST], g[TWIST];
+    out[0] = out[1] = INFINITY;
+    if (!normal_equations(c, fmax(KERNEL * median_error(c), 1), h, g))
+        return;
+    out[0] = out[1] = 0;
+    for (int i = 0; i < TWIST; i++) {
+        double unit[TWIST] = {0};
+        unit[i] = 1;
+        lin_solve(h, TWIST, unit);
+        out[i / 3] += sigma * sigma * unit[i];
+    }
+    out[0] = sqrt(out[0]);
+    out[1] = sqrt(out[1]);
 }
 
 static double centre_distance(const double a[ADJUST_POSE], const double b[ADJUST_POSE])
@@ -192,9 +220,9 @@ static double angle_between(const double a[ADJUST_POSE], const double b[ADJUST_P
     return sqrt(lin_dot(w, w)) * 180 / NUM_PI;
 }
 
-/* Compare the pose `now` with that of the rig, which a->pose has. */
+/* Compare the pose `now`, of these standard errors, with that of the rig, which a->pose has. */
 static void compare(struct check *c, int view, const double now[ADJUST_POSE],
-                    struct rigcheck_camera *out)
+                    const double deviation[2], struct rigcheck_camera *out)
 {
     double *pose = c->a.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE];
     struct adjust_jacobian a, b;
@@ -213,9 +241,11 @@ static void compare(struct check *c, int view, const double now[ADJUST_POSE],
     out->off_px = num_median(c->sorted, (size_t)c->n_at);
     for (int k = 0; k < c->n_at; k++)
         c->sorted[k] = (float)adjust_depth(&c->a, view, point_of(c, k));
+    const double depth = fmax((double)num_median(c->sorted, (size_t)c->n_at), 1e-12);
     out->turned_deg = (float)angle_between(was, now);
-    out->shift = (float)(centre_distance(was, now) /
-                         fmax((double)num_median(c->sorted, (size_t)c->n_at), 1e-12));
+    out->turned_sd_deg = (float)(deviation[0] * 180 / NUM_PI);
+    out->shift = (float)(centre_distance(was, now) / depth);
+    out->shift_sd = (float)(deviation[1] / depth);
 }
 
 /* Standard deviation of an observation, px, from their errors at the fitted pose. */
@@ -243,7 +273,7 @@ static err_t check_camera(struct check *c, const struct views *v, int view,
                           struct rigcheck_camera *out)
 {
     double *pose = c->a.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE],
-           now[ADJUST_POSE];
+           now[ADJUST_POSE], deviation[2];
     err_t e = place_without(c, view);
     out->seen = c->n_at;
     out->known = c->n_at >= SEEN_LEAST;
@@ -253,9 +283,10 @@ static err_t check_camera(struct check *c, const struct views *v, int view,
     memcpy(was, pose, sizeof was);
     fit_pose(c, pose);
     const double sigma = observed_sigma(c) * sqrt(TWIST / (double)c->n_at);
+    pose_deviations(c, deviation);
     memcpy(now, pose, sizeof now);
     memcpy(pose, was, sizeof was);
-    compare(c, view, now, out);
+    compare(c, view, now, deviation, out);
     const int edge = num_max(v->extent[view].w, v->extent[view].h);
     out->moved = out->off_px > fmaxf(RIGCHECK_MOVED * (float)edge, (float)(SIGMAS * sigma));
     set_pose(now, &out->cam);

@@ -13,13 +13,14 @@ enum { RIGCHECK_LEAST = 3 }; // cameras: with two one cannot tell which of them 
 #define RIGCHECK_MOVED (1.0f / 900)
 
 struct rigcheck_camera {
-    int seen;          // points that two others place, too
-    bool known;        // these are enough to tell
-    bool moved;        // by more than RIGCHECK_MOVED and 2.5 standard errors
-    float off_px;      // how far what it sees is off, px of the view, median
-    float turned_deg;  // rotation from where the calibration has it
-    float shift;       // distance of the centres over that to the median point
-    struct camera cam; // as fitted if it moved, else as calibrated
+    int seen;                      // points that two others place, too
+    bool known;                    // these are enough to tell
+    bool moved;                    // by more than RIGCHECK_MOVED and 2.5 standard errors
+    float off_px;                  // how far what it sees is off, px of the view, median
+    float turned_deg;              // rotation from where the calibration has it
+    float shift;                   // distance of the centres over that to the median point
+    float turned_sd_deg, shift_sd; // standard errors of these
+    struct camera cam;             // as fitted if it moved, else as calibrated
 };
 
 /* v:    only n, size and extent are read

@@ -139,7 +139,18 @@ static err_t get_stops(const char *what, const struct cJSON *object, const char 
     return e;
 }
 
-/* The physical camera and its light. */
+static err_t get_deviation(const char *what, const struct cJSON *object, struct rig_view *out)
+{
+    out->has_deviation = json_member(object, "deviation") != NULL;
+    err_t e = out->has_deviation ? json_floats(what, object, "deviation", 2, out->deviation) : OK;
+    for (int k = 0; k < 2 && !e; k++)
+        if (!(out->deviation[k] >= 0))
+            e = err_fail(ERR_FORMAT, "%s: \"deviation\" of %g, must be 0 or more", what,
+                         (double)out->deviation[k]);
+    return e;
+}
+
+/* The physical camera, how well its pose is known, and its light. */
 static err_t get_physical(const char *what, const struct cJSON *object, struct rig_view *out)
 {
     const struct cJSON *light = json_member(object, "light");
@@ -150,9 +161,10 @@ static err_t get_physical(const char *what, const struct cJSON *object, struct r
     if (camera)
         memcpy(out->camera, camera, strlen(camera) + 1);
     out->has_light = light != NULL;
-    if (!light)
-        return OK;
-    err_t e = get_stops(what, light, "vignetting_stops", out->light.term);
+    err_t e = get_deviation(what, object, out);
+    if (!light || e)
+        return e;
+    e = get_stops(what, light, "vignetting_stops", out->light.term);
     return e ? e : get_stops(what, light, "gain_stops", out->light.gain);
 }
 
@@ -260,6 +272,9 @@ static void put_physical(FILE *f, const struct rig_view *v)
         fputs(",\n     \"camera\": ", f);
         json_put_string(f, v->camera);
     }
+    if (v->has_deviation)
+        fprintf(f, ",\n     \"deviation\": [%.9g, %.9g]", (double)v->deviation[0],
+                (double)v->deviation[1]);
     if (!v->has_light)
         return;
     fputs(",\n     \"light\": {", f);

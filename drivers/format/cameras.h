@@ -8,7 +8,8 @@
  * result are undistorted: there "photograph": {"w": ..., "h": ..., "model": ..., "params": [...]}
  * tells how the photograph of this view was taken. "camera" names the physical camera, and "light":
  * {"vignetting_stops": [v2, v4, v6], "gain_stops": [r, g, b]} is what it does to light
- * (core/photo/shade.h), if that is known. Numbers have nine digits, params seventeen:
+ * (core/photo/shade.h), if that is known. "deviation": [degrees, share] has
+ * the standard errors of a calibrated pose. Numbers have nine digits, params seventeen:
  * written and read back they are the same.
  * thread: any. */
 #ifndef FORMAT_CAMERAS_H
@@ -36,6 +37,9 @@ struct rig_view {
     char camera[NAME_CAP]; // physical camera; empty: not known
     bool has_light;
     struct shade_model light;
+    bool has_deviation;
+    float deviation[2]; // standard errors: of the rotation, degrees; of the centre, as a share of
+                        // the distance to what it sees; >= 0
 };
 
 /* Known cameras; no two have the same name. */

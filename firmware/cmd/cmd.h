@@ -183,6 +183,7 @@ int cmd_status_run(int argc, char **argv);
 int cmd_session_run(int argc, char **argv);
 int cmd_cancel_run(int argc, char **argv);
 int cmd_calibrate_run(int argc, char **argv);
+int cmd_rig_run(int argc, char **argv);
 int cmd_selftest_run(int argc, char **argv);
 int cmd_bench_run(int argc, char **argv);
 int cmd_doctor_run(int argc, char **argv);
