@@ -1,0 +1,69 @@
+#!/usr/bin/env bash
+# A rig of six simulated cameras: calibrated from takes, then known to reconstructions, which check
+# it; a camera that is elsewhere than the calibration says; takes that do not fit; bad files.
+. tests/e2e/common.bash
+RIG=$OUT/rig.json
+
+take() { # name, views...
+    local name=$1 view cameras=()
+    shift
+    for view in "$@"; do
+        cameras+=(--camera "sim:kind=room,seed=5,size=224,samples=1,fps=100,views=6,view=$view")
+    done
+    succeed capture "${cameras[@]}" --out "$OUT/$name"
+}
+
+quick() { # scene, arguments...: of the second take, without refinement
+    local scene=$1
+    shift
+    succeed reconstruct --images "$OUT/two" --out "$OUT/$scene" --refine 0 --model none "$@"
+}
+
+moved() { # scene: how many cameras the report says have moved
+    grep -c '"moved": true' "$OUT/$1/report.json"
+}
+
+take one 0 1 2 3 4 5
+take two 0 1 2 3 4 5
+succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
+grep -q '6 cameras from 2 takes' "$OUT/stdout.txt" || fail "calibrate says: $(cat "$OUT/stdout.txt")"
+[ "$(grep -c deviation "$RIG")" = 6 ] || fail "no deviations in $(cat "$RIG")"
+
+# known, and as the calibration says
+quick known --set "rig.file=$RIG"
+[ "$(grep -c '"checked": true' "$OUT/known/report.json")" = 6 ] || fail "cameras are not checked"
+[ "$(moved known)" = 0 ] || fail "still cameras are accused: $(cat "$ERR")"
+grep -q '"found": true' "$OUT/known/report.json" && fail "known cameras were searched"
+
+# without the setting, or with other cameras given, they are not
+quick alone
+grep -q '"rig"' "$OUT/alone/report.json" && fail "a rig is checked without rig.file"
+quick other --set "rig.file=$RIG" --rig none
+grep -q '"rig"' "$OUT/other/report.json" && fail "--rig none does not win"
+
+# the fourth camera looks two pixels to the side
+awk '/"cx"/ && ++n == 4 { sub(/"cx": [0-9.]*/, "\"cx\": 115") } { print }' "$RIG" >"$OUT/off.json"
+quick solved --set "rig.file=$OUT/off.json"
+[ "$(moved solved)" = 1 ] || fail "solve: $(cat "$ERR")"
+grep -q 'warning: the camera of train_03_0[0-9].png has moved.*as it is now' "$ERR" ||
+    fail "solve does not name the camera: $(cat "$ERR")"
+quick warned --set "rig.file=$OUT/off.json" --set rig.moved=warn
+grep -q 'train_03_0[0-9].png has moved.*calibrate the rig again' "$ERR" || fail "warn: $(cat "$ERR")"
+expect 1 'train_03_0[0-9].png has moved' reconstruct --images "$OUT/two" --out "$OUT/refused" \
+    --refine 0 --model none --set "rig.file=$OUT/off.json" --set rig.moved=refuse
+nothing_at "$OUT/refused"
+
+# takes that are not of this rig, or of none
+take less 0 1 2 3 4
+expect 1 'less has 5 cameras, .*one has 6: all takes must be of one rig' \
+    rig calibrate "$OUT/one" "$OUT/less" --out "$OUT/no.json"
+nothing_at "$OUT/no.json"
+expect 1 'rig.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" --set "rig.file=$OUT/none/rig.json"
+printf '{"cameras": [' >"$OUT/cut.json"
+expect 1 'cut.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" --set "rig.file=$OUT/cut.json"
+take single 0
+expect 1 'single: 1 cameras, a rig of 2 to 64' rig calibrate "$OUT/single" --out "$OUT/no.json"
+expect 1 'two/images/none: ' rig calibrate "$OUT/two/images/none" --out "$OUT/no.json"
+expect 2 'the word calibrate is needed' rig --out "$OUT/no.json"
+expect 2 'takes and --out are needed' rig calibrate --out "$OUT/no.json"
+finish
