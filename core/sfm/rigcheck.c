@@ -1,5 +1,5 @@
-/* Of the cameras that do not fit, the one without which the others agree best has moved; it is taken
- * out, and the rest is checked again. */
+/* Of the cameras that do not fit, the one without which the others agree best has moved; it is
+ * taken out, and the rest is checked again. */
 #include "core/sfm/rigcheck.h"
 
 #include "core/base/lin.h"
@@ -130,8 +130,8 @@ static const double *point_of(const struct check *c, int k)
     return c->a.point + 4 * (size_t)k;
 }
 
-/* Median error of the observations at the present pose, expected errors; those without pixel are far
- * off. */
+/* Median error of the observations at the present pose, expected errors; those without pixel are
+ * far off. */
 static double median_error(const struct check *c)
 {
     for (int k = 0; k < c->n_at; k++)

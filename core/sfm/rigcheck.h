@@ -1,5 +1,5 @@
-/* rigcheck.h - whether the cameras of a calibrated rig are still where its calibration has them: each
- * camera's pose is fitted to points that the others place, and compared.
+/* rigcheck.h - whether the cameras of a calibrated rig are still where its calibration has them:
+ * each camera's pose is fitted to points that the others place, and compared.
  * Pure computation on the pool; the result does not depend on the number of threads. */
 #ifndef SFM_RIGCHECK_H
 #define SFM_RIGCHECK_H

@@ -4,6 +4,7 @@
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 #include "drivers/format/name.h"
+#include "drivers/format/origin.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -317,7 +318,8 @@ err_t cameras_write(const char *path, const struct rig *rig)
     if (e)
         return e;
     fputs(
-        "{\n  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
+        "{\n  \"generator\": \"" ORIGIN_GENERATOR "\",\n"
+        "  \"convention\": \"x right, y down, z forward; X_cam = R(q) X_world + t, q = w,x,y,z; "
         "u = fx x/z + cx in px, pixel centres at .5\",\n  \"cameras\": [\n",
         f);
     for (int i = 0; i < rig->n; i++) {

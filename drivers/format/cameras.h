@@ -1,5 +1,5 @@
 /* cameras.h - known cameras by image name, and their file cameras.json:
- *   {"convention": "...",
+ *   {"generator": "hdrig", "convention": "...",
  *    "cameras": [{"name": "a.png", "w": 448, "h": 448, "fx": ..., "fy": ..., "cx": ..., "cy": ...,
  *                 "q": [w,x,y,z], "t": [x,y,z], "exposure_log2": ...,
  *                 "model": "OPENCV", "params": [...]}, ...]}

@@ -3,9 +3,11 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/recon/rigcal.h"
 
-#include "core/base/num.h"
+#include "drivers/format/origin.h"
+#include "drivers/format/partial.h"
 
-#include <stdlib.h>
+#include <math.h>
+
 #include <string.h>
 
 struct request {
@@ -58,9 +60,25 @@ static void print_result(const struct request *rq, const struct rigcal_result *r
         const struct job_lens *l = &r->notes->found[i];
         printf("%s: %d camera%s %s%s, focal length %.1f +- %.1f of %d px\n", rq->out,
                l->photographs, l->photographs == 1 ? "" : "s",
-               l->photographs == 1 ? "has a lens " : "have one lens ", lens_name(l->lens.model),
+               l->photographs == 1 ? "has a lens, " : "share a lens, ", lens_name(l->lens.model),
                l->lens.fx, l->lens.fx * l->selfcal.deviation[0], l->edge);
     }
+}
+
+/* A former calibration is replaced in one step. */
+static err_t write_rig(const struct request *rq, const struct rig *rig)
+{
+    char at[FILE_PATH_CAP];
+    struct partial partial;
+    err_t e = partial_open(rq->out, &partial);
+    if (!e)
+        e = partial_path(&partial, rq->out, at);
+    if (!e)
+        e = cameras_write(at, rig);
+    if (!e)
+        e = partial_show(&partial, rq->out);
+    partial_close(&partial);
+    return e;
 }
 
 static err_t calibrate(const struct request *rq, struct state *st)
@@ -68,7 +86,7 @@ static err_t calibrate(const struct request *rq, struct state *st)
     struct job_config cfg = cmd_job(&rq->cfg, NULL, false);
     const struct rigcal_job job = {rq->n, st->take, &cfg};
     struct job_memory need;
-    err_t e = OK;
+    err_t e = origin_check_place(rq->out);
     for (int i = 0; i < rq->n && !e; i++)
         e = list_take(rq, i, st);
     if (!e)
@@ -84,7 +102,7 @@ static err_t calibrate(const struct request *rq, struct state *st)
         e = rigcal_run(&st->engine.run, &job, &st->result);
     progress_end(&st->engine.progress);
     if (!e)
-        e = cameras_write(rq->out, &st->result.rig);
+        e = write_rig(rq, &st->result.rig);
     if (!e)
         print_result(rq, &st->result);
     return e;

@@ -1,5 +1,5 @@
-/* rigcal.h - the calibration of a rig from takes of it: lens and pose of each camera, which all takes
- * share, with what each of them shows. */
+/* rigcal.h - the calibration of a rig from takes of it: lens and pose of each camera, which all
+ * takes share. */
 #ifndef RECON_RIGCAL_H
 #define RECON_RIGCAL_H
 

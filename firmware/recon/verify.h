@@ -1,5 +1,5 @@
-/* verify.h - the cameras of a calibrated rig against a take: what the photographs show tells which of
- * them have moved since. */
+/* verify.h - the cameras of a calibrated rig against a take: the photographs tell which of them
+ * have moved since. */
 #ifndef RECON_VERIFY_H
 #define RECON_VERIFY_H
 

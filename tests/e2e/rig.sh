@@ -26,8 +26,17 @@ moved() { # scene: how many cameras the report says have moved
 take one 0 1 2 3 4 5
 take two 0 1 2 3 4 5
 succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
-grep -q '6 cameras from 2 takes' "$OUT/stdout.txt" || fail "calibrate says: $(cat "$OUT/stdout.txt")"
+grep -q '6 cameras from 2 takes' "$OUT/stdout.txt" || fail "it says: $(cat "$OUT/stdout.txt")"
 [ "$(grep -c deviation "$RIG")" = 6 ] || fail "no deviations in $(cat "$RIG")"
+
+# again, over the former one, but over nothing else
+succeed rig calibrate "$OUT/one" --out "$RIG"
+cp "$RIG" "$OUT/first.json"
+echo mine >"$OUT/mine.json"
+expect 1 'mine.json' rig calibrate "$OUT/one" --out "$OUT/mine.json"
+grep -q mine "$OUT/mine.json" || fail "a file of another program was replaced"
+succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
+cmp -s "$OUT/first.json" "$RIG" && fail "the second take changes nothing"
 
 # known, and as the calibration says
 quick known --set "rig.file=$RIG"
@@ -48,7 +57,8 @@ quick solved --set "rig.file=$OUT/off.json"
 grep -q 'warning: the camera of train_03_0[0-9].png has moved.*as it is now' "$ERR" ||
     fail "solve does not name the camera: $(cat "$ERR")"
 quick warned --set "rig.file=$OUT/off.json" --set rig.moved=warn
-grep -q 'train_03_0[0-9].png has moved.*calibrate the rig again' "$ERR" || fail "warn: $(cat "$ERR")"
+grep -q 'train_03_0[0-9].png has moved.*calibrate the rig again' "$ERR" ||
+    fail "warn: $(cat "$ERR")"
 expect 1 'train_03_0[0-9].png has moved' reconstruct --images "$OUT/two" --out "$OUT/refused" \
     --refine 0 --model none --set "rig.file=$OUT/off.json" --set rig.moved=refuse
 nothing_at "$OUT/refused"
@@ -58,9 +68,11 @@ take less 0 1 2 3 4
 expect 1 'less has 5 cameras, .*one has 6: all takes must be of one rig' \
     rig calibrate "$OUT/one" "$OUT/less" --out "$OUT/no.json"
 nothing_at "$OUT/no.json"
-expect 1 'rig.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" --set "rig.file=$OUT/none/rig.json"
+expect 1 'none/rig.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" \
+    --set "rig.file=$OUT/none/rig.json"
 printf '{"cameras": [' >"$OUT/cut.json"
-expect 1 'cut.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" --set "rig.file=$OUT/cut.json"
+expect 1 'cut.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" \
+    --set "rig.file=$OUT/cut.json"
 take single 0
 expect 1 'single: 1 cameras, a rig of 2 to 64' rig calibrate "$OUT/single" --out "$OUT/no.json"
 expect 1 'two/images/none: ' rig calibrate "$OUT/two/images/none" --out "$OUT/no.json"

@@ -16,12 +16,8 @@ struct setup {
 /* A rig on an arc, 12 degrees apart, whose tracks are half a pixel of noise off. */
 static void make(struct setup *s, int n, int points, uint32_t seed)
 {
-    s->rig = (struct scene_rig){.n_points = points,
-                                .focal = 388,
-                                .noise = 0.5,
-                                .wrong = 0.1,
-                                .reach = 40,
-                                .seed = seed};
+    s->rig = (struct scene_rig){
+        .n_points = points, .focal = 388, .noise = 0.5, .wrong = 0.1, .reach = 40, .seed = seed};
     scene_arc(&s->rig, n, 12 * (n - 1));
     scene_make(&s->rig, &s->tracks);
 }

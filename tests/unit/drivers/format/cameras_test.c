@@ -53,7 +53,9 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              {0, 0, {0}},
                              "Maker \"A\" 50 mm 31x7",
                              true,
-                             {{-0.5, 0.25, 0}, {0.125, 0, -1.5}}},
+                             {{-0.5, 0.25, 0}, {0.125, 0, -1.5}},
+                             true,
+                             {0.0123456789f, 1e-9f}},
                             {"b.png",
                              {1, 65536, 1, 2, 3, 4, {0, 0, 0, -1}, {0, 0, 0}},
                              {0},
@@ -62,7 +64,9 @@ static void what_is_written_is_read_bit_for_bit(void **state)
                              {31, 7, {LENS_RADIAL, 1. / 3, 1. / 3, 2, 3, {-0.1, 1e-9}, 0}},
                              "",
                              false,
-                             {{0}, {0}}}};
+                             {{0}, {0}},
+                             false,
+                             {0}}};
     struct rig in = {.n = 2, .views = v}, out;
     const char *path = tmpdir_path("cameras.json");
     assert_int_equal(cameras_write(path, &in), OK);
@@ -78,6 +82,7 @@ static void what_is_written_is_read_bit_for_bit(void **state)
         assert_int_equal(out.views[i].photograph.w, v[i].photograph.w);
         assert_string_equal(out.views[i].camera, v[i].camera);
         assert_true(out.views[i].has_light == v[i].has_light);
+        assert_memory_equal(out.views[i].deviation, v[i].deviation, sizeof v[i].deviation);
         assert_memory_equal(&out.views[i].light, &v[i].light, sizeof v[i].light);
         out.views[i].photograph.lens.limit = 0; // follows from the rest
         assert_memory_equal(&out.views[i].photograph, &v[i].photograph, sizeof v[i].photograph);
@@ -137,13 +142,20 @@ static err_t parse_changed(const char *from, const char *to, struct rig *rig)
 static void numbers_are_checked(void **state)
 {
     (void)state;
-    static const char *const wrong[][2] = {
-        {"\"fx\":5", "\"fx\":0"},     {"\"fy\":5", "\"fy\":-1"},
-        {"\"fx\":5", "\"fx\":1e99"},  {"\"cx\":4", "\"cx\":\"4\""},
-        {"[1,0,0,0]", "[1,0,0]"},     {"[1,0,0,0]", "[1.01,0,0,0]"},
-        {"[1,0,0,0]", "[0,0,0,0]"},   {"[1,0,0,0]", "[1,0,0,null]"},
-        {"\"t\":[0,0,0]", "\"t\":0"}, {"[0,0,0]}", "[0,1e400,0]}"},
-        {"\"w\":8", "\"w\":0"},       {"\"t\":", "\"exposure_log2\":[],\"t\":"}};
+    static const char *const wrong[][2] = {{"\"fx\":5", "\"fx\":0"},
+                                           {"\"fy\":5", "\"fy\":-1"},
+                                           {"\"fx\":5", "\"fx\":1e99"},
+                                           {"\"cx\":4", "\"cx\":\"4\""},
+                                           {"\"fx\":5", "\"fx\":5,\"deviation\":[-1,0]"},
+                                           {"\"fx\":5", "\"fx\":5,\"deviation\":[1]"},
+                                           {"[1,0,0,0]", "[1,0,0]"},
+                                           {"[1,0,0,0]", "[1.01,0,0,0]"},
+                                           {"[1,0,0,0]", "[0,0,0,0]"},
+                                           {"[1,0,0,0]", "[1,0,0,null]"},
+                                           {"\"t\":[0,0,0]", "\"t\":0"},
+                                           {"[0,0,0]}", "[0,1e400,0]}"},
+                                           {"\"w\":8", "\"w\":0"},
+                                           {"\"t\":", "\"exposure_log2\":[],\"t\":"}};
     struct rig rig;
     for (size_t i = 0; i < sizeof wrong / sizeof wrong[0]; i++)
         assert_int_equal(parse_changed(wrong[i][0], wrong[i][1], &rig), ERR_FORMAT);
