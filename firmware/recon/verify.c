@@ -2,6 +2,7 @@
 
 #include "core/photo/exposure_stack.h"
 #include "core/sfm/match.h"
+#include "core/sfm/pose.h"
 
 #include <string.h>
 
@@ -11,12 +12,62 @@ bool verify_wanted(const struct job_config *cfg, const struct recipe *recipe)
            recipe->places >= RIGCHECK_LEAST && recipe->places <= BUNDLE_VIEWS_MAX;
 }
 
+enum { HALVED_FROM = 320 }; // px, views that are checked at half their size: a quarter of the time
+
+static bool is_halved(const struct views *v)
+{
+    return v->size >= HALVED_FROM;
+}
+
+/* Shapes of the halves. */
+static void halve_extents(const struct views *v, struct extent *out)
+{
+    size_t at = 0;
+    for (int i = 0; i < v->n; at += extent_pixels(&out[i++]))
+        out[i] = (struct extent){v->extent[i].w / 2, v->extent[i].h / 2, at};
+}
+
+static err_t layout(uint8_t **rgb, struct arena *tmp, const struct extent *half, int n)
+{
+    return arena_alloc(tmp, 3 * extent_total(half, n), sizeof **rgb, rgb);
+}
+
+/* Means of 2 x 2 px, in tmp. half: their shapes, which *v keeps. */
+static err_t halve_views(const struct run *r, struct extent *half, struct views *v)
+{
+    const struct views from = *v;
+    halve_extents(&from, half);
+    v->extent = half;
+    v->size /= 2;
+    v->n_more = 0;
+    err_t e = layout(&v->rgb, r->tmp, half, v->n);
+    for (int i = 0; i < v->n && !e; i++) {
+        const struct extent *px = &v->extent[i];
+        const size_t row = 3 * (size_t)from.extent[i].w;
+        for (int k = 0; k < 3 * px->w * px->h; k++) {
+            const size_t y = 2 * (size_t)(k / 3 / px->w), x = 2 * (size_t)(k / 3 % px->w);
+            const uint8_t *p = views_rgb(&from, i) + y * row + 3 * x + k % 3;
+            views_rgb(v, i)[k] = (uint8_t)((p[0] + p[3] + p[row] + p[row + 3] + 2) / 4);
+        }
+    }
+    return e;
+}
+
 void verify_plan(struct plan *p, const struct views *v)
 {
     const size_t mark = arena_mark(&p->tmp), keep = arena_mark(&p->keep);
     struct match_tracks tracks;
+    struct extent extent[BUNDLE_VIEWS_MAX];
+    struct views half = *v;
     exposure_stack_merge_plan(p, v);
-    match_plan(p, v, 0, &tracks);
+    if (is_halved(v)) {
+        halve_extents(v, extent);
+        half.extent = extent;
+        half.size /= 2;
+        if (layout(&half.rgb, &p->tmp, extent, v->n))
+            plan_refuse(p);
+    }
+    match_plan(p, &half, 0, &tracks);
     rigcheck_plan(p, v->n, &tracks);
     arena_reset(&p->keep, keep);
     arena_reset(&p->tmp, mark);
@@ -61,16 +112,27 @@ err_t verify_run(const struct run *r, enum recipe_moved what, struct job_result 
 {
     const size_t mark = arena_mark(r->tmp), keep = arena_mark(r->keep);
     struct rigcheck_camera found[BUNDLE_VIEWS_MAX];
+    struct camera cams[BUNDLE_VIEWS_MAX];
+    struct extent half[BUNDLE_VIEWS_MAX];
     struct match_tracks tracks;
     struct tonemap tone;
     struct views v;
     if (r->progress)
         r->progress(r->progress_ctx, "rig", 0, 1, NULL);
     err_t e = exposure_stack_merge(r, &out->views, &out->response, &v, &tone);
+    if (!e && is_halved(&v))
+        e = halve_views(r, half, &v);
+    for (int i = 0; i < v.n && !e; i++)
+        cams[i] = pose_scaled(&out->scene.cams[i], v.extent[i].w, v.extent[i].h);
     if (!e)
         e = match_run(r, &v, NULL, NULL, &tracks);
     if (!e)
-        e = rigcheck_run(r, &v, &tracks, out->scene.cams, found);
+        e = rigcheck_run(r, &v, &tracks, cams, found);
+    for (int i = 0; i < v.n && !e; i++) { // in px of the views
+        const struct extent *px = &out->views.extent[i];
+        found[i].cam = pose_scaled(&found[i].cam, px->w, px->h);
+        found[i].off_px *= (float)px->w / (float)v.extent[i].w;
+    }
     arena_reset(r->keep, keep);
     arena_reset(r->tmp, mark);
     out->n_rig = e ? 0 : out->views.n;
