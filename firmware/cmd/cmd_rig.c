@@ -58,10 +58,9 @@ static void print_result(const struct request *rq, const struct rigcal_result *r
     puts("");
     for (int i = 0; i < r->notes->n_found; i++) {
         const struct job_lens *l = &r->notes->found[i];
-        printf("%s: %d camera%s %s%s, focal length %.1f +- %.1f of %d px\n", rq->out,
-               l->photographs, l->photographs == 1 ? "" : "s",
-               l->photographs == 1 ? "has a lens, " : "share a lens, ", lens_name(l->lens.model),
-               l->lens.fx, l->lens.fx * l->selfcal.deviation[0], l->edge);
+        printf("%s, %d camera%s: %s, focal length %.1f +- %.1f of %d px\n", l->camera_id,
+               l->photographs, l->photographs == 1 ? "" : "s", lens_name(l->lens.model), l->lens.fx,
+               l->lens.fx * l->selfcal.deviation[0], l->edge);
     }
 }
 

@@ -3,16 +3,22 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/result/outdir.h"
 
+#include "core/base/num.h"
+#include "drivers/format/rigfile.h"
 #include "sim/train/dataset.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
+enum { INPUTS_MAX = (SAMPLE_VIEWS + 1) / 2 };
+
 struct request {
     const char *out, *views, *kind, *spread, *orbit, *fov, *exposures, *curve, *samples;
+    const char *rig_path;
     const char *lens[CMD_TEXTS_MAX];
-    struct optics optics[CMD_TEXTS_MAX]; // of `lens`
+    struct optics optics[CMD_TEXTS_MAX]; // of `lens`, or of the rig
+    struct camera rig[INPUTS_MAX];
     bool noise_free, free_hand, depth;
     struct outdir_rules rules;
     struct config cfg;
@@ -80,11 +86,52 @@ static err_t read_optics(struct request *rq, double fov, struct sample_scene *a)
     return e;
 }
 
+/* Where the rig has its cameras, and their lenses. */
+static err_t use_rig(struct request *rq, const struct rig *rig, struct sample_scene *a)
+{
+    if (rig->n < 2 || rig->n > INPUTS_MAX)
+        return err_fail(ERR_ARG, "--rig: %s has %d cameras, allowed are 2 to %d", rq->rig_path,
+                        rig->n, INPUTS_MAX);
+    err_t e = OK;
+    for (int i = 0; i < rig->n && !e; i++) {
+        const struct rig_view *v = &rig->views[i];
+        const struct camera *c = &v->cam;
+        struct optics *o = &rq->optics[i];
+        *o = (struct optics){.w = c->w, .h = c->h, .lens = v->lens, .gain = {1, 1, 1}};
+        if (!lens_distorts(&v->lens))
+            o->lens = (struct lens){
+                .fx = (double)c->fx, .fy = (double)c->fy, .cx = (double)c->cx, .cy = (double)c->cy};
+        rq->rig[i] = *c;
+        if (num_min(c->w, c->h) < OPTICS_SIDE_MIN || num_max(c->w, c->h) > OPTICS_SIDE_MAX)
+            return err_fail(ERR_ARG, "--rig: %s is %d x %d px, allowed are %d to %d", v->name, c->w,
+                            c->h, OPTICS_SIDE_MIN, OPTICS_SIDE_MAX);
+        e = lens_init(&o->lens);
+    }
+    a->n_views = 2 * rig->n - 1;
+    a->rig = rq->rig;
+    a->n_optics = rig->n;
+    a->optics = rq->optics;
+    return e;
+}
+
+static err_t read_rig(struct request *rq, struct sample_scene *a)
+{
+    struct rig rig;
+    if (rq->views || rq->lens[0] || rq->fov || rq->orbit)
+        return err_fail(ERR_ARG, "--rig says how many cameras there are, and their lenses: no "
+                                 "--views, --lens, --fov or --orbit");
+    err_t e = rigfile_read(rq->rig_path, &rig);
+    if (!e)
+        e = use_rig(rq, &rig, a);
+    cameras_free(&rig);
+    return e;
+}
+
 static err_t read_scene(struct request *rq, struct dataset_request *a)
 {
     double spread = 0.3, orbit = 0, fov = 60;
     int views = 9, samples = 6;
-    err_t e = read_whole("--views", rq->views, 2, 32, &views);
+    err_t e = read_whole("--views", rq->views, 2, INPUTS_MAX, &views);
     if (!e)
         e = read_number("--spread", rq->spread, 0, 1, &spread);
     if (!e)
@@ -106,7 +153,7 @@ static err_t read_scene(struct request *rq, struct dataset_request *a)
     /* with more rays per pixel, each needs fewer for its shadows */
     a->sample.quality.shadow = samples < 4 ? 4 / samples : 1;
     if (!e)
-        e = read_optics(rq, fov, &a->sample);
+        e = rq->rig_path ? read_rig(rq, &a->sample) : read_optics(rq, fov, &a->sample);
     if (!e && rq->kind)
         e = parse_choice("--kind", rq->kind, WORLD_WORDS, &a->sample.kind);
     if (!e && orbit > 0 && a->sample.kind != WORLD_PARK)
@@ -132,6 +179,8 @@ static err_t read_request(struct request *rq, struct dataset_request *a)
 
 static void report_optics(const struct request *rq, struct report *rep)
 {
+    if (rq->rig_path)
+        report_text(rep, "rig", rq->rig_path);
     if (!rq->lens[0])
         return;
     report_open(rep, "cameras", '[');
@@ -226,10 +275,15 @@ int cmd_simulate_run(int argc, char **argv)
          "a camera: k1=-0.25,k2=0.05 (k1 k2 p1 p2) or fisheye,k1=.. (k1..k4), fov=70 size=800x600 "
          "v2=-0.3 v4=0.05 cos4 gain=1.1 wb=1.05/1/0.97; several take turns",
          NULL, rq.lens, NULL},
+        {"rig", "PATH",
+         "the cameras of a rig: rig.json, cameras.json, COLMAP; brought to where the views would "
+         "be",
+         NULL, &rq.rig_path, NULL},
         {"free-hand", NULL, "vary height, target and roll of the cameras", NULL, NULL,
          &rq.free_hand},
-        {"exposures", "LIST", "exposure times, relative to the metered one (1/64,1/16,1/4,1,4)",
-         NULL, &rq.exposures, NULL},
+        {"exposures", "LIST",
+         "exposure times, relative to the metered one (0.015625,0.0625,0.25,1,4)", NULL,
+         &rq.exposures, NULL},
         {"curve", "C", "linear, srgb, gamma, filmic, agx, log or random (filmic)", NULL, &rq.curve,
          NULL},
         {"noise-free", NULL, "no noise", NULL, NULL, &rq.noise_free},

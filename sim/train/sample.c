@@ -4,6 +4,8 @@
 #include "sim/train/sample.h"
 
 #include "core/base/num.h"
+#include "core/base/rotation.h"
+#include "core/sfm/similarity.h"
 #include "sim/world/vec.h"
 
 #include <stdatomic.h>
@@ -219,6 +221,7 @@ void sample_plan(struct plan *p, const struct sample_scene *a)
     render_open_plan(&opening);
     arena_step(&p->tmp, opening.tmp.peak);
     (void)alloc_workers(&p->tmp, a, p->threads, workers);
+    arena_step(&p->tmp, similarity_plan((a->n_views + 1) / 2));
     arena_reset(&p->tmp, mark);
 }
 
@@ -266,6 +269,54 @@ static void set_optics(const struct sample_scene *a, struct camera *cams)
     }
 }
 
+/* Halfway between two cameras, intrinsics kept. */
+static void set_between(const struct camera *a, const struct camera *b, struct camera *out)
+{
+    double ca[3], cb[3], q[4], r[9], sign = 0;
+    rotation_centre(a, ca);
+    rotation_centre(b, cb);
+    for (int k = 0; k < 4; k++)
+        sign += (double)a->q[k] * (double)b->q[k];
+    for (int k = 0; k < 4; k++) {
+        q[k] = (double)a->q[k] + (sign < 0 ? -1 : 1) * (double)b->q[k];
+        out->q[k] = (float)q[k];
+    }
+    rotation_from_quat(q, r);
+    rotation_to_quat(r, q);
+    for (int k = 0; k < 4; k++)
+        out->q[k] = (float)q[k];
+    for (int i = 0; i < 3; i++) {
+        double t = 0;
+        for (int k = 0; k < 3; k++)
+            t -= r[3 * i + k] * (ca[k] + cb[k]) / 2;
+        out->t[i] = (float)t;
+    }
+}
+
+static void set_pose(const struct camera *from, struct camera *to)
+{
+    memcpy(to->q, from->q, sizeof to->q);
+    memcpy(to->t, from->t, sizeof to->t);
+}
+
+/* The rig in the place of the views of even number. */
+static err_t place_rig(const struct run *r, const struct sample_scene *a, struct camera *cams)
+{
+    struct camera even[(SAMPLE_VIEWS + 1) / 2];
+    struct similarity w;
+    const int n = (a->n_views + 1) / 2;
+    for (int i = 0; i < n; i++)
+        even[i] = cams[2 * i];
+    err_t e = similarity_fit(r, a->rig, even, n, &w);
+    for (int i = 0; i < n && !e; i++) {
+        const struct camera c = similarity_apply(&w, &a->rig[i]);
+        set_pose(&c, &cams[2 * i]);
+    }
+    for (int i = 0; i + 1 < n && !e; i++)
+        set_between(&cams[2 * i], &cams[2 * i + 2], &cams[2 * i + 1]);
+    return e;
+}
+
 err_t sample_make(const struct run *r, const struct sample_scene *a, float *radiance, float *depth,
                   struct camera *cams, double *key)
 {
@@ -290,8 +341,11 @@ err_t sample_make(const struct run *r, const struct sample_scene *a, float *radi
         world_cameras(&w, &path, a->seed, a->size, cams);
         set_optics(a, cams);
         s.world = world;
-        e = draw_all(&s);
+        if (a->rig)
+            e = place_rig(r, a, cams);
     }
+    if (!e)
+        e = draw_all(&s);
     if (!e)
         *key = metered_key(&s);
     arena_reset(r->tmp, mark);

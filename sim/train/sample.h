@@ -23,6 +23,9 @@ struct sample_scene {
     int n_optics;                  // 0: none, square pictures and fov_deg
     const struct optics *optics;   // (n_optics) of the rig's cameras, which take turns: views 2 i
                                    // and 2 i + 1 are taken by camera i modulo n_optics
+    const struct camera *rig; // ((n_views + 1) / 2) poses of a rig, brought to where the views of
+                              // even number would be; those of odd number stand between two of
+                              // them; NULL: none
 };
 
 /* The number of the camera that takes a view, and what stands before its sensor; 0 and NULL without

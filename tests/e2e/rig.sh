@@ -38,6 +38,19 @@ grep -q mine "$OUT/mine.json" || fail "a file of another program was replaced"
 succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
 cmp -s "$OUT/first.json" "$RIG" && fail "the second take changes nothing"
 
+# the rig photographs other worlds, and is calibrated from them as well as it was there
+for seed in 6 7; do
+    succeed simulate --rig "$RIG" --seed $seed --samples 1 --exposures 0.25,1,4 --out "$OUT/w$seed"
+done
+[ "$(grep -c '^[0-9]* PINHOLE 224 224 ' "$OUT/w6/sparse/0/cameras.txt")" = 6 ] ||
+    fail "a simulated rig has cameras $(cat "$OUT/w6/sparse/0/cameras.txt")"
+succeed rig calibrate "$OUT/w6" "$OUT/w7" --out "$OUT/again.json" --set cameras.same=size
+grep -q warning "$ERR" && fail "a rig that stays: $(cat "$ERR")"
+awk '/"fx"/ { sub(/.*"fx": /, ""); if ($0 + 0 < 192 || $0 + 0 > 197) exit 1 }' "$OUT/again.json" ||
+    fail "focal lengths are not those of the rig: $(cat "$OUT/again.json")"
+expect 2 'no --views, --lens' simulate --rig "$RIG" --views 4 --out "$OUT/refused"
+expect 2 'none.json' simulate --rig "$OUT/none.json" --out "$OUT/refused"
+
 # known, and as the calibration says
 quick known --set "rig.file=$RIG"
 [ "$(grep -c '"checked": true' "$OUT/known/report.json")" = 6 ] || fail "cameras are not checked"
