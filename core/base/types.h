@@ -51,6 +51,7 @@ struct shot {
     struct image8 image;
     double exposure; // linear exposure time x gain, > 0, any common unit; 0 = not known
     bool has_camera;
+    bool calibrated; // cam is that of a rig's calibration
     struct camera cam; // for image.w x image.h
     struct lens lens;  // PINHOLE: image is the photograph as taken; else it was undistorted from
                        // one of taken_w x taken_h px through this lens

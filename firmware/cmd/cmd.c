@@ -313,7 +313,7 @@ struct job_config cmd_job(const struct config *cfg, const struct network *networ
                              .stereo = cfg->start_stereo != 0,
                              .fov_deg = (float)cfg->cameras_fov_deg,
                              .lens = (enum recipe_lens)cfg->cameras_lens,
-                             .moved = RECIPE_MOVED_TRUST,
+                             .moved = (enum recipe_moved)cfg->rig_moved,
                              .principal = cfg->cameras_principal != 0,
                              .refine = {.steps = cfg->refine_steps,
                                         .degree_max = cfg->refine_sh_degree_max,

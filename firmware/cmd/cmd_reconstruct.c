@@ -168,8 +168,6 @@ static err_t prepare_job(struct request *rq, struct state *st, struct job_config
         return e;
     cmd_imageset(&rq->cfg, network, &rq->set);
     *job = cmd_job(&rq->cfg, network, rq->poses);
-    if (rq->set.rig == rq->cfg.rig_file)
-        job->moved = (enum recipe_moved)rq->cfg.rig_moved;
     st->source = cmd_source(&st->set);
     job->source = &st->source;
     rq->set.brackets = !rq->set.may_lack_times && !recipe_forward(job); // for refinement

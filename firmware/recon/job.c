@@ -168,7 +168,7 @@ err_t job_run(const struct run *r, const struct capture *c, const struct job_con
         e = find_response(r, &recipe, out);
     if (!e)
         e = start_scene(&start);
-    if (!e && verify_wanted(cfg, &recipe))
+    if (!e && recipe.check)
         e = verify_run(r, cfg->moved, out);
     if (!e && recipe.network)
         e = start_network(&start);
@@ -243,7 +243,7 @@ static void plan_steps(struct plan *p, const struct capture *c, const struct job
         plan_refuse(p);
     arena_step(&p->tmp, response_plan(small));
     exposure_stack_choose_plan(p, small);
-    if (verify_wanted(cfg, recipe))
+    if (recipe->check)
         verify_plan(p, small);
     start_plan(p, cfg, recipe, small, lenses_count(c));
     if (recipe->size > recipe->work)

@@ -4,6 +4,7 @@
 #include "core/base/num.h"
 #include "core/sfm/bundle.h"
 #include "core/sfm/corner.h"
+#include "core/sfm/rigcheck.h"
 #include "core/splat/raster.h"
 #include "core/stereo/sweep.h"
 
@@ -81,6 +82,9 @@ struct recipe recipe_choose(const struct capture *c, const struct job_config *cf
                          .square = !stereo || cfg->square,
                          .places = prep_places(c),
                          .refinement = cfg->refine};
+    out.check = known && out.places >= RIGCHECK_LEAST && out.places <= BUNDLE_VIEWS_MAX;
+    for (int i = 0; i < c->n; i++)
+        out.check = out.check && c->shots[i].calibrated;
     out.bundle = out.network ? cfg->polish && !tapped && (!known || gaussians) : !known;
     out.cameras = choose_cameras(known, out.bundle);
     out.must_place = out.bundle && (!cfg->network || cfg->cameras_only);

@@ -14,12 +14,7 @@
 enum recipe_lens { RECIPE_LENS_AUTO, RECIPE_LENS_PINHOLE, RECIPE_LENS_FISHEYE };
 
 /* What happens to cameras of a calibrated rig that have moved. */
-enum recipe_moved {
-    RECIPE_MOVED_SOLVE,
-    RECIPE_MOVED_WARN,
-    RECIPE_MOVED_REFUSE,
-    RECIPE_MOVED_TRUST
-};
+enum recipe_moved { RECIPE_MOVED_SOLVE, RECIPE_MOVED_WARN, RECIPE_MOVED_REFUSE };
 
 struct job_config {
     int size;        // px, longest edge of the pictures that the scene is refined with
@@ -34,7 +29,7 @@ struct job_config {
     bool stereo;   // refinement starts from stereo also if a network gave Gaussians
     float fov_deg; // of cameras that are not known, horizontal; 0: to be found
     enum recipe_lens lens;
-    enum recipe_moved moved;          // of cameras that are known; TRUST: they are not checked
+    enum recipe_moved moved;          // of cameras of a calibrated rig
     bool principal;                   // look for the principal points of such lenses, too
     const struct prep_source *source; // of the pixels; NULL: they are in the capture
     float dump_log2t[3];              // exposures of the dumped picture, if run.tap is set
@@ -62,6 +57,7 @@ struct recipe {
     bool correct;    // stereo and photographs correct the network's Gaussians
     bool forward;    // the scene is the network's single forward pass
     bool refine;     // refinement runs, if only to remove transparent Gaussians
+    bool check;      // cameras are those of a rig's calibration: the photographs tell if one moved
     bool tapped;     // run.tap is set: tensors are dumped
     bool square;     // views are squares: a network's depth or Gaussians belong to their pixels
     int size, work;  // px, longest edge of the views: of refinement; of what comes before it

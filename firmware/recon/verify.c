@@ -6,12 +6,6 @@
 
 #include <string.h>
 
-bool verify_wanted(const struct job_config *cfg, const struct recipe *recipe)
-{
-    return cfg->moved != RECIPE_MOVED_TRUST && recipe->cameras == RECIPE_GIVEN &&
-           recipe->places >= RIGCHECK_LEAST && recipe->places <= BUNDLE_VIEWS_MAX;
-}
-
 enum { HALVED_FROM = 320 }; // px, views that are checked at half their size: a quarter of the time
 
 static bool is_halved(const struct views *v)

@@ -7,9 +7,6 @@
 #include "firmware/recon/recipe.h"
 #include "firmware/result/report.h"
 
-/* Whether this job's cameras are to be checked. */
-bool verify_wanted(const struct job_config *cfg, const struct recipe *recipe);
-
 /* Count the memory of verify_run; of v only numbers and shapes are read. */
 void verify_plan(struct plan *p, const struct views *v);
 
