@@ -2,6 +2,8 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/daemon/daemon.h"
 
+#include "drivers/format/rigfile.h"
+
 #include "drivers/format/file.h"
 
 #include <getopt.h>
@@ -55,6 +57,27 @@ static err_t scan_options(int argc, char **argv, struct request *q, struct confi
     return e;
 }
 
+/* The rig's calibration can be read, and has every camera. */
+static err_t check_calibration(const struct config *c)
+{
+    struct rig rig;
+    if (!c->rig_file[0])
+        return OK;
+    err_t e = rigfile_read(c->rig_file, &rig);
+    for (int i = 0; i < CONFIG_CAMERAS && !e; i++) {
+        char name[NAME_CAP];
+        bool has = true;
+        snprintf(name, sizeof name, "train_%02d_00.png", i); // as in a take
+        if (c->camera[i][0])
+            e = cameras_has(c->rig_file, &rig, name, &has);
+        if (!e && !has)
+            e = err_fail(ERR_FORMAT, "%s has no camera.%d: calibrate the rig again", c->rig_file,
+                         i + 1);
+    }
+    cameras_free(&rig);
+    return e ? err_fail(e, "rig.file: %s", err_text()) : OK;
+}
+
 static err_t load_settings(int argc, char **argv, struct request *q, struct config *c)
 {
     config_defaults(c);
@@ -63,7 +86,9 @@ static err_t load_settings(int argc, char **argv, struct request *q, struct conf
         e = config_read(c, q->config_path);
     if (!e)
         e = scan_options(argc, argv, q, c);
-    return e ? e : config_check_rig(c);
+    if (!e)
+        e = config_check_rig(c);
+    return e ? e : check_calibration(c);
 }
 
 /* Path of hdrig, in the folder of this program. */

@@ -25,6 +25,7 @@ moved() { # scene: how many cameras the report says have moved
 
 take one 0 1 2 3 4 5
 take two 0 1 2 3 4 5
+take one-few 0 1 2 3 4
 succeed rig calibrate "$OUT/one" "$OUT/two" --out "$RIG"
 grep -q '6 cameras from 2 takes' "$OUT/stdout.txt" || fail "it says: $(cat "$OUT/stdout.txt")"
 [ "$(grep -c deviation "$RIG")" = 6 ] || fail "no deviations in $(cat "$RIG")"
@@ -76,10 +77,46 @@ expect 1 'train_03_0[0-9].png has moved' reconstruct --images "$OUT/two" --out "
     --refine 0 --model none --set "rig.file=$OUT/off.json" --set rig.moved=refuse
 nothing_at "$OUT/refused"
 
+# the daemon hands it to every reconstruction
+socket=$(mktemp -d)/control
+settings() { # rig.file
+    printf '%s\n' "store.path = $OUT/store" "results.path = $OUT/results" "store.reserve_mb = 1" \
+        "control.socket = $socket" "http.port = 0" "rig.file = $1" "refine.steps = 0" \
+        "calibration.path = $OUT/calibration" >"$OUT/hdrig.conf"
+    for view in 0 1 2 3 4 5; do
+        echo "camera.$((view + 1)) = sim:kind=room,seed=5,size=224,samples=1,fps=100,views=6,view=$view"
+    done >>"$OUT/hdrig.conf"
+}
+settings "$RIG"
+"${HDRIG%/*}/hdrigd" --config "$OUT/hdrig.conf" 2>"$OUT/hdrigd.txt" &
+daemon=$!
+for _ in $(seq 300); do
+    id=$("$HDRIG" capture --config "$OUT/hdrig.conf" 2>"$ERR") && break
+    sleep 0.1
+done
+id=${id##*/}
+for _ in $(seq 600); do
+    [ -e "$OUT/results/$id/report.json" ] && break
+    sleep 0.1
+done
+[ "$(grep -c '"checked": true' "$OUT/results/$id/report.json")" = 6 ] ||
+    fail "the daemon does not use rig.file: $(cat "$OUT/hdrigd.txt")"
+kill -TERM $daemon
+wait $daemon || fail "the daemon ends with $?"
+rm -r "${socket%/*}"
+refuse() { # sentence
+    "${HDRIG%/*}/hdrigd" --check --config "$OUT/hdrig.conf" 2>"$ERR" && fail "accepted: no $1"
+    grep -q "$1" "$ERR" || fail "hdrigd says: $(cat "$ERR")"
+}
+settings "$OUT/none.json"
+refuse 'rig.file: .*none.json'
+succeed rig calibrate "$OUT/one-few" --out "$OUT/few.json"
+settings "$OUT/few.json"
+refuse 'few.json has no camera.6: calibrate'
+
 # takes that are not of this rig, or of none
-take less 0 1 2 3 4
-expect 1 'less has 5 cameras, .*one has 6: all takes must be of one rig' \
-    rig calibrate "$OUT/one" "$OUT/less" --out "$OUT/no.json"
+expect 1 'few has 5 cameras, .*one has 6: all takes must be of one rig' \
+    rig calibrate "$OUT/one" "$OUT/one-few" --out "$OUT/no.json"
 nothing_at "$OUT/no.json"
 expect 1 'none/rig.json: ' reconstruct --images "$OUT/two" --out "$OUT/refused" \
     --set "rig.file=$OUT/none/rig.json"
