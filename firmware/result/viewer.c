@@ -6,7 +6,8 @@
  *   uint16 log_scale[3], logit            lo + step * value, with lo and step in @info@
  *   uint16 q[3]                           of the unit quaternion w,x,y,z all but the largest, which
  *                                         is positive: bits 0-14 are (value / sqrt(1/2) + 1) 16383;
- *                                         bit 15 of q[0] and q[1]: which one is the largest
+ *                                         bit 15 of q[0] and q[1]: which one is the largest, of
+ *                                         q[2]: the splat is a guess (core/refine/confidence.h)
  *   uint16 light[3]                       natural-log radiance of degree 0: lo + step * value
  * then for each splat the harmonics above degree 0 as half floats, coefficient by coefficient, red,
  * green, blue, filled up to 16 bytes.
@@ -23,6 +24,7 @@
 #include "core/base/gaussians.h"
 #include "core/base/half.h"
 #include "core/kernels/kernels.h"
+#include "core/refine/confidence.h"
 #include "core/splat/display.h"
 #include "drivers/format/file.h"
 #include "drivers/format/img.h"
@@ -204,6 +206,11 @@ static void pack_quat(const struct gaussians *g, int i, uint16_t out[3])
     out[1] |= (uint16_t)((largest >> 1) << 15);
 }
 
+static bool is_guess(const struct scene *s, int i)
+{
+    return s->confidence && s->confidence[i] < CONFIDENCE_GUESS;
+}
+
 static void put_splat(const struct page *p, int i, struct encoder *out)
 {
     const struct gaussians *g = &p->in->scene->g;
@@ -216,6 +223,7 @@ static void put_splat(const struct page *p, int i, struct encoder *out)
                            quantise_16(&p->range[LOG_SCALE], (double)g->plane[G_LOG_SCALE + k][i]));
     to = bytes_put_u16(to, quantise_16(&p->range[LOGIT], stored_logit(g, i)));
     pack_quat(g, i, quat);
+    quat[2] |= (uint16_t)(is_guess(p->in->scene, i) << 15);
     for (int k = 0; k < 3; k++)
         to = bytes_put_u16(to, quat[k]);
     for (int k = 0; k < 3; k++)
@@ -310,6 +318,10 @@ static err_t put_info(const struct page *p, FILE *f)
         fprintf(f, "\"%s\":[%.17g,%.17g],", names[k], p->range[k].lo, range_step(&p->range[k]));
     fprintf(f, "\"middle\":%.9g,\"srgb_ev\":%.9g,", (double)s->tone.mid_log2t,
             (double)display_ev(&s->tone));
+    int guesses = 0;
+    for (int i = 0; i < s->g.n; i++)
+        guesses += is_drawn(&s->g, i) && is_guess(s, i);
+    fprintf(f, "\"guesses\":%d,", guesses);
     put_floats(f, "background", s->background, 3);
     fputc(',', f);
     put_floats(f, "tone", s->tone.p, TONE_PARAMS);

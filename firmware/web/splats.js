@@ -104,7 +104,7 @@ uniform mat3 R;
 uniform vec3 T, centre;
 uniform vec4 K, lim;
 uniform vec2 size;
-uniform int seen;
+uniform int seen, proven;
 layout(location = 0) out vec4 place;
 layout(location = 1) out vec4 shape;
 layout(location = 2) out vec4 colour;
@@ -112,7 +112,7 @@ layout(location = 2) out vec4 colour;
 vec2 halves(uint w) { return vec2(w & 0xffffu, w >> 16); }
 
 mat3 rotation(uint a, uint b, uint c) {
-  vec3 v = (vec3(a & 0x7fffu, b & 0x7fffu, c) / 16383.0 - 1.0) * 0.70710678118654752;
+  vec3 v = (vec3(a & 0x7fffu, b & 0x7fffu, c & 0x7fffu) / 16383.0 - 1.0) * 0.70710678118654752;
   float big = sqrt(max(0.0, 1.0 - dot(v, v)));
   uint k = a >> 15 | b >> 15 << 1;
   vec4 q = k == 0u ? vec4(big, v) : k == 1u ? vec4(v.x, big, v.yz) :
@@ -148,6 +148,7 @@ void main() {
   if (slot >= seen) return;
   int i = int(texelFetch(order, AT(slot), 0).x);
   uvec4 a = texelFetch(splats, AT(2 * i), 0), b = texelFetch(splats, AT(2 * i + 1), 0);
+  if (proven == 1 && (b.z & 0x8000u) != 0u) return;
   vec3 m = uintBitsToFloat(a.xyz), p = R * m + T;
   if (!(p.z >= 1e-10 && p.z <= 1e10)) return;
   vec3 s = exp(vec3(halves(a.w), b.x & 0xffffu) * SCALE_STEP + SCALE_LO);
@@ -521,7 +522,7 @@ function fit(cam, w, h) {
 
 /* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
  * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms. */
-const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
+const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, proven: false, split: 50,
   moving: true, coarse: 2, moved: -1e9, probe: null };
 let scheduled = false, stale = true, firstPicture = 0;
 
@@ -577,6 +578,7 @@ function project(v) {
     v.cy / v.fy + my, (v.h - v.cy) / v.fy + my);
   gl.uniform2f(p.at.size, v.w, v.h);
   gl.uniform1i(p.at.seen, sorting.seen);
+  gl.uniform1i(p.at.proven, state.proven);
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 

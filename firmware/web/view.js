@@ -161,7 +161,8 @@ const keys = {
   "[": () => setExposure(state.ev - 0.5), "]": () => setExposure(state.ev + 0.5),
   ",": () => go(state.last - 1), ".": () => go(state.last + 1), 0: () => go(state.last),
   1: () => setTone(0), 2: () => setTone(1), 3: () => setTone(2),
-  c: () => compare(!state.wipe), "?": () => byId("guide").showModal(),
+  c: () => compare(!state.wipe), g: () => hideGuesses(!state.proven),
+  "?": () => byId("guide").showModal(),
 };
 
 function openKeys() {
@@ -215,6 +216,13 @@ function layPhoto() {
   byId("divider").style.top = `${v.top}px`;
   byId("divider").style.height = `${box.height}px`;
   byId("divider").setAttribute("aria-valuenow", Math.round(state.split));
+}
+
+/* Splats that the photographs do not prove are left out. */
+function hideGuesses(on) {
+  state.proven = on && info.guesses > 0;
+  byId("proven").setAttribute("aria-pressed", state.proven);
+  invalidate(true);
 }
 
 function setSplit(percent) {
@@ -324,6 +332,8 @@ function openControls() {
   byId("previous").addEventListener("click", () => go(state.last - 1));
   byId("next").addEventListener("click", () => go(state.last + 1));
   byId("compare").addEventListener("click", () => compare(!state.wipe));
+  byId("proven").disabled = !info.guesses;
+  byId("proven").addEventListener("click", () => hideGuesses(!state.proven));
   byId("tone").addEventListener("change", () => setTone(+byId("tone").value));
   byId("help").addEventListener("click", () => byId("guide").showModal());
   byId("close").addEventListener("click", () => byId("guide").close());
@@ -383,8 +393,8 @@ canvas.addEventListener("webglcontextrestored", () => attempt(() => {
 document.addEventListener("DOMContentLoaded", () => {
   if (gpu) attempt(start);
 });
-window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, draw, radiance, exact,
-  settled, firstPicture: () => firstPicture };
+window.viewer = { info, state, go, setCamera, setExposure, setTone, compare, hideGuesses, draw,
+  radiance, exact, settled, firstPicture: () => firstPicture };
 attempt(() => {
   openGpu();
   warmUp();

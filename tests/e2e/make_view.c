@@ -2,6 +2,7 @@
  *   thin D     half transparent splats of SH degree D, a lamp ten stops above them, and radiance
  *              from 1e-4 to 1e5
  *   walls N    N splats, many of them opaque, with the same light
+ *   half 0     `thin` of degree 0, every other splat of which is a guess: scene.hdrig lacks these
  *   scale S    `walls` in another unit of length
  *   one 0      a single splat
  *   dark 0     nothing that can be seen
@@ -10,6 +11,7 @@
  * Three views of SIZE px. The same arguments give the same bytes. */
 #include "core/base/gaussians.h"
 #include "core/photo/tonemap.h"
+#include "core/refine/confidence.h"
 #include "drivers/format/file.h"
 #include "drivers/format/scenefile.h"
 #include "firmware/result/viewer.h"
@@ -89,7 +91,7 @@ static void put_shapes(struct gaussians *g)
 static void put_kind(struct scene *s, const char *kind, double number)
 {
     struct gaussians *g = &s->g;
-    if (strcmp(kind, "thin") == 0)
+    if (strcmp(kind, "thin") == 0 || strcmp(kind, "half") == 0)
         for (int i = 0; i < THIN; i++)
             put_splat(g, uniform(-5, -2.5), 0.15);
     if (strcmp(kind, "walls") == 0 || strcmp(kind, "scale") == 0)
@@ -140,17 +142,31 @@ static void put_scene(struct scene *s, double unit)
     memcpy(s->background, (float[]){0.02f, 0.03f, 0.05f}, sizeof s->background);
 }
 
-static err_t write_files(const char *out, const struct scene *s, const uint8_t *photos)
+/* What is no guess. */
+static void keep_proven(struct scene *s)
+{
+    int n = 0;
+    for (int i = 0; i < s->g.n && s->confidence; i++)
+        if (s->confidence[i] >= CONFIDENCE_GUESS) {
+            for (int p = 0; p < gaussians_planes(s->g.degree); p++)
+                s->g.plane[p][n] = s->g.plane[p][i];
+            s->confidence[n++] = s->confidence[i];
+        }
+    s->g.n = s->confidence ? n : s->g.n;
+}
+
+static err_t write_files(const char *out, struct scene *s, const uint8_t *photos)
 {
     char path[FILE_PATH_CAP];
     struct viewer_input page = {
         .scene = s, .photos = photos, .title = "</title><b>scene</b> & \"view\""};
-    err_t e = file_join(out, "scene.hdrig", path);
+    err_t e = file_join(out, "view.html", path);
     if (!e)
-        e = scenefile_write(path, s);
+        e = viewer_write(path, &page);
+    keep_proven(s);
     if (!e)
-        e = file_join(out, "view.html", path);
-    return e ? e : viewer_write(path, &page);
+        e = file_join(out, "scene.hdrig", path);
+    return e ? e : scenefile_write(path, s);
 }
 
 int main(int argc, char **argv)
@@ -159,6 +175,7 @@ int main(int argc, char **argv)
     static char names[VIEWS][NAME_CAP];
     static float log2t[VIEWS];
     static struct camera cams[VIEWS];
+    static float confidence[THIN];
     struct scene s = {.n_views = VIEWS, .size = SIZE, .names = names, .log2t = log2t, .cams = cams};
     struct arena a;
     double number = argc == 4 ? atof(argv[3]) : -1;
@@ -177,6 +194,9 @@ int main(int argc, char **argv)
         e = gaussians_init(&s.g, &a, cap, degree);
     if (!e) {
         put_kind(&s, kind, number);
+        for (int i = 0; i < THIN; i++)
+            confidence[i] = i % 2 ? 0.1f : 0.9f;
+        s.confidence = strcmp(kind, "half") == 0 ? confidence : NULL;
         put_scene(&s, strcmp(kind, "scale") == 0 ? number : 1);
         e = write_files(argv[1], &s, photos);
     }

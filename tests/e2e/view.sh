@@ -129,6 +129,19 @@ at_least "walls: minus 0.99 quantile of differences of single pixels" "-$most" -
 at_least "walls: minus largest difference of single pixels" "-$worst" -0.01
 printf 'walls, as the pointer reads them: 99 %% to %.5f, all to %.4f\n' "$most" "$worst"
 
+# without the splats that are guesses
+scene half half 0 0
+open_page "$FILE/half/view.html"
+is "viewer.info.guesses" 750
+value "display(1, 0)" >"$OUT/all.txt"
+value "viewer.hideGuesses(true)" >/dev/null
+same_picture half 1 0 70 8 0.00025 0.0005
+value "viewer.hideGuesses(false)" >/dev/null
+value "display(1, 0)" | cmp -s "$OUT/all.txt" - || fail "guesses do not return"
+quiet "guesses"
+open_page "$FILE/walls/view.html"
+is "document.getElementById('proven').disabled" true
+
 # the other colours
 value "viewer.setTone(1)" >/dev/null
 value "display(1, -6)" | base64 -d >"$OUT/page.png"
