@@ -522,8 +522,8 @@ function fit(cam, w, h) {
 
 /* at, last: of the views; -1: none. focus: distance of what the camera turns around. moving: the
  * picture may be rough; coarse: then, screen pixels for one of the picture; moved: when, ms. */
-const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, proven: false, split: 50,
-  moving: true, coarse: 2, moved: -1e9, probe: null };
+const state = { cam: null, at: -1, last: 0, focus: 1, ev: 0, tone: 0, wipe: false, split: 50,
+  proven: false, moving: true, coarse: 2, moved: -1e9, probe: null };
 let scheduled = false, stale = true, firstPicture = 0;
 
 function invalidate(geometry) {

@@ -4,11 +4,15 @@
 . tests/e2e/common.bash
 RIG=$OUT/rig.json
 
+camera() { # view
+    echo "sim:kind=room,seed=5,size=224,samples=1,fps=100,views=6,view=$1"
+}
+
 take() { # name, views...
     local name=$1 view cameras=()
     shift
     for view in "$@"; do
-        cameras+=(--camera "sim:kind=room,seed=5,size=224,samples=1,fps=100,views=6,view=$view")
+        cameras+=(--camera "$(camera "$view")")
     done
     succeed capture "${cameras[@]}" --out "$OUT/$name"
 }
@@ -84,7 +88,7 @@ settings() { # rig.file
         "control.socket = $socket" "http.port = 0" "rig.file = $1" "refine.steps = 0" \
         "calibration.path = $OUT/calibration" >"$OUT/hdrig.conf"
     for view in 0 1 2 3 4 5; do
-        echo "camera.$((view + 1)) = sim:kind=room,seed=5,size=224,samples=1,fps=100,views=6,view=$view"
+        echo "camera.$((view + 1)) = $(camera $view)"
     done >>"$OUT/hdrig.conf"
 }
 settings "$RIG"
