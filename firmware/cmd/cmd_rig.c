@@ -58,7 +58,10 @@ static void print_result(const struct request *rq, const struct rigcal_result *r
     puts("");
     for (int i = 0; i < r->notes->n_found; i++) {
         const struct job_lens *l = &r->notes->found[i];
-        printf("%s, %d camera%s: %s, focal length %.1f +- %.1f of %d px\n", l->camera_id,
+        int n = (int)strlen(l->camera_id); // parts that EXIF lacks leave spaces
+        while (n > 0 && l->camera_id[n - 1] == ' ')
+            n--;
+        printf("%.*s, %d camera%s: %s, focal length %.1f +- %.1f of %d px\n", n, l->camera_id,
                l->photographs, l->photographs == 1 ? "" : "s", lens_name(l->lens.model), l->lens.fx,
                l->lens.fx * l->selfcal.deviation[0], l->edge);
     }
