@@ -23,7 +23,7 @@ stand_in() { # path: its text on stdin
     { echo '#!/usr/bin/env bash' && cat; } >"$1"
     chmod +x "$1"
 }
-# After the name of the command, and the file that may follow it.
+# After the name of the command, and the files that may follow it.
 stand_in "$sandbox/build/hdrig" <<END
 command=\$1
 shift
@@ -33,7 +33,7 @@ simulate) set -- "\$@" --samples 1 ;;
 bench) set -- "\$@" --gaussians 1000 --size 56 ;;
 esac
 files=()
-[[ \$# -eq 0 || \$1 = -* ]] || { files=("\$1") && shift; }
+while [[ \$# -gt 0 && \$1 != -* ]]; do files+=("\$1") && shift; done
 exec "$tool" "\$command" "\${files[@]}" --set size=112 --set refine.steps=10 \\
     --set control.socket="$socket" --set calibration.path="$sandbox/calibration" \\
     "\${@/v4l2:\/dev\/video0/sim:kind=room,seed=5,size=56,samples=1,fps=100,clock=virtual}"
@@ -78,6 +78,9 @@ for name in $(sed -n 's/^ *"\([^"]*\)": .*/\1/p' "$sandbox/photos/exposure.json"
     i=$((i + 1))
 done
 at_least "photographs in the example" $i 4
+for take in take1 take2; do # of a rig
+    cp -r tests/data/room "$sandbox/$take"
+done
 
 commands=0
 while IFS= read -r line; do
