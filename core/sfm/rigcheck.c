@@ -221,8 +221,8 @@ static double angle_between(const double a[ADJUST_POSE], const double b[ADJUST_P
 }
 
 /* Compare the pose `now`, of these standard errors, with that of the rig, which a->pose has. */
-static void compare(struct check *c, int view, const double now[ADJUST_POSE],
-                    const double deviation[2], struct rigcheck_camera *out)
+static void compare_poses(struct check *c, int view, const double now[ADJUST_POSE],
+                          const double deviation[2], struct rigcheck_camera *out)
 {
     double *pose = c->a.pose + (size_t)ADJUST_POSE * (size_t)view, was[ADJUST_POSE];
     struct adjust_jacobian a, b;
@@ -286,7 +286,7 @@ static err_t check_camera(struct check *c, const struct views *v, int view,
     pose_deviations(c, deviation);
     memcpy(now, pose, sizeof now);
     memcpy(pose, was, sizeof was);
-    compare(c, view, now, deviation, out);
+    compare_poses(c, view, now, deviation, out);
     const int edge = num_max(v->extent[view].w, v->extent[view].h);
     out->moved = out->off_px > fmaxf(RIGCHECK_MOVED * (float)edge, (float)(SIGMAS * sigma));
     set_pose(now, &out->cam);

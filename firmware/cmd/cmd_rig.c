@@ -83,7 +83,7 @@ static err_t write_rig(const struct request *rq, const struct rig *rig)
     return e;
 }
 
-static err_t calibrate(const struct request *rq, struct state *st)
+static err_t calibrate_rig(const struct request *rq, struct state *st)
 {
     struct job_config cfg = cmd_job(&rq->cfg, NULL, false);
     const struct rigcal_job job = {rq->n, st->take, &cfg};
@@ -140,7 +140,7 @@ int cmd_rig_run(int argc, char **argv)
         return cmd_misuse(&usage, "takes and --out are needed");
     if (words - 1 > RIGCAL_TAKES)
         return cmd_misuse(&usage, "too many takes, at most 64");
-    err_t e = calibrate(&rq, &st);
+    err_t e = calibrate_rig(&rq, &st);
     code = st.result.notes ? cmd_finish_job(usage.name, e, st.result.notes, false)
                            : cmd_finish(usage.name, e);
     rigcal_free(&st.result);

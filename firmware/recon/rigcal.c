@@ -114,7 +114,7 @@ static struct bundle_config config_of(const struct rigcal *c, bool resampled)
 }
 
 /* Cameras and lenses from the first take that shows all of them. */
-static err_t start(struct rigcal *c)
+static err_t find_start(struct rigcal *c)
 {
     float best = -1;
     err_t e = OK;
@@ -183,7 +183,7 @@ static err_t match_takes(struct rigcal *c, bool resampled)
 }
 
 /* Rounds of all takes, until lenses stay. */
-static err_t solve(struct rigcal *c)
+static err_t solve_all(struct rigcal *c)
 {
     bool resampled = false;
     err_t e = OK;
@@ -319,9 +319,9 @@ err_t rigcal_run(const struct run *r, const struct rigcal_job *job, struct rigca
     if (!e)
         e = lenses_layout(&c->lenses, r->keep, prep_places(job->take[0].capture));
     if (!e)
-        e = start(c);
+        e = find_start(c);
     if (!e)
-        e = solve(c);
+        e = solve_all(c);
     if (!e)
         e = check_found(c);
     if (!e)

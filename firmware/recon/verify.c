@@ -80,7 +80,7 @@ static void name_moved(struct job_result *out, int i, enum recipe_moved what)
                                                : "calibrate the rig again");
 }
 
-static err_t act(enum recipe_moved what, struct job_result *out)
+static err_t treat_moved(enum recipe_moved what, struct job_result *out)
 {
     int moved = 0, unknown = 0;
     for (int i = 0; i < out->n_rig; i++) {
@@ -135,7 +135,7 @@ err_t verify_run(const struct run *r, enum recipe_moved what, struct job_result 
         memcpy(out->rig[i].name, out->views.names[i], sizeof out->rig[i].name);
     }
     job_result_lap(out, JOB_CAMERAS);
-    return e ? e : act(what, out);
+    return e ? e : treat_moved(what, out);
 }
 
 void verify_report(const struct job_result *j, struct report *rep)
