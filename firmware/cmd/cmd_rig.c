@@ -23,6 +23,7 @@ struct state {
     struct prep_source source[RIGCAL_TAKES];
     struct rigcal_take take[RIGCAL_TAKES];
     struct rigcal_result result;
+    struct partial partial;
 };
 
 static err_t list_take(const struct request *rq, int i, struct state *st)
@@ -34,8 +35,6 @@ static err_t list_take(const struct request *rq, int i, struct state *st)
     err_t e = cmd_photographs(&set, &st->set[i]);
     st->source[i] = cmd_source(&st->set[i]);
     st->take[i] = (struct rigcal_take){rq->takes[i], &st->set[i].capture, &st->source[i]};
-    if (!e)
-        cmd_fill_exposures(&st->set[i].capture);
     return e;
 }
 
@@ -68,19 +67,13 @@ static void print_result(const struct request *rq, const struct rigcal_result *r
 }
 
 /* A former calibration is replaced in one step. */
-static err_t write_rig(const struct request *rq, const struct rig *rig)
+static err_t write_rig(const struct request *rq, const struct state *st)
 {
     char at[FILE_PATH_CAP];
-    struct partial partial;
-    err_t e = partial_open(rq->out, &partial);
+    err_t e = partial_path(&st->partial, rq->out, at);
     if (!e)
-        e = partial_path(&partial, rq->out, at);
-    if (!e)
-        e = cameras_write(at, rig);
-    if (!e)
-        e = partial_show(&partial, rq->out);
-    partial_close(&partial);
-    return e;
+        e = cameras_write(at, &st->result.rig);
+    return e ? e : partial_show(&st->partial, rq->out);
 }
 
 static err_t calibrate_rig(const struct request *rq, struct state *st)
@@ -89,6 +82,8 @@ static err_t calibrate_rig(const struct request *rq, struct state *st)
     const struct rigcal_job job = {rq->n, st->take, &cfg};
     struct job_memory need;
     err_t e = origin_check_place(rq->out);
+    if (!e)
+        e = partial_open(rq->out, &st->partial);
     for (int i = 0; i < rq->n && !e; i++)
         e = list_take(rq, i, st);
     if (!e)
@@ -104,7 +99,7 @@ static err_t calibrate_rig(const struct request *rq, struct state *st)
         e = rigcal_run(&st->engine.run, &job, &st->result);
     progress_end(&st->engine.progress);
     if (!e)
-        e = write_rig(rq, &st->result.rig);
+        e = write_rig(rq, st);
     if (!e)
         print_result(rq, &st->result);
     return e;
@@ -143,6 +138,7 @@ int cmd_rig_run(int argc, char **argv)
     err_t e = calibrate_rig(&rq, &st);
     code = st.result.notes ? cmd_finish_job(usage.name, e, st.result.notes, false)
                            : cmd_finish(usage.name, e);
+    partial_close(&st.partial);
     rigcal_free(&st.result);
     for (int i = 0; i < rq.n; i++)
         imageset_free(&st.set[i]);
