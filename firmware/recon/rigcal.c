@@ -225,9 +225,9 @@ static err_t check_found(const struct rigcal *c)
     for (int i = 0; i < c->shape.n; i++)
         if (!b->placed[i])
             return err_fail(ERR_ARG,
-                            "the camera of %s has too few points in common with the others in "
+                            "the camera of %s has too few points that agree with the others in "
                             "these takes: add takes of something with more texture that it shares "
-                            "with its neighbours",
+                            "with its neighbours, or leave out those in which it stood elsewhere",
                             name_of(c, i));
     if (b->confidence < LOCATE_CONFIDENT)
         return err_fail(ERR_ARG,
