@@ -109,7 +109,7 @@ for _ in $(seq 300); do
     sleep 0.1
 done
 id=${id##*/}
-for _ in $(seq 600); do
+for _ in $(seq 1800); do
     [ -e "$OUT/results/$id/report.json" ] && break
     sleep 0.1
 done
