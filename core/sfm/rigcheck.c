@@ -184,10 +184,10 @@ static void fit_pose(struct check *c, double pose[ADJUST_POSE])
 /* Standard errors of the pose: its rotation, rad, and its centre. */
 static void pose_deviations(struct check *c, double out[2])
 {
-    const double sigma = median_error(c) / RAYLEIGH;
+    const double median = median_error(c), sigma = median / RAYLEIGH;
     double h[TWIST * TWIST], g[TWIST];
     out[0] = out[1] = INFINITY;
-    if (!normal_equations(c, fmax(KERNEL * median_error(c), 1), h, g))
+    if (!normal_equations(c, fmax(KERNEL * median, 1), h, g))
         return;
     out[0] = out[1] = 0;
     for (int i = 0; i < TWIST; i++) {

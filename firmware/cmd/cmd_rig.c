@@ -7,11 +7,10 @@
 #include "drivers/format/partial.h"
 
 #include <math.h>
-
 #include <string.h>
 
 struct request {
-    const char *takes[RIGCAL_TAKES + 1];
+    const char *takes[RIGCAL_TAKES];
     int n;
     const char *out;
     struct config cfg;

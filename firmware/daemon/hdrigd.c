@@ -2,9 +2,8 @@
 #include "firmware/cmd/cmd.h"
 #include "firmware/daemon/daemon.h"
 
-#include "drivers/format/rigfile.h"
-
 #include "drivers/format/file.h"
+#include "drivers/format/rigfile.h"
 
 #include <getopt.h>
 #include <libgen.h>

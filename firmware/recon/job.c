@@ -85,8 +85,7 @@ static err_t read_photographs(const struct run *r, const struct capture *c, cons
     return e;
 }
 
-/* The response of linear photographs is known. */
-static err_t find_curve(const struct run *r, struct job_result *out)
+err_t job_curve(const struct run *r, struct job_result *out)
 {
     if (!out->views.srgb)
         return response_run(r, &out->views, &out->response);
@@ -97,12 +96,12 @@ static err_t find_curve(const struct run *r, struct job_result *out)
 /* The response, and the exposures of full brackets that are worth keeping. */
 static err_t find_response(const struct run *r, const struct recipe *recipe, struct job_result *out)
 {
-    err_t e = find_curve(r, out);
+    err_t e = job_curve(r, out);
     if (!e && out->views.n_more) {
         out->taken = out->views.n + out->views.n_more;
         e = exposure_stack_choose(r, &out->response, recipe->depth == RECIPE_NETWORK, &out->views);
         if (!e)
-            e = find_curve(r, out);
+            e = job_curve(r, out);
     }
     job_result_lap(out, JOB_RESPONSE);
     return e;

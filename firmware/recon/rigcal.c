@@ -3,6 +3,7 @@
  * distort, the photographs are drawn again through them, and so on, as in start.c. */
 #include "firmware/recon/rigcal.h"
 
+#include "firmware/recon/job.h"
 #include "firmware/recon/lenses.h"
 #include "firmware/recon/locate.h"
 
@@ -48,14 +49,6 @@ struct rigcal {
 
 /* ---- a take ---- */
 
-static err_t find_curve(const struct run *r, struct job_result *seen)
-{
-    if (!seen->views.srgb)
-        return response_run(r, &seen->views, &seen->response);
-    response_srgb(seen->views.mid_log2t, &seen->response);
-    return OK;
-}
-
 /* The views of a take, in the arenas: as taken, or through the lenses found. */
 static err_t see_take(struct rigcal *c, int i, bool resampled)
 {
@@ -68,11 +61,11 @@ static err_t see_take(struct rigcal *c, int i, bool resampled)
                         (struct prep_size){recipe_work(c->job->cfg), false}, &s->views);
     s->views.cams = NULL;
     if (!e)
-        e = find_curve(c->r, s);
+        e = job_curve(c->r, s);
     if (!e && s->views.n_more)
         e = exposure_stack_choose(c->r, &s->response, false, &s->views);
     if (!e && s->views.n_more)
-        e = find_curve(c->r, s);
+        e = job_curve(c->r, s);
     if (!e && resampled)
         e = lenses_resample(c->r, t->capture, t->source, &c->found, &c->lenses, s);
     if (!e)

@@ -82,14 +82,15 @@ static void name_moved(struct job_result *out, int i, enum recipe_moved what)
 
 static err_t treat_moved(enum recipe_moved what, struct job_result *out)
 {
-    int moved = 0, unknown = 0;
+    int moved = -1, unknown = 0; // moved: the sentence of the last one
     for (int i = 0; i < out->n_rig; i++) {
         const struct rigcheck_camera *c = &out->rig[i].check;
-        moved += c->moved;
         unknown += !c->known;
-        if (c->moved)
-            name_moved(out, i, what);
-        if (c->moved && what == RECIPE_MOVED_SOLVE)
+        if (!c->moved)
+            continue;
+        name_moved(out, i, what);
+        moved = out->n_warnings - 1;
+        if (what == RECIPE_MOVED_SOLVE)
             out->scene.cams[i] = c->cam;
     }
     if (unknown)
@@ -97,8 +98,8 @@ static err_t treat_moved(enum recipe_moved what, struct job_result *out)
                         "%d of %d cameras could not be checked against the rig's calibration: too "
                         "few points that two others see",
                         unknown, out->n_rig);
-    if (moved && what == RECIPE_MOVED_REFUSE)
-        return err_fail(ERR_ARG, "%s", out->warnings[out->n_warnings - 1 - (unknown > 0)]);
+    if (moved >= 0 && what == RECIPE_MOVED_REFUSE)
+        return err_fail(ERR_ARG, "%s", out->warnings[moved]);
     return OK;
 }
 

@@ -277,10 +277,8 @@ static void set_between(const struct camera *a, const struct camera *b, struct c
     rotation_centre(b, cb);
     for (int k = 0; k < 4; k++)
         sign += (double)a->q[k] * (double)b->q[k];
-    for (int k = 0; k < 4; k++) {
+    for (int k = 0; k < 4; k++)
         q[k] = (double)a->q[k] + (sign < 0 ? -1 : 1) * (double)b->q[k];
-        out->q[k] = (float)q[k];
-    }
     rotation_from_quat(q, r);
     rotation_to_quat(r, q);
     for (int k = 0; k < 4; k++)
