@@ -19,10 +19,12 @@ enum { CONFIG_FILE_MAX = 16384 }; // bytes
 
 /* bytes with 0; numbers of each; stops */
 enum { CONFIG_TEXT = 200, CONFIG_CAMERAS = 16, CONFIG_TRIGGERS = 4, CONFIG_STOPS_MAX = 16 };
+enum { CONFIG_MEMBERS = 64 };
 
 enum { CONFIG_SIZE_AUTO = 0, CONFIG_SIZE_FULL = -1 };
 enum config_bracket { CONFIG_AUTO, CONFIG_LIST };
 enum config_collect { CONFIG_COLLECT_AUTO, CONFIG_COLLECT_NO, CONFIG_COLLECT_YES };
+enum config_role { CONFIG_ALONE, CONFIG_MEMBER, CONFIG_CONDUCTOR };
 enum config_busy { CONFIG_REJECT, CONFIG_QUEUE, CONFIG_COALESCE };
 
 struct config {
@@ -44,6 +46,11 @@ struct config {
     /* the rig; "": not set */
     char rig_file[CONFIG_TEXT];
     int rig_moved; // enum recipe_moved
+    int rig_role;  // enum config_role
+    char rig_name[CONFIG_TEXT], rig_broker[CONFIG_TEXT], rig_board[CONFIG_TEXT];
+    char rig_password_file[CONFIG_TEXT], rig_ca[CONFIG_TEXT];
+    char rig_member[CONFIG_MEMBERS][CONFIG_TEXT]; // names of boards
+    int rig_partial;
     char camera[CONFIG_CAMERAS][CONFIG_TEXT]; // URIs
     int camera_w, camera_h;                   // px; 0: the camera's own
     int camera_format;                        // enum camera_format

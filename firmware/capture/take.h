@@ -12,7 +12,8 @@
 enum {
     TAKE_FRAMES_MAX = BRACKET_CAMERAS_MAX * BRACKET_EXPOSURES_MAX,
     TAKE_TEXT = 256,
-    TAKE_ID_CAP = 32
+    TAKE_ID_CAP = 32,
+    TAKE_MEMBER_CAP = 32
 };
 
 struct take_frame {
@@ -21,6 +22,8 @@ struct take_frame {
     size_t bytes;
     struct bracket_evidence evidence;
     struct clocks start; // when its exposure began
+    int64_t common_ns;   // the same on the common clock of a rig of boards, within
+    int64_t within_ns;   // this; only if take.rig is set
     bool gains_known;    // as in struct frame
     double digital_gain, red_gain, blue_gain;
     bool lens_known;
@@ -33,6 +36,13 @@ struct take_camera {
     bool has_crf;
     struct crf crf;
     struct flicker_light light; // zeroed where it was not measured
+};
+
+/* A take as one member's part of the take of a rig of several boards (firmware/rig/README.md). */
+struct take_rig {
+    char take[TAKE_ID_CAP];       // id of the rig's take
+    char member[TAKE_MEMBER_CAP]; // name of the board
+    char clock[16];               // how the common clock is known: "exchange" or "kernel"
 };
 
 enum take_status { TAKE_COMPLETE, TAKE_ABORTED };
@@ -54,6 +64,7 @@ struct take {
     char session
         [TAKE_ID_CAP];      // id of the session's first take; "" for that take and outside sessions
     struct develop balance; // how the session's pictures are developed; zeroed: measured
+    struct take_rig rig;    // zeroed: not of a rig of several boards
 };
 
 /* The recorded exposure of a frame, and its time x gain, s. */
