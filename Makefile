@@ -16,9 +16,10 @@
 # Packages of Debian 12 and 13: to build and run, and to check.
 DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-dev \
 	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
-	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto iproute2 clang libclang-rt-dev lld cppcheck chromium systemd \
-	lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
+	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
+	libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
+DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto iproute2 clang libclang-rt-dev lld cppcheck \
+	chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
 DEPS_QEMU := cpio linux-headers-amd64 qemu-system-x86
