@@ -1,0 +1,36 @@
+/* conductor_inner.h - what the files of conductor.c share: no part of the interface. */
+#ifndef RIG_CONDUCTOR_INNER_H
+#define RIG_CONDUCTOR_INNER_H
+
+#include "firmware/rig/conductor.h"
+
+/* ---- conductor_members.c ---- */
+
+/* NULL: never heard of; NULL: there are MESSAGE_MEMBERS already. */
+struct conductor_member *conductor_members_find(struct conductor *c, const char *name);
+struct conductor_member *conductor_members_add(struct conductor *c, const char *name);
+
+/* The part of a take that a member has told of; NULL: none. */
+const struct message_hold *conductor_members_hold(const struct conductor_member *m,
+                                                  const char *take);
+
+/* Only members that are listed take part, if some are. */
+bool conductor_members_belongs(const struct conductor *c, const struct conductor_member *m);
+
+/* Whether a member can take part now. err: ERR_LOST */
+MUST_USE err_t conductor_members_check(const struct conductor *c, const struct conductor_member *m,
+                                       int64_t now_ns);
+
+/* ---- conductor_starts.c ---- */
+
+/* Sum of an order's exposures, s. */
+double conductor_starts_s(const struct message_order *o);
+
+/* Enter the starts of part k. false: they are not of this take. */
+bool conductor_starts_add(struct conductor_take *t, int k, const struct message_report *r);
+
+/* Whether cameras began an exposure farther apart than bracket.skew_ms, and which. */
+bool conductor_starts_apart(const struct conductor *c, const struct conductor_take *t,
+                            char why[TAKE_TEXT]);
+
+#endif

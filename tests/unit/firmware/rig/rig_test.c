@@ -1,0 +1,313 @@
+/* Rigs of boards under faults, in virtual time: rig_world.h checks what must always hold. */
+#include "tests/unit/firmware/rig/rig_world.h"
+
+#include <stdio.h>
+
+static struct world *ready_world(int members, uint64_t seed)
+{
+    struct world *w = world_open(members, seed);
+    world_run(w, 10);
+    assert_int_equal(w->leader.state, CONDUCTOR_LEADS);
+    assert_int_equal(conductor_check(&w->leader, mono(w, LEADER)), OK);
+    return w;
+}
+
+/* Parts that came after a partial take was joined without them stay, until they are given up. */
+static void forget_late_parts(struct world *w)
+{
+    w->gives_up = true;
+    for (int k = 0; k < w->n; k++) {
+        struct node *n = &w->node[k];
+        const int held = n->n_holds;
+        for (int i = held - 1; i >= 0; i--) {
+            const struct disk_take *d = disk_find(w, n->hold[i].take);
+            assert_true(w->set.rig_partial && d->committed);
+            assert_false(leader_has(w, n->hold[i].take, n->name));
+            struct conductor_event ev = {.kind = CONDUCTOR_FORGET, .take = n->hold[i].take};
+            assert_int_equal(leader_event(w, ev), OK);
+        }
+    }
+    world_run(w, 10);
+    w->gives_up = false;
+}
+
+static void finish(struct world *w)
+{
+    world_heal(w);
+    world_run(w, 400);
+    assert_int_equal(w->waits, 0);
+    assert_int_equal(open_takes(w), 0);
+    forget_late_parts(w);
+    assert_int_equal(open_holds(w), 0);
+    for (int i = 0; i < w->n_disk; i++)
+        assert_false(w->disk[i].pending);
+}
+
+static void test_press_becomes_a_take(void **state)
+{
+    (void)state;
+    for (int n = 1; n <= MESSAGE_MEMBERS; n *= 4) {
+        struct world *w = ready_world(n, 7);
+        assert_true(world_press(w));
+        assert_false(world_press(w));
+        assert_non_null(strstr(err_text(), "a capture runs"));
+        world_run(w, 20);
+        assert_int_equal(w->joints, 1);
+        assert_int_equal(w->told, 1);
+        finish(w);
+        world_close(w);
+    }
+}
+
+static void refused(struct world *w, const char *words)
+{
+    assert_false(world_press(w));
+    if (!strstr(err_text(), words))
+        fail_msg("\"%s\" does not say \"%s\"", err_text(), words);
+}
+
+static void test_presses_that_are_refused(void **state)
+{
+    (void)state;
+    struct world *w = world_open(4, 3);
+    refused(w, "broker is not reached");
+    world_run(w, 10);
+    kill_node(w, 2, 30);
+    world_run(w, 8);
+    refused(w, "board-02 is not there since");
+    world_run(w, 60);
+    assert_true(world_press(w));
+    world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    w->set.bracket_skew_ms = 20;
+    w->node[1].said.within_ns = 40 * MS;
+    struct conductor_event ev = {
+        .kind = CONDUCTOR_MEMBER, .name = "board-01", .member = &w->node[1].said};
+    assert_int_equal(leader_event(w, ev), OK);
+    refused(w, "board-01 knows the rig's time only within 40 ms");
+    strcpy(w->node[1].said.version, "2");
+    assert_int_equal(leader_event(w, ev), OK);
+    refused(w, "board-01 runs hdrig 2, the conductor 1");
+    w->set.bracket_skew_ms = 0;
+    world_run(w, 5);
+    assert_true(world_press(w));
+    finish(w);
+    world_close(w);
+}
+
+static void test_member_dies_while_it_shoots(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 5);
+    w->set.bracket_mode = CONFIG_LIST;
+    w->set.bracket_middle_us = 10000;
+    assert_true(world_press(w));
+    world_run(w, 0.3);
+    kill_node(w, 1, 5);
+    world_run(w, 60);
+    assert_int_equal(w->joints, 0);
+    assert_int_equal(w->told, 1);
+    assert_non_null(strstr(w->last, "board-01: was started again while it photographed"));
+    assert_true(world_press(w));
+    world_run(w, 20);
+    assert_int_equal(w->joints, 1);
+    finish(w);
+    world_close(w);
+}
+
+static void test_partial_take(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 5);
+    w->set.bracket_mode = CONFIG_LIST;
+    w->set.bracket_middle_us = 10000;
+    w->set.rig_partial = 1;
+    assert_true(world_press(w));
+    world_run(w, 0.3);
+    kill_node(w, 1, 500);
+    world_run(w, 60);
+    assert_int_equal(w->joints, 1);
+    assert_non_null(strstr(w->last, "board-01"));
+    assert_true(world_press(w)); // without it
+    world_run(w, 60);
+    assert_int_equal(w->joints, 2);
+    finish(w);
+    world_close(w);
+}
+
+/* A member whose link breaks after it stored its part delivers it an hour later. */
+static void test_late_delivery(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 11);
+    w->set.bracket_mode = CONFIG_LIST;
+    w->set.bracket_middle_us = 10000;
+    assert_true(world_press(w));
+    world_run(w, 0.6);
+    cut_link(w, 3, 3600);
+    world_run(w, 1800);
+    assert_int_equal(w->joints, 0);
+    assert_int_equal(open_takes(w), 1);
+    assert_int_equal(open_holds(w), 4);
+    kill_node(w, LEADER, 10);
+    world_run(w, 1900);
+    assert_int_equal(w->joints, 1);
+    finish(w);
+    world_close(w);
+}
+
+static void test_broker_away_for_an_hour(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(4, 12);
+    assert_true(world_press(w));
+    world_run(w, 2.5);
+    stop_broker(w, 3600);
+    world_run(w, 1800);
+    refused(w, "broker is not reached");
+    world_run(w, 1900);
+    finish(w);
+    assert_true(world_press(w));
+    world_run(w, 20);
+    assert_true(w->joints >= 1);
+    finish(w);
+    world_close(w);
+}
+
+static void test_skewed_takes_are_shot_again(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(8, 13);
+    w->set.bracket_skew_ms = 100;
+    w->faults.late = 0.1;
+    int tries = 0;
+    for (int i = 0; i < 40; i++) {
+        assert_true(world_press(w));
+        world_run(w, 60);
+    }
+    for (int i = 0; i < w->n_disk; i++)
+        tries++;
+    assert_true(tries > 45);
+    assert_true(w->joints >= 25);
+    assert_int_equal(w->told, 40);
+    assert_non_null(strstr(w->last, "")); // each with a sentence: tell_outcome
+    finish(w);
+    world_close(w);
+}
+
+static struct message_conductor presence(const char *epoch, bool online)
+{
+    struct message_conductor c = {.online = online, .board = "second", .version = "1"};
+    snprintf(c.epoch, sizeof c.epoch, "%s", epoch);
+    return c;
+}
+
+/* The one that started first goes on. */
+static void test_two_conductors(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(2, 14);
+    struct message_conductor younger = presence("ffffffffffffffff", true);
+    struct message_conductor older = presence("0000000000000000", true);
+    struct conductor_event ev = {.kind = CONDUCTOR_OTHER, .conductor = &younger};
+    assert_int_equal(leader_event(w, ev), OK);
+    assert_int_equal(w->leader.state, CONDUCTOR_LEADS);
+    ev.conductor = &older;
+    assert_int_equal(leader_event(w, ev), OK);
+    refused(w, "second leads this rig");
+    older.online = false;
+    assert_int_equal(leader_event(w, ev), OK);
+    world_run(w, 5);
+    assert_int_equal(w->leader.state, CONDUCTOR_LEADS);
+    world_close(w);
+}
+
+static void test_takes_that_are_given_up(void **state)
+{
+    (void)state;
+    struct world *w = ready_world(3, 15);
+    w->set.bracket_mode = CONFIG_LIST;
+    w->set.bracket_middle_us = 10000;
+    for (int i = 0; i < 2; i++) {
+        assert_true(world_press(w));
+        world_run(w, 0.6);
+        cut_link(w, 1, 100000);
+        world_run(w, 60);
+        w->node[1].linked = true;
+        break;
+    }
+    assert_int_equal(open_takes(w), 1);
+    struct conductor_event ev = {.kind = CONDUCTOR_FORGET, .take = "nothing"};
+    assert_int_equal(leader_event(w, ev), ERR_ARG);
+    ev.take = "0123abcd-000101";
+    assert_int_equal(leader_event(w, ev), OK);
+    assert_non_null(strstr(w->last, "given up"));
+    finish(w);
+    world_close(w);
+}
+
+struct soak {
+    uint64_t seed;
+    int members, presses;
+    struct faults faults;
+    bool partial;
+    int skew_ms;
+};
+
+static void soak(const struct soak *s, long *presses, long *kills)
+{
+    struct world *w = ready_world(s->members, s->seed);
+    w->faults = s->faults;
+    w->set.rig_partial = s->partial;
+    w->set.bracket_skew_ms = s->skew_ms;
+    long begun = 0;
+    for (int guard = 0; begun < s->presses; guard++) {
+        assert_true(guard < 200 * s->presses);
+        begun += world_press(w);
+        world_run(w, 1 + 8 * chance(w));
+    }
+    finish(w);
+    assert_int_equal(w->told + w->lost, begun);
+    printf("%d members, seed %d: %ld takes begun, %ld joined, %ld outcomes told, %ld lost with the "
+           "conductor, %ld kills, %ld cuts\n",
+           s->members, (int)s->seed, begun, w->joints, w->told, w->lost, w->kills, w->cuts);
+    assert_true(w->joints > begun / 3);
+    *presses += begun;
+    *kills += w->kills;
+    world_close(w);
+}
+
+static void test_faults(void **state)
+{
+    const struct faults some = {0.02, 0.02, 0.1, 0.0005, 0.0005, 0.0005, true};
+    const struct faults many = {0.02, 0.02, 0.3, 0.006, 0.002, 0.002, true};
+    const struct soak soaks[] = {
+        {1, 16, 600, some, false, 0}, {2, 16, 500, some, false, 100},
+        {3, 4, 500, many, false, 0},  {4, 16, 300, some, true, 100},
+        {5, 4, 300, many, true, 0},   {6, 2, 300, many, false, 100},
+        {7, 64, 60, some, true, 0},
+    };
+    long presses = 0, kills = 0;
+    (void)state;
+    for (size_t i = 0; i < sizeof soaks / sizeof soaks[0]; i++)
+        soak(&soaks[i], &presses, &kills);
+    printf("%ld takes, %ld power cuts\n", presses, kills);
+    assert_true(presses >= 2000 && kills >= 300);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_press_becomes_a_take),
+        cmocka_unit_test(test_presses_that_are_refused),
+        cmocka_unit_test(test_member_dies_while_it_shoots),
+        cmocka_unit_test(test_partial_take),
+        cmocka_unit_test(test_late_delivery),
+        cmocka_unit_test(test_broker_away_for_an_hour),
+        cmocka_unit_test(test_skewed_takes_are_shot_again),
+        cmocka_unit_test(test_two_conductors),
+        cmocka_unit_test(test_takes_that_are_given_up),
+        cmocka_unit_test(test_faults),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
