@@ -112,7 +112,7 @@ static void record_take(struct conductor *c, struct conductor_take *t, int64_t n
     t->within_ns = 0;
     for (int i = 0; i < t->order.n; i++) {
         t->part[i] = PART_WAITS;
-        t->part_id[i][0] = t->boot[i][0] = t->why[i][0] = 0;
+        t->boot[i][0] = t->why[i][0] = 0;
         t->retry_ns[i] = 0;
     }
     memset(t->has_start, 0, sizeof t->has_start);
@@ -138,8 +138,13 @@ static void gather_members(struct conductor *c, struct conductor_take *t, int64_
     int turn = 0;
     for (int i = 0; i < c->n; i++) {
         const struct conductor_member *m = &c->member[i];
-        if (!conductor_members_belongs(c, m) || conductor_members_check(c, m, now_ns) != OK)
+        if (!conductor_members_belongs(c, m))
             continue;
+        if (conductor_members_check(c, m, now_ns) != OK) {
+            snprintf(t->reason, sizeof t->reason, "without %s", m->name);
+            memcpy(t->out[t->n_out++], m->name, sizeof m->name);
+            continue;
+        }
         memcpy(o->member[o->n], m->name, sizeof m->name);
         o->turn[o->n++] = turn;
         turn += m->said.cameras;
@@ -180,14 +185,18 @@ static void look_at_part(struct conductor_take *t, int k, const struct conductor
                          int64_t now_ns)
 {
     const struct message_hold *held = m ? conductor_members_hold(m, t->order.take) : NULL;
-    if (t->part[k] != PART_WAITS || !m || !m->said.online)
+    if (!m || !m->said.online)
+        return;
+    if (t->part[k] == PART_STORED && !held && !m->said.serial &&
+        now_ns - t->ordered_ns > CONDUCTOR_IDLE_NS)
+        fail_part(t, k, "lost its part");
+    if (t->part[k] != PART_WAITS)
         return;
     const bool works = m->said.serial && (!t->order.serial || m->said.serial == t->order.serial);
     if (held && t->phase == TAKE_SHOOTING && !t->retry_ns[k]) {
         t->retry_ns[k] = now_ns + CONDUCTOR_RETRY_NS; // its report, with times, is on its way
     } else if (held && now_ns >= t->retry_ns[k]) {
         t->part[k] = PART_STORED;
-        memcpy(t->part_id[k], held->part, sizeof held->part);
     } else if (held) {
         return;
     } else if (t->boot[k][0] && strcmp(m->said.boot, t->boot[k]) != 0) {
@@ -293,14 +302,15 @@ static void fetch_parts(struct conductor *c, struct conductor_take *t, int64_t n
 {
     for (int k = 0; k < t->order.n; k++) {
         const struct conductor_member *m = conductor_members_find(c, t->order.member[k]);
-        if (t->part[k] != PART_STORED || !m || !m->said.online || now_ns < t->retry_ns[k] ||
+        const struct message_hold *held = m ? conductor_members_hold(m, t->order.take) : NULL;
+        if (t->part[k] != PART_STORED || !held || !m->said.online || now_ns < t->retry_ns[k] ||
             !has_room(c))
             continue;
         t->part[k] = PART_FETCHING;
         struct conductor_action *a = add_action(c, CONDUCTOR_FETCH);
         memcpy(a->take, t->order.take, sizeof a->take);
         memcpy(a->name, t->order.member[k], sizeof a->name);
-        memcpy(a->part, t->part_id[k], sizeof a->part);
+        a->part = *held;
     }
 }
 
@@ -329,6 +339,10 @@ static void follow_gathering(struct conductor *c, struct conductor_take *t, int6
     for (int k = 0; k < t->order.n; k++)
         if (t->part[k] == PART_FETCHED)
             memcpy(a->order.member[a->order.n++], t->order.member[k], TAKE_MEMBER_CAP);
+        else
+            memcpy(a->missing[a->n_missing++], t->order.member[k], TAKE_MEMBER_CAP);
+    for (int i = 0; i < t->n_out && a->n_missing < MESSAGE_MEMBERS; i++)
+        memcpy(a->missing[a->n_missing++], t->out[i], TAKE_MEMBER_CAP);
     snprintf(a->text, sizeof a->text, "%s", t->reason);
 }
 
@@ -441,7 +455,6 @@ static void on_shot(struct conductor *c, struct conductor_take *t, int k,
         fail_part(t, k, "its frames are of another time");
     } else if (r->kind == MESSAGE_STORED) {
         t->part[k] = PART_STORED;
-        memcpy(t->part_id[k], r->part, sizeof r->part);
         if (k == 0 && r->red > 0) {
             c->red = r->red;
             c->blue = r->blue;

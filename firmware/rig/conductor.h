@@ -80,11 +80,12 @@ struct conductor_take {
     enum conductor_phase phase;
     struct message_order order; // members, exposures, id
     enum conductor_part part[MESSAGE_MEMBERS];
-    char part_id[MESSAGE_MEMBERS][TAKE_ID_CAP];
     char boot[MESSAGE_MEMBERS]
              [MESSAGE_EPOCH_CAP]; // of the member, when it was ordered; "": not known
     char why[MESSAGE_MEMBERS][96];
     int64_t retry_ns[MESSAGE_MEMBERS];
+    int n_out; // boards that could not take part, if partial
+    char out[MESSAGE_MEMBERS][TAKE_MEMBER_CAP];
     int64_t ordered_ns; // when members were asked last
     int tries;
     bool stopped;           // members were told to end it
@@ -133,7 +134,7 @@ enum conductor_action_kind {
     CONDUCTOR_ORDER,  // publish conductor_action.order
     CONDUCTOR_RECORD, // give the take an id and put its order on the disk
     CONDUCTOR_FETCH,  // fetch `part` of `take` from `name`
-    CONDUCTOR_JOIN,   // join the parts of `take`
+    CONDUCTOR_JOIN,   // join the parts of `take` from the members of `order`
     CONDUCTOR_DROP,   // note on the disk that `take` is dropped, remove its parts there
     CONDUCTOR_CLEAR,  // nothing of `take` is left anywhere: forget it
     CONDUCTOR_REMOVE, // clear the retained state of the board `name`
@@ -143,7 +144,10 @@ enum conductor_action_kind {
 struct conductor_action {
     enum conductor_action_kind kind;
     struct message_order order;
-    char take[TAKE_ID_CAP], name[TAKE_MEMBER_CAP], part[TAKE_ID_CAP];
+    char take[TAKE_ID_CAP], name[TAKE_MEMBER_CAP];
+    struct message_hold part; // FETCH
+    int n_missing;            // JOIN: boards that the take lacks
+    char missing[MESSAGE_MEMBERS][TAKE_MEMBER_CAP];
     bool asked;
     err_t err;
     char text[TAKE_TEXT];

@@ -219,6 +219,8 @@ static err_t read_holds(const char *what, const struct cJSON *doc, struct messag
     static const struct field fields[] = {
         {"take", TEXT, AT(message_hold, take), 0, 0, ids, TAKE_ID_CAP},
         {"part", TEXT, AT(message_hold, part), 0, 0, ids, TAKE_ID_CAP},
+        {"bytes", NS, AT(message_hold, bytes), 0, 0, NULL, 0},
+        {"sha256", TEXT, AT(message_hold, sha256), 0, 0, hex, SHA256_HEX_CAP},
     };
     const struct cJSON *list = json_member(doc, "holds");
     err_t e = OK;
@@ -280,8 +282,11 @@ void message_write_member(const struct message_member *m, FILE *f)
                 "\", \"clock\": \"%s\", \"serial\": \"%" PRId64 "\", \"holds\": [",
                 m->free_mb, m->clock_known ? "true" : "false", m->within_ns, m->clock, m->serial);
         for (int i = 0; i < m->n_holds; i++)
-            fprintf(f, "%s{\"take\": \"%s\", \"part\": \"%s\"}", i ? ", " : "", m->hold[i].take,
-                    m->hold[i].part);
+            fprintf(f,
+                    "%s{\"take\": \"%s\", \"part\": \"%s\", \"bytes\": \"%" PRId64
+                    "\", \"sha256\": \"%s\"}",
+                    i ? ", " : "", m->hold[i].take, m->hold[i].part, m->hold[i].bytes,
+                    m->hold[i].sha256);
         fputs("]", f);
     }
     fputs("}", f);

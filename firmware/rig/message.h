@@ -7,6 +7,8 @@
 
 #include "firmware/capture/take.h"
 
+#include "core/base/sha256.h"
+
 #include <stdio.h>
 
 enum {
@@ -52,8 +54,11 @@ struct message_conductor {
     char version[MESSAGE_WORD_CAP];
 };
 
-struct message_hold { // a part of the rig's take
+/* A part of a rig's take. Its manifest proves all its other files, and is proved by this. */
+struct message_hold {
     char take[TAKE_ID_CAP], part[TAKE_ID_CAP];
+    int64_t bytes; // of the manifest
+    char sha256[SHA256_HEX_CAP];
 };
 
 /* MESSAGE_MEMBER */

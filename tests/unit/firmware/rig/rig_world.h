@@ -484,7 +484,7 @@ static void fetch(struct world *w, struct disk_take *d, const struct conductor_a
         ev->err = ERR_FORMAT;
         ev->text = "no such part";
         for (int i = 0; i < n->n_holds; i++) {
-            if (strcmp(n->hold[i].id, a->part) != 0)
+            if (strcmp(n->hold[i].id, a->part.part) != 0)
                 continue;
             d->part[at] = n->hold[i];
             d->has[at] = true;
