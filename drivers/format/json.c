@@ -200,3 +200,37 @@ void json_put_string(FILE *f, const char *s)
     }
     putc('"', f);
 }
+
+static void put_plain(FILE *f, const struct cJSON *node)
+{
+    double v;
+    char text[32];
+    if (json_number(node, &v)) {
+        snprintf(text, sizeof text, "%.15g", v);
+        fprintf(f, strtod(text, NULL) == v ? "%.15g" : "%.17g", v);
+    } else if (json_string(node)) {
+        json_put_string(f, json_string(node));
+    } else {
+        fputs(cJSON_IsTrue(node) ? "true" : cJSON_IsFalse(node) ? "false" : "null", f);
+    }
+}
+
+/* cJSON limits the depth of what it reads. */
+void json_put(FILE *f, const struct cJSON *node)
+{
+    const bool object = json_is_object(node);
+    if (!object && !json_is_array(node)) {
+        put_plain(f, node);
+        return;
+    }
+    putc(object ? '{' : '[', f);
+    for (const struct cJSON *m = json_first(node); m; m = json_next(m)) {
+        if (object) {
+            json_put_string(f, json_key(m));
+            fputs(": ", f);
+        }
+        json_put(f, m);
+        fputs(json_next(m) ? ", " : "", f);
+    }
+    putc(object ? '}' : ']', f);
+}

@@ -70,4 +70,8 @@ MUST_USE err_t json_floats(const char *what, const struct cJSON *object, const c
 /* Write s in quotes, escaped; what is not UTF-8 in it becomes U+FFFD. */
 void json_put_string(FILE *f, const char *s);
 
+/* Write a node and what is in it on one line. Numbers are read back as the same, infinite ones
+ * become null. */
+void json_put(FILE *f, const struct cJSON *node);
+
 #endif

@@ -230,6 +230,10 @@ static void put_frame(FILE *f, const struct take *t, int i)
     put_number(f, "red_gain", x->gains_known ? x->red_gain : NAN);
     put_number(f, "blue_gain", x->gains_known ? x->blue_gain : NAN);
     put_number(f, "lens", x->lens_known ? x->lens : NAN);
+    if (t->rig.take[0]) {
+        put_ns(f, "common_ns", x->common_ns);
+        put_ns(f, "within_ns", x->within_ns);
+    }
     put_clocks(f, "start", &x->start);
     fputs("}", f);
 }
@@ -246,7 +250,15 @@ static void put_files(FILE *f, const struct manifest *m)
     fputs("\n  ]\n}\n", f);
 }
 
-void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
+static void put_rig(FILE *f, const struct take_rig *r)
+{
+    put_key(f, "rig");
+    fprintf(f, "{\"take\": \"%s\", \"member\": \"%s\", ", r->take, r->member);
+    fprintf(f, "\"clock\": \"%s\"}, ", r->clock);
+}
+
+/* What is written before the cameras. rig: JSON, NULL: t's. */
+static void put_head(FILE *f, const struct manifest *m, const struct take *t, const char *rig)
 {
     bool developed = m->how.red > 0.0f;
     fprintf(f, "{\n  \"format\": \"%s\", \"version\": %d,\n  ", format, VERSION);
@@ -254,6 +266,10 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
     put_text(f, "boot_id", m->boot);
     if (m->session[0])
         put_text(f, "session", m->session);
+    if (rig)
+        fprintf(f, "\"rig\": %s, ", rig);
+    else if (t->rig.take[0])
+        put_rig(f, &t->rig);
     fprintf(f, "\"counter\": %llu,\n  ", m->counter);
     put_text(f, "status", t->status == TAKE_COMPLETE ? "complete" : "aborted");
     put_text(f, "reason", t->reason);
@@ -272,11 +288,24 @@ void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
     put_number(f, "white_red", developed ? (double)m->how.red : NAN);
     put_number(f, "white_blue", developed ? (double)m->how.blue : NAN);
     fputs("\n  \"cameras\": [", f);
+}
+
+void manifest_write(FILE *f, const struct manifest *m, const struct take *t)
+{
+    put_head(f, m, t, NULL);
     for (int i = 0; i < t->n_cameras; i++)
         put_camera(f, t, i);
     fputs("\n  ],\n  \"frames\": [", f);
     for (int i = 0; i < t->n; i++)
         put_frame(f, t, i);
+    put_files(f, m);
+}
+
+void manifest_write_joint(FILE *f, const struct manifest *m, const struct take *head,
+                          const struct manifest_lists *lists)
+{
+    put_head(f, m, head, lists->rig);
+    fprintf(f, "%s\n  ],\n  \"frames\": [%s", lists->cameras, lists->frames);
     put_files(f, m);
 }
 
@@ -377,14 +406,112 @@ static err_t get_files(const char *what, const struct cJSON *doc, struct manifes
     return e;
 }
 
+static const char take_digits[] = "0123456789abcdef-",
+                  member_letters[] = "abcdefghijklmnopqrstuvwxyz0123456789-";
+
+bool manifest_is_member(const char *name)
+{
+    size_t n = strlen(name);
+    return n > 0 && n < TAKE_MEMBER_CAP && name[0] != '-' && !name[strspn(name, member_letters)];
+}
+
+static bool get_member(const struct cJSON *object, const char *key, char out[TAKE_MEMBER_CAP])
+{
+    return get_text(object, key, member_letters, TAKE_MEMBER_CAP, out) && out[0] != '-';
+}
+
+static err_t check_board(const char *what, const struct cJSON *node)
+{
+    static const char *const keys[] = {"name", "part", "boot_id", "cameras", "clock", "within_ns"};
+    char member[TAKE_MEMBER_CAP];
+    err_t e = json_is_object(node)
+                  ? check_keys(what, node, keys, 6, 6)
+                  : err_fail(ERR_FORMAT, "%s: an element of \"members\" is not an object", what);
+    if (!e && !get_member(node, "name", member))
+        e = err_fail(ERR_FORMAT, "%s: a member of the rig has no name", what);
+    return e;
+}
+
+static err_t get_joint(const char *what, const struct cJSON *rig, struct manifest *out)
+{
+    static const char *const keys[] = {"take", "members", "missing"};
+    const struct cJSON *list = json_member(rig, "members"), *gone = json_member(rig, "missing");
+    char take[MANIFEST_ID_CAP];
+    err_t e = check_keys(what, rig, keys, 3, 3);
+    if (e)
+        return e;
+    if (!get_text(rig, "take", take_digits, sizeof take, take) || strcmp(take, out->id) != 0)
+        return err_fail(ERR_FORMAT, "%s: it is another take than its rig says", what);
+    if (!json_is_array(list) || json_count(list) < 1 || json_count(list) > MANIFEST_MEMBERS_MAX ||
+        !json_is_array(gone) || json_count(gone) > MANIFEST_MEMBERS_MAX)
+        return err_fail(ERR_FORMAT, "%s: its rig needs lists of 1 to %d members and missing ones",
+                        what, MANIFEST_MEMBERS_MAX);
+    for (const struct cJSON *node = json_first(list); node && !e; node = json_next(node))
+        e = check_board(what, node);
+    for (const struct cJSON *node = json_first(gone); node && !e; node = json_next(node))
+        if (!json_string(node) || !manifest_is_member(json_string(node)))
+            e = err_fail(ERR_FORMAT, "%s: a missing member of the rig has no name", what);
+    out->members = json_count(list);
+    return e;
+}
+
+static err_t get_rig(const char *what, const struct cJSON *rig, struct manifest *out)
+{
+    static const char *const keys[] = {"take", "member", "clock"};
+    if (!rig)
+        return OK;
+    if (!json_is_object(rig))
+        return err_fail(ERR_FORMAT, "%s: rig is not an object", what);
+    if (json_member(rig, "members"))
+        return get_joint(what, rig, out);
+    err_t e = check_keys(what, rig, keys, 3, 3);
+    if (e)
+        return e;
+    const char *clock = json_string(json_member(rig, "clock"));
+    if (!get_text(rig, "take", take_digits, sizeof out->rig_take, out->rig_take) ||
+        !get_member(rig, "member", out->rig_member) || !clock ||
+        (strcmp(clock, "exchange") != 0 && strcmp(clock, "kernel") != 0))
+        return err_fail(ERR_FORMAT,
+                        "%s: rig needs the id of a take, a member's name and a clock, exchange or "
+                        "kernel",
+                        what);
+    return OK;
+}
+
+/* Text up to a quote, which follows; returns what comes after the quote, NULL: it does not fit. */
+static const char *head_text(const char *at, size_t cap, char *out)
+{
+    size_t n = strcspn(at, "\"");
+    if (n == 0 || n >= cap || !at[n])
+        return NULL;
+    memcpy(out, at, n);
+    out[n] = 0;
+    return at + n + 1;
+}
+
+bool manifest_part(const char *text, size_t n, char take[MANIFEST_ID_CAP],
+                   char member[TAKE_MEMBER_CAP])
+{
+    static const char first[] = "\"rig\": {\"take\": \"", second[] = ", \"member\": \"";
+    char head[MANIFEST_HEAD + 1];
+    n = n < MANIFEST_HEAD ? n : MANIFEST_HEAD;
+    memcpy(head, text, n);
+    head[n] = 0;
+    const char *at = strstr(head, first);
+    at = at ? head_text(at + sizeof first - 1, MANIFEST_ID_CAP, take) : NULL;
+    if (!at || strncmp(at, second, sizeof second - 1) != 0 || take[strspn(take, take_digits)])
+        return false;
+    return head_text(at + sizeof second - 1, TAKE_MEMBER_CAP, member) && manifest_is_member(member);
+}
+
 static err_t get_head(const char *what, const struct cJSON *doc, struct manifest *out)
 {
     static const char *const keys[] = {
-        "format", "version", "id",           "boot_id",   "counter",   "status",
-        "reason", "trigger", "clock_synced", "stagger",   "metered",   "tolerance_stops",
-        "skew_s", "cameras", "frames_used",  "rejected",  "white_red", "white_blue",
-        "frames", "files",   "session",      "not_merged"};
-    const int n_keys = sizeof keys / sizeof keys[0], optional = 2; // the last two keys
+        "format", "version", "id",           "boot_id",    "counter",   "status",
+        "reason", "trigger", "clock_synced", "stagger",    "metered",   "tolerance_stops",
+        "skew_s", "cameras", "frames_used",  "rejected",   "white_red", "white_blue",
+        "frames", "files",   "session",      "not_merged", "rig"};
+    const int n_keys = sizeof keys / sizeof keys[0], optional = 3; // the last keys
     uint64_t version, counter;
     if (!json_is_object(doc))
         return err_fail(ERR_FORMAT, "%s: the document is not an object", what);
@@ -406,7 +533,8 @@ static err_t get_head(const char *what, const struct cJSON *doc, struct manifest
         !get_text(doc, "session", "0123456789abcdef-", sizeof out->session, out->session))
         return err_fail(ERR_FORMAT, "%s: session is not an id", what);
     out->counter = counter;
-    return OK;
+    out->complete = strcmp(status, "complete") == 0;
+    return get_rig(what, json_member(doc, "rig"), out);
 }
 
 err_t manifest_parse(const char *what, const char *text, size_t n, struct manifest *out)

@@ -78,10 +78,10 @@ static err_t take_facts(const char *what, const struct cJSON *doc, void *ctx)
     struct raw_take *out = ctx;
     const struct cJSON *cameras = json_member(doc, "cameras"), *frames = json_member(doc, "frames");
     err_t e = OK;
-    if (!json_is_array(cameras) || json_count(cameras) > BRACKET_CAMERAS_MAX ||
-        !json_is_array(frames) || json_count(frames) > TAKE_FRAMES_MAX)
+    if (!json_is_array(cameras) || json_count(cameras) > MANIFEST_CAMERAS_MAX ||
+        !json_is_array(frames) || json_count(frames) > MANIFEST_FRAMES_MAX)
         return err_fail(ERR_FORMAT, "%s: needs lists of at most %d cameras and %d frames", what,
-                        BRACKET_CAMERAS_MAX, TAKE_FRAMES_MAX);
+                        MANIFEST_CAMERAS_MAX, MANIFEST_FRAMES_MAX);
     if (!get_gain(doc, "white_red", &out->how.red) || !get_gain(doc, "white_blue", &out->how.blue))
         return err_fail(ERR_FORMAT, "%s: white_red or white_blue is not in [1/64, 64]", what);
     for (const struct cJSON *c = json_first(cameras); c && !e; c = json_next(c)) {

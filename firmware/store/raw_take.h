@@ -10,12 +10,12 @@
 /* The part of a manifest that says how its frames were taken. */
 struct raw_take {
     int n_cameras, n;
-    struct camera_info camera[BRACKET_CAMERAS_MAX]; // format, w, h, stride, bits, black
+    struct camera_info camera[MANIFEST_CAMERAS_MAX]; // format, w, h, stride, bits, black
     struct develop how;
     struct raw_take_frame {
         int camera;
         char raw[MANIFEST_NAME_CAP], picture[MANIFEST_NAME_CAP]; // in raw/ and in images/
-    } frame[TAKE_FRAMES_MAX];
+    } frame[MANIFEST_FRAMES_MAX];
 };
 
 /* Read it from n bytes of the manifest of a complete take; `what` begins the sentence. Sizes and

@@ -6,15 +6,11 @@
  * One process at a time: it holds a lock on the folder. Protocol: firmware/store/README.md 1. */
 #include "firmware/store/store.h"
 
-#include "firmware/store/manifest.h"
-#include "firmware/store/store_fs.h"
+#include "firmware/store/store_inner.h"
 #include "firmware/store/store_media.h"
 
 #include "core/base/log.h"
-#include "drivers/format/file.h"
-#include "drivers/format/json.h"
 
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
@@ -27,18 +23,8 @@
 enum { CHECKED = 3, BOOT_DIGITS = 8 }; // takes that store_open verifies
 
 static const char boot_path[] = "/proc/sys/kernel/random/boot_id";
-static const char counter_name[] = "counter", tmp_prefix[] = ".tmp-", aborted[] = "aborted-";
+static const char counter_name[] = "counter", aborted[] = "aborted-";
 static const uint64_t counter_max = 999999999;
-
-struct store {
-    const struct store_fs *fs;
-    char path[FILE_PATH_CAP];
-    struct store_config cfg;
-    int fd; // the folder, locked
-    char boot[MANIFEST_BOOT_CAP];
-    uint64_t next, kept;      // kept: the newest take that was found not to be removable
-    struct manifest manifest; // describes the take that is written or checked
-};
 
 /* ---- names ---- */
 
@@ -63,9 +49,8 @@ bool store_is_id(const char *name)
     return strlen(name) < STORE_ID_CAP && store_number(name, &is_aborted) != 0;
 }
 
-/* Whether a take may have a file or folder of that name; everything else belongs to other programs.
- * Digits in the patterns stand for those of camera and exposure. */
-static bool is_take_name(const char *name)
+/* Digits in the patterns stand for those of camera and exposure. */
+bool store_is_file(const char *name)
 {
     static const char *const names[] = {MANIFEST_FILE,
                                         "exposure.json",
@@ -87,31 +72,45 @@ static bool is_take_name(const char *name)
     return false;
 }
 
-/* A take found in a folder. */
-struct entry {
-    uint64_t number;
-    bool is_aborted;
-    char id[STORE_ID_CAP];
-};
-
-/* The next take of a folder, in any order. */
-static bool next_entry(DIR *d, struct entry *out)
+bool store_is_staged(const char *name)
 {
+    char member[TAKE_MEMBER_CAP], file[MANIFEST_NAME_CAP];
+    size_t n = strcspn(name, "/"), end = sizeof STORE_RIG_PART - 1;
+    if (strcmp(name, STORE_RIG_ORDER) == 0 || strcmp(name, STORE_RIG_BOOT) == 0)
+        return true;
+    if (n >= sizeof member)
+        return false;
+    memcpy(member, name, n);
+    member[n] = 0;
+    if (!manifest_is_member(member) || !name[n])
+        return manifest_is_member(member);
+    size_t k = strlen(name += n + 1);
+    if (k >= sizeof file)
+        return false;
+    memcpy(file, name, k + 1);
+    if (k > end && strcmp(file + k - end, STORE_RIG_PART) == 0)
+        file[k - end] = 0;
+    return store_is_file(file);
+}
+
+bool store_next_entry(DIR *d, const char *prefix, struct store_entry *out)
+{
+    const size_t skip = strlen(prefix);
     for (struct dirent *entry; (entry = readdir(d));) {
-        out->number = store_number(entry->d_name, &out->is_aborted);
         struct stat st;
+        if (strncmp(entry->d_name, prefix, skip) != 0)
+            continue;
+        out->number = store_number(entry->d_name + skip, &out->is_aborted);
         if (!out->number || fstatat(dirfd(d), entry->d_name, &st, AT_SYMLINK_NOFOLLOW) != 0 ||
             !S_ISDIR(st.st_mode))
             continue;
-        snprintf(out->id, sizeof out->id, "%.*s", STORE_ID_CAP - 1, entry->d_name);
+        snprintf(out->id, sizeof out->id, "%.*s", STORE_ID_CAP - 1, entry->d_name + skip);
         return true;
     }
     return false;
 }
 
-/* Newer takes come first. Equal numbers, which only a copied folder can have, are
- * ordered by name. */
-static bool comes_before(const struct entry *a, const struct entry *b)
+bool store_comes_before(const struct store_entry *a, const struct store_entry *b)
 {
     return a->number != b->number ? a->number > b->number : strcmp(a->id, b->id) > 0;
 }
@@ -123,15 +122,20 @@ int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap)
 
 int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
 {
-    struct entry x, other;
+    return store_list_prefix(path, "", ids, cap);
+}
+
+int store_list_prefix(const char *path, const char *prefix, char (*ids)[STORE_ID_CAP], int cap)
+{
+    struct store_entry x, other;
     int n = 0;
     DIR *d = opendir(path);
-    while (d && next_entry(d, &x)) {
+    while (d && store_next_entry(d, prefix, &x)) {
         int at = n;
         for (; at > 0; at--) {
             memcpy(other.id, ids[at - 1], STORE_ID_CAP);
             other.number = store_number(other.id, &other.is_aborted);
-            if (comes_before(&other, &x))
+            if (store_comes_before(&other, &x))
                 break;
             if (at < cap)
                 memcpy(ids[at], ids[at - 1], STORE_ID_CAP);
@@ -145,93 +149,87 @@ int store_list_in(const char *path, char (*ids)[STORE_ID_CAP], int cap)
     return n;
 }
 
-/* ---- checking ---- */
+/* ---- parts of a rig's takes ---- */
 
-/* Check that all files of a folder are listed. */
-static err_t check_listed(const struct manifest *m, const char *dir, const char *folder)
+bool store_is_part(const struct store_fs *fs, const char *path, const char *id,
+                   char take[MANIFEST_ID_CAP], char member[TAKE_MEMBER_CAP])
 {
-    static const char *const own[] = {MANIFEST_FILE, "images", "raw", "merged"};
-    char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP + 256];
-    err_t e = file_join(dir, folder, path);
-    DIR *d = e ? NULL : opendir(path);
-    for (struct dirent *entry; d && !e && (entry = readdir(d));) {
-        if (strcmp(entry->d_name, ".") == 0 || strcmp(entry->d_name, "..") == 0)
+    char dir[FILE_PATH_CAP], file[FILE_PATH_CAP], head[MANIFEST_HEAD];
+    size_t n;
+    return file_join(path, id, dir) == OK && file_join(dir, MANIFEST_FILE, file) == OK &&
+           store_fs_read(fs, file, head, sizeof head, &n) == OK &&
+           manifest_part(head, n, take, member);
+}
+
+int store_parts(const char *path, struct store_part *out, int cap)
+{
+    struct store_entry x, other;
+    struct store_part part;
+    int n = 0;
+    DIR *d = opendir(path);
+    while (d && store_next_entry(d, "", &x)) {
+        memcpy(part.id, x.id, sizeof part.id);
+        if (x.is_aborted ||
+            !store_is_part(&store_fs_system, path, x.id, part.rig_take, part.rig_member))
             continue;
-        snprintf(name, sizeof name, "%s%s%s", folder, *folder ? "/" : "", entry->d_name);
-        bool known = false;
-        for (int i = 0; i < 4 && !*folder; i++)
-            known = known || strcmp(name, own[i]) == 0;
-        for (int i = 0; i < m->n && !known; i++)
-            known = strcmp(m->file[i].name, name) == 0;
-        if (!known)
-            e = err_fail(ERR_FORMAT, "%s/%s: is not in the manifest", dir, name);
+        int at = n;
+        for (; at > 0; at--) {
+            memcpy(other.id, out[at - 1].id, sizeof other.id);
+            other.number = store_number(other.id, &other.is_aborted);
+            if (store_comes_before(&other, &x))
+                break;
+            if (at < cap)
+                out[at] = out[at - 1];
+        }
+        if (at < cap)
+            out[at] = part;
+        n += n < cap;
     }
     if (d)
         closedir(d);
+    return n;
+}
+
+/* The newest part of that take; false: there is none. */
+static bool find_part(const struct store *s, const char *rig_take, struct store_entry *out)
+{
+    struct store_entry x;
+    char take[MANIFEST_ID_CAP], member[TAKE_MEMBER_CAP];
+    bool found = false;
+    DIR *d = opendir(s->path);
+    while (d && store_next_entry(d, "", &x))
+        if (!x.is_aborted && (!found || store_comes_before(&x, out)) &&
+            store_is_part(s->fs, s->path, x.id, take, member) && strcmp(take, rig_take) == 0) {
+            *out = x;
+            found = true;
+        }
+    if (d)
+        closedir(d);
+    return found;
+}
+
+err_t store_release(struct store *s, const char *rig_take)
+{
+    struct store_entry x;
+    err_t e = OK;
+    pthread_mutex_lock(&s->lock);
+    while (!e && find_part(s, rig_take, &x))
+        e = store_keep_remove(s, x.id);
+    pthread_mutex_unlock(&s->lock);
     return e;
 }
 
-static err_t check_file(const struct store_fs *fs, const char *dir, const struct manifest_file *f)
-{
-    char path[FILE_PATH_CAP], hex[SHA256_HEX_CAP];
-    uint64_t bytes;
-    err_t e = file_join(dir, f->name, path);
-    if (!e && !file_exists(path))
-        e = err_fail(ERR_FORMAT, "%s: is missing", path);
-    if (!e)
-        e = store_fs_hash(fs, path, &bytes, hex);
-    if (e)
-        return e;
-    if (bytes != f->bytes)
-        return err_fail(ERR_FORMAT,
-                        "%s: the file has %" PRIu64 " bytes, the manifest says %" PRIu64, path,
-                        bytes, f->bytes);
-    if (strcmp(hex, f->sha256) != 0)
-        return err_fail(ERR_FORMAT, "%s: its SHA-256 differs from the manifest", path);
-    return OK;
-}
-
-static err_t read_manifest(const struct store_fs *fs, const char *dir, struct manifest *m)
-{
-    char path[FILE_PATH_CAP];
-    size_t n;
-    err_t e = file_join(dir, MANIFEST_FILE, path);
-    if (!e && !file_exists(path))
-        e = err_fail(ERR_FORMAT, "%s: is missing", path);
-    if (e)
-        return e;
-    char *text = malloc(JSON_BYTES_MAX + 1); // one more shows that it is too long
-    if (!text)
-        return err_fail(ERR_NOMEM, "%s: no memory to read it", path);
-    e = store_fs_read(fs, path, text, JSON_BYTES_MAX + 1, &n);
-    if (!e)
-        e = manifest_parse(path, text, n, m);
-    free(text);
-    return e;
-}
-
-static err_t verify_take(const struct store_fs *fs, const char *dir, struct manifest *m)
-{
-    static const char *const folders[] = {"", "images", "raw", "merged"};
-    err_t e = read_manifest(fs, dir, m);
-    for (int i = 0; i < 4 && !e; i++)
-        e = check_listed(m, dir, folders[i]);
-    for (int i = 0; i < m->n && !e; i++)
-        e = check_file(fs, dir, &m->file[i]);
-    return e;
-}
+/* ---- opening ---- */
 
 err_t store_verify(const char *dir)
 {
     struct manifest *m = malloc(sizeof *m);
     if (!m)
         return err_fail(ERR_NOMEM, "%s: no memory for its manifest", dir);
-    err_t e = verify_take(&store_fs_system, dir, m);
+    err_t e = store_check_take(&store_fs_system, dir, m);
     free(m);
     return e;
 }
-
-/* ---- opening ---- */
 
 static err_t sync_parent(const struct store *s, char *path)
 {
@@ -295,10 +293,18 @@ static err_t read_boot(struct store *s)
 
 static bool is_tmp_name(const char *name)
 {
-    const size_t n = sizeof tmp_prefix - 1;
-    return strncmp(name, tmp_prefix, n) == 0 &&
+    const size_t n = sizeof STORE_TMP - 1;
+    return strncmp(name, STORE_TMP, n) == 0 &&
            (strcmp(name + n, counter_name) == 0 || strcmp(name + n, STORE_SESSION_ENDED) == 0 ||
             store_is_id(name + n));
+}
+
+/* A staging folder that was on its way out, or in. */
+static bool is_tmp_staging(const char *name)
+{
+    static const char first[] = STORE_TMP "rig-";
+    const size_t n = sizeof first - 1;
+    return strncmp(name, first, n) == 0 && store_is_id(name + n);
 }
 
 /* Remove the leftovers of a crash, once their temporary names are on the disk: a folder with the
@@ -311,9 +317,22 @@ static void remove_leftovers(struct store *s)
         return;
     }
     DIR *d = opendir(s->path);
-    for (struct dirent *entry; d && (entry = readdir(d));)
-        if (is_tmp_name(entry->d_name) && file_join(s->path, entry->d_name, path) == OK)
-            store_fs_remove(s->fs, path, is_take_name);
+    for (struct dirent *entry; d && (entry = readdir(d));) {
+        const bool staging = is_tmp_staging(entry->d_name);
+        if ((staging || is_tmp_name(entry->d_name)) &&
+            file_join(s->path, entry->d_name, path) == OK)
+            store_fs_remove(s->fs, path, staging ? store_is_staged : store_is_file);
+    }
+    if (d)
+        closedir(d);
+}
+
+static void skip_numbers(struct store *s, const char *prefix)
+{
+    struct store_entry x;
+    DIR *d = opendir(s->path);
+    while (d && store_next_entry(d, prefix, &x))
+        s->next = x.number >= s->next ? x.number + 1 : s->next;
     if (d)
         closedir(d);
 }
@@ -324,18 +343,14 @@ static void read_counter(struct store *s)
 {
     char path[FILE_PATH_CAP], text[32] = "";
     size_t n = 0;
-    struct entry x;
     bool ok = file_join(s->path, counter_name, path) == OK &&
               store_fs_read(s->fs, path, text, sizeof text - 1, &n) == OK;
     char *end = text;
     uint64_t v = ok && text[0] >= '0' && text[0] <= '9' ? strtoull(text, &end, 10) : 0;
     ok = ok && n > 1 && strcmp(end, "\n") == 0 && v >= 1 && v <= counter_max;
     s->next = ok ? v : 1;
-    DIR *d = opendir(s->path);
-    while (d && next_entry(d, &x))
-        s->next = x.number >= s->next ? x.number + 1 : s->next;
-    if (d)
-        closedir(d);
+    skip_numbers(s, "");
+    skip_numbers(s, STORE_RIG);
     if (!ok && n > 0)
         log_warn("%s: its number is not in 1 to %" PRIu64 ", %" PRIu64 " is used", path,
                  counter_max, s->next);
@@ -347,7 +362,7 @@ static void check_take(struct store *s, const char *id)
     char path[FILE_PATH_CAP], name[STORE_ID_CAP + 16], aside[FILE_PATH_CAP];
     err_t e = file_join(s->path, id, path);
     if (!e)
-        e = verify_take(s->fs, path, &s->manifest);
+        e = store_check_take(s->fs, path, &s->old);
     if (!e)
         return;
     log_warn("%s", err_text());
@@ -379,6 +394,7 @@ err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg, s
     s->fs = fs;
     s->cfg = *cfg;
     s->fd = -1;
+    pthread_mutex_init(&s->lock, NULL);
     err_t e = cfg->keep >= 0
                   ? set_path(s, cfg->path)
                   : err_fail(ERR_ARG, "store.keep is %d takes, at least 0 is needed", cfg->keep);
@@ -396,6 +412,7 @@ err_t store_open_on(const struct store_fs *fs, const struct store_config *cfg, s
     read_counter(s);
     for (int i = store_list(s, last, CHECKED) - 1; i >= 0; i--)
         check_take(s, last[i]);
+    store_keep_unstage(s);
     *out = s;
     return OK;
 }
@@ -409,6 +426,8 @@ void store_close(struct store *s)
 {
     if (s && s->fd >= 0)
         close(s->fd);
+    if (s)
+        pthread_mutex_destroy(&s->lock);
     free(s);
 }
 
@@ -433,88 +452,13 @@ err_t store_room(const struct store *s, uint64_t bytes)
                     s->path, bytes, s->cfg.reserve, have);
 }
 
-/* ---- keeping the newest ---- */
-
-/* The oldest of its kind that is newer than `than` (number 0: of all), and how many of them there
- * are. */
-static int oldest_entry(const struct store *s, bool is_aborted, const struct entry *than,
-                        struct entry *out)
-{
-    struct entry x;
-    int n = 0;
-    DIR *d = opendir(s->path);
-    *out = (struct entry){0};
-    while (d && next_entry(d, &x))
-        if (x.is_aborted == is_aborted && (!than->number || comes_before(&x, than)) &&
-            (n++ == 0 || comes_before(out, &x)))
-            *out = x;
-    if (d)
-        closedir(d);
-    return n;
-}
-
-static err_t remove_take(struct store *s, const char *id)
-{
-    char path[FILE_PATH_CAP], name[STORE_ID_CAP + 8], tmp[FILE_PATH_CAP];
-    snprintf(name, sizeof name, "%s%s", tmp_prefix, id);
-    err_t e = file_join(s->path, id, path);
-    if (!e)
-        e = file_join(s->path, name, tmp);
-    if (!e)
-        e = store_fs_move(s->fs, path, tmp);
-    if (!e)
-        e = store_fs_sync_dir(s->fs, s->path);
-    if (!e)
-        store_fs_remove(s->fs, tmp, is_take_name);
-    return e;
-}
-
-/* Checks that it is a take of this store without foreign files. */
-static err_t check_removable(struct store *s, const char *id)
-{
-    static const char *const folders[] = {"", "images", "raw", "merged"};
-    char path[FILE_PATH_CAP];
-    err_t e = file_join(s->path, id, path);
-    if (!e)
-        e = read_manifest(s->fs, path, &s->manifest);
-    if (!e && strcmp(s->manifest.id, id) != 0)
-        e = err_fail(ERR_FORMAT, "%s: its manifest belongs to %s", path, s->manifest.id);
-    for (int i = 0; i < 4 && !e; i++)
-        e = check_listed(&s->manifest, path, folders[i]);
-    return e;
-}
-
-/* A take with added files is not removed, with one warning; nor are the places of the session that
- * the newest take belongs to. */
-static void keep_newest(struct store *s, bool is_aborted)
-{
-    struct entry x, than = {0};
-    char session[MANIFEST_ID_CAP];
-    err_t e = OK;
-    memcpy(session, s->manifest.session, sizeof session);
-    int surplus = s->cfg.keep > 0 ? oldest_entry(s, is_aborted, &than, &x) - s->cfg.keep : 0;
-    for (; surplus > 0 && !e; surplus--, than = x) {
-        oldest_entry(s, is_aborted, &than, &x);
-        if (check_removable(s, x.id) != OK) {
-            if (x.number > s->kept)
-                log_warn("%s; the take is kept although store.keep is exceeded", err_text());
-            s->kept = x.number > s->kept ? x.number : s->kept;
-        } else if (!session[0] || strcmp(s->manifest.session, session) != 0) {
-            e = remove_take(s, x.id);
-        }
-    }
-    if (e)
-        log_warn("%s", err_text());
-}
-
 /* ---- committing ---- */
 
 /* A take being written. */
 struct commit {
     struct store *s;
     const struct take *t;
-    char tmp[FILE_PATH_CAP], path[FILE_PATH_CAP];
-    bool shown;
+    struct store_new to;
 };
 
 static bool camera_is_full(const struct take *t, int camera)
@@ -541,6 +485,17 @@ static err_t check_frame(const struct take *t, int i)
     return OK;
 }
 
+static err_t check_rig(const struct take_rig *r)
+{
+    bool is_aborted;
+    if (!r->take[0] ||
+        (store_number(r->take, &is_aborted) && !is_aborted && manifest_is_member(r->member) &&
+         (strcmp(r->clock, "exchange") == 0 || strcmp(r->clock, "kernel") == 0)))
+        return OK;
+    return err_fail(ERR_ARG, "take: part of \"%s\" by \"%s\" with the clock \"%s\"", r->take,
+                    r->member, r->clock);
+}
+
 static err_t check_shape(const struct take *t)
 {
     int least = t->status == TAKE_COMPLETE ? 1 : 0;
@@ -548,7 +503,7 @@ static err_t check_shape(const struct take *t)
         t->n < least)
         return err_fail(ERR_ARG, "take: %d cameras and %d frames, allowed are 1 to %d and %d to %d",
                         t->n_cameras, t->n, BRACKET_CAMERAS_MAX, least, TAKE_FRAMES_MAX);
-    err_t e = OK;
+    err_t e = check_rig(&t->rig);
     for (int i = 0; i < t->n && !e; i++)
         e = check_frame(t, i);
     return e;
@@ -588,13 +543,34 @@ static err_t advance_counter(struct store *s)
     return e;
 }
 
+static err_t take_number(struct store *s, uint64_t *number)
+{
+    pthread_mutex_lock(&s->lock);
+    *number = s->next;
+    err_t e = advance_counter(s);
+    pthread_mutex_unlock(&s->lock);
+    return e;
+}
+
+err_t store_reserve(struct store *s, char id[STORE_ID_CAP])
+{
+    uint64_t number;
+    id[0] = 0;
+    err_t e = take_number(s, &number);
+    if (!e)
+        e = store_fs_sync_dir(s->fs, s->path);
+    if (!e)
+        snprintf(id, STORE_ID_CAP, "%.*s-%06" PRIu64, BOOT_DIGITS, s->boot, number);
+    return e;
+}
+
 static err_t add_file(struct commit *c, const char *name)
 {
     struct manifest *m = &c->s->manifest;
     struct manifest_file *f = &m->file[m->n++];
     char path[FILE_PATH_CAP];
     snprintf(f->name, sizeof f->name, "%s", name);
-    err_t e = file_join(c->tmp, name, path);
+    err_t e = file_join(c->to.tmp, name, path);
     return e ? e : store_fs_hash(c->s->fs, path, &f->bytes, f->sha256);
 }
 
@@ -602,7 +578,7 @@ static err_t put_frame(struct commit *c, const struct take_frame *f)
 {
     char name[MANIFEST_NAME_CAP], path[FILE_PATH_CAP];
     manifest_raw_name(c->t, f, name);
-    err_t e = file_join(c->tmp, name, path);
+    err_t e = file_join(c->to.tmp, name, path);
     if (!e)
         e = store_fs_write(c->s->fs, path, f->data, f->bytes);
     if (!e)
@@ -610,7 +586,7 @@ static err_t put_frame(struct commit *c, const struct take_frame *f)
     if (e || c->t->status != TAKE_COMPLETE || manifest_is_jpeg(c->t, f))
         return e;
     manifest_picture_name(c->t, f, name);
-    e = file_join(c->tmp, name, path);
+    e = file_join(c->to.tmp, name, path);
     if (!e)
         e = store_media_picture(c->s->fs, c->t, f, &c->s->manifest.how, path);
     return e ? e : add_file(c, name);
@@ -624,7 +600,7 @@ static err_t put_merged(struct commit *c)
         if (!camera_is_full(c->t, i))
             continue;
         snprintf(name, sizeof name, "merged/%02d.exr", i);
-        e = file_join(c->tmp, name, path);
+        e = file_join(c->to.tmp, name, path);
         if (!e)
             e = store_media_merge(c->s->fs, c->t, i, &c->s->manifest.how, path);
         if (!e)
@@ -647,7 +623,7 @@ static void give_up_merging(struct commit *c)
     log_warn("%s: not merged, the frames are kept: %s", m->id, m->not_merged);
     while (m->n > 0 && strncmp(m->file[m->n - 1].name, "merged/", 7) == 0)
         m->n--;
-    if (file_join(c->tmp, "merged", path) == OK)
+    if (file_join(c->to.tmp, "merged", path) == OK)
         store_fs_remove(c->s->fs, path, is_merged_name);
 }
 
@@ -656,7 +632,7 @@ static err_t put_exposures(struct commit *c)
 {
     char path[FILE_PATH_CAP], name[MANIFEST_NAME_CAP];
     struct store_fs_file f;
-    err_t e = file_join(c->tmp, "exposure.json", path);
+    err_t e = file_join(c->to.tmp, "exposure.json", path);
     if (!e)
         e = store_fs_create(c->s->fs, path, &f);
     if (e)
@@ -675,7 +651,7 @@ static err_t put_manifest(struct commit *c)
 {
     char path[FILE_PATH_CAP];
     struct store_fs_file f;
-    err_t e = file_join(c->tmp, MANIFEST_FILE, path);
+    err_t e = file_join(c->to.tmp, MANIFEST_FILE, path);
     if (!e)
         e = store_fs_create(c->s->fs, path, &f);
     if (e)
@@ -693,7 +669,7 @@ static err_t each_folder(const struct commit *c, bool merge,
     int n = c->t->status != TAKE_COMPLETE ? 1 : merge ? 3 : 2;
     err_t e = OK;
     for (int i = 0; i < n && !e; i++) {
-        e = file_join(c->tmp, folders[i], path);
+        e = file_join(c->to.tmp, folders[i], path);
         if (!e)
             e = act(c->s->fs, path);
     }
@@ -706,7 +682,7 @@ static err_t write_take(struct commit *c)
     bool merge = false;
     for (int i = 0; i < t->n_cameras; i++)
         merge = merge || (c->s->cfg.merge && camera_is_full(t, i));
-    err_t e = store_fs_mkdir(c->s->fs, c->tmp);
+    err_t e = store_fs_mkdir(c->s->fs, c->to.tmp);
     if (!e)
         e = each_folder(c, merge, store_fs_mkdir);
     if (!e && t->status == TAKE_COMPLETE) {
@@ -725,70 +701,77 @@ static err_t write_take(struct commit *c)
         e = put_manifest(c);
     if (!e)
         e = each_folder(c, merge, store_fs_sync_dir);
-    return e ? e : store_fs_sync_dir(c->s->fs, c->tmp);
+    return e ? e : store_fs_sync_dir(c->s->fs, c->to.tmp);
 }
 
-static err_t show_take(struct commit *c)
+err_t store_name(const struct store *s, const char *id, struct store_new *out)
 {
-    err_t e = store_fs_move(c->s->fs, c->tmp, c->path);
-    c->shown = !e;
-    return e ? e : store_fs_sync_dir(c->s->fs, c->s->path);
+    char name[STORE_ID_CAP + 8];
+    out->s = s;
+    out->shown = false;
+    snprintf(name, sizeof name, STORE_TMP "%s", id);
+    err_t e = file_join(s->path, id, out->path);
+    return e ? e : file_join(s->path, name, out->tmp);
 }
 
-/* Remove a failed take. If it was visible, its files go only after its temporary name is on the
- * disk; else store_open tries again. */
-static void take_back(const struct commit *c)
+err_t store_show(struct store_new *n)
 {
-    const struct store_fs *fs = c->s->fs;
-    err_t e = c->shown ? store_fs_move(fs, c->path, c->tmp) : OK;
-    if (!e && c->shown)
-        e = store_fs_sync_dir(fs, c->s->path);
+    err_t e = store_fs_move(n->s->fs, n->tmp, n->path);
+    n->shown = !e;
+    return e ? e : store_fs_sync_dir(n->s->fs, n->s->path);
+}
+
+void store_take_back(const struct store_new *n)
+{
+    const struct store_fs *fs = n->s->fs;
+    err_t e = n->shown ? store_fs_move(fs, n->path, n->tmp) : OK;
+    if (!e && n->shown)
+        e = store_fs_sync_dir(fs, n->s->path);
     if (!e)
-        store_fs_remove(fs, c->tmp, is_take_name);
+        store_fs_remove(fs, n->tmp, store_is_file);
     else
         log_warn("%s", err_text());
 }
 
-static err_t name_take(struct commit *c)
+static err_t name_take(struct commit *c, uint64_t number)
 {
-    struct store *s = c->s;
-    char name[STORE_ID_CAP + 8];
-    memset(&s->manifest, 0, sizeof s->manifest);
-    memcpy(s->manifest.boot, s->boot, sizeof s->boot);
-    s->manifest.counter = s->next - 1;
-    snprintf(s->manifest.id, sizeof s->manifest.id, "%s%.*s-%06" PRIu64,
-             c->t->status == TAKE_COMPLETE ? "" : aborted, BOOT_DIGITS, s->boot, s->next - 1);
+    struct manifest *m = &c->s->manifest;
+    memset(m, 0, sizeof *m);
+    memcpy(m->boot, c->s->boot, sizeof m->boot);
+    m->counter = number;
+    snprintf(m->id, sizeof m->id, "%s%.*s-%06" PRIu64, c->t->status == TAKE_COMPLETE ? "" : aborted,
+             BOOT_DIGITS, c->s->boot, number);
     if (c->t->is_place && c->t->status == TAKE_COMPLETE)
-        snprintf(s->manifest.session, sizeof s->manifest.session, "%s",
-                 c->t->session[0] ? c->t->session : s->manifest.id);
-    snprintf(name, sizeof name, "%s%s", tmp_prefix, s->manifest.id);
-    err_t e = file_join(s->path, s->manifest.id, c->path);
-    return e ? e : file_join(s->path, name, c->tmp);
+        snprintf(m->session, sizeof m->session, "%s", c->t->session[0] ? c->t->session : m->id);
+    return store_name(c->s, m->id, &c->to);
 }
 
 err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP])
 {
     struct commit c = {.s = s, .t = t};
+    uint64_t number = 0;
     char why[512];
     id[0] = 0;
     err_t e = check_shape(t);
     if (!e)
         e = check_room(s, t);
     if (!e)
-        e = advance_counter(s);
+        e = take_number(s, &number);
     if (!e)
-        e = name_take(&c);
+        e = name_take(&c, number);
     if (e)
         return e;
     e = write_take(&c);
     if (!e)
-        e = show_take(&c);
+        e = store_show(&c.to);
     if (e) {
         snprintf(why, sizeof why, "%s", err_text());
-        take_back(&c);
+        store_take_back(&c.to);
         return err_fail(e, "%s", why);
     }
     snprintf(id, STORE_ID_CAP, "%s", s->manifest.id);
-    keep_newest(s, t->status != TAKE_COMPLETE);
+    pthread_mutex_lock(&s->lock);
+    store_keep_newest(s, t->status != TAKE_COMPLETE, s->manifest.session);
+    pthread_mutex_unlock(&s->lock);
     return OK;
 }

@@ -11,11 +11,13 @@
  *   STORE/aborted-BOOT8-NNNNNN/     the same for aborted takes: raw/ and manifest only
  *   STORE/session-ended           the session that was ended last (places.h)
  *   STORE/damaged-.../              takes that store_open found to differ from their manifest
+ *   STORE/.rig-BOOT8-NNNNNN/        a take of a rig of many boards, being collected (joint.h)
  *
  * Written as .tmp-..., every file synced, then renamed with RENAME_NOREPLACE and the parent synced.
  * Removed in the opposite order: only the files of a take, and only a take without other files in
  * it. Numbers rise and are never used again, even if takes are removed.
- * thread: one; store_room and store_list from another one too. */
+ * thread: one, the writer; store_room, store_list, store_reserve, store_release and joint.h from
+ * another one too, meanwhile. */
 #ifndef STORE_STORE_H
 #define STORE_STORE_H
 
@@ -30,7 +32,8 @@ struct store_config {
     uint64_t reserve; // bytes of the file system that stay free
     bool merge;       // write merged/
     int keep;         // takes; the oldest complete ones beyond that are removed, and as many
-                      // aborted ones are kept; those of the newest session stay; 0: all
+                      // aborted ones are kept; those of the newest session stay, and complete
+                      // parts of a rig's takes, which do not count; 0: all
 };
 
 struct store;
@@ -59,6 +62,25 @@ MUST_USE err_t store_room(const struct store *s, uint64_t bytes);
  * err:  ERR_LIMIT (full), ERR_IO, ERR_ARG (a take that contradicts itself), ERR_NOMEM, those of
  *       unpack_run */
 MUST_USE err_t store_commit(struct store *s, const struct take *t, char id[STORE_ID_CAP]);
+
+/* Take the next number for a take that will be committed later by joint_commit. Durable; a number
+ * that stays unused is a gap. thread: any.
+ * out:  id of that take.
+ * err:  ERR_LIMIT, ERR_IO. */
+MUST_USE err_t store_reserve(struct store *s, char id[STORE_ID_CAP]);
+
+/* A complete take that is the part of one board in a take of a rig, and waits for its conductor. */
+struct store_part {
+    char id[STORE_ID_CAP], rig_take[STORE_ID_CAP], rig_member[TAKE_MEMBER_CAP];
+};
+
+/* Parts in the folder of a store, newest first; returns their number, at most cap. Reads the
+ * beginning of each manifest. thread: any, other processes too. */
+int store_parts(const char *path, struct store_part *out, int cap);
+
+/* Remove the parts of that take of the rig: the conductor has it. OK if there is none. thread: any.
+ * err:  ERR_IO, ERR_LIMIT, ERR_FORMAT (a part has other files in it), ERR_NOMEM. */
+MUST_USE err_t store_release(struct store *s, const char *rig_take);
 
 /* Names of takes, aborted ones too, newest first; returns their number, at most cap. */
 int store_list(const struct store *s, char (*ids)[STORE_ID_CAP], int cap);

@@ -11,7 +11,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { STREAM_BYTES = 1 << 18, READ_BYTES = 1 << 16, DEPTH_MAX = 2 };
+enum { STREAM_BYTES = 1 << 18, READ_BYTES = 1 << 16, DEPTH_MAX = 3 };
 
 static int system_open(const char *path, int flags, mode_t mode)
 {
@@ -32,6 +32,7 @@ const struct store_fs store_fs_system = {
     .sync = fsync,
     .mkdir = mkdir,
     .rename = system_rename,
+    .link = link,
     .unlink = unlink,
     .rmdir = rmdir,
     .access = access,
@@ -189,6 +190,51 @@ err_t store_fs_read(const struct store_fs *fs, const char *path, void *p, size_t
         *n = (size_t)got;
     fs->close(fd);
     return e;
+}
+
+err_t store_fs_sync(const struct store_fs *fs, const char *path)
+{
+    int fd;
+    err_t e = open_regular(fs, path, &fd);
+    if (e)
+        return e;
+    if (fs->sync(fd) != 0)
+        e = call_fail(path, "cannot be synced to the disk", errno);
+    fs->close(fd);
+    return e;
+}
+
+static err_t copy_file(const struct store_fs *fs, const char *from, const char *to)
+{
+    uint8_t block[READ_BYTES];
+    struct store_fs_file f;
+    int fd;
+    err_t e = open_regular(fs, from, &fd);
+    if (e)
+        return e;
+    e = store_fs_create(fs, to, &f);
+    for (ssize_t n = sizeof block; !e && n == sizeof block;) {
+        n = read_full(fs, fd, block, sizeof block);
+        if (n < 0) {
+            e = call_fail(from, "cannot be read", errno);
+            store_fs_discard(&f);
+        } else if (n > 0) {
+            fwrite(block, 1, (size_t)n, f.stream); // store_fs_finish asks whether it worked
+        }
+    }
+    fs->close(fd);
+    return e ? e : store_fs_finish(&f);
+}
+
+err_t store_fs_link(const struct store_fs *fs, const char *from, const char *to, bool *copied)
+{
+    *copied = false;
+    if (fs->link(from, to) == 0)
+        return OK;
+    *copied = errno == EPERM || errno == EOPNOTSUPP || errno == ENOSYS || errno == EXDEV ||
+              errno == EMLINK || errno == EINVAL;
+    return *copied ? copy_file(fs, from, to)
+                   : call_fail(to, "cannot be linked to its other name", errno);
 }
 
 /* ---- folders ---- */

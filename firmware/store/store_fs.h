@@ -23,6 +23,7 @@ struct store_fs {
     int (*sync)(int fd);
     int (*mkdir)(const char *path, mode_t mode);
     int (*rename)(const char *from, const char *to, unsigned flags); // renameat2
+    int (*link)(const char *from, const char *to);
     int (*unlink)(const char *path);
     int (*rmdir)(const char *path);
     int (*access)(const char *path, int mode);
@@ -64,6 +65,16 @@ MUST_USE err_t store_fs_hash(const struct store_fs *fs, const char *path, uint64
  * err:  ERR_IO. */
 MUST_USE err_t store_fs_read(const struct store_fs *fs, const char *path, void *p, size_t cap,
                              size_t *n);
+
+/* Make the bytes of a finished file durable.
+ * err:  ERR_IO, ERR_LIMIT. */
+MUST_USE err_t store_fs_sync(const struct store_fs *fs, const char *path);
+
+/* A second name for a file; where the file system has none, a copy, synced.
+ * out:  whether it is a copy.
+ * err:  ERR_IO (also: the name is taken), ERR_LIMIT, ERR_NOMEM. */
+MUST_USE err_t store_fs_link(const struct store_fs *fs, const char *from, const char *to,
+                             bool *copied);
 
 /* Make the names in a folder durable.
  * err:  ERR_IO, ERR_LIMIT. */
