@@ -91,7 +91,7 @@ MUST_USE err_t store_check_file(const struct store_fs *fs, const char *dir,
                                 const struct manifest_file *f);
 MUST_USE err_t store_check_take(const struct store_fs *fs, const char *dir, struct manifest *out);
 
-/* ---- store_keep.c: the caller holds s->lock ---- */
+/* ---- store_keep.c: for takes, the caller holds s->lock ---- */
 
 /* Remove the takes beyond store.keep; session: of the newest take, "" for none. */
 void store_keep_newest(struct store *s, bool is_aborted, const char *session);

@@ -97,7 +97,8 @@ void store_keep_newest(struct store *s, bool is_aborted, const char *session)
             if (x.number > s->kept)
                 log_warn("%s; the take is kept although store.keep is exceeded", err_text());
             s->kept = x.number > s->kept ? x.number : s->kept;
-        } else if (!s->old.rig_take[0] && (!*session || strcmp(s->old.session, session) != 0)) {
+        } else if (!(s->old.complete && s->old.rig_take[0]) &&
+                   (!*session || strcmp(s->old.session, session) != 0)) {
             e = store_keep_drop(s, "", x.id, store_is_file);
         }
     }
