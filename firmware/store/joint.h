@@ -65,7 +65,8 @@ struct joint {
 };
 
 /* Compare all parts with their manifests, make the joint take of them, remove the staging folder.
- * After an error nothing of the take is left, and staging is as before.
+ * After an error nothing of the take is left, and staging is as before; but a file of it that could
+ * not be synced is removed, and has to be fetched again.
  * err:  ERR_FORMAT (names the part and what is wrong with it), ERR_IO (also: no manifest; the take
  *       exists), ERR_LIMIT (too many cameras; disk full), ERR_ARG (names), ERR_NOMEM. */
 MUST_USE err_t joint_commit(struct store *s, const struct joint *j);

@@ -152,6 +152,16 @@ static void add_member(struct work *w, int i)
             w->part.n_cameras, w->part.clock, w->part.within_ns);
 }
 
+/* After a sync that failed the kernel may have dropped the bytes, and the next sync would not say
+ * so: such a file goes, and has to be fetched again. */
+static err_t sync_staged(const struct work *w, const char *path)
+{
+    err_t e = store_fs_sync(w->s->fs, path);
+    if (e)
+        w->s->fs->unlink(path);
+    return e;
+}
+
 /* Every file is as the manifest says, and on the disk. */
 static err_t add_files(struct work *w, int member, const char *dir)
 {
@@ -171,7 +181,7 @@ static err_t add_files(struct work *w, int member, const char *dir)
         w->is_merged = w->is_merged || strncmp(to->name, "merged/", 7) == 0;
         e = file_join(dir, from->name, path);
         if (!e)
-            e = store_fs_sync(w->s->fs, path);
+            e = sync_staged(w, path);
     }
     return e;
 }

@@ -20,7 +20,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-enum { DISK_NODES = 1024, DISK_CHANGES = 8192, DISK_FDS = 64, DISK_NAME = 48 };
+enum { DISK_NODES = 2048, DISK_CHANGES = 8192, DISK_FDS = 64, DISK_NAME = 48 };
 
 enum disk_kind { DISK_MAKE, DISK_RENAME, DISK_REMOVE, DISK_WRITE, DISK_SYNC };
 
@@ -37,6 +37,7 @@ struct disk_change {
 struct disk_node {
     bool is_folder, gone;
     int folder;
+    int file; // whose bytes it has: itself, but for a second name
     char name[DISK_NAME];
 };
 
@@ -64,7 +65,7 @@ static inline void disk_reset(const char *root, bool watch)
                          .kill_at = -1,
                          .dead_at = -1,
                          .watch = watch,
-                         .node = {{.is_folder = true}}};
+                         .node = {{.is_folder = true}}}; // its file is 0, itself
     snprintf(disk.root, sizeof disk.root, "%s", root);
 }
 
@@ -135,7 +136,7 @@ static inline void disk_make(const char *path, bool is_folder)
     if (disk_find(path, &folder, name) >= 0 || disk.nodes == DISK_NODES)
         abort();
     int node = disk.nodes++;
-    disk.node[node] = (struct disk_node){.is_folder = is_folder, .folder = folder};
+    disk.node[node] = (struct disk_node){.is_folder = is_folder, .folder = folder, .file = node};
     memcpy(disk.node[node].name, name, DISK_NAME);
     disk_note(DISK_MAKE, node);
 }
@@ -156,8 +157,8 @@ static inline int disk_open(const char *path, int flags, mode_t mode)
         abort();
     if (creates)
         disk_make(path, false);
-    if (disk.watch)
-        disk.fd_node[fd] = disk_find(path, &folder, name);
+    int node = disk.watch ? disk_find(path, &folder, name) : -1;
+    disk.fd_node[fd] = node < 0 ? node : disk.node[node].file;
     disk.fd_at[fd] = 0;
     disk.fd_half[fd] = false;
     return fd;
@@ -240,6 +241,20 @@ static inline int disk_rename(const char *from, const char *to, unsigned flags)
     return 0;
 }
 
+static inline int disk_link(const char *from, const char *to)
+{
+    int folder;
+    char name[DISK_NAME];
+    if (disk_fails(true, true) || link(from, to) != 0)
+        return -1;
+    if (!disk.watch)
+        return 0;
+    int node = disk_find(from, &folder, name);
+    disk_make(to, false);
+    disk.node[disk.nodes - 1].file = disk.node[node].file;
+    return 0;
+}
+
 static inline void disk_forget(const char *path)
 {
     int folder;
@@ -285,6 +300,7 @@ static const struct store_fs disk_fs = {.open = disk_open,
                                         .sync = disk_sync,
                                         .mkdir = disk_mkdir,
                                         .rename = disk_rename,
+                                        .link = disk_link,
                                         .unlink = disk_unlink,
                                         .rmdir = disk_rmdir,
                                         .access = disk_access,
@@ -376,7 +392,7 @@ static inline void disk_put(const struct disk_cut *cut, int folder, const char *
         if (disk.node[node[i]].is_folder)
             disk_put(cut, node[i], sub);
         else
-            disk_put_file(cut, node[i], sub);
+            disk_put_file(cut, disk.node[node[i]].file, sub);
     }
 }
 
