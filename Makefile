@@ -18,7 +18,7 @@ DEPS := gcc g++ libc6-dev make pkg-config libspng-dev libturbojpeg0-dev libexif-
 	libtiff-dev libheif-dev libopenexr-dev libcjson-dev libinih-dev libzip-dev libraw-dev \
 	libgpiod-dev libcamera-dev libmicrohttpd-dev libmosquitto-dev libcurl4-openssl-dev \
 	libsystemd-dev zlib1g-dev libzstd-dev dpkg-dev
-DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto iproute2 clang libclang-rt-dev lld cppcheck \
+DEPS_CHECK := $(DEPS) libcmocka-dev mosquitto openssl iproute2 clang libclang-rt-dev lld cppcheck \
 	chromium systemd lintian ffmpeg gcc-aarch64-linux-gnu libc6-dev-arm64-cross qemu-user
 DEPS_CROSS := $(DEPS) gcc-aarch64-linux-gnu g++-aarch64-linux-gnu
 DEPS_KERNEL := $(DEPS) bc bison dmsetup e2fsprogs flex kmod libcamera-ipa udev xz-utils
@@ -92,7 +92,7 @@ LINUX := $(filter-out tests/linux/uvc.c,$(wildcard tests/linux/*.c))
 
 # Threads are tested with TSan: *_tsan_test and these.
 TSAN_TESTS := pool prep response seed appearance shared_attention consensus depth gausshead \
-	modelfile sample camera_libcamera writer
+	modelfile sample camera_libcamera writer mqtt
 # What others reach: files, devices, connections. `make check` sanitizes these alone.
 EDGE_TESTS := $(filter $(patsubst %,tests/unit/%/%,drivers firmware/store firmware/daemon),$(TESTS))
 # Core alone is tested on emulated Arm: what needs neither files nor minutes.

@@ -32,6 +32,8 @@ BEGIN {
     wrapper["^(zlib|zstd)\\.h$"] = "^drivers/format/compressed\\.c$"
     wrapper["^zip\\.h$"] = "^drivers/format/checkpoint\\.c$"
     wrapper["^microhttpd\\.h$"] = "^firmware/daemon/http\\.c$"
+    wrapper["^(mosquitto|mqtt_protocol)\\.h$"] = "^drivers/net/mqtt\\.c$"
+    wrapper["^curl/"] = "^drivers/net/fetch\\.c$"
     wrapper["^systemd/"] = "^firmware/daemon/daemon\\.c$"
     wrapper["^ini\\.h$"] = "^firmware/base/config\\.c$"
     wrapper["^linux/(videodev2|v4l2-|media)"] = "^drivers/device/(camera_v4l2|v4l2_[a-z]+)\\.c$"
