@@ -10,6 +10,7 @@
 #include <arpa/inet.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <microhttpd.h>
 #include <stdbool.h>
 #include <stdlib.h>
@@ -110,13 +111,16 @@ static bool same_secret(const char *a, const char *b)
     return !differ;
 }
 
+static bool bears(struct MHD_Connection *c, const char *token)
+{
+    const char *auth = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Authorization");
+    return auth && strncmp(auth, "Bearer ", 7) == 0 && same_secret(auth + 7, token);
+}
+
 static bool has_token(const struct http *h, struct MHD_Connection *c)
 {
     const char *cookie = MHD_lookup_connection_value(c, MHD_COOKIE_KIND, "hdrig");
-    const char *auth = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Authorization");
-    if (auth && strncmp(auth, "Bearer ", 7) == 0 && same_secret(auth + 7, h->cfg.token))
-        return true;
-    return cookie && same_secret(cookie, h->cfg.token);
+    return bears(c, h->cfg.token) || (cookie && same_secret(cookie, h->cfg.token));
 }
 
 /* Name of a Host header without its port. */
@@ -172,6 +176,50 @@ static int open_below(const char *dir, const char *path)
     return -1;
 }
 
+/* A number of HTTP: digits alone, in which more than 18 are no size of a file. */
+static bool number_of(const char **p, uint64_t *v)
+{
+    size_t n = strspn(*p, "0123456789");
+    *v = 0;
+    for (size_t i = 0; i < n && n <= 18; i++)
+        *v = *v * 10 + (uint64_t)((*p)[i] - '0');
+    *p += n;
+    return n > 0 && n <= 18;
+}
+
+/* Whether one range, "bytes=N-" or "bytes=N-M", is asked of a file of `size` bytes: its first byte,
+ * and its end. Any other, and one under a condition, asks for the whole file. */
+static bool asks_range(struct MHD_Connection *c, uint64_t size, uint64_t *from, uint64_t *end)
+{
+    const char *p = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Range");
+    uint64_t first, last = UINT64_MAX;
+    *from = 0;
+    *end = size;
+    if (!p || strncmp(p, "bytes=", 6) != 0 ||
+        MHD_lookup_connection_value(c, MHD_HEADER_KIND, "If-Range"))
+        return false;
+    p += 6;
+    if (!number_of(&p, &first) || *p++ != '-')
+        return false;
+    if (*p && (!number_of(&p, &last) || *p || last < first))
+        return false;
+    *from = first;
+    *end = last < size ? last + 1 : size;
+    return true;
+}
+
+static enum MHD_Result refuse_range(struct MHD_Connection *c, uint64_t size)
+{
+    char range[64];
+    struct MHD_Response *r =
+        MHD_create_response_from_buffer(0, (void *)(uintptr_t) "", MHD_RESPMEM_PERSISTENT);
+    if (!r)
+        return MHD_NO;
+    snprintf(range, sizeof range, "bytes */%" PRIu64, size);
+    MHD_add_response_header(r, "Content-Range", range);
+    return send_response(c, MHD_HTTP_RANGE_NOT_SATISFIABLE, "text/plain", result_policy, r);
+}
+
 static enum MHD_Result send_file(struct MHD_Connection *c, const char *dir, const char *path)
 {
     struct stat st;
@@ -181,10 +229,24 @@ static enum MHD_Result send_file(struct MHD_Connection *c, const char *dir, cons
             close(fd);
         return send_error(c, MHD_HTTP_NOT_FOUND, "no such file");
     }
-    struct MHD_Response *r = MHD_create_response_from_fd64((uint64_t)st.st_size, fd);
-    if (!r)
+    uint64_t size = (uint64_t)st.st_size, from, end;
+    bool part = asks_range(c, size, &from, &end);
+    if (part && from >= size) {
         close(fd);
-    return send_response(c, MHD_HTTP_OK, type_of(path), result_policy, r);
+        return refuse_range(c, size);
+    }
+    struct MHD_Response *r = MHD_create_response_from_fd_at_offset64(end - from, fd, from);
+    if (!r) {
+        close(fd);
+        return MHD_NO;
+    }
+    char range[96];
+    snprintf(range, sizeof range, "bytes %" PRIu64 "-%" PRIu64 "/%" PRIu64, from, end - 1, size);
+    MHD_add_response_header(r, "Accept-Ranges", "bytes");
+    if (part)
+        MHD_add_response_header(r, "Content-Range", range);
+    return send_response(c, part ? MHD_HTTP_PARTIAL_CONTENT : MHD_HTTP_OK, type_of(path),
+                         result_policy, r);
 }
 
 /* ---- requests ---- */
@@ -279,11 +341,24 @@ static enum MHD_Result ask_token(struct MHD_Connection *c, const char *method, c
     return send_error(c, MHD_HTTP_UNAUTHORIZED, "a token is needed");
 }
 
+/* The conductor asks, by whatever name it knows this board. */
+static enum MHD_Result part(const struct http *h, struct MHD_Connection *c, const char *method,
+                            const char *path)
+{
+    if (!bears(c, h->cfg.parts_token))
+        return send_error(c, MHD_HTTP_UNAUTHORIZED, "the token of the rig is needed");
+    if (strcmp(method, "GET") != 0 && strcmp(method, "HEAD") != 0)
+        return send_error(c, MHD_HTTP_METHOD_NOT_ALLOWED, "only GET");
+    return send_file(c, h->cfg.captures, path);
+}
+
 static enum MHD_Result answer(const struct http *h, struct MHD_Connection *c, const char *method,
                               const char *url, const struct request *q)
 {
     const char *host = MHD_lookup_connection_value(c, MHD_HEADER_KIND, "Host");
     bool post = strcmp(method, "POST") == 0;
+    if (h->cfg.parts_token && strncmp(url, "/parts/", 7) == 0)
+        return part(h, c, method, url + 7);
     if (!h->cfg.token[0] && (!host || !is_own_name(h, host)))
         return send_error(c, MHD_HTTP_FORBIDDEN, "the Host header is not a name of this machine");
     if (h->cfg.token[0] && post && strcmp(url, "/login") == 0)
@@ -373,12 +448,12 @@ static err_t parse_address(const struct http_config *cfg, union address *a)
     return err_fail(ERR_ARG, "http.address: \"%s\" is not an IPv4 or IPv6 address", cfg->address);
 }
 
-static err_t check_token(const char *token)
+static err_t check_token(const char *what, const char *token)
 {
     return plain_name(token, strlen(token)) || !*token
                ? OK
                : err_fail(ERR_ARG,
-                          "http.token: letters, digits, - _ and . only, not . first, fewer than %d",
+                          "%s: letters, digits, - _ and . only, not . first, fewer than %d", what,
                           NAME_MAX_BYTES);
 }
 
@@ -405,7 +480,9 @@ err_t http_open(const struct http_config *cfg, struct http **out)
     *out = NULL;
     err_t e = parse_address(cfg, &a);
     if (!e)
-        e = check_token(cfg->token);
+        e = check_token("http.token", cfg->token);
+    if (!e && cfg->parts_token)
+        e = check_token("token of the rig", cfg->parts_token);
     if (e)
         return e;
     int fd;
@@ -418,6 +495,8 @@ err_t http_open(const struct http_config *cfg, struct http **out)
         return err_fail(ERR_NOMEM, "status page: no memory");
     }
     h->cfg = *cfg;
+    if (!cfg->captures || (cfg->parts_token && !*cfg->parts_token))
+        h->cfg.parts_token = NULL;
     connections_init(&h->connections);
     if (gethostname(h->host, sizeof h->host - 1) != 0)
         h->host[0] = 0;

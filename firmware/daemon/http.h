@@ -5,11 +5,14 @@
  *   POST /capture  /cancel            header X-Hdrig: 1, which other sites cannot send
  *   POST /login                       token=...: sets the cookie
  *   GET  /captures/...  /results/...  files, never beyond these folders, never through links
+ *   GET  /parts/ID/...                files of the take ID, for the conductor of a rig of boards
+ * Files come whole or from byte N on, "Range: bytes=N-" or "bytes=N-M"; other ranges are ignored.
  * Without `status` there is no daemon, and only results are served. Their pages have
  * their scripts inline, which may not open connections.
  * With a token every request needs it: as a cookie, or "Authorization: Bearer TOKEN". Without one,
  * Host must be an address, localhost or this machine's name, so that no other site can reach the
- * page by a name of its own (DNS rebinding). */
+ * page by a name of its own (DNS rebinding). Parts have a token of their own as "Authorization:
+ * Bearer", which they need and which opens nothing else. */
 #ifndef DAEMON_HTTP_H
 #define DAEMON_HTTP_H
 
@@ -27,6 +30,7 @@ struct http_config {
     void *ctx;
     void (*status)(void *ctx, FILE *out);          // NULL: captures and command may be NULL too
     err_t (*command)(void *ctx, const char *line); // as on the control socket
+    const char *parts_token;                       // of the rig; NULL or "": no parts are served
 };
 
 struct http;

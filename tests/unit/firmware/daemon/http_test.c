@@ -37,10 +37,16 @@ static err_t command(void *ctx, const char *line)
     return command_err ? err_fail(command_err, "a \"capture\" runs") : OK;
 }
 
+static void open_rig(const char *token, const char *parts_token)
+{
+    struct http_config c = {"127.0.0.1", 0,      token,   captures,   results,
+                            NULL,        status, command, parts_token};
+    assert_int_equal(http_open(&c, &h), OK);
+}
+
 static void open_page(const char *token)
 {
-    struct http_config c = {"127.0.0.1", 0, token, captures, results, NULL, status, command};
-    assert_int_equal(http_open(&c, &h), OK);
+    open_rig(token, NULL);
 }
 
 static int set_up(void **state)
@@ -178,6 +184,134 @@ static void pages_of_results(void **state)
     assert_false(says("connect-src") || says("default-src 'self'"));
     assert_int_equal(request_exposure("GET", "/", ""), 200);
     assert_false(says("unsafe-inline"));
+}
+
+/* The header and the body of an answer to a request for a range. */
+static void expect_part(const char *range, int code, const char *content_range, const char *body)
+{
+    char header[200];
+    snprintf(header, sizeof header, "Range: %s\r\n", range);
+    int got = request_exposure("GET", "/captures/b-1/digits", header);
+    const char *begin = strstr(reply, "\r\n\r\n");
+    if (got != code || !begin || strcmp(begin + 4, body) != 0 || !says(content_range))
+        fail_msg("%s: %s", range, reply);
+    if (!*content_range && says("Content-Range"))
+        fail_msg("%s: %s", range, reply);
+    if (code != 416) {
+        assert_true(says("Accept-Ranges: bytes"));
+        snprintf(header + strlen(header), 64, "Content-Length: 0\r\n");
+        assert_int_equal(request_exposure("HEAD", "/captures/b-1/digits", header), code);
+        begin = strstr(reply, "\r\n\r\n");
+        assert_string_equal(begin + 4, "");
+        snprintf(header, sizeof header, "Content-Length: %zu\r\n", strlen(body));
+        assert_true(says(header) && says(content_range));
+    }
+}
+
+static void ranges_of_files(void **state)
+{
+    (void)state;
+    tmpdir_text("captures/b-1/digits", "0123456789");
+    tmpdir_text("captures/b-1/empty", "");
+    open_page("");
+    expect_part("bytes=0-", 206, "Content-Range: bytes 0-9/10", "0123456789");
+    expect_part("bytes=4-", 206, "Content-Range: bytes 4-9/10", "456789");
+    expect_part("bytes=9-", 206, "Content-Range: bytes 9-9/10", "9");
+    expect_part("bytes=4-6", 206, "Content-Range: bytes 4-6/10", "456");
+    expect_part("bytes=4-4", 206, "Content-Range: bytes 4-4/10", "4");
+    expect_part("bytes=4-999999999999", 206, "Content-Range: bytes 4-9/10", "456789");
+    expect_part("bytes=10-", 416, "Content-Range: bytes */10", "");
+    expect_part("bytes=10-20", 416, "Content-Range: bytes */10", "");
+    expect_part("bytes=999999999999999999-", 416, "Content-Range: bytes */10", "");
+    static const char *const ignored[] = {
+        "bytes=-3",
+        "bytes=",
+        "bytes=-",
+        "bytes=5",
+        "bytes=5-4",
+        "bytes=1-2,4-5",
+        "bytes=a-",
+        "bytes=1-b",
+        "bytes= 1-",
+        "bytes=+1-",
+        "lines=1-2",
+        "bytes 1-2",
+        "bytes=1-2-",
+        "bytes=1--2",
+        "bytes=99999999999999999999-",
+        "bytes=0-99999999999999999999",
+    };
+    for (size_t i = 0; i < sizeof ignored / sizeof ignored[0]; i++)
+        expect_part(ignored[i], 200, "", "0123456789");
+    assert_int_equal(
+        request_exposure("GET", "/captures/b-1/digits", "Range: bytes=4-\r\nIf-Range: \"x\"\r\n"),
+        200);
+    assert_int_equal(request_exposure("GET", "/captures/b-1/empty", "Range: bytes=0-\r\n"), 416);
+    assert_true(says("bytes */0"));
+    assert_int_equal(request_exposure("GET", "/captures/b-1/empty", ""), 200);
+    assert_int_equal(request_exposure("GET", "/captures/b-1/none", "Range: bytes=0-\r\n"), 404);
+    assert_int_equal(request_exposure("GET", "/status.json", "Range: bytes=0-1\r\n"), 200);
+}
+
+#define RIG "Authorization: Bearer rig-token\r\n"
+
+static void parts_have_their_token(void **state)
+{
+    (void)state;
+    static const char *const tokens[] = {"", "page-token"};
+    for (int i = 0; i < 2; i++) {
+        open_rig(tokens[i], "rig-token");
+        assert_int_equal(request_exposure("GET", "/parts/b-1/manifest.json", RIG), 200);
+        assert_true(says("{\"n\": 1}"));
+        assert_int_equal(
+            request_exposure("GET", "/parts/b-1/manifest.json", RIG "Range: bytes=1-3\r\n"), 206);
+        assert_int_equal(ask_raw("HEAD /parts/b-1/manifest.json HTTP/1.1\r\nConnection: close\r\n"
+                                 "Host: member-2.rig.example:8080\r\n" RIG "\r\n"),
+                         200);
+        assert_int_equal(
+            request_exposure("POST", "/parts/b-1/manifest.json", RIG "Content-Length: 0\r\n"), 405);
+        static const char *const others[] = {"",
+                                             "Authorization: Bearer page-token\r\n",
+                                             "Cookie: hdrig=page-token\r\n",
+                                             "Cookie: hdrig=rig-token\r\n",
+                                             "Authorization: Bearer rig-toke\r\n",
+                                             "Authorization: Bearer \r\n",
+                                             "Authorization: rig-token\r\n"};
+        for (size_t k = 0; k < sizeof others / sizeof others[0]; k++)
+            assert_int_equal(request_exposure("GET", "/parts/b-1/manifest.json", others[k]), 401);
+        static const char *const no[] = {"/parts/",           "/parts/b-1",
+                                         "/parts/../secret",  "/parts/b-1/link.json",
+                                         "/parts/up/secret",  "/parts/.tmp-x/manifest.json",
+                                         "/parts//etc/passwd"};
+        for (size_t k = 0; k < sizeof no / sizeof no[0]; k++)
+            if (request_exposure("GET", no[k], RIG) != 404)
+                fail_msg("%s: %s", no[k], reply);
+        http_close(h);
+    }
+    open_rig("page-token", "rig-token"); // it opens nothing else
+    assert_int_equal(request_exposure("GET", "/captures/b-1/manifest.json", RIG), 401);
+    assert_int_equal(request_exposure("GET", "/status.json", RIG), 401);
+    assert_int_equal(request_exposure("GET", "/parts", RIG), 401);
+    assert_int_equal(
+        request_exposure("POST", "/capture", RIG "X-Hdrig: 1\r\nContent-Length: 0\r\n"), 401);
+    assert_string_equal(commanded, "");
+}
+
+static void no_parts_without_a_token(void **state)
+{
+    (void)state;
+    static const char *const none[] = {NULL, ""};
+    for (int i = 0; i < 2; i++) {
+        open_rig("", none[i]);
+        assert_int_equal(request_exposure("GET", "/parts/b-1/manifest.json", ""), 404);
+        assert_int_equal(
+            request_exposure("GET", "/parts/b-1/manifest.json", "Authorization: Bearer \r\n"), 404);
+        http_close(h);
+    }
+    struct http_config c = {
+        .address = "127.0.0.1", .token = "", .results = results, .parts_token = "rig-token"};
+    assert_int_equal(http_open(&c, &h), OK); // there are no captures
+    assert_int_equal(request_exposure("GET", "/parts/b-1/manifest.json", RIG), 404);
 }
 
 static void results_alone(void **state)
@@ -341,12 +475,16 @@ static void what_cannot_be_opened(void **state)
 {
     (void)state;
     struct http *other;
-    struct http_config c = {"nowhere", 0, "", captures, results, NULL, status, command};
+    struct http_config c = {"nowhere", 0, "", captures, results, NULL, status, command, NULL};
     assert_int_equal(http_open(&c, &other), ERR_ARG);
     assert_null(other);
     c.address = "127.0.0.1";
     c.token = "two words";
     assert_int_equal(http_open(&c, &other), ERR_ARG);
+    c.token = "";
+    c.parts_token = "two words";
+    assert_int_equal(http_open(&c, &other), ERR_ARG);
+    c.parts_token = NULL;
     open_page("");
     c.token = "";
     c.port = http_port(h);
@@ -363,6 +501,9 @@ int main(void)
         cmocka_unit_test_setup_teardown(the_page_and_the_state, set_up, tear_down),
         cmocka_unit_test_setup_teardown(only_files_of_results_are_served, set_up, tear_down),
         cmocka_unit_test_setup_teardown(pages_of_results, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(ranges_of_files, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(parts_have_their_token, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(no_parts_without_a_token, set_up, tear_down),
         cmocka_unit_test_setup_teardown(results_alone, set_up, tear_down),
         cmocka_unit_test_setup_teardown(commands_need_the_header, set_up, tear_down),
         cmocka_unit_test_setup_teardown(other_names_are_refused, set_up, tear_down),
