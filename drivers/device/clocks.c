@@ -31,3 +31,11 @@ bool clocks_synced(void)
         return access("/run/systemd/timesync/synchronized", F_OK) == 0;
     return state != TIME_ERROR && !(t.status & STA_UNSYNC);
 }
+
+bool clocks_bound(int64_t *within_ns)
+{
+    struct timex t = {0};
+    const int state = adjtimex(&t);
+    *within_ns = (int64_t)t.maxerror * 1000; // us
+    return state >= 0 && state != TIME_ERROR && !(t.status & STA_UNSYNC);
+}

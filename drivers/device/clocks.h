@@ -18,4 +18,9 @@ struct clocks clocks_at(int64_t monotonic_ns);
 /* Whether something keeps CLOCK_REALTIME right: the kernel knows, else systemd-timesyncd. */
 bool clocks_synced(void);
 
+/* Whether the kernel says by how much CLOCK_REALTIME may be wrong: chrony, ntpd and phc2sys tell it
+ * (maxerror of adjtimex).
+ * out:  *within_ns. */
+bool clocks_bound(int64_t *within_ns);
+
 #endif

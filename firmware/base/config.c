@@ -411,7 +411,7 @@ err_t config_stops(const char *where, const char *text, double *ev, int cap, int
 
 bool config_collects(const struct config *c)
 {
-    bool one = c->camera[0][0] && !c->camera[1][0];
+    bool one = c->camera[0][0] && !c->camera[1][0] && c->rig_role == CONFIG_ALONE;
     for (int i = 0; i < CONFIG_TRIGGERS; i++)
         one = one && strncmp(c->trigger[i], "timer:", 6) != 0; // no user carries the camera around
     return c->session_collect == CONFIG_COLLECT_YES ||
@@ -442,6 +442,8 @@ err_t config_check_rig(const struct config *c)
         return err_fail(ERR_ARG, "bracket.mode is list, but bracket.ev has no exposures");
     if (c->bracket_mode == CONFIG_AUTO && c->bracket_middle_us)
         return err_fail(ERR_ARG, "bracket.mode is auto, which has no use for bracket.middle_us");
+    if (c->session_collect == CONFIG_COLLECT_YES && c->rig_role != CONFIG_ALONE)
+        return err_fail(ERR_ARG, "session.collect is for one board alone, but rig.role is set");
     if (c->http_port && !is_loopback(c->http_address) && !c->http_token[0])
         return err_fail(ERR_ARG,
                         "http.address %s is open to others: http.token must be set, or the address "

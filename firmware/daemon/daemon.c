@@ -1,24 +1,13 @@
 /* Every turn of the loop collects descriptors and the nearest deadline, waits, and runs each part
  * once; no part blocks. A press becomes a take when the session is armed and the writer has room;
  * for a press in between trigger.busy is the policy. */
-#include "firmware/daemon/daemon.h"
+#include "firmware/daemon/daemon_inner.h"
 
 #include "drivers/device/clocks.h"
 #include "firmware/base/backends.h"
 #include "firmware/capture/schedule.h"
-#include "firmware/capture/session.h"
-#include "firmware/capture/writer.h"
-#include "firmware/daemon/calibrator.h"
-#include "firmware/daemon/collect.h"
-#include "firmware/daemon/ctl.h"
-#include "firmware/daemon/http.h"
-#include "firmware/daemon/jobs.h"
-#include "firmware/daemon/summary.h"
-#include "firmware/daemon/triggers.h"
-#include "firmware/store/store.h"
 
 #include "core/base/log.h"
-#include "drivers/device/lamp.h"
 #include "drivers/format/file.h"
 #include "drivers/format/json.h"
 
@@ -27,7 +16,6 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/signalfd.h>
-#include <sys/statvfs.h>
 #include <sys/timerfd.h>
 #include <systemd/sd-daemon.h>
 #include <time.h>
@@ -35,137 +23,10 @@
 
 enum {
     FDS_MAX = 64,
-    RECENT = 12,          // takes in the status
     RETRY_S = 2,          // for missing devices
     WRITER_LIMIT_S = 120, // a take that is written for longer hangs
     STOP_MARGIN_MS = 1500 // beyond the longest exposure
 };
-
-struct counters {
-    long presses, takes, aborted, rejected, queued, coalesced, refused, clock_steps;
-};
-
-struct daemon {
-    const struct daemon_config *cfg;
-    const struct config *set;
-    struct session *session; // NULL: not open yet
-    struct store *store;
-    struct writer *writer;
-    struct jobs *jobs; // NULL: none are run
-    struct ctl *ctl;
-    struct http *http; // NULL: no page
-    struct lamp *lamp; // NULL: none
-    struct triggers *triggers;
-    struct collect collect;
-    struct calibrator calibrator;
-    int n_written; // takes that the writer has
-    int signals, clock;
-    bool stopping;
-    int64_t start_ns, retry_ns, pet_ns, pet_every_ns, stop_ns;
-    int n_waiting; // presses in the queue
-    int64_t waiting[16];
-    int n_asking; // clients that wait for a take
-    uint64_t asking[CTL_CLIENTS_MAX];
-    struct counters count;
-    char trouble[TAKE_TEXT]; // what went wrong in the store or at the last press; "" for nothing
-    int n_recent;
-    struct summary recent[RECENT]; // newest first
-};
-
-/* ---- state ---- */
-
-static const char *state_word(const struct daemon *d)
-{
-    static const char *const words[] = {[SESSION_LOST] = "lost",
-                                        [SESSION_ARMED] = "armed",
-                                        [SESSION_METERING] = "metering",
-                                        [SESSION_SHOOTING] = "shooting",
-                                        [SESSION_READY] = "ready"};
-    if (d->stopping)
-        return "stopping";
-    if (d->calibrator.on)
-        return "calibrating";
-    return d->session ? words[session_state(d->session)] : "lost";
-}
-
-static const char *state_sentence(struct daemon *d)
-{
-    if (d->calibrator.on)
-        return calibrator_sentence(&d->calibrator);
-    if (d->trouble[0])
-        return d->trouble;
-    return d->session ? session_status(d->session) : "waits for the cameras";
-}
-
-static void write_cameras(const struct daemon *d, FILE *f)
-{
-    int n = d->session ? session_cameras(d->session) : 0;
-    fputs("\"cameras\": [", f);
-    for (int i = 0; i < n; i++) {
-        const struct take_camera *c = session_camera(d->session, i);
-        struct session_view v;
-        session_view(d->session, i, &v);
-        fprintf(f, "%s{\"uri\": ", i ? ", " : "");
-        json_put_string(f, c->uri);
-        fputs(", \"unit\": ", f);
-        json_put_string(f, c->info.unit);
-        fprintf(f,
-                ", \"present\": %s, \"width\": %d, \"height\": %d, \"format\": \"%s\", "
-                "\"exposure_s\": %.9g, \"clipped\": %.4g, \"dark\": %.4g, \"histogram\": [",
-                v.present ? "true" : "false", c->info.w, c->info.h, take_format(c->info.format),
-                v.exposure.time_s, v.clipped, v.dark);
-        for (int k = 0; k < SESSION_BINS; k++)
-            fprintf(f, "%s%u", k ? "," : "", v.histogram[k]);
-        fputs("]}", f);
-    }
-    fputs("]", f);
-}
-
-static void write_counters(const struct daemon *d, FILE *f)
-{
-    const struct counters *c = &d->count;
-    struct triggers_count t;
-    triggers_look(d->triggers, &t);
-    fprintf(f,
-            "\"counters\": {\"presses\": %ld, \"takes\": %ld, \"aborted\": %ld, "
-            "\"locked_out\": %ld, \"rejected\": %ld, \"queued\": %ld, \"coalesced\": %ld, "
-            "\"refused\": %ld, \"lost_edges\": %ld, \"clock_steps\": %ld}",
-            c->presses + t.locked_out, c->takes, c->aborted, t.locked_out, c->rejected, c->queued,
-            c->coalesced, c->refused, t.lost_edges, c->clock_steps);
-}
-
-static void write_status(void *ctx, FILE *f)
-{
-    struct daemon *d = ctx;
-    struct bracket_progress p = {0};
-    struct statvfs v;
-    if (d->session)
-        session_progress(d->session, &p);
-    double free_mb =
-        statvfs(d->set->store_path, &v) == 0 ? (double)v.f_bavail * (double)v.f_frsize / 1e6 : -1;
-    fprintf(f, "{\"ok\": true, \"state\": \"%s\", \"sentence\": ", state_word(d));
-    json_put_string(f, state_sentence(d));
-    fprintf(f,
-            ", \"uptime_s\": %.1f, \"progress\": {\"kept\": %d, \"wanted\": %d, \"frames\": %d, "
-            "\"rejected\": %d, \"lost\": %d}, \"waiting\": %d, \"free_mb\": %.0f, ",
-            (double)(clocks_now() - d->start_ns) / 1e9, p.kept, p.wanted, p.frames, p.rejected,
-            p.lost, d->n_waiting, free_mb);
-    write_cameras(d, f);
-    fputs(", ", f);
-    jobs_write(d->jobs, f);
-    fputs(", ", f);
-    fputs("\"session\": ", f);
-    collect_write(&d->collect, f);
-    fputs(", ", f);
-    write_counters(d, f);
-    fputs(", \"captures\": [", f);
-    for (int i = 0; i < d->n_recent; i++) {
-        if (i)
-            fputs(", ", f);
-        summary_write(&d->recent[i], summary_warnings(d->set->results_path, &d->recent[i]), f);
-    }
-    fputs("]}", f);
-}
 
 static void remember_take(struct daemon *d, const char *id)
 {
@@ -174,9 +35,9 @@ static void remember_take(struct daemon *d, const char *id)
         log_warn("%s", err_text());
         return;
     }
-    memmove(&d->recent[1], &d->recent[0], (RECENT - 1) * sizeof d->recent[0]);
+    memmove(&d->recent[1], &d->recent[0], (DAEMON_RECENT - 1) * sizeof d->recent[0]);
     d->recent[0] = s;
-    d->n_recent += d->n_recent < RECENT;
+    d->n_recent += d->n_recent < DAEMON_RECENT;
 }
 
 /* ---- takes ---- */
@@ -206,19 +67,23 @@ static void tell_error(struct daemon *d, uint64_t id, const char *text)
     free(json);
 }
 
-static err_t begin_take(struct daemon *d, int64_t press_ns)
+static err_t begin_order(struct daemon *d, const struct session_order *o)
+{
+    uint64_t need = 0;
+    for (int i = 0; i < session_cameras(d->session); i++)
+        need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(o));
+    err_t e = store_room(d->store, need);
+    if (!e)
+        e = collect_room(&d->collect);
+    return e ? e : session_begin(d->session, o);
+}
+
+static err_t begin_take(struct daemon *d, int64_t press_ns, bool asked)
 {
     struct session_order o;
     schedule_order(d->set, press_ns, &o);
     o.refocus = d->collect.places.n == 0; // the places of a scene have one focus
-    uint64_t need = 0;
-    for (int i = 0; i < session_cameras(d->session); i++)
-        need += store_need(d->store, &session_camera(d->session, i)->info, schedule_frames(&o));
-    err_t e = store_room(d->store, need);
-    if (!e)
-        e = collect_room(&d->collect);
-    if (!e)
-        e = session_begin(d->session, &o);
+    err_t e = d->boards ? boards_press(d->boards, asked) : begin_order(d, &o);
     snprintf(d->trouble, sizeof d->trouble, "%s", e ? err_text() : "");
     if (e) {
         d->count.refused++;
@@ -227,14 +92,21 @@ static err_t begin_take(struct daemon *d, int64_t press_ns)
     return e;
 }
 
-static bool can_begin(struct daemon *d)
+static bool can_shoot(struct daemon *d)
 {
     return d->session && session_state(d->session) == SESSION_ARMED && writer_free(d->writer) &&
            !d->stopping;
 }
 
+static bool can_begin(struct daemon *d)
+{
+    return d->boards ? !d->stopping && !boards_trouble(d->boards) : can_shoot(d);
+}
+
 static bool is_busy(const struct daemon *d)
 {
+    if (d->boards)
+        return boards_is_busy(d->boards);
     return d->session && session_state(d->session) != SESSION_LOST;
 }
 
@@ -256,15 +128,16 @@ static err_t queue_press(struct daemon *d, int64_t press_ns)
     return OK;
 }
 
-static err_t handle_press(struct daemon *d, int64_t press_ns)
+static err_t handle_press(struct daemon *d, int64_t press_ns, bool asked)
 {
     d->count.presses++;
     if (can_begin(d))
-        return begin_take(d, press_ns);
+        return begin_take(d, press_ns, asked);
     if (is_busy(d))
         return queue_press(d, press_ns);
     d->count.refused++;
-    return err_fail(ERR_LOST, "%s", state_sentence(d));
+    return err_fail(ERR_LOST, "%s",
+                    d->boards ? boards_trouble(d->boards) : daemon_status_sentence(d));
 }
 
 static void begin_waiting(struct daemon *d)
@@ -273,7 +146,7 @@ static void begin_waiting(struct daemon *d)
         int64_t press_ns = d->waiting[0];
         d->n_waiting--;
         memmove(d->waiting, d->waiting + 1, (size_t)d->n_waiting * sizeof d->waiting[0]);
-        if (begin_take(d, press_ns) == OK)
+        if (begin_take(d, press_ns, d->n_asking > 0) == OK)
             return;
     }
 }
@@ -288,6 +161,10 @@ static void collect_place(struct daemon *d)
     if (session_collect(d->session, &t) != OK)
         return;
     collect_take(&d->collect, t);
+    if (d->boards && boards_works(d->boards) && !boards_take(d->boards, t)) {
+        take_free(t); // it was for metering
+        return;
+    }
     if (writer_put(d->writer, t) == OK)
         d->n_written++;
     else
@@ -312,9 +189,22 @@ static void tell_take(struct daemon *d, const char *id)
     free(json);
 }
 
+/* A part of a rig's take: the rig tells of the whole. */
+static bool finish_part(struct daemon *d, const struct writer_outcome *o)
+{
+    if (!d->boards || !o->take->rig.take[0])
+        return false;
+    log_info("%s: %d frames, part of %s%s%s", o->err ? "not stored" : o->id, o->take->n,
+             o->take->rig.take, o->err ? ": " : "", o->err ? o->text : "");
+    boards_stored(d->boards, o->take, o->id, o->err, o->text);
+    return true;
+}
+
 static void finish_take(struct daemon *d, const struct writer_outcome *o)
 {
     bool complete = o->take->status == TAKE_COMPLETE;
+    if (finish_part(d, o))
+        return;
     if (o->err) {
         log_error("capture not stored: %s", o->text);
         snprintf(d->trouble, sizeof d->trouble, "%.*s", TAKE_TEXT - 1, o->text);
@@ -348,12 +238,56 @@ static void finish_takes(struct daemon *d)
     }
 }
 
+/* ---- the rig ---- */
+
+static const char *on_trouble(void *ctx)
+{
+    struct daemon *d = ctx;
+    if (can_shoot(d) && !d->calibrator.on)
+        return NULL;
+    return d->session && session_state(d->session) == SESSION_ARMED ? "stores a capture"
+                                                                    : daemon_status_sentence(d);
+}
+
+static err_t on_begin(void *ctx, const struct session_order *o)
+{
+    struct daemon *d = ctx;
+    return can_shoot(d) ? begin_order(d, o) : err_fail(ERR_BUSY, "%s", on_trouble(d));
+}
+
+static void on_stop(void *ctx)
+{
+    struct daemon *d = ctx;
+    if (d->session)
+        session_cancel(d->session, "cancelled");
+}
+
+static void on_told(void *ctx, err_t err, const char *id, const char *text, bool asked)
+{
+    struct daemon *d = ctx;
+    d->count.takes += !err;
+    d->count.aborted += err != OK;
+    snprintf(d->trouble, sizeof d->trouble, "%s", err ? text : "");
+    if (!err) {
+        log_info("%s: all boards%s%s", id, text[0] ? ", but " : "", text);
+        remember_take(d, id);
+    }
+    if (asked && err)
+        tell_error(d, 0, text);
+    else if (asked)
+        tell_take(d, id);
+    if (!err && d->jobs && jobs_add(d->jobs, id) != OK)
+        log_warn("%s", err_text());
+}
+
 /* ---- commands ---- */
 
 static void cancel_work(struct daemon *d)
 {
     if (d->calibrator.on)
         calibrator_cancel(&d->calibrator);
+    else if (d->boards && boards_cancel(d->boards) == OK)
+        log_info("cancelled");
     else if (d->session && (session_state(d->session) == SESSION_SHOOTING ||
                             session_state(d->session) == SESSION_METERING))
         session_cancel(d->session, "cancelled");
@@ -371,15 +305,18 @@ static err_t end_session(struct daemon *d)
 static void on_press(void *ctx, int64_t press_ns, bool is_long)
 {
     struct daemon *d = ctx;
-    if ((is_long ? end_session(d) : handle_press(d, press_ns)) != OK)
+    if ((is_long ? end_session(d) : handle_press(d, press_ns, false)) != OK)
         log_info("press not answered: %s", err_text());
 }
 
 static err_t run_command(void *ctx, const char *line)
 {
     struct daemon *d = ctx;
-    if (strcmp(line, "capture") == 0)
-        return handle_press(d, clocks_now());
+    if (strcmp(line, "capture") == 0 || strcmp(line, "capture wait") == 0)
+        return handle_press(d, clocks_now(), line[7] != 0);
+    if (strncmp(line, "forget ", 7) == 0)
+        return d->boards ? boards_forget(d->boards, line + 7)
+                         : err_fail(ERR_ARG, "rig.role is alone: there is nothing to forget");
     if (strcmp(line, "cancel") == 0) {
         cancel_work(d);
         return OK;
@@ -392,7 +329,7 @@ static err_t run_command(void *ctx, const char *line)
         return collect_scene(&d->collect);
     return err_fail(ERR_ARG,
                     "unknown command \"%.40s\": status, capture [wait], session [end|scene], "
-                    "calibrate [WHAT SECONDS], cancel",
+                    "calibrate [WHAT SECONDS], forget ID, cancel",
                     line);
 }
 
@@ -420,7 +357,8 @@ static void answer_with(struct daemon *d, uint64_t id, void (*write)(void *ctx, 
 /* The cameras are closed for it; open_cameras opens them afterwards. */
 static err_t begin_calibration(struct daemon *d, uint64_t id, const char *line)
 {
-    if (d->stopping || (is_busy(d) && !can_begin(d)))
+    const bool busy = d->session && session_state(d->session) != SESSION_LOST && !can_shoot(d);
+    if (d->stopping || busy)
         return err_fail(ERR_BUSY, "a capture runs: calibrate between captures");
     err_t e = calibrator_begin(&d->calibrator, id, line);
     if (e)
@@ -436,10 +374,10 @@ static void on_line(void *ctx, uint64_t id, const char *line)
     bool wait = strcmp(line, "capture wait") == 0;
     bool is_order = strncmp(line, "calibrate", 9) == 0;
     if (strcmp(line, "status") == 0)
-        answer_with(d, id, write_status);
+        answer_with(d, id, daemon_status_write);
     else if (is_order && begin_calibration(d, id, line) == OK)
         return; // the calibrator answers
-    else if (is_order || run_command(d, wait ? "capture" : line) != OK)
+    else if (is_order || run_command(d, line) != OK)
         tell_error(d, id, err_text());
     else if (strncmp(line, "session", 7) == 0)
         answer_with(d, id, write_session);
@@ -532,7 +470,7 @@ static void notify_watchdog(struct daemon *d, int64_t now)
     if (since && now - since > WRITER_LIMIT_S * INT64_C(1000000000))
         return;
     d->pet_ns = now + d->pet_every_ns;
-    sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", state_sentence(d));
+    sd_notifyf(0, "WATCHDOG=1\nSTATUS=%s", daemon_status_sentence(d));
 }
 
 static int64_t earlier_deadline(int64_t a, int64_t b)
@@ -550,6 +488,11 @@ static int gather_fds(struct daemon *d, struct pollfd *fds, int64_t *deadline)
     fds[n++] = (struct pollfd){.fd = writer_fd(d->writer), .events = POLLIN};
     if (d->http)
         fds[n++] = http_poll(d->http, now, deadline);
+    if (d->boards) {
+        int64_t due = INT64_MAX;
+        n += boards_poll(d->boards, fds + n, FDS_MAX - n, &due);
+        *deadline = earlier_deadline(*deadline, due);
+    }
     n += triggers_poll(d->triggers, fds + n, FDS_MAX - n);
     n += ctl_poll(d->ctl, fds + n, FDS_MAX - n);
     n += calibrator_poll(&d->calibrator, fds + n, FDS_MAX - n);
@@ -590,6 +533,8 @@ static err_t run_turn(struct daemon *d)
         http_step(d->http);
     collect_place(d);
     finish_takes(d);
+    if (d->boards && !d->stopping)
+        boards_step(d->boards);
     begin_waiting(d);
     if (d->collect.ending && end_session(d) != OK)
         log_warn("the session does not end: %s", err_text());
@@ -656,7 +601,7 @@ static err_t open_triggers(struct daemon *d)
 
 static err_t open_store(struct daemon *d)
 {
-    char ids[RECENT][STORE_ID_CAP];
+    char ids[DAEMON_RECENT][STORE_ID_CAP];
     struct store_config s = {d->set->store_path, (uint64_t)d->set->store_reserve_mb * 1000000,
                              d->set->store_merge != 0, d->set->store_keep};
     err_t e = store_open(&s, &d->store);
@@ -664,7 +609,7 @@ static err_t open_store(struct daemon *d)
         e = writer_open(d->store, &d->writer);
     if (e)
         return e;
-    for (int i = store_list(d->store, ids, RECENT) - 1; i >= 0; i--)
+    for (int i = store_list(d->store, ids, DAEMON_RECENT) - 1; i >= 0; i--)
         remember_take(d, ids[i]);
     return OK;
 }
@@ -679,6 +624,22 @@ static err_t open_lamp(struct daemon *d)
     if (e)
         log_warn("lamp: %s", err_text());
     return OK;
+}
+
+static err_t open_boards(struct daemon *d)
+{
+    const struct boards_config b = {.set = d->set,
+                                    .version = d->cfg->version,
+                                    .store = d->store,
+                                    .cameras = d->collect.cameras,
+                                    .http_port = d->http ? http_port(d->http) : 0,
+                                    .token = d->parts_token,
+                                    .ctx = d,
+                                    .trouble = on_trouble,
+                                    .begin = on_begin,
+                                    .stop = on_stop,
+                                    .told = on_told};
+    return boards_open(&b, &d->boards);
 }
 
 static err_t open_all(struct daemon *d)
@@ -704,13 +665,16 @@ static err_t open_all(struct daemon *d)
     struct http_config http = {.address = c->http_address,
                                .port = c->http_port,
                                .token = c->http_token,
+                               .parts_token = d->parts_token,
                                .captures = c->store_path,
                                .results = c->results_path,
                                .ctx = d,
-                               .status = write_status,
+                               .status = daemon_status_write,
                                .command = run_command};
     if (!e && c->http_port)
         e = http_open(&http, &d->http);
+    if (!e && c->rig_role != CONFIG_ALONE)
+        e = open_boards(d);
     if (!e)
         e = open_triggers(d);
     if (!e)
@@ -756,6 +720,7 @@ static void close_all(struct daemon *d)
     triggers_close(d->triggers);
     calibrator_close(&d->calibrator);
     lamp_close(d->lamp);
+    boards_close(d->boards);
     writer_close(d->writer);
     store_close(d->store);
     jobs_close(d->jobs);

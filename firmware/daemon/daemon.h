@@ -10,6 +10,7 @@ struct daemon_config {
     const struct config *settings;
     const char *config_path; // file for reconstructions; NULL: none
     const char *program;     // hdrig, for reconstructions
+    const char *version;
 };
 
 /* Runs until SIGTERM or SIGINT, which it answers within the longest exposure and 2 s.

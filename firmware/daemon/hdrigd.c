@@ -131,7 +131,7 @@ int main(int argc, char **argv)
         return CMD_OK;
     }
     e = find_program(program);
-    struct daemon_config d = {&c, q.config_path, program};
+    struct daemon_config d = {&c, q.config_path, program, HDRIG_VERSION};
     if (!e)
         e = daemon_run(&d);
     return e ? print_error(e, e == ERR_ARG || e == ERR_UNSUPPORTED ? BAD_CONFIG : CMD_FAILURE)

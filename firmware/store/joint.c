@@ -5,6 +5,7 @@
 #include "firmware/store/part.h"
 #include "firmware/store/store_inner.h"
 
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -68,6 +69,23 @@ err_t joint_begin(struct store *s, const char *id, const char *text)
     else if (store_keep_drop(s, STORE_RIG, id, store_is_staged) != OK)
         return err_fail(e, "%s; its order stays", why);
     return err_fail(e, "%s", why);
+}
+
+err_t joint_change(struct store *s, const char *id, const char *text)
+{
+    char dir[FILE_PATH_CAP], path[FILE_PATH_CAP], tmp[FILE_PATH_CAP];
+    err_t e = folder_path(s->path, STORE_RIG, id, dir);
+    if (!e)
+        e = file_join(dir, STORE_RIG_ORDER, path);
+    if (!e)
+        e = file_join(dir, STORE_RIG_ORDER STORE_RIG_PART, tmp);
+    if (e)
+        return e;
+    s->fs->unlink(tmp); // left by a crash
+    e = store_fs_write(s->fs, tmp, text, strlen(text));
+    if (!e && s->fs->rename(tmp, path, 0) != 0)
+        e = err_fail(file_code(errno), "%s: cannot be replaced: %s", path, strerror(errno));
+    return e ? e : store_fs_sync_dir(s->fs, dir);
 }
 
 err_t joint_drop(struct store *s, const char *id)

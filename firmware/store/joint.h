@@ -27,6 +27,9 @@ enum { JOINT_ORDER_MAX = 64 << 10, JOINT_MEMBERS_MAX = MANIFEST_MEMBERS_MAX };
  *       an error nothing of it is left. */
 MUST_USE err_t joint_begin(struct store *s, const char *id, const char *text);
 
+/* Put another text in the place of the order, durably. err: ERR_ARG, ERR_IO, ERR_LIMIT */
+MUST_USE err_t joint_change(struct store *s, const char *id, const char *text);
+
 /* Ids of staging folders whose takes do not exist yet, newest first; returns their number, at most
  * cap. */
 int joint_pending(const char *store, char (*ids)[STORE_ID_CAP], int cap);

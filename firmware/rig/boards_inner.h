@@ -1,0 +1,41 @@
+/* boards_inner.h - what the files of boards.c share: no part of the interface. */
+#ifndef RIG_BOARDS_INNER_H
+#define RIG_BOARDS_INNER_H
+
+#include "firmware/rig/boards.h"
+#include "firmware/rig/conductor.h"
+#include "firmware/rig/member.h"
+#include "firmware/rig/rigclock.h"
+#include "firmware/rig/tasks.h"
+
+#include "drivers/net/mqtt.h"
+
+struct boards {
+    struct boards_config cfg;
+    const struct config *set;
+    struct mqtt *mqtt;
+    struct tasks *disk, *fetch; // fetch: of a conductor
+    char broker[TAKE_TEXT];     // why it is not reached; "" if it is
+    char boot[MESSAGE_EPOCH_CAP], token[MESSAGE_TOKEN_CAP];
+    int64_t heard_ns;      // when the present message was read
+    int64_t press_sent_ns; // the last press of a member
+    bool has_member, has_conductor;
+    /* the member */
+    struct member member;
+    struct rigclock clock;
+    int64_t ask_ns, said_ns;
+    bool contradicts, reports; // reports: `report` waits for the list of parts
+    struct message_report report;
+    struct message_member said;
+    /* the conductor */
+    struct conductor conductor;
+    struct conductor_action action;
+    struct message_member heard;
+    struct task task;
+};
+
+/* Pass an event to the conductor, carry out its actions. */
+MUST_USE err_t boards_lead(struct boards *b, struct conductor_event ev);
+void boards_conduct(struct boards *b);
+
+#endif
