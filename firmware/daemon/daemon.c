@@ -662,10 +662,11 @@ static err_t open_all(struct daemon *d)
         e = ctl_open(c->control_socket, on_line, d, &d->ctl);
     d->calibrator = (struct calibrator){
         .set = c, .config_path = d->cfg->config_path, .program = d->cfg->program, .ctl = d->ctl};
+    boards_token(d->parts_token);
     struct http_config http = {.address = c->http_address,
                                .port = c->http_port,
                                .token = c->http_token,
-                               .parts_token = d->parts_token,
+                               .parts_token = c->rig_role != CONFIG_ALONE ? d->parts_token : NULL,
                                .captures = c->store_path,
                                .results = c->results_path,
                                .ctx = d,

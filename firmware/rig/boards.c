@@ -586,7 +586,9 @@ int boards_poll(const struct boards *b, struct pollfd *fds, int cap, int64_t *de
 static bool has_changed(const struct boards *b)
 {
     const char *trouble = b->cfg.trouble(b->cfg.ctx);
-    return strcmp(trouble ? trouble : "ready to capture", b->said.sentence) != 0;
+    struct rigclock_state c;
+    return strcmp(trouble ? trouble : "ready to capture", b->said.sentence) != 0 ||
+           (!b->said.clock_known && rigclock_read(&b->clock, clocks_now(), &c));
 }
 
 void boards_step(struct boards *b)
@@ -733,9 +735,14 @@ static void put_random(char *out, size_t digits)
     out[digits] = 0;
 }
 
+void boards_token(char *out)
+{
+    put_random(out, MESSAGE_TOKEN_CAP - 1);
+}
+
 static err_t open_mqtt(struct boards *b)
 {
-    char topic[MESSAGE_TOPIC_CAP], will[128], client[96], password[PASSWORD_MAX];
+    char topic[MESSAGE_TOPIC_CAP], will[128], client[CONFIG_TEXT + 64], password[PASSWORD_MAX];
     const bool leads = b->has_conductor;
     struct mqtt_url url;
     message_topic(b->set->rig_name, MESSAGE_MEMBER, b->member.name, topic);
@@ -821,8 +828,7 @@ err_t boards_open(const struct boards_config *cfg, struct boards **out)
     b->has_conductor = cfg->set->rig_role == CONFIG_CONDUCTOR;
     b->has_member = cfg->cameras > 0;
     put_random(b->boot, MESSAGE_EPOCH_CAP - 1);
-    put_random(b->token, MESSAGE_TOKEN_CAP - 1);
-    memcpy(cfg->token, b->token, sizeof b->token);
+    snprintf(b->token, sizeof b->token, "%s", cfg->token);
     snprintf(b->broker, sizeof b->broker, "the broker is not reached yet");
     err_t e = check_settings(cfg);
     if (!e)

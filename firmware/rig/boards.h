@@ -18,7 +18,7 @@ struct boards_config {
     struct store *store;
     int cameras;   // of this board
     int http_port; // where its parts are served; 0: not
-    char *token;   // out: MESSAGE_TOKEN_CAP bytes: for the parts, new at each start
+    const char *token; // that opens them to the conductor: boards_token
     void *ctx;
     /* Whether an order could be followed now, else why not, as a sentence. */
     const char *(*trouble)(void *ctx);
@@ -32,6 +32,9 @@ struct boards_config {
 enum { BOARDS_FDS = 3 };
 
 struct boards;
+
+/* A new random token, MESSAGE_TOKEN_CAP bytes: for each run of the daemon. */
+void boards_token(char *out);
 
 /* err:  ERR_ARG (names, broker, settings that do not fit a role), ERR_IO (password, certificate),
  *       ERR_NOMEM */

@@ -444,8 +444,7 @@ static void on_metered(struct conductor *c, struct conductor_take *t, int k,
         c->meter[c->n_meters++] = r->meter[i];
 }
 
-static void on_shot(struct conductor *c, struct conductor_take *t, int k,
-                    const struct message_report *r)
+static void on_shot(struct conductor_take *t, int k, const struct message_report *r)
 {
     if (t->part[k] != PART_WAITS || strcmp(r->take, t->order.take) != 0)
         return;
@@ -455,10 +454,7 @@ static void on_shot(struct conductor *c, struct conductor_take *t, int k,
         fail_part(t, k, "its frames are of another time");
     } else if (r->kind == MESSAGE_STORED) {
         t->part[k] = PART_STORED;
-        if (k == 0 && r->red > 0) {
-            c->red = r->red;
-            c->blue = r->blue;
-        }
+        t->retry_ns[k] = 0;
     }
 }
 
@@ -475,7 +471,7 @@ static void on_report(struct conductor *c, const struct conductor_event *ev)
         if (t->phase == TAKE_METERING && r->kind != MESSAGE_STORED)
             on_metered(c, t, k, r);
         else if (t->phase == TAKE_SHOOTING || t->phase == TAKE_GATHERING)
-            on_shot(c, t, k, r);
+            on_shot(t, k, r);
     }
 }
 
@@ -521,6 +517,10 @@ static void on_fetched(struct conductor *c, const struct conductor_event *ev)
     } else {
         t->part[k] = PART_FETCHED;
         t->why[k][0] = 0;
+        if (ev->report->red > 0) { // the next take is developed like this one
+            c->red = ev->report->red;
+            c->blue = ev->report->blue;
+        }
     }
 }
 

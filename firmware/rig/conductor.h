@@ -107,7 +107,8 @@ enum conductor_event_kind {
     CONDUCTOR_PRESS,    // a trigger; `asked`: someone waits for the outcome
     CONDUCTOR_CANCEL,   // end the press that runs
     CONDUCTOR_RECORDED, // answer to RECORD: its order, take (the new id), err, text
-    CONDUCTOR_FETCHED,  // answer to FETCH: take, name, err, text; report: starts of its frames
+    CONDUCTOR_FETCHED,  // answer to FETCH: take, name, err, text; report: starts of its
+                        // frames, balance of its pictures
     CONDUCTOR_JOINED,   // answer to JOIN: take, err, text
     CONDUCTOR_DROPPED,  // answer to DROP: take, err
     CONDUCTOR_MEMORY,   // order: of a take that was not finished when the last conductor ended;

@@ -120,7 +120,7 @@ struct message_report {
     } meter[BRACKET_CAMERAS_MAX];
     int n_starts; // STORED
     struct message_start start[TAKE_FRAMES_MAX];
-    float red, blue; // STORED: balance of its pictures
+    float red, blue; // STORED: balance of its pictures; 0: there is none
 };
 
 /* MESSAGE_ASK and MESSAGE_TIME: four stamps, ns. The member's are on its CLOCK_MONOTONIC, the

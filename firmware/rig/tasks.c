@@ -103,6 +103,10 @@ static err_t read_starts(struct tasks *t, struct task *k)
     for (int i = 0; !e && i < p->n && i < TAKE_FRAMES_MAX; i++)
         k->report.start[k->report.n_starts++] = (struct message_start){
             p->frame[i].camera, p->frame[i].index, p->frame[i].common_ns, p->within_ns};
+    if (!e && p->is_mosaic) {
+        k->report.red = p->how.red;
+        k->report.blue = p->how.blue;
+    }
     if (!e)
         part_free(p);
     free(p);
