@@ -1,7 +1,6 @@
 /* Each connection has a client of the library of its own, so that nothing of an earlier one is left
  * in it. The thread
- *   1. looks for an address of the broker that answers: the library would wait for minutes, and
- *      could not be interrupted;
+ *   1. looks for an address of the broker that answers (drivers/net/probe.h);
  *   2. connects there, and serves the connection until it ends;
  *   3. tells why, waits, and starts again.
  * Two locks: `lock` is held around calls of the library from outside the thread, and when the
@@ -10,8 +9,10 @@
 #include "drivers/net/mqtt.h"
 
 #include "core/base/log.h"
+#include "drivers/net/probe.h"
 
 #include <errno.h>
+#include <fcntl.h>
 #include <mosquitto.h>
 #include <mqtt_protocol.h>
 #include <netdb.h>
@@ -30,14 +31,12 @@
 enum {
     PORT_PLAIN = 1883,
     PORT_TLS = 8883,
-    LOOP_MS = 500,   // how soon an end without a packet is seen
-    PROBE_MS = 3000, // for the answer of one address
-    SLICE_MS = 100,
+    LOOP_MS = 500,      // how soon an end without a packet is seen
     HEADER_BYTES = 1024 // of a packet around its payload, at most
 };
 #define PAUSE_FIRST_NS 250000000
 #define PAUSE_LAST_NS 5000000000
-#define GOODBYE_NS 1000000000 // for what is to be sent when it closes
+#define GOODBYE_NS 1000000000 // for what was published, and then for the end of the connection
 #define CLOSE_NS 2000000000
 
 struct node {
@@ -65,6 +64,8 @@ struct mqtt {
     pthread_mutex_t queue_lock; // of what follows
     struct node *first, *last;
     int n_events;
+    int n_unsent; // messages published and not yet sent or, with QoS 1 and 2, acknowledged
+    pthread_cond_t sent;
     unsigned n_dropped;
     int fd;
 
@@ -208,6 +209,33 @@ void mqtt_event_free(struct mqtt_event *e)
     *e = (struct mqtt_event){0};
 }
 
+/* ---- messages on their way out ---- */
+
+static void count_unsent(struct mqtt *m, int change)
+{
+    pthread_mutex_lock(&m->queue_lock);
+    m->n_unsent += change;
+    pthread_cond_broadcast(&m->sent);
+    pthread_mutex_unlock(&m->queue_lock);
+}
+
+static void forget_unsent(struct mqtt *m)
+{
+    pthread_mutex_lock(&m->queue_lock);
+    m->n_unsent = 0;
+    pthread_cond_broadcast(&m->sent);
+    pthread_mutex_unlock(&m->queue_lock);
+}
+
+static void wait_until_sent(struct mqtt *m, int64_t end_ns)
+{
+    struct timespec t = {.tv_sec = end_ns / 1000000000, .tv_nsec = end_ns % 1000000000};
+    pthread_mutex_lock(&m->queue_lock);
+    while (m->n_unsent > 0 && pthread_cond_timedwait(&m->sent, &m->queue_lock, &t) == 0)
+        continue;
+    pthread_mutex_unlock(&m->queue_lock);
+}
+
 /* ---- callbacks of the library, in the thread ---- */
 
 static void on_connect(struct mosquitto *c, void *ctx, int reason, int flags,
@@ -273,16 +301,17 @@ static void on_subscribe(struct mosquitto *c, void *ctx, int id, int n, const in
 static void on_publish(struct mosquitto *c, void *ctx, int id, int reason,
                        const mosquitto_property *p)
 {
-    const struct mqtt *m = ctx;
+    struct mqtt *m = ctx;
     (void)c;
     (void)id;
     (void)p;
+    count_unsent(m, -1);
     if (reason >= MQTT_RC_UNSPECIFIED)
         log_error("broker %s: a message of %s is refused: %s", m->cfg.host, m->cfg.client,
                   mosquitto_reason_string(reason));
 }
 
-/* Why TLS failed at the start is known from here alone: "OpenSSL Error[0]: error:0A000086:...:REASON". */
+/* Why TLS failed at the start is known from here alone, as "OpenSSL Error[0]: error:...:REASON". */
 static void on_log(struct mosquitto *c, void *ctx, int level, const char *text)
 {
     struct mqtt *m = ctx;
@@ -366,49 +395,9 @@ static bool is_stopping(struct mqtt *m, int64_t after_ns)
     return stop;
 }
 
-/* Whether somebody listens there: 0, or an errno. */
-static int probe_address(struct mqtt *m, const struct addrinfo *a)
+static bool is_over(void *ctx)
 {
-    int fd = socket(a->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
-    if (fd < 0)
-        return errno;
-    int why = connect(fd, a->ai_addr, a->ai_addrlen) == 0 ? 0 : errno;
-    int64_t end = now_ns() + (int64_t)PROBE_MS * 1000000;
-    while (why == EINPROGRESS) {
-        struct pollfd p = {.fd = fd, .events = POLLOUT};
-        socklen_t n = sizeof why;
-        if (poll(&p, 1, SLICE_MS) > 0)
-            why = getsockopt(fd, SOL_SOCKET, SO_ERROR, &why, &n) == 0 ? why : errno;
-        else if (now_ns() >= end || is_stopping(m, 0))
-            why = ETIMEDOUT;
-    }
-    close(fd);
-    return why;
-}
-
-/* An address of the broker that answers; false: m->why says why there is none. */
-static bool find_broker(struct mqtt *m, char address[NI_MAXHOST])
-{
-    const struct addrinfo hints = {.ai_socktype = SOCK_STREAM, .ai_flags = AI_NUMERICSERV};
-    struct addrinfo *list = NULL;
-    char port[16];
-    snprintf(port, sizeof port, "%d", m->cfg.port);
-    int rc = getaddrinfo(m->cfg.host, port, &hints, &list), why = EHOSTUNREACH;
-    if (rc) {
-        snprintf(m->why, sizeof m->why, "%s",
-                 rc == EAI_SYSTEM ? strerror(errno) : gai_strerror(rc));
-        return false;
-    }
-    for (const struct addrinfo *a = list; a && why && !is_stopping(m, 0); a = a->ai_next) {
-        why = probe_address(m, a);
-        if (!why && getnameinfo(a->ai_addr, a->ai_addrlen, address, NI_MAXHOST, NULL, 0,
-                                NI_NUMERICHOST) != 0)
-            why = EAFNOSUPPORT;
-    }
-    freeaddrinfo(list);
-    if (why)
-        snprintf(m->why, sizeof m->why, "%s", strerror(why));
-    return !why;
+    return is_stopping(ctx, 0);
 }
 
 /* The certificate is of the name, so with TLS the library finds the address once more. */
@@ -452,9 +441,23 @@ static void go_up(struct mqtt *m, struct mosquitto *c)
     append_state(m, MQTT_UP, "");
 }
 
+/* The library closes the socket behind its last packet. Were something unread then, the broker
+ * would be sent a reset, might not read that packet, and would publish the will: so `fd`, a
+ * duplicate, keeps the connection until the broker ends it. */
+static void wait_for_end(int fd, int64_t end_ns)
+{
+    char bytes[4096];
+    shutdown(fd, SHUT_WR);
+    for (int64_t left = end_ns - now_ns(); left > 0; left = end_ns - now_ns()) {
+        struct pollfd p = {.fd = fd, .events = POLLIN};
+        if (poll(&p, 1, (int)(left / 1000000) + 1) > 0 && read(fd, bytes, sizeof bytes) <= 0)
+            break;
+    }
+}
+
 static void serve_client(struct mqtt *m, struct mosquitto *c)
 {
-    int rc = 0, error = 0;
+    int rc = 0, error = 0, twin = fcntl(mosquitto_socket(c), F_DUPFD_CLOEXEC, 0);
     bool up = false;
     pthread_mutex_lock(&m->lock);
     bool stop = m->stop;
@@ -472,18 +475,25 @@ static void serve_client(struct mqtt *m, struct mosquitto *c)
     pthread_mutex_lock(&m->lock);
     m->client = NULL;
     m->up = false;
+    stop = m->stop;
+    forget_unsent(m);
     pthread_mutex_unlock(&m->lock);
+    if (stop && twin >= 0)
+        wait_for_end(twin, m->stop_ns + GOODBYE_NS);
+    if (twin >= 0)
+        close(twin);
     explain(m, rc, error);
 }
 
 /* One connection from its beginning to its end. Returns whether the broker accepted it. */
 static bool run_connection(struct mqtt *m)
 {
-    char address[NI_MAXHOST];
+    char address[PROBE_ADDRESS_CAP];
     struct mosquitto *c;
-    m->why[0] = 0;
     m->accepted = false;
-    if (!find_broker(m, address))
+    const char *why = probe_host(m->cfg.host, m->cfg.port, is_over, m, address);
+    snprintf(m->why, sizeof m->why, "%s", why ? why : "");
+    if (why)
         return false;
     if (make_client(m, &c) != OK) {
         snprintf(m->why, sizeof m->why, "%s", err_text());
@@ -534,6 +544,7 @@ static void free_all(struct mqtt *m)
     if (m->fd >= 0)
         close(m->fd);
     pthread_cond_destroy(&m->changed);
+    pthread_cond_destroy(&m->sent);
     pthread_mutex_destroy(&m->queue_lock);
     pthread_mutex_destroy(&m->lock);
     free(m);
@@ -634,6 +645,7 @@ err_t mqtt_open(const struct mqtt_config *cfg, struct mqtt **out)
     pthread_condattr_init(&attr);
     pthread_condattr_setclock(&attr, CLOCK_MONOTONIC);
     pthread_cond_init(&m->changed, &attr);
+    pthread_cond_init(&m->sent, &attr);
     pthread_condattr_destroy(&attr);
     m->fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     e = m->fd < 0 ? err_fail(ERR_IO, "broker: eventfd: %s", strerror(errno))
@@ -657,6 +669,7 @@ void mqtt_close(struct mqtt *m)
     if (!m)
         return;
     pthread_t thread = m->thread;
+    wait_until_sent(m, now_ns() + GOODBYE_NS);
     pthread_mutex_lock(&m->lock);
     m->stop = true;
     m->stop_ns = now_ns();
@@ -719,9 +732,14 @@ err_t mqtt_publish(struct mqtt *m, const char *topic, const char *text, int qos,
                         MQTT_PAYLOAD_MAX);
     if (strlen(topic) >= MQTT_TOPIC_CAP)
         return err_fail(ERR_ARG, "topic \"%.64s...\": at most %d bytes", topic, MQTT_TOPIC_CAP - 1);
+    int rc = MOSQ_ERR_NO_CONN;
     pthread_mutex_lock(&m->lock);
-    int rc = m->up ? mosquitto_publish_v5(m->client, NULL, topic, (int)n, text, qos, retain, NULL)
-                   : MOSQ_ERR_NO_CONN;
+    if (m->up) {
+        count_unsent(m, 1);
+        rc = mosquitto_publish_v5(m->client, NULL, topic, (int)n, text, qos, retain, NULL);
+        if (rc)
+            count_unsent(m, -1);
+    }
     pthread_mutex_unlock(&m->lock);
     if (rc == MOSQ_ERR_NO_CONN)
         return err_fail(ERR_LOST, "broker %s:%d: not connected", m->cfg.host, m->cfg.port);
@@ -733,7 +751,6 @@ err_t mqtt_address(const struct mqtt *m, char *out, size_t cap)
     pthread_mutex_t *lock = (pthread_mutex_t *)(uintptr_t)&m->lock;
     struct sockaddr_storage a;
     socklen_t n = sizeof a;
-    out[0] = 0;
     pthread_mutex_lock(lock);
     int fd = m->up ? mosquitto_socket(m->client) : -1;
     int why = fd >= 0 && getsockname(fd, (struct sockaddr *)&a, &n) != 0 ? errno : 0;

@@ -1,7 +1,7 @@
 /* mqtt.h - messages to and from a broker by MQTT 5, through libmosquitto. A thread of its own finds
  * the broker, connects, and connects again for ever; what happens comes out as events in the order
  * in which it happened, and a descriptor says when to look. No function waits for the network, and
- * mqtt_close for 2 s at most.
+ * mqtt_close for 3 s at most.
  * Messages of one client under one topic arrive in their order if all have the same QoS.
  * Passwords appear in no sentence. SIGPIPE must be ignored.
  * thread: all functions from one thread. */
@@ -66,7 +66,8 @@ MUST_USE err_t mqtt_parse_url(const char *url, struct mqtt_url *out);
  * err:  ERR_ARG (a value of cfg), ERR_IO (ca cannot be read), ERR_NOMEM. On error *out is NULL. */
 MUST_USE err_t mqtt_open(const struct mqtt_config *cfg, struct mqtt **out);
 
-/* What was published is sent first; the will is not. Accepts NULL. */
+/* What was published is sent first, if the broker takes it within 1 s; the will is not. Accepts
+ * NULL. */
 void mqtt_close(struct mqtt *m);
 
 int mqtt_fd(const struct mqtt *m); // readable when an event waits

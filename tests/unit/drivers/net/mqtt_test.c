@@ -5,8 +5,12 @@
 #include "tests/unit/tmpdir.h"
 
 #include <arpa/inet.h>
+#include <dlfcn.h>
+#include <mosquitto.h>
+#include <netdb.h>
 #include <poll.h>
 #include <signal.h>
+#include <stdatomic.h>
 #include <stdbool.h>
 #include <stdio.h>
 #include <sys/socket.h>
@@ -222,7 +226,8 @@ static void what_the_broker_keeps(void **state)
     start_broker("");
     a = client_of("a");
     expect_up(a);
-    expect_ok(mqtt_publish(a, "rig/a", "hello", 1, true));
+    for (int i = 0; i < 100; i++)
+        expect_ok(mqtt_publish(a, "rig/a", i < 99 ? "many" : "hello", 1, true));
     mqtt_close(a); // what was published arrives all the same
     a = client_of("a");
     expect_ok(mqtt_subscribe(a, "rig/a", 1));
@@ -253,7 +258,8 @@ static int run_client(const char *at, const char *how)
         if (mqtt_next(m, &e) != OK)
             e.kind = MQTT_DOWN;
     }
-    if (mqtt_publish(m, "rig/member", "here", 1, true) != OK)
+    if (mqtt_subscribe(m, "rig/member", 1) != OK || mqtt_subscribe(m, "rig/+", 1) != OK ||
+        mqtt_publish(m, "rig/member", "here", 1, true) != OK)
         return 1;
     if (strcmp(how, "close") != 0)
         poll(NULL, 0, 60000);
@@ -280,10 +286,13 @@ static void the_last_will(void **state)
     a = client_of("a");
     expect_ok(mqtt_subscribe(a, "rig/member", 1));
     expect_up(a);
-    pid_t child = start_client("close");
-    expect_message(a, "rig/member", "here", false);
-    waitpid(child, NULL, 0);
-    expect_silence(a, 100);
+    pid_t child;
+    for (int i = 0; i < 5; i++) { // with messages under way to it
+        child = start_client("close");
+        expect_message(a, "rig/member", "here", false);
+        waitpid(child, NULL, 0);
+        expect_silence(a, 30);
+    }
     child = start_client("wait");
     expect_message(a, "rig/member", "here", false);
     kill(child, SIGKILL);
@@ -488,24 +497,82 @@ static void what_is_refused(void **state)
     expect_err(mqtt_subscribe(a, "one/more", 0), ERR_LIMIT, "32 already");
 }
 
-/* Messages of other programs have any length. */
+/* As another program may, by the library itself. */
+static void publish_any(const char *topic, const char *bytes, int n)
+{
+    struct mosquitto *c = mosquitto_new("other", true, NULL);
+    assert_non_null(c);
+    assert_int_equal(mosquitto_connect(c, "127.0.0.1", port, 10), 0);
+    assert_int_equal(mosquitto_publish(c, NULL, topic, n, bytes, 1, false), 0);
+    for (int64_t end = now_ns() + PATIENCE_NS; mosquitto_want_write(c) && now_ns() < end;)
+        assert_int_equal(mosquitto_loop(c, 100, 1), 0);
+    for (int i = 0; i < 5; i++)
+        mosquitto_loop(c, 10, 1);
+    mosquitto_disconnect(c);
+    mosquitto_destroy(c);
+}
+
+/* Messages of other programs have any length, and topics too. */
 static void longer_messages_do_not_arrive(void **state)
 {
     (void)state;
-    char line[300];
+    static char big[200000];
+    char topic[MQTT_TOPIC_CAP + 1] = {0};
     start_broker("");
     a = client_of("a");
     expect_ok(mqtt_subscribe(a, "#", 1));
     expect_up(a);
-    run_quietly("head -c 200000 /dev/zero >big");
-    static const char *const what[] = {"-t rig -f big", "-t rig -m x"};
-    for (int i = 0; i < 2; i++) {
-        if (access("/usr/bin/mosquitto_pub", X_OK) != 0)
-            return; // of another package
-        snprintf(line, sizeof line, "mosquitto_pub -p %d %s", port, what[i]);
-        run_quietly(line);
-    }
-    expect_message(a, "rig", "x", false);
+    memset(topic, 't', sizeof topic - 1);
+    publish_any("rig", big, sizeof big);
+    publish_any("rig", big, MQTT_PAYLOAD_MAX + 1);
+    publish_any(topic, "x", 1);
+    topic[MQTT_TOPIC_CAP - 1] = 0;
+    publish_any(topic, "x", 1);
+    expect_message(a, topic, "x", false);
+    publish_any("rig", big, 3); // bytes of 0 are bytes
+    struct mqtt_event e = next_event(a);
+    assert_int_equal(e.n, 3);
+    assert_memory_equal(e.payload, big, 4);
+    mqtt_event_free(&e);
+    expect_silence(a, 50);
+}
+
+/* ---- names ---- */
+
+enum { SLOW_MS = 3000 };
+static atomic_bool asked, resolved;
+
+/* The resolver of the C library, with one name that takes its time. */
+int getaddrinfo(const char *name, const char *service, const struct addrinfo *hints,
+                struct addrinfo **out)
+{
+    typedef int resolver(const char *, const char *, const struct addrinfo *, struct addrinfo **);
+    resolver *real = (resolver *)(uintptr_t)dlsym(RTLD_NEXT, "getaddrinfo");
+    if (!name || strcmp(name, "slow.invalid") != 0)
+        return real(name, service, hints, out);
+    atomic_store(&asked, true);
+    poll(NULL, 0, SLOW_MS);
+    atomic_store(&resolved, true);
+    return EAI_AGAIN;
+}
+
+/* Nothing can interrupt a resolver: its thread is left to itself. */
+static void a_slow_resolver(void **state)
+{
+    (void)state;
+    struct mqtt_config c = config_of("a");
+    c.host = "slow.invalid";
+    int64_t start = now_ns();
+    expect_ok(mqtt_open(&c, &a));
+    assert_true(now_ns() - start < 1000000000);
+    while (!asked)
+        poll(NULL, 0, 1);
+    mqtt_close(a);
+    a = NULL;
+    assert_true(now_ns() - start < SLOW_MS * 1000000LL && !resolved);
+    while (!resolved)
+        poll(NULL, 0, 10);
+    poll(NULL, 0, 50); // it frees what it has
 }
 
 static void hosts_that_do_not_answer(void **state)
@@ -585,6 +652,7 @@ int main(int argc, char **argv)
         cmocka_unit_test_setup_teardown(more_than_is_read, set_up, tear_down),
         cmocka_unit_test_setup_teardown(what_is_refused, set_up, tear_down),
         cmocka_unit_test_setup_teardown(longer_messages_do_not_arrive, set_up, tear_down),
+        cmocka_unit_test_setup_teardown(a_slow_resolver, set_up, tear_down),
         cmocka_unit_test_setup_teardown(hosts_that_do_not_answer, set_up, tear_down),
         cmocka_unit_test(urls),
     };
