@@ -9,6 +9,7 @@
 #include "drivers/net/mqtt.h"
 
 #include "core/base/log.h"
+#include "drivers/device/clocks.h"
 #include "drivers/net/probe.h"
 
 #include <errno.h>
@@ -25,7 +26,6 @@
 #include <string.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
-#include <time.h>
 #include <unistd.h>
 
 enum {
@@ -72,13 +72,6 @@ struct mqtt {
     bool accepted; // from here on: the thread's alone
     char why[MQTT_WHY_CAP], told[MQTT_WHY_CAP];
 };
-
-static int64_t now_ns(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
-}
 
 /* ---- URLs ---- */
 
@@ -390,7 +383,7 @@ static err_t make_client(struct mqtt *m, struct mosquitto **out)
 static bool is_stopping(struct mqtt *m, int64_t after_ns)
 {
     pthread_mutex_lock(&m->lock);
-    bool stop = m->stop && now_ns() >= m->stop_ns + after_ns;
+    bool stop = m->stop && clocks_now() >= m->stop_ns + after_ns;
     pthread_mutex_unlock(&m->lock);
     return stop;
 }
@@ -448,7 +441,7 @@ static void wait_for_end(int fd, int64_t end_ns)
 {
     char bytes[4096];
     shutdown(fd, SHUT_WR);
-    for (int64_t left = end_ns - now_ns(); left > 0; left = end_ns - now_ns()) {
+    for (int64_t left = end_ns - clocks_now(); left > 0; left = end_ns - clocks_now()) {
         struct pollfd p = {.fd = fd, .events = POLLIN};
         if (poll(&p, 1, (int)(left / 1000000) + 1) > 0 && read(fd, bytes, sizeof bytes) <= 0)
             break;
@@ -521,7 +514,7 @@ static void tell_down(struct mqtt *m, bool was_up)
 
 static void wait_or_stop(struct mqtt *m, int64_t ns)
 {
-    int64_t end = now_ns() + ns;
+    int64_t end = clocks_now() + ns;
     struct timespec t = {.tv_sec = end / 1000000000, .tv_nsec = end % 1000000000};
     pthread_mutex_lock(&m->lock);
     while (!m->stop && pthread_cond_timedwait(&m->changed, &m->lock, &t) == 0)
@@ -669,10 +662,10 @@ void mqtt_close(struct mqtt *m)
     if (!m)
         return;
     pthread_t thread = m->thread;
-    wait_until_sent(m, now_ns() + GOODBYE_NS);
+    wait_until_sent(m, clocks_now() + GOODBYE_NS);
     pthread_mutex_lock(&m->lock);
     m->stop = true;
-    m->stop_ns = now_ns();
+    m->stop_ns = clocks_now();
     if (m->client)
         mosquitto_disconnect_v5(m->client, 0, NULL);
     pthread_cond_broadcast(&m->changed);

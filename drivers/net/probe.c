@@ -1,5 +1,7 @@
 #include "drivers/net/probe.h"
 
+#include "drivers/device/clocks.h"
+
 #include <errno.h>
 #include <netdb.h>
 #include <poll.h>
@@ -7,17 +9,9 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/socket.h>
-#include <time.h>
 #include <unistd.h>
 
 enum { SLICE_MS = 100 };
-
-static int64_t now_ms(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000 + t.tv_nsec / 1000000;
-}
 
 /* Whether somebody listens there: 0, or an errno. */
 static int probe_address(const struct addrinfo *a, bool (*is_over)(void *ctx), void *ctx)
@@ -26,14 +20,14 @@ static int probe_address(const struct addrinfo *a, bool (*is_over)(void *ctx), v
     if (fd < 0)
         return errno;
     int why = connect(fd, a->ai_addr, a->ai_addrlen) == 0 ? 0 : errno;
-    int64_t end = now_ms() + PROBE_MS;
+    int64_t end = clocks_now() + (int64_t)PROBE_MS * 1000000;
     while (why == EINPROGRESS) {
         struct pollfd p = {.fd = fd, .events = POLLOUT};
         int error = 0;
         socklen_t n = sizeof error;
         if (poll(&p, 1, SLICE_MS) > 0)
             why = getsockopt(fd, SOL_SOCKET, SO_ERROR, &error, &n) == 0 ? error : errno;
-        else if (now_ms() >= end || is_over(ctx))
+        else if (clocks_now() >= end || is_over(ctx))
             why = ETIMEDOUT;
     }
     close(fd);

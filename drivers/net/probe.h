@@ -10,7 +10,7 @@ enum { PROBE_ADDRESS_CAP = 1025, PROBE_MS = 3000 };
 
 /* Connect to the addresses of `host` in turn, for PROBE_MS at most, until one accepts; that
  * connection is closed again. `is_over` is asked ten times a second and ends it.
- * out:  address, numeric. returns: NULL, or why there is none; valid until the thread's next call of
+ * out:  address, numeric. returns: NULL, or why there is none, until the thread's next call of
  *       strerror. */
 const char *probe_host(const char *host, int port, bool (*is_over)(void *ctx), void *ctx,
                        char address[PROBE_ADDRESS_CAP]);
