@@ -64,7 +64,8 @@ FLAGS = -std=c11 -D_GNU_SOURCE -I. -g -pthread $(if $(PIC),-fPIC) -MMD -MP $(OPT
 CXXFLAGS_MODULE = -std=c++20 -I. -g -O2 -fPIC -shared -fvisibility=hidden -Wall -Wextra \
 	-Wshadow -Wundef $(if $(WERROR),-Werror) $(ROOTED) $(SANFLAGS)
 LDLIBS = -lspng -lturbojpeg -lexif -lraw_r -ltiff -lheif -lcjson -linih -lzip -lz -lzstd \
-	-lmicrohttpd -lmosquitto -lcurl -lsystemd -lgpiod -lm $(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
+	-lmicrohttpd -lmosquitto -lcurl -lsystemd -lgpiod -lm \
+	$(filter -lOpenEXRCore%,$(shell $(PKG_CONFIG) --libs OpenEXR))
 
 # A file named op_ISA.c is compiled for that instruction set, and no other file is.
 ISA_sse41 := -msse4.1
