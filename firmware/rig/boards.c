@@ -1,26 +1,18 @@
-#include "firmware/rig/boards.h"
-
 #include "firmware/rig/boards_inner.h"
-#include "firmware/store/joint.h"
 
 #include "core/base/log.h"
 #include "drivers/device/clocks.h"
-#include "drivers/format/file.h"
-#include "drivers/format/json.h"
 
-#include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/random.h>
 #include <sys/statvfs.h>
-#include <unistd.h>
 
 #define SECOND INT64_C(1000000000)
 #define HEARTBEAT_NS (5 * SECOND) // between announcements of an unchanged state
 #define ASK_NS SECOND             // between questions for the time,
 #define ASK_FAST_NS (SECOND / 10) // and the first of them
-enum { ASK_FAST = 10, PASSWORD_MAX = 256 };
+enum { ASK_FAST = 10 };
 
 /* ---- publishing ---- */
 
@@ -73,9 +65,13 @@ static void put_time(const void *m, FILE *f)
     message_write_time(m, f);
 }
 
-/* ---- the member ---- */
+void boards_publish_time(struct boards *b, enum message_topic t, const char *member,
+                         const struct message_time *m)
+{
+    publish(b, t, member, put_time, m);
+}
 
-static void member_follow(struct boards *b);
+/* ---- the member ---- */
 
 static void describe(struct boards *b, struct message_member *m)
 {
@@ -120,7 +116,7 @@ static void tell_member(struct boards *b, enum member_event_kind kind,
                         const struct message_report *r)
 {
     member_event(&b->member, &(struct member_event){.kind = kind, .report = r});
-    member_follow(b);
+    boards_follow(b);
 }
 
 void boards_failed(struct boards *b, const char *text)
@@ -158,7 +154,7 @@ static void begin_order(struct boards *b)
         boards_failed(b, err_text());
 }
 
-static void member_follow(struct boards *b)
+void boards_follow(struct boards *b)
 {
     struct member_action a;
     struct task k = {0};
@@ -263,59 +259,26 @@ static void ask_time(struct boards *b, int64_t now)
     b->ask_ns = now + (b->clock.n < ASK_FAST ? ASK_FAST_NS : ASK_NS);
     memcpy(m.epoch, b->member.epoch, sizeof m.epoch);
     m.sent_ns = clocks_now();
-    publish(b, MESSAGE_ASK, b->member.name, put_time, &m);
-}
-
-static void answer_time(struct boards *b, const char *member, struct message_time *m)
-{
-    const int64_t common = b->conductor.cfg.common_ns;
-    if (strcmp(m->epoch, b->conductor.cfg.epoch) != 0)
-        return;
-    m->got_ns = b->heard_ns + common;
-    const struct clocks c = clocks_at(clocks_now());
-    m->replied_ns = c.monotonic_ns + common;
-    m->disciplined = clocks_bound(&m->within_ns);
-    m->real_ns = c.realtime_ns;
-    publish(b, MESSAGE_TIME, member, put_time, m);
-}
-
-static void hear_time(struct boards *b, const struct message_time *m)
-{
-    const struct clocks c = clocks_at(b->heard_ns);
-    struct rigclock_state s;
-    int64_t within;
-    if (strcmp(m->epoch, b->member.epoch) != 0)
-        return;
-    rigclock_exchange(&b->clock, m->sent_ns, m->got_ns, m->replied_ns, b->heard_ns);
-    if (m->disciplined &&
-        clocks_bound(&within)) // common - real is the conductor's, real - mono ours
-        rigclock_kernel(&b->clock, b->heard_ns,
-                        m->replied_ns - m->real_ns + c.realtime_ns - c.monotonic_ns,
-                        within + m->within_ns);
-    if (rigclock_read(&b->clock, b->heard_ns, &s) && (s.contradiction_ns > 0) != b->contradicts) {
-        b->contradicts = s.contradiction_ns > 0;
-        if (b->contradicts)
-            log_warn("rig: this clock or the conductor's is %.3g ms farther off than its kernel "
-                     "says; the time that was exchanged is used",
-                     (double)s.contradiction_ns * 1e-6);
-    }
+    boards_publish_time(b, MESSAGE_ASK, b->member.name, &m);
 }
 
 /* ---- the conductor ---- */
 
-err_t boards_lead(struct boards *b, struct conductor_event ev)
+static void conduct(struct boards *b);
+
+static err_t lead(struct boards *b, struct conductor_event ev)
 {
     ev.now_ns = clocks_now();
     if (!b->has_conductor)
         return err_fail(ERR_ARG, "this board is not the rig's conductor");
     err_t e = conductor_event(&b->conductor, &ev);
-    boards_conduct(b);
+    conduct(b);
     return e;
 }
 
-static void lead(struct boards *b, struct conductor_event ev)
+void boards_tell_conductor(struct boards *b, struct conductor_event ev)
 {
-    if (b->has_conductor && boards_lead(b, ev) != OK)
+    if (b->has_conductor && lead(b, ev) != OK)
         log_debug("%s", err_text());
 }
 
@@ -373,7 +336,7 @@ static void tell_press(struct boards *b, const struct conductor_action *a)
     b->cfg.told(b->cfg.ctx, a->err, a->take, a->text, a->asked);
 }
 
-void boards_conduct(struct boards *b)
+static void conduct(struct boards *b)
 {
     struct conductor_action *a = &b->action;
     while (conductor_action(&b->conductor, a)) {
@@ -421,7 +384,7 @@ static void member_holds(struct boards *b, const struct task *k)
         member_event(&b->member,
                      &(struct member_event){.kind = MEMBER_STORED, .report = &b->report});
     }
-    member_follow(b);
+    boards_follow(b);
 }
 
 static void take_outcome(struct boards *b, const struct task *k)
@@ -443,125 +406,8 @@ static void take_outcome(struct boards *b, const struct task *k)
         member_holds(b, k);
     } else if (k->kind != TASK_CLEAR) {
         ev.kind = kinds[k->kind];
-        lead(b, ev);
+        boards_tell_conductor(b, ev);
     }
-}
-
-/* ---- messages ---- */
-
-static void hear_conductor(struct boards *b, const struct mqtt_event *m)
-{
-    struct message_conductor c;
-    if (message_read_conductor(m->payload, m->n, &c) != OK) {
-        log_warn("rig: %s", err_text());
-        return;
-    }
-    if (strcmp(c.epoch, b->member.epoch) != 0) {
-        b->clock = (struct rigclock){0};
-        b->ask_ns = 0;
-    }
-    lead(b, (struct conductor_event){.kind = CONDUCTOR_OTHER, .conductor = &c});
-    member_event(&b->member, &(struct member_event){.kind = MEMBER_CONDUCTOR, .conductor = &c});
-    member_follow(b);
-}
-
-static void hear_order(struct boards *b, const struct mqtt_event *m)
-{
-    struct message_order o;
-    struct rigclock_state c;
-    struct member_event ev = {.kind = MEMBER_ORDER, .order = &o};
-    if (message_read_order(m->payload, m->n, &o) != OK) {
-        log_warn("rig: %s", err_text());
-        return;
-    }
-    ev.common_known = rigclock_read(&b->clock, b->heard_ns, &c);
-    ev.common_ns = b->heard_ns + c.offset_ns;
-    member_event(&b->member, &ev);
-    member_follow(b);
-}
-
-static void hear_member(struct boards *b, const char *name, const struct mqtt_event *m)
-{
-    struct conductor_event ev = {.kind = CONDUCTOR_MEMBER, .name = name, .member = &b->heard};
-    if (!m->n) // forgotten
-        return;
-    if (message_read_member(m->payload, m->n, &b->heard) == OK)
-        lead(b, ev);
-    else
-        log_warn("rig: %s: %s", name, err_text());
-}
-
-static void hear_report(struct boards *b, const char *name, const struct mqtt_event *m)
-{
-    struct message_report r;
-    struct conductor_event ev = {.kind = CONDUCTOR_REPORT, .name = name, .report = &r};
-    if (message_read_report(m->payload, m->n, &r) == OK)
-        lead(b, ev);
-    else
-        log_warn("rig: %s: %s", name, err_text());
-}
-
-/* A press that comes twice is one. */
-static void hear_press(struct boards *b, const char *name, const struct mqtt_event *m)
-{
-    struct message_time t;
-    if (message_read_time(m->payload, m->n, &t) != OK || t.sent_ns == b->press_sent_ns)
-        return;
-    b->press_sent_ns = t.sent_ns;
-    if (b->has_conductor && boards_press(b, false) != OK)
-        log_info("rig: press at %s not answered: %s", name, err_text());
-}
-
-static void hear(struct boards *b, const struct mqtt_event *m)
-{
-    char name[TAKE_MEMBER_CAP];
-    struct message_time t;
-    const enum message_topic topic = message_kind(b->set->rig_name, m->topic, name);
-    b->heard_ns = clocks_now();
-    switch (topic) {
-    case MESSAGE_CONDUCTOR:
-        hear_conductor(b, m);
-        break;
-    case MESSAGE_ORDER:
-        hear_order(b, m);
-        break;
-    case MESSAGE_MEMBER:
-        hear_member(b, name, m);
-        break;
-    case MESSAGE_REPORT:
-        hear_report(b, name, m);
-        break;
-    case MESSAGE_PRESS:
-        hear_press(b, name, m);
-        break;
-    case MESSAGE_ASK:
-        if (message_read_time(m->payload, m->n, &t) == OK)
-            answer_time(b, name, &t);
-        break;
-    case MESSAGE_TIME:
-        if (message_read_time(m->payload, m->n, &t) == OK)
-            hear_time(b, &t);
-        break;
-    case MESSAGE_TOPICS:
-        break;
-    }
-}
-
-static void on_broker(struct boards *b, const struct mqtt_event *m)
-{
-    const bool up = m->kind == MQTT_UP;
-    if (m->kind == MQTT_MESSAGE) {
-        hear(b, m);
-        return;
-    }
-    if (up)
-        log_info("rig: the broker is reached");
-    else
-        log_warn("rig: %s", m->why);
-    snprintf(b->broker, sizeof b->broker, "%.*s", TAKE_TEXT - 1, up ? "" : m->why);
-    member_event(&b->member, &(struct member_event){.kind = up ? MEMBER_UP : MEMBER_DOWN});
-    member_follow(b);
-    lead(b, (struct conductor_event){.kind = up ? CONDUCTOR_UP : CONDUCTOR_DOWN});
 }
 
 /* ---- the loop ---- */
@@ -596,7 +442,7 @@ void boards_step(struct boards *b)
     struct mqtt_event m;
     struct task *k = &b->task;
     while (mqtt_next(b->mqtt, &m) == OK) {
-        on_broker(b, &m);
+        boards_hear(b, &m);
         mqtt_event_free(&m);
     }
     while (tasks_outcome(b->disk, k))
@@ -604,7 +450,7 @@ void boards_step(struct boards *b)
     while (b->fetch && tasks_outcome(b->fetch, k))
         take_outcome(b, k);
     const int64_t now = clocks_now();
-    lead(b, (struct conductor_event){.kind = CONDUCTOR_TICK});
+    boards_tell_conductor(b, (struct conductor_event){.kind = CONDUCTOR_TICK});
     ask_time(b, now);
     if (b->has_member && b->member.up && b->member.led &&
         (now - b->said_ns > HEARTBEAT_NS || has_changed(b)))
@@ -615,7 +461,7 @@ err_t boards_press(struct boards *b, bool asked)
 {
     struct message_time m = {0};
     if (b->has_conductor)
-        return boards_lead(b, (struct conductor_event){.kind = CONDUCTOR_PRESS, .asked = asked});
+        return lead(b, (struct conductor_event){.kind = CONDUCTOR_PRESS, .asked = asked});
     if (!b->member.up || !b->member.led)
         return err_fail(ERR_LOST, "%s", boards_trouble(b));
     if (asked)
@@ -623,18 +469,18 @@ err_t boards_press(struct boards *b, bool asked)
                                          "tells how a capture ended");
     memcpy(m.epoch, b->member.epoch, sizeof m.epoch);
     m.sent_ns = clocks_now();
-    publish(b, MESSAGE_PRESS, b->member.name, put_time, &m);
+    boards_publish_time(b, MESSAGE_PRESS, b->member.name, &m);
     return OK;
 }
 
 err_t boards_cancel(struct boards *b)
 {
-    return boards_lead(b, (struct conductor_event){.kind = CONDUCTOR_CANCEL});
+    return lead(b, (struct conductor_event){.kind = CONDUCTOR_CANCEL});
 }
 
 err_t boards_forget(struct boards *b, const char *what)
 {
-    return boards_lead(b, (struct conductor_event){.kind = CONDUCTOR_FORGET, .take = what});
+    return lead(b, (struct conductor_event){.kind = CONDUCTOR_FORGET, .take = what});
 }
 
 const char *boards_trouble(const struct boards *b)
@@ -648,210 +494,7 @@ const char *boards_trouble(const struct boards *b)
     return b->member.led ? NULL : "the rig has no conductor";
 }
 
-/* ---- start and end ---- */
-
-/* Whether the joint take is on the disk with that member's part. */
-static bool has_joint(void *ctx, const char *take, const char *member)
-{
-    const struct boards *b = ctx;
-    char dir[FILE_PATH_CAP], path[FILE_PATH_CAP];
-    struct cJSON *doc;
-    bool found = false;
-    if (file_join(b->set->store_path, take, dir) != OK ||
-        file_join(dir, MANIFEST_FILE, path) != OK || !file_exists(path) ||
-        json_read(path, &doc) != OK)
-        return false;
-    const struct cJSON *list = json_member(json_member(doc, "rig"), "members");
-    for (const struct cJSON *x = json_first(list); x && !found; x = json_next(x)) {
-        const char *name = json_string(json_member(x, "name"));
-        found = name && strcmp(name, member) == 0;
-    }
-    json_free(doc);
-    return found;
-}
-
-/* The name of this board: rig.board, else the host's, in the letters that names have. */
-static err_t name_board(const struct config *set, char out[TAKE_MEMBER_CAP])
-{
-    char host[TAKE_MEMBER_CAP] = "";
-    if (!set->rig_board[0] && gethostname(host, sizeof host - 1) != 0)
-        return err_fail(ERR_ARG, "rig.board is empty, and this host has no name");
-    snprintf(out, TAKE_MEMBER_CAP, "%.31s", set->rig_board[0] ? set->rig_board : host);
-    for (char *p = out; *p && !set->rig_board[0]; p++) {
-        *p = *p >= 'A' && *p <= 'Z' ? (char)(*p - 'A' + 'a') : *p;
-        if (*p == '.')
-            *p-- = 0;
-    }
-    if (strlen(set->rig_board) >= TAKE_MEMBER_CAP || !message_is_name(out))
-        return err_fail(ERR_ARG,
-                        "rig.board: \"%.40s\" is not a name of at most %d small letters, digits "
-                        "and -",
-                        out, TAKE_MEMBER_CAP - 1);
-    return OK;
-}
-
-static err_t check_settings(const struct boards_config *cfg)
-{
-    const struct config *set = cfg->set;
-    if (!message_is_name(set->rig_name))
-        return err_fail(ERR_ARG, "rig.name: \"%.40s\" is not a name of small letters, digits and -",
-                        set->rig_name);
-    if (!set->rig_broker[0])
-        return err_fail(ERR_ARG, "rig.broker is empty: a rig of several boards needs a broker");
-    if (set->rig_role == CONFIG_MEMBER && !cfg->cameras)
-        return err_fail(ERR_ARG, "rig.role is member, but no camera.1 is set");
-    if (cfg->cameras && !cfg->http_port)
-        return err_fail(ERR_ARG, "http.port is 0: the conductor could not fetch what this board "
-                                 "photographs");
-    return OK;
-}
-
-static err_t read_password(const char *path, char out[PASSWORD_MAX])
-{
-    out[0] = 0;
-    if (!path[0])
-        return OK;
-    FILE *f = fopen(path, "re");
-    if (!f || !fgets(out, PASSWORD_MAX, f)) {
-        if (f)
-            fclose(f);
-        return err_fail(ERR_IO,
-                        "rig.password_file: %s cannot be read, or is empty: hdrig rig join writes "
-                        "it",
-                        path);
-    }
-    fclose(f);
-    out[strcspn(out, "\r\n")] = 0;
-    return OK;
-}
-
-static void put_random(char *out, size_t digits)
-{
-    unsigned char raw[16] = {0};
-    if (getrandom(raw, sizeof raw, 0) != (ssize_t)sizeof raw)
-        log_warn("rig: no random numbers");
-    for (size_t i = 0; i < digits; i++)
-        out[i] = "0123456789abcdef"[i % 2 ? raw[i / 2] >> 4 : raw[i / 2] & 15];
-    out[digits] = 0;
-}
-
-void boards_token(char *out)
-{
-    put_random(out, MESSAGE_TOKEN_CAP - 1);
-}
-
-static err_t open_mqtt(struct boards *b)
-{
-    char topic[MESSAGE_TOPIC_CAP], will[128], client[CONFIG_TEXT + 64], password[PASSWORD_MAX];
-    const bool leads = b->has_conductor;
-    struct mqtt_url url;
-    message_topic(b->set->rig_name, MESSAGE_MEMBER, b->member.name, topic);
-    snprintf(will, sizeof will, "{\"online\": false, \"boot\": \"%s\"}", b->boot);
-    snprintf(client, sizeof client, "hdrig-%s-%s%s", b->set->rig_name, b->member.name,
-             leads ? "-conductor" : "");
-    err_t e = mqtt_parse_url(b->set->rig_broker, &url);
-    if (e)
-        return err_fail(e, "rig.broker: %s", err_text());
-    e = read_password(b->set->rig_password_file, password);
-    const struct mqtt_config m = {.host = url.host,
-                                  .port = url.port,
-                                  .tls = url.tls,
-                                  .ca = url.tls ? b->set->rig_ca : NULL,
-                                  .user = password[0] ? b->member.name : NULL,
-                                  .password = password[0] ? password : NULL,
-                                  .client = client,
-                                  .will_topic = topic,
-                                  .will = will};
-    if (!e)
-        e = mqtt_open(&m, &b->mqtt);
-    memset(password, 0, sizeof password);
-    return e;
-}
-
-static err_t subscribe(struct boards *b, enum message_topic t, const char *member)
-{
-    char topic[MESSAGE_TOPIC_CAP];
-    message_topic(b->set->rig_name, t, member, topic);
-    return mqtt_subscribe(b->mqtt, topic, t == MESSAGE_ASK || t == MESSAGE_TIME ? 0 : 1);
-}
-
-static err_t open_conductor(struct boards *b)
-{
-    char ids[CONDUCTOR_TAKES][STORE_ID_CAP];
-    const struct clocks now = clocks_at(clocks_now());
-    struct conductor_config c = {.set = b->set,
-                                 .version = b->cfg.version,
-                                 .common_ns = now.realtime_ns - now.monotonic_ns,
-                                 .has = has_joint,
-                                 .ctx = b};
-    snprintf(c.epoch, sizeof c.epoch, "%016" PRIx64, (uint64_t)now.realtime_ns);
-    memcpy(c.board, b->member.name, sizeof c.board);
-    err_t e = conductor_init(&b->conductor, &c);
-    if (!e)
-        e = tasks_open("fetch", b->cfg.store, b->set->store_path, &b->fetch);
-    for (int i = e ? 0 : joint_pending(b->set->store_path, ids, CONDUCTOR_TAKES) - 1; !e && i >= 0;
-         i--) {
-        struct message_order o;
-        char *text = NULL;
-        if (joint_order(b->set->store_path, ids[i], &text) == OK &&
-            message_read_order(text, strlen(text), &o) == OK)
-            lead(b, (struct conductor_event){.kind = CONDUCTOR_MEMORY, .order = &o});
-        else
-            log_warn("rig: %s waits for its parts, but %s", ids[i], err_text());
-        free(text);
-    }
-    static const enum message_topic heard[] = {MESSAGE_MEMBER, MESSAGE_REPORT, MESSAGE_ASK,
-                                               MESSAGE_PRESS};
-    for (size_t i = 0; !e && i < sizeof heard / sizeof heard[0]; i++)
-        e = subscribe(b, heard[i], "+");
-    return e;
-}
-
-static err_t open_member(struct boards *b)
-{
-    struct task k = {.kind = TASK_HOLDS};
-    err_t e = subscribe(b, MESSAGE_ORDER, NULL);
-    if (!e)
-        e = subscribe(b, MESSAGE_TIME, b->member.name);
-    return e ? e : tasks_add(b->disk, &k);
-}
-
-err_t boards_open(const struct boards_config *cfg, struct boards **out)
-{
-    *out = NULL;
-    struct boards *b = calloc(1, sizeof *b);
-    char name[TAKE_MEMBER_CAP];
-    if (!b)
-        return err_fail(ERR_NOMEM, "rig: no memory for its state");
-    b->cfg = *cfg;
-    b->set = cfg->set;
-    b->has_conductor = cfg->set->rig_role == CONFIG_CONDUCTOR;
-    b->has_member = cfg->cameras > 0;
-    put_random(b->boot, MESSAGE_EPOCH_CAP - 1);
-    snprintf(b->token, sizeof b->token, "%s", cfg->token);
-    snprintf(b->broker, sizeof b->broker, "the broker is not reached yet");
-    err_t e = check_settings(cfg);
-    if (!e)
-        e = name_board(cfg->set, name);
-    if (!e) {
-        member_init(&b->member, name);
-        e = tasks_open("rig-disk", cfg->store, cfg->set->store_path, &b->disk);
-    }
-    if (!e)
-        e = open_mqtt(b);
-    if (!e)
-        e = subscribe(b, MESSAGE_CONDUCTOR, NULL);
-    if (!e && b->has_conductor)
-        e = open_conductor(b);
-    if (!e && b->has_member)
-        e = open_member(b);
-    if (e) {
-        boards_close(b);
-        return e;
-    }
-    *out = b;
-    return OK;
-}
+/* ---- the end ---- */
 
 /* The broker is told, not left to find out. */
 static void say_goodbye(struct boards *b)

@@ -16,9 +16,9 @@ struct boards_config {
     const struct config *set; // rig.role is not alone
     const char *version;
     struct store *store;
-    int cameras;   // of this board
-    int http_port; // where its parts are served; 0: not
-    const char *token; // that opens them to the conductor: boards_token
+    int cameras;       // of this board
+    int http_port;     // where its parts are served; 0: not
+    const char *token; // that opens them to the conductor: boards_open_token
     void *ctx;
     /* Whether an order could be followed now, else why not, as a sentence. */
     const char *(*trouble)(void *ctx);
@@ -34,7 +34,7 @@ enum { BOARDS_FDS = 3 };
 struct boards;
 
 /* A new random token, MESSAGE_TOKEN_CAP bytes: for each run of the daemon. */
-void boards_token(char *out);
+void boards_open_token(char *out);
 
 /* err:  ERR_ARG (names, broker, settings that do not fit a role), ERR_IO (password, certificate),
  *       ERR_NOMEM */

@@ -34,8 +34,21 @@ struct boards {
     struct task task;
 };
 
-/* Pass an event to the conductor, carry out its actions. */
-MUST_USE err_t boards_lead(struct boards *b, struct conductor_event ev);
-void boards_conduct(struct boards *b);
+/* ---- boards.c ---- */
+
+/* Carry out the actions of the member's machine. */
+void boards_follow(struct boards *b);
+
+/* Pass an event to the conductor, if this board is one, and carry out its actions. */
+void boards_tell_conductor(struct boards *b, struct conductor_event ev);
+
+/* QoS 0 for ASK and TIME. */
+void boards_publish_time(struct boards *b, enum message_topic t, const char *member,
+                         const struct message_time *m);
+
+/* ---- boards_hear.c ---- */
+
+/* An event of the broker. */
+void boards_hear(struct boards *b, const struct mqtt_event *m);
 
 #endif
